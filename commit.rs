@@ -8,7 +8,7 @@ use std::{
 
 /// Gives the code `TRUEUP_COMMIT`: the first 8 hexadecimal digits of the hash of the commit that is checked
 /// out in `root`; where there is no repository, or no git, `unknown`. Gives the files that change with it.
-pub fn tell(root: &Path) -> Vec<PathBuf> {
+pub fn emit_commit_env(root: &Path) -> Vec<PathBuf> {
     let git = |args: &[&str]| {
         let output = Command::new("git").arg("-C").arg(root).args(args).output().ok()?;
         let said = String::from_utf8(output.stdout).ok().filter(|_| output.status.success())?;

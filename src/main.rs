@@ -21,13 +21,14 @@
 //! | `supervise` | `SysTick`, 10 ms | 2 | 10 ms | 100 ms, the watchdog | node, image, registers, stack | samples, watchdog, lamp, flash |
 //! | `service` | 2 ms since its last turn | 2 | 2 ms | 10 ms | node | node, port, CAN |
 //! | `modbus` | TIM5, 3.5 characters of silence; bytes in the queue | 2 | 1.1 ms; 64 bytes, 95 µs each; at 16 MHz 6.5 ms | 6 ms, 64 bytes; at 16 MHz 36 ms | byte queue, node | node, byte queue |
-//! | `transmit` | lines in the port, room on the line | 3 | 0.24 ms | 5 ms of frames in the port | port | USART1, DMA |
+//! | `transmit` | lines in the port, room on the line | 3 | 0.08 ms | 5 ms of frames in the port | port | USART1, DMA |
 //! | `poll` | `transmit`, where its DMA is dead | 1 | never while the DMA lives | the same | port | USART1 |
 //! | `thermometers` | `supervise` | 1 | 10 ms | 1 s, then the channels count as bad | SPI2 | temperatures |
 //! | `idle` | nothing else to do | 0 | | | | |
 //!
 //! `arrives`: how often a task starts at the most. A pause of the serial line comes once a line of 22 bytes, a frame of a PLC has
-//! 8 bytes and a silence; without its crystal (144 and 16 MHz) a board has no CAN. `cargo xtask bounds` reads this table.
+//! 8 bytes and a silence; `listen`, `sample`, `service` and `supervise` raise `transmit` 5.8 times in a millisecond, and the pieces that have left
+//! 6.4 times: each has what one of the first three has queued, or follows a full one of 1.38 ms; without its crystal (144 and 16 MHz) a board has no CAN. `cargo xtask bounds` reads this table.
 //!
 //! Measured on the model of the chip, all lines busy and a `Zero` stored (host-tests, `chip` `waits`;
 //! docs/robustness.md): no task waits for half its deadline, on 16 MHz for two thirds. Interrupts are off for 12 µs at the
@@ -58,18 +59,20 @@ mod app {
     use super::{NOW_MS, Ordering};
     use crate::{
         board::{
-            self, Buffer, CanIn, CanOut, Idle, Rs485, Samples, SelfTest, Sent, SerialIn, SerialOut,
-            ServiceSwitch, Silence, Thermometers,
+            self, CalibrationBuffer, CanIn, CanOut, Idle, Rs485, Samples, SelfTest, SerialIn,
+            SerialOut, ServiceSwitch, SilenceTimer, Thermometers, TransmitState,
         },
         liveness::{self, Task},
-        plc::Registers,
-        supervision::{self, PERIOD_MS, Supervision},
+        plc::SharedRegisters,
+        supervision::{PERIOD_MS, Supervisor, log_live_values},
     };
     use core::mem::MaybeUninit;
     use heapless::spsc::{Consumer, Producer, Queue};
     use stm32f4xx_hal::pac::Interrupt;
-    use trueup_canopen::emergency::Fault;
-    use trueup_core::{bridge::Input, calibration::Calibration, channels::RawTemperatures};
+    use trueup_canopen::emergency::{Fault, Faults};
+    use trueup_core::{
+        bridge::Input, calibration::Calibration, temperature_channels::RawTemperatures,
+    };
     use trueup_link::{
         byte_queue::{ByteQueue, Reader, Writer},
         frame::Frame,
@@ -79,23 +82,26 @@ mod app {
         rtu::{RxByte, Slave},
         server::Response,
     };
-    use trueup_node::node::{Frames, Interface, Node};
-    use trueup_store::{pace::Permit, retained};
+    use trueup_node::{
+        configuration::Configuration,
+        node::{Interface, Node, OffsetFrames},
+    };
+    use trueup_store::{rate_limit::StorePermit, retained};
 
     /// The tasks that other tasks start have an interrupt that no pin uses. A pended interrupt cannot
     /// be lost: raised while its task runs, it makes it run again.
-    const LISTEN: Interrupt = Interrupt::EXTI0;
-    const POLL: Interrupt = Interrupt::EXTI1;
+    const LISTEN_INTERRUPT: Interrupt = Interrupt::EXTI0;
+    const POLL_INTERRUPT: Interrupt = Interrupt::EXTI1;
     /// The DMA raises this one too, when there is room for more.
-    const TRANSMIT: Interrupt = Interrupt::DMA2_STREAM7;
-    const THERMOMETERS: Interrupt = Interrupt::EXTI2;
-    const SERVICE: Interrupt = Interrupt::EXTI3;
+    const TRANSMIT_INTERRUPT: Interrupt = Interrupt::DMA2_STREAM7;
+    const THERMOMETERS_INTERRUPT: Interrupt = Interrupt::EXTI2;
+    const SERVICE_INTERRUPT: Interrupt = Interrupt::EXTI3;
     /// Bytes between the interrupt that takes them and the task that reads them.
-    const QUEUE: usize = 256;
+    const SERIAL_RX_QUEUE_LENGTH: usize = 256;
     /// The same of the PLC's line: 6 ms at 115 200 Bd.
-    const HEARD: usize = 64;
+    const PLC_RX_QUEUE_LENGTH: usize = 64;
     /// An answer of up to 61 bytes.
-    const ANSWER: usize = 64;
+    const MODBUS_TX_QUEUE_LENGTH: usize = 64;
 
     #[shared]
     struct Shared {
@@ -116,15 +122,15 @@ mod app {
         to_modbus: Producer<'static, RxByte>,
         from_modbus: Consumer<'static, u8>,
         slave: Slave,
-        silence: Silence,
+        silence: SilenceTimer,
         received: Consumer<'static, RxByte>,
         answer: Producer<'static, u8>,
         can_in_0: CanIn,
         can_in_1: CanIn,
         thermometers: Thermometers,
-        to_listen: Writer<'static, QUEUE>,
-        from_serial: Reader<'static, QUEUE>,
-        supervision: Supervision,
+        to_listen: Writer<'static, SERIAL_RX_QUEUE_LENGTH>,
+        from_serial: Reader<'static, SERIAL_RX_QUEUE_LENGTH>,
+        supervision: Supervisor,
         service_switch: ServiceSwitch,
         self_test: SelfTest,
         idle: Idle,
@@ -133,16 +139,16 @@ mod app {
     /// Puts the node in its place. Apart from the start, because a node and its calibration are moved by value here:
     /// their stack is free again before the rest of the start needs its own.
     #[inline(never)]
-    fn placed(
+    fn init_node_in_place(
         place: &'static mut MaybeUninit<Node<'static>>,
         calibration: Option<&Calibration<'static>>,
-        is_degraded: bool,
+        with: impl FnOnce(Option<Calibration<'static>>) -> Configuration<'static>,
     ) -> &'static mut Node<'static> {
-        place.write(Node::new(calibration.copied(), is_degraded))
+        place.write(Node::new(with(calibration.copied())))
     }
 
-    #[init(local = [queue: ByteQueue<QUEUE> = ByteQueue::new(), buffer: Buffer = [0; _],
-                    bytes_heard: Queue<RxByte, HEARD> = Queue::new(), bytes_said: Queue<u8, ANSWER> = Queue::new(),
+    #[init(local = [queue: ByteQueue<SERIAL_RX_QUEUE_LENGTH> = ByteQueue::new(), buffer: CalibrationBuffer = [0; _],
+                    bytes_heard: Queue<RxByte, PLC_RX_QUEUE_LENGTH> = Queue::new(), bytes_said: Queue<u8, MODBUS_TX_QUEUE_LENGTH> = Queue::new(),
                     place: MaybeUninit<Node<'static>> = MaybeUninit::uninit()])]
     fn init(cx: init::Context) -> (Shared, Local) {
         let mut parts = board::start(cx.core, cx.device, cx.local.buffer);
@@ -150,34 +156,32 @@ mod app {
         if let Err(error) = &parts.calibration {
             defmt::error!("calibration refused: {}", error);
         }
-        let node = placed(cx.local.place, parts.calibration.as_ref().ok(), faults.degrade());
-        faults.all().for_each(|fault| node.set_fault(fault));
-        node.note_start(parts.start);
-        node.set_serial_number(parts.serial_number);
-        node.note_commit(board::COMMIT);
-        node.set_blob(parts.blob);
-        if parts.is_older {
-            node.require_confirmation(Fault::OlderCalibration);
-        }
-        if parts.is_example {
-            node.inhibit_example();
-        }
-        if parts.self_test.is_damaged() {
-            node.bar_damaged();
-        }
         let (buffer, store) = parts.loading.unzip();
-        if let Some(buffer) = buffer {
-            node.set_buffer(buffer);
-        }
         let (references, kept) = parts.references;
-        // An example's is nobody's.
+        let own =
+            faults.active_faults().fold(Faults::default(), |all, fault| all.with_if(true, fault));
+        let configure = |calibration| Configuration {
+            calibration,
+            blob: parts.blob,
+            buffer,
+            is_degraded: faults.uses_fallback(),
+            faults: own
+                .with_if(parts.is_example, Fault::ExampleConstants)
+                .with_if(parts.self_test.is_damaged(), Fault::SelfTest),
+            questions: Faults::default().with_if(parts.is_older, Fault::OlderCalibration),
+            start: parts.start,
+            serial_number: parts.serial_number,
+            commit: board::COMMIT_HASH,
+            writes: references.last_writes().clone(),
+        };
+        let node = init_node_in_place(cx.local.place, parts.calibration.as_ref().ok(), configure);
+        // That of an example belongs to no machine.
         if let Some((standing, supply)) = kept.standing.filter(|_| !parts.is_example) {
-            if !node.set_standing(standing, kept.taken) {
+            if !node.restore_reference_status(standing, kept.taken) {
                 defmt::error!("the stored reference is larger than a correction may be: not used");
             }
             node.set_supply_basis(supply);
         }
-        node.set_writes(references.writes().clone());
         if !parts.is_example {
             node.check_identity(kept.named, parts.chip);
         }
@@ -186,7 +190,7 @@ mod app {
             None if board::COLD_AT_START => {}
             kept => node.resume(kept.as_ref(), off_s),
         }
-        let mut supervision = Supervision::new(
+        let mut supervision = Supervisor::new(
             parts.watchdog,
             parts.brown_out,
             parts.lamp,
@@ -197,7 +201,7 @@ mod app {
         );
         // The time without power counts once: the next reset goes on from here.
         if off_s > 0 {
-            supervision.retain(&node.retained());
+            supervision.save_retained_state(&node.retained_state());
         }
         let (to_listen, from_serial) = cx.local.queue.split();
         let (to_modbus, received) = cx.local.bytes_heard.split();
@@ -207,7 +211,7 @@ mod app {
         defmt::error!("a test build: it breaks when it is told to");
         let shared = Shared {
             node,
-            port: Port::new(board::short(parts.serial_number)),
+            port: Port::new(board::short_serial_number(parts.serial_number)),
             serial_out: parts.serial_out,
             can_out: parts.can_out,
             samples: parts.samples,
@@ -240,23 +244,20 @@ mod app {
     #[task(binds = DMA2_STREAM0, priority = 4,
            shared = [node, port, can_out, samples, temperatures])]
     fn sample(cx: sample::Context) {
-        let _turn = liveness::enter(Task::Sample);
+        let _turn = liveness::begin_task(Task::Sample);
         let mut shared = cx.shared;
-        let Some(block) = shared.samples.lock(Samples::take) else { return };
+        let Some(block) = shared.samples.lock(Samples::take_block) else { return };
         let temperatures = block.temperatures.or_else(|| shared.temperatures.lock(Option::take));
-        let input = Input {
-            codes: Some(&block.codes),
-            speed: block.speed,
-            temperatures: temperatures.as_ref(),
-        };
-        let frames = shared.node.lock(|node| tick(node, 1, input));
-        shared.can_out.lock(|can| shared.port.lock(|port| send(&frames, can, port)));
+        let (codes, speed) = (Some(&block.codes), block.speed);
+        let input = Input { codes, speed, temperatures: temperatures.as_ref() };
+        let frames = shared.node.lock(|node| run_tick(node, 1, input));
+        shared.can_out.lock(|can| shared.port.lock(|port| send_frames(&frames, can, port)));
     }
 
     /// A frame from the bus, in the first FIFO.
     #[task(binds = CAN1_RX0, priority = 3, local = [can_in_0], shared = [node])]
     fn can_receive_0(mut cx: can_receive_0::Context) {
-        let _turn = liveness::enter(Task::CanReceive0);
+        let _turn = liveness::begin_task(Task::CanReceive0);
         while let Some(frame) = cx.local.can_in_0.receive() {
             // What is refused is counted there and shows in the log.
             cx.shared.node.lock(|node| node.receive(Interface::Can, &frame)).ok();
@@ -266,7 +267,7 @@ mod app {
     /// A frame from the bus, in the second FIFO.
     #[task(binds = CAN1_RX1, priority = 3, local = [can_in_1], shared = [node])]
     fn can_receive_1(mut cx: can_receive_1::Context) {
-        let _turn = liveness::enter(Task::CanReceive1);
+        let _turn = liveness::begin_task(Task::CanReceive1);
         while let Some(frame) = cx.local.can_in_1.receive() {
             cx.shared.node.lock(|node| node.receive(Interface::Can, &frame)).ok();
         }
@@ -275,12 +276,12 @@ mod app {
     /// Bytes from the serial line: saved before more come, understood later.
     #[task(binds = USART1, priority = 5, local = [serial_in, to_listen])]
     fn serial_receive(cx: serial_receive::Context) {
-        let _turn = liveness::enter(Task::SerialReceive);
-        let mut batch = cx.local.to_listen.batch();
+        let _turn = liveness::begin_task(Task::SerialReceive);
+        let mut batch = cx.local.to_listen.begin_batch();
         // A full queue loses the byte; the line it belongs to is then refused and counted.
         cx.local.serial_in.read(|byte| _ = batch.push(byte));
         drop(batch);
-        rtic::pend(LISTEN);
+        rtic::pend(LISTEN_INTERRUPT);
     }
 
     /// The ring of the DMA is half full or full, and the line has not paused.
@@ -292,21 +293,21 @@ mod app {
     /// Bytes become lines, lines become frames.
     #[task(binds = EXTI0, priority = 3, local = [from_serial], shared = [port, node])]
     fn listen(mut cx: listen::Context) {
-        let _turn = liveness::enter(Task::Listen);
+        let _turn = liveness::begin_task(Task::Listen);
         while let Some(byte) = cx.local.from_serial.pop() {
             if let Some(frame) = cx.shared.port.lock(|port| port.receive(byte)) {
                 cx.shared.node.lock(|node| node.receive(Interface::Serial, &frame)).ok();
             }
         }
-        rtic::pend(TRANSMIT);
+        rtic::pend(TRANSMIT_INTERRUPT);
     }
 
     /// Bytes from the PLC, each with its time, and those of an answer to it.
     #[task(binds = USART3, priority = 6, local = [rs485, to_modbus, from_modbus])]
     fn modbus_line(cx: modbus_line::Context) {
-        let _turn = liveness::enter(Task::ModbusLine);
-        while let Some(received) = cx.local.rs485.take() {
-            // A full queue loses the byte; the checksum of its frame tells.
+        let _turn = liveness::begin_task(Task::ModbusLine);
+        while let Some(received) = cx.local.rs485.receive_byte() {
+            // A full queue loses the byte; the checksum of its frame shows that.
             cx.local.to_modbus.enqueue(received).ok();
         }
         cx.local.rs485.send(|| cx.local.from_modbus.dequeue());
@@ -317,14 +318,14 @@ mod app {
     #[task(binds = TIM5, priority = 2, shared = [node],
            local = [slave, silence, received, answer, response: Response = Response::new()])]
     fn modbus(cx: modbus::Context) {
-        let _turn = liveness::enter(Task::Modbus);
+        let _turn = liveness::begin_task(Task::Modbus);
         let it = cx.local;
         while let Some(received) = it.received.dequeue() {
             it.slave.push(received);
         }
         // Read behind the bytes: no time of theirs is later.
         let now_us = it.silence.now_us();
-        if it.slave.poll(now_us, &mut Registers(cx.shared.node), it.response) {
+        if it.slave.poll(now_us, &mut SharedRegisters(cx.shared.node), it.response) {
             for byte in &*it.response {
                 it.answer.enqueue(*byte).ok();
             }
@@ -337,133 +338,136 @@ mod app {
     #[task(binds = SysTick, priority = 2, local = [supervision, service_switch, self_test],
            shared = [node, port, can_out, samples, temperatures])]
     fn supervise(cx: supervise::Context) {
-        let turn = liveness::enter(Task::Supervise);
+        let turn = liveness::begin_task(Task::Supervise);
         let (mut shared, it, self_test) = (cx.shared, cx.local.supervision, cx.local.self_test);
         if let Some(code) = shared.samples.lock(|samples| samples.internal_reference()) {
             shared.node.lock(|node| node.receive_supply(code));
         }
         let is_closed = cx.local.service_switch.is_closed();
-        shared.node.lock(|node| node.read_service_switch(is_closed));
-        if it.samples_are_missing(shared.node.lock(|node| node.blocks())) {
+        shared.node.lock(|node| node.update_service_switch(is_closed));
+        if it.are_samples_missing(shared.node.lock(|node| node.block_count())) {
             shared.samples.lock(Samples::restart);
         }
         // This clock goes on whatever becomes of the samples, and with it every timeout.
         if let Some(behind_ms) = shared.node.lock(|node| node.catch_up(PERIOD_MS)) {
             let temperatures = shared.temperatures.lock(Option::take);
             let input = Input { temperatures: temperatures.as_ref(), ..Input::default() };
-            let frames = shared.node.lock(|node| tick(node, behind_ms, input));
-            shared.can_out.lock(|can| shared.port.lock(|port| send(&frames, can, port)));
+            let frames = shared.node.lock(|node| run_tick(node, behind_ms, input));
+            shared.can_out.lock(|can| shared.port.lock(|port| send_frames(&frames, can, port)));
         }
-        let (now, quality) = shared.node.lock(|node| (node.now().0, node.last().quality));
-        Supervision::report_zero(shared.node.lock(|node| node.take_zero()));
+        let (now, quality) = shared.node.lock(|node| (node.now().0, node.last_output().quality));
+        Supervisor::log_zero_outcome(shared.node.lock(|node| node.take_zero_outcome()));
         // One record at a time: what else is to be stored waits for a later turn.
-        it.pace_store();
-        if let Some(permit) = it.may_store() {
-            it.store_standing(&mut shared.node, permit);
+        it.advance_store_pace();
+        if let Some(permit) = it.store_permit() {
+            it.store_reference_status(&mut shared.node, permit);
         }
         // Looked at and stored outside the lock: neither holds up a tick.
-        if let Some(mut load) = shared.node.lock(|node| node.take_load()) {
+        if let Some(mut load) = shared.node.lock(|node| node.take_received_calibration()) {
             let outcome = it.store_calibration(&mut load);
-            shared.node.lock(|node| node.end_load(load, outcome));
+            shared.node.lock(|node| node.finish_load(load, outcome));
         }
-        if let Some(blob) = shared.node.lock(|node| node.take_drop().then(|| node.blob())) {
-            let is_stored = it.store_running(blob);
-            shared.node.lock(|node| node.end_drop(is_stored));
+        if let Some(blob) =
+            shared.node.lock(|node| node.take_calibration_drop().then(|| node.calibration_blob()))
+        {
+            let is_stored = it.store_running_calibration(blob);
+            shared.node.lock(|node| node.finish_calibration_drop(is_stored));
         }
         #[cfg(feature = "slots")]
         it.update_firmware(&mut shared.node);
-        let bus = shared.can_out.lock(CanOut::state);
+        let bus = shared.can_out.lock(CanOut::take_worst_state);
         shared.node.lock(|node| {
-            node.set_fault_if(bus.warning, Fault::CanWarning);
-            node.set_fault_if(bus.passive, Fault::CanPassive);
-            node.set_fault_if(bus.off, Fault::CanOff);
+            node.set_or_clear_fault(bus.warning, Fault::CanWarning);
+            node.set_or_clear_fault(bus.passive, Fault::CanPassive);
+            node.set_or_clear_fault(bus.off, Fault::CanOff);
         });
-        if let Some(question) = shared.node.lock(|node| node.take_confirmed())
-            && !it.keep_answer(question, shared.node.lock(|node| node.blob()))
+        if let Some(question) = shared.node.lock(|node| node.take_confirmed_fault())
+            && !it.store_confirmation(question, shared.node.lock(|node| node.calibration_blob()))
         {
             shared.node.lock(|node| node.set_fault(Fault::Store));
         }
-        if let Some(permit) = it.may_store() {
-            it.store_write(&mut shared.node, permit);
+        if let Some(permit) = it.store_permit() {
+            it.store_pending_write(&mut shared.node, permit);
         }
-        if shared.node.lock(|node| node.take_restart()) {
+        if shared.node.lock(|node| node.take_restart_request()) {
             defmt::info!("restart, as a CANopen master asks");
             // What waits would be lost.
-            it.store_standing(&mut shared.node, Permit::before_restart());
-            while it.store_write(&mut shared.node, Permit::before_restart()) {}
-            it.retain(&shared.node.lock(|node| node.retained()));
+            it.store_reference_status(&mut shared.node, StorePermit::before_restart());
+            while it.store_pending_write(&mut shared.node, StorePermit::before_restart()) {}
+            it.save_retained_state(&shared.node.lock(|node| node.retained_state()));
             // No more lines; those that wait go out meanwhile, for half a line is none that a client expects.
             shared.port.lock(Port::close);
             it.announce_restart();
             board::restart();
         }
-        it.show(now, quality);
+        it.update_status_led(now, quality);
         #[cfg(feature = "faults")]
-        crate::faults::provoke();
-        self_test.turn();
-        let free_stack = self_test.free_stack();
+        crate::faults::inject_fault();
+        self_test.run_step();
+        let free_stack = self_test.unused_stack_bytes();
         shared.node.lock(|node| {
-            node.note_free_stack(free_stack);
+            node.set_free_stack(free_stack);
             if self_test.is_damaged() {
-                node.bar_damaged();
+                node.set_self_test_failed();
             }
         });
         // Reaching this line shows that no task above hangs; the turns of those below are counted.
         it.feed_watchdog(&turn, quality);
-        if it.log_is_due() {
-            it.retain(&shared.node.lock(|node| node.retained()));
+        if it.is_log_due() {
+            it.save_retained_state(&shared.node.lock(|node| node.retained_state()));
             #[cfg(feature = "slots")]
-            if let Some(slots) = it.slots() {
-                shared.node.lock(|node| node.note_slots(slots));
+            if let Some(slots) = it.slot_states() {
+                shared.node.lock(|node| node.set_slots(slots));
             }
-            shared.port.lock(|port| shared.node.lock(|node| supervision::log(node, port)));
+            shared.port.lock(|port| shared.node.lock(|node| log_live_values(node, port)));
         }
-        rtic::pend(THERMOMETERS);
-        rtic::pend(TRANSMIT);
+        rtic::pend(THERMOMETERS_INTERRUPT);
+        rtic::pend(TRANSMIT_INTERRUPT);
     }
 
     /// Sends what a CANopen node has to say in addition to the offsets. Nothing of it is in the tick.
     #[task(binds = EXTI3, priority = 2, shared = [node, port, can_out])]
     fn service(cx: service::Context) {
-        let _turn = liveness::enter(Task::Service);
+        let _turn = liveness::begin_task(Task::Service);
         let mut shared = cx.shared;
         // It stays due, and the next tick asks again.
         if shared.can_out.lock(CanOut::is_busy) {
             return;
         }
         if let Some(frame) = shared.node.lock(|node| node.service()) {
-            shared.can_out.lock(|can| shared.port.lock(|port| send(&[frame], can, port)));
+            shared.can_out.lock(|can| shared.port.lock(|port| send_frames(&[frame], can, port)));
         }
     }
 
     /// Lines to the serial line, as much as its DMA takes at once.
     #[task(binds = DMA2_STREAM7, priority = 3, shared = [serial_out, port])]
     fn transmit(cx: transmit::Context) {
-        let _turn = liveness::enter(Task::Transmit);
+        let _turn = liveness::begin_task(Task::Transmit);
         let now = NOW_MS.load(Ordering::Relaxed);
         let (mut out, mut port) = (cx.shared.serial_out, cx.shared.port);
-        let sent = out.lock(|out| out.send(now, |piece| port.lock(|port| port.take(piece))));
-        if sent == Sent::More {
-            rtic::pend(POLL);
+        let sent = out.lock(|out| out.send(now, |piece| port.lock(|port| port.drain_into(piece))));
+        if sent == TransmitState::More {
+            rtic::pend(POLL_INTERRUPT);
         }
     }
 
     /// The same where the DMA is dead: a few bytes are polled out, as long as nothing else waits.
     #[task(binds = EXTI1, priority = 1, shared = [serial_out, port])]
     fn poll(cx: poll::Context) {
-        let _turn = liveness::enter(Task::Transmit);
+        let _turn = liveness::begin_task(Task::Transmit);
         let (mut out, mut port) = (cx.shared.serial_out, cx.shared.port);
-        let sent = out.lock(|out| out.poll_out(|piece| port.lock(|port| port.take(piece))));
-        if sent == Sent::More {
-            rtic::pend(POLL);
+        let sent =
+            out.lock(|out| out.transmit_polled(|piece| port.lock(|port| port.drain_into(piece))));
+        if sent == TransmitState::More {
+            rtic::pend(POLL_INTERRUPT);
         }
     }
 
-    /// One thermometer is asked. Its bus is polled: no task waits below it.
+    /// One thermometer is read. Its bus is polled: no task waits below it.
     #[task(binds = EXTI2, priority = 1, local = [thermometers], shared = [temperatures])]
     fn thermometers(mut cx: thermometers::Context) {
-        let _turn = liveness::enter(Task::Thermometers);
-        if let Some(all) = cx.local.thermometers.turn() {
+        let _turn = liveness::begin_task(Task::Thermometers);
+        if let Some(all) = cx.local.thermometers.poll_next_channel() {
             cx.shared.temperatures.lock(|temperatures| *temperatures = Some(all));
         }
     }
@@ -474,23 +478,23 @@ mod app {
     }
 
     /// Runs a tick of the node, whose time becomes that of the log.
-    fn tick(node: &mut Node<'_>, elapsed_ms: u32, input: Input<'_>) -> Frames {
+    fn run_tick(node: &mut Node<'_>, elapsed_ms: u32, input: Input<'_>) -> OffsetFrames {
         let frames = node.tick(elapsed_ms, input);
         NOW_MS.store(node.now().0, Ordering::Relaxed);
-        if node.service_is_due() {
-            rtic::pend(SERVICE);
+        if node.is_service_due() {
+            rtic::pend(SERVICE_INTERRUPT);
         }
         frames
     }
 
     /// Frames to both wires.
-    fn send(frames: &[Frame], can: &mut CanOut, port: &mut Port) {
+    fn send_frames(frames: &[Frame], can: &mut CanOut, port: &mut Port) {
         for frame in frames {
             can.send(frame);
         }
         // All or none, so that a full port never splits a pair; what is dropped is counted.
         if port.send_all(frames) {
-            rtic::pend(TRANSMIT);
+            rtic::pend(TRANSMIT_INTERRUPT);
         }
     }
 }

@@ -4,29 +4,29 @@
 
 use rtic::Mutex;
 use trueup_modbus::{
-    cnc::{self, Block},
+    holding::{self, Block},
     input,
-    server::{Bridge, Busy},
+    server::{Busy, RegisterStore},
 };
 use trueup_node::node::Node;
 
 /// The node behind its lock.
-pub struct Registers<N>(pub N);
+pub struct SharedRegisters<N>(pub N);
 
-impl<N: Mutex<T = &'static mut Node<'static>>> Bridge for Registers<N> {
-    fn input(&mut self) -> input::Registers {
-        self.0.lock(|node| node.said()).encode()
+impl<N: Mutex<T = &'static mut Node<'static>>> RegisterStore for SharedRegisters<N> {
+    fn input_registers(&mut self) -> input::Registers {
+        self.0.lock(|node| node.input_data()).encode()
     }
 
-    fn holding(&mut self) -> cnc::Registers {
-        self.0.lock(|node| node.holding())
+    fn holding_registers(&mut self) -> holding::Registers {
+        self.0.lock(|node| node.holding_registers())
     }
 
-    fn take(&mut self, registers: &cnc::Registers) -> Result<(), Busy> {
-        let block = Block::examine(registers);
+    fn write_holding_registers(&mut self, registers: &holding::Registers) -> Result<(), Busy> {
+        let block = Block::from_registers(registers);
         if self.0.lock(|node| node.receive_block(&block))? {
-            for value in block.values() {
-                self.0.lock(|node| node.receive_value(value));
+            for value in block.commands() {
+                self.0.lock(|node| node.receive_command(value));
             }
         }
         Ok(())

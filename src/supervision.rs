@@ -3,17 +3,17 @@
 use trueup_canopen::emergency::Fault;
 use trueup_core::cnc::Quality;
 use trueup_link::slcan::Port;
-use trueup_node::node::{Node, Zero};
+use trueup_node::node::{Node, ZeroOutcome};
 use trueup_store::{
-    load::{Load, Outcome},
-    pace::{Pace, Permit},
-    reference::References,
+    load::{LoadBuffer, LoadOutcome},
+    rate_limit::{RateLimiter, StorePermit},
+    reference::ReferenceStore,
     retained,
 };
 
 use crate::{
-    board::{Backup, BrownOut, Flash, Lamp, Store, Watchdog, references},
-    liveness::{LivenessMonitor, TurnGuard},
+    board::{BackupDomain, BrownOut, Flash, StatusLed, Store, Watchdog, references},
+    liveness::{LivenessMonitor, TaskGuard},
 };
 
 /// Milliseconds between two turns.
@@ -21,37 +21,37 @@ pub const PERIOD_MS: u32 = 10;
 const LOG_PERIOD_MS: u32 = 1_000;
 
 /// State of the supervisor.
-pub struct Supervision {
+pub struct Supervisor {
     watchdog: Watchdog,
     brown_out: BrownOut,
-    lamp: Lamp,
-    references: References<Flash>,
+    lamp: StatusLed,
+    references: ReferenceStore<Flash>,
     /// Where a loaded calibration is kept.
     store: Option<Store>,
     /// State that outlasts a reset.
-    retained: &'static mut retained::Copies,
+    retained: &'static mut retained::RetainedCopies,
     /// And a power cut.
-    backup: Backup,
+    backup: BackupDomain,
     roll: LivenessMonitor,
     /// A task does: from then on the watchdog is not fed.
     hangs: bool,
     blocks: u32,
     silent: bool,
     until_log_ms: u32,
-    store_pace: Pace,
+    store_pace: RateLimiter,
     #[cfg(feature = "slots")]
     own_slot: crate::board::OwnSlot,
 }
 
-impl Supervision {
+impl Supervisor {
     pub fn new(
         watchdog: Watchdog,
         brown_out: BrownOut,
-        lamp: Lamp,
-        references: References<Flash>,
+        lamp: StatusLed,
+        references: ReferenceStore<Flash>,
         store: Option<Store>,
-        retained: &'static mut retained::Copies,
-        backup: Backup,
+        retained: &'static mut retained::RetainedCopies,
+        backup: BackupDomain,
     ) -> Self {
         Self {
             watchdog,
@@ -66,46 +66,46 @@ impl Supervision {
             blocks: 0,
             silent: false,
             until_log_ms: 0,
-            store_pace: Pace::default(),
+            store_pace: RateLimiter::default(),
             #[cfg(feature = "slots")]
             own_slot: crate::board::OwnSlot::look(),
         }
     }
 
     /// Keeps what is to outlast a reset, and a power cut. Once a second is often enough: no heat changes faster.
-    pub fn retain(&mut self, kept: &retained::RetainedState) {
+    pub fn save_retained_state(&mut self, kept: &retained::RetainedState) {
         retained::save(self.retained, kept, self.backup.now_s());
         self.backup.store(self.retained);
     }
 
     /// Looks at a calibration that has come whole, and stores it for the next start.
-    pub fn store_calibration(&mut self, load: &mut Load<'_>) -> Outcome {
-        let blob = match load.check() {
+    pub fn store_calibration(&mut self, load: &mut LoadBuffer<'_>) -> LoadOutcome {
+        let blob = match load.validate() {
             Ok(blob) => blob,
             Err(error) => {
                 defmt::error!("calibration refused: {}", error);
-                return Outcome::Refused;
+                return LoadOutcome::Refused;
             }
         };
         let Self { store, watchdog, .. } = self;
         if !store.as_mut().is_some_and(|store| store.store(blob, || watchdog.feed())) {
             defmt::error!("the calibration is NOT stored");
-            return Outcome::NotStored;
+            return LoadOutcome::NotStored;
         }
         defmt::info!("calibration of {=usize} bytes stored: used from the next start", blob.len());
-        Outcome::Stored
+        LoadOutcome::Stored
     }
 
-    /// Stores what the operator has answered; `false`: it is not stored, and is asked again at the
+    /// Stores what the operator has answered; `false`: it is not stored, and is required again at the
     /// next start.
-    pub fn keep_answer(&mut self, question: Fault, blob: &[u8]) -> bool {
+    pub fn store_confirmation(&mut self, question: Fault, blob: &[u8]) -> bool {
         defmt::info!("confirmed: fault {=u8}", question as u8);
         // It is the newest again.
-        question != Fault::OlderCalibration || self.store_running(blob)
+        question != Fault::OlderCalibration || self.store_running_calibration(blob)
     }
 
     /// Returns whether no block came since the last turn; a change is logged.
-    pub fn samples_are_missing(&mut self, blocks: u32) -> bool {
+    pub fn are_samples_missing(&mut self, blocks: u32) -> bool {
         let missing = blocks == self.blocks;
         match (missing, self.silent) {
             (true, false) => {
@@ -119,19 +119,19 @@ impl Supervision {
         missing
     }
 
-    /// Lets a turn's time pass for [`Self::may_store`].
-    pub fn pace_store(&mut self) {
-        self.store_pace.elapse(PERIOD_MS);
+    /// Lets a turn's time pass for [`Self::store_permit`].
+    pub fn advance_store_pace(&mut self) {
+        self.store_pace.advance_time(PERIOD_MS);
     }
 
-    /// Returns the permission where the store takes a record now: one in [`trueup_store::pace::STORE_PERIOD_MS`].
-    pub fn may_store(&self) -> Option<Permit> {
+    /// Returns the permission where the store takes a record now: one in [`trueup_store::rate_limit::STORE_PERIOD_MS`].
+    pub fn store_permit(&self) -> Option<StorePermit> {
         self.store_pace.permit()
     }
 
     /// Logs the outcome of a `Zero` that has changed nothing.
-    pub fn report_zero(zero: Option<Zero>) {
-        if zero == Some(Zero::Unchanged) {
+    pub fn log_zero_outcome(zero: Option<ZeroOutcome>) {
+        if zero == Some(ZeroOutcome::Unchanged) {
             defmt::warn!(
                 "zero: the reference stays, an input is missing, the error is too large or the same"
             );
@@ -139,41 +139,42 @@ impl Supervision {
     }
 
     /// Stores what holds for the calibration, where that has changed.
-    pub fn store_standing(
+    pub fn store_reference_status(
         &mut self,
         node: &mut impl rtic::Mutex<T = &'static mut Node<'static>>,
-        permit: Permit,
+        permit: StorePermit,
     ) {
-        let (standing, supply) = node.lock(|node| (node.take_standing(), node.supply_basis()));
+        let (standing, supply) =
+            node.lock(|node| (node.take_reference_status(), node.supply_basis()));
         let Some(standing) = standing else { return };
         self.store_pace.record(permit);
-        if !references::store(&mut self.references, standing, supply) {
+        if !references::store_reference_status(&mut self.references, standing, supply) {
             node.lock(|node| node.set_fault(Fault::Store));
         }
     }
 
     /// Stores the running calibration once more, so that what was loaded after it is not used; `false`: it was not
     /// stored.
-    pub fn store_running(&mut self, blob: &[u8]) -> bool {
+    pub fn store_running_calibration(&mut self, blob: &[u8]) -> bool {
         let Self { store, watchdog, .. } = self;
         store.as_mut().is_some_and(|store| store.store(blob, || watchdog.feed()))
     }
 
     /// Stores the oldest write that waits: who has written what. Returns whether there was one.
-    pub fn store_write(
+    pub fn store_pending_write(
         &mut self,
         node: &mut impl rtic::Mutex<T = &'static mut Node<'static>>,
-        permit: Permit,
+        permit: StorePermit,
     ) -> bool {
-        let Some(write) = node.lock(|node| node.take_write()) else { return false };
+        let Some(write) = node.lock(|node| node.take_pending_write()) else { return false };
         self.store_pace.record(permit);
-        let stored = references::keep_write(&mut self.references, &write);
-        node.lock(|node| node.end_write(&write, stored));
+        let stored = references::store_write_record(&mut self.references, &write);
+        node.lock(|node| node.finish_write(&write, stored));
         true
     }
 
     /// On: live; fast: fault; slow: anything else.
-    pub fn show(&mut self, now_ms: u32, quality: Quality) {
+    pub fn update_status_led(&mut self, now_ms: u32, quality: Quality) {
         self.lamp.set(match quality {
             Quality::Live => true,
             Quality::Fault => now_ms % 200 < 100,
@@ -182,53 +183,57 @@ impl Supervision {
     }
 
     /// Feeds it, unless a task hangs; then the next start finds the one that this turn has interrupted.
-    pub fn feed_watchdog(&mut self, turn: &TurnGuard, quality: Quality) {
-        if self.roll.call(PERIOD_MS) && !self.hangs {
+    pub fn feed_watchdog(&mut self, turn: &TaskGuard, quality: Quality) {
+        if self.roll.check_for_hang(PERIOD_MS) && !self.hangs {
             defmt::error!("a task hangs");
             self.hangs = true;
             turn.blame_preempted();
         }
         if !self.hangs {
             self.watchdog.feed();
-            self.brown_out
-                .turn(!matches!(quality, Quality::Off | Quality::Fault), &mut self.watchdog);
+            self.brown_out.raise_when_idle(
+                !matches!(quality, Quality::Off | Quality::Fault),
+                &mut self.watchdog,
+            );
             #[cfg(feature = "slots")]
-            self.own_slot.turn(quality, PERIOD_MS);
+            self.own_slot.update_confirmation(quality, PERIOD_MS);
         }
     }
 
-    /// The board is about to be started anew because that was asked for.
+    /// The board is about to be started anew because that was requested.
     #[cfg_attr(not(feature = "slots"), allow(clippy::unused_self, reason = "it has no slot"))]
     pub fn announce_restart(&mut self) {
         #[cfg(feature = "slots")]
-        self.own_slot.announce();
+        self.own_slot.announce_reset();
     }
 
     /// Returns the state of the firmware slots; `None`: the image runs from none.
     #[cfg(feature = "slots")]
-    pub fn slots(&mut self) -> Option<trueup_node::node::firmware::Slots> {
+    pub fn slot_states(&mut self) -> Option<trueup_node::node::firmware::SlotStates> {
         self.own_slot.state()
     }
 
     /// Does the next step of an update, if one is due.
     #[cfg(feature = "slots")]
     pub fn update_firmware(&mut self, node: &mut impl rtic::Mutex<T = &'static mut Node<'static>>) {
-        use trueup_node::node::firmware::Step;
+        use trueup_node::node::firmware::UpdateStep;
 
         let Self { own_slot, watchdog, .. } = self;
-        let Some(step) = node.lock(|node| node.take_firmware(&mut own_slot.piece)) else { return };
+        let Some(step) = node.lock(|node| node.take_firmware_step(&mut own_slot.piece)) else {
+            return;
+        };
         // Outside the lock: it does not hold up a tick for longer than the flash does.
-        let outcome = own_slot.update(step, watchdog);
+        let outcome = own_slot.perform_update_step(step, watchdog);
         // A write changes no version and no status.
-        let slots = (step != Step::Write).then(|| own_slot.state()).flatten();
+        let slots = (step != UpdateStep::Write).then(|| own_slot.state()).flatten();
         node.lock(|node| {
-            slots.into_iter().for_each(|slots| node.note_slots(slots));
-            node.end_firmware(step, outcome);
+            slots.into_iter().for_each(|slots| node.set_slots(slots));
+            node.finish_firmware_step(step, outcome);
         });
     }
 
     /// Returns true once a second.
-    pub fn log_is_due(&mut self) -> bool {
+    pub fn is_log_due(&mut self) -> bool {
         self.until_log_ms = self.until_log_ms.saturating_sub(PERIOD_MS);
         let due = self.until_log_ms == 0;
         if due {
@@ -239,9 +244,9 @@ impl Supervision {
 }
 
 /// The live values, once a second, and what was refused since the start.
-pub fn log(node: &mut Node<'_>, port: &Port) {
-    let shown = node.take_shown();
-    let last = node.last();
+pub fn log_live_values(node: &mut Node<'_>, port: &Port) {
+    let shown = node.take_display_values();
+    let last = node.last_output();
     defmt::info!(
         "quality {=u8}, flags {=u8:#010b}, sensor {=f32} µm, noise {=f32} codes",
         last.quality as u8,

@@ -25,9 +25,9 @@ use tempfile::TempDir;
 use trueup_core::cnc::Quality;
 use trueup_emulator::{board::VirtualBoard, firmware, front_end::FrontEnd, process, setup};
 use trueup_link::{
-    frames::{self, State},
+    frames::{self, NmtState},
     receiver::OffsetReceiver,
-    slcan::client::OPEN,
+    slcan::client::OPEN_SEQUENCE,
 };
 use trueup_machine::{MachineFile, compile};
 use trueup_pipe::Block;
@@ -66,7 +66,7 @@ fn inventory(folder: &Path) -> Result<BTreeMap<PathBuf, (u64, SystemTime)>> {
 }
 
 fn demo_folder() -> PathBuf {
-    setup::root().join("target/demo")
+    setup::project_root().join("target/demo")
 }
 
 /// Runs `virtual` on a machine file and a run file, of which one is broken at a place.
@@ -149,9 +149,9 @@ fn a_file_that_is_not_there_is_named() -> Result<()> {
 #[test]
 fn the_command_takes_its_options_as_the_documentation_writes_them() -> Result<()> {
     for dashes in [&["--"][..], &[]] {
-        let mut command = process::cargo();
+        let mut command = process::new_cargo_command();
         command.arg("virtual").args(dashes).args(["--run", "no/such.csv"]);
-        let ended = command.current_dir(setup::root()).output()?;
+        let ended = command.current_dir(setup::project_root()).output()?;
         let said = String::from_utf8_lossy(&ended.stderr);
         assert_eq!(ended.status.code(), Some(2), "{said}");
         assert!(said.contains("error: no/such.csv:1:1: cannot be read"), "{said}");
@@ -165,7 +165,7 @@ fn a_port_in_use_is_named_and_whoever_uses_it_is_not_disturbed() -> Result<()> {
     let mut line = first.connect()?;
     let mut command = xtask()?;
     let port = format!("tcp:{}", first.address());
-    let run_file = setup::root().join("data/spindle_paper_table1.csv");
+    let run_file = setup::project_root().join("data/spindle_paper_table1.csv");
     command.args(["virtual", "--cnc", &port, "--run"]).arg(run_file);
     let (second, ended) = run(&mut command)?;
     assert_refused(&ended, 1, &[&format!("cannot listen at {port}"), "using it?"]);
@@ -289,7 +289,7 @@ fn reader(bridge: &Bridge) -> Result<JoinHandle<usize>> {
 /// Opens a client's line, and waits until frames have begun to come.
 fn opened(bridge: &Bridge) -> Result<TcpStream> {
     let mut stream = bridge.connect()?;
-    stream.write_all(OPEN)?;
+    stream.write_all(OPEN_SEQUENCE)?;
     stream.read_exact(&mut [0; 1_000])?;
     Ok(stream)
 }
@@ -372,7 +372,7 @@ fn even_sigkill_leaves_no_emulator() -> Result<()> {
 
 #[test]
 fn a_broken_calibration_gives_no_offset_and_the_log_says_why() -> Result<()> {
-    let machine = MachineFile::read(&setup::root().join("data/paper_spindle.toml"))?;
+    let machine = MachineFile::read(&setup::project_root().join("data/paper_spindle.toml"))?;
     let compiled = compile(&machine)?;
     let good = compiled.blob();
     let flipped = |at: usize| {
@@ -396,7 +396,7 @@ fn a_broken_calibration_gives_no_offset_and_the_log_says_why() -> Result<()> {
         let mut board = VirtualBoard::boot(&image, &blob)?;
         let mut front_end = FrontEnd::new(0.328, 1);
         let blocks: Vec<Block> = (0..200)
-            .map(|_| Block { codes: front_end.block(|_| 2.0), ..Block::default() })
+            .map(|_| Block { codes: front_end.convert_block(|_| 2.0), ..Block::default() })
             .collect();
         let (mut offsets, mut outputs, mut states) = (OffsetReceiver::new(), 0, Vec::new());
         for (_, frame) in board.step(&blocks)? {
@@ -409,7 +409,7 @@ fn a_broken_calibration_gives_no_offset_and_the_log_says_why() -> Result<()> {
             }
         }
         assert_eq!(outputs, 200, "it says so every millisecond");
-        assert_eq!(states, [State::BootUp, State::Stopped]);
+        assert_eq!(states, [NmtState::BootUp, NmtState::Stopped]);
         let log = log_of(&board)?;
         println!("{log}");
         assert!(log.contains(why), "{log}");

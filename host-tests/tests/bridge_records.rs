@@ -11,19 +11,19 @@ use std::{borrow::Cow, fmt::Write as _, path::Path};
 
 use trueup_core::{
     bridge::Input,
-    channels::RawTemperatures,
-    cnc::{AxisPosition, Control, Heading, LinearAxis, Output},
-    dimensions::CHANNELS,
-    thermometer::Raw,
+    cnc::{AxisPosition, Control, LinearAxis, Output, TravelDirection},
+    dimensions::CHANNEL_COUNT,
+    temperature_channels::RawTemperatures,
+    thermometer::RawReading,
     units::Position,
 };
-use trueup_diagnose::{Options, Report, diagnose, diagnose_for};
+use trueup_diagnose::{DiagnosisOptions, Report, diagnose, diagnose_with_options};
 use trueup_emulator::{front_end::FrontEnd, replay};
 use trueup_fit::{elongation, pitch, thermal};
 use trueup_link::{frames, receiver::OffsetReceiver};
 use trueup_machine::{
     Machine, MachineFile, RunFile,
-    applied::Uncompensated,
+    applied_offsets::UncompensatedRun,
     compile,
     file::Quantity,
     inputs::{CountScale, LinearInput, TemperatureKind},
@@ -99,7 +99,7 @@ struct Loop<'a> {
     front_end: FrontEnd,
     offsets: OffsetReceiver,
     last: Output,
-    heading: Heading,
+    heading: TravelDirection,
     ms: u32,
     counter: u8,
 }
@@ -111,7 +111,7 @@ impl<'a> Loop<'a> {
             front_end: FrontEnd::new(DIVIDER, 1),
             offsets: OffsetReceiver::new(),
             last: Output::default(),
-            heading: Heading::Positive,
+            heading: TravelDirection::Positive,
             ms: 0,
             counter: 0,
         }
@@ -119,8 +119,8 @@ impl<'a> Loop<'a> {
 
     /// Holds this on the board's inputs; what it says in the end.
     fn hold(&mut self, volts: f64, screw_c: f64, x_mm: f64, engage: bool) -> Output {
-        let mut temperatures: RawTemperatures = [Raw::NONE; CHANNELS];
-        temperatures[0] = replay::raw(LINEAR, screw_c);
+        let mut temperatures: RawTemperatures = [RawReading::NONE; CHANNEL_COUNT];
+        temperatures[0] = replay::raw_reading(LINEAR, screw_c);
         for _ in 0..HELD_MS {
             if self.ms.is_multiple_of(20) {
                 // Engaged once, because before that nothing is available, off neither.
@@ -131,15 +131,16 @@ impl<'a> Loop<'a> {
                     position: Position((x_mm * f64::from(Position::PER_MILLIMETRE)).round() as i32),
                     direction: self.heading,
                 };
-                for frame in
-                    [frames::control(control, self.counter), frames::position(at, self.counter)]
-                {
+                for frame in [
+                    frames::encode_control(control, self.counter),
+                    frames::encode_position(at, self.counter),
+                ] {
                     self.node.receive(Interface::Can, &frame).expect("in order");
                 }
                 self.counter = self.counter.wrapping_add(1);
             }
             self.ms += 1;
-            let codes = self.front_end.block(|_| volts);
+            let codes = self.front_end.convert_block(|_| volts);
             let input =
                 Input { codes: Some(&codes), speed: None, temperatures: Some(&temperatures) };
             for frame in self.node.tick(1, input) {
@@ -159,7 +160,7 @@ fn record(truth: &str, believed: &str, engaged: Engaged, is_axis: bool) -> RunFi
 /// Returns the same of a CNC that moves the tool by `factor` times what the bridge says.
 fn record_of(truth: &str, believed: &str, engaged: Engaged, is_axis: bool, factor: f64) -> RunFile {
     let compiled = compile(&machine(believed)).expect("it fits the board");
-    let mut board = Loop::new(Node::new(Some(compiled.calibration()), false));
+    let mut board = Loop::new(Node::new(compiled.calibration().into()));
     let scenario = Scenario::parse(truth, Path::new("s.toml")).expect("right");
     let mut truth = Truth::new(&scenario, 3);
     let name = if is_axis { "measured_dx_um" } else { "measured_elongation_um" };
@@ -230,10 +231,11 @@ fn agree(what: &str, truth: f64, all: &[(Engaged, Known)]) {
 fn found(believed: &str, run: &RunFile, cause: &str, parameter: &str) -> Known {
     let machine = machine(believed);
     // With the bridge engaged all the time a CNC has to be known.
-    let options = Options { is_applied_once: true, ..Options::default() };
-    let report = diagnose_for(&machine, std::slice::from_ref(run), &[], options, &mut |_, _| {})
-        .expect("comparable")
-        .report;
+    let options = DiagnosisOptions { is_applied_once: true, ..DiagnosisOptions::default() };
+    let report =
+        diagnose_with_options(&machine, std::slice::from_ref(run), &[], options, &mut |_, _| {})
+            .expect("comparable")
+            .report;
     let all: Vec<_> = report.findings.iter().map(|it| (&it.cause, &it.column)).collect();
     println!("{:?} {all:?} {:?}", report.verdict, report.notes);
     let finding = report.findings.iter().find(|it| it.cause == cause);
@@ -259,11 +261,18 @@ fn a_spindles_gain_is_the_same_with_the_bridge_off_on_and_switched() {
     agree("gain", 1.25, &gains);
     let fitted = records.each_ref().map(|(engaged, run)| {
         let machine = machine(SPINDLE_BELIEVED);
-        let (run, _) =
-            Uncompensated::of(Cow::Borrowed(run), Some(&machine), Some(Quantity::Elongation))
-                .expect("a record");
-        let report = elongation::fit(&[run], Some(&machine), &elongation::Options::default())
-            .expect("it can be fitted");
+        let (run, _) = UncompensatedRun::from_run(
+            Cow::Borrowed(run),
+            Some(&machine),
+            Some(Quantity::Elongation),
+        )
+        .expect("a record");
+        let report = elongation::fit_elongation(
+            &[run],
+            Some(&machine),
+            &elongation::ElongationOptions::default(),
+        )
+        .expect("it can be fitted");
         let it = report.parameter("um_per_count").expect("fitted");
         (*engaged, (it.value, it.ci95.expect("fitted")))
     });
@@ -284,8 +293,9 @@ fn an_axiss_expansion_is_the_same_with_the_bridge_off_on_and_switched() {
     agree("slope", 12.5, &slopes);
     let fitted = records.each_ref().map(|(engaged, run)| {
         let machine = machine(AXIS_BELIEVED);
-        let (run, _) = Uncompensated::of(Cow::Borrowed(run), Some(&machine), Some(Quantity::Dx))
-            .expect("a record");
+        let (run, _) =
+            UncompensatedRun::from_run(Cow::Borrowed(run), Some(&machine), Some(Quantity::Dx))
+                .expect("a record");
         let axis = trueup_machine::file::LinearAxis::X;
         let report = thermal::fit(&[run], axis, Some(&machine), &thermal::Options::default())
             .expect("it can be fitted");
@@ -311,7 +321,7 @@ fn a_screw_that_was_measured_before_is_corrected_between_its_points_from_where_i
         }
     }
     let run = RunFile::from_reader(text.as_bytes(), Path::new("laser.csv")).expect("a run file");
-    let (run, _) = Uncompensated::of(Cow::Owned(run), None, None).expect("no bridge");
+    let (run, _) = UncompensatedRun::from_run(Cow::Owned(run), None, None).expect("no bridge");
     let axis = trueup_machine::file::LinearAxis::X;
     let fitted = pitch::fit(&run, axis, &pitch::Options::default());
     let edit = fitted.expect("the rules are kept").report.edit;
@@ -319,11 +329,11 @@ fn a_screw_that_was_measured_before_is_corrected_between_its_points_from_where_i
                   [limits]\nmax_um = { x = 100, y = 100, z = 100 }\nslew_um_per_s = 10000\n";
     let written = edit.apply(before, Path::new("m.toml")).expect("a machine file");
     let compiled = compile(&machine(&written)).expect("it fits the board");
-    let mut board = Loop::new(Node::new(Some(compiled.calibration()), false));
+    let mut board = Loop::new(Node::new(compiled.calibration().into()));
     let (mut worst, mut largest) = (0.0_f64, 0.0_f64);
     for (mm, is_up) in [(33.3, true), (208.8, true), (391.0, true), (391.0, false), (107.7, false)]
     {
-        board.heading = if is_up { Heading::Positive } else { Heading::Negative };
+        board.heading = if is_up { TravelDirection::Positive } else { TravelDirection::Negative };
         let offset = board.hold(0.0, 20.0, mm, true).offset.expect("live");
         let um = f64::from(offset[0].0) / 1_000.0;
         // The zero of the laser is arbitrary, and so is that of the table: its first point going up.
@@ -339,7 +349,8 @@ fn answered(believed: &str, records: &[RunFile]) -> (Report, bool) {
     let machine = machine(believed);
     let answer =
         diagnose(&machine, records, &[], None, &mut |_, _| {}).expect("the runs are comparable");
-    let stays = answer.extended(believed, Path::new("m.toml")).expect("a machine file") == believed;
+    let stays = answer.render_extended_toml(believed, Path::new("m.toml")).expect("a machine file")
+        == believed;
     let all: Vec<_> = answer.report.findings.iter().map(|it| (&it.cause, it.claimed)).collect();
     println!("{:?} {all:?} stays {stays}", answer.report.verdict);
     (answer.report, stays)
@@ -381,7 +392,7 @@ fn an_engaged_record_alone_does_not_tell_a_cnc_from_a_constant() {
         for factor in [-1.0, 0.5] {
             let record = record_of(&truth, &believed, Engaged::Always, is_axis, factor);
             let (report, stays) = answered(&believed, &[record]);
-            assert!(stays && !report.verdict.is_met(), "{factor}: {:?}", report.verdict);
+            assert!(stays && !report.verdict.is_resolved(), "{factor}: {:?}", report.verdict);
             let rival = |it: &trueup_diagnose::report::Finding| {
                 it.rivals.iter().any(|rival| rival.cause == "applied-factor")
             };
@@ -392,6 +403,6 @@ fn an_engaged_record_alone_does_not_tell_a_cnc_from_a_constant() {
         // A machine and a CNC that are right stay so.
         let record = record_of(&truth, &believed, Engaged::Always, is_axis, 1.0);
         let (report, stays) = answered(&believed, &[record]);
-        assert!(stays && report.verdict.is_met(), "{:?}", report.verdict);
+        assert!(stays && report.verdict.is_resolved(), "{:?}", report.verdict);
     }
 }

@@ -11,9 +11,9 @@ use serde_json::{Value, json};
 use support::{Bridge, FAST_MACHINE, GROWN_UM, file, trueup};
 use tempfile::TempDir;
 use trueup_core::cnc::{Command as CncCommand, Control, Output, Quality};
-use trueup_emulator::{cnc::Cnc, setup};
+use trueup_emulator::{cnc::CncClient, setup};
 use trueup_machine::{MachineFile, RunFile, compile};
-use trueup_store::calibration::identity;
+use trueup_store::calibration::calibration_crc;
 
 /// Returns what the tool prints as JSON, one value or more, and its exit code.
 fn json_of(arguments: &[&str]) -> Result<(Option<i32>, Vec<Value>, String)> {
@@ -33,17 +33,17 @@ fn calibration(folder: &TempDir, name: &str, gain: f64) -> Result<(String, Strin
     let path = folder.path().join(name);
     fs::write(&path, compiled.blob())?;
     let path = path.to_str().context("text")?.to_owned();
-    Ok((path, format!("{:08x}", identity(compiled.blob()))))
+    Ok((path, format!("{:08x}", calibration_crc(compiled.blob()))))
 }
 
 /// Returns what a CNC that engages gets once it is live and has arrived.
 fn live_z_um(bridge: &Bridge) -> Result<f64> {
-    let mut cnc = Cnc::open(bridge.connect()?)?;
+    let mut cnc = CncClient::open(bridge.connect()?)?;
     // The tool has loaded while this CNC was away.
     cnc.confirm()?;
     let control = |engage| CncCommand::Control(Control { engage, ..Control::REFERENCED });
     let mut settled = 0;
-    let next = |cnc: &mut Cnc<_>, engage| -> Result<Output> {
+    let next = |cnc: &mut CncClient<_>, engage| -> Result<Output> {
         cnc.send(control(engage))?;
         let mut output = cnc.next_output()?;
         for _ in 1..20 {
@@ -79,7 +79,7 @@ fn the_tool_loads_a_calibration_and_the_board_runs_on_it_after_its_restart() -> 
 
     // Garbage that passes the tool's own eye is not to be had; the bridge itself is tried by
     // `canopen_master`. Here it comes from a raw client in the middle of a transfer.
-    let mut raw = Cnc::open(bridge.connect()?)?;
+    let mut raw = CncClient::open(bridge.connect()?)?;
     raw.write(b"t6018210021020f000000\rt60180aaaaaaaaaaaaaaa\rt6018ffffffffffffffff\r")?;
     raw.next_output()?;
     drop(raw);
@@ -125,11 +125,11 @@ fn can_utils_and_python_can_read_a_recording_and_diagnose_its_run_file() -> Resu
     let bridge = Bridge::start(&["--machine", &machine, "--run", &run])?;
     let port = format!("tcp:{}", bridge.address());
     // Engaged for a moment: before that it says "not available", and there is nothing to compare.
-    let mut cnc = Cnc::open(bridge.connect()?)?;
+    let mut cnc = CncClient::open(bridge.connect()?)?;
     for engage in [true, false] {
         cnc.send(CncCommand::Control(Control { engage, ..Control::REFERENCED }))?;
     }
-    cnc.ask("C")?;
+    cnc.query("C")?;
     drop(cnc);
     let place = folder.path().join("recorded");
     let record = place.to_str().context("text")?;
@@ -153,7 +153,7 @@ fn can_utils_and_python_can_read_a_recording_and_diagnose_its_run_file() -> Resu
     let log = place.join("bridge.log");
     let frames = fs::read_to_string(&log)?.lines().count();
     // log2asc writes a line a frame under a head.
-    let asc = printed(Command::new(setup::log2asc()?).arg("-I").arg(&log).arg("can0"))?;
+    let asc = printed(Command::new(setup::ensure_log2asc()?).arg("-I").arg(&log).arg("can0"))?;
     let is_frame = |line: &&str| line.contains("  Rx  ") || line.contains(" Rx ");
     assert_eq!(asc.lines().filter(is_frame).count(), frames, "{asc:.500}");
     let count = "import can, sys\n\
@@ -163,7 +163,7 @@ fn can_utils_and_python_can_read_a_recording_and_diagnose_its_run_file() -> Resu
                  cycles = [it.data[2] for it in frames if it.arbitration_id == 0x181]\n\
                  assert all((b - a) % 256 == 1 for a, b in zip(cycles, cycles[1:])), 'a gap'\n\
                  print(len(frames), sum(it.arbitration_id == 0x181 for it in frames))\n";
-    let counted = printed(Command::new(setup::python()?).args(["-c", count]).arg(&log))?;
+    let counted = printed(Command::new(setup::ensure_python()?).args(["-c", count]).arg(&log))?;
     let [all, offsets] = counted.split_whitespace().collect::<Vec<_>>()[..] else {
         anyhow::bail!("{counted}")
     };
@@ -179,7 +179,7 @@ fn can_utils_and_python_can_read_a_recording_and_diagnose_its_run_file() -> Resu
 fn diagnosed(folder: &TempDir, recorded: &Path, machine: &str) -> Result<()> {
     let run = RunFile::read(recorded)?;
     let counts = run.column("sensor_counts").context("of the machine file's law")?;
-    assert!(run.rows() > 60, "{} rows in 8 s", run.rows());
+    assert!(run.row_count() > 60, "{} rows in 8 s", run.row_count());
     let screw = run.column("temp_screw_c").context("by its name")?;
     assert!(screw.iter().rev().take(30).all(|c| (c - 23.5).abs() < 0.02), "{screw:?}");
     let text = fs::read_to_string(recorded)?;

@@ -24,7 +24,7 @@ use trueup_link::{
     },
     status::{self, Item},
 };
-use trueup_node::vectors::Random;
+use trueup_node::test_vectors::XorShift32;
 
 const FRAMES: u32 = 100_000;
 const IDS: [u16; 12] = [
@@ -47,11 +47,11 @@ type Values = Vec<(String, Option<f64>)>;
 
 /// Random bytes, of which those fields that only have a few meanings mostly have one of them, and
 /// those that may be missing sometimes are.
-fn random_frame(random: &mut Random, id: u16) -> Result<Frame> {
+fn random_frame(random: &mut XorShift32, id: u16) -> Result<Frame> {
     let words = [random.next(), random.next()].map(u32::to_le_bytes);
     let mut data: [u8; 8] = words.concat().try_into().ok().context("8 bytes")?;
-    let is_tame = random.below(4) > 0;
-    let is_missing = random.below(8) == 0;
+    let is_tame = random.next_below(4) > 0;
+    let is_missing = random.next_below(8) == 0;
     match id {
         OFFSET_XY_ID | OFFSET_Z_ID if is_missing => {
             data[3..5].fill(0);
@@ -69,7 +69,7 @@ fn random_frame(random: &mut Random, id: u16) -> Result<Frame> {
             data[5] &= 0x07;
         }
         HEARTBEAT_ID if is_tame => {
-            let state = usize::try_from(random.below(4))?;
+            let state = usize::try_from(random.next_below(4))?;
             return Ok(Frame::new(id, &[[0, 4, 5, 127][state]])?);
         }
         HEARTBEAT_ID => return Ok(Frame::new(id, &data[..1])?),
@@ -126,7 +126,7 @@ fn item(item: Item) -> (u8, Values) {
 
 /// Returns what our codec makes of a frame, and of that again.
 fn ours(frame: &Frame) -> Result<(Frame, Values), DecodeError> {
-    let counter = frames::counter(frame);
+    let counter = frames::e2e_counter(frame);
     Ok(match frame.id() {
         OFFSET_XY_ID => {
             let read = frames::decode_offset_xy(frame)?;
@@ -134,7 +134,7 @@ fn ours(frame: &Frame) -> Result<(Frame, Values), DecodeError> {
             let values = ["OffsetX", "OffsetY"].into_iter().enumerate();
             let values = values.map(|(n, name)| (name.into(), read.offset.map(|it| um(it[n].0))));
             let output = trueup_core::cnc::Output { offset, ..Default::default() };
-            (frames::offset_xy(&output, counter), values.collect())
+            (frames::encode_offset_xy(&output, counter), values.collect())
         }
         OFFSET_Z_ID => {
             let read = frames::decode_offset_z(frame)?;
@@ -150,7 +150,7 @@ fn ours(frame: &Frame) -> Result<(Frame, Values), DecodeError> {
                 one("Flags", read.flags.0.into()),
                 one("Age", read.age_ms.into()),
             ];
-            (frames::offset_z(&output, counter), values)
+            (frames::encode_offset_z(&output, counter), values)
         }
         STATUS_ID => {
             let read = status::decode(frame)?;
@@ -161,7 +161,7 @@ fn ours(frame: &Frame) -> Result<(Frame, Values), DecodeError> {
         }
         HEARTBEAT_ID => {
             let state = frames::decode_heartbeat(frame)?;
-            (frames::heartbeat(state), vec![one("State", f64::from(state as u8))])
+            (frames::encode_heartbeat(state), vec![one("State", f64::from(state as u8))])
         }
         EMERGENCY_ID => {
             let read = emergency::decode(frame)?;
@@ -179,18 +179,18 @@ fn ours(frame: &Frame) -> Result<(Frame, Values), DecodeError> {
             let degrees =
                 read.angles.map(|it| f64::from(it.0) / f64::from(MicroDegrees::PER_DEGREE));
             let values = vec![one("Angle1", degrees[0]), one("Angle2", degrees[1])];
-            (frames::rotary(read, counter), values)
+            (frames::encode_rotary(read, counter), values)
         }
         SPINDLE_ID => {
             let read = frames::decode_spindle(frame)?;
             let values = vec![one("Speed", read.speed.0.into()), one("Load", read.load_n.into())];
-            (frames::spindle(read, counter), values)
+            (frames::encode_spindle(read, counter), values)
         }
         CONDITIONS_ID => {
             let read = frames::decode_conditions(frame)?;
-            let bit = |n: u8| one(&format!("Condition{n}"), f64::from(u8::from(read.has(n))));
+            let bit = |n: u8| one(&format!("Condition{n}"), f64::from(u8::from(read.is_set(n))));
             let values = [one("Tool", read.tool.into())].into_iter().chain((0..16).map(bit));
-            (frames::conditions(read, counter), values.collect())
+            (frames::encode_conditions(read, counter), values.collect())
         }
         CONTROL_ID => {
             let read = frames::decode_control(frame)?;
@@ -205,7 +205,7 @@ fn ours(frame: &Frame) -> Result<(Frame, Values), DecodeError> {
                 one("Learned", f64::from(read.learned.amount) / 1_000.0),
                 one("LearnedCrc", read.learned.calibration.into()),
             ];
-            (frames::control(read, counter), values)
+            (frames::encode_control(read, counter), values)
         }
         id => {
             let axis = LinearAxis::ALL.into_iter().find(|axis| frames::position_id(*axis) == id);
@@ -214,7 +214,7 @@ fn ours(frame: &Frame) -> Result<(Frame, Values), DecodeError> {
             let mm = f64::from(read.position.0) / f64::from(Position::PER_MILLIMETRE);
             let direction = f64::from(read.direction as i8);
             let values = vec![one("Position", mm), one("Direction", direction)];
-            (frames::position(read, counter), values)
+            (frames::encode_position(read, counter), values)
         }
     })
 }
@@ -225,8 +225,8 @@ fn hex(frame: &Frame) -> String {
 
 /// Runs one of the scripts; its last line on standard output is what it has found.
 fn script(name: &str, arguments: &[&std::path::Path]) -> Result<String> {
-    let output = Command::new(setup::python()?)
-        .arg(setup::root().join("host-tests/python").join(name))
+    let output = Command::new(setup::ensure_python()?)
+        .arg(setup::project_root().join("host-tests/python").join(name))
         .args(arguments)
         .stdin(Stdio::null())
         // Its progress.
@@ -240,7 +240,7 @@ fn script(name: &str, arguments: &[&std::path::Path]) -> Result<String> {
 #[test]
 fn cantools_and_the_c_code_it_writes_read_and_write_every_message_as_the_codec_does() -> Result<()>
 {
-    let mut random = Random::new(0xCAFE);
+    let mut random = XorShift32::new(0xCAFE);
     let mut lines = String::new();
     let mut taken = [0_u32; IDS.len()];
     for number in 0..FRAMES {
@@ -268,7 +268,7 @@ fn cantools_and_the_c_code_it_writes_read_and_write_every_message_as_the_codec_d
     let folder = tempfile::tempdir()?;
     let file = folder.path().join("frames.txt");
     fs::write(&file, lines)?;
-    let dbc = setup::root().join("crates/board/link/trueup.dbc");
+    let dbc = setup::project_root().join("crates/board/link/trueup.dbc");
     let found = script("dbc_codec.py", &[&dbc, &file, folder.path()])?;
     println!("{found}");
     let expected =
@@ -279,28 +279,28 @@ fn cantools_and_the_c_code_it_writes_read_and_write_every_message_as_the_codec_d
 
 #[test]
 fn autosar_e2e_comes_to_the_same_verdict_on_every_frame() -> Result<()> {
-    let mut random = Random::new(0xE2E);
+    let mut random = XorShift32::new(0xE2E);
     let mut checkers: Vec<(u16, u8, Option<Frame>, Checker)> =
         IDS.iter().map(|id| (*id, 0, None, Checker::new(*id))).collect();
     let mut lines = String::new();
     let mut counts = std::collections::BTreeMap::<&str, u32>::new();
     let mut count = 0;
     while count < FRAMES {
-        let which = usize::try_from(random.below(u32::try_from(IDS.len())?))?;
+        let which = usize::try_from(random.next_below(u32::try_from(IDS.len())?))?;
         let (id, counter, before, checker) = &mut checkers[which];
         let words = [random.next(), random.next()].map(u32::to_le_bytes);
         let mut data: [u8; 8] = words.concat().try_into().ok().context("8 bytes")?;
         // Mostly the next; a copy; some lost; far away; out of order; a sender that restarts.
-        *counter = match random.below(16) {
+        *counter = match random.next_below(16) {
             0 => *counter,
-            1 => counter.wrapping_add(u8::try_from(2 + random.below(14))?),
-            2 => counter.wrapping_add(u8::try_from(16 + random.below(200))?),
-            3 => counter.wrapping_sub(u8::try_from(1 + random.below(3))?),
+            1 => counter.wrapping_add(u8::try_from(2 + random.next_below(14))?),
+            2 => counter.wrapping_add(u8::try_from(16 + random.next_below(200))?),
+            3 => counter.wrapping_sub(u8::try_from(1 + random.next_below(3))?),
             4 => 0,
             _ => counter.wrapping_add(1),
         };
         e2e::protect(*id, *counter, &mut data);
-        let fate = random.below(16);
+        let fate = random.next_below(16);
         let frame = match (fate, &before) {
             // One bit, three bits, another identifier's frame, the very same frame.
             (0, _) => flipped(&mut random, *id, data, 1)?,
@@ -338,8 +338,8 @@ fn autosar_e2e_comes_to_the_same_verdict_on_every_frame() -> Result<()> {
 }
 
 /// Returns a frame with this many bits wrong, anywhere.
-fn flipped(random: &mut Random, id: u16, mut data: [u8; 8], bits: u32) -> Result<Frame> {
-    let first = random.below(64);
+fn flipped(random: &mut XorShift32, id: u16, mut data: [u8; 8], bits: u32) -> Result<Frame> {
+    let first = random.next_below(64);
     for n in 0..bits {
         let bit = usize::try_from((first + 17 * n) % 64)?;
         data[bit / 8] ^= 1 << (bit % 8);

@@ -12,7 +12,7 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
 use support::{Bridge, FAST_MACHINE, GROWN_RUN, GROWN_UM, file};
-use trueup_canopen::{EDS, dictionary::OBJECTS, sdo::Abort};
+use trueup_canopen::{EDS, dictionary::OBJECTS, sdo::AbortCode};
 use trueup_core::{
     cnc::{Control, Output, Quality},
     units::Rpm,
@@ -21,15 +21,15 @@ use trueup_emulator::{board::VirtualBoard, firmware, front_end::FrontEnd, setup}
 use trueup_link::{
     frame::Frame,
     frames,
-    layout::{SDO_ANSWER_ID, SDO_REQUEST_ID},
+    layout::{SDO_REQUEST_ID, SDO_RESPONSE_ID},
     receiver::OffsetReceiver,
 };
-use trueup_machine::{Compiled, MachineFile, compile};
-use trueup_pipe::{Block, FRAMES};
-use trueup_store::calibration::identity;
+use trueup_machine::{CompiledCalibration, MachineFile, compile};
+use trueup_pipe::{Block, FRAMES_PER_BLOCK};
+use trueup_store::calibration::calibration_crc;
 
 /// Returns the fast machine, with growth times `gain`.
-fn compiled(gain: f64) -> Result<Compiled> {
+fn compiled(gain: f64) -> Result<CompiledCalibration> {
     let folder = tempfile::tempdir()?;
     let machine = file(&folder, "machine.toml", FAST_MACHINE)?;
     let mut machine = MachineFile::read(machine.as_ref())?;
@@ -40,7 +40,7 @@ fn compiled(gain: f64) -> Result<Compiled> {
 #[test]
 #[ignore = "long: every object, every abort code"]
 fn pypi_canopen_reads_every_object_loads_a_calibration_and_gets_each_abort_code() -> Result<()> {
-    let python = setup::python()?;
+    let python = setup::ensure_python()?;
     let folder = tempfile::tempdir()?;
     let machine = file(&folder, "machine.toml", FAST_MACHINE)?;
     let run = file(&folder, "run.csv", GROWN_RUN)?;
@@ -51,7 +51,7 @@ fn pypi_canopen_reads_every_object_loads_a_calibration_and_gets_each_abort_code(
 
     let mut bridge = Bridge::start(&["--machine", &machine, "--run", &run])?;
     let output = Command::new(python)
-        .arg(setup::root().join("host-tests/python/canopen_master.py"))
+        .arg(setup::project_root().join("host-tests/python/canopen_master.py"))
         .arg(format!("socket://{}", bridge.address()))
         .args([eds.as_ref(), calibration.as_os_str()])
         .stdin(Stdio::null())
@@ -81,7 +81,7 @@ fn pypi_canopen_reads_every_object_loads_a_calibration_and_gets_each_abort_code(
     for equal in ["read_back_is_equal", "running_again_is_equal"] {
         assert_eq!(saw[equal], json!(true), "{equal}");
     }
-    assert_eq!(saw["new_crc"], identity(new.blob()));
+    assert_eq!(saw["new_crc"], calibration_crc(new.blob()));
     // The offsets went on all the while, a pair a millisecond.
     assert_eq!(saw["gaps"], 0);
     let elongation = saw["engaged"]["elongation_nm"].as_f64().context("a number")?;
@@ -113,7 +113,7 @@ fn pypi_canopen_reads_every_object_loads_a_calibration_and_gets_each_abort_code(
     assert_eq!(saw["after_reset_communication"], json!([100, 100]));
     let restart = &saw["restart"];
     assert_eq!(restart["runs_on_the_new_one"], json!(true), "{restart}");
-    assert_eq!(restart["running_crc"], identity(new.blob()), "{restart}");
+    assert_eq!(restart["running_crc"], calibration_crc(new.blob()), "{restart}");
     assert_eq!(restart["new_crc"], 0, "{restart}");
     let clock = |name: &str| restart[name].as_u64().context("a clock");
     assert!(clock("clock")? < clock("clock_before")?, "{restart}");
@@ -144,25 +144,25 @@ impl Bus {
 
     /// Two milliseconds, with a request, and the CNC engaged or not.
     fn step(&mut self, request: Option<[u8; 8]>, engage: bool) -> Result<()> {
-        let mut sent = [None; FRAMES];
+        let mut sent = [None; FRAMES_PER_BLOCK];
         sent[1] = request.map(|data| Frame::new(SDO_REQUEST_ID, &data)).transpose()?;
         if self.ms.is_multiple_of(20) {
             let engage = engage && self.ms >= 60;
             let confirm = self.confirm;
             let control = Control { engage, service: !engage, confirm, ..Control::REFERENCED };
-            sent[0] = Some(frames::control(control, self.counter));
+            sent[0] = Some(frames::encode_control(control, self.counter));
             self.counter = self.counter.wrapping_add(1);
         }
         self.ms += 2;
         let volts = 9_164.0 * 10.0 / 32_768.0;
-        let blocks = [sent, [None; FRAMES]].map(|frames| Block {
-            codes: self.front_end.block(|_| volts),
+        let blocks = [sent, [None; FRAMES_PER_BLOCK]].map(|frames| Block {
+            codes: self.front_end.convert_block(|_| volts),
             speed: Some(Rpm(24_000)),
             frames,
             ..Block::default()
         });
         for (_, frame) in self.board.step(&blocks)? {
-            if frame.id() == SDO_ANSWER_ID {
+            if frame.id() == SDO_RESPONSE_ID {
                 self.answers.push_back(*frame.data());
             }
             self.last = self.offsets.accept(&frame)?.or(self.last);
@@ -212,13 +212,13 @@ fn a_loaded_calibration_is_used_from_the_next_start_and_a_dead_store_is_told() -
     let image = firmware::build_virtual()?;
     let (old, new) = (compiled(1.0)?, compiled(0.5)?);
     let mut bus = Bus::new(VirtualBoard::boot(&image, old.blob())?);
-    let loaded = bus.board.flash().with_file_name("loaded.bin");
+    let loaded = bus.board.flash_path().with_file_name("loaded.bin");
 
     // A folder in its place: no file can be opened there.
     fs::create_dir(&loaded)?;
     let [kind, .., a, b, c, d] = bus.load(new.blob())?;
     let refused = (kind, u32::from_le_bytes([a, b, c, d]));
-    assert_eq!(refused, (0x80, Abort::CannotStore.code()));
+    assert_eq!(refused, (0x80, AbortCode::CannotStore.code()));
     fs::remove_dir(&loaded)?;
 
     assert_eq!(bus.load(new.blob())?[0] & 0xEF, 0x20);

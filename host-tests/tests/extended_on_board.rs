@@ -10,24 +10,24 @@
 
 use std::{fmt::Write as _, path::Path};
 
-use trueup_campaigns::hidden::{Hidden, draw};
+use trueup_campaigns::hidden_effects::{HiddenCause, draw};
 use trueup_core::{
-    channels::RawTemperatures,
     cnc::{Control, Output, Spindle},
-    thermometer::Raw,
+    temperature_channels::RawTemperatures,
+    thermometer::RawReading,
 };
 use trueup_diagnose::{Diagnosis, diagnose};
 use trueup_emulator::{
-    board::{LARGEST_BATCH, VirtualBoard},
+    board::{MAX_BATCH_BLOCKS, VirtualBoard},
+    cnc_emulator::{CncEmulator, ReceivedFrames},
     firmware,
     front_end::FrontEnd,
     replay::Replay,
     setup,
-    stand_in::{ReceivedFrames, StandIn},
 };
 use trueup_link::{frames, receiver::OffsetReceiver};
 use trueup_machine::{Machine, MachineFile, RunFile, compile};
-use trueup_measured_data::file as data;
+use trueup_measured_data::find_file as data;
 use trueup_pipe::Block;
 
 /// The gain may be off its prediction by this share of it.
@@ -89,18 +89,18 @@ fn left_by_the_board(
     let image = firmware::build_virtual().expect("the image builds");
     let mut board = VirtualBoard::boot(&image, compiled.blob()).expect("the board boots");
     let mut front_end = FrontEnd::new(DIVIDER, 1);
-    let (mut stand_in, received) = (StandIn::default(), ReceivedFrames::default());
+    let (mut stand_in, received) = (CncEmulator::default(), ReceivedFrames::default());
     let mut offsets = OffsetReceiver::new();
     let replay = Replay::new(run, machine, 1.0).expect("it can be replayed");
     let times = run.column("time_s").map_or_else(
-        || (0..run.rows()).map(|row| row as f64).collect(),
+        || (0..run.row_count()).map(|row| row as f64).collect(),
         |times| times.iter().map(|time| time - times[0]).collect::<Vec<f64>>(),
     );
     let loads = run.column("load_n");
     let measured = run.column(&format!("measured_{quantity}_um")).expect("measured");
     let (mut ms, mut counter, mut left, mut reached) = (0_u32, 0_u8, Vec::new(), None);
-    for row in 0..run.rows() {
-        let now = replay.at(times[row]);
+    for row in 0..run.row_count() {
+        let now = replay.snapshot_at(times[row]);
         let from = reached.replace(now.temperatures).unwrap_or(now.temperatures);
         let (held_s, swept_s) = match row_s {
             Some(row_s) => {
@@ -116,26 +116,26 @@ fn left_by_the_board(
         let held_ms = (held_s * 1000.0).round() as u32;
         let mut to_go = held_ms;
         while to_go > 0 {
-            let batch = to_go.min(LARGEST_BATCH);
+            let batch = to_go.min(MAX_BATCH_BLOCKS);
             to_go -= batch;
             let passed_s = f64::from(held_ms - to_go) / 1000.0;
             let share = if passed_s < swept_s { passed_s / swept_s } else { 1.0 };
             let temperatures = between(from, now.temperatures, share);
             let blocks: Vec<Block> = (0..batch)
                 .map(|_| {
-                    let mut frames = stand_in.frames(&now, &received);
+                    let mut frames = stand_in.next_frames(&now, &received);
                     if ms.is_multiple_of(20) {
                         let control = Control { engage: ms >= 60, ..Control::REFERENCED };
-                        frames[4] = Some(frames::control(control, counter));
+                        frames[4] = Some(frames::encode_control(control, counter));
                     } else if ms % 20 == 10 {
                         let speed = now.speed.unwrap_or_default();
                         let spindle = Spindle { speed, load_n: load_n.round() as i16 };
-                        frames[4] = Some(frames::spindle(spindle, counter));
+                        frames[4] = Some(frames::encode_spindle(spindle, counter));
                         counter = counter.wrapping_add(1);
                     }
                     ms += 1;
                     Block {
-                        codes: front_end.block(|_| now.sensor_volts),
+                        codes: front_end.convert_block(|_| now.sensor_volts),
                         speed: None,
                         temperatures,
                         frames,
@@ -170,7 +170,7 @@ fn swept_s(from: RawTemperatures, to: RawTemperatures) -> f64 {
 
 fn between(from: RawTemperatures, to: RawTemperatures, share: f64) -> RawTemperatures {
     let mut now = to;
-    for (raw, Raw(from)) in now.iter_mut().zip(from) {
+    for (raw, RawReading(from)) in now.iter_mut().zip(from) {
         let to = f64::from(raw.0);
         raw.0 = (f64::from(from) + share * (to - f64::from(from))).round() as i32;
     }
@@ -198,8 +198,9 @@ fn check(name: &str, believed: &str, training: &[RunFile], holdout: &str, has_me
     let report = &diagnosis.report;
     let quantity = report.quantity.clone();
     let named: Vec<&str> = report.findings.iter().map(|finding| finding.cause.as_str()).collect();
-    let extended =
-        diagnosis.extended(&believed, Path::new("m.toml")).expect("the machine file is one");
+    let extended = diagnosis
+        .render_extended_toml(&believed, Path::new("m.toml"))
+        .expect("the machine file is one");
     assert_ne!(extended, believed, "{name}: nothing was added ({named:?})");
     let row_s = (!has_memory).then_some(ROW_S);
     let before = rms(&left_by_the_board(&machine(&believed), &held_out, &quantity, row_s));
@@ -209,7 +210,7 @@ fn check(name: &str, believed: &str, training: &[RunFile], holdout: &str, has_me
     println!(
         "{name}: {named:?}, {} rows held out: {:.3} → {:.3} µm predicted, {before:.3} → {after:.3} µm \
          left by the board's offsets; gain {predicted:.4} and {gain:.4}",
-        held_out.rows(),
+        held_out.row_count(),
         report.before.holdout_rms_um,
         report.after.compensated_holdout_rms_um,
     );
@@ -218,7 +219,7 @@ fn check(name: &str, believed: &str, training: &[RunFile], holdout: &str, has_me
 }
 
 /// A hidden effect of the virtual machine; the truth is not read.
-fn hidden(cause: Hidden, seed: u64, has_memory: bool) {
+fn hidden(cause: HiddenCause, seed: u64, has_memory: bool) {
     let challenge = draw(cause, 10.0, seed);
     let training: Vec<RunFile> = challenge.runs.iter().map(|text| run(text)).collect();
     let holdout = if has_memory {
@@ -236,30 +237,30 @@ fn hidden(cause: Hidden, seed: u64, has_memory: bool) {
 #[test]
 #[ignore = "long: two terms, each diagnosed and played to the emulated board"]
 fn the_gain_of_a_spindles_and_an_axiss_terms_is_in_the_offsets() {
-    hidden(Hidden::CentrifugalGrowth, 1, false);
-    hidden(Hidden::PositionDependentBacklash, 1, false);
+    hidden(HiddenCause::CentrifugalGrowth, 1, false);
+    hidden(HiddenCause::PositionDependentBacklash, 1, false);
 }
 
 #[test]
 #[ignore = "campaign: cargo test -p trueup-host-tests --features emulator --test extended_on_board campaign_ -- --ignored"]
 fn campaign_the_gain_of_other_terms_is_in_the_offsets() {
-    hidden(Hidden::SensorGain, 1, false);
-    hidden(Hidden::SensorTemperatureDrift, 1, false);
-    hidden(Hidden::CuttingLoad, 2, false);
-    hidden(Hidden::ExpansionSlope, 1, false);
-    hidden(Hidden::PitchPeriodic, 1, false);
-    hidden(Hidden::Straightness, 1, false);
+    hidden(HiddenCause::SensorGain, 1, false);
+    hidden(HiddenCause::SensorTemperatureDrift, 1, false);
+    hidden(HiddenCause::CuttingLoad, 2, false);
+    hidden(HiddenCause::ExpansionSlope, 1, false);
+    hidden(HiddenCause::PitchPeriodic, 1, false);
+    hidden(HiddenCause::Straightness, 1, false);
 }
 
 #[test]
 #[ignore = "long: half a minute of the emulated board"]
 fn the_gain_of_a_lag_is_in_the_offsets() {
-    hidden(Hidden::ThermalLag, 2, true);
+    hidden(HiddenCause::ThermalLag, 2, true);
 }
 
 #[test]
 fn the_gain_on_measured_machines_is_in_the_offsets() {
-    let path = setup::root().join("data/spindle_paper_table1.csv");
+    let path = setup::project_root().join("data/spindle_paper_table1.csv");
     let table = std::fs::read_to_string(path).expect("the project's own");
     let paper = "[machine]\nname = \"paper\"\nkind = \"3-axis\"\n[spindle]\nsource = \"sensor\"\n\
                  [spindle.sensor]\nk0_um = 0.0\nzero_counts = 5048.0\num_per_count = \

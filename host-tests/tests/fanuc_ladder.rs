@@ -6,11 +6,11 @@ use std::process::Command;
 use anyhow::{Result, ensure};
 use serde_json::{Value, json};
 use trueup_core::{
-    cnc::{AxisPosition, Conditions, Control, Heading, LinearAxis, Spindle},
+    cnc::{AxisPosition, Conditions, Control, LinearAxis, Spindle, TravelDirection},
     units::{Position, Rpm},
 };
 use trueup_emulator::setup;
-use trueup_modbus::cnc::{Checker, Cnc};
+use trueup_modbus::holding::{Checker, CncData};
 
 /// As in the example's data table.
 const SLEW_UM_PER_S: f64 = 20.0;
@@ -18,8 +18,8 @@ const SLEW_UM_PER_S: f64 = 20.0;
 #[test]
 fn the_ladder_shifts_by_the_offset_itself_holds_takes_back_and_steps_within_the_slew_limit()
 -> Result<()> {
-    let output = Command::new(setup::python()?)
-        .arg(setup::root().join("host-tests/python/fanuc_pmc.py"))
+    let output = Command::new(setup::ensure_python()?)
+        .arg(setup::project_root().join("host-tests/python/fanuc_pmc.py"))
         .output()?;
     ensure!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let saw: Value = serde_json::from_slice(&output.stdout)?;
@@ -58,13 +58,13 @@ fn the_ladder_shifts_by_the_offset_itself_holds_takes_back_and_steps_within_the_
         *register = u16::from_str_radix(&hex[4 * n..4 * n + 4], 16)?;
     }
     let position = Position(-123_456);
-    let x = AxisPosition { axis: LinearAxis::X, position, direction: Heading::Standing };
-    let expected = Cnc {
+    let x = AxisPosition { axis: LinearAxis::X, position, direction: TravelDirection::Standing };
+    let expected = CncData {
         control: Control::ENGAGED,
         positions: [Some(x), None, None],
         spindle: Some(Spindle { speed: Rpm(0), load_n: 0 }),
         conditions: Some(Conditions { tool: 7, bits: 0x101 }),
-        ..Cnc::default()
+        ..CncData::default()
     };
     assert_eq!(Checker::default().accept(&registers)?, expected);
     Ok(())

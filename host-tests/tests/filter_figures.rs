@@ -8,23 +8,23 @@ use rustfft::{FftPlanner, num_complex::Complex};
 use trueup_core::{
     dimensions::CODES_PER_TICK,
     filter::Filter,
-    units::{Code, READINGS_PER_CODE, Rpm},
+    units::{AdcCode, READING_UNITS_PER_CODE, Rpm},
 };
-use trueup_emulator::front_end::{FrontEnd, SAMPLE_HZ};
+use trueup_emulator::front_end::{FrontEnd, SAMPLE_RATE_HZ};
 
 /// The paper's sensor: 500 µm over 4096 codes and over 10 V.
 const NM_PER_CODE: f64 = 500_000.0 / 4096.0;
 const NM_PER_VOLT: f64 = 50_000.0;
 const DIVIDER: f64 = 0.33;
 
-type Block = [Code; CODES_PER_TICK];
+type Block = [AdcCode; CODES_PER_TICK];
 
 /// Readings in nanometres, one a millisecond, from the first one that the filter gives.
 fn filtered(blocks: impl Iterator<Item = Block>, known: Option<Rpm>) -> impl Iterator<Item = f64> {
     let mut filter = Filter::new();
     blocks.filter_map(move |codes| {
         let reading = filter.tick(&codes, known)?;
-        Some(f64::from(reading.0) / f64::from(READINGS_PER_CODE) * NM_PER_CODE)
+        Some(f64::from(reading.0) / f64::from(READING_UNITS_PER_CODE) * NM_PER_CODE)
     })
 }
 
@@ -38,8 +38,8 @@ fn largest(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// Returns a code of the ideal converter, without noise.
-fn ideal(nm: f64) -> Code {
-    Code((nm / NM_PER_CODE).round().clamp(0.0, 4095.0) as u16)
+fn ideal(nm: f64) -> AdcCode {
+    AdcCode((nm / NM_PER_CODE).round().clamp(0.0, 4095.0) as u16)
 }
 
 #[test]
@@ -48,7 +48,7 @@ fn white_noise_of_one_lsb_leaves_30_nm_at_1_khz_and_5_nm_below_10_hz() {
     const SAMPLES: usize = 1 << 15;
     for rpm in [0, 300, 301, 1_000, 3_333, 6_000, 12_000, 18_001, 24_000] {
         let mut front_end = FrontEnd::new(DIVIDER, u64::from(rpm) + 1);
-        let blocks = repeat_with(|| front_end.block(|_| LEVEL_VOLTS));
+        let blocks = repeat_with(|| front_end.convert_block(|_| LEVEL_VOLTS));
         let error: Vec<f64> = filtered(blocks, Some(Rpm(rpm)))
             .take(SAMPLES)
             .map(|nm| nm - LEVEL_VOLTS * NM_PER_VOLT)
@@ -83,7 +83,7 @@ fn run_out_leaves_20_nm_at_any_speed_even_if_it_is_known_to_1_percent() {
             let blocks = repeat_with(|| -> Block {
                 std::array::from_fn(|_| {
                     n += 1.0;
-                    ideal(LEVEL_NM + run_out(n / SAMPLE_HZ * f64::from(rpm) / 60.0))
+                    ideal(LEVEL_NM + run_out(n / SAMPLE_RATE_HZ * f64::from(rpm) / 60.0))
                 })
             });
             let known_rpm = Rpm((f64::from(rpm) * known).round() as u16);
@@ -156,7 +156,7 @@ fn reference(codes: &[f64], revolution: f64) -> Vec<Option<f64>> {
 fn without_rounding_to_codes_run_out_leaves_a_nanometre() {
     let mut worst: f64 = 0.0;
     for rpm in (300..=24_000_u16).step_by(790).chain([24_000]) {
-        let turns_per_sample = f64::from(rpm) / 60.0 / SAMPLE_HZ;
+        let turns_per_sample = f64::from(rpm) / 60.0 / SAMPLE_RATE_HZ;
         let ms = 3 * 60_000 / u32::from(rpm) + 50;
         let input: Vec<f64> =
             (0..ms * 20).map(|n| run_out(f64::from(n) * turns_per_sample)).collect();
@@ -177,7 +177,7 @@ fn the_arithmetic_is_within_2_nm_of_f64_over_the_whole_input_range() {
         random >> 20
     };
     const MS: u32 = 460;
-    let noise: Vec<Code> = (0..MS * 20).map(|_| Code(next() as u16)).collect();
+    let noise: Vec<AdcCode> = (0..MS * 20).map(|_| AdcCode(next() as u16)).collect();
     type Signal = Box<dyn Fn(u32) -> u16>;
     let signals: [(&str, Signal); 5] = [
         ("full scale", Box::new(|_| 4095)),
@@ -188,7 +188,7 @@ fn the_arithmetic_is_within_2_nm_of_f64_over_the_whole_input_range() {
     ];
     let mut worst: f64 = 0.0;
     for (name, signal) in &signals {
-        let codes: Vec<Code> = (0..MS * 20).map(|n| Code(signal(n))).collect();
+        let codes: Vec<AdcCode> = (0..MS * 20).map(|n| AdcCode(signal(n))).collect();
         let levels: Vec<f64> = codes.iter().map(|code| f64::from(code.0)).collect();
         let mut worst_here: f64 = 0.0;
         for rpm in [300_u16, 301, 437, 999, 2_500, 7_919, 12_345, 23_999, 24_000, 60_000] {
@@ -199,7 +199,7 @@ fn the_arithmetic_is_within_2_nm_of_f64_over_the_whole_input_range() {
                 let ours = filter.tick(block, Some(Rpm(rpm)));
                 assert_eq!(ours.is_some(), exact.is_some());
                 if let (Some(ours), Some(exact)) = (ours, exact) {
-                    let error = f64::from(ours.0) / f64::from(READINGS_PER_CODE) - exact;
+                    let error = f64::from(ours.0) / f64::from(READING_UNITS_PER_CODE) - exact;
                     worst_here = worst_here.max(error.abs() * NM_PER_CODE);
                 }
             }
@@ -220,7 +220,7 @@ fn an_inverters_carrier_leaves_60_nm_behind_the_low_pass_and_micrometres_without
             front_end = front_end.without_low_pass();
         }
         let volts = move |t: f64| LEVEL_VOLTS + CARRIER_VOLTS * (TAU * hz * t + phase).cos();
-        let blocks = repeat_with(|| front_end.block(volts));
+        let blocks = repeat_with(|| front_end.convert_block(volts));
         let readings: Vec<f64> = filtered(blocks, Some(Rpm(rpm))).skip(50).take(1_000).collect();
         readings.iter().sum::<f64>() / readings.len() as f64 - LEVEL_VOLTS * NM_PER_VOLT
     };
@@ -237,7 +237,7 @@ fn an_inverters_carrier_leaves_60_nm_behind_the_low_pass_and_micrometres_without
         );
         assert!(with <= 60.0, "{with}");
         // What folds onto 0 Hz is untouched by any digital filter: 0.1 V are 5 µm.
-        if hz >= SAMPLE_HZ {
+        if hz >= SAMPLE_RATE_HZ {
             assert!(without > 4_900.0, "{without}");
         }
     }
@@ -248,7 +248,7 @@ fn the_first_reading_is_no_ramp_from_zero() {
     const LEVEL_VOLTS: f64 = 4.0;
     for rpm in [0, 300, 24_000] {
         let mut front_end = FrontEnd::new(DIVIDER, 9);
-        let blocks = repeat_with(|| front_end.block(|_| LEVEL_VOLTS));
+        let blocks = repeat_with(|| front_end.convert_block(|_| LEVEL_VOLTS));
         let first = filtered(blocks, Some(Rpm(rpm))).next().expect("a reading");
         let off = first - LEVEL_VOLTS * NM_PER_VOLT;
         println!("first reading at {rpm:>5} r/min: off by {off:+.1} nm");

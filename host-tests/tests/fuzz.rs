@@ -28,11 +28,14 @@ use trueup_link::{
     slcan::{Client, Port},
 };
 use trueup_machine::{MachineFile, RunFile, compile};
-use trueup_node::node::{Interface, Node};
+use trueup_node::{
+    configuration::Configuration,
+    node::{Interface, Node},
+};
 use trueup_store::{
-    calibration::{self, MAX_OFFSET_NM, MAX_SIZE, MAX_SLEW_NM_PER_S},
-    reference::References,
-    slots::{SLOT_SIZE, Slots},
+    calibration::{self, MAX_BLOB_SIZE, MAX_OFFSET_NM, MAX_SLEW_NM_PER_S},
+    calibration_store::{CalibrationStore, SLOT_SIZE},
+    reference::ReferenceStore,
 };
 
 /// Inputs of a test of the quick tier.
@@ -107,7 +110,7 @@ const EDGES: [&str; 12] = [
 ];
 
 fn corpus(name: &str) -> Vec<Vec<u8>> {
-    let folder = setup::root().join("host-tests/corpus").join(name);
+    let folder = setup::project_root().join("host-tests/corpus").join(name);
     let mut paths: Vec<_> =
         fs::read_dir(folder).expect("it is ours").flatten().map(|entry| entry.path()).collect();
     paths.sort();
@@ -117,7 +120,7 @@ fn corpus(name: &str) -> Vec<Vec<u8>> {
 fn blobs() -> Vec<Vec<u8>> {
     ["data/paper_spindle.toml", "data/gantry.toml", "host-tests/corpus/toml/all.toml"]
         .map(|name| {
-            let machine = MachineFile::read(&setup::root().join(name)).expect("it is ours");
+            let machine = MachineFile::read(&setup::project_root().join(name)).expect("it is ours");
             compile(&machine).expect("it runs on a board").blob().to_vec()
         })
         .into()
@@ -181,29 +184,31 @@ fn any_bytes_in_the_flash_can_be_started_on_and_stored_over() {
     // A flash as a board leaves it: calibrations, and references behind them.
     let blob = &blobs()[0];
     let empty = Memory(vec![0xFF; 4 * SLOT_SIZE as usize]);
-    let (mut slots, _) = Slots::open(empty, None, &mut [0; MAX_SIZE]);
+    let (mut slots, _) = CalibrationStore::open(empty, None, &mut [0; MAX_BLOB_SIZE]);
     for _ in 0..3 {
         slots.store(blob, || ()).expect("there is room");
     }
     let seeds = [slots.flash().0.clone()];
     fuzz("store", &seeds, |bytes| {
         bytes.resize(4 * SLOT_SIZE as usize, 0xFF);
-        let (mut slots, found) = Slots::open(Memory(bytes.clone()), None, &mut [0; MAX_SIZE]);
-        assert!(found.newest.is_none_or(|it| it.length <= MAX_SIZE));
-        let _ = slots.make_room(|| ());
+        let (mut slots, found) =
+            CalibrationStore::open(Memory(bytes.clone()), None, &mut [0; MAX_BLOB_SIZE]);
+        assert!(found.newest.is_none_or(|it| it.length <= MAX_BLOB_SIZE));
+        let _ = slots.erase_spare_half(|| ());
         let _ = slots.store(&[7; 700], || ());
-        let (mut references, _) = References::open(Memory(bytes.clone()), 7);
-        let _ = references.make_room();
+        let (mut references, _) = ReferenceStore::open(Memory(bytes.clone()), 7);
+        let _ = references.erase_spare_half();
         let _ = references.append(Default::default());
     });
 }
 
 /// Returns a node that a master may change.
-fn in_service<'a>() -> Node<'a> {
-    let mut node = Node::new(None, false);
+fn node_in_service(buffer: Option<&mut [u8]>) -> Node<'_> {
+    let mut node = Node::new(Configuration { buffer, ..Configuration::default() });
     for counter in 0..4 {
         let control = Control { service: true, ..Control::REFERENCED };
-        node.receive(Interface::Can, &frames::control(control, counter)).expect("it is whole");
+        node.receive(Interface::Can, &frames::encode_control(control, counter))
+            .expect("it is whole");
     }
     node
 }
@@ -221,8 +226,7 @@ fn any_sdo_requests_are_answered_or_aborted() {
     ];
     fuzz("sdo", &[session.concat()], |bytes| {
         let mut buffer = [0; 1_024];
-        let mut node = in_service();
-        node.set_buffer(&mut buffer);
+        let mut node = node_in_service(Some(&mut buffer));
         for request in bytes.as_chunks::<8>().0 {
             let frame = Frame::new(0x601, request).expect("8 bytes");
             let _ = node.receive(Interface::Can, &frame);
@@ -292,7 +296,7 @@ fn any_frames_are_heard_or_refused_by_the_cnc() {
 fn any_machine_file_is_read_or_refused_with_its_place() {
     let mut seeds = corpus("toml");
     seeds.extend(["data/paper_spindle.toml", "data/gantry.toml"].map(|name| {
-        let text = fs::read(setup::root().join(name)).expect("it is ours");
+        let text = fs::read(setup::project_root().join(name)).expect("it is ours");
         text[..text.len().min(6_000)].to_vec()
     }));
     fuzz("TOML", &seeds, |bytes| {

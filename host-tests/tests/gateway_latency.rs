@@ -67,8 +67,8 @@ struct Watch {
 
 impl Watch {
     fn start(arguments: &[&str]) -> Result<Self> {
-        let mut child = Command::new(setup::python()?)
-            .arg(setup::root().join("host-tests/python/gateway_watch.py"))
+        let mut child = Command::new(setup::ensure_python()?)
+            .arg(setup::project_root().join("host-tests/python/gateway_watch.py"))
             .args(arguments)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
@@ -139,8 +139,8 @@ fn tell_the_time(mut stream: TcpStream, stop: &AtomicBool) -> std::io::Result<()
                 ..Output::default()
             };
             if port.is_open() {
-                port.send(&frames::offset_xy(&output, counter));
-                port.send(&frames::offset_z(&output, counter));
+                port.send(&frames::encode_offset_xy(&output, counter));
+                port.send(&frames::encode_offset_z(&output, counter));
                 counter = counter.wrapping_add(1);
             }
         }

@@ -42,8 +42,8 @@ impl World {
 
     /// Runs a master of pymodbus against it, and returns what that saw.
     fn master(&self, script: &str) -> Result<Value> {
-        let output = Command::new(setup::python()?)
-            .arg(setup::root().join("host-tests/python").join(script))
+        let output = Command::new(setup::ensure_python()?)
+            .arg(setup::project_root().join("host-tests/python").join(script))
             .args(["127.0.0.1", &self.port])
             .stdin(Stdio::null())
             .output()?;
@@ -146,7 +146,7 @@ fn pymodbus_says_the_tool_and_a_condition_and_the_offset_follows_them() -> Resul
 
 #[test]
 fn mbpoll_reads_the_offsets_as_the_page_says() -> Result<()> {
-    let mbpoll = setup::mbpoll()?;
+    let mbpoll = setup::ensure_mbpoll()?;
     let world = World::start()?;
     let end = Instant::now() + Duration::from_secs(20);
     loop {
@@ -166,10 +166,10 @@ fn mbpoll_reads_the_offsets_as_the_page_says() -> Result<()> {
 
 #[test]
 fn pymodbus_and_mbpoll_read_it_over_a_serial_line() -> Result<()> {
-    let output = Command::new(setup::python()?)
-        .arg(setup::root().join("host-tests/python/rtu_masters.py"))
+    let output = Command::new(setup::ensure_python()?)
+        .arg(setup::project_root().join("host-tests/python/rtu_masters.py"))
         .arg(trueup()?.get_program())
-        .arg(setup::mbpoll()?)
+        .arg(setup::ensure_mbpoll()?)
         .output()?;
     ensure!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let saw: Value = serde_json::from_slice(&output.stdout)?;
@@ -187,13 +187,14 @@ fn pymodbus_and_mbpoll_read_it_over_a_serial_line() -> Result<()> {
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn mb2hal_reads_the_block_with_the_sample_that_is_delivered() -> Result<()> {
-    let Some(_linuxcnc) = setup::linuxcnc()? else {
+    let Some(_linuxcnc) = setup::ensure_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
     let world = World::start()?;
     let folder = tempfile::tempdir()?;
-    let sample = std::fs::read_to_string(setup::root().join("integrations/modbus/mb2hal.ini"))?;
+    let sample =
+        std::fs::read_to_string(setup::project_root().join("integrations/modbus/mb2hal.ini"))?;
     let here = sample.replace("TCP_PORT=502", &format!("TCP_PORT={}", world.port));
     ensure!(here != sample, "the sample names a port");
     let ini = support::file(&folder, "mb2hal.ini", &here)?;
@@ -291,8 +292,9 @@ fn without_an_address_only_this_computer_reaches_it() -> Result<()> {
 
 #[test]
 fn systemd_takes_the_service_and_its_commands_are_this_tools() -> Result<()> {
-    let text =
-        std::fs::read_to_string(setup::root().join("integrations/modbus/trueup-gateway.service"))?;
+    let text = std::fs::read_to_string(
+        setup::project_root().join("integrations/modbus/trueup-gateway.service"),
+    )?;
     let program = trueup()?.get_program().to_owned();
     let commands: Vec<&str> =
         text.lines().filter_map(|line| Some(line.split_once("ExecStart=")?.1)).collect();
@@ -310,7 +312,7 @@ fn systemd_takes_the_service_and_its_commands_are_this_tools() -> Result<()> {
         // Nobody is there; 2 would be a command that it does not know.
         ensure!(matches!(output.status.code(), Some(1 | 3)), "{command}: {said}");
     }
-    let Some(systemd) = trueup_emulator::process::find("systemd-analyze") else {
+    let Some(systemd) = trueup_emulator::process::find_on_path("systemd-analyze") else {
         println!("skipped: this computer has no systemd-analyze");
         return Ok(());
     };

@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 use support::{Bridge, GROWN_UM, Running, trueup};
 use trueup_core::cnc::Conditions;
 use trueup_emulator::setup;
-use trueup_modbus::cnc::Checker;
+use trueup_modbus::holding::Checker;
 
 /// Noise after the filter, the rounding of a code, of the wire and of a REAL.
 const TOLERANCE_UM: f64 = 0.4;
@@ -38,8 +38,8 @@ struct Plc {
 
 impl Plc {
     fn start(arguments: &[&str]) -> Result<Self> {
-        let mut child = Command::new(setup::python()?)
-            .arg(setup::root().join("host-tests/python/s7_plc.py"))
+        let mut child = Command::new(setup::ensure_python()?)
+            .arg(setup::project_root().join("host-tests/python/s7_plc.py"))
             .args(arguments)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
@@ -200,8 +200,8 @@ const LINES: &str = "--lines";
 
 fn cuts(options: &[&str]) -> Result<()> {
     let _alone = alone();
-    let output = Command::new(setup::python()?)
-        .arg(setup::root().join("host-tests/python/s7_cuts.py"))
+    let output = Command::new(setup::ensure_python()?)
+        .arg(setup::project_root().join("host-tests/python/s7_cuts.py"))
         .args(options)
         .output()?;
     ensure!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -292,8 +292,8 @@ fn the_setting_data_undo_the_growth_and_a_killed_gateway_is_held_and_taken_back(
 #[test]
 fn constant_and_slope_reach_the_nck_with_sign_and_unit_and_go_together() -> Result<()> {
     let _alone = alone();
-    let output = Command::new(setup::python()?)
-        .arg(setup::root().join("host-tests/python/s7_slope.py"))
+    let output = Command::new(setup::ensure_python()?)
+        .arg(setup::project_root().join("host-tests/python/s7_slope.py"))
         .output()?;
     ensure!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let saw: Value = serde_json::from_slice(&output.stdout)?;
@@ -331,8 +331,8 @@ fn constant_and_slope_reach_the_nck_with_sign_and_unit_and_go_together() -> Resu
 #[test]
 fn the_papers_printed_listing_hands_over_the_counts_and_its_formula_the_temperature() -> Result<()>
 {
-    let output = Command::new(setup::python()?)
-        .arg(setup::root().join("host-tests/python/paper_listing.py"))
+    let output = Command::new(setup::ensure_python()?)
+        .arg(setup::project_root().join("host-tests/python/paper_listing.py"))
         .output()?;
     ensure!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let saw: Value = serde_json::from_slice(&output.stdout)?;
@@ -350,8 +350,8 @@ fn the_papers_printed_listing_hands_over_the_counts_and_its_formula_the_temperat
 fn tool_and_conditions_stand_in_the_block_of_the_plc_program_as_the_bridge_checks_them()
 -> Result<()> {
     let _alone = alone();
-    let output = Command::new(setup::python()?)
-        .arg(setup::root().join("host-tests/python/s7_tool.py"))
+    let output = Command::new(setup::ensure_python()?)
+        .arg(setup::project_root().join("host-tests/python/s7_tool.py"))
         .output()?;
     ensure!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let blocks: Vec<String> = serde_json::from_slice(&output.stdout)?;

@@ -7,9 +7,9 @@ use support::bench::{self, Bench};
 use trueup_canopen::emergency::Fault;
 use trueup_core::{
     cnc::{Control, Output, Quality},
-    learned::{Change, PARTS, named},
+    learned::{ChangeRequest, PART_COUNT, calibration_id},
 };
-use trueup_learn::Live;
+use trueup_learn::LiveUpdate;
 use trueup_machine::{Machine, compile, file::LearnedCaps};
 
 const GROWN_UM: f64 = 40.0;
@@ -38,12 +38,12 @@ impl Lesson {
     }
 
     /// Engaged for so long; each `Control` says a part of these amounts. Gives every offset of Z in µm.
-    fn live(&mut self, ms: u32, amounts: Option<[i16; PARTS]>) -> Vec<f64> {
-        let calibration = named(self.crc);
+    fn live(&mut self, ms: u32, amounts: Option<[i16; PART_COUNT]>) -> Vec<f64> {
+        let calibration = calibration_id(self.crc);
         let said = |counter: u8| {
-            let part = counter % PARTS as u8;
-            let amount = |all: [i16; PARTS]| all[usize::from(part)];
-            let change = |all| Change { part: part + 1, amount: amount(all), calibration };
+            let part = counter % PART_COUNT as u8;
+            let amount = |all: [i16; PART_COUNT]| all[usize::from(part)];
+            let change = |all| ChangeRequest { part: part + 1, amount: amount(all), calibration };
             let learned = amounts.map(change).unwrap_or_default();
             Control { learned, ..Control::REFERENCED }
         };
@@ -72,7 +72,7 @@ fn what_was_learned_ends_in_the_offset_of_a_board_that_is_engaged_and_is_taken_b
     let sensor = learned.spindle.sensor.as_mut().expect("it has one");
     sensor.um_per_count *= 1.01;
     sensor.k0_um += 0.5;
-    let live = Live::between(&runs, &learned).expect("both are for a board");
+    let live = LiveUpdate::from_difference(&runs, &learned).expect("both are for a board");
     assert_eq!((live.amounts, live.rest), ([1_000, 0, 0, 0, 500], vec![]));
 
     let mut lesson = Lesson::boot(&runs);
@@ -86,7 +86,7 @@ fn what_was_learned_ends_in_the_offset_of_a_board_that_is_engaged_and_is_taken_b
     // Its way is a ramp: after half of the time half of the share, and all of the zero.
     let half = mean(&way[..way.len() / 2]);
     assert!((half - (before + 0.005 * GROWN_UM + 0.5)).abs() < 0.02, "{half}");
-    let back = mean(&lesson.live(WAY_MS + 2_000, Some([0; PARTS])));
+    let back = mean(&lesson.live(WAY_MS + 2_000, Some([0; PART_COUNT])));
     assert!((back - before).abs() < 0.02, "{back} instead of {before}");
     assert!(!lesson.is_refused(), "{:?}", lesson.bench.faults);
 }

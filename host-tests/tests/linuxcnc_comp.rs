@@ -13,8 +13,8 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 use trueup_emulator::{
     linuxcnc::{
-        headless::Headless,
-        three_joints::{self, Axis},
+        headless::HeadlessLinuxCnc,
+        simulated_joints::{self, AxisIniLines},
     },
     setup::{self, LinuxCnc},
 };
@@ -74,25 +74,25 @@ fn run(
     files: &[(String, String)],
     moves: &[[f64; 3]],
 ) -> Result<Vec<[f64; 3]>> {
-    let axes = JOINTS.map(|axis| Axis {
+    let axes = JOINTS.map(|axis| AxisIniLines {
         limits: OF_AXIS.into(),
         joint: format!("COMP_FILE_TYPE = 1\nCOMP_FILE = FOLDER/{axis}.comp\n"),
     });
-    let mut cnc = three_joints::start(linuxcnc, &axes, "", files)?;
+    let mut cnc = simulated_joints::start(linuxcnc, &axes, "", files)?;
     let begun = Instant::now();
     let mut added = Vec::with_capacity(moves.len());
     for [x, y, z] in moves {
-        cnc.act("mdi", "text", format!("G53 G0 X{x:.6} Y{y:.6} Z{z:.6}"))?;
+        cnc.send_command("mdi", "text", format!("G53 G0 X{x:.6} Y{y:.6} Z{z:.6}"))?;
         added.push(settled(&mut cnc)?);
     }
     println!("{} moves in {:.1} s", moves.len(), begun.elapsed().as_secs_f64());
-    cnc.end()?;
+    cnc.close()?;
     Ok(added)
 }
 
 /// Returns what each motor's command is off its joint's, in mm. The backlash filter ends a few billionths
 /// next to its goal, so it is watched until it rests.
-fn settled(cnc: &mut Headless) -> Result<[f64; 3]> {
+fn settled(cnc: &mut HeadlessLinuxCnc) -> Result<[f64; 3]> {
     let pins: Vec<String> = ["backlash-filt", "motor-pos-cmd", "pos-cmd", "motor-offset"]
         .iter()
         .flat_map(|pin| (0..JOINTS.len()).map(move |joint| format!("joint.{joint}.{pin}")))
@@ -101,7 +101,7 @@ fn settled(cnc: &mut Headless) -> Result<[f64; 3]> {
     let (mut before, mut rests) = (Vec::new(), 0);
     let end = Instant::now() + SETTLES;
     loop {
-        let now = cnc.pins(&pins)?;
+        let now = cnc.read_pins(&pins)?;
         rests = if now == before { rests + 1 } else { 0 };
         if rests == RESTS {
             return Ok(std::array::from_fn(|joint| {
@@ -121,7 +121,7 @@ fn files(export: &Export) -> Vec<(String, String)> {
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn the_real_linuxcnc_corrects_the_model_within_the_stated_difference() -> Result<()> {
-    let Some(control) = setup::linuxcnc()? else {
+    let Some(control) = setup::ensure_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
@@ -140,7 +140,7 @@ fn the_real_linuxcnc_corrects_the_model_within_the_stated_difference() -> Result
     let top = moves.len() / 2;
     for (joint, axis) in machine.axes.iter().enumerate() {
         let table = &export.report.tables[joint];
-        let back = linuxcnc::read(&export.files[joint].text).map_err(anyhow::Error::msg)?;
+        let back = linuxcnc::parse(&export.files[joint].text).map_err(anyhow::Error::msg)?;
         let (mut from_model, mut from_reader, mut largest) = (0.0_f64, 0.0_f64, 0.0_f64);
         for (index, (position, added)) in moves.iter().zip(&added).enumerate() {
             let is_up = (1..=top).contains(&index);
@@ -167,7 +167,7 @@ fn the_real_linuxcnc_corrects_the_model_within_the_stated_difference() -> Result
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn a_header_would_switch_the_real_linuxcncs_table_off_in_silence() -> Result<()> {
-    let Some(control) = setup::linuxcnc()? else {
+    let Some(control) = setup::ensure_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
@@ -183,7 +183,7 @@ fn a_header_would_switch_the_real_linuxcncs_table_off_in_silence() -> Result<()>
     // After an empty line the rest is lost, but a single line holds everywhere.
     assert_eq!(um, [5.0, 0.0, 5.0]);
     for (name, text) in &files[1..] {
-        assert!(linuxcnc::read(text).is_err(), "our reader refuses {name}");
+        assert!(linuxcnc::parse(text).is_err(), "our reader refuses {name}");
     }
     Ok(())
 }

@@ -9,8 +9,8 @@ use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
 use trueup_emulator::{
     linuxcnc::{
-        headless::Headless,
-        three_joints::{self, Axis, Settings},
+        headless::HeadlessLinuxCnc,
+        simulated_joints::{self, AxisIniLines, ControlSettings},
     },
     setup,
 };
@@ -42,19 +42,19 @@ const M110: &str = "#!/bin/sh\necho \"$1\" >>FOLDER/readings.txt\n";
 
 /// A LinuxCNC in one unit, homed and on, with the offset applied.
 struct Cnc {
-    headless: Headless,
+    headless: HeadlessLinuxCnc,
     /// mm in a unit of the machine.
     mm: f64,
 }
 
 impl Cnc {
     fn start(units: &str) -> Result<Option<Self>> {
-        let Some(control) = setup::linuxcnc()? else {
+        let Some(control) = setup::ensure_linuxcnc()? else {
             println!("skipped: this distribution has no package of LinuxCNC");
             return Ok(None);
         };
         let mm = if units == "mm" { 1.0 } else { 25.4 };
-        let axis = |offset: &str| Axis {
+        let axis = |offset: &str| AxisIniLines {
             limits: format!(
                 "MIN_LIMIT = {}\nMAX_LIMIT = {}\nMAX_VELOCITY = {}\nMAX_ACCELERATION = {}\n{offset}",
                 -300.0 / mm,
@@ -65,20 +65,21 @@ impl Cnc {
             joint: String::new(),
         };
         let axes = [axis(""), axis(""), axis("OFFSET_AV_RATIO = 0.1\n")];
-        let folder = setup::root().join("integrations/linuxcnc");
+        let folder = setup::project_root().join("integrations/linuxcnc");
         let mut files = Vec::new();
         for name in ["trueup_probe.ngc", "trueup_touch_off.ngc"] {
             files.push((name.to_string(), fs::read_to_string(folder.join(name))?));
         }
         files.push(("M110".to_string(), M110.replace("FOLDER", "\"$(dirname \"$0\")\"")));
-        let settings = Settings {
+        let settings = ControlSettings {
             units,
             rs274ngc: "FEATURES = 8\nSUBROUTINE_PATH = FOLDER\nUSER_M_PATH = FOLDER\n",
         };
-        let mut headless = three_joints::start_with(control, settings, &axes, WIRES, &files)?;
+        let mut headless =
+            simulated_joints::start_with_settings(control, settings, &axes, WIRES, &files)?;
         headless.halcmd(&format!("setp axis.z.eoffset-scale {}", 1e-6 / mm))?;
         headless.halcmd(&format!("setp axis.z.eoffset-counts {}", OFFSET_MM * 1e6))?;
-        headless.wait("the offset", 20, &["axis.z.eoffset"], |seen| {
+        headless.wait_for_pins("the offset", 20, &["axis.z.eoffset"], |seen| {
             (seen[0] * mm - OFFSET_MM).abs() < 1e-6
         })?;
         let mut cnc = Self { headless, mm };
@@ -92,7 +93,7 @@ impl Cnc {
     }
 
     fn mdi(&mut self, text: &str) -> Result<()> {
-        self.headless.act("mdi", "text", text).map(drop)
+        self.headless.send_command("mdi", "text", text).map(drop)
     }
 
     /// Metric, no offset of any kind, Z 10 mm above the surface.
@@ -106,7 +107,7 @@ impl Cnc {
     }
 
     fn stat(&mut self) -> Result<Value> {
-        self.headless.ask(&json!({ "do": "stat" }))
+        self.headless.send_request(&json!({ "do": "stat" }))
     }
 
     /// Z of the active work offset in mm.
@@ -122,14 +123,15 @@ impl Cnc {
         // A servo thread that comes late would never see a reset that is withdrawn at once, and the way to the
         // start would count as the job's.
         let pins = ["lowest.in", "lowest.min", "fastest.in", "fastest.min"];
-        self.headless
-            .wait("the reset", 20, &pins, |seen| seen[0] == seen[1] && seen[2] == seen[3])?;
+        self.headless.wait_for_pins("the reset", 20, &pins, |seen| {
+            seen[0] == seen[1] && seen[2] == seen[3]
+        })?;
         for name in ["lowest", "fastest"] {
             self.headless.halcmd(&format!("setp {name}.reset 0"))?;
         }
         fs::write(self.headless.folder().join("job.ngc"), format!("{lines}\nM2\n"))?;
         self.stat()?;
-        self.headless.begin("job.ngc")?;
+        self.headless.start_program("job.ngc")?;
         while self.headless.is_busy()? {
             std::thread::sleep(std::time::Duration::from_millis(50));
         }
@@ -137,7 +139,7 @@ impl Cnc {
         for _ in 0..5 {
             self.headless.is_busy()?;
         }
-        let seen = self.headless.pins(&["lowest.min", "fastest.min"])?;
+        let seen = self.headless.read_pins(&["lowest.min", "fastest.min"])?;
         Ok([seen[0] * self.mm, -seen[1] * self.mm])
     }
 
@@ -158,7 +160,7 @@ impl Cnc {
         // With inverse time each block has an F of its own.
         let has_feed = !codes.contains(&json!(930));
         let feed = stat["settings"][0].as_f64().filter(|_| has_feed).unwrap_or_default();
-        let z_mm = self.headless.pin("axis.z.pos-cmd")? * self.mm;
+        let z_mm = self.headless.read_pin("axis.z.pos-cmd")? * self.mm;
         Ok((json!([codes, (feed * 1e6).round(), stat["settings"][1]]), z_mm))
     }
 }
@@ -211,7 +213,7 @@ fn a_surface_gives_the_same_reading_whatever_coordinates_the_job_has() -> Result
         ensure!(lowest_mm > SURFACE_MM - 0.1, "{units}: down to {lowest_mm} mm");
         cnc.readings()?;
         fails_without_stopping_the_job(&mut cnc)?;
-        cnc.headless.end()?;
+        cnc.headless.close()?;
     }
     Ok(())
 }
@@ -249,7 +251,7 @@ fn fails_without_stopping_the_job(cnc: &mut Cnc) -> Result<()> {
         ensure!(fastest < FASTEST_MM_PER_S, "{says}: {fastest} mm/s downwards");
         ensure!(moves || lowest_mm > -90.0 + OFFSET_MM - 1e-3, "{says}: down to {lowest_mm} mm");
         ensure!(cnc.readings()?.is_empty(), "{says}: a reading");
-        let z_mm = cnc.headless.pin("axis.z.pos-cmd")? * cnc.mm;
+        let z_mm = cnc.headless.read_pin("axis.z.pos-cmd")? * cnc.mm;
         ensure!((z_mm + 50.0).abs() < 1e-3, "{says}: the job goes on, Z at {z_mm} mm");
     }
     cnc.surface(SURFACE_MM)
@@ -290,14 +292,14 @@ fn touching_off_is_right_in_both_units_on_both_machines_with_offset_and_tool() -
         cnc.mdi("o<trueup_touch_off> call [30] [300] [7.5]")?;
         cnc.mdi("G21 G90")?;
         cnc.mdi("G0 Z8")?;
-        let z_mm = cnc.headless.pin("axis.z.pos-cmd")? * cnc.mm;
+        let z_mm = cnc.headless.read_pin("axis.z.pos-cmd")? * cnc.mm;
         let late_mm = SURFACE_MM - OFFSET_MM + 0.5 - z_mm;
         ensure!((-1e-4..LATE_MM).contains(&late_mm), "{units}: Z8 is at {z_mm} mm");
         cnc.mdi("G92.1 G54")?;
         let work_mm = cnc.work_mm()?;
         ensure!((work_mm + 7.0).abs() < 1e-6, "{units}: G54 is {work_mm}");
         stops_the_job_with_the_old_zero(&mut cnc)?;
-        cnc.headless.end()?;
+        cnc.headless.close()?;
     }
     Ok(())
 }
@@ -333,13 +335,13 @@ fn stops_the_job_with_the_old_zero(cnc: &mut Cnc) -> Result<()> {
 
 #[test]
 fn the_interpreter_alone_probes_in_machine_coordinates_and_keeps_the_modes() -> Result<()> {
-    let Some(rs274) = trueup_emulator::process::find("rs274") else {
+    let Some(rs274) = trueup_emulator::process::find_on_path("rs274") else {
         println!("skipped: rs274 belongs to LinuxCNC");
         return Ok(());
     };
     let folder = tempfile::tempdir()?;
     let here = folder.path();
-    let macros = setup::root().join("integrations/linuxcnc");
+    let macros = setup::project_root().join("integrations/linuxcnc");
     fs::copy(macros.join("trueup_probe.ngc"), here.join("trueup_probe.ngc"))?;
     fs::write(here.join("t.ini"), "[RS274NGC]\nFEATURES = 8\nSUBROUTINE_PATH = .\n")?;
     let lines = |job: &str| -> Result<Vec<String>> {

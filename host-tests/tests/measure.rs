@@ -2,16 +2,16 @@
 
 use std::{collections::BTreeSet, path::Path};
 
-use trueup_emulator::measure;
+use trueup_emulator::benchmark;
 use trueup_machine::{MachineFile, compile};
-use trueup_node::vectors::{ALL_FAULTS, Vectors};
+use trueup_node::test_vectors::{FAULT_CYCLE_VECTORS, TestVectorRunner};
 
 #[test]
 fn board_and_host_send_the_same_frames_and_a_tick_takes_few_instructions() {
-    let measured = measure::run(ALL_FAULTS).unwrap();
+    let measured = benchmark::run_benchmark(FAULT_CYCLE_VECTORS).unwrap();
     println!("{}", measured.table);
     assert!(measured.identical);
-    assert_eq!(measured.json["host_vectors_identical"], ALL_FAULTS);
+    assert_eq!(measured.json["host_vectors_identical"], FAULT_CYCLE_VECTORS);
     let number = |pointer: &str| measured.json.pointer(pointer).unwrap().as_u64().unwrap();
     // What watches every source, in use or not, costs some seventy of them, the run-out some twenty.
     assert!(number("/tick_instructions/median") <= 1_680);
@@ -34,13 +34,13 @@ fn board_and_host_send_the_same_frames_and_a_tick_takes_few_instructions() {
 fn the_vectors_lead_through_every_quality() {
     let gantry = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data/gantry.toml");
     let machine = compile(&MachineFile::read(&gantry).unwrap()).unwrap();
-    let mut run = Vectors::new(machine.calibration(), 1, true);
-    let qualities: BTreeSet<u8> = (0..ALL_FAULTS)
+    let mut run = TestVectorRunner::new(machine.calibration(), 1, true);
+    let qualities: BTreeSet<u8> = (0..FAULT_CYCLE_VECTORS)
         .map(|_| {
-            run.prepare();
+            run.draw_vector();
             run.receive();
             run.tick();
-            run.node().last().quality as u8
+            run.node().last_output().quality as u8
         })
         .collect();
     println!("qualities: {qualities:?}");

@@ -17,20 +17,20 @@ use support::FAST_MACHINE;
 use trueup_core::{
     bridge::Input as Samples,
     cnc::{Control, Quality},
-    units::Code,
+    units::AdcCode,
 };
-use trueup_emulator::plc::{UNIT, frame, read_pdu, write_pdu};
+use trueup_emulator::plc::{UNIT_ID, encode_frame, read_request_pdu, write_request_pdu};
 use trueup_gateway::{
-    hub::{Hub, Master},
-    pinned::{Pinned, Rule},
+    hub::{Hub, MasterId},
+    pinned_calibration::{CalibrationPolicy, PinnedCalibration},
 };
-use trueup_link::slcan::{Client, Port, client::OPEN, encode_line};
+use trueup_link::slcan::{Client, Port, client::OPEN_SEQUENCE, encode_line};
 use trueup_machine::{MachineFile, compile};
 use trueup_modbus::{
-    cnc,
-    input::{Input, Registers},
-    rtu::{Slave, Timing},
-    server::{Bridge, Busy, Response, Transport, answer},
+    holding,
+    input::{InputBlock, Registers},
+    rtu::{FrameTiming, Slave},
+    server::{Busy, RegisterStore, Response, Transport, handle_request},
 };
 use trueup_node::node::{Interface, Node};
 
@@ -69,40 +69,40 @@ enum Cut {
 
 /// How the PLC reaches the board.
 enum Path {
-    Gateway { hub: Box<Hub>, port: Box<Port>, client: Client, master: Master },
+    Gateway { hub: Box<Hub>, port: Box<Port>, client: Client, master: MasterId },
     Board { slave: Box<Slave> },
 }
 
 /// The hub as one master reaches it.
-struct Reached<'h>(&'h mut Hub, Duration, Master);
+struct HubBridge<'h>(&'h mut Hub, Duration, MasterId);
 
-impl Bridge for Reached<'_> {
-    fn input(&mut self) -> Registers {
-        self.0.input()
+impl RegisterStore for HubBridge<'_> {
+    fn input_registers(&mut self) -> Registers {
+        self.0.input_registers()
     }
 
-    fn holding(&mut self) -> cnc::Registers {
-        self.0.holding()
+    fn holding_registers(&mut self) -> holding::Registers {
+        self.0.holding_registers()
     }
 
-    fn take(&mut self, block: &cnc::Registers) -> Result<(), Busy> {
-        self.0.take(self.1, self.2, block).map(drop)
+    fn write_holding_registers(&mut self, block: &holding::Registers) -> Result<(), Busy> {
+        self.0.accept_block(self.1, self.2, block).map(drop)
     }
 }
 
 /// The node as its slave reaches it.
 struct Direct<'n, 'b>(&'n mut Node<'b>);
 
-impl Bridge for Direct<'_, '_> {
-    fn input(&mut self) -> Registers {
-        self.0.said().encode()
+impl RegisterStore for Direct<'_, '_> {
+    fn input_registers(&mut self) -> Registers {
+        self.0.input_data().encode()
     }
 
-    fn holding(&mut self) -> cnc::Registers {
-        self.0.holding()
+    fn holding_registers(&mut self) -> holding::Registers {
+        self.0.holding_registers()
     }
 
-    fn take(&mut self, block: &cnc::Registers) -> Result<(), Busy> {
+    fn write_holding_registers(&mut self, block: &holding::Registers) -> Result<(), Busy> {
         self.0.receive_registers(block)
     }
 }
@@ -131,7 +131,7 @@ impl Plc {
             (self.is_engaged, self.engaged_ms) = (true, now);
         }
         self.counter = self.counter.wrapping_add(1);
-        write_pdu(
+        write_request_pdu(
             if self.is_engaged { Control::ENGAGED } else { Control::REFERENCED },
             self.counter,
         )
@@ -139,7 +139,7 @@ impl Plc {
 
     /// Takes what was read; whether it is used.
     fn take(&mut self, now: u64, registers: &Registers) -> bool {
-        let Some(input) = Input::decode(registers) else { return false };
+        let Some(input) = InputBlock::decode(registers) else { return false };
         let is_new = self.seen.replace(input.counter) != Some(input.counter);
         let Some(offset) = input.output.offset.filter(|_| is_new) else { return false };
         self.target = offset.map(|it| it.0);
@@ -192,11 +192,11 @@ impl World<'_> {
     fn tick(&mut self) -> Result<()> {
         self.now += 1;
         let mean = 1_000.0 + 200.0 * (TAU * self.now as f64 / 60_000.0).sin();
-        let codes = std::array::from_fn(|i| Code(mean as u16 + (i % 2) as u16));
-        let before = self.node.last().offset;
+        let codes = std::array::from_fn(|i| AdcCode(mean as u16 + (i % 2) as u16));
+        let before = self.node.last_output().offset;
         let frames = self.node.tick(1, Samples { codes: Some(&codes), ..Samples::default() });
         self.node.service();
-        let after = self.node.last().offset;
+        let after = self.node.last_output().offset;
         for (was, is) in before.iter().flatten().zip(after.iter().flatten()) {
             let step = f64::from(is.0.abs_diff(was.0));
             ensure!(
@@ -210,7 +210,7 @@ impl World<'_> {
         let hears_no_plc = matches!(self.cut, Cut::Plc | Cut::Bridge);
         let is_away = hears_no_plc && self.now.saturating_sub(self.since) > LOST_MS;
         ensure!(
-            !(is_away && self.node.last().quality == Quality::Live),
+            !(is_away && self.node.last_output().quality == Quality::Live),
             "live, though {:?} was cut {} ms ago",
             self.cut,
             self.now - self.since
@@ -229,9 +229,9 @@ impl World<'_> {
             hub.receive(now, &event);
         }
         if self.now.is_multiple_of(TURN_MS) {
-            hub.refresh(now);
+            hub.refresh_input_block(now);
             let lines: Vec<u8> =
-                hub.frames().iter().flat_map(|it| encode_line(it).into_bytes()).collect();
+                hub.take_due_frames().iter().flat_map(|it| encode_line(it).into_bytes()).collect();
             let goes = if self.cut == Cut::Bridge { 0 } else { lines.len() };
             for received in lines[..goes].iter().filter_map(|byte| port.receive(*byte)) {
                 self.node.receive(Interface::Serial, &received).ok();
@@ -245,9 +245,9 @@ impl World<'_> {
         let mut request = match self.path {
             Path::Gateway { .. } => {
                 let length = (pdu.len() as u16 + 1).to_be_bytes();
-                [&[0, 7, 0, 0][..], &length, &[UNIT], pdu].concat()
+                [&[0, 7, 0, 0][..], &length, &[UNIT_ID], pdu].concat()
             }
-            Path::Board { .. } => frame(UNIT, pdu),
+            Path::Board { .. } => encode_frame(UNIT_ID, pdu),
         };
         if self.cut == Cut::Plc {
             let goes = self.random.random_range(0..request.len());
@@ -257,8 +257,8 @@ impl World<'_> {
         let is_answered = match &mut self.path {
             // Half a request is waited for, and then the connection is closed.
             Path::Gateway { hub, master, .. } => {
-                let mut reached = Reached(hub, Duration::from_millis(self.now), *master);
-                answer(Transport::Tcp, UNIT, &request, &mut reached, &mut response)
+                let mut reached = HubBridge(hub, Duration::from_millis(self.now), *master);
+                handle_request(Transport::Tcp, UNIT_ID, &request, &mut reached, &mut response)
             }
             Path::Board { slave } => {
                 let mut now_us = (self.now * 1_000) as u32;
@@ -280,7 +280,7 @@ impl World<'_> {
         // By a serial line the next request comes when the first is over.
         (0..CYCLE_MS / 2).try_for_each(|_| self.tick())?;
         let head = if matches!(self.path, Path::Gateway { .. }) { 9 } else { 3 };
-        if let Some(answer) = self.ask(&read_pdu()) {
+        if let Some(answer) = self.ask(&read_request_pdu()) {
             let (words, _) = answer.get(head..head + 56).context("the block")?.as_chunks::<2>();
             let words: Vec<u16> = words.iter().map(|it| u16::from_be_bytes(*it)).collect();
             if self.plc.take(self.now, &words.try_into().ok().context("28 registers")?) {
@@ -304,7 +304,7 @@ impl World<'_> {
         let step = self.plc.follow(self.now);
         self.told.largest_step_nm = self.told.largest_step_nm.max(step);
         ensure!(step <= SLEW_NM_PER_MS * CYCLE_MS as f64, "a step of {step} nm at {} ms", self.now);
-        match self.node.last().quality {
+        match self.node.last_output().quality {
             Quality::Live => self.told.live += 1,
             Quality::Hold => self.told.held += 1,
             _ => {}
@@ -321,7 +321,7 @@ impl World<'_> {
                 // A new connection, of which the gateway may not know that the old one has gone.
                 Cut::Plc | Cut::Answers => {
                     if self.random.random() {
-                        hub.leave(*master);
+                        hub.release_master(*master);
                     }
                     *master += 1;
                 }
@@ -336,7 +336,7 @@ impl World<'_> {
 
 /// Opens the line as every client does; no frame is in it.
 fn open(port: &mut Port) {
-    for byte in OPEN {
+    for byte in OPEN_SEQUENCE {
         port.receive(*byte);
     }
 }
@@ -353,7 +353,7 @@ fn cuts(path: Path, count: u32, seed: u64) -> Result<Counts> {
         Path::Board { .. } => &[Cut::Plc, Cut::Answers],
     };
     let mut world = World {
-        node: Node::new(Some(compiled.calibration()), false),
+        node: Node::new(compiled.calibration().into()),
         path,
         plc: Plc::default(),
         random: ChaCha8Rng::seed_from_u64(seed),
@@ -383,7 +383,7 @@ fn cuts(path: Path, count: u32, seed: u64) -> Result<Counts> {
     while world.now < end {
         world.cycle()?;
     }
-    let needed = world.node.last();
+    let needed = world.node.last_output();
     let is_there = needed.offset.is_some_and(|all| {
         all.iter().zip(world.plc.applied).all(|(is, it)| (f64::from(is.0) - it).abs() < 500.0)
     });
@@ -401,12 +401,13 @@ fn cuts(path: Path, count: u32, seed: u64) -> Result<Counts> {
 fn a_thousand_cuts_of_either_line_make_no_step_and_nothing_old_is_used() -> Result<()> {
     const COUNT: u32 = 1_000;
     let gateway = Path::Gateway {
-        hub: Box::new(Hub::new(Pinned::new(Rule::Any))),
+        hub: Box::new(Hub::new(PinnedCalibration::new(CalibrationPolicy::Any))),
         port: Box::new(Port::new(1)),
         client: Client::new(),
         master: 1,
     };
-    let board = Path::Board { slave: Box::new(Slave::new(UNIT, Timing::at(115_200))) };
+    let board =
+        Path::Board { slave: Box::new(Slave::new(UNIT_ID, FrameTiming::from_baud(115_200))) };
     for (name, path) in [("gateway", gateway), ("board", board)] {
         println!("{name}: {COUNT} cuts, {:?}", cuts(path, COUNT, 1).context(name)?);
     }

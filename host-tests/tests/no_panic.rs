@@ -2,7 +2,7 @@
 //! a frame of the CNC or of a CANopen master, or with a block of a PLC.
 //!
 //! Shown on the images that are flashed and booted, after the linker: no chain of calls leads from
-//! `Node::tick`, `Node::receive`, `Node::service`, `Node::said`, `Node::receive_block` or `Node::receive_value` to a function of the
+//! `Node::tick`, `Node::receive`, `Node::service`, `Node::input_data`, `Node::receive_block` or `Node::receive_command` to a function of the
 //! panic machinery, to a trap, or to a call through a pointer, behind which anything could stand. So no input whatever (nor a
 //! calibration that was loaded) makes them stop there. This does not show that the values are
 //! right, that loops end, that the stack suffices; the first two are for the property tests of the
@@ -18,7 +18,7 @@ fn entries(board: Board) -> &'static [&'static str] {
     match board {
         Board::Stm32f405 => {
             const PLC: [&str; 3] =
-                ["Node$GT$4said", "Node$GT$13receive_block", "Node$GT$13receive_value"];
+                ["Node$GT$10input_data", "Node$GT$13receive_block", "Node$GT$15receive_command"];
             &["4Node4tick", "4Node7receive", "4Node7service", PLC[0], PLC[1], PLC[2]]
         }
         Board::Virtual => &["4Node4tick", "4Node7receive", "4Node7service"],
@@ -31,9 +31,13 @@ fn no_panic_can_be_reached_from_a_tick_or_a_frame() {
         let image = firmware::build(board).unwrap();
         let graph = CallGraph::read(&image).unwrap();
         for entry in entries(board) {
-            let reached = graph.reached_from(entry).unwrap();
-            println!("{}: {entry} reaches {} functions", board.feature(), reached.names.len());
-            assert_eq!(reached.panics(), [""; 0], "{entry} in {}", image.display());
+            let reached = graph.reachable_from(entry).unwrap();
+            println!(
+                "{}: {entry} reaches {} functions",
+                board.cargo_feature(),
+                reached.names.len()
+            );
+            assert_eq!(reached.panic_functions(), [""; 0], "{entry} in {}", image.display());
         }
     }
 }
@@ -41,7 +45,7 @@ fn no_panic_can_be_reached_from_a_tick_or_a_frame() {
 #[test]
 fn a_panic_that_is_there_is_seen() {
     // The benchmark's own `main` has `expect`s.
-    let graph = CallGraph::read(&firmware::build_measure().unwrap()).unwrap();
-    let reached = graph.reached_from("__cortex_m_rt_main").unwrap();
+    let graph = CallGraph::read(&firmware::build_benchmark().unwrap()).unwrap();
+    let reached = graph.reachable_from("__cortex_m_rt_main").unwrap();
     assert!(reached.names.iter().any(|name| name.contains("panic")), "{:?}", reached.names);
 }

@@ -3,31 +3,31 @@
 
 use std::{fmt::Write as _, fs, path::Path, process::Command};
 
-use trueup_accept::{Limits, accept};
+use trueup_accept::{AcceptanceCriteria, evaluate_acceptance};
 use trueup_demo::{
-    act_one::{Asked, act_one},
-    act_two::act_two,
-    boards::Boards,
-    hidden::Hidden,
+    act_one::{ActOneInput, run_act_one},
+    act_two::run_act_two,
+    boards::BoardSource,
+    faulty_machine::FaultyMachine,
     page,
+    run_table::parse_run,
     summary::Summary,
-    table::parsed,
 };
 use trueup_diagnose::diagnose;
 use trueup_emulator::{
     linuxcnc::{
         self,
-        figures::{Check, Curves, ErrorCurve, Figures, Stair},
+        figures::{AcceptanceCheck, ErrorCurve, ErrorCurves, Figures, StaircaseStep},
     },
     process, setup,
 };
 use trueup_fleet::{
-    constants::{Constant, Found},
+    constants::{Constant, Finding},
     pool::Estimate,
     record::Record,
 };
 use trueup_machine::{MachineFile, RunFile};
-use trueup_page::micrometres;
+use trueup_page::format_micrometres;
 
 /// Asks the page itself, once it is laid out: how wide the window is, what reaches beyond it or out of its
 /// own box, which words and numbers a line's end cuts, and what was said to be an error.
@@ -62,7 +62,7 @@ const FRAME: &str = "<!doctype html><script>addEventListener('message', event =>
     <iframe src=\"page.html\" style=\"border:0;height:800px;width:WIDTHpx\"></iframe></body>";
 
 fn chromium() -> Option<std::path::PathBuf> {
-    ["chromium", "chromium-browser", "google-chrome"].into_iter().find_map(process::find)
+    ["chromium", "chromium-browser", "google-chrome"].into_iter().find_map(process::find_on_path)
 }
 
 /// Returns what the browser says of a page at this width.
@@ -88,17 +88,17 @@ fn probed(browser: &Path, folder: &Path, html: &str, width: u32, dark: bool) -> 
 }
 
 fn demonstration() -> String {
-    let path = setup::root().join("data/paper_spindle.toml");
+    let path = setup::project_root().join("data/paper_spindle.toml");
     let source = MachineFile::read_text(&path).expect("the project's own");
-    let run =
-        RunFile::read(&setup::root().join("data/spindle_paper_table1.csv")).expect("the same");
-    let asked = Asked { source: &source, path: &path, run: &run, quantity: None };
-    let one = act_one(&Boards::InProcess, &asked, &mut |_, _| {}).expect("it runs");
-    let hidden = Hidden::draw(7).expect("a machine that can be told");
-    let two = act_two(&Boards::InProcess, &hidden, &mut |_, _| {}).expect("it runs");
-    let html = page::page(&one, Some(&two));
+    let run = RunFile::read(&setup::project_root().join("data/spindle_paper_table1.csv"))
+        .expect("the same");
+    let asked = ActOneInput { source: &source, path: &path, run: &run, quantity: None };
+    let one = run_act_one(&BoardSource::InProcess, &asked, &mut |_, _| {}).expect("it runs");
+    let hidden = FaultyMachine::draw(7).expect("a machine that can be told");
+    let two = run_act_two(&BoardSource::InProcess, &hidden, &mut |_, _| {}).expect("it runs");
+    let html = page::render_page(&one, Some(&two));
     // What the page says is what the JSON says.
-    let summary = Summary::of(&one, Some(&two.outcome), "host", 0.0);
+    let summary = Summary::new(&one, Some(&two.outcome), "host", 0.0);
     let json = serde_json::to_value(&summary).expect("JSON");
     for um in [
         &json["paper"]["rms_um"],
@@ -107,7 +107,7 @@ fn demonstration() -> String {
         &json["hidden"]["tool_rms_before_um"],
         &json["hidden"]["tool_rms_after_um"],
     ] {
-        let said = micrometres(um.as_f64().expect("a number"));
+        let said = format_micrometres(um.as_f64().expect("a number"));
         assert!(html.contains(&said), "{said} is not on the page");
     }
     for finding in json["findings"].as_array().expect("a list") {
@@ -117,11 +117,11 @@ fn demonstration() -> String {
 }
 
 fn diagnosis() -> String {
-    let hidden = Hidden::draw(0).expect("a machine that can be told");
-    let run = hidden.record(0, false).expect("a record");
+    let hidden = FaultyMachine::draw(0).expect("a machine that can be told");
+    let run = hidden.record_day(0, false).expect("a record");
     let machine = MachineFile::parse(&hidden.plant.machine, Path::new("m.toml")).expect("a file");
     let diagnosis = diagnose(&machine, &[run], &[], None, &mut |_, _| {}).expect("comparable");
-    diagnosis.html(
+    diagnosis.render_html(
         "an axis",
         &trueup_page::Origin::default(),
         &["trueup compile m.toml -o m.bin".into()],
@@ -135,21 +135,28 @@ fn acceptance() -> String {
             let um = 60.0 * left * (1.0 - (-f64::from(minute) / 30.0).exp());
             writeln!(csv, "{},{um:.2}", 60 * minute).expect("a string grows");
         }
-        parsed(&csv, "run.csv").expect("a run file")
+        parse_run(&csv, "run.csv").expect("a run file")
     };
     let file = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"warmup\"\n\
                 [spindle.warmup]\nlag_s = 0.0\nwarm_s = 7200.0\nmax_um = 36.0\nexponent = 4.0\n";
     let machine = MachineFile::parse(file, Path::new("m.toml")).expect("a file");
-    let it = accept(&run(1.0), &run(0.4), None, Some((file, &machine)), Limits::default());
-    it.expect("comparable").html("a spindle", &trueup_page::Origin::default(), &[])
+    let it = evaluate_acceptance(
+        &run(1.0),
+        &run(0.4),
+        None,
+        Some((file, &machine)),
+        AcceptanceCriteria::default(),
+    );
+    it.expect("comparable").render_html("a spindle", &trueup_page::Origin::default(), &[])
 }
 
 fn circle() -> String {
-    let folder = setup::root().join("data/mill");
+    let folder = setup::project_root().join("data/mill");
     let machine = MachineFile::read(&folder.join("mill.toml")).expect("the project's own");
     let run = |way| RunFile::read(&folder.join(format!("circle-{way}.csv"))).expect("the same");
-    let report = trueup_fit::circle::fit(&["ccw", "cw"].map(run), Some(&machine));
-    trueup_fit::circle::page(&report.expect("a circle"), &trueup_page::Origin::default()).html()
+    let report = trueup_fit::circle::fit_circles(&["ccw", "cw"].map(run), Some(&machine));
+    trueup_fit::circle::build_page(&report.expect("a circle"), &trueup_page::Origin::default())
+        .to_html()
 }
 
 fn fleet() -> String {
@@ -157,7 +164,7 @@ fn fleet() -> String {
         let value = if number == 7 { 19.0 } else { 7.0 + 0.5 * f64::from(number % 3) };
         let estimate = Estimate { value, se: 0.4 };
         let constant = Constant { parameter: "offset_um".into(), estimate };
-        let found = Found {
+        let found = Finding {
             name: "elongation sensor-offset".into(),
             identity: None,
             claimed: true,
@@ -176,8 +183,8 @@ fn fleet() -> String {
         }
     };
     let records: Vec<Record> = (1..=12).map(record).collect();
-    let series = trueup_fleet::series::series(&records, vec!["a note".into()]);
-    trueup_fleet::page::html(&series, "shop", &trueup_page::Origin::default())
+    let series = trueup_fleet::series::evaluate_series(&records, vec!["a note".into()]);
+    trueup_fleet::html_page::render_html(&series, "shop", &trueup_page::Origin::default())
 }
 
 /// Returns how many sheets of paper a page takes.
@@ -219,7 +226,7 @@ fn loop_with_linuxcnc() -> String {
         let after_um = before_um.iter().map(|um| 0.02 * um).collect();
         ErrorCurve { at, before_um, after_um }
     };
-    let check = Check {
+    let check = AcceptanceCheck {
         name: "straightness along the diagonal, X, Y and Z together",
         before_um: Some(195.19),
         after_um: Some(3.49),
@@ -228,11 +235,15 @@ fn loop_with_linuxcnc() -> String {
         limit: 95.0,
         at_least: true,
     };
-    let missed = Check { name: "a figure that is missed", value: 12.0, ..check.clone() };
-    linuxcnc::page::page(&Figures {
+    let missed = AcceptanceCheck { name: "a figure that is missed", value: 12.0, ..check.clone() };
+    linuxcnc::page::render_page(&Figures {
         checks: vec![check, missed],
-        stairs: vec![Stair { z_mm: -1250.0, before_um: [-12.5, 3.0], after_um: [0.1, -0.2] }],
-        curves: Curves {
+        stairs: vec![StaircaseStep {
+            z_mm: -1250.0,
+            before_um: [-12.5, 3.0],
+            after_um: [0.1, -0.2],
+        }],
+        curves: ErrorCurves {
             diagonal_y: curve(40.0),
             diagonal_z: curve(90.0),
             arc_z: curve(20.0),

@@ -16,7 +16,7 @@ use anyhow::{Context as _, Result, bail, ensure};
 use serde_json::{Value, json};
 use support::{Bridge, FAST_MACHINE, GROWN_UM, PATIENCE, file, wait_until_stuck};
 use trueup_core::cnc::{Command as CncCommand, Control, Flags, Quality};
-use trueup_emulator::{cnc::Cnc, setup};
+use trueup_emulator::{cnc::CncClient, setup};
 use trueup_link::e2e;
 
 const CNC_LOST: u8 = Flags::CNC_LOST.0;
@@ -34,12 +34,12 @@ fn is_near(value: &Value, expected: f64, tolerance: f64) -> bool {
 
 #[test]
 fn python_can_cantools_and_autosar_e2e_engage_it_and_read_every_frame() -> Result<()> {
-    let python = setup::python()?;
+    let python = setup::ensure_python()?;
     let mut bridge = Bridge::start_grown()?;
     let output = Command::new(python)
-        .arg(setup::root().join("host-tests/python/cnc_client.py"))
+        .arg(setup::project_root().join("host-tests/python/cnc_client.py"))
         .arg(format!("socket://{}", bridge.address()))
-        .arg(setup::root().join("crates/board/link/trueup.dbc"))
+        .arg(setup::project_root().join("crates/board/link/trueup.dbc"))
         .stdin(Stdio::null())
         .output()?;
     let said = String::from_utf8_lossy(&output.stderr);
@@ -120,8 +120,8 @@ fn autosar_e2e_protects_as_we_do() -> Result<()> {
     let lines: String = frames.iter().map(|(id, data)| format!("{id:x} {}\n", hex(data))).collect();
     let folder = tempfile::tempdir()?;
     let input = file(&folder, "frames.txt", &lines)?;
-    let output = Command::new(setup::python()?)
-        .arg(setup::root().join("host-tests/python/e2e_protect.py"))
+    let output = Command::new(setup::ensure_python()?)
+        .arg(setup::project_root().join("host-tests/python/e2e_protect.py"))
         .stdin(std::fs::File::open(input)?)
         .output()?;
     ensure!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -147,7 +147,7 @@ impl Terminal {
     }
 
     /// Returns what the board answers to a line, with its end.
-    fn ask(&mut self, line: &str) -> Result<String> {
+    fn query(&mut self, line: &str) -> Result<String> {
         self.stream.write_all(format!("{line}\r").as_bytes())?;
         loop {
             match self.next()? {
@@ -199,7 +199,7 @@ fn the_handshake_is_lawicels_and_a_bad_line_rings_the_bell() -> Result<()> {
         ("V", "V1013\r"),
     ];
     for (line, answer) in closed {
-        assert_eq!(terminal.ask(line)?, answer, "to {line:?} while it is closed");
+        assert_eq!(terminal.query(line)?, answer, "to {line:?} while it is closed");
     }
     assert_eq!(terminal.frames, 0);
     terminal.silence()?;
@@ -215,14 +215,14 @@ fn the_handshake_is_lawicels_and_a_bad_line_rings_the_bell() -> Result<()> {
         ("V", "V1013\r"),
     ];
     for (line, answer) in open {
-        assert_eq!(terminal.ask(line)?, answer, "to {line:?} while it is open");
+        assert_eq!(terminal.query(line)?, answer, "to {line:?} while it is open");
     }
     while terminal.frames < 100 {
         ensure!(terminal.next()?.starts_with('t'), "only frames come by themselves");
         terminal.frames += 1;
     }
     for _ in 0..2 {
-        assert_eq!(terminal.ask("C")?, "\r");
+        assert_eq!(terminal.query("C")?, "\r");
     }
     terminal.silence()?;
     Ok(())
@@ -232,13 +232,13 @@ fn the_handshake_is_lawicels_and_a_bad_line_rings_the_bell() -> Result<()> {
 fn a_second_client_waits_until_the_first_has_gone() -> Result<()> {
     let bridge = Bridge::start_grown()?;
     let mut first = Terminal::new(&bridge)?;
-    assert_eq!(first.ask("O")?, "\r");
+    assert_eq!(first.query("O")?, "\r");
     assert!(first.next()?.starts_with('t'));
 
     let mut second = Terminal::new(&bridge)?;
     second.stream.write_all(b"C\rV\r")?;
     second.silence()?;
-    assert_eq!(first.ask("C")?, "\r");
+    assert_eq!(first.query("C")?, "\r");
     drop(first);
     assert_eq!(second.next()?, "\r");
     assert_eq!(second.next()?, "V1013\r");
@@ -249,7 +249,7 @@ fn a_second_client_waits_until_the_first_has_gone() -> Result<()> {
 #[test]
 fn whoever_goes_in_mid_line_leaves_no_half_line_to_the_next() -> Result<()> {
     let bridge = Bridge::start_grown()?;
-    assert_eq!(Terminal::new(&bridge)?.ask("O")?, "\r");
+    assert_eq!(Terminal::new(&bridge)?.query("O")?, "\r");
     for _ in 0..30 {
         let mut next = Terminal::new(&bridge)?;
         let line = next.next()?;
@@ -258,8 +258,8 @@ fn whoever_goes_in_mid_line_leaves_no_half_line_to_the_next() -> Result<()> {
         next.stream.write_all(b"t302")?;
     }
     for _ in 0..10 {
-        let mut cnc = Cnc::open(bridge.connect()?)?;
-        assert_eq!(cnc.ask("V")?, "V1013");
+        let mut cnc = CncClient::open(bridge.connect()?)?;
+        assert_eq!(cnc.query("V")?, "V1013");
         assert_eq!(cnc.next_output()?.quality, Quality::Fault, "nobody has engaged it");
         cnc.write(b"t302")?;
     }
@@ -273,7 +273,7 @@ fn a_client_that_never_reads_stops_nobody_once_it_has_gone() -> Result<()> {
     deaf.write_all(b"O\r")?;
     wait_until_stuck(&deaf)?;
     drop(deaf);
-    Cnc::open(bridge.connect()?)?.next_output()?;
+    CncClient::open(bridge.connect()?)?.next_output()?;
     Ok(())
 }
 
@@ -316,7 +316,7 @@ fn a_plant_gets_back_what_the_cnc_gets() -> Result<()> {
     let address = format!("tcp:{}", listener.local_addr()?);
     let mut bridge = Bridge::start(&["--machine", &machine, "--plant", &address])?;
     let mut plant = Plant::accept(&listener)?;
-    let mut cnc = Cnc::open(bridge.connect()?)?;
+    let mut cnc = CncClient::open(bridge.connect()?)?;
 
     let volts = |counts: f64| counts * 10.0 / 32_768.0;
     let um = |counts: f64| (counts - 5_048.0) * 500.0 / 32_768.0;

@@ -20,15 +20,15 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng as _};
 use serde_json::{Value, json};
 use trueup_emulator::setup;
 use trueup_fit::{
-    bspline::{clamped, derivatives, is_determined, least_squares},
+    bspline::{clamped_knots, evaluate_with_derivatives, fit_least_squares, is_determined},
     straightness::{Options, fit},
 };
 use trueup_machine::file::BSpline;
 
 /// Returns what `host-tests/python/splines.py` answers.
 fn scipy(asked: &Value) -> Result<Value> {
-    let mut python = Command::new(setup::python()?)
-        .arg(setup::root().join("host-tests/python/splines.py"))
+    let mut python = Command::new(setup::ensure_python()?)
+        .arg(setup::project_root().join("host-tests/python/splines.py"))
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .spawn()?;
@@ -65,7 +65,7 @@ fn random_spline(random: &mut ChaCha8Rng) -> BSpline {
     inner.sort_by(f64::total_cmp);
     let count = inner.len() + order;
     let control_um = (0..count).map(|_| random.random_range(-100.0..100.0)).collect();
-    BSpline { order, knots_mm: clamped(order, first, &inner, first + travel), control_um }
+    BSpline { order, knots_mm: clamped_knots(order, first, &inner, first + travel), control_um }
 }
 
 #[test]
@@ -88,7 +88,8 @@ fn values_slopes_and_curvatures_are_scipys() -> Result<()> {
     let mut worst = [0.0_f64; 3];
     for ((spline, x), theirs) in splines.iter().zip(theirs["splines"].as_array().context("list")?) {
         for (n, worst) in worst.iter_mut().enumerate() {
-            let ours: Vec<f64> = x.iter().map(|&x| derivatives(spline, x)[n]).collect();
+            let ours: Vec<f64> =
+                x.iter().map(|&x| evaluate_with_derivatives(spline, x)[n]).collect();
             *worst = worst.max(difference(&ours, &numbers(&theirs[n])?));
         }
     }
@@ -115,9 +116,9 @@ fn least_squares_in_random_knots_is_scipys() -> Result<()> {
         let weight: Vec<f64> = x.iter().map(|_| random.random_range(0.2..5.0)).collect();
         let determined = is_determined(&knots_mm, order, x.iter().copied());
         let points = x.iter().zip(&y).zip(&weight).map(|((&x, &y), &weight)| (x, y, weight));
-        let fit = least_squares(knots_mm.clone(), order, points).filter(|_| determined);
+        let fit = fit_least_squares(knots_mm.clone(), order, points).filter(|_| determined);
         // Where a coefficient hangs on a hair, both are right and differ.
-        let Some(fit) = fit.filter(|fit| fit.triangle.least_sine() > 1e-3) else { continue };
+        let Some(fit) = fit.filter(|fit| fit.triangle.min_sine() > 1e-3) else { continue };
         asked.push(json!({"order": order, "knots": knots_mm, "x": x, "y": y, "weight": weight}));
         ours.push(fit.spline.control_um);
     }

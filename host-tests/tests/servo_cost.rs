@@ -9,9 +9,9 @@
 use std::{fs, path::Path, process::Command};
 
 use anyhow::{Context as _, Result, ensure};
-use trueup_emulator::{programs, setup};
+use trueup_emulator::{host_programs, setup};
 use trueup_machine::{MachineFile, compile};
-use trueup_servo::component::HEADER;
+use trueup_servo::component::C_HEADER;
 
 /// Most instructions of a servo period.
 const MAX_INSTRUCTIONS: u64 = 30_000;
@@ -65,13 +65,13 @@ fn run(command: &mut Command) -> Result<String> {
 
 /// Builds the program in this folder.
 fn harness(folder: &Path) -> Result<()> {
-    let library = programs::servo_library()?;
+    let library = host_programs::build_servo_library()?;
     fs::write(folder.join("harness.c"), HARNESS)?;
-    fs::write(folder.join("trueup_servo.h"), HEADER)?;
+    fs::write(folder.join("trueup_servo.h"), C_HEADER)?;
     let mut gcc = Command::new("gcc");
     gcc.current_dir(folder).args(["-O2", "-g", &format!("-DCOUNTED={COUNTED}"), "-o", "harness"]);
     run(gcc.arg("harness.c").arg(library).args(["-Wl,--gc-sections", "-lm"]))?;
-    let gantry = setup::root().join("data/gantry.toml");
+    let gantry = setup::project_root().join("data/gantry.toml");
     let machine = MachineFile::parse(&fs::read_to_string(&gantry)?, &gantry)?;
     fs::write(folder.join("calibration.bin"), compile(&machine)?.blob())?;
     Ok(())
@@ -109,8 +109,8 @@ fn instructions(folder: &Path, period_ns: u64) -> Result<Vec<u64>> {
 #[test]
 #[ignore = "long: callgrind"]
 fn a_servo_period_costs_at_most_30000_instructions_and_its_library_has_no_panic() -> Result<()> {
-    setup::linuxcnc_dev()?;
-    setup::valgrind()?;
+    setup::ensure_linuxcnc_dev()?;
+    setup::ensure_valgrind()?;
     let folder = tempfile::tempdir()?;
     harness(folder.path())?;
     for period_ns in [500_000, 1_000_000, 2_000_000, 4_000_000] {

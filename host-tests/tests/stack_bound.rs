@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 
 use trueup_emulator::{
-    call_graph::{CallGraph, Depth},
+    call_graph::{CallGraph, StackDepth},
     firmware, setup,
 };
 
@@ -37,12 +37,13 @@ fn is_known(name: &str) -> bool {
 
 #[test]
 fn the_deepest_stack_takes_at_most_half_of_what_there_is() {
-    let machine = setup::root().join("data/paper_spindle.toml");
-    let graph = CallGraph::read(&firmware::build_for(&machine).unwrap()).unwrap();
+    let machine = setup::project_root().join("data/paper_spindle.toml");
+    let graph = CallGraph::read(&firmware::build_for_machine(&machine).unwrap()).unwrap();
     let mut blind = BTreeSet::new();
     let mut of = |name: &str, without: &[&str]| {
         let without: Vec<&str> = APART.iter().chain(without).copied().collect();
-        let Depth { bytes, chain, blind: more } = graph.deepest(name, &without).unwrap();
+        let StackDepth { bytes, chain, blind: more } =
+            graph.max_stack_depth(name, &without).unwrap();
         println!("{bytes:6} {name}, {} calls deep", chain.len());
         blind.extend(more);
         bytes
@@ -55,11 +56,13 @@ fn the_deepest_stack_takes_at_most_half_of_what_there_is() {
         .iter()
         .sum();
     let traps = 2 * EXCEPTION + of("NonMaskableInt", &[]) + of("HardFault", &[]);
-    let deepest_of = |parts: &[&str], without: &[&str]| graph.deepest_of(parts, without);
-    let text = deepest_of(&["core3fmt"], &APART).unwrap().bytes
-        + deepest_of(&["9write_str", "10write_char"], &APART).unwrap().bytes
-        + deepest_of(&["core3fmt5write"], &["rust_begin_unwind"]).unwrap().bytes;
-    let panic = deepest_of(&["rust_begin_unwind"], &APART[..1]).map(|depth| depth.bytes);
+    let max_stack_depth_matching =
+        |parts: &[&str], without: &[&str]| graph.max_stack_depth_matching(parts, without);
+    let text = max_stack_depth_matching(&["core3fmt"], &APART).unwrap().bytes
+        + max_stack_depth_matching(&["9write_str", "10write_char"], &APART).unwrap().bytes
+        + max_stack_depth_matching(&["core3fmt5write"], &["rust_begin_unwind"]).unwrap().bytes;
+    let panic =
+        max_stack_depth_matching(&["rust_begin_unwind"], &APART[..1]).map(|depth| depth.bytes);
     let apart = TEXTS * text + 2 * panic.unwrap_or_default();
     let unknown: Vec<_> = blind.iter().filter(|name| !is_known(name)).collect();
     assert!(unknown.is_empty(), "they call what nobody has looked at: {unknown:?}");

@@ -8,24 +8,24 @@ use std::{
 };
 
 use anyhow::{Result, bail, ensure};
-use trueup_boot::layout::HANDOVER_START;
+use trueup_boot::flash_layout::HANDOVER_START;
 use trueup_core::cnc::{Flags, Output, Quality};
 use trueup_emulator::{
     firmware::{self, Board},
     qemu::Qemu,
-    rtt::{MONITOR_ARGUMENTS, Monitor},
+    rtt::{MONITOR_ARGUMENTS, QemuMonitor},
     setup,
 };
 use trueup_link::{
     receiver::OffsetReceiver,
-    slcan::{Client, Event, client::OPEN},
+    slcan::{Client, Event, client::OPEN_SEQUENCE},
 };
 
 /// Boots the image, opens the serial line and waits for offsets. Gives them with the time from the
 /// start of QEMU, and the log.
 fn boot() -> Result<(Output, Duration, Vec<String>)> {
     let image = firmware::build(Board::Stm32f405)?;
-    setup::qemu()?;
+    setup::ensure_qemu()?;
     let started = Instant::now();
     let serial = ["-serial", "unix:serial.sock,server=on,wait=on"];
     let mut qemu = Qemu::start(&image, &[serial, MONITOR_ARGUMENTS].concat(), |_| Ok(()))?;
@@ -39,7 +39,7 @@ fn boot() -> Result<(Output, Duration, Vec<String>)> {
         let length = match stream.read(&mut bytes) {
             Ok(length) => length,
             Err(error) if error.kind() == ErrorKind::WouldBlock => {
-                stream.write_all(OPEN)?;
+                stream.write_all(OPEN_SEQUENCE)?;
                 continue;
             }
             Err(error) => return Err(error.into()),
@@ -57,10 +57,10 @@ fn boot() -> Result<(Output, Duration, Vec<String>)> {
     let took = started.elapsed();
     // A line that nobody reads would stop QEMU, its monitor included.
     drop(stream);
-    let mut monitor = Monitor::connect(&mut qemu)?;
+    let mut monitor = QemuMonitor::connect(&mut qemu)?;
     // The converters have half a second of the board's time to answer.
     while started.elapsed() < Duration::from_secs(20) {
-        let log = monitor.log(&qemu, &image)?;
+        let log = monitor.read_log(&qemu, &image)?;
         if log.iter().any(|line| line.contains("temperature converters")) {
             return Ok((output, took, log));
         }
@@ -113,7 +113,7 @@ fn the_plain_bytes_begin_with_a_stack_in_ram_and_an_entry_in_flash() {
     // From 32 to 64 KB is nothing.
     let gap = 0x8000..0x1_0000;
     assert!(bytes[gap.clone()].iter().all(|byte| *byte == 0xFF), "erased flash");
-    let size = trueup_emulator::size::of(&image).expect("it has code");
+    let size = trueup_emulator::size::measure_memory_usage(&image).expect("it has code");
     let content = (bytes.len() - gap.len()) as u64;
     assert!(size.flash <= content && content < size.flash + 0x8000, "{size:?}");
 }
@@ -122,8 +122,8 @@ fn the_plain_bytes_begin_with_a_stack_in_ram_and_an_entry_in_flash() {
 fn the_images_have_code_and_leave_room() {
     for board in Board::ALL {
         let image = firmware::build(board).expect("it builds");
-        let size = trueup_emulator::size::of(&image).expect("it has code");
-        println!("{}: {size:?}", board.feature());
+        let size = trueup_emulator::size::measure_memory_usage(&image).expect("it has code");
+        println!("{}: {size:?}", board.cargo_feature());
         // Of 128 KB. Both have room for a calibration that is being loaded, 16 KB; `virtual` has the
         // running one in RAM as well.
         assert!(size.code > 10_000 && size.flash < 256 * 1024 && size.ram < 80 * 1024, "{size:?}");

@@ -9,7 +9,7 @@ use std::fs;
 use support::bench::{Bench, paper};
 use trueup_canopen::emergency::Fault;
 use trueup_core::cnc::{Control, Output, Quality};
-use trueup_machine::{Compiled, compile};
+use trueup_machine::{CompiledCalibration, compile};
 use trueup_store::reference::RECORD_SIZE;
 
 /// The CNC goes on, or takes the error of now as the reference.
@@ -17,7 +17,7 @@ const ON: Control = Control::REFERENCED;
 const ZERO: Control = Control { zero: true, ..Control::REFERENCED };
 
 /// Returns the paper's spindle, and growth times `gain`.
-fn compiled(gain: f64) -> Compiled {
+fn compiled(gain: f64) -> CompiledCalibration {
     let mut machine = paper();
     machine.spindle.sensor.as_mut().expect("it has one").um_per_count *= gain;
     compile(&machine).expect("it compiles")
@@ -34,7 +34,7 @@ fn last_z_um(outputs: &[Output]) -> f64 {
 }
 
 /// Grown by 40 µm, and zeroed there.
-fn zeroed(calibration: &Compiled) -> Bench {
+fn zeroed(calibration: &CompiledCalibration) -> Bench {
     let mut bench = Bench::boot(calibration);
     bench.logged("no reference is stored");
     assert!((last_z_um(&bench.live(800, 40.0, |_| ON)) - 40.0).abs() < 0.1);
@@ -60,13 +60,13 @@ fn confirming(number: u8) -> Control {
 fn a_restarted_board_goes_on_from_the_stored_reference_and_an_old_one_is_offered() {
     let (ours, other) = (compiled(1.0), compiled(1.1));
     let bench = zeroed(&ours);
-    let stored = fs::metadata(bench.board.flash()).expect("it was stored").modified().ok();
+    let stored = fs::metadata(bench.board.flash_path()).expect("it was stored").modified().ok();
 
     // Grown by 12 µm more while it was off.
     let mut bench = bench.restart(&ours);
     println!("{}", bench.logged("reference 2 taken up"));
     assert!((last_z_um(&bench.live(800, 52.0, |_| ON)) - 12.0).abs() < 0.1);
-    let now = fs::metadata(bench.board.flash()).expect("still there").modified().ok();
+    let now = fs::metadata(bench.board.flash_path()).expect("still there").modified().ok();
     assert_eq!(now, stored, "the file is written on Zero only");
 
     // The other law makes 44 µm of 40 µm, and knows nothing of the reference. It came while no CNC was there.
@@ -110,12 +110,12 @@ fn a_restarted_board_goes_on_from_the_stored_reference_and_an_old_one_is_offered
 fn a_record_with_any_byte_flipped_is_refused_and_logged() {
     let ours = compiled(1.0);
     let mut bench = zeroed(&ours);
-    let whole = fs::read(bench.board.flash()).expect("it was stored");
+    let whole = fs::read(bench.board.flash_path()).expect("it was stored");
     for byte in 0..RECORD_SIZE {
         let mut damaged = whole.clone();
         // Behind the record that names the machine.
         damaged[RECORD_SIZE + byte] ^= 0xFF;
-        fs::write(bench.board.flash(), damaged).expect("a file");
+        fs::write(bench.board.flash_path(), damaged).expect("a file");
         bench = bench.restart(&ours);
         bench.logged("no reference is stored");
         bench.logged("damaged, refused: 1");
@@ -133,7 +133,7 @@ fn a_record_with_any_byte_flipped_is_refused_and_logged() {
 fn a_store_that_cannot_be_written_is_logged_and_the_offsets_go_on() {
     let mut bench = Bench::boot(&compiled(1.0));
     // A folder in its place: no file can be opened there.
-    fs::create_dir(bench.board.flash()).expect("a folder");
+    fs::create_dir(bench.board.flash_path()).expect("a folder");
     bench.live(800, 40.0, |_| ON);
     assert!(last_z_um(&bench.live(800, 40.0, |_| ZERO)).abs() < 0.1, "zeroed all the same");
     bench.logged("NOT stored");
@@ -150,6 +150,6 @@ fn a_zero_that_finds_no_samples_is_refused_and_logged() {
     dead(&mut bench, ZERO);
     println!("{}", bench.logged("zero: the reference stays"));
     // The board has named its machine, and stored nothing else.
-    let stored = fs::read(bench.board.flash()).expect("the name");
+    let stored = fs::read(bench.board.flash_path()).expect("the name");
     assert!(stored[RECORD_SIZE..].iter().all(|byte| *byte == 0xFF), "nothing was stored");
 }

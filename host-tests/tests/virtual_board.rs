@@ -6,27 +6,30 @@ use std::time::Instant;
 use trueup_core::{
     bridge::Input,
     cnc::{Command, Control, Quality, Spindle},
-    units::{Code, Millis, Rpm},
+    units::{AdcCode, Rpm, TimestampMs},
 };
 use trueup_emulator::{
     board::{self, VirtualBoard},
-    cnc::Cnc,
+    cnc::CncClient,
     firmware,
     front_end::FrontEnd,
     setup,
 };
 use trueup_link::{frame::Frame, frames, receiver::OffsetReceiver, slcan::Event};
-use trueup_machine::{Compiled, MachineFile, compile};
-use trueup_node::node::{Interface, Node};
-use trueup_pipe::{Block, FRAMES};
+use trueup_machine::{CompiledCalibration, MachineFile, compile};
+use trueup_node::{
+    configuration::Configuration,
+    node::{Interface, Node},
+};
+use trueup_pipe::{Block, FRAMES_PER_BLOCK};
 
 /// Blocks handed over at once.
-const BATCH: usize = board::LARGEST_BATCH as usize;
+const BATCH: usize = board::MAX_BATCH_BLOCKS as usize;
 
-type Sent = Vec<(Millis, Frame)>;
+type Sent = Vec<(TimestampMs, Frame)>;
 
-fn compiled() -> Compiled {
-    let path = setup::root().join("data/paper_spindle.toml");
+fn compiled() -> CompiledCalibration {
+    let path = setup::project_root().join("data/paper_spindle.toml");
     let mut machine = MachineFile::read(&path).expect("the project's own machine file");
     machine.limits.slew_um_per_s = 1_000.0;
     compile(&machine).expect("it compiles")
@@ -48,22 +51,24 @@ fn eventful_life(ms: u32) -> Vec<Block> {
             random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
             let chance = random >> 16;
             let volts = 1.54 + 0.3 * (f64::from(n) / 900.0).sin();
-            let mut codes = front_end.block(|_| volts);
+            let mut codes = front_end.convert_block(|_| volts);
             match n {
-                1_500..1_560 | 10_500.. => codes = [Code(0); 20],
-                2_900..3_150 => codes = [Code(631); 20],
+                1_500..1_560 | 10_500.. => codes = [AdcCode(0); 20],
+                2_900..3_150 => codes = [AdcCode(631); 20],
                 _ if chance.is_multiple_of(50) => {
-                    codes[usize::from(chance as u8 % 20)] = Code(4095)
+                    codes[usize::from(chance as u8 % 20)] = AdcCode(4095)
                 }
                 _ => {}
             }
-            let mut sent = [None; FRAMES];
+            let mut sent = [None; FRAMES_PER_BLOCK];
             let silent = (4_000..4_700).contains(&n) || (5_200..8_600).contains(&n);
             if n % 20 == 7 && !silent {
                 let engage = n > 400 && !(3_300..3_600).contains(&n);
                 let zero = (3_700..3_800).contains(&n);
-                sent[0] =
-                    Some(frames::control(Control { engage, zero, ..Control::REFERENCED }, counter));
+                sent[0] = Some(frames::encode_control(
+                    Control { engage, zero, ..Control::REFERENCED },
+                    counter,
+                ));
                 // Some are sent twice, some are damaged on the way.
                 if !chance.is_multiple_of(97) {
                     counter = counter.wrapping_add(1);
@@ -76,7 +81,8 @@ fn eventful_life(ms: u32) -> Vec<Block> {
             }
             if n % 20 == 13 && chance.is_multiple_of(3) {
                 let speed = Rpm((chance % 24_000) as u16);
-                sent[1] = Some(frames::spindle(Spindle { speed, load_n: -5 }, (n / 20) as u8));
+                sent[1] =
+                    Some(frames::encode_spindle(Spindle { speed, load_n: -5 }, (n / 20) as u8));
             }
             let speed = (n > 100).then_some(Rpm(12_000));
             Block { codes, speed, frames: sent, ..Block::default() }
@@ -92,9 +98,9 @@ fn on_the_board(blocks: &[Block]) -> Sent {
 
 fn on_the_host(blocks: &[Block]) -> Sent {
     let compiled = compiled();
-    let mut node = Node::new(Some(compiled.calibration()), false);
-    // The status tells its CRC.
-    node.set_blob(compiled.blob());
+    // The status tells the blob's CRC.
+    let blob = compiled.blob();
+    let mut node = Node::new(Configuration { blob, ..compiled.calibration().into() });
     let mut sent = Sent::new();
     for block in blocks {
         for frame in block.frames.iter().flatten() {
@@ -110,7 +116,7 @@ fn on_the_host(blocks: &[Block]) -> Sent {
         sent.extend(frames.into_iter().map(|frame| (node.now(), frame)));
         // As the board's log does, once a second; the status tells it.
         if node.now().0 % 1_000 == 10 {
-            node.take_shown();
+            node.take_display_values();
         }
     }
     sent
@@ -147,13 +153,14 @@ fn the_serial_line_says_what_the_bus_says_and_growth_lifts_the_tool() {
     const SETTLED_VOLTS: f64 = 9_164.0 * 10.0 / 32_768.0;
     let mut board = boot();
     let mut front_end = FrontEnd::new(0.328, 1);
-    let mut cnc = Cnc::open(board.line().expect("a line")).expect("an open channel");
+    let mut cnc =
+        CncClient::open(board.buffered_serial().expect("a line")).expect("an open channel");
     for _ in 0..20 {
         let control = Control::ENGAGED;
         cnc.send(Command::Control(control)).expect("accepted");
         let blocks: Vec<Block> = (0..20)
             .map(|_| Block {
-                codes: front_end.block(|_| SETTLED_VOLTS),
+                codes: front_end.convert_block(|_| SETTLED_VOLTS),
                 speed: Some(Rpm(24_000)),
                 ..Block::default()
             })
@@ -172,7 +179,7 @@ fn the_serial_line_says_what_the_bus_says_and_growth_lifts_the_tool() {
             }
         }
     }
-    assert_eq!(cnc.offsets.counters().lost + cnc.offsets.unpaired(), 0);
+    assert_eq!(cnc.offsets.counters().lost + cnc.offsets.unpaired_count(), 0);
     let log = board.log();
     println!("{}", log.join("\n"));
     assert!(log.iter().any(|line| line.contains("is up")), "{log:?}");
@@ -184,7 +191,7 @@ fn the_log_measures_the_noise_of_the_front_end() {
     let mut front_end = FrontEnd::new(0.328, 1);
     for _ in 0..12 {
         let blocks: Vec<Block> = (0..BATCH)
-            .map(|_| Block { codes: front_end.block(|_| 3.0), ..Block::default() })
+            .map(|_| Block { codes: front_end.convert_block(|_| 3.0), ..Block::default() })
             .collect();
         board.step(&blocks).expect("the board lives");
     }
@@ -216,14 +223,16 @@ fn a_board_that_nobody_asks_is_much_faster_than_time() {
 #[test]
 fn a_malformed_line_rings_the_bell_and_is_counted_in_the_log() {
     let mut board = boot();
-    let mut cnc = Cnc::open(board.line().expect("a line")).expect("an open channel");
+    let mut cnc =
+        CncClient::open(board.buffered_serial().expect("a line")).expect("an open channel");
     for bad in ["t30", "X", "S9"] {
-        let refused = cnc.ask(bad).expect_err("a line that is none");
+        let refused = cnc.query(bad).expect_err("a line that is none");
         assert!(refused.to_string().contains(bad), "{refused}");
     }
     let mut front_end = FrontEnd::new(0.328, 1);
-    let blocks: Vec<Block> =
-        (0..20).map(|_| Block { codes: front_end.block(|_| 3.0), ..Block::default() }).collect();
+    let blocks: Vec<Block> = (0..20)
+        .map(|_| Block { codes: front_end.convert_block(|_| 3.0), ..Block::default() })
+        .collect();
     board.step(&blocks).expect("the board lives");
     std::thread::sleep(std::time::Duration::from_millis(300));
     let log = board.log();

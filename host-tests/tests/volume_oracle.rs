@@ -16,9 +16,9 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng as _};
 use serde_json::{Map, Value, json};
 use trueup_core::{
     calibration::Calibration,
-    heat::Heat,
-    place::Place,
-    tip::UNLIMITED,
+    machine_position::MachinePosition,
+    thermal_state::MachineThermalState,
+    tip_error::UNLIMITED,
     units::{MicroDegrees, Position},
 };
 use trueup_emulator::setup;
@@ -26,10 +26,10 @@ use trueup_machine::{
     Machine, MachineFile,
     compile::compile,
     file::Angle,
-    model::{ReferenceModel, Situation, volume_um},
+    model::{ReferenceModel, RowInputs, volumetric_error_um},
 };
 use trueup_twin::{
-    bodies::{Body, Drive, error_um},
+    bodies::{Body, MovingAxis, error_um},
     cubic_spline::CubicSpline,
 };
 
@@ -62,8 +62,8 @@ struct Transforms {
 
 impl Transforms {
     fn new() -> Result<Self> {
-        let mut python = Command::new(setup::python()?)
-            .arg(setup::root().join("host-tests/python/volume.py"))
+        let mut python = Command::new(setup::ensure_python()?)
+            .arg(setup::project_root().join("host-tests/python/volume.py"))
             // Its matrices are small: threads for one of them only wait for each other.
             .env("OPENBLAS_NUM_THREADS", "1")
             .stdin(Stdio::piped())
@@ -210,11 +210,11 @@ fn drawn(random: &mut ChaCha8Rng, number: usize) -> (Machine, Value) {
 
 /// Returns the errors by the model at a pose in mm and degrees, in µm.
 fn of_model_um(machine: &Machine, [x, y, z, a, b, c]: [f64; 6]) -> [f64; 3] {
-    let situation = Situation {
+    let situation = RowInputs {
         position_mm: [x, y, z],
         angle_deg: [a, b, c],
         direction: [1.0; 3],
-        ..Situation::UNKNOWN
+        ..RowInputs::UNKNOWN
     };
     ReferenceModel::new(machine).step(&situation).error_um()
 }
@@ -244,8 +244,11 @@ fn the_volume_errs_as_homogeneous_transforms_say() -> Result<()> {
 }
 
 /// Returns the errors of a board with this calibration at a pose in its own units, in nm.
-fn of_board_nm(calibration: &Calibration<'_>, place: &Place) -> [f64; 3] {
-    let sums = calibration.errors(&Heat::default(), place).sums(UNLIMITED).sums;
+fn of_board_nm(calibration: &Calibration<'_>, place: &MachinePosition) -> [f64; 3] {
+    let sums = calibration
+        .axis_errors(&MachineThermalState::default(), place)
+        .clamped_sums(UNLIMITED)
+        .sums;
     sums.map(|it| f64::from(it.0) / 256.0)
 }
 
@@ -254,10 +257,10 @@ fn board_poses(
     random: &mut ChaCha8Rng,
     machine: &Machine,
     count: usize,
-) -> (Vec<Place>, Vec<[f64; 6]>) {
+) -> (Vec<MachinePosition>, Vec<[f64; 6]>) {
     let turning = machine.angle_axes();
     let drawn = (0..count).map(|_| {
-        let mut place = Place::default();
+        let mut place = MachinePosition::default();
         let mut pose = [0.0; 6];
         for (units, mm) in place.position.iter_mut().zip(&mut pose) {
             let per_mm = f64::from(Position::PER_MILLIMETRE);
@@ -274,7 +277,7 @@ fn board_poses(
 }
 
 /// Returns the offsets of a board with the calibration of `machine` at these places, in µm.
-fn offsets_um(machine: &Machine, places: &[Place]) -> Result<Vec<[f64; 3]>> {
+fn offsets_um(machine: &Machine, places: &[MachinePosition]) -> Result<Vec<[f64; 3]>> {
     let compiled = compile(machine)?;
     let calibration = compiled.calibration();
     let offset = |place| of_board_nm(&calibration, place).map(|nm| -nm / 1_000.0);
@@ -387,7 +390,8 @@ fn campaign_the_board_is_within_20_nm_of_homogeneous_transforms() -> Result<()> 
 
 /// Returns a machine whose angles are slopes as the virtual one has it: its curves are others than B-splines.
 fn bodies(machine: &Machine) -> Vec<Body> {
-    const DRIVES: [Drive; 6] = [Drive::X, Drive::Y, Drive::Z, Drive::A, Drive::B, Drive::C];
+    const DRIVES: [MovingAxis; 6] =
+        [MovingAxis::X, MovingAxis::Y, MovingAxis::Z, MovingAxis::A, MovingAxis::B, MovingAxis::C];
     let volume = &machine.volume;
     let chain = volume.chain.as_ref().expect("drawn with one");
     let plain = |axis, workpiece, at_mm| Body {
@@ -402,13 +406,13 @@ fn bodies(machine: &Machine) -> Vec<Body> {
     };
     let linear = chain.linear.iter().map(|axis| {
         let turn = |about: usize| {
-            let of = |it: &&trueup_machine::file::Angular| {
+            let of = |it: &&trueup_machine::file::AngularErrorMotion| {
                 it.along == *axis && it.about.index() == about
             };
             let angle = &volume.angular.iter().find(of).expect("all nine are drawn").angle;
             let Angle::Line(urad_per_m) = angle else { panic!("a curve") };
             let points = [-600.0, 600.0].map(|mm| [mm, urad_per_m * mm / 1000.0]);
-            CubicSpline::through(points.to_vec()).expect("they rise")
+            CubicSpline::from_points(points.to_vec()).expect("they rise")
         };
         let at_mm = volume.point_mm[axis.index()];
         Body {
@@ -442,10 +446,10 @@ fn the_virtual_machine_errs_as_the_model_of_it_says() {
             }
         }
         let bodies = bodies(&machine);
-        let tip_mm = machine.volume.tool.tip_mm(machine.tool_direction);
+        let tip_mm = machine.volume.tool.tip_offset_mm(machine.tool_direction);
         let poses: Vec<[f64; 6]> = serde_json::from_value(asked["poses"].clone()).expect("drawn");
         for [x, y, z, a, b, c] in poses {
-            let model = volume_um(&machine, machine.volume.tool, [x, y, z], [a, b, c]);
+            let model = volumetric_error_um(&machine, machine.volume.tool, [x, y, z], [a, b, c]);
             let truth = error_um(&bodies, tip_mm, [x, y, z], [a, b, c]);
             for (model, truth) in model.into_iter().zip(truth) {
                 largest = largest.max(truth.abs());

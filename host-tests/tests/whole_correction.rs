@@ -5,26 +5,28 @@ use std::path::Path;
 
 use trueup_core::{
     bridge::Input,
-    cnc::{AxisPosition, Control, Flags, Heading, LinearAxis, Output, Quality, Rotary},
-    thermometer::Raw,
-    units::{Code, MicroDegrees, MicroOhms, Nanometres, Position, Rpm, Temperature},
+    cnc::{AxisPosition, Control, Flags, LinearAxis, Output, Quality, Rotary, TravelDirection},
+    thermometer::RawReading,
+    units::{AdcCode, MicroDegrees, MicroOhms, Nanometres, Position, Rpm, Temperature},
 };
 use trueup_emulator::{
-    board::{LARGEST_BATCH, VirtualBoard},
+    board::{MAX_BATCH_BLOCKS, VirtualBoard},
     firmware,
     front_end::FrontEnd,
     setup,
 };
 use trueup_link::{frame::Frame, frames, receiver::OffsetReceiver};
-use trueup_machine::{Compiled, Machine, MachineFile, RunFile, compile, predict::Predictor};
+use trueup_machine::{
+    CompiledCalibration, Machine, MachineFile, RunFile, compile, predict::Predictor,
+};
 use trueup_node::node::{Interface, Node};
-use trueup_pipe::{Block, FRAMES};
+use trueup_pipe::{Block, FRAMES_PER_BLOCK};
 
 fn machine(text: &str) -> Machine {
     MachineFile::parse(text, Path::new("m.toml")).expect("the test's own machine file")
 }
 
-fn boot(compiled: &Compiled) -> VirtualBoard {
+fn boot(compiled: &CompiledCalibration) -> VirtualBoard {
     let image = firmware::build_virtual().expect("the image builds");
     VirtualBoard::boot(&image, compiled.blob()).expect("the board boots")
 }
@@ -46,8 +48,8 @@ struct At {
 
 impl Sender {
     /// Returns the frames of the next millisecond: positions and angles every 2 ms, `Control` every 20.
-    fn frames(&mut self, at: &At) -> [Option<Frame>; FRAMES] {
-        let mut sent = [None; FRAMES];
+    fn frames(&mut self, at: &At) -> [Option<Frame>; FRAMES_PER_BLOCK] {
+        let mut sent = [None; FRAMES_PER_BLOCK];
         let counters = &mut self.counters;
         let mut next = |n: usize| {
             let counter = counters[n];
@@ -57,16 +59,16 @@ impl Sender {
         if self.ms.is_multiple_of(2) {
             for (n, axis) in LinearAxis::ALL.into_iter().enumerate() {
                 let position = Position((at.mm[n] * 1e5).round() as i32);
-                let direction = Heading::from_wire(at.heading[n]).expect("−1, 0 or 1");
+                let direction = TravelDirection::from_wire(at.heading[n]).expect("−1, 0 or 1");
                 let command = AxisPosition { axis, position, direction };
-                sent[n] = Some(frames::position(command, next(n)));
+                sent[n] = Some(frames::encode_position(command, next(n)));
             }
             let angles = at.degrees.map(|degrees| MicroDegrees((degrees * 1e6).round() as i32));
-            sent[3] = Some(frames::rotary(Rotary { angles }, next(3)));
+            sent[3] = Some(frames::encode_rotary(Rotary { angles }, next(3)));
         }
         if self.ms.is_multiple_of(20) {
             let control = Control { engage: self.ms >= 60, ..Control::REFERENCED };
-            sent[4] = Some(frames::control(control, next(4)));
+            sent[4] = Some(frames::encode_control(control, next(4)));
         }
         self.ms += 1;
         sent
@@ -75,7 +77,7 @@ impl Sender {
 
 /// Lets the board live through blocks; gives every cycle's output.
 fn live(board: &mut VirtualBoard, offsets: &mut OffsetReceiver, blocks: &[Block]) -> Vec<Output> {
-    let batches = blocks.chunks(LARGEST_BATCH as usize);
+    let batches = blocks.chunks(MAX_BATCH_BLOCKS as usize);
     let frames = batches.flat_map(|batch| board.step(batch).expect("the board lives"));
     frames.filter_map(|(_, frame)| offsets.accept(&frame).expect("whole frames")).collect()
 }
@@ -97,11 +99,11 @@ fn the_papers_line_and_worked_axis_run_on_the_board_in_sixteenths_of_a_kelvin() 
     let mut before = 0.0;
     let [cold, warm] = [4000 + 23 * 16, 4000 + 42 * 16];
     for counts in cold..=warm {
-        let mut temperatures = [Raw::NONE; 8];
+        let mut temperatures = [RawReading::NONE; 8];
         // The paper's converter gives 32768 counts at 10 V, the board's 4096 codes at 3.3 V behind a divider of 0.328:
         // 4368 counts (23 °C) are 1.3330 V, 0.43723 V at the pin and code 542.69.
         let code = f64::from(counts) / 32_768.0 * 10.0 * 0.328 / 3.3 * 4_096.0;
-        temperatures[0] = Raw((code * 256.0).round() as i32);
+        temperatures[0] = RawReading((code * 256.0).round() as i32);
         // The axis follows by 1 s: after 10 s nothing of the step is left. In between it goes on, by 0.2 K/s.
         let is_judged = counts - cold <= 16 || warm - counts <= 16 || counts % 16 == 0;
         let blocks: Vec<Block> = (0..if is_judged { 10_000 } else { 300 })
@@ -139,27 +141,28 @@ fn growth_um(hours: f64) -> f64 {
 }
 
 /// Returns a millisecond of codes whose mean is the sensor's reading, alive by ±1.
-fn codes(sensor_um: f64, ms: u32) -> [Code; 20] {
+fn codes(sensor_um: f64, ms: u32) -> [AdcCode; 20] {
     // The divider of the wiring takes 10 V, 32768 counts, to 3.28 of the converter's 3.3 V, 4096 codes.
     let level = (5048.0 + sensor_um / (500.0 / 32768.0)) / 8.0 * (3.28 / 3.3);
     std::array::from_fn(|n| {
         // Golden-ratio dither: its mean over any window is the level.
         let dither = (f64::from(ms * 20 + n as u32) * 0.618_033_988_749_895).fract();
-        Code((level + dither).floor() as u16)
+        AdcCode((level + dither).floor() as u16)
     })
 }
 
 #[test]
 #[ignore = "long: two hours of the emulated board"]
 fn the_two_hours_of_paper_0_at_24000_rpm() {
-    let paper = MachineFile::read(&setup::root().join("data/paper_spindle.toml")).expect("ours");
+    let paper =
+        MachineFile::read(&setup::project_root().join("data/paper_spindle.toml")).expect("ours");
     let mut calibrated = paper.clone();
     let sensor = calibrated.spindle.sensor.as_mut().expect("it has one");
     sensor.um_per_count *= TABLE_1.0;
     sensor.k0_um = TABLE_1.1;
     let (paper, calibrated) = (compile(&paper).expect("ours"), compile(&calibrated).expect("ours"));
     let mut board = boot(&paper);
-    let mut node = Node::new(Some(calibrated.calibration()), false);
+    let mut node = Node::new(calibrated.calibration().into());
     let (mut offsets, mut sender) = (OffsetReceiver::new(), Sender::default());
     let mut rows = Vec::new();
     for second in 0..7_200_u32 {
@@ -185,7 +188,7 @@ fn the_two_hours_of_paper_0_at_24000_rpm() {
             assert_eq!(last.quality, Quality::Live);
             let z = |output: &Output| f64::from(output.offset.expect("available")[2].0) / 1_000.0;
             let hours = f64::from(second + 1) / 3_600.0;
-            rows.push((hours, growth_um(hours), z(&last), z(node.last())));
+            rows.push((hours, growth_um(hours), z(&last), z(node.last_output())));
         }
     }
     println!("  hours   growth   paper leaves   paper printed   calibrated leaves");
@@ -210,13 +213,13 @@ fn half_a_millimetre_at_30_degrees_to_the_nanometre() {
     .expect("it compiles");
     let mut sender = Sender::default();
     let at = At { degrees: [30.0, 0.0], ..At::default() };
-    let mut temperatures = [Raw::NONE; 8];
+    let mut temperatures = [RawReading::NONE; 8];
     // 50 K above the reference: 0.5 mm.
-    temperatures[4] = Raw(70 * 16 * 256);
+    temperatures[4] = RawReading(70 * 16 * 256);
     let blocks: Vec<Block> = (0..1_500)
         .map(|_| Block { temperatures, frames: sender.frames(&at), ..Block::default() })
         .collect();
-    let mut node = Node::new(Some(compiled.calibration()), false);
+    let mut node = Node::new(compiled.calibration().into());
     for block in &blocks {
         for frame in block.frames.iter().flatten() {
             node.receive(Interface::Can, frame).expect("whole frames");
@@ -226,7 +229,7 @@ fn half_a_millimetre_at_30_degrees_to_the_nanometre() {
     }
     // Error (0, +0.250, −0.433) mm, offset its opposite.
     let expected = [Nanometres(0), Nanometres(-250_000), Nanometres(433_013)];
-    assert_eq!(node.last().offset, Some(expected));
+    assert_eq!(node.last_output().offset, Some(expected));
     let mut board = boot(&compiled);
     let sent = live(&mut board, &mut OffsetReceiver::new(), &blocks).pop().expect("outputs");
     // The wire carries 10 nm.
@@ -241,14 +244,14 @@ fn with_everything_on_the_offsets_along_a_diagonal_are_minus_the_prediction() {
     let machine = machine(&text);
     let compiled = compile(&machine).expect("it compiles");
     let (screw_c, beam_c, counts) = (31.25, 27.5, 7_000.0);
-    let mut temperatures = [Raw::NONE; 8];
+    let mut temperatures = [RawReading::NONE; 8];
     let units = |celsius: f64| Temperature((celsius * f64::from(Temperature::PER_KELVIN)) as i32);
-    let MicroOhms(screw) = trueup_core::pt100::resistance(units(screw_c));
-    temperatures[0] = Raw(screw);
+    let MicroOhms(screw) = trueup_core::pt100::resistance_from_temperature(units(screw_c));
+    temperatures[0] = RawReading(screw);
     // 4000 + 16·27.5 = 4440 counts of 32768 at 10 V: 1.35498 V, code 551.63.
     let beam_codes: f64 = (4000.0 + 16.0 * beam_c) / 32_768.0 * 3.28 / 3.3 * 4_096.0;
-    temperatures[1] = Raw((beam_codes * 256.0).round() as i32);
-    temperatures[2] = Raw(screw);
+    temperatures[1] = RawReading((beam_codes * 256.0).round() as i32);
+    temperatures[2] = RawReading(screw);
 
     // There and back, ten steps each way.
     let places: Vec<At> = (0..21)
@@ -275,7 +278,7 @@ fn with_everything_on_the_offsets_along_a_diagonal_are_minus_the_prediction() {
     }
     let run = RunFile::from_reader(run.as_bytes(), Path::new("r.csv")).expect("our own run");
     let predictor = Predictor::new(&machine, &run).expect("can be predicted");
-    let predictions: Vec<_> = predictor.rows().collect();
+    let predictions: Vec<_> = predictor.predictions().collect();
 
     let mut board = boot(&compiled);
     let (mut offsets, mut sender) = (OffsetReceiver::new(), Sender::default());
@@ -284,7 +287,7 @@ fn with_everything_on_the_offsets_along_a_diagonal_are_minus_the_prediction() {
     for (at, prediction) in places.iter().zip(&predictions) {
         let blocks: Vec<Block> = (0..1_000)
             .map(|_| {
-                let codes = front_end.block(|_| counts * 10.0 / 32_768.0);
+                let codes = front_end.convert_block(|_| counts * 10.0 / 32_768.0);
                 let frames = sender.frames(at);
                 Block { codes, speed: Some(Rpm(24_000)), temperatures, frames, ..Block::default() }
             })

@@ -23,62 +23,64 @@ use semihosting::{
 };
 use stm32f4xx_hal as _;
 use trueup_core::{
+    axis_errors::CachedErrors,
     calibration::Calibration,
     cnc::{Flags, LinearAxis, Output, Quality},
     curve::Curve,
     dimensions::CODES_PER_TICK,
     filter::Filter,
-    geometry::CachedErrors,
     gradient::Gradient,
-    health::Health,
-    heat::Heat,
     kinematics::RotaryAxis,
-    limits::Applied,
-    place::Place,
+    limits::AppliedOffset,
+    machine_position::MachinePosition,
+    revolution_window::RevolutionWindow,
+    sensor_health::SensorHealth,
+    thermal_state::MachineThermalState,
     travel::Fraction,
-    units::{Code, Fine, MicroDegrees, Nanometres, Position, Reading, Rpm},
-    volume::{Angle, AngularErrors, Chain, RotaryLocation, Volume},
-    window::Window,
+    units::{AdcCode, FineNanometres, MicroDegrees, Nanometres, Position, Reading, Rpm},
+    volumetric_error::{
+        AngularErrorCurve, AngularErrors, KinematicChain, RotaryLocation, VolumetricErrorModel,
+    },
 };
 use trueup_link::frames;
-use trueup_node::vectors::{self, Random, Vectors};
-use trueup_store::calibration::{MAX_SIZE, decode};
+use trueup_node::test_vectors::{self, TestVectorRunner, XorShift32};
+use trueup_store::calibration::{MAX_BLOB_SIZE, decode};
 
-const TICKS: usize = 3_000;
-const PARTS: usize = 2_000;
-const POSITIONS: usize = 10_000;
+const TICK_COUNT: usize = 3_000;
+const SAMPLES_PER_PART: usize = 2_000;
+const POSITION_COUNT: usize = 10_000;
 /// Ticks until the filter is full and everything is engaged.
-const WARM_UP: u32 = 1_000;
+const WARM_UP_TICKS: u32 = 1_000;
 /// Segments of the longest curve, and intervals of the linear table.
-const SEGMENTS: usize = 512;
-const TABLE: usize = 1_024;
+const MAX_SEGMENTS: usize = 512;
+const TABLE_INTERVALS: usize = 1_024;
 
 #[entry]
 fn main() -> ! {
-    static mut CALIBRATION: [u8; MAX_SIZE] = [0; MAX_SIZE];
-    static mut BY_TOOL: [u8; MAX_SIZE] = [0; MAX_SIZE];
-    static mut CURVES: [u8; MAX_SIZE] = [0; MAX_SIZE];
-    static mut COSTS: [u16; POSITIONS] = [0; POSITIONS];
+    static mut CALIBRATION: [u8; MAX_BLOB_SIZE] = [0; MAX_BLOB_SIZE];
+    static mut BY_TOOL: [u8; MAX_BLOB_SIZE] = [0; MAX_BLOB_SIZE];
+    static mut CURVES: [u8; MAX_BLOB_SIZE] = [0; MAX_BLOB_SIZE];
+    static mut COSTS: [u16; POSITION_COUNT] = [0; POSITION_COUNT];
     start_clock();
-    let calibration = decode(read(c"calibration.bin", CALIBRATION)).expect("calibration.bin");
-    let by_tool = decode(read(c"by_tool.bin", BY_TOOL)).expect("by_tool.bin");
-    let curves = decode(read(c"curves.bin", CURVES)).expect("curves.bin");
+    let calibration = decode(read_file(c"calibration.bin", CALIBRATION)).expect("calibration.bin");
+    let by_tool = decode(read_file(c"by_tool.bin", BY_TOOL)).expect("by_tool.bin");
+    let curves = decode(read_file(c"curves.bin", CURVES)).expect("curves.bin");
     let mut number = [0; 4];
-    read(c"vectors", &mut number);
+    read_file(c"vectors", &mut number);
 
     let mut text = String::<4096>::new();
-    tick(&calibration, ["tick", "hear", "millisecond", "live"], COSTS, &mut text);
+    measure_tick(&calibration, ["tick", "hear", "millisecond", "live"], COSTS, &mut text);
     let names = ["tick_by_tool", "hear_by_tool", "millisecond_by_tool", "live_by_tool"];
-    tick(&by_tool, names, COSTS, &mut text);
+    measure_tick(&by_tool, names, COSTS, &mut text);
     let names = ["tick_volume", "hear_volume", "millisecond_volume", "live_volume"];
-    tick(&with_volume(&calibration), names, COSTS, &mut text);
-    parts(&calibration, COSTS, &mut text);
+    measure_tick(&with_volumetric_errors(&calibration), names, COSTS, &mut text);
+    measure_parts(&calibration, COSTS, &mut text);
     for curve in curves.straightness.iter().filter(|curve| !curve.is_empty()) {
-        spline(curve, COSTS, &mut text);
+        measure_spline(curve, COSTS, &mut text);
     }
-    let checksum = vectors::checksum(calibration, u32::from_le_bytes(number));
+    let checksum = test_vectors::compute_checksum(calibration, u32::from_le_bytes(number));
     writeln!(text, "checksum {checksum}").expect("space");
-    let checksum = vectors::checksum(by_tool, u32::from_le_bytes(number));
+    let checksum = test_vectors::compute_checksum(by_tool, u32::from_le_bytes(number));
     writeln!(text, "checksum_by_tool {checksum}").expect("space");
     let mut file = File::create(c"numbers").expect("numbers");
     file.write_all(text.as_bytes()).expect("numbers");
@@ -90,7 +92,7 @@ fn panic(_info: &core::panic::PanicInfo) -> ! {
     process::exit(1)
 }
 
-fn read<'b>(name: &core::ffi::CStr, buffer: &'b mut [u8]) -> &'b [u8] {
+fn read_file<'b>(name: &core::ffi::CStr, buffer: &'b mut [u8]) -> &'b [u8] {
     let mut file = File::open(name).expect("a file of the host");
     let mut length = 0;
     while let Ok(more @ 1..) = file.read(&mut buffer[length..]) {
@@ -99,182 +101,186 @@ fn read<'b>(name: &core::ffi::CStr, buffer: &'b mut [u8]) -> &'b [u8] {
     &buffer[..length]
 }
 
-const TIM2: usize = 0x4000_0000;
+const TIM2_BASE: usize = 0x4000_0000;
 
 #[allow(unsafe_code, reason = "a register of the timer")]
 fn start_clock() {
     // SAFETY: CR1 of TIM2, of which this program is the only user; 1 enables it.
-    unsafe { (TIM2 as *mut u32).write_volatile(1) }
+    unsafe { (TIM2_BASE as *mut u32).write_volatile(1) }
 }
 
 #[inline(always)]
 #[allow(unsafe_code, reason = "a register of the timer")]
-fn clock() -> u32 {
+fn read_clock() -> u32 {
     // SAFETY: CNT of TIM2; reading it changes nothing.
-    unsafe { ((TIM2 + 0x24) as *const u32).read_volatile() }
+    unsafe { ((TIM2_BASE + 0x24) as *const u32).read_volatile() }
 }
 
 /// Instructions from one reading of the clock to the next, around one call.
 #[inline(never)]
-fn cost_of(work: &mut dyn FnMut()) -> u16 {
+fn raw_call_cost(work: &mut dyn FnMut()) -> u16 {
     let work = black_box(work);
-    let start = clock();
+    let start = read_clock();
     work();
-    let end = clock();
+    let end = read_clock();
     end.wrapping_sub(start).try_into().unwrap_or(u16::MAX)
 }
 
 /// Returns the cost of `work` beyond that of nothing.
-fn cost(work: &mut dyn FnMut()) -> u16 {
-    cost_of(work).saturating_sub(cost_of(&mut || ()))
+fn net_call_cost(work: &mut dyn FnMut()) -> u16 {
+    raw_call_cost(work).saturating_sub(raw_call_cost(&mut || ()))
 }
 
 /// Smallest, median and largest.
-fn spread(costs: &mut [u16]) -> [u16; 3] {
+fn min_median_max(costs: &mut [u16]) -> [u16; 3] {
     costs.sort_unstable();
     [costs[0], costs[costs.len() / 2], costs[costs.len() - 1]]
 }
 
-fn say(text: &mut String<4096>, name: &str, costs: &mut [u16]) {
-    let [min, median, max] = spread(costs);
+fn write_costs(text: &mut String<4096>, name: &str, costs: &mut [u16]) {
+    let [min, median, max] = min_median_max(costs);
     writeln!(text, "{name} {min} {median} {max}").expect("space");
 }
 
 /// A millisecond of the board: the frames of the CNC, as often as it sends them, then the tick.
-fn tick(
+fn measure_tick(
     calibration: &Calibration<'_>,
     names: [&str; 4],
     costs: &mut [u16],
     text: &mut String<4096>,
 ) {
-    let (ticks, costs) = costs.split_at_mut(TICKS);
-    let (received, costs) = costs.split_at_mut(TICKS);
-    let both = &mut costs[..TICKS];
-    let mut run = Vectors::new(*calibration, 1, false);
-    for _ in 0..WARM_UP {
-        run.prepare();
+    let (ticks, costs) = costs.split_at_mut(TICK_COUNT);
+    let (received, costs) = costs.split_at_mut(TICK_COUNT);
+    let both = &mut costs[..TICK_COUNT];
+    let mut run = TestVectorRunner::new(*calibration, 1, false);
+    for _ in 0..WARM_UP_TICKS {
+        run.draw_vector();
         run.receive();
         run.tick();
     }
     let mut live = 0;
     for ((tick, hear), both) in ticks.iter_mut().zip(received.iter_mut()).zip(both.iter_mut()) {
-        run.prepare();
-        *hear = cost(&mut || run.receive());
-        *tick = cost(&mut || {
+        run.draw_vector();
+        *hear = net_call_cost(&mut || run.receive());
+        *tick = net_call_cost(&mut || {
             black_box(&run.tick());
         });
         *both = *hear + *tick;
-        live += u32::from(run.node().last().quality == Quality::Live);
+        live += u32::from(run.node().last_output().quality == Quality::Live);
     }
     let [of_tick, of_hear, of_both, of_live] = names;
-    say(text, of_tick, ticks);
-    say(text, of_hear, received);
-    say(text, of_both, both);
-    writeln!(text, "{of_live} {live} {TICKS}").expect("space");
+    write_costs(text, of_tick, ticks);
+    write_costs(text, of_hear, received);
+    write_costs(text, of_both, both);
+    writeln!(text, "{of_live} {live} {TICK_COUNT}").expect("space");
 }
 
 /// Measures a part of the tick: its name, and one turn of it.
-type Part<'p> = dyn FnMut(&str, &mut dyn FnMut(&mut Random) -> u16) + 'p;
+type MeasurePart<'p> = dyn FnMut(&str, &mut dyn FnMut(&mut XorShift32) -> u16) + 'p;
 
-fn place(random: &mut Random) -> [Position; 3] {
-    [1_430_000_000, 300_000_000, 250_000_000].map(|reach| Position(random.below(reach) as i32))
+fn random_position(random: &mut XorShift32) -> [Position; 3] {
+    [1_430_000_000, 300_000_000, 250_000_000].map(|reach| Position(random.next_below(reach) as i32))
 }
 
-fn parts(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut String<4096>) {
-    let costs = &mut costs[..PARTS];
-    let mut random = Random::new(2);
-    let mut part = |name: &str, once: &mut dyn FnMut(&mut Random) -> u16| {
+fn measure_parts(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut String<4096>) {
+    let costs = &mut costs[..SAMPLES_PER_PART];
+    let mut random = XorShift32::new(2);
+    let mut part = |name: &str, once: &mut dyn FnMut(&mut XorShift32) -> u16| {
         for place in costs.iter_mut() {
             *place = once(&mut random);
         }
-        say(text, name, costs);
+        write_costs(text, name, costs);
     };
 
-    parts_of_sensor(calibration, &mut part);
-    parts_of_axes(calibration, &mut part);
+    measure_sensor_parts(calibration, &mut part);
+    measure_axis_parts(calibration, &mut part);
     let kinematics = calibration.kinematics;
     part("tool_direction", &mut |random| {
-        let angles = [180_000_000, 110_000_000].map(|most| MicroDegrees(random.around(most)));
-        let elongation = Nanometres(random.around(200_000));
-        cost(&mut || {
-            black_box(&kinematics.direction(angles).fine_error(elongation));
+        let angles =
+            [180_000_000, 110_000_000].map(|most| MicroDegrees(random.next_symmetric(most)));
+        let elongation = Nanometres(random.next_symmetric(200_000));
+        net_call_cost(&mut || {
+            black_box(&kinematics.tool_direction(angles).project_elongation_fine(elongation));
         })
     });
-    let mut applied = Applied::default();
+    let mut applied = AppliedOffset::default();
     let limits = calibration.limits;
     part("limits", &mut |random| {
-        let target = [(); 3].map(|()| Nanometres(random.around(400_000)));
-        cost(&mut || {
+        let target = [(); 3].map(|()| Nanometres(random.next_symmetric(400_000)));
+        net_call_cost(&mut || {
             black_box(applied.step(&limits, target, 1));
         })
     });
     part("frames", &mut |random| {
-        let offset = Some([(); 3].map(|()| Nanometres(random.around(400_000))));
+        let offset = Some([(); 3].map(|()| Nanometres(random.next_symmetric(400_000))));
         let output = Output { offset, quality: Quality::Live, flags: Flags::NONE, age_ms: 1 };
         let counter = random.next() as u8;
-        cost(&mut || {
-            black_box(&[frames::offset_xy(&output, counter), frames::offset_z(&output, counter)]);
+        net_call_cost(&mut || {
+            black_box(&[
+                frames::encode_offset_xy(&output, counter),
+                frames::encode_offset_z(&output, counter),
+            ]);
         })
     });
 }
 
 /// Measures from the samples to the elongation.
-fn parts_of_sensor(calibration: &Calibration<'_>, part: &mut Part<'_>) {
-    let mut health = Health::default();
+fn measure_sensor_parts(calibration: &Calibration<'_>, part: &mut MeasurePart<'_>) {
+    let mut health = SensorHealth::default();
     part("health", &mut |random| {
-        let codes: [Code; CODES_PER_TICK] =
-            core::array::from_fn(|_| Code(700 + (random.next() & 7) as u16));
-        cost(&mut || {
+        let codes: [AdcCode; CODES_PER_TICK] =
+            core::array::from_fn(|_| AdcCode(700 + (random.next() & 7) as u16));
+        net_call_cost(&mut || {
             black_box(&health.check(&codes, true));
         })
     });
     part("window", &mut |random| {
         let speed = Some(Rpm(random.next() as u16));
-        cost(&mut || {
-            black_box(&Window::for_speed(speed));
+        net_call_cost(&mut || {
+            black_box(&RevolutionWindow::for_speed(speed));
         })
     });
     let mut filter = Filter::new();
-    for _ in 0..WARM_UP {
-        filter.tick(&[Code(700); CODES_PER_TICK], Some(Rpm(18_000)));
+    for _ in 0..WARM_UP_TICKS {
+        filter.tick(&[AdcCode(700); CODES_PER_TICK], Some(Rpm(18_000)));
     }
     part("filter", &mut |random| {
-        let codes: [Code; CODES_PER_TICK] =
-            core::array::from_fn(|_| Code(700 + (random.next() & 7) as u16));
-        cost(&mut || {
+        let codes: [AdcCode; CODES_PER_TICK] =
+            core::array::from_fn(|_| AdcCode(700 + (random.next() & 7) as u16));
+        net_call_cost(&mut || {
             black_box(filter.tick(&codes, Some(Rpm(18_000))));
         })
     });
     let sensor = calibration.spindle.sensor;
     part("elongation", &mut |random| {
-        let reading = Reading(random.below(4_095 << 10).cast_signed());
-        cost(&mut || {
+        let reading = Reading(random.next_below(4_095 << 10).cast_signed());
+        net_call_cost(&mut || {
             black_box(sensor.elongation(reading));
         })
     });
 }
 
 /// Measures the errors of the axes.
-fn parts_of_axes(calibration: &Calibration<'_>, part: &mut Part<'_>) {
+fn measure_axis_parts(calibration: &Calibration<'_>, part: &mut MeasurePart<'_>) {
     part("thermal", &mut |random| {
-        let places = place(random);
-        let gradients = [(); 3].map(|()| Gradient(random.around(20_000_000)));
-        cost(&mut || {
-            let mut sums = [Fine::ZERO; 3];
+        let places = random_position(random);
+        let gradients = [(); 3].map(|()| Gradient(random.next_symmetric(20_000_000)));
+        net_call_cost(&mut || {
+            let mut sums = [FineNanometres::ZERO; 3];
             for ((sum, gradient), at) in sums.iter_mut().zip(&gradients).zip(&places) {
-                *sum = gradient.over(Position(250_000_000), *at);
+                *sum = gradient.error_over_travel(Position(250_000_000), *at);
             }
             black_box(&sums);
         })
     });
     let curves = calibration.straightness;
     part("straightness6", &mut |random| {
-        let [x, y, z] = place(random);
+        let [x, y, z] = random_position(random);
         let places = [y, z, x, z, x, y];
-        cost(&mut || {
-            let mut sum = Fine::ZERO;
+        net_call_cost(&mut || {
+            let mut sum = FineNanometres::ZERO;
             for (curve, at) in curves.iter().zip(&places) {
-                sum = sum.plus(curve.at(*at).0);
+                sum = sum.saturating_add(curve.evaluate(*at).0);
             }
             black_box(sum);
         })
@@ -284,46 +290,46 @@ fn parts_of_axes(calibration: &Calibration<'_>, part: &mut Part<'_>) {
     let tables = [axes[0].pitch, axes[0].dual.map(|dual| dual.pitch), axes[1].pitch];
     let tables = tables.map(|table| table.expect("the gantry has three tables"));
     part("pitch3", &mut |random| {
-        let [x, y, _] = place(random);
+        let [x, y, _] = random_position(random);
         let places = [x, x, y];
         let blend = Fraction(random.next() >> 1);
-        cost(&mut || {
-            let mut sum = Fine::ZERO;
+        net_call_cost(&mut || {
+            let mut sum = FineNanometres::ZERO;
             for (table, at) in tables.iter().zip(&places) {
-                sum = sum.plus(table.at(*at, blend).0);
+                sum = sum.saturating_add(table.error_at(*at, blend).0);
             }
             black_box(sum);
         })
     });
-    let heat = Heat::default();
-    let mut at = Place::default();
-    let mut cached = CachedErrors::at(calibration, &heat, &at);
+    let heat = MachineThermalState::default();
+    let mut at = MachinePosition::default();
+    let mut cached = CachedErrors::from_place(calibration, &heat, &at);
     part("moved", &mut |random| {
-        at.position = place(random);
-        let axis = LinearAxis::ALL[random.below(3) as usize];
-        cost(&mut || cached.moved(calibration, &heat, &at, axis))
+        at.position = random_position(random);
+        let axis = LinearAxis::ALL[random.next_below(3) as usize];
+        net_call_cost(&mut || cached.update_axis_position(calibration, &heat, &at, axis))
     });
-    part("added_up", &mut |_| cost(&mut || cached.add_up(calibration, &at)));
+    part("added_up", &mut |_| net_call_cost(&mut || cached.sum_parts(calibration, &at)));
     black_box(cached.errors());
-    parts_of_volume(calibration, part);
+    measure_volumetric_parts(calibration, part);
 }
 
 /// Returns the calibration with all nine angles as curves and two rotary axes under the workpiece, the most there can be.
-fn with_volume<'c>(calibration: &Calibration<'c>) -> Calibration<'c> {
+fn with_volumetric_errors<'c>(calibration: &Calibration<'c>) -> Calibration<'c> {
     let [a, b, c, d, e, f] = calibration.straightness;
     let line = |axis, tilt| RotaryLocation {
         axis,
         moves_workpiece: true,
         point: [Position(30_000_000); 3],
-        shift: [Fine(2_000); 3],
-        tilt: [Fine(tilt); 3],
+        shift: [FineNanometres(2_000); 3],
+        tilt: [FineNanometres(tilt); 3],
     };
     let guides = [[a, b, c], [d, e, f], [f, c, a]].map(|curves| AngularErrors {
         point: [Position(1_000); 3],
-        about: curves.map(|curve| Angle { slope: Gradient::ZERO, curve }),
+        about: curves.map(|curve| AngularErrorCurve { slope: Gradient::ZERO, curve }),
     });
-    let volume = Volume {
-        chain: Chain::default(),
+    let volume = VolumetricErrorModel {
+        chain: KinematicChain::default(),
         guides,
         tool: [Position(-10_000_000); 3],
         rotary: [Some(line(RotaryAxis::A, 500)), Some(line(RotaryAxis::C, -700))],
@@ -332,21 +338,21 @@ fn with_volume<'c>(calibration: &Calibration<'c>) -> Calibration<'c> {
 }
 
 /// Measures the same with a volume.
-fn parts_of_volume(calibration: &Calibration<'_>, part: &mut Part<'_>) {
-    let calibration = with_volume(calibration);
-    let heat = Heat::default();
-    let mut at = Place::default();
-    let mut cached = CachedErrors::at(&calibration, &heat, &at);
+fn measure_volumetric_parts(calibration: &Calibration<'_>, part: &mut MeasurePart<'_>) {
+    let calibration = with_volumetric_errors(calibration);
+    let heat = MachineThermalState::default();
+    let mut at = MachinePosition::default();
+    let mut cached = CachedErrors::from_place(&calibration, &heat, &at);
     part("moved_volume", &mut |random| {
-        at.position = place(random);
-        let axis = LinearAxis::ALL[random.below(3) as usize];
-        cost(&mut || cached.moved(&calibration, &heat, &at, axis))
+        at.position = random_position(random);
+        let axis = LinearAxis::ALL[random.next_below(3) as usize];
+        net_call_cost(&mut || cached.update_axis_position(&calibration, &heat, &at, axis))
     });
     part("turned_volume", &mut |random| {
-        at.angles = [180_000_000; 2].map(|most| MicroDegrees(random.around(most)));
-        cost(&mut || cached.turned(&calibration, &at))
+        at.angles = [180_000_000; 2].map(|most| MicroDegrees(random.next_symmetric(most)));
+        net_call_cost(&mut || cached.update_rotary_angles(&calibration, &at))
     });
-    part("added_up_volume", &mut |_| cost(&mut || cached.add_up(&calibration, &at)));
+    part("added_up_volume", &mut |_| net_call_cost(&mut || cached.sum_parts(&calibration, &at)));
     black_box(cached.errors());
 }
 
@@ -356,32 +362,32 @@ type Lookup<T> = fn(Position, &T) -> i32;
 #[inline(never)]
 fn lookup_cost<T>(lookup: Lookup<T>, at: Position, of: &T) -> u16 {
     let lookup = black_box(lookup);
-    let start = clock();
+    let start = read_clock();
     let value = lookup(at, of);
-    let end = clock();
+    let end = read_clock();
     black_box(value);
     end.wrapping_sub(start).try_into().unwrap_or(u16::MAX)
 }
 
 #[inline(never)]
-fn nothing<T>(at: Position, _: &T) -> i32 {
+fn baseline_lookup<T>(at: Position, _: &T) -> i32 {
     at.0
 }
 
 #[inline(never)]
-fn ours(at: Position, curve: &Curve<'_>) -> i32 {
-    curve.at(at).0.0
+fn evaluate_curve(at: Position, curve: &Curve<'_>) -> i32 {
+    curve.evaluate(at).0.0
 }
 
 /// A cubic B-spline as text books have it: f32, knots repeated at the ends.
-struct DeBoor {
-    knots: [f32; SEGMENTS + 8],
-    control: [f32; SEGMENTS + 4],
+struct BSpline {
+    knots: [f32; MAX_SEGMENTS + 8],
+    control: [f32; MAX_SEGMENTS + 4],
     segments: usize,
 }
 
 #[inline(never)]
-fn de_boor(at: Position, spline: &DeBoor) -> i32 {
+fn evaluate_de_boor(at: Position, spline: &BSpline) -> i32 {
     let x = at.0 as f32 * 1e-5;
     let knots = &spline.knots[..spline.segments + 7];
     let inner = &knots[4..spline.segments + 3];
@@ -398,30 +404,31 @@ fn de_boor(at: Position, spline: &DeBoor) -> i32 {
 }
 
 /// Values at equal distances, straight lines between.
-struct Table {
+struct LinearTable {
     first: f32,
     per_step: f32,
-    values: [f32; TABLE + 1],
+    values: [f32; TABLE_INTERVALS + 1],
 }
 
 #[inline(never)]
-fn linear(at: Position, table: &Table) -> i32 {
+fn interpolate_linear(at: Position, table: &LinearTable) -> i32 {
     let x = (at.0 as f32 - table.first) * table.per_step;
-    let number = (x as usize).min(TABLE - 1);
+    let number = (x as usize).min(TABLE_INTERVALS - 1);
     let (low, high) = (table.values[number], table.values[number + 1]);
     (low + (high - low) * (x - number as f32)) as i32
 }
 
-fn spline(curve: &Curve<'_>, costs: &mut [u16], text: &mut String<4096>) {
+fn measure_spline(curve: &Curve<'_>, costs: &mut [u16], text: &mut String<4096>) {
     let ends = curve
         .segments()
         .iter()
         .map(|bytes| i32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]));
-    let (first, last) = (curve.first().0, ends.clone().next_back().unwrap_or(0));
+    let (first, last) = (curve.first_knot().0, ends.clone().next_back().unwrap_or(0));
     let span = (last - first).unsigned_abs();
-    let segments = curve.segments().len().min(SEGMENTS);
+    let segments = curve.segments().len().min(MAX_SEGMENTS);
 
-    let mut deboor = DeBoor { knots: [0.0; SEGMENTS + 8], control: [0.0; SEGMENTS + 4], segments };
+    let mut deboor =
+        BSpline { knots: [0.0; MAX_SEGMENTS + 8], control: [0.0; MAX_SEGMENTS + 4], segments };
     deboor.knots[..4].fill(first as f32 * 1e-5);
     for (knot, end) in deboor.knots[4..].iter_mut().zip(ends.take(segments)) {
         *knot = end as f32 * 1e-5;
@@ -430,38 +437,40 @@ fn spline(curve: &Curve<'_>, costs: &mut [u16], text: &mut String<4096>) {
     for n in 0..segments + 3 {
         // Near the curve itself: the value at the mean of three knots.
         let mean = deboor.knots[n + 1..n + 4].iter().sum::<f32>() / 3.0;
-        deboor.control[n] = curve.at(Position((mean * 1e5) as i32)).0.0 as f32;
+        deboor.control[n] = curve.evaluate(Position((mean * 1e5) as i32)).0.0 as f32;
     }
-    let mut table = Table {
+    let mut table = LinearTable {
         first: first as f32,
-        per_step: TABLE as f32 / span as f32,
-        values: [0.0; TABLE + 1],
+        per_step: TABLE_INTERVALS as f32 / span as f32,
+        values: [0.0; TABLE_INTERVALS + 1],
     };
     for (n, value) in table.values.iter_mut().enumerate() {
-        let at = u64::from(span) * n as u64 / TABLE as u64;
-        *value = curve.at(Position(first + at as i32)).0.0 as f32;
+        let at = u64::from(span) * n as u64 / TABLE_INTERVALS as u64;
+        *value = curve.evaluate(Position(first + at as i32)).0.0 as f32;
     }
 
     let segments = curve.segments().len();
     let mut measure = |name: &str, once: &dyn Fn(Position) -> u16| {
-        let mut random = Random::new(3);
+        let mut random = XorShift32::new(3);
         for place in costs.iter_mut() {
-            *place = once(Position(first + random.below(span + 1) as i32));
+            *place = once(Position(first + random.next_below(span + 1) as i32));
         }
-        let [min, median, max] = spread(costs);
+        let [min, median, max] = min_median_max(costs);
         writeln!(text, "{name} {min} {median} {max} {segments}").expect("space");
     };
-    let empty = |at: Position| lookup_cost(nothing, at, &());
-    measure("curve", &|at| lookup_cost(ours, at, curve).saturating_sub(empty(at)));
-    measure("de_boor", &|at| lookup_cost(de_boor, at, &deboor).saturating_sub(empty(at)));
-    measure("linear", &|at| lookup_cost(linear, at, &table).saturating_sub(empty(at)));
+    let empty = |at: Position| lookup_cost(baseline_lookup, at, &());
+    measure("curve", &|at| lookup_cost(evaluate_curve, at, curve).saturating_sub(empty(at)));
+    measure("de_boor", &|at| lookup_cost(evaluate_de_boor, at, &deboor).saturating_sub(empty(at)));
+    measure("linear", &|at| lookup_cost(interpolate_linear, at, &table).saturating_sub(empty(at)));
     // How far the three are apart, so that none of them computes something else, in 1/256 nm.
-    let mut random = Random::new(4);
+    let mut random = XorShift32::new(4);
     let mut apart = [0; 2];
     for _ in 0..1_000 {
-        let at = Position(first + random.below(span + 1) as i32);
-        let right = ours(at, curve);
-        for (worst, other) in apart.iter_mut().zip([de_boor(at, &deboor), linear(at, &table)]) {
+        let at = Position(first + random.next_below(span + 1) as i32);
+        let right = evaluate_curve(at, curve);
+        for (worst, other) in
+            apart.iter_mut().zip([evaluate_de_boor(at, &deboor), interpolate_linear(at, &table)])
+        {
             *worst = right.abs_diff(other).max(*worst);
         }
     }

@@ -1,10 +1,10 @@
-//! The seam: what the tasks ask of a board, and nothing more. Two boards stand behind it.
+//! The seam: what the tasks require of a board, and nothing more. Two boards stand behind it.
 //!
 //! | part | `stm32f405` | `virtual` |
 //! |---|---|---|
 //! | [`Samples`] | TIM3 → ADC1 → DMA2, 20 codes a block; VREFINT between them | blocks by semihosting from the host |
 //! | [`SerialIn`], [`SerialOut`] | USART1, 921 600 Bd, by DMA | USART1 of the emulator, by polling |
-//! | [`Rs485`], [`Silence`] | USART3, bytes by interrupt; TIM5 | none |
+//! | [`Rs485`], [`SilenceTimer`] | USART3, bytes by interrupt; TIM5 | none |
 //! | [`CanIn`], [`CanOut`] | bxCAN, 1 Mbit/s, PB8/PB9 | frames in the same stream as the samples |
 //! | [`Thermometers`] | 8 MAX31865 on SPI2, linear inputs by ADC2 | come with the samples |
 //! | [`Flash`] | two sectors of the flash | a file of the host |
@@ -12,11 +12,11 @@
 //! | [`Watchdog`] | IWDG, 100 ms | none: the host watches |
 //! | [`BrownOut`] | level 3, in the option bytes | none |
 //! | [`SelfTest`] | RAM, image, registers, stack | none |
-//! | [`Lamp`] | LED | none |
+//! | [`StatusLed`] | LED | none |
 //! | [`ServiceSwitch`] | PB7 to ground | comes with the samples |
 //! | calibration | linked into the image, or loaded over it | a file of the host, or loaded over it |
 //! | RAM that outlasts a reset | `.uninit` | the same |
-//! | [`Backup`], what outlasts a power cut | backup SRAM and RTC behind VBAT | none |
+//! | [`BackupDomain`], what outlasts a power cut | backup SRAM and RTC behind VBAT | none |
 //! | [`restart`] | reset | reset of the emulator at the end of a batch |
 //!
 //! Both boards raise the same interrupts, so the tasks cannot distinguish them:
@@ -29,12 +29,12 @@
 use trueup_canopen::emergency::Fault;
 use trueup_core::{
     calibration::Calibration,
-    thermometer::Raw,
-    units::{Code, Rpm},
+    thermometer::RawReading,
+    units::{AdcCode, Rpm},
 };
-use trueup_modbus::rtu::Timing;
-use trueup_node::start::Start;
-use trueup_store::{calibration::BlobError, reference::References, retained};
+use trueup_modbus::rtu::FrameTiming;
+use trueup_node::reset_info::ResetInfo;
+use trueup_store::{calibration::BlobError, reference::ReferenceStore, retained};
 
 #[cfg(all(feature = "stm32f405", feature = "virtual"))]
 compile_error!("choose one board: --features stm32f405 or --features virtual");
@@ -42,7 +42,7 @@ compile_error!("choose one board: --features stm32f405 or --features virtual");
 compile_error!("choose a board: --features stm32f405 or --features virtual");
 
 pub mod references;
-mod reset_ram;
+mod retained_ram;
 #[cfg(feature = "stm32f405")]
 mod stm32f405;
 #[cfg(feature = "stm32f405")]
@@ -54,32 +54,32 @@ mod r#virtual;
 pub use r#virtual::*;
 
 /// Where a calibration is gathered.
-pub type Buffer = [u8; trueup_store::calibration::MAX_SIZE];
+pub type CalibrationBuffer = [u8; trueup_store::calibration::MAX_BLOB_SIZE];
 
 /// From which commit of the source the image was built: the first 32 bits of its hash; 0: it is not known.
-pub const COMMIT: u32 = match u32::from_str_radix(env!("TRUEUP_COMMIT"), 16) {
+pub const COMMIT_HASH: u32 = match u32::from_str_radix(env!("TRUEUP_COMMIT"), 16) {
     Ok(commit) => commit,
     Err(_) => 0,
 };
 
 /// Conversions in one block: one millisecond at 20 kS/s.
-pub const BLOCK: usize = 20;
+pub const CODES_PER_BLOCK: usize = 20;
 /// Temperature channels.
-pub const TEMPERATURES: usize = 8;
+pub const TEMPERATURE_CHANNEL_COUNT: usize = 8;
 
 /// One millisecond of samples.
 pub struct Block {
-    pub codes: [Code; BLOCK],
+    pub codes: [AdcCode; CODES_PER_BLOCK],
     /// The spindle speed, where the board itself knows it; a fresh one from the CNC wins.
     pub speed: Option<Rpm>,
     /// Readings of the temperature channels, where they come with the samples and not from
-    /// [`Thermometers`]. A channel that nothing is wired to is [`Raw::NONE`].
-    pub temperatures: Option<[Raw; TEMPERATURES]>,
+    /// [`Thermometers`]. A channel that nothing is wired to is [`RawReading::NONE`].
+    pub temperatures: Option<[RawReading; TEMPERATURE_CHANNEL_COUNT]>,
 }
 
 /// How a CAN controller is on its bus (ISO 11898-1, fault confinement).
 #[derive(Clone, Copy, Default)]
-pub struct CanState {
+pub struct CanErrorState {
     /// One of its error counters is at 96 or above.
     pub warning: bool,
     /// One is at 128 or above: it no longer destroys what others send.
@@ -90,18 +90,18 @@ pub struct CanState {
 
 /// State of the bytes that wait for the serial line.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub enum Sent {
+pub enum TransmitState {
     /// None waits.
     All,
     /// A piece is going out, or is held up; an interrupt comes at its end.
     Busy,
-    /// More waits, and no interrupt asks for it.
+    /// More waits, and no interrupt requests it.
     More,
 }
 
 /// Faults that a board found at start-up.
 #[derive(Clone, Copy, Default, defmt::Format)]
-pub struct Faults {
+pub struct StartupFaults {
     /// The crystal did not start: the CPU runs from the internal oscillator, CAN stays silent.
     pub crystal: bool,
     /// The PLL did not lock: the CPU runs at 16 MHz.
@@ -114,14 +114,14 @@ pub struct Faults {
     pub stopped: bool,
 }
 
-impl Faults {
+impl StartupFaults {
     /// Returns whether the board runs on a fall-back.
-    pub fn degrade(&self) -> bool {
+    pub fn uses_fallback(&self) -> bool {
         self.crystal || self.pll || self.can
     }
 
     /// Those that are there.
-    pub fn all(&self) -> impl Iterator<Item = Fault> {
+    pub fn active_faults(&self) -> impl Iterator<Item = Fault> {
         let all = [
             (self.crystal, Fault::Crystal),
             (self.pll, Fault::Pll),
@@ -135,17 +135,17 @@ impl Faults {
 
 /// Returns the serial number folded to 16 bits, as `N` answers it on the serial line. Two boards of a shop have the
 /// same one once in 65 536 pairs.
-pub const fn short(serial_number: u32) -> u16 {
+pub const fn short_serial_number(serial_number: u32) -> u16 {
     (serial_number >> 16) as u16 ^ serial_number as u16
 }
 
 /// The line for a PLC, in parts, and how it is set.
-pub struct Plc {
+pub struct PlcInterface {
     /// Its address, 1 to 247.
     pub unit: u8,
-    pub timing: Timing,
+    pub timing: FrameTiming,
     pub line: Rs485,
-    pub silence: Silence,
+    pub silence: SilenceTimer,
 }
 
 /// A board that is up, in parts, each for one task.
@@ -153,23 +153,23 @@ pub struct Parts {
     pub samples: Samples,
     pub serial_in: SerialIn,
     pub serial_out: SerialOut,
-    pub plc: Plc,
+    pub plc: PlcInterface,
     /// One for each interrupt.
     pub can_in: [CanIn; 2],
     pub can_out: CanOut,
     pub watchdog: Watchdog,
     /// Pending change of the supply's lowest level.
     pub brown_out: BrownOut,
-    pub lamp: Lamp,
+    pub lamp: StatusLed,
     pub idle: Idle,
     pub thermometers: Thermometers,
     pub service_switch: ServiceSwitch,
     pub calibration: Result<Calibration<'static>, BlobError>,
     /// The store of references and writes, and what it holds for the start.
-    pub references: (References<Flash>, references::StoredState),
-    pub faults: Faults,
+    pub references: (ReferenceStore<Flash>, references::StoredState),
+    pub faults: StartupFaults,
     /// How the board came to run.
-    pub start: Start,
+    pub start: ResetInfo,
     pub self_test: SelfTest,
     /// A hash of the number that the chip has from its factory.
     pub serial_number: u32,
@@ -182,9 +182,9 @@ pub struct Parts {
     /// The calibration is the example's: another machine's spindle.
     pub is_example: bool,
     /// State that outlasts a reset, unless the power was gone.
-    pub retained: &'static mut retained::Copies,
+    pub retained: &'static mut retained::RetainedCopies,
     /// Memory that outlasts a power cut as well.
-    pub backup: Backup,
+    pub backup: BackupDomain,
     /// Where a new calibration is gathered and stored; `None` on a board that cannot store one.
     pub loading: Option<(&'static mut [u8], Store)>,
 }

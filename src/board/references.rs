@@ -4,10 +4,10 @@
 //! A store that fails costs the reference of the next start, never an offset of this one.
 
 use embedded_storage::nor_flash::NorFlash;
-use trueup_core::{bridge::Reference, supply::Level};
+use trueup_core::{bridge::Reference, supply::SupplyLevel};
 use trueup_store::{
-    reference::{Found, References, Standing},
-    writes::Write,
+    reference::{ReferenceStatus, ReferenceStore, ScanResult},
+    write_log::WriteRecord,
 };
 
 /// Opens the store, makes room in it, and gives what it holds for the start. An erase may be needed
@@ -17,16 +17,16 @@ pub fn open<F: NorFlash>(
     flash: F,
     calibration: u32,
     mut feed: impl FnMut(),
-) -> (References<F>, StoredState) {
-    let (mut references, found) = References::open_in_parts(flash, calibration, &mut feed);
+) -> (ReferenceStore<F>, StoredState) {
+    let (mut references, found) = ReferenceStore::open_with_progress(flash, calibration, &mut feed);
     feed();
-    let Found { standing, is_new, taken, supply, named, foreign, damaged } = found;
+    let ScanResult { standing, is_new, taken, supply, named, foreign, damaged } = found;
     match standing {
-        Some((number, Standing { reference, is_offered: true, .. })) => {
-            report(number, &reference, defmt::intern!("offered"));
+        Some((number, ReferenceStatus { reference, is_offered: true, .. })) => {
+            log_reference(number, &reference, defmt::intern!("offered"));
         }
-        Some((number, Standing { reference, .. })) if reference != Reference::default() => {
-            report(number, &reference, defmt::intern!("taken up"));
+        Some((number, ReferenceStatus { reference, .. })) if reference != Reference::default() => {
+            log_reference(number, &reference, defmt::intern!("taken up"));
         }
         _ => defmt::info!("no reference is stored for this calibration"),
     }
@@ -39,7 +39,7 @@ pub fn open<F: NorFlash>(
     if damaged > 0 {
         defmt::warn!("stored references that are damaged, refused: {}", damaged);
     }
-    match references.make_room() {
+    match references.erase_spare_half() {
         Ok(false) => {}
         Ok(true) => defmt::info!("room made for references"),
         Err(error) => defmt::error!("dead: store of references, {}", error),
@@ -52,29 +52,29 @@ pub fn open<F: NorFlash>(
 #[derive(Clone, Copy, Default)]
 pub struct StoredState {
     /// Standing of the calibration's reference, and the level of the supply that it counts from.
-    pub standing: Option<(Standing, Level)>,
+    pub standing: Option<(ReferenceStatus, SupplyLevel)>,
     /// The write that has taken the reference.
-    pub taken: Option<Write>,
-    /// The machine that the board belongs to, as `trueup_store::writes::identity` has it.
+    pub taken: Option<WriteRecord>,
+    /// The machine that the board belongs to, as `trueup_store::writes::machine_identity_crc` has it.
     pub named: Option<u32>,
 }
 
 /// Stores what holds for the calibration from now on; `false`: it is not stored.
-pub fn store<F: NorFlash>(
-    references: &mut References<F>,
-    standing: Standing,
-    supply: Level,
+pub fn store_reference_status<F: NorFlash>(
+    references: &mut ReferenceStore<F>,
+    standing: ReferenceStatus,
+    supply: SupplyLevel,
 ) -> bool {
     references.set_supply(supply);
     match references.append(standing) {
         Ok(number) => {
             let (offered, stored) = (defmt::intern!("offered"), defmt::intern!("stored"));
             let what = if standing.is_offered { offered } else { stored };
-            report(number, &standing.reference, what);
+            log_reference(number, &standing.reference, what);
             true
         }
         Err(error) => {
-            report(0, &standing.reference, defmt::intern!("NOT stored"));
+            log_reference(0, &standing.reference, defmt::intern!("NOT stored"));
             defmt::error!("the reference is lost with the power: {}", error);
             false
         }
@@ -82,8 +82,11 @@ pub fn store<F: NorFlash>(
 }
 
 /// Stores who has written what; gives it with its number, or `None`: it is not stored.
-pub fn keep_write<F: NorFlash>(references: &mut References<F>, write: &Write) -> Option<Write> {
-    let word = write.what.word();
+pub fn store_write_record<F: NorFlash>(
+    references: &mut ReferenceStore<F>,
+    write: &WriteRecord,
+) -> Option<WriteRecord> {
+    let word = write.what.as_str();
     match references.append_write(write) {
         Ok(stored) => {
             defmt::info!("write {=u32}: {=str} {=u32:#x}", stored.sequence, word, write.about);
@@ -97,7 +100,7 @@ pub fn keep_write<F: NorFlash>(references: &mut References<F>, write: &Write) ->
 }
 
 /// `what` is a number in the image: a text would be sent letter by letter, with interrupts off.
-fn report(number: u32, reference: &Reference, what: defmt::Str) {
+fn log_reference(number: u32, reference: &Reference, what: defmt::Str) {
     let [x, y, z] = reference.axes.map(|axis| axis.rounded().0);
     defmt::info!(
         "reference {=u32} {=istr}: elongation {=i32} nm, X {=i32}, Y {=i32}, Z {=i32} nm",

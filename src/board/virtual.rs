@@ -12,7 +12,8 @@
 //! Time is what the samples say. Nothing here depends on how fast the host is, so the same blocks
 //! give the same frames.
 
-mod absent;
+mod flash;
+mod stubs;
 
 use core::{
     cell::RefCell,
@@ -25,9 +26,6 @@ use cortex_m::{
     peripheral::{NVIC, SCB},
 };
 use embedded_hal_nb::serial::{Read as _, Write as _};
-use embedded_storage::nor_flash::{
-    ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash, check_erase, check_read, check_write,
-};
 use heapless::{Deque, Vec};
 use semihosting::{
     fs::File,
@@ -41,57 +39,59 @@ use stm32f4xx_hal::{
     serial::{self, Rx, Serial, Tx},
 };
 use trueup_core::{
-    channels::RawTemperatures,
-    units::{Code, Millis},
+    temperature_channels::RawTemperatures,
+    units::{AdcCode, TimestampMs},
 };
 use trueup_link::frame::Frame;
-use trueup_modbus::rtu::Timing;
-use trueup_node::start::Start;
+use trueup_modbus::rtu::FrameTiming;
+use trueup_node::reset_info::ResetInfo;
 use trueup_pipe::{self as pipe, Record};
 use trueup_store::calibration;
 
 use crate::liveness::{self, Task};
 
 use super::{
-    BLOCK, Block, CanState, Faults, Parts, Plc, Sent, TEMPERATURES, references, reset_ram,
+    Block, CODES_PER_BLOCK, CanErrorState, Parts, PlcInterface, StartupFaults,
+    TEMPERATURE_CHANNEL_COUNT, TransmitState, references, retained_ram,
 };
 
-pub use absent::{Backup, BrownOut, Lamp, Rs485, SelfTest, Silence, Watchdog};
 use defmt_semihosting as _;
+pub use flash::Flash;
+pub use stubs::{BackupDomain, BrownOut, Rs485, SelfTest, SilenceTimer, StatusLed, Watchdog};
 
 /// Blocks that the host has announced and the board has not read.
-static ANNOUNCED: AtomicU32 = AtomicU32::new(0);
+static ANNOUNCED_BLOCKS: AtomicU32 = AtomicU32::new(0);
 /// The sample clock, for the time stamps of frames.
 static NOW_MS: AtomicU32 = AtomicU32::new(0);
 /// The block that `DMA2_STREAM0` is about to take.
-static ARRIVED: Mutex<RefCell<Option<Block>>> = Mutex::new(RefCell::new(None));
+static RECEIVED_BLOCK: Mutex<RefCell<Option<Block>>> = Mutex::new(RefCell::new(None));
 /// Frames that `CAN1_RX0` is about to take: it empties this before the next block comes.
-static FROM_BUS: Mutex<RefCell<Deque<Frame, 8>>> = Mutex::new(RefCell::new(Deque::new()));
-const _: () = assert!(pipe::FRAMES <= 8);
+static CAN_RX_QUEUE: Mutex<RefCell<Deque<Frame, 8>>> = Mutex::new(RefCell::new(Deque::new()));
+const _: () = assert!(pipe::FRAMES_PER_BLOCK <= 8);
 /// Frames on their way to the host: what one batch of 255 blocks can send, and its end mark.
-static TO_BUS: Mutex<RefCell<Vec<Record, 1024>>> = Mutex::new(RefCell::new(Vec::new()));
+static CAN_TX_QUEUE: Mutex<RefCell<Vec<Record, 1024>>> = Mutex::new(RefCell::new(Vec::new()));
 
 /// The service switch is closed, by the last block.
 static SWITCH_IS_CLOSED: AtomicBool = AtomicBool::new(false);
 /// The board is to start anew once the batch is done.
-static RESTART: AtomicBool = AtomicBool::new(false);
+static RESTART_REQUESTED: AtomicBool = AtomicBool::new(false);
 
 /// A process that starts is a machine that was cold for a day, as `predict` takes it.
 pub const COLD_AT_START: bool = true;
 
 /// Blocks that are read at once: 4 KB.
-const BLOCKS_AT_ONCE: usize = 32;
+const MAX_BLOCKS_PER_READ: usize = 32;
 /// Blocks per `SysTick`: 10 ms.
-const BLOCKS_PER_SUPERVISION: u32 = 10;
+const BLOCKS_PER_SUPERVISOR_TURN: u32 = 10;
 
 /// Brings the board up.
 #[allow(unsafe_code, reason = "registers of the emulated chip, and interrupts")]
 pub fn start(
     _core: cortex_m::Peripherals,
     device: pac::Peripherals,
-    buffer_of_load: &'static mut super::Buffer,
+    buffer_of_load: &'static mut super::CalibrationBuffer,
 ) -> Parts {
-    liveness::stay(Task::Start);
+    liveness::set_background_task(Task::Start);
     // QEMU has no RCC: its oscillator bits never come up, and the HAL waits for none on HSI.
     let mut rcc = device.RCC.freeze(rcc::Config::hsi());
     let port_a = device.GPIOA.split(&mut rcc);
@@ -112,24 +112,25 @@ pub fn start(
     // critical section of the tasks relies on this interrupt being masked.
     unsafe { NVIC::unmask(Interrupt::USART2) };
 
-    let buffer = cortex_m::singleton!(: Buffer = [0; _]).expect("the board starts once");
+    let buffer = cortex_m::singleton!(: BlockBuffer = [0; _]).expect("the board starts once");
     // The tables of the calibration are read where they lie, so it stays for good.
-    let blob: &'static mut [u8] = cortex_m::singleton!(: [u8; calibration::MAX_SIZE] = [0; _])
+    let blob: &'static mut [u8] = cortex_m::singleton!(: [u8; calibration::MAX_BLOB_SIZE] = [0; _])
         .expect("the board starts once");
     let mut length = Store::load(blob);
     let mut is_older = false;
     if calibration::decode(&blob[..length]).is_err() {
         is_older = length > 0;
-        length = open(c"calibration.bin").map_or(0, |mut file| read_all(&mut file, blob));
+        length = open_file(c"calibration.bin").map_or(0, |mut file| read_all(&mut file, blob));
     }
     let blob: &'static [u8] = blob;
-    let blob = calibration::whole(&blob[..length]);
+    let blob = calibration::validate_blob(&blob[..length]);
     let calibration =
-        blob.and_then(|blob| Ok((calibration::identity(blob), calibration::decode(blob)?)));
+        blob.and_then(|blob| Ok((calibration::calibration_crc(blob), calibration::decode(blob)?)));
     let calibration_is_good = calibration.is_ok();
     let identity = calibration.as_ref().map_or(0, |(identity, _)| *identity);
     let references = references::open(Flash::load(), identity, || ());
-    let samples = open(c"samples").expect("the host makes this pipe before it starts the board");
+    let samples =
+        open_file(c"samples").expect("the host makes this pipe before it starts the board");
     let frames =
         File::create(c"frames").expect("the host makes this pipe before it starts the board");
     // The host waits for this byte before it rings.
@@ -139,32 +140,37 @@ pub fn start(
         samples: Samples,
         serial_in: SerialIn(serial_in),
         serial_out: SerialOut(serial_out),
-        plc: Plc { unit: 1, timing: Timing::at(19_200), line: Rs485, silence: Silence },
+        plc: PlcInterface {
+            unit: 1,
+            timing: FrameTiming::from_baud(19_200),
+            line: Rs485,
+            silence: SilenceTimer,
+        },
         can_in: [CanIn, CanIn],
         can_out: CanOut,
         watchdog: Watchdog,
         brown_out: BrownOut,
-        lamp: Lamp,
+        lamp: StatusLed,
         idle: Idle { samples, frames, buffer },
         thermometers: Thermometers,
         service_switch: ServiceSwitch,
         calibration: calibration.map(|(_, calibration)| calibration),
         references,
-        faults: Faults::default(),
-        start: Start::default(),
+        faults: StartupFaults::default(),
+        start: ResetInfo::default(),
         self_test: SelfTest,
         serial_number: 1,
         chip: [1, 0, 0],
         blob: if calibration_is_good { blob.unwrap_or_default() } else { &[] },
         is_older,
         is_example: false,
-        retained: reset_ram::take(),
-        backup: Backup,
+        retained: retained_ram::take_retained_copies(),
+        backup: BackupDomain,
         loading: Some((buffer_of_load, Store)),
     }
 }
 
-fn open(name: &core::ffi::CStr) -> Option<File> {
+fn open_file(name: &core::ffi::CStr) -> Option<File> {
     File::open(name).ok()
 }
 
@@ -185,7 +191,7 @@ fn USART2() {
     // clears the interrupt.
     let usart = unsafe { &*USART2::ptr() };
     if usart.sr().read().rxne().bit_is_set() {
-        ANNOUNCED.fetch_add(u32::from(usart.dr().read().dr().bits()), Ordering::Relaxed);
+        ANNOUNCED_BLOCKS.fetch_add(u32::from(usart.dr().read().dr().bits()), Ordering::Relaxed);
     }
 }
 
@@ -193,15 +199,15 @@ fn USART2() {
 pub struct Samples;
 
 impl Samples {
-    pub fn take(&mut self) -> Option<Block> {
-        cortex_m::interrupt::free(|cs| ARRIVED.borrow(cs).take())
+    pub fn take_block(&mut self) -> Option<Block> {
+        cortex_m::interrupt::free(|cs| RECEIVED_BLOCK.borrow(cs).take())
     }
 
     /// There is no converter that could have stopped.
     pub fn restart(&mut self) {}
 
     /// Nor one that has a supply.
-    pub fn internal_reference(&mut self) -> Option<Code> {
+    pub fn internal_reference(&mut self) -> Option<AdcCode> {
         None
     }
 }
@@ -231,18 +237,18 @@ pub struct SerialOut(#[expect(dead_code, reason = "holds that half of the USART"
 
 impl SerialOut {
     /// Sends all that waits, which `fill` gives a piece at a time, byte by byte.
-    pub fn send(&mut self, _now_ms: u32, fill: impl FnMut(&mut [u8]) -> usize) -> Sent {
-        self.poll_out(fill)
+    pub fn send(&mut self, _now_ms: u32, fill: impl FnMut(&mut [u8]) -> usize) -> TransmitState {
+        self.transmit_polled(fill)
     }
 
     /// Sends the same way as [`Self::send`].
-    pub fn poll_out(&mut self, mut fill: impl FnMut(&mut [u8]) -> usize) -> Sent {
+    pub fn transmit_polled(&mut self, mut fill: impl FnMut(&mut [u8]) -> usize) -> TransmitState {
         let mut piece = [0; 16];
         loop {
             let count = fill(&mut piece);
-            piece[..count].iter().for_each(|byte| self.write(*byte));
+            piece[..count].iter().for_each(|byte| self.write_byte(*byte));
             if count < piece.len() {
-                return Sent::All;
+                return TransmitState::All;
             }
         }
     }
@@ -250,7 +256,7 @@ impl SerialOut {
     /// The emulated USART is always ready, so that its status is not read first: each such read wakes
     /// QEMU's main loop, and halves what the line carries.
     #[allow(unsafe_code, reason = "registers of the emulated chip, and interrupts")]
-    fn write(&mut self, byte: u8) {
+    fn write_byte(&mut self, byte: u8) {
         // SAFETY: this half of the USART is owned by `self`, and a data register takes any byte.
         let usart = unsafe { &*USART1::ptr() };
         // SAFETY: as above.
@@ -263,7 +269,7 @@ pub struct CanIn;
 
 impl CanIn {
     pub fn receive(&mut self) -> Option<Frame> {
-        cortex_m::interrupt::free(|cs| FROM_BUS.borrow(cs).borrow_mut().pop_front())
+        cortex_m::interrupt::free(|cs| CAN_RX_QUEUE.borrow(cs).borrow_mut().pop_front())
     }
 }
 
@@ -272,8 +278,8 @@ pub struct CanOut;
 
 impl CanOut {
     /// There is no bus to be off.
-    pub fn state(&mut self) -> CanState {
-        CanState::default()
+    pub fn take_worst_state(&mut self) -> CanErrorState {
+        CanErrorState::default()
     }
 
     /// Nothing waits: the host takes it all.
@@ -282,11 +288,11 @@ impl CanOut {
     }
 
     pub fn send(&mut self, frame: &Frame) {
-        let time = Millis(NOW_MS.load(Ordering::Relaxed));
+        let time = TimestampMs(NOW_MS.load(Ordering::Relaxed));
         let record = Record::Frame { time, frame: *frame };
         // A full buffer means a board that sends more than any batch can cause; the host sees the
         // gap in the counters.
-        cortex_m::interrupt::free(|cs| TO_BUS.borrow(cs).borrow_mut().push(record).ok());
+        cortex_m::interrupt::free(|cs| CAN_TX_QUEUE.borrow(cs).borrow_mut().push(record).ok());
     }
 }
 
@@ -294,63 +300,8 @@ impl CanOut {
 pub struct Thermometers;
 
 impl Thermometers {
-    pub fn turn(&mut self) -> Option<RawTemperatures> {
+    pub fn poll_next_channel(&mut self) -> Option<RawTemperatures> {
         None
-    }
-}
-
-/// The flash, in two small sectors: a copy of the host's file, which follows every change.
-pub struct Flash([u8; 2 * SECTOR_SIZE]);
-
-const SECTOR_SIZE: usize = 1024;
-
-impl Flash {
-    /// As the host's file has it; what is not there is blank.
-    fn load() -> Self {
-        let mut bytes = [0xFF; _];
-        if let Some(mut file) = open(c"flash.bin") {
-            read_all(&mut file, &mut bytes);
-        }
-        Self(bytes)
-    }
-
-    fn save(&self) -> Result<(), NorFlashErrorKind> {
-        semihosting::fs::write(c"flash.bin", self.0).map_err(|_| NorFlashErrorKind::Other)
-    }
-}
-
-impl ErrorType for Flash {
-    type Error = NorFlashErrorKind;
-}
-
-impl ReadNorFlash for Flash {
-    const READ_SIZE: usize = 1;
-
-    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Self::Error> {
-        check_read(self, offset, bytes.len())?;
-        bytes.copy_from_slice(&self.0[offset as usize..][..bytes.len()]);
-        Ok(())
-    }
-
-    fn capacity(&self) -> usize {
-        self.0.len()
-    }
-}
-
-impl NorFlash for Flash {
-    const WRITE_SIZE: usize = 4;
-    const ERASE_SIZE: usize = SECTOR_SIZE;
-
-    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Self::Error> {
-        check_write(self, offset, bytes.len())?;
-        self.0[offset as usize..].iter_mut().zip(bytes).for_each(|(cell, byte)| *cell &= byte);
-        self.save()
-    }
-
-    fn erase(&mut self, from: u32, to: u32) -> Result<(), Self::Error> {
-        check_erase(self, from, to)?;
-        self.0[from as usize..to as usize].fill(0xFF);
-        self.save()
     }
 }
 
@@ -360,7 +311,7 @@ pub struct Store;
 impl Store {
     /// Reads its bytes into `place`. Returns how many there are.
     fn load(place: &mut [u8]) -> usize {
-        open(c"loaded.bin").map_or(0, |mut file| read_all(&mut file, place))
+        open_file(c"loaded.bin").map_or(0, |mut file| read_all(&mut file, place))
     }
 
     /// Stores a calibration. Returns whether it was stored.
@@ -372,29 +323,29 @@ impl Store {
 /// Starts the board anew at the end of the batch: the host learns of it there, and rings no more until
 /// the board is up again.
 pub fn restart() {
-    RESTART.store(true, Ordering::Relaxed);
+    RESTART_REQUESTED.store(true, Ordering::Relaxed);
 }
 
 /// Announced blocks as they come from the pipe.
-type Buffer = [u8; BLOCKS_AT_ONCE * pipe::BLOCK_SIZE];
+type BlockBuffer = [u8; MAX_BLOCKS_PER_READ * pipe::BLOCK_SIZE];
 
 /// Work of the CPU when no task has any: it makes time pass.
 pub struct Idle {
     samples: File,
     frames: File,
-    buffer: &'static mut Buffer,
+    buffer: &'static mut BlockBuffer,
 }
 
 impl Idle {
     pub fn run(&mut self) -> ! {
-        liveness::stay(Task::Idle);
+        liveness::set_background_task(Task::Idle);
         loop {
             liveness::heartbeat(Task::Idle);
             let mut left = Self::wait_for_blocks() as usize;
             while left > 0 {
-                let count = left.min(BLOCKS_AT_ONCE);
+                let count = left.min(MAX_BLOCKS_PER_READ);
                 left -= count;
-                self.live_through(count);
+                self.process_blocks(count);
             }
             self.end_batch();
         }
@@ -406,7 +357,7 @@ impl Idle {
     fn wait_for_blocks() -> u32 {
         loop {
             cortex_m::interrupt::disable();
-            let announced = ANNOUNCED.swap(0, Ordering::Relaxed);
+            let announced = ANNOUNCED_BLOCKS.swap(0, Ordering::Relaxed);
             if announced == 0 {
                 asm::wfi();
             }
@@ -419,7 +370,7 @@ impl Idle {
     }
 
     /// Reads announced blocks, no more of them than fit the buffer, and lives through them.
-    fn live_through(&mut self, count: usize) {
+    fn process_blocks(&mut self, count: usize) {
         let bytes = &mut self.buffer[..count * pipe::BLOCK_SIZE];
         if read_all(&mut self.samples, bytes) < bytes.len() {
             defmt::panic!("the host closed the samples in the middle of a block");
@@ -428,56 +379,60 @@ impl Idle {
             let Ok(block) = pipe::Block::decode(bytes) else {
                 defmt::panic!("the host sent a block that is none");
             };
-            Self::one_block(&block);
+            Self::process_block(&block);
         }
     }
 
     /// Raises the interrupts that one block stands for. Every task has a higher priority than this
     /// one, so they are done when the next line runs.
-    fn one_block(block: &pipe::Block) {
+    fn process_block(block: &pipe::Block) {
         let now = NOW_MS.load(Ordering::Relaxed).wrapping_add(1);
         NOW_MS.store(now, Ordering::Relaxed);
         let mut received = false;
         cortex_m::interrupt::free(|cs| {
-            let mut from_bus = FROM_BUS.borrow(cs).borrow_mut();
+            let mut from_bus = CAN_RX_QUEUE.borrow(cs).borrow_mut();
             for frame in block.frames.into_iter().flatten() {
                 received |= from_bus.push_back(frame).is_ok();
             }
             SWITCH_IS_CLOSED.store(block.service_switch, Ordering::Relaxed);
-            let codes: [_; BLOCK] = block.codes;
-            let temperatures: Option<[_; TEMPERATURES]> = Some(block.temperatures);
-            ARRIVED.borrow(cs).replace(Some(Block { codes, speed: block.speed, temperatures }));
+            let codes: [_; CODES_PER_BLOCK] = block.codes;
+            let temperatures: Option<[_; TEMPERATURE_CHANNEL_COUNT]> = Some(block.temperatures);
+            RECEIVED_BLOCK.borrow(cs).replace(Some(Block {
+                codes,
+                speed: block.speed,
+                temperatures,
+            }));
         });
         if received {
-            raise(|| NVIC::pend(Interrupt::CAN1_RX0));
+            trigger_interrupt(|| NVIC::pend(Interrupt::CAN1_RX0));
         }
-        raise(|| NVIC::pend(Interrupt::DMA2_STREAM0));
-        if now.is_multiple_of(BLOCKS_PER_SUPERVISION) {
-            raise(SCB::set_pendst);
+        trigger_interrupt(|| NVIC::pend(Interrupt::DMA2_STREAM0));
+        if now.is_multiple_of(BLOCKS_PER_SUPERVISOR_TURN) {
+            trigger_interrupt(SCB::set_pendst);
         }
     }
 
     /// Hands the host what the batch has sent, and says that it is done.
     fn end_batch(&mut self) {
-        let records = cortex_m::interrupt::free(|cs| TO_BUS.borrow(cs).take());
-        let time = Millis(NOW_MS.load(Ordering::Relaxed));
-        let restart = RESTART.load(Ordering::Relaxed);
+        let records = cortex_m::interrupt::free(|cs| CAN_TX_QUEUE.borrow(cs).take());
+        let time = TimestampMs(NOW_MS.load(Ordering::Relaxed));
+        let restart = RESTART_REQUESTED.load(Ordering::Relaxed);
         let end = if restart { Record::Restart { time } } else { Record::EndOfBatch { time } };
         let mut bytes: Vec<u8, 4096> = Vec::new();
         for record in records.iter().chain([&end]).map(Record::encode) {
             if bytes.extend_from_slice(&record).is_err() {
-                self.write(&bytes);
+                self.write_frames(&bytes);
                 bytes.clear();
                 bytes.extend_from_slice(&record).expect("it was just emptied");
             }
         }
-        self.write(&bytes);
+        self.write_frames(&bytes);
         if restart {
             SCB::sys_reset();
         }
     }
 
-    fn write(&mut self, bytes: &[u8]) {
+    fn write_frames(&mut self, bytes: &[u8]) {
         if self.frames.write_all(bytes).is_err() {
             defmt::panic!("the host no longer takes frames");
         }
@@ -485,7 +440,7 @@ impl Idle {
 }
 
 /// Raises an interrupt and lets it in before the next instruction.
-fn raise(pend: impl FnOnce()) {
+fn trigger_interrupt(pend: impl FnOnce()) {
     pend();
     asm::dsb();
     asm::isb();

@@ -1,38 +1,32 @@
 //! The project's own commands. Their work is in `trueup-emulator`; here is only what is said.
 
+mod demo;
+
 use std::{
-    fs,
     path::{Path, PathBuf},
     process::ExitCode,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
     },
-    time::{Duration, Instant, SystemTime, UNIX_EPOCH},
+    time::UNIX_EPOCH,
 };
 
 use anyhow::{Context as _, Result, bail};
 use clap::{Args, Parser, Subcommand};
-use indicatif::{ProgressBar, ProgressStyle};
 use trueup_checks::{
     book, bounds, campaign, debian, release, structure,
     verify::{self, Tier},
 };
-use trueup_demo::{
-    act_one::{Asked, act_one},
-    act_two::act_two,
-    boards::Boards,
-    campaign::Campaign,
-    hidden::Hidden,
-    page,
-    summary::Summary,
-};
+use trueup_demo::{boards::BoardSource, campaign::Campaign, faulty_machine::FaultyMachine};
 use trueup_emulator::{
-    chip,
+    benchmark, chip,
     firmware::{self, Board},
-    images, linuxcnc, measure, setup, size, slots,
+    images, linuxcnc, setup, size, slots,
 };
-use trueup_machine::{BadInput, MachineFile, RunFile};
+use trueup_machine::{BadInput, MachineFile};
+
+use demo::{DemoArgs, run_demo};
 
 #[derive(Parser)]
 #[command(name = "cargo xtask", about = "The project's own commands")]
@@ -44,7 +38,7 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     /// Finds what is wrong in a measured run, and shows on an emulated board what mending it brings.
-    Demo(Demo),
+    Demo(DemoArgs),
     /// Hides faults in many virtual machines, and counts how often the demonstration's second act is right.
     Hidden {
         /// How many machines.
@@ -61,14 +55,14 @@ enum Command {
         board: bool,
     },
     /// Runs the quick tier of every kind of test: host, emulated board, real clients.
-    Verify(Verify),
+    Verify(VerifyArgs),
     /// Runs a virtual bridge for any client, until Ctrl-C.
-    Virtual(Virtual),
+    Virtual(VirtualArgs),
     /// Runs the flashable image on the model of its chip: its log here, its serial line on a TCP port.
-    Chip(ChipOptions),
+    Chip(ChipArgs),
     /// Lets the real LinuxCNC cut on a virtual machine that the bridge corrects.
     #[command(name = "linuxcnc")]
-    LinuxCnc(LinuxCnc),
+    LinuxCnc(LinuxCncArgs),
     /// Prints the size of the firmware images.
     Size,
     /// Bounds the time of every task of the flashable image, on each clock, next to the longest that the model of the
@@ -189,13 +183,13 @@ enum Command {
 
 #[derive(Args)]
 #[command(args_conflicts_with_subcommands = true)]
-struct LinuxCnc {
+struct LinuxCncArgs {
     /// Where the bridge runs.
     #[arg(long, value_enum, default_value_t)]
-    on: linuxcnc::On,
+    on: linuxcnc::BridgePlatform,
     /// Where its offsets enter LinuxCNC.
     #[arg(long, value_enum, default_value_t)]
-    by: linuxcnc::By,
+    by: linuxcnc::OffsetEntry,
     #[command(subcommand)]
     command: Option<LinuxCncCommand>,
 }
@@ -228,7 +222,7 @@ enum LinuxCncCommand {
 }
 
 #[derive(Args)]
-struct Verify {
+struct VerifyArgs {
     /// The long tier: long tests, LinuxCNC, the distribution's compiler.
     #[arg(long)]
     long: bool,
@@ -238,28 +232,12 @@ struct Verify {
 }
 
 #[derive(Args)]
-struct Demo {
-    /// Your machine file, in the place of the paper's.
-    #[arg(long, value_name = "M.toml", requires = "run")]
-    machine: Option<PathBuf>,
-    /// Your run file.
-    #[arg(long, value_name = "RUN.csv", requires = "machine")]
-    run: Option<PathBuf>,
-    /// Draws the hidden fault of act two, and draws it again; another one each time by default.
-    #[arg(long)]
-    seed: Option<u64>,
-    /// The folder for summary.json and report.html; target/demo by default.
-    #[arg(long, value_name = "DIR")]
-    out: Option<PathBuf>,
-}
-
-#[derive(Args)]
-struct Virtual {
+struct VirtualArgs {
     /// The machine file.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
     #[command(flatten)]
-    options: trueup_virtual_bridge::Options,
+    options: trueup_virtual_bridge::BridgeOptions,
 }
 
 #[derive(Args)]
@@ -267,7 +245,7 @@ struct Virtual {
     cargo xtask chip                        then: trueup bridge info --port tcp:127.0.0.1:3333\n  \
     cargo xtask chip --ms 2000 --hse-dead   two seconds with a dead crystal, and the report\n\
     All options of the model: crates/bench/chip/README.md. TRUEUP_MACHINE=M.toml chooses the machine file.")]
-struct ChipOptions {
+struct ChipArgs {
     /// Options of the model. Without --ms it runs until Ctrl-C, without --serial on port 3333.
     #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "OPTION")]
     options: Vec<String>,
@@ -280,64 +258,70 @@ fn main() -> ExitCode {
     let result = match Cli::parse_from(words).command {
         Command::Demo(options) => run_demo(&options),
         Command::Hidden { seeds, first, tools, board } => run_hidden(seeds, first, tools, board),
-        Command::Verify(Verify { all: true, .. }) => verify::run(Tier::All),
-        Command::Verify(Verify { long: true, .. }) => verify::run(Tier::Long),
+        Command::Verify(VerifyArgs { all: true, .. }) => verify::run(Tier::All),
+        Command::Verify(VerifyArgs { long: true, .. }) => verify::run(Tier::Long),
         Command::Verify(_) => verify::run(Tier::Quick),
         Command::Virtual(options) => run_virtual(options),
-        Command::Chip(ChipOptions { options }) => run_chip(options),
+        Command::Chip(ChipArgs { options }) => run_chip(options),
         Command::LinuxCnc(options) => run_linuxcnc(options),
-        Command::Size => size::report().map(|report| trueup_output::line(report.trim_end())),
+        Command::Size => {
+            size::build_size_report().map(|report| trueup_output::write_line(report.trim_end()))
+        }
         Command::Bounds { path, clock, largest } => match path {
-            Some(task) => bounds::path(&task, clock, largest),
-            None => bounds::print(),
+            Some(task) => bounds::format_longest_path(&task, clock, largest),
+            None => bounds::format_report(),
         }
-        .map(|report| trueup_output::line(report.trim_end())),
-        Command::Images => images::carried().map(|folder| trueup_output::line(folder.display())),
+        .map(|report| trueup_output::write_line(report.trim_end())),
+        Command::Images => {
+            images::build_bundled_images().map(|folder| trueup_output::write_line(folder.display()))
+        }
         Command::Firmware => images::build_flashable().map(|built| {
-            trueup_output::line(built.image.display());
-            trueup_output::line(built.update.display());
+            trueup_output::write_line(built.image.display());
+            trueup_output::write_line(built.update.display());
         }),
-        Command::Measure => measure::run(measure::VECTORS).and_then(|measured| measured.publish()),
-        Command::Scorecard { seeds } => verify::scorecard(seeds),
-        Command::Fuzz { minutes } => campaign::fuzz(minutes),
-        Command::Mutants { draw, seed } => campaign::mutants(draw, seed),
-        Command::Circles { circles } => campaign::circles(circles),
-        Command::Volumes { volumes, first, law } => campaign::volumes(volumes, first, &law),
-        Command::VolumeBoard { poses } => campaign::volume_board(poses),
-        Command::Soak { ticks, seed } => campaign::soak(ticks, seed),
-        Command::Names { count, seed } => print_names(count, seed.unwrap_or_else(any_seed)),
-        Command::Structure => {
-            structure::check(&setup::root()).map(|report| trueup_output::line(report.trim_end()))
+        Command::Measure => benchmark::run_benchmark(benchmark::TEST_VECTOR_COUNT)
+            .and_then(|measured| measured.write_report()),
+        Command::Scorecard { seeds } => verify::run_scorecard(seeds),
+        Command::Fuzz { minutes } => campaign::run_fuzz_targets(minutes),
+        Command::Mutants { draw, seed } => campaign::run_mutation_campaign(draw, seed),
+        Command::Circles { circles } => campaign::run_circle_campaign(circles),
+        Command::Volumes { volumes, first, law } => {
+            campaign::run_volume_campaign(volumes, first, &law)
         }
-        Command::Deb { is_tried } => deb(is_tried),
-        Command::Release { once: true, .. } => release::once(),
+        Command::VolumeBoard { poses } => campaign::run_volume_board_campaign(poses),
+        Command::Soak { ticks, seed } => campaign::soak(ticks, seed),
+        Command::Names { count, seed } => print_names(count, seed.unwrap_or_else(random_seed)),
+        Command::Structure => structure::check(&setup::project_root())
+            .map(|report| trueup_output::write_line(report.trim_end())),
+        Command::Deb { is_tried } => build_deb(is_tried),
+        Command::Release { once: true, .. } => release::build_release_files(),
         Command::Release { key, .. } => make_release(key.as_deref()),
-        Command::Book => book::render().map(|page| trueup_output::line(page.display())),
-        Command::Setup => setup::everything(),
+        Command::Book => book::render().map(|page| trueup_output::write_line(page.display())),
+        Command::Setup => setup::install_all_dependencies(),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            trueup_output::diagnostic(format_args!("error: {error:#}"));
+            trueup_output::write_diagnostic(format_args!("error: {error:#}"));
             // What the user can mend in a file is distinguished from everything else.
             ExitCode::from(if error.is::<BadInput>() { 2 } else { 1 })
         }
     }
 }
 
-fn deb(is_tried: bool) -> Result<()> {
-    let package = debian::package()?;
+fn build_deb(is_tried: bool) -> Result<()> {
+    let package = debian::build_host_package()?;
     if is_tried {
-        debian::try_out(&package)?;
+        debian::test_install(&package)?;
     }
-    trueup_output::line(package.display());
+    trueup_output::write_line(package.display());
     Ok(())
 }
 
 fn make_release(key: Option<&Path>) -> Result<()> {
-    let made = release::release(key)?;
+    let made = release::create_release(key)?;
     for file in &made.files {
-        trueup_output::line(made.folder.join(file).display());
+        trueup_output::write_line(made.folder.join(file).display());
     }
     if made.left_out.is_empty() {
         return Ok(());
@@ -345,69 +329,17 @@ fn make_release(key: Option<&Path>) -> Result<()> {
     bail!("the release is not whole: {}", made.left_out.join("\n"))
 }
 
-fn run_demo(options: &Demo) -> Result<()> {
-    let image = firmware::build_virtual()?;
-    let started = Instant::now();
-    let root = setup::root();
-    let or = |path: &Option<PathBuf>, own: &str| path.clone().unwrap_or_else(|| root.join(own));
-    let path = or(&options.machine, "data/paper_spindle.toml");
-    let source = MachineFile::read_text(&path)?;
-    let run = RunFile::read(&or(&options.run, "data/spindle_paper_table1.csv"))?;
-    let folder = or(&options.out, "target/demo");
-    let boards = Boards::Emulated(image);
-
-    let bar = shown()?;
-    let asked = Asked { source: &source, path: &path, run: &run, quantity: None };
-    let one = act_one(&boards, &asked, &mut |what, share| tell(&bar, what, share))?;
-    bar.finish_and_clear();
-    trueup_output::line(one.text());
-
-    // One's own data are played alone, unless a seed is asked for.
-    let seed = options.seed.or_else(|| options.machine.is_none().then(any_seed));
-    let two = match seed {
-        None => None,
-        Some(seed) => {
-            trueup_output::line(format_args!("A machine is drawn and broken by seed {seed}."));
-            let bar = shown()?;
-            let hidden = Hidden::draw(seed)?;
-            let two = act_two(&boards, &hidden, &mut |what, share| tell(&bar, what, share))?;
-            bar.finish_and_clear();
-            trueup_output::line(two.text());
-            Some(two)
-        }
-    };
-
-    let outcome = two.as_ref().map(|two| &two.outcome);
-    let summary = Summary::of(&one, outcome, boards.name(), started.elapsed().as_secs_f64());
-    fs::create_dir_all(&folder)?;
-    if let Some(two) = &two {
-        fs::write(folder.join("act-two.svg"), page::picture_of_act_two(two))?;
-    }
-    fs::write(folder.join("summary.json"), serde_json::to_string_pretty(&summary)? + "\n")?;
-    fs::write(folder.join("report.html"), page::page(&one, two.as_ref()))?;
-    fs::write(folder.join("extended.toml"), &one.extended)?;
-    let shown_at = folder.strip_prefix(&root).unwrap_or(&folder);
-    trueup_output::line(format_args!(
-        "{} frames read as a CNC reads them, {} damaged or lost.\nThe page: {}   The figures: {}",
-        summary.frames,
-        summary.e2e_errors,
-        shown_at.join("report.html").display(),
-        shown_at.join("summary.json").display()
-    ));
-    Ok(())
-}
-
 fn run_chip(mut options: Vec<String>) -> Result<()> {
     let Some(model) = chip::build()? else {
-        let (major, minor) = chip::OLDEST;
+        let (major, minor) = chip::MIN_COMPILER_VERSION;
         bail!("the model of the chip needs Rust {major}.{minor} or newer");
     };
     // Without a machine file of the user's, one that is named: the example's constants give no offset.
     let image = match std::env::var_os("TRUEUP_MACHINE") {
         Some(_) => firmware::build(Board::Stm32f405)?,
         None => {
-            let machine = setup::root().join("data/paper_spindle.toml");
-            slots::build_flashable_for(&machine, slots::version()?)?.image
+            let machine = setup::project_root().join("data/paper_spindle.toml");
+            slots::build_flashable_for(&machine, slots::firmware_version()?)?.image
         }
     };
     let has = |options: &[String], what: &str| options.iter().any(|option| option == what);
@@ -415,82 +347,72 @@ fn run_chip(mut options: Vec<String>) -> Result<()> {
         options.extend(["--serial", "3333"].map(Into::into));
     }
     if !has(&options, "--ms") {
-        // A week of the board: whoever started it ends it.
+        // A week of the board: the process that started it ends it.
         options.extend(["--ms", "604800000"].map(Into::into));
     }
-    if !chip::show(&model, &image, &options)? {
+    if !chip::run_interactive(&model, &image, &options)? {
         bail!("the report has a violation: the chip would not do what the image asks");
     }
     Ok(())
 }
 
 fn print_names(count: usize, seed: u64) -> Result<()> {
-    let (names, of) = structure::names::drawn(&setup::root(), count, seed)?;
-    trueup_output::line(format_args!("{count} of {of} names, --seed {seed}"));
-    for structure::names::Name { kind, name, place } in names {
-        trueup_output::line(format_args!("{kind:<7} {name:<40} {place}"));
+    let (names, of) = structure::names::draw_names(&setup::project_root(), count, seed)?;
+    trueup_output::write_line(format_args!("{count} of {of} names, --seed {seed}"));
+    for structure::names::DeclaredName { kind, name, place } in names {
+        trueup_output::write_line(format_args!("{kind:<7} {name:<40} {place}"));
     }
     Ok(())
 }
 
-fn run_linuxcnc(LinuxCnc { on, by, command }: LinuxCnc) -> Result<()> {
+fn run_linuxcnc(LinuxCncArgs { on, by, command }: LinuxCncArgs) -> Result<()> {
     match command {
-        None => linuxcnc::run_and_publish(linuxcnc::Way { on, by }).map(drop),
+        None => linuxcnc::run_and_publish(linuxcnc::CompensationRoute { on, by }).map(drop),
         Some(LinuxCncCommand::Abuse { cycles, events, seed, ways }) => {
-            campaign::abuse(cycles, events, seed.unwrap_or_else(any_seed), &ways)
+            campaign::run_random_event_campaign(
+                cycles,
+                events,
+                seed.unwrap_or_else(random_seed),
+                &ways,
+            )
         }
-        Some(LinuxCncCommand::Circle) => campaign::linuxcnc_circle(),
-        Some(LinuxCncCommand::Repeat { runs }) => linuxcnc::repeat::print(runs),
-    }
-}
-
-/// Returns a bar that is shown.
-fn shown() -> Result<ProgressBar> {
-    let bar = ProgressBar::new(100);
-    bar.set_style(ProgressStyle::with_template("[{bar:30}] {percent:>3} % {msg}")?);
-    bar.enable_steady_tick(Duration::from_millis(200));
-    Ok(bar)
-}
-
-fn tell(bar: &ProgressBar, what: &str, share: f64) {
-    if !what.is_empty() {
-        bar.set_message(what.to_string());
-    }
-    if share.is_finite() {
-        bar.set_position((100.0 * share) as u64);
+        Some(LinuxCncCommand::Circle) => campaign::run_linuxcnc_circle(),
+        Some(LinuxCncCommand::Repeat { runs }) => linuxcnc::repeatability::print_reductions(runs),
     }
 }
 
 /// Another one each time.
-fn any_seed() -> u64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    since.as_micros() as u64 % 1_000_000
+fn random_seed() -> u64 {
+    UNIX_EPOCH.elapsed().unwrap_or_default().as_micros() as u64 % 1_000_000
 }
 
 fn run_hidden(seeds: u64, first: u64, tools: u64, on_board: bool) -> Result<()> {
-    let boards =
-        if on_board { Boards::Emulated(firmware::build_virtual()?) } else { Boards::InProcess };
-    type Draw = fn(u64) -> Result<Hidden>;
-    let all: [(u64, &str, Draw); 2] =
-        [(seeds, "", Hidden::draw), (tools, "that change their tools: ", Hidden::draw_with_tools)];
+    let boards = match on_board {
+        true => BoardSource::Emulated(firmware::build_virtual()?),
+        false => BoardSource::InProcess,
+    };
+    type TestCaseSampler = fn(u64) -> Result<FaultyMachine>;
+    let all: [(u64, &str, TestCaseSampler); 2] = [
+        (seeds, "", FaultyMachine::draw),
+        (tools, "that change their tools: ", FaultyMachine::draw_with_tools),
+    ];
     for (seeds, which, draw) in all {
         let mut campaign = Campaign::default();
         for seed in first..first + seeds {
-            trueup_output::line(campaign.play(&boards, &draw(seed)?)?);
+            trueup_output::write_line(campaign.play(&boards, &draw(seed)?)?);
         }
         if seeds > 0 {
-            trueup_output::line(format_args!("{which}{}", campaign.text()));
+            trueup_output::write_line(format_args!("{which}{}", campaign.format_summary()));
         }
     }
     Ok(())
 }
 
-fn run_virtual(asked: Virtual) -> Result<()> {
-    let own = || setup::root().join("data/paper_spindle.toml");
-    let machine = MachineFile::read(&asked.machine.unwrap_or_else(own))?;
+fn run_virtual(asked: VirtualArgs) -> Result<()> {
+    let shipped = || setup::project_root().join("data/paper_spindle.toml");
+    let machine = MachineFile::read(&asked.machine.unwrap_or_else(shipped))?;
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
-    let image = || firmware::build_virtual();
-    trueup_virtual_bridge::run(&machine, &asked.options, image, stop)
+    trueup_virtual_bridge::run(&machine, &asked.options, firmware::build_virtual, stop)
 }

@@ -1,6 +1,6 @@
 //! A release build of the tool carries the firmware images, so that an installed `trueup` needs no source
 //! tree. Where they are missing, or older than what they are built from, `cargo xtask images` builds
-//! them; where that cannot be, the tool comes without them, and says so when they are asked for.
+//! them; where that cannot be, the tool comes without them, and says so when they are requested.
 //!
 //! `TRUEUP_FIRMWARE=0` leaves them out. A build for tests carries nothing, unless `TRUEUP_FIRMWARE=1` says
 //! that it takes what `cargo xtask images` has built before.
@@ -16,15 +16,15 @@ use std::{
 #[path = "../../../commit.rs"]
 mod commit;
 
-/// Names of the carried images; a constant of `carried.rs` names one, too.
-const IMAGES: [&str; 4] = [
+/// Names of the carried images; a constant of what this writes names one, too.
+const IMAGE_NAMES: [&str; 4] = [
     "trueup-virtual.elf",
     "trueup-stm32f405.elf",
     "trueup-stm32f405.bin",
     "trueup-stm32f405.update",
 ];
 /// Sources of the images.
-const SOURCES: [&str; 17] = [
+const IMAGE_SOURCES: [&str; 17] = [
     "Cargo.lock",
     "build.rs",
     "commit.rs",
@@ -43,35 +43,35 @@ const SOURCES: [&str; 17] = [
     "crates/board/signature/src",
     "crates/board/store/src",
 ];
-const CARRIED: &str = "TRUEUP_FIRMWARE";
+const FIRMWARE_ENV: &str = "TRUEUP_FIRMWARE";
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
-    println!("cargo:rerun-if-env-changed={CARRIED}");
+    println!("cargo:rerun-if-env-changed={FIRMWARE_ENV}");
     let package = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").expect("cargo sets it"));
     let root = package.join("../../..");
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets it"));
     // An image says its commit, so that one of another commit is another image.
-    let with_commit = commit::tell(&root);
+    let with_commit = commit::emit_commit_env(&root);
     let is_release = env::var("PROFILE").is_ok_and(|profile| profile == "release");
-    let carried = match env::var(CARRIED).as_deref() {
+    let carried = match env::var(FIRMWARE_ENV).as_deref() {
         Ok("0") => false,
         Ok("1") => true,
         _ => is_release,
     };
     let folder = root.join("target/carried");
     if carried {
-        for source in SOURCES {
+        for source in IMAGE_SOURCES {
             println!("cargo:rerun-if-changed={}", root.join(source).display());
         }
         // A build for tests stands in the folder that the project's own command is built in, and would
         // wait for itself.
-        if is_release && !is_fresh(&root, &folder, &with_commit) {
-            build(&root);
+        if is_release && !is_up_to_date(&root, &folder, &with_commit) {
+            build_images(&root);
         }
     }
     let mut list = String::from("&[");
-    for name in IMAGES {
+    for name in IMAGE_NAMES {
         let image = folder.join(name);
         if carried && image.is_file() {
             let image = image.canonicalize().expect("it is a file");
@@ -86,24 +86,25 @@ fn main() {
 }
 
 /// Returns whether all images are there and none is older than what it is built from.
-fn is_fresh(root: &Path, folder: &Path, with_commit: &[PathBuf]) -> bool {
+fn is_up_to_date(root: &Path, folder: &Path, with_commit: &[PathBuf]) -> bool {
     let changed = |path: &Path| fs::metadata(path).and_then(|it| it.modified()).ok();
-    let images = IMAGES.map(|name| changed(&folder.join(name)));
-    let sources = SOURCES.iter().map(|source| root.join(source));
-    let newest = sources.chain(with_commit.iter().cloned()).filter_map(|it| newest(&it)).max();
+    let images = IMAGE_NAMES.map(|name| changed(&folder.join(name)));
+    let sources = IMAGE_SOURCES.iter().map(|source| root.join(source));
+    let newest =
+        sources.chain(with_commit.iter().cloned()).filter_map(|it| latest_modification(&it)).max();
     images.into_iter().min().flatten() > newest
 }
 
 /// When something in a folder, or a file, was last changed.
-fn newest(path: &Path) -> Option<SystemTime> {
+fn latest_modification(path: &Path) -> Option<SystemTime> {
     let Ok(entries) = fs::read_dir(path) else {
         return fs::metadata(path).and_then(|it| it.modified()).ok();
     };
-    entries.flatten().filter_map(|entry| newest(&entry.path())).max()
+    entries.flatten().filter_map(|entry| latest_modification(&entry.path())).max()
 }
 
 /// Builds the images as `cargo xtask images` does, in another profile's folder than this build.
-fn build(root: &Path) {
+fn build_images(root: &Path) {
     println!("cargo:warning=building the firmware images that trueup carries: some minutes");
     let mut command = Command::new(env::var_os("CARGO").unwrap_or("cargo".into()));
     command.args(["run", "--quiet", "--locked", "-p", "trueup-emulator", "--bin", "images"]);

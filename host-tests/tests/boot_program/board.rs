@@ -8,11 +8,11 @@ use std::{
 
 use tempfile::TempDir;
 use trueup_boot::{
+    flash_layout::{SLOT_SIZE, Slot},
     header::Version,
-    layout::{SLOT_SIZE, Slot},
 };
 use trueup_emulator::{
-    chip::{self, Report},
+    chip::{self, RunReport},
     slots,
 };
 use trueup_signature::PrivateKey;
@@ -46,7 +46,7 @@ fn parts() -> Option<&'static Parts> {
         .get_or_init(|| {
             let model = chip::build().expect("the model builds")?;
             let boot = slots::build_boot().expect("the boot program builds");
-            let images = Slot::BOTH.map(|slot| slots::build_slot_test(slot).expect("it builds"));
+            let images = Slot::ALL.map(|slot| slots::build_slot_test(slot).expect("it builds"));
             Some(Parts { model, boot, images })
         })
         .as_ref()
@@ -76,7 +76,7 @@ pub fn body_of(image: &Path, slot: Slot, behaviour: u8) -> Vec<u8> {
 /// Returns a file for a slot, signed with the developers' key.
 pub fn file(slot: Slot, minor: u8, floor: u8, behaviour: u8) -> Vec<u8> {
     let key = slots::development_key().expect("the developers' key");
-    slots::sign(&body(slot, behaviour), slot, version(minor), version(floor), &key)
+    slots::sign_update(&body(slot, behaviour), slot, version(minor), version(floor), &key)
 }
 
 /// Returns the same of that many bytes, the largest image among them.
@@ -88,13 +88,13 @@ pub fn file_of(length: usize, slot: Slot, minor: u8) -> Vec<u8> {
         (random >> 24) as u8
     });
     let key = slots::development_key().expect("the developers' key");
-    slots::sign(&body, slot, version(minor), version(0), &key)
+    slots::sign_update(&body, slot, version(minor), version(0), &key)
 }
 
 /// Returns a file that a stranger has signed.
 pub fn foreign(slot: Slot, minor: u8) -> Vec<u8> {
-    let key = PrivateKey::random().expect("a system with random numbers");
-    slots::sign(&body(slot, GOOD), slot, version(minor), version(0), &key)
+    let key = PrivateKey::generate().expect("a system with random numbers");
+    slots::sign_update(&body(slot, GOOD), slot, version(minor), version(0), &key)
 }
 
 /// A board with what is in its flash.
@@ -157,7 +157,7 @@ impl Board {
     }
 
     /// Lives for so long from power-on; gives the model's report.
-    pub fn report(&self, ms: u32, script: &str, options: &[&str]) -> Report {
+    pub fn report(&self, ms: u32, script: &str, options: &[&str]) -> RunReport {
         let model = &parts().expect("it is there").model;
         let script_file = self.folder.path().join("script");
         fs::write(&script_file, script).expect("a folder of the test");
@@ -166,7 +166,7 @@ impl Board {
             (flash.to_str().expect("plain"), script_file.to_str().expect("plain"));
         let own = ["--bor", "--ms", &ms, "--flash", flash, "--script", script_file];
         let all = [&own[..], options].concat();
-        chip::run_silent(model, &self.boot, &all).expect("the model runs")
+        chip::run_without_log(model, &self.boot, &all).expect("the model runs")
     }
 
     /// Lives for so long; gives what it said and its resets. Nothing of it may be against the manual.

@@ -10,7 +10,7 @@ use std::{
 
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
-use trueup_boot::layout::Slot;
+use trueup_boot::flash_layout::Slot;
 
 use crate::board::{ANSWER_MS, Board, CONFIRMS, LOADS, RESETS, boot, file, longest_silence};
 

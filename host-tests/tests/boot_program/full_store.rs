@@ -4,13 +4,13 @@
 use std::{fs, ops::Range, thread};
 
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
-use trueup_boot::layout::Slot;
+use trueup_boot::flash_layout::Slot;
 use trueup_emulator::setup;
 use trueup_machine::{MachineFile, compile};
 use trueup_store::{
-    calibration::{MAX_SIZE, identity},
-    reference::References,
-    slots::Slots,
+    calibration::{MAX_BLOB_SIZE, calibration_crc},
+    calibration_store::CalibrationStore,
+    reference::ReferenceStore,
 };
 
 use crate::{
@@ -60,7 +60,7 @@ impl NorFlash for Sectors<'_> {
 
 /// Returns the calibration of the machine of these tests, with a table of this error at each of its points.
 fn calibration(um: Option<u32>) -> Vec<u8> {
-    let machine = setup::root().join("data/paper_spindle.toml");
+    let machine = setup::project_root().join("data/paper_spindle.toml");
     let mut text = fs::read_to_string(machine).expect("it is ours");
     if let Some(um) = um {
         let points = vec![um.to_string(); POINTS].join(", ");
@@ -79,16 +79,17 @@ fn calibration(um: Option<u32>) -> Vec<u8> {
 fn starts_with(application: &[u8], calibrations: u32) {
     let board = Board::with(application, &[]).expect("it is there");
     board.change(|flash| {
-        let (base, buffer) = (identity(&calibration(None)), &mut [0; MAX_SIZE]);
-        let (mut slots, _) = Slots::open(Sectors(&mut flash[CALIBRATIONS]), Some(base), buffer);
+        let (base, buffer) = (calibration_crc(&calibration(None)), &mut [0; MAX_BLOB_SIZE]);
+        let (mut slots, _) =
+            CalibrationStore::open(Sectors(&mut flash[CALIBRATIONS]), Some(base), buffer);
         let mut last = 0;
         for number in 1..=calibrations {
             let blob = calibration(Some(number));
-            assert!(blob.len() > MAX_SIZE - 400, "{} of {MAX_SIZE} bytes", blob.len());
+            assert!(blob.len() > MAX_BLOB_SIZE - 400, "{} of {MAX_BLOB_SIZE} bytes", blob.len());
             slots.store(&blob, || ()).expect("there is room");
-            last = identity(&blob);
+            last = calibration_crc(&blob);
         }
-        let (mut references, _) = References::open(Sectors(&mut flash[REFERENCES]), last);
+        let (mut references, _) = ReferenceStore::open(Sectors(&mut flash[REFERENCES]), last);
         while references.append(Default::default()).is_ok() {}
     });
     let options = ["--pll-dead", "--slow-flash", "--lsi", "47000"];

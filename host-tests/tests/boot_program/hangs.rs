@@ -4,7 +4,7 @@
 use std::{fs, path::Path, thread};
 
 use object::{Object as _, ObjectSymbol as _};
-use trueup_boot::{header::HEADER_SIZE, layout::Slot};
+use trueup_boot::{flash_layout::Slot, header::HEADER_SIZE};
 use trueup_emulator::slots;
 
 use crate::{
@@ -16,7 +16,7 @@ use crate::{
 const LSI: [&str; 2] = ["17000", "47000"];
 /// Steps of the start: a part of the name of a function that it calls, from the first to the last.
 const STEPS: [&str; 4] =
-    ["__rtic_init_resources", "crystal7capture", "sampling7Samples3arm", "OwnSlot4look"];
+    ["__rtic_init_resources", "crystal16wait_for_capture", "sampling7Samples3arm", "OwnSlot4look"];
 /// A read of the store: neither of its two parts has been opened yet. Its name is that of a trait.
 const STORE: [&str; 3] = ["flash..Flash", "ReadNorFlash", "4read"];
 /// `b .` (Armv7-M manual, A7.7.12).
@@ -35,11 +35,11 @@ fn address_of(image: &Path, parts: &[&str]) -> u32 {
 /// Returns the file of an application that hangs at the beginning of that function.
 fn hanging(slot: Slot, minor: u8, parts: &[&str]) -> Vec<u8> {
     let image = linked(slot);
-    let mut body = slots::body(&image, slot).expect("a body");
+    let mut body = slots::image_body(&image, slot).expect("a body");
     let at = (address_of(&image, parts) - slot.start()) as usize - HEADER_SIZE;
     body[at..at + TO_ITSELF.len()].copy_from_slice(&TO_ITSELF);
     let key = slots::development_key().expect("the developers' key");
-    slots::sign(&body, slot, version(minor), version(0), &key)
+    slots::sign_update(&body, slot, version(minor), version(0), &key)
 }
 
 #[test]

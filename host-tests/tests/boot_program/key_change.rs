@@ -3,7 +3,7 @@
 
 use std::{fs, path::PathBuf, sync::OnceLock, thread};
 
-use trueup_boot::layout::Slot;
+use trueup_boot::flash_layout::Slot;
 use trueup_emulator::slots;
 use trueup_signature::PrivateKey;
 
@@ -36,9 +36,10 @@ impl New {
             let key = PrivateKey::from_pem(NEW_KEY).expect("a key");
             let folder = tempfile::tempdir().expect("a folder");
             let path = folder.path().join("maker.pub.pem");
-            fs::write(&path, key.public().to_pem().expect("a key")).expect("a folder of the test");
+            fs::write(&path, key.public_key().to_pem().expect("a key"))
+                .expect("a folder of the test");
             let boot = slots::build_boot_with_key(&path).expect("the boot program builds");
-            let images = Slot::BOTH
+            let images = Slot::ALL
                 .map(|slot| slots::build_slot_test_with_key(slot, &path).expect("it builds"));
             Self { key, boot, images }
         })
@@ -47,7 +48,7 @@ impl New {
     /// Returns the file of a small image that takes updates of the new key, signed with this one.
     fn file(&self, slot: Slot, minor: u8, behaviour: u8, signed_with: &PrivateKey) -> Vec<u8> {
         let body = body_of(&self.images[usize::from(slot.number())], slot, behaviour);
-        slots::sign(&body, slot, version(minor), version(0), signed_with)
+        slots::sign_update(&body, slot, version(minor), version(0), signed_with)
     }
 
     /// Returns a board with the new boot program and an image of the new key, which loads what is offered, in slot A.

@@ -1,9 +1,9 @@
 //! The application is given a new image frame by frame over CAN: a stranger's, which it refuses, and its maker's.
 //! `chip_clients update` has the serial line.
 
-use trueup_boot::{header::HEADER_SIZE, layout::Slot, refusal::Refusal};
+use trueup_boot::{flash_layout::Slot, header::HEADER_SIZE, refusal::RefusalReason};
 use trueup_canopen::sdo::{
-    BLOCK,
+    SEGMENTS_PER_BLOCK,
     client::{BlockDownload, Progress},
 };
 use trueup_link::frame::Frame;
@@ -48,20 +48,23 @@ fn download_in_blocks(image: &[u8], from_ms: f64) -> (String, f64) {
     send(&start, at);
     let [low, high] = IMAGE.0.to_le_bytes();
     // Each as the board gives it if it has taken all.
-    let mut answer = [0xA4, low, high, IMAGE.1, BLOCK, 0, 0, 0];
+    let mut answer = [0xA4, low, high, IMAGE.1, SEGMENTS_PER_BLOCK, 0, 0, 0];
     loop {
         at += BLOCK_MS;
         let heard =
-            transfer.receive(&Frame::full(0x581, answer)).expect("an answer of this transfer");
+            transfer.receive(&Frame::from_data(0x581, answer)).expect("an answer of this transfer");
         let Progress::Ask(first) = heard else { return (script, at) };
         let (mut count, mut next) = (0, Some(first));
         while let Some(frame) = next {
             send(&frame, at);
-            (at, count, next) = (at + SEGMENT_MS, count + 1, transfer.more());
+            (at, count, next) = (at + SEGMENT_MS, count + 1, transfer.next_segment());
         }
         let is_end = first.data()[0] >= 0xC0;
-        answer =
-            if is_end { [0xA1, 0, 0, 0, 0, 0, 0, 0] } else { [0xA2, count, BLOCK, 0, 0, 0, 0, 0] };
+        answer = if is_end {
+            [0xA1, 0, 0, 0, 0, 0, 0, 0]
+        } else {
+            [0xA2, count, SEGMENTS_PER_BLOCK, 0, 0, 0, 0, 0]
+        };
     }
 }
 
@@ -89,7 +92,7 @@ fn the_application_refuses_an_image_of_a_stranger_and_goes_on() {
         format!("{frames}{}{} reset pin\n", questions(&[REFUSED, RECEIVED], ask), ask + 50.0);
     let report = board.report((ask + 800.0) as u32, &script, &[]);
     let told = [REFUSED, RECEIVED].map(|at| answer(&report.events, at));
-    let refusal = Refusal::Signature.number().into();
+    let refusal = RefusalReason::Signature.number().into();
     assert_eq!(told, [Some(refusal), Some(0)], "{}", report.said);
     let offsets = report.events.iter().filter(|event| event.contains(" can 281 ")).count();
     assert!(offsets > 1_000, "it sends on, after the reset as well: {offsets}");

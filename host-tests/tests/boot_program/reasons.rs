@@ -3,11 +3,11 @@
 use std::thread;
 
 use trueup_boot::{
-    handover::Choice,
+    boot_state::{BootState, ImageStatus},
+    flash_layout::{FLASH_START, HANDOVER_START, RECORDS_SECTOR_SIZE, RECORDS_START, Slot},
+    handover::StartInfo,
     journal::Journal,
-    layout::{FLASH_START, HANDOVER_START, RECORDS_SECTOR_SIZE, RECORDS_START, Slot},
-    record::{State, Status},
-    start::Reason,
+    start::StartReason,
 };
 use trueup_store::strict_flash::StrictFlash;
 
@@ -26,16 +26,16 @@ const ASK_MS: u32 = 600;
 const FLIPS_MS: u32 = 60;
 
 /// Returns the records that hold a status of the image of this file.
-fn records(slot: Slot, file: &[u8], status: Status) -> Vec<u8> {
+fn records(slot: Slot, file: &[u8], status: ImageStatus) -> Vec<u8> {
     let tag = u32::from_le_bytes(file[508..512].try_into().expect("a header"));
     let flash = StrictFlash::<{ RECORDS_SECTOR_SIZE as usize }>::erased();
     let mut journal = Journal::open(flash);
-    journal.commit(State::default().with(slot, tag, status)).expect("room");
+    journal.commit(BootState::default().with_status(slot, tag, status)).expect("room");
     journal.into_flash().bytes
 }
 
 /// Returns a board with these slots and the application in slot A of this status.
-fn board(a: &[u8], b: &[u8], status: Status) -> Board {
+fn board(a: &[u8], b: &[u8], status: ImageStatus) -> Board {
     let board = Board::with(a, b).expect("it is there");
     let start = (RECORDS_START - FLASH_START) as usize;
     let records = records(Slot::A, a, status);
@@ -44,27 +44,27 @@ fn board(a: &[u8], b: &[u8], status: Status) -> Board {
 }
 
 /// Returns what the application says of its start at that time in a script.
-fn choice(board: &Board, script: &str, ask_ms: u32) -> Option<Choice> {
+fn choice(board: &Board, script: &str, ask_ms: u32) -> Option<StartInfo> {
     let script = script.to_owned() + &questions(&[CHOICE], ask_ms.into());
     let report = board.report(ask_ms + 60, &script, &[]);
     let word = answer(&report.events, CHOICE);
-    Choice::decode(word.unwrap_or_else(|| panic!("no answer:\n{}", report.said)))
+    StartInfo::decode(word.unwrap_or_else(|| panic!("no answer:\n{}", report.said)))
 }
 
 #[test]
 #[ignore = "long: seven starts of the application on the model of the chip"]
 fn each_reason_of_the_boot_program_is_reported_by_the_application() {
     let Some(_) = boot() else { return };
-    use Status::{Confirmed, New, Rejected};
+    use ImageStatus::{Confirmed, New, Rejected};
     let app = application(Slot::A, 2);
     let cases = [
-        (vec![], New, "", Reason::Alone, None),
-        (vec![], Confirmed, "", Reason::Newest, None),
-        (vec![], Rejected, "", Reason::LastResort, None),
-        (file(Slot::B, 1, 0, GOOD), New, "", Reason::Trial(1), Some(New)),
-        (file(Slot::B, 1, 0, GOOD), New, "pin", Reason::Trial(2), Some(New)),
-        (foreign(Slot::B, 3), Confirmed, "", Reason::WentBack, Some(New)),
-        (file(Slot::B, 3, 0, RESETS), Confirmed, "", Reason::WentBack, Some(Rejected)),
+        (vec![], New, "", StartReason::Alone, None),
+        (vec![], Confirmed, "", StartReason::Newest, None),
+        (vec![], Rejected, "", StartReason::LastResort, None),
+        (file(Slot::B, 1, 0, GOOD), New, "", StartReason::Trial(1), Some(New)),
+        (file(Slot::B, 1, 0, GOOD), New, "pin", StartReason::Trial(2), Some(New)),
+        (foreign(Slot::B, 3), Confirmed, "", StartReason::WentBack, Some(New)),
+        (file(Slot::B, 3, 0, RESETS), Confirmed, "", StartReason::WentBack, Some(Rejected)),
     ];
     thread::scope(|scope| {
         for (b, status, reset, reason, other) in cases {
@@ -76,7 +76,7 @@ fn each_reason_of_the_boot_program_is_reported_by_the_application() {
                 };
                 let found = choice(&board(app, &b, status), &script, ask_ms);
                 println!("{reason:?} {other:?}: {found:?}");
-                assert_eq!(found, Some(Choice { reason, other }), "{status:?} {reset}");
+                assert_eq!(found, Some(StartInfo { reason, other }), "{status:?} {reset}");
             });
         }
     });
@@ -87,7 +87,7 @@ fn each_reason_of_the_boot_program_is_reported_by_the_application() {
 fn a_word_that_was_damaged_on_its_way_is_no_reason() {
     let Some(_) = boot() else { return };
     let app = application(Slot::A, 2);
-    let board = board(&app, &[], Status::Confirmed);
+    let board = board(&app, &[], ImageStatus::Confirmed);
     // Another bit of the word flips every 2 ms while the boot program ends and the application tests its RAM.
     let place = HANDOVER_START + 4;
     let flips =

@@ -1,6 +1,6 @@
 //! A whole update on the chip: loaded, verified, tried, confirmed, and started with a dead PLL.
 
-use trueup_boot::layout::Slot;
+use trueup_boot::flash_layout::Slot;
 
 use crate::board::{Board, CONFIRMS, GOOD, LOADS, boot, file, first, has};
 

@@ -1,6 +1,6 @@
 //! One whole image, boot program and slot A, as it is flashed into an empty board; and the update behind it.
 
-use trueup_boot::{header::Version, layout::Slot};
+use trueup_boot::{flash_layout::Slot, header::Version};
 use trueup_emulator::{binary, chip, setup, slots};
 
 use crate::board::boot;
@@ -12,10 +12,10 @@ const SLOT_A: usize = 0x1_0000;
 #[ignore = "long: the application on the model of the chip"]
 fn one_whole_image_starts_on_an_empty_board_and_has_its_update_in_slot_a() {
     let Some(_) = boot() else { return };
-    let machine = setup::root().join("data/paper_spindle.toml");
+    let machine = setup::project_root().join("data/paper_spindle.toml");
     let version = Version::new(0, 9, 1, 0);
     let whole = slots::build_flashable_for(&machine, version).expect("it builds");
-    let flash = binary::of(&whole.image).expect("an image");
+    let flash = binary::read_flash_image(&whole.image).expect("an image");
     let update = std::fs::read(&whole.update).expect("it was written");
     let length = flash.len().next_multiple_of(4) - SLOT_A;
     println!("{} bytes, {} in slot A, update of {}", flash.len(), length, update.len());

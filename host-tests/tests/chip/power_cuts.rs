@@ -3,7 +3,7 @@
 
 use std::{sync::OnceLock, thread};
 
-use trueup_emulator::chip::Report;
+use trueup_emulator::chip::RunReport;
 use trueup_link::{
     frame::Frame,
     layout::STATUS_ID,
@@ -53,7 +53,7 @@ fn chip() -> Option<&'static Chip> {
 }
 
 /// Warm through until the power goes for so long, `faults` and all; then its front has cooled.
-fn life(off_s: u32, faults: &str, options: &[&str]) -> Option<Report> {
+fn life(off_s: u32, faults: &str, options: &[&str]) -> Option<RunReport> {
     let script = format!(
         "0 rtd 0 {WARM_C}\n0 rtd 1 {WARM_C}\n0 flags 2\n300 flags 3\n{CUT_MS} flags 2\n{CUT_MS} rtd 0 {COOL_C}\n\
          {faults}\n{CUT_MS} reset power {off_s}\n{} flags 3\n",
@@ -67,7 +67,7 @@ fn life(off_s: u32, faults: &str, options: &[&str]) -> Option<Report> {
 }
 
 /// Z at the end, µm, and its quality.
-fn end(report: &Report) -> (f64, u8) {
+fn end(report: &RunReport) -> (f64, u8) {
     let line = crate::line(report, &["OffsetZ at", "(last)"]).expect("an offset");
     let quality = line.split("quality ").nth(1).and_then(|rest| rest.split(',').next());
     let quality = quality.and_then(|it| it.trim().parse().ok()).expect("a quality");
@@ -75,7 +75,7 @@ fn end(report: &Report) -> (f64, u8) {
 }
 
 /// Returns whether the board reported last that its heat is not known.
-fn heat_is_unknown(report: &Report) -> bool {
+fn is_heat_unknown(report: &RunReport) -> bool {
     let mut states = report.events.iter().filter_map(|event| {
         let data = event.split(" can 381 ").nth(1)?;
         let bytes: [u8; 8] =
@@ -118,7 +118,7 @@ fn with_battery_and_crystal_the_heat_goes_on_over_the_time_that_has_passed() {
                 // A step of the converter is 0.03 K, 0.3 µm; the clock tells whole seconds, 0.02 µm.
                 assert!((got - expected).abs() < 0.4, "{off_s} s: {got} for {expected}");
                 assert_eq!(quality, 1);
-                assert!(!heat_is_unknown(&report));
+                assert!(!is_heat_unknown(&report));
             });
         }
     });
@@ -155,7 +155,7 @@ fn with_anything_of_it_wrong_the_heat_is_not_known_and_no_offset_is_given() {
                 let (_, quality) = end(&report);
                 println!("{what}: quality {quality}");
                 assert_eq!(quality, 6, "{what}");
-                assert!(heat_is_unknown(&report), "{what}");
+                assert!(is_heat_unknown(&report), "{what}");
             });
         }
     });
@@ -184,7 +184,7 @@ fn one_damaged_copy_costs_a_second_and_what_was_not_believed_once_is_not_believe
             );
             let report = life(1, &faults, &["--battery"]).expect("it is there");
             assert_eq!(end(&report).1, 6);
-            assert!(heat_is_unknown(&report));
+            assert!(is_heat_unknown(&report));
         });
         // Known, and cut again at once: the hour counts once, by what is seen in the end.
         scope.spawn(move || {

@@ -5,11 +5,11 @@
 
 use std::{sync::OnceLock, thread};
 
-use trueup_bounds::report::Bounds;
+use trueup_bounds::report::TimingBounds;
 use trueup_checks::bounds;
 use trueup_emulator::{
-    busy::{self, CLOCKS, Clock},
-    chip::Report,
+    chip::RunReport,
+    full_load::{self, CLOCK_SCENARIOS, ClockScenario},
 };
 
 use super::parts;
@@ -43,13 +43,13 @@ const STARTED: [(&str, &str, f64); 4] = [
 const LATER_MS: [u32; 6] = [0, 1, 3, 7, 11, 17];
 
 /// Returns the number before the unit behind these words, in µs.
-fn behind(report: &Report, words: &str) -> Option<f64> {
+fn behind(report: &RunReport, words: &str) -> Option<f64> {
     let (_, rest) = report.said.split_once(words)?;
     rest.trim_start_matches([':', ' ']).split_once(" µs")?.0.parse().ok()
 }
 
 /// Offsets on the serial line, and how often one did not follow the other.
-fn offsets(report: &Report) -> (usize, usize) {
+fn offsets(report: &RunReport) -> (usize, usize) {
     let counter = |event: &String| {
         let (_, data) = event.split_once(" serial t2818")?;
         Some(u8::from_str_radix(&data[4..6], 16).expect("hex"))
@@ -59,11 +59,12 @@ fn offsets(report: &Report) -> (usize, usize) {
 }
 
 /// Panics if a turn was longer than its bound.
-fn is_bounded(clock: &str, report: &Report) {
-    static BOUNDS: OnceLock<Bounds> = OnceLock::new();
+fn is_bounded(clock: &str, report: &RunReport) {
+    static BOUNDS: OnceLock<TimingBounds> = OnceLock::new();
     let (_, image) = parts().expect("the image was run");
-    let bounds = BOUNDS.get_or_init(|| bounds::of(image).expect("the image is bounded"));
-    let seen = busy::turns(report);
+    let bounds =
+        BOUNDS.get_or_init(|| bounds::compute_bounds(image).expect("the image is bounded"));
+    let seen = full_load::max_handler_times_us(report);
     for bound in bounds.all.iter().filter(|bound| bound.clock == clock) {
         if let Some([own, _]) = seen.get(&bound.exception) {
             assert!(*own <= bound.turn_us, "{clock}, {}: {own} µs, {bound:?}", bound.task);
@@ -74,10 +75,10 @@ fn is_bounded(clock: &str, report: &Report) {
 
 #[test]
 fn no_task_waits_for_half_its_deadline_nor_at_16_mhz_for_two_thirds() {
-    let lived = |of: Clock, later_ms: u32| {
+    let lived = |of: ClockScenario, later_ms: u32| {
         let (clock, .., byte_us) = of;
         let Some((model, image)) = parts() else { return };
-        let report = busy::run(model, image, &of, later_ms).expect("the model runs");
+        let report = full_load::run(model, image, &of, later_ms).expect("the model runs");
         // At 16 MHz the serial line is 2.1 % fast, which the model notes.
         let is_as_known = report.said.contains("Violation: 1") && report.said.contains("941176 Bd");
         assert!(report.clean || is_as_known, "{}", report.said);
@@ -121,7 +122,7 @@ fn no_task_waits_for_half_its_deadline_nor_at_16_mhz_for_two_thirds() {
     };
     let lived = &lived;
     thread::scope(|scope| {
-        for clock in CLOCKS {
+        for clock in CLOCK_SCENARIOS {
             let later = if clock.0 == "16 MHz" { &LATER_MS[..] } else { &LATER_MS[..1] };
             for &later_ms in later {
                 scope.spawn(move || lived(clock, later_ms));

@@ -11,16 +11,16 @@ use trueup_core::{
     bridge::Input,
     cnc::{Control, Spindle},
     dimensions::CODES_PER_TICK,
-    units::{Code, Rpm},
+    units::{AdcCode, Rpm},
 };
 use trueup_emulator::{
-    board::{LARGEST_BATCH, VirtualBoard},
+    board::{MAX_BATCH_BLOCKS, VirtualBoard},
     firmware,
 };
 use trueup_link::{frame::Frame, frames};
-use trueup_machine::{Compiled, MachineFile, compile};
+use trueup_machine::{CompiledCalibration, MachineFile, compile};
 use trueup_node::node::{Interface, Node};
-use trueup_pipe::{Block, FRAMES};
+use trueup_pipe::{Block, FRAMES_PER_BLOCK};
 
 use super::support::{FAST_MACHINE, chip::Chip};
 
@@ -43,7 +43,7 @@ fn pattern() -> Vec<u16> {
     (0..CODES).map(code).collect()
 }
 
-fn compiled() -> Result<Compiled> {
+fn compiled() -> Result<CompiledCalibration> {
     let folder = tempfile::tempdir()?;
     let path = folder.path().join("machine.toml");
     std::fs::write(&path, FAST_MACHINE)?;
@@ -57,19 +57,20 @@ pub fn offset(data: &[u8; 8]) -> i32 {
 
 /// Blocks from a place in the pattern on, with a CNC that engages after 250 of them.
 fn blocks(pattern: &[u16], from: usize) -> Vec<Block> {
-    let codes =
-        |n: usize| std::array::from_fn(|i| Code(pattern[(from + n * CODES_PER_TICK + i) % CODES]));
+    let codes = |n: usize| {
+        std::array::from_fn(|i| AdcCode(pattern[(from + n * CODES_PER_TICK + i) % CODES]))
+    };
     let sent = |n: usize| {
-        let mut sent = [None; FRAMES];
+        let mut sent = [None; FRAMES_PER_BLOCK];
         let counter = (n / 20) as u8;
         match n % 20 {
             0 => {
                 let control = Control { engage: n >= 250, ..Control::REFERENCED };
-                sent[0] = Some(frames::control(control, counter));
+                sent[0] = Some(frames::encode_control(control, counter));
             }
             10 => {
                 let spindle = Spindle { speed: Rpm(SPEED), load_n: 0 };
-                sent[0] = Some(frames::spindle(spindle, counter));
+                sent[0] = Some(frames::encode_spindle(spindle, counter));
             }
             _ => {}
         }
@@ -85,8 +86,8 @@ fn settled<'f>(sent: impl Iterator<Item = &'f Frame>) -> Vec<i32> {
     offsets.skip(SETTLED).collect()
 }
 
-fn on_the_host(compiled: &Compiled, blocks: &[Block]) -> Vec<i32> {
-    let mut node = Node::new(Some(compiled.calibration()), false);
+fn on_the_host(compiled: &CompiledCalibration, blocks: &[Block]) -> Vec<i32> {
+    let mut node = Node::new(compiled.calibration().into());
     let mut sent = Vec::new();
     for block in blocks {
         for frame in block.frames.iter().flatten() {
@@ -98,11 +99,11 @@ fn on_the_host(compiled: &Compiled, blocks: &[Block]) -> Vec<i32> {
     settled(sent.iter())
 }
 
-fn on_the_virtual_board(compiled: &Compiled, blocks: &[Block]) -> Result<Vec<i32>> {
+fn on_the_virtual_board(compiled: &CompiledCalibration, blocks: &[Block]) -> Result<Vec<i32>> {
     let image = firmware::build_virtual()?;
     let mut board = VirtualBoard::boot(&image, compiled.blob())?;
     let mut sent = Vec::new();
-    for batch in blocks.chunks(LARGEST_BATCH as usize) {
+    for batch in blocks.chunks(MAX_BATCH_BLOCKS as usize) {
         sent.extend(board.step(batch)?.into_iter().map(|(_, frame)| frame));
     }
     Ok(settled(sent.iter()))

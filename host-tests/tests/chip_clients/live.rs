@@ -7,7 +7,7 @@ use std::{
 };
 
 use anyhow::{Result, ensure};
-use trueup_emulator::chip_live::LiveChip;
+use trueup_emulator::lockstep_chip::LockstepChip;
 use trueup_link::{
     layout::STATUS_ID,
     receiver::{OffsetReceiver, StatusReceiver},
@@ -47,16 +47,16 @@ fn heard(line: &mut TcpStream) -> Result<(u32, Option<f64>)> {
 #[test]
 fn a_board_lives_as_long_as_it_is_let_in_the_world_that_is_played() -> Result<()> {
     let Some(chip) = Chip::of_machine(FAST_MACHINE)? else { return Ok(()) };
-    let mut board = LiveChip::start(&chip.model, &chip.image, 0)?;
-    board.live(500)?;
+    let mut board = LockstepChip::start(&chip.model, &chip.image, 0)?;
+    board.advance(500)?;
     let mut line = TcpStream::connect(("127.0.0.1", board.port()))?;
     line.set_read_timeout(Some(SILENCE))?;
     line.write_all(b"S8\rO\r")?;
-    board.set(&format!("code {CODE}"))?;
+    board.apply_script_line(&format!("code {CODE}"))?;
     // It is given to whoever reads before its queue is full.
     let mut elongation_um = None;
     for _ in 0..4 {
-        board.live(400)?;
+        board.advance(400)?;
         let (pairs, grown_um) = heard(&mut line)?;
         ensure!((395..=401).contains(&pairs), "{pairs} pairs in 400 ms");
         elongation_um = grown_um.or(elongation_um);
@@ -65,5 +65,5 @@ fn a_board_lives_as_long_as_it_is_let_in_the_world_that_is_played() -> Result<()
     // A code is 0.12 µm.
     ensure!((grown_um - GROWN_UM).abs() < 0.12, "{grown_um} for {GROWN_UM}");
     assert_eq!(heard(&mut line)?.0, 0, "its time stands");
-    board.end()
+    board.power_off()
 }

@@ -23,9 +23,9 @@ use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
 use support::{FAST_MACHINE, chip::Chip, trueup};
 use trueup_canopen::EDS;
-use trueup_emulator::{chip::Line, seal, setup};
+use trueup_emulator::{chip::RunningModel, seal, setup};
 use trueup_machine::{MachineFile, compile};
-use trueup_store::calibration::identity;
+use trueup_store::calibration::calibration_crc;
 
 /// A code of the converter is 8 counts of the paper.
 const CODE: u32 = 1_145;
@@ -62,7 +62,7 @@ fn bridge_info_names_what_ended_the_last_start_and_where() -> Result<()> {
     let Some(chip) = Chip::that_breaks(FAST_MACHINE)? else { return Ok(()) };
     // Built before a board waits for it.
     trueup()?;
-    let key = seal::symbol(&chip.image, "TRUEUP_FAULT_KEY")?.context("it breaks")?;
+    let key = seal::symbol_address(&chip.image, "TRUEUP_FAULT_KEY")?.context("it breaks")?;
     // What breaks by that number (`src/faults.rs`), and the words that name it.
     let cases: [(u32, &[&str]); 3] = [
         (6, &["last reset   watchdog, in task listen\n", "watchdog 1"]),
@@ -74,7 +74,7 @@ fn bridge_info_names_what_ended_the_last_start_and_where() -> Result<()> {
         fs::write(&script, format!("0 flags 2\n300 poke {key:x} {number:x}\n320 say V\\r\n"))?;
         let script = script.to_str().context("a plain name")?;
         let options = [&LONG[..], &["--script", script]].concat();
-        let line = Line::start(&chip.model, &chip.image, &options)?;
+        let line = RunningModel::start(&chip.model, &chip.image, &options)?;
         let said = info_with(line.port, words[0])?;
         println!("{said}");
         for word in words.iter().chain(&["power-on 1"]) {
@@ -95,13 +95,13 @@ fn python(script: &str, more: &[&OsStr]) -> Result<Option<Value>> {
     let code = CODE.to_string();
     let options = [&LONG[..], &["--code", &code, "--code-after", &code, "--no-cnc"]].concat();
     // There before a board waits for them.
-    let python = setup::python()?;
+    let python = setup::ensure_python()?;
     trueup()?;
-    let line = Line::start(&chip.model, &chip.image, &options)?;
+    let line = RunningModel::start(&chip.model, &chip.image, &options)?;
     // What is said before the board is up is lost, as on a wire.
     info_with(line.port, "heartbeat")?;
     let output = Command::new(python)
-        .arg(setup::root().join("host-tests/python").join(script))
+        .arg(setup::project_root().join("host-tests/python").join(script))
         .arg(format!("socket://127.0.0.1:{}", line.port))
         .args(more)
         .stdin(Stdio::null())
@@ -113,7 +113,7 @@ fn python(script: &str, more: &[&OsStr]) -> Result<Option<Value>> {
 #[test]
 #[ignore = "long: a CNC's session, as slow as the model is"]
 fn python_can_cantools_and_autosar_e2e_engage_the_flashable_image() -> Result<()> {
-    let dbc = setup::root().join("crates/board/link/trueup.dbc");
+    let dbc = setup::project_root().join("crates/board/link/trueup.dbc");
     let Some(saw) = python("cnc_client.py", &[dbc.as_ref(), "--board-time".as_ref()])? else {
         return Ok(());
     };
@@ -162,9 +162,9 @@ fn pypi_canopen_reads_every_object_of_the_flashable_image_and_loads_a_calibratio
     for equal in ["read_back_is_equal", "running_again_is_equal"] {
         assert_eq!(saw[equal], json!(true), "{equal}");
     }
-    assert_eq!((&saw["new_crc"], &saw["gaps"]), (&json!(identity(new.blob())), &json!(0)));
+    assert_eq!((&saw["new_crc"], &saw["gaps"]), (&json!(calibration_crc(new.blob())), &json!(0)));
     let restart = &saw["restart"];
     assert_eq!(restart["runs_on_the_new_one"], json!(true), "{restart}");
-    assert_eq!(restart["running_crc"], identity(new.blob()), "{restart}");
+    assert_eq!(restart["running_crc"], calibration_crc(new.blob()), "{restart}");
     Ok(())
 }

@@ -10,8 +10,8 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
 use trueup_core::cnc::{Control, Quality};
-use trueup_emulator::{chip::Line, plc, setup};
-use trueup_modbus::input::Input;
+use trueup_emulator::{chip::RunningModel, plc, setup};
+use trueup_modbus::input::InputBlock;
 
 use super::{
     CODE, GROWN_UM, LONG,
@@ -39,13 +39,16 @@ fn answer_ms(bytes: usize) -> f64 {
 /// Each is whole, and says what the two CAN frames of one cycle say.
 fn polled(until_ms: u32) -> Result<Option<usize>> {
     let Some(chip) = Chip::of_machine(FAST_MACHINE)? else { return Ok(None) };
-    let read = plc::read();
+    let read = plc::read_request_hex();
     let mut script = "0 control 0\n0 spindle 0\n0 positions 0\n500 slope 200\n".to_string();
     let times = (300..until_ms - 30).step_by(20);
     for (counter, at) in (0..).zip(times.clone()) {
         let control = if counter < 5 { Control::REFERENCED } else { Control::ENGAGED };
-        script +=
-            &format!("{at} modbus {}\n{} modbus {read}\n", plc::write(control, counter), at + 9);
+        script += &format!(
+            "{at} modbus {}\n{} modbus {read}\n",
+            plc::write_request_hex(control, counter),
+            at + 9
+        );
     }
     let report = chip.live(until_ms, &script, &FAST)?;
     ensure!(report.clean, "a violation:\n{}", report.said);
@@ -68,7 +71,8 @@ fn polled(until_ms: u32) -> Result<Option<usize>> {
     for (at, bytes) in answers.filter(|(_, bytes)| bytes.get(1) == Some(&4)) {
         let words: Vec<u16> =
             bytes[3..59].as_chunks().0.iter().map(|it| u16::from_be_bytes(*it)).collect();
-        let block = Input::decode(&words.try_into().expect("28 registers")).context("half old")?;
+        let block =
+            InputBlock::decode(&words.try_into().expect("28 registers")).context("half old")?;
         reads += 1;
         let (Some(offsets), Quality::Live) = (block.output.offset, block.output.quality) else {
             continue;
@@ -119,10 +123,10 @@ fn masters(more: &[&OsStr]) -> Result<Option<Value>> {
     let sensor = ["--code", &code, "--code-after", &code, "--no-cnc"];
     let options = [&LONG[..], &sensor, &NO_PARITY].concat();
     // There before a board waits for them.
-    let (python, mbpoll) = (setup::python()?, setup::mbpoll()?);
-    let line = Line::start_plc(&chip.model, &chip.image, &options)?;
+    let (python, mbpoll) = (setup::ensure_python()?, setup::ensure_mbpoll()?);
+    let line = RunningModel::start_modbus(&chip.model, &chip.image, &options)?;
     let output = Command::new(python)
-        .arg(setup::root().join("host-tests/python/board_masters.py"))
+        .arg(setup::project_root().join("host-tests/python/board_masters.py"))
         .arg(line.port.to_string())
         .arg(mbpoll)
         .args(more)
@@ -163,11 +167,11 @@ fn pymodbus_and_mbpoll_read_the_whole_block_of_the_flashable_image_and_engage_it
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn mb2hal_reads_the_flashable_image_with_the_sample_that_is_delivered() -> Result<()> {
-    let Some(_linuxcnc) = setup::linuxcnc()? else {
+    let Some(_linuxcnc) = setup::ensure_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
-    let sample = setup::root().join("integrations/modbus/mb2hal_rtu.ini");
+    let sample = setup::project_root().join("integrations/modbus/mb2hal_rtu.ini");
     let Some(saw) = masters(&["--mb2hal".as_ref(), sample.as_ref()])? else { return Ok(()) };
     let registers = saw["mb2hal"].as_array().context("the registers")?;
     assert_eq!((registers.len(), &registers[0]), (28, &json!(1)));

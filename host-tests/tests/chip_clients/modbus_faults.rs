@@ -4,11 +4,14 @@
 use anyhow::{Context as _, Result, ensure};
 use trueup_core::cnc::{Control, Quality};
 use trueup_emulator::{
-    chip::Report,
-    plc::{UNIT, frame, hex, read, read_pdu, write, write_pdu},
+    chip::RunReport,
+    plc::{
+        UNIT_ID, encode_frame, encode_hex, read_request_hex, read_request_pdu, write_request_hex,
+        write_request_pdu,
+    },
 };
 use trueup_link::status::StateBits;
-use trueup_modbus::input::Input;
+use trueup_modbus::input::InputBlock;
 
 use super::{
     blocks::offset,
@@ -37,8 +40,8 @@ struct Fault {
 
 impl Fault {
     fn told(name: &'static str, pdu: &[u8], exception: u8) -> Self {
-        let answer = frame(UNIT, &[pdu[0] | 0x80, exception]);
-        Self { answer: Some(answer), ..Self::silent(name, frame(UNIT, pdu)) }
+        let answer = encode_frame(UNIT_ID, &[pdu[0] | 0x80, exception]);
+        Self { answer: Some(answer), ..Self::silent(name, encode_frame(UNIT_ID, pdu)) }
     }
 
     fn silent(name: &'static str, bytes: Vec<u8>) -> Self {
@@ -48,13 +51,13 @@ impl Fault {
 
 /// Returns all of them; wherever a block is written it would release the offset, and its counter is the next one.
 fn faults(counter: u16) -> Vec<Fault> {
-    let release = write_pdu(Control::REFERENCED, counter);
+    let release = write_request_pdu(Control::REFERENCED, counter);
     let changed = |place: usize, value: u8| {
         let mut pdu = release.clone();
         pdu[place] = value;
         pdu
     };
-    let whole = frame(UNIT, &release);
+    let whole = encode_frame(UNIT_ID, &release);
     let damaged = [&whole[..42], &[whole[42] ^ 1]].concat();
     let mut random = 1_u32;
     let mut noise = |length: usize| -> Vec<u8> {
@@ -82,9 +85,9 @@ fn faults(counter: u16) -> Vec<Fault> {
         Fault::told("write elsewhere", &changed(2, 1), 2),
         Fault::told("write nothing", &[16, 0, 0, 0, 0, 0], 3),
         Fault::told("another length than is said", &changed(5, 32), 3),
-        Fault::silent("to everybody", frame(0, &release)),
-        Fault::silent("to another unit", frame(7, &release)),
-        Fault::silent("to unit 255", frame(255, &release)),
+        Fault::silent("to everybody", encode_frame(0, &release)),
+        Fault::silent("to another unit", encode_frame(7, &release)),
+        Fault::silent("to unit 255", encode_frame(255, &release)),
         Fault::silent("a wrong checksum", damaged),
         Fault::silent("half a request", whole[..20].to_vec()),
         Fault::silent("noise", noise(37)),
@@ -110,14 +113,15 @@ impl Master {
         let mut counter = 0;
         for at in times {
             let control = if counter < 5 { Control::REFERENCED } else { Control::ENGAGED };
-            script += &format!("{at} modbus {}\n", write(control, counter));
+            script += &format!("{at} modbus {}\n", write_request_hex(control, counter));
             counter += 1;
         }
         Self { script, counter }
     }
 
     fn lives(&mut self, at: u32) {
-        self.script += &format!("{at} modbus {}\n", write(Control::ENGAGED, self.counter));
+        self.script +=
+            &format!("{at} modbus {}\n", write_request_hex(Control::ENGAGED, self.counter));
         self.counter += 1;
     }
 }
@@ -126,7 +130,7 @@ impl Master {
 struct Answers(Vec<(f64, Vec<u8>)>);
 
 impl Answers {
-    fn of(report: &Report) -> Self {
+    fn of(report: &RunReport) -> Self {
         Self(report.events.iter().filter_map(|event| said(event, "modbus")).collect())
     }
 
@@ -136,16 +140,16 @@ impl Answers {
     }
 
     /// Returns the input block that was read in this time.
-    fn input(&self, from: u32, to: u32) -> Result<Input> {
+    fn input(&self, from: u32, to: u32) -> Result<InputBlock> {
         let [answer] = self.between(from, to)[..] else { anyhow::bail!("no answer, or several") };
         let (words, _) = answer.get(3..59).context("the whole block")?.as_chunks::<2>();
         let words: Vec<u16> = words.iter().map(|it| u16::from_be_bytes(*it)).collect();
-        Input::decode(&words.try_into().ok().context("28 registers")?).context("half old")
+        InputBlock::decode(&words.try_into().ok().context("28 registers")?).context("half old")
     }
 }
 
 /// Offsets in Z on CAN with their quality, in this time.
-fn course(report: &Report, from: u32, to: u32) -> Vec<(i32, u8)> {
+fn course(report: &RunReport, from: u32, to: u32) -> Vec<(i32, u8)> {
     let frames = report.events.iter().filter_map(|event| said(event, "can 281"));
     let within = frames.filter(|(at, _)| (f64::from(from)..f64::from(to)).contains(at));
     let value = |(_, data): (f64, Vec<u8>)| {
@@ -156,7 +160,7 @@ fn course(report: &Report, from: u32, to: u32) -> Vec<(i32, u8)> {
 }
 
 /// Live and where it was in all this time.
-fn stands(report: &Report, from: u32, to: u32) -> Result<()> {
+fn stands(report: &RunReport, from: u32, to: u32) -> Result<()> {
     let course = course(report, from, to);
     let (first, _) = *course.first().context("offsets on CAN")?;
     ensure!(course.len() > 100 && first.abs() > 1_000, "{} offsets of {first}", course.len());
@@ -172,7 +176,7 @@ fn what_a_master_does_wrong_gets_the_exception_of_the_standard_or_silence_and_mo
 -> Result<()> {
     let Some(chip) = Chip::of_machine(FAST_MACHINE)? else { return Ok(()) };
     let mut master = Master::engaging(SETTLED_MS);
-    let written = frame(UNIT, &[16, 0, 0, 0, 17]);
+    let written = encode_frame(UNIT_ID, &[16, 0, 0, 0, 17]);
     let mut slots = Vec::new();
     let mut at = SETTLED_MS;
     for number in 0..faults(0).len() {
@@ -183,30 +187,31 @@ fn what_a_master_does_wrong_gets_the_exception_of_the_standard_or_silence_and_mo
             master.script += &format!("{from} modbus_error {} 1\n", fault.line);
         }
         let (before, behind) = fault.bytes.split_at(fault.pause_at.unwrap_or(fault.bytes.len()));
-        master.script += &format!("{from} modbus {}\n", hex(before));
+        master.script += &format!("{from} modbus {}\n", encode_hex(before));
         if !behind.is_empty() {
             // 20 bytes take 1.9 ms; the pause is over 750 µs and below 1.75 ms.
-            master.script += &format!("{} modbus {}\n", from + 3, hex(behind));
+            master.script += &format!("{} modbus {}\n", from + 3, encode_hex(behind));
         }
         let next = from + 10 + fault.bytes.len() as u32 / 10;
         slots.push((at, from, next, fault));
         at = next;
     }
     // Two that are acknowledged, and not used: its registers are wrong, and its counter stands still.
-    let mut block = write_pdu(Control::REFERENCED, master.counter);
+    let mut block = write_request_pdu(Control::REFERENCED, master.counter);
     block[7] ^= 4;
-    let not_used = [block, write_pdu(Control::REFERENCED, master.counter - 1)];
+    let not_used = [block, write_request_pdu(Control::REFERENCED, master.counter - 1)];
     let acknowledged = at;
     for pdu in &not_used {
-        master.script += &format!("{at} modbus {}\n", hex(&frame(UNIT, pdu)));
+        master.script += &format!("{at} modbus {}\n", encode_hex(&encode_frame(UNIT_ID, pdu)));
         at += 10;
     }
     master.lives(at);
     let read_at = at + 10;
-    master.script += &format!("{read_at} modbus {}\n", read());
+    master.script += &format!("{read_at} modbus {}\n", read_request_hex());
     // And the proof that it would have been seen.
     let released = read_at + 12;
-    master.script += &format!("{released} modbus {}\n", write(Control::REFERENCED, master.counter));
+    master.script +=
+        &format!("{released} modbus {}\n", write_request_hex(Control::REFERENCED, master.counter));
     let report = chip.live(released + 60, &master.script, &FAST)?;
 
     ensure!(report.clean, "a violation:\n{}", report.said);
@@ -242,25 +247,28 @@ fn a_cnc_on_can_beside_a_plc_and_a_plc_beside_a_cnc_are_told_and_move_nothing() 
     for at in (SETTLED_MS..end).step_by(20) {
         master.lives(at);
     }
-    master.script += &format!("{} modbus {}\n", end + 1, read());
+    master.script += &format!("{} modbus {}\n", end + 1, read_request_hex());
     let report = chip.live(end + 20, &master.script, &FAST)?;
     ensure!(report.clean, "a violation:\n{}", report.said);
-    let is_told = |input: &Input| StateBits(input.state).contains(StateBits::SECOND_MASTER);
+    let is_told = |input: &InputBlock| StateBits(input.state).contains(StateBits::SECOND_MASTER);
     let input = Answers::of(&report).input(end, end + 20)?;
     ensure!(is_told(&input) && input.refused == 0, "{input:?}");
     stands(&report, SETTLED_MS, end + 20)?;
 
     // A PLC that does, next to a CNC; then the CNC falls silent.
     let mut script = "0 flags 2\n0 spindle 0\n0 positions 0\n380 flags 3\n".to_string();
-    let busy = frame(UNIT, &[0x90, 6]);
+    let busy = encode_frame(UNIT_ID, &[0x90, 6]);
     let asked: Vec<u32> = (SETTLED_MS + 5..end).step_by(20).collect();
     for (counter, at) in (0..).zip(&asked) {
-        script += &format!("{at} modbus {}\n", write(Control::REFERENCED, counter));
+        script += &format!("{at} modbus {}\n", write_request_hex(Control::REFERENCED, counter));
     }
     let (silent, free) = (end + 20, end + 560);
-    script +=
-        &format!("{} modbus {}\n{silent} control 0\n", end + 1, hex(&frame(UNIT, &read_pdu())));
-    script += &format!("{free} modbus {}\n", write(Control::REFERENCED, 900));
+    script += &format!(
+        "{} modbus {}\n{silent} control 0\n",
+        end + 1,
+        encode_hex(&encode_frame(UNIT_ID, &read_request_pdu()))
+    );
+    script += &format!("{free} modbus {}\n", write_request_hex(Control::REFERENCED, 900));
     let report = chip.live(free + 20, &script, &FAST)?;
     ensure!(report.clean, "a violation:\n{}", report.said);
     let answers = Answers::of(&report);
@@ -270,6 +278,6 @@ fn a_cnc_on_can_beside_a_plc_and_a_plc_beside_a_cnc_are_told_and_move_nothing() 
     ensure!(is_told(&answers.input(end, silent)?), "it is told");
     stands(&report, SETTLED_MS, silent)?;
     let admitted = answers.between(free, free + 20);
-    ensure!(admitted == [&frame(UNIT, &[16, 0, 0, 0, 17])[..]], "{admitted:02x?}");
+    ensure!(admitted == [&encode_frame(UNIT_ID, &[16, 0, 0, 0, 17])[..]], "{admitted:02x?}");
     Ok(())
 }

@@ -11,7 +11,7 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 use trueup_boot::header::Version;
 use trueup_emulator::{
-    chip::{self, Line},
+    chip::{self, RunningModel},
     slots,
 };
 
@@ -61,7 +61,7 @@ fn the_tool_updates_a_board_goes_on_after_a_kill_and_the_old_file_is_refused() -
     let (old, new) = (old?, new?);
     trueup()?;
     let options = [&LONG[..], &["--no-cnc"]].concat();
-    let line = Line::start(&model, &old.image, &options)?;
+    let line = RunningModel::start(&model, &old.image, &options)?;
     println!("{}", info_with(line.port, "0.9.1")?);
 
     // The tool is killed in the middle of the image.

@@ -1,6 +1,6 @@
 //! A case of the list: a fault, and what must become of it within what time.
 
-use trueup_canopen::{dictionary::TASKS, emergency::Fault};
+use trueup_canopen::{dictionary::TASK_NAMES, emergency::Fault};
 use trueup_core::cnc::{Flags, Quality};
 use trueup_link::status::{ResetReason, StateBits};
 
@@ -119,10 +119,10 @@ impl Case {
             object(0x2001, 6, &is_set, format!("state bits {:#x}", state.0));
         }
         if let Some(reason) = self.restart {
-            object(0x2001, 7, &|it| it == reason as u32, format!("reason {}", reason.word()));
+            object(0x2001, 7, &|it| it == reason as u32, format!("reason {}", reason.as_str()));
         }
         if let Some(task) = self.task {
-            let number = TASKS.iter().position(|it| *it == task).expect("a task") + 1;
+            let number = TASK_NAMES.iter().position(|it| *it == task).expect("a task") + 1;
             object(0x2002, 7, &|it| it as usize == number, format!("task {task}"));
         }
         missing
@@ -133,15 +133,15 @@ impl Case {
         let quality = self.quality.map_or("as before".into(), |it| format!("{} {it:?}", it as u8));
         let flag = self.flag.map_or("", |(_, name)| name);
         let state = self.state.map_or(String::new(), |it| {
-            let words = StateBits::WORDS.into_iter().filter(|(bit, _)| it.contains(*bit));
+            let words = StateBits::NAMES.into_iter().filter(|(bit, _)| it.contains(*bit));
             words.map(|(_, word)| format!("`{word}`")).collect::<Vec<_>>().join(", ")
         });
         let emergency =
             self.emergency.map_or(String::new(), |it| format!("{:04X} {it:?}", it.code()));
         let emergency = if self.is_history { emergency + ", in 0x1003" } else { emergency };
         let restart = self.restart.map_or(String::new(), |it| match self.task {
-            Some(task) => format!("`{}`, in task `{task}`", it.word()),
-            None => format!("`{}`", it.word()),
+            Some(task) => format!("`{}`, in task `{task}`", it.as_str()),
+            None => format!("`{}`", it.as_str()),
         });
         let Self { fault, within, .. } = self;
         format!(

@@ -196,7 +196,7 @@ fn image_changes() -> Run {
         "a bit of the flash flips",
         Case::new("the image changes", 400, 2_800)
             .quality(Quality::Fault)
-            .state(StateBits::SELF_TEST)
+            .state(StateBits::SELF_TEST_FAILED)
             .emergency(Fault::SelfTest),
     )
 }
@@ -204,7 +204,7 @@ fn image_changes() -> Run {
 fn ram() -> Run {
     let damaged = Case::new("the RAM is damaged", 0, 300).quality(Quality::Fault);
     let options = &["--bor", "--ram-stuck", "20012340"];
-    let told = damaged.state(StateBits::SELF_TEST).emergency(Fault::SelfTest);
+    let told = damaged.state(StateBits::SELF_TEST_FAILED).emergency(Fault::SelfTest);
     run("ram", "", 600).options(options).case("a bit that is always 1", told)
 }
 
@@ -247,7 +247,7 @@ fn codes() -> Run {
         .flag(Flags::SENSOR_FAULT, "sensor")
         .emergency(Fault::Sensor);
     let jumps = Case::new("the sensor jumps", 700, 100)
-        .state(StateBits::SENSOR_ODD)
+        .state(StateBits::SENSOR_ANOMALOUS)
         .emergency(Fault::SensorOdd);
     run("codes", "700 code 1000\n1300 noise 1500\n", 1_700)
         .case("another level from one code to the next, and it stays", jumps)
@@ -287,16 +287,16 @@ fn can() -> Run {
         .case(
             "nobody acknowledges",
             lost("the bus has no partner", 500)
-                .state(StateBits::CAN_PASSIVE)
+                .state(StateBits::CAN_ERROR_PASSIVE)
                 .emergency(Fault::CanPassive),
         )
         .case(
             "every frame is destroyed",
-            lost("the bus is short", 2_000).state(StateBits::CAN_OFF).emergency(Fault::CanOff),
+            lost("the bus is short", 2_000).state(StateBits::CAN_BUS_OFF).emergency(Fault::CanOff),
         )
         .case(
             "the bus is dominant for ever",
-            lost("the bus is stuck", 3_600).state(StateBits::CAN_OFF).emergency(Fault::CanOff),
+            lost("the bus is stuck", 3_600).state(StateBits::CAN_BUS_OFF).emergency(Fault::CanOff),
         )
 }
 
@@ -357,7 +357,7 @@ fn crystal_stops() -> Run {
         Case::new("the crystal stops", 500, 600)
             .restart(ResetReason::Crystal)
             .flag(Flags::BOARD_DEGRADED, "board degraded")
-            .state(StateBits::FALL_BACK_CLOCK)
+            .state(StateBits::FALLBACK_CLOCK)
             .history(Fault::Crystal),
     )
 }
@@ -366,7 +366,7 @@ fn without_can(name: &'static str, options: &'static [&'static str], case: Case,
     let case = case
         .quality(Quality::Fault)
         .flag(Flags::BOARD_DEGRADED, "board degraded")
-        .state(StateBits::FALL_BACK_CLOCK);
+        .state(StateBits::FALLBACK_CLOCK);
     run(name, "55 say S8\\rO\\r\n150 say S8\\rO\\r\n", 700)
         .serial()
         .options(options)

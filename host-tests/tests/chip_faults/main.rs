@@ -38,10 +38,11 @@ fn parts() -> Option<&'static Parts> {
     PARTS
         .get_or_init(|| {
             let model = chip::build().expect("the model builds")?;
-            let machine = setup::root().join("host-tests/tests/chip_faults/machine.toml");
-            let flashed = firmware::build_for(&machine).expect("the image builds");
+            let machine = setup::project_root().join("host-tests/tests/chip_faults/machine.toml");
+            let flashed = firmware::build_for_machine(&machine).expect("the image builds");
             let folder = tempfile::tempdir().expect("a folder");
-            let breaking = firmware::build_that_breaks(&machine).expect("the image builds");
+            let breaking =
+                firmware::build_with_fault_injection(&machine).expect("the image builds");
             let unusable = [0, 1].map(|kind| spoil(&flashed, &machine, folder.path(), kind));
             Some(Parts { model, flashed, breaking, _folder: folder, unusable })
         })
@@ -63,7 +64,7 @@ fn spoil(image: &Path, machine: &Path, folder: &Path, kind: usize) -> PathBuf {
     }
     let copy = folder.join(format!("unusable-{kind}.elf"));
     fs::write(&copy, bytes).expect("it is written");
-    seal::seal(&copy).expect("it has a place for it");
+    seal::embed_image_check(&copy).expect("it has a place for it");
     copy
 }
 
@@ -110,7 +111,7 @@ fn play(parts: &Parts, run: &Run) -> Vec<String> {
         Image::NoCalibration => &parts.unusable[0],
         Image::OtherSchema => &parts.unusable[1],
     };
-    let key = seal::symbol(image, KEY).expect("an image");
+    let key = seal::symbol_address(image, KEY).expect("an image");
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("script");
     fs::write(&file, script(run, key)).expect("it is written");
@@ -178,12 +179,17 @@ fn play_those(is_meant: impl Fn(&Run) -> bool) {
 
 #[test]
 fn only_the_breaking_image_can_be_told_to_break() {
-    let machine = setup::root().join("host-tests/tests/chip_faults/machine.toml");
-    let breaking = firmware::build_that_breaks(&machine).expect("it builds");
-    assert!(seal::symbol(&breaking, KEY).expect("an image").is_some());
+    let machine = setup::project_root().join("host-tests/tests/chip_faults/machine.toml");
+    let breaking = firmware::build_with_fault_injection(&machine).expect("it builds");
+    assert!(seal::symbol_address(&breaking, KEY).expect("an image").is_some());
     for board in firmware::Board::ALL {
         let image = firmware::build(board).expect("it builds");
-        assert_eq!(seal::symbol(&image, KEY).expect("an image"), None, "{}", board.feature());
+        assert_eq!(
+            seal::symbol_address(&image, KEY).expect("an image"),
+            None,
+            "{}",
+            board.cargo_feature()
+        );
     }
 }
 
@@ -196,7 +202,7 @@ fn the_page_is_what_the_list_says() {
     for run in &runs {
         run.cases.iter().for_each(|(how, case)| page += &case.line(how));
     }
-    let path = setup::root().join("docs/faults.md");
+    let path = setup::project_root().join("docs/faults.md");
     if std::env::var_os("TRUEUP_WRITE_FAULTS").is_some() {
         fs::write(&path, &page).expect("the folder of the documentation");
     }

@@ -19,8 +19,8 @@ use std::sync::{
 use anyhow::{Context as _, Result, ensure};
 use master::Received;
 use support::{FAST_MACHINE, chip::Chip};
-use trueup_machine::{Compiled, MachineFile, compile};
-use trueup_store::calibration::identity;
+use trueup_machine::{CompiledCalibration, MachineFile, compile};
+use trueup_store::calibration::calibration_crc;
 
 /// Where the transfer begins: the board has said what there is to say of its start.
 const LOAD_MS: f64 = 130.0;
@@ -28,7 +28,7 @@ const LOAD_MS: f64 = 130.0;
 const START_MS: f64 = 200.0;
 
 /// Returns the fast machine, with growth times `gain`.
-fn compiled(gain: f64) -> Compiled {
+fn compiled(gain: f64) -> CompiledCalibration {
     let by = 0.015_258_789_062_5 * gain;
     let text = FAST_MACHINE.replace("0.0152587890625", &by.to_string());
     let folder = tempfile::tempdir().expect("a folder");
@@ -79,8 +79,8 @@ fn load(chip: &Chip, fault: &str) -> Result<u32> {
     ensure!(heard - reset < START_MS, "silent for {} ms", heard - reset);
 
     let running = told.object((0x2100, 3), reset).context("it does not say what it runs on")?;
-    let is_new = running == identity(new.blob());
-    ensure!(is_new || running == identity(old.blob()), "it runs on {running:08x}");
+    let is_new = running == calibration_crc(new.blob());
+    ensure!(is_new || running == calibration_crc(old.blob()), "it runs on {running:08x}");
     // The answer to the last segment is a promise.
     ensure!(is_new || !told.is_accepted(reset), "it has accepted what it does not run on");
     let state = told.object((0x2001, 6), reset).context("it does not say how it is")?;

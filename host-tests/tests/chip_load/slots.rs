@@ -5,8 +5,8 @@ use std::{fs, ops::Range};
 use anyhow::{Context as _, Result, ensure};
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use trueup_store::{
-    calibration::{MAX_SIZE, identity},
-    slots::Slots,
+    calibration::{MAX_BLOB_SIZE, calibration_crc},
+    calibration_store::CalibrationStore,
 };
 
 use super::{Received, all, chip, compiled, master};
@@ -62,10 +62,10 @@ enum Part {
 /// Returns a megabyte with two loaded calibrations, half and a quarter of the growth, each damaged as it says.
 fn flash(damaged: [Part; 2]) -> Vec<u8> {
     let mut flash = vec![0xFF; 1 << 20];
-    let base = identity(compiled(1.0).blob());
+    let base = calibration_crc(compiled(1.0).blob());
     let loaded = [0.5, 0.25].map(compiled);
-    let buffer = &mut [0; MAX_SIZE];
-    let (mut slots, _) = Slots::open(Sectors(&mut flash[SECTORS]), Some(base), buffer);
+    let buffer = &mut [0; MAX_BLOB_SIZE];
+    let (mut slots, _) = CalibrationStore::open(Sectors(&mut flash[SECTORS]), Some(base), buffer);
     for calibration in &loaded {
         slots.store(calibration.blob(), || ()).expect("there is room");
     }
@@ -99,7 +99,7 @@ fn start(damaged: [Part; 2], gain: f64, asks: bool) -> Result<()> {
     ensure!(report.clean, "a violation:\n{}", report.said);
     let told = Received::of(&report.events);
     let running = told.object((0x2100, 3), 0.0).context("it does not say what it runs on")?;
-    ensure!(running == identity(compiled(gain).blob()), "it runs on {running:08x}");
+    ensure!(running == calibration_crc(compiled(gain).blob()), "it runs on {running:08x}");
     let is_asked = told.emergencies.iter().any(|(time, code)| *time < 250.0 && *code == 0x6301);
     ensure!(is_asked == asks, "asks: {is_asked}, {:x?}", told.emergencies);
     let quality = |from: f64| {

@@ -42,7 +42,7 @@ fn the_models_processor_does_what_qemus_does_instruction_by_instruction() {
     let Some(model) = chip::build().expect("the model builds") else {
         return println!("skipped: the model of the chip needs a newer compiler");
     };
-    let qemu = setup::qemu().expect("QEMU");
+    let qemu = setup::ensure_qemu().expect("QEMU");
     let folder = tempfile::tempdir().expect("a folder");
     let length = stream::SCRATCH_BYTES + GROUPS * stream::CHECKPOINT;
     for seed in SEEDS {

@@ -16,32 +16,32 @@ const UM_PER_MM: f64 = 0.1;
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn a_lathe_is_corrected_by_its_radius_in_g7_and_g8() -> Result<()> {
-    let Some(linuxcnc) = setup::linuxcnc()? else {
+    let Some(linuxcnc) = setup::ensure_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
     let machine =
-        MachineFile::read(&setup::root().join("integrations/linuxcnc/trueup_lathe.toml"))?;
+        MachineFile::read(&setup::project_root().join("integrations/linuxcnc/trueup_lathe.toml"))?;
     let bridge = Bridge::start(&machine)?;
     bridge.grow_to(GROWN_UM);
     let mut cnc = control::start_with(linuxcnc, "trueup_lathe.ini", &bridge.address(), &[])?;
-    cnc.switch_on()?;
+    cnc.power_on_and_home()?;
     for (words, radius_mm) in [
         ("G7 G53 G0 X80 Z-50", 40.0),
         ("G8 G53 G0 X80 Z-50", 80.0),
         ("G7 G53 G0 X240 Z-300", 120.0),
     ] {
-        cnc.act("mdi", "text", words)?;
+        cnc.send_command("mdi", "text", words)?;
         let names = ["joint.0.motor-pos-cmd", "axis.x.eoffset", "axis.z.eoffset"];
-        cnc.wait(words, 30, &names, |seen| {
+        cnc.wait_for_pins(words, 30, &names, |seen| {
             let [x_um, z_um] = [seen[1] * 1e3, seen[2] * 1e3];
             (seen[0] - radius_mm - seen[1]).abs() < 1e-6
                 && (x_um + radius_mm * UM_PER_MM).abs() < CLOSE_UM
                 && (z_um - GROWN_UM).abs() < CLOSE_UM
         })?;
-        let seen = cnc.pins(&names)?;
+        let seen = cnc.read_pins(&names)?;
         println!("{words}: X {:.2} um, Z {:.2} um", seen[1] * 1e3, seen[2] * 1e3);
     }
-    ensure!(!cnc.said().contains("AXIS_Y"), "a lathe is told of its Y: {}", cnc.said());
+    ensure!(!cnc.recent_log().contains("AXIS_Y"), "a lathe is told of its Y: {}", cnc.recent_log());
     Ok(())
 }

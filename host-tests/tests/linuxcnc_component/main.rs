@@ -52,7 +52,7 @@ fn rest(ms: u64) {
 
 /// Switches on again; the offset begins at 0.
 fn back_on(rig: &mut Rig) -> Result<()> {
-    rig.cnc.switch_on()?;
+    rig.cnc.power_on_and_home()?;
     let z_um = rig.z_um()?;
     ensure!(z_um < GROWN_UM - CLOSE_UM, "it does not begin at 0, but at {z_um} um");
     Ok(())
@@ -62,7 +62,7 @@ fn back_on(rig: &mut Rig) -> Result<()> {
 #[ignore = "long: the real LinuxCNC"]
 fn after_an_e_stop_the_offset_comes_back_by_a_ramp() -> Result<()> {
     scenario(GROWN_UM, |rig| {
-        rig.cnc.act("state", "name", "estop")?;
+        rig.cnc.send_command("state", "name", "estop")?;
         rest(300);
         back_on(rig)
     })
@@ -73,7 +73,7 @@ fn after_an_e_stop_the_offset_comes_back_by_a_ramp() -> Result<()> {
 fn after_machine_off_and_on_the_offset_comes_back_by_a_ramp() -> Result<()> {
     scenario(GROWN_UM, |rig| {
         for _ in 0..3 {
-            rig.cnc.act("state", "name", "off")?;
+            rig.cnc.send_command("state", "name", "off")?;
             rest(100);
             back_on(rig)?;
             // Once in the middle of the ramp.
@@ -87,14 +87,15 @@ fn after_machine_off_and_on_the_offset_comes_back_by_a_ramp() -> Result<()> {
 #[ignore = "long: the real LinuxCNC"]
 fn while_it_is_not_homed_the_offset_stands_and_afterwards_it_follows_again() -> Result<()> {
     scenario(GROWN_UM - 15.0, |rig| {
-        rig.cnc.ask(&json!({"do": "unhome"}))?;
+        rig.cnc.send_request(&json!({"do": "unhome"}))?;
         let before = rig.z_um()?;
         // The bridge takes its offset back; LinuxCNC would take no count.
         rig.bridge.grow_to(GROWN_UM - 15.0);
-        rig.cnc.wait("it is taken back", 20, &["trueup.0.quality"], |seen| seen[0] == 0.0)?;
+        rig.cnc
+            .wait_for_pins("it is taken back", 20, &["trueup.0.quality"], |seen| seen[0] == 0.0)?;
         let z_um = rig.z_um()?;
         ensure!((z_um - before).abs() < STILL_UM, "it moved from {before} to {z_um} um");
-        rig.cnc.switch_on()
+        rig.cnc.power_on_and_home()
     })
 }
 
@@ -103,15 +104,18 @@ fn while_it_is_not_homed_the_offset_stands_and_afterwards_it_follows_again() -> 
 fn at_a_soft_limit_the_offset_stands_back_and_does_not_hurry_afterwards() -> Result<()> {
     scenario(GROWN_UM, |rig| {
         // Z may go to 1 mm, and the offset would take it beyond.
-        rig.cnc.act("mdi", "text", "G53 G1 Z1 F2000")?;
-        rig.cnc.wait("the limit", 5, &["motion.eoffset-limited", "trueup.0.limited"], |seen| {
-            seen == [1.0, 1.0]
-        })?;
-        let seen = rig.cnc.pins(&["joint.2.pos-cmd", "axis.z.eoffset"])?;
+        rig.cnc.send_command("mdi", "text", "G53 G1 Z1 F2000")?;
+        rig.cnc.wait_for_pins(
+            "the limit",
+            5,
+            &["motion.eoffset-limited", "trueup.0.limited"],
+            |seen| seen == [1.0, 1.0],
+        )?;
+        let seen = rig.cnc.read_pins(&["joint.2.pos-cmd", "axis.z.eoffset"])?;
         ensure!(seen[0] <= 1.0 + 1e-9, "the joint is at {} mm", seen[0]);
         ensure!(seen[1].abs() < 0.001, "nothing is left of the offset: {} mm", seen[1]);
-        rig.cnc.act("mdi", "text", "G53 G0 Z0")?;
-        rig.cnc.act("teleop", "on", true)?;
+        rig.cnc.send_command("mdi", "text", "G53 G0 Z0")?;
+        rig.cnc.send_command("teleop", "on", true)?;
         Ok(())
     })
 }
@@ -123,12 +127,12 @@ fn a_bridge_that_is_unplugged_is_held_then_ramped_out_and_taken_up_again() -> Re
         rig.bridge.plug(false);
         let pulled = Instant::now();
         rest(1_000);
-        let seen = rig.cnc.pins(&["trueup.0.fault", "axis.z.eoffset"])?;
+        let seen = rig.cnc.read_pins(&["trueup.0.fault", "axis.z.eoffset"])?;
         let held = seen[0] == 0.0 && (seen[1] * 1e3 - GROWN_UM).abs() < CLOSE_UM;
         ensure!(held, "fault and offset in mm after a second: {seen:?}");
         gone(rig)?;
         ensure!(pulled.elapsed() > HOLD, "after the hold, not before");
-        let said = rig.cnc.ask(&json!({"do": "stat"}))?["said"].to_string();
+        let said = rig.cnc.send_request(&json!({"do": "stat"}))?["said"].to_string();
         ensure!(said.contains("trueup: no offsets"), "the operator is told: {said}");
         rig.bridge.plug(true);
         Ok(())
@@ -138,7 +142,7 @@ fn a_bridge_that_is_unplugged_is_held_then_ramped_out_and_taken_up_again() -> Re
 /// Waits until the offset is taken back, and a fault is reported.
 fn gone(rig: &mut Rig) -> Result<()> {
     let names = ["trueup.0.fault", "trueup.0.connected", "trueup.0.quality", "axis.z.eoffset"];
-    rig.cnc.wait("the offset is taken back", 10, &names, |seen| {
+    rig.cnc.wait_for_pins("the offset is taken back", 10, &names, |seen| {
         seen[..3] == [1.0, 0.0, 6.0] && seen[3].abs() * 1e3 < STILL_UM
     })
 }
@@ -154,7 +158,7 @@ fn a_component_that_is_killed_leaves_the_offset_and_the_next_one_goes_on_from_th
             let z_um = rig.z_um()?;
             ensure!((z_um - GROWN_UM).abs() < CLOSE_UM, "it stands at {z_um} um");
             restart(rig)?;
-            ensure!(rig.cnc.pin("trueup.0.pid")? != pid, "another process");
+            ensure!(rig.cnc.read_pin("trueup.0.pid")? != pid, "another process");
             rig.applied()?;
         }
         rig.bridge.grow_to(GROWN_UM - 20.0);
@@ -164,7 +168,7 @@ fn a_component_that_is_killed_leaves_the_offset_and_the_next_one_goes_on_from_th
 
 /// Ends its process, and no other, at once.
 fn kill_component(rig: &mut Rig) -> Result<f64> {
-    let pid = rig.cnc.pin("trueup.0.pid")?;
+    let pid = rig.cnc.read_pin("trueup.0.pid")?;
     signal("-KILL", pid)?;
     rest(200);
     Ok(pid)
@@ -187,7 +191,9 @@ fn load(rig: &mut Rig, file: &str) -> Result<()> {
     rig.cnc.halcmd(&format!("-i {folder}/test.ini -f {folder}/{file}"))?;
     // Both ways within a second: it beats.
     for beat in [0.0, 1.0] {
-        rig.cnc.wait("a component lives", 5, &["trueup.0.heartbeat"], |seen| seen == [beat])?;
+        rig.cnc.wait_for_pins("a component lives", 5, &["trueup.0.heartbeat"], |seen| {
+            seen == [beat]
+        })?;
     }
     Ok(())
 }
@@ -196,7 +202,7 @@ fn load(rig: &mut Rig, file: &str) -> Result<()> {
 #[ignore = "long: the real LinuxCNC"]
 fn a_component_that_is_ended_and_loaded_again_goes_on_where_the_offset_stands() -> Result<()> {
     scenario(GROWN_UM + 5.0, |rig| {
-        let pid = rig.cnc.pin("trueup.0.pid")?;
+        let pid = rig.cnc.read_pin("trueup.0.pid")?;
         signal("-TERM", pid)?;
         rest(500);
         let z_um = rig.z_um()?;
@@ -220,15 +226,16 @@ fn holds_the_feed(
     hurt: impl Fn(&mut Rig) -> Result<()>,
     mend: impl Fn(&mut Rig) -> Result<()>,
 ) -> Result<()> {
-    rig.cnc.act("begin_mdi", "text", "G53 G1 X1900 F6000")?;
+    rig.cnc.send_command("begin_mdi", "text", "G53 G1 X1900 F6000")?;
     let names = ["axis.x.pos-cmd", "motion.feed-inhibit"];
-    rig.cnc.wait("on its way", 10, &names, |seen| seen[0] > 5.0 && seen[1] == 0.0)?;
+    rig.cnc.wait_for_pins("on its way", 10, &names, |seen| seen[0] > 5.0 && seen[1] == 0.0)?;
     rig.begin()?;
     hurt(rig)?;
     // In the time of the servo thread, which counts: on a busy computer it has fewer cycles than the wall.
-    rig.cnc.wait("the feed is held", 20, &["motion.feed-inhibit"], |seen| seen == [1.0])?;
+    rig.cnc
+        .wait_for_pins("the feed is held", 20, &["motion.feed-inhibit"], |seen| seen == [1.0])?;
     rest(500);
-    let held = rig.cnc.pins(&["motion.feed-inhibit", "axis.x.pos-cmd", "axis.z.eoffset"])?;
+    let held = rig.cnc.read_pins(&["motion.feed-inhibit", "axis.x.pos-cmd", "axis.z.eoffset"])?;
     let cycles = rig.cycles()?;
     let last = cycles.windows(2).rposition(|pair| pair[0].command[0] != pair[1].command[0]);
     let last = last.with_context(|| format!("{what}: it never moved"))?;
@@ -236,15 +243,15 @@ fn holds_the_feed(
     ensure!(last <= HELD_WITHIN_MS, "{what}: the feed goes on for {last} ms");
     ensure!(held[0] == 1.0 && last + 2 < cycles.len(), "{what}: {held:?}");
     ensure!((held[2] * 1e3 - GROWN_UM).abs() < CLOSE_UM, "{what}: the offset stands: {held:?}");
-    let said = rig.cnc.ask(&json!({"do": "stat"}))?["said"].to_string();
+    let said = rig.cnc.send_request(&json!({"do": "stat"}))?["said"].to_string();
     ensure!(said.contains("trueup: the feed is held"), "{what}: the operator is told: {said}");
     rig.begin()?;
     mend(rig)?;
     let x_mm = held[1];
-    rig.cnc.wait("it goes on", 10, &["axis.x.pos-cmd"], |seen| seen[0] > x_mm + 5.0)?;
-    rig.cnc.ask(&json!({"do": "abort"}))?;
-    rig.cnc.act("mdi", "text", "G53 G0 X0 Y0 Z0")?;
-    rig.cnc.act("teleop", "on", true)?;
+    rig.cnc.wait_for_pins("it goes on", 10, &["axis.x.pos-cmd"], |seen| seen[0] > x_mm + 5.0)?;
+    rig.cnc.send_request(&json!({"do": "abort"}))?;
+    rig.cnc.send_command("mdi", "text", "G53 G0 X0 Y0 Z0")?;
+    rig.cnc.send_command("teleop", "on", true)?;
     rig.applied()
 }
 
@@ -253,8 +260,9 @@ fn holds_the_feed(
 fn a_component_that_is_killed_stopped_or_unwired_holds_the_feed_within_half_a_second() -> Result<()>
 {
     scenario(GROWN_UM, |rig| {
-        let send =
-            |name: &'static str| move |rig: &mut Rig| signal(name, rig.cnc.pin("trueup.0.pid")?);
+        let send = |name: &'static str| {
+            move |rig: &mut Rig| signal(name, rig.cnc.read_pin("trueup.0.pid")?)
+        };
         holds_the_feed(rig, "kill -9", send("-KILL"), restart)?;
         holds_the_feed(rig, "SIGTERM", send("-TERM"), restart)?;
         holds_the_feed(rig, "SIGSTOP", send("-STOP"), send("-CONT"))?;
@@ -280,15 +288,15 @@ fn a_component_that_is_killed_stopped_or_unwired_holds_the_feed_within_half_a_se
 fn damaged_lost_doubled_and_swapped_frames_move_nothing_that_was_not_meant() -> Result<()> {
     scenario(GROWN_UM + 10.0, |rig| {
         let names = ["trueup.0.crc-errors", "trueup.0.seq-errors", "trueup.0.lost"];
-        let before = rig.cnc.pins(&names)?;
+        let before = rig.cnc.read_pins(&names)?;
         rig.bridge.damage(Damage { altered: 0.1, dropped: 0.1, swapped: 0.1, doubled: 0.1 });
         rest(500);
         // Enough gets through to follow.
         rig.bridge.grow_to(GROWN_UM + 10.0);
-        rig.cnc.wait("it follows all the same", 10, &["axis.z.eoffset"], |seen| {
+        rig.cnc.wait_for_pins("it follows all the same", 10, &["axis.z.eoffset"], |seen| {
             (seen[0] * 1e3 - GROWN_UM - 10.0).abs() < CLOSE_UM
         })?;
-        let after = rig.cnc.pins(&names)?;
+        let after = rig.cnc.read_pins(&names)?;
         let grown: Vec<f64> = after.iter().zip(&before).map(|(now, then)| now - then).collect();
         println!("crc errors, sequence errors, lost: {grown:?}");
         ensure!(grown.iter().all(|&grown| grown > 10.0), "{names:?}: {grown:?}");
@@ -303,7 +311,7 @@ fn damaged_lost_doubled_and_swapped_frames_move_nothing_that_was_not_meant() -> 
 #[ignore = "long: the real LinuxCNC"]
 fn counts_that_wrap_at_32_bits_are_no_step() -> Result<()> {
     scenario(GROWN_UM, |rig| {
-        rig.cnc.act("state", "name", "off")?;
+        rig.cnc.send_command("state", "name", "off")?;
         kill_component(rig)?;
         // With nobody who writes them, the signals can be set; the machine is off, so the change
         // is lost, as every change is then.
@@ -321,9 +329,9 @@ fn counts_that_wrap_at_32_bits_are_no_step() -> Result<()> {
             rig.cnc.halcmd(&format!("net trueup-{axis} trueup.0.{axis}-counts"))?;
         }
         rest(200);
-        rig.cnc.switch_on()?;
+        rig.cnc.power_on_and_home()?;
         rig.applied()?;
-        let counts = rig.cnc.pin("axis.z.eoffset-counts")?;
+        let counts = rig.cnc.read_pin("axis.z.eoffset-counts")?;
         ensure!(counts < 0.0, "40 um are 40000 counts, 20000 beyond the end: {counts}");
         println!("the counts of Z stand at {counts}");
         Ok(())
@@ -355,43 +363,43 @@ fn a_part_that_is_touched_off_warm_has_the_right_height_after_a_restart() -> Res
     rig.begin()?;
     // The spindle is warm. `Zero`, and the offset goes; then the tool touches the part.
     rig.set_reference(GROWN_UM)?;
-    rig.cnc.act("mdi", "text", "G53 G0 X3 Y2 Z-30")?;
-    rig.cnc.act("mdi", "text", "G53 G1 Z-30.5 F600")?;
+    rig.cnc.send_command("mdi", "text", "G53 G0 X3 Y2 Z-30")?;
+    rig.cnc.send_command("mdi", "text", "G53 G1 Z-30.5 F600")?;
     rest(300);
     // Where the tip of the tool is: below the joint by the growth.
-    let touched_mm = rig.cnc.pin("joint.2.motor-pos-cmd")? - GROWN_UM * 1e-3;
-    rig.cnc.act("mdi", "text", "G10 L20 P1 Z0")?;
+    let touched_mm = rig.cnc.read_pin("joint.2.motor-pos-cmd")? - GROWN_UM * 1e-3;
+    rig.cnc.send_command("mdi", "text", "G10 L20 P1 Z0")?;
     // It grows on, and the height stays.
     rig.bridge.grow_to(GROWN_UM + 25.0);
     rig.applied_at(25.0)?;
     let tip = |rig: &mut Rig, growth: f64| -> Result<f64> {
         rest(300);
-        Ok((rig.cnc.pin("joint.2.motor-pos-cmd")? - growth * 1e-3 - touched_mm) * 1e3)
+        Ok((rig.cnc.read_pin("joint.2.motor-pos-cmd")? - growth * 1e-3 - touched_mm) * 1e3)
     };
     let warmer = tip(&mut rig, GROWN_UM + 25.0)?;
-    rig.cnc.act("mdi", "text", "G53 G0 X0 Y0 Z0")?;
+    rig.cnc.send_command("mdi", "text", "G53 G0 X0 Y0 Z0")?;
     rig.end()?;
 
     // LinuxCNC ends; the bridge loses its power; it is a little cooler when both are back.
     let variables = rig.cnc.folder().join("trueup_sim.var");
-    rig.cnc.end()?;
+    rig.cnc.close()?;
     let variables = fs::read_to_string(variables).context("what LinuxCNC keeps")?;
     rig.bridge.restart();
     rig.bridge.grow_to(GROWN_UM - 12.0);
     rig.restart_linuxcnc(&[("trueup_sim.var", &variables)])?;
     rig.begin()?;
-    rig.cnc.switch_on()?;
+    rig.cnc.power_on_and_home()?;
     rig.applied_at(-12.0)?;
-    rig.cnc.act("mdi", "text", "G54 G0 X3 Y2")?;
-    rig.cnc.act("mdi", "text", "G54 G0 Z1")?;
-    rig.cnc.act("mdi", "text", "G54 G1 Z0 F600")?;
+    rig.cnc.send_command("mdi", "text", "G54 G0 X3 Y2")?;
+    rig.cnc.send_command("mdi", "text", "G54 G0 Z1")?;
+    rig.cnc.send_command("mdi", "text", "G54 G1 Z0 F600")?;
     rig.applied_at(-12.0)?;
     let restarted = tip(&mut rig, GROWN_UM - 12.0)?;
     println!("off the height: {warmer:+.2} um 25 um warmer, {restarted:+.2} um after the restart");
     ensure!(warmer.abs() < 2.0 && restarted.abs() < 2.0, "{warmer} and {restarted} um");
     // As it was, for the next test: the reference goes.
-    rig.cnc.act("mdi", "text", "G53 G0 X0 Y0 Z0")?;
-    rig.cnc.act("teleop", "on", true)?;
+    rig.cnc.send_command("mdi", "text", "G53 G0 X0 Y0 Z0")?;
+    rig.cnc.send_command("teleop", "on", true)?;
     rig.set_reference(0.0)?;
     rig.bridge.grow_to(GROWN_UM);
     rig.applied()?;
@@ -403,7 +411,7 @@ fn a_part_that_is_touched_off_warm_has_the_right_height_after_a_restart() -> Res
 fn moving_axes_are_corrected_by_their_tables_while_they_move() -> Result<()> {
     scenario(GROWN_UM, |rig| {
         let mut at = |text: &str| -> Result<[f64; 3]> {
-            rig.cnc.act("mdi", "text", text)?;
+            rig.cnc.send_command("mdi", "text", text)?;
             rig.settled_um()
         };
         // Against a first place, because the reference may have been taken anywhere. Pitch of X:
@@ -420,8 +428,8 @@ fn moving_axes_are_corrected_by_their_tables_while_they_move() -> Result<()> {
             let off = (seen[0] - x_um).abs().max((seen[1] - y_um).abs());
             ensure!(off < 2.0 * CLOSE_UM, "{text}: {seen:?}, not {x_um} and {y_um} um");
         }
-        rig.cnc.act("mdi", "text", "G53 G0 X0 Y0")?;
-        rig.cnc.act("teleop", "on", true)?;
+        rig.cnc.send_command("mdi", "text", "G53 G0 X0 Y0")?;
+        rig.cnc.send_command("teleop", "on", true)?;
         Ok(())
     })
 }

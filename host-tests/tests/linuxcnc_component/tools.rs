@@ -10,7 +10,7 @@ use std::{
 };
 
 use anyhow::{Result, ensure};
-use trueup_emulator::{linuxcnc::headless::Headless, setup};
+use trueup_emulator::{linuxcnc::headless::HeadlessLinuxCnc, setup};
 use trueup_machine::MachineFile;
 use trueup_twin::{
     Scenario,
@@ -81,7 +81,7 @@ const LEFT: f64 = 0.05;
 /// Lets the metal live with what LinuxCNC does; gives growth and what the offset leaves of it, in µm, once `wait` is
 /// over.
 fn live(
-    cnc: &mut Headless,
+    cnc: &mut HeadlessLinuxCnc,
     bridge: &Bridge,
     metal: &mut Twin,
     wait: Duration,
@@ -90,7 +90,7 @@ fn live(
     while begun.elapsed() < wait + COUNTS {
         thread::sleep(Duration::from_millis(20));
         let pins =
-            cnc.pins(&["iocontrol.0.tool-number", "spindle.0.speed-out", "axis.z.eoffset"])?;
+            cnc.read_pins(&["iocontrol.0.tool-number", "spindle.0.speed-out", "axis.z.eoffset"])?;
         let dt_s = before.elapsed().as_secs_f64() * HURRIED;
         before = Instant::now();
         let command = Command { tool: pins[0] as u16, spindle_rpm: pins[1], ..Command::default() };
@@ -109,7 +109,7 @@ fn live(
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn with_three_tools_95_percent_of_the_growth_are_gone() -> Result<()> {
-    let Some(linuxcnc) = setup::linuxcnc()? else {
+    let Some(linuxcnc) = setup::ensure_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
@@ -120,14 +120,14 @@ fn with_three_tools_95_percent_of_the_growth_are_gone() -> Result<()> {
     let files = [("trueup_gantry.toml", MACHINE), ("trueup_sim.tbl", TABLE)];
     let mut cnc = control::start_with(linuxcnc, "trueup_sim.ini", &bridge.address(), &files)?;
     cnc.halcmd("net trueup-tool iocontrol.0.tool-number => trueup.0.tool")?;
-    cnc.switch_on()?;
+    cnc.power_on_and_home()?;
     let mut seen: Vec<[f64; 2]> = Vec::new();
     for tool in [1, 2, 3, 1, 3, 2] {
-        cnc.act("mdi", "text", "M5")?;
-        cnc.act("mdi", "text", format!("T{tool} M6"))?;
+        cnc.send_command("mdi", "text", "M5")?;
+        cnc.send_command("mdi", "text", format!("T{tool} M6"))?;
         let is_there = |pins: &[f64]| pins[0] == f64::from(tool);
-        cnc.wait("the tool", 10, &["iocontrol.0.tool-number"], is_there)?;
-        cnc.act("mdi", "text", format!("S{RPM} M3"))?;
+        cnc.wait_for_pins("the tool", 10, &["iocontrol.0.tool-number"], is_there)?;
+        cnc.send_command("mdi", "text", format!("S{RPM} M3"))?;
         let part = live(&mut cnc, &bridge, &mut metal, COMES)?;
         let of = |n: usize| rms(&part.iter().map(|it| it[n]).collect::<Vec<f64>>());
         println!("tool {tool}: grown {:.2} um, left {:.3} um", of(0), of(1));
@@ -146,6 +146,6 @@ fn with_three_tools_95_percent_of_the_growth_are_gone() -> Result<()> {
         100.0 * (1.0 - left / grown)
     );
     ensure!(left <= LEFT * grown, "{left:.3} um are left of {grown:.2}");
-    ensure!(cnc.pins(&["trueup.0.quality"])? == [1.0], "live to the end");
+    ensure!(cnc.read_pins(&["trueup.0.quality"])? == [1.0], "live to the end");
     Ok(())
 }

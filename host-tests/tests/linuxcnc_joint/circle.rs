@@ -22,8 +22,8 @@ use std::{
 use anyhow::{Context as _, Result, bail, ensure};
 use serde_json::Value;
 use trueup_emulator::{
-    linuxcnc::headless::{DISPLAY, Headless},
-    programs,
+    host_programs,
+    linuxcnc::headless::{DISPLAY_PROGRAM, HeadlessLinuxCnc},
     setup::{self, LinuxCnc},
 };
 use trueup_twin::{
@@ -126,11 +126,11 @@ duration_s = 1.0
 ";
 
 /// LinuxCNC in a folder of its own; with the bridge where there is a `machine` file for it.
-fn start(control: LinuxCnc, machine: Option<&str>, program: &str) -> Result<Headless> {
-    let folder = Headless::new_folder()?;
+fn start(control: LinuxCnc, machine: Option<&str>, program: &str) -> Result<HeadlessLinuxCnc> {
+    let folder = HeadlessLinuxCnc::create_config_folder()?;
     let path = |name: &str| folder.path().join(name);
     let here = folder.path().to_str().context("a temporary folder has a plain name")?;
-    let mut ini = INI.replace("FOLDER", here).replace("SCREEN", DISPLAY);
+    let mut ini = INI.replace("FOLDER", here).replace("SCREEN", DISPLAY_PROGRAM);
     ini = ini.replace("MAX_LINEAR_VELOCITY = 53", "MAX_LINEAR_VELOCITY = 100");
     for (joint, axis) in ["X", "Y", "Z"].iter().enumerate() {
         ini += &format!("[AXIS_{axis}]\n{AXIS}[JOINT_{joint}]\n{JOINT}{AXIS}");
@@ -142,7 +142,7 @@ fn start(control: LinuxCnc, machine: Option<&str>, program: &str) -> Result<Head
     }
     if let Some(machine) = machine {
         fs::write(path("machine.toml"), machine)?;
-        fs::copy(programs::trueup()?, path("trueup"))?;
+        fs::copy(host_programs::build_trueup()?, path("trueup"))?;
         install(folder.path())?;
         let (ini, machine) = (path("stock.ini"), path("machine.toml"));
         let (ini, machine) = (ini.to_string_lossy(), machine.to_string_lossy());
@@ -151,12 +151,12 @@ fn start(control: LinuxCnc, machine: Option<&str>, program: &str) -> Result<Head
             0,
         )?;
     }
-    Headless::start(folder, "stock.ini", control)
+    HeadlessLinuxCnc::start(folder, "stock.ini", control)
 }
 
 /// Runs the program with all its stops; returns what the drives of X and Y got in each servo cycle, in mm.
-fn cut(cnc: &mut Headless, with_bridge: bool) -> Result<Vec<[f64; 2]>> {
-    let (recorder, lines) = cnc.sample()?;
+fn cut(cnc: &mut HeadlessLinuxCnc, with_bridge: bool) -> Result<Vec<[f64; 2]>> {
+    let (recorder, lines) = cnc.start_sampler()?;
     let reader: JoinHandle<Result<Vec<[f64; 2]>>> = thread::spawn(move || {
         let (mut cycles, mut lines, mut line) = (Vec::new(), BufReader::new(lines), String::new());
         // It is ended in the middle of a line.
@@ -170,31 +170,31 @@ fn cut(cnc: &mut Headless, with_bridge: bool) -> Result<Vec<[f64; 2]>> {
         }
         Ok(cycles)
     });
-    cnc.switch_on()?;
+    cnc.power_on_and_home()?;
     if with_bridge {
         is_live(cnc)?;
-        ensure!(cnc.pin("motion.feed-inhibit")? == 0.0, "the feed is held");
+        ensure!(cnc.read_pin("motion.feed-inhibit")? == 0.0, "the feed is held");
         // Until then it was, and LinuxCNC has a message of it for the operator: one is taken at each look.
         for _ in 0..MESSAGES {
             cnc.is_busy().ok();
         }
     }
     // From the centre the first two stops would be one for the screen.
-    cnc.act("mdi", "text", "G53 G0 X-20 Y-10")?;
-    cnc.begin(PROGRAM)?;
+    cnc.send_command("mdi", "text", "G53 G0 X-20 Y-10")?;
+    cnc.start_program(PROGRAM)?;
     let begun = Instant::now();
     while cnc.is_busy()? {
         if cnc.is_stopped()? {
             cnc.resume()?;
         }
-        ensure!(begun.elapsed() < PATIENCE, "{PROGRAM} does not end: {}", cnc.said());
+        ensure!(begun.elapsed() < PATIENCE, "{PROGRAM} does not end: {}", cnc.recent_log());
         thread::sleep(Duration::from_millis(100));
     }
     // What the recorder holds back for a moment.
     thread::sleep(Duration::from_millis(500));
     drop(recorder);
     let cycles = reader.join().ok().context("the reader has panicked")??;
-    cnc.end()?;
+    cnc.close()?;
     Ok(cycles)
 }
 
@@ -291,7 +291,7 @@ fn backlash_um(readings: &[Reading]) -> [f64; 2] {
 
 /// Returns what `trueup fit circle --json` says of a run file; the fitted machine file goes to `output`.
 fn fit(run: &Path, machine: Option<&Path>, output: &Path) -> Result<Value> {
-    let mut command = Process::new(programs::trueup()?);
+    let mut command = Process::new(host_programs::build_trueup()?);
     command.args(["fit", "circle", "--json", "--quiet", "--run"]).arg(run).arg("-o").arg(output);
     if let Some(machine) = machine {
         command.arg("--machine").arg(machine);
@@ -315,12 +315,12 @@ fn reduction(before: f64, after: f64) -> f64 {
 #[test]
 #[ignore = "campaign: cargo xtask linuxcnc circle"]
 fn campaign_the_same_circle_is_rounder_with_the_bridge() -> Result<()> {
-    let Some(control) = setup::linuxcnc()? else {
+    let Some(control) = setup::ensure_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
     let scenario = Scenario::parse(TRUE, Path::new("true.toml"))?;
-    let work = setup::root().join("target/linuxcnc-circle");
+    let work = setup::project_root().join("target/linuxcnc-circle");
     fs::create_dir_all(&work)?;
     let path = |name: &str| work.join(name);
     let known = path("machine.toml");
@@ -344,7 +344,7 @@ fn campaign_the_same_circle_is_rounder_with_the_bridge() -> Result<()> {
     let fitted = path("fitted.toml");
     let before = fit(&path("without.csv"), Some(&known), &fitted)?;
 
-    let mut cnc = start(cnc.give_back()?, Some(&fs::read_to_string(&fitted)?), &program)?;
+    let mut cnc = start(cnc.shut_down()?, Some(&fs::read_to_string(&fitted)?), &program)?;
     let tips_after = tips(&cut(&mut cnc, true)?, &scenario);
     let (run, readings_after) = measure(&rows, &tips_after, &scenario)?;
     fs::write(path("with.csv"), run)?;

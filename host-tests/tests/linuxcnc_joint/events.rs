@@ -9,10 +9,10 @@ use std::{
 
 use anyhow::{Context as _, Result, ensure};
 use serde_json::json;
-use trueup_emulator::linuxcnc::headless::Headless;
+use trueup_emulator::linuxcnc::headless::HeadlessLinuxCnc;
 use trueup_linuxcnc::{
     hal::is_alive,
-    status::{in_words, parse},
+    status::{describe_status, parse},
 };
 
 use super::{CYCLE_S, Cycle, MAX_ACCELERATION, NOISE, Rig, SURFACE};
@@ -45,10 +45,10 @@ pub(crate) fn programs(rig: &mut Rig) -> Result<()> {
 /// An abort stops the program and not the offsets.
 pub(crate) fn aborts(rig: &mut Rig) -> Result<()> {
     for um in [[60.0, 0.0, -40.0], [10.0, -20.0, 40.0]] {
-        rig.cnc.act("begin_mdi", "text", "G53 G1 F1500 X-20 Y-20")?;
+        rig.cnc.send_command("begin_mdi", "text", "G53 G1 F1500 X-20 Y-20")?;
         rig.bridge.say(um);
         thread::sleep(Duration::from_millis(400));
-        rig.cnc.ask(&json!({"do": "abort"}))?;
+        rig.cnc.send_request(&json!({"do": "abort"}))?;
         rig.applied(um)?;
         rig.check("abort")?;
         rig.mdi("G53 G0 X20 Y20")?;
@@ -59,18 +59,19 @@ pub(crate) fn aborts(rig: &mut Rig) -> Result<()> {
 /// The offset is held while the machine is off, and goes on from there.
 pub(crate) fn power(rig: &mut Rig) -> Result<()> {
     for state in ["estop", "off"] {
-        rig.cnc.act("begin_mdi", "text", "G53 G1 F1500 X-20 Y-20")?;
+        rig.cnc.send_command("begin_mdi", "text", "G53 G1 F1500 X-20 Y-20")?;
         thread::sleep(Duration::from_millis(300));
-        rig.cnc.act("state", "name", state)?;
-        let held = rig.cnc.pins(&["trueup-mv.offset-current-0", "trueup-mv.offset-current-2"])?;
+        rig.cnc.send_command("state", "name", state)?;
+        let held =
+            rig.cnc.read_pins(&["trueup-mv.offset-current-0", "trueup-mv.offset-current-2"])?;
         rig.bridge.say([-30.0, 0.0, 0.0]);
         thread::sleep(Duration::from_millis(300));
         assert_eq!(
             held,
-            rig.cnc.pins(&["trueup-mv.offset-current-0", "trueup-mv.offset-current-2"])?
+            rig.cnc.read_pins(&["trueup-mv.offset-current-0", "trueup-mv.offset-current-2"])?
         );
         assert!((held[0] - 0.01).abs() < 1e-6 && (held[1] - 0.04).abs() < 1e-6, "{held:?}");
-        rig.cnc.switch_on()?;
+        rig.cnc.power_on_and_home()?;
         rig.applied([-30.0, 0.0, 0.0])?;
         rig.offsets([10.0, -20.0, 40.0])?;
         rig.check(state)?;
@@ -83,15 +84,15 @@ pub(crate) fn power(rig: &mut Rig) -> Result<()> {
 pub(crate) fn homing(rig: &mut Rig) -> Result<()> {
     rig.mdi("G53 G0 X-10 Y0")?;
     rig.cycles();
-    let drive = rig.cnc.pin("trueup-j0.out")?;
+    let drive = rig.cnc.read_pin("trueup-j0.out")?;
     // The goal is said so shortly before that the offset is still on its way: held is what acts.
     rig.bridge.say([190.0, -20.0, 40.0]);
-    rig.cnc.act("home", "joint", 0)?;
+    rig.cnc.send_command("home", "joint", 0)?;
     rig.bridge.say([10.0, -20.0, 40.0]);
-    rig.cnc.act("teleop", "on", true)?;
+    rig.cnc.send_command("teleop", "on", true)?;
     rig.applied([10.0, -20.0, 40.0])?;
     rig.mdi("G53 G0 X-10 Y0")?;
-    let again = rig.cnc.pin("trueup-j0.out")?;
+    let again = rig.cnc.read_pin("trueup-j0.out")?;
     println!("homed again: the drive is {:.3} um off", (again - drive) * 1e3);
     // The switch is left at 0.1 mm/s, and seen in a servo cycle.
     assert!((again - drive).abs() < 0.3e-3, "{again} {drive}");
@@ -103,28 +104,28 @@ pub(crate) fn homing(rig: &mut Rig) -> Result<()> {
 /// last. While it is gone, killed or ended, the offset is held.
 pub(crate) fn ended(rig: &mut Rig) -> Result<()> {
     let names = ["trueup-mv.offset-current-0", "trueup-mv.offset-current-2", "trueup-j0.out"];
-    let base = rig.cnc.pin(names[0])? - 0.01;
+    let base = rig.cnc.read_pin(names[0])? - 0.01;
     assert!(base.abs() > 5e-3, "homed with an offset: {base}");
     for signal in ["TERM", "KILL"] {
-        let before = rig.cnc.pins(&names)?;
+        let before = rig.cnc.read_pins(&names)?;
         end_component(&mut rig.cnc, signal)?;
         if signal == "KILL" {
-            let (said, is_live) = in_words(&shown(rig)?);
+            let (said, is_live) = describe_status(&shown(rig)?);
             ensure!(!is_live && said.contains("killed"), "{said}");
         }
         let near =
             |seen: &[f64]| seen.iter().zip(&before).all(|(one, two)| (one - two).abs() < 1e-6);
-        let gone = rig.cnc.pins(&names)?;
+        let gone = rig.cnc.read_pins(&names)?;
         assert!(near(&gone), "{signal}, gone: {before:?} {gone:?}");
         if signal == "TERM" {
             stands_whatever_the_goal(rig, &names)?;
         }
         load_component(&mut rig.cnc, signal)?;
         rig.applied([10.0, -20.0, 40.0])?;
-        let again = rig.cnc.pins(&names)?;
+        let again = rig.cnc.read_pins(&names)?;
         println!("{signal}, loaded again: {before:?} {again:?}");
         assert!(near(&again), "{signal}, loaded again: {before:?} {again:?}");
-        let (said, is_live) = in_words(&shown(rig)?);
+        let (said, is_live) = describe_status(&shown(rig)?);
         ensure!(is_live, "{said}");
         let seen = rig.check(signal)?;
         assert!(seen.offset_speed <= NOISE / CYCLE_S, "{signal}: the offset moved: {seen:?}");
@@ -138,13 +139,13 @@ fn stands_whatever_the_goal(rig: &mut Rig, names: &[&str]) -> Result<()> {
     const GOAL: &str = "trueup-j0-offset";
     // Its speed is taken to 0 by a ramp of 6 ms, which begins when the feed is held.
     let speeds = ["trueup-mv.offset-vel-0", "trueup-mv.offset-vel-1", "trueup-mv.offset-vel-2"];
-    rig.cnc.wait("the offsets are held", 5, &speeds, |seen| seen == [0.0; 3])?;
-    let goal = rig.cnc.pin("trueup-mv.offset-in-0")?;
-    let before = rig.cnc.pins(names)?;
+    rig.cnc.wait_for_pins("the offsets are held", 5, &speeds, |seen| seen == [0.0; 3])?;
+    let goal = rig.cnc.read_pin("trueup-mv.offset-in-0")?;
+    let before = rig.cnc.read_pins(names)?;
     for mm in [goal + 0.15, goal - 0.15] {
         rig.cnc.halcmd(&format!("sets {GOAL} {mm}"))?;
         thread::sleep(Duration::from_millis(500));
-        let seen = rig.cnc.pins(names)?;
+        let seen = rig.cnc.read_pins(names)?;
         assert_eq!(seen, before, "a goal of {mm} mm, was {goal}");
     }
     rig.cnc.halcmd(&format!("sets {GOAL} {goal}"))?;
@@ -157,16 +158,16 @@ pub(crate) fn homed_meanwhile(rig: &mut Rig) -> Result<()> {
         rig.mdi("G53 G0 X-10 Y0")?;
         rig.applied([10.0, -20.0, 40.0])?;
         rig.cycles();
-        let drive = rig.cnc.pin("trueup-j0.out")?;
+        let drive = rig.cnc.read_pin("trueup-j0.out")?;
         end_component(&mut rig.cnc, signal)?;
-        let reference = rig.cnc.pin("joint.0.motor-offset")?;
-        rig.cnc.act("home", "joint", 0)?;
-        let new = rig.cnc.pin("joint.0.motor-offset")?;
+        let reference = rig.cnc.read_pin("joint.0.motor-offset")?;
+        rig.cnc.send_command("home", "joint", 0)?;
+        let new = rig.cnc.read_pin("joint.0.motor-offset")?;
         load_component(&mut rig.cnc, signal)?;
-        rig.cnc.act("teleop", "on", true)?;
+        rig.cnc.send_command("teleop", "on", true)?;
         rig.applied([10.0, -20.0, 40.0])?;
         rig.mdi("G53 G0 X-10 Y0")?;
-        let again = rig.cnc.pin("trueup-j0.out")?;
+        let again = rig.cnc.read_pin("trueup-j0.out")?;
         println!(
             "{signal}, homed meanwhile: the reference {:.3} um and the drive {:.3} um off",
             (new - reference) * 1e3,
@@ -180,8 +181,8 @@ pub(crate) fn homed_meanwhile(rig: &mut Rig) -> Result<()> {
 }
 
 /// Ends the component by this signal, and waits until LinuxCNC holds the feed.
-pub(crate) fn end_component(cnc: &mut Headless, signal: &str) -> Result<()> {
-    let pid = cnc.pin("trueup.0.pid")? as u32;
+pub(crate) fn end_component(cnc: &mut HeadlessLinuxCnc, signal: &str) -> Result<()> {
+    let pid = cnc.read_pin("trueup.0.pid")? as u32;
     let done = Command::new("kill").args(["-s", signal, &pid.to_string()]).status()?;
     ensure!(done.success(), "kill -s {signal} {pid}");
     let end = Instant::now() + Duration::from_secs(10);
@@ -189,17 +190,17 @@ pub(crate) fn end_component(cnc: &mut Headless, signal: &str) -> Result<()> {
         ensure!(Instant::now() < end, "it does not end by {signal}");
         thread::sleep(Duration::from_millis(10));
     }
-    cnc.wait("the feed is held", 5, &["motion.feed-inhibit"], |seen| seen[0] == 1.0)
+    cnc.wait_for_pins("the feed is held", 5, &["motion.feed-inhibit"], |seen| seen[0] == 1.0)
 }
 
 /// Loads the component that was ended by this signal again, and waits until it lives.
-pub(crate) fn load_component(cnc: &mut Headless, signal: &str) -> Result<()> {
+pub(crate) fn load_component(cnc: &mut HeadlessLinuxCnc, signal: &str) -> Result<()> {
     let [ini, hal] = ["stock.ini", "trueup.hal"].map(|name| cnc.folder().join(name));
     cnc.halcmd(&format!("-i {} -f {}", ini.display(), hal.display())).or_else(|error| {
         // The wires of one that was killed are still there.
         if signal == "KILL" { Ok(String::new()) } else { Err(error) }
     })?;
-    cnc.wait("it beats", 10, &["motion.feed-inhibit"], |seen| seen[0] == 0.0)
+    cnc.wait_for_pins("it beats", 10, &["motion.feed-inhibit"], |seen| seen[0] == 0.0)
 }
 
 /// Returns the pins as `trueup linuxcnc status` reads them.
@@ -210,15 +211,15 @@ fn shown(rig: &mut Rig) -> Result<BTreeMap<String, String>> {
 /// At the soft limit the drive does not stay beyond.
 pub(crate) fn soft_limit(rig: &mut Rig) -> Result<()> {
     rig.offsets([50.0, -20.0, 40.0])?;
-    rig.cnc.ask(&json!({"do": "jog", "axis": 0, "speed": 20.0}))?;
-    rig.cnc.wait(
+    rig.cnc.send_request(&json!({"do": "jog", "axis": 0, "speed": 20.0}))?;
+    rig.cnc.wait_for_pins(
         "the offset stands back",
         5,
         &["trueup.0.limited", "joint.0.pos-cmd", "trueup-mv.offset-current-0"],
         |seen| seen[0] == 1.0 && (seen[1] - 50.0).abs() < 1e-6,
     )?;
     thread::sleep(Duration::from_millis(200));
-    let seen = rig.cnc.pins(&["trueup-j0.out", "joint.0.motor-offset", "joint.0.pos-cmd"])?;
+    let seen = rig.cnc.read_pins(&["trueup-j0.out", "joint.0.motor-offset", "joint.0.pos-cmd"])?;
     println!("at the soft limit: {seen:?}");
     assert!(seen[0] <= 50.0 + 1e-6, "{seen:?}");
     rig.check("soft limit")?;
@@ -234,7 +235,7 @@ pub(crate) fn probing(rig: &mut Rig) -> Result<()> {
         rig.offsets([50.0, -20.0, z])?;
         rig.mdi(&format!("G53 G0 Z{}", SURFACE + 0.2))?;
         rig.mdi("G38.2 Z-6 F6")?;
-        let stat = rig.cnc.ask(&json!({"do": "stat"}))?;
+        let stat = rig.cnc.send_request(&json!({"do": "stat"}))?;
         probed.push(stat["probed"][2].as_f64().context("a position")?);
         rig.mdi("G53 G0 Z0")?;
     }
@@ -258,25 +259,26 @@ const JOBS: [&str; 6] = [
 
 /// A probed point lacks the offset, 70 µm on Z: nothing is learned from it, and a touch-off takes nothing off it. `mm` are in
 /// a unit of the machine.
-pub(crate) fn macros(cnc: &mut Headless, mm: f64) -> Result<()> {
-    let mdi = |cnc: &mut Headless, text: &str| cnc.act("mdi", "text", text).map(drop);
-    let before = cnc.pin("axis.z.pos-cmd")?;
-    cnc.ask(&json!({"do": "stat"}))?;
+pub(crate) fn macros(cnc: &mut HeadlessLinuxCnc, mm: f64) -> Result<()> {
+    let mdi =
+        |cnc: &mut HeadlessLinuxCnc, text: &str| cnc.send_command("mdi", "text", text).map(drop);
+    let before = cnc.read_pin("axis.z.pos-cmd")?;
+    cnc.send_request(&json!({"do": "stat"}))?;
     mdi(cnc, &format!("o<trueup_probe> call [{SURFACE}] [1] [60]"))?;
-    let said = cnc.ask(&json!({"do": "stat"}))?["said"].to_string();
+    let said = cnc.send_request(&json!({"do": "stat"}))?["said"].to_string();
     ensure!(said.contains("the offset enters at the joint"), "{said}");
-    let after = cnc.pin("axis.z.pos-cmd")?;
+    let after = cnc.read_pin("axis.z.pos-cmd")?;
     assert!((before - after).abs() < 1e-6, "it does not move: {before} {after}");
     for job in JOBS {
         for line in job.lines() {
             mdi(cnc, line)?;
         }
-        cnc.ask(&json!({"do": "stat"}))?;
+        cnc.send_request(&json!({"do": "stat"}))?;
         mdi(cnc, "o<trueup_touch_off> call [6] [300] [1]")?;
-        let said = cnc.ask(&json!({"do": "stat"}))?["said"].to_string();
+        let said = cnc.send_request(&json!({"do": "stat"}))?["said"].to_string();
         mdi(cnc, "G21 G90")?;
         mdi(cnc, "G1 Z3 F1200")?;
-        let z = cnc.pin("axis.z.pos-cmd")? * mm;
+        let z = cnc.read_pin("axis.z.pos-cmd")? * mm;
         println!("{job:?}: touched off, Z3 is at {z:.5}");
         // The planner meets the surface with 70 um of offset; 5 mm/s and a servo cycle.
         assert!((z + 0.07 - SURFACE - 2.0).abs() <= 6e-3, "{job:?}: {z}: {said}");
@@ -292,9 +294,12 @@ pub(crate) fn macros(cnc: &mut Headless, mm: f64) -> Result<()> {
 /// A bridge that falls silent is held, then taken back by the limits.
 pub(crate) fn silence(rig: &mut Rig) -> Result<()> {
     rig.bridge.silence(true);
-    rig.cnc.wait("taken back", 20, &["trueup.0.fault", "trueup-mv.offset-current-2"], |seen| {
-        seen[0] == 1.0 && seen[1].abs() < 1e-6
-    })?;
+    rig.cnc.wait_for_pins(
+        "taken back",
+        20,
+        &["trueup.0.fault", "trueup-mv.offset-current-2"],
+        |seen| seen[0] == 1.0 && seen[1].abs() < 1e-6,
+    )?;
     rig.bridge.silence(false);
     rig.applied([50.0, -20.0, 70.0])?;
     rig.check("silence")?;

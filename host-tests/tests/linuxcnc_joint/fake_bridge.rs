@@ -17,9 +17,9 @@ use trueup_core::{
     units::Nanometres,
 };
 use trueup_link::{
-    frames::{offset_xy, offset_z},
+    frames::{encode_offset_xy, encode_offset_z},
     slcan::encode_line,
-    status::{self, Item, Reason, Status},
+    status::{self, FrameRejectReason, Item, Status},
 };
 
 /// Turns between two reports of its calibration.
@@ -131,14 +131,17 @@ fn speak(mut stream: TcpStream, shared: &Shared) -> io::Result<()> {
                 shared.offset_nm.each_ref().map(|nm| Nanometres(nm.load(Ordering::Relaxed)));
             let output =
                 Output { offset: Some(offset), quality: Quality::Live, ..Output::default() };
-            for frame in [offset_xy(&output, counter), offset_z(&output, counter)] {
+            for frame in [encode_offset_xy(&output, counter), encode_offset_z(&output, counter)] {
                 stream.write_all(encode_line(&frame).as_bytes())?;
             }
             counter = counter.wrapping_add(1);
             let calibration = shared.calibration.load(Ordering::Relaxed);
             if calibration != 0 && turns.is_multiple_of(STATUS_TURNS) {
                 let item = Item::Calibration(calibration);
-                let said = status::encode(&Status { last_refused: Reason::None, item }, statuses);
+                let said = status::encode(
+                    &Status { last_refused: FrameRejectReason::None, item },
+                    statuses,
+                );
                 stream.write_all(encode_line(&said).as_bytes())?;
                 statuses = statuses.wrapping_add(1);
             }

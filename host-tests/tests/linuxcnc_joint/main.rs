@@ -23,8 +23,8 @@ use std::{
 
 use anyhow::{Context as _, Result, ensure};
 use trueup_emulator::{
-    linuxcnc::headless::{DISPLAY, Headless, Sampler},
-    programs,
+    host_programs,
+    linuxcnc::headless::{DISPLAY_PROGRAM, HeadlessLinuxCnc, Sampler},
     setup::{self, LinuxCnc},
 };
 
@@ -50,14 +50,15 @@ const SWITCH: f64 = -2.0;
 
 /// LinuxCNC with the offsets at its joints.
 struct Rig {
-    cnc: Headless,
+    cnc: HeadlessLinuxCnc,
     bridge: FakeBridge,
     cycles: Receiver<Option<Cycle>>,
     _sampler: Sampler,
 }
 
 fn tool(words: &[&str], code: i32) -> Result<String> {
-    let done = Command::new(programs::trueup()?).args(words).stdin(Stdio::null()).output()?;
+    let done =
+        Command::new(host_programs::build_trueup()?).args(words).stdin(Stdio::null()).output()?;
     let said = format!(
         "{}{}",
         String::from_utf8_lossy(&done.stdout),
@@ -105,20 +106,20 @@ fn stock(
     by: &str,
     slew: f64,
     bridge: &FakeBridge,
-) -> Result<Headless> {
-    let folder = Headless::new_folder()?;
+) -> Result<HeadlessLinuxCnc> {
+    let folder = HeadlessLinuxCnc::create_config_folder()?;
     let path = |name: &str| folder.path().join(name);
     let here = folder.path().to_str().context("a temporary folder has a plain name")?;
-    fs::write(path("stock.ini"), ini.replace("FOLDER", here).replace("SCREEN", DISPLAY))?;
+    fs::write(path("stock.ini"), ini.replace("FOLDER", here).replace("SCREEN", DISPLAY_PROGRAM))?;
     fs::write(path("own.hal"), OWN)?;
     fs::write(path("sim.tbl"), "")?;
-    let gantry = setup::root().join("integrations/linuxcnc/trueup_gantry.toml");
+    let gantry = setup::project_root().join("integrations/linuxcnc/trueup_gantry.toml");
     let slew = format!("slew_um_per_s = {:.1}", slew * 1e3);
     let machine = fs::read_to_string(gantry)?.replace("slew_um_per_s = 500.0", &slew);
     fs::write(path("machine.toml"), machine)?;
-    fs::copy(programs::trueup()?, path("trueup"))?;
+    fs::copy(host_programs::build_trueup()?, path("trueup"))?;
     for name in ["trueup_probe.ngc", "trueup_touch_off.ngc"] {
-        fs::copy(setup::root().join("integrations/linuxcnc").join(name), path(name))?;
+        fs::copy(setup::project_root().join("integrations/linuxcnc").join(name), path(name))?;
     }
 
     let (ini, machine) = (path("stock.ini"), path("machine.toml"));
@@ -135,19 +136,19 @@ fn stock(
     tool(&["linuxcnc", "setup", &ini, "--remove"], 0)?;
     ensure!(texts(folder.path())? == before, "taken out, the files are the same to the byte");
     tool(&setup, 0)?;
-    Headless::start(folder, "stock.ini", control)
+    HeadlessLinuxCnc::start(folder, "stock.ini", control)
 }
 
 impl Rig {
     fn start() -> Result<Option<Self>> {
-        let Some(control) = setup::linuxcnc()? else {
+        let Some(control) = setup::ensure_linuxcnc()? else {
             println!("skipped: this distribution has no package of LinuxCNC");
             return Ok(None);
         };
         let bridge = FakeBridge::start()?;
         let mut cnc = stock(control, &ini(), "joint", SLEW, &bridge)?;
         let (sampler, cycles) = record(&mut cnc, &joint_signals())?;
-        cnc.switch_on()?;
+        cnc.power_on_and_home()?;
         Ok(Some(Self { cnc, bridge, cycles, _sampler: sampler }))
     }
 
@@ -164,13 +165,13 @@ impl Rig {
             "trueup.0.z-applied-um",
             "trueup.0.applied",
         ];
-        self.cnc.wait(&format!("{um:?} act"), 20, &names, |seen| {
+        self.cnc.wait_for_pins(&format!("{um:?} act"), 20, &names, |seen| {
             (0..3).all(|axis| (seen[axis] - um[axis]).abs() < 0.02) && seen[3] == 1.0
         })
     }
 
     fn mdi(&mut self, text: &str) -> Result<()> {
-        self.cnc.act("mdi", "text", text).map(drop)
+        self.cnc.send_command("mdi", "text", text).map(drop)
     }
 
     /// Returns the cycles since the last call.
@@ -222,7 +223,7 @@ fn offsets_at_the_joint_cost_nothing_and_survive_what_happens() -> Result<()> {
     for event in all {
         event(&mut rig)?;
     }
-    rig.cnc.end()
+    rig.cnc.close()
 }
 
 /// The recipes for touching off, on a machine in inches.
@@ -230,7 +231,7 @@ fn offsets_at_the_joint_cost_nothing_and_survive_what_happens() -> Result<()> {
 #[ignore = "long: the real LinuxCNC"]
 fn touching_off_at_the_joint_is_right_on_a_machine_in_inches() -> Result<()> {
     const MM: f64 = 25.4;
-    let Some(control) = setup::linuxcnc()? else { return Ok(()) };
+    let Some(control) = setup::ensure_linuxcnc()? else { return Ok(()) };
     let mut text = INI.replace("UNITS = mm", "UNITS = inch");
     for (joint, axis) in ["X", "Y", "Z"].iter().enumerate() {
         let motion = in_inches(50.0);
@@ -238,14 +239,17 @@ fn touching_off_at_the_joint_is_right_on_a_machine_in_inches() -> Result<()> {
     }
     let bridge = FakeBridge::start()?;
     let mut cnc = stock(control, &text, "joint", SLEW, &bridge)?;
-    cnc.switch_on()?;
+    cnc.power_on_and_home()?;
     cnc.halcmd(&format!("setp probe.in1 {}", SURFACE / MM))?;
     bridge.say([50.0, -20.0, 70.0]);
-    cnc.wait("the offset acts", 20, &["trueup-mv.offset-current-2", "trueup.0.applied"], |seen| {
-        (seen[0] * MM * 1e3 - 70.0).abs() < 0.02 && seen[1] == 1.0
-    })?;
+    cnc.wait_for_pins(
+        "the offset acts",
+        20,
+        &["trueup-mv.offset-current-2", "trueup.0.applied"],
+        |seen| (seen[0] * MM * 1e3 - 70.0).abs() < 0.02 && seen[1] == 1.0,
+    )?;
     events::macros(&mut cnc, MM)?;
-    cnc.end()
+    cnc.close()
 }
 
 /// Returns an axis's lines of motion within ± `mm`, in inches.
@@ -271,7 +275,7 @@ fn home_at_once(joint: usize, motion: &str) -> String {
 #[ignore = "long: the real LinuxCNC"]
 fn both_joints_of_a_gantry_in_inches_get_the_offset_of_their_axis() -> Result<()> {
     const MM: f64 = 25.4;
-    let Some(control) = setup::linuxcnc()? else { return Ok(()) };
+    let Some(control) = setup::ensure_linuxcnc()? else { return Ok(()) };
     let mut text = INI
         .replace("core_sim.hal\nHALFILE = own.hal", "gantrysim.hal")
         .replace("UNITS = mm", "UNITS = inch")
@@ -286,34 +290,34 @@ fn both_joints_of_a_gantry_in_inches_get_the_offset_of_their_axis() -> Result<()
     }
     let bridge = FakeBridge::start()?;
     let mut cnc = stock(control, &text, "joint", SLEW, &bridge)?;
-    cnc.switch_on()?;
+    cnc.power_on_and_home()?;
     bridge.say([10.0, -20.0, 40.0]);
     let names = [0, 1, 2, 3].map(|joint| format!("trueup-mv.offset-current-{joint}"));
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
-    cnc.wait("the offsets act", 20, &names, |seen| {
+    cnc.wait_for_pins("the offsets act", 20, &names, |seen| {
         let um = [10.0, -20.0, -20.0, 40.0];
         seen.iter().zip(um).all(|(now, um)| (now * MM * 1e3 - um).abs() < 0.02)
     })?;
-    cnc.act("mdi", "text", "G53 G0 X1 Y1 Z-1")?;
+    cnc.send_command("mdi", "text", "G53 G0 X1 Y1 Z-1")?;
     let seen =
-        cnc.pins(&["trueup-j1.out", "trueup-j2.out", "trueup-j3.out", "trueup.0.applied"])?;
+        cnc.read_pins(&["trueup-j1.out", "trueup-j2.out", "trueup-j3.out", "trueup.0.applied"])?;
     let expected = [1.0 - 0.02 / MM, 1.0 - 0.02 / MM, -1.0 + 0.04 / MM, 1.0];
     assert!(seen.iter().zip(expected).all(|(one, other)| (one - other).abs() < 1e-6), "{seen:?}");
-    cnc.end()
+    cnc.close()
 }
 
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn external_offsets_that_setup_has_written_act() -> Result<()> {
-    let Some(control) = setup::linuxcnc()? else { return Ok(()) };
+    let Some(control) = setup::ensure_linuxcnc()? else { return Ok(()) };
     let bridge = FakeBridge::start()?;
     let mut cnc = stock(control, &ini(), "eoffset", SLEW, &bridge)?;
-    cnc.switch_on()?;
+    cnc.power_on_and_home()?;
     bridge.say([10.0, -20.0, 40.0]);
     let names = ["axis.x.eoffset", "axis.y.eoffset", "axis.z.eoffset", "trueup.0.applied"];
-    cnc.wait("the offsets act", 20, &names, |seen| {
+    cnc.wait_for_pins("the offsets act", 20, &names, |seen| {
         let mm = [0.01, -0.02, 0.04];
         seen.iter().zip(mm).all(|(now, mm)| (now - mm).abs() < 2e-5) && seen[3] == 1.0
     })?;
-    cnc.end()
+    cnc.close()
 }

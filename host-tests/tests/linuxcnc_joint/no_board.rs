@@ -11,12 +11,12 @@ use std::{
 
 use anyhow::{Context as _, Result, ensure};
 use trueup_emulator::{
-    linuxcnc::headless::{DISPLAY, Headless, Sampler},
-    programs,
+    host_programs,
+    linuxcnc::headless::{DISPLAY_PROGRAM, HeadlessLinuxCnc, Sampler},
     setup::{self, LinuxCnc},
 };
 
-use trueup_store::retained::{self, SIZE};
+use trueup_store::retained::{self, COPY_SIZE};
 
 use super::{
     stock_files::{OWN, ini},
@@ -73,8 +73,8 @@ pub(crate) fn error_um(x_mm: f64) -> f64 {
 
 /// Builds and installs the component.
 pub(crate) fn install(folder: &Path) -> Result<()> {
-    setup::linuxcnc_dev()?;
-    let (library, out) = (programs::servo_library()?, folder.join("trueup_node"));
+    setup::ensure_linuxcnc_dev()?;
+    let (library, out) = (host_programs::build_servo_library()?, folder.join("trueup_node"));
     let (library, out) = (library.to_string_lossy(), out.to_string_lossy());
     let words = ["linuxcnc", "component", "--out", &out, "--library", &library, "--install"];
     ensure!(tool(&words, 0)?.contains("installed: trueup_node"), "it says so");
@@ -82,18 +82,18 @@ pub(crate) fn install(folder: &Path) -> Result<()> {
 }
 
 /// Starts a stock configuration, which is checked, set up, taken out to the byte, and set up again.
-pub(crate) fn start(control: LinuxCnc, by: &str, period_us: u32) -> Result<Headless> {
-    let folder = Headless::new_folder()?;
+pub(crate) fn start(control: LinuxCnc, by: &str, period_us: u32) -> Result<HeadlessLinuxCnc> {
+    let folder = HeadlessLinuxCnc::create_config_folder()?;
     let path = |name: &str| folder.path().join(name);
     let here = folder.path().to_str().context("a temporary folder has a plain name")?;
     let period = format!("SERVO_PERIOD = {period_us}000");
-    let text = ini().replace("FOLDER", here).replace("SCREEN", DISPLAY);
+    let text = ini().replace("FOLDER", here).replace("SCREEN", DISPLAY_PROGRAM);
     fs::write(path("stock.ini"), text.replace("SERVO_PERIOD = 1000000", &period))?;
     fs::write(path("own.hal"), format!("{OWN}{SENSOR}"))?;
     fs::write(path("sim.tbl"), "")?;
     fs::write(path("machine.toml"), MACHINE)?;
     // LinuxCNC starts `trueup linuxcnc keep` by its name.
-    fs::copy(programs::trueup()?, path("trueup"))?;
+    fs::copy(host_programs::build_trueup()?, path("trueup"))?;
     install(folder.path())?;
     let (ini, machine) = (path("stock.ini"), path("machine.toml"));
     let (ini, machine) = (ini.to_string_lossy(), machine.to_string_lossy());
@@ -110,30 +110,30 @@ pub(crate) fn start(control: LinuxCnc, by: &str, period_us: u32) -> Result<Headl
     ensure!(texts(folder.path())? == before, "taken out, the files are the same to the byte");
     ensure!(!blob.is_file(), "and the calibration is gone");
     tool(&setup, 0)?;
-    Headless::start(folder, "stock.ini", control)
+    HeadlessLinuxCnc::start(folder, "stock.ini", control)
 }
 
 /// Checks that LinuxCNC has shown no message: a start is no alarm.
-pub(crate) fn silent(cnc: &mut Headless) -> Result<()> {
-    let said = &cnc.ask(&serde_json::json!({"do": "stat"}))?["said"];
+pub(crate) fn silent(cnc: &mut HeadlessLinuxCnc) -> Result<()> {
+    let said = &cnc.send_request(&serde_json::json!({"do": "stat"}))?["said"];
     ensure!(said.as_array().is_some_and(Vec::is_empty), "LinuxCNC shows {said}");
     Ok(())
 }
 
 /// Waits until offsets are live and act.
-pub(crate) fn is_live(cnc: &mut Headless) -> Result<()> {
-    cnc.switch_on()?;
+pub(crate) fn is_live(cnc: &mut HeadlessLinuxCnc) -> Result<()> {
+    cnc.power_on_and_home()?;
     let names = ["trueup.0.quality", "trueup.0.applied", "trueup.0.fault"];
-    cnc.wait("the offsets are live", 20, &names, |seen| seen == [1.0, 1.0, 0.0])?;
+    cnc.wait_for_pins("the offsets are live", 20, &names, |seen| seen == [1.0, 1.0, 0.0])?;
     silent(cnc)
 }
 
 /// Records a joint, what the component asks for, and what acts.
-fn record(cnc: &mut Headless, joint: usize) -> Result<(Sampler, Receiver<Cycle>)> {
+fn record(cnc: &mut HeadlessLinuxCnc, joint: usize) -> Result<(Sampler, Receiver<Cycle>)> {
     for (pin, signal) in ["cmd", "offset", "now"].iter().enumerate() {
         cnc.halcmd(&format!("net trueup-j{joint}-{signal} => sampler.0.pin.{pin}"))?;
     }
-    let (sampler, lines) = cnc.sample()?;
+    let (sampler, lines) = cnc.start_sampler()?;
     let (sender, cycles) = mpsc::channel();
     thread::spawn(move || {
         for line in BufReader::new(lines).lines().map_while(Result::ok) {
@@ -168,15 +168,15 @@ fn lag(cycles: &[Cycle], offset_um: fn(&Cycle) -> f64) -> (usize, f64) {
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn without_a_board_the_servo_thread_corrects_a_stock_configuration_in_time() -> Result<()> {
-    let Some(control) = setup::linuxcnc()? else { return Ok(()) };
+    let Some(control) = setup::ensure_linuxcnc()? else { return Ok(()) };
     let mut cnc = start(control, "joint", 1_000)?;
     let (_sampler, cycles) = record(&mut cnc, 0)?;
     is_live(&mut cnc)?;
     // Taken here, the sensor's elongation is the reference: Z stays.
-    cnc.act("mdi", "text", "G53 G0 X-44")?;
+    cnc.send_command("mdi", "text", "G53 G0 X-44")?;
     cycles.try_iter().for_each(drop);
     for x in [44, -44, 44] {
-        cnc.act("mdi", "text", format!("G53 G1 F1500 X{x}"))?;
+        cnc.send_command("mdi", "text", format!("G53 G1 F1500 X{x}"))?;
     }
     let cycles: Vec<Cycle> = cycles.try_iter().collect();
     let (goal, act) = (lag(&cycles, |it| it.goal_um), lag(&cycles, |it| it.now_um));
@@ -188,10 +188,10 @@ fn without_a_board_the_servo_thread_corrects_a_stock_configuration_in_time() -> 
     ensure!(act.0 <= 1 && act.1 < 0.1, "{act:?}");
     let heat = cnc.folder().join("trueup_heat.bin");
     let bytes = fs::read(&heat).with_context(|| format!("{} is kept", heat.display()))?;
-    let mut copies = [[0; SIZE]; 2];
+    let mut copies = [[0; COPY_SIZE]; 2];
     copies.as_flattened_mut().copy_from_slice(&bytes);
     ensure!(retained::load(&copies).is_some(), "a copy of the heat is whole");
-    cnc.end()
+    cnc.close()
 }
 
 /// Returns how many servo periods each change of the offset by 6 µm takes, from the period that begins to ask for it until it
@@ -220,7 +220,7 @@ fn reversals(cycles: &[Cycle]) -> Vec<usize> {
 #[ignore = "long: the real LinuxCNC"]
 fn without_a_board_a_reversal_is_over_in_13_ms_and_longer_periods_correct_as_well() -> Result<()> {
     for period_us in [1_000, 2_000, 4_000] {
-        let Some(control) = setup::linuxcnc()? else { return Ok(()) };
+        let Some(control) = setup::ensure_linuxcnc()? else { return Ok(()) };
         let mut cnc = start(control, "joint", period_us)?;
         let (_sampler, cycles) = record(&mut cnc, 1)?;
         is_live(&mut cnc)?;
@@ -232,8 +232,8 @@ fn without_a_board_a_reversal_is_over_in_13_ms_and_longer_periods_correct_as_wel
             ("G53 G1 F1500 Y0", -0.05, -0.006),
             ("G53 G1 F1500 X-42 Y5", -0.08, 0.0),
         ] {
-            cnc.act("mdi", "text", line)?;
-            cnc.wait(line, 10, &names, |seen| {
+            cnc.send_command("mdi", "text", line)?;
+            cnc.wait_for_pins(line, 10, &names, |seen| {
                 (seen[0] - x_mm).abs() < 2e-5 && (seen[1] - y_mm).abs() < 2e-5 && seen[2] == 1.0
             })?;
         }
@@ -244,7 +244,7 @@ fn without_a_board_a_reversal_is_over_in_13_ms_and_longer_periods_correct_as_wel
         // The target at 1 ms; speed and goal change once a period.
         let limit = 9.0 + 4.0 * f64::from(period_us) / 1e3;
         ensure!(ms.len() >= 2 && ms.iter().all(|it| *it <= limit), "{period_us}: {ms:?}");
-        cnc.end()?;
+        cnc.close()?;
     }
     Ok(())
 }
@@ -252,17 +252,17 @@ fn without_a_board_a_reversal_is_over_in_13_ms_and_longer_periods_correct_as_wel
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn without_a_board_external_offsets_act_at_half_a_millisecond() -> Result<()> {
-    let Some(control) = setup::linuxcnc()? else { return Ok(()) };
+    let Some(control) = setup::ensure_linuxcnc()? else { return Ok(()) };
     let mut cnc = start(control, "eoffset", 500)?;
     is_live(&mut cnc)?;
     let names = ["axis.x.eoffset", "axis.y.eoffset", "trueup.0.applied"];
     for (line, x_mm, y_mm) in
         [("G53 G1 F1500 X-45 Y5", -0.05, 0.0), ("G53 G1 F1500 Y0", -0.05, -0.006)]
     {
-        cnc.act("mdi", "text", line)?;
-        cnc.wait(line, 10, &names, |seen| {
+        cnc.send_command("mdi", "text", line)?;
+        cnc.wait_for_pins(line, 10, &names, |seen| {
             (seen[0] - x_mm).abs() < 2e-5 && (seen[1] - y_mm).abs() < 2e-5 && seen[2] == 1.0
         })?;
     }
-    cnc.end()
+    cnc.close()
 }

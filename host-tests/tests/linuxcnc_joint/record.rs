@@ -7,7 +7,7 @@ use std::{
 };
 
 use anyhow::Result;
-use trueup_emulator::linuxcnc::headless::{Headless, Sampler};
+use trueup_emulator::linuxcnc::headless::{HeadlessLinuxCnc, Sampler};
 
 use super::CYCLE_S;
 
@@ -64,13 +64,13 @@ impl Cycle {
 /// Connects the pins of the sampler to these signals, in the order of [`Cycle`], and records from now on. A signal that
 /// is not there yet stands with its source: `SIGNAL PIN`. A line that is no cycle is `None`.
 pub(crate) fn record(
-    cnc: &mut Headless,
+    cnc: &mut HeadlessLinuxCnc,
     signals: &[impl AsRef<str>],
 ) -> Result<(Sampler, Receiver<Option<Cycle>>)> {
     for (pin, signal) in signals.iter().enumerate() {
         cnc.halcmd(&format!("net {} => sampler.0.pin.{pin}", signal.as_ref()))?;
     }
-    let (sampler, lines) = cnc.sample()?;
+    let (sampler, lines) = cnc.start_sampler()?;
     let (sender, cycles) = mpsc::channel();
     thread::spawn(move || {
         for line in BufReader::new(lines).lines().map_while(Result::ok) {

@@ -29,7 +29,7 @@ use trueup_pipe::Block;
 /// The board's clock may fall behind by this much before it slips, on a busy computer.
 const LARGEST_BACKLOG_MS: u32 = 100;
 /// Blocks handed over at once: their frames are as late as the first of them.
-const LARGEST_BATCH: u32 = 10;
+const MAX_BATCH: u32 = 10;
 /// Where the sensor stands at no growth, and its slope, as in the machine file.
 const ZERO_COUNTS: f64 = 5_048.0;
 const UM_PER_COUNT: f64 = 500.0 / 32_768.0;
@@ -172,11 +172,11 @@ fn live(image: &Path, calibration: &[u8], divider: f64, shared: &Arc<Shared>) ->
         if due > LARGEST_BACKLOG_MS {
             lived = now - LARGEST_BACKLOG_MS;
         }
-        let batch = due.min(LARGEST_BATCH);
+        let batch = due.min(MAX_BATCH);
         let growth_um = f64::from_bits(shared.growth_um.load(Ordering::Relaxed));
         let volts = (ZERO_COUNTS + growth_um / UM_PER_COUNT) * VOLTS_PER_COUNT;
         let blocks: Vec<Block> = (0..batch)
-            .map(|_| Block { codes: front_end.block(|_| volts), ..Block::default() })
+            .map(|_| Block { codes: front_end.convert_block(|_| volts), ..Block::default() })
             .collect();
         board.step(&blocks)?;
         lived += batch;

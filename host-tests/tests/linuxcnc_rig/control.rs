@@ -4,8 +4,8 @@ use std::{fs, path::Path};
 
 use anyhow::{Context as _, Result};
 use trueup_emulator::{
-    linuxcnc::headless::{DISPLAY, Headless},
-    programs,
+    host_programs,
+    linuxcnc::headless::{DISPLAY_PROGRAM, HeadlessLinuxCnc},
     setup::{self, LinuxCnc},
 };
 
@@ -38,7 +38,7 @@ const INCLUDED: &str = "trueup_machine.inc";
 const LATE: [&str; 2] = ["net scenario screen.scenario", "net trueup-zero screen.zero"];
 
 /// Starts it with the bridge at this address, and with these files next to the samples.
-pub fn start(linuxcnc: LinuxCnc, bridge: &str, files: &[(&str, &str)]) -> Result<Headless> {
+pub fn start(linuxcnc: LinuxCnc, bridge: &str, files: &[(&str, &str)]) -> Result<HeadlessLinuxCnc> {
     let recorder = ("recorder.hal", RECORDER);
     let mut cnc = start_with(linuxcnc, "trueup_sim.ini", bridge, &[&[recorder], files].concat())?;
     for words in LATE {
@@ -54,18 +54,18 @@ pub fn start_with(
     ini: &str,
     bridge: &str,
     files: &[(&str, &str)],
-) -> Result<Headless> {
-    let folder = Headless::new_folder()?;
+) -> Result<HeadlessLinuxCnc> {
+    let folder = HeadlessLinuxCnc::create_config_folder()?;
     let path = |name: &str| folder.path().join(name);
     let here = folder.path().to_str().context("a temporary folder has a plain name")?;
-    let samples = setup::root().join("integrations/linuxcnc");
+    let samples = setup::project_root().join("integrations/linuxcnc");
     for entry in fs::read_dir(&samples)? {
         let entry = entry?;
         if entry.file_type()?.is_file() {
             fs::copy(entry.path(), path(&entry.file_name().to_string_lossy()))?;
         }
     }
-    fs::copy(programs::trueup()?, path("trueup"))?;
+    fs::copy(host_programs::build_trueup()?, path("trueup"))?;
     // LinuxCNC puts the two together itself.
     let records = files.iter().any(|(name, _)| *name == "recorder.hal");
     for (sample, name) in [(ini, "test.ini"), (INCLUDED, INCLUDED)] {
@@ -75,7 +75,7 @@ pub fn start_with(
     for (name, text) in files {
         fs::write(path(name), text.replace("FOLDER", here))?;
     }
-    Headless::start(folder, "test.ini", linuxcnc)
+    HeadlessLinuxCnc::start(folder, "test.ini", linuxcnc)
 }
 
 /// Returns the sample configuration with another screen and the recorder.
@@ -84,7 +84,7 @@ fn configuration(sample: &str, folder: &Path, bridge: &str, records: bool) -> St
     for line in sample.lines() {
         let key = line.split('=').next().unwrap_or_default().trim();
         match key {
-            "DISPLAY" => text += &format!("DISPLAY = {}\n", folder.join(DISPLAY).display()),
+            "DISPLAY" => text += &format!("DISPLAY = {}\n", folder.join(DISPLAY_PROGRAM).display()),
             // The emulated serial line is slow where the computer is busy.
             "POSITION_PERIOD_MS" => text += "POSITION_PERIOD_MS = 10\n",
             "PORT" => text += &format!("PORT = {bridge}\n"),

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
 use anyhow::{Result, ensure};
 use serde_json::json;
-use trueup_emulator::{linuxcnc::headless::Headless, setup};
+use trueup_emulator::{linuxcnc::headless::HeadlessLinuxCnc, setup};
 use trueup_machine::{Machine, MachineFile};
 
 use self::{
@@ -36,7 +36,7 @@ pub const APPLIED: [&str; 3] =
 /// A virtual bridge and a LinuxCNC that it corrects.
 pub struct Rig {
     pub bridge: Bridge,
-    pub cnc: Headless,
+    pub cnc: HeadlessLinuxCnc,
     /// Messages of LinuxCNC and the component from before the bridge was there.
     pub told_at_start: String,
     scenario: i32,
@@ -46,7 +46,7 @@ pub struct Rig {
 
 /// Returns the sample's machine file.
 pub fn machine() -> Result<Machine> {
-    let path = setup::root().join("integrations/linuxcnc/trueup_gantry.toml");
+    let path = setup::project_root().join("integrations/linuxcnc/trueup_gantry.toml");
     Ok(MachineFile::read(&path)?)
 }
 
@@ -72,21 +72,24 @@ impl Rig {
     /// LinuxCNC comes up while the bridge's plug is out.
     fn start() -> Result<Option<Self>> {
         // Somebody else may use it for a while.
-        let Some(linuxcnc) = setup::linuxcnc()? else { return Ok(None) };
+        let Some(linuxcnc) = setup::ensure_linuxcnc()? else { return Ok(None) };
         let bridge = Bridge::start(&machine()?)?;
         bridge.plug(false);
         let mut cnc = control::start(linuxcnc, &bridge.address(), &[])?;
-        cnc.wait("nobody is there", 10, &["trueup.0.fault", "trueup.0.connected"], |seen| {
-            seen == [1.0, 0.0]
-        })?;
-        let told_at_start = cnc.said();
+        cnc.wait_for_pins(
+            "nobody is there",
+            10,
+            &["trueup.0.fault", "trueup.0.connected"],
+            |seen| seen == [1.0, 0.0],
+        )?;
+        let told_at_start = cnc.recent_log();
         bridge.plug(true);
         Ok(Some(Self { bridge, cnc, told_at_start, scenario: 0, read: 0 }))
     }
 
     /// Ends LinuxCNC and starts it again, with the bridge as it is, and with these files more.
     pub fn restart_linuxcnc(&mut self, files: &[(&str, &str)]) -> Result<()> {
-        let linuxcnc = self.cnc.give_back()?;
+        let linuxcnc = self.cnc.shut_down()?;
         self.cnc = control::start(linuxcnc, &self.bridge.address(), files)?;
         self.read = 0;
         Ok(())
@@ -98,11 +101,11 @@ impl Rig {
         self.bridge.damage(Damage::default());
         self.bridge.plug(true);
         self.bridge.grow_to(GROWN_UM);
-        self.cnc.ask(&json!({"do": "abort"}))?;
-        self.cnc.act("zero", "on", false)?;
-        self.cnc.switch_on()?;
-        self.cnc.act("mdi", "text", "G53 G0 X0 Y0 Z0")?;
-        self.cnc.act("teleop", "on", true)?;
+        self.cnc.send_request(&json!({"do": "abort"}))?;
+        self.cnc.send_command("zero", "on", false)?;
+        self.cnc.power_on_and_home()?;
+        self.cnc.send_command("mdi", "text", "G53 G0 X0 Y0 Z0")?;
+        self.cnc.send_command("teleop", "on", true)?;
         if self.applied_within(8, GROWN_UM).is_ok() {
             return Ok(());
         }
@@ -117,9 +120,9 @@ impl Rig {
         self.bridge.grow_to(growth_um);
         // The sensor's filter, and a busy computer.
         std::thread::sleep(std::time::Duration::from_secs(1));
-        self.cnc.act("zero", "on", true)?;
+        self.cnc.send_command("zero", "on", true)?;
         self.applied_at(0.0)?;
-        self.cnc.act("zero", "on", false)?;
+        self.cnc.send_command("zero", "on", false)?;
         Ok(())
     }
 
@@ -136,10 +139,15 @@ impl Rig {
     fn applied_within(&mut self, seconds: u64, z_um: f64) -> Result<()> {
         let names = ["trueup.0.connected", "trueup.0.fault", "trueup.0.quality"];
         let names = [&names[..], &OFFSETS, &APPLIED].concat();
-        self.cnc.wait("the offset that is applied equals its target", seconds, &names, |seen| {
-            let equal = (0..3).all(|axis| (seen[3 + axis] - seen[6 + axis]).abs() < CLOSE_UM);
-            seen[..3] == [1.0, 0.0, 1.0] && equal && (seen[8] - z_um).abs() < CLOSE_UM
-        })
+        self.cnc.wait_for_pins(
+            "the offset that is applied equals its target",
+            seconds,
+            &names,
+            |seen| {
+                let equal = (0..3).all(|axis| (seen[3 + axis] - seen[6 + axis]).abs() < CLOSE_UM);
+                seen[..3] == [1.0, 0.0, 1.0] && equal && (seen[8] - z_um).abs() < CLOSE_UM
+            },
+        )
     }
 
     /// Returns what is applied, in µm, once it has not changed for two seconds: a busy computer takes its time
@@ -149,7 +157,7 @@ impl Rig {
         let mut since = std::time::Instant::now();
         let end = since + std::time::Duration::from_secs(30);
         while since.elapsed() < std::time::Duration::from_secs(2) {
-            let now = self.cnc.pins(&APPLIED)?;
+            let now = self.cnc.read_pins(&APPLIED)?;
             let moved = (0..3).any(|axis| (now[axis] - last[axis]).abs() >= CLOSE_UM);
             if moved {
                 last.copy_from_slice(&now);
@@ -163,20 +171,20 @@ impl Rig {
 
     /// Returns what is applied on Z, in µm.
     pub fn z_um(&mut self) -> Result<f64> {
-        Ok(self.cnc.pin("axis.z.eoffset")? * 1_000.0)
+        Ok(self.cnc.read_pin("axis.z.eoffset")? * 1_000.0)
     }
 
     /// From here on cycles belong to a new scenario.
     pub fn begin(&mut self) -> Result<()> {
         self.scenario += 1;
-        self.cnc.act("mark", "scenario", self.scenario)?;
+        self.cnc.send_command("mark", "scenario", self.scenario)?;
         Ok(())
     }
 
     /// Returns every servo cycle since [`Rig::begin`]. The recorder writes behind, so it is waited for.
     pub fn cycles(&mut self) -> Result<Vec<Sample>> {
         let number = self.scenario;
-        self.cnc.act("mark", "scenario", 0)?;
+        self.cnc.send_command("mark", "scenario", 0)?;
         let recording = self.cnc.folder().join(control::RECORDING);
         let mut all = Vec::new();
         let end = std::time::Instant::now() + std::time::Duration::from_secs(10);

@@ -27,19 +27,22 @@ use cycles::Cycles;
 use stops::begin_and_pass_the_stop;
 use trueup_emulator::{
     linuxcnc::{
-        headless::{Headless, Sampler},
-        three_joints::{self, Axis},
+        headless::{HeadlessLinuxCnc, Sampler},
+        simulated_joints::{self, AxisIniLines},
     },
     setup::{self, LinuxCnc},
 };
-use trueup_fit::{Report, curve, pitch, straightness, thermal, warmup};
+use trueup_fit::{Report, pitch, straightness, straightness_report, thermal, warmup};
 use trueup_machine::{
     Machine as Believed, MachineFile, RunFile,
-    applied::Uncompensated,
-    file::{LinearAxis, write::Edit},
+    applied_offsets::UncompensatedRun,
+    file::{LinearAxis, writer::Edit},
     model::{pitch_um, spline_um},
 };
-use trueup_program::{Control, Gauge, Kind, Options, Plan, control, plans, template};
+use trueup_program::{
+    Control, MeasurementKind, MeasurementOptions, MeasuringInstrument, Plan, control, create_plans,
+    template,
+};
 use trueup_twin::{
     Scenario,
     instrument::Instrument,
@@ -114,9 +117,9 @@ fn read<'n>(
 /// `factor` seconds of the machine.
 fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Result<String> {
     let Rig { cnc, cycles, .. } = rig;
-    let program = control::program(plan, Control::LinuxCnc)?;
+    let program = control::generate_program(plan, Control::LinuxCnc)?;
     fs::write(cnc.folder().join(&program.0), program.1)?;
-    let text = template::templates(plan).remove(0).1;
+    let text = template::run_file_templates(plan).remove(0).1;
     // What stands before the columns is for the reader.
     let mut table = text.lines().skip_while(|line| line.starts_with('#'));
     let header = table.next().context("a header")?;
@@ -174,7 +177,7 @@ fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Resu
         }
         // A loaded computer falls behind with what the recorder says: the program may have ended before.
         if silent_s > PATIENCE_S as f64 {
-            let (is_busy, said) = (cnc.is_busy(), cnc.said());
+            let (is_busy, said) = (cnc.is_busy(), cnc.recent_log());
             bail!(
                 "{}: no reading at {reading:?}; LinuxCNC stands at {position_mm:?}, busy {is_busy:?}, stood \
                  at {stands:?}\n{said}",
@@ -188,7 +191,7 @@ fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Resu
             read.elapsed().as_secs() < PATIENCE_S,
             "{} does not end: {}",
             plan.name,
-            cnc.said()
+            cnc.recent_log()
         );
         thread::sleep(Duration::from_millis(50));
     }
@@ -198,7 +201,7 @@ fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Resu
 
 /// LinuxCNC, and what its recorder says of each servo cycle.
 struct Rig {
-    cnc: Headless,
+    cnc: HeadlessLinuxCnc,
     cycles: Cycles,
     recorder: Sampler,
 }
@@ -206,7 +209,7 @@ struct Rig {
 impl Rig {
     fn end(mut self) -> Result<()> {
         drop(self.recorder);
-        self.cnc.end()
+        self.cnc.close()
     }
 }
 
@@ -215,15 +218,15 @@ fn start(linuxcnc: LinuxCnc) -> Result<Rig> {
 }
 
 fn start_with(linuxcnc: LinuxCnc, hal: &str) -> Result<Rig> {
-    let axes = TRAVEL_MM.map(|travel_mm| Axis {
+    let axes = TRAVEL_MM.map(|travel_mm| AxisIniLines {
         limits: format!(
             "MIN_LIMIT = -0.0001\nMAX_LIMIT = {}\nMAX_VELOCITY = 5000\nMAX_ACCELERATION = 50000\n",
             travel_mm + 0.0001
         ),
         joint: String::new(),
     });
-    let cnc = three_joints::start(linuxcnc, &axes, hal, &[])?;
-    let (recorder, cycles) = cnc.sample()?;
+    let cnc = simulated_joints::start(linuxcnc, &axes, hal, &[])?;
+    let (recorder, cycles) = cnc.start_sampler()?;
     Ok(Rig { cnc, cycles: Cycles::of(cycles), recorder })
 }
 
@@ -240,25 +243,25 @@ fn scenario(what: &str) -> Scenario {
     Scenario::parse(&text, Path::new("s.toml")).unwrap_or_else(|bad| panic!("{bad:?}\n{text}"))
 }
 
-fn run_of(text: &str) -> Uncompensated<'static> {
+fn run_of(text: &str) -> UncompensatedRun<'static> {
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
-    Uncompensated::of(Cow::Owned(run), None, None).expect("no bridge").0
+    UncompensatedRun::from_run(Cow::Owned(run), None, None).expect("no bridge").0
 }
 
 /// Returns what is asked for alike: moves of 60 m/min, and short dwells.
-fn options(axes: &[LinearAxis]) -> Options {
-    Options {
+fn options(axes: &[LinearAxis]) -> MeasurementOptions {
+    MeasurementOptions {
         axes: axes.to_vec(),
         feeds_mm_per_min: vec![60_000.0],
         dwell_s: DWELL_S,
-        gauge: Some(Gauge::Laser),
+        gauge: Some(MeasuringInstrument::Laser),
         approach_mm_per_min: 60_000.0,
-        ..Options::default()
+        ..MeasurementOptions::default()
     }
 }
 
-fn made(kind: Kind, options: &Options) -> Result<Vec<Plan>> {
-    Ok(plans(kind, &believed(), options)?.0)
+fn made(kind: MeasurementKind, options: &MeasurementOptions) -> Result<Vec<Plan>> {
+    Ok(create_plans(kind, &believed(), options)?.0)
 }
 
 fn machine_of(edits: &[&Edit]) -> Result<Believed> {
@@ -286,12 +289,12 @@ const Y: LinearAxis = LinearAxis::Y;
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn backlash_is_got_back_from_its_program() -> Result<()> {
-    let Some(control) = setup::linuxcnc()? else {
+    let Some(control) = setup::ensure_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
     let mut rig = start(control)?;
-    let plan = made(Kind::Backlash, &options(&[X]))?.remove(0);
+    let plan = made(MeasurementKind::Backlash, &options(&[X]))?.remove(0);
     let run = run_of(&measure(&mut rig, &plan, &scenario("backlash_um = 6.0"), 1.0)?);
     let fit = pitch::fit_backlash(&run, X, &pitch::Options::default())?;
     assert_eq!(fit.report.rows_used, 42);
@@ -302,12 +305,12 @@ fn backlash_is_got_back_from_its_program() -> Result<()> {
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn pitch_and_backlash_are_got_back_from_their_program() -> Result<()> {
-    let Some(control) = setup::linuxcnc()? else {
+    let Some(control) = setup::ensure_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
     let mut rig = start(control)?;
-    let plan = made(Kind::Pitch, &options(&[Y]))?.remove(0);
+    let plan = made(MeasurementKind::Pitch, &options(&[Y]))?.remove(0);
     let truth = |mm: f64| 5.0 * mm / 1000.0;
     let machine =
         scenario("[axis.y]\nscrew_heating_c = 0.0\npitch_um_per_m = 5.0\nbacklash_um = 4.0");
@@ -331,7 +334,7 @@ fn pitch_and_backlash_are_got_back_from_their_program() -> Result<()> {
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn straightness_is_got_back_and_holds_on_the_diagonal() -> Result<()> {
-    let Some(control) = setup::linuxcnc()? else {
+    let Some(control) = setup::ensure_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
@@ -343,13 +346,14 @@ fn straightness_is_got_back_and_holds_on_the_diagonal() -> Result<()> {
     );
     let mut edits = Vec::new();
     let there_and_back = |axis, step_mm| {
-        let wanted = Options { repeats: Some(2), step_mm: Some(step_mm), ..options(&[axis]) };
-        made(Kind::Straightness, &wanted)
+        let wanted =
+            MeasurementOptions { repeats: Some(2), step_mm: Some(step_mm), ..options(&[axis]) };
+        made(MeasurementKind::Straightness, &wanted)
     };
     for plan in [there_and_back(X, 400.0)?, there_and_back(Y, 120.0)?].concat() {
         let run = run_of(&measure(&mut rig, &plan, &machine, 1.0)?);
         let wanted = straightness::Options::default();
-        let report = curve::fit(&run, Some("dz"), |_| Ok(None), &wanted)?;
+        let report = straightness_report::fit_curve(&run, Some("dz"), |_| Ok(None), &wanted)?;
         let left = report.left_out.context("positions left out")?;
         println!("{}: {:.3} um RMS at positions left out", plan.name, left.rms_um);
         assert!(left.rms_um < 1.2 * NOISE_UM, "{left:?}");
@@ -361,13 +365,13 @@ fn straightness_is_got_back_and_holds_on_the_diagonal() -> Result<()> {
         let curve = fitted.straightness.iter().find(|curve| curve.along == axis);
         curve.map_or(f64::NAN, |curve| spline_um(&curve.spline, mm))
     };
-    let once = Options { repeats: Some(1), ..options(&[X, Y]) };
-    let plan = made(Kind::Diagonal, &once)?.remove(0);
+    let once = MeasurementOptions { repeats: Some(1), ..options(&[X, Y]) };
+    let plan = made(MeasurementKind::Diagonal, &once)?.remove(0);
     let text = measure(&mut rig, &plan, &machine, 1.0)?;
     let run = run_of(&text);
     let column = |name| run.column(name).expect("it was written");
     let (x, y, dz) = (column("x_mm"), column("y_mm"), column("measured_dz_um"));
-    let left: Vec<f64> = (0..run.rows()).map(|n| dz[n] - at(X, x[n]) - at(Y, y[n])).collect();
+    let left: Vec<f64> = (0..run.row_count()).map(|n| dz[n] - at(X, x[n]) - at(Y, y[n])).collect();
     println!("diagonal: {:.2} um RMS, {:.3} after both curves", rms(dz), rms(&left));
     assert!(rms(&left) < 1.2 * NOISE_UM);
     rig.end()
@@ -376,21 +380,21 @@ fn straightness_is_got_back_and_holds_on_the_diagonal() -> Result<()> {
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn a_warm_up_is_got_back_from_its_program() -> Result<()> {
-    let Some(control) = setup::linuxcnc()? else {
+    let Some(control) = setup::ensure_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
     let mut rig = start(control)?;
     // Two hours in 24 s.
     let factor = 300.0;
-    let wanted = Options {
+    let wanted = MeasurementOptions {
         dwell_s: 0.1,
         every_s: Some(0.4),
         heat_s: Some(24.0),
         spindle_rpm: Some(12_000.0),
-        ..Options::default()
+        ..MeasurementOptions::default()
     };
-    let plan = made(Kind::Warmup, &wanted)?.remove(0);
+    let plan = made(MeasurementKind::Warmup, &wanted)?.remove(0);
     let text = measure(&mut rig, &plan, &scenario("[spindle]"), factor)?;
     let run = run_of(&text);
     let fit = warmup::fit(std::slice::from_ref(&run), None)?;
@@ -404,20 +408,20 @@ fn a_warm_up_is_got_back_from_its_program() -> Result<()> {
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn the_growth_of_an_axis_is_got_back_from_its_program() -> Result<()> {
-    let Some(control) = setup::linuxcnc()? else {
+    let Some(control) = setup::ensure_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
     let mut rig = start(control)?;
     // Twenty minutes in 8 s: strokes of 1 m at 60 m/min are 2.4 m/min of the machine's.
     let factor = 150.0;
-    let wanted = Options {
+    let wanted = MeasurementOptions {
         heat_s: Some(8.0),
         heat_feed_mm_per_min: 60_000.0,
         repeats: Some(4),
         ..options(&[X])
     };
-    let plan = made(Kind::AxisHeat, &wanted)?.remove(0);
+    let plan = made(MeasurementKind::AxisHeat, &wanted)?.remove(0);
     let machine = scenario("");
     let machine = Scenario {
         axis: machine

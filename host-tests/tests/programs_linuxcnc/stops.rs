@@ -7,8 +7,10 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, ensure};
-use trueup_emulator::{linuxcnc::headless::Headless, setup};
-use trueup_program::{Control, Kind, Options, Plan, arc::Arc, control, plan::Step};
+use trueup_emulator::{linuxcnc::headless::HeadlessLinuxCnc, setup};
+use trueup_program::{
+    Control, MeasurementKind, MeasurementOptions, Plan, arc::Arc, control, plan::Step,
+};
 
 use crate::{PATIENCE_S, RECORDER, Rig, X, Y, cycles::Cycles, made, options, start_with, touches};
 
@@ -22,20 +24,24 @@ const COMMANDED: [&str; 4] = [
 
 /// Begins a program, sees that nothing has moved when it stops, and goes on.
 pub fn begin_and_pass_the_stop(
-    cnc: &mut Headless,
+    cnc: &mut HeadlessLinuxCnc,
     cycles: &mut Cycles,
     program: &str,
 ) -> Result<()> {
-    let before = cnc.pins(&COMMANDED)?;
+    let before = cnc.read_pins(&COMMANDED)?;
     cycles.wait_for_stand(&before)?;
-    cnc.begin(program)?;
+    cnc.start_program(program)?;
     let begun = Instant::now();
     while !cnc.is_stopped()? {
-        ensure!(begun.elapsed().as_secs() < PATIENCE_S, "{program} does not stop: {}", cnc.said());
+        ensure!(
+            begun.elapsed().as_secs() < PATIENCE_S,
+            "{program} does not stop: {}",
+            cnc.recent_log()
+        );
         thread::sleep(Duration::from_millis(5));
     }
     thread::sleep(Duration::from_millis(200));
-    let stood = cnc.pins(&COMMANDED)?;
+    let stood = cnc.read_pins(&COMMANDED)?;
     ensure!(stood == before && cnc.is_stopped()?, "{program} moved from {before:?} to {stood:?}");
     let moved = cycles.first_elsewhere(&before)?;
     ensure!(moved.is_none(), "{program} moved from {before:?} to {moved:?} before its stop");
@@ -55,7 +61,7 @@ const PROGRAM: Duration = Duration::from_secs(60);
 /// Runs a program with all its stops; returns where the axes were sent in each servo cycle after the first of them.
 fn run_with_stops(rig: &mut Rig, plan: &Plan) -> Result<Vec<[f64; 3]>> {
     let Rig { cnc, cycles, .. } = rig;
-    let (name, text) = control::program(plan, Control::LinuxCnc)?;
+    let (name, text) = control::generate_program(plan, Control::LinuxCnc)?;
     fs::write(cnc.folder().join(&name), text)?;
     begin_and_pass_the_stop(cnc, cycles, &name)?;
     let begun = Instant::now();
@@ -71,7 +77,7 @@ fn run_with_stops(rig: &mut Rig, plan: &Plan) -> Result<Vec<[f64; 3]>> {
             cnc.resume()?;
         }
         more = if cnc.is_busy()? { LATE } else { more - 1 };
-        ensure!(begun.elapsed() < PROGRAM, "{name} does not end: {}", cnc.said());
+        ensure!(begun.elapsed() < PROGRAM, "{name} does not end: {}", cnc.recent_log());
     }
     Ok(seen)
 }
@@ -97,7 +103,7 @@ fn check_arcs(plan: &Plan, seen: &[[f64; 3]]) -> Result<()> {
         };
         // It stands at the start before it goes around.
         let begins = |pair: &[[f64; 3]]| {
-            is_on(&pair[0]) && is_on(&pair[1]) && turn(pair) * arc.sense() > 0.0
+            is_on(&pair[0]) && is_on(&pair[1]) && turn(pair) * arc.rotation_sign() > 0.0
         };
         let begin = seen[at..].windows(2).position(begins);
         at += begin.with_context(|| format!("{}: no arc of {}°", plan.name, arc.turn_deg))?;
@@ -111,7 +117,7 @@ fn check_arcs(plan: &Plan, seen: &[[f64; 3]]) -> Result<()> {
                 plan.name,
                 pair[1]
             );
-            let step = turn(pair) * arc.sense();
+            let step = turn(pair) * arc.rotation_sign();
             ensure!(step > 0.0, "{}: it stops or turns back after {turned}°", plan.name);
             turned += step;
             at += 1;
@@ -140,22 +146,22 @@ fn plan_start(plan: &Plan, arc: &Arc) -> [f64; 3] {
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn programs_move_nothing_before_their_stop_and_no_axis_that_they_do_not_name() -> Result<()> {
-    let Some(control) = setup::linuxcnc()? else {
+    let Some(control) = setup::ensure_linuxcnc()? else {
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
     let mut rig = start_with(control, &[RECORDER, &touches::wires()].concat())?;
     let mut made_of = 0;
     for kind in [
-        Kind::Backlash,
-        Kind::Pitch,
-        Kind::Straightness,
-        Kind::Warmup,
-        Kind::AxisHeat,
-        Kind::Diagonal,
-        Kind::Circle,
+        MeasurementKind::Backlash,
+        MeasurementKind::Pitch,
+        MeasurementKind::Straightness,
+        MeasurementKind::Warmup,
+        MeasurementKind::AxisHeat,
+        MeasurementKind::Diagonal,
+        MeasurementKind::Circle,
     ] {
-        let wanted = Options {
+        let wanted = MeasurementOptions {
             range_mm: RANGES_MM.map(Some),
             gauge: None,
             clearance_mm: Some((Y, 50.0)),
@@ -163,17 +169,17 @@ fn programs_move_nothing_before_their_stop_and_no_axis_that_they_do_not_name() -
             repeats: Some(1),
             step_mm: Some(100.0),
             every_s: Some(0.5),
-            heat_s: Some(if kind == Kind::AxisHeat { 1.0 } else { 2.0 }),
+            heat_s: Some(if kind == MeasurementKind::AxisHeat { 1.0 } else { 2.0 }),
             heat_feed_mm_per_min: 60_000.0,
             spindle_rpm: Some(1000.0),
             radius_mm: Some(50.0),
             // Of the circles the one of whole turns.
-            ..options(if kind == Kind::Circle { &[X, Y] } else { &[] })
+            ..options(if kind == MeasurementKind::Circle { &[X, Y] } else { &[] })
         };
         for plan in made(kind, &wanted)? {
             let places =
                 ["joint.0.motor-pos-cmd", "joint.1.motor-pos-cmd", "joint.2.motor-pos-cmd"];
-            let before = rig.cnc.pins(&places)?;
+            let before = rig.cnc.read_pins(&places)?;
             let seen = run_with_stops(&mut rig, &plan)?;
             check_arcs(&plan, &seen)?;
             for n in 0..3 {

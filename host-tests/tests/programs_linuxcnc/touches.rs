@@ -7,8 +7,8 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, ensure};
-use trueup_emulator::linuxcnc::headless::Headless;
-use trueup_program::{Control, Kind, Options, control};
+use trueup_emulator::linuxcnc::headless::HeadlessLinuxCnc;
+use trueup_program::{Control, MeasurementKind, MeasurementOptions, control};
 
 use crate::{PATIENCE_S, Rig, made, options};
 
@@ -41,7 +41,7 @@ pub fn wires() -> String {
 /// Runs the program of a sphere on a rig that has [`wires`].
 pub fn check_sphere(rig: &mut Rig) -> Result<()> {
     let cnc = &mut rig.cnc;
-    let options = Options {
+    let options = MeasurementOptions {
         at_mm: AT_MM.map(Some),
         ball_mm: Some(WIDE_MM[0]),
         stylus_mm: Some(WIDE_MM[1]),
@@ -51,18 +51,19 @@ pub fn check_sphere(rig: &mut Rig) -> Result<()> {
         range_mm: [None, None, Some([2100.0, 2300.0])],
         ..options(&[])
     };
-    let plan = made(Kind::Sphere, &options)?.remove(0);
-    let (name, text) = control::program(&plan, Control::LinuxCnc)?;
+    let plan = made(MeasurementKind::Sphere, &options)?.remove(0);
+    let (name, text) = control::generate_program(&plan, Control::LinuxCnc)?;
     let log = cnc.folder().join("sphere-xyz.csv");
     let logged = text.replace("(LOGOPEN,", &format!("(LOGOPEN,{}/", cnc.folder().display()));
     fs::write(cnc.folder().join(&name), logged)?;
     cnc.halcmd(&format!("setp touch.in1 {}", (WIDE_MM[0] + WIDE_MM[1]) / 2.0))?;
     for job in ["G53 G0 Z2290", "G21 G90 G10 L2 P1 X7 Y-3 Z20", "G92 X5 Z-8"] {
-        cnc.act("mdi", "text", job)?;
+        cnc.send_command("mdi", "text", job)?;
     }
     run(cnc, &name)?;
-    let text = fs::read_to_string(&log).with_context(|| cnc.said())?;
-    let row = text.lines().nth(1).with_context(|| format!("no row: {text}\n{}", cnc.said()))?;
+    let text = fs::read_to_string(&log).with_context(|| cnc.recent_log())?;
+    let row =
+        text.lines().nth(1).with_context(|| format!("no row: {text}\n{}", cnc.recent_log()))?;
     let found = row.split(',').skip(5).map(str::parse).collect::<Result<Vec<f64>, _>>();
     println!("{row}");
     for (found, off) in found.with_context(|| row.to_string())?.iter().zip(OFF_MM) {
@@ -77,16 +78,20 @@ pub fn check_sphere(rig: &mut Rig) -> Result<()> {
 }
 
 /// Runs a program with its stop.
-fn run(cnc: &mut Headless, name: &str) -> Result<()> {
-    cnc.begin(name)?;
+fn run(cnc: &mut HeadlessLinuxCnc, name: &str) -> Result<()> {
+    cnc.start_program(name)?;
     let begun = Instant::now();
     while !cnc.is_stopped()? {
-        ensure!(begun.elapsed().as_secs() < PATIENCE_S, "it does not stop: {}", cnc.said());
+        ensure!(begun.elapsed().as_secs() < PATIENCE_S, "it does not stop: {}", cnc.recent_log());
         thread::sleep(Duration::from_millis(5));
     }
     cnc.resume()?;
     while cnc.is_busy()? {
-        ensure!(begun.elapsed().as_secs() < 3 * PATIENCE_S, "it does not end: {}", cnc.said());
+        ensure!(
+            begun.elapsed().as_secs() < 3 * PATIENCE_S,
+            "it does not end: {}",
+            cnc.recent_log()
+        );
         thread::sleep(Duration::from_millis(20));
     }
     Ok(())

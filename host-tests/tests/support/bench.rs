@@ -11,18 +11,18 @@ use trueup_core::{
     units::Rpm,
 };
 use trueup_emulator::{
-    board::{LARGEST_BATCH, VirtualBoard},
+    board::{MAX_BATCH_BLOCKS, VirtualBoard},
     firmware,
     front_end::FrontEnd,
     setup,
 };
 use trueup_link::{frames, receiver::OffsetReceiver};
-use trueup_machine::{Compiled, Machine, MachineFile};
-use trueup_pipe::{Block, FRAMES};
+use trueup_machine::{CompiledCalibration, Machine, MachineFile};
+use trueup_pipe::{Block, FRAMES_PER_BLOCK};
 
 /// Returns the paper's spindle, with a slew limit that fits a test.
 pub fn paper() -> Machine {
-    let path = setup::root().join("data/paper_spindle.toml");
+    let path = setup::project_root().join("data/paper_spindle.toml");
     let mut machine = MachineFile::read(&path).expect("the project's own machine file");
     machine.limits.slew_um_per_s = 100.0;
     machine
@@ -42,14 +42,14 @@ pub struct Bench {
 }
 
 impl Bench {
-    pub fn boot(calibration: &Compiled) -> Self {
+    pub fn boot(calibration: &CompiledCalibration) -> Self {
         let image = firmware::build_virtual().expect("the image builds");
         let board = VirtualBoard::boot(&image, calibration.blob()).expect("the board boots");
         Self::around(image, board)
     }
 
     /// Off and on again, perhaps with another calibration.
-    pub fn restart(self, calibration: &Compiled) -> Self {
+    pub fn restart(self, calibration: &CompiledCalibration) -> Self {
         let board = self.board.restart(&self.image, calibration.blob()).expect("the board boots");
         Self::around(self.image, board)
     }
@@ -70,17 +70,17 @@ impl Bench {
     ) -> Vec<Output> {
         let volts = (5_048.0 + growth_um / (500.0 / 32_768.0)) * 10.0 / 32_768.0;
         let mut all = Vec::new();
-        for start in (0..ms).step_by(LARGEST_BATCH as usize) {
-            let blocks: Vec<Block> = (start..ms.min(start + LARGEST_BATCH))
+        for start in (0..ms).step_by(MAX_BATCH_BLOCKS as usize) {
+            let blocks: Vec<Block> = (start..ms.min(start + MAX_BATCH_BLOCKS))
                 .map(|_| {
-                    let mut sent = [None; FRAMES];
+                    let mut sent = [None; FRAMES_PER_BLOCK];
                     if self.ms.is_multiple_of(20) {
                         let control = Control { engage: self.ms >= 60, ..control(self.counter) };
-                        sent[0] = Some(frames::control(control, self.counter));
+                        sent[0] = Some(frames::encode_control(control, self.counter));
                         self.counter = self.counter.wrapping_add(1);
                     }
                     self.ms += 1;
-                    let codes = self.front_end.block(|_| volts);
+                    let codes = self.front_end.convert_block(|_| volts);
                     Block { codes, speed: Some(Rpm(12_000)), frames: sent, ..Block::default() }
                 })
                 .collect();

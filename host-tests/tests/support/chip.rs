@@ -9,7 +9,7 @@ use std::{
 use anyhow::Result;
 use tempfile::TempDir;
 use trueup_emulator::{
-    chip::{self, Report},
+    chip::{self, RunReport},
     firmware,
 };
 
@@ -26,12 +26,12 @@ pub struct Chip {
 impl Chip {
     /// Returns the image of this machine; `None`: the compiler is too old for the model.
     pub fn of_machine(text: &str) -> Result<Option<Self>> {
-        Self::built(text, firmware::build_for)
+        Self::built(text, firmware::build_for_machine)
     }
 
     /// Returns the same that breaks on command.
     pub fn that_breaks(text: &str) -> Result<Option<Self>> {
-        Self::built(text, firmware::build_that_breaks)
+        Self::built(text, firmware::build_with_fault_injection)
     }
 
     fn built(text: &str, build: fn(&Path) -> Result<PathBuf>) -> Result<Option<Self>> {
@@ -47,7 +47,7 @@ impl Chip {
     }
 
     /// Lets it live for so long in a world by script.
-    pub fn live(&self, ms: u32, script: &str, options: &[&str]) -> Result<Report> {
+    pub fn live(&self, ms: u32, script: &str, options: &[&str]) -> Result<RunReport> {
         let file = tempfile::NamedTempFile::new_in(&self.folder)?;
         fs::write(&file, script)?;
         let (ms, path) = (ms.to_string(), file.path().to_string_lossy());

@@ -21,7 +21,7 @@ use std::{
 
 use anyhow::{Context as _, Result, bail, ensure};
 use tempfile::TempDir;
-use trueup_emulator::{firmware, programs};
+use trueup_emulator::{firmware, host_programs};
 
 /// A machine whose offsets need no minutes to arrive.
 pub const FAST_MACHINE: &str = "\
@@ -85,7 +85,7 @@ pub fn xtask() -> Result<Command> {
     let program = PROGRAM.get_or_init(|| {
         let build = || {
             firmware::build_virtual()?;
-            programs::build("xtask", "xtask")
+            host_programs::build_program("xtask", "xtask")
         };
         build().map_err(|error| format!("{error:#}"))
     });
@@ -115,7 +115,7 @@ fn state_folder() -> &'static Path {
 /// Returns the host tool, not yet started; built once as well.
 pub fn trueup() -> Result<Command> {
     static PROGRAM: OnceLock<Result<PathBuf, String>> = OnceLock::new();
-    let build = || programs::trueup().map_err(|error| format!("{error:#}"));
+    let build = || host_programs::build_trueup().map_err(|error| format!("{error:#}"));
     match PROGRAM.get_or_init(build) {
         Ok(program) => Ok(Command::new(program)),
         Err(error) => bail!("{error}"),

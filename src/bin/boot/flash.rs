@@ -10,29 +10,30 @@ use embedded_storage::nor_flash::{
     ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash, check_erase, check_read, check_write,
 };
 use stm32f4xx_hal::pac::FLASH;
-use trueup_boot::layout::{
-    RECORDS_SECTOR, RECORDS_SECTOR_SIZE, RECORDS_START, SLOT_SECTORS, SLOT_SIZE, SLOTS_START, Slot,
+use trueup_boot::flash_layout::{
+    FIRST_RECORDS_SECTOR, RECORDS_SECTOR_SIZE, RECORDS_START, SLOT_SECTORS, SLOT_SIZE, SLOTS_START,
+    Slot,
 };
 
 /// The two keys that unlock the control register (section 3.6.1).
-const UNLOCK: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
+const UNLOCK_KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 /// The flags of errors, and EOP.
-const ERRORS: u32 = 0xF3;
-const FAILURES: u32 = 0xF2;
-const BUSY: u32 = 1 << 16;
+const CLEARABLE_FLAGS: u32 = 0xF3;
+const ERROR_FLAGS: u32 = 0xF2;
+const BUSY_FLAG: u32 = 1 << 16;
 /// FLASH_CR: programming, sector erase, start, 32 bits at once, lock.
-const PROGRAM: u32 = 1;
-const ERASE: u32 = 1 << 1;
-const START: u32 = 1 << 16;
-const WORDS: u32 = 2 << 8;
-const LOCK: u32 = 1 << 31;
+const PROGRAM_BIT: u32 = 1;
+const SECTOR_ERASE_BIT: u32 = 1 << 1;
+const START_BIT: u32 = 1 << 16;
+const PSIZE_X32: u32 = 2 << 8;
+const LOCK_BIT: u32 = 1 << 31;
 /// FLASH_ACR: the data cache, and its reset.
-const CACHE: u32 = 1 << 10;
-const CACHE_RESET: u32 = 1 << 12;
+const DATA_CACHE_ENABLE: u32 = 1 << 10;
+const DATA_CACHE_RESET: u32 = 1 << 12;
 /// The core stands still meanwhile, so one poll is enough where it runs from the flash.
-const POLLS: u32 = 100_000;
+const MAX_BUSY_POLLS: u32 = 100_000;
 
-/// A part of the flash: two units of so many bytes.
+/// A part of the flash: two units of `UNIT` bytes.
 pub struct Region<const UNIT: u32> {
     controller: FLASH,
     start: u32,
@@ -50,7 +51,7 @@ pub type Slots = Region<SLOT_SIZE>;
 pub fn split(controller: FLASH) -> (Records, Slots) {
     // SAFETY: the caller has both, and uses them one after the other.
     let second = unsafe { FLASH::steal() };
-    let sectors = [(RECORDS_SECTOR, 1), (RECORDS_SECTOR + 1, 1)];
+    let sectors = [(FIRST_RECORDS_SECTOR, 1), (FIRST_RECORDS_SECTOR + 1, 1)];
     let records = Region { controller, start: RECORDS_START, sectors };
     (records, Region { controller: second, start: SLOTS_START, sectors: SLOT_SECTORS })
 }
@@ -63,28 +64,28 @@ impl<const UNIT: u32> Region<UNIT> {
     }
 
     /// Does `work` with the controller unlocked and without old errors.
-    fn unlocked(&self, work: impl FnOnce() -> bool) -> Result<(), NorFlashErrorKind> {
-        if !self.is_done() {
+    fn with_unlocked(&self, work: impl FnOnce() -> bool) -> Result<(), NorFlashErrorKind> {
+        if !self.wait_until_idle() {
             return Err(NorFlashErrorKind::Other);
         }
-        if self.control() & LOCK != 0 {
-            UNLOCK.iter().for_each(|key| self.write_key(*key));
+        if self.read_control() & LOCK_BIT != 0 {
+            UNLOCK_KEYS.iter().for_each(|key| self.write_key(*key));
         }
         self.clear_errors();
-        let is_done = self.control() & LOCK == 0 && work() && !self.has_failed();
-        self.set_control(LOCK);
+        let is_done = self.read_control() & LOCK_BIT == 0 && work() && !self.has_failed();
+        self.set_control(LOCK_BIT);
         if is_done { Ok(()) } else { Err(NorFlashErrorKind::Other) }
     }
 
     fn erase_sector(&self, sector: u8) -> bool {
-        let how = WORDS | ERASE | u32::from(sector) << 3;
+        let how = PSIZE_X32 | SECTOR_ERASE_BIT | u32::from(sector) << 3;
         self.set_control(how);
-        self.set_control(how | START);
+        self.set_control(how | START_BIT);
         cortex_m::asm::dsb();
-        self.is_done() && !self.has_failed()
+        self.wait_until_idle() && !self.has_failed()
     }
 
-    fn control(&self) -> u32 {
+    fn read_control(&self) -> u32 {
         self.controller.cr().read().bits()
     }
 
@@ -103,23 +104,23 @@ impl<const UNIT: u32> Region<UNIT> {
     #[allow(unsafe_code, reason = "registers of the flash")]
     fn clear_errors(&self) {
         // SAFETY: a flag is cleared by writing 1 to it (section 3.9.5).
-        self.controller.sr().write(|w| unsafe { w.bits(ERRORS) });
+        self.controller.sr().write(|w| unsafe { w.bits(CLEARABLE_FLAGS) });
     }
 
-    fn is_done(&self) -> bool {
-        (0..POLLS).any(|_| self.controller.sr().read().bits() & BUSY == 0)
+    fn wait_until_idle(&self) -> bool {
+        (0..MAX_BUSY_POLLS).any(|_| self.controller.sr().read().bits() & BUSY_FLAG == 0)
     }
 
     fn has_failed(&self) -> bool {
-        self.controller.sr().read().bits() & FAILURES != 0
+        self.controller.sr().read().bits() & ERROR_FLAGS != 0
     }
 
     /// Empties the data cache, whose values of an erased sector are old; it is off meanwhile (section 3.6.4).
     #[allow(unsafe_code, reason = "registers of the flash")]
-    fn forget_cached(&self) {
+    fn reset_data_cache(&self) {
         let acr = self.controller.acr().read().bits();
-        let off = acr & !CACHE;
-        for bits in [off, off | CACHE_RESET, off, acr] {
+        let off = acr & !DATA_CACHE_ENABLE;
+        for bits in [off, off | DATA_CACHE_RESET, off, acr] {
             // SAFETY: the wait states stay, and the cache is reset while it is off.
             self.controller.acr().write(|w| unsafe { w.bits(bits) });
         }
@@ -160,14 +161,14 @@ impl<const UNIT: u32> NorFlash for Region<UNIT> {
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Self::Error> {
         check_write(self, offset, bytes.len())?;
         let words = self.start.wrapping_add(offset) as *mut u32;
-        self.unlocked(|| {
-            self.set_control(WORDS | PROGRAM);
+        self.with_unlocked(|| {
+            self.set_control(PSIZE_X32 | PROGRAM_BIT);
             bytes.as_chunks().0.iter().enumerate().all(|(n, word)| {
                 // SAFETY: a word of the region; no code that runs lies there.
                 unsafe { ptr::write_volatile(words.wrapping_add(n), u32::from_le_bytes(*word)) };
                 // The word has left the core before its end is waited for (section 3.6.4).
                 cortex_m::asm::dsb();
-                self.is_done() && !self.has_failed()
+                self.wait_until_idle() && !self.has_failed()
             })
         })
     }
@@ -178,12 +179,12 @@ impl<const UNIT: u32> NorFlash for Region<UNIT> {
             let start = u32::from(slot.number()) * UNIT;
             (from..to).contains(&start)
         };
-        self.unlocked(|| {
-            let erased = Slot::BOTH.iter().filter(|unit| is_meant(unit)).all(|unit| {
-                let (first, count) = *unit.of(&self.sectors);
+        self.with_unlocked(|| {
+            let erased = Slot::ALL.iter().filter(|unit| is_meant(unit)).all(|unit| {
+                let (first, count) = *unit.element_of(&self.sectors);
                 (first..first.saturating_add(count)).all(|sector| self.erase_sector(sector))
             });
-            self.forget_cached();
+            self.reset_data_cache();
             erased
         })
     }

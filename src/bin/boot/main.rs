@@ -29,35 +29,35 @@ use cortex_m::peripheral::SCB;
 use cortex_m_rt::{ExceptionFrame, entry, exception};
 use stm32f4xx_hal::pac::{Peripherals, RCC};
 use trueup_boot::{
-    handover::Choice,
+    flash_layout::{HANDOVER_START, Slot},
+    handover::StartInfo,
     header::HEADER_SIZE,
     journal::Journal,
-    key::{KEY_SIZE, PublicKey},
-    layout::{HANDOVER_START, Slot},
-    start::{Ending, Start, choose},
+    public_key::{KEY_SIZE, PublicKey},
+    start::{StartOutcome, StartSelection, select_image},
 };
 
-use watchdog::{CHOICE, START};
+use watchdog::{BOOT_TIMEOUT, START_TIMEOUT};
 
 /// The key that updates are signed with (`build.rs`).
-static KEY: &[u8; KEY_SIZE] = include_bytes!(concat!(env!("OUT_DIR"), "/key.bin"));
+static PUBLIC_KEY: &[u8; KEY_SIZE] = include_bytes!(concat!(env!("OUT_DIR"), "/key.bin"));
 
 #[entry]
 fn main() -> ! {
     let Some(device) = Peripherals::take() else { SCB::sys_reset() };
-    watchdog::start(&device.IWDG, &device.DBGMCU, CHOICE);
+    watchdog::start(&device.IWDG, &device.DBGMCU, BOOT_TIMEOUT);
     let feed = || watchdog::feed(&device.IWDG);
-    let ending = ending(&device.RCC);
+    let ending = last_start_outcome(&device.RCC);
     let clock = clocks::start(&device.RCC, &device.FLASH, &device.DBGMCU);
     let (records, mut slots) = flash::split(device.FLASH);
     let mut journal = Journal::open(records);
-    let start = PublicKey::new(KEY)
-        .and_then(|key| choose(&mut journal, &mut slots, &key, ending, clock, feed));
-    clocks::stop(&device.RCC, slots.controller());
-    watchdog::set(&device.IWDG, START);
+    let start = PublicKey::new(PUBLIC_KEY)
+        .and_then(|key| select_image(&mut journal, &mut slots, &key, ending, clock, feed));
+    clocks::restore_reset_state(&device.RCC, slots.controller());
+    watchdog::set_timeout(&device.IWDG, START_TIMEOUT);
     if let Some(start) = start {
-        hand_over(&start);
-        enter(start.image.header.slot);
+        write_handover(&start);
+        start_image(start.image.header.slot);
     }
     loop {
         cortex_m::asm::wfi();
@@ -65,18 +65,18 @@ fn main() -> ! {
 }
 
 /// Returns how the last start ended. The flags stay: the image reads them too, and clears them (section 7.3.21).
-fn ending(rcc: &RCC) -> Ending {
+fn last_start_outcome(rcc: &RCC) -> StartOutcome {
     let flags = rcc.csr().read();
     let is_reset = flags.wdgrstf().bit_is_set()
         || flags.wwdgrstf().bit_is_set()
         || flags.sftrstf().bit_is_set();
-    if is_reset { Ending::Reset } else { Ending::PowerCycle }
+    if is_reset { StartOutcome::Reset } else { StartOutcome::PowerCycle }
 }
 
 /// Writes why the image starts where it looks for it.
 #[allow(unsafe_code, reason = "words that both programs know by their address")]
-fn hand_over(start: &Start) {
-    let words = Choice::from(start).hand_over(start.image.tag);
+fn write_handover(start: &StartSelection) {
+    let words = StartInfo::from(start).to_words(start.image.tag);
     for (at, word) in (HANDOVER_START..).step_by(4).zip(words) {
         // SAFETY: an aligned word of the RAM, above the stack, which nothing else of this program uses.
         unsafe { write_volatile(at as *mut u32, word) };
@@ -85,7 +85,7 @@ fn hand_over(start: &Start) {
 
 /// Starts the image of a slot, whose vector table follows its header.
 #[allow(unsafe_code, reason = "the end of this program")]
-fn enter(slot: Slot) -> ! {
+fn start_image(slot: Slot) -> ! {
     let vectors = slot.start() + HEADER_SIZE as u32;
     // SAFETY: nothing of this program is used any more: no interrupt is on, and the image sets up its own stack.
     unsafe {
@@ -94,7 +94,7 @@ fn enter(slot: Slot) -> ! {
     }
 }
 
-/// No panic can be reached; the compiler asks for a handler all the same.
+/// No panic can be reached; the compiler requires a handler all the same.
 #[panic_handler]
 fn panic(_: &PanicInfo<'_>) -> ! {
     SCB::sys_reset()

@@ -28,31 +28,31 @@ use cortex_m_rt::{entry, exception};
 use stm32f4xx_hal::pac::{IWDG, Peripherals, USART1};
 use trueup_boot::{
     header::{HEADER_SIZE, Version},
-    inspect::{Image, read_header},
+    image_check::{Image, read_header},
     journal::Journal,
-    key::PublicKey,
+    public_key::PublicKey,
     update::{Update, confirm, slot_at},
 };
 
-static KEY: &[u8; 32] = include_bytes!(concat!(env!("OUT_DIR"), "/key.bin"));
+static PUBLIC_KEY: &[u8; 32] = include_bytes!(concat!(env!("OUT_DIR"), "/key.bin"));
 /// The file that is loaded: where the application has its store.
-const FILE: u32 = 0x0808_0000;
+const UPDATE_FILE_ADDRESS: u32 = 0x0808_0000;
 
 /// Behaviour and name, as the test writes them.
 #[repr(C)]
-struct Settings {
+struct TestSettings {
     behaviour: u8,
     name: u8,
 }
 
 #[used]
 #[unsafe(export_name = "SLOT_TEST")]
-static SETTINGS: Settings = Settings { behaviour: 0, name: b'?' };
+static SETTINGS: TestSettings = TestSettings { behaviour: 0, name: b'?' };
 
 #[entry]
 fn main() -> ! {
     // SAFETY: the static is there; volatile, because the test has written its bytes after it was compiled.
-    let Settings { behaviour, name } = unsafe { read_volatile(addr_of!(SETTINGS)) };
+    let TestSettings { behaviour, name } = unsafe { read_volatile(addr_of!(SETTINGS)) };
     if behaviour == 1 {
         hang();
     }
@@ -60,7 +60,7 @@ fn main() -> ! {
     // As the application, which clears them.
     device.RCC.csr().modify(|_, w| w.rmvf().set_bit());
     start_serial(&device);
-    say(&device.USART1, name);
+    send_line(&device.USART1, name);
     match behaviour {
         2 => SCB::sys_reset(),
         3 => hang(),
@@ -68,49 +68,50 @@ fn main() -> ! {
     }
     let (records, mut slots) = flash::split(device.FLASH);
     let mut journal = Journal::open(records);
-    let slot = slot_at(load as *const () as u32);
+    let slot = slot_at(load_image as *const () as u32);
     let Ok(running) = read_header(&mut slots, slot, Version::default()) else { SCB::sys_reset() };
     if behaviour == 4 || behaviour == 5 {
         let is_confirmed = confirm(&mut journal, &running).is_ok();
-        say(&device.USART1, if is_confirmed { b'c' } else { b'!' });
+        send_line(&device.USART1, if is_confirmed { b'c' } else { b'!' });
     }
-    loosen_for(behaviour, &device.IWDG);
-    if behaviour == 5 && load(&mut journal, &mut slots, &running, &device.IWDG) {
-        say(&device.USART1, b'u');
+    extend_watchdog(behaviour, &device.IWDG);
+    if behaviour == 5 && load_image(&mut journal, &mut slots, &running, &device.IWDG) {
+        send_line(&device.USART1, b'u');
         SCB::sys_reset();
     }
-    start_clock();
+    start_systick();
     loop {
-        feed(&device.IWDG);
+        feed_watchdog(&device.IWDG);
         // Asleep: the model of the chip is fast then.
         (0..5).for_each(|_| cortex_m::asm::wfi());
-        say(&device.USART1, name);
+        send_line(&device.USART1, name);
     }
 }
 
 /// Loads the file; `true`: the boot program is to start it.
-fn load(
+fn load_image(
     journal: &mut Journal<flash::Records>,
     slots: &mut flash::Slots,
     running: &Image,
     watchdog: &IWDG,
 ) -> bool {
-    // SAFETY: flash that nobody writes to.
-    let file = unsafe { core::slice::from_raw_parts(FILE as *const u8, 128 * 1024) };
-    let (Some(header), Some(key)) = (file.first_chunk::<HEADER_SIZE>(), PublicKey::new(KEY)) else {
+    // SAFETY: flash that no code writes to.
+    let file = unsafe { core::slice::from_raw_parts(UPDATE_FILE_ADDRESS as *const u8, 128 * 1024) };
+    let (Some(header), Some(key)) = (file.first_chunk::<HEADER_SIZE>(), PublicKey::new(PUBLIC_KEY))
+    else {
         return false;
     };
     let Ok(mut update) = Update::begin(journal, slots, running, header) else { return false };
-    feed(watchdog);
+    feed_watchdog(watchdog);
     let length = update.image().header.length as usize;
     let Some(rest) = file.get(HEADER_SIZE..length) else { return false };
     for piece in rest.chunks(64) {
         if update.append(slots, piece).is_err() {
             return false;
         }
-        feed(watchdog);
+        feed_watchdog(watchdog);
     }
-    update.finish(journal, slots, &key, || feed(watchdog)).is_ok()
+    update.finish(journal, slots, &key, || feed_watchdog(watchdog)).is_ok()
 }
 
 fn hang() -> ! {
@@ -120,7 +121,7 @@ fn hang() -> ! {
 }
 
 /// Eight seconds, as an application that may erase: by 256, 1 000 periods.
-fn loosen_for(behaviour: u8, watchdog: &IWDG) {
+fn extend_watchdog(behaviour: u8, watchdog: &IWDG) {
     if behaviour != 5 {
         return;
     }
@@ -131,17 +132,17 @@ fn loosen_for(behaviour: u8, watchdog: &IWDG) {
         watchdog.rlr().write(|w| w.bits(1_000));
     }
     let _is_done = (0..8_000).any(|_| watchdog.sr().read().bits() == 0);
-    feed(watchdog);
+    feed_watchdog(watchdog);
 }
 
-fn feed(watchdog: &IWDG) {
+fn feed_watchdog(watchdog: &IWDG) {
     // SAFETY: the key of RM0090, section 21.4.1.
     watchdog.kr().write(|w| unsafe { w.bits(0xAAAA) });
 }
 
 /// SysTick wakes the core every 10 ms, from 16 MHz.
-fn start_clock() {
-    // SAFETY: nobody else has the peripherals of the core.
+fn start_systick() {
+    // SAFETY: no other code has the peripherals of the core.
     let mut core = unsafe { cortex_m::Peripherals::steal() };
     core.SYST.set_clock_source(SystClkSource::Core);
     core.SYST.set_reload(160_000 - 1);
@@ -169,7 +170,7 @@ fn start_serial(device: &Peripherals) {
 }
 
 /// One byte and the end of a line.
-fn say(serial: &USART1, name: u8) {
+fn send_line(serial: &USART1, name: u8) {
     for byte in [name, b'\r'] {
         let _is_free = (0..10_000).any(|_| serial.sr().read().txe().bit_is_set());
         // SAFETY: any byte.

@@ -8,21 +8,20 @@
 //! when it has given no offset for a while.
 
 use super::{
-    MILLISECOND,
-    watchdog::{Reset, Watchdog},
-    within,
+    CYCLES_PER_MS, poll_until,
+    watchdog::{ResetCause, Watchdog},
 };
 use stm32f4xx_hal::pac::FLASH;
 
 /// BOR_LEV for level 3; 0b11 is "off". The register crate has its names the wrong way round.
-const LEVEL_3: u8 = 0b00;
+const BOR_LEVEL_3: u8 = 0b00;
 /// The two keys that unlock the option bytes (section 3.7.2).
-const UNLOCK: [u32; 2] = [0x0819_2A3B, 0x4C5D_6E7F];
+const UNLOCK_KEYS: [u32; 2] = [0x0819_2A3B, 0x4C5D_6E7F];
 /// Milliseconds that an option byte may take at the most: the figure for a sector is 0.8 s.
-const WRITE_MS: u32 = 2_000;
+const OPTION_WRITE_TIMEOUT_MS: u32 = 2_000;
 /// Turns of the supervisor without an offset until the level is raised on a board in service: 2 s. A CNC that
 /// engages just then is held up by the quarter of a second.
-const TURNS: u32 = 200;
+const IDLE_CYCLES_BEFORE_RAISE: u32 = 200;
 
 /// The level, and what is still to be done about it.
 pub struct BrownOut {
@@ -38,23 +37,23 @@ impl BrownOut {
     /// It is raised only after power-on, so that no loop of resets can wear the option bytes out if they do
     /// not take the value.
     #[allow(unsafe_code, reason = "the flash has two users")]
-    pub fn look(reset: Reset) -> Self {
+    pub fn new(reset: ResetCause) -> Self {
         // SAFETY: start and supervisor use it, and the stores of the supervisor not at the same time.
         let controller = unsafe { FLASH::steal() };
         let is_low = !is_protected(&controller);
-        if is_low && reset != Reset::PowerOn {
+        if is_low && reset != ResetCause::PowerOn {
             defmt::warn!("brown-out level is not 3; it will be set at the next power-on");
         }
-        Self { controller, is_due: is_low && reset == Reset::PowerOn, turns: 0 }
+        Self { controller, is_due: is_low && reset == ResetCause::PowerOn, turns: 0 }
     }
 
     /// Raises it at once, if it is low.
-    pub fn raise(&mut self, watchdog: &mut Watchdog) {
+    pub fn raise_level(&mut self, watchdog: &mut Watchdog) {
         if !self.is_due {
             return;
         }
         self.is_due = false;
-        if watchdog.loosened(|| write(&self.controller)) {
+        if watchdog.with_extended_timeout(|| write_level(&self.controller)) {
             defmt::info!("brown-out level set to 3");
         } else {
             defmt::error!("dead: option bytes, the brown-out level is still not 3");
@@ -62,27 +61,27 @@ impl BrownOut {
     }
 
     /// A turn of the supervisor: raises it, if it is low and no offset was given for a while.
-    pub fn turn(&mut self, gives_offset: bool, watchdog: &mut Watchdog) {
+    pub fn raise_when_idle(&mut self, gives_offset: bool, watchdog: &mut Watchdog) {
         self.turns = if gives_offset { 0 } else { self.turns + 1 };
-        if self.is_due && self.turns >= TURNS {
-            self.raise(watchdog);
+        if self.is_due && self.turns >= IDLE_CYCLES_BEFORE_RAISE {
+            self.raise_level(watchdog);
         }
     }
 }
 
 fn is_protected(flash: &FLASH) -> bool {
-    flash.optcr().read().bor_lev().bits() == LEVEL_3
+    flash.optcr().read().bor_lev().bits() == BOR_LEVEL_3
 }
 
-fn write(flash: &FLASH) -> bool {
+fn write_level(flash: &FLASH) -> bool {
     if !is_idle(flash) {
         return false;
     }
-    for key in UNLOCK {
+    for key in UNLOCK_KEYS {
         flash.optkeyr().write(|w| w.optkeyr().set(key));
     }
     // All other options, the read protection above all, are written back as they were read.
-    flash.optcr().modify(|_, w| w.bor_lev().set(LEVEL_3));
+    flash.optcr().modify(|_, w| w.bor_lev().set(BOR_LEVEL_3));
     flash.optcr().modify(|_, w| w.optstrt().set_());
     let written = is_idle(flash);
     flash.optcr().modify(|_, w| w.optlock().set_());
@@ -90,10 +89,10 @@ fn write(flash: &FLASH) -> bool {
 }
 
 fn is_idle(flash: &FLASH) -> bool {
-    within(WRITE_MS, || {
+    poll_until(OPTION_WRITE_TIMEOUT_MS, || {
         let idle = flash.sr().read().bsy().bit_is_clear();
         if !idle {
-            cortex_m::asm::delay(MILLISECOND);
+            cortex_m::asm::delay(CYCLES_PER_MS);
         }
         idle
     })

@@ -26,28 +26,28 @@ use trueup_link::{
     },
 };
 
-use super::{super::CanState, clocks::Source, within};
+use super::{super::CanErrorState, clocks::ClockSource, poll_until};
 
 /// 1 Mbit/s at 42 MHz: prescaler 3; 1 + 11 + 2 quanta, sampled at 86 %; jump width 1.
 const BIT_TIMING: u32 = 0x001a_0002;
 /// Frames of the CNC and of a CANopen master, by FIFO. The filter drops everything else but heartbeats.
-const HEARD: [[u16; 4]; 2] = [
+const ACCEPTED_IDS: [[u16; 4]; 2] = [
     [POSITION_X_ID, POSITION_Y_ID, CONTROL_ID, SDO_REQUEST_ID],
     [POSITION_Z_ID, ROTARY_ID, SPINDLE_ID, NMT_ID],
 ];
 /// The bank of the heartbeats, whose node a master chooses: 0x700…0x77F.
-const HEARTBEATS: u8 = 2;
+const HEARTBEAT_FILTER_BANK: u8 = 2;
 /// `Conditions` in the other half of that bank: all bits of the identifier count.
-const CONDITIONS_MASK: u32 = ((0x7FF << 5 | 0x18) << 16) | (CONDITIONS_ID as u32) << 5;
+const CONDITIONS_FILTER: u32 = ((0x7FF << 5 | 0x18) << 16) | (CONDITIONS_ID as u32) << 5;
 /// As a bank of 16 bits has it: the identifier to compare with below, the bits that count above,
 /// among them "extended" and "remote".
-const HEARTBEAT_MASK: u32 = ((0x780 << 5 | 0x18) << 16) | 0x700 << 5;
+const HEARTBEAT_FILTER: u32 = ((0x780 << 5 | 0x18) << 16) | 0x700 << 5;
 /// The controller answers within microseconds; this is about 10 ms.
-const ANSWER_POLLS: u32 = 100_000;
+const MAX_RESPONSE_POLLS: u32 = 100_000;
 /// How often a frame in the third mailbox is waited for: 20 ms of the bus's worst hours.
-const PATIENCE: u32 = 20;
+const MAX_MAILBOX_WAITS: u32 = 20;
 /// A frame that waits is withdrawn within a few clocks of the controller; this is 3 µs.
-const WITHDRAW_POLLS: u32 = 32;
+const MAX_ABORT_POLLS: u32 = 32;
 
 /// Starts the controller, if its clock is exact enough for a bus; and whether it answers.
 #[allow(unsafe_code, reason = "registers of the CAN controller")]
@@ -55,7 +55,7 @@ pub fn start(
     can: CAN1,
     tx: PB9,
     rx: PB8,
-    source: Source,
+    source: ClockSource,
     rcc: &mut Rcc,
 ) -> ([CanIn; 2], CanOut, bool) {
     CAN1::enable(rcc);
@@ -64,34 +64,34 @@ pub fn start(
     if !answers {
         defmt::error!("dead: CAN");
     }
-    let on_the_bus = answers && matches!(source, Source::Crystal { .. });
+    let on_the_bus = answers && matches!(source, ClockSource::Crystal { .. });
     if on_the_bus {
         // Only now does the controller get its pins: one with a wrong clock must not reach the
         // bus. Pulled up, so that a missing transceiver looks like a quiet bus.
         let _ = tx.into_alternate::<9>();
         let _ = rx.into_alternate::<9>().internal_resistor(Pull::Up);
-        listen_to(&can, &HEARD);
+        configure_filters(&can, &ACCEPTED_IDS);
         join_bus(&can);
         defmt::info!("CAN: 1 Mbit/s");
     }
     // SAFETY: `CanOut` uses the transmit registers alone, each `CanIn` those of its FIFO alone.
     let (second, transmitter) = unsafe { (CAN1::steal(), CAN1::steal()) };
     let can_in = [CanIn { can, fifo: 0, overruns: 0 }, CanIn { can: second, fifo: 1, overruns: 0 }];
-    let worst = CanState::default();
+    let worst = CanErrorState::default();
     (can_in, CanOut { can: transmitter, on_the_bus, late: 0, waited: 0, worst }, answers)
 }
 
 /// Out of sleep, into the initialisation mode, in which the controller is silent.
 fn enter_initialisation(can: &CAN1) -> bool {
     can.mcr().modify(|_, w| w.sleep().clear_bit().inrq().set_bit());
-    within(ANSWER_POLLS, || can.msr().read().inak().bit_is_set())
+    poll_until(MAX_RESPONSE_POLLS, || can.msr().read().inak().bit_is_set())
 }
 
 /// Lets standard data frames with these identifiers into the FIFO of their bank: a bank is a list of
 /// four 16-bit entries, of which the upper 11 bits are the identifier and the rest says "standard,
 /// data" (section 32.7.4).
 #[allow(unsafe_code, reason = "registers of the CAN controller")]
-fn listen_to(can: &CAN1, ids: &[[u16; 4]; 2]) {
+fn configure_filters(can: &CAN1, ids: &[[u16; 4]; 2]) {
     can.fmr().modify(|_, w| w.finit().set_bit());
     for (number, ids) in (0..).zip(ids) {
         let [first, second, third, fourth] = ids.map(|id| u32::from(id) << 5);
@@ -104,13 +104,13 @@ fn listen_to(can: &CAN1, ids: &[[u16; 4]; 2]) {
         can.ffa1r().modify(|_, w| w.ffa(number).bit(number == 1));
         can.fa1r().modify(|_, w| w.fact(number).set_bit());
     }
-    let bank = can.fb(HEARTBEATS.into());
+    let bank = can.fb(HEARTBEAT_FILTER_BANK.into());
     // SAFETY: any value is a valid mask.
-    bank.fr1().write(|w| unsafe { w.bits(HEARTBEAT_MASK) });
+    bank.fr1().write(|w| unsafe { w.bits(HEARTBEAT_FILTER) });
     // SAFETY: as above.
-    bank.fr2().write(|w| unsafe { w.bits(CONDITIONS_MASK) });
-    can.ffa1r().modify(|_, w| w.ffa(HEARTBEATS).set_bit());
-    can.fa1r().modify(|_, w| w.fact(HEARTBEATS).set_bit());
+    bank.fr2().write(|w| unsafe { w.bits(CONDITIONS_FILTER) });
+    can.ffa1r().modify(|_, w| w.ffa(HEARTBEAT_FILTER_BANK).set_bit());
+    can.fa1r().modify(|_, w| w.fact(HEARTBEAT_FILTER_BANK).set_bit());
     can.fmr().modify(|_, w| w.finit().clear_bit());
 }
 
@@ -135,18 +135,18 @@ impl CanIn {
     pub fn receive(&mut self) -> Option<Frame> {
         let fifo = self.can.rfr(self.fifo).read();
         if fifo.fovr().bit_is_set() {
-            self.note_overrun();
+            self.count_overrun();
         }
         // While the last frame is being released, the FIFO still shows it.
         if fifo.fmp().bits() == 0 || fifo.rfom().bit_is_set() {
             return None;
         }
-        let frame = read(self.can.rx(self.fifo));
+        let frame = read_mailbox(self.can.rx(self.fifo));
         self.can.rfr(self.fifo).write(|w| w.rfom().set_bit());
         frame
     }
 
-    fn note_overrun(&mut self) {
+    fn count_overrun(&mut self) {
         self.can.rfr(self.fifo).write(|w| w.fovr().clear());
         self.overruns = self.overruns.saturating_add(1);
         // A flooded bus must not flood the log as well.
@@ -157,7 +157,7 @@ impl CanIn {
 }
 
 /// Returns the frame in a receive mailbox; the filter lets only standard data frames in.
-fn read(mailbox: &can1::RX) -> Option<Frame> {
+fn read_mailbox(mailbox: &can1::RX) -> Option<Frame> {
     let identifier = mailbox.rir().read();
     if identifier.ide().bit_is_set() || identifier.rtr().bit_is_set() {
         return None;
@@ -177,21 +177,21 @@ pub struct CanOut {
     late: u32,
     /// Turns for which the third mailbox was found full.
     waited: u32,
-    /// The worst since it was last asked.
-    worst: CanState,
+    /// The worst since the last call.
+    worst: CanErrorState,
 }
 
 impl CanOut {
     /// Returns whether a frame other than offsets still waits: another one would take its place, and an
     /// answer to an SDO request comes only once. A bus on which nothing gets out is not waited for,
-    /// because the serial line has the same frames; asked once a millisecond.
+    /// because the serial line has the same frames; called once a millisecond.
     pub fn is_busy(&mut self) -> bool {
-        if !self.on_the_bus || self.is_empty(SERVICE_MAILBOX) {
+        if !self.on_the_bus || self.is_mailbox_empty(SHARED_MAILBOX) {
             self.waited = 0;
             return false;
         }
         self.waited = self.waited.saturating_add(1);
-        self.waited <= PATIENCE
+        self.waited <= MAX_MAILBOX_WAITS
     }
 
     /// Hands over a frame, in the place of an older one with its identifier that still waits.
@@ -202,27 +202,27 @@ impl CanOut {
         if !self.on_the_bus {
             return;
         }
-        self.look();
-        let mailbox = mailbox_of(frame.id());
-        if !self.is_empty(mailbox) && !self.withdraw(mailbox) {
-            self.note_late(frame.id());
+        self.update_worst_state();
+        let mailbox = select_mailbox(frame.id());
+        if !self.is_mailbox_empty(mailbox) && !self.abort_mailbox(mailbox) {
+            self.count_late_frame(frame.id());
             return;
         }
-        write(self.can.tx(usize::from(mailbox)), frame);
+        write_mailbox(self.can.tx(usize::from(mailbox)), frame);
     }
 
-    /// Returns how the controller has been on its bus since this was last asked, at its worst: bus-off lasts for
+    /// Returns how the controller has been on its bus since the last call, at its worst: bus-off lasts for
     /// 1.4 ms only, and comes again. A controller that was never meant to join is well.
-    pub fn state(&mut self) -> CanState {
+    pub fn take_worst_state(&mut self) -> CanErrorState {
         if self.on_the_bus {
-            self.look();
+            self.update_worst_state();
         }
         core::mem::take(&mut self.worst)
     }
 
     /// Section 32.9.2, ESR. A controller that was commanded to join and has not left its initialisation sees no
     /// quiet bus: a dominant one, by a short or a dead transceiver.
-    fn look(&mut self) {
+    fn update_worst_state(&mut self) {
         let errors = self.can.esr().read();
         let outside = self.can.msr().read().inak().bit_is_set();
         self.worst.warning |= errors.ewgf().bit_is_set();
@@ -230,20 +230,20 @@ impl CanOut {
         self.worst.off |= errors.boff().bit_is_set() || outside;
     }
 
-    fn is_empty(&self, mailbox: u8) -> bool {
+    fn is_mailbox_empty(&self, mailbox: u8) -> bool {
         self.can.tsr().read().tme(mailbox).bit_is_set()
     }
 
-    fn withdraw(&mut self, mailbox: u8) -> bool {
+    fn abort_mailbox(&mut self, mailbox: u8) -> bool {
         self.can.tsr().write(|w| match mailbox {
             0 => w.abrq0().set_bit(),
             1 => w.abrq1().set_bit(),
             _ => w.abrq2().set_bit(),
         });
-        within(WITHDRAW_POLLS, || self.is_empty(mailbox))
+        poll_until(MAX_ABORT_POLLS, || self.is_mailbox_empty(mailbox))
     }
 
-    fn note_late(&mut self, id: u16) {
+    fn count_late_frame(&mut self, id: u16) {
         self.late = self.late.saturating_add(1);
         // A bus without another node must not fill the log.
         if self.late.is_power_of_two() {
@@ -253,20 +253,20 @@ impl CanOut {
 }
 
 /// Of whatever is no offset.
-const SERVICE_MAILBOX: u8 = 2;
+const SHARED_MAILBOX: u8 = 2;
 
 /// `OffsetXY` and `OffsetZ` have a mailbox each, the heartbeat shares the third with whatever else
 /// is sent seldom. Of two that wait, the lower identifier goes first.
-fn mailbox_of(id: u16) -> u8 {
+fn select_mailbox(id: u16) -> u8 {
     match id {
         OFFSET_XY_ID => 0,
         OFFSET_Z_ID => 1,
-        _ => SERVICE_MAILBOX,
+        _ => SHARED_MAILBOX,
     }
 }
 
 #[allow(unsafe_code, reason = "registers of the CAN controller")]
-fn write(mailbox: &can1::TX, frame: &Frame) {
+fn write_mailbox(mailbox: &can1::TX, frame: &Frame) {
     let [a, b, c, d, e, f, g, h] = *frame.data();
     // SAFETY: a `Frame` has a length of 0…8 and an identifier of 11 bits. The mailbox is empty.
     mailbox.tdtr().write(|w| unsafe { w.dlc().bits(frame.len()) });

@@ -28,14 +28,14 @@ use stm32f4xx_hal::{
 };
 
 use super::{
-    crash_record::{self, Core, StopReason},
+    crash_record::{self, CoreRegisters, StopReason},
     crystal,
-    stopwatch::{self, soon},
+    stopwatch::{self, poll_with_timeout},
 };
 
 /// Clock source of the core.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub enum Source {
+pub enum ClockSource {
     /// 168 MHz from the crystal.
     Crystal {
         /// Its rate as measured, one of those known.
@@ -48,30 +48,30 @@ pub enum Source {
 }
 
 /// Core cycles in a millisecond while the chip still runs from its internal oscillator at 16 MHz.
-const MILLISECOND: u32 = 16_000;
+const CYCLES_PER_MS: u32 = 16_000;
 /// A crystal starts in about 2 ms (data sheet, HSE oscillator characteristics): ten times that.
-const CRYSTAL_TIME: u32 = 20 * MILLISECOND;
+const CRYSTAL_TIMEOUT_CYCLES: u32 = 20 * CYCLES_PER_MS;
 /// The PLL locks in at most 300 µs (data sheet, main PLL characteristics): ten times that.
-const PLL_TIME: u32 = 3 * MILLISECOND;
+const PLL_TIMEOUT_CYCLES: u32 = 3 * CYCLES_PER_MS;
 
 /// Starts the best clock there is, and says which. SysTick measures the time until then.
-pub fn start(rcc: RCC, timer: &TIM11, flash: &FLASH, systick: &mut SYST) -> (Rcc, Source) {
+pub fn start(rcc: RCC, timer: &TIM11, flash: &FLASH, systick: &mut SYST) -> (Rcc, ClockSource) {
     stopwatch::start(systick);
-    back_to_reset(&rcc);
-    let source = best_source(&rcc, timer);
-    let rcc = rcc.freeze(configuration(source));
+    reset_clock_tree(&rcc);
+    let source = select_clock_source(&rcc, timer);
+    let rcc = rcc.freeze(clock_config(source));
     // The HAL has switched it on. The errata of the F40x name it as noise in the converter, and the
     // caches hold what matters.
     flash.acr().modify(|_, w| w.prften().clear_bit());
     match source {
-        Source::Crystal { mhz } => {
+        ClockSource::Crystal { mhz } => {
             rcc.cr().modify(|_, w| w.csson().on());
             defmt::info!("clock: 168 MHz from the crystal of {} MHz", mhz);
         }
-        Source::InternalThroughPll => {
+        ClockSource::InternalThroughPll => {
             defmt::error!("clock: 144 MHz from the internal oscillator, CAN stays silent");
         }
-        Source::Internal => {
+        ClockSource::Internal => {
             defmt::error!("clock: 16 MHz from the internal oscillator, CAN stays silent");
         }
     }
@@ -80,21 +80,21 @@ pub fn start(rcc: RCC, timer: &TIM11, flash: &FLASH, systick: &mut SYST) -> (Rcc
 
 /// The clock tree as a reset leaves it. After a loader ("leave", "go") the image starts in the loader's
 /// state: on a PLL of its own, whose settings cannot be changed while it runs.
-fn back_to_reset(rcc: &RCC) {
+fn reset_clock_tree(rcc: &RCC) {
     rcc.cr().modify(|_, w| w.hsion().on());
-    soon(PLL_TIME, || rcc.cr().read().hsirdy().bit_is_set());
+    poll_with_timeout(PLL_TIMEOUT_CYCLES, || rcc.cr().read().hsirdy().bit_is_set());
     rcc.cfgr().modify(|_, w| w.sw().hsi());
-    soon(PLL_TIME, || rcc.cfgr().read().sws().is_hsi());
+    poll_with_timeout(PLL_TIMEOUT_CYCLES, || rcc.cfgr().read().sws().is_hsi());
     rcc.cfgr().reset();
     rcc.cr().modify(|_, w| w.pllon().off().csson().off());
-    soon(PLL_TIME, || rcc.cr().read().pllrdy().bit_is_clear());
+    poll_with_timeout(PLL_TIMEOUT_CYCLES, || rcc.cr().read().pllrdy().bit_is_clear());
     rcc.cr().modify(|_, w| w.hseon().off().hsebyp().clear_bit());
 }
 
-fn best_source(rcc: &RCC, timer: &TIM11) -> Source {
-    if crystal_starts(rcc) {
-        match crystal::measure(rcc, timer) {
-            Some(mhz) if pll_locks(rcc, Some(mhz)) => return Source::Crystal { mhz },
+fn select_clock_source(rcc: &RCC, timer: &TIM11) -> ClockSource {
+    if start_crystal(rcc) {
+        match crystal::measure_crystal_mhz(rcc, timer) {
+            Some(mhz) if try_pll_lock(rcc, Some(mhz)) => return ClockSource::Crystal { mhz },
             Some(_) => defmt::error!("dead: PLL on the crystal"),
             None => defmt::error!("dead: crystal, its rate is none that is known"),
         }
@@ -103,21 +103,21 @@ fn best_source(rcc: &RCC, timer: &TIM11) -> Source {
     }
     // Off, lest it come to life behind the back of the board.
     rcc.cr().modify(|_, w| w.hseon().off());
-    if pll_locks(rcc, None) {
-        return Source::InternalThroughPll;
+    if try_pll_lock(rcc, None) {
+        return ClockSource::InternalThroughPll;
     }
     defmt::error!("dead: PLL");
-    Source::Internal
+    ClockSource::Internal
 }
 
-fn crystal_starts(rcc: &RCC) -> bool {
+fn start_crystal(rcc: &RCC) -> bool {
     rcc.cr().modify(|_, w| w.hseon().on());
-    soon(CRYSTAL_TIME, || rcc.cr().read().hserdy().bit_is_set())
+    poll_with_timeout(CRYSTAL_TIMEOUT_CYCLES, || rcc.cr().read().hserdy().bit_is_set())
 }
 
 /// Tries the PLL on its later settings, and leaves it off, because the HAL sets it up anew.
 #[allow(unsafe_code, reason = "registers of the clock tree")]
-fn pll_locks(rcc: &RCC, crystal_mhz: Option<u32>) -> bool {
+fn try_pll_lock(rcc: &RCC, crystal_mhz: Option<u32>) -> bool {
     // 2 MHz times 168 or 144, by 2 (the reset value of P); from 25 MHz 1 MHz times 336.
     let (input_divider, factor) = match crystal_mhz {
         Some(mhz) if mhz % 2 == 0 => (mhz / 2, 168),
@@ -130,32 +130,32 @@ fn pll_locks(rcc: &RCC, crystal_mhz: Option<u32>) -> bool {
         w.pllp().div2().pllsrc().bit(crystal_mhz.is_some())
     });
     rcc.cr().modify(|_, w| w.pllon().on());
-    let locks = soon(PLL_TIME, || rcc.cr().read().pllrdy().bit_is_set());
+    let locks = poll_with_timeout(PLL_TIMEOUT_CYCLES, || rcc.cr().read().pllrdy().bit_is_set());
     rcc.cr().modify(|_, w| w.pllon().off());
     // Its settings are locked until it has stopped.
-    locks && soon(PLL_TIME, || rcc.cr().read().pllrdy().bit_is_clear())
+    locks && poll_with_timeout(PLL_TIMEOUT_CYCLES, || rcc.cr().read().pllrdy().bit_is_clear())
 }
 
-fn configuration(source: Source) -> Config {
+fn clock_config(source: ClockSource) -> Config {
     // The buses at a quarter and at half of the core's rate, 42 and 84 MHz at the most; 42 MHz on APB1 is
     // what CAN's bit timing counts on.
     let with = |config: Config, core: u32| {
         config.sysclk(core.MHz()).hclk(core.MHz()).pclk1((core / 4).MHz()).pclk2((core / 2).MHz())
     };
     match source {
-        Source::Crystal { mhz } => with(Config::hse(mhz.MHz()), 168),
-        Source::InternalThroughPll => with(Config::hsi(), 144),
-        Source::Internal => Config::hsi(),
+        ClockSource::Crystal { mhz } => with(Config::hse(mhz.MHz()), 168),
+        ClockSource::InternalThroughPll => with(Config::hsi(), 144),
+        ClockSource::Internal => Config::hsi(),
     }
 }
 
 /// The crystal has stopped: a record for the next start. Nothing is logged: the NMI may have come in the midst of a
 /// log.
 // SAFETY: "unsafe" is how cortex-m-rt marks a handler that critical sections do not hold off; this
-// one writes a record that nobody else writes any more.
+// one writes a record that no other code writes any more.
 #[cortex_m_rt::exception]
 #[allow(unsafe_code, reason = "registers of the clock tree")]
 unsafe fn NonMaskableInt() -> ! {
-    crash_record::leave(StopReason::Crystal, Core::default(), None);
+    crash_record::write(StopReason::Crystal, CoreRegisters::default(), None);
     SCB::sys_reset()
 }

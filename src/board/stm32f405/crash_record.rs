@@ -1,5 +1,5 @@
-//! Record that a start which ends badly leaves to the next one: why, and where, in RAM that a reset leaves as it
-//! is and the start does not clear.
+//! Record that a start which ends badly leaves to the next one: why, and where, in RAM that a reset leaves
+//! unchanged and the start does not clear.
 //!
 //! A log is lost where no probe listens, and a watchdog's reset says nothing. So a panic, a hard fault,
 //! a crystal that stops and a register that has changed write a record before they reset; the next start reads it once.
@@ -10,21 +10,21 @@ use core::{
     sync::atomic::{AtomicU32, Ordering, fence},
 };
 
-use trueup_node::start::{FILE, Stop};
+use trueup_node::reset_info::{CrashInfo, MAX_FILE_NAME_BYTES};
 
 use crate::liveness;
 
 /// Words of a record: kind, four numbers, the place's line, its file in six words, the task, and the checksum.
-const WORDS: usize = 14;
+const RECORD_WORDS: usize = 14;
 /// The checksum of nothing but zeros: so that cleared RAM is no record.
-const SEED: u32 = 0x7472_7565;
+const CHECKSUM_SEED: u32 = 0x7472_7565;
 
 #[unsafe(link_section = ".uninit.crash_record")]
 #[allow(unsafe_code, reason = "a place in RAM that the start leaves as it is")]
-static RECORD: MaybeUninit<[AtomicU32; WORDS]> = MaybeUninit::uninit();
+static RECORD: MaybeUninit<[AtomicU32; RECORD_WORDS]> = MaybeUninit::uninit();
 
 #[allow(unsafe_code, reason = "a place in RAM that the start leaves as it is")]
-fn record() -> &'static [AtomicU32; WORDS] {
+fn record_words() -> &'static [AtomicU32; RECORD_WORDS] {
     // SAFETY: any bits are a value of these.
     unsafe { RECORD.assume_init_ref() }
 }
@@ -47,7 +47,7 @@ pub enum StopReason {
 
 /// Where the core was: program counter, link register, fault status and address.
 #[derive(Clone, Copy, Default, defmt::Format)]
-pub struct Core {
+pub struct CoreRegisters {
     pub pc: u32,
     pub lr: u32,
     /// CFSR, as in the Armv7-M manual, B3.2.15.
@@ -59,14 +59,14 @@ pub struct Core {
 /// The record that was left.
 pub struct CrashRecord {
     pub why: StopReason,
-    pub stop: Stop,
+    pub stop: CrashInfo,
 }
 
 impl CrashRecord {
     /// Into the log.
-    pub fn report(&self) {
-        let Stop { pc, lr, status, address, line, task, .. } = self.stop;
-        let file = core::str::from_utf8(self.stop.file()).unwrap_or_default();
+    pub fn log(&self) {
+        let CrashInfo { pc, lr, status, address, line, task, .. } = self.stop;
+        let file = core::str::from_utf8(self.stop.file_name()).unwrap_or_default();
         defmt::error!(
             "the last start ended by {}: {=str}:{=u32}, pc {=u32:#x}, lr {=u32:#x}, CFSR {=u32:#x}, address {=u32:#x}, task {=u8}",
             self.why,
@@ -82,21 +82,21 @@ impl CrashRecord {
 }
 
 fn checksum(words: &[u32]) -> u32 {
-    words.iter().fold(SEED, |sum, word| sum.rotate_left(5) ^ word)
+    words.iter().fold(CHECKSUM_SEED, |sum, word| sum.rotate_left(5) ^ word)
 }
 
 /// Leaves a record to the next start. The first of a start stays: what fails after it, fails because of it.
-pub fn leave(why: StopReason, core: Core, place: Option<&core::panic::Location<'_>>) {
+pub fn write(why: StopReason, core: CoreRegisters, place: Option<&core::panic::Location<'_>>) {
     if read().is_some() {
         return;
     }
-    let mut words = [0; WORDS];
+    let mut words = [0; RECORD_WORDS];
     words[0] = why as u32;
     words[1..5].copy_from_slice(&[core.pc, core.lr, core.status, core.address]);
     if let Some(place) = place {
         words[5] = place.line();
         // Its end.
-        let mut file = [0; FILE];
+        let mut file = [0; MAX_FILE_NAME_BYTES];
         for (kept, byte) in file.iter_mut().rev().zip(place.file().bytes().rev()) {
             *kept = byte;
         }
@@ -104,17 +104,18 @@ pub fn leave(why: StopReason, core: Core, place: Option<&core::panic::Location<'
             *word = u32::from_le_bytes(*bytes);
         }
     }
-    words[WORDS - 2] = liveness::mark().into();
-    words[WORDS - 1] = checksum(&words[..WORDS - 1]);
-    for (place, word) in record().iter().zip(words) {
+    words[RECORD_WORDS - 2] = liveness::last_running_task().into();
+    words[RECORD_WORDS - 1] = checksum(&words[..RECORD_WORDS - 1]);
+    for (place, word) in record_words().iter().zip(words) {
         place.store(word, Ordering::Relaxed);
     }
     fence(Ordering::SeqCst);
 }
 
 fn read() -> Option<CrashRecord> {
-    let words: [u32; WORDS] = core::array::from_fn(|n| record()[n].load(Ordering::Relaxed));
-    if words[WORDS - 1] != checksum(&words[..WORDS - 1]) {
+    let words: [u32; RECORD_WORDS] =
+        core::array::from_fn(|n| record_words()[n].load(Ordering::Relaxed));
+    if words[RECORD_WORDS - 1] != checksum(&words[..RECORD_WORDS - 1]) {
         return None;
     }
     let why = match words[0] {
@@ -125,18 +126,18 @@ fn read() -> Option<CrashRecord> {
         5 => StopReason::Registers,
         _ => return None,
     };
-    let mut file = [0; FILE];
+    let mut file = [0; MAX_FILE_NAME_BYTES];
     for (bytes, word) in file.as_chunks_mut().0.iter_mut().zip(&words[6..]) {
         *bytes = word.to_le_bytes();
     }
     let [_, pc, lr, status, address, line, ..] = words;
-    let [task, ..] = words[WORDS - 2].to_le_bytes();
-    Some(CrashRecord { why, stop: Stop { pc, lr, status, address, line, file, task } })
+    let [task, ..] = words[RECORD_WORDS - 2].to_le_bytes();
+    Some(CrashRecord { why, stop: CrashInfo { pc, lr, status, address, line, file, task } })
 }
 
 /// Returns what the last start has left, once.
 pub fn take() -> Option<CrashRecord> {
     let words = read();
-    record().iter().for_each(|place| place.store(0, Ordering::Relaxed));
+    record_words().iter().for_each(|place| place.store(0, Ordering::Relaxed));
     words
 }

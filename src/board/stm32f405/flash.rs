@@ -19,21 +19,21 @@ use embedded_storage::nor_flash::{
 };
 use stm32f4xx_hal::pac::{FLASH, flash::cr::PSIZE};
 
-use super::{MILLISECOND, mpu, watchdog, within};
+use super::{CYCLES_PER_MS, mpu, poll_until, watchdog};
 
 /// Where sector 8 begins.
-const START: usize = 0x0808_0000;
+const STORE_START_ADDRESS: usize = 0x0808_0000;
 const FIRST_SECTOR: u8 = 8;
 const SECTOR_SIZE: usize = 128 * 1024;
-const SECTORS: usize = 2;
+const SECTOR_COUNT: usize = 2;
 /// The two keys that unlock the control register (section 3.6.1).
-const UNLOCK: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
+const UNLOCK_KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 /// PGSERR, PGPERR, PGAERR, WRPERR, OPERR and EOP.
-const ERRORS: u32 = 0xF3;
+const CLEARABLE_FLAGS: u32 = 0xF3;
 /// A word needs 100 µs at most; this is about 1 ms.
-const WRITE_POLLS: u32 = 16_384;
+const MAX_WRITE_POLLS: u32 = 16_384;
 /// Milliseconds that an erase may take, twice what the data sheet says.
-const ERASE_MS: u32 = 4_000;
+const ERASE_TIMEOUT_MS: u32 = 4_000;
 /// Two of the sectors, as one memory.
 pub struct Flash {
     controller: FLASH,
@@ -54,12 +54,12 @@ impl Flash {
         }
         [
             Self { controller, sector: FIRST_SECTOR },
-            Self { controller: second, sector: FIRST_SECTOR + SECTORS as u8 },
+            Self { controller: second, sector: FIRST_SECTOR + SECTOR_COUNT as u8 },
         ]
     }
 
-    fn start(&self) -> usize {
-        START + usize::from(self.sector - FIRST_SECTOR) * SECTOR_SIZE
+    fn start_address(&self) -> usize {
+        STORE_START_ADDRESS + usize::from(self.sector - FIRST_SECTOR) * SECTOR_SIZE
     }
 
     /// Returns what is stored there, in place.
@@ -67,25 +67,30 @@ impl Flash {
     /// # Safety
     /// It is neither written nor erased from now on.
     #[allow(unsafe_code, reason = "registers and words of the flash")]
-    pub unsafe fn mapped(&self, offset: u32, length: usize) -> &'static [u8] {
+    pub unsafe fn mapped_slice(&self, offset: u32, length: usize) -> &'static [u8] {
         let end = offset as usize + length;
-        assert!(end <= SECTORS * SECTOR_SIZE, "within the two sectors");
-        // SAFETY: flash that is there, and stays as it is, as the caller promises.
-        unsafe { slice::from_raw_parts((self.start() + offset as usize) as *const u8, length) }
+        assert!(end <= SECTOR_COUNT * SECTOR_SIZE, "within the two sectors");
+        // SAFETY: flash that is there, and stays unchanged, as the caller promises.
+        unsafe {
+            slice::from_raw_parts((self.start_address() + offset as usize) as *const u8, length)
+        }
     }
 
     /// Does `work` with the controller unlocked and without old errors.
-    fn unlocked(&mut self, work: impl FnOnce(&FLASH) -> bool) -> Result<(), NorFlashErrorKind> {
+    fn with_unlocked(
+        &mut self,
+        work: impl FnOnce(&FLASH) -> bool,
+    ) -> Result<(), NorFlashErrorKind> {
         let flash = &self.controller;
-        if !within(WRITE_POLLS, || is_idle(flash)) {
+        if !poll_until(MAX_WRITE_POLLS, || is_idle(flash)) {
             return Err(NorFlashErrorKind::Other);
         }
-        for key in UNLOCK {
+        for key in UNLOCK_KEYS {
             flash.keyr().write(|w| w.key().set(key));
         }
         clear_errors(flash);
         let done = flash.cr().read().lock().bit_is_clear()
-            && mpu::with_store(|| work(flash))
+            && mpu::with_store_writable(|| work(flash))
             && !has_failed(flash);
         // Its reset value: locked, and nothing asked.
         flash.cr().reset();
@@ -98,7 +103,7 @@ impl Flash {
 #[allow(unsafe_code, reason = "registers and words of the flash")]
 fn clear_errors(flash: &FLASH) {
     // SAFETY: the flags of the register, and no other bit.
-    flash.sr().write(|w| unsafe { w.bits(ERRORS) });
+    flash.sr().write(|w| unsafe { w.bits(CLEARABLE_FLAGS) });
 }
 
 fn is_idle(flash: &FLASH) -> bool {
@@ -126,9 +131,9 @@ impl ReadNorFlash for Flash {
     #[allow(unsafe_code, reason = "registers and words of the flash")]
     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Self::Error> {
         check_read(self, offset, bytes.len())?;
-        let words = (self.start() + offset as usize) as *const u32;
+        let words = (self.start_address() + offset as usize) as *const u32;
         for (n, place) in bytes.as_chunks_mut().0.iter_mut().enumerate() {
-            // SAFETY: a whole word of the two sectors, as was just checked, and nobody has a
+            // SAFETY: a whole word of the two sectors, as was just checked, and no code has a
             // reference to them. Volatile, because it changes without the compiler's knowledge.
             *place = unsafe { ptr::read_volatile(words.add(n)) }.to_le_bytes();
         }
@@ -136,7 +141,7 @@ impl ReadNorFlash for Flash {
     }
 
     fn capacity(&self) -> usize {
-        SECTORS * SECTOR_SIZE
+        SECTOR_COUNT * SECTOR_SIZE
     }
 }
 
@@ -148,8 +153,8 @@ impl NorFlash for Flash {
     #[allow(unsafe_code, reason = "registers and words of the flash")]
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Self::Error> {
         check_write(self, offset, bytes.len())?;
-        let words = (self.start() + offset as usize) as *mut u32;
-        self.unlocked(|flash| {
+        let words = (self.start_address() + offset as usize) as *mut u32;
+        self.with_unlocked(|flash| {
             // Not `write`, which begins with the reset value, and that locks.
             flash.cr().modify(|_, w| w.psize().variant(PSIZE::Psize32).pg().set_bit());
             bytes.as_chunks().0.iter().enumerate().all(|(n, word)| {
@@ -159,7 +164,7 @@ impl NorFlash for Flash {
                 unsafe { ptr::write_volatile(words.add(n), u32::from_le_bytes(*word)) };
                 // The word has left the core before its end is waited for (section 3.6.4).
                 cortex_m::asm::dsb();
-                within(WRITE_POLLS, || is_idle(flash))
+                poll_until(MAX_WRITE_POLLS, || is_idle(flash))
             })
         })
     }
@@ -171,30 +176,30 @@ impl NorFlash for Flash {
         let end = to as usize / SECTOR_SIZE;
         let own = self.sector;
         let erase = |flash: &FLASH| {
-            let erased = (own..).take(SECTORS).take(end).skip(first).all(|sector| {
+            let erased = (own..).take(SECTOR_COUNT).take(end).skip(first).all(|sector| {
                 // SAFETY: 8 to 11 are sectors of this chip, and none holds the image.
                 flash.cr().modify(|_, w| unsafe {
                     w.psize().variant(PSIZE::Psize32).ser().set_bit().snb().bits(sector)
                 });
                 flash.cr().modify(|_, w| w.strt().set_bit());
-                within(ERASE_MS, || {
+                poll_until(ERASE_TIMEOUT_MS, || {
                     let idle = is_idle(flash);
                     if !idle {
-                        cortex_m::asm::delay(MILLISECOND);
+                        cortex_m::asm::delay(CYCLES_PER_MS);
                     }
                     idle
                 })
             });
-            forget_cached(flash);
+            reset_data_cache(flash);
             erased
         };
-        watchdog::while_erasing(|| self.unlocked(erase))
+        watchdog::with_erase_timeout(|| self.with_unlocked(erase))
     }
 }
 
 /// Empties the data cache, whose values of an erased sector are old; it is off meanwhile (section
 /// 3.6.4). After programming, the cache follows by itself.
-fn forget_cached(flash: &FLASH) {
+fn reset_data_cache(flash: &FLASH) {
     flash.acr().modify(|_, w| w.dcen().clear_bit());
     flash.acr().modify(|_, w| w.dcrst().set_bit());
     flash.acr().modify(|_, w| w.dcrst().clear_bit());

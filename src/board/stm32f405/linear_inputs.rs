@@ -19,26 +19,26 @@ use stm32f4xx_hal::{
     pac::{ADC2, DMA2, adc1::smpr1::SMP10 as Cycles},
     rcc::{Enable, Rcc},
 };
-use trueup_core::{calibration::Mains, thermometer::Raw};
+use trueup_core::{calibration::MainsFrequency, thermometer::RawReading};
 
-use super::{super::TEMPERATURES, within};
+use super::{super::TEMPERATURE_CHANNEL_COUNT, poll_until};
 
 /// Codes of a channel in whole periods of the mains.
-const fn codes(mains: Mains) -> usize {
+const fn codes_per_channel(mains: MainsFrequency) -> usize {
     match mains {
-        Mains::Hz50 => 50,
-        Mains::Hz60 => MAX_CODES,
+        MainsFrequency::Hz50 => 50,
+        MainsFrequency::Hz60 => MAX_CODES_PER_CHANNEL,
     }
 }
 /// The most of them that the ring has room for.
-const MAX_CODES: usize = 125;
+const MAX_CODES_PER_CHANNEL: usize = 125;
 /// A stream stops within one transfer, far less than a microsecond; this is some ten.
-const STOP_POLLS: u32 = 200;
+const MAX_STOP_POLLS: u32 = 200;
 
 /// Buffer that the DMA writes: channel 0 to 7, and again. Atomic, so that the compiler expects the values to
 /// change by themselves; in the SRAM of the bus matrix, which the DMA reaches.
-static RING: [AtomicU16; MAX_CODES * TEMPERATURES] =
-    [const { AtomicU16::new(0) }; MAX_CODES * TEMPERATURES];
+static DMA_BUFFER: [AtomicU16; MAX_CODES_PER_CHANNEL * TEMPERATURE_CHANNEL_COUNT] =
+    [const { AtomicU16::new(0) }; MAX_CODES_PER_CHANNEL * TEMPERATURE_CHANNEL_COUNT];
 
 /// Where the channels come in.
 pub type Pins = (PA1, PA2, PA3, PA4, PA5, PA6, PA7, PB0);
@@ -53,7 +53,13 @@ pub struct LinearInputs {
 
 /// Sets it up and starts it; the clock of DMA2 is on, and what the converters share is set up.
 #[allow(unsafe_code, reason = "registers of the DMA, channels of the converter")]
-pub fn start(adc: ADC2, pins: Pins, sampling: Cycles, mains: Mains, rcc: &mut Rcc) -> LinearInputs {
+pub fn start(
+    adc: ADC2,
+    pins: Pins,
+    sampling: Cycles,
+    mains: MainsFrequency,
+    rcc: &mut Rcc,
+) -> LinearInputs {
     pins.0.into_analog();
     pins.1.into_analog();
     pins.2.into_analog();
@@ -69,7 +75,7 @@ pub fn start(adc: ADC2, pins: Pins, sampling: Cycles, mains: Mains, rcc: &mut Rc
         w.smp4().variant(sampling).smp5().variant(sampling).smp6().variant(sampling);
         w.smp7().variant(sampling).smp8().variant(sampling)
     });
-    adc.sqr1().write(|w| w.l().set(TEMPERATURES as u8 - 1));
+    adc.sqr1().write(|w| w.l().set(TEMPERATURE_CHANNEL_COUNT as u8 - 1));
     // SAFETY: channels 1 to 8, in this order, five bits each.
     unsafe {
         adc.sqr2().write(|w| w.bits(7 | 8 << 5));
@@ -78,15 +84,15 @@ pub fn start(adc: ADC2, pins: Pins, sampling: Cycles, mains: Mains, rcc: &mut Rc
     adc.cr1().write(|w| w.scan().enabled().discen().enabled());
     // SAFETY: of the registers that the streams share, only flags are written, each its own.
     let dma = unsafe { DMA2::steal() };
-    let mut inputs = LinearInputs { adc, dma, codes: codes(mains) };
+    let mut inputs = LinearInputs { adc, dma, codes: codes_per_channel(mains) };
     inputs.restart();
     inputs
 }
 
 impl LinearInputs {
-    /// Returns what all channels deliver: the mean of the last 20 or 50 ms. [`Raw::NONE`] where the ring has not gone
+    /// Returns what all channels deliver: the mean of the last 20 or 50 ms. [`RawReading::NONE`] where the ring has not gone
     /// round since the last time; then it is started anew.
-    pub fn take(&mut self) -> [Raw; TEMPERATURES] {
+    pub fn read_means(&mut self) -> [RawReading; TEMPERATURE_CHANNEL_COUNT] {
         let status = self.dma.lisr().read();
         let is_round = status.tcif3().is_complete();
         let failed = self.adc.sr().read().ovr().is_overrun()
@@ -95,17 +101,18 @@ impl LinearInputs {
         self.clear_flags();
         if failed || !is_round {
             self.restart();
-            return [Raw::NONE; TEMPERATURES];
+            return [RawReading::NONE; TEMPERATURE_CHANNEL_COUNT];
         }
         fence(Ordering::SeqCst);
         core::array::from_fn(|channel| {
-            let codes = RING.iter().skip(channel).step_by(TEMPERATURES).take(self.codes);
+            let codes =
+                DMA_BUFFER.iter().skip(channel).step_by(TEMPERATURE_CHANNEL_COUNT).take(self.codes);
             let sum: u32 = codes.map(|code| u32::from(code.load(Ordering::Relaxed))).sum();
             // In 1/256 counts: at most 4095 · 256.
             let count = self.codes as u32;
             let mean = (sum * 256 + count / 2) / count;
             // 20 bits.
-            Raw(mean.cast_signed())
+            RawReading(mean.cast_signed())
         })
     }
 
@@ -116,16 +123,16 @@ impl LinearInputs {
         self.adc.sr().reset();
         let stream = self.dma.st(3);
         stream.cr().modify(|_, w| w.en().disabled());
-        if !within(STOP_POLLS, || stream.cr().read().en().is_disabled()) {
+        if !poll_until(MAX_STOP_POLLS, || stream.cr().read().en().is_disabled()) {
             return;
         }
         // SAFETY: the stream is off. It will read the data register of the converter and write as many
         // half-words as the ring has; it is static and atomic.
         unsafe {
             stream.par().write(|w| w.pa().bits(self.adc.dr().as_ptr() as u32));
-            stream.m0ar().write(|w| w.m0a().bits(RING.as_ptr() as u32));
+            stream.m0ar().write(|w| w.m0a().bits(DMA_BUFFER.as_ptr() as u32));
         }
-        stream.ndtr().write(|w| w.ndt().set((self.codes * TEMPERATURES) as u16));
+        stream.ndtr().write(|w| w.ndt().set((self.codes * TEMPERATURE_CHANNEL_COUNT) as u16));
         stream.fcr().reset();
         // DMA2 stream 3 channel 1 is ADC2 (section 10.3.3). It waits for the sensor's.
         stream.cr().write(|w| {

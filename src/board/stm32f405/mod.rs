@@ -7,7 +7,7 @@
 //! | PA9, PA10 | serial transmit and receive, 921 600 Bd |
 //! | PB10, PB11, PB12 | RS-485 transmit, receive, and drive: high while the board sends |
 //! | PC8 … PC11, PB5, PB6 | switches of the RS-485 line to ground: address, speed, parity |
-//! | PB7 | service switch to ground: a calibration may ask that nothing is written unless it is closed |
+//! | PB7 | service switch to ground: a calibration may require that nothing is written unless it is closed |
 //! | PB9, PB8 | CAN transmit and receive, to a transceiver |
 //! | PB13, PB14, PB15 | SCK, MISO, MOSI of the temperature converters |
 //! | PC0 … PC7 | select the converter of channel 0 … 7: low |
@@ -26,15 +26,15 @@ mod crash_record;
 mod crystal;
 mod flash;
 mod identity;
-mod image;
+mod image_check;
 mod linear_inputs;
 mod mpu;
 #[cfg(feature = "slots")]
 mod own_slot;
 mod panic;
 mod ram_test;
-mod registers;
-mod resets;
+mod register_check;
+mod reset_counts;
 mod rs485;
 mod sampling;
 mod self_test;
@@ -44,11 +44,11 @@ mod service_switch;
 #[cfg(feature = "slots")]
 #[path = "../../bin/boot/flash.rs"]
 mod slot_flash;
-mod stack;
+mod stack_watermark;
 mod status_led;
 mod stopwatch;
 mod store;
-mod stored;
+mod stored_data;
 mod thermometers;
 mod watchdog;
 
@@ -57,31 +57,31 @@ use defmt_rtt as _;
 use stm32f4xx_hal::{
     pac,
     prelude::*,
-    rcc::{Enable as _, Reset as _},
+    rcc::{Enable as _, Rcc, Reset as _},
 };
 
-use super::{Buffer, Faults, Parts, reset_ram};
+use super::{CalibrationBuffer, Parts, StartupFaults, retained_ram};
 use crate::liveness::{self, Task};
-pub use backup::Backup;
+pub use backup::BackupDomain;
 pub use brown_out::BrownOut;
 pub use can::{CanIn, CanOut};
-use clocks::Source;
+use clocks::ClockSource;
 pub use flash::Flash;
 #[cfg(feature = "slots")]
 pub use own_slot::OwnSlot;
-pub use rs485::{Rs485, Silence};
+pub use rs485::{Rs485, SilenceTimer};
 pub use sampling::Samples;
 pub use self_test::SelfTest;
 pub use serial::{SerialIn, SerialOut};
 pub use service_switch::ServiceSwitch;
-pub use status_led::Lamp;
+pub use status_led::StatusLed;
 pub use store::Store;
-use stored::Stored;
+use stored_data::StoredData;
 pub use thermometers::Thermometers;
 use trueup_core::thermometer::Thermometer;
 use trueup_link::status::ResetReason;
-use trueup_node::start::{Start, Stop};
-use watchdog::Reset;
+use trueup_node::reset_info::{CrashInfo, ResetInfo};
+use watchdog::ResetCause;
 pub use watchdog::Watchdog;
 
 /// After a power cut it is not known how warm the machine is.
@@ -95,26 +95,26 @@ const SUPERVISOR_HZ: u32 = 100;
 pub fn start(
     mut core: cortex_m::Peripherals,
     device: pac::Peripherals,
-    buffer: &'static mut Buffer,
+    buffer: &'static mut CalibrationBuffer,
 ) -> Parts {
     let mut watchdog = Watchdog::start(device.IWDG, &device.DBGMCU);
-    let reset = watchdog::last_reset(&device.RCC);
+    let reset = watchdog::take_reset_cause(&device.RCC);
     defmt::info!("reset by {}", reset);
-    let began = start_of(reset);
-    mpu::protect(&core.MPU);
+    let began = describe_start(reset);
+    mpu::enable(&core.MPU);
     trap_divisions_by_zero(&core.SCB);
     let (mut rcc, source) = clocks::start(device.RCC, &device.TIM11, &device.FLASH, &mut core.SYST);
-    if source == Source::Internal {
-        watchdog.slow_down();
+    if source == ClockSource::Internal {
+        watchdog.set_slow_clock_timeout();
     }
     watchdog.feed();
-    let mut brown_out = BrownOut::look(reset);
+    let mut brown_out = BrownOut::new(reset);
     keep_debugger_connected(&device.DBGMCU);
 
-    let stored = Stored::open(device.FLASH, buffer, &mut watchdog);
+    let stored = StoredData::open(device.FLASH, buffer, &mut watchdog);
     if stored.is_new {
-        // Nobody waits for a new board.
-        brown_out.raise(&mut watchdog);
+        // A new board has no user who waits for its start.
+        brown_out.raise_level(&mut watchdog);
     }
 
     let gpioa = device.GPIOA.split(&mut rcc);
@@ -124,8 +124,7 @@ pub fn start(
     let self_test = SelfTest::start(device.CRC, &mut rcc);
     watchdog.feed();
     // Before any of its streams: the converter's and the serial line's.
-    pac::DMA2::enable(&mut rcc);
-    pac::DMA2::reset(&mut rcc);
+    enable_dma2(&mut rcc);
     let (serial_in, serial_out) = serial::start(device.USART1, gpioa.pa9, gpioa.pa10, &mut rcc);
     let plc_pins = rs485::Pins {
         transmit: gpiob.pb10,
@@ -142,27 +141,28 @@ pub fn start(
         (gpioc.pc0, gpioc.pc1, gpioc.pc2, gpioc.pc3, gpioc.pc4, gpioc.pc5, gpioc.pc6, gpioc.pc7);
     let known = stored.calibration.as_ref().map(|it| it.thermometers).unwrap_or_default();
     let mains = stored.calibration.as_ref().map(|it| it.guards.mains).unwrap_or_default();
-    let plan = sampling::Plan::at(rcc.clocks.pclk2().raw());
+    let plan = sampling::SamplingTiming::from_bus_clock(rcc.clocks.pclk2().raw());
     let bus = (gpiob.pb13, gpiob.pb14, gpiob.pb15);
     let mut thermometers = thermometers::start(device.SPI2, bus, selects, known, mains, &mut rcc);
-    let chain = sampling::Chain {
+    let chain = sampling::SamplingChain {
         tim3: device.TIM3,
         tim2: device.TIM2,
         adc: device.ADC1,
         dma: device.DMA2,
     };
     // Before samples are taken: its registers take 0.3 ms, by which the first tick would be late.
-    watchdog.tighten();
+    watchdog.set_run_timeout();
     let samples = sampling::start(chain, gpioa.pa0, &device.ADC_COMMON, &mut rcc);
     // After the first converter's, because a reset is for all of them.
     if known.iter().flatten().any(|it| matches!(it, Thermometer::Linear { .. })) {
         let pins = (
             gpioa.pa1, gpioa.pa2, gpioa.pa3, gpioa.pa4, gpioa.pa5, gpioa.pa6, gpioa.pa7, gpiob.pb0,
         );
-        let inputs = linear_inputs::start(device.ADC2, pins, plan.others(), mains, &mut rcc);
-        thermometers.set_linear(inputs);
+        let sampling_time = plan.auxiliary_sampling_time();
+        let inputs = linear_inputs::start(device.ADC2, pins, sampling_time, mains, &mut rcc);
+        thermometers.set_linear_inputs(inputs);
     }
-    let serial_number = identity::hash(&device.DBGMCU);
+    let serial_number = identity::hashed_serial_number(&device.DBGMCU);
     start_supervisor_clock(&mut core.SYST, rcc.clocks.hclk().raw());
     Parts {
         samples,
@@ -171,36 +171,48 @@ pub fn start(
         plc,
         can_in,
         can_out,
-        lamp: Lamp::new(gpioc.pc12),
+        lamp: StatusLed::new(gpioc.pc12),
         idle: Idle,
         thermometers,
         service_switch: ServiceSwitch::new(gpiob.pb7),
         calibration: stored.calibration,
         references: stored.references,
-        faults: faults(source, can_answers, reset, began.reason),
+        faults: startup_faults(source, can_answers, reset, began.reason),
         blob: stored.blob,
         is_older: stored.is_older,
         is_example: stored.is_example,
-        retained: reset_ram::take(),
-        backup: Backup::start(device.PWR, device.RTC, reset, &mut rcc),
+        retained: retained_ram::take_retained_copies(),
+        backup: BackupDomain::start(device.PWR, device.RTC, reset, &mut rcc),
         loading: Some((buffer, stored.store)),
         watchdog,
         brown_out,
         start: began,
         self_test,
         serial_number,
-        chip: identity::words(&device.DBGMCU),
+        chip: identity::unique_id_words(&device.DBGMCU),
     }
+}
+
+/// Switches on the second DMA controller, and resets it.
+#[inline(always)]
+fn enable_dma2(rcc: &mut Rcc) {
+    pac::DMA2::enable(rcc);
+    pac::DMA2::reset(rcc);
 }
 
 /// Returns the faults of this start.
 #[inline(always)]
-fn faults(source: Source, can_answers: bool, reset: Reset, reason: ResetReason) -> Faults {
-    Faults {
-        crystal: !matches!(source, Source::Crystal { .. }),
-        pll: source == Source::Internal,
+fn startup_faults(
+    source: ClockSource,
+    can_answers: bool,
+    reset: ResetCause,
+    reason: ResetReason,
+) -> StartupFaults {
+    StartupFaults {
+        crystal: !matches!(source, ClockSource::Crystal { .. }),
+        pll: source == ClockSource::Internal,
         can: !can_answers,
-        watchdog_reset: reset == Reset::Watchdog,
+        watchdog_reset: reset == ResetCause::Watchdog,
         stopped: matches!(
             reason,
             ResetReason::Panic
@@ -212,22 +224,24 @@ fn faults(source: Source, can_answers: bool, reset: Reset, reason: ResetReason) 
 }
 
 /// Returns what is known of how the board came to run, before a task of this start leaves its own mark.
-fn start_of(reset: Reset) -> Start {
-    let last_words = crash_record::take().filter(|_| reset != Reset::PowerOn);
-    let reason = watchdog::reason(reset, last_words.as_ref());
+fn describe_start(reset: ResetCause) -> ResetInfo {
+    let last_words = crash_record::take().filter(|_| reset != ResetCause::PowerOn);
+    let reason = watchdog::reset_reason(reset, last_words.as_ref());
     let stop = match &last_words {
         Some(words) => words.stop,
-        // Nobody could leave a record: the one who ran is the one who hung.
-        None if reset == Reset::Watchdog => Stop { task: liveness::mark(), ..Stop::default() },
-        None => Stop::default(),
+        // No task could leave a record: the one that ran is the one that hung.
+        None if reset == ResetCause::Watchdog => {
+            CrashInfo { task: liveness::last_running_task(), ..CrashInfo::default() }
+        }
+        None => CrashInfo::default(),
     };
     if let Some(words) = &last_words {
-        words.report();
+        words.log();
     } else if stop.task != 0 {
         defmt::error!("the watchdog bit in task {=u8}", stop.task);
     }
-    liveness::stay(Task::Start);
-    Start { reason, stop, counts: resets::count(reason) }
+    liveness::set_background_task(Task::Start);
+    ResetInfo { reason, stop, counts: reset_counts::count_reset(reason) }
 }
 
 /// A division by zero is a fault, and not 0 (Armv7-M manual, B3.2.8, DIV_0_TRP).
@@ -253,10 +267,10 @@ fn keep_debugger_connected(dbgmcu: &pac::DBGMCU) {
 }
 
 /// Core cycles in a millisecond at the full clock; a slower clock only waits longer.
-const MILLISECOND: u32 = 168_000;
+const CYCLES_PER_MS: u32 = 168_000;
 
 /// Returns whether `ready` came true within `polls` polls: the only way to wait on this board.
-fn within(polls: u32, mut ready: impl FnMut() -> bool) -> bool {
+fn poll_until(polls: u32, mut ready: impl FnMut() -> bool) -> bool {
     (0..polls).any(|_| ready())
 }
 
@@ -272,7 +286,7 @@ pub struct Idle;
 impl Idle {
     /// Sleeps until the next interrupt; timers, converter and DMA go on.
     pub fn run(&mut self) -> ! {
-        liveness::stay(Task::Idle);
+        liveness::set_background_task(Task::Idle);
         loop {
             liveness::heartbeat(Task::Idle);
             cortex_m::asm::wfi();

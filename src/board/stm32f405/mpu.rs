@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | 0x0000_0000, 128 MB | nothing | a null pointer is no memory |
 //! | flash, the image | read and run | the image is never written |
-//! | flash, the store | read | nothing but [`with_store`] writes to it |
+//! | flash, the store | read | nothing but [`with_store_writable`] writes to it |
 //! | flash, the other firmware slot, its records | read | nothing but an update writes to it |
 //! | RAM | read and written | data are never run |
 //! | 8 KB below the stack | nothing | a stack that overflows stops before it reaches a variable |
@@ -20,31 +20,37 @@ use cortex_m::{
 };
 
 /// The guard below the stack: below [`STACK`], and above all variables (`guard.x`).
-pub const GUARD: Range<u32> = 0x2000_A000..0x2000_C000;
+pub const STACK_GUARD: Range<u32> = 0x2000_A000..0x2000_C000;
 /// The stack; in a slot its last 16 bytes are what the boot program hands over.
 pub const STACK: Range<u32> = 0x2000_C000..0x2002_0000;
 
 /// Region of the store.
-const STORE: Region =
-    Region { number: 2, start: 0x0808_0000, log2_size: 19, attributes: READ | NO_RUN };
+const STORE_REGION: Region =
+    Region { number: 2, start: 0x0808_0000, log2_size: 19, attributes: READ_ONLY | EXECUTE_NEVER };
 const REGIONS: [Region; 5] = [
-    Region { number: 0, start: 0, log2_size: 27, attributes: NO_RUN },
-    Region { number: 1, start: 0x0800_0000, log2_size: 20, attributes: READ },
-    STORE,
-    Region { number: 3, start: 0x2000_0000, log2_size: 17, attributes: WRITE | NO_RUN | SHAREABLE },
-    Region { number: 4, start: GUARD.start, log2_size: 13, attributes: NO_RUN },
+    Region { number: 0, start: 0, log2_size: 27, attributes: EXECUTE_NEVER },
+    Region { number: 1, start: 0x0800_0000, log2_size: 20, attributes: READ_ONLY },
+    STORE_REGION,
+    Region {
+        number: 3,
+        start: 0x2000_0000,
+        log2_size: 17,
+        attributes: READ_WRITE | EXECUTE_NEVER | SHAREABLE,
+    },
+    Region { number: 4, start: STACK_GUARD.start, log2_size: 13, attributes: EXECUTE_NEVER },
 ];
-const _: () = assert!(GUARD.end - GUARD.start == 1 << 13 && GUARD.end == STACK.start);
+const _: () =
+    assert!(STACK_GUARD.end - STACK_GUARD.start == 1 << 13 && STACK_GUARD.end == STACK.start);
 
 /// AP 6: read by everybody; C: as flash is cached.
-const READ: u32 = 6 << 24 | 1 << 17;
+const READ_ONLY: u32 = 6 << 24 | 1 << 17;
 /// AP 1: read and written by privileged code, which all of this is.
-const WRITE: u32 = 1 << 24 | 1 << 17;
+const READ_WRITE: u32 = 1 << 24 | 1 << 17;
 const SHAREABLE: u32 = 1 << 18;
 /// XN.
-const NO_RUN: u32 = 1 << 28;
+const EXECUTE_NEVER: u32 = 1 << 28;
 /// ENABLE and PRIVDEFENA.
-const ON: u32 = 1 | 1 << 2;
+const ENABLE_BITS: u32 = 1 | 1 << 2;
 
 struct Region {
     number: u32,
@@ -57,7 +63,7 @@ struct Region {
 impl Region {
     /// Sets it at once: what comes next is held to it.
     #[allow(unsafe_code, reason = "registers of the core")]
-    fn set(&self, mpu: &RegisterBlock) {
+    fn apply(&self, mpu: &RegisterBlock) {
         // SAFETY: the regions leave every task what it uses; the start of this one is aligned to its size.
         unsafe {
             mpu.rbar.write(self.start | 1 << 4 | self.number);
@@ -70,62 +76,65 @@ impl Region {
 
 /// Switches it on.
 #[allow(unsafe_code, reason = "registers of the core")]
-pub fn protect(mpu: &MPU) {
-    REGIONS.iter().for_each(|region| region.set(mpu));
+pub fn enable(mpu: &MPU) {
+    REGIONS.iter().for_each(|region| region.apply(mpu));
     // SAFETY: as above.
-    unsafe { mpu.ctrl.write(ON) };
+    unsafe { mpu.ctrl.write(ENABLE_BITS) };
     asm::dsb();
     asm::isb();
 }
 
 /// The records of the firmware slots: sectors 2 and 3.
 #[cfg(feature = "slots")]
-const RECORDS: Region = Region {
+const SLOT_RECORDS_REGION: Region = Region {
     number: 5,
-    start: trueup_boot::layout::RECORDS_START,
+    start: trueup_boot::flash_layout::RECORDS_START,
     log2_size: 15,
-    attributes: READ | NO_RUN,
+    attributes: READ_ONLY | EXECUTE_NEVER,
 };
 
 /// Does `work`, which may write to the records of the firmware slots.
 #[cfg(feature = "slots")]
 #[allow(unsafe_code, reason = "registers of the core")]
-pub fn with_records<R>(work: impl FnOnce() -> R) -> R {
+pub fn with_records_writable<R>(work: impl FnOnce() -> R) -> R {
     // SAFETY: as for the store: this region is changed only here, and by one task.
     let mpu = unsafe { &*MPU::PTR };
-    Region { attributes: WRITE | NO_RUN, ..RECORDS }.set(mpu);
+    Region { attributes: READ_WRITE | EXECUTE_NEVER, ..SLOT_RECORDS_REGION }.apply(mpu);
     let result = work();
-    RECORDS.set(mpu);
+    SLOT_RECORDS_REGION.apply(mpu);
     result
 }
 
 /// Does `work`, which may write to the slot that does not run, and to the records.
 #[cfg(feature = "slots")]
 #[allow(unsafe_code, reason = "registers of the core")]
-pub fn with_slot<R>(spare: trueup_boot::layout::Slot, work: impl FnOnce() -> R) -> R {
-    use trueup_boot::layout::{FLASH_START, Slot};
+pub fn with_slot_writable<R>(
+    spare: trueup_boot::flash_layout::Slot,
+    work: impl FnOnce() -> R,
+) -> R {
+    use trueup_boot::flash_layout::{FLASH_START, Slot};
     /// Eighths of 32 KB that do not belong to the region: boot program and records lie below slot A.
-    const WITHOUT_BOOT: u32 = 0b11 << 8;
+    const BOOT_SUBREGIONS_DISABLED: u32 = 0b11 << 8;
     let (start, without) = match spare {
-        Slot::A => (FLASH_START, WITHOUT_BOOT),
+        Slot::A => (FLASH_START, BOOT_SUBREGIONS_DISABLED),
         Slot::B => (Slot::B.start(), 0),
     };
     let slot = |attributes| Region { number: 6, start, log2_size: 18, attributes };
     // SAFETY: as for the store; nothing that runs lies in this slot.
     let mpu = unsafe { &*MPU::PTR };
-    slot(WRITE | NO_RUN | without).set(mpu);
-    let result = with_records(work);
-    slot(READ | NO_RUN | without).set(mpu);
+    slot(READ_WRITE | EXECUTE_NEVER | without).apply(mpu);
+    let result = with_records_writable(work);
+    slot(READ_ONLY | EXECUTE_NEVER | without).apply(mpu);
     result
 }
 
 /// Does `work`, which may write to the store.
 #[allow(unsafe_code, reason = "registers of the core")]
-pub fn with_store<R>(work: impl FnOnce() -> R) -> R {
+pub fn with_store_writable<R>(work: impl FnOnce() -> R) -> R {
     // SAFETY: after the start only the region of the store is changed, only here, and by one task.
     let mpu = unsafe { &*MPU::PTR };
-    Region { attributes: WRITE | NO_RUN, ..STORE }.set(mpu);
+    Region { attributes: READ_WRITE | EXECUTE_NEVER, ..STORE_REGION }.apply(mpu);
     let result = work();
-    STORE.set(mpu);
+    STORE_REGION.apply(mpu);
     result
 }

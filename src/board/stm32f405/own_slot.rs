@@ -15,41 +15,43 @@ use core::ptr::{read_volatile, write_volatile};
 
 use stm32f4xx_hal::pac::FLASH;
 use trueup_boot::{
-    handover::{Choice, WORDS},
+    boot_state::ImageStatus,
+    flash_layout::{HANDOVER_START, Slot},
+    handover::{StartInfo, WORD_COUNT},
     header::{HEADER_SIZE, Version},
-    inspect::{Defect, Image, read_header},
+    image_check::{Image, ImageDefect, read_header},
     journal::Journal,
-    key::PublicKey,
-    layout::{HANDOVER_START, Slot},
-    record::Status,
-    refusal::Refusal,
-    update::{Update, UpdateError, announce, confirm, slot_at},
+    public_key::PublicKey,
+    refusal::RefusalReason,
+    update::{Update, UpdateError, announce_reset, confirm, slot_at},
 };
-use trueup_canopen::dictionary::FIRMWARE_HEADER;
+use trueup_canopen::dictionary::FIRMWARE_HEADER_BYTES;
 use trueup_core::cnc::Quality;
-use trueup_node::node::firmware::{Piece, Slots, Step};
+use trueup_node::node::firmware::{FirmwareChunk, SlotStates, UpdateStep};
 
 use super::{mpu, slot_flash, watchdog::Watchdog};
 
 /// The key of updates.
-static KEY: &[u8; 32] = include_bytes!(concat!(env!("OUT_DIR"), "/key.bin"));
+static PUBLIC_KEY: &[u8; 32] = include_bytes!(concat!(env!("OUT_DIR"), "/key.bin"));
 
-const _: () =
-    assert!(HEADER_SIZE == FIRMWARE_HEADER, "one header, for the boot program and on the wire");
+const _: () = assert!(
+    HEADER_SIZE == FIRMWARE_HEADER_BYTES,
+    "one header, for the boot program and on the wire"
+);
 
 /// Milliseconds of offsets in a row that confirm an image.
-const HEALTHY_MS: u32 = 60_000;
+const CONFIRM_TIME_MS: u32 = 60_000;
 
 /// Bytes of the boot program, if this image is one whole to be flashed.
-const BOOT: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/boot.bin"));
+const BOOT_IMAGE: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/boot.bin"));
 
 /// The boot program in front of the slots.
 #[used]
 #[unsafe(link_section = ".boot")]
 #[allow(unsafe_code, reason = "a place of its own")]
-static BOOT_PROGRAM: [u8; BOOT.len()] = {
-    let mut bytes = [0; BOOT.len()];
-    bytes.copy_from_slice(BOOT);
+static BOOT_PROGRAM: [u8; BOOT_IMAGE.len()] = {
+    let mut bytes = [0; BOOT_IMAGE.len()];
+    bytes.copy_from_slice(BOOT_IMAGE);
     bytes
 };
 
@@ -66,12 +68,12 @@ pub struct OwnSlot {
     slots: slot_flash::Slots,
     update: Option<Update>,
     /// Bytes of it on their way from the node.
-    pub piece: Piece,
+    pub piece: FirmwareChunk,
     /// `None`: it has no header, as after a probe without one.
     image: Option<Image>,
     healthy_ms: u32,
     /// Why the boot program chose this image; `None`: it has not handed it over.
-    choice: Option<Choice>,
+    choice: Option<StartInfo>,
 }
 
 impl OwnSlot {
@@ -85,60 +87,78 @@ impl OwnSlot {
         let image = read_header(&mut slots, slot, Version::default()).ok();
         let journal = Journal::open(records);
         let handed = take_handover();
-        let choice = image.and_then(|image| Choice::take_over(handed, image.tag));
+        let choice = image.and_then(|image| StartInfo::from_words(handed, image.tag));
         match &image {
             Some(image) => {
                 let status = journal.state().status(slot, image.tag);
-                let is_confirmed = status == Status::Confirmed;
+                let is_confirmed = status == ImageStatus::Confirmed;
                 defmt::info!("slot {=str}, confirmed: {=bool}", slot.name(), is_confirmed);
             }
             None => defmt::warn!("the slot of this image has no header"),
         }
-        Self { journal, slots, update: None, piece: Piece::new(), image, healthy_ms: 0, choice }
+        Self {
+            journal,
+            slots,
+            update: None,
+            piece: FirmwareChunk::new(),
+            image,
+            healthy_ms: 0,
+            choice,
+        }
     }
 
     /// Returns the state of both slots; `None`: this image has no header, so nothing can be loaded next to it.
-    pub fn state(&mut self) -> Option<Slots> {
+    pub fn state(&mut self) -> Option<SlotStates> {
         let running = self.image?.header.slot.number();
         let state = self.journal.state();
-        let [a, b] = Slot::BOTH.map(|slot| {
+        let [a, b] = Slot::ALL.map(|slot| {
             let image = read_header(&mut self.slots, slot, Version::default()).ok()?;
             Some((image.header.version.0, state.status(slot, image.tag).encode()))
         });
         let [(version_a, a), (version_b, b)] = [a, b].map(Option::unwrap_or_default);
         let floor = state.floor.0;
-        let choice = self.choice.map_or(0, Choice::encode);
-        Some(Slots { running, versions: [version_a, version_b], status: [a, b], floor, choice })
+        let choice = self.choice.map_or(0, StartInfo::encode);
+        Some(SlotStates {
+            running,
+            versions: [version_a, version_b],
+            status: [a, b],
+            floor,
+            choice,
+        })
     }
 
     /// Does a step of an update, with the bytes of [`Self::piece`]; an error is the number of the refusal.
-    pub fn update(&mut self, step: Step, watchdog: &mut Watchdog) -> Result<(), u8> {
-        let Some(running) = self.image else { return Err(Refusal::NoSlots.number()) };
+    pub fn perform_update_step(
+        &mut self,
+        step: UpdateStep,
+        watchdog: &mut Watchdog,
+    ) -> Result<(), u8> {
+        let Some(running) = self.image else { return Err(RefusalReason::NoSlots.number()) };
         let spare = running.header.slot.other();
-        let done = mpu::with_slot(spare, || match step {
+        let done = mpu::with_slot_writable(spare, || match step {
             // An erase takes longer than the watchdog waits.
-            Step::Begin => watchdog.loosened(|| {
+            UpdateStep::Begin => watchdog.with_extended_timeout(|| {
                 let begun = self.begin(&running);
-                self.make_room();
+                self.ensure_record_space();
                 begun
             }),
-            Step::Write => self.write(),
-            Step::Finish => watchdog.loosened(|| {
+            UpdateStep::Write => self.append_piece(),
+            UpdateStep::Finish => watchdog.with_extended_timeout(|| {
                 let finished = self.finish();
-                self.make_room();
+                self.ensure_record_space();
                 finished
             }),
         });
         done.map_err(|error| {
             defmt::error!("update refused: {}", defmt::Display2Format(&error));
             self.update = None;
-            Refusal::from(error).number()
+            RefusalReason::from(error).number()
         })
     }
 
     /// Erases a sector of the records now, at rest, where too little room is left for what comes while offsets are followed: a
     /// confirmation. That one must not erase, for it would stop the core for longer than the watchdog waits.
-    fn make_room(&mut self) {
+    fn ensure_record_space(&mut self) {
         if self.journal.settle().is_err() {
             defmt::error!("the records of the firmware slots take nothing more");
         }
@@ -153,40 +173,40 @@ impl OwnSlot {
         Ok(())
     }
 
-    fn write(&mut self) -> Result<(), UpdateError> {
+    fn append_piece(&mut self) -> Result<(), UpdateError> {
         self.update.as_mut().ok_or(UpdateError::Length)?.append(&mut self.slots, &self.piece)
     }
 
     fn finish(&mut self) -> Result<(), UpdateError> {
         let update = self.update.take().ok_or(UpdateError::Length)?;
-        let key = PublicKey::new(KEY).ok_or(UpdateError::Defect(Defect::Signature))?;
+        let key = PublicKey::new(PUBLIC_KEY).ok_or(UpdateError::Defect(ImageDefect::Signature))?;
         update.finish(&mut self.journal, &mut self.slots, &key, || ())?;
         defmt::info!("update is whole and signed: it starts next");
         Ok(())
     }
 
     /// A turn of the supervisor.
-    pub fn turn(&mut self, quality: Quality, elapsed_ms: u32) {
+    pub fn update_confirmation(&mut self, quality: Quality, elapsed_ms: u32) {
         let Some(image) = self.image else { return };
         let is_healthy =
             matches!(quality, Quality::Live | Quality::TemperatureModel | Quality::WarmUpModel);
         self.healthy_ms = if is_healthy { self.healthy_ms.saturating_add(elapsed_ms) } else { 0 };
         let status = self.journal.state().status(image.header.slot, image.tag);
-        if self.healthy_ms < HEALTHY_MS || status == Status::Confirmed {
+        if self.healthy_ms < CONFIRM_TIME_MS || status == ImageStatus::Confirmed {
             return;
         }
         self.healthy_ms = 0;
-        if mpu::with_records(|| confirm(&mut self.journal, &image)).is_ok() {
+        if mpu::with_records_writable(|| confirm(&mut self.journal, &image)).is_ok() {
             defmt::info!("this image is confirmed");
         } else {
             defmt::error!("the image is NOT confirmed: the flash does not take its state");
         }
     }
 
-    /// A reset that was asked for is no failure of the image.
-    pub fn announce(&mut self) {
+    /// A requested reset is no failure of the image.
+    pub fn announce_reset(&mut self) {
         let Some(image) = self.image else { return };
-        if mpu::with_records(|| announce(&mut self.journal, &image)).is_err() {
+        if mpu::with_records_writable(|| announce_reset(&mut self.journal, &image)).is_err() {
             defmt::error!("the reset is not announced: on trial it counts as a failure");
         }
     }
@@ -194,8 +214,8 @@ impl OwnSlot {
 
 /// Returns the words that the boot program has handed over, and clears them.
 #[allow(unsafe_code, reason = "words that both programs know by their address")]
-fn take_handover() -> [u32; WORDS] {
-    let mut words = [0; WORDS];
+fn take_handover() -> [u32; WORD_COUNT] {
+    let mut words = [0; WORD_COUNT];
     for (at, word) in (HANDOVER_START..).step_by(4).zip(&mut words) {
         let place = at as *mut u32;
         // SAFETY: an aligned word of the RAM above the stack, which nothing else of this image uses.

@@ -2,7 +2,7 @@
 //!
 //! Nothing in the image is meant to end so. If it does, the state of the tasks is not to be
 //! trusted, and starting anew is quicker and safer than any repair: the CNC sees a short silence
-//! and "not available". The reset is asked for rather than left to the watchdog, which would wait.
+//! and "not available". The reset is requested rather than left to the watchdog, which would wait.
 
 use core::{
     panic::PanicInfo,
@@ -13,18 +13,18 @@ use cortex_m::{asm, interrupt, peripheral::SCB};
 use cortex_m_rt::ExceptionFrame;
 
 use super::{
-    crash_record::{self, Core, StopReason},
+    crash_record::{self, CoreRegisters, StopReason},
     mpu,
 };
 
 /// About 20 ms at the full clock: a probe gets the log out before the reset clears it. Well below the
 /// watchdog at either limit of its oscillator.
-const TIME_TO_READ: u32 = 1_680_000;
+const LOG_FLUSH_CYCLES: u32 = 1_680_000;
 
 /// MMARVALID, BFARVALID, and MSTKERR with STKERR (Armv7-M manual, B3.2.15).
-const MEMORY_ADDRESS_VALID: u32 = 1 << 7;
+const MMARVALID: u32 = 1 << 7;
 const BUS_ADDRESS_VALID: u32 = 1 << 15;
-const NOT_STACKED: u32 = 1 << 4 | 1 << 12;
+const STACKING_ERROR: u32 = 1 << 4 | 1 << 12;
 
 #[panic_handler]
 fn panic(info: &PanicInfo) -> ! {
@@ -33,12 +33,12 @@ fn panic(info: &PanicInfo) -> ! {
     interrupt::disable();
     // A panic inside the logger would panic again here, for ever.
     if !PANICKED.swap(true, Ordering::Relaxed) {
-        crash_record::leave(StopReason::Panic, Core::default(), info.location());
+        crash_record::write(StopReason::Panic, CoreRegisters::default(), info.location());
         // The place and not the words: these would bring the formatting of `core` into the image.
         if let Some(place) = info.location() {
             defmt::error!("panic at {=str}:{=u32}", place.file(), place.line());
         }
-        asm::delay(TIME_TO_READ);
+        asm::delay(LOG_FLUSH_CYCLES);
     }
     SCB::sys_reset()
 }
@@ -47,7 +47,7 @@ fn panic(info: &PanicInfo) -> ! {
 /// forbids. These come as hard faults, because no handler of their own is switched on.
 /// Nothing is logged: the fault may have come in the midst of a log.
 // SAFETY: "unsafe" is how cortex-m-rt marks a handler that critical sections do not hold off; this
-// one writes a record that nobody else writes any more.
+// one writes a record that no other code writes any more.
 #[cortex_m_rt::exception]
 #[allow(unsafe_code, reason = "registers of the core")]
 unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
@@ -57,17 +57,17 @@ unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
         (scb.cfsr.read(), scb.mmfar.read(), scb.bfar.read())
     };
     let address = match status {
-        _ if status & MEMORY_ADDRESS_VALID != 0 => memory,
+        _ if status & MMARVALID != 0 => memory,
         _ if status & BUS_ADDRESS_VALID != 0 => bus,
         _ => 0,
     };
-    let why = if status & NOT_STACKED != 0 || mpu::GUARD.contains(&address) {
+    let why = if status & STACKING_ERROR != 0 || mpu::STACK_GUARD.contains(&address) {
         StopReason::StackOverflow
     } else {
         StopReason::HardFault
     };
     // What was not stacked is not there.
-    let (pc, lr) = if status & NOT_STACKED == 0 { (frame.pc(), frame.lr()) } else { (0, 0) };
-    crash_record::leave(why, Core { pc, lr, status, address }, None);
+    let (pc, lr) = if status & STACKING_ERROR == 0 { (frame.pc(), frame.lr()) } else { (0, 0) };
+    crash_record::write(why, CoreRegisters { pc, lr, status, address }, None);
     SCB::sys_reset()
 }

@@ -24,16 +24,16 @@ use core::{
 };
 
 /// Content of the RAM after the test, until it is written.
-pub const PAINT: u32 = 0xCCCC_CCCC;
+pub const STACK_PAINT_PATTERN: u32 = 0xCCCC_CCCC;
 
 /// An address that failed, to 16 bytes; 0: none did.
 #[unsafe(link_section = ".uninit.ram_test")]
-static FAILED: MaybeUninit<AtomicU32> = MaybeUninit::uninit();
+static FAILED_ADDRESS: MaybeUninit<AtomicU32> = MaybeUninit::uninit();
 
 /// Returns an address that failed, to 16 bytes, if one did.
-pub fn failed() -> Option<u32> {
+pub fn failed_address() -> Option<u32> {
     // SAFETY: any bits are a value of it, and the test has written it.
-    let address = unsafe { FAILED.assume_init_ref() }.load(Ordering::Relaxed);
+    let address = unsafe { FAILED_ADDRESS.assume_init_ref() }.load(Ordering::Relaxed);
     (address != 0).then_some(address)
 }
 
@@ -125,6 +125,6 @@ global_asm!(
         bx r3
         .ltorg
     .size __pre_init, . - __pre_init",
-    paint = const PAINT,
-    failed = sym FAILED,
+    paint = const STACK_PAINT_PATTERN,
+    failed = sym FAILED_ADDRESS,
 );

@@ -10,7 +10,7 @@
 //!
 //! A byte comes by interrupt, with its time, because Modbus marks the end of a frame by silence alone: TIM5
 //! counts microseconds and says when 3.5 characters have passed. A byte takes 573 µs, or 95; the interrupt must
-//! come within that. One that is late costs a frame, which the master asks for again.
+//! come within that. One that is late costs a frame, which the master requests again.
 //!
 //! 42, 36 and 16 MHz reach both rates to within 0.16 %.
 
@@ -19,18 +19,18 @@ use stm32f4xx_hal::{
     pac::{TIM5, USART3},
     rcc::{Enable, Rcc, Reset},
 };
-use trueup_modbus::rtu::{RxByte, Timing};
+use trueup_modbus::rtu::{FrameTiming, RxByte};
 
-use super::super::Plc;
+use super::super::PlcInterface;
 
 /// Core cycles after which a pull-up of 40 kΩ has lifted its pin and the wire to its switch, of some 50 pF.
-const SETTLE_CYCLES: u32 = 1_680;
+const PULL_UP_SETTLE_CYCLES: u32 = 1_680;
 
 /// CR2: STOP; CR1: UE, RXNEIE, TE, RE; M; PCE.
 const TWO_STOP_BITS: u32 = 0b10 << 12;
-const RUNS: u32 = (1 << 13) | (1 << 5) | (1 << 3) | (1 << 2);
-const NINE_BITS: u32 = 1 << 12;
-const PARITY: u32 = 1 << 10;
+const UART_ENABLE_BITS: u32 = (1 << 13) | (1 << 5) | (1 << 3) | (1 << 2);
+const WORD_LENGTH_9_BITS: u32 = 1 << 12;
+const PARITY_ENABLE: u32 = 1 << 10;
 
 /// The pins.
 pub struct Pins {
@@ -44,7 +44,7 @@ pub struct Pins {
 }
 
 /// Sets up the line and its clock.
-pub fn start(usart: USART3, timer: TIM5, pins: Pins, rcc: &mut Rcc) -> Plc {
+pub fn start(usart: USART3, timer: TIM5, pins: Pins, rcc: &mut Rcc) -> PlcInterface {
     let rate = pins.rate.into_pull_up_input().erase();
     let parity = pins.parity.into_pull_up_input().erase();
     let address = [
@@ -53,7 +53,7 @@ pub fn start(usart: USART3, timer: TIM5, pins: Pins, rcc: &mut Rcc) -> Plc {
         pins.address.2.into_pull_up_input().erase(),
         pins.address.3.into_pull_up_input().erase(),
     ];
-    cortex_m::asm::delay(SETTLE_CYCLES);
+    cortex_m::asm::delay(PULL_UP_SETTLE_CYCLES);
     let unit = 1 + address.iter().rev().fold(0, |sum, it| sum << 1 | u8::from(it.is_low()));
     let baud = if rate.is_low() { 115_200 } else { 19_200 };
     let has_parity = parity.is_high();
@@ -74,7 +74,10 @@ pub fn start(usart: USART3, timer: TIM5, pins: Pins, rcc: &mut Rcc) -> Plc {
     set(usart.brr().as_ptr(), divider);
     set(usart.cr2().as_ptr(), if has_parity { 0 } else { TWO_STOP_BITS });
     // The parity is the ninth bit of the word.
-    set(usart.cr1().as_ptr(), RUNS | if has_parity { NINE_BITS | PARITY } else { 0 });
+    set(
+        usart.cr1().as_ptr(),
+        UART_ENABLE_BITS | if has_parity { WORD_LENGTH_9_BITS | PARITY_ENABLE } else { 0 },
+    );
 
     TIM5::enable(rcc);
     TIM5::reset(rcc);
@@ -84,10 +87,10 @@ pub fn start(usart: USART3, timer: TIM5, pins: Pins, rcc: &mut Rcc) -> Plc {
     timer.dier().write(|w| w.cc1ie().enabled());
     timer.cr1().write(|w| w.cen().enabled());
 
-    let timing = Timing::at(baud);
+    let timing = FrameTiming::from_baud(baud);
     defmt::info!("Modbus: unit {=u8}, {=u32} Bd, parity {=bool}", unit, baud, has_parity);
     let line = Rs485 { usart, drive, is_sending: false, behind_us: timing.behind_us };
-    Plc { unit, timing, line, silence: Silence(timer) }
+    PlcInterface { unit, timing, line, silence: SilenceTimer(timer) }
 }
 
 /// Microseconds since the start; wraps.
@@ -108,7 +111,7 @@ pub struct Rs485 {
 impl Rs485 {
     /// Takes the byte that came in, with its time. While the board sends it ignores what comes in.
     #[allow(unsafe_code, reason = "a register of the timer")]
-    pub fn take(&mut self) -> Option<RxByte> {
+    pub fn receive_byte(&mut self) -> Option<RxByte> {
         // Read in this order, they clear what is set.
         let status = self.usart.sr().read();
         if status.rxne().bit_is_clear() && status.ore().bit_is_clear() {
@@ -153,9 +156,9 @@ impl Rs485 {
 }
 
 /// When the line has been quiet for 3.5 characters, its interrupt comes.
-pub struct Silence(TIM5);
+pub struct SilenceTimer(TIM5);
 
-impl Silence {
+impl SilenceTimer {
     /// Returns the time; what raised the interrupt is cleared.
     pub fn now_us(&mut self) -> u32 {
         self.0.sr().reset();

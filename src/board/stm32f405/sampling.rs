@@ -38,32 +38,33 @@ use stm32f4xx_hal::{
     rcc::{Enable, Rcc, Reset},
     signature::VrefCal,
 };
-use trueup_core::units::Code;
+use trueup_core::units::AdcCode;
 
 use super::{
-    super::{BLOCK, Block},
-    within,
+    super::{Block, CODES_PER_BLOCK},
+    poll_until,
 };
 
 /// Conversions in one second.
 const SAMPLES_PER_SECOND: u32 = 20_000;
-/// [`BLOCK`] as the DMA counts it.
-const BLOCK_LENGTH: u16 = BLOCK as u16;
+/// [`CODES_PER_BLOCK`] as the DMA counts it.
+const BLOCK_LENGTH: u16 = CODES_PER_BLOCK as u16;
 /// The channel of the internal reference, VREFINT (section 13.3.3).
-const INTERNAL_REFERENCE: u8 = 17;
+const VREFINT_CHANNEL: u8 = 17;
 /// Between the end of the sensor's conversion and the next one, in microseconds.
-const PAUSE_US: u32 = 1;
+const CONVERSION_GAP_US: u32 = 1;
 /// The supply's share of 3.3 V, in thousandths, by which it may differ before the log remarks it.
-const REMARK_PER_MILLE: u32 = 50;
+const SUPPLY_TOLERANCE_PER_MILLE: u32 = 50;
 /// A stream stops within one transfer, far less than a microsecond; this is some ten.
-const STOP_POLLS: u32 = 200;
+const MAX_STOP_POLLS: u32 = 200;
 
 /// Buffers that the DMA writes. Atomic, so that the compiler expects the values to change by themselves;
 /// in the SRAM of the bus matrix, because the DMA does not reach the core-coupled memory.
-static BUFFERS: [[AtomicU16; BLOCK]; 2] = [const { [const { AtomicU16::new(0) }; BLOCK] }; 2];
+static DMA_BUFFERS: [[AtomicU16; CODES_PER_BLOCK]; 2] =
+    [const { [const { AtomicU16::new(0) }; CODES_PER_BLOCK] }; 2];
 
 /// The peripherals that make up the chain.
-pub struct Chain {
+pub struct SamplingChain {
     /// Triggers the converter.
     pub tim3: TIM3,
     /// Counts the triggers.
@@ -75,12 +76,12 @@ pub struct Chain {
 }
 
 /// Sets the chain up, and starts it. The clock of DMA2 is on.
-pub fn start(chain: Chain, pin: PA0, common: &ADC_COMMON, rcc: &mut Rcc) -> Samples {
+pub fn start(chain: SamplingChain, pin: PA0, common: &ADC_COMMON, rcc: &mut Rcc) -> Samples {
     pin.into_analog();
     let timer_hz = rcc.clocks.timclk1().raw();
     let bus_hz = rcc.clocks.pclk2().raw();
-    let plan = Plan::at(bus_hz);
-    set_up_timers(&chain, timer_hz, plan.pause_begins(bus_hz, timer_hz), rcc);
+    let plan = SamplingTiming::from_bus_clock(bus_hz);
+    set_up_timers(&chain, timer_hz, plan.pause_start_count(bus_hz, timer_hz), rcc);
     set_up_converter(&chain.adc, common, &plan, rcc);
     let mut samples = Samples { chain, taken: 0, lost: 0, restarts: 0, remarked: false };
     samples.arm();
@@ -88,7 +89,7 @@ pub fn start(chain: Chain, pin: PA0, common: &ADC_COMMON, rcc: &mut Rcc) -> Samp
 }
 
 /// How the 50 µs are shared.
-pub struct Plan {
+pub struct SamplingTiming {
     divider: ADCPRE,
     /// The clock of APB2 by it.
     divided_by: u32,
@@ -98,10 +99,10 @@ pub struct Plan {
     others: Cycles,
 }
 
-impl Plan {
+impl SamplingTiming {
     /// By the clock of APB2. A quarter of 84 MHz is below the limit of 36 MHz (data sheet, ADC
     /// characteristics), and lets the sensor's pin settle for as long as the converter offers.
-    pub fn at(bus_hz: u32) -> Self {
+    pub fn from_bus_clock(bus_hz: u32) -> Self {
         let (divider, divided_by, sensor, sensor_cycles, others) = match bus_hz {
             84_000_000.. => (ADCPRE::Div4, 4, Cycles::Cycles480, 480, Cycles::Cycles480),
             20_000_000.. => (ADCPRE::Div4, 4, Cycles::Cycles144, 144, Cycles::Cycles480),
@@ -111,22 +112,23 @@ impl Plan {
     }
 
     /// Sampling of what is not the sensor.
-    pub fn others(&self) -> Cycles {
+    pub fn auxiliary_sampling_time(&self) -> Cycles {
         self.others
     }
 
     /// When the sensor's conversion is over, in counts of the timer. A conversion is 12 cycles of
     /// deciding after those of sampling (section 13.5).
-    fn pause_begins(&self, bus_hz: u32, timer_hz: u32) -> u16 {
+    fn pause_start_count(&self, bus_hz: u32, timer_hz: u32) -> u16 {
         let counts_per_cycle = self.divided_by * (timer_hz / bus_hz);
-        let count = (self.sensor_cycles + 12) * counts_per_cycle + timer_hz / 1_000_000 * PAUSE_US;
+        let count =
+            (self.sensor_cycles + 12) * counts_per_cycle + timer_hz / 1_000_000 * CONVERSION_GAP_US;
         let Ok(count) = u16::try_from(count) else { panic!("less than a period of the timer") };
         count
     }
 }
 
 /// 84, 72 and 16 MHz are whole multiples of 20 kHz, so the rate is as exact as the clock.
-fn set_up_timers(chain: &Chain, timer_hz: u32, pause: u16, rcc: &mut Rcc) {
+fn set_up_timers(chain: &SamplingChain, timer_hz: u32, pause: u16, rcc: &mut Rcc) {
     TIM3::enable(rcc);
     TIM3::reset(rcc);
     let Ok(period) = u16::try_from(timer_hz / SAMPLES_PER_SECOND - 1) else {
@@ -150,7 +152,7 @@ fn set_up_timers(chain: &Chain, timer_hz: u32, pause: u16, rcc: &mut Rcc) {
 
 /// One channel, 12 bits, right-aligned; and as injected one VREFINT, which needs its switch and 10 µs.
 #[allow(unsafe_code, reason = "a channel of the converter")]
-fn set_up_converter(adc: &ADC1, common: &ADC_COMMON, plan: &Plan, rcc: &mut Rcc) {
+fn set_up_converter(adc: &ADC1, common: &ADC_COMMON, plan: &SamplingTiming, rcc: &mut Rcc) {
     ADC1::enable(rcc);
     // Resets all three converters.
     ADC1::reset(rcc);
@@ -159,13 +161,13 @@ fn set_up_converter(adc: &ADC1, common: &ADC_COMMON, plan: &Plan, rcc: &mut Rcc)
     adc.smpr1().write(|w| w.smp17().variant(plan.others));
     // Of a sequence of one it is the fourth that counts (section 13.13.12).
     // SAFETY: a channel that the converter has, in the five bits of JSQ4.
-    unsafe { adc.jsqr().write(|w| w.jsq4().bits(INTERNAL_REFERENCE)) };
+    unsafe { adc.jsqr().write(|w| w.jsq4().bits(VREFINT_CHANNEL)) };
     // A regular sequence of one, channel 0, and no scan are what the reset left.
 }
 
 /// Blocks of conversions, one every millisecond.
 pub struct Samples {
-    chain: Chain,
+    chain: SamplingChain,
     /// Triggers up to the end of the last block that was taken.
     taken: u32,
     lost: u32,
@@ -177,7 +179,7 @@ pub struct Samples {
 impl Samples {
     /// Returns the block that is complete. `None`: there is none, or one was lost; then the chain has
     /// been restarted, so that the next block is whole.
-    pub fn take(&mut self) -> Option<Block> {
+    pub fn take_block(&mut self) -> Option<Block> {
         let status = self.chain.dma.lisr().read();
         self.clear_flags();
         let overrun = self.chain.adc.sr().read().ovr().is_overrun();
@@ -185,9 +187,9 @@ impl Samples {
         if !failed && status.tcif0().is_not_complete() {
             return None;
         }
-        let codes = self.copy_complete();
+        let codes = self.copy_complete_buffer();
         if failed || self.is_late() {
-            self.note_loss();
+            self.count_lost_block();
             self.arm();
             return None;
         }
@@ -196,11 +198,11 @@ impl Samples {
     }
 
     /// Returns the last code of the chip's internal reference; `None` before the first.
-    pub fn internal_reference(&mut self) -> Option<Code> {
+    pub fn internal_reference(&mut self) -> Option<AdcCode> {
         let code = self.chain.adc.jdr1().read().jdata().bits();
-        let code = (code != 0).then_some(Code(code))?;
+        let code = (code != 0).then_some(AdcCode(code))?;
         if !core::mem::replace(&mut self.remarked, true) {
-            remark_supply(code);
+            log_supply_deviation(code);
         }
         Some(code)
     }
@@ -216,13 +218,13 @@ impl Samples {
     }
 
     /// Returns the buffer that the DMA is not filling.
-    fn copy_complete(&self) -> [Code; BLOCK] {
+    fn copy_complete_buffer(&self) -> [AdcCode; CODES_PER_BLOCK] {
         let filling_first = self.chain.dma.st(0).cr().read().ct().is_memory0();
-        let complete = &BUFFERS[usize::from(filling_first)];
+        let complete = &DMA_BUFFERS[usize::from(filling_first)];
         // The codes are read after the flag that says they are there, and before the count that
         // says they still were.
         fence(Ordering::SeqCst);
-        let codes = core::array::from_fn(|n| Code(complete[n].load(Ordering::Relaxed)));
+        let codes = core::array::from_fn(|n| AdcCode(complete[n].load(Ordering::Relaxed)));
         fence(Ordering::SeqCst);
         codes
     }
@@ -234,7 +236,7 @@ impl Samples {
         triggers.wrapping_sub(self.taken) >= 2 * u32::from(BLOCK_LENGTH)
     }
 
-    fn note_loss(&mut self) {
+    fn count_lost_block(&mut self) {
         self.lost = self.lost.saturating_add(1);
         // One that comes back every millisecond must not fill the log.
         if self.lost.is_power_of_two() {
@@ -269,14 +271,14 @@ impl Samples {
     fn stop_stream(&mut self) -> bool {
         let stream = self.chain.dma.st(0);
         stream.cr().modify(|_, w| w.en().disabled());
-        within(STOP_POLLS, || stream.cr().read().en().is_disabled())
+        poll_until(MAX_STOP_POLLS, || stream.cr().read().en().is_disabled())
     }
 
     /// DMA2 stream 0 channel 0 is ADC1 (section 10.3.3). The order is that of section 10.3.17.
     #[allow(unsafe_code, reason = "addresses for the DMA")]
     fn start_stream(&mut self) {
         let source = self.chain.adc.dr().as_ptr() as u32;
-        let [first, second] = BUFFERS.each_ref().map(|buffer| buffer.as_ptr() as u32);
+        let [first, second] = DMA_BUFFERS.each_ref().map(|buffer| buffer.as_ptr() as u32);
         let stream = self.chain.dma.st(0);
         // SAFETY: the stream is off. It will read the data register of the ADC and write
         // `BLOCK_LENGTH` half-words to each buffer; both are static, of that size, and atomic.
@@ -307,12 +309,12 @@ impl Samples {
 
 /// Logs the supply by the factory's value, which was taken at 3.3 V (data sheet, VREFINT_CAL): it is no
 /// more than a remark, because a board may be made for another supply.
-fn remark_supply(code: Code) {
+fn log_supply_deviation(code: AdcCode) {
     let factory = u32::from(VrefCal::get().read());
     let millivolts = 3_300 * factory / u32::from(code.0);
-    if factory == 0 || factory >= u32::from(Code::MAX.0) {
+    if factory == 0 || factory >= u32::from(AdcCode::MAX.0) {
         defmt::info!("the chip has no factory value of its internal reference");
-    } else if millivolts.abs_diff(3_300) > 3_300 * REMARK_PER_MILLE / 1_000 {
+    } else if millivolts.abs_diff(3_300) > 3_300 * SUPPLY_TOLERANCE_PER_MILLE / 1_000 {
         defmt::warn!("supply: {=u32} mV by the factory's value, expected 3300", millivolts);
     } else {
         defmt::info!("supply: {=u32} mV by the factory's value", millivolts);

@@ -18,30 +18,30 @@ use stm32f4xx_hal::{
 };
 
 use super::{
-    super::Sent,
-    serial_dma::{Incoming, Outgoing},
-    within,
+    super::TransmitState,
+    poll_until,
+    serial_dma::{RxStream, TxStream},
 };
 
 /// Polls that a byte may take to leave: some 20 times what it needs at 921 600 Bd.
-const SEND_POLLS: u32 = 4_096;
+const MAX_SEND_POLLS: u32 = 4_096;
 /// Milliseconds after which a DMA that has not moved is dead: a byte takes 11 µs.
-const DMA_PATIENCE_MS: u32 = 10;
+const DMA_TIMEOUT_MS: u32 = 10;
 /// Bytes that are polled out in one turn, 0.17 ms of the line: `transmit` and what it holds up wait for that.
-const POLLED_AT_ONCE: usize = 16;
+const MAX_POLLED_BYTES: usize = 16;
 
 /// Polls until what waits has left: 4.2 ms for all that a port and a piece of the DMA hold, less than the watchdog's
 /// patience at 16 MHz.
-const END_POLLS: u32 = 100_000;
+const MAX_FLUSH_POLLS: u32 = 100_000;
 /// Clocks that two bytes need, the one that leaves and the one behind it, at 168 MHz.
-const TWO_BYTES: u32 = 4_000;
+const TWO_BYTE_CYCLES: u32 = 4_000;
 
 /// Waits until the DMA has no more bytes, from a task below those that give it some, and the last have left.
 pub fn wait_until_sent() {
-    let outgoing = Outgoing::new();
-    within(END_POLLS, || !outgoing.is_busy());
+    let outgoing = TxStream::new();
+    poll_until(MAX_FLUSH_POLLS, || !outgoing.is_busy());
     // Not by the flag that says so: it stays from an earlier piece (section 30.3.13).
-    asm::delay(TWO_BYTES);
+    asm::delay(TWO_BYTE_CYCLES);
 }
 
 /// Sets up both directions. The clock of DMA2 is on.
@@ -54,14 +54,14 @@ pub fn start(usart: USART1, tx: PA9, rx: PA10, rcc: &mut Rcc) -> (SerialIn, Seri
         panic!("921 600 Bd is within reach of 84 MHz and of 16 MHz")
     };
     let (tx, rx) = serial.split();
-    let mut serial_in = SerialIn { rx, incoming: Incoming::start(), errors: 0 };
+    let mut serial_in = SerialIn { rx, incoming: RxStream::start(), errors: 0 };
     if serial_in.incoming.is_some() {
-        serial_in.listen_for_pauses();
+        serial_in.enable_idle_interrupt();
     } else {
         defmt::error!("dead: DMA of the serial line, it is polled");
         serial_in.rx.listen();
     }
-    let outgoing = serial_in.incoming.is_some().then(Outgoing::new);
+    let outgoing = serial_in.incoming.is_some().then(TxStream::new);
     (serial_in, SerialOut { tx, outgoing, moved_ms: 0 })
 }
 
@@ -69,7 +69,7 @@ pub fn start(usart: USART1, tx: PA9, rx: PA10, rcc: &mut Rcc) -> (SerialIn, Seri
 pub struct SerialIn {
     rx: Rx1,
     /// `None`: the DMA is dead, and each byte has its interrupt.
-    incoming: Option<Incoming>,
+    incoming: Option<RxStream>,
     errors: u32,
 }
 
@@ -77,17 +77,17 @@ impl SerialIn {
     /// Hands over the bytes that came in. What came damaged or was lost is missing: the checksum of the frame shows it.
     pub fn read(&mut self, take: impl FnMut(u8)) {
         if self.incoming.is_some() {
-            self.take_moved(take);
+            self.read_dma(take);
         } else {
             // Another one raises the interrupt again.
-            self.take_polled().into_iter().for_each(take);
+            self.read_polled().into_iter().for_each(take);
         }
     }
 
     /// An interrupt when the line pauses for a byte's time; the DMA raises its own, half-way and at the
     /// end of its ring.
     #[allow(unsafe_code, reason = "registers of the USART")]
-    fn listen_for_pauses(&mut self) {
+    fn enable_idle_interrupt(&mut self) {
         // SAFETY: the transmitter's bits of these registers are set in one step, before it runs.
         let usart = unsafe { USART1::steal() };
         usart.cr3().modify(|_, w| w.dmar().enabled().dmat().enabled());
@@ -95,7 +95,7 @@ impl SerialIn {
     }
 
     #[allow(unsafe_code, reason = "registers of the USART")]
-    fn take_moved(&mut self, take: impl FnMut(u8)) {
+    fn read_dma(&mut self, take: impl FnMut(u8)) {
         // SAFETY: this side alone reads the status for what came in.
         let usart = unsafe { USART1::steal() };
         let status = usart.sr().read();
@@ -118,7 +118,7 @@ impl SerialIn {
 
     /// Returns the next byte. `None`: there is none, or it came damaged, or the one after it was lost; reading has cleared the
     /// error then.
-    fn take_polled(&mut self) -> Option<u8> {
+    fn read_polled(&mut self) -> Option<u8> {
         match Read::read(&mut self.rx) {
             Ok(byte) => Some(byte),
             Err(nb::Error::WouldBlock) => None,
@@ -144,43 +144,43 @@ impl SerialIn {
 pub struct SerialOut {
     tx: Tx1,
     /// `None`: the DMA is dead, and bytes are polled out.
-    outgoing: Option<Outgoing>,
+    outgoing: Option<TxStream>,
     /// When the DMA last moved, or had nothing to move.
     moved_ms: u32,
 }
 
 impl SerialOut {
     /// Hands over what waits, which `fill` gives a piece at a time; an interrupt comes when there is room
-    /// for more. Where the DMA is dead nothing is taken: it is for [`Self::poll_out`].
-    pub fn send(&mut self, now_ms: u32, fill: impl FnMut(&mut [u8]) -> usize) -> Sent {
-        let Some(outgoing) = &mut self.outgoing else { return Sent::More };
-        if outgoing.is_moving() {
+    /// for more. Where the DMA is dead nothing is taken: it is for [`Self::transmit_polled`].
+    pub fn send(&mut self, now_ms: u32, fill: impl FnMut(&mut [u8]) -> usize) -> TransmitState {
+        let Some(outgoing) = &mut self.outgoing else { return TransmitState::More };
+        if outgoing.is_progressing() {
             self.moved_ms = now_ms;
-            return Sent::Busy;
+            return TransmitState::Busy;
         }
         if outgoing.is_busy() {
-            if now_ms.wrapping_sub(self.moved_ms) > DMA_PATIENCE_MS {
+            if now_ms.wrapping_sub(self.moved_ms) > DMA_TIMEOUT_MS {
                 defmt::error!("dead: DMA of the serial line, bytes go out by polling");
-                for byte in self.outgoing.take().into_iter().flat_map(Outgoing::give_up) {
-                    self.poll(byte);
+                for byte in self.outgoing.take().into_iter().flat_map(TxStream::abort) {
+                    self.write_byte(byte);
                 }
             }
-            return Sent::Busy;
+            return TransmitState::Busy;
         }
         self.moved_ms = now_ms;
-        if outgoing.send(fill) == 0 { Sent::All } else { Sent::Busy }
+        if outgoing.send(fill) == 0 { TransmitState::All } else { TransmitState::Busy }
     }
 
     /// A byte that the transmitter does not take is dropped: a dead one must not hang us.
-    fn poll(&mut self, byte: u8) {
-        let _sent = within(SEND_POLLS, || Write::write(&mut self.tx, byte).is_ok());
+    fn write_byte(&mut self, byte: u8) {
+        let _sent = poll_until(MAX_SEND_POLLS, || Write::write(&mut self.tx, byte).is_ok());
     }
 
     /// Polls out a few of the bytes that wait, one by one, where the DMA is dead.
-    pub fn poll_out(&mut self, mut fill: impl FnMut(&mut [u8]) -> usize) -> Sent {
-        let mut piece = [0; POLLED_AT_ONCE];
+    pub fn transmit_polled(&mut self, mut fill: impl FnMut(&mut [u8]) -> usize) -> TransmitState {
+        let mut piece = [0; MAX_POLLED_BYTES];
         let count = fill(&mut piece);
-        piece[..count].iter().for_each(|byte| self.poll(*byte));
-        if count < POLLED_AT_ONCE { Sent::All } else { Sent::More }
+        piece[..count].iter().for_each(|byte| self.write_byte(*byte));
+        if count < MAX_POLLED_BYTES { TransmitState::All } else { TransmitState::More }
     }
 }

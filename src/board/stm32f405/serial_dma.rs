@@ -9,41 +9,42 @@ use core::sync::atomic::{AtomicU8, AtomicU32, Ordering, fence};
 
 use stm32f4xx_hal::pac::{DMA2, USART1, dma2::ST};
 
-use super::within;
+use super::poll_until;
 
 /// Half of it is 1.39 ms of the line, the time to look.
-const RING: usize = 256;
+const RX_RING_LENGTH: usize = 256;
 /// Bytes that go out in one piece: 1.39 ms of the line.
-const PIECE: usize = 128;
+const TX_BUFFER_LENGTH: usize = 128;
 /// Channel of both streams.
-const CHANNEL: u8 = 4;
+const DMA_CHANNEL: u8 = 4;
 /// A stream stops within one transfer, far less than a microsecond; this is some ten.
-const STOP_POLLS: u32 = 200;
+const MAX_STOP_POLLS: u32 = 200;
 
 /// Memory that the DMA writes and reads. Atomic, so that the compiler expects the values to change by
 /// themselves; in the SRAM of the bus matrix, which the DMA reaches.
-static IN: [AtomicU8; RING] = [const { AtomicU8::new(0) }; RING];
+static RX_BUFFER: [AtomicU8; RX_RING_LENGTH] = [const { AtomicU8::new(0) }; RX_RING_LENGTH];
 /// Words, so that four bytes go in at once.
-static OUT: [AtomicU32; PIECE / 4] = [const { AtomicU32::new(0) }; PIECE / 4];
+static TX_BUFFER: [AtomicU32; TX_BUFFER_LENGTH / 4] =
+    [const { AtomicU32::new(0) }; TX_BUFFER_LENGTH / 4];
 
 #[allow(unsafe_code, reason = "registers of the DMA")]
-fn controller() -> DMA2 {
+fn steal_dma2() -> DMA2 {
     // SAFETY: of the registers that the streams share, only flags are written, each its own.
     unsafe { DMA2::steal() }
 }
 
 /// Where both streams read or write: the data register of the USART.
-fn data_register() -> u32 {
+fn data_register_address() -> u32 {
     USART1::ptr() as u32 + 4
 }
 
-fn stop(stream: &ST) -> bool {
+fn stop_stream(stream: &ST) -> bool {
     stream.cr().modify(|_, w| w.en().disabled());
-    within(STOP_POLLS, || stream.cr().read().en().is_disabled())
+    poll_until(MAX_STOP_POLLS, || stream.cr().read().en().is_disabled())
 }
 
 /// Bytes that come in.
-pub struct Incoming {
+pub struct RxStream {
     dma: DMA2,
     /// Place in the ring of the next byte to be read.
     read: usize,
@@ -51,10 +52,10 @@ pub struct Incoming {
     has_moved: bool,
 }
 
-impl Incoming {
+impl RxStream {
     /// Starts the stream; `None`: there is no DMA.
     pub fn start() -> Option<Self> {
-        let mut incoming = Self { dma: controller(), read: 0, has_moved: true };
+        let mut incoming = Self { dma: steal_dma2(), read: 0, has_moved: true };
         incoming.restart().then_some(incoming)
     }
 
@@ -62,21 +63,21 @@ impl Incoming {
     #[allow(unsafe_code, reason = "addresses for the DMA")]
     pub fn restart(&mut self) -> bool {
         let stream = self.dma.st(2);
-        if !self.has_moved || !stop(stream) {
+        if !self.has_moved || !stop_stream(stream) {
             return false;
         }
         self.has_moved = false;
         self.read = 0;
-        // SAFETY: the stream is off. It will read the data register of the USART and write `RING` bytes,
+        // SAFETY: the stream is off. It will read the data register of the USART and write `RX_RING_LENGTH` bytes,
         // which are static and atomic.
         unsafe {
-            stream.par().write(|w| w.pa().bits(data_register()));
-            stream.m0ar().write(|w| w.m0a().bits(IN.as_ptr() as u32));
+            stream.par().write(|w| w.pa().bits(data_register_address()));
+            stream.m0ar().write(|w| w.m0a().bits(RX_BUFFER.as_ptr() as u32));
         }
-        stream.ndtr().write(|w| w.ndt().set(RING as u16));
+        stream.ndtr().write(|w| w.ndt().set(RX_RING_LENGTH as u16));
         stream.fcr().reset();
         stream.cr().write(|w| {
-            w.chsel().set(CHANNEL).pl().high().dir().peripheral_to_memory();
+            w.chsel().set(DMA_CHANNEL).pl().high().dir().peripheral_to_memory();
             w.psize().bits8().msize().bits8().minc().incremented();
             w.circ().enabled().htie().enabled().tcie().enabled()
         });
@@ -90,7 +91,7 @@ impl Incoming {
         // Before the count is read: an interrupt that comes after it asks again.
         self.clear_flags();
         let left = usize::from(self.dma.st(2).ndtr().read().ndt().bits());
-        let written = (RING - left.min(RING)) % RING;
+        let written = (RX_RING_LENGTH - left.min(RX_RING_LENGTH)) % RX_RING_LENGTH;
         if self.read == written {
             return;
         }
@@ -98,8 +99,8 @@ impl Incoming {
         self.has_moved = true;
         let mut read = self.read;
         while read != written {
-            take(IN[read % RING].load(Ordering::Relaxed));
-            read = (read + 1) % RING;
+            take(RX_BUFFER[read % RX_RING_LENGTH].load(Ordering::Relaxed));
+            read = (read + 1) % RX_RING_LENGTH;
         }
         self.read = read;
     }
@@ -113,7 +114,7 @@ impl Incoming {
 }
 
 /// Bytes that go out.
-pub struct Outgoing {
+pub struct TxStream {
     dma: DMA2,
     /// Bytes of the last piece.
     count: usize,
@@ -121,9 +122,9 @@ pub struct Outgoing {
     left: u16,
 }
 
-impl Outgoing {
+impl TxStream {
     pub fn new() -> Self {
-        Self { dma: controller(), count: 0, left: 0 }
+        Self { dma: steal_dma2(), count: 0, left: 0 }
     }
 
     /// Returns whether a piece is still going out.
@@ -131,8 +132,8 @@ impl Outgoing {
         self.dma.st(7).cr().read().en().is_enabled()
     }
 
-    /// Returns whether a piece is going out, and has moved since this was last asked.
-    pub fn is_moving(&mut self) -> bool {
+    /// Returns whether a piece is going out, and has moved since the last call.
+    pub fn is_progressing(&mut self) -> bool {
         // A flag that stays would raise its interrupt again at once.
         self.clear_flags();
         let left = self.dma.st(7).ndtr().read().ndt().bits();
@@ -142,41 +143,43 @@ impl Outgoing {
     }
 
     /// Gives up, and gives the bytes that have not gone out.
-    pub fn give_up(self) -> impl Iterator<Item = u8> {
+    pub fn abort(self) -> impl Iterator<Item = u8> {
         let left = usize::from(self.dma.st(7).ndtr().read().ndt().bits());
-        stop(self.dma.st(7));
-        // A stream that is switched off says that it is complete (section 10.3.14), and nobody is left who would clear
+        stop_stream(self.dma.st(7));
+        // A stream that is switched off says that it is complete (section 10.3.14), and no code is left that would clear
         // that: its interrupt would come for ever.
         self.dma.st(7).cr().reset();
         self.clear_flags();
-        let bytes = OUT.iter().flat_map(|word| word.load(Ordering::Relaxed).to_le_bytes());
+        let bytes = TX_BUFFER.iter().flat_map(|word| word.load(Ordering::Relaxed).to_le_bytes());
         bytes.take(self.count).skip(self.count.saturating_sub(left))
     }
 
     /// Sends what `fill` puts into the buffer, and gives how much that is. No piece is going out.
+    // A function of its own in the image: its time is bounded by how often a piece leaves (`cargo xtask bounds`).
+    #[inline(never)]
     #[allow(unsafe_code, reason = "addresses for the DMA")]
     pub fn send(&mut self, fill: impl FnOnce(&mut [u8]) -> usize) -> usize {
-        let mut bytes = [0; PIECE];
-        let count = fill(&mut bytes).min(PIECE);
+        let mut bytes = [0; TX_BUFFER_LENGTH];
+        let count = fill(&mut bytes).min(TX_BUFFER_LENGTH);
         if count == 0 {
             return 0;
         }
-        for (place, word) in OUT.iter().zip(bytes.as_chunks().0) {
+        for (place, word) in TX_BUFFER.iter().zip(bytes.as_chunks().0) {
             place.store(u32::from_le_bytes(*word), Ordering::Relaxed);
         }
         let stream = self.dma.st(7);
         // SAFETY: the stream is off. It will read `count` bytes, which are static and atomic, and write
         // the data register of the USART.
         unsafe {
-            stream.par().write(|w| w.pa().bits(data_register()));
-            stream.m0ar().write(|w| w.m0a().bits(OUT.as_ptr() as u32));
+            stream.par().write(|w| w.pa().bits(data_register_address()));
+            stream.m0ar().write(|w| w.m0a().bits(TX_BUFFER.as_ptr() as u32));
         }
         self.count = count;
         self.left = count as u16;
         stream.ndtr().write(|w| w.ndt().set(self.left));
         stream.fcr().reset();
         stream.cr().write(|w| {
-            w.chsel().set(CHANNEL).pl().low().dir().memory_to_peripheral();
+            w.chsel().set(DMA_CHANNEL).pl().low().dir().memory_to_peripheral();
             w.psize().bits8().msize().bits8().minc().incremented().tcie().enabled()
         });
         self.clear_flags();

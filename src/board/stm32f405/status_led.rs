@@ -4,9 +4,9 @@ use embedded_hal::digital::OutputPin;
 use stm32f4xx_hal::gpio::{Output, PC12, PinState};
 
 /// The lamp.
-pub struct Lamp(PC12<Output>);
+pub struct StatusLed(PC12<Output>);
 
-impl Lamp {
+impl StatusLed {
     /// Returns the lamp, dark.
     pub fn new(pin: PC12) -> Self {
         Self(pin.into_push_pull_output_in_state(PinState::High))

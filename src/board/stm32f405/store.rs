@@ -2,13 +2,13 @@
 
 use trueup_store::{
     StoreError,
-    slots::{Found, Slots},
+    calibration_store::{CalibrationStore, ScanResult},
 };
 
 use super::Flash;
 
 /// The store, open.
-pub struct Store(Slots<Flash>);
+pub struct Store(CalibrationStore<Flash>);
 
 impl Store {
     /// Opens it over the image's own calibration, `base`, or over an example, and gives the blob that
@@ -22,8 +22,8 @@ impl Store {
         buffer: &mut [u8],
         mut feed: impl FnMut(),
     ) -> (Self, Option<&'static [u8]>, bool) {
-        let (mut slots, found) = Slots::open(flash, base, buffer);
-        let Found { newest, foreign, damaged, newer_is_damaged } = found;
+        let (mut slots, found) = CalibrationStore::open(flash, base, buffer);
+        let ScanResult { newest, foreign, damaged, newer_is_damaged } = found;
         if foreign > 0 {
             defmt::info!("stored calibrations of other images, not used: {}", foreign);
         }
@@ -31,7 +31,7 @@ impl Store {
             defmt::warn!("stored calibrations that are damaged, refused: {}", damaged);
         }
         feed();
-        match slots.make_room(feed) {
+        match slots.erase_spare_half(feed) {
             Ok(false) => {}
             Ok(true) => defmt::info!("room made for calibrations"),
             Err(error) => defmt::error!("dead: store of calibrations, {}", error),
@@ -40,7 +40,7 @@ impl Store {
             defmt::info!("loaded calibration {} is used", stored.sequence);
             // SAFETY: a slot that holds something is never written again, and the next erase comes
             // before the next time this is called.
-            unsafe { slots.flash().mapped(stored.address, stored.length) }
+            unsafe { slots.flash().mapped_slice(stored.address, stored.length) }
         });
         (Self(slots), loaded, newer_is_damaged)
     }

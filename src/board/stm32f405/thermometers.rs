@@ -23,31 +23,34 @@ use stm32f4xx_hal::{
     spi::Spi,
 };
 use trueup_core::{
-    calibration::Mains,
-    channels::RawTemperatures,
-    thermometer::{Raw, Thermometer},
+    calibration::MainsFrequency,
+    temperature_channels::RawTemperatures,
+    thermometer::{RawReading, Thermometer},
 };
-use trueup_max31865::{Converter, Reading, TURN_MS};
+use trueup_max31865::{Converter, MIN_POLL_PERIOD_MS, Reading};
 
-use super::{super::TEMPERATURES, linear_inputs::LinearInputs, within};
+use super::{super::TEMPERATURE_CHANNEL_COUNT, linear_inputs::LinearInputs, poll_until};
 
 /// Turns in a round: one for each channel, and two that are left over.
-const ROUND: usize = 10;
+const STEPS_PER_ROUND: usize = 10;
 /// Milliseconds between two turns.
-const PERIOD_MS: u32 = 10;
-const _: () = assert!(ROUND > TEMPERATURES && ROUND as u32 * PERIOD_MS >= TURN_MS);
+const STEP_PERIOD_MS: u32 = 10;
+const _: () = assert!(
+    STEPS_PER_ROUND > TEMPERATURE_CHANNEL_COUNT
+        && STEPS_PER_ROUND as u32 * STEP_PERIOD_MS >= MIN_POLL_PERIOD_MS
+);
 /// After this many rounds a converter that is there has answered.
-const ROUNDS_TO_ANSWER: u32 = 5;
+const MAX_RESPONSE_ROUNDS: u32 = 5;
 /// Polls that a byte may take: some 20 times what it needs at 1.3 MHz.
-const BYTE_POLLS: u32 = 4_096;
+const MAX_BYTE_POLLS: u32 = 4_096;
 /// Core cycles between selection and clock, and between two selections: 0.5 µs at the full clock,
 /// of 0.4 µs (data sheet, t_CC and t_CWH).
-const SELECT_CYCLES: u32 = 84;
+const CHIP_SELECT_DELAY_CYCLES: u32 = 84;
 
 /// The pins that the converters share.
-pub type Bus = (PB13, PB14, PB15);
+pub type BusPins = (PB13, PB14, PB15);
 /// The pins that select them, in the order of the channels.
-pub type Selects = (PC0, PC1, PC2, PC3, PC4, PC5, PC6, PC7);
+pub type ChipSelectPins = (PC0, PC1, PC2, PC3, PC4, PC5, PC6, PC7);
 
 /// One channel.
 struct Channel {
@@ -62,7 +65,7 @@ struct Channel {
 /// All channels.
 pub struct Thermometers {
     spi: Spi<SPI2>,
-    channels: [Channel; TEMPERATURES],
+    channels: [Channel; TEMPERATURE_CHANNEL_COUNT],
     /// Where the machine file has some.
     linear: Option<LinearInputs>,
     turn: usize,
@@ -72,10 +75,10 @@ pub struct Thermometers {
 /// Sets the bus up; the converters are set up by their first turns.
 pub fn start(
     spi: SPI2,
-    (sck, miso, mosi): Bus,
-    selects: Selects,
-    thermometers: [Option<Thermometer>; TEMPERATURES],
-    mains: Mains,
+    (sck, miso, mosi): BusPins,
+    selects: ChipSelectPins,
+    thermometers: [Option<Thermometer>; TEMPERATURE_CHANNEL_COUNT],
+    mains: MainsFrequency,
     rcc: &mut Rcc,
 ) -> Thermometers {
     let selects = [
@@ -88,7 +91,7 @@ pub fn start(
         selects.6.into_push_pull_output_in_state(High).erase(),
         selects.7.into_push_pull_output_in_state(High).erase(),
     ];
-    // Pulled up, so that a line with nobody on it reads as 1.
+    // Pulled up, so that a line without a device reads as 1.
     let miso = miso.into_alternate().internal_resistor(Pull::Up);
     let pins = (Some(sck), Some(miso), Some(mosi));
     let spi = Spi::new(spi, pins, MODE_1, 1.MHz(), rcc);
@@ -104,37 +107,37 @@ pub fn start(
 
 impl Thermometers {
     /// Linear channels are read by these.
-    pub fn set_linear(&mut self, inputs: LinearInputs) {
+    pub fn set_linear_inputs(&mut self, inputs: LinearInputs) {
         self.linear = Some(inputs);
     }
 
     /// Takes one turn, every 10 ms. Returns what all channels deliver after each round.
-    pub fn turn(&mut self) -> Option<RawTemperatures> {
+    pub fn poll_next_channel(&mut self) -> Option<RawTemperatures> {
         let number = self.turn;
-        self.turn = (self.turn + 1) % ROUND;
+        self.turn = (self.turn + 1) % STEPS_PER_ROUND;
         if let Some(channel) = self.channels.get_mut(number) {
-            channel.turn(number, &mut self.spi);
+            channel.poll(number, &mut self.spi);
             return None;
         }
-        if number > TEMPERATURES {
+        if number > TEMPERATURE_CHANNEL_COUNT {
             return None;
         }
         self.rounds = self.rounds.saturating_add(1);
-        if self.rounds == ROUNDS_TO_ANSWER {
-            self.log_who_answers();
+        if self.rounds == MAX_RESPONSE_ROUNDS {
+            self.log_responding_channels();
         }
-        let linear = self.linear.as_mut().map(LinearInputs::take);
+        let linear = self.linear.as_mut().map(LinearInputs::read_means);
         Some(core::array::from_fn(|number| {
             let channel = &self.channels[number];
             if channel.is_linear() {
-                linear.map_or(Raw::NONE, |all| all[number])
+                linear.map_or(RawReading::NONE, |all| all[number])
             } else {
-                channel.converter.reading().raw()
+                channel.converter.reading().to_raw_reading()
             }
         }))
     }
 
-    fn log_who_answers(&self) {
+    fn log_responding_channels(&self) {
         let bits = |is_so: fn(&Channel) -> bool| {
             self.channels.iter().rev().fold(0, |bits, it| bits << 1 | u8::from(is_so(it)))
         };
@@ -156,20 +159,20 @@ impl Channel {
         matches!(self.thermometer, Some(Thermometer::Linear { .. }))
     }
 
-    fn turn(&mut self, number: usize, spi: &mut Spi<SPI2>) {
+    fn poll(&mut self, number: usize, spi: &mut Spi<SPI2>) {
         let before = self.converter.reading();
-        let now = self.converter.turn(&mut Selected { spi, select: &mut self.select });
+        let now = self.converter.poll(&mut SelectedConverter { spi, select: &mut self.select });
         if core::mem::discriminant(&now) != core::mem::discriminant(&before) {
             self.changes = self.changes.saturating_add(1);
             // A loose contact must not fill the log.
             if self.changes.is_power_of_two() {
-                log(number, now);
+                log_reading(number, now);
             }
         }
     }
 }
 
-fn log(channel: usize, reading: Reading) {
+fn log_reading(channel: usize, reading: Reading) {
     match reading {
         Reading::Missing => defmt::warn!("temperature channel {}: no answer", channel),
         Reading::Starting => defmt::info!("temperature channel {}: answers", channel),
@@ -183,71 +186,75 @@ fn log(channel: usize, reading: Reading) {
 }
 
 /// One converter on the bus that all of them share.
-struct Selected<'a> {
+struct SelectedConverter<'a> {
     spi: &'a mut Spi<SPI2>,
     select: &'a mut ErasedPin<Output>,
 }
 
 /// The bus did not answer in time, or with an error.
 #[derive(Debug)]
-struct NoAnswer;
+struct SpiBusError;
 
-impl Error for NoAnswer {
+impl Error for SpiBusError {
     fn kind(&self) -> ErrorKind {
         ErrorKind::Other
     }
 }
 
-impl ErrorType for Selected<'_> {
-    type Error = NoAnswer;
+impl ErrorType for SelectedConverter<'_> {
+    type Error = SpiBusError;
 }
 
-impl SpiDevice for Selected<'_> {
+impl SpiDevice for SelectedConverter<'_> {
     /// One selection.
     // Once in the image: every step of a converter comes here.
     #[inline(never)]
-    fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), NoAnswer> {
+    fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), SpiBusError> {
         // A byte that came too late last time would be taken for the first of this time.
-        let _empty = within(2, || self.spi.read_nonblocking().is_err());
+        let _empty = poll_until(2, || self.spi.read_nonblocking().is_err());
         let Ok(()) = OutputPin::set_low(self.select);
-        cortex_m::asm::delay(SELECT_CYCLES);
-        let answered = operations.iter_mut().all(|operation| self.operate(operation));
-        cortex_m::asm::delay(SELECT_CYCLES);
+        cortex_m::asm::delay(CHIP_SELECT_DELAY_CYCLES);
+        let answered = operations.iter_mut().all(|operation| self.perform_operation(operation));
+        cortex_m::asm::delay(CHIP_SELECT_DELAY_CYCLES);
         let Ok(()) = OutputPin::set_high(self.select);
-        cortex_m::asm::delay(SELECT_CYCLES);
-        if answered { Ok(()) } else { Err(NoAnswer) }
+        cortex_m::asm::delay(CHIP_SELECT_DELAY_CYCLES);
+        if answered { Ok(()) } else { Err(SpiBusError) }
     }
 }
 
-impl Selected<'_> {
-    fn operate(&mut self, operation: &mut Operation<'_, u8>) -> bool {
+impl SelectedConverter<'_> {
+    fn perform_operation(&mut self, operation: &mut Operation<'_, u8>) -> bool {
         match operation {
-            Operation::TransferInPlace(bytes) => bytes.iter_mut().all(|byte| self.exchange(byte)),
+            Operation::TransferInPlace(bytes) => {
+                bytes.iter_mut().all(|byte| self.exchange_byte(byte))
+            }
             Operation::Read(bytes) => bytes.iter_mut().all(|byte| {
                 *byte = 0;
-                self.exchange(byte)
+                self.exchange_byte(byte)
             }),
-            Operation::Write(bytes) => bytes.iter().all(|byte| self.exchange(&mut byte.clone())),
+            Operation::Write(bytes) => {
+                bytes.iter().all(|byte| self.exchange_byte(&mut byte.clone()))
+            }
             Operation::Transfer(read, write) => {
                 let longer = read.len().max(write.len());
                 (0..longer).all(|n| {
                     let mut byte = write.get(n).copied().unwrap_or_default();
-                    let answered = self.exchange(&mut byte);
+                    let answered = self.exchange_byte(&mut byte);
                     if let Some(place) = read.get_mut(n) {
                         *place = byte;
                     }
                     answered
                 })
             }
-            // This device waits for nobody: who asks for a pause has no answer.
+            // This device does not wait: a request for a pause gets no answer.
             Operation::DelayNs(_) => false,
         }
     }
 
     /// One byte each way. An error of the bus, too, is an answer that did not come.
-    fn exchange(&mut self, byte: &mut u8) -> bool {
-        within(BYTE_POLLS, || self.spi.write_nonblocking(*byte).is_ok())
-            && within(BYTE_POLLS, || match self.spi.read_nonblocking() {
+    fn exchange_byte(&mut self, byte: &mut u8) -> bool {
+        poll_until(MAX_BYTE_POLLS, || self.spi.write_nonblocking(*byte).is_ok())
+            && poll_until(MAX_BYTE_POLLS, || match self.spi.read_nonblocking() {
                 Ok(received) => {
                     *byte = received;
                     true

@@ -7,16 +7,16 @@ use serde::Serialize;
 use trueup_fit::{Report, elongation, thermal, warmup};
 use trueup_machine::{
     BadInput, Machine, MachineFile, RunFile,
-    applied::{Factor, Uncompensated},
+    applied_offsets::{FactorEstimate, UncompensatedRun},
     file::{ElongationSource, LinearAxis, ThermalMode},
 };
-use trueup_page::within;
+use trueup_page::format_with_interval;
 
-use crate::pair::Pair;
+use crate::paired_readings::PairedReadings;
 
 /// A change below this share of a constant is none that can be seen: 1 % of a reduction of 90 % asked for
 /// is a tenth of what may be left.
-const SAME: f64 = 0.01;
+const MIN_RELATIVE_CHANGE: f64 = 0.01;
 
 /// Advice on the machine file and the CNC.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -24,12 +24,12 @@ pub struct Advice {
     /// A sentence each.
     pub sentences: Vec<String>,
     /// The constants to change.
-    pub changes: Vec<Change>,
+    pub changes: Vec<ConstantChange>,
 }
 
 /// A constant of the machine file that is not what the run shows.
 #[derive(Clone, Debug, Serialize)]
-pub struct Change {
+pub struct ConstantChange {
     /// Its section and key: `spindle.warmup.max_um`.
     pub key: String,
     /// The value in the file.
@@ -42,13 +42,13 @@ pub struct Change {
 }
 
 impl Advice {
-    pub(crate) fn nothing() -> Self {
+    pub(crate) fn no_change() -> Self {
         Self { sentences: vec!["Nothing is to be changed.".into()], changes: Vec::new() }
     }
 
     /// Where the CNC applies the offset otherwise than once: no constant makes up for that.
-    pub(crate) fn of_cnc() -> Self {
-        Self { sentences: Factor::where_to_look(), changes: Vec::new() }
+    pub(crate) fn cnc_troubleshooting() -> Self {
+        Self { sentences: FactorEstimate::troubleshooting_steps(), changes: Vec::new() }
     }
 }
 
@@ -57,11 +57,12 @@ impl Advice {
 /// # Errors
 /// The run without compensation cannot be compared with the machine file.
 pub(crate) fn advise(
-    pair: &Pair,
+    pair: &PairedReadings,
     off: &RunFile,
     believed: Option<(&str, &Machine)>,
 ) -> Result<(Advice, Option<String>), BadInput> {
-    let mut advice = Advice { sentences: vec![share_sentence(pair)], changes: Vec::new() };
+    let mut advice =
+        Advice { sentences: vec![describe_corrected_share(pair)], changes: Vec::new() };
     let Some((source, machine)) = believed else {
         advice.sentences.push(
             "Give the machine file that the bridge ran (--machine) to be told which constant to change."
@@ -69,9 +70,9 @@ pub(crate) fn advise(
         );
         return Ok((advice, None));
     };
-    let (unaided, _) = Uncompensated::of(Cow::Borrowed(off), None, Some(pair.quantity))?;
+    let (unaided, _) = UncompensatedRun::from_run(Cow::Borrowed(off), None, Some(pair.quantity))?;
     let runs = [unaided];
-    let Some((section, report)) = fitted(pair, machine, &runs)? else {
+    let Some((section, report)) = fit_section_constants(pair, machine, &runs)? else {
         advice.sentences.push(
             "No constants of this machine file can be fitted to such a run; trueup diagnose says what it \
              gets wrong."
@@ -89,16 +90,16 @@ pub(crate) fn advise(
     }
     let adjusted = report.edit.apply(source, off.path())?;
     let after = MachineFile::parse(&adjusted, off.path())?;
-    let shown = constants(&section, &after);
-    for (key, from) in constants(&section, machine) {
+    let shown = section_constants(&section, &after);
+    for (key, from) in section_constants(&section, machine) {
         let Some((_, to)) = shown.iter().copied().find(|(other, _)| *other == key) else {
             continue;
         };
         let ci95 = report.parameter(key).and_then(|it| it.ci95);
-        if (to - from).abs() > SAME * from.abs().max(to.abs()) {
+        if (to - from).abs() > MIN_RELATIVE_CHANGE * from.abs().max(to.abs()) {
             let key = format!("{section}.{key}");
-            advice.sentences.push(sentence(&key, from, to, ci95));
-            advice.changes.push(Change { key, from, to, ci95 });
+            advice.sentences.push(describe_change(&key, from, to, ci95));
+            advice.changes.push(ConstantChange { key, from, to, ci95 });
         }
     }
     if advice.changes.is_empty() {
@@ -113,7 +114,7 @@ pub(crate) fn advise(
 }
 
 /// Returns how much of what the machine does the bridge corrects: least squares of (off − on) over off.
-fn share_sentence(pair: &Pair) -> String {
+fn describe_corrected_share(pair: &PairedReadings) -> String {
     let rows = || pair.off_um.iter().zip(&pair.on_um);
     let corrected: f64 = rows().map(|(off, on)| off * (off - on)).sum();
     let whole: f64 = pair.off_um.iter().map(|off| off * off).sum();
@@ -137,29 +138,32 @@ fn share_sentence(pair: &Pair) -> String {
     }
 }
 
-fn sentence(key: &str, from: f64, to: f64, ci95: Option<[f64; 2]>) -> String {
+fn describe_change(key: &str, from: f64, to: f64, ci95: Option<[f64; 2]>) -> String {
     let (shown, interval) = match ci95 {
         Some(ci95) => {
-            let [to, low, high] = within(to, ci95);
+            let [to, low, high] = format_with_interval(to, ci95);
             (to, format!(" (95 %: {low} … {high})"))
         }
-        None => (digits(to), String::new()),
+        None => (format_four_significant_digits(to), String::new()),
     };
     let change =
         if from == 0.0 { String::new() } else { format!(", {:+.0} %", 100.0 * (to / from - 1.0)) };
-    format!("Change {key} from {} to {shown}{interval}{change}.", digits(from))
+    format!(
+        "Change {key} from {} to {shown}{interval}{change}.",
+        format_four_significant_digits(from)
+    )
 }
 
 /// Returns a number in its first four digits.
-pub(crate) fn digits(number: f64) -> String {
+pub(crate) fn format_four_significant_digits(number: f64) -> String {
     format!("{number:.3e}").parse::<f64>().unwrap_or(number).to_string()
 }
 
 /// Returns the fit of the law that the machine file corrects the pair's quantity by, and its section.
-fn fitted(
-    pair: &Pair,
+fn fit_section_constants(
+    pair: &PairedReadings,
     machine: &Machine,
-    runs: &[Uncompensated<'_>],
+    runs: &[UncompensatedRun<'_>],
 ) -> Result<Option<(String, Report)>, BadInput> {
     let Some(axis) = pair.quantity.axis() else {
         return Ok(match machine.spindle.source {
@@ -171,8 +175,9 @@ fn fitted(
                     ElongationSource::Sensor => "spindle.sensor",
                     _ => "spindle.temperature",
                 };
-                let options = elongation::Options { source: Some(source), temperature: None };
-                Some((name.into(), elongation::fit(runs, Some(machine), &options)?))
+                let options =
+                    elongation::ElongationOptions { source: Some(source), temperature: None };
+                Some((name.into(), elongation::fit_elongation(runs, Some(machine), &options)?))
             }
             None => None,
         });
@@ -191,7 +196,7 @@ fn fitted(
 }
 
 /// Returns the constants of a section, by their keys.
-fn constants(section: &str, machine: &Machine) -> Vec<(&'static str, f64)> {
+fn section_constants(section: &str, machine: &Machine) -> Vec<(&'static str, f64)> {
     let spindle = &machine.spindle;
     let of_axis = |axis: &LinearAxis| section == format!("axis.{}.thermal", axis.name());
     match section {

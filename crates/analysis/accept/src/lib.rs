@@ -9,30 +9,30 @@
 
 mod advice;
 mod page;
-mod pair;
+mod paired_readings;
 
 use serde::Serialize;
 use trueup_machine::{
     BadInput, Machine, RunFile,
-    applied::{Applied, Factor},
+    applied_offsets::{FactorEstimate, OffsetApplication},
     file::Quantity,
 };
-use trueup_numerics::line::Summary;
+use trueup_numerics::line::ErrorStatistics;
 
-pub use advice::{Advice, Change};
-use pair::{Pair, Part};
+pub use advice::{Advice, ConstantChange};
+use paired_readings::{PairedReadings, RunSegment};
 pub use trueup_page::Origin;
 
 /// Requirements of an acceptance test.
 #[derive(Clone, Copy, Debug)]
-pub struct Limits {
+pub struct AcceptanceCriteria {
     /// This much of the RMS must be gone, in percent, 0…100.
     pub require_percent: f64,
     /// No error may be larger, in µm, above 0.
     pub limit_um: Option<f64>,
 }
 
-impl Default for Limits {
+impl Default for AcceptanceCriteria {
     fn default() -> Self {
         Self { require_percent: 90.0, limit_um: None }
     }
@@ -40,25 +40,25 @@ impl Default for Limits {
 
 /// Size of an error over a run, in µm.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct Size {
+pub struct ErrorSummary {
     /// Root mean square.
     pub rms_um: f64,
     /// Largest absolute value.
     pub max_um: f64,
 }
 
-impl Size {
-    fn of(um: &[f64]) -> Self {
-        Summary::of(um).map_or(Self { rms_um: f64::NAN, max_um: f64::NAN }, |it| Self {
-            rms_um: it.rms,
-            max_um: it.max_abs,
-        })
+impl ErrorSummary {
+    fn from_errors(um: &[f64]) -> Self {
+        ErrorStatistics::from_residuals(um).map_or(
+            Self { rms_um: f64::NAN, max_um: f64::NAN },
+            |it| Self { rms_um: it.rms, max_um: it.max_abs },
+        )
     }
 }
 
 /// The machine's response to 1 µm of offset.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct AppliedFactor {
+pub struct OffsetGain {
     /// 1 is right, −1 the wrong sign, 0 not engaged.
     pub value: f64,
     /// Its 95 % interval.
@@ -67,17 +67,17 @@ pub struct AppliedFactor {
 
 /// The result of an acceptance test: `acceptance.json`.
 #[derive(Clone, Debug, Serialize)]
-pub struct Acceptance {
-    /// Whether all that was asked for is met.
+pub struct AcceptanceResult {
+    /// Whether all requirements are met.
     pub passed: bool,
     /// The compared quantity: `elongation`, `dx`, `dy`, `dz`.
     pub quantity: &'static str,
     /// Readings that both runs have.
     pub rows: usize,
     /// Without the compensation.
-    pub before: Size,
+    pub before: ErrorSummary,
     /// With it.
-    pub after: Size,
+    pub after: ErrorSummary,
     /// 1 − RMS after over RMS before.
     pub reduction: f64,
     /// The required reduction, in the same terms.
@@ -85,12 +85,12 @@ pub struct Acceptance {
     /// The machine's response to 1 µm of offset: 1 is right; absent where the runs do not say what the bridge applied,
     /// or not well enough for any figure.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub applied_factor: Option<AppliedFactor>,
+    pub applied_factor: Option<OffsetGain>,
     /// The largest error that is allowed, in µm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub limit_um: Option<f64>,
     /// Part by part of the run.
-    pub parts: Vec<Part>,
+    pub parts: Vec<RunSegment>,
     /// Why it has not passed, a sentence each.
     pub unmet: Vec<String>,
     /// Advice on the machine file and the CNC.
@@ -98,29 +98,29 @@ pub struct Acceptance {
     /// Notes on the runs, a sentence each.
     pub notes: Vec<String>,
     #[serde(skip)]
-    pair: Pair,
+    pair: PairedReadings,
     #[serde(skip)]
     adjusted: Option<String>,
 }
 
-impl Acceptance {
+impl AcceptanceResult {
     /// Returns the machine file with the constants that the run without compensation shows; none without advice
     /// that changes a constant.
     #[must_use]
-    pub fn adjusted(&self) -> Option<&str> {
+    pub fn adjusted_machine_file(&self) -> Option<&str> {
         self.adjusted.as_deref()
     }
 
     /// Returns the printable page, of this name, made of what `origin` says. `next` are the lines to be typed next.
     #[must_use]
-    pub fn html(&self, name: &str, origin: &Origin, next: &[String]) -> String {
-        page::html(self, name, origin, next)
+    pub fn render_html(&self, name: &str, origin: &Origin, next: &[String]) -> String {
+        page::render_html(self, name, origin, next)
     }
 
     /// Returns the error in both runs as a picture that stands alone, SVG.
     #[must_use]
-    pub fn picture(&self) -> String {
-        page::chart(self).standalone()
+    pub fn render_chart_svg(&self) -> String {
+        page::build_chart(self).standalone_svg()
     }
 }
 
@@ -130,15 +130,17 @@ impl Acceptance {
 /// # Errors
 /// The runs do not measure the same, have no time or positions in common, or the machine file cannot be
 /// compared with them.
-pub fn accept(
+pub fn evaluate_acceptance(
     off: &RunFile,
     on: &RunFile,
     quantity: Option<Quantity>,
     believed: Option<(&str, &Machine)>,
-    limits: Limits,
-) -> Result<Acceptance, BadInput> {
-    let mut pair = Pair::of(off, on, quantity, believed.map(|(_, machine)| machine))?;
-    let (before, after) = (Size::of(&pair.off_um), Size::of(&pair.on_um));
+    limits: AcceptanceCriteria,
+) -> Result<AcceptanceResult, BadInput> {
+    let mut pair =
+        PairedReadings::from_runs(off, on, quantity, believed.map(|(_, machine)| machine))?;
+    let (before, after) =
+        (ErrorSummary::from_errors(&pair.off_um), ErrorSummary::from_errors(&pair.on_um));
     let reduction = 1.0 - after.rms_um / before.rms_um;
     let required_reduction = limits.require_percent / 100.0;
     let mut unmet = Vec::new();
@@ -160,20 +162,20 @@ pub fn accept(
             after.max_um
         ));
     }
-    let applied = pair.applied();
+    let applied = pair.offset_application();
     let wrong = match applied {
-        Applied::Otherwise(factor) => Some(factor),
+        OffsetApplication::Otherwise(factor) => Some(factor),
         _ => None,
     };
-    unmet.extend(wrong.as_ref().map(Factor::sentence));
-    pair.notes.extend(unsure(applied));
+    unmet.extend(wrong.as_ref().map(FactorEstimate::describe));
+    pair.notes.extend(unknown_factor_note(applied));
     let passed = unmet.is_empty();
     let (advice, adjusted) = match wrong {
-        Some(_) => (Advice::of_cnc(), None),
-        None if passed => (Advice::nothing(), None),
+        Some(_) => (Advice::cnc_troubleshooting(), None),
+        None if passed => (Advice::no_change(), None),
         None => advice::advise(&pair, off, believed)?,
     };
-    Ok(Acceptance {
+    Ok(AcceptanceResult {
         passed,
         quantity: pair.quantity.name(),
         rows: pair.at.len(),
@@ -183,9 +185,9 @@ pub fn accept(
         required_reduction,
         applied_factor: applied
             .factor()
-            .map(|Factor { value, ci95 }| AppliedFactor { value, ci95 }),
+            .map(|FactorEstimate { value, ci95 }| OffsetGain { value, ci95 }),
         limit_um: limits.limit_um,
-        parts: pair.parts(),
+        parts: pair.split_into_segments(),
         unmet,
         advice,
         notes: pair.notes.clone(),
@@ -195,9 +197,9 @@ pub fn accept(
 }
 
 /// Returns a note where the runs have offsets and do not show how the machine applies them.
-fn unsure(applied: Applied) -> Option<String> {
-    let Applied::Unknown(factor) = applied else { return None };
-    let interval = factor.map_or(String::new(), |Factor { ci95: [low, high], .. }| {
+fn unknown_factor_note(applied: OffsetApplication) -> Option<String> {
+    let OffsetApplication::Unknown(factor) = applied else { return None };
+    let interval = factor.map_or(String::new(), |FactorEstimate { ci95: [low, high], .. }| {
         format!(" (95 %: {low:.2} … {high:.2})").replace('-', "−")
     });
     Some(format!(

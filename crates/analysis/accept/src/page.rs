@@ -1,12 +1,15 @@
 //! The printable page: passed or not, what to change, the two runs as a picture, part by part.
 
-use trueup_page::{Chart, Colour, Origin, Page, Series, Table, micrometres, time_unit, within};
+use trueup_page::{
+    Chart, Colour, Origin, Page, Series, Table, choose_time_unit, format_micrometres,
+    format_with_interval,
+};
 
-use crate::{Acceptance, advice::digits};
+use crate::{AcceptanceResult, advice::format_four_significant_digits};
 
 /// Returns the error in both runs.
-pub(crate) fn chart(it: &Acceptance) -> Chart {
-    let (unit, divisor) = unit_of(it);
+pub(crate) fn build_chart(it: &AcceptanceResult) -> Chart {
+    let (unit, divisor) = abscissa_label_and_divisor(it);
     let points =
         |um: &[f64]| it.pair.at.iter().zip(um).map(|(at, um)| [at / divisor, *um]).collect();
     Chart {
@@ -20,71 +23,81 @@ pub(crate) fn chart(it: &Acceptance) -> Chart {
     }
 }
 
-pub(crate) fn html(it: &Acceptance, name: &str, origin: &Origin, next: &[String]) -> String {
+pub(crate) fn render_html(
+    it: &AcceptanceResult,
+    name: &str,
+    origin: &Origin,
+    next: &[String],
+) -> String {
     let mut page = Page::new(&format!("Acceptance of {name}"));
     let mut sentences = it.unmet.clone();
     sentences.extend(it.advice.sentences.iter().cloned());
     let (state, heading) = if it.passed { ("good", "Passed") } else { ("bad", "Not passed") };
-    page.card_then(state, heading, &sentences, next);
-    page.figures(&[
-        (micrometres(it.before.rms_um), "RMS error without compensation".into(), "before"),
-        (micrometres(it.after.rms_um), "with it".into(), "after"),
+    page.add_card_with_commands(state, heading, &sentences, next);
+    page.add_key_figures(&[
+        (format_micrometres(it.before.rms_um), "RMS error without compensation".into(), "before"),
+        (format_micrometres(it.after.rms_um), "with it".into(), "after"),
         (
             format!("{:.1} %", 100.0 * it.reduction),
             format!("less; required: {:.0} %", 100.0 * it.required_reduction),
             "",
         ),
         (
-            micrometres(it.after.max_um),
+            format_micrometres(it.after.max_um),
             it.limit_um.map_or("largest with it".into(), |um| {
                 format!("largest with it; allowed: {um} µm")
             }),
             "after",
         ),
     ]);
-    let (unit, divisor) = unit_of(it);
-    page.pictures(&[chart(it).figure()]);
+    let (unit, divisor) = abscissa_label_and_divisor(it);
+    page.add_charts(&[build_chart(it).to_figure()]);
     if !it.advice.changes.is_empty() {
-        page.heading("Constants to change");
+        page.add_heading("Constants to change");
         let mut table = Table::new(&["constant", "from", "to", "95 %"]);
         for change in &it.advice.changes {
             // As many digits as the interval has; what the file has, as it has it.
             let (to, interval) = match change.ci95 {
                 Some(ci95) => {
-                    let [to, low, high] = within(change.to, ci95);
+                    let [to, low, high] = format_with_interval(change.to, ci95);
                     (to, format!("{low} … {high}"))
                 }
-                None => (digits(change.to), "–".into()),
+                None => (format_four_significant_digits(change.to), "–".into()),
             };
-            table.row(&[change.key.clone(), digits(change.from), to, interval]);
+            table.add_row(&[
+                change.key.clone(),
+                format_four_significant_digits(change.from),
+                to,
+                interval,
+            ]);
         }
-        page.table(&table);
+        page.add_table(&table);
     }
-    page.heading("Part by part");
+    page.add_heading("Part by part");
     let mut table = Table::new(&[unit.as_str(), "RMS without", "RMS with", "gone", "largest with"]);
     for part in &it.parts {
-        table.row(&[
+        table.add_row(&[
             format!("{:.1} … {:.1}", part.from / divisor, part.to / divisor),
-            micrometres(part.before.rms_um),
-            micrometres(part.after.rms_um),
+            format_micrometres(part.before.rms_um),
+            format_micrometres(part.after.rms_um),
             format!("{:.0} %", 100.0 * (1.0 - part.after.rms_um / part.before.rms_um)),
-            micrometres(part.after.max_um),
+            format_micrometres(part.after.max_um),
         ]);
     }
-    page.table(&table);
-    page.note(&format!("{} readings of {} that both runs have.", it.rows, it.quantity));
-    page.list(&it.notes);
-    page.signature();
-    page.origin(origin);
-    page.html()
+    page.add_table(&table);
+    page.add_note(&format!("{} readings of {} that both runs have.", it.rows, it.quantity));
+    page.add_list(&it.notes);
+    page.add_signature_block();
+    page.add_provenance_footer(origin);
+    page.to_html()
 }
 
 /// Returns the name of what the readings are over, and what it is divided by.
-fn unit_of(it: &Acceptance) -> (String, f64) {
+fn abscissa_label_and_divisor(it: &AcceptanceResult) -> (String, f64) {
     match it.pair.over.as_str() {
         "time_s" => {
             let longest = it.pair.at.iter().copied().fold(0.0, f64::max);
-            let (unit, seconds) = time_unit(longest);
+            let (unit, seconds) = choose_time_unit(longest);
             (format!("time, {unit}"), seconds)
         }
         "row" => ("reading".into(), 1.0),

@@ -3,7 +3,7 @@
 
 use std::{fmt::Write as _, path::Path};
 
-use trueup_accept::{Acceptance, Limits, accept};
+use trueup_accept::{AcceptanceCriteria, AcceptanceResult, evaluate_acceptance};
 use trueup_machine::{MachineFile, RunFile};
 use trueup_numerics::random::Generator;
 
@@ -39,12 +39,19 @@ fn run(quantity: &str, gain: f64, factor: Option<f64>, noise_um: f64, seed: u64)
     RunFile::from_reader(text.as_bytes(), Path::new("on.csv")).expect("a run file")
 }
 
-fn judged(quantity: &str, gain: f64, factor: f64, noise_um: f64, with_file: bool) -> Acceptance {
+fn judged(
+    quantity: &str,
+    gain: f64,
+    factor: f64,
+    noise_um: f64,
+    with_file: bool,
+) -> AcceptanceResult {
     let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("right");
     let off = run(quantity, gain, None, noise_um, 1);
     let on = run(quantity, gain, Some(factor), noise_um, 2);
     let believed = with_file.then_some((MACHINE, &machine));
-    accept(&off, &on, None, believed, Limits::default()).expect("comparable")
+    evaluate_acceptance(&off, &on, None, believed, AcceptanceCriteria::default())
+        .expect("comparable")
 }
 
 #[test]
@@ -56,7 +63,7 @@ fn another_factor_than_1_fails_names_the_places_and_changes_no_constant() {
                 let found = it.applied_factor.expect("the record has the offsets");
                 let what = format!("{quantity} {factor}: {found:?}");
                 assert!(!it.passed && it.advice.changes.is_empty(), "{what}");
-                assert!(it.adjusted().is_none(), "{what}");
+                assert!(it.adjusted_machine_file().is_none(), "{what}");
                 let [low, high] = found.ci95;
                 assert!(low < factor && factor < high && high - low < 0.3, "{what}");
                 assert!(it.unmet.iter().any(|it| it.starts_with("For 1 µm of offset")), "{what}");
@@ -87,7 +94,8 @@ fn a_cnc_that_applies_the_offset_once_is_judged_as_before() {
         let first = &it.advice.changes[0];
         assert!((first.to / first.from - 1.4).abs() < 0.03, "{first:?}");
         assert!(
-            it.html("m", &trueup_accept::Origin::default(), &[]).contains("Constants to change")
+            it.render_html("m", &trueup_accept::Origin::default(), &[])
+                .contains("Constants to change")
         );
     }
 }
@@ -102,7 +110,9 @@ fn what_the_runs_cannot_tell_is_said_and_fails_nothing() {
         let text = format!("measured_dz_um\n{rows}");
         RunFile::from_reader(text.as_bytes(), Path::new("plain.csv")).expect("a run")
     };
-    let it = accept(&plain(1.0), &plain(-1.0), None, None, Limits::default()).expect("comparable");
+    let it =
+        evaluate_acceptance(&plain(1.0), &plain(-1.0), None, None, AcceptanceCriteria::default())
+            .expect("comparable");
     assert!(
         it.applied_factor.is_none() && it.notes.iter().all(|it| !it.contains("1 µm of offset"))
     );
@@ -125,8 +135,10 @@ fn the_table_of_constants_has_the_digits_that_the_interval_has() {
     };
     let parsed = MachineFile::parse(machine, Path::new("m.toml")).expect("right");
     let believed = Some((machine, &parsed));
-    let it = accept(&run(1.0), &run(0.2), None, believed, Limits::default()).expect("comparable");
-    let html = it.html("m", &trueup_accept::Origin::default(), &[]);
+    let it =
+        evaluate_acceptance(&run(1.0), &run(0.2), None, believed, AcceptanceCriteria::default())
+            .expect("comparable");
+    let html = it.render_html("m", &trueup_accept::Origin::default(), &[]);
     let (_, table) = html.split_once("Constants to change").expect("a table");
     let (table, _) = table.split_once("Part by part").expect("what follows");
     assert!(table.contains("0.0153") && table.contains("0.0191"), "{table}");
@@ -141,15 +153,16 @@ fn a_bad_reading_is_excluded_by_its_line_and_what_lasts_counts() {
         let off = run(quantity, 1.0, None, 0.3, 1);
         let on = run(quantity, 1.0, Some(1.0), 0.3, 2);
         let spoiled = |run: &RunFile, rows: std::ops::Range<usize>| {
-            run.altered(run.rows(), |column, values| {
+            run.with_altered_values(run.row_count(), |column, values| {
                 if column.starts_with("measured_") {
                     values[rows.clone()].iter_mut().for_each(|um| *um += 45.0);
                 }
             })
         };
-        let limits = Limits { limit_um: Some(5.0), ..Limits::default() };
+        let limits = AcceptanceCriteria { limit_um: Some(5.0), ..AcceptanceCriteria::default() };
         let judged = |off: &RunFile, on: &RunFile| {
-            accept(off, on, None, Some((MACHINE, &machine)), limits).expect("comparable")
+            evaluate_acceptance(off, on, None, Some((MACHINE, &machine)), limits)
+                .expect("comparable")
         };
         let it = judged(&spoiled(&off, 30..31), &spoiled(&on, 70..71));
         assert!(it.passed, "{quantity}: {:?} {:?}", it.unmet, it.notes);

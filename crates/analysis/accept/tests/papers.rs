@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use trueup_accept::{Limits, accept};
+use trueup_accept::{AcceptanceCriteria, evaluate_acceptance};
 use trueup_machine::RunFile;
 
 /// Table 1, µm: what the sensor says, and the dial.
@@ -35,8 +35,8 @@ fn the_papers_limits_are_an_acceptance() {
     // Without compensation the dial's readings, with it what the sensor does not see of them.
     let (off, on) = (run(|[_, dial]| dial), run(|[sensor, dial]| dial - sensor));
     let passed = |require_percent, limit_um| {
-        let limits = Limits { require_percent, limit_um: Some(limit_um) };
-        let it = accept(&off, &on, None, None, limits).expect("the same rows");
+        let limits = AcceptanceCriteria { require_percent, limit_um: Some(limit_um) };
+        let it = evaluate_acceptance(&off, &on, None, None, limits).expect("the same rows");
         println!(
             "{:.1} % gone, largest {:.1} um: {:?}",
             100.0 * it.reduction,

@@ -20,20 +20,20 @@ use serde::Serialize;
 use trueup_machine::{BadInput, Location, RunFile, file::Quantity};
 use trueup_numerics::{
     least_squares::GivensQr,
-    repeats::{self, arrivals, gross, places},
+    repeats::{self, cycle_numbers, find_gross_errors, group_positions},
     t_quantile,
 };
 
 /// A difference of BIC from which evidence is strong.
-const STRONG_EVIDENCE: f64 = 6.0;
+const STRONG_EVIDENCE_BIC: f64 = 6.0;
 /// Places nearer than this are one, in mm: a tenth of the finest spacing in use, as `accept` has it.
-const SAME_PLACE_MM: f64 = 0.1;
+const POSITION_TOLERANCE_MM: f64 = 0.1;
 /// The fewest places that both runs have.
-const MIN: usize = 3;
+const MIN_COMMON_POSITIONS: usize = 3;
 
 /// The difference at one place.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Place {
+pub struct PositionDifference {
     /// Where, in mm.
     pub at_mm: f64,
     /// How it was approached: 1 or −1; 0 where the runs do not say.
@@ -48,7 +48,7 @@ pub struct Place {
 
 /// A constant that is another one in B.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Change {
+pub struct ParameterChange {
     /// Of which cause: `backlash` in µm, `pitch-scale` or `cross-axis` in µm/m.
     pub cause: &'static str,
     /// B minus A.
@@ -59,7 +59,7 @@ pub struct Change {
 
 /// A reading that was excluded as an outlier.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Excluded {
+pub struct ExcludedReading {
     /// The run: 0 is A, 1 is B.
     pub file: usize,
     /// Its line in the file, from 1.
@@ -80,7 +80,7 @@ pub struct Comparison {
     /// Half its 95 % interval.
     pub shift_half_width_um: Option<f64>,
     /// Each place.
-    pub places: Vec<Place>,
+    pub places: Vec<PositionDifference>,
     /// Places that only one of the runs has.
     pub unmatched: usize,
     /// Standard deviation of one reading, from the repeats, in µm.
@@ -94,14 +94,14 @@ pub struct Comparison {
     /// The cause that explains it, by its name in the reference.
     pub cause: Option<&'static str>,
     /// Each change with its size; empty for a curve, which is in the places.
-    pub changes: Vec<Change>,
+    pub changes: Vec<ParameterChange>,
     /// Readings that were excluded as outliers.
-    pub outliers: Vec<Excluded>,
+    pub outliers: Vec<ExcludedReading>,
     /// The difference in sentences.
     pub sentences: Vec<String>,
 }
 
-struct Row {
+struct PositionReading {
     /// In the file, from 0.
     row: usize,
     at: f64,
@@ -113,23 +113,28 @@ struct Row {
 ///
 /// # Errors
 /// They do not measure the same, or have fewer than three places in common.
-pub fn compare(a: &RunFile, b: &RunFile, asked: Option<Quantity>) -> Result<Comparison, BadInput> {
-    let quantity = quantity_of(a, b, asked)?;
-    let over = moving_axis(a, b, quantity)?;
-    let rows = [rows_of(a, quantity, &over)?, rows_of(b, quantity, &over)?];
+pub fn compare_runs(
+    a: &RunFile,
+    b: &RunFile,
+    asked: Option<Quantity>,
+) -> Result<Comparison, BadInput> {
+    let quantity = common_quantity(a, b, asked)?;
+    let over = longest_travel_column(a, b, quantity)?;
+    let rows = [extract_rows(a, quantity, &over)?, extract_rows(b, quantity, &over)?];
     let all: Vec<f64> = rows.iter().flatten().map(|row| row.at).collect();
-    let (targets, target_of) = places(&all, 10.0 * SAME_PLACE_MM);
+    let (targets, target_of) = group_positions(&all, 10.0 * POSITION_TOLERANCE_MM);
     // By place and direction: the readings of A and of B.
     let mut cells: Vec<[Vec<f64>; 2]> = vec![<[Vec<f64>; 2]>::default(); 3 * targets.len()];
     let (of_a, of_b) = target_of.split_at(rows[0].len());
-    let found = [is_gross(&rows[0], of_a), is_gross(&rows[1], of_b)].concat();
+    let found = [flag_outliers(&rows[0], of_a), flag_outliers(&rows[1], of_b)].concat();
     let mut outliers = Vec::new();
     let numbered =
         rows.iter().enumerate().flat_map(|(run, rows)| rows.iter().map(move |row| (run, row)));
     for (((run, row), target), is_outlier) in numbered.zip(target_of).zip(found) {
         if is_outlier {
-            let place = [a, b][run].place(row.row, &format!("measured_{}_um", quantity.name()));
-            outliers.push(Excluded { file: run, line: place.line, measured_um: row.um });
+            let place =
+                [a, b][run].value_location(row.row, &format!("measured_{}_um", quantity.name()));
+            outliers.push(ExcludedReading { file: run, line: place.line, measured_um: row.um });
             continue;
         }
         let way = usize::try_from(row.direction + 1).unwrap_or(1);
@@ -151,7 +156,7 @@ pub fn compare(a: &RunFile, b: &RunFile, asked: Option<Quantity>) -> Result<Comp
             (0, _) | (_, 0) => unmatched += 1,
             (n_a, n_b) => {
                 let share = 1.0 / n_a as f64 + 1.0 / n_b as f64;
-                found.push(Place {
+                found.push(PositionDifference {
                     at_mm: targets[number / 3],
                     direction: (number % 3) as i8 - 1,
                     difference_um: mean(b) - mean(a),
@@ -161,16 +166,16 @@ pub fn compare(a: &RunFile, b: &RunFile, asked: Option<Quantity>) -> Result<Comp
             }
         }
     }
-    if found.len() < MIN {
+    if found.len() < MIN_COMMON_POSITIONS {
         let rule = format!(
-            "has {} places in common with {}, and {MIN} are needed: run the same program in both",
+            "has {} places in common with {}, and {MIN_COMMON_POSITIONS} are needed: run the same program in both",
             found.len(),
             a.path().display()
         );
-        return Err(BadInput::new(Location::start_of(b.path()), rule));
+        return Err(BadInput::new(Location::start_of_file(b.path()), rule));
     }
-    let mut comparison = judged(quantity, over, found, unmatched, variance, t);
-    let said = |it: &Excluded| {
+    let mut comparison = summarise_differences(quantity, over, found, unmatched, variance, t);
+    let said = |it: &ExcludedReading| {
         let path = [a, b][it.file].path().display();
         format!("{path}:{} ({:+.1} µm)", it.line, it.measured_um)
     };
@@ -186,12 +191,12 @@ pub fn compare(a: &RunFile, b: &RunFile, asked: Option<Quantity>) -> Result<Comp
 }
 
 /// Returns which readings of a run stand alone among the repeats of their place.
-fn is_gross(rows: &[Row], targets: &[usize]) -> Vec<bool> {
+fn flag_outliers(rows: &[PositionReading], targets: &[usize]) -> Vec<bool> {
     // Where a run does not say the direction, as if all came from one side.
-    let side = |row: &Row| usize::from(row.direction < 0);
+    let side = |row: &PositionReading| usize::from(row.direction < 0);
     let stops = rows.iter().zip(targets).map(|(row, target)| (*target, side(row)));
     let stops: Vec<(usize, usize)> = stops.collect();
-    let cycles = arrivals(&stops);
+    let cycles = cycle_numbers(&stops);
     let readings = rows.iter().zip(&stops).zip(cycles);
     let readings = readings.map(|((row, (place, side)), cycle)| repeats::Reading {
         place: *place,
@@ -199,13 +204,13 @@ fn is_gross(rows: &[Row], targets: &[usize]) -> Vec<bool> {
         cycle,
         value: row.um,
     });
-    gross(&readings.collect::<Vec<_>>())
+    find_gross_errors(&readings.collect::<Vec<_>>())
 }
 
-fn judged(
+fn summarise_differences(
     quantity: Quantity,
     over: String,
-    mut places: Vec<Place>,
+    mut places: Vec<PositionDifference>,
     unmatched: usize,
     variance: Option<f64>,
     t: f64,
@@ -221,10 +226,10 @@ fn judged(
     let max_um = um.iter().fold(0.0_f64, |most, um| most.max(um.abs()));
     let along =
         over.strip_suffix("_mm") == quantity.axis().map(trueup_machine::file::LinearAxis::name);
-    let laws = Law::all(&places, along, variance);
+    let laws = DifferenceModel::fit_all(&places, along, variance);
     let best = laws.iter().min_by(|a, b| a.bic.total_cmp(&b.bic));
     let nothing = laws[0].bic;
-    let best = best.filter(|best| best.constants > 1 && nothing - best.bic >= STRONG_EVIDENCE);
+    let best = best.filter(|best| best.constants > 1 && nothing - best.bic >= STRONG_EVIDENCE_BIC);
     let mut sentences = best.map_or_else(Vec::new, |best| best.sentences.clone());
     if best.is_none() {
         sentences.push("The two runs do not differ by more than their readings scatter.".into());
@@ -259,26 +264,26 @@ fn judged(
 }
 
 /// A law of the differences, fitted.
-struct Law {
+struct DifferenceModel {
     cause: Option<&'static str>,
     constants: usize,
     bic: f64,
-    changes: Vec<Change>,
+    changes: Vec<ParameterChange>,
     sentences: Vec<String>,
 }
 
-impl Law {
-    fn all(places: &[Place], along: bool, variance: Option<f64>) -> Vec<Self> {
+impl DifferenceModel {
+    fn fit_all(places: &[PositionDifference], along: bool, variance: Option<f64>) -> Vec<Self> {
         let both = [-1, 1].iter().all(|way| places.iter().any(|it| it.direction == *way));
         let backlash = if both { Some(0) } else { None };
         let slope = Some(1);
         let slope_name = if along { "pitch-scale" } else { "cross-axis" };
         let curve_name = if along { "pitch-error" } else { "straightness" };
-        let mut laws = vec![Self::linear(places, variance, slope_name, &[])];
-        laws.extend(backlash.map(|it| Self::linear(places, variance, slope_name, &[it])));
-        laws.extend(slope.map(|it| Self::linear(places, variance, slope_name, &[it])));
+        let mut laws = vec![Self::fit_linear(places, variance, slope_name, &[])];
+        laws.extend(backlash.map(|it| Self::fit_linear(places, variance, slope_name, &[it])));
+        laws.extend(slope.map(|it| Self::fit_linear(places, variance, slope_name, &[it])));
         if both {
-            laws.push(Self::linear(places, variance, slope_name, &[0, 1]));
+            laws.push(Self::fit_linear(places, variance, slope_name, &[0, 1]));
         }
         if variance.is_some() {
             let largest = places
@@ -304,27 +309,28 @@ impl Law {
     }
 
     /// Returns a constant and these of: 1 where the approach was negative; the position in m.
-    fn linear(
-        places: &[Place],
+    fn fit_linear(
+        places: &[PositionDifference],
         variance: Option<f64>,
         slope_name: &'static str,
         columns: &[usize],
     ) -> Self {
         let middle = places.iter().map(|it| it.at_mm).sum::<f64>() / places.len() as f64;
-        let row = |it: &Place| {
+        let row = |it: &PositionDifference| {
             let all = [f64::from(u8::from(it.direction < 0)), (it.at_mm - middle) / 1000.0];
             let mut x = vec![1.0];
             x.extend(columns.iter().map(|column| all[*column]));
             x
         };
         // Weighted by what each place rests on.
-        let weight =
-            |it: &Place| (1.0 / it.readings.map(|n| 1.0 / n as f64).iter().sum::<f64>()).sqrt();
+        let weight = |it: &PositionDifference| {
+            (1.0 / it.readings.map(|n| 1.0 / n as f64).iter().sum::<f64>()).sqrt()
+        };
         let mut triangle = GivensQr::new(1 + columns.len());
         for it in places {
             let w = weight(it);
             let x: Vec<f64> = row(it).iter().map(|x| w * x).collect();
-            triangle.add(&x, w * it.difference_um);
+            triangle.add_row(&x, w * it.difference_um);
         }
         let constants = 1 + columns.len();
         let none = Self {
@@ -337,7 +343,7 @@ impl Law {
         let Ok(fit) = triangle.solve() else { return none };
         let squares: f64 = places
             .iter()
-            .map(|it| (weight(it) * (it.difference_um - fit.at(&row(it)))).powi(2))
+            .map(|it| (weight(it) * (it.difference_um - fit.predict(&row(it)))).powi(2))
             .sum();
         let count = places.len() as f64;
         let fitted = match variance {
@@ -347,52 +353,63 @@ impl Law {
         // With repeats the scatter is theirs; without, what is left.
         let half = |n: usize| match variance {
             Some(variance) => {
-                fit.half_width(n) * (variance / fit.variance().max(f64::MIN_POSITIVE)).sqrt()
+                fit.confidence_half_width(n)
+                    * (variance / fit.variance().max(f64::MIN_POSITIVE)).sqrt()
             }
-            None => fit.half_width(n),
+            None => fit.confidence_half_width(n),
         };
-        let changes: Vec<Change> = columns
+        let changes: Vec<ParameterChange> = columns
             .iter()
             .enumerate()
-            .map(|(n, column)| Change {
+            .map(|(n, column)| ParameterChange {
                 cause: if *column == 0 { "backlash" } else { slope_name },
                 value: fit.coefficients[n + 1],
                 half_width: half(n + 1),
             })
             .collect();
-        let sentences = changes.iter().map(|Change { cause, value, half_width }| match *cause {
-            "backlash" => format!("Backlash has changed by {value:+.2} ± {half_width:.2} µm."),
-            _ => format!("The error has changed by {value:+.2} ± {half_width:.2} µm over a metre."),
-        });
+        let sentences =
+            changes.iter().map(|ParameterChange { cause, value, half_width }| match *cause {
+                "backlash" => format!("Backlash has changed by {value:+.2} ± {half_width:.2} µm."),
+                _ => format!(
+                    "The error has changed by {value:+.2} ± {half_width:.2} µm over a metre."
+                ),
+            });
         let sentences = sentences.collect();
         let bic = fitted + constants as f64 * count.ln();
         Self { cause: changes.first().map(|it| it.cause), constants, bic, changes, sentences }
     }
 }
 
-fn quantity_of(a: &RunFile, b: &RunFile, asked: Option<Quantity>) -> Result<Quantity, BadInput> {
+fn common_quantity(
+    a: &RunFile,
+    b: &RunFile,
+    asked: Option<Quantity>,
+) -> Result<Quantity, BadInput> {
     let column = |quantity: Quantity| format!("measured_{}_um", quantity.name());
     if let Some(quantity) = asked {
-        return a.require(&column(quantity)).and(b.require(&column(quantity))).map(|_| quantity);
+        return a
+            .require_column(&column(quantity))
+            .and(b.require_column(&column(quantity)))
+            .map(|_| quantity);
     }
     let both = |it: &Quantity| a.column(&column(*it)).is_some() && b.column(&column(*it)).is_some();
     let all: Vec<Quantity> = Quantity::ALL.into_iter().filter(both).collect();
     match all[..] {
         [quantity] => Ok(quantity),
         [] => Err(BadInput::new(
-            Location::start_of(b.path()),
+            Location::start_of_file(b.path()),
             format!("measures nothing that {} measures (measured_…_um)", a.path().display()),
         )),
         _ => {
             let names: Vec<&str> = all.iter().map(|quantity| quantity.name()).collect();
             let rule = format!("the runs measure {}: choose one with --quantity", names.join(", "));
-            Err(BadInput::new(Location::start_of(b.path()), rule))
+            Err(BadInput::new(Location::start_of_file(b.path()), rule))
         }
     }
 }
 
 /// Returns the column of the axis that travels most in both.
-fn moving_axis(a: &RunFile, b: &RunFile, quantity: Quantity) -> Result<String, BadInput> {
+fn longest_travel_column(a: &RunFile, b: &RunFile, quantity: Quantity) -> Result<String, BadInput> {
     let travel = |run: &RunFile, name: &str| {
         let there = run.column(name)?.iter().copied().filter(|mm| mm.is_finite());
         let (low, high) = there.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), mm| {
@@ -409,19 +426,25 @@ fn moving_axis(a: &RunFile, b: &RunFile, quantity: Quantity) -> Result<String, B
              use trueup accept",
             quantity.name()
         );
-        BadInput::new(Location::start_of(b.path()), rule)
+        BadInput::new(Location::start_of_file(b.path()), rule)
     })
 }
 
-fn rows_of(run: &RunFile, quantity: Quantity, over: &str) -> Result<Vec<Row>, BadInput> {
-    let um = run.require(&format!("measured_{}_um", quantity.name()))?;
-    let at = run.require(over)?;
+fn extract_rows(
+    run: &RunFile,
+    quantity: Quantity,
+    over: &str,
+) -> Result<Vec<PositionReading>, BadInput> {
+    let um = run.require_column(&format!("measured_{}_um", quantity.name()))?;
+    let at = run.require_column(over)?;
     let directions = run.column(&format!("dir_{}", &over[..1]));
-    let rows = (0..run.rows()).filter(|row| um[*row].is_finite() && at[*row].is_finite());
+    let rows = (0..run.row_count()).filter(|row| um[*row].is_finite() && at[*row].is_finite());
     let direction = |row: usize| match directions.map(|all| all[row]) {
         Some(way) if way < 0.0 => -1,
         Some(way) if way > 0.0 => 1,
         _ => 0,
     };
-    Ok(rows.map(|row| Row { row, at: at[row], direction: direction(row), um: um[row] }).collect())
+    Ok(rows
+        .map(|row| PositionReading { row, at: at[row], direction: direction(row), um: um[row] })
+        .collect())
 }

@@ -4,14 +4,14 @@
 //! positions what a line through its readings says: a slope along the axis, and the backlash.
 
 use trueup_machine::{Location, Machine, RunFile, file::LinearAxis, model::is_reverse};
-use trueup_numerics::{least_squares::GivensQr, robust::in_relation, t_quantile};
+use trueup_numerics::{least_squares::GivensQr, robust::regression_outliers, t_quantile};
 
 /// A day, counted from 1970-01-01.
-pub type Day = i64;
+pub type EpochDay = i64;
 
 /// A constant of one day.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Constant {
+pub struct ConstantEstimate {
     /// Its key in the machine file, with its unit: `axis.x.backlash.width_um`.
     pub name: String,
     /// Its value.
@@ -23,25 +23,26 @@ pub struct Constant {
 /// Returns the day in a file's name.
 ///
 /// ```
-/// use trueup_compare::dated::{day_of, text_of};
-/// assert_eq!(day_of("mill 2026-11-22.csv"), Some(20_779));
-/// assert_eq!(day_of("mill_20261122_x.toml"), Some(20_779));
-/// assert_eq!(day_of("mill-2026-13-40.csv"), None);
-/// assert_eq!(text_of(20_779), "2026-11-22");
+/// use trueup_compare::dated::{parse_day, format_day};
+/// assert_eq!(parse_day("mill 2026-11-22.csv"), Some(20_779));
+/// assert_eq!(parse_day("mill_20261122_x.toml"), Some(20_779));
+/// assert_eq!(parse_day("mill-2026-13-40.csv"), None);
+/// assert_eq!(format_day(20_779), "2026-11-22");
 /// ```
 #[must_use]
-pub fn day_of(name: &str) -> Option<Day> {
+pub fn parse_day(name: &str) -> Option<EpochDay> {
     let number =
         |text: &str| text.bytes().all(|b| b.is_ascii_digit()).then(|| text.parse().ok())?;
-    let at = |start: usize| -> Option<Day> {
+    let at = |start: usize| -> Option<EpochDay> {
         let of = |from: usize, to: usize| name.get(start + from..start + to);
         let dashed = of(4, 5) == Some("-") && of(7, 8) == Some("-");
         let (month, day) = if dashed { ((5, 7), (8, 10)) } else { ((4, 6), (6, 8)) };
-        let year: Day = number(of(0, 4)?)?;
-        let (month, day): (Day, Day) = (number(of(month.0, month.1)?)?, number(of(day.0, day.1)?)?);
-        let days = days_of(year, month, day);
+        let year: EpochDay = number(of(0, 4)?)?;
+        let (month, day): (EpochDay, EpochDay) =
+            (number(of(month.0, month.1)?)?, number(of(day.0, day.1)?)?);
+        let days = days_from_civil(year, month, day);
         // What is no day of the calendar comes back as another one.
-        let is_day = (1970..2200).contains(&year) && civil(days) == (year, month, day);
+        let is_day = (1970..2200).contains(&year) && civil_from_days(days) == (year, month, day);
         is_day.then_some(days)
     };
     (0..name.len()).filter(|start| name.is_char_boundary(*start)).find_map(at)
@@ -49,13 +50,13 @@ pub fn day_of(name: &str) -> Option<Day> {
 
 /// Returns a day as `2026-11-22`.
 #[must_use]
-pub fn text_of(day: Day) -> String {
-    let (year, month, day) = civil(day);
+pub fn format_day(day: EpochDay) -> String {
+    let (year, month, day) = civil_from_days(day);
     format!("{year:04}-{month:02}-{day:02}")
 }
 
 /// Days from 1970-01-01, by years that begin in March: then the leap day is the last.
-fn days_of(year: Day, month: Day, day: Day) -> Day {
+fn days_from_civil(year: EpochDay, month: EpochDay, day: EpochDay) -> EpochDay {
     let year = if month <= 2 { year - 1 } else { year };
     let (era, of_era) = (year.div_euclid(400), year.rem_euclid(400));
     let of_year = (153 * ((month + 9) % 12) + 2) / 5 + day - 1;
@@ -63,7 +64,7 @@ fn days_of(year: Day, month: Day, day: Day) -> Day {
 }
 
 /// Year, month and day of a day.
-fn civil(days: Day) -> (Day, Day, Day) {
+fn civil_from_days(days: EpochDay) -> (EpochDay, EpochDay, EpochDay) {
     let days = days + 719_468;
     let (era, of_era) = (days.div_euclid(146_097), days.rem_euclid(146_097));
     let year = (of_era - of_era / 1460 + of_era / 36_524 - of_era / 146_096) / 365;
@@ -76,9 +77,10 @@ fn civil(days: Day) -> (Day, Day, Day) {
 
 /// Returns the constants of a machine file that wear or drift.
 #[must_use]
-pub fn of_machine(machine: &Machine) -> Vec<Constant> {
+pub fn machine_constants(machine: &Machine) -> Vec<ConstantEstimate> {
     let mut found = Vec::new();
-    let mut add = |name: String, value| found.push(Constant { name, value, half_width: None });
+    let mut add =
+        |name: String, value| found.push(ConstantEstimate { name, value, half_width: None });
     for (axis, of) in machine.axes.iter().zip(LinearAxis::ALL) {
         let name = of.name();
         if let Some(backlash) = &axis.backlash {
@@ -88,7 +90,7 @@ pub fn of_machine(machine: &Machine) -> Vec<Constant> {
             let points = pitch.forward_um.iter().enumerate();
             let m = |n: usize| (pitch.start_mm + pitch.step_mm * n as f64) / 1000.0;
             let mut line = GivensQr::new(2);
-            points.for_each(|(n, um)| line.add(&[1.0, m(n)], *um));
+            points.for_each(|(n, um)| line.add_row(&[1.0, m(n)], *um));
             if let Ok(line) = line.solve() {
                 add(format!("axis.{name}.pitch slope_um_per_m"), line.coefficients[1]);
             }
@@ -119,31 +121,32 @@ pub fn of_machine(machine: &Machine) -> Vec<Constant> {
 
 /// The constants and outliers of one day's run file.
 #[derive(Clone, Debug, Default)]
-pub struct OfRun {
+pub struct RunConstants {
     /// The backlash and the slope of each axis whose position errors it measures.
-    pub constants: Vec<Constant>,
+    pub constants: Vec<ConstantEstimate>,
     /// Where the readings stand that were excluded as outliers, with their value in µm.
     pub outliers: Vec<(Location, f64)>,
 }
 
 /// Returns the constants of `run`, and the readings that were excluded for them.
 #[must_use]
-pub fn of_run(run: &RunFile) -> OfRun {
-    let mut all = OfRun::default();
-    for of_axis in LinearAxis::ALL.into_iter().filter_map(|axis| of_axis(run, axis)) {
+pub fn estimate_run_constants(run: &RunFile) -> RunConstants {
+    let mut all = RunConstants::default();
+    for of_axis in LinearAxis::ALL.into_iter().filter_map(|axis| estimate_axis_constants(run, axis))
+    {
         all.constants.extend(of_axis.constants);
         all.outliers.extend(of_axis.outliers);
     }
     all
 }
 
-fn of_axis(run: &RunFile, axis: LinearAxis) -> Option<OfRun> {
+fn estimate_axis_constants(run: &RunFile, axis: LinearAxis) -> Option<RunConstants> {
     let name = axis.name();
     let um = run.column(&format!("measured_d{name}_um"))?;
     let at = run.column(&format!("{name}_mm"))?;
     let direction = run.column(&format!("dir_{name}"));
     let rows: Vec<usize> =
-        (0..run.rows()).filter(|row| um[*row].is_finite() && at[*row].is_finite()).collect();
+        (0..run.row_count()).filter(|row| um[*row].is_finite() && at[*row].is_finite()).collect();
     let reverse = |row: usize| direction.is_some_and(|all| is_reverse(all[row]));
     let both = rows.iter().any(|row| reverse(*row)) && rows.iter().any(|row| !reverse(*row));
     let spread = rows.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), row| {
@@ -162,25 +165,25 @@ fn of_axis(run: &RunFile, axis: LinearAxis) -> Option<OfRun> {
     let by_column: Vec<&[f64]> = by_column.iter().map(Vec::as_slice).collect();
     let values: Vec<f64> = rows.iter().map(|row| um[*row]).collect();
     let outliers: Vec<usize> =
-        in_relation(&by_column, &values).iter().map(|outlier| outlier.row).collect();
+        regression_outliers(&by_column, &values).iter().map(|outlier| outlier.row).collect();
     let measured = format!("measured_d{name}_um");
-    let listed = outliers.iter().map(|n| (run.place(rows[*n], &measured), values[*n]));
+    let listed = outliers.iter().map(|n| (run.value_location(rows[*n], &measured), values[*n]));
     let listed = listed.collect();
     let mut line = GivensQr::new(count);
     for (n, row) in rows.into_iter().enumerate() {
         if !outliers.contains(&n) {
-            line.add(&columns(row), um[row]);
+            line.add_row(&columns(row), um[row]);
         }
     }
     let line = line.solve().ok()?;
     let t = t_quantile(0.975, line.degrees_of_freedom() as f64);
-    let constant = |name: String, n: usize| Constant {
+    let constant = |name: String, n: usize| ConstantEstimate {
         name,
         value: line.coefficients[n],
-        half_width: t.is_finite().then(|| line.half_width(n)),
+        half_width: t.is_finite().then(|| line.confidence_half_width(n)),
     };
     let slope = moves.then(|| constant(format!("axis.{name}.pitch slope_um_per_m"), 1));
     let width =
         both.then(|| constant(format!("axis.{name}.backlash.width_um"), 1 + usize::from(moves)));
-    Some(OfRun { constants: slope.into_iter().chain(width).collect(), outliers: listed })
+    Some(RunConstants { constants: slope.into_iter().chain(width).collect(), outliers: listed })
 }

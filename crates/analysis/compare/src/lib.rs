@@ -11,5 +11,5 @@
 pub mod compare;
 pub mod dated;
 pub mod page;
-pub mod thermal;
+pub mod thermal_expansion;
 pub mod trend;

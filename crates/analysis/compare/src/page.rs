@@ -1,23 +1,23 @@
 //! A comparison and a trend as pages with pictures.
 
-use trueup_page::{Chart, Colour, Origin, Page, Series, Table, micrometres};
+use trueup_page::{Chart, Colour, Origin, Page, Series, Table, format_micrometres};
 
 use crate::{
-    compare::{Comparison, Place},
+    compare::{Comparison, PositionDifference},
     trend::Trend,
 };
 
 /// Returns the page of a comparison of two runs, by their names.
 #[must_use]
-pub fn of_comparison(it: &Comparison, [a, b]: [&str; 2], origin: &Origin) -> String {
+pub fn build_comparison_page(it: &Comparison, [a, b]: [&str; 2], origin: &Origin) -> String {
     let mut page = Page::new(&format!("{a} and {b}"));
     let (state, heading) =
         if it.differs { ("open", "They differ") } else { ("good", "No difference") };
-    page.card(state, heading, &it.sentences);
-    let scatter = it.repeatability_um.map_or("not known".into(), micrometres);
-    page.figures(&[
-        (micrometres(it.rms_um), "RMS difference, the shift taken off".into(), "before"),
-        (micrometres(it.max_um), "largest".into(), "before"),
+    page.add_card(state, heading, &it.sentences);
+    let scatter = it.repeatability_um.map_or("not known".into(), format_micrometres);
+    page.add_key_figures(&[
+        (format_micrometres(it.rms_um), "RMS difference, the shift taken off".into(), "before"),
+        (format_micrometres(it.max_um), "largest".into(), "before"),
         (scatter, "standard deviation of a reading, from repeats".into(), ""),
     ]);
     let of = |way: i8| -> Vec<[f64; 2]> {
@@ -39,11 +39,13 @@ pub fn of_comparison(it: &Comparison, [a, b]: [&str; 2], origin: &Origin) -> Str
         y: format!("difference of {}, µm", it.quantity),
         series: series.collect(),
     };
-    page.pictures(&[chart.figure()]);
-    page.heading("Place by place");
+    page.add_charts(&[chart.to_figure()]);
+    page.add_heading("Place by place");
     let mut table = Table::new(&["mm", "direction", "difference, µm", "95 %, µm", "readings"]);
-    for Place { at_mm, direction, difference_um, half_width_um, readings: [a, b] } in &it.places {
-        table.row(&[
+    for PositionDifference { at_mm, direction, difference_um, half_width_um, readings: [a, b] } in
+        &it.places
+    {
+        table.add_row(&[
             at_mm.to_string(),
             direction.to_string(),
             format!("{difference_um:+.2}"),
@@ -51,17 +53,17 @@ pub fn of_comparison(it: &Comparison, [a, b]: [&str; 2], origin: &Origin) -> Str
             format!("{a} + {b}"),
         ]);
     }
-    page.table(&table);
-    page.origin(origin);
-    page.html()
+    page.add_table(&table);
+    page.add_provenance_footer(origin);
+    page.to_html()
 }
 
 /// Returns the page of trends.
 #[must_use]
-pub fn of_trends(trends: &[Trend], folder: &str, origin: &Origin) -> String {
+pub fn build_trends_page(trends: &[Trend], folder: &str, origin: &Origin) -> String {
     let mut page = Page::new(&format!("What changes in {folder}"));
     let say = |it: &Trend| format!("{}: {}", it.name, it.sentence);
-    page.card("open", "Constants over time", &trends.iter().map(say).collect::<Vec<_>>());
+    page.add_card("open", "Constants over time", &trends.iter().map(say).collect::<Vec<_>>());
     let picture = |it: &Trend| {
         let points: Vec<[f64; 2]> =
             it.points.iter().map(|point| [point.days, point.value]).collect();
@@ -76,17 +78,22 @@ pub fn of_trends(trends: &[Trend], folder: &str, origin: &Origin) -> String {
         }
         let from = it.points.first().map_or("", |point| &point.date);
         Chart { title: it.name.clone(), x: format!("days from {from}"), y: it.name.clone(), series }
-            .figure()
+            .to_figure()
     };
-    page.pictures(&trends.iter().map(picture).collect::<Vec<_>>());
+    page.add_charts(&trends.iter().map(picture).collect::<Vec<_>>());
     let mut table = Table::new(&["constant", "day", "value", "95 %"]);
     for it in trends {
         for point in &it.points {
             let half = point.half_width.map_or("–".into(), |half| format!("± {half:.2}"));
-            table.row(&[it.name.clone(), point.date.clone(), format!("{:.3}", point.value), half]);
+            table.add_row(&[
+                it.name.clone(),
+                point.date.clone(),
+                format!("{:.3}", point.value),
+                half,
+            ]);
         }
     }
-    page.table(&table);
-    page.origin(origin);
-    page.html()
+    page.add_table(&table);
+    page.add_provenance_footer(origin);
+    page.to_html()
 }

@@ -12,16 +12,16 @@
 use serde::Serialize;
 use trueup_numerics::{least_squares::GivensQr, t_quantile};
 
-use crate::dated::{Constant, Day, text_of};
+use crate::dated::{ConstantEstimate, EpochDay, format_day};
 
 /// Days of a year.
-const YEAR: f64 = 365.25;
+const DAYS_PER_YEAR: f64 = 365.25;
 /// A line needs as many days for an interval.
-const MIN: usize = 3;
+const MIN_TREND_DAYS: usize = 3;
 
 /// One measurement of a constant.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Point {
+pub struct TrendPoint {
     /// `2026-11-22`.
     pub date: String,
     /// Days since the first.
@@ -38,7 +38,7 @@ pub struct Trend {
     /// Its key in the machine file.
     pub name: String,
     /// In the order of the days.
-    pub points: Vec<Point>,
+    pub points: Vec<TrendPoint>,
     /// Change in a year and half its 95 % interval; `None` below three days.
     pub per_year: Option<[f64; 2]>,
     /// Whether the change is beyond chance.
@@ -50,14 +50,14 @@ pub struct Trend {
     /// Whether that day has passed.
     pub overdue: bool,
     /// A step between two days, where it explains the values better than a line.
-    pub step: Option<Step>,
+    pub step: Option<StepChange>,
     /// The trend in words.
     pub sentence: String,
 }
 
 /// Two levels with a step between.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Step {
+pub struct StepChange {
     /// The last day before it and the first one after it.
     pub between: [String; 2],
     /// Its size, and half its 95 % interval.
@@ -67,18 +67,23 @@ pub struct Step {
 }
 
 /// A difference of BIC from which evidence is strong.
-const STRONG_EVIDENCE: f64 = 6.0;
+const STRONG_EVIDENCE_BIC: f64 = 6.0;
 
 /// Returns the best two levels, and by how much their BIC is below that of the line, which leaves `squares`.
-fn step(points: &[Point], squares: f64, own: Option<f64>) -> Option<(Step, f64)> {
+fn fit_step_change(
+    points: &[TrendPoint],
+    squares: f64,
+    own: Option<f64>,
+) -> Option<(StepChange, f64)> {
     let count = points.len() as f64;
     // No value is known better than a tenth of what one measurement says of itself.
     let least = own.map_or(f64::MIN_POSITIVE, |half| count * (half / 19.6).powi(2));
     let bic = |squares: f64, constants: f64| {
         count * (squares.max(least) / count).ln() + constants * count.ln()
     };
-    let mean = |all: &[Point]| all.iter().map(|it| it.value).sum::<f64>() / all.len() as f64;
-    let left = |all: &[Point]| all.iter().map(|it| (it.value - mean(all)).powi(2)).sum::<f64>();
+    let mean = |all: &[TrendPoint]| all.iter().map(|it| it.value).sum::<f64>() / all.len() as f64;
+    let left =
+        |all: &[TrendPoint]| all.iter().map(|it| (it.value - mean(all)).powi(2)).sum::<f64>();
     // A level of one day may be a bad measurement.
     let cuts =
         (2..points.len().saturating_sub(1)).filter(|cut| points[*cut].days > points[*cut - 1].days);
@@ -88,7 +93,7 @@ fn step(points: &[Point], squares: f64, own: Option<f64>) -> Option<(Step, f64)>
     let freedom = count - 2.0;
     let scatter = (two.max(least) / freedom).sqrt();
     let shares = (1.0 / before.len() as f64 + 1.0 / after.len() as f64).sqrt();
-    let step = Step {
+    let step = StepChange {
         between: [before[cut - 1].date.clone(), after[0].date.clone()],
         size: mean(after) - mean(before),
         half_width: t_quantile(0.975, freedom) * scatter * shares,
@@ -100,8 +105,12 @@ fn step(points: &[Point], squares: f64, own: Option<f64>) -> Option<(Step, f64)>
 /// Returns the trends of these days' constants; `limit`: a change that matters; `today` says whether a measurement is
 /// overdue.
 #[must_use]
-pub fn trends(days: &[(Day, Vec<Constant>)], limit: Option<f64>, today: Option<Day>) -> Vec<Trend> {
-    let mut days: Vec<&(Day, Vec<Constant>)> = days.iter().collect();
+pub fn fit_trends(
+    days: &[(EpochDay, Vec<ConstantEstimate>)],
+    limit: Option<f64>,
+    today: Option<EpochDay>,
+) -> Vec<Trend> {
+    let mut days: Vec<&(EpochDay, Vec<ConstantEstimate>)> = days.iter().collect();
     days.sort_by_key(|(day, _)| *day);
     let mut names: Vec<&str> = Vec::new();
     for constant in days.iter().flat_map(|(_, constants)| constants) {
@@ -110,26 +119,31 @@ pub fn trends(days: &[(Day, Vec<Constant>)], limit: Option<f64>, today: Option<D
         }
     }
     let of = |name: &&str| {
-        let of_day = |(day, constants): &&(Day, Vec<Constant>)| {
+        let of_day = |(day, constants): &&(EpochDay, Vec<ConstantEstimate>)| {
             let mine = constants.iter().filter(|it| it.name == *name);
             mine.map(|it| (*day, it.clone())).collect::<Vec<_>>()
         };
-        trend(name, &days.iter().flat_map(of_day).collect::<Vec<_>>(), limit, today)
+        fit_trend(name, &days.iter().flat_map(of_day).collect::<Vec<_>>(), limit, today)
     };
     names.iter().map(of).collect()
 }
 
-fn trend(name: &str, found: &[(Day, Constant)], limit: Option<f64>, today: Option<Day>) -> Trend {
+fn fit_trend(
+    name: &str,
+    found: &[(EpochDay, ConstantEstimate)],
+    limit: Option<f64>,
+    today: Option<EpochDay>,
+) -> Trend {
     let first = found.first().map_or(0, |(day, _)| *day);
-    let point = |(day, constant): &(Day, Constant)| Point {
-        date: text_of(*day),
+    let point = |(day, constant): &(EpochDay, ConstantEstimate)| TrendPoint {
+        date: format_day(*day),
         days: (day - first) as f64,
         value: constant.value,
         half_width: constant.half_width,
     };
-    let points: Vec<Point> = found.iter().map(point).collect();
+    let points: Vec<TrendPoint> = found.iter().map(point).collect();
     let last = found.last().map_or(0, |(day, _)| *day);
-    let mut dates: Vec<Day> = found.iter().map(|(day, _)| *day).collect();
+    let mut dates: Vec<EpochDay> = found.iter().map(|(day, _)| *day).collect();
     dates.dedup();
     let mut it = Trend {
         name: name.into(),
@@ -143,24 +157,26 @@ fn trend(name: &str, found: &[(Day, Constant)], limit: Option<f64>, today: Optio
         sentence: String::new(),
     };
     let mut line = GivensQr::new(2);
-    it.points.iter().for_each(|point| line.add(&[1.0, point.days / YEAR], point.value));
-    let solved = if dates.len() >= MIN { line.solve().ok() } else { None };
+    it.points
+        .iter()
+        .for_each(|point| line.add_row(&[1.0, point.days / DAYS_PER_YEAR], point.value));
+    let solved = if dates.len() >= MIN_TREND_DAYS { line.solve().ok() } else { None };
     let Some(line) = solved else {
         it.sentence = format!(
-            "measured on {} {}: a trend needs {MIN}.",
+            "measured on {} {}: a trend needs {MIN_TREND_DAYS}.",
             dates.len(),
             if dates.len() == 1 { "day" } else { "days" }
         );
         return it;
     };
-    let (rate, half) = (line.coefficients[1], line.half_width(1));
+    let (rate, half) = (line.coefficients[1], line.confidence_half_width(1));
     it.per_year = Some([rate, half]);
     it.changes = rate.abs() > half;
     let told: Vec<f64> = it.points.iter().filter_map(|point| point.half_width).collect();
     let own = (!told.is_empty()).then(|| told.iter().sum::<f64>() / told.len() as f64);
     let squares = line.variance() * line.degrees_of_freedom() as f64;
-    if let Some((step, evidence)) = step(&it.points, squares, own)
-        && evidence >= STRONG_EVIDENCE
+    if let Some((step, evidence)) = fit_step_change(&it.points, squares, own)
+        && evidence >= STRONG_EVIDENCE_BIC
     {
         let [from, to] = &step.between;
         it.sentence = format!(
@@ -182,8 +198,8 @@ fn trend(name: &str, found: &[(Day, Constant)], limit: Option<f64>, today: Optio
     };
     // A century is beyond any plan, and beyond what the days can count.
     if fastest > 0.0 && years < 100.0 {
-        let by = last + (years * YEAR).floor() as Day;
-        let day = text_of(by);
+        let by = last + (years * DAYS_PER_YEAR).floor() as EpochDay;
+        let day = format_day(by);
         it.overdue = today.is_some_and(|today| by < today);
         if it.overdue {
             it.sentence = format!(

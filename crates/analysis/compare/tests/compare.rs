@@ -6,9 +6,9 @@ use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, Normal};
 use trueup_compare::{
-    compare::{Comparison, compare},
-    dated::{Constant, OfRun, day_of, of_run},
-    trend::trends,
+    compare::{Comparison, compare_runs},
+    dated::{ConstantEstimate, RunConstants, estimate_run_constants, parse_day},
+    trend::fit_trends,
 };
 use trueup_machine::RunFile;
 
@@ -34,7 +34,7 @@ fn pitch(x: f64) -> f64 {
 fn between(quantity: &str, seed: u64, change: impl Fn(f64, f64) -> f64) -> Comparison {
     let a = run(quantity, seed, |x, _| pitch(x));
     let b = run(quantity, seed + 1000, |x, dir| pitch(x) + 3.0 + change(x, dir));
-    compare(&a, &b, None).expect("they have places in common")
+    compare_runs(&a, &b, None).expect("they have places in common")
 }
 
 #[test]
@@ -55,7 +55,7 @@ fn bad_readings_are_excluded_by_their_lines_and_make_no_difference() {
         let columns =
             ["run", "x_mm", "dir_x", "measured_dx_um"].map(|it| run.column(it).expect("there"));
         let mut text = "run,x_mm,dir_x,measured_dx_um\n".to_string();
-        for row in 0..run.rows() {
+        for row in 0..run.row_count() {
             let off = spoiled.iter().find(|it| it.0 == row).map_or(0.0, |it| it.1);
             let [number, x, dir, um] = columns.map(|all| all[row]);
             writeln!(text, "{number},{x},{dir},{}", um + off).expect("a string takes all");
@@ -63,7 +63,7 @@ fn bad_readings_are_excluded_by_their_lines_and_make_no_difference() {
         RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file")
     };
     let (a, b) = (text(1, &[(20, 40.0)]), text(2, &[(3, -60.0), (90, 25.0)]));
-    let it = compare(&a, &b, None).expect("they have places in common");
+    let it = compare_runs(&a, &b, None).expect("they have places in common");
     let found: Vec<(usize, usize)> = it.outliers.iter().map(|it| (it.file, it.line)).collect();
     assert_eq!(found, [(0, 22), (1, 5), (1, 92)]);
     assert!(!it.differs && it.repeatability_um.is_some_and(|um| um < 0.4), "{it:?}");
@@ -110,28 +110,28 @@ fn runs_without_places_in_common_are_refused() {
     let a = run("dx", 1, |x, _| pitch(x));
     let text = "x_mm,measured_dx_um\n7001,0\n7002,0\n7003,0\n7004,0\n";
     let b = RunFile::from_reader(text.as_bytes(), Path::new("b.csv")).expect("a run file");
-    let said = compare(&a, &b, None).expect_err("nothing in common").to_string();
+    let said = compare_runs(&a, &b, None).expect_err("nothing in common").to_string();
     assert!(said.contains("0 places in common"), "{said}");
     let c = run("dz", 1, |_, _| 0.0);
-    assert!(compare(&a, &c, None).is_err());
+    assert!(compare_runs(&a, &c, None).is_err());
 }
 
 #[test]
 fn wear_is_a_line_with_an_interval_and_a_date() {
     // 4 µm of backlash, and 1.5 µm more each year, over two years.
     let dates = ["2024-01-10", "2024-07-10", "2025-01-10", "2025-07-10", "2026-01-10"];
-    let day = |date: &str| day_of(date).expect("a date");
+    let day = |date: &str| parse_day(date).expect("a date");
     let first = day(dates[0]);
-    let days: Vec<(i64, Vec<Constant>)> = dates
+    let days: Vec<(i64, Vec<ConstantEstimate>)> = dates
         .into_iter()
         .map(|date| {
             let years = (day(date) - first) as f64 / 365.25;
             let width = 4.0 + 1.5 * years;
             let run = run("dx", years.to_bits(), |_, dir| if dir < 0.0 { width } else { 0.0 });
-            (day(date), of_run(&run).constants)
+            (day(date), estimate_run_constants(&run).constants)
         })
         .collect();
-    let found = trends(&days, Some(2.0), None);
+    let found = fit_trends(&days, Some(2.0), None);
     let wear = found.iter().find(|it| it.name == "axis.x.backlash.width_um").expect("it is there");
     let [rate, half] = wear.per_year.expect("five days");
     println!("{wear:?}");
@@ -145,15 +145,16 @@ fn wear_is_a_line_with_an_interval_and_a_date() {
         "{slope:?}"
     );
     // A step is none either.
-    let value = |name: &str, value: f64| Constant { name: name.into(), value, half_width: None };
+    let value =
+        |name: &str, value: f64| ConstantEstimate { name: name.into(), value, half_width: None };
     let levels = [4.0, 4.1, 3.9, 9.0, 9.1, 8.9];
     let steps: Vec<_> =
         (0..6).map(|n| (first + 90 * n, vec![value("k", levels[n as usize])])).collect();
-    let stepped = &trends(&steps, None, None)[0];
+    let stepped = &fit_trends(&steps, None, None)[0];
     let found = stepped.step.as_ref().expect("a step");
     assert!((found.size - 5.0).abs() < 0.3 && stepped.per_year.is_none(), "{stepped:?}");
     // Two days are no trend.
-    let two = trends(&days[..2], None, None);
+    let two = fit_trends(&days[..2], None, None);
     assert!(two[0].per_year.is_none() && two[0].sentence.contains("needs 3"), "{two:?}");
 }
 
@@ -175,15 +176,19 @@ fn a_warmer_run_is_no_difference_where_the_machine_file_knows_the_expansion() {
         RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file")
     };
     let (cool, warm) = (at(20.0, 1), at(26.0, 4));
-    let raw = compare(&cool, &warm, None).expect("comparable");
+    let raw = compare_runs(&cool, &warm, None).expect("comparable");
     assert_eq!(raw.cause, Some("pitch-scale"), "{raw:?}");
-    let [(cool, said), (warm, _)] =
-        [cool, warm].map(|run| trueup_compare::thermal::at_reference(&run, Some(&machine)));
+    let [(cool, said), (warm, _)] = [cool, warm].map(|run| {
+        trueup_compare::thermal_expansion::remove_thermal_expansion(&run, Some(&machine))
+    });
     assert!(said.contains("taken off"), "{said}");
-    let corrected = compare(&cool, &warm, None).expect("comparable");
+    let corrected = compare_runs(&cool, &warm, None).expect("comparable");
     assert!(!corrected.differs, "{corrected:?}");
-    let slope =
-        of_run(&warm).constants.into_iter().find(|it| it.name.contains("slope")).expect("a slope");
+    let slope = estimate_run_constants(&warm)
+        .constants
+        .into_iter()
+        .find(|it| it.name.contains("slope"))
+        .expect("a slope");
     assert!(slope.value.abs() < 1.0, "{slope:?}");
 }
 
@@ -197,7 +202,7 @@ fn one_bad_reading_moves_no_backlash_of_a_dated_run() {
         text += &format!("{x},{dir},{:.2}\n", if dir < 0.0 { 6.0 } else { 0.0 } + noise + bad);
     }
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
-    let OfRun { constants, outliers } = of_run(&run);
+    let RunConstants { constants, outliers } = estimate_run_constants(&run);
     let width = constants.iter().find(|it| it.name.contains("width")).expect("a width");
     assert!((width.value - 6.0).abs() < 0.3, "{width:?}");
     assert!(outliers.len() == 1 && outliers[0].1 > 10.0, "{outliers:?}");

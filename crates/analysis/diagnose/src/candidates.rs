@@ -2,72 +2,84 @@
 //! propose when they are shown the data.
 
 use trueup_machine::{
-    effect::{DataView, Effect, OnBoard, Quantity, Reading, StartValues, spread},
+    effect::{BoardTerm, DataView, Effect, Quantity, SpectrumVariable, StartValues, peak_to_peak},
     file::{AxisModel, ElongationSource, Spindle},
 };
-use trueup_numerics::parallel::on_all_cores;
+use trueup_numerics::parallel::parallel_map;
 
 use crate::{
-    columns::{SAID, named},
-    data::{Data, Stated, filled},
-    fit::Problem,
-    kind::{Curve, Kind, Part, own_thermal},
+    columns::{MODEL_COLUMN, column_by_name},
+    data::{ColumnGroup, DataTable, StatedTerm, forward_fill},
+    fit::FitProblem,
     model::Model,
-    waves,
+    periodogram,
+    term_kind::{Curve, ModelPart, TermKind, own_axis_thermal},
 };
 
 /// Most speeds at which a curve over them may bend.
-const SPEEDS: usize = 10;
+const MAX_SPEED_KNOTS: usize = 10;
 
 /// A cause to try.
 #[derive(Clone, Debug)]
 pub(crate) struct Candidate {
-    pub kind: Kind,
+    pub kind: TermKind,
     /// Nonlinear values to begin from; one empty list where there are none.
     pub settings: Vec<Vec<f64>>,
     /// ln of the number of settings that were looked at to find these.
     pub searched: f64,
 }
 
-/// Returns what may be added to `model` but for what takes two recorded inputs together and what goes with the clock
+/// Returns what may be added to `model` but for what takes two recorded inputs together and what depends on the clock
 /// alone, and the terms of the machine file that may have become wrong.
-pub(crate) fn possible(problem: &Problem, model: &Model, residual: &[f64]) -> Vec<Candidate> {
-    let mut all = with_clock(problem, model, residual);
-    all.retain(|candidate| !candidate.kind.is_by_the_clock());
+pub(crate) fn simple_candidates(
+    problem: &FitProblem,
+    model: &Model,
+    residual: &[f64],
+) -> Vec<Candidate> {
+    let mut all = simple_and_clock_candidates(problem, model, residual);
+    all.retain(|candidate| !candidate.kind.is_clock_periodic());
     all
 }
 
-/// Returns the same, with what comes and goes with the clock.
-pub(crate) fn with_clock(problem: &Problem, model: &Model, residual: &[f64]) -> Vec<Candidate> {
-    let mut all = with_composed(problem, model, residual);
-    all.retain(|candidate| !candidate.kind.is_composed());
+/// Returns the same, with what is periodic in time.
+pub(crate) fn simple_and_clock_candidates(
+    problem: &FitProblem,
+    model: &Model,
+    residual: &[f64],
+) -> Vec<Candidate> {
+    let mut all = all_candidates(problem, model, residual);
+    all.retain(|candidate| !candidate.kind.is_interaction());
     all
 }
 
 /// Returns all of these, with what takes two recorded inputs together: many candidates.
-pub(crate) fn with_composed(problem: &Problem, model: &Model, residual: &[f64]) -> Vec<Candidate> {
-    (*problem.known("causes", model, || proposed(problem, model, residual))).clone()
+pub(crate) fn all_candidates(
+    problem: &FitProblem,
+    model: &Model,
+    residual: &[f64],
+) -> Vec<Candidate> {
+    (*problem.memoise("causes", model, || propose_candidates(problem, model, residual))).clone()
 }
 
-fn proposed(problem: &Problem, model: &Model, residual: &[f64]) -> Vec<Candidate> {
-    let stated = problem.data.stated.iter();
+fn propose_candidates(problem: &FitProblem, model: &Model, residual: &[f64]) -> Vec<Candidate> {
+    let stated = problem.data.setting.stated.iter();
     // A time that is searched, not fitted, is what happened once: that does not change.
-    let held = stated.map(Part::stated).filter(|Part { kind, .. }| {
-        !model.has(kind)
+    let held = stated.map(ModelPart::from_stated_term).filter(|ModelPart { kind, .. }| {
+        !model.contains(kind)
             && !kind.has_instant()
-            && kind.cause().is_some_and(|it| can_change(problem, it))
+            && kind.cause().is_some_and(|it| has_column(problem, it))
     });
     let mut all: Vec<Candidate> = held
-        .map(|Part { kind, values }| Candidate { kind, settings: vec![values], searched: 0.0 })
+        .map(|ModelPart { kind, values }| Candidate { kind, settings: vec![values], searched: 0.0 })
         .collect();
     Effect::propose(
-        &Seen { problem, model, residual },
+        &CandidateContext { problem, model, residual },
         &mut |effect, StartValues { starts, searched }| {
-            let is_stated = is_stated(problem, &effect, &starts);
-            let kind = Kind::Cause(effect);
+            let is_in_machine_file = is_in_machine_file(problem, &effect, &starts);
+            let kind = TermKind::Cause(effect);
             // A wave may come a second time, with another period.
-            let is_new = kind.is_wave() || kind.is_of_instrument() || !model.has(&kind);
-            if !starts.is_empty() && is_new && !is_stated {
+            let is_new = kind.is_wave() || kind.is_of_instrument() || !model.contains(&kind);
+            if !starts.is_empty() && is_new && !is_in_machine_file {
                 all.push(Candidate { kind, settings: starts, searched });
             }
         },
@@ -77,12 +89,13 @@ fn proposed(problem: &Problem, model: &Model, residual: &[f64]) -> Vec<Candidate
 
 /// Returns whether the machine file has a cause already, so that it can only be one that has changed: of the
 /// same name on the same column; of waves one whose period the travel does not show apart.
-fn is_stated(problem: &Problem, effect: &Effect, starts: &[Vec<f64>]) -> bool {
-    let same = |stated: &&Stated| {
-        stated.effect.name() == effect.name() && stated.effect.column() == effect.column()
+fn is_in_machine_file(problem: &FitProblem, effect: &Effect, starts: &[Vec<f64>]) -> bool {
+    let same = |stated: &&StatedTerm| {
+        stated.effect.name() == effect.name()
+            && stated.effect.input_column() == effect.input_column()
     };
-    let mut same = problem.data.stated.iter().filter(same);
-    if effect.is_of_instrument() || effect.has_instant() {
+    let mut same = problem.data.setting.stated.iter().filter(same);
+    if effect.is_instrument_error() || effect.has_instant() {
         return false;
     }
     if !effect.is_wave() {
@@ -90,9 +103,9 @@ fn is_stated(problem: &Problem, effect: &Effect, starts: &[Vec<f64>]) -> bool {
     }
     let travel_mm = problem.bounds.travel_mm;
     same.any(|stated| {
-        let waves = stated.effect.on_board();
+        let waves = stated.effect.board_terms();
         let lengths_mm = waves.iter().filter_map(|form| match form {
-            OnBoard::Wave { period_mm, harmonic, .. } => Some(period_mm / f64::from(*harmonic)),
+            BoardTerm::Wave { period_mm, harmonic, .. } => Some(period_mm / f64::from(*harmonic)),
             _ => None,
         });
         let is_near = |mm: f64| {
@@ -102,123 +115,123 @@ fn is_stated(problem: &Problem, effect: &Effect, starts: &[Vec<f64>]) -> bool {
     })
 }
 
-/// Returns whether the data have the column that a cause hangs on, if it hangs on one.
-fn can_change(problem: &Problem, effect: &Effect) -> bool {
-    effect.column().is_none_or(|column| varying(&problem.data, &column))
+/// Returns whether the data have the column that a cause depends on, if it depends on one.
+fn has_column(problem: &FitProblem, effect: &Effect) -> bool {
+    effect.input_column().is_none_or(|column| is_varying(&problem.data, &column))
 }
 
 /// Returns the temperatures that the model goes by already.
-pub(crate) fn columns_in_use(data: &Data, model: &Model) -> Vec<String> {
-    let spindle = &data.machine.spindle;
+pub(crate) fn used_temperature_columns(data: &DataTable, model: &Model) -> Vec<String> {
+    let spindle = &data.setting.machine.spindle;
     let mut used = Vec::new();
-    if data.has_elongation && spindle.source == Some(ElongationSource::Temperature) {
+    if data.setting.has_elongation && spindle.source == Some(ElongationSource::Temperature) {
         used.extend(spindle.temperature.as_ref().map(|model| model.sensor.clone()));
     }
-    used.extend(own_thermal(data).map(|thermal| thermal.sensor.clone()));
-    let model = model.with_stated(data);
+    used.extend(own_axis_thermal(data).map(|thermal| thermal.sensor.clone()));
+    let model = model.with_machine_terms(data);
     let paths = model.parts.iter().filter_map(|part| part.kind.heat_path());
     used.extend(paths.filter(|path| !path.is_second).map(|path| path.column.to_string()));
     used
 }
 
 /// The problem, model and residual that the pages are shown.
-struct Seen<'a> {
-    problem: &'a Problem,
+struct CandidateContext<'a> {
+    problem: &'a FitProblem,
     model: &'a Model,
     residual: &'a [f64],
 }
 
-impl Seen<'_> {
-    fn data(&self) -> &Data {
+impl CandidateContext<'_> {
+    fn data(&self) -> &DataTable {
         &self.problem.data
     }
 
-    /// Returns what a wave may go with, in groups.
-    fn reading(&self, over: Reading<'_>) -> Option<Vec<f64>> {
+    /// Returns the coordinate over which a wave is looked for, in groups.
+    fn wave_coordinate(&self, over: SpectrumVariable<'_>) -> Option<Vec<f64>> {
         let data = self.data();
         let values = match over {
-            Reading::Position => data.own_position()?,
-            Reading::Time => data.time_s.as_deref()?,
-            Reading::Elongation => &data.elongation,
-            Reading::Column(column) => named(data, column)?,
+            SpectrumVariable::Position => data.own_position()?,
+            SpectrumVariable::Time => data.time_s()?,
+            SpectrumVariable::Elongation => &data.predicted.elongation,
+            SpectrumVariable::Column(column) => column_by_name(data, column)?,
         };
-        Some(self.problem.groups.means(&filled(values)))
+        Some(self.problem.groups.means(&forward_fill(values)))
     }
 }
 
-impl Seen<'_> {
+impl CandidateContext<'_> {
     /// Times in equal ratios, from the spacing of the groups on, in s; none without a clock.
-    fn times_up_to(&self, high_s: f64) -> impl Iterator<Item = f64> {
+    fn geometric_time_grid(&self, high_s: f64) -> impl Iterator<Item = f64> {
         /// Less than a factor of two, so that the fit begins near.
-        const RATIO: f64 = 1.6;
+        const TIME_GRID_RATIO: f64 = 1.6;
         let step_s = self.problem.bounds.step_s * self.problem.groups.size as f64;
-        let first_s = self.data().time_s.as_ref().map(|_| step_s);
-        let times = std::iter::successors(first_s, |time_s| Some(time_s * RATIO));
+        let first_s = self.data().time_s().map(|_| step_s);
+        let times = std::iter::successors(first_s, |time_s| Some(time_s * TIME_GRID_RATIO));
         times.take_while(move |time_s| *time_s <= high_s)
     }
 }
 
-impl DataView for Seen<'_> {
+impl DataView for CandidateContext<'_> {
     fn quantity(&self) -> Quantity {
-        self.data().quantity
+        self.data().setting.quantity
     }
 
     fn spindle(&self) -> &Spindle {
-        &self.data().machine.spindle
+        &self.data().setting.machine.spindle
     }
 
     fn own_axis(&self) -> Option<&AxisModel> {
         let data = self.data();
-        data.quantity.axis().map(|axis| &data.machine.axes[axis.index()])
+        data.setting.quantity.axis().map(|axis| &data.setting.machine.axes[axis.index()])
     }
 
-    fn elongates(&self) -> bool {
+    fn has_elongation(&self) -> bool {
         let data = self.data();
-        data.has_elongation && data.along.iter().any(|along| along.abs() > 0.1)
+        data.setting.has_elongation && data.predicted.along.iter().any(|along| along.abs() > 0.1)
     }
 
-    fn law(&self) -> &[f64] {
-        &self.data().law
+    fn source_elongation_um(&self) -> &[f64] {
+        &self.data().predicted.law
     }
 
-    fn predicted_spread(&self) -> f64 {
-        spread(&Model::default().predict(self.data()))
+    fn predicted_peak_to_peak(&self) -> f64 {
+        peak_to_peak(&Model::default().predict(self.data()))
     }
 
     fn column(&self, name: &str) -> Option<&[f64]> {
-        named(self.data(), name)
+        column_by_name(self.data(), name)
     }
 
     fn temperatures(&self) -> Vec<&str> {
-        self.data().temperatures.iter().map(|(name, _)| name.as_str()).collect()
+        self.data().temperatures().iter().map(|(name, _)| name.as_str()).collect()
     }
 
-    fn others(&self) -> Vec<&str> {
-        self.data().others.iter().map(|(name, _)| name.as_str()).collect()
+    fn unknown_columns(&self) -> Vec<&str> {
+        self.data().other_columns().iter().map(|(name, _)| name.as_str()).collect()
     }
 
     fn own_position(&self) -> Option<&[f64]> {
         self.data().own_position()
     }
 
-    fn turns(&self) -> bool {
+    fn is_bidirectional(&self) -> bool {
         self.data().own_direction().is_some_and(|d| d.contains(&1.0) && d.contains(&-1.0))
     }
 
     fn is_in_use(&self, column: &str) -> bool {
-        columns_in_use(self.data(), self.model).iter().any(|used| used == column)
+        used_temperature_columns(self.data(), self.model).iter().any(|used| used == column)
     }
 
-    fn has(&self, cause: &str) -> bool {
-        let model = self.model.with_stated(self.data());
+    fn has_cause(&self, cause: &str) -> bool {
+        let model = self.model.with_machine_terms(self.data());
         model.parts.iter().any(|part| part.kind.name() == cause)
     }
 
-    fn adds(&self, cause: &str) -> bool {
+    fn has_added_cause(&self, cause: &str) -> bool {
         self.model.parts.iter().any(|part| part.kind.name() == cause)
     }
 
-    fn has_instrument(&self) -> bool {
+    fn has_instrument_error(&self) -> bool {
         self.model.parts.iter().any(|part| part.kind.is_of_instrument())
     }
 
@@ -227,146 +240,169 @@ impl DataView for Seen<'_> {
     }
 
     fn reference_c(&self, column: &str) -> f64 {
-        self.data().reference_c(column)
+        self.data().reference_temperature_c(column)
     }
 
-    fn start_s(&self) -> f64 {
-        self.data().start_s
+    fn time_origin_s(&self) -> f64 {
+        self.data().origin.start_s
     }
 
-    fn time_s(&self) -> Option<[f64; 2]> {
-        self.data().time_s.as_ref().map(|_| self.problem.bounds.time_s)
+    fn time_range_s(&self) -> Option<[f64; 2]> {
+        self.data().time_s().map(|_| self.problem.bounds.time_s)
     }
 
-    fn files(&self) -> usize {
-        self.data().files
+    fn file_count(&self) -> usize {
+        self.data().setting.files.len()
     }
 
-    fn groups(&self) -> usize {
+    fn group_count(&self) -> usize {
         self.problem.groups.len()
     }
 
-    fn time_of_group(&self, group: usize) -> f64 {
+    fn group_time_s(&self, group: usize) -> f64 {
         let row = self.problem.groups.first_row[group];
-        self.data().time_s.as_ref().map_or(f64::NAN, |time_s| time_s[row])
+        self.data().time_s().map_or(f64::NAN, |time_s| time_s[row])
     }
 
-    fn time_constants(&self, count: usize) -> StartValues {
+    fn time_constant_start_values(&self, count: usize) -> StartValues {
         let [low, high] = self.problem.bounds.time_constant_s;
         // What is within one group is not seen apart.
         let low = low.max(2.0 * low * self.problem.groups.size as f64);
         let high = 0.5 * high;
         let is_range = high.partial_cmp(&low) == Some(std::cmp::Ordering::Greater);
-        if self.data().time_s.is_none() || !is_range {
-            return StartValues::at([]);
+        if self.data().time_s().is_none() || !is_range {
+            return StartValues::from_values([]);
         }
         let ratio = (high / low).powf(1.0 / (count - 1) as f64);
-        StartValues::at((0..count).map(|n| low * ratio.powi(n as i32)))
+        StartValues::from_values((0..count).map(|n| low * ratio.powi(n as i32)))
     }
 
-    fn shifts(&self) -> StartValues {
+    fn time_shift_start_values(&self) -> StartValues {
         let [low_s, high_s] = self.problem.bounds.shift_s;
-        let sizes = self.times_up_to(high_s);
-        StartValues::at(sizes.flat_map(|size| [size, -size]).filter(|shift| *shift >= low_s))
+        let sizes = self.geometric_time_grid(high_s);
+        StartValues::from_values(
+            sizes.flat_map(|size| [size, -size]).filter(|shift| *shift >= low_s),
+        )
     }
 
-    fn lates(&self) -> StartValues {
+    fn delay_start_values(&self) -> StartValues {
         let [_, high_s] = self.problem.bounds.late_s;
-        StartValues::at(self.times_up_to(high_s))
+        StartValues::from_values(self.geometric_time_grid(high_s))
     }
 
     fn longest_period_mm(&self) -> f64 {
         self.problem.bounds.period_mm[1]
     }
 
-    fn peak(&self, over: Reading<'_>, least_turns: f64, frequencies: usize) -> Option<StartValues> {
-        let at = self.reading(over)?;
-        let (frequency, searched) = waves::peak(&at, self.residual, least_turns, frequencies)?;
+    fn spectrum_peak(
+        &self,
+        over: SpectrumVariable<'_>,
+        least_turns: f64,
+        frequencies: usize,
+    ) -> Option<StartValues> {
+        let at = self.wave_coordinate(over)?;
+        let (frequency, searched) =
+            periodogram::spectrum_peak(&at, self.residual, least_turns, frequencies)?;
         Some(StartValues { starts: vec![vec![1.0 / frequency]], searched })
     }
 
-    fn angled_peak(&self, over: Reading<'_>) -> Option<StartValues> {
-        let (values, searched) = waves::angled(&self.reading(over)?, self.residual)?;
+    fn angled_spectrum_peak(&self, over: SpectrumVariable<'_>) -> Option<StartValues> {
+        let (values, searched) =
+            periodogram::fit_reciprocal_wave(&self.wave_coordinate(over)?, self.residual)?;
         Some(StartValues { starts: vec![values], searched })
     }
 }
 
-fn varying(data: &Data, column: &str) -> bool {
-    named(data, column).is_some_and(|values| spread(values) > 0.0)
+fn is_varying(data: &DataTable, column: &str) -> bool {
+    column_by_name(data, column).is_some_and(|values| peak_to_peak(values) > 0.0)
 }
 
 /// Curves over each column: no causes, but tests of structure. Next to them what no single column
 /// shows: a curve over one position that grows with another (an angle of a guide, times an arm), a
 /// growth that is another one at other speeds, what comes and goes after a reversal.
-pub(crate) fn structure(problem: &Problem) -> Vec<Candidate> {
+pub(crate) fn curve_candidates(problem: &FitProblem) -> Vec<Candidate> {
     let data = &problem.data;
-    let own = data.quantity.axis().map(|axis| format!("{}_mm", axis.name()));
+    let own = data.setting.quantity.axis().map(|axis| format!("{}_mm", axis.name()));
     let turns = data.own_direction().is_some_and(|d| d.contains(&1.0) && d.contains(&-1.0));
     let over = |&(column, by_direction, times): &(&str, bool, Option<&str>)| {
-        let values = named(data, column).filter(|_| varying(data, column))?;
-        if times.is_some_and(|times| !varying(data, times)) {
+        let values = column_by_name(data, column).filter(|_| is_varying(data, column))?;
+        if times.is_some_and(|times| !is_varying(data, times)) {
             return None;
         }
         // A guide's form has more bends than a characteristic.
         let most = match column {
             _ if by_direction => 9,
             "x_mm" | "y_mm" | "z_mm" => 16,
-            "spindle_rpm" => SPEEDS,
-            _ if data.reversal_decay.iter().any(|(reversal, _)| reversal == column) => 2,
+            "spindle_rpm" => MAX_SPEED_KNOTS,
+            _ if data.columns[ColumnGroup::Reversal]
+                .iter()
+                .any(|(reversal, _)| reversal == column) =>
+            {
+                2
+            }
             _ => 6,
         };
-        let knots = curve_knots(values, most);
+        let knots = quantile_knots(values, most);
         // Over one of the file's columns a curve with two knots is a straight line, which is a cause.
         let least = if times.is_some() || most == 2 { 2 } else { 3 };
         (knots.len() >= least).then(|| {
             let (column, times) = (column.to_string(), times.map(String::from));
-            let kind = Kind::Curve(Curve { column, knots, by_direction, times });
+            let kind = TermKind::Curve(Curve { column, knots, by_direction, times });
             Candidate { kind, settings: vec![Vec::new()], searched: 0.0 }
         })
     };
-    const POSITIONS: [&str; 3] = ["x_mm", "y_mm", "z_mm"];
+    const POSITION_COLUMNS: [&str; 3] = ["x_mm", "y_mm", "z_mm"];
     let mut curves = Vec::new();
-    let temperatures = data.temperatures.iter().map(|(name, _)| name.as_str());
-    let others = data.others.iter().map(|(name, _)| name.as_str());
-    for column in temperatures.chain(others).chain(["spindle_rpm", "load_n", SAID]).chain(POSITIONS)
+    let temperatures = data.temperatures().iter().map(|(name, _)| name.as_str());
+    let others = data.other_columns().iter().map(|(name, _)| name.as_str());
+    for column in temperatures
+        .chain(others)
+        .chain(["spindle_rpm", "load_n", MODEL_COLUMN])
+        .chain(POSITION_COLUMNS)
     {
         curves.push((column, false, None));
         if turns && own.as_deref() == Some(column) {
             curves.push((column, true, None));
         }
     }
-    curves.push(("spindle_rpm", false, Some(SAID)));
-    curves.extend(data.reversal_decay.iter().map(|(reversal, _)| (reversal.as_str(), false, None)));
-    for (column, arm) in POSITIONS.iter().flat_map(|a| POSITIONS.map(|b| (*a, b))) {
+    curves.push(("spindle_rpm", false, Some(MODEL_COLUMN)));
+    curves.extend(
+        data.columns[ColumnGroup::Reversal]
+            .iter()
+            .map(|(reversal, _)| (reversal.as_str(), false, None)),
+    );
+    for (column, arm) in POSITION_COLUMNS.iter().flat_map(|a| POSITION_COLUMNS.map(|b| (*a, b))) {
         if column != arm {
             curves.push((column, false, Some(arm)));
         }
     }
-    let mut all: Vec<Candidate> =
-        on_all_cores(&curves, problem.is_large(), over).into_iter().flatten().collect();
-    all.extend(from_a_speed_on(data));
+    let mut all: Vec<Candidate> = parallel_map(&curves, problem.is_parallel_worthwhile(), over)
+        .into_iter()
+        .flatten()
+        .collect();
+    all.extend(speed_threshold_candidates(data));
     all
 }
 
 /// Another scale of what the model says from a speed on. A curve of a value for each speed says that too, but costs
 /// more than it gains.
-fn from_a_speed_on(data: &Data) -> Vec<Candidate> {
-    let Some(speed_rpm) = data.spindle_rpm.as_deref().filter(|_| varying(data, SAID)) else {
+fn speed_threshold_candidates(data: &DataTable) -> Vec<Candidate> {
+    let Some(speed_rpm) = data.spindle_rpm().filter(|_| is_varying(data, MODEL_COLUMN)) else {
         return Vec::new();
     };
-    let knots = curve_knots(speed_rpm, SPEEDS);
+    let knots = quantile_knots(speed_rpm, MAX_SPEED_KNOTS);
     let searched = (knots.len() as f64).ln();
     let from = |between: &[f64]| {
-        let (column, times) = ("spindle_rpm".to_string(), Some(SAID.to_string()));
+        let (column, times) = ("spindle_rpm".to_string(), Some(MODEL_COLUMN.to_string()));
         let knots = between.to_vec();
-        let kind = Kind::Curve(Curve { column, knots, by_direction: false, times });
+        let kind = TermKind::Curve(Curve { column, knots, by_direction: false, times });
         Candidate { kind, settings: vec![Vec::new()], searched }
     };
     knots.windows(2).map(from).collect()
 }
 
 /// Knots at quantiles, no two alike.
-fn curve_knots(values: &[f64], most: usize) -> Vec<f64> {
+fn quantile_knots(values: &[f64], most: usize) -> Vec<f64> {
     let mut sorted: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
     sorted.sort_unstable_by(f64::total_cmp);
     if sorted.is_empty() {

@@ -5,8 +5,9 @@
 //! | `quantity` | which error the runs are compared in |
 //! | `read` | from runs to the table |
 //! | `channels` | thermometers that lie and columns that are copies, excluded |
+//! | `columns` | what a column is called, and what drawn rows have of it |
 //! | `inputs` | which of the other columns an error may depend on |
-//! | `one_pass` | whether the position only grows with the time |
+//! | `single_pass` | whether the position only grows with the time |
 //! | `prediction`, `reversal` | what the machine file says of each row; what follows from turning |
 //! | `stated` | the terms that the machine file has already |
 //! | `table` | the columns, by name |
@@ -16,30 +17,32 @@
 //! | `lag`, `lag_series` | gaps filled, values behind a lag; the same for means of some rows |
 //! | `stretches` | the same of a long record |
 //! | `stepped` | what was stepped through all rows before |
-//! | `lags` | temperatures behind lags, by whichever of these is enough |
+//! | `lag_cache` | temperatures behind lags, by whichever of these is enough |
 
-mod channels;
-mod drawn;
-mod groups;
+mod channel_faults;
+mod columns;
+mod from_runs;
 mod inputs;
 mod lag;
+mod lag_cache;
+mod lag_column_cache;
+mod lag_segments;
 mod lag_series;
-mod lags;
-mod one_pass;
 mod prediction;
 mod quantity;
-mod read;
 mod reversal;
 mod row_blocks;
-mod stated;
-mod stepped;
-mod stretches;
+mod row_groups;
+mod row_selection;
+mod single_pass;
+mod stated_terms;
 mod table;
 
-pub(crate) use channels::PAUSE_ROWS;
-pub(crate) use groups::Groups;
-pub(crate) use inputs::is_same;
-pub(crate) use lag::{filled, first_of};
-pub(crate) use quantity::quantity_of;
-pub(crate) use stated::Stated;
-pub(crate) use table::{Data, DrawnFrom};
+pub(crate) use channel_faults::MIN_PAUSE_INTERVALS;
+pub(crate) use columns::{ColumnGroup, KnownColumn};
+pub(crate) use inputs::is_linearly_equivalent;
+pub(crate) use lag::{first_finite, forward_fill};
+pub(crate) use quantity::resolve_quantity;
+pub(crate) use row_groups::Groups;
+pub(crate) use stated_terms::StatedTerm;
+pub(crate) use table::{DataTable, ParentTable, RowPredictions};

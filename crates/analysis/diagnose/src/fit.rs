@@ -8,7 +8,8 @@
 //!
 //! | module | does |
 //! |---|---|
-//! | `problem` | what is fitted to |
+//! | `problem` | the data of the fit |
+//! | `bounds` | how far each nonlinear value may go |
 //! | `cache`, `memo` | columns that were worked out before; what was found for whole models |
 //! | `growth` | the machine's own law in groups |
 //! | `jacobian` | the change of the prediction with each value |
@@ -16,22 +17,23 @@
 //! | `solve` | the fit |
 //! | `spread` | how far the values may be off |
 
+mod bounds;
 mod cache;
+mod covariance;
 mod growth;
-mod halves;
+mod half_difference;
 mod jacobian;
 mod memo;
 mod problem;
 mod solve;
-mod spread;
 mod undetermined;
 
-pub(crate) use halves::differs_between_halves;
-pub(crate) use jacobian::{jacobian, of_part};
-pub(crate) use problem::Problem;
-pub(crate) use solve::{Fitted, fit};
-pub(crate) use spread::{Spread, spread};
+pub(crate) use covariance::{ParameterCovariance, parameter_covariance};
+pub(crate) use half_difference::largest_half_difference;
+pub(crate) use jacobian::{jacobian, part_derivatives};
+pub(crate) use problem::FitProblem;
+pub(crate) use solve::{FittedModel, fit};
 
 /// The level of what is said: of intervals and regions, of a floor, and the power of what would have been found (fixed
 /// form of the answer).
-pub(crate) const LEVEL: f64 = 0.95;
+pub(crate) const CONFIDENCE_LEVEL: f64 = 0.95;

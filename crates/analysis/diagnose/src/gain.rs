@@ -2,20 +2,20 @@
 
 use serde::Serialize;
 
-use trueup_numerics::blocks::{Reduction, rms};
+use trueup_numerics::blocks::{RmsReduction, rms};
 
-/// The gain of a term: errors before and after, RMS in µm, and their reduction on left-out blocks.
+/// The gain of a term: errors before and after, RMS in µm, and their reduction on held-out blocks.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Gain {
     /// On the rows that were fitted.
     pub rms_before_um: f64,
     /// On the rows that were fitted.
     pub rms_after_um: f64,
-    /// On blocks that were left out of the fit.
+    /// On blocks that were held out of the fit.
     pub left_out_before_um: f64,
-    /// On blocks that were left out of the fit.
+    /// On blocks that were held out of the fit.
     pub left_out_after_um: f64,
-    /// 1 − after/before, left out.
+    /// 1 − after/before, held out.
     pub reduction: f64,
     /// Its 95 % interval.
     pub ci95: [f64; 2],
@@ -23,8 +23,8 @@ pub struct Gain {
 
 impl Gain {
     /// Of a model against the one before, from what both leave (in µm RMS) and what both leave in each
-    /// group where that was left out.
-    pub(crate) fn new(rms_um: [f64; 2], left_out: [&[f64]; 2], reduction: &Reduction) -> Self {
+    /// group where that was held out.
+    pub(crate) fn new(rms_um: [f64; 2], left_out: [&[f64]; 2], reduction: &RmsReduction) -> Self {
         let [rms_before_um, rms_after_um] = rms_um;
         let [left_out_before_um, left_out_after_um] = left_out.map(rms);
         Self {
@@ -38,7 +38,7 @@ impl Gain {
     }
 
     /// From means of rows to rows: `within` is the mean square that the means have lost.
-    pub(crate) fn by_row(&mut self, within: f64) {
+    pub(crate) fn add_within_mean_square(&mut self, within: f64) {
         let group = (self.left_out_before_um, self.left_out_after_um);
         let row = |um: f64| (um * um + within).sqrt();
         let before = row(group.0);

@@ -2,7 +2,7 @@
 //!
 //! [`diagnose`] compares a machine file with measured runs. The residual is searched for physical causes, each a term
 //! with parameters; a term is added if it explains more than noise with a memory would let any term explain, if it
-//! predicts blocks that were left out, and as long as something is left. The form of the answer is fixed
+//! predicts blocks that were held out, and as long as something is left. The form of the answer is fixed
 //! (`docs/reference.md`, Diagnosis).
 //!
 //! # The flow
@@ -28,64 +28,66 @@
 //! | `kind` | a cause by its page, or a curve |
 //! | `model`, `columns`, `laws` | all terms in columns, fast |
 //! | `fit` | all values at once by least squares, intervals under correlated noise |
-//! | `blocks`, `gain` | left-out files, runs and stretches; what a term brings on them |
+//! | `blocks`, `gain` | held-out files, runs and stretches; what a term brings on them |
 //! | `candidates`, `waves` | which causes the data allow, and where the search for each begins |
 //! | `search` | term by term, rivals, exchange |
 //! | `outliers`, `repeats` | gross errors; what does not come back |
-//! | `judge` | whether a term's name is claimed, and why not |
+//! | `judgement` | whether a term's name is claimed, and why not |
 //! | `answer`, `parameters`, `terms` | the answer, for scripts and for people |
 //! | `next` | the shortest run that distinguishes open causes |
 //! | `named` | causes of other machines, fitted to the runs of this one |
 #![forbid(unsafe_code)]
 
-mod answer;
-mod blocks;
 mod candidates;
 mod columns;
 mod data;
 mod diagnose;
+mod diagnosis;
 mod fit;
+mod folds;
 mod gain;
-mod judge;
-mod kind;
-mod laws;
+mod judgement;
+mod machine_laws;
 mod model;
-mod named;
-mod next;
+mod named_causes;
+mod next_run;
 mod outliers;
 mod parameters;
+mod periodogram;
 mod predict;
 mod repeats;
 mod search;
+mod term_kind;
 mod terms;
-mod waves;
 
 use std::{
     io::{self, Write},
     path::Path,
 };
 
-pub use answer::{
+pub use diagnose::{DiagnosisOptions, ProgressCallback, diagnose, diagnose_with_options};
+pub use diagnosis::{
     Diagnosis,
-    report::{self, AtTool, Report, Verdict},
+    report::{self, ErrorAtTool, Report, Verdict},
 };
-pub use diagnose::{Options, Progress, diagnose, diagnose_for};
-pub use named::{Named, NamedFit, NamedFits, fit_named};
-pub use next::{AxisRun, ExpectedSeparation, Gauge, Next, NoNext, Stretch};
+pub use named_causes::{NamedCause, NamedCauseFit, NamedCauseFits, fit_named_causes};
+pub use next_run::{
+    AxisRun, ExpectedSeparation, NextRun, NoNextRunReason, ReadingMethod, SpindleSegment,
+};
 use trueup_machine::{
     BadInput, Machine, RunFile,
     tool::{TOOL_COLUMN, label_code},
 };
 pub use trueup_page::Origin;
 
-/// The instruction that goes with [`Report::missing_inputs`].
-pub const MISSING_INPUTS: &str = "the board reads a thermometer, and hears a condition, only where [inputs] says on \
+/// The instruction for [`Report::missing_inputs`].
+pub const MISSING_INPUTS_INSTRUCTION: &str = "the board reads a thermometer, and receives a condition, only where [inputs] says on \
                                   which channel or bit it is: put these lines there, with the channel, kind or bit of \
                                   yours";
 
 impl Diagnosis {
     /// Calls a tool by its label where it has no number.
-    fn name_tools(&mut self, machine: &Machine) {
+    fn apply_tool_labels(&mut self, machine: &Machine) {
         let tools = machine.spindle.tools.iter().flat_map(|tools| &tools.tools);
         for label in tools.filter_map(|tool| tool.label.as_deref()) {
             let code = format!("{TOOL_COLUMN} = {}", label_code(label));
@@ -101,21 +103,21 @@ impl Diagnosis {
     ///
     /// # Errors
     /// None that is known: all of it can be written as JSON.
-    pub fn json(&self) -> Result<String, serde_json::Error> {
+    pub fn to_json(&self) -> Result<String, serde_json::Error> {
         serde_json::to_string_pretty(&self.report)
     }
 
     /// Returns `report.html`, of a machine of this name, made of what `origin` says. `next` are the lines to be typed
     /// next.
     #[must_use]
-    pub fn html(&self, machine_name: &str, origin: &Origin, next: &[String]) -> String {
-        answer::html::html(self, machine_name, origin, next)
+    pub fn render_html(&self, machine_name: &str, origin: &Origin, next: &[String]) -> String {
+        diagnosis::html::render_html(self, machine_name, origin, next)
     }
 
-    /// Returns what an error is of, its RMS before and after in µm: with the machine file as it is, and with
+    /// Returns what an error is of, its RMS before and after in µm: with the current machine file, and with
     /// extended.toml on the board.
     #[must_use]
-    pub fn before_and_after(&self) -> [(&'static str, f64, f64); 3] {
+    pub fn rms_before_and_after(&self) -> [(&'static str, f64, f64); 3] {
         let report = &self.report;
         let (before, after) = (&report.before, &report.after);
         let not_fitted = match report.holdout_used {
@@ -136,7 +138,7 @@ impl Diagnosis {
     /// Returns the verdict in a sentence.
     #[must_use]
     pub fn sentence(&self) -> String {
-        answer::html::verdict_sentence(self)
+        diagnosis::html::verdict_sentence(self)
     }
 
     /// Returns what is promised of the error at the tool on another day, from its inputs: what it measures is not
@@ -144,16 +146,16 @@ impl Diagnosis {
     ///
     /// # Errors
     /// A column is missing that the model or a term needs.
-    pub fn promised_on(&self, day: &RunFile) -> Result<AtTool, BadInput> {
-        self.promise.on(&self.data, std::slice::from_ref(day))
+    pub fn expected_error_on(&self, day: &RunFile) -> Result<ErrorAtTool, BadInput> {
+        self.promise.predict_error(&self.data, std::slice::from_ref(day))
     }
 
     /// Returns the shortest run, of the spindle or of the axis, that distinguishes the open causes.
     ///
     /// # Errors
     /// Nothing is open, or no run that was thought of answers it: why.
-    pub fn next(&self, gauge: Gauge) -> Result<Next, NoNext> {
-        next::next(&self.questions, &self.data, &self.runs, gauge)
+    pub fn next_run(&self, gauge: ReadingMethod) -> Result<NextRun, NoNextRunReason> {
+        next_run::find_next_run(&self.questions, &self.data, &self.runs, gauge)
     }
 
     /// Returns what a further run has measured for the first open cause against its rival: the difference of −2·ln of
@@ -161,13 +163,13 @@ impl Diagnosis {
     ///
     /// # Errors
     /// A column is missing that the model needs.
-    pub fn separation_by(&self, run: &RunFile) -> Result<Option<f64>, BadInput> {
-        next::separation_by(&self.questions, &self.data, run)
+    pub fn separation_from_run(&self, run: &RunFile) -> Result<Option<f64>, BadInput> {
+        next_run::separation_from_run(&self.questions, &self.data, run)
     }
 
     /// Returns whether a board corrects anything by the extended machine file: not what only explains.
     #[must_use]
-    pub fn corrects(&self) -> bool {
+    pub fn has_corrections(&self) -> bool {
         self.terms.iter().any(|term| term.effect.is_compensated()) || !self.corrected.is_empty()
     }
 
@@ -175,8 +177,8 @@ impl Diagnosis {
     ///
     /// # Errors
     /// `source` is no machine file.
-    pub fn extended(&self, source: &str, path: &Path) -> Result<String, BadInput> {
-        answer::extended::extended(source, path, &self.corrected, &self.terms)
+    pub fn render_extended_toml(&self, source: &str, path: &Path) -> Result<String, BadInput> {
+        diagnosis::extended_file::render_extended_toml(source, path, &self.corrected, &self.terms)
     }
 
     /// `residuals.csv`: each row with what was predicted and what is left.
@@ -192,11 +194,11 @@ impl Diagnosis {
         let data = &self.data;
         let (mut file, mut first) = (0, 0);
         for row in 0..data.rows {
-            if data.file[row] != file {
-                (file, first) = (data.file[row], row);
+            if data.places.file[row] != file {
+                (file, first) = (data.places.file[row], row);
             }
             write!(out, "{},{},", file + 1, row - first + 1)?;
-            let time_s = data.time_s.as_ref().map_or(f64::NAN, |times| times[row]);
+            let time_s = data.time_s().map_or(f64::NAN, |times| times[row]);
             let (measured, before, after) = (data.measured[row], self.before[row], self.after[row]);
             let cells = [time_s, measured, before, after, measured - before, measured - after];
             for value in cells {

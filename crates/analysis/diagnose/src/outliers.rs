@@ -5,48 +5,50 @@
 use std::collections::HashMap;
 
 use trueup_numerics::{
-    repeats::SIGNIFICANCE,
-    robust::{chance_of_as_many, chance_of_noise, in_residual, median},
+    repeats::SIGNIFICANCE_LEVEL,
+    robust::{median, noise_tail_probability, poisson_tail_probability, residual_outliers},
 };
 
 use crate::{
-    data::{Data, PAUSE_ROWS},
-    repeats::Targets,
-    search::criterion::MAJORITY,
+    data::{DataTable, MIN_PAUSE_INTERVALS},
+    repeats::TargetPositions,
+    search::criterion::MAJORITY_SHARE,
 };
 
 /// Rows that stand alone among the repeats of their place, by what `predicted` leaves.
-pub(crate) fn among_repeats(data: &Data, predicted: &[f64]) -> Vec<bool> {
+pub(crate) fn find_repeat_outliers(data: &DataTable, predicted: &[f64]) -> Vec<bool> {
     let used = (0..data.rows).filter(|&row| data.used[row]);
     let residual = |row: usize| data.measured[row] - predicted[row];
-    let Some(targets) = Targets::of(data, used) else { return vec![false; data.rows] };
-    let found = targets.gross(data, residual);
-    strays(data, predicted, &found)
+    let Some(targets) = TargetPositions::from_rows(data, used) else {
+        return vec![false; data.rows];
+    };
+    let found = targets.find_gross_errors(data, residual);
+    isolated_outliers(data, predicted, &found)
 }
 
-/// Rows that are to be set aside, by what `predicted` leaves.
-pub(crate) fn gross(data: &Data, predicted: &[f64]) -> Vec<bool> {
+/// Rows that are to be excluded as outliers, by what `predicted` leaves.
+pub(crate) fn find_gross_errors(data: &DataTable, predicted: &[f64]) -> Vec<bool> {
     let rows: Vec<usize> = (0..data.rows).filter(|&row| data.used[row]).collect();
     let far = {
         let residual: Vec<f64> =
             rows.iter().map(|&row| data.measured[row] - predicted[row]).collect();
-        let series: Vec<u32> = rows.iter().map(|&row| data.series[row]).collect();
-        in_residual(&residual, &series, last_digit(data, &rows))
+        let series: Vec<u32> = rows.iter().map(|&row| data.places.series[row]).collect();
+        residual_outliers(&residual, &series, instrument_resolution(data, &rows))
     };
     let mut found = vec![false; data.rows];
     rows.into_iter().zip(far).for_each(|(row, is_far)| found[row] = is_far);
-    strays(data, predicted, &found)
+    isolated_outliers(data, predicted, &found)
 }
 
-/// The rows that are set aside.
-pub(crate) struct SetAside {
+/// The rows that are excluded as outliers.
+pub(crate) struct ExcludedRows {
     pub rows: Vec<bool>,
-    pub known: Aside,
+    pub known: OutlierJudgement,
 }
 
-/// The judgement of the rows that are set aside.
+/// The judgement of the rows that are excluded as outliers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Aside {
+pub(crate) enum OutlierJudgement {
     /// There are none, or they stand at a start, a pause or a change, where the reading may be right and what
     /// happened is not known.
     AtChanges,
@@ -56,75 +58,89 @@ pub(crate) enum Aside {
     Wrong,
 }
 
-/// Chance of a record of noise that something is claimed of it. Rows that noise would have by chance are set aside, which
+/// Chance of a record of noise that something is claimed of it. Rows that noise would have by chance are excluded, which
 /// costs nothing; that readings are wrong is claimed if noise whose tails are exponential, heavier than normal ones, has
 /// such readings less often.
-pub(crate) const CLAIM: f64 = 1e-3;
+pub(crate) const FALSE_CLAIM_PROBABILITY: f64 = 1e-3;
 /// Readings on each side of one that show its level.
-const ASIDE: usize = 3;
+const LEVEL_HALF_WINDOW_READINGS: usize = 3;
 
 /// Returns what is known of the rows `aside`. Noise is what is left of the others by the answer with curves over its
 /// rest, both as it is and from the neighbours' level; or, where an axis comes back, about its places (by the
 /// answer alone).
-pub(crate) fn judged(
-    data: &Data,
+pub(crate) fn judge_outliers(
+    data: &DataTable,
     aside: &[bool],
     predicted: impl FnOnce() -> [Vec<f64>; 2],
-) -> Aside {
-    let mut of_readings = of_readings(data, aside);
+) -> OutlierJudgement {
+    let mut of_readings = reading_error_mask(data, aside);
     if !of_readings.contains(&true) {
-        return Aside::AtChanges;
+        return OutlierJudgement::AtChanges;
     }
     let [with_curves, plain] = predicted();
-    (0..data.rows).for_each(|row| of_readings[row] &= !is_of_a_neighbour(data, row, &plain));
+    (0..data.rows).for_each(|row| of_readings[row] &= !is_nearer_to_neighbour(data, row, &plain));
     if !of_readings.contains(&true) {
-        return Aside::AtChanges;
+        return OutlierJudgement::AtChanges;
     }
     let rows: Vec<usize> = (0..data.rows).filter(|&row| data.used[row]).collect();
-    let step_um = last_digit(data, &rows);
+    let step_um = instrument_resolution(data, &rows);
     let chance = |distance_um: &[f64]| {
         let known = || rows.iter().copied().filter(|&row| !distance_um[row].is_nan());
         let of = |is_far: bool| -> Vec<f64> {
             let wanted = known().filter(|&row| if is_far { of_readings[row] } else { !aside[row] });
             wanted.map(|row| distance_um[row].abs()).collect()
         };
-        chance_of_noise(&of(false), &of(true), step_um)
+        noise_tail_probability(&of(false), &of(true), step_um)
     };
-    let left_um = left(data, &with_curves);
-    let by_level = chance(&from_level(data, &rows, aside, &left_um)).max(chance(&left_um));
-    let targets = Targets::of(data, rows.iter().copied());
-    let by_place =
-        targets.map_or(1.0, |it| chance(&it.away_from_place(&left(data, &plain), aside)));
-    if by_level.min(by_place) < CLAIM { Aside::Wrong } else { Aside::MayBeNoise }
+    let left_um = row_residuals(data, &with_curves);
+    let by_level =
+        chance(&deviation_from_level(data, &rows, aside, &left_um)).max(chance(&left_um));
+    let targets = TargetPositions::from_rows(data, rows.iter().copied());
+    let by_place = targets.map_or(1.0, |it| {
+        chance(&it.deviations_from_target_median(&row_residuals(data, &plain), aside))
+    });
+    if by_level.min(by_place) < FALSE_CLAIM_PROBABILITY {
+        OutlierJudgement::Wrong
+    } else {
+        OutlierJudgement::MayBeNoise
+    }
 }
 
 /// Returns whether a reading is nearer to what is predicted of a neighbour in time than to half of its way: it was
 /// read before what happens there, or after.
-fn is_of_a_neighbour(data: &Data, row: usize, predicted: &[f64]) -> bool {
+fn is_nearer_to_neighbour(data: &DataTable, row: usize, predicted: &[f64]) -> bool {
     // Of an axis the neighbours stand elsewhere.
-    if data.quantity.axis().is_some() {
+    if data.setting.quantity.axis().is_some() {
         return false;
     }
     let away_um = |other: usize| (data.measured[row] - predicted[other]).abs();
     // The larger part of the way is then what happened between the two.
-    let is_nearer = |other: usize| away_um(other) < MAJORITY * away_um(row);
-    let before = row.checked_sub(1).filter(|_| !data.restart[row]);
-    let after = Some(row + 1).filter(|&it| it < data.rows && !data.restart[it]);
+    let is_nearer = |other: usize| away_um(other) < MAJORITY_SHARE * away_um(row);
+    let before = row.checked_sub(1).filter(|_| !data.places.restart[row]);
+    let after = Some(row + 1).filter(|&it| it < data.rows && !data.places.restart[it]);
     before.into_iter().chain(after).any(is_nearer)
 }
 
 /// Returns what `predicted` leaves of each row.
-fn left(data: &Data, predicted: &[f64]) -> Vec<f64> {
+fn row_residuals(data: &DataTable, predicted: &[f64]) -> Vec<f64> {
     data.measured.iter().zip(predicted).map(|(measured, predicted)| measured - predicted).collect()
 }
 
-/// Returns how far each of `rows` is from the median of those around it that are not set aside; NaN of the others.
-fn from_level(data: &Data, rows: &[usize], aside: &[bool], left_um: &[f64]) -> Vec<f64> {
+/// Returns how far each of `rows` is from the median of those around it that are not excluded as outliers; NaN of the others.
+fn deviation_from_level(
+    data: &DataTable,
+    rows: &[usize],
+    aside: &[bool],
+    left_um: &[f64],
+) -> Vec<f64> {
     let mut distance_um = vec![f64::NAN; data.rows];
     for (at, &row) in rows.iter().enumerate() {
-        let near = &rows[at.saturating_sub(ASIDE)..(at + ASIDE + 1).min(rows.len())];
+        let near = &rows[at.saturating_sub(LEVEL_HALF_WINDOW_READINGS)
+            ..(at + LEVEL_HALF_WINDOW_READINGS + 1).min(rows.len())];
         let counts = |other: &&usize| {
-            **other != row && !aside[**other] && data.series[**other] == data.series[row]
+            **other != row
+                && !aside[**other]
+                && data.places.series[**other] == data.places.series[row]
         };
         let mut around: Vec<f64> =
             near.iter().filter(counts).map(|&other| left_um[other]).collect();
@@ -136,34 +152,34 @@ fn from_level(data: &Data, rows: &[usize], aside: &[bool], left_um: &[f64]) -> V
 /// Returns which of the rows `aside` are surely no moment of the machine: of a record in time, those that have near
 /// rows on both sides at the same speed and load. At a start, a pause or a change the reading may be right,
 /// and what happened there is not known.
-fn of_readings(data: &Data, aside: &[bool]) -> Vec<bool> {
-    let Some(time_s) = data.time_s.as_deref() else { return aside.to_vec() };
-    let inputs = [&data.spindle_rpm, &data.load_n];
+fn reading_error_mask(data: &DataTable, aside: &[bool]) -> Vec<bool> {
+    let Some(time_s) = data.time_s() else { return aside.to_vec() };
+    let inputs = [data.spindle_rpm(), data.load_n()];
     let is_same = |input: &[f64], row: usize| input[row] == input[row - 1] || input[row].is_nan();
     // What is another value in most rows is measured and not commanded: no row is at a change of it.
     let is_held =
         |input: &&[f64]| 2 * (1..data.rows).filter(|&row| is_same(input, row)).count() > data.rows;
-    let inputs = inputs.into_iter().filter_map(|input| input.as_deref());
+    let inputs = inputs.into_iter().flatten();
     let held: Vec<&[f64]> = inputs.filter(is_held).collect();
-    let inside: Vec<usize> = (1..data.rows).filter(|&row| !data.restart[row]).collect();
+    let inside: Vec<usize> = (1..data.rows).filter(|&row| !data.places.restart[row]).collect();
     let elapsed_s = |row: usize| time_s[row] - time_s[row - 1];
     let typical_s = median(&mut inside.iter().map(|&row| elapsed_s(row)).collect::<Vec<f64>>());
     let follows = |row: usize| {
         inside.binary_search(&row).is_ok()
-            && elapsed_s(row) <= PAUSE_ROWS * typical_s
+            && elapsed_s(row) <= MIN_PAUSE_INTERVALS * typical_s
             && held.iter().all(|input| is_same(input, row))
     };
     (0..data.rows).map(|row| aside[row] && follows(row) && follows(row + 1)).collect()
 }
 
 /// Those of the rows `found` that are gross errors: they come one by one, and do not come back.
-fn strays(data: &Data, predicted: &[f64], found: &[bool]) -> Vec<bool> {
+fn isolated_outliers(data: &DataTable, predicted: &[f64], found: &[bool]) -> Vec<bool> {
     let rows: Vec<usize> = (0..data.rows).filter(|&row| data.used[row]).collect();
     let residual: Vec<f64> = rows.iter().map(|&row| data.measured[row] - predicted[row]).collect();
-    let series: Vec<u32> = rows.iter().map(|&row| data.series[row]).collect();
+    let series: Vec<u32> = rows.iter().map(|&row| data.places.series[row]).collect();
     let mut kept: Vec<bool> = rows.iter().map(|&row| found[row]).collect();
-    keep_strays(&mut kept, &residual, &series);
-    keep_single_ones(&mut kept, &residual, &stops(data, &rows));
+    retain_isolated(&mut kept, &residual, &series);
+    retain_nonrecurring(&mut kept, &residual, &stop_positions(data, &rows));
     let mut aside = vec![false; data.rows];
     rows.into_iter().zip(kept).for_each(|(row, kept)| aside[row] = kept);
     aside
@@ -171,7 +187,7 @@ fn strays(data: &Data, predicted: &[f64], found: &[bool]) -> Vec<bool> {
 
 /// Gross errors come one by one. Where more of those `found` are neighbours on the same side than chance
 /// would let them, what these share is something that happened, and no error of a reading: they stay.
-fn keep_strays(found: &mut [bool], residual: &[f64], series: &[u32]) {
+fn retain_isolated(found: &mut [bool], residual: &[f64], series: &[u32]) {
     let is_pair = |a: usize, found: &[bool]| {
         let b = a + 1;
         b < found.len()
@@ -184,8 +200,9 @@ fn keep_strays(found: &mut [bool], residual: &[f64], series: &[u32]) {
     let far: Vec<usize> = (0..found.len()).filter(|&row| found[row]).collect();
     let count = far.len() as f64;
     // m of n rows drawn by chance make m²/n pairs.
-    let by_chance = same_side(&far, residual) * count * count / found.len().max(1) as f64;
-    if chance_of_as_many(pairs.len(), by_chance) < SIGNIFICANCE {
+    let by_chance =
+        same_side_probability(&far, residual) * count * count / found.len().max(1) as f64;
+    if poisson_tail_probability(pairs.len(), by_chance) < SIGNIFICANCE_LEVEL {
         for row in pairs {
             (found[row], found[row + 1]) = (false, false);
         }
@@ -194,7 +211,7 @@ fn keep_strays(found: &mut [bool], residual: &[f64], series: &[u32]) {
 
 /// Returns the place at which each of `rows` stands, by its position to a micrometre and its direction; none where
 /// nothing moves.
-fn stops(data: &Data, rows: &[usize]) -> Vec<(i64, bool)> {
+fn stop_positions(data: &DataTable, rows: &[usize]) -> Vec<(i64, bool)> {
     let (Some(position), direction) = (data.own_position(), data.own_direction()) else {
         return Vec::new();
     };
@@ -204,7 +221,7 @@ fn stops(data: &Data, rows: &[usize]) -> Vec<(i64, bool)> {
 
 /// Nor does a gross error come back: where more of those `found` are off to the same side at the same stop
 /// than chance would let them, what repeats there is the machine's, and they stay.
-fn keep_single_ones(found: &mut [bool], residual: &[f64], stops: &[(i64, bool)]) {
+fn retain_nonrecurring(found: &mut [bool], residual: &[f64], stops: &[(i64, bool)]) {
     let far: Vec<usize> = (0..stops.len()).filter(|&row| found[row]).collect();
     let is_same = |a: usize, b: usize| stops[a] == stops[b] && residual[a] * residual[b] > 0.0;
     let pairs = far.iter().enumerate().flat_map(|(n, &a)| far[..n].iter().map(move |&b| (a, b)));
@@ -215,9 +232,9 @@ fn keep_single_ones(found: &mut [bool], residual: &[f64], stops: &[(i64, bool)])
     let rows = stops.len().max(1) as f64;
     let sharing: f64 = rows_at.values().map(|count| (count / rows).powi(2)).sum();
     let count = far.len() as f64;
-    let by_chance = 0.5 * count * (count - 1.0) * sharing * same_side(&far, residual);
-    // Where most rows stand at one stop, it tells nothing.
-    if sharing < 0.5 && chance_of_as_many(pairs.len(), by_chance) < SIGNIFICANCE {
+    let by_chance = 0.5 * count * (count - 1.0) * sharing * same_side_probability(&far, residual);
+    // Where most rows stand at one stop, it gives no information.
+    if sharing < 0.5 && poisson_tail_probability(pairs.len(), by_chance) < SIGNIFICANCE_LEVEL {
         for (a, b) in pairs {
             (found[a], found[b]) = (false, false);
         }
@@ -225,14 +242,14 @@ fn keep_single_ones(found: &mut [bool], residual: &[f64], stops: &[(i64, bool)])
 }
 
 /// Returns the chance that two of the rows `far` are off to the same side.
-fn same_side(far: &[usize], residual: &[f64]) -> f64 {
+fn same_side_probability(far: &[usize], residual: &[f64]) -> f64 {
     let above = far.iter().filter(|row| residual[**row] > 0.0).count() as f64;
     let share = above / far.len().max(1) as f64;
     share * share + (1.0 - share) * (1.0 - share)
 }
 
 /// Returns the instrument's last digit: the smallest step between readings, but for the rarest.
-fn last_digit(data: &Data, rows: &[usize]) -> f64 {
+fn instrument_resolution(data: &DataTable, rows: &[usize]) -> f64 {
     let mut values: Vec<f64> = rows.iter().map(|&row| data.measured[row]).collect();
     values.sort_unstable_by(f64::total_cmp);
     let mut steps: Vec<f64> =
@@ -254,7 +271,7 @@ mod tests {
             for &row in rows {
                 (found[row], residual[row]) = (true, 9.0);
             }
-            keep_strays(&mut found, &residual, &series);
+            retain_isolated(&mut found, &residual, &series);
             (0..500).filter(|&row| found[row]).collect::<Vec<usize>>()
         };
         assert_eq!(kept(&[20, 140, 300, 411]), [20, 140, 300, 411]);
@@ -271,7 +288,7 @@ mod tests {
             for &row in rows {
                 (found[row], residual[row]) = (true, 9.0);
             }
-            keep_single_ones(&mut found, &residual, &stops);
+            retain_nonrecurring(&mut found, &residual, &stops);
             (0..360).filter(|&row| found[row]).collect::<Vec<usize>>()
         };
         assert_eq!(kept(&[20, 147, 300, 341]), [20, 147, 300, 341]);

@@ -8,18 +8,18 @@ use nalgebra::DMatrix;
 use serde_json::{Map, Value, json};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
-use trueup_machine::effect::{self, Nonlinear, Parameter};
-use trueup_numerics::{least_squares::normal, noise::Noise, t_quantile};
+use trueup_machine::effect::{self, NonlinearParameter, Parameter};
+use trueup_numerics::{least_squares::normal, noise::NoiseModel, t_quantile};
 
 use crate::{
-    fit::{Fitted, LEVEL, Problem, Spread, spread},
-    kind::Part,
-    model::ANOTHER_LAW,
+    fit::{CONFIDENCE_LEVEL, FitProblem, FittedModel, ParameterCovariance, parameter_covariance},
+    model::DISTINCT_RATE_RATIO,
+    term_kind::ModelPart,
     terms,
 };
 
 /// The estimated values of a part, and how well they are known.
-pub(crate) struct Estimates {
+pub(crate) struct ParameterEstimates {
     /// The values with their 95 % intervals, by the names of the table of causes.
     pub named: Map<String, Value>,
     /// Of each value as it is fitted: its 95 % interval.
@@ -31,21 +31,21 @@ pub(crate) struct Estimates {
 }
 
 /// Returns what is known of the values of a part of `fitted`, under `noise`.
-pub(crate) fn estimates(
-    problem: &Problem,
-    fitted: &Fitted,
-    part: &Part,
-    noise: Noise,
-) -> Estimates {
+pub(crate) fn estimate_parameters(
+    problem: &FitProblem,
+    fitted: &FittedModel,
+    part: &ModelPart,
+    noise: NoiseModel,
+) -> ParameterEstimates {
     let data = &problem.data;
-    let spread = spread(problem, fitted, noise);
+    let spread = parameter_covariance(problem, fitted, noise);
     let index = fitted.model.parts.iter().position(|there| there == part).unwrap_or(0);
-    let quantile = t_quantile(0.5 + 0.5 * LEVEL, spread.freedom);
-    let place = |value: usize| spread.row_of(index, value);
+    let quantile = t_quantile(0.5 + 0.5 * CONFIDENCE_LEVEL, spread.freedom);
+    let place = |value: usize| spread.value_row(index, value);
     let sd = |value: usize| {
         place(value).map_or(f64::NAN, |at| spread.covariance(at, at).max(0.0).sqrt())
     };
-    let nonlinear = part.kind.nonlinear();
+    let nonlinear = part.kind.nonlinear_parameters();
     // Of one value, as it is fitted.
     let interval = |value: usize| -> [f64; 2] {
         let (center, sd) = (part.values[value], quantile * sd(value));
@@ -57,70 +57,68 @@ pub(crate) fn estimates(
     };
     let intervals: Vec<[f64; 2]> = (0..part.values.len()).map(&interval).collect();
     let mut reaches_nothing =
-        reaches_nothing(part, &intervals) || list_may_be_nothing(part, index, &spread);
+        includes_no_effect(part, &intervals) || list_includes_zero(part, index, &spread);
     let mut map = Map::new();
-    let mut is_determined = true;
     let listed = part.kind.cause().map(|cause| cause.parameters(&part.values)).unwrap_or_default();
     for parameter in &listed {
         match parameter {
             Parameter::Fitted(name, number, offset) => {
                 let [low, high] = interval(*number);
-                put(&mut map, name, part.values[*number] + offset, [low + offset, high + offset]);
+                insert_estimate(
+                    &mut map,
+                    name,
+                    part.values[*number] + offset,
+                    [low + offset, high + offset],
+                );
             }
-            Parameter::Fixed(name, value) => put(&mut map, name, *value, [*value; 2]),
+            Parameter::Fixed(name, value) => insert_estimate(&mut map, name, *value, [*value; 2]),
             Parameter::Instant(name, number) => {
                 let at_s = part.values[*number];
-                put(&mut map, name, at_s, around_instant(problem, at_s));
+                insert_estimate(&mut map, name, at_s, instant_interval_s(problem, at_s));
             }
             Parameter::Waves(period, harmonics) => {
-                let (start, harmonic) = largest_wave(&part.values[nonlinear.len()..], harmonics);
+                let (start, harmonic) =
+                    largest_harmonic(&part.values[nonlinear.len()..], harmonics);
                 let start = nonlinear.len() + start;
                 let pair = [part.values[start], part.values[start + 1]];
                 let amplitude = pair[0].hypot(pair[1]);
                 let at = place(start).zip(place(start + 1)).filter(|_| amplitude > 0.0);
-                let sd = at.map_or(f64::NAN, |at| quantile * spread_of_wave(pair, at, &spread));
+                let sd = at
+                    .map_or(f64::NAN, |at| quantile * amplitude_standard_error(pair, at, &spread));
                 // Without an interval nothing is known of it.
                 reaches_nothing |= amplitude <= sd || sd.is_nan();
                 let ends = [(amplitude - sd).max(0.0), amplitude + sd];
-                put(&mut map, "amplitude_um", amplitude, ends);
+                insert_estimate(&mut map, "amplitude_um", amplitude, ends);
                 let [low, high] = interval(0);
-                put(&mut map, period, part.values[0] / harmonic, [low / harmonic, high / harmonic]);
+                insert_estimate(
+                    &mut map,
+                    period,
+                    part.values[0] / harmonic,
+                    [low / harmonic, high / harmonic],
+                );
             }
             Parameter::Record(name, record) => {
-                let json = |value: &Option<_>| value.as_ref().map_or(Value::Null, as_json);
+                let json = |value: &Option<_>| value.as_ref().map_or(Value::Null, value_to_json);
                 let entries = record.iter().map(|(key, value)| (key.to_string(), json(value)));
                 let record: Map<String, Value> = entries.collect();
                 let intervals = &intervals[nonlinear.len()..];
                 map.insert((*name).into(), json!({"value": record, "ci95": intervals}));
             }
             Parameter::Records(name, records) => {
-                let records: Vec<Map<String, Value>> = records
-                    .iter()
-                    .map(|record| {
-                        let entries = record.iter();
-                        entries.map(|(key, value)| (key.to_string(), as_json(value))).collect()
-                    })
-                    .collect();
+                let entry =
+                    |(key, value): &(_, _)| (ToString::to_string(key), value_to_json(value));
+                let record = |it: &Vec<_>| it.iter().map(entry).collect::<Map<String, Value>>();
+                let records: Vec<_> = records.iter().map(record).collect();
                 map.insert((*name).into(), json!({"value": records}));
             }
             Parameter::Said(name, value) => {
-                map.insert((*name).into(), json!({"value": as_json(value)}));
+                map.insert((*name).into(), json!({"value": value_to_json(value)}));
             }
         }
     }
-    // A mean of readings that are rounded has less of an interval than its rounding.
-    for value in 0..nonlinear.len() {
-        let [low, high] = interval(value);
-        let bound = problem.bounds.time_constant_s;
-        if part.kind.has_time_constant() && part.kind.is_logarithmic(value) {
-            let at_bound = part.values[value] > 0.95 * bound[1];
-            // Else it is not known which law it is, nor how the next hours will be.
-            let is_known = high < ANOTHER_LAW * ANOTHER_LAW * low || problem.is_short(high);
-            is_determined &= is_known && !at_bound;
-        }
-    }
+    let is_determined = has_known_time_constants(problem, part, &intervals);
     // The reference and a zero that came with it.
-    let terms = terms::terms(data, &fitted.model);
+    let terms = terms::terms_from_model(data, &fitted.model);
     if let Some(term) = terms.get(index) {
         if let Some(heat) = term.effect.clone().heat_mut() {
             map.insert("reference_c".into(), json!({"value": heat.reference_c}));
@@ -129,29 +127,53 @@ pub(crate) fn estimates(
             map.insert("constant_um".into(), json!({"value": term.constant_um}));
         }
     }
-    Estimates { named: map, intervals, is_determined, reaches_nothing }
+    ParameterEstimates { named: map, intervals, is_determined, reaches_nothing }
+}
+
+/// Returns whether the time constants of a part are known at all, by the `intervals` of its values.
+fn has_known_time_constants(
+    problem: &FitProblem,
+    part: &ModelPart,
+    intervals: &[[f64; 2]],
+) -> bool {
+    // A mean of readings that are rounded has less of an interval than its rounding.
+    (0..part.kind.nonlinear_parameters().len()).all(|value| {
+        if !part.kind.has_time_constant() || !part.kind.is_logarithmic(value) {
+            return true;
+        }
+        let [low, high] = intervals[value];
+        let at_bound = part.values[value] > 0.95 * problem.bounds.time_constant_s[1];
+        // Else it is not known which law it is, nor how the next hours will be.
+        let is_known =
+            high < DISTINCT_RATE_RATIO.powi(2) * low || problem.is_time_constant_short(high);
+        is_known && !at_bound
+    })
 }
 
 /// Returns the interval in s of a jump at an instant: it is as sharp as its neighbours in time, of which the one before
 /// may be long ago.
-fn around_instant(problem: &Problem, at_s: f64) -> [f64; 2] {
+fn instant_interval_s(problem: &FitProblem, at_s: f64) -> [f64; 2] {
     let data = &problem.data;
-    let step_s = step_s(problem) * problem.groups.size as f64;
+    let step_s = mean_row_interval_s(problem) * problem.groups.size as f64;
     let rows = (0..data.rows).filter(|&row| data.used[row]);
-    let times = rows.filter_map(|row| data.time_s.as_ref().map(|times| times[row]));
+    let times = rows.filter_map(|row| data.time_s().map(|times| times[row]));
     let before_s = times.filter(|time_s| *time_s < at_s).fold(f64::NAN, f64::max);
     [(at_s - 2.0 * step_s).min(before_s), at_s + step_s]
 }
 
 /// Returns where the largest of several waves begins in their values, the one that is named, and its harmonic.
-fn largest_wave(values: &[f64], harmonics: &[u32]) -> (usize, f64) {
+fn largest_harmonic(values: &[f64], harmonics: &[u32]) -> (usize, f64) {
     let sizes: Vec<f64> = values.chunks(2).map(|pair| pair[0].hypot(pair[1])).collect();
     let largest = (0..sizes.len()).max_by(|a, b| sizes[*a].total_cmp(&sizes[*b])).unwrap_or(0);
     (2 * largest, f64::from(harmonics[largest]))
 }
 
 /// Returns the standard error of the amplitude of a wave, of the values of its pair and their places in the spread.
-fn spread_of_wave([a, b]: [f64; 2], (i, j): (usize, usize), spread: &Spread) -> f64 {
+fn amplitude_standard_error(
+    [a, b]: [f64; 2],
+    (i, j): (usize, usize),
+    spread: &ParameterCovariance,
+) -> f64 {
     let c = |i, j| spread.covariance(i, j);
     let square = a * a * c(i, i) + 2.0 * a * b * c(i, j) + b * b * c(j, j);
     square.max(0.0).sqrt() / a.hypot(b)
@@ -159,23 +181,24 @@ fn spread_of_wave([a, b]: [f64; 2], (i, j): (usize, usize), spread: &Spread) -> 
 
 /// Returns whether the intervals of all values that say how much a part does hold the value at which it does
 /// nothing: of amplitudes and a shift 0, of a term of the machine file what the file says. Lists are
-/// judged as wholes ([`list_may_be_nothing`]); a time constant may be 0.
-fn reaches_nothing(part: &Part, intervals: &[[f64; 2]]) -> bool {
+/// judged as wholes ([`list_includes_zero`]); a time constant may be 0.
+fn includes_no_effect(part: &ModelPart, intervals: &[[f64; 2]]) -> bool {
     let holds = |[low, high]: [f64; 2], value: f64| !(value < low || value > high);
-    if let Some(stated) = part.kind.stated() {
+    if let Some(stated) = part.kind.as_stated_term() {
         let said = stated.effect.values();
         return intervals.iter().zip(&said).all(|(interval, said)| holds(*interval, *said));
     }
     // Waves have a phase as well, and a size by both of their values.
-    if part.kind.list_length().is_some() || part.kind.has_phase() || part.kind.is_of_instrument() {
+    if part.kind.list_length().is_some() || part.kind.is_periodic() || part.kind.is_of_instrument()
+    {
         return false;
     }
-    let nonlinear = part.kind.nonlinear();
+    let nonlinear = part.kind.nonlinear_parameters();
     let sizes = &intervals[nonlinear.len()..];
     if sizes.is_empty() {
         let shifts = nonlinear.iter().zip(intervals);
         return shifts
-            .filter(|(what, _)| **what == Nonlinear::Shift)
+            .filter(|(what, _)| **what == NonlinearParameter::Shift)
             .any(|(_, it)| holds(*it, 0.0));
     }
     sizes.iter().all(|size| holds(*size, 0.0))
@@ -188,15 +211,15 @@ fn reaches_nothing(part: &Part, intervals: &[[f64; 2]]) -> bool {
 /// vᵀ·C⁻¹·v ≤ k·F(95 %; k, independent rows less the fitted values)          k values, covariance C
 /// ```
 ///
-/// A list may foresee left-out blocks by what is not its own: of a tilt whose lever ends 55 m away what is seen
+/// A list may predict held-out blocks by what is not its own: of a tilt whose lever ends 55 m away what is seen
 /// is a curve, and the angle is anything.
-fn list_may_be_nothing(part: &Part, index: usize, spread: &Spread) -> bool {
-    if part.kind.list_length().is_none() || part.kind.stated().is_some() {
+fn list_includes_zero(part: &ModelPart, index: usize, spread: &ParameterCovariance) -> bool {
+    if part.kind.list_length().is_none() || part.kind.as_stated_term().is_some() {
         return false;
     }
     let sd = |at: usize| spread.covariance(at, at).max(0.0).sqrt();
-    let values: Vec<(usize, f64)> = (part.kind.nonlinear().len()..part.values.len())
-        .filter_map(|value| Some((spread.row_of(index, value)?, part.values[value])))
+    let values: Vec<(usize, f64)> = (part.kind.nonlinear_parameters().len()..part.values.len())
+        .filter_map(|value| Some((spread.value_row(index, value)?, part.values[value])))
         .filter(|(at, _)| sd(*at) > 0.0)
         .collect();
     let count = values.len();
@@ -207,18 +230,18 @@ fn list_may_be_nothing(part: &Part, index: usize, spread: &Spread) -> bool {
     });
     let lower = normal::cholesky(correlation, &vec![1.0; count]);
     let mut scaled: Vec<f64> = values.iter().map(|(at, value)| value / sd(*at)).collect();
-    normal::forward(&lower, &mut scaled);
+    normal::forward_substitute(&lower, &mut scaled);
     let count = count as f64;
     FisherSnedecor::new(count, spread.freedom)
-        .is_ok_and(|f| normal::dot(&scaled, &scaled) <= count * f.inverse_cdf(LEVEL))
+        .is_ok_and(|f| normal::dot(&scaled, &scaled) <= count * f.inverse_cdf(CONFIDENCE_LEVEL))
 }
 
-fn put(map: &mut Map<String, Value>, name: &str, value: f64, mut ci95: [f64; 2]) {
+fn insert_estimate(map: &mut Map<String, Value>, name: &str, value: f64, mut ci95: [f64; 2]) {
     ci95.sort_unstable_by(f64::total_cmp);
     map.insert(name.into(), json!({"value": value, "ci95": ci95}));
 }
 
-fn as_json(value: &effect::Value) -> Value {
+fn value_to_json(value: &effect::Value) -> Value {
     match value {
         effect::Value::Number(number) => json!(number),
         effect::Value::Whole(number) => json!(number),
@@ -229,20 +252,20 @@ fn as_json(value: &effect::Value) -> Value {
         effect::Value::Texts(texts) => json!(texts),
         effect::Value::Rows(rows) => json!(rows),
         effect::Value::Inline(entries) => {
-            let entries = entries.iter().map(|(key, value)| (key.clone(), as_json(value)));
+            let entries = entries.iter().map(|(key, value)| (key.clone(), value_to_json(value)));
             Value::Object(entries.collect())
         }
     }
 }
 
 /// Seconds from row to row, or 1 where there is no time.
-pub(crate) fn step_s(problem: &Problem) -> f64 {
+pub(crate) fn mean_row_interval_s(problem: &FitProblem) -> f64 {
     let data = &problem.data;
-    if data.time_s.is_none() {
+    if data.time_s().is_none() {
         return 1.0;
     }
     let [start, end] = problem.bounds.time_s;
-    (end - start) / (data.recorded_rows() as f64 / data.files as f64).max(1.0)
+    (end - start) / (data.recorded_row_count() as f64 / data.setting.files.len() as f64).max(1.0)
 }
 
 #[cfg(test)]

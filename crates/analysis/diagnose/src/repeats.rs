@@ -7,33 +7,36 @@
 use std::collections::HashMap;
 
 use trueup_machine::{
-    effect::OnBoard,
-    file::{Feedback, LinearAxis, Pitch},
+    effect::BoardTerm,
+    file::{Feedback, LinearAxis, PitchErrorTable},
     model::is_reverse,
 };
 use trueup_numerics::{
-    repeats::{Law, Reading, SAME_PLACE, arrivals, gross, largest_variance, places},
+    repeats::{
+        Reading, SAME_PLACE_TOLERANCE, TableLaw, cycle_numbers, find_gross_errors, group_positions,
+        max_point_variance,
+    },
     robust::median,
 };
 
 use crate::{
-    data::Data,
-    kind::{Kind, Part},
+    data::DataTable,
+    term_kind::{ModelPart, TermKind},
 };
 
 /// A machine whose readings at one position scatter by more (standard deviation, in µm) is no machine
 /// to be corrected but one to be mended: its repeatability by ISO 230-2, 4·s, is beyond 20 µm, about
 /// the most that ISO 10791-4 lets a machining centre of 2 m have. Less than that may be the noise of
 /// the instrument.
-pub(crate) const REPEATABLE_UM: f64 = 5.0;
+pub(crate) const MAX_REPEATABILITY_UM: f64 = 5.0;
 /// More places than a table of the machine file should have points are no targets.
-const MAX_PLACES: usize = 512;
+const MAX_TARGET_POSITIONS: usize = 512;
 /// A step of the positions below this, in mm, is none: machine positions are known to a micrometre.
-pub(crate) const SAME_MM: f64 = 1e-3;
+pub(crate) const POSITION_TOLERANCE_MM: f64 = 1e-3;
 
 /// The targets of an axis's own motion, and which row is a reading at which.
 #[derive(Clone, Debug)]
-pub(crate) struct Targets {
+pub(crate) struct TargetPositions {
     pub own: LinearAxis,
     /// Rising.
     pub at_mm: Vec<f64>,
@@ -43,23 +46,23 @@ pub(crate) struct Targets {
     rows: Vec<usize>,
 }
 
-impl Targets {
+impl TargetPositions {
     /// Of these rows; none where the axis does not come back to the same places, or another axis moves
     /// as well.
-    pub(crate) fn of(data: &Data, rows: impl Iterator<Item = usize>) -> Option<Self> {
-        let own = data.quantity.axis()?;
+    pub(crate) fn from_rows(data: &DataTable, rows: impl Iterator<Item = usize>) -> Option<Self> {
+        let own = data.setting.quantity.axis()?;
         let position = data.own_position()?;
         let rows: Vec<usize> = rows.filter(|&row| !position[row].is_nan()).collect();
-        let others = data.position_mm.iter().enumerate().filter(|(axis, _)| *axis != own.index());
+        let others = LinearAxis::ALL.into_iter().filter(|axis| *axis != own);
         let stands = |mm: &[f64]| {
             let here = rows.iter().map(|&row| mm[row]).filter(|mm| !mm.is_nan());
             let (low, high) = here.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), mm| {
                 (low.min(mm), high.max(mm))
             });
             // Of nothing that was recorded as well.
-            high - low <= SAME_MM
+            high - low <= POSITION_TOLERANCE_MM
         };
-        if !others.filter_map(|(_, mm)| mm.as_deref()).all(stands) {
+        if !others.filter_map(|axis| data.position_mm(axis)).all(stands) {
             return None;
         }
         let direction = data.own_direction();
@@ -67,21 +70,24 @@ impl Targets {
         let at: Vec<f64> = rows.iter().map(|&row| position[row]).collect();
         let steps = rows.windows(2).filter_map(|pair| {
             let &[before, after] = pair else { return None };
-            let is_one = data.file[before] == data.file[after] && side(before) == side(after);
+            let is_one =
+                data.places.file[before] == data.places.file[after] && side(before) == side(after);
             let step = (position[after] - position[before]).abs();
-            (is_one && step > SAME_MM).then_some(step)
+            (is_one && step > POSITION_TOLERANCE_MM).then_some(step)
         });
         let step = steps.fold(f64::INFINITY, f64::min);
-        let (at_mm, place_of) = places(&at, if step.is_finite() { step } else { 0.0 });
-        if at_mm.len() > MAX_PLACES || 2 * rows.len() < 3 * at_mm.len() {
+        let (at_mm, place_of) = group_positions(&at, if step.is_finite() { step } else { 0.0 });
+        if at_mm.len() > MAX_TARGET_POSITIONS || 2 * rows.len() < 3 * at_mm.len() {
             return None;
         }
-        let cycle_of = match data.run.as_deref() {
-            Some(run) => numbered(rows.iter().map(|&row| (data.file[row], run[row].to_bits()))),
+        let cycle_of = match data.run_numbers() {
+            Some(run) => {
+                encode_labels(rows.iter().map(|&row| (data.places.file[row], run[row].to_bits())))
+            }
             None => {
                 let stops: Vec<(usize, usize)> =
                     rows.iter().zip(&place_of).map(|(&row, &place)| (place, side(row))).collect();
-                arrivals(&stops)
+                cycle_numbers(&stops)
             }
         };
         let readings = rows
@@ -100,16 +106,24 @@ impl Targets {
     }
 
     /// Returns the rows that stand alone among the repeats of what `residual` (by row) leaves.
-    pub(crate) fn gross(&self, data: &Data, residual: impl Fn(usize) -> f64) -> Vec<bool> {
+    pub(crate) fn find_gross_errors(
+        &self,
+        data: &DataTable,
+        residual: impl Fn(usize) -> f64,
+    ) -> Vec<bool> {
         let mut aside = vec![false; data.rows];
-        let found = gross(&self.readings(residual));
+        let found = find_gross_errors(&self.readings(residual));
         self.rows.iter().zip(found).for_each(|(&row, found)| aside[row] = found);
         aside
     }
 
-    /// Returns how far what is `left_um` of each row is from the median of its place's others that are not set
-    /// aside; NaN of rows that are at none.
-    pub(crate) fn away_from_place(&self, left_um: &[f64], aside: &[bool]) -> Vec<f64> {
+    /// Returns how far what is `left_um` of each row is from the median of its place's others that are not excluded as
+    /// outliers; NaN of rows that are at none.
+    pub(crate) fn deviations_from_target_median(
+        &self,
+        left_um: &[f64],
+        aside: &[bool],
+    ) -> Vec<f64> {
         let mut at: HashMap<(usize, usize), Vec<usize>> = HashMap::new();
         for (reading, &row) in self.readings.iter().zip(&self.rows) {
             at.entry((reading.place, reading.side)).or_default().push(row);
@@ -126,57 +140,62 @@ impl Targets {
     }
 
     /// Returns the tables that may be tried, as [`Law`]s: a step is the screw's, so that a scale has none.
-    pub(crate) fn laws(&self, data: &Data) -> Vec<Law> {
+    pub(crate) fn candidate_laws(&self, data: &DataTable) -> Vec<TableLaw> {
         let has = |side: usize| self.readings.iter().any(|it| it.side == side);
-        let mut laws = vec![Law::Table];
+        let mut laws = vec![TableLaw::Table];
         if has(0) && has(1) {
-            if data.machine.axes[self.own.index()].feedback == Feedback::Screw {
-                laws.push(Law::TableAndStep);
+            if data.setting.machine.axes[self.own.index()].feedback == Feedback::Screw {
+                laws.push(TableLaw::TableAndStep);
             }
-            laws.push(Law::EachSide);
+            laws.push(TableLaw::EachSide);
         }
         laws
     }
 
     /// Returns a law as terms, neutral; none where no table of equal steps is determined by these places.
-    pub(crate) fn terms(&self, law: Law) -> Option<Vec<Part>> {
-        let (start_mm, step_mm, points) = self.grid()?;
+    pub(crate) fn law_terms(&self, law: TableLaw) -> Option<Vec<ModelPart>> {
+        let (start_mm, step_mm, points) = self.table_grid()?;
         let forward_um = vec![0.0; points];
-        let reverse_um = (law == Law::EachSide).then(|| forward_um.clone());
-        let table = OnBoard::Table(Pitch { start_mm, step_mm, forward_um, reverse_um });
-        let step = OnBoard::Reversed { width_um: 1.0, um_per_m: 0.0 };
-        let forms = [Some(table), (law == Law::TableAndStep).then_some(step)];
-        let kinds = forms.iter().flatten().map(|form| Kind::of_form(Some(self.own), form));
-        let neutral = |kind: Kind| match &kind {
-            Kind::Cause(effect) => Kind::Cause(effect.with(&vec![0.0; kind.degrees()])),
+        let reverse_um = (law == TableLaw::EachSide).then(|| forward_um.clone());
+        let table = BoardTerm::Table(PitchErrorTable { start_mm, step_mm, forward_um, reverse_um });
+        let step = BoardTerm::Reversed { width_um: 1.0, um_per_m: 0.0 };
+        let forms = [Some(table), (law == TableLaw::TableAndStep).then_some(step)];
+        let kinds =
+            forms.iter().flatten().map(|form| TermKind::from_board_term(Some(self.own), form));
+        let neutral = |kind: TermKind| match &kind {
+            TermKind::Cause(effect) => {
+                TermKind::Cause(effect.with_values(&vec![0.0; kind.degrees_of_freedom()]))
+            }
             _ => kind,
         };
-        let part = |kind: Kind| Part { values: vec![0.0; kind.degrees()], kind };
+        let part =
+            |kind: TermKind| ModelPart { values: vec![0.0; kind.degrees_of_freedom()], kind };
         kinds.map(|kind| kind.map(neutral).map(part)).collect()
     }
 
     /// Returns the points of a table: start, step and number. The places themselves where they are even, else as
     /// many points as each is known within twice the uncertainty of one reading at every place.
-    fn grid(&self) -> Option<(f64, f64, usize)> {
+    fn table_grid(&self) -> Option<(f64, f64, usize)> {
         let (first, last) = (*self.at_mm.first()?, *self.at_mm.last()?);
         let with = |points: usize| (first, (last - first) / (points - 1) as f64, points);
         let even = with(self.at_mm.len());
         let mut steps = self.at_mm.windows(2).map(|pair| pair[1] - pair[0]);
         // Targets may have been written in few digits.
-        if steps.all(|step| (step - even.1).abs() < SAME_PLACE * even.1) {
+        if steps.all(|step| (step - even.1).abs() < SAME_PLACE_TOLERANCE * even.1) {
             return Some(even);
         }
-        let places = [0, 1].map(|side| self.places_of(side));
+        let places = [0, 1].map(|side| self.positions_in_direction(side));
         (3..self.at_mm.len()).rev().map(with).find(|&(start_mm, step_mm, points)| {
             let is_known = |at: &Vec<f64>| {
-                at.is_empty() || largest_variance(at, start_mm, step_mm, points) <= MAX_VARIANCE
+                at.is_empty()
+                    || max_point_variance(at, start_mm, step_mm, points) <= MAX_VARIANCE_RATIO
             };
             places.iter().all(is_known)
         })
     }
 
     /// Returns the places that were read on one side, in mm, rising.
-    fn places_of(&self, side: usize) -> Vec<f64> {
+    fn positions_in_direction(&self, side: usize) -> Vec<f64> {
         let is_read =
             |place: usize| self.readings.iter().any(|it| it.place == place && it.side == side);
         (0..self.at_mm.len())
@@ -187,10 +206,10 @@ impl Targets {
 }
 
 /// The variance of a table's point, in those of one reading at a place: twice its uncertainty.
-const MAX_VARIANCE: f64 = 4.0;
+const MAX_VARIANCE_RATIO: f64 = 4.0;
 
 /// Numbers from 0 in the order in which keys come.
-fn numbered<K: PartialEq>(keys: impl Iterator<Item = K>) -> Vec<usize> {
+fn encode_labels<K: PartialEq>(keys: impl Iterator<Item = K>) -> Vec<usize> {
     let mut known: Vec<K> = Vec::new();
     keys.map(|key| {
         known.iter().position(|there| *there == key).unwrap_or_else(|| {
@@ -203,7 +222,7 @@ fn numbered<K: PartialEq>(keys: impl Iterator<Item = K>) -> Vec<usize> {
 
 /// Scatter and systematic part of what is left at equal positions, approached the same way.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Repeats {
+pub(crate) struct RepeatStatistics {
     /// Standard deviation of readings at one position and direction, pooled.
     pub scatter_um: f64,
     /// Standard deviation of the means, less what scatter makes of it.
@@ -212,8 +231,12 @@ pub(crate) struct Repeats {
 
 /// Without the rows that are set `aside`. None where there are too few repeats: less than three runs, or positions that
 /// do not come back.
-pub(crate) fn analyse(data: &Data, predicted: &[f64], aside: &[bool]) -> Option<Repeats> {
-    let run = data.run.as_deref()?;
+pub(crate) fn analyse_repeats(
+    data: &DataTable,
+    predicted: &[f64],
+    aside: &[bool],
+) -> Option<RepeatStatistics> {
+    let run = data.run_numbers()?;
     let own = data.own_position()?;
     let direction = data.own_direction();
     let mut rows: Vec<(i64, i8, usize)> = (0..data.rows)
@@ -250,7 +273,7 @@ pub(crate) fn analyse(data: &Data, predicted: &[f64], aside: &[bool]) -> Option<
     let mean = means.iter().map(|(mean, _)| mean).sum::<f64>() / count;
     let between = means.iter().map(|(m, _)| (m - mean).powi(2)).sum::<f64>() / (count - 1.0);
     let by_chance = means.iter().map(|(_, n)| scatter / n).sum::<f64>() / count;
-    Some(Repeats {
+    Some(RepeatStatistics {
         scatter_um: scatter.sqrt(),
         systematic_um: (between - by_chance).max(0.0).sqrt(),
     })

@@ -32,11 +32,11 @@ fn answered(sections: &str, csv: &str, quantity: Quantity) -> (Diagnosis, f64) {
         let cell = line.split(',').nth(5).expect("predicted_after_um");
         cell.parse::<f64>().expect("every row is predicted")
     });
-    let extended = diagnosis.extended(&text, path).expect("a machine file");
+    let extended = diagnosis.render_extended_toml(&text, path).expect("a machine file");
     let extended = MachineFile::parse(&extended, path).expect("it can be loaded");
     let predictor = Predictor::new(&extended, &run).expect("it can be predicted");
     let index = Quantity::ALL.iter().position(|it| *it == quantity).expect("one of all");
-    let predicted = predictor.rows().map(|row| row.model.all()[index]);
+    let predicted = predictor.predictions().map(|row| row.model.to_array()[index]);
     let apart = predicted.zip(after_um).map(|(p, after)| (p - after).abs()).fold(0.0, f64::max);
     (diagnosis, apart)
 }

@@ -2,10 +2,10 @@
 
 use std::{fmt::Write as _, path::Path};
 
-use trueup_campaigns::hidden::{Hidden, draw};
+use trueup_campaigns::hidden_effects::{HiddenCause, draw};
 use trueup_diagnose::{Diagnosis, Verdict, diagnose, report::Finding};
 use trueup_machine::{MachineFile, RunFile, file::Quantity, predict::Predictor};
-use trueup_twin::noise::Stream;
+use trueup_twin::noise::RandomStream;
 
 const MACHINE: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n[spindle]\nsource = \"sensor\"\n\
                        [spindle.sensor]\nk0_um = 0.0\nzero_counts = 5000.0\num_per_count = 0.02\n";
@@ -27,25 +27,25 @@ fn claimed(diagnosis: &Diagnosis) -> Vec<&Finding> {
 
 /// Returns a day at a mill whose error is right but for `hidden` of the tool's number, the speed and the door.
 fn day(seed: u64, hidden: impl Fn(f64, f64, f64) -> f64) -> String {
-    let mut stream = Stream::new(seed, "mill");
+    let mut stream = RandomStream::new(seed, "mill");
     let mut csv =
         "time_s,sensor_counts,spindle_rpm,tool,door_open,part,twin_um,measured_elongation_um\n"
             .to_string();
     let (mut grown_um, mut rpm, mut tool, mut door) = (0.0, 0.0, 1.0, 0.0);
     for row in 0..240 {
-        if stream.chance(0.06) {
-            rpm = 6000.0 * f64::from(stream.whole(0, 4) as u32);
+        if stream.bernoulli(0.06) {
+            rpm = 6000.0 * f64::from(stream.uniform_integer(0, 4) as u32);
         }
-        if stream.chance(0.06) {
-            tool = f64::from(stream.whole(1, 3) as u32);
+        if stream.bernoulli(0.06) {
+            tool = f64::from(stream.uniform_integer(1, 3) as u32);
         }
-        if stream.chance(0.05) {
+        if stream.bernoulli(0.05) {
             door = 1.0 - door;
         }
         grown_um += (rpm / 400.0 - grown_um) / 30.0;
         let counts = (5000.0 + grown_um / 0.02).round();
         let measured_um =
-            (counts - 5000.0) * 0.02 + hidden(tool, rpm, door) + 0.4 * stream.normal();
+            (counts - 5000.0) * 0.02 + hidden(tool, rpm, door) + 0.4 * stream.standard_normal();
         let cells = [f64::from(row) * 60.0, counts, rpm, tool, door, f64::from(row / 3)];
         cells.iter().for_each(|cell| write!(csv, "{cell},").expect("text"));
         writeln!(csv, "{:.3},{measured_um:.3}", measured_um + 0.001).expect("text");
@@ -148,10 +148,12 @@ fn where_nothing_depends_on_a_column_none_is_named() {
 
 #[test]
 fn the_extended_file_predicts_what_the_diagnosis_says() {
-    let challenge = draw(Hidden::Dependence, 10.0, 1);
+    let challenge = draw(HiddenCause::Dependence, 10.0, 1);
     let runs: Vec<&str> = challenge.runs.iter().map(String::as_str).collect();
     let diagnosis = answer(&challenge.machine, &runs, &[&challenge.holdout]);
-    let text = diagnosis.extended(&challenge.machine, Path::new("m.toml")).expect("a machine file");
+    let text = diagnosis
+        .render_extended_toml(&challenge.machine, Path::new("m.toml"))
+        .expect("a machine file");
     assert!(text.contains("cause = \"dependence\""), "{text}");
     let extended = MachineFile::parse(&text, Path::new("extended.toml")).expect("a machine file");
     let run = read(&challenge.holdout);
@@ -159,9 +161,9 @@ fn the_extended_file_predicts_what_the_diagnosis_says() {
     let measured = run.column(&format!("measured_{}_um", challenge.quantity)).expect("measured");
     let left: Vec<f64> = Predictor::new(&extended, &run)
         .expect("a prediction")
-        .model()
+        .model_values()
         .zip(measured)
-        .map(|(model, measured)| measured - model.all()[index])
+        .map(|(model, measured)| measured - model.to_array()[index])
         .filter(|left| !left.is_nan())
         .collect();
     let rms_um = (left.iter().map(|um| um * um).sum::<f64>() / left.len() as f64).sqrt();

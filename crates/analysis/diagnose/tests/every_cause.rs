@@ -11,11 +11,11 @@ mod score;
 use pairs::{Judged, Pair, RATIO, RIGHT, WRONG, causes, faults};
 use score::{Row, Score, answer, score as scored};
 use statrs::distribution::{Binomial, DiscreteCDF};
-use trueup_campaigns::hidden::{Hidden, TestCase, draw, draw_pair};
+use trueup_campaigns::hidden_effects::{HiddenCause, TestCase, draw, draw_pair};
 
 /// Hides each of `causes` twice: no draw has a wrong name, one at least is claimed, with what it is
 /// worth.
-fn each_is_found(causes: &[Hidden]) {
+fn each_is_found(causes: &[HiddenCause]) {
     let mut complaints = Vec::new();
     for &cause in causes {
         let scores: Vec<Score> = (0..2)
@@ -24,8 +24,9 @@ fn each_is_found(causes: &[Hidden]) {
                 scored(&challenge, &answer(&challenge))
             })
             .collect();
-        let is_found =
-            |score: &Score| score.is_right && score.named.iter().any(|name| name == cause.answer());
+        let is_found = |score: &Score| {
+            score.is_right && score.named.iter().any(|name| name == cause.expected_name())
+        };
         if !scores.iter().any(is_found) {
             complaints.push(format!("{} is never claimed", cause.name()));
         }
@@ -46,7 +47,7 @@ fn is_of_axis(challenge: &TestCase) -> bool {
 }
 
 /// Causes by what they are of, so that a part is about as long as another.
-fn of(is_axis: bool, part: usize, parts: usize) -> Vec<Hidden> {
+fn of(is_axis: bool, part: usize, parts: usize) -> Vec<HiddenCause> {
     let all = causes().into_iter().filter(|cause| is_of_axis(&draw(*cause, RATIO, 0)) == is_axis);
     all.enumerate().filter(|(number, _)| number % parts == part).map(|(_, cause)| cause).collect()
 }

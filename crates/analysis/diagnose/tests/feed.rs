@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use serde_json::Value;
-use trueup_campaigns::hidden::{Hidden, TestCase, draw};
+use trueup_campaigns::hidden_effects::{HiddenCause, TestCase, draw};
 use trueup_diagnose::{Diagnosis, diagnose, report::Finding};
 use trueup_machine::{MachineFile, RunFile, file::Quantity, predict::Predictor};
 
@@ -33,7 +33,7 @@ fn numbers(value: &Value) -> Vec<f64> {
 fn each_feed_has_its_width_within_its_interval() {
     let (mut inside, mut all) = (0, 0);
     for seed in 0..3 {
-        let challenge = draw(Hidden::FeedDependentBacklash, 3.0, seed);
+        let challenge = draw(HiddenCause::FeedDependentBacklash, 3.0, seed);
         let diagnosis = answer(&challenge);
         let found = finding(&diagnosis.report.findings, CAUSE).expect("it is claimed");
         assert_eq!(found.column.as_deref(), Some("feed_mm_per_min"));
@@ -55,7 +55,7 @@ fn each_feed_has_its_width_within_its_interval() {
 
 #[test]
 fn what_the_bridge_corrects_is_the_width_of_one_feed_and_the_others_cost_is_told() {
-    let challenge = draw(Hidden::FeedDependentBacklash, 3.0, 1);
+    let challenge = draw(HiddenCause::FeedDependentBacklash, 3.0, 1);
     let diagnosis = answer(&challenge);
     let report = &diagnosis.report;
     let after = &report.after;
@@ -65,7 +65,9 @@ fn what_the_bridge_corrects_is_the_width_of_one_feed_and_the_others_cost_is_told
     let said = finding(&report.findings, CAUSE).expect("it is claimed").evidence.join(" ");
     assert!(said.contains("The bridge is not told the feed"), "{said}");
     // What stands in the extended file is what the board runs where the run says no feed.
-    let text = diagnosis.extended(&challenge.machine, Path::new("m.toml")).expect("a machine file");
+    let text = diagnosis
+        .render_extended_toml(&challenge.machine, Path::new("m.toml"))
+        .expect("a machine file");
     assert!(text.contains("at_feed_mm_per_min"), "{text}");
     let extended = MachineFile::parse(&text, Path::new("extended.toml")).expect("a machine file");
     let silent = renamed(&challenge.holdout, "feed_mm_per_min", "note");
@@ -73,9 +75,9 @@ fn what_the_bridge_corrects_is_the_width_of_one_feed_and_the_others_cost_is_told
     let index = Quantity::ALL.iter().position(|it| it.name() == challenge.quantity);
     let index = index.expect("one of all");
     let mut rows = 0;
-    for row in Predictor::new(&extended, &run).expect("a prediction").rows() {
-        let bridge = row.bridge.expect("the board runs it").all()[index];
-        let model = row.model.all()[index];
+    for row in Predictor::new(&extended, &run).expect("a prediction").predictions() {
+        let bridge = row.bridge.expect("the board runs it").to_array()[index];
+        let model = row.model.to_array()[index];
         assert!((model - bridge).abs() < 0.05, "{model} and {bridge}");
         rows += 1;
     }
@@ -85,7 +87,7 @@ fn what_the_bridge_corrects_is_the_width_of_one_feed_and_the_others_cost_is_told
 #[test]
 fn a_backlash_that_is_the_same_at_each_feed_keeps_its_simpler_name() {
     for seed in 0..2 {
-        let mut challenge = draw(Hidden::Backlash, 3.0, seed);
+        let mut challenge = draw(HiddenCause::Backlash, 3.0, seed);
         fast_and_slow_by_turns(&mut challenge);
         let report = answer(&challenge).report;
         assert!(finding(&report.findings, "backlash").is_some(), "{seed}: {:?}", report.findings);

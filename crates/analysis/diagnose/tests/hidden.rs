@@ -1,12 +1,14 @@
-//! A hidden effect is found: a fixed, smaller part of the score card (`examples/scorecard` is the
+//! A hidden effect is found: a fixed, smaller part of the score card (`examples/scorecard` of `trueup-campaigns` is the
 //! whole). The drawn truth is read only by the check.
 
 mod score;
 
 use score::{Row, answer, score as scored};
-use trueup_campaigns::hidden::{Expected, Hidden, PAIRS, draw, draw_pair};
+use trueup_campaigns::hidden_effects::{
+    DISTINGUISHABLE_PAIRS, ExpectedDiagnosis, HiddenCause, draw, draw_pair,
+};
 
-fn row(causes: &[Hidden], ratio: f64, seeds: std::ops::Range<u64>) -> Row {
+fn row(causes: &[HiddenCause], ratio: f64, seeds: std::ops::Range<u64>) -> Row {
     let scores = causes.iter().flat_map(|&cause| {
         seeds.clone().map(move |seed| {
             let challenge = draw(cause, ratio, seed);
@@ -19,17 +21,17 @@ fn row(causes: &[Hidden], ratio: f64, seeds: std::ops::Range<u64>) -> Row {
 #[test]
 fn a_cause_of_an_elongation_three_times_the_noise_is_named() {
     let causes = [
-        Hidden::SensorGain,
-        Hidden::SensorCurvature,
-        Hidden::SensorSaturation,
-        Hidden::SensorTemperatureDrift,
-        Hidden::ThermalLag,
-        Hidden::ThermometerLag,
-        Hidden::GrowthAmplitude,
-        Hidden::CoolingAsymmetry,
-        Hidden::CentrifugalGrowth,
-        Hidden::CuttingLoad,
-        Hidden::Drift,
+        HiddenCause::SensorGain,
+        HiddenCause::SensorCurvature,
+        HiddenCause::SensorSaturation,
+        HiddenCause::SensorTemperatureDrift,
+        HiddenCause::ThermalLag,
+        HiddenCause::ThermometerLag,
+        HiddenCause::GrowthAmplitude,
+        HiddenCause::CoolingAsymmetry,
+        HiddenCause::CentrifugalGrowth,
+        HiddenCause::CuttingLoad,
+        HiddenCause::Drift,
     ];
     let all = row(&causes, 3.0, 0..1);
     println!("{}", all.line("elongation"));
@@ -42,15 +44,15 @@ fn a_cause_of_an_elongation_three_times_the_noise_is_named() {
 #[test]
 fn a_cause_of_an_axis_three_times_the_noise_is_named() {
     let causes = [
-        Hidden::PitchPeriodic,
-        Hidden::PositionDependentBacklash,
-        Hidden::FeedDependentBacklash,
-        Hidden::Straightness,
-        Hidden::CrossAxis,
-        Hidden::AngularError,
-        Hidden::ExpansionSlope,
-        Hidden::ExpansionConstant,
-        Hidden::DriftByRun,
+        HiddenCause::PitchPeriodic,
+        HiddenCause::PositionDependentBacklash,
+        HiddenCause::FeedDependentBacklash,
+        HiddenCause::Straightness,
+        HiddenCause::CrossAxis,
+        HiddenCause::AngularError,
+        HiddenCause::ExpansionSlope,
+        HiddenCause::ExpansionConstant,
+        HiddenCause::DriftByRun,
     ];
     let all = row(&causes, 3.0, 0..1);
     println!("{}", all.line("axis"));
@@ -59,7 +61,7 @@ fn a_cause_of_an_axis_three_times_the_noise_is_named() {
 
 #[test]
 fn what_has_no_name_is_reported_and_no_name_is_claimed_for_it() {
-    let all = row(&[Hidden::CriticalSpeed, Hidden::PreloadChange], 3.0, 0..1);
+    let all = row(&[HiddenCause::CriticalSpeed, HiddenCause::PreloadChange], 3.0, 0..1);
     println!("{}", all.line("unnamed"));
     assert!(all.right() == 1.0 && all.wrong() == 0.0, "{}", all.line("unnamed"));
 }
@@ -68,7 +70,8 @@ fn what_has_no_name_is_reported_and_no_name_is_claimed_for_it() {
 /// square of the speed, nor is a resonance.
 #[test]
 fn a_law_without_a_name_is_not_taken_for_the_square_of_the_speed() {
-    for (cause, seeds) in [(Hidden::PreloadChange, [106, 107]), (Hidden::CriticalSpeed, [103, 109])]
+    for (cause, seeds) in
+        [(HiddenCause::PreloadChange, [106, 107]), (HiddenCause::CriticalSpeed, [103, 109])]
     {
         for seed in seeds {
             let all = row(&[cause], 10.0, seed..seed + 1);
@@ -76,7 +79,7 @@ fn a_law_without_a_name_is_not_taken_for_the_square_of_the_speed() {
         }
     }
     // As large as the noise both do as well, and neither is claimed.
-    let as_well = row(&[Hidden::PreloadChange], 1.0, 103..104);
+    let as_well = row(&[HiddenCause::PreloadChange], 1.0, 103..104);
     assert!(as_well.wrong() == 0.0, "{}", as_well.scores[0]);
 }
 
@@ -84,7 +87,7 @@ fn a_law_without_a_name_is_not_taken_for_the_square_of_the_speed() {
 #[test]
 fn a_late_thermometer_is_named_where_the_gauge_is_ten_times_as_good() {
     for seed in [100, 103] {
-        let all = row(&[Hidden::ThermometerLag], 10.0, seed..seed + 1);
+        let all = row(&[HiddenCause::ThermometerLag], 10.0, seed..seed + 1);
         assert!(all.right() == 1.0 && all.wrong() == 0.0, "{}", all.scores[0]);
     }
 }
@@ -92,7 +95,7 @@ fn a_late_thermometer_is_named_where_the_gauge_is_ten_times_as_good() {
 /// A table of each way follows both at once, before one of them alone is worth as much.
 #[test]
 fn a_wave_and_a_play_are_not_taken_for_a_table() {
-    let challenge = draw_pair(Hidden::PitchPeriodic, Hidden::Backlash, 10.0, 102);
+    let challenge = draw_pair(HiddenCause::PitchPeriodic, HiddenCause::Backlash, 10.0, 102);
     let challenge = challenge.expect("one machine shows both");
     let score = scored(&challenge, &answer(&challenge));
     assert!(score.is_right && !score.is_wrong, "{score}");
@@ -100,7 +103,7 @@ fn a_wave_and_a_play_are_not_taken_for_a_table() {
 
 #[test]
 fn nothing_is_found_in_noise_with_and_without_a_memory() {
-    let all = row(&[Hidden::CleanWhite, Hidden::CleanCorrelated], 3.0, 0..3);
+    let all = row(&[HiddenCause::CleanWhite, HiddenCause::CleanCorrelated], 3.0, 0..3);
     println!("{}", all.line("clean"));
     for score in &all.scores {
         assert!(score.is_right, "{score}");
@@ -110,8 +113,8 @@ fn nothing_is_found_in_noise_with_and_without_a_memory() {
 #[test]
 fn two_causes_are_both_named() {
     for (first, second) in [
-        (Hidden::CentrifugalGrowth, Hidden::CuttingLoad),
-        (Hidden::ExpansionSlope, Hidden::ThermalLag),
+        (HiddenCause::CentrifugalGrowth, HiddenCause::CuttingLoad),
+        (HiddenCause::ExpansionSlope, HiddenCause::ThermalLag),
     ] {
         let challenge = draw_pair(first, second, 3.0, 0).expect("one machine shows both");
         let score = scored(&challenge, &answer(&challenge));
@@ -123,17 +126,18 @@ fn two_causes_are_both_named() {
 #[test]
 #[ignore = "long: two draws of each effect, one of each pair"]
 fn of_all_effects_three_times_the_noise_nearly_all_are_named() {
-    let is_clean = |cause: &Hidden| cause.expected() == Expected::Clean;
-    let effects: Vec<Hidden> = Hidden::ALL.iter().copied().filter(|it| !is_clean(it)).collect();
+    let is_clean = |cause: &HiddenCause| cause.expected_diagnosis() == ExpectedDiagnosis::Clean;
+    let effects: Vec<HiddenCause> =
+        HiddenCause::ALL.iter().copied().filter(|it| !is_clean(it)).collect();
     let mut all = row(&effects, 3.0, 0..2);
-    let pairs = PAIRS.iter().map(|&(a, b)| {
+    let pairs = DISTINGUISHABLE_PAIRS.iter().map(|&(a, b)| {
         let challenge = draw_pair(a, b, 3.0, 0).expect("the twin's own pairs can be drawn");
         scored(&challenge, &answer(&challenge))
     });
     all.scores.extend(pairs);
     println!("{}", all.line("effects and pairs"));
     assert!(all.right() >= 0.95 && all.wrong() <= 0.05, "{}", all.line("effects and pairs"));
-    let clean: Vec<Hidden> = Hidden::ALL.iter().copied().filter(is_clean).collect();
+    let clean: Vec<HiddenCause> = HiddenCause::ALL.iter().copied().filter(is_clean).collect();
     let alarms = row(&clean, 3.0, 0..10);
     println!("{}", alarms.line("noise alone"));
     assert_eq!(alarms.wrong(), 0.0, "{}", alarms.line("noise alone"));

@@ -5,14 +5,14 @@
 mod score;
 
 use score::worth;
-use trueup_campaigns::inputs::KINDS;
+use trueup_campaigns::input_dependence::DEPENDENCE_KINDS;
 
-/// The campaign in short; `cargo run -p trueup-diagnose --example inputs` is the whole.
+/// The campaign in short; `cargo run -p trueup-campaigns --example inputs` is the whole.
 #[test]
 #[ignore = "long: four draws of each of 21 kinds, and forty without"]
 fn laws_of_recorded_inputs_are_named_by_their_columns() {
     let (mut named, mut gone, mut foreign, mut all) = (0, 0, 0, 0);
-    for kind in &KINDS[1..] {
+    for kind in &DEPENDENCE_KINDS[1..] {
         for seed in 0..4 {
             let worth = worth(*kind, seed);
             if !worth.is_named || worth.is_foreign || worth.gone < 0.85 {
@@ -24,7 +24,7 @@ fn laws_of_recorded_inputs_are_named_by_their_columns() {
             all += 1;
         }
     }
-    let idle = (0..40).filter(|seed| worth(KINDS[0], *seed).is_foreign).count();
+    let idle = (0..40).filter(|seed| worth(DEPENDENCE_KINDS[0], *seed).is_foreign).count();
     println!(
         "of {all}: {named} named, {gone} with 85 % gone, {foreign} foreign; of 40 without: {idle} claimed"
     );

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use trueup_diagnose::{Diagnosis, Verdict, diagnose, report::Finding};
 use trueup_machine::{MachineFile, RunFile, file::Quantity};
-use trueup_measured_data::file as data;
+use trueup_measured_data::find_file as data;
 
 const HEAD: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
 
@@ -229,7 +229,7 @@ fn where_the_rest_may_be_the_machine_nothing_is_explained() {
             let reasons = report.reasons.join("; ");
             assert!(reasons.contains("may be the machine as well as the gauge"), "{reasons}");
             assert!(claimed(&answer).iter().all(|(cause, _)| *cause == "outliers"));
-            // What foresees is written all the same.
+            // What predicts is written all the same.
             assert!(report.after.compensated_holdout_rms_um < report.before.holdout_rms_um);
         }
     }

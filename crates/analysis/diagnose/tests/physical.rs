@@ -9,7 +9,7 @@ mod machines;
 mod own;
 
 use machines::Case;
-use trueup_campaigns::physical::{Fault, Kind};
+use trueup_campaigns::physical::{MachineKind, PhysicalFault};
 use trueup_machine::effect::Cause;
 
 const DOCUMENT: &str = include_str!("../../../../docs/physical-faults.md");
@@ -17,14 +17,14 @@ const DOCUMENT: &str = include_str!("../../../../docs/physical-faults.md");
 #[test]
 fn every_fault_has_one_cause_or_two_and_the_document_says_the_same() {
     let is_cause = |name: &&str| Cause::ALL.iter().any(|cause| cause.name() == *name);
-    for &fault in Fault::ALL {
+    for &fault in PhysicalFault::ALL {
         let causes = machines::causes(fault);
         assert!((1..=2).contains(&causes.len()), "{}", fault.name());
         assert!(causes.iter().all(is_cause), "{causes:?}");
         let row = format!("| `{}` | `{}` |", fault.name(), causes.join("`, `"));
         assert!(DOCUMENT.contains(&row), "docs/physical-faults.md lacks: {row}");
-        let mut kinds = Kind::ALL.iter().chain([&Kind::ToolSpindle]);
-        assert!(kinds.any(|kind| kind.faults().contains(&fault)), "{}", fault.name());
+        let mut kinds = MachineKind::SAMPLED_KINDS.iter().chain([&MachineKind::ToolSpindle]);
+        assert!(kinds.any(|kind| kind.possible_faults().contains(&fault)), "{}", fault.name());
     }
 }
 
@@ -46,7 +46,7 @@ fn every_fault_that_is_drawn_is_three_times_the_noise() {
         let case = Case::draw(seed);
         assert_eq!(case.faults.len() as u64, 1 + seed % 5);
         for drawn in &case.faults {
-            let is_so = (machines::MIN_RATIO..11.0).contains(&drawn.ratio);
+            let is_so = (machines::MIN_FAULT_NOISE_RATIO..11.0).contains(&drawn.ratio);
             assert!(is_so, "{seed}: {} {} {}", drawn.fault.name(), drawn.size, drawn.ratio);
         }
     }
@@ -87,7 +87,7 @@ fn two_wrong_constants_are_found_behind_a_path_of_heat_that_imitates_both() {
     }
 }
 
-/// Causes found before a few rows were set aside are not forgotten when the rest is searched again.
+/// Causes found before a few rows were excluded as outliers are not forgotten when the rest is searched again.
 #[test]
 fn what_was_found_is_not_lost_with_a_few_rows() {
     for seed in [128, 254] {
@@ -148,7 +148,7 @@ fn a_lag_that_only_smooths_its_thermometer_is_not_claimed() {
     assert!(judged.told.is_right() && judged.told.open.is_empty(), "{judged}");
 }
 
-/// The first reading of a start from cold may have been taken before the spindle turned: it is set aside, and
+/// The first reading of a start from cold may have been taken before the spindle turned: it is excluded, and
 /// not called wrong.
 #[test]
 fn a_reading_at_a_start_is_not_claimed_to_be_wrong() {

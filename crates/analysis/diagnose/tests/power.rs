@@ -4,7 +4,7 @@
 
 use std::{fmt::Write as _, path::Path};
 
-use trueup_diagnose::{Diagnosis, Options, Verdict, diagnose, diagnose_for};
+use trueup_diagnose::{Diagnosis, DiagnosisOptions, Verdict, diagnose, diagnose_with_options};
 use trueup_machine::{MachineFile, RunFile};
 use trueup_numerics::random::Generator;
 
@@ -107,7 +107,7 @@ fn one_row_two_rows_and_a_single_pass_are_too_little_and_it_is_said_what_would_d
         let report = diagnosed(MACHINE, text).report;
         println!("{:?}", report.reasons);
         assert_eq!(report.verdict, Verdict::TooLittleData);
-        assert!(!report.verdict.is_met());
+        assert!(!report.verdict.is_resolved());
         assert!(report.reasons.iter().any(|why| why.contains(what)), "{:?}", report.reasons);
     }
 }
@@ -139,7 +139,7 @@ fn a_curve_that_was_measured_once_is_not_called_noise() {
     for seed in 0..6 {
         let report = diagnosed(MACHINE, &passes(1, seed)).report;
         println!("{:?} {:?}", report.verdict, report.reasons);
-        assert!(!report.verdict.is_met() || report.after.rms_um < 0.5 * report.before.rms_um);
+        assert!(!report.verdict.is_resolved() || report.after.rms_um < 0.5 * report.before.rms_um);
         assert_ne!(report.verdict, Verdict::Clean);
         // The second pass shows that it repeats.
         let report = diagnosed(MACHINE, &passes(2, seed)).report;
@@ -159,8 +159,14 @@ fn what_matters_less_than_could_be_told_asks_for_more() {
     let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("the test's own file");
     let run = read(&loaded(0.0, 0.0, 3));
     let asked = |um| {
-        let options = Options { matters_um: Some(um), ..Options::default() };
-        let told = diagnose_for(&machine, std::slice::from_ref(&run), &[], options, &mut |_, _| {});
+        let options = DiagnosisOptions { matters_um: Some(um), ..DiagnosisOptions::default() };
+        let told = diagnose_with_options(
+            &machine,
+            std::slice::from_ref(&run),
+            &[],
+            options,
+            &mut |_, _| {},
+        );
         told.expect("comparable").report.verdict
     };
     // 0.5 µm of noise in 300 rows: 0.13 µm at the best.

@@ -1,5 +1,5 @@
 //! The correction for prediction: where several thermometers share what moves the tool, their names are open, and the
-//! terms that are written foresee another day whichever rows of the record are shown.
+//! terms that are written predict another day whichever rows of the record are shown.
 
 use std::{fmt::Write as _, path::Path};
 
@@ -101,10 +101,10 @@ fn noise_with_a_memory_is_not_corrected() {
         }
         let diagnosis = diagnosed(&text, &[]);
         let verdict = diagnosis.report.verdict;
-        written += usize::from(diagnosis.corrects());
+        written += usize::from(diagnosis.has_corrections());
         assert!(diagnosis.report.findings.iter().all(|it| !it.claimed), "seed {seed}");
         assert!(
-            diagnosis.corrects() || matches!(verdict, Verdict::Clean | Verdict::Unexplained),
+            diagnosis.has_corrections() || matches!(verdict, Verdict::Clean | Verdict::Unexplained),
             "{verdict:?}"
         );
     }

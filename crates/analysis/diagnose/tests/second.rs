@@ -8,7 +8,7 @@ mod score;
 use std::path::Path;
 
 use score::{Row, answer, score as scored};
-use trueup_campaigns::hidden::{Hidden, TestCase, draw};
+use trueup_campaigns::hidden_effects::{HiddenCause, TestCase, draw};
 use trueup_machine::{MachineFile, RunFile, predict::Predictor};
 
 /// Returns what the host's model makes of the machine file, for each row of the training runs.
@@ -20,7 +20,7 @@ fn predicted(challenge: &TestCase) -> Result<Vec<f64>, String> {
     let of = |csv: &String| {
         let run = RunFile::from_reader(csv.as_bytes(), Path::new("run.csv")).expect("a run file");
         let predictor = Predictor::new(&machine, &run).expect("all that it needs is there");
-        predictor.rows().map(|row| row.model.all()[quantity]).collect::<Vec<f64>>()
+        predictor.predictions().map(|row| row.model.to_array()[quantity]).collect::<Vec<f64>>()
     };
     Ok(challenge.runs.iter().flat_map(of).collect())
 }
@@ -32,10 +32,13 @@ fn a_file_with_the_drawn_term_predicts_the_drawn_effect() {
     for (a, b) in known::pairs() {
         // A slope or a reference is of the temperature that the axis follows, late or not: what the
         // twin lays to the lag and what the model lays to it differ, their sum does not.
-        let is_of_heat =
-            [Hidden::ExpansionSlope, Hidden::ReferenceTemperature, Hidden::ExpansionConstant]
-                .contains(&a);
-        if is_of_heat && b == Hidden::ThermalLag {
+        let is_of_heat = [
+            HiddenCause::ExpansionSlope,
+            HiddenCause::ReferenceTemperature,
+            HiddenCause::ExpansionConstant,
+        ]
+        .contains(&a);
+        if is_of_heat && b == HiddenCause::ThermalLag {
             continue;
         }
         let challenge = known::beside(a, b, 3.0, 1).expect("they stand beside each other");
@@ -52,7 +55,7 @@ fn a_file_with_the_drawn_term_predicts_the_drawn_effect() {
 }
 
 /// The only answer to `challenge` is `cause`.
-fn is_alone(challenge: &TestCase, cause: Hidden) -> Result<(), String> {
+fn is_alone(challenge: &TestCase, cause: HiddenCause) -> Result<(), String> {
     let score = scored(challenge, &answer(challenge));
     let is_only = score.named == [cause.name()] && score.unclaimed.is_empty();
     let row = Row { scores: vec![score] };
@@ -85,7 +88,7 @@ fn measured_anew(
 /// Returns a machine whose file has `centrifugal-growth` 0.02, and whose data have that and a sensor gain of
 /// 1.2.
 fn gain_beside_growth(seed: u64) -> TestCase {
-    let mut challenge = draw(Hidden::SensorGain, 3.0, seed);
+    let mut challenge = draw(HiddenCause::SensorGain, 3.0, seed);
     let truth = challenge.truth.clone();
     let whole = |believed_um: f64, rpm: f64| 1.2 * believed_um + 0.02 * (rpm / 1000.0).powi(2);
     let name = format!("measured_{}_um", challenge.quantity);
@@ -122,7 +125,7 @@ fn gain_beside_growth(seed: u64) -> TestCase {
 #[test]
 fn a_gain_of_the_sensor_is_found_beside_the_centrifugal_growth_that_the_file_has() {
     for seed in 0..8 {
-        is_alone(&gain_beside_growth(seed), Hidden::SensorGain)
+        is_alone(&gain_beside_growth(seed), HiddenCause::SensorGain)
             .unwrap_or_else(|answer| panic!("seed {seed}: {answer}"));
     }
 }
@@ -131,9 +134,10 @@ fn a_gain_of_the_sensor_is_found_beside_the_centrifugal_growth_that_the_file_has
 #[test]
 fn a_lag_is_found_beside_the_heat_path_that_the_file_has() {
     for seed in 0..6 {
-        let challenge = known::beside(Hidden::ExtraHeatPath, Hidden::ThermalLag, 3.0, seed);
+        let challenge =
+            known::beside(HiddenCause::ExtraHeatPath, HiddenCause::ThermalLag, 3.0, seed);
         let challenge = challenge.expect("one machine has both");
-        is_alone(&challenge, Hidden::ThermalLag)
+        is_alone(&challenge, HiddenCause::ThermalLag)
             .unwrap_or_else(|answer| panic!("seed {seed}: {answer}"));
     }
 }
@@ -143,12 +147,13 @@ fn a_lag_is_found_beside_the_heat_path_that_the_file_has() {
 #[test]
 fn a_slope_that_was_corrected_once_is_named_again_when_it_changes() {
     for seed in 0..6 {
-        let challenge = known::aged(Hidden::ExpansionSlope, 3.0, seed);
-        is_alone(&challenge, Hidden::ExpansionSlope)
+        let challenge = known::aged(HiddenCause::ExpansionSlope, 3.0, seed);
+        is_alone(&challenge, HiddenCause::ExpansionSlope)
             .unwrap_or_else(|answer| panic!("seed {seed}: {answer}"));
         let diagnosis = answer(&challenge);
         let path = Path::new("machine.toml");
-        let extended = diagnosis.extended(&challenge.machine, path).expect("a machine file");
+        let extended =
+            diagnosis.render_extended_toml(&challenge.machine, path).expect("a machine file");
         let terms = |text: &str| MachineFile::parse(text, path).expect("a machine file").terms;
         let (old, new) = (terms(&challenge.machine), terms(&extended));
         assert_eq!((old.len(), new.len()), (1, 1), "{extended}");

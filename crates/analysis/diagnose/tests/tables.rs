@@ -8,8 +8,8 @@ use std::{borrow::Cow, path::Path};
 
 use trueup_diagnose::{Diagnosis, Verdict, diagnose};
 use trueup_fit::pitch;
-use trueup_machine::{MachineFile, RunFile, applied::Uncompensated, file::LinearAxis};
-use trueup_measured_data::file as data;
+use trueup_machine::{MachineFile, RunFile, applied_offsets::UncompensatedRun, file::LinearAxis};
+use trueup_measured_data::find_file as data;
 use trueup_numerics::random::Generator;
 
 const MACHINE: &str = "[machine]\nname = \"stage\"\nkind = \"3-axis\"\n";
@@ -121,13 +121,14 @@ fn one_pass_is_taken_over_and_not_believed() {
 /// Returns whether `trueup fit pitch` writes a table, and whether `diagnose` hands out something that goes with
 /// the axis's own position.
 fn answers(run: &RunFile, axis: LinearAxis) -> [bool; 2] {
-    let (unaided, _) = Uncompensated::of(Cow::Borrowed(run), None, None).expect("no bridge");
+    let (unaided, _) =
+        UncompensatedRun::from_run(Cow::Borrowed(run), None, None).expect("no bridge");
     let fit = pitch::fit(&unaided, axis, &pitch::Options::default()).expect("a table of readings");
     let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("the test's own file");
     let runs = std::slice::from_ref(run);
     let diagnosis = diagnose(&machine, runs, &[], None, &mut |_, _| {}).expect("comparable");
     let mut terms = diagnosis.terms.iter();
-    [fit.report.verdict.is_fitted(), terms.any(|term| term.effect.is_along_own_axis())]
+    [fit.report.verdict.is_fitted(), terms.any(|term| term.effect.depends_on_own_axis_only())]
 }
 
 #[test]
@@ -156,13 +157,13 @@ fn fit_pitch_and_diagnose_correct_the_same_drawn_axes() {
     let mut dice = Generator::new(14);
     let (mut corrected, mut apart) = (0, Vec::new());
     for draw in 0..120 {
-        let (targets, cycles) = (5 + dice.below(6), 2 + dice.below(4));
-        let has_both_ways = dice.below(3) > 0;
+        let (targets, cycles) = (5 + dice.uniform_index(6), 2 + dice.uniform_index(4));
+        let has_both_ways = dice.uniform_index(3) > 0;
         // Next to a noise of 1 µm.
-        let size_um = [0.0, 0.3, 1.0, 3.0, 10.0][dice.below(5)];
+        let size_um = [0.0, 0.3, 1.0, 3.0, 10.0][dice.uniform_index(5)];
         let error: Vec<[f64; 2]> =
             (0..targets).map(|_| [0, 1].map(|_| size_um * dice.normal())).collect();
-        let is_each_way = dice.below(2) == 0;
+        let is_each_way = dice.uniform_index(2) == 0;
         let mut text = String::from("run,x_mm,dir_x,measured_dx_um\n");
         for cycle in 1..=cycles {
             for way in 0..1 + usize::from(has_both_ways) {

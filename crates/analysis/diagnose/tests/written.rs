@@ -6,7 +6,7 @@ use std::{fmt::Write as _, path::Path};
 
 use trueup_diagnose::{Diagnosis, diagnose};
 use trueup_machine::{
-    Machine, MachineFile, RunFile, effect::OnBoard, file::Quantity, predict::Predictor,
+    Machine, MachineFile, RunFile, effect::BoardTerm, file::Quantity, predict::Predictor,
 };
 use trueup_numerics::{blocks::rms, random::Generator};
 use trueup_twin::{Scenario, simulate};
@@ -32,7 +32,7 @@ fn week(seed: u64) -> Week {
     let zero_um = 18.0 * chance.uniform() - 9.0;
     // The machine is as believed, or a little another one.
     let [k, lag_s]: [f64; 2] = if seed.is_multiple_of(2) { [2.2, 420.0] } else { [2.6, 300.0] };
-    let bad = if seed.is_multiple_of(3) { 0 } else { chance.below(99) };
+    let bad = if seed.is_multiple_of(3) { 0 } else { chance.uniform_index(99) };
     let (mut front_c, mut lagged_c, mut rpm, mut until) = (season_c, season_c, 0.0, 0);
     let mut csv = String::from("time_s,spindle_rpm,temp_front_c,measured_elongation_um\n");
     let (mut truth_um, mut probed) = (Vec::new(), 0);
@@ -42,8 +42,8 @@ fn week(seed: u64) -> Week {
             front_c = season_c + 0.3 * chance.normal();
         }
         if minute >= until {
-            rpm = 2000.0 * chance.below(5) as f64;
-            until = minute + 4 + chance.below(45) as u32;
+            rpm = 2000.0 * chance.uniform_index(5) as f64;
+            until = minute + 4 + chance.uniform_index(45) as u32;
         }
         let target_c = season_c + 2.0 + 9.0 * (rpm / 8000.0_f64).powf(1.5);
         front_c += (target_c - front_c) * (1.0 - (-60.0_f64 / 1100.0).exp());
@@ -71,7 +71,8 @@ fn run(csv: &str) -> RunFile {
 fn diagnosed(machine: &str, csv: &str) -> (Diagnosis, Machine) {
     let believed = MachineFile::parse(machine, Path::new("m.toml")).expect("the test's own file");
     let answer = diagnose(&believed, &[run(csv)], &[], None, &mut |_, _| {}).expect("comparable");
-    let extended = answer.extended(machine, Path::new("m.toml")).expect("a machine file");
+    let extended =
+        answer.render_extended_toml(machine, Path::new("m.toml")).expect("a machine file");
     let extended = MachineFile::parse(&extended, Path::new("e.toml")).expect("it can be loaded");
     (answer, extended)
 }
@@ -80,7 +81,7 @@ fn diagnosed(machine: &str, csv: &str) -> (Diagnosis, Machine) {
 fn left_um(machine: &Machine, csv: &str, truth_um: &[f64]) -> f64 {
     let run = run(csv);
     let predictor = Predictor::new(machine, &run).expect("the columns are there");
-    let rows = predictor.rows().zip(truth_um);
+    let rows = predictor.predictions().zip(truth_um);
     let left = rows.map(|(row, um)| row.bridge.expect("connected").elongation_um - um);
     rms(&left.collect::<Vec<f64>>())
 }
@@ -88,9 +89,9 @@ fn left_um(machine: &Machine, csv: &str, truth_um: &[f64]) -> f64 {
 /// Returns the largest constant or rise of what the board runs.
 fn largest_um(machine: &Machine) -> f64 {
     let sizes = machine.terms.iter().filter(|term| term.effect.is_compensated()).map(|term| {
-        let forms = term.effect.on_board();
+        let forms = term.effect.board_terms();
         let of_forms = forms.iter().map(|form| match form {
-            OnBoard::Offset(um) | OnBoard::Time { amplitude_um: um, .. } => um.abs(),
+            BoardTerm::Offset(um) | BoardTerm::Time { amplitude_um: um, .. } => um.abs(),
             _ => 0.0,
         });
         of_forms.fold(term.constant_um.abs(), f64::max)
@@ -147,8 +148,8 @@ fn board_leaves_um(machine: &Machine, day: &RunFile, quantity: Quantity) -> f64 
     let measured = day.column(&format!("measured_{}_um", quantity.name())).expect("measured");
     let number = Quantity::ALL.iter().position(|it| *it == quantity).expect("one of four");
     let predictor = Predictor::new(machine, day).expect("the columns are there");
-    let rows = predictor.rows().zip(measured);
-    let left = rows.map(|(row, um)| um - row.bridge.expect("a bridge").all()[number]);
+    let rows = predictor.predictions().zip(measured);
+    let left = rows.map(|(row, um)| um - row.bridge.expect("a bridge").to_array()[number]);
     rms(&left.filter(|um| um.is_finite()).collect::<Vec<f64>>())
 }
 
@@ -160,7 +161,7 @@ fn board_does_what_is_said(scenario: &str, machine: &str, quantity: Quantity, se
     let answer =
         diagnose(&believed, std::slice::from_ref(&record), &[], Some(quantity), &mut |_, _| {})
             .expect("comparable");
-    let text = answer.extended(machine, Path::new("m.toml")).expect("a machine file");
+    let text = answer.render_extended_toml(machine, Path::new("m.toml")).expect("a machine file");
     let extended = MachineFile::parse(&text, Path::new("e.toml")).expect("it can be loaded");
     let said_um = answer.report.after.compensated_rms_um;
     let same_um = board_leaves_um(&extended, &record, quantity);

@@ -23,14 +23,14 @@ use trueup_machine::file::BSpline;
 pub(crate) const MAX_ORDER: usize = 4;
 
 /// The values of `order` basis functions.
-pub type Weights = [f64; MAX_ORDER];
+pub type BasisValues = [f64; MAX_ORDER];
 
-/// Below this [sine](Banded::least_sine) the coefficients are noise of the arithmetic.
-const SINGULAR: f64 = 1e-10;
+/// Below this [sine](Banded::min_sine) the coefficients are noise of the arithmetic.
+const SINGULARITY_TOLERANCE: f64 = 1e-10;
 
 /// Returns the knots of a clamped spline from `first` to `last` with `inner` (rising) between them.
 #[must_use]
-pub fn clamped(order: usize, first: f64, inner: &[f64], last: f64) -> Vec<f64> {
+pub fn clamped_knots(order: usize, first: f64, inner: &[f64], last: f64) -> Vec<f64> {
     let mut knots = vec![first; order];
     knots.extend_from_slice(inner);
     knots.resize(knots.len() + order, last);
@@ -38,7 +38,7 @@ pub fn clamped(order: usize, first: f64, inner: &[f64], last: f64) -> Vec<f64> {
 }
 
 /// Returns the knot span that holds `x`: the largest s of order−1…n−1 with `knots[s] <= x`.
-fn span(knots: &[f64], order: usize, x: f64) -> usize {
+fn knot_span(knots: &[f64], order: usize, x: f64) -> usize {
     let count = knots.len() - order;
     knots.partition_point(|&knot| knot <= x).saturating_sub(1).clamp(order - 1, count - 1)
 }
@@ -48,7 +48,7 @@ fn span(knots: &[f64], order: usize, x: f64) -> usize {
 ///
 /// ```
 /// // Half way along one cubic segment the four functions weigh 1/8, 3/8, 3/8, 1/8.
-/// let knots = trueup_fit::bspline::clamped(4, 0.0, &[], 10.0);
+/// let knots = trueup_fit::bspline::clamped_knots(4, 0.0, &[], 10.0);
 /// let (first, weights) = trueup_fit::bspline::basis(&knots, 4, 5.0);
 /// assert_eq!((first, weights), (0, [0.125, 0.375, 0.375, 0.125]));
 /// ```
@@ -56,13 +56,13 @@ fn span(knots: &[f64], order: usize, x: f64) -> usize {
 /// # Panics
 /// `order` is not 1…4, or there are fewer than 2·`order` knots.
 #[must_use]
-pub fn basis(knots: &[f64], order: usize, x: f64) -> (usize, Weights) {
+pub fn basis(knots: &[f64], order: usize, x: f64) -> (usize, BasisValues) {
     assert!((1..=MAX_ORDER).contains(&order) && knots.len() >= 2 * order, "no spline");
-    basis_in(knots, order, span(knots, order, x), x)
+    basis_in_span(knots, order, knot_span(knots, order, x), x)
 }
 
 /// [`basis`] in a span that is known.
-fn basis_in(knots: &[f64], order: usize, span: usize, x: f64) -> (usize, Weights) {
+fn basis_in_span(knots: &[f64], order: usize, span: usize, x: f64) -> (usize, BasisValues) {
     let mut weights = [0.0; MAX_ORDER];
     weights[0] = 1.0;
     for level in 1..order {
@@ -81,12 +81,12 @@ fn basis_in(knots: &[f64], order: usize, span: usize, x: f64) -> (usize, Weights
 /// Returns the value of a spline and of its first two derivatives at `x`: µm, µm/mm, µm/mm².
 ///
 /// # Panics
-/// The spline breaks the rules of [`BSpline::check`].
+/// The spline breaks the rules of [`BSpline::validate`].
 #[must_use]
-pub fn derivatives(spline: &BSpline, x: f64) -> [f64; 3] {
+pub fn evaluate_with_derivatives(spline: &BSpline, x: f64) -> [f64; 3] {
     let BSpline { order, knots_mm: knots, control_um } = spline;
     let order = *order;
-    let span = span(knots, order, x);
+    let span = knot_span(knots, order, x);
     let mut points = [0.0; MAX_ORDER];
     points[..order].copy_from_slice(&control_um[span + 1 - order..=span]);
     let mut result = [0.0; 3];
@@ -95,7 +95,7 @@ pub fn derivatives(spline: &BSpline, x: f64) -> [f64; 3] {
             break;
         }
         let left = order - derivative;
-        let (_, weights) = basis_in(knots, left, span, x);
+        let (_, weights) = basis_in_span(knots, left, span, x);
         *slot = weights.iter().zip(&points).take(left).map(|(w, p)| w * p).sum();
         // The control points of the next derivative.
         for j in 0..left - 1 {
@@ -110,14 +110,15 @@ pub fn derivatives(spline: &BSpline, x: f64) -> [f64; 3] {
 /// Returns the largest absolute slope in µm/mm and curvature in µm/mm², found at `per_span` places of each
 /// knot span with its ends.
 #[must_use]
-pub(crate) fn steepest(spline: &BSpline, per_span: usize) -> (f64, f64) {
+pub(crate) fn max_slope_and_curvature(spline: &BSpline, per_span: usize) -> (f64, f64) {
     let knots = &spline.knots_mm;
     let (mut slope, mut curvature) = (0.0_f64, 0.0_f64);
     for pair in knots.windows(2).filter(|pair| pair[1] > pair[0]) {
         for n in 0..per_span {
             // A curvature jumps at a double knot: both sides are looked at, just inside.
             let share = (n as f64 / (per_span - 1) as f64).clamp(1e-9, 1.0 - 1e-9);
-            let [_, first, second] = derivatives(spline, pair[0] + share * (pair[1] - pair[0]));
+            let [_, first, second] =
+                evaluate_with_derivatives(spline, pair[0] + share * (pair[1] - pair[0]));
             slope = slope.max(first.abs());
             curvature = curvature.max(second.abs());
         }
@@ -143,16 +144,16 @@ pub fn is_determined(knots: &[f64], order: usize, mut x: impl Iterator<Item = f6
 /// Least squares that takes one observation at a time: R of the design matrix, in `order`
 /// diagonals, and Qᵀ times each of the right-hand sides.
 #[derive(Clone, Debug)]
-pub struct Banded {
+pub struct BandedLeastSquares {
     order: usize,
     sides: usize,
     /// Row j holds R_{j,j} … R_{j,j+order−1}.
-    r: Vec<Weights>,
+    r: Vec<BasisValues>,
     /// Row j holds `sides` numbers.
     right: Vec<f64>,
 }
 
-impl Banded {
+impl BandedLeastSquares {
     /// For `count` coefficients and `sides` right-hand sides.
     #[must_use]
     pub fn new(order: usize, count: usize, sides: usize) -> Self {
@@ -161,7 +162,12 @@ impl Banded {
 
     /// Takes in the observation whose coefficients from `first` on weigh `weights`, with its
     /// right-hand sides; these are left with what no coefficient can explain.
-    pub fn add(&mut self, first: usize, mut weights: Weights, values: &mut [f64]) {
+    pub(crate) fn add_observation(
+        &mut self,
+        first: usize,
+        mut weights: BasisValues,
+        values: &mut [f64],
+    ) {
         for i in 0..self.order {
             let low = weights[i];
             if low == 0.0 {
@@ -184,7 +190,7 @@ impl Banded {
     /// Returns how well the observations determine each coefficient, 0 (not at all) to 1: the least sine
     /// of the angle between a column of the design matrix and all columns before it.
     #[must_use]
-    pub fn least_sine(&self) -> f64 {
+    pub fn min_sine(&self) -> f64 {
         let sine = |j: usize| {
             let above = (1..self.order.min(j + 1)).map(|i| self.r[j - i][i].powi(2));
             let whole = self.r[j][0].powi(2) + above.sum::<f64>();
@@ -196,7 +202,7 @@ impl Banded {
     /// Returns the coefficients for right-hand side `side`; `None` where they are not determined.
     #[must_use]
     pub fn solve(&self, side: usize) -> Option<Vec<f64>> {
-        if self.least_sine() < SINGULAR {
+        if self.min_sine() < SINGULARITY_TOLERANCE {
             return None;
         }
         let count = self.r.len();
@@ -212,7 +218,7 @@ impl Banded {
     /// Returns the variance of the fitted curve where the basis is `weights` from `first` on, for
     /// observations of unit weight and variance: |R⁻ᵀ·w|².
     #[must_use]
-    pub fn variance(&self, first: usize, weights: &Weights) -> f64 {
+    pub fn variance(&self, first: usize, weights: &BasisValues) -> f64 {
         let count = self.r.len();
         let mut z = vec![0.0; count - first];
         let mut sum = 0.0;
@@ -235,13 +241,13 @@ impl Banded {
 
 /// A least squares fit in given knots.
 #[derive(Clone, Debug)]
-pub struct InKnots {
+pub struct SplineFit {
     /// The spline with the fitted coefficients.
     pub spline: BSpline,
     /// Weighted sum of squares of what is left.
     pub sum_of_squares: f64,
     /// The triangle, to judge what the data say of a place.
-    pub triangle: Banded,
+    pub triangle: BandedLeastSquares,
 }
 
 /// Returns the spline of `order` in `knots` that lies nearest to the points: x rising, weights positive.
@@ -252,13 +258,13 @@ pub struct InKnots {
 /// # Panics
 /// As [`basis`].
 #[must_use]
-pub fn least_squares(
+pub fn fit_least_squares(
     knots: Vec<f64>,
     order: usize,
     points: impl Iterator<Item = (f64, f64, f64)>,
-) -> Option<InKnots> {
+) -> Option<SplineFit> {
     assert!((1..=MAX_ORDER).contains(&order) && knots.len() >= 2 * order, "no spline");
-    let mut triangle = Banded::new(order, knots.len() - order, 1);
+    let mut triangle = BandedLeastSquares::new(order, knots.len() - order, 1);
     let mut sum_of_squares = 0.0;
     let mut at = order - 1;
     let last = knots.len() - order - 1;
@@ -266,15 +272,15 @@ pub fn least_squares(
         while at < last && knots[at + 1] <= x {
             at += 1;
         }
-        let (first, weights) = basis_in(&knots, order, at, x);
+        let (first, weights) = basis_in_span(&knots, order, at, x);
         let root = weight.sqrt();
         let mut value = [y * root];
-        triangle.add(first, weights.map(|w| w * root), &mut value);
+        triangle.add_observation(first, weights.map(|w| w * root), &mut value);
         sum_of_squares += value[0] * value[0];
     }
     let control_um = triangle.solve(0)?;
     let spline = BSpline { order, knots_mm: knots, control_um };
-    Some(InKnots { spline, sum_of_squares, triangle })
+    Some(SplineFit { spline, sum_of_squares, triangle })
 }
 
 #[cfg(test)]
@@ -285,7 +291,7 @@ mod tests {
     fn uneven() -> BSpline {
         BSpline {
             order: 4,
-            knots_mm: clamped(4, -40.0, &[-13.0, 2.0, 2.0, 30.0, 31.0], 90.0),
+            knots_mm: clamped_knots(4, -40.0, &[-13.0, 2.0, 2.0, 30.0, 31.0], 90.0),
             control_um: vec![1.0, -7.0, 3.5, 12.0, 0.25, -4.0, 8.0, 8.5, -1.0],
         }
     }
@@ -299,7 +305,7 @@ mod tests {
             assert!((weights.iter().sum::<f64>() - 1.0).abs() < 1e-14);
             let value: f64 = (0..4).map(|j| weights[j] * spline.control_um[first + j]).sum();
             assert!((value - spline_um(&spline, x)).abs() < 1e-13, "at {x}");
-            assert!((value - derivatives(&spline, x)[0]).abs() < 1e-13, "at {x}");
+            assert!((value - evaluate_with_derivatives(&spline, x)[0]).abs() < 1e-13, "at {x}");
         }
     }
 
@@ -312,7 +318,7 @@ mod tests {
             if spline.knots_mm.iter().any(|knot| (knot - x).abs() < 2.0 * step) {
                 continue;
             }
-            let [_, slope, curvature] = derivatives(&spline, x);
+            let [_, slope, curvature] = evaluate_with_derivatives(&spline, x);
             let [low, middle, high] = [x - step, x, x + step].map(|x| spline_um(&spline, x));
             assert!((slope - (high - low) / (2.0 * step)).abs() < 1e-4 * (1.0 + slope.abs()));
             let second = (high - 2.0 * middle + low) / (step * step);
@@ -325,10 +331,10 @@ mod tests {
         // 10·u² over u = x/10 in 0…1: the slope is 2 µm/mm at the end, the curvature 0.2.
         let parabola = BSpline {
             order: 3,
-            knots_mm: clamped(3, 0.0, &[], 10.0),
+            knots_mm: clamped_knots(3, 0.0, &[], 10.0),
             control_um: vec![0.0, 0.0, 10.0],
         };
-        let (slope, curvature) = steepest(&parabola, 9);
+        let (slope, curvature) = max_slope_and_curvature(&parabola, 9);
         assert!((slope - 2.0).abs() < 1e-6 && (curvature - 0.2).abs() < 1e-9);
     }
 
@@ -337,7 +343,7 @@ mod tests {
         let spline = uneven();
         let points = (0..=650).map(|n| f64::from(n) * 0.2 - 40.0);
         let points = points.map(|x| (x, spline_um(&spline, x), 1.0 + x.sin().abs()));
-        let fit = least_squares(spline.knots_mm.clone(), 4, points).expect("unique");
+        let fit = fit_least_squares(spline.knots_mm.clone(), 4, points).expect("unique");
         assert!(fit.sum_of_squares < 1e-22, "{}", fit.sum_of_squares);
         for (found, true_one) in fit.spline.control_um.iter().zip(&spline.control_um) {
             assert!((found - true_one).abs() < 1e-11);
@@ -348,7 +354,8 @@ mod tests {
     fn what_is_left_is_the_sum_of_squares() {
         // A line through 0, 1, 0, 1: the slope is 0.2, the sum of squares 0.8.
         let points = [(0.0, 0.0, 1.0), (1.0, 1.0, 1.0), (2.0, 0.0, 1.0), (3.0, 1.0, 1.0)];
-        let line = least_squares(clamped(2, 0.0, &[], 3.0), 2, points.into_iter()).expect("unique");
+        let line = fit_least_squares(clamped_knots(2, 0.0, &[], 3.0), 2, points.into_iter())
+            .expect("unique");
         assert!((line.sum_of_squares - 0.8).abs() < 1e-14);
         assert!((line.spline.control_um[0] - 0.2).abs() < 1e-14);
         // The mean of four has a quarter of the variance, at the middle of a line.
@@ -358,7 +365,7 @@ mod tests {
 
     #[test]
     fn each_function_needs_a_point_of_its_own() {
-        let knots = clamped(4, 0.0, &[5.0], 10.0);
+        let knots = clamped_knots(4, 0.0, &[5.0], 10.0);
         let determined = |x: &[f64]| is_determined(&knots, 4, x.iter().copied());
         assert!(determined(&[0.0, 1.0, 2.0, 6.0, 10.0]));
         assert!(determined(&[1.0, 2.0, 3.0, 4.0, 6.0]));
@@ -369,10 +376,11 @@ mod tests {
     #[test]
     fn an_interval_without_enough_points_is_not_unique() {
         let points = || (0..20).map(|n| (f64::from(n), 1.0, 1.0));
-        let fits = |inner: &[f64]| least_squares(clamped(4, 0.0, inner, 19.0), 4, points());
+        let fits =
+            |inner: &[f64]| fit_least_squares(clamped_knots(4, 0.0, inner, 19.0), 4, points());
         assert!(fits(&[5.0, 10.0]).is_some());
         // Five knots between two points: no point decides between them.
         assert!(fits(&[5.1, 5.2, 5.3, 5.4, 5.5]).is_none());
-        assert!(least_squares(clamped(4, 0.0, &[], 19.0), 4, points().take(3)).is_none());
+        assert!(fit_least_squares(clamped_knots(4, 0.0, &[], 19.0), 4, points().take(3)).is_none());
     }
 }

@@ -31,35 +31,35 @@
 //! | `read` | rows of run files as passes around circles |
 //! | [`terms`] | the columns of the table above |
 //! | [`search`] | periods of cyclic errors, shapes of spikes |
-//! | [`choose`] | keeps the terms that the record shows, tests them on left-out arcs |
+//! | [`term_selection`] | keeps the terms that the record shows, tests them on held-out arcs |
 //! | [`findings`] | terms as causes with constants, alternatives, and the next test |
-//! | [`figures`] | ISO 230-4 |
-//! | [`written`] | the sections of the machine file |
+//! | `circular_deviations` | ISO 230-4 |
+//! | `machine_sections` | the sections of the machine file |
 //! | [`page`](mod@page) | the page with the polar plots |
 
-pub mod choose;
-mod explained;
-pub mod figures;
+mod analysis;
+pub(crate) mod circular_deviations;
+mod circular_path;
 pub mod findings;
-mod known;
+mod known_contributions;
+pub(crate) mod machine_sections;
 pub mod page;
-mod path;
-mod read;
 pub mod record;
+mod records_from_runs;
 pub mod search;
+pub mod term_selection;
 pub mod terms;
-pub mod written;
 
-use trueup_machine::{BadInput, Machine, RunFile, file::write::Edit};
+use trueup_machine::{BadInput, Machine, RunFile, file::writer::Edit};
 
-pub(crate) use self::read::read as records;
+pub(crate) use self::records_from_runs::read_records as records;
 pub use self::{
-    figures::Figures,
+    circular_deviations::CircularDeviations,
     findings::{Cause, Finding},
-    page::page,
+    page::build_page,
     record::{Plane, Record},
 };
-use crate::report::{SetAside, Spread};
+use crate::report::{ExcludedRow, ResidualStatistics};
 
 /// Circles and their causes.
 #[derive(Clone, Debug)]
@@ -82,13 +82,13 @@ pub struct CircleResult {
     /// The readings that were used.
     pub record: Record,
     /// The figures of ISO 230-4.
-    pub figures: Figures,
+    pub figures: CircularDeviations,
     /// The causes, the largest first.
     pub findings: Vec<Finding>,
     /// Readings without centre and radius of the set-up.
-    pub before: Spread,
+    pub before: ResidualStatistics,
     /// The same without the causes.
-    pub after: Spread,
+    pub after: ResidualStatistics,
     /// The standard deviation of the noise, in µm.
     pub noise_um: f64,
     /// The structure that neither the causes nor noise explain, RMS in µm.
@@ -96,7 +96,7 @@ pub struct CircleResult {
     /// The prediction of the causes for each row, set-up included, in µm.
     pub predicted_um: Vec<f64>,
     /// Gross readings.
-    pub set_aside: Vec<SetAside>,
+    pub set_aside: Vec<ExcludedRow>,
 }
 
 /// The answer in one word, as `diagnose` has it.
@@ -129,10 +129,11 @@ impl Verdict {
 ///
 /// # Errors
 /// A run lacks `measured_dr_um` or two positions that move on a circle, or has too few rows of it.
-pub fn fit(runs: &[RunFile], machine: Option<&Machine>) -> Result<CircleReport, BadInput> {
-    let (records, mut warnings) = read::read(runs, machine)?;
-    let mut circles: Vec<CircleResult> = records.into_iter().map(explained::explain).collect();
-    let (edit, written) = written::edit(&mut circles, machine, &mut warnings);
+pub fn fit_circles(runs: &[RunFile], machine: Option<&Machine>) -> Result<CircleReport, BadInput> {
+    let (records, mut warnings) = records_from_runs::read_records(runs, machine)?;
+    let mut circles: Vec<CircleResult> =
+        records.into_iter().map(analysis::analyse_circle).collect();
+    let (edit, written) = machine_sections::write_sections(&mut circles, machine, &mut warnings);
     let all = || circles.iter().flat_map(|circle| &circle.findings);
     let is_left = circles.iter().any(|circle| circle.structure_um.is_some());
     let (claimed, open) = (all().any(|it| it.claimed), all().any(|it| !it.claimed));

@@ -13,25 +13,25 @@
 
 use trueup_machine::{
     BadInput, Machine,
-    applied::Uncompensated,
-    file::write::{Edit, NewSection, Value},
+    applied_offsets::UncompensatedRun,
+    file::writer::{Edit, NewSection, Value},
     file::{ElongationSource, SensorModel, is_temperature_column},
     model::elongation_um,
 };
 use trueup_numerics::{least_squares::Solution, robust};
 
 use crate::{
-    lagged::{self, Lagged, Term},
-    report::{Fact, Parameter, Report, Spread, Verdict},
-    rows::{self, Rows},
+    lagged_regression::{self, LaggedRegression, Term},
+    pooled_rows::{self, PooledRows},
+    report::{Fact, FitVerdict, Parameter, Report, ResidualStatistics},
 };
 
 /// The column that is explained.
-pub(crate) const MEASURED: &str = "measured_elongation_um";
+pub(crate) const MEASURED_COLUMN: &str = "measured_elongation_um";
 
 /// Source and column of the fit.
 #[derive(Clone, Debug, Default)]
-pub struct Options {
+pub struct ElongationOptions {
     /// The sensor or a temperature; `None`: what the machine file's source says, else the sensor
     /// where the run has its column, else its temperature.
     pub source: Option<ElongationSource>,
@@ -43,54 +43,56 @@ pub struct Options {
 ///
 /// # Errors
 /// A column is missing, too few rows have both values, or the input is the same in every row.
-pub fn fit(
-    runs: &[Uncompensated<'_>],
+pub fn fit_elongation(
+    runs: &[UncompensatedRun<'_>],
     machine: Option<&Machine>,
-    options: &Options,
+    options: &ElongationOptions,
 ) -> Result<Report, BadInput> {
-    let rows = Rows::of(runs)?;
+    let rows = PooledRows::new(runs)?;
     let by_machine = machine.and_then(|machine| machine.spindle.source);
     let has_counts = runs.iter().any(|run| run.column("sensor_counts").is_some());
     let source =
         options.source.or(options.temperature.as_ref().map(|_| ElongationSource::Temperature));
     match source.or(by_machine) {
-        Some(ElongationSource::Temperature) => by_temperature(&rows, machine, options),
-        Some(ElongationSource::Sensor) => by_sensor(&rows, machine),
-        _ if has_counts || rows.temperatures().is_empty() => by_sensor(&rows, machine),
-        _ => by_temperature(&rows, machine, options),
+        Some(ElongationSource::Temperature) => fit_by_temperature(&rows, machine, options),
+        Some(ElongationSource::Sensor) => fit_by_sensor(&rows, machine),
+        _ if has_counts || rows.common_temperature_columns().is_empty() => {
+            fit_by_sensor(&rows, machine)
+        }
+        _ => fit_by_temperature(&rows, machine, options),
     }
 }
 
-fn by_sensor(rows: &Rows<'_>, machine: Option<&Machine>) -> Result<Report, BadInput> {
-    let counts = rows.require("sensor_counts")?;
-    let mut y = rows.require(MEASURED)?;
+fn fit_by_sensor(rows: &PooledRows<'_>, machine: Option<&Machine>) -> Result<Report, BadInput> {
+    let counts = rows.required_column("sensor_counts")?;
+    let mut y = rows.required_column(MEASURED_COLUMN)?;
     let is_used: Vec<bool> =
         counts.iter().zip(&y).map(|(v, y)| !v.is_nan() && !y.is_nan()).collect();
-    let mut report = Report::new("elongation", MEASURED);
+    let mut report = Report::new("elongation", MEASURED_COLUMN);
     let old = machine.and_then(|machine| machine.spindle.sensor.as_ref());
-    spread_or_bad(rows, "sensor_counts", &counts, &is_used, 3)?;
+    check_input_variation(rows, "sensor_counts", &counts, &is_used, 3)?;
     report.rows_incomplete = is_used.iter().filter(|used| !**used).count();
 
     let ones = vec![1.0; counts.len()];
-    let found = robust::in_relation(&[&ones, &counts], &y);
-    let found = robust::standing_alone(found, &counts, &y);
-    report.set_aside = rows.set_aside(&found, &y, MEASURED);
+    let found = robust::regression_outliers(&[&ones, &counts], &y);
+    let found = robust::isolated_outliers(found, &counts, &y);
+    report.set_aside = rows.excluded_rows(&found, &y, MEASURED_COLUMN);
     found.iter().for_each(|outlier| y[outlier.row] = f64::NAN);
     y.iter_mut().zip(&counts).filter(|(_, v)| v.is_nan()).for_each(|(y, _)| *y = f64::NAN);
     let is_used: Vec<bool> = y.iter().map(|y| !y.is_nan()).collect();
-    spread_or_bad(rows, "sensor_counts", &counts, &is_used, 3)?;
+    check_input_variation(rows, "sensor_counts", &counts, &is_used, 3)?;
 
     let smallest = counts.iter().zip(&is_used).filter(|(_, used)| **used).map(|(v, _)| *v);
     let zero_counts =
         old.map_or(smallest.fold(f64::INFINITY, f64::min), |sensor| sensor.zero_counts);
     let columns = vec![ones, counts.iter().map(|v| v - zero_counts).collect()];
-    let Some(line) = rows::solve(&columns, &y, |_| true) else {
-        return Err(rows.bad("sensor_counts does not decide a line"));
+    let Some(line) = pooled_rows::solve_least_squares(&columns, &y, |_| true) else {
+        return Err(rows.input_error("sensor_counts does not decide a line"));
     };
-    let residuals = rows::residuals(&columns, &y, &line);
-    let wider = rows::widening(&residuals);
-    let (groups, by) = rows.groups(&is_used);
-    let left_out = rows::held_out(&columns, &y, groups.as_deref());
+    let residuals = pooled_rows::compute_residuals(&columns, &y, &line);
+    let wider = pooled_rows::autocorrelation_inflation(&residuals);
+    let (groups, by) = rows.cross_validation_groups(&is_used);
+    let left_out = pooled_rows::held_out_residuals(&columns, &y, groups.as_deref());
     let model = SensorModel {
         k0_um: line.coefficients[0],
         zero_counts,
@@ -99,125 +101,133 @@ fn by_sensor(rows: &Rows<'_>, machine: Option<&Machine>) -> Result<Report, BadIn
     };
 
     report.parameters = vec![
-        Parameter::fitted("k0_um", model.k0_um, wider * line.half_width(0)),
-        Parameter::set("zero_counts", zero_counts),
-        Parameter::amplitude("um_per_count", model.um_per_count, wider * line.half_width(1)),
+        Parameter::fitted("k0_um", model.k0_um, wider * line.confidence_half_width(0)),
+        Parameter::fixed("zero_counts", zero_counts),
+        Parameter::amplitude(
+            "um_per_count",
+            model.um_per_count,
+            wider * line.confidence_half_width(1),
+        ),
     ];
     if let Some(old) = old {
         let of_old: Vec<f64> =
             y.iter().zip(&counts).map(|(y, v)| y - elongation_um(old, *v)).collect();
-        say_old(&mut report, &of_old);
+        report_previous_fit(&mut report, &of_old);
     }
-    finish(&mut report, &y, &residuals, left_out, by, wider);
-    warn_of_a_curve(&mut report, &columns, &y, &line);
-    judge(&mut report, &y, groups.as_deref());
+    add_residual_statistics(&mut report, &y, &residuals, left_out, by, wider);
+    warn_curvature(&mut report, &columns, &y, &line);
+    judge_fit(&mut report, &y, groups.as_deref());
     if report.verdict.is_fitted() {
         let section = NewSection::new("spindle.sensor")
-            .number("k0_um", model.k0_um)
-            .number("zero_counts", zero_counts)
-            .number("um_per_count", model.um_per_count)
-            .keeping(&["temperature"])
-            .remark(summary(&report));
-        report.edit = Edit::of(section);
+            .with_number("k0_um", model.k0_um)
+            .with_number("zero_counts", zero_counts)
+            .with_number("um_per_count", model.um_per_count)
+            .with_preserved_keys(&["temperature"])
+            .with_header_comment(section_comment(&report));
+        report.edit = Edit::from_section(section);
         report.edit.defaults.push(("spindle".into(), "source", Value::Text("sensor".into())));
-        warn_of_source(&mut report, machine, ElongationSource::Sensor);
+        warn_source_mismatch(&mut report, machine, ElongationSource::Sensor);
     }
     Ok(report)
 }
 
-fn by_temperature(
-    rows: &Rows<'_>,
+fn fit_by_temperature(
+    rows: &PooledRows<'_>,
     machine: Option<&Machine>,
-    options: &Options,
+    options: &ElongationOptions,
 ) -> Result<Report, BadInput> {
     let old = machine.and_then(|machine| machine.spindle.temperature.as_ref());
     let wanted = options.temperature.clone().or(old.map(|model| model.sensor.clone()));
-    let column = temperature_column(rows, wanted)?;
-    let temperature_c = rows.require(&column)?;
-    let time_s = rows.optional("time_s")?;
-    let mut y = rows.require(MEASURED)?;
-    let mut report = Report::new("elongation", MEASURED);
+    let column = resolve_temperature_column(rows, wanted)?;
+    let temperature_c = rows.required_column(&column)?;
+    let time_s = rows.optional_column("time_s")?;
+    let mut y = rows.required_column(MEASURED_COLUMN)?;
+    let mut report = Report::new("elongation", MEASURED_COLUMN);
     let complete = |row: usize, y: &[f64]| {
         !y[row].is_nan()
             && !temperature_c[row].is_nan()
             && time_s.as_ref().is_none_or(|time_s| !time_s[row].is_nan())
     };
     let is_used: Vec<bool> = (0..y.len()).map(|row| complete(row, &y)).collect();
-    spread_or_bad(rows, &column, &temperature_c, &is_used, 4)?;
+    check_input_variation(rows, &column, &temperature_c, &is_used, 4)?;
     report.rows_incomplete = is_used.iter().filter(|used| !**used).count();
     let found = match &time_s {
-        Some(time_s) => lagged::outliers(time_s, &rows.starts(Some(time_s)), &y),
+        Some(time_s) => {
+            lagged_regression::find_outliers(time_s, &rows.restart_flags(Some(time_s)), &y)
+        }
         None => {
-            let found = robust::in_relation(&[&vec![1.0; y.len()], &temperature_c], &y);
-            robust::standing_alone(found, &temperature_c, &y)
+            let found = robust::regression_outliers(&[&vec![1.0; y.len()], &temperature_c], &y);
+            robust::isolated_outliers(found, &temperature_c, &y)
         }
     };
-    report.set_aside = rows.set_aside(&found, &y, MEASURED);
+    report.set_aside = rows.excluded_rows(&found, &y, MEASURED_COLUMN);
     found.iter().for_each(|outlier| y[outlier.row] = f64::NAN);
     (0..y.len()).filter(|row| !is_used[*row]).for_each(|row| y[row] = f64::NAN);
     let is_used: Vec<bool> = y.iter().map(|y| !y.is_nan()).collect();
-    spread_or_bad(rows, &column, &temperature_c, &is_used, 4)?;
+    check_input_variation(rows, &column, &temperature_c, &is_used, 4)?;
 
-    let starts = rows.starts(time_s.as_deref());
+    let starts = rows.restart_flags(time_s.as_deref());
     let terms = [Term::Constant, Term::Warm];
-    let design = Lagged::new(time_s.as_deref(), &temperature_c, &starts, &terms, &[]);
-    let (groups, by) = rows.groups(&is_used);
+    let design = LaggedRegression::new(time_s.as_deref(), &temperature_c, &starts, &terms, &[]);
+    let (groups, by) = rows.cross_validation_groups(&is_used);
     let fitted = design
         .fit(&y, groups.as_deref())
-        .ok_or_else(|| rows.bad(format!("{column} does not decide a line")))?;
-    let wider = rows::widening(&fitted.residuals);
+        .ok_or_else(|| rows.input_error(format!("{column} does not decide a line")))?;
+    let wider = pooled_rows::autocorrelation_inflation(&fitted.residuals);
     let (constant, k) = (fitted.coefficients[0], fitted.coefficients[1]);
     let reference_c = design.mean_c - constant / k;
     // T₀ = T̄ − c/k
-    let half = wider * fitted.half_width_of(&[-1.0 / k, constant / (k * k)]);
+    let half = wider * fitted.half_width_for_gradient(&[-1.0 / k, constant / (k * k)]);
 
     report.parameters = vec![
-        Parameter::amplitude("k_um_per_c", k, wider * fitted.half_width(1)),
+        Parameter::amplitude("k_um_per_c", k, wider * fitted.coefficient_half_width(1)),
         Parameter::fitted("reference_c", reference_c, half),
         fitted.lag_parameter(wider),
     ];
     report.facts.push(Fact::text("sensor", column.clone()));
     report.warnings.extend(fitted.warning.clone());
     if let Some(old) = old.filter(|old| old.sensor == column) {
-        let lagged_c = design.lagged_c(old.lag_s);
+        let lagged_c = design.lagged_temperatures_c(old.lag_s);
         let of_old: Vec<f64> = y
             .iter()
             .zip(&lagged_c)
             .map(|(y, t)| y - trueup_machine::model::temperature_elongation_um(old, *t))
             .collect();
-        say_old(&mut report, &of_old);
+        report_previous_fit(&mut report, &of_old);
     }
-    finish(&mut report, &y, &fitted.residuals, fitted.left_out.clone(), by, wider);
-    judge(&mut report, &y, groups.as_deref());
+    add_residual_statistics(&mut report, &y, &fitted.residuals, fitted.left_out.clone(), by, wider);
+    judge_fit(&mut report, &y, groups.as_deref());
     if report.verdict.is_fitted() {
         let section = NewSection::new("spindle.temperature")
-            .text("sensor", column)
-            .number("reference_c", reference_c)
-            .number("k_um_per_c", k)
-            .number("lag_s", fitted.lag_s)
-            .remark(summary(&report));
-        report.edit = Edit::of(section);
+            .with_text("sensor", column)
+            .with_number("reference_c", reference_c)
+            .with_number("k_um_per_c", k)
+            .with_number("lag_s", fitted.lag_s)
+            .with_header_comment(section_comment(&report));
+        report.edit = Edit::from_section(section);
         report.edit.defaults.push(("spindle".into(), "source", Value::Text("temperature".into())));
-        warn_of_source(&mut report, machine, ElongationSource::Temperature);
+        warn_source_mismatch(&mut report, machine, ElongationSource::Temperature);
     }
     Ok(report)
 }
 
-/// Returns the column of the temperature that is wanted, else the only one.
-pub(crate) fn temperature_column(
-    rows: &Rows<'_>,
+/// Returns the column of the required temperature, else the only one.
+pub(crate) fn resolve_temperature_column(
+    rows: &PooledRows<'_>,
     wanted: Option<String>,
 ) -> Result<String, BadInput> {
     if let Some(wanted) = wanted {
         if !is_temperature_column(&wanted) {
-            return Err(rows.bad(format!("{wanted} is not a temperature column (temp_<name>_c)")));
+            return Err(
+                rows.input_error(format!("{wanted} is not a temperature column (temp_<name>_c)"))
+            );
         }
         return Ok(wanted);
     }
-    match rows.temperatures().as_slice() {
-        [] => Err(rows.bad("no temperature column (temp_<name>_c)")),
+    match rows.common_temperature_columns().as_slice() {
+        [] => Err(rows.input_error("no temperature column (temp_<name>_c)")),
         [only] => Ok((*only).to_string()),
-        several => Err(rows.bad(format!(
+        several => Err(rows.input_error(format!(
             "name the temperature that explains it with --temperature: there are {}",
             several.join(", ")
         ))),
@@ -225,8 +235,8 @@ pub(crate) fn temperature_column(
 }
 
 /// Refuses too few rows, and an input that is the same in every row.
-pub(crate) fn spread_or_bad(
-    rows: &Rows<'_>,
+pub(crate) fn check_input_variation(
+    rows: &PooledRows<'_>,
     column: &str,
     x: &[f64],
     is_used: &[bool],
@@ -237,12 +247,12 @@ pub(crate) fn spread_or_bad(
     if count < least {
         let rule =
             format!("{count} of {} rows are complete: the fit needs at least {least}", x.len());
-        return Err(rows.bad(rule));
+        return Err(rows.input_error(rule));
     }
     if let Some((first, (value, _))) = used.next()
         && used.all(|(_, (x, _))| x == value)
     {
-        let place = rows.place(first, column);
+        let place = rows.location(first, column);
         let rule = format!("{column} is {value} in every row: nothing can be fitted to it");
         return Err(BadInput::new(place, rule));
     }
@@ -250,7 +260,7 @@ pub(crate) fn spread_or_bad(
 }
 
 /// Adds to `report` the figures of the residuals that all fits have.
-pub(crate) fn finish(
+pub(crate) fn add_residual_statistics(
     report: &mut Report,
     y: &[f64],
     residuals: &[f64],
@@ -259,9 +269,9 @@ pub(crate) fn finish(
     wider: f64,
 ) {
     report.rows_used = y.iter().filter(|y| !y.is_nan()).count();
-    report.before = Spread::of(y);
-    report.in_sample = Spread::of(residuals);
-    report.left_out = left_out.and_then(|left_out| Spread::of(&left_out));
+    report.before = ResidualStatistics::from_residuals(y);
+    report.in_sample = ResidualStatistics::from_residuals(residuals);
+    report.left_out = left_out.and_then(|left_out| ResidualStatistics::from_residuals(&left_out));
     report.left_out_by = by;
     if wider > 1.0 {
         report.facts.push(Fact::number("intervals_widened", wider));
@@ -282,20 +292,20 @@ pub(crate) fn finish(
 }
 
 /// How well the constants of the machine file did on the same rows.
-pub(crate) fn say_old(report: &mut Report, residuals: &[f64]) {
-    if let Some(old) = Spread::of(residuals) {
+pub(crate) fn report_previous_fit(report: &mut Report, residuals: &[f64]) {
+    if let Some(old) = ResidualStatistics::from_residuals(residuals) {
         report.facts.push(Fact::number("machine_file_rms_um", old.rms_um));
         report.facts.push(Fact::number("machine_file_max_um", old.max_um));
     }
 }
 
-/// Not to compensate, where the size of the effect may be 0, or where left-out rows are no better with the
+/// Not to compensate, where the size of the effect may be 0, or where held-out rows are no better with the
 /// correction than without it, or than with a constant alone.
-pub(crate) fn judge(report: &mut Report, y: &[f64], groups: Option<&[usize]>) {
+pub(crate) fn judge_fit(report: &mut Report, y: &[f64], groups: Option<&[usize]>) {
     let mut reasons: Vec<String> = report
         .parameters
         .iter()
-        .filter(|it| it.may_be_none())
+        .filter(|it| it.includes_zero())
         .map(|it| {
             format!(
                 "{it}: 0 is within the interval, so the effect may be none; measure over a larger \
@@ -305,7 +315,8 @@ pub(crate) fn judge(report: &mut Report, y: &[f64], groups: Option<&[usize]>) {
         .collect();
     if let (Some(before), Some(left_out)) = (report.before, report.left_out) {
         let ones = vec![vec![1.0; y.len()]];
-        let constant = rows::held_out(&ones, y, groups).and_then(|left| Spread::of(&left));
+        let constant = pooled_rows::held_out_residuals(&ones, y, groups)
+            .and_then(|left| ResidualStatistics::from_residuals(&left));
         let constant = constant.map_or(before.rms_um, |constant| constant.rms_um);
         if left_out.rms_um >= before.rms_um.min(constant) {
             reasons.push(format!(
@@ -319,13 +330,13 @@ pub(crate) fn judge(report: &mut Report, y: &[f64], groups: Option<&[usize]>) {
         }
     }
     if !reasons.is_empty() {
-        report.verdict = Verdict::DoNotCompensate(reasons);
+        report.verdict = FitVerdict::DoNotCompensate(reasons);
     }
 }
 
 /// Returns a line above the section.
-pub(crate) fn summary(report: &Report) -> String {
-    let rms = |spread: Option<Spread>| {
+pub(crate) fn section_comment(report: &Report) -> String {
+    let rms = |spread: Option<ResidualStatistics>| {
         spread.map_or("not known".to_string(), |spread| format!("{:.3} µm RMS", spread.rms_um))
     };
     format!(
@@ -337,7 +348,7 @@ pub(crate) fn summary(report: &Report) -> String {
 }
 
 /// Warns where the machine file goes on using another source.
-pub(crate) fn warn_of_source(
+pub(crate) fn warn_source_mismatch(
     report: &mut Report,
     machine: Option<&Machine>,
     fitted: ElongationSource,
@@ -354,13 +365,13 @@ pub(crate) fn warn_of_source(
 }
 
 /// Warns where a parabola is clearly better than the line.
-fn warn_of_a_curve(report: &mut Report, columns: &[Vec<f64>], y: &[f64], line: &Solution) {
+fn warn_curvature(report: &mut Report, columns: &[Vec<f64>], y: &[f64], line: &Solution) {
     let Some(x) = columns.get(1) else { return };
     let present = || x.iter().zip(y).filter(|(_, y)| !y.is_nan()).map(|(x, _)| *x);
     let mean = present().sum::<f64>() / present().count() as f64;
     let squares: Vec<f64> = x.iter().map(|x| (x - mean).powi(2)).collect();
     let curved = [columns, &[squares]].concat();
-    let Some(parabola) = rows::solve(&curved, y, |_| true) else { return };
+    let Some(parabola) = pooled_rows::solve_least_squares(&curved, y, |_| true) else { return };
     let better = 1.0 - (parabola.residual_squares / line.residual_squares).sqrt();
     let known = (parabola.coefficients[2] / parabola.standard_error(2)).abs();
     if parabola.degrees_of_freedom() >= 5 && known > 5.0 && better > 0.2 {

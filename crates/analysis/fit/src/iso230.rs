@@ -24,7 +24,7 @@ use std::fmt;
 
 /// The readings at one target: positioning deviations in µm, actual minus target.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Target {
+pub struct TargetReadings {
     /// The target position in mm.
     pub position_mm: f64,
     /// Of the arrivals in the positive direction; empty if there are none.
@@ -35,35 +35,35 @@ pub struct Target {
 
 /// The figures of one axis. All in µm but for positions.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Iso230 {
+pub struct Iso230Results {
     /// Each target, in the order given.
-    pub targets: Vec<TargetFigures>,
+    pub targets: Vec<TargetResults>,
     /// The axis in the positive direction; `None` if it was not measured.
-    pub forward: Option<Unidirectional>,
+    pub forward: Option<UnidirectionalResults>,
     /// The axis in the negative direction; `None` if it was not measured.
-    pub reverse: Option<Unidirectional>,
+    pub reverse: Option<UnidirectionalResults>,
     /// Both directions together, from the targets that have both; `None` if there is no such.
-    pub both: Option<Bidirectional>,
-    /// The fewest arrivals at any target in any direction; the standard asks for 5.
+    pub both: Option<BidirectionalResults>,
+    /// The fewest arrivals at any target in any direction; the standard requires 5.
     pub fewest_runs: usize,
 }
 
 /// The figures of one target.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TargetFigures {
+pub struct TargetResults {
     /// Its position in mm.
     pub position_mm: f64,
     /// Arrivals in the positive direction.
-    pub forward: Option<Approach>,
+    pub forward: Option<ApproachStatistics>,
     /// Arrivals in the negative direction.
-    pub reverse: Option<Approach>,
+    pub reverse: Option<ApproachStatistics>,
     /// The figures that need both directions.
-    pub both: Option<Reversal>,
+    pub both: Option<BidirectionalStatistics>,
 }
 
 /// Arrivals at one target in one direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Approach {
+pub struct ApproachStatistics {
     /// n, at least 2.
     pub runs: usize,
     /// x̄ᵢ↑ or x̄ᵢ↓, the mean unidirectional positioning deviation at a position.
@@ -76,7 +76,7 @@ pub struct Approach {
 
 /// One target by both directions.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reversal {
+pub struct BidirectionalStatistics {
     /// x̄ᵢ, the mean bi-directional positioning deviation at a position.
     pub mean_um: f64,
     /// Bᵢ, the reversal error at a position: forward minus reverse.
@@ -87,7 +87,7 @@ pub struct Reversal {
 
 /// An axis in one direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Unidirectional {
+pub struct UnidirectionalResults {
     /// R↑ or R↓, the unidirectional positioning repeatability of an axis.
     pub repeatability_um: f64,
     /// E↑ or E↓, the unidirectional systematic positioning error of an axis.
@@ -98,7 +98,7 @@ pub struct Unidirectional {
 
 /// An axis by both directions.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Bidirectional {
+pub struct BidirectionalResults {
     /// B, the reversal error of an axis: the largest magnitude.
     pub reversal_um: f64,
     /// B̄, the mean reversal error of an axis, with its sign.
@@ -135,16 +135,16 @@ pub enum Iso230Error {
     },
 }
 
-impl Iso230 {
+impl Iso230Results {
     /// Returns the figures of an axis measured at `targets`.
     ///
     /// ```
-    /// use trueup_fit::iso230::{Iso230, Target};
-    /// let target = |position_mm, forward: [f64; 2], reverse: [f64; 2]| Target {
+    /// use trueup_fit::iso230::{Iso230Results, TargetReadings};
+    /// let target = |position_mm, forward: [f64; 2], reverse: [f64; 2]| TargetReadings {
     ///     position_mm, forward_um: forward.into(), reverse_um: reverse.into(),
     /// };
     /// // Means +1 and −1 at 0 mm, +4 and +3 at 10 mm; all standard deviations 0.
-    /// let axis = Iso230::of(&[target(0.0, [1.0; 2], [-1.0; 2]), target(10.0, [4.0; 2], [3.0; 2])])?;
+    /// let axis = Iso230Results::from_targets(&[target(0.0, [1.0; 2], [-1.0; 2]), target(10.0, [4.0; 2], [3.0; 2])])?;
     /// let both = axis.both.expect("both directions were measured");
     /// assert_eq!((both.reversal_um, both.mean_reversal_um), (2.0, 1.5));
     /// // E from −1 to +4; M from the bi-directional means 0 to 3.5.
@@ -155,23 +155,27 @@ impl Iso230 {
     /// # Errors
     /// No arrival at all, a single one in a direction in which the target was measured, or a value
     /// that is not finite.
-    pub fn of(targets: &[Target]) -> Result<Self, Iso230Error> {
-        let targets: Vec<TargetFigures> =
-            targets.iter().map(TargetFigures::of).collect::<Result<_, _>>()?;
+    pub fn from_targets(targets: &[TargetReadings]) -> Result<Self, Iso230Error> {
+        let targets: Vec<TargetResults> =
+            targets.iter().map(TargetResults::from_readings).collect::<Result<_, _>>()?;
         let approaches = || targets.iter().flat_map(|it| [it.forward, it.reverse]).flatten();
         let fewest_runs = approaches().map(|it| it.runs).min().ok_or(Iso230Error::Empty)?;
         Ok(Self {
-            forward: Unidirectional::of(targets.iter().filter_map(|it| it.forward)),
-            reverse: Unidirectional::of(targets.iter().filter_map(|it| it.reverse)),
-            both: Bidirectional::of(&targets),
+            forward: UnidirectionalResults::from_approaches(
+                targets.iter().filter_map(|it| it.forward),
+            ),
+            reverse: UnidirectionalResults::from_approaches(
+                targets.iter().filter_map(|it| it.reverse),
+            ),
+            both: BidirectionalResults::from_targets(&targets),
             targets,
             fewest_runs,
         })
     }
 }
 
-impl TargetFigures {
-    fn of(target: &Target) -> Result<Self, Iso230Error> {
+impl TargetResults {
+    fn from_readings(target: &TargetReadings) -> Result<Self, Iso230Error> {
         let position_mm = target.position_mm;
         let all = target.forward_um.iter().chain(&target.reverse_um);
         if !position_mm.is_finite() || !all.clone().all(|um| um.is_finite()) {
@@ -180,16 +184,18 @@ impl TargetFigures {
         let approach = |um: &[f64]| match um.len() {
             0 => Ok(None),
             1 => Err(Iso230Error::OneArrival { position_mm }),
-            _ => Ok(Some(Approach::of(um))),
+            _ => Ok(Some(ApproachStatistics::from_deviations(um))),
         };
         let (forward, reverse) = (approach(&target.forward_um)?, approach(&target.reverse_um)?);
-        let both = forward.zip(reverse).map(|(up, down)| Reversal::of(&up, &down));
+        let both = forward
+            .zip(reverse)
+            .map(|(up, down)| BidirectionalStatistics::from_approaches(&up, &down));
         Ok(Self { position_mm, forward, reverse, both })
     }
 }
 
-impl Approach {
-    fn of(um: &[f64]) -> Self {
+impl ApproachStatistics {
+    fn from_deviations(um: &[f64]) -> Self {
         let n = um.len() as f64;
         let mean_um = um.iter().sum::<f64>() / n;
         let squares: f64 = um.iter().map(|x| (x - mean_um).powi(2)).sum();
@@ -198,8 +204,8 @@ impl Approach {
     }
 }
 
-impl Reversal {
-    fn of(up: &Approach, down: &Approach) -> Self {
+impl BidirectionalStatistics {
+    fn from_approaches(up: &ApproachStatistics, down: &ApproachStatistics) -> Self {
         let reversal_um = up.mean_um - down.mean_um;
         let combined = 2.0 * up.estimator_um + 2.0 * down.estimator_um + reversal_um.abs();
         Self {
@@ -210,30 +216,30 @@ impl Reversal {
     }
 }
 
-impl Unidirectional {
-    fn of(approaches: impl Iterator<Item = Approach>) -> Option<Self> {
-        let approaches: Vec<Approach> = approaches.collect();
+impl UnidirectionalResults {
+    fn from_approaches(approaches: impl Iterator<Item = ApproachStatistics>) -> Option<Self> {
+        let approaches: Vec<ApproachStatistics> = approaches.collect();
         if approaches.is_empty() {
             return None;
         }
         Some(Self {
-            repeatability_um: largest(approaches.iter().map(|it| it.repeatability_um)),
+            repeatability_um: maximum(approaches.iter().map(|it| it.repeatability_um)),
             systematic_um: range(approaches.iter().map(|it| [it.mean_um; 2])),
-            accuracy_um: range(approaches.iter().map(Approach::with_scatter)),
+            accuracy_um: range(approaches.iter().map(ApproachStatistics::two_sigma_limits)),
         })
     }
 }
 
-impl Approach {
+impl ApproachStatistics {
     /// x̄ − 2s and x̄ + 2s.
-    fn with_scatter(&self) -> [f64; 2] {
+    fn two_sigma_limits(&self) -> [f64; 2] {
         [self.mean_um - 2.0 * self.estimator_um, self.mean_um + 2.0 * self.estimator_um]
     }
 }
 
-impl Bidirectional {
-    fn of(targets: &[TargetFigures]) -> Option<Self> {
-        let both: Vec<(Approach, Approach, Reversal)> = targets
+impl BidirectionalResults {
+    fn from_targets(targets: &[TargetResults]) -> Option<Self> {
+        let both: Vec<(ApproachStatistics, ApproachStatistics, BidirectionalStatistics)> = targets
             .iter()
             .filter_map(|it| it.forward.zip(it.reverse).zip(it.both))
             .map(|((up, down), both)| (up, down, both))
@@ -244,17 +250,17 @@ impl Bidirectional {
         let approaches = || both.iter().flat_map(|(up, down, _)| [up, down]);
         let reversals = || both.iter().map(|(_, _, it)| it.reversal_um);
         Some(Self {
-            reversal_um: largest(reversals().map(f64::abs)),
+            reversal_um: maximum(reversals().map(f64::abs)),
             mean_reversal_um: reversals().sum::<f64>() / both.len() as f64,
-            repeatability_um: largest(both.iter().map(|(_, _, it)| it.repeatability_um)),
+            repeatability_um: maximum(both.iter().map(|(_, _, it)| it.repeatability_um)),
             systematic_um: range(approaches().map(|it| [it.mean_um; 2])),
             mean_error_um: range(both.iter().map(|(_, _, it)| [it.mean_um; 2])),
-            accuracy_um: range(approaches().map(Approach::with_scatter)),
+            accuracy_um: range(approaches().map(ApproachStatistics::two_sigma_limits)),
         })
     }
 }
 
-fn largest(values: impl Iterator<Item = f64>) -> f64 {
+fn maximum(values: impl Iterator<Item = f64>) -> f64 {
     values.fold(f64::NEG_INFINITY, f64::max)
 }
 
@@ -266,7 +272,7 @@ fn range(ends: impl Iterator<Item = [f64; 2]>) -> f64 {
     high - low
 }
 
-impl fmt::Display for Iso230 {
+impl fmt::Display for Iso230Results {
     /// The table of the targets and the figures of the axis, in µm to two decimals.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let cell = |value: Option<f64>| value.map_or("-".to_string(), |um| format!("{um:.2}"));
@@ -333,16 +339,16 @@ impl fmt::Display for Iso230 {
 mod tests {
     use super::*;
 
-    fn target(position_mm: f64, forward_um: &[f64], reverse_um: &[f64]) -> Target {
-        Target { position_mm, forward_um: forward_um.into(), reverse_um: reverse_um.into() }
+    fn target(position_mm: f64, forward_um: &[f64], reverse_um: &[f64]) -> TargetReadings {
+        TargetReadings { position_mm, forward_um: forward_um.into(), reverse_um: reverse_um.into() }
     }
 
     /// Three targets, five arrivals each way, with means and deviations that are whole: the sums of
     /// squares about the means are 4 and 16, so s is 1 and 2 with n − 1 = 4.
-    fn by_hand() -> Iso230 {
+    fn by_hand() -> Iso230Results {
         let one = |mean: f64| [-1.0, -1.0, 0.0, 1.0, 1.0].map(|off| mean + off);
         let two = |mean: f64| [-2.0, -2.0, 0.0, 2.0, 2.0].map(|off| mean + off);
-        Iso230::of(&[
+        Iso230Results::from_targets(&[
             target(0.0, &one(2.0), &one(-1.0)),
             target(90.0, &two(10.0), &one(12.0)),
             target(210.0, &one(-4.0), &two(-5.0)),
@@ -354,7 +360,7 @@ mod tests {
     fn the_figures_of_a_target_are_those_worked_by_hand() {
         let axis = by_hand();
         let figures: Vec<_> = axis.targets.iter().map(|it| it.both.expect("both ways")).collect();
-        let of = |mean_um, reversal_um, repeatability_um| Reversal {
+        let of = |mean_um, reversal_um, repeatability_um| BidirectionalStatistics {
             mean_um,
             reversal_um,
             repeatability_um,
@@ -365,7 +371,7 @@ mod tests {
         let second = axis.targets[1].forward.expect("measured");
         assert_eq!(
             second,
-            Approach { runs: 5, mean_um: 10.0, estimator_um: 2.0, repeatability_um: 8.0 }
+            ApproachStatistics { runs: 5, mean_um: 10.0, estimator_um: 2.0, repeatability_um: 8.0 }
         );
     }
 
@@ -374,12 +380,12 @@ mod tests {
         let axis = by_hand();
         // x̄↑ 2, 10, −4: E 14; +2s: 4, 14, −2, −2s: 0, 6, −6: A 20.
         let forward =
-            Unidirectional { repeatability_um: 8.0, systematic_um: 14.0, accuracy_um: 20.0 };
+            UnidirectionalResults { repeatability_um: 8.0, systematic_um: 14.0, accuracy_um: 20.0 };
         // x̄↓ −1, 12, −5: E 17; +2s: 1, 14, −1; −2s: −3, 10, −9: A 23.
         let reverse =
-            Unidirectional { repeatability_um: 8.0, systematic_um: 17.0, accuracy_um: 23.0 };
+            UnidirectionalResults { repeatability_um: 8.0, systematic_um: 17.0, accuracy_um: 23.0 };
         assert_eq!((axis.forward, axis.reverse), (Some(forward), Some(reverse)));
-        let both = Bidirectional {
+        let both = BidirectionalResults {
             reversal_um: 3.0,
             mean_reversal_um: 2.0 / 3.0,
             repeatability_um: 8.0,
@@ -397,7 +403,7 @@ mod tests {
     #[test]
     fn both_together_can_be_worse_than_either_direction() {
         // Each direction is flat, and they lie 10 apart: E↑ = E↓ = 0, E = 10.
-        let axis = Iso230::of(&[
+        let axis = Iso230Results::from_targets(&[
             target(0.0, &[10.0, 10.0], &[0.0, 0.0]),
             target(50.0, &[10.0, 10.0], &[0.0, 0.0]),
         ])
@@ -410,15 +416,20 @@ mod tests {
 
     #[test]
     fn one_direction_alone_has_no_figures_of_both() {
-        let axis = Iso230::of(&[target(0.0, &[1.0, 2.0], &[]), target(9.0, &[1.0, 1.0], &[])])
-            .expect("forward");
+        let axis = Iso230Results::from_targets(&[
+            target(0.0, &[1.0, 2.0], &[]),
+            target(9.0, &[1.0, 1.0], &[]),
+        ])
+        .expect("forward");
         assert!(axis.both.is_none() && axis.reverse.is_none() && axis.forward.is_some());
         assert!(axis.to_string().contains(" -"));
     }
 
     #[test]
     fn what_has_no_deviation_is_refused() {
-        let of = |targets: &[Target]| Iso230::of(targets).expect_err("it has none");
+        let of = |targets: &[TargetReadings]| {
+            Iso230Results::from_targets(targets).expect_err("it has none")
+        };
         assert_eq!(of(&[]), Iso230Error::Empty);
         let once = of(&[target(5.0, &[1.0], &[])]);
         assert_eq!(once, Iso230Error::OneArrival { position_mm: 5.0 });

@@ -1,14 +1,14 @@
 //! From measured runs to the sections of a machine file.
 //!
-//! Each fit takes [runs without what a bridge applied](trueup_machine::applied::Uncompensated) and gives a [`Report`]: the constants with their
-//! intervals, the residuals on the rows that were fitted and on rows that were left out, the rows
-//! that were set aside and why, and the [`Edit`](trueup_machine::file::write::Edit) that takes the constants into a machine file. A
-//! run that no correction makes better is answered with [`Verdict::DoNotCompensate`] and the
+//! Each fit takes [runs without what a bridge applied](trueup_machine::applied_offsets::UncompensatedRun) and gives a [`Report`]: the constants with their
+//! intervals, the residuals on the rows that were fitted and on rows that were held out, the rows
+//! that were excluded and why, and the [`Edit`](trueup_machine::file::writer::Edit) that takes the constants into a machine file. A
+//! run that no correction makes better is answered with [`FitVerdict::DoNotCompensate`] and the
 //! figures that say so.
 //!
 //! | module | does |
 //! |---|---|
-//! | [`straightness`] | a B-spline with few coefficients; [next to other ways](straightness::table1) |
+//! | [`straightness`] | a B-spline with few coefficients; [next to other ways](straightness::method_table) |
 //! | [`pitch`] | position errors of an axis and its backlash |
 //! | [`iso230`] | the figures of ISO 230-2 |
 //! | [`bspline`] | the basis, and least squares in it |
@@ -17,24 +17,24 @@
 //! | [`thermal`] | fits `[axis.x.thermal]` |
 //! | [`circle`] | radial deviations of a circle as causes, ISO 230-4 |
 //! | [`volume`] | the 21 errors of three axes, and lines of rotary axes |
-//! | [`curve`] | a straightness run as a report and a section |
-//! | [`known`] | what the rest of the machine file says of a run, to be taken off |
+//! | [`straightness_report`] | a straightness run as a report and a section |
+//! | [`partial_prediction`] | what the rest of the machine file says of a run, to be taken off |
 //! | [`report`] | the shape that every fit's outcome has |
 #![forbid(unsafe_code)]
 
 pub mod bspline;
 pub mod circle;
-pub mod curve;
 pub mod elongation;
 pub mod iso230;
-pub mod known;
-mod lagged;
+mod lagged_regression;
+pub mod partial_prediction;
 pub mod pitch;
+mod pooled_rows;
 pub mod report;
-mod rows;
 pub mod straightness;
+pub mod straightness_report;
 pub mod thermal;
 pub mod volume;
 pub mod warmup;
 
-pub use report::{Fact, Parameter, Report, SetAside, Spread, Verdict};
+pub use report::{ExcludedRow, Fact, FitVerdict, Parameter, Report, ResidualStatistics};

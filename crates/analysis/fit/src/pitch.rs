@@ -3,7 +3,7 @@
 //! | module | does |
 //! |---|---|
 //! | `readings` | readings at targets from the rows, with the rules that they must keep |
-//! | `resample` | at which points the table stands |
+//! | `grid_selection` | at which points the table stands |
 //! | `table` | a table of equal steps from errors at any targets |
 //! | `judge` | which correction holds on runs that it has not seen |
 //! | `scatter` | how far repeats lie apart, next to how far targets do |
@@ -12,17 +12,17 @@
 //! | `backlash` | backlash alone |
 //! | `gantry` | the tables of an axis with two drives |
 //! | `by_feed` | whether it depends on the feed, and which feed counts |
-//! | `test_points` | pitches that the targets cannot see |
+//! | `pitch_aliasing` | pitches that the targets cannot see |
 //!
-//! [`fit`] sets aside what stands alone among the repeats of its target, and leaves the decision to
-//! [`trueup_numerics::repeats`], which `trueup diagnose` asks as well: the targets must differ by more
-//! than their repeats, every run that is left out must gain, and of
+//! [`fit`] excludes what stands alone among the repeats of its target, and leaves the decision to
+//! [`trueup_numerics::repeats`], which `trueup diagnose` uses as well: the targets must differ by more
+//! than their repeats, every run that is held out must gain, and of
 //!
 //! ```text
 //! one table, one table and a backlash, a table for each direction
 //! ```
 //!
-//! that foresee the runs equally well the one with the fewest values is taken. A constant alone is not a
+//! that predict the runs equally well the one with the fewest values is taken. A constant alone is not a
 //! finding: the zero of the measurement is arbitrary. If no table holds, the report says why, and what
 //! to measure.
 //! The errors are actual minus commanded, and the fit predicts what `trueup predict` does, because
@@ -32,44 +32,47 @@
 //! test `pitch_real` prints them): x 33.2 → 4.8, z 11.6 → 1.2, and the stage `muts_x` is refused.
 
 mod backlash;
-mod by_feed;
-mod difference;
+mod cross_validation;
+mod feed_dependence;
 mod gantry;
-mod judge;
-mod page;
+mod grid_selection;
+mod html_report;
+mod pitch_aliasing;
 mod readings;
-mod resample;
+mod reversal_difference;
 mod scatter;
 mod summary;
 mod table;
-mod test_points;
 
 use trueup_machine::{
     BadInput,
-    applied::Uncompensated,
-    file::{Backlash, Feedback, LinearAxis, Pitch},
+    applied_offsets::UncompensatedRun,
+    file::{Backlash, Feedback, LinearAxis, PitchErrorTable},
 };
 
 pub use backlash::{BacklashFit, WidthRule, fit_backlash};
-pub use gantry::{Drive, fit_both};
-pub use page::page;
-pub use test_points::hidden_pitches;
+pub use gantry::fit_both_drives;
+pub use html_report::build_page;
+pub use pitch_aliasing::aliased_pitches;
 
-use trueup_numerics::repeats::{self, Decision};
+use trueup_numerics::repeats::{self, TableSelection};
 
 use self::{
-    judge::{Law, Sums, judge},
-    readings::{Reading, Readings, Wanted, measured_column},
-    resample::choose_grid,
-    summary::{between_points, describe, reasons, to_measure, warn, write},
+    cross_validation::{CorrectionModel, DirectionSums, cross_validate},
+    grid_selection::choose_grid,
+    readings::{Reading, ReadingSelection, Readings, measured_column},
+    summary::{
+        add_statistics, add_warnings, interpolation_caveat, rejection_reasons, suggest_measurement,
+        write_pitch_section,
+    },
     table::Grid,
 };
 use crate::{
-    iso230::{Iso230, Target},
-    report::{Report, Spread, Verdict},
+    iso230::{Iso230Results, TargetReadings},
+    report::{FitVerdict, Report, ResidualStatistics},
 };
 
-/// How a table is wanted.
+/// The table that is required.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
     /// One table or two.
@@ -111,7 +114,7 @@ impl Default for Options {
 /// How many tables.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TableMode {
-    /// One for each direction only if that gains on runs left out.
+    /// One for each direction only if that gains on held-out runs.
     #[default]
     Automatic,
     /// One for both directions, next to it a backlash if that gains.
@@ -126,11 +129,11 @@ pub struct PitchFit {
     /// The result, with the changes in the machine file.
     pub report: Report,
     /// The table; `None` if the axis should not be corrected.
-    pub pitch: Option<Pitch>,
+    pub pitch: Option<PitchErrorTable>,
     /// The backlash that belongs to it.
     pub backlash: Option<Backlash>,
     /// The figures of ISO 230-2, before any correction; `None` without repeats at targets.
-    pub iso230: Option<Iso230>,
+    pub iso230: Option<Iso230Results>,
 }
 
 /// Returns the table of `axis` from the columns `<axis>_mm`, `dir_<axis>`, `measured_d<axis>_um` and, where
@@ -138,148 +141,158 @@ pub struct PitchFit {
 ///
 /// # Errors
 /// A column is missing or in another unit, a cell of a row is empty, a position comes twice in a
-/// run and direction, positions do not go with their direction, there are fewer than two targets,
-/// or a direction is missing that is asked for; with the place and the rule.
+/// run and direction, positions do not agree with their direction, there are fewer than two targets,
+/// or a required direction is missing; with the place and the rule.
 pub fn fit(
-    run: &Uncompensated<'_>,
+    run: &UncompensatedRun<'_>,
     axis: LinearAxis,
     options: &Options,
 ) -> Result<PitchFit, BadInput> {
-    let wanted = Wanted {
+    let wanted = ReadingSelection {
         axis,
         runs: options.runs.as_deref(),
         known_um: options.known_um.as_deref(),
         by_feed: false,
         in_order: true,
     };
-    let mut readings = Readings::of(run, &wanted)?;
-    check_extent(run, axis, &readings, options)?;
+    let mut readings = Readings::from_run(run, &wanted)?;
+    check_coverage(run, axis, &readings, options)?;
     let mut report = Report::new("pitch", measured_column(axis));
     // The figures of the standard are of all that was read.
-    let all = readings.by_target();
-    report.set_aside = readings.set_gross_aside(run, axis);
-    let sums = Sums::of(readings.targets_mm.len(), readings.list.iter());
+    let all = readings.values_by_target();
+    report.set_aside = readings.exclude_gross_errors(run, axis);
+    let sums = DirectionSums::from_readings(readings.targets_mm.len(), readings.list.iter());
     let grid = choose_grid(&readings, &sums, options, &mut report);
-    let laws = laws(&readings, options);
-    let judged = if readings.runs > 1 { judge(&readings, &grid, &laws) } else { Vec::new() };
-    let decision = decision(&readings, &laws);
+    let laws = candidate_models(&readings, options);
+    let judged =
+        if readings.runs > 1 { cross_validate(&readings, &grid, &laws) } else { Vec::new() };
+    let decision = select_table(&readings, &laws);
 
-    let by_target = readings.by_target();
-    let iso230 = if readings.is_record { None } else { figures(&readings.targets_mm, &all) };
-    describe(&mut report, &readings, &iso230);
+    let by_target = readings.values_by_target();
+    let iso230 =
+        if readings.is_record { None } else { evaluate_iso230(&readings.targets_mm, &all) };
+    add_statistics(&mut report, &readings, &iso230);
     report.table = iso230.as_ref().map(ToString::to_string).unwrap_or_default();
     let best = judged
         .iter()
-        .filter(|it| it.law > Law::Constant)
+        .filter(|it| it.law > CorrectionModel::Constant)
         .min_by(|a, b| a.rms_um().total_cmp(&b.rms_um()));
-    let is_one_pass = is_one_pass(&readings, &decision);
-    let taken = if is_one_pass { Ok(Law::OneTable) } else { decision.taken.map(Law::from) };
+    let is_one_pass = is_single_pass(&readings, &decision);
+    let taken = if is_one_pass {
+        Ok(CorrectionModel::OneTable)
+    } else {
+        decision.taken.map(CorrectionModel::from)
+    };
     let Ok(law) = taken else {
-        let mut why = reasons(&readings, &judged, best, &by_target);
-        why.extend(to_measure(&readings, &decision, &by_target));
-        report.verdict = Verdict::DoNotCompensate(why);
-        report.left_out = best.and_then(|best| Spread::of(&best.residuals_um));
+        let mut why = rejection_reasons(&readings, &judged, best, &by_target);
+        why.extend(suggest_measurement(&readings, &decision, &by_target));
+        report.verdict = FitVerdict::DoNotCompensate(why);
+        report.left_out =
+            best.and_then(|best| ResidualStatistics::from_residuals(&best.residuals_um));
         return Ok(PitchFit { report, pitch: None, backlash: None, iso230 });
     };
     let fitted = sums.fit(&readings.targets_mm, &grid, law);
-    let residual = |it: &Reading| it.um - fitted.at(readings.targets_mm[it.target], it.way);
+    let residual = |it: &Reading| it.um - fitted.evaluate(readings.targets_mm[it.target], it.way);
     // A table of one pass goes through each of its readings: that nothing is left says nothing.
-    report.in_sample = Spread::of(&readings.list.iter().map(residual).collect::<Vec<_>>())
-        .filter(|_| !is_one_pass);
+    report.in_sample =
+        ResidualStatistics::from_residuals(&readings.list.iter().map(residual).collect::<Vec<_>>())
+            .filter(|_| !is_one_pass);
     let judged = judged.iter().find(|judged| judged.law == law);
-    report.left_out = judged.and_then(|judged| Spread::of(&judged.residuals_um));
-    report.warnings.extend(between_points(&readings, law));
-    warn(&mut report, &readings, &iso230);
-    write(&mut report, axis, &readings, &sums, &grid, &fitted);
+    report.left_out =
+        judged.and_then(|judged| ResidualStatistics::from_residuals(&judged.residuals_um));
+    report.warnings.extend(interpolation_caveat(&readings, law));
+    add_warnings(&mut report, &readings, &iso230);
+    write_pitch_section(&mut report, axis, &readings, &sums, &grid, &fitted);
     let backlash =
         fitted.width_um.map(|width_um| Backlash { width_um, ramp_mm: 0.0, hysteresis_um: 0.0 });
     Ok(PitchFit { report, pitch: fitted.pitch, backlash, iso230 })
 }
 
-/// At least two targets, and the directions that are asked for.
-fn check_extent(
-    run: &Uncompensated<'_>,
+/// At least two targets, and the directions that are requested.
+fn check_coverage(
+    run: &UncompensatedRun<'_>,
     axis: LinearAxis,
     readings: &Readings,
     options: &Options,
 ) -> Result<(), BadInput> {
     if let [only] = readings.targets_mm[..] {
         let rule = format!("{only} is the only position: a table needs at least 2 test points");
-        return Err(run.bad(0, &format!("{}_mm", axis.name()), rule));
+        return Err(run.value_error(0, &format!("{}_mm", axis.name()), rule));
     }
     if options.ways == TableMode::Both {
         let directions = [(1, "positive"), (-1, "negative")];
-        for (has, (value, name)) in readings.has_way().into_iter().zip(directions) {
+        for (has, (value, name)) in readings.measured_directions().into_iter().zip(directions) {
             if !has {
                 let rule = format!(
                     "is never {value}: a table for each direction needs positions approached in \
                      the {name} direction as well"
                 );
-                return Err(run.bad(0, &format!("dir_{}", axis.name()), rule));
+                return Err(run.value_error(0, &format!("dir_{}", axis.name()), rule));
             }
         }
     }
     if let Some(step_mm) = options.step_mm
-        && !(step_mm > 0.0 && Grid::with_step(&readings.targets_mm, step_mm).points <= LARGEST)
+        && !(step_mm > 0.0
+            && Grid::with_step(&readings.targets_mm, step_mm).points <= MAX_TABLE_POINTS)
     {
         let rule = format!(
             "cannot have a table with a step of {step_mm} mm: it must be above 0 and give at most \
-             {LARGEST} points"
+             {MAX_TABLE_POINTS} points"
         );
-        return Err(run.bad(0, &format!("{}_mm", axis.name()), rule));
+        return Err(run.value_error(0, &format!("{}_mm", axis.name()), rule));
     }
     Ok(())
 }
 
-/// The largest number of points that a user may ask for.
-const LARGEST: usize = 4096;
+/// The largest number of points that a user may request.
+const MAX_TABLE_POINTS: usize = 4096;
 
 /// Returns the corrections to try, from the simplest on; the first two are none.
-fn laws(readings: &Readings, options: &Options) -> Vec<Law> {
-    let mut laws = vec![Law::Nothing, Law::Constant];
-    let both = readings.has_way() == [true; 2];
+fn candidate_models(readings: &Readings, options: &Options) -> Vec<CorrectionModel> {
+    let mut laws = vec![CorrectionModel::Nothing, CorrectionModel::Constant];
+    let both = readings.measured_directions() == [true; 2];
     let screw = options.feedback == Feedback::Screw;
     laws.push(if both && options.ways == TableMode::Both {
-        Law::BothTables
+        CorrectionModel::BothTables
     } else {
-        Law::OneTable
+        CorrectionModel::OneTable
     });
     if both && screw && options.ways != TableMode::Both {
-        laws.push(Law::TableAndBacklash);
+        laws.push(CorrectionModel::TableAndBacklash);
     }
     if both && options.ways == TableMode::Automatic {
-        laws.push(Law::BothTables);
+        laws.push(CorrectionModel::BothTables);
     }
     laws
 }
 
 /// Returns true for one pass in one direction: a screw's file of a control, a certificate. Nothing in it says
 /// whether the axis repeats, so it is taken over as it stands.
-fn is_one_pass(readings: &Readings, decision: &Decision) -> bool {
+fn is_single_pass(readings: &Readings, decision: &TableSelection) -> bool {
     let each_once = readings.list.len() == readings.targets_mm.len();
     readings.runs < 2
         && !readings.is_record
         && each_once
-        && readings.targets_mm.len() >= repeats::MIN_PLACES
-        && decision.taken == Err(repeats::Refusal::TooFew)
+        && readings.targets_mm.len() >= repeats::MIN_TABLE_POSITIONS
+        && decision.taken == Err(repeats::TableRejection::TooFew)
 }
 
 /// Returns the decision that `trueup diagnose` takes as well.
-fn decision(readings: &Readings, laws: &[Law]) -> Decision {
-    let laws: Vec<repeats::Law> = laws.iter().filter_map(|law| law.table()).collect();
+fn select_table(readings: &Readings, laws: &[CorrectionModel]) -> TableSelection {
+    let laws: Vec<repeats::TableLaw> = laws.iter().filter_map(|law| law.as_table_law()).collect();
     let none = vec![false; readings.list.len()];
-    repeats::decide(&readings.repeats(), &none, readings.targets_mm.len(), &laws)
+    repeats::select_table(&readings.to_repeat_readings(), &none, readings.targets_mm.len(), &laws)
 }
 
-fn figures(targets_mm: &[f64], by_target: &[[Vec<f64>; 2]]) -> Option<Iso230> {
-    let targets: Vec<Target> = targets_mm
+fn evaluate_iso230(targets_mm: &[f64], by_target: &[[Vec<f64>; 2]]) -> Option<Iso230Results> {
+    let targets: Vec<TargetReadings> = targets_mm
         .iter()
         .zip(by_target)
-        .map(|(&position_mm, [forward_um, reverse_um])| Target {
+        .map(|(&position_mm, [forward_um, reverse_um])| TargetReadings {
             position_mm,
             forward_um: forward_um.clone(),
             reverse_um: reverse_um.clone(),
         })
         .collect();
-    Iso230::of(&targets).ok()
+    Iso230Results::from_targets(&targets).ok()
 }

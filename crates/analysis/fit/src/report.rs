@@ -5,8 +5,8 @@
 
 use std::fmt;
 
-use trueup_machine::{Location, file::write::Edit};
-use trueup_numerics::line::Summary;
+use trueup_machine::{Location, file::writer::Edit};
+use trueup_numerics::line::ErrorStatistics;
 
 /// The result of a fit.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,25 +22,25 @@ pub struct Report {
     /// A table for people, line by line, of figures that the facts hold in part or whole.
     pub table: String,
     /// The measured values themselves on the rows that were used: what is there without any fit.
-    pub before: Option<Spread>,
+    pub before: Option<ResidualStatistics>,
     /// The residuals of the rows that were fitted.
-    pub in_sample: Option<Spread>,
+    pub in_sample: Option<ResidualStatistics>,
     /// The residuals of rows that the constants had not seen, each row once.
-    pub left_out: Option<Spread>,
-    /// How rows were left out: "each row in turn", "each of 5 cycles in turn".
+    pub left_out: Option<ResidualStatistics>,
+    /// How rows were held out: "each row in turn", "each of 5 cycles in turn".
     pub left_out_by: String,
     /// Rows that the fit rests on.
     pub rows_used: usize,
     /// Rows without one of the values that the fit needs.
     pub rows_incomplete: usize,
     /// Rows that were found and not used, with their reasons.
-    pub set_aside: Vec<SetAside>,
+    pub set_aside: Vec<ExcludedRow>,
     /// Warnings for the user before relying on it; whole sentences.
     pub warnings: Vec<String>,
     /// Requests that are not reached, though the constants are fit for use: a tolerance.
     pub unmet: Vec<String>,
     /// Whether the constants are fit for use.
-    pub verdict: Verdict,
+    pub verdict: FitVerdict,
     /// The changes in the machine file; empty where the verdict is not to compensate.
     pub edit: Edit,
 }
@@ -64,7 +64,7 @@ impl Report {
             set_aside: Vec::new(),
             warnings: Vec::new(),
             unmet: Vec::new(),
-            verdict: Verdict::Fitted,
+            verdict: FitVerdict::Fitted,
             edit: Edit::default(),
         }
     }
@@ -106,13 +106,13 @@ impl Parameter {
 
     /// Returns true where it is an amplitude whose interval includes 0.
     #[must_use]
-    pub(crate) fn may_be_none(&self) -> bool {
+    pub(crate) fn includes_zero(&self) -> bool {
         self.is_amplitude && self.ci95.is_some_and(|[low, high]| low <= 0.0 && 0.0 <= high)
     }
 
     /// Returns a constant that was set, by the user or by convention, and not fitted.
     #[must_use]
-    pub fn set(name: impl Into<String>, value: f64) -> Self {
+    pub fn fixed(name: impl Into<String>, value: f64) -> Self {
         Self { name: name.into(), value, ci95: None, is_amplitude: false }
     }
 }
@@ -123,7 +123,7 @@ impl fmt::Display for Parameter {
             None => write!(f, "{} = {} (set)", self.name, self.value),
             Some([low, high]) => {
                 // Two digits of the interval: what is beyond is noise.
-                let digits = decimals(high - low);
+                let digits = significant_decimals(high - low);
                 let value = self.value;
                 write!(f, "{} = {value:.digits$} ({low:.digits$} to {high:.digits$})", self.name)
             }
@@ -132,7 +132,7 @@ impl fmt::Display for Parameter {
 }
 
 /// Digits after the point to which a number with an uncertainty of `width` is worth printing.
-fn decimals(width: f64) -> usize {
+fn significant_decimals(width: f64) -> usize {
     if !(width.is_finite() && width > 0.0) {
         return 9;
     }
@@ -182,25 +182,25 @@ impl Fact {
 
 /// How large residuals are.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Spread {
+pub struct ResidualStatistics {
     /// The root of the mean square, in µm.
     pub rms_um: f64,
     /// The largest magnitude, in µm.
     pub max_um: f64,
 }
 
-impl Spread {
+impl ResidualStatistics {
     /// Of the residuals that are not missing (NaN); `None` if there are none.
     #[must_use]
-    pub fn of(residuals_um: &[f64]) -> Option<Self> {
-        Summary::of(residuals_um)
-            .map(|Summary { rms, max_abs }| Self { rms_um: rms, max_um: max_abs })
+    pub fn from_residuals(residuals_um: &[f64]) -> Option<Self> {
+        ErrorStatistics::from_residuals(residuals_um)
+            .map(|ErrorStatistics { rms, max_abs }| Self { rms_um: rms, max_um: max_abs })
     }
 }
 
 /// A row that was found and not used.
 #[derive(Clone, Debug, PartialEq)]
-pub struct SetAside {
+pub struct ExcludedRow {
     /// The file, line and column of the measured value.
     pub place: Location,
     /// The measured value in µm.
@@ -209,7 +209,7 @@ pub struct SetAside {
     pub reason: String,
 }
 
-impl fmt::Display for SetAside {
+impl fmt::Display for ExcludedRow {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}: set aside, {} µm is {}", self.place, self.measured_um, self.reason)
     }
@@ -217,14 +217,14 @@ impl fmt::Display for SetAside {
 
 /// Whether a fit is fit for use.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Verdict {
+pub enum FitVerdict {
     /// The constants hold on rows that they have not seen.
     Fitted,
     /// They do not: a correction would make parts worse. The figures that say so, a sentence each.
     DoNotCompensate(Vec<String>),
 }
 
-impl Verdict {
+impl FitVerdict {
     /// Returns whether the constants are fit for use.
     #[must_use]
     pub fn is_fitted(&self) -> bool {
@@ -246,7 +246,7 @@ mod tests {
         ] {
             assert_eq!(Parameter::fitted("gain", value, half_width).to_string(), expected);
         }
-        assert_eq!(Parameter::set("zero_counts", 5048.0).to_string(), "zero_counts = 5048 (set)");
+        assert_eq!(Parameter::fixed("zero_counts", 5048.0).to_string(), "zero_counts = 5048 (set)");
     }
 
     #[test]

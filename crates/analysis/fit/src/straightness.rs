@@ -4,8 +4,8 @@
 //! readings ─► sites: mean and scatter at each position ─► less the reference line ─► spline
 //! ```
 //!
-//! Two methods. [`Method::Paper`] takes data points as control points, as in section 4 of
-//! `docs/physics.md`. [`Method::LeastSquares`] fits by least squares, with knots placed where they are
+//! Two methods. [`FitMethod::Paper`] takes data points as control points, as in section 4 of
+//! `docs/physics.md`. [`FitMethod::LeastSquares`] fits by least squares, with knots placed where they are
 //! needed, and takes one more as long as it has reason to:
 //!
 //! - it stops at the fewest coefficients with which every residual is within the tolerance; where
@@ -14,7 +14,7 @@
 //! - and it stops where a further knot would follow noise: at the minimum of the generalised
 //!   cross-validation S/N/(1 − p/N)² (Craven and Wahba), with S the sum of squares of all N readings
 //!   (the scatter at equal positions included, so that repeats count) and p the coefficients and the
-//!   free knots together. The minimum counts as found when [`PATIENCE`] further knots have not
+//!   free knots together. The minimum counts as found when `MAX_KNOTS_WITHOUT_GAIN` further knots have not
 //!   lowered it and what is left has no pattern along the axis (von Neumann's ratio of successive
 //!   differences, at 1 %): a wave of many periods needs many knots before the first gains anything.
 //!
@@ -29,38 +29,38 @@
 //! Measured: for one tolerance on 60 seeded guideways the median number of coefficients is 0.85 of
 //! what FITPACK's `splrep` needs, and never more (`host-tests/tests/scipy_splines.rs`); fewer than
 //! the paper's way in all of 48 curves with the paper's travels and amplitudes, each within its
-//! residual (`tests/straightness_paper.rs`); a real bed's profile predicted at points not used
-//! within 0.60 µm RMS by 10 coefficients (`tests/straightness_bed.rs`).
+//! residual (`tests/fit/straightness_paper.rs`); a real bed's profile predicted at points not used
+//! within 0.60 µm RMS by 10 coefficients (`tests/fit/straightness_bed.rs`).
 //!
 //! Which straight line is the reference of a straightness measurement is the user's to say
 //! ([`ReferenceLine`]): a line that is taken away is named in the result, with its two constants.
 //! Outside the measured range the end values are held, by board and model alike.
 
-mod compare;
+mod knot_selection;
 mod knots;
+mod method_comparison;
+pub mod method_table;
 mod model;
-mod paper;
-mod path;
+mod paper_method;
 mod residual;
-mod run;
+mod run_fit;
 mod sites;
-pub mod table1;
 
 use std::fmt;
 
 use trueup_machine::file::BSpline;
 
-pub use compare::{Compared, Way};
-pub use residual::Residual;
-pub use run::{StraightnessCurve, fit_run};
-pub use sites::Line;
+pub use method_comparison::{CurveMethod, MethodComparison};
+pub use residual::ResidualSummary;
+pub use run_fit::{StraightnessCurve, fit_run};
+pub use sites::StraightLine;
 
-use crate::bspline::least_squares;
-use path::Found;
+use crate::bspline::fit_least_squares;
+use knot_selection::SelectedSpline;
 use sites::Sites;
 
 /// How many further knots may fail to gain before the search ends.
-pub const PATIENCE: usize = 2;
+pub(crate) const MAX_KNOTS_WITHOUT_GAIN: usize = 2;
 
 /// With more coefficients a curve is too large for a board, and follows the noise.
 pub(crate) const MAX_COEFFICIENTS: usize = 128;
@@ -71,7 +71,7 @@ pub struct Options {
     /// The largest residual allowed, in µm, above 0. `None`: down to the noise.
     pub tolerance_um: Option<f64>,
     /// How the curve is found.
-    pub method: Method,
+    pub method: FitMethod,
     /// The straight line from which the error counts.
     pub reference: ReferenceLine,
     /// At most this many coefficients; at least 2 and at most `MAX_COEFFICIENTS` are used.
@@ -83,7 +83,7 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             tolerance_um: None,
-            method: Method::LeastSquares,
+            method: FitMethod::LeastSquares,
             reference: ReferenceLine::AsMeasured,
             most_coefficients: MAX_COEFFICIENTS,
         }
@@ -92,7 +92,7 @@ impl Default for Options {
 
 /// How a curve is found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Method {
+pub enum FitMethod {
     /// Data points as control points, the worst residual joins (the paper's way). Without a tolerance it
     /// takes the largest residual that least squares leaves.
     Paper,
@@ -124,7 +124,7 @@ impl fmt::Display for ReferenceLine {
 
 /// Why no further coefficient was taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stop {
+pub enum StopReason {
     /// Every residual is within the tolerance.
     Tolerance,
     /// A further knot would follow noise.
@@ -135,7 +135,7 @@ pub enum Stop {
     Coefficients,
 }
 
-impl fmt::Display for Stop {
+impl fmt::Display for StopReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Tolerance => "every residual is within the tolerance",
@@ -148,7 +148,7 @@ impl fmt::Display for Stop {
 
 /// How large the noise of one reading is, and how that is known.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Noise {
+pub struct NoiseEstimate {
     /// Standard deviation of one reading, in µm.
     pub um: f64,
     /// Degrees of freedom of the estimate.
@@ -160,28 +160,28 @@ pub struct Noise {
 
 /// A fitted curve.
 #[derive(Clone, Debug)]
-pub struct Fit {
+pub struct StraightnessFit {
     /// In the machine file's terms: µm over mm, less the reference line.
     pub spline: BSpline,
     /// How it was found.
-    pub method: Method,
-    /// The reference that was asked for, and the line that was therefore taken away.
+    pub method: FitMethod,
+    /// The reference that was requested, and the line that was therefore taken away.
     pub reference: ReferenceLine,
     /// The line itself, zero for [`ReferenceLine::AsMeasured`].
-    pub line: Line,
+    pub line: StraightLine,
     /// The least squares line that is left in the readings: for [`ReferenceLine::AsMeasured`] the slope
     /// that may be alignment.
-    pub line_left: Line,
+    pub line_left: StraightLine,
     /// Why there are not more coefficients.
-    pub stopped: Stop,
-    /// The tolerance that was asked for, in µm.
+    pub stopped: StopReason,
+    /// The tolerance that was requested, in µm.
     pub tolerance_um: Option<f64>,
-    /// Whether every residual is within it; true where none was asked for.
+    /// Whether every residual is within it; true where none was requested.
     pub is_within_tolerance: bool,
     /// The residuals at the sites.
-    pub residual: Residual,
+    pub residual: ResidualSummary,
     /// The noise of one reading; `None` where as many coefficients as readings leave nothing.
-    pub noise: Option<Noise>,
+    pub noise: Option<NoiseEstimate>,
     /// Largest standard error of the curve within the measured range, in µm, from `noise`: how well
     /// the curve itself is known.
     pub standard_error_um: Option<f64>,
@@ -195,7 +195,7 @@ pub struct Fit {
     pub curvature_um_per_mm2: f64,
     /// Warnings for the user, a sentence each.
     pub warnings: Vec<String>,
-    /// The limit that was asked for.
+    /// The limit that was requested.
     most_coefficients: usize,
     /// The readings by position, for the comparison.
     sites: Sites,
@@ -247,20 +247,25 @@ pub enum FitError {
 ///
 /// # Errors
 /// See [`FitError`].
-pub fn fit(along_mm: &[f64], error_um: &[f64], options: &Options) -> Result<Fit, FitError> {
+pub fn fit(
+    along_mm: &[f64],
+    error_um: &[f64],
+    options: &Options,
+) -> Result<StraightnessFit, FitError> {
     if let Some(um) = options.tolerance_um
         && !(um > 0.0 && um.is_finite())
     {
         return Err(FitError::Tolerance { um });
     }
-    let mut sites = Sites::of(along_mm, error_um)?;
-    let line = sites.subtract(options.reference);
-    let found = Found::of(&sites, options);
-    let residual = Residual::of(&sites.residuals(&found.spline));
-    let (noise, standard_error_um) = noise_of(&sites, &found);
+    let mut sites = Sites::from_readings(along_mm, error_um)?;
+    let line = sites.subtract_reference(options.reference);
+    let found = SelectedSpline::select(&sites, options);
+    let residual = ResidualSummary::from_residuals(&sites.residuals(&found.spline));
+    let (noise, standard_error_um) = estimate_noise(&sites, &found);
     let tolerance_um = options.tolerance_um;
-    let (slope_um_per_mm, curvature_um_per_mm2) = crate::bspline::steepest(&found.spline, 9);
-    let mut fit = Fit {
+    let (slope_um_per_mm, curvature_um_per_mm2) =
+        crate::bspline::max_slope_and_curvature(&found.spline, 9);
+    let mut fit = StraightnessFit {
         method: options.method,
         reference: options.reference,
         line,
@@ -280,24 +285,24 @@ pub fn fit(along_mm: &[f64], error_um: &[f64], options: &Options) -> Result<Fit,
         spline: found.spline,
         sites,
     };
-    fit.warn();
+    fit.add_warnings();
     Ok(fit)
 }
 
-impl Fit {
+impl StraightnessFit {
     /// Returns the same data by the paper's way, by least squares, by a polynomial of degree 7 and by
     /// straight lines, each also on positions that it has not seen.
     #[must_use]
-    pub fn compare(&self) -> Vec<Compared> {
-        compare::table(self)
+    pub fn compare_methods(&self) -> Vec<MethodComparison> {
+        method_comparison::compare_methods(self)
     }
 
-    fn warn(&mut self) {
+    fn add_warnings(&mut self) {
         /// A linear axis shorter than that is rather one whose positions are in metres.
-        const SHORT_MM: f64 = 20.0;
-        let [first, last] = self.sites.ends();
+        const MIN_AXIS_LENGTH_MM: f64 = 20.0;
+        let [first, last] = self.sites.end_positions();
         let travel = last - first;
-        if travel < SHORT_MM {
+        if travel < MIN_AXIS_LENGTH_MM {
             self.warnings.push(format!(
                 "the positions span {travel} mm: if they are metres, multiply them by 1000"
             ));
@@ -309,7 +314,7 @@ impl Fit {
                 "the largest residual is {:.2} µm, the tolerance {tolerance} µm: {}",
                 self.residual.largest_um, self.stopped
             );
-            if let (Stop::Noise, Some(noise)) = (self.stopped, self.noise) {
+            if let (StopReason::Noise, Some(noise)) = (self.stopped, self.noise) {
                 warning += &format!(" (one reading scatters by {:.2} µm)", noise.um);
             }
             self.warnings.push(warning);
@@ -318,36 +323,36 @@ impl Fit {
 }
 
 /// Returns the noise of one reading, and the largest standard error of the curve.
-fn noise_of(sites: &Sites, found: &Found) -> (Option<Noise>, Option<f64>) {
+fn estimate_noise(sites: &Sites, found: &SelectedSpline) -> (Option<NoiseEstimate>, Option<f64>) {
     /// Fewer degrees of freedom than that say little of a standard deviation.
-    const ENOUGH: usize = 5;
+    const MIN_DEGREES_OF_FREEDOM: usize = 5;
     let BSpline { order, knots_mm, control_um } = &found.spline;
     let free = 2 * control_um.len() - order;
     let left: f64 =
         sites.residuals(&found.spline).iter().zip(&sites.weight).map(|(r, w)| w * r * r).sum();
-    let noise = |squares: f64, freedom: usize, from_repeats| Noise {
+    let noise = |squares: f64, freedom: usize, from_repeats| NoiseEstimate {
         um: (squares / freedom as f64).sqrt(),
         freedom,
         from_repeats,
     };
-    let noise = match sites.within_freedom() {
-        freedom @ ENOUGH.. => Some(noise(sites.within, freedom, true)),
+    let noise = match sites.within_degrees_of_freedom() {
+        freedom @ MIN_DEGREES_OF_FREEDOM.. => Some(noise(sites.within, freedom, true)),
         _ => sites
             .rows
             .checked_sub(free)
             .filter(|&freedom| freedom > 0)
             .map(|freedom| noise(left + sites.within, freedom, false)),
     };
-    let fit = least_squares(knots_mm.clone(), *order, sites.points());
+    let fit = fit_least_squares(knots_mm.clone(), *order, sites.points());
     let error = noise.zip(fit).map(|(noise, fit)| {
-        const PLACES: u32 = 400;
-        let [first, last] = sites.ends();
+        const EVALUATION_POINTS: u32 = 400;
+        let [first, last] = sites.end_positions();
         let variance = |n: u32| {
-            let x = first + (last - first) * f64::from(n) / f64::from(PLACES);
+            let x = first + (last - first) * f64::from(n) / f64::from(EVALUATION_POINTS);
             let (first, weights) = crate::bspline::basis(knots_mm, *order, x);
             fit.triangle.variance(first, &weights)
         };
-        noise.um * (0..=PLACES).map(variance).fold(0.0, f64::max).sqrt()
+        noise.um * (0..=EVALUATION_POINTS).map(variance).fold(0.0, f64::max).sqrt()
     });
     (noise, error)
 }

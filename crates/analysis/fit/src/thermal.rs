@@ -5,7 +5,7 @@
 //! ```
 //!
 //! T is behind its sensor by a lag, which is searched ([`Options`], and only kept where rows that
-//! were left out are better with it). Each of K₀ and tanβ is fitted as a line over T; where it
+//! were held out are better with it). Each of K₀ and tanβ is fitted as a line over T; where it
 //! crosses zero is T₀. If both modes count and the two lines cross zero at different temperatures,
 //! beyond what chance does, one T₀ cannot serve both, and a table of the same two lines is written
 //! instead. A table of more rows is fitted as its own interpolation (least squares of hat functions
@@ -19,15 +19,16 @@
 //! of 10⁶ rows is fitted in a process of 281 MB, the run and its text included (the ignored test
 //! `a_million_rows_are_fitted`).
 
-mod bent;
-mod gross;
+mod outliers;
+mod piecewise_linear;
+mod section;
 mod table;
 
 use trueup_machine::{
     BadInput, Machine,
-    applied::Uncompensated,
-    file::write::{Edit, NewSection},
-    file::{LinearAxis, Thermal, ThermalMode, ThermalRow},
+    applied_offsets::UncompensatedRun,
+    file::writer::Edit,
+    file::{LinearAxis, ThermalLaw, ThermalMode, ThermalRow},
     model::thermal_um,
 };
 use trueup_numerics::{
@@ -35,21 +36,26 @@ use trueup_numerics::{
     t_quantile,
 };
 
-use self::table::FittedTable;
+use self::{
+    section::{report_inseparable_constants, thermal_section},
+    table::FittedTable,
+};
 use crate::{
-    elongation::{finish, judge, spread_or_bad, summary, temperature_column},
-    lagged::{Fitted, Lagged, Term},
-    report::{Fact, Parameter, Report, Spread},
-    rows::{self, Rows},
+    elongation::{
+        add_residual_statistics, check_input_variation, judge_fit, resolve_temperature_column,
+    },
+    lagged_regression::{LaggedFit, LaggedRegression, Term},
+    pooled_rows::{self, PooledRows},
+    report::{Fact, Parameter, Report, ResidualStatistics},
 };
 
 /// Two T₀ differ, or a table is needed, beyond this probability of chance.
-const SURE: f64 = 0.999;
+const CONFIDENCE_LEVEL: f64 = 0.999;
 
 /// The terms, the column and the form of the fit.
 #[derive(Clone, Debug, Default)]
 pub struct Options {
-    /// Which terms; `None`: the machine file's, else what left-out rows favour.
+    /// Which terms; `None`: the machine file's, else what held-out rows favour.
     pub mode: Option<ThermalMode>,
     /// The column of the temperature; `None`: the machine file's, else the run's only one.
     pub temperature: Option<String>,
@@ -62,13 +68,13 @@ pub struct Options {
 }
 
 /// The columns of the runs.
-struct Data {
+struct ThermalData {
     measured: String,
     sensor: String,
     temperature_c: Vec<f64>,
     time_s: Option<Vec<f64>>,
     starts: Vec<bool>,
-    /// P − P₀ in m; empty without positions, or where all are equal and no mode asks for them.
+    /// P − P₀ in m; empty without positions, or where all are equal and no mode requires them.
     arm_m: Vec<f64>,
     /// NaN where the row takes no part.
     y: Vec<f64>,
@@ -79,52 +85,54 @@ struct Data {
 ///
 /// # Errors
 /// A column is missing, too few rows have all values, the temperature is the same in every row, or
-/// the positions do not decide the mode that is asked for.
+/// the positions do not decide the mode that is requested.
 pub fn fit(
-    runs: &[Uncompensated<'_>],
+    runs: &[UncompensatedRun<'_>],
     axis: LinearAxis,
     machine: Option<&Machine>,
     options: &Options,
 ) -> Result<Report, BadInput> {
-    let rows = Rows::of(runs)?;
+    let rows = PooledRows::new(runs)?;
     let old = machine.and_then(|machine| machine.axes[axis.index()].thermal.as_ref());
-    let (mut data, mut report) = Data::read(&rows, axis, old, options)?;
+    let (mut data, mut report) = ThermalData::read(&rows, axis, old, options)?;
     let wanted = options.mode.or(old.map(|old| old.mode));
-    data.set_outliers_aside(&rows, &mut report);
+    data.exclude_outliers(&rows, &mut report);
     let is_used: Vec<bool> = data.y.iter().map(|y| !y.is_nan()).collect();
-    spread_or_bad(&rows, &data.sensor, &data.temperature_c, &is_used, 4)?;
+    check_input_variation(&rows, &data.sensor, &data.temperature_c, &is_used, 4)?;
 
-    let (groups, by) = rows.groups(&is_used);
+    let (groups, by) = rows.cross_validation_groups(&is_used);
     let (mode, fitted, mean_c) = data.choose_mode(&rows, wanted, groups.as_deref())?;
-    let wider = rows::widening(&fitted.residuals);
+    let wider = pooled_rows::autocorrelation_inflation(&fitted.residuals);
     report.facts.push(Fact::text("mode", mode.name()));
     report.facts.push(Fact::text("sensor", data.sensor.clone()));
     report.warnings.extend(fitted.warning.clone());
     if let Some(old) = old.filter(|old| old.sensor == data.sensor) {
         let of_old = data.residuals(old);
-        if let Some(old) = Spread::of(&of_old) {
+        if let Some(old) = ResidualStatistics::from_residuals(&of_old) {
             report.facts.push(Fact::number("machine_file_rms_um", old.rms_um));
             report.facts.push(Fact::number("machine_file_max_um", old.max_um));
         }
     }
 
-    let law = Law { mode, fitted: &fitted, mean_c, wider };
-    let mut thermal = law.constants(&data, &mut report);
-    let levels = table::levels(&rows, &data);
+    let law = LinearLaw { mode, fitted: &fitted, mean_c, wider };
+    let mut thermal = law.report_constants(&data, &mut report);
+    let levels = table::temperature_levels(&rows, &data);
     if let Some(table) = FittedTable::fit(&data, mode, fitted.lag_s, &levels, options.table_rows) {
-        let is_better = table.is_better(&fitted.residuals, thermal.table.is_some(), mode, wider);
+        let is_better =
+            table.is_better_than_lines(&fitted.residuals, thermal.table.is_some(), mode, wider);
         if options.table_rows.is_some() || is_better {
-            table.report(&mut report, mode);
+            table.add_to_report(&mut report, mode);
             thermal.table = Some(table.rows);
         }
     } else if options.table_rows.is_none()
-        && let Some((bend, table)) = bend(&data, mode, &fitted, groups.as_deref())
+        && let Some((bend, table)) =
+            fit_piecewise_linear_law(&data, mode, &fitted, groups.as_deref())
     {
         if bend.lag_s != fitted.lag_s {
             report.parameters.retain(|parameter| parameter.name != "lag_s");
-            report.parameters.push(Parameter::set("lag_s", bend.lag_s));
+            report.parameters.push(Parameter::fixed("lag_s", bend.lag_s));
         }
-        table.report(&mut report, mode);
+        table.add_to_report(&mut report, mode);
         report.warnings.push(format!(
             "the growth is no line over the temperature: it is written as a table of {} rows, which \
              left-out rows are better with",
@@ -144,59 +152,62 @@ pub fn fit(
             "the rows do not decide a table of {} temperatures between the coldest and the warmest",
             options.table_rows.unwrap_or_default()
         );
-        return Err(rows.bad(rule));
+        return Err(rows.input_error(rule));
     }
 
     let residuals = data.residuals(&thermal);
-    // Groups are the same whatever the form of the law, so the left-out rows of the two lines stand
-    // for it; a table is left out on its own.
+    // Groups are the same whatever the form of the law, so the held-out rows of the two lines stand
+    // for it; a table is held out on its own.
     let (left_out, by) = match &thermal.table {
         Some(table) if table.len() > 2 => {
             let knots: Vec<f64> = table.iter().map(|row| row.temperature_c).collect();
-            table::held_out(&data, mode, thermal.lag_s, &knots, (groups.as_deref(), by))
+            table::held_out_residuals(&data, mode, thermal.lag_s, &knots, (groups.as_deref(), by))
         }
         _ => (fitted.left_out.clone(), by),
     };
-    finish(&mut report, &data.y, &residuals, left_out, by, wider);
-    judge(&mut report, &data.y, groups.as_deref());
-    say_what_is_one(&mut report, mode, thermal.table.is_some());
+    add_residual_statistics(&mut report, &data.y, &residuals, left_out, by, wider);
+    judge_fit(&mut report, &data.y, groups.as_deref());
+    report_inseparable_constants(&mut report, mode, thermal.table.is_some());
     if report.verdict.is_fitted() {
-        report.edit = Edit::of(section(axis, &thermal, &report));
+        report.edit = Edit::from_section(thermal_section(axis, &thermal, &report));
     }
     Ok(report)
 }
 
-/// Returns the bend of the law and its table, where left-out rows are clearly better with it.
-fn bend(
-    data: &Data,
+/// Returns the bend of the law and its table, where held-out rows are clearly better with it.
+fn fit_piecewise_linear_law(
+    data: &ThermalData,
     mode: ThermalMode,
-    lines: &Fitted,
+    lines: &LaggedFit,
     groups: Option<&[usize]>,
-) -> Option<(bent::Bend, FittedTable)> {
-    let bend = bent::find(data, mode, groups, lines)?;
-    let table = FittedTable::with_rows(data, mode, bend.lag_s, &bend.knots_c)?;
+) -> Option<(piecewise_linear::PiecewiseLinearLaw, FittedTable)> {
+    let bend = piecewise_linear::find_piecewise_linear_law(data, mode, groups, lines)?;
+    let table = FittedTable::with_knots(data, mode, bend.lag_s, &bend.knots_c)?;
     Some((bend, table))
 }
 
-impl Data {
+impl ThermalData {
     fn read(
-        rows: &Rows<'_>,
+        rows: &PooledRows<'_>,
         axis: LinearAxis,
-        old: Option<&Thermal>,
+        old: Option<&ThermalLaw>,
         options: &Options,
     ) -> Result<(Self, Report), BadInput> {
         let measured = format!("measured_d{}_um", axis.name());
-        let mut y = rows.require(&measured)?;
+        let mut y = rows.required_column(&measured)?;
         let wanted = options.temperature.clone().or(old.map(|old| old.sensor.clone()));
-        let sensor = temperature_column(rows, wanted)?;
-        let temperature_c = rows.require(&sensor)?;
-        let time_s = rows.optional("time_s")?;
-        let starts = rows.starts(time_s.as_deref());
+        let sensor = resolve_temperature_column(rows, wanted)?;
+        let temperature_c = rows.required_column(&sensor)?;
+        let time_s = rows.optional_column("time_s")?;
+        let starts = rows.restart_flags(time_s.as_deref());
         let position = format!("{}_mm", axis.name());
         let wanted_mode = options.mode.or(old.map(|old| old.mode));
         let needs_position = wanted_mode.is_some_and(ThermalMode::has_position);
-        let positions =
-            if needs_position { Some(rows.require(&position)?) } else { rows.optional(&position)? };
+        let positions = if needs_position {
+            Some(rows.required_column(&position)?)
+        } else {
+            rows.optional_column(&position)?
+        };
         if let Some(known_um) = &options.known_um {
             y.iter_mut().zip(known_um).for_each(|(y, known)| *y -= known);
         }
@@ -207,7 +218,7 @@ impl Data {
         };
         (0..y.len()).filter(|row| incomplete(*row)).for_each(|row| y[row] = f64::NAN);
         let is_used: Vec<bool> = y.iter().map(|y| !y.is_nan()).collect();
-        spread_or_bad(rows, &sensor, &temperature_c, &is_used, 4)?;
+        check_input_variation(rows, &sensor, &temperature_c, &is_used, 4)?;
         let origin_mm = old.map_or(0.0, |old| old.origin_mm);
         let mut used = positions.iter().flatten().zip(&is_used).filter(|(_, used)| **used);
         let first = used.next().map(|(position, _)| *position);
@@ -231,25 +242,25 @@ impl Data {
         used.any(|(arm, _)| Some(*arm) != first)
     }
 
-    /// Returns the mode that is wanted, else the simplest that left-out rows do not clearly disfavour.
+    /// Returns the required mode, else the simplest that held-out rows do not clearly disfavour.
     fn choose_mode(
         &self,
-        rows: &Rows<'_>,
+        rows: &PooledRows<'_>,
         wanted: Option<ThermalMode>,
         groups: Option<&[usize]>,
-    ) -> Result<(ThermalMode, Fitted, f64), BadInput> {
-        /// A mode with more terms must be better on left-out rows by this share.
-        const WORTH: f64 = 0.05;
+    ) -> Result<(ThermalMode, LaggedFit, f64), BadInput> {
+        /// A mode with more terms must be better on held-out rows by this share.
+        const MIN_MODE_GAIN: f64 = 0.05;
         let all = [ThermalMode::Position, ThermalMode::Constant, ThermalMode::Both];
         let modes: Vec<ThermalMode> = match wanted {
             Some(mode) => vec![mode],
             None if self.positions_differ() => all.to_vec(),
             None => vec![ThermalMode::Constant],
         };
-        let mut best: Option<(f64, ThermalMode, Fitted, f64)> = None;
+        let mut best: Option<(f64, ThermalMode, LaggedFit, f64)> = None;
         for mode in modes {
-            let terms = terms(mode);
-            let design = Lagged::new(
+            let terms = mode_terms(mode);
+            let design = LaggedRegression::new(
                 self.time_s.as_deref(),
                 &self.temperature_c,
                 &self.starts,
@@ -258,18 +269,20 @@ impl Data {
             );
             let Some(fitted) = design.fit(&self.y, groups) else { continue };
             // Both are worth it only where each of them is known to be there.
-            let wider = rows::widening(&fitted.residuals);
+            let wider = pooled_rows::autocorrelation_inflation(&fitted.residuals);
             let is_there = |at: usize| {
                 let size = fitted.coefficients[at].abs();
-                size > wider * fitted.half_width(at)
+                size > wider * fitted.coefficient_half_width(at)
             };
             if mode == ThermalMode::Both && wanted.is_none() && !(is_there(1) && is_there(3)) {
                 continue;
             }
-            let left_out = fitted.left_out.as_deref().and_then(Spread::of);
-            let judged = left_out.or(Spread::of(&fitted.residuals)).map_or(f64::NAN, |s| s.rms_um);
+            let left_out = fitted.left_out.as_deref().and_then(ResidualStatistics::from_residuals);
+            let judged = left_out
+                .or(ResidualStatistics::from_residuals(&fitted.residuals))
+                .map_or(f64::NAN, |s| s.rms_um);
             // Position and constant have as many terms: the better one. Both must be worth it.
-            let share = if mode == ThermalMode::Both { 1.0 - WORTH } else { 1.0 };
+            let share = if mode == ThermalMode::Both { 1.0 - MIN_MODE_GAIN } else { 1.0 };
             if best.as_ref().is_none_or(|(least, ..)| judged < share * least) {
                 best = Some((judged, mode, fitted, design.mean_c));
             }
@@ -281,20 +294,20 @@ impl Data {
                 wanted.unwrap_or(ThermalMode::Constant).name(),
                 if wanted == Some(ThermalMode::Constant) { "" } else { " and several positions" }
             );
-            return Err(rows.bad(rule));
+            return Err(rows.input_error(rule));
         };
         Ok((mode, fitted, mean_c))
     }
 
     /// L_τ(T) by row.
-    fn lagged_c(&self, lag_s: f64) -> Vec<f64> {
-        Lagged::new(self.time_s.as_deref(), &self.temperature_c, &self.starts, &[], &[])
-            .lagged_c(lag_s)
+    fn lagged_temperatures_c(&self, lag_s: f64) -> Vec<f64> {
+        LaggedRegression::new(self.time_s.as_deref(), &self.temperature_c, &self.starts, &[], &[])
+            .lagged_temperatures_c(lag_s)
     }
 
     /// Measured minus `thermal`, by row, as the model itself has it.
-    fn residuals(&self, thermal: &Thermal) -> Vec<f64> {
-        let lagged_c = self.lagged_c(thermal.lag_s);
+    fn residuals(&self, thermal: &ThermalLaw) -> Vec<f64> {
+        let lagged_c = self.lagged_temperatures_c(thermal.lag_s);
         let residual = |(row, y): (usize, &f64)| {
             let arm_m = self.arm_m.get(row).copied().unwrap_or(f64::NAN);
             y - thermal_um(thermal, lagged_c[row], self.origin_mm + 1000.0 * arm_m)
@@ -304,7 +317,7 @@ impl Data {
 }
 
 /// Returns the columns of a mode, K₀'s first.
-fn terms(mode: ThermalMode) -> &'static [Term] {
+fn mode_terms(mode: ThermalMode) -> &'static [Term] {
     match mode {
         ThermalMode::Constant => &[Term::Constant, Term::Warm],
         ThermalMode::Position => &[Term::Position, Term::WarmPosition],
@@ -313,28 +326,28 @@ fn terms(mode: ThermalMode) -> &'static [Term] {
 }
 
 /// Lines over T, and what becomes of them in the machine file.
-struct Law<'f> {
+struct LinearLaw<'f> {
     mode: ThermalMode,
-    fitted: &'f Fitted,
+    fitted: &'f LaggedFit,
     mean_c: f64,
     wider: f64,
 }
 
-impl Law<'_> {
+impl LinearLaw<'_> {
     /// T₀ of the line in columns `at` and `at + 1`, and the half width of its interval.
-    fn reference(&self, at: usize) -> (f64, f64) {
+    fn reference_temperature(&self, at: usize) -> (f64, f64) {
         let (height, slope) = (self.fitted.coefficients[at], self.fitted.coefficients[at + 1]);
         let mut gradient = vec![0.0; self.fitted.coefficients.len()];
         gradient[at] = -1.0 / slope;
         gradient[at + 1] = height / (slope * slope);
-        (self.mean_c - height / slope, self.wider * self.fitted.half_width_of(&gradient))
+        (self.mean_c - height / slope, self.wider * self.fitted.half_width_for_gradient(&gradient))
     }
 
     /// Returns the machine file's constants, reported; a table of two rows where one T₀ cannot serve.
-    fn constants(&self, data: &Data, report: &mut Report) -> Thermal {
+    fn report_constants(&self, data: &ThermalData, report: &mut Report) -> ThermalLaw {
         let c = &self.fitted.coefficients;
-        let half = |at: usize| self.wider * self.fitted.half_width(at);
-        let mut thermal = Thermal {
+        let half = |at: usize| self.wider * self.fitted.coefficient_half_width(at);
+        let mut thermal = ThermalLaw {
             mode: self.mode,
             sensor: data.sensor.clone(),
             reference_c: 0.0,
@@ -347,7 +360,7 @@ impl Law<'_> {
         let (name_of_a, name_of_b) = ("constant_um_per_c", "slope_um_per_m_per_c");
         let parameters = &mut report.parameters;
         if self.mode != ThermalMode::Both {
-            let (reference_c, reference_half) = self.reference(0);
+            let (reference_c, reference_half) = self.reference_temperature(0);
             thermal.reference_c = reference_c;
             let name = match self.mode {
                 ThermalMode::Constant => {
@@ -361,28 +374,30 @@ impl Law<'_> {
             };
             parameters.push(Parameter::amplitude(name, c[1], half(1)));
             parameters.push(Parameter::fitted("reference_c", reference_c, reference_half));
-            parameters.push(Parameter::set("origin_mm", data.origin_mm));
+            parameters.push(Parameter::fixed("origin_mm", data.origin_mm));
         } else {
             // a and b with one T₀: where a₀ + a·T and b₀ + b·T are zero together, a₀·b = b₀·a. The
             // difference of the two sides is a contrast whose size has its own interval.
             let contrast = c[0] * c[3] - c[2] * c[1];
             let gradient = [c[3], -c[2], -c[1], c[0]];
-            let half_contrast = self.wider * self.fitted.half_width_of(&gradient);
-            let limit = half_contrast * t_quantile(0.5 + SURE / 2.0, 1e6) / t_quantile(0.975, 1e6);
+            let half_contrast = self.wider * self.fitted.half_width_for_gradient(&gradient);
+            let limit = half_contrast * t_quantile(0.5 + CONFIDENCE_LEVEL / 2.0, 1e6)
+                / t_quantile(0.975, 1e6);
             if contrast.abs() > limit {
-                let rows = two_rows(data, self, c);
+                let rows = two_row_table(data, self, c);
                 for row in &rows {
                     let at = format!("at {:.3} degC", row.temperature_c);
                     let dt = row.temperature_c - self.mean_c;
-                    let k0 = self.wider * self.fitted.half_width_of(&[1.0, dt, 0.0, 0.0]);
-                    let slope = self.wider * self.fitted.half_width_of(&[0.0, 0.0, 1.0, dt]);
+                    let k0 = self.wider * self.fitted.half_width_for_gradient(&[1.0, dt, 0.0, 0.0]);
+                    let slope =
+                        self.wider * self.fitted.half_width_for_gradient(&[0.0, 0.0, 1.0, dt]);
                     let name = format!("constant_um {at}");
                     parameters.push(Parameter::fitted(name, row.constant_um, k0));
                     let name = format!("slope_um_per_m {at}");
                     parameters.push(Parameter::fitted(name, row.slope_um_per_m, slope));
                 }
-                let (of_a, _) = self.reference(0);
-                let (of_b, _) = self.reference(2);
+                let (of_a, _) = self.reference_temperature(0);
+                let (of_b, _) = self.reference_temperature(2);
                 report.warnings.push(format!(
                     "the constant part is zero at {of_a:.2} degC and the slope at {of_b:.2} degC: \
                      one reference_c cannot serve both, so they are written as a table, which is \
@@ -392,10 +407,11 @@ impl Law<'_> {
             } else {
                 // T₀ from both lines, each by how well it knows it; a and b then follow from the
                 // heights at T̄, which are known best.
-                let ((of_a, half_a), (of_b, half_b)) = (self.reference(0), self.reference(2));
+                let ((of_a, half_a), (of_b, half_b)) =
+                    (self.reference_temperature(0), self.reference_temperature(2));
                 let (weight_a, weight_b) = (half_a.powi(-2), half_b.powi(-2));
                 let reference_c = (weight_a * of_a + weight_b * of_b) / (weight_a + weight_b);
-                let solution = common_reference(data, self.fitted.lag_s, reference_c);
+                let solution = fit_common_reference(data, self.fitted.lag_s, reference_c);
                 let (reference_c, a, b, halves) = solution.unwrap_or((
                     reference_c,
                     c[1],
@@ -409,7 +425,7 @@ impl Law<'_> {
                 parameters.push(Parameter::amplitude(name_of_b, b, self.wider * halves[2]));
                 let half = self.wider * halves[0];
                 parameters.push(Parameter::fitted("reference_c", reference_c, half));
-                parameters.push(Parameter::set("origin_mm", data.origin_mm));
+                parameters.push(Parameter::fixed("origin_mm", data.origin_mm));
             }
         }
         report.parameters.push(self.fitted.lag_parameter(self.wider));
@@ -418,18 +434,25 @@ impl Law<'_> {
 }
 
 /// T₀, a and b of y = (a + b·P)·(T − T₀), with the half widths of their intervals.
-fn common_reference(data: &Data, lag_s: f64, start_c: f64) -> Option<(f64, f64, f64, [f64; 3])> {
-    let model = table::CommonReference { lagged_c: data.lagged_c(lag_s), arm_m: &data.arm_m };
-    let options = least_squares::Options { first_steps: vec![1.0], ..Default::default() };
+fn fit_common_reference(
+    data: &ThermalData,
+    lag_s: f64,
+    start_c: f64,
+) -> Option<(f64, f64, f64, [f64; 3])> {
+    let model = table::CommonReferenceModel {
+        lagged_c: data.lagged_temperatures_c(lag_s),
+        arm_m: &data.arm_m,
+    };
+    let options = least_squares::SolverOptions { first_steps: vec![1.0], ..Default::default() };
     let fit = fit_separable(&model, &data.y, &[vec![start_c]], &options).ok()?;
-    let half = |at| fit.half_width(at);
+    let half = |at| fit.confidence_half_width(at);
     let &[reference_c, a, b] = fit.parameters.as_slice() else { return None };
     Some((reference_c, a, b, [half(0), half(1), half(2)]))
 }
 
 /// Returns the two lines between the coldest and the warmest temperature.
-fn two_rows(data: &Data, law: &Law<'_>, c: &[f64]) -> Vec<ThermalRow> {
-    let lagged_c = data.lagged_c(law.fitted.lag_s);
+fn two_row_table(data: &ThermalData, law: &LinearLaw<'_>, c: &[f64]) -> Vec<ThermalRow> {
+    let lagged_c = data.lagged_temperatures_c(law.fitted.lag_s);
     let used = || lagged_c.iter().zip(&data.y).filter(|(_, y)| !y.is_nan()).map(|(t, _)| *t);
     let ends = [used().fold(f64::INFINITY, f64::min), used().fold(f64::NEG_INFINITY, f64::max)];
     let row = |temperature_c: f64| ThermalRow {
@@ -438,51 +461,4 @@ fn two_rows(data: &Data, law: &Law<'_>, c: &[f64]) -> Vec<ThermalRow> {
         slope_um_per_m: c[2] + c[3] * (temperature_c - law.mean_c),
     };
     ends.map(row).to_vec()
-}
-
-/// Reports the constants that the data cannot separate.
-fn say_what_is_one(report: &mut Report, mode: ThermalMode, is_table: bool) {
-    if is_table {
-        return;
-    }
-    report.warnings.push(match mode {
-        ThermalMode::Position => {
-            "reference_c and a constant error per metre cannot be told apart: \
-             what the axis's scale is wrong by at every temperature is in reference_c"
-                .into()
-        }
-        ThermalMode::Constant => {
-            "reference_c and the zero of the instrument cannot be told apart: \
-             where the instrument was set to zero is in reference_c"
-                .into()
-        }
-        ThermalMode::Both => "reference_c takes the instrument to have been at zero, and the \
-             axis's scale right, at one and the same temperature"
-            .to_string(),
-    });
-}
-
-fn section(axis: LinearAxis, thermal: &Thermal, report: &Report) -> NewSection {
-    let mut section = NewSection::new(format!("axis.{}.thermal", axis.name()))
-        .text("mode", thermal.mode.name())
-        .text("sensor", thermal.sensor.clone());
-    match &thermal.table {
-        Some(table) => {
-            let row = |row: &ThermalRow| [row.temperature_c, row.constant_um, row.slope_um_per_m];
-            section = section.rows("table", table.iter().map(row).collect::<Vec<_>>());
-        }
-        None => {
-            section = section.number("reference_c", thermal.reference_c);
-            if thermal.mode.has_constant() {
-                section = section.number("constant_um_per_c", thermal.constant_um_per_c);
-            }
-            if thermal.mode.has_position() {
-                section = section.number("slope_um_per_m_per_c", thermal.slope_um_per_m_per_c);
-            }
-        }
-    }
-    section
-        .number("origin_mm", thermal.origin_mm)
-        .number("lag_s", thermal.lag_s)
-        .remark(summary(report))
 }

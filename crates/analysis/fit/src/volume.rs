@@ -14,53 +14,55 @@
 //! | [`reading`] | a reading and its pose |
 //! | `read`, `predicted` | rows of run files, without what the machine file predicts |
 //! | [`modes`] | forms of a smooth function |
-//! | [`constants`] | the errors, and what a unit of each does |
-//! | [`frame`], [`setup`] | the workpiece and the tool, and what is unknown of a set-up |
+//! | `error_parameters` | the errors, and what a unit of each does |
+//! | `kinematics`, [`setup`] | the workpiece and the tool, and what is unknown of a set-up |
 //! | `design` | the equations |
 //! | [`mod@estimate`] | constants, noise and sizes |
-//! | [`judge`] | what is known, and readings that were held out |
-//! | [`next`] | the measurement that would settle the rest |
-//! | [`written`] | sections of the machine file |
+//! | [`identifiability`] | what is known, and readings that were held out |
+//! | `next_tests` | the measurement that would settle the rest |
+//! | `section_writer` | sections of the machine file |
 //! | `page` | the page with the curves |
 
-pub mod constants;
-pub(crate) mod design;
+pub(crate) mod design_matrix;
+pub(crate) mod error_parameters;
 pub mod estimate;
-pub mod frame;
-pub mod judge;
+mod html_report;
+pub mod identifiability;
+pub(crate) mod kinematics;
 pub mod modes;
-pub mod next;
-mod page;
-mod predicted;
-mod read;
+pub(crate) mod next_tests;
+mod prediction;
 pub mod reading;
+mod run_reader;
+pub(crate) mod section_writer;
 pub mod setup;
-pub mod written;
 
 use std::collections::BTreeMap;
 
-use trueup_machine::{BadInput, Location, Machine, RunFile, file::write::Edit};
+use trueup_machine::{BadInput, Location, Machine, RunFile, file::writer::Edit};
 use trueup_numerics::robust;
 
 use self::{
-    constants::Constants,
-    design::{Design, normals},
-    estimate::{Posterior, Variances, estimate},
-    frame::Frame,
-    judge::{HeldOut, Known},
-    reading::{Kind, Pose, Reading, dot},
-    setup::Uncertainty,
+    design_matrix::{DesignMatrix, normal_equations},
+    error_parameters::ErrorParameters,
+    estimate::{Posterior, Variances, estimate_variances},
+    identifiability::{ErrorAssessment, HeldOutResult},
+    kinematics::ForwardKinematics,
+    reading::{Pose, Reading, ReadingKind, dot},
+    setup::SetupUncertainty,
 };
-use crate::report::SetAside;
+use crate::report::ExcludedRow;
 
-pub use self::{constants::Error, judge::HALF_WIDTH, page::page};
+pub use self::{
+    error_parameters::GeometricError, html_report::build_page, identifiability::NORMAL_QUANTILE_975,
+};
 
 /// A reading further from the fit, in standard deviations by the median, is a gross error.
-const GROSS: f64 = 6.0;
+const GROSS_ERROR_LIMIT_SIGMAS: f64 = 6.0;
 /// The scale of an artefact that nothing is known of, in µm/m.
-const ANY_SCALE: f64 = 100.0;
+const PRIOR_SCALE_STD_UM_PER_M: f64 = 100.0;
 /// The noise before the readings say more, in µm.
-const USUAL_NOISE_UM: f64 = 1.0;
+const DEFAULT_NOISE_UM: f64 = 1.0;
 
 /// The stated uncertainties of the instrument.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -77,48 +79,48 @@ pub struct Options {
 #[derive(Clone, Debug)]
 pub struct VolumeReport {
     /// Each error, in the order of ISO 230-1, rotary axes after them.
-    pub known: Vec<Known>,
+    pub known: Vec<ErrorAssessment>,
     /// The errors that are written.
-    pub written: Vec<Error>,
+    pub written: Vec<GeometricError>,
     /// The sections of the machine file.
     pub edit: Edit,
     /// Readings that were held out.
-    pub held_out: HeldOut,
+    pub held_out: HeldOutResult,
     /// The noise of each kind of reading in µm; `None` where there is none of the kind.
     pub noise_um: [Option<f64>; 4],
     /// Readings of each kind.
     pub readings: [usize; 4],
     /// Gross readings.
-    pub set_aside: Vec<SetAside>,
+    pub set_aside: Vec<ExcludedRow>,
     /// Warnings to the user; whole sentences.
     pub warnings: Vec<String>,
     /// The constants, to predict with.
-    pub model: Model,
+    pub model: VolumetricModel,
 }
 
 impl VolumeReport {
     /// Returns whether the correction gains on held-out readings by more than the standard error.
     #[must_use]
-    pub fn is_better(&self) -> bool {
+    pub fn is_improvement(&self) -> bool {
         self.held_out.is_better
     }
 }
 
 /// The constants, and how well they predict.
 #[derive(Clone, Debug)]
-pub struct Model {
-    constants: Constants,
+pub struct VolumetricModel {
+    constants: ErrorParameters,
     posterior: Posterior,
 }
 
-impl Model {
+impl VolumetricModel {
     /// Returns the difference of the errors of two poses in a direction, µm, and its standard deviation.
     #[must_use]
     pub fn difference_um(&mut self, from: &Pose, to: &Pose, toward: [f64; 3]) -> [f64; 2] {
-        let [from, to] = [from, to].map(|pose| self.constants.at(pose));
+        let [from, to] = [from, to].map(|pose| self.constants.tip_sensitivities(pose));
         let row: Vec<f64> =
             to.iter().zip(&from).map(|(to, from)| dot(toward, *to) - dot(toward, *from)).collect();
-        self.posterior.of(&row)
+        self.posterior.predict(&row)
     }
 }
 
@@ -135,44 +137,52 @@ pub fn fit(
         let rule = "machine.chain is missing: the sign and the lever of an error depend on what each axis carries";
         let help = "write the axes into [machine] from the workpiece over the bed to the tool: chain = \"w X' b Y Z t\"";
         let path = runs.first().map_or_else(|| "".as_ref(), RunFile::path);
-        let place = machine.places.of("machine");
+        let place = machine.places.locate("machine");
         let place =
-            if place.file.as_os_str().is_empty() { Location::start_of(path) } else { place };
+            if place.file.as_os_str().is_empty() { Location::start_of_file(path) } else { place };
         return Err(BadInput::new(place, rule).with_help(help));
     };
     let mut warnings = Vec::new();
-    let readings = read::read(runs, machine, options.artefact_um.is_some(), &mut warnings)?;
-    let uncertainty = Uncertainty {
-        scale_um_per_m: options.scale_um_per_m.unwrap_or(ANY_SCALE),
+    let readings = run_reader::read(runs, machine, options.artefact_um.is_some(), &mut warnings)?;
+    let uncertainty = SetupUncertainty {
+        scale_um_per_m: options.scale_um_per_m.unwrap_or(PRIOR_SCALE_STD_UM_PER_M),
         artefact_um: options.artefact_um.unwrap_or(0.0),
     };
     // The file states an expanded uncertainty.
     let of_file = machine.instrument_um.map(|um| 0.5 * um);
-    let noise_um = options.instrument_um.or(of_file).unwrap_or(USUAL_NOISE_UM);
+    let noise_um = options.instrument_um.or(of_file).unwrap_or(DEFAULT_NOISE_UM);
     let poses: Vec<Pose> = readings.iter().map(|it| it.pose).collect();
-    let points_mm = points(machine, &Frame::of(machine, chain), &poses);
+    let points_mm = reference_points(machine, &ForwardKinematics::new(machine, chain), &poses);
     let mut own = machine.clone();
     if let Some(points_mm) = points_mm {
         own.volume.point_mm = points_mm;
     }
-    say_of_lines(&own, &mut warnings);
-    let constants = Constants::of(&own, &poses);
-    let design = Design::of(&own, constants.clone(), &readings);
-    let all = normals(&design, &readings, |_| true);
-    let (variances, found) = estimate(&design, &all, &uncertainty, noise_um);
-    let gross = gross(&design, &readings, &variances, &found);
+    warn_missing_rotary_lines(&own, &mut warnings);
+    let constants = ErrorParameters::new(&own, &poses);
+    let design = DesignMatrix::new(&own, constants.clone(), &readings);
+    let all = normal_equations(&design, &readings, |_| true);
+    let (variances, found) = estimate_variances(&design, &all, &uncertainty, noise_um);
+    let gross = find_gross_errors(&design, &readings, &variances, &found);
     let is_in = |n: usize| !gross[n];
-    let all = if gross.contains(&true) { normals(&design, &readings, is_in) } else { all };
+    let all = if gross.contains(&true) { normal_equations(&design, &readings, is_in) } else { all };
     let (variances, found) = match gross.contains(&true) {
-        true => estimate(&design, &all, &uncertainty, noise_um),
+        true => estimate_variances(&design, &all, &uncertainty, noise_um),
         false => (variances, found),
     };
-    let held_out = judge::held_out(&design, &readings, is_in, &all, &variances);
-    let sight = judge::sight(&design, &all, &uncertainty, variances.noise_um);
-    let mut known = judge::known(&design, &found, &sight, &readings);
+    let held_out = identifiability::cross_validate(&design, &readings, is_in, &all, &variances);
+    let observability =
+        identifiability::assess_observability(&design, &all, &uncertainty, variances.noise_um);
+    let mut known = identifiability::assess_errors(&design, &found, &observability, &readings);
     let used: Vec<Reading> =
         (0..readings.len()).filter(|n| is_in(*n)).map(|n| readings[n]).collect();
-    next::propose(&own, &constants, &used, &uncertainty, variances.noise_um, &mut known);
+    next_tests::propose_next_tests(
+        &own,
+        &constants,
+        &used,
+        &uncertainty,
+        variances.noise_um,
+        &mut known,
+    );
     if options.scale_um_per_m.is_none()
         && known.iter().any(|it| it.error.unit() == "µm" && !it.is_known)
     {
@@ -184,26 +194,33 @@ pub fn fit(
     let count = constants.all.len();
     let mean: Vec<f64> = found.mean.iter().take(count).copied().collect();
     let (edit, written) = match held_out.is_better {
-        true => written::edit(machine, &constants, &mean, &known, points_mm, &mut warnings),
+        true => {
+            section_writer::build_edit(machine, &constants, &mean, &known, points_mm, &mut warnings)
+        }
         false => (Edit::default(), Vec::new()),
     };
-    let kinds = |kind: Kind| used.iter().filter(|it| it.kind == kind).count();
-    let readings_of = Kind::ALL.map(kinds);
+    let kinds = |kind: ReadingKind| used.iter().filter(|it| it.kind == kind).count();
+    let readings_of = ReadingKind::ALL.map(kinds);
     Ok(VolumeReport {
         known,
         written,
         edit,
         held_out,
-        noise_um: Kind::ALL.map(|kind| (kinds(kind) > 0).then(|| variances.noise_um[kind.index()])),
+        noise_um: ReadingKind::ALL
+            .map(|kind| (kinds(kind) > 0).then(|| variances.noise_um[kind.index()])),
         readings: readings_of,
-        set_aside: set_aside(runs, &readings, &gross),
+        set_aside: list_excluded_rows(runs, &readings, &gross),
         warnings,
-        model: Model { constants, posterior: found },
+        model: VolumetricModel { constants, posterior: found },
     })
 }
 
 /// Returns where straightness is to be stated: in the middle of what was measured. `None` where the file has angles or points.
-fn points(machine: &Machine, frame: &Frame<'_>, poses: &[Pose]) -> Option<[[f64; 3]; 3]> {
+fn reference_points(
+    machine: &Machine,
+    frame: &ForwardKinematics<'_>,
+    poses: &[Pose],
+) -> Option<[[f64; 3]; 3]> {
     let volume = &machine.volume;
     if !volume.angular.is_empty() || volume.point_mm != [[0.0; 3]; 3] {
         return None;
@@ -214,20 +231,20 @@ fn points(machine: &Machine, frame: &Frame<'_>, poses: &[Pose]) -> Option<[[f64;
     });
     let count = poses.len() as f64;
     let tool_mm = poses.iter().map(|pose| pose.tool_mm).sum::<f64>() / count;
-    let tip = frame.tip_mm(&Pose { position_mm: middle, angle_deg: [0.0; 3], tool_mm });
+    let tip = frame.tip_offset_mm(&Pose { position_mm: middle, angle_deg: [0.0; 3], tool_mm });
     let chain = volume.chain.as_ref()?;
     Some(trueup_machine::file::LinearAxis::ALL.map(|along| {
         let mut point = tip;
-        for axis in chain.in_lever(along) {
+        for axis in chain.lever_axes(along) {
             point[axis.index()] += middle[axis.index()];
         }
-        point.map(|mm| trueup_machine::file::write::rounded(mm, 3))
+        point.map(|mm| trueup_machine::file::writer::round_to_decimals(mm, 3))
     }))
 }
 
 /// Warns where the line of a rotary axis is not stated.
-fn say_of_lines(machine: &Machine, warnings: &mut Vec<String>) {
-    for axis in machine.volume.chain.iter().flat_map(trueup_machine::file::Chain::rotary) {
+fn warn_missing_rotary_lines(machine: &Machine, warnings: &mut Vec<String>) {
+    for axis in machine.volume.chain.iter().flat_map(trueup_machine::file::Chain::rotary_axes) {
         if !machine.volume.rotary.iter().any(|it| it.axis == axis) {
             warnings.push(format!(
                 "rotary.{}.point_mm is not stated: its line is taken to go through machine zero",
@@ -238,8 +255,8 @@ fn say_of_lines(machine: &Machine, warnings: &mut Vec<String>) {
 }
 
 /// Returns for each reading whether it is a gross error.
-fn gross(
-    design: &Design,
+fn find_gross_errors(
+    design: &DesignMatrix,
     readings: &[Reading],
     variances: &Variances,
     found: &Posterior,
@@ -252,26 +269,26 @@ fn gross(
             reading.um - fitted
         })
         .collect();
-    let mut by_kind: BTreeMap<Kind, Vec<f64>> = BTreeMap::new();
+    let mut by_kind: BTreeMap<ReadingKind, Vec<f64>> = BTreeMap::new();
     for (reading, left) in readings.iter().zip(&left) {
         by_kind.entry(reading.kind).or_default().push(left.abs());
     }
     // A standard deviation is 1.4826 medians; a fit that is near all readings leaves less than their noise.
-    let limits: BTreeMap<Kind, f64> = by_kind
+    let limits: BTreeMap<ReadingKind, f64> = by_kind
         .into_iter()
         .map(|(kind, mut left)| {
             let scatter = 1.4826 * robust::median(&mut left);
-            (kind, GROSS * scatter.max(0.5 * variances.noise_um[kind.index()]))
+            (kind, GROSS_ERROR_LIMIT_SIGMAS * scatter.max(0.5 * variances.noise_um[kind.index()]))
         })
         .collect();
     readings.iter().zip(left).map(|(reading, left)| left.abs() > limits[&reading.kind]).collect()
 }
 
-fn set_aside(runs: &[RunFile], readings: &[Reading], gross: &[bool]) -> Vec<SetAside> {
+fn list_excluded_rows(runs: &[RunFile], readings: &[Reading], gross: &[bool]) -> Vec<ExcludedRow> {
     let found = readings.iter().zip(gross).filter(|(_, is_gross)| **is_gross);
     found
-        .map(|(reading, _)| SetAside {
-            place: runs[reading.source[0]].place(reading.source[1], reading.column),
+        .map(|(reading, _)| ExcludedRow {
+            place: runs[reading.source[0]].value_location(reading.source[1], reading.column),
             measured_um: reading.measured_um,
             reason: "far from what all other readings say together".into(),
         })

@@ -17,68 +17,71 @@
 //! fit steps the model's own state through the rows, so that `trueup predict` gives the residuals
 //! that are reported.
 
-mod shape;
+mod warmup_model;
 
 use trueup_machine::{
     BadInput, Machine,
-    applied::Uncompensated,
-    file::write::{Edit, NewSection, Value},
+    applied_offsets::UncompensatedRun,
+    file::writer::{Edit, NewSection, Value},
     file::{ElongationSource, Warmup},
     model::WarmupState,
 };
 use trueup_numerics::{
-    least_squares::{Fit, Separable as _},
+    least_squares::{NonlinearFit, SeparableModel as _},
     t_quantile,
 };
 
-use self::shape::{Free, Record, Shape};
+use self::warmup_model::{FreeParameters, WarmupModel, WarmupRecord};
 use crate::{
-    elongation::{MEASURED, finish, judge, say_old, spread_or_bad, summary, warn_of_source},
-    lagged,
-    report::{Fact, Parameter, Report, Spread},
-    rows::{self, Rows},
+    elongation::{
+        MEASURED_COLUMN, add_residual_statistics, check_input_variation, judge_fit,
+        report_previous_fit, section_comment, warn_source_mismatch,
+    },
+    lagged_regression,
+    pooled_rows::{self, PooledRows},
+    report::{Fact, Parameter, Report, ResidualStatistics},
 };
 
 /// A further constant is taken where chance gives its gain less than once in this many.
-const SURE: f64 = 0.999;
+const CONFIDENCE_LEVEL: f64 = 0.999;
 /// The smallest exponent that is set where the record does not show one.
-const SET_EXPONENT: f64 = 4.0;
+const MIN_FIXED_EXPONENT: f64 = 4.0;
 /// Speeds nearer than this share are one.
-const SAME_SPEED: f64 = 0.02;
+const SPEED_RELATIVE_TOLERANCE: f64 = 0.02;
 
 /// Fits the warm-up of all `runs`. Each file begins cold.
 ///
 /// # Errors
 /// A column is missing, too few rows have all values, or all times are equal.
-pub fn fit(runs: &[Uncompensated<'_>], machine: Option<&Machine>) -> Result<Report, BadInput> {
-    let rows = Rows::of(runs)?;
+pub fn fit(runs: &[UncompensatedRun<'_>], machine: Option<&Machine>) -> Result<Report, BadInput> {
+    let rows = PooledRows::new(runs)?;
     let old = machine.and_then(|machine| machine.spindle.warmup.as_ref());
-    let time_s = rows.require("time_s")?;
-    let spindle_rpm = rows.optional("spindle_rpm")?;
-    let mut y = rows.require(MEASURED)?;
-    let starts = rows.starts(Some(&time_s));
-    let mut report = Report::new("warmup", MEASURED);
+    let time_s = rows.required_column("time_s")?;
+    let spindle_rpm = rows.optional_column("spindle_rpm")?;
+    let mut y = rows.required_column(MEASURED_COLUMN)?;
+    let starts = rows.restart_flags(Some(&time_s));
+    let mut report = Report::new("warmup", MEASURED_COLUMN);
     let is_complete = |row: usize| {
         !time_s[row].is_nan() && spindle_rpm.as_ref().is_none_or(|rpm| !rpm[row].is_nan())
     };
     (0..y.len()).filter(|row| !is_complete(*row)).for_each(|row| y[row] = f64::NAN);
     report.rows_incomplete = y.iter().filter(|y| y.is_nan()).count();
-    let found = lagged::outliers(&time_s, &starts, &y);
-    report.set_aside = rows.set_aside(&found, &y, MEASURED);
+    let found = lagged_regression::find_outliers(&time_s, &starts, &y);
+    report.set_aside = rows.excluded_rows(&found, &y, MEASURED_COLUMN);
     found.iter().for_each(|outlier| y[outlier.row] = f64::NAN);
     let is_used: Vec<bool> = y.iter().map(|y| !y.is_nan()).collect();
-    spread_or_bad(&rows, "time_s", &time_s, &is_used, 8)?;
+    check_input_variation(&rows, "time_s", &time_s, &is_used, 8)?;
 
-    let speeds = speeds(spindle_rpm.as_deref(), &y);
+    let speeds = distinct_speeds(spindle_rpm.as_deref(), &y);
     if spindle_rpm.is_some() && speeds.is_empty() {
-        let place = rows.place(0, "spindle_rpm");
+        let place = rows.location(0, "spindle_rpm");
         let rule = "spindle_rpm is 0 in every row: a spindle that stands does not warm up";
         return Err(BadInput::new(place, rule));
     }
     // One speed says nothing of others: what the user has believed of them stays.
     let kept = old.filter(|old| speeds.len() == 1 && old.speed_exponent != 0.0);
-    let files = rows.files();
-    let record = Record {
+    let files = rows.file_indices();
+    let record = WarmupRecord {
         time_s: &time_s,
         spindle_rpm: spindle_rpm.as_deref(),
         starts: &starts,
@@ -87,49 +90,53 @@ pub fn fit(runs: &[Uncompensated<'_>], machine: Option<&Machine>) -> Result<Repo
         set_speed_exponent: kept.map_or(0.0, |old| old.speed_exponent),
         set_cool_s: None,
     };
-    let base = Free { speed: speeds.len() > 1, cool: cools(&record, &y), ..Free::default() };
-    let span = Span::of(&record, &y);
-    let (shape, fit) = choose(record, base, &y, &span)
-        .ok_or_else(|| rows.bad("no warm-up can be fitted to these rows"))?;
-    let wider = rows::widening(&fit.residuals);
+    let base = FreeParameters {
+        speed: speeds.len() > 1,
+        cool: has_cooling(&record, &y),
+        ..FreeParameters::default()
+    };
+    let span = RecordSpan::from_record(&record, &y);
+    let (shape, fit) = select_model(record, base, &y, &span)
+        .ok_or_else(|| rows.input_error("no warm-up can be fitted to these rows"))?;
+    let wider = pooled_rows::autocorrelation_inflation(&fit.residuals);
 
-    let (groups, by) = rows.groups(&is_used);
+    let (groups, by) = rows.cross_validation_groups(&is_used);
     let left_out = groups.as_ref().and_then(|groups| {
-        rows::by_groups(&y, groups, |y, group| {
+        pooled_rows::leave_one_group_out(&y, groups, |y, group| {
             let pairs = y.iter().zip(groups);
             let hide = |(y, of): (&f64, &usize)| if *of == group { f64::NAN } else { *y };
             let hidden: Vec<f64> = pairs.map(hide).collect();
-            let start = fit.parameters[..shape.nonlinear()].to_vec();
+            let start = fit.parameters[..shape.nonlinear_count()].to_vec();
             let refit = shape.fit(&hidden, &[start])?;
-            let values = shape.values(&refit.parameters, y.len());
+            let values = shape.evaluate(&refit.parameters, y.len());
             Some(y.iter().zip(values).map(|(y, value)| y - value).collect())
         })
     });
-    let model = describe(&mut report, &shape, &fit, &span, wider);
+    let model = report_constants(&mut report, &shape, &fit, &span, wider);
     if let Some(old) = old {
-        say_old(&mut report, &residuals_of(&record, old, &y));
+        report_previous_fit(&mut report, &previous_model_residuals(&record, old, &y));
     }
-    say_conditions(&mut report, &rows, &record, &y);
-    finish(&mut report, &y, &fit.residuals, left_out, by, wider);
-    judge(&mut report, &y, groups.as_deref());
+    report_each_run(&mut report, &rows, &record, &y);
+    add_residual_statistics(&mut report, &y, &fit.residuals, left_out, by, wider);
+    judge_fit(&mut report, &y, groups.as_deref());
     if report.verdict.is_fitted() {
-        report.edit = Edit::of(section(&model, &report));
+        report.edit = Edit::from_section(warmup_section(&model, &report));
         report.edit.defaults.push(("spindle".into(), "source", Value::Text("warmup".into())));
-        warn_of_source(&mut report, machine, ElongationSource::Warmup);
+        warn_source_mismatch(&mut report, machine, ElongationSource::Warmup);
     }
     Ok(report)
 }
 
 /// How long and how often the record looks.
-struct Span {
+struct RecordSpan {
     /// The usual time from row to row.
     interval_s: f64,
     /// The longest that the spindle ran without a break.
     longest_s: f64,
 }
 
-impl Span {
-    fn of(record: &Record<'_>, y: &[f64]) -> Self {
+impl RecordSpan {
+    fn from_record(record: &WarmupRecord<'_>, y: &[f64]) -> Self {
         let (mut longest_s, mut since, mut before) = (0.0_f64, None, f64::NAN);
         let mut intervals = Vec::new();
         for (row, &time) in record.time_s.iter().enumerate().filter(|(_, time)| !time.is_nan()) {
@@ -157,7 +164,7 @@ impl Span {
 }
 
 /// Returns the speeds at which it ran, rising, those within a hair of each other as one: its largest.
-fn speeds(spindle_rpm: Option<&[f64]>, y: &[f64]) -> Vec<f64> {
+fn distinct_speeds(spindle_rpm: Option<&[f64]>, y: &[f64]) -> Vec<f64> {
     let mut all: Vec<f64> = spindle_rpm
         .into_iter()
         .flatten()
@@ -169,7 +176,7 @@ fn speeds(spindle_rpm: Option<&[f64]>, y: &[f64]) -> Vec<f64> {
     let mut speeds: Vec<f64> = Vec::new();
     for rpm in all {
         match speeds.last_mut() {
-            Some(last) if rpm <= *last * (1.0 + SAME_SPEED) => *last = rpm,
+            Some(last) if rpm <= *last * (1.0 + SPEED_RELATIVE_TOLERANCE) => *last = rpm,
             _ => speeds.push(rpm),
         }
     }
@@ -177,7 +184,7 @@ fn speeds(spindle_rpm: Option<&[f64]>, y: &[f64]) -> Vec<f64> {
 }
 
 /// Returns whether the record has enough of a spindle that stands after it has run.
-fn cools(record: &Record<'_>, y: &[f64]) -> bool {
+fn has_cooling(record: &WarmupRecord<'_>, y: &[f64]) -> bool {
     let Some(rpm) = record.spindle_rpm else { return false };
     let (mut has_run, mut rows) = (false, 0);
     for (row, &rpm) in rpm.iter().enumerate() {
@@ -190,14 +197,19 @@ fn cools(record: &Record<'_>, y: &[f64]) -> bool {
 /// Returns the simplest shape that no further constant makes clearly better: of the lag, the end of the
 /// growth and the zero of the instrument the one that gains most is taken first, as each of them
 /// can pass for another as long as that is missing.
-fn choose<'a>(record: Record<'a>, base: Free, y: &[f64], span: &Span) -> Option<(Shape<'a>, Fit)> {
-    let search = |free: Free| {
-        let shape = Shape { record, free, longest_tau_s: 50.0 * span.longest_s };
-        let fit = shape.fit(y, &shape.grid(span.interval_s, span.longest_s))?;
+fn select_model<'a>(
+    record: WarmupRecord<'a>,
+    base: FreeParameters,
+    y: &[f64],
+    span: &RecordSpan,
+) -> Option<(WarmupModel<'a>, NonlinearFit)> {
+    let search = |free: FreeParameters| {
+        let shape = WarmupModel { record, free, longest_tau_s: 50.0 * span.longest_s };
+        let fit = shape.fit(y, &shape.start_grid(span.interval_s, span.longest_s))?;
         Some((shape, fit))
     };
-    let is_within = |shape: &Shape<'_>, fit: &Fit| {
-        let constants = shape.constants(&fit.parameters);
+    let is_within = |shape: &WarmupModel<'_>, fit: &NonlinearFit| {
+        let constants = shape.decode_parameters(&fit.parameters);
         let end_s = constants.lag_s + constants.exponent * constants.tau_s;
         // An end beyond the record is none that was seen.
         !shape.free.ends || end_s < span.longest_s
@@ -205,14 +217,17 @@ fn choose<'a>(record: Record<'a>, base: Free, y: &[f64], span: &Span) -> Option<
     let mut best = search(base)?;
     loop {
         let free = best.0.free;
-        let further =
-            [Free { lag: true, ..free }, Free { ends: true, ..free }, Free { zero: true, ..free }];
+        let further = [
+            FreeParameters { lag: true, ..free },
+            FreeParameters { ends: true, ..free },
+            FreeParameters { zero: true, ..free },
+        ];
         let more = further
             .into_iter()
             .filter(|more| *more != free)
             .filter_map(search)
             .filter(|(shape, fit)| fit.linear.is_ok() && is_within(shape, fit))
-            .filter(|(_, fit)| is_better(&best.1, fit))
+            .filter(|(_, fit)| is_significantly_better(&best.1, fit))
             .min_by(|a, b| a.1.residual_squares.total_cmp(&b.1.residual_squares));
         match more {
             Some(more) => best = more,
@@ -222,32 +237,39 @@ fn choose<'a>(record: Record<'a>, base: Free, y: &[f64], span: &Span) -> Option<
 }
 
 /// Returns whether `more` gains more than chance does, its residuals' correlation considered.
-fn is_better(less: &Fit, more: &Fit) -> bool {
+fn is_significantly_better(less: &NonlinearFit, more: &NonlinearFit) -> bool {
     let further = more.parameters.len().saturating_sub(less.parameters.len()).max(1) as f64;
     let rows = more.residuals.iter().filter(|residual| !residual.is_nan()).count();
     let degrees = rows.saturating_sub(more.parameters.len()) as f64;
-    let wider = rows::widening(&more.residuals);
+    let wider = pooled_rows::autocorrelation_inflation(&more.residuals);
     let degrees = (degrees / (wider * wider)).max(1.0);
     let variance = more.residual_squares / degrees;
     let gained = (less.residual_squares - more.residual_squares) / further;
-    gained > variance * t_quantile(1.0 - (1.0 - SURE) / (2.0 * further), degrees).powi(2)
+    gained
+        > variance * t_quantile(1.0 - (1.0 - CONFIDENCE_LEVEL) / (2.0 * further), degrees).powi(2)
 }
 
 /// Returns the machine file's constants, reported.
-fn describe(report: &mut Report, shape: &Shape<'_>, fit: &Fit, span: &Span, wider: f64) -> Warmup {
-    let constants = shape.constants(&fit.parameters);
-    let [tau, lag, ends, speed, cool] = shape.places();
-    let size_at = shape.nonlinear();
+fn report_constants(
+    report: &mut Report,
+    shape: &WarmupModel<'_>,
+    fit: &NonlinearFit,
+    span: &RecordSpan,
+    wider: f64,
+) -> Warmup {
+    let constants = shape.decode_parameters(&fit.parameters);
+    let [tau, lag, ends, speed, cool] = shape.parameter_indices();
+    let size_at = shape.nonlinear_count();
     let size = fit.parameters[size_at];
-    let half = |at: usize| wider * fit.half_width(at);
+    let half = |at: usize| wider * fit.confidence_half_width(at);
     let shown = |name: &str, at: Option<usize>, value: f64| match at {
         Some(at) => Parameter::fitted(name, value, half(at)),
-        None => Parameter::set(name, value),
+        None => Parameter::fixed(name, value),
     };
     let exponent = if ends.is_some() {
         constants.exponent
     } else {
-        SET_EXPONENT.max((span.longest_s - constants.lag_s) / constants.tau_s)
+        MIN_FIXED_EXPONENT.max((span.longest_s - constants.lag_s) / constants.tau_s)
     };
     let share = if ends.is_some() { 1.0 } else { -(-exponent).exp_m1() };
     let warm_s = constants.lag_s + exponent * constants.tau_s;
@@ -258,8 +280,10 @@ fn describe(report: &mut Report, shape: &Shape<'_>, fit: &Fit, span: &Span, wide
             gradient[at] = derivative;
         }
     }
-    let half_warm =
-        fit.linear.as_ref().map_or(f64::INFINITY, |linear| linear.half_width_of(&gradient));
+    let half_warm = fit
+        .linear
+        .as_ref()
+        .map_or(f64::INFINITY, |linear| linear.half_width_for_gradient(&gradient));
     let rated_rpm = shape.record.rated_rpm;
     let model = Warmup {
         lag_s: constants.lag_s,
@@ -280,7 +304,7 @@ fn describe(report: &mut Report, shape: &Shape<'_>, fit: &Fit, span: &Span, wide
         parameters.push(shown("cool_s", cool, cool_s));
     }
     if let Some(rated_rpm) = rated_rpm {
-        parameters.push(Parameter::set("rated_rpm", rated_rpm));
+        parameters.push(Parameter::fixed("rated_rpm", rated_rpm));
         parameters.push(shown("speed_exponent", speed, constants.speed_exponent));
     }
     if shape.free.zero {
@@ -315,7 +339,7 @@ fn describe(report: &mut Report, shape: &Shape<'_>, fit: &Fit, span: &Span, wide
 }
 
 /// Measured minus what the machine file's model has said so far.
-fn residuals_of(record: &Record<'_>, old: &Warmup, y: &[f64]) -> Vec<f64> {
+fn previous_model_residuals(record: &WarmupRecord<'_>, old: &Warmup, y: &[f64]) -> Vec<f64> {
     let mut state = WarmupState::default();
     let mut value = |row: usize| {
         if record.starts[row] {
@@ -329,8 +353,13 @@ fn residuals_of(record: &Record<'_>, old: &Warmup, y: &[f64]) -> Vec<f64> {
 }
 
 /// t₁, t₂ and Smax of each run alone, where there are several.
-fn say_conditions(report: &mut Report, rows: &Rows<'_>, record: &Record<'_>, y: &[f64]) {
-    let Some(groups) = rows.runs_of_rows() else { return };
+fn report_each_run(
+    report: &mut Report,
+    rows: &PooledRows<'_>,
+    record: &WarmupRecord<'_>,
+    y: &[f64],
+) {
+    let Some(groups) = rows.run_indices() else { return };
     let mut squares = 0.0;
     let mut count = 0;
     for group in 0..=groups.iter().copied().max().unwrap_or(0) {
@@ -340,18 +369,22 @@ fn say_conditions(report: &mut Report, rows: &Rows<'_>, record: &Record<'_>, y: 
         if alone.iter().filter(|y| !y.is_nan()).count() < 8 {
             continue;
         }
-        let speeds = speeds(record.spindle_rpm, &alone);
+        let speeds = distinct_speeds(record.spindle_rpm, &alone);
         let record =
-            Record { rated_rpm: speeds.last().copied(), set_speed_exponent: 0.0, ..*record };
-        let span = Span::of(&record, &alone);
-        let base = Free { cool: cools(&record, &alone), ..Free::default() };
-        if let (1 | 0, Some((shape, fit))) = (speeds.len(), choose(record, base, &alone, &span)) {
+            WarmupRecord { rated_rpm: speeds.last().copied(), set_speed_exponent: 0.0, ..*record };
+        let span = RecordSpan::from_record(&record, &alone);
+        let base =
+            FreeParameters { cool: has_cooling(&record, &alone), ..FreeParameters::default() };
+        if let (1 | 0, Some((shape, fit))) =
+            (speeds.len(), select_model(record, base, &alone, &span))
+        {
             let mut own = Report::new("warmup", "");
-            let model = describe(&mut own, &shape, &fit, &span, 1.0);
+            let model = report_constants(&mut own, &shape, &fit, &span, 1.0);
             squares += fit.residual_squares;
             count += fit.residuals.iter().filter(|residual| !residual.is_nan()).count();
             let speed = speeds.last().map_or(String::new(), |rpm| format!("{rpm:.0} r/min: "));
-            let rms = Spread::of(&fit.residuals).map_or(0.0, |spread| spread.rms_um);
+            let rms = ResidualStatistics::from_residuals(&fit.residuals)
+                .map_or(0.0, |spread| spread.rms_um);
             let text = format!(
                 "{speed}lag_s {:.1}, warm_s {:.1}, max_um {:.2}, exponent {:.2}, time constant \
                  {:.1} s, {rms:.3} µm RMS",
@@ -369,18 +402,19 @@ fn say_conditions(report: &mut Report, rows: &Rows<'_>, record: &Record<'_>, y: 
     }
 }
 
-fn section(model: &Warmup, report: &Report) -> NewSection {
+fn warmup_section(model: &Warmup, report: &Report) -> NewSection {
     let mut section = NewSection::new("spindle.warmup")
-        .number("lag_s", model.lag_s)
-        .number("warm_s", model.warm_s)
-        .number("max_um", model.max_um)
-        .number("exponent", model.exponent);
+        .with_number("lag_s", model.lag_s)
+        .with_number("warm_s", model.warm_s)
+        .with_number("max_um", model.max_um)
+        .with_number("exponent", model.exponent);
     if let Some(cool_s) = model.cool_s {
-        section = section.number("cool_s", cool_s);
+        section = section.with_number("cool_s", cool_s);
     }
     if let Some(rated_rpm) = model.rated_rpm {
-        section =
-            section.number("rated_rpm", rated_rpm).number("speed_exponent", model.speed_exponent);
+        section = section
+            .with_number("rated_rpm", rated_rpm)
+            .with_number("speed_exponent", model.speed_exponent);
     }
-    section.keeping(&["cool_s"]).remark(summary(report))
+    section.with_preserved_keys(&["cool_s"]).with_header_comment(section_comment(report))
 }

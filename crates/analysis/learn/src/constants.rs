@@ -18,19 +18,19 @@ use serde::{Deserialize, Serialize};
 use toml_edit::{DocumentMut, Item, TableLike, Value};
 use trueup_machine::{
     BadInput, Machine, MachineFile, RunFile,
-    effect::{Effect, Stage},
-    file::{ElongationSource, LinearAxis, Quantity, write},
+    effect::{Effect, PredictionStage},
+    file::{ElongationSource, LinearAxis, Quantity, writer},
     predict::Predictor,
 };
 
 use crate::{
-    rise::{self, Rise},
-    sections::find,
+    sections::find_section,
+    temperature_rise::{self, TemperatureRise},
 };
 
 /// A constant that is learned.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Constant {
+pub struct LearnableConstant {
     /// Its place in the machine file: `spindle.temperature.k_um_per_c`, `term[1].um_per_c`.
     pub key: String,
     /// The value in the user's own file, in the unit of the key; not 0.
@@ -40,16 +40,16 @@ pub struct Constant {
     pub(crate) term: String,
 }
 
-impl Constant {
+impl LearnableConstant {
     /// Returns true for the temperature at which an axis has no error: it moves only with the thermometer, so it is held until
     /// that has moved.
-    pub(crate) fn is_reference(&self) -> bool {
+    pub(crate) fn is_reference_temperature(&self) -> bool {
         self.key.ends_with(".reference_c")
     }
 
     /// Returns true for the values that are held until a thermometer has moved.
     pub(crate) fn is_held(&self) -> bool {
-        self.is_reference() || Rise::of(&self.key).is_some()
+        self.is_reference_temperature() || TemperatureRise::parse_key(&self.key).is_some()
     }
 
     /// Returns the unit of its value, by its key.
@@ -59,7 +59,7 @@ impl Constant {
     }
 
     /// Returns true if both are the same constant, whatever its number or value is.
-    pub(crate) fn is(&self, other: &Self) -> bool {
+    pub(crate) fn is_same_as(&self, other: &Self) -> bool {
         if self.term.is_empty() || other.term.is_empty() {
             return self.key == other.key;
         }
@@ -71,7 +71,7 @@ impl Constant {
 /// Returns the unit of a constant, by its key.
 pub(crate) fn unit(key: &str) -> String {
     let name = key.rsplit('.').next().unwrap_or(key);
-    if Rise::of(key).is_some() {
+    if TemperatureRise::parse_key(key).is_some() {
         return "times".into();
     }
     if name.starts_with("width_") {
@@ -93,11 +93,15 @@ pub(crate) fn unit(key: &str) -> String {
 }
 
 /// Returns what can be learned of `quantity`, in the order of the file; `air` is the column of the air.
-pub(crate) fn constants(machine: &Machine, quantity: Quantity, air: Option<&str>) -> Vec<Constant> {
+pub(crate) fn learnable_constants(
+    machine: &Machine,
+    quantity: Quantity,
+    air: Option<&str>,
+) -> Vec<LearnableConstant> {
     let mut all = Vec::new();
     let mut add = |key: String, believed: f64| {
         if believed != 0.0 && believed.is_finite() {
-            all.push(Constant { key, believed, term: String::new() });
+            all.push(LearnableConstant { key, believed, term: String::new() });
         }
     };
     let spindle = &machine.spindle;
@@ -140,51 +144,57 @@ pub(crate) fn constants(machine: &Machine, quantity: Quantity, air: Option<&str>
     for (index, term) in machine.terms.iter().enumerate() {
         let is_of = term.quantity == quantity
             || term.quantity == Quantity::Elongation && quantity.axis().is_some();
-        let Some((key, believed)) = amplitude(&term.effect).filter(|_| is_of) else { continue };
+        let Some((key, believed)) = single_amplitude(&term.effect).filter(|_| is_of) else {
+            continue;
+        };
         if believed == 0.0 || !believed.is_finite() {
             continue;
         }
         let texts = term.effect.entries().into_iter().filter_map(|(_, value)| match value {
-            write::Value::Number(_) => None,
+            writer::Value::Number(_) => None,
             other => Some(format!("{other:?}")),
         });
         let named = [term.effect.name().to_string(), term.quantity.name().to_string()];
         let mut name = named.into_iter().chain(texts).collect::<Vec<_>>().join(" ");
-        let same = all.iter().filter(|it: &&Constant| it.term.split('#').next() == Some(&name));
+        let same =
+            all.iter().filter(|it: &&LearnableConstant| it.term.split('#').next() == Some(&name));
         if let count @ 1.. = same.count() {
             name += &format!("#{count}");
         }
-        all.push(Constant { key: format!("term[{index}].{key}"), believed, term: name });
+        all.push(LearnableConstant { key: format!("term[{index}].{key}"), believed, term: name });
     }
-    let rises = air.map_or(Vec::new(), |air| rise::of(machine, quantity, air));
+    let rises = air.map_or(Vec::new(), |air| temperature_rise::rise_keys(machine, quantity, air));
     let rises = rises.into_iter();
-    all.extend(rises.map(|key| Constant { key, believed: 1.0, term: String::new() }));
+    all.extend(rises.map(|key| LearnableConstant { key, believed: 1.0, term: String::new() }));
     all
 }
 
 /// Returns the one amplitude of a term that is added, with its key.
-fn amplitude(effect: &Effect) -> Option<(&'static str, f64)> {
-    let is_one =
-        effect.stage() == Stage::Sum && effect.amplitudes() == 1 && effect.is_compensated();
+fn single_amplitude(effect: &Effect) -> Option<(&'static str, f64)> {
+    let is_one = effect.stage() == PredictionStage::Sum
+        && effect.amplitude_count() == 1
+        && effect.is_compensated();
     let last = *effect.values().last().filter(|_| is_one)?;
     let entries = effect.entries().into_iter();
     entries.into_iter().find_map(|(key, value)| match value {
-        write::Value::Number(number) if number == last && key.contains("um") => Some((key, number)),
+        writer::Value::Number(number) if number == last && key.contains("um") => {
+            Some((key, number))
+        }
         _ => None,
     })
 }
 
 /// `source`, the user's machine file, with other constants; what else it says, comments too, stays. `None`
 /// where it has no section for one.
-pub(crate) fn with(source: &str, changed: &[(String, f64)]) -> Option<String> {
+pub(crate) fn replace_constants(source: &str, changed: &[(String, f64)]) -> Option<String> {
     let mut document: DocumentMut = source.parse().ok()?;
     let counts_per_v = counts_per_v(&document);
     let (rises, changed): (Vec<_>, Vec<_>) =
-        changed.iter().partition(|(key, _)| Rise::of(key).is_some());
+        changed.iter().partition(|(key, _)| TemperatureRise::parse_key(key).is_some());
     for (key, number) in changed {
         let (section, name) = key.rsplit_once('.')?;
-        let section = find(document.as_item_mut(), section)?.as_table_like_mut()?;
-        let (name, number) = in_users_unit(section, name, *number, counts_per_v)?;
+        let section = find_section(document.as_item_mut(), section)?.as_table_like_mut()?;
+        let (name, number) = to_user_unit(section, name, *number, counts_per_v)?;
         let decor = section.get(name).and_then(Item::as_value).map(|old| old.decor().clone());
         let mut new = Value::from(number);
         if let Some(decor) = decor {
@@ -194,13 +204,13 @@ pub(crate) fn with(source: &str, changed: &[(String, f64)]) -> Option<String> {
     }
     let own: DocumentMut = source.parse().ok()?;
     for (key, number) in rises {
-        Rise::of(key)?.write(&own, &mut document, number - 1.0)?;
+        TemperatureRise::parse_key(key)?.write_terms(&own, &mut document, number - 1.0)?;
     }
     Some(document.to_string())
 }
 
 /// Returns the key and the number as the user has written that constant: growth for a volt, in the place of a count.
-fn in_users_unit<'k>(
+fn to_user_unit<'k>(
     section: &dyn TableLike,
     name: &'k str,
     number: f64,
@@ -226,7 +236,10 @@ fn counts_per_v(document: &DocumentMut) -> Option<f64> {
 
 /// Where the zero of the growth is written, and what an added micrometre makes of the number there;
 /// `None` where the file has no place for it.
-pub(crate) fn zero(machine: &Machine, quantity: Quantity) -> Option<(&'static str, f64, f64)> {
+pub(crate) fn zero_location(
+    machine: &Machine,
+    quantity: Quantity,
+) -> Option<(&'static str, f64, f64)> {
     if quantity != Quantity::Elongation {
         return None;
     }
@@ -257,18 +270,18 @@ pub(crate) struct Sensitivity {
 }
 
 /// Without a second thermometer the air has this temperature.
-const AIR_C: f64 = 20.0;
+const DEFAULT_AIR_C: f64 = 20.0;
 /// The share by which a thermometer is altered to see what depends on it.
-const SHARE: f64 = 0.1;
+const RELATIVE_PERTURBATION: f64 = 0.1;
 
 impl Sensitivity {
     /// Of `run` by the machine file `source`, to which the shares `applied` are applied.
     ///
     /// # Errors
     /// `source` is no machine file; the run lacks a column without which nothing can be predicted.
-    pub fn of(
+    pub fn from_run(
         source: &str,
-        (constants, applied): (&[Constant], &[f64]),
+        (constants, applied): (&[LearnableConstant], &[f64]),
         run: &RunFile,
         quantity: Quantity,
     ) -> Result<Self, BadInput> {
@@ -276,15 +289,17 @@ impl Sensitivity {
             let machine = MachineFile::parse(text, run.path())?;
             let index = Quantity::ALL.iter().position(|it| *it == quantity).unwrap_or(0);
             let rows = Predictor::new(&machine, run)?;
-            let um: Vec<f64> = rows.model().map(|values| values.all()[index]).collect();
+            let um: Vec<f64> = rows.model_values().map(|values| values.to_array()[index]).collect();
             Ok(um)
         };
         let believed_um = predicted(source)?;
         let mut um: Vec<Vec<f64>> = believed_um.iter().map(|_| vec![1.0]).collect();
-        for (Constant { key, believed, .. }, share) in constants.iter().zip(&applied[1..]) {
-            let rise = Rise::of(key);
+        for (LearnableConstant { key, believed, .. }, share) in constants.iter().zip(&applied[1..])
+        {
+            let rise = TemperatureRise::parse_key(key);
             let has_column = rise.as_ref().is_none_or(|rise| run.column(rise.air).is_some());
-            let twice = with(source, &[(key.clone(), 2.0 * believed)]).unwrap_or_default();
+            let twice =
+                replace_constants(source, &[(key.clone(), 2.0 * believed)]).unwrap_or_default();
             let twice = if has_column { predicted(&twice)? } else { vec![f64::NAN; um.len()] };
             // Without the air nothing is known of what is over it; as long as nothing is, none of it is missing.
             let is_idle = rise.is_some() && *share == 0.0;
@@ -301,24 +316,27 @@ impl Sensitivity {
         // By the file and not by the rows: a record that grows has the same ones.
         let is_used = |name: &String| is_one(name) && source.contains(&format!("\"{name}\""));
         for name in names.filter(is_used) {
-            let air_c: Vec<f64> = (0..run.rows())
+            let air_c: Vec<f64> = (0..run.row_count())
                 .map(|row| {
                     let others =
                         run.columns().iter().filter(|it| is_one(&it.name) && it.name != name);
                     let there = others.map(|it| it.values[row]).filter(|c| c.is_finite());
-                    there.reduce(f64::min).unwrap_or(AIR_C)
+                    there.reduce(f64::min).unwrap_or(DEFAULT_AIR_C)
                 })
                 .collect();
-            let altered = run.altered(run.rows(), |column, values| {
+            let altered = run.with_altered_values(run.row_count(), |column, values| {
                 if column == name {
                     let rows = values.iter_mut().zip(&air_c);
-                    rows.for_each(|(value, air_c)| *value += SHARE * (*value - air_c));
+                    rows.for_each(|(value, air_c)| {
+                        *value += RELATIVE_PERTURBATION * (*value - air_c)
+                    });
                 }
             });
             let rows = Predictor::new(&machine, &altered)?;
-            let all = rows.model().zip(&believed_um);
-            let um: Vec<f64> =
-                all.map(|(values, once)| (values.all()[index] - once) / SHARE).collect();
+            let all = rows.model_values().zip(&believed_um);
+            let um: Vec<f64> = all
+                .map(|(values, once)| (values.to_array()[index] - once) / RELATIVE_PERTURBATION)
+                .collect();
             thermometers.push(name);
             shares_um.push(um);
         }
@@ -330,26 +348,29 @@ impl Sensitivity {
 ///
 /// # Errors
 /// It is not there, or there are several to choose from.
-pub(crate) fn measured(run: &RunFile, wanted: Option<Quantity>) -> Result<Quantity, BadInput> {
+pub(crate) fn measured_quantity(
+    run: &RunFile,
+    wanted: Option<Quantity>,
+) -> Result<Quantity, BadInput> {
     let name = |quantity: Quantity| format!("measured_{}_um", quantity.name());
     if let Some(wanted) = wanted {
-        return run.require(&name(wanted)).map(|_| wanted);
+        return run.require_column(&name(wanted)).map(|_| wanted);
     }
     let is_there = |quantity: &Quantity| run.column(&name(*quantity)).is_some();
     let there: Vec<Quantity> = Quantity::ALL.into_iter().filter(is_there).collect();
     match there[..] {
         [only] => Ok(only),
-        [] => run.require("measured_elongation_um").map(|_| Quantity::Elongation),
+        [] => run.require_column("measured_elongation_um").map(|_| Quantity::Elongation),
         ref several => {
             let names: Vec<&str> = several.iter().map(|quantity| quantity.name()).collect();
             let rule = format!("measures {}: say which with --quantity", names.join(", "));
-            Err(run.bad(0, &name(several[0]), rule))
+            Err(run.value_error(0, &name(several[0]), rule))
         }
     }
 }
 
 /// Returns the name of an axis's quantity, or the elongation.
-pub(crate) fn named(name: &str) -> Option<Quantity> {
+pub(crate) fn quantity_by_name(name: &str) -> Option<Quantity> {
     let axes = LinearAxis::ALL.len();
     Quantity::ALL.into_iter().take(axes + 1).find(|quantity| quantity.name() == name)
 }
@@ -364,12 +385,13 @@ mod tests {
                       [[term]]\num_per_c = 3.0\n";
         let changed =
             [("spindle.temperature.k_um_per_c".into(), 2.5), ("term[1].um_per_c".into(), 4.0)];
-        let text = with(source, &changed).expect("both are there");
+        let text = replace_constants(source, &changed).expect("both are there");
         assert_eq!(text, source.replace("2.0 #", "2.5 #").replace("3.0", "4.0"));
         // What was left to its default is written; a section that is not there is not made up.
-        let zero = with(source, &[("spindle.temperature.lag_s".into(), 1.0)]).expect("a section");
+        let zero = replace_constants(source, &[("spindle.temperature.lag_s".into(), 1.0)])
+            .expect("a section");
         assert!(zero.contains("lag_s = 1.0"), "{zero}");
-        assert_eq!(with(source, &[("spindle.sensor.k0_um".into(), 1.0)]), None);
+        assert_eq!(replace_constants(source, &[("spindle.sensor.k0_um".into(), 1.0)]), None);
     }
 
     #[test]
@@ -377,7 +399,7 @@ mod tests {
         let source = "[inputs]\nsensor = { volts_full_scale = 10.0, counts_full_scale = 32000 }\n\
                       [spindle.sensor]\num_per_v = 50.0 # the data sheet's\n";
         let changed = [("spindle.sensor.um_per_count".into(), 0.016)];
-        let text = with(source, &changed).expect("it is there");
+        let text = replace_constants(source, &changed).expect("it is there");
         assert_eq!(text, source.replace("50.0", "51.2"));
     }
 }

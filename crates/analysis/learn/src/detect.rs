@@ -11,8 +11,8 @@
 //! ```
 //!
 //! The likelihood of a bad reading bounds the evidence of any single one (6.6 of the 11.5 that are needed, at 2 µm), so
-//! three that agree are the least. An event is reported from a size of [`MATERIAL`] times the scatter on, and of
-//! [`KNOWN`] times the uncertainty of the prediction: what was never known has not changed. σ is the scatter of the readings
+//! three that agree are the least. An event is reported from a size of [`MIN_EVENT_RATIO`] times the scatter on, and of
+//! [`MIN_EVENT_PREDICTION_SIGMAS`] times the uncertainty of the prediction: what was never known has not changed. σ is the scatter of the readings
 //! about their predictions, which contains what these are usually uncertain by; only more than that is added.
 //!
 //! Two alternatives are distinguished by these readings where the best explanation by one differs from the best by
@@ -22,49 +22,49 @@ use trueup_numerics::robust::median;
 
 /// ln of the odds that make an event certain: one in a hundred thousand by chance for each reading, before the search over
 /// instants and alternatives, of which the bounds on size take back more than the search gives.
-const CERTAIN: f64 = 11.5;
+const MIN_EVENT_LOG_ODDS: f64 = 11.5;
 /// And below which an event that was certain is taken back: a thousand to one.
-pub(crate) const DOUBTFUL: f64 = 6.9;
+pub(crate) const RETRACTION_LOG_ODDS: f64 = 6.9;
 /// Share of bad readings, and the range in µm over which they lie.
-const BAD: f64 = 0.05;
-const RANGE_UM: f64 = 200.0;
+const OUTLIER_FRACTION: f64 = 0.05;
+const OUTLIER_RANGE_UM: f64 = 200.0;
 /// The smallest event, RMS over the readings after it, in scatters of a reading: what is smaller is followed as it ages.
-const MATERIAL: f64 = 3.0;
+const MIN_EVENT_RATIO: f64 = 3.0;
 /// The smallest event that acts on the estimate, in µm: any tool setter keeps 5 µm, and the estimate follows by itself what a
 /// machine ages by over a weekend (with multiples of the scatter alone the worst of sixty months that age fast is followed worse
 /// than to 3.5 µm). It is reported all the same.
-const ACTS_UM: f64 = 5.0;
+const MIN_ACTING_EVENT_UM: f64 = 5.0;
 /// The smallest step of the zero that readings count from, in scatters, and in µm: one and a half standard deviations of what is
 /// believed of it before the first reading.
-const ZERO: f64 = 3.0;
-const ZERO_UM: f64 = 7.5;
+const MIN_ZERO_STEP_RATIO: f64 = 3.0;
+const MIN_ZERO_STEP_UM: f64 = 7.5;
 
 /// Returns the smallest step of the zero that readings count from, in µm, for a scatter of a reading in µm.
-pub(crate) fn smallest_step_um(scatter_um: f64) -> f64 {
-    (ZERO * scatter_um).max(ZERO_UM)
+pub(crate) fn min_zero_step_um(scatter_um: f64) -> f64 {
+    (MIN_ZERO_STEP_RATIO * scatter_um).max(MIN_ZERO_STEP_UM)
 }
 
 /// And in standard deviations of the prediction.
-const KNOWN: f64 = 4.0;
+const MIN_EVENT_PREDICTION_SIGMAS: f64 = 4.0;
 /// The prediction's usual uncertainty, as a share of the scatter that contains it: where a constant may go anywhere in a month,
 /// two readings a day leave this much.
-const USUAL: f64 = 0.5;
+const TYPICAL_UNCERTAINTY_RATIO: f64 = 0.5;
 /// Readings after an event: no fewer than three that agree can say anything; a scatter needs more.
-const MIN: usize = 3;
+const MIN_EVENT_READINGS: usize = 3;
 /// A reading agrees with an event that makes it twice as likely, in ln: three that agree, of which two are bad, are too few.
-const AGREES: f64 = 0.7;
-const MIN_SCATTER: usize = 12;
+const MIN_AGREEMENT_LOG_RATIO: f64 = 0.7;
+const MIN_SCATTER_READINGS: usize = 12;
 /// By how much readings may scatter more, and the least that is reported.
-const SCATTERS: [f64; 4] = [2.5, 3.2, 4.0, 6.0];
+const SCATTER_FACTORS: [f64; 4] = [2.5, 3.2, 4.0, 6.0];
 /// The least share of a scatter's evidence in each half of the readings: a half of the half that it has on average.
-const HALF: f64 = 0.25;
+const MIN_HALF_EVIDENCE_FRACTION: f64 = 0.25;
 /// By this factor at most the scatter of most readings may be below that of all: of twelve it is known to a third.
-const CORE: f64 = 1.5;
+const MAX_CORE_RATIO: f64 = 1.5;
 /// A thermometer that shows m of a rise misses 1/m − 1 of what it shows. Wherever it goes, it shows no more than twice the rise of its
 /// part, and never the opposite.
-const LEAST_SHARE: f64 = -0.5;
+const MIN_THERMOMETER_SHARE: f64 = -0.5;
 /// Standard errors between alternatives that are distinguished.
-const DISTINCT: f64 = 4.0;
+const MIN_SEPARATION_SIGMAS: f64 = 4.0;
 
 /// A reading, for the search.
 pub(crate) struct Row<'a> {
@@ -77,7 +77,7 @@ pub(crate) struct Row<'a> {
 }
 
 /// The belief before an instant.
-pub(crate) struct Before {
+pub(crate) struct PriorBelief {
     /// The zero in µm, the shares.
     pub x: Vec<f64>,
     /// The constants that may change by themselves.
@@ -99,7 +99,7 @@ pub(crate) enum Alternative {
 
 /// An alternative as fitted.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Fitted {
+pub(crate) struct FittedAlternative {
     pub alternative: Alternative,
     /// δ: µm, or a share; of scatter the factor.
     pub size: f64,
@@ -111,36 +111,41 @@ pub(crate) struct Fitted {
     pub effect_um: f64,
 }
 
-impl Fitted {
+impl FittedAlternative {
     /// Returns true if it is large enough to act on the estimate.
-    pub fn acts(&self) -> bool {
-        self.alternative == Alternative::Scatter || self.effect_um >= ACTS_UM
+    pub(crate) fn is_actionable(&self) -> bool {
+        self.alternative == Alternative::Scatter || self.effect_um >= MIN_ACTING_EVENT_UM
     }
 }
 
 /// The best explanation of the readings from an instant on.
 #[derive(Clone, Debug)]
 pub(crate) struct Finding {
-    pub best: Fitted,
+    pub best: FittedAlternative,
     /// Others that these readings do not distinguish from it.
-    pub others: Vec<Fitted>,
+    pub others: Vec<FittedAlternative>,
     /// All that were fitted.
-    pub all: Vec<Fitted>,
+    pub all: Vec<FittedAlternative>,
     /// Scatter of a reading before it, in µm.
     pub scatter_um: f64,
 }
 
 /// Returns the best explanation of `rows`, which begin at an instant; `None` where nothing is certain.
-pub(crate) fn explain(rows: &[Row<'_>], before: &Before, is_certain: bool) -> Option<Finding> {
-    if rows.len() < MIN {
+pub(crate) fn find_best_explanation(
+    rows: &[Row<'_>],
+    before: &PriorBelief,
+    is_certain: bool,
+) -> Option<Finding> {
+    if rows.len() < MIN_EVENT_READINGS {
         return None;
     }
-    let Left { e, unknown_um, sigma } = left(rows, before);
-    if !is_certain && most(&e, sigma) < CERTAIN {
+    let PredictionResiduals { e, unknown_um, sigma } = compute_residuals(rows, before);
+    if !is_certain && max_log_likelihood_gain(&e, sigma) < MIN_EVENT_LOG_ODDS {
         return None;
     }
     let thermometers = rows[0].h.len();
-    let (mut all, mut fits) = (Vec::<(Fitted, Vec<f64>)>::new(), Vec::<Fitted>::new());
+    let (mut all, mut fits) =
+        (Vec::<(FittedAlternative, Vec<f64>)>::new(), Vec::<FittedAlternative>::new());
     let every = std::iter::once(Alternative::Zero)
         .chain(before.constants.iter().copied().map(Alternative::Constant))
         .chain((0..thermometers).map(Alternative::Thermometer));
@@ -154,42 +159,47 @@ pub(crate) fn explain(rows: &[Row<'_>], before: &Before, is_certain: bool) -> Op
             })
             .collect();
         let is_moved = matches!(alternative, Alternative::Thermometer(_));
-        let fitted = fit(alternative, &e, &h, sigma);
-        let Some(fitted) = fitted.filter(|it| !is_moved || it.size > LEAST_SHARE) else { continue };
+        let fitted = fit_alternative(alternative, &e, &h, sigma);
+        let Some(fitted) = fitted.filter(|it| !is_moved || it.size > MIN_THERMOMETER_SHARE) else {
+            continue;
+        };
         fits.push(fitted);
-        let least = (MATERIAL * before.scatter_um[0]).max(KNOWN * unknown_um);
+        let least =
+            (MIN_EVENT_RATIO * before.scatter_um[0]).max(MIN_EVENT_PREDICTION_SIGMAS * unknown_um);
         if is_certain || fitted.effect_um >= least {
             all.push((fitted, h));
         }
     }
     // A change that a bad reading hides in looks like a scatter at first.
-    let is_hidden = |by: &Fitted| fits.iter().any(|it| it.gain > DOUBTFUL.max(by.gain));
-    if let Some(fitted) = scatter(&e, sigma).filter(|it| !is_hidden(it)) {
+    let is_hidden =
+        |by: &FittedAlternative| fits.iter().any(|it| it.gain > RETRACTION_LOG_ODDS.max(by.gain));
+    if let Some(fitted) = fit_scatter(&e, sigma).filter(|it| !is_hidden(it)) {
         all.push((fitted, Vec::new()));
     }
     let best = (0..all.len()).max_by(|a, b| all[*a].0.gain.total_cmp(&all[*b].0.gain))?;
     let (best_fit, best_h) = &all[best];
-    if best_fit.gain < if is_certain { DOUBTFUL } else { CERTAIN } {
+    if best_fit.gain < if is_certain { RETRACTION_LOG_ODDS } else { MIN_EVENT_LOG_ODDS } {
         return None;
     }
     let others = all.iter().enumerate().filter(|(index, (other, h))| {
         *index != best
             && !best_h.is_empty()
             && !h.is_empty()
-            && separation(best_fit, best_h, other, h, &e, before.scatter_um[0]) < DISTINCT
+            && separation_sigmas(best_fit, best_h, other, h, &e, before.scatter_um[0])
+                < MIN_SEPARATION_SIGMAS
     });
     let others = others.map(|(_, (fitted, _))| *fitted).collect();
     Some(Finding { best: *best_fit, others, all: fits, scatter_um: before.scatter_um[0] })
 }
 
 /// Returns true if nothing has happened since an earlier instant than that of `rows`, whose belief `before` is.
-pub(crate) fn is_predicted(rows: &[Row<'_>], before: &Before) -> bool {
-    let Left { e, sigma, .. } = left(rows, before);
-    most(&e, sigma) < CERTAIN
+pub(crate) fn is_explained_by_prior(rows: &[Row<'_>], before: &PriorBelief) -> bool {
+    let PredictionResiduals { e, sigma, .. } = compute_residuals(rows, before);
+    max_log_likelihood_gain(&e, sigma) < MIN_EVENT_LOG_ODDS
 }
 
 /// The residuals of readings under a belief, and their expected scatter.
-struct Left {
+struct PredictionResiduals {
     /// Of each, in µm.
     e: Vec<f64>,
     /// Standard deviation of the prediction, RMS over the readings, in µm.
@@ -199,54 +209,59 @@ struct Left {
 }
 
 /// Computes what `before` leaves of `rows`.
-fn left(rows: &[Row<'_>], before: &Before) -> Left {
+fn compute_residuals(rows: &[Row<'_>], before: &PriorBelief) -> PredictionResiduals {
     let squares: f64 = before.unknown_um.iter().map(|um| um * um).sum();
     let unknown_um = (squares / rows.len() as f64).sqrt();
     let predicted = |row: &Row<'_>| row.g.iter().zip(&before.x).map(|(g, x)| g * x).sum::<f64>();
     let e = rows.iter().map(|row| row.y_um - predicted(row)).collect();
     let scatter_um = before.scatter_um[0];
-    let more = (unknown_um.powi(2) - (USUAL * scatter_um).powi(2)).max(0.0);
-    Left { e, unknown_um, sigma: scatter_um.hypot(more.sqrt()) }
+    let more = (unknown_um.powi(2) - (TYPICAL_UNCERTAINTY_RATIO * scatter_um).powi(2)).max(0.0);
+    PredictionResiduals { e, unknown_um, sigma: scatter_um.hypot(more.sqrt()) }
 }
 
 /// Returns what explains all of `e`: no alternative gains more.
-fn most(e: &[f64], sigma: f64) -> f64 {
-    e.iter().map(|e| likelihood(0.0, sigma) - likelihood(*e, sigma)).sum()
+fn max_log_likelihood_gain(e: &[f64], sigma: f64) -> f64 {
+    e.iter().map(|e| log_likelihood(0.0, sigma) - log_likelihood(*e, sigma)).sum()
 }
 
 /// Returns ln of the density of an error `e` in µm, for a scatter of `sigma`.
-fn likelihood(e: f64, sigma: f64) -> f64 {
+fn log_likelihood(e: f64, sigma: f64) -> f64 {
     let good = (-0.5 * (e / sigma).powi(2)).exp() / (std::f64::consts::TAU.sqrt() * sigma);
-    ((1.0 - BAD) * good + BAD / RANGE_UM).ln()
+    ((1.0 - OUTLIER_FRACTION) * good + OUTLIER_FRACTION / OUTLIER_RANGE_UM).ln()
 }
 
 /// Returns the share of an error that is a good reading's.
-fn weight(e: f64, sigma: f64) -> f64 {
+fn inlier_probability(e: f64, sigma: f64) -> f64 {
     let good = (-0.5 * (e / sigma).powi(2)).exp() / (std::f64::consts::TAU.sqrt() * sigma);
-    let good = (1.0 - BAD) * good;
-    good / (good + BAD / RANGE_UM)
+    let good = (1.0 - OUTLIER_FRACTION) * good;
+    good / (good + OUTLIER_FRACTION / OUTLIER_RANGE_UM)
 }
 
 /// Fits e = δ·h by maximum likelihood (EM from several starts); `None` where h says nothing.
-fn fit(alternative: Alternative, e: &[f64], h: &[f64], sigma: f64) -> Option<Fitted> {
-    const STARTS: usize = 6;
-    const STEPS: usize = 12;
+fn fit_alternative(
+    alternative: Alternative,
+    e: &[f64],
+    h: &[f64],
+    sigma: f64,
+) -> Option<FittedAlternative> {
+    const EM_START_COUNT: usize = 6;
+    const EM_ITERATIONS: usize = 12;
     let largest = h.iter().map(|h| h.abs()).fold(0.0, f64::max);
     if largest < 1e-9 {
         return None;
     }
     let gain = |size: f64| -> f64 {
         let each = e.iter().zip(h);
-        each.map(|(e, h)| likelihood(e - size * h, sigma) - likelihood(*e, sigma)).sum()
+        each.map(|(e, h)| log_likelihood(e - size * h, sigma) - log_likelihood(*e, sigma)).sum()
     };
     let informative = (0..e.len()).rev().filter(|n| h[*n].abs() > 0.3 * largest);
     let mut best: Option<(f64, f64)> = None;
-    for start in informative.take(STARTS) {
+    for start in informative.take(EM_START_COUNT) {
         let mut size = e[start] / h[start];
-        for _ in 0..STEPS {
+        for _ in 0..EM_ITERATIONS {
             let (mut eh, mut hh) = (0.0, 0.0);
             for (e, h) in e.iter().zip(h) {
-                let w = weight(e - size * h, sigma);
+                let w = inlier_probability(e - size * h, sigma);
                 eh += w * e * h;
                 hh += w * h * h;
             }
@@ -262,51 +277,58 @@ fn fit(alternative: Alternative, e: &[f64], h: &[f64], sigma: f64) -> Option<Fit
     }
     let (size, gain) = best?;
     let agrees = |(e, h): (&f64, &f64)| {
-        let explained = likelihood(e - size * h, sigma) - likelihood(*e, sigma);
-        explained > AGREES && weight(e - size * h, sigma) > 0.5
+        let explained = log_likelihood(e - size * h, sigma) - log_likelihood(*e, sigma);
+        explained > MIN_AGREEMENT_LOG_RATIO && inlier_probability(e - size * h, sigma) > 0.5
     };
-    if e.iter().zip(h).filter(|pair| agrees(*pair)).count() < MIN {
+    if e.iter().zip(h).filter(|pair| agrees(*pair)).count() < MIN_EVENT_READINGS {
         return None;
     }
-    let known: f64 = e.iter().zip(h).map(|(e, h)| weight(e - size * h, sigma) * h * h).sum();
+    let known: f64 =
+        e.iter().zip(h).map(|(e, h)| inlier_probability(e - size * h, sigma) * h * h).sum();
     let mean_square = h.iter().map(|h| h * h).sum::<f64>() / h.len() as f64;
     let effect_um = size.abs() * mean_square.sqrt();
-    Some(Fitted { alternative, size, error: sigma / known.max(1e-12).sqrt(), gain, effect_um })
+    Some(FittedAlternative {
+        alternative,
+        size,
+        error: sigma / known.max(1e-12).sqrt(),
+        gain,
+        effect_um,
+    })
 }
 
 /// Fits a larger scatter about a level; `None` where it explains nothing. It must hold in each half of the readings about a level of
 /// its own: a step, or a change whose effect comes and goes, is no scatter of the readings before it.
-fn scatter(e: &[f64], sigma: f64) -> Option<Fitted> {
-    if e.len() < MIN_SCATTER {
+fn fit_scatter(e: &[f64], sigma: f64) -> Option<FittedAlternative> {
+    if e.len() < MIN_SCATTER_READINGS {
         return None;
     }
     let gain = |e: &[f64], s: f64| -> f64 {
         let level = median(&mut e.to_vec());
         let each = e.iter().map(|e| e - level);
-        each.map(|e| likelihood(e, s * sigma) - likelihood(e, sigma)).sum()
+        each.map(|e| log_likelihood(e, s * sigma) - log_likelihood(e, sigma)).sum()
     };
-    let all = SCATTERS.into_iter().map(|s| (s, gain(e, s)));
+    let all = SCATTER_FACTORS.into_iter().map(|s| (s, gain(e, s)));
     let (size, all) = all.max_by(|a, b| a.1.total_cmp(&b.1))?;
     let (first, last) = e.split_at(e.len() / 2);
-    if [first, last].iter().any(|half| gain(half, size) < HALF * all) {
+    if [first, last].iter().any(|half| gain(half, size) < MIN_HALF_EVIDENCE_FRACTION * all) {
         return None;
     }
     // Some bad readings in a row are no scatter: the median of the magnitude says how the others scatter.
     let level = median(&mut e.to_vec());
     let mut off: Vec<f64> = e.iter().map(|e| (e - level).abs()).collect();
-    if CORE * 1.4826 * median(&mut off) < size * sigma {
+    if MAX_CORE_RATIO * 1.4826 * median(&mut off) < size * sigma {
         return None;
     }
     let error = size / (2.0 * e.len() as f64).sqrt();
     let alternative = Alternative::Scatter;
-    (all > 0.0).then_some(Fitted { alternative, size, error, gain: all, effect_um: 0.0 })
+    (all > 0.0).then_some(FittedAlternative { alternative, size, error, gain: all, effect_um: 0.0 })
 }
 
 /// Returns by how many standard errors the best explanation differs from the best by another.
-fn separation(
-    best: &Fitted,
+fn separation_sigmas(
+    best: &FittedAlternative,
     best_h: &[f64],
-    other: &Fitted,
+    other: &FittedAlternative,
     h: &[f64],
     e: &[f64],
     sigma: f64,
@@ -314,7 +336,8 @@ fn separation(
     if other.gain <= 0.0 {
         return f64::INFINITY;
     }
-    let w: Vec<f64> = e.iter().zip(best_h).map(|(e, h)| weight(e - best.size * h, sigma)).collect();
+    let w: Vec<f64> =
+        e.iter().zip(best_h).map(|(e, h)| inlier_probability(e - best.size * h, sigma)).collect();
     let sum = |of: &dyn Fn(usize) -> f64| (0..e.len()).map(|n| w[n] * of(n)).sum::<f64>();
     let hh = sum(&|n| h[n] * h[n]);
     let size = if hh > 0.0 { sum(&|n| best.size * best_h[n] * h[n]) / hh } else { 0.0 };
@@ -333,13 +356,13 @@ mod tests {
             .enumerate()
             .map(|(n, g)| Row { g, h: &[], y_um: um(n, g[1]) + noise[n % 7] })
             .collect();
-        let before = Before {
+        let before = PriorBelief {
             x: vec![0.0; 2],
             constants: vec![0],
             scatter_um: [1.0; 2],
             unknown_um: vec![0.2; rows.len()],
         };
-        explain(&rows, &before, false)
+        find_best_explanation(&rows, &before, false)
     }
 
     #[test]
@@ -380,13 +403,13 @@ mod tests {
             let h: Vec<[f64; 1]> = rises.map(|rise| [rise]).into();
             let rows: Vec<Row<'_>> =
                 h.iter().map(|h| Row { g: &[1.0], h, y_um: size * h[0] }).collect();
-            let before = Before {
+            let before = PriorBelief {
                 x: vec![0.0],
                 constants: Vec::new(),
                 scatter_um: [1.0; 2],
                 unknown_um: vec![0.2; rows.len()],
             };
-            let found = explain(&rows, &before, false)?;
+            let found = find_best_explanation(&rows, &before, false)?;
             Some(found.best.alternative).filter(|it| *it == Alternative::Thermometer(0))
         };
         // It shows 1/1.4 of its rise; 1/(1 − 1.2) would be the opposite, five times.

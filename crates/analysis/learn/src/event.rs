@@ -38,7 +38,7 @@ impl EventKind {
     }
 
     /// Returns the sentence that says where to look.
-    fn check(self) -> &'static str {
+    fn check_instruction(self) -> &'static str {
         match self {
             Self::ZeroStep => {
                 "Was there a crash, or was the reference touched off or moved? Touch off again (Zero). The constants stay, and \
@@ -114,28 +114,30 @@ impl Event {
     /// Returns the sentence for the user: what to check, and between which causes the readings do not decide.
     pub(crate) fn advice(kind: EventKind, alternatives: &[EventKind]) -> String {
         if alternatives.is_empty() {
-            return kind.check().into();
+            return kind.check_instruction().into();
         }
-        let all = alternatives.iter().map(|it| format!("{}: {}", it.name(), it.check()));
+        let all =
+            alternatives.iter().map(|it| format!("{}: {}", it.name(), it.check_instruction()));
         let all: Vec<String> = all.collect();
-        format!("{} {}", kind.check(), all.join(" "))
+        format!("{} {}", kind.check_instruction(), all.join(" "))
     }
 
     /// Returns the event in one line.
     #[must_use]
-    pub fn sentence(&self) -> String {
+    pub fn describe(&self) -> String {
         let of = self.constant.as_ref().map_or(String::new(), |of| format!(" of {of}"));
         let names: Vec<&str> = self.alternatives.iter().map(|it| it.name()).collect();
         let names =
             if names.is_empty() { String::new() } else { format!(" ({})", names.join(" or ")) };
-        let at = self.at.map_or(String::new(), |at| format!(" at {}", clock(at)));
-        let certain =
-            self.certain_at.map_or(String::new(), |at| format!(", certain at {}", clock(at)));
-        let [low, high] = self.ci95.map(digits);
+        let at = self.at.map_or(String::new(), |at| format!(" at {}", format_clock(at)));
+        let certain = self
+            .certain_at
+            .map_or(String::new(), |at| format!(", certain at {}", format_clock(at)));
+        let [low, high] = self.ci95.map(round_to_three_digits);
         format!(
             "{}{names}{of}{at}{certain}: {:+} {} ({low:+} to {high:+}). {}",
             self.event.name(),
-            digits(self.size),
+            round_to_three_digits(self.size),
             self.unit,
             self.check
         )
@@ -143,15 +145,15 @@ impl Event {
 }
 
 /// Three digits, as a size is known.
-pub(crate) fn digits(number: f64) -> f64 {
+pub(crate) fn round_to_three_digits(number: f64) -> f64 {
     format!("{number:.2e}").parse().unwrap_or(number)
 }
 
 /// Returns a clock in s: a date where it can only be seconds of Unix, else seconds.
 #[must_use]
-pub fn clock(s: f64) -> String {
-    const YEARS: std::ops::Range<f64> = 1e9..4e9;
-    if !YEARS.contains(&s) {
+pub(crate) fn format_clock(s: f64) -> String {
+    const UNIX_TIME_RANGE_S: std::ops::Range<f64> = 1e9..4e9;
+    if !UNIX_TIME_RANGE_S.contains(&s) {
         return format!("{s:.0} s");
     }
     let (days, rest) = ((s / 86_400.0).floor() as i64, s.rem_euclid(86_400.0) as i64);
@@ -173,7 +175,7 @@ mod tests {
 
     #[test]
     fn a_clock_of_unix_is_a_date_and_another_one_seconds() {
-        assert_eq!(clock(1_709_210_096.0), "2024-02-29 12:34 UTC");
-        assert_eq!(clock(86_400.0), "86400 s");
+        assert_eq!(format_clock(1_709_210_096.0), "2024-02-29 12:34 UTC");
+        assert_eq!(format_clock(86_400.0), "86400 s");
     }
 }

@@ -28,28 +28,28 @@ use serde::{Deserialize, Serialize};
 use trueup_numerics::robust::median;
 
 /// A reading farther off than this many standard deviations is refused: one good one in 16 000.
-const REFUSED: f64 = 4.0;
+const REJECTION_LIMIT_SIGMAS: f64 = 4.0;
 /// Beyond this many it does not count for more: Huber's bound at which squares of normal noise lose 1 %.
-const COUNTS: f64 = 2.0;
-/// This many of the last [`LAST`] on one side, all refused, are a change: of 5 % bad readings on either side
+const HUBER_LIMIT: f64 = 2.0;
+/// This many of the last [`CHANGE_WINDOW`] on one side, all refused, are a change: of 5 % bad readings on either side
 /// by chance once in 80 000 readings.
-const CHANGED: usize = 4;
-const LAST: usize = 6;
+const MIN_CHANGE_READINGS: usize = 4;
+const CHANGE_WINDOW: usize = 6;
 /// The readings whose scatter is R: the median of this many is known to a seventh.
-const SCATTER: usize = 64;
+const NOISE_WINDOW: usize = 64;
 /// From this many readings on their own scatter is believed.
-const ENOUGH: usize = 8;
+const MIN_SCATTER_READINGS: usize = 8;
 /// Before that a reading may scatter by this many times what the instrument is said to.
-const UNKNOWN_NOISE: f64 = 3.0;
+const INITIAL_NOISE_FACTOR: f64 = 3.0;
 /// No probe repeats better, in µm.
-pub(crate) const FINEST_UM: f64 = 0.1;
+pub(crate) const MIN_NOISE_UM: f64 = 0.1;
 /// This many readings in a hundred are bad, and may be off by anything up to this, in µm, either way: then no single
 /// reading says much for or against anything.
-const BAD: f64 = 0.05;
-const ANYTHING_UM: f64 = 100.0;
+const OUTLIER_FRACTION: f64 = 0.05;
+const DIFFUSE_PRIOR_UM: f64 = 100.0;
 
-/// The time in which a value that goes with the weather may be anywhere within its prior, in s: the seasons come back in a year.
-const WEATHER_S: f64 = 365.0 * 86_400.0;
+/// The time in which a value that depends on the weather may be anywhere within its prior, in s: the seasons come back in a year.
+const SEASONAL_PERIOD_S: f64 = 365.0 * 86_400.0;
 
 /// The estimate from the readings so far.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -64,7 +64,7 @@ pub(crate) struct Filter {
     p: Vec<f64>,
     /// Variances of what lasts, before the first reading.
     prior: Vec<f64>,
-    /// Places of values that were held until an event freed them: they go with the weather, at its pace.
+    /// Places of values that were held until an event freed them: they follow the weather, at its pace.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     weather: Vec<usize>,
     /// Repeatability of one reading, in µm, as far as known.
@@ -77,7 +77,7 @@ pub(crate) struct Filter {
 
 /// The outcome of a reading.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Fate {
+pub(crate) enum FilterOutcome {
     /// Used.
     ReadingOutcome,
     /// Refused: this many µm off, and this many standard deviations.
@@ -102,12 +102,12 @@ impl Filter {
             taken: Vec::new(),
             last: Vec::new(),
         };
-        it.forget_all();
+        it.reset_covariance();
         it
     }
 
     /// Returns true if its parts fit together, for this many values that last.
-    pub fn is_whole(&self, values: usize) -> bool {
+    pub(crate) fn is_consistent(&self, values: usize) -> bool {
         let all = values + 1;
         self.prior.len() == values
             && self.x.len() == all
@@ -119,66 +119,66 @@ impl Filter {
     }
 
     /// Returns the zero in µm, then shares.
-    pub(crate) fn lasting(&self) -> &[f64] {
+    pub(crate) fn persistent_values(&self) -> &[f64] {
         &self.x[..self.prior.len()]
     }
 
     /// Returns half the 95 % interval of each value that lasts.
-    pub fn half_widths(&self) -> Vec<f64> {
+    pub(crate) fn confidence_half_widths(&self) -> Vec<f64> {
         let n = self.x.len();
         (0..self.prior.len()).map(|i| 1.96 * self.p[i * n + i].max(0.0).sqrt()).collect()
     }
 
     /// Returns how likely it thought `y_um` to be where the sensitivities are `g`: the density, by the micrometre.
     pub fn likelihood(&self, g: &[f64], y_um: f64) -> f64 {
-        let g = with_wander(g);
-        let s = self.unknown(&g) + self.noise_um.powi(2);
-        let off_um = y_um - self.predicts(&g);
+        let g = with_drift_regressor(g);
+        let s = self.prediction_variance(&g) + self.noise_um.powi(2);
+        let off_um = y_um - self.predict(&g);
         let good = (-0.5 * off_um * off_um / s).exp() / (TAU * s).sqrt();
-        (1.0 - BAD) * good + BAD / (2.0 * ANYTHING_UM)
+        (1.0 - OUTLIER_FRACTION) * good + OUTLIER_FRACTION / (2.0 * DIFFUSE_PRIOR_UM)
     }
 
     /// Returns the scatter of a reading about its prediction, in µm: its own noise and what wanders; and the upper end of what
     /// the readings so far allow: a median of n magnitudes is known to 1/√n.
     pub(crate) fn scatter_um(&self) -> [f64; 2] {
-        if self.taken.len() < ENOUGH {
-            return [self.noise_um, UNKNOWN_NOISE * self.noise_um];
+        if self.taken.len() < MIN_SCATTER_READINGS {
+            return [self.noise_um, INITIAL_NOISE_FACTOR * self.noise_um];
         }
         let upper = 1.0 + 1.0 / (self.taken.len() as f64).sqrt();
-        let um = self.scale_um();
+        let um = self.noise_std_um();
         [um, um * upper]
     }
 
     /// Returns the standard deviation of the good ones among the readings that were taken, in µm: of largest likelihood (EM) from
     /// the median on. It is known twice as well as the median.
-    fn scale_um(&self) -> f64 {
-        const STEPS: usize = 4;
+    fn noise_std_um(&self) -> f64 {
+        const EM_ITERATIONS: usize = 4;
         let off_um = || self.taken.iter().map(|it| it[0]);
         // The median of the magnitude of normal noise is 1/1.4826 of its standard deviation.
-        let mut um = (1.4826 * median(&mut off_um().collect::<Vec<_>>())).max(FINEST_UM);
-        for _ in 0..STEPS {
+        let mut um = (1.4826 * median(&mut off_um().collect::<Vec<_>>())).max(MIN_NOISE_UM);
+        for _ in 0..EM_ITERATIONS {
             let (mut weights, mut squares) = (0.0, 0.0);
             for off_um in off_um() {
                 let good = (-0.5 * (off_um / um).powi(2)).exp() / (TAU.sqrt() * um);
-                let good = (1.0 - BAD) * good;
-                let weight = good / (good + BAD / (2.0 * ANYTHING_UM));
+                let good = (1.0 - OUTLIER_FRACTION) * good;
+                let weight = good / (good + OUTLIER_FRACTION / (2.0 * DIFFUSE_PRIOR_UM));
                 weights += weight;
                 squares += weight * off_um * off_um;
             }
-            um = (squares / weights).sqrt().max(FINEST_UM);
+            um = (squares / weights).sqrt().max(MIN_NOISE_UM);
         }
         um
     }
 
     /// Returns the standard deviation of what the values that last predict at `g`, in µm.
-    pub(crate) fn unknown_um(&self, g: &[f64]) -> f64 {
+    pub(crate) fn persistent_prediction_std_um(&self, g: &[f64]) -> f64 {
         let mut all = g.to_vec();
         all.push(0.0);
-        self.unknown(&all).sqrt()
+        self.prediction_variance(&all).sqrt()
     }
 
     /// Changes a value (its place, by how much, known to a standard deviation, at most as before the first reading).
-    pub fn shift(&mut self, (index, by, deviation): (usize, f64, f64)) {
+    pub(crate) fn shift_value(&mut self, (index, by, deviation): (usize, f64, f64)) {
         let n = self.x.len();
         for other in 0..n {
             self.p[index * n + other] = 0.0;
@@ -203,7 +203,7 @@ impl Filter {
 
     /// Keeps the values that `from` names by their old places, in the new order; a value without one begins at 0.
     /// `prior`: standard deviations of the new values.
-    pub(crate) fn select(&mut self, from: &[Option<usize>], prior: &[f64]) {
+    pub(crate) fn remap_values(&mut self, from: &[Option<usize>], prior: &[f64]) {
         let (old_n, old_p) = (self.x.len(), std::mem::take(&mut self.p));
         let mut places = from.to_vec();
         places.push(Some(old_n - 1));
@@ -214,7 +214,7 @@ impl Filter {
         // A new value begins as it did before the first reading: one that was held is held again.
         let is_weather = |place: &Option<usize>| place.is_some_and(|it| self.weather.contains(&it));
         self.weather = (0..from.len()).filter(|place| is_weather(&from[*place])).collect();
-        self.forget_all();
+        self.reset_covariance();
         let n = places.len();
         for (i, a) in places.iter().enumerate() {
             for (j, b) in places.iter().enumerate() {
@@ -227,11 +227,12 @@ impl Filter {
     }
 
     /// `dt_s` have passed without a reading.
-    pub fn age(&mut self, dt_s: f64) {
+    pub(crate) fn advance_time(&mut self, dt_s: f64) {
         let (n, wander) = (self.x.len(), self.prior.len());
         let share = |horizon_s: f64| (dt_s.max(0.0) / horizon_s).min(1.0);
         for i in 0..wander {
-            let horizon_s = if self.weather.contains(&i) { WEATHER_S } else { self.horizon_s };
+            let horizon_s =
+                if self.weather.contains(&i) { SEASONAL_PERIOD_S } else { self.horizon_s };
             self.p[i * n + i] += self.prior[i] * share(horizon_s);
         }
         for i in 0..wander {
@@ -254,51 +255,51 @@ impl Filter {
     }
 
     /// Takes `y_um` where the sensitivities are `g`, or refuses it.
-    pub fn take(&mut self, g: &[f64], y_um: f64) -> Fate {
-        let g = &with_wander(g);
-        let off_um = y_um - self.predicts(g);
-        let deviations = off_um / (self.unknown(g) + self.noise_um.powi(2)).sqrt();
-        let is_refused = deviations.abs() > REFUSED;
+    pub(crate) fn process_reading(&mut self, g: &[f64], y_um: f64) -> FilterOutcome {
+        let g = &with_drift_regressor(g);
+        let off_um = y_um - self.predict(g);
+        let deviations = off_um / (self.prediction_variance(g) + self.noise_um.powi(2)).sqrt();
+        let is_refused = deviations.abs() > REJECTION_LIMIT_SIGMAS;
         let side = if is_refused { deviations.signum() as i8 } else { 0 };
         self.last.push((side, g.clone(), y_um));
-        if self.last.len() > LAST {
+        if self.last.len() > CHANGE_WINDOW {
             self.last.remove(0);
         }
         if !is_refused {
             self.update(g, y_um);
-            return Fate::ReadingOutcome;
+            return FilterOutcome::ReadingOutcome;
         }
         let on_this_side = |it: &&(i8, Vec<f64>, f64)| it.0 == side;
-        if self.last.iter().filter(on_this_side).count() < CHANGED {
-            return Fate::Refused { off_um, deviations: deviations.abs() };
+        if self.last.iter().filter(on_this_side).count() < MIN_CHANGE_READINGS {
+            return FilterOutcome::Refused { off_um, deviations: deviations.abs() };
         }
         let again: Vec<_> = self.last.drain(..).filter(|it| it.0 == side).collect();
-        self.forget_all();
+        self.reset_covariance();
         again.iter().for_each(|(_, g, y_um)| self.update(g, *y_um));
-        Fate::Changed
+        FilterOutcome::Changed
     }
 
-    /// Returns what it foresees, what wanders included.
-    fn predicts(&self, g: &[f64]) -> f64 {
+    /// Returns what it predicts, what wanders included.
+    fn predict(&self, g: &[f64]) -> f64 {
         g.iter().zip(&self.x).map(|(g, x)| g * x).sum()
     }
 
     /// gᵀ·P·g.
-    fn unknown(&self, g: &[f64]) -> f64 {
-        self.p_times(g).iter().zip(g).map(|(pg, g)| pg * g).sum::<f64>().max(0.0)
+    fn prediction_variance(&self, g: &[f64]) -> f64 {
+        self.multiply_covariance(g).iter().zip(g).map(|(pg, g)| pg * g).sum::<f64>().max(0.0)
     }
 
-    fn p_times(&self, g: &[f64]) -> Vec<f64> {
+    fn multiply_covariance(&self, g: &[f64]) -> Vec<f64> {
         let rows = self.p.chunks(g.len());
         rows.map(|row| row.iter().zip(g).map(|(p, g)| p * g).sum()).collect()
     }
 
     fn update(&mut self, g: &[f64], y_um: f64) {
-        let unknown = self.unknown(g);
+        let unknown = self.prediction_variance(g);
         let s = unknown + self.noise_um.powi(2);
-        let off_um = y_um - self.predicts(g);
-        let held_um = off_um.clamp(-COUNTS * s.sqrt(), COUNTS * s.sqrt());
-        let pg = self.p_times(g);
+        let off_um = y_um - self.predict(g);
+        let held_um = off_um.clamp(-HUBER_LIMIT * s.sqrt(), HUBER_LIMIT * s.sqrt());
+        let pg = self.multiply_covariance(g);
         let n = g.len();
         for i in 0..n {
             self.x[i] += pg[i] / s * held_um;
@@ -307,18 +308,18 @@ impl Filter {
             }
         }
         self.taken.push([off_um.abs(), unknown]);
-        if self.taken.len() > SCATTER {
+        if self.taken.len() > NOISE_WINDOW {
             self.taken.remove(0);
         }
-        if self.taken.len() >= ENOUGH {
+        if self.taken.len() >= MIN_SCATTER_READINGS {
             let mut unknown: Vec<f64> = self.taken.iter().map(|it| it[1]).collect();
-            let scatter = self.scale_um().powi(2);
+            let scatter = self.noise_std_um().powi(2);
             let own = scatter - median(&mut unknown);
-            self.noise_um = own.max(scatter / 4.0).sqrt().max(FINEST_UM);
+            self.noise_um = own.max(scatter / 4.0).sqrt().max(MIN_NOISE_UM);
         }
     }
 
-    fn forget_all(&mut self) {
+    fn reset_covariance(&mut self) {
         let n = self.x.len();
         self.p = vec![0.0; n * n];
         let wander = self.noise_um.powi(2);
@@ -328,8 +329,8 @@ impl Filter {
     }
 }
 
-/// Returns `g` with a 1 for the part that wanders, which is in every reading as it is.
-fn with_wander(g: &[f64]) -> Vec<f64> {
+/// Returns `g` with a 1 for the part that wanders, which is in every reading with the factor 1.
+fn with_drift_regressor(g: &[f64]) -> Vec<f64> {
     [g, &[1.0]].concat()
 }
 
@@ -342,11 +343,11 @@ mod tests {
     fn settled() -> Filter {
         let mut filter = Filter::new([1e7, 3e4], &[5.0, 0.25], 1.0);
         for n in 0..40 {
-            filter.age(HOUR);
+            filter.advance_time(HOUR);
             let g = [1.0, 20.0 + 10.0 * f64::from(n % 5)];
             // 10 % more than believed, and the zero 2 µm off; repeats to half a micrometre.
             let y = 2.0 + 0.1 * g[1] + 0.5 * if n % 2 == 0 { 1.0 } else { -1.0 };
-            filter.take(&g, y);
+            filter.process_reading(&g, y);
         }
         filter
     }
@@ -354,7 +355,7 @@ mod tests {
     #[test]
     fn a_constant_is_found_within_its_interval() {
         let filter = settled();
-        let half = filter.half_widths();
+        let half = filter.confidence_half_widths();
         assert!((filter.x[1] - 0.1).abs() < half[1] && half[1] < 0.03, "{:?} {half:?}", filter.x);
         assert!((filter.x[0] - 2.0).abs() < half[0], "{:?} {half:?}", filter.x);
     }
@@ -363,35 +364,42 @@ mod tests {
     fn one_reading_that_stands_alone_is_refused_and_changes_nothing() {
         let mut filter = settled();
         let before = filter.x.clone();
-        let fate = filter.take(&[1.0, 40.0], 40.0);
-        assert!(matches!(fate, Fate::Refused { .. }), "{fate:?}");
+        let fate = filter.process_reading(&[1.0, 40.0], 40.0);
+        assert!(matches!(fate, FilterOutcome::Refused { .. }), "{fate:?}");
         assert_eq!(filter.x, before);
     }
 
     #[test]
     fn four_of_six_on_one_side_are_a_machine_that_has_changed() {
         let mut filter = settled();
-        let fates: Vec<Fate> = (0..4).map(|_| filter.take(&[1.0, 40.0], 30.0)).collect();
-        assert!(fates[..3].iter().all(|fate| matches!(fate, Fate::Refused { .. })), "{fates:?}");
-        assert_eq!(fates[3], Fate::Changed);
-        assert!((filter.predicts(&[1.0, 40.0]) - 30.0).abs() < 12.0, "{:?}", filter.x);
+        let fates: Vec<FilterOutcome> =
+            (0..4).map(|_| filter.process_reading(&[1.0, 40.0], 30.0)).collect();
+        assert!(
+            fates[..3].iter().all(|fate| matches!(fate, FilterOutcome::Refused { .. })),
+            "{fates:?}"
+        );
+        assert_eq!(fates[3], FilterOutcome::Changed);
+        assert!((filter.predict(&[1.0, 40.0]) - 30.0).abs() < 12.0, "{:?}", filter.x);
         // Of two sides none is a change: bad readings come from both.
         let mut filter = settled();
         for n in 0..12 {
             let off = if n % 2 == 0 { 30.0 } else { -30.0 };
-            assert!(matches!(filter.take(&[1.0, 40.0], off), Fate::Refused { .. }));
+            assert!(matches!(
+                filter.process_reading(&[1.0, 40.0], off),
+                FilterOutcome::Refused { .. }
+            ));
         }
     }
 
     #[test]
     fn what_is_not_measured_is_known_less_well_with_age_but_never_less_than_before() {
         let mut filter = settled();
-        let fresh = filter.half_widths();
-        filter.age(100.0 * HOUR);
-        let old = filter.half_widths();
+        let fresh = filter.confidence_half_widths();
+        filter.advance_time(100.0 * HOUR);
+        let old = filter.confidence_half_widths();
         assert!(old[1] > fresh[1], "{fresh:?} {old:?}");
-        filter.age(1e9);
-        let oldest = filter.half_widths();
+        filter.advance_time(1e9);
+        let oldest = filter.confidence_half_widths();
         assert!((oldest[1] - 1.96 * 0.25).abs() < 1e-9 && (oldest[0] - 1.96 * 5.0).abs() < 1e-9);
     }
 
@@ -399,18 +407,18 @@ mod tests {
     fn a_value_that_an_event_freed_goes_at_the_pace_of_the_seasons() {
         let widths = |horizon_s: f64| {
             let mut filter = Filter::new([horizon_s, 3e4], &[0.0, 0.25], 1.0);
-            filter.age(100.0 * HOUR);
-            assert_eq!(filter.half_widths()[0], 0.0, "it is held");
-            filter.shift((0, 0.0, 3.0));
+            filter.advance_time(100.0 * HOUR);
+            assert_eq!(filter.confidence_half_widths()[0], 0.0, "it is held");
+            filter.shift_value((0, 0.0, 3.0));
             for n in 0..200 {
-                filter.age(HOUR);
-                filter.take(&[1.0, 20.0 + 10.0 * f64::from(n % 5)], 0.0);
+                filter.advance_time(HOUR);
+                filter.process_reading(&[1.0, 20.0 + 10.0 * f64::from(n % 5)], 0.0);
             }
             let before = filter.p[0];
-            filter.age(100.0 * HOUR);
+            filter.advance_time(100.0 * HOUR);
             filter.p[0] - before
         };
-        let expected = 9.0 * 100.0 * HOUR / WEATHER_S;
+        let expected = 9.0 * 100.0 * HOUR / SEASONAL_PERIOD_S;
         for horizon_s in [1e6, 1e9] {
             assert!((widths(horizon_s) - expected).abs() < 1e-9, "{horizon_s}");
         }

@@ -5,36 +5,38 @@ use std::{borrow::Cow, collections::HashSet};
 use serde::Serialize;
 use trueup_machine::{
     BadInput, Location, Machine, MachineFile, RunFile,
-    applied::{Applied, Factor, Uncompensated, applied, decisive_record},
+    applied_offsets::{
+        FactorEstimate, OffsetApplication, UncompensatedRun, estimate_application,
+        repeat_run_instruction,
+    },
     file::Quantity,
 };
 
 use crate::{
-    bank::ENOUGH,
-    checks,
     constants::{self, Sensitivity},
-    event::{Action, Event, clock},
-    filter::Fate,
-    limits::{Limits, times},
-    memory::{Change, Memory, StoredReading, digits as hash_digits},
-    readings::{self, FIRST_DAY_S, Reading},
-    reconcile::reconciled,
-    replay::{self, Believed},
-    rise,
-    watch::watch,
-    wear,
-    written::{SAME, figures, written},
+    event::{Action, Event, format_clock},
+    event_monitor::detect_events,
+    file_update::{MIN_RELATIVE_CHANGE, applied_values, write_applied_values},
+    filter::FilterOutcome,
+    learner_notes::{describe_belief, describe_reached_bound},
+    learner_state::{DailyChange, LearnerState, StoredReading, hash_digits},
+    limits::{Limits, prediction_change_um},
+    probe_checks,
+    readings::{self, MAX_RELATIVE_START_S, Reading},
+    reconcile::reconcile_state,
+    replay::{self, FilterHistory},
+    temperature_rise, wear,
 };
 
 /// A change of a constant by this share, from readings of an engaged bridge alone, may as well be a CNC that applies the
 /// offsets by half, twice, not at all or with the wrong sign: these look like changes by 0.5, −1, 1 and 2.
-const AS_A_CNC: f64 = 0.4;
+const CNC_AMBIGUOUS_CHANGE: f64 = 0.4;
 /// A clock that was set back by at most this, in s, may be local time.
-const HOUR_S: f64 = 3600.0;
-const SET_BACK: &str = ". If the clock was set back by an hour (the end of summer time), write each time with its offset \
+const MAX_CLOCK_SET_BACK_S: f64 = 3600.0;
+const CLOCK_SET_BACK_NOTE: &str = ". If the clock was set back by an hour (the end of summer time), write each time with its offset \
      (2026-10-25T02:30:00+01:00) or in UTC (2026-10-25T01:30:00Z)";
 /// Digits behind the point that are kept of a reading, in µm: a hundredth of what any probe repeats to.
-const FINEST_UM: f64 = 1e-4;
+const READING_RESOLUTION_UM: f64 = 1e-4;
 
 /// The outcome of a reading.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -53,11 +55,11 @@ pub struct ReadingOutcome {
 
 /// The result of a record.
 #[derive(Clone, Debug)]
-pub struct Learned {
+pub struct LearningResult {
     /// The machine file with what was learned.
     pub machine: String,
     /// The state after the record.
-    pub memory: Memory,
+    pub memory: LearnerState,
     /// Each new reading, in its order.
     pub readings: Vec<ReadingOutcome>,
     /// Readings of the record that were learned from before.
@@ -84,29 +86,35 @@ pub fn learn(
     path: &std::path::Path,
     run: &RunFile,
     wanted: Option<Quantity>,
-    memory: Option<Memory>,
+    memory: Option<LearnerState>,
     limits: &Limits,
-) -> Result<Learned, BadInput> {
+) -> Result<LearningResult, BadInput> {
     let machine = MachineFile::parse(source, path)?;
-    let bad = |rule: String| BadInput::new(Location::start_of(path), rule);
+    let bad = |rule: String| BadInput::new(Location::start_of_file(path), rule);
     let mut notes = Vec::new();
-    let quantity = constants::measured(run, wanted)?;
-    let (mut memory, has_restarted) =
-        reconciled(memory, &machine, (quantity, rise::air(run)), &mut notes).map_err(bad)?;
-    let before = written(source, &machine, quantity, &memory).unwrap_or_else(|| source.into());
+    let quantity = constants::measured_quantity(run, wanted)?;
+    let (mut memory, has_restarted) = reconcile_state(
+        memory,
+        &machine,
+        (quantity, temperature_rise::air_column(run)),
+        &mut notes,
+    )
+    .map_err(bad)?;
+    let before =
+        write_applied_values(source, &machine, quantity, &memory).unwrap_or_else(|| source.into());
     // What a bridge applied meanwhile came from the file as it was written before.
     let ran = MachineFile::parse(&before, path)?;
-    let (run, told) = Uncompensated::of(Cow::Borrowed(run), Some(&ran), Some(quantity))?;
+    let (run, told) = UncompensatedRun::from_run(Cow::Borrowed(run), Some(&ran), Some(quantity))?;
     notes.extend(told);
-    let has_bridge = has_bridge(&run, &ran, quantity)?;
-    let record = readings::of(&run, quantity)?;
-    let (new, seen) = unseen(&record, &memory, &run, &mut notes)?;
+    let has_bridge = has_engaged_bridge(&run, &ran, quantity)?;
+    let record = readings::collect_readings(&run, quantity)?;
+    let (new, seen) = filter_unseen_readings(&record, &memory, &run, &mut notes)?;
     let sensitivity =
-        Sensitivity::of(source, (&memory.constants, &memory.applied), &run, quantity)?;
+        Sensitivity::from_run(source, (&memory.constants, &memory.applied), &run, quantity)?;
     let old = memory.events.clone();
     let mut learner = Learner {
-        believed: Believed::of(&memory),
-        columns: columns(&mut memory, &sensitivity),
+        believed: FilterHistory::from_state(&memory),
+        columns: map_thermometer_columns(&mut memory, &sensitivity),
         memory,
         machine: &machine,
         quantity,
@@ -119,47 +127,39 @@ pub fn learn(
     let (mut is_held, mut forbids) = (false, None);
     for reading in &new {
         if !learner.memory.is_applied_once && has_bridge {
-            let rows = run.altered(reading.row + 1, |_, _| {});
-            let part = Uncompensated::of(Cow::Owned(rows), Some(&ran), Some(quantity));
-            learner.memory.is_applied_once = part.is_ok_and(|(part, _)| {
-                matches!(applied(&[part], Some(&ran), quantity), Applied::Once(_))
-            });
+            learner.memory.is_applied_once =
+                is_applied_once_until(&run, &ran, quantity, reading.row);
         }
         if let Some(um) = reading.check_um {
-            learner.check(reading.time_s, um);
+            learner.record_check(reading.time_s, um);
         }
         if let Some(um) = reading.um {
-            let (taken, held) = learner.one(reading, um, !has_bridge);
+            let (taken, held) = learner.learn_reading(reading, um, !has_bridge);
             readings.push(taken);
             is_held |= held.is_bound;
             forbids = held.forbids;
         }
-        learner.memory.see(reading.identity);
+        learner.memory.mark_seen(reading.identity);
     }
     let Learner { memory, believed, .. } = learner;
-    let after = written(source, &machine, quantity, &memory)
+    let after = write_applied_values(source, &machine, quantity, &memory)
         .ok_or_else(|| bad("cannot be written with other constants".into()))?;
     MachineFile::parse(&after, path)?;
     let is_bound = is_held;
     is_held |= forbids.is_some();
-    notes.push(forbids.unwrap_or_else(|| sentence(&believed)));
+    notes.push(forbids.unwrap_or_else(|| describe_belief(&believed)));
     if is_bound {
-        notes.push(format!(
-            "A bound was reached ({:.0} % of a constant, or {} µm together): the machine is no longer the one \
-             that was measured. Measure it again: trueup fit, or trueup diagnose.",
-            100.0 * limits.share,
-            limits.total_um
-        ));
+        notes.push(describe_reached_bound(limits));
     }
-    notes.extend(checks::due(&memory));
+    notes.extend(probe_checks::overdue_check_note(&memory));
     let is_news = |event: &&Event| {
         !old.iter().any(|it| it.sequence == event.sequence && it.event == event.event)
     };
     let news = memory.events.iter().filter(is_news).cloned().collect();
-    let half = believed.bank.half_widths();
+    let half = believed.bank.confidence_half_widths();
     let half_widths = memory.constants.iter().zip(&half[1..]);
     let half_widths = half_widths.map(|(it, half)| (it.believed * half).abs()).collect();
-    Ok(Learned {
+    Ok(LearningResult {
         machine: after,
         memory,
         readings,
@@ -176,13 +176,13 @@ pub fn learn(
 ///
 /// # Errors
 /// One that was not lies at or before the last clock.
-fn unseen(
+fn filter_unseen_readings(
     record: &[Reading],
-    memory: &Memory,
+    memory: &LearnerState,
     run: &RunFile,
     notes: &mut Vec<String>,
 ) -> Result<(Vec<Reading>, usize), BadInput> {
-    let (seen, before) = (memory.seen(), memory.seen_before());
+    let (seen, before) = (memory.seen_hashes(), memory.legacy_seen_hashes());
     let is_seen = |it: &Reading| {
         let may_be = match (it.time_s, memory.last_s) {
             (Some(time_s), Some(last_s)) => time_s <= last_s,
@@ -201,15 +201,15 @@ fn unseen(
     let early = new.iter().find_map(|it| Some((it, it.time_s.filter(|time_s| *time_s <= last_s)?)));
     if let Some((early, early_s)) = early {
         // Clocks of two records that each begin with the record.
-        if known > 0 || last_s >= FIRST_DAY_S {
+        if known > 0 || last_s >= MAX_RELATIVE_START_S {
             let rule = format!(
                 "{} is at or before the last reading that was learned from ({}), and was not learned from: \
                  give the records in the order in which they were taken{}",
-                clock(early_s),
-                clock(last_s),
-                if last_s - early_s <= HOUR_S { SET_BACK } else { "" }
+                format_clock(early_s),
+                format_clock(last_s),
+                if last_s - early_s <= MAX_CLOCK_SET_BACK_S { CLOCK_SET_BACK_NOTE } else { "" }
             );
-            return Err(run.bad(early.row, "time_s", rule));
+            return Err(run.value_error(early.row, "time_s", rule));
         }
         notes.push(
             "The clock of this record begins before the last reading that was learned from: it is taken as a later \
@@ -221,7 +221,7 @@ fn unseen(
 }
 
 /// Returns the place in the state's thermometers of each one of the record; new ones are added.
-fn columns(memory: &mut Memory, sensitivity: &Sensitivity) -> Vec<usize> {
+fn map_thermometer_columns(memory: &mut LearnerState, sensitivity: &Sensitivity) -> Vec<usize> {
     let places = sensitivity.thermometers.iter().map(|name| {
         let place = memory.thermometers.iter().position(|it| it == name);
         place.unwrap_or_else(|| {
@@ -236,24 +236,42 @@ fn columns(memory: &mut Memory, sensitivity: &Sensitivity) -> Vec<usize> {
 ///
 /// # Errors
 /// The CNC applies them otherwise than once.
-fn has_bridge(
-    run: &Uncompensated<'_>,
+fn has_engaged_bridge(
+    run: &UncompensatedRun<'_>,
     ran: &Machine,
     quantity: Quantity,
 ) -> Result<bool, BadInput> {
-    match applied(std::slice::from_ref(run), Some(ran), quantity) {
-        Applied::Nothing => Ok(false),
-        Applied::Once(_) | Applied::Unknown(_) => Ok(true),
-        Applied::Otherwise(factor) => {
-            let rule = format!("{} {}", factor.sentence(), Factor::where_to_look().join(" "));
-            Err(BadInput::new(Location::start_of(run.path()), rule))
+    match estimate_application(std::slice::from_ref(run), Some(ran), quantity) {
+        OffsetApplication::Nothing => Ok(false),
+        OffsetApplication::Once(_) | OffsetApplication::Unknown(_) => Ok(true),
+        OffsetApplication::Otherwise(factor) => {
+            let rule = format!(
+                "{} {}",
+                factor.describe(),
+                FactorEstimate::troubleshooting_steps().join(" ")
+            );
+            Err(BadInput::new(Location::start_of_file(run.path()), rule))
         }
     }
 }
 
+/// Returns true if the rows up to `row` show that the CNC applies the offsets once.
+fn is_applied_once_until(
+    run: &UncompensatedRun<'_>,
+    ran: &Machine,
+    quantity: Quantity,
+    row: usize,
+) -> bool {
+    let rows = run.with_altered_values(row + 1, |_, _| {});
+    let part = UncompensatedRun::from_run(Cow::Owned(rows), Some(ran), Some(quantity));
+    part.is_ok_and(|(part, _)| {
+        matches!(estimate_application(&[part], Some(ran), quantity), OffsetApplication::Once(_))
+    })
+}
+
 /// The causes that hold a correction back.
 #[derive(Default)]
-struct Held {
+struct HoldReasons {
     /// A bound was reached.
     is_bound: bool,
     /// Why what was learned is not applied, a sentence.
@@ -262,8 +280,8 @@ struct Held {
 
 /// A record, while it is learned from.
 struct Learner<'a> {
-    memory: Memory,
-    believed: Believed,
+    memory: LearnerState,
+    believed: FilterHistory,
     machine: &'a Machine,
     quantity: Quantity,
     sensitivity: &'a Sensitivity,
@@ -278,13 +296,18 @@ struct Learner<'a> {
 
 impl Learner<'_> {
     /// Takes a check of the probe.
-    fn check(&mut self, time_s: Option<f64>, um: f64) {
-        checks::add(&mut self.memory, time_s, um, self.believed.bank.scatter_um()[0]);
-        self.believed = Believed::of(&self.memory);
+    fn record_check(&mut self, time_s: Option<f64>, um: f64) {
+        probe_checks::add_check(&mut self.memory, time_s, um, self.believed.bank.scatter_um()[0]);
+        self.believed = FilterHistory::from_state(&self.memory);
     }
 
     /// Takes one reading: what became of it, and what held it.
-    fn one(&mut self, reading: &Reading, um: f64, is_factor_known: bool) -> (ReadingOutcome, Held) {
+    fn learn_reading(
+        &mut self,
+        reading: &Reading,
+        um: f64,
+        is_factor_known: bool,
+    ) -> (ReadingOutcome, HoldReasons) {
         let (g, file_um) =
             (&self.sensitivity.um[reading.row], self.sensitivity.believed_um[reading.row]);
         let mut taken = ReadingOutcome {
@@ -295,18 +318,16 @@ impl Learner<'_> {
             reason: None,
         };
         if !file_um.is_finite() || g.iter().any(|g| !g.is_finite()) {
-            taken.reason = Some(
-                "refused: the row does not say enough for the model (a missing temperature?)"
-                    .into(),
-            );
-            return (taken, Held::default());
+            let rule = "the row does not say enough for the model (a missing temperature?)";
+            taken.reason = Some(format!("refused: {rule}"));
+            return (taken, HoldReasons::default());
         }
         let memory = &mut self.memory;
         let mut h = vec![0.0; memory.thermometers.len()];
         for (place, um) in self.columns.iter().zip(&self.sensitivity.shares_um) {
             h[*place] = um[reading.row];
         }
-        let rounded = |um: &f64| (um / FINEST_UM).round() * FINEST_UM;
+        let rounded = |um: &f64| (um / READING_RESOLUTION_UM).round() * READING_RESOLUTION_UM;
         let short = |um: &f64| {
             let um = if um.is_finite() { rounded(um) } else { 0.0 };
             format!("{um:.4}").parse().unwrap_or(um)
@@ -319,67 +340,71 @@ impl Learner<'_> {
             worn: Vec::new(),
         };
         let g = &kept.g.clone();
-        taken.foreseen_um = Some(file_um + times(g, &memory.applied));
-        let (sequence, values) = (memory.next(), figures(memory, self.machine, self.quantity));
+        taken.foreseen_um = Some(file_um + prediction_change_um(g, &memory.applied));
+        let (sequence, values) =
+            (memory.next_sequence(), applied_values(memory, self.machine, self.quantity));
         let was_applied = memory.applied.clone();
         memory.first_s = memory.first_s.or(reading.time_s);
         memory.last_s = reading.time_s.or(memory.last_s);
         memory.window.push(kept);
         let (lasting, [scatter_um, _]) =
-            (self.believed.bank.lasting(), self.believed.bank.scatter_um());
+            (self.believed.bank.persistent_values(), self.believed.bank.scatter_um());
         let last = memory.window.len() - 1;
         match self.believed.advance(memory, last) {
-            Fate::ReadingOutcome => taken.used = true,
-            Fate::Refused { off_um, deviations } => {
+            FilterOutcome::ReadingOutcome => taken.used = true,
+            FilterOutcome::Refused { off_um, deviations } => {
                 taken.reason = Some(format!(
                     "refused: {off_um:+.1} µm from the prediction, {deviations:.0} times what a reading may \
                      differ by"
                 ));
             }
-            Fate::Changed => {
+            FilterOutcome::Changed => {
                 taken.used = true;
-                taken.reason = Some(
-                    "used, with those before it that were refused: four of six are on one side"
-                        .into(),
-                );
+                let rule = "four of six are on one side";
+                taken.reason =
+                    Some(format!("used, with those before it that were refused: {rule}"));
             }
         }
         if taken.used {
-            let missed_um =
-                replay::level(memory, &memory.window[last], sequence, None) - times(g, &lasting);
+            let missed_um = replay::corrected_reading(memory, &memory.window[last], sequence, None)
+                - prediction_change_um(g, &lasting);
             let before = &memory.window[..last];
-            let said = wear::said(&memory.constants, before, g, &lasting, missed_um, scatter_um);
+            let said = wear::backlash_observations(
+                &memory.constants,
+                before,
+                g,
+                &lasting,
+                missed_um,
+                scatter_um,
+            );
             memory.window[last].worn = said.iter().map(short).collect();
         }
         let before = memory.events.clone();
-        watch(memory, &mut self.believed);
-        let rests_on = rests_on(memory, &before);
-        wear::watch(memory, self.believed.bank.scatter_um()[1]);
-        let wanted = self.believed.bank.believed().unwrap_or_else(|| vec![0.0; g.len()]);
-        self.look(reading.row);
+        detect_events(memory, &mut self.believed);
+        let rests_on = supporting_reading_count(memory, &before);
+        wear::detect_wear(memory, self.believed.bank.scatter_um()[1]);
+        let wanted = self.believed.bank.learned_values().unwrap_or_else(|| vec![0.0; g.len()]);
+        self.track_sensitivity_extremes(reading.row);
         let rows = self.extremes.iter().map(|row| &self.sensitivity.um[*row]);
-        let (wanted, is_bound) = self.limits.held(&wanted, rows);
+        let (wanted, is_bound) = self.limits.clamp_to_limits(&wanted, rows);
         let memory = &mut self.memory;
         let is_proven = is_factor_known || memory.is_applied_once;
-        let forbids = forbidden(memory, &wanted, is_proven);
+        let forbids = rejection_reason(memory, &wanted, is_proven);
         if forbids.is_some() {
             // Nor the steps on the way there.
             memory.applied = memory.proven.take().unwrap_or(was_applied.clone());
         } else {
-            if is_proven {
-                memory.proven = None;
-            } else {
-                memory.proven.get_or_insert_with(|| was_applied.clone());
-            }
-            memory.applied = self.limits.step(&memory.applied, &wanted, g, rests_on);
+            let proven = memory.proven.take().unwrap_or_else(|| was_applied.clone());
+            memory.proven = (!is_proven).then_some(proven);
+            memory.applied = self.limits.limited_step(&memory.applied, &wanted, g, rests_on);
         }
-        self.believed.keep(memory);
-        list(memory, self.machine, self.quantity, &values, (sequence, was_applied));
-        (taken, Held { is_bound, forbids })
+        self.believed.trim_window(memory);
+        record_change(memory, self.machine, self.quantity, &values, (sequence, was_applied));
+        (taken, HoldReasons { is_bound, forbids })
     }
 
     /// Looks at the rows until `row` for those in which a constant does most or least.
-    fn look(&mut self, row: usize) {
+    fn track_sensitivity_extremes(&mut self, row: usize) {
         let all = &self.sensitivity.um;
         for row in self.looked..=row {
             if all[row].iter().any(|g| !g.is_finite()) {
@@ -404,59 +429,42 @@ impl Learner<'_> {
 
 /// Returns how many readings the present change rests on: all since an event that is new, or has another name than `before`; else this
 /// one.
-fn rests_on(memory: &Memory, before: &[Event]) -> u64 {
+fn supporting_reading_count(memory: &LearnerState, before: &[Event]) -> u64 {
     let name = |event: &Event| (event.sequence, event.event, event.constant.clone());
     let acts = |event: &&Event| matches!(event.action, Action::Zero(_) | Action::Shift(_));
     let new = memory.events.iter().filter(acts);
     let new = new.filter(|event| !before.iter().any(|it| name(it) == name(event)));
-    new.map(|event| memory.next().saturating_sub(event.sequence)).max().unwrap_or(1).max(1)
+    new.map(|event| memory.next_sequence().saturating_sub(event.sequence)).max().unwrap_or(1).max(1)
 }
 
 /// Returns why `wanted` may not be applied, in a sentence.
-fn forbidden(memory: &Memory, wanted: &[f64], is_factor_known: bool) -> Option<String> {
-    let moves = |(to, from): (&f64, &f64)| (to - from).abs() > SAME;
-    let is_as_a_cnc = wanted[1..].iter().any(|share| share.abs() > AS_A_CNC);
+fn rejection_reason(
+    memory: &LearnerState,
+    wanted: &[f64],
+    is_factor_known: bool,
+) -> Option<String> {
+    let moves = |(to, from): (&f64, &f64)| (to - from).abs() > MIN_RELATIVE_CHANGE;
+    let is_as_a_cnc = wanted[1..].iter().any(|share| share.abs() > CNC_AMBIGUOUS_CHANGE);
     let is_moved = wanted.iter().zip(&memory.applied).any(moves);
     (is_moved && is_as_a_cnc && !is_factor_known)
-        .then(|| format!("Nothing is applied. {}", decisive_record()))
-}
-
-/// Returns which of the two is believed, in a sentence.
-fn sentence(believed: &Believed) -> String {
-    let bank = &believed.bank;
-    let (count, file_um, own_um) = bank.compared();
-    let figures = match count {
-        0 => "no reading has been used yet".into(),
-        _ => format!(
-            "of the last {count} readings that were used the current machine file missed each by {file_um:.2} µm on \
-             average, what was learned by {own_um:.2} µm, before they were used"
-        ),
-    };
-    let odds = bank.odds();
-    match bank.believed() {
-        Some(_) => format!("What was learned is applied: {figures}."),
-        None => format!(
-            "The current machine file stays: {figures}; they are {odds:.0} times likelier by what was learned, and \
-             {ENOUGH:.0} times would be enough."
-        ),
-    }
+        .then(|| format!("Nothing is applied. {}", repeat_run_instruction()))
 }
 
 /// Lists the change that a reading made; those of one day are one.
-fn list(
-    memory: &mut Memory,
+fn record_change(
+    memory: &mut LearnerState,
     machine: &Machine,
     quantity: Quantity,
     from: &[f64],
     before: (u64, Vec<f64>),
 ) {
-    let to = figures(memory, machine, quantity);
+    let to = applied_values(memory, machine, quantity);
     if to == from {
         return;
     }
     let day = |s: f64| (s / 86_400.0).floor();
     let at = memory.last_s;
-    let is_today = |change: &Change| {
+    let is_today = |change: &DailyChange| {
         change.before.is_some() && change.at.zip(at).is_some_and(|(one, two)| day(one) == day(two))
     };
     let today = memory.changes.pop_if(|change| is_today(change));
@@ -471,6 +479,6 @@ fn list(
         .collect();
     if !values.is_empty() {
         let before = today.and_then(|change| change.before).or(Some(before));
-        memory.list(Change { at, values, is_undo: false, before });
+        memory.record_change(DailyChange { at, values, is_undo: false, before });
     }
 }

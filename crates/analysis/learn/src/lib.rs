@@ -8,7 +8,7 @@
 //!                         Filter ×3      recursive least squares, each forgetting at its own pace;
 //!                              │         a reading that stands alone is refused, with the reason
 //!                              ▼
-//!                         Bank           which of them has foreseen the readings best, or the file as it is
+//!                         Bank           which of them has predicted the readings best, or the original file
 //!                              ▼
 //!                         Watch          whether something happened: events, from which on it is done anew
 //!                              ▼
@@ -16,40 +16,41 @@
 //!                              ▼
 //!                         Memory         what was learned, every change, and the way back
 //!                              ▼
-//!                         Live           what of it a bridge may be told while it runs
+//!                         Live           what of it may be sent to a bridge while it runs
 //! ```
 //!
-//! The user's own machine file stays as it is; what was learned is a second file with the same sections and
-//! other numbers. It never makes a machine worse by intent: as long as the file as it is foresees the readings
-//! as well as what was learned, the file as it is stands.
+//! The user's own machine file stays unchanged; what was learned is a second file with the same sections and
+//! other numbers. It never makes a machine worse by intent: as long as the original file predicts the readings
+//! as well as what was learned, the original file stands.
 //!
-//! [`mod@trust`] asks the other question: whether the calibration still fits at all.
+//! [`mod@calibration_monitoring`] answers the other question: whether the calibration still fits at all.
 #![forbid(unsafe_code)]
 
-mod bank;
-mod checks;
+pub mod calibration_monitoring;
 mod constants;
 mod detect;
 mod event;
+mod event_monitor;
+mod file_update;
 mod filter;
+mod filter_bank;
 mod learn;
+mod learner_notes;
+mod learner_state;
 mod limits;
-pub mod live;
-mod memory;
+pub mod live_update;
+mod probe_checks;
 mod readings;
 mod reconcile;
 mod replay;
-mod rise;
 mod sections;
-pub mod trust;
-mod watch;
+mod temperature_rise;
 mod wear;
-mod worn;
-mod written;
+mod wear_regression;
 
-pub use constants::Constant;
-pub use event::{Event, EventKind, clock};
-pub use learn::{Learned, ReadingOutcome, learn};
+pub use constants::LearnableConstant;
+pub use event::{Event, EventKind};
+pub use learn::{LearningResult, ReadingOutcome, learn};
+pub use learner_state::{DailyChange, LearnerState, MachineIdentity};
 pub use limits::Limits;
-pub use live::Live;
-pub use memory::{Change, Memory, Owner};
+pub use live_update::LiveUpdate;

@@ -25,7 +25,7 @@ impl Default for Limits {
 
 impl Limits {
     /// `wanted` within the bounds, where rows have the sensitivities `rows`; and whether it was held.
-    pub(crate) fn held<'a>(
+    pub(crate) fn clamp_to_limits<'a>(
         &self,
         wanted: &[f64],
         rows: impl IntoIterator<Item = &'a Vec<f64>>,
@@ -37,7 +37,8 @@ impl Limits {
             is_held |= within != *share;
             *share = within;
         }
-        let most_um = rows.into_iter().map(|g| times(g, &held).abs()).fold(0.0, f64::max);
+        let most_um =
+            rows.into_iter().map(|g| prediction_change_um(g, &held).abs()).fold(0.0, f64::max);
         if most_um > self.total_um {
             held.iter_mut().for_each(|x| *x *= self.total_um / most_um);
             is_held = true;
@@ -47,7 +48,7 @@ impl Limits {
 
     /// Returns the way from what is `applied` towards what is `wanted` that rests on this many readings, of which the last was taken
     /// at `g`.
-    pub(crate) fn step(
+    pub(crate) fn limited_step(
         &self,
         applied: &[f64],
         wanted: &[f64],
@@ -55,7 +56,7 @@ impl Limits {
         readings: u64,
     ) -> Vec<f64> {
         let way: Vec<f64> = wanted.iter().zip(applied).map(|(to, from)| to - from).collect();
-        let um = times(g, &way).abs();
+        let um = prediction_change_um(g, &way).abs();
         let step_um = self.step_um * readings as f64;
         let share = if um > step_um { step_um / um } else { 1.0 };
         applied.iter().zip(way).map(|(from, way)| from + share * way).collect()
@@ -63,7 +64,7 @@ impl Limits {
 }
 
 /// Returns what values change where the sensitivities are `g`, in µm; 0 where these are not known.
-pub(crate) fn times(g: &[f64], x: &[f64]) -> f64 {
+pub(crate) fn prediction_change_um(g: &[f64], x: &[f64]) -> f64 {
     let um: f64 = g.iter().zip(x).map(|(g, x)| g * x).sum();
     if um.is_finite() { um } else { 0.0 }
 }
@@ -76,16 +77,19 @@ mod tests {
     fn a_constant_all_together_and_one_reading_are_held() {
         let limits = Limits { share: 0.3, total_um: 20.0, step_um: 2.0 };
         let rows = vec![vec![1.0, 50.0]];
-        assert_eq!(limits.held(&[0.0, 0.2], &rows), (vec![0.0, 0.2], false));
-        assert_eq!(limits.held(&[0.0, -0.9], &[vec![1.0, 10.0]]), (vec![0.0, -0.3], true));
-        let (held, is_held) = limits.held(&[10.0, 0.3], &rows);
-        assert!(is_held && (times(&rows[0], &held) - 20.0).abs() < 1e-9, "{held:?}");
+        assert_eq!(limits.clamp_to_limits(&[0.0, 0.2], &rows), (vec![0.0, 0.2], false));
+        assert_eq!(
+            limits.clamp_to_limits(&[0.0, -0.9], &[vec![1.0, 10.0]]),
+            (vec![0.0, -0.3], true)
+        );
+        let (held, is_held) = limits.clamp_to_limits(&[10.0, 0.3], &rows);
+        assert!(is_held && (prediction_change_um(&rows[0], &held) - 20.0).abs() < 1e-9, "{held:?}");
         for readings in [1, 3] {
-            let stepped = limits.step(&[0.0, 0.0], &[0.0, 0.2], &rows[0], readings);
+            let stepped = limits.limited_step(&[0.0, 0.0], &[0.0, 0.2], &rows[0], readings);
             let um = 2.0 * readings as f64;
-            assert!((times(&rows[0], &stepped) - um).abs() < 1e-9, "{stepped:?}");
+            assert!((prediction_change_um(&rows[0], &stepped) - um).abs() < 1e-9, "{stepped:?}");
         }
         // A row in which nothing is known changes nothing.
-        assert_eq!(times(&[1.0, f64::NAN], &[1.0, 1.0]), 0.0);
+        assert_eq!(prediction_change_um(&[1.0, f64::NAN], &[1.0, 1.0]), 0.0);
     }
 }

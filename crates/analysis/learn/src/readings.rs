@@ -2,13 +2,13 @@
 
 use trueup_machine::{BadInput, RunFile, file::Quantity};
 
-use crate::memory::hash;
+use crate::learner_state::fnv1a_64;
 
 /// From the end of one record to the beginning of the next where the clock begins anew, in s: a day.
-const NEW_RECORD_S: f64 = 86_400.0;
+const RECORD_GAP_S: f64 = 86_400.0;
 
 /// A clock from here on is seconds of Unix, of the year 2001 or later.
-const UNIX_S: f64 = 1e9;
+const MIN_UNIX_TIME_S: f64 = 1e9;
 
 /// One reading.
 #[derive(Clone, Copy, Debug)]
@@ -32,7 +32,10 @@ pub(crate) struct Reading {
 ///
 /// # Errors
 /// It measures nothing, or in no row.
-pub(crate) fn of(run: &RunFile, quantity: Quantity) -> Result<Vec<Reading>, BadInput> {
+pub(crate) fn collect_readings(
+    run: &RunFile,
+    quantity: Quantity,
+) -> Result<Vec<Reading>, BadInput> {
     let name = format!("measured_{}_um", quantity.name());
     let (times, checks) = (run.column("time_s"), run.column("check_um"));
     let whole = |row: usize, time_s: Option<f64>| {
@@ -41,9 +44,9 @@ pub(crate) fn of(run: &RunFile, quantity: Quantity) -> Result<Vec<Reading>, BadI
             let value = column.values[row].to_le_bytes();
             column.name.bytes().chain(value)
         });
-        hash(number.to_le_bytes().into_iter().chain(columns))
+        fnv1a_64(number.to_le_bytes().into_iter().chain(columns))
     };
-    let rows = run.require(&name)?.iter().enumerate();
+    let rows = run.require_column(&name)?.iter().enumerate();
     let all: Vec<Reading> = rows
         .filter_map(|(row, &um)| {
             let um = Some(um).filter(|um| um.is_finite());
@@ -61,7 +64,7 @@ pub(crate) fn of(run: &RunFile, quantity: Quantity) -> Result<Vec<Reading>, BadI
                     // A check may be written into a row later: then it is another reading.
                     let value = um.or(check_um).unwrap_or_default();
                     let bytes = [time_s, value].into_iter().flat_map(f64::to_le_bytes);
-                    hash(bytes.chain([u8::from(um.is_some())]))
+                    fnv1a_64(bytes.chain([u8::from(um.is_some())]))
                 }
                 None => identity_before,
             };
@@ -69,21 +72,27 @@ pub(crate) fn of(run: &RunFile, quantity: Quantity) -> Result<Vec<Reading>, BadI
         })
         .collect();
     if all.is_empty() {
-        return Err(run.bad(0, &name, "has no value in any row: there is nothing to learn from"));
+        return Err(run.value_error(
+            0,
+            &name,
+            "has no value in any row: there is nothing to learn from",
+        ));
     }
     Ok(all)
 }
 
 /// A clock that begins within its first day in each record says nothing of the date.
-pub(crate) const FIRST_DAY_S: f64 = 86_400.0;
+pub(crate) const MAX_RELATIVE_START_S: f64 = 86_400.0;
 
 /// Returns the time between two readings, in s; a clock that runs back is another day's.
-pub(crate) fn between_s(before_s: Option<f64>, now_s: Option<f64>) -> f64 {
+pub(crate) fn elapsed_s(before_s: Option<f64>, now_s: Option<f64>) -> f64 {
     match (before_s, now_s) {
         // Records with dates after records without.
-        (Some(before_s), Some(now_s)) if before_s < UNIX_S && now_s >= UNIX_S => NEW_RECORD_S,
+        (Some(before_s), Some(now_s)) if before_s < MIN_UNIX_TIME_S && now_s >= MIN_UNIX_TIME_S => {
+            RECORD_GAP_S
+        }
         (Some(before_s), Some(now_s)) if now_s >= before_s => now_s - before_s,
         (None, Some(_)) => 0.0,
-        _ => NEW_RECORD_S,
+        _ => RECORD_GAP_S,
     }
 }

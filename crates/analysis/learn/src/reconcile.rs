@@ -7,45 +7,45 @@
 use trueup_machine::{Machine, file::Quantity};
 
 use crate::{
-    bank::Bank,
-    constants::{self, Constant},
+    constants::{self, LearnableConstant},
     event::Action,
-    memory::{Memory, Owner, SCHEMA},
-    replay::Believed,
+    filter_bank::FilterBank,
+    learner_state::{LearnerState, MachineIdentity, SCHEMA_VERSION},
+    replay::FilterHistory,
 };
 
 /// The prior, one standard deviation: a constant is known to a quarter (what a maker says of growth is no better),
 /// the zero to 5 µm, which any tool setter keeps.
-const SHARE: f64 = 0.25;
-const ZERO_UM: f64 = 5.0;
+const PRIOR_RELATIVE_STD: f64 = 0.25;
+const PRIOR_ZERO_STD_UM: f64 = 5.0;
 /// A backlash may double in a year.
-const BACKLASH_SHARE: f64 = 1.0;
+const BACKLASH_PRIOR_RELATIVE_STD: f64 = 1.0;
 /// Repeatability of a probe where nothing says it, in µm: the last digit of the papers' indicator.
-const NOISE_UM: f64 = 1.0;
+const DEFAULT_NOISE_UM: f64 = 1.0;
 
 /// Returns the standard deviations before the first reading: of the zero in µm, of the share of each constant.
-fn prior(constants: &[Constant]) -> Vec<f64> {
-    let share = |it: &Constant| match it {
+fn prior_standard_deviations(constants: &[LearnableConstant]) -> Vec<f64> {
+    let share = |it: &LearnableConstant| match it {
         it if it.is_held() => 0.0,
-        it if it.key.ends_with("width_um") => BACKLASH_SHARE,
-        _ => SHARE,
+        it if it.key.ends_with("width_um") => BACKLASH_PRIOR_RELATIVE_STD,
+        _ => PRIOR_RELATIVE_STD,
     };
-    std::iter::once(ZERO_UM).chain(constants.iter().map(share)).collect()
+    std::iter::once(PRIOR_ZERO_STD_UM).chain(constants.iter().map(share)).collect()
 }
 
 /// Returns the state for `machine` as its file is today, and whether something of it began anew.
 ///
 /// # Errors
 /// It is of another machine or quantity, or nothing of the file can follow; the rule.
-pub(crate) fn reconciled(
-    memory: Option<Memory>,
+pub(crate) fn reconcile_state(
+    memory: Option<LearnerState>,
     machine: &Machine,
     (quantity, air): (Quantity, Option<String>),
     notes: &mut Vec<String>,
-) -> Result<(Memory, bool), String> {
+) -> Result<(LearnerState, bool), String> {
     let air = memory.as_ref().and_then(|it| it.air.clone()).or(air);
-    let all = constants::constants(machine, quantity, air.as_deref());
-    let zero = constants::zero(machine, quantity).map(|(_, number, _)| number);
+    let all = constants::learnable_constants(machine, quantity, air.as_deref());
+    let zero = constants::zero_location(machine, quantity).map(|(_, number, _)| number);
     if all.is_empty() {
         return Err(format!(
             "has no constant other than 0 by which {} is multiplied, so nothing can follow",
@@ -53,19 +53,22 @@ pub(crate) fn reconciled(
         ));
     }
     let Some(mut memory) = memory else {
-        return Ok((Memory { air, ..empty(machine, quantity, all, zero) }, false));
+        return Ok((
+            LearnerState { air, ..initial_learner_state(machine, quantity, all, zero) },
+            false,
+        ));
     };
     memory.air = air;
-    let owner = Owner::of(machine);
+    let owner = MachineIdentity::from_machine(machine);
     let is_migrated = memory.machine.name.is_empty();
-    if !is_migrated && !memory.machine.is(&owner) {
+    if !is_migrated && !memory.machine.is_same_as(&owner) {
         return Err(format!(
             "is of {}, and the state next to the output was learned for {}: give each machine its own --output",
-            owner.text(),
-            memory.machine.text()
+            owner.description(),
+            memory.machine.description()
         ));
     }
-    if constants::named(&memory.quantity) != Some(quantity) {
+    if constants::quantity_by_name(&memory.quantity) != Some(quantity) {
         return Err(format!(
             "the state next to the output was learned for {}, and the record measures {}: give each quantity its own \
              --output",
@@ -80,23 +83,23 @@ pub(crate) fn reconciled(
     }
     // A serial number that the file says no longer is kept.
     let serial = owner.serial.or(memory.machine.serial.take());
-    memory.machine = Owner { name: owner.name, serial };
+    memory.machine = MachineIdentity { name: owner.name, serial };
     memory.zero = memory.zero.or(zero);
-    let has_restarted = restart(&mut memory, all, zero, notes)?;
+    let has_restarted = restart_changed_constants(&mut memory, all, zero, notes)?;
     Ok((memory, has_restarted))
 }
 
 /// Returns the state of a machine of which nothing was read yet.
-fn empty(
+fn initial_learner_state(
     machine: &Machine,
     quantity: Quantity,
-    constants: Vec<Constant>,
+    constants: Vec<LearnableConstant>,
     zero: Option<f64>,
-) -> Memory {
-    let noise_um = machine.instrument_um.map_or(NOISE_UM, |um| um / 2.0);
-    Memory {
-        schema: SCHEMA,
-        machine: Owner::of(machine),
+) -> LearnerState {
+    let noise_um = machine.instrument_um.map_or(DEFAULT_NOISE_UM, |um| um / 2.0);
+    LearnerState {
+        schema: SCHEMA_VERSION,
+        machine: MachineIdentity::from_machine(machine),
         quantity: quantity.name().into(),
         zero,
         applied: vec![0.0; constants.len() + 1],
@@ -110,7 +113,7 @@ fn empty(
         checks: Vec::new(),
         worn: Vec::new(),
         thermometers: Vec::new(),
-        checkpoint: Bank::new(&prior(&constants), noise_um),
+        checkpoint: FilterBank::new(&prior_standard_deviations(&constants), noise_um),
         checkpoint_s: None,
         first: 0,
         window: Vec::new(),
@@ -121,13 +124,15 @@ fn empty(
 }
 
 /// Begins anew what the file says otherwise today; the rest stays. Returns true if anything did.
-fn restart(
-    memory: &mut Memory,
-    all: Vec<Constant>,
+fn restart_changed_constants(
+    memory: &mut LearnerState,
+    all: Vec<LearnableConstant>,
     zero: Option<f64>,
     notes: &mut Vec<String>,
 ) -> Result<bool, String> {
-    let place = |constant: &Constant| memory.constants.iter().position(|it| it.is(constant));
+    let place = |constant: &LearnableConstant| {
+        memory.constants.iter().position(|it| it.is_same_as(constant))
+    };
     let places: Vec<Option<usize>> = all.iter().map(place).collect();
     if places.iter().all(Option::is_none) {
         return Err(
@@ -176,10 +181,10 @@ fn restart(
     let is_all = from.len() == memory.constants.len() + 1
         && from.iter().enumerate().all(|(index, it)| *it == Some(index));
     if !is_all {
-        memory.checkpoint = Believed::of(memory).bank;
-        memory.checkpoint.select(&from, &prior(&all));
+        memory.checkpoint = FilterHistory::from_state(memory).bank;
+        memory.checkpoint.remap_values(&from, &prior_standard_deviations(&all));
         memory.checkpoint_s = memory.window.last().and_then(|kept| kept.t).or(memory.checkpoint_s);
-        memory.first = memory.next();
+        memory.first = memory.next_sequence();
         memory.window.clear();
         let applied = from.iter().map(|it| it.map_or(0.0, |it| memory.applied[it]));
         memory.applied = applied.collect();

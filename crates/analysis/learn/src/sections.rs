@@ -3,7 +3,7 @@
 use toml_edit::Item;
 
 /// Returns the section within `root`; `None`: it is not there.
-pub(crate) fn find<'d>(root: &'d mut Item, key: &str) -> Option<&'d mut Item> {
+pub(crate) fn find_section<'d>(root: &'d mut Item, key: &str) -> Option<&'d mut Item> {
     key.split('.').try_fold(root, |item, name| {
         let Some((array, number)) = name.split_once('[') else {
             return item.as_table_like_mut()?.get_mut(name);

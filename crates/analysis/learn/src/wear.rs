@@ -9,41 +9,41 @@
 //! A lag in the other constants (a season after a thermometer was moved) shifts both directions alike: ē takes it off.
 //!
 //! A line over all readings knows the growth far better than the estimate of today less that of the first weeks: that
-//! forgets, and lags behind. It is wear when s differs from 0 by [`CERTAIN`] standard errors.
+//! forgets, and lags behind. It is wear when s differs from 0 by [`MIN_SLOPE_SIGMAS`] standard errors.
 
 use crate::{
-    constants::Constant,
-    event::{Action, Event, EventKind, digits},
-    memory::{Memory, StoredReading},
-    worn::{CERTAIN, Sums},
+    constants::LearnableConstant,
+    event::{Action, Event, EventKind, round_to_three_digits},
+    learner_state::{LearnerState, StoredReading},
+    wear_regression::{MIN_SLOPE_SIGMAS, RegressionSums},
 };
 
 /// Days that a line needs: a month.
-const SHORTEST_S: f64 = 30.0 * 86_400.0;
+const MIN_WEAR_SPAN_S: f64 = 30.0 * 86_400.0;
 /// Scatters by which one reading counts at most.
-const COUNTS: f64 = 2.0;
+const CLIPPING_SIGMAS: f64 = 2.0;
 /// Readings in the positive direction that say what misses both alike: ten days of two a day. Fewer add more noise than they take off.
-const OTHERS: usize = 10;
+const COMMON_MODE_READINGS: usize = 10;
 /// The unit of t, in s.
-const YEAR_S: f64 = 365.25 * 86_400.0;
+const SECONDS_PER_YEAR: f64 = 365.25 * 86_400.0;
 
 /// Returns true for a constant that wears.
-pub(crate) fn wears(constant: &Constant) -> bool {
+pub(crate) fn is_subject_to_wear(constant: &LearnableConstant) -> bool {
     constant.key.ends_with("backlash.width_um")
 }
 
 /// Returns what a reading says of each backlash, in µm: the readings before it, its sensitivities, what is believed before it, what
 /// that misses, and the scatter of a reading.
-pub(crate) fn said(
-    constants: &[Constant],
+pub(crate) fn backlash_observations(
+    constants: &[LearnableConstant],
     before: &[StoredReading],
     g: &[f64],
     believed: &[f64],
     missed_um: f64,
     scatter_um: f64,
 ) -> Vec<f64> {
-    let held_um = missed_um.clamp(-COUNTS * scatter_um, COUNTS * scatter_um);
-    let worn = constants.iter().enumerate().filter(|(_, it)| wears(it));
+    let held_um = missed_um.clamp(-CLIPPING_SIGMAS * scatter_um, CLIPPING_SIGMAS * scatter_um);
+    let worn = constants.iter().enumerate().filter(|(_, it)| is_subject_to_wear(it));
     worn.enumerate()
         .map(|(number, (index, _))| {
             let width_um = g[index + 1];
@@ -51,27 +51,32 @@ pub(crate) fn said(
                 return held_um;
             }
             let others = before.iter().rev().filter(|kept| kept.g[index + 1] == 0.0);
-            let others = others.filter_map(|kept| kept.worn.get(number)).take(OTHERS);
+            let others = others.filter_map(|kept| kept.worn.get(number)).take(COMMON_MODE_READINGS);
             let (sum, count) = others.fold((0.0, 0), |(sum, count), um| (sum + um, count + 1));
-            let alike_um = if count == OTHERS { sum / OTHERS as f64 } else { 0.0 };
+            let alike_um =
+                if count == COMMON_MODE_READINGS { sum / COMMON_MODE_READINGS as f64 } else { 0.0 };
             width_um * believed[index + 1] + held_um - alike_um
         })
         .collect()
 }
 
 /// Takes the window's first reading into the sums: it leaves the window.
-pub(crate) fn leave(memory: &mut Memory) {
+pub(crate) fn absorb_oldest_reading(memory: &mut LearnerState) {
     let mut worn = std::mem::take(&mut memory.worn);
-    add(memory, 0..1, &mut worn);
+    add_readings(memory, 0..1, &mut worn);
     memory.worn = worn;
 }
 
 /// Adds readings of the window to the sums.
-fn add(memory: &Memory, rows: std::ops::Range<usize>, worn: &mut Vec<Sums>) {
-    let all = memory.constants.iter().enumerate().filter(|(_, it)| wears(it));
+fn add_readings(
+    memory: &LearnerState,
+    rows: std::ops::Range<usize>,
+    worn: &mut Vec<RegressionSums>,
+) {
+    let all = memory.constants.iter().enumerate().filter(|(_, it)| is_subject_to_wear(it));
     for (number, (index, _)) in all.enumerate() {
         if worn.len() <= number {
-            worn.push(Sums::default());
+            worn.push(RegressionSums::default());
         }
         // Where the width has become another one by an event it begins anew.
         let is_new = |event: &&Event| match &event.action {
@@ -82,12 +87,12 @@ fn add(memory: &Memory, rows: std::ops::Range<usize>, worn: &mut Vec<Sums>) {
         for (n, kept) in memory.window[rows.clone()].iter().enumerate() {
             let sequence = memory.first + (rows.start + n) as u64;
             if since == Some(sequence) {
-                worn[number] = Sums::default();
+                worn[number] = RegressionSums::default();
             }
             let (Some(t), Some(first_s)) = (kept.t, memory.first_s) else { continue };
             let (g, r) = (kept.g[index + 1], kept.worn.get(number));
             if let Some(r) = r.filter(|_| g.abs() > 0.0) {
-                worn[number].add(g, *r, (t - first_s) / YEAR_S);
+                worn[number].add(g, *r, (t - first_s) / SECONDS_PER_YEAR);
             }
         }
     }
@@ -95,16 +100,17 @@ fn add(memory: &Memory, rows: std::ops::Range<usize>, worn: &mut Vec<Sums>) {
 
 /// Looks at the backlashes after the window's last reading; `scatter_um` of a reading, at the upper end of what it may be.
 /// A wear whose interval no longer excludes zero is taken back.
-pub(crate) fn watch(memory: &mut Memory, scatter_um: f64) {
+pub(crate) fn detect_wear(memory: &mut LearnerState, scatter_um: f64) {
     let Some(t_s) = memory.first_s.zip(memory.last_s).map(|(first, last)| last - first) else {
         return;
     };
-    if t_s < SHORTEST_S || !memory.constants.iter().any(wears) {
+    if t_s < MIN_WEAR_SPAN_S || !memory.constants.iter().any(is_subject_to_wear) {
         return;
     }
     let mut worn = memory.worn.clone();
-    add(memory, 0..memory.window.len(), &mut worn);
-    let places = (0..memory.constants.len()).filter(|index| wears(&memory.constants[*index]));
+    add_readings(memory, 0..memory.window.len(), &mut worn);
+    let places =
+        (0..memory.constants.len()).filter(|index| is_subject_to_wear(&memory.constants[*index]));
     for (place, sums) in places.collect::<Vec<_>>().into_iter().zip(&worn) {
         let (key, width_um) =
             (memory.constants[place].key.clone(), memory.constants[place].believed);
@@ -112,12 +118,12 @@ pub(crate) fn watch(memory: &mut Memory, scatter_um: f64) {
             event.event == EventKind::Wear && event.constant.as_deref() == Some(&key)
         });
         let Some([slope, error]) = sums.slope(scatter_um) else { continue };
-        if known.is_none() && slope.abs() <= CERTAIN * error {
+        if known.is_none() && slope.abs() <= MIN_SLOPE_SIGMAS * error {
             continue;
         }
-        let [size, half] =
-            [slope * width_um, 1.96 * (error * width_um).abs()].map(|it| it * t_s / YEAR_S);
-        let [size, low, high] = [size, size - half, size + half].map(digits);
+        let [size, half] = [slope * width_um, 1.96 * (error * width_um).abs()]
+            .map(|it| it * t_s / SECONDS_PER_YEAR);
+        let [size, low, high] = [size, size - half, size + half].map(round_to_three_digits);
         if let Some(place) = known.filter(|_| slope.abs() <= 1.96 * error) {
             memory.events.remove(place);
             continue;
@@ -137,7 +143,7 @@ pub(crate) fn watch(memory: &mut Memory, scatter_um: f64) {
             ci95: [low, high],
             check: Event::advice(EventKind::Wear, &[]),
             alternatives: Vec::new(),
-            sequence: memory.next() - 1,
+            sequence: memory.next_sequence() - 1,
             action: Action::Nothing,
             is_open: false,
         });

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use trueup_campaigns::year::{Happens, Kind, year};
-use trueup_learn::{EventKind, Learned, Limits, Memory, learn};
+use trueup_campaigns::year::{MachineKind, YearSchedule, simulate_year};
+use trueup_learn::{EventKind, LearnerState, LearningResult, Limits, learn};
 use trueup_machine::{MachineFile, RunFile};
 
 const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"temperature\"\n\
@@ -22,7 +22,7 @@ fn record(first_s: f64, count: usize, um: impl Fn(f64, usize) -> f64) -> RunFile
     RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file")
 }
 
-fn taught(run: &RunFile, memory: Option<Memory>, limits: &Limits) -> Learned {
+fn taught(run: &RunFile, memory: Option<LearnerState>, limits: &Limits) -> LearningResult {
     learn(MACHINE, Path::new("m.toml"), run, None, memory, limits)
         .unwrap_or_else(|error| panic!("{error}"))
 }
@@ -46,7 +46,7 @@ fn a_constant_that_has_changed_is_followed_and_the_comment_stays() {
     assert!(learned.machine.contains("# the maker's"), "{}", learned.machine);
     assert!(learned.half_widths[0] < 0.2 && learned.half_widths[0] > 0.0);
     let change = learned.memory.changes.last().expect("it is logged");
-    let mut keys = change.values.iter().map(|(place, ..)| learned.memory.key(*place));
+    let mut keys = change.values.iter().map(|(place, ..)| learned.memory.value_key(*place));
     assert!(keys.any(|key| key == "spindle.temperature.k_um_per_c"), "{change:?}");
     assert!(learned.notes.iter().any(|it| it.starts_with("What was learned is applied")));
 }
@@ -89,7 +89,7 @@ fn a_change_is_undone_and_its_record_is_not_learned_from_again() {
     }
     // A change a day, over two days of readings.
     assert!((1..=2).contains(&undone), "{undone}");
-    assert_eq!(memory.applied_to(MACHINE, path).as_deref(), Some(MACHINE));
+    assert_eq!(memory.apply_to_file(MACHINE, path).as_deref(), Some(MACHINE));
     let again = taught(&record(0.0, 60, grown), Some(memory), &Limits::default());
     assert_eq!((again.readings.len(), again.seen), (0, 60));
     assert_eq!(again.machine, MACHINE);
@@ -98,19 +98,19 @@ fn a_change_is_undone_and_its_record_is_not_learned_from_again() {
 #[test]
 fn what_is_known_outlives_the_program_and_a_constant_changed_by_hand_restarts() {
     let first = taught(&record(0.0, 60, grown), None, &Limits::default());
-    let text = first.memory.write().expect("it can be written");
-    let memory = Memory::read(&text).expect("what was written");
+    let text = first.memory.to_json().expect("it can be written");
+    let memory = LearnerState::from_json(&text).expect("what was written");
     let next = record(2e5, 12, grown);
     let both = [first.memory, memory].map(|it| taught(&next, Some(it), &Limits::default()).machine);
     assert_eq!(both[0], both[1]);
-    let memory = Memory::read(&text).expect("what was written");
+    let memory = LearnerState::from_json(&text).expect("what was written");
     let edited = MACHINE.replace("2.0 #", "2.6 #");
     let learned =
         learn(&edited, Path::new("m.toml"), &next, None, Some(memory), &Limits::default());
     let learned = learned.unwrap_or_else(|error| panic!("{error}"));
     assert!((k(&learned.machine) - 2.6).abs() < 0.1, "{}", learned.machine);
     assert!(learned.has_restarted && learned.notes[0].contains("was changed by hand (2 to 2.6)"));
-    assert!(Memory::read("{}").is_err());
+    assert!(LearnerState::from_json("{}").is_err());
 }
 
 #[test]
@@ -147,13 +147,14 @@ fn a_record_that_grows_counts_each_reading_once() {
     let at_once = taught(&whole, None, &Limits::default());
     let mut memory = None;
     for rows in [5, 10, 25, 40] {
-        let learned = taught(&whole.altered(rows, |_, _| {}), memory.take(), &Limits::default());
+        let learned =
+            taught(&whole.with_altered_values(rows, |_, _| {}), memory.take(), &Limits::default());
         let before = [5, 10, 25, 40].into_iter().filter(|it| *it < rows).max().unwrap_or(0);
         assert_eq!(learned.readings.len(), rows - before);
         memory = Some(learned.memory);
     }
     let memory = memory.expect("four records");
-    assert_eq!(memory.write().expect("JSON"), at_once.memory.write().expect("JSON"));
+    assert_eq!(memory.to_json().expect("JSON"), at_once.memory.to_json().expect("JSON"));
     // Nothing new in it.
     let again = taught(&whole, Some(memory.clone()), &Limits::default());
     assert_eq!((again.readings.len(), again.seen), (0, 40));
@@ -226,11 +227,11 @@ fn dates_keep_the_time_between_day_files() {
             let run = file(day, is_date);
             memory = Some(taught(&run, memory.take(), &Limits::default()).memory);
         }
-        memory.expect("six days").write().expect("JSON")
+        memory.expect("six days").to_json().expect("JSON")
     });
     assert_eq!(states[0], states[1]);
     // A clock that was set back says what to write.
-    let memory = Memory::read(&states[0]).expect("what was written");
+    let memory = LearnerState::from_json(&states[0]).expect("what was written");
     let text = "time,temp_a_c,measured_elongation_um\n2026-01-16 19:10:00,25,10\n";
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
     let early = learn(MACHINE, Path::new("m.toml"), &run, None, Some(memory), &Limits::default());
@@ -242,14 +243,14 @@ fn dates_keep_the_time_between_day_files() {
 fn a_state_of_the_form_before_is_read_and_its_readings_are_known() {
     let first = taught(&record(0.0, 60, grown), None, &Limits::default());
     let state: serde_json::Value =
-        serde_json::from_str(&first.memory.write().expect("JSON")).expect("JSON");
+        serde_json::from_str(&first.memory.to_json().expect("JSON")).expect("JSON");
     let old = serde_json::json!({
         "schema": 2, "base": 1, "quantity": "elongation", "constants": state["constants"],
         "bank": state["checkpoint"], "applied": state["applied"], "last_s": 106_200.0,
         "records": [], "readings": [1, 2], "recent": [], "is_applied_once": false, "changes": [],
     });
-    let memory = Memory::read(&old.to_string()).expect("the form before");
-    assert!(Memory::is_of_older_form(&old.to_string()));
+    let memory = LearnerState::from_json(&old.to_string()).expect("the form before");
+    assert!(LearnerState::is_previous_schema(&old.to_string()));
     assert_eq!(memory.applied, first.memory.applied);
     let learned = taught(&record(2e5, 12, grown), Some(memory), &Limits::default());
     assert!((k(&learned.machine) - 2.6).abs() < 0.1, "{}", learned.machine);
@@ -265,15 +266,16 @@ fn every_decision_comes_from_the_readings_so_far() {
     };
     let whole = record(1e9, 120, um);
     let at_once = taught(&whole, None, &Limits::default());
-    let mut memory: Option<Memory> = None;
+    let mut memory: Option<LearnerState> = None;
     for rows in (1..=120).rev().step_by(3).collect::<Vec<_>>().into_iter().rev() {
-        let text = memory.take().map(|it: Memory| it.write().expect("JSON"));
-        let memory_now = text.map(|text| Memory::read(&text).expect("what was written"));
-        let learned = taught(&whole.altered(rows, |_, _| {}), memory_now, &Limits::default());
+        let text = memory.take().map(|it: LearnerState| it.to_json().expect("JSON"));
+        let memory_now = text.map(|text| LearnerState::from_json(&text).expect("what was written"));
+        let learned =
+            taught(&whole.with_altered_values(rows, |_, _| {}), memory_now, &Limits::default());
         memory = Some(learned.memory);
     }
-    let grown = memory.expect("records").write().expect("JSON");
-    assert_eq!(grown, at_once.memory.write().expect("JSON"));
+    let grown = memory.expect("records").to_json().expect("JSON");
+    assert_eq!(grown, at_once.memory.to_json().expect("JSON"));
     let [step] = &at_once.memory.events[..] else { panic!("{:?}", at_once.memory.events) };
     assert_eq!(step.event, EventKind::ZeroStep);
     assert!((step.size - 25.0).abs() < 1.0, "{step:?}");
@@ -287,7 +289,7 @@ fn an_event_moves_the_correction_by_the_readings_it_rests_on_and_one_reading_by_
     let whole = record(1e9, 60, um);
     let limits = Limits { step_um: 1.0, ..Limits::default() };
     let at = |rows: usize| {
-        let learned = taught(&whole.altered(rows, |_, _| {}), None, &limits);
+        let learned = taught(&whole.with_altered_values(rows, |_, _| {}), None, &limits);
         (learned.memory.events, k(&learned.machine))
     };
     let found = (51..60).find(|rows| !at(*rows).0.is_empty()).expect("it is found");
@@ -363,7 +365,7 @@ fn the_growth_of_each_tool_is_taken_off_before_a_constant_is_learned() {
 /// depends on it.
 #[test]
 fn the_air_is_missed_only_where_a_rise_over_it_is_applied() {
-    let drawn = year(7, Kind::Axis, Happens::default());
+    let drawn = simulate_year(7, MachineKind::Axis, YearSchedule::default());
     let csv = &drawn.days[0].csv;
     let place = csv.lines().next().expect("a head").split(',').position(|it| it == "temp_air_c");
     let place = place.expect("it is there");
@@ -384,11 +386,15 @@ fn the_air_is_missed_only_where_a_rise_over_it_is_applied() {
 /// Half a year of an axis whose thermometer shows 70 % of its rise over the air from June on.
 #[test]
 fn a_moved_thermometer_is_followed_by_a_term_over_the_air() {
-    let drawn = year(821, Kind::Axis, Happens { events: true, ..Happens::default() });
+    let drawn = simulate_year(
+        821,
+        MachineKind::Axis,
+        YearSchedule { events: true, ..YearSchedule::default() },
+    );
     let (moved, since) = (&drawn.events[1], 30.0 * 86_400.0);
     assert_eq!(moved.name, "thermometer-moved");
     let mut memory = None;
-    let mut last: Option<Learned> = None;
+    let mut last: Option<LearningResult> = None;
     for day in &drawn.days {
         let run = RunFile::from_reader(day.csv.as_bytes(), Path::new("r.csv")).expect("a run");
         if run.column("time_s").expect("a clock")[0] > moved.at_s + since {

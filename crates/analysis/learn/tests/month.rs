@@ -5,8 +5,8 @@
 
 use std::{ops::Range, path::Path};
 
-use trueup_campaigns::month::{Day, SEEDS, month};
-use trueup_learn::{Limits, Memory, learn};
+use trueup_campaigns::month::{Day, EVALUATION_SEEDS, simulate_month};
+use trueup_learn::{LearnerState, Limits, learn};
 use trueup_machine::{MachineFile, RunFile, predict::Predictor};
 
 fn run(day: &Day) -> RunFile {
@@ -19,7 +19,7 @@ fn left(machine: &str, day: &Day) -> (f64, f64) {
     let machine = MachineFile::parse(machine, Path::new("m.toml")).expect("a machine file");
     let run = run(day);
     let predictor = Predictor::new(&machine, &run).expect("a prediction");
-    let rows = predictor.model().zip(&day.truth_um).zip(&day.works);
+    let rows = predictor.model_values().zip(&day.truth_um).zip(&day.works);
     rows.filter(|(_, works)| **works).fold((0.0, 0.0), |(sum, count), ((values, truth_um), _)| {
         (sum + (truth_um - values.elongation_um).powi(2), count + 1.0)
     })
@@ -27,8 +27,8 @@ fn left(machine: &str, day: &Day) -> (f64, f64) {
 
 /// RMS on the days that were not probed: of the file as it is, and of what was learned until then.
 fn lived(seed: u64, ages: bool) -> [f64; 2] {
-    let month = month(seed, ages);
-    let mut memory: Option<Memory> = None;
+    let month = simulate_month(seed, ages);
+    let mut memory: Option<LearnerState> = None;
     let mut machine = month.machine.clone();
     let mut sums = [(0.0, 0.0); 2];
     for day in &month.days {
@@ -100,7 +100,7 @@ fn holds(it: &Judged) {
 
 #[test]
 fn twenty_months_are_followed_to_three_and_a_half_micrometres() {
-    holds(&judged(SEEDS, SEEDS));
+    holds(&judged(EVALUATION_SEEDS, EVALUATION_SEEDS));
 }
 
 /// Months not looked at while the learner before this one was made; its faults were found on them.

@@ -2,9 +2,11 @@
 
 use std::path::Path;
 
-use trueup_learn::trust::{CHANGE, Noise, Watch, trust};
+use trueup_learn::calibration_monitoring::{
+    BaselineNoise, CusumMonitor, TARGET_SHIFT_SIGMAS, monitor_calibration,
+};
 use trueup_machine::{MachineFile, RunFile};
-use trueup_twin::noise::{Correlated, Stream};
+use trueup_twin::noise::{CorrelatedNoise, RandomStream};
 
 const ROW_S: f64 = 60.0;
 /// Of the spindle whose sensor is watched: half an hour.
@@ -12,15 +14,15 @@ const THERMAL_S: f64 = 1800.0;
 /// The noise's correlation from minute to minute: a memory of a minute and a half, and one of five.
 const MEMORIES: [f64; 2] = [0.5, 0.8];
 
-fn noise(seed: u64, purpose: &str, memory: f64) -> Correlated {
-    Correlated::new(Stream::new(seed, purpose), 0.7, memory)
+fn noise(seed: u64, purpose: &str, memory: f64) -> CorrelatedNoise {
+    CorrelatedNoise::new(RandomStream::new(seed, purpose), 0.7, memory)
 }
 
 /// Returns the noise as it is found from forty hours of which nothing was known before.
-fn found(seed: u64, memory: f64) -> Noise {
+fn found(seed: u64, memory: f64) -> BaselineNoise {
     let mut draws = noise(seed, "calibrated", memory);
     let um: Vec<f64> = (0..2400).map(|_| 1.3 + draws.draw()).collect();
-    Noise::of(&um, ROW_S).expect("enough rows")
+    BaselineNoise::from_residuals(&um, ROW_S).expect("enough rows")
 }
 
 #[test]
@@ -31,14 +33,18 @@ fn false_alarms_are_as_rare_as_is_stated_over_three_hundred_hours() {
         for share in [0.0, 0.01, 0.05] {
             let mut alarms = 0;
             for seed in 0..15 {
-                let mut bad = Stream::new(seed, "bad");
+                let mut bad = RandomStream::new(seed, "bad");
                 let mut is_bad = |um: f64| {
-                    if bad.chance(share) { um + bad.sign() * bad.uniform(2.0, 21.0) } else { um }
+                    if bad.bernoulli(share) {
+                        um + bad.random_sign() * bad.uniform(2.0, 21.0)
+                    } else {
+                        um
+                    }
                 };
                 let mut draws = noise(seed, "calibrated", memory);
                 let then: Vec<f64> = (0..rows).map(|_| is_bad(1.3 + draws.draw())).collect();
-                let found = Noise::of(&then, ROW_S).expect("enough rows");
-                let first = Watch::new(found, 300.0);
+                let found = BaselineNoise::from_residuals(&then, ROW_S).expect("enough rows");
+                let first = CusumMonitor::new(found, 300.0);
                 let (mut watch, mut draws) = (first, noise(seed, "watched", memory));
                 for _ in 0..300 * 60 {
                     if watch.step(is_bad(1.3 + draws.draw())) {
@@ -59,14 +65,14 @@ fn a_change_of_three_times_the_noise_is_found_within_a_thermal_time_constant() {
     for memory in MEMORIES {
         let (mut in_time, mut all, mut sum_s) = (0, 0, 0.0);
         for seed in 0..150 {
-            let mut watch = Watch::new(found(seed, memory), 1000.0);
+            let mut watch = CusumMonitor::new(found(seed, memory), 1000.0);
             let mut draws = noise(seed, "changed", memory);
             let side = if seed % 2 == 0 { 1.0 } else { -1.0 };
             let is_false = (0..120).any(|_| watch.step(1.3 + draws.draw()));
             if is_false {
                 continue;
             }
-            let moved = 1.3 + side * CHANGE * 0.7;
+            let moved = 1.3 + side * TARGET_SHIFT_SIGMAS * 0.7;
             let rows = (1..=600).find(|_| watch.step(moved + draws.draw())).unwrap_or(600);
             all += 1;
             sum_s += f64::from(rows) * ROW_S;
@@ -104,8 +110,9 @@ fn record(seed: u64, gain: f64, zero_um: f64) -> RunFile {
 fn a_sensor_that_leaves_its_model_is_told_with_the_measurement_to_take() {
     let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("a machine file");
     let then = record(1, 1.0, 0.0);
-    let told =
-        |run: &RunFile| trust(&machine, &then, run, None, 1000.0).expect("it can be watched");
+    let told = |run: &RunFile| {
+        monitor_calibration(&machine, &then, run, None, 1000.0).expect("it can be watched")
+    };
     assert_eq!(told(&record(2, 1.0, 0.0)).alarm, None);
     let alarm = told(&record(3, 1.0, 4.0)).alarm.expect("4 µm are seen");
     assert!((300..331).contains(&alarm.row) && alarm.moved_um > 1.0, "{alarm:?}");
@@ -117,7 +124,7 @@ fn a_sensor_that_leaves_its_model_is_told_with_the_measurement_to_take() {
         "time_s,temp_a_c,sensor_counts\n0,30,2000\n".as_bytes(),
         Path::new("short.csv"),
     );
-    let error = trust(&machine, &short.expect("a run file"), &then, None, 1000.0);
+    let error = monitor_calibration(&machine, &short.expect("a run file"), &then, None, 1000.0);
     assert!(error.expect_err("too short").rule.contains("at least 40"));
 }
 
@@ -125,12 +132,16 @@ fn a_sensor_that_leaves_its_model_is_told_with_the_measurement_to_take() {
 /// `added` µm more.
 fn probings(seed: u64, count: usize, from: usize, added: f64) -> RunFile {
     let (mut probe, mut text) =
-        (Stream::new(seed, "probe"), "time_s,temp_a_c,measured_elongation_um\n".to_string());
+        (RandomStream::new(seed, "probe"), "time_s,temp_a_c,measured_elongation_um\n".to_string());
     for n in 0..count {
-        let celsius = 26.0 + 6.0 * probe.normal();
-        let bad = if probe.chance(0.05) { probe.sign() * probe.uniform(10.0, 60.0) } else { 0.0 };
+        let celsius = 26.0 + 6.0 * probe.standard_normal();
+        let bad = if probe.bernoulli(0.05) {
+            probe.random_sign() * probe.uniform(10.0, 60.0)
+        } else {
+            0.0
+        };
         let um = 2.0 * (celsius - 20.0)
-            + 2.0 * probe.normal()
+            + 2.0 * probe.standard_normal()
             + bad
             + if n >= from { added } else { 0.0 };
         let time_s = 86_400 * (n / 2) + 25_200 + 18_000 * (n % 2);
@@ -146,7 +157,9 @@ fn forty_probings_with_bad_ones_are_enough_and_a_quiet_week_is_quiet() {
     let (mut quiet, mut found) = (0, 0);
     for seed in 0..10 {
         let then = probings(seed, 40, 40, 0.0);
-        let of = |run: &RunFile| trust(&machine, &then, run, None, 1000.0).expect("watched").alarm;
+        let of = |run: &RunFile| {
+            monitor_calibration(&machine, &then, run, None, 1000.0).expect("watched").alarm
+        };
         // 20 weeks of ten readings each.
         for week in 0..20 {
             quiet += usize::from(of(&probings(1000 + 20 * seed + week, 10, 10, 0.0)).is_some());
@@ -167,7 +180,9 @@ fn a_sensor_behind_a_temperature_source_is_compared_with_it() {
     let source = MACHINE.replace("source = \"sensor\"", "source = \"temperature\"");
     let machine = MachineFile::parse(&source, Path::new("m.toml")).expect("a machine file");
     let then = record(1, 1.0, 0.0);
-    let of = |run: &RunFile| trust(&machine, &then, run, None, 1000.0).expect("watched").alarm;
+    let of = |run: &RunFile| {
+        monitor_calibration(&machine, &then, run, None, 1000.0).expect("watched").alarm
+    };
     assert_eq!(of(&record(2, 1.0, 0.0)), None);
     let alarm = of(&record(3, 1.0, 4.0)).expect("4 µm are seen");
     assert!(alarm.next.contains("sensor") && alarm.next.contains("temp_a_c"), "{}", alarm.next);

@@ -2,17 +2,17 @@
 
 use std::fmt::Write as _;
 
-use crate::{html::escaped, number::ticks, seen};
+use crate::{html::escape_html, number::axis_ticks, point_reduction};
 
 const WIDTH: f64 = 480.0;
 const HEIGHT: f64 = 290.0;
 /// Left, right, top, bottom: room for the numbers and the names of the axes.
-const MARGIN: [f64; 4] = [58.0, 12.0, 12.0, 44.0];
+const MARGINS: [f64; 4] = [58.0, 12.0, 12.0, 44.0];
 
 /// Colours by what they stand for: the same on every page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Colour {
-    /// As it was: the machine file as it is.
+    /// As it was: with the current machine file.
     Before,
     /// As it is corrected.
     After,
@@ -23,7 +23,7 @@ pub enum Colour {
 }
 
 impl Colour {
-    pub(crate) const fn class(self) -> &'static str {
+    pub(crate) const fn css_class(self) -> &'static str {
         match self {
             Self::Before => "before",
             Self::After => "after",
@@ -62,19 +62,19 @@ pub struct Chart {
 impl Chart {
     /// Returns the chart as a figure; an empty text where there is nothing to be drawn.
     #[must_use]
-    pub fn figure(&self) -> String {
+    pub fn to_figure(&self) -> String {
         let Some([x, y]) = self.extent() else { return String::new() };
-        let [left, right, top, bottom] = MARGIN;
+        let [left, right, top, bottom] = MARGINS;
         let at_x = |value: f64| left + (value - x[0]) / (x[1] - x[0]) * (WIDTH - left - right);
         let at_y =
             |value: f64| HEIGHT - bottom - (value - y[0]) / (y[1] - y[0]) * (HEIGHT - top - bottom);
         let mut svg = format!(
             "<figure class=\"chart\"><svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" \
              aria-label=\"{}\">",
-            escaped(&self.title)
+            escape_html(&self.title)
         );
         let (floor, end) = (HEIGHT - bottom, WIDTH - right);
-        for (value, label) in ticks(x[0], x[1], 6.0) {
+        for (value, label) in axis_ticks(x[0], x[1], 6.0) {
             let at = at_x(value);
             let _ = write!(
                 svg,
@@ -83,7 +83,7 @@ impl Chart {
                 floor + 16.0
             );
         }
-        for (value, label) in ticks(y[0], y[1], 5.0) {
+        for (value, label) in axis_ticks(y[0], y[1], 5.0) {
             let at = at_y(value);
             let class = if value == 0.0 { "zero" } else { "grid" };
             let _ = write!(
@@ -101,41 +101,32 @@ impl Chart {
              <text transform=\"translate(14 {middle:.1}) rotate(-90)\" text-anchor=\"middle\">{}</text>",
             (left + end) / 2.0,
             HEIGHT - 8.0,
-            escaped(&self.x),
-            escaped(&self.y)
+            escape_html(&self.x),
+            escape_html(&self.y)
         );
         for series in &self.series {
-            let class = series.colour.class();
-            let points: Vec<[f64; 2]> = series.shown().map(|[x, y]| [at_x(x), at_y(y)]).collect();
+            let class = series.colour.css_class();
+            let points: Vec<[f64; 2]> =
+                series.visible_points().map(|[x, y]| [at_x(x), at_y(y)]).collect();
             let (kind, path) = match series.is_line {
-                true => ("line", seen::line(&points)),
-                false => ("dots", seen::dots(&points)),
+                true => ("line", point_reduction::line_path(&points)),
+                false => ("dots", point_reduction::dots_path(&points)),
             };
             let _ = write!(svg, "<path class=\"{kind} {class}\" d=\"{path}\"/>");
         }
-        let _ = write!(svg, "</svg><figcaption>{}", escaped(&self.title));
-        for series in legend(&self.series) {
-            let _ = write!(
-                svg,
-                " <span class=\"key {}\">{}</span>",
-                series.colour.class(),
-                escaped(&series.name)
-            );
-        }
-        svg.push_str("</figcaption></figure>\n");
-        svg
+        svg + &caption(&self.title, &self.series)
     }
 
     /// Returns the chart as a picture that stands alone in a file: colours that read on light and on dark, and its
     /// legend below.
     #[must_use]
-    pub fn standalone(&self) -> String {
+    pub fn standalone_svg(&self) -> String {
         const STYLE: &str = "<style>text{font:12px sans-serif;fill:#7a858e}path{fill:none}\
              .grid{stroke:#9aa5ae;stroke-width:.4}.zero{stroke:#7a858e}.line{stroke-width:1.7}\
              .dots{stroke-width:4.8;stroke-linecap:round}path.before{stroke:#d9703a}\
              path.after{stroke:#3b87d6}path.measured{stroke:#7a858e}path.truth{stroke:#3f9a45}\
              text.before{fill:#d9703a}text.after{fill:#3b87d6}text.truth{fill:#3f9a45}</style>";
-        let figure = self.figure();
+        let figure = self.to_figure();
         let Some((start, end)) = figure.find("<svg").zip(figure.find("</svg>")) else {
             return String::new();
         };
@@ -148,15 +139,15 @@ impl Chart {
         let inside = svg.find('>').map_or(svg.len(), |at| at + 1);
         svg.insert_str(inside, STYLE);
         let legend = legend(&self.series);
-        let share = (WIDTH - MARGIN[0]) / legend.len().max(1) as f64;
+        let share = (WIDTH - MARGINS[0]) / legend.len().max(1) as f64;
         for (number, series) in legend.into_iter().enumerate() {
             let _ = write!(
                 svg,
                 "<text class=\"{}\" x=\"{:.0}\" y=\"{:.0}\">● {}</text>",
-                series.colour.class(),
-                MARGIN[0] + share * number as f64,
+                series.colour.css_class(),
+                MARGINS[0] + share * number as f64,
                 height - 6.0,
-                escaped(&series.name)
+                escape_html(&series.name)
             );
         }
         svg + "</svg>\n"
@@ -164,7 +155,7 @@ impl Chart {
 
     /// Lowest and highest of x and of y, with a margin; none where there is no point.
     fn extent(&self) -> Option<[[f64; 2]; 2]> {
-        let all = || self.series.iter().flat_map(Series::shown);
+        let all = || self.series.iter().flat_map(Series::visible_points);
         let range = |of: usize| {
             let (low, high) = all()
                 .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), point| {
@@ -177,8 +168,22 @@ impl Chart {
     }
 }
 
+/// Returns the end of a figure: its title, and its series once each.
+pub(crate) fn caption(title: &str, series: &[Series]) -> String {
+    let mut caption = format!("</svg><figcaption>{}", escape_html(title));
+    for Series { name, colour, .. } in legend(series) {
+        let _ = write!(
+            caption,
+            " <span class=\"key {}\">{}</span>",
+            colour.css_class(),
+            escape_html(name)
+        );
+    }
+    caption + "</figcaption></figure>\n"
+}
+
 /// Returns one of each name and colour: a run may be many lines.
-pub(crate) fn legend(all: &[Series]) -> Vec<&Series> {
+fn legend(all: &[Series]) -> Vec<&Series> {
     let mut legend: Vec<&Series> = Vec::new();
     for series in all {
         if !legend.iter().any(|it| (&it.name, it.colour) == (&series.name, series.colour)) {
@@ -201,7 +206,7 @@ impl Series {
         Self { name: name.into(), colour, points, is_line: false }
     }
 
-    pub(crate) fn shown(&self) -> impl Iterator<Item = [f64; 2]> {
+    pub(crate) fn visible_points(&self) -> impl Iterator<Item = [f64; 2]> {
         let is_there = |point: &&[f64; 2]| point.iter().all(|value| value.is_finite());
         self.points.iter().filter(is_there).copied()
     }
@@ -218,16 +223,16 @@ mod tests {
 
     #[test]
     fn a_point_that_is_missing_is_left_out_and_without_points_there_is_no_picture() {
-        let figure = chart(vec![[0.0, 1.0], [1.0, f64::NAN], [2.0, 3.0]]).figure();
+        let figure = chart(vec![[0.0, 1.0], [1.0, f64::NAN], [2.0, 3.0]]).to_figure();
         assert_eq!(figure.matches("h0").count(), 2);
         assert!(figure.contains("a &lt;b&gt;</span>"), "the legend is beside the picture");
         assert!(!figure.contains("NaN"));
-        assert_eq!(chart(vec![[f64::NAN, 1.0]]).figure(), "");
+        assert_eq!(chart(vec![[f64::NAN, 1.0]]).to_figure(), "");
     }
 
     #[test]
     fn a_picture_that_stands_alone_has_its_legend_and_its_style() {
-        let svg = chart(vec![[0.0, 1.0], [2.0, 3.0]]).standalone();
+        let svg = chart(vec![[0.0, 1.0], [2.0, 3.0]]).standalone_svg();
         assert!(svg.starts_with("<svg xmlns=") && svg.ends_with("</svg>\n"), "{svg}");
         assert!(svg.contains("<style>") && svg.contains("● a &lt;b&gt;"), "{svg}");
     }
@@ -236,7 +241,7 @@ mod tests {
     fn the_lines_of_a_run_have_one_entry_in_the_legend() {
         let mut chart = chart(vec![[0.0, 1.0], [2.0, 3.0]]);
         chart.series.push(chart.series[0].clone());
-        let figure = chart.figure();
+        let figure = chart.to_figure();
         assert_eq!(
             (figure.matches("<path class=\"dots").count(), figure.matches("class=\"key").count()),
             (2, 1)
@@ -245,11 +250,11 @@ mod tests {
 
     #[test]
     fn every_point_is_inside_the_picture() {
-        let figure = chart(vec![[-5.0, 1e-4], [7.0, 2e-4]]).figure();
+        let figure = chart(vec![[-5.0, 1e-4], [7.0, 2e-4]]).to_figure();
         let (_, dots) = figure.split_once("class=\"dots before\" d=\"").expect("dots");
         for dot in dots.split("h0").filter_map(|dot| dot.strip_prefix('M')) {
             let x: f64 = dot.split(' ').next().and_then(|x| x.parse().ok()).expect("a number");
-            assert!((MARGIN[0]..=WIDTH - MARGIN[1]).contains(&x), "{x}");
+            assert!((MARGINS[0]..=WIDTH - MARGINS[1]).contains(&x), "{x}");
         }
     }
 }

@@ -4,20 +4,20 @@ use std::fmt::Write as _;
 
 use crate::{
     chart::Colour,
-    html::escaped,
-    number::{significant, ticks},
+    html::escape_html,
+    number::{axis_ticks, format_significant},
 };
 
 const WIDTH: f64 = 640.0;
 /// From row to row.
-const ROW: f64 = 18.0;
+const ROW_HEIGHT: f64 = 18.0;
 /// Left, right, top, bottom: room for the names and the numbers of the axis.
 const MARGIN: [f64; 4] = [190.0, 14.0, 10.0, 42.0];
 /// The longest name that has room, in characters.
-const MAX_NAME: usize = 26;
+const MAX_NAME_CHARS: usize = 26;
 
 /// A value with its interval.
-pub type Ranged = (f64, [f64; 2]);
+pub type ValueWithInterval = (f64, [f64; 2]);
 
 /// A row of the plot.
 #[derive(Clone, Debug)]
@@ -25,14 +25,14 @@ pub struct ForestRow {
     /// Its name.
     pub name: String,
     /// The value by itself.
-    pub own: Ranged,
+    pub own: ValueWithInterval,
     /// The value with the help of the others, drawn below it.
-    pub shared: Option<Ranged>,
+    pub shared: Option<ValueWithInterval>,
 }
 
 /// Values of many things.
 #[derive(Clone, Debug)]
-pub struct Forest {
+pub struct ForestPlot {
     /// The caption, a sentence on what is shown.
     pub title: String,
     /// The name of the axis, with its unit.
@@ -40,24 +40,24 @@ pub struct Forest {
     /// The rows, from the top.
     pub rows: Vec<ForestRow>,
     /// The mean, drawn as a line, and its interval as a second bar at the bottom.
-    pub mean: Option<Ranged>,
+    pub mean: Option<ValueWithInterval>,
 }
 
-impl Forest {
+impl ForestPlot {
     /// Returns the plot as a figure; an empty text where there is nothing to be drawn.
     #[must_use]
-    pub fn figure(&self) -> String {
+    pub fn to_figure(&self) -> String {
         let Some([low, high]) = self.extent() else { return String::new() };
         let [left, right, top, bottom] = MARGIN;
         let rows = self.rows.len() + usize::from(self.mean.is_some());
-        let (floor, end) = (top + ROW * rows as f64, WIDTH - right);
+        let (floor, end) = (top + ROW_HEIGHT * rows as f64, WIDTH - right);
         let height = floor + bottom;
         let at = |value: f64| left + (value.clamp(low, high) - low) / (high - low) * (end - left);
         let mut svg = format!(
             "<figure><svg viewBox=\"0 0 {WIDTH} {height}\" role=\"img\" aria-label=\"{}\">",
-            escaped(&self.title)
+            escape_html(&self.title)
         );
-        for (value, label) in ticks(low, high, 6.0) {
+        for (value, label) in axis_ticks(low, high, 6.0) {
             let (x, class) = (at(value), if value == 0.0 { "zero" } else { "grid" });
             let _ = write!(
                 svg,
@@ -70,8 +70,8 @@ impl Forest {
             let x = at(mean);
             let _ = write!(svg, "<path class=\"line truth\" d=\"M{x:.1} {top}V{floor}\"/>");
         }
-        let mut bar = |(value, [from, to]): Ranged, y: f64, colour: Colour| {
-            let class = colour.class();
+        let mut bar = |(value, [from, to]): ValueWithInterval, y: f64, colour: Colour| {
+            let class = colour.css_class();
             let _ = write!(
                 svg,
                 "<path class=\"line {class}\" d=\"M{:.1} {y:.1}H{:.1}\"/>\
@@ -82,13 +82,13 @@ impl Forest {
             );
         };
         for (number, row) in self.rows.iter().enumerate() {
-            let middle = top + ROW * (number as f64 + 0.5);
-            let apart = if row.shared.is_some() { 0.18 * ROW } else { 0.0 };
+            let middle = top + ROW_HEIGHT * (number as f64 + 0.5);
+            let apart = if row.shared.is_some() { 0.18 * ROW_HEIGHT } else { 0.0 };
             bar(row.own, middle - apart, Colour::Before);
             row.shared.into_iter().for_each(|shared| bar(shared, middle + apart, Colour::After));
         }
         if let Some(mean) = self.mean {
-            bar(mean, floor - 0.5 * ROW, Colour::Truth);
+            bar(mean, floor - 0.5 * ROW_HEIGHT, Colour::Truth);
         }
         let names = self.rows.iter().map(|row| row.name.as_str());
         for (number, name) in names.chain(self.mean.map(|_| "mean")).enumerate() {
@@ -96,8 +96,8 @@ impl Forest {
                 svg,
                 "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
                 left - 8.0,
-                top + ROW * (number as f64 + 0.5) + 4.0,
-                escaped(&shortened(name))
+                top + ROW_HEIGHT * (number as f64 + 0.5) + 4.0,
+                escape_html(&abbreviate(name))
             );
         }
         let _ = write!(
@@ -105,11 +105,11 @@ impl Forest {
             "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text></svg><figcaption>{}",
             (left + end) / 2.0,
             height - 6.0,
-            escaped(&self.axis),
-            escaped(&self.title)
+            escape_html(&self.axis),
+            escape_html(&self.title)
         );
         if let Some((mean, [from, to])) = self.mean {
-            let [mean, from, to] = [mean, from, to].map(significant);
+            let [mean, from, to] = [mean, from, to].map(format_significant);
             let _ = write!(svg, " <span class=\"key truth\">mean {mean} ({from} to {to})</span>");
         }
         svg.push_str("</figcaption></figure>\n");
@@ -118,7 +118,7 @@ impl Forest {
 
     /// Returns the lowest and highest end of the intervals, with a margin.
     fn extent(&self) -> Option<[f64; 2]> {
-        let of = |(value, [low, high]): Ranged| [value, low, high];
+        let of = |(value, [low, high]): ValueWithInterval| [value, low, high];
         let rows = self.rows.iter().flat_map(|row| std::iter::once(row.own).chain(row.shared));
         let values = rows.chain(self.mean).flat_map(of).filter(|value| value.is_finite());
         let [low, high] = values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| {
@@ -130,12 +130,12 @@ impl Forest {
 }
 
 /// Returns a name that has room: its beginning and its end, which distinguishes serial numbers.
-fn shortened(name: &str) -> String {
+fn abbreviate(name: &str) -> String {
     let characters: Vec<char> = name.chars().collect();
-    if characters.len() <= MAX_NAME {
+    if characters.len() <= MAX_NAME_CHARS {
         return name.into();
     }
-    let half = MAX_NAME / 2;
+    let half = MAX_NAME_CHARS / 2;
     let start: String = characters[..half].iter().collect();
     let end: String = characters[characters.len() - half + 1..].iter().collect();
     format!("{start}…{end}")
@@ -145,7 +145,7 @@ fn shortened(name: &str) -> String {
 mod tests {
     use super::*;
 
-    fn row(name: &str, own: Ranged) -> ForestRow {
+    fn row(name: &str, own: ValueWithInterval) -> ForestRow {
         ForestRow { name: name.into(), own, shared: None }
     }
 
@@ -153,7 +153,7 @@ mod tests {
     fn every_row_has_its_name_and_its_interval_and_names_are_text() {
         let rows = (0..30).map(|n| row(&format!("<{n}>"), (f64::from(n), [-1.0, 40.0]))).collect();
         let mean = Some((14.5, [13.0, 16.0]));
-        let figure = Forest { title: "t".into(), axis: "µm".into(), rows, mean }.figure();
+        let figure = ForestPlot { title: "t".into(), axis: "µm".into(), rows, mean }.to_figure();
         assert_eq!(figure.matches("class=\"line before\"").count(), 30);
         assert!(figure.contains("&lt;29&gt;") && !figure.contains("<29>"));
         assert!(figure.contains("line truth") && figure.contains("mean 14.5 (13.0 to 16.0)"));
@@ -163,15 +163,16 @@ mod tests {
     fn a_value_that_is_not_finite_draws_no_row_outside_the_picture() {
         let rows = vec![row("a", (1.0, [0.0, f64::INFINITY])), row("b", (2.0, [1.0, 3.0]))];
         let figure =
-            Forest { title: String::new(), axis: String::new(), rows, mean: None }.figure();
+            ForestPlot { title: String::new(), axis: String::new(), rows, mean: None }.to_figure();
         assert!(!figure.contains("NaN") && !figure.contains("inf"), "{figure}");
-        let none = Forest { title: String::new(), axis: String::new(), rows: vec![], mean: None };
-        assert_eq!(none.figure(), "");
+        let none =
+            ForestPlot { title: String::new(), axis: String::new(), rows: vec![], mean: None };
+        assert_eq!(none.to_figure(), "");
     }
 
     #[test]
     fn a_long_name_keeps_both_ends() {
-        let short = shortened("a-very-long-serial-number-of-a-machine-0042");
-        assert!(short.chars().count() <= MAX_NAME && short.ends_with("0042"), "{short}");
+        let short = abbreviate("a-very-long-serial-number-of-a-machine-0042");
+        assert!(short.chars().count() <= MAX_NAME_CHARS && short.ends_with("0042"), "{short}");
     }
 }

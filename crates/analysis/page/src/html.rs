@@ -4,7 +4,7 @@ use std::fmt::{Display, Write as _};
 
 use trueup_output::escape;
 
-use crate::unbroken::unbroken;
+use crate::hyphen_breaks::prevent_hyphen_breaks;
 
 /// One style for all pages. Colours are variables, so that a picture turns dark with its page; on paper
 /// everything is dark on white, and no picture or table is cut by the end of a sheet.
@@ -56,7 +56,7 @@ h2{margin:.6rem 0 .2rem}.card,tr{break-inside:avoid}h2,h3{break-after:avoid}\
 .grid{grid-template-columns:1fr 1fr}*{print-color-adjust:exact}}";
 
 /// The line before the commands to be typed next.
-pub const NEXT: &str = "Next, in a terminal:";
+pub const NEXT_COMMANDS_HEADING: &str = "Next, in a terminal:";
 
 /// A page that is being written.
 #[derive(Clone, Debug)]
@@ -69,120 +69,121 @@ impl Page {
     /// Returns a page of this title, which is also its first heading.
     #[must_use]
     pub fn new(title: &str) -> Self {
-        Self { title: title.into(), body: format!("<h1>{}</h1>\n", escaped(title)) }
+        Self { title: title.into(), body: format!("<h1>{}</h1>\n", escape_html(title)) }
     }
 
     /// A heading.
-    pub fn heading(&mut self, text: &str) {
-        let _ = writeln!(self.body, "<h2>{}</h2>", escaped(text));
+    pub fn add_heading(&mut self, text: &str) {
+        let _ = writeln!(self.body, "<h2>{}</h2>", escape_html(text));
     }
 
     /// A heading below a heading.
-    pub fn subheading(&mut self, text: &str) {
-        let _ = writeln!(self.body, "<h3>{}</h3>", escaped(text));
+    pub fn add_subheading(&mut self, text: &str) {
+        let _ = writeln!(self.body, "<h3>{}</h3>", escape_html(text));
     }
 
     /// A paragraph.
-    pub fn text(&mut self, text: &str) {
-        let _ = writeln!(self.body, "<p>{}</p>", escaped(text));
+    pub fn add_paragraph(&mut self, text: &str) {
+        let _ = writeln!(self.body, "<p>{}</p>", escape_html(text));
     }
 
     /// A paragraph of what stands behind: smaller in weight.
-    pub fn note(&mut self, text: &str) {
-        let _ = writeln!(self.body, "<p class=\"soft\">{}</p>", escaped(text));
+    pub fn add_note(&mut self, text: &str) {
+        let _ = writeln!(self.body, "<p class=\"soft\">{}</p>", escape_html(text));
     }
 
     /// Sentences, one below the other.
-    pub fn list<T: AsRef<str>>(&mut self, sentences: &[T]) {
+    pub fn add_list<T: AsRef<str>>(&mut self, sentences: &[T]) {
         if sentences.is_empty() {
             return;
         }
         self.body.push_str("<ul>\n");
         for sentence in sentences {
-            let _ = writeln!(self.body, "<li>{}</li>", escaped(sentence.as_ref()));
+            let _ = writeln!(self.body, "<li>{}</li>", escape_html(sentence.as_ref()));
         }
         self.body.push_str("</ul>\n");
     }
 
     /// A result, in a card: `state` is `good`, `open` or `bad`.
-    pub fn card<T: AsRef<str>>(&mut self, state: &str, heading: &str, sentences: &[T]) {
-        self.card_then(state, heading, sentences, &[]);
+    pub fn add_card<T: AsRef<str>>(&mut self, state: &str, heading: &str, sentences: &[T]) {
+        self.add_card_with_commands(state, heading, sentences, &[]);
     }
 
     /// The same, with the lines to be typed next at its end.
-    pub fn card_then<T: AsRef<str>>(
+    pub fn add_card_with_commands<T: AsRef<str>>(
         &mut self,
         state: &str,
         heading: &str,
         sentences: &[T],
         next: &[String],
     ) {
-        let _ = writeln!(self.body, "<div class=\"card {state}\"><h2>{}</h2>", escaped(heading));
+        let _ =
+            writeln!(self.body, "<div class=\"card {state}\"><h2>{}</h2>", escape_html(heading));
         for sentence in sentences {
-            self.text(sentence.as_ref());
+            self.add_paragraph(sentence.as_ref());
         }
-        self.body.push_str(&commands(NEXT, next));
+        self.body.push_str(&commands_html(NEXT_COMMANDS_HEADING, next));
         self.body.push_str("</div>\n");
     }
 
     /// Large figures with what they are: (figure, meaning, class).
-    pub fn figures(&mut self, figures: &[(String, String, &str)]) {
+    pub fn add_key_figures(&mut self, figures: &[(String, String, &str)]) {
         self.body.push_str("<div class=\"figures\">");
         for (figure, meaning, class) in figures {
             let _ = write!(
                 self.body,
                 "<div><b class=\"{class}\">{}</b>{}</div>",
-                escaped(figure),
-                escaped(meaning)
+                escape_html(figure),
+                escape_html(meaning)
             );
         }
         self.body.push_str("</div>\n");
     }
 
     /// Pictures side by side, where the page is wide enough.
-    pub fn pictures(&mut self, figures: &[String]) {
+    pub fn add_charts(&mut self, figures: &[String]) {
         let _ = writeln!(self.body, "<div class=\"grid\">{}</div>", figures.concat());
     }
 
     /// A table.
-    pub fn table(&mut self, table: &Table) {
-        self.body.push_str(&table.html());
+    pub fn add_table(&mut self, table: &Table) {
+        self.body.push_str(&table.to_html());
     }
 
     /// A text that only some want to read, behind its heading, its lines as they are.
-    pub fn details(&mut self, heading: &str, text: &str) {
-        let (heading, text) = (escaped(heading), escaped(text));
+    pub fn add_details(&mut self, heading: &str, text: &str) {
+        let (heading, text) = (escape_html(heading), escape_html(text));
         let _ =
             writeln!(self.body, "<details><summary>{heading}</summary><pre>{text}</pre></details>");
     }
 
     /// HTML that was made elsewhere, in the classes of the style; what a user wrote must be escaped in it.
-    pub fn raw(&mut self, html: &str) {
+    pub fn add_raw_html(&mut self, html: &str) {
         self.body.push_str(html);
     }
 
     /// Returns the whole page.
     #[must_use]
-    pub fn html(&self) -> String {
+    pub fn to_html(&self) -> String {
         format!(
             "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\n\
              <meta name=\"viewport\" content=\"width=device-width,initial-scale=1\">\n\
              <meta name=\"color-scheme\" content=\"light dark\">\n\
              <title>{}</title>\n<style>{STYLE}</style></head>\n<body>\n{}</body></html>\n",
-            escaped(&self.title),
-            unbroken(&self.body)
+            escape_html(&self.title),
+            prevent_hyphen_breaks(&self.body)
         )
     }
 }
 
 /// Lines to be typed as HTML, with what they are for; an empty text where there are none.
 #[must_use]
-pub fn commands<T: AsRef<str>>(what: &str, lines: &[T]) -> String {
+pub fn commands_html<T: AsRef<str>>(what: &str, lines: &[T]) -> String {
     let lines: Vec<&str> = lines.iter().map(AsRef::as_ref).collect();
     if lines.is_empty() {
         return String::new();
     }
-    format!("<p>{}</p>\n<pre>{}</pre>\n", escaped(what), escaped(&lines.join("\n")))
+    format!("<p>{}</p>\n<pre>{}</pre>\n", escape_html(what), escape_html(&lines.join("\n")))
 }
 
 /// A table.
@@ -200,13 +201,13 @@ impl Table {
     }
 
     /// Adds a row.
-    pub fn row<T: Display>(&mut self, cells: &[T]) {
+    pub fn add_row<T: Display>(&mut self, cells: &[T]) {
         self.rows.push(cells.iter().map(ToString::to_string).collect());
     }
 
-    fn html(&self) -> String {
+    fn to_html(&self) -> String {
         let line = |cells: &[String], tag: &str| {
-            let cells = cells.iter().map(|cell| format!("<{tag}>{}</{tag}>", escaped(cell)));
+            let cells = cells.iter().map(|cell| format!("<{tag}>{}</{tag}>", escape_html(cell)));
             format!("<tr>{}</tr>\n", cells.collect::<String>())
         };
         let rows: String = self.rows.iter().map(|row| line(row, "td")).collect();
@@ -216,8 +217,8 @@ impl Table {
 
 /// `text` with what HTML takes for its own, and what turns the direction of a line, written out.
 #[must_use]
-pub fn escaped(text: &str) -> String {
-    let text = escape::lines(text);
+pub fn escape_html(text: &str) -> String {
+    let text = escape::escape_lines(text);
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
@@ -228,11 +229,11 @@ mod tests {
     #[test]
     fn a_page_stands_alone_and_what_a_user_wrote_is_text() {
         let mut page = Page::new("A <script>");
-        page.card("good", "All right", &["1 < 2"]);
+        page.add_card("good", "All right", &["1 < 2"]);
         let mut table = Table::new(&["a", "b"]);
-        table.row(&["<b>", "2"]);
-        page.table(&table);
-        let html = page.html();
+        table.add_row(&["<b>", "2"]);
+        page.add_table(&table);
+        let html = page.to_html();
         for outside in ["<script", "<link", "src=", "href=", "url("] {
             assert!(!html.contains(outside), "{outside}");
         }

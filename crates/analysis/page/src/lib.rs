@@ -3,7 +3,7 @@
 //!
 //! ```text
 //!  Page ─► html          one style; sections, cards, tables
-//!  Chart ─► figure       an SVG with its legend beside it, ticks without needless digits
+//!  Chart ─► figure       an SVG with its legend next to it, ticks without needless digits
 //!  Polar ─► figure       deviations from a circle, enlarged
 //!  Bars ─► figure        rivals side by side
 //!  Forest ─► figure      one value of many machines, with intervals
@@ -14,16 +14,19 @@ mod bars;
 mod chart;
 mod forest;
 mod html;
+mod hyphen_breaks;
 mod number;
 mod origin;
+mod point_reduction;
 mod polar;
-mod seen;
-mod unbroken;
 
-pub use bars::Bars;
+pub use bars::BarChart;
 pub use chart::{Chart, Colour, Series};
-pub use forest::{Forest, ForestRow, Ranged};
-pub use html::{NEXT, Page, Table, commands, escaped};
-pub use number::{decimals_of_half_width, micrometres, significant, time_unit, within};
+pub use forest::{ForestPlot, ForestRow, ValueWithInterval};
+pub use html::{NEXT_COMMANDS_HEADING, Page, Table, commands_html, escape_html};
+pub use number::{
+    choose_time_unit, decimals_for_half_width, format_micrometres, format_significant,
+    format_with_interval,
+};
 pub use origin::Origin;
-pub use polar::Polar;
+pub use polar::PolarPlot;

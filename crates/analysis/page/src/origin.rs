@@ -1,6 +1,6 @@
 //! The foot of a page with its origin: without it a print is worth nothing a year later.
 
-use crate::html::{Page, Table, escaped};
+use crate::html::{Page, Table, escape_html};
 
 /// Of what, when and by which version a page was made.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -15,19 +15,19 @@ pub struct Origin {
 
 impl Page {
     /// The foot of a page.
-    pub fn origin(&mut self, origin: &Origin) {
+    pub fn add_provenance_footer(&mut self, origin: &Origin) {
         let Origin { version, date, files } = origin;
         let files: Vec<String> =
             files.iter().map(|(name, crc)| format!("{name} (CRC-32 {crc:08x})")).collect();
         let from =
             if files.is_empty() { String::new() } else { format!(" from {}", files.join(", ")) };
-        let said = escaped(&format!("Made by trueup {version} on {date} (UTC){from}."));
+        let said = escape_html(&format!("Made by trueup {version} on {date} (UTC){from}."));
         // A path may break behind a slash, and nowhere else.
-        self.raw(&format!("<p class=\"soft\">{}</p>\n", said.replace('/', "/<wbr>")));
+        self.add_raw_html(&format!("<p class=\"soft\">{}</p>\n", said.replace('/', "/<wbr>")));
     }
 
     /// Lines to be filled in by hand: who has measured what by what, and who answers for it.
-    pub fn signature(&mut self) {
+    pub fn add_signature_block(&mut self) {
         let mut table = Table::new(&["to be filled in", ""]);
         for what in [
             "Machine, serial number",
@@ -37,9 +37,9 @@ impl Page {
             "Temperature at start and end, °C",
             "Date, signature",
         ] {
-            table.row(&[what, &"_".repeat(20)]);
+            table.add_row(&[what, &"_".repeat(20)]);
         }
-        self.table(&table);
+        self.add_table(&table);
     }
 }
 
@@ -51,8 +51,12 @@ mod tests {
     fn a_page_names_version_day_and_files() {
         let files = vec![("a.csv".into(), 0xCBF4_3926), ("<m>".into(), 1)];
         let mut page = Page::new("t");
-        page.origin(&Origin { version: "1.2.3".into(), date: "2026-11-22".into(), files });
-        let html = page.html();
+        page.add_provenance_footer(&Origin {
+            version: "1.2.3".into(),
+            date: "2026-11-22".into(),
+            files,
+        });
+        let html = page.to_html();
         let said = "Made by trueup 1.2.3 on 2026-11-22 (UTC) from a.csv (CRC-32 cbf43926), \
                     &lt;m&gt; (CRC-32 00000001).";
         assert!(html.contains(said), "{html}");

@@ -2,18 +2,18 @@
 
 use std::fmt::Write as _;
 
-use crate::{Series, chart::legend, html::escaped, number::ticks, seen};
+use crate::{Series, chart::caption, html::escape_html, number::axis_ticks, point_reduction};
 
 /// Width and height.
-const SIZE: f64 = 420.0;
+const PLOT_SIZE: f64 = 420.0;
 /// The radius of the circle without deviation.
-const CIRCLE: f64 = 125.0;
+const CIRCLE_RADIUS: f64 = 125.0;
 /// The largest deviation.
-const LARGEST: f64 = 65.0;
+const MAX_PLOTTED_DEVIATION: f64 = 65.0;
 
 /// A polar plot. The points of its series are an angle in rad and a deviation in µm, outward positive.
 #[derive(Clone, Debug)]
-pub struct Polar {
+pub struct PolarPlot {
     /// A sentence on what it shows, for those who cannot see it, and under it.
     pub title: String,
     /// The names of the axes to the right and upward.
@@ -22,34 +22,34 @@ pub struct Polar {
     pub series: Vec<Series>,
 }
 
-impl Polar {
+impl PolarPlot {
     /// Returns the plot as a figure; an empty text without points.
     #[must_use]
-    pub fn figure(&self) -> String {
-        let all = || self.series.iter().flat_map(Series::shown);
+    pub fn to_figure(&self) -> String {
+        let all = || self.series.iter().flat_map(Series::visible_points);
         let largest = all().map(|[_, um]| um.abs()).fold(0.0, f64::max);
         if all().next().is_none() {
             return String::new();
         }
-        let scale = LARGEST / largest.max(1e-3);
-        let middle = SIZE / 2.0;
+        let scale = MAX_PLOTTED_DEVIATION / largest.max(1e-3);
+        let middle = PLOT_SIZE / 2.0;
         let at = |[angle, um]: [f64; 2]| {
-            let radius = CIRCLE + scale * um;
+            let radius = CIRCLE_RADIUS + scale * um;
             [middle + radius * angle.cos(), middle - radius * angle.sin()]
         };
         let mut svg = format!(
-            "<figure class=\"chart\"><svg viewBox=\"0 0 {SIZE} {SIZE}\" role=\"img\" aria-label=\"{}\">",
-            escaped(&self.title)
+            "<figure class=\"chart\"><svg viewBox=\"0 0 {PLOT_SIZE} {PLOT_SIZE}\" role=\"img\" aria-label=\"{}\">",
+            escape_html(&self.title)
         );
-        let end = CIRCLE + LARGEST + 8.0;
+        let end = CIRCLE_RADIUS + MAX_PLOTTED_DEVIATION + 8.0;
         let _ = write!(
             svg,
             "<path class=\"grid\" d=\"M{0:.1} {middle:.1}H{1:.1}M{middle:.1} {0:.1}V{1:.1}\"/>",
             middle - end,
             middle + end
         );
-        for (um, label) in ticks(-largest, largest, 4.0) {
-            let radius = CIRCLE + scale * um;
+        for (um, label) in axis_ticks(-largest, largest, 4.0) {
+            let radius = CIRCLE_RADIUS + scale * um;
             let class = if um == 0.0 { "zero" } else { "grid" };
             // On the diagonal, where the fewest curves have their peaks.
             let [x, y] = at([std::f64::consts::FRAC_PI_4, um]);
@@ -66,27 +66,21 @@ impl Polar {
              <text x=\"{:.1}\" y=\"{:.1}\">{}+ (rings in µm)</text>",
             middle + end,
             middle - 6.0,
-            escaped(right),
+            escape_html(right),
             middle + 6.0,
             middle - end + 8.0,
-            escaped(up)
+            escape_html(up)
         );
         for series in &self.series {
-            let points: Vec<[f64; 2]> = series.shown().map(at).collect();
-            let class = series.colour.class();
-            let _ = write!(svg, "<path class=\"line {class}\" d=\"{}\"/>", seen::path(&points));
-        }
-        let _ = write!(svg, "</svg><figcaption>{}", escaped(&self.title));
-        for series in legend(&self.series) {
+            let points: Vec<[f64; 2]> = series.visible_points().map(at).collect();
+            let class = series.colour.css_class();
             let _ = write!(
                 svg,
-                " <span class=\"key {}\">{}</span>",
-                series.colour.class(),
-                escaped(&series.name)
+                "<path class=\"line {class}\" d=\"{}\"/>",
+                point_reduction::curve_path(&points)
             );
         }
-        svg.push_str("</figcaption></figure>\n");
-        svg
+        svg + &caption(&self.title, &self.series)
     }
 }
 
@@ -101,11 +95,11 @@ mod tests {
     fn a_positive_deviation_is_outside_the_circle_and_plus_is_right_and_up() {
         let points = vec![[0.0, 10.0], [FRAC_PI_2, -5.0], [PI, f64::NAN]];
         let series = vec![Series::line("a <b>", Colour::Before, points)];
-        let polar = Polar { title: "t".into(), axes: ["X".into(), "Y".into()], series };
-        let figure = polar.figure();
+        let polar = PolarPlot { title: "t".into(), axes: ["X".into(), "Y".into()], series };
+        let figure = polar.to_figure();
         // 210 + 125 + 65 to the right; 210 − (125 − 32.5) upward.
         assert!(figure.contains("d=\"M400.0 210.0L210.0 117.5\""), "{figure}");
         assert!(figure.contains("a &lt;b&gt;</span>") && !figure.contains("NaN"), "{figure}");
-        assert_eq!(Polar { series: Vec::new(), ..polar }.figure(), "");
+        assert_eq!(PolarPlot { series: Vec::new(), ..polar }.to_figure(), "");
     }
 }

@@ -12,16 +12,16 @@
 use std::f64::consts::{PI, TAU};
 
 /// Grid points that a point is spread over, to either side.
-const SPREAD: usize = 12;
+const KERNEL_HALF_WIDTH: usize = 12;
 
 /// A complex number.
 type Complex = [f64; 2];
 
-fn times(a: Complex, b: Complex) -> Complex {
+fn multiply_complex(a: Complex, b: Complex) -> Complex {
     [a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]]
 }
 
-fn turned(angle: f64) -> Complex {
+fn unit_phasor(angle: f64) -> Complex {
     let (sin, cos) = angle.sin_cos();
     [cos, sin]
 }
@@ -31,19 +31,25 @@ fn turned(angle: f64) -> Complex {
 ///
 /// ```
 /// let (at, values) = ([0.0, 0.3, 1.1], [1.0, -2.0, 0.5]);
-/// let sums = trueup_numerics::fourier::sums(&at, &values, 2.0, 0.1, 5);
+/// let sums = trueup_numerics::fourier::fourier_sums(&at, &values, 2.0, 0.1, 5);
 /// let third = at.iter().zip(&values).map(|(x, v)| v * (2.2_f64 * x).cos()).sum::<f64>();
 /// assert!((sums[2][0] - third).abs() < 1e-10);
 /// ```
 #[must_use]
-pub fn sums(at: &[f64], values: &[f64], first: f64, step: f64, count: usize) -> Vec<[f64; 2]> {
-    let grid = (2 * count).max(4 * SPREAD).next_power_of_two();
+pub fn fourier_sums(
+    at: &[f64],
+    values: &[f64],
+    first: f64,
+    step: f64,
+    count: usize,
+) -> Vec<[f64; 2]> {
+    let grid = (2 * count).max(4 * KERNEL_HALF_WIDTH).next_power_of_two();
     let modes = count as f64;
     let ratio = grid as f64 / modes;
     // The width of the Gaussian at which what is cut off of it and what is aliased are equal.
-    let width = PI * SPREAD as f64 / (modes * modes * ratio * (ratio - 0.5));
+    let width = PI * KERNEL_HALF_WIDTH as f64 / (modes * modes * ratio * (ratio - 0.5));
     let spacing = TAU / grid as f64;
-    let reach = SPREAD as i32;
+    let reach = KERNEL_HALF_WIDTH as i32;
     let fall: Vec<f64> = (1 - reach..=reach)
         .map(|n| (-(f64::from(n) * spacing).powi(2) / (4.0 * width)).exp())
         .collect();
@@ -52,12 +58,12 @@ pub fn sums(at: &[f64], values: &[f64], first: f64, step: f64, count: usize) -> 
     let mut spread = vec![[0.0; 2]; grid];
     for (x, value) in at.iter().zip(values) {
         let angle = (step * x).rem_euclid(TAU);
-        let value = times([*value, 0.0], turned((first + half * step) * x));
+        let value = multiply_complex([*value, 0.0], unit_phasor((first + half * step) * x));
         let nearest = (angle / spacing).floor();
         let off = angle - nearest * spacing;
         let ratio = (off * spacing / (2.0 * width)).exp();
         let mut height = (-off * off / (4.0 * width)).exp() * ratio.powi(1 - reach);
-        let start = nearest as usize + grid + 1 - SPREAD;
+        let start = nearest as usize + grid + 1 - KERNEL_HALF_WIDTH;
         for (n, fall) in fall.iter().enumerate() {
             let cell = &mut spread[(start + n) % grid];
             cell[0] += value[0] * height * fall;
@@ -65,7 +71,7 @@ pub fn sums(at: &[f64], values: &[f64], first: f64, step: f64, count: usize) -> 
             height *= ratio;
         }
     }
-    transform(&mut spread);
+    fft(&mut spread);
     let scale = (PI / width).sqrt() / grid as f64;
     (0..count)
         .map(|k| {
@@ -78,7 +84,7 @@ pub fn sums(at: &[f64], values: &[f64], first: f64, step: f64, count: usize) -> 
 }
 
 /// Σ aₙ·e^(2πi·kn/N) for each k, in the place of a; N a power of two (Cooley and Tukey 1965).
-fn transform(a: &mut [Complex]) {
+fn fft(a: &mut [Complex]) {
     let count = a.len();
     let bits = count.trailing_zeros();
     for n in 0..count {
@@ -88,14 +94,14 @@ fn transform(a: &mut [Complex]) {
         }
     }
     let turns: Vec<Complex> =
-        (0..count / 2).map(|n| turned(TAU * n as f64 / count as f64)).collect();
+        (0..count / 2).map(|n| unit_phasor(TAU * n as f64 / count as f64)).collect();
     let mut half = 1;
     while half < count {
         let stride = count / (2 * half);
         for block in a.chunks_exact_mut(2 * half) {
             let (low, high) = block.split_at_mut(half);
             for ((low, high), turn) in low.iter_mut().zip(high).zip(turns.iter().step_by(stride)) {
-                let by = times(*high, *turn);
+                let by = multiply_complex(*high, *turn);
                 *high = [low[0] - by[0], low[1] - by[1]];
                 *low = [low[0] + by[0], low[1] + by[1]];
             }
@@ -116,12 +122,12 @@ mod tests {
             let at: Vec<f64> = (0..points).map(|_| 700.0 * generator.uniform() - 90.0).collect();
             let values: Vec<f64> = (0..points).map(|_| generator.normal()).collect();
             let (first, step) = (0.013, 0.25 * TAU / 700.0);
-            let all = sums(&at, &values, first, step, count);
+            let all = fourier_sums(&at, &values, first, step, count);
             let size: f64 = values.iter().map(|value| value.abs()).sum();
             let mut worst: f64 = 0.0;
             for k in [0, count / 3, count / 2, count - 1] {
                 let plain = at.iter().zip(&values).fold([0.0; 2], |sum, (x, value)| {
-                    let [cos, sin] = turned((first + k as f64 * step) * x);
+                    let [cos, sin] = unit_phasor((first + k as f64 * step) * x);
                     [sum[0] + value * cos, sum[1] + value * sin]
                 });
                 worst = worst.max((all[k][0] - plain[0]).hypot(all[k][1] - plain[1]) / size);

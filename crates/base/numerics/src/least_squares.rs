@@ -19,6 +19,6 @@ pub mod nonlinear;
 pub mod normal;
 pub mod separable;
 
-pub use givens_qr::{Dependent, GivensQr, Solution};
-pub use nonlinear::{Fit, Model, Options, SolveError, fit};
-pub use separable::{Separable, fit_separable};
+pub use givens_qr::{DependentColumn, GivensQr, Solution};
+pub use nonlinear::{Model, NonlinearFit, SolveError, SolverOptions, fit};
+pub use separable::{SeparableModel, fit_separable};

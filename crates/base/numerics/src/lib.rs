@@ -2,7 +2,7 @@
 //!
 //! | module | does |
 //! |---|---|
-//! | [`blocks`] | what a term is worth on blocks that were left out |
+//! | [`blocks`] | what a term is worth on blocks that were held out |
 //! | [`fourier`] | Fourier sums over points at any spacing |
 //! | [`least_squares`] | linear, nonlinear and mixed, with intervals |
 //! | [`line`](mod@line) | a straight line, judged on the rows that it was not fitted to |
@@ -15,6 +15,7 @@
 #![forbid(unsafe_code)]
 
 pub mod blocks;
+mod distributions;
 pub mod fourier;
 pub mod least_squares;
 pub mod line;
@@ -24,6 +25,5 @@ pub mod parallel;
 pub mod random;
 pub mod repeats;
 pub mod robust;
-mod student;
 
-pub use student::{f_quantile, t_probability, t_quantile};
+pub use distributions::{f_quantile, t_cdf, t_quantile};

@@ -20,13 +20,13 @@ pub struct LineFit {
     /// y minus the line, by row; NaN where x or y is missing.
     pub residuals: Vec<f64>,
     /// y minus the line fitted to all other rows, by row; NaN where x or y is missing.
-    pub left_out_residuals: Vec<f64>,
+    pub leave_one_out_residuals: Vec<f64>,
 }
 
 impl LineFit {
     /// Returns the line's value at `x`.
     #[must_use]
-    pub fn at(&self, x: f64) -> f64 {
+    pub fn evaluate(&self, x: f64) -> f64 {
         self.gain * x + self.offset
     }
 }
@@ -82,7 +82,7 @@ pub fn fit_line(x: &[f64], y: &[f64]) -> Result<LineFit, FitError> {
     if rows < 3 {
         return Err(FitError::TooFewRows { rows });
     }
-    refuse_decided_slope(x, y)?;
+    reject_undetermined_slope(x, y)?;
 
     let n = rows as f64;
     let mean_x = pairs().map(|(x, _)| x).sum::<f64>() / n;
@@ -98,13 +98,13 @@ pub fn fit_line(x: &[f64], y: &[f64]) -> Result<LineFit, FitError> {
         let own_weight = 1.0 / n + (x - mean_x).powi(2) / spread;
         residual / (1.0 - own_weight)
     };
-    let left_out_residuals = x.iter().zip(&residuals).map(left_out).collect();
-    Ok(LineFit { gain, offset, residuals, left_out_residuals })
+    let leave_one_out_residuals = x.iter().zip(&residuals).map(left_out).collect();
+    Ok(LineFit { gain, offset, residuals, leave_one_out_residuals })
 }
 
 /// Refuses x without spread, and x whose only spread is one row: its own weight is 1, and the line
 /// without it is not defined. By comparison, as in floating point the weight only comes near 1.
-fn refuse_decided_slope(x: &[f64], y: &[f64]) -> Result<(), FitError> {
+fn reject_undetermined_slope(x: &[f64], y: &[f64]) -> Result<(), FitError> {
     let present = || x.iter().zip(y).enumerate().filter(|(_, (x, y))| !x.is_nan() && !y.is_nan());
     let least = present().fold(f64::INFINITY, |least, (_, (x, _))| least.min(*x));
     let most = present().fold(f64::NEG_INFINITY, |most, (_, (x, _))| most.max(*x));
@@ -125,17 +125,17 @@ fn refuse_decided_slope(x: &[f64], y: &[f64]) -> Result<(), FitError> {
 
 /// How large a series of residuals is, in their own unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Summary {
+pub struct ErrorStatistics {
     /// The root of the mean square.
     pub rms: f64,
     /// The largest magnitude.
     pub max_abs: f64,
 }
 
-impl Summary {
+impl ErrorStatistics {
     /// Of the values that are not missing (NaN); `None` if there are none.
     #[must_use]
-    pub fn of(values: &[f64]) -> Option<Self> {
+    pub fn from_residuals(values: &[f64]) -> Option<Self> {
         let present = || values.iter().filter(|value| !value.is_nan());
         let rows = present().count();
         (rows > 0).then(|| Self {
@@ -153,8 +153,9 @@ mod tests {
     fn points_on_a_line_give_the_line() {
         let fit = fit_line(&[1.0, 2.0, 4.0], &[5.0, 7.0, 11.0]).expect("three rows, spread");
         assert!((fit.gain - 2.0).abs() < 1e-14 && (fit.offset - 3.0).abs() < 1e-14);
-        assert!((fit.at(10.0) - 23.0).abs() < 1e-13);
-        let left = Summary::of(&fit.left_out_residuals).expect("three values");
+        assert!((fit.evaluate(10.0) - 23.0).abs() < 1e-13);
+        let left =
+            ErrorStatistics::from_residuals(&fit.leave_one_out_residuals).expect("three values");
         assert!(left.max_abs < 1e-13);
     }
 
@@ -170,8 +171,8 @@ mod tests {
                 rest
             };
             let refit = fit_line(&without(&x), &without(&y)).expect("spread data");
-            let brute_force = y[row] - refit.at(x[row]);
-            let difference = (fit.left_out_residuals[row] - brute_force).abs();
+            let brute_force = y[row] - refit.evaluate(x[row]);
+            let difference = (fit.leave_one_out_residuals[row] - brute_force).abs();
             assert!(difference < 1e-9, "row {row}: {difference:e}");
         }
     }
@@ -185,7 +186,7 @@ mod tests {
         assert_eq!((fit.gain, fit.offset), (full.gain, full.offset));
         let missing: Vec<bool> = fit.residuals.iter().map(|residual| residual.is_nan()).collect();
         assert_eq!(missing, [false, true, false, false, true]);
-        assert!(fit.left_out_residuals[1].is_nan() && fit.left_out_residuals[4].is_nan());
+        assert!(fit.leave_one_out_residuals[1].is_nan() && fit.leave_one_out_residuals[4].is_nan());
     }
 
     #[test]
@@ -214,9 +215,9 @@ mod tests {
 
     #[test]
     fn a_summary_is_the_root_of_the_mean_square_and_the_largest_magnitude() {
-        let summary = Summary::of(&[3.0, f64::NAN, -4.0]).expect("two values");
+        let summary = ErrorStatistics::from_residuals(&[3.0, f64::NAN, -4.0]).expect("two values");
         assert!((summary.rms - 12.5_f64.sqrt()).abs() < 1e-15);
         assert_eq!(summary.max_abs, 4.0);
-        assert_eq!(Summary::of(&[f64::NAN]), None);
+        assert_eq!(ErrorStatistics::from_residuals(&[f64::NAN]), None);
     }
 }

@@ -12,21 +12,21 @@
 //! Kalman filter of this model (Harvey 1989, section 3.4), O(n) a vector. With w = 0 and equal steps
 //! it is the usual prewhitening by an AR(1).
 //!
-//! t_c is at most [`longest_memory`]: a longer one cannot be distinguished from structure in a record of that
+//! t_c is at most [`max_autocorrelation_time`]: a longer one cannot be distinguished from structure in a record of that
 //! length, and would let the noise explain everything.
 
 use crate::random::Generator;
 
 /// t_c in steps and the white share.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Noise {
+pub struct NoiseModel {
     /// Correlation time in median steps; 0: white.
     pub memory: f64,
     /// Share of the variance that is white, 0…1.
     pub white: f64,
 }
 
-impl Noise {
+impl NoiseModel {
     /// Noise without a memory: rows are independent.
     pub const WHITE: Self = Self { memory: 0.0, white: 1.0 };
 
@@ -42,25 +42,25 @@ impl Noise {
 }
 
 /// The longest memory in roots of the rows.
-const ROOTS: f64 = 2.0;
+const MAX_MEMORY_PER_SQRT_ROWS: f64 = 2.0;
 /// Memories in a record, at least.
-const IN_RECORD: f64 = 6.0;
+const MIN_CORRELATION_TIMES_PER_RECORD: f64 = 6.0;
 
 /// Returns the longest correlation time in steps that `rows` rows can show: 2·√n, as the bandwidth of
 /// consistent covariance estimates grows, and never more than a sixth of the record.
-pub fn longest_memory(rows: usize) -> f64 {
+pub fn max_autocorrelation_time(rows: usize) -> f64 {
     let rows = rows as f64;
-    (ROOTS * rows.sqrt()).min(rows / IN_RECORD).max(1.0)
+    (MAX_MEMORY_PER_SQRT_ROWS * rows.sqrt()).min(rows / MIN_CORRELATION_TIMES_PER_RECORD).max(1.0)
 }
 
 /// The steps between rows: each row's distance from the one before in median steps, at least 0;
 /// infinite where a new series begins.
 #[derive(Clone, Debug)]
-pub struct Steps(pub Vec<f64>);
+pub struct RowSpacings(pub Vec<f64>);
 
 /// Variances whose product is far from the ends of what a number holds: their logarithms are taken at
 /// once.
-const AT_ONCE: usize = 8;
+const LOG_BATCH_ROWS: usize = 8;
 
 /// The inverse root of a noise's covariance, for given rows.
 pub struct Whitener {
@@ -76,13 +76,13 @@ pub struct Whitener {
 impl Whitener {
     /// For `noise` in rows that are `steps` apart.
     #[must_use]
-    pub fn new(noise: Noise, steps: &Steps) -> Self {
+    pub fn new(noise: NoiseModel, steps: &RowSpacings) -> Self {
         let rows = steps.0.len();
         let mut it = Self {
             decay: Vec::with_capacity(rows),
             gain: Vec::with_capacity(rows),
             scale: Vec::with_capacity(rows),
-            is_white: noise == Noise::WHITE,
+            is_white: noise == NoiseModel::WHITE,
             log_det: 0.0,
         };
         let stationary = 1.0 - noise.white;
@@ -106,7 +106,7 @@ impl Whitener {
             it.gain.push(gain);
             it.scale.push(innovation.sqrt().recip());
             product *= innovation;
-            if row % AT_ONCE == AT_ONCE - 1 {
+            if row % LOG_BATCH_ROWS == LOG_BATCH_ROWS - 1 {
                 it.log_det += std::mem::replace(&mut product, 1.0_f64).ln();
             }
         }
@@ -118,7 +118,7 @@ impl Whitener {
     #[must_use]
     pub fn apply(&self, values: &[f64]) -> Vec<f64> {
         let mut out = vec![0.0; self.decay.len()];
-        self.apply_side_by_side([values], [&mut out]);
+        self.apply_lanes([values], [&mut out]);
         out
     }
 }
@@ -150,18 +150,18 @@ impl Whitener {
             }
             let &[a, b, c, d] = columns else {
                 for (out, column) in written.zip(columns) {
-                    self.apply_side_by_side([&column[..rows]], [out]);
+                    self.apply_lanes([&column[..rows]], [out]);
                 }
                 continue;
             };
             let read = [a, b, c, d].map(|column| &column[..rows]);
             let written = [(); LANES].map(|()| written.next().unwrap_or_default());
-            self.apply_side_by_side(read, written);
+            self.apply_lanes(read, written);
         }
     }
 
     /// The filter, on columns and into slices of as many rows as there are.
-    fn apply_side_by_side<const LANES: usize>(
+    fn apply_lanes<const LANES: usize>(
         &self,
         read: [&[f64]; LANES],
         mut written: [&mut [f64]; LANES],
@@ -183,7 +183,7 @@ impl Whitener {
 }
 
 /// Covariance (at variance 1) times a vector: two recursions, O(n).
-pub fn covariance_times(noise: Noise, steps: &Steps, values: &[f64]) -> Vec<f64> {
+pub fn multiply_by_covariance(noise: NoiseModel, steps: &RowSpacings, values: &[f64]) -> Vec<f64> {
     let share = 1.0 - noise.white;
     let mut out: Vec<f64> = values.to_vec();
     if share == 0.0 {
@@ -209,10 +209,10 @@ pub fn covariance_times(noise: Noise, steps: &Steps, values: &[f64]) -> Vec<f64>
 }
 
 /// Returns how many independent rows are worth as much for a mean as these correlated ones.
-pub fn effective_rows(noise: Noise, steps: &Steps) -> f64 {
+pub fn effective_sample_size(noise: NoiseModel, steps: &RowSpacings) -> f64 {
     let rows = steps.0.len();
     let ones = vec![1.0; rows];
-    let sum: f64 = covariance_times(noise, steps, &ones).iter().sum();
+    let sum: f64 = multiply_by_covariance(noise, steps, &ones).iter().sum();
     let rows = rows as f64;
     (rows * rows / sum).clamp(1.0, rows)
 }
@@ -220,8 +220,8 @@ pub fn effective_rows(noise: Noise, steps: &Steps) -> f64 {
 /// −2 ln of the likelihood of these noises at the best variance, but for a constant: the filter of
 /// [`Whitener`] for several noises side by side, and of what it gives only the sums.
 pub(crate) fn deviances<const NOISES: usize>(
-    noises: [Noise; NOISES],
-    steps: &Steps,
+    noises: [NoiseModel; NOISES],
+    steps: &RowSpacings,
     residual: &[f64],
 ) -> [f64; NOISES] {
     let slow = noises.map(|noise| 1.0 - noise.white);
@@ -229,7 +229,7 @@ pub(crate) fn deviances<const NOISES: usize>(
     let mut variance = slow;
     let mut decay = [0.0; NOISES];
     let mut last_steps = f64::NAN;
-    for (steps, residual) in steps.0.chunks(AT_ONCE).zip(residual.chunks(AT_ONCE)) {
+    for (steps, residual) in steps.0.chunks(LOG_BATCH_ROWS).zip(residual.chunks(LOG_BATCH_ROWS)) {
         let mut product = [1.0; NOISES];
         for (&steps, value) in steps.iter().zip(residual) {
             if steps != last_steps {
@@ -258,18 +258,18 @@ pub(crate) fn deviances<const NOISES: usize>(
 }
 
 /// Returns the same of one noise.
-pub fn deviance(noise: Noise, steps: &Steps, residual: &[f64]) -> f64 {
+pub fn deviance(noise: NoiseModel, steps: &RowSpacings, residual: &[f64]) -> f64 {
     let [deviance] = deviances([noise], steps, residual);
     deviance
 }
 
 /// Returns a grid of noises up to `longest` steps of memory; the first is white.
-pub fn grid(longest: f64) -> Vec<Noise> {
-    let mut noises = vec![Noise::WHITE];
+pub fn noise_grid(longest: f64) -> Vec<NoiseModel> {
+    let mut noises = vec![NoiseModel::WHITE];
     let mut memory = longest;
     while memory > 0.4 && noises.len() < 13 {
         for white in [0.0, 0.6] {
-            noises.push(Noise { memory, white });
+            noises.push(NoiseModel { memory, white });
         }
         memory /= 3.5;
     }
@@ -281,35 +281,40 @@ pub fn grid(longest: f64) -> Vec<Noise> {
 /// `parameters` have been fitted to the residual: each takes a piece of the slow part away, which a
 /// plain maximum of the likelihood would read as a shorter memory. The memory is corrected for it
 /// by its first-order bias, (1 + 3ρ)/n and ρ/n for each parameter more (Kendall 1954).
-pub fn estimate(residual: &[f64], steps: &Steps, longest: f64, parameters: usize) -> Noise {
+pub fn estimate(
+    residual: &[f64],
+    steps: &RowSpacings,
+    longest: f64,
+    parameters: usize,
+) -> NoiseModel {
     if residual.len() < 8 || residual.iter().all(|&e| e == 0.0) {
-        return Noise::WHITE;
+        return NoiseModel::WHITE;
     }
-    let mut best = (deviance(Noise::WHITE, steps, residual), Noise::WHITE);
+    let mut best = (deviance(NoiseModel::WHITE, steps, residual), NoiseModel::WHITE);
     // A memory is only believed if it is worth its parameters.
     let price = (residual.len() as f64).ln();
-    let try_all = |best: &mut (f64, Noise), noises: [Noise; 4]| {
+    let try_all = |best: &mut (f64, NoiseModel), noises: [NoiseModel; 4]| {
         for (there, noise) in deviances(noises, steps, residual).into_iter().zip(noises) {
             if there + price < best.0 {
                 *best = (there + price, noise);
             }
         }
     };
-    for noises in grid(longest)[1..].chunks(4) {
+    for noises in noise_grid(longest)[1..].chunks(4) {
         // The last ones are fewer: one of them is tried again.
         try_all(&mut best, std::array::from_fn(|n| noises[n.min(noises.len() - 1)]));
     }
-    if best.1 == Noise::WHITE {
-        return Noise::WHITE;
+    if best.1 == NoiseModel::WHITE {
+        return NoiseModel::WHITE;
     }
     for factor in [1.5, 1.25, 1.1, 1.05] {
         for _ in 0..6 {
-            let Noise { memory, white } = best.1;
+            let NoiseModel { memory, white } = best.1;
             let around = [
-                Noise { memory: (memory * factor).min(longest), white },
-                Noise { memory: memory / factor, white },
-                Noise { memory, white: (white + 0.2 * (factor - 1.0)).min(0.98) },
-                Noise { memory, white: (white - 0.2 * (factor - 1.0)).max(0.0) },
+                NoiseModel { memory: (memory * factor).min(longest), white },
+                NoiseModel { memory: memory / factor, white },
+                NoiseModel { memory, white: (white + 0.2 * (factor - 1.0)).min(0.98) },
+                NoiseModel { memory, white: (white - 0.2 * (factor - 1.0)).max(0.0) },
             ];
             let before = best.0;
             try_all(&mut best, around);
@@ -323,11 +328,11 @@ pub fn estimate(residual: &[f64], steps: &Steps, longest: f64, parameters: usize
     let bias = (1.0 + 3.0 * rho + parameters as f64 * rho) / rows;
     let corrected = (rho + bias).min(0.9999);
     let memory = (-1.0 / corrected.ln()).min(longest).max(best.1.memory);
-    Noise { memory, ..best.1 }
+    NoiseModel { memory, ..best.1 }
 }
 
 /// Returns a draw of the noise at variance 1.
-pub fn draw(noise: Noise, steps: &Steps, generator: &mut Generator) -> Vec<f64> {
+pub fn draw(noise: NoiseModel, steps: &RowSpacings, generator: &mut Generator) -> Vec<f64> {
     let slow = (1.0 - noise.white).sqrt();
     let quick = noise.white.sqrt();
     let mut state = 0.0;
@@ -352,9 +357,9 @@ mod tests {
         let mut steps = steps(500);
         steps.0[100] = 1.7;
         steps.0[300] = f64::INFINITY;
-        let drawn = draw(Noise { memory: 9.0, white: 0.3 }, &steps, &mut Generator::new(3));
+        let drawn = draw(NoiseModel { memory: 9.0, white: 0.3 }, &steps, &mut Generator::new(3));
         let noises = [(0.0, 1.0), (3.0, 0.0), (9.0, 0.3), (80.0, 0.98)];
-        let noises = noises.map(|(memory, white)| Noise { memory, white });
+        let noises = noises.map(|(memory, white)| NoiseModel { memory, white });
         for (noise, found) in noises.into_iter().zip(deviances(noises, &steps, &drawn)) {
             let whitener = Whitener::new(noise, &steps);
             let sum: f64 = whitener.apply(&drawn).iter().map(|e| e * e).sum();
@@ -363,15 +368,15 @@ mod tests {
         }
     }
 
-    fn steps(rows: usize) -> Steps {
+    fn steps(rows: usize) -> RowSpacings {
         let mut steps = vec![1.0; rows];
         steps[0] = f64::INFINITY;
-        Steps(steps)
+        RowSpacings(steps)
     }
 
     #[test]
     fn whitened_noise_has_variance_one_and_no_memory() {
-        let noise = Noise { memory: 30.0, white: 0.2 };
+        let noise = NoiseModel { memory: 30.0, white: 0.2 };
         let steps = steps(20_000);
         let drawn = draw(noise, &steps, &mut Generator::new(1));
         let white = Whitener::new(noise, &steps).apply(&drawn);
@@ -384,13 +389,13 @@ mod tests {
 
     #[test]
     fn the_covariance_is_that_of_the_formula() {
-        let noise = Noise { memory: 5.0, white: 0.3 };
+        let noise = NoiseModel { memory: 5.0, white: 0.3 };
         let mut steps = steps(40);
         steps.0[20] = f64::INFINITY;
         steps.0[7] = 3.5;
         let mut unit = vec![0.0; 40];
         unit[5] = 1.0;
-        let column = covariance_times(noise, &steps, &unit);
+        let column = multiply_by_covariance(noise, &steps, &unit);
         assert!((column[5] - 1.0).abs() < 1e-12);
         assert!((column[7] - noise.correlation(4.5)).abs() < 1e-12);
         assert_eq!(column[20], 0.0);
@@ -399,12 +404,13 @@ mod tests {
     #[test]
     fn the_memory_is_found_again() {
         for (memory, white) in [(0.0, 1.0), (5.0, 0.0), (33.0, 0.0), (20.0, 0.5)] {
-            let noise = Noise { memory, white };
+            let noise = NoiseModel { memory, white };
             let steps = steps(3000);
             let drawn = draw(noise, &steps, &mut Generator::new(7));
-            let found = estimate(&drawn, &steps, longest_memory(3000), 0);
+            let found = estimate(&drawn, &steps, max_autocorrelation_time(3000), 0);
             println!("{noise:?} found as {found:?}");
-            let (there, here) = (effective_rows(noise, &steps), effective_rows(found, &steps));
+            let (there, here) =
+                (effective_sample_size(noise, &steps), effective_sample_size(found, &steps));
             assert!((there / here).ln().abs() < 0.5, "{there} {here}");
         }
     }

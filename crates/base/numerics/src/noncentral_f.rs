@@ -16,9 +16,9 @@ use statrs::{
 };
 
 /// No test needs more than that; beyond it the sum would only be longer.
-const MAX: f64 = 2e5;
+const MAX_NONCENTRALITY: f64 = 2e5;
 /// Weights of the sum below this are left out.
-const NO_WEIGHT: f64 = 1e-17;
+const MIN_WEIGHT: f64 = 1e-17;
 
 /// Returns the chance, 0…1, that an F test at the level `significance` with `constants` and `freedom` degrees of
 /// freedom finds an effect of this `noncentrality`; 0 where nothing is left to test with.
@@ -38,18 +38,18 @@ pub fn power(significance: f64, constants: f64, freedom: f64, noncentrality: f64
     let limit = central.inverse_cdf(1.0 - significance);
     // Of a small part of a degree of freedom the limit is beyond all numbers, and x is 1.
     let x = 1.0 / (1.0 + freedom / (constants * limit));
-    let half = 0.5 * noncentrality.min(MAX);
+    let half = 0.5 * noncentrality.min(MAX_NONCENTRALITY);
     let weight = |j: f64| (j * half.ln() - half - ln_gamma(j + 1.0)).exp();
     let missed = |j: f64| beta_reg(0.5 * constants + j, 0.5 * freedom, x);
     let largest = half.floor();
     let mut sum = 0.0;
     let mut j = largest;
-    while j >= 0.0 && weight(j) > NO_WEIGHT {
+    while j >= 0.0 && weight(j) > MIN_WEIGHT {
         sum += weight(j) * missed(j);
         j -= 1.0;
     }
     j = largest + 1.0;
-    while weight(j) > NO_WEIGHT {
+    while weight(j) > MIN_WEIGHT {
         sum += weight(j) * missed(j);
         j += 1.0;
     }
@@ -58,16 +58,16 @@ pub fn power(significance: f64, constants: f64, freedom: f64, noncentrality: f64
 
 /// Returns the noncentrality that such a test finds with the chance `wanted`; infinite where none does.
 #[must_use]
-pub fn noncentrality(wanted: f64, significance: f64, constants: f64, freedom: f64) -> f64 {
+pub fn required_noncentrality(wanted: f64, significance: f64, constants: f64, freedom: f64) -> f64 {
     let finds = |lambda: f64| power(significance, constants, freedom, lambda) >= wanted;
     let (mut low, mut high) = (0.0, 1.0);
     while !finds(high) {
         (low, high) = (high, 2.0 * high);
-        if high > MAX {
+        if high > MAX_NONCENTRALITY {
             return f64::INFINITY;
         }
     }
-    // To a thousandth: a size goes with its root.
+    // To a thousandth: a size is proportional to its root.
     while high - low > 1e-3 * high {
         let middle = 0.5 * (low + high);
         if finds(middle) { high = middle } else { low = middle }
@@ -102,7 +102,7 @@ mod tests {
             for freedom in [1e-9, 1e-3, 0.01, 0.02, 0.05, 0.1, 0.3] {
                 let found = power(1e-5, constants, freedom, 1e4);
                 assert!((0.0..0.2).contains(&found), "{constants} {freedom}: {found}");
-                let lambda = noncentrality(0.95, 1e-5, constants, freedom);
+                let lambda = required_noncentrality(0.95, 1e-5, constants, freedom);
                 assert_eq!(lambda, f64::INFINITY, "{constants} {freedom}");
             }
         }
@@ -111,9 +111,9 @@ mod tests {
     #[test]
     fn the_noncentrality_is_the_one_that_has_the_power() {
         for (constants, freedom) in [(1.0, 10.0), (2.0, 598.0), (21.0, 44.0)] {
-            let lambda = noncentrality(0.95, 0.01, constants, freedom);
+            let lambda = required_noncentrality(0.95, 0.01, constants, freedom);
             assert!((power(0.01, constants, freedom, lambda) - 0.95).abs() < 1e-3);
         }
-        assert_eq!(noncentrality(0.95, 0.01, 1.0, 0.0), f64::INFINITY);
+        assert_eq!(required_noncentrality(0.95, 0.01, 1.0, 0.0), f64::INFINITY);
     }
 }

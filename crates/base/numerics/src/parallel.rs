@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 /// Returns what `of` makes of each of `items`, on all cores; on this core alone where the work is not worth
 /// the threads.
-pub fn on_all_cores<T: Sync, R: Send>(
+pub fn parallel_map<T: Sync, R: Send>(
     items: &[T],
     is_worth: bool,
     of: impl Fn(&T) -> R + Send + Sync,
@@ -13,7 +13,7 @@ pub fn on_all_cores<T: Sync, R: Send>(
 }
 
 /// Returns two pieces of work at once.
-pub fn both<A: Send, B: Send>(
+pub fn parallel_join<A: Send, B: Send>(
     one: impl FnOnce() -> A + Send,
     other: impl FnOnce() -> B + Send,
 ) -> (A, B) {
@@ -25,7 +25,7 @@ pub fn both<A: Send, B: Send>(
 ///
 /// # Panics
 /// No thread can be started.
-pub fn on_one_core<R: Send>(of: impl FnOnce() -> R + Send) -> R {
+pub fn run_single_threaded<R: Send>(of: impl FnOnce() -> R + Send) -> R {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build();
     pool.expect("a thread can be started").install(of)
 }

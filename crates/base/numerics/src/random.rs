@@ -10,7 +10,7 @@ use rand_distr::StandardNormal;
 /// use trueup_numerics::random::Generator;
 /// let mut dice = Generator::new(1);
 /// let mut again = Generator::new(1);
-/// assert!((0..100).all(|_| { let n = dice.below(6); n < 6 && n == again.below(6) }));
+/// assert!((0..100).all(|_| { let n = dice.uniform_index(6); n < 6 && n == again.uniform_index(6) }));
 /// ```
 #[derive(Clone, Debug)]
 pub struct Generator(ChaCha8Rng);
@@ -26,7 +26,7 @@ impl Generator {
     ///
     /// # Panics
     /// `end` is 0.
-    pub fn below(&mut self, end: usize) -> usize {
+    pub fn uniform_index(&mut self, end: usize) -> usize {
         self.0.random_range(0..end)
     }
 

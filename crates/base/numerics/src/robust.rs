@@ -2,23 +2,23 @@
 //!
 //! Three kinds of data, three ways to say what the rest is:
 //!
-//! - **A series** ([`in_series`]): what is warm moves slowly. Each row is compared with a line
+//! - **A series** ([`series_outliers`]): what is warm moves slowly. Each row is compared with a line
 //!   through its neighbours in time (the median of the slopes of all pairs, Theil and Sen, and the
 //!   median height), without itself. A single row or a short burst that leaves and comes back is a
-//!   gross error; a level that stays is a step of the machine, and no row of it is set aside. Which
+//!   gross error; a level that stays is a step of the machine, and no row of it is excluded. Which
 //!   model explains the series does not matter.
-//! - **A relation** ([`in_relation`]): y against columns x. First the fit of many small random
+//! - **A relation** ([`regression_outliers`]): y against columns x. First the fit of many small random
 //!   samples (their seed is fixed: the same data gives the same rows) whose median residual is
 //!   smallest, which up to half of the rows cannot spoil; from there least squares with Tukey's
 //!   biweight at 4.685 scales, which comes near to plain least squares where nothing is wrong (an
 //!   MM estimate).
-//! - **A residual** ([`in_residual`]): what a model leaves, which may still hold a cause that is not named yet. Each
+//! - **A residual** ([`residual_outliers`]): what a model leaves, which may still hold a cause that is not named yet. Each
 //!   row is compared with the median of its six neighbours and itself.
 //!
 //! Neither of the tests in order does for the other (measured, `tests/outliers.rs`; 20 runs of 400 rows
 //! with scatter 1, in each 5 gross errors of 40, and what a cause leaves that is not named yet):
 //!
-//! | left | found as a series | as a residual | sound rows set aside as a series | as a residual |
+//! | left | found as a series | as a residual | sound rows excluded as a series | as a residual |
 //! |---|---|---|---|---|
 //! | nothing | 100 of 100 | 100 | 0 of 7900 | 0 |
 //! | a wave of 10 rows, amplitude 6 | 0 | 100 | 0 | 0 |
@@ -29,25 +29,25 @@
 //! residual takes 48 ms, a series 306 ms.
 //!
 //! The scale is 1.4826 times the median of the magnitudes of the residuals, never below the step in
-//! which the values were written or a series moves. A row of a series or a relation is set aside beyond
-//! the quantile of Student's t at which 1 of 100 clean runs would lose a row, but never within [`GROSS`]
+//! which the values were written or a series moves. A row of a series or a relation is excluded beyond
+//! the quantile of Student's t at which 1 of 100 clean runs would lose a row, but never within [`MIN_CUTOFF_SCALES`]
 //! scales; the median knows the scale as well as 0.37·n values would with squares, so short runs need
 //! more.
 
-mod alone;
-mod chance;
-mod relation;
+mod isolation;
+mod regression;
 mod residual;
 mod series;
 mod statistics;
+mod tail_probability;
 #[cfg(test)]
 mod tests;
 
-pub use alone::standing_alone;
-pub use chance::{chance_of_as_many, chance_of_noise};
-pub use relation::{ROWS_A_COLUMN, in_relation};
-pub use residual::{LARGEST_SHARE, in_residual};
-pub use series::{MIN_IN_SERIES, in_series};
-pub(crate) use statistics::cutoff;
+pub use isolation::isolated_outliers;
+pub use regression::{MIN_ROWS_PER_COLUMN, regression_outliers};
+pub use residual::{MAX_OUTLIER_FRACTION, residual_outliers};
+pub use series::{MIN_SERIES_ROWS, series_outliers};
 pub use statistics::median;
-pub use statistics::{GROSS, Outlier};
+pub(crate) use statistics::outlier_cutoff;
+pub use statistics::{MIN_CUTOFF_SCALES, Outlier};
+pub use tail_probability::{noise_tail_probability, poisson_tail_probability};

@@ -7,7 +7,7 @@
 
 use std::{fs, path::Path};
 
-use trueup_numerics::least_squares::{GivensQr, Model, Options, fit, normal};
+use trueup_numerics::least_squares::{GivensQr, Model, SolverOptions, fit, normal};
 
 /// A certified set.
 struct Set {
@@ -56,11 +56,11 @@ impl Set {
 struct Formula<F>(usize, Vec<f64>, F);
 
 impl<F: Fn(f64, &[f64], &mut [f64]) -> f64> Model for Formula<F> {
-    fn parameters(&self) -> usize {
+    fn parameter_count(&self) -> usize {
         self.0
     }
 
-    fn values(&self, b: &[f64], values: &mut [f64]) -> bool {
+    fn evaluate(&self, b: &[f64], values: &mut [f64]) -> bool {
         let mut derivatives = vec![0.0; b.len()];
         values.iter_mut().zip(&self.1).for_each(|(y, &x)| *y = (self.2)(x, b, &mut derivatives));
         true
@@ -80,12 +80,12 @@ impl<F: Fn(f64, &[f64], &mut [f64]) -> f64> Model for Formula<F> {
 struct Numeric<M>(M);
 
 impl<M: Model> Model for Numeric<M> {
-    fn parameters(&self) -> usize {
-        self.0.parameters()
+    fn parameter_count(&self) -> usize {
+        self.0.parameter_count()
     }
 
-    fn values(&self, b: &[f64], values: &mut [f64]) -> bool {
-        self.0.values(b, values)
+    fn evaluate(&self, b: &[f64], values: &mut [f64]) -> bool {
+        self.0.evaluate(b, values)
     }
 }
 
@@ -99,7 +99,7 @@ fn digits(value: f64, certified: f64) -> f64 {
 fn prove(name: &str, formula: impl Fn(f64, &[f64], &mut [f64]) -> f64) {
     let set = Set::read(name);
     let model = Formula(set.start.len(), set.x.clone(), formula);
-    let analytic = fit(&model, &set.y, &set.start, &Options::default()).expect(name);
+    let analytic = fit(&model, &set.y, &set.start, &SolverOptions::default()).expect(name);
     let shown = |parameters: &[f64]| -> (Vec<String>, f64) {
         let each = parameters.iter().zip(&set.certified).map(|(p, c)| digits(*p, *c));
         let least = each.clone().fold(f64::INFINITY, f64::min);
@@ -121,7 +121,7 @@ fn prove(name: &str, formula: impl Fn(f64, &[f64], &mut [f64]) -> f64) {
         let (each, least) = shown(&gauss_newton(&model, &set, step));
         println!("{name}, plain steps by {engine}: digits {} (least {least:.1})", each.join(" "));
     }
-    match fit(&Numeric(model), &set.y, &set.start, &Options::default()) {
+    match fit(&Numeric(model), &set.y, &set.start, &SolverOptions::default()) {
         Ok(numeric) => {
             let (each, least) = shown(&numeric.parameters);
             println!("{name} by differences: digits {} (least {least:.1})", each.join(" "));
@@ -143,7 +143,7 @@ fn by_triangle(columns: &[Vec<f64>], residual: &[f64]) -> Vec<f64> {
     let mut triangle = GivensQr::new(columns.len());
     for (row, &residual) in residual.iter().enumerate() {
         let x: Vec<f64> = columns.iter().map(|column| column[row]).collect();
-        triangle.add(&x, residual);
+        triangle.add_row(&x, residual);
     }
     triangle.solve().expect("the sets decide their parameters").coefficients
 }
@@ -154,7 +154,7 @@ fn gauss_newton(model: &impl Model, set: &Set, step: Step) -> Vec<f64> {
     let mut values = vec![0.0; set.y.len()];
     let mut columns = vec![values.clone(); b.len()];
     for _ in 0..30 {
-        assert!(model.values(&b, &mut values) && model.derivatives(&b, &mut columns));
+        assert!(model.evaluate(&b, &mut values) && model.derivatives(&b, &mut columns));
         let residual: Vec<f64> = set.y.iter().zip(&values).map(|(y, value)| y - value).collect();
         b.iter_mut().zip(step(&columns, &residual)).for_each(|(b, step)| *b += step);
     }

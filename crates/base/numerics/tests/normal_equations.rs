@@ -26,7 +26,7 @@ fn by_triangle(columns: &[Vec<f64>], y: &[f64]) -> Vec<f64> {
     let mut x = vec![0.0; columns.len()];
     for (row, &y) in y.iter().enumerate() {
         x.iter_mut().zip(columns).for_each(|(x, column)| *x = column[row]);
-        triangle.add(&x, y);
+        triangle.add_row(&x, y);
     }
     triangle.solve().expect("the columns are independent").coefficients
 }

@@ -7,7 +7,7 @@ use std::{f64::consts::TAU, time::Instant};
 
 use trueup_numerics::{
     random::Generator,
-    robust::{in_residual, in_series},
+    robust::{residual_outliers, series_outliers},
 };
 
 const RUNS: usize = 20;
@@ -27,7 +27,7 @@ fn left(kind: &str, row: usize) -> f64 {
     }
 }
 
-/// Of RUNS residuals: rows that the test of a series and that of a residual set aside though they are
+/// Of RUNS residuals: rows that the test of a series and that of a residual exclude as outliers though they are
 /// sound, and of a hundred gross errors those that they find.
 fn compare(kind: &str) -> [[usize; 2]; 2] {
     let mut generator = Generator::new(1);
@@ -38,8 +38,8 @@ fn compare(kind: &str) -> [[usize; 2]; 2] {
         let mut y: Vec<f64> = (0..ROWS).map(|row| left(kind, row) + generator.normal()).collect();
         let wrong: Vec<usize> = (0..5).map(|n| 80 * n + 30).collect();
         wrong.iter().for_each(|&row| y[row] += 40.0);
-        let by_series: Vec<usize> = in_series(&time, &y).iter().map(|it| it.row).collect();
-        let by_residual: Vec<usize> = in_residual(&y, &series, 0.0)
+        let by_series: Vec<usize> = series_outliers(&time, &y).iter().map(|it| it.row).collect();
+        let by_residual: Vec<usize> = residual_outliers(&y, &series, 0.0)
             .into_iter()
             .enumerate()
             .filter(|(_, is_gross)| *is_gross)
@@ -79,10 +79,12 @@ fn neither_test_does_for_the_other() {
     let time: Vec<f64> = (0..rows).map(|row| row as f64).collect();
     let y: Vec<f64> = (0..rows).map(|_| generator.normal()).collect();
     let start = Instant::now();
-    assert!(in_series(&time, &y).len() < 3);
+    assert!(series_outliers(&time, &y).len() < 3);
     let series = start.elapsed();
     let start = Instant::now();
-    assert!(in_residual(&y, &vec![0; rows], 0.0).iter().filter(|is_gross| **is_gross).count() < 3);
+    assert!(
+        residual_outliers(&y, &vec![0; rows], 0.0).iter().filter(|is_gross| **is_gross).count() < 3
+    );
     let residual = start.elapsed();
     println!("{rows} rows: {series:.2?} and {residual:.2?}");
 }

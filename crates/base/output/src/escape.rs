@@ -6,7 +6,7 @@ use std::fmt::{self, Display, Write as _};
 /// Returns true for a character that is shown escaped: a control character (C0, DEL, C1), a line or paragraph
 /// separator, and what changes the direction of a line.
 #[must_use]
-pub fn is_unsafe(c: char) -> bool {
+pub fn needs_escaping(c: char) -> bool {
     c.is_control()
         || matches!(c,
             '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
@@ -14,13 +14,13 @@ pub fn is_unsafe(c: char) -> bool {
 
 /// Returns the text with every unsafe character escaped, line breaks included: for a value inside a line.
 #[must_use]
-pub fn one_line(text: &str) -> String {
+pub fn escape_line(text: &str) -> String {
     Escaped { text, keep: &[] }.to_string()
 }
 
 /// Returns the text with every unsafe character escaped except line breaks and tabs: for a text of several lines.
 #[must_use]
-pub fn lines(text: &str) -> String {
+pub fn escape_lines(text: &str) -> String {
     Escaped { text, keep: &['\n', '\t'] }.to_string()
 }
 
@@ -28,17 +28,17 @@ pub fn lines(text: &str) -> String {
 /// Windows the quotation marks are double, which both of its shells take, and a backslash is plain.
 ///
 /// ```
-/// use trueup_output::escape::shell_word;
-/// assert_eq!(shell_word("run.csv"), "run.csv");
+/// use trueup_output::escape::shell_quote;
+/// assert_eq!(shell_quote("run.csv"), "run.csv");
 /// # #[cfg(unix)]
-/// assert_eq!(shell_word("Messuhr [µm]=µm"), "'Messuhr [µm]=µm'");
+/// assert_eq!(shell_quote("Messuhr [µm]=µm"), "'Messuhr [µm]=µm'");
 /// ```
 #[must_use]
-pub fn shell_word(text: &str) -> String {
-    word(text, cfg!(windows))
+pub fn shell_quote(text: &str) -> String {
+    shell_quote_for_platform(text, cfg!(windows))
 }
 
-fn word(text: &str, is_windows: bool) -> String {
+fn shell_quote_for_platform(text: &str, is_windows: bool) -> String {
     let plain = if is_windows { r"=_-./:,+\" } else { "=_-./:,+" };
     match !text.is_empty() && text.chars().all(|c| c.is_alphanumeric() || plain.contains(c)) {
         true => text.into(),
@@ -56,7 +56,7 @@ struct Escaped<'t> {
 impl Display for Escaped<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for c in self.text.chars() {
-            match is_unsafe(c) && !self.keep.contains(&c) {
+            match needs_escaping(c) && !self.keep.contains(&c) {
                 true => write!(f, "{}", c.escape_default())?,
                 false => f.write_char(c)?,
             }
@@ -71,10 +71,13 @@ mod tests {
 
     #[test]
     fn a_path_is_one_word_in_the_shells_of_both_systems() {
-        assert_eq!(word("a b's.csv", false), r"'a b'\''s.csv'");
-        assert_eq!(word(r"found\extended.toml", false), r"'found\extended.toml'");
-        assert_eq!(word(r"found\extended.toml", true), r"found\extended.toml");
-        assert_eq!(word(r"C:\my runs\r.csv", true), r#""C:\my runs\r.csv""#);
+        assert_eq!(shell_quote_for_platform("a b's.csv", false), r"'a b'\''s.csv'");
+        assert_eq!(
+            shell_quote_for_platform(r"found\extended.toml", false),
+            r"'found\extended.toml'"
+        );
+        assert_eq!(shell_quote_for_platform(r"found\extended.toml", true), r"found\extended.toml");
+        assert_eq!(shell_quote_for_platform(r"C:\my runs\r.csv", true), r#""C:\my runs\r.csv""#);
     }
 
     #[test]
@@ -86,8 +89,8 @@ mod tests {
             ("\u{2028}\u{200e}\u{2069}\u{202a}", r"\u{2028}\u{200e}\u{2069}\u{202a}"),
             ("µm äöü 測定 Ω ±\u{200d}", "µm äöü 測定 Ω ±\u{200d}"),
         ] {
-            assert_eq!(one_line(text), shown);
+            assert_eq!(escape_line(text), shown);
         }
-        assert_eq!(lines("a\n\tb\r\u{7}"), "a\n\tb\\r\\u{7}");
+        assert_eq!(escape_lines("a\n\tb\r\u{7}"), "a\n\tb\\r\\u{7}");
     }
 }

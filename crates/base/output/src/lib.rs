@@ -1,15 +1,15 @@
-//! The one way to standard output and standard error. [`result`] prints what a command was asked for,
-//! [`diagnostic`] everything else; both show control and bidirectional characters escaped. `print!`,
+//! The one way to standard output and standard error. [`write_result`] prints the result of a command,
+//! [`write_diagnostic`] everything else; both show control and bidirectional characters escaped. `print!`,
 //! `eprintln!`, `stdout()` and `stderr()` are denied by clippy everywhere else.
 //!
-//! | stream cannot be written | `diagnostic` | `result` |
+//! | stream cannot be written | `write_diagnostic` | `write_result` |
 //! |---|---|---|
 //! | reader gone (`EPIPE`) | dropped | dropped; the command goes on, its exit status stands |
-//! | full disk, I/O error | dropped | an error; after [`detach`] or [`best_effort`] a diagnostic |
+//! | full disk, I/O error | dropped | an error; after [`enable_background_output`] or [`enable_best_effort`] a diagnostic |
 //! | busy (`EAGAIN`) | waits one second, then dropped | waits |
-//! | reader stopped, pipe full | waits; after [`detach`] dropped and counted | waits; after [`detach`] dropped and counted |
+//! | reader stopped, pipe full | waits; after [`enable_background_output`] dropped and counted | waits; after [`enable_background_output`] dropped and counted |
 //!
-//! A control path (the LinuxCNC component, a gateway, a virtual bridge) calls [`detach`] before it starts: from then
+//! A control path (the LinuxCNC component, a gateway, a virtual bridge) calls [`enable_background_output`] before it starts: from then
 //! on a thread of its own writes each stream from a bounded queue ([`queue`]), and no call here waits.
 
 pub mod escape;
@@ -26,98 +26,102 @@ use std::{
     time::{Duration, Instant},
 };
 
-use escape::lines;
-use queue::Queue;
+use escape::escape_lines;
+use queue::LineQueue;
 
 /// Longest wait for a standard error that is busy (`EAGAIN`).
-const DIAGNOSTIC_WAIT: Duration = Duration::from_secs(1);
+const DIAGNOSTIC_TIMEOUT: Duration = Duration::from_secs(1);
 /// From one try to the next on a stream that is busy.
-const RETRY: Duration = Duration::from_millis(2);
+const RETRY_INTERVAL: Duration = Duration::from_millis(2);
 /// Longest wait at the end for queued lines.
-const FINISH: Duration = Duration::from_millis(500);
+const DRAIN_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// The reader of standard output is gone.
-static HAS_READER_LEFT: AtomicBool = AtomicBool::new(false);
+static STDOUT_CLOSED: AtomicBool = AtomicBool::new(false);
 /// A result that cannot be written is reported as a diagnostic.
 static IS_BEST_EFFORT: AtomicBool = AtomicBool::new(false);
 /// That has been reported.
-static IS_REPORTED: AtomicBool = AtomicBool::new(false);
-static DETACHED: OnceLock<Detached> = OnceLock::new();
+static IS_FAILURE_REPORTED: AtomicBool = AtomicBool::new(false);
+static OUTPUT_QUEUES: OnceLock<OutputQueues> = OnceLock::new();
 
 /// The queues of a control path.
-struct Detached {
-    output: Queue,
-    error: Queue,
+struct OutputQueues {
+    output: LineQueue,
+    error: LineQueue,
 }
 
 /// Writes both streams from threads of their own from now on: no call waits, lines that a stream does not take are
 /// dropped and counted, and no failure to write is an error.
-pub fn detach() {
-    best_effort();
-    DETACHED.get_or_init(|| Detached {
-        output: Queue::new("standard output", io::stdout()),
-        error: Queue::new("standard error", io::stderr()),
+pub fn enable_background_output() {
+    enable_best_effort();
+    OUTPUT_QUEUES.get_or_init(|| OutputQueues {
+        output: LineQueue::new("standard output", io::stdout()),
+        error: LineQueue::new("standard error", io::stderr()),
     });
 }
 
 /// Reports a result that cannot be written as a diagnostic from now on: for a command whose product is not what it
 /// prints, such as one that changes a bridge.
-pub fn best_effort() {
+pub fn enable_best_effort() {
     IS_BEST_EFFORT.store(true, Ordering::Relaxed);
 }
 
 /// Waits a short time until queued lines are written; at the end of a program.
-pub fn finish() {
-    if let Some(Detached { output, error }) = DETACHED.get() {
-        let deadline = Instant::now() + FINISH;
-        output.finish(deadline);
-        error.finish(deadline);
+pub fn flush_queues() {
+    if let Some(OutputQueues { output, error }) = OUTPUT_QUEUES.get() {
+        let deadline = Instant::now() + DRAIN_TIMEOUT;
+        output.flush_until(deadline);
+        error.flush_until(deadline);
     }
 }
 
 /// Writes a line of diagnostics to standard error, escaped except for its line breaks. Never fails.
-pub fn diagnostic(text: impl Display) {
-    to_error(format!("{}\n", lines(&text.to_string())));
+pub fn write_diagnostic(text: impl Display) {
+    write_to_stderr(format!("{}\n", escape_lines(&text.to_string())));
 }
 
-/// Writes text to standard error as it is, colours and cursor movements included: what a user's file has brought
+/// Writes text to standard error unchanged, colours and cursor movements included: what a user's file has brought
 /// into it is escaped already. Never fails.
-pub fn styled(text: impl Display) {
-    to_error(format!("{text}\n"));
+pub fn write_styled(text: impl Display) {
+    write_to_stderr(format!("{text}\n"));
 }
 
 /// Writes a question to standard error, without a line break at its end. Never fails.
-pub fn prompt(question: impl Display) {
-    to_error(lines(&question.to_string()));
+pub fn write_prompt(question: impl Display) {
+    write_to_stderr(escape_lines(&question.to_string()));
 }
 
 /// Writes a result on a line of its own to standard output, escaped except for its line breaks.
 ///
 /// # Errors
-/// Standard output cannot be written, and its reader has not just left. Never after [`detach`] or [`best_effort`].
-pub fn result(text: impl Display) -> io::Result<()> {
-    let text = format!("{}\n", lines(&text.to_string()));
-    if let Some(Detached { output, .. }) = DETACHED.get() {
+/// Standard output cannot be written, and its reader has not just left. Never after [`enable_background_output`] or [`enable_best_effort`].
+pub fn write_result(text: impl Display) -> io::Result<()> {
+    let text = format!("{}\n", escape_lines(&text.to_string()));
+    if let Some(OutputQueues { output, .. }) = OUTPUT_QUEUES.get() {
         output.push(text);
         return Ok(());
     }
-    tolerated(Output.write_all(text.as_bytes()).and_then(|()| Output.flush()))
+    ignore_best_effort_error(
+        StdoutWriter.write_all(text.as_bytes()).and_then(|()| StdoutWriter.flush()),
+    )
 }
 
-/// Writes a line to standard output as [`result`] does; a failure is a diagnostic. For tools of the workshop, and for
+/// Writes a line to standard output as [`write_result`] does; a failure is a diagnostic. For tools of the workshop, and for
 /// what a control path reports.
-pub fn line(text: impl Display) {
-    best_effort();
+pub fn write_line(text: impl Display) {
+    enable_best_effort();
     // A best effort has reported its failure.
-    _ = result(text);
+    _ = write_result(text);
 }
 
 /// Reports the failure of a best effort once, as a diagnostic.
-fn tolerated(written: io::Result<()>) -> io::Result<()> {
+fn ignore_best_effort_error(written: io::Result<()>) -> io::Result<()> {
     match written {
         Err(error) if IS_BEST_EFFORT.load(Ordering::Relaxed) => {
-            if !IS_REPORTED.swap(true, Ordering::Relaxed) {
-                diagnostic(format_args!("warning: standard output cannot be written: {error}"));
+            if !IS_FAILURE_REPORTED.swap(true, Ordering::Relaxed) {
+                write_diagnostic(format_args!(
+                    "warning: standard output cannot be written: {error}"
+                ));
             }
             Ok(())
         }
@@ -127,14 +131,14 @@ fn tolerated(written: io::Result<()>) -> io::Result<()> {
 
 /// Standard output as a writer of bytes, for a file's content: unescaped. A reader that has left is no error.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Output;
+pub struct StdoutWriter;
 
-impl Write for Output {
+impl Write for StdoutWriter {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         match has_reader() {
             false => Ok(bytes.len()),
-            true => unless_reader_left(
-                patiently(None, || io::stdout().lock().write(bytes)),
+            true => ignore_broken_pipe(
+                retry_until_deadline(None, || io::stdout().lock().write(bytes)),
                 bytes.len(),
             ),
         }
@@ -143,16 +147,18 @@ impl Write for Output {
     fn flush(&mut self) -> io::Result<()> {
         match has_reader() {
             false => Ok(()),
-            true => unless_reader_left(patiently(None, || io::stdout().lock().flush()), ()),
+            true => {
+                ignore_broken_pipe(retry_until_deadline(None, || io::stdout().lock().flush()), ())
+            }
         }
     }
 }
 
 /// Returns `done` where the reader has left, and remembers it.
-fn unless_reader_left<T>(written: io::Result<T>, done: T) -> io::Result<T> {
+fn ignore_broken_pipe<T>(written: io::Result<T>, done: T) -> io::Result<T> {
     match written {
-        Err(error) if is_gone(&error) => {
-            HAS_READER_LEFT.store(true, Ordering::Relaxed);
+        Err(error) if is_broken_pipe(&error) => {
+            STDOUT_CLOSED.store(true, Ordering::Relaxed);
             Ok(done)
         }
         other => other,
@@ -162,7 +168,7 @@ fn unless_reader_left<T>(written: io::Result<T>, done: T) -> io::Result<T> {
 /// Returns false once the reader of standard output has left (`| head`): a command that prints without end ends then.
 #[must_use]
 pub fn has_reader() -> bool {
-    !HAS_READER_LEFT.load(Ordering::Relaxed)
+    !STDOUT_CLOSED.load(Ordering::Relaxed)
 }
 
 /// Returns true if standard output is a terminal.
@@ -179,20 +185,20 @@ pub fn is_error_terminal() -> bool {
 
 /// Returns standard error for a program that is started, as its standard output.
 #[must_use]
-pub fn error_stream() -> std::process::Stdio {
+pub fn stderr_stdio() -> std::process::Stdio {
     io::stderr().into()
 }
 
-fn to_error(text: String) {
-    if let Some(Detached { error, .. }) = DETACHED.get() {
+fn write_to_stderr(text: String) {
+    if let Some(OutputQueues { error, .. }) = OUTPUT_QUEUES.get() {
         error.push(text);
         return;
     }
-    let deadline = Instant::now() + DIAGNOSTIC_WAIT;
+    let deadline = Instant::now() + DIAGNOSTIC_TIMEOUT;
     let mut left = text.as_bytes();
     while !left.is_empty() {
         // Nothing is left to report this failure to.
-        match patiently(Some(deadline), || io::stderr().lock().write(left)) {
+        match retry_until_deadline(Some(deadline), || io::stderr().lock().write(left)) {
             Ok(written @ 1..) => left = left.get(written..).unwrap_or_default(),
             _ => return,
         }
@@ -200,7 +206,7 @@ fn to_error(text: String) {
 }
 
 /// Tries again, until the deadline, while a stream is busy or a signal interrupts.
-fn patiently<T>(
+fn retry_until_deadline<T>(
     deadline: Option<Instant>,
     mut write: impl FnMut() -> io::Result<T>,
 ) -> io::Result<T> {
@@ -211,13 +217,13 @@ fn patiently<T>(
                 if error.kind() == ErrorKind::WouldBlock
                     && deadline.is_none_or(|deadline| Instant::now() < deadline) =>
             {
-                thread::sleep(RETRY);
+                thread::sleep(RETRY_INTERVAL);
             }
             other => return other,
         }
     }
 }
 
-fn is_gone(error: &io::Error) -> bool {
+fn is_broken_pipe(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::BrokenPipe | ErrorKind::ConnectionReset)
 }

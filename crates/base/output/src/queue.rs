@@ -13,13 +13,13 @@ use std::{
 };
 
 /// Lines that may wait: an hour of a component that reports something every few seconds.
-const MAX_LINES: usize = 1_024;
+const MAX_QUEUED_LINES: usize = 1_024;
 /// Bytes of a line; longer ones are cut, so that the queue is bounded in memory as well.
 const MAX_LINE_BYTES: usize = 4_096;
 /// From one try to the next on a writer that is busy (`EAGAIN`).
-const RETRY: Duration = Duration::from_millis(5);
+const RETRY_INTERVAL: Duration = Duration::from_millis(5);
 
-enum Item {
+enum QueueItem {
     Text(String),
     /// All before it is written.
     Mark(mpsc::Sender<()>),
@@ -27,20 +27,20 @@ enum Item {
 
 /// The queue. A clone is another end of the same one.
 #[derive(Clone, Debug)]
-pub struct Queue {
-    sender: SyncSender<Item>,
+pub struct LineQueue {
+    sender: SyncSender<QueueItem>,
     dropped: Arc<AtomicU64>,
 }
 
-impl Queue {
+impl LineQueue {
     /// Starts the thread that writes to `writer`, which messages call `name`.
     pub fn new(name: &str, writer: impl Write + Send + 'static) -> Self {
-        let (sender, receiver) = mpsc::sync_channel(MAX_LINES);
+        let (sender, receiver) = mpsc::sync_channel(MAX_QUEUED_LINES);
         let queue = Self { sender, dropped: Arc::default() };
         let (name, dropped) = (name.to_owned(), queue.dropped.clone());
         let thread = thread::Builder::new().name("output".into());
         // Without a thread (no memory for its stack) every line is dropped and counted.
-        _ = thread.spawn(move || write(&name, writer, &receiver, &dropped));
+        _ = thread.spawn(move || run_writer(&name, writer, &receiver, &dropped));
         queue
     }
 
@@ -51,22 +51,22 @@ impl Queue {
             text.truncate(cut);
             text.push_str("…\n");
         }
-        if self.sender.try_send(Item::Text(text)).is_err() {
+        if self.sender.try_send(QueueItem::Text(text)).is_err() {
             self.dropped.fetch_add(1, Ordering::Relaxed);
         }
     }
 
     /// Waits until all before is written, no longer than the deadline.
-    pub fn finish(&self, deadline: Instant) {
+    pub fn flush_until(&self, deadline: Instant) {
         let (done, is_done) = mpsc::channel();
-        let mut mark = Item::Mark(done);
+        let mut mark = QueueItem::Mark(done);
         loop {
             match self.sender.try_send(mark) {
                 Ok(()) => break,
                 Err(TrySendError::Full(back)) if Instant::now() < deadline => mark = back,
                 Err(_) => return,
             }
-            thread::sleep(RETRY);
+            thread::sleep(RETRY_INTERVAL);
         }
         // Either it is written or the time is up.
         _ = is_done.recv_timeout(deadline.saturating_duration_since(Instant::now()));
@@ -84,12 +84,17 @@ impl CharBoundary for str {
     }
 }
 
-fn write(name: &str, mut writer: impl Write, lines: &Receiver<Item>, dropped: &AtomicU64) {
+fn run_writer(
+    name: &str,
+    mut writer: impl Write,
+    lines: &Receiver<QueueItem>,
+    dropped: &AtomicU64,
+) {
     for item in lines {
         match item {
             // A full disk or a reader that has left loses the line, and no later one that can be written.
-            Item::Text(text) => _ = write_all(&mut writer, text.as_bytes()),
-            Item::Mark(done) => _ = done.send(()),
+            QueueItem::Text(text) => _ = write_all(&mut writer, text.as_bytes()),
+            QueueItem::Mark(done) => _ = done.send(()),
         }
         let count = dropped.swap(0, Ordering::Relaxed);
         if count > 0 {
@@ -105,7 +110,9 @@ fn write_all(writer: &mut impl Write, mut bytes: &[u8]) -> io::Result<()> {
             Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
             Ok(written) => bytes = bytes.get(written..).unwrap_or_default(),
             Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            Err(error) if error.kind() == io::ErrorKind::WouldBlock => thread::sleep(RETRY),
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                thread::sleep(RETRY_INTERVAL)
+            }
             Err(error) => return Err(error),
         }
     }
@@ -133,16 +140,16 @@ mod tests {
     #[test]
     fn a_writer_that_stalls_delays_no_caller_and_the_lost_lines_are_counted() {
         let gate = Gate::default();
-        let queue = Queue::new("the log", gate.clone());
+        let queue = LineQueue::new("the log", gate.clone());
         let held = gate.0.lock().expect("whole");
         let start = Instant::now();
         for line in 0..5_000 {
             queue.push(format!("{line}\n"));
         }
-        queue.finish(Instant::now() + Duration::from_millis(20));
+        queue.flush_until(Instant::now() + Duration::from_millis(20));
         assert!(start.elapsed() < Duration::from_secs(2), "{:?}", start.elapsed());
         drop(held);
-        queue.finish(Instant::now() + Duration::from_secs(5));
+        queue.flush_until(Instant::now() + Duration::from_secs(5));
         let text = String::from_utf8(gate.0.lock().expect("whole").clone()).expect("text");
         let lines: Vec<_> = text.lines().collect();
         assert_eq!(lines[0], "0");
@@ -162,14 +169,14 @@ mod tests {
                 Ok(())
             }
         }
-        let queue = Queue::new("full", Full);
+        let queue = LineQueue::new("full", Full);
         queue.push("lost\n".into());
-        queue.finish(Instant::now() + Duration::from_secs(5));
+        queue.flush_until(Instant::now() + Duration::from_secs(5));
 
         let gate = Gate::default();
-        let queue = Queue::new("the log", gate.clone());
+        let queue = LineQueue::new("the log", gate.clone());
         queue.push("µ".repeat(1 << 20));
-        queue.finish(Instant::now() + Duration::from_secs(5));
+        queue.flush_until(Instant::now() + Duration::from_secs(5));
         assert_eq!(gate.0.lock().expect("whole").len(), MAX_LINE_BYTES + "…\n".len());
     }
 }

@@ -6,7 +6,7 @@ use crate::decode::Instruction;
 
 /// How control goes on from a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Edge {
+pub(crate) struct Edge {
     /// The number of the next block.
     pub to: usize,
     /// The pipeline is refilled.
@@ -24,7 +24,7 @@ pub enum Call {
 
 /// A block.
 #[derive(Clone, Debug, Default)]
-pub struct Block {
+pub(crate) struct BasicBlock {
     /// Its instructions.
     pub instructions: Vec<Instruction>,
     /// Where it leads on.
@@ -35,17 +35,17 @@ pub struct Block {
     pub returns: bool,
 }
 
-impl Block {
+impl BasicBlock {
     /// Its first address.
     #[must_use]
-    pub fn start(&self) -> u32 {
+    pub(crate) fn start_address(&self) -> u32 {
         self.instructions[0].at
     }
 
     /// The address behind it.
     #[must_use]
-    pub fn end(&self) -> u32 {
-        self.last().end()
+    pub(crate) fn end_address(&self) -> u32 {
+        self.last().end_address()
     }
 
     /// Its last instruction.

@@ -1,6 +1,6 @@
 //! The three clocks that the board may have to live with (`src/board/stm32f405/clocks.rs`), and what memory costs on each.
 
-use crate::decode::{Access, Address};
+use crate::decode::{AddressingMode, MemoryAccess};
 
 /// A clock of the core and its waits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,22 +25,27 @@ pub const CLOCKS: [Clock; 3] = [
 ];
 
 /// Bytes of a line of the flash: one read brings 128 bits (RM0090 3.5.1).
-pub(crate) const LINE: u32 = 16;
+pub(crate) const FLASH_LINE_BYTES: u32 = 16;
 /// Lines that the cache of the flash holds (RM0090 3.5.2).
-pub(crate) const KEPT_LINES: usize = 64;
+pub(crate) const CACHE_LINES: usize = 64;
 /// Cycles in which the pipeline is filled after a branch, at the longest (DDI 0439, table 3-1: 1 to 3).
-pub(crate) const REFILL: u64 = 3;
+pub(crate) const PIPELINE_REFILL_CYCLES: u64 = 3;
 /// Bytes that the core may have asked for ahead of a branch: three words (DDI 0439, prefetch unit).
-const AHEAD: u32 = 12;
+const PREFETCH_BYTES: u32 = 12;
 
 impl Clock {
     /// Returns the waits of an access, whose address is a number where `address` has one; `is_ram`: it is in the RAM.
     #[must_use]
-    pub fn access(&self, access: &Access, address: Option<u32>, is_ram: bool) -> u32 {
+    pub(crate) fn access_wait_cycles(
+        &self,
+        access: &MemoryAccess,
+        address: Option<u32>,
+        is_ram: bool,
+    ) -> u32 {
         // Of the bridge to a slow bus the manual has no figure: two cycles of that bus, one to meet it, two of the core.
         let bridge = |ratio: u32| 3 * ratio + 2;
         let once = match (access.at, address) {
-            (Address::Literal, _) => self.flash,
+            (AddressingMode::Literal, _) => self.flash,
             (_, Some(at)) => match at >> 16 {
                 0x0800..=0x080F | 0x1FFF => self.flash,
                 0x4000 => bridge(self.apb1),
@@ -50,7 +55,7 @@ impl Clock {
                 _ => 0,
             },
             // The stack answers at once, other places of the RAM as well if they are aligned.
-            (Address::Near(crate::decode::SP, _), None) => 0,
+            (AddressingMode::Near(crate::decode::SP, _), None) => 0,
             (_, None) if is_ram => 1,
             // A constant or a variable: units of the chip are reached by numbers. One more where it is not aligned.
             (_, None) if access.is_load => self.flash + 1,
@@ -61,25 +66,26 @@ impl Clock {
 
     /// Returns the waits for the lines of the flash within a stretch of code, the first of them not among them.
     #[must_use]
-    pub fn lines(&self, start: u32, end: u32) -> u32 {
-        ((end - 1) / LINE - start / LINE) * self.flash
+    pub(crate) fn line_wait_cycles(&self, start: u32, end: u32) -> u32 {
+        ((end - 1) / FLASH_LINE_BYTES - start / FLASH_LINE_BYTES) * self.flash
     }
 
     /// Returns the cycles from the end of a stretch of code to the first instruction of another one; `is_kept`: the
     /// cache has both.
     #[must_use]
-    pub fn jump(&self, end: u32, is_kept: bool) -> u64 {
+    pub(crate) fn taken_branch_cycles(&self, end: u32, is_kept: bool) -> u64 {
         if is_kept {
-            return REFILL;
+            return PIPELINE_REFILL_CYCLES;
         }
-        // A line that was asked for ahead is waited for, though nobody wants it any more.
-        let ahead = ((end + AHEAD - 1) / LINE - (end - 1) / LINE) * self.flash;
-        REFILL + u64::from(self.flash + ahead)
+        // A line that was requested ahead is waited for, though it is not needed any more.
+        let ahead = ((end + PREFETCH_BYTES - 1) / FLASH_LINE_BYTES - (end - 1) / FLASH_LINE_BYTES)
+            * self.flash;
+        PIPELINE_REFILL_CYCLES + u64::from(self.flash + ahead)
     }
 
     /// Returns those to the instruction behind.
     #[must_use]
-    pub(crate) fn fall(&self, end: u32) -> u64 {
-        if end.is_multiple_of(LINE) { self.flash.into() } else { 0 }
+    pub(crate) fn fall_through_cycles(&self, end: u32) -> u64 {
+        if end.is_multiple_of(FLASH_LINE_BYTES) { self.flash.into() } else { 0 }
     }
 }

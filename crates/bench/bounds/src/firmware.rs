@@ -2,379 +2,473 @@
 //!
 //! A line is named where a function has several loops. `cargo xtask bounds` names declarations that nothing needs.
 
-use crate::table::{
-    CopyLength, Excluded, LoopBound, Once,
-    Rounds::{self, Byte, Copied, Length, Mask, Micros, Odd, Terms, Times, Together, Tools},
-    Spot, Table,
+use crate::declarations::{
+    CalledOnce, CopyLength, DeclarationTable, ExcludedCode,
+    IterationBound::{Byte, Copied, Length, Mask, Micros, Odd, Terms, Times, Together, Tools},
+    LoopBound, copy_length, excluded_code, loop_bound,
 };
 
 /// Microseconds for which the core stands still while a word of the flash is programmed, at the longest (DS8626, flash memory
 /// programming; 16 typically).
-pub(crate) const STALL_US: f64 = 100.0;
+pub(crate) const FLASH_PROGRAM_STALL_US: f64 = 100.0;
 
-const fn bound(
-    function: &'static str,
-    line: &'static str,
-    rounds: Rounds,
-    reason: &'static str,
-) -> LoopBound {
-    LoopBound { at: Spot { function, line }, rounds, reason }
-}
-
-const fn copy(
-    function: &'static str,
-    line: &'static str,
-    bytes: u32,
-    reason: &'static str,
-) -> CopyLength {
-    CopyLength { at: Spot { function, line }, bytes, reason }
-}
-
-const fn excluded(function: &'static str, line: &'static str, reason: &'static str) -> Excluded {
-    Excluded { at: Spot { function, line }, reason }
-}
-
-const EXCLUSIVE: &str = "an exclusive store fails only where an interrupt came in between, and the entry of that one is \
+const EXCLUSIVE_STORE_REASON: &str = "an exclusive store fails only where an interrupt came in between, and the entry of that one is \
                          priced with a round of this";
-const TERMS: &str = "at most 16 terms (`MAX_TERMS`, `core/src/dimensions.rs`)";
-const COPY: &str = "a word or a byte each, `compiler_builtins`";
-const ODD: &str = "the bytes that no whole word has, `compiler_builtins`";
+const MAX_TERMS_REASON: &str = "at most 16 terms (`MAX_TERMS`, `core/src/dimensions.rs`)";
+const COPY_REASON: &str = "a word or a byte each, `compiler_builtins`";
+const REMAINDER_BYTES_REASON: &str = "the bytes that no whole word has, `compiler_builtins`";
 
-const RARE: &str =
+const LOG_SEARCH_REASON: &str =
     "of n events log₂(n) are in the log: one entry at a time is in every response, as blocking";
-const ONCE: &str =
+const LOGGED_ONCE_REASON: &str =
     "logged once in the life of a start: one entry at a time is in every response, as blocking";
 
 /// Puts a word into the log, letter by letter.
-pub const WORDS: &str = "defmt::export::str";
+pub const LOG_STRING_FUNCTION: &str = "defmt::export::str";
 
 /// The declarations.
-pub const FIRMWARE: Table = Table {
-    loops: LOOPS,
-    copies: COPIES,
+pub const FIRMWARE_DECLARATIONS: DeclarationTable = DeclarationTable {
+    loops: LOOP_BOUNDS,
+    copies: COPY_LENGTHS,
     calls: &[],
-    excluded: EXCLUDED,
-    lines: LINES,
-    once: ONCES,
+    excluded: EXCLUDED_CALLS,
+    lines: LINE_END_EXCLUSIONS,
+    once: CALLED_ONCE,
 };
 
-const LOOPS: &[LoopBound] = &[
+const LOOP_BOUNDS: &[LoopBound] = &[
     // The tasks.
-    bound("liveness::TurnGuard", "fetch_or", Times(2), EXCLUSIVE),
-    bound("liveness::LivenessMonitor::call", "swap", Times(2), EXCLUSIVE),
-    bound("app::can_receive", "while let Some(frame)", Times(3), "a FIFO of three (RM0090 32.7.4)"),
-    bound("Incoming::read", "", Byte, "the ring of the DMA"),
-    bound("byte_queue::Reader", "", Byte, "the queue of bytes"),
-    bound("app::modbus_line", "enqueue", Times(2), "a byte received, one in the shift register"),
-    bound("app::modbus", "while let Some(received)", Byte, "the queue of bytes"),
-    bound("app::modbus", "for byte in &*it.response", Times(61), "the longest answer, `ANSWER`"),
-    bound("CanOut::send", "if !self.on_the_bus", Times(2), "the frames of a tick, `Frames`"),
-    bound("Port::send_all", "", Times(2), "the frames of a tick, `Frames`"),
-    bound("bytes_of_line", "", Times(8), "the bytes of a frame"),
-    bound("slcan::Fields::data", "", Times(8), "the bytes of a frame"),
-    bound("slcan::Fields::end", "", Times(30), "a line, `MAX_LINE`"),
+    loop_bound("liveness::TaskGuard", "fetch_or", Times(2), EXCLUSIVE_STORE_REASON),
+    loop_bound(
+        "liveness::LivenessMonitor::check_for_hang",
+        "swap",
+        Times(2),
+        EXCLUSIVE_STORE_REASON,
+    ),
+    loop_bound(
+        "app::can_receive",
+        "while let Some(frame)",
+        Times(3),
+        "a FIFO of three (RM0090 32.7.4)",
+    ),
+    loop_bound("RxStream::read", "", Byte, "the ring of the DMA"),
+    loop_bound("byte_queue::Reader", "", Byte, "the queue of bytes"),
+    loop_bound(
+        "app::modbus_line",
+        "enqueue",
+        Times(2),
+        "a byte received, one in the shift register",
+    ),
+    loop_bound("app::modbus", "while let Some(received)", Byte, "the queue of bytes"),
+    loop_bound(
+        "app::modbus",
+        "for byte in &*it.response",
+        Times(61),
+        "the longest answer, `ANSWER`",
+    ),
+    loop_bound("CanOut::send", "if !self.on_the_bus", Times(2), "the frames of a tick, `Frames`"),
+    loop_bound("Port::send_all", "", Times(2), "the frames of a tick, `Frames`"),
+    loop_bound("encode_line_bytes", "", Times(8), "the bytes of a frame"),
+    loop_bound("slcan::LineParser::parse_data", "", Times(8), "the bytes of a frame"),
+    loop_bound("slcan::LineParser::expect_end", "", Times(30), "a line, `MAX_LINE_LEN`"),
     // The board.
-    bound("Registers::changed", "", Times(56), "the registers that are watched, `WATCHED`"),
-    bound("Watermark::turn", "", Times(256), "`PIECE`, `src/board/stm32f405/stack.rs`"),
-    bound("image::Image::feed", "", Times(256), "`PIECE`, `src/board/stm32f405/image.rs`"),
-    bound("Backup::set", "for key in KEYS", Times(2), "two keys"),
-    bound("Flash::unlocked", "for key in UNLOCK", Times(2), "two keys"),
-    bound(
+    loop_bound(
+        "RegisterSnapshot::find_changed",
+        "",
+        Times(56),
+        "the registers that are watched, `WATCHED`",
+    ),
+    loop_bound(
+        "StackWatermark::scan_next_words",
+        "",
+        Times(256),
+        "`PIECE`, `src/board/stm32f405/stack_watermark.rs`",
+    ),
+    loop_bound(
+        "image_check::ImageChecker::feed",
+        "",
+        Times(256),
+        "`WORDS_PER_TURN`, `src/board/stm32f405/image_check.rs`",
+    ),
+    loop_bound("BackupDomain::set_clock", "for key in UNLOCK_KEYS", Times(2), "two keys"),
+    loop_bound("Flash::with_unlocked", "for key in UNLOCK_KEYS", Times(2), "two keys"),
+    loop_bound(
         "nor_flash::NorFlash>::write",
         "as_chunks",
         Length { argument: 3, per: 4, more: 0 },
         "a word each",
     ),
-    bound(
+    loop_bound(
         "nor_flash::ReadNorFlash>::read",
         "",
         Length { argument: 3, per: 4, more: 0 },
         "a word each",
     ),
-    bound("LinearInputs::take", "", Times(125), "`MAX_CODES`, `linear_inputs.rs`"),
-    bound("Selected::operate", "", Times(9), "the registers of a converter, and the first byte"),
-    bound("SpiDevice>::transaction", "", Times(2), "the operations of one selection"),
-    bound("SerialOut::poll_out", "", Times(16), "`POLLED_AT_ONCE`, `serial.rs`"),
+    loop_bound(
+        "LinearInputs::read_means",
+        "",
+        Times(125),
+        "`MAX_CODES_PER_CHANNEL`, `linear_inputs.rs`",
+    ),
+    loop_bound(
+        "SelectedConverter::perform_operation",
+        "",
+        Times(9),
+        "the registers of a converter, and the first byte",
+    ),
+    loop_bound("SpiDevice>::transaction", "", Times(2), "the operations of one selection"),
+    loop_bound("SerialOut::transmit_polled", "", Times(16), "`MAX_POLLED_BYTES`, `serial.rs`"),
     // The store.
-    bound(
-        "Log<F>::append",
+    loop_bound(
+        "FlashLog<F>::append",
         "for _ in 0..attempts",
         Times(3),
         "`ATTEMPTS`, `store/src/reference.rs`",
     ),
-    bound("log::write_part", "", Length { argument: 3, per: 1, more: 0 }, "a byte each"),
-    bound("writes::identity", "", Times(96), "the names of a machine and a board"),
-    bound("retained::save", "", Times(2), "two copies"),
-    bound("retained::encode", "", Times(21), "`MAX_LAGS`, `core/src/heat_memory.rs`"),
-    bound("crc32::update_table", "", Length { argument: 2, per: 1, more: 0 }, "a byte each"),
+    loop_bound(
+        "flash_log::write_and_verify",
+        "",
+        Length { argument: 3, per: 1, more: 0 },
+        "a byte each",
+    ),
+    loop_bound(
+        "write_log::machine_identity_crc",
+        "",
+        Times(96),
+        "the names of a machine and a board",
+    ),
+    loop_bound("retained::save", "", Times(2), "two copies"),
+    loop_bound("retained::encode", "", Times(21), "`MAX_LAGS`, `core/src/retained_lags.rs`"),
+    loop_bound("crc32::update_table", "", Length { argument: 2, per: 1, more: 0 }, "a byte each"),
     // The correction.
-    bound(
+    loop_bound(
         "Bridge::step_thermal",
         "",
         Length { argument: 1, per: 1, more: 0 },
         "a round a millisecond",
     ),
-    bound("lag::Lag::follow", "", Times(32), "a bit of the number of steps in each round"),
-    bound("Heat::memory", "", Times(4), "three axes and the spindle"),
-    bound("heat::agree", "", Times(8), "the thermometers, `CHANNELS`"),
-    bound("thermal::Law::at", "", Times(16), "halves at most 2¹⁶ pieces"),
-    bound("Law::depends_on_position", "", Times(64), "the pieces of a law"),
-    bound("Agreement::step", "", Times(3), "the sources, `ElongationSource::ALL`"),
-    bound("Bridge>::first_available", "", Times(3), "the sources, `ElongationSource::ALL`"),
-    bound("fall_back_is_dead", "", Times(3), "the sources, `ElongationSource::ALL`"),
-    bound("term::sum::axis_errors", "", Terms, TERMS),
-    bound("term::sum::walk", "", Terms, TERMS),
-    bound("TermStates::with_categories", "", Terms, TERMS),
-    bound("TermStates::select", "", Terms, TERMS),
-    bound("TermStates::sum_up", "", Terms, TERMS),
-    bound(
+    loop_bound("lag::Lag::follow", "", Times(32), "a bit of the number of steps in each round"),
+    loop_bound("MachineThermalState::retained_lags", "", Times(4), "three axes and the spindle"),
+    loop_bound("thermal_state::temperatures_agree", "", Times(8), "the thermometers, `CHANNELS`"),
+    loop_bound(
+        "thermal::ThermalExpansionLaw::evaluate",
+        "",
+        Times(16),
+        "halves at most 2¹⁶ pieces",
+    ),
+    loop_bound("ThermalExpansionLaw::depends_on_position", "", Times(64), "the pieces of a law"),
+    loop_bound("SourceAgreement::step", "", Times(3), "the sources, `ElongationSource::ALL`"),
+    loop_bound(
+        "Bridge>::first_available_source",
+        "",
+        Times(3),
+        "the sources, `ElongationSource::ALL`",
+    ),
+    loop_bound("has_fallback_failed", "", Times(3), "the sources, `ElongationSource::ALL`"),
+    loop_bound("term::sum::compute_axis_errors", "", Terms, MAX_TERMS_REASON),
+    loop_bound("term::sum::apply_terms_in_order", "", Terms, MAX_TERMS_REASON),
+    loop_bound("TermStates::apply_category_terms", "", Terms, MAX_TERMS_REASON),
+    loop_bound("TermStates::set_conditions", "", Terms, MAX_TERMS_REASON),
+    loop_bound("TermStates::update_sum", "", Terms, MAX_TERMS_REASON),
+    loop_bound(
         "ToolTable::level",
         "",
         Tools,
         "at most 32 tools (`MAX_TOOLS`, `core/src/dimensions.rs`)",
     ),
-    bound(
-        "CachedErrors::moved",
-        "GUIDES_OVER",
+    loop_bound(
+        "CachedErrors::update_axis_position",
+        "GUIDES_BY_AXIS",
         Times(3),
         "the two guides of an axis, and once to come to their list",
     ),
-    bound("CachedVolume::errors", "", Times(3), "three guides, and the three angles of each"),
-    bound("Volume::tip", "", Times(2), "two rotary axes"),
-    bound("Volume::table", "", Times(2), "two rotary axes"),
+    loop_bound(
+        "CachedVolumetricErrors::compute_errors",
+        "",
+        Times(3),
+        "three guides, and the three angles of each",
+    ),
+    loop_bound("VolumetricErrorModel::compute_tip", "", Times(2), "two rotary axes"),
+    loop_bound("VolumetricErrorModel::compute_workpiece_error", "", Times(2), "two rotary axes"),
     // The wire.
-    bound("e2e::crc_of::{{closure}}", "", Times(8), "the bytes of a frame"),
-    bound("e2e::crc_of", "", Times(32), "the registers of a block of a PLC"),
-    bound("server::checksum", "", Times(256), "a serial frame, `MAX_FRAME`, `modbus/src/rtu.rs`"),
-    bound(
+    loop_bound("e2e::compute_crc::{{closure}}", "", Times(8), "the bytes of a frame"),
+    loop_bound("e2e::compute_crc", "", Times(32), "the registers of a block of a PLC"),
+    loop_bound(
+        "server::checksum",
+        "",
+        Times(256),
+        "a serial frame, `MAX_FRAME_BYTES`, `modbus/src/rtu.rs`",
+    ),
+    loop_bound(
         "rmodbus::calc_crc16",
         "for i in",
         Length { argument: 1, per: 1, more: 0 },
         "a byte each",
     ),
-    bound(
-        "plc::Registers",
-        "block.values()",
+    loop_bound(
+        "plc::SharedRegisters",
+        "block.commands()",
         Times(6),
         "three positions, angles, spindle, conditions",
     ),
-    bound("cnc::Cnc::decode", "", Times(3), "three axes"),
-    bound("protect::put_long", "", Times(2), "two registers"),
-    bound(
-        "server::answered",
+    loop_bound("holding::CncData::decode", "", Times(3), "three axes"),
+    loop_bound("e2e::write_u32", "", Times(2), "two registers"),
+    loop_bound(
+        "server::execute_request",
         "",
         Times(125),
         "registers of a request (Modbus application protocol 6.3)",
     ),
-    bound("input::Input::encode", "", Times(3), "three axes"),
-    bound("Emergencies::error", "", Times(8), "`HISTORY`, `canopen/src/emergency.rs`"),
-    bound("Object::entry", "", Times(64), "the entries of an object"),
-    bound("dictionary::object", "", Times(64), "the objects"),
-    bound("health::Health::mend", "", Together(20), "the codes of a block, `CODES_PER_TICK`"),
-    bound("sdo::block::Block::take", "", Times(7), "a segment of at most seven bytes"),
-    bound("sdo::number_of", "", Times(4), "a number of at most four bytes"),
+    loop_bound("input::InputBlock::encode", "", Times(3), "three axes"),
+    loop_bound("EmergencyProducer::error", "", Times(8), "`HISTORY`, `canopen/src/emergency.rs`"),
+    loop_bound("Object::entry", "", Times(64), "the entries of an object"),
+    loop_bound("dictionary::find_object", "", Times(64), "the objects"),
+    loop_bound(
+        "sensor_health::SensorHealth::replace_outliers",
+        "",
+        Together(20),
+        "the codes of a block, `CODES_PER_TICK`",
+    ),
+    loop_bound(
+        "sdo::block_download::BlockDownloadState::append_bytes",
+        "",
+        Times(7),
+        "a segment of at most seven bytes",
+    ),
+    loop_bound("sdo::number_from_bytes", "", Times(4), "a number of at most four bytes"),
     // The log.
-    bound(
+    loop_bound(
         "encoding::inner::Encoder::write",
         "",
         Length { argument: 1, per: 1, more: 0 },
         "a byte each",
     ),
     // Libraries.
-    bound(
+    loop_bound(
         "extend_from_slice",
         "",
         Times(260),
-        "the longest answer, `MAX_FRAME`, `modbus/src/server.rs`",
+        "the longest answer, `MAX_FRAME_BYTES`, `modbus/src/server.rs`",
     ),
-    bound("VecInner<T,LenT,S>::resize", "", Times(260), "`MAX_FRAME`, `modbus/src/server.rs`"),
-    bound(
+    loop_bound(
+        "VecInner<T,LenT,S>::resize",
+        "",
+        Times(260),
+        "`MAX_FRAME_BYTES`, `modbus/src/server.rs`",
+    ),
+    loop_bound(
         "u64_div_rem",
         "",
         Mask(32),
         "`pow`, a bit of 32, is halved in each round, and the quotient is complete with its last bit (`delegate.rs` of \
          `compiler_builtins`)",
     ),
-    bound("copy_forward_bytes", "", Odd { argument: 2 }, ODD),
-    bound("set_bytes_bytes", "", Odd { argument: 1 }, ODD),
-    bound("copy_forward_aligned_words", "", Copied { argument: 2, per: 4 }, COPY),
-    bound("copy_forward_misaligned_words", "", Copied { argument: 2, per: 4 }, COPY),
-    bound("copy_backward_aligned_words", "", Copied { argument: 2, per: 4 }, COPY),
-    bound("copy_backward_misaligned_words", "", Copied { argument: 2, per: 4 }, COPY),
-    bound("mem::impls::compare_bytes", "", Length { argument: 2, per: 1, more: 1 }, COPY),
-    bound("__aeabi_memcpy4", "", Copied { argument: 2, per: 4 }, COPY),
-    bound("set_bytes_words", "", Copied { argument: 1, per: 4 }, COPY),
-    bound("__aeabi_memset4", "", Copied { argument: 1, per: 4 }, COPY),
+    loop_bound("copy_forward_bytes", "", Odd { argument: 2 }, REMAINDER_BYTES_REASON),
+    loop_bound("set_bytes_bytes", "", Odd { argument: 1 }, REMAINDER_BYTES_REASON),
+    loop_bound("copy_forward_aligned_words", "", Copied { argument: 2, per: 4 }, COPY_REASON),
+    loop_bound("copy_forward_misaligned_words", "", Copied { argument: 2, per: 4 }, COPY_REASON),
+    loop_bound("copy_backward_aligned_words", "", Copied { argument: 2, per: 4 }, COPY_REASON),
+    loop_bound("copy_backward_misaligned_words", "", Copied { argument: 2, per: 4 }, COPY_REASON),
+    loop_bound(
+        "mem::impls::compare_bytes",
+        "",
+        Length { argument: 2, per: 1, more: 1 },
+        COPY_REASON,
+    ),
+    loop_bound("__aeabi_memcpy4", "", Copied { argument: 2, per: 4 }, COPY_REASON),
+    loop_bound("set_bytes_words", "", Copied { argument: 1, per: 4 }, COPY_REASON),
+    loop_bound("__aeabi_memset4", "", Copied { argument: 1, per: 4 }, COPY_REASON),
     // Waits for the chip.
-    bound(
-        "serial::SerialOut::poll",
+    loop_bound(
+        "serial::SerialOut::write_byte",
         "",
         Micros(11),
         "a byte leaves at 921 600 Bd; one that does not is dropped",
     ),
-    bound(
+    loop_bound(
         "Flash",
         "is_idle(flash)",
         Micros(100),
         "a word of the flash (DS8626, programming time), at its longest",
     ),
-    bound("thermometers::Selected::exchange", "", Micros(10), "8 bits at 1.0 MHz or more"),
+    loop_bound(
+        "thermometers::SelectedConverter::exchange_byte",
+        "",
+        Micros(10),
+        "8 bits at 1.0 MHz or more",
+    ),
 ];
 
-const COPIES: &[CopyLength] = &[
-    copy(
-        "Port::take",
+const COPY_LENGTHS: &[CopyLength] = &[
+    copy_length(
+        "Port::drain_into",
         "",
         128,
         "a piece of the DMA, `PIECE`, `serial_dma.rs`; one that is polled out is shorter",
     ),
-    copy(
-        "Port::move_up",
+    copy_length(
+        "Port::discard_front",
         "",
         240,
         "what waits in the port, `TX_CAPACITY`, without a piece: that of `poll` is 16",
     ),
-    copy("Port::queue", "", 22, "the line of a frame, `MAX_FRAME_LINE`"),
-    copy("Frame::new", "", 8, "the bytes of a frame"),
-    copy("writes::identity", "", 96, "the names of a machine and a board, `core/src/names.rs`"),
-    copy("upload_segment", "", 7, "a segment of SDO"),
-    copy("download_segment", "", 7, "a segment of SDO"),
-    copy("load::Slot::append", "", 7, "a segment of SDO"),
-    copy("Writes::push", "zip(", 24, "`SIZE`, `store/src/writes.rs`"),
-    copy("retained::encode", "", 28, "`LAG_SIZE`, `store/src/retained.rs`"),
-    copy("arm::__aeabi_memcpy4", "", 3, "what no whole word has"),
-    copy(
+    copy_length("Port::queue", "", 22, "the line of a frame, `MAX_FRAME_LINE_LEN`"),
+    copy_length("Frame::new", "", 8, "the bytes of a frame"),
+    copy_length(
+        "write_log::machine_identity_crc",
+        "",
+        96,
+        "the names of a machine and a board, `core/src/names.rs`",
+    ),
+    copy_length("upload_segment", "", 7, "a segment of SDO"),
+    copy_length("download_segment", "", 7, "a segment of SDO"),
+    copy_length("load::LoadSlot::append", "", 7, "a segment of SDO"),
+    copy_length("WriteLog::push", "zip(", 24, "`SIZE`, `store/src/write_log.rs`"),
+    copy_length("retained::encode", "", 28, "`LAG_SIZE`, `store/src/retained.rs`"),
+    copy_length("arm::__aeabi_memcpy4", "", 3, "what no whole word has"),
+    copy_length(
         "OUTLINED_FUNCTION",
         "",
         254,
-        "a serial frame without its CRC, `MAX_FRAME`, `modbus/src/rtu.rs`",
+        "a serial frame without its CRC, `MAX_FRAME_BYTES`, `modbus/src/rtu.rs`",
     ),
-    copy(
-        "server::answered",
+    copy_length(
+        "server::execute_request",
         "frame.parse",
         254,
-        "a serial frame without its CRC, `MAX_FRAME`, `modbus/src/rtu.rs`",
+        "a serial frame without its CRC, `MAX_FRAME_BYTES`, `modbus/src/rtu.rs`",
     ),
-    copy("server::answered", "frame.finalize", 59, "the longest answer without its CRC"),
-    copy(WORDS, "", 9, "the words in the log, those of `WriteKind::word` the longest"),
+    copy_length(
+        "server::execute_request",
+        "frame.finalize",
+        59,
+        "the longest answer without its CRC",
+    ),
+    copy_length(
+        LOG_STRING_FUNCTION,
+        "",
+        9,
+        "the words in the log, those of `WriteKind::word` the longest",
+    ),
 ];
 
-const EXCLUDED: &[Excluded] = &[
-    excluded(
+const EXCLUDED_CALLS: &[ExcludedCode] = &[
+    excluded_code(
         "app::supervise",
         "store_calibration",
         "a loaded calibration is looked at and stored at rest alone: no offset is followed meanwhile, the watchdog is fed \
          in between",
     ),
-    excluded(
-        "Supervision::store_running",
+    excluded_code(
+        "Supervisor::store_running_calibration",
         "",
         "the running calibration is stored again at rest alone, on the operator's command",
     ),
-    excluded(
-        "BrownOut::raise",
+    excluded_code(
+        "BrownOut::raise_level",
         "",
         "the option bytes are written once in the life of a board, after two seconds without an offset",
     ),
-    excluded(
+    excluded_code(
         "Channel::copy_wrapping",
         "pivot",
         "a single byte is never split: the cursor is below the size of the buffer (`defmt-rtt`)",
     ),
-    excluded("CanOut::note_late", "defmt::warn", RARE),
-    excluded("CanIn::note_overrun", "defmt::warn", RARE),
-    excluded("SerialIn::take_polled", "defmt::warn", RARE),
-    excluded("SerialIn::take_moved", "defmt::error", ONCE),
-    excluded("SerialOut::send", "defmt::error", ONCE),
-    excluded(
-        "SerialIn::take_moved",
+    excluded_code("CanOut::count_late_frame", "defmt::warn", LOG_SEARCH_REASON),
+    excluded_code("CanIn::count_overrun", "defmt::warn", LOG_SEARCH_REASON),
+    excluded_code("SerialIn::read_polled", "defmt::warn", LOG_SEARCH_REASON),
+    excluded_code("SerialIn::read_dma", "defmt::error", LOGGED_ONCE_REASON),
+    excluded_code("SerialOut::send", "defmt::error", LOGGED_ONCE_REASON),
+    excluded_code(
+        "SerialIn::read_dma",
         "incoming.restart()",
         "the line is overrun where its DMA stands: it is started anew once, and is dead the second time",
     ),
-    excluded(
+    excluded_code(
         "app::supervise",
-        "tick(node, behind_ms",
+        "run_tick(node, behind_ms",
         "the supervisor ticks where no block has come for 10 ms: there is no offset to be late for",
     ),
-    excluded(
+    excluded_code(
         "SerialOut::send",
-        "give_up",
+        "abort",
         "once, when the DMA of the serial line has died: its last bytes are polled out",
     ),
 ];
 
-const LINES: &[Excluded] = &[
-    excluded("Port::receive", "Request::read", "a line is read at its end"),
-    excluded("Port::receive", "self.reply", "a line is answered at its end"),
-    excluded("Port::receive", "malformed", "a line is refused at its end"),
-    excluded("Port::receive", "self.answer", "a line is refused at its end"),
-    excluded("app::listen", "node.receive", "a frame is a line"),
+const LINE_END_EXCLUSIONS: &[ExcludedCode] = &[
+    excluded_code("Port::receive", "Request::parse", "a line is read at its end"),
+    excluded_code("Port::receive", "self.reply", "a line is answered at its end"),
+    excluded_code("Port::receive", "malformed", "a line is refused at its end"),
+    excluded_code("Port::receive", "self.queue_reply", "a line is refused at its end"),
+    excluded_code("app::listen", "node.receive", "a frame is a line"),
 ];
 
-const ONCES: &[Once] = &[
-    Once {
-        function: "errors::CachedErrors::at",
-        period_us: 1e9,
-        burst: 0,
-        reason: "all errors are computed whole once after a start, when they are first asked for (`bridge::errors`)",
-    },
-    Once {
+const CALLED_ONCE: &[CalledOnce] = &[
+    CalledOnce {
         function: "Node::receive_control",
         period_us: 10_000.0,
         burst: 0,
         reason: "a CNC sends one `Control` in 10 ms, a PLC one in a block",
     },
-    Once {
-        function: "sdo::Objects for trueup_node::node::Node>::write",
+    CalledOnce {
+        function: "sdo::ObjectAccess for trueup_node::node::Node>::write",
         period_us: 2_000.0,
         burst: 0,
         reason: "a client of SDO waits for the answer before it asks again, and one is sent every 2 ms",
     },
-    Once {
-        function: "sdo::Objects for trueup_node::node::Node>::read",
+    CalledOnce {
+        function: "sdo::ObjectAccess for trueup_node::node::Node>::read",
         period_us: 2_000.0,
         burst: 0,
         reason: "a client of SDO waits for the answer before it asks again, and one is sent every 2 ms",
     },
-    Once {
-        function: "Port::move_up",
+    CalledOnce {
+        function: "serial_dma::TxStream::send",
+        period_us: 156.0,
+        burst: 2,
+        reason: "a piece has what `listen`, `sample` or `service` has queued, or follows a full one: once in 0.24, 1, 2 and 1.38 ms; one \
+                 more by each of the first three where they come at once, and together they leave as one",
+    },
+    CalledOnce {
+        function: "Port::discard_front",
         period_us: 1_380.0,
         burst: 0,
         reason: "bytes stay in the port where a piece of 128 is full, which takes 1.38 ms to leave (`PIECE`, `serial_dma.rs`)",
     },
-    Once {
-        function: "registers::<impl trueup_node::node::Node>::receive_value",
+    CalledOnce {
+        function: "registers::<impl trueup_node::node::Node>::receive_command",
         period_us: 1_000.0,
         burst: 6,
         reason: "six values of a block, whose 49 bytes and silence take 6.4 ms at 115 200 Bd",
     },
-    Once {
-        function: "protect::is_whole",
+    CalledOnce {
+        function: "e2e::has_valid_crc",
         period_us: 2_900.0,
         burst: 2,
         reason: "two CRCs of a block, whose 43 bytes and silence take 5.8 ms at 115 200 Bd",
     },
-    Once {
+    CalledOnce {
         function: "server::checksum",
         period_us: 6_000.0,
         burst: 2,
         reason: "two of a frame, by its bytes: the longest of 256 takes 24 ms at 115 200 Bd. Half of that, because a frame of 8 bytes \
                  takes 1.1 ms and what does not grow with it counts as well",
     },
-    Once {
+    CalledOnce {
         function: "rmodbus::calc_crc16",
         period_us: 6_000.0,
         burst: 2,
         reason: "as `server::checksum`",
     },
-    Once {
-        function: "trueup_store::reference::References<F>::append",
+    CalledOnce {
+        function: "trueup_store::reference::ReferenceStore<F>::append",
         period_us: 50_000.0,
         burst: 0,
-        reason: "`STORE_PERIOD_MS`, `store/src/pace.rs`; without it where a restart follows",
+        reason: "`STORE_PERIOD_MS`, `store/src/rate_limit.rs`; without it where a restart follows",
     },
-    Once {
-        function: "Supervision::retain",
+    CalledOnce {
+        function: "Supervisor::save_retained_state",
         period_us: 1_000_000.0,
         burst: 0,
         reason: "`LOG_PERIOD_MS`, `src/supervision.rs`; once more where a restart follows",

@@ -20,7 +20,7 @@ pub struct Function {
 
 /// A place in the source.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Place {
+pub(crate) struct SourceFrame {
     /// The function there, with its path.
     pub function: String,
     /// The file.
@@ -87,7 +87,7 @@ impl Image {
 
     /// Returns an image of functions: name, address, half-words. They have no source.
     #[must_use]
-    pub fn of_code(code: &[(&str, u32, &[u16])]) -> Self {
+    pub fn from_code(code: &[(&str, u32, &[u16])]) -> Self {
         let mut image = Self {
             functions: BTreeMap::new(),
             data: BTreeMap::new(),
@@ -115,17 +115,17 @@ impl Image {
 
     /// Returns the function of a name of the linker.
     #[must_use]
-    pub fn function(&self, symbol: &str) -> Option<&Function> {
+    pub(crate) fn function_by_symbol(&self, symbol: &str) -> Option<&Function> {
         self.functions.get(&(self.symbols.get(symbol)? & !1))
     }
 
     /// Returns the number of the exception whose handler a function is: its place in the table of vectors (Armv7-M,
     /// B1.5.3), which stands where the image begins.
     #[must_use]
-    pub fn exception(&self, start: u32) -> Option<u32> {
+    pub(crate) fn exception_number(&self, start: u32) -> Option<u32> {
         let table = *self.symbols.get("__vector_table")?;
         // 16 of the core and 82 of the chip (RM0090, table 62).
-        (1..98).find(|number| self.constant(table + 4 * number) == Some(start | 1))
+        (1..98).find(|number| self.flash_word(table + 4 * number) == Some(start | 1))
     }
 
     /// Returns all functions.
@@ -141,7 +141,7 @@ impl Image {
 
     /// Returns where the stretch of code or data at an address ends.
     #[must_use]
-    pub fn end_of_stretch(&self, at: u32) -> u32 {
+    pub fn region_end(&self, at: u32) -> u32 {
         let is_data = self.is_data(at);
         let next = self.data.range(at + 1..).find(|(_, other)| **other != is_data);
         next.map_or(u32::MAX, |(end, _)| *end)
@@ -158,7 +158,7 @@ impl Image {
 
     /// Returns the word at an address of the flash: one that no program changes.
     #[must_use]
-    pub fn constant(&self, at: u32) -> Option<u32> {
+    pub(crate) fn flash_word(&self, at: u32) -> Option<u32> {
         let bytes = self.bytes(at, at.checked_add(4)?)?;
         let is_flash = (0x0800_0000..0x0810_0000).contains(&at);
         is_flash.then(|| u32::from_le_bytes(bytes.try_into().expect("four bytes")))
@@ -166,23 +166,23 @@ impl Image {
 
     /// Returns where an address comes from: the place itself, then those that it was inlined into.
     #[must_use]
-    pub fn places(&self, at: u32) -> Vec<Place> {
+    pub(crate) fn source_frames(&self, at: u32) -> Vec<SourceFrame> {
         let mut places = Vec::new();
         let Some(source) = &self.source else { return places };
         let Ok(mut frames) = source.find_frames(at.into()).skip_all_loads() else { return places };
         while let Ok(Some(frame)) = frames.next() {
             let name = frame.function.as_ref().and_then(|name| name.demangle().ok());
-            let function = name.map(|it| without_hash(&it)).unwrap_or_default();
+            let function = name.map(|it| strip_symbol_hash(&it)).unwrap_or_default();
             let file = frame.location.as_ref().and_then(|it| it.file).unwrap_or_default();
             let line = frame.location.as_ref().and_then(|it| it.line).unwrap_or_default();
-            places.push(Place { function, file: file.to_owned(), line });
+            places.push(SourceFrame { function, file: file.to_owned(), line });
         }
         places
     }
 }
 
 /// Takes the hash of the compiler off a name.
-fn without_hash(name: &str) -> String {
+fn strip_symbol_hash(name: &str) -> String {
     let cut = name.rsplit_once("::h").filter(|(_, hash)| {
         hash.len() == 16 && hash.chars().all(|digit| digit.is_ascii_hexdigit())
     });

@@ -11,26 +11,28 @@
 //!
 //! The accelerator of the flash (RM0090 3.5.2) counts in one way alone: a loop whose instructions are at most 64 lines of 16
 //! bytes reads each line once, and each interrupt may take all of them away. Elsewhere each line is read anew wherever a path
-//! enters it, and each constant is read from the flash. Left out: an unaligned read that crosses a line of the flash.
+//! enters it, and each constant is read from the flash. Not covered: an unaligned read that crosses a line of the flash.
 
 pub mod block;
 pub mod clock;
-pub mod declared;
+pub(crate) mod control_flow;
+pub mod critical_sections;
+pub(crate) mod declaration_lookup;
+pub mod declarations;
 pub mod decode;
+pub mod entry;
 pub mod firmware;
-pub mod flow;
 pub mod image;
-pub mod longest;
+pub(crate) mod iteration_bounds;
+pub(crate) mod longest_path;
 pub mod loops;
-pub mod path;
-pub(crate) mod pieces;
+pub(crate) mod outlined_code;
+pub mod path_report;
+pub(crate) mod prepared_function;
 pub mod program;
+pub(crate) mod register_values;
 pub mod report;
-pub mod response;
-pub mod rounds;
-pub mod sections;
+pub(crate) mod response_time;
 pub mod source;
-pub mod table;
 pub mod tasks;
-pub mod values;
-pub mod worst;
+pub mod wcet;

@@ -7,10 +7,12 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::{
-    decode::{Address, Effect, Flow, Instruction, SP},
-    flow::{self, Edge, Graph},
+    control_flow::{self, ControlFlowGraph, Edge},
+    decode::{AddressingMode, ControlFlow, Instruction, RegisterEffect, SP},
     image::Image,
-    values::{self, Base, Flagged, State, Value, holds},
+    register_values::{
+        self, FlagOperands, RegisterState, SymbolicBase, SymbolicValue, is_condition_met,
+    },
 };
 
 /// A loop.
@@ -25,33 +27,37 @@ pub struct Loop {
 }
 
 /// How often a loop may go round before a test is believed not to end it.
-const MAX_ROUNDS: u32 = 1 << 20;
+const MAX_ITERATIONS: u32 = 1 << 20;
 /// The register that holds the frame of a function (AAPCS for Thumb): what is near it is on the stack.
-const FRAME: u8 = 7;
+const FRAME_POINTER: u8 = 7;
 
 /// Returns the strongly connected components of some blocks, entered by `entry`, without the edges back to it; each before
 /// those that it leads to.
 #[must_use]
-pub fn components(graph: &Graph, within: &BTreeSet<usize>, entry: usize) -> Vec<Vec<usize>> {
+pub(crate) fn tarjan_components(
+    graph: &ControlFlowGraph,
+    within: &BTreeSet<usize>,
+    entry: usize,
+) -> Vec<Vec<usize>> {
     // Tarjan's algorithm, without recursion.
     #[derive(Default, Clone)]
-    struct Mark {
+    struct TarjanNode {
         index: usize,
         low: usize,
         is_open: bool,
     }
-    let mut marks: BTreeMap<usize, Mark> = BTreeMap::new();
+    let mut marks: BTreeMap<usize, TarjanNode> = BTreeMap::new();
     let (mut open, mut found, mut count) = (Vec::new(), Vec::new(), 0);
     let mut stack = vec![(entry, 0)];
     while let Some((block, edge)) = stack.pop() {
         if edge == 0 {
-            marks.insert(block, Mark { index: count, low: count, is_open: true });
+            marks.insert(block, TarjanNode { index: count, low: count, is_open: true });
             count += 1;
             open.push(block);
         }
         let next = graph.blocks[block].next.get(edge).map(|edge| edge.to);
         let Some(next) = next else {
-            let Mark { index, low, .. } = marks[&block].clone();
+            let TarjanNode { index, low, .. } = marks[&block].clone();
             if index == low {
                 let from = open.iter().rposition(|it| *it == block).expect("it is open");
                 let component = open.split_off(from);
@@ -86,14 +92,18 @@ pub fn components(graph: &Graph, within: &BTreeSet<usize>, entry: usize) -> Vec<
 
 /// Returns whether a component is a loop: of several blocks, or one that leads to itself.
 #[must_use]
-pub(crate) fn is_loop(graph: &Graph, component: &[usize], entry: usize) -> bool {
+pub(crate) fn is_loop(graph: &ControlFlowGraph, component: &[usize], entry: usize) -> bool {
     let [only] = component else { return true };
     *only != entry && graph.blocks[*only].next.iter().any(|edge| edge.to == *only)
 }
 
 /// Returns a component as a loop, entered from the blocks of `within` that are none of it.
 #[must_use]
-pub(crate) fn as_loop(graph: &Graph, component: &[usize], within: &BTreeSet<usize>) -> Loop {
+pub(crate) fn build_loop(
+    graph: &ControlFlowGraph,
+    component: &[usize],
+    within: &BTreeSet<usize>,
+) -> Loop {
     let blocks: BTreeSet<usize> = component.iter().copied().collect();
     let is_entered = |block: &usize| {
         let mut before = graph.before[*block].iter();
@@ -106,19 +116,19 @@ pub(crate) fn as_loop(graph: &Graph, component: &[usize], within: &BTreeSet<usiz
 
 /// Returns all loops of a graph, those within others as well.
 #[must_use]
-pub fn all(graph: &Graph) -> Vec<Loop> {
+pub(crate) fn find_loops(graph: &ControlFlowGraph) -> Vec<Loop> {
     let mut found = Vec::new();
     let mut open = vec![((0..graph.blocks.len()).collect::<BTreeSet<_>>(), None)];
     while let Some((within, header)) = open.pop() {
         // The entry of the function may be a header itself: no edge is taken out for it.
         let entry = header.unwrap_or(usize::MAX);
         let parts = match header {
-            Some(header) => components(graph, &within, header),
-            None => whole(graph, &within, 0),
+            Some(header) => tarjan_components(graph, &within, header),
+            None => strongly_connected_components(graph, &within, 0),
         };
         for component in parts {
             if is_loop(graph, &component, entry) {
-                let one = as_loop(graph, &component, &within);
+                let one = build_loop(graph, &component, &within);
                 if one.is_reducible {
                     open.push((one.blocks.clone(), Some(one.header)));
                 }
@@ -132,13 +142,17 @@ pub fn all(graph: &Graph) -> Vec<Loop> {
 /// Returns the components of blocks that are entered by `entry`, which may itself be part of a loop: then it is the first of
 /// its component.
 #[must_use]
-pub fn whole(graph: &Graph, within: &BTreeSet<usize>, entry: usize) -> Vec<Vec<usize>> {
+pub(crate) fn strongly_connected_components(
+    graph: &ControlFlowGraph,
+    within: &BTreeSet<usize>,
+    entry: usize,
+) -> Vec<Vec<usize>> {
     let (mut round, mut open) = (BTreeSet::new(), vec![entry]);
     while let Some(block) = open.pop() {
         let before = graph.before[block].iter().filter(|from| within.contains(from));
         open.extend(before.filter(|from| round.insert(**from)));
     }
-    let parts = components(graph, within, entry);
+    let parts = tarjan_components(graph, within, entry);
     if round.is_empty() {
         return parts;
     }
@@ -151,7 +165,12 @@ pub fn whole(graph: &Graph, within: &BTreeSet<usize>, entry: usize) -> Vec<Vec<u
 
 /// Returns how often the loop goes back to its header at the most, if the code says it.
 #[must_use]
-pub(crate) fn derived(image: &Image, graph: &Graph, starts: &[State], one: &Loop) -> Option<u32> {
+pub(crate) fn derive_bound(
+    image: &Image,
+    graph: &ControlFlowGraph,
+    starts: &[RegisterState],
+    one: &Loop,
+) -> Option<u32> {
     if !one.is_reducible {
         return None;
     }
@@ -159,17 +178,18 @@ pub(crate) fn derived(image: &Image, graph: &Graph, starts: &[State], one: &Loop
         let is_inside = |edge: &&Edge| one.blocks.contains(&edge.to);
         let next = &graph.blocks[*block].next;
         let inside: Vec<&Edge> = next.iter().filter(is_inside).collect();
-        if next.len() != 2 || inside.len() != 1 || !is_passed(graph, one, *block) {
+        if next.len() != 2 || inside.len() != 1 || !is_on_every_iteration(graph, one, *block) {
             return None;
         }
-        Test::read(image, graph, starts, *block)?.rounds(image, graph, starts, one, inside[0])
+        ConditionalBranch::from_block(image, graph, starts, *block)?
+            .iteration_count(image, graph, starts, one, inside[0])
     });
     let first = rounds.next()?;
     Some(rounds.fold(first, u32::min))
 }
 
 /// Returns whether every round passes a block.
-fn is_passed(graph: &Graph, one: &Loop, block: usize) -> bool {
+fn is_on_every_iteration(graph: &ControlFlowGraph, one: &Loop, block: usize) -> bool {
     if block == one.header {
         return true;
     }
@@ -189,44 +209,55 @@ fn is_passed(graph: &Graph, one: &Loop, block: usize) -> bool {
 
 /// Returns the graph without the ways that a branch by two numbers never takes; `None`: there are none.
 #[must_use]
-pub(crate) fn without_dead_ways(image: &Image, graph: &Graph, starts: &[State]) -> Option<Graph> {
+pub(crate) fn prune_infeasible_edges(
+    image: &Image,
+    graph: &ControlFlowGraph,
+    starts: &[RegisterState],
+) -> Option<ControlFlowGraph> {
     let mut blocks = graph.blocks.clone();
     let mut is_changed = false;
     for (number, block) in blocks.iter_mut().enumerate() {
         if block.next.len() != 2 || block.call.is_some() || block.returns {
             continue;
         }
-        let Some(test) = Test::read(image, graph, starts, number) else { continue };
-        if let Some(is_taken) = test.flags.holds(test.condition) {
+        let Some(test) = ConditionalBranch::from_block(image, graph, starts, number) else {
+            continue;
+        };
+        if let Some(is_taken) = test.flags.evaluate_condition(test.condition) {
             block.next.retain(|edge| edge.is_taken == is_taken);
             is_changed = true;
         }
     }
     let all = vec![true; blocks.len()];
-    is_changed.then(|| flow::keep(graph.name.clone(), blocks, &all))
+    is_changed.then(|| control_flow::subgraph(graph.name.clone(), blocks, &all))
 }
 
 /// A branch by two values.
-struct Test {
-    flags: Flagged,
+struct ConditionalBranch {
+    flags: FlagOperands,
     /// Condition by which the branch is taken.
     condition: u8,
 }
 
-impl Test {
-    fn read(image: &Image, graph: &Graph, starts: &[State], block: usize) -> Option<Self> {
+impl ConditionalBranch {
+    fn from_block(
+        image: &Image,
+        graph: &ControlFlowGraph,
+        starts: &[RegisterState],
+        block: usize,
+    ) -> Option<Self> {
         let block_of = &graph.blocks[block];
         let mut state = starts[block];
         for one in &block_of.instructions {
             state.step(image, one);
         }
         match *block_of.last() {
-            Instruction { flow: Flow::Jump(_), condition: Some(condition), .. } => {
-                let flags = state.flags().filter(|flags| flags.is_known(condition))?;
+            Instruction { flow: ControlFlow::Jump(_), condition: Some(condition), .. } => {
+                let flags = state.flags().filter(|flags| flags.can_evaluate(condition))?;
                 Some(Self { flags, condition })
             }
-            Instruction { flow: Flow::Zero { register, if_zero, .. }, .. } => Some(Self {
-                flags: Flagged::zero(state.of(register)),
+            Instruction { flow: ControlFlow::Zero { register, if_zero, .. }, .. } => Some(Self {
+                flags: FlagOperands::from_comparison_with_zero(state.register_value(register)),
                 condition: u8::from(!if_zero),
             }),
             _ => None,
@@ -234,25 +265,25 @@ impl Test {
     }
 
     /// How often it lets the loop go on.
-    fn rounds(
+    fn iteration_count(
         &self,
         image: &Image,
-        graph: &Graph,
-        starts: &[State],
+        graph: &ControlFlowGraph,
+        starts: &[RegisterState],
         one: &Loop,
         inside: &Edge,
     ) -> Option<u32> {
-        let Self { flags: Flagged { left, right, is_sum, .. }, condition } = *self;
-        let way = |value: Value| -> Option<(Value, u32)> {
+        let Self { flags: FlagOperands { left, right, is_sum, .. }, condition } = *self;
+        let way = |value: SymbolicValue| -> Option<(SymbolicValue, u32)> {
             match value.base {
-                Base::Met(at, register) if at == one.header => {
-                    let (start, step) = induction(image, graph, starts, one, register)?;
+                SymbolicBase::Met(at, register) if at == one.header => {
+                    let (start, step) = induction_variable(image, graph, starts, one, register)?;
                     let offset = start.offset.wrapping_add(value.offset);
-                    Some((Value { offset, ..start }, step))
+                    Some((SymbolicValue { offset, ..start }, step))
                 }
-                Base::Met(at, _) if one.blocks.contains(&at) => None,
-                Base::Left(at, _) if is_in(graph, one, at & !1) => None,
-                Base::Unit(_) => None,
+                SymbolicBase::Met(at, _) if one.blocks.contains(&at) => None,
+                SymbolicBase::Left(at, _) if loop_contains_address(graph, one, at & !1) => None,
+                SymbolicBase::Unit(_) => None,
                 _ => Some((value, 0)),
             }
         };
@@ -260,7 +291,7 @@ impl Test {
         if a.base != b.base || step_a == step_b {
             return None;
         }
-        if a.base != Base::Nothing {
+        if a.base != SymbolicBase::Nothing {
             // Of two addresses only the difference is known. One that meets its limit exactly cannot pass it.
             let distance = b.offset.wrapping_sub(a.offset).cast_signed();
             let step = step_a.wrapping_sub(step_b).cast_signed();
@@ -274,8 +305,8 @@ impl Test {
             b.offset = a.offset.wrapping_add(distance.cast_unsigned());
         }
         let (mut x, mut y) = (a.offset, b.offset);
-        for rounds in 0..MAX_ROUNDS {
-            if holds(condition, x, y, is_sum) != inside.is_taken {
+        for rounds in 0..MAX_ITERATIONS {
+            if is_condition_met(condition, x, y, is_sum) != inside.is_taken {
                 return Some(rounds);
             }
             (x, y) = (x.wrapping_add(step_a), y.wrapping_add(step_b));
@@ -284,30 +315,31 @@ impl Test {
     }
 }
 
-fn is_in(graph: &Graph, one: &Loop, at: u32) -> bool {
+fn loop_contains_address(graph: &ControlFlowGraph, one: &Loop, at: u32) -> bool {
     one.blocks.iter().any(|block| {
         let block = &graph.blocks[*block];
-        (block.start()..block.end()).contains(&at)
+        (block.start_address()..block.end_address()).contains(&at)
     })
 }
 
 /// The first value of a register that each round changes by the same number, and that number.
-fn induction(
+fn induction_variable(
     image: &Image,
-    graph: &Graph,
-    starts: &[State],
+    graph: &ControlFlowGraph,
+    starts: &[RegisterState],
     one: &Loop,
     register: u8,
-) -> Option<(Value, u32)> {
-    let own = Base::Met(one.header, register);
+) -> Option<(SymbolicValue, u32)> {
+    let own = SymbolicBase::Met(one.header, register);
     let (mut first, mut step) = (None, None);
     for before in &graph.before[one.header] {
         let mut state = starts[*before];
-        values::through(image, graph, *before, &mut state);
-        let value = state.of(register);
+        register_values::execute_block(image, graph, *before, &mut state);
+        let value = state.register_value(register);
         let known = if one.blocks.contains(before) {
             (value.base == own).then_some(())?;
-            step.get_or_insert(Value::number(value.offset)) == &Value::number(value.offset)
+            step.get_or_insert(SymbolicValue::constant(value.offset))
+                == &SymbolicValue::constant(value.offset)
         } else {
             *first.get_or_insert(value) == value
         };
@@ -318,7 +350,7 @@ fn induction(
 
 /// Returns whether a loop is left by the blocks alone that lead back to its header.
 #[must_use]
-pub(crate) fn is_tested_behind(graph: &Graph, one: &Loop) -> bool {
+pub(crate) fn is_post_tested(graph: &ControlFlowGraph, one: &Loop) -> bool {
     let leaves = |block: &&usize| {
         let block = &graph.blocks[**block];
         block.returns || block.next.iter().any(|edge| !one.blocks.contains(&edge.to))
@@ -330,11 +362,11 @@ pub(crate) fn is_tested_behind(graph: &Graph, one: &Loop) -> bool {
 
 /// Returns how many words each round stores at the least, but for those on the stack.
 #[must_use]
-pub(crate) fn fewest_stores(graph: &Graph, one: &Loop) -> u32 {
+pub(crate) fn min_stores_per_iteration(graph: &ControlFlowGraph, one: &Loop) -> u32 {
     let stores = |block: usize| {
         let stored = graph.blocks[block].instructions.iter().filter_map(|it| {
             let access = it.access.filter(|access| !access.is_load && it.condition.is_none())?;
-            let is_own = matches!(access.at, Address::Near(FRAME | SP, _));
+            let is_own = matches!(access.at, AddressingMode::Near(FRAME_POINTER | SP, _));
             (!is_own).then_some(access.words)
         });
         stored.sum::<u32>()
@@ -360,11 +392,11 @@ pub(crate) fn fewest_stores(graph: &Graph, one: &Loop) -> u32 {
 
 /// Returns the fewest bits by which every round moves a register down; 1: none.
 #[must_use]
-pub(crate) fn smallest_shift(graph: &Graph, one: &Loop) -> u32 {
-    let passed = one.blocks.iter().filter(|block| is_passed(graph, one, **block));
+pub(crate) fn min_shift_per_iteration(graph: &ControlFlowGraph, one: &Loop) -> u32 {
+    let passed = one.blocks.iter().filter(|block| is_on_every_iteration(graph, one, **block));
     let instructions = passed.flat_map(|block| &graph.blocks[*block].instructions);
     let shifts = instructions.filter_map(|it| match it.effect {
-        Effect::Shift(to, from, by) if to == from && by < 0 && it.condition.is_none() => {
+        RegisterEffect::Shift(to, from, by) if to == from && by < 0 && it.condition.is_none() => {
             Some(u32::from(by.unsigned_abs()))
         }
         _ => None,
@@ -374,8 +406,14 @@ pub(crate) fn smallest_shift(graph: &Graph, one: &Loop) -> u32 {
 
 /// Returns the largest number by which each round changes a register, up to 64.
 #[must_use]
-pub(crate) fn largest_step(image: &Image, graph: &Graph, starts: &[State], one: &Loop) -> u32 {
-    let steps = (0..15).filter_map(|register| induction(image, graph, starts, one, register));
+pub(crate) fn max_induction_step(
+    image: &Image,
+    graph: &ControlFlowGraph,
+    starts: &[RegisterState],
+    one: &Loop,
+) -> u32 {
+    let steps =
+        (0..15).filter_map(|register| induction_variable(image, graph, starts, one, register));
     let sizes = steps.map(|(_, step)| step.cast_signed().unsigned_abs());
     sizes.filter(|size| *size <= 64).max().unwrap_or(1)
 }

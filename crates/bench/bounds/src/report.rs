@@ -9,20 +9,21 @@ use anyhow::{Context as _, Result};
 
 use crate::{
     clock::{CLOCKS, Clock},
-    firmware::STALL_US,
+    critical_sections::{CriticalSection, CriticalSections},
+    declarations::{CalibrationSizes, DeclarationTable},
+    entry::FunctionEntry,
+    firmware::FLASH_PROGRAM_STALL_US,
     image::Image,
-    program::{Entry, Program},
-    response::{self, Core, Load},
-    sections::{Section, Sections},
-    source::Source,
-    table::{Sizes, Table},
+    program::Program,
+    response_time::{self, CoreOverhead, TaskLoad},
+    source::SourceCode,
     tasks::{self, Task},
-    worst::Worst,
+    wcet::WcetAnalysis,
 };
 
 /// The bounds of a task on a clock, in microseconds.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Bound {
+pub struct TaskBound {
     /// Its name.
     pub task: String,
     /// The clock's name.
@@ -48,9 +49,9 @@ pub struct Bound {
 
 /// All bounds, and what is missing for them.
 #[derive(Clone, Debug, Default)]
-pub struct Bounds {
+pub struct TimingBounds {
     /// A bound of each task on each clock.
-    pub all: Vec<Bound>,
+    pub all: Vec<TaskBound>,
     /// Loops without a bound and calls without a target: with one of them nothing is bounded.
     pub problems: Vec<String>,
     /// Declarations that nothing needed.
@@ -63,56 +64,67 @@ pub struct Bounds {
 ///
 /// # Errors
 /// The app's table cannot be read, or a task has no function in the image.
-pub fn of(
+pub fn compute(
     image: &Image,
     app: &str,
-    table: &Table,
-    source: &Source,
-    sizes: Sizes,
-) -> Result<Bounds> {
+    table: &DeclarationTable,
+    source: &SourceCode,
+    sizes: CalibrationSizes,
+) -> Result<TimingBounds> {
     let program = Program::new(image, table, source, sizes);
-    let all_tasks = tasks::read(app)?;
-    let functions = all_tasks.iter().filter_map(|task| image.function(&task.interrupt));
-    let entries = functions.map(|it| Entry::of(it.start));
-    program.find_ram(&entries.collect::<Vec<_>>());
+    let all_tasks = tasks::parse_tasks(app)?;
+    let functions = all_tasks.iter().filter_map(|task| image.function_by_symbol(&task.interrupt));
+    let entries = functions.map(|it| FunctionEntry::new(it.start));
+    program.find_ram_arguments(&entries.collect::<Vec<_>>());
     let mut all = Vec::new();
     for clock in CLOCKS {
         let tasks: Vec<Task> =
-            all_tasks.iter().filter(|task| task.runs_at(clock.mhz)).cloned().collect();
-        let exceptions = exceptions(image, &tasks)?;
-        let (loads, turns) = loads(&program, image, &tasks, clock)?;
+            all_tasks.iter().filter(|task| task.is_active_at(clock.mhz)).cloned().collect();
+        let exceptions = exception_numbers(image, &tasks)?;
+        let (loads, turns) = task_loads(&program, image, &tasks, clock)?;
         all.extend(tasks.iter().enumerate().map(|(number, task)| {
             let deadline_us = task.deadline_us(clock.mhz);
             let cycles = |us: f64| (us * f64::from(clock.mhz)) as u64;
             let us = |cycles: u64| cycles as f64 / f64::from(clock.mhz);
-            let longest = |loads: &[Load]| {
-                response::longest(loads, number, Core::at(&clock), cycles(deadline_us)).map(us)
+            let longest = |loads: &[TaskLoad]| {
+                response_time::worst_case_response(
+                    loads,
+                    number,
+                    CoreOverhead::for_clock(&clock),
+                    cycles(deadline_us),
+                )
+                .map(us)
             };
             let mut stalled = loads.clone();
-            stalled[number].blocking = stalled[number].blocking.max(cycles(STALL_US));
-            Bound {
+            stalled[number].blocking = stalled[number].blocking.max(cycles(FLASH_PROGRAM_STALL_US));
+            TaskBound {
                 task: task.name.clone(),
                 clock: clock.name,
                 exception: exceptions[number],
                 priority: task.priority,
                 turn_us: us(turns[number]),
                 blocking_us: us(loads[number].blocking),
-                share: response::share(&loads, number, Core::at(&clock)),
+                share: response_time::utilisation(&loads, number, CoreOverhead::for_clock(&clock)),
                 response_us: longest(&loads),
                 stalled_us: longest(&stalled),
                 deadline_us,
             }
         }));
     }
-    let loops = program.origins();
-    Ok(Bounds { all, problems: program.problems(), unused: program.unused(), loops })
+    let loops = program.bound_counts_by_origin();
+    Ok(TimingBounds {
+        all,
+        problems: program.problems(),
+        unused: program.unused_declarations(),
+        loops,
+    })
 }
 
 /// The numbers of the tasks' exceptions.
-fn exceptions(image: &Image, tasks: &[Task]) -> Result<Vec<u32>> {
+fn exception_numbers(image: &Image, tasks: &[Task]) -> Result<Vec<u32>> {
     let number = |task: &Task| {
-        let function = image.function(&task.interrupt);
-        let number = function.and_then(|it| image.exception(it.start));
+        let function = image.function_by_symbol(&task.interrupt);
+        let number = function.and_then(|it| image.exception_number(it.start));
         number.with_context(|| format!("no vector leads to {}", task.interrupt))
     };
     tasks.iter().map(number).collect()
@@ -120,29 +132,30 @@ fn exceptions(image: &Image, tasks: &[Task]) -> Result<Vec<u32>> {
 
 /// The tasks in cycles on a clock, and behind them the functions that are called once in a while, as tasks of their own;
 /// the longest turn of each task.
-fn loads(
+fn task_loads(
     program: &Program<'_>,
     image: &Image,
     tasks: &[Task],
     clock: Clock,
-) -> Result<(Vec<Load>, Vec<u64>)> {
-    let within_line = program.within_line();
+) -> Result<(Vec<TaskLoad>, Vec<u64>)> {
+    let for_bytes_within_line = program.for_bytes_within_line();
     let cycles = |us: f64| (us * f64::from(clock.mhz)) as u64;
     let (mut entries, mut loads, mut turns) = (Vec::new(), Vec::new(), Vec::new());
-    let mut seldom: BTreeMap<u32, Load> = BTreeMap::new();
-    let mut sections: BTreeMap<(Entry, BTreeSet<u32>), Vec<Section>> = BTreeMap::new();
-    let rates = program.once();
+    let mut seldom: BTreeMap<u32, TaskLoad> = BTreeMap::new();
+    let mut sections: BTreeMap<(FunctionEntry, BTreeSet<u32>), Vec<CriticalSection>> =
+        BTreeMap::new();
+    let rates = program.called_once_functions();
     for task in tasks {
-        let function = image.function(&task.interrupt);
+        let function = image.function_by_symbol(&task.interrupt);
         let function = function.with_context(|| {
             format!("{}: the image has no function {}", task.name, task.interrupt)
         })?;
-        let entry = Entry::of(function.start);
+        let entry = FunctionEntry::new(function.start);
         let waiting = task.bytes.map(|bytes| bytes.waiting);
-        let (empty, _) = Worst::turn(program, clock, waiting.map(|_| 0), entry);
-        let (whole, once) = Worst::turn(program, clock, waiting, entry);
+        let (empty, _) = WcetAnalysis::task_wcet(program, clock, waiting.map(|_| 0), entry);
+        let (whole, once) = WcetAnalysis::task_wcet(program, clock, waiting, entry);
         entries.push((entry, waiting));
-        let mut load = Load {
+        let mut load = TaskLoad {
             priority: task.priority,
             period: cycles(task.period_us(clock.mhz)).max(1),
             burst: u64::from(task.is_raised),
@@ -156,37 +169,41 @@ fn loads(
         };
         if let Some(bytes) = task.bytes {
             let count = u64::from(bytes.waiting);
-            let (within, _) = Worst::turn(&within_line, clock, waiting, entry);
+            let (within, _) =
+                WcetAnalysis::task_wcet(&for_bytes_within_line, clock, waiting, entry);
             load.each = within.saturating_sub(empty).div_ceil(count);
             load.line_end = (whole - empty).div_ceil(count).saturating_sub(load.each);
         }
         // All that may come at once may do so in one turn.
-        let in_a_turn = once.iter().map(|(start, cost)| cost * u64::from(1 + rates[start].burst));
-        turns.push(load.longest() + in_a_turn.sum::<u64>());
-        for (start, cost) in once {
+        let in_a_turn =
+            once.iter().map(|(start, (_, cost))| cost * u64::from(1 + rates[start].burst));
+        turns.push(load.worst_case_cycles() + in_a_turn.sum::<u64>());
+        for (start, (_, cost)) in once {
             let once = &rates[&start];
             let (period, burst) = (cycles(once.period_us), once.burst.into());
-            let bytes = Load { gap: 0, waiting: 0, each: 0, line_end: 0, ..load.clone() };
-            let own = Load { period, burst, empty: cost, ..bytes };
+            let bytes = TaskLoad { gap: 0, waiting: 0, each: 0, line_end: 0, ..load.clone() };
+            let own = TaskLoad { period, burst, empty: cost, ..bytes };
             let known = seldom.entry(start).or_insert_with(|| own.clone());
             known.empty = known.empty.max(cost);
             known.priority = known.priority.max(task.priority);
         }
         loads.push(load);
     }
-    let mut below = |tasks: &[(Entry, Option<u32>)], free: &BTreeSet<u32>| -> Vec<Section> {
-        let all = tasks.iter().flat_map(|(entry, waiting)| {
-            let known = sections.entry((*entry, free.clone())).or_insert_with(|| {
-                let worst = Worst::new(program, clock, *waiting).without(free.clone());
-                Sections::new(program, &worst).below(*entry)
+    let mut below =
+        |tasks: &[(FunctionEntry, Option<u32>)], free: &BTreeSet<u32>| -> Vec<CriticalSection> {
+            let all = tasks.iter().flat_map(|(entry, waiting)| {
+                let known = sections.entry((*entry, free.clone())).or_insert_with(|| {
+                    let worst = WcetAnalysis::new(program, clock, *waiting)
+                        .with_zero_cost_functions(free.clone());
+                    CriticalSections::new(program, &worst).sections_below(*entry)
+                });
+                known.clone()
             });
-            known.clone()
-        });
-        all.collect()
-    };
+            all.collect()
+        };
     let whole = below(&entries, &BTreeSet::new());
     // A call that holds a task off may have begun before it, by twice the longest section where tasks above interrupt it: the
-    // next one may follow by so much sooner.
+    // next one may follow sooner by this time.
     let begun = 2 * whole.iter().map(|section| section.cycles).max().unwrap_or(0);
     let mut sooner: BTreeSet<u32> = BTreeSet::new();
     for (start, load) in seldom.iter_mut().filter(|(_, load)| load.period >= 2 * begun) {
@@ -208,10 +225,10 @@ fn loads(
     Ok((loads, turns))
 }
 
-impl Bounds {
+impl TimingBounds {
     /// Returns the tasks whose response is not bounded below their deadline, as `clock task`.
     #[must_use]
-    pub fn late(&self) -> Vec<String> {
+    pub fn unschedulable_tasks(&self) -> Vec<String> {
         let late = self.all.iter().filter(|it| it.response_us.is_none());
         late.map(|it| format!("{} {}", it.clock, it.task)).collect()
     }
@@ -219,7 +236,7 @@ impl Bounds {
     /// Returns the table; `seen` gives the longest turn of a task on a clock that was seen, of its own and from beginning to
     /// end, in microseconds.
     #[must_use]
-    pub fn table(&self, seen: impl Fn(&Bound) -> Option<[f64; 2]>) -> String {
+    pub fn format_table(&self, seen: impl Fn(&TaskBound) -> Option<[f64; 2]>) -> String {
         let mut text = String::new();
         let [code, table] = self.loops;
         writeln!(text, "{code} loops are bounded by the code, {table} by the table").ok();

@@ -3,12 +3,12 @@
 use std::{cell::RefCell, collections::BTreeMap, fs, path::PathBuf, rc::Rc};
 
 /// The source of an image.
-pub struct Source {
+pub struct SourceCode {
     root: PathBuf,
     files: RefCell<BTreeMap<String, Rc<Vec<String>>>>,
 }
 
-impl Source {
+impl SourceCode {
     /// Returns the source below a folder. Files that cannot be read have no lines.
     #[must_use]
     pub fn new(root: PathBuf) -> Self {

@@ -11,7 +11,7 @@ use anyhow::{Context as _, Result, ensure};
 
 /// A task.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Task {
+pub(crate) struct Task {
     /// Its name.
     pub name: String,
     /// The interrupt that starts it, which is the name of its function in the image.
@@ -21,7 +21,7 @@ pub struct Task {
     /// Software raises its interrupt.
     pub is_raised: bool,
     /// Bytes that it takes one by one.
-    pub bytes: Option<Bytes>,
+    pub bytes: Option<ByteArrivals>,
     /// Microseconds between two starts, at the least, by clock where that differs.
     periods_us: BTreeMap<Option<u32>, f64>,
     /// Microseconds until it has to be over, by clock where that differs.
@@ -30,7 +30,7 @@ pub struct Task {
 
 /// Bytes that come to a task.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Bytes {
+pub(crate) struct ByteArrivals {
     /// Microseconds between two.
     pub gap_us: f64,
     /// How many may wait.
@@ -42,7 +42,7 @@ pub struct Bytes {
 impl Task {
     /// Returns whether anything starts it at a clock of that many MHz.
     #[must_use]
-    pub(crate) fn runs_at(&self, mhz: u32) -> bool {
+    pub(crate) fn is_active_at(&self, mhz: u32) -> bool {
         self.periods_us.get(&Some(mhz)) != Some(&f64::INFINITY)
     }
 
@@ -65,8 +65,8 @@ impl Task {
 ///
 /// # Errors
 /// A task has no row in the table, a row no deadline, or attribute and row differ in priority.
-pub fn read(text: &str) -> Result<Vec<Task>> {
-    let rows = rows(text)?;
+pub(crate) fn parse_tasks(text: &str) -> Result<Vec<Task>> {
+    let rows = parse_rows(text)?;
     let mut tasks = Vec::new();
     let mut rest = text;
     while let Some((_, after)) = rest.split_once("#[task(") {
@@ -91,11 +91,11 @@ pub fn read(text: &str) -> Result<Vec<Task>> {
         tasks.push(Task {
             priority,
             is_raised: text.contains(&format!("Interrupt::{interrupt}")),
-            bytes: bytes(&row.arrives),
-            periods_us: by_clock(&row.arrives).with_context(|| {
+            bytes: parse_byte_arrivals(&row.arrives),
+            periods_us: parse_values_per_clock(&row.arrives).with_context(|| {
                 format!("{name}: `{}` has no time in the column `arrives`", row.arrives)
             })?,
-            deadlines_us: by_clock(&row.deadline).with_context(|| {
+            deadlines_us: parse_values_per_clock(&row.deadline).with_context(|| {
                 format!("{name}: `{}` has no time in the column `deadline`", row.deadline)
             })?,
             name,
@@ -107,13 +107,13 @@ pub fn read(text: &str) -> Result<Vec<Task>> {
 }
 
 #[derive(Clone, Debug)]
-struct Row {
+struct TaskRow {
     priority: String,
     deadline: String,
     arrives: String,
 }
 
-fn rows(text: &str) -> Result<BTreeMap<String, Row>> {
+fn parse_rows(text: &str) -> Result<BTreeMap<String, TaskRow>> {
     let lines = text.lines().filter_map(|line| line.strip_prefix("//! |"));
     let mut cells = lines.map(|line| {
         let line = line.trim_end().strip_suffix('|').unwrap_or(line);
@@ -127,13 +127,13 @@ fn rows(text: &str) -> Result<BTreeMap<String, Row>> {
     };
     let (priority, deadline, arrives) =
         (column("priority")?, column("deadline")?, column("arrives")?);
-    let mut rows: BTreeMap<String, Row> = BTreeMap::new();
-    let mut last: Option<Row> = None;
+    let mut rows: BTreeMap<String, TaskRow> = BTreeMap::new();
+    let mut last: Option<TaskRow> = None;
     for cells in cells {
         let Some(names) = cells.first().filter(|name| name.starts_with('`')) else { continue };
         let cell = |column: usize| cells.get(column).cloned().unwrap_or_default();
         let mut row =
-            Row { priority: cell(priority), deadline: cell(deadline), arrives: cell(arrives) };
+            TaskRow { priority: cell(priority), deadline: cell(deadline), arrives: cell(arrives) };
         if let Some(last) = &last {
             if row.deadline == "the same" {
                 row.deadline.clone_from(&last.deadline);
@@ -163,31 +163,31 @@ fn rows(text: &str) -> Result<BTreeMap<String, Row>> {
 }
 
 /// `95 µs, the next byte; at 16 MHz 573 µs`.
-fn by_clock(cell: &str) -> Option<BTreeMap<Option<u32>, f64>> {
+fn parse_values_per_clock(cell: &str) -> Option<BTreeMap<Option<u32>, f64>> {
     let mut all = BTreeMap::new();
     for part in cell.split("; ").filter(|part| !part.contains(" bytes,")) {
         match part.strip_prefix("at ").and_then(|rest| rest.split_once(" MHz ")) {
             // Its unit is off at that clock.
             Some((mhz, "never")) => all.insert(Some(mhz.parse().ok()?), f64::INFINITY),
-            Some((mhz, rest)) => all.insert(Some(mhz.parse().ok()?), duration_us(rest)?),
+            Some((mhz, rest)) => all.insert(Some(mhz.parse().ok()?), parse_duration_us(rest)?),
             // Counted once.
             None if part.starts_with("never") => all.insert(None, f64::INFINITY),
-            None => all.insert(None, duration_us(part)?),
+            None => all.insert(None, parse_duration_us(part)?),
         };
     }
     all.contains_key(&None).then_some(all)
 }
 
 /// `256 bytes, 10.8 µs each, 22 a line`.
-fn bytes(cell: &str) -> Option<Bytes> {
+fn parse_byte_arrivals(cell: &str) -> Option<ByteArrivals> {
     let (waiting, gap) = cell.split("; ").find_map(|part| part.split_once(" bytes, "))?;
     let line = gap.split_once(", ").and_then(|(_, line)| line.split_once(" a line"));
     let line = line.map_or(Some(1), |(line, _)| line.parse().ok())?;
-    Some(Bytes { gap_us: duration_us(gap)?, waiting: waiting.parse().ok()?, line })
+    Some(ByteArrivals { gap_us: parse_duration_us(gap)?, waiting: waiting.parse().ok()?, line })
 }
 
 /// The first number with a unit of time.
-fn duration_us(text: &str) -> Option<f64> {
+fn parse_duration_us(text: &str) -> Option<f64> {
     let words: Vec<&str> =
         text.split(|it: char| it.is_whitespace() || "(),;:".contains(it)).collect();
     words.windows(2).find_map(|pair| {
@@ -213,25 +213,25 @@ mod tests {
 
     #[test]
     fn tasks_come_from_attributes_and_table() {
-        let tasks = read(APP).unwrap();
+        let tasks = parse_tasks(APP).unwrap();
         assert_eq!(tasks.len(), 2);
         assert_eq!((tasks[0].name.as_str(), tasks[0].interrupt.as_str()), ("fast", "USART3"));
         assert_eq!((tasks[0].deadline_us(168), tasks[0].deadline_us(16)), (95.0, 573.0));
         assert_eq!((tasks[1].name.as_str(), tasks[1].priority), ("can_1", 3));
         assert_eq!((tasks[1].period_us(168), tasks[1].deadline_us(16)), (100.0, 2_800.0));
         assert_eq!(
-            [168, 16].map(|mhz| [tasks[0].runs_at(mhz), tasks[1].runs_at(mhz)]),
+            [168, 16].map(|mhz| [tasks[0].is_active_at(mhz), tasks[1].is_active_at(mhz)]),
             [[true; 2], [true, false]]
         );
-        assert_eq!(tasks[1].bytes, Some(Bytes { gap_us: 10.0, waiting: 3, line: 1 }));
+        assert_eq!(tasks[1].bytes, Some(ByteArrivals { gap_us: 10.0, waiting: 3, line: 1 }));
         assert!(!tasks[1].is_raised);
     }
 
     #[test]
     fn a_task_without_a_row_or_with_another_priority_is_refused() {
         let other = APP.replace("| 5 |", "| 4 |");
-        assert!(read(&other).unwrap_err().to_string().contains("priority 4"));
+        assert!(parse_tasks(&other).unwrap_err().to_string().contains("priority 4"));
         let none = APP.replace("`fast`", "`slow`");
-        assert!(read(&none).unwrap_err().to_string().contains("no row"));
+        assert!(parse_tasks(&none).unwrap_err().to_string().contains("no row"));
     }
 }

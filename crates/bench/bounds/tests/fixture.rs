@@ -3,12 +3,15 @@
 
 use trueup_bounds::{
     clock::{CLOCKS, Clock},
+    critical_sections::CriticalSections,
+    declarations::{
+        CalibrationSizes, CallTargets, DeclarationTable, IterationBound, LoopBound, SourceLocation,
+    },
+    entry::FunctionEntry,
     image::Image,
-    program::{Entry, Program},
-    sections::Sections,
-    source::Source,
-    table::{CallTargets, LoopBound, Rounds, Sizes, Spot, Table},
-    worst::Worst,
+    program::Program,
+    source::SourceCode,
+    wcet::WcetAnalysis,
 };
 
 const FLASH: u32 = 0x0800_0000;
@@ -46,7 +49,7 @@ const SLOW: Clock = CLOCKS[2];
 const FAST: Clock = CLOCKS[0];
 
 /// Returns the worst case of the first function, and what is missing.
-fn worst(code: &[&[u16]], table: &Table, clock: Clock) -> (u64, Vec<String>) {
+fn worst(code: &[&[u16]], table: &DeclarationTable, clock: Clock) -> (u64, Vec<String>) {
     worst_of(code, [None; 4], table, clock)
 }
 
@@ -54,30 +57,30 @@ fn worst(code: &[&[u16]], table: &Table, clock: Clock) -> (u64, Vec<String>) {
 fn worst_of(
     code: &[&[u16]],
     arguments: [Option<u32>; 4],
-    table: &Table,
+    table: &DeclarationTable,
     clock: Clock,
 ) -> (u64, Vec<String>) {
     let names = ["first", "second"];
     let functions: Vec<_> =
         (0..).zip(code).map(|(n, code)| (names[n], FLASH + 0x100 * n as u32, *code)).collect();
-    let (image, source) = (Image::of_code(&functions), Source::new(".".into()));
-    let program = Program::new(&image, table, &source, Sizes::NONE);
-    let entry = Entry { arguments, ..Entry::of(FLASH) };
-    let cycles = Worst::new(&program, clock, None).of(entry);
+    let (image, source) = (Image::from_code(&functions), SourceCode::new(".".into()));
+    let program = Program::new(&image, table, &source, CalibrationSizes::NONE);
+    let entry = FunctionEntry { arguments, ..FunctionEntry::new(FLASH) };
+    let cycles = WcetAnalysis::new(&program, clock, None).function_cycles(entry);
     (cycles, program.problems())
 }
 
 #[test]
 fn a_loop_without_a_bound_is_named_unless_the_table_has_it() {
-    let (_, problems) = worst(&[POLLS], &Table::default(), SLOW);
+    let (_, problems) = worst(&[POLLS], &DeclarationTable::default(), SLOW);
     assert_eq!(problems.len(), 1, "{problems:?}");
     assert!(problems[0].starts_with("loop without a bound in first, at 0x8000000"), "{problems:?}");
     const DECLARED: &[LoopBound] = &[LoopBound {
-        at: Spot { function: "first", line: "" },
-        rounds: Rounds::Times(10),
+        at: SourceLocation { function: "first", line: "" },
+        rounds: IterationBound::Times(10),
         reason: "the unit answers within ten polls",
     }];
-    let table = Table { loops: DECLARED, ..Table::default() };
+    let table = DeclarationTable { loops: DECLARED, ..DeclarationTable::default() };
     // Left behind its body alone, it goes back nine times: ten loads of 2 and a wait of 1, ten comparisons, ten branches, nine
     // refills of 3, and the way back.
     assert_eq!(worst(&[POLLS], &table, SLOW), (10 * (3 + 1 + 1) + 9 * 3 + 1, Vec::new()));
@@ -85,7 +88,7 @@ fn a_loop_without_a_bound_is_named_unless_the_table_has_it() {
 
 #[test]
 fn loops_that_count_are_bounded_by_their_code() {
-    let none = Table::default();
+    let none = DeclarationTable::default();
     // 20 subtractions and branches, 19 of them taken.
     assert_eq!(worst(&[COUNTS], &none, SLOW), (1 + 20 * 2 + 19 * 3 + 1, vec![]));
     // The loop fits the cache: its line is read once, and one that was asked for ahead is waited for.
@@ -97,10 +100,10 @@ fn loops_that_count_are_bounded_by_their_code() {
 }
 
 /// Returns the worst case of a function whose loops are declared, with the length 40 as its third argument.
-fn declared(code: &[u16], rounds: Rounds) -> u64 {
-    let at = Spot { function: "first", line: "" };
+fn declared(code: &[u16], rounds: IterationBound) -> u64 {
+    let at = SourceLocation { function: "first", line: "" };
     let loops = Box::leak(Box::new([LoopBound { at, rounds, reason: "of a test" }]));
-    let table = Table { loops, ..Table::default() };
+    let table = DeclarationTable { loops, ..DeclarationTable::default() };
     let (cycles, problems) = worst_of(&[code], [None, None, Some(40), None], &table, SLOW);
     assert_eq!(problems, [""; 0]);
     cycles
@@ -108,13 +111,27 @@ fn declared(code: &[u16], rounds: Rounds) -> u64 {
 
 #[test]
 fn an_unrolled_loop_has_as_many_rounds_fewer() {
-    let copied = Rounds::Copied { argument: 2, per: 4 };
-    assert_eq!(declared(COPIES, copied), declared(COPIES, Rounds::Times(5)), "two words a round");
-    assert_eq!(declared(POLLS, copied), declared(POLLS, Rounds::Times(10)), "no store to count");
-    let length = Rounds::Length { argument: 2, per: 4, more: 0 };
-    assert_eq!(declared(COPIES, length), declared(COPIES, Rounds::Times(10)));
-    assert_eq!(declared(HALVES, Rounds::Mask(32)), declared(HALVES, Rounds::Times(8)));
-    assert_eq!(declared(POLLS, Rounds::Mask(32)), declared(POLLS, Rounds::Times(32)));
+    let copied = IterationBound::Copied { argument: 2, per: 4 };
+    assert_eq!(
+        declared(COPIES, copied),
+        declared(COPIES, IterationBound::Times(5)),
+        "two words a round"
+    );
+    assert_eq!(
+        declared(POLLS, copied),
+        declared(POLLS, IterationBound::Times(10)),
+        "no store to count"
+    );
+    let length = IterationBound::Length { argument: 2, per: 4, more: 0 };
+    assert_eq!(declared(COPIES, length), declared(COPIES, IterationBound::Times(10)));
+    assert_eq!(
+        declared(HALVES, IterationBound::Mask(32)),
+        declared(HALVES, IterationBound::Times(8))
+    );
+    assert_eq!(
+        declared(POLLS, IterationBound::Mask(32)),
+        declared(POLLS, IterationBound::Times(32))
+    );
 }
 
 #[test]
@@ -122,37 +139,38 @@ fn a_loop_with_two_headers_that_is_one_has_its_rounds_once() {
     // From the outer header a load of 2 and a wait of 1, the same once more and four instructions, the refill of 3; at the end the
     // same without it, and the way back.
     let round = 3 + 3 + 4 + 3;
-    assert_eq!(declared(THREADED, Rounds::Together(20)), 20 * round + (round - 3) + 1);
-    let nested = declared(THREADED, Rounds::Times(20));
+    assert_eq!(declared(THREADED, IterationBound::Together(20)), 20 * round + (round - 3) + 1);
+    let nested = declared(THREADED, IterationBound::Times(20));
     assert!(nested > 10 * 20 * round, "{nested}: one within the other");
 }
 
 #[test]
 fn calls_that_lead_nowhere_and_circles_are_named() {
-    let (_, problems) = worst(&[BY_REGISTER, COUNTS], &Table::default(), SLOW);
+    let (_, problems) = worst(&[BY_REGISTER, COUNTS], &DeclarationTable::default(), SLOW);
     assert!(problems[0].starts_with("call by register in first, at 0x8000002"), "{problems:?}");
     const DECLARED: &[CallTargets] = &[CallTargets {
-        at: Spot { function: "first", line: "" },
+        at: SourceLocation { function: "first", line: "" },
         functions: &["second"],
         reason: "its only caller says so",
     }];
-    let table = Table { calls: DECLARED, ..Table::default() };
+    let table = DeclarationTable { calls: DECLARED, ..DeclarationTable::default() };
     // push 3, blx 1 and 3, what is called, back 3, pop 3.
     let counts = worst(&[COUNTS], &table, SLOW).0;
     assert_eq!(worst(&[BY_REGISTER, COUNTS], &table, SLOW), (3 + 1 + 3 + counts + 3 + 3, vec![]));
-    let (_, problems) = worst(&[CIRCLE], &Table::default(), SLOW);
+    let (_, problems) = worst(&[CIRCLE], &DeclarationTable::default(), SLOW);
     assert_eq!(problems, ["first never comes back"]);
 }
 
 #[test]
 fn a_section_lasts_from_the_raised_mask_to_the_restored_one() {
     let of = |code| {
-        let (image, source) = (Image::of_code(&[("first", FLASH, code)]), Source::new(".".into()));
-        let table = Table::default();
-        let program = Program::new(&image, &table, &source, Sizes::NONE);
-        let worst = Worst::new(&program, SLOW, None);
-        let entry = Entry::of(FLASH);
-        let sections = Sections::new(&program, &worst).below(entry);
+        let (image, source) =
+            (Image::from_code(&[("first", FLASH, code)]), SourceCode::new(".".into()));
+        let table = DeclarationTable::default();
+        let program = Program::new(&image, &table, &source, CalibrationSizes::NONE);
+        let worst = WcetAnalysis::new(&program, SLOW, None);
+        let entry = FunctionEntry::new(FLASH);
+        let sections = CriticalSections::new(&program, &worst).sections_below(entry);
         assert!(program.problems().is_empty(), "{:?}", program.problems());
         sections.iter().map(|it| (it.ceiling, it.cycles)).collect::<Vec<_>>()
     };

@@ -5,35 +5,35 @@
 //!
 //! | module | does |
 //! |---|---|
-//! | [`hidden`] | challenges: a believed machine, runs with one hidden effect, the answer |
+//! | [`hidden_effects`] | challenges: a believed machine, runs with one hidden effect, the answer |
 //! | [`physical`] | machines with physical faults, in no terms but those of physics |
-//! | [`inputs`] | two days with one effect of recorded inputs that is in no list |
-//! | [`trial`] | a spindle that may be run as one likes, with one thing wrong in its file |
-//! | [`trial_axis`] | an axis of the same kind |
+//! | [`input_dependence`] | two days with one effect of recorded inputs that is in no list |
+//! | [`spindle_trial`] | a spindle that may be run as one likes, with one thing wrong in its file |
+//! | [`axis_trial`] | an axis of the same kind |
 //! | [`month`] | a month of a machine that ages, with a probe now and then |
 //! | [`year`] | a year of a spindle or an axis in a small shop, with events and two probings a day |
 //!
 //! # A challenge
 //! ```
-//! use trueup_campaigns::hidden::{Expected, Hidden, draw};
+//! use trueup_campaigns::hidden_effects::{ExpectedDiagnosis, HiddenCause, draw};
 //! // Thermal lag, three times as large as the noise, by seed 7.
-//! let challenge = draw(Hidden::ThermalLag, 3.0, 7);
+//! let challenge = draw(HiddenCause::ThermalLag, 3.0, 7);
 //! assert!(challenge.runs[0].starts_with("time_s,")); // run files, to train on
 //! assert!(challenge.machine.contains("[machine]"));  // what the user believes
 //! let effect = &challenge.truth.effects[0];          // the answer
 //! assert_eq!(effect.cause.name(), "thermal-lag");
 //! assert!(effect.parameter("time_constant_s").is_some_and(|tau_s| tau_s > 100.0));
-//! assert_eq!(challenge.truth.expected, Expected::Compensated);
+//! assert_eq!(challenge.truth.expected, ExpectedDiagnosis::Compensated);
 //! // The hold-out, and how much better it can become at best.
 //! assert!(challenge.holdout.lines().count() > 150);
-//! assert!(challenge.truth.possible_reduction() > 0.3);
+//! assert!(challenge.truth.max_achievable_reduction() > 0.3);
 //! ```
 #![forbid(unsafe_code)]
 
-pub mod hidden;
-pub mod inputs;
+pub mod axis_trial;
+pub mod hidden_effects;
+pub mod input_dependence;
 pub mod month;
 pub mod physical;
-pub mod trial;
-pub mod trial_axis;
+pub mod spindle_trial;
 pub mod year;

@@ -5,7 +5,7 @@
 //!
 //! ```text
 //! s = a(t)·lag₉₀₀(T_front − 20) + b(t)·(T_column − 20) + c·(n/1000)² + what wanders
-//! a, b       grow by 30 % over the month: a straight line, and a walk beside it
+//! a, b       grow by 30 % over the month: a straight line plus a random walk
 //! bearing    replaced on a day: it runs cooler, and what the front grows by a kelvin jumps
 //! sensor     the front's thermometer is moved away from the heat on another day: it shows a share only
 //! ```
@@ -16,27 +16,27 @@
 //! tool that slipped. On every fourth day of work nothing is probed: these days say what was learned.
 
 use trueup_twin::{
-    noise::{Correlated, Stream},
+    noise::{CorrelatedNoise, RandomStream},
     table::RunTable,
 };
 
 /// The seeds that the learner is judged by. They and this file are older than the learner.
-pub const SEEDS: std::ops::Range<u64> = 0..20;
+pub const EVALUATION_SEEDS: std::ops::Range<u64> = 0..20;
 
 /// Days of the month.
-const DAYS: usize = 30;
+const DAYS_PER_MONTH: usize = 30;
 /// Days of work in the middle of the month on which it is probed.
 const PROBED_DAYS: [usize; 8] = [7, 9, 10, 11, 15, 16, 17, 21];
 /// Minutes from one probing to the next.
-const PROBE_MIN: usize = 30;
+const PROBE_INTERVAL_MIN: usize = 30;
 /// The spindle's rated speed in r/min.
 const RATED_RPM: f64 = 24_000.0;
 /// Growth by a kelvin of the front bearing and of the column, and at 1000 r/min, on the first day.
-const FRONT_UM_PER_C: f64 = 5.0;
+const FRONT_BEARING_UM_PER_C: f64 = 5.0;
 const COLUMN_UM_PER_C: f64 = 1.5;
-const UM_PER_KRPM2: f64 = 0.02;
+const CENTRIFUGAL_UM_PER_KRPM2: f64 = 0.02;
 /// By how much the growth by a kelvin has grown when the month is over.
-const AGEING: f64 = 0.3;
+const AGEING_PER_MONTH: f64 = 0.3;
 
 /// The user's machine file, and the days of work.
 #[derive(Clone, Debug)]
@@ -63,7 +63,7 @@ pub struct Day {
 }
 
 /// The true parameters of the machine at a time.
-struct Truth {
+struct TrueParameters {
     front_um_per_c: f64,
     column_um_per_c: f64,
     /// How warm the front bearing becomes at the rated speed, in K.
@@ -74,39 +74,39 @@ struct Truth {
 
 /// Returns the month of `seed`, of a machine that ages or of one without a fault.
 #[must_use]
-pub fn month(seed: u64, ages: bool) -> Month {
-    let mut stream = Stream::new(seed, "month");
-    // Who repairs a machine probes it on the same day: of one that nobody has looked at since nothing can
+pub fn simulate_month(seed: u64, ages: bool) -> Month {
+    let mut stream = RandomStream::new(seed, "month");
+    // Who repairs a machine probes it on the same day: of one that was not measured since nothing can
     // be known.
-    let bearing_day = stream.pick(&PROBED_DAYS[..4]);
+    let bearing_day = stream.choose(&PROBED_DAYS[..4]);
     let bearing = [stream.uniform(0.65, 0.85), stream.uniform(0.9, 1.1)];
-    let moved_day = stream.pick(&PROBED_DAYS[4..]);
+    let moved_day = stream.choose(&PROBED_DAYS[4..]);
     let moved = stream.uniform(0.8, 0.9);
     let mut walk = [0.0; 2];
-    let mut wander = Correlated::new(Stream::new(seed, "month wander"), 0.6, 0.0);
-    let mut probe = Stream::new(seed, "month probe");
+    let mut wander = CorrelatedNoise::new(RandomStream::new(seed, "month wander"), 0.6, 0.0);
+    let mut probe = RandomStream::new(seed, "month probe");
     let mut zero_um = 0.0;
     let mut days = Vec::new();
-    for day in 0..DAYS {
+    for day in 0..DAYS_PER_MONTH {
         for walk in &mut walk {
-            *walk += 0.01 * stream.normal();
+            *walk += 0.01 * stream.standard_normal();
         }
         if day % 7 >= 5 {
             continue;
         }
         let is_probed = days.len() % 4 != 2;
-        let past = day as f64 / DAYS as f64;
-        let aged = |walk: f64| if ages { 1.0 + AGEING * past + walk } else { 1.0 };
+        let past = day as f64 / DAYS_PER_MONTH as f64;
+        let aged = |walk: f64| if ages { 1.0 + AGEING_PER_MONTH * past + walk } else { 1.0 };
         let has_bearing = ages && day >= bearing_day;
-        let truth = Truth {
-            front_um_per_c: FRONT_UM_PER_C
+        let truth = TrueParameters {
+            front_um_per_c: FRONT_BEARING_UM_PER_C
                 * aged(walk[0])
                 * if has_bearing { bearing[1] } else { 1.0 },
             column_um_per_c: COLUMN_UM_PER_C * aged(walk[1]),
             heat_c: 30.0 * if has_bearing { bearing[0] } else { 1.0 },
             shown: if ages && day >= moved_day { moved } else { 1.0 },
         };
-        days.push(worked(
+        days.push(simulate_day(
             day,
             is_probed,
             &truth,
@@ -119,49 +119,53 @@ pub fn month(seed: u64, ages: bool) -> Month {
     let machine = format!(
         "[machine]\nname = \"month\"\nkind = \"3-axis\"\n\n[spindle]\nsource = \"temperature\"\n\n\
          [spindle.temperature]\nsensor = \"temp_front_c\"\nreference_c = 20.0\n\
-         k_um_per_c = {FRONT_UM_PER_C:?} # by the maker's data\nlag_s = 900.0\n\n\
+         k_um_per_c = {FRONT_BEARING_UM_PER_C:?} # by the maker's data\nlag_s = 900.0\n\n\
          [[term]]\ncause = \"extra-heat-path\"\nquantity = \"elongation\"\ncolumn = \"temp_column_c\"\n\
          um_per_c = {COLUMN_UM_PER_C:?}\ntime_constant_s = 0.0\nreference_c = 20.0\n\n\
          [[term]]\ncause = \"centrifugal-growth\"\nquantity = \"elongation\"\n\
-         um_per_krpm2 = {UM_PER_KRPM2}\n"
+         um_per_krpm2 = {CENTRIFUGAL_UM_PER_KRPM2}\n"
     );
     Month { machine, days }
 }
 
 /// Simulates one day, from seven in the morning on.
-fn worked(
+fn simulate_day(
     day: usize,
     is_probed: bool,
-    truth: &Truth,
+    truth: &TrueParameters,
     zero_um: &mut f64,
-    stream: &mut Stream,
-    wander: &mut Correlated,
-    probe: &mut Stream,
+    stream: &mut RandomStream,
+    wander: &mut CorrelatedNoise,
+    probe: &mut RandomStream,
 ) -> Day {
-    const MINUTES: usize = 600;
+    const WORKDAY_MINUTES: usize = 600;
     let air_c = stream.uniform(20.0, 23.0);
-    let off_at = if stream.chance(0.2) { stream.whole(120, 480) } else { usize::MAX };
-    let off_for = stream.whole(5, 15);
+    let off_at = if stream.bernoulli(0.2) { stream.uniform_integer(120, 480) } else { usize::MAX };
+    let off_for = stream.uniform_integer(5, 15);
     let (mut front_c, mut column_c, mut followed_c) = (air_c, air_c, None);
     let (mut rpm, mut until) = (0.0, 0);
     let mut it =
         Day { csv: String::new(), truth_um: Vec::new(), works: Vec::new(), is_probed, bad: 0 };
     let mut table = RunTable::new();
-    for minute in 0..MINUTES {
+    for minute in 0..WORKDAY_MINUTES {
         if minute >= until {
-            rpm = if stream.chance(0.15) { 0.0 } else { 1000.0 * stream.whole(6, 24) as f64 };
-            until = minute + stream.whole(10, 50);
+            rpm = if stream.bernoulli(0.15) {
+                0.0
+            } else {
+                1000.0 * stream.uniform_integer(6, 24) as f64
+            };
+            until = minute + stream.uniform_integer(10, 50);
         }
         let is_off = (off_at..off_at.saturating_add(off_for)).contains(&minute);
         if minute == off_at {
-            *zero_um = 0.5 * stream.normal();
+            *zero_um = 0.5 * stream.standard_normal();
         }
         let turning_rpm = if is_off { 0.0 } else { rpm };
         let ambient_c = air_c + 1.5 * (minute as f64 / 600.0 * std::f64::consts::PI).sin();
         let load = (turning_rpm / RATED_RPM).powf(1.2);
-        near(&mut front_c, ambient_c + truth.heat_c * load, 2400.0);
-        near(&mut column_c, ambient_c + 12.0 * load, 5400.0);
-        let wandered_um = wander.draw_at((-60.0_f64 / 3600.0).exp());
+        step_first_order_lag(&mut front_c, ambient_c + truth.heat_c * load, 2400.0);
+        step_first_order_lag(&mut column_c, ambient_c + 12.0 * load, 5400.0);
+        let wandered_um = wander.draw_correlated((-60.0_f64 / 3600.0).exp());
         if is_off {
             continue;
         }
@@ -178,22 +182,22 @@ fn worked(
         let krpm = turning_rpm / 1000.0;
         let um = truth.front_um_per_c * (*followed - 20.0)
             + truth.column_um_per_c * (column_shown_c - 20.0)
-            + UM_PER_KRPM2 * krpm * krpm
+            + CENTRIFUGAL_UM_PER_KRPM2 * krpm * krpm
             + wandered_um
             + *zero_um;
         let mut read_um = f64::NAN;
-        if minute % PROBE_MIN == PROBE_MIN - 1 && is_probed {
-            read_um = um + 0.8 * probe.normal();
-            if probe.chance(0.05) {
-                read_um += probe.sign() * probe.uniform(8.0, 60.0);
+        if minute % PROBE_INTERVAL_MIN == PROBE_INTERVAL_MIN - 1 && is_probed {
+            read_um = um + 0.8 * probe.standard_normal();
+            if probe.bernoulli(0.05) {
+                read_um += probe.random_sign() * probe.uniform(8.0, 60.0);
                 it.bad += 1;
             }
         }
-        table.push("time_s", 0, (day * 86_400 + 7 * 3600 + minute * 60) as f64);
-        table.push("spindle_rpm", 0, turning_rpm);
-        table.push("temp_front_c", 2, front_shown_c);
-        table.push("temp_column_c", 2, column_shown_c);
-        table.push("measured_elongation_um", 2, read_um);
+        table.push_value("time_s", 0, (day * 86_400 + 7 * 3600 + minute * 60) as f64);
+        table.push_value("spindle_rpm", 0, turning_rpm);
+        table.push_value("temp_front_c", 2, front_shown_c);
+        table.push_value("temp_column_c", 2, column_shown_c);
+        table.push_value("measured_elongation_um", 2, read_um);
         it.truth_um.push(um);
         it.works.push(turning_rpm > 0.0);
     }
@@ -202,6 +206,6 @@ fn worked(
 }
 
 /// A minute on the way to `to`, with this time constant in s.
-fn near(value: &mut f64, to: f64, constant_s: f64) {
+fn step_first_order_lag(value: &mut f64, to: f64, constant_s: f64) {
     *value = to + (*value - to) * (-60.0 / constant_s).exp();
 }

@@ -6,7 +6,9 @@
 
 use std::{fmt::Write as _, fs, path::Path};
 
-use trueup_campaigns::hidden::{Hidden, PAIRS, TestCase, draw, draw_pair};
+use trueup_campaigns::hidden_effects::{
+    DISTINGUISHABLE_PAIRS, HiddenCause, TestCase, draw, draw_pair,
+};
 use trueup_twin::{Scenario, simulate};
 
 fn fnv_1a(texts: &[&str]) -> u64 {
@@ -31,10 +33,10 @@ fn all() -> String {
         }
         text.push('\n');
     };
-    for &cause in Hidden::ALL {
+    for &cause in HiddenCause::ALL {
         line(cause.name(), &|ratio, seed| draw(cause, ratio, seed));
     }
-    for &(first, second) in PAIRS {
+    for &(first, second) in DISTINGUISHABLE_PAIRS {
         let name = format!("{}+{}", first.name(), second.name());
         line(&name, &|ratio, seed| draw_pair(first, second, ratio, seed).expect("a listed pair"));
     }

@@ -2,7 +2,9 @@
 
 use std::time::Instant;
 
-use trueup_campaigns::hidden::{Expected, Hidden, PAIRS, TestCase, draw, draw_pair};
+use trueup_campaigns::hidden_effects::{
+    DISTINGUISHABLE_PAIRS, ExpectedDiagnosis, HiddenCause, TestCase, draw, draw_pair,
+};
 
 /// Returns the named column of a run file of numbers; NaN where a cell is empty.
 fn column(csv: &str, name: &str) -> Vec<f64> {
@@ -33,7 +35,7 @@ fn about_mean(values: &[f64]) -> Vec<f64> {
 
 #[test]
 fn a_seed_repeats_to_the_byte_and_another_one_differs() {
-    for &cause in Hidden::ALL {
+    for &cause in HiddenCause::ALL {
         let first = draw(cause, 3.0, 11);
         let again = draw(cause, 3.0, 11);
         assert!(first.runs == again.runs && first.holdout == again.holdout, "{}", cause.name());
@@ -45,8 +47,8 @@ fn a_seed_repeats_to_the_byte_and_another_one_differs() {
 #[test]
 fn the_effect_over_the_noise_is_the_ratio_that_was_asked_for() {
     let (mut worst, mut drawn) = (0.0_f64, 0);
-    for &cause in Hidden::ALL {
-        if cause.expected() == Expected::Clean {
+    for &cause in HiddenCause::ALL {
+        if cause.expected_diagnosis() == ExpectedDiagnosis::Clean {
             continue;
         }
         for (seed, ratio) in [(1, 0.5), (2, 1.0), (3, 3.0), (4, 10.0)] {
@@ -78,7 +80,7 @@ fn the_effect_over_the_noise_is_the_ratio_that_was_asked_for() {
 #[test]
 fn runs_have_the_lengths_that_users_have() {
     let (mut least, mut most) = (usize::MAX, 0);
-    for &cause in Hidden::ALL {
+    for &cause in HiddenCause::ALL {
         for seed in 0..6 {
             let challenge = draw(cause, 3.0, seed);
             let rows = measured(&challenge).len();
@@ -97,11 +99,11 @@ fn runs_have_the_lengths_that_users_have() {
 /// A hold-out on which the effect does not show measures nothing.
 #[test]
 fn what_can_be_compensated_can_be_gained_on_the_hold_out() {
-    for &cause in Hidden::ALL {
-        if cause.expected() != Expected::Compensated {
+    for &cause in HiddenCause::ALL {
+        if cause.expected_diagnosis() != ExpectedDiagnosis::Compensated {
             continue;
         }
-        let gains = (0..8).map(|seed| draw(cause, 5.0, seed).truth.possible_reduction());
+        let gains = (0..8).map(|seed| draw(cause, 5.0, seed).truth.max_achievable_reduction());
         let least = gains.fold(f64::MAX, f64::min);
         println!("{:28} {least:.3}", cause.name());
         assert!(least > 0.3, "{}: {least}", cause.name());
@@ -112,26 +114,26 @@ fn what_can_be_compensated_can_be_gained_on_the_hold_out() {
 #[test]
 fn the_parameters_are_those_of_the_effect() {
     for seed in 0..5 {
-        let challenge = draw(Hidden::SensorGain, 3.0, seed);
+        let challenge = draw(HiddenCause::SensorGain, 3.0, seed);
         let gain = challenge.truth.effects[0].parameter("gain").expect("a gain");
         for (p, effect) in challenge.truth.believed_um.iter().zip(&challenge.truth.effect_um) {
             assert!((gain * p - p - effect).abs() < 1e-9);
         }
-        let challenge = draw(Hidden::CuttingLoad, 3.0, seed);
+        let challenge = draw(HiddenCause::CuttingLoad, 3.0, seed);
         let c = challenge.truth.effects[0].parameter("um_per_n").expect("a compliance");
         assert!(c > 0.0);
         let load: Vec<f64> = challenge.runs.iter().flat_map(|r| column(r, "load_n")).collect();
         for (load, effect) in load.iter().zip(&challenge.truth.effect_um) {
             assert!((-c * load - effect).abs() < 1e-9);
         }
-        let challenge = draw(Hidden::Backlash, 3.0, seed);
+        let challenge = draw(HiddenCause::Backlash, 3.0, seed);
         let width = challenge.truth.effects[0].parameter("width_um").expect("a width");
         let dir = format!("dir_{}", &challenge.quantity[1..]);
         let direction: Vec<f64> = challenge.runs.iter().flat_map(|r| column(r, &dir)).collect();
         for (direction, effect) in direction.iter().zip(&challenge.truth.effect_um) {
             assert_eq!(*effect, if *direction < 0.0 { width } else { 0.0 });
         }
-        let challenge = draw(Hidden::SensorSaturation, 3.0, seed);
+        let challenge = draw(HiddenCause::SensorSaturation, 3.0, seed);
         let limit = challenge.truth.effects[0].parameter("limit_um").expect("a limit");
         for (p, effect) in challenge.truth.believed_um.iter().zip(&challenge.truth.effect_um) {
             assert!((p.min(limit) - p - effect).abs() < 1e-9);
@@ -142,19 +144,19 @@ fn the_parameters_are_those_of_the_effect() {
 #[test]
 fn clean_challenges_have_no_effect_and_the_noise_that_they_say() {
     for seed in 0..6 {
-        for cause in [Hidden::CleanWhite, Hidden::CleanCorrelated] {
+        for cause in [HiddenCause::CleanWhite, HiddenCause::CleanCorrelated] {
             let challenge = draw(cause, 3.0, seed);
             let truth = &challenge.truth;
             assert!(truth.effects.is_empty() && truth.effect_um.iter().all(|um| *um == 0.0));
-            assert_eq!(truth.expected, Expected::Clean);
-            assert_eq!(truth.noise_rho > 0.0, cause == Hidden::CleanCorrelated);
+            assert_eq!(truth.expected, ExpectedDiagnosis::Clean);
+            assert_eq!(truth.noise_rho > 0.0, cause == HiddenCause::CleanCorrelated);
         }
     }
 }
 
 #[test]
 fn every_listed_pair_can_be_drawn_and_is_twice_as_strong_in_square() {
-    for &(first, second) in PAIRS {
+    for &(first, second) in DISTINGUISHABLE_PAIRS {
         let challenge = draw_pair(first, second, 3.0, 5).expect("a shared base");
         let truth = &challenge.truth;
         assert_eq!(truth.effects.len(), 2, "{} {}", first.name(), second.name());
@@ -163,14 +165,14 @@ fn every_listed_pair_can_be_drawn_and_is_twice_as_strong_in_square() {
             assert!(off.abs() < 0.02, "{} in a pair: {off}", effect.cause.name());
         }
     }
-    assert!(draw_pair(Hidden::SensorGain, Hidden::Backlash, 3.0, 5).is_none());
+    assert!(draw_pair(HiddenCause::SensorGain, HiddenCause::Backlash, 3.0, 5).is_none());
 }
 
 #[test]
 fn a_challenge_is_drawn_in_well_under_a_second() {
     let start = Instant::now();
     let mut drawn = 0;
-    for &cause in Hidden::ALL {
+    for &cause in HiddenCause::ALL {
         for seed in 20..22 {
             drawn += draw(cause, 2.0, seed).runs.len().min(1);
         }
@@ -198,7 +200,7 @@ fn an_axis_expands_and_tilts_as_its_parameters_say() {
         let all = |challenge: &TestCase, name: &str| -> Vec<f64> {
             challenge.runs.iter().flat_map(|run| column(run, name)).collect()
         };
-        let challenge = draw(Hidden::AxisExpansion, 3.0, seed);
+        let challenge = draw(HiddenCause::AxisExpansion, 3.0, seed);
         assert!(!challenge.machine.contains(".thermal]"), "the file knows nothing of this heat");
         let effect = &challenge.truth.effects[0];
         let of = |name| effect.parameter(name).expect(name);
@@ -213,7 +215,7 @@ fn an_axis_expands_and_tilts_as_its_parameters_say() {
                 assert!((um - expected).abs() < 1e-9, "{um} is not {expected}");
             }
         }
-        let challenge = draw(Hidden::AngularError, 3.0, seed);
+        let challenge = draw(HiddenCause::AngularError, 3.0, seed);
         let effect = &challenge.truth.effects[0];
         let lever = effect.column.as_deref().expect("a lever");
         assert_ne!(lever, format!("{}_mm", &challenge.quantity[1..]));
@@ -237,14 +239,14 @@ fn an_axis_expands_and_tilts_as_its_parameters_say() {
 fn no_other_straight_law_explains_the_effect_as_well() {
     // The cause, and the rival that is its own law.
     for (cause, own) in [
-        (Hidden::SensorGain, "p"),
-        (Hidden::SensorCurvature, "p squared"),
-        (Hidden::SensorTemperatureDrift, "temp_coil_c"),
-        (Hidden::CentrifugalGrowth, "speed squared"),
-        (Hidden::CuttingLoad, "load_n"),
-        (Hidden::Backlash, "direction"),
-        (Hidden::PositionDependentBacklash, "position where reverse"),
-        (Hidden::PitchScale, "position"),
+        (HiddenCause::SensorGain, "p"),
+        (HiddenCause::SensorCurvature, "p squared"),
+        (HiddenCause::SensorTemperatureDrift, "temp_coil_c"),
+        (HiddenCause::CentrifugalGrowth, "speed squared"),
+        (HiddenCause::CuttingLoad, "load_n"),
+        (HiddenCause::Backlash, "direction"),
+        (HiddenCause::PositionDependentBacklash, "position where reverse"),
+        (HiddenCause::PitchScale, "position"),
     ] {
         let (mut least, mut rival_of_least) = (f64::MAX, String::new());
         for seed in 0..6 {
@@ -293,7 +295,7 @@ fn no_other_straight_law_explains_the_effect_as_well() {
 
 #[test]
 fn every_drawn_challenge_can_be_solved() {
-    for &cause in Hidden::ALL {
+    for &cause in HiddenCause::ALL {
         let challenge = draw(cause, 3.0, 0);
         let truth = &challenge.truth;
         let name = cause.name();
@@ -303,7 +305,7 @@ fn every_drawn_challenge_can_be_solved() {
         assert!(all.copied().all(f64::is_finite), "{name}");
         // The noise is there, and its memory ends.
         assert!(truth.noise_rms_um > 0.0 && (0.0..1.0).contains(&truth.noise_rho), "{name}");
-        let reduction = truth.possible_reduction();
+        let reduction = truth.max_achievable_reduction();
         let least = if truth.effects.is_empty() { 0.0 } else { 0.3 };
         assert!((least..1.0).contains(&reduction), "{name}: {reduction}");
         for effect in &truth.effects {

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use trueup_campaigns::month::{SEEDS, month};
+use trueup_campaigns::month::{EVALUATION_SEEDS, simulate_month};
 
 /// FNV-1a over 64 bits.
 fn hash(text: &str) -> u64 {
@@ -14,9 +14,9 @@ fn hash(text: &str) -> u64 {
 #[test]
 fn every_month_is_what_it_was() {
     let mut now = String::new();
-    for seed in SEEDS {
+    for seed in EVALUATION_SEEDS {
         let [ages, healthy] = [true, false].map(|ages| {
-            let days = month(seed, ages).days;
+            let days = simulate_month(seed, ages).days;
             hash(&days.iter().map(|day| day.csv.as_str()).collect::<String>())
         });
         writeln!(now, "{seed} {ages:016x} {healthy:016x}").expect("a String takes all text");
@@ -27,8 +27,8 @@ fn every_month_is_what_it_was() {
 #[test]
 fn one_reading_in_twenty_is_bad_and_every_fourth_day_has_none() {
     let (mut bad, mut all) = (0, 0);
-    for seed in SEEDS {
-        let days = month(seed, true).days;
+    for seed in EVALUATION_SEEDS {
+        let days = simulate_month(seed, true).days;
         assert_eq!(days.len(), 22);
         for (number, day) in days.iter().enumerate() {
             let read = |line: &&str| !line.ends_with(',');

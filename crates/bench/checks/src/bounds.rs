@@ -5,30 +5,37 @@ use std::{collections::BTreeMap, fs, path::Path};
 use anyhow::{Context as _, Result, bail};
 use trueup_bounds::{
     clock,
-    firmware::FIRMWARE,
+    declarations::CalibrationSizes,
+    firmware::FIRMWARE_DECLARATIONS,
     image::Image,
-    path,
-    report::{self, Bounds},
-    source::Source,
-    table::Sizes,
+    path_report,
+    report::{self, TimingBounds},
+    source::SourceCode,
 };
 use trueup_emulator::{
-    busy::{self, CLOCKS},
-    chip, firmware, setup,
+    chip, firmware,
+    full_load::{self, CLOCK_SCENARIOS},
+    setup,
 };
 
 /// Returns the bounds of an image, for calibrations without terms: the paper's is one.
 ///
 /// # Errors
 /// The image or the table of tasks cannot be read.
-pub fn of(image: &Path) -> Result<Bounds> {
-    for_sizes(image, Sizes::NONE)
+pub fn compute_bounds(image: &Path) -> Result<TimingBounds> {
+    bound_task_times(image, CalibrationSizes::NONE)
 }
 
-fn for_sizes(image: &Path, sizes: Sizes) -> Result<Bounds> {
-    let root = setup::root();
+fn bound_task_times(image: &Path, sizes: CalibrationSizes) -> Result<TimingBounds> {
+    let root = setup::project_root();
     let app = fs::read_to_string(root.join("src/main.rs"))?;
-    report::of(&Image::read(image)?, &app, &FIRMWARE, &Source::new(root), sizes)
+    report::compute(
+        &Image::read(image)?,
+        &app,
+        &FIRMWARE_DECLARATIONS,
+        &SourceCode::new(root),
+        sizes,
+    )
 }
 
 /// Builds the image with the paper's machine and returns the longest path of a task as a table; `is_largest`: with the largest
@@ -36,14 +43,22 @@ fn for_sizes(image: &Path, sizes: Sizes) -> Result<Bounds> {
 ///
 /// # Errors
 /// There is no such task or clock, or the image does not build.
-pub fn path(task: &str, mhz: u32, is_largest: bool) -> Result<String> {
+pub fn format_longest_path(task: &str, mhz: u32, is_largest: bool) -> Result<String> {
     let clock = clock::CLOCKS.into_iter().find(|clock| clock.mhz == mhz);
     let clock = clock.with_context(|| format!("{mhz} MHz is no clock of the board"))?;
-    let root = setup::root();
+    let root = setup::project_root();
     let app = fs::read_to_string(root.join("src/main.rs"))?;
-    let image = Image::read(&firmware::build_for(&root.join("data/paper_spindle.toml"))?)?;
-    let sizes = if is_largest { Sizes::LARGEST } else { Sizes::NONE };
-    path::of_task(&image, &app, &FIRMWARE, &Source::new(root), sizes, clock, task)
+    let image = Image::read(&firmware::build_for_machine(&root.join("data/paper_spindle.toml"))?)?;
+    let sizes = if is_largest { CalibrationSizes::LARGEST } else { CalibrationSizes::NONE };
+    path_report::longest_path_of_task(
+        &image,
+        &app,
+        &FIRMWARE_DECLARATIONS,
+        &SourceCode::new(root),
+        sizes,
+        clock,
+        task,
+    )
 }
 
 /// Builds the image with the paper's machine, bounds its tasks on every clock, and returns them as a table, next to the
@@ -51,27 +66,28 @@ pub fn path(task: &str, mhz: u32, is_largest: bool) -> Result<String> {
 ///
 /// # Errors
 /// A loop has no bound or a call no target; what is named. The image does not build, or cannot be run.
-pub fn print() -> Result<String> {
-    let image = firmware::build_for(&setup::root().join("data/paper_spindle.toml"))?;
-    let bounds = of(&image)?;
+pub fn format_report() -> Result<String> {
+    let image =
+        firmware::build_for_machine(&setup::project_root().join("data/paper_spindle.toml"))?;
+    let bounds = compute_bounds(&image)?;
     if !bounds.problems.is_empty() {
         bail!("{}", bounds.problems.join("\n"));
     }
     let mut seen = BTreeMap::new();
     if let Some(model) = chip::build()? {
-        for clock in &CLOCKS {
-            let report = busy::run(&model, &image, clock, 0)?;
-            seen.insert(clock.0, busy::turns(&report));
+        for clock in &CLOCK_SCENARIOS {
+            let report = full_load::run(&model, &image, clock, 0)?;
+            seen.insert(clock.0, full_load::max_handler_times_us(&report));
         }
     }
-    let mut text = bounds.table(|bound| {
+    let mut text = bounds.format_table(|bound| {
         seen.get(bound.clock).and_then(|turns| turns.get(&bound.exception)).copied()
     });
     for unused in &bounds.unused {
         text += &format!("declared, but not needed: {unused}\n");
     }
-    let largest = for_sizes(&image, Sizes::LARGEST)?;
+    let largest = bound_task_times(&image, CalibrationSizes::LARGEST)?;
     text += "\nWith the largest calibration, 16 terms and 32 tools:\n";
-    text += &largest.table(|_| None);
+    text += &largest.format_table(|_| None);
     Ok(text)
 }

@@ -9,14 +9,14 @@ use trueup_emulator::{process, setup};
 
 use crate::cargo;
 
-/// The version that is asked for.
-const MUTANTS: &str = "27.1.0";
+/// The version that is requested.
+const CARGO_MUTANTS_VERSION: &str = "27.1.0";
 /// The crates whose tests are tried.
-const PACKAGES: [&str; 4] = ["trueup-core", "trueup-link", "trueup-store", "trueup-node"];
+const MUTATED_PACKAGES: [&str; 4] = ["trueup-core", "trueup-link", "trueup-store", "trueup-node"];
 /// Hostile blobs in a soak of a thousand million ticks.
-const TICKS_PER_BLOB: u64 = 100;
+const TICKS_PER_HOSTILE_BLOB: u64 = 100;
 /// Hours of a sound sensor in it, at each noise.
-const HOURS_PER_TICK: f64 = 300.0 / 1e9;
+const SENSOR_HOURS_PER_TICK: f64 = 300.0 / 1e9;
 /// Seconds of a PLC at a gateway in it.
 const PLC_S_PER_TICK: f64 = 600.0 / 1e9;
 
@@ -29,13 +29,13 @@ const PLC_S_PER_TICK: f64 = 600.0 / 1e9;
 /// It does not build, or something did not hold.
 pub fn soak(ticks: u64, seed: u32) -> Result<()> {
     let run = |package: &str, binary: &str, test: &str| {
-        let mut command = cargo::locked("test");
+        let mut command = cargo::locked_command("test");
         command
             .args(["--profile", "soak", "-p", package, "--test", binary, "--"])
             .args(["--ignored", "--exact", test, "--nocapture"])
-            .env("TRUEUP_SOAK_HOURS", (ticks as f64 * HOURS_PER_TICK).to_string())
+            .env("TRUEUP_SOAK_HOURS", (ticks as f64 * SENSOR_HOURS_PER_TICK).to_string())
             .env("TRUEUP_SOAK_TICKS", ticks.to_string())
-            .env("TRUEUP_SOAK_BLOBS", (ticks / TICKS_PER_BLOB).max(1_000).to_string())
+            .env("TRUEUP_SOAK_BLOBS", (ticks / TICKS_PER_HOSTILE_BLOB).max(1_000).to_string())
             .env("TRUEUP_SOAK_SEED", seed.to_string());
         process::run(&mut command)
     };
@@ -49,7 +49,7 @@ pub fn soak(ticks: u64, seed: u32) -> Result<()> {
     run("trueup-core", "detectors", "campaign_every_detector_finds_3000_faults_in_time")?;
     run("trueup-core", "detectors", "campaign_a_sound_sensor_is_believed_for_hundreds_of_hours")?;
     // What is tried is a program of its own, so the profile of the tests is all the same: that of all other tests.
-    let mut programs = cargo::locked("test");
+    let mut programs = cargo::locked_command("test");
     programs
         .args(["-p", "trueup-host-tests", "--features", "emulator"])
         .args(["--test", "chip", "--test", "gateway_latency"])
@@ -63,8 +63,8 @@ pub fn soak(ticks: u64, seed: u32) -> Result<()> {
 ///
 /// # Errors
 /// It does not build, fewer than 95 of 100 are wholly named, or a sound one has a name.
-pub fn circles(count: u32) -> Result<()> {
-    let mut test = cargo::locked("test");
+pub fn run_circle_campaign(count: u32) -> Result<()> {
+    let mut test = cargo::locked_command("test");
     test.args(["--profile", "soak", "-p", "trueup-fit", "--test", "fit", "--"])
         .args(["--ignored", "--exact", "circle::campaign_300_drawn_circles_and_100_sound_ones"])
         .arg("--nocapture")
@@ -78,12 +78,12 @@ pub fn circles(count: u32) -> Result<()> {
 ///
 /// # Errors
 /// It does not build, too little is gone, or intervals do not hold; by `waves`: a machine has become worse.
-pub fn volumes(count: u32, first: u32, law: &str) -> Result<()> {
+pub fn run_volume_campaign(count: u32, first: u32, law: &str) -> Result<()> {
     let name = match law {
         "polynomials" => "campaign::campaign_100_drawn_machines",
         _ => "campaign::campaign_100_machines_by_another_law",
     };
-    let mut test = cargo::locked("test");
+    let mut test = cargo::locked_command("test");
     test.args(["--profile", "soak", "-p", "trueup-fit", "--test", "volume", "--"])
         .args(["--ignored", "--exact", name, "--nocapture"])
         .env("TRUEUP_VOLUMES_LAW", law)
@@ -97,8 +97,8 @@ pub fn volumes(count: u32, first: u32, law: &str) -> Result<()> {
 ///
 /// # Errors
 /// It does not build, Python is missing, or a difference is above 20 nm.
-pub fn volume_board(poses: u32) -> Result<()> {
-    let mut test = cargo::locked("test");
+pub fn run_volume_board_campaign(poses: u32) -> Result<()> {
+    let mut test = cargo::locked_command("test");
     test.args(["--features", "trueup-host-tests/emulator", "--test", "volume_oracle", "--"])
         .args(["--ignored", "--exact"])
         .arg("campaign_the_board_is_within_20_nm_of_homogeneous_transforms")
@@ -113,8 +113,8 @@ pub fn volume_board(poses: u32) -> Result<()> {
 ///
 /// # Errors
 /// It does not build, or a requirement is not reached.
-pub fn abuse(cycles: u64, events: u64, seed: u64, ways: &str) -> Result<()> {
-    let mut test = cargo::locked("test");
+pub fn run_random_event_campaign(cycles: u64, events: u64, seed: u64, ways: &str) -> Result<()> {
+    let mut test = cargo::locked_command("test");
     test.args(["--features", "trueup-host-tests/emulator", "--test", "linuxcnc_joint", "--"])
         .args(["--ignored", "--exact", "abuse::campaign_abuse", "--nocapture"])
         .env("TRUEUP_ABUSE_CYCLES", cycles.to_string())
@@ -129,8 +129,8 @@ pub fn abuse(cycles: u64, events: u64, seed: u64, ways: &str) -> Result<()> {
 ///
 /// # Errors
 /// It does not build, or the circle is not 80 % rounder, or 95 % of the backlash is not gone.
-pub fn linuxcnc_circle() -> Result<()> {
-    let mut test = cargo::locked("test");
+pub fn run_linuxcnc_circle() -> Result<()> {
+    let mut test = cargo::locked_command("test");
     test.args(["--features", "trueup-host-tests/emulator", "--test", "linuxcnc_joint", "--"])
         .args(["--ignored", "--exact"])
         .args(["circle::campaign_the_same_circle_is_rounder_with_the_bridge", "--nocapture"]);
@@ -142,8 +142,8 @@ pub fn linuxcnc_circle() -> Result<()> {
 ///
 /// # Errors
 /// It does not build, or an input does what none may.
-pub fn fuzz(minutes: u64) -> Result<()> {
-    let mut test = cargo::locked("test");
+pub fn run_fuzz_targets(minutes: u64) -> Result<()> {
+    let mut test = cargo::locked_command("test");
     test.args([
         "--profile",
         "soak",
@@ -166,27 +166,28 @@ pub fn fuzz(minutes: u64) -> Result<()> {
 ///
 /// # Errors
 /// cargo-mutants cannot be had, or the tests fail without a mutant. A mutant that is missed is no error.
-pub fn mutants(draw: usize, seed: u64) -> Result<()> {
-    let program = cargo::tool("cargo-mutants", MUTANTS)?;
-    let packages: Vec<&str> = PACKAGES.iter().flat_map(|name| ["-p", name]).collect();
+pub fn run_mutation_campaign(draw: usize, seed: u64) -> Result<()> {
+    let program = cargo::install_tool("cargo-mutants", CARGO_MUTANTS_VERSION)?;
+    let packages: Vec<&str> = MUTATED_PACKAGES.iter().flat_map(|name| ["-p", name]).collect();
     let call = || {
         let mut command = Command::new(&program);
-        command.arg("mutants").args(&packages).current_dir(setup::root());
+        command.arg("mutants").args(&packages).current_dir(setup::project_root());
         command
     };
-    let listed: Value = serde_json::from_str(&process::output(call().args(["--list", "--json"]))?)?;
+    let listed: Value =
+        serde_json::from_str(&process::capture_stdout(call().args(["--list", "--json"]))?)?;
     let names = listed.as_array().context("a list of mutants")?.iter();
     let mut names: Vec<&str> = names.filter_map(|it| it["name"].as_str()).collect();
     names.sort_unstable();
-    let drawn = drawn(names, draw, seed);
-    let by_unit = try_mutants(call(), "unit-tests", &drawn, &["--cargo-test-arg=--lib"])?;
+    let drawn = draw_sample(names, draw, seed);
+    let by_unit = run_mutants(call(), "unit-tests", &drawn, &["--cargo-test-arg=--lib"])?;
     let missed: Vec<&str> = by_unit.missed.iter().map(String::as_str).collect();
-    let all_tests = PACKAGES.map(|name| format!("--test-package={name}"));
+    let all_tests = MUTATED_PACKAGES.map(|name| format!("--test-package={name}"));
     let by_all = match missed[..] {
-        [] => Outcome::default(),
-        _ => try_mutants(call(), "all-tests", &missed, &all_tests.each_ref().map(String::as_str))?,
+        [] => MutantOutcomes::default(),
+        _ => run_mutants(call(), "all-tests", &missed, &all_tests.each_ref().map(String::as_str))?,
     };
-    trueup_output::line(format_args!(
+    trueup_output::write_line(format_args!(
         "{} drawn: {} caught, {} by the time limit, {} do not compile, {} missed\n{}",
         drawn.len(),
         by_unit.caught.len() + by_all.caught.len(),
@@ -200,14 +201,14 @@ pub fn mutants(draw: usize, seed: u64) -> Result<()> {
 
 /// Outcomes of some mutants, by their names; `missed` has those that nothing caught.
 #[derive(Default)]
-struct Outcome {
+struct MutantOutcomes {
     caught: Vec<String>,
     timeout: Vec<String>,
     unviable: Vec<String>,
     missed: Vec<String>,
 }
 
-impl Outcome {
+impl MutantOutcomes {
     /// Returns the lists that cargo-mutants and [`keep`](Self::keep) write into a folder; empty where there is none.
     fn read(folder: &Path) -> Self {
         let list = |name: &str| {
@@ -223,7 +224,7 @@ impl Outcome {
     }
 
     /// Its lists, with their names.
-    fn lists(&mut self) -> [(&'static str, &mut Vec<String>); 4] {
+    fn outcome_lists_mut(&mut self) -> [(&'static str, &mut Vec<String>); 4] {
         [
             ("caught.txt", &mut self.caught),
             ("timeout.txt", &mut self.timeout),
@@ -233,10 +234,12 @@ impl Outcome {
     }
 
     /// Takes these, of `names` alone, each once.
-    fn take(&mut self, mut more: Self, names: &[&str]) {
+    fn merge_selected(&mut self, mut more: Self, names: &[&str]) {
         let mut known: Vec<String> =
-            self.lists().into_iter().flat_map(|(_, list)| list.clone()).collect();
-        for ((_, list), (_, more)) in self.lists().into_iter().zip(more.lists()) {
+            self.outcome_lists_mut().into_iter().flat_map(|(_, list)| list.clone()).collect();
+        for ((_, list), (_, more)) in
+            self.outcome_lists_mut().into_iter().zip(more.outcome_lists_mut())
+        {
             for name in more.drain(..) {
                 if names.contains(&name.as_str()) && !known.contains(&name) {
                     known.push(name.clone());
@@ -246,8 +249,8 @@ impl Outcome {
         }
     }
 
-    fn keep(&mut self, folder: &Path) -> Result<()> {
-        for (name, list) in self.lists() {
+    fn write(&mut self, folder: &Path) -> Result<()> {
+        for (name, list) in self.outcome_lists_mut() {
             fs::write(
                 folder.join(name),
                 list.iter().map(|it| format!("{it}\n")).collect::<String>(),
@@ -259,31 +262,31 @@ impl Outcome {
 
 /// Tries these mutants with these options, but for those that were tried before, and leaves the lists in
 /// `target/mutants/<folder>`.
-fn try_mutants(
+fn run_mutants(
     mut run: Command,
     folder: &str,
     names: &[&str],
     options: &[&str],
-) -> Result<Outcome> {
-    let folder = setup::root().join("target/mutants").join(folder);
+) -> Result<MutantOutcomes> {
+    let folder = setup::project_root().join("target/mutants").join(folder);
     let of_run = folder.join("mutants.out");
     fs::create_dir_all(&folder)?;
     // What is kept, and what a run that was stopped has come to.
-    let mut outcome = Outcome::default();
-    outcome.take(Outcome::read(&folder), names);
-    outcome.take(Outcome::read(&of_run), names);
-    outcome.keep(&folder)?;
+    let mut outcome = MutantOutcomes::default();
+    outcome.merge_selected(MutantOutcomes::read(&folder), names);
+    outcome.merge_selected(MutantOutcomes::read(&of_run), names);
+    outcome.write(&folder)?;
     let tried: Vec<String> =
-        outcome.lists().into_iter().flat_map(|(_, list)| list.clone()).collect();
+        outcome.outcome_lists_mut().into_iter().flat_map(|(_, list)| list.clone()).collect();
     let mut config = String::from("examine_re = [\n");
     let mut left = 0;
     for name in names.iter().filter(|name| !tried.iter().any(|it| it == *name)) {
-        let escaped: String = name.chars().flat_map(escaped).collect();
+        let escaped: String = name.chars().flat_map(escape_regex_char).collect();
         writeln!(config, "  '''^{escaped}$''',")?;
         left += 1;
     }
     config.push_str("]\n");
-    trueup_output::diagnostic(format_args!(
+    trueup_output::write_diagnostic(format_args!(
         "{} of {} tried before, {left} left",
         tried.len(),
         names.len()
@@ -296,13 +299,13 @@ fn try_mutants(
     let status = run.args(options).arg("-o").arg(&folder).status()?;
     // 2: some were missed, 3: some ran into the time limit, which is as good as caught.
     ensure!(matches!(status.code(), Some(0 | 2 | 3)), "cargo-mutants: {status}");
-    outcome.take(Outcome::read(&of_run), names);
-    outcome.keep(&folder)?;
+    outcome.merge_selected(MutantOutcomes::read(&of_run), names);
+    outcome.write(&folder)?;
     Ok(outcome)
 }
 
-/// As many of these as are asked for, the same for the same seed.
-fn drawn<T>(mut from: Vec<T>, count: usize, seed: u64) -> Vec<T> {
+/// As many of these as are requested, the same for the same seed.
+fn draw_sample<T>(mut from: Vec<T>, count: usize, seed: u64) -> Vec<T> {
     let mut state = seed;
     let mut drawn = Vec::new();
     while drawn.len() < count && !from.is_empty() {
@@ -316,7 +319,7 @@ fn drawn<T>(mut from: Vec<T>, count: usize, seed: u64) -> Vec<T> {
 }
 
 /// Returns a character as a regular expression has it.
-fn escaped(character: char) -> impl Iterator<Item = char> {
+fn escape_regex_char(character: char) -> impl Iterator<Item = char> {
     let is_special = r"\.+*?()|[]{}^$".contains(character);
     is_special.then_some('\\').into_iter().chain([character])
 }
@@ -328,20 +331,26 @@ mod tests {
     #[test]
     fn what_was_tried_counts_once_and_only_where_it_is_asked_for() {
         let names = |all: &[&str]| all.iter().map(|it| (*it).to_string()).collect::<Vec<_>>();
-        let mut outcome = Outcome::default();
-        let first = Outcome { caught: names(&["a", "of another draw"]), ..Outcome::default() };
-        outcome.take(first, &["a", "b", "c"]);
-        let again =
-            Outcome { caught: names(&["a"]), missed: names(&["a", "b"]), ..Outcome::default() };
-        outcome.take(again, &["a", "b", "c"]);
+        let mut outcome = MutantOutcomes::default();
+        let first = MutantOutcomes {
+            caught: names(&["a", "of another draw"]),
+            ..MutantOutcomes::default()
+        };
+        outcome.merge_selected(first, &["a", "b", "c"]);
+        let again = MutantOutcomes {
+            caught: names(&["a"]),
+            missed: names(&["a", "b"]),
+            ..MutantOutcomes::default()
+        };
+        outcome.merge_selected(again, &["a", "b", "c"]);
         assert_eq!((outcome.caught, outcome.missed), (names(&["a"]), names(&["b"])));
     }
 
     #[test]
     fn a_seed_draws_each_once_and_the_same_again() {
-        let mut all = drawn((0..50).collect(), 60, 7);
-        assert_eq!(all, drawn((0..50).collect(), 60, 7));
-        assert_ne!(all[..20], drawn((0..50).collect(), 20, 8));
+        let mut all = draw_sample((0..50).collect(), 60, 7);
+        assert_eq!(all, draw_sample((0..50).collect(), 60, 7));
+        assert_ne!(all[..20], draw_sample((0..50).collect(), 20, 8));
         all.sort_unstable();
         assert!(all.into_iter().eq(0..50));
     }

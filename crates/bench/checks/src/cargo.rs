@@ -9,16 +9,16 @@ use anyhow::Result;
 use trueup_emulator::{process, setup};
 
 /// `cargo <verb> --locked`, to be gone on with.
-pub(crate) fn locked(verb: &str) -> Command {
-    let mut command = plain(verb);
+pub(crate) fn locked_command(verb: &str) -> Command {
+    let mut command = cargo_command(verb);
     command.arg("--locked");
     command
 }
 
 /// `cargo <verb>`, for what knows no lock file.
-pub fn plain(verb: &str) -> Command {
-    let mut command = process::cargo();
-    command.arg(verb).current_dir(setup::root());
+pub(crate) fn cargo_command(verb: &str) -> Command {
+    let mut command = process::new_cargo_command();
+    command.arg(verb).current_dir(setup::project_root());
     command
 }
 
@@ -27,24 +27,30 @@ pub fn plain(verb: &str) -> Command {
 ///
 /// # Errors
 /// It cannot be had or built.
-pub fn tool(name: &str, version: &str) -> Result<PathBuf> {
-    installed(name, version, &["--debug"])
+pub(crate) fn install_tool(name: &str, version: &str) -> Result<PathBuf> {
+    install_with_options(name, version, &["--debug"])
 }
 
 /// The same for a program that works for minutes where it is not optimised.
 ///
 /// # Errors
-/// As [`tool`].
-pub(crate) fn fast_tool(name: &str, version: &str, features: &[&str]) -> Result<PathBuf> {
-    installed(name, version, features)
+/// As [`install_tool`].
+pub(crate) fn install_release_tool(
+    name: &str,
+    version: &str,
+    features: &[&str],
+) -> Result<PathBuf> {
+    install_with_options(name, version, features)
 }
 
-fn installed(name: &str, version: &str, options: &[&str]) -> Result<PathBuf> {
-    let folder = setup::root().join("target/tools");
+fn install_with_options(name: &str, version: &str, options: &[&str]) -> Result<PathBuf> {
+    let folder = setup::project_root().join("target/tools");
     let program = folder.join("bin").join(name);
-    if !is_wanted(&program, name, version) {
-        trueup_output::diagnostic(format_args!("building {name} {version} into target/tools"));
-        let mut install = locked("install");
+    if !is_expected_version(&program, name, version) {
+        trueup_output::write_diagnostic(format_args!(
+            "building {name} {version} into target/tools"
+        ));
+        let mut install = locked_command("install");
         install.args(["--force", name, "--version", version]).args(options);
         install.arg("--root").arg(&folder);
         install.arg("--target-dir").arg(folder.join("build"));
@@ -56,11 +62,11 @@ fn installed(name: &str, version: &str, options: &[&str]) -> Result<PathBuf> {
     Ok(program)
 }
 
-fn is_wanted(program: &Path, name: &str, version: &str) -> bool {
+fn is_expected_version(program: &Path, name: &str, version: &str) -> bool {
     // As cargo calls it: cargo-mutants knows no option without its verb.
     let verb = name.strip_prefix("cargo-");
     // Behind the name: `cargo-deny 0.20.2`, `mdbook v0.5.4`.
-    process::output(Command::new(program).args(verb).arg("--version")).is_ok_and(|said| {
+    process::capture_stdout(Command::new(program).args(verb).arg("--version")).is_ok_and(|said| {
         let said = said.split_whitespace().nth(1).unwrap_or_default();
         said.trim_start_matches('v') == version
     })

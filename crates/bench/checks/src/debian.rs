@@ -12,34 +12,34 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, ensure};
-use trueup_emulator::{images, process, programs, setup};
+use trueup_emulator::{host_programs, images, process, setup};
 
 use crate::cargo;
 
 /// The version that the manifest is written for.
-const CARGO_DEB: &str = "3.8.0";
+const CARGO_DEB_VERSION: &str = "3.8.0";
 
 /// Builds the package of this computer's platform into `target/debian` and gives its path.
 ///
 /// # Errors
 /// The firmware or the tool does not build, or cargo-deb cannot be had or fails.
-pub fn package() -> Result<PathBuf> {
+pub fn build_host_package() -> Result<PathBuf> {
     // Before the tool, which takes what is there.
-    images::carried()?;
-    process::run(cargo::locked("build").args(["--release", "--package", "trueup-cli"]))?;
-    library(None)?;
-    let root = setup::root();
-    describe(&root.join("target/release/trueup"), &root.join("target/deb"))?;
-    packed(&[])
+    images::build_bundled_images()?;
+    process::run(cargo::locked_command("build").args(["--release", "--package", "trueup-cli"]))?;
+    build_bridge_library(None)?;
+    let root = setup::project_root();
+    write_manual_and_completions(&root.join("target/release/trueup"), &root.join("target/deb"))?;
+    build_package(&[])
 }
 
-/// Packs the tool that was built for another Linux, as Rust names it, with the pages that [`package`] has left.
+/// Packs the tool that was built for another Linux, as Rust names it, with the pages that [`build_host_package`] has left.
 ///
 /// # Errors
 /// cargo-deb cannot be had or fails.
-pub(crate) fn package_for(target: &str) -> Result<PathBuf> {
-    library(Some(target))?;
-    packed(&["--target", target])
+pub(crate) fn build_package_for_target(target: &str) -> Result<PathBuf> {
+    build_bridge_library(Some(target))?;
+    build_package(&["--target", target])
 }
 
 /// Builds the library of the bridge without a board, for another Linux or this computer, and puts it next to the tool,
@@ -47,17 +47,18 @@ pub(crate) fn package_for(target: &str) -> Result<PathBuf> {
 ///
 /// # Errors
 /// It does not compile, or the tool was not built before.
-pub fn library(target: Option<&str>) -> Result<PathBuf> {
-    let built = programs::servo_library_for(target)?;
-    let folder = setup::root().join("target").join(target.unwrap_or_default()).join("release");
+pub(crate) fn build_bridge_library(target: Option<&str>) -> Result<PathBuf> {
+    let built = host_programs::build_servo_library_for(target)?;
+    let folder =
+        setup::project_root().join("target").join(target.unwrap_or_default()).join("release");
     let library = folder.join(built.file_name().context("a library has a name")?);
     fs::copy(&built, &library).with_context(|| library.display().to_string())?;
     Ok(library)
 }
 
-fn packed(target: &[&str]) -> Result<PathBuf> {
-    let root = setup::root();
-    let cargo_deb = cargo::tool("cargo-deb", CARGO_DEB)?;
+fn build_package(target: &[&str]) -> Result<PathBuf> {
+    let root = setup::project_root();
+    let cargo_deb = cargo::install_tool("cargo-deb", CARGO_DEB_VERSION)?;
     let mut make = Command::new(cargo_deb);
     make.args(["--no-build", "--package", "trueup-cli"]).args(target);
     make.arg("--output").arg(root.join("target/debian"));
@@ -69,7 +70,7 @@ fn packed(target: &[&str]) -> Result<PathBuf> {
 }
 
 /// The commands that are run in the empty root, by a shell that stops at the first failure.
-const TRIAL: &str = "\
+const INSTALL_TEST_SCRIPT: &str = "\
 set -e
 apt-get install -y --no-install-recommends /trueup.deb
 cd /tmp
@@ -93,12 +94,12 @@ test ! -e /usr/bin/trueup
 ///
 /// # Errors
 /// This user is not root, debootstrap is not there, or a step fails; what it said stands above.
-pub fn try_out(package: &Path) -> Result<()> {
-    let is_root = process::output(Command::new("id").arg("-u"))?.trim() == "0";
+pub fn test_install(package: &Path) -> Result<()> {
+    let is_root = process::capture_stdout(Command::new("id").arg("-u"))?.trim() == "0";
     ensure!(is_root, "a root file system is made by root alone: sudo cargo xtask deb --try");
-    let debootstrap = process::find("debootstrap")
+    let debootstrap = process::find_on_path("debootstrap")
         .context("debootstrap is not on PATH: sudo apt install debootstrap")?;
-    let folder = setup::root().join("target/deb-root");
+    let folder = setup::project_root().join("target/deb-root");
     if folder.is_dir() {
         fs::remove_dir_all(&folder)?;
     }
@@ -106,29 +107,34 @@ pub fn try_out(package: &Path) -> Result<()> {
     fs::copy(package, folder.join("trueup.deb"))?;
     let mut trial = Command::new("chroot");
     trial.arg(&folder).args(["/usr/bin/env", "-i", "PATH=/usr/sbin:/usr/bin:/sbin:/bin"]);
-    let commands = TRIAL.replace("IMAGES", &carried()?.to_string());
+    let commands = INSTALL_TEST_SCRIPT.replace("IMAGES", &count_packaged_images()?.to_string());
     trial.args(["HOME=/root", "DEBIAN_FRONTEND=noninteractive", "/bin/sh", "-c", &commands]);
     process::run(&mut trial)?;
     Ok(fs::remove_dir_all(&folder)?)
 }
 
 /// Lets a tool write its manual's pages and completions, and checks that it carries the firmware.
-fn describe(tool: &Path, folder: &Path) -> Result<()> {
+fn write_manual_and_completions(tool: &Path, folder: &Path) -> Result<()> {
     if folder.is_dir() {
         fs::remove_dir_all(folder)?;
     }
     fs::create_dir_all(folder)?;
-    process::output(Command::new(tool).arg("man").arg(folder))?;
+    process::capture_stdout(Command::new(tool).arg("man").arg(folder))?;
     for (shell, file) in [("bash", "trueup.bash"), ("zsh", "_trueup"), ("fish", "trueup.fish")] {
-        let script = process::output(Command::new(tool).args(["completions", shell]))?;
+        let script = process::capture_stdout(Command::new(tool).args(["completions", shell]))?;
         fs::write(folder.join(file), script)?;
     }
-    let images = process::output(Command::new(tool).arg("firmware").arg(folder.join("firmware")))?;
-    ensure!(images.lines().count() == carried()?, "{} carries: {images}", tool.display());
+    let images =
+        process::capture_stdout(Command::new(tool).arg("firmware").arg(folder.join("firmware")))?;
+    ensure!(
+        images.lines().count() == count_packaged_images()?,
+        "{} carries: {images}",
+        tool.display()
+    );
     Ok(())
 }
 
 /// Returns how many files of images there are to carry.
-fn carried() -> Result<usize> {
-    Ok(fs::read_dir(setup::root().join("target/carried"))?.flatten().count())
+fn count_packaged_images() -> Result<usize> {
+    Ok(fs::read_dir(setup::project_root().join("target/carried"))?.flatten().count())
 }

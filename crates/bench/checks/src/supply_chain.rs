@@ -11,40 +11,43 @@ use crate::{cargo, tally::Tally};
 ///
 /// # Errors
 /// It is older, or does not say what it is.
-pub(crate) fn compiler() -> Result<Tally> {
+pub(crate) fn check_compiler() -> Result<Tally> {
     let rustc = std::env::var_os("RUSTC").unwrap_or("rustc".into());
-    let said = process::output(Command::new(rustc).arg("--version"))?;
-    let manifest = std::fs::read_to_string(setup::root().join("Cargo.toml"))?;
+    let said = process::capture_stdout(Command::new(rustc).arg("--version"))?;
+    let manifest = std::fs::read_to_string(setup::project_root().join("Cargo.toml"))?;
     let oldest = manifest
         .lines()
         .find_map(|line| line.strip_prefix("rust-version = "))
         .context("Cargo.toml states no rust-version")?
         .trim_matches('"');
-    trueup_output::line(format_args!("{} ({oldest} or newer is needed)", said.trim()));
+    trueup_output::write_line(format_args!("{} ({oldest} or newer is needed)", said.trim()));
     let version = said.split_whitespace().nth(1).unwrap_or_default();
-    ensure!(numbers(version) >= numbers(oldest), "this compiler is older than {oldest}");
-    Ok(Tally::passed(1))
+    ensure!(
+        parse_major_minor(version) >= parse_major_minor(oldest),
+        "this compiler is older than {oldest}"
+    );
+    Ok(Tally::with_passed(1))
 }
 
 /// Returns the two numbers that count: `1.95.0-beta.1` gives 1 and 95.
-fn numbers(version: &str) -> Option<(u32, u32)> {
+fn parse_major_minor(version: &str) -> Option<(u32, u32)> {
     let mut numbers = version.split('.').map(|number| number.parse().ok());
     Some((numbers.next()??, numbers.next()??))
 }
 
 /// The version that `deny.toml` is written for.
-const DENY: &str = "0.20.2";
+const CARGO_DENY_VERSION: &str = "0.20.2";
 
 /// Licences, sources and duplicates of the crates in the lock file, by `deny.toml`; known
 /// vulnerabilities where their database can be had.
 ///
 /// # Errors
 /// A crate breaks a rule, or cargo-deny cannot be built.
-pub(crate) fn crates() -> Result<Tally> {
-    let deny = deny()?;
+pub(crate) fn check_crates() -> Result<Tally> {
+    let deny = install_cargo_deny()?;
     let check = |what: &[&str]| {
         let mut command = Command::new(&deny);
-        command.args(["--locked", "check"]).args(what).current_dir(setup::root());
+        command.args(["--locked", "check"]).args(what).current_dir(setup::project_root());
         process::run(&mut command)
     };
     check(&["licenses", "bans", "sources"])?;
@@ -56,21 +59,23 @@ pub(crate) fn crates() -> Result<Tally> {
         "crates/bench/chip/Cargo.toml",
         "--locked",
     ]);
-    model.args(["check", "licenses", "bans", "sources"]).current_dir(setup::root());
+    model.args(["check", "licenses", "bans", "sources"]).current_dir(setup::project_root());
     process::run(&mut model)?;
-    let mut tally = Tally::passed(1);
-    tally.add(match advisories()? {
-        Advisories::None(_) => Tally::passed(1),
+    let mut tally = Tally::with_passed(1);
+    tally.merge(match check_advisories()? {
+        Advisories::None(_) => Tally::with_passed(1),
         // The world finds a hole on any day; that must not stop who has changed nothing.
         Advisories::Known(said) => {
-            Tally::lack(&format!("cargo-deny advisories, to be looked at: {said}"))
+            Tally::report_unavailable(&format!("cargo-deny advisories, to be looked at: {said}"))
         }
-        Advisories::NotHad => Tally::lack(&format!("cargo-deny advisories: {NOT_HAD}")),
+        Advisories::NotHad => {
+            Tally::report_unavailable(&format!("cargo-deny advisories: {DATABASE_UNAVAILABLE}"))
+        }
     });
     Ok(tally)
 }
 
-const NOT_HAD: &str = "their database cannot be had here";
+const DATABASE_UNAVAILABLE: &str = "their database cannot be had here";
 
 /// Known vulnerabilities of the crates in the lock file, by the advisories of the Rust project (RustSec).
 enum Advisories {
@@ -82,16 +87,18 @@ enum Advisories {
     NotHad,
 }
 
-fn advisories() -> Result<Advisories> {
-    let deny = deny()?;
+fn check_advisories() -> Result<Advisories> {
+    let deny = install_cargo_deny()?;
     let mut fetch = Command::new(&deny);
-    fetch.args(["fetch", "db"]).current_dir(setup::root());
+    fetch.args(["fetch", "db"]).current_dir(setup::project_root());
     if process::run(&mut fetch).is_err() {
         return Ok(Advisories::NotHad);
     }
     let mut check = Command::new(&deny);
-    check.args(["--locked", "check", "--disable-fetch", "advisories"]).current_dir(setup::root());
-    Ok(match process::output(&mut check) {
+    check
+        .args(["--locked", "check", "--disable-fetch", "advisories"])
+        .current_dir(setup::project_root());
+    Ok(match process::capture_stdout(&mut check) {
         Ok(said) => Advisories::None(said),
         Err(error) => Advisories::Known(format!("{error:#}")),
     })
@@ -101,11 +108,12 @@ fn advisories() -> Result<Advisories> {
 ///
 /// # Errors
 /// cargo-deny cannot be built.
-pub(crate) fn known_vulnerabilities() -> Result<(String, Option<String>)> {
+pub(crate) fn vulnerability_report() -> Result<(String, Option<String>)> {
     let head = "Known vulnerabilities of the crates in Cargo.lock, by the advisories of the Rust project (RustSec)";
     // The place of the files on this computer is not handed out.
-    let plain = |said: String| said.replace(&setup::root().display().to_string(), "/trueup");
-    Ok(match advisories()? {
+    let plain =
+        |said: String| said.replace(&setup::project_root().display().to_string(), "/trueup");
+    Ok(match check_advisories()? {
         Advisories::None(said) => (format!("{head}: none.\n{}", plain(said)), None),
         Advisories::Known(said) => {
             let missing =
@@ -114,16 +122,22 @@ pub(crate) fn known_vulnerabilities() -> Result<(String, Option<String>)> {
         }
         Advisories::NotHad => {
             let lines = "cargo deny fetch db && cargo deny check advisories";
-            let text =
-                format!("{head}: not looked up, {NOT_HAD}. Where there is a network: {lines}\n");
-            (text, Some(format!("the known vulnerabilities are not looked up: {NOT_HAD}")))
+            let text = format!(
+                "{head}: not looked up, {DATABASE_UNAVAILABLE}. Where there is a network: {lines}\n"
+            );
+            (
+                text,
+                Some(format!(
+                    "the known vulnerabilities are not looked up: {DATABASE_UNAVAILABLE}"
+                )),
+            )
         }
     })
 }
 
 /// cargo-deny, for the licences and sources of crates.
-fn deny() -> Result<PathBuf> {
-    cargo::tool("cargo-deny", DENY)
+fn install_cargo_deny() -> Result<PathBuf> {
+    cargo::install_tool("cargo-deny", CARGO_DENY_VERSION)
 }
 
 #[cfg(test)]
@@ -132,8 +146,8 @@ mod tests {
 
     #[test]
     fn versions_are_compared_by_number() {
-        assert!(numbers("1.100.0-nightly") > numbers("1.88"));
-        assert!(numbers("1.9.0") < numbers("1.88"));
-        assert_eq!(numbers("none"), None);
+        assert!(parse_major_minor("1.100.0-nightly") > parse_major_minor("1.88"));
+        assert!(parse_major_minor("1.9.0") < parse_major_minor("1.88"));
+        assert_eq!(parse_major_minor("none"), None);
     }
 }

@@ -3,7 +3,7 @@
 //! Three things are not a pass: a test that failed; one that cannot run where it is, for want of data say,
 //! and prints a line that starts with `skipped:`; and one that is ignored. The reason of an ignored
 //! one says which tier runs it: `long: …` the long one; `campaign: …` no tier, it has a command of its
-//! own. Any other reason is a failure, so that no test is left out for good without a word.
+//! own. Any other reason is a failure, so that no test is skipped permanently without a notice.
 
 use std::time::Duration;
 
@@ -30,18 +30,18 @@ pub struct Tally {
 
 impl Tally {
     /// This many things that passed.
-    pub fn passed(count: u32) -> Self {
+    pub(crate) fn with_passed(count: u32) -> Self {
         Self { passed: count, ..Self::default() }
     }
 
     /// Returns one thing that failed.
-    pub(crate) fn fail() -> Self {
+    pub(crate) fn with_one_failure() -> Self {
         Self { failed: 1, ..Self::default() }
     }
 
     /// Returns one thing that cannot be had here.
-    pub(crate) fn lack(why: &str) -> Self {
-        trueup_output::line(format_args!("skipped: {why}"));
+    pub(crate) fn report_unavailable(why: &str) -> Self {
+        trueup_output::write_line(format_args!("skipped: {why}"));
         Self { lacking: 1, ..Self::default() }
     }
 
@@ -51,7 +51,7 @@ impl Tally {
     }
 
     /// Adds what came of others.
-    pub fn add(&mut self, other: Self) {
+    pub(crate) fn merge(&mut self, other: Self) {
         self.passed += other.passed;
         self.failed += other.failed;
         self.lacking += other.lacking;
@@ -64,7 +64,7 @@ impl Tally {
     /// Takes a line that a test program printed; `took` is the time since its last result.
     ///
     /// Gives whether the line is the result of one test.
-    pub fn receive(&mut self, program: &str, line: &str, took: Duration) -> bool {
+    pub(crate) fn record_line(&mut self, program: &str, line: &str, took: Duration) -> bool {
         if line.starts_with("skipped:") {
             self.lacking += 1;
             self.announced += 1;
@@ -126,7 +126,7 @@ mod tests {
             "test result: ok. 4 passed; 0 failed; 2 ignored; 0 measured; 0 filtered out",
         ];
         for line in lines {
-            tally.receive("x", line, Duration::from_secs(1));
+            tally.record_line("x", line, Duration::from_secs(1));
         }
         let times = vec![("x: a::b".into(), Duration::from_secs(1))];
         let expected =
@@ -139,7 +139,7 @@ mod tests {
     fn a_test_that_failed_is_named_with_its_program() {
         let mut tally = Tally::default();
         for line in ["test a ... FAILED", "test result: FAILED. 0 passed; 1 failed; 0 ignored"] {
-            tally.receive("x", line, Duration::ZERO);
+            tally.record_line("x", line, Duration::ZERO);
         }
         assert_eq!((tally.failed, tally.failures), (1, vec!["x: a".to_owned()]));
     }
@@ -148,7 +148,7 @@ mod tests {
     fn a_test_that_is_ignored_for_no_known_reason_fails() {
         let mut tally = Tally::default();
         for line in ["test a ... ignored", "test b ... ignored, takes a while"] {
-            tally.receive("x", line, Duration::ZERO);
+            tally.record_line("x", line, Duration::ZERO);
         }
         assert_eq!((tally.failed, tally.skipped()), (2, 0));
     }

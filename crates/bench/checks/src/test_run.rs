@@ -6,6 +6,9 @@
 //!
 //! The output of a program, figures of tests that pass included, goes into a file of its own in
 //! `target/verify`. Here stands a line for each program, and whole what the tests said that failed.
+//!
+//! `cargo-nextest` does the same, and more, but is a program of its own: on a machine that has nothing it would first have
+//! to be compiled, and `cargo verify` would grow by that.
 
 use std::{
     fs,
@@ -23,18 +26,18 @@ use trueup_emulator::{process, setup};
 use crate::{cargo, tally::Tally};
 
 /// Cargo's arguments that choose the programs: everything of the default members, emulated board included.
-const SELECTION: [&str; 2] = ["--features", "trueup-host-tests/emulator"];
+const CARGO_FEATURE_ARGUMENTS: [&str; 2] = ["--features", "trueup-host-tests/emulator"];
 /// How many run at a time.
-const AT_A_TIME: usize = 2;
+const MAX_PARALLEL_PROGRAMS: usize = 2;
 /// One LinuxCNC runs at a time, and it mostly waits for its axes: one worker takes the programs that start it, with this in
 /// their names, so that the other does not stand behind it.
-const ONE_AT_A_TIME: &str = "linuxcnc";
+const SEQUENTIAL_PROGRAM: &str = "linuxcnc";
 /// How many of the last lines are printed of a program that ended before its tests had.
-const LAST_LINES: usize = 50;
+const MAX_TAIL_LINES: usize = 50;
 
 /// A test program.
 #[derive(Clone, Debug)]
-pub struct Program {
+pub struct TestProgram {
     /// The package and the name of the test, for people.
     pub name: String,
     /// The compiled program.
@@ -44,9 +47,9 @@ pub struct Program {
 }
 
 /// Builds all of them.
-pub fn build() -> Result<Vec<Program>> {
-    let mut command = cargo::locked("test");
-    command.args(["--no-run", "--lib", "--bins", "--tests"]).args(SELECTION);
+pub fn build() -> Result<Vec<TestProgram>> {
+    let mut command = cargo::locked_command("test");
+    command.args(["--no-run", "--lib", "--bins", "--tests"]).args(CARGO_FEATURE_ARGUMENTS);
     command.args(["--message-format", "json-render-diagnostics"]);
     let output = command.stdin(Stdio::null()).stderr(Stdio::inherit()).output()?;
     if !output.status.success() {
@@ -62,20 +65,20 @@ pub fn build() -> Result<Vec<Program>> {
         let target = message["target"]["name"].as_str()?;
         let package = folder.file_name()?.to_string_lossy().into_owned();
         let name = format!("{package}/{target}");
-        is_test.then_some(Program { name, executable, folder })
+        is_test.then_some(TestProgram { name, executable, folder })
     });
     let programs = programs.collect();
-    check_shared()?;
+    build_host_tool()?;
     Ok(programs)
 }
 
 /// Builds the tool as tests do that start it: all of it is there already, or a crate of others has other features
 /// there.
-fn check_shared() -> Result<()> {
-    let mut command = cargo::locked("build");
-    command.args(["--bin", "trueup", "--message-format", "json"]).args(SELECTION);
-    let messages = process::output(&mut command)?;
-    let again = compiled(&messages);
+fn build_host_tool() -> Result<()> {
+    let mut command = cargo::locked_command("build");
+    command.args(["--bin", "trueup", "--message-format", "json"]).args(CARGO_FEATURE_ARGUMENTS);
+    let messages = process::capture_stdout(&mut command)?;
+    let again = compiled_crates(&messages);
     ensure!(
         again.is_empty(),
         "compiled twice, for the tests and for the tool: {}; a dev-dependency chooses other features than `cargo build`. \
@@ -86,7 +89,7 @@ fn check_shared() -> Result<()> {
 }
 
 /// Returns the names of what cargo compiled, by its messages.
-fn compiled(messages: &str) -> Vec<String> {
+fn compiled_crates(messages: &str) -> Vec<String> {
     let name = |line: &str| {
         let message: Value = serde_json::from_str(line).ok()?;
         (message["fresh"].as_bool() == Some(false))
@@ -99,59 +102,72 @@ fn compiled(messages: &str) -> Vec<String> {
 ///
 /// # Errors
 /// cargo cannot be started.
-pub(crate) fn documentation() -> Result<Tally> {
-    let mut command = cargo::locked("test");
-    command.arg("--doc").args(SELECTION);
-    receive("documentation", &mut command)
+pub(crate) fn run_doc_tests() -> Result<Tally> {
+    let mut command = cargo::locked_command("test");
+    command.arg("--doc").args(CARGO_FEATURE_ARGUMENTS);
+    run_test_command("documentation", &mut command)
 }
 
 /// Runs programs, each with the given arguments and environment.
 ///
 /// # Errors
 /// One cannot be started.
-pub fn run(programs: &[Program], arguments: &[&str], variables: &[(&str, &str)]) -> Result<Tally> {
+pub fn run(
+    programs: &[TestProgram],
+    arguments: &[&str],
+    variables: &[(&str, &str)],
+) -> Result<Tally> {
     let open = Mutex::new(programs.iter().collect::<Vec<_>>());
     let total = Mutex::new(Tally::default());
     std::thread::scope(|scope| {
         let (open, total) = (&open, &total);
         let work = move |worker: usize| -> Result<()> {
             loop {
-                let next = take(&mut open.lock().expect("no worker panics"), worker == 0);
+                let next =
+                    take_next_program(&mut open.lock().expect("no worker panics"), worker == 0);
                 let Some(program) = next else { return Ok(()) };
-                let tally = run_one(program, arguments, variables)?;
-                total.lock().expect("no worker panics").add(tally);
+                let tally = run_program(program, arguments, variables)?;
+                total.lock().expect("no worker panics").merge(tally);
             }
         };
         let workers: Vec<_> =
-            (0..AT_A_TIME).map(|worker| scope.spawn(move || work(worker))).collect();
+            (0..MAX_PARALLEL_PROGRAMS).map(|worker| scope.spawn(move || work(worker))).collect();
         workers.into_iter().try_for_each(|worker| worker.join().expect("no worker panics"))
     })?;
     Ok(total.into_inner().expect("no worker panics"))
 }
 
 /// Takes the next of the programs, rather one that starts LinuxCNC, or rather one that does not.
-fn take<'a>(open: &mut Vec<&'a Program>, starts_linuxcnc: bool) -> Option<&'a Program> {
-    let fits = |program: &&Program| program.name.contains(ONE_AT_A_TIME) == starts_linuxcnc;
+fn take_next_program<'a>(
+    open: &mut Vec<&'a TestProgram>,
+    starts_linuxcnc: bool,
+) -> Option<&'a TestProgram> {
+    let fits =
+        |program: &&TestProgram| program.name.contains(SEQUENTIAL_PROGRAM) == starts_linuxcnc;
     let place = open.iter().position(fits).or((!open.is_empty()).then_some(0))?;
     Some(open.remove(place))
 }
 
-fn run_one(program: &Program, arguments: &[&str], variables: &[(&str, &str)]) -> Result<Tally> {
+fn run_program(
+    program: &TestProgram,
+    arguments: &[&str],
+    variables: &[(&str, &str)],
+) -> Result<Tally> {
     let mut command = Command::new(&program.executable);
     command.current_dir(&program.folder).env("CARGO_MANIFEST_DIR", &program.folder);
     command.args(["--test-threads=1", "--show-output"]).args(arguments);
     command.envs(variables.iter().copied());
-    receive(&program.name, &mut command)
+    run_test_command(&program.name, &mut command)
 }
 
 /// Runs a command that tests, counts by what it prints, and says in a line what came of it.
 ///
 /// # Errors
 /// It cannot be started, or what it says cannot be kept.
-pub fn receive(name: &str, command: &mut Command) -> Result<Tally> {
+pub(crate) fn run_test_command(name: &str, command: &mut Command) -> Result<Tally> {
     let started = Instant::now();
-    let (tally, said) = listen(name, command)?;
-    let folder = setup::root().join("target/verify");
+    let (tally, said) = run_and_tally(name, command)?;
+    let folder = setup::project_root().join("target/verify");
     fs::create_dir_all(&folder)?;
     let file = folder.join(format!("{}.txt", name.replace('/', "-")));
     fs::write(&file, &said).with_context(|| format!("cannot write {}", file.display()))?;
@@ -162,26 +178,26 @@ pub fn receive(name: &str, command: &mut Command) -> Result<Tally> {
     let took = started.elapsed().as_secs_f64();
     let mut piece = format!("{took:7.1} s  {name}: {} passed", tally.passed);
     if tally.failed > 0 {
-        piece += &format!(", {} FAILED\n{}", tally.failed, of_the_failed(&said));
+        piece += &format!(", {} FAILED\n{}", tally.failed, failure_output(&said));
     }
     for line in said.lines().filter(|line| line.starts_with("skipped:")) {
         piece += &format!("\n           {line}");
     }
     // In one piece: two programs run at a time.
-    trueup_output::line(piece);
+    trueup_output::write_line(piece);
     Ok(tally)
 }
 
 /// Returns what a program of tests said of those that failed, or its last lines if it did not come to that.
-fn of_the_failed(said: &str) -> String {
+fn failure_output(said: &str) -> String {
     if let Some(start) = said.find("\nfailures:\n") {
         return said[start..].into();
     }
     let lines: Vec<_> = said.lines().collect();
-    lines[lines.len().saturating_sub(LAST_LINES)..].join("\n")
+    lines[lines.len().saturating_sub(MAX_TAIL_LINES)..].join("\n")
 }
 
-fn listen(name: &str, command: &mut Command) -> Result<(Tally, String)> {
+fn run_and_tally(name: &str, command: &mut Command) -> Result<(Tally, String)> {
     command.stdin(Stdio::null()).stdout(Stdio::piped());
     let mut child = command.spawn().with_context(|| format!("cannot start {name}"))?;
     let output = child.stdout.take().context("the output was asked for")?;
@@ -193,7 +209,7 @@ fn listen(name: &str, command: &mut Command) -> Result<(Tally, String)> {
         let line = String::from_utf8_lossy(&line);
         said.push_str(&line);
         said.push('\n');
-        if tally.receive(name, &line, last.elapsed()) {
+        if tally.record_line(name, &line, last.elapsed()) {
             last = Instant::now();
         }
     }
@@ -215,16 +231,16 @@ mod tests {
     fn a_program_that_dies_has_failed_whatever_it_said() -> Result<()> {
         let mut command = Command::new("sh");
         command.args(["-c", "echo 'test a ... ok'; exit 101"]);
-        let (tally, said) = listen("x", &mut command)?;
+        let (tally, said) = run_and_tally("x", &mut command)?;
         assert_eq!((tally.failed, tally.times.len()), (1, 1));
         assert_eq!(tally.failures, ["x ended before its tests had"]);
-        assert!(of_the_failed(&said).contains("ended before"), "{said}");
+        assert!(failure_output(&said).contains("ended before"), "{said}");
         Ok(())
     }
 
     #[test]
     fn one_worker_takes_what_starts_linuxcnc_and_both_take_all_of_it() {
-        let program = |name: &str| Program {
+        let program = |name: &str| TestProgram {
             name: name.into(),
             executable: PathBuf::new(),
             folder: PathBuf::new(),
@@ -232,7 +248,7 @@ mod tests {
         let programs = ["x/chip", "x/linuxcnc_joint", "x/demo", "x/programs_linuxcnc"].map(program);
         let mut open: Vec<_> = programs.iter().collect();
         let taken: Vec<_> = [true, false, true, true, false, false]
-            .map(|starts| take(&mut open, starts).map(|program| program.name.as_str()))
+            .map(|starts| take_next_program(&mut open, starts).map(|program| program.name.as_str()))
             .into();
         let expected = ["x/linuxcnc_joint", "x/chip", "x/programs_linuxcnc", "x/demo"].map(Some);
         assert_eq!((&taken[..4], &taken[4..]), (&expected[..], &[None, None][..]));
@@ -243,14 +259,14 @@ mod tests {
         let messages = "{\"reason\":\"compiler-artifact\",\"fresh\":true,\"target\":{\"name\":\"a\"}}\n\
                         {\"reason\":\"compiler-artifact\",\"fresh\":false,\"target\":{\"name\":\"b\"}}\n\
                         {\"reason\":\"build-finished\",\"success\":true}\n";
-        assert_eq!(compiled(messages), ["b"]);
+        assert_eq!(compiled_crates(messages), ["b"]);
     }
 
     #[test]
     fn what_the_failed_said_is_printed_without_the_rest() {
         let said = "test a ... ok\ntest b ... FAILED\n\nsuccesses:\n\n---- a stdout ----\nfine\n\n\
                     failures:\n\n---- b stdout ----\nassertion failed\n";
-        let printed = of_the_failed(said);
+        let printed = failure_output(said);
         assert!(printed.contains("assertion failed") && !printed.contains("fine"), "{printed}");
     }
 }

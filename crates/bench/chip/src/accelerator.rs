@@ -6,35 +6,35 @@
 //! lines, are not seen here and cost nothing.
 
 /// Bytes of a line as a shift: 128 bits.
-const LINE: u32 = 4;
-const LINES: usize = 64;
+const LINE_SHIFT: u32 = 4;
+const CACHE_LINES: usize = 64;
 /// Lines of the flash, 1 MB.
-const ALL: usize = 0x10_0000 >> LINE;
-const NOWHERE: u8 = u8::MAX;
+const FLASH_LINES: usize = 0x10_0000 >> LINE_SHIFT;
+const NOT_CACHED: u8 = u8::MAX;
 
-const LATENCY: u32 = 7;
-const PREFETCH: u32 = 1 << 8;
-const INSTRUCTION_CACHE: u32 = 1 << 9;
-const RESET: u32 = 1 << 11;
+const LATENCY_MASK: u32 = 7;
+const PREFETCH_ENABLE: u32 = 1 << 8;
+const INSTRUCTION_CACHE_ENABLE: u32 = 1 << 9;
+const INSTRUCTION_CACHE_RESET: u32 = 1 << 11;
 
 /// The accelerator's memory.
-pub struct Accelerator {
+pub struct FlashAccelerator {
     /// Where each line of the flash is kept.
     place: Vec<u8>,
-    line: [u32; LINES],
-    used: [u64; LINES],
+    line: [u32; CACHE_LINES],
+    used: [u64; CACHE_LINES],
     clock: u64,
     current: u32,
     /// Wait states so far.
     pub waited: u64,
 }
 
-impl Default for Accelerator {
-    fn default() -> Accelerator {
-        Accelerator {
-            place: vec![NOWHERE; ALL],
-            line: [0; LINES],
-            used: [0; LINES],
+impl Default for FlashAccelerator {
+    fn default() -> FlashAccelerator {
+        FlashAccelerator {
+            place: vec![NOT_CACHED; FLASH_LINES],
+            line: [0; CACHE_LINES],
+            used: [0; CACHE_LINES],
             clock: 0,
             current: u32::MAX,
             waited: 0,
@@ -42,27 +42,27 @@ impl Default for Accelerator {
     }
 }
 
-impl Accelerator {
+impl FlashAccelerator {
     /// Cycles that the processor waits for the instruction at this offset of the flash, with this FLASH_ACR.
-    pub fn fetch(&mut self, offset: u32, acr: u32) -> u64 {
-        let line = offset >> LINE;
+    pub fn fetch_wait_cycles(&mut self, offset: u32, acr: u32) -> u64 {
+        let line = offset >> LINE_SHIFT;
         if line == self.current {
             return 0;
         }
         let follows = line == self.current.wrapping_add(1);
         self.current = line;
-        let is_brought = acr & PREFETCH != 0 && follows;
-        let is_kept = acr & INSTRUCTION_CACHE != 0 && self.look_up(line);
-        let waits = if is_brought || is_kept { 0 } else { u64::from(acr & LATENCY) };
+        let is_brought = acr & PREFETCH_ENABLE != 0 && follows;
+        let is_kept = acr & INSTRUCTION_CACHE_ENABLE != 0 && self.look_up(line);
+        let waits = if is_brought || is_kept { 0 } else { u64::from(acr & LATENCY_MASK) };
         self.waited += waits;
         waits
     }
 
     /// A write of FLASH_ACR: ICRST empties the cache.
-    pub fn set(&mut self, acr: u32) {
-        if acr & RESET != 0 {
+    pub fn write_acr(&mut self, acr: u32) {
+        if acr & INSTRUCTION_CACHE_RESET != 0 {
             let waited = self.waited;
-            *self = Accelerator { waited, ..Accelerator::default() };
+            *self = FlashAccelerator { waited, ..FlashAccelerator::default() };
         }
     }
 
@@ -70,13 +70,13 @@ impl Accelerator {
     fn look_up(&mut self, line: u32) -> bool {
         self.clock += 1;
         let place = self.place[line as usize];
-        if place != NOWHERE {
+        if place != NOT_CACHED {
             self.used[place as usize] = self.clock;
             return true;
         }
-        let oldest = (0..LINES).min_by_key(|slot| self.used[*slot]).expect("there are lines");
+        let oldest = (0..CACHE_LINES).min_by_key(|slot| self.used[*slot]).expect("there are lines");
         if self.used[oldest] > 0 {
-            self.place[self.line[oldest] as usize] = NOWHERE;
+            self.place[self.line[oldest] as usize] = NOT_CACHED;
         }
         self.place[line as usize] = oldest as u8;
         self.line[oldest] = line;
@@ -91,27 +91,29 @@ mod tests {
 
     #[test]
     fn without_the_cache_each_new_line_of_16_bytes_waits() {
-        let mut it = Accelerator::default();
-        let waits = |it: &mut Accelerator, acr| (0..32).map(|n| it.fetch(2 * n, acr)).sum::<u64>();
+        let mut it = FlashAccelerator::default();
+        let waits = |it: &mut FlashAccelerator, acr| {
+            (0..32).map(|n| it.fetch_wait_cycles(2 * n, acr)).sum::<u64>()
+        };
         assert_eq!(waits(&mut it, 5), 4 * 5);
         assert_eq!(waits(&mut it, 5), 4 * 5, "and again");
         assert_eq!(waits(&mut it, 0), 0, "at 30 MHz there is none");
-        assert_eq!(waits(&mut it, 5 | PREFETCH), 5, "only the first is not foreseen");
+        assert_eq!(waits(&mut it, 5 | PREFETCH_ENABLE), 5, "only the first is not foreseen");
     }
 
     #[test]
     fn the_cache_holds_64_lines_and_drops_the_one_that_was_not_used_for_longest() {
-        let mut it = Accelerator::default();
-        let acr = 5 | INSTRUCTION_CACHE;
-        let all = |it: &mut Accelerator, lines: u32| {
-            (0..lines).map(|n| it.fetch(n << LINE, acr)).sum::<u64>()
+        let mut it = FlashAccelerator::default();
+        let acr = 5 | INSTRUCTION_CACHE_ENABLE;
+        let all = |it: &mut FlashAccelerator, lines: u32| {
+            (0..lines).map(|n| it.fetch_wait_cycles(n << LINE_SHIFT, acr)).sum::<u64>()
         };
         assert_eq!(all(&mut it, 64), 64 * 5);
         assert_eq!(all(&mut it, 64), 0);
         // A loop of one line more than fits finds none of them.
         assert_eq!(all(&mut it, 65), 5);
         assert_eq!(all(&mut it, 65), 65 * 5);
-        it.set(acr | RESET);
-        assert_eq!(it.fetch(64 << LINE, acr), 5);
+        it.write_acr(acr | INSTRUCTION_CACHE_RESET);
+        assert_eq!(it.fetch_wait_cycles(64 << LINE_SHIFT, acr), 5);
     }
 }

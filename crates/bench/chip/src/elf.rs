@@ -8,7 +8,7 @@ fn u32_at(b: &[u8], o: usize) -> u32 {
 }
 
 /// Returns what is placed in memory: (address, bytes).
-pub fn segments(b: &[u8]) -> Vec<(u32, Vec<u8>)> {
+pub fn loadable_segments(b: &[u8]) -> Vec<(u32, Vec<u8>)> {
     assert_eq!(&b[..5], b"\x7fELF\x01", "not a 32-bit ELF file");
     assert_eq!(u16_at(b, 18), 40, "not an Arm image");
     let (off, size, n) = (u32_at(b, 28) as usize, u16_at(b, 42) as usize, u16_at(b, 44) as usize);
@@ -29,10 +29,11 @@ pub fn segments(b: &[u8]) -> Vec<(u32, Vec<u8>)> {
 }
 
 /// Functions and objects by address, and one by its name.
-pub struct Symbols(Vec<(u32, u32, String)>);
+pub struct SymbolTable(Vec<(u32, u32, String)>);
 
-impl Symbols {
-    pub fn read(b: &[u8]) -> Symbols {
+impl SymbolTable {
+    /// Reads the symbols of an ELF file.
+    pub fn parse(b: &[u8]) -> SymbolTable {
         let (off, size, n) =
             (u32_at(b, 32) as usize, u16_at(b, 46) as usize, u16_at(b, 48) as usize);
         let mut all = Vec::new();
@@ -61,24 +62,26 @@ impl Symbols {
             }
         }
         all.sort();
-        Symbols(all)
+        SymbolTable(all)
     }
-    pub fn at(&self, pc: u32) -> String {
+    /// Returns the function at an address and the offset in it, or the address itself.
+    pub fn describe_address(&self, pc: u32) -> String {
         let i = self.0.partition_point(|(a, _, _)| *a <= pc);
         match i.checked_sub(1).map(|i| &self.0[i]) {
             Some((a, len, name)) if pc < a + (*len).max(2) => {
-                format!("{} + {:#x}", short(name), pc - a)
+                format!("{} + {:#x}", demangle(name), pc - a)
             }
             _ => format!("{pc:#010x}"),
         }
     }
-    pub fn find(&self, name: &str) -> Option<u32> {
+    /// Returns the address of the symbol of that name.
+    pub fn find_address(&self, name: &str) -> Option<u32> {
         self.0.iter().find(|(_, _, n)| n == name).map(|(a, _, _)| *a)
     }
 }
 
 /// `_ZN…17h0123456789abcdefE` without its hash, its lengths turned to `::`.
-fn short(name: &str) -> String {
+fn demangle(name: &str) -> String {
     let Some(mut rest) = name.strip_prefix("_ZN") else { return name.to_owned() };
     let mut parts = Vec::new();
     while let Some(d) = rest.find(|c: char| !c.is_ascii_digit()) {

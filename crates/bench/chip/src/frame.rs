@@ -1,39 +1,59 @@
 //! A frame on the CAN bus: its length on the wire with stuff bits, its rank in arbitration (ISO 11898-1),
 //! and the protection that both ends of this link use (AUTOSAR E2E profile 5).
 
+/// The lower 18 bits of an extended identifier, which follow the flag of the extension.
+const EXTENSION_MASK: u32 = 0x3ffff;
+/// The 15 bits of the checksum of a frame.
+const CRC15_MASK: u32 = 0x7fff;
+/// The generator polynomial of the checksum of a frame.
+const CRC15_POLYNOMIAL: u32 = 0x4599;
+/// CRC-16/CCITT-FALSE: the start value.
+const E2E_CRC_START: u16 = 0xffff;
+/// CRC-16/CCITT-FALSE: the highest bit.
+const E2E_CRC_TOP_BIT: u16 = 0x8000;
+/// CRC-16/CCITT-FALSE: the generator polynomial.
+const E2E_CRC_POLYNOMIAL: u16 = 0x1021;
+
+/// A frame on the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Frame {
+    /// Its identifier.
     pub id: u32,
+    /// The identifier has 29 bits instead of 11.
     pub ext: bool,
+    /// It is a remote frame, without data.
     pub rtr: bool,
+    /// The number of its bytes, as DLC.
     pub len: u8,
+    /// Its bytes; those from `len` on are 0.
     pub data: [u8; 8],
 }
 
 impl Frame {
+    /// Returns a data frame with an identifier of 11 bits and at most eight bytes.
     pub fn new(id: u32, data: &[u8]) -> Frame {
         let mut d = [0; 8];
         d[..data.len()].copy_from_slice(data);
         Frame { id, ext: false, rtr: false, len: data.len() as u8, data: d }
     }
     /// Returns what decides on the bus: the lower goes first.
-    pub fn rank(&self) -> u64 {
+    pub fn arbitration_key(&self) -> u64 {
         let (id, ext) = (u64::from(self.id), u64::from(self.ext));
         if self.ext {
-            (id >> 18) << 21 | 3 << 19 | (id & 0x3ffff) << 1 | u64::from(self.rtr)
+            (id >> 18) << 21 | 3 << 19 | (id & u64::from(EXTENSION_MASK)) << 1 | u64::from(self.rtr)
         } else {
             id << 21 | u64::from(self.rtr) << 20 | ext
         }
     }
     /// Bits on the wire, from the start bit through the three of the pause.
-    pub fn bits(&self) -> u64 {
+    pub fn bit_length(&self) -> u64 {
         let mut raw: Vec<bool> = Vec::with_capacity(128);
         let mut put = |v: u32, n: u32| raw.extend((0..n).rev().map(|i| v >> i & 1 != 0));
         put(0, 1);
         if self.ext {
             put(self.id >> 18, 11);
             put(3, 2);
-            put(self.id & 0x3ffff, 18);
+            put(self.id & EXTENSION_MASK, 18);
             put(u32::from(self.rtr) << 2, 3);
         } else {
             put(self.id, 11);
@@ -48,9 +68,9 @@ impl Frame {
         let mut crc = 0u32;
         for b in &raw {
             let next = *b ^ (crc >> 14 & 1 != 0);
-            crc = crc << 1 & 0x7fff;
+            crc = crc << 1 & CRC15_MASK;
             if next {
-                crc ^= 0x4599;
+                crc ^= CRC15_POLYNOMIAL;
             }
         }
         raw.extend((0..15).rev().map(|i| crc >> i & 1 != 0));
@@ -74,23 +94,23 @@ impl Frame {
 }
 
 /// AUTOSAR E2E profile 5: CRC-16/CCITT-FALSE over byte 2 to the end, then the data ID.
-pub fn crc(id: u32, data: &[u8]) -> u16 {
-    let mut crc = 0xffffu16;
+pub fn compute_e2e_crc(id: u32, data: &[u8]) -> u16 {
+    let mut crc = E2E_CRC_START;
     for b in data[2..].iter().copied().chain([id as u8, (id >> 8) as u8]) {
         crc ^= u16::from(b) << 8;
         for _ in 0..8 {
-            crc = if crc & 0x8000 != 0 { crc << 1 ^ 0x1021 } else { crc << 1 };
+            crc = if crc & E2E_CRC_TOP_BIT != 0 { crc << 1 ^ E2E_CRC_POLYNOMIAL } else { crc << 1 };
         }
     }
     crc
 }
 
 /// Returns a protected frame: checksum, counter, and a body of at most five bytes.
-pub fn protected(id: u32, counter: u8, body: &[u8]) -> Frame {
+pub fn protected_frame(id: u32, counter: u8, body: &[u8]) -> Frame {
     let mut d = [0u8; 8];
     d[2] = counter;
     d[3..3 + body.len()].copy_from_slice(body);
-    let c = crc(id, &d).to_le_bytes();
+    let c = compute_e2e_crc(id, &d).to_le_bytes();
     d[..2].copy_from_slice(&c);
     Frame::new(id, &d)
 }

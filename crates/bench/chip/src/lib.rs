@@ -9,16 +9,18 @@
 //! ```
 
 pub mod accelerator;
+pub mod board;
 pub mod chip;
 pub mod elf;
 pub mod frame;
+pub mod handler_timing;
+mod link;
 pub mod max31865;
+mod memory_map;
 pub mod processor;
 pub mod report;
-pub mod run;
 pub mod script;
 pub mod summary;
 pub mod time;
-pub mod turns;
 pub mod wire;
 pub mod world;

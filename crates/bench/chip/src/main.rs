@@ -2,7 +2,7 @@
 
 mod options;
 
-use options::{Options, options, usage};
+use options::{Options, parse_options, usage};
 use std::{
     collections::BTreeMap,
     fs,
@@ -13,31 +13,36 @@ use std::{
     time::Instant,
 };
 use trueup_chip::{
+    board::{Board, TraceOptions},
     chip::Chip,
-    elf::Symbols,
-    processor::{FLASH_SIZE, Memories, PENDED},
-    report::Grade,
-    run::{Board, Watch},
+    elf::SymbolTable,
+    processor::{FLASH_SIZE, Memories, PENDABLE_EXCEPTIONS},
+    report::Severity,
     script::Script,
     summary,
-    time::{micros, ms, seconds},
+    time::{ms_to_ticks, ticks_to_micros, ticks_to_seconds},
     world::World,
 };
 
+/// FLASH_OPTCR, nWRP of sectors 8 to 11: 0 protects them against writes.
+const OPTCR_NWRP_UPPER_SECTORS: u32 = 0xf00 << 16;
+/// FLASH_OPTCR, BOR_LEV: 0 is brown-out level 3.
+const OPTCR_BOR_LEV: u32 = 0xc;
+
 /// Time of the board between two writes of its log to the file.
-const LOG_PERIOD: u64 = ms(20);
+const LOG_PERIOD_TICKS: u64 = ms_to_ticks(20);
 
 fn main() -> ExitCode {
-    let options = options();
+    let options = parse_options();
     let image = fs::read(&options.image)
         .unwrap_or_else(|error| usage(&format!("{}: {error}", options.image)));
-    let symbols = Symbols::read(&image);
-    let mut board = board(&options, &image);
+    let symbols = SymbolTable::parse(&image);
+    let mut board = build_board(&options, &image);
     let start = Instant::now();
     let mut log = options.rtt.as_ref().map(|file| File::create(file).expect("writable"));
     let mut live_until = |board: &mut Board, end: u64| {
         while board.now() < end {
-            board.run_until((board.now() + LOG_PERIOD).min(end));
+            board.run_until((board.now() + LOG_PERIOD_TICKS).min(end));
             let said = std::mem::take(&mut board.log);
             if let Some(file) = &mut log {
                 file.write_all(&said).expect("writable");
@@ -45,13 +50,13 @@ fn main() -> ExitCode {
         }
     };
     if options.live {
-        play(&mut board, &mut live_until);
+        play_from_stdin(&mut board, &mut live_until);
     } else {
         live_until(&mut board, options.run);
     }
     let wall = start.elapsed().as_secs_f64();
-    save(&options, &board);
-    let now = seconds(board.now());
+    write_output_files(&options, &board);
+    let now = ticks_to_seconds(board.now());
     let up = board.first_sleep.unwrap_or(0);
     println!(
         "== run: {now:.3} s of the board in {wall:.2} s: {:.1} × slower; {} steps, {:.1} M/s; \
@@ -60,38 +65,38 @@ fn main() -> ExitCode {
         board.steps,
         board.steps as f64 / wall / 1e6,
         100.0 - 100.0 * board.asleep as f64 / (board.now() - up).max(1) as f64,
-        seconds(up) * 1e3,
+        ticks_to_seconds(up) * 1e3,
         board.sleeps
     );
     let violations = board.with_chip(|chip| {
-        summary::summary(chip, options.quiet);
-        say_report(chip, &symbols);
-        chip.report.count(Grade::Violation)
+        summary::print_summary(chip, options.quiet);
+        print_report(chip, &symbols);
+        chip.report.count(Severity::Violation)
     });
-    say_masks(&mut board, &symbols);
+    print_masked_intervals(&mut board, &symbols);
     if options.trace > 0 {
-        say_places(&board.places, &symbols, options.trace as usize);
+        print_pc_histogram(&board.places, &symbols, options.trace as usize);
     }
     ExitCode::from(u8::from(violations > 0))
 }
 
 /// Lets another program play the world as it goes: the lines of a script, in the order of their times, and between
 /// them a time alone. The board then lives until that millisecond, and says so.
-fn play(board: &mut Board, live_until: &mut impl FnMut(&mut Board, u64)) {
+fn play_from_stdin(board: &mut Board, live_until: &mut impl FnMut(&mut Board, u64)) {
     for line in stdin().lines().map_while(Result::ok) {
         if let Ok(at) = line.trim().parse() {
-            live_until(board, ms(at));
+            live_until(board, ms_to_ticks(at));
             println!("{at}");
         } else {
             board.with_chip(|chip| {
-                chip.world.script.as_mut().expect("it is played").add(&line);
+                chip.world.script.as_mut().expect("it is played").add_line(&line);
             });
         }
     }
 }
 
 /// Returns the board that the options ask for, before its first instruction.
-fn board(options: &Options, image: &[u8]) -> Board {
+fn build_board(options: &Options, image: &[u8]) -> Board {
     let memories = Memories::new();
     if let Some(flash) = options.flash.as_ref().and_then(|file| fs::read(file).ok()) {
         memories.flash.write_at(0, &flash).expect("a megabyte of flash");
@@ -99,7 +104,7 @@ fn board(options: &Options, image: &[u8]) -> Board {
     let mut world = World::new(options.plan.clone());
     let script = options.script.as_ref().map(|file| fs::read_to_string(file).expect("a script"));
     if let Some(text) = script.or(options.live.then(String::new)) {
-        world.script = Some(Script::read(&text));
+        world.script = Some(Script::from_text(&text));
         world.rtds.iter_mut().for_each(|rtd| rtd.celsius = Some(20.0));
     }
     world.lsi_hz = options.lsi;
@@ -126,7 +131,7 @@ fn board(options: &Options, image: &[u8]) -> Board {
     world.low = options.low.clone();
     let plc = &mut world.wires[1];
     (plc.baud, plc.parity, plc.stop_bits) = options.plc;
-    let watch = Watch {
+    let watch = TraceOptions {
         masked: options.masked,
         places: options.trace > 0,
         log: options.rtt.is_some(),
@@ -134,23 +139,23 @@ fn board(options: &Options, image: &[u8]) -> Board {
     };
     let mut board = Board::new(image, memories, world, options.faults, watch);
     if options.from_loader {
-        board.start_from_loader();
+        board.start_from_bootloader();
     }
     if options.ram_stuck != 0 {
-        board.stick_ram(options.ram_stuck);
+        board.inject_stuck_bit(options.ram_stuck);
     }
     if options.write_protected {
-        board.with_chip(|chip| chip.flash.optcr &= !(0xf00 << 16));
+        board.with_chip(|chip| chip.flash.optcr &= !OPTCR_NWRP_UPPER_SECTORS);
     }
     if options.bor {
         // As after the image has run once: brown-out level 3.
-        board.with_chip(|chip| chip.flash.optcr &= !0xc);
+        board.with_chip(|chip| chip.flash.optcr &= !OPTCR_BOR_LEV);
     }
     board
 }
 
 /// Writes the files that the options ask for.
-fn save(options: &Options, board: &Board) {
+fn write_output_files(options: &Options, board: &Board) {
     if let Some(file) = &options.flash {
         let mut all = vec![0; FLASH_SIZE as usize];
         board.memories().flash.read_at(0, &mut all).expect("all of it");
@@ -159,7 +164,7 @@ fn save(options: &Options, board: &Board) {
     let now = board.now();
     board.with_chip(|chip| {
         if let Some(file) = &options.log {
-            fs::write(file, summary::log(chip, now)).expect("writable");
+            fs::write(file, summary::format_event_log(chip, now)).expect("writable");
         }
         if let Some(file) = &options.serial_out {
             let bytes: Vec<u8> = chip.world.wires[0].heard.iter().map(|(_, byte)| *byte).collect();
@@ -168,7 +173,7 @@ fn save(options: &Options, board: &Board) {
     });
 }
 
-fn say_report(chip: &Chip, symbols: &Symbols) {
+fn print_report(chip: &Chip, symbols: &SymbolTable) {
     if chip.flash.stale != 0 {
         println!(
             "== a cache was on during an erase and has not been reset since (RM0090 on \
@@ -176,39 +181,45 @@ fn say_report(chip: &Chip, symbols: &Symbols) {
             chip.flash.stale
         );
     }
-    for grade in [Grade::Fact, Grade::Unmodelled, Grade::Remark, Grade::Violation] {
+    for grade in [Severity::Fact, Severity::Unmodelled, Severity::Remark, Severity::Violation] {
         println!("== {grade:?}: {}", chip.report.count(grade));
         for ((of, text), item) in &chip.report.items {
             if *of == grade {
                 println!(
                     "   {text}  [{} ×, first at {:.3} ms, {}]",
                     item.count,
-                    seconds(item.first) * 1e3,
-                    symbols.at(item.pc)
+                    ticks_to_seconds(item.first) * 1e3,
+                    symbols.describe_address(item.pc)
                 );
             }
         }
     }
 }
 
-fn say_masks(board: &mut Board, symbols: &Symbols) {
+fn print_masked_intervals(board: &mut Board, symbols: &SymbolTable) {
     board.masks.sort_by_key(|masked| std::cmp::Reverse(masked.length));
     for masked in board.masks.iter().take(12) {
         println!(
             "   PRIMASK set for {:.2} µs at {:.3} ms from {}",
-            micros(masked.length),
-            seconds(masked.since) * 1e3,
-            symbols.at(masked.pc)
+            ticks_to_micros(masked.length),
+            ticks_to_seconds(masked.since) * 1e3,
+            symbols.describe_address(masked.pc)
         );
     }
-    let waits = PENDED.iter().zip(board.pended_longest).filter(|(_, longest)| *longest > 0);
-    let waits: Vec<String> =
-        waits.map(|((name, _), longest)| format!("{name}: {:.1} µs", micros(longest))).collect();
+    let waits =
+        PENDABLE_EXCEPTIONS.iter().zip(board.pended_longest).filter(|(_, longest)| *longest > 0);
+    let waits: Vec<String> = waits
+        .map(|((name, _), longest)| format!("{name}: {:.1} µs", ticks_to_micros(longest)))
+        .collect();
     if !waits.is_empty() {
         println!("   pending at the longest: {}", waits.join(", "));
     }
     let turns = board.turns.longest.iter().map(|(number, longest)| {
-        format!("{number}: {:.1} of {:.1} µs", micros(longest.own), micros(longest.whole))
+        format!(
+            "{number}: {:.1} of {:.1} µs",
+            ticks_to_micros(longest.own),
+            ticks_to_micros(longest.whole)
+        )
     });
     let turns: Vec<String> = turns.collect();
     if !turns.is_empty() {
@@ -216,10 +227,10 @@ fn say_masks(board: &mut Board, symbols: &Symbols) {
     }
 }
 
-fn say_places(places: &BTreeMap<u32, u64>, symbols: &Symbols, most: usize) {
+fn print_pc_histogram(places: &BTreeMap<u32, u64>, symbols: &SymbolTable, most: usize) {
     let mut by: BTreeMap<String, u64> = BTreeMap::new();
     for (pc, count) in places {
-        let name = symbols.at(*pc);
+        let name = symbols.describe_address(*pc);
         *by.entry(name.split(" + ").next().unwrap_or_default().to_owned()).or_default() += count;
     }
     let mut by: Vec<_> = by.into_iter().collect();

@@ -2,49 +2,78 @@
 
 use std::process::exit;
 use trueup_chip::{
-    chip::Faults,
+    chip::InjectedFaults,
     frame::Frame,
-    time::{NEVER, ms},
+    time::{NEVER, ms_to_ticks},
     wire::Parity,
-    world::{NOMINAL_SUPPLY, Plan},
+    world::{NOMINAL_SUPPLY_V, StimulusPlan},
 };
 
+/// Options of the command line.
 pub struct Options {
+    /// The file of the image.
     pub image: String,
+    /// For how long it runs, in ticks.
     pub run: u64,
-    pub faults: Faults,
-    pub plan: Plan,
+    /// Faults from outside.
+    pub faults: InjectedFaults,
+    /// The inputs of the run.
+    pub plan: StimulusPlan,
     /// Of the wires.
     pub ports: [Option<u16>; 2],
     /// The RS-485 line as its master has it: speed, parity, stop bits.
     pub plc: (f64, Parity, u32),
+    /// Pins that a switch holds at ground: port, pin.
     pub low: Vec<(usize, u32)>,
+    /// Where the log of the image goes.
     pub rtt: Option<String>,
+    /// CYCCNT counts while the processor sleeps.
     pub awake: bool,
+    /// The summary leaves out what the serial line said.
     pub quiet: bool,
+    /// It starts as after the chip's own loader.
     pub from_loader: bool,
+    /// Number of functions to print, those that take the most time first.
     pub trace: u64,
+    /// Frequency of LSI, in Hz.
     pub lsi: u64,
+    /// VBAT has a battery of its own.
     pub battery: bool,
+    /// Frequency of the crystal, in Hz.
     pub crystal: u64,
+    /// The flash takes its largest times.
     pub slow_flash: bool,
+    /// The supply, in V.
     pub supply: f64,
+    /// Volts at the converters' inputs 0 to 15.
     pub inputs: [f64; 16],
+    /// The option bytes are those after a first run.
     pub bor: bool,
+    /// Sectors 8 to 11 are protected against writes.
     pub write_protected: bool,
+    /// The word of the SRAM whose lowest bit is stuck at 1; 0: none.
     pub ram_stuck: u32,
+    /// Thermometers whose wire is broken, a bit each.
     pub broken: u32,
+    /// Number of thermometers.
     pub rtds: u32,
+    /// Times without interrupts and times of handlers are printed.
     pub masked: bool,
+    /// The file that keeps the flash between runs.
     pub flash: Option<String>,
+    /// Where the bytes of the serial line go.
     pub serial_out: Option<String>,
+    /// The file of the script.
     pub script: Option<String>,
+    /// The script comes line by line on standard input.
     pub live: bool,
+    /// Where the log of the board's output goes.
     pub log: Option<String>,
 }
 
-pub fn options() -> Options {
-    let mut o = defaults();
+/// Reads the command line, and ends the program if it is wrong.
+pub fn parse_options() -> Options {
+    let mut o = default_options();
     let mut args = std::env::args().skip(1);
     let number = |v: Option<String>, what: &str| -> u64 {
         v.and_then(|v| v.parse().ok()).unwrap_or_else(|| usage(what))
@@ -54,26 +83,26 @@ pub fn options() -> Options {
     };
     while let Some(a) = args.next() {
         match a.as_str() {
-            "--ms" => o.run = ms(number(args.next(), &a)),
+            "--ms" => o.run = ms_to_ticks(number(args.next(), &a)),
             "--code" => o.plan.code = number(args.next(), &a) as f64,
             "--code-after" => o.plan.code_after = number(args.next(), &a) as f64,
-            "--step-ms" => o.plan.step_at = ms(number(args.next(), &a)),
+            "--step-ms" => o.plan.step_at = ms_to_ticks(number(args.next(), &a)),
             "--noise" => o.plan.noise = number(args.next(), &a) as f64,
-            "--engage-ms" => o.plan.engage_at = ms(number(args.next(), &a)),
-            "--zero-ms" => o.plan.zero_at = ms(number(args.next(), &a)),
-            "--cnc-until-ms" => o.plan.cnc_until = ms(number(args.next(), &a)),
+            "--engage-ms" => o.plan.engage_at = ms_to_ticks(number(args.next(), &a)),
+            "--zero-ms" => o.plan.zero_at = ms_to_ticks(number(args.next(), &a)),
+            "--cnc-until-ms" => o.plan.cnc_until = ms_to_ticks(number(args.next(), &a)),
             "--no-cnc" => o.plan.cnc_from = NEVER,
             "--rpm" => o.plan.rpm = number(args.next(), &a) as u16,
             "--positions" => o.plan.positions = number(args.next(), &a),
             "--say" => {
-                let at = ms(number(args.next(), &a));
-                o.plan.says.push((at, text_to_say(args.next())));
+                let at = ms_to_ticks(number(args.next(), &a));
+                o.plan.says.push((at, parse_text(args.next())));
             }
             "--frame" => {
-                let at = ms(number(args.next(), &a));
-                o.plan.frames.push((at, frame(args.next())));
+                let at = ms_to_ticks(number(args.next(), &a));
+                o.plan.frames.push((at, parse_frame(args.next())));
             }
-            "--hse-stops" => o.faults.hse_stops = ms(number(args.next(), &a)),
+            "--hse-stops" => o.faults.hse_stops = ms_to_ticks(number(args.next(), &a)),
             "--hse-dead" => o.faults.hse_dead = true,
             "--pll-dead" => o.faults.pll_dead = true,
             "--lse-dead" => o.faults.lse_dead = true,
@@ -82,14 +111,14 @@ pub fn options() -> Options {
             "--crc-dead" => o.faults.crc_dead = true,
             "--serial-dma-stuck" => o.faults.serial_dma_stuck = true,
             "--from-loader" => o.from_loader = true,
-            "--stray-flash-write" => o.faults.stray_write = ms(number(args.next(), &a)),
+            "--stray-flash-write" => o.faults.stray_write = ms_to_ticks(number(args.next(), &a)),
             "--upset" => {
-                let at = ms(number(args.next(), &a));
+                let at = ms_to_ticks(number(args.next(), &a));
                 let to = args.next().unwrap_or_else(|| usage("--upset"));
                 let to = u32::from_str_radix(to.trim_start_matches("0x"), 16);
                 o.faults.upset = (at, to.unwrap_or_else(|_| usage("--upset")));
             }
-            "--adc-stalls" => o.faults.adc_stalls = ms(number(args.next(), &a)),
+            "--adc-stalls" => o.faults.adc_stalls = ms_to_ticks(number(args.next(), &a)),
             "--supply" => o.supply = decimal(args.next(), &a),
             "--input" => {
                 let channel = number(args.next(), &a) as usize;
@@ -115,7 +144,7 @@ pub fn options() -> Options {
             "--modbus" => o.ports[1] = Some(number(args.next(), &a) as u16),
             "--modbus-baud" => o.plc.0 = number(args.next(), &a) as f64,
             "--modbus-no-parity" => (o.plc.1, o.plc.2) = (Parity::None, 2),
-            "--low" => o.low.push(pin(&args.next().unwrap_or_else(|| usage(&a)))),
+            "--low" => o.low.push(parse_pin(&args.next().unwrap_or_else(|| usage(&a)))),
             "--serial-out" => o.serial_out = args.next(),
             "--script" => o.script = args.next(),
             "--live" => o.live = true,
@@ -137,11 +166,11 @@ pub fn options() -> Options {
 }
 
 /// Returns a sound board that runs for two seconds.
-fn defaults() -> Options {
+fn default_options() -> Options {
     Options {
         image: String::new(),
-        run: ms(2000),
-        faults: Faults::default(),
+        run: ms_to_ticks(2000),
+        faults: InjectedFaults::default(),
         ports: [None; 2],
         plc: (19_200.0, Parity::Even, 1),
         low: Vec::new(),
@@ -154,7 +183,7 @@ fn defaults() -> Options {
         battery: false,
         crystal: 8_000_000,
         slow_flash: false,
-        supply: NOMINAL_SUPPLY,
+        supply: NOMINAL_SUPPLY_V,
         inputs: [0.0; 16],
         bor: false,
         write_protected: false,
@@ -167,13 +196,13 @@ fn defaults() -> Options {
         script: None,
         live: false,
         log: None,
-        plan: Plan {
+        plan: StimulusPlan {
             code: 1000.0,
             code_after: 1200.0,
-            step_at: ms(1000),
+            step_at: ms_to_ticks(1000),
             noise: 1.0,
-            cnc_from: ms(50),
-            engage_at: ms(400),
+            cnc_from: ms_to_ticks(50),
+            engage_at: ms_to_ticks(400),
             zero_at: NEVER,
             cnc_until: NEVER,
             rpm: 3000,
@@ -184,12 +213,12 @@ fn defaults() -> Options {
     }
 }
 
-fn text_to_say(text: Option<String>) -> Vec<u8> {
+fn parse_text(text: Option<String>) -> Vec<u8> {
     text.unwrap_or_else(|| usage("--say")).replace("\\r", "\r").into_bytes()
 }
 
 /// Returns a frame written as `302#0011`.
-fn frame(text: Option<String>) -> Frame {
+fn parse_frame(text: Option<String>) -> Frame {
     let text = text.unwrap_or_else(|| usage("--frame"));
     let (id, data) = text.split_once('#').unwrap_or_else(|| usage("--frame"));
     let byte = |i: usize| u8::from_str_radix(&data[2 * i..2 * i + 2], 16);
@@ -199,11 +228,12 @@ fn frame(text: Option<String>) -> Frame {
 }
 
 /// Returns the port and number of a pin like `PC12`.
-fn pin(name: &str) -> (usize, u32) {
+fn parse_pin(name: &str) -> (usize, u32) {
     let &[b'P', port @ b'A'..=b'I', ..] = name.as_bytes() else { usage(name) };
     (usize::from(port - b'A'), name[2..].parse().unwrap_or_else(|_| usage(name)))
 }
 
+/// Prints what is wrong and how the program is called, and ends it.
 pub fn usage(what: &str) -> ! {
     eprintln!(
         "{what}: see README.md\nusage: trueup-chip IMAGE.elf [--ms N] [--say MS TEXT] [--hse-dead] [--pll-dead] [--can-alone] [--can-short] [--serial PORT] …"

@@ -1,9 +1,13 @@
 //! The world outside by a script (`--script FILE`): a line is `MS KEY VALUE…`. The board's output
 //! goes to `--log FILE`, and nothing of what is inside it.
 
-use crate::time::ms;
+use crate::time::ms_to_ticks;
 use std::collections::VecDeque;
 
+/// Start value of random numbers.
+pub(crate) const RANDOM_SEED: u64 = 0x9e37_79b9_7f4a_7c15;
+
+/// A script, and the state of the world that it sets.
 #[derive(Clone, Debug, Default)]
 pub struct Script {
     pub(crate) lines: VecDeque<(u64, Vec<String>)>,
@@ -39,19 +43,23 @@ pub struct Script {
 }
 
 /// Returns a line: when, and its words.
-fn parse(line: &str) -> (u64, Vec<String>) {
+fn parse_line(line: &str) -> (u64, Vec<String>) {
     let mut words = line.split_whitespace();
     let at: f64 =
         words.next().and_then(|t| t.parse().ok()).unwrap_or_else(|| panic!("script: {line}"));
-    ((at * ms(1) as f64) as u64, words.map(str::to_owned).collect())
+    ((at * ms_to_ticks(1) as f64) as u64, words.map(str::to_owned).collect())
 }
 
 impl Script {
-    pub fn read(text: &str) -> Script {
+    /// Reads the lines of a script.
+    ///
+    /// # Panics
+    /// A line does not begin with a time.
+    pub fn from_text(text: &str) -> Script {
         let mut lines: Vec<(u64, Vec<String>)> = text
             .lines()
             .filter(|l| !l.trim().is_empty() && !l.starts_with('#'))
-            .map(parse)
+            .map(parse_line)
             .collect();
         lines.sort_by_key(|l| l.0);
         Script {
@@ -64,7 +72,7 @@ impl Script {
             x: 100.0,
             code: 800.0,
             noise: 1.0,
-            rng: 0x9e37_79b9_7f4a_7c15,
+            rng: RANDOM_SEED,
             ..Script::default()
         }
     }
@@ -72,32 +80,34 @@ impl Script {
     ///
     /// # Panics
     /// It does not begin with a time.
-    pub fn add(&mut self, line: &str) {
-        self.lines.push_back(parse(line));
+    pub fn add_line(&mut self, line: &str) {
+        self.lines.push_back(parse_line(line));
     }
-    pub fn random(&mut self) -> u64 {
+    /// Returns 53 bits that look like chance.
+    pub fn next_random(&mut self) -> u64 {
         self.rng ^= self.rng << 13;
         self.rng ^= self.rng >> 7;
         self.rng ^= self.rng << 17;
         self.rng >> 11
     }
-    pub(crate) fn part(&mut self) -> f64 {
-        self.random() as f64 / (1u64 << 53) as f64
+    pub(crate) fn random_fraction(&mut self) -> f64 {
+        self.next_random() as f64 / (1u64 << 53) as f64
     }
     /// Returns the sensor's code; `scale`: what one code has become, with a supply that is not as it should be.
-    pub fn sample(&mut self, now: u64, scale: f64) -> u32 {
+    pub fn sample_sensor(&mut self, now: u64, scale: f64) -> u32 {
         if !self.pattern.is_empty() {
             self.turn += 1;
             return self.pattern[self.turn % self.pattern.len()];
         }
         if let Some(n) = self.chatter {
-            return (self.part() * (n + 1.0)) as u32;
+            return (self.random_fraction() * (n + 1.0)) as u32;
         }
-        let mean = self.code + self.slope * now.saturating_sub(self.since) as f64 / ms(1000) as f64;
-        if self.spike > 0.0 && self.random().is_multiple_of(200) {
-            return if self.random() & 1 == 0 { 4095 } else { 0 };
+        let mean = self.code
+            + self.slope * now.saturating_sub(self.since) as f64 / ms_to_ticks(1000) as f64;
+        if self.spike > 0.0 && self.next_random().is_multiple_of(200) {
+            return if self.next_random() & 1 == 0 { 4095 } else { 0 };
         }
-        let r = (self.part() + self.part() - 1.0) * self.noise;
+        let r = (self.random_fraction() + self.random_fraction() - 1.0) * self.noise;
         (scale * mean + r + 0.5).clamp(0.0, 4095.0) as u32
     }
 }

@@ -1,6 +1,6 @@
 //! A serial wire of the board, and the host at its other end.
 
-use crate::time::TPS;
+use crate::time::TICKS_PER_SECOND;
 use std::{
     collections::VecDeque,
     io::{ErrorKind, Read as _, Write as _},
@@ -10,15 +10,19 @@ use std::{
 /// Parity of a character: the bit between its eight bits and its stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Parity {
+    /// No parity bit.
     None,
+    /// An even number of ones, parity bit included.
     Even,
 }
 
 /// A wire.
-pub struct Wire {
+pub struct SerialLine {
     /// The host's speed.
     pub baud: f64,
+    /// The host's parity.
     pub parity: Parity,
+    /// The host's stop bits.
     pub stop_bits: u32,
     /// The pin that has to be high for what the board sends to reach it: port, pin.
     pub drive: Option<(usize, u32)>,
@@ -34,9 +38,9 @@ pub struct Wire {
 }
 
 /// A client is given what the board has said when the line falls silent, and after this many bytes at the latest.
-const MAX_AT_ONCE: usize = 256;
+const MAX_CHUNK_BYTES: usize = 256;
 
-impl Wire {
+impl SerialLine {
     /// Returns one that is driven all the time, with ten bits to a character.
     #[must_use]
     pub fn new(baud: f64) -> Self {
@@ -55,23 +59,23 @@ impl Wire {
 
     /// Returns how long one of the host's characters takes, in ticks.
     #[must_use]
-    pub fn character(&self) -> u64 {
+    pub fn character_ticks(&self) -> u64 {
         let bits = 9 + u32::from(self.parity != Parity::None) + self.stop_bits;
-        (f64::from(bits) * TPS as f64 / self.baud) as u64
+        (f64::from(bits) * TICKS_PER_SECOND as f64 / self.baud) as u64
     }
 
-    pub(crate) fn hear(&mut self, now: u64, byte: u8) {
+    pub(crate) fn push_byte_from_board(&mut self, now: u64, byte: u8) {
         self.heard.push((now, byte));
         if self.client.is_some() {
             self.owed.push(byte);
         }
-        if self.owed.len() >= MAX_AT_ONCE {
-            self.give();
+        if self.owed.len() >= MAX_CHUNK_BYTES {
+            self.flush_to_client();
         }
     }
 
     /// Gives the client what it is owed: nothing follows the last byte for now.
-    pub(crate) fn give(&mut self) {
+    pub(crate) fn flush_to_client(&mut self) {
         let owed = std::mem::take(&mut self.owed);
         if let Some(client) = &mut self.client
             && client.write_all(&owed).is_err()
@@ -80,16 +84,16 @@ impl Wire {
         }
     }
 
-    pub(crate) fn next_at(&self) -> Option<u64> {
+    pub(crate) fn next_byte_time(&self) -> Option<u64> {
         self.to_board.front().map(|byte| byte.0)
     }
 
-    pub(crate) fn take(&mut self) -> Option<u8> {
+    pub(crate) fn take_byte(&mut self) -> Option<u8> {
         self.to_board.pop_front().map(|byte| byte.1)
     }
 
     /// Takes what the client at the port has said; who has gone makes room for the next.
-    pub(crate) fn hear_client(&mut self, now: u64) {
+    pub(crate) fn receive_from_client(&mut self, now: u64) {
         let Some(port) = &self.port else { return };
         if self.client.is_none() {
             self.owed.clear();

@@ -10,28 +10,30 @@ use std::path::Path;
 
 use anyhow::{Context as _, Result};
 use serde::Serialize;
-use trueup_diagnose::{Diagnosis, Options, diagnose_for, report::Finding};
-use trueup_machine::{MachineFile, RunFile, compile, file::Quantity, predict::Predictor};
+use trueup_diagnose::{Diagnosis, DiagnosisOptions, diagnose_with_options, report::Finding};
+use trueup_machine::{
+    CompiledCalibration, MachineFile, RunFile, compile, file::Quantity, predict::Predictor,
+};
 use trueup_twin::noise::rms;
 
 use crate::{
     Progress, bench,
-    boards::{Boards, Started},
-    hidden::{Hidden, causes},
-    play::{Pace, Played, most_faster, play},
-    table::with_columns,
+    boards::{BoardSource, StartedBoard},
+    faulty_machine::{FaultyMachine, expected_causes},
+    playback::{PlaybackRecord, PlaybackTiming, max_playback_speedup, play},
+    run_table::with_columns,
 };
 
 /// A shift takes so long on the board, in s: three of them are below ten minutes.
-const SHIFT_S: f64 = 180.0;
+const SHIFT_DURATION_S: f64 = 180.0;
 /// And so long at the most, where a board would doubt its thermometers otherwise.
-const LONGEST_SHIFT_S: f64 = 195.0;
+const MAX_SHIFT_DURATION_S: f64 = 195.0;
 /// From this quality on (hold, ramping out, fault) an offset is none.
-const FIRST_UNUSABLE: u8 = 4;
+const FIRST_UNUSABLE_QUALITY: u8 = 4;
 
 /// A fault, and the causes that name it.
 #[derive(Clone, Debug, Serialize)]
-pub struct FaultSaid {
+pub struct FaultCauses {
     /// Its name.
     pub fault: &'static str,
     /// One or two.
@@ -48,7 +50,7 @@ pub struct Outcome {
     /// The kind of machine.
     pub machine: &'static str,
     /// The hidden faults.
-    pub faults: Vec<FaultSaid>,
+    pub faults: Vec<FaultCauses>,
     /// By how much the nearest rival law is worse, as a difference of BIC.
     pub gap: f64,
     /// The findings, as in `diagnosis.json`.
@@ -77,7 +79,7 @@ pub struct Outcome {
 }
 
 /// Act two, with what its pictures need.
-pub struct ActTwo {
+pub struct ActTwoResult {
     /// The result, as in `summary.json`.
     pub outcome: Outcome,
     /// The diagnosis.
@@ -95,80 +97,81 @@ pub struct ActTwo {
 ///
 /// # Errors
 /// A board ends, or the record cannot be compared.
-pub fn act_two(boards: &Boards, hidden: &Hidden, progress: &mut Progress<'_>) -> Result<ActTwo> {
+pub fn run_act_two(
+    boards: &BoardSource,
+    hidden: &FaultyMachine,
+    progress: &mut Progress<'_>,
+) -> Result<ActTwoResult> {
     let plant = &hidden.plant;
     let quantity = Quantity::ALL
         .into_iter()
         .find(|quantity| quantity.name() == plant.quantity)
         .context("a quantity")?;
     let path = Path::new("machine.toml");
-    let first = hidden.record(0, false)?;
-    let (source, _) = bench::connected(&plant.machine, &first)?;
+    let (first, second) = (hidden.record_day(0, false)?, hidden.record_day(1, false)?);
+    let (source, _) = bench::connect_inputs(&plant.machine, &first)?;
     let mut notes = Vec::new();
-    let second = hidden.record(1, false)?;
-    let faster = factor_of_time(&first, &second)?;
-    let day = Day { boards, quantity, faster };
+    let faster = time_compression(&first, &second)?;
+    let day = BenchDay { boards, quantity, faster };
 
-    let believed = bench::machine(&source, faster)?;
-    let believed_blob = compile(&believed)?;
+    let believed_blob = compile_for_bench(&source, faster)?;
     progress("a shift with the file that is believed", 0.0);
     let played = boards.run(&believed_blob, |bridge| {
-        day.play(Started { bridge, counter: 0 }, &source, &first, &mut |share| {
+        day.play(StartedBoard { bridge, counter: 0 }, &source, &first, &mut |share| {
             progress("", 0.2 * share)
         })
     })?;
-    let mut board_s = played.board_s;
-    let record = day.recorded(&source, &first, &played, &hidden.measured())?;
+    let record = day.record_with_gauge(&source, &first, &played, &hidden.measured_column())?;
     progress("looking for what is wrong", 0.2);
     let machine = MachineFile::parse(&source, path)?;
     // This CNC adds what it is given.
-    let options = Options { is_applied_once: true, ..Options::default() };
+    let options = DiagnosisOptions { is_applied_once: true, ..DiagnosisOptions::default() };
     let runs = std::slice::from_ref(&record);
-    let diagnosis = diagnose_for(&machine, runs, &[], options, &mut |what, share| {
+    let diagnosis = diagnose_with_options(&machine, runs, &[], options, &mut |what, share| {
         progress(what, 0.2 + 0.3 * share);
     })?;
-    let mut extended = diagnosis.extended(&source, path)?;
-    let new = bench::machine(&extended, faster).and_then(|machine| Ok(compile(&machine)?));
-    let new = match new {
+    let mut extended = diagnosis.render_extended_toml(&source, path)?;
+    let new = match compile_for_bench(&extended, faster) {
         Ok(new) => new,
         Err(why) => {
             notes.push(format!("The board cannot run what was found ({why}); the file stays."));
             extended.clone_from(&source);
-            compile(&believed)?
+            compile_for_bench(&source, faster)?
         }
     };
 
-    let truth = hidden.record(1, true)?;
+    let truth = hidden.record_day(1, true)?;
     progress("another day as it was", 0.5);
     let before = boards.run(&believed_blob, |bridge| {
-        day.play(Started { bridge, counter: 0 }, &source, &second, &mut |share| {
+        day.play(StartedBoard { bridge, counter: 0 }, &source, &second, &mut |share| {
             progress("", 0.5 + 0.2 * share);
         })
     })?;
     progress("loading what was found, and the same day with it", 0.7);
-    let after = boards.run_loaded(&believed_blob, &new, |started| {
+    let after = boards.run_with_update(&believed_blob, &new, |started| {
         day.play(started, &extended, &second, &mut |share| progress("", 0.7 + 0.3 * share))
     })?;
-    board_s += before.board_s + after.board_s;
-    let at_tool =
-        |source: &str, played: &Played| day.left(source, &truth, played, &hidden.measured());
+    let board_s = played.board_s + before.board_s + after.board_s;
+    let at_tool = |source: &str, played: &PlaybackRecord| {
+        day.residuals_um(source, &truth, played, &hidden.measured_column())
+    };
     let (before_um, after_um) = (at_tool(&source, &before)?, at_tool(&extended, &after)?);
-    let (tool_rms_before_um, tool_rms_after_um) = (known(&before_um), known(&after_um));
-    let rows = second.require("time_s")?.iter().zip(before_um.iter().zip(&after_um));
+    let (tool_rms_before_um, tool_rms_after_um) = (finite_rms(&before_um), finite_rms(&after_um));
+    let rows = second.require_column("time_s")?.iter().zip(before_um.iter().zip(&after_um));
     let second_day = rows.map(|(time, (before, after))| [*time, *before, *after]).collect();
 
     let report = &diagnosis.report;
-    let faults = said(hidden);
-    // The day as its bridge sees it: readings are not foreseen from readings.
-    let unread = hidden.unread(&second)?;
-    let promised = diagnosis.promised_on(&unread)?;
+    let faults = hidden_fault_causes(hidden);
+    // The day as its bridge sees it: readings are not predicted from readings.
+    let unread = hidden.with_zeroed_gauge(&second)?;
+    let promised = diagnosis.expected_error_on(&unread)?;
     // What the bridge is off its own model, as the first day has shown, it will be again, before and after.
-    let of_bridge_um = day.off_the_model(&source, &first, &played)?;
+    let of_bridge_um = day.model_deviation_um(&source, &first, &played)?;
     let [before, after] = [promised.before_um, promised.after_um].map(|um| um.hypot(of_bridge_um));
     let promised_reduction = 1.0 - after / before.max(f64::MIN_POSITIVE);
-    let (missed, wrong) = judged(&faults, &report.findings);
-    let envelope = envelope(hidden, &first, &source, &extended, quantity)?;
-    Ok(ActTwo {
+    let (missed, wrong) = score_findings(&faults, &report.findings);
+    let envelope = true_and_predicted_effect(hidden, &first, &source, &extended, quantity)?;
+    Ok(ActTwoResult {
         outcome: Outcome {
             seed: hidden.seed,
             machine: plant.kind.name(),
@@ -193,34 +196,46 @@ pub fn act_two(boards: &Boards, hidden: &Hidden, progress: &mut Progress<'_>) ->
     })
 }
 
+/// Returns the calibration of a machine file for a board whose clock the machine outruns by `faster`.
+fn compile_for_bench(source: &str, faster: f64) -> Result<CompiledCalibration> {
+    Ok(compile(&bench::build_bench_machine(source, faster)?)?)
+}
+
 /// Returns the factor by which the days are played faster: a shift is short enough, and no change of a temperature so
 /// fast that a board would doubt its thermometers.
-fn factor_of_time(first: &RunFile, second: &RunFile) -> Result<f64> {
-    let times = first.require("time_s")?;
+fn time_compression(first: &RunFile, second: &RunFile) -> Result<f64> {
+    let times = first.require_column("time_s")?;
     let span_s = times[times.len() - 1] - times[0];
-    let shift = (span_s / SHIFT_S).ceil();
-    let least = (span_s / LONGEST_SHIFT_S).ceil();
-    let faster = shift.min(most_faster(first)?).min(most_faster(second)?).floor();
+    let shift = (span_s / SHIFT_DURATION_S).ceil();
+    let least = (span_s / MAX_SHIFT_DURATION_S).ceil();
+    let faster = shift.min(max_playback_speedup(first)?).min(max_playback_speedup(second)?).floor();
     Ok(faster.max(least).max(1.0))
 }
 
 /// Computes the RMS of the rows that are known.
-fn known(um: &[f64]) -> f64 {
+fn finite_rms(um: &[f64]) -> f64 {
     rms(&um.iter().copied().filter(|um| um.is_finite()).collect::<Vec<f64>>())
 }
 
 /// Returns the hidden faults with the causes that stand for them.
-fn said(hidden: &Hidden) -> Vec<FaultSaid> {
+fn hidden_fault_causes(hidden: &FaultyMachine) -> Vec<FaultCauses> {
     let faults = hidden.faults.iter();
     faults
-        .map(|it| FaultSaid { fault: it.fault.name(), causes: causes(it.fault), ratio: it.ratio })
+        .map(|it| FaultCauses {
+            fault: it.fault.name(),
+            causes: expected_causes(it.fault),
+            ratio: it.ratio,
+        })
         .collect()
 }
 
 /// Faults that no finding names, and claimed causes that belong to no fault.
-fn judged(faults: &[FaultSaid], findings: &[Finding]) -> (Vec<&'static str>, Vec<String>) {
-    let names = |fault: &FaultSaid, cause: &str| fault.causes.contains(&cause);
-    let is_named = |fault: &&FaultSaid| {
+fn score_findings(
+    faults: &[FaultCauses],
+    findings: &[Finding],
+) -> (Vec<&'static str>, Vec<String>) {
+    let names = |fault: &FaultCauses, cause: &str| fault.causes.contains(&cause);
+    let is_named = |fault: &&FaultCauses| {
         let partners = |it: &Finding| it.together_with.iter().any(|it| names(fault, &it.cause));
         findings.iter().any(|it| names(fault, &it.cause) || partners(it))
     };
@@ -231,8 +246,8 @@ fn judged(faults: &[FaultSaid], findings: &[Finding]) -> (Vec<&'static str>, Vec
 }
 
 /// Returns what the faults really do to each row of the first day, and what the new terms say of it.
-fn envelope(
-    hidden: &Hidden,
+fn true_and_predicted_effect(
+    hidden: &FaultyMachine,
     run: &RunFile,
     source: &str,
     extended: &str,
@@ -242,15 +257,15 @@ fn envelope(
     let predicted = |source: &str| -> Result<Vec<f64>> {
         let machine = MachineFile::parse(source, path)?;
         let rows: Vec<f64> = Predictor::new(&machine, run)?
-            .rows()
-            .map(|row| row.model.all()[quantity as usize])
+            .predictions()
+            .map(|row| row.model.to_array()[quantity as usize])
             .collect();
         Ok(rows)
     };
     let (old, new) = (predicted(source)?, predicted(extended)?);
     let mut found: Vec<f64> = new.iter().zip(old).map(|(new, old)| new - old).collect();
     let mut truth: Vec<f64> =
-        (0..run.rows()).map(|row| hidden.faults.iter().map(|it| it.um[row]).sum()).collect();
+        (0..run.row_count()).map(|row| hidden.faults.iter().map(|it| it.um[row]).sum()).collect();
     if quantity.axis().is_some() {
         // The zero of an axis's gauge is arbitrary.
         for um in [&mut found, &mut truth] {
@@ -258,27 +273,27 @@ fn envelope(
             um.iter_mut().for_each(|um| *um -= mean);
         }
     }
-    let rows = run.require("time_s")?.iter().zip(truth.into_iter().zip(found));
+    let rows = run.require_column("time_s")?.iter().zip(truth.into_iter().zip(found));
     Ok(rows.map(|(time, (truth, found))| [*time, truth, found]).collect())
 }
 
 /// A day on the bench.
-struct Day<'a> {
-    boards: &'a Boards,
+struct BenchDay<'a> {
+    boards: &'a BoardSource,
     quantity: Quantity,
     faster: f64,
 }
 
-impl Day<'_> {
+impl BenchDay<'_> {
     fn play(
         &self,
-        started: Started<'_>,
+        started: StartedBoard<'_>,
         source: &str,
         run: &RunFile,
         progress: &mut dyn FnMut(f64),
-    ) -> Result<Played> {
-        let machine = bench::machine(source, self.faster)?;
-        let mut pace = Pace::by_clock(run, self.faster)?;
+    ) -> Result<PlaybackRecord> {
+        let machine = bench::build_bench_machine(source, self.faster)?;
+        let mut pace = PlaybackTiming::from_timestamps(run, self.faster)?;
         pace.counter = started.counter;
         play(started.bridge, &machine, run, &pace, &|_| true, progress)
             .with_context(|| format!("on the {} board", self.boards.name()))
@@ -286,15 +301,21 @@ impl Day<'_> {
 
     /// Returns what the bridge corrects less what the file `source` predicts, RMS in µm: the steps of its clock, of its
     /// codes and of its arithmetic. The zero of an axis's gauge does not count.
-    fn off_the_model(&self, source: &str, run: &RunFile, played: &Played) -> Result<f64> {
+    fn model_deviation_um(
+        &self,
+        source: &str,
+        run: &RunFile,
+        played: &PlaybackRecord,
+    ) -> Result<f64> {
         let machine = MachineFile::parse(source, Path::new("machine.toml"))?;
-        let corrected = played.corrected_um(self.quantity, &bench::machine(source, 1.0)?);
+        let corrected =
+            played.corrected_um(self.quantity, &bench::build_bench_machine(source, 1.0)?);
         let predicted: Vec<f64> = Predictor::new(&machine, run)?
-            .rows()
-            .map(|row| row.compensated.all()[self.quantity as usize])
+            .predictions()
+            .map(|row| row.compensated.to_array()[self.quantity as usize])
             .collect();
-        let rows =
-            (0..run.rows()).filter(|&row| (1..FIRST_UNUSABLE).contains(&played.quality[row]));
+        let rows = (0..run.row_count())
+            .filter(|&row| (1..FIRST_UNUSABLE_QUALITY).contains(&played.quality[row]));
         let apart = rows.map(|row| corrected[row] - predicted[row]).filter(|um| um.is_finite());
         let mut apart: Vec<f64> = apart.collect();
         if self.quantity.axis().is_some() {
@@ -306,19 +327,19 @@ impl Day<'_> {
 
     /// Returns what the offsets leave of what was measured, NaN in rows without an offset; the zero of an axis's
     /// gauge does not count.
-    fn left(
+    fn residuals_um(
         &self,
         source: &str,
         run: &RunFile,
-        played: &Played,
+        played: &PlaybackRecord,
         measured: &str,
     ) -> Result<Vec<f64>> {
-        let machine = bench::machine(source, 1.0)?;
+        let machine = bench::build_bench_machine(source, 1.0)?;
         let corrected = played.corrected_um(self.quantity, &machine);
-        let values = run.require(measured)?;
-        let mut left: Vec<f64> = (0..run.rows())
+        let values = run.require_column(measured)?;
+        let mut left: Vec<f64> = (0..run.row_count())
             .map(|row| match played.quality[row] {
-                FIRST_UNUSABLE.. => f64::NAN,
+                FIRST_UNUSABLE_QUALITY.. => f64::NAN,
                 0 => values[row],
                 _ => values[row] - corrected[row],
             })
@@ -333,16 +354,16 @@ impl Day<'_> {
 
     /// Returns the bridge's own record with the gauge next to it, as the monitor writes it: the gauge sees what the
     /// offsets leave.
-    fn recorded(
+    fn record_with_gauge(
         &self,
         source: &str,
         run: &RunFile,
-        played: &Played,
+        played: &PlaybackRecord,
         measured: &str,
     ) -> Result<RunFile> {
-        let machine = bench::machine(source, 1.0)?;
+        let machine = bench::build_bench_machine(source, 1.0)?;
         let corrected = played.corrected_um(self.quantity, &machine);
-        let seen = run.require(measured)?.iter().zip(&corrected);
+        let seen = run.require_column(measured)?.iter().zip(&corrected);
         let seen =
             seen.map(|(um, corrected)| if corrected.is_finite() { um - corrected } else { *um });
         let mut more = vec![(measured.to_string(), seen.collect::<Vec<f64>>())];

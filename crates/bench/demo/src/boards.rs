@@ -8,14 +8,14 @@ use anyhow::Result;
 use trueup_core::bridge::Input;
 use trueup_emulator::board::VirtualBoard;
 use trueup_link::frame::Frame;
-use trueup_machine::compile::Compiled;
+use trueup_machine::compile::CompiledCalibration;
 use trueup_node::node::{Interface, Node};
 use trueup_pipe::Block;
 
-use crate::line;
+use crate::calibration_loader;
 
 /// A board that runs.
-pub trait Bridge {
+pub trait SteppedBoard {
     /// Lets it live through these blocks of 1 ms, at most 255, and gives what it sends meanwhile.
     ///
     /// # Errors
@@ -23,16 +23,16 @@ pub trait Bridge {
     fn step(&mut self, blocks: &[Block]) -> Result<Vec<Frame>>;
 }
 
-impl Bridge for VirtualBoard {
+impl SteppedBoard for VirtualBoard {
     fn step(&mut self, blocks: &[Block]) -> Result<Vec<Frame>> {
         Ok(Self::step(self, blocks)?.into_iter().map(|(_, frame)| frame).collect())
     }
 }
 
 /// The application without its board.
-struct InProcess<'a>(Node<'a>);
+struct InProcessBoard<'a>(Node<'a>);
 
-impl Bridge for InProcess<'_> {
+impl SteppedBoard for InProcessBoard<'_> {
     fn step(&mut self, blocks: &[Block]) -> Result<Vec<Frame>> {
         let mut sent = Vec::with_capacity(3 * blocks.len());
         for block in blocks {
@@ -53,23 +53,23 @@ impl Bridge for InProcess<'_> {
 }
 
 /// A board that has just started, and the number of the CNC's next frame.
-pub(crate) struct Started<'b> {
+pub(crate) struct StartedBoard<'b> {
     /// The board.
-    pub bridge: &'b mut dyn Bridge,
+    pub bridge: &'b mut dyn SteppedBoard,
     /// The number.
     pub counter: u8,
 }
 
 /// Where boards come from.
 #[derive(Clone, Debug)]
-pub enum Boards {
+pub enum BoardSource {
     /// QEMU, with this image.
     Emulated(PathBuf),
     /// This process.
     InProcess,
 }
 
-impl Boards {
+impl BoardSource {
     /// Returns what they are called in `summary.json`.
     #[must_use]
     pub fn name(&self) -> &'static str {
@@ -93,19 +93,19 @@ impl Boards {
     ///
     /// # Errors
     /// The emulator does not start, the board refuses, or those of `work`.
-    pub(crate) fn run_loaded<T>(
+    pub(crate) fn run_with_update<T>(
         &self,
-        old: &Compiled,
-        new: &Compiled,
-        work: impl FnOnce(Started<'_>) -> Result<T>,
+        old: &CompiledCalibration,
+        new: &CompiledCalibration,
+        work: impl FnOnce(StartedBoard<'_>) -> Result<T>,
     ) -> Result<T> {
         match self {
             Self::Emulated(image) => {
                 let mut board = VirtualBoard::boot(image, old.blob())?;
-                let counter = line::load(&mut board, new)?;
-                work(Started { bridge: &mut board, counter })
+                let counter = calibration_loader::load_calibration(&mut board, new)?;
+                work(StartedBoard { bridge: &mut board, counter })
             }
-            Self::InProcess => self.run(new, |bridge| work(Started { bridge, counter: 0 })),
+            Self::InProcess => self.run(new, |bridge| work(StartedBoard { bridge, counter: 0 })),
         }
     }
 
@@ -115,13 +115,13 @@ impl Boards {
     /// The emulator does not start, or those of `work`.
     pub fn run<T>(
         &self,
-        calibration: &Compiled,
-        work: impl FnOnce(&mut dyn Bridge) -> Result<T>,
+        calibration: &CompiledCalibration,
+        work: impl FnOnce(&mut dyn SteppedBoard) -> Result<T>,
     ) -> Result<T> {
         match self {
             Self::Emulated(image) => work(&mut VirtualBoard::boot(image, calibration.blob())?),
             Self::InProcess => {
-                work(&mut InProcess(Node::new(Some(calibration.calibration()), false)))
+                work(&mut InProcessBoard(Node::new(calibration.calibration().into())))
             }
         }
     }

@@ -6,13 +6,13 @@ use std::fmt::Write as _;
 use anyhow::Result;
 
 use crate::{
-    act_two::{Outcome, act_two},
-    boards::Boards,
-    hidden::Hidden,
+    act_two::{Outcome, run_act_two},
+    boards::BoardSource,
+    faulty_machine::FaultyMachine,
 };
 
 /// The reduction at the tool may be so far from what was promised.
-const PROMISE: f64 = 0.05;
+const REDUCTION_TOLERANCE: f64 = 0.05;
 
 /// Figures over seeds.
 #[derive(Clone, Debug, Default)]
@@ -26,16 +26,16 @@ impl Campaign {
     ///
     /// # Errors
     /// A board ends.
-    pub fn play(&mut self, boards: &Boards, hidden: &Hidden) -> Result<String> {
-        let outcome = act_two(boards, hidden, &mut |_, _| {})?.outcome;
-        let line = outcome.line();
+    pub fn play(&mut self, boards: &BoardSource, hidden: &FaultyMachine) -> Result<String> {
+        let outcome = run_act_two(boards, hidden, &mut |_, _| {})?.outcome;
+        let line = outcome.format_row();
         self.outcomes.push(outcome);
         Ok(line)
     }
 
     /// Returns the figures.
     #[must_use]
-    pub fn text(&self) -> String {
+    pub fn format_summary(&self) -> String {
         let count =
             |is: &dyn Fn(&Outcome) -> bool| self.outcomes.iter().filter(|it| is(it)).count();
         let machines = self.outcomes.len();
@@ -43,11 +43,11 @@ impl Campaign {
         let claimed: usize =
             self.outcomes.iter().map(|it| it.findings.iter().filter(|it| it.claimed).count()).sum();
         let wrong: usize = self.outcomes.iter().map(|it| it.wrong.len()).sum();
-        let (right, kept) = (count(&|it| it.all_right), count(&Outcome::is_as_promised));
+        let (right, kept) = (count(&|it| it.all_right), count(&Outcome::is_within_tolerance));
         let harm = count(&|it| it.tool_rms_after_um > 1.05 * it.tool_rms_before_um);
         format!(
             "{machines} machines: all right in {right} ({:.1} %); {wrong} wrong names of {claimed} claimed \
-             ({:.1} %); the reduction at the tool within {PROMISE} of the promise in {kept} ({:.1} %); made \
+             ({:.1} %); the reduction at the tool within {REDUCTION_TOLERANCE} of the promise in {kept} ({:.1} %); made \
              worse: {harm}",
             percent(right, machines),
             percent(wrong, claimed),
@@ -59,13 +59,13 @@ impl Campaign {
 impl Outcome {
     /// Returns whether the tool has got what was promised.
     #[must_use]
-    pub fn is_as_promised(&self) -> bool {
-        (self.reduction - self.promised_reduction).abs() <= PROMISE
+    pub fn is_within_tolerance(&self) -> bool {
+        (self.reduction - self.promised_reduction).abs() <= REDUCTION_TOLERANCE
     }
 
     /// Returns a line for a table of many.
     #[must_use]
-    pub fn line(&self) -> String {
+    pub fn format_row(&self) -> String {
         let faults: Vec<String> =
             self.faults.iter().map(|it| format!("{} {:.1}", it.fault, it.ratio)).collect();
         let found = self.findings.iter().map(|it| {
@@ -89,7 +89,7 @@ impl Outcome {
         if !self.wrong.is_empty() {
             let _ = write!(line, ", WRONG {}", self.wrong.join(", "));
         }
-        if !self.is_as_promised() {
+        if !self.is_within_tolerance() {
             line.push_str(", not as promised");
         }
         line

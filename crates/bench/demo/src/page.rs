@@ -1,54 +1,61 @@
 //! The page of the demonstration: first what is wrong and what to do, then pictures, then tables.
 
 use trueup_diagnose::{Diagnosis, Verdict, report::Finding};
-use trueup_page::{Bars, Chart, Colour, Page, Series, Table, micrometres, significant, time_unit};
+use trueup_page::{
+    BarChart, Chart, Colour, Page, Series, Table, choose_time_unit, format_micrometres,
+    format_significant,
+};
 
-use crate::{act_one::ActOne, act_two::ActTwo, say};
+use crate::{act_one::ActOneResult, act_two::ActTwoResult, console_text};
 
 /// A difference of BIC from which two causes are clearly distinguished.
-const CLEAR: f64 = 6.0;
+const CLEAR_BIC_DIFFERENCE: f64 = 6.0;
 /// A table shows no more rows than that.
-const MAX_ROWS: usize = 40;
+const MAX_TABLE_ROWS: usize = 40;
 
 /// Returns the page of one act or both.
 #[must_use]
-pub fn page(one: &ActOne, two: Option<&ActTwo>) -> String {
+pub fn render_page(one: &ActOneResult, two: Option<&ActTwoResult>) -> String {
     let mut page =
         Page::new(&format!("What is wrong with {}, and what a bridge makes of it", one.machine));
-    of_act_one(&mut page, one);
+    add_act_one(&mut page, one);
     if let Some(two) = two {
-        of_act_two(&mut page, two);
+        add_act_two(&mut page, two);
     }
-    page.html()
+    page.to_html()
 }
 
 /// Returns the picture of act two alone, for a page of text: the error at the tool on another day.
 #[must_use]
-pub fn picture_of_act_two(two: &ActTwo) -> String {
-    second_day(two).standalone()
+pub fn act_two_svg(two: &ActTwoResult) -> String {
+    second_day_chart(two).standalone_svg()
 }
 
-fn of_act_two(page: &mut Page, two: &ActTwo) {
+fn add_act_two(page: &mut Page, two: &ActTwoResult) {
     let it = &two.outcome;
-    page.heading(&format!("A hidden fault, seed {}", it.seed));
-    page.text(&format!(
+    page.add_heading(&format!("A hidden fault, seed {}", it.seed));
+    page.add_paragraph(&format!(
         "Chance has broken a virtual machine tool ({}), and the diagnosis is not told how. The bridge ran a \
          shift with the file that its user believes; its own record beside a gauge was diagnosed, the \
          extended file loaded over the line, and the machine ran another day.",
         it.machine
     ));
-    page.figures(&[
-        (micrometres(it.tool_rms_before_um), "RMS error at the tool, as it was".into(), "before"),
-        (micrometres(it.tool_rms_after_um), "with what was found".into(), "after"),
+    page.add_key_figures(&[
+        (
+            format_micrometres(it.tool_rms_before_um),
+            "RMS error at the tool, as it was".into(),
+            "before",
+        ),
+        (format_micrometres(it.tool_rms_after_um), "with what was found".into(), "after"),
         (
             format!("{:.0} %", 100.0 * it.reduction),
             format!("less; promised: {:.0} %", 100.0 * it.promised_reduction),
             "",
         ),
     ]);
-    verdict(page, &two.diagnosis);
-    page.pictures(&[second_day(two).figure(), envelope(two).figure()]);
-    page.subheading("The envelope opened");
+    add_verdict(page, &two.diagnosis);
+    page.add_charts(&[second_day_chart(two).to_figure(), envelope_chart(two).to_figure()]);
+    page.add_subheading("The envelope opened");
     let mut table = Table::new(&["hidden", "size", "named by", "found", "value", "95 %"]);
     for fault in &it.faults {
         let mut cells =
@@ -58,32 +65,33 @@ fn of_act_two(page: &mut Page, two: &ActTwo) {
             None => ["not found".to_string(), "–".into(), "–".into()],
             Some(finding) => {
                 let first = finding.parameters.iter().find(|(_, it)| it["ci95"][0].is_number());
-                let number =
-                    |value: &serde_json::Value| value.as_f64().map_or("–".into(), significant);
+                let number = |value: &serde_json::Value| {
+                    value.as_f64().map_or("–".into(), format_significant)
+                };
                 let (value, interval) = first.map_or(("–".into(), "–".into()), |(name, it)| {
                     let ends = [0, 1].map(|end| number(&it["ci95"][end]));
                     (format!("{name} {}", number(&it["value"])), ends.join(" … "))
                 });
-                [say::name(finding), value, interval]
+                [console_text::finding_name(finding), value, interval]
             }
         });
-        table.row(&cells);
+        table.add_row(&cells);
     }
-    page.table(&table);
-    page.note("Size: RMS of what the fault does, over that of the noise.");
-    page.text(&it.judgement());
-    causes(page, &it.findings);
-    page.note(&format!(
+    page.add_table(&table);
+    page.add_note("Size: RMS of what the fault does, over that of the noise.");
+    page.add_paragraph(&it.describe_outcome());
+    add_findings(page, &it.findings);
+    page.add_note(&format!(
         "The machine's clock ran {:.0} times as fast as the board's, and the time constants in the \
          calibration were as much shorter; {:.0} s of board time. Each fault is at least three times the \
          noise, and the nearest rival law is worse by {:.0} (difference of BIC), reckoned from what the \
          faults really do. This repeats it: cargo demo -- --seed {}",
         it.faster, it.board_s, it.gap, it.seed
     ));
-    page.list(&two.notes);
+    page.add_list(&two.notes);
 }
 
-fn second_day(two: &ActTwo) -> Chart {
+fn second_day_chart(two: &ActTwoResult) -> Chart {
     let (x, seconds) = time_axis(&two.second_day);
     let points = |of: usize| two.second_day.iter().map(|row| [row[0] / seconds, row[of]]).collect();
     Chart {
@@ -97,7 +105,7 @@ fn second_day(two: &ActTwo) -> Chart {
     }
 }
 
-fn envelope(two: &ActTwo) -> Chart {
+fn envelope_chart(two: &ActTwoResult) -> Chart {
     let (x, seconds) = time_axis(&two.envelope);
     let points = |of: usize| two.envelope.iter().map(|row| [row[0] / seconds, row[of]]).collect();
     Chart {
@@ -112,32 +120,36 @@ fn envelope(two: &ActTwo) -> Chart {
 }
 
 fn time_axis(rows: &[[f64; 3]]) -> (String, f64) {
-    let (unit, seconds) = time_unit(rows.last().map_or(0.0, |row| row[0]));
+    let (unit, seconds) = choose_time_unit(rows.last().map_or(0.0, |row| row[0]));
     (format!("time, {unit}"), seconds)
 }
 
-fn of_act_one(page: &mut Page, one: &ActOne) {
-    verdict(page, &one.diagnosis);
-    page.figures(&[
-        (micrometres(one.before.rms_um), "RMS error, the machine file as it is".into(), "before"),
+fn add_act_one(page: &mut Page, one: &ActOneResult) {
+    add_verdict(page, &one.diagnosis);
+    page.add_key_figures(&[
         (
-            micrometres(one.after.rms_um),
+            format_micrometres(one.before.rms_um),
+            "RMS error, the machine file as it is".into(),
+            "before",
+        ),
+        (
+            format_micrometres(one.after.rms_um),
             "RMS error, extended, on readings that nothing was fitted to".into(),
             "after",
         ),
-        (micrometres(one.after.max_um), "the largest of these".into(), "after"),
+        (format_micrometres(one.after.max_um), "the largest of these".into(), "after"),
     ]);
-    page.note(&format!(
+    page.add_note(&format!(
         "Read from {} frames of the board as a CNC reads them, {} damaged or lost, in {:.0} s of board time.",
         one.frames[0], one.frames[1], one.board_s
     ));
-    page.list(&one.notes);
-    page.pictures(&pictures(one));
-    causes(page, &one.diagnosis.report.findings);
+    page.add_list(&one.notes);
+    page.add_charts(&render_charts(one));
+    add_findings(page, &one.diagnosis.report.findings);
     let mut table =
         Table::new(&["measured, µm", "bridge as it is", "off by", "extended", "off by"]);
-    for row in one.rows.iter().step_by(one.rows.len().div_ceil(MAX_ROWS).max(1)) {
-        table.row(&[
+    for row in one.rows.iter().step_by(one.rows.len().div_ceil(MAX_TABLE_ROWS).max(1)) {
+        table.add_row(&[
             format!("{:.1}", row.dial_um),
             format!("{:.2}", row.bridge_um),
             format!("{:+.2}", row.bridge_um - row.dial_um),
@@ -145,12 +157,12 @@ fn of_act_one(page: &mut Page, one: &ActOne) {
             format!("{:+.2}", row.calibrated_um - row.dial_um),
         ]);
     }
-    page.heading("Reading by reading");
-    page.table(&table);
+    page.add_heading("Reading by reading");
+    page.add_table(&table);
 }
 
 /// Adds the verdict and what to do, in a card of its colour.
-pub(crate) fn verdict(page: &mut Page, diagnosis: &Diagnosis) {
+pub(crate) fn add_verdict(page: &mut Page, diagnosis: &Diagnosis) {
     let report = &diagnosis.report;
     let state = match report.verdict {
         Verdict::Clean | Verdict::Explained => "good",
@@ -162,17 +174,17 @@ pub(crate) fn verdict(page: &mut Page, diagnosis: &Diagnosis) {
     sentences.extend(report.hints.iter().cloned());
     let mut heading = report.verdict.name().replace('-', " ");
     heading[..1].make_ascii_uppercase();
-    page.card(state, &heading, &sentences);
+    page.add_card(state, &heading, &sentences);
 }
 
-fn pictures(one: &ActOne) -> Vec<String> {
+fn render_charts(one: &ActOneResult) -> Vec<String> {
     let (x, at) = &one.over;
-    let series = |name: &str, colour, of: fn(&crate::act_one::Row) -> f64| {
+    let series = |name: &str, colour, of: fn(&crate::act_one::ReadingResult) -> f64| {
         let points = at.iter().zip(&one.rows).map(|(at, row)| [*at, of(row)]).collect();
         Series::dots(name, colour, points)
     };
     let chart = |title: &str, y: &str, series| {
-        Chart { title: title.into(), x: x.clone(), y: y.into(), series }.figure()
+        Chart { title: title.into(), x: x.clone(), y: y.into(), series }.to_figure()
     };
     vec![
         chart(
@@ -196,21 +208,25 @@ fn pictures(one: &ActOne) -> Vec<String> {
 }
 
 /// Each finding with its values, its rivals as bars, and the measurement that comes next.
-pub(crate) fn causes(page: &mut Page, findings: &[Finding]) {
+pub(crate) fn add_findings(page: &mut Page, findings: &[Finding]) {
     for finding in findings {
         let open = if finding.claimed { "" } else { " (not settled)" };
-        page.subheading(&format!("{}{open}", say::name(finding)));
-        page.list(&finding.evidence);
+        page.add_subheading(&format!("{}{open}", console_text::finding_name(finding)));
+        page.add_list(&finding.evidence);
         let mut table = Table::new(&["", "value", "95 %"]);
         for (name, parameter) in &finding.parameters {
             if let Some(value) = parameter["value"].as_f64() {
                 let end = |index: usize| {
-                    parameter["ci95"][index].as_f64().map_or("–".into(), significant)
+                    parameter["ci95"][index].as_f64().map_or("–".into(), format_significant)
                 };
-                table.row(&[name.clone(), significant(value), format!("{} … {}", end(0), end(1))]);
+                table.add_row(&[
+                    name.clone(),
+                    format_significant(value),
+                    format!("{} … {}", end(0), end(1)),
+                ]);
             }
         }
-        page.table(&table);
+        page.add_table(&table);
         let mut bars: Vec<(String, f64)> = finding
             .rivals
             .iter()
@@ -223,7 +239,9 @@ pub(crate) fn causes(page: &mut Page, findings: &[Finding]) {
         bars.truncate(5);
         let title = "How much worse another cause explains the same readings (difference of BIC; from 6 \
                      on it is clear)";
-        page.pictures(&[Bars { title: title.into(), bars, clear: CLEAR }.figure()]);
-        page.text(&format!("To measure next: {}", finding.next_test));
+        page.add_charts(&[
+            BarChart { title: title.into(), bars, clear: CLEAR_BIC_DIFFERENCE }.to_figure()
+        ]);
+        page.add_paragraph(&format!("To measure next: {}", finding.next_test));
     }
 }

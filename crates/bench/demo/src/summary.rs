@@ -4,7 +4,7 @@ use serde::Serialize;
 use trueup_diagnose::report::Finding;
 
 use crate::{
-    act_one::{ActOne, Left, Row},
+    act_one::{ActOneResult, ReadingResult, ResidualStatistics},
     act_two::Outcome,
 };
 
@@ -18,11 +18,11 @@ pub struct Summary<'a> {
     /// Frames that were damaged, repeated, out of order or lost.
     pub e2e_errors: u32,
     /// One for each reading.
-    pub rows: &'a [Row],
+    pub rows: &'a [ReadingResult],
     /// Residual of the current machine file.
-    pub paper: Left,
+    pub paper: ResidualStatistics,
     /// Figures of the extended one, on readings that it has not seen.
-    pub calibrated: Calibrated,
+    pub calibrated: CalibrationFigures,
     /// Counts of full scale in the machine file over those of an S7 input; null without a sensor.
     pub s7_full_scale_ratio: Option<f64>,
     /// Verdict of act one.
@@ -40,12 +40,12 @@ pub struct Summary<'a> {
 
 /// Figures of the extended machine file.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct Calibrated {
+pub struct CalibrationFigures {
     /// Measured over sent: µm for 1 µm; null where there is no line.
     pub gain: Option<f64>,
     /// Measured where the bridge says 0, in µm.
     pub offset_um: Option<f64>,
-    /// RMS in µm of what is left of left-out readings.
+    /// RMS in µm of what is left of held-out readings.
     pub loo_rms_um: f64,
     /// The largest of these, in µm.
     pub loo_max_um: f64,
@@ -54,8 +54,8 @@ pub struct Calibrated {
 impl<'a> Summary<'a> {
     /// Returns the figures of act one and of act two, played on a board of this name.
     #[must_use]
-    pub fn of(
-        one: &'a ActOne,
+    pub fn new(
+        one: &'a ActOneResult,
         hidden: Option<&'a Outcome>,
         board: &'static str,
         wall_s: f64,
@@ -67,7 +67,7 @@ impl<'a> Summary<'a> {
             e2e_errors: one.frames[1],
             rows: &one.rows,
             paper: one.before,
-            calibrated: Calibrated {
+            calibrated: CalibrationFigures {
                 gain: one.line.map(|[gain, _]| gain),
                 offset_um: one.line.map(|[_, offset]| offset),
                 loo_rms_um: one.after.rms_um,

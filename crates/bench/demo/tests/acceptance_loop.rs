@@ -6,13 +6,13 @@
 
 use std::path::Path;
 
-use trueup_accept::{Acceptance, Limits, accept};
-use trueup_campaigns::physical::{Kind, Plant};
+use trueup_accept::{AcceptanceCriteria, AcceptanceResult, evaluate_acceptance};
+use trueup_campaigns::physical::{MachineKind, Plant};
 use trueup_demo::{
     bench,
-    boards::Boards,
-    play::{Pace, check, play},
-    table::{parsed, with_columns},
+    boards::BoardSource,
+    playback::{PlaybackTiming, check_offsets, play},
+    run_table::{parse_run, with_columns},
 };
 use trueup_machine::{MachineFile, RunFile, compile, file::Quantity};
 use trueup_twin::{Scenario, simulate};
@@ -25,8 +25,8 @@ const HOURS: f64 = 5.0;
 
 /// Returns a spindle that warms up at one speed, and the constants that its file should have.
 fn spindle() -> (Scenario, String) {
-    let plant = Plant::draw(Kind::WarmupSpindle, 5);
-    let mut scenario = plant.day(0, &[]);
+    let plant = Plant::draw(MachineKind::WarmupSpindle, 5);
+    let mut scenario = plant.scenario_for_day(0, &[]);
     let mut run = scenario.segment[0].clone();
     run.spindle_rpm = scenario.spindle.as_ref().expect("a spindle").max_rpm;
     (run.load_n, run.duration_s) = (0.0, Some(3600.0 * HOURS));
@@ -48,20 +48,20 @@ fn wrong(source: &str, growth: f64, time: f64) -> String {
 }
 
 fn recorded(scenario: &Scenario, seed: u64) -> RunFile {
-    parsed(&simulate(scenario, seed, || {}).to_csv(), "run.csv").expect("a run file")
+    parse_run(&simulate(scenario, seed, || {}).to_csv(), "run.csv").expect("a run file")
 }
 
 /// Returns what the gauge shows when the bridge runs with the file `source`.
 fn with_bridge(source: &str, run: &RunFile) -> RunFile {
-    let (source, _) = bench::connected(source, run).expect("a machine file");
-    let machine = bench::machine(&source, FASTER).expect("a machine file");
-    let pace = Pace::by_clock(run, FASTER).expect("it has a time");
-    let played = Boards::InProcess
+    let (source, _) = bench::connect_inputs(source, run).expect("a machine file");
+    let machine = bench::build_bench_machine(&source, FASTER).expect("a machine file");
+    let pace = PlaybackTiming::from_timestamps(run, FASTER).expect("it has a time");
+    let played = BoardSource::InProcess
         .run(&compile(&machine).expect("it fits the board"), |bridge| {
             play(bridge, &machine, run, &pace, &|_| true, &mut |_| {})
         })
         .expect("the board lives");
-    check(&played, |_| true).expect("an offset in every row");
+    check_offsets(&played, |_| true).expect("an offset in every row");
     let corrected = played.corrected_um(Quantity::Elongation, &machine);
     let seen = run.column(MEASURED).expect("measured").iter().zip(corrected);
     let seen = seen.map(|(um, corrected)| um - corrected).collect();
@@ -69,11 +69,12 @@ fn with_bridge(source: &str, run: &RunFile) -> RunFile {
 }
 
 /// Returns the acceptance of `source`, on days of its own.
-fn turn(scenario: &Scenario, source: &str, number: u64) -> Acceptance {
+fn turn(scenario: &Scenario, source: &str, number: u64) -> AcceptanceResult {
     let off = recorded(scenario, 2 * number);
     let on = with_bridge(source, &recorded(scenario, 2 * number + 1));
     let machine = MachineFile::parse(source, Path::new("m.toml")).expect("a machine file");
-    accept(&off, &on, None, Some((source, &machine)), Limits::default()).expect("comparable")
+    evaluate_acceptance(&off, &on, None, Some((source, &machine)), AcceptanceCriteria::default())
+        .expect("comparable")
 }
 
 fn passes_within_three_turns(growth: f64, time: f64) {
@@ -90,13 +91,15 @@ fn passes_within_three_turns(growth: f64, time: f64) {
         acceptance.advice.sentences.iter().for_each(|sentence| println!("  {sentence}"));
         assert!(number > 0 || !acceptance.passed, "40 % wrong is not good enough");
         if acceptance.passed {
-            assert!(acceptance.adjusted().is_none());
+            assert!(acceptance.adjusted_machine_file().is_none());
             return;
         }
         assert!(
-            acceptance.html("m", &trueup_accept::Origin::default(), &[]).contains("Not passed")
+            acceptance
+                .render_html("m", &trueup_accept::Origin::default(), &[])
+                .contains("Not passed")
         );
-        source = acceptance.adjusted().expect("it says what to change").to_string();
+        source = acceptance.adjusted_machine_file().expect("it says what to change").to_string();
     }
     panic!("not passed in three turns");
 }

@@ -1,18 +1,21 @@
 //! Act two on the board's application in this process: what is hidden is found, and the tool gets what was
 //! promised. Many seeds are a campaign of its own.
 
-use trueup_campaigns::physical::Fault;
-use trueup_demo::{act_two::act_two, boards::Boards, campaign::Campaign, hidden::Hidden};
+use trueup_campaigns::physical::PhysicalFault;
+use trueup_demo::{
+    act_two::run_act_two, boards::BoardSource, campaign::Campaign, faulty_machine::FaultyMachine,
+};
 
 #[test]
 fn a_hidden_fault_is_named_and_another_day_is_better() {
-    let hidden = Hidden::draw(1).expect("a machine that can be told");
-    let two = act_two(&Boards::InProcess, &hidden, &mut |_, _| {}).expect("it runs through");
+    let hidden = FaultyMachine::draw(1).expect("a machine that can be told");
+    let two =
+        run_act_two(&BoardSource::InProcess, &hidden, &mut |_, _| {}).expect("it runs through");
     let it = &two.outcome;
-    println!("{}", it.line());
-    assert!(it.all_right, "{}", it.line());
+    println!("{}", it.format_row());
+    assert!(it.all_right, "{}", it.format_row());
     assert!(it.board_s <= 600.0, "ten minutes of the board, not {} s", it.board_s);
-    assert!(it.tool_rms_after_um < 0.5 * it.tool_rms_before_um, "{}", it.line());
+    assert!(it.tool_rms_after_um < 0.5 * it.tool_rms_before_um, "{}", it.format_row());
     assert_eq!(
         two.second_day.len(),
         two.second_day.iter().filter(|row| row[2].is_finite()).count()
@@ -22,17 +25,18 @@ fn a_hidden_fault_is_named_and_another_day_is_better() {
 /// Each tool grows with the speed in its own way, and the file knows no tools: found, compiled, loaded.
 #[test]
 fn a_hidden_growth_by_tool_is_named_and_runs_on_the_board() {
-    let hidden = Hidden::draw_with_tools(1).expect("a machine that can be told");
-    assert!(hidden.sizes().iter().any(|(fault, _)| *fault == Fault::ToolGrowth));
-    let two = act_two(&Boards::InProcess, &hidden, &mut |_, _| {}).expect("it runs through");
+    let hidden = FaultyMachine::draw_with_tools(1).expect("a machine that can be told");
+    assert!(hidden.fault_sizes().iter().any(|(fault, _)| *fault == PhysicalFault::ToolGrowth));
+    let two =
+        run_act_two(&BoardSource::InProcess, &hidden, &mut |_, _| {}).expect("it runs through");
     let it = &two.outcome;
-    println!("{}", it.line());
-    assert!(it.all_right && it.board_s <= 600.0, "{}", it.line());
+    println!("{}", it.format_row());
+    assert!(it.all_right && it.board_s <= 600.0, "{}", it.format_row());
     let by_tool = it.findings.iter().find(|it| it.column.as_deref() == Some("tool"));
-    let by_tool = by_tool.unwrap_or_else(|| panic!("{}", it.line()));
+    let by_tool = by_tool.unwrap_or_else(|| panic!("{}", it.format_row()));
     assert_eq!((by_tool.form, by_tool.times.as_deref()), (Some("level"), Some("speed2")));
-    assert!(by_tool.claimed && by_tool.compensated, "{}", it.line());
-    assert!(it.tool_rms_after_um < 0.5 * it.tool_rms_before_um, "{}", it.line());
+    assert!(by_tool.claimed && by_tool.compensated, "{}", it.format_row());
+    assert!(it.tool_rms_after_um < 0.5 * it.tool_rms_before_um, "{}", it.format_row());
 }
 
 #[test]
@@ -42,11 +46,11 @@ fn campaign_of_fixed_seeds() {
     let mut campaign = Campaign::default();
     for seed in 0..seeds {
         println!("{}", {
-            let hidden = Hidden::draw(seed).expect("can be told");
-            campaign.play(&Boards::InProcess, &hidden).expect("it runs through")
+            let hidden = FaultyMachine::draw(seed).expect("can be told");
+            campaign.play(&BoardSource::InProcess, &hidden).expect("it runs through")
         });
     }
-    println!("{}", campaign.text());
+    println!("{}", campaign.format_summary());
     let right = campaign.outcomes.iter().filter(|it| it.all_right).count();
     assert!(right > 0, "nothing was found");
 }

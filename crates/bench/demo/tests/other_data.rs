@@ -5,10 +5,10 @@
 use std::{fmt::Write as _, path::Path};
 
 use trueup_demo::{
-    act_one::{ActOne, Asked, act_one},
-    boards::Boards,
+    act_one::{ActOneInput, ActOneResult, run_act_one},
+    boards::BoardSource,
     page,
-    table::parsed,
+    run_table::parse_run,
 };
 
 const MACHINE: &str = include_str!("../../../../data/paper_spindle.toml");
@@ -17,7 +17,7 @@ const ZERO_COUNTS: f64 = 5048.0;
 const UM_PER_COUNT: f64 = 500.0 / 32_768.0;
 
 /// Readings of a dial that shows `dial` of what the sensor says, to 0.1 µm, with a scatter of 0.15 µm.
-fn shown(dial: impl Fn(f64) -> f64) -> ActOne {
+fn shown(dial: impl Fn(f64) -> f64) -> ActOneResult {
     let mut csv = String::from("sensor_counts,spindle_rpm,measured_elongation_um\n");
     let mut state = 17_u64;
     for reading in 0..28 {
@@ -33,31 +33,32 @@ fn shown(dial: impl Fn(f64) -> f64) -> ActOne {
         let um = dial((counts - ZERO_COUNTS) * UM_PER_COUNT) + 0.15 * noise;
         writeln!(csv, "{counts},12000,{um:.1}").expect("a string grows");
     }
-    let run = parsed(&csv, "run.csv").expect("a run file");
-    let asked = Asked { source: MACHINE, path: Path::new("m.toml"), run: &run, quantity: None };
-    act_one(&Boards::InProcess, &asked, &mut |_, _| {}).expect("it runs through")
+    let run = parse_run(&csv, "run.csv").expect("a run file");
+    let asked =
+        ActOneInput { source: MACHINE, path: Path::new("m.toml"), run: &run, quantity: None };
+    run_act_one(&BoardSource::InProcess, &asked, &mut |_, _| {}).expect("it runs through")
 }
 
-fn causes(one: &ActOne) -> Vec<&str> {
+fn causes(one: &ActOneResult) -> Vec<&str> {
     one.diagnosis.report.findings.iter().map(|it| it.cause.as_str()).collect()
 }
 
 #[test]
 fn a_gain_is_called_a_gain() {
     let one = shown(|um| 1.12 * um);
-    let text = one.text();
+    let text = one.to_text();
     println!("{text}");
     assert_eq!(causes(&one), ["sensor-gain"]);
     assert!(text.contains("1.1") && text.contains("for each micrometre"), "{text}");
     assert!(one.after.rms_um < 0.3 && one.before.rms_um > 2.0, "{:?} {:?}", one.before, one.after);
     assert!(!text.contains("27648"), "another full scale is not this gain: {text}");
-    assert!(page::page(&one, None).contains("sensor-gain"));
+    assert!(page::render_page(&one, None).contains("sensor-gain"));
 }
 
 #[test]
 fn a_curvature_is_called_a_curvature() {
     let one = shown(|um| um + 0.002 * um * um);
-    let text = one.text();
+    let text = one.to_text();
     println!("{text}");
     assert_eq!(causes(&one), ["sensor-curvature"]);
     assert!(!text.contains("sensor-gain:") && !text.contains("27648"), "{text}");
@@ -67,7 +68,7 @@ fn a_curvature_is_called_a_curvature() {
 #[test]
 fn nothing_is_called_nothing() {
     let one = shown(|um| um);
-    let text = one.text();
+    let text = one.to_text();
     println!("{text}");
     assert!(causes(&one).is_empty());
     assert!(text.starts_with("clean") && text.contains("nothing to correct"), "{text}");

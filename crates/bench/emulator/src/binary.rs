@@ -17,7 +17,7 @@ pub(crate) const FLASH_SIZE: usize = 1024 * 1024;
 ///
 /// # Errors
 /// The image cannot be read, or has bytes outside the flash.
-pub fn of(image: &Path) -> Result<Vec<u8>> {
+pub fn read_flash_image(image: &Path) -> Result<Vec<u8>> {
     let bytes = fs::read(image).with_context(|| format!("cannot read {}", image.display()))?;
     let file = ElfFile32::<LittleEndian>::parse(&*bytes)?;
     let mut flash = Vec::new();

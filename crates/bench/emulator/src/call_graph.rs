@@ -4,7 +4,7 @@
 //! was believed to do: from the bytes of a function the branches are decoded (Armv7-M, `bl`, `b`,
 //! conditional `b`), and where they lead is walked in turn. Data among the code is known by the
 //! image's mapping symbols. A branch whose target is in a register cannot be followed; every
-//! function with one is reported ([`Reached::blind`]). For the stack ([`CallGraph::deepest`]) a function that
+//! function with one is reported ([`ReachableFunctions::blind`]). For the stack ([`CallGraph::max_stack_depth`]) a function that
 //! branches by a register may call each one whose address it holds.
 
 use std::{
@@ -16,7 +16,7 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 use object::{Object as _, ObjectSection as _, ObjectSymbol as _, SymbolKind};
 
-use crate::frames::{self, Frame};
+use crate::stack_frames::{self, StackFrame};
 
 /// The functions of an image and where each of them branches to.
 pub struct CallGraph {
@@ -26,13 +26,13 @@ pub struct CallGraph {
 struct Function {
     name: String,
     end: u64,
-    branches: Branches,
-    frame: Frame,
+    branches: BranchTargets,
+    frame: StackFrame,
 }
 
 /// Where a function branches to.
 #[derive(Default)]
-struct Branches {
+struct BranchTargets {
     targets: BTreeSet<u64>,
     /// Those of them that it calls: it goes on behind.
     calls: BTreeSet<u64>,
@@ -44,7 +44,7 @@ struct Branches {
 
 /// Functions that can be reached from one, itself included, by the names of the linker.
 #[derive(Default, Debug)]
-pub struct Reached {
+pub struct ReachableFunctions {
     /// All of them.
     pub names: BTreeSet<String>,
     /// Those that branch to what a register says: their calls are not all seen.
@@ -53,10 +53,10 @@ pub struct Reached {
     pub traps: BTreeSet<String>,
 }
 
-impl Reached {
+impl ReachableFunctions {
     /// Returns what of it makes a panic: functions of that name, traps, and what could not be followed.
     #[must_use]
-    pub fn panics(&self) -> Vec<&str> {
+    pub fn panic_functions(&self) -> Vec<&str> {
         let named = self.names.iter().filter(|name| name.contains("panic"));
         named.chain(&self.traps).chain(&self.blind).map(String::as_str).collect()
     }
@@ -94,8 +94,8 @@ impl CallGraph {
                 Function {
                     name: symbol.name()?.to_owned(),
                     end: start + symbol.size(),
-                    branches: branches(code, start, is_data),
-                    frame: frames::frame(code, start, is_data),
+                    branches: decode_branches(code, start, is_data),
+                    frame: stack_frames::analyse_stack_frame(code, start, is_data),
                 },
             );
         }
@@ -107,12 +107,12 @@ impl CallGraph {
     ///
     /// # Errors
     /// There is none, or more than one.
-    pub fn reached_from(&self, part: &str) -> Result<Reached> {
+    pub fn reachable_from(&self, part: &str) -> Result<ReachableFunctions> {
         let named = |function: &&Function| function.name.contains(part);
         let starts: Vec<_> =
             self.functions.iter().filter(|(_, function)| named(function)).collect();
         ensure!(starts.len() == 1, "{} functions have {part} in their name", starts.len());
-        let mut reached = Reached::default();
+        let mut reached = ReachableFunctions::default();
         let mut seen = BTreeSet::new();
         let mut open: Vec<u64> = starts.iter().map(|(start, _)| **start).collect();
         while let Some(start) = open.pop() {
@@ -143,7 +143,7 @@ impl CallGraph {
 
 /// The stack that a function takes, with those that it calls.
 #[derive(Clone, Debug, Default)]
-pub struct Depth {
+pub struct StackDepth {
     /// Bytes of the deepest chain of calls.
     pub bytes: u64,
     /// Its functions, from the outermost one.
@@ -153,27 +153,27 @@ pub struct Depth {
 }
 
 impl CallGraph {
-    /// Returns the deepest stack of the function of this name. Those with a part of `without` in their name are left
-    /// out below it, and all that they call.
+    /// Returns the deepest stack of the function of this name. Those with a part of `without` in their name are excluded
+    /// below it, and all that they call.
     ///
     /// # Errors
     /// There is no such function, a call leads to none, a function calls itself, functions call each other in a circle, or
     /// one takes as much as a register says.
-    pub fn deepest(&self, name: &str, without: &[&str]) -> Result<Depth> {
+    pub fn max_stack_depth(&self, name: &str, without: &[&str]) -> Result<StackDepth> {
         let start = self.functions.iter().find(|(_, function)| function.name == name);
         let (start, _) = start.with_context(|| format!("no function is called {name}"))?;
-        self.walk(*start, without, &mut BTreeMap::new(), &mut Vec::new())
+        self.stack_depth_from(*start, without, &mut BTreeMap::new(), &mut Vec::new())
     }
 
-    /// Returns the deepest stack of all functions with one of these parts in their name, as [`Self::deepest`].
+    /// Returns the deepest stack of all functions with one of these parts in their name, as [`Self::max_stack_depth`].
     ///
     /// # Errors
     /// As there.
-    pub fn deepest_of(&self, parts: &[&str], without: &[&str]) -> Result<Depth> {
-        let (mut known, mut all) = (BTreeMap::new(), Depth::default());
+    pub fn max_stack_depth_matching(&self, parts: &[&str], without: &[&str]) -> Result<StackDepth> {
+        let (mut known, mut all) = (BTreeMap::new(), StackDepth::default());
         for (start, function) in &self.functions {
             if parts.iter().any(|part| function.name.contains(part)) {
-                let depth = self.walk(*start, without, &mut known, &mut Vec::new())?;
+                let depth = self.stack_depth_from(*start, without, &mut known, &mut Vec::new())?;
                 if depth.bytes > all.bytes {
                     all = depth;
                 }
@@ -182,13 +182,13 @@ impl CallGraph {
         Ok(all)
     }
 
-    fn walk(
+    fn stack_depth_from(
         &self,
         start: u64,
         without: &[&str],
-        known: &mut BTreeMap<u64, Depth>,
+        known: &mut BTreeMap<u64, StackDepth>,
         above: &mut Vec<u64>,
-    ) -> Result<Depth> {
+    ) -> Result<StackDepth> {
         if let Some(depth) = known.get(&start) {
             return Ok(depth.clone());
         }
@@ -197,7 +197,7 @@ impl CallGraph {
         ensure!(!frame.is_open, "{name} takes as much of the stack as a register says");
         let held = frame.pointers.iter().map(|pointer| pointer - 1);
         let held: Vec<u64> = held.filter(|at| self.functions.contains_key(at)).collect();
-        let mut depth = Depth::default();
+        let mut depth = StackDepth::default();
         if branches.by_register && held.is_empty() {
             depth.blind.insert(name.clone());
         }
@@ -221,7 +221,7 @@ impl CallGraph {
             if without.iter().any(|part| function.name.contains(part)) {
                 continue;
             }
-            let below = self.walk(*called, without, known, above)?;
+            let below = self.stack_depth_from(*called, without, known, above)?;
             depth.blind.extend(below.blind);
             if below.bytes > depth.bytes {
                 (depth.bytes, depth.chain) = (below.bytes, below.chain);
@@ -236,8 +236,8 @@ impl CallGraph {
 }
 
 /// Returns the branches in the bytes of a function that begins at `start`.
-fn branches(code: &[u8], start: u64, is_data: impl Fn(u64) -> bool) -> Branches {
-    let mut branches = Branches::default();
+fn decode_branches(code: &[u8], start: u64, is_data: impl Fn(u64) -> bool) -> BranchTargets {
+    let mut branches = BranchTargets::default();
     let halves: Vec<u16> =
         code.chunks_exact(2).map(|two| u16::from_le_bytes([two[0], two[1]])).collect();
     let mut number = 0;
@@ -251,15 +251,15 @@ fn branches(code: &[u8], start: u64, is_data: impl Fn(u64) -> bool) -> Branches 
         let offset = if is_wide {
             let second = halves.get(number).copied().unwrap_or_default();
             number += 1;
-            branches.by_register |= is_wide_jump(first, second);
+            branches.by_register |= is_indirect_branch(first, second);
             branches.traps |= first >> 4 == 0xF7F && second >> 12 == 0xA;
-            wide_offset(first, second)
+            branch_offset_32(first, second)
         } else {
             // `bx` and `blx` of a register other than the link register; `mov` to the counter.
             branches.by_register |=
                 (first & 0xFF00 == 0x4700 && first & 0x78 != 14 << 3) || first & 0xFF87 == 0x4687;
             branches.traps |= first >> 8 == 0xDE;
-            narrow_offset(first)
+            branch_offset_16(first)
         };
         if let Some(offset) = offset {
             let target = (at + 4).wrapping_add_signed(offset);
@@ -273,24 +273,24 @@ fn branches(code: &[u8], start: u64, is_data: impl Fn(u64) -> bool) -> Branches 
 }
 
 /// Returns the low `bits` bits as a number with a sign.
-fn signed(value: u32, bits: u32) -> i64 {
+fn sign_extend(value: u32, bits: u32) -> i64 {
     let unused = 32 - bits;
     i64::from((value << unused).cast_signed() >> unused)
 }
 
 /// `b` and conditional `b` of 16 bits; `cbz` stays within its function.
-fn narrow_offset(half: u16) -> Option<i64> {
+fn branch_offset_16(half: u16) -> Option<i64> {
     let half = u32::from(half);
     match half >> 12 {
         // The conditions 14 and 15 are `udf` and `svc`.
-        0b1101 if (half >> 8) & 15 < 14 => Some(signed(half & 0xFF, 8) * 2),
-        0b1110 if half >> 11 == 0b11100 => Some(signed(half & 0x7FF, 11) * 2),
+        0b1101 if (half >> 8) & 15 < 14 => Some(sign_extend(half & 0xFF, 8) * 2),
+        0b1110 if half >> 11 == 0b11100 => Some(sign_extend(half & 0x7FF, 11) * 2),
         _ => None,
     }
 }
 
 /// `bl`, `b.w` and conditional `b.w`.
-fn wide_offset(first: u16, second: u16) -> Option<i64> {
+fn branch_offset_32(first: u16, second: u16) -> Option<i64> {
     let (first, second) = (u32::from(first), u32::from(second));
     if first >> 11 != 0b11110 || second >> 15 != 1 {
         return None;
@@ -301,10 +301,10 @@ fn wide_offset(first: u16, second: u16) -> Option<i64> {
     if bit(second, 12) == 1 {
         let (i1, i2) = (1 ^ j1 ^ sign, 1 ^ j2 ^ sign);
         let high = (first & 0x3FF) << 11;
-        Some(signed(sign << 23 | i1 << 22 | i2 << 21 | high | low, 24) * 2)
+        Some(sign_extend(sign << 23 | i1 << 22 | i2 << 21 | high | low, 24) * 2)
     } else if bit(second, 14) == 0 && (first >> 6) & 15 < 14 {
         let high = (first & 0x3F) << 11;
-        Some(signed(sign << 19 | j2 << 18 | j1 << 17 | high | low, 20) * 2)
+        Some(sign_extend(sign << 19 | j2 << 18 | j1 << 17 | high | low, 20) * 2)
     } else {
         None
     }
@@ -317,7 +317,7 @@ fn is_call(second: u16) -> bool {
 
 /// A load into the counter other than a return (`pop`). A jump table (`tbb`, `tbh`) stays within
 /// its function.
-fn is_wide_jump(first: u16, second: u16) -> bool {
+fn is_indirect_branch(first: u16, second: u16) -> bool {
     // `ldr.w pc, …`; `ldr pc, [sp], #4` is a `pop` of one register.
     first & 0xFF70 == 0xF850 && second >> 12 == 15 && !(first == 0xF85D && second == 0xFB04)
 }
@@ -328,7 +328,7 @@ mod tests {
 
     fn targets(code: &[u16]) -> Vec<u64> {
         let bytes: Vec<u8> = code.iter().flat_map(|half| half.to_le_bytes()).collect();
-        branches(&bytes, 0x1000, |_| false).targets.into_iter().collect()
+        decode_branches(&bytes, 0x1000, |_| false).targets.into_iter().collect()
     }
 
     #[test]
@@ -356,8 +356,8 @@ mod tests {
             let function = Function {
                 name: (*name).to_owned(),
                 end: start + bytes.len() as u64,
-                branches: branches(&bytes, start, |_| false),
-                frame: frames::frame(&bytes, start, |_| false),
+                branches: decode_branches(&bytes, start, |_| false),
+                frame: stack_frames::analyse_stack_frame(&bytes, start, |_| false),
             };
             (start, function)
         };
@@ -368,25 +368,25 @@ mod tests {
     fn a_function_that_calls_itself_has_no_bound() {
         // push {r4, lr}; bl .-2; pop {r4, pc}.
         let recursive = graph(&[("itself", &[0xB510, 0xF7FF, 0xFFFD, 0xBD10])]);
-        let error = recursive.deepest("itself", &[]).unwrap_err().to_string();
+        let error = recursive.max_stack_depth("itself", &[]).unwrap_err().to_string();
         assert!(error.starts_with("itself calls itself, and nothing says how deep"), "{error}");
         // A loop back to the first instruction, and one to the second, are no calls: push {r4, lr}; b .-4.
         for back in [0xE7FD, 0xE7FE] {
             let looped = graph(&[("looped", &[0xB510, back, 0xBD10])]);
-            assert_eq!(looped.deepest("looped", &[]).unwrap().bytes, 8);
+            assert_eq!(looped.max_stack_depth("looped", &[]).unwrap().bytes, 8);
         }
         // Through a second one it is a circle.
         let circle = graph(&[
             ("first", &[0xB510, 0xF000, 0xF87D, 0xBD10]),
             ("second", &[0xB510, 0xF7FF, 0xFF7D, 0xBD10]),
         ]);
-        let error = circle.deepest("first", &[]).unwrap_err().to_string();
+        let error = circle.max_stack_depth("first", &[]).unwrap_err().to_string();
         assert_eq!(error, "first calls itself, in a circle");
     }
 
     #[test]
     fn what_cannot_be_followed_is_told() {
-        let of = |half: u16| branches(&half.to_le_bytes(), 0, |_| false);
+        let of = |half: u16| decode_branches(&half.to_le_bytes(), 0, |_| false);
         assert!(of(0x4798).by_register, "blx r3");
         assert!(of(0x4718).by_register, "bx r3");
         assert!(!of(0x4770).by_register, "bx lr");

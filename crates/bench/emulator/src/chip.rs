@@ -12,35 +12,35 @@ use std::{
 use anyhow::{Context as _, Result};
 use rustix::fs::{CWD, FileType, FlockOperation, Mode, flock, mknodat};
 
-use crate::{log::Decoder, process, setup};
+use crate::{log::LogDecoder, process, setup};
 
 /// The oldest compiler that takes the model's processor, as its manifest says.
-pub const OLDEST: (u32, u32) = (1, 91);
+pub const MIN_COMPILER_VERSION: (u32, u32) = (1, 91);
 
 /// Returns a cargo command for the model: `cargo <verb>` in its own workspace, built into `target/chip`.
 #[must_use]
-pub fn cargo(verb: &str) -> Command {
-    let folder = setup::root().join("crates/bench/chip");
-    let mut command = process::cargo();
+pub fn model_cargo_command(verb: &str) -> Command {
+    let folder = setup::project_root().join("crates/bench/chip");
+    let mut command = process::new_cargo_command();
     command.arg(verb).current_dir(&folder);
-    command.env("CARGO_TARGET_DIR", target());
+    command.env("CARGO_TARGET_DIR", target_folder());
     command
 }
 
-fn target() -> PathBuf {
-    setup::root().join("target/chip")
+fn target_folder() -> PathBuf {
+    setup::project_root().join("target/chip")
 }
 
 /// Returns whether this compiler builds the model.
 ///
 /// # Errors
 /// It does not say which it is.
-pub fn is_supported() -> Result<bool> {
+pub fn is_compiler_supported() -> Result<bool> {
     let rustc = std::env::var_os("RUSTC").unwrap_or("rustc".into());
-    let said = process::output(Command::new(rustc).arg("--version"))?;
+    let said = process::capture_stdout(Command::new(rustc).arg("--version"))?;
     let version = said.split_whitespace().nth(1).unwrap_or_default();
     let mut numbers = version.split('.').map_while(|number| number.parse().ok());
-    Ok(numbers.next().zip(numbers.next()) >= Some(OLDEST))
+    Ok(numbers.next().zip(numbers.next()) >= Some(MIN_COMPILER_VERSION))
 }
 
 /// Builds the model, and gives the program; `None`: this compiler is too old for it.
@@ -48,19 +48,19 @@ pub fn is_supported() -> Result<bool> {
 /// # Errors
 /// It does not compile.
 pub fn build() -> Result<Option<PathBuf>> {
-    if !is_supported()? {
+    if !is_compiler_supported()? {
         return Ok(None);
     }
-    std::fs::create_dir_all(target())?;
-    let lock = File::create(target().join("lock"))?;
+    std::fs::create_dir_all(target_folder())?;
+    let lock = File::create(target_folder().join("lock"))?;
     flock(&lock, FlockOperation::LockExclusive)?;
-    process::run(cargo("build").args(["--locked", "--quiet"]))?;
-    Ok(Some(target().join("debug/trueup-chip")))
+    process::run(model_cargo_command("build").args(["--locked", "--quiet"]))?;
+    Ok(Some(target_folder().join("debug/trueup-chip")))
 }
 
 /// The result of a run of the model.
 #[derive(Clone, Debug)]
-pub struct Report {
+pub struct RunReport {
     /// Whether nothing was done that silicon would not do.
     pub clean: bool,
     /// The model's standard output: the traffic on the wires, and its report.
@@ -76,11 +76,11 @@ pub struct Report {
 ///
 /// # Errors
 /// The model cannot be started, or refuses an option.
-pub fn run<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result<Report> {
+pub fn run<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result<RunReport> {
     let folder = tempfile::Builder::new().prefix("trueup-").tempdir()?;
     let raw = folder.path().join("log");
-    let mut report = run_with(model, image, options, Some(&raw))?;
-    Decoder::of(image)?.follow(File::open(raw)?, |line| report.log.push(line))?;
+    let mut report = run_with_log(model, image, options, Some(&raw))?;
+    LogDecoder::from_image(image)?.decode_stream(File::open(raw)?, |line| report.log.push(line))?;
     Ok(report)
 }
 
@@ -88,17 +88,21 @@ pub fn run<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result
 ///
 /// # Errors
 /// As [`run`].
-pub fn run_silent<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result<Report> {
-    run_with(model, image, options, None)
+pub fn run_without_log<S: AsRef<OsStr>>(
+    model: &Path,
+    image: &Path,
+    options: &[S],
+) -> Result<RunReport> {
+    run_with_log(model, image, options, None)
 }
 
 /// Runs it; its raw log goes to that file.
-fn run_with<S: AsRef<OsStr>>(
+fn run_with_log<S: AsRef<OsStr>>(
     model: &Path,
     image: &Path,
     options: &[S],
     log: Option<&Path>,
-) -> Result<Report> {
+) -> Result<RunReport> {
     let folder = tempfile::Builder::new().prefix("trueup-").tempdir()?;
     let mut command = Command::new(model);
     let events = folder.path().join("events");
@@ -113,11 +117,11 @@ fn run_with<S: AsRef<OsStr>>(
     anyhow::ensure!(
         output.status.code().is_some_and(|code| code < 2),
         "`{}` failed: {}",
-        process::line(&command),
+        process::command_line(&command),
         complaint.trim()
     );
     let events = std::fs::read_to_string(events)?.lines().map(Into::into).collect();
-    Ok(Report { clean: output.status.success(), said, log: Vec::new(), events })
+    Ok(RunReport { clean: output.status.success(), said, log: Vec::new(), events })
 }
 
 /// Runs an image for a user: its log on this program's standard output as it comes, everything else as
@@ -125,12 +129,12 @@ fn run_with<S: AsRef<OsStr>>(
 ///
 /// # Errors
 /// The model cannot be started.
-pub fn show<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result<bool> {
+pub fn run_interactive<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result<bool> {
     let folder = tempfile::Builder::new().prefix("trueup-").tempdir()?;
     let pipe = folder.path().join("log");
     mknodat(CWD, &pipe, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0)
         .context("cannot make a pipe")?;
-    // Open both ways until the model has opened its end, so that nobody waits for ever.
+    // Open both ways until the model has opened its end, so that no process waits for ever.
     let held = File::options().read(true).write(true).open(&pipe)?;
     let mut command = Command::new(model);
     let mut child: Child = command
@@ -142,10 +146,10 @@ pub fn show<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Resul
         .spawn()
         .context("cannot start the model of the chip")?;
     let source = File::open(&pipe)?;
-    let decoder = Decoder::of(image)?;
+    let decoder = LogDecoder::from_image(image)?;
     let follower = std::thread::spawn(move || {
-        decoder.follow(source, trueup_output::line).err().inspect(|error| {
-            trueup_output::diagnostic(format_args!("the log ends: {error:#}"));
+        decoder.decode_stream(source, trueup_output::write_line).err().inspect(|error| {
+            trueup_output::write_diagnostic(format_args!("the log ends: {error:#}"));
         })
     });
     let status = child.wait()?;
@@ -155,30 +159,34 @@ pub fn show<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Resul
 }
 
 /// A running model, ended with its owner, and the port of one of its lines.
-pub struct Line {
+pub struct RunningModel {
     child: Child,
     /// Where the line listens on this machine.
     pub port: u16,
 }
 
-impl Line {
+impl RunningModel {
     /// Starts an image whose serial line is a TCP port.
     ///
     /// # Errors
     /// The model cannot be started, or ends at once.
     pub fn start<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result<Self> {
-        Self::start_at("--serial", model, image, options)
+        Self::start_with_interface("--serial", model, image, options)
     }
 
     /// Starts the same, with the RS-485 line for a PLC.
     ///
     /// # Errors
     /// As [`Self::start`].
-    pub fn start_plc<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result<Self> {
-        Self::start_at("--modbus", model, image, options)
+    pub fn start_modbus<S: AsRef<OsStr>>(
+        model: &Path,
+        image: &Path,
+        options: &[S],
+    ) -> Result<Self> {
+        Self::start_with_interface("--modbus", model, image, options)
     }
 
-    fn start_at<S: AsRef<OsStr>>(
+    fn start_with_interface<S: AsRef<OsStr>>(
         line: &str,
         model: &Path,
         image: &Path,
@@ -203,7 +211,7 @@ impl Line {
     }
 }
 
-impl Drop for Line {
+impl Drop for RunningModel {
     fn drop(&mut self) {
         // It may have ended already; there is nothing else to do about a failure here.
         self.child.kill().ok();

@@ -14,7 +14,7 @@ use trueup_link::{
 };
 
 /// A CNC on an SLCAN line.
-pub struct Cnc<S> {
+pub struct CncClient<S> {
     stream: S,
     client: Client,
     waiting: VecDeque<Event>,
@@ -29,9 +29,9 @@ pub struct Cnc<S> {
     pub offsets: OffsetReceiver,
 }
 
-impl<S: Read + Write> Cnc<S> {
-    /// Opens the channel as every SLCAN program does: close, 1 Mbit/s, open. The version is asked
-    /// for in between, because its answer can be distinguished from everything that an earlier client may
+impl<S: Read + Write> CncClient<S> {
+    /// Opens the channel as every SLCAN program does: close, 1 Mbit/s, open. The version is requested
+    /// in between, because its answer can be distinguished from everything that an earlier client may
     /// have left: half a line either way, frames, answers.
     ///
     /// # Errors
@@ -52,7 +52,7 @@ impl<S: Read + Write> Cnc<S> {
         cnc.write(b"\rC\rV\r")?;
         while !matches!(cnc.next_event()?, Event::Other(line) if line.starts_with(b"V")) {}
         for command in ["S8", "O"] {
-            cnc.ask(command)?;
+            cnc.query(command)?;
         }
         Ok(cnc)
     }
@@ -61,7 +61,7 @@ impl<S: Read + Write> Cnc<S> {
     ///
     /// # Errors
     /// The line breaks, or the board refuses.
-    pub fn ask(&mut self, line: &str) -> Result<String> {
+    pub fn query(&mut self, line: &str) -> Result<String> {
         self.write(format!("{line}\r").as_bytes())?;
         let mut kept = VecDeque::new();
         let answer = loop {
@@ -92,16 +92,16 @@ impl<S: Read + Write> Cnc<S> {
     pub fn send(&mut self, command: Command) -> Result<()> {
         if matches!(command, Command::Control(control) if control.engage) && !self.has_begun {
             self.has_begun = true;
-            for _ in frames::released() {
+            for _ in frames::release_sequence() {
                 self.send(Command::Control(Control::REFERENCED))?;
             }
         }
         let (frame, counter) = match command {
             Command::Control(control) => {
-                (frames::control(control, self.control_counter), &mut self.control_counter)
+                (frames::encode_control(control, self.control_counter), &mut self.control_counter)
             }
             Command::Spindle(spindle) => {
-                (frames::spindle(spindle, self.spindle_counter), &mut self.spindle_counter)
+                (frames::encode_spindle(spindle, self.spindle_counter), &mut self.spindle_counter)
             }
             Command::Position(position) => {
                 let [x, y, z] = &mut self.position_counters;
@@ -110,27 +110,27 @@ impl<S: Read + Write> Cnc<S> {
                     LinearAxis::Y => y,
                     LinearAxis::Z => z,
                 };
-                (frames::position(position, *counter), counter)
+                (frames::encode_position(position, *counter), counter)
             }
             Command::Rotary(rotary) => {
-                (frames::rotary(rotary, self.rotary_counter), &mut self.rotary_counter)
+                (frames::encode_rotary(rotary, self.rotary_counter), &mut self.rotary_counter)
             }
             Command::Conditions(conditions) => (
-                frames::conditions(conditions, self.conditions_counter),
+                frames::encode_conditions(conditions, self.conditions_counter),
                 &mut self.conditions_counter,
             ),
         };
         *counter = counter.wrapping_add(1);
-        self.ask(encode_line(&frame).trim_end()).map(drop)
+        self.query(encode_line(&frame).trim_end()).map(drop)
     }
 
-    /// Answers the question that the board asks first, by an edge of `Confirm`; without one it changes nothing.
+    /// Confirms what the board requires first, by an edge of `Confirm`; without an open question it changes nothing.
     ///
     /// # Errors
     /// The line breaks, or the board refuses.
     pub fn confirm(&mut self) -> Result<()> {
         for confirm in [false, true, false] {
-            for _ in 0..frames::released().len() {
+            for _ in 0..frames::release_sequence().len() {
                 self.send(Command::Control(Control { confirm, ..Control::REFERENCED }))?;
             }
         }
@@ -177,7 +177,7 @@ mod tests {
     use super::*;
     use std::io;
     use trueup_core::{
-        cnc::{AxisPosition, Heading, Rotary},
+        cnc::{AxisPosition, Rotary, TravelDirection},
         units::Position,
     };
     use trueup_link::{frame::Frame, receiver::Receiver};
@@ -210,9 +210,9 @@ mod tests {
         // The end of a line, the answer to half a line, to C and to V, then to S8 and O.
         let answers = b"05\r\x07\rV1013\r\rt7011\x305\r\rV1013\r".to_vec();
         let script = Script { answers: io::Cursor::new(answers), asked: Vec::new() };
-        let mut cnc = Cnc::open(script).expect("three answers");
+        let mut cnc = CncClient::open(script).expect("three answers");
         assert_eq!(cnc.stream.asked, b"\rC\rV\rS8\rO\r");
-        assert_eq!(cnc.ask("V").expect("an answer"), "V1013");
+        assert_eq!(cnc.query("V").expect("an answer"), "V1013");
         let heartbeat = Frame::new(0x701, &[5]).expect("valid");
         assert_eq!(cnc.next_event().expect("kept"), Event::Frame(heartbeat));
     }
@@ -221,7 +221,7 @@ mod tests {
     fn a_refusal_names_the_line() {
         let script =
             Script { answers: io::Cursor::new(b"\r\rV1013\r\x07".to_vec()), asked: Vec::new() };
-        let error = Cnc::open(script).err().expect("refused");
+        let error = CncClient::open(script).err().expect("refused");
         assert!(error.to_string().contains("\"S8\""), "{error}");
     }
 
@@ -229,10 +229,10 @@ mod tests {
     fn every_identifier_counts_for_itself() {
         let answers = [&b"\rV1013\r\r\r"[..], &b"z\r".repeat(12)].concat();
         let script = Script { answers: io::Cursor::new(answers), asked: Vec::new() };
-        let mut cnc = Cnc::open(script).expect("three answers");
+        let mut cnc = CncClient::open(script).expect("three answers");
         for _ in 0..3 {
             for axis in LinearAxis::ALL {
-                let direction = Heading::Positive;
+                let direction = TravelDirection::Positive;
                 let there = AxisPosition { axis, position: Position(5), direction };
                 cnc.send(Command::Position(there)).expect("accepted");
             }

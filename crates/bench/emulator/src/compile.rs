@@ -12,17 +12,17 @@ use rustix::fs::{FlockOperation, flock};
 
 use crate::{
     process,
-    setup::{self, TARGET, Toolchain},
+    setup::{self, TARGET_TRIPLE, Toolchain},
 };
 
 /// The firmware's program.
-pub(crate) const PROGRAM: &str = "trueup-firmware";
+pub(crate) const FIRMWARE_PROGRAM: &str = "trueup-firmware";
 /// Names the machine file that is linked into an image.
-const MACHINE_VARIABLE: &str = "TRUEUP_MACHINE";
+const MACHINE_ENV_VAR: &str = "TRUEUP_MACHINE";
 
 /// Which machine file is linked in.
 #[derive(Clone, Copy)]
-pub(crate) enum Linked<'a> {
+pub(crate) enum LinkedMachine<'a> {
     /// The one that the user has named in the environment, if any.
     Named,
     /// The example, whatever the environment says: it never gives an offset.
@@ -33,11 +33,11 @@ pub(crate) enum Linked<'a> {
 /// Returns a cargo command that compiles for the board with this feature, and the folder that it builds in.
 ///
 /// # Errors
-/// There is no way to the target; see [`setup::toolchain`].
-pub(crate) fn cargo_for(verb: &str, feature: &str) -> Result<(Command, PathBuf)> {
-    let root = setup::root();
-    let (mut command, folder) = match setup::toolchain()? {
-        Toolchain::Rustup => (process::cargo(), root.join("target")),
+/// There is no way to the target; see [`setup::ensure_toolchain`].
+pub(crate) fn cargo_command(verb: &str, feature: &str) -> Result<(Command, PathBuf)> {
+    let root = setup::project_root();
+    let (mut command, folder) = match setup::ensure_toolchain()? {
+        Toolchain::Rustup => (process::new_cargo_command(), root.join("target")),
         Toolchain::Distribution => {
             let mut command = Command::new("/usr/bin/cargo");
             command.env("RUSTC", "/usr/bin/rustc").env("RUSTC_BOOTSTRAP", "1");
@@ -59,7 +59,7 @@ pub(crate) fn cargo_for(verb: &str, feature: &str) -> Result<(Command, PathBuf)>
             "--profile",
             "firmware",
             "--target",
-            TARGET,
+            TARGET_TRIPLE,
         ])
         .args(["--features", feature, "--target-dir"])
         .arg(&folder)
@@ -69,27 +69,27 @@ pub(crate) fn cargo_for(verb: &str, feature: &str) -> Result<(Command, PathBuf)>
 
 /// Part of the name of an image for this machine file: two programs that build for two machines at once do not
 /// overwrite each other's, and for one machine there is one image.
-pub(crate) fn mark(machine: &Path) -> Result<String> {
+pub(crate) fn machine_hash(machine: &Path) -> Result<String> {
     let text = fs::read(machine).with_context(|| machine.display().to_string())?;
     let mut hasher = DefaultHasher::new();
     text.hash(&mut hasher);
     Ok(format!("{:016x}", hasher.finish()))
 }
 
-impl Linked<'_> {
+impl LinkedMachine<'_> {
     /// Has a build link it in.
-    pub(crate) fn tell(self, command: &mut Command) {
+    pub(crate) fn apply_to(self, command: &mut Command) {
         match self {
-            Linked::Named => command,
-            Linked::Example => command.env_remove(MACHINE_VARIABLE),
-            Linked::File(machine) => command.env(MACHINE_VARIABLE, machine),
+            LinkedMachine::Named => command,
+            LinkedMachine::Example => command.env_remove(MACHINE_ENV_VAR),
+            LinkedMachine::File(machine) => command.env(MACHINE_ENV_VAR, machine),
         };
     }
 }
 
 /// Runs a build, and gives a copy of the program a name of its own: an image is also the key to its log. `finish` receives
 /// the copy before anybody else sees it.
-pub(crate) fn build_with(
+pub(crate) fn build_and_copy(
     mut command: Command,
     folder: &Path,
     program: &str,
@@ -98,12 +98,12 @@ pub(crate) fn build_with(
 ) -> Result<PathBuf> {
     let images = folder.join("images");
     fs::create_dir_all(&images)?;
-    // Cargo gives all images of a program the same file name, so nobody else may build until the copy is made; the lock
+    // Cargo gives all images of a program the same file name, so no other process may build until the copy is made; the lock
     // ends with the file.
     let lock = File::create(images.join("lock"))?;
     flock(&lock, FlockOperation::LockExclusive)?;
     process::run(&mut command)?;
-    let built = folder.join(TARGET).join("firmware").join(program);
+    let built = folder.join(TARGET_TRIPLE).join("firmware").join(program);
     // It is put in place in one step, because another command may be reading the old one just now.
     let copy = tempfile::NamedTempFile::new_in(&images)?;
     fs::copy(&built, &copy).with_context(|| format!("{} is missing", built.display()))?;

@@ -10,9 +10,9 @@ use anyhow::Result;
 
 use crate::{
     binary,
-    compile::{Linked, PROGRAM, build_with, cargo_for, mark},
+    compile::{FIRMWARE_PROGRAM, LinkedMachine, build_and_copy, cargo_command, machine_hash},
     process, seal,
-    setup::{self, TARGET},
+    setup::{self, TARGET_TRIPLE},
     slots,
 };
 
@@ -31,7 +31,7 @@ impl Board {
 
     /// Returns the feature that chooses this board.
     #[must_use]
-    pub fn feature(self) -> &'static str {
+    pub fn cargo_feature(self) -> &'static str {
         match self {
             Self::Stm32f405 => "stm32f405",
             Self::Virtual => "virtual",
@@ -43,16 +43,16 @@ impl Board {
 ///
 /// # Errors
 /// There is no way to the target; see `crate::setup::toolchain`.
-pub fn cargo(verb: &str, board: Board) -> Result<(Command, PathBuf)> {
-    cargo_for(verb, board.feature())
+pub fn board_cargo_command(verb: &str, board: Board) -> Result<(Command, PathBuf)> {
+    cargo_command(verb, board.cargo_feature())
 }
 
-/// As [`cargo`], for the benchmark.
+/// As [`board_cargo_command`], for the benchmark.
 ///
 /// # Errors
-/// As [`cargo`].
-pub fn cargo_measure(verb: &str) -> Result<(Command, PathBuf)> {
-    let (mut command, folder) = cargo_for(verb, "measure")?;
+/// As [`board_cargo_command`].
+pub fn benchmark_cargo_command(verb: &str) -> Result<(Command, PathBuf)> {
+    let (mut command, folder) = cargo_command(verb, "measure")?;
     command.args(["--bin", "trueup-measure"]);
     // What is compared with each other there stands in the firmware's own package, and is built for speed.
     command.args(["--config", "profile.firmware.package.trueup-firmware.opt-level=3"]);
@@ -63,10 +63,10 @@ pub fn cargo_measure(verb: &str) -> Result<(Command, PathBuf)> {
 ///
 /// # Errors
 /// It does not compile, or there is no way to the target.
-pub fn build_measure() -> Result<PathBuf> {
-    let (mut command, folder) = cargo_measure("build")?;
+pub fn build_benchmark() -> Result<PathBuf> {
+    let (mut command, folder) = benchmark_cargo_command("build")?;
     process::run(&mut command)?;
-    Ok(folder.join(TARGET).join("firmware/trueup-measure"))
+    Ok(folder.join(TARGET_TRIPLE).join("firmware/trueup-measure"))
 }
 
 /// Builds the image of a board and gives its path; for the one that is flashed, boot program and slot A, its plain bytes
@@ -76,8 +76,12 @@ pub fn build_measure() -> Result<PathBuf> {
 /// It does not compile, or there is no way to the target.
 pub fn build(board: Board) -> Result<PathBuf> {
     match board {
-        Board::Stm32f405 => slots::build_whole(Linked::Named, board.feature(), slots::version()?),
-        Board::Virtual => build_virtual_for(board.feature(), Linked::Named),
+        Board::Stm32f405 => slots::build_combined_image(
+            LinkedMachine::Named,
+            board.cargo_feature(),
+            slots::firmware_version()?,
+        ),
+        Board::Virtual => build_virtual_for_machine(board.cargo_feature(), LinkedMachine::Named),
     }
 }
 
@@ -86,7 +90,7 @@ pub fn build(board: Board) -> Result<PathBuf> {
 /// # Errors
 /// As [`build`]; QEMU is missing and cannot be installed.
 pub fn build_virtual() -> Result<PathBuf> {
-    setup::qemu()?;
+    setup::ensure_qemu()?;
     build(Board::Virtual)
 }
 
@@ -95,31 +99,31 @@ pub fn build_virtual() -> Result<PathBuf> {
 ///
 /// # Errors
 /// As [`build`]; the machine file cannot be used.
-pub fn build_for(machine: &Path) -> Result<PathBuf> {
-    let name = format!("stm32f405-for-{}", mark(machine)?);
-    build_application("stm32f405", &name, Linked::File(machine))
+pub fn build_for_machine(machine: &Path) -> Result<PathBuf> {
+    let name = format!("stm32f405-for-{}", machine_hash(machine)?);
+    build_application("stm32f405", &name, LinkedMachine::File(machine))
 }
 
 /// Builds the same with the feature `faults`: it breaks on command, and is never for a machine.
 ///
 /// # Errors
-/// As [`build_for`].
-pub fn build_that_breaks(machine: &Path) -> Result<PathBuf> {
-    let name = format!("stm32f405-faults-for-{}", mark(machine)?);
-    build_application("faults", &name, Linked::File(machine))
+/// As [`build_for_machine`].
+pub fn build_with_fault_injection(machine: &Path) -> Result<PathBuf> {
+    let name = format!("stm32f405-faults-for-{}", machine_hash(machine)?);
+    build_application("faults", &name, LinkedMachine::File(machine))
 }
 
 /// Builds the virtual board's image, with the constants of `machine`.
-pub(crate) fn build_virtual_for(name: &str, machine: Linked) -> Result<PathBuf> {
-    let (mut command, folder) = cargo_for("build", Board::Virtual.feature())?;
-    machine.tell(&mut command);
-    build_with(command, &folder, PROGRAM, name, |_| Ok(()))
+pub(crate) fn build_virtual_for_machine(name: &str, machine: LinkedMachine) -> Result<PathBuf> {
+    let (mut command, folder) = cargo_command("build", Board::Virtual.cargo_feature())?;
+    machine.apply_to(&mut command);
+    build_and_copy(command, &folder, FIRMWARE_PROGRAM, name, |_| Ok(()))
 }
 
-fn build_application(feature: &str, name: &str, machine: Linked) -> Result<PathBuf> {
-    let (mut command, folder) = cargo_for("build", feature)?;
-    machine.tell(&mut command);
-    let image = build_with(command, &folder, PROGRAM, name, seal::seal)?;
-    fs::write(image.with_extension("bin"), binary::of(&image)?)?;
+fn build_application(feature: &str, name: &str, machine: LinkedMachine) -> Result<PathBuf> {
+    let (mut command, folder) = cargo_command("build", feature)?;
+    machine.apply_to(&mut command);
+    let image = build_and_copy(command, &folder, FIRMWARE_PROGRAM, name, seal::embed_image_check)?;
+    fs::write(image.with_extension("bin"), binary::read_flash_image(&image)?)?;
     Ok(image)
 }

@@ -5,23 +5,29 @@ use std::{fs, path::PathBuf};
 use anyhow::{Context as _, Result};
 
 use crate::{
-    compile::Linked,
+    compile::LinkedMachine,
     firmware::{self, Board},
     setup,
-    slots::{self, Flashable},
+    slots::{self, FlashableFiles},
 };
 
 /// Returns the images that an installed tool carries, without a machine of anybody's: their folder.
 ///
 /// # Errors
 /// As [`firmware::build`] and [`build_flashable`].
-pub fn carried() -> Result<PathBuf> {
-    let folder = setup::root().join("target/carried");
+pub fn build_bundled_images() -> Result<PathBuf> {
+    let folder = setup::project_root().join("target/carried");
     fs::create_dir_all(&folder)?;
-    let [chip, simulated] = Board::ALL.map(Board::feature);
-    let flashable =
-        slots::build_flashable(Linked::Example, &format!("carried-{chip}"), slots::version()?)?;
-    let simulator = firmware::build_virtual_for(&format!("carried-{simulated}"), Linked::Example)?;
+    let [chip, simulated] = Board::ALL.map(Board::cargo_feature);
+    let flashable = slots::build_flashable(
+        LinkedMachine::Example,
+        &format!("carried-{chip}"),
+        slots::firmware_version()?,
+    )?;
+    let simulator = firmware::build_virtual_for_machine(
+        &format!("carried-{simulated}"),
+        LinkedMachine::Example,
+    )?;
     let mut copies = Vec::new();
     // The one of the chip has its plain bytes and its update next to it.
     for (image, name) in [(flashable.image, chip), (simulator, simulated)] {
@@ -45,6 +51,10 @@ pub fn carried() -> Result<PathBuf> {
 ///
 /// # Errors
 /// As [`slots::build_flashable_for`].
-pub fn build_flashable() -> Result<Flashable> {
-    slots::build_flashable(Linked::Named, Board::Stm32f405.feature(), slots::version()?)
+pub fn build_flashable() -> Result<FlashableFiles> {
+    slots::build_flashable(
+        LinkedMachine::Named,
+        Board::Stm32f405.cargo_feature(),
+        slots::firmware_version()?,
+    )
 }

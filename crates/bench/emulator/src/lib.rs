@@ -10,25 +10,25 @@
 //! of the project does its own preparation.
 #![forbid(unsafe_code)]
 
+pub mod benchmark;
 pub mod binary;
-pub mod busy;
 pub mod call_graph;
 pub mod chip;
-pub mod chip_live;
 pub mod cnc;
 mod compile;
 pub mod firmware;
-mod frames;
+pub mod full_load;
+pub mod host_programs;
 pub mod images;
 pub mod linuxcnc;
-pub mod measure;
+pub mod lockstep_chip;
 pub mod plc;
 pub mod process;
-pub mod programs;
 pub mod rtt;
 pub mod seal;
 pub mod setup;
 pub mod size;
 pub mod slots;
+mod stack_frames;
 
-pub use trueup_virtual_bridge::{board, front_end, log, plant, qemu, replay, serve, stand_in};
+pub use trueup_virtual_bridge::{board, cnc_emulator, front_end, log, plant, qemu, replay, serve};

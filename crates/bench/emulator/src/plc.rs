@@ -5,24 +5,24 @@ use std::fmt::Write as _;
 
 use trueup_core::cnc::Control;
 use trueup_modbus::{
-    cnc::{Cnc, written},
+    holding::{CncData, registers_to_write},
+    register_map::INPUT_LEN,
     server::checksum,
-    table::INPUT_LEN,
 };
 
 /// The unit of a board whose switches are open.
-pub const UNIT: u8 = 1;
+pub const UNIT_ID: u8 = 1;
 
-/// Returns a request or an answer as it is on the line: the unit, what it is asked or answers, the checksum.
+/// Returns the bytes of a request or an answer on the line: the unit, the request or answer, the checksum.
 #[must_use]
-pub fn frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
+pub fn encode_frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
     let body = [&[unit], pdu].concat();
     [&body[..], &checksum(&body)].concat()
 }
 
 /// Bytes as a script has them, and as the model says what it received.
 #[must_use]
-pub fn hex(bytes: &[u8]) -> String {
+pub fn encode_hex(bytes: &[u8]) -> String {
     let mut hex = String::new();
     for byte in bytes {
         write!(hex, "{byte:02x}").expect("a string takes all");
@@ -32,15 +32,15 @@ pub fn hex(bytes: &[u8]) -> String {
 
 /// Returns what asks for the whole input block.
 #[must_use]
-pub fn read_pdu() -> Vec<u8> {
+pub fn read_request_pdu() -> Vec<u8> {
     vec![4, 0, 0, 0, INPUT_LEN as u8]
 }
 
 /// Returns what writes a holding block with this `Control` and nothing else.
 #[must_use]
-pub fn write_pdu(control: Control, counter: u16) -> Vec<u8> {
-    let block = Cnc { control, ..Cnc::default() }.encode(counter);
-    let block = written(&block);
+pub fn write_request_pdu(control: Control, counter: u16) -> Vec<u8> {
+    let block = CncData { control, ..CncData::default() }.encode(counter);
+    let block = registers_to_write(&block);
     let words = block.iter().flat_map(|word| word.to_be_bytes());
     let head = [16, 0, 0, 0, block.len() as u8, 2 * block.len() as u8];
     head.into_iter().chain(words).collect()
@@ -48,12 +48,12 @@ pub fn write_pdu(control: Control, counter: u16) -> Vec<u8> {
 
 /// Reads the whole input block.
 #[must_use]
-pub fn read() -> String {
-    hex(&frame(UNIT, &read_pdu()))
+pub fn read_request_hex() -> String {
+    encode_hex(&encode_frame(UNIT_ID, &read_request_pdu()))
 }
 
 /// Writes a holding block with this `Control` and nothing else.
 #[must_use]
-pub fn write(control: Control, counter: u16) -> String {
-    hex(&frame(UNIT, &write_pdu(control, counter)))
+pub fn write_request_hex(control: Control, counter: u16) -> String {
+    encode_hex(&encode_frame(UNIT_ID, &write_request_pdu(control, counter)))
 }

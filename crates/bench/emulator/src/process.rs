@@ -4,12 +4,12 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context as _, Result, bail};
 
-pub use trueup_virtual_bridge::program::{find, line, output};
+pub use trueup_virtual_bridge::program::{capture_stdout, command_line, find_on_path};
 
 /// Returns the cargo that started this program, without what it has set for this program alone. A build script that
 /// reads such a variable (that of `ring`) runs again when it changes, and all that needs its crate is compiled again.
 #[must_use]
-pub fn cargo() -> Command {
+pub fn new_cargo_command() -> Command {
     let mut command = Command::new(std::env::var_os("CARGO").unwrap_or("cargo".into()));
     for (name, _) in std::env::vars_os() {
         let text = name.to_string_lossy();
@@ -28,10 +28,10 @@ pub fn cargo() -> Command {
 /// # Errors
 /// It could not be started, or it failed.
 pub fn run(command: &mut Command) -> Result<()> {
-    let line = line(command);
+    let line = command_line(command);
     let status = command
         .stdin(Stdio::null())
-        .stdout(trueup_output::error_stream())
+        .stdout(trueup_output::stderr_stdio())
         .status()
         .with_context(|| format!("cannot start `{line}`"))?;
     if !status.success() {
@@ -48,7 +48,7 @@ mod tests {
     fn cargo_is_started_without_what_is_set_for_this_package() {
         // Set by cargo, and by the tiers, for each test program.
         assert!(std::env::var_os("CARGO_MANIFEST_DIR").is_some());
-        let command = cargo();
+        let command = new_cargo_command();
         let removed: Vec<_> = command.get_envs().filter(|(_, value)| value.is_none()).collect();
         assert!(removed.iter().any(|(name, _)| *name == "CARGO_MANIFEST_DIR"), "{removed:?}");
     }

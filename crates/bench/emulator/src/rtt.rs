@@ -13,20 +13,20 @@ use anyhow::{Context as _, Result, bail, ensure};
 use object::{Object as _, ObjectSymbol as _};
 use serde_json::{Value, json};
 
-use crate::{log::Decoder, qemu::Qemu};
+use crate::{log::LogDecoder, qemu::Qemu};
 
-/// QEMU's arguments for a monitor that [`Monitor::connect`] finds.
+/// QEMU's arguments for a monitor that [`QemuMonitor::connect`] finds.
 pub const MONITOR_ARGUMENTS: [&str; 2] = ["-qmp", "unix:qmp.sock,server=on,wait=off"];
 
 const RAM_START: u64 = 0x2000_0000;
 const RAM_SIZE: u64 = 128 * 1024;
 
 /// QEMU's monitor.
-pub struct Monitor {
+pub struct QemuMonitor {
     lines: BufReader<UnixStream>,
 }
 
-impl Monitor {
+impl QemuMonitor {
     /// Connects to the monitor of an emulator that was started with [`MONITOR_ARGUMENTS`].
     ///
     /// # Errors
@@ -35,15 +35,15 @@ impl Monitor {
         let stream = qemu.connect("qmp.sock")?;
         stream.set_read_timeout(Some(Duration::from_secs(10)))?;
         let mut monitor = Self { lines: BufReader::new(stream) };
-        monitor.read()?;
-        monitor.ask(&json!({"execute": "qmp_capabilities"}))?;
+        monitor.read_message()?;
+        monitor.execute(&json!({"execute": "qmp_capabilities"}))?;
         Ok(monitor)
     }
 
-    fn ask(&mut self, command: &Value) -> Result<()> {
+    fn execute(&mut self, command: &Value) -> Result<()> {
         self.lines.get_mut().write_all(format!("{command}\n").as_bytes())?;
         loop {
-            let answer = self.read()?;
+            let answer = self.read_message()?;
             if let Some(error) = answer.get("error") {
                 bail!("QEMU's monitor refuses {command}: {error}");
             }
@@ -53,7 +53,7 @@ impl Monitor {
         }
     }
 
-    fn read(&mut self) -> Result<Value> {
+    fn read_message(&mut self) -> Result<Value> {
         let mut line = String::new();
         self.lines.read_line(&mut line).context("QEMU's monitor is silent")?;
         serde_json::from_str(&line).context("QEMU's monitor")
@@ -63,20 +63,20 @@ impl Monitor {
     ///
     /// # Errors
     /// The image has no RTT, or more was logged than its buffer holds.
-    pub fn log(&mut self, qemu: &Qemu, image: &Path) -> Result<Vec<String>> {
+    pub fn read_log(&mut self, qemu: &Qemu, image: &Path) -> Result<Vec<String>> {
         let path = qemu.path("ram.bin");
         let arguments = json!({"val": RAM_START, "size": RAM_SIZE, "filename": path});
-        self.ask(&json!({"execute": "pmemsave", "arguments": arguments}))?;
+        self.execute(&json!({"execute": "pmemsave", "arguments": arguments}))?;
         let ram = fs::read(path)?;
-        let bytes = up_channel(&ram, control_block(image)?)?;
+        let bytes = up_channel_bytes(&ram, find_control_block_address(image)?)?;
         let mut lines = Vec::new();
-        Decoder::of(image)?.follow(bytes, |line| lines.push(line))?;
+        LogDecoder::from_image(image)?.decode_stream(bytes, |line| lines.push(line))?;
         Ok(lines)
     }
 }
 
 /// Where the image keeps the control block.
-fn control_block(image: &Path) -> Result<u64> {
+fn find_control_block_address(image: &Path) -> Result<u64> {
     let bytes = fs::read(image)?;
     let elf = object::File::parse(&*bytes)?;
     let symbol = elf.symbols().find(|symbol| symbol.name() == Ok("_SEGGER_RTT"));
@@ -85,7 +85,7 @@ fn control_block(image: &Path) -> Result<u64> {
 
 /// Returns what the first up-channel holds: after 16 bytes of identifier and two counts come the name, the
 /// buffer, its size and the place of the next write.
-fn up_channel(ram: &[u8], block: u64) -> Result<&[u8]> {
+fn up_channel_bytes(ram: &[u8], block: u64) -> Result<&[u8]> {
     let word = |address: u64| -> Result<u64> {
         let start = usize::try_from(address.wrapping_sub(RAM_START))?;
         let bytes = ram.get(start..).and_then(|rest| rest.first_chunk());

@@ -1,5 +1,5 @@
 //! Length and CRC of an image, written into it after it is linked: the board holds itself against them
-//! (`src/board/stm32f405/image.rs`).
+//! (`src/board/stm32f405/image_check.rs`).
 
 use std::{fs, path::Path};
 
@@ -9,29 +9,34 @@ use object::{Object as _, ObjectSection as _, ObjectSymbol as _};
 use crate::binary;
 
 /// The image's own words for it: length and CRC.
-const CHECK: &str = "TRUEUP_IMAGE_CHECK";
-const CHECK_SIZE: usize = 8;
+const IMAGE_CHECK_SYMBOL: &str = "TRUEUP_IMAGE_CHECK";
+const IMAGE_CHECK_SIZE: usize = 8;
 
 /// Writes the length and the CRC of an image into it. If its bytes are changed afterwards, call it again.
 ///
 /// # Errors
 /// The image cannot be read or written, or has no place for them.
-pub fn seal(image: &Path) -> Result<()> {
+pub fn embed_image_check(image: &Path) -> Result<()> {
     let mut bytes = fs::read(image).with_context(|| image.display().to_string())?;
-    let (address, place) = find(&bytes, CHECK).context("the image has no place for a CRC")?;
+    let (address, place) =
+        find_symbol(&bytes, IMAGE_CHECK_SYMBOL).context("the image has no place for a CRC")?;
     // It begins with its vectors, wherever it is linked for.
-    let start = symbol(image, "__vector_table")?.context("the image has no vectors")?;
-    let mut flash = binary::of(image)?.split_off(usize::try_from(start - binary::FLASH_START)?);
+    let start = symbol_address(image, "__vector_table")?.context("the image has no vectors")?;
+    let mut flash =
+        binary::read_flash_image(image)?.split_off(usize::try_from(start - binary::FLASH_START)?);
     flash.resize(flash.len().next_multiple_of(4), 0xFF);
     let own = usize::try_from(address - start)?;
     ensure!(
-        own + CHECK_SIZE <= flash.len() && own.is_multiple_of(4),
+        own + IMAGE_CHECK_SIZE <= flash.len() && own.is_multiple_of(4),
         "its place is not in the image"
     );
-    let crc = flash[..own].as_chunks().0.iter().chain(flash[own + CHECK_SIZE..].as_chunks().0);
-    let crc = crc.fold(u32::MAX, |crc, word| step(crc, u32::from_le_bytes(*word)));
+    let crc =
+        flash[..own].as_chunks().0.iter().chain(flash[own + IMAGE_CHECK_SIZE..].as_chunks().0);
+    let crc = crc.fold(u32::MAX, |crc, word| update_crc(crc, u32::from_le_bytes(*word)));
     let words = [u32::try_from(flash.len())?, crc];
-    for (place, word) in bytes[place..place + CHECK_SIZE].as_chunks_mut().0.iter_mut().zip(words) {
+    for (place, word) in
+        bytes[place..place + IMAGE_CHECK_SIZE].as_chunks_mut().0.iter_mut().zip(words)
+    {
         *place = word.to_le_bytes();
     }
     // What the image is padded with up to a word is not in it, and is erased flash on the board.
@@ -42,16 +47,17 @@ pub fn seal(image: &Path) -> Result<()> {
 ///
 /// # Errors
 /// The image cannot be read or written, or has no such symbol with that many bytes.
-pub(crate) fn write_at(image: &Path, name: &str, content: &[u8]) -> Result<()> {
+pub(crate) fn write_at_symbol(image: &Path, name: &str, content: &[u8]) -> Result<()> {
     let mut bytes = fs::read(image).with_context(|| image.display().to_string())?;
-    let (_, place) = find(&bytes, name).with_context(|| format!("the image has no {name}"))?;
+    let (_, place) =
+        find_symbol(&bytes, name).with_context(|| format!("the image has no {name}"))?;
     let at = bytes.get_mut(place..place + content.len()).context("beyond the image")?;
     at.copy_from_slice(content);
     fs::write(image, bytes).with_context(|| image.display().to_string())
 }
 
 /// CRC-32 by 0x04C1_1DB7, highest bit first, as the chip's unit has it.
-fn step(crc: u32, word: u32) -> u32 {
+fn update_crc(crc: u32, word: u32) -> u32 {
     (0..32).fold(crc ^ word, |crc, _| {
         let shifted = crc << 1;
         if crc >> 31 == 0 { shifted } else { shifted ^ 0x04C1_1DB7 }
@@ -62,7 +68,7 @@ fn step(crc: u32, word: u32) -> u32 {
 ///
 /// # Errors
 /// The image cannot be read.
-pub fn symbol(image: &Path, name: &str) -> Result<Option<u32>> {
+pub fn symbol_address(image: &Path, name: &str) -> Result<Option<u32>> {
     let bytes = fs::read(image).with_context(|| image.display().to_string())?;
     let file = object::File::parse(&*bytes)?;
     let found = file.symbols().find(|symbol| symbol.name() == Ok(name));
@@ -70,7 +76,7 @@ pub fn symbol(image: &Path, name: &str) -> Result<Option<u32>> {
 }
 
 /// Returns the address of a symbol in a file, and its place there.
-fn find(bytes: &[u8], name: &str) -> Option<(u32, usize)> {
+fn find_symbol(bytes: &[u8], name: &str) -> Option<(u32, usize)> {
     let file = object::File::parse(bytes).ok()?;
     let symbol = file.symbols().find(|symbol| symbol.name() == Ok(name))?;
     let section = file.section_by_index(symbol.section_index()?).ok()?;
@@ -81,12 +87,12 @@ fn find(bytes: &[u8], name: &str) -> Option<(u32, usize)> {
 
 #[cfg(test)]
 mod tests {
-    use super::step;
+    use super::update_crc;
 
     #[test]
     fn the_crc_is_that_of_the_chips_unit() {
         // AN4187: a word of zeros.
-        assert_eq!(step(u32::MAX, 0), 0xC704_DD7B);
-        assert_eq!(step(u32::MAX, 0x1234_5678), 0xDF8A_8A2B);
+        assert_eq!(update_crc(u32::MAX, 0), 0xC704_DD7B);
+        assert_eq!(update_crc(u32::MAX, 0x1234_5678), 0xDF8A_8A2B);
     }
 }

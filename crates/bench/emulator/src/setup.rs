@@ -14,13 +14,13 @@ use rustix::fs::{FlockOperation, flock};
 
 use crate::{
     process,
-    qemu::{self, PROGRAM as QEMU},
+    qemu::{self, QEMU_PROGRAM as QEMU},
 };
 
 /// The processor of the STM32F405.
-pub const TARGET: &str = "thumbv7em-none-eabihf";
-/// Set to `distribution` it forces the second way to the target.
-pub const TOOLCHAIN_VARIABLE: &str = "TRUEUP_TOOLCHAIN";
+pub const TARGET_TRIPLE: &str = "thumbv7em-none-eabihf";
+/// Set to "distribution" it forces the second way to the target.
+pub const TOOLCHAIN_ENV_VAR: &str = "TRUEUP_TOOLCHAIN";
 
 /// The compiler of the firmware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,7 +34,7 @@ pub(crate) enum Toolchain {
 /// Returns the root of the project, wherever the command was called. Cargo says at run time which package
 /// it runs; what was compiled in may be out of date, because a folder can be moved.
 #[must_use]
-pub fn root() -> PathBuf {
+pub fn project_root() -> PathBuf {
     // What is handed out knows no folder of the computer that built it, or it would be another file on each.
     let here = if cfg!(debug_assertions) { env!("CARGO_MANIFEST_DIR") } else { "" };
     let compiled_in = Path::new(here);
@@ -52,25 +52,25 @@ pub fn root() -> PathBuf {
 ///
 /// # Errors
 /// Neither way works here; the error has both reasons.
-pub(crate) fn toolchain() -> Result<Toolchain> {
-    let _alone = alone()?;
-    let forced = std::env::var(TOOLCHAIN_VARIABLE).unwrap_or_default();
+pub(crate) fn ensure_toolchain() -> Result<Toolchain> {
+    let _alone = lock_setup()?;
+    let forced = std::env::var(TOOLCHAIN_ENV_VAR).unwrap_or_default();
     match forced.as_str() {
         "" | "rustup" => {}
-        "distribution" => return distribution().map(|()| Toolchain::Distribution),
+        "distribution" => return ensure_distribution_toolchain().map(|()| Toolchain::Distribution),
         other => {
-            bail!("{TOOLCHAIN_VARIABLE} is \"{other}\": it takes \"rustup\" or \"distribution\"")
+            bail!("{TOOLCHAIN_ENV_VAR} is \"{other}\": it takes \"rustup\" or \"distribution\"")
         }
     }
-    match rustup() {
+    match ensure_target_installed() {
         Ok(()) => Ok(Toolchain::Rustup),
         Err(first) if forced.is_empty() => {
-            trueup_output::diagnostic(format_args!(
+            trueup_output::write_diagnostic(format_args!(
                 "{first:#}; trying the distribution's compiler"
             ));
-            distribution().map_err(|second| {
+            ensure_distribution_toolchain().map_err(|second| {
                 second.context(format!(
-                    "the target {TARGET} cannot be installed; the first way failed: {first:#}"
+                    "the target {TARGET_TRIPLE} cannot be installed; the first way failed: {first:#}"
                 ))
             })?;
             Ok(Toolchain::Distribution)
@@ -81,50 +81,53 @@ pub(crate) fn toolchain() -> Result<Toolchain> {
 
 /// Waits until no other command or test of the project is installing anything; as long as the file
 /// that it gives is open, none begins.
-fn alone() -> Result<File> {
-    let folder = root().join("target");
+fn lock_setup() -> Result<File> {
+    let folder = project_root().join("target");
     fs::create_dir_all(&folder)?;
     let lock = File::create(folder.join("setup.lock"))?;
     flock(&lock, FlockOperation::LockExclusive)?;
     Ok(lock)
 }
 
-fn rustup() -> Result<()> {
-    if target_is_there() {
+fn ensure_target_installed() -> Result<()> {
+    if is_target_installed() {
         return Ok(());
     }
     let mut add = Command::new("rustup");
-    add.args(["target", "add", TARGET]);
-    trueup_output::diagnostic(format_args!(
-        "the compiler lacks {TARGET}; running `{}`",
-        process::line(&add)
+    add.args(["target", "add", TARGET_TRIPLE]);
+    trueup_output::write_diagnostic(format_args!(
+        "the compiler lacks {TARGET_TRIPLE}; running `{}`",
+        process::command_line(&add)
     ));
     process::run(&mut add)?;
-    if !target_is_there() {
-        bail!("rustup added {TARGET}, but not to the compiler in use");
+    if !is_target_installed() {
+        bail!("rustup added {TARGET_TRIPLE}, but not to the compiler in use");
     }
     Ok(())
 }
 
-fn target_is_there() -> bool {
+fn is_target_installed() -> bool {
     let rustc = std::env::var_os("RUSTC").unwrap_or("rustc".into());
-    process::output(Command::new(rustc).args(["--print", "target-libdir", "--target", TARGET]))
-        .is_ok_and(|folder| {
-            fs::read_dir(folder.trim()).is_ok_and(|mut files| {
-                files.any(|file| {
-                    file.is_ok_and(|file| {
-                        file.file_name().to_string_lossy().starts_with("libcore-")
-                    })
-                })
+    process::capture_stdout(Command::new(rustc).args([
+        "--print",
+        "target-libdir",
+        "--target",
+        TARGET_TRIPLE,
+    ]))
+    .is_ok_and(|folder| {
+        fs::read_dir(folder.trim()).is_ok_and(|mut files| {
+            files.any(|file| {
+                file.is_ok_and(|file| file.file_name().to_string_lossy().starts_with("libcore-"))
             })
         })
+    })
 }
 
-fn distribution() -> Result<()> {
+fn ensure_distribution_toolchain() -> Result<()> {
     // Debian's compiler comes without the linker that the target asks for.
     let packages = ["rustc-web", "cargo-web", "rust-web-src", "lld"];
-    if !packages.iter().all(|package| is_installed(package)) {
-        install(&packages, "the distribution's compiler and library source")?;
+    if !packages.iter().all(|package| is_package_installed(package)) {
+        install_packages(&packages, "the distribution's compiler and library source")?;
     }
     Ok(())
 }
@@ -133,12 +136,12 @@ fn distribution() -> Result<()> {
 ///
 /// # Errors
 /// It is missing and cannot be installed, or it is too old.
-pub fn qemu() -> Result<PathBuf> {
-    let _alone = alone()?;
-    if process::find(QEMU).is_none() {
-        install(&[QEMU], "QEMU, the emulator")?;
+pub fn ensure_qemu() -> Result<PathBuf> {
+    let _alone = lock_setup()?;
+    if process::find_on_path(QEMU).is_none() {
+        install_packages(&[QEMU], "QEMU, the emulator")?;
     }
-    qemu::program()
+    qemu::find_qemu()
 }
 
 /// Makes sure that the Python clients of the tests are there, in an environment of the project's
@@ -146,29 +149,29 @@ pub fn qemu() -> Result<PathBuf> {
 ///
 /// # Errors
 /// No Python, or the packages cannot be had.
-pub fn python() -> Result<PathBuf> {
-    let _alone = alone()?;
-    let requirements = root().join("host-tests/python/requirements.txt");
+pub fn ensure_python() -> Result<PathBuf> {
+    let _alone = lock_setup()?;
+    let requirements = project_root().join("host-tests/python/requirements.txt");
     let wanted = fs::read_to_string(&requirements).context("the list of Python packages")?;
-    let folder = root().join("target/python");
+    let folder = project_root().join("target/python");
     let python = folder.join("bin/python");
     let stamp = folder.join("installed.txt");
     if fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) {
         return Ok(python);
     }
-    if process::find("python3").is_none() {
-        install(&["python3", "python3-venv"], "Python, for the CAN clients of the tests")?;
+    if process::find_on_path("python3").is_none() {
+        install_packages(&["python3", "python3-venv"], "Python, for the CAN clients of the tests")?;
     }
-    trueup_output::diagnostic("installing the Python CAN clients into target/python");
+    trueup_output::write_diagnostic("installing the Python CAN clients into target/python");
     let make = |python: &str| {
         process::run(Command::new(python).args(["-m", "venv", "--clear"]).arg(&folder))
     };
     if make("python3").is_err() {
-        install(&["python3-venv"], "Python's virtual environments")?;
+        install_packages(&["python3-venv"], "Python's virtual environments")?;
         // Another Python may stand before the distribution's on PATH.
         make("python3").or_else(|_| make("/usr/bin/python3"))?;
     }
-    // By their hashes: nobody can put another package under a name that is asked for.
+    // By their hashes: no other package can be put under a requested name.
     let pip = [
         "-m",
         "pip",
@@ -204,26 +207,28 @@ impl LinuxCnc {
 ///
 /// # Errors
 /// There is a package, but it cannot be installed.
-pub fn linuxcnc() -> Result<Option<LinuxCnc>> {
+pub fn ensure_linuxcnc() -> Result<Option<LinuxCnc>> {
     const PROGRAM: &str = "linuxcnc";
     const PACKAGE: &str = "linuxcnc-uspace";
-    let installing = alone()?;
-    if process::find(PROGRAM).is_none() {
-        if process::find("apt-get").is_none() {
+    let installing = lock_setup()?;
+    if process::find_on_path(PROGRAM).is_none() {
+        if process::find_on_path("apt-get").is_none() {
             return Ok(None);
         }
-        if let Err(error) = install(&[PACKAGE], "LinuxCNC, to load what is exported to it") {
+        if let Err(error) = install_packages(&[PACKAGE], "LinuxCNC, to load what is exported to it")
+        {
             // Only now are the lists of packages up to date: is there one at all?
             let mut show = Command::new("apt-cache");
-            if process::output(show.args(["show", PACKAGE])).is_err() {
+            if process::capture_stdout(show.args(["show", PACKAGE])).is_err() {
                 return Ok(None);
             }
             return Err(error);
         }
     }
     drop(installing);
-    let program = process::find(PROGRAM).context("linuxcnc is installed but not on PATH")?;
-    let alone = File::create(root().join("target/linuxcnc.lock"))?;
+    let program =
+        process::find_on_path(PROGRAM).context("linuxcnc is installed but not on PATH")?;
+    let alone = File::create(project_root().join("target/linuxcnc.lock"))?;
     flock(&alone, FlockOperation::LockExclusive)?;
     Ok(Some(LinuxCnc { program, _alone: alone }))
 }
@@ -232,11 +237,11 @@ pub fn linuxcnc() -> Result<Option<LinuxCnc>> {
 ///
 /// # Errors
 /// Something is missing and cannot be installed.
-pub fn linuxcnc_dev() -> Result<()> {
+pub fn ensure_linuxcnc_dev() -> Result<()> {
     const PACKAGE: &str = "linuxcnc-uspace-dev";
-    let _alone = alone()?;
-    if process::find("halcompile").is_none() || process::find("make").is_none() {
-        install(&[PACKAGE, "make", "gcc"], "the makefile and headers of LinuxCNC")?;
+    let _alone = lock_setup()?;
+    if process::find_on_path("halcompile").is_none() || process::find_on_path("make").is_none() {
+        install_packages(&[PACKAGE, "make", "gcc"], "the makefile and headers of LinuxCNC")?;
     }
     Ok(())
 }
@@ -245,54 +250,54 @@ pub fn linuxcnc_dev() -> Result<()> {
 ///
 /// # Errors
 /// It is missing and cannot be installed.
-pub fn valgrind() -> Result<()> {
-    let _alone = alone()?;
-    if process::find("valgrind").is_none() {
-        install(&["valgrind"], "valgrind, to count instructions")?;
+pub fn ensure_valgrind() -> Result<()> {
+    let _alone = lock_setup()?;
+    if process::find_on_path("valgrind").is_none() {
+        install_packages(&["valgrind"], "valgrind, to count instructions")?;
     }
     Ok(())
 }
 
-/// Returns the path of `log2asc`, one of the can-utils, for the tests of recordings.
+/// Returns the path of `ensure_log2asc`, one of the can-utils, for the tests of recordings.
 ///
 /// # Errors
 /// It is missing and cannot be installed.
-pub fn log2asc() -> Result<PathBuf> {
+pub fn ensure_log2asc() -> Result<PathBuf> {
     const PROGRAM: &str = "log2asc";
-    let _alone = alone()?;
-    if process::find(PROGRAM).is_none() {
-        install(&["can-utils"], "can-utils, to read what the tool has recorded")?;
+    let _alone = lock_setup()?;
+    if process::find_on_path(PROGRAM).is_none() {
+        install_packages(&["can-utils"], "can-utils, to read what the tool has recorded")?;
     }
-    process::find(PROGRAM).context("can-utils is installed but log2asc is not on PATH")
+    process::find_on_path(PROGRAM).context("can-utils is installed but log2asc is not on PATH")
 }
 
-/// Returns the path of `mbpoll`, a Modbus master, for the tests of the gateway.
+/// Returns the path of `ensure_mbpoll`, a Modbus master, for the tests of the gateway.
 ///
 /// # Errors
 /// It is missing and cannot be installed.
-pub fn mbpoll() -> Result<PathBuf> {
+pub fn ensure_mbpoll() -> Result<PathBuf> {
     const PROGRAM: &str = "mbpoll";
-    let _alone = alone()?;
-    if process::find(PROGRAM).is_none() {
-        install(&[PROGRAM], "mbpoll, a Modbus master")?;
+    let _alone = lock_setup()?;
+    if process::find_on_path(PROGRAM).is_none() {
+        install_packages(&[PROGRAM], "mbpoll, a Modbus master")?;
     }
-    process::find(PROGRAM).context("mbpoll is installed but not on PATH")
+    process::find_on_path(PROGRAM).context("mbpoll is installed but not on PATH")
 }
 
-/// Returns the path of `mosquitto`, an MQTT broker, for the tests of what is published.
+/// Returns the path of `ensure_mosquitto`, an MQTT broker, for the tests of what is published.
 ///
 /// # Errors
 /// It is missing and cannot be installed.
-pub fn mosquitto() -> Result<PathBuf> {
+pub fn ensure_mosquitto() -> Result<PathBuf> {
     const PROGRAM: &str = "mosquitto";
     // Debian has it where only the administrator's PATH leads.
     let place = || {
         let other = PathBuf::from("/usr/sbin").join(PROGRAM);
-        process::find(PROGRAM).or_else(|| other.is_file().then_some(other))
+        process::find_on_path(PROGRAM).or_else(|| other.is_file().then_some(other))
     };
-    let _alone = alone()?;
+    let _alone = lock_setup()?;
     if place().is_none() {
-        install(&[PROGRAM], "mosquitto, an MQTT broker")?;
+        install_packages(&[PROGRAM], "mosquitto, an MQTT broker")?;
     }
     place().context("mosquitto is installed but not on PATH")
 }
@@ -301,13 +306,13 @@ pub fn mosquitto() -> Result<PathBuf> {
 ///
 /// # Errors
 /// Something is missing and cannot be had here.
-pub fn quick() -> Result<()> {
-    toolchain()?;
-    qemu()?;
-    python()?;
-    log2asc()?;
-    mbpoll()?;
-    mosquitto()?;
+pub fn install_quick_test_dependencies() -> Result<()> {
+    ensure_toolchain()?;
+    ensure_qemu()?;
+    ensure_python()?;
+    ensure_log2asc()?;
+    ensure_mbpoll()?;
+    ensure_mosquitto()?;
     Ok(())
 }
 
@@ -315,28 +320,29 @@ pub fn quick() -> Result<()> {
 ///
 /// # Errors
 /// Something is missing and cannot be had here.
-pub fn everything() -> Result<()> {
-    quick()?;
-    linuxcnc()?;
+pub fn install_all_dependencies() -> Result<()> {
+    install_quick_test_dependencies()?;
+    ensure_linuxcnc()?;
     Ok(())
 }
 
-fn is_installed(package: &str) -> bool {
-    process::output(Command::new("dpkg-query").args(["-W", "-f", "${Status}", package]))
+fn is_package_installed(package: &str) -> bool {
+    process::capture_stdout(Command::new("dpkg-query").args(["-W", "-f", "${Status}", package]))
         .is_ok_and(|status| status == "install ok installed")
 }
 
 /// Installs packages of the distribution, or says how.
-fn install(packages: &[&str], what: &str) -> Result<()> {
+fn install_packages(packages: &[&str], what: &str) -> Result<()> {
     let by_hand = format!("sudo apt-get update && sudo apt-get install -y {}", packages.join(" "));
-    if process::find("apt-get").is_none() {
+    if process::find_on_path("apt-get").is_none() {
         bail!(
             "{what} is missing, and this is not Debian or Ubuntu; install: {}",
             packages.join(" ")
         );
     }
-    let root = process::output(Command::new("id").arg("-u")).is_ok_and(|id| id.trim() == "0");
-    let sudo = || process::output(Command::new("sudo").args(["-n", "true"])).is_ok();
+    let root =
+        process::capture_stdout(Command::new("id").arg("-u")).is_ok_and(|id| id.trim() == "0");
+    let sudo = || process::capture_stdout(Command::new("sudo").args(["-n", "true"])).is_ok();
     if !root && !sudo() {
         bail!("{what} is missing and this user may not install it; run:\n    {by_hand}");
     }
@@ -348,7 +354,7 @@ fn install(packages: &[&str], what: &str) -> Result<()> {
         command.args(["-qq", "-o", "DPkg::Lock::Timeout=300"]).args(arguments);
         process::run(command.env("DEBIAN_FRONTEND", "noninteractive"))
     };
-    trueup_output::diagnostic(format_args!(
+    trueup_output::write_diagnostic(format_args!(
         "{what} is missing; installing: {}",
         packages.join(" ")
     ));

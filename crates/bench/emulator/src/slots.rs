@@ -8,23 +8,23 @@ use std::{
 
 use anyhow::{Context as _, Result, ensure};
 use trueup_boot::{
+    flash_layout::{MAX_BOOT_SIZE, SLOT_SIZE, Slot},
     header::{HEADER_SIZE, Header, Version},
-    layout::{BOOT_SIZE, SLOT_SIZE, Slot},
 };
 use trueup_signature::{PrivateKey, PublicKey};
 
 use crate::{
     binary,
-    compile::{self, Linked, PROGRAM, build_with, mark},
+    compile::{self, FIRMWARE_PROGRAM, LinkedMachine, build_and_copy, machine_hash},
     seal, setup,
 };
 
 /// Names the bytes of the boot program that an image is to have in front.
-const BOOT_VARIABLE: &str = "TRUEUP_BOOT";
+const BOOT_IMAGE_ENV_VAR: &str = "TRUEUP_BOOT";
 /// Where an image has its header.
-const HEADER_SYMBOL: &str = "TRUEUP_SLOT_HEADER";
+const SLOT_HEADER_SYMBOL: &str = "TRUEUP_SLOT_HEADER";
 /// Where the test has behaviour and name of the small image (`src/bin/slot_test`).
-const SETTINGS: &str = "SLOT_TEST";
+const SLOT_TEST_SYMBOL: &str = "SLOT_TEST";
 
 /// Builds the boot program, for the public key that `TRUEUP_KEY` names or that of developers.
 ///
@@ -44,9 +44,12 @@ pub fn build_boot_with_key(key: &Path) -> Result<PathBuf> {
 
 fn build_boot_for(key: Option<&Path>) -> Result<PathBuf> {
     let name = if key.is_some() { "boot-with-key" } else { "boot" };
-    let image = build("boot", "trueup-boot-program", name, None, key)?;
-    let size = binary::of(&image)?.len();
-    ensure!(size <= BOOT_SIZE as usize, "the boot program has {size} bytes, above {BOOT_SIZE}");
+    let image = build_program("boot", "trueup-boot-program", name, None, key)?;
+    let size = binary::read_flash_image(&image)?.len();
+    ensure!(
+        size <= MAX_BOOT_SIZE as usize,
+        "the boot program has {size} bytes, above {MAX_BOOT_SIZE}"
+    );
     Ok(image)
 }
 
@@ -56,7 +59,7 @@ fn build_boot_for(key: Option<&Path>) -> Result<PathBuf> {
 /// As [`build_boot`].
 pub fn build_slot_test(slot: Slot) -> Result<PathBuf> {
     let name = format!("slot-test-{}", slot.name());
-    build("slot-test", "trueup-slot-test", &name, Some(slot), None)
+    build_program("slot-test", "trueup-slot-test", &name, Some(slot), None)
 }
 
 /// Builds the same for another public key (PEM), under another name.
@@ -65,7 +68,7 @@ pub fn build_slot_test(slot: Slot) -> Result<PathBuf> {
 /// As [`build_boot`].
 pub fn build_slot_test_with_key(slot: Slot, key: &Path) -> Result<PathBuf> {
     let name = format!("slot-test-with-key-{}", slot.name());
-    build("slot-test", "trueup-slot-test", &name, Some(slot), Some(key))
+    build_program("slot-test", "trueup-slot-test", &name, Some(slot), Some(key))
 }
 
 /// Returns cargo commands for the boot program with the image of its tests, and for the application in a slot:
@@ -73,10 +76,10 @@ pub fn build_slot_test_with_key(slot: Slot, key: &Path) -> Result<PathBuf> {
 ///
 /// # Errors
 /// There is no way to the target; see `setup::toolchain`.
-pub fn cargo(verb: &str) -> Result<[Command; 2]> {
-    let (mut boot, _) = compile::cargo_for(verb, "slot-test")?;
+pub fn cargo_commands(verb: &str) -> Result<[Command; 2]> {
+    let (mut boot, _) = compile::cargo_command(verb, "slot-test")?;
     boot.args(["--bin", "trueup-boot-program", "--bin", "trueup-slot-test"]);
-    let (mut application, _) = compile::cargo_for(verb, "slots")?;
+    let (mut application, _) = compile::cargo_command(verb, "slots")?;
     application.args(["--bin", "trueup-firmware"]);
     Ok([boot, application])
 }
@@ -86,32 +89,32 @@ pub fn cargo(verb: &str) -> Result<[Command; 2]> {
 /// # Errors
 /// As [`build_boot`]; the machine file cannot be used.
 pub fn build_application(slot: Slot, machine: &Path) -> Result<PathBuf> {
-    let name = format!("stm32f405-{}-for-{}", slot.name(), mark(machine)?);
-    build_for_slot(slot, Linked::File(machine), None, &name, |_| Ok(()))
+    let name = format!("stm32f405-{}-for-{}", slot.name(), machine_hash(machine)?);
+    build_for_slot(slot, LinkedMachine::File(machine), None, &name, |_| Ok(()))
 }
 
 fn build_for_slot(
     slot: Slot,
-    machine: Linked<'_>,
+    machine: LinkedMachine<'_>,
     boot: Option<&Path>,
     name: &str,
     finish: impl FnOnce(&Path) -> Result<()>,
 ) -> Result<PathBuf> {
-    let (mut command, folder) = cargo_for("slots", PROGRAM, Some(slot))?;
-    machine.tell(&mut command);
+    let (mut command, folder) = cargo_command("slots", FIRMWARE_PROGRAM, Some(slot))?;
+    machine.apply_to(&mut command);
     match boot {
-        Some(boot) => command.env(BOOT_VARIABLE, boot),
-        None => command.env_remove(BOOT_VARIABLE),
+        Some(boot) => command.env(BOOT_IMAGE_ENV_VAR, boot),
+        None => command.env_remove(BOOT_IMAGE_ENV_VAR),
     };
-    build_with(command, &folder, PROGRAM, name, |image| {
-        seal::seal(image)?;
+    build_and_copy(command, &folder, FIRMWARE_PROGRAM, name, |image| {
+        seal::embed_image_check(image)?;
         finish(image)
     })
 }
 
 /// Files for a board.
 #[derive(Debug)]
-pub struct Flashable {
+pub struct FlashableFiles {
     /// Boot program and slot A, one whole image; its plain bytes stand next to it (`.bin`).
     pub image: PathBuf,
     /// The files of an update, for slot A and for slot B, one behind the other.
@@ -122,50 +125,55 @@ pub struct Flashable {
 ///
 /// # Errors
 /// As [`build_boot`]; the machine file cannot be used, or the key of the boot program is not that of the signature.
-pub fn build_flashable_for(machine: &Path, version: Version) -> Result<Flashable> {
-    let name = format!("stm32f405-{version}-for-{}", mark(machine)?);
-    build_flashable(Linked::File(machine), &name, version)
+pub fn build_flashable_for(machine: &Path, version: Version) -> Result<FlashableFiles> {
+    let name = format!("stm32f405-{version}-for-{}", machine_hash(machine)?);
+    build_flashable(LinkedMachine::File(machine), &name, version)
 }
 
 /// Builds the whole image alone.
-pub(crate) fn build_whole(machine: Linked<'_>, name: &str, version: Version) -> Result<PathBuf> {
+pub(crate) fn build_combined_image(
+    machine: LinkedMachine<'_>,
+    name: &str,
+    version: Version,
+) -> Result<PathBuf> {
     let boot = build_boot()?;
     let boot_bytes = boot.with_extension("bin");
-    let bytes = binary::of(&boot)?;
+    let bytes = binary::read_flash_image(&boot)?;
     // What is the same keeps its time, and nothing is built again.
     if fs::read(&boot_bytes).ok().as_ref() != Some(&bytes) {
         fs::write(&boot_bytes, bytes)?;
     }
     let image = build_signed(Slot::A, machine, Some(&boot_bytes), name, version)?;
-    fs::write(image.with_extension("bin"), binary::of(&image)?)?;
+    fs::write(image.with_extension("bin"), binary::read_flash_image(&image)?)?;
     Ok(image)
 }
 
 pub(crate) fn build_flashable(
-    machine: Linked<'_>,
+    machine: LinkedMachine<'_>,
     name: &str,
     version: Version,
-) -> Result<Flashable> {
-    let image = build_whole(machine, name, version)?;
+) -> Result<FlashableFiles> {
+    let image = build_combined_image(machine, name, version)?;
     let second = build_signed(Slot::B, machine, None, &format!("{name}-B"), version)?;
-    let update = [file(&image, Slot::A)?, file(&second, Slot::B)?].concat();
+    let update =
+        [image_with_header(&image, Slot::A)?, image_with_header(&second, Slot::B)?].concat();
     let path = image.with_extension("update");
     fs::write(&path, update)?;
-    Ok(Flashable { image, update: path })
+    Ok(FlashableFiles { image, update: path })
 }
 
 /// Builds the application for a slot, with its header and signature.
 fn build_signed(
     slot: Slot,
-    machine: Linked<'_>,
+    machine: LinkedMachine<'_>,
     boot: Option<&Path>,
     name: &str,
     version: Version,
 ) -> Result<PathBuf> {
     let key = signing_key()?;
     build_for_slot(slot, machine, boot, name, |image| {
-        let file = sign(&body(image, slot)?, slot, version, Version::default(), &key);
-        seal::write_at(image, HEADER_SYMBOL, &file[..HEADER_SIZE])
+        let file = sign_update(&image_body(image, slot)?, slot, version, Version::default(), &key);
+        seal::write_at_symbol(image, SLOT_HEADER_SYMBOL, &file[..HEADER_SIZE])
     })
 }
 
@@ -173,7 +181,7 @@ fn build_signed(
 ///
 /// # Errors
 /// `TRUEUP_FIRMWARE_VERSION` is none.
-pub fn version() -> Result<Version> {
+pub fn firmware_version() -> Result<Version> {
     let text = env::var("TRUEUP_FIRMWARE_VERSION");
     let text = text.as_deref().unwrap_or(env!("CARGO_PKG_VERSION"));
     Version::parse(text).with_context(|| format!("TRUEUP_FIRMWARE_VERSION: {text} is no version"))
@@ -196,29 +204,29 @@ fn signing_key() -> Result<PrivateKey> {
     let burnt = PublicKey::from_pem(&fs::read_to_string(&public).with_context(|| public.clone())?)
         .with_context(|| public.clone())?;
     ensure!(
-        burnt.to_bytes() == key.public().to_bytes(),
+        burnt.to_bytes() == key.public_key().to_bytes(),
         "{public} is not the public half of {path}: no board would start what is signed with it"
     );
     Ok(key)
 }
 
 /// Builds a program; with `key`, for that public key in the place of what the environment names.
-fn build(
+fn build_program(
     feature: &str,
     program: &str,
     name: &str,
     slot: Option<Slot>,
     key: Option<&Path>,
 ) -> Result<PathBuf> {
-    let (mut command, folder) = cargo_for(feature, program, slot)?;
+    let (mut command, folder) = cargo_command(feature, program, slot)?;
     if let Some(key) = key {
         command.env("TRUEUP_KEY", key);
     }
-    build_with(command, &folder, program, name, |_| Ok(()))
+    build_and_copy(command, &folder, program, name, |_| Ok(()))
 }
 
-fn cargo_for(feature: &str, program: &str, slot: Option<Slot>) -> Result<(Command, PathBuf)> {
-    let (mut command, folder) = compile::cargo_for("build", feature)?;
+fn cargo_command(feature: &str, program: &str, slot: Option<Slot>) -> Result<(Command, PathBuf)> {
+    let (mut command, folder) = compile::cargo_command("build", feature)?;
     command.args(["--bin", program]);
     match slot {
         Some(slot) => command.env("TRUEUP_SLOT", slot.name()),
@@ -231,20 +239,20 @@ fn cargo_for(feature: &str, program: &str, slot: Option<Slot>) -> Result<(Comman
 ///
 /// # Errors
 /// The image cannot be read, or has bytes outside of its slot.
-pub fn body(image: &Path, slot: Slot) -> Result<Vec<u8>> {
-    Ok(file(image, slot)?.split_off(HEADER_SIZE))
+pub fn image_body(image: &Path, slot: Slot) -> Result<Vec<u8>> {
+    Ok(image_with_header(image, slot)?.split_off(HEADER_SIZE))
 }
 
 /// Returns the same with the header that the image has.
-fn file(image: &Path, slot: Slot) -> Result<Vec<u8>> {
-    let mut flash = binary::of(image)?;
+fn image_with_header(image: &Path, slot: Slot) -> Result<Vec<u8>> {
+    let mut flash = binary::read_flash_image(image)?;
     let start = usize::try_from(slot.start() - binary::FLASH_START)?;
     let (first, end) = (start + HEADER_SIZE, start + SLOT_SIZE as usize);
     let name = image.display();
     ensure!(flash.len() > first, "{name} is not linked for slot {}", slot.name());
     ensure!(flash.len() <= end, "{name} is larger than a slot");
     // A whole image has the boot program below slot A.
-    let below = if slot == Slot::A { BOOT_SIZE as usize..start } else { 0..start };
+    let below = if slot == Slot::A { MAX_BOOT_SIZE as usize..start } else { 0..start };
     ensure!(flash[below].iter().all(|byte| *byte == 0xFF), "{name} has bytes below its slot");
     flash.resize(flash.len().next_multiple_of(4), 0xFF);
     Ok(flash.split_off(start))
@@ -253,10 +261,11 @@ fn file(image: &Path, slot: Slot) -> Result<Vec<u8>> {
 /// Returns the body of the small image of the tests with its behaviour and the name that it says.
 ///
 /// # Errors
-/// As [`body`].
+/// As [`image_body`].
 pub fn slot_test_body(image: &Path, slot: Slot, behaviour: u8, name: u8) -> Result<Vec<u8>> {
-    let mut body = body(image, slot)?;
-    let address = seal::symbol(image, SETTINGS)?.context("the image has no settings")?;
+    let mut body = image_body(image, slot)?;
+    let address =
+        seal::symbol_address(image, SLOT_TEST_SYMBOL)?.context("the image has no settings")?;
     let at = usize::try_from(address - slot.start())? - HEADER_SIZE;
     let place = body.get_mut(at..at + 2).context("its settings are not in the image")?;
     place.copy_from_slice(&[behaviour, name]);
@@ -265,15 +274,15 @@ pub fn slot_test_body(image: &Path, slot: Slot, behaviour: u8, name: u8) -> Resu
 
 /// Returns the file of an update: header, signature and image.
 #[must_use]
-pub fn sign(
+pub fn sign_update(
     body: &[u8],
     slot: Slot,
     version: Version,
     floor: Version,
     key: &PrivateKey,
 ) -> Vec<u8> {
-    let mut header = Header::unsigned(body, slot, version, floor);
-    header.signature = key.sign(Header::signed(&header.encode()));
+    let mut header = Header::new_unsigned(body, slot, version, floor);
+    header.signature = key.sign(Header::signed_bytes(&header.encode()));
     let mut file = header.encode().to_vec();
     file.extend(body);
     file
@@ -284,7 +293,7 @@ pub fn sign(
 /// # Errors
 /// It cannot be read.
 pub fn development_key() -> Result<PrivateKey> {
-    let path = setup::root().join("data/keys/development.pem");
+    let path = setup::project_root().join("data/keys/development.pem");
     let pem = fs::read_to_string(&path).with_context(|| path.display().to_string())?;
     PrivateKey::from_pem(&pem).with_context(|| path.display().to_string())
 }

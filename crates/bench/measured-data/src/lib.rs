@@ -2,7 +2,7 @@
 //! lists them).
 //!
 //! The folder is what `TRUEUP_DATA` names, else `../shared/data` next to the project. Without
-//! either, the tests on them are skipped, with a line for each: nothing is left out in silence.
+//! either, the tests on them are skipped, with a line for each: nothing is skipped in silence.
 #![allow(clippy::print_stdout, clippy::disallowed_methods, reason = "only tests use it")]
 #![forbid(unsafe_code)]
 
@@ -13,16 +13,16 @@ use std::{
 };
 
 /// The environment variable that names the folder.
-pub(crate) const VARIABLE: &str = "TRUEUP_DATA";
+pub(crate) const DATA_DIR_ENV_VAR: &str = "TRUEUP_DATA";
 
 /// Returns the path of a measured file, `None` where it is not there; a line says so then.
 ///
 /// `name` is its path below the folder, `ess_iso230/x.csv` say.
 #[must_use]
-pub fn file(name: &str) -> Option<PathBuf> {
+pub fn find_file(name: &str) -> Option<PathBuf> {
     let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../../shared/data");
-    let folder = env::var_os(VARIABLE).map_or(beside, PathBuf::from);
-    let found = find(&folder, name);
+    let folder = env::var_os(DATA_DIR_ENV_VAR).map_or(beside, PathBuf::from);
+    let found = find_in_folder(&folder, name);
     if found.is_none() {
         // `cargo verify` counts this line …
         println!("skipped: {name} is not there (docs/measured-data.md)");
@@ -30,13 +30,13 @@ pub fn file(name: &str) -> Option<PathBuf> {
         // one. Should it get lost all the same, the test is no worse for it.
         _ = writeln!(
             stderr(),
-            "\nskipped: no {name}; {VARIABLE} names the folder of measured data"
+            "\nskipped: no {name}; {DATA_DIR_ENV_VAR} names the folder of measured data"
         );
     }
     found
 }
 
-fn find(folder: &Path, name: &str) -> Option<PathBuf> {
+fn find_in_folder(folder: &Path, name: &str) -> Option<PathBuf> {
     let path = folder.join(name);
     path.is_file().then_some(path)
 }
@@ -48,8 +48,8 @@ mod tests {
     #[test]
     fn only_a_file_is_found() {
         let here = Path::new(env!("CARGO_MANIFEST_DIR"));
-        assert_eq!(find(here, "src/lib.rs"), Some(here.join("src/lib.rs")));
-        assert_eq!(find(here, "src"), None);
-        assert_eq!(find(here, "no/such.csv"), None);
+        assert_eq!(find_in_folder(here, "src/lib.rs"), Some(here.join("src/lib.rs")));
+        assert_eq!(find_in_folder(here, "src"), None);
+        assert_eq!(find_in_folder(here, "no/such.csv"), None);
     }
 }

@@ -16,19 +16,22 @@ use std::{println, vec::Vec};
 use trueup_store::strict_flash::StrictFlash;
 
 use crate::{
+    boot_state::ImageStatus,
+    flash_layout::Slot,
     header::{HEADER_SIZE, Version},
-    inspect::Image,
+    image_check::Image,
     journal::Journal,
-    layout::Slot,
-    record::Status,
-    start::{Clock, Ending, Reason, Start, choose},
-    testing::{KEY, Powered, RECORDS, SLOT, Supply, flash_by_probe, image, powered},
+    start::{ClockSpeed, StartOutcome, StartReason, StartSelection, select_image},
+    testing::{
+        PowerSupply, PoweredFlash, RECORDS_SECTOR_BYTES, SLOT_BYTES, TEST_KEY, flash_by_probe,
+        signed_image, with_supply,
+    },
     update::{Update, confirm},
 };
 
 /// Fate of the new image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Story {
+enum ImageFate {
     /// It is confirmed.
     Confirmed,
     /// It crashes in its first start.
@@ -37,7 +40,7 @@ enum Story {
 
 /// Statements and acts of the board that have to hold.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct Promised {
+struct ExpectedState {
     /// The update was acknowledged.
     update: bool,
     /// The confirmation began; it was acknowledged.
@@ -51,62 +54,69 @@ struct Promised {
 /// The content of both flashes, and what was promised.
 #[derive(Clone)]
 struct Board {
-    records: StrictFlash<RECORDS>,
-    slots: StrictFlash<SLOT>,
-    promised: Promised,
+    records: StrictFlash<RECORDS_SECTOR_BYTES>,
+    slots: StrictFlash<SLOT_BYTES>,
+    promised: ExpectedState,
     files: [Vec<u8>; 2],
     context: [usize; 3],
 }
 
 /// The power was cut.
-struct Off;
+struct PowerCut;
 
 impl Board {
     /// Version 1 runs in slot A, confirmed; as many other states were stored before.
     fn new(seed: u32, before: u32) -> Self {
-        let files = [image(Slot::A, 1, 0), image(Slot::B, 2, 2)];
-        let mut slots = StrictFlash::wavering(seed);
+        let files = [signed_image(Slot::A, 1, 0), signed_image(Slot::B, 2, 2)];
+        let mut slots = StrictFlash::with_unstable_bits(seed);
         flash_by_probe(&mut slots, Slot::A, &files[0]);
-        let mut journal = Journal::open(StrictFlash::wavering(seed ^ 0x5555));
-        let running = crate::inspect::read_header(&mut slots, Slot::A, Version::default());
+        let mut journal = Journal::open(StrictFlash::with_unstable_bits(seed ^ 0x5555));
+        let running = crate::image_check::read_header(&mut slots, Slot::A, Version::default());
         let running = running.expect("it was just written");
         for number in 0..before {
-            let state = journal.state().with(Slot::B, number, Status::Rejected);
+            let state = journal.state().with_status(Slot::B, number, ImageStatus::Rejected);
             journal.commit(state).expect("powered");
         }
         confirm(&mut journal, &running).expect("powered");
         let records = journal.into_flash();
         let context = [seed as usize, 0, 0];
-        Self { records, slots, promised: Promised::default(), files, context }
+        Self { records, slots, promised: ExpectedState::default(), files, context }
     }
 
     /// Runs work with both flashes at a supply.
-    fn powered<T>(
+    fn with_supply<T>(
         &mut self,
-        supply: &Supply,
-        work: impl FnOnce(&mut Journal<Powered<RECORDS>>, &mut Powered<SLOT>) -> T,
+        supply: &PowerSupply,
+        work: impl FnOnce(
+            &mut Journal<PoweredFlash<RECORDS_SECTOR_BYTES>>,
+            &mut PoweredFlash<SLOT_BYTES>,
+        ) -> T,
     ) -> T {
-        powered(&mut self.records, &mut self.slots, supply, work)
+        with_supply(&mut self.records, &mut self.slots, supply, work)
     }
 
     /// Starts once, and holds what starts against what was promised.
-    fn start(&mut self, supply: &Supply, ending: Ending) -> Result<Start, Off> {
-        let (start, state) = self.powered(supply, |journal, slots| {
-            let start = choose(journal, slots, &KEY, ending, Clock::Full, || ());
+    fn start(
+        &mut self,
+        supply: &PowerSupply,
+        ending: StartOutcome,
+    ) -> Result<StartSelection, PowerCut> {
+        let (start, state) = self.with_supply(supply, |journal, slots| {
+            let start = select_image(journal, slots, &TEST_KEY, ending, ClockSpeed::Full, || ());
             (start, journal.state())
         });
         if supply.is_off() {
-            return Err(Off);
+            return Err(PowerCut);
         }
         let context = self.context;
         let start = start.unwrap_or_else(|| panic!("no slot starts: {context:?}"));
         let slot = start.image.header.slot;
-        let file = slot.of(&self.files);
-        let from = usize::from(slot.number()) * SLOT;
+        let file = slot.element_of(&self.files);
+        let from = usize::from(slot.number()) * SLOT_BYTES;
         assert_eq!(self.slots.bytes[from..from + file.len()], *file, "{context:?}");
         let wavers = self.slots.wavering.range(from..from + file.len()).any(|(_, bits)| *bits != 0);
         assert!(!wavers, "it starts an image that wavers: {context:?}");
-        let Promised { update, confirming, confirmed, crashed, rejected } = self.promised;
+        let ExpectedState { update, confirming, confirmed, crashed, rejected } = self.promised;
         assert!(!confirmed || slot == Slot::B, "confirmed, and gone: {context:?}");
         assert!(!rejected || slot == Slot::A, "rejected, and back: {context:?}");
         assert!(!update || crashed || slot == Slot::B, "loaded, and not started: {context:?}");
@@ -115,35 +125,35 @@ impl Board {
         assert!(risen || floor == Version::default(), "floor {floor}: {context:?}");
         assert!(confirming || !risen, "the floor rose before a confirmation: {context:?}");
         assert!(!confirmed || risen, "the floor fell: {context:?}");
-        let is_confirmed = Slot::B.of(&state.slots).status == Status::Confirmed;
+        let is_confirmed = Slot::B.element_of(&state.slots).status == ImageStatus::Confirmed;
         assert_eq!(risen, is_confirmed, "the floor rises with the confirmation: {context:?}");
         Ok(start)
     }
 
     /// Loads version 2 into slot B.
-    fn update(&mut self, supply: &Supply, running: &Image) -> Result<(), Off> {
+    fn load_update(&mut self, supply: &PowerSupply, running: &Image) -> Result<(), PowerCut> {
         let file = self.files[1].clone();
         let header: &[u8; HEADER_SIZE] = file.first_chunk().expect("a header");
-        let result = self.powered(supply, |journal, slots| {
+        let result = self.with_supply(supply, |journal, slots| {
             let mut update = Update::begin(journal, slots, running, header)?;
             for piece in file[HEADER_SIZE..].chunks(7) {
                 update.append(slots, piece)?;
             }
-            update.finish(journal, slots, &KEY, || ())
+            update.finish(journal, slots, &TEST_KEY, || ())
         });
         if supply.is_off() {
-            return Err(Off);
+            return Err(PowerCut);
         }
         result.unwrap_or_else(|error| panic!("{error}: {:?}", self.context));
         self.promised.update = true;
         Ok(())
     }
 
-    fn confirm(&mut self, supply: &Supply, running: &Image) -> Result<(), Off> {
+    fn confirm(&mut self, supply: &PowerSupply, running: &Image) -> Result<(), PowerCut> {
         self.promised.confirming = true;
-        let result = self.powered(supply, |journal, _| confirm(journal, running));
+        let result = self.with_supply(supply, |journal, _| confirm(journal, running));
         if supply.is_off() {
-            return Err(Off);
+            return Err(PowerCut);
         }
         result.unwrap_or_else(|error| panic!("{error}: {:?}", self.context));
         self.promised.confirmed = true;
@@ -151,64 +161,67 @@ impl Board {
     }
 
     /// Lives with the power on until the story is over, or the supply is cut.
-    fn live(&mut self, supply: &Supply, story: Story) -> Result<(), Off> {
-        let mut ending = Ending::PowerCycle;
+    fn run_scenario(&mut self, supply: &PowerSupply, story: ImageFate) -> Result<(), PowerCut> {
+        let mut ending = StartOutcome::PowerCycle;
         for _ in 0..4 {
-            let Start { image, reason, .. } = self.start(supply, ending)?;
-            ending = Ending::Reset;
+            let StartSelection { image, reason, .. } = self.start(supply, ending)?;
+            ending = StartOutcome::Reset;
             match (image.header.slot, story) {
-                (Slot::A, Story::Crashes) if reason == Reason::WentBack => {
+                (Slot::A, ImageFate::Crashes) if reason == StartReason::WentBack => {
                     self.promised.rejected = true;
                     return Ok(());
                 }
-                (Slot::A, _) => self.update(supply, &image)?,
-                (Slot::B, Story::Confirmed) if self.promised.confirmed => return Ok(()),
-                (Slot::B, Story::Confirmed) => self.confirm(supply, &image)?,
-                (Slot::B, Story::Crashes) => self.promised.crashed = true,
+                (Slot::A, _) => self.load_update(supply, &image)?,
+                (Slot::B, ImageFate::Confirmed) if self.promised.confirmed => return Ok(()),
+                (Slot::B, ImageFate::Confirmed) => self.confirm(supply, &image)?,
+                (Slot::B, ImageFate::Crashes) => self.promised.crashed = true,
             }
         }
         panic!("the story has no end: {:?}", self.context)
     }
 
     /// Checks that each promise of the board holds after three more power cycles.
-    fn rest(&mut self) {
+    fn verify_promises(&mut self) {
         for _ in 0..3 {
-            let supply = Supply::of(usize::MAX);
+            let supply = PowerSupply::with_byte_budget(usize::MAX);
             for random in [&self.records.random, &self.slots.random] {
                 random.set(random.get().wrapping_mul(0x9E37_79B9) | 1);
             }
-            assert!(self.start(&supply, Ending::PowerCycle).is_ok(), "the supply lasts");
+            assert!(self.start(&supply, StartOutcome::PowerCycle).is_ok(), "the supply lasts");
         }
     }
 }
 
 /// Returns how many bytes a story burns from here.
-fn burnt(board: &Board, story: Story) -> usize {
-    const FUEL: usize = usize::MAX / 2;
-    let supply = Supply::of(FUEL);
-    assert!(board.clone().live(&supply, story).is_ok(), "the supply lasts");
-    FUEL - supply.left()
+fn count_written_bytes(board: &Board, story: ImageFate) -> usize {
+    const UNLIMITED_BYTES: usize = usize::MAX / 2;
+    let supply = PowerSupply::with_byte_budget(UNLIMITED_BYTES);
+    assert!(board.clone().run_scenario(&supply, story).is_ok(), "the supply lasts");
+    UNLIMITED_BYTES - supply.remaining_bytes()
 }
 
 /// Cuts at every word, and again at each `step`-th word of what follows; gives the number of pairs.
-fn cut_twice(story: Story, seed: u32, before: u32, step: usize) -> usize {
+fn cut_power_twice(story: ImageFate, seed: u32, before: u32, step: usize) -> usize {
     let start = Board::new(seed, before);
-    let all = burnt(&start, story);
+    let all = count_written_bytes(&start, story);
     let mut pairs = 0;
     for first in (0..=all).step_by(4) {
         let mut once = start.clone();
         once.context = [seed as usize, first, usize::MAX];
-        let is_over = once.live(&Supply::of(first), story).is_ok();
+        let is_over = once.run_scenario(&PowerSupply::with_byte_budget(first), story).is_ok();
         assert_eq!(is_over, first == all, "{first} of {all}");
         // The first of the second cuts moves on, so that over all of the first every word has its turn.
-        let follows = burnt(&once, story);
+        let follows = count_written_bytes(&once, story);
         for second in (first % (4 * step)..=follows).step_by(4 * step) {
             let mut twice = once.clone();
             twice.context[2] = second;
             // Whether it was over is no matter: what was promised is.
-            twice.live(&Supply::of(second), story).ok();
-            assert!(twice.live(&Supply::of(usize::MAX), story).is_ok(), "the supply lasts");
-            twice.rest();
+            twice.run_scenario(&PowerSupply::with_byte_budget(second), story).ok();
+            assert!(
+                twice.run_scenario(&PowerSupply::with_byte_budget(usize::MAX), story).is_ok(),
+                "the supply lasts"
+            );
+            twice.verify_promises();
             pairs += 1;
         }
     }
@@ -217,27 +230,28 @@ fn cut_twice(story: Story, seed: u32, before: u32, step: usize) -> usize {
 }
 
 /// The same with up to three other states stored before, so that sectors of the journal fill up at other words.
-fn cut_twice_in_all(story: Story, step: usize) -> usize {
-    let seed = |before: u32| 2 * before + u32::from(story == Story::Crashes);
-    (0..4).map(|before| cut_twice(story, seed(before) + 1, before, step)).sum()
+fn cut_power_twice_everywhere(story: ImageFate, step: usize) -> usize {
+    let seed = |before: u32| 2 * before + u32::from(story == ImageFate::Crashes);
+    (0..4).map(|before| cut_power_twice(story, seed(before) + 1, before, step)).sum()
 }
 
 #[test]
 fn two_power_cuts_in_an_update_that_is_confirmed_leave_a_board_that_starts() {
-    let pairs = cut_twice_in_all(Story::Confirmed, 11);
+    let pairs = cut_power_twice_everywhere(ImageFate::Confirmed, 11);
     assert!(pairs >= 50_000, "{pairs}");
 }
 
 #[test]
 fn two_power_cuts_in_an_update_that_crashes_leave_a_board_that_starts() {
-    let pairs = cut_twice_in_all(Story::Crashes, 11);
+    let pairs = cut_power_twice_everywhere(ImageFate::Crashes, 11);
     assert!(pairs >= 50_000, "{pairs}");
 }
 
 #[test]
 #[ignore = "long: every pair of words, eighty seconds"]
 fn two_power_cuts_at_every_pair_of_words_leave_a_board_that_starts() {
-    let pairs = [Story::Confirmed, Story::Crashes].map(|story| cut_twice_in_all(story, 1));
+    let pairs = [ImageFate::Confirmed, ImageFate::Crashes]
+        .map(|story| cut_power_twice_everywhere(story, 1));
     println!("{} pairs", pairs[0] + pairs[1]);
     assert!(pairs[0] + pairs[1] >= 1_000_000, "{pairs:?}");
 }

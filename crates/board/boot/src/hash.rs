@@ -9,7 +9,7 @@
 //! cube roots, and of the square roots, of the same primes.
 
 /// Section 4.2.3.
-const ROUNDS: [u64; 80] = [
+const ROUND_CONSTANTS: [u64; 80] = [
     0x428a_2f98_d728_ae22,
     0x7137_4491_23ef_65cd,
     0xb5c0_fbcf_ec4d_3b2f,
@@ -92,7 +92,7 @@ const ROUNDS: [u64; 80] = [
     0x6c44_198c_4a47_5817,
 ];
 /// Section 5.3.5.
-const START: [u64; 8] = [
+const INITIAL_HASH_VALUE: [u64; 8] = [
     0x6a09_e667_f3bc_c908,
     0xbb67_ae85_84ca_a73b,
     0x3c6e_f372_fe94_f82b,
@@ -108,7 +108,7 @@ const START: [u64; 8] = [
     clippy::arithmetic_side_effects,
     reason = "the upper half is what is meant, and the compiler works it out"
 )]
-const fn upper<const N: usize, const M: usize>(words: &[u64; M]) -> [u32; N] {
+const fn high_halves<const N: usize, const M: usize>(words: &[u64; M]) -> [u32; N] {
     let mut upper = [0; N];
     let mut n = 0;
     while n < N {
@@ -119,13 +119,13 @@ const fn upper<const N: usize, const M: usize>(words: &[u64; M]) -> [u32; N] {
 }
 
 /// Section 4.2.2.
-static ROUNDS_256: [u32; 64] = upper(&ROUNDS);
-static ROUNDS_512: [u64; 80] = ROUNDS;
+static ROUND_CONSTANTS_256: [u32; 64] = high_halves(&ROUND_CONSTANTS);
+static ROUND_CONSTANTS_512: [u64; 80] = ROUND_CONSTANTS;
 
 /// The words of one of the two, with blocks of that many bytes.
-pub(crate) trait Word<const BLOCK: usize>: Copy {
+pub(crate) trait Sha2Word<const BLOCK: usize>: Copy {
     /// The state before the first block.
-    const START: [Self; 8];
+    const INITIAL_STATE: [Self; 8];
 
     /// Takes a block into the state.
     fn compress(state: &mut [Self; 8], block: &[u8; BLOCK]);
@@ -133,7 +133,7 @@ pub(crate) trait Word<const BLOCK: usize>: Copy {
 
 /// A hash that goes on.
 #[derive(Clone, Debug)]
-pub(crate) struct Hash<W, const BLOCK: usize> {
+pub(crate) struct Hasher<W, const BLOCK: usize> {
     state: [W; 8],
     block: [u8; BLOCK],
     /// Bytes in `block`, fewer than it has.
@@ -142,15 +142,15 @@ pub(crate) struct Hash<W, const BLOCK: usize> {
 }
 
 /// SHA-256.
-pub(crate) type Sha256 = Hash<u32, 64>;
+pub(crate) type Sha256 = Hasher<u32, 64>;
 /// SHA-512.
-pub(crate) type Sha512 = Hash<u64, 128>;
+pub(crate) type Sha512 = Hasher<u64, 128>;
 
-impl<W: Word<BLOCK>, const BLOCK: usize> Hash<W, BLOCK> {
+impl<W: Sha2Word<BLOCK>, const BLOCK: usize> Hasher<W, BLOCK> {
     /// Returns the hash of nothing yet.
     #[must_use]
     pub const fn new() -> Self {
-        Self { state: W::START, block: [0; BLOCK], used: 0, length: 0 }
+        Self { state: W::INITIAL_STATE, block: [0; BLOCK], used: 0, length: 0 }
     }
 
     /// Takes the next bytes.
@@ -160,16 +160,16 @@ impl<W: Word<BLOCK>, const BLOCK: usize> Hash<W, BLOCK> {
         if self.used > 0 {
             let room = BLOCK.saturating_sub(self.used);
             let (head, tail) = rest.split_at_checked(room).unwrap_or((rest, &[]));
-            self.fill(head);
+            self.fill_block(head);
             rest = tail;
         }
         let (blocks, rest) = rest.as_chunks();
         blocks.iter().for_each(|block| W::compress(&mut self.state, block));
-        self.fill(rest);
+        self.fill_block(rest);
     }
 
     /// Puts bytes into the block; once it is full it is taken.
-    fn fill(&mut self, bytes: &[u8]) {
+    fn fill_block(&mut self, bytes: &[u8]) {
         let places = self.block.iter_mut().skip(self.used);
         places.zip(bytes).for_each(|(place, byte)| *place = *byte);
         self.used = self.used.saturating_add(bytes.len());
@@ -182,24 +182,24 @@ impl<W: Word<BLOCK>, const BLOCK: usize> Hash<W, BLOCK> {
     /// Pads the message (section 5.1) and returns the state.
     fn finish(mut self) -> [W; 8] {
         let bits = self.length.wrapping_mul(8).to_be_bytes();
-        self.fill(&[0x80]);
+        self.fill_block(&[0x80]);
         let end = BLOCK.saturating_sub(bits.len());
         // The length has 16 bytes where a block has 128; its upper half is 0 for all that is hashed here.
         let last = BLOCK.saturating_sub(BLOCK / 8);
         if self.used > last {
             while self.used > 0 {
-                self.fill(&[0]);
+                self.fill_block(&[0]);
             }
         }
         while self.used < end {
-            self.fill(&[0]);
+            self.fill_block(&[0]);
         }
-        self.fill(&bits);
+        self.fill_block(&bits);
         self.state
     }
 }
 
-impl<W: Word<BLOCK>, const BLOCK: usize> Default for Hash<W, BLOCK> {
+impl<W: Sha2Word<BLOCK>, const BLOCK: usize> Default for Hasher<W, BLOCK> {
     fn default() -> Self {
         Self::new()
     }
@@ -246,8 +246,8 @@ macro_rules! round {
     };
 }
 
-impl Word<64> for u32 {
-    const START: [Self; 8] = upper(&START);
+impl Sha2Word<64> for u32 {
+    const INITIAL_STATE: [Self; 8] = high_halves(&INITIAL_HASH_VALUE);
 
     fn compress(state: &mut [Self; 8], block: &[u8; 64]) {
         let mut w = [0; 16];
@@ -255,9 +255,9 @@ impl Word<64> for u32 {
             *word = Self::from_be_bytes(*bytes);
         }
         let [mut a, mut b, mut c, mut d, mut e, mut f, mut g, mut h] = *state;
-        for (turn, k) in ROUNDS_256.as_chunks::<16>().0.iter().enumerate() {
+        for (turn, k) in ROUND_CONSTANTS_256.as_chunks::<16>().0.iter().enumerate() {
             if turn > 0 {
-                extend(&mut w);
+                extend_message_schedule(&mut w);
             }
             round!(a b c d e f g h, w[0], k[0]);
             round!(h a b c d e f g, w[1], k[1]);
@@ -284,7 +284,7 @@ impl Word<64> for u32 {
 
 /// The next sixteen words of the message's schedule of SHA-256, in place.
 #[inline(always)]
-fn extend(w: &mut [u32; 16]) {
+fn extend_message_schedule(w: &mut [u32; 16]) {
     macro_rules! next {
         ($($n:literal)*) => { $({
             let (early, late) = (w[($n + 1) % 16], w[($n + 14) % 16]);
@@ -297,8 +297,8 @@ fn extend(w: &mut [u32; 16]) {
     next!(0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15);
 }
 
-impl Word<128> for u64 {
-    const START: [Self; 8] = START;
+impl Sha2Word<128> for u64 {
+    const INITIAL_STATE: [Self; 8] = INITIAL_HASH_VALUE;
 
     fn compress(state: &mut [Self; 8], block: &[u8; 128]) {
         let mut w = [0; 16];
@@ -306,7 +306,7 @@ impl Word<128> for u64 {
             *word = Self::from_be_bytes(*bytes);
         }
         let [mut a, mut b, mut c, mut d, mut e, mut f, mut g, mut h] = *state;
-        for (n, k) in ROUNDS_512.iter().enumerate() {
+        for (n, k) in ROUND_CONSTANTS_512.iter().enumerate() {
             let word = w[n % 16];
             let t1 = h
                 .wrapping_add(e.rotate_right(14) ^ e.rotate_right(18) ^ e.rotate_right(41))

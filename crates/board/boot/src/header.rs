@@ -22,7 +22,7 @@
 
 use core::fmt;
 
-use crate::{crc, hash::Sha256, layout::Slot};
+use crate::{crc, flash_layout::Slot, hash::Sha256};
 
 /// Bytes of the header.
 pub const HEADER_SIZE: usize = 512;
@@ -31,11 +31,11 @@ pub const SIGNATURE_SIZE: usize = 64;
 /// Bytes of the digest.
 pub(crate) const DIGEST_SIZE: usize = 32;
 /// Bytes of a commit's hash.
-pub(crate) const COMMIT_SIZE: usize = 20;
+pub(crate) const COMMIT_HASH_SIZE: usize = 20;
 const MAGIC: [u8; 8] = *b"TRUEUPFW";
-const FORMAT: u32 = 1;
+const FORMAT_VERSION: u32 = 1;
 /// The tag's offset.
-const TAG: usize = HEADER_SIZE - 4;
+const TAG_OFFSET: usize = HEADER_SIZE - 4;
 
 /// A version; later ones are larger.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
@@ -83,10 +83,10 @@ pub struct Header {
     /// The oldest version that may start once this image is confirmed.
     pub floor: Version,
     /// Commit that the image was built from; zeros: not known.
-    pub commit: [u8; COMMIT_SIZE],
+    pub commit: [u8; COMMIT_HASH_SIZE],
     /// SHA-256 of the image.
     pub digest: [u8; DIGEST_SIZE],
-    /// Signature of [`Self::signed`].
+    /// Signature of [`Self::signed_bytes`].
     pub signature: [u8; SIGNATURE_SIZE],
 }
 
@@ -119,7 +119,7 @@ impl Header {
     pub fn encode(&self) -> [u8; HEADER_SIZE] {
         let mut bytes = [0xFF; HEADER_SIZE];
         let fields = [
-            FORMAT,
+            FORMAT_VERSION,
             u32::from(self.slot.number()),
             self.length,
             self.crc,
@@ -158,8 +158,8 @@ impl Header {
             return Err(HeaderError::NoHeader);
         };
         let slot = match (u32::from_le_bytes(format), u32::from_le_bytes(slot)) {
-            (FORMAT, 0) => Slot::A,
-            (FORMAT, 1) => Slot::B,
+            (FORMAT_VERSION, 0) => Slot::A,
+            (FORMAT_VERSION, 1) => Slot::B,
             _ => return Err(HeaderError::Format),
         };
         let header = Self {
@@ -177,24 +177,25 @@ impl Header {
 
     /// Returns the part of the header that is signed.
     #[must_use]
-    pub fn signed(bytes: &[u8; HEADER_SIZE]) -> &[u8] {
-        bytes.get(SIGNATURE_SIZE..TAG).unwrap_or_default()
+    pub fn signed_bytes(bytes: &[u8; HEADER_SIZE]) -> &[u8] {
+        bytes.get(SIGNATURE_SIZE..TAG_OFFSET).unwrap_or_default()
     }
 
     /// Returns the header of this image without a signature.
     #[must_use]
-    pub fn unsigned(image: &[u8], slot: Slot, version: Version, floor: Version) -> Self {
+    pub fn new_unsigned(image: &[u8], slot: Slot, version: Version, floor: Version) -> Self {
         // An image of 4 GB is none: its length then says so.
         let length = u32::try_from(HEADER_SIZE.saturating_add(image.len())).unwrap_or(u32::MAX);
         let mut sha = Sha256::new();
         sha.update(image);
         let (crc, digest) = (crc::checksum(image), sha.digest());
-        let (commit, signature) = ([0; COMMIT_SIZE], [0; SIGNATURE_SIZE]);
+        let (commit, signature) = ([0; COMMIT_HASH_SIZE], [0; SIGNATURE_SIZE]);
         Self { slot, length, crc, version, floor, commit, digest, signature }
     }
 }
 
-const _: () = assert!(SIGNATURE_SIZE + MAGIC.len() + 24 + COMMIT_SIZE + DIGEST_SIZE <= TAG);
+const _: () =
+    assert!(SIGNATURE_SIZE + MAGIC.len() + 24 + COMMIT_HASH_SIZE + DIGEST_SIZE <= TAG_OFFSET);
 
 #[cfg(test)]
 mod tests {
@@ -228,7 +229,7 @@ mod tests {
         assert!(bytes[148..508].iter().all(|byte| *byte == 0xFF));
         let (tag, decoded) = Header::decode(&bytes).unwrap();
         assert_eq!((tag.to_le_bytes().as_slice(), decoded), (&bytes[508..], header()));
-        assert_eq!(Header::signed(&bytes), &bytes[64..508]);
+        assert_eq!(Header::signed_bytes(&bytes), &bytes[64..508]);
     }
 
     #[test]

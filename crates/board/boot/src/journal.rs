@@ -21,39 +21,39 @@ use core::{error::Error, fmt};
 
 use embedded_storage::nor_flash::NorFlash;
 
-use crate::record::{ENTRY_SIZE, State};
+use crate::boot_state::{BootState, ENTRY_SIZE};
 
 /// Bytes of an entry.
-const ENTRY: u32 = 32;
-const _: () = assert!(ENTRY as usize == ENTRY_SIZE);
+const ENTRY_BYTES: u32 = 32;
+const _: () = assert!(ENTRY_BYTES as usize == ENTRY_SIZE);
 /// Bytes of the first word of an entry.
-const CLAIM: usize = 4;
+const CLAIM_WORD_BYTES: usize = 4;
 /// Entries of a state.
-const COPIES: u32 = 2;
+const COPIES_PER_STATE: u32 = 2;
 /// Entries that a start leaves free, so that an application never has to erase: it confirms, and announces a reset.
-const RESERVE: u32 = 2 * COPIES;
+const RESERVED_ENTRIES: u32 = 2 * COPIES_PER_STATE;
 /// Entries that are tried for one copy, before the flash counts as worn.
-const ATTEMPTS: u32 = 3;
+const MAX_WRITE_ATTEMPTS: u32 = 3;
 
 /// The flash does not take a state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct NotStored;
+pub struct JournalWriteError;
 
-impl fmt::Display for NotStored {
+impl fmt::Display for JournalWriteError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("the flash does not take the state of the firmware slots")
     }
 }
 
-impl Error for NotStored {}
+impl Error for JournalWriteError {}
 
 /// Content of a sector.
 #[derive(Clone, Copy, Debug, Default)]
-struct Content {
+struct SectorContent {
     /// Entries up to the last one that is not blank.
     used: u32,
     /// The last valid entry: its generation and state.
-    last: Option<(u32, State)>,
+    last: Option<(u32, BootState)>,
     /// The last two of the used entries are whole and the same.
     is_settled: bool,
 }
@@ -63,7 +63,7 @@ struct Content {
 pub struct Journal<F> {
     /// Two sectors.
     flash: F,
-    state: State,
+    state: BootState,
     generation: u32,
     /// The active sector, 0 or 1.
     active: u32,
@@ -75,11 +75,12 @@ pub struct Journal<F> {
 impl<F: NorFlash> Journal<F> {
     /// Reads the journal. Nothing is written.
     pub fn open(flash: F) -> Self {
-        let state = State::default();
+        let state = BootState::default();
         let mut journal =
             Self { flash, state, generation: 1, active: 0, next: 0, is_settled: false };
         let [first, second] = [journal.read_sector(0), journal.read_sector(1)];
-        let generation = |content: &Content| content.last.map_or(0, |(generation, _)| generation);
+        let generation =
+            |content: &SectorContent| content.last.map_or(0, |(generation, _)| generation);
         let is_second = generation(&second) > generation(&first);
         let (active, spare) = if is_second { (second, first) } else { (first, second) };
         journal.active = u32::from(is_second);
@@ -99,7 +100,7 @@ impl<F: NorFlash> Journal<F> {
     }
 
     /// Returns the state that is believed. Call [`Self::settle`] before anything is done because of it.
-    pub const fn state(&self) -> State {
+    pub const fn state(&self) -> BootState {
         self.state
     }
 
@@ -107,9 +108,9 @@ impl<F: NorFlash> Journal<F> {
     /// for an application's own.
     ///
     /// # Errors
-    /// [`NotStored`].
-    pub fn settle(&mut self) -> Result<(), NotStored> {
-        let has_room = self.next.saturating_add(RESERVE) <= self.entries();
+    /// [`JournalWriteError`].
+    pub fn settle(&mut self) -> Result<(), JournalWriteError> {
+        let has_room = self.next.saturating_add(RESERVED_ENTRIES) <= self.entries_per_sector();
         if self.is_settled && has_room {
             return Ok(());
         }
@@ -123,8 +124,8 @@ impl<F: NorFlash> Journal<F> {
     /// Stores a state; it counts from now on, whatever happens.
     ///
     /// # Errors
-    /// [`NotStored`]; the state before it still counts, or this one; [`Self::settle`] decides it.
-    pub fn commit(&mut self, state: State) -> Result<(), NotStored> {
+    /// [`JournalWriteError`]; the state before it still counts, or this one; [`Self::settle`] decides it.
+    pub fn commit(&mut self, state: BootState) -> Result<(), JournalWriteError> {
         if self.is_settled && self.state == state { Ok(()) } else { self.write(state) }
     }
 
@@ -133,12 +134,12 @@ impl<F: NorFlash> Journal<F> {
         self.flash
     }
 
-    fn write(&mut self, state: State) -> Result<(), NotStored> {
+    fn write(&mut self, state: BootState) -> Result<(), JournalWriteError> {
         self.is_settled = false;
         if !self.fits(self.next) {
             self.begin_generation()?;
         }
-        for _ in 0..COPIES {
+        for _ in 0..COPIES_PER_STATE {
             self.append(&state)?;
         }
         self.state = state;
@@ -147,38 +148,38 @@ impl<F: NorFlash> Journal<F> {
     }
 
     /// Erases the other sector and goes on there.
-    fn begin_generation(&mut self) -> Result<(), NotStored> {
+    fn begin_generation(&mut self) -> Result<(), JournalWriteError> {
         let spare = 1_u32.saturating_sub(self.active);
-        let start = self.address(spare, 0);
+        let start = self.entry_address(spare, 0);
         let end = start.saturating_add(self.sector_size());
-        self.flash.erase(start, end).map_err(|_| NotStored)?;
+        self.flash.erase(start, end).map_err(|_| JournalWriteError)?;
         if self.read_sector(spare).used > 0 {
-            return Err(NotStored);
+            return Err(JournalWriteError);
         }
         self.active = spare;
         self.next = 0;
-        self.generation = self.generation.checked_add(1).ok_or(NotStored)?;
+        self.generation = self.generation.checked_add(1).ok_or(JournalWriteError)?;
         Ok(())
     }
 
-    fn append(&mut self, state: &State) -> Result<(), NotStored> {
+    fn append(&mut self, state: &BootState) -> Result<(), JournalWriteError> {
         let bytes = state.encode(self.generation);
-        for _ in 0..ATTEMPTS {
-            if self.next >= self.entries() {
-                return Err(NotStored);
+        for _ in 0..MAX_WRITE_ATTEMPTS {
+            if self.next >= self.entries_per_sector() {
+                return Err(JournalWriteError);
             }
-            let address = self.address(self.active, self.next);
+            let address = self.entry_address(self.active, self.next);
             self.next = self.next.saturating_add(1);
-            if self.program(address, &bytes) {
+            if self.program_entry(address, &bytes) {
                 return Ok(());
             }
         }
-        Err(NotStored)
+        Err(JournalWriteError)
     }
 
-    /// Writes an entry, its first word before the others; gives whether it is read back as it is.
-    fn program(&mut self, address: u32, bytes: &[u8; ENTRY_SIZE]) -> bool {
-        let (claim, content) = bytes.split_at(CLAIM);
+    /// Writes an entry, its first word before the others; returns whether it is read back unchanged.
+    fn program_entry(&mut self, address: u32, bytes: &[u8; ENTRY_SIZE]) -> bool {
+        let (claim, content) = bytes.split_at(CLAIM_WORD_BYTES);
         let mut back = [0xFF; ENTRY_SIZE];
         self.flash.write(address, claim).is_ok()
             && self.flash.write(address.saturating_add(4), content).is_ok()
@@ -186,19 +187,19 @@ impl<F: NorFlash> Journal<F> {
             && back == *bytes
     }
 
-    fn read_sector(&mut self, sector: u32) -> Content {
-        let mut content = Content::default();
+    fn read_sector(&mut self, sector: u32) -> SectorContent {
+        let mut content = SectorContent::default();
         let mut before = None;
-        for number in 0..self.entries() {
+        for number in 0..self.entries_per_sector() {
             let mut bytes = [0; ENTRY_SIZE];
-            let address = self.address(sector, number);
+            let address = self.entry_address(sector, number);
             let is_read = self.flash.read(address, &mut bytes).is_ok();
             if is_read && bytes.iter().all(|byte| *byte == 0xFF) {
                 continue;
             }
             let is_next = content.used == number;
             content.used = number.saturating_add(1);
-            let entry = State::decode(&bytes).filter(|_| is_read);
+            let entry = BootState::decode(&bytes).filter(|_| is_read);
             content.is_settled = is_next && entry.is_some() && entry == before;
             content.last = entry.or(content.last);
             before = entry;
@@ -208,45 +209,49 @@ impl<F: NorFlash> Journal<F> {
 
     /// Returns whether a state finds room behind this many entries.
     fn fits(&self, used: u32) -> bool {
-        used.saturating_add(COPIES) <= self.entries()
+        used.saturating_add(COPIES_PER_STATE) <= self.entries_per_sector()
     }
 
     fn sector_size(&self) -> u32 {
         u32::try_from(self.flash.capacity() / 2).unwrap_or(u32::MAX)
     }
 
-    fn entries(&self) -> u32 {
-        self.sector_size() / ENTRY
+    fn entries_per_sector(&self) -> u32 {
+        self.sector_size() / ENTRY_BYTES
     }
 
-    fn address(&self, sector: u32, entry: u32) -> u32 {
-        sector.saturating_mul(self.sector_size()).saturating_add(entry.saturating_mul(ENTRY))
+    fn entry_address(&self, sector: u32, entry: u32) -> u32 {
+        sector.saturating_mul(self.sector_size()).saturating_add(entry.saturating_mul(ENTRY_BYTES))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{header::Version, layout::Slot, record::Status};
+    use crate::{boot_state::ImageStatus, flash_layout::Slot, header::Version};
     use trueup_store::strict_flash::StrictFlash;
 
     /// Room for four states.
     const SECTOR: usize = 8 * ENTRY_SIZE;
     type Flash = StrictFlash<SECTOR>;
 
-    fn state(number: u32) -> State {
-        State { floor: Version(number), ..State::default() }.with(Slot::B, number, Status::Trial(1))
+    fn state(number: u32) -> BootState {
+        BootState { floor: Version(number), ..BootState::default() }.with_status(
+            Slot::B,
+            number,
+            ImageStatus::Trial(1),
+        )
     }
 
     fn reopened(journal: Journal<Flash>) -> Journal<Flash> {
-        Journal::open(journal.into_flash().powered())
+        Journal::open(journal.into_flash().with_power_restored())
     }
 
     #[test]
     fn the_last_state_counts_through_more_than_the_flash_holds() {
         let mut journal = Journal::open(Flash::erased());
         assert!(journal.is_settled);
-        assert_eq!(journal.state(), State::default());
+        assert_eq!(journal.state(), BootState::default());
         for number in 1..100 {
             journal.commit(state(number)).unwrap();
             journal = reopened(journal);
@@ -293,10 +298,10 @@ mod tests {
             *byte = (random >> 24) as u8;
         }
         let mut journal = Journal::open(flash);
-        assert_eq!((journal.state(), journal.is_settled), (State::default(), false));
+        assert_eq!((journal.state(), journal.is_settled), (BootState::default(), false));
         journal.settle().unwrap();
         journal = reopened(journal);
-        assert_eq!((journal.state(), journal.is_settled), (State::default(), true));
+        assert_eq!((journal.state(), journal.is_settled), (BootState::default(), true));
         journal.commit(state(1)).unwrap();
         assert_eq!(reopened(journal).state(), state(1));
     }
@@ -304,23 +309,23 @@ mod tests {
     #[test]
     fn a_dead_flash_takes_nothing_and_says_so() {
         let mut journal = Journal::open(Flash { dead: true, ..Flash::erased() });
-        assert_eq!(journal.commit(state(1)), Err(NotStored));
-        assert_eq!((journal.state(), journal.is_settled), (State::default(), false));
+        assert_eq!(journal.commit(state(1)), Err(JournalWriteError));
+        assert_eq!((journal.state(), journal.is_settled), (BootState::default(), false));
     }
 
     /// Ends three starts in a row at these places, with a new state each, and panics if a state that was read and
     /// settled, or acknowledged, is gone afterwards.
     fn cut_three_times(before: u32, seed: u32, cuts: [usize; 3]) {
-        let mut flash = Flash::wavering(seed);
+        let mut flash = Flash::with_unstable_bits(seed);
         let mut journal = Journal::open(flash.clone());
         for number in 1..=before {
             journal.commit(state(number)).unwrap();
         }
         flash = journal.into_flash();
-        // The number of the last state that somebody has relied on.
+        // The number of the last state that a caller has relied on.
         let mut relied = before;
         for (number, cut) in (before + 1..).zip(cuts) {
-            let mut journal = Journal::open(Flash { fuel: cut, ..flash.powered() });
+            let mut journal = Journal::open(Flash { fuel: cut, ..flash.with_power_restored() });
             if journal.settle().is_ok() {
                 let found = journal.state().floor.0;
                 assert!(found >= relied, "{found} after {relied}, cuts {cuts:?}, seed {seed}");
@@ -332,9 +337,9 @@ mod tests {
             flash = journal.into_flash();
         }
         for _ in 0..4 {
-            let found = Journal::open(flash.powered()).state().floor.0;
+            let found = Journal::open(flash.with_power_restored()).state().floor.0;
             assert!(found >= relied, "{found} after {relied}, cuts {cuts:?}, seed {seed}");
-            flash = flash.powered();
+            flash = flash.with_power_restored();
             flash.random.set(flash.random.get().wrapping_mul(0x9E37_79B9) | 1);
         }
     }

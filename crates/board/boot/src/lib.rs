@@ -8,7 +8,7 @@
 //!   0x0808_0000  calibrations, log   sectors 8 to 11   not touched by an update
 //! ```
 //!
-//! `layout` has these places once, `header` the 512 bytes in front of an image, `inspect` whether a slot holds
+//! `flash_layout` has these places once, `header` the 512 bytes in front of an image, `image_check` whether a slot holds
 //! an image that may run, `record` the state of the slots and `journal` its way into the flash, `start` the
 //! decision, `handover` its way to the image that starts, `update` the way of a new image into the spare slot and its confirmation, `refusal` why one is refused, `key` the signature.
 //!
@@ -16,11 +16,11 @@
 //!
 //! | step | who | state of the spare slot |
 //! |---|---|---|
-//! | the header is accepted, then the slot is erased | application | [`record::Status::Loading`] |
-//! | all bytes are written; CRC and signature hold in the flash | application | [`record::Status::Verified`] |
-//! | it is the newest, and starts | boot program | [`record::Status::Trial`], at most [`record::MAX_STARTS`] starts |
-//! | it ran well for a minute after an engage | application | [`record::Status::Confirmed`], and the floor rises |
-//! | or: it crashed, hung, or was not confirmed in time | boot program | [`record::Status::Rejected`] |
+//! | the header is accepted, then the slot is erased | application | [`boot_state::ImageStatus::Loading`] |
+//! | all bytes are written; CRC and signature hold in the flash | application | [`boot_state::ImageStatus::Verified`] |
+//! | it is the newest, and starts | boot program | [`boot_state::ImageStatus::Trial`], at most [`boot_state::MAX_TRIAL_STARTS`] starts |
+//! | it ran well for a minute after an engage | application | [`boot_state::ImageStatus::Confirmed`], and the floor rises |
+//! | or: it crashed, hung, or was not confirmed in time | boot program | [`boot_state::ImageStatus::Rejected`] |
 //!
 //! The state is committed before the step that it permits, and settled before it is believed: see `journal`.
 //! So a power cut at any word leaves a slot that starts.
@@ -34,17 +34,17 @@
 #[cfg(test)]
 extern crate std;
 
+pub mod boot_state;
 mod crc;
 #[cfg(test)]
 mod cuts;
+pub mod flash_layout;
 pub mod handover;
 mod hash;
 pub mod header;
-pub mod inspect;
+pub mod image_check;
 pub mod journal;
-pub mod key;
-pub mod layout;
-pub mod record;
+pub mod public_key;
 pub mod refusal;
 pub mod start;
 #[cfg(test)]

@@ -2,12 +2,12 @@
 
 use core::fmt;
 
-use crate::{header::HeaderError, inspect::Defect, update::UpdateError};
+use crate::{header::HeaderError, image_check::ImageDefect, update::UpdateError};
 
 /// The reason. Numbers of a later version may be larger.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
-pub enum Refusal {
+pub enum RefusalReason {
     /// 512 bytes that are no header.
     NoHeader = 1,
     /// A header of a later format.
@@ -18,7 +18,7 @@ pub enum Refusal {
     Length = 4,
     /// Its version is below the oldest that may start.
     BelowFloor = 5,
-    /// It asks for a floor above its own version.
+    /// It requires a floor above its own version.
     OwnFloor = 6,
     /// CRC or digest do not hold.
     Damaged = 7,
@@ -36,7 +36,7 @@ pub enum Refusal {
     NoSlots = 13,
 }
 
-impl Refusal {
+impl RefusalReason {
     /// All of them.
     pub const ALL: [Self; 13] = [
         Self::NoHeader,
@@ -62,24 +62,24 @@ impl Refusal {
 
     /// Returns the reason of a number; `None`: 0, or one of a later version.
     #[must_use]
-    pub fn of(number: u8) -> Option<Self> {
+    pub fn from_number(number: u8) -> Option<Self> {
         Self::ALL.into_iter().find(|it| it.number() == number)
     }
 }
 
-impl From<UpdateError> for Refusal {
+impl From<UpdateError> for RefusalReason {
     fn from(error: UpdateError) -> Self {
         match error {
             UpdateError::Defect(defect) => match defect {
-                Defect::Header(HeaderError::Blank | HeaderError::NoHeader) => Self::NoHeader,
-                Defect::Header(HeaderError::Format) => Self::Format,
-                Defect::Unreadable => Self::Flash,
-                Defect::OtherSlot => Self::OtherSlot,
-                Defect::Length => Self::Length,
-                Defect::BelowFloor { .. } => Self::BelowFloor,
-                Defect::OwnFloor => Self::OwnFloor,
-                Defect::Crc | Defect::Digest => Self::Damaged,
-                Defect::Signature => Self::Signature,
+                ImageDefect::Header(HeaderError::Blank | HeaderError::NoHeader) => Self::NoHeader,
+                ImageDefect::Header(HeaderError::Format) => Self::Format,
+                ImageDefect::Unreadable => Self::Flash,
+                ImageDefect::OtherSlot => Self::OtherSlot,
+                ImageDefect::Length => Self::Length,
+                ImageDefect::BelowFloor { .. } => Self::BelowFloor,
+                ImageDefect::OwnFloor => Self::OwnFloor,
+                ImageDefect::Crc | ImageDefect::Digest => Self::Damaged,
+                ImageDefect::Signature => Self::Signature,
             },
             UpdateError::NotNewer { .. } => Self::NotNewer,
             UpdateError::Unconfirmed => Self::Unconfirmed,
@@ -90,7 +90,7 @@ impl From<UpdateError> for Refusal {
     }
 }
 
-impl fmt::Display for Refusal {
+impl fmt::Display for RefusalReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::NoHeader => "the file is no firmware of trueup, or its header is damaged",
@@ -123,17 +123,20 @@ mod tests {
 
     #[test]
     fn each_number_is_there_once_and_leads_back() {
-        for (at, refusal) in Refusal::ALL.into_iter().enumerate() {
+        for (at, refusal) in RefusalReason::ALL.into_iter().enumerate() {
             assert_eq!(usize::from(refusal.number()), at + 1);
-            assert_eq!(Refusal::of(refusal.number()), Some(refusal));
+            assert_eq!(RefusalReason::from_number(refusal.number()), Some(refusal));
         }
-        assert_eq!([Refusal::of(0), Refusal::of(14)], [None; 2]);
+        assert_eq!([RefusalReason::from_number(0), RefusalReason::from_number(14)], [None; 2]);
     }
 
     #[test]
     fn an_error_has_its_number() {
         let not_newer = UpdateError::NotNewer { running: Version::new(1, 2, 3, 0) };
-        assert_eq!(Refusal::from(not_newer), Refusal::NotNewer);
-        assert_eq!(Refusal::from(UpdateError::Defect(Defect::Crc)), Refusal::Damaged);
+        assert_eq!(RefusalReason::from(not_newer), RefusalReason::NotNewer);
+        assert_eq!(
+            RefusalReason::from(UpdateError::Defect(ImageDefect::Crc)),
+            RefusalReason::Damaged
+        );
     }
 }

@@ -12,15 +12,15 @@
 use embedded_storage::nor_flash::{NorFlash, ReadNorFlash};
 
 use crate::{
-    inspect::{Defect, Image, Key, check_image, read_header},
+    boot_state::{BootState, ImageStatus, MAX_TRIAL_STARTS},
+    flash_layout::Slot,
+    image_check::{Image, ImageDefect, VerifyingKey, check_image, read_header},
     journal::Journal,
-    layout::Slot,
-    record::{MAX_STARTS, State, Status},
 };
 
 /// How the last start ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ending {
+pub enum StartOutcome {
     /// The power was off, had dipped, or the reset pin was pulled; or nothing is known of it.
     PowerCycle,
     /// The watchdog or the image itself has reset the board.
@@ -29,7 +29,7 @@ pub enum Ending {
 
 /// Speed of the core.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Clock {
+pub enum ClockSpeed {
     /// Full: every signature is verified.
     Full,
     /// The PLL is dead: for an image whose signature held when it was written, the CRC is enough.
@@ -38,10 +38,10 @@ pub enum Clock {
 
 /// Why a slot starts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Reason {
+pub enum StartReason {
     /// It is the newest, and confirmed.
     Newest,
-    /// It is on trial: which start of [`MAX_STARTS`] this is.
+    /// It is on trial: which start of [`MAX_TRIAL_STARTS`] this is.
     Trial(u8),
     /// It is not confirmed, but there is none to go back to.
     Alone,
@@ -53,20 +53,20 @@ pub enum Reason {
 
 /// The image that starts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Start {
+pub struct StartSelection {
     /// The image; its slot is in its header.
     pub image: Image,
     /// Why it starts.
-    pub reason: Reason,
+    pub reason: StartReason,
     /// Status of the image in the other slot; `None`: it has no valid header.
-    pub other: Option<Status>,
+    pub other: Option<ImageStatus>,
 }
 
 /// A slot that may start.
 #[derive(Clone, Copy)]
 struct Candidate {
     image: Image,
-    status: Status,
+    status: ImageStatus,
 }
 
 /// Chooses the image that starts, and commits what its start changes; `None`: no slot holds one. `between` is
@@ -74,24 +74,24 @@ struct Candidate {
 ///
 /// A flash of the records that takes nothing any more keeps no board from starting: what was believed before is then
 /// decided by, and a trial, which could not be counted, is not begun if there is another image.
-pub fn choose<R: NorFlash, S: ReadNorFlash, K: Key>(
+pub fn select_image<R: NorFlash, S: ReadNorFlash, K: VerifyingKey>(
     journal: &mut Journal<R>,
     slots: &mut S,
     key: &K,
-    ending: Ending,
-    clock: Clock,
+    ending: StartOutcome,
+    clock: ClockSpeed,
     mut between: impl FnMut(),
-) -> Option<Start> {
+) -> Option<StartSelection> {
     journal.settle().ok();
-    let headers = Slot::BOTH.map(|slot| read_header(slots, slot, journal.state().floor));
-    let state = judge(journal.state(), &headers, ending);
+    let headers = Slot::ALL.map(|slot| read_header(slots, slot, journal.state().floor));
+    let state = evaluate_trial(journal.state(), &headers, ending);
     journal.commit(state).ok();
-    let candidates = ordered(&state, &headers);
+    let candidates = order_candidates(&state, &headers);
     let mut holds = |it: &Candidate, is_trusted: bool| {
         let key = if is_trusted && it.status.is_verified() { None } else { Some(key) };
         check_image(slots, &it.image, key, &mut between).is_ok()
     };
-    let is_slow = clock == Clock::Slow;
+    let is_slow = clock == ClockSpeed::Slow;
     let all = || candidates.iter().flatten();
     // On a slow clock first those whose signature is known to hold; a slow start is better than none.
     let known = |it: &&Candidate| it.status.is_eligible() && (!is_slow || it.status.is_verified());
@@ -101,39 +101,47 @@ pub fn choose<R: NorFlash, S: ReadNorFlash, K: Key>(
     let is_newest = other.is_none_or(|it| it.image.header.version <= chosen.image.header.version);
     let start = |it: &Candidate, reason| {
         let other = all().find(|other| other.image != it.image).map(|other| other.status);
-        Some(Start { image: it.image, reason, other })
+        Some(StartSelection { image: it.image, reason, other })
     };
     let starts = match chosen.status {
-        Status::New | Status::Verified => 1,
-        Status::Trial(starts) | Status::Announced(starts) => starts.saturating_add(1),
-        Status::Confirmed if is_newest => return start(chosen, Reason::Newest),
-        Status::Confirmed => return start(chosen, Reason::WentBack),
-        Status::Loading | Status::Rejected => return start(chosen, Reason::LastResort),
+        ImageStatus::New | ImageStatus::Verified => 1,
+        ImageStatus::Trial(starts) | ImageStatus::Announced(starts) => starts.saturating_add(1),
+        ImageStatus::Confirmed if is_newest => return start(chosen, StartReason::Newest),
+        ImageStatus::Confirmed => return start(chosen, StartReason::WentBack),
+        ImageStatus::Loading | ImageStatus::Rejected => {
+            return start(chosen, StartReason::LastResort);
+        }
     };
     // The other one is only to be there: its signature is verified when it starts.
     let Some(back) = other.filter(|it| it.status.is_eligible() && holds(it, true)) else {
-        return start(chosen, Reason::Alone);
+        return start(chosen, StartReason::Alone);
     };
     let image = &chosen.image;
-    let on_trial = state.with(image.header.slot, image.tag, Status::Trial(starts));
-    if journal.commit(on_trial).is_err() && back.status == Status::Confirmed {
-        return start(back, Reason::WentBack);
+    let on_trial = state.with_status(image.header.slot, image.tag, ImageStatus::Trial(starts));
+    if journal.commit(on_trial).is_err() && back.status == ImageStatus::Confirmed {
+        return start(back, StartReason::WentBack);
     }
-    start(chosen, Reason::Trial(starts))
+    start(chosen, StartReason::Trial(starts))
 }
 
 /// Returns the state after the trial, if there was one, is judged by how it ended.
-fn judge(state: State, headers: &[Result<Image, Defect>; 2], ending: Ending) -> State {
+fn evaluate_trial(
+    state: BootState,
+    headers: &[Result<Image, ImageDefect>; 2],
+    ending: StartOutcome,
+) -> BootState {
     let mut judged = state;
-    for slot in Slot::BOTH {
-        let Ok(image) = slot.of(headers) else { continue };
+    for slot in Slot::ALL {
+        let Ok(image) = slot.element_of(headers) else { continue };
         let has_failed = match state.status(slot, image.tag) {
-            Status::Trial(starts) => ending == Ending::Reset || starts >= MAX_STARTS,
-            Status::Announced(starts) => starts >= MAX_STARTS,
+            ImageStatus::Trial(starts) => {
+                ending == StartOutcome::Reset || starts >= MAX_TRIAL_STARTS
+            }
+            ImageStatus::Announced(starts) => starts >= MAX_TRIAL_STARTS,
             _ => false,
         };
         if has_failed {
-            judged = judged.with(slot, image.tag, Status::Rejected);
+            judged = judged.with_status(slot, image.tag, ImageStatus::Rejected);
         }
     }
     judged
@@ -141,14 +149,17 @@ fn judge(state: State, headers: &[Result<Image, Defect>; 2], ending: Ending) -> 
 
 /// Returns the candidates in the order in which they are tried: eligible before others, then the newest; of
 /// one version the confirmed.
-fn ordered(state: &State, headers: &[Result<Image, Defect>; 2]) -> [Option<Candidate>; 2] {
-    let [a, b] = Slot::BOTH.map(|slot| {
-        let image = (*slot.of(headers)).ok()?;
+fn order_candidates(
+    state: &BootState,
+    headers: &[Result<Image, ImageDefect>; 2],
+) -> [Option<Candidate>; 2] {
+    let [a, b] = Slot::ALL.map(|slot| {
+        let image = (*slot.element_of(headers)).ok()?;
         Some(Candidate { image, status: state.status(slot, image.tag) })
     });
     let rank = |it: Option<Candidate>| {
         it.map(|Candidate { image, status }| {
-            (status.is_eligible(), image.header.version, status == Status::Confirmed)
+            (status.is_eligible(), image.header.version, status == ImageStatus::Confirmed)
         })
     };
     if rank(b) > rank(a) { [b, a] } else { [a, b] }

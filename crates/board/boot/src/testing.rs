@@ -9,29 +9,29 @@ use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNo
 use trueup_store::strict_flash::StrictFlash;
 
 use crate::{
+    boot_state::ENTRY_SIZE,
     crc,
+    flash_layout::Slot,
     header::{HEADER_SIZE, Header, SIGNATURE_SIZE, Version},
-    inspect::Key,
+    image_check::VerifyingKey,
     journal::Journal,
-    layout::Slot,
-    record::ENTRY_SIZE,
 };
 
 /// Bytes of a sector of the records: room for four states.
-pub const RECORDS: usize = 8 * ENTRY_SIZE;
+pub const RECORDS_SECTOR_BYTES: usize = 8 * ENTRY_SIZE;
 /// Bytes of a slot.
-pub(crate) const SLOT: usize = HEADER_SIZE + 128;
+pub(crate) const SLOT_BYTES: usize = HEADER_SIZE + 128;
 
 /// The supply of both flashes: bytes that can still be written or erased, and whether it is off.
 #[derive(Clone, Debug, Default)]
-pub struct Supply {
+pub struct PowerSupply {
     fuel: Rc<Cell<usize>>,
     off: Rc<Cell<bool>>,
 }
 
-impl Supply {
+impl PowerSupply {
     /// Returns one that lasts for this many bytes.
-    pub fn of(fuel: usize) -> Self {
+    pub(crate) fn with_byte_budget(fuel: usize) -> Self {
         let supply = Self::default();
         supply.fuel.set(fuel);
         supply
@@ -43,24 +43,24 @@ impl Supply {
     }
 
     /// Returns how many bytes it still lasts for.
-    pub fn left(&self) -> usize {
+    pub(crate) fn remaining_bytes(&self) -> usize {
         self.fuel.get()
     }
 }
 
 /// A flash at a supply.
 #[derive(Debug)]
-pub(crate) struct Powered<const SECTOR: usize> {
+pub(crate) struct PoweredFlash<const SECTOR: usize> {
     pub flash: StrictFlash<SECTOR>,
-    pub supply: Supply,
+    pub supply: PowerSupply,
 }
 
-impl<const SECTOR: usize> Powered<SECTOR> {
-    pub fn new(flash: &StrictFlash<SECTOR>, supply: &Supply) -> Self {
-        Self { flash: flash.powered(), supply: supply.clone() }
+impl<const SECTOR: usize> PoweredFlash<SECTOR> {
+    pub fn new(flash: &StrictFlash<SECTOR>, supply: &PowerSupply) -> Self {
+        Self { flash: flash.with_power_restored(), supply: supply.clone() }
     }
 
-    fn run(
+    fn run_powered(
         &mut self,
         work: impl FnOnce(&mut StrictFlash<SECTOR>) -> Result<(), NorFlashErrorKind>,
     ) -> Result<(), NorFlashErrorKind> {
@@ -75,11 +75,11 @@ impl<const SECTOR: usize> Powered<SECTOR> {
     }
 }
 
-impl<const SECTOR: usize> ErrorType for Powered<SECTOR> {
+impl<const SECTOR: usize> ErrorType for PoweredFlash<SECTOR> {
     type Error = NorFlashErrorKind;
 }
 
-impl<const SECTOR: usize> ReadNorFlash for Powered<SECTOR> {
+impl<const SECTOR: usize> ReadNorFlash for PoweredFlash<SECTOR> {
     const READ_SIZE: usize = 1;
 
     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
@@ -91,22 +91,22 @@ impl<const SECTOR: usize> ReadNorFlash for Powered<SECTOR> {
     }
 }
 
-impl<const SECTOR: usize> NorFlash for Powered<SECTOR> {
+impl<const SECTOR: usize> NorFlash for PoweredFlash<SECTOR> {
     const WRITE_SIZE: usize = 4;
     const ERASE_SIZE: usize = SECTOR;
 
     fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
-        self.run(|flash| flash.erase(from, to))
+        self.run_powered(|flash| flash.erase(from, to))
     }
 
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
-        self.run(|flash| flash.write(offset, bytes))
+        self.run_powered(|flash| flash.write(offset, bytes))
     }
 }
 
 /// A key whose signatures are checksums.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct TestKey(pub u32);
+pub(crate) struct TestKey(pub u32);
 
 impl TestKey {
     fn sign(self, message: &[u8]) -> [u8; SIGNATURE_SIZE] {
@@ -115,47 +115,51 @@ impl TestKey {
     }
 }
 
-impl Key for TestKey {
+impl VerifyingKey for TestKey {
     fn verify(&self, message: &[u8], signature: &[u8; SIGNATURE_SIZE]) -> bool {
         self.sign(message) == *signature
     }
 }
 
 /// The key of these boards.
-pub const KEY: TestKey = TestKey(7);
+pub(crate) const TEST_KEY: TestKey = TestKey(7);
 
 /// Returns the file of an image of this version, signed.
-pub fn image(slot: Slot, version: u8, floor: u8) -> Vec<u8> {
-    signed_by(KEY, slot, version, floor)
+pub(crate) fn signed_image(slot: Slot, version: u8, floor: u8) -> Vec<u8> {
+    image_signed_by(TEST_KEY, slot, version, floor)
 }
 
 /// As [`image`], by another key.
-pub(crate) fn signed_by(key: TestKey, slot: Slot, version: u8, floor: u8) -> Vec<u8> {
+pub(crate) fn image_signed_by(key: TestKey, slot: Slot, version: u8, floor: u8) -> Vec<u8> {
     let body: Vec<u8> =
         (0..64).map(|n: u8| n.wrapping_mul(version).wrapping_add(slot.number())).collect();
     let [version, floor] = [version, floor].map(|minor| Version::new(0, minor, 0, 0));
-    let mut header = Header::unsigned(&body, slot, version, floor);
-    header.signature = key.sign(Header::signed(&header.encode()));
+    let mut header = Header::new_unsigned(&body, slot, version, floor);
+    header.signature = key.sign(Header::signed_bytes(&header.encode()));
     let mut file = header.encode().to_vec();
     file.extend(body);
     file
 }
 
 /// Writes a file as a probe does.
-pub(crate) fn flash_by_probe(slots: &mut StrictFlash<SLOT>, slot: Slot, file: &[u8]) {
-    let start = usize::from(slot.number()) * SLOT;
-    slots.bytes[start..start + SLOT].fill(0xFF);
+pub(crate) fn flash_by_probe(slots: &mut StrictFlash<SLOT_BYTES>, slot: Slot, file: &[u8]) {
+    let start = usize::from(slot.number()) * SLOT_BYTES;
+    slots.bytes[start..start + SLOT_BYTES].fill(0xFF);
     slots.bytes[start..start + file.len()].copy_from_slice(file);
 }
 
 /// Runs work with both flashes at a supply.
-pub(crate) fn powered<T>(
-    records: &mut StrictFlash<RECORDS>,
-    slots: &mut StrictFlash<SLOT>,
-    supply: &Supply,
-    work: impl FnOnce(&mut Journal<Powered<RECORDS>>, &mut Powered<SLOT>) -> T,
+pub(crate) fn with_supply<T>(
+    records: &mut StrictFlash<RECORDS_SECTOR_BYTES>,
+    slots: &mut StrictFlash<SLOT_BYTES>,
+    supply: &PowerSupply,
+    work: impl FnOnce(
+        &mut Journal<PoweredFlash<RECORDS_SECTOR_BYTES>>,
+        &mut PoweredFlash<SLOT_BYTES>,
+    ) -> T,
 ) -> T {
-    let mut both = (Journal::open(Powered::new(records, supply)), Powered::new(slots, supply));
+    let mut both =
+        (Journal::open(PoweredFlash::new(records, supply)), PoweredFlash::new(slots, supply));
     let result = work(&mut both.0, &mut both.1);
     (*records, *slots) = (both.0.into_flash().flash, both.1.flash);
     result

@@ -9,21 +9,24 @@ use core::fmt;
 use embedded_storage::nor_flash::NorFlash;
 
 use crate::{
+    boot_state::ImageStatus,
+    flash_layout::Slot,
     header::{HEADER_SIZE, Version},
-    inspect::{Defect, Image, Key, check_header, check_image, read_header, slot_size, slot_start},
-    journal::{Journal, NotStored},
-    layout::Slot,
-    record::Status,
+    image_check::{
+        Image, ImageDefect, VerifyingKey, check_header, check_image, read_header, slot_size,
+        slot_start,
+    },
+    journal::{Journal, JournalWriteError},
 };
 
 /// Bytes that are written at once: 1 ms of this chip's flash.
-const PART: usize = 256;
+const WRITE_CHUNK_BYTES: usize = 256;
 
 /// Why an update is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum UpdateError {
     /// The file must not run on this board.
-    Defect(Defect),
+    Defect(ImageDefect),
     /// It is not newer than the image that runs, so it would never start.
     NotNewer {
         /// The version that runs.
@@ -39,8 +42,8 @@ pub enum UpdateError {
     NotStored,
 }
 
-impl From<NotStored> for UpdateError {
-    fn from(_: NotStored) -> Self {
+impl From<JournalWriteError> for UpdateError {
+    fn from(_: JournalWriteError) -> Self {
         Self::NotStored
     }
 }
@@ -57,7 +60,7 @@ impl fmt::Display for UpdateError {
             ),
             Self::Length => f.write_str("the file does not have the length that its header says"),
             Self::Flash => f.write_str("the flash does not take the file"),
-            Self::NotStored => NotStored.fmt(f),
+            Self::NotStored => JournalWriteError.fmt(f),
         }
     }
 }
@@ -70,7 +73,7 @@ pub struct Update {
     image: Image,
     /// Bytes that were received.
     received: u32,
-    part: [u8; PART],
+    part: [u8; WRITE_CHUNK_BYTES],
 }
 
 impl Update {
@@ -91,17 +94,17 @@ impl Update {
         if image.header.version <= running.header.version {
             return Err(UpdateError::NotNewer { running: running.header.version });
         }
-        let is_confirmed = state.status(running.header.slot, running.tag) == Status::Confirmed;
+        let is_confirmed = state.status(running.header.slot, running.tag) == ImageStatus::Confirmed;
         let has_other = read_header(slots, spare, state.floor)
             .is_ok_and(|other| state.status(spare, other.tag).is_eligible());
         if has_other && !is_confirmed {
             return Err(UpdateError::Unconfirmed);
         }
-        journal.commit(state.with(spare, image.tag, Status::Loading))?;
+        journal.commit(state.with_status(spare, image.tag, ImageStatus::Loading))?;
         let start = slot_start(slots, spare);
         let end = start.saturating_add(size);
         slots.erase(start, end).map_err(|_| UpdateError::Flash)?;
-        let mut update = Self { image, received: 0, part: [0xFF; PART] };
+        let mut update = Self { image, received: 0, part: [0xFF; WRITE_CHUNK_BYTES] };
         update.append(slots, header)?;
         Ok(update)
     }
@@ -110,12 +113,6 @@ impl Update {
     #[must_use]
     pub const fn image(&self) -> &Image {
         &self.image
-    }
-
-    /// Returns how many bytes have come, the header included.
-    #[must_use]
-    pub const fn received(&self) -> u32 {
-        self.received
     }
 
     /// Takes the next bytes.
@@ -127,12 +124,12 @@ impl Update {
             if self.received >= self.image.header.length {
                 return Err(UpdateError::Length);
             }
-            let place = self.part.get_mut(self.received as usize % PART);
+            let place = self.part.get_mut(self.received as usize % WRITE_CHUNK_BYTES);
             *place.ok_or(UpdateError::Length)? = *byte;
             self.received = self.received.saturating_add(1);
-            let is_full = (self.received as usize).is_multiple_of(PART);
+            let is_full = (self.received as usize).is_multiple_of(WRITE_CHUNK_BYTES);
             if is_full || self.received == self.image.header.length {
-                self.write_part(slots)?;
+                self.write_chunk(slots)?;
             }
         }
         Ok(())
@@ -142,7 +139,7 @@ impl Update {
     ///
     /// # Errors
     /// [`UpdateError`]: it must begin anew.
-    pub fn finish<R: NorFlash, S: NorFlash, K: Key>(
+    pub fn finish<R: NorFlash, S: NorFlash, K: VerifyingKey>(
         &self,
         journal: &mut Journal<R>,
         slots: &mut S,
@@ -154,32 +151,35 @@ impl Update {
         }
         check_image(slots, &self.image, Some(key), between).map_err(UpdateError::Defect)?;
         let (slot, tag) = (self.image.header.slot, self.image.tag);
-        journal.commit(journal.state().with(slot, tag, Status::Verified))?;
+        journal.commit(journal.state().with_status(slot, tag, ImageStatus::Verified))?;
         Ok(())
     }
 
     /// Writes the words of the last part that has come, and reads them back.
-    fn write_part<S: NorFlash>(&mut self, slots: &mut S) -> Result<(), UpdateError> {
-        let size = self.received.checked_sub(1).map_or(0, |last| last as usize % PART);
+    fn write_chunk<S: NorFlash>(&mut self, slots: &mut S) -> Result<(), UpdateError> {
+        let size = self.received.checked_sub(1).map_or(0, |last| last as usize % WRITE_CHUNK_BYTES);
         let size = size.saturating_add(1);
         let bytes = self.part.get(..size).ok_or(UpdateError::Length)?;
         let at = self.received.saturating_sub(u32::try_from(size).unwrap_or(0));
         let address = slot_start(slots, self.image.header.slot).saturating_add(at);
         slots.write(address, bytes).map_err(|_| UpdateError::Flash)?;
-        let mut back = [0; PART];
+        let mut back = [0; WRITE_CHUNK_BYTES];
         let back = back.get_mut(..size).ok_or(UpdateError::Length)?;
         slots.read(address, back).map_err(|_| UpdateError::Flash)?;
         if back == bytes { Ok(()) } else { Err(UpdateError::Flash) }
     }
 }
 
-/// Confirms the image that runs: it ran well. The floor rises to what it asks for.
+/// Confirms the image that runs: it ran well. The floor rises to what it requires.
 ///
 /// # Errors
-/// [`NotStored`]: it is still on trial.
-pub fn confirm<R: NorFlash>(journal: &mut Journal<R>, running: &Image) -> Result<(), NotStored> {
+/// [`JournalWriteError`]: it is still on trial.
+pub fn confirm<R: NorFlash>(
+    journal: &mut Journal<R>,
+    running: &Image,
+) -> Result<(), JournalWriteError> {
     let slot = running.header.slot;
-    let mut state = journal.state().with(slot, running.tag, Status::Confirmed);
+    let mut state = journal.state().with_status(slot, running.tag, ImageStatus::Confirmed);
     state.floor = state.floor.max(running.header.floor);
     journal.commit(state)
 }
@@ -187,13 +187,16 @@ pub fn confirm<R: NorFlash>(journal: &mut Journal<R>, running: &Image) -> Result
 /// The image that runs is about to reset the board by itself: on trial, that is no failure.
 ///
 /// # Errors
-/// [`NotStored`]: it will count as one.
-pub fn announce<R: NorFlash>(journal: &mut Journal<R>, running: &Image) -> Result<(), NotStored> {
+/// [`JournalWriteError`]: it will count as one.
+pub fn announce_reset<R: NorFlash>(
+    journal: &mut Journal<R>,
+    running: &Image,
+) -> Result<(), JournalWriteError> {
     let slot = running.header.slot;
     let state = journal.state();
     match state.status(slot, running.tag) {
-        Status::Trial(starts) => {
-            journal.commit(state.with(slot, running.tag, Status::Announced(starts)))
+        ImageStatus::Trial(starts) => {
+            journal.commit(state.with_status(slot, running.tag, ImageStatus::Announced(starts)))
         }
         _ => Ok(()),
     }

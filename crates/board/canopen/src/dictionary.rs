@@ -1,44 +1,52 @@
 //! The object dictionary: what a CANopen master can read and write, as one table.
 //!
 //! The server looks its objects up here, and `trueup.eds`, the file that CANopen tools read, is
-//! printed from the same table by [`eds`]; a test holds the two against each other. The objects
+//! printed from the same table by `eds`; a test holds the two against each other. The tables of objects in
+//! `docs/reference.md` are printed by `reference_page`. A client finds an address by [`find_address`]. The objects
 //! below 0x2000 are those of CiA 301. The analogue inputs (from 0x6131 on) are shaped after
 //! CiA 404: eight temperatures, then the elongation. 0x9130 holds their process values as 32-bit
-//! integers of `DIGITS` decimals. Objects without a standard place are manufacturer-specific, from 0x2000 on.
+//! integers of `DECIMAL_DIGITS` decimals. Objects without a standard place are manufacturer-specific, from 0x2000 on.
 //!
 //! The offsets themselves and the frames of the CNC are not mapped PDOs: they are protected end to
 //! end, and `trueup.dbc` describes them.
 
-use trueup_core::dimensions::CHANNELS;
+use trueup_core::dimensions::CHANNEL_COUNT;
 
-use crate::emergency::HISTORY;
+use crate::emergency::ERROR_HISTORY_LEN;
 
-pub mod eds;
+mod address;
+mod constructors;
+#[cfg(test)]
+pub(crate) mod eds;
+#[cfg(test)]
+mod reference_page;
 mod table;
 
+pub use address::{ObjectAddress, find_address, find_address_by_name};
 pub use table::OBJECTS;
 
 /// Decimals of the process values: thousandths of a degree, thousandths of a micrometre.
-pub(crate) const DIGITS: u8 = 3;
+pub(crate) const DECIMAL_DIGITS: u8 = 3;
 /// A process value or an offset that is not available.
 pub const NOT_AVAILABLE: i32 = i32::MIN;
 /// Number that drops the reference when it is written: the bytes `zero`, low byte first, so that no stray write does
 /// it.
-pub const FORGET: u32 = u32::from_le_bytes(*b"zero");
+pub const CLEAR_REFERENCE_SIGNATURE: u32 = u32::from_le_bytes(*b"zero");
 /// Number that, written to the same object, offers the operator the reference that was written to the sub-indices
 /// before it, of a board that this one takes the place of: the bytes `back`.
-pub const BACK: u32 = u32::from_le_bytes(*b"back");
+pub const RESTORE_REFERENCE_SIGNATURE: u32 = u32::from_le_bytes(*b"back");
 /// Number that, written to 0x2100:05, drops the calibration that was loaded for the next start: the bytes `drop`.
-pub const DROP: u32 = u32::from_le_bytes(*b"drop");
+pub const DROP_CALIBRATION_SIGNATURE: u32 = u32::from_le_bytes(*b"drop");
 /// Bytes of the header of a firmware file.
-pub const FIRMWARE_HEADER: usize = 512;
+pub const FIRMWARE_HEADER_BYTES: usize = 512;
 /// Sub-index of the elongation among the analogue inputs.
-pub const ELONGATION_INPUT: u8 = 9;
-const _: () = assert!(CHANNELS == 8 && HISTORY == 8, "the table has eight lines of each");
+pub const ELONGATION_SUBINDEX: u8 = 9;
+const _: () =
+    assert!(CHANNEL_COUNT == 8 && ERROR_HISTORY_LEN == 8, "the table has eight lines of each");
 
 /// How an object is laid out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Shape {
+pub enum ObjectCode {
     /// One value, at sub-index 0.
     Var,
     /// Values of one type; sub-index 0 says how many.
@@ -49,7 +57,7 @@ pub enum Shape {
 
 /// The type of a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Type {
+pub enum DataType {
     /// `UNSIGNED8`: 0…255.
     U8,
     /// `UNSIGNED16`: 0…65 535.
@@ -64,7 +72,7 @@ pub enum Type {
     Domain,
 }
 
-impl Type {
+impl DataType {
     /// Bytes of a number; `None` for a type of no fixed length.
     #[must_use]
     pub const fn size(self) -> Option<usize> {
@@ -79,7 +87,7 @@ impl Type {
 
 /// Access of a master to a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Access {
+pub enum AccessType {
     /// Read; it never changes.
     Constant,
     /// A master may read it; it changes while the bridge runs.
@@ -90,7 +98,7 @@ pub enum Access {
     Write,
 }
 
-impl Access {
+impl AccessType {
     /// Returns whether a master may write it.
     #[must_use]
     pub(crate) const fn can_write(self) -> bool {
@@ -100,7 +108,7 @@ impl Access {
 
 /// Content of an entry: a constant, or one of the node's values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ObjectKind {
+pub enum EntryContent {
     /// A constant number.
     Fixed(u32),
     /// A constant text, in ASCII.
@@ -134,10 +142,10 @@ pub enum ObjectKind {
     /// Why the board last started, as in `Status`.
     ResetReason,
     /// Of where the last start stopped.
-    Stop(Stop),
+    CrashDetail(CrashDetail),
     /// How often the board has started for a reason, a number of `ResetReason`, since power-on.
     Resets(u8),
-    /// Who may write: a number of [`Authority`].
+    /// Who may write: a number of [`WriteAuthority`].
     Authority,
     /// The first 32 bits of the hash of the commit that the image was built from; 0: it is not known.
     Commit,
@@ -153,7 +161,7 @@ pub enum ObjectKind {
     Reference(u8),
     /// 1: a reference is in force; 0: errors count from the calibration's own zero.
     HasReference,
-    /// Writing [`FORGET`] drops the reference, or declines the one that is offered.
+    /// Writing [`CLEAR_REFERENCE_SIGNATURE`] drops the reference, or declines the one that is offered.
     Forget,
     /// The elongation of the reference that is offered, in nanometres; [`NOT_AVAILABLE`]: none is.
     OfferedElongation,
@@ -177,7 +185,7 @@ pub enum ObjectKind {
     /// RMS noise of the raw codes in thousandths of a code.
     Noise,
     /// Counters of the frames from the CNC.
-    Counter(Counter),
+    ReceiverCounter(ReceiverCounter),
     /// The blob that the bridge runs on.
     Running,
     /// The blob for the next start.
@@ -186,9 +194,9 @@ pub enum ObjectKind {
     RunningCrc,
     /// CRC of the blob for the next start, once it is stored; 0: none was loaded.
     NewCrc,
-    /// Writing [`DROP`] drops the blob for the next start.
+    /// Writing [`DROP_CALIBRATION_SIGNATURE`] drops the blob for the next start.
     DropNew,
-    /// The header of a new firmware, [`FIRMWARE_HEADER`] bytes: it is checked, and the other slot is erased.
+    /// The header of a new firmware, [`FIRMWARE_HEADER_BYTES`] bytes: it is checked, and the other slot is erased.
     FirmwareHeader,
     /// The bytes behind those that have come; with the last one it is verified, and starts next.
     FirmwareImage,
@@ -229,7 +237,7 @@ pub enum ObjectKind {
 /// the `Control` of the CNC, or of a tool where there is no CNC, and that nothing is engaged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
-pub enum Authority {
+pub enum WriteAuthority {
     /// No master sends `Control`: a tool may, with `Service`.
     NoMaster = 0,
     /// The one who sends `Control` has not set `Service`, or has engaged.
@@ -241,7 +249,7 @@ pub enum Authority {
 }
 
 /// The tasks of the board, in the order of their numbers, which begin at 1.
-pub const TASKS: [&str; 13] = [
+pub const TASK_NAMES: [&str; 13] = [
     "start",
     "serial_receive",
     "sample",
@@ -259,7 +267,7 @@ pub const TASKS: [&str; 13] = [
 
 /// Details of the place where the last start stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stop {
+pub enum CrashDetail {
     /// Program counter of a fault; 0: it was none.
     ProgramCounter,
     /// Link register of a fault.
@@ -272,13 +280,13 @@ pub enum Stop {
     Line,
     /// The end of the name of the file of a panic.
     File,
-    /// The task that ran, a number of [`TASKS`]; 0: none is known.
+    /// The task that ran, a number of [`TASK_NAMES`]; 0: none is known.
     Task,
 }
 
 /// A counter of [`trueup_link::receiver::Counters`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Counter {
+pub enum ReceiverCounter {
     /// Valid frames, which were used.
     Accepted,
     /// Frames of a wrong length or content.
@@ -299,11 +307,11 @@ pub struct Entry {
     /// Its name in the EDS.
     pub name: &'static str,
     /// The type of the value on the wire.
-    pub kind: Type,
+    pub kind: DataType,
     /// Access of a master.
-    pub access: Access,
+    pub access: AccessType,
     /// The value behind it.
-    pub what: ObjectKind,
+    pub what: EntryContent,
     /// Value of a writable entry at the start.
     pub default: Option<u32>,
 }
@@ -316,14 +324,14 @@ pub struct Object {
     /// Name in the EDS.
     pub name: &'static str,
     /// How it is laid out.
-    pub shape: Shape,
+    pub shape: ObjectCode,
     /// Its values, by rising sub-index.
     pub entries: &'static [Entry],
 }
 
 /// Returns the object with this index.
 #[must_use]
-pub fn object(index: u16) -> Option<&'static Object> {
+pub fn find_object(index: u16) -> Option<&'static Object> {
     OBJECTS.iter().find(|object| object.index == index)
 }
 
@@ -348,18 +356,21 @@ mod tests {
             let first = object.entry(0).expect("sub-index 0");
             let last = object.entries.last().expect("at least one").subindex;
             match object.shape {
-                Shape::Var => assert_eq!(object.entries.len(), 1, "{at:04X}"),
+                ObjectCode::Var => assert_eq!(object.entries.len(), 1, "{at:04X}"),
                 // Its count is that of the errors, which may be written.
-                _ if at == 0x1003 => assert_eq!(usize::from(last), HISTORY),
+                _ if at == 0x1003 => assert_eq!(usize::from(last), ERROR_HISTORY_LEN),
                 _ => {
-                    assert_eq!((first.kind, first.access), (Type::U8, Access::Constant));
-                    assert_eq!(first.what, ObjectKind::Fixed(last.into()), "{at:04X}");
+                    assert_eq!((first.kind, first.access), (DataType::U8, AccessType::Constant));
+                    assert_eq!(first.what, EntryContent::Fixed(last.into()), "{at:04X}");
                 }
             }
             for entry in object.entries {
                 let is_number = entry.kind.size().is_some();
-                assert_eq!(entry.default.is_some(), is_number && entry.access == Access::ReadWrite);
-                if let ObjectKind::Fixed(number) = entry.what {
+                assert_eq!(
+                    entry.default.is_some(),
+                    is_number && entry.access == AccessType::ReadWrite
+                );
+                if let EntryContent::Fixed(number) = entry.what {
                     let bits = entry.kind.size().map_or(0, |bytes| 8 * bytes);
                     assert!(u64::from(number) < 1 << bits, "{at:04X}:{}", entry.subindex);
                 }
@@ -370,9 +381,9 @@ mod tests {
     #[test]
     fn what_cia_301_demands_is_there() {
         for (index, subindex) in [(0x1000, 0), (0x1001, 0), (0x1017, 0), (0x1018, 1)] {
-            assert!(object(index).and_then(|object| object.entry(subindex)).is_some());
+            assert!(find_object(index).and_then(|object| object.entry(subindex)).is_some());
         }
-        let device = object(0x1000).and_then(|it| it.entry(0)).expect("mandatory");
-        assert_eq!(device.what, ObjectKind::Fixed(404), "the number of the profile");
+        let device = find_object(0x1000).and_then(|it| it.entry(0)).expect("mandatory");
+        assert_eq!(device.what, EntryContent::Fixed(404), "the number of the profile");
     }
 }

@@ -27,12 +27,12 @@ use trueup_link::{
 pub use crate::fault::{Fault, Faults};
 
 /// Emergencies that are remembered.
-pub const HISTORY: usize = 8;
+pub(crate) const ERROR_HISTORY_LEN: usize = 8;
 
 /// Returns the faults that an output reports by its flags. `SensorFault` and `CncLost` stand for several sources; each
 /// of these has its own fault.
 #[must_use]
-pub fn faults_of(output: &Output) -> Faults {
+pub fn faults_from_output(output: &Output) -> Faults {
     Faults::default()
         .with_if(output.flags.contains(Flags::SAMPLES_MISSING), Fault::SamplesMissing)
         .with_if(output.flags.contains(Flags::SPEED_UNKNOWN), Fault::SpeedUnknown)
@@ -64,7 +64,7 @@ pub fn encode(emergency: &Emergency) -> Frame {
     EMERGENCY_FAULT.insert(&mut data, emergency.fault as i32);
     EMERGENCY_FLAGS.insert(&mut data, emergency.flags.0.into());
     EMERGENCY_QUALITY.insert(&mut data, emergency.quality as i32);
-    Frame::full(EMERGENCY_ID, data)
+    Frame::from_data(EMERGENCY_ID, data)
 }
 
 /// Returns what an emergency frame says. It is not protected: it informs, and nothing rests on it.
@@ -72,18 +72,20 @@ pub fn encode(emergency: &Emergency) -> Frame {
 /// # Errors
 /// [`DecodeError`] for another identifier or length, or a fault or quality that has no meaning.
 pub fn decode(frame: &Frame) -> Result<Emergency, DecodeError> {
-    let data = frames::data_of(frame, EMERGENCY_ID, 8)?;
+    let data = frames::frame_data(frame, EMERGENCY_ID, 8)?;
     let [low, high, ..] = EMERGENCY_CODE.extract(data).to_le_bytes();
-    let (fault, quality) =
-        (frames::byte(EMERGENCY_FAULT, data), frames::byte(EMERGENCY_QUALITY, data));
+    let (fault, quality) = (
+        frames::extract_byte(EMERGENCY_FAULT, data),
+        frames::extract_byte(EMERGENCY_QUALITY, data),
+    );
     Ok(Emergency {
         code: u16::from_le_bytes([low, high]),
-        register: frames::byte(EMERGENCY_REGISTER, data),
+        register: frames::extract_byte(EMERGENCY_REGISTER, data),
         fault: Fault::ALL
             .into_iter()
             .find(|it| *it as u8 == fault)
             .ok_or(DecodeError::Value { signal: "Fault", raw: fault.into() })?,
-        flags: Flags(frames::byte(EMERGENCY_FLAGS, data)),
+        flags: Flags(frames::extract_byte(EMERGENCY_FLAGS, data)),
         quality: Quality::from_wire(quality)
             .ok_or(DecodeError::Value { signal: "Quality", raw: quality.into() })?,
     })
@@ -91,52 +93,52 @@ pub fn decode(frame: &Frame) -> Result<Emergency, DecodeError> {
 
 /// Faults that are reported, those that were seen, and the history.
 #[derive(Clone, Debug)]
-pub struct Emergencies {
+pub struct EmergencyProducer {
     /// Reported as present.
     told: Faults,
     /// Present at some time since they were last reported as gone.
     seen: Faults,
-    history: heapless::Deque<u32, HISTORY>,
+    history: heapless::Deque<u32, ERROR_HISTORY_LEN>,
     /// In 0.1 ms.
     inhibit: u16,
     since_ms: u32,
 }
 
-impl Default for Emergencies {
+impl Default for EmergencyProducer {
     fn default() -> Self {
         Self {
             told: Faults::default(),
             seen: Faults::default(),
             history: heapless::Deque::new(),
-            inhibit: default_inhibit(),
+            inhibit: default_inhibit_time(),
             since_ms: u32::MAX,
         }
     }
 }
 
-fn default_inhibit() -> u16 {
+fn default_inhibit_time() -> u16 {
     u16::try_from(EMERGENCY_INHIBIT_MS.saturating_mul(10)).unwrap_or(u16::MAX)
 }
 
-impl Emergencies {
+impl EmergencyProducer {
     /// Sets the shortest time between two emergencies to what it is at the start.
-    pub fn reset_inhibit(&mut self) {
-        self.inhibit = default_inhibit();
+    pub fn reset_inhibit_time(&mut self) {
+        self.inhibit = default_inhibit_time();
     }
 
     /// Notes the faults of a tick.
     pub fn update(&mut self, elapsed_ms: u32, now: Faults) {
         self.since_ms = self.since_ms.saturating_add(elapsed_ms);
-        self.seen = self.seen.and(now);
+        self.seen = self.seen.union(now);
     }
 
     /// Returns the next emergency, if one is due and may be sent.
-    pub fn next(&mut self, now: Faults, output: &Output) -> Option<Frame> {
+    pub fn next_frame(&mut self, now: Faults, output: &Output) -> Option<Frame> {
         if self.since_ms.saturating_mul(10) < self.inhibit.into() {
             return None;
         }
-        let has_come = |fault: &Fault| self.seen.has(*fault) && !self.told.has(*fault);
-        let has_gone = |fault: &Fault| self.told.has(*fault) && !now.has(*fault);
+        let has_come = |fault: &Fault| self.seen.contains(*fault) && !self.told.contains(*fault);
+        let has_gone = |fault: &Fault| self.told.contains(*fault) && !now.contains(*fault);
         let (fault, code) = if let Some(fault) = Fault::ALL.into_iter().find(has_come) {
             (fault, fault.code())
         } else {
@@ -147,15 +149,15 @@ impl Emergencies {
             self.seen = self.seen.without(fault);
         } else {
             self.told = self.told.with_if(true, fault);
-            self.remember(code, fault);
+            self.push_history(code, fault);
         }
         self.since_ms = 0;
-        let (register, flags, quality) = (self.told.register(), output.flags, output.quality);
+        let (register, flags, quality) = (self.told.error_register(), output.flags, output.quality);
         Some(encode(&Emergency { code, register, fault, flags, quality }))
     }
 
     /// The error code below, the fault's number above it.
-    fn remember(&mut self, code: u16, fault: Fault) {
+    fn push_history(&mut self, code: u16, fault: Fault) {
         if self.history.is_full() {
             self.history.pop_back();
         }
@@ -165,7 +167,7 @@ impl Emergencies {
 
     /// Returns how many errors are remembered.
     #[must_use]
-    pub fn count(&self) -> usize {
+    pub fn error_count(&self) -> usize {
         self.history.len()
     }
 
@@ -176,18 +178,18 @@ impl Emergencies {
     }
 
     /// Forgets the errors of the past.
-    pub fn clear(&mut self) {
+    pub fn clear_history(&mut self) {
         self.history.clear();
     }
 
     /// Returns the shortest time between two emergencies in 0.1 ms.
     #[must_use]
-    pub const fn inhibit(&self) -> u16 {
+    pub const fn inhibit_time(&self) -> u16 {
         self.inhibit
     }
 
     /// Sets the shortest time between two emergencies, in 0.1 ms; 0: none.
-    pub const fn set_inhibit(&mut self, tenths_of_ms: u16) {
+    pub const fn set_inhibit_time(&mut self, tenths_of_ms: u16) {
         self.inhibit = tenths_of_ms;
     }
 }

@@ -8,7 +8,7 @@
 //!               ◄── emergency, heartbeat ──
 //! ```
 //!
-//! `dictionary` is what a master can read and write, `sdo` how, `network` what it can command,
+//! `dictionary` is what a master can read and write, `sdo` how, `nmt` what it can command,
 //! `emergency` how the bridge reports its faults, `fault` which there are, `heartbeat` whose silence it reports.
 //! Nothing here touches hardware, allocates, reads a clock, or panics on any input.
 #![no_std]
@@ -23,7 +23,7 @@ pub mod dictionary;
 pub mod emergency;
 mod fault;
 pub mod heartbeat;
-pub mod network;
+pub mod nmt;
 pub mod sdo;
 
 /// The electronic data sheet that CANopen tools read, printed from `dictionary`.

@@ -7,7 +7,8 @@ use trueup_core::{
     units::{MicroOhms, Nanometres, Reading, Temperature},
 };
 
-fn main() {
+/// Prints the elongation of a sensor and the temperature of a PT100.
+pub fn main() {
     // 0.5 µm for each code of the converter; a reading is 1/1024 of a code, a slope 2⁻²⁸ nm per reading.
     let slope = Slope(500 << 18);
     let law = SensorLaw { k0: Nanometres(0), zero: Reading(600 << 10), slope };
@@ -15,7 +16,8 @@ fn main() {
     println!("40 codes above zero: {nm} nm");
     assert_eq!(nm, 20_000);
 
-    let Ok(Temperature(units)) = pt100::temperature(MicroOhms(138_505_500)) else { return };
+    let boiling = pt100::temperature_from_resistance(MicroOhms(138_505_500));
+    let Temperature(units) = boiling.expect("it is in the range of a PT100");
     println!("138.5055 ohm: {} mK", units / Temperature::PER_MILLIKELVIN);
     assert!((99_990..=100_010).contains(&(units / Temperature::PER_MILLIKELVIN)));
 }

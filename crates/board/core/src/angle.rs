@@ -30,23 +30,24 @@
 //! Multiples of 90° are exact.
 
 use crate::{
-    fixed::{high_word_rounded, rounded_shift_word},
-    tool::Direction,
+    fixed_point::{mul_high_rounded, rounding_shift_right_i32},
+    tool_direction::Direction,
     units::MicroDegrees,
 };
 
 /// A quarter of a turn in micro-degrees.
-const QUARTER: i32 = 90 * MicroDegrees::PER_DEGREE;
+const QUARTER_TURN_MICRODEGREES: i32 = 90 * MicroDegrees::PER_DEGREE;
 /// Quarter turns in a micro-degree, 1/90 000 000, Q56.
 const QUARTERS_PER_MICRODEGREE: i32 = 800_639_934;
 /// Binary places of a number of quarters after the upper word of the product is taken.
-const QUARTERS_BITS: u32 = 56 - 32;
+const QUARTERS_FRACTION_BITS: u32 = 56 - 32;
 /// t of a micro-degree, Q31: 47 is the largest whole number with which 45° stay below 1.
 const T_PER_MICRODEGREE: i32 = -47;
 /// s₀…s₄, all negative, in Q31, Q33, Q35, Q37, Q39.
-const SINE: [i32; 5] = [-1_712_534_151, -726_050_335, -92_345_367, -5_592_269, -194_576];
+const SINE_COEFFICIENTS: [i32; 5] =
+    [-1_712_534_151, -726_050_335, -92_345_367, -5_592_269, -194_576];
 /// c₀…c₃, all negative, in Q32, Q34, Q36, Q38.
-const COSINE: [i32; 4] = [-1_365_678_944, -289_498_062, -24_543_537, -1_096_566];
+const COSINE_COEFFICIENTS: [i32; 4] = [-1_365_678_944, -289_498_062, -24_543_537, -1_096_566];
 
 /// Sine and cosine of an angle, Q30: [`Direction::ONE`] is 1.
 ///
@@ -63,27 +64,27 @@ const COSINE: [i32; 4] = [-1_365_678_944, -289_498_062, -24_543_537, -1_096_566]
 /// ```
 #[must_use]
 pub fn sine_cosine(angle: MicroDegrees) -> (i32, i32) {
-    let quarters = high_word_rounded(angle.0, QUARTERS_PER_MICRODEGREE);
-    let quarters = rounded_shift_word(quarters, QUARTERS_BITS);
+    let quarters = mul_high_rounded(angle.0, QUARTERS_PER_MICRODEGREE);
+    let quarters = rounding_shift_right_i32(quarters, QUARTERS_FRACTION_BITS);
     // At the ends of i32 the product alone wraps, the difference is right.
-    let remainder = angle.0.wrapping_sub(quarters.wrapping_mul(QUARTER));
+    let remainder = angle.0.wrapping_sub(quarters.wrapping_mul(QUARTER_TURN_MICRODEGREES));
     // |remainder| ≤ 45.000 006°, so that t and all below stays within 32 bits.
     let t = remainder.wrapping_mul(T_PER_MICRODEGREE);
     // −t² rather than t²: for the signs see above.
-    let w = high_word_rounded(t, t.wrapping_neg());
+    let w = mul_high_rounded(t, t.wrapping_neg());
 
-    let [s0, s1, s2, s3, s4] = SINE;
-    let series = s3.wrapping_add(high_word_rounded(s4, w));
-    let series = s2.wrapping_add(high_word_rounded(series, w));
-    let series = s1.wrapping_add(high_word_rounded(series, w));
-    let series = s0.wrapping_add(high_word_rounded(series, w));
-    let sine = high_word_rounded(series, t);
+    let [s0, s1, s2, s3, s4] = SINE_COEFFICIENTS;
+    let series = s3.wrapping_add(mul_high_rounded(s4, w));
+    let series = s2.wrapping_add(mul_high_rounded(series, w));
+    let series = s1.wrapping_add(mul_high_rounded(series, w));
+    let series = s0.wrapping_add(mul_high_rounded(series, w));
+    let sine = mul_high_rounded(series, t);
 
-    let [c0, c1, c2, c3] = COSINE;
-    let series = c2.wrapping_add(high_word_rounded(c3, w));
-    let series = c1.wrapping_add(high_word_rounded(series, w));
-    let series = c0.wrapping_add(high_word_rounded(series, w));
-    let cosine = Direction::ONE.wrapping_sub(high_word_rounded(series, w));
+    let [c0, c1, c2, c3] = COSINE_COEFFICIENTS;
+    let series = c2.wrapping_add(mul_high_rounded(c3, w));
+    let series = c1.wrapping_add(mul_high_rounded(series, w));
+    let series = c0.wrapping_add(mul_high_rounded(series, w));
+    let cosine = Direction::ONE.wrapping_sub(mul_high_rounded(series, w));
 
     match quarters & 3 {
         0 => (sine, cosine),
@@ -137,9 +138,14 @@ mod tests {
         let values = [(0, ONE), (ONE, 0), (0, -ONE), (-ONE, 0)];
         for quarter in -23_i32..=23 {
             let expected = values[quarter.rem_euclid(4) as usize];
-            assert_eq!(sine_cosine(MicroDegrees(quarter * QUARTER)), expected, "{quarter}");
+            assert_eq!(
+                sine_cosine(MicroDegrees(quarter * QUARTER_TURN_MICRODEGREES)),
+                expected,
+                "{quarter}"
+            );
             for near in -1_000..=1_000 {
-                let (sine, cosine) = sine_cosine(MicroDegrees(quarter * QUARTER + near));
+                let (sine, cosine) =
+                    sine_cosine(MicroDegrees(quarter * QUARTER_TURN_MICRODEGREES + near));
                 assert!(sine.abs() <= ONE && cosine.abs() <= ONE);
             }
         }
@@ -147,7 +153,7 @@ mod tests {
 
     #[test]
     fn the_change_of_quarter_at_45_degrees_is_no_step() {
-        for middle in (-47..=47).step_by(2).map(|odd| odd * (QUARTER / 2)) {
+        for middle in (-47..=47).step_by(2).map(|odd| odd * (QUARTER_TURN_MICRODEGREES / 2)) {
             for near in -20..=20 {
                 let Some(angle) = middle.checked_add(near) else { continue };
                 assert!(error(angle) <= 1e-9, "{angle}");

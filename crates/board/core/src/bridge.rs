@@ -19,12 +19,12 @@
 //! | engages | the sensor is lost, another source is configured | the same | temperature or warm-up model |
 //! | engages | a temperature changed too fast, no other source | the same, by the last believed temperature | hold |
 //! | engages | tool and conditions are lost, after `hold_ms` | the same, by their stated defaults | temperature model |
-//! | engages, or was lost while engaged | any is lost | as it is, for `hold_ms` | hold |
+//! | engages, or was lost while engaged | any is lost | unchanged, for `hold_ms` | hold |
 //! | the same, after `hold_ms` | | to 0, at the slew limit | ramping out |
 //! | does not engage, or is not referenced | | to 0, at the slew limit | ramping out |
 //! | any of these, offset arrived at 0 | sensor and temperatures believable | 0 | off |
 //! | any of these, offset arrived at 0 | faulty or missing | none | fault |
-//! | any, while the offset is barred ([`State::inhibit`]) | | to 0, at the slew limit; then none | ramping out; fault |
+//! | any, while the offset is barred ([`State::set_inhibited`]) | | to 0, at the slew limit; then none | ramping out; fault |
 //!
 //! Lost and returned is no jump: every way back goes through the slew limit. From one source of the
 //! elongation to another the offset goes on where it was (`sources`).
@@ -32,61 +32,61 @@
 //! Work is done when its input changes. A tick does what comes every millisecond: samples, the
 //! errors added up, limits. The errors that depend on a position are computed when it is received, the tool
 //! direction when the angles are, expansion once in 100 ms. On the gantry of `data/`, all axes on
-//! their way at the slew limit, `cargo measure` counts for a whole tick of the node 1,661
-//! instructions (median; 2,174 where the spindle speed has changed and a part of the heat is
+//! their way at the slew limit, `cargo measure` counts for a whole tick of the node 1,658
+//! instructions (median; 2,173 where the spindle speed has changed and a part of the heat is
 //! stepped; the sources are asked what they would say in a millisecond of their own). With a volume the tick that
-//! follows a message adds it up ([`CachedErrors::add_up`](crate::geometry::CachedErrors::add_up), 374), once for all positions and angles that came:
+//! follows a message adds it up ([`CachedErrors::sum_parts`](crate::axis_errors::CachedErrors::sum_parts), 374), once for all positions and angles that came:
 //!
 //! | in the tick | | when received | |
 //! |---|---|---|---|
-//! | [`Health::check`](crate::health::Health::check) | 304 | position: [`CachedErrors::moved`](crate::geometry::CachedErrors::moved) | 497 |
-//! | [`Filter::tick`](crate::filter::Filter::tick) | 300 | angles: [`Kinematics::direction`](crate::kinematics::Kinematics::direction) | 221 |
-//! | [`SensorLaw::elongation`](crate::sensor::SensorLaw::elongation) | 33 | speed, in the next tick: [`Window::for_speed`](crate::window::Window::for_speed) | 49 |
-//! | [`Applied::step`](crate::limits::Applied::step) | 180 | | |
+//! | [`SensorHealth::check`](crate::sensor_health::SensorHealth::check) | 304 | position: [`CachedErrors::update_axis_position`](crate::axis_errors::CachedErrors::update_axis_position) | 497 |
+//! | [`Filter::tick`](crate::filter::Filter::tick) | 300 | angles: [`Kinematics::tool_direction`](crate::kinematics::Kinematics::tool_direction) | 221 |
+//! | [`SensorLaw::elongation`](crate::sensor::SensorLaw::elongation) | 33 | speed, in the next tick: [`RevolutionWindow::for_speed`](crate::revolution_window::RevolutionWindow::for_speed) | 49 |
+//! | [`AppliedOffset::step`](crate::limits::AppliedOffset::step) | 180 | | |
 //! | both frames | 215 | | |
 //! | ages, what is fresh, course, target, flags | ~460 | | |
 
 mod agreement;
 mod angles;
+mod bumpless_transfer;
+mod cached_errors;
 mod conditions;
-mod errors;
-mod joint;
-mod lost;
-mod needs;
+mod lost_inputs;
 mod reference;
+mod required_inputs;
 mod slope;
 mod sources;
 mod state;
 
-pub use self::agreement::{LASTS_STEPS, MIN_NM};
-pub use self::conditions::CONDITIONS_TIMEOUTS;
-pub use self::joint::RetainedJoint;
-use self::joint::SelectedSource;
-pub use self::lost::LostInputs;
-use self::needs::RequiredInputs;
-pub use self::slope::{ConstantAndSlope, UNIT_NM};
-pub use self::sources::RETURN_MS;
-use self::state::{Age, Mode};
+pub use self::agreement::{MIN_DISAGREEMENT_NM, MIN_DISAGREEMENT_STEPS};
+pub use self::bumpless_transfer::RetainedTransfer;
+use self::bumpless_transfer::SelectedSource;
+pub use self::conditions::CONDITIONS_TIMEOUT_FACTOR;
+pub use self::lost_inputs::LostInputs;
+use self::required_inputs::RequiredInputs;
+pub use self::slope::{ConstantAndSlope, SLOPE_RESOLUTION_NM};
+pub use self::sources::SOURCE_RETURN_MS;
+use self::state::{Age, OffsetMode};
 pub use self::state::{
-    JUMP_TOLD_MS, POSITION_JITTER_MS, Reference, SAMPLES_TIMEOUT_MS, STARVED_MS, State,
+    JUMP_REPORT_MS, POSITION_JITTER_MS, Reference, SAMPLES_TIMEOUT_MS, STALE_AFTER_LOSS_MS, State,
     TEMPERATURE_TIMEOUT_MS,
 };
 use crate::{
+    axis_errors::ErrorSums,
     calibration::{Calibration, ElongationSource},
-    channels::RawTemperatures,
     cnc::{Command, Control, Flags, LinearAxis, Output, Quality, Rotary},
-    dimensions::{CHANNELS, CODES_PER_TICK, STEP_MS},
-    geometry::ErrorSums,
-    heat,
-    heat_memory::HeatMemory,
-    learned::Change,
+    dimensions::{CHANNEL_COUNT, CODES_PER_TICK, THERMAL_STEP_MS},
+    index_set::IndexSet,
+    learned::ChangeRequest,
     limits::LimitStatus,
-    set::IndexSet,
-    thermometer::Raw,
-    tip,
-    tool::Direction,
-    units::{Code, Fine, Millis, Nanometres, Rpm},
-    window,
+    retained_lags::RetainedLags,
+    revolution_window,
+    temperature_channels::RawTemperatures,
+    thermal_state,
+    thermometer::RawReading,
+    tip_error,
+    tool_direction::Direction,
+    units::{AdcCode, FineNanometres, Nanometres, Rpm, TimestampMs},
 };
 
 /// The bridge: the calibration, the inputs it requires and the limits of the offsets.
@@ -95,14 +95,14 @@ pub struct Bridge<'a> {
     calibration: Calibration<'a>,
     needs: RequiredInputs,
     /// The largest part of an error of X, Y and Z: the limits of the offsets, not below 0.
-    largest: [Fine; 3],
+    largest: [FineNanometres; 3],
 }
 
 /// The inputs of one tick.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Input<'a> {
     /// A millisecond of conversions; `None` where none came.
-    pub codes: Option<&'a [Code; CODES_PER_TICK]>,
+    pub codes: Option<&'a [AdcCode; CODES_PER_TICK]>,
     /// The spindle speed as the board knows it; a fresh one from the CNC wins.
     pub speed: Option<Rpm>,
     /// The readings of the temperature channels; `None` where nothing new came.
@@ -110,14 +110,14 @@ pub struct Input<'a> {
 }
 
 /// The millisecond of each 100 in which the sources are asked, after temperatures and heat have had theirs.
-const ASKING_PHASE: usize = CHANNELS + heat::ITEMS;
+const SOURCE_SELECTION_PHASE: usize = CHANNEL_COUNT + thermal_state::THERMAL_ITEM_COUNT;
 
 impl<'a> Bridge<'a> {
     /// Returns a bridge for this machine.
     #[must_use]
     pub fn new(calibration: Calibration<'a>) -> Self {
-        let largest = calibration.limits.max.map(|max| Fine(max.fine().0.max(0)));
-        Self { calibration, needs: RequiredInputs::of(&calibration), largest }
+        let largest = calibration.limits.max.map(|max| FineNanometres(max.to_fine().0.max(0)));
+        Self { calibration, needs: RequiredInputs::from_calibration(&calibration), largest }
     }
 
     /// Returns what it knows of the machine.
@@ -134,7 +134,7 @@ impl<'a> Bridge<'a> {
     pub fn receive(&self, state: &mut State, command: Command) {
         match command {
             Command::Control(control) => self.receive_control(state, control),
-            value => self.receive_value(state, value),
+            value => self.receive_command(state, value),
         }
     }
 
@@ -142,9 +142,9 @@ impl<'a> Bridge<'a> {
     pub fn receive_control(&self, state: &mut State, control: Control) {
         // An edge needs a known `Control` before it: a CNC that starts with the bit
         // already set has asked for nothing.
-        let was = state.control.value(self.calibration.limits.link_timeout_ms);
+        let was = state.control.fresh_value(self.calibration.limits.link_timeout_ms);
         if control.zero && control.referenced && was.is_some_and(|was| !was.zero) {
-            state.zeroed |= self.zero(state);
+            state.zeroed |= self.set_reference(state);
         }
         state.control.receive(control);
         state.cnc_known = true;
@@ -152,13 +152,15 @@ impl<'a> Bridge<'a> {
 
     /// Takes any other command than `Control`, which it ignores.
     // Apart from it, because a `Zero` takes long and no value does: a test bounds the time of each (host-tests, `bounds`).
-    pub fn receive_value(&self, state: &mut State, value: Command) {
+    pub fn receive_command(&self, state: &mut State, value: Command) {
         match value {
             Command::Control(_) => {}
             Command::Spindle(spindle) => {
                 state.spindle.receive(spindle);
-                if self.needs.category_speed && state.heat.turn(&self.calibration, spindle.speed) {
-                    self.term_warmed(state);
+                if self.needs.category_speed
+                    && state.heat.update_speed(&self.calibration, spindle.speed)
+                {
+                    self.update_term_heat(state);
                 }
             }
             Command::Conditions(conditions) => self.receive_conditions(state, conditions),
@@ -167,27 +169,27 @@ impl<'a> Bridge<'a> {
                 if let Some(axis) = self.calibration.axes.get(heard.axis as usize)
                     && state.receive_position(heard, axis)
                 {
-                    self.moved(state, heard.axis);
+                    self.update_axis_position(state, heard.axis);
                 }
             }
         }
     }
 
     /// Takes a change that was learned; whether the calibration permits it.
-    pub fn learn(&self, state: &mut State, change: Change) -> bool {
-        state.heat.learned.ask(change, self.calibration.limits.learned)
+    pub fn apply_learned_change(&self, state: &mut State, change: ChangeRequest) -> bool {
+        state.heat.learned.request(change, self.calibration.limits.learned)
     }
 
     /// Computes one tick: `now` is the time at its end.
     // A part of the node's tick, also where an image has that twice: a call costs 20 instructions.
     #[inline(always)]
-    pub fn tick(&self, state: &mut State, now: Millis, input: Input<'_>) -> Output {
+    pub fn tick(&self, state: &mut State, now: TimestampMs, input: Input<'_>) -> Output {
         let limits = &self.calibration.limits;
-        let elapsed_ms = now.since(state.now);
+        let elapsed_ms = now.duration_since(state.now);
         state.now = now;
         state.advance_ages(elapsed_ms);
 
-        let spindle = state.spindle.value(limits.link_timeout_ms);
+        let spindle = state.spindle.fresh_value(limits.link_timeout_ms);
         let speed = spindle.map(|spindle| spindle.speed).or(input.speed);
         if let Some(codes) = input.codes {
             self.process_samples(state, codes, speed);
@@ -196,49 +198,51 @@ impl<'a> Bridge<'a> {
             // Word by word: as a whole it is a call of `memmove`, at ten times the cost.
             let [a, b, c, d, e, f, g, h] = *raw;
             state.raw = [a, b, c, d, e, f, g, h];
-            state.raw_age = Age::NEW;
+            state.raw_age = Age::ZERO;
         }
         self.step_thermal(state, elapsed_ms, speed);
 
-        let chosen = self.select(state, elapsed_ms);
-        let place = self.knows_place(state);
-        let fresh = self.knows_conditions(state, elapsed_ms)
+        let chosen = self.select_source(state, elapsed_ms);
+        let place = self.has_positions(state);
+        let fresh = self.has_conditions(state, elapsed_ms)
             && chosen != SelectedSource::Missing
             && place
-            && self.knows_temperatures(state);
-        let control = state.control.value(limits.link_timeout_ms);
-        let mode = state.mode(control, fresh, limits.hold_ms);
+            && self.has_temperatures(state);
+        let control = state.control.fresh_value(limits.link_timeout_ms);
+        let mode = state.update_mode(control, fresh, limits.hold_ms);
         let (mut status, mut outside, mut rejoins) = (LimitStatus::default(), false, false);
         match mode {
-            Mode::Follow => {
+            OffsetMode::Follow => {
                 let errors = self.axis_errors(state);
-                let (target, clamped) = self.target(state, self.elongation(state), &errors);
+                let (target, clamped) = self.compute_target(state, self.elongation(state), &errors);
                 state.joint.is_anchored = true;
                 status = state.applied.step(limits, target, elapsed_ms);
                 status.clamped |= clamped | errors.clamped;
                 outside = errors.outside;
-                rejoins = self.is_rejoining(state);
+                rejoins = self.is_source_shift_decaying(state);
             }
             // What is applied is held; it does not travel on to where it was going.
-            Mode::Hold => {}
-            Mode::RampOut => {
+            OffsetMode::Hold => {}
+            OffsetMode::RampOut => {
                 status = state.applied.step(limits, [Nanometres::ZERO; 3], elapsed_ms);
             }
         }
 
-        let missing = self.samples_are_missing(state);
-        let unbelievable =
-            self.sensor_is_lost(state, missing) || state.channels.any_faulty(self.needs.watched);
+        let missing = self.are_samples_missing(state);
+        let unbelievable = self.is_sensor_lost(state, missing)
+            || state.channels.has_faulty_channel(self.needs.watched);
         let quality = match mode {
-            Mode::Follow if self.holds_temperature(state, chosen) => Quality::Hold,
-            Mode::Follow => match self.quality(chosen) {
+            OffsetMode::Follow if self.is_temperature_held(state, chosen) => Quality::Hold,
+            OffsetMode::Follow => match self.quality(chosen) {
                 Quality::Live if state.conditions.by_default => Quality::TemperatureModel,
                 quality => quality,
             },
-            Mode::Hold => Quality::Hold,
-            Mode::RampOut if !state.applied.is_zero() => Quality::RampingOut,
-            Mode::RampOut if state.inhibited || self.is_faulty(state, chosen) => Quality::Fault,
-            Mode::RampOut => Quality::Off,
+            OffsetMode::Hold => Quality::Hold,
+            OffsetMode::RampOut if !state.applied.is_zero() => Quality::RampingOut,
+            OffsetMode::RampOut if state.inhibited || self.is_faulty(state, chosen) => {
+                Quality::Fault
+            }
+            OffsetMode::RampOut => Quality::Off,
         };
         let flags = Flags::NONE
             .with_if(status.clamped, Flags::CLAMPED)
@@ -252,19 +256,19 @@ impl<'a> Bridge<'a> {
             offset: (quality != Quality::Fault).then(|| state.applied.offset()),
             quality,
             flags,
-            age_ms: age(state, chosen).byte(),
+            age_ms: oldest_input_age(state, chosen).to_wire_byte(),
         }
     }
 
     #[inline]
-    fn samples_are_missing(&self, state: &State) -> bool {
+    fn are_samples_missing(&self, state: &State) -> bool {
         self.needs.sensor
-            && (state.codes_age.is_above(SAMPLES_TIMEOUT_MS)
-                || !state.starved_age.is_above(STARVED_MS))
+            && (state.codes_age.is_older_than(SAMPLES_TIMEOUT_MS)
+                || !state.starved_age.is_older_than(STALE_AFTER_LOSS_MS))
     }
 
     #[inline]
-    fn sensor_is_lost(&self, state: &State, missing: bool) -> bool {
+    fn is_sensor_lost(&self, state: &State, missing: bool) -> bool {
         self.needs.sensor && !missing && !state.believable
     }
 
@@ -272,15 +276,15 @@ impl<'a> Bridge<'a> {
     fn process_samples(
         &self,
         state: &mut State,
-        codes: &[Code; CODES_PER_TICK],
+        codes: &[AdcCode; CODES_PER_TICK],
         speed: Option<Rpm>,
     ) {
-        if state.codes_age.is_above(1) {
-            state.health.interrupt();
+        if state.codes_age.is_older_than(1) {
+            state.health.record_gap();
         }
-        state.codes_age = Age::NEW;
-        let supply = state.supply();
-        let turns = speed.is_some_and(|speed| speed.0 > window::SLOWEST.0);
+        state.codes_age = Age::ZERO;
+        let supply = state.supply_scale();
+        let turns = speed.is_some_and(|speed| speed.0 > revolution_window::MIN_AVERAGED_SPEED.0);
         let clean = state.health.check(codes, turns).zip(supply);
         state.believable = clean.is_some();
         match clean {
@@ -289,11 +293,11 @@ impl<'a> Bridge<'a> {
                 if let Some(reading) = state.filter.tick(clean, speed) {
                     match speed.filter(|_| turns) {
                         Some(speed) => state.run_out.receive(clean, reading, speed),
-                        None => state.run_out.stop(),
+                        None => state.run_out.record_standstill(),
                     }
-                    let reading = scale.of(reading);
+                    let reading = scale.scale_reading(reading);
                     state.elongation = Some(self.calibration.spindle.sensor.elongation(reading));
-                    state.elongation_age = Age::NEW;
+                    state.elongation_age = Age::ZERO;
                 }
             }
         }
@@ -302,12 +306,12 @@ impl<'a> Bridge<'a> {
     /// Every 100 ms each temperature is read once, then each part of the heat is stepped once, and then the
     /// sources are asked what they say: one of them a millisecond, and in most milliseconds none.
     fn step_thermal(&self, state: &mut State, elapsed_ms: u32, speed: Option<Rpm>) {
-        for _ in 0..elapsed_ms.min(STEP_MS) {
-            let phase = if state.phase_ms >= STEP_MS { 0 } else { state.phase_ms };
+        for _ in 0..elapsed_ms.min(THERMAL_STEP_MS) {
+            let phase = if state.phase_ms >= THERMAL_STEP_MS { 0 } else { state.phase_ms };
             state.phase_ms = phase.saturating_add(1);
             let phase = phase as usize;
-            if phase <= ASKING_PHASE {
-                self.heat_step(state, phase, speed);
+            if phase <= SOURCE_SELECTION_PHASE {
+                self.step_slow_phase(state, phase, speed);
             }
         }
     }
@@ -315,98 +319,102 @@ impl<'a> Bridge<'a> {
     /// Does the work of one of the first milliseconds of each 100: a temperature channel, the shift of a source, or a
     /// part of the heat.
     #[inline(never)]
-    fn heat_step(&self, state: &mut State, phase: usize, speed: Option<Rpm>) {
-        let Some(item) = phase.checked_sub(CHANNELS) else {
-            return self.take_temperature(state, phase);
+    fn step_slow_phase(&self, state: &mut State, phase: usize, speed: Option<Rpm>) {
+        let Some(item) = phase.checked_sub(CHANNEL_COUNT) else {
+            return self.read_temperature(state, phase);
         };
-        if phase == ASKING_PHASE {
-            return self.rejoin(state);
+        if phase == SOURCE_SELECTION_PHASE {
+            return self.decay_source_shift(state);
         }
         if item == 0 {
-            self.know_heat(state);
+            self.update_heat_validity(state);
         }
         // As many items have no term as there are parts: one a millisecond.
         state.heat.learned.step(item);
-        let temperatures = if heat::is_of_an_axis(&self.calibration, item) {
+        let temperatures = if thermal_state::is_axis_item(&self.calibration, item) {
             state.steady.map(|it| it.temperature())
         } else {
             state.channels.temperatures()
         };
         state.heat.step_item(&self.calibration, item, &temperatures, speed);
         if let Some(axis) = LinearAxis::ALL.get(item) {
-            self.warmed(state, *axis);
-        } else if let Some(term) = item.checked_sub(heat::FIRST_TERM)
+            self.update_axis_heat(state, *axis);
+        } else if let Some(term) = item.checked_sub(thermal_state::FIRST_TERM_ITEM)
             && self.calibration.terms.get(term).is_some_and(Option::is_some)
         {
-            self.term_warmed(state);
+            self.update_term_heat(state);
         }
     }
 
     /// Heat that is not known is, once its thermometers agree, or what can be left of it is small.
-    fn know_heat(&self, state: &mut State) {
+    fn update_heat_validity(&self, state: &mut State) {
         if state.heat.is_unknown() {
             let connected = self.calibration.thermometers.iter().map(Option::is_some);
             let temperatures = state.channels.temperatures();
-            let is_cold = heat::agree(connected.zip(temperatures), self.calibration.cold_within);
-            state.heat.wait(is_cold);
+            let is_cold = thermal_state::temperatures_agree(
+                connected.zip(temperatures),
+                self.calibration.cold_within,
+            );
+            state.heat.step_unknown(is_cold);
         }
     }
 
     /// The operator says that the machine is cold.
     pub fn confirm_cold(&self, state: &mut State) {
-        state.heat.wait(true);
+        state.heat.step_unknown(true);
     }
 
     /// Returns the heat that outlasts a reset.
     #[must_use]
-    pub fn heat_memory(&self, state: &State) -> HeatMemory {
-        state.heat.memory(&self.calibration)
+    pub fn retained_heat(&self, state: &State) -> RetainedLags {
+        state.heat.retained_lags(&self.calibration)
     }
 
     /// Goes on with the heat from before a reset, or from this many steps of 100 ms without power ago; without
     /// one it is not known, where something has to know it.
-    pub fn resume_heat(&self, state: &mut State, memory: &HeatMemory, steps: u32) {
-        state.heat.resume(&self.calibration, memory, steps);
+    pub fn restore_heat(&self, state: &mut State, memory: &RetainedLags, steps: u32) {
+        state.heat.restore_lags(&self.calibration, memory, steps);
+        self.compute_errors(state);
     }
 
     /// Reads a temperature channel, if something is connected to it.
-    fn take_temperature(&self, state: &mut State, number: usize) {
+    fn read_temperature(&self, state: &mut State, number: usize) {
         if let (Some(Some(thermometer)), Some(raw)) =
             (self.calibration.thermometers.get(number), state.raw.get(number))
         {
-            let fresh = !state.raw_age.is_above(TEMPERATURE_TIMEOUT_MS);
-            let raw = if fresh { *raw } else { Raw::NONE };
-            let reading = thermometer.measure(raw, state.supply());
+            let fresh = !state.raw_age.is_older_than(TEMPERATURE_TIMEOUT_MS);
+            let raw = if fresh { *raw } else { RawReading::NONE };
+            let reading = thermometer.convert_with_supply(raw, state.supply_scale());
             let limit = self.needs.rates.get(number).copied().unwrap_or_default();
-            let believed = state.channels.receive_within(number, reading, &limit);
+            let believed = state.channels.receive_rate_limited(number, reading, &limit);
             if let Some(steady) = state.steady.get_mut(number) {
-                steady.follow(believed, thermometer.dead_band());
+                steady.update(believed, thermometer.dead_band());
             }
         }
     }
 
     /// Returns whether a temperature that the offset rests on changed too fast, and is held.
     #[inline]
-    fn holds_temperature(&self, state: &State, chosen: SelectedSource) -> bool {
-        let doubtful = state.channels.doubtful();
+    fn is_temperature_held(&self, state: &State, chosen: SelectedSource) -> bool {
+        let doubtful = state.channels.doubtful_channels();
         doubtful != IndexSet::default()
-            && (doubtful.has_any(self.needs.temperatures) || self.holds_source(state, chosen))
+            && (doubtful.intersects(self.needs.temperatures) || self.is_source_held(state, chosen))
     }
 
     /// Returns whether the temperatures of the axes are there.
-    fn knows_temperatures(&self, state: &State) -> bool {
-        state.channels.all_known(self.needs.temperatures)
-            && state.heat.knows(self.needs.laws)
-            && state.heat.terms().knows(self.needs.heat_terms)
+    fn has_temperatures(&self, state: &State) -> bool {
+        state.channels.has_all_temperatures(self.needs.temperatures)
+            && state.heat.is_initialised(self.needs.laws)
+            && state.heat.terms().is_initialised(self.needs.heat_terms)
     }
 
     /// Returns whether the positions and angles are there that the CNC sends.
-    fn knows_place(&self, state: &State) -> bool {
+    fn has_positions(&self, state: &State) -> bool {
         let mut positions = self.needs.position_ms.iter().zip(&state.position_age);
         let timeout_ms = self.calibration.limits.link_timeout_ms;
-        positions.all(|(longest, age)| !age.is_above(*longest))
-            && (!self.needs.rotary || state.tool.value(timeout_ms).is_some())
-            && (!self.needs.operating_point || state.spindle.value(timeout_ms).is_some())
+        positions.all(|(longest, age)| !age.is_older_than(*longest))
+            && (!self.needs.rotary || state.tool.fresh_value(timeout_ms).is_some())
+            && (!self.needs.operating_point || state.spindle.fresh_value(timeout_ms).is_some())
     }
 
     /// Returns whether an input of the board itself is broken for which there is no other, or what it would
@@ -414,10 +422,10 @@ impl<'a> Bridge<'a> {
     fn is_faulty(&self, state: &State, chosen: SelectedSource) -> bool {
         let lacks_heat = || {
             state.heat.is_unknown()
-                && (chosen == SelectedSource::Missing || !self.knows_temperatures(state))
+                && (chosen == SelectedSource::Missing || !self.has_temperatures(state))
         };
-        self.all_sources_are_dead(state)
-            || state.channels.any_faulty(self.needs.temperatures)
+        self.have_all_sources_failed(state)
+            || state.channels.has_faulty_channel(self.needs.temperatures)
             || lacks_heat()
     }
 
@@ -425,24 +433,26 @@ impl<'a> Bridge<'a> {
     /// axis was held at its limit.
     // A part of the tick: a call costs 17 instructions.
     #[inline(always)]
-    fn target(
+    fn compute_target(
         &self,
         state: &State,
         elongation: Nanometres,
         axes: &ErrorSums,
     ) -> ([Nanometres; 3], bool) {
         let since = i64::from(elongation.0).wrapping_sub(i64::from(state.reference.elongation.0));
-        let since = Nanometres::saturating(since);
-        let direction = self.direction(state);
-        let ([x, y, z], clamped) = tip::error_at_tip(since, direction, axes.sums, self.largest);
+        let since = Nanometres::saturating_from(since);
+        let direction = self.tool_direction(state);
+        let ([x, y, z], clamped) =
+            tip_error::compute_tip_error(since, direction, axes.sums, self.largest);
         let [zero_x, zero_y, zero_z] = state.reference.axes;
-        let target = [(x, zero_x), (y, zero_y), (z, zero_z)]
-            .map(|(error, zero)| error.plus(Fine(zero.0.saturating_neg())).rounded().negated());
+        let target = [(x, zero_x), (y, zero_y), (z, zero_z)].map(|(error, zero)| {
+            error.saturating_add(FineNanometres(zero.0.saturating_neg())).rounded().saturating_neg()
+        });
         (target, clamped)
     }
 
     /// Returns the tool direction at the present angles.
-    fn direction(&self, state: &State) -> Direction {
+    fn tool_direction(&self, state: &State) -> Direction {
         match state.tool.latest() {
             Some((_, direction)) => direction,
             None => self.calibration.kinematics.zero,
@@ -453,15 +463,15 @@ impl<'a> Bridge<'a> {
 /// Returns the age of the oldest input that the offset rests on: the newest sample, and the positions and
 /// angles of axes that move. Temperatures are slow, and have a limit of their own.
 #[inline]
-fn age(state: &State, chosen: SelectedSource) -> Age {
+fn oldest_input_age(state: &State, chosen: SelectedSource) -> Age {
     let sampled = match chosen {
         SelectedSource::Source(ElongationSource::Sensor) | SelectedSource::Missing => {
             state.elongation_age
         }
         SelectedSource::Source(ElongationSource::Temperature) => state.raw_age,
-        SelectedSource::Source(ElongationSource::Warmup) | SelectedSource::Unneeded => Age::NEW,
+        SelectedSource::Source(ElongationSource::Warmup) | SelectedSource::Unneeded => Age::ZERO,
     };
-    sampled.max(state.oldest_motion())
+    sampled.max(state.oldest_motion_age())
 }
 
 #[cfg(test)]

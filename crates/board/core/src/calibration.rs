@@ -5,19 +5,19 @@
 use crate::{
     cnc::LinearAxis,
     curve::Curve,
-    dimensions::CHANNELS,
+    dimensions::CHANNEL_COUNT,
     gradient::Gradient,
     kinematics::Kinematics,
     lag::SmoothingFactor,
     limits::Limits,
-    pitch::{Beam, Pitch},
+    pitch_table::{Beam, PitchErrorTable},
     sensor::SensorLaw,
     term::Terms,
-    thermal::Law,
+    thermal::ThermalExpansionLaw,
     thermometer::Thermometer,
     travel,
-    units::{Fine, Position, Rpm, Temperature},
-    volume::Volume,
+    units::{FineNanometres, Position, Rpm, Temperature},
+    volumetric_error::VolumetricErrorModel,
     warmup,
 };
 
@@ -25,19 +25,19 @@ use crate::{
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Calibration<'a> {
     /// The thermometer on each temperature channel.
-    pub thermometers: [Option<Thermometer>; CHANNELS],
+    pub thermometers: [Option<Thermometer>; CHANNEL_COUNT],
     /// How the spindle grows.
     pub spindle: SpindleModel<'a>,
     /// From the spindle nose to the tool tip, and the axes that turn it.
     pub kinematics: Kinematics,
     /// The models of X, Y and Z alone.
     pub axes: [AxisModel<'a>; 3],
-    /// Straightness, in the order of [`AXIS_PAIRS`].
+    /// Straightness, in the order of [`STRAIGHTNESS_AXIS_PAIRS`].
     pub straightness: [Curve<'a>; 6],
-    /// Squareness, in the order of [`AXIS_PAIRS`].
+    /// Squareness, in the order of [`STRAIGHTNESS_AXIS_PAIRS`].
     pub squareness: [Gradient; 6],
     /// Angular and location errors, with the chain of the axes; `None` where none is known.
-    pub volume: Option<Volume<'a>>,
+    pub volume: Option<VolumetricErrorModel<'a>>,
     /// The terms that a diagnosis has added; those that are there come first.
     pub terms: Terms<'a>,
     /// How far and how fast an offset may go, and how long silence is tolerated.
@@ -45,27 +45,27 @@ pub struct Calibration<'a> {
     /// Thermometers that agree within this belong to a machine that has no heat of its own.
     pub cold_within: Temperature,
     /// The guards of the inputs and of the calibration.
-    pub guards: Guards,
+    pub guards: InputSettings,
     /// The machine and the board that it is for.
-    pub names: Names<'a>,
+    pub names: MachineIdentity<'a>,
 }
 
 /// The guards of a calibration's inputs and of the calibration itself.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Guards {
+pub struct InputSettings {
     /// How fast each temperature channel may change, in tenths of a kelvin a minute, up to
-    /// [`MAX_TENTHS`](crate::thermal_rate::MAX_TENTHS). 0: by [`DEFAULT_TENTHS`](crate::thermal_rate::DEFAULT_TENTHS) where a law
+    /// [`MAX_RATE_DECIKELVIN_PER_MIN`](crate::thermal_rate::MAX_RATE_DECIKELVIN_PER_MIN). 0: by [`DEFAULT_RATE_DECIKELVIN_PER_MIN`](crate::thermal_rate::DEFAULT_RATE_DECIKELVIN_PER_MIN) where a law
     /// uses the channel, else not judged.
-    pub max_rates: [u16; CHANNELS],
+    pub max_rates: [u16; CHANNEL_COUNT],
     /// Nothing is written to the board unless its service switch is closed.
     pub service_switch: bool,
     /// The hum that the temperature inputs suppress.
-    pub mains: Mains,
+    pub mains: MainsFrequency,
 }
 
 /// The frequency of the mains.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Mains {
+pub enum MainsFrequency {
     /// 50 Hz.
     #[default]
     Hz50,
@@ -75,7 +75,7 @@ pub enum Mains {
 
 /// The machine and the board that a calibration is for, as the user names them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Names<'a> {
+pub struct MachineIdentity<'a> {
     /// The machine's name, in UTF-8; empty: none was given.
     pub machine: &'a [u8],
     /// The machine's serial number, in UTF-8; empty: none was given.
@@ -85,7 +85,7 @@ pub struct Names<'a> {
 }
 
 /// The six pairs of axes: the error is along the first while the second moves.
-pub const AXIS_PAIRS: [(LinearAxis, LinearAxis); 6] = [
+pub const STRAIGHTNESS_AXIS_PAIRS: [(LinearAxis, LinearAxis); 6] = [
     (LinearAxis::X, LinearAxis::Y),
     (LinearAxis::X, LinearAxis::Z),
     (LinearAxis::Y, LinearAxis::X),
@@ -102,9 +102,9 @@ pub struct SpindleModel<'a> {
     /// By the displacement sensor.
     pub sensor: SensorLaw,
     /// By a temperature.
-    pub temperature: Option<SpindleTemperature<'a>>,
+    pub temperature: Option<SpindleTemperatureModel<'a>>,
     /// By running time.
-    pub warmup: Option<SpindleWarmup<'a>>,
+    pub warmup: Option<SpindleWarmupModel<'a>>,
 }
 
 /// Where an elongation comes from.
@@ -125,7 +125,7 @@ impl ElongationSource {
 
 /// Elongation by a temperature: k·(T − T₀), with a lag.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SpindleTemperature<'a> {
+pub struct SpindleTemperatureModel<'a> {
     /// The channel of T, 0…7.
     pub channel: u8,
     /// α of the lag of T while it rises, per step of 100 ms.
@@ -133,10 +133,10 @@ pub struct SpindleTemperature<'a> {
     /// α while T falls.
     pub smoothing_falling: SmoothingFactor,
     /// Its K₀(T) is the elongation, in 1/256 nm.
-    pub law: Law<'a>,
+    pub law: ThermalExpansionLaw<'a>,
 }
 
-impl SpindleTemperature<'_> {
+impl SpindleTemperatureModel<'_> {
     /// Returns whether it lags, and so has to know what was before.
     #[must_use]
     pub fn has_memory(&self) -> bool {
@@ -146,23 +146,23 @@ impl SpindleTemperature<'_> {
 
 /// The warm-up model, and what drives it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SpindleWarmup<'a> {
+pub struct SpindleWarmupModel<'a> {
     /// The model: lag, largest growth, and how fast it heats and cools.
-    pub law: warmup::Warmup,
+    pub law: warmup::WarmupModel,
     /// (n/n_rated)^p in Q28 over n in r/min; empty where every speed heats fully.
     pub power: Curve<'a>,
 }
 
-impl SpindleWarmup<'_> {
+impl SpindleWarmupModel<'_> {
     /// Returns how hard the spindle heats at this speed, Q28. An unknown speed does not heat.
     #[must_use]
-    pub fn drive(&self, speed: Option<Rpm>) -> i32 {
+    pub fn relative_heat_input(&self, speed: Option<Rpm>) -> i32 {
         /// 1 in Q28.
-        const FULL: i32 = 1 << 28;
+        const ONE_Q28: i32 = 1 << 28;
         match speed {
             None | Some(Rpm(0)) => 0,
-            Some(_) if self.power.is_empty() => FULL,
-            Some(Rpm(rpm)) => self.power.at(Position(i32::from(rpm))).0.0.max(1),
+            Some(_) if self.power.is_empty() => ONE_Q28,
+            Some(Rpm(rpm)) => self.power.evaluate(Position(i32::from(rpm))).0.0.max(1),
         }
     }
 }
@@ -171,22 +171,22 @@ impl SpindleWarmup<'_> {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AxisModel<'a> {
     /// Its expansion.
-    pub thermal: Option<AxisThermal<'a>>,
+    pub thermal: Option<AxisThermalModel<'a>>,
     /// The error of its screw or scale.
-    pub pitch: Option<Pitch<'a>>,
+    pub pitch: Option<PitchErrorTable<'a>>,
     /// The second drive of a gantry.
-    pub dual: Option<Dual<'a>>,
+    pub dual: Option<DualDrive<'a>>,
     /// Its backlash in 1/256 nm, −B of ISO 230-2: the error where it is approached in the negative direction.
-    pub backlash: Fine,
+    pub backlash: FineNanometres,
     /// How a reversal is distinguished from dither, and over which travel backlash comes in.
-    pub travel: travel::Config,
+    pub travel: travel::ReversalConfig,
     /// Its rapid traverse in 10 nm a millisecond: what it cannot have come to faster is a jump. 0: not judged.
     pub rapid: u32,
 }
 
 /// The expansion of an axis: ΔK = K₀(T) + tanβ(T)·(P − P₀).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct AxisThermal<'a> {
+pub struct AxisThermalModel<'a> {
     /// The channel of T, 0…7.
     pub channel: u8,
     /// α of the lag of T while it rises, per step of 100 ms.
@@ -196,63 +196,72 @@ pub struct AxisThermal<'a> {
     /// P₀, the position at which tanβ adds nothing, in 10 nm.
     pub origin: Position,
     /// K₀(T) in 1/256 nm and tanβ(T) in Q36 nm per 10 nm.
-    pub law: Law<'a>,
+    pub law: ThermalExpansionLaw<'a>,
 }
 
 /// The second drive of an axis that is driven at both ends of a beam.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Dual<'a> {
+pub struct DualDrive<'a> {
     /// The axis along the beam.
     pub across: LinearAxis,
     /// Where along the beam the two drives are.
     pub beam: Beam,
     /// The second drive's own table.
-    pub pitch: Pitch<'a>,
+    pub pitch: PitchErrorTable<'a>,
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{curve::Segment, units::Fine};
+    use crate::{curve::Segment, units::FineNanometres};
 
     #[test]
     fn a_spindle_heats_by_its_speed_and_one_that_stands_or_is_not_known_does_not() {
-        const FULL: i32 = 1 << 28;
+        const ONE_Q28: i32 = 1 << 28;
         // A quarter of full up to 1000 r/min, less than nothing from there to 2000, full beyond.
-        let segments = [(1_000, FULL / 4), (2_000, -FULL), (3_000, FULL)]
+        let segments = [(1_000, ONE_Q28 / 4), (2_000, -ONE_Q28), (3_000, ONE_Q28)]
             .map(|(end, drive)| Segment::new(Position(end), 16, [drive, 0, 0, 0]).to_bytes());
         let power = Curve::new(Position(0), &segments, &[[0, 0]], 16);
-        let law = warmup::Warmup {
+        let law = warmup::WarmupModel {
             lag_ms: 0,
-            max: Fine(1),
+            max: FineNanometres(1),
             smoothing_heating: SmoothingFactor::NO_LAG,
             smoothing_cooling: SmoothingFactor::NO_LAG,
             full: 0,
         };
-        let by_speed = SpindleWarmup { law, power };
-        let fully = SpindleWarmup { power: Curve::default(), ..by_speed };
-        for (rpm, drive) in [(1, FULL / 4), (1_000, FULL / 4), (3_000, FULL), (60_000, FULL)] {
-            let apart = by_speed.drive(Some(Rpm(rpm))).abs_diff(drive);
+        let by_speed = SpindleWarmupModel { law, power };
+        let fully = SpindleWarmupModel { power: Curve::default(), ..by_speed };
+        for (rpm, drive) in
+            [(1, ONE_Q28 / 4), (1_000, ONE_Q28 / 4), (3_000, ONE_Q28), (60_000, ONE_Q28)]
+        {
+            let apart = by_speed.relative_heat_input(Some(Rpm(rpm))).abs_diff(drive);
             assert!(apart <= 8, "{rpm} r/min: {apart} places of a curve");
-            assert_eq!(fully.drive(Some(Rpm(rpm))), FULL, "{rpm} r/min");
+            assert_eq!(fully.relative_heat_input(Some(Rpm(rpm))), ONE_Q28, "{rpm} r/min");
         }
-        assert_eq!(by_speed.drive(Some(Rpm(1_500))), 1, "it turns, which is not to stand");
+        assert_eq!(
+            by_speed.relative_heat_input(Some(Rpm(1_500))),
+            1,
+            "it turns, which is not to stand"
+        );
         for warmup in [by_speed, fully] {
-            assert_eq!([warmup.drive(None), warmup.drive(Some(Rpm(0)))], [0, 0]);
+            assert_eq!(
+                [warmup.relative_heat_input(None), warmup.relative_heat_input(Some(Rpm(0)))],
+                [0, 0]
+            );
         }
     }
 
     #[test]
     fn a_temperature_that_lags_either_way_has_a_memory() {
         let lag = SmoothingFactor(1 << 30);
-        let law = SpindleTemperature {
+        let law = SpindleTemperatureModel {
             channel: 0,
             smoothing: SmoothingFactor::NO_LAG,
             smoothing_falling: SmoothingFactor::NO_LAG,
-            law: Law { pieces: &[] },
+            law: ThermalExpansionLaw { pieces: &[] },
         };
         assert!(!law.has_memory());
-        assert!(SpindleTemperature { smoothing: lag, ..law }.has_memory());
-        assert!(SpindleTemperature { smoothing_falling: lag, ..law }.has_memory());
+        assert!(SpindleTemperatureModel { smoothing: lag, ..law }.has_memory());
+        assert!(SpindleTemperatureModel { smoothing_falling: lag, ..law }.has_memory());
     }
 }

@@ -1,7 +1,7 @@
 //! The messages between the bridge and the CNC, apart from how they look on the wire.
 
 use crate::{
-    learned::Change,
+    learned::ChangeRequest,
     units::{MicroDegrees, Nanometres, Position, Rpm},
 };
 
@@ -31,11 +31,11 @@ pub struct Control {
     pub zero: bool,
     /// The operator allows that a master writes to the bridge while nothing is engaged.
     pub service: bool,
-    /// The operator answers the question that the bridge asks, at the moment this turns from false
+    /// The operator confirms what the bridge requires, at the moment this turns from false
     /// to true.
     pub confirm: bool,
     /// A learned change of a part of the correction.
-    pub learned: Change,
+    pub learned: ChangeRequest,
 }
 
 impl Control {
@@ -46,7 +46,7 @@ impl Control {
         zero: false,
         service: false,
         confirm: false,
-        learned: Change { part: 0, amount: 0, calibration: 0 },
+        learned: ChangeRequest { part: 0, amount: 0, calibration: 0 },
     };
     /// The axes are referenced, and nothing else.
     pub const REFERENCED: Self = Self { engage: false, ..Self::ENGAGED };
@@ -73,7 +73,7 @@ pub struct Conditions {
 impl Conditions {
     /// Returns whether the condition of this bit, 0…15, holds.
     #[must_use]
-    pub const fn has(self, bit: u8) -> bool {
+    pub const fn is_set(self, bit: u8) -> bool {
         self.bits & 1_u16.wrapping_shl(bit as u32) != 0
     }
 }
@@ -105,13 +105,13 @@ pub struct AxisPosition {
     /// Commanded position in machine coordinates, in 10 nm: ±21.47 m.
     pub position: Position,
     /// Which way the axis came there, as the CNC says.
-    pub direction: Heading,
+    pub direction: TravelDirection,
 }
 
 /// Which way a linear axis heads. The numbers are those on the wire.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(i8)]
-pub enum Heading {
+pub enum TravelDirection {
     /// Towards smaller positions.
     Negative = -1,
     /// Nowhere, or the CNC does not say.
@@ -121,7 +121,7 @@ pub enum Heading {
     Positive = 1,
 }
 
-impl Heading {
+impl TravelDirection {
     /// Returns the heading with this number on the wire.
     #[must_use]
     pub const fn from_wire(number: i8) -> Option<Self> {
@@ -242,7 +242,7 @@ mod tests {
     #[test]
     fn every_number_of_a_heading_and_a_quality_on_the_wire_is_its_own_and_no_other_is_one() {
         for number in i8::MIN..=i8::MAX {
-            let heading = Heading::from_wire(number);
+            let heading = TravelDirection::from_wire(number);
             assert_eq!(heading.is_some(), (-1..=1).contains(&number), "{number}");
             assert!(heading.is_none_or(|heading| heading as i8 == number), "{number}");
         }

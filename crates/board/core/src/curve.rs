@@ -22,7 +22,7 @@
 //! stored and not the start because then the comparison that ends the search is with the word
 //! that t needs anyway.
 //!
-//! Range: any B-spline with control points within ±262 µm fits as it is ([`Segment::is_sound`]); a
+//! Range: any B-spline with control points within ±262 µm fits unchanged ([`Segment::is_sound`]); a
 //! larger one fits after its segments are halved. Sums wrap, because a sound segment cannot
 //! overflow and an unsound one is refused when it is loaded. Worst error against `f64`, measured
 //! by the test below over 600 curves of 1…512 segments, 0.1 mm to 20 m long, up to ±250 µm: 0.028 nm
@@ -33,10 +33,10 @@ mod segment;
 mod tests;
 
 pub use self::segment::{SEGMENT_SIZE, Segment};
-use self::segment::{end_of, horner, words};
+use self::segment::{evaluate_horner, read_words, segment_end};
 use crate::{
-    fixed::high_word_unsigned,
-    units::{Fine, Position},
+    fixed_point::mul_high_unsigned,
+    units::{FineNanometres, Position},
 };
 
 /// How many segments may end inside a bucket, before its last position.
@@ -71,7 +71,7 @@ impl<'a> Curve<'a> {
         index: &'a [[u8; 2]],
         bucket_shift: u8,
     ) -> Self {
-        let Some(last) = segments.last().map(end_of) else {
+        let Some(last) = segments.last().map(segment_end) else {
             return Self { index, ..Self::default() };
         };
         let length = last.wrapping_sub(first.0).cast_unsigned();
@@ -88,7 +88,7 @@ impl<'a> Curve<'a> {
 
     /// Returns the first knot.
     #[must_use]
-    pub const fn first(&self) -> Position {
+    pub const fn first_knot(&self) -> Position {
         Position(self.first)
     }
 
@@ -98,7 +98,7 @@ impl<'a> Curve<'a> {
         self.segments
     }
 
-    /// Returns the index as it is stored.
+    /// Returns the stored index.
     #[must_use]
     pub const fn index(&self) -> &'a [[u8; 2]] {
         self.index
@@ -122,7 +122,7 @@ impl<'a> Curve<'a> {
     /// outside.
     ///
     /// ```
-    /// use trueup_core::{curve::{Curve, Segment}, units::{Fine, Position}};
+    /// use trueup_core::{curve::{Curve, Segment}, units::{FineNanometres, Position}};
     /// // From 0 to 0.4 mm 8 nm, from there to 1 mm 5 nm.
     /// let segments = [(40_000, 8), (100_000, 5)].map(|(end, nm)| {
     ///     Segment::new(Position(end), 16, [nm * 256, 0, 0, 0]).to_bytes()
@@ -130,59 +130,61 @@ impl<'a> Curve<'a> {
     /// // Two buckets of 2¹⁶ positions: from 0, in segment 0, and from 65 536, in segment 1.
     /// let curve = Curve::new(Position(0), &segments, &[[0, 0], [1, 0]], 16);
     /// assert!(curve.is_consistent());
-    /// let at = |p| (curve.at(Position(p)).0.rounded().0, curve.at(Position(p)).1);
+    /// let at = |p| (curve.evaluate(Position(p)).0.rounded().0, curve.evaluate(Position(p)).1);
     /// assert_eq!([at(-1), at(0), at(40_000)], [(8, true), (8, false), (8, false)]);
     /// assert_eq!([at(40_001), at(100_000), at(100_001)], [(5, false), (5, false), (5, true)]);
     /// ```
     #[must_use]
     #[inline]
-    pub fn at(&self, p: Position) -> (Fine, bool) {
-        // One unsigned comparison asks for both ends.
+    pub fn evaluate(&self, p: Position) -> (FineNanometres, bool) {
+        // One unsigned comparison tests both ends.
         let from_first = p.0.wrapping_sub(self.first).cast_unsigned();
         if from_first > self.length {
-            return self.held(p).map_or((Fine::ZERO, false), |value| (value, true));
+            return self
+                .nearest_end_value(p)
+                .map_or((FineNanometres::ZERO, false), |value| (value, true));
         }
-        let found = self.inside(p, from_first);
-        found.map_or((Fine::ZERO, !self.segments.is_empty()), |value| (value, false))
+        let found = self.value_at(p, from_first);
+        found.map_or((FineNanometres::ZERO, !self.segments.is_empty()), |value| (value, false))
     }
 
     /// Returns the value at the end nearer to `p`, unless the curve is empty.
     #[cold]
     #[inline(never)]
-    fn held(&self, p: Position) -> Option<Fine> {
+    fn nearest_end_value(&self, p: Position) -> Option<FineNanometres> {
         if p.0 < self.first {
             let segment = self.segments.first()?;
-            Some(horner(words(segment), Position(self.first)))
+            Some(evaluate_horner(read_words(segment), Position(self.first)))
         } else {
             let segment = self.segments.last()?;
-            Some(horner(words(segment), Position(end_of(segment))))
+            Some(evaluate_horner(read_words(segment), Position(segment_end(segment))))
         }
     }
 
     /// Returns the value at `p`, which is `from_first` after the first knot.
     #[inline]
-    fn inside(&self, p: Position, from_first: u32) -> Option<Fine> {
-        let bucket = self.bucket(from_first);
+    fn value_at(&self, p: Position, from_first: u32) -> Option<FineNanometres> {
+        let bucket = self.bucket_index(from_first);
         let mut number = usize::from(u16::from_le_bytes(*self.index.get(bucket)?));
         let mut segment = self.segments.get(number)?;
         for _ in 0..MAX_KNOTS_IN_BUCKET {
-            if p.0 <= end_of(segment) {
+            if p.0 <= segment_end(segment) {
                 break;
             }
             number = number.wrapping_add(1);
             segment = self.segments.get(number)?;
         }
-        Some(horner(words(segment), p))
+        Some(evaluate_horner(read_words(segment), p))
     }
 
     /// Returns the number of the bucket that a position lies in. A product with a power of two is the
     /// shift, in one instruction whatever the amount.
     #[inline]
-    fn bucket(&self, from_first: u32) -> usize {
-        high_word_unsigned(from_first, self.buckets) as usize
+    fn bucket_index(&self, from_first: u32) -> usize {
+        mul_high_unsigned(from_first, self.buckets) as usize
     }
 
-    /// Returns whether the curve is what [`Self::new`] asks for: knots rising, every segment sound, every
+    /// Returns whether the curve is what [`Self::new`] requires: knots rising, every segment sound, every
     /// entry of the index right, no bucket with too many knots.
     ///
     /// Meant for loading, not for every tick.
@@ -191,7 +193,7 @@ impl<'a> Curve<'a> {
         if self.segments.is_empty() {
             return self.index.is_empty();
         }
-        if self.bucket(self.length).checked_add(1) != Some(self.index.len()) {
+        if self.bucket_index(self.length).checked_add(1) != Some(self.index.len()) {
             return false;
         }
         let mut start = self.first;
@@ -203,16 +205,16 @@ impl<'a> Curve<'a> {
             start = segment.end.0;
             rising && segment.is_sound(length.saturating_sub(core::mem::replace(&mut before, 1)))
         });
-        sound && self.index_is_right()
+        sound && self.is_index_consistent()
     }
 
     /// Returns whether every entry names the segment of its bucket's first position, and the steps allowed
     /// from there reach the bucket's last; for rising knots.
-    fn index_is_right(&self) -> bool {
+    fn is_index_consistent(&self) -> bool {
         // Whether segment `n` ends before a position, which is counted from the first knot.
         let ends_before = |n: usize, limit: u64| {
             self.segments.get(n).is_some_and(|segment| {
-                let end = end_of(segment).wrapping_sub(self.first).cast_unsigned();
+                let end = segment_end(segment).wrapping_sub(self.first).cast_unsigned();
                 u64::from(end) < limit
             })
         };

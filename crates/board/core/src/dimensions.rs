@@ -3,13 +3,13 @@
 //! They stand below everything else, so that a module that needs one of them needs nothing more.
 
 /// Temperature channels of a board.
-pub const CHANNELS: usize = 8;
+pub const CHANNEL_COUNT: usize = 8;
 
 /// The most terms of a diagnosis that a calibration holds.
 pub const MAX_TERMS: usize = 16;
 
 /// The conditions of the machine that the CNC sends, a bit each.
-pub const CONDITIONS: u8 = 16;
+pub const CONDITION_COUNT: u8 = 16;
 
 /// The most tools that a term over the tool knows.
 pub const MAX_TOOLS: usize = 32;
@@ -18,4 +18,4 @@ pub const MAX_TOOLS: usize = 32;
 pub const CODES_PER_TICK: usize = 20;
 
 /// The step of everything that follows heat and running time, in milliseconds.
-pub const STEP_MS: u32 = 100;
+pub const THERMAL_STEP_MS: u32 = 100;

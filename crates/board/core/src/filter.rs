@@ -4,7 +4,7 @@
 //! 20 kS/s codes → sums of 4 → 5 kHz → mean over a revolution → mean over a revolution → 1 kHz
 //! ```
 //!
-//! Run-out is periodic in a revolution and much larger than the growth that is wanted; a mean over
+//! Run-out is periodic in a revolution and much larger than the growth to be measured; a mean over
 //! a whole revolution takes it out, harmonics and all. Two means in a row make the zeros double,
 //! so that a speed that is 1 % wrong still leaves 0.0001 of it. They come *before* the rate falls
 //! to 1 kHz, because there the harmonics have already folded onto low frequencies.
@@ -19,15 +19,15 @@
 use crate::{
     dimensions::CODES_PER_TICK,
     revolution_mean::RevolutionMean,
-    units::{Code, Reading, Rpm},
-    window::Window,
+    revolution_window::RevolutionWindow,
+    units::{AdcCode, Reading, Rpm},
 };
 
 /// Codes that are added up to one sample of the 5 kHz stream.
 const CODES_PER_SAMPLE: usize = 4;
 const SAMPLES_PER_TICK: usize = CODES_PER_TICK / CODES_PER_SAMPLE;
 /// The largest sum of this many codes; more count as that.
-const FULL_SCALE: u32 = 4 * Code::MAX.0 as u32;
+const FULL_SCALE_SUM: u32 = 4 * AdcCode::MAX.0 as u32;
 
 /// The filter and all that it remembers.
 #[derive(Clone, Debug)]
@@ -35,7 +35,7 @@ pub struct Filter {
     first: RevolutionMean,
     second: RevolutionMean,
     speed: Option<Rpm>,
-    window: Window,
+    window: RevolutionWindow,
 }
 
 impl Filter {
@@ -46,7 +46,7 @@ impl Filter {
             first: RevolutionMean::new(),
             second: RevolutionMean::new(),
             speed: None,
-            window: Window::STANDSTILL,
+            window: RevolutionWindow::STANDSTILL,
         }
     }
 
@@ -59,16 +59,20 @@ impl Filter {
     /// Takes one tick of codes and gives the reading at its end, or `None` while the two means
     /// have not yet seen a whole revolution each. Nothing is made up for the time before the
     /// first code, so there is no ramp from zero.
-    pub fn tick(&mut self, codes: &[Code; CODES_PER_TICK], speed: Option<Rpm>) -> Option<Reading> {
+    pub fn tick(
+        &mut self,
+        codes: &[AdcCode; CODES_PER_TICK],
+        speed: Option<Rpm>,
+    ) -> Option<Reading> {
         if speed != self.speed {
             self.speed = speed;
-            self.window = Window::for_speed(speed);
+            self.window = RevolutionWindow::for_speed(speed);
         }
-        let samples = samples(codes);
-        if self.first.has_seen(self.window) {
-            self.second.push_all(self.first.pass(samples, self.window));
+        let samples = sum_samples(codes);
+        if self.first.has_full_revolution(self.window) {
+            self.second.push_all(self.first.push_and_average(samples, self.window));
         } else {
-            self.begin(samples);
+            self.fill_first_mean(samples);
         }
         let mean = self.second.mean(self.window)?;
         Some(Reading(i32::try_from(mean).unwrap_or(i32::MAX)))
@@ -77,7 +81,7 @@ impl Filter {
     /// Sample by sample, while the first mean comes to its first revolution.
     #[cold]
     #[inline(never)]
-    fn begin(&mut self, samples: [u32; SAMPLES_PER_TICK]) {
+    fn fill_first_mean(&mut self, samples: [u32; SAMPLES_PER_TICK]) {
         for sample in samples {
             self.first.push(sample);
             if let Some(mean) = self.first.mean(self.window) {
@@ -89,11 +93,11 @@ impl Filter {
 
 /// Four codes each, added up: a sum is Q2, and 256 makes it Q10.
 #[inline]
-fn samples(codes: &[Code; CODES_PER_TICK]) -> [u32; SAMPLES_PER_TICK] {
+fn sum_samples(codes: &[AdcCode; CODES_PER_TICK]) -> [u32; SAMPLES_PER_TICK] {
     let mut samples = [0; SAMPLES_PER_TICK];
     for (sample, four) in samples.iter_mut().zip(codes.as_chunks::<CODES_PER_SAMPLE>().0) {
         let sum = four.iter().fold(0_u32, |sum, code| sum.wrapping_add(code.0.into()));
-        *sample = sum.min(FULL_SCALE) << 8;
+        *sample = sum.min(FULL_SCALE_SUM) << 8;
     }
     samples
 }
@@ -107,7 +111,7 @@ impl Default for Filter {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::units::READINGS_PER_CODE;
+    use crate::units::READING_UNITS_PER_CODE;
     extern crate std;
 
     #[test]
@@ -115,21 +119,21 @@ mod tests {
         for (speed, ticks_until_first) in [(Some(Rpm(24_000)), 5), (None, 400)] {
             let mut filter = Filter::new();
             let first = (1..).find_map(|tick| {
-                filter.tick(&[Code(631); CODES_PER_TICK], speed).map(|reading| (tick, reading))
+                filter.tick(&[AdcCode(631); CODES_PER_TICK], speed).map(|reading| (tick, reading))
             });
-            assert_eq!(first, Some((ticks_until_first, Reading(631 * READINGS_PER_CODE))));
+            assert_eq!(first, Some((ticks_until_first, Reading(631 * READING_UNITS_PER_CODE))));
         }
     }
 
     #[test]
     fn every_constant_code_comes_out_exactly() {
-        for code in 0..=Code::MAX.0 {
+        for code in 0..=AdcCode::MAX.0 {
             let mut filter = Filter::new();
             let mut last = None;
             for _ in 0..7 {
-                last = filter.tick(&[Code(code); CODES_PER_TICK], Some(Rpm(24_000)));
+                last = filter.tick(&[AdcCode(code); CODES_PER_TICK], Some(Rpm(24_000)));
             }
-            assert_eq!(last, Some(Reading(i32::from(code) * READINGS_PER_CODE)));
+            assert_eq!(last, Some(Reading(i32::from(code) * READING_UNITS_PER_CODE)));
         }
     }
 
@@ -138,9 +142,9 @@ mod tests {
         let mut filter = Filter::new();
         for tick in 0..3000_u32 {
             let speed = Rpm(u16::try_from(300 + tick * 7919 % 60_000).unwrap());
-            let reading = filter.tick(&[Code(2000); CODES_PER_TICK], Some(speed));
+            let reading = filter.tick(&[AdcCode(2000); CODES_PER_TICK], Some(speed));
             if tick > 450 {
-                assert_eq!(reading, Some(Reading(2000 * READINGS_PER_CODE)), "at tick {tick}");
+                assert_eq!(reading, Some(Reading(2000 * READING_UNITS_PER_CODE)), "at tick {tick}");
             }
         }
     }
@@ -150,9 +154,10 @@ mod tests {
         let mut filter = Filter::new();
         // Four codes in a millisecond, and this many milliseconds behind.
         let mut behind_ms = |tick: u32, speed: u16| {
-            let codes = core::array::from_fn(|n| Code((4 * tick + n as u32 / 5) as u16));
+            let codes = core::array::from_fn(|n| AdcCode((4 * tick + n as u32 / 5) as u16));
             let reading = filter.tick(&codes, Some(Rpm(speed)));
-            reading.map(|it| f64::from(tick) - f64::from(it.0) / f64::from(4 * READINGS_PER_CODE))
+            reading
+                .map(|it| f64::from(tick) - f64::from(it.0) / f64::from(4 * READING_UNITS_PER_CODE))
         };
         let before = (1..600).filter_map(|tick| behind_ms(tick, 12_000)).last();
         let after = (600..900).map(|tick| behind_ms(tick, 0).expect("it goes on"));

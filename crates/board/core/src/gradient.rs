@@ -6,8 +6,8 @@
 //! 64. Measured worst error against the exact product: 0.002 nm (half a 1/256 nm).
 
 use crate::{
-    fixed::rounded_shift,
-    units::{Fine, Position},
+    fixed_point::rounding_shift_right,
+    units::{FineNanometres, Position},
 };
 
 /// An error per travel in Q36 nanometres per position unit: ±3.125 µm/mm.
@@ -27,15 +27,18 @@ impl Gradient {
     /// // 10 µm/m are 10 nm per 100 000 position units: 2³⁶/10⁴ = 6 871 948.
     /// let cast_iron_one_kelvin_warmer = Gradient(6_871_948);
     /// let five_metres = Position(5_000 * Position::PER_MILLIMETRE);
-    /// let grown = cast_iron_one_kelvin_warmer.over(Position(0), five_metres);
+    /// let grown = cast_iron_one_kelvin_warmer.error_over_travel(Position(0), five_metres);
     /// assert_eq!(grown.rounded(), Nanometres(50_000));
     /// ```
     #[must_use]
-    pub fn over(self, from: Position, to: Position) -> Fine {
-        const SHIFT: u32 = Gradient::FRACTION_BITS - Fine::FRACTION_BITS;
+    pub fn error_over_travel(self, from: Position, to: Position) -> FineNanometres {
+        const SHIFT: u32 = Gradient::FRACTION_BITS - FineNanometres::FRACTION_BITS;
         let travel = i64::from(to.0).wrapping_sub(i64::from(from.0));
         // At most 2³¹·(2³² − 1) + 2²⁷, below 2⁶³: neither step can wrap.
-        Fine::saturating(rounded_shift(travel.wrapping_mul(i64::from(self.0)), SHIFT))
+        FineNanometres::saturating_from(rounding_shift_right(
+            travel.wrapping_mul(i64::from(self.0)),
+            SHIFT,
+        ))
     }
 }
 
@@ -58,7 +61,7 @@ mod tests {
         for gradient in spread(129) {
             for from in spread(65) {
                 for to in spread(127) {
-                    let error = Gradient(gradient).over(Position(from), Position(to));
+                    let error = Gradient(gradient).error_over_travel(Position(from), Position(to));
                     let exact = i128::from(gradient) * (i128::from(to) - i128::from(from));
                     let held = exact.clamp(i128::from(i32::MIN) << 28, i128::from(i32::MAX) << 28);
                     let off = (held - (i128::from(error.0) << 28)) as f64 / f64::from(1 << 28);
@@ -73,17 +76,17 @@ mod tests {
     #[test]
     fn the_extremes_saturate() {
         let (low, high) = (Position(i32::MIN), Position(i32::MAX));
-        assert_eq!(Gradient(i32::MIN).over(low, high), Fine(i32::MIN));
-        assert_eq!(Gradient(i32::MIN).over(high, low), Fine(i32::MAX));
-        assert_eq!(Gradient(i32::MAX).over(low, high), Fine(i32::MAX));
-        assert_eq!(Gradient(i32::MAX).over(high, low), Fine(i32::MIN));
+        assert_eq!(Gradient(i32::MIN).error_over_travel(low, high), FineNanometres(i32::MIN));
+        assert_eq!(Gradient(i32::MIN).error_over_travel(high, low), FineNanometres(i32::MAX));
+        assert_eq!(Gradient(i32::MAX).error_over_travel(low, high), FineNanometres(i32::MAX));
+        assert_eq!(Gradient(i32::MAX).error_over_travel(high, low), FineNanometres(i32::MIN));
     }
 
     #[test]
     fn a_travel_the_other_way_has_the_opposite_error() {
         // 3 µm/m over −2 m.
         let gradient = Gradient(2_061_584);
-        let back = gradient.over(Position(300_000_000), Position(100_000_000));
+        let back = gradient.error_over_travel(Position(300_000_000), Position(100_000_000));
         assert_eq!(back.rounded().0, -6_000);
     }
 }

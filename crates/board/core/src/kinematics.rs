@@ -25,8 +25,8 @@
 
 use crate::{
     angle::sine_cosine,
-    fixed::{product, rounded_shift, saturated},
-    tool::Direction,
+    fixed_point::{rounding_shift_right, saturate_to_i32, widening_mul},
+    tool_direction::Direction,
     units::MicroDegrees,
 };
 
@@ -56,26 +56,26 @@ impl Kinematics {
     ///
     /// ```
     /// use trueup_core::kinematics::{RotaryAxis, Kinematics};
-    /// use trueup_core::{tool::Direction, units::{MicroDegrees, Nanometres}};
+    /// use trueup_core::{tool_direction::Direction, units::{MicroDegrees, Nanometres}};
     /// let head = Kinematics { zero: Direction::DOWN, axes: [Some(RotaryAxis::C), Some(RotaryAxis::A)] };
     /// // A = +30° lifts the tip by 1 − cos 30° and moves it to +Y by sin 30°: 0.5 mm of
     /// // elongation are an error of 0.250 mm and −0.433 mm.
-    /// let tilted = head.direction([MicroDegrees(0), MicroDegrees(30_000_000)]);
-    /// let error = tilted.error(Nanometres(500_000));
+    /// let tilted = head.tool_direction([MicroDegrees(0), MicroDegrees(30_000_000)]);
+    /// let error = tilted.project_elongation(Nanometres(500_000));
     /// assert_eq!(error, [Nanometres(0), Nanometres(250_000), Nanometres(-433_013)]);
     /// // C = 90° then carries what pointed to +Y round to −X.
-    /// let turned = head.direction([MicroDegrees(90_000_000), MicroDegrees(30_000_000)]);
-    /// let error = turned.error(Nanometres(500_000));
+    /// let turned = head.tool_direction([MicroDegrees(90_000_000), MicroDegrees(30_000_000)]);
+    /// let error = turned.project_elongation(Nanometres(500_000));
     /// assert_eq!(error, [Nanometres(-250_000), Nanometres(0), Nanometres(-433_013)]);
     /// ```
     #[must_use]
-    pub fn direction(&self, angles: [MicroDegrees; 2]) -> Direction {
+    pub fn tool_direction(&self, angles: [MicroDegrees; 2]) -> Direction {
         let [first, second] = self.axes;
         let [first_angle, second_angle] = angles;
         // No turn makes a vector of length √3 at most longer than that: all sums below fit.
         let zero = self.zero.0.map(|component| component.clamp(-Direction::ONE, Direction::ONE));
         let by = |axis: Option<RotaryAxis>, angle, vector| match axis {
-            Some(axis) => turned(axis, sine_cosine(angle), vector, rounded),
+            Some(axis) => rotate(axis, sine_cosine(angle), vector, round_q60_to_q30),
             None => vector,
         };
         Direction(by(first, first_angle, by(second, second_angle, zero)))
@@ -85,7 +85,7 @@ impl Kinematics {
 /// Returns R·v of a vector in any unit, by sine and cosine of the angle; `round` takes a sum of products with Q30
 /// back to that unit.
 #[inline]
-pub(crate) fn turned(
+pub(crate) fn rotate(
     axis: RotaryAxis,
     turn: (i32, i32),
     [x, y, z]: [i32; 3],
@@ -93,8 +93,8 @@ pub(crate) fn turned(
 ) -> [i32; 3] {
     let turned_pair = |p, q, (sine, cosine): (i32, i32)| {
         (
-            round(product(cosine, p).wrapping_sub(product(sine, q))),
-            round(product(sine, p).wrapping_add(product(cosine, q))),
+            round(widening_mul(cosine, p).wrapping_sub(widening_mul(sine, q))),
+            round(widening_mul(sine, p).wrapping_add(widening_mul(cosine, q))),
         )
     };
     match axis {
@@ -115,13 +115,13 @@ pub(crate) fn turned(
 
 /// Returns a Q60 sum as Q30, rounded to the nearest.
 #[expect(clippy::cast_possible_truncation, reason = "at most √3, which is below 2 = 2³¹ in Q30")]
-fn rounded(sum: i64) -> i32 {
-    rounded_shift(sum, Direction::FRACTION_BITS) as i32
+fn round_q60_to_q30(sum: i64) -> i32 {
+    rounding_shift_right(sum, Direction::FRACTION_BITS) as i32
 }
 
 /// Returns a sum of products with Q30 in the unit of the other factor, rounded to the nearest; saturates.
-pub(crate) fn rounded_to_unit(sum: i64) -> i32 {
-    saturated(rounded_shift(sum, Direction::FRACTION_BITS))
+pub(crate) fn round_from_q30(sum: i64) -> i32 {
+    saturate_to_i32(rounding_shift_right(sum, Direction::FRACTION_BITS))
 }
 
 #[cfg(test)]
@@ -146,7 +146,7 @@ mod tests {
             head.axes[i] = Some(axis);
             at[i] = degrees(angle);
         }
-        head.direction(at).0.map(|component| f64::from(component) / ONE)
+        head.tool_direction(at).0.map(|component| f64::from(component) / ONE)
     }
 
     #[track_caller]
@@ -192,9 +192,10 @@ mod tests {
     #[test]
     fn without_an_axis_the_angles_do_not_matter() {
         let table = Kinematics { zero: Direction([3, -4, 5]), axes: [None, None] };
-        assert_eq!(table.direction([degrees(30), degrees(-77)]), table.zero);
+        assert_eq!(table.tool_direction([degrees(30), degrees(-77)]), table.zero);
         let head = Kinematics { zero: Direction::DOWN, axes: [Some(RotaryAxis::A), None] };
-        let angles = [0, 90, -1_000].map(|table| head.direction([degrees(30), degrees(table)]));
+        let angles =
+            [0, 90, -1_000].map(|table| head.tool_direction([degrees(30), degrees(table)]));
         assert!(angles.iter().all(|direction| *direction == angles[0]));
     }
 
@@ -203,7 +204,7 @@ mod tests {
         for axes in [[Some(RotaryAxis::A), None], [Some(RotaryAxis::C), Some(RotaryAxis::A)]] {
             let head = Kinematics { zero: Direction::DOWN, axes };
             let angles = if axes[1].is_some() { [0, 30] } else { [30, 0] }.map(degrees);
-            let error = head.direction(angles).error(Nanometres(500_000));
+            let error = head.tool_direction(angles).project_elongation(Nanometres(500_000));
             assert_eq!(error, [Nanometres(0), Nanometres(250_000), Nanometres(-433_013)]);
         }
     }
@@ -261,7 +262,7 @@ mod tests {
             let choice = random.next();
             let axes = [choice & 3, choice >> 2 & 3].map(|i| AXES[i as usize]);
             let head = Kinematics { zero, axes };
-            let got = head.direction(angles).0.map(|component| f64::from(component) / ONE);
+            let got = head.tool_direction(angles).0.map(|component| f64::from(component) / ONE);
             let v = zero.0.map(|component| f64::from(component) / ONE);
             let wanted = rodrigues(axes[0], angles[0], rodrigues(axes[1], angles[1], v));
             for (got, wanted) in got.into_iter().zip(wanted) {
@@ -284,9 +285,9 @@ mod tests {
                 let v = [0, 1, 2].map(|digit| pick(extremes, digit));
                 let angles = [3, 4].map(|digit| MicroDegrees(pick(angles, digit)));
                 let axes = [*first, *second];
-                let got = Kinematics { zero: Direction(v), axes }.direction(angles);
+                let got = Kinematics { zero: Direction(v), axes }.tool_direction(angles);
                 let held = Kinematics { zero: Direction(v.map(|c| c.clamp(-one, one))), axes };
-                assert_eq!(got, held.direction(angles));
+                assert_eq!(got, held.tool_direction(angles));
                 let stretched = length(got.0.map(|c| f64::from(c) / ONE)) / 3f64.sqrt();
                 assert!((stretched - 1.0).abs() < 1e-8, "{v:?} {angles:?} {axes:?}");
             }
@@ -298,9 +299,12 @@ mod tests {
         let head =
             Kinematics { zero: Direction::DOWN, axes: [Some(RotaryAxis::A), Some(RotaryAxis::B)] };
         for angle in [i32::MIN, i32::MAX, 0] {
-            let direction = head.direction([MicroDegrees(angle); 2]);
+            let direction = head.tool_direction([MicroDegrees(angle); 2]);
             for elongation in [i32::MIN, i32::MAX].map(Nanometres) {
-                let _ = (direction.error(elongation), direction.fine_error(elongation));
+                let _ = (
+                    direction.project_elongation(elongation),
+                    direction.project_elongation_fine(elongation),
+                );
             }
         }
     }

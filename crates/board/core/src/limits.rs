@@ -1,6 +1,6 @@
 //! Clamp and slew limit: how far and how fast an offset may go.
 
-use crate::{learned::Caps, units::Nanometres};
+use crate::{learned::LearnedLimits, units::Nanometres};
 
 /// How far and how fast an offset may go, and how long silence is tolerated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -9,14 +9,14 @@ pub struct Limits {
     pub max: [Nanometres; 3],
     /// The fastest change of an offset in nanometres a second, on each axis.
     pub slew_nm_per_s: u32,
-    /// Without a valid `Control` for so long the CNC counts as lost.
+    /// After this time without a valid `Control` the CNC counts as lost.
     pub link_timeout_ms: u32,
     /// How long the last offset is held before it is taken back to 0.
     pub hold_ms: u32,
     /// How fast the difference between two sources of the elongation is taken back, in nanometres a second.
     pub rejoin_nm_per_s: u32,
     /// How far what was learned may change the parts of the correction.
-    pub learned: Caps,
+    pub learned: LearnedLimits,
 }
 
 /// Picometres in a nanometre; also (nanometres a second)·milliseconds in one.
@@ -25,7 +25,7 @@ const PICOMETRES_PER_NANOMETRE: i32 = 1_000;
 /// The offset that is applied now, kept to the picometre, so that the slowest slew rate (1 nm/s in
 /// a millisecond) still moves it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Applied([Length; 3]);
+pub struct AppliedOffset([Length; 3]);
 
 /// A length in nanometres and the rest in picometres, −500…499: the nanometres are the length
 /// rounded, and nothing has to be divided for them. (A count of picometres would need a division of
@@ -38,7 +38,7 @@ struct Length {
 
 /// How far an offset may go in a step: nanometres, and a rest of 0…999 pm.
 #[derive(Clone, Copy, Debug)]
-struct Reach {
+struct MaxStep {
     nanometres: u32,
     rest: i32,
 }
@@ -52,11 +52,11 @@ pub struct LimitStatus {
     pub slewing: bool,
 }
 
-impl Applied {
+impl AppliedOffset {
     /// Moves one step towards `target`, never beyond the clamp, never faster than the slew limit.
     ///
     /// ```
-    /// use trueup_core::{limits::{Applied, Limits}, units::Nanometres};
+    /// use trueup_core::{limits::{AppliedOffset, Limits}, units::Nanometres};
     /// let limits = Limits {
     ///     max: [Nanometres(200_000); 3],
     ///     slew_nm_per_s: 20_000,
@@ -65,7 +65,7 @@ impl Applied {
     ///     rejoin_nm_per_s: 10,
     ///     learned: Default::default(),
     /// };
-    /// let mut applied = Applied::default();
+    /// let mut applied = AppliedOffset::default();
     /// // 20 µm/s are 20 nm in a millisecond.
     /// let status = applied.step(&limits, [Nanometres(0), Nanometres(0), Nanometres(1_000)], 1);
     /// assert_eq!(applied.offset(), [Nanometres(0), Nanometres(0), Nanometres(20)]);
@@ -77,12 +77,12 @@ impl Applied {
         target: [Nanometres; 3],
         elapsed_ms: u32,
     ) -> LimitStatus {
-        let reach = Reach::of(limits.slew_nm_per_s, elapsed_ms);
+        let reach = MaxStep::from_slew_rate(limits.slew_nm_per_s, elapsed_ms);
         let mut status = LimitStatus::default();
         for ((applied, target), max) in self.0.iter_mut().zip(target).zip(limits.max) {
             let (goal, _) = target.clamped(max);
             status.clamped |= goal != target;
-            status.slewing |= !applied.approach(goal, reach);
+            status.slewing |= !applied.move_towards(goal, reach);
         }
         status
     }
@@ -104,7 +104,7 @@ impl Applied {
 impl Length {
     /// Goes towards `goal` as far as it may; whether it has arrived.
     #[inline]
-    fn approach(&mut self, goal: Nanometres, reach: Reach) -> bool {
+    fn move_towards(&mut self, goal: Nanometres, reach: MaxStep) -> bool {
         let Self { nanometres: from, rest } = *self;
         // The rests together are less than 2 nm, and decide where the nanometres do not.
         let arrives = match from.0.abs_diff(goal.0).checked_sub(reach.nanometres) {
@@ -137,7 +137,7 @@ impl Length {
     /// The same question, in picometres.
     #[cold]
     #[inline(never)]
-    fn is_within(self, goal: Nanometres, reach: Reach) -> bool {
+    fn is_within(self, goal: Nanometres, reach: MaxStep) -> bool {
         let picometres = |nanometres: i64, rest: i32| {
             nanometres.wrapping_mul(PICOMETRES_PER_NANOMETRE.into()).wrapping_add(rest.into())
         };
@@ -148,9 +148,9 @@ impl Length {
     }
 }
 
-impl Reach {
+impl MaxStep {
     /// Beyond any distance.
-    const ALL: Self = Self { nanometres: u32::MAX, rest: 999 };
+    const UNLIMITED: Self = Self { nanometres: u32::MAX, rest: 999 };
 
     /// Returns how far something comes at this speed in this time.
     ///
@@ -158,20 +158,20 @@ impl Reach {
     /// constant: (1000·w + r)·(1000·s + m) pm = w·t nm + r·s nm + r·m pm, with t = 1000·s + m.
     #[inline]
     #[allow(clippy::cast_possible_wrap, reason = "below 1000")]
-    fn of(slew_nm_per_s: u32, elapsed_ms: u32) -> Self {
-        const PER: u32 = PICOMETRES_PER_NANOMETRE.unsigned_abs();
+    fn from_slew_rate(slew_nm_per_s: u32, elapsed_ms: u32) -> Self {
+        const PM_PER_NM: u32 = PICOMETRES_PER_NANOMETRE.unsigned_abs();
         // nm/s times ms is pm: this is 2³² nm.
-        if u64::from(slew_nm_per_s).wrapping_mul(elapsed_ms.into()) >> 32 >= u64::from(PER) {
-            return Self::ALL;
+        if u64::from(slew_nm_per_s).wrapping_mul(elapsed_ms.into()) >> 32 >= u64::from(PM_PER_NM) {
+            return Self::UNLIMITED;
         }
-        let (whole, rest) = (slew_nm_per_s / PER, slew_nm_per_s % PER);
-        let (seconds, milliseconds) = (elapsed_ms / PER, elapsed_ms % PER);
+        let (whole, rest) = (slew_nm_per_s / PM_PER_NM, slew_nm_per_s % PM_PER_NM);
+        let (seconds, milliseconds) = (elapsed_ms / PM_PER_NM, elapsed_ms % PM_PER_NM);
         let picometres = rest.wrapping_mul(milliseconds);
         let nanometres = whole
             .wrapping_mul(elapsed_ms)
             .wrapping_add(rest.wrapping_mul(seconds))
-            .wrapping_add(picometres / PER);
-        Self { nanometres, rest: (picometres % PER) as i32 }
+            .wrapping_add(picometres / PM_PER_NM);
+        Self { nanometres, rest: (picometres % PM_PER_NM) as i32 }
     }
 }
 
@@ -185,19 +185,19 @@ mod tests {
         link_timeout_ms: 500,
         hold_ms: 2_000,
         rejoin_nm_per_s: 10,
-        learned: Caps { growth: 0, axes: 0, zero: 0 },
+        learned: LearnedLimits { growth: 0, axes: 0, zero: 0 },
     };
 
     #[test]
     fn half_a_nanometre_a_millisecond_is_not_lost() {
-        let mut applied = Applied::default();
+        let mut applied = AppliedOffset::default();
         for _ in 0..1000 {
             applied.step(&LIMITS, [Nanometres(900), Nanometres(-900), Nanometres(400)], 1);
         }
         assert_eq!(applied.offset(), [Nanometres(500), Nanometres(-500), Nanometres(400)]);
     }
 
-    /// Moves as [`Applied::step`] does, in one count of picometres, with a division of 64 bits.
+    /// Moves as [`AppliedOffset::step`] does, in one count of picometres, with a division of 64 bits.
     fn counted(picometres: &mut i64, target: i32, reach: i64) -> i32 {
         let missing = i64::from(target) * 1_000 - *picometres;
         *picometres += missing.clamp(-reach, reach);
@@ -211,7 +211,7 @@ mod tests {
         {
             let limits = Limits { max: [Nanometres(i32::MAX); 3], slew_nm_per_s, ..LIMITS };
             let reach = (u64::from(slew_nm_per_s) * u64::from(elapsed_ms)).min(1 << 62) as i64;
-            let mut applied = Applied::default();
+            let mut applied = AppliedOffset::default();
             let mut expected = [0; 3];
             let mut random = 1_u32;
             for step in 0..100_000 {
@@ -233,7 +233,7 @@ mod tests {
 
     #[test]
     fn each_axis_stops_at_its_own_clamp_and_says_so() {
-        let mut applied = Applied::default();
+        let mut applied = AppliedOffset::default();
         let far = [Nanometres(i32::MAX), Nanometres(i32::MIN), Nanometres(3_000)];
         let status = applied.step(&LIMITS, far, u32::MAX);
         assert_eq!(applied.offset(), [Nanometres(1_000), Nanometres(-2_000), Nanometres(3_000)]);
@@ -243,7 +243,7 @@ mod tests {
     #[test]
     fn no_limit_and_no_target_make_it_wrap() {
         let wild = Limits { max: [Nanometres(i32::MIN); 3], slew_nm_per_s: u32::MAX, ..LIMITS };
-        let mut applied = Applied::default();
+        let mut applied = AppliedOffset::default();
         applied.step(&wild, [Nanometres(i32::MIN); 3], u32::MAX);
         assert!(applied.is_zero(), "a negative clamp permits nothing");
     }

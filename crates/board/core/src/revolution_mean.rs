@@ -16,19 +16,19 @@
 //! for the paper's sensor, measured by the test below over constant, full-scale square and random
 //! streams, every 97th speed from 300 to 65 535 r/min.
 
-use crate::window::Window;
+use crate::revolution_window::RevolutionWindow;
 
 /// Sums kept: a power of two above the longest window and its fractional end.
-const KEPT: usize = 1024;
+const HISTORY_LENGTH: usize = 1024;
 /// How many values they can answer for.
-const LONGEST: usize = 1023;
+const MAX_WINDOW_LENGTH: usize = 1023;
 
 /// A running average over one revolution.
 #[derive(Clone, Debug)]
 pub struct RevolutionMean {
-    sums: [u32; KEPT],
+    sums: [u32; HISTORY_LENGTH],
     newest: usize,
-    /// How many values the sums hold, up to `LONGEST`.
+    /// How many values the sums hold, up to `MAX_WINDOW_LENGTH`.
     filled: usize,
 }
 
@@ -36,7 +36,7 @@ impl RevolutionMean {
     /// Returns an average that has seen nothing yet.
     #[must_use]
     pub const fn new() -> Self {
-        Self { sums: [0; KEPT], newest: 0, filled: 0 }
+        Self { sums: [0; HISTORY_LENGTH], newest: 0, filled: 0 }
     }
 
     /// Forgets everything, so that old values cannot reach the next mean.
@@ -52,51 +52,55 @@ impl RevolutionMean {
     /// Takes the next values, each at most 22 bits.
     #[inline]
     pub fn push_all<const N: usize>(&mut self, values: [u32; N]) {
-        let (mut newest, mut sum) = (self.newest, self.back(0));
+        let (mut newest, mut sum) = (self.newest, self.sum_at_age(0));
         for value in values {
             newest = newest.wrapping_add(1);
             sum = sum.wrapping_add(value);
-            self.keep(newest, sum);
+            self.store_sum(newest, sum);
         }
-        self.count(newest, N);
+        self.advance(newest, N);
     }
 
     /// Takes the next values and gives the mean after each of them. A whole revolution must have
-    /// been seen before, [`Self::has_seen`].
+    /// been seen before, [`Self::has_full_revolution`].
     ///
     /// Sum, place and edge of the revolution stay in registers from one value to the next, and one
     /// question answers for all of them whether the revolution is whole. With it the filter's tick
     /// takes 300 instructions (`cargo measure`), and 576 with [`Self::push`] and [`Self::mean`].
     #[must_use]
     #[inline]
-    pub fn pass<const N: usize>(&mut self, values: [u32; N], window: Window) -> [u32; N] {
-        let (mut newest, mut sum) = (self.newest, self.back(0));
+    pub fn push_and_average<const N: usize>(
+        &mut self,
+        values: [u32; N],
+        window: RevolutionWindow,
+    ) -> [u32; N] {
+        let (mut newest, mut sum) = (self.newest, self.sum_at_age(0));
         let whole = window.whole_samples() as usize;
-        let mut before = self.at(newest.wrapping_sub(whole));
+        let mut before = self.sum_at_index(newest.wrapping_sub(whole));
         let means = values.map(|value| {
             newest = newest.wrapping_add(1);
             sum = sum.wrapping_add(value);
-            self.keep(newest, sum);
-            let edge = self.at(newest.wrapping_sub(whole));
+            self.store_sum(newest, sum);
+            let edge = self.sum_at_index(newest.wrapping_sub(whole));
             let end = edge.wrapping_sub(core::mem::replace(&mut before, edge));
             window.mean(sum.wrapping_sub(edge), end)
         });
-        self.count(newest, N);
+        self.advance(newest, N);
         means
     }
 
     /// Returns whether a whole revolution has been seen.
     #[must_use]
     #[inline]
-    pub fn has_seen(&self, window: Window) -> bool {
-        self.filled >= window.samples() as usize
+    pub fn has_full_revolution(&self, window: RevolutionWindow) -> bool {
+        self.filled >= window.samples_rounded_up() as usize
     }
 
     /// Returns the mean over the last revolution, or `None` while a whole one has not been seen.
     ///
     /// ```
-    /// use trueup_core::{revolution_mean::RevolutionMean, units::Rpm, window::Window};
-    /// let revolution = Window::for_speed(Some(Rpm(60_000))); // 5 samples
+    /// use trueup_core::{revolution_mean::RevolutionMean, units::Rpm, revolution_window::RevolutionWindow};
+    /// let revolution = RevolutionWindow::for_speed(Some(Rpm(60_000))); // 5 samples
     /// let mut mean = RevolutionMean::new();
     /// for value in [10, 20, 30, 40, 50] {
     ///     assert_eq!(mean.mean(revolution), None);
@@ -105,30 +109,31 @@ impl RevolutionMean {
     /// assert_eq!(mean.mean(revolution), Some(30));
     /// ```
     #[must_use]
-    pub fn mean(&self, window: Window) -> Option<u32> {
-        let edge = self.back(window.whole_samples());
-        let end = edge.wrapping_sub(self.back(window.whole_samples().wrapping_add(1)));
-        self.has_seen(window).then(|| window.mean(self.back(0).wrapping_sub(edge), end))
+    pub fn mean(&self, window: RevolutionWindow) -> Option<u32> {
+        let edge = self.sum_at_age(window.whole_samples());
+        let end = edge.wrapping_sub(self.sum_at_age(window.whole_samples().wrapping_add(1)));
+        self.has_full_revolution(window)
+            .then(|| window.mean(self.sum_at_age(0).wrapping_sub(edge), end))
     }
 
-    /// Returns the sum as it was `age` values ago; `age` below `KEPT`.
-    fn back(&self, age: u32) -> u32 {
-        self.at(self.newest.wrapping_sub(age as usize))
+    /// Returns the sum as it was `age` values ago; `age` below `HISTORY_LENGTH`.
+    fn sum_at_age(&self, age: u32) -> u32 {
+        self.sum_at_index(self.newest.wrapping_sub(age as usize))
     }
 
-    fn at(&self, number: usize) -> u32 {
-        self.sums.get(number % KEPT).copied().unwrap_or_default()
+    fn sum_at_index(&self, number: usize) -> u32 {
+        self.sums.get(number % HISTORY_LENGTH).copied().unwrap_or_default()
     }
 
-    fn keep(&mut self, number: usize, sum: u32) {
-        if let Some(slot) = self.sums.get_mut(number % KEPT) {
+    fn store_sum(&mut self, number: usize, sum: u32) {
+        if let Some(slot) = self.sums.get_mut(number % HISTORY_LENGTH) {
             *slot = sum;
         }
     }
 
-    fn count(&mut self, newest: usize, values: usize) {
+    fn advance(&mut self, newest: usize, values: usize) {
         self.newest = newest;
-        self.filled = self.filled.wrapping_add(values).min(LONGEST);
+        self.filled = self.filled.wrapping_add(values).min(MAX_WINDOW_LENGTH);
     }
 }
 
@@ -169,7 +174,7 @@ mod tests {
         }
         let mut worst: f64 = 0.0;
         for rpm in (300..=u16::MAX).step_by(97) {
-            let window = Window::for_speed(Some(Rpm(rpm)));
+            let window = RevolutionWindow::for_speed(Some(Rpm(rpm)));
             let width = f64::from(window.samples_q16()) / 65_536.0;
             for stream in &streams {
                 let mut mean = RevolutionMean::new();
@@ -189,7 +194,7 @@ mod tests {
 
     #[test]
     fn a_cleared_average_knows_nothing_of_what_came_before() {
-        let revolution = Window::for_speed(Some(Rpm(60_000)));
+        let revolution = RevolutionWindow::for_speed(Some(Rpm(60_000)));
         let mut mean = RevolutionMean::new();
         (0..2000).for_each(|_| mean.push(FULL_SCALE));
         mean.clear();
@@ -203,8 +208,8 @@ mod tests {
         let mut mean = RevolutionMean::new();
         for value in [u32::MAX, 0, u32::MAX].into_iter().cycle().take(5000) {
             mean.push(value);
-            let _ = mean.mean(Window::STANDSTILL);
-            let _ = mean.mean(Window::for_speed(Some(Rpm(u16::MAX))));
+            let _ = mean.mean(RevolutionWindow::STANDSTILL);
+            let _ = mean.mean(RevolutionWindow::for_speed(Some(Rpm(u16::MAX))));
         }
     }
 }

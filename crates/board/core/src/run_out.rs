@@ -7,7 +7,7 @@
 //! odd: v < family/4, or v > 16·family and the amplitude is above 5 µm; twice in a row
 //! ```
 //!
-//! Run-out is the ring's and the bearing's, and at one speed it stays as it is. It vanishes only if the sensor no longer sees
+//! Run-out is the ring's and the bearing's, and at one speed it does not change. It vanishes only if the sensor no longer sees
 //! its ring (a gain that is lost, a ring under chips, a broken wire that brings in noise), and grows fourfold where a
 //! bearing breaks up or the sensor has come loose; cutting adds a micrometre or two. From speed to speed, or after a
 //! stop with another tool, it may be anything, and is not compared.
@@ -18,28 +18,28 @@
 
 use crate::{
     dimensions::CODES_PER_TICK,
-    units::{Code, READINGS_PER_CODE, Reading, Rpm},
+    units::{AdcCode, READING_UNITS_PER_CODE, Reading, Rpm},
 };
 
 #[allow(clippy::cast_possible_truncation, reason = "20")]
-const CODES: u32 = CODES_PER_TICK as u32;
-const WINDOW_BITS: u32 = 10;
+const CODES_PER_TICK_U32: u32 = CODES_PER_TICK as u32;
+const WINDOW_MS_LOG2: u32 = 10;
 /// Milliseconds of a mean.
-pub const WINDOW_MS: u16 = 1 << WINDOW_BITS;
-/// This many means are asked for the least: a spindle may need as long to reach its speed.
-pub const FAMILY_WINDOWS: u8 = 16;
+pub const WINDOW_MS: u16 = 1 << WINDOW_MS_LOG2;
+/// Minimum number of means: a spindle may need as long to reach its speed.
+pub const MIN_BASELINE_WINDOWS: u8 = 16;
 /// An amplitude of half the family's or less is a quarter of its square.
-const MIN_SHARE: u32 = 4;
+const LOW_POWER_DIVISOR: u32 = 4;
 /// One of four times the family's is 16 times its square.
-const MAX_SHARE: u32 = 16;
+const HIGH_POWER_FACTOR: u32 = 16;
 /// Half the square of an amplitude of 41 codes (5 µm), in 1/256 codes².
-const CUTTING: u32 = 41 * 41 / 2 * 256;
+const CUTTING_THRESHOLD: u32 = 41 * 41 / 2 * 256;
 /// This many means in a row have to be odd.
-const ODD_WINDOWS: u8 = 2;
+const MIN_ANOMALOUS_WINDOWS: u8 = 2;
 
 /// The run-out seen at the present speed.
 #[derive(Clone, Debug, Default)]
-pub struct RunOut {
+pub struct RunOutMonitor {
     /// 0: it does not turn.
     speed: Rpm,
     /// The random number that selects the code looked at, drawn anew each time.
@@ -54,58 +54,58 @@ pub struct RunOut {
     odd: u8,
 }
 
-impl RunOut {
+impl RunOutMonitor {
     /// The spindle does not turn.
     #[inline]
-    pub fn stop(&mut self) {
+    pub fn record_standstill(&mut self) {
         self.speed = Rpm(0);
     }
 
     /// Takes a millisecond of codes of a spindle that turns, and the reading at its end.
     #[inline]
-    pub fn receive(&mut self, codes: &[Code; CODES_PER_TICK], reading: Reading, speed: Rpm) {
+    pub fn receive(&mut self, codes: &[AdcCode; CODES_PER_TICK], reading: Reading, speed: Rpm) {
         if speed != self.speed {
-            self.begin(speed);
+            self.restart_baseline(speed);
         }
         // Knuth's constants; the upper half is the random one.
         self.drawn = self.drawn.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        let number = (self.drawn >> 16).wrapping_mul(CODES) >> 16;
+        let number = (self.drawn >> 16).wrapping_mul(CODES_PER_TICK_U32) >> 16;
         let Some(code) = codes.get(number as usize) else { return };
-        let level = i32::from(code.0).wrapping_mul(READINGS_PER_CODE);
+        let level = i32::from(code.0).wrapping_mul(READING_UNITS_PER_CODE);
         // In 1/16 codes: below 2¹⁶.
         let deviation = level.wrapping_sub(reading.0).unsigned_abs() >> 6;
         let square = u64::from(deviation).wrapping_mul(u64::from(deviation));
         self.squares = self.squares.wrapping_add(square);
         self.count = self.count.wrapping_add(1);
         if self.count >= WINDOW_MS {
-            self.judge();
+            self.evaluate_window();
         }
     }
 
     /// Returns whether it is another one than it was.
     #[must_use]
     pub fn is_anomalous(&self) -> bool {
-        self.speed != Rpm(0) && self.odd >= ODD_WINDOWS
+        self.speed != Rpm(0) && self.odd >= MIN_ANOMALOUS_WINDOWS
     }
 
     #[cold]
     #[inline(never)]
-    fn begin(&mut self, speed: Rpm) {
+    fn restart_baseline(&mut self, speed: Rpm) {
         *self = Self { speed, ..Self::default() };
     }
 
     #[cold]
     #[inline(never)]
-    fn judge(&mut self) {
-        let mean = u32::try_from(self.squares >> WINDOW_BITS).unwrap_or(u32::MAX);
+    fn evaluate_window(&mut self) {
+        let mean = u32::try_from(self.squares >> WINDOW_MS_LOG2).unwrap_or(u32::MAX);
         (self.squares, self.count) = (0, 0);
-        if self.windows < FAMILY_WINDOWS {
+        if self.windows < MIN_BASELINE_WINDOWS {
             self.windows = self.windows.saturating_add(1);
             self.family = if self.windows == 1 { mean } else { self.family.min(mean) };
             return;
         }
-        let is_less = mean < self.family / MIN_SHARE;
-        let is_more = mean > CUTTING && mean / MAX_SHARE > self.family;
+        let is_less = mean < self.family / LOW_POWER_DIVISOR;
+        let is_more = mean > CUTTING_THRESHOLD && mean / HIGH_POWER_FACTOR > self.family;
         self.odd = if is_less || is_more { self.odd.saturating_add(1) } else { 0 };
     }
 }
@@ -118,17 +118,17 @@ mod tests {
     const SPEED: Rpm = Rpm(12_000);
 
     /// Seconds of a spindle with this run-out, in codes.
-    fn turn(it: &mut RunOut, seconds: u32, amplitude: f64, hz: f64, speed: Rpm) -> bool {
+    fn turn(it: &mut RunOutMonitor, seconds: u32, amplitude: f64, hz: f64, speed: Rpm) -> bool {
         for ms in 0..seconds * 1_024 {
             let codes = core::array::from_fn(|n| {
                 let s = (f64::from(ms) + n as f64 / 20.0) / 1e3;
                 let run_out = amplitude * (hz * s * core::f64::consts::TAU).sin();
-                Code((700.0 + run_out).round() as u16)
+                AdcCode((700.0 + run_out).round() as u16)
             });
             if speed == Rpm(0) {
-                it.stop();
+                it.record_standstill();
             } else {
-                it.receive(&codes, Reading(700 * READINGS_PER_CODE), speed);
+                it.receive(&codes, Reading(700 * READING_UNITS_PER_CODE), speed);
             }
         }
         it.is_anomalous()
@@ -147,7 +147,7 @@ mod tests {
                 (39.0, false),
                 (44.0, true),
             ] {
-                let mut it = RunOut::default();
+                let mut it = RunOutMonitor::default();
                 assert!(!turn(&mut it, 20, 10.0, hz, SPEED));
                 assert!(!turn(&mut it, 1, then, hz, SPEED), "not by one mean");
                 assert_eq!(
@@ -163,7 +163,7 @@ mod tests {
 
     #[test]
     fn what_cutting_adds_to_a_small_run_out_is_not_told() {
-        let mut it = RunOut::default();
+        let mut it = RunOutMonitor::default();
         turn(&mut it, 20, 3.0, 200.0, SPEED);
         assert!(!turn(&mut it, 5, 38.0, 200.0, SPEED), "4.6 µm");
         assert!(turn(&mut it, 2, 44.0, 200.0, SPEED), "5.4 µm");
@@ -174,14 +174,14 @@ mod tests {
         // Every seventh code of each millisecond is, at 325 Hz; and a beat in five minutes shows it at its most and at its least.
         for hz in [163.934, 200.0, 325.0, 400.0].map(|hz| hz + 1.0 / 600.0) {
             for eighth in 0..8 {
-                let mut it = RunOut::default();
+                let mut it = RunOutMonitor::default();
                 for ms in 0..200 * u32::from(WINDOW_MS) {
                     let at = |n: usize| hz * (f64::from(ms) + n as f64 / 20.0) / 1e3;
                     let turns = |n| at(n) + f64::from(eighth) / 16.0;
                     let codes = core::array::from_fn(|n| {
-                        Code((700.0 + 10.0 * (turns(n) * core::f64::consts::TAU).sin()) as u16)
+                        AdcCode((700.0 + 10.0 * (turns(n) * core::f64::consts::TAU).sin()) as u16)
                     });
-                    it.receive(&codes, Reading(700 * READINGS_PER_CODE), SPEED);
+                    it.receive(&codes, Reading(700 * READING_UNITS_PER_CODE), SPEED);
                     assert!(!it.is_anomalous(), "{hz} Hz, {eighth}/8, {ms} ms");
                 }
             }
@@ -191,7 +191,7 @@ mod tests {
     #[test]
     fn another_speed_or_a_stop_has_another_run_out() {
         for next in [Rpm(12_001), Rpm(0)] {
-            let mut it = RunOut::default();
+            let mut it = RunOutMonitor::default();
             turn(&mut it, 20, 10.0, 200.0, SPEED);
             turn(&mut it, 3, 1.0, 200.0, SPEED);
             assert!(it.is_anomalous());
@@ -202,7 +202,7 @@ mod tests {
 
     #[test]
     fn a_spindle_that_passes_a_resonance_on_its_way_up_has_the_run_out_of_its_end() {
-        let mut it = RunOut::default();
+        let mut it = RunOutMonitor::default();
         turn(&mut it, 12, 30.0, 200.0, SPEED);
         assert!(!turn(&mut it, 60, 10.0, 200.0, SPEED));
         assert!(turn(&mut it, 2, 4.0, 200.0, SPEED), "and 30 codes do not count");
@@ -210,10 +210,10 @@ mod tests {
 
     #[test]
     fn the_whole_range_of_codes_does_not_wrap() {
-        let mut it = RunOut::default();
+        let mut it = RunOutMonitor::default();
         turn(&mut it, 20, 10.0, 200.0, SPEED);
         for _ in 0..2 * WINDOW_MS {
-            it.receive(&[Code(4095); CODES_PER_TICK], Reading(0), SPEED);
+            it.receive(&[AdcCode(4095); CODES_PER_TICK], Reading(0), SPEED);
         }
         assert!(it.is_anomalous());
     }

@@ -5,7 +5,7 @@
 //! the paper's sensor, up to ±8 nm a unit (67 times that sensor).
 
 use crate::{
-    fixed::rounded_shift,
+    fixed_point::rounding_shift_right,
     units::{Nanometres, Reading},
 };
 
@@ -50,8 +50,8 @@ impl SensorLaw {
         let from_zero = i64::from(reading.0).wrapping_sub(i64::from(self.zero.0));
         // 33 bits by 32 and a half: below 2⁶³, so that neither step can wrap.
         let grown = from_zero.wrapping_mul(i64::from(self.slope.0));
-        let grown = rounded_shift(grown, Slope::FRACTION_BITS);
-        Nanometres::saturating(grown.wrapping_add(i64::from(self.k0.0)))
+        let grown = rounding_shift_right(grown, Slope::FRACTION_BITS);
+        Nanometres::saturating_from(grown.wrapping_add(i64::from(self.k0.0)))
     }
 }
 

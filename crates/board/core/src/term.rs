@@ -18,7 +18,7 @@
 //! A table or a curve of the position, and an angle, a gradient or a curve, times a [lever](Tilt) are added as well.
 //! Each also adds a constant. β is the fraction of the approach
 //! in the negative direction ([`travel`](crate::travel)). m is a number with its own binary point
-//! ([`Scaled`](crate::fixed::Scaled)), so that a coefficient of any size keeps 30 bits. Heat and time are stepped every
+//! ([`ScaledCoefficient`](crate::fixed_point::ScaledCoefficient)), so that a coefficient of any size keeps 30 bits. Heat and time are stepped every
 //! 100 ms with the rest of the heat; the others are computed where they are needed.
 //!
 //! Everything is 1/256 nm. Measured worst error against `f64`, from the largest to the smallest
@@ -26,16 +26,16 @@
 
 mod category;
 mod effect;
-mod order;
+mod evaluation_order;
 mod states;
 mod sum;
 #[cfg(test)]
 mod tests;
 mod tilt;
 
-pub use category::{Factor, OnOff, ToolTable, UNIT_STEP};
-pub use effect::{Effect, HEAT_SLOPE_BITS, SpeedPower, Target, Term, Terms, heat_terms};
-pub use order::{factor, walked};
+pub use category::{ConditionLevels, Factor, ToolTable, UNIT_STEP};
+pub use effect::{Effect, HEAT_SLOPE_BITS, SpeedExponent, Target, Term, Terms, heat_terms};
+pub use evaluation_order::{category_factor, elongation_term_count};
 pub use states::TermStates;
-pub use sum::{OperatingPoint, axis_errors, elongation};
-pub use tilt::{LEVER, Tilt};
+pub use sum::{OperatingPoint, apply_elongation_terms, compute_axis_errors};
+pub use tilt::{REFERENCE_LEVER, Tilt};

@@ -1,24 +1,24 @@
 //! Shared parts of the tests: numbers that look drawn, always the same for a seed, and a machine to begin with.
 
 use crate::{
-    calibration::{Calibration, Names},
-    dimensions::CHANNELS,
+    calibration::{Calibration, MachineIdentity},
+    dimensions::CHANNEL_COUNT,
     kinematics::Kinematics,
     limits::Limits,
-    tool::Direction,
+    tool_direction::Direction,
     units::{Nanometres, Temperature},
 };
 
 /// Steps a linear congruential generator. Returns its high half.
-pub fn random(seed: &mut u64) -> u32 {
+pub fn next_random(seed: &mut u64) -> u32 {
     *seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
     (*seed >> 32) as u32
 }
 
 /// Returns a machine with nothing but limits.
-pub fn plain() -> Calibration<'static> {
+pub fn minimal_calibration() -> Calibration<'static> {
     Calibration {
-        thermometers: [None; CHANNELS],
+        thermometers: [None; CHANNEL_COUNT],
         spindle: Default::default(),
         kinematics: Kinematics { zero: Direction::DOWN, axes: [None; 2] },
         axes: Default::default(),
@@ -36,6 +36,6 @@ pub fn plain() -> Calibration<'static> {
         },
         cold_within: Temperature(Temperature::PER_KELVIN / 2),
         guards: Default::default(),
-        names: Names::default(),
+        names: MachineIdentity::default(),
     }
 }

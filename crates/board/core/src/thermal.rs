@@ -15,13 +15,13 @@
 //! of the slope too, 14.21 µm/m per K over 40 K and 15 m is within 0.03 nm.
 
 use crate::{
-    fixed::{rounded_shift, saturated},
+    fixed_point::{rounding_shift_right, saturate_to_i32},
     gradient::Gradient,
-    units::{Fine, Temperature},
+    units::{FineNanometres, Temperature},
 };
 
 /// Bytes of a piece.
-pub const PIECE_SIZE: usize = 20;
+pub const LAW_SEGMENT_SIZE: usize = 20;
 /// Binary places of the temperature unit in which slopes are given: 2²² units are 1.024 K.
 pub const SLOPE_UNIT_BITS: u32 = 22;
 /// Binary places of a slope.
@@ -29,12 +29,12 @@ pub const SLOPE_FRACTION_BITS: u32 = 4;
 
 /// Two straight lines over temperature, from `start` to the next piece's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Piece {
+pub struct LawSegment {
     /// Where the piece begins and the two values below hold.
     pub start: Temperature,
     /// K₀ at `start`.
-    pub constant: Fine,
-    /// Growth of K₀: 1/16 [`Fine`] units per 1.024 K.
+    pub constant: FineNanometres,
+    /// Growth of K₀: 1/16 [`FineNanometres`] units per 1.024 K.
     pub constant_slope: i32,
     /// tanβ at `start`.
     pub gradient: Gradient,
@@ -42,10 +42,10 @@ pub struct Piece {
     pub gradient_slope: i32,
 }
 
-impl Piece {
+impl LawSegment {
     /// As it lies in a calibration.
     #[must_use]
-    pub fn to_bytes(&self) -> [u8; PIECE_SIZE] {
+    pub fn to_bytes(&self) -> [u8; LAW_SEGMENT_SIZE] {
         let words = [
             self.start.0,
             self.constant.0,
@@ -53,7 +53,7 @@ impl Piece {
             self.gradient.0,
             self.gradient_slope,
         ];
-        let mut bytes = [0; PIECE_SIZE];
+        let mut bytes = [0; LAW_SEGMENT_SIZE];
         for (four, word) in bytes.as_chunks_mut::<4>().0.iter_mut().zip(words) {
             *four = word.to_le_bytes();
         }
@@ -62,51 +62,51 @@ impl Piece {
 
     /// Out of a calibration; any bytes are a piece.
     #[must_use]
-    pub fn from_bytes(bytes: &[u8; PIECE_SIZE]) -> Self {
+    pub fn from_bytes(bytes: &[u8; LAW_SEGMENT_SIZE]) -> Self {
         Self {
-            start: Temperature(word(bytes, 0)),
-            constant: Fine(word(bytes, 1)),
-            constant_slope: word(bytes, 2),
-            gradient: Gradient(word(bytes, 3)),
-            gradient_slope: word(bytes, 4),
+            start: Temperature(read_word(bytes, 0)),
+            constant: FineNanometres(read_word(bytes, 1)),
+            constant_slope: read_word(bytes, 2),
+            gradient: Gradient(read_word(bytes, 3)),
+            gradient_slope: read_word(bytes, 4),
         }
     }
 
-    fn at(&self, t: Temperature) -> (Fine, Gradient) {
+    fn evaluate(&self, t: Temperature) -> (FineNanometres, Gradient) {
         let warmer = i64::from(t.0).wrapping_sub(i64::from(self.start.0));
-        let constant = grown(self.constant.0, self.constant_slope, warmer);
-        let gradient = grown(self.gradient.0, self.gradient_slope, warmer);
-        (Fine(constant), Gradient(gradient))
+        let constant = extrapolate(self.constant.0, self.constant_slope, warmer);
+        let gradient = extrapolate(self.gradient.0, self.gradient_slope, warmer);
+        (FineNanometres(constant), Gradient(gradient))
     }
 }
 
 /// Returns the number `index` (0…4) of a piece.
-fn word(bytes: &[u8; PIECE_SIZE], index: usize) -> i32 {
+fn read_word(bytes: &[u8; LAW_SEGMENT_SIZE], index: usize) -> i32 {
     bytes.as_chunks::<4>().0.get(index).map_or(0, |four| i32::from_le_bytes(*four))
 }
 
 /// value + slope·warmer, saturating.
-fn grown(value: i32, slope: i32, warmer: i64) -> i32 {
+fn extrapolate(value: i32, slope: i32, warmer: i64) -> i32 {
     const SHIFT: u32 = SLOPE_UNIT_BITS + SLOPE_FRACTION_BITS;
     // 33 bits by 32 and a half: below 2⁶³, so neither step can wrap.
-    let growth = rounded_shift(warmer.wrapping_mul(i64::from(slope)), SHIFT);
-    saturated(growth.saturating_add(i64::from(value)))
+    let growth = rounding_shift_right(warmer.wrapping_mul(i64::from(slope)), SHIFT);
+    saturate_to_i32(growth.saturating_add(i64::from(value)))
 }
 
 /// A law in pieces, in ascending order of their starts. Without a piece it is zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Law<'a> {
+pub struct ThermalExpansionLaw<'a> {
     /// The pieces as they lie in the calibration.
-    pub pieces: &'a [[u8; PIECE_SIZE]],
+    pub pieces: &'a [[u8; LAW_SEGMENT_SIZE]],
 }
 
-impl Law<'_> {
+impl ThermalExpansionLaw<'_> {
     /// Returns whether tanβ is anything but 0 at some temperature.
     #[must_use]
     pub fn depends_on_position(&self) -> bool {
         self.pieces
             .iter()
-            .map(Piece::from_bytes)
+            .map(LawSegment::from_bytes)
             .any(|piece| piece.gradient != Gradient::ZERO || piece.gradient_slope != 0)
     }
 
@@ -117,30 +117,30 @@ impl Law<'_> {
     /// ```
     /// use trueup_core::{
     ///     gradient::Gradient,
-    ///     thermal::{Law, Piece},
-    ///     units::{Fine, Position, Temperature},
+    ///     thermal::{ThermalExpansionLaw, LawSegment},
+    ///     units::{FineNanometres, Position, Temperature},
     /// };
     /// let celsius = |t: i32| Temperature(t * Temperature::PER_KELVIN);
     /// // 14.21 µm/m = 1.421e-4 nm per position unit; times 2³⁶·1.024·16: 159 990 376.
     /// let slope = (1.421e-4 * f64::from(1 << 18).powi(2) * 1.024 * 16.0) as i32;
-    /// let pieces = [Piece { start: celsius(23), gradient_slope: slope, ..Piece::default() }
+    /// let pieces = [LawSegment { start: celsius(23), gradient_slope: slope, ..LawSegment::default() }
     ///     .to_bytes()];
-    /// let law = Law { pieces: &pieces };
+    /// let law = ThermalExpansionLaw { pieces: &pieces };
     ///
-    /// let (constant, gradient) = law.at(celsius(42));
-    /// assert_eq!(constant, Fine(0));
+    /// let (constant, gradient) = law.evaluate(celsius(42));
+    /// assert_eq!(constant, FineNanometres(0));
     /// // 19 K · 14.21 µm/m · 1 m = 269.99 µm too far; the offset is −269.99 µm.
     /// let metre = Position(1_000 * Position::PER_MILLIMETRE);
-    /// let error = constant.plus(gradient.over(Position(0), metre)).rounded();
+    /// let error = constant.saturating_add(gradient.error_over_travel(Position(0), metre)).rounded();
     /// assert_eq!(error.0, 269_990);
-    /// assert_eq!(error.negated().0, -269_990);
+    /// assert_eq!(error.saturating_neg().0, -269_990);
     /// ```
     #[must_use]
-    pub fn at(&self, t: Temperature) -> (Fine, Gradient) {
-        let after = self.pieces.partition_point(|piece| word(piece, 0) <= t.0);
+    pub fn evaluate(&self, t: Temperature) -> (FineNanometres, Gradient) {
+        let after = self.pieces.partition_point(|piece| read_word(piece, 0) <= t.0);
         match self.pieces.get(after.saturating_sub(1)) {
-            Some(piece) => Piece::from_bytes(piece).at(t),
-            None => (Fine::ZERO, Gradient::ZERO),
+            Some(piece) => LawSegment::from_bytes(piece).evaluate(t),
+            None => (FineNanometres::ZERO, Gradient::ZERO),
         }
     }
 }
@@ -175,12 +175,16 @@ mod tests {
     #[test]
     fn the_papers_axis_at_42_degrees_goes_270_micrometres_too_far_in_a_metre() {
         let start = celsius(23.0);
-        let piece = Piece { start, gradient_slope: gradient_slope(14.21), ..Piece::default() };
+        let piece =
+            LawSegment { start, gradient_slope: gradient_slope(14.21), ..LawSegment::default() };
         let pieces = [piece.to_bytes()];
-        let law = Law { pieces: &pieces };
+        let law = ThermalExpansionLaw { pieces: &pieces };
         let error = |t, from, to| {
-            let (constant, gradient) = law.at(celsius(t));
-            constant.plus(gradient.over(metres(from), metres(to))).rounded().0
+            let (constant, gradient) = law.evaluate(celsius(t));
+            constant
+                .saturating_add(gradient.error_over_travel(metres(from), metres(to)))
+                .rounded()
+                .0
         };
         assert_eq!(error(42.0, 0.0, 1.0), 269_990);
         assert_eq!(error(23.0, 0.0, 1.0), 0);
@@ -193,12 +197,13 @@ mod tests {
     #[test]
     fn forty_kelvin_over_fifteen_metres_is_within_a_tenth_of_a_nanometre() {
         for slope in [10.0, 11.7, 14.21, 33.3, 74.9] {
-            let piece = Piece { gradient_slope: gradient_slope(slope), ..Piece::default() };
+            let piece =
+                LawSegment { gradient_slope: gradient_slope(slope), ..LawSegment::default() };
             let pieces = [piece.to_bytes()];
             let mut worst = 0.0_f64;
             for step in -400..=400 {
                 let t = celsius(f64::from(step) / 10.0);
-                let gradient = Law { pieces: &pieces }.at(t).1;
+                let gradient = ThermalExpansionLaw { pieces: &pieces }.evaluate(t).1;
                 let exact = slope * f64::from(t.0) / PER_KELVIN;
                 // µm/m over 15 m, in nanometres.
                 let off = (f64::from(gradient.0) / PER_UM_PER_M - exact) * 15.0 * 1e3;
@@ -213,27 +218,28 @@ mod tests {
     fn a_spindle_that_grows_with_its_temperature_uses_k0_alone() {
         // 2 µm/K from 20 °C.
         let start = celsius(20.0);
-        let piece = Piece { start, constant_slope: constant_slope(2.0), ..Piece::default() };
+        let piece =
+            LawSegment { start, constant_slope: constant_slope(2.0), ..LawSegment::default() };
         let pieces = [piece.to_bytes()];
         let mut worst = 0.0_f64;
         for step in -600..=4000 {
             let t = celsius(f64::from(step) / 10.0);
-            let (growth, gradient) = Law { pieces: &pieces }.at(t);
+            let (growth, gradient) = ThermalExpansionLaw { pieces: &pieces }.evaluate(t);
             assert_eq!(gradient, Gradient::ZERO);
             let exact = 2_000.0 * (f64::from(t.0) / PER_KELVIN - 20.0);
             worst = worst.max((f64::from(growth.0) / 256.0 - exact).abs());
         }
         std::println!("2 µm/K from -60 to 400 °C: {worst:.4} nm");
         assert!(worst < 0.1);
-        let growth = Law { pieces: &pieces }.at(celsius(30.5)).0;
+        let growth = ThermalExpansionLaw { pieces: &pieces }.evaluate(celsius(30.5)).0;
         assert_eq!(growth.rounded(), Nanometres(21_000));
     }
 
     /// Returns a table over 10…40 °C that holds its ends.
-    fn table() -> [[u8; PIECE_SIZE]; 4] {
-        let um = |um: f64| Fine((um * 256e3).round() as i32);
+    fn table() -> [[u8; LAW_SEGMENT_SIZE]; 4] {
+        let um = |um: f64| FineNanometres((um * 256e3).round() as i32);
         let per_m = |um: f64| Gradient((um * PER_UM_PER_M).round() as i32);
-        let piece = |start, k0, k0_slope, gradient, slope| Piece {
+        let piece = |start, k0, k0_slope, gradient, slope| LawSegment {
             start: celsius(start),
             constant: um(k0),
             constant_slope: constant_slope(k0_slope),
@@ -251,7 +257,7 @@ mod tests {
     #[test]
     fn a_table_is_linear_between_its_points_and_holds_its_ends() {
         let pieces = table();
-        let law = Law { pieces: &pieces };
+        let law = ThermalExpansionLaw { pieces: &pieces };
         let (mut worst_constant, mut worst_gradient) = (0.0_f64, 0.0_f64);
         for step in -5200..=5200 {
             let t = celsius(f64::from(step) / 10.0);
@@ -265,7 +271,7 @@ mod tests {
             } else {
                 (-2.0, 240.0)
             };
-            let at = law.at(t);
+            let at = law.evaluate(t);
             worst_constant = worst_constant.max((f64::from(at.0.0) / 256.0 - k0 * 1e3).abs());
             let off = f64::from(at.1.0) / PER_UM_PER_M - gradient;
             worst_gradient = worst_gradient.max(off.abs() * 15e3);
@@ -280,12 +286,14 @@ mod tests {
         for slope in [-1_738_734_477, -77_777, -1, 0, 1, 163_001, 1_000_000_007] {
             for start in [i32::MIN, -7, 0, 94_208_000, i32::MAX] {
                 for t in (i32::MIN..=i32::MAX).step_by(7_654_321) {
-                    let piece = Piece {
+                    let piece = LawSegment {
                         start: Temperature(start),
                         constant_slope: slope,
-                        ..Piece::default()
+                        ..LawSegment::default()
                     };
-                    let got = Law { pieces: &[piece.to_bytes()] }.at(Temperature(t)).0;
+                    let got = ThermalExpansionLaw { pieces: &[piece.to_bytes()] }
+                        .evaluate(Temperature(t))
+                        .0;
                     let exact = i128::from(slope) * (i128::from(t) - i128::from(start));
                     let held = exact.clamp(i128::from(i32::MIN) << 26, i128::from(i32::MAX) << 26);
                     let off = held - (i128::from(got.0) << 26);
@@ -306,19 +314,20 @@ mod tests {
             for slope in ends {
                 for start in ends {
                     for t in ends {
-                        let piece = Piece {
+                        let piece = LawSegment {
                             start: Temperature(start),
-                            constant: Fine(value),
+                            constant: FineNanometres(value),
                             constant_slope: slope,
                             gradient: Gradient(value),
                             gradient_slope: slope,
                         };
-                        let at = Law { pieces: &[piece.to_bytes()] }.at(Temperature(t));
+                        let at = ThermalExpansionLaw { pieces: &[piece.to_bytes()] }
+                            .evaluate(Temperature(t));
                         let warmer = i128::from(t) - i128::from(start);
                         let growth = (warmer * i128::from(slope) + (1 << 25)) >> 26;
                         let exact = (i128::from(value) + growth)
                             .clamp(i128::from(i32::MIN), i128::from(i32::MAX));
-                        assert_eq!(at, (Fine(exact as i32), Gradient(exact as i32)));
+                        assert_eq!(at, (FineNanometres(exact as i32), Gradient(exact as i32)));
                     }
                 }
             }
@@ -327,21 +336,27 @@ mod tests {
 
     #[test]
     fn no_piece_is_no_growth_and_any_bytes_are_a_law() {
-        assert_eq!(Law::default().at(Temperature(i32::MAX)), (Fine::ZERO, Gradient::ZERO));
+        assert_eq!(
+            ThermalExpansionLaw::default().evaluate(Temperature(i32::MAX)),
+            (FineNanometres::ZERO, Gradient::ZERO)
+        );
         // Pieces out of order give a wrong law, but a law.
         let mut pieces = table();
         pieces.reverse();
         for t in [i32::MIN, 0, i32::MAX] {
-            let _ = Law { pieces: &pieces }.at(Temperature(t));
-            let _ = Law { pieces: &[[0xff; PIECE_SIZE], [0x80; PIECE_SIZE]] }.at(Temperature(t));
+            let _ = ThermalExpansionLaw { pieces: &pieces }.evaluate(Temperature(t));
+            let _ = ThermalExpansionLaw {
+                pieces: &[[0xff; LAW_SEGMENT_SIZE], [0x80; LAW_SEGMENT_SIZE]],
+            }
+            .evaluate(Temperature(t));
         }
     }
 
     #[test]
     fn bytes_are_little_endian_and_come_back() {
-        let piece = Piece {
+        let piece = LawSegment {
             start: Temperature(0x0403_0201),
-            constant: Fine(-2),
+            constant: FineNanometres(-2),
             constant_slope: i32::MIN,
             gradient: Gradient(0x0807_0605),
             gradient_slope: i32::MAX,
@@ -351,22 +366,22 @@ mod tests {
             bytes,
             [1, 2, 3, 4, 254, 255, 255, 255, 0, 0, 0, 128, 5, 6, 7, 8, 255, 255, 255, 127]
         );
-        assert_eq!(Piece::from_bytes(&bytes), piece);
+        assert_eq!(LawSegment::from_bytes(&bytes), piece);
     }
 
     #[test]
     fn a_law_depends_on_the_position_where_a_gradient_or_its_slope_is_not_0() {
         for (gradient, gradient_slope, depends) in [(0, 0, false), (1, 0, true), (0, -1, true)] {
-            let piece = Piece {
+            let piece = LawSegment {
                 start: Temperature(0),
-                constant: Fine(5),
+                constant: FineNanometres(5),
                 constant_slope: 5,
                 gradient: Gradient(gradient),
                 gradient_slope,
             };
-            let pieces = [Piece { gradient: Gradient(0), gradient_slope: 0, ..piece }, piece];
+            let pieces = [LawSegment { gradient: Gradient(0), gradient_slope: 0, ..piece }, piece];
             let pieces = pieces.map(|piece| piece.to_bytes());
-            assert_eq!(Law { pieces: &pieces }.depends_on_position(), depends);
+            assert_eq!(ThermalExpansionLaw { pieces: &pieces }.depends_on_position(), depends);
         }
     }
 }

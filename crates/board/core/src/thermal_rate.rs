@@ -8,26 +8,26 @@
 //!
 //! | a reading that came too fast | becomes |
 //! |---|---|
-//! | one to three, then as before | a spark: they are left out |
+//! | one to three, then as before | a spark: they are ignored |
 //! | four in a row | a doubt: reported, the last believed value is held |
-//! | it stays within the limit for [`STEADY_READINGS`] (60 s) | believed |
+//! | it stays within the limit for [`RATE_RECOVERY_READINGS`] (60 s) | believed |
 //! | it jumps back to where the mass can be by now | believed |
 //! | a thermometer of the same law agrees within 3 K, four times in a row | believed |
-//! | none of these within [`GIVEN_UP_READINGS`] (5 min) | no thermometer: it is given up |
+//! | none of these within [`RATE_FAULT_READINGS`] (5 min) | no thermometer: it is given up |
 
-use crate::{set::IndexSet, thermometer::FAULT_AFTER_READINGS, units::Temperature};
+use crate::{index_set::IndexSet, thermometer::FAULT_AFTER_READINGS, units::Temperature};
 
 /// The limit of a thermometer that a law uses, where the calibration states none: 10 K/min. A spindle of 24,000 r/min
 /// warms its front bearing by 6 K/min at the most, the parts of a machine are slower.
-pub const DEFAULT_TENTHS: u16 = 100;
+pub const DEFAULT_RATE_DECIKELVIN_PER_MIN: u16 = 100;
 /// The largest limit, in tenths of a kelvin a minute: 600 K/min, a bare element in flowing coolant.
-pub const MAX_TENTHS: u16 = 6_000;
+pub const MAX_RATE_DECIKELVIN_PER_MIN: u16 = 6_000;
 /// After this many readings within the limit a value that came too fast is believed: 60 s.
-pub const STEADY_READINGS: u16 = 600;
+pub const RATE_RECOVERY_READINGS: u16 = 600;
 /// A doubt that has lasted for this many readings is a broken thermometer: 5 min.
-pub const GIVEN_UP_READINGS: u16 = 3_000;
+pub const RATE_FAULT_READINGS: u16 = 3_000;
 /// Thermometers of one law agree within this.
-pub const AGREES_WITHIN: Temperature = Temperature(3 * Temperature::PER_KELVIN);
+pub const MAX_DISAGREEMENT: Temperature = Temperature(3 * Temperature::PER_KELVIN);
 
 /// Readings in ten minutes: a tenth of a kelvin a minute is one kelvin in this many.
 const READINGS_PER_TEN_MINUTES: i32 = 6_000;
@@ -48,7 +48,7 @@ impl RateLimit {
     /// converter has steps of `step`.
     #[must_use]
     pub fn new(tenths: u16, step: Temperature, partners: IndexSet) -> Self {
-        let tenths = i32::from(tenths.min(MAX_TENTHS));
+        let tenths = i32::from(tenths.min(MAX_RATE_DECIKELVIN_PER_MIN));
         // 14 bits by 22: below 2⁶³.
         let units = i64::from(tenths).wrapping_mul(Temperature::PER_KELVIN.into());
         let per_reading = units.checked_div(READINGS_PER_TEN_MINUTES.into()).unwrap_or(0);
@@ -58,13 +58,13 @@ impl RateLimit {
 
     /// Returns whether the channel is judged.
     #[must_use]
-    pub const fn is_set(&self) -> bool {
+    pub const fn is_enabled(&self) -> bool {
         self.per_reading != 0
     }
 
     /// Returns how far a reading may be from a value that was tracked this many readings ago.
-    fn reach(&self, readings: u16) -> u32 {
-        let moved = self.per_reading.saturating_mul(readings.min(STEADY_READINGS).into());
+    fn allowed_deviation(&self, readings: u16) -> u32 {
+        let moved = self.per_reading.saturating_mul(readings.min(RATE_RECOVERY_READINGS).into());
         self.tolerance.saturating_add(moved).unsigned_abs()
     }
 }
@@ -91,32 +91,36 @@ impl RateMonitor {
     }
 
     /// Takes the time of a reading that failed.
-    pub fn miss(&mut self) {
+    pub fn record_missed(&mut self) {
         self.age = self.age.saturating_add(1);
         (self.steady, self.agreed) = (0, 0);
     }
 
     /// Judges a reading; `agrees`: a thermometer of the same law does. Returns whether it is believed.
-    pub fn judge(&mut self, now: Temperature, limit: &RateLimit, agrees: bool) -> bool {
+    pub fn check_reading(&mut self, now: Temperature, limit: &RateLimit, agrees: bool) -> bool {
         self.age = self.age.saturating_add(1);
         self.agreed = if agrees { self.agreed.saturating_add(1) } else { 0 };
         let off = |from: i32| from.abs_diff(now.0);
-        let is_steady = self.steady > 0 && off(self.candidate) <= limit.reach(1);
+        let is_steady = self.steady > 0 && off(self.candidate) <= limit.allowed_deviation(1);
         // What stays at the value in doubt has to stay for its time; what leaves it may be back where the mass is by now.
-        let reach = if is_steady { limit.tolerance.unsigned_abs() } else { limit.reach(self.age) };
+        let reach = if is_steady {
+            limit.tolerance.unsigned_abs()
+        } else {
+            limit.allowed_deviation(self.age)
+        };
         if off(self.tracked) <= reach {
             self.tracked =
-                toward(self.tracked, now, limit.per_reading.saturating_mul(self.age.into()));
+                step_toward(self.tracked, now, limit.per_reading.saturating_mul(self.age.into()));
             *self = Self { tracked: self.tracked, ..Self::default() };
             return true;
         }
         if is_steady {
-            self.candidate = toward(self.candidate, now, limit.per_reading);
+            self.candidate = step_toward(self.candidate, now, limit.per_reading);
             self.steady = self.steady.saturating_add(1);
         } else {
             (self.candidate, self.steady) = (now.0, 1);
         }
-        if self.steady > STEADY_READINGS || self.agreed >= FAULT_AFTER_READINGS {
+        if self.steady > RATE_RECOVERY_READINGS || self.agreed >= FAULT_AFTER_READINGS {
             self.restart(now);
             return true;
         }
@@ -132,13 +136,13 @@ impl RateMonitor {
 
     /// Returns whether the doubt has lasted too long for a thermometer.
     #[must_use]
-    pub const fn is_given_up(&self) -> bool {
-        self.is_in_doubt() && self.age >= GIVEN_UP_READINGS
+    pub const fn has_timed_out(&self) -> bool {
+        self.is_in_doubt() && self.age >= RATE_FAULT_READINGS
     }
 }
 
 /// Returns `from`, moved by at most `most` toward a temperature.
-fn toward(from: i32, to: Temperature, most: i32) -> i32 {
+fn step_toward(from: i32, to: Temperature, most: i32) -> i32 {
     let most = most.max(0);
     // `clamp` would check the order of its bounds, with a panic.
     to.0.max(from.saturating_sub(most)).min(from.saturating_add(most))
@@ -165,7 +169,7 @@ mod tests {
         monitor.restart(celsius(of(0.0)));
         let (mut count, mut first) = (0, None);
         for n in 1..=readings {
-            if !monitor.judge(celsius(of(f64::from(n) / 10.0)), &limit, false) {
+            if !monitor.check_reading(celsius(of(f64::from(n) / 10.0)), &limit, false) {
                 count += 1;
                 first.get_or_insert(n);
             }
@@ -212,11 +216,11 @@ mod tests {
         monitor.restart(celsius(20.0));
         let wild = |n: u16| celsius(60.0 + f64::from(n % 40));
         let given_up = (1..=u16::MAX).find(|n| {
-            assert!(!monitor.judge(wild(*n), &limit, false));
+            assert!(!monitor.check_reading(wild(*n), &limit, false));
             assert_eq!(monitor.is_in_doubt(), *n >= 4);
-            monitor.is_given_up()
+            monitor.has_timed_out()
         });
-        assert_eq!(given_up, Some(GIVEN_UP_READINGS));
+        assert_eq!(given_up, Some(RATE_FAULT_READINGS));
     }
 
     #[test]
@@ -225,7 +229,7 @@ mod tests {
         monitor.restart(celsius(20.0));
         for n in 1..=40 {
             let agrees = n > 30 || n % 4 == 0;
-            assert_eq!(monitor.judge(celsius(40.0), &limit, agrees), n >= 34, "{n}");
+            assert_eq!(monitor.check_reading(celsius(40.0), &limit, agrees), n >= 34, "{n}");
         }
     }
 
@@ -236,8 +240,8 @@ mod tests {
         {
             let mut monitor = RateMonitor::default();
             monitor.restart(celsius(20.0));
-            (0..lost).for_each(|_| monitor.miss());
-            let is = monitor.judge(celsius(to), &limit(10.0), false);
+            (0..lost).for_each(|_| monitor.record_missed());
+            let is = monitor.check_reading(celsius(to), &limit(10.0), false);
             assert_eq!(is, is_believed, "{to} °C after {lost}");
         }
     }
@@ -245,12 +249,12 @@ mod tests {
     #[test]
     fn no_reading_panics_or_wraps() {
         let ends = [i32::MIN, -1, 0, i32::MAX];
-        for tenths in [1, MAX_TENTHS, u16::MAX] {
+        for tenths in [1, MAX_RATE_DECIKELVIN_PER_MIN, u16::MAX] {
             let limit = RateLimit::new(tenths, Temperature(i32::MAX), IndexSet::default());
             let mut monitor = RateMonitor::default();
             for n in 0..40_000 {
-                monitor.judge(Temperature(ends[n % 4]), &limit, n % 7 == 0);
-                monitor.miss();
+                monitor.check_reading(Temperature(ends[n % 4]), &limit, n % 7 == 0);
+                monitor.record_missed();
             }
         }
     }

@@ -10,10 +10,10 @@
 //! worst error of a linear chain against `f64` over ±500 °C: 0.0003 mK, with 0.1…10 000 counts/K.
 
 use crate::{
-    fixed::rounded_shift,
-    health::{HIGH_RAIL, LOW_RAIL},
+    fixed_point::rounding_shift_right,
     pt100,
-    supply::Scale,
+    sensor_health::{HIGH_RAIL, LOW_RAIL},
+    supply::SupplyScale,
     units::{MicroOhms, Temperature},
 };
 
@@ -22,23 +22,23 @@ pub const FAULT_AFTER_READINGS: u8 = 4;
 
 /// A raw reading of a temperature channel: micro-ohms of a PT100, 1/256 counts of a linear chain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Raw(pub i32);
+pub struct RawReading(pub i32);
 
-impl Default for Raw {
+impl Default for RawReading {
     fn default() -> Self {
         Self::NONE
     }
 }
 
-impl Raw {
+impl RawReading {
     /// The channel has nothing to deliver: no converter, no answer, not yet measured.
     pub const NONE: Self = Self(i32::MIN);
 }
 
 /// Why a channel has no temperature.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Fault {
-    /// Nothing came: [`Raw::NONE`].
+pub enum ThermometerFault {
+    /// Nothing came: [`RawReading::NONE`].
     Missing,
     /// The resistance is above that of any temperature in range: a broken wire.
     Open,
@@ -52,11 +52,11 @@ pub enum Fault {
     NoSupply,
 }
 
-impl From<pt100::Fault> for Fault {
-    fn from(fault: pt100::Fault) -> Self {
+impl From<pt100::ResistanceFault> for ThermometerFault {
+    fn from(fault: pt100::ResistanceFault) -> Self {
         match fault {
-            pt100::Fault::Open => Self::Open,
-            pt100::Fault::Short => Self::Short,
+            pt100::ResistanceFault::Open => Self::Open,
+            pt100::ResistanceFault::Short => Self::Short,
         }
     }
 }
@@ -80,50 +80,54 @@ pub enum Thermometer {
 
 impl Thermometer {
     /// A linear chain beyond this, either way, is a fault.
-    pub const LIMIT: Temperature = Temperature(500 * Temperature::PER_KELVIN);
+    pub const MAX_ABS_TEMPERATURE: Temperature = Temperature(500 * Temperature::PER_KELVIN);
     /// The most binary places of a slope.
     pub const MAX_SHIFT: u8 = 31;
 
     /// Returns the temperature that a delivery of the board means. A linear chain is measured by the supply of the converter
     /// (`None`: it is not believed), a PT100's resistance is not; and at an end of the converter's range, where
-    /// [`health`](crate::health) has its rails, it measures nothing.
+    /// [`sensor_health`](crate::sensor_health) has its rails, it measures nothing.
     ///
     /// # Errors
-    /// As [`Self::read`], and [`Fault::AtRail`] and [`Fault::NoSupply`].
-    pub fn measure(&self, raw: Raw, supply: Option<Scale>) -> Result<Temperature, Fault> {
+    /// As [`Self::convert`], and [`ThermometerFault::AtRail`] and [`ThermometerFault::NoSupply`].
+    pub fn convert_with_supply(
+        &self,
+        raw: RawReading,
+        supply: Option<SupplyScale>,
+    ) -> Result<Temperature, ThermometerFault> {
         match self {
-            Self::Linear { .. } if raw != Raw::NONE => {
+            Self::Linear { .. } if raw != RawReading::NONE => {
                 if is_at_rail(raw) {
-                    return Err(Fault::AtRail);
+                    return Err(ThermometerFault::AtRail);
                 }
-                let supply = supply.ok_or(Fault::NoSupply)?;
-                self.read(Raw(supply.of_raw(raw.0)))
+                let supply = supply.ok_or(ThermometerFault::NoSupply)?;
+                self.convert(RawReading(supply.scale_raw(raw.0)))
             }
-            _ => self.read(raw),
+            _ => self.convert(raw),
         }
     }
 
     /// Returns a step of its converter, as a temperature: 1/32 K of a MAX31865, a count of a linear chain.
     #[must_use]
-    pub fn step(&self) -> Temperature {
+    pub fn resolution(&self) -> Temperature {
         match *self {
             Self::Pt100 => Temperature(Temperature::PER_KELVIN / 32),
             Self::Linear { slope, shift, .. } => {
                 let count =
-                    i64::from(slope.unsigned_abs()).wrapping_mul(DELIVERED_PER_COUNT.into());
-                let step = rounded_shift(count, shift.min(Self::MAX_SHIFT).into());
+                    i64::from(slope.unsigned_abs()).wrapping_mul(SUBCOUNTS_PER_COUNT.into());
+                let step = rounding_shift_right(count, shift.min(Self::MAX_SHIFT).into());
                 Temperature(i32::try_from(step).unwrap_or(i32::MAX))
             }
         }
     }
 
     /// Returns by how much its temperature may differ from what is followed, either way: a quarter of a step of a MAX31865,
-    /// twice what a time constant of 1 s leaves of it ([`steady`](crate::steady)). A linear chain delivers the mean of many
+    /// twice what a time constant of 1 s leaves of it ([`dead_band_filter`](crate::dead_band_filter)). A linear chain delivers the mean of many
     /// conversions, which has no steps.
     #[must_use]
     pub fn dead_band(&self) -> Temperature {
         match *self {
-            Self::Pt100 => Temperature(self.step().0 / 4),
+            Self::Pt100 => Temperature(self.resolution().0 / 4),
             Self::Linear { .. } => Temperature(0),
         }
     }
@@ -131,30 +135,32 @@ impl Thermometer {
     /// Returns the temperature that a delivery means.
     ///
     /// ```
-    /// use trueup_core::{thermometer::{Fault, Raw, Thermometer}, units::Temperature};
+    /// use trueup_core::{thermometer::{ThermometerFault, RawReading, Thermometer}, units::Temperature};
     /// // 4000 counts at 0 °C and 16 counts per kelvin: 4376 counts are 376/16 = 23.5 °C.
     /// let chain = Thermometer::Linear { zero: 4000 * 256, slope: 1000, shift: 0 };
     /// let warm = Temperature(23_500 * Temperature::PER_MILLIKELVIN);
-    /// assert_eq!(chain.read(Raw(4376 * 256)), Ok(warm));
-    /// assert_eq!(chain.read(Raw::NONE), Err(Fault::Missing));
+    /// assert_eq!(chain.convert(RawReading(4376 * 256)), Ok(warm));
+    /// assert_eq!(chain.convert(RawReading::NONE), Err(ThermometerFault::Missing));
     /// ```
     ///
     /// # Errors
-    /// [`Fault`] when the channel has delivered nothing, or nothing that is a temperature.
-    pub fn read(&self, raw: Raw) -> Result<Temperature, Fault> {
-        if raw == Raw::NONE {
-            return Err(Fault::Missing);
+    /// [`ThermometerFault`] when the channel has delivered nothing, or nothing that is a temperature.
+    pub fn convert(&self, raw: RawReading) -> Result<Temperature, ThermometerFault> {
+        if raw == RawReading::NONE {
+            return Err(ThermometerFault::Missing);
         }
         match *self {
-            Self::Pt100 => Ok(pt100::temperature(MicroOhms(raw.0))?),
+            Self::Pt100 => Ok(pt100::temperature_from_resistance(MicroOhms(raw.0))?),
             Self::Linear { zero, slope, shift } => {
                 let shift = u32::from(shift.min(Self::MAX_SHIFT));
                 let from_zero = i64::from(raw.0).wrapping_sub(i64::from(zero));
                 // 33 bits by 32, at most 2⁶³ − 2³¹, and half is at most 2³⁰: nothing can wrap.
                 let scaled = from_zero.wrapping_mul(i64::from(slope));
-                match i32::try_from(rounded_shift(scaled, shift)) {
-                    Ok(t) if t.unsigned_abs() <= Self::LIMIT.0.unsigned_abs() => Ok(Temperature(t)),
-                    _ => Err(Fault::OutOfRange),
+                match i32::try_from(rounding_shift_right(scaled, shift)) {
+                    Ok(t) if t.unsigned_abs() <= Self::MAX_ABS_TEMPERATURE.0.unsigned_abs() => {
+                        Ok(Temperature(t))
+                    }
+                    _ => Err(ThermometerFault::OutOfRange),
                 }
             }
         }
@@ -162,21 +168,21 @@ impl Thermometer {
 }
 
 /// Parts of a count that a linear chain delivers.
-const DELIVERED_PER_COUNT: i32 = 256;
+const SUBCOUNTS_PER_COUNT: i32 = 256;
 
 /// Returns whether a linear chain's delivery is at an end of the 12-bit converter, or beyond it.
-fn is_at_rail(Raw(raw): Raw) -> bool {
-    const LOW: i32 = LOW_RAIL.0 as i32 * DELIVERED_PER_COUNT;
-    const HIGH: i32 = HIGH_RAIL.0 as i32 * DELIVERED_PER_COUNT;
-    raw <= LOW || raw >= HIGH
+fn is_at_rail(RawReading(raw): RawReading) -> bool {
+    const LOW_RAIL_SUBCOUNTS: i32 = LOW_RAIL.0 as i32 * SUBCOUNTS_PER_COUNT;
+    const HIGH_RAIL_SUBCOUNTS: i32 = HIGH_RAIL.0 as i32 * SUBCOUNTS_PER_COUNT;
+    raw <= LOW_RAIL_SUBCOUNTS || raw >= HIGH_RAIL_SUBCOUNTS
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::{
-        supply::{Level, Supply},
-        units::Code,
+        supply::{SupplyLevel, SupplyMonitor},
+        units::AdcCode,
     };
     extern crate std;
 
@@ -197,8 +203,8 @@ mod tests {
         for counts in 0..=12_000 {
             // (counts − 4000)/16 K: 62.5 mK are 256 000 units.
             let expected = Temperature((counts - 4000) * 256_000);
-            assert_eq!(PAPER.read(Raw(counts * 256)), Ok(expected));
-            assert_eq!(linear(4000.0, 16.0).read(Raw(counts * 256)), Ok(expected));
+            assert_eq!(PAPER.convert(RawReading(counts * 256)), Ok(expected));
+            assert_eq!(linear(4000.0, 16.0).convert(RawReading(counts * 256)), Ok(expected));
         }
         assert_eq!(256_000, Temperature::PER_KELVIN / 16);
     }
@@ -229,11 +235,11 @@ mod tests {
         // "L B#16#4000", commented "zero = 4000", loads 16384: 774 K too cold, and a fault here.
         let listing = Thermometer::Linear { zero: 0x4000 * 256, slope: 1000, shift: 0 };
         assert_eq!(0x4000 - 4000, 774 * 16);
-        assert_eq!(listing.read(Raw(4376 * 256)), Err(Fault::OutOfRange));
+        assert_eq!(listing.convert(RawReading(4376 * 256)), Err(ThermometerFault::OutOfRange));
 
         // Right is the formula in the text.
         let right = Temperature(23_500 * Temperature::PER_MILLIKELVIN);
-        assert_eq!(PAPER.read(Raw(4376 * 256)), Ok(right));
+        assert_eq!(PAPER.convert(RawReading(4376 * 256)), Ok(right));
     }
 
     #[test]
@@ -265,7 +271,7 @@ mod tests {
                         let celsius = f64::from(step) / 6.0001;
                         let raw = ((zero + celsius * signed) * 256.0).round();
                         let exact = (raw / 256.0 - zero) / signed;
-                        let t = chain.read(Raw(raw as i32));
+                        let t = chain.convert(RawReading(raw as i32));
                         if exact.abs() > 499.9999 {
                             continue;
                         }
@@ -281,11 +287,11 @@ mod tests {
 
     #[test]
     fn beyond_500_degrees_either_way_is_a_fault() {
-        let at = |counts: i32| PAPER.read(Raw(counts * 256));
-        assert_eq!(at(4000 + 8000), Ok(Thermometer::LIMIT));
-        assert_eq!(at(4000 - 8000), Ok(Temperature(-Thermometer::LIMIT.0)));
-        assert_eq!(PAPER.read(Raw(12_000 * 256 + 1)), Err(Fault::OutOfRange));
-        assert_eq!(PAPER.read(Raw(-4_000 * 256 - 1)), Err(Fault::OutOfRange));
+        let at = |counts: i32| PAPER.convert(RawReading(counts * 256));
+        assert_eq!(at(4000 + 8000), Ok(Thermometer::MAX_ABS_TEMPERATURE));
+        assert_eq!(at(4000 - 8000), Ok(Temperature(-Thermometer::MAX_ABS_TEMPERATURE.0)));
+        assert_eq!(PAPER.convert(RawReading(12_000 * 256 + 1)), Err(ThermometerFault::OutOfRange));
+        assert_eq!(PAPER.convert(RawReading(-4_000 * 256 - 1)), Err(ThermometerFault::OutOfRange));
     }
 
     #[test]
@@ -295,14 +301,15 @@ mod tests {
             for slope in ends {
                 for shift in [0, 1, 30, 31, 32, 63, 64, 255] {
                     for raw in ends {
-                        let got = Thermometer::Linear { zero, slope, shift }.read(Raw(raw));
+                        let got =
+                            Thermometer::Linear { zero, slope, shift }.convert(RawReading(raw));
                         let exact = (i128::from(raw) - i128::from(zero)) * i128::from(slope);
                         let half = (1_i128 << shift.min(31)) >> 1;
                         let exact = (exact + half) >> shift.min(31);
                         let expected = if raw == i32::MIN {
-                            Err(Fault::Missing)
-                        } else if exact.abs() > i128::from(Thermometer::LIMIT.0) {
-                            Err(Fault::OutOfRange)
+                            Err(ThermometerFault::Missing)
+                        } else if exact.abs() > i128::from(Thermometer::MAX_ABS_TEMPERATURE.0) {
+                            Err(ThermometerFault::OutOfRange)
                         } else {
                             Ok(Temperature(exact as i32))
                         };
@@ -315,48 +322,57 @@ mod tests {
 
     #[test]
     fn a_linear_chain_is_measured_by_the_supply_and_a_pt100_is_not() {
-        let mut supply = Supply::default();
-        supply.set_basis(Level(1_500 * 16));
-        (0..500).for_each(|_| supply.receive(Code(1_515)));
+        let mut supply = SupplyMonitor::default();
+        supply.set_reference_level(SupplyLevel(1_500 * 16));
+        (0..500).for_each(|_| supply.receive(AdcCode(1_515)));
         let scale = Some(supply.scale());
-        let at = |raw: i32, scale| PAPER.measure(Raw(raw), scale);
-        assert_eq!(at(1_010_000, scale), PAPER.read(Raw(1_000_000)));
-        assert_eq!(at(1_010_000, None), Err(Fault::NoSupply));
-        assert_eq!(PAPER.measure(Raw::NONE, None), Err(Fault::Missing));
+        let at = |raw: i32, scale| PAPER.convert_with_supply(RawReading(raw), scale);
+        assert_eq!(at(1_010_000, scale), PAPER.convert(RawReading(1_000_000)));
+        assert_eq!(at(1_010_000, None), Err(ThermometerFault::NoSupply));
+        assert_eq!(
+            PAPER.convert_with_supply(RawReading::NONE, None),
+            Err(ThermometerFault::Missing)
+        );
         let pt100 = Thermometer::Pt100;
-        assert_eq!(pt100.measure(Raw(110_000_000), None), pt100.read(Raw(110_000_000)));
+        assert_eq!(
+            pt100.convert_with_supply(RawReading(110_000_000), None),
+            pt100.convert(RawReading(110_000_000))
+        );
     }
 
     #[test]
     fn a_linear_chain_at_an_end_of_the_converter_measures_nothing() {
         // The wiring page's sensor: 0 °C is 0 V, which a broken wire reads as well.
         let wiring = linear(0.0, 4.07);
-        let scale = Some(Scale::default());
+        let scale = Some(SupplyScale::default());
         for (counts, is_rail) in [(0, true), (8, true), (9, false), (2_000, false)] {
-            let got = wiring.measure(Raw(counts * 256), scale);
-            assert_eq!(got == Err(Fault::AtRail), is_rail, "{counts}");
-            let got = PAPER.measure(Raw(counts * 256), scale);
-            assert_eq!(got == Err(Fault::AtRail), is_rail, "{counts}: {got:?}");
+            let got = wiring.convert_with_supply(RawReading(counts * 256), scale);
+            assert_eq!(got == Err(ThermometerFault::AtRail), is_rail, "{counts}");
+            let got = PAPER.convert_with_supply(RawReading(counts * 256), scale);
+            assert_eq!(got == Err(ThermometerFault::AtRail), is_rail, "{counts}: {got:?}");
         }
         for (raw, is_rail) in [(4_086, false), (4_087, true), (4_095, true), (4_376, true)] {
-            let got = PAPER.measure(Raw(raw * 256), scale);
-            assert_eq!(got == Err(Fault::AtRail), is_rail, "{raw}: {got:?}");
+            let got = PAPER.convert_with_supply(RawReading(raw * 256), scale);
+            assert_eq!(got == Err(ThermometerFault::AtRail), is_rail, "{raw}: {got:?}");
         }
     }
 
     #[test]
     fn the_step_of_a_chain_is_its_count() {
-        assert_eq!(PAPER.step(), Temperature(Temperature::PER_KELVIN / 16));
-        assert_eq!(linear(0.0, -4.0).step(), Temperature(Temperature::PER_KELVIN / 4));
+        assert_eq!(PAPER.resolution(), Temperature(Temperature::PER_KELVIN / 16));
+        assert_eq!(linear(0.0, -4.0).resolution(), Temperature(Temperature::PER_KELVIN / 4));
         let steepest = Thermometer::Linear { zero: 0, slope: i32::MIN, shift: 0 };
-        assert_eq!(steepest.step(), Temperature(i32::MAX));
+        assert_eq!(steepest.resolution(), Temperature(i32::MAX));
     }
 
     #[test]
     fn a_pt100_passes_its_faults_on() {
-        assert_eq!(Thermometer::Pt100.read(Raw(100_000_000)), Ok(Temperature(0)));
-        assert_eq!(Thermometer::Pt100.read(Raw(i32::MAX)), Err(Fault::Open));
-        assert_eq!(Thermometer::Pt100.read(Raw(i32::MIN + 1)), Err(Fault::Short));
-        assert_eq!(Thermometer::Pt100.read(Raw::NONE), Err(Fault::Missing));
+        assert_eq!(Thermometer::Pt100.convert(RawReading(100_000_000)), Ok(Temperature(0)));
+        assert_eq!(Thermometer::Pt100.convert(RawReading(i32::MAX)), Err(ThermometerFault::Open));
+        assert_eq!(
+            Thermometer::Pt100.convert(RawReading(i32::MIN + 1)),
+            Err(ThermometerFault::Short)
+        );
+        assert_eq!(Thermometer::Pt100.convert(RawReading::NONE), Err(ThermometerFault::Missing));
     }
 }

@@ -1,4 +1,4 @@
-//! Which way an axis was approached, and the backlash that goes with it.
+//! Which way an axis was approached, and the backlash that depends on it.
 //!
 //! The CNC sends a position and a direction: +1, −1, or 0 for standing or unknown. The state keeps
 //! the furthest point of the present direction. A move the other way first has to go back by the
@@ -15,12 +15,12 @@
 //! limit of the offsets smooths that.
 //!
 //! β is Q31; positions and progress are exact, β is at most 2 of its last places low, measured
-//! below over the whole range of ramps. [`Fraction::between`] rounds to the nearest 1/256 nm over the
+//! below over the whole range of ramps. [`Fraction::interpolate`] rounds to the nearest 1/256 nm over the
 //! whole range of a length.
 
 use crate::{
-    fixed::{high_word_unsigned, rounded_shift},
-    units::{Fine, Position},
+    fixed_point::{mul_high_unsigned, rounding_shift_right},
+    units::{FineNanometres, Position},
 };
 
 /// A fraction from 0 to 1 in Q31: 2³¹ is 1, and more counts as 1.
@@ -38,19 +38,19 @@ impl Fraction {
     /// Returns the value at this fraction of the way from `a` to `b`, exact at both ends.
     ///
     /// ```
-    /// use trueup_core::{travel::Fraction, units::Fine};
+    /// use trueup_core::{travel::Fraction, units::FineNanometres};
     /// let quarter = Fraction(1 << 29);
-    /// assert_eq!(quarter.between(Fine(100), Fine(-300)), Fine(0));
+    /// assert_eq!(quarter.interpolate(FineNanometres(100), FineNanometres(-300)), FineNanometres(0));
     /// ```
     #[must_use]
     #[inline]
     #[allow(clippy::cast_possible_truncation, reason = "between two values of 32 bits")]
-    pub fn between(self, a: Fine, b: Fine) -> Fine {
+    pub fn interpolate(self, a: FineNanometres, b: FineNanometres) -> FineNanometres {
         // |b − a| < 2³² and the fraction is at most 2³¹: below 2⁶³ with the half.
         let fraction = i64::from(self.0.min(Self::ONE.0));
         let rise = i64::from(b.0).wrapping_sub(i64::from(a.0));
-        let part = rounded_shift(rise.wrapping_mul(fraction), Self::FRACTION_BITS);
-        Fine(i64::from(a.0).wrapping_add(part) as i32)
+        let part = rounding_shift_right(rise.wrapping_mul(fraction), Self::FRACTION_BITS);
+        FineNanometres(i64::from(a.0).wrapping_add(part) as i32)
     }
 }
 
@@ -126,22 +126,22 @@ impl Interval {
             return Fraction::ONE;
         }
         let normal = part.wrapping_shl(self.length.leading_zeros());
-        Fraction(high_word_unsigned(normal, self.reciprocal))
+        Fraction(mul_high_unsigned(normal, self.reciprocal))
     }
 }
 
 /// The distances that a reversal of this axis takes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Config {
+pub struct ReversalConfig {
     /// How far back a position must lie before the reversal counts, in position units.
     pub hysteresis: u32,
     /// The travel, after that, over which β goes from one end to the other.
     pub ramp: Interval,
 }
 
-/// The direction of approach of one axis. A changed [`Config`] needs a new one.
+/// The direction of approach of one axis. A changed [`ReversalConfig`] needs a new one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Travel {
+pub struct ReversalTracker {
     /// +1, −1, or 0 while no direction has been seen.
     direction: i8,
     /// The furthest point in the present direction.
@@ -151,7 +151,7 @@ pub struct Travel {
     reversal: Fraction,
 }
 
-impl Travel {
+impl ReversalTracker {
     /// No direction seen yet; β is 0.
     #[must_use]
     pub const fn new() -> Self {
@@ -164,19 +164,19 @@ impl Travel {
     /// direction hides two reversals: travel is then counted from the new position.
     ///
     /// ```
-    /// use trueup_core::{travel::{backlash, Config, Travel, Interval}, units::{Fine, Position}};
+    /// use trueup_core::{travel::{backlash_error, ReversalConfig, ReversalTracker, Interval}, units::{FineNanometres, Position}};
     /// // Reversal counts after 10 µm, and then takes 100 µm; backlash 4 µm.
-    /// let config = Config { hysteresis: 1_000, ramp: Interval::new(10_000) };
-    /// let width = Fine(4_000 * 256);
-    /// let mut travel = Travel::new();
+    /// let config = ReversalConfig { hysteresis: 1_000, ramp: Interval::new(10_000) };
+    /// let width = FineNanometres(4_000 * 256);
+    /// let mut travel = ReversalTracker::new();
     /// travel.update(&config, Position(500_000), 1);
-    /// assert_eq!(backlash(width, travel.reversal()), Fine(0));
+    /// assert_eq!(backlash_error(width, travel.reversal()), FineNanometres(0));
     /// travel.update(&config, Position(494_000), -1); // 60 µm back: half way
-    /// assert_eq!(backlash(width, travel.reversal()).rounded().0, 2_000);
+    /// assert_eq!(backlash_error(width, travel.reversal()).rounded().0, 2_000);
     /// travel.update(&config, Position(489_000), -1); // 110 µm back
-    /// assert_eq!(backlash(width, travel.reversal()), width);
+    /// assert_eq!(backlash_error(width, travel.reversal()), width);
     /// ```
-    pub fn update(&mut self, config: &Config, p: Position, direction: i8) {
+    pub fn update(&mut self, config: &ReversalConfig, p: Position, direction: i8) {
         let direction = direction.signum();
         if direction == 0 {
             return;
@@ -210,7 +210,7 @@ impl Travel {
     }
 
     /// Moves the progress by travel in the present direction.
-    fn advance(&mut self, config: &Config, travel: u32) {
+    fn advance(&mut self, config: &ReversalConfig, travel: u32) {
         let moved = if self.direction < 0 {
             self.progress.saturating_add(travel)
         } else {
@@ -236,32 +236,32 @@ impl Travel {
 /// the negative one, in which the table is left behind. A width below 0 is over-compensation.
 ///
 /// ```
-/// use trueup_core::{travel::{backlash, Fraction}, units::Fine};
-/// assert_eq!(backlash(Fine(1_024), Fraction::ZERO), Fine(0));
-/// assert_eq!(backlash(Fine(1_024), Fraction::ONE), Fine(1_024));
+/// use trueup_core::{travel::{backlash_error, Fraction}, units::FineNanometres};
+/// assert_eq!(backlash_error(FineNanometres(1_024), Fraction::ZERO), FineNanometres(0));
+/// assert_eq!(backlash_error(FineNanometres(1_024), Fraction::ONE), FineNanometres(1_024));
 /// ```
 #[must_use]
 #[inline]
-pub fn backlash(width: Fine, reversal: Fraction) -> Fine {
-    reversal.between(Fine::ZERO, width)
+pub fn backlash_error(width: FineNanometres, reversal: Fraction) -> FineNanometres {
+    reversal.interpolate(FineNanometres::ZERO, width)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::random;
+    use crate::testing::next_random;
     extern crate std;
 
     const UM: i32 = Position::PER_MILLIMETRE / 1_000;
-    const AT_ONCE: Config = Config { hysteresis: 0, ramp: Interval::new(0) };
+    const AT_ONCE: ReversalConfig = ReversalConfig { hysteresis: 0, ramp: Interval::new(0) };
 
-    fn config(hysteresis: u32, ramp: u32) -> Config {
-        Config { hysteresis, ramp: Interval::new(ramp) }
+    fn config(hysteresis: u32, ramp: u32) -> ReversalConfig {
+        ReversalConfig { hysteresis, ramp: Interval::new(ramp) }
     }
 
     /// β as a number after each of the updates.
-    fn betas<const N: usize>(config: &Config, updates: [(i32, i8); N]) -> [f64; N] {
-        let mut travel = Travel::new();
+    fn betas<const N: usize>(config: &ReversalConfig, updates: [(i32, i8); N]) -> [f64; N] {
+        let mut travel = ReversalTracker::new();
         updates.map(|(p, direction)| {
             travel.update(config, Position(p), direction);
             f64::from(travel.reversal().0) / 2f64.powi(31)
@@ -276,24 +276,36 @@ mod tests {
 
     #[test]
     fn approached_forwards_the_error_is_nought_and_backwards_it_is_the_width() {
-        let width = Fine(4_000 * Fine::PER_NANOMETRE);
-        let mut travel = Travel::new();
-        assert_eq!((travel.direction(), backlash(width, travel.reversal())), (0, Fine(0)));
+        let width = FineNanometres(4_000 * FineNanometres::PER_NANOMETRE);
+        let mut travel = ReversalTracker::new();
+        assert_eq!(
+            (travel.direction(), backlash_error(width, travel.reversal())),
+            (0, FineNanometres(0))
+        );
         travel.update(&AT_ONCE, Position(0), 1);
-        assert_eq!((travel.direction(), backlash(width, travel.reversal())), (1, Fine(0)));
+        assert_eq!(
+            (travel.direction(), backlash_error(width, travel.reversal())),
+            (1, FineNanometres(0))
+        );
         // At once, even without travel.
         travel.update(&AT_ONCE, Position(0), -1);
-        assert_eq!((travel.direction(), backlash(width, travel.reversal())), (-1, width));
+        assert_eq!((travel.direction(), backlash_error(width, travel.reversal())), (-1, width));
         travel.update(&AT_ONCE, Position(0), 1);
-        assert_eq!((travel.direction(), backlash(width, travel.reversal())), (1, Fine(0)));
+        assert_eq!(
+            (travel.direction(), backlash_error(width, travel.reversal())),
+            (1, FineNanometres(0))
+        );
     }
 
     #[test]
     fn a_cnc_that_over_compensates_has_a_negative_width() {
-        let width = Fine(-3_000 * Fine::PER_NANOMETRE);
-        assert_eq!(backlash(width, Fraction::ONE), width);
-        assert_eq!(backlash(width, Fraction(1 << 30)).rounded().0, -1_500);
-        assert_eq!(backlash(Fine(i32::MIN), Fraction::ONE), Fine(i32::MIN));
+        let width = FineNanometres(-3_000 * FineNanometres::PER_NANOMETRE);
+        assert_eq!(backlash_error(width, Fraction::ONE), width);
+        assert_eq!(backlash_error(width, Fraction(1 << 30)).rounded().0, -1_500);
+        assert_eq!(
+            backlash_error(FineNanometres(i32::MIN), Fraction::ONE),
+            FineNanometres(i32::MIN)
+        );
     }
 
     #[test]
@@ -355,11 +367,11 @@ mod tests {
         let mut seed = 1;
         for (hysteresis, ramp) in [(0, 1), (0, 1_000), (7, 300), (400, 40), (0, u32::MAX)] {
             let config = config(hysteresis, ramp);
-            let mut travel = Travel::new();
+            let mut travel = ReversalTracker::new();
             let mut p = 0_i32;
             travel.update(&config, Position(p), 1);
             for _ in 0..200_000 {
-                let (step, direction) = (random(&mut seed) % 61, random(&mut seed) % 3);
+                let (step, direction) = (next_random(&mut seed) % 61, next_random(&mut seed) % 3);
                 let (before, moved) = (travel.reversal(), step as i32 - 30);
                 p += moved;
                 travel.update(
@@ -391,8 +403,8 @@ mod tests {
             }
         }
         for _ in 0..1_000_000 {
-            let length = (random(&mut seed) >> (random(&mut seed) % 32)).max(1);
-            check(length, random(&mut seed) % length);
+            let length = (next_random(&mut seed) >> (next_random(&mut seed) % 32)).max(1);
+            check(length, next_random(&mut seed) % length);
         }
         std::println!("largest error of a fraction: {worst:.3} of 2^-31");
         assert!(worst <= 2.0);
@@ -403,18 +415,31 @@ mod tests {
     fn a_blend_is_f64_rounded_over_the_whole_range() {
         let (mut worst, mut seed) = (0.0_f64, 3);
         for _ in 0..1_000_000 {
-            let (a, b) = (random(&mut seed) as i32, random(&mut seed) as i32);
-            let reversal = Fraction(random(&mut seed) >> 1);
+            let (a, b) = (next_random(&mut seed) as i32, next_random(&mut seed) as i32);
+            let reversal = Fraction(next_random(&mut seed) >> 1);
             let fraction = f64::from(reversal.0) / 2f64.powi(31);
             let exact = f64::from(a) + (f64::from(b) - f64::from(a)) * fraction;
-            worst = worst.max((f64::from(reversal.between(Fine(a), Fine(b)).0) - exact).abs());
+            worst = worst.max(
+                (f64::from(reversal.interpolate(FineNanometres(a), FineNanometres(b)).0) - exact)
+                    .abs(),
+            );
         }
         std::println!("largest error of a reversal: {worst:.3} of 1/256 nm");
         assert!(worst <= 0.501);
         for (a, b) in [(i32::MIN, i32::MAX), (i32::MAX, i32::MIN), (7, -9)] {
-            assert_eq!(Fraction::ZERO.between(Fine(a), Fine(b)), Fine(a));
-            assert_eq!(Fraction::ONE.between(Fine(a), Fine(b)), Fine(b));
-            assert_eq!(Fraction(u32::MAX).between(Fine(a), Fine(b)), Fine(b), "more is all");
+            assert_eq!(
+                Fraction::ZERO.interpolate(FineNanometres(a), FineNanometres(b)),
+                FineNanometres(a)
+            );
+            assert_eq!(
+                Fraction::ONE.interpolate(FineNanometres(a), FineNanometres(b)),
+                FineNanometres(b)
+            );
+            assert_eq!(
+                Fraction(u32::MAX).interpolate(FineNanometres(a), FineNanometres(b)),
+                FineNanometres(b),
+                "more is all"
+            );
         }
     }
 
@@ -423,10 +448,10 @@ mod tests {
         let mut seed = 4;
         let extremes = [i32::MIN, i32::MIN + 1, -1, 0, 1, i32::MAX];
         for _ in 0..100_000 {
-            let mut any = |n: u32| (random(&mut seed) % n) as usize;
+            let mut any = |n: u32| (next_random(&mut seed) % n) as usize;
             let lengths = [0, 1, 1_000, 1 << 31, u32::MAX];
             let config = config(lengths[any(5)], lengths[any(5)]);
-            let mut travel = Travel::new();
+            let mut travel = ReversalTracker::new();
             for _ in 0..6 {
                 let direction = [i8::MIN, -1, 0, 1, i8::MAX][any(5)];
                 // A new configuration may come at any time.

@@ -5,7 +5,7 @@
 //! milliseconds of the sample clock, a sensor reading is a 1/1024 of an ADC code. The user's units
 //! (µm, °C, counts) exist on the host alone.
 
-use crate::fixed::{rounded_shift_word, saturated};
+use crate::fixed_point::{rounding_shift_right_i32, saturate_to_i32};
 
 /// An error, an elongation or an offset in nanometres: ±2.147 m.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
@@ -21,18 +21,18 @@ impl Nanometres {
     /// Returns the nearest representable length: saturates, never wraps.
     #[must_use]
     #[inline]
-    pub const fn saturating(value: i64) -> Self {
-        Self(saturated(value))
+    pub const fn saturating_from(value: i64) -> Self {
+        Self(saturate_to_i32(value))
     }
 
     /// Returns the length clamped to ±`largest`, which counts as 0 below 0; and whether it had to be.
     ///
-    /// Both ends are asked for by one comparison, because nearly every length lies between them.
+    /// Both ends are tested by one comparison, because nearly every length lies between them.
     #[must_use]
     #[inline]
     pub fn clamped(self, largest: Self) -> (Self, bool) {
         let largest = Self(largest.0.max(0));
-        if self.is_within(largest) { (self, false) } else { (self.bound(largest.0), true) }
+        if self.is_within(largest) { (self, false) } else { (self.nearest_bound(largest.0), true) }
     }
 
     /// Returns whether the length is at most `largest` either way, which must not be below 0.
@@ -44,19 +44,19 @@ impl Nanometres {
     }
 
     #[cold]
-    fn bound(self, largest: i32) -> Self {
+    fn nearest_bound(self, largest: i32) -> Self {
         Self(if self.0 < 0 { largest.saturating_neg() } else { largest })
     }
 
     /// Returns the same length in 1/256 nm; saturates at ±8.388 mm.
     #[must_use]
-    pub const fn fine(self) -> Fine {
-        Fine(self.0.saturating_mul(Fine::PER_NANOMETRE))
+    pub const fn to_fine(self) -> FineNanometres {
+        FineNanometres(self.0.saturating_mul(FineNanometres::PER_NANOMETRE))
     }
 
     /// Returns the same length the other way; −2.147 483 648 m gives +2.147 483 647 m.
     #[must_use]
-    pub const fn negated(self) -> Self {
+    pub const fn saturating_neg(self) -> Self {
         Self(self.0.saturating_neg())
     }
 }
@@ -64,9 +64,9 @@ impl Nanometres {
 /// A part of an error in 1/256 nm (Q8): ±8.388 mm. Parts are added in this unit and rounded once,
 /// so that the rounding of many parts does not add up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Fine(pub i32);
+pub struct FineNanometres(pub i32);
 
-impl Fine {
+impl FineNanometres {
     /// Nothing.
     pub const ZERO: Self = Self(0);
     /// Binary places of a nanometre.
@@ -77,13 +77,13 @@ impl Fine {
     /// Returns the nearest representable value: saturates, never wraps.
     #[must_use]
     #[inline]
-    pub const fn saturating(value: i64) -> Self {
-        Self(saturated(value))
+    pub const fn saturating_from(value: i64) -> Self {
+        Self(saturate_to_i32(value))
     }
 
     /// Returns the sum; saturates.
     #[must_use]
-    pub const fn plus(self, other: Self) -> Self {
+    pub const fn saturating_add(self, other: Self) -> Self {
         Self(self.0.saturating_add(other.0))
     }
 
@@ -104,7 +104,7 @@ impl Fine {
     /// Returns the nearest nanometre, halves upwards.
     #[must_use]
     pub const fn rounded(self) -> Nanometres {
-        Nanometres(rounded_shift_word(self.0, Self::FRACTION_BITS))
+        Nanometres(rounding_shift_right_i32(self.0, Self::FRACTION_BITS))
     }
 }
 
@@ -145,9 +145,9 @@ impl MicroDegrees {
 
 /// One raw conversion of the 12-bit ADC, 0…4095.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Code(pub u16);
+pub struct AdcCode(pub u16);
 
-impl Code {
+impl AdcCode {
     /// The largest code of the 12-bit converter.
     pub const MAX: Self = Self(4095);
     /// Codes from 0 V to the reference voltage.
@@ -161,7 +161,7 @@ impl Code {
 pub struct Reading(pub i32);
 
 /// Reading units in one ADC code.
-pub const READINGS_PER_CODE: i32 = 1024;
+pub const READING_UNITS_PER_CODE: i32 = 1024;
 
 /// Spindle speed in revolutions per minute; the direction of rotation does not matter here.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
@@ -169,18 +169,18 @@ pub struct Rpm(pub u16);
 
 /// A moment of the sample clock, in milliseconds since the start. It wraps after 49.7 days.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Millis(pub u32);
+pub struct TimestampMs(pub u32);
 
-impl Millis {
+impl TimestampMs {
     /// Milliseconds since `earlier`, right across the wrap, for intervals below 49.7 days.
     #[must_use]
-    pub fn since(self, earlier: Self) -> u32 {
+    pub fn duration_since(self, earlier: Self) -> u32 {
         self.0.wrapping_sub(earlier.0)
     }
 
     /// Returns the moment `ms` milliseconds later.
     #[must_use]
-    pub fn after(self, ms: u32) -> Self {
+    pub fn wrapping_add_ms(self, ms: u32) -> Self {
         Self(self.0.wrapping_add(ms))
     }
 }
@@ -191,24 +191,27 @@ mod tests {
 
     #[test]
     fn the_clock_is_right_across_its_wrap() {
-        let before = Millis(u32::MAX - 4);
-        assert_eq!(before.after(10).since(before), 10);
-        assert_eq!(before.after(10), Millis(5));
+        let before = TimestampMs(u32::MAX - 4);
+        assert_eq!(before.wrapping_add_ms(10).duration_since(before), 10);
+        assert_eq!(before.wrapping_add_ms(10), TimestampMs(5));
     }
 
     #[test]
     fn fine_parts_round_to_the_nearest_nanometre() {
         for (fine, nm) in [(0, 0), (127, 0), (128, 1), (-128, 0), (-129, -1), (256, 1)] {
-            assert_eq!(Fine(fine).rounded(), Nanometres(nm), "{fine}");
+            assert_eq!(FineNanometres(fine).rounded(), Nanometres(nm), "{fine}");
         }
-        assert_eq!(Fine(i32::MAX).plus(Fine(1)).rounded(), Nanometres(8_388_607));
-        assert_eq!(Fine::saturating(i64::MIN), Fine(i32::MIN));
+        assert_eq!(
+            FineNanometres(i32::MAX).saturating_add(FineNanometres(1)).rounded(),
+            Nanometres(8_388_607)
+        );
+        assert_eq!(FineNanometres::saturating_from(i64::MIN), FineNanometres(i32::MIN));
     }
 
     #[test]
     fn lengths_saturate_at_both_ends() {
-        assert_eq!(Nanometres::saturating(i64::MAX).0, i32::MAX);
-        assert_eq!(Nanometres::saturating(i64::MIN).0, i32::MIN);
-        assert_eq!(Nanometres(i32::MIN).negated(), Nanometres(i32::MAX));
+        assert_eq!(Nanometres::saturating_from(i64::MAX).0, i32::MAX);
+        assert_eq!(Nanometres::saturating_from(i64::MIN).0, i32::MIN);
+        assert_eq!(Nanometres(i32::MIN).saturating_neg(), Nanometres(i32::MAX));
     }
 }

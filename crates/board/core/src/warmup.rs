@@ -17,19 +17,19 @@
 //! at k = 0.05, where τ is 30 hours.
 
 use crate::{
-    dimensions::STEP_MS,
-    fixed::{product, rounded_shift},
+    dimensions::THERMAL_STEP_MS,
+    fixed_point::{rounding_shift_right, widening_mul},
     lag::{Lag, SmoothingFactor},
-    units::Fine,
+    units::FineNanometres,
 };
 
 /// How a spindle warms up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Warmup {
+pub struct WarmupModel {
     /// t₁: how long the spindle has to run before its heat shows. `u32::MAX`: for ever.
     pub lag_ms: u32,
     /// Smax: the growth of a spindle that is warm through.
-    pub max: Fine,
+    pub max: FineNanometres,
     /// 1 − e^(−Δt/τ) while it heats, τ = (t₂ − t₁)/k.
     pub smoothing_heating: SmoothingFactor,
     /// The same while it cools.
@@ -40,49 +40,50 @@ pub struct Warmup {
 
 /// How warm a spindle is. The default is cold and at rest.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct State {
+pub struct WarmupModelState {
     /// How long it has run without a stop; stays at `u32::MAX` after 49.7 days.
     pub running_ms: u32,
     /// h in Q28.
     pub heat: Lag,
 }
 
-impl Warmup {
+impl WarmupModel {
     /// Binary places of a drive and of h.
-    pub const DRIVE_FRACTION_BITS: u32 = 28;
+    pub const HEAT_INPUT_FRACTION_BITS: u32 = 28;
     /// The drive at the rated speed.
-    pub const RATED: i32 = 1 << Self::DRIVE_FRACTION_BITS;
-    /// Binary places of [`Warmup::full`].
+    pub const RATED_HEAT_INPUT: i32 = 1 << Self::HEAT_INPUT_FRACTION_BITS;
+    /// Binary places of [`WarmupModel::full`].
     pub const FULL_FRACTION_BITS: u32 = 24;
 
-    /// One step of [`STEP_MS`] through which the spindle was driven like this; 0 or less: stopped.
+    /// One step of [`THERMAL_STEP_MS`] through which the spindle was driven like this; 0 or less: stopped.
     ///
     /// ```
-    /// use trueup_core::{dimensions::STEP_MS, lag::SmoothingFactor, units::Fine};
-    /// use trueup_core::warmup::{State, Warmup};
+    /// use trueup_core::{dimensions::THERMAL_STEP_MS, lag::SmoothingFactor, units::FineNanometres};
+    /// use trueup_core::warmup::{WarmupModelState, WarmupModel};
     /// // 80 µm after a lag of 200 ms; half of what is missing comes in every step.
-    /// let spindle = Warmup {
-    ///     lag_ms: 2 * STEP_MS,
-    ///     max: Fine(80_000 * 256),
+    /// let spindle = WarmupModel {
+    ///     lag_ms: 2 * THERMAL_STEP_MS,
+    ///     max: FineNanometres(80_000 * 256),
     ///     smoothing_heating: SmoothingFactor(1 << 31),
     ///     smoothing_cooling: SmoothingFactor(1 << 30),
-    ///     full: 1 << Warmup::FULL_FRACTION_BITS,
+    ///     full: 1 << WarmupModel::FULL_FRACTION_BITS,
     /// };
-    /// let mut state = State::default();
+    /// let mut state = WarmupModelState::default();
     /// for expected_um in [0, 0, 40, 60, 70] {
-    ///     spindle.step(&mut state, Warmup::RATED);
+    ///     spindle.step(&mut state, WarmupModel::RATED_HEAT_INPUT);
     ///     assert_eq!(spindle.elongation(&state).rounded().0, expected_um * 1_000);
     /// }
     /// // Stopped, it loses a quarter of 70 µm; and started again it goes on cooling for the lag.
     /// spindle.step(&mut state, 0);
     /// assert_eq!(spindle.elongation(&state).rounded().0, 52_500);
-    /// spindle.step(&mut state, Warmup::RATED);
+    /// spindle.step(&mut state, WarmupModel::RATED_HEAT_INPUT);
     /// assert_eq!(spindle.elongation(&state).rounded().0, 39_375);
     /// ```
-    pub fn step(&self, state: &mut State, drive: i32) {
+    pub fn step(&self, state: &mut WarmupModelState, drive: i32) {
         let running = drive > 0;
-        state.running_ms = if running { state.running_ms.saturating_add(STEP_MS) } else { 0 };
-        if running && state.running_ms.saturating_sub(self.lag_ms) >= STEP_MS / 2 {
+        state.running_ms =
+            if running { state.running_ms.saturating_add(THERMAL_STEP_MS) } else { 0 };
+        if running && state.running_ms.saturating_sub(self.lag_ms) >= THERMAL_STEP_MS / 2 {
             state.heat.step(drive, self.smoothing_heating);
         } else {
             state.heat.step(0, self.smoothing_cooling);
@@ -91,12 +92,15 @@ impl Warmup {
 
     /// Returns the growth now, at most Smax; positive when the tool grows out of the spindle.
     #[must_use]
-    pub fn elongation(&self, state: &State) -> Fine {
-        let heated = product(state.heat.value(), self.full) >> Self::FULL_FRACTION_BITS;
-        let part = heated.clamp(0, i64::from(Self::RATED));
+    pub fn elongation(&self, state: &WarmupModelState) -> FineNanometres {
+        let heated = widening_mul(state.heat.value(), self.full) >> Self::FULL_FRACTION_BITS;
+        let part = heated.clamp(0, i64::from(Self::RATED_HEAT_INPUT));
         // 29 bits by 32: nothing can wrap.
         let growth = part.wrapping_mul(i64::from(self.max.0));
-        Fine::saturating(rounded_shift(growth, Self::DRIVE_FRACTION_BITS))
+        FineNanometres::saturating_from(rounding_shift_right(
+            growth,
+            Self::HEAT_INPUT_FRACTION_BITS,
+        ))
     }
 }
 
@@ -112,17 +116,17 @@ mod tests {
     const COOL_S: f64 = 2_900.0;
 
     fn smoothing(tau_s: f64) -> f64 {
-        -(-f64::from(STEP_MS) / 1e3 / tau_s).exp_m1()
+        -(-f64::from(THERMAL_STEP_MS) / 1e3 / tau_s).exp_m1()
     }
 
     fn q(value: f64, bits: i32) -> f64 {
         (value * 2.0_f64.powi(bits)).round()
     }
 
-    fn spindle(lag_s: f64, k: f64) -> Warmup {
-        Warmup {
+    fn spindle(lag_s: f64, k: f64) -> WarmupModel {
+        WarmupModel {
             lag_ms: (lag_s * 1e3).round() as u32,
-            max: Fine((MAX_NM * 256.0) as i32),
+            max: FineNanometres((MAX_NM * 256.0) as i32),
             smoothing_heating: SmoothingFactor(q(smoothing((WARM_S - lag_s) / k), 32) as u32),
             smoothing_cooling: SmoothingFactor(q(smoothing(COOL_S), 32) as u32),
             full: q(1.0 / -(-k).exp_m1(), 24) as i32,
@@ -137,12 +141,12 @@ mod tests {
     /// Returns the worst error in nm over two hours from cold at the rated speed.
     fn worst_from_cold(lag_s: f64, k: f64) -> f64 {
         let spindle = spindle(lag_s, k);
-        let mut state = State::default();
+        let mut state = WarmupModelState::default();
         let mut worst = 0.0_f64;
         for step in 1..=2 * 36_000 {
-            spindle.step(&mut state, Warmup::RATED);
+            spindle.step(&mut state, WarmupModel::RATED_HEAT_INPUT);
             let got = f64::from(spindle.elongation(&state).0) / 256.0;
-            let t = f64::from(step) * f64::from(STEP_MS) / 1e3;
+            let t = f64::from(step) * f64::from(THERMAL_STEP_MS) / 1e3;
             worst = worst.max((got - closed_form(t, lag_s, k)).abs());
         }
         worst
@@ -174,19 +178,19 @@ mod tests {
     #[test]
     fn the_papers_spindle_is_cold_for_a_minute_and_full_after_90() {
         let spindle = spindle(LAG_S, 4.0);
-        let mut state = State::default();
+        let mut state = WarmupModelState::default();
         for _ in 0..600 {
-            spindle.step(&mut state, Warmup::RATED);
+            spindle.step(&mut state, WarmupModel::RATED_HEAT_INPUT);
         }
-        assert_eq!(spindle.elongation(&state), Fine::ZERO);
-        spindle.step(&mut state, Warmup::RATED);
-        assert!(spindle.elongation(&state) > Fine::ZERO);
+        assert_eq!(spindle.elongation(&state), FineNanometres::ZERO);
+        spindle.step(&mut state, WarmupModel::RATED_HEAT_INPUT);
+        assert!(spindle.elongation(&state) > FineNanometres::ZERO);
         for _ in 601..54_000 {
-            spindle.step(&mut state, Warmup::RATED);
+            spindle.step(&mut state, WarmupModel::RATED_HEAT_INPUT);
         }
         assert_eq!(spindle.elongation(&state).rounded(), Nanometres(80_000));
         for _ in 0..36_000 {
-            spindle.step(&mut state, Warmup::RATED);
+            spindle.step(&mut state, WarmupModel::RATED_HEAT_INPUT);
             assert!(spindle.elongation(&state) <= spindle.max, "it never grows beyond Smax");
         }
     }
@@ -210,7 +214,7 @@ mod tests {
         let k = 4.0;
         let spindle = spindle(LAG_S, k);
         let (heat, cool) = (smoothing((WARM_S - LAG_S) / k), smoothing(COOL_S));
-        let mut state = State::default();
+        let mut state = WarmupModelState::default();
         let (mut h, mut running_s) = (0.0_f64, 0.0_f64);
         let mut worst = 0.0_f64;
         for (steps, drive) in DAY {
@@ -230,28 +234,35 @@ mod tests {
     #[test]
     fn a_restart_goes_on_cooling_until_its_own_lag_has_passed() {
         let spindle = spindle(LAG_S, 4.0);
-        let mut state = State::default();
-        let run = |state: &mut State, steps: u32, drive| {
+        let mut state = WarmupModelState::default();
+        let run = |state: &mut WarmupModelState, steps: u32, drive| {
             for _ in 0..steps {
                 spindle.step(state, drive);
             }
             spindle.elongation(state)
         };
-        let warm = run(&mut state, 20_000, Warmup::RATED);
+        let warm = run(&mut state, 20_000, WarmupModel::RATED_HEAT_INPUT);
         let stopped = run(&mut state, 100, 0);
         assert!(stopped < warm);
         assert_eq!(state.running_ms, 0);
-        let restarted = run(&mut state, 600, Warmup::RATED);
+        let restarted = run(&mut state, 600, WarmupModel::RATED_HEAT_INPUT);
         assert!(restarted < stopped);
-        assert!(run(&mut state, 1, Warmup::RATED) > restarted);
+        assert!(run(&mut state, 1, WarmupModel::RATED_HEAT_INPUT) > restarted);
     }
 
     #[test]
     fn a_longer_spindle_is_a_positive_elongation() {
-        let spindle = Warmup { max: Fine(-256_000), ..spindle(0.0, 4.0) };
-        let mut state = State { running_ms: 0, heat: Lag::settled(Warmup::RATED) };
-        spindle.step(&mut state, Warmup::RATED);
-        assert_eq!(spindle.elongation(&state), Fine(-256_000), "a negative Smax is a shorter one");
+        let spindle = WarmupModel { max: FineNanometres(-256_000), ..spindle(0.0, 4.0) };
+        let mut state = WarmupModelState {
+            running_ms: 0,
+            heat: Lag::settled_at(WarmupModel::RATED_HEAT_INPUT),
+        };
+        spindle.step(&mut state, WarmupModel::RATED_HEAT_INPUT);
+        assert_eq!(
+            spindle.elongation(&state),
+            FineNanometres(-256_000),
+            "a negative Smax is a shorter one"
+        );
     }
 
     #[test]
@@ -262,12 +273,12 @@ mod tests {
                     for smoothing in [0, 1, u32::MAX] {
                         let (smoothing_heating, smoothing_cooling) =
                             (SmoothingFactor(smoothing), SmoothingFactor(u32::MAX - smoothing));
-                        let max = Fine(max);
+                        let max = FineNanometres(max);
                         let wild =
-                            Warmup { lag_ms, max, smoothing_heating, smoothing_cooling, full };
+                            WarmupModel { lag_ms, max, smoothing_heating, smoothing_cooling, full };
                         for running_ms in [0, u32::MAX] {
-                            let heat = Lag::settled(i32::MIN);
-                            let mut state = State { running_ms, heat };
+                            let heat = Lag::settled_at(i32::MIN);
+                            let mut state = WarmupModelState { running_ms, heat };
                             for drive in [i32::MIN, -1, 0, 1, i32::MAX, i32::MAX] {
                                 wild.step(&mut state, drive);
                                 let grown = wild.elongation(&state).0;

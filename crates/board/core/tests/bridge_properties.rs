@@ -7,25 +7,26 @@ mod drawn;
 
 use proptest::{prelude::*, sample::select, strategy::ValueTree as _, test_runner::TestRunner};
 use trueup_core::{
+    axis_errors::CachedErrors,
     bridge::{Bridge, Input, State},
     cnc::{
-        AxisPosition, Command, Control, Flags, Heading, LinearAxis, Output, Quality, Rotary,
-        Spindle,
+        AxisPosition, Command, Control, Flags, LinearAxis, Output, Quality, Rotary, Spindle,
+        TravelDirection,
     },
-    dimensions::{CHANNELS, CODES_PER_TICK},
-    geometry::CachedErrors,
-    heat::Heat,
+    dimensions::{CHANNEL_COUNT, CODES_PER_TICK},
+    index_set::IndexSet,
     limits::Limits,
-    place::Place,
-    set::IndexSet,
-    thermometer::Raw,
-    units::{Code, MicroDegrees, Millis, Position, Rpm, Temperature},
+    machine_position::MachinePosition,
+    thermal_state::MachineThermalState,
+    thermometer::RawReading,
+    units::{AdcCode, MicroDegrees, Position, Rpm, Temperature, TimestampMs},
 };
 
 use self::drawn::{Machine, number, numbers, size};
 
 fn command() -> impl Strategy<Value = Command> {
-    let heading = select(&[Heading::Negative, Heading::Standing, Heading::Positive]);
+    let heading =
+        select(&[TravelDirection::Negative, TravelDirection::Standing, TravelDirection::Positive]);
     let often = || prop::bool::weighted(0.95);
     prop_oneof![
         3 => (often(), often(), prop::bool::weighted(0.1)).prop_map(|(engage, referenced, zero)| {
@@ -48,7 +49,7 @@ fn greeting() -> impl Strategy<Value = Vec<Command>> {
     (numbers::<3>(), numbers()).prop_map(|(positions, angles)| {
         let positions = LinearAxis::ALL.into_iter().zip(positions).map(|(axis, to)| {
             let position = Position(to);
-            Command::Position(AxisPosition { axis, position, direction: Heading::Positive })
+            Command::Position(AxisPosition { axis, position, direction: TravelDirection::Positive })
         });
         let control = Control::ENGAGED;
         let others = [
@@ -67,7 +68,7 @@ struct Phase {
     heard: Vec<Command>,
     codes: Option<[u16; CODES_PER_TICK]>,
     speed: Option<u16>,
-    temperatures: Option<[i32; CHANNELS]>,
+    temperatures: Option<[i32; CHANNEL_COUNT]>,
 }
 
 fn phase() -> impl Strategy<Value = Phase> {
@@ -97,20 +98,31 @@ fn phase() -> impl Strategy<Value = Phase> {
 }
 
 /// Lives through the phases; `watch` sees each output with the step of time before it.
-fn live(machine: &Machine, phases: &[Phase], mut watch: impl FnMut(Output, u32, bool)) {
+fn live(machine: &Machine, phases: &[Phase], watch: impl FnMut(Output, u32, bool)) {
+    live_with(machine, phases, |_, _| {}, watch);
+}
+
+/// The same with `change` made before each tick.
+fn live_with(
+    machine: &Machine,
+    phases: &[Phase],
+    change: impl Fn(&Bridge<'_>, &mut State),
+    mut watch: impl FnMut(Output, u32, bool),
+) {
     let bridge = Bridge::new(machine.calibration());
-    let mut state = State::default();
+    let mut state = bridge.initial_state();
     // The clock wraps on the way; the first tick comes a long time after the start, at 0.
-    let (mut now, mut before) = (Millis(u32::MAX - 50), Millis(0));
+    let (mut now, mut before) = (TimestampMs(u32::MAX - 50), TimestampMs(0));
     for phase in phases {
-        let codes = phase.codes.map(|codes| codes.map(Code));
-        let temperatures = phase.temperatures.map(|raw| raw.map(Raw));
+        let codes = phase.codes.map(|codes| codes.map(AdcCode));
+        let temperatures = phase.temperatures.map(|raw| raw.map(RawReading));
         for tick in 0..phase.ticks {
             // As a CNC does: now and then, not in every millisecond.
             if tick % 16 == 0 {
                 phase.heard.iter().for_each(|command| bridge.receive(&mut state, *command));
             }
-            now = now.after(phase.elapsed_ms);
+            now = now.wrapping_add_ms(phase.elapsed_ms);
+            change(&bridge, &mut state);
             let output = bridge.tick(
                 &mut state,
                 now,
@@ -121,7 +133,7 @@ fn live(machine: &Machine, phases: &[Phase], mut watch: impl FnMut(Output, u32, 
                 },
             );
             let is_doubted = bridge.lost_inputs(&state).too_fast != IndexSet::default();
-            watch(output, now.since(before), is_doubted);
+            watch(output, now.duration_since(before), is_doubted);
             before = now;
         }
     }
@@ -209,27 +221,38 @@ proptest! {
     }
 
     #[test]
+    fn errors_that_are_computed_anew_before_a_tick_are_those_that_were_kept(
+        (machine, phases) in lives(),
+    ) {
+        let mut kept = Vec::new();
+        live(&machine, &phases, |output, _, _| kept.push(output));
+        let mut kept = kept.into_iter();
+        let anew = |bridge: &Bridge<'_>, state: &mut State| bridge.compute_errors(state);
+        live_with(&machine, &phases, anew, |output, _, _| assert_eq!(Some(output), kept.next()));
+    }
+
+    #[test]
     fn errors_that_are_kept_are_those_of_the_place(
         machine in Machine::any(),
         moves in prop::collection::vec((select(&LinearAxis::ALL), number(), -1..2_i8), 1..20),
     ) {
         let calibration = machine.calibration();
-        let mut heat = Heat::default();
-        let mut place = Place::default();
-        let mut cached = CachedErrors::at(&calibration, &heat, &place);
+        let mut heat = MachineThermalState::default();
+        let mut place = MachinePosition::default();
+        let mut cached = CachedErrors::from_place(&calibration, &heat, &place);
         for (number, (axis, position, direction)) in moves.into_iter().enumerate() {
             let position = Position(position);
             place.position[axis as usize] = position;
             let config = calibration.axes[axis as usize].travel;
             place.travel[axis as usize].update(&config, position, direction);
-            cached.moved(&calibration, &heat, &place, axis);
-            cached.add_up(&calibration, &place);
-            assert_eq!(*cached.errors(), calibration.errors(&heat, &place));
+            cached.update_axis_position(&calibration, &heat, &place, axis);
+            cached.sum_parts(&calibration, &place);
+            assert_eq!(*cached.errors(), calibration.axis_errors(&heat, &place));
             let item = number % 3;
-            heat.step_item(&calibration, item, &[Some(Temperature(position.0)); CHANNELS], None);
-            cached.warmed(&calibration, &heat, &place, LinearAxis::ALL[item]);
-            cached.add_up(&calibration, &place);
-            assert_eq!(*cached.errors(), calibration.errors(&heat, &place));
+            heat.step_item(&calibration, item, &[Some(Temperature(position.0)); CHANNEL_COUNT], None);
+            cached.update_axis_heat(&calibration, &heat, &place, LinearAxis::ALL[item]);
+            cached.sum_parts(&calibration, &place);
+            assert_eq!(*cached.errors(), calibration.axis_errors(&heat, &place));
         }
     }
 }

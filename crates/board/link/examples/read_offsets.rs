@@ -4,9 +4,11 @@
 use trueup_core::{cnc::Output, units::Nanometres};
 use trueup_link::{frames, slcan};
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// Prints the line with an offset of Z, and what is read back from it.
+pub fn main() -> Result<(), Box<dyn std::error::Error>> {
     let offset = Some([Nanometres(0), Nanometres(0), Nanometres(12_340)]);
-    let line = slcan::encode_line(&frames::offset_z(&Output { offset, ..Output::default() }, 7));
+    let line =
+        slcan::encode_line(&frames::encode_offset_z(&Output { offset, ..Output::default() }, 7));
     println!("{}", line.trim_end());
     // A damaged frame is an error here: its CRC is part of the frame.
     let frame = slcan::decode_line(line.trim_end().as_bytes())?;
@@ -15,7 +17,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         "Z {:?}, quality {:?}, counter {}",
         read.offset,
         read.quality,
-        frames::counter(&frame)
+        frames::e2e_counter(&frame)
     );
     assert_eq!(read.offset, Some(Nanometres(12_340)));
     Ok(())

@@ -11,7 +11,7 @@ use core::sync::atomic::{AtomicU8, AtomicUsize, Ordering};
 /// use trueup_link::byte_queue::ByteQueue;
 /// let mut queue = ByteQueue::<4>::new();
 /// let (mut writer, mut reader) = queue.split();
-/// let mut batch = writer.batch();
+/// let mut batch = writer.begin_batch();
 /// assert_eq!([1, 2, 3, 4, 5].map(|byte| batch.push(byte)), [true, true, true, true, false]);
 /// drop(batch);
 /// assert_eq!(reader.pop(), Some(1));
@@ -42,7 +42,7 @@ impl<const N: usize> ByteQueue<N> {
         (Writer(self), Reader(self))
     }
 
-    const fn place(&self, count: usize) -> &AtomicU8 {
+    const fn slot(&self, count: usize) -> &AtomicU8 {
         // Never behind the end, and the compiler sees it.
         #[allow(clippy::indexing_slicing, reason = "N is a power of two")]
         &self.bytes[count & N.wrapping_sub(1)]
@@ -61,7 +61,7 @@ pub struct Writer<'a, const N: usize>(&'a ByteQueue<N>);
 
 impl<const N: usize> Writer<'_, N> {
     /// Begins a batch, which the reader sees when it is dropped.
-    pub fn batch(&mut self) -> Batch<'_, N> {
+    pub fn begin_batch(&mut self) -> Batch<'_, N> {
         let written = self.0.written.load(Ordering::Relaxed);
         let used = written.wrapping_sub(self.0.read.load(Ordering::Acquire));
         Batch { queue: self.0, written, room: N.saturating_sub(used) }
@@ -82,7 +82,7 @@ impl<const N: usize> Batch<'_, N> {
     pub fn push(&mut self, byte: u8) -> bool {
         let Some(room) = self.room.checked_sub(1) else { return false };
         self.room = room;
-        self.queue.place(self.written).store(byte, Ordering::Relaxed);
+        self.queue.slot(self.written).store(byte, Ordering::Relaxed);
         self.written = self.written.wrapping_add(1);
         true
     }
@@ -106,7 +106,7 @@ impl<const N: usize> Reader<'_, N> {
         if read == self.0.written.load(Ordering::Acquire) {
             return None;
         }
-        let byte = self.0.place(read).load(Ordering::Relaxed);
+        let byte = self.0.slot(read).load(Ordering::Relaxed);
         self.0.read.store(read.wrapping_add(1), Ordering::Release);
         Some(byte)
     }
@@ -126,7 +126,7 @@ mod tests {
         let (mut writer, mut reader) = queue.split();
         let (mut expected, mut next, mut lost) = (VecDeque::new(), 0_u8, 0);
         for turn in 0..400_usize {
-            let mut batch = writer.batch();
+            let mut batch = writer.begin_batch();
             for _ in 0..turn % 7 {
                 next = next.wrapping_add(1);
                 let has_room = expected.len() < 8;
@@ -145,7 +145,7 @@ mod tests {
     fn a_batch_is_seen_when_it_ends() {
         let mut queue = ByteQueue::<4>::new();
         let (mut writer, mut reader) = queue.split();
-        let mut batch = writer.batch();
+        let mut batch = writer.begin_batch();
         assert!(batch.push(1));
         assert_eq!(reader.pop(), None);
         drop(batch);
@@ -162,7 +162,7 @@ mod tests {
             scope.spawn(|| {
                 let mut rest = sent.as_slice();
                 while !rest.is_empty() {
-                    let mut batch = writer.batch();
+                    let mut batch = writer.begin_batch();
                     while let Some((byte, others)) = rest.split_first()
                         && batch.push(*byte)
                     {

@@ -9,8 +9,6 @@
 //!
 //! The data ID is the CAN identifier: a frame that arrives under another identifier fails.
 
-use core::{error::Error, fmt};
-
 use crc::{CRC_16_IBM_3740, Crc};
 
 use crate::frame::Frame;
@@ -25,7 +23,7 @@ pub const HEADER_LEN: usize = 3;
 /// frame is refused, the one behind it is taken, and the position is 2 ms older once, of the 500 ms
 /// that it may be old. A wider step would buy those 2 ms with more restarted senders that pass for
 /// ones that lost frames: now 15 of 256, of the others one frame is refused.
-pub const MAX_DELTA: u8 = 15;
+pub const MAX_DELTA_COUNTER: u8 = 15;
 
 static CRC: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_3740);
 
@@ -39,18 +37,18 @@ static CRC: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_3740);
 pub fn protect(data_id: u16, counter: u8, data: &mut [u8; 8]) {
     data[2] = counter;
     let [_, _, covered @ ..] = &*data;
-    let [low, high] = crc(data_id, covered).to_le_bytes();
+    let [low, high] = compute_frame_crc(data_id, covered).to_le_bytes();
     data[0] = low;
     data[1] = high;
 }
 
 /// Returns the CRC over the bytes after the CRC field, and the data ID.
-fn crc(data_id: u16, covered: &[u8]) -> u16 {
-    crc_of(data_id, [covered])
+fn compute_frame_crc(data_id: u16, covered: &[u8]) -> u16 {
+    compute_crc(data_id, [covered])
 }
 
 /// Returns the CRC of the profile over these parts, one behind the other, and the data ID.
-pub fn crc_of(data_id: u16, parts: impl IntoIterator<Item = impl AsRef<[u8]>>) -> u16 {
+pub fn compute_crc(data_id: u16, parts: impl IntoIterator<Item = impl AsRef<[u8]>>) -> u16 {
     let mut digest = CRC.digest();
     parts.into_iter().for_each(|part| digest.update(part.as_ref()));
     digest.update(&data_id.to_le_bytes());
@@ -59,9 +57,9 @@ pub fn crc_of(data_id: u16, parts: impl IntoIterator<Item = impl AsRef<[u8]>>) -
 
 /// Returns whether a frame is whole and was sent under its identifier, whatever its counter.
 #[must_use]
-pub fn is_whole(frame: &Frame) -> bool {
+pub fn has_valid_crc(frame: &Frame) -> bool {
     matches!(frame.payload(), &[low, high, ref covered @ ..]
-        if u16::from_le_bytes([low, high]) == crc(frame.id(), covered))
+        if u16::from_le_bytes([low, high]) == compute_frame_crc(frame.id(), covered))
 }
 
 /// Checks the frames of one identifier, one after the other.
@@ -78,7 +76,7 @@ impl Checker {
         Self { data_id, last: None }
     }
 
-    /// Returns how many frames were lost before this one, 0…[`MAX_DELTA`] − 1, if this one is to be used.
+    /// Returns how many frames were lost before this one, 0…[`MAX_DELTA_COUNTER`] − 1, if this one is to be used.
     ///
     /// The first whole frame sets the counter, whatever it is.
     ///
@@ -94,7 +92,7 @@ impl Checker {
             return Err(E2eError::TooShort { len: frame.len() });
         };
         let received = u16::from_le_bytes([low, high]);
-        let computed = crc(self.data_id, covered);
+        let computed = compute_frame_crc(self.data_id, covered);
         if received != computed {
             return Err(E2eError::Crc { received, computed });
         }
@@ -103,21 +101,23 @@ impl Checker {
         };
         match counter.wrapping_sub(last) {
             0 => Err(E2eError::Repeated { counter }),
-            delta @ 1..=MAX_DELTA => Ok(delta.saturating_sub(1)),
+            delta @ 1..=MAX_DELTA_COUNTER => Ok(delta.saturating_sub(1)),
             _ => Err(E2eError::WrongSequence { last, counter }),
         }
     }
 }
 
 /// Why a frame must not be used.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum E2eError {
     /// Too short to hold CRC and counter.
+    #[error("{len} bytes are too short for CRC and counter ({HEADER_LEN})")]
     TooShort {
         /// Bytes in the frame.
         len: u8,
     },
     /// Damaged, or sent under another identifier.
+    #[error("CRC is 0x{received:04X}, should be 0x{computed:04X}")]
     Crc {
         /// The CRC in the frame.
         received: u16,
@@ -125,11 +125,13 @@ pub enum E2eError {
         computed: u16,
     },
     /// The same counter as the frame before: a copy, or a sender that stands still.
+    #[error("counter {counter} is repeated")]
     Repeated {
         /// The counter in both frames.
         counter: u8,
     },
-    /// The counter has moved by more than [`MAX_DELTA`].
+    /// The counter has moved by more than [`MAX_DELTA_COUNTER`].
+    #[error("counter {counter} after {last} is out of sequence")]
     WrongSequence {
         /// The counter of the frame before.
         last: u8,
@@ -137,25 +139,6 @@ pub enum E2eError {
         counter: u8,
     },
 }
-
-impl fmt::Display for E2eError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::TooShort { len } => {
-                write!(f, "{len} bytes are too short for CRC and counter ({HEADER_LEN})")
-            }
-            Self::Crc { received, computed } => {
-                write!(f, "CRC is 0x{received:04X}, should be 0x{computed:04X}")
-            }
-            Self::Repeated { counter } => write!(f, "counter {counter} is repeated"),
-            Self::WrongSequence { last, counter } => {
-                write!(f, "counter {counter} after {last} is out of sequence")
-            }
-        }
-    }
-}
-
-impl Error for E2eError {}
 
 #[cfg(test)]
 mod tests {
@@ -222,7 +205,7 @@ mod tests {
             for delta in 1..=u8::MAX {
                 let counter = last.wrapping_add(delta);
                 let mut checker = checker_after(last);
-                let expected = if delta <= MAX_DELTA {
+                let expected = if delta <= MAX_DELTA_COUNTER {
                     Ok(delta - 1)
                 } else {
                     Err(E2eError::WrongSequence { last, counter })
@@ -248,13 +231,13 @@ mod tests {
     fn a_frame_is_whole_under_its_own_identifier_alone_and_whatever_its_counter() {
         for counter in [0, 7, u8::MAX] {
             let good = frame(counter);
-            assert!(is_whole(&good));
+            assert!(has_valid_crc(&good));
             let elsewhere = Frame::new(ID + 1, good.data()).unwrap();
             let mut data = *good.data();
             data[7] ^= 1;
             let damaged = Frame::new(ID, &data).unwrap();
             let short = Frame::new(ID, &good.data()[..1]).unwrap();
-            assert!([elsewhere, damaged, short].iter().all(|frame| !is_whole(frame)));
+            assert!([elsewhere, damaged, short].iter().all(|frame| !has_valid_crc(frame)));
         }
     }
 

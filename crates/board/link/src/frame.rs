@@ -1,8 +1,6 @@
 //! One CAN 2.0 data frame with a standard identifier, whatever carries it: CAN, a serial line, or
 //! the emulator's pipe.
 
-use core::{error::Error, fmt};
-
 /// A CAN 2.0 data frame: an 11-bit identifier and up to 8 bytes.
 ///
 /// The fields are private so that a `Frame` is always valid; bytes beyond the payload are 0, so
@@ -48,13 +46,13 @@ impl Frame {
     /// Returns a frame of 8 bytes with an identifier of [`crate::layout`], 0…0x7FF. A larger one stops a
     /// build that has debug assertions.
     #[must_use]
-    pub const fn full(id: u16, data: [u8; Self::MAX_LEN]) -> Self {
+    pub const fn from_data(id: u16, data: [u8; Self::MAX_LEN]) -> Self {
         debug_assert!(id <= Self::MAX_ID);
         Self { id, len: 8, data }
     }
 
     /// As `full`, for a frame of a single byte.
-    pub(crate) const fn single(id: u16, byte: u8) -> Self {
+    pub(crate) const fn from_byte(id: u16, byte: u8) -> Self {
         debug_assert!(id <= Self::MAX_ID);
         Self { id, len: 1, data: [byte, 0, 0, 0, 0, 0, 0, 0] }
     }
@@ -91,28 +89,15 @@ impl Frame {
 }
 
 /// Why there is no such frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FrameError {
     /// The identifier is above 0x7FF.
+    #[error("identifier 0x{0:X} is above 0x{max:X}", max = Frame::MAX_ID)]
     Identifier(u16),
     /// The payload has more than 8 bytes.
+    #[error("{0} bytes are more than the {max} of a frame", max = Frame::MAX_LEN)]
     Length(usize),
 }
-
-impl fmt::Display for FrameError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Identifier(id) => {
-                write!(f, "identifier 0x{id:X} is above 0x{:X}", Frame::MAX_ID)
-            }
-            Self::Length(len) => {
-                write!(f, "{len} bytes are more than the {} of a frame", Frame::MAX_LEN)
-            }
-        }
-    }
-}
-
-impl Error for FrameError {}
 
 #[cfg(test)]
 mod tests {

@@ -4,14 +4,12 @@
 //! received frame may be used at all is for [`crate::receiver`] to say, which checks the
 //! protection first. Bits that no signal covers are sent as 0 and ignored.
 
-use core::{error::Error, fmt};
-
 use trueup_core::{
     cnc::{
-        AxisPosition, Conditions, Control, Flags, Heading, LinearAxis, Output, Quality, Rotary,
-        Spindle,
+        AxisPosition, Conditions, Control, Flags, LinearAxis, Output, Quality, Rotary, Spindle,
+        TravelDirection,
     },
-    learned::Change,
+    learned::ChangeRequest,
     units::{MicroDegrees, Nanometres, Position, Rpm},
 };
 
@@ -22,15 +20,15 @@ pub use crate::layout::{
     SPINDLE_PERIOD_MS,
 };
 use crate::{
-    bits::Signal,
     e2e,
     frame::Frame,
     layout::{
-        AGE, ANGLE_1, ANGLE_2, CONDITIONS, CONFIRM, DIRECTION, ENGAGE, FLAGS, LEARNED, LEARNED_CRC,
-        LEARNED_PART, LOAD, MICRO_DEGREES_PER_BIT, NANOMETRES_PER_BIT, NOT_AVAILABLE_RAW,
-        OFFSET_MAX_RAW, OFFSET_X, OFFSET_Y, OFFSET_Z, POSITION, QUALITY, REFERENCED, SERVICE,
-        SPEED, STATE, TOOL, ZERO,
+        ANGLE_1, ANGLE_2, CONDITIONS, CONFIRM, DIRECTION, ENGAGE, FLAGS, LEARNED, LEARNED_CRC,
+        LEARNED_PART, LOAD, MAX_OFFSET_RAW, MICRO_DEGREES_PER_BIT, NANOMETRES_PER_BIT, NMT_STATE,
+        NOT_AVAILABLE_RAW, OFFSET_X, OFFSET_Y, OFFSET_Z, POSITION, QUALITY, REFERENCED, SAMPLE_AGE,
+        SERVICE, SPEED, TOOL, ZERO,
     },
+    signal::Signal,
 };
 
 /// Content of `OffsetXY`.
@@ -56,7 +54,7 @@ pub struct OffsetZ {
 /// The bridge's state in its heartbeat. The numbers are those of CiA 301.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
-pub enum State {
+pub enum NmtState {
     /// Just started; sent once.
     BootUp = 0,
     /// Silent but for the heartbeat.
@@ -67,7 +65,7 @@ pub enum State {
     PreOperational = 127,
 }
 
-impl State {
+impl NmtState {
     /// Returns the state with this number on the wire.
     #[must_use]
     pub fn from_wire(number: u8) -> Option<Self> {
@@ -89,14 +87,14 @@ impl State {
 /// use trueup_link::frames;
 /// let um = |value| Nanometres(value * 1_000);
 /// let output = Output { offset: Some([um(1), um(-2), um(0)]), ..Output::default() };
-/// let frame = frames::offset_xy(&output, 7);
+/// let frame = frames::encode_offset_xy(&output, 7);
 /// // +100 and -200 bits of 10 nm: 0x00064 and 0xFFF38 from bit 24.
 /// assert_eq!(frame.data()[2..], [0x07, 0x64, 0x00, 0x80, 0xF3, 0xFF]);
 /// assert_eq!(frames::decode_offset_xy(&frame)?.offset, Some([um(1), um(-2)]));
 /// # Ok::<(), trueup_link::frames::DecodeError>(())
 /// ```
 #[must_use]
-pub fn offset_xy(output: &Output, counter: u8) -> Frame {
+pub fn encode_offset_xy(output: &Output, counter: u8) -> Frame {
     let [x, y] = match output.offset {
         Some([x, y, _]) => [offset_to_raw(x), offset_to_raw(y)],
         None => [NOT_AVAILABLE_RAW; 2],
@@ -104,12 +102,12 @@ pub fn offset_xy(output: &Output, counter: u8) -> Frame {
     let mut data = [0; 8];
     OFFSET_X.insert(&mut data, x);
     OFFSET_Y.insert(&mut data, y);
-    protected(OFFSET_XY_ID, counter, data)
+    build_protected_frame(OFFSET_XY_ID, counter, data)
 }
 
-/// `OffsetZ`: the second half of a cycle, as [`offset_xy`].
+/// `OffsetZ`: the second half of a cycle, as [`encode_offset_xy`].
 #[must_use]
-pub fn offset_z(output: &Output, counter: u8) -> Frame {
+pub fn encode_offset_z(output: &Output, counter: u8) -> Frame {
     let z = match output.offset {
         Some([_, _, z]) => offset_to_raw(z),
         None => NOT_AVAILABLE_RAW,
@@ -118,42 +116,42 @@ pub fn offset_z(output: &Output, counter: u8) -> Frame {
     OFFSET_Z.insert(&mut data, z);
     QUALITY.insert(&mut data, output.quality as i32);
     FLAGS.insert(&mut data, output.flags.0.into());
-    AGE.insert(&mut data, output.age_ms.into());
-    protected(OFFSET_Z_ID, counter, data)
+    SAMPLE_AGE.insert(&mut data, output.age_ms.into());
+    build_protected_frame(OFFSET_Z_ID, counter, data)
 }
 
 /// `Heartbeat`: one byte, not protected, as CiA 301 has it.
 #[must_use]
-pub fn heartbeat(state: State) -> Frame {
+pub fn encode_heartbeat(state: NmtState) -> Frame {
     let mut data = [0; 8];
-    STATE.insert(&mut data, state as i32);
+    NMT_STATE.insert(&mut data, state as i32);
     let [byte, ..] = data;
-    Frame::single(HEARTBEAT_ID, byte)
+    Frame::from_byte(HEARTBEAT_ID, byte)
 }
 
 /// `Spindle`: speed and load, from the CNC. `counter` counts the frames of this identifier.
 #[must_use]
-pub fn spindle(spindle: Spindle, counter: u8) -> Frame {
+pub fn encode_spindle(spindle: Spindle, counter: u8) -> Frame {
     let mut data = [0; 8];
     SPEED.insert(&mut data, spindle.speed.0.into());
     LOAD.insert(&mut data, spindle.load_n.into());
-    protected(SPINDLE_ID, counter, data)
+    build_protected_frame(SPINDLE_ID, counter, data)
 }
 
 /// `Control`: the CNC's sign of life. `counter` counts the frames of this identifier.
 #[must_use]
-pub fn control(control: Control, counter: u8) -> Frame {
+pub fn encode_control(control: Control, counter: u8) -> Frame {
     let mut data = [0; 8];
     ENGAGE.insert(&mut data, control.engage.into());
     REFERENCED.insert(&mut data, control.referenced.into());
     ZERO.insert(&mut data, control.zero.into());
     SERVICE.insert(&mut data, control.service.into());
     CONFIRM.insert(&mut data, control.confirm.into());
-    let Change { part, amount, calibration } = control.learned;
+    let ChangeRequest { part, amount, calibration } = control.learned;
     LEARNED_PART.insert(&mut data, part.into());
     LEARNED.insert(&mut data, amount.into());
     LEARNED_CRC.insert(&mut data, calibration.into());
-    protected(CONTROL_ID, counter, data)
+    build_protected_frame(CONTROL_ID, counter, data)
 }
 
 /// `Conditions`: the tool and the conditions of the machine, from the CNC. `counter` counts the frames of this
@@ -163,24 +161,24 @@ pub fn control(control: Control, counter: u8) -> Frame {
 /// use trueup_core::cnc::Conditions;
 /// use trueup_link::frames;
 /// let sent = Conditions { tool: 0x0107, bits: 0x8001 };
-/// let frame = frames::conditions(sent, 7);
+/// let frame = frames::encode_conditions(sent, 7);
 /// assert_eq!(frame.id(), 0x402);
 /// assert_eq!(frame.data()[2..], [0x07, 0x07, 0x01, 0x01, 0x80, 0x00]);
 /// assert_eq!(frames::decode_conditions(&frame), Ok(sent));
 /// ```
 #[must_use]
-pub fn conditions(conditions: Conditions, counter: u8) -> Frame {
+pub fn encode_conditions(conditions: Conditions, counter: u8) -> Frame {
     let mut data = [0; 8];
     TOOL.insert(&mut data, conditions.tool.into());
     CONDITIONS.insert(&mut data, conditions.bits.into());
-    protected(CONDITIONS_ID, counter, data)
+    build_protected_frame(CONDITIONS_ID, counter, data)
 }
 
 /// Returns how a CNC begins after every start of the bridge, before it raises `Engage`: three `Control`
 /// frames without it, with the counters 0, 1 and 2.
 #[must_use]
-pub fn released() -> [Frame; 3] {
-    [0, 1, 2].map(|counter| control(Control::REFERENCED, counter))
+pub fn release_sequence() -> [Frame; 3] {
+    [0, 1, 2].map(|counter| encode_control(Control::REFERENCED, counter))
 }
 
 /// Returns the identifier of `PositionX`, `PositionY` or `PositionZ`.
@@ -197,35 +195,36 @@ pub const fn position_id(axis: LinearAxis) -> u16 {
 /// identifier.
 ///
 /// ```
-/// use trueup_core::{cnc::{AxisPosition, Heading, LinearAxis}, units::Position};
+/// use trueup_core::{cnc::{AxisPosition, TravelDirection, LinearAxis}, units::Position};
 /// use trueup_link::frames;
 /// let sent = AxisPosition {
 ///     axis: LinearAxis::X,
 ///     position: Position(-Position::PER_MILLIMETRE), // -100 000 = 0xFFFE7960
-///     direction: Heading::Negative,                  // -1 in two bits: 3
+///     direction: TravelDirection::Negative,                  // -1 in two bits: 3
 /// };
-/// let frame = frames::position(sent, 7);
+/// let frame = frames::encode_position(sent, 7);
 /// assert_eq!(frame.id(), 0x201);
 /// assert_eq!(frame.data()[2..], [0x07, 0x60, 0x79, 0xFE, 0xFF, 0x03]);
 /// assert_eq!(frames::decode_position(LinearAxis::X, &frame), Ok(sent));
 /// ```
 #[must_use]
-pub fn position(position: AxisPosition, counter: u8) -> Frame {
+pub fn encode_position(position: AxisPosition, counter: u8) -> Frame {
     let mut data = [0; 8];
     POSITION.insert(&mut data, position.position.0);
     DIRECTION.insert(&mut data, position.direction as i32);
-    protected(position_id(position.axis), counter, data)
+    build_protected_frame(position_id(position.axis), counter, data)
 }
 
 /// `Rotary`, from the CNC: angles are rounded to 0.0005°, halves away from zero, and saturate at
 /// −262.144° and +262.1435°. `counter` counts the frames of this identifier.
 #[must_use]
-pub fn rotary(rotary: Rotary, counter: u8) -> Frame {
+pub fn encode_rotary(rotary: Rotary, counter: u8) -> Frame {
     let mut data = [0; 8];
-    let [first, second] = rotary.angles.map(|angle| nearest::<MICRO_DEGREES_PER_BIT>(angle.0));
+    let [first, second] =
+        rotary.angles.map(|angle| divide_rounded::<MICRO_DEGREES_PER_BIT>(angle.0));
     ANGLE_1.insert(&mut data, first);
     ANGLE_2.insert(&mut data, second);
-    protected(ROTARY_ID, counter, data)
+    build_protected_frame(ROTARY_ID, counter, data)
 }
 
 /// Returns what an `OffsetXY` frame says.
@@ -233,7 +232,7 @@ pub fn rotary(rotary: Rotary, counter: u8) -> Frame {
 /// # Errors
 /// [`DecodeError`] for another identifier or length.
 pub fn decode_offset_xy(frame: &Frame) -> Result<OffsetXy, DecodeError> {
-    let data = data_of(frame, OFFSET_XY_ID, 8)?;
+    let data = frame_data(frame, OFFSET_XY_ID, 8)?;
     let x = offset_from_raw(OFFSET_X.extract(data));
     let y = offset_from_raw(OFFSET_Y.extract(data));
     Ok(OffsetXy { offset: x.zip(y).map(|(x, y)| [x, y]) })
@@ -244,14 +243,14 @@ pub fn decode_offset_xy(frame: &Frame) -> Result<OffsetXy, DecodeError> {
 /// # Errors
 /// [`DecodeError`] for another identifier or length, or a quality that has no meaning.
 pub fn decode_offset_z(frame: &Frame) -> Result<OffsetZ, DecodeError> {
-    let data = data_of(frame, OFFSET_Z_ID, 8)?;
-    let quality = byte(QUALITY, data);
+    let data = frame_data(frame, OFFSET_Z_ID, 8)?;
+    let quality = extract_byte(QUALITY, data);
     Ok(OffsetZ {
         offset: offset_from_raw(OFFSET_Z.extract(data)),
         quality: Quality::from_wire(quality)
             .ok_or(DecodeError::Value { signal: "Quality", raw: quality.into() })?,
-        flags: Flags(byte(FLAGS, data)),
-        age_ms: byte(AGE, data),
+        flags: Flags(extract_byte(FLAGS, data)),
+        age_ms: extract_byte(SAMPLE_AGE, data),
     })
 }
 
@@ -259,9 +258,9 @@ pub fn decode_offset_z(frame: &Frame) -> Result<OffsetZ, DecodeError> {
 ///
 /// # Errors
 /// [`DecodeError`] for another identifier or length, or a state that CiA 301 does not define.
-pub fn decode_heartbeat(frame: &Frame) -> Result<State, DecodeError> {
-    let state = byte(STATE, data_of(frame, HEARTBEAT_ID, 1)?);
-    State::from_wire(state).ok_or(DecodeError::Value { signal: "State", raw: state.into() })
+pub fn decode_heartbeat(frame: &Frame) -> Result<NmtState, DecodeError> {
+    let state = extract_byte(NMT_STATE, frame_data(frame, HEARTBEAT_ID, 1)?);
+    NmtState::from_wire(state).ok_or(DecodeError::Value { signal: "State", raw: state.into() })
 }
 
 /// Returns what a `Spindle` frame says.
@@ -269,7 +268,7 @@ pub fn decode_heartbeat(frame: &Frame) -> Result<State, DecodeError> {
 /// # Errors
 /// [`DecodeError`] for another identifier or length.
 pub fn decode_spindle(frame: &Frame) -> Result<Spindle, DecodeError> {
-    let data = data_of(frame, SPINDLE_ID, 8)?;
+    let data = frame_data(frame, SPINDLE_ID, 8)?;
     let [speed_low, speed_high, ..] = SPEED.extract(data).to_le_bytes();
     let [load_low, load_high, ..] = LOAD.extract(data).to_le_bytes();
     Ok(Spindle {
@@ -283,7 +282,7 @@ pub fn decode_spindle(frame: &Frame) -> Result<Spindle, DecodeError> {
 /// # Errors
 /// [`DecodeError`] for another identifier or length.
 pub fn decode_control(frame: &Frame) -> Result<Control, DecodeError> {
-    let data = data_of(frame, CONTROL_ID, 8)?;
+    let data = frame_data(frame, CONTROL_ID, 8)?;
     // Both lie in whole bytes.
     let [_, _, _, _, amount_low, amount_high, crc_low, crc_high] = *data;
     Ok(Control {
@@ -292,8 +291,8 @@ pub fn decode_control(frame: &Frame) -> Result<Control, DecodeError> {
         zero: ZERO.extract(data) != 0,
         service: SERVICE.extract(data) != 0,
         confirm: CONFIRM.extract(data) != 0,
-        learned: Change {
-            part: byte(LEARNED_PART, data),
+        learned: ChangeRequest {
+            part: extract_byte(LEARNED_PART, data),
             amount: i16::from_le_bytes([amount_low, amount_high]),
             calibration: u16::from_le_bytes([crc_low, crc_high]),
         },
@@ -306,7 +305,8 @@ pub fn decode_control(frame: &Frame) -> Result<Control, DecodeError> {
 /// [`DecodeError`] for another identifier or length.
 pub fn decode_conditions(frame: &Frame) -> Result<Conditions, DecodeError> {
     // Both lie in whole bytes.
-    let [_, _, _, tool_low, tool_high, bits_low, bits_high, _] = *data_of(frame, CONDITIONS_ID, 8)?;
+    let [_, _, _, tool_low, tool_high, bits_low, bits_high, _] =
+        *frame_data(frame, CONDITIONS_ID, 8)?;
     Ok(Conditions {
         tool: u16::from_le_bytes([tool_low, tool_high]),
         bits: u16::from_le_bytes([bits_low, bits_high]),
@@ -318,9 +318,9 @@ pub fn decode_conditions(frame: &Frame) -> Result<Conditions, DecodeError> {
 /// # Errors
 /// [`DecodeError`] for another identifier or length, or a direction that has no meaning.
 pub fn decode_position(axis: LinearAxis, frame: &Frame) -> Result<AxisPosition, DecodeError> {
-    let data = data_of(frame, position_id(axis), 8)?;
+    let data = frame_data(frame, position_id(axis), 8)?;
     let raw = DIRECTION.extract(data);
-    let direction = i8::try_from(raw).ok().and_then(Heading::from_wire);
+    let direction = i8::try_from(raw).ok().and_then(TravelDirection::from_wire);
     Ok(AxisPosition {
         axis,
         position: Position(POSITION.extract(data)),
@@ -333,27 +333,27 @@ pub fn decode_position(axis: LinearAxis, frame: &Frame) -> Result<AxisPosition, 
 /// # Errors
 /// [`DecodeError`] for another identifier or length.
 pub fn decode_rotary(frame: &Frame) -> Result<Rotary, DecodeError> {
-    let data = data_of(frame, ROTARY_ID, 8)?;
+    let data = frame_data(frame, ROTARY_ID, 8)?;
     let angle = |it: Signal| MicroDegrees(it.extract(data).saturating_mul(MICRO_DEGREES_PER_BIT));
     Ok(Rotary { angles: [angle(ANGLE_1), angle(ANGLE_2)] })
 }
 
 /// Returns the E2E counter of a protected frame; 0 if the frame is too short to have one.
 #[must_use]
-pub fn counter(frame: &Frame) -> u8 {
-    byte(crate::layout::COUNTER, frame.data())
+pub fn e2e_counter(frame: &Frame) -> u8 {
+    extract_byte(crate::layout::E2E_COUNTER, frame.data())
 }
 
-pub(crate) fn protected(id: u16, counter: u8, mut data: [u8; 8]) -> Frame {
+pub(crate) fn build_protected_frame(id: u16, counter: u8, mut data: [u8; 8]) -> Frame {
     e2e::protect(id, counter, &mut data);
-    Frame::full(id, data)
+    Frame::from_data(id, data)
 }
 
 /// Returns the data of a frame that has this identifier and this length in bytes, 0…8.
 ///
 /// # Errors
 /// [`DecodeError`] for another identifier or length.
-pub fn data_of(frame: &Frame, id: u16, len: u8) -> Result<&[u8; 8], DecodeError> {
+pub fn frame_data(frame: &Frame, id: u16, len: u8) -> Result<&[u8; 8], DecodeError> {
     if frame.id() != id {
         return Err(DecodeError::Identifier { expected: id, found: frame.id() });
     }
@@ -365,22 +365,22 @@ pub fn data_of(frame: &Frame, id: u16, len: u8) -> Result<&[u8; 8], DecodeError>
 
 /// Returns the raw value of an unsigned signal of at most 8 bits; of a longer one its lowest 8.
 #[must_use]
-pub fn byte(signal: Signal, data: &[u8; 8]) -> u8 {
+pub fn extract_byte(signal: Signal, data: &[u8; 8]) -> u8 {
     let [byte, ..] = signal.extract(data).to_le_bytes();
     byte
 }
 
 /// Returns the nearest number of bits of `UNIT` each, halves away from zero.
-fn nearest<const UNIT: i32>(value: i32) -> i32 {
+fn divide_rounded<const UNIT: i32>(value: i32) -> i32 {
     let half = const { UNIT / 2 };
     let half = if value < 0 { half.saturating_neg() } else { half };
     value.saturating_add(half).checked_div(UNIT).unwrap_or(value)
 }
 
 fn offset_to_raw(offset: Nanometres) -> i32 {
-    const LARGEST: Nanometres = Nanometres(OFFSET_MAX_RAW.wrapping_mul(NANOMETRES_PER_BIT));
-    let (held, _) = offset.clamped(LARGEST);
-    nearest::<NANOMETRES_PER_BIT>(held.0)
+    const MAX_OFFSET: Nanometres = Nanometres(MAX_OFFSET_RAW.wrapping_mul(NANOMETRES_PER_BIT));
+    let (held, _) = offset.clamped(MAX_OFFSET);
+    divide_rounded::<NANOMETRES_PER_BIT>(held.0)
 }
 
 fn offset_from_raw(raw: i32) -> Option<Nanometres> {
@@ -388,16 +388,18 @@ fn offset_from_raw(raw: i32) -> Option<Nanometres> {
 }
 
 /// Why a frame cannot be decoded.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DecodeError {
     /// This is another frame.
+    #[error("identifier is 0x{found:03X}, should be 0x{expected:03X}")]
     Identifier {
-        /// The identifier asked for.
+        /// The requested identifier.
         expected: u16,
         /// The identifier of the frame.
         found: u16,
     },
     /// The frame has another length than the DBC says.
+    #[error("frame has {found} bytes, should have {expected}")]
     Length {
         /// Bytes that the DBC says.
         expected: u8,
@@ -405,6 +407,7 @@ pub enum DecodeError {
         found: u8,
     },
     /// A number that means nothing.
+    #[error("{signal} {raw} has no meaning")]
     Value {
         /// The signal, as the DBC names it.
         signal: &'static str,
@@ -412,22 +415,6 @@ pub enum DecodeError {
         raw: i32,
     },
 }
-
-impl fmt::Display for DecodeError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Identifier { expected, found } => {
-                write!(f, "identifier is 0x{found:03X}, should be 0x{expected:03X}")
-            }
-            Self::Length { expected, found } => {
-                write!(f, "frame has {found} bytes, should have {expected}")
-            }
-            Self::Value { signal, raw } => write!(f, "{signal} {raw} has no meaning"),
-        }
-    }
-}
-
-impl Error for DecodeError {}
 
 #[cfg(test)]
 mod tests;

@@ -22,16 +22,16 @@
 #[cfg(test)]
 extern crate std;
 
-pub mod bits;
 pub mod byte_queue;
 pub mod e2e;
 pub mod frame;
 pub mod frames;
 pub mod layout;
 pub mod receiver;
+pub mod signal;
 pub mod slcan;
 pub mod status;
 pub mod stream;
 
-/// The signal description that CAN tools read; `layout` holds the same numbers for the code.
+/// The signal description that CAN tools read, printed from the table of `layout`.
 pub const DBC: &str = include_str!("../trueup.dbc");

@@ -4,8 +4,6 @@
 //! [`Receiver`] is the board's ear for the CNC; [`OffsetReceiver`] and [`StatusReceiver`] are the
 //! CNC's, or a monitor's, ears for the board.
 
-use core::{error::Error, fmt};
-
 use trueup_core::cnc::{Command, LinearAxis, Output};
 
 use crate::{
@@ -16,7 +14,7 @@ use crate::{
         POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID, SPINDLE_ID,
     },
     layout::STATUS_ID,
-    status::{self, Reason, Status},
+    status::{self, FrameRejectReason, Status},
     stream::{Stream, StreamError},
 };
 
@@ -36,28 +34,28 @@ pub struct Counters {
 }
 
 impl Counters {
-    const NOTHING: Self =
+    const ZERO: Self =
         Self { accepted: 0, malformed: 0, crc_errors: 0, sequence_errors: 0, lost: 0 };
 
     /// Checks the protection of a frame, reads it, and counts how that went.
-    fn admit<T>(
+    fn verify_and_decode<T>(
         &mut self,
         stream: &mut Stream,
         frame: &Frame,
         decode: impl FnOnce(&Frame) -> Result<T, DecodeError>,
-    ) -> Result<T, Refused> {
+    ) -> Result<T, ReceiveError> {
         // Read first: a frame of the wrong length has no protection to check. Its content is
         // not looked at before the protection has been found good.
         let content = decode(frame);
         if let Err(error @ DecodeError::Length { .. }) = content {
-            count(&mut self.malformed);
-            stream.note_damaged(E2eError::TooShort { len: frame.len() });
+            saturating_increment(&mut self.malformed);
+            stream.record_damaged(E2eError::TooShort { len: frame.len() });
             return Err(error.into());
         }
         match stream.accept(frame) {
             Ok(lost) => self.lost = self.lost.saturating_add(lost.into()),
             Err(error) => {
-                count(match error {
+                saturating_increment(match error {
                     StreamError::Frame(E2eError::TooShort { .. }) => &mut self.malformed,
                     StreamError::Frame(E2eError::Crc { .. }) => &mut self.crc_errors,
                     StreamError::Frame(
@@ -68,7 +66,7 @@ impl Counters {
                 return Err(error.into());
             }
         }
-        count(match content {
+        saturating_increment(match content {
             Ok(_) => &mut self.accepted,
             Err(_) => &mut self.malformed,
         });
@@ -76,7 +74,7 @@ impl Counters {
     }
 }
 
-fn count(counter: &mut u32) {
+fn saturating_increment(counter: &mut u32) {
     *counter = counter.saturating_add(1);
 }
 
@@ -105,7 +103,7 @@ impl Receiver {
             spindle: Stream::new(SPINDLE_ID),
             control: Stream::new(CONTROL_ID),
             conditions: Stream::new(CONDITIONS_ID),
-            counters: Counters::NOTHING,
+            counters: Counters::ZERO,
         }
     }
 
@@ -113,33 +111,33 @@ impl Receiver {
     ///
     /// # Errors
     /// A frame for the bridge that must not be used. It is counted.
-    pub fn accept(&mut self, frame: &Frame) -> Result<Option<Command>, Refused> {
+    pub fn accept(&mut self, frame: &Frame) -> Result<Option<Command>, ReceiveError> {
         let counters = &mut self.counters;
         let mut position = |axis: LinearAxis, stream: &mut Stream| {
             counters
-                .admit(stream, frame, |frame| frames::decode_position(axis, frame))
+                .verify_and_decode(stream, frame, |frame| frames::decode_position(axis, frame))
                 .map(Command::Position)
         };
         Ok(Some(match frame.id() {
             POSITION_X_ID => position(LinearAxis::X, &mut self.position_x)?,
             POSITION_Y_ID => position(LinearAxis::Y, &mut self.position_y)?,
             POSITION_Z_ID => position(LinearAxis::Z, &mut self.position_z)?,
-            ROTARY_ID => Command::Rotary(self.counters.admit(
+            ROTARY_ID => Command::Rotary(self.counters.verify_and_decode(
                 &mut self.rotary,
                 frame,
                 frames::decode_rotary,
             )?),
-            SPINDLE_ID => Command::Spindle(self.counters.admit(
+            SPINDLE_ID => Command::Spindle(self.counters.verify_and_decode(
                 &mut self.spindle,
                 frame,
                 frames::decode_spindle,
             )?),
-            CONTROL_ID => Command::Control(self.counters.admit(
+            CONTROL_ID => Command::Control(self.counters.verify_and_decode(
                 &mut self.control,
                 frame,
                 frames::decode_control,
             )?),
-            CONDITIONS_ID => Command::Conditions(self.counters.admit(
+            CONDITIONS_ID => Command::Conditions(self.counters.verify_and_decode(
                 &mut self.conditions,
                 frame,
                 frames::decode_conditions,
@@ -178,7 +176,7 @@ impl Default for Receiver {
 
 /// Half a cycle's offsets, waiting for the other half.
 #[derive(Clone, Copy, Debug)]
-enum Half {
+enum PendingHalf {
     Xy(OffsetXy),
     Z(OffsetZ),
 }
@@ -192,7 +190,7 @@ enum Half {
 pub struct OffsetReceiver {
     xy: Stream,
     z: Stream,
-    waiting: Option<(u8, Half)>,
+    waiting: Option<(u8, PendingHalf)>,
     counters: Counters,
     unpaired: u32,
 }
@@ -205,7 +203,7 @@ impl OffsetReceiver {
             xy: Stream::new(OFFSET_XY_ID),
             z: Stream::new(OFFSET_Z_ID),
             waiting: None,
-            counters: Counters::NOTHING,
+            counters: Counters::ZERO,
             unpaired: 0,
         }
     }
@@ -217,23 +215,31 @@ impl OffsetReceiver {
     ///
     /// # Errors
     /// A frame with offsets that must not be used. It is counted.
-    pub fn accept(&mut self, frame: &Frame) -> Result<Option<Output>, Refused> {
+    pub fn accept(&mut self, frame: &Frame) -> Result<Option<Output>, ReceiveError> {
         let half = match frame.id() {
-            OFFSET_XY_ID => {
-                Half::Xy(self.counters.admit(&mut self.xy, frame, frames::decode_offset_xy)?)
-            }
-            OFFSET_Z_ID => {
-                Half::Z(self.counters.admit(&mut self.z, frame, frames::decode_offset_z)?)
-            }
+            OFFSET_XY_ID => PendingHalf::Xy(self.counters.verify_and_decode(
+                &mut self.xy,
+                frame,
+                frames::decode_offset_xy,
+            )?),
+            OFFSET_Z_ID => PendingHalf::Z(self.counters.verify_and_decode(
+                &mut self.z,
+                frame,
+                frames::decode_offset_z,
+            )?),
             _ => return Ok(None),
         };
-        let counter = frames::counter(frame);
+        let counter = frames::e2e_counter(frame);
         match (self.waiting.take(), half) {
-            (Some((first, Half::Xy(xy))), Half::Z(z)) if first == counter => Ok(Some(join(xy, z))),
-            (Some((first, Half::Z(z))), Half::Xy(xy)) if first == counter => Ok(Some(join(xy, z))),
+            (Some((first, PendingHalf::Xy(xy))), PendingHalf::Z(z)) if first == counter => {
+                Ok(Some(combine_offsets(xy, z)))
+            }
+            (Some((first, PendingHalf::Z(z))), PendingHalf::Xy(xy)) if first == counter => {
+                Ok(Some(combine_offsets(xy, z)))
+            }
             (left_alone, half) => {
                 if left_alone.is_some() {
-                    count(&mut self.unpaired);
+                    saturating_increment(&mut self.unpaired);
                 }
                 self.waiting = Some((counter, half));
                 Ok(None)
@@ -249,7 +255,7 @@ impl OffsetReceiver {
 
     /// Halves that were dropped because their other half never came.
     #[must_use]
-    pub const fn unpaired(&self) -> u32 {
+    pub const fn unpaired_count(&self) -> u32 {
         self.unpaired
     }
 }
@@ -271,15 +277,15 @@ impl StatusReceiver {
     /// Returns a receiver that has received nothing yet.
     #[must_use]
     pub const fn new() -> Self {
-        Self { stream: Stream::new(STATUS_ID), counters: Counters::NOTHING }
+        Self { stream: Stream::new(STATUS_ID), counters: Counters::ZERO }
     }
 
     /// Returns what this frame says.
     ///
     /// # Errors
     /// Another frame, or one that must not be used. It is counted.
-    pub fn accept(&mut self, frame: &Frame) -> Result<Status, Refused> {
-        self.counters.admit(&mut self.stream, frame, status::decode)
+    pub fn accept(&mut self, frame: &Frame) -> Result<Status, ReceiveError> {
+        self.counters.verify_and_decode(&mut self.stream, frame, status::decode)
     }
 
     /// Returns what has arrived so far, in frames.
@@ -295,7 +301,7 @@ impl Default for StatusReceiver {
     }
 }
 
-fn join(xy: OffsetXy, z: OffsetZ) -> Output {
+fn combine_offsets(xy: OffsetXy, z: OffsetZ) -> Output {
     Output {
         offset: xy.offset.zip(z.offset).map(|([x, y], z)| [x, y, z]),
         quality: z.quality,
@@ -305,23 +311,20 @@ fn join(xy: OffsetXy, z: OffsetZ) -> Output {
 }
 
 /// Why a frame must not be used.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Refused {
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ReceiveError {
     /// Its length or a value in it is wrong.
-    Decode(DecodeError),
+    #[error(transparent)]
+    Decode(#[from] DecodeError),
     /// Its protection does not hold.
+    #[error(transparent)]
     E2e(E2eError),
     /// It is whole and in order, but too many before it were not, the last of them for this.
+    #[error("not trusted yet: before it, {0}")]
     Untrusted(E2eError),
 }
 
-impl From<DecodeError> for Refused {
-    fn from(error: DecodeError) -> Self {
-        Self::Decode(error)
-    }
-}
-
-impl From<StreamError> for Refused {
+impl From<StreamError> for ReceiveError {
     fn from(error: StreamError) -> Self {
         match error {
             StreamError::Frame(error) => Self::E2e(error),
@@ -330,39 +333,27 @@ impl From<StreamError> for Refused {
     }
 }
 
-impl Refused {
+impl ReceiveError {
     /// Returns whether the frame was whole, but not in sequence: what a second sender would do.
     #[must_use]
-    pub const fn is_sound(&self) -> bool {
+    pub const fn is_sequence_error(&self) -> bool {
         matches!(self, Self::E2e(E2eError::Repeated { .. } | E2eError::WrongSequence { .. }))
     }
 
     /// Returns the reason, as in a status frame: of a frame whose stream is not trusted, why that is.
     #[must_use]
-    pub const fn reason(&self) -> Reason {
+    pub const fn reason(&self) -> FrameRejectReason {
         match self {
-            Self::Decode(_) => Reason::Malformed,
+            Self::Decode(_) => FrameRejectReason::Malformed,
             Self::E2e(error) | Self::Untrusted(error) => match error {
-                E2eError::TooShort { .. } => Reason::Malformed,
-                E2eError::Crc { .. } => Reason::Damaged,
-                E2eError::Repeated { .. } => Reason::Repeated,
-                E2eError::WrongSequence { .. } => Reason::WrongSequence,
+                E2eError::TooShort { .. } => FrameRejectReason::Malformed,
+                E2eError::Crc { .. } => FrameRejectReason::Damaged,
+                E2eError::Repeated { .. } => FrameRejectReason::Repeated,
+                E2eError::WrongSequence { .. } => FrameRejectReason::WrongSequence,
             },
         }
     }
 }
-
-impl fmt::Display for Refused {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Decode(error) => error.fmt(f),
-            Self::E2e(error) => error.fmt(f),
-            Self::Untrusted(error) => write!(f, "not trusted yet: before it, {error}"),
-        }
-    }
-}
-
-impl Error for Refused {}
 
 #[cfg(test)]
 mod tests;

@@ -10,7 +10,7 @@
 //! This file is the lines themselves; [`port`] is the adapter's end (the board), [`client`] the
 //! other (a host that listens to the board).
 
-use core::{error::Error, fmt};
+use core::char::EscapeDefault;
 
 use heapless::{String, Vec};
 
@@ -27,12 +27,12 @@ pub const CR: u8 = b'\r';
 /// The answer to a line that was refused.
 pub const BELL: u8 = 0x07;
 /// The longest line without its end: a standard frame of 8 bytes that an adapter has stamped with 8 digits.
-pub const MAX_LINE: usize = 30;
+pub const MAX_LINE_LEN: usize = 30;
 /// The longest line of a standard frame, with its end.
-pub const MAX_FRAME_LINE: usize = 22;
+pub const MAX_FRAME_LINE_LEN: usize = 22;
 
 /// A line without its end.
-pub type Line = Vec<u8, MAX_LINE>;
+pub type LineBuffer = Vec<u8, MAX_LINE_LEN>;
 
 /// Returns the line of a frame, with its end, in upper case.
 ///
@@ -44,27 +44,27 @@ pub type Line = Vec<u8, MAX_LINE>;
 /// # Ok::<(), trueup_link::frame::FrameError>(())
 /// ```
 #[must_use]
-pub fn encode_line(frame: &Frame) -> String<MAX_FRAME_LINE> {
-    let (line, len) = bytes_of_line(frame);
+pub fn encode_line(frame: &Frame) -> String<MAX_FRAME_LINE_LEN> {
+    let (line, len) = encode_line_bytes(frame);
     let text = line.get(..len).and_then(|line| str::from_utf8(line).ok());
     text.and_then(|text| String::try_from(text).ok()).unwrap_or_default()
 }
 
 /// Returns the bytes of [`encode_line`], and how many they are: as a board sends them, thousands of lines a second.
-fn bytes_of_line(frame: &Frame) -> ([u8; MAX_FRAME_LINE], usize) {
-    let mut line = [CR; MAX_FRAME_LINE];
+fn encode_line_bytes(frame: &Frame) -> ([u8; MAX_FRAME_LINE_LEN], usize) {
+    let mut line = [CR; MAX_FRAME_LINE_LEN];
     let [high, low] = frame.id().to_be_bytes();
-    let head = [b't', digit(high), digit(low >> 4), digit(low), digit(frame.len())];
+    let head = [b't', hex_digit(high), hex_digit(low >> 4), hex_digit(low), hex_digit(frame.len())];
     let (first, data) = line.split_at_mut(head.len());
     first.copy_from_slice(&head);
     for (place, byte) in data.as_chunks_mut::<2>().0.iter_mut().zip(frame.payload()) {
-        *place = [digit(byte >> 4), digit(*byte)];
+        *place = [hex_digit(byte >> 4), hex_digit(*byte)];
     }
-    (line, len_of_line(frame))
+    (line, line_length(frame))
 }
 
 /// Characters of a frame's line: 5, two of each byte, and the end.
-fn len_of_line(frame: &Frame) -> usize {
+fn line_length(frame: &Frame) -> usize {
     usize::from(frame.len()).saturating_mul(2).saturating_add(6)
 }
 
@@ -74,35 +74,35 @@ fn len_of_line(frame: &Frame) -> usize {
 /// [`SlcanError`] with the character at fault; [`SlcanError::NotData`] for every line but `t`.
 pub fn decode_line(line: &[u8]) -> Result<Frame, SlcanError> {
     let line = line.strip_suffix(&[CR]).unwrap_or(line);
-    match Fields::of(line)? {
-        (b't', mut fields) => fields.frame(),
+    match LineParser::split_command(line)? {
+        (b't', mut fields) => fields.parse_frame(),
         (command, _) => Err(SlcanError::NotData(command)),
     }
 }
 
-fn digit(nibble: u8) -> u8 {
-    const DIGITS: &[u8; 16] = b"0123456789ABCDEF";
-    DIGITS.get(usize::from(nibble & 0xF)).copied().unwrap_or_default()
+fn hex_digit(nibble: u8) -> u8 {
+    const HEX_DIGITS: &[u8; 16] = b"0123456789ABCDEF";
+    HEX_DIGITS.get(usize::from(nibble & 0xF)).copied().unwrap_or_default()
 }
 
 /// The rest of a line after its first character, read from left to right.
 #[derive(Clone, Copy, Debug)]
-struct Fields<'a> {
+struct LineParser<'a> {
     line: &'a [u8],
     at: usize,
 }
 
-impl<'a> Fields<'a> {
+impl<'a> LineParser<'a> {
     /// Returns the first character, and the rest.
-    fn of(line: &'a [u8]) -> Result<(u8, Self), SlcanError> {
-        if line.len() > MAX_LINE {
+    fn split_command(line: &'a [u8]) -> Result<(u8, Self), SlcanError> {
+        if line.len() > MAX_LINE_LEN {
             return Err(SlcanError::TooLong);
         }
         let first = line.first().ok_or(SlcanError::Truncated { len: 0 })?;
         Ok((*first, Self { line, at: 1 }))
     }
 
-    fn next(&mut self) -> Result<u8, SlcanError> {
+    fn next_byte(&mut self) -> Result<u8, SlcanError> {
         let len = self.line.len();
         let byte = self.line.get(self.at).ok_or(SlcanError::Truncated { len })?;
         self.at = self.at.saturating_add(1);
@@ -110,18 +110,18 @@ impl<'a> Fields<'a> {
     }
 
     /// Returns a number of 1…8 hexadecimal digits.
-    fn hex(&mut self, digits: u8) -> Result<u32, SlcanError> {
+    fn parse_hex(&mut self, digits: u8) -> Result<u32, SlcanError> {
         let mut number = 0_u32;
         for _ in 0..digits {
             let at = self.at;
-            let found = self.next()?;
+            let found = self.next_byte()?;
             let value = char::from(found).to_digit(16);
             number = number << 4 | value.ok_or(SlcanError::NotHex { at, found })?;
         }
         Ok(number)
     }
 
-    fn end(&self) -> Result<(), SlcanError> {
+    fn expect_end(&self) -> Result<(), SlcanError> {
         match self.line.get(self.at) {
             None => Ok(()),
             Some(&found) => Err(SlcanError::Trailing { at: self.at, found }),
@@ -129,8 +129,8 @@ impl<'a> Fields<'a> {
     }
 
     /// Returns the number of data bytes.
-    fn len(&mut self) -> Result<u8, SlcanError> {
-        let found = self.next()?;
+    fn parse_length(&mut self) -> Result<u8, SlcanError> {
+        let found = self.next_byte()?;
         match found {
             b'0'..=b'8' => Ok(found & 0xF),
             _ => Err(SlcanError::DataLength(found)),
@@ -138,10 +138,10 @@ impl<'a> Fields<'a> {
     }
 
     /// Identifier, length and data of a standard frame, up to the end of the line.
-    fn frame(&mut self) -> Result<Frame, SlcanError> {
-        let id = self.hex(3)?;
+    fn parse_frame(&mut self) -> Result<Frame, SlcanError> {
+        let id = self.parse_hex(3)?;
         let mut data = [0; Frame::MAX_LEN];
-        let payload = self.data(&mut data)?;
+        let payload = self.parse_data(&mut data)?;
         // Three digits fit 16 bits.
         let id = u16::try_from(id).unwrap_or(u16::MAX);
         Frame::new(id, payload).map_err(|error| match error {
@@ -151,14 +151,17 @@ impl<'a> Fields<'a> {
     }
 
     /// Returns the number of bytes, then the bytes, up to the end of the line.
-    fn data<'b>(&mut self, bytes: &'b mut [u8; Frame::MAX_LEN]) -> Result<&'b [u8], SlcanError> {
-        let len = usize::from(self.len()?);
+    fn parse_data<'b>(
+        &mut self,
+        bytes: &'b mut [u8; Frame::MAX_LEN],
+    ) -> Result<&'b [u8], SlcanError> {
+        let len = usize::from(self.parse_length()?);
         let payload = bytes.get_mut(..len).unwrap_or_default();
         for byte in &mut *payload {
-            let [low, ..] = self.hex(2)?.to_le_bytes();
+            let [low, ..] = self.parse_hex(2)?.to_le_bytes();
             *byte = low;
         }
-        self.end()?;
+        self.expect_end()?;
         Ok(payload)
     }
 }
@@ -166,7 +169,7 @@ impl<'a> Fields<'a> {
 /// Cuts a stream of bytes into lines. Line feeds are passed over, as terminals send them.
 #[derive(Clone, Debug, Default)]
 pub struct LineSplitter {
-    line: Line,
+    line: LineBuffer,
     too_long: bool,
     /// The line was given out: the next byte begins another one.
     is_whole: bool,
@@ -176,14 +179,14 @@ impl LineSplitter {
     /// At the start of a line.
     #[must_use]
     pub const fn new() -> Self {
-        Self { line: Line::new(), too_long: false, is_whole: false }
+        Self { line: LineBuffer::new(), too_long: false, is_whole: false }
     }
 
     /// Takes the next byte; the line, which may be empty, with the byte that ends it. It stays in its place: each copy of a
     /// line costs the board more than its byte does.
     ///
     /// # Errors
-    /// [`SlcanError::TooLong`], once for a line of more than [`MAX_LINE`] characters, at its end.
+    /// [`SlcanError::TooLong`], once for a line of more than [`MAX_LINE_LEN`] characters, at its end.
     pub fn push(&mut self, byte: u8) -> Option<Result<&[u8], SlcanError>> {
         if byte == b'\n' {
             return None;
@@ -202,16 +205,19 @@ impl LineSplitter {
 }
 
 /// Why a line is refused. Positions count from 0, the character of the command.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SlcanError {
-    /// The line has more than [`MAX_LINE`] characters.
+    /// The line has more than [`MAX_LINE_LEN`] characters.
+    #[error("line has more than {MAX_LINE_LEN} characters")]
     TooLong,
     /// The line ends too early.
+    #[error("line ends after {len} characters")]
     Truncated {
         /// Characters in the line.
         len: usize,
     },
     /// The line goes on where it should end.
+    #[error("line goes on at {at} with '{}'", escaped(*.found))]
     Trailing {
         /// Position of the first character too many.
         at: usize,
@@ -219,8 +225,10 @@ pub enum SlcanError {
         found: u8,
     },
     /// There is no such command.
+    #[error("no command '{}'", escaped(*.0))]
     Command(u8),
     /// The command is known, but not with this parameter.
+    #[error("command '{}' does not take '{}'", escaped(*.command), escaped(*.found))]
     Parameter {
         /// The command's letter, in ASCII.
         command: u8,
@@ -228,6 +236,7 @@ pub enum SlcanError {
         found: u8,
     },
     /// Not a hexadecimal digit.
+    #[error("'{}' at {at} is not a hexadecimal digit", escaped(*.found))]
     NotHex {
         /// Position of the character.
         at: usize,
@@ -235,44 +244,22 @@ pub enum SlcanError {
         found: u8,
     },
     /// The identifier is too large: above 0x7FF, or 0x1FFF_FFFF if it is extended.
+    #[error("identifier 0x{0:X} is too large")]
     Identifier(u32),
     /// The number of data bytes is not 0…8.
+    #[error("number of bytes '{}' is not 0…8", escaped(*.0))]
     DataLength(u8),
     /// Not a data frame with a standard identifier, but a line that starts with this character.
+    #[error("'{}' does not start a standard data frame", escaped(*.0))]
     NotData(u8),
     /// A frame to be sent while the channel is closed, or open to listen only.
+    #[error("'{}' while the channel is not open to send", escaped(*.0))]
     NotOpen(u8),
 }
 
-impl fmt::Display for SlcanError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let shown = |byte: &u8| char::from(*byte).escape_default();
-        match self {
-            Self::TooLong => write!(f, "line has more than {MAX_LINE} characters"),
-            Self::Truncated { len } => write!(f, "line ends after {len} characters"),
-            Self::Trailing { at, found } => {
-                write!(f, "line goes on at {at} with '{}'", shown(found))
-            }
-            Self::Command(found) => write!(f, "no command '{}'", shown(found)),
-            Self::Parameter { command, found } => {
-                write!(f, "command '{}' does not take '{}'", shown(command), shown(found))
-            }
-            Self::NotHex { at, found } => {
-                write!(f, "'{}' at {at} is not a hexadecimal digit", shown(found))
-            }
-            Self::Identifier(id) => write!(f, "identifier 0x{id:X} is too large"),
-            Self::DataLength(found) => write!(f, "number of bytes '{}' is not 0…8", shown(found)),
-            Self::NotData(found) => {
-                write!(f, "'{}' does not start a standard data frame", shown(found))
-            }
-            Self::NotOpen(command) => {
-                write!(f, "'{}' while the channel is not open to send", shown(command))
-            }
-        }
-    }
+fn escaped(byte: u8) -> EscapeDefault {
+    char::from(byte).escape_default()
 }
-
-impl Error for SlcanError {}
 
 #[cfg(test)]
 mod tests {
@@ -305,7 +292,7 @@ mod tests {
             (b"t181F", SlcanError::DataLength(b'F')),
             (b"t+810", SlcanError::NotHex { at: 1, found: b'+' }),
             (b"T000001810", SlcanError::NotData(b'T')),
-            (&[b't'; MAX_LINE + 1], SlcanError::TooLong),
+            (&[b't'; MAX_LINE_LEN + 1], SlcanError::TooLong),
         ] {
             assert_eq!(decode_line(line), Err(error), "{}", line.escape_ascii());
         }
@@ -320,7 +307,9 @@ mod tests {
     #[test]
     fn a_line_of_the_largest_length_passes_and_one_more_does_not() {
         let mut splitter = LineSplitter::new();
-        for (len, passes) in [(MAX_LINE, true), (MAX_LINE + 1, false), (0, true), (500, false)] {
+        for (len, passes) in
+            [(MAX_LINE_LEN, true), (MAX_LINE_LEN + 1, false), (0, true), (500, false)]
+        {
             for _ in 0..len {
                 assert!(splitter.push(b'0').is_none());
             }

@@ -1,6 +1,6 @@
 //! `Status`: what the bridge says of itself while it runs, one item a frame, ten frames a second, so
 //! that each item comes every 1.1 s. Items 11 to 13 come from a bridge whose axes grow along their way alone, and then
-//! each item comes every 1.5 s and the state (8) at least every 0.9 s: [`ORDER`].
+//! each item comes every 1.5 s and the state (8) at least every 0.9 s: [`ITEM_SEQUENCE`].
 //!
 //! | item | bits 32…47 | bits 48…63 |
 //! |---|---|---|
@@ -24,30 +24,31 @@ use crate::{
     frame::Frame,
     frames::{self, DecodeError},
     layout::{
-        CALIBRATION_CRC, COUNT_HIGH, COUNT_LOW, ELONGATION, ITEM, LAST_REFUSED, NO_CONSTANT_RAW,
-        NO_ELONGATION_RAW, NO_TEMPERATURE_RAW, OFFSET_CONSTANT, OFFSET_SLOPE, STATE_BITS,
-        STATUS_ID, TEMPERATURE_HIGH, TEMPERATURE_LOW,
+        CALIBRATION_CRC, ELONGATION, FIRST_COUNT, FIRST_TEMPERATURE, LAST_REFUSED, NO_CONSTANT_RAW,
+        NO_ELONGATION_RAW, NO_TEMPERATURE_RAW, OFFSET_CONSTANT, OFFSET_SLOPE, SECOND_COUNT,
+        SECOND_TEMPERATURE, STATE_BITS, STATUS_ID, STATUS_ITEM,
     },
 };
 
 /// The largest number of an item.
-pub const LAST_ITEM: u8 = 13;
+pub const MAX_ITEM_NUMBER: u8 = 13;
 
 /// How many frames it takes until each item has come, with slopes.
-pub const PLACES: u8 = 15;
+pub const FRAMES_PER_CYCLE: u8 = 15;
 
-/// The items in the order in which they come; without a slope only the first [`WITHOUT_SLOPES`] of them.
-pub const ORDER: [u8; PLACES as usize] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 8];
-/// How many of [`ORDER`] a bridge without a slope sends.
-pub const WITHOUT_SLOPES: u8 = 11;
+/// The items in the order in which they come; without a slope only the first [`ITEM_COUNT_WITHOUT_SLOPES`] of them.
+pub const ITEM_SEQUENCE: [u8; FRAMES_PER_CYCLE as usize] =
+    [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 8];
+/// How many of [`ITEM_SEQUENCE`] a bridge without a slope sends.
+pub const ITEM_COUNT_WITHOUT_SLOPES: u8 = 11;
 /// Axes that a slope is sent of.
-const AXES: u8 = 3;
+const SLOPE_AXIS_COUNT: u8 = 3;
 
 /// Content of a `Status` frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Status {
     /// Why a frame of the CNC was last refused.
-    pub last_refused: Reason,
+    pub last_refused: FrameRejectReason,
     /// The item that this frame carries.
     pub item: Item,
 }
@@ -55,7 +56,7 @@ pub struct Status {
 /// Why a frame of the CNC was refused. The numbers are those on the wire.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u8)]
-pub enum Reason {
+pub enum FrameRejectReason {
     /// None was refused since the start.
     #[default]
     None = 0,
@@ -69,7 +70,7 @@ pub enum Reason {
     WrongSequence = 4,
 }
 
-impl Reason {
+impl FrameRejectReason {
     /// Returns the reason with this number on the wire.
     #[must_use]
     pub const fn from_wire(number: u8) -> Option<Self> {
@@ -160,13 +161,13 @@ impl StateBits {
     /// The CAN controller counts more errors than CAN calls harmless (96).
     pub const CAN_WARNING: Self = Self(1 << 6);
     /// The CAN controller is error passive.
-    pub const CAN_PASSIVE: Self = Self(1 << 7);
+    pub const CAN_ERROR_PASSIVE: Self = Self(1 << 7);
     /// The CAN controller is off the bus.
-    pub const CAN_OFF: Self = Self(1 << 8);
+    pub const CAN_BUS_OFF: Self = Self(1 << 8);
     /// The board runs on a clock other than its crystal's.
-    pub const FALL_BACK_CLOCK: Self = Self(1 << 9);
+    pub const FALLBACK_CLOCK: Self = Self(1 << 9);
     /// The supply of the sensor is outside its range.
-    pub const SUPPLY_OFF: Self = Self(1 << 10);
+    pub const SUPPLY_OUT_OF_RANGE: Self = Self(1 << 10);
     /// The store does not take what is to be kept.
     pub const STORE_FAILING: Self = Self(1 << 11);
     /// A source of the elongation that is not in use is dead.
@@ -174,21 +175,21 @@ impl StateBits {
     /// The measurements no longer fit the calibration.
     pub const CALIBRATION_UNFIT: Self = Self(1 << 13);
     /// The board has found itself damaged: its image or its RAM. It gives no offset.
-    pub const SELF_TEST: Self = Self(1 << 14);
+    pub const SELF_TEST_FAILED: Self = Self(1 << 14);
     /// A position is where its axis cannot have come so fast, and is not believed.
     pub const POSITION_JUMP: Self = Self(1 << 15);
     /// The sensor shows something that no spindle does: a jump, or another run-out at the same speed.
-    pub const SENSOR_ODD: Self = Self(1 << 16);
+    pub const SENSOR_ANOMALOUS: Self = Self(1 << 16);
     /// An older reference of the calibration is offered, and waits for `Confirm` or `Zero`.
     pub const REFERENCE_OFFERED: Self = Self(1 << 17);
     /// The calibration was changed while no CNC was received, and waits for `Confirm`.
     pub const CALIBRATION_CHANGED: Self = Self(1 << 18);
     /// A thermometer changed faster than the mass that it measures can, and is not believed.
-    pub const TEMPERATURE_RATE: Self = Self(1 << 19);
+    pub const TEMPERATURE_RATE_EXCEEDED: Self = Self(1 << 19);
     /// Tool and conditions are lost: a hold, then the stated defaults.
     pub const CONDITIONS_LOST: Self = Self(1 << 20);
     /// Every bit that has a meaning, with its word.
-    pub const WORDS: [(Self, &'static str); 21] = [
+    pub const NAMES: [(Self, &'static str); 21] = [
         (Self::RESTARTED, "restarted"),
         (Self::HEAT_UNKNOWN, "heat-unknown"),
         (Self::OLDER_CALIBRATION, "older-calibration"),
@@ -196,19 +197,19 @@ impl StateBits {
         (Self::FOREIGN_MACHINE, "foreign-machine"),
         (Self::SECOND_MASTER, "second-master"),
         (Self::CAN_WARNING, "can-warning"),
-        (Self::CAN_PASSIVE, "can-passive"),
-        (Self::CAN_OFF, "can-off"),
-        (Self::FALL_BACK_CLOCK, "fall-back-clock"),
-        (Self::SUPPLY_OFF, "supply-off"),
+        (Self::CAN_ERROR_PASSIVE, "can-passive"),
+        (Self::CAN_BUS_OFF, "can-off"),
+        (Self::FALLBACK_CLOCK, "fall-back-clock"),
+        (Self::SUPPLY_OUT_OF_RANGE, "supply-off"),
         (Self::STORE_FAILING, "store-failing"),
         (Self::SOURCE_DEAD, "source-dead"),
         (Self::CALIBRATION_UNFIT, "calibration-unfit"),
-        (Self::SELF_TEST, "self-test"),
+        (Self::SELF_TEST_FAILED, "self-test"),
         (Self::POSITION_JUMP, "position-jump"),
-        (Self::SENSOR_ODD, "sensor-odd"),
+        (Self::SENSOR_ANOMALOUS, "sensor-odd"),
         (Self::REFERENCE_OFFERED, "reference-offered"),
         (Self::CALIBRATION_CHANGED, "calibration-changed"),
-        (Self::TEMPERATURE_RATE, "temperature-rate"),
+        (Self::TEMPERATURE_RATE_EXCEEDED, "temperature-rate"),
         (Self::CONDITIONS_LOST, "conditions-lost"),
     ];
 
@@ -238,7 +239,7 @@ pub enum ResetReason {
     Pin = 2,
     /// The watchdog: a task hung.
     Watchdog = 3,
-    /// The firmware itself, because a master or a load asked for it.
+    /// The firmware itself, because a master or a load requested it.
     Software = 4,
     /// The supply was too low for a moment.
     BrownOut = 5,
@@ -279,7 +280,7 @@ impl ResetReason {
 
     /// In a word.
     #[must_use]
-    pub const fn word(self) -> &'static str {
+    pub const fn as_str(self) -> &'static str {
         match self {
             Self::Unknown => "unknown",
             Self::PowerOn => "power-on",
@@ -299,9 +300,9 @@ impl ResetReason {
 /// Returns the frame that says this. `counter` counts the frames of this identifier.
 ///
 /// ```
-/// use trueup_link::status::{self, Item, Reason, Status};
+/// use trueup_link::status::{self, Item, FrameRejectReason, Status};
 /// let item = Item::Temperatures { pair: 1, centi_c: [Some(2_345), None] };
-/// let frame = status::encode(&Status { last_refused: Reason::Damaged, item }, 7);
+/// let frame = status::encode(&Status { last_refused: FrameRejectReason::Damaged, item }, 7);
 /// // Item 1, reason 2, 2345 = 0x0929, and 0x8000 for "not available".
 /// assert_eq!(frame.data()[2..], [0x07, 0x21, 0x29, 0x09, 0x00, 0x80]);
 /// assert_eq!(status::decode(&frame)?.item, item);
@@ -313,8 +314,8 @@ pub fn encode(status: &Status, counter: u8) -> Frame {
     LAST_REFUSED.insert(&mut data, status.last_refused as i32);
     let number = match status.item {
         Item::Temperatures { pair, centi_c: [low, high] } => {
-            TEMPERATURE_LOW.insert(&mut data, low.map_or(NO_TEMPERATURE_RAW, i32::from));
-            TEMPERATURE_HIGH.insert(&mut data, high.map_or(NO_TEMPERATURE_RAW, i32::from));
+            FIRST_TEMPERATURE.insert(&mut data, low.map_or(NO_TEMPERATURE_RAW, i32::from));
+            SECOND_TEMPERATURE.insert(&mut data, high.map_or(NO_TEMPERATURE_RAW, i32::from));
             pair.min(3)
         }
         Item::Elongation(elongation) => {
@@ -322,17 +323,19 @@ pub fn encode(status: &Status, counter: u8) -> Frame {
             4
         }
         Item::Refused { damaged, out_of_sequence } => {
-            counts(&mut data, 5, damaged, out_of_sequence)
+            insert_counts(&mut data, 5, damaged, out_of_sequence)
         }
-        Item::Received { malformed, lost } => counts(&mut data, 6, malformed, lost),
+        Item::Received { malformed, lost } => insert_counts(&mut data, 6, malformed, lost),
         Item::Board { noise_thousandths, faults } => {
-            counts(&mut data, 7, noise_thousandths, faults)
+            insert_counts(&mut data, 7, noise_thousandths, faults)
         }
         Item::State(StateBits(bits)) => {
             STATE_BITS.insert(&mut data, bits.cast_signed());
             8
         }
-        Item::Reset { reason, free_stack } => counts(&mut data, 9, reason as u16, free_stack),
+        Item::Reset { reason, free_stack } => {
+            insert_counts(&mut data, 9, reason as u16, free_stack)
+        }
         Item::Calibration(crc) => {
             CALIBRATION_CRC.insert(&mut data, crc.cast_signed());
             10
@@ -340,16 +343,16 @@ pub fn encode(status: &Status, counter: u8) -> Frame {
         Item::Slope { axis, constant, slope } => {
             OFFSET_CONSTANT.insert(&mut data, constant.map_or(NO_CONSTANT_RAW, i32::from));
             OFFSET_SLOPE.insert(&mut data, slope.into());
-            axis.min(AXES.saturating_sub(1)).saturating_add(WITHOUT_SLOPES)
+            axis.min(SLOPE_AXIS_COUNT.saturating_sub(1)).saturating_add(ITEM_COUNT_WITHOUT_SLOPES)
         }
     };
-    ITEM.insert(&mut data, number.into());
-    frames::protected(STATUS_ID, counter, data)
+    STATUS_ITEM.insert(&mut data, number.into());
+    frames::build_protected_frame(STATUS_ID, counter, data)
 }
 
-fn counts(data: &mut [u8; 8], item: u8, low: u16, high: u16) -> u8 {
-    COUNT_LOW.insert(data, low.into());
-    COUNT_HIGH.insert(data, high.into());
+fn insert_counts(data: &mut [u8; 8], item: u8, low: u16, high: u16) -> u8 {
+    FIRST_COUNT.insert(data, low.into());
+    SECOND_COUNT.insert(data, high.into());
     item
 }
 
@@ -358,42 +361,42 @@ fn counts(data: &mut [u8; 8], item: u8, low: u16, high: u16) -> u8 {
 /// # Errors
 /// [`DecodeError`] for another identifier or length, or an item or a reason that has no meaning.
 pub fn decode(frame: &Frame) -> Result<Status, DecodeError> {
-    let data = frames::data_of(frame, STATUS_ID, 8)?;
-    let reason = frames::byte(LAST_REFUSED, data);
-    let last_refused = Reason::from_wire(reason)
+    let data = frames::frame_data(frame, STATUS_ID, 8)?;
+    let reason = frames::extract_byte(LAST_REFUSED, data);
+    let last_refused = FrameRejectReason::from_wire(reason)
         .ok_or(DecodeError::Value { signal: "LastRefused", raw: reason.into() })?;
-    let count = |signal: crate::bits::Signal| {
+    let count = |signal: crate::signal::Signal| {
         let [low, high, ..] = signal.extract(data).to_le_bytes();
         u16::from_le_bytes([low, high])
     };
-    let temperature = |signal: crate::bits::Signal| {
+    let temperature = |signal: crate::signal::Signal| {
         let raw = signal.extract(data);
         i16::try_from(raw).ok().filter(|_| raw != NO_TEMPERATURE_RAW)
     };
-    let item = match frames::byte(ITEM, data) {
+    let item = match frames::extract_byte(STATUS_ITEM, data) {
         pair @ 0..=3 => {
-            let centi_c = [TEMPERATURE_LOW, TEMPERATURE_HIGH].map(temperature);
+            let centi_c = [FIRST_TEMPERATURE, SECOND_TEMPERATURE].map(temperature);
             Item::Temperatures { pair, centi_c }
         }
         4 => {
             let raw = ELONGATION.extract(data);
             Item::Elongation((raw != NO_ELONGATION_RAW).then_some(Nanometres(raw)))
         }
-        5 => Item::Refused { damaged: count(COUNT_LOW), out_of_sequence: count(COUNT_HIGH) },
-        6 => Item::Received { malformed: count(COUNT_LOW), lost: count(COUNT_HIGH) },
-        7 => Item::Board { noise_thousandths: count(COUNT_LOW), faults: count(COUNT_HIGH) },
+        5 => Item::Refused { damaged: count(FIRST_COUNT), out_of_sequence: count(SECOND_COUNT) },
+        6 => Item::Received { malformed: count(FIRST_COUNT), lost: count(SECOND_COUNT) },
+        7 => Item::Board { noise_thousandths: count(FIRST_COUNT), faults: count(SECOND_COUNT) },
         8 => Item::State(StateBits(STATE_BITS.extract(data).cast_unsigned())),
         9 => {
-            let raw = count(COUNT_LOW);
+            let raw = count(FIRST_COUNT);
             let reason = ResetReason::from_wire(raw)
                 .ok_or(DecodeError::Value { signal: "ResetReason", raw: raw.into() })?;
-            Item::Reset { reason, free_stack: count(COUNT_HIGH) }
+            Item::Reset { reason, free_stack: count(SECOND_COUNT) }
         }
         10 => Item::Calibration(CALIBRATION_CRC.extract(data).cast_unsigned()),
-        number @ WITHOUT_SLOPES..=LAST_ITEM => {
-            let short = |signal: crate::bits::Signal| i16::try_from(signal.extract(data));
+        number @ ITEM_COUNT_WITHOUT_SLOPES..=MAX_ITEM_NUMBER => {
+            let short = |signal: crate::signal::Signal| i16::try_from(signal.extract(data));
             Item::Slope {
-                axis: number.saturating_sub(WITHOUT_SLOPES),
+                axis: number.saturating_sub(ITEM_COUNT_WITHOUT_SLOPES),
                 constant: short(OFFSET_CONSTANT)
                     .ok()
                     .filter(|raw| i32::from(*raw) != NO_CONSTANT_RAW),

@@ -15,9 +15,9 @@
 //!
 //! | AUTOSAR | here | |
 //! |---|---|---|
-//! | WindowSizeInit, WindowSizeValid | [`WINDOW`] | frames, not times: no clock here, silence is for the caller |
-//! | WindowSizeInvalid, MinOkStateInvalid | [`IN_A_ROW`] | with MaxErrorStateInvalid 0 |
-//! | MaxErrorStateInit, MaxErrorStateValid | [`MAX_DAMAGED`] | |
+//! | WindowSizeInit, WindowSizeValid | [`WINDOW_FRAMES`] | frames, not times: no clock here, silence is for the caller |
+//! | WindowSizeInvalid, MinOkStateInvalid | [`MIN_CONSECUTIVE_FRAMES`] | with MaxErrorStateInvalid 0 |
+//! | MaxErrorStateInit, MaxErrorStateValid | [`MAX_DAMAGED_FRAMES`] | |
 //! | MinOkStateInit, MinOkStateValid | 1 | the frame that ends `NODATA` is the first of the window |
 //! | ClearToInvalid | true | |
 //!
@@ -32,26 +32,26 @@ use crate::{
 ///
 /// As many as fit a byte. At 500 frames a second they are 16 ms, of 50 a second 160 ms: both less
 /// than the shortest silence after which a CNC counts as lost by default (500 ms).
-pub const WINDOW: u32 = u8::BITS;
+pub const WINDOW_FRAMES: u32 = u8::BITS;
 
-/// Damaged frames among the last [`WINDOW`] with which a stream is still trusted.
+/// Damaged frames among the last [`WINDOW_FRAMES`] with which a stream is still trusted.
 ///
 /// Half of them: noise alone passes with 2⁻¹⁶ a frame, so after a frame that was right the fifth
 /// damaged one in a row ends it; a line that damages one frame in four at random gets there once in
 /// 36 windows (binomial), and is back after three good ones.
-pub const MAX_DAMAGED: u32 = WINDOW / 2;
+pub const MAX_DAMAGED_FRAMES: u32 = WINDOW_FRAMES / 2;
 
 /// Frames in a row, whole and in order, after which a stream is trusted again.
 ///
-/// As many as an engage sequence asks for. Noise does it with a chance of
+/// As many as an engage sequence requires. Noise does it with a chance of
 /// 2⁻⁴⁸·(15/256)² = 10⁻¹⁷ a frame: at 2,000 frames a second once in a million years.
-pub const IN_A_ROW: u32 = 3;
+pub const MIN_CONSECUTIVE_FRAMES: u32 = 3;
 
-const NEWEST_IN_A_ROW: u8 = (1 << IN_A_ROW) - 1;
+const CONSECUTIVE_FRAMES_MASK: u8 = (1 << MIN_CONSECUTIVE_FRAMES) - 1;
 
 /// How far a stream is trusted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Trust {
+pub enum StreamState {
     /// Nothing whole was received yet: NODATA and INIT.
     #[default]
     Initial,
@@ -65,7 +65,7 @@ pub enum Trust {
 #[derive(Clone, Copy, Debug)]
 pub struct Stream {
     checker: Checker,
-    trust: Trust,
+    trust: StreamState,
     /// The last frames, the newest in bit 0: whole and in order.
     sound: u8,
     /// Likewise: damaged.
@@ -79,7 +79,7 @@ impl Stream {
     #[must_use]
     pub const fn new(data_id: u16) -> Self {
         let checker = Checker::new(data_id);
-        Self { checker, trust: Trust::Initial, sound: 0, damaged: 0, last_error: None }
+        Self { checker, trust: StreamState::Initial, sound: 0, damaged: 0, last_error: None }
     }
 
     /// Returns how many frames were lost before this one, if it is to be used.
@@ -89,7 +89,7 @@ impl Stream {
     pub fn accept(&mut self, frame: &Frame) -> Result<u8, StreamError> {
         let verdict = self.checker.accept(frame);
         let is_damaged = matches!(verdict, Err(E2eError::Crc { .. } | E2eError::TooShort { .. }));
-        self.step(verdict.is_ok(), is_damaged);
+        self.update_state(verdict.is_ok(), is_damaged);
         match verdict {
             Err(error) => {
                 self.last_error = Some(error);
@@ -97,38 +97,44 @@ impl Stream {
             }
             // It got there by an error, so there is one.
             Ok(lost) => match self.last_error {
-                Some(error) if self.trust == Trust::Invalid => Err(StreamError::Untrusted(error)),
+                Some(error) if self.trust == StreamState::Invalid => {
+                    Err(StreamError::Untrusted(error))
+                }
                 _ => Ok(lost),
             },
         }
     }
 
     /// Takes note of a frame of this identifier that has no protection to check.
-    pub fn note_damaged(&mut self, error: E2eError) {
+    pub fn record_damaged(&mut self, error: E2eError) {
         self.last_error = Some(error);
-        self.step(false, true);
+        self.update_state(false, true);
     }
 
     /// Returns how far it is trusted after the last frame.
     #[must_use]
-    pub const fn trust(&self) -> Trust {
+    pub const fn state(&self) -> StreamState {
         self.trust
     }
 
-    fn step(&mut self, is_sound: bool, is_damaged: bool) {
+    fn update_state(&mut self, is_sound: bool, is_damaged: bool) {
         self.sound = self.sound << 1 | u8::from(is_sound);
         self.damaged = self.damaged << 1 | u8::from(is_damaged);
-        let is_bad = self.damaged.count_ones() > MAX_DAMAGED;
+        let is_bad = self.damaged.count_ones() > MAX_DAMAGED_FRAMES;
         let next = match self.trust {
-            Trust::Initial if is_bad => Trust::Invalid,
-            Trust::Initial if is_sound => Trust::Valid,
-            Trust::Valid if is_bad || self.sound == 0 => Trust::Invalid,
-            Trust::Invalid if self.sound & NEWEST_IN_A_ROW == NEWEST_IN_A_ROW => Trust::Valid,
+            StreamState::Initial if is_bad => StreamState::Invalid,
+            StreamState::Initial if is_sound => StreamState::Valid,
+            StreamState::Valid if is_bad || self.sound == 0 => StreamState::Invalid,
+            StreamState::Invalid
+                if self.sound & CONSECUTIVE_FRAMES_MASK == CONSECUTIVE_FRAMES_MASK =>
+            {
+                StreamState::Valid
+            }
             same => same,
         };
         if self.trust != next {
             self.trust = next;
-            if next == Trust::Invalid {
+            if next == StreamState::Invalid {
                 (self.sound, self.damaged) = (0, 0);
             }
         }

@@ -9,7 +9,7 @@
 //! | faults | 0x07 | | latched until they are cleared |
 //!
 //! ```text
-//!      ┌──────────── a fault, or CHECK_TURNS are over ────────────┐
+//!      ┌──────────── a fault, or READINGS_PER_FAULT_CHECK are over ────────────┐
 //!      ▼                                                          │
 //!   clear ─► start the cable check ─► read its result ─► settle ─► read … read
 //!      ▲                                    │               │
@@ -18,7 +18,7 @@
 //!
 //! The filter suppresses the hum of the mains, of 50 Hz or of 60 Hz: bit 0 of the configuration.
 //!
-//! Each arrow is one turn; a turn must come no sooner than [`TURN_MS`] after the last one, which is
+//! Each arrow is one turn; a turn must come no sooner than [`MIN_POLL_PERIOD_MS`] after the last one, which is
 //! longer than the 66 ms of a first conversion with the 50 Hz filter and than the cable check's
 //! 0.6 ms. Whether a converter answers is seen from its configuration and thresholds, which are
 //! read back with every ratio: a dead line, all 0 or all 1, is none, and a converter that has lost
@@ -40,44 +40,44 @@ extern crate std;
 
 use embedded_hal::spi::SpiDevice;
 use trueup_core::{
-    calibration::Mains,
-    pt100::{OPEN_ABOVE, SHORT_BELOW},
-    thermometer::Raw,
+    calibration::MainsFrequency,
+    pt100::{OPEN_THRESHOLD, SHORT_THRESHOLD},
+    thermometer::RawReading,
     units::MicroOhms,
 };
 
 /// R_ref: what PT100 boards with this converter carry. Its tolerance is that of the temperature:
 /// 0.1 % of it reads as 0.26 K at 0 °C.
-pub const REFERENCE: MicroOhms = MicroOhms(430_000_000);
+pub const REFERENCE_RESISTANCE: MicroOhms = MicroOhms(430_000_000);
 /// The shortest time between two turns of one converter.
-pub const TURN_MS: u32 = 80;
+pub const MIN_POLL_PERIOD_MS: u32 = 80;
 /// The cables are checked again after this many readings: every 10 s at 100 ms a turn.
-pub const CHECK_TURNS: u32 = 96;
+pub const READINGS_PER_FAULT_CHECK: u32 = 96;
 
 /// Binary places of the ratio.
 const RATIO_BITS: u32 = 15;
 /// The addresses for writing begin here.
-const WRITE: u8 = 0x80;
+const WRITE_BIT: u8 = 0x80;
 /// The registers, from the first to the last, are read in one go: this address, and eight bytes.
-const REGISTERS: usize = 8;
+const REGISTER_COUNT: usize = 8;
 /// The first register of the thresholds.
-const THRESHOLDS: u8 = 0x03;
+const THRESHOLD_REGISTER: u8 = 0x03;
 
 /// Bias on, 3-wire; nothing else runs.
-const READY: u8 = 0b1001_0000;
+const BIAS_ON_3_WIRE: u8 = 0b1001_0000;
 /// With it in the configuration, the filter suppresses 50 Hz, without it 60 Hz.
 const FILTER_50_HZ: u8 = 0b0000_0001;
 /// With it in the configuration, the latched faults are cleared.
-const CLEAR: u8 = 0b0000_0010;
+const CLEAR_FAULTS: u8 = 0b0000_0010;
 /// With it in the configuration, the cables are checked once; the converter takes it back then.
-const CHECK: u8 = 0b0000_0100;
+const RUN_FAULT_DETECTION: u8 = 0b0000_0100;
 /// With it in the configuration, it converts without end.
-const AUTOMATIC: u8 = 0b0100_0000;
+const AUTO_CONVERSION: u8 = 0b0100_0000;
 
 /// High threshold, low threshold: beyond the thermometer's range a reading is latched as a fault.
-const LIMITS: [u8; 4] = {
-    let [high, high_low] = ratio_of(OPEN_ABOVE).to_be_bytes();
-    let [low, low_low] = ratio_of(SHORT_BELOW).to_be_bytes();
+const FAULT_THRESHOLDS: [u8; 4] = {
+    let [high, high_low] = ratio_from_resistance(OPEN_THRESHOLD).to_be_bytes();
+    let [low, low_low] = ratio_from_resistance(SHORT_THRESHOLD).to_be_bytes();
     [high, high_low, low, low_low]
 };
 
@@ -88,8 +88,8 @@ const LIMITS: [u8; 4] = {
     clippy::cast_sign_loss,
     reason = "run by the compiler, which refuses to build what overflows; a test checks the result"
 )]
-const fn ratio_of(resistance: MicroOhms) -> u16 {
-    ((((resistance.0 as u64) << RATIO_BITS) / REFERENCE.0 as u64) << 1) as u16
+const fn ratio_from_resistance(resistance: MicroOhms) -> u16 {
+    ((((resistance.0 as u64) << RATIO_BITS) / REFERENCE_RESISTANCE.0 as u64) << 1) as u16
 }
 
 /// Bits that are latched in the fault register.
@@ -98,19 +98,20 @@ pub struct Faults(pub u8);
 
 impl Faults {
     /// The resistance is above the high threshold.
-    pub const HIGH: u8 = 0x80;
+    pub const ABOVE_HIGH_THRESHOLD: u8 = 0x80;
     /// It is below the low threshold.
-    pub const LOW: u8 = 0x40;
+    pub const BELOW_LOW_THRESHOLD: u8 = 0x40;
     /// REFIN− above 85 % of the bias: no current flows, a wire is broken.
     pub const NO_CURRENT: u8 = 0x20;
     /// An input is beyond the supply.
-    pub const VOLTAGE: u8 = 0x04;
+    pub const OVER_UNDERVOLTAGE: u8 = 0x04;
 
     /// As a thermometer's delivery: a resistance far beyond its range, on the side of the cause.
     #[must_use]
-    pub fn raw(self) -> Raw {
-        let is_open = self.0 & (Self::HIGH | Self::NO_CURRENT | Self::VOLTAGE) != 0;
-        Raw(if is_open { i32::MAX } else { 0 })
+    pub fn to_raw_reading(self) -> RawReading {
+        let is_open =
+            self.0 & (Self::ABOVE_HIGH_THRESHOLD | Self::NO_CURRENT | Self::OVER_UNDERVOLTAGE) != 0;
+        RawReading(if is_open { i32::MAX } else { 0 })
     }
 }
 
@@ -131,11 +132,11 @@ pub enum Reading {
 impl Reading {
     /// As a thermometer's delivery.
     #[must_use]
-    pub fn raw(self) -> Raw {
+    pub fn to_raw_reading(self) -> RawReading {
         match self {
-            Self::Missing | Self::Starting => Raw::NONE,
-            Self::Faulty(faults) => faults.raw(),
-            Self::Good(resistance) => Raw(resistance.0),
+            Self::Missing | Self::Starting => RawReading::NONE,
+            Self::Faulty(faults) => faults.to_raw_reading(),
+            Self::Good(resistance) => RawReading(resistance.0),
         }
     }
 }
@@ -158,13 +159,13 @@ enum Step {
 pub struct Converter {
     step: Step,
     reading: Reading,
-    mains: Mains,
+    mains: MainsFrequency,
 }
 
 impl Converter {
     /// Returns a converter that was not spoken to, and is to suppress the hum of these mains.
     #[must_use]
-    pub fn new(mains: Mains) -> Self {
+    pub fn new(mains: MainsFrequency) -> Self {
         Self { mains, ..Self::default() }
     }
 
@@ -177,33 +178,35 @@ impl Converter {
     /// Takes one turn, of at most two selections of 9 bytes together 11.
     ///
     /// The last good reading, or the last fault, stands while the cables are checked: four turns.
-    pub fn turn(&mut self, spi: &mut impl SpiDevice) -> Reading {
+    pub fn poll(&mut self, spi: &mut impl SpiDevice) -> Reading {
         let mut transfer = |bytes: &mut [u8]| spi.transfer_in_place(bytes).is_ok();
-        let ready = READY | if self.mains == Mains::Hz50 { FILTER_50_HZ } else { 0 };
-        let mut configure = |bits: u8| transfer(&mut [WRITE, ready | bits]);
+        let ready =
+            BIAS_ON_3_WIRE | if self.mains == MainsFrequency::Hz50 { FILTER_50_HZ } else { 0 };
+        let mut configure = |bits: u8| transfer(&mut [WRITE_BIT, ready | bits]);
         self.step = match self.step {
             Step::Clear => {
-                let [a, b, c, d] = LIMITS;
-                let sent = configure(CLEAR) && transfer(&mut [WRITE | THRESHOLDS, a, b, c, d]);
-                if sent { Step::StartCheck } else { self.fail(Reading::Missing) }
+                let [a, b, c, d] = FAULT_THRESHOLDS;
+                let sent = configure(CLEAR_FAULTS)
+                    && transfer(&mut [WRITE_BIT | THRESHOLD_REGISTER, a, b, c, d]);
+                if sent { Step::StartCheck } else { self.record_failure(Reading::Missing) }
             }
-            Step::StartCheck => match configure(CHECK) {
+            Step::StartCheck => match configure(RUN_FAULT_DETECTION) {
                 true => Step::EndCheck,
-                false => self.fail(Reading::Missing),
+                false => self.record_failure(Reading::Missing),
             },
             Step::EndCheck => match Registers::read(ready, &mut transfer) {
-                Err(failure) => self.fail(failure),
-                Ok(_) if transfer(&mut [WRITE, ready | AUTOMATIC]) => Step::Settle,
-                Ok(_) => self.fail(Reading::Missing),
+                Err(failure) => self.record_failure(failure),
+                Ok(_) if transfer(&mut [WRITE_BIT, ready | AUTO_CONVERSION]) => Step::Settle,
+                Ok(_) => self.record_failure(Reading::Missing),
             },
             Step::Settle => {
                 if self.reading == Reading::Missing {
                     self.reading = Reading::Starting;
                 }
-                Step::Read { left: CHECK_TURNS }
+                Step::Read { left: READINGS_PER_FAULT_CHECK }
             }
-            Step::Read { left } => match Registers::read(ready | AUTOMATIC, &mut transfer) {
-                Err(failure) => self.fail(failure),
+            Step::Read { left } => match Registers::read(ready | AUTO_CONVERSION, &mut transfer) {
+                Err(failure) => self.record_failure(failure),
                 Ok(registers) => {
                     self.reading = Reading::Good(registers.resistance());
                     match left.saturating_sub(1) {
@@ -216,26 +219,26 @@ impl Converter {
         self.reading
     }
 
-    fn fail(&mut self, reading: Reading) -> Step {
+    fn record_failure(&mut self, reading: Reading) -> Step {
         self.reading = reading;
         Step::Clear
     }
 }
 
 /// All registers, as they were read.
-struct Registers([u8; REGISTERS]);
+struct Registers([u8; REGISTER_COUNT]);
 
 impl Registers {
     /// Reads them. A converter whose configuration or thresholds are not as they were set is not
     /// there.
     fn read(configuration: u8, transfer: impl FnOnce(&mut [u8]) -> bool) -> Result<Self, Reading> {
-        let mut bytes = [0; REGISTERS + 1];
+        let mut bytes = [0; REGISTER_COUNT + 1];
         let answered = transfer(&mut bytes);
         let [_, registers @ ..] = bytes;
         let [found, _, low, limits @ .., faults] = registers;
-        if !answered || found != configuration || limits != LIMITS {
+        if !answered || found != configuration || limits != FAULT_THRESHOLDS {
             Err(Reading::Missing)
-        } else if faults != 0 || low & 1 != 0 && configuration & AUTOMATIC != 0 {
+        } else if faults != 0 || low & 1 != 0 && configuration & AUTO_CONVERSION != 0 {
             Err(Reading::Faulty(Faults(faults)))
         } else {
             Ok(Self(registers))
@@ -246,7 +249,7 @@ impl Registers {
         const HALF: i64 = 1 << (RATIO_BITS - 1);
         let [_, high, low, ..] = self.0;
         let ratio = i64::from(u16::from_be_bytes([high, low]) >> 1);
-        let scaled = ratio.saturating_mul(i64::from(REFERENCE.0)).saturating_add(HALF);
+        let scaled = ratio.saturating_mul(i64::from(REFERENCE_RESISTANCE.0)).saturating_add(HALF);
         MicroOhms(i32::try_from(scaled >> RATIO_BITS).unwrap_or(i32::MAX))
     }
 }

@@ -5,14 +5,14 @@ use core::convert::Infallible;
 use embedded_hal::spi::{ErrorKind, ErrorType, Operation};
 use embedded_hal_mock::eh1::spi::{Mock, Transaction};
 use std::vec::Vec;
-use trueup_core::thermometer::{Fault, Thermometer};
+use trueup_core::thermometer::{Thermometer, ThermometerFault};
 
 /// A PT100 at 25.7 °C: 110 Ω in micro-ohms.
 const PLAIN: i64 = 110_000_000;
 
 /// A converter as the data sheet describes it.
 struct Chip {
-    registers: [u8; REGISTERS],
+    registers: [u8; REGISTER_COUNT],
     micro_ohms: i64,
     /// Fault bits that a cable check finds.
     cable: u8,
@@ -27,8 +27,8 @@ impl Chip {
     fn transfer(&mut self, bytes: &mut [u8]) {
         let address = bytes[0];
         for (n, byte) in (0..).zip(&mut bytes[1..]) {
-            let register = usize::from((address & 0x7F) + n) % REGISTERS;
-            if address & WRITE == 0 {
+            let register = usize::from((address & 0x7F) + n) % REGISTER_COUNT;
+            if address & WRITE_BIT == 0 {
                 *byte = self.registers[register];
             } else {
                 assert!(matches!(register, 0 | 3..=6), "register {register} is read only");
@@ -36,14 +36,14 @@ impl Chip {
                 *byte = 0;
             }
         }
-        if address == WRITE {
+        if address == WRITE_BIT {
             self.configured();
         }
     }
 
     fn configured(&mut self) {
         let bits = self.registers[0];
-        if bits & CLEAR != 0 {
+        if bits & CLEAR_FAULTS != 0 {
             assert_eq!(bits & 0b0010_1100, 0, "what else must not be asked with a clear");
             self.registers[7] = 0;
             self.registers[2] &= !1;
@@ -52,7 +52,7 @@ impl Chip {
             assert_eq!(bits & 0b1110_1110, 0b1000_0100, "100X010X starts the check");
             self.registers[7] |= self.cable;
         }
-        self.registers[0] &= !(CLEAR | 0b1100);
+        self.registers[0] &= !(CLEAR_FAULTS | 0b1100);
     }
 
     /// Time for a conversion, if it is asked to convert.
@@ -64,8 +64,8 @@ impl Chip {
         let ratio = ratio.min(32_767) << 1;
         let threshold = |n: usize| u16::from_be_bytes([self.registers[n], self.registers[n + 1]]);
         let (high, low) = (threshold(3), threshold(5));
-        self.registers[7] |= if ratio >= high { Faults::HIGH } else { 0 };
-        self.registers[7] |= if ratio <= low { Faults::LOW } else { 0 };
+        self.registers[7] |= if ratio >= high { Faults::ABOVE_HIGH_THRESHOLD } else { 0 };
+        self.registers[7] |= if ratio <= low { Faults::BELOW_LOW_THRESHOLD } else { 0 };
         let fault = u16::from(self.registers[7] != 0);
         self.registers[1..3].copy_from_slice(&(ratio | fault).to_be_bytes());
     }
@@ -105,7 +105,7 @@ impl SpiDevice for Stuck {
 
 fn turn(converter: &mut Converter, chip: &mut Chip) -> Reading {
     chip.live();
-    converter.turn(chip)
+    converter.poll(chip)
 }
 
 fn turns(converter: &mut Converter, chip: &mut Chip, count: u32) -> Reading {
@@ -129,13 +129,15 @@ fn the_data_sheets_examples_are_met() {
 #[test]
 fn the_filter_is_that_of_the_mains_in_every_configuration_that_is_written() {
     // Written out: bias, 3-wire, the filter in bit 0; the check is 100X010X.
-    for (mains, written) in [(Mains::Hz50, [0x93, 0x95, 0xD1]), (Mains::Hz60, [0x92, 0x94, 0xD0])] {
+    for (mains, written) in
+        [(MainsFrequency::Hz50, [0x93, 0x95, 0xD1]), (MainsFrequency::Hz60, [0x92, 0x94, 0xD0])]
+    {
         let (mut converter, mut chip) = (Converter::new(mains), Chip::new(PLAIN));
         let mut all = Vec::new();
-        for _ in 0..3 * (CHECK_TURNS + 5) {
+        for _ in 0..3 * (READINGS_PER_FAULT_CHECK + 5) {
             chip.live();
             let mut spi = Recorder { chip: &mut chip, written: &mut all };
-            converter.turn(&mut spi);
+            converter.poll(&mut spi);
         }
         let Reading::Good(_) = converter.reading() else { panic!("{:?}", converter.reading()) };
         assert_eq!(all[..3], written);
@@ -155,7 +157,7 @@ impl ErrorType for Recorder<'_> {
 
 impl SpiDevice for Recorder<'_> {
     fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), Infallible> {
-        if let [Operation::TransferInPlace([WRITE, bits])] = operations {
+        if let [Operation::TransferInPlace([WRITE_BIT, bits])] = operations {
             self.written.push(*bits);
         }
         self.chip.transaction(operations)
@@ -167,12 +169,12 @@ fn a_thermometer_is_read_from_the_fifth_turn_on_to_a_step() {
     for micro_ohms in [76_330_000, 100_000_000, 109_730_000, 138_510_000, 247_090_000] {
         let (mut converter, mut chip) = (Converter::default(), Chip::new(micro_ohms));
         for _ in 0..4 {
-            assert_eq!(turn(&mut converter, &mut chip).raw(), Raw::NONE);
+            assert_eq!(turn(&mut converter, &mut chip).to_raw_reading(), RawReading::NONE);
         }
         let read = good(turn(&mut converter, &mut chip));
         // The converter rounds down: 430 Ω/2¹⁵ are 13 123 µΩ.
         assert!((0..=13_123).contains(&(micro_ohms - read)), "{read} of {micro_ohms} µΩ");
-        let reading = Thermometer::Pt100.read(converter.reading().raw());
+        let reading = Thermometer::Pt100.convert(converter.reading().to_raw_reading());
         assert!(reading.is_ok(), "{micro_ohms} µΩ: {reading:?}");
     }
 }
@@ -182,11 +184,11 @@ fn the_reading_stands_while_the_cables_are_checked() {
     let (mut converter, mut chip) = (Converter::default(), Chip::new(PLAIN));
     let mut checks = 0;
     turns(&mut converter, &mut chip, 5);
-    for _ in 0..3 * (CHECK_TURNS + 4) {
+    for _ in 0..3 * (READINGS_PER_FAULT_CHECK + 4) {
         let was = chip.registers[0];
         good(turn(&mut converter, &mut chip));
-        let ready = READY | FILTER_50_HZ;
-        checks += u32::from(was == ready && chip.registers[0] == (ready | AUTOMATIC));
+        let ready = BIAS_ON_3_WIRE | FILTER_50_HZ;
+        checks += u32::from(was == ready && chip.registers[0] == (ready | AUTO_CONVERSION));
     }
     assert_eq!(checks, 3);
 }
@@ -196,8 +198,8 @@ fn a_line_stuck_at_0_or_at_1_or_a_bus_that_hangs_is_a_missing_converter() {
     for (level, error) in [(0x00, None), (0xFF, None), (0x00, Some(ErrorKind::Other))] {
         let mut converter = Converter::default();
         for _ in 0..50 {
-            let reading = converter.turn(&mut Stuck { level, error });
-            assert_eq!((reading, reading.raw()), (Reading::Missing, Raw::NONE));
+            let reading = converter.poll(&mut Stuck { level, error });
+            assert_eq!((reading, reading.to_raw_reading()), (Reading::Missing, RawReading::NONE));
         }
     }
 }
@@ -206,7 +208,7 @@ fn a_line_stuck_at_0_or_at_1_or_a_bus_that_hangs_is_a_missing_converter() {
 fn one_that_dies_is_missing_with_the_next_reading_and_one_that_comes_back_is_read() {
     let (mut converter, mut chip) = (Converter::default(), Chip::new(PLAIN));
     good(turns(&mut converter, &mut chip, 7));
-    assert_eq!(converter.turn(&mut Stuck { level: 0xFF, error: None }), Reading::Missing);
+    assert_eq!(converter.poll(&mut Stuck { level: 0xFF, error: None }), Reading::Missing);
     // A dip of its supply: all registers as after power-on.
     good(turns(&mut converter, &mut chip, 5));
     chip = Chip::new(PLAIN);
@@ -216,14 +218,16 @@ fn one_that_dies_is_missing_with_the_next_reading_and_one_that_comes_back_is_rea
 
 #[test]
 fn broken_and_shorted_thermometers_are_told_apart_and_recover() {
-    for (micro_ohms, expected) in [(i64::MAX >> 16, Fault::Open), (300_000, Fault::Short)] {
+    for (micro_ohms, expected) in
+        [(i64::MAX >> 16, ThermometerFault::Open), (300_000, ThermometerFault::Short)]
+    {
         let (mut converter, mut chip) = (Converter::default(), Chip::new(PLAIN));
         good(turns(&mut converter, &mut chip, 9));
         chip.micro_ohms = micro_ohms;
         // With the next reading, and as long as it lasts.
         for _ in 0..20 {
             let reading = turn(&mut converter, &mut chip);
-            assert_eq!(Thermometer::Pt100.read(reading.raw()), Err(expected));
+            assert_eq!(Thermometer::Pt100.convert(reading.to_raw_reading()), Err(expected));
         }
         chip.micro_ohms = PLAIN;
         good(turns(&mut converter, &mut chip, 9));
@@ -232,19 +236,22 @@ fn broken_and_shorted_thermometers_are_told_apart_and_recover() {
 
 #[test]
 fn a_cable_fault_that_the_ratio_does_not_show_is_found_by_the_check() {
-    for (cable, expected) in
-        [(Faults::NO_CURRENT, Fault::Open), (0x10, Fault::Short), (0x08, Fault::Short)]
-    {
+    for (cable, expected) in [
+        (Faults::NO_CURRENT, ThermometerFault::Open),
+        (0x10, ThermometerFault::Short),
+        (0x08, ThermometerFault::Short),
+    ] {
         let (mut converter, mut chip) = (Converter::default(), Chip::new(PLAIN));
         good(turns(&mut converter, &mut chip, 5));
         chip.cable = cable;
-        let found = (0..CHECK_TURNS + 4).find_map(|_| match turn(&mut converter, &mut chip) {
-            Reading::Faulty(faults) => Some(faults),
-            _ => None,
-        });
+        let found =
+            (0..READINGS_PER_FAULT_CHECK + 4).find_map(|_| match turn(&mut converter, &mut chip) {
+                Reading::Faulty(faults) => Some(faults),
+                _ => None,
+            });
         let found = found.expect("within one round of checks");
         assert_eq!(found, Faults(cable));
-        assert_eq!(Thermometer::Pt100.read(found.raw()), Err(expected));
+        assert_eq!(Thermometer::Pt100.convert(found.to_raw_reading()), Err(expected));
     }
 }
 
@@ -255,7 +262,10 @@ fn a_fault_of_a_moment_is_seen_though_it_is_over_when_it_is_read() {
     chip.micro_ohms = i64::MAX >> 16;
     chip.live();
     chip.micro_ohms = PLAIN;
-    assert_eq!(turn(&mut converter, &mut chip), Reading::Faulty(Faults(Faults::HIGH)));
+    assert_eq!(
+        turn(&mut converter, &mut chip),
+        Reading::Faulty(Faults(Faults::ABOVE_HIGH_THRESHOLD))
+    );
     good(turns(&mut converter, &mut chip, 5));
 }
 
@@ -270,7 +280,7 @@ fn selection(sent: &[u8], back: &[u8]) -> Vec<Transaction<u8>> {
 
 #[test]
 fn the_first_reading_takes_these_bytes_and_no_others() {
-    let [high, high_low, low, low_low] = LIMITS;
+    let [high, high_low, low, low_low] = FAULT_THRESHOLDS;
     let registers = |configuration, ratio, low_ratio| {
         [0, configuration, ratio, low_ratio, high, high_low, low, low_low, 0]
     };
@@ -287,7 +297,7 @@ fn the_first_reading_takes_these_bytes_and_no_others() {
     ];
     let mut spi = Mock::new(&expected.concat());
     let mut converter = Converter::default();
-    let readings: Vec<_> = (0..5).map(|_| converter.turn(&mut spi)).collect();
+    let readings: Vec<_> = (0..5).map(|_| converter.poll(&mut spi)).collect();
     spi.done();
     assert_eq!(readings[3..], [Reading::Starting, Reading::Good(MicroOhms(215_000_000))]);
 }

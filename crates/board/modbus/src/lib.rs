@@ -7,7 +7,7 @@
 //!   Control, positions ◄── cnc::Checker ◄── block ──────────┘            └── rtu::Slave (a serial line)
 //! ```
 //!
-//! [`table`] is the one description of both blocks: code, documentation and the PLC programs of
+//! [`register_map`] is the one description of both blocks: code, documentation and the PLC programs of
 //! `integrations` have their numbers from it. Each block is read or written whole, in one request, and
 //! carries a counter and a CRC, so that a copy of it in two halves is detected.
 //!
@@ -20,10 +20,10 @@
 #[cfg(test)]
 extern crate std;
 
-pub mod cnc;
+pub mod e2e;
+pub mod holding;
 pub mod input;
-pub mod protect;
+pub mod input_with_slopes;
+pub mod register_map;
 pub mod rtu;
 pub mod server;
-pub mod slopes;
-pub mod table;

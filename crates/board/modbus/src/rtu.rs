@@ -10,47 +10,47 @@
 
 use heapless::Vec;
 
-use crate::server::{Bridge, Response, Transport, answer};
+use crate::server::{RegisterStore, Response, Transport, handle_request};
 
 /// The largest serial frame.
-const MAX_FRAME: usize = 256;
+const MAX_FRAME_BYTES: usize = 256;
 /// Above it, the two times no longer follow the speed.
-const FASTEST_TIMED: u32 = 19_200;
+const FIXED_TIMING_THRESHOLD_BAUD: u32 = 19_200;
 /// Bits in a character: start, eight, parity or a second stop, stop.
-const BITS: u32 = 11;
+const BITS_PER_CHARACTER: u32 = 11;
 /// Half of one, in µs at 1 Bd.
-const HALF_CHARACTER: u32 = BITS * 1_000_000 / 2;
+const HALF_CHARACTER_US: u32 = BITS_PER_CHARACTER * 1_000_000 / 2;
 
 /// Silences in microseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Timing {
+pub struct FrameTiming {
     /// The longest within a frame.
     pub within_us: u32,
     /// The shortest behind one.
     pub behind_us: u32,
 }
 
-impl Timing {
+impl FrameTiming {
     /// Those at this speed, in baud; at 0, over an hour.
     ///
     /// ```
-    /// # use trueup_modbus::rtu::Timing;
+    /// # use trueup_modbus::rtu::FrameTiming;
     /// // A character lasts 11/9600 s, 1.146 ms.
-    /// assert_eq!(Timing::at(9_600), Timing { within_us: 1_718, behind_us: 4_010 });
-    /// assert_eq!(Timing::at(115_200), Timing { within_us: 750, behind_us: 1_750 });
+    /// assert_eq!(FrameTiming::from_baud(9_600), FrameTiming { within_us: 1_718, behind_us: 4_010 });
+    /// assert_eq!(FrameTiming::from_baud(115_200), FrameTiming { within_us: 750, behind_us: 1_750 });
     /// ```
     #[must_use]
-    pub const fn at(baud: u32) -> Self {
-        if baud > FASTEST_TIMED {
+    pub const fn from_baud(baud: u32) -> Self {
+        if baud > FIXED_TIMING_THRESHOLD_BAUD {
             return Self { within_us: 750, behind_us: 1_750 };
         }
-        Self { within_us: half_characters(3, baud), behind_us: half_characters(7, baud) }
+        Self { within_us: half_characters_us(3, baud), behind_us: half_characters_us(7, baud) }
     }
 }
 
 /// This many halves of a character, in µs.
-const fn half_characters(count: u32, baud: u32) -> u32 {
-    match HALF_CHARACTER.saturating_mul(count).checked_div(baud) {
+const fn half_characters_us(count: u32, baud: u32) -> u32 {
+    match HALF_CHARACTER_US.saturating_mul(count).checked_div(baud) {
         Some(us) => us,
         None => u32::MAX,
     }
@@ -69,8 +69,8 @@ pub struct RxByte {
 #[derive(Clone, Debug)]
 pub struct Slave {
     unit: u8,
-    timing: Timing,
-    bytes: Vec<u8, MAX_FRAME>,
+    timing: FrameTiming,
+    bytes: Vec<u8, MAX_FRAME_BYTES>,
     last_us: u32,
     is_broken: bool,
 }
@@ -78,7 +78,7 @@ pub struct Slave {
 impl Slave {
     /// Returns a slave with this address, 1…247, that has received nothing.
     #[must_use]
-    pub const fn new(unit: u8, timing: Timing) -> Self {
+    pub const fn new(unit: u8, timing: FrameTiming) -> Self {
         Self { unit, timing, bytes: Vec::new(), last_us: 0, is_broken: false }
     }
 
@@ -86,7 +86,7 @@ impl Slave {
     pub fn push(&mut self, heard: RxByte) {
         match heard.byte {
             Some(byte) => self.receive(heard.at_us, byte),
-            None => self.receive_damaged(heard.at_us),
+            None => self.receive_damaged_byte(heard.at_us),
         }
     }
 
@@ -95,8 +95,8 @@ impl Slave {
         let silence = now_us.wrapping_sub(self.last_us);
         if !self.bytes.is_empty() {
             if silence >= self.timing.behind_us {
-                // Nobody has asked in between: what came before is over.
-                self.forget();
+                // No poll came in between: what came before is over.
+                self.discard_frame();
             } else if silence > self.timing.within_us {
                 self.is_broken = true;
             }
@@ -106,24 +106,29 @@ impl Slave {
     }
 
     /// Takes note of a byte that came damaged: its parity or its stop bit was wrong, or one was lost.
-    pub(crate) fn receive_damaged(&mut self, now_us: u32) {
+    pub(crate) fn receive_damaged_byte(&mut self, now_us: u32) {
         self.receive(now_us, 0);
         self.is_broken = true;
     }
 
     /// Answers a frame, if one is whole now. Whether there is an answer to send.
-    pub fn poll(&mut self, now_us: u32, bridge: &mut impl Bridge, response: &mut Response) -> bool {
+    pub fn poll(
+        &mut self,
+        now_us: u32,
+        bridge: &mut impl RegisterStore,
+        response: &mut Response,
+    ) -> bool {
         let silence = now_us.wrapping_sub(self.last_us);
         if self.bytes.is_empty() || silence < self.timing.behind_us {
             return false;
         }
-        let has_answer =
-            !self.is_broken && answer(Transport::Rtu, self.unit, &self.bytes, bridge, response);
-        self.forget();
+        let has_answer = !self.is_broken
+            && handle_request(Transport::Rtu, self.unit, &self.bytes, bridge, response);
+        self.discard_frame();
         has_answer
     }
 
-    fn forget(&mut self) {
+    fn discard_frame(&mut self) {
         self.bytes.clear();
         self.is_broken = false;
     }
@@ -133,12 +138,12 @@ impl Slave {
 mod tests {
     use super::*;
     use crate::{
-        cnc::Cnc,
+        holding::CncData,
         server::tests::{Mock, rtu, write},
     };
     use std::vec::Vec as List;
 
-    const TIMING: Timing = Timing::at(115_200);
+    const TIMING: FrameTiming = FrameTiming::from_baud(115_200);
     const CHARACTER_US: u32 = 96;
 
     /// Bytes one behind the other from this time on; when the last came.
@@ -151,7 +156,7 @@ mod tests {
     }
 
     fn block() -> List<u8> {
-        rtu(9, &write(&Cnc::default().encode(1)))
+        rtu(9, &write(&CncData::default().encode(1)))
     }
 
     #[test]
@@ -182,7 +187,7 @@ mod tests {
         assert!(bridge.taken.is_empty());
         let end = push(&mut slave, end + 3_000, &frame);
         assert!(slave.poll(end + 2_000, &mut bridge, &mut response));
-        // One that nobody has asked for in time is over when the next begins.
+        // One that was not polled in time is over when the next begins.
         let end = push(&mut slave, end + 10_000, &frame);
         let end = push(&mut slave, end + 5_000, &frame);
         assert!(slave.poll(end + 2_000, &mut bridge, &mut response));
@@ -207,7 +212,7 @@ mod tests {
         }
         let frame = block();
         now = push(&mut slave, now, &frame[..10]);
-        slave.receive_damaged(now + CHARACTER_US);
+        slave.receive_damaged_byte(now + CHARACTER_US);
         now = push(&mut slave, now + CHARACTER_US, &frame[11..]) + 2_000;
         assert!(!slave.poll(now, &mut bridge, &mut response));
         assert!(bridge.taken.is_empty());

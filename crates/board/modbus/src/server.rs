@@ -32,36 +32,36 @@ use rmodbus::{
 };
 
 use crate::{
-    cnc, input,
-    table::{HOLDING_LEN, WHOLE_HOLDING_LEN, WORD_ORDER, WORD_ORDER_ADDRESS},
+    holding, input,
+    register_map::{HOLDING_LEN, WHOLE_HOLDING_LEN, WORD_ORDER_ADDRESS, WORD_ORDER_PATTERN},
 };
 
 /// The largest frame: 253 bytes of a request, the header of TCP before them.
-pub const MAX_FRAME: usize = 260;
+pub const MAX_FRAME_BYTES: usize = 260;
 /// Bytes before the unit in a frame of TCP.
-pub const HEADER_LEN: usize = 6;
+pub const MBAP_PREFIX_LEN: usize = 6;
 /// A broadcast.
-const BROADCAST: u8 = 0;
+const BROADCAST_UNIT_ID: u8 = 0;
 /// Over TCP, the one that listens, whatever its number.
-const WHOEVER_LISTENS: u8 = 255;
-const READ_HOLDING: u8 = 3;
-const READ_INPUT: u8 = 4;
-const WRITE_HOLDING: u8 = 16;
+const ANY_UNIT_ID: u8 = 255;
+const READ_HOLDING_REGISTERS: u8 = 3;
+const READ_INPUT_REGISTERS: u8 = 4;
+const WRITE_MULTIPLE_REGISTERS: u8 = 16;
 /// The most registers that one request reads, or writes.
-const MAX_READ: u16 = 125;
-const MAX_WRITTEN: u16 = 123;
+const MAX_READ_REGISTERS: u16 = 125;
+const MAX_WRITE_REGISTERS: u16 = 123;
 
 /// Without a table, which would be half a kilobyte of a board's flash.
-static CHECKSUM: Crc<u16, NoTable> = Crc::<u16, NoTable>::new(&CRC_16_MODBUS);
+static MODBUS_CRC: Crc<u16, NoTable> = Crc::<u16, NoTable>::new(&CRC_16_MODBUS);
 
 /// Returns the two bytes behind a serial frame.
 #[must_use]
 pub fn checksum(bytes: &[u8]) -> [u8; 2] {
-    CHECKSUM.checksum(bytes).to_le_bytes()
+    MODBUS_CRC.checksum(bytes).to_le_bytes()
 }
 
 /// An answer.
-pub type Response = Vec<u8, MAX_FRAME>;
+pub type Response = Vec<u8, MAX_FRAME_BYTES>;
 
 /// The transport that a request comes over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -77,22 +77,22 @@ pub enum Transport {
 pub struct Busy;
 
 /// The bridge behind the registers.
-pub trait Bridge {
-    /// Returns the input block as it is now, of one moment.
-    fn input(&mut self) -> input::Registers;
+pub trait RegisterStore {
+    /// Returns the current input block, of one moment.
+    fn input_registers(&mut self) -> input::Registers;
     /// Returns the holding block that was last taken; zeros before.
-    fn holding(&mut self) -> cnc::Registers;
-    /// Takes a block as it was written. Whether it may be used is for [`cnc::Checker`]; one that may
+    fn holding_registers(&mut self) -> holding::Registers;
+    /// Takes a block as it was written. Whether it may be used is for [`holding::Checker`]; one that may
     /// not is acknowledged, refused and counted.
     ///
     /// # Errors
     /// Another master writes.
-    fn take(&mut self, block: &cnc::Registers) -> Result<(), Busy>;
+    fn write_holding_registers(&mut self, block: &holding::Registers) -> Result<(), Busy>;
 }
 
 /// The exceptions that are given, by the standard's numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Exception {
+enum ExceptionCode {
     Function = 1,
     Address = 2,
     Value = 3,
@@ -101,42 +101,45 @@ enum Exception {
 }
 
 /// Answers one whole frame, addressed to `unit`. Whether there is an answer to send.
-pub fn answer(
+pub fn handle_request(
     transport: Transport,
     unit: u8,
     request: &[u8],
-    bridge: &mut impl Bridge,
+    bridge: &mut impl RegisterStore,
     response: &mut Response,
 ) -> bool {
     response.clear();
-    let Some((addressed, pdu)) = opened(transport, request) else { return false };
+    let Some((addressed, pdu)) = parse_adu(transport, request) else { return false };
     let &[function, ..] = pdu else { return false };
-    if addressed == BROADCAST && transport == Transport::Rtu {
+    if addressed == BROADCAST_UNIT_ID && transport == Transport::Rtu {
         return false;
     }
-    let is_read = matches!(function, READ_HOLDING | READ_INPUT);
-    let is_whoever = addressed == WHOEVER_LISTENS || (addressed == BROADCAST && is_read);
+    let is_read = matches!(function, READ_HOLDING_REGISTERS | READ_INPUT_REGISTERS);
+    let is_whoever = addressed == ANY_UNIT_ID || (addressed == BROADCAST_UNIT_ID && is_read);
     let is_ours = addressed == unit || (transport == Transport::Tcp && is_whoever);
     let answered = if is_ours {
-        admitted(pdu).and_then(|()| answered(transport, addressed, request, bridge, response))
+        validate_pdu(pdu)
+            .and_then(|()| execute_request(transport, addressed, request, bridge, response))
     } else if transport == Transport::Rtu {
         return false;
     } else {
-        Err(Exception::NoTarget)
+        Err(ExceptionCode::NoTarget)
     };
     match answered {
         Ok(()) => true,
-        Err(exception) => refused(transport, request, addressed, function, exception, response),
+        Err(exception) => {
+            write_exception(transport, request, addressed, function, exception, response)
+        }
     }
 }
 
 /// Returns the unit and what it is asked; `None`: no whole frame.
-fn opened(transport: Transport, request: &[u8]) -> Option<(u8, &[u8])> {
+fn parse_adu(transport: Transport, request: &[u8]) -> Option<(u8, &[u8])> {
     match transport {
         Transport::Tcp => {
             let &[_, _, 0, 0, high, low, unit, ref pdu @ ..] = request else { return None };
             let length = usize::from(u16::from_be_bytes([high, low]));
-            (request.len().checked_sub(HEADER_LEN) == Some(length)).then_some((unit, pdu))
+            (request.len().checked_sub(MBAP_PREFIX_LEN) == Some(length)).then_some((unit, pdu))
         }
         Transport::Rtu => {
             let (covered, checksum) = request.split_last_chunk::<2>()?;
@@ -148,88 +151,94 @@ fn opened(transport: Transport, request: &[u8]) -> Option<(u8, &[u8])> {
 }
 
 /// Whether the request has the standard's form.
-fn admitted(pdu: &[u8]) -> Result<(), Exception> {
+fn validate_pdu(pdu: &[u8]) -> Result<(), ExceptionCode> {
     match *pdu {
-        [READ_HOLDING | READ_INPUT, _, _, high, low] => {
+        [READ_HOLDING_REGISTERS | READ_INPUT_REGISTERS, _, _, high, low] => {
             let count = u16::from_be_bytes([high, low]);
-            if (1..=MAX_READ).contains(&count) { Ok(()) } else { Err(Exception::Value) }
+            if (1..=MAX_READ_REGISTERS).contains(&count) {
+                Ok(())
+            } else {
+                Err(ExceptionCode::Value)
+            }
         }
-        [WRITE_HOLDING, _, _, high, low, bytes, ref data @ ..] => {
+        [WRITE_MULTIPLE_REGISTERS, _, _, high, low, bytes, ref data @ ..] => {
             let count = u16::from_be_bytes([high, low]);
-            let is_right = (1..=MAX_WRITTEN).contains(&count)
+            let is_right = (1..=MAX_WRITE_REGISTERS).contains(&count)
                 && u16::from(bytes) == count.saturating_mul(2)
                 && data.len() == usize::from(bytes);
-            if is_right { Ok(()) } else { Err(Exception::Value) }
+            if is_right { Ok(()) } else { Err(ExceptionCode::Value) }
         }
-        [READ_HOLDING | READ_INPUT | WRITE_HOLDING, ..] => Err(Exception::Value),
-        _ => Err(Exception::Function),
+        [READ_HOLDING_REGISTERS | READ_INPUT_REGISTERS | WRITE_MULTIPLE_REGISTERS, ..] => {
+            Err(ExceptionCode::Value)
+        }
+        _ => Err(ExceptionCode::Function),
     }
 }
 
 /// Reads or writes, and puts the answer together.
-fn answered(
+fn execute_request(
     transport: Transport,
     unit: u8,
     request: &[u8],
-    bridge: &mut impl Bridge,
+    bridge: &mut impl RegisterStore,
     response: &mut Response,
-) -> Result<(), Exception> {
+) -> Result<(), ExceptionCode> {
     let proto = match transport {
         Transport::Tcp => ModbusProto::TcpUdp,
         Transport::Rtu => ModbusProto::Rtu,
     };
     // What it may find wrong has been found before; nothing is read or written then.
-    let odd = |_| Exception::Value;
+    let odd = |_| ExceptionCode::Value;
     let mut frame = ModbusFrame::new(unit, request, proto, response).with_broadcast_units(&[]);
     frame.parse().map_err(odd)?;
     if frame.readonly {
         let holding = frame.func == rmodbus::consts::ModbusFunction::GetHoldings;
         let Read::Words(words) = frame.get_external_read().map_err(odd)? else {
-            return Err(Exception::Function);
+            return Err(ExceptionCode::Function);
         };
         let place = usize::from(words.address)..;
         let place = place.start..place.start.saturating_add(usize::from(words.count));
         let (read, written);
         let block = if let Some(at) = place.start.checked_sub(WORD_ORDER_ADDRESS) {
-            WORD_ORDER.get(at..at.saturating_add(usize::from(words.count)))
+            WORD_ORDER_PATTERN.get(at..at.saturating_add(usize::from(words.count)))
         } else if holding {
-            written = bridge.holding();
+            written = bridge.holding_registers();
             written.get(place)
         } else {
-            read = bridge.input();
+            read = bridge.input_registers();
             read.get(place)
         };
-        let block = block.ok_or(Exception::Address)?;
+        let block = block.ok_or(ExceptionCode::Address)?;
         for (place, word) in words.buf.chunks_exact_mut(2).zip(block) {
             place.copy_from_slice(&word.to_be_bytes());
         }
         frame.process_external_read(Ok(())).map_err(odd)?;
     } else {
         let Write::Words(words) = frame.get_external_write().map_err(odd)? else {
-            return Err(Exception::Function);
+            return Err(ExceptionCode::Function);
         };
         let is_whole = [HOLDING_LEN, WHOLE_HOLDING_LEN].contains(&words.count.into());
         if words.address != 0 || !is_whole {
-            return Err(Exception::Address);
+            return Err(ExceptionCode::Address);
         }
         let mut block = [0; WHOLE_HOLDING_LEN];
         let (pairs, _) = words.data.as_chunks::<2>();
         for (place, word) in block.iter_mut().zip(pairs) {
             *place = u16::from_be_bytes(*word);
         }
-        bridge.take(&block).map_err(|Busy| Exception::Busy)?;
+        bridge.write_holding_registers(&block).map_err(|Busy| ExceptionCode::Busy)?;
         frame.process_external_write(Ok(())).map_err(odd)?;
     }
     frame.finalize_response().map_err(odd)
 }
 
 /// An exception in place of an answer. Always to be sent.
-fn refused(
+fn write_exception(
     transport: Transport,
     request: &[u8],
     unit: u8,
     function: u8,
-    exception: Exception,
+    exception: ExceptionCode,
     response: &mut Response,
 ) -> bool {
     response.clear();

@@ -19,7 +19,8 @@
 #[cfg(test)]
 extern crate std;
 
+pub mod configuration;
+pub(crate) mod display_values;
 pub mod node;
-pub mod shown;
-pub mod start;
-pub mod vectors;
+pub mod reset_info;
+pub mod test_vectors;

@@ -8,63 +8,62 @@
 //! a tick interrupts.
 
 use trueup_canopen::{
-    emergency::{Emergencies, Fault, Faults},
-    heartbeat::Consumer,
+    emergency::{EmergencyProducer, Fault, Faults},
+    heartbeat::HeartbeatConsumer,
     sdo,
 };
 use trueup_core::{
     bridge::{self, Bridge, Input},
-    calibration::Calibration,
     cnc::{Command, Control, Flags, Output, Quality},
-    health::Noise,
-    supply::Supply,
-    units::Millis,
+    sensor_health::Noise,
+    supply::SupplyMonitor,
+    units::TimestampMs,
 };
 use trueup_link::{
     e2e,
     frame::Frame,
-    frames::{self, State},
+    frames::{self, NmtState},
     layout::{
-        CONTROL_ID, HEARTBEAT_PERIOD_MS, NMT_ID, SDO_REQUEST_ID, SERVICE_PERIOD_MS,
+        CONTROL_ID, HEARTBEAT_PERIOD_MS, MIN_SERVICE_FRAME_INTERVAL_MS, NMT_ID, SDO_REQUEST_ID,
         STATUS_PERIOD_MS,
     },
-    receiver::{Receiver, Refused},
-    status::{self, Reason, Status},
+    receiver::{ReceiveError, Receiver},
+    status::{self, FrameRejectReason, Status},
 };
 use trueup_store::{
-    calibration::identity,
-    load::{Load, Outcome, Slot},
-    writes::WriteKind,
+    calibration::calibration_crc,
+    load::{LoadBuffer, LoadOutcome, LoadSlot},
+    write_log::WriteKind,
 };
 
-use crate::{shown::ShownValues, start::Start};
+use crate::{configuration::Configuration, display_values::DisplayValues, reset_info::ResetInfo};
 
+mod confirmation;
 mod faults;
 pub mod firmware;
-mod learned;
+mod learned_changes;
 mod master;
-mod network;
+mod nmt;
 mod objects;
-mod questions;
+mod reference_status;
 mod registers;
 mod restart;
-mod slopes;
-mod standing;
+mod service_switch;
+mod status_items;
 mod supply;
-mod switch;
-mod writes;
+mod write_journal;
 
-use firmware::Firmware;
+use firmware::FirmwareUpdate;
 pub use master::Interface;
 use master::Master;
-use registers::Registers;
-use standing::Offer;
-pub use standing::Zero;
-use switch::ServiceSwitch;
-use writes::Log;
+use reference_status::OfferedReference;
+pub use reference_status::ZeroOutcome;
+use registers::RegisterExchange;
+use service_switch::ServiceSwitch;
+use write_journal::WriteJournal;
 
 /// The frames of one tick: both halves of a cycle's offsets.
-pub type Frames = [Frame; 2];
+pub type OffsetFrames = [Frame; 2];
 
 /// The bridge, its memory, and its end of the link.
 #[derive(Debug)]
@@ -73,24 +72,21 @@ pub struct Node<'a> {
     bridge: Option<Bridge<'a>>,
     state: bridge::State,
     receiver: Receiver,
-    now: Millis,
+    now: TimestampMs,
     /// The same by a clock that does not count samples.
-    clock: Millis,
+    clock: TimestampMs,
     until_forgiven_ms: u32,
     blocks: u32,
     counter: u8,
-    since_heartbeat_ms: u32,
-    heartbeat_period_ms: u16,
-    /// The boot-up message was sent, which comes in the place of the first heartbeat.
-    has_booted: bool,
-    consumer: Consumer,
+    heartbeat: HeartbeatSchedule,
+    consumer: HeartbeatConsumer,
     /// When [`Node::service`] last ran.
-    serviced: Millis,
+    serviced: TimestampMs,
     /// The flags of all ticks since then.
     flags_since: Flags,
     server: sdo::Server,
     answer: Option<Frame>,
-    emergencies: Emergencies,
+    emergencies: EmergencyProducer,
     /// Of the board, which stay until it says otherwise.
     board_faults: Faults,
     /// Questions that are open to the operator: nothing is available until they are answered.
@@ -99,117 +95,139 @@ pub struct Node<'a> {
     confirmed: Option<Fault>,
     master: Master,
     /// Of the RS-485 line.
-    registers: Registers,
+    registers: RegisterExchange,
     /// The blob of the running calibration.
     blob: &'a [u8],
-    slot: Slot<'a>,
+    slot: LoadSlot<'a>,
     /// CRC of the calibration that is stored for the next start; 0: none was loaded.
     new_crc: u32,
-    /// A master has asked to drop it.
+    /// A master has requested to drop it.
     drops_new: bool,
-    firmware: Firmware,
+    firmware: FirmwareUpdate,
     /// Who has written.
-    log: Log,
+    log: WriteJournal,
     noise: Noise,
-    until_status_ms: u32,
-    /// Which of the order of items the next status frame is about, and its counter.
-    status_item: u8,
-    /// The slopes of X, Y and Z that were last sent, in 0.1 µm/m.
-    slopes: [i16; 3],
-    status_counter: u8,
-    last_refused: Reason,
-    start: Start,
-    /// As CANopen's identity object has it.
-    serial_number: u32,
-    /// As the object has it; 0: it is not known.
-    commit: u32,
-    free_stack: u16,
+    status: StatusSchedule,
+    last_refused: FrameRejectReason,
+    board: BoardInfo,
     restart: bool,
     degraded: bool,
     last: Output,
-    zero: Option<Zero>,
+    zero: Option<ZeroOutcome>,
     /// The reference that is offered, and where the one comes from that is in force.
-    offer: Offer,
+    offer: OfferedReference,
     /// A `Zero` was refused since [`Node::service`] last ran.
     zero_refused: bool,
     /// So was a learned change, and `Control` was not received without one since.
     learned_refused: bool,
-    supply: Supply,
+    supply: SupplyMonitor,
     switch: ServiceSwitch,
 }
 
+/// When the next heartbeat is due.
+#[derive(Debug)]
+struct HeartbeatSchedule {
+    since_ms: u32,
+    period_ms: u16,
+    /// The boot-up message was sent, which comes in the place of the first heartbeat.
+    has_booted: bool,
+}
+
+/// When the next status frame is due, and what it is about.
+#[derive(Debug, Default)]
+struct StatusSchedule {
+    until_ms: u32,
+    /// Its place in the order of items.
+    item: u8,
+    counter: u8,
+    /// The slopes of X, Y and Z that were last sent, in 0.1 µm/m.
+    slopes: [i16; 3],
+}
+
+/// What the board says of itself.
+#[derive(Debug)]
+struct BoardInfo {
+    start: ResetInfo,
+    /// As CANopen's identity object has it.
+    serial_number: u32,
+    /// As the object has it; 0: it is not known.
+    commit: u32,
+    /// Bytes of the stack that were never used.
+    free_stack: u16,
+}
+
 impl<'a> Node<'a> {
-    /// Returns a node that has just been switched on. `degraded` marks every frame of a board that runs on a fall-back.
+    /// Returns a node that has just been switched on.
     #[must_use]
-    pub fn new(calibration: Option<Calibration<'a>>, degraded: bool) -> Self {
-        let mut node = Self {
-            bridge: calibration.map(Bridge::new),
-            state: bridge::State::default(),
+    pub fn new(configuration: Configuration<'a>) -> Self {
+        let Configuration {
+            calibration,
+            blob,
+            buffer,
+            is_degraded,
+            faults,
+            questions,
+            start,
+            serial_number,
+            commit,
+            writes,
+        } = configuration;
+        let bridge = calibration.map(Bridge::new);
+        let mut state =
+            bridge.as_ref().map_or_else(bridge::State::without_calibration, Bridge::initial_state);
+        // The engage sequence is not complete.
+        state.set_inhibited(true);
+        Self {
+            bridge,
+            state,
             receiver: Receiver::default(),
-            now: Millis::default(),
-            clock: Millis::default(),
+            now: TimestampMs::default(),
+            clock: TimestampMs::default(),
             until_forgiven_ms: 0,
             blocks: 0,
             counter: 0,
-            since_heartbeat_ms: 0,
-            heartbeat_period_ms: default_heartbeat_ms(),
-            has_booted: false,
-            consumer: Consumer::default(),
-            serviced: Millis::default(),
+            heartbeat: HeartbeatSchedule {
+                since_ms: 0,
+                period_ms: default_heartbeat_ms(),
+                has_booted: false,
+            },
+            consumer: HeartbeatConsumer::default(),
+            serviced: TimestampMs::default(),
             flags_since: Flags::NONE,
             server: sdo::Server::default(),
             answer: None,
-            emergencies: Emergencies::default(),
-            board_faults: Faults::default(),
-            questions: Faults::default(),
+            emergencies: EmergencyProducer::default(),
+            board_faults: faults,
+            questions,
             confirmed: None,
             master: Master::default(),
-            registers: Registers::default(),
-            blob: &[],
-            slot: Slot::None,
+            registers: RegisterExchange::default(),
+            blob,
+            slot: buffer.map_or(LoadSlot::None, LoadSlot::new),
             new_crc: 0,
             drops_new: false,
-            firmware: Firmware::default(),
-            log: Log::default(),
+            firmware: FirmwareUpdate::default(),
+            log: WriteJournal::from_stored(writes),
             noise: Noise::default(),
-            until_status_ms: 0,
-            status_item: 0,
-            slopes: [0; 3],
-            status_counter: 0,
-            last_refused: Reason::None,
-            start: Start::default(),
-            serial_number: 1,
-            commit: 0,
-            free_stack: u16::MAX,
+            status: StatusSchedule::default(),
+            last_refused: FrameRejectReason::None,
+            board: BoardInfo { start, serial_number, commit, free_stack: u16::MAX },
             restart: false,
-            degraded,
+            degraded: is_degraded,
             last: Output::default(),
             zero: None,
-            offer: Offer::default(),
+            offer: OfferedReference::default(),
             zero_refused: false,
             learned_refused: false,
-            supply: Supply::default(),
+            supply: SupplyMonitor::default(),
             switch: ServiceSwitch::default(),
-        };
-        node.inhibit();
-        node
-    }
-
-    /// Lets a CANopen master read the blob of the running calibration.
-    pub fn set_blob(&mut self, blob: &'a [u8]) {
-        self.blob = blob;
+        }
     }
 
     /// Returns the blob of the running calibration; empty without one.
     #[must_use]
-    pub fn blob(&self) -> &'a [u8] {
+    pub fn calibration_blob(&self) -> &'a [u8] {
         self.blob
-    }
-
-    /// Lets a CANopen master load a calibration through this buffer; without one the answer
-    /// is that nothing can be stored.
-    pub fn set_buffer(&mut self, buffer: &'a mut [u8]) {
-        self.slot = Slot::new(buffer);
     }
 
     /// Notes what is wrong with the board.
@@ -218,38 +236,28 @@ impl<'a> Node<'a> {
     }
 
     /// Notes whether this is wrong with the board now: for what may go again.
-    pub fn set_fault_if(&mut self, is_there: bool, fault: Fault) {
+    pub fn set_or_clear_fault(&mut self, is_there: bool, fault: Fault) {
         self.board_faults = self.board_faults.without(fault).with_if(is_there, fault);
     }
 
-    /// Notes where the last start stopped, and how often the board has started.
-    pub fn note_start(&mut self, start: Start) {
-        self.start = start;
-    }
-
-    /// Notes from which commit of the source the image was built: the first 32 bits of its hash; 0: not known.
-    pub fn note_commit(&mut self, commit: u32) {
-        self.commit = commit;
-    }
-
     /// Notes how many bytes of the stack were never used.
-    pub fn note_free_stack(&mut self, bytes: u16) {
-        self.free_stack = bytes;
+    pub fn set_free_stack(&mut self, bytes: u16) {
+        self.board.free_stack = bytes;
     }
 
     /// Returns a calibration that has come whole, once: it is to be looked at, stored, and given back.
-    pub fn take_load(&mut self) -> Option<Load<'a>> {
+    pub fn take_received_calibration(&mut self) -> Option<LoadBuffer<'a>> {
         self.slot.take()
     }
 
     /// Gives it back, and lets the master know what came of it.
-    pub fn end_load(&mut self, load: Load<'a>, outcome: Outcome) {
-        let outcome = self.slot.give_back(load, outcome).map_err(objects::abort);
+    pub fn finish_load(&mut self, load: LoadBuffer<'a>, outcome: LoadOutcome) {
+        let outcome = self.slot.finish_load(load, outcome).map_err(objects::load_abort_code);
         if let (Ok(()), Some(stored)) = (outcome, self.slot.stored()) {
-            self.new_crc = identity(stored);
+            self.new_crc = calibration_crc(stored);
             self.log_load(self.new_crc);
         }
-        self.answer = self.server.end(outcome).or(self.answer);
+        self.answer = self.server.finish_download(outcome).or(self.answer);
     }
 
     /// Takes a frame from a line. Gives the command it carried, `None` if it is not for this node, or
@@ -260,9 +268,13 @@ impl<'a> Node<'a> {
     /// effect.
     // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
     #[inline(never)]
-    pub fn receive(&mut self, line: Interface, frame: &Frame) -> Result<Option<Command>, Refused> {
+    pub fn receive(
+        &mut self,
+        line: Interface,
+        frame: &Frame,
+    ) -> Result<Option<Command>, ReceiveError> {
         if frame.id() == SDO_REQUEST_ID {
-            self.log.speaks(line);
+            self.log.set_sender(line);
             // Taken out, because what it reads and writes is the rest of this node.
             let mut server = self.server;
             self.answer = server.receive(frame, self).or(self.answer);
@@ -270,13 +282,13 @@ impl<'a> Node<'a> {
             return Ok(None);
         }
         if frame.id() == NMT_ID {
-            self.network_command(frame);
+            self.handle_nmt_command(frame);
             return Ok(None);
         }
         self.consumer.receive(frame);
-        if Receiver::is_from_cnc(frame.id()) && !self.master.admits(line) {
-            if e2e::is_whole(frame) {
-                self.master.receive_other();
+        if Receiver::is_from_cnc(frame.id()) && !self.master.accepts_interface(line) {
+            if e2e::has_valid_crc(frame) {
+                self.master.record_other_interface();
             }
             return Ok(None);
         }
@@ -284,35 +296,35 @@ impl<'a> Node<'a> {
         if let Err(refused) = &heard {
             self.last_refused = refused.reason();
             if frame.id() == CONTROL_ID {
-                self.master.refuse(refused.is_sound());
+                self.master.reject_control(refused.is_sequence_error());
             }
         }
         let command = heard?;
         match (command, &self.bridge) {
             (Some(Command::Control(control)), _) => self.receive_control(line, control),
-            (Some(value), Some(bridge)) => bridge.receive_value(&mut self.state, value),
+            (Some(value), Some(bridge)) => bridge.receive_command(&mut self.state, value),
             _ => {}
         }
         Ok(command)
     }
 
     fn receive_control(&mut self, line: Interface, control: Control) {
-        let Some(received) = self.master.take(line, control) else { return };
+        let Some(received) = self.master.accept_control(line, control) else { return };
         if received.confirm {
             self.confirm(line);
         }
-        self.inhibit();
-        self.receive_learned(received.control.learned);
+        self.update_inhibition();
+        self.apply_learned_change(received.control.learned);
         let Some(bridge) = &self.bridge else { return };
         let before = self.state.reference();
         bridge.receive_control(&mut self.state, received.control);
         let now = self.state.reference();
-        let zeroed = self.state.take_zeroed();
-        if now != before || zeroed && self.offer.is_open() {
-            self.zero = Some(Zero::Taken(now));
+        let zeroed = self.state.take_zero_event();
+        if now != before || zeroed && self.offer.has_offer() {
+            self.zero = Some(ZeroOutcome::Taken(now));
             self.end_offer(now, WriteKind::Zeroed, Some(line));
         } else if received.zero && self.zero.is_none() {
-            self.zero = Some(Zero::Unchanged);
+            self.zero = Some(ZeroOutcome::Unchanged);
             self.zero_refused = true;
         }
     }
@@ -320,8 +332,8 @@ impl<'a> Node<'a> {
     /// Runs one tick, which ends `elapsed_ms` after the last one. Returns the frames to send.
     // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
     #[inline(never)]
-    pub fn tick(&mut self, elapsed_ms: u32, input: Input<'_>) -> Frames {
-        self.now = self.now.after(elapsed_ms);
+    pub fn tick(&mut self, elapsed_ms: u32, input: Input<'_>) -> OffsetFrames {
+        self.now = self.now.wrapping_add_ms(elapsed_ms);
         if input.codes.is_some() {
             self.blocks = self.blocks.wrapping_add(1);
         }
@@ -335,25 +347,25 @@ impl<'a> Node<'a> {
         self.flags_since = self.flags_since.with(output.flags);
         let counter = self.counter;
         self.counter = counter.wrapping_add(1);
-        [frames::offset_xy(&output, counter), frames::offset_z(&output, counter)]
+        [frames::encode_offset_xy(&output, counter), frames::encode_offset_z(&output, counter)]
     }
 
     /// Returns whether it is time for [`Node::service`].
     #[must_use]
-    pub fn service_is_due(&self) -> bool {
-        self.now.since(self.serviced) >= SERVICE_PERIOD_MS
+    pub fn is_service_due(&self) -> bool {
+        self.now.duration_since(self.serviced) >= MIN_SERVICE_FRAME_INTERVAL_MS
     }
 
     /// Returns what there is to say besides the offsets: the heartbeat, an emergency, the status, or the
     /// answer to an SDO request, in this order, one frame at most. On the bus they share a place, so there are
-    /// [`SERVICE_PERIOD_MS`] from one to the next, however often this is called.
+    /// [`MIN_SERVICE_FRAME_INTERVAL_MS`] from one to the next, however often this is called.
     // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
     #[inline(never)]
     pub fn service(&mut self) -> Option<Frame> {
-        if !self.service_is_due() {
+        if !self.is_service_due() {
             return None;
         }
-        let elapsed_ms = self.now.since(self.serviced);
+        let elapsed_ms = self.now.duration_since(self.serviced);
         self.serviced = self.now;
         let output = self.last;
         // A fault of a single tick is not overlooked.
@@ -365,66 +377,66 @@ impl<'a> Node<'a> {
         self.questions = self
             .questions
             .without(Fault::HeatUnknown)
-            .with_if(self.state.heat_is_unknown(), Fault::HeatUnknown);
+            .with_if(self.state.is_heat_unknown(), Fault::HeatUnknown);
         let seen = self.faults(&Output { flags, ..output });
         self.zero_refused = false;
         let now = self.faults(&output);
         self.emergencies.update(elapsed_ms, seen);
         // Taken out, because what it asks for room is the rest of this node.
         let mut server = self.server;
-        self.answer = server.proceed(self).or_else(|| server.tick(elapsed_ms)).or(self.answer);
+        self.answer = server.resume_block(self).or_else(|| server.tick(elapsed_ms)).or(self.answer);
         self.server = server;
-        self.since_heartbeat_ms = self.since_heartbeat_ms.saturating_add(elapsed_ms);
-        self.until_status_ms = self.until_status_ms.saturating_sub(elapsed_ms);
-        self.heartbeat(&output)
-            .or_else(|| self.emergencies.next(now, &output))
-            .or_else(|| self.status())
+        self.heartbeat.since_ms = self.heartbeat.since_ms.saturating_add(elapsed_ms);
+        self.status.until_ms = self.status.until_ms.saturating_sub(elapsed_ms);
+        self.poll_heartbeat(&output)
+            .or_else(|| self.emergencies.next_frame(now, &output))
+            .or_else(|| self.poll_status())
             .or_else(|| self.answer.take())
     }
 
     /// Returns the heartbeat, if it is due. One that had to wait does not put off those after it.
-    fn heartbeat(&mut self, output: &Output) -> Option<Frame> {
-        let period_ms = u32::from(self.heartbeat_period_ms);
-        let has_booted = core::mem::replace(&mut self.has_booted, true);
-        if has_booted && (period_ms == 0 || self.since_heartbeat_ms < period_ms) {
+    fn poll_heartbeat(&mut self, output: &Output) -> Option<Frame> {
+        let period_ms = u32::from(self.heartbeat.period_ms);
+        let has_booted = core::mem::replace(&mut self.heartbeat.has_booted, true);
+        if has_booted && (period_ms == 0 || self.heartbeat.since_ms < period_ms) {
             return None;
         }
-        let late_ms = self.since_heartbeat_ms.checked_rem(period_ms);
-        self.since_heartbeat_ms = if has_booted { late_ms.unwrap_or(0) } else { 0 };
-        Some(frames::heartbeat(match output.quality {
-            _ if !has_booted => State::BootUp,
-            Quality::Fault => State::Stopped,
-            _ => State::Operational,
+        let late_ms = self.heartbeat.since_ms.checked_rem(period_ms);
+        self.heartbeat.since_ms = if has_booted { late_ms.unwrap_or(0) } else { 0 };
+        Some(frames::encode_heartbeat(match output.quality {
+            _ if !has_booted => NmtState::BootUp,
+            Quality::Fault => NmtState::Stopped,
+            _ => NmtState::Operational,
         }))
     }
 
     /// Returns the status, if it is due: each time about the next item. One that had to wait puts off those after it.
-    fn status(&mut self) -> Option<Frame> {
-        if self.until_status_ms > 0 {
+    fn poll_status(&mut self) -> Option<Frame> {
+        if self.status.until_ms > 0 {
             return None;
         }
-        self.until_status_ms = STATUS_PERIOD_MS;
-        let counter = self.status_counter;
-        self.status_counter = counter.wrapping_add(1);
-        let status = Status { last_refused: self.last_refused, item: self.next_item() };
+        self.status.until_ms = STATUS_PERIOD_MS;
+        let counter = self.status.counter;
+        self.status.counter = counter.wrapping_add(1);
+        let status = Status { last_refused: self.last_refused, item: self.next_status_item() };
         Some(status::encode(&status, counter))
     }
 
     /// Returns the time of the last tick.
     #[must_use]
-    pub fn now(&self) -> Millis {
+    pub fn now(&self) -> TimestampMs {
         self.now
     }
 
     /// Blocks of samples taken so far; wraps.
     #[must_use]
-    pub fn blocks(&self) -> u32 {
+    pub fn block_count(&self) -> u32 {
         self.blocks
     }
 
     /// Returns what the last tick gave.
     #[must_use]
-    pub fn last(&self) -> &Output {
+    pub fn last_output(&self) -> &Output {
         &self.last
     }
 
@@ -435,9 +447,9 @@ impl<'a> Node<'a> {
     }
 
     /// Returns the live values for the log, and begins to measure the noise of the raw codes anew.
-    pub fn take_shown(&mut self) -> ShownValues {
+    pub fn take_display_values(&mut self) -> DisplayValues {
         self.noise = self.state.take_noise();
-        ShownValues::new(self.last.offset, self.state.elongation(), self.noise)
+        DisplayValues::new(self.last.offset, self.state.elongation(), self.noise)
     }
 }
 
@@ -450,7 +462,7 @@ mod example;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]
-pub(crate) use example::tests_calibration;
+pub(crate) use example::sensor_only_calibration;
 #[cfg(test)]
 mod conditions_tests;
 #[cfg(test)]

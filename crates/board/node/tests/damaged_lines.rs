@@ -10,7 +10,10 @@
 use std::thread;
 
 use trueup_core::{
-    cnc::{AxisPosition, Command, Control, Heading, LinearAxis, Output, Quality, Rotary, Spindle},
+    cnc::{
+        AxisPosition, Command, Control, LinearAxis, Output, Quality, Rotary, Spindle,
+        TravelDirection,
+    },
     units::{MicroDegrees, Nanometres, Position, Rpm},
 };
 use trueup_link::{
@@ -19,11 +22,12 @@ use trueup_link::{
     layout::{OFFSET_XY_ID, OFFSET_Z_ID, STATUS_ID},
     receiver::{OffsetReceiver, Receiver, StatusReceiver},
     slcan::{LineSplitter, decode_line, encode_line},
-    status::{self, Item, Reason, Status},
+    status::{self, FrameRejectReason, Item, Status},
 };
 use trueup_node::{
+    configuration::Configuration,
     node::{Interface, Node},
-    vectors::Random,
+    test_vectors::XorShift32,
 };
 
 /// Lines that are damaged in every way.
@@ -33,7 +37,7 @@ const LENGTH: usize = 22;
 
 /// Returns what a CNC sends, frame by frame, each identifier with its own counter.
 fn commands(count: usize) -> Vec<Frame> {
-    let mut random = Random::new(7);
+    let mut random = XorShift32::new(7);
     let mut counters = [250_u8; 6];
     (0..count)
         .map(|n| {
@@ -44,15 +48,17 @@ fn commands(count: usize) -> Vec<Frame> {
             match kind {
                 axis @ 0..=2 => {
                     let position = Position(any / 2);
-                    let (axis, direction) = (LinearAxis::ALL[axis], Heading::Positive);
-                    frames::position(AxisPosition { axis, position, direction }, counter)
+                    let (axis, direction) = (LinearAxis::ALL[axis], TravelDirection::Positive);
+                    frames::encode_position(AxisPosition { axis, position, direction }, counter)
                 }
-                3 => frames::rotary(
+                3 => frames::encode_rotary(
                     Rotary { angles: [any / 16, -any / 16].map(MicroDegrees) },
                     counter,
                 ),
-                4 => frames::spindle(Spindle { speed: Rpm(any as u16), load_n: 120 }, counter),
-                _ => frames::control(Control::ENGAGED, counter),
+                4 => {
+                    frames::encode_spindle(Spindle { speed: Rpm(any as u16), load_n: 120 }, counter)
+                }
+                _ => frames::encode_control(Control::ENGAGED, counter),
             }
         })
         .collect()
@@ -66,12 +72,12 @@ fn lines_of_both() -> Vec<Frame> {
         let offset = Some([nm, -nm / 3, nm * 5].map(Nanometres));
         let output = Output { offset, quality: Quality::Live, ..Output::default() };
         if counter < 4 {
-            all.push(frames::offset_xy(&output, counter));
-            all.push(frames::offset_z(&output, counter));
+            all.push(frames::encode_offset_xy(&output, counter));
+            all.push(frames::encode_offset_z(&output, counter));
         } else {
             for (counter, nm) in [(0, nm), (1, -nm)] {
                 let item = Item::Elongation(Some(Nanometres(nm)));
-                let said = Status { last_refused: Reason::None, item };
+                let said = Status { last_refused: FrameRejectReason::None, item };
                 all.push(status::encode(&said, counter));
             }
         }
@@ -189,14 +195,14 @@ fn flip_all(frame: &Frame, mut hear: impl FnMut(&[u8; LENGTH])) {
 
 /// Returns the state of a node that a frame without protection could change.
 fn settings(node: &Node<'_>) -> String {
-    format!("{:?} {:?}", node.reference(), node.last())
+    format!("{:?} {:?}", node.reference(), node.last_output())
 }
 
 fn flipped(numbers: impl Iterator<Item = usize>) -> Outcome {
     let all = lines_of_both();
     let mut total = Outcome::default();
     for number in numbers {
-        let mut node = Node::new(None, false);
+        let mut node = Node::new(Configuration::default());
         let before = settings(&node);
         let original = all[number];
         let ears = Ears::after(&all[..number]);
@@ -289,12 +295,12 @@ fn a_byte_lost_doubled_inserted_or_swapped_costs_at_most_two_frames_and_makes_no
 #[test]
 fn frames_lost_doubled_inserted_or_swapped_are_heard_once_in_their_order() {
     let all = commands(600);
-    let foreign = frames::control(Control::ENGAGED, 99);
+    let foreign = frames::encode_control(Control::ENGAGED, 99);
     for seed in 1..200 {
-        let mut random = Random::new(seed);
+        let mut random = XorShift32::new(seed);
         let mut stream: Vec<Frame> = Vec::new();
         for pair in all.chunks(2) {
-            match random.below(20) {
+            match random.next_below(20) {
                 0 => stream.push(pair[0]),
                 1 => stream.extend([pair[0], pair[0], pair[1], pair[1]]),
                 2 => stream.extend([pair[0], foreign, pair[1]]),

@@ -1,27 +1,30 @@
 //! A tool that reads and writes objects, against the real node.
 
 use trueup_canopen::sdo::{
-    Abort,
-    client::{At, ClientError, Download, Progress, Upload},
+    AbortCode,
+    client::{ClientError, Download, ObjectAddress, Progress, Upload},
 };
 use trueup_core::{bridge::Input, cnc::Control};
 use trueup_link::{frame::Frame, frames};
-use trueup_node::node::{Interface, Node};
-use trueup_store::{calibration::MAX_SIZE, load::Outcome};
+use trueup_node::{
+    configuration::Configuration,
+    node::{Interface, Node},
+};
+use trueup_store::{calibration::MAX_BLOB_SIZE, load::LoadOutcome};
 
 fn node() -> Node<'static> {
-    let mut node = Node::new(None, false);
-    node.set_buffer(Box::leak(vec![0; MAX_SIZE].into()));
+    let buffer = Some(Box::leak(vec![0; MAX_BLOB_SIZE].into()));
+    let mut node = Node::new(Configuration { buffer, ..Configuration::default() });
     let control = Control { service: true, ..Control::REFERENCED };
-    node.receive(Interface::Serial, &frames::control(control, 0)).expect("the first");
+    node.receive(Interface::Serial, &frames::encode_control(control, 0)).expect("the first");
     node
 }
 
 /// Returns what the node says to a request, offsets and heartbeats among it; and what a board does.
 fn said(node: &mut Node<'_>, request: Frame) -> Vec<Frame> {
     node.receive(Interface::Can, &request).expect("an SDO");
-    if let Some(load) = node.take_load() {
-        node.end_load(load, Outcome::Stored);
+    if let Some(load) = node.take_received_calibration() {
+        node.finish_load(load, LoadOutcome::Stored);
     }
     (0..20)
         .flat_map(|_| {
@@ -31,7 +34,7 @@ fn said(node: &mut Node<'_>, request: Frame) -> Vec<Frame> {
         .collect()
 }
 
-fn upload(node: &mut Node<'_>, at: At) -> Result<Vec<u8>, ClientError> {
+fn upload(node: &mut Node<'_>, at: ObjectAddress) -> Result<Vec<u8>, ClientError> {
     let (mut upload, mut next) = Upload::start(at);
     let mut bytes = Vec::new();
     for _ in 0..5_000 {
@@ -48,7 +51,7 @@ fn upload(node: &mut Node<'_>, at: At) -> Result<Vec<u8>, ClientError> {
     panic!("no end");
 }
 
-fn download(node: &mut Node<'_>, at: At, data: &[u8]) -> Result<(), ClientError> {
+fn download(node: &mut Node<'_>, at: ObjectAddress, data: &[u8]) -> Result<(), ClientError> {
     let (mut download, mut next) = Download::start(at, data);
     for _ in 0..5_000 {
         let mut asked = None;
@@ -72,12 +75,12 @@ fn numbers_texts_and_domains_go_both_ways() {
     assert_eq!(upload(&mut node, (0x1008, 0)), Ok(b"trueup bridge".to_vec()));
     assert_eq!(download(&mut node, (0x1017, 0), &[44, 1]), Ok(()));
     assert_eq!(upload(&mut node, (0x1017, 0)), Ok(vec![44, 1]));
-    for length in [1, 6, 7, 8, 14, 700, MAX_SIZE] {
+    for length in [1, 6, 7, 8, 14, 700, MAX_BLOB_SIZE] {
         // Four bytes and fewer go in one frame, which is too short for a domain.
         let bytes: Vec<u8> = (0..=u8::MAX).cycle().take(length).collect();
         let sent = download(&mut node, (0x2100, 2), &bytes);
         if length <= 4 {
-            let code = Abort::TooShort.code();
+            let code = AbortCode::TooShort.code();
             assert_eq!(sent, Err(ClientError::Aborted { at: (0x2100, 2), code }));
         } else {
             assert_eq!(sent, Ok(()), "{length} bytes");
@@ -89,7 +92,7 @@ fn numbers_texts_and_domains_go_both_ways() {
 #[test]
 fn a_refusal_is_told_in_words_with_its_code() {
     let mut node = node();
-    let refused = download(&mut node, (0x2100, 2), &[0; MAX_SIZE + 1]).unwrap_err();
+    let refused = download(&mut node, (0x2100, 2), &[0; MAX_BLOB_SIZE + 1]).unwrap_err();
     assert_eq!(refused.to_string(), "object 2100:2: too long (abort code 06070012)");
     let missing = upload(&mut node, (0x1FFF, 3)).unwrap_err();
     assert_eq!(missing.to_string(), "object 1FFF:3: there is no such object (abort code 06020000)");

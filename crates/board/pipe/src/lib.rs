@@ -32,37 +32,35 @@
 #[cfg(test)]
 extern crate std;
 
-use core::{error::Error, fmt};
-
 use trueup_core::{
-    thermometer::Raw,
-    units::{Code, Millis, Rpm},
+    thermometer::RawReading,
+    units::{AdcCode, Rpm, TimestampMs},
 };
 use trueup_link::frame::{Frame, FrameError};
 
 /// ADC samples in one millisecond.
-pub const SAMPLES: usize = 20;
+pub(crate) const SAMPLES_PER_BLOCK: usize = 20;
 /// Temperature channels in a block.
-pub const TEMPERATURES: usize = 8;
+pub(crate) const TEMPERATURE_COUNT: usize = 8;
 /// CAN frames that fit a block.
-pub const FRAMES: usize = 5;
+pub const FRAMES_PER_BLOCK: usize = 5;
 /// Bytes in a block.
 pub const BLOCK_SIZE: usize = 128;
 /// Bytes in a record.
 pub const RECORD_SIZE: usize = 16;
 
 /// In place of a speed or an identifier: there is none.
-const NONE: u16 = 0xFFFF;
+const NO_VALUE: u16 = 0xFFFF;
 /// In place of an identifier: the board restarts.
-const RESTART: u16 = 0xFFFE;
+const RESTART_ID: u16 = 0xFFFE;
 
 /// Inputs of the board in one millisecond.
 ///
 /// ```
-/// use trueup_core::thermometer::Raw;
+/// use trueup_core::thermometer::RawReading;
 /// use trueup_pipe::Block;
 /// let mut block = Block::default();
-/// block.temperatures[1] = Raw(109_734_656); // a PT100 at 25 °C
+/// block.temperatures[1] = RawReading(109_734_656); // a PT100 at 25 °C
 /// let bytes = block.encode()?;
 /// assert_eq!(bytes[44..52], [0x00, 0x00, 0x00, 0x80, 0x00, 0x6B, 0x8A, 0x06]);
 /// assert_eq!(Block::decode(&bytes), Ok(block));
@@ -72,26 +70,26 @@ const RESTART: u16 = 0xFFFE;
 pub struct Block {
     /// ADC codes, oldest first; 0…4095 on the chip, not checked here, so that a fault can be
     /// played.
-    pub codes: [Code; SAMPLES],
+    pub codes: [AdcCode; SAMPLES_PER_BLOCK],
     /// Spindle speed; 0xFFFF r/min is sent as 0xFFFE.
     pub speed: Option<Rpm>,
     /// The service switch is closed.
     pub service_switch: bool,
     /// Temperatures, as each channel delivers them.
-    pub temperatures: [Raw; TEMPERATURES],
+    pub temperatures: [RawReading; TEMPERATURE_COUNT],
     /// Frames from the CNC, of 8 bytes.
-    pub frames: [Option<Frame>; FRAMES],
+    pub frames: [Option<Frame>; FRAMES_PER_BLOCK],
 }
 
 impl Default for Block {
     /// Codes of 0, and nothing else: no speed, no temperature, no frame.
     fn default() -> Self {
         Self {
-            codes: [Code(0); SAMPLES],
+            codes: [AdcCode(0); SAMPLES_PER_BLOCK],
             speed: None,
             service_switch: false,
-            temperatures: [Raw::NONE; TEMPERATURES],
-            frames: [None; FRAMES],
+            temperatures: [RawReading::NONE; TEMPERATURE_COUNT],
+            frames: [None; FRAMES_PER_BLOCK],
         }
     }
 }
@@ -102,10 +100,10 @@ impl Block {
     /// # Errors
     /// [`BlockError::FrameLength`] for a frame that has not 8 bytes.
     pub fn encode(&self) -> Result<[u8; BLOCK_SIZE], BlockError> {
-        let speed = self.speed.map_or(NONE, |Rpm(rpm)| rpm.min(NONE - 1));
+        let speed = self.speed.map_or(NO_VALUE, |Rpm(rpm)| rpm.min(NO_VALUE - 1));
         let words = self.codes.iter().map(|code| code.0).chain([speed, self.service_switch.into()]);
         let mut bytes = [0; BLOCK_SIZE];
-        let (head, rest) = bytes.split_at_mut(HEAD_SIZE);
+        let (head, rest) = bytes.split_at_mut(HEADER_SIZE);
         let (temperatures, slots) = rest.split_at_mut(TEMPERATURES_SIZE);
         for (place, word) in head.as_chunks_mut().0.iter_mut().zip(words) {
             *place = word.to_le_bytes();
@@ -127,28 +125,28 @@ impl Block {
     /// [`BlockError`] for an identifier above 0x7FF, or reserved bytes that are not 0: the stream
     /// is out of step.
     pub fn decode(bytes: &[u8; BLOCK_SIZE]) -> Result<Self, BlockError> {
-        let (head, rest) = bytes.split_at(HEAD_SIZE);
+        let (head, rest) = bytes.split_at(HEADER_SIZE);
         let (temperatures, slots) = rest.split_at(TEMPERATURES_SIZE);
-        let mut words = [0; HEAD_SIZE / 2];
+        let mut words = [0; HEADER_SIZE / 2];
         for (word, place) in words.iter_mut().zip(head.as_chunks().0) {
             *word = u16::from_le_bytes(*place);
         }
         let [codes @ .., speed, switches] = words;
         let (slots, end) = slots.as_chunks::<SLOT_SIZE>();
         let tail = end.first_chunk().map_or(0, |tail| u16::from_le_bytes(*tail));
-        for (at, found) in [(SWITCHES_AT, switches & !1), (TAIL_AT, tail)] {
+        for (at, found) in [(SWITCHES_OFFSET, switches & !1), (RESERVED_OFFSET, tail)] {
             if found != 0 {
                 return Err(BlockError::Reserved { at, found });
             }
         }
         let mut block = Self {
-            codes: codes.map(Code),
-            speed: (speed != NONE).then_some(Rpm(speed)),
+            codes: codes.map(AdcCode),
+            speed: (speed != NO_VALUE).then_some(Rpm(speed)),
             service_switch: switches & 1 != 0,
             ..Self::default()
         };
         for (raw, place) in block.temperatures.iter_mut().zip(temperatures.as_chunks().0) {
-            *raw = Raw(i32::from_le_bytes(*place));
+            *raw = RawReading(i32::from_le_bytes(*place));
         }
         for (frame, (slot, place)) in block.frames.iter_mut().zip(slots.iter().enumerate()) {
             *frame = decode_slot(slot, place)?;
@@ -158,16 +156,16 @@ impl Block {
 }
 
 /// Bytes of the codes, the speed, and the switches after them.
-const HEAD_SIZE: usize = 2 * SAMPLES + 4;
+const HEADER_SIZE: usize = 2 * SAMPLES_PER_BLOCK + 4;
 /// Offset of the switches after the speed.
-const SWITCHES_AT: usize = HEAD_SIZE - 2;
+const SWITCHES_OFFSET: usize = HEADER_SIZE - 2;
 /// Bytes of the temperatures.
-const TEMPERATURES_SIZE: usize = 4 * TEMPERATURES;
+const TEMPERATURES_SIZE: usize = 4 * TEMPERATURE_COUNT;
 /// Bytes of a frame in a block.
 const SLOT_SIZE: usize = 10;
 /// Offset of what is reserved after the frames.
-const TAIL_AT: usize = HEAD_SIZE + TEMPERATURES_SIZE + FRAMES * SLOT_SIZE;
-const _: () = assert!(TAIL_AT + 2 == BLOCK_SIZE);
+const RESERVED_OFFSET: usize = HEADER_SIZE + TEMPERATURES_SIZE + FRAMES_PER_BLOCK * SLOT_SIZE;
+const _: () = assert!(RESERVED_OFFSET + 2 == BLOCK_SIZE);
 
 fn encode_slot(slot: usize, frame: Option<&Frame>) -> Result<[u8; SLOT_SIZE], BlockError> {
     let (id, [a, b, c, d, e, f, g, h]) = match frame {
@@ -175,7 +173,7 @@ fn encode_slot(slot: usize, frame: Option<&Frame>) -> Result<[u8; SLOT_SIZE], Bl
         Some(frame) => {
             return Err(BlockError::FrameLength { slot, len: frame.len() });
         }
-        None => (NONE, [0; Frame::MAX_LEN]),
+        None => (NO_VALUE, [0; Frame::MAX_LEN]),
     };
     let [low, high] = id.to_le_bytes();
     Ok([low, high, a, b, c, d, e, f, g, h])
@@ -184,15 +182,16 @@ fn encode_slot(slot: usize, frame: Option<&Frame>) -> Result<[u8; SLOT_SIZE], Bl
 fn decode_slot(slot: usize, place: &[u8; SLOT_SIZE]) -> Result<Option<Frame>, BlockError> {
     let [low, high, data @ ..] = place;
     match u16::from_le_bytes([*low, *high]) {
-        NONE => Ok(None),
+        NO_VALUE => Ok(None),
         id => Frame::new(id, data).map(Some).map_err(|_| BlockError::Identifier { slot, id }),
     }
 }
 
 /// Why there is no such block.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum BlockError {
     /// A frame of a block must have 8 bytes.
+    #[error("frame {slot} has {len} bytes, not 8")]
     FrameLength {
         /// Which frame, from 0.
         slot: usize,
@@ -200,6 +199,7 @@ pub enum BlockError {
         len: u8,
     },
     /// An identifier is above 0x7FF, and not the one that stands for no frame.
+    #[error("identifier 0x{id:X} of frame {slot} is above 0x{max:X}", max = Frame::MAX_ID)]
     Identifier {
         /// Which frame, from 0.
         slot: usize,
@@ -207,6 +207,7 @@ pub enum BlockError {
         id: u16,
     },
     /// Reserved bytes are not 0.
+    #[error("reserved bytes at {at} hold 0x{found:04X}, not 0")]
     Reserved {
         /// Their offset in the block, in bytes.
         at: usize,
@@ -215,41 +216,25 @@ pub enum BlockError {
     },
 }
 
-impl fmt::Display for BlockError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::FrameLength { slot, len } => write!(f, "frame {slot} has {len} bytes, not 8"),
-            Self::Identifier { slot, id } => {
-                write!(f, "identifier 0x{id:X} of frame {slot} is above 0x{:X}", Frame::MAX_ID)
-            }
-            Self::Reserved { at, found } => {
-                write!(f, "reserved bytes at {at} hold 0x{found:04X}, not 0")
-            }
-        }
-    }
-}
-
-impl Error for BlockError {}
-
 /// A record that the board sends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Record {
     /// It sends a frame to the CNC.
     Frame {
         /// When, on the sample clock.
-        time: Millis,
+        time: TimestampMs,
         /// The frame that it sends.
         frame: Frame,
     },
     /// It has nothing more to say and waits for the next samples.
     EndOfBatch {
         /// When, on the sample clock.
-        time: Millis,
+        time: TimestampMs,
     },
     /// It has nothing more to say and restarts; then it is up again, with its clock at 0.
     Restart {
         /// When, on the sample clock.
-        time: Millis,
+        time: TimestampMs,
     },
 }
 
@@ -259,8 +244,8 @@ impl Record {
     pub fn encode(&self) -> [u8; RECORD_SIZE] {
         let (time, id, len, [a, b, c, d, e, f, g, h]) = match self {
             Self::Frame { time, frame } => (time, frame.id(), frame.len(), *frame.data()),
-            Self::EndOfBatch { time } => (time, NONE, 0, [0; Frame::MAX_LEN]),
-            Self::Restart { time } => (time, RESTART, 0, [0; Frame::MAX_LEN]),
+            Self::EndOfBatch { time } => (time, NO_VALUE, 0, [0; Frame::MAX_LEN]),
+            Self::Restart { time } => (time, RESTART_ID, 0, [0; Frame::MAX_LEN]),
         };
         let [t0, t1, t2, t3] = time.0.to_le_bytes();
         let [low, high] = id.to_le_bytes();
@@ -274,7 +259,7 @@ impl Record {
     /// the stream is out of step.
     pub fn decode(bytes: &[u8; RECORD_SIZE]) -> Result<Self, RecordError> {
         let &[t0, t1, t2, t3, low, high, len, padding, ref data @ ..] = bytes;
-        let time = Millis(u32::from_le_bytes([t0, t1, t2, t3]));
+        let time = TimestampMs(u32::from_le_bytes([t0, t1, t2, t3]));
         let id = u16::from_le_bytes([low, high]);
         let too_long = RecordError::Length(len);
         let (payload, rest) = data.split_at_checked(len.into()).ok_or(too_long)?;
@@ -282,9 +267,9 @@ impl Record {
             return Err(RecordError::Padding(found));
         }
         match (id, len) {
-            (NONE, 0) => return Ok(Self::EndOfBatch { time }),
-            (RESTART, 0) => return Ok(Self::Restart { time }),
-            (NONE | RESTART, _) => return Err(too_long),
+            (NO_VALUE, 0) => return Ok(Self::EndOfBatch { time }),
+            (RESTART_ID, 0) => return Ok(Self::Restart { time }),
+            (NO_VALUE | RESTART_ID, _) => return Err(too_long),
             _ => {}
         }
         let frame = Frame::new(id, payload).map_err(|error| match error {
@@ -296,29 +281,18 @@ impl Record {
 }
 
 /// Why there is no such record.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RecordError {
     /// The identifier is above 0x7FF, and not the one that ends a batch.
+    #[error("identifier 0x{0:X} is above 0x{max:X}", max = Frame::MAX_ID)]
     Identifier(u16),
     /// More than 8 bytes of data, or data at the end of a batch.
+    #[error("a record cannot hold {0} bytes of data")]
     Length(u8),
     /// A byte of the padding is not 0.
+    #[error("padding holds 0x{0:02X}, not 0")]
     Padding(u8),
 }
-
-impl fmt::Display for RecordError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Identifier(id) => {
-                write!(f, "identifier 0x{id:X} is above 0x{:X}", Frame::MAX_ID)
-            }
-            Self::Length(len) => write!(f, "a record cannot hold {len} bytes of data"),
-            Self::Padding(found) => write!(f, "padding holds 0x{found:02X}, not 0"),
-        }
-    }
-}
-
-impl Error for RecordError {}
 
 #[cfg(test)]
 mod tests {
@@ -334,10 +308,10 @@ mod tests {
         let mut block = Block { speed: Some(Rpm(0x1234)), ..Block::default() };
         block.frames[1] = Some(frame(0x302, &[1, 2, 3, 4, 5, 6, 7, 8]));
         block.frames[4] = Some(frame(0x501, &[9; 8]));
-        block.temperatures[0] = Raw(0x0102_0304);
-        block.temperatures[7] = Raw(-2);
-        block.codes[0] = Code(0x0ABC);
-        block.codes[19] = Code(0x0DEF);
+        block.temperatures[0] = RawReading(0x0102_0304);
+        block.temperatures[7] = RawReading(-2);
+        block.codes[0] = AdcCode(0x0ABC);
+        block.codes[19] = AdcCode(0x0DEF);
         let bytes = block.encode().unwrap();
         assert_eq!(bytes[..2], [0xBC, 0x0A]);
         assert_eq!(bytes[38..44], [0xEF, 0x0D, 0x34, 0x12, 0, 0]);
@@ -354,14 +328,14 @@ mod tests {
     fn a_block_that_says_nothing_brings_nothing() {
         let block = Block::default();
         assert_eq!(block.speed, None);
-        assert_eq!(block.temperatures, [Raw(i32::MIN); TEMPERATURES]);
-        assert_eq!(block.frames, [None; FRAMES]);
+        assert_eq!(block.temperatures, [RawReading(i32::MIN); TEMPERATURE_COUNT]);
+        assert_eq!(block.frames, [None; FRAMES_PER_BLOCK]);
         assert_eq!(Block::decode(&block.encode().unwrap()), Ok(block));
     }
 
     #[test]
     fn every_field_of_a_record_lies_where_the_table_says() {
-        let time = Millis(0x0102_0304);
+        let time = TimestampMs(0x0102_0304);
         let record = Record::Frame { time, frame: frame(0x701, &[5]) };
         let expected = [4, 3, 2, 1, 0x01, 0x07, 1, 0, 5, 0, 0, 0, 0, 0, 0, 0];
         assert_eq!(record.encode(), expected);
@@ -391,7 +365,7 @@ mod tests {
             bad[byte] = 1;
             assert_eq!(Block::decode(&bad), Err(BlockError::Reserved { at, found }));
         }
-        for slot in 0..FRAMES {
+        for slot in 0..FRAMES_PER_BLOCK {
             let mut bad = good;
             bad[76 + 10 * slot..78 + 10 * slot].copy_from_slice(&[0x00, 0x08]);
             let id = 0x800;
@@ -405,7 +379,7 @@ mod tests {
 
     #[test]
     fn a_record_that_is_out_of_step_is_refused_with_what_was_found() {
-        let good = Record::EndOfBatch { time: Millis(1) }.encode();
+        let good = Record::EndOfBatch { time: TimestampMs(1) }.encode();
         for (at, value, error) in [
             (5, 0x08, RecordError::Identifier(0x8FF)),
             (6, 1, RecordError::Length(1)),
@@ -423,14 +397,14 @@ mod tests {
         #[test]
         fn a_block_comes_back_whole(
             codes in prop::array::uniform20(any::<u16>()), speed in prop::option::of(0_u16..0xFFFF),
-            service_switch: bool, temperatures: [i32; TEMPERATURES],
+            service_switch: bool, temperatures: [i32; TEMPERATURE_COUNT],
             frames in prop::array::uniform5(prop::option::of((0_u16..0x800, any::<[u8; 8]>()))),
         ) {
             let block = Block {
-                codes: codes.map(Code),
+                codes: codes.map(AdcCode),
                 speed: speed.map(Rpm),
                 service_switch,
-                temperatures: temperatures.map(Raw),
+                temperatures: temperatures.map(RawReading),
                 frames: frames.map(|it| it.map(|(id, data)| frame(id, &data))),
             };
             prop_assert_eq!(Block::decode(&block.encode().unwrap()), Ok(block));
@@ -440,7 +414,7 @@ mod tests {
         fn a_record_comes_back_whole(
             time: u32, id in 0_u16..0x800, payload in prop::collection::vec(any::<u8>(), 0..=8),
         ) {
-            let time = Millis(time);
+            let time = TimestampMs(time);
             for record in [
                 Record::Frame { time, frame: frame(id, &payload) },
                 Record::EndOfBatch { time },

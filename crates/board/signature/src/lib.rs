@@ -19,35 +19,24 @@ use ed25519_dalek::{
 pub(crate) const SIGNATURE_BYTES: usize = 64;
 
 /// Errors of a key or a signature.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Fault {
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SignatureError {
     /// The text is no private key of Ed25519 in PEM.
+    #[error("is no private key of Ed25519 in PEM")]
     NoPrivateKey,
     /// The text is no public key of Ed25519 in PEM.
+    #[error("is no public key of Ed25519 in PEM")]
     NoPublicKey,
     /// The signature does not have `SIGNATURE_BYTES` bytes.
+    #[error("is no signature: it does not have 64 bytes")]
     WrongLength,
     /// The message was changed, or was signed with another key.
+    #[error("does not hold: the file was changed, or was signed with another key")]
     DoesNotHold,
     /// The system gives no random numbers.
+    #[error("the system gives no random numbers")]
     NoRandomNumbers,
 }
-
-impl std::fmt::Display for Fault {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::NoPrivateKey => "is no private key of Ed25519 in PEM",
-            Self::NoPublicKey => "is no public key of Ed25519 in PEM",
-            Self::WrongLength => "is no signature: it does not have 64 bytes",
-            Self::DoesNotHold => {
-                "does not hold: the file was changed, or was signed with another key"
-            }
-            Self::NoRandomNumbers => "the system gives no random numbers",
-        })
-    }
-}
-
-impl std::error::Error for Fault {}
 
 /// A private key. Its bytes are overwritten when it is dropped.
 pub struct PrivateKey(SigningKey);
@@ -57,9 +46,9 @@ impl PrivateKey {
     ///
     /// # Errors
     /// [`Fault::NoRandomNumbers`].
-    pub fn random() -> Result<Self, Fault> {
+    pub fn generate() -> Result<Self, SignatureError> {
         let mut seed = [0; 32];
-        getrandom::fill(&mut seed).map_err(|_| Fault::NoRandomNumbers)?;
+        getrandom::fill(&mut seed).map_err(|_| SignatureError::NoRandomNumbers)?;
         Ok(Self(SigningKey::from_bytes(&seed)))
     }
 
@@ -67,24 +56,24 @@ impl PrivateKey {
     ///
     /// # Errors
     /// [`Fault::NoPrivateKey`].
-    pub fn from_pem(pem: &str) -> Result<Self, Fault> {
-        SigningKey::from_pkcs8_pem(pem).map(Self).map_err(|_| Fault::NoPrivateKey)
+    pub fn from_pem(pem: &str) -> Result<Self, SignatureError> {
+        SigningKey::from_pkcs8_pem(pem).map(Self).map_err(|_| SignatureError::NoPrivateKey)
     }
 
     /// Returns the key in PEM (PKCS #8): anyone who has it can sign in its owner's name.
     ///
     /// # Errors
     /// [`Fault::NoPrivateKey`]: the encoder refuses it, which no valid key causes.
-    pub fn to_pem(&self) -> Result<String, Fault> {
+    pub fn to_pem(&self) -> Result<String, SignatureError> {
         // With the public key in it the file is of PKCS #8's second version, which openssl 3.0 does not read.
         let pair = KeypairBytes { secret_key: self.0.to_bytes(), public_key: None };
-        let pem = pair.to_pkcs8_pem(LineEnding::LF).map_err(|_| Fault::NoPrivateKey)?;
+        let pem = pair.to_pkcs8_pem(LineEnding::LF).map_err(|_| SignatureError::NoPrivateKey)?;
         Ok(pem.as_str().to_owned())
     }
 
     /// Returns the public key.
     #[must_use]
-    pub fn public(&self) -> PublicKey {
+    pub fn public_key(&self) -> PublicKey {
         PublicKey(self.0.verifying_key())
     }
 
@@ -104,16 +93,16 @@ impl PublicKey {
     ///
     /// # Errors
     /// [`Fault::NoPublicKey`].
-    pub fn from_pem(pem: &str) -> Result<Self, Fault> {
-        VerifyingKey::from_public_key_pem(pem).map(Self).map_err(|_| Fault::NoPublicKey)
+    pub fn from_pem(pem: &str) -> Result<Self, SignatureError> {
+        VerifyingKey::from_public_key_pem(pem).map(Self).map_err(|_| SignatureError::NoPublicKey)
     }
 
     /// Returns the key in PEM (SubjectPublicKeyInfo).
     ///
     /// # Errors
     /// [`Fault::NoPublicKey`]: the encoder refuses it, which no valid key causes.
-    pub fn to_pem(&self) -> Result<String, Fault> {
-        self.0.to_public_key_pem(LineEnding::LF).map_err(|_| Fault::NoPublicKey)
+    pub fn to_pem(&self) -> Result<String, SignatureError> {
+        self.0.to_public_key_pem(LineEnding::LF).map_err(|_| SignatureError::NoPublicKey)
     }
 
     /// Returns the 32 bytes of the key (RFC 8032, section 5.1.5), as a boot program has them.
@@ -126,10 +115,10 @@ impl PublicKey {
     ///
     /// # Errors
     /// [`Fault::WrongLength`] or [`Fault::DoesNotHold`].
-    pub fn check(&self, message: &[u8], signature: &[u8]) -> Result<(), Fault> {
-        let bytes = signature.try_into().map_err(|_| Fault::WrongLength)?;
+    pub fn verify(&self, message: &[u8], signature: &[u8]) -> Result<(), SignatureError> {
+        let bytes = signature.try_into().map_err(|_| SignatureError::WrongLength)?;
         let signature = Signature::from_bytes(bytes);
-        self.0.verify_strict(message, &signature).map_err(|_| Fault::DoesNotHold)
+        self.0.verify_strict(message, &signature).map_err(|_| SignatureError::DoesNotHold)
     }
 }
 
@@ -151,38 +140,42 @@ mod tests {
              085ac1e43e15996e458f3613d0f11d8c387b2eaeb4302aeeb00d291612bb0c00",
         );
         assert_eq!(key.sign(&[0x72]), wanted);
-        assert_eq!(key.public().check(&[0x72], &wanted), Ok(()));
+        assert_eq!(key.public_key().verify(&[0x72], &wanted), Ok(()));
     }
 
     #[test]
     fn any_flipped_bit_of_message_or_signature_is_refused() {
-        let key = PrivateKey::random().expect("a system with random numbers");
-        let (message, public) = (*b"offsets", key.public());
+        let key = PrivateKey::generate().expect("a system with random numbers");
+        let (message, public) = (*b"offsets", key.public_key());
         let signature = key.sign(&message);
         for bit in 0..8 * message.len() {
             let mut other = message;
             other[bit / 8] ^= 1 << (bit % 8);
-            assert_eq!(public.check(&other, &signature), Err(Fault::DoesNotHold), "{bit}");
+            assert_eq!(
+                public.verify(&other, &signature),
+                Err(SignatureError::DoesNotHold),
+                "{bit}"
+            );
         }
         for bit in 0..8 * SIGNATURE_BYTES {
             let mut other = signature;
             other[bit / 8] ^= 1 << (bit % 8);
-            assert_eq!(public.check(&message, &other), Err(Fault::DoesNotHold), "{bit}");
+            assert_eq!(public.verify(&message, &other), Err(SignatureError::DoesNotHold), "{bit}");
         }
-        assert_eq!(public.check(&message, &signature[..63]), Err(Fault::WrongLength));
-        let stranger = PrivateKey::random().expect("a system with random numbers").public();
-        assert_eq!(stranger.check(&message, &signature), Err(Fault::DoesNotHold));
+        assert_eq!(public.verify(&message, &signature[..63]), Err(SignatureError::WrongLength));
+        let stranger = PrivateKey::generate().expect("a system with random numbers").public_key();
+        assert_eq!(stranger.verify(&message, &signature), Err(SignatureError::DoesNotHold));
     }
 
     #[test]
     fn keys_are_read_back_and_other_texts_are_refused() {
-        let key = PrivateKey::random().expect("a system with random numbers");
+        let key = PrivateKey::generate().expect("a system with random numbers");
         let (private, public) =
-            (key.to_pem().expect("valid"), key.public().to_pem().expect("valid"));
+            (key.to_pem().expect("valid"), key.public_key().to_pem().expect("valid"));
         assert_eq!(PrivateKey::from_pem(&private).expect("its own").sign(b"a"), key.sign(b"a"));
-        assert_eq!(PublicKey::from_pem(&public), Ok(key.public()));
-        assert_eq!(PublicKey::from_pem(&private), Err(Fault::NoPublicKey));
-        assert!(matches!(PrivateKey::from_pem(&public), Err(Fault::NoPrivateKey)));
-        assert!(matches!(PrivateKey::from_pem(""), Err(Fault::NoPrivateKey)));
+        assert_eq!(PublicKey::from_pem(&public), Ok(key.public_key()));
+        assert_eq!(PublicKey::from_pem(&private), Err(SignatureError::NoPublicKey));
+        assert!(matches!(PrivateKey::from_pem(&public), Err(SignatureError::NoPrivateKey)));
+        assert!(matches!(PrivateKey::from_pem(""), Err(SignatureError::NoPrivateKey)));
     }
 }

@@ -1,7 +1,7 @@
 //! The calibration as the host sends it and the board stores it: one blob, little-endian, read in
 //! place.
 //!
-//! A fixed part of `FIXED_SIZE` bytes, the tables that it refers to, and a CRC. A table is given by
+//! A fixed part of `FIXED_PART_SIZE` bytes, the tables that it refers to, and a CRC. A table is given by
 //! a reference: `u16` offset from the start of the blob, `u16` number of records.
 //!
 //! | offset | field | unit |
@@ -17,7 +17,7 @@
 //! | 76 | `u32` lag, `i32` largest (1/256 nm), 2 × `u32` smoothing factors, `i32` 1/(1 − e⁻ᵏ) of the warm-up; its power curve | |
 //! | 112 | 8 × temperature channel: `u8` kind (1 PT100, 2 linear), `u8` shift, `u16` fastest change (0.1 K/min, up to 6000; 0: the default); `i32` zero, `i32` slope | |
 //! | 208 | 3 × linear axis, 80 bytes each | |
-//! | 448 | 6 × straightness curve, 16 bytes each, in the order of [`AXIS_PAIRS`](trueup_core::calibration::AXIS_PAIRS) | |
+//! | 448 | 6 × straightness curve, 16 bytes each, in the order of [`STRAIGHTNESS_AXIS_PAIRS`](trueup_core::calibration::STRAIGHTNESS_AXIS_PAIRS) | |
 //! | 544 | 6 × `i32` squareness, in the same order | 2⁻³⁶ nm per 10 nm |
 //! | 568 | `u32` smoothing factor of the spindle's temperature while it falls | |
 //! | 572 | terms of a diagnosis: a table of 24 bytes each | |
@@ -86,11 +86,11 @@ mod volume;
 mod wire;
 
 pub use error::{BlobError, TooLarge};
-pub(crate) use format::FIXED_SIZE;
-use format::{CRC_SIZE, HEAD_SIZE};
+pub(crate) use format::FIXED_PART_SIZE;
+use format::{CRC_SIZE, HEADER_SIZE, SCHEMA_VERSION};
 pub use format::{
-    MAGIC, MAX_COLD_WITHIN, MAX_HOLD_MS, MAX_LEARNED, MAX_LINK_TIMEOUT_MS, MAX_OFFSET_NM,
-    MAX_REJOIN_NM_PER_S, MAX_SIZE, MAX_SLEW_NM_PER_S, SCHEMA,
+    MAGIC, MAX_BLOB_SIZE, MAX_COLD_TOLERANCE, MAX_HOLD_MS, MAX_LEARNED_LIMITS, MAX_LINK_TIMEOUT_MS,
+    MAX_OFFSET_NM, MAX_REJOIN_NM_PER_S, MAX_SLEW_NM_PER_S,
 };
 use records::FixedPart;
 use wire::{Field as _, Reader, Writer};
@@ -98,25 +98,25 @@ use wire::{Field as _, Reader, Writer};
 /// Writes the blob of a calibration, also of one that [`decode`] would refuse; gives its bytes.
 ///
 /// # Errors
-/// [`TooLarge`]: it does not fit `out` (or [`MAX_SIZE`]).
+/// [`TooLarge`]: it does not fit `out` (or [`MAX_BLOB_SIZE`]).
 pub fn encode<'o>(calibration: &Calibration<'_>, out: &'o mut [u8]) -> Result<&'o [u8], TooLarge> {
-    let room = out.len().min(MAX_SIZE);
+    let room = out.len().min(MAX_BLOB_SIZE);
     let mut to = Writer::new(out);
     // The length is known at the end.
-    to.bytes(&[0; HEAD_SIZE]);
-    FixedPart::of(calibration).put(&mut to);
+    to.write_bytes(&[0; HEADER_SIZE]);
+    FixedPart::from_calibration(calibration).write(&mut to);
 
-    let bytes = to.end().saturating_add(CRC_SIZE);
+    let bytes = to.tables_end().saturating_add(CRC_SIZE);
     let (true, Ok(length)) = (bytes <= room, u16::try_from(bytes)) else {
         return Err(TooLarge { bytes });
     };
-    to.elsewhere(0, |to| {
-        to.bytes(&MAGIC);
-        to.bytes(&SCHEMA.to_le_bytes());
-        to.bytes(&length.to_le_bytes());
+    to.write_at(0, |to| {
+        to.write_bytes(&MAGIC);
+        to.write_bytes(&SCHEMA_VERSION.to_le_bytes());
+        to.write_bytes(&length.to_le_bytes());
     });
     let blob = to.finish().get_mut(..bytes).ok_or(TooLarge { bytes })?;
-    crc::seal(blob);
+    crc::write_crc(blob);
     Ok(blob)
 }
 
@@ -124,7 +124,7 @@ pub fn encode<'o>(calibration: &Calibration<'_>, out: &'o mut [u8]) -> Result<&'
 ///
 /// # Errors
 /// As [`decode`].
-pub fn whole(bytes: &[u8]) -> Result<&[u8], BlobError> {
+pub fn validate_blob(bytes: &[u8]) -> Result<&[u8], BlobError> {
     let too_short = BlobError::TooShort { len: bytes.len() };
     let &[m0, m1, m2, m3, schema_low, schema_high, length_low, length_high] =
         bytes.first_chunk().ok_or(too_short)?;
@@ -133,12 +133,12 @@ pub fn whole(bytes: &[u8]) -> Result<&[u8], BlobError> {
         return Err(BlobError::Magic { found: magic });
     }
     let schema = u16::from_le_bytes([schema_low, schema_high]);
-    if schema != SCHEMA {
+    if schema != SCHEMA_VERSION {
         return Err(BlobError::Schema { found: schema });
     }
     let length = u16::from_le_bytes([length_low, length_high]);
-    let least = FIXED_SIZE.saturating_add(CRC_SIZE);
-    if !(least..=MAX_SIZE).contains(&length.into()) {
+    let least = FIXED_PART_SIZE.saturating_add(CRC_SIZE);
+    if !(least..=MAX_BLOB_SIZE).contains(&length.into()) {
         return Err(BlobError::Length { found: length });
     }
     let blob = bytes.get(..length.into()).ok_or(too_short)?;
@@ -150,9 +150,9 @@ pub fn whole(bytes: &[u8]) -> Result<&[u8], BlobError> {
     Ok(blob)
 }
 
-/// Returns the identity of a calibration: the CRC of its blob, whole as [`whole`] finds it; 0 of none.
+/// Returns the identity of a calibration: the CRC of its blob, whole as [`validate_blob`] finds it; 0 of none.
 #[must_use]
-pub fn identity(whole: &[u8]) -> u32 {
+pub fn calibration_crc(whole: &[u8]) -> u32 {
     u32::from_le_bytes(*whole.last_chunk().unwrap_or(&[0; CRC_SIZE]))
 }
 
@@ -162,9 +162,9 @@ pub fn identity(whole: &[u8]) -> u32 {
 /// # Errors
 /// [`BlobError`] with the place and the value at fault; nothing of such a blob must be used.
 pub fn decode(bytes: &[u8]) -> Result<Calibration<'_>, BlobError> {
-    let blob = whole(bytes)?;
+    let blob = validate_blob(bytes)?;
     let content = blob.get(..blob.len().saturating_sub(CRC_SIZE)).unwrap_or_default();
-    let mut from = Reader::new(content, HEAD_SIZE);
-    let calibration = FixedPart::get(&mut from).calibration();
+    let mut from = Reader::new(content, HEADER_SIZE);
+    let calibration = FixedPart::read(&mut from).into_calibration();
     from.finish(calibration)
 }

@@ -15,14 +15,14 @@ pub(crate) fn digest() -> crc::Digest<'static, u32> {
 }
 
 /// Puts the CRC of all bytes before them into the last four.
-pub(crate) fn seal(bytes: &mut [u8]) {
+pub(crate) fn write_crc(bytes: &mut [u8]) {
     if let Some((content, crc)) = bytes.split_last_chunk_mut() {
         *crc = checksum(content).to_le_bytes();
     }
 }
 
 /// Returns the bytes before the CRC in the last four; `None`: it does not fit them.
-pub(crate) fn unseal(bytes: &[u8]) -> Option<&[u8]> {
+pub(crate) fn verify_and_strip_crc(bytes: &[u8]) -> Option<&[u8]> {
     let (content, crc) = bytes.split_last_chunk()?;
     (checksum(content) == u32::from_le_bytes(*crc)).then_some(content)
 }
@@ -35,10 +35,10 @@ mod tests {
     fn the_crc_is_that_of_autosar() {
         assert_eq!(checksum(b"123456789"), 0x1697_D06A);
         let mut sealed = *b"1234567890123";
-        seal(&mut sealed[..9 + 4]);
+        write_crc(&mut sealed[..9 + 4]);
         assert_eq!(sealed[9..], 0x1697_D06A_u32.to_le_bytes());
-        assert_eq!(unseal(&sealed), Some(&b"123456789"[..]));
+        assert_eq!(verify_and_strip_crc(&sealed), Some(&b"123456789"[..]));
         sealed[3] ^= 1;
-        assert_eq!(unseal(&sealed), None);
+        assert_eq!(verify_and_strip_crc(&sealed), None);
     }
 }

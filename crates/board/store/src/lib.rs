@@ -3,7 +3,7 @@
 //!
 //! `calibration` is the layout of what the host compiles for the board, `load` the way of a new one
 //! to the board, `slots` where a board keeps it, `reference` what the board stores of itself,
-//! `writes` who has written to it, `pace` how often it may,
+//! `writes` who has written to it, `rate_limit` how often it may,
 //! `retained` what outlasts a reset in RAM and a power cut behind a battery, and `calendar` the time of a
 //! clock there.
 //! Nothing here touches hardware, allocates, reads a clock, or panics on any input.
@@ -17,13 +17,13 @@ extern crate std;
 
 pub mod calendar;
 pub mod calibration;
+pub mod calibration_store;
 mod crc;
+mod flash_log;
 pub mod load;
-mod log;
-pub mod pace;
+pub mod rate_limit;
 pub mod reference;
 pub mod retained;
-pub mod slots;
 #[cfg(any(test, feature = "strict-flash"))]
 #[allow(
     clippy::arithmetic_side_effects,
@@ -31,6 +31,6 @@ pub mod slots;
     reason = "it is for tests"
 )]
 pub mod strict_flash;
-pub mod writes;
+pub mod write_log;
 
-pub use log::StoreError;
+pub use flash_log::StoreError;

@@ -2,30 +2,28 @@
 //!
 //! A master writes it to object 0x2100:02. The bytes go into a buffer of the board, which is taken
 //! only while no offset is followed. Once all have come, the board's supervisor takes the buffer
-//! ([`Slot::take`]), looks whether a bridge could run on it, stores it, and gives
+//! ([`LoadSlot::take`]), looks whether a bridge could run on it, stores it, and gives
 //! it back; only then is the last segment answered. So an answer without an abort means: it is
 //! whole, it makes sense, and it is stored for the next start. None of that holds up a tick.
-
-use core::{error::Error, fmt};
 
 use crate::calibration::{self, BlobError};
 
 /// The bytes of a calibration that has come whole.
 #[derive(Debug)]
-pub struct Load<'a> {
+pub struct LoadBuffer<'a> {
     buffer: &'a mut [u8],
     length: usize,
 }
 
-impl Load<'_> {
+impl LoadBuffer<'_> {
     /// Returns the blob, if a bridge can run on it.
     ///
     /// # Errors
     /// As [`calibration::decode`].
-    pub fn check(&mut self) -> Result<&[u8], BlobError> {
+    pub fn validate(&mut self) -> Result<&[u8], BlobError> {
         calibration::decode(self.bytes())?;
         // What follows the blob is dropped.
-        self.length = calibration::whole(self.bytes())?.len();
+        self.length = calibration::validate_blob(self.bytes())?.len();
         Ok(self.bytes())
     }
 
@@ -36,7 +34,7 @@ impl Load<'_> {
 
 /// The result of a calibration whose bytes are complete.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Outcome {
+pub enum LoadOutcome {
     /// It is stored.
     Stored,
     /// No bridge can run on it.
@@ -46,52 +44,43 @@ pub enum Outcome {
 }
 
 /// Why a calibration is not loaded.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LoadError {
     /// More bytes than the buffer takes.
+    #[error("the calibration is longer than the board takes")]
     TooLong,
     /// Another one is being looked at, or none was begun.
+    #[error("no calibration is expected now")]
     Busy,
     /// No bridge can run on it.
+    #[error("the calibration is damaged or makes no sense")]
     Refused,
     /// The board has nowhere to store it, or its store does not take it.
+    #[error("the board cannot store the calibration")]
     NotStored,
 }
 
-impl fmt::Display for LoadError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::TooLong => "the calibration is longer than the board takes",
-            Self::Busy => "no calibration is expected now",
-            Self::Refused => "the calibration is damaged or makes no sense",
-            Self::NotStored => "the board cannot store the calibration",
-        })
-    }
-}
-
-impl Error for LoadError {}
-
 /// The buffer and its state.
 #[derive(Debug, Default)]
-pub enum Slot<'a> {
+pub enum LoadSlot<'a> {
     /// The board has none.
     #[default]
     None,
     /// Nothing has come, or not all of it.
-    Open(Load<'a>),
+    Open(LoadBuffer<'a>),
     /// All has come, and the supervisor is to look at it.
-    Whole(Load<'a>),
+    Whole(LoadBuffer<'a>),
     /// The supervisor has it.
     Away,
     /// It is stored.
-    Stored(Load<'a>),
+    Stored(LoadBuffer<'a>),
 }
 
-impl<'a> Slot<'a> {
+impl<'a> LoadSlot<'a> {
     /// Returns a buffer that nothing has come to.
     #[must_use]
     pub fn new(buffer: &'a mut [u8]) -> Self {
-        Self::Open(Load { buffer, length: 0 })
+        Self::Open(LoadBuffer { buffer, length: 0 })
     }
 
     /// Begins anew, for `size` bytes if that is known.
@@ -100,7 +89,7 @@ impl<'a> Slot<'a> {
     /// [`LoadError`]: there is no buffer, it is too small, or the supervisor has it.
     pub fn open(&mut self, size: Option<u32>) -> Result<(), LoadError> {
         *self = match core::mem::take(self) {
-            Self::Open(load) | Self::Stored(load) => Self::Open(Load { length: 0, ..load }),
+            Self::Open(load) | Self::Stored(load) => Self::Open(LoadBuffer { length: 0, ..load }),
             none @ Self::None => none,
             busy @ (Self::Whole(_) | Self::Away) => busy,
         };
@@ -146,7 +135,7 @@ impl<'a> Slot<'a> {
 
     /// Returns the bytes that have come and are not whole yet.
     #[must_use]
-    pub fn gathered(&self) -> &[u8] {
+    pub fn received_bytes(&self) -> &[u8] {
         match self {
             Self::Open(load) => load.bytes(),
             _ => &[],
@@ -161,7 +150,7 @@ impl<'a> Slot<'a> {
     }
 
     /// Returns what has come whole, once.
-    pub fn take(&mut self) -> Option<Load<'a>> {
+    pub fn take(&mut self) -> Option<LoadBuffer<'a>> {
         match core::mem::take(self) {
             Self::Whole(load) => {
                 *self = Self::Away;
@@ -177,12 +166,16 @@ impl<'a> Slot<'a> {
     /// Gives it back, with what came of it.
     ///
     /// # Errors
-    /// [`LoadError`] for any outcome but [`Outcome::Stored`].
-    pub fn give_back(&mut self, load: Load<'a>, outcome: Outcome) -> Result<(), LoadError> {
+    /// [`LoadError`] for any outcome but [`LoadOutcome::Stored`].
+    pub fn finish_load(
+        &mut self,
+        load: LoadBuffer<'a>,
+        outcome: LoadOutcome,
+    ) -> Result<(), LoadError> {
         let (slot, result) = match outcome {
-            Outcome::Stored => (Self::Stored(load), Ok(())),
-            Outcome::Refused => (Self::Open(load), Err(LoadError::Refused)),
-            Outcome::NotStored => (Self::Open(load), Err(LoadError::NotStored)),
+            LoadOutcome::Stored => (Self::Stored(load), Ok(())),
+            LoadOutcome::Refused => (Self::Open(load), Err(LoadError::Refused)),
+            LoadOutcome::NotStored => (Self::Open(load), Err(LoadError::NotStored)),
         };
         *self = slot;
         result
@@ -206,7 +199,7 @@ mod tests {
     #[test]
     fn a_calibration_comes_in_pieces_is_looked_at_once_and_is_read_back_when_it_is_stored() {
         let mut buffer = [0; 10];
-        let mut slot = Slot::new(&mut buffer);
+        let mut slot = LoadSlot::new(&mut buffer);
         assert_eq!(slot.open(Some(5)), Ok(()));
         assert_eq!((slot.append(b"abc"), slot.append(b"de")), (Ok(()), Ok(())));
         assert!(slot.take().is_none(), "it may not be all");
@@ -214,7 +207,7 @@ mod tests {
         let load = slot.take().expect("all has come");
         assert_eq!(load.bytes(), b"abcde");
         assert_eq!((slot.take().is_none(), slot.stored()), (true, None));
-        assert_eq!(slot.give_back(load, Outcome::Stored), Ok(()));
+        assert_eq!(slot.finish_load(load, LoadOutcome::Stored), Ok(()));
         assert_eq!(slot.stored(), Some(&b"abcde"[..]));
         // The next begins anew.
         assert_eq!((slot.open(None), slot.stored()), (Ok(()), None));
@@ -225,7 +218,7 @@ mod tests {
     #[test]
     fn none_is_taken_that_is_longer_than_the_buffer_and_the_buffer_may_be_filled() {
         let mut buffer = [0; 10];
-        let mut slot = Slot::new(&mut buffer);
+        let mut slot = LoadSlot::new(&mut buffer);
         assert_eq!([9, 10, 11].map(|size| slot.open(Some(size)).is_ok()), [true, true, false]);
         assert_eq!(slot.open(Some(11)), Err(LoadError::TooLong));
         assert_eq!(slot.open(None), Ok(()));
@@ -238,10 +231,10 @@ mod tests {
     #[test]
     fn while_the_supervisor_has_it_nothing_else_is_taken_and_without_a_buffer_nothing_ever() {
         let mut buffer = [0; 10];
-        let mut slot = Slot::new(&mut buffer);
+        let mut slot = LoadSlot::new(&mut buffer);
         slot.append(b"abc").unwrap();
         slot.close().unwrap();
-        let is_busy = |slot: &mut Slot<'_>| {
+        let is_busy = |slot: &mut LoadSlot<'_>| {
             let all = [slot.open(None), slot.append(b"x"), slot.close()];
             assert_eq!(all, [Err(LoadError::Busy); 3]);
         };
@@ -249,7 +242,7 @@ mod tests {
         let load = slot.take().expect("all has come");
         is_busy(&mut slot);
         assert_eq!(load.bytes(), b"abc");
-        let mut none = Slot::default();
+        let mut none = LoadSlot::default();
         assert_eq!(none.open(None), Err(LoadError::NotStored));
         assert_eq!([none.append(b"x"), none.close()], [Err(LoadError::Busy); 2]);
         assert!(none.take().is_none() && none.stored().is_none());
@@ -257,14 +250,15 @@ mod tests {
 
     #[test]
     fn what_is_not_stored_is_said_and_the_next_may_come() {
-        for (outcome, error) in
-            [(Outcome::Refused, LoadError::Refused), (Outcome::NotStored, LoadError::NotStored)]
-        {
+        for (outcome, error) in [
+            (LoadOutcome::Refused, LoadError::Refused),
+            (LoadOutcome::NotStored, LoadError::NotStored),
+        ] {
             let mut buffer = [0; 10];
-            let mut slot = Slot::new(&mut buffer);
+            let mut slot = LoadSlot::new(&mut buffer);
             slot.close().unwrap();
             let load = slot.take().expect("all has come");
-            assert_eq!(slot.give_back(load, outcome), Err(error));
+            assert_eq!(slot.finish_load(load, outcome), Err(error));
             assert_eq!(slot.stored(), None);
             assert_eq!(slot.open(Some(10)), Ok(()));
         }

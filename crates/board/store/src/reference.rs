@@ -10,27 +10,27 @@
 //! | 26 | `u16` level of the converter's internal reference that it counts from; 0: not known | 1/16 code |
 //! | 28 | CRC-32/AUTOSAR of the 28 bytes before it | |
 //!
-//! Between them lie the [writes], with a layout of their own.
+//! Between them lie the [writes](crate::write_log), with a layout of their own.
 //!
 //! A record is written from its first byte to its last, and its CRC comes last, as `log` demands.
 //!
 //! **In force or offered.** A reference is in force after a start if nothing newer says that its calibration was
 //! loaded again, or that another one ran meanwhile. Otherwise the calibration starts without a reference, and the
 //! older one is offered: tools may have been touched off with another one since. The first start after such a
-//! change stores what it has found ([`References::make_room`]), so that later starts find it in one record.
+//! change stores what it has found ([`ReferenceStore::erase_spare_half`]), so that later starts find it in one record.
 //! Records of firmware before 0.3 have no marks: theirs are in force, or offered by the same rule.
 
 use embedded_storage::nor_flash::NorFlash;
 use trueup_core::{
     bridge::Reference,
-    supply::Level,
-    units::{Fine, Nanometres},
+    supply::SupplyLevel,
+    units::{FineNanometres, Nanometres},
 };
 
 use crate::{
     crc,
-    log::{Half, Log, Only, StoreError, write_part},
-    writes::{self, Write, WriteKind, Writes},
+    flash_log::{FlashLog, Half, RecordCounts, StoreError, write_and_verify},
+    write_log::{self, WriteKind, WriteLog, WriteRecord},
 };
 
 /// Bytes of a slot, which a record fills.
@@ -38,18 +38,18 @@ const SLOT_SIZE: u32 = 32;
 /// Bytes of a record.
 pub const RECORD_SIZE: usize = SLOT_SIZE as usize;
 /// The layout described here.
-const LAYOUT: u8 = 1;
+const LAYOUT_VERSION: u8 = 1;
 /// The marks.
-const OFFERED: u8 = 1 << 0;
-const CHANGED: u8 = 1 << 1;
+const OFFERED_FLAG: u8 = 1 << 0;
+const CHANGED_FLAG: u8 = 1 << 1;
 /// How many slots are tried for one record.
-const ATTEMPTS: u32 = 3;
+const MAX_ATTEMPTS: u32 = 3;
 
-type Bytes = [u8; RECORD_SIZE];
+type RecordBytes = [u8; RECORD_SIZE];
 
 /// The state of a calibration: its reference, and the operator's answers that are missing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Standing {
+pub struct ReferenceStatus {
     /// The reference.
     pub reference: Reference,
     /// It is not in force: it waits for the operator's answer.
@@ -58,7 +58,7 @@ pub struct Standing {
     pub is_changed: bool,
 }
 
-impl Standing {
+impl ReferenceStatus {
     /// Returns a reference that is in force, with nothing open.
     #[must_use]
     pub const fn in_force(reference: Reference) -> Self {
@@ -71,81 +71,83 @@ impl Standing {
 struct Record {
     sequence: u32,
     calibration: u32,
-    standing: Standing,
-    supply: Level,
+    standing: ReferenceStatus,
+    supply: SupplyLevel,
 }
 
 impl Record {
-    fn encode(&self) -> Bytes {
-        let Standing { reference, is_offered, is_changed } = self.standing;
+    fn encode(&self) -> RecordBytes {
+        let ReferenceStatus { reference, is_offered, is_changed } = self.standing;
         let Reference { elongation, axes: [x, y, z] } = reference;
         let [elongation, x, y, z] = [elongation.0, x.0, y.0, z.0].map(i32::cast_unsigned);
-        let mut marks = if is_offered { OFFERED } else { 0 };
+        let mut marks = if is_offered { OFFERED_FLAG } else { 0 };
         if is_changed {
-            marks |= CHANGED;
+            marks |= CHANGED_FLAG;
         }
         let [low, high] = self.supply.0.to_le_bytes();
-        let layout = u32::from_le_bytes([LAYOUT, marks, low, high]);
+        let layout = u32::from_le_bytes([LAYOUT_VERSION, marks, low, high]);
         let words = [self.sequence, self.calibration, elongation, x, y, z, layout];
         let mut bytes = [0; RECORD_SIZE];
         for (place, word) in bytes.as_chunks_mut().0.iter_mut().zip(words) {
             *place = word.to_le_bytes();
         }
-        crc::seal(&mut bytes);
+        crc::write_crc(&mut bytes);
         bytes
     }
 
     /// `None`: these bytes are no record.
-    fn decode(bytes: &Bytes) -> Option<Self> {
+    fn decode(bytes: &RecordBytes) -> Option<Self> {
         let &[sequence, calibration, elongation, x, y, z, layout] =
-            crc::unseal(bytes)?.as_chunks().0
+            crc::verify_and_strip_crc(bytes)?.as_chunks().0
         else {
             return None;
         };
-        let [LAYOUT, marks, supply_low, supply_high] = layout else { return None };
+        let [LAYOUT_VERSION, marks, supply_low, supply_high] = layout else { return None };
         let reference = Reference {
             elongation: Nanometres(i32::from_le_bytes(elongation)),
-            axes: [x, y, z].map(|axis| Fine(i32::from_le_bytes(axis))),
+            axes: [x, y, z].map(|axis| FineNanometres(i32::from_le_bytes(axis))),
         };
-        let (is_offered, is_changed) = (marks & OFFERED != 0, marks & CHANGED != 0);
-        (marks & !(OFFERED | CHANGED) == 0).then(|| Self {
+        let (is_offered, is_changed) = (marks & OFFERED_FLAG != 0, marks & CHANGED_FLAG != 0);
+        (marks & !(OFFERED_FLAG | CHANGED_FLAG) == 0).then(|| Self {
             sequence: u32::from_le_bytes(sequence),
             calibration: u32::from_le_bytes(calibration),
-            standing: Standing { reference, is_offered, is_changed },
-            supply: Level(u16::from_le_bytes([supply_low, supply_high])),
+            standing: ReferenceStatus { reference, is_offered, is_changed },
+            supply: SupplyLevel(u16::from_le_bytes([supply_low, supply_high])),
         })
     }
 }
 
 /// Returns the bytes of a write.
-fn encode_write(write: &Write) -> Bytes {
+fn encode_write(write: &WriteRecord) -> RecordBytes {
     let mut bytes = [0; RECORD_SIZE];
-    let words = write.to_bytes().into_iter().chain(writes::LAYOUT.to_le_bytes());
+    let words = write.to_bytes().into_iter().chain(write_log::LAYOUT_VERSION.to_le_bytes());
     bytes.iter_mut().zip(words).for_each(|(place, byte)| *place = byte);
-    crc::seal(&mut bytes);
+    crc::write_crc(&mut bytes);
     bytes
 }
 
 /// `None`: these bytes are no write.
-fn decode_write(bytes: &Bytes) -> Option<Write> {
-    let (write, layout) = crc::unseal(bytes)?.split_first_chunk()?;
-    (layout == writes::LAYOUT.to_le_bytes()).then(|| Write::from_bytes(write)).flatten()
+fn decode_write(bytes: &RecordBytes) -> Option<WriteRecord> {
+    let (write, layout) = crc::verify_and_strip_crc(bytes)?.split_first_chunk()?;
+    (layout == write_log::LAYOUT_VERSION.to_le_bytes())
+        .then(|| WriteRecord::from_bytes(write))
+        .flatten()
 }
 
 /// The records found in the flash.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Found {
+pub struct ScanResult {
     /// The newest record of this calibration: its sequence number, and what holds now by it and by what came
     /// after it.
-    pub standing: Option<(u32, Standing)>,
+    pub standing: Option<(u32, ReferenceStatus)>,
     /// Something holds that no record says yet.
     pub is_new: bool,
     /// The write that has taken or offered the reference.
-    pub taken: Option<Write>,
-    /// The machine and the board that the board belongs to: [`writes::identity`] of their names.
+    pub taken: Option<WriteRecord>,
+    /// The machine and the board that the board belongs to: [`machine_identity_crc`](crate::write_log::machine_identity_crc) of their names.
     pub named: Option<u32>,
     /// The level of the supply that it counts from.
-    pub supply: Level,
+    pub supply: SupplyLevel,
     /// Records of other calibrations.
     pub foreign: u32,
     /// Slots that hold something, but no record.
@@ -154,44 +156,44 @@ pub struct Found {
 
 /// The stored references, open for one calibration.
 #[derive(Debug)]
-pub struct References<F> {
-    log: Log<F>,
+pub struct ReferenceStore<F> {
+    log: FlashLog<F>,
     calibration: u32,
     /// The state of this calibration, and the half that its record is in; `None`: it is not stored yet.
-    current: Option<(Standing, Option<Half>)>,
+    current: Option<(ReferenceStatus, Option<Half>)>,
     /// The write that has named the board's machine, and the half that it is in.
-    named: Option<(Write, Half)>,
+    named: Option<(WriteRecord, Half)>,
     /// The same of the one that has taken or offered the reference.
-    taken: Option<(Write, Half)>,
-    writes: Writes,
+    taken: Option<(WriteRecord, Half)>,
+    writes: WriteLog,
     /// Goes into every record.
-    supply: Level,
+    supply: SupplyLevel,
     /// Of the records that were found at the start, and of both writes.
-    only: Only,
-    only_named: Only,
-    only_taken: Only,
+    only: RecordCounts,
+    only_named: RecordCounts,
+    only_taken: RecordCounts,
 }
 
 /// The events of a calibration, by the sequence numbers of the records that say so; 0: none does.
 #[derive(Default)]
-struct Events {
+struct CalibrationEvents {
     /// The newest time at which another calibration ran.
     other: u32,
     /// The newest load of this one, unless it was dropped again, and whether it was unattended.
     loaded: (u32, bool),
 }
 
-impl Events {
-    fn ran(&mut self, calibration: u32, by: u32, sequence: u32) {
+impl CalibrationEvents {
+    fn record_run(&mut self, calibration: u32, by: u32, sequence: u32) {
         if by != 0 && by != calibration {
             self.other = self.other.max(sequence);
         }
     }
 
-    fn note(&mut self, calibration: u32, write: &Write) {
+    fn record_write(&mut self, calibration: u32, write: &WriteRecord) {
         // The names move on under whichever calibration runs then.
         if write.what != WriteKind::Named {
-            self.ran(calibration, write.calibration, write.sequence);
+            self.record_run(calibration, write.calibration, write.sequence);
         }
         let is_newer = write.about == calibration && write.sequence > self.loaded.0;
         match write.what {
@@ -203,7 +205,7 @@ impl Events {
     }
 
     /// Returns what holds now, by the newest record of the calibration; `None`: nothing has changed since.
-    fn change(&self, own: Option<(u32, Standing)>) -> Option<Standing> {
+    fn changed_status(&self, own: Option<(u32, ReferenceStatus)>) -> Option<ReferenceStatus> {
         let since = own.map_or(0, |(sequence, _)| sequence);
         let (loaded, is_unattended) = self.loaded;
         if self.other.max(loaded) <= since {
@@ -213,50 +215,54 @@ impl Events {
         let is_offered = reference != Reference::default();
         // Without a record of its load it came with an image, or the power went at that moment.
         let is_changed = if loaded > since { is_unattended } else { true };
-        Some(Standing { reference, is_offered, is_changed })
+        Some(ReferenceStatus { reference, is_offered, is_changed })
     }
 }
 
-impl<F: NorFlash> References<F> {
+impl<F: NorFlash> ReferenceStore<F> {
     /// Reads all of the flash. A slot that cannot be read counts as damaged.
-    pub fn open(flash: F, calibration: u32) -> (Self, Found) {
-        Self::open_in_parts(flash, calibration, || ())
+    pub fn open(flash: F, calibration: u32) -> (Self, ScanResult) {
+        Self::open_with_progress(flash, calibration, || ())
     }
 
     /// Reads all of the flash, as [`Self::open`]. `between` is called at each record, because two full sectors may take
     /// longer than a watchdog waits.
-    pub fn open_in_parts(flash: F, calibration: u32, mut between: impl FnMut()) -> (Self, Found) {
-        let mut found = Found::default();
+    pub fn open_with_progress(
+        flash: F,
+        calibration: u32,
+        mut between: impl FnMut(),
+    ) -> (Self, ScanResult) {
+        let mut found = ScanResult::default();
         let (mut half, mut named, mut taken) = (None, None, None);
-        let mut oldest_first = [None; writes::KEPT];
-        let (mut only, mut only_named) = (Only::default(), Only::default());
-        let (mut only_taken, mut events) = (Only::default(), Events::default());
-        let log = Log::open(flash, SLOT_SIZE, |flash, slot| {
+        let mut oldest_first = [None; write_log::WRITE_LOG_CAPACITY];
+        let (mut only, mut only_named) = (RecordCounts::default(), RecordCounts::default());
+        let (mut only_taken, mut events) = (RecordCounts::default(), CalibrationEvents::default());
+        let log = FlashLog::open(flash, SLOT_SIZE, |flash, slot| {
             between();
             let mut bytes = [0; RECORD_SIZE];
             let is_read = flash.read(slot.address, &mut bytes).is_ok();
             if let Some(write) = is_read.then(|| decode_write(&bytes)).flatten() {
                 if write.what == WriteKind::Named {
-                    only_named.note(slot.half);
-                    note_newest(&mut named, write, slot.half);
-                } else if takes_reference(write.what) && write.calibration == calibration {
-                    only_taken.note(slot.half);
-                    note_newest(&mut taken, write, slot.half);
+                    only_named.count_record(slot.half);
+                    update_if_newer(&mut named, write, slot.half);
+                } else if is_reference_write(write.what) && write.calibration == calibration {
+                    only_taken.count_record(slot.half);
+                    update_if_newer(&mut taken, write, slot.half);
                 }
-                events.note(calibration, &write);
-                insert(&mut oldest_first, write);
+                events.record_write(calibration, &write);
+                insert_by_sequence(&mut oldest_first, write);
                 return Some(write.sequence);
             }
             let Some(record) = is_read.then(|| Record::decode(&bytes)).flatten() else {
                 found.damaged = found.damaged.saturating_add(1);
                 return None;
             };
-            events.ran(calibration, record.calibration, record.sequence);
+            events.record_run(calibration, record.calibration, record.sequence);
             if record.calibration != calibration {
                 found.foreign = found.foreign.saturating_add(1);
                 return Some(record.sequence);
             }
-            only.note(slot.half);
+            only.count_record(slot.half);
             if found.standing.is_none_or(|(newest, _)| record.sequence > newest) {
                 found.standing = Some((record.sequence, record.standing));
                 found.supply = record.supply;
@@ -267,7 +273,7 @@ impl<F: NorFlash> References<F> {
         let mut current = found.standing.map(|(_, standing)| (standing, half));
         // Without a calibration nothing holds.
         if calibration != 0
-            && let Some(standing) = events.change(found.standing)
+            && let Some(standing) = events.changed_status(found.standing)
         {
             let sequence = found.standing.map_or(0, |(sequence, _)| sequence);
             found.standing = Some((sequence, standing));
@@ -276,7 +282,7 @@ impl<F: NorFlash> References<F> {
         }
         found.named = named.map(|(write, _)| write.about);
         found.taken = taken.map(|(write, _)| write);
-        let mut writes = Writes::default();
+        let mut writes = WriteLog::default();
         oldest_first.iter().flatten().for_each(|write| writes.push(write));
         let supply = found.supply;
         let references = Self {
@@ -295,7 +301,7 @@ impl<F: NorFlash> References<F> {
     }
 
     /// Returns the last writes that were found at the start.
-    pub const fn writes(&self) -> &Writes {
+    pub const fn last_writes(&self) -> &WriteLog {
         &self.writes
     }
 
@@ -303,23 +309,27 @@ impl<F: NorFlash> References<F> {
     ///
     /// # Errors
     /// [`StoreError`]; what was stored before still counts.
-    pub fn append_write(&mut self, write: &Write) -> Result<Write, StoreError> {
-        let (sequence, slot) = self.log.append(ATTEMPTS, |flash, slot, sequence| {
-            write_part(flash, slot.address, &encode_write(&Write { sequence, ..*write }))
+    pub fn append_write(&mut self, write: &WriteRecord) -> Result<WriteRecord, StoreError> {
+        let (sequence, slot) = self.log.append(MAX_ATTEMPTS, |flash, slot, sequence| {
+            write_and_verify(
+                flash,
+                slot.address,
+                &encode_write(&WriteRecord { sequence, ..*write }),
+            )
         })?;
-        let stored = Write { sequence, ..*write };
+        let stored = WriteRecord { sequence, ..*write };
         if stored.what == WriteKind::Named {
             self.named = Some((stored, slot.half));
-            self.only_named = Only::default();
-        } else if takes_reference(stored.what) && stored.calibration == self.calibration {
+            self.only_named = RecordCounts::default();
+        } else if is_reference_write(stored.what) && stored.calibration == self.calibration {
             self.taken = Some((stored, slot.half));
-            self.only_taken = Only::default();
+            self.only_taken = RecordCounts::default();
         }
         Ok(stored)
     }
 
     /// Records from now on say that their references count from this level of the supply.
-    pub fn set_supply(&mut self, supply: Level) {
+    pub fn set_supply(&mut self, supply: SupplyLevel) {
         self.supply = supply;
     }
 
@@ -327,17 +337,17 @@ impl<F: NorFlash> References<F> {
     ///
     /// # Errors
     /// [`StoreError`]; what was stored before still counts.
-    pub fn append(&mut self, standing: Standing) -> Result<u32, StoreError> {
+    pub fn append(&mut self, standing: ReferenceStatus) -> Result<u32, StoreError> {
         let (calibration, supply) = (self.calibration, self.supply);
-        let (sequence, slot) = self.log.append(ATTEMPTS, |flash, slot, sequence| {
-            write_part(
+        let (sequence, slot) = self.log.append(MAX_ATTEMPTS, |flash, slot, sequence| {
+            write_and_verify(
                 flash,
                 slot.address,
                 &Record { sequence, calibration, standing, supply }.encode(),
             )
         })?;
         self.current = Some((standing, Some(slot.half)));
-        self.only = Only::default();
+        self.only = RecordCounts::default();
         Ok(sequence)
     }
 
@@ -347,30 +357,32 @@ impl<F: NorFlash> References<F> {
     ///
     /// # Errors
     /// [`StoreError`]; what is stored still counts.
-    pub fn make_room(&mut self) -> Result<bool, StoreError> {
+    pub fn erase_spare_half(&mut self) -> Result<bool, StoreError> {
         // What still counts moves on before its half goes, and is written anew where it would be left
         // alone: a power cut may have torn it. Where there is no room for it, after.
-        let (active, has_spare) = (self.log.active(), self.log.has_spare_content());
-        let moves = |half: Half, only: Only| half != active || has_spare && only.is_in(active);
+        let (active, has_spare) = (self.log.active_half(), self.log.is_spare_half_used());
+        let moves = |half: Half, only: RecordCounts| {
+            half != active || has_spare && only.has_sole_record_in(active)
+        };
         let standing =
             self.current.filter(|(_, half)| half.is_none_or(|half| moves(half, self.only)));
         let mut standing = standing.map(|(standing, _)| standing);
         let named = self.named.filter(|(_, half)| moves(*half, self.only_named));
         let taken = self.taken.filter(|(_, half)| moves(*half, self.only_taken));
         let mut writes = [named, taken].map(|write| write.map(|(write, _)| write));
-        if self.log.has_room()
+        if self.log.has_free_slot()
             && let Some(standing) = standing.take()
         {
             self.append(standing)?;
         }
         for write in &mut writes {
-            if self.log.has_room()
+            if self.log.has_free_slot()
                 && let Some(write) = write.take()
             {
                 self.append_write(&write)?;
             }
         }
-        let emptied = self.log.make_room()?;
+        let emptied = self.log.erase_spare_half()?;
         if let Some(standing) = standing {
             self.append(standing)?;
         }
@@ -382,19 +394,22 @@ impl<F: NorFlash> References<F> {
 }
 
 /// Returns whether a write says where the reference comes from.
-const fn takes_reference(what: WriteKind) -> bool {
+const fn is_reference_write(what: WriteKind) -> bool {
     matches!(what, WriteKind::Zeroed | WriteKind::Offered)
 }
 
 /// Keeps the newer one.
-fn note_newest(newest: &mut Option<(Write, Half)>, write: Write, half: Half) {
+fn update_if_newer(newest: &mut Option<(WriteRecord, Half)>, write: WriteRecord, half: Half) {
     if newest.is_none_or(|(other, _)| write.sequence > other.sequence) {
         *newest = Some((write, half));
     }
 }
 
 /// Keeps the newest, the oldest first, whatever order they come in.
-fn insert(all: &mut [Option<Write>; writes::KEPT], mut write: Write) {
+fn insert_by_sequence(
+    all: &mut [Option<WriteRecord>; write_log::WRITE_LOG_CAPACITY],
+    mut write: WriteRecord,
+) {
     for place in all.iter_mut().rev() {
         match place {
             Some(other) if other.sequence < write.sequence => core::mem::swap(other, &mut write),

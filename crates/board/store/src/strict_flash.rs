@@ -10,10 +10,10 @@ use embedded_storage::nor_flash::{
 };
 use std::{collections::BTreeMap, vec::Vec};
 
-use crate::log::WORD;
+use crate::flash_log::WORD_SIZE;
 
 /// This many bytes behind a cut in an erase are read differently twice.
-const WAVERING_ERASE: usize = 64;
+const UNSTABLE_ERASE_BYTES: usize = 64;
 
 /// A strict flash: a bit only goes from 1 to 0, a word is written when it is erased or not at
 /// all, and the power is cut when the fuel is burnt: one unit a byte written or erased.
@@ -38,33 +38,33 @@ pub struct StrictFlash<const SECTOR: usize> {
 impl<const SECTOR: usize> StrictFlash<SECTOR> {
     /// Blank.
     pub fn erased() -> Self {
-        Self::holding(std::vec![0xFF; 2 * SECTOR])
+        Self::from_bytes(std::vec![0xFF; 2 * SECTOR])
     }
 
     /// It holds these bytes.
-    pub fn holding(bytes: Vec<u8>) -> Self {
+    pub fn from_bytes(bytes: Vec<u8>) -> Self {
         let random = Cell::new(0x2545_F491);
         let wavering = BTreeMap::new();
         Self { bytes, fuel: usize::MAX, dead: false, wavers: false, off: false, wavering, random }
     }
 
     /// Blank, and a cut leaves bits that are read differently twice, as this seed has it.
-    pub fn wavering(seed: u32) -> Self {
+    pub fn with_unstable_bits(seed: u32) -> Self {
         let random = Cell::new(seed.wrapping_mul(0x9E37_79B9) | 1);
         Self { wavers: true, random, ..Self::erased() }
     }
 
-    fn burn(&mut self) -> Result<(), NorFlashErrorKind> {
+    fn consume_fuel(&mut self) -> Result<(), NorFlashErrorKind> {
         self.fuel = self.fuel.checked_sub(1).ok_or(NorFlashErrorKind::Other)?;
         Ok(())
     }
 
     /// The power is back.
-    pub fn powered(&self) -> Self {
+    pub fn with_power_restored(&self) -> Self {
         Self { fuel: usize::MAX, off: false, ..self.clone() }
     }
 
-    fn draw(&self) -> u8 {
+    fn next_random(&self) -> u8 {
         let mut random = self.random.get();
         random ^= random << 13;
         random ^= random >> 17;
@@ -79,7 +79,7 @@ impl<const SECTOR: usize> ErrorType for StrictFlash<SECTOR> {
 }
 
 impl<const SECTOR: usize> ReadNorFlash for StrictFlash<SECTOR> {
-    const READ_SIZE: usize = WORD;
+    const READ_SIZE: usize = WORD_SIZE;
 
     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Self::Error> {
         // As the board's driver.
@@ -87,12 +87,12 @@ impl<const SECTOR: usize> ReadNorFlash for StrictFlash<SECTOR> {
         let from = offset as usize;
         bytes.copy_from_slice(&self.bytes[from..][..bytes.len()]);
         // Cells on the edge often go all one way, and then the word looks sound.
-        let mode = self.draw() % 4;
+        let mode = self.next_random() % 4;
         for (at, bits) in self.wavering.range(from..from + bytes.len()) {
             let read_as_0 = match mode {
                 0 => u8::MAX,
                 1 => 0,
-                _ => self.draw(),
+                _ => self.next_random(),
             };
             bytes[at - from] &= !(bits & read_as_0);
         }
@@ -113,7 +113,7 @@ impl<const SECTOR: usize> NorFlash for StrictFlash<SECTOR> {
         for (word, at) in bytes.chunks(4).zip((offset as usize..).step_by(4)) {
             assert_eq!(self.bytes[at..at + 4], [0xFF; 4], "a word is written once");
             for (n, (byte, at)) in word.iter().zip(at..).enumerate() {
-                if let Err(cut) = self.burn() {
+                if let Err(cut) = self.consume_fuel() {
                     let was_off = core::mem::replace(&mut self.off, true);
                     // The word is written at once, so all of its bits that were to be 0 are on their way.
                     if self.wavers && !was_off {
@@ -138,7 +138,7 @@ impl<const SECTOR: usize> NorFlash for StrictFlash<SECTOR> {
     fn erase(&mut self, from: u32, to: u32) -> Result<(), Self::Error> {
         assert_eq!((from as usize % SECTOR, (to - from) as usize), (0, SECTOR));
         for at in from as usize..to as usize {
-            if let Err(cut) = self.burn() {
+            if let Err(cut) = self.consume_fuel() {
                 if core::mem::replace(&mut self.off, true) {
                     return Err(cut);
                 }
@@ -149,7 +149,7 @@ impl<const SECTOR: usize> NorFlash for StrictFlash<SECTOR> {
                     .zip(noise)
                     .for_each(|(byte, bits)| *byte |= bits);
                 if self.wavers {
-                    let rest = at..(to as usize).min(at + WAVERING_ERASE);
+                    let rest = at..(to as usize).min(at + UNSTABLE_ERASE_BYTES);
                     self.wavering.extend(rest.map(|at| (at, 0xFF)));
                 }
                 return Err(cut);

@@ -6,7 +6,7 @@
 //! `docs/thresholds.md`. A rule that would fire on a right file is a fault: the shipped files and
 //! every measured set that the project knows are silent.
 //!
-//! | page | asks |
+//! | page | checks |
 //! |---|---|
 //! | `sensor` | can the sensor read that, and in these units |
 //! | `range` | can a machine have that value, and which slip makes it; the table of all ranges |
@@ -16,7 +16,7 @@
 //! | `rate` | can a thermometer change faster than the board believes |
 //! | `twice` | is one thing corrected by two entries |
 //! | `nothing` | does the file correct anything at all |
-//! | `extent` | how large each correction may become |
+//! | `error_bounds` | how large each correction may become |
 //! | `run` | is what a run has what the machine file has: counts, travel, the size and the sign of an error |
 //! | `clock` | does the clock of a run step by an hour, was it set, or has it a pause |
 //! | `units` | are the columns of a run in the units of their names |
@@ -24,32 +24,32 @@
 
 mod clock;
 mod conditions;
-pub(crate) mod extent;
-mod heat;
+mod double_correction;
+pub(crate) mod error_bounds;
+mod geometry;
 mod limits;
-mod nothing;
-mod place;
+mod no_correction;
 mod range;
-mod rate;
 mod run;
 mod sensor;
 mod summary;
-mod twice;
+mod thermal;
+mod thermometer_rate;
 mod units;
 mod warning;
 
 use crate::{file::Machine, run_file::RunFile};
 
-pub use conditions::conditions;
-pub use nothing::corrects_nothing;
-pub use range::{Finding, Grade, Range, refusal};
+pub use conditions::suggest_conditions;
+pub use no_correction::no_correction_warning;
+pub use range::{Finding, Plausibility, combine_refused};
 pub use summary::{AxisSummary, Summary};
 pub use warning::Warning;
 
 /// Returns the values of the machine file that are outside the ranges of machines, in the order of its lines.
 #[must_use]
-pub fn ranges(machine: &Machine) -> Vec<Finding> {
-    let mut findings = range::of_machine(machine);
+pub fn range_findings(machine: &Machine) -> Vec<Finding> {
+    let mut findings = range::machine_findings(machine);
     findings.sort_by_key(|it| (it.warning.place.line, it.warning.place.column));
     findings
 }
@@ -57,44 +57,48 @@ pub fn ranges(machine: &Machine) -> Vec<Finding> {
 /// Everything in the machine file that is unlikely to be meant, in the order of its lines; what is
 /// impossible as well.
 #[must_use]
-pub fn machine(machine: &Machine) -> Vec<Warning> {
+pub fn machine_warnings(machine: &Machine) -> Vec<Warning> {
     let rules: [fn(&Machine) -> Vec<Warning>; 6] = [
         sensor::warnings,
-        heat::warnings,
+        thermal::warnings,
         limits::warnings,
-        place::warnings,
-        twice::warnings,
-        rate::warnings,
+        geometry::warnings,
+        double_correction::warnings,
+        thermometer_rate::warnings,
     ];
     let mut warnings: Vec<Warning> = rules.iter().flat_map(|rule| rule(machine)).collect();
     // A rule knows more of its key than the table does.
-    let of_table = range::of_machine(machine).into_iter().map(|finding| finding.warning);
+    let of_table = range::machine_findings(machine).into_iter().map(|finding| finding.warning);
     let is_new =
         |warnings: &[Warning], it: &Warning| warnings.iter().all(|other| other.place != it.place);
     let new: Vec<Warning> = of_table.filter(|it| is_new(&warnings, it)).collect();
     warnings.extend(new);
-    in_order(warnings.into_iter())
+    sorted_by_location(warnings.into_iter())
 }
 
 /// Everything in the run that is unlikely to be meant, in the order of its places; held against the
 /// machine's model where there is one.
 #[must_use]
-pub fn run(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning> {
-    let of_names = run.slips().map(|slip| Warning {
+pub fn run_warnings(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning> {
+    let of_names = run.column_typos().map(|slip| Warning {
         place: slip.place,
         what: slip.rule,
         help: slip.help.unwrap_or_default(),
     });
-    in_order(of_names.chain(values(run, machine, &[])))
+    sorted_by_location(of_names.chain(value_warnings(run, machine, &[])))
 }
 
 /// Returns the same without what the names of the columns say, for a command that says that itself.
 #[must_use]
-pub fn values(run: &RunFile, machine: Option<&Machine>, others: &[RunFile]) -> Vec<Warning> {
+pub fn value_warnings(
+    run: &RunFile,
+    machine: Option<&Machine>,
+    others: &[RunFile],
+) -> Vec<Warning> {
     let mut warnings: Vec<Warning> =
-        slips(run, machine, others).into_iter().map(|finding| finding.warning).collect();
+        column_findings(run, machine, others).into_iter().map(|finding| finding.warning).collect();
     warnings.extend(run::warnings(run, machine));
-    warnings.extend(clock::look(run).warnings);
+    warnings.extend(clock::check_clock(run).warnings);
     warnings
 }
 
@@ -102,26 +106,30 @@ pub fn values(run: &RunFile, machine: Option<&Machine>, others: &[RunFile]) -> V
 /// machine file, and a clock that was set: a constant that is found from them is wrong. `others` are the runs that the same
 /// command reads; `run` may be among them.
 #[must_use]
-pub fn slips(run: &RunFile, machine: Option<&Machine>, others: &[RunFile]) -> Vec<Finding> {
+pub fn column_findings(
+    run: &RunFile,
+    machine: Option<&Machine>,
+    others: &[RunFile],
+) -> Vec<Finding> {
     let mut slips = units::findings(run, machine, others);
     // Where both know something, the machine file says in which unit it would be right.
-    for finding in run::slips(run, machine) {
+    for finding in run::column_findings(run, machine) {
         match slips.iter_mut().find(|it| it.key == finding.key) {
             Some(other) => other.warning = finding.warning,
             None => slips.push(finding),
         }
     }
-    slips.extend(clock::look(run).slips);
+    slips.extend(clock::check_clock(run).slips);
     slips
 }
 
 /// Returns what is worth a remark in the run and needs nothing done: pauses.
 #[must_use]
-pub fn remarks(run: &RunFile) -> Vec<Warning> {
-    clock::look(run).remarks
+pub fn run_remarks(run: &RunFile) -> Vec<Warning> {
+    clock::check_clock(run).remarks
 }
 
-fn in_order(warnings: impl Iterator<Item = Warning>) -> Vec<Warning> {
+fn sorted_by_location(warnings: impl Iterator<Item = Warning>) -> Vec<Warning> {
     let mut warnings: Vec<Warning> = warnings.collect();
     warnings.sort_by_key(|warning| (warning.place.line, warning.place.column));
     warnings

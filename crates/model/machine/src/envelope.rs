@@ -9,38 +9,38 @@
 //! at each of these times: the axes at both ends, approached from both sides; the spindle at rest, and turning
 //! ```
 //!
-//! [`compile`](crate::compile()) refuses a machine whose terms leave what is possible there ([`refuse`]);
-//! `check` and `bridge load` ask the same function, and a diagnosis asks it before it writes a term.
+//! [`compile`](crate::compile()) refuses a machine whose terms leave what is possible there ([`check_envelope`]);
+//! `check` and `bridge load` call the same function, and a diagnosis calls it before it writes a term.
 
 use std::{borrow::Cow, collections::BTreeMap};
 
 use crate::{
-    check::extent::reach_mm,
-    effect::{Effect, Input, OnBoard, SlowMode},
+    check::error_bounds::axis_range_mm,
+    effect::{BoardTerm, Effect, Input, SlowMode},
     file::{LinearAxis, Machine},
     location::BadInput,
-    model::{ReferenceModel, Situation, growth_by_tool},
+    model::{ReferenceModel, RowInputs, tool_growth_term},
 };
 
 /// The temperature that a machine is right at, and how far it may be from it in a workshop, in °C: ISO 1, and
 /// half of what lies between its 20 °C and the 40 °C at which EN 60204-1 lets a machine work.
-const NORMAL_C: [f64; 2] = [10.0, 30.0];
+const NORMAL_TEMPERATURE_RANGE_C: [f64; 2] = [10.0, 30.0];
 /// How long a temperature takes over its range, in s: 20 K at 2 K a minute, as a spindle's front bearing does
 /// in the first minutes at its rated speed.
-pub const CHANGE_S: f64 = 600.0;
+pub const TEMPERATURE_RAMP_S: f64 = 600.0;
 /// After this many of its longest time constants a state has settled to a ten-thousandth.
-const SETTLED: f64 = 10.0;
+const SETTLING_TIME_CONSTANTS: f64 = 10.0;
 /// Times after the ramp, at equal ratios.
-const TIMES: i32 = 10;
+const EVALUATION_TIME_COUNT: i32 = 10;
 /// A growth or shift that no machine has, in µm: twice the range of the displacement sensor of the paper, 500 µm.
-const IMPOSSIBLE_UM: f64 = 1000.0;
+const MAX_PLAUSIBLE_OFFSET_UM: f64 = 1000.0;
 /// Two terms take each other back where less than this share of the smaller is left of both.
-const TAKEN_BACK: f64 = 0.2;
+const MAX_UNCANCELLED_SHARE: f64 = 0.2;
 /// Terms that do less are not looked at for that, in µm: the error that the paper on displacement sensors calls
 /// the limit of what is sufficient.
-const LARGE_UM: f64 = 50.0;
+const MIN_CANCELLING_UM: f64 = 50.0;
 /// Thermometers whose ends are combined one by one; of more all go together.
-const MAX_ALONE: usize = 5;
+const MAX_INDEPENDENT_THERMOMETERS: usize = 5;
 
 /// The ranges of a machine's inputs.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -70,11 +70,12 @@ impl InputRanges {
         Self {
             temperatures_c: BTreeMap::new(),
             is_each_alone: false,
-            change_s: CHANGE_S,
+            change_s: TEMPERATURE_RAMP_S,
             speed_rpm: [0.0, rated_rpm(machine)],
             load_n: [0.0; 2],
             sensor_counts: [sensor.map_or(0.0, |sensor| sensor.zero_counts); 2],
-            position_mm: LinearAxis::ALL.map(|axis| reach_mm(machine, axis).unwrap_or([0.0; 2])),
+            position_mm: LinearAxis::ALL
+                .map(|axis| axis_range_mm(machine, axis).unwrap_or([0.0; 2])),
         }
     }
 }
@@ -86,7 +87,7 @@ fn rated_rpm(machine: &Machine) -> f64 {
 
 /// The prediction of the model in one state.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct State {
+pub struct PredictedState {
     /// `elongation`, `dx`, `dy` and `dz`, in µm.
     pub um: [f64; 4],
     /// How long after a start, in s.
@@ -99,17 +100,19 @@ pub struct State {
 
 /// Returns the model of what the board runs of `machine`, in every state of `ranges`.
 #[must_use]
-pub fn states(machine: &Machine, ranges: &InputRanges) -> Vec<State> {
-    let machine = started(machine);
-    let columns = thermometers(&machine);
-    let corners = corners(columns.len(), ranges.is_each_alone);
-    let times_s = times_s(&machine, ranges.change_s);
-    let places = places(ranges);
-    let categories = [0, 1].map(|end| categories(&machine, end));
+pub fn predict_states(machine: &Machine, ranges: &InputRanges) -> Vec<PredictedState> {
+    let machine = machine_at_power_on(machine);
+    let columns = model_thermometers(&machine);
+    let corners = enumerate_corners(columns.len(), ranges.is_each_alone);
+    let times_s = evaluation_times_s(&machine, ranges.change_s);
+    let places = corner_positions(ranges);
+    let categories = [0, 1].map(|end| category_values(&machine, end));
     let mut states = Vec::new();
     let ends: Vec<[f64; 2]> = columns
         .iter()
-        .map(|column| ranges.temperatures_c.get(column).copied().unwrap_or(NORMAL_C))
+        .map(|column| {
+            ranges.temperatures_c.get(column).copied().unwrap_or(NORMAL_TEMPERATURE_RANGE_C)
+        })
         .collect();
     for from in &corners {
         // From any corner all go to one end together, or nothing changes.
@@ -129,7 +132,7 @@ pub fn states(machine: &Machine, ranges: &InputRanges) -> Vec<State> {
                         })
                         .collect();
                     for (position_mm, direction) in &places {
-                        let um = model.step(&Situation {
+                        let um = model.step(&RowInputs {
                             time_s: Some(time_s),
                             run: Some(1.0),
                             sensor_counts: ranges.sensor_counts[end],
@@ -143,8 +146,8 @@ pub fn states(machine: &Machine, ranges: &InputRanges) -> Vec<State> {
                             direction: [*direction; 3],
                             tool_length_mm: None,
                         });
-                        states.push(State {
-                            um: um.values().all(),
+                        states.push(PredictedState {
+                            um: um.to_error_values().to_array(),
                             since_start_s: time_s,
                             moment,
                             is_settled: moment + 1 == times_s.len(),
@@ -158,12 +161,12 @@ pub fn states(machine: &Machine, ranges: &InputRanges) -> Vec<State> {
 }
 
 /// Returns what the board runs of a machine, whose slow modes begin when it is switched on.
-fn started(machine: &Machine) -> Machine {
-    let mut started = machine.compensated().into_owned();
+fn machine_at_power_on(machine: &Machine) -> Machine {
+    let mut started = machine.with_compensated_terms().into_owned();
     let by_tool = started.spindle.tools.take();
-    started.terms.extend(by_tool.as_ref().map(growth_by_tool));
+    started.terms.extend(by_tool.as_ref().map(tool_growth_term));
     for term in &mut started.terms {
-        if let Effect::SlowMode(SlowMode::InTime { start_s, .. }) = &mut term.effect {
+        if let Effect::SlowMode(SlowMode::TimeDriven { start_s, .. }) = &mut term.effect {
             *start_s = 0.0;
         }
     }
@@ -171,14 +174,14 @@ fn started(machine: &Machine) -> Machine {
 }
 
 /// Returns the tool and the conditions at one end: none and off, or where each does most.
-fn categories(machine: &Machine, end: usize) -> Vec<(&str, f64)> {
+fn category_values(machine: &Machine, end: usize) -> Vec<(&str, f64)> {
     let mut values: Vec<(&str, f64)> = Vec::new();
     for term in &machine.terms {
-        let column = match term.effect.reads().first() {
+        let column = match term.effect.required_inputs().first() {
             Some(&(Input::Column(column) | Input::Lagged { column, .. })) => column,
             _ => continue,
         };
-        let largest = term.effect.on_board().first().and_then(OnBoard::at_largest);
+        let largest = term.effect.board_terms().first().and_then(BoardTerm::dominant_category);
         if values.iter().all(|(name, _)| *name != column) {
             values.extend(largest.map(|it| (column, if end == 0 { 0.0 } else { it })));
         }
@@ -187,10 +190,10 @@ fn categories(machine: &Machine, end: usize) -> Vec<(&str, f64)> {
 }
 
 /// Returns the thermometers that the model reads.
-fn thermometers(machine: &Machine) -> Vec<String> {
+fn model_thermometers(machine: &Machine) -> Vec<String> {
     let axes = machine.axes.iter().filter_map(|axis| axis.thermal.as_ref());
     let spindle = machine.spindle.temperature.iter().map(|model| &model.sensor);
-    let terms = machine.terms.iter().filter_map(|term| term.effect.temperature());
+    let terms = machine.terms.iter().filter_map(|term| term.effect.temperature_column());
     let all = axes.map(|thermal| &thermal.sensor).chain(spindle).cloned().chain(terms);
     let mut columns: Vec<String> = all.collect();
     columns.sort_unstable();
@@ -199,10 +202,10 @@ fn thermometers(machine: &Machine) -> Vec<String> {
 }
 
 /// Returns which end, 0 or 1, each of `count` thermometers is at.
-fn corners(count: usize, is_each_alone: bool) -> Vec<Vec<usize>> {
+fn enumerate_corners(count: usize, is_each_alone: bool) -> Vec<Vec<usize>> {
     match count {
         0 => vec![Vec::new()],
-        _ if is_each_alone && count <= MAX_ALONE => {
+        _ if is_each_alone && count <= MAX_INDEPENDENT_THERMOMETERS => {
             (0..1_usize << count).map(|set| (0..count).map(|n| set >> n & 1).collect()).collect()
         }
         _ => vec![vec![0; count], vec![1; count]],
@@ -210,32 +213,34 @@ fn corners(count: usize, is_each_alone: bool) -> Vec<Vec<usize>> {
 }
 
 /// Returns the times after a start at which it is looked, in s: on the ramp, and until all has settled.
-fn times_s(machine: &Machine, change_s: f64) -> Vec<f64> {
+fn evaluation_times_s(machine: &Machine, change_s: f64) -> Vec<f64> {
     let of_axes = machine.axes.iter().filter_map(|axis| axis.thermal.as_ref()).map(|it| it.lag_s);
     let spindle = &machine.spindle;
     let of_spindle = spindle.temperature.iter().map(|it| it.lag_s);
     let of_warmup = spindle.warmup.iter().map(|it| it.warm_s);
-    let of_terms = machine.terms.iter().flat_map(|term| term.effect.on_board()).filter_map(
+    let of_terms = machine.terms.iter().flat_map(|term| term.effect.board_terms()).filter_map(
         |form| match form {
-            OnBoard::Heat(heat) | OnBoard::HeatSlope(heat) => Some(heat.time_constant_s),
-            OnBoard::SpeedHeat(heat) => Some(heat.time_constant_s),
-            OnBoard::Time { time_constant_s, .. } => Some(time_constant_s),
-            OnBoard::Thermal(thermal) => Some(thermal.lag_s),
+            BoardTerm::Heat(heat) | BoardTerm::HeatSlope(heat) => Some(heat.time_constant_s),
+            BoardTerm::SpeedHeat(heat) => Some(heat.time_constant_s),
+            BoardTerm::Time { time_constant_s, .. } => Some(time_constant_s),
+            BoardTerm::Thermal(thermal) => Some(thermal.lag_s),
             _ => None,
         },
     );
     let longest_s =
         of_axes.chain(of_spindle).chain(of_warmup).chain(of_terms).fold(1.0, f64::max).min(1e9);
     let quarters = [0.0, 0.25, 0.5, 0.75, 1.0].map(|share| share * change_s);
-    let last_s = SETTLED * longest_s;
+    let last_s = SETTLING_TIME_CONSTANTS * longest_s;
     let first_s: f64 = last_s.min(10.0);
-    let after = (0..=TIMES)
-        .map(|n| change_s + first_s * (last_s / first_s).powf(f64::from(n) / f64::from(TIMES)));
+    let after = (0..=EVALUATION_TIME_COUNT).map(|n| {
+        change_s
+            + first_s * (last_s / first_s).powf(f64::from(n) / f64::from(EVALUATION_TIME_COUNT))
+    });
     quarters.into_iter().chain(after).collect()
 }
 
 /// Returns the corners of the axes' ranges, approached from both sides.
-fn places(ranges: &InputRanges) -> Vec<([f64; 3], f64)> {
+fn corner_positions(ranges: &InputRanges) -> Vec<([f64; 3], f64)> {
     let mut places: Vec<([f64; 3], f64)> = Vec::new();
     for corner in 0..8_usize {
         let at = [0, 1, 2].map(|axis| ranges.position_mm[axis][corner >> axis & 1]);
@@ -248,7 +253,7 @@ fn places(ranges: &InputRanges) -> Vec<([f64; 3], f64)> {
 
 /// The axis and the term by which a machine leaves what is possible.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Excess {
+pub struct LimitViolation {
     /// The axis that is moved too far.
     pub axis: LinearAxis,
     /// The number of the term that does most, from 0.
@@ -270,28 +275,28 @@ pub struct Excess {
 ///
 /// A law without terms is not judged: `check` warns of it.
 #[must_use]
-pub fn excess(machine: &Machine) -> Option<Excess> {
-    let of_machine = OfMachine::new(machine)?;
+pub fn find_limit_violation(machine: &Machine) -> Option<LimitViolation> {
+    let of_machine = MachineStates::new(machine)?;
     LinearAxis::ALL.into_iter().find_map(|axis| {
         let limit_um = machine.limits.max_um[axis.index()];
-        OfAxis { of_machine: &of_machine, axis, limit_um }.excess()
+        AxisLimitCheck { of_machine: &of_machine, axis, limit_um }.find_limit_violation()
     })
 }
 
 /// The states of a machine with terms in a normal workshop.
-struct OfMachine {
+struct MachineStates {
     /// With the terms that the board runs alone.
     machine: Machine,
     /// The number of each of them in the file.
     numbers: Vec<usize>,
-    all: Vec<State>,
+    all: Vec<PredictedState>,
     /// Without any term.
-    plain: Vec<State>,
+    plain: Vec<PredictedState>,
     /// The effect of each term in each state, in µm.
     alone: Vec<Vec<[f64; 4]>>,
 }
 
-impl OfMachine {
+impl MachineStates {
     /// None without terms that the board runs.
     fn new(machine: &Machine) -> Option<Self> {
         let run = machine.terms.iter().enumerate().filter(|(_, term)| term.effect.is_compensated());
@@ -299,14 +304,14 @@ impl OfMachine {
         if numbers.is_empty() {
             return None;
         }
-        let machine = machine.compensated().into_owned();
+        let machine = machine.with_compensated_terms().into_owned();
         let ranges = InputRanges::normal(&machine);
-        let all = states(&machine, &ranges);
-        let plain = states(&Machine { terms: Vec::new(), ..machine.clone() }, &ranges);
+        let all = predict_states(&machine, &ranges);
+        let plain = predict_states(&Machine { terms: Vec::new(), ..machine.clone() }, &ranges);
         let alone = |term: usize| {
             let mut without = machine.clone();
             without.terms.remove(term);
-            let without = states(&without, &ranges);
+            let without = predict_states(&without, &ranges);
             let rows = all.iter().zip(without);
             rows.map(|(all, without)| [0, 1, 2, 3].map(|n| all.um[n] - without.um[n])).collect()
         };
@@ -315,7 +320,7 @@ impl OfMachine {
     }
 
     /// Returns the states in which all has settled.
-    fn settled(&self) -> Vec<usize> {
+    fn settled_states(&self) -> Vec<usize> {
         (0..self.all.len()).filter(|&state| self.all[state].is_settled).collect()
     }
 }
@@ -323,7 +328,7 @@ impl OfMachine {
 /// Two terms that are both large in every settled state and take each other back there: right after a start, on
 /// another day or with one of them off by a little, what is left is anything.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Cancelling {
+pub struct CancellingTermPair {
     /// Their numbers, from 0.
     pub terms: [usize; 2],
     /// The effect of each once settled, in µm.
@@ -334,10 +339,10 @@ pub struct Cancelling {
 
 /// Returns the first pair of terms that take each other back, where there is one.
 #[must_use]
-pub fn cancelling(machine: &Machine) -> Option<Cancelling> {
-    let of_machine = OfMachine::new(machine)?;
-    let OfMachine { numbers, alone, .. } = &of_machine;
-    let settled = of_machine.settled();
+pub fn find_cancelling_terms(machine: &Machine) -> Option<CancellingTermPair> {
+    let of_machine = MachineStates::new(machine)?;
+    let MachineStates { numbers, alone, .. } = &of_machine;
+    let settled = of_machine.settled_states();
     let last = *settled.last()?;
     let pairs = (0..alone.len()).flat_map(|b| (0..b).map(move |a| [a, b]));
     let of_axes =
@@ -347,9 +352,9 @@ pub fn cancelling(machine: &Machine) -> Option<Cancelling> {
         let is_taken_back = settled.iter().all(|&state| {
             let [a, b] = at(state);
             let smaller = a.abs().min(b.abs());
-            smaller > LARGE_UM && (a + b).abs() < TAKEN_BACK * smaller
+            smaller > MIN_CANCELLING_UM && (a + b).abs() < MAX_UNCANCELLED_SHARE * smaller
         });
-        is_taken_back.then(|| Cancelling {
+        is_taken_back.then(|| CancellingTermPair {
             terms: pair.map(|term| numbers[term]),
             um: at(last),
             axis,
@@ -357,48 +362,49 @@ pub fn cancelling(machine: &Machine) -> Option<Cancelling> {
     })
 }
 
-/// Refuses a machine whose terms leave what is possible ([`excess`]).
+/// Refuses a machine whose terms leave what is possible ([`find_limit_violation`]).
 ///
 /// # Errors
 /// They do: with the term that does most, and what it does.
-pub fn refuse(machine: &Machine) -> Result<(), BadInput> {
-    match excess(machine) {
+pub fn check_envelope(machine: &Machine) -> Result<(), BadInput> {
+    match find_limit_violation(machine) {
         None => Ok(()),
-        Some(Excess { term, rule, .. }) => {
-            let bad = machine.places.bad(&format!("term[{term}]"), rule);
-            Err(BadInput { help: Some(HELP.into()), ..bad })
+        Some(LimitViolation { term, rule, .. }) => {
+            let bad = machine.places.key_error(&format!("term[{term}]"), rule);
+            Err(BadInput { help: Some(CANCELLING_TERMS_HELP.into()), ..bad })
         }
     }
 }
 
 /// The remedy for terms that leave what is possible.
-const HELP: &str =
+const CANCELLING_TERMS_HELP: &str =
     "take the terms out, or diagnose anew: a diagnosis writes none that leave what was measured";
 
 /// One axis, and the largest offset on it.
-struct OfAxis<'m> {
-    of_machine: &'m OfMachine,
+struct AxisLimitCheck<'m> {
+    of_machine: &'m MachineStates,
     axis: LinearAxis,
     limit_um: f64,
 }
 
-impl OfAxis<'_> {
-    fn excess(&self) -> Option<Excess> {
-        let OfMachine { all, plain, alone, numbers, .. } = self.of_machine;
+impl AxisLimitCheck<'_> {
+    fn find_limit_violation(&self) -> Option<LimitViolation> {
+        let MachineStates { all, plain, alone, numbers, .. } = self.of_machine;
         let quantity = 1 + self.axis.index();
         // What the laws do without the terms is no fault of these.
-        if self.beyond_at(plain, quantity).is_some() {
+        if self.first_state_beyond_limit(plain, quantity).is_some() {
             return None;
         }
-        let beyond = self.beyond_at(all, quantity).map(|state| (state, "in every state"));
-        let settled_um = largest(all.iter().filter(|state| state.is_settled), quantity);
+        let beyond =
+            self.first_state_beyond_limit(all, quantity).map(|state| (state, "in every state"));
+        let settled_um = max_magnitude_um(all.iter().filter(|state| state.is_settled), quantity);
         let passing = || {
-            let worst = all
-                .iter()
-                .enumerate()
-                .max_by(|a, b| size(a.1, quantity).total_cmp(&size(b.1, quantity)))?;
-            let is_passing = size(worst.1, quantity) > self.limit_um && settled_um <= self.limit_um;
-            let is_of_terms = largest(plain.iter(), quantity) <= self.limit_um;
+            let worst = all.iter().enumerate().max_by(|a, b| {
+                magnitude_um(a.1, quantity).total_cmp(&magnitude_um(b.1, quantity))
+            })?;
+            let is_passing =
+                magnitude_um(worst.1, quantity) > self.limit_um && settled_um <= self.limit_um;
+            let is_of_terms = max_magnitude_um(plain.iter(), quantity) <= self.limit_um;
             (is_passing && is_of_terms).then_some((worst.0, "at the worst"))
         };
         if let Some((state, how)) = beyond.or_else(passing) {
@@ -411,31 +417,35 @@ impl OfAxis<'_> {
                 "moves {axis} too far: {when} its error would be {um:+.0} µm {how}, and limits.max_um.{axis} is \
                  {limit} ({parts})",
                 axis = self.axis.name(),
-                when = when(all[state].since_start_s),
+                when = format_elapsed_time(all[state].since_start_s),
                 limit = self.limit_um,
-                parts = self.named(&by_size, |term| alone[term][state][quantity]),
+                parts = self.format_terms(&by_size, |term| alone[term][state][quantity]),
             );
-            return Some(Excess { axis: self.axis, term: numbers[term], um, rule });
+            return Some(LimitViolation { axis: self.axis, term: numbers[term], um, rule });
         }
-        self.pair(quantity)
+        self.find_cancelling_pair(quantity)
     }
 
     /// Returns the first state of a moment in which every state is beyond the limit.
-    fn beyond_at(&self, states: &[State], quantity: usize) -> Option<usize> {
+    fn first_state_beyond_limit(
+        &self,
+        states: &[PredictedState],
+        quantity: usize,
+    ) -> Option<usize> {
         let moments = states.iter().map(|state| state.moment).max().map_or(0, |last| last + 1);
         (0..moments).find_map(|moment| {
             let mut here = states.iter().enumerate().filter(|(_, state)| state.moment == moment);
             let first = here.clone().next()?.0;
-            here.all(|(_, state)| size(state, quantity) > self.limit_um).then_some(first)
+            here.all(|(_, state)| magnitude_um(state, quantity) > self.limit_um).then_some(first)
         })
     }
 
     /// Returns two terms that are each beyond the limit in every settled state, and take each other back.
-    fn pair(&self, quantity: usize) -> Option<Excess> {
-        let OfMachine { alone, numbers, .. } = self.of_machine;
-        let settled = self.of_machine.settled();
+    fn find_cancelling_pair(&self, quantity: usize) -> Option<LimitViolation> {
+        let MachineStates { alone, numbers, .. } = self.of_machine;
+        let settled = self.of_machine.settled_states();
         let last = *settled.last()?;
-        let most_um = self.limit_um.min(IMPOSSIBLE_UM);
+        let most_um = self.limit_um.min(MAX_PLAUSIBLE_OFFSET_UM);
         let is_beyond = |term: &usize| {
             settled.iter().all(|&state| alone[*term][state][quantity].abs() > most_um)
         };
@@ -449,14 +459,14 @@ impl OfAxis<'_> {
              two such terms is not known",
             axis = self.axis.name(),
             other = numbers[other],
-            parts = self.named(&[first, other], of),
+            parts = self.format_terms(&[first, other], of),
         );
-        Some(Excess { axis: self.axis, term: numbers[first], um: of(first), rule })
+        Some(LimitViolation { axis: self.axis, term: numbers[first], um: of(first), rule })
     }
 
     /// Returns the first three of `terms`, each with what it does.
-    fn named(&self, terms: &[usize], um: impl Fn(usize) -> f64) -> String {
-        let OfMachine { machine, numbers, .. } = self.of_machine;
+    fn format_terms(&self, terms: &[usize], um: impl Fn(usize) -> f64) -> String {
+        let MachineStates { machine, numbers, .. } = self.of_machine;
         let of = |&term: &usize| {
             let name = machine.terms[term].effect.name();
             format!("term[{}] {name} {:+.0} µm", numbers[term], um(term))
@@ -466,17 +476,17 @@ impl OfAxis<'_> {
     }
 }
 
-fn size(state: &State, quantity: usize) -> f64 {
+fn magnitude_um(state: &PredictedState, quantity: usize) -> f64 {
     // What is not known (NaN) is not judged.
     let um = state.um[quantity].abs();
     if um.is_nan() { 0.0 } else { um }
 }
 
-fn largest<'s>(states: impl Iterator<Item = &'s State>, quantity: usize) -> f64 {
-    states.map(|state| size(state, quantity)).fold(0.0, f64::max)
+fn max_magnitude_um<'s>(states: impl Iterator<Item = &'s PredictedState>, quantity: usize) -> f64 {
+    states.map(|state| magnitude_um(state, quantity)).fold(0.0, f64::max)
 }
 
-fn when(since_start_s: f64) -> Cow<'static, str> {
+fn format_elapsed_time(since_start_s: f64) -> Cow<'static, str> {
     if since_start_s == 0.0 {
         return "right after a start".into();
     }

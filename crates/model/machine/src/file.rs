@@ -9,51 +9,52 @@ mod chain;
 pub(crate) mod inputs;
 mod instrument;
 pub(crate) mod key;
-pub mod keys;
 mod limits;
 mod machine;
-pub(crate) mod read;
+pub(crate) mod reader;
+pub mod schema;
 pub(crate) mod spindle;
 pub(crate) mod straightness;
-mod structure;
 pub(crate) mod table;
 mod term;
 mod thermal_state;
 pub(crate) mod tools;
+mod validation;
 mod volume;
-pub mod write;
+pub mod writer;
 
 use std::path::Path;
 
 pub use crate::tool::TOOL_COLUMN;
 pub use axis::{
-    AxisModel, Backlash, Dual, Feedback, LinearAxis, Pitch, RotaryAxis, Thermal, ThermalMode,
-    ThermalRow,
+    AxisModel, Backlash, Feedback, LinearAxis, PitchErrorTable, RotaryAxis, SecondDrive,
+    ThermalLaw, ThermalMode, ThermalRow,
 };
 pub use chain::Chain;
 pub use limits::{LearnedCaps, Limits};
-pub use machine::{Kind, Machine};
-pub use read::is_temperature_column;
+pub use machine::{Machine, MachineKind};
+pub use reader::is_temperature_column;
 pub use spindle::{ElongationSource, SensorModel, Spindle, TemperatureModel, Warmup};
-pub use straightness::{BSpline, SplineFault, Squareness, Straightness};
-pub use term::{Term, in_order};
+pub use straightness::{BSpline, SplineError, Squareness, Straightness};
+pub use term::Term;
+pub(crate) use term::sorted_by_stage;
 pub use tools::{Tool, Tools};
-pub use volume::{Angular, RotaryLocation, ToolTip, Volume};
+pub use volume::{AngularErrorMotion, RotaryLocationErrors, ToolGeometry, VolumetricModel};
 
 pub use crate::effect::{Angle, Cause, Effect, Quantity, Wave};
 
 use crate::{
-    bounded,
-    location::{BadInput, without_byte_order_mark},
+    bounded_read,
+    location::{BadInput, strip_byte_order_mark},
 };
 use instrument::Instrument;
-use read::{Document, Section};
+use reader::{Document, Section};
 use table::Table;
 use thermal_state::ThermalState;
-use write::{Edit, NewSection};
+use writer::{Edit, NewSection};
 
 /// The longest machine file that is read, in bytes: forty times what the board could store of it.
-pub const MAX_BYTES: u64 = 4 << 20;
+pub const MAX_FILE_BYTES: u64 = 4 << 20;
 
 /// The machine file's reader.
 #[derive(Clone, Copy, Debug)]
@@ -68,12 +69,12 @@ impl MachineFile {
         Self::parse(&Self::read_text(path)?, path)
     }
 
-    /// Reads the text of the machine file at `path`, as it is.
+    /// Reads the text of the machine file at `path`, unchanged.
     ///
     /// # Errors
-    /// The file cannot be read, is longer than [`MAX_BYTES`], or is not UTF-8.
+    /// The file cannot be read, is longer than [`MAX_FILE_BYTES`], or is not UTF-8.
     pub fn read_text(path: &Path) -> Result<String, BadInput> {
-        bounded::read_text(path, MAX_BYTES)
+        bounded_read::read_text(path, MAX_FILE_BYTES)
     }
 
     /// Reads `source`, the content of the file at `path` (which names it in errors and is not
@@ -83,42 +84,44 @@ impl MachineFile {
     /// Invalid TOML, an unknown, missing or repeated key, a value of the wrong type or outside its
     /// range, or something that this version does not run; with its place and the rule.
     pub fn parse(source: &str, path: &Path) -> Result<Machine, BadInput> {
-        let document = Document::parse(without_byte_order_mark(source), path)?;
+        let document = Document::parse(strip_byte_order_mark(source), path)?;
         let root = document.root();
         // Each of its keys would be a fault otherwise.
         if root.keys().contains(&"measure") {
             let what = "is a key of a scenario, and this is read as a machine file";
             let help =
                 "`trueup simulate --scenario` reads scenarios; the machine file is another one";
-            return Err(root.bad("measure", what).with_help(help));
+            return Err(root.key_error("measure", what).with_help(help));
         }
         // Each section can be read by itself once its keys are right.
-        let mut faults = structure::faults(&root, keys::FILE);
+        let mut faults = validation::find_key_faults(&root, schema::MACHINE_FILE_KEYS);
         let terms = || root.sections("term").into_iter().flatten();
-        faults.extend(terms().flat_map(|it| structure::faults_of_term(&it)));
-        if let Some(error) = BadInput::gathered(faults) {
+        faults.extend(terms().flat_map(|it| validation::find_term_faults(&it)));
+        if let Some(error) = BadInput::combine(faults) {
             return Err(error);
         }
         let section = |name: &str| root.section(name).ok().flatten();
-        let mut faults = Faults::default();
-        let identity = faults.of(section("machine").map(|it| machine::read(&it)));
-        let inputs = faults.of(section("inputs").map(|it| inputs::read(&it)));
+        let mut faults = ErrorCollector::default();
+        let identity = faults.collect(section("machine").map(|it| machine::read(&it)));
+        let inputs = faults.collect(section("inputs").map(|it| inputs::read(&it)));
         let connected = inputs.as_ref().and_then(|inputs| inputs.sensor);
-        let spindle = faults.of(section("spindle").map(|it| spindle::read(&it, connected)));
-        let axes = faults.of(section("axis").map(|it| axis::read(&it)));
+        let spindle = faults.collect(section("spindle").map(|it| spindle::read(&it, connected)));
+        let axes = faults.collect(section("axis").map(|it| axis::read(&it)));
         let curves =
-            faults.of(section("straightness").map(|it| straightness::read_straightness(&it)));
-        let angles = faults.of(section("squareness").map(|it| straightness::read_squareness(&it)));
-        let angular = faults.of(section("angular").map(|it| volume::read_angular(&it)));
-        let rotary = faults.of(section("rotary").map(|it| volume::read_rotary(&it)));
-        let tool = faults.of(section("tool").map(|it| ToolTip::read(&it)));
-        let limits = faults.of(section("limits").map(|it| Limits::read(&it)));
-        let thermal_state = faults.of(section("thermal_state").map(|it| ThermalState::read(&it)));
-        let instrument = faults.of(section("instrument").map(|it| Instrument::read(&it)));
+            faults.collect(section("straightness").map(|it| straightness::read_straightness(&it)));
+        let angles =
+            faults.collect(section("squareness").map(|it| straightness::read_squareness(&it)));
+        let angular = faults.collect(section("angular").map(|it| volume::read_angular(&it)));
+        let rotary = faults.collect(section("rotary").map(|it| volume::read_rotary(&it)));
+        let tool = faults.collect(section("tool").map(|it| ToolGeometry::read(&it)));
+        let limits = faults.collect(section("limits").map(|it| Limits::read(&it)));
+        let thermal_state =
+            faults.collect(section("thermal_state").map(|it| ThermalState::read(&it)));
+        let instrument = faults.collect(section("instrument").map(|it| Instrument::read(&it)));
         let (spindle, axes) = (spindle.unwrap_or_default(), axes.unwrap_or_default());
         let read = terms().map(|section| Ok((term::read(&section)?, section)));
         let read: Vec<(Term, Section<'_>)> = read.collect::<Result<_, BadInput>>()?;
-        // Next to a section that cannot be read nobody knows what a term belongs to.
+        // Next to a section that cannot be read it is unknown what a term belongs to.
         if faults.0.is_empty() {
             let misplaced = |(term, section)| term::check(section, term, &spindle, &axes).err();
             faults
@@ -128,17 +131,17 @@ impl MachineFile {
         let mut terms: Vec<Term> = read.into_iter().map(|(term, _)| term).collect();
         for term in &mut terms {
             if let (Effect::Dependence(it), Some(tools)) =
-                (term.effect.everywhere_mut(), &spindle.tools)
+                (term.effect.unrestricted_mut(), &spindle.tools)
             {
-                it.number_labels(tools);
+                it.resolve_tool_labels(tools);
             }
         }
-        if let Some(error) = BadInput::gathered(faults.0) {
+        if let Some(error) = BadInput::combine(faults.0) {
             return Err(error);
         }
         let identity = identity.expect("a section that is missing, or cannot be read, is a fault");
         let (angular, point_mm) = angular.unwrap_or_default();
-        let volume = Volume {
+        let volume = VolumetricModel {
             chain: identity.chain,
             angular,
             point_mm,
@@ -163,18 +166,18 @@ impl MachineFile {
             cold_within_c: thermal_state.unwrap_or_default().cold_within_c,
             instrument_um: instrument.map(|it| it.uncertainty_um),
             terms,
-            places: document.into_places(),
+            places: document.into_locations(),
         })
     }
 }
 
 /// The faults found so far.
 #[derive(Default)]
-struct Faults(Vec<BadInput>);
+struct ErrorCollector(Vec<BadInput>);
 
-impl Faults {
+impl ErrorCollector {
     /// Returns what was read of a section, if it is there and right.
-    fn of<T>(&mut self, read: Option<Result<T, BadInput>>) -> Option<T> {
+    fn collect<T>(&mut self, read: Option<Result<T, BadInput>>) -> Option<T> {
         read.transpose().unwrap_or_else(|error| {
             self.0.push(error);
             None
@@ -210,7 +213,7 @@ impl Machine {
     /// length 1.
     #[must_use]
     pub fn to_toml(&self) -> String {
-        let appended = self.terms.iter().map(Term::section).collect();
+        let appended = self.terms.iter().map(Term::to_section).collect();
         Edit { sections: self.sections(), appended, ..Edit::default() }.to_toml()
     }
 }

@@ -15,19 +15,19 @@
 use std::collections::BTreeMap;
 
 use trueup_core::{
-    calibration::Mains,
-    health::{HIGH_RAIL, LOW_RAIL},
+    calibration::MainsFrequency,
+    sensor_health::{HIGH_RAIL, LOW_RAIL},
     thermometer::Thermometer,
-    units::{Code, READINGS_PER_CODE, Reading, Temperature},
+    units::{AdcCode, READING_UNITS_PER_CODE, Reading, Temperature},
 };
 
 use crate::file::table::table;
 
 /// The ADC's reference: its full scale in volts.
-pub const REFERENCE_VOLTS: f64 = 3.3;
+pub const ADC_REFERENCE_VOLTS: f64 = 3.3;
 
 /// The board's temperature channels are numbered from 0 to this one.
-pub const LAST_CHANNEL: u8 = 7;
+pub const MAX_CHANNEL: u8 = 7;
 
 /// The inputs connected to the board. Needed to run there, not to predict.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -41,7 +41,7 @@ pub struct Inputs {
     /// The board is written to only with its service switch closed.
     pub service_switch: bool,
     /// The mains whose hum the temperature inputs suppress.
-    pub mains: Mains,
+    pub mains: MainsFrequency,
 }
 
 /// How a condition comes in: as a bit of the CNC's `Conditions`.
@@ -56,16 +56,16 @@ pub struct ConditionInput {
 /// How a temperature comes in.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TemperatureInput {
-    /// The converter's number on the board, 0…[`LAST_CHANNEL`]; no two temperatures share one.
+    /// The converter's number on the board, 0…[`MAX_CHANNEL`]; no two temperatures share one.
     pub channel: u8,
     /// The meaning of its counts.
     pub kind: TemperatureKind,
-    /// How fast it may change in K/min, within `RATES_C_PER_MIN`; `None`: the board's default where a law uses it.
+    /// How fast it may change in K/min, within `RATE_LIMITS_C_PER_MIN`; `None`: the board's default where a law uses it.
     pub max_c_per_min: Option<f64>,
 }
 
 /// Lowest and highest limit that may be stated for a thermometer's rate of change, by what its mass can do, in K/min.
-pub(crate) const RATES_C_PER_MIN: [f64; 2] = [0.1, 600.0];
+pub(crate) const RATE_LIMITS_C_PER_MIN: [f64; 2] = [0.1, 600.0];
 
 /// The meaning of the counts of a temperature channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -90,7 +90,7 @@ pub struct LinearInput {
 /// The meaning of a count of a linear temperature input.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum CountScale {
-    /// A code of the board's converter: [`Code::FULL_SCALE`] at [`REFERENCE_VOLTS`] on its pin.
+    /// A code of the board's converter: [`AdcCode::FULL_SCALE`] at [`ADC_REFERENCE_VOLTS`] on its pin.
     Code,
     /// A volt at the input, up to `full_scale_v`; at the pin `divider` of it.
     Volt {
@@ -114,7 +114,7 @@ impl CountScale {
     /// Returns the codes of the board's converter for one count.
     #[must_use]
     pub(crate) fn codes_per_count(self) -> f64 {
-        let codes_per_v = f64::from(Code::FULL_SCALE) / REFERENCE_VOLTS;
+        let codes_per_v = f64::from(AdcCode::FULL_SCALE) / ADC_REFERENCE_VOLTS;
         match self {
             Self::Code => 1.0,
             Self::Volt { divider, .. } => divider * codes_per_v,
@@ -126,9 +126,9 @@ impl CountScale {
 
     /// Returns the largest count that the transmitter gives.
     #[must_use]
-    pub(crate) fn largest_count(self) -> f64 {
+    pub(crate) fn max_count(self) -> f64 {
         match self {
-            Self::Code => f64::from(Code::FULL_SCALE),
+            Self::Code => f64::from(AdcCode::FULL_SCALE),
             Self::Volt { full_scale_v, .. } => full_scale_v,
             Self::Count { counts_full_scale, .. } => counts_full_scale,
         }
@@ -138,7 +138,7 @@ impl CountScale {
 impl LinearInput {
     /// Returns the same line in codes of the board's converter: the code at 0 °C, and codes for one °C.
     #[must_use]
-    pub fn in_codes(&self) -> (f64, f64) {
+    pub fn linear_coefficients_in_codes(&self) -> (f64, f64) {
         let codes = self.scale.codes_per_count();
         (self.zero_counts * codes, self.counts_per_c * codes)
     }
@@ -151,11 +151,11 @@ impl LinearInput {
     /// // · 4096 = 4071.2 are 12 234 counts, or 514.6 °C.
     /// let scale = CountScale::Count { counts_full_scale: 32_768.0, full_scale_v: 10.0, divider: 0.328 };
     /// let paper = LinearInput { zero_counts: 4_000.0, counts_per_c: 16.0, scale };
-    /// assert!((paper.celsius(1_520.0) - 514.63).abs() < 0.01);
+    /// assert!((paper.celsius_from_code(1_520.0) - 514.63).abs() < 0.01);
     /// ```
     #[must_use]
-    pub fn celsius(&self, code: f64) -> f64 {
-        let (zero, per_c) = self.in_codes();
+    pub fn celsius_from_code(&self, code: f64) -> f64 {
+        let (zero, per_c) = self.linear_coefficients_in_codes();
         (code - zero) / per_c
     }
 
@@ -163,12 +163,13 @@ impl LinearInput {
     /// board takes it for a broken wire or a short circuit, up to the transmitter's full scale, and within ±500 °C.
     /// `None` where nothing is left.
     #[must_use]
-    pub(crate) fn reach_c(&self) -> Option<[f64; 2]> {
-        let last = self.scale.largest_count() * self.scale.codes_per_count();
+    pub(crate) fn temperature_range_c(&self) -> Option<[f64; 2]> {
+        let last = self.scale.max_count() * self.scale.codes_per_count();
         let lowest = f64::from(LOW_RAIL.0) + 1.0;
         let highest = last.min(f64::from(HIGH_RAIL.0) - 1.0);
-        let ends = [self.celsius(lowest), self.celsius(highest)];
-        let limit = f64::from(Thermometer::LIMIT.0) / f64::from(Temperature::PER_KELVIN);
+        let ends = [self.celsius_from_code(lowest), self.celsius_from_code(highest)];
+        let limit =
+            f64::from(Thermometer::MAX_ABS_TEMPERATURE.0) / f64::from(Temperature::PER_KELVIN);
         let [low, high] = [ends[0].min(ends[1]).max(-limit), ends[0].max(ends[1]).min(limit)];
         (lowest < highest && low < high).then_some([low, high])
     }
@@ -178,13 +179,13 @@ table! {
     /// The chain from the displacement sensor's counts to the ADC.
     ///
     /// The values of the machine file are positive, and its full scale after the divider is within
-    /// [`REFERENCE_VOLTS`].
+    /// [`ADC_REFERENCE_VOLTS`].
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub struct SensorInput {
-        volts_full_scale: f64 = key(Positive, "V", "what the sensor gives at `counts_full_scale`").required().as_in("10.0");
+        volts_full_scale: f64 = key(Positive, "V", "what the sensor gives at `counts_full_scale`").required().with_example_value("10.0");
         /// The largest count; the smallest is 0.
-        counts_full_scale: f64 = key(Positive, "counts", "what a run file states at `volts_full_scale`: 27648 for a SIMATIC S7 input, 32768 for the paper's").required().as_in("32768");
-        divider: f64 = key(Positive, "", "volts at the board's converter for one volt of the sensor; `volts_full_scale` · `divider` must not be above 3.3 V").required().as_in("0.328");
+        counts_full_scale: f64 = key(Positive, "counts", "what a run file states at `volts_full_scale`: 27648 for a SIMATIC S7 input, 32768 for the paper's").required().with_example_value("32768");
+        divider: f64 = key(Positive, "", "volts at the board's converter for one volt of the sensor; `volts_full_scale` · `divider` must not be above 3.3 V").required().with_example_value("0.328");
     }
 }
 
@@ -210,7 +211,7 @@ impl SensorInput {
     /// Reading units at full resolution: not rounded.
     #[must_use]
     pub(crate) fn exact_reading_from_counts(&self, counts: f64) -> f64 {
-        self.codes_from_counts(counts) * f64::from(READINGS_PER_CODE)
+        self.codes_from_counts(counts) * f64::from(READING_UNITS_PER_CODE)
     }
 
     /// Returns the nearest reading, at most half a unit (1/2048 code) off; saturates at the ends of `i32`,
@@ -229,8 +230,8 @@ impl SensorInput {
 
     fn codes_per_count(&self) -> f64 {
         // In this order the paper's chain comes out at exactly 1/8.
-        let adc_scale = self.volts_full_scale / REFERENCE_VOLTS * self.divider;
-        adc_scale / self.counts_full_scale * f64::from(Code::FULL_SCALE)
+        let adc_scale = self.volts_full_scale / ADC_REFERENCE_VOLTS * self.divider;
+        adc_scale / self.counts_full_scale * f64::from(AdcCode::FULL_SCALE)
     }
 }
 

@@ -6,28 +6,29 @@
 //! | module | does |
 //! |---|---|
 //! | [`location`] | where in a user's file something is wrong, and which rule it breaks |
-//! | [`bounded`] | opens and reads files of the user's within bounds |
+//! | [`bounded_read`] | opens and reads files of the user's within bounds |
 //! | [`file`](mod@file) | reads the machine file into a [`Machine`], and writes it |
 //! | [`effect`] | why a machine is not as its model says: a cause is one page |
 //! | [`inputs`] | from PLC counts to volts, ADC codes and readings |
 //! | [`run_file`] | reads a run file (CSV) into columns |
-//! | [`applied`] | what a bridge applied while a run was measured, taken out again |
-//! | [`thermometer`] | a thermometer's fault values, distinguished from temperatures |
-//! | [`trusted`] | a run without fault values, with directions of approach that the positions imply |
+//! | [`applied_offsets`] | what a bridge applied while a run was measured, taken out again |
+//! | [`thermometer_faults`] | a thermometer's fault values, distinguished from temperatures |
+//! | [`preprocessing`] | a run without fault values, with directions of approach that the positions imply |
 //! | [`model`] | the reference: what the model says of a run, row by row, in `f64` |
 //! | [`compile`](mod@compile) | a [`Machine`] in the integers of the board, and back |
 //! | [`check`] | what a file will do, and what in it is unlikely to be meant |
 //! | [`envelope`] | how far its corrections may go from a start on, and which terms leave what is possible |
 //! | [`schema`] | every key and column, for editors and for the reference |
-//! | [`show`] | a calibration written as a machine file |
+//! | [`decompile`] | a calibration written as a machine file |
 //! | [`template`] | a machine file to begin with |
 //! | [`predict`] | a run with what the model and the board's integers say of each row |
 #![forbid(unsafe_code)]
 
-pub mod applied;
-pub mod bounded;
+pub mod applied_offsets;
+pub mod bounded_read;
 pub mod check;
 pub mod compile;
+pub mod decompile;
 pub mod effect;
 pub mod envelope;
 pub mod file;
@@ -35,16 +36,15 @@ pub mod inputs;
 pub mod location;
 pub mod model;
 pub mod predict;
+pub mod preprocessing;
 pub mod run_file;
 pub mod schema;
-pub mod show;
-mod stored;
 pub mod template;
-pub mod thermometer;
+pub mod thermometer_faults;
 pub mod tool;
-pub mod trusted;
+mod unit_conversion;
 
-pub use compile::{Compiled, compile};
+pub use compile::{CompiledCalibration, compile};
 pub use file::{Machine, MachineFile};
 
 pub use location::{BadInput, Location};

@@ -5,12 +5,11 @@
 
 use std::{
     collections::BTreeMap,
-    error::Error,
     fmt::{self, Display},
     path::{Path, PathBuf},
 };
 
-use trueup_output::escape::one_line;
+use trueup_output::escape::escape_line;
 
 /// A place in a text file.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -26,7 +25,7 @@ pub struct Location {
 impl Location {
     /// Returns the first character of `file`: for what is wrong with the file as a whole.
     #[must_use]
-    pub fn start_of(file: &Path) -> Self {
+    pub fn start_of_file(file: &Path) -> Self {
         Self { file: file.to_path_buf(), line: 1, column: 1 }
     }
 
@@ -34,7 +33,7 @@ impl Location {
     ///
     /// An offset inside a character is that character's; one beyond the end is the end.
     #[must_use]
-    pub fn at_byte(file: &Path, text: &str, offset: usize) -> Self {
+    pub fn from_byte_offset(file: &Path, text: &str, offset: usize) -> Self {
         let (line, column) = line_and_column(text, offset);
         Self { file: file.to_path_buf(), line, column }
     }
@@ -55,17 +54,19 @@ fn line_and_column(text: &str, offset: usize) -> (usize, usize) {
     let before = &text[..end];
     let line_start = before.rfind('\n').map_or(0, |newline| newline + 1);
     let in_line = &before[line_start..];
-    let in_line = if line_start == 0 { without_byte_order_mark(in_line) } else { in_line };
+    let in_line = if line_start == 0 { strip_byte_order_mark(in_line) } else { in_line };
     (before.matches('\n').count() + 1, in_line.chars().count() + 1)
 }
 
 /// `text` without the byte order mark that some editors put first.
-pub(crate) fn without_byte_order_mark(text: &str) -> &str {
+pub(crate) fn strip_byte_order_mark(text: &str) -> &str {
     text.strip_prefix('\u{feff}').unwrap_or(text)
 }
 
-/// A fault in a user's file.
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// A fault in a user's file. It is shown in one line, whatever the user's text in the rule contains; without help
+/// and others.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{}", escape_line(&format!("{}: {}", .place, .rule)))]
 pub struct BadInput {
     /// Where.
     pub place: Location,
@@ -73,7 +74,7 @@ pub struct BadInput {
     pub rule: String,
     /// The remedy, a sentence without its full stop, where there is more to say than the rule.
     pub help: Option<String>,
-    /// The other faults of the same file, in the order of its lines, fewer than [`MAX_LISTED`]; none
+    /// The other faults of the same file, in the order of its lines, fewer than [`MAX_LISTED_FAULTS`]; none
     /// of them has others.
     pub others: Vec<BadInput>,
     /// How much more is wrong with it than that.
@@ -81,7 +82,7 @@ pub struct BadInput {
 }
 
 /// Faults of a file that are reported with their lines, at most: more than a screen of them is not read.
-pub const MAX_LISTED: usize = 20;
+pub const MAX_LISTED_FAULTS: usize = 20;
 
 impl BadInput {
     /// `rule` is broken at `place`.
@@ -98,33 +99,24 @@ impl BadInput {
 
     /// Returns all of these as one: the first in the file, with the others; `None` where there are none.
     #[must_use]
-    pub fn gathered(errors: impl IntoIterator<Item = Self>) -> Option<Self> {
+    pub fn combine(errors: impl IntoIterator<Item = Self>) -> Option<Self> {
         let mut unlisted = 0;
         let counted = errors.into_iter().inspect(|error| unlisted += error.unlisted);
-        let mut errors: Vec<Self> = counted.flat_map(Self::one_by_one).collect();
+        let mut errors: Vec<Self> = counted.flat_map(Self::into_single_faults).collect();
         errors.sort_by_key(|error| (error.place.line, error.place.column));
-        unlisted += errors.len().saturating_sub(MAX_LISTED);
-        let mut errors = errors.into_iter().take(MAX_LISTED);
+        unlisted += errors.len().saturating_sub(MAX_LISTED_FAULTS);
+        let mut errors = errors.into_iter().take(MAX_LISTED_FAULTS);
         let first = errors.next()?;
         Some(Self { others: errors.collect(), unlisted, ..first })
     }
 
     /// It, and each of the others that are listed, alone.
-    pub fn one_by_one(mut self) -> impl Iterator<Item = Self> {
+    pub fn into_single_faults(mut self) -> impl Iterator<Item = Self> {
         let others = std::mem::take(&mut self.others);
         self.unlisted = 0;
         std::iter::once(self).chain(others)
     }
 }
-
-impl Display for BadInput {
-    /// One line, whatever the user's text in the rule contains; without help and others.
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&one_line(&format!("{}: {}", self.place, self.rule)))
-    }
-}
-
-impl Error for BadInput {}
 
 /// Where each key of a file stands, so that a value found wrong long after reading has its place.
 ///
@@ -143,19 +135,19 @@ impl Locations {
     }
 
     /// Notes that `key` stands at this line and column, both from 1.
-    pub(crate) fn note(&mut self, key: String, line_and_column: (usize, usize)) {
+    pub(crate) fn insert(&mut self, key: String, line_and_column: (usize, usize)) {
         self.line_and_column.insert(key, line_and_column);
     }
 
     /// Returns whether `key` stands in the file.
-    pub(crate) fn has(&self, key: &str) -> bool {
+    pub(crate) fn contains(&self, key: &str) -> bool {
         self.line_and_column.contains_key(key)
     }
 
     /// Returns the place of `key`, else of the nearest section around it, else the start of the file: a
     /// value that came by default has no place of its own.
     #[must_use]
-    pub fn of(&self, key: &str) -> Location {
+    pub fn locate(&self, key: &str) -> Location {
         let mut around = key;
         loop {
             if let Some(&(line, column)) = self.line_and_column.get(around) {
@@ -163,22 +155,22 @@ impl Locations {
             }
             match around.rfind(['.', '[']) {
                 Some(end) => around = &around[..end],
-                None => return Location::start_of(&self.file),
+                None => return Location::start_of_file(&self.file),
             }
         }
     }
 
     /// `key` breaks a rule; `rule` goes on after the key: "must not be 0".
     #[must_use]
-    pub fn bad(&self, key: &str, rule: impl Display) -> BadInput {
-        BadInput::new(self.of(key), format!("{key} {rule}"))
+    pub fn key_error(&self, key: &str, rule: impl Display) -> BadInput {
+        BadInput::new(self.locate(key), format!("{key} {rule}"))
     }
 }
 
 /// At most 40 characters of a user's text, to quote in a rule.
-pub(crate) fn shortened(text: &str) -> String {
-    const LONGEST: usize = 40;
-    match text.char_indices().nth(LONGEST) {
+pub(crate) fn truncate_text(text: &str) -> String {
+    const MAX_QUOTED_CHARACTERS: usize = 40;
+    match text.char_indices().nth(MAX_QUOTED_CHARACTERS) {
         Some((end, _)) => format!("{}…", &text[..end]),
         None => text.to_string(),
     }
@@ -190,11 +182,11 @@ pub(crate) fn did_you_mean<'a>(
     candidates: impl IntoIterator<Item = &'a str>,
 ) -> String {
     // 0.75 finds a forgotten letter or unit and keeps words apart that only share a suffix.
-    const NEAR: f64 = 0.75;
+    const MIN_SIMILARITY: f64 = 0.75;
     candidates
         .into_iter()
         .map(|candidate| (strsim::jaro_winkler(wrong, candidate), candidate))
-        .filter(|(likeness, _)| *likeness >= NEAR)
+        .filter(|(likeness, _)| *likeness >= MIN_SIMILARITY)
         .max_by(|a, b| a.0.total_cmp(&b.0))
         .map_or_else(String::new, |(_, best)| format!("; did you mean {best}?"))
 }
@@ -204,7 +196,7 @@ mod tests {
     use super::*;
 
     fn at(text: &str, offset: usize) -> (usize, usize) {
-        let place = Location::at_byte(Path::new("m.toml"), text, offset);
+        let place = Location::from_byte_offset(Path::new("m.toml"), text, offset);
         (place.line, place.column)
     }
 
@@ -245,10 +237,10 @@ mod tests {
     #[test]
     fn a_key_that_is_not_there_has_the_place_of_its_section() {
         let mut places = Locations::new(Path::new("m.toml"));
-        places.note("limits".into(), (2, 2));
-        assert_eq!(places.of("limits.max_um.x").line, 2);
-        assert_eq!(places.of("limits.max_um.x").column, 2);
-        assert_eq!(places.of("spindle.source"), Location::start_of(Path::new("m.toml")));
+        places.insert("limits".into(), (2, 2));
+        assert_eq!(places.locate("limits.max_um.x").line, 2);
+        assert_eq!(places.locate("limits.max_um.x").column, 2);
+        assert_eq!(places.locate("spindle.source"), Location::start_of_file(Path::new("m.toml")));
     }
 
     #[test]

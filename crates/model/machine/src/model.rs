@@ -23,42 +23,47 @@
 //! laid along the tool, those of an axis after the sum. A value that is missing (NaN) makes what depends on it NaN, and nothing
 //! else.
 
-mod by_tool;
 mod elongation;
 mod kinematics;
 mod lag;
-mod late;
 pub(crate) mod pitch;
 mod reversal;
 pub(crate) mod straightness;
 mod term;
 mod thermal;
+mod thermometer_delay;
+mod tool_growth;
 mod volume;
 
-pub(crate) use by_tool::growth_by_tool;
 pub use elongation::{
-    WarmupState, elongation_um, heating, sensor_counts, temperature_elongation_um, warmup_um,
+    WarmupState, elongation_um, heat_input, sensor_counts_from_elongation,
+    temperature_elongation_um, warmup_elongation_um,
 };
-pub use kinematics::{error_um, offset_um, rotated, tool_direction};
+pub use kinematics::{
+    compensation_offset_um, elongation_error_um, rotate_about_axis, tool_direction,
+};
 pub use lag::Lag;
-pub use late::{part_of_means, part_temperature, part_temperatures};
 pub use pitch::{backlash_um, dual_pitch_um, is_reverse, pitch_um};
-pub use reversal::over_compensation_um;
+pub use reversal::max_over_compensation_um;
 pub use straightness::{spline_um, squareness_um};
-pub use term::{Falling, corrected, shifted, shifted_at, time_shift_s};
-pub use thermal::{thermal_law, thermal_um};
-pub use volume::volume_um;
+pub use term::{
+    FallingTimeConstants, apply_constant_terms, shift_series, shift_series_at_rows, time_shift_s,
+};
+pub use thermal::{thermal_coefficients, thermal_um};
+pub use thermometer_delay::{part_temperature, part_temperature_from_means, part_temperatures};
+pub(crate) use tool_growth::tool_growth_term;
+pub use volume::volumetric_error_um;
 
 use std::borrow::Cow;
 
-use late::LateParts;
 use term::TermLags;
+use thermometer_delay::DelayedParts;
 
 use crate::file::{ElongationSource, LinearAxis, Machine, Quantity, SensorModel, Term};
 
 /// The inputs of one row of a run, as far as they are known. A missing one is NaN.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Situation<'a> {
+pub struct RowInputs<'a> {
     /// `None` where the run has no such column.
     pub time_s: Option<f64>,
     /// The number of the repeat; `None` where the run has no such column.
@@ -86,7 +91,7 @@ pub struct Situation<'a> {
     pub tool_length_mm: Option<f64>,
 }
 
-impl Situation<'_> {
+impl RowInputs<'_> {
     /// Nothing is known.
     pub const UNKNOWN: Self = Self {
         time_s: None,
@@ -112,13 +117,13 @@ impl Situation<'_> {
 
     /// Returns the value of another `column`; NaN if it is missing.
     #[must_use]
-    pub fn other(&self, column: &str) -> f64 {
+    pub(crate) fn other_value(&self, column: &str) -> f64 {
         let found = self.others.iter().find(|(name, _)| *name == column);
         found.map_or(f64::NAN, |&(_, value)| value)
     }
 }
 
-impl Default for Situation<'_> {
+impl Default for RowInputs<'_> {
     fn default() -> Self {
         Self::UNKNOWN
     }
@@ -126,17 +131,17 @@ impl Default for Situation<'_> {
 
 /// One side's values for one row, in µm.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Values {
+pub struct ErrorValues {
     /// Positive when the tool grows out of the spindle.
     pub elongation_um: f64,
     /// The error of the tool tip on X, Y and Z.
     pub error_um: [f64; 3],
 }
 
-impl Values {
+impl ErrorValues {
     /// Returns the quantities `elongation`, `dx`, `dy`, `dz`, in this order.
     #[must_use]
-    pub fn all(self) -> [f64; 4] {
+    pub fn to_array(self) -> [f64; 4] {
         let [dx, dy, dz] = self.error_um;
         [self.elongation_um, dx, dy, dz]
     }
@@ -145,7 +150,7 @@ impl Values {
 /// The model's values for one row by where they come from, in µm; arrays are X, Y and Z. A part
 /// that the machine does not have is 0.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Parts {
+pub struct ErrorComponents {
     /// The tool's growth, along the tool.
     pub elongation_um: f64,
     /// The tool direction, of length 1.
@@ -163,13 +168,13 @@ pub struct Parts {
     /// The angles to the two other axes.
     pub squareness_um: [f64; 3],
     /// Angular errors and location errors of rotary axes, by their levers to the tool tip.
-    pub volume_um: [f64; 3],
+    pub volumetric_error_um: [f64; 3],
     /// The effect of a diagnosis's terms on the error of each axis; those of the elongation are in
     /// it.
     pub terms_um: [f64; 3],
 }
 
-impl Parts {
+impl ErrorComponents {
     /// Returns the error on X, Y and Z: the sum of the parts.
     #[must_use]
     pub fn error_um(&self) -> [f64; 3] {
@@ -179,7 +184,7 @@ impl Parts {
             self.backlash_um,
             self.straightness_um,
             self.squareness_um,
-            self.volume_um,
+            self.volumetric_error_um,
             self.tool_um,
             self.terms_um,
         ];
@@ -188,8 +193,8 @@ impl Parts {
 
     /// Elongation and error.
     #[must_use]
-    pub fn values(&self) -> Values {
-        Values { elongation_um: self.elongation_um, error_um: self.error_um() }
+    pub fn to_error_values(&self) -> ErrorValues {
+        ErrorValues { elongation_um: self.elongation_um, error_um: self.error_um() }
     }
 }
 
@@ -198,8 +203,8 @@ impl Parts {
 pub struct ReferenceModel<'m> {
     /// With the constants that its terms say are right.
     machine: Cow<'m, Machine>,
-    falling: Falling,
-    late: LateParts,
+    falling: FallingTimeConstants,
+    late: DelayedParts,
     /// The time of the newest row that had one.
     time_s: Option<f64>,
     state: State,
@@ -218,28 +223,28 @@ impl<'m> ReferenceModel<'m> {
     /// At the start of a run: cold, and all lags settled at the first row.
     #[must_use]
     pub fn new(machine: &'m Machine) -> Self {
-        Self::of(Cow::Borrowed(machine))
+        Self::from_machine(Cow::Borrowed(machine))
     }
 
     /// Returns the same, with a machine of its own.
     #[must_use]
-    pub fn owning(machine: Machine) -> ReferenceModel<'static> {
-        ReferenceModel::of(Cow::Owned(machine))
+    pub fn from_owned(machine: Machine) -> ReferenceModel<'static> {
+        ReferenceModel::from_machine(Cow::Owned(machine))
     }
 
     /// Returns the same, of a machine that may be its own.
-    pub(crate) fn of(machine: Cow<'m, Machine>) -> Self {
-        let (mut machine, falling) = corrected(machine);
+    pub(crate) fn from_machine(machine: Cow<'m, Machine>) -> Self {
+        let (mut machine, falling) = apply_constant_terms(machine);
         if !machine.terms.is_sorted_by_key(|term| term.effect.stage()) {
             machine.to_mut().terms.sort_by_key(|term| term.effect.stage());
         }
-        let late = LateParts::of(&machine);
+        let late = DelayedParts::from_machine(&machine);
         Self { machine, falling, late, time_s: None, state: State::default() }
     }
 
     /// Returns the model's values for the next row of the run, but for a `time-shift`, which needs the whole
-    /// run ([`shifted`]). Where time runs back, the run starts anew.
-    pub fn step(&mut self, situation: &Situation<'_>) -> Parts {
+    /// run ([`shift_series`]). Where time runs back, the run starts anew.
+    pub fn step(&mut self, situation: &RowInputs<'_>) -> ErrorComponents {
         let time_s = situation.time_s.unwrap_or(f64::NAN);
         if !time_s.is_nan() {
             if self.time_s.is_some_and(|before_s| time_s < before_s) {
@@ -251,44 +256,44 @@ impl<'m> ReferenceModel<'m> {
         let State { terms, .. } = &mut self.state;
         let mut with_terms =
             |quantity, p_um| terms.apply(&self.machine.terms, quantity, time_s, situation, p_um);
-        let mut parts = Parts {
+        let mut parts = ErrorComponents {
             elongation_um: with_terms(Quantity::Elongation, elongation_um),
             tool_direction: tool_direction(
                 self.machine.tool_direction,
                 &self.machine.head_axes,
                 situation.angle_deg,
             ),
-            ..Parts::default()
+            ..ErrorComponents::default()
         };
         // Without growth it does not matter where the tool points.
         if self.machine.has_elongation() {
-            parts.tool_um = error_um(parts.elongation_um, parts.tool_direction);
+            parts.tool_um = elongation_error_um(parts.elongation_um, parts.tool_direction);
         }
         for axis in LinearAxis::ALL {
-            self.add_axis(axis, time_s, situation, &mut parts);
+            self.add_axis_error(axis, time_s, situation, &mut parts);
         }
         let at = |axis: LinearAxis| situation.position_mm[axis.index()];
         for curve in &self.machine.straightness {
             parts.straightness_um[curve.error.index()] += spline_um(&curve.spline, at(curve.along));
         }
-        for angle in self.machine.angles() {
+        for angle in self.machine.nonzero_squareness_errors() {
             parts.squareness_um[angle.error.index()] += squareness_um(angle, at(angle.along));
         }
         let volume = &self.machine.volume;
-        let tool = volume.tool.of_length(situation.tool_length_mm);
-        parts.volume_um =
-            volume_um(&self.machine, tool, situation.position_mm, situation.angle_deg);
+        let tool = volume.tool.with_length(situation.tool_length_mm);
+        parts.volumetric_error_um =
+            volumetric_error_um(&self.machine, tool, situation.position_mm, situation.angle_deg);
         let State { terms, .. } = &mut self.state;
         let sum_um = parts.error_um();
         for axis in LinearAxis::ALL {
-            let (of, p_um) = (Quantity::of_axis(axis), sum_um[axis.index()]);
+            let (of, p_um) = (Quantity::from_axis(axis), sum_um[axis.index()]);
             let with_um = terms.apply(&self.machine.terms, of, time_s, situation, p_um);
             parts.terms_um[axis.index()] = with_um - p_um;
         }
         parts
     }
 
-    fn elongation_um(&mut self, time_s: f64, situation: &Situation<'_>) -> f64 {
+    fn elongation_um(&mut self, time_s: f64, situation: &RowInputs<'_>) -> f64 {
         let spindle = &self.machine.spindle;
         match spindle.source {
             None => 0.0,
@@ -304,34 +309,37 @@ impl<'m> ReferenceModel<'m> {
             }),
             Some(ElongationSource::Temperature) => {
                 spindle.temperature.as_ref().map_or(f64::NAN, |model| {
-                    let measured_c =
-                        self.late.followed_c(Quantity::Elongation, &model.sensor, situation);
+                    let measured_c = self.late.driving_temperature_c(
+                        Quantity::Elongation,
+                        &model.sensor,
+                        situation,
+                    );
                     let lags_s = [model.lag_s, self.falling.spindle_s.unwrap_or(model.lag_s)];
                     let lag = &mut self.state.spindle_lag;
-                    let temperature_c = lag.step_either_way(lags_s, time_s, measured_c);
+                    let temperature_c = lag.step_asymmetric(lags_s, time_s, measured_c);
                     temperature_elongation_um(model, temperature_c)
                 })
             }
         }
     }
 
-    fn add_axis(
+    fn add_axis_error(
         &mut self,
         which: LinearAxis,
         time_s: f64,
-        situation: &Situation<'_>,
-        parts: &mut Parts,
+        situation: &RowInputs<'_>,
+        parts: &mut ErrorComponents,
     ) {
         let index = which.index();
         let axis = &self.machine.axes[index];
         let position_mm = situation.position_mm[index];
         let direction = situation.direction[index];
         if let Some(thermal) = &axis.thermal {
-            let of = Quantity::of_axis(which);
-            let measured_c = self.late.followed_c(of, &thermal.sensor, situation);
+            let of = Quantity::from_axis(which);
+            let measured_c = self.late.driving_temperature_c(of, &thermal.sensor, situation);
             let lags_s = [thermal.lag_s, self.falling.axes_s[index].unwrap_or(thermal.lag_s)];
             let lag = &mut self.state.axis_lags[index];
-            let temperature_c = lag.step_either_way(lags_s, time_s, measured_c);
+            let temperature_c = lag.step_asymmetric(lags_s, time_s, measured_c);
             parts.thermal_um[index] = thermal_um(thermal, temperature_c, position_mm);
         }
         if let Some(pitch) = &axis.pitch {
@@ -355,7 +363,7 @@ impl<'m> ReferenceModel<'m> {
 /// and `spindle_rpm` only for a term.
 #[must_use]
 pub fn required_columns(machine: &Machine) -> Vec<String> {
-    let (machine, falling) = corrected(Cow::Borrowed(machine));
+    let (machine, falling) = apply_constant_terms(Cow::Borrowed(machine));
     let falls = falling.spindle_s.into_iter().chain(falling.axes_s.into_iter().flatten());
     let (mut is_timed, mut has_counts) = (falls.count() > 0, false);
     let mut temperatures = Vec::new();
@@ -381,13 +389,13 @@ pub fn required_columns(machine: &Machine) -> Vec<String> {
     let positions = LinearAxis::ALL.into_iter().filter(|&axis| machine.needs_position(axis));
     columns.extend(positions.map(|axis| format!("{}_mm", axis.name())));
     let mut turning = if machine.has_elongation() { machine.head_axes.clone() } else { Vec::new() };
-    for axis in machine.volume_angles() {
+    for axis in machine.volume_rotary_axes() {
         if !turning.contains(&axis) {
             turning.push(axis);
         }
     }
     columns.extend(turning.iter().map(|axis| format!("{}_deg", axis.name())));
-    for column in term::columns(&machine.terms) {
+    for column in term::required_term_columns(&machine.terms) {
         if !columns.contains(&column) {
             columns.push(column);
         }
@@ -409,7 +417,7 @@ impl Machine {
     /// Returns the law of the displacement sensor, where the board runs it: it is the source of the
     /// elongation, or connected and so what the board falls back to.
     #[must_use]
-    pub fn sensor_on_board(&self) -> Option<&SensorModel> {
+    pub fn board_sensor_model(&self) -> Option<&SensorModel> {
         let source = self.spindle.source?;
         let is_connected = self.inputs.as_ref().is_some_and(|inputs| inputs.sensor.is_some());
         let is_run = source == ElongationSource::Sensor || is_connected;
@@ -426,7 +434,7 @@ impl Machine {
 
     /// Returns the machine without the terms that only explain: what the board is to correct.
     #[must_use]
-    pub fn compensated(&self) -> Cow<'_, Self> {
+    pub fn with_compensated_terms(&self) -> Cow<'_, Self> {
         let is_compensated = |term: &Term| term.effect.is_compensated();
         if self.terms.iter().all(is_compensated) {
             return Cow::Borrowed(self);
@@ -437,7 +445,7 @@ impl Machine {
     }
 
     /// Returns the angles between axes that are not right: what is written as 0 needs no position.
-    fn angles(&self) -> impl Iterator<Item = &crate::file::Squareness> {
+    fn nonzero_squareness_errors(&self) -> impl Iterator<Item = &crate::file::Squareness> {
         self.squareness.iter().filter(|angle| angle.um_per_m != 0.0)
     }
 
@@ -451,7 +459,7 @@ impl Machine {
                 .iter()
                 .any(|other| other.dual.as_ref().is_some_and(|dual| dual.across == axis))
             || self.straightness.iter().any(|curve| curve.along == axis)
-            || self.angles().any(|angle| angle.along == axis)
+            || self.nonzero_squareness_errors().any(|angle| angle.along == axis)
             || self.volume_needs_position(axis)
     }
 }

@@ -17,32 +17,32 @@
 
 mod bridge;
 mod columns;
-mod digits;
+mod number_format;
 
 use std::{
     borrow::Cow,
     io::{self, Write},
 };
 
-use trueup_core::dimensions::STEP_MS;
+use trueup_core::dimensions::THERMAL_STEP_MS;
 
 use crate::{
     file::{ElongationSource, Machine, Quantity},
     location::{BadInput, Location},
     model::{
-        ReferenceModel, Situation, part_temperatures, required_columns, shifted, time_shift_s,
+        ReferenceModel, RowInputs, part_temperatures, required_columns, shift_series, time_shift_s,
     },
     run_file::RunFile,
-    stored::NM_PER_UM,
+    unit_conversion::NM_PER_UM,
 };
-use bridge::{Bridge, BridgeRun};
-use columns::{Columns, at};
-use digits::{write_micro, write_shortest};
+use bridge::{BridgeRun, SimulatedBridge};
+use columns::{Columns, value_at_row};
+use number_format::{write_shortest, write_six_decimals};
 
-pub use crate::model::Values;
+pub use crate::model::ErrorValues;
 
 /// The columns that a prediction adds to those of the run, in their order.
-pub const COLUMNS: [&str; 8] = [
+pub(crate) const PREDICTION_COLUMNS: [&str; 8] = [
     "predicted_elongation_um",
     "bridge_elongation_um",
     "predicted_dx_um",
@@ -55,18 +55,18 @@ pub const COLUMNS: [&str; 8] = [
 
 /// One bit of an offset on the wire, in nm: what fixed-point arithmetic may add to the differences that
 /// [`compile`](crate::compile()) states, because it cannot be seen.
-pub(crate) const WIRE_STEP_NM: f64 = 10.0;
+pub(crate) const WIRE_RESOLUTION_NM: f64 = 10.0;
 
 /// Both sides for one row; a value that cannot be predicted is NaN on both.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prediction {
     /// The reference arithmetic.
-    pub model: Values,
+    pub model: ErrorValues,
     /// The same without the terms that only explain (`drift`, `time-shift` and the like), for the tool of the
     /// machine file: what the board is to correct.
-    pub compensated: Values,
+    pub compensated: ErrorValues,
     /// The board's arithmetic; `None` where the machine does not say how the sensor is connected.
-    pub bridge: Option<Values>,
+    pub bridge: Option<ErrorValues>,
 }
 
 impl Prediction {
@@ -74,18 +74,18 @@ impl Prediction {
     /// without a bridge or a value.
     #[must_use]
     pub fn difference_nm(&self) -> Option<f64> {
-        self.apart_nm(self.model)
+        self.max_difference_nm(self.model)
     }
 
     /// Returns the same between the bridge and what it is to correct: what its arithmetic costs.
     #[must_use]
-    pub fn arithmetic_nm(&self) -> Option<f64> {
-        self.apart_nm(self.compensated)
+    pub fn arithmetic_error_nm(&self) -> Option<f64> {
+        self.max_difference_nm(self.compensated)
     }
 
-    fn apart_nm(&self, model: Values) -> Option<f64> {
-        let bridge = self.bridge?.all();
-        let apart = model.all().into_iter().zip(bridge).map(|(model, bridge)| model - bridge);
+    fn max_difference_nm(&self, model: ErrorValues) -> Option<f64> {
+        let bridge = self.bridge?.to_array();
+        let apart = model.to_array().into_iter().zip(bridge).map(|(model, bridge)| model - bridge);
         apart.filter(|um| !um.is_nan()).map(|um| um.abs() * NM_PER_UM).reduce(f64::max)
     }
 }
@@ -97,12 +97,12 @@ pub struct Predictor<'a> {
     run: &'a RunFile,
     columns: Columns<'a>,
     missing: Vec<String>,
-    bridge: Result<Bridge, String>,
+    bridge: Result<SimulatedBridge, String>,
 }
 
 /// The summary of a written prediction.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Written {
+pub struct PredictionSummary {
     /// Rows of the run.
     pub rows: usize,
     /// Rows whose counts are missing, of which at least the elongation is not predicted.
@@ -116,7 +116,7 @@ pub struct Written {
     pub largest_difference_nm: Option<f64>,
     /// The part of it that is the board's arithmetic, in nm; the rest is of terms that it does not run.
     pub largest_arithmetic_nm: Option<f64>,
-    /// Where the bridge is further from the model than [`Predictor::promised_nm`], the furthest: its row, from
+    /// Where the bridge is further from the model than [`Predictor::guaranteed_difference_nm`], the furthest: its row, from
     /// 0, and the difference in nm.
     pub broken_promise: Option<(usize, f64)>,
 }
@@ -131,44 +131,44 @@ impl<'a> Predictor<'a> {
     /// A column is missing without which nothing can be predicted; a column of the run has the name
     /// of one that is to be written.
     pub fn new(machine: &'a Machine, run: &'a RunFile) -> Result<Self, BadInput> {
-        for name in COLUMNS {
+        for name in PREDICTION_COLUMNS {
             if run.column(name).is_some() {
                 let rule = format!("column {name} is already there, and would be repeated");
-                return Err(BadInput::new(run.header_place(), rule));
+                return Err(BadInput::new(run.header_location(), rule));
             }
         }
         let missing: Vec<String> = required_columns(machine)
             .into_iter()
             .filter(|name| run.column(name).is_none())
             .collect();
-        let columns = Columns::of(machine, run);
+        let columns = Columns::new(machine, run);
         if let Some(first) = missing.first()
-            && nothing_is_known(machine, &columns)
+            && is_unpredictable(machine, &columns)
         {
-            run.require(first)?;
+            run.require_column(first)?;
         }
-        Ok(Self { machine, run, columns, missing, bridge: Bridge::of(machine) })
+        Ok(Self { machine, run, columns, missing, bridge: SimulatedBridge::from_machine(machine) })
     }
 
     /// Why there is no bridge side, if there is none: the machine does not say how the sensor is
     /// connected, or the board could not run it, with the place and the rule.
     #[must_use]
-    pub fn why_no_bridge(&self) -> Option<&str> {
+    pub fn bridge_error(&self) -> Option<&str> {
         self.bridge.as_ref().err().map(String::as_str)
     }
 
     /// Returns the largest difference between bridge and model that `compile` promises, in nm: those of all parts of
-    /// the calibration together, and `WIRE_STEP_NM`. `None` without a bridge.
+    /// the calibration together, and `WIRE_RESOLUTION_NM`. `None` without a bridge.
     #[must_use]
-    pub fn promised_nm(&self) -> Option<f64> {
+    pub fn guaranteed_difference_nm(&self) -> Option<f64> {
         let bridge = self.bridge.as_ref().ok()?;
-        Some(bridge.compiled.parts.iter().map(|(_, nm)| nm).sum::<f64>() + WIRE_STEP_NM)
+        Some(bridge.compiled.parts.iter().map(|(_, nm)| nm).sum::<f64>() + WIRE_RESOLUTION_NM)
     }
 
     /// Returns what the model has and the board does not run: the terms that only explain, by their causes, and
     /// tools of another length than that of the machine file.
     #[must_use]
-    pub fn not_run(&self) -> Vec<&'static str> {
+    pub fn unsupported_features(&self) -> Vec<&'static str> {
         let terms = self.machine.terms.iter().filter(|term| !term.effect.is_compensated());
         let length = self.has_other_tools().then_some("tool_length_mm");
         terms.map(|term| term.effect.name()).chain(length).collect()
@@ -190,26 +190,27 @@ impl<'a> Predictor<'a> {
     }
 
     /// Returns both sides, row by row: heat is a state.
-    pub fn rows(&self) -> impl Iterator<Item = Prediction> {
-        let mut model = self.model();
-        let compensated = self.machine.compensated();
+    pub fn predictions(&self) -> impl Iterator<Item = Prediction> {
+        let mut model = self.model_values();
+        let compensated = self.machine.with_compensated_terms();
         // Where nothing is left out it is the model, and is not computed twice.
         let is_less = matches!(compensated, Cow::Owned(_)) || self.has_other_tools();
-        let mut compensated = is_less.then(|| ReferenceModel::of(compensated));
+        let mut compensated = is_less.then(|| ReferenceModel::from_machine(compensated));
         let mut bridge =
             self.bridge.as_ref().ok().map(|bridge| BridgeRun::new(self.machine, bridge));
-        (0..self.run.rows()).map(move |row| {
-            let temperatures = self.columns.temperatures(row);
-            let others = self.columns.others(row);
-            let situation = self.columns.situation(row, &temperatures, &others);
+        (0..self.run.row_count()).map(move |row| {
+            let temperatures = self.columns.temperatures_in_row(row);
+            let others = self.columns.others_in_row(row);
+            let situation = self.columns.row_inputs(row, &temperatures, &others);
             let model = model.next().expect("one for each row");
-            let on_board = Situation { tool_length_mm: None, ..situation };
-            let compensated = compensated.as_mut().map_or(model, |it| it.step(&on_board).values());
+            let on_board = RowInputs { tool_length_mm: None, ..situation };
+            let compensated =
+                compensated.as_mut().map_or(model, |it| it.step(&on_board).to_error_values());
             let bridge = bridge.as_mut().map(|bridge| {
                 let bridge = bridge.step(&situation);
                 // What the model cannot know the board does not know either.
                 let known = |model: f64, bridge: f64| if model.is_nan() { model } else { bridge };
-                Values {
+                ErrorValues {
                     elongation_um: known(compensated.elongation_um, bridge.elongation_um),
                     error_um: [0, 1, 2].map(|n| known(compensated.error_um[n], bridge.error_um[n])),
                 }
@@ -221,14 +222,14 @@ impl<'a> Predictor<'a> {
     /// Returns the model's values row by row. A thermometer that is late is looked after beforehand; a time shift looks
     /// ahead and back, so that all of them are there before the first is given; otherwise none is kept.
     #[must_use]
-    pub fn model(&self) -> Box<dyn Iterator<Item = Values> + '_> {
+    pub fn model_values(&self) -> Box<dyn Iterator<Item = ErrorValues> + '_> {
         let mut reference = ReferenceModel::new(self.machine);
         let parts = part_temperatures(self.machine, |name| self.run.column(name));
-        let in_time = (0..self.run.rows()).map(move |row| {
-            let mut temperatures: Vec<(&str, f64)> = self.columns.temperatures(row);
+        let in_time = (0..self.run.row_count()).map(move |row| {
+            let mut temperatures: Vec<(&str, f64)> = self.columns.temperatures_in_row(row);
             temperatures.extend(parts.iter().map(|(name, part_c)| (name.as_str(), part_c[row])));
-            let others = self.columns.others(row);
-            reference.step(&self.columns.situation(row, &temperatures, &others)).values()
+            let others = self.columns.others_in_row(row);
+            reference.step(&self.columns.row_inputs(row, &temperatures, &others)).to_error_values()
         });
         let shifts_s = Quantity::ALL.map(|it| time_shift_s(&self.machine.terms, it));
         if shifts_s == [0.0; 4] {
@@ -236,7 +237,7 @@ impl<'a> Predictor<'a> {
         }
         let mut columns = [const { Vec::new() }; 4];
         for values in in_time {
-            for (column, value) in columns.iter_mut().zip(values.all()) {
+            for (column, value) in columns.iter_mut().zip(values.to_array()) {
                 column.push(value);
             }
         }
@@ -244,26 +245,30 @@ impl<'a> Predictor<'a> {
         let time_s = match self.columns.time_s {
             Some(time_s) => time_s,
             None => {
-                never = vec![f64::NAN; self.run.rows()];
+                never = vec![f64::NAN; self.run.row_count()];
                 &never
             }
         };
         let [elongation, dx, dy, dz] =
-            [0, 1, 2, 3].map(|n| shifted(time_s, &columns[n], shifts_s[n]));
-        Box::new((0..self.run.rows()).map(move |row| Values {
+            [0, 1, 2, 3].map(|n| shift_series(time_s, &columns[n], shifts_s[n]));
+        Box::new((0..self.run.row_count()).map(move |row| ErrorValues {
             elongation_um: elongation[row],
             error_um: [dx[row], dy[row], dz[row]],
         }))
     }
 
-    /// Writes the run as CSV with [`COLUMNS`] after its own; a value that is missing is an empty
+    /// Writes the run as CSV with `PREDICTION_COLUMNS` after its own; a value that is missing is an empty
     /// cell. `row_done` learns of every row.
     ///
     /// # Errors
     /// `out` cannot be written.
-    pub fn write(&self, mut out: impl Write, mut row_done: impl FnMut()) -> io::Result<Written> {
-        let mut written = Written {
-            rows: self.run.rows(),
+    pub fn write_csv(
+        &self,
+        mut out: impl Write,
+        mut row_done: impl FnMut(),
+    ) -> io::Result<PredictionSummary> {
+        let mut written = PredictionSummary {
+            rows: self.run.row_count(),
             rows_without_counts: 0,
             rows_out_of_range: 0,
             first_out_of_range: None,
@@ -272,13 +277,13 @@ impl<'a> Predictor<'a> {
             broken_promise: None,
         };
         for column in self.run.columns() {
-            write_name(&mut out, &column.name)?;
+            write_column_name(&mut out, &column.name)?;
             out.write_all(b",")?;
         }
-        writeln!(out, "{}", COLUMNS.join(","))?;
-        let promised_nm = self.promised_nm().unwrap_or(0.0);
-        let mut before = Values { elongation_um: f64::NAN, error_um: [f64::NAN; 3] };
-        for (row, prediction) in self.rows().enumerate() {
+        writeln!(out, "{}", PREDICTION_COLUMNS.join(","))?;
+        let promised_nm = self.guaranteed_difference_nm().unwrap_or(0.0);
+        let mut before = ErrorValues { elongation_um: f64::NAN, error_um: [f64::NAN; 3] };
+        for (row, prediction) in self.predictions().enumerate() {
             for column in self.run.columns() {
                 let value = column.values.get(row).copied().unwrap_or(f64::NAN);
                 if let Some(label) = self.run.tool_label(value).filter(|_| value < 0.0) {
@@ -289,8 +294,8 @@ impl<'a> Predictor<'a> {
                 out.write_all(b",")?;
             }
             write_prediction(&mut out, &prediction)?;
-            let between_nm = self.between_steps_nm(row, before, prediction.compensated);
-            self.note(row, &prediction, promised_nm + between_nm, &mut written);
+            let between_nm = self.step_timing_error_nm(row, before, prediction.compensated);
+            self.update_summary(row, &prediction, promised_nm + between_nm, &mut written);
             before = prediction.compensated;
             row_done();
         }
@@ -301,26 +306,35 @@ impl<'a> Predictor<'a> {
     /// Returns what a row that lies between two steps of the board's heat may be off next to the promise, in nm: the
     /// model's change since the row before, by the share of the time that the step is early or late. A lag
     /// is never faster at the end of an interval than in its mean; twice that.
-    fn between_steps_nm(&self, row: usize, before: Values, now: Values) -> f64 {
-        let step_s = f64::from(STEP_MS) / 1_000.0;
+    fn step_timing_error_nm(&self, row: usize, before: ErrorValues, now: ErrorValues) -> f64 {
+        let step_s = f64::from(THERMAL_STEP_MS) / 1_000.0;
         let Some((time_s, earlier)) = self.columns.time_s.zip(row.checked_sub(1)) else {
             return 0.0;
         };
         let since_start_s = time_s[row] - time_s[0];
         let off_s = since_start_s - (since_start_s / step_s).round() * step_s;
         let share = (2.0 * off_s.abs() / (time_s[row] - time_s[earlier])).min(1.0);
-        let changes =
-            before.all().into_iter().zip(now.all()).map(|(before, now)| (now - before).abs());
+        let changes = before
+            .to_array()
+            .into_iter()
+            .zip(now.to_array())
+            .map(|(before, now)| (now - before).abs());
         let change_um = changes.filter(|um| !um.is_nan()).fold(0.0, f64::max);
         if share.is_nan() { 0.0 } else { share * change_um * NM_PER_UM }
     }
 
-    fn note(&self, row: usize, prediction: &Prediction, allowed_nm: f64, written: &mut Written) {
+    fn update_summary(
+        &self,
+        row: usize,
+        prediction: &Prediction,
+        allowed_nm: f64,
+        written: &mut PredictionSummary,
+    ) {
         if let Some(difference_nm) = prediction.difference_nm() {
             let before = written.largest_difference_nm.unwrap_or(0.0);
             written.largest_difference_nm = Some(before.max(difference_nm));
         }
-        if let Some(difference_nm) = prediction.arithmetic_nm() {
+        if let Some(difference_nm) = prediction.arithmetic_error_nm() {
             let before = written.largest_arithmetic_nm.unwrap_or(0.0);
             written.largest_arithmetic_nm = Some(before.max(difference_nm));
             let worst = written.broken_promise.map_or(0.0, |(_, nm)| nm);
@@ -331,7 +345,7 @@ impl<'a> Predictor<'a> {
         if self.machine.spindle.source != Some(ElongationSource::Sensor) {
             return;
         }
-        let counts = at(self.columns.sensor_counts, row);
+        let counts = value_at_row(self.columns.sensor_counts, row);
         if counts.is_nan() {
             written.rows_without_counts += 1;
             return;
@@ -339,20 +353,20 @@ impl<'a> Predictor<'a> {
         let input = self.bridge.as_ref().ok().and_then(|bridge| bridge.input);
         if input.is_some_and(|input| !input.is_in_range(counts)) {
             written.rows_out_of_range += 1;
-            let place = || self.run.place(row, "sensor_counts");
+            let place = || self.run.value_location(row, "sensor_counts");
             written.first_out_of_range.get_or_insert_with(place);
         }
     }
 }
 
 /// Returns whether no quantity that the machine's model describes can be had from these columns.
-fn nothing_is_known(machine: &Machine, columns: &Columns<'_>) -> bool {
+fn is_unpredictable(machine: &Machine, columns: &Columns<'_>) -> bool {
     // A row in which every column that is there has a value.
     let there = |column: &Option<&[f64]>| column.map_or(f64::NAN, |_| 1.0);
     let temperatures: Vec<_> =
         columns.temperatures_c.iter().map(|(name, _)| (*name, 20.0)).collect();
     let others: Vec<_> = columns.others.iter().map(|(name, _)| (*name, 1.0)).collect();
-    let situation = Situation {
+    let situation = RowInputs {
         time_s: columns.time_s.map(|_| 0.0),
         run: columns.run.map(|_| 1.0),
         sensor_counts: there(&columns.sensor_counts),
@@ -366,15 +380,15 @@ fn nothing_is_known(machine: &Machine, columns: &Columns<'_>) -> bool {
         direction: [1.0; 3],
         tool_length_mm: None,
     };
-    let nothing = Situation { temperatures_c: &[], ..Situation::UNKNOWN };
-    let known = ReferenceModel::new(machine).step(&situation).values().all();
-    let blind = ReferenceModel::new(machine).step(&nothing).values().all();
+    let nothing = RowInputs { temperatures_c: &[], ..RowInputs::UNKNOWN };
+    let known = ReferenceModel::new(machine).step(&situation).to_error_values().to_array();
+    let blind = ReferenceModel::new(machine).step(&nothing).to_error_values().to_array();
     // Zero and known without any column is no quantity of this machine.
     known.iter().zip(blind).all(|(known, blind)| known.is_nan() || !blind.is_nan())
 }
 
 /// A column's name, in quotes where it would otherwise be read as something else.
-fn write_name(out: &mut impl Write, name: &str) -> io::Result<()> {
+fn write_column_name(out: &mut impl Write, name: &str) -> io::Result<()> {
     if name.contains([',', ';', '"']) {
         write!(out, "\"{}\"", name.replace('"', "\"\""))
     } else {
@@ -382,17 +396,17 @@ fn write_name(out: &mut impl Write, name: &str) -> io::Result<()> {
     }
 }
 
-/// The cells of [`COLUMNS`], to 1 pm, and the end of the line.
+/// The cells of `PREDICTION_COLUMNS`, to 1 pm, and the end of the line.
 fn write_prediction(out: &mut impl Write, prediction: &Prediction) -> io::Result<()> {
-    let bridge = prediction.bridge.map_or([f64::NAN; 4], Values::all);
-    let pairs = prediction.model.all().into_iter().zip(bridge);
+    let bridge = prediction.bridge.map_or([f64::NAN; 4], ErrorValues::to_array);
+    let pairs = prediction.model.to_array().into_iter().zip(bridge);
     for (number, value) in pairs.flat_map(|(model, bridge)| [model, bridge]).enumerate() {
         if number > 0 {
             out.write_all(b",")?;
         }
         if !value.is_nan() {
             // + 0.0 turns −0 into 0.
-            write_micro(out, value + 0.0)?;
+            write_six_decimals(out, value + 0.0)?;
         }
     }
     out.write_all(b"\n")

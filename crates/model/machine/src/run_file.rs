@@ -6,24 +6,24 @@
 //! time of day (ISO 8601) it is read as seconds from the first one of the file.
 //!
 //! The file is read line by line, one line a row, and its memory is that of its values: 12 bytes
-//! each. It is bounded: by [`MAX_BYTES`], [`MAX_COLUMNS`] and `MAX_VALUES`, and a line by
+//! each. It is bounded: by `MAX_BYTES`, [`MAX_COLUMNS`] and `MAX_VALUES`, and a line by
 //! 1 MiB.
 
+mod bridge_record;
 mod cells;
 mod clock;
+mod column_typos;
 mod faults;
+mod field_positions;
 mod fields;
-mod known;
+mod known_columns;
 mod label;
 mod line;
-mod meant;
-mod order;
-mod places;
-mod plain;
-mod reading;
-mod recorded;
+mod numeric_row;
+mod reader;
 mod table;
-mod tools;
+mod time_order;
+mod tool_numbers;
 
 use std::{
     fmt::Display,
@@ -33,16 +33,17 @@ use std::{
 };
 
 use crate::{
-    bounded,
+    bounded_read,
     location::{BadInput, Location, did_you_mean},
 };
-use table::{Bounds, ColumnTypo, Table};
+use table::{ColumnTypo, RunTable, SizeLimits};
 
+pub(crate) use table::MAX_BYTES;
 pub(crate) use table::MAX_VALUES;
-pub use table::{Column, MAX_BYTES, MAX_COLUMNS};
+pub use table::{Column, MAX_COLUMNS};
 
-pub use known::is_known_column;
-pub(crate) use known::{KNOWN_COLUMNS, KnownColumn};
+pub use known_columns::is_known_column;
+pub(crate) use known_columns::{KNOWN_COLUMNS, KnownColumn};
 
 /// A measured run.
 #[derive(Clone, Debug)]
@@ -69,9 +70,9 @@ impl RunFile {
     /// Opens the run file at `path`, for [`Self::from_reader`].
     ///
     /// # Errors
-    /// The file cannot be opened, or is longer than [`MAX_BYTES`].
+    /// The file cannot be opened, or is longer than `MAX_BYTES`.
     pub fn open(path: &Path) -> Result<File, BadInput> {
-        bounded::open(path, MAX_BYTES)
+        bounded_read::open(path, MAX_BYTES)
     }
 
     /// Reads a run from `source`; `path` names it in errors.
@@ -85,16 +86,20 @@ impl RunFile {
     /// No header or no row; a column without a name or with that of another; a row with more or
     /// fewer fields than the header; text, a decimal comma or an infinite value where a number
     /// belongs; `time_s` that runs back while `run` stays the same; `dir_*` other than 1 and −1;
-    /// text that is not UTF-8; a source that cannot be read; more than [`MAX_BYTES`],
+    /// text that is not UTF-8; a source that cannot be read; more than `MAX_BYTES`,
     /// [`MAX_COLUMNS`] or `MAX_VALUES`. All that is wrong with a file is reported at once, up to
-    /// [`MAX_LISTED`](crate::location::MAX_LISTED) faults with their places.
+    /// [`MAX_LISTED_FAULTS`](crate::location::MAX_LISTED_FAULTS) faults with their places.
     pub fn from_reader(source: impl BufRead, path: &Path) -> Result<Self, BadInput> {
-        Self::within(Bounds { bytes: MAX_BYTES, values: MAX_VALUES }, source, path)
+        Self::read_within_bounds(SizeLimits { bytes: MAX_BYTES, values: MAX_VALUES }, source, path)
     }
 
-    fn within(bounds: Bounds, source: impl BufRead, path: &Path) -> Result<Self, BadInput> {
-        let Table { columns, header_line, line_of_row, slips, labels, epoch_s } =
-            reading::read(bounds, source, path)?;
+    fn read_within_bounds(
+        bounds: SizeLimits,
+        source: impl BufRead,
+        path: &Path,
+    ) -> Result<Self, BadInput> {
+        let RunTable { columns, header_line, line_of_row, slips, labels, epoch_s } =
+            reader::read(bounds, source, path)?;
         let path = path.to_path_buf();
         Ok(Self { path, columns, header_line, line_of_row, slips, labels, epoch_s })
     }
@@ -107,7 +112,7 @@ impl RunFile {
 
     /// Returns the number of rows, at least 1.
     #[must_use]
-    pub fn rows(&self) -> usize {
+    pub fn row_count(&self) -> usize {
         self.line_of_row.len()
     }
 
@@ -134,11 +139,11 @@ impl RunFile {
     ///
     /// # Errors
     /// There is no such column: the rule lists those that are there.
-    pub fn require(&self, name: &str) -> Result<&[f64], BadInput> {
+    pub fn require_column(&self, name: &str) -> Result<&[f64], BadInput> {
         self.column(name).ok_or_else(|| {
             if let Some(slip) = self.slips.iter().find(|slip| slip.meant == name) {
                 return BadInput::new(
-                    self.header_column(slip.column),
+                    self.header_location_at(slip.column),
                     format!(
                         "column {name} is missing; {} is no column that is known: if it was meant, \
                              give it as {name}",
@@ -150,17 +155,17 @@ impl RunFile {
             let there = names().collect::<Vec<_>>().join(", ");
             let suggestion = did_you_mean(name, names());
             let rule = format!("column {name} is missing; there are {there}{suggestion}");
-            BadInput::new(self.header_place(), rule)
+            BadInput::new(self.header_location(), rule)
         })
     }
 
     /// Names of columns that look like a known one, each with its place and what was probably meant.
-    pub fn slips(&self) -> impl Iterator<Item = BadInput> {
+    pub fn column_typos(&self) -> impl Iterator<Item = BadInput> {
         self.slips.iter().map(|ColumnTypo { name, meant, column }| {
             let rule = format!("{name} is no column that is known; did you mean {meant}?");
             let help =
                 format!("give it as {meant}, in that unit; else it is only a possible explanation");
-            BadInput::new(self.header_column(*column), rule).with_help(help)
+            BadInput::new(self.header_location_at(*column), rule).with_help(help)
         })
     }
 
@@ -171,23 +176,23 @@ impl RunFile {
     /// # use trueup_machine::RunFile;
     /// let text = "time_s,measured_dz_mm\n0,0.012\n";
     /// let run = RunFile::from_reader(text.as_bytes(), "r.csv".as_ref()).unwrap();
-    /// let slip = run.slip(|name| name.starts_with("measured_")).unwrap();
+    /// let slip = run.column_typo(|name| name.starts_with("measured_")).unwrap();
     /// assert!(slip.to_string().starts_with("r.csv:1:8: column measured_dz_um is missing; measured_dz_mm is"));
     /// ```
-    pub fn slip(&self, is_wanted: impl Fn(&str) -> bool) -> Option<BadInput> {
+    pub fn column_typo(&self, is_wanted: impl Fn(&str) -> bool) -> Option<BadInput> {
         let slip = self.slips.iter().find(|slip| is_wanted(&slip.meant))?;
-        self.require(&slip.meant).err()
+        self.require_column(&slip.meant).err()
     }
 
     /// Other values in the place of those of the column `name`, one for each row.
-    pub(crate) fn replace(&mut self, name: &str, values: Vec<f64>) {
+    pub(crate) fn replace_column(&mut self, name: &str, values: Vec<f64>) {
         if let Some(column) = self.columns.iter_mut().find(|column| column.name == name) {
             column.values = values.into();
         }
     }
 
     /// Adds a column of values that the file does not have; each has the place of the value of `beside`.
-    pub(crate) fn add(&mut self, name: &str, beside: &str, values: Vec<f64>) {
+    pub(crate) fn add_column(&mut self, name: &str, beside: &str, values: Vec<f64>) {
         let starts =
             self.columns.iter().find(|column| column.name == beside).map(|it| it.starts.clone());
         if let Some(starts) = starts {
@@ -198,8 +203,12 @@ impl RunFile {
     /// Returns the first `rows` rows, with what `change` makes of the values of each column: a run that was not
     /// measured.
     #[must_use]
-    pub fn altered(&self, rows: usize, mut change: impl FnMut(&str, &mut [f64])) -> Self {
-        let rows = rows.min(self.rows());
+    pub fn with_altered_values(
+        &self,
+        rows: usize,
+        mut change: impl FnMut(&str, &mut [f64]),
+    ) -> Self {
+        let rows = rows.min(self.row_count());
         let columns = self.columns.iter().map(|column| {
             let mut values = column.values[..rows].to_vec();
             change(&column.name, &mut values);
@@ -221,15 +230,17 @@ impl RunFile {
     }
 
     /// Leaves out the columns whose name is one of these.
-    pub(crate) fn remove(&mut self, is_one: impl Fn(&str) -> bool) {
+    pub(crate) fn remove_columns(&mut self, is_one: impl Fn(&str) -> bool) {
         self.columns.retain(|column| !is_one(&column.name));
     }
 
     /// Where the value of `column` in `row` (from 0) stands; the start of the row's line if there
     /// is no such column, of the file if there is no such row.
     #[must_use]
-    pub fn place(&self, row: usize, column: &str) -> Location {
-        let Some(&line) = self.line_of_row.get(row) else { return Location::start_of(&self.path) };
+    pub fn value_location(&self, row: usize, column: &str) -> Location {
+        let Some(&line) = self.line_of_row.get(row) else {
+            return Location::start_of_file(&self.path);
+        };
         let column = self
             .columns
             .iter()
@@ -242,16 +253,16 @@ impl RunFile {
     /// The value of `column` in `row` (from 0) breaks a rule; `rule` goes on after the column's
     /// name: "40000 is outside 0…32768".
     #[must_use]
-    pub fn bad(&self, row: usize, column: &str, rule: impl Display) -> BadInput {
-        BadInput::new(self.place(row, column), format!("{column} {rule}"))
+    pub fn value_error(&self, row: usize, column: &str, rule: impl Display) -> BadInput {
+        BadInput::new(self.value_location(row, column), format!("{column} {rule}"))
     }
 
     /// Where the header row begins: for what is wrong with the columns as a whole.
-    pub(crate) fn header_place(&self) -> Location {
-        self.header_column(1)
+    pub(crate) fn header_location(&self) -> Location {
+        self.header_location_at(1)
     }
 
-    fn header_column(&self, column: usize) -> Location {
+    fn header_location_at(&self, column: usize) -> Location {
         Location { file: self.path.clone(), line: self.header_line, column }
     }
 }

@@ -8,16 +8,16 @@ use serde_json::{Map, Value, json};
 use crate::{
     effect::Cause,
     file::{
-        keys::{FILE, Form, Key, Need, TERM, TERM_KEYS},
-        read::{Document, MAX_ELEMENTS},
+        reader::{Document, MAX_ARRAY_LENGTH},
+        schema::{Key, MACHINE_FILE_KEYS, Requirement, TERM, TERM_KEYS, ValueType},
     },
     run_file::KNOWN_COLUMNS,
 };
 
 /// Returns the machine file as a JSON schema.
 #[must_use]
-pub fn machine_file() -> Value {
-    let mut schema = table(FILE);
+pub fn machine_file_schema() -> Value {
+    let mut schema = table_schema(MACHINE_FILE_KEYS);
     let head = [
         ("$schema", "https://json-schema.org/draft/2020-12/schema"),
         ("title", "Machine file of trueup"),
@@ -34,31 +34,33 @@ pub fn machine_file() -> Value {
 
 /// Returns the columns of a run that are known, each with its unit and meaning.
 #[must_use]
-pub fn run_columns() -> Value {
-    let column = |it: &crate::run_file::KnownColumn| json!({"name": it.name, "unit": it.unit, "description": plain(it.meaning)});
+pub fn run_columns_json() -> Value {
+    let column = |it: &crate::run_file::KnownColumn| json!({"name": it.name, "unit": it.unit, "description": strip_markdown(it.meaning)});
     KNOWN_COLUMNS.iter().map(column).collect()
 }
 
 /// Returns a meaning without the marks of Markdown.
-fn plain(meaning: &str) -> String {
+fn strip_markdown(meaning: &str) -> String {
     meaning.replace('`', "")
 }
 
-fn table(keys: &[Key]) -> Value {
+fn table_schema(keys: &[Key]) -> Value {
     let (mut properties, mut patterns) = (Map::new(), Map::new());
     let mut others = Value::from(false);
     for key in keys {
         match key.name.split_once("<name>") {
             // Of any name.
             None if key.name.starts_with('<') => {
-                others = value(key);
+                others = value_schema(key);
                 None
             }
-            None => properties.insert(key.name.into(), value(key)),
-            Some((before, after)) => patterns.insert(format!("^{before}.+{after}$"), value(key)),
+            None => properties.insert(key.name.into(), value_schema(key)),
+            Some((before, after)) => {
+                patterns.insert(format!("^{before}.+{after}$"), value_schema(key))
+            }
         };
     }
-    let required = keys.iter().filter(|key| key.need == Need::Required).map(|key| key.name);
+    let required = keys.iter().filter(|key| key.need == Requirement::Required).map(|key| key.name);
     let required: Vec<&str> = required.collect();
     let mut table = json!({
         "type": "object", "properties": properties, "additionalProperties": others,
@@ -72,37 +74,39 @@ fn table(keys: &[Key]) -> Value {
     table
 }
 
-fn value(key: &Key) -> Value {
+fn value_schema(key: &Key) -> Value {
     let numbers = json!({
-        "type": "array", "items": {"type": "number"}, "minItems": 1, "maxItems": MAX_ELEMENTS,
+        "type": "array", "items": {"type": "number"}, "minItems": 1, "maxItems": MAX_ARRAY_LENGTH,
     });
     let three = json!({"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3});
     let mut schema = match key.form {
-        Form::Text => json!({"type": "string"}),
-        Form::Boolean => json!({"type": "boolean"}),
-        Form::Choice(choices) => json!({"enum": choices}),
-        Form::Choices(choices) => {
+        ValueType::Text => json!({"type": "string"}),
+        ValueType::Boolean => json!({"type": "boolean"}),
+        ValueType::Choice(choices) => json!({"enum": choices}),
+        ValueType::Choices(choices) => {
             json!({"type": "array", "items": {"enum": choices}, "maxItems": 2})
         }
-        Form::Column => json!({"type": "string", "pattern": "^temp_.+_c$"}),
-        Form::Number => json!({"type": "number"}),
-        Form::Positive => json!({"type": "number", "exclusiveMinimum": 0}),
-        Form::NotNegative => json!({"type": "number", "minimum": 0}),
-        Form::Whole(least, most) => json!({"type": "integer", "minimum": least, "maximum": most}),
-        Form::Numbers => numbers,
-        Form::NumberOrNumbers => json!({"anyOf": [{"type": "number"}, numbers]}),
-        Form::Vector => three,
-        Form::Rows => json!({
-            "type": "array", "items": three, "minItems": 1, "maxItems": MAX_ELEMENTS,
+        ValueType::Column => json!({"type": "string", "pattern": "^temp_.+_c$"}),
+        ValueType::Number => json!({"type": "number"}),
+        ValueType::Positive => json!({"type": "number", "exclusiveMinimum": 0}),
+        ValueType::NotNegative => json!({"type": "number", "minimum": 0}),
+        ValueType::Whole(least, most) => {
+            json!({"type": "integer", "minimum": least, "maximum": most})
+        }
+        ValueType::Numbers => numbers,
+        ValueType::NumberOrNumbers => json!({"anyOf": [{"type": "number"}, numbers]}),
+        ValueType::Vector => three,
+        ValueType::Rows => json!({
+            "type": "array", "items": three, "minItems": 1, "maxItems": MAX_ARRAY_LENGTH,
         }),
-        Form::Table(keys) => table(keys),
-        Form::Terms => json!({"type": "array", "items": term()}),
+        ValueType::Table(keys) => table_schema(keys),
+        ValueType::Terms => json!({"type": "array", "items": term_schema()}),
     };
     let unit = if key.unit.is_empty() { String::new() } else { format!(" ({})", key.unit) };
-    schema["description"] = format!("{}{unit}", plain(key.meaning)).into();
+    schema["description"] = format!("{}{unit}", strip_markdown(key.meaning)).into();
     // TOML's strings, numbers and arrays of them are JSON as well.
     let json_of = |toml: &str| serde_json::from_str::<Value>(toml).ok();
-    if let Need::Default(default) = key.need
+    if let Requirement::Default(default) = key.need
         && let Some(default) = json_of(default)
     {
         schema["default"] = default;
@@ -114,19 +118,19 @@ fn value(key: &Key) -> Value {
 }
 
 /// Returns a term: the keys that all have, and those of its cause.
-fn term() -> Value {
+fn term_schema() -> Value {
     let causes: Vec<Value> = Cause::ALL
         .iter()
         .map(|cause| {
             let common = TERM.iter().map(|key| key.name);
-            let names: Vec<&str> = common.chain(keys_of(*cause)).collect();
+            let names: Vec<&str> = common.chain(cause_keys(*cause)).collect();
             json!({
                 "if": {"properties": {"cause": {"const": cause.name()}}},
                 "then": {"propertyNames": {"enum": names}},
             })
         })
         .collect();
-    let mut schema = table(&[TERM, TERM_KEYS].concat());
+    let mut schema = table_schema(&[TERM, TERM_KEYS].concat());
     let names: Vec<&str> = Cause::ALL.iter().map(|cause| cause.name()).collect();
     schema["properties"]["cause"] = json!({"enum": names, "description": "the cause's name"});
     schema["allOf"] = causes.into();
@@ -136,7 +140,7 @@ fn term() -> Value {
 /// Returns the keys of a cause besides those that all have: which of them go together depends on what stands
 /// there, so that the page is asked next to each of them.
 #[must_use]
-pub fn keys_of(cause: Cause) -> Vec<&'static str> {
+pub fn cause_keys(cause: Cause) -> Vec<&'static str> {
     let mut names: Vec<&'static str> = Vec::new();
     for beside in [""].into_iter().chain(TERM_KEYS.iter().map(|key| key.name)) {
         let text = if beside.is_empty() { "[t]\n".into() } else { format!("[t]\n{beside} = 1\n") };
@@ -153,19 +157,19 @@ pub fn keys_of(cause: Cause) -> Vec<&'static str> {
 
 /// Returns the machine file's keys as a table of Markdown.
 #[must_use]
-pub fn machine_table() -> String {
+pub fn machine_file_markdown() -> String {
     let mut rows =
         "| key | unit | range | default | what | for example |\n|---|---|---|---|---|---|\n"
             .to_string();
-    rows_of(FILE, "", &mut rows);
+    append_rows(MACHINE_FILE_KEYS, "", &mut rows);
     rows
 }
 
 /// The rows of a section and of those in it. Sections that are alike are there once.
-fn rows_of(keys: &[Key], section: &str, rows: &mut String) {
-    let is_table = |key: &&Key| matches!(key.form, Form::Table(_));
+fn append_rows(keys: &[Key], section: &str, rows: &mut String) {
+    let is_table = |key: &&Key| matches!(key.form, ValueType::Table(_));
     for key in keys.iter().filter(|key| !is_table(key)) {
-        if matches!(key.form, Form::Terms) {
+        if matches!(key.form, ValueType::Terms) {
             rows.push_str(&format!(
                 "| `[[{}]]` | | | | {}, see below | |\n",
                 key.name, key.meaning
@@ -173,17 +177,17 @@ fn rows_of(keys: &[Key], section: &str, rows: &mut String) {
             continue;
         }
         let default = match key.need {
-            Need::Required => "needed".into(),
-            Need::Optional => String::new(),
-            Need::Default(default) => format!("`{default}`"),
+            Requirement::Required => "needed".into(),
+            Requirement::Optional => String::new(),
+            Requirement::Default(default) => format!("`{default}`"),
         };
         rows.push_str(&format!(
             "| `{}` | {} | {} | {default} | {} | {} |\n",
             key.name,
             key.unit,
-            range(key),
+            format_range(key),
             key.meaning,
-            if matches!(key.need, Need::Default(_)) {
+            if matches!(key.need, Requirement::Default(_)) {
                 String::new()
             } else {
                 format!("`{}`", key.example)
@@ -192,7 +196,7 @@ fn rows_of(keys: &[Key], section: &str, rows: &mut String) {
     }
     let mut seen: Vec<(*const Key, String)> = Vec::new();
     for key in keys.iter().filter(is_table) {
-        let Form::Table(inner) = key.form else { continue };
+        let ValueType::Table(inner) = key.form else { continue };
         let name = if section.is_empty() {
             key.name.to_string()
         } else {
@@ -210,35 +214,35 @@ fn rows_of(keys: &[Key], section: &str, rows: &mut String) {
             elsewhere.as_deref().unwrap_or_default()
         ));
         if elsewhere.is_none() {
-            rows_of(inner, &name, rows);
+            append_rows(inner, &name, rows);
         }
         seen.push((inner.as_ptr(), name));
     }
 }
 
-fn range(key: &Key) -> String {
+fn format_range(key: &Key) -> String {
     let listed = |choices: &[&str]| {
         choices.iter().map(|choice| format!("`\"{choice}\"`")).collect::<Vec<_>>().join(", ")
     };
     match key.form {
-        Form::Choice(choices) | Form::Choices(choices) => listed(choices),
-        Form::Positive => "above 0".into(),
-        Form::NotNegative => "from 0".into(),
-        Form::Whole(least, u32::MAX) => format!("whole, from {least}"),
-        Form::Whole(least, most) => format!("whole, {least} to {most}"),
-        Form::Numbers => format!("1 to {MAX_ELEMENTS} numbers"),
-        Form::Rows => format!("1 to {MAX_ELEMENTS} rows"),
-        Form::Vector => "three numbers".into(),
-        Form::Column => "`temp_<name>_c`".into(),
-        Form::Text => "text".into(),
-        Form::Boolean => "`true`, `false`".into(),
+        ValueType::Choice(choices) | ValueType::Choices(choices) => listed(choices),
+        ValueType::Positive => "above 0".into(),
+        ValueType::NotNegative => "from 0".into(),
+        ValueType::Whole(least, u32::MAX) => format!("whole, from {least}"),
+        ValueType::Whole(least, most) => format!("whole, {least} to {most}"),
+        ValueType::Numbers => format!("1 to {MAX_ARRAY_LENGTH} numbers"),
+        ValueType::Rows => format!("1 to {MAX_ARRAY_LENGTH} rows"),
+        ValueType::Vector => "three numbers".into(),
+        ValueType::Column => "`temp_<name>_c`".into(),
+        ValueType::Text => "text".into(),
+        ValueType::Boolean => "`true`, `false`".into(),
         _ => String::new(),
     }
 }
 
 /// Returns the known columns of a run as a table of Markdown.
 #[must_use]
-pub fn run_table() -> String {
+pub fn run_columns_markdown() -> String {
     let mut rows = "| column | unit | what |\n|---|---|---|\n".to_string();
     for column in KNOWN_COLUMNS {
         rows.push_str(&format!("| `{}` | {} | {} |\n", column.name, column.unit, column.meaning));

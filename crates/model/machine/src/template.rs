@@ -4,11 +4,11 @@
 
 use std::fmt::Write as _;
 
-use trueup_output::escape::shell_word;
+use trueup_output::escape::shell_quote;
 
 use crate::{
-    file::{Feedback, Kind, LinearAxis, RotaryAxis},
-    inputs::REFERENCE_VOLTS,
+    file::{Feedback, LinearAxis, MachineKind, RotaryAxis},
+    inputs::ADC_REFERENCE_VOLTS,
 };
 
 /// The properties of a machine that are known before anything is measured.
@@ -17,7 +17,7 @@ pub struct Template {
     /// Its name, not empty.
     pub name: String,
     /// Which axes turn the tool or the table.
-    pub kind: Kind,
+    pub kind: MachineKind,
     /// The rotary axes that carry the spindle, from the frame to the tool; as many as the kind has.
     pub head_axes: Vec<RotaryAxis>,
     /// The linear axes with the two ends of their travel in mm, the lower first.
@@ -27,16 +27,16 @@ pub struct Template {
     /// Their rapid traverse in mm/min, above 0, where it is known.
     pub rapid_mm_per_min: Option<f64>,
     /// The displacement sensor, where there is one.
-    pub sensor: Option<Sheet>,
+    pub sensor: Option<SensorDataSheet>,
     /// The words in the names of the thermometers: `screw` is `temp_screw_c`. PT100s; at most eight.
     pub thermometers: Vec<String>,
     /// The control that gets the offsets.
-    pub control: Control,
+    pub control: CncControl,
 }
 
 /// The data sheet of a displacement sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sheet {
+pub struct SensorDataSheet {
     /// Its output at the end of its range, in V, above 0.
     pub volts_full_scale: f64,
     /// µm for one volt, not 0.
@@ -47,7 +47,7 @@ pub struct Sheet {
 
 /// The control that gets the offsets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Control {
+pub enum CncControl {
     /// LinuxCNC.
     LinuxCnc,
     /// Siemens 840D.
@@ -58,9 +58,9 @@ pub enum Control {
     Heidenhain,
 }
 
-impl Control {
+impl CncControl {
     /// Its name for `trueup program` and for `trueup export`.
-    fn names(self) -> (&'static str, &'static str) {
+    fn command_names(self) -> (&'static str, &'static str) {
         match self {
             Self::LinuxCnc => ("linuxcnc", "linuxcnc"),
             Self::Siemens => ("siemens", "siemens-840d"),
@@ -76,16 +76,16 @@ impl Control {
 }
 
 /// A sensor of 10 V and the divider of its wiring: 20.0 kΩ over 9.76 kΩ.
-const WIRED: (f64, f64) = (10.0, 0.328);
+const DEFAULT_SENSOR_WIRING: (f64, f64) = (10.0, 0.328);
 
 /// Returns the divider for a sensor of this many volts: the wiring's, else what leaves 20 mV below the converter's
 /// reference, as that does.
-fn divider(volts: f64) -> f64 {
-    const SPARE_VOLTS: f64 = 0.02;
-    if volts == WIRED.0 {
-        return WIRED.1;
+fn default_divider(volts: f64) -> f64 {
+    const HEADROOM_VOLTS: f64 = 0.02;
+    if volts == DEFAULT_SENSOR_WIRING.0 {
+        return DEFAULT_SENSOR_WIRING.1;
     }
-    (((REFERENCE_VOLTS - SPARE_VOLTS) / volts).min(1.0) * 1000.0).floor() / 1000.0
+    (((ADC_REFERENCE_VOLTS - HEADROOM_VOLTS) / volts).min(1.0) * 1000.0).floor() / 1000.0
 }
 
 impl Template {
@@ -117,13 +117,13 @@ impl Template {
             )?;
         }
         let direction = match self.kind {
-            Kind::Lathe => {
+            MachineKind::Lathe => {
                 "from the turret to the chuck, Z+ leads away from it: work that grows by s is dz = -s, offset +s"
             }
             _ => "from the spindle nose to the tip: it hangs down",
         };
         writeln!(out, "tool_direction = [0.0, 0.0, -1.0] # {direction}")?;
-        if self.kind == Kind::Lathe {
+        if self.kind == MachineKind::Lathe {
             writeln!(
                 out,
                 "# Every X of this file and of run files is a radius (a column x_dia_mm is halved)."
@@ -140,7 +140,7 @@ impl Template {
                 writeln!(out, "rapid_mm_per_min = {rapid:?}")?;
             }
         }
-        self.write_heat(out)?;
+        self.write_thermal(out)?;
         writeln!(
             out,
             "\n# How far and how fast an offset may go; beyond it the offset stands still, and says so."
@@ -155,15 +155,15 @@ impl Template {
             "\n# What you measure with, 95 %: then `trueup diagnose` knows when nothing is left to find."
         )?;
         writeln!(out, "# [instrument]\n# uncertainty_um = 1.0")?;
-        self.write_next(out, file)
+        self.write_next_steps(out, file)
     }
 
     /// Writes the commands that come next, each as it can be typed.
-    fn write_next(&self, out: &mut String, file: &str) -> std::fmt::Result {
-        let (program, export) = self.control.names();
+    fn write_next_steps(&self, out: &mut String, file: &str) -> std::fmt::Result {
+        let (program, export) = self.control.command_names();
         // An ending of its own for each step: no command overwrites what it reads.
         let stem = file.strip_suffix(".toml").unwrap_or(file);
-        let word = |text: &str| shell_word(text);
+        let word = |text: &str| shell_quote(text);
         let mut now = word(file);
         writeln!(
             out,
@@ -171,7 +171,7 @@ impl Template {
         )?;
         if let (Feedback::Screw, Some((axis, _))) = (self.feedback, self.axes.first()) {
             let axis = axis.name();
-            let range = self.range_of_first();
+            let range = self.first_axis_range_option();
             let with = format!("{stem}-backlash.toml");
             writeln!(
                 out,
@@ -190,7 +190,7 @@ impl Template {
             )?;
             now = with;
         }
-        let rpm = if self.kind == Kind::Lathe { 1000 } else { 3000 };
+        let rpm = if self.kind == MachineKind::Lathe { 1000 } else { 3000 };
         writeln!(
             out,
             "#   trueup program warmup --machine {now} --for {program} --rpm {rpm} -o measure"
@@ -217,9 +217,11 @@ impl Template {
     }
 
     /// Returns the range of the first axis in a program of a lathe: the half that is away from the work.
-    fn range_of_first(&self) -> String {
+    fn first_axis_range_option(&self) -> String {
         match self.axes.first() {
-            Some((axis, [low, high])) if self.kind == Kind::Lathe || *axis == LinearAxis::Z => {
+            Some((axis, [low, high]))
+                if self.kind == MachineKind::Lathe || *axis == LinearAxis::Z =>
+            {
                 format!(" --range {}={}:{high}", axis.name(), (low + high) / 2.0)
             }
             _ => String::new(),
@@ -231,9 +233,9 @@ impl Template {
             return Ok(());
         }
         writeln!(out, "\n# What is connected to the board.\n[inputs]")?;
-        if let Some(Sheet { volts_full_scale, .. }) = self.sensor {
+        if let Some(SensorDataSheet { volts_full_scale, .. }) = self.sensor {
             let counts = self.control.counts_full_scale();
-            let divider = divider(volts_full_scale);
+            let divider = default_divider(volts_full_scale);
             writeln!(
                 out,
                 "sensor = {{ volts_full_scale = {volts_full_scale:?}, counts_full_scale = {counts}, divider = {divider:?} }}"
@@ -247,7 +249,7 @@ impl Template {
 
     fn write_spindle(&self, out: &mut String, file: &str) -> std::fmt::Result {
         match self.sensor {
-            Some(Sheet { um_per_v, zero_v, .. }) => {
+            Some(SensorDataSheet { um_per_v, zero_v, .. }) => {
                 writeln!(out, "\n[spindle]\nsource = \"sensor\"")?;
                 writeln!(out, "\n[spindle.sensor]")?;
                 writeln!(out, "k0_um = 0.0 # the growth at the zero reading")?;
@@ -265,7 +267,7 @@ impl Template {
                 writeln!(
                     out,
                     "#   trueup fit warmup --run measure/warmup-off.csv --machine {} -o {}-fitted.toml",
-                    shell_word(file),
+                    shell_quote(file),
                     file.strip_suffix(".toml").unwrap_or(file)
                 )?;
                 writeln!(out, "# [spindle]\n# source = \"warmup\"")?;
@@ -278,7 +280,7 @@ impl Template {
         Ok(())
     }
 
-    fn write_heat(&self, out: &mut String) -> std::fmt::Result {
+    fn write_thermal(&self, out: &mut String) -> std::fmt::Result {
         let (Some((axis, _)), Some(name)) = (self.axes.first(), self.thermometers.first()) else {
             return Ok(());
         };
@@ -303,10 +305,10 @@ mod tests {
     use crate::{MachineFile, check, compile};
 
     fn template(
-        kind: Kind,
+        kind: MachineKind,
         head_axes: &[RotaryAxis],
-        sensor: Option<Sheet>,
-        control: Control,
+        sensor: Option<SensorDataSheet>,
+        control: CncControl,
     ) -> Template {
         Template {
             name: "a \"big\" mill".into(),
@@ -325,31 +327,31 @@ mod tests {
     fn what_is_written_can_be_read_compiled_and_exported_and_nothing_in_it_is_doubted() {
         let sheets = [
             None,
-            Some(Sheet { volts_full_scale: 10.0, um_per_v: 50.0, zero_v: 1.54 }),
-            Some(Sheet { volts_full_scale: 5.0, um_per_v: 100.0, zero_v: 0.5 }),
-            Some(Sheet { volts_full_scale: 3.0, um_per_v: 100.0, zero_v: 0.5 }),
-            Some(Sheet { volts_full_scale: 10.0, um_per_v: 50.0, zero_v: 1.54 }),
+            Some(SensorDataSheet { volts_full_scale: 10.0, um_per_v: 50.0, zero_v: 1.54 }),
+            Some(SensorDataSheet { volts_full_scale: 5.0, um_per_v: 100.0, zero_v: 0.5 }),
+            Some(SensorDataSheet { volts_full_scale: 3.0, um_per_v: 100.0, zero_v: 0.5 }),
+            Some(SensorDataSheet { volts_full_scale: 10.0, um_per_v: 50.0, zero_v: 1.54 }),
         ];
-        let heads: [(Kind, &[RotaryAxis]); 5] = [
-            (Kind::ThreeAxis, &[]),
-            (Kind::HeadHead, &[RotaryAxis::C, RotaryAxis::A]),
-            (Kind::HeadTable, &[RotaryAxis::B]),
-            (Kind::TableTable, &[]),
-            (Kind::Lathe, &[]),
+        let heads: [(MachineKind, &[RotaryAxis]); 5] = [
+            (MachineKind::ThreeAxis, &[]),
+            (MachineKind::HeadHead, &[RotaryAxis::C, RotaryAxis::A]),
+            (MachineKind::HeadTable, &[RotaryAxis::B]),
+            (MachineKind::TableTable, &[]),
+            (MachineKind::Lathe, &[]),
         ];
         let controls = [
-            Control::LinuxCnc,
-            Control::Siemens,
-            Control::Fanuc,
-            Control::Heidenhain,
-            Control::LinuxCnc,
+            CncControl::LinuxCnc,
+            CncControl::Siemens,
+            CncControl::Fanuc,
+            CncControl::Heidenhain,
+            CncControl::LinuxCnc,
         ];
         for ((sheet, (kind, head_axes)), control) in sheets.into_iter().zip(heads).zip(controls) {
             let template = template(kind, head_axes, sheet, control);
             let text = template.to_toml("m.toml");
             let machine = MachineFile::parse(&text, Path::new("m.toml"))
                 .unwrap_or_else(|error| panic!("{error}\n{text}"));
-            assert_eq!(check::machine(&machine), [], "{text}");
+            assert_eq!(check::machine_warnings(&machine), [], "{text}");
             compile(&machine).unwrap_or_else(|error| panic!("{error}\n{text}"));
             assert_eq!((&machine.name, machine.kind), (&template.name, kind));
             assert_eq!(machine.axes[0].travel_mm, Some([-500.0, 500.0]));
@@ -370,10 +372,10 @@ mod tests {
 
     #[test]
     fn the_divider_is_the_one_of_the_wiring_and_never_beyond_the_converter() {
-        assert_eq!(divider(10.0), 0.328);
+        assert_eq!(default_divider(10.0), 0.328);
         for volts in [0.5, 1.0, 3.0, 3.3, 5.0, 12.0, 24.0] {
-            assert!(divider(volts) * volts <= REFERENCE_VOLTS, "{volts}");
+            assert!(default_divider(volts) * volts <= ADC_REFERENCE_VOLTS, "{volts}");
         }
-        assert_eq!(divider(1.0), 1.0);
+        assert_eq!(default_divider(1.0), 1.0);
     }
 }

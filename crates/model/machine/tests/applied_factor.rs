@@ -5,7 +5,10 @@ use std::{borrow::Cow, fmt::Write as _, path::Path};
 
 use trueup_machine::{
     Machine, MachineFile, RunFile,
-    applied::{Applied, Factor, Uncompensated, applied, leaves_nothing},
+    applied_offsets::{
+        FactorEstimate, OffsetApplication, UncompensatedRun, estimate_application,
+        is_fully_compensated,
+    },
     file::Quantity,
 };
 use trueup_numerics::random::Generator;
@@ -108,15 +111,17 @@ fn machine(quantity: Quantity) -> Machine {
     MachineFile::parse(text, Path::new("m.toml")).expect("right")
 }
 
-fn found(records: &[RunFile], quantity: Quantity) -> Applied {
+fn found(records: &[RunFile], quantity: Quantity) -> OffsetApplication {
     let machine = machine(quantity);
-    let runs: Vec<Uncompensated<'_>> = records
+    let runs: Vec<UncompensatedRun<'_>> = records
         .iter()
         .map(|run| {
-            Uncompensated::of(Cow::Borrowed(run), Some(&machine), Some(quantity)).expect("right").0
+            UncompensatedRun::from_run(Cow::Borrowed(run), Some(&machine), Some(quantity))
+                .expect("right")
+                .0
         })
         .collect();
-    applied(&runs, Some(&machine), quantity)
+    estimate_application(&runs, Some(&machine), quantity)
 }
 
 const PLANS: [&[Engaged]; 4] = [
@@ -151,8 +156,8 @@ fn the_factor_is_found_whatever_else_is_wrong() {
                 let what = format!("{} {plan:?} {case:?}: {it:?}", quantity.name());
                 assert!((known.value - factor).abs() < 0.12, "{what}");
                 match it {
-                    Applied::Once(_) => assert!(factor == 1.0, "{what}"),
-                    Applied::Otherwise(_) => assert!(factor != 1.0, "{what}"),
+                    OffsetApplication::Once(_) => assert!(factor == 1.0, "{what}"),
+                    OffsetApplication::Otherwise(_) => assert!(factor != 1.0, "{what}"),
                     _ => panic!("{what}"),
                 }
             }
@@ -183,11 +188,11 @@ fn an_engaged_record_alone_does_not_tell_the_factor_and_one_without_offsets_has_
             for thermometer_c in [0.0, 0.02, 0.2] {
                 let case = Case { factor, thermometer_c, ..RIGHT };
                 let it = found(&records(case, &[Engaged::Always], quantity, 5), quantity);
-                assert!(matches!(it, Applied::Unknown(_)), "{case:?} {it:?}");
+                assert!(matches!(it, OffsetApplication::Unknown(_)), "{case:?} {it:?}");
             }
         }
         let never = records(RIGHT, &[Engaged::Never], quantity, 5);
-        assert_eq!(found(&never, quantity), Applied::Nothing);
+        assert_eq!(found(&never, quantity), OffsetApplication::Nothing);
     }
 }
 
@@ -199,9 +204,10 @@ fn what_is_left_while_engaged_says_whether_the_sum_is_right() {
         let case = Case { factor, gain, ..RIGHT };
         let machine = machine(Quantity::Dz);
         let records = records(case, &[Engaged::Always], Quantity::Dz, 8);
-        let run =
-            Uncompensated::of(Cow::Borrowed(&records[0]), Some(&machine), None).expect("right").0;
-        assert_eq!(leaves_nothing(&[run], Quantity::Dz), nothing, "{case:?}");
+        let run = UncompensatedRun::from_run(Cow::Borrowed(&records[0]), Some(&machine), None)
+            .expect("right")
+            .0;
+        assert_eq!(is_fully_compensated(&[run], Quantity::Dz), nothing, "{case:?}");
     }
 }
 
@@ -209,9 +215,9 @@ fn what_is_left_while_engaged_says_whether_the_sum_is_right() {
 fn a_factor_is_taken_out_of_what_was_measured() {
     let text = "measured_dx_um,offset_x_um,quality\n3,-4,1\n-1,0,0\n";
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
-    let (run, _) = Uncompensated::of(Cow::Owned(run), None, None).expect("right");
-    assert_eq!(run.offset_um(Quantity::Dx), Some(&[-4.0, 0.0][..]));
-    let run = run.with_factor(Quantity::Dx, -0.5);
+    let (run, _) = UncompensatedRun::from_run(Cow::Owned(run), None, None).expect("right");
+    assert_eq!(run.applied_offset_um(Quantity::Dx), Some(&[-4.0, 0.0][..]));
+    let run = run.with_offset_factor(Quantity::Dx, -0.5);
     assert_eq!(run.column("measured_dx_um"), Some(&[1.0, -1.0][..]));
 }
 
@@ -219,7 +225,7 @@ fn a_factor_is_taken_out_of_what_was_measured() {
 fn a_small_offset_in_much_noise_says_nothing() {
     let case = Case { factor: -1.0, gauge_um: 40.0, rows: 40, ..RIGHT };
     let it = found(&records(case, &[Engaged::InTheMiddle], Quantity::Dz, 4), Quantity::Dz);
-    assert!(matches!(it, Applied::Unknown(_)), "{it:?}");
+    assert!(matches!(it, OffsetApplication::Unknown(_)), "{it:?}");
 }
 
 #[test]
@@ -231,7 +237,7 @@ fn the_sentence_names_the_kind_of_fault() {
         (2.0, "twice"),
         (0.7, "wrong scale"),
     ] {
-        let said = Factor { value, ci95: [value - 0.02, value + 0.02] }.sentence();
+        let said = FactorEstimate { value, ci95: [value - 0.02, value + 0.02] }.describe();
         assert!(said.contains(word), "{said}");
     }
 }

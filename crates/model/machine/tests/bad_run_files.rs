@@ -5,7 +5,7 @@ use std::{
     path::Path,
 };
 
-use trueup_machine::{BadInput, RunFile, location::MAX_LISTED, run_file::MAX_COLUMNS};
+use trueup_machine::{BadInput, RunFile, location::MAX_LISTED_FAULTS, run_file::MAX_COLUMNS};
 
 fn error_of(bytes: &[u8]) -> BadInput {
     match RunFile::from_reader(bytes, Path::new("bad.csv")) {
@@ -161,7 +161,7 @@ fn a_column_too_many_is_refused_at_its_name() {
 fn places_of(text: &str) -> (Vec<(usize, usize)>, usize) {
     let error = error_of(text.as_bytes());
     let unlisted = error.unlisted;
-    (error.one_by_one().map(|it| (it.place.line, it.place.column)).collect(), unlisted)
+    (error.into_single_faults().map(|it| (it.place.line, it.place.column)).collect(), unlisted)
 }
 
 #[test]
@@ -181,11 +181,11 @@ fn all_that_is_wrong_with_a_file_is_told_at_once_in_its_order() {
     let late = "time_s,x_mm\n5,x\n4,1\n4,2\n";
     assert_eq!(places_of(late), (vec![(2, 3), (3, 1)], 0));
     // Each says what to do about it.
-    for error in error_of(text.as_bytes()).one_by_one() {
+    for error in error_of(text.as_bytes()).into_single_faults() {
         assert!(error.help.is_some(), "{error}");
     }
     let latin_1 = error_of(b"a,b\n1,x\n\xb5,2\n3,y\n");
-    let places: Vec<usize> = latin_1.one_by_one().map(|it| it.place.line).collect();
+    let places: Vec<usize> = latin_1.into_single_faults().map(|it| it.place.line).collect();
     assert_eq!(places, [2, 3, 4]);
 }
 
@@ -193,7 +193,7 @@ fn all_that_is_wrong_with_a_file_is_told_at_once_in_its_order() {
 fn of_a_file_that_is_wrong_everywhere_twenty_faults_are_told_and_the_others_counted() {
     let text = "time_s;x_mm\n".to_string() + &"0;1,5\n".repeat(332);
     let (places, unlisted) = places_of(&text);
-    assert_eq!((places.len(), unlisted), (MAX_LISTED, 312));
+    assert_eq!((places.len(), unlisted), (MAX_LISTED_FAULTS, 312));
     assert_eq!((places[0], places[19]), ((2, 3), (21, 3)));
     // What stops the reading is among them.
     let cut = text + &"1".repeat(2 << 20);

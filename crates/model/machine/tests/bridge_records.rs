@@ -1,10 +1,10 @@
 //! Records of a bridge: what it applied is taken out of what was measured, by the rule that stands in
-//! `docs/reference.md`, and rows in which that is not known are set aside.
+//! `docs/reference.md`, and rows in which that is not known are excluded.
 
 use std::{borrow::Cow, path::Path};
 
 use trueup_machine::{
-    Machine, MachineFile, RunFile, applied::Uncompensated, compile, file::Quantity,
+    Machine, MachineFile, RunFile, applied_offsets::UncompensatedRun, compile, file::Quantity,
 };
 
 const THREE_AXIS: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
@@ -22,21 +22,23 @@ fn run(text: &str) -> RunFile {
 fn taken_out(machine_text: &str, text: &str, column: &str) -> (Vec<Option<f64>>, Vec<String>) {
     let run = run(text);
     let (run, notes) =
-        Uncompensated::of(Cow::Borrowed(&run), Some(&machine(machine_text)), None).expect("right");
+        UncompensatedRun::from_run(Cow::Borrowed(&run), Some(&machine(machine_text)), None)
+            .expect("right");
     let values = run.column(column).expect("it is kept");
     (values.iter().map(|um| (!um.is_nan()).then_some(*um)).collect(), notes)
 }
 
 fn error(machine_text: &str, text: &str, quantity: Option<Quantity>) -> String {
     let run = run(text);
-    let taken_out = Uncompensated::of(Cow::Borrowed(&run), Some(&machine(machine_text)), quantity);
+    let taken_out =
+        UncompensatedRun::from_run(Cow::Borrowed(&run), Some(&machine(machine_text)), quantity);
     taken_out.map(|_| ()).expect_err("refused").to_string()
 }
 
 #[test]
 fn a_run_without_a_bridge_comes_back_as_it_is() {
     let run = run("time_s,measured_dz_um,flow\n0,1.5,2\n");
-    let (same, notes) = Uncompensated::of(Cow::Borrowed(&run), None, None).expect("right");
+    let (same, notes) = UncompensatedRun::from_run(Cow::Borrowed(&run), None, None).expect("right");
     assert!(std::ptr::eq(&raw const *same, &raw const run) && notes.is_empty());
 }
 
@@ -77,7 +79,7 @@ fn rows_in_which_nobody_knows_what_was_applied_are_set_aside_and_counted() {
                 4,5,,6,0,0,7,24\n5,6,-9,,0,0,7,25\n6,7,,1,0,0,7,26\n7,,-9,4,0,0,7,27\n";
     let run = run(text);
     let (run, notes) =
-        Uncompensated::of(Cow::Borrowed(&run), None, Some(Quantity::Dz)).expect("right");
+        UncompensatedRun::from_run(Cow::Borrowed(&run), None, Some(Quantity::Dz)).expect("right");
     let names: Vec<_> = run.columns().iter().map(|column| column.name.as_str()).collect();
     assert_eq!(names, ["time_s", "measured_dz_um", "temp_a_c"]);
     let dz = run.column("measured_dz_um").expect("kept");
@@ -122,7 +124,7 @@ fn a_bridge_without_an_offset_for_longer_than_a_cnc_takes_to_go_to_0_was_without
     let never: String = (0..40).map(|s| format!("{s},5,6\n")).collect();
     let never = format!("time_s,measured_dz_um,quality\n{never}");
     let run = run(&never);
-    let refused = Uncompensated::of(Cow::Borrowed(&run), Some(&machine(THREE_AXIS)), None);
+    let refused = UncompensatedRun::from_run(Cow::Borrowed(&run), Some(&machine(THREE_AXIS)), None);
     assert!(refused.is_err(), "its first rows are not known");
 }
 

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use trueup_core::term::Effect;
 use trueup_machine::{
-    BadInput, Machine, MachineFile, RunFile, check, compile, compile::missing_inputs,
-    predict::Predictor, show,
+    BadInput, Machine, MachineFile, RunFile, check, compile, compile::missing_inputs, decompile,
+    predict::Predictor,
 };
 
 const HEAD: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n";
@@ -30,9 +30,9 @@ fn run(csv: &str) -> RunFile {
 /// Returns the model's elongations, each within a nanometre of the board's.
 fn elongations_um(machine: &Machine, run: &RunFile) -> Vec<f64> {
     let predictor = Predictor::new(machine, run).unwrap_or_else(|error| panic!("{error}"));
-    assert_eq!(predictor.why_no_bridge(), None);
-    let rows = predictor.rows().map(|row| {
-        assert!(row.arithmetic_nm().expect("a bridge") < 1.0, "{row:?}");
+    assert_eq!(predictor.bridge_error(), None);
+    let rows = predictor.predictions().map(|row| {
+        assert!(row.arithmetic_error_nm().expect("a bridge") < 1.0, "{row:?}");
         row.model.elongation_um
     });
     rows.collect()
@@ -95,8 +95,8 @@ fn compile_refuses_a_label_without_a_number_and_says_what_to_add() {
 
 fn elongations_or_none(machine: &Machine, run: &RunFile) -> f64 {
     let predictor = Predictor::new(machine, run).unwrap_or_else(|error| panic!("{error}"));
-    assert!(predictor.why_no_bridge().is_some(), "no board runs it");
-    let row = predictor.rows().next().expect("a row");
+    assert!(predictor.bridge_error().is_some(), "no board runs it");
+    let row = predictor.predictions().next().expect("a row");
     row.model.elongation_um
 }
 
@@ -116,7 +116,7 @@ fn a_level_of_a_label_is_that_of_its_number_once_it_has_one() {
     let without = machine(&text(""));
     let grown: Vec<f64> = Predictor::new(&without, &read)
         .expect("to predict, the label is enough")
-        .rows()
+        .predictions()
         .map(|row| row.model.elongation_um)
         .collect();
     assert!((grown[0] - 8.0).abs() < 1e-9 && (grown[1] - 4.0).abs() < 1e-9, "{grown:?}");
@@ -138,7 +138,7 @@ fn a_condition_that_is_not_declared_is_asked_for_by_its_line() {
         panic!("no condition");
     };
     assert_eq!((it.bit, it.default, it.off), (4, true, 0));
-    let shown = show::show(&compiled.calibration());
+    let shown = decompile::decompile_to_toml(&compiled.calibration());
     assert_eq!(shown.largest_difference_nm, Ok(0.0), "{}", shown.toml);
     assert!(shown.toml.contains("condition_4 = { kind = \"condition\", bit = 4, default = 1 }"));
 }
@@ -147,7 +147,7 @@ fn a_condition_that_is_not_declared_is_asked_for_by_its_line() {
 fn a_calibration_with_tools_is_shown_as_the_list_and_compiles_back() {
     let compiled = compile(&machine(TOOLS)).expect("it fits");
     assert!(compiled.largest_difference_nm < 0.01);
-    let shown = show::show(&compiled.calibration());
+    let shown = decompile::decompile_to_toml(&compiled.calibration());
     assert!(shown.toml.starts_with("# Compiles back to the same calibration"), "{}", shown.toml);
     let list = "[spindle.tools]\n3 = { um_per_krpm2 = 0.03 }\n7 = { um_per_krpm2 = 0.021 }\n\
                 12 = { um_per_krpm2 = -0.004 }\ndefault = { um_per_krpm2 = 0.012 }\n";
@@ -186,11 +186,11 @@ fn a_column_of_few_values_is_suggested_once_as_a_condition() {
     let rows = |n: usize| format!("{},{},{},{}\n", n / 10 % 2, n / 20 % 3, n, n % 2);
     let csv: String = (0..120).map(rows).collect();
     let run = run(&format!("coolant_on,pallet,flow,door\n{csv}"));
-    let alone = check::conditions(&run, None);
+    let alone = check::suggest_conditions(&run, None);
     assert_eq!(alone.len(), 3, "{alone:?}");
     assert!(alone[0].contains("`coolant_on = { kind = \"condition\", bit = 0 }` in [inputs]"));
     assert!(alone[1].starts_with("pallet has 3 values") && alone[2].contains("bit = 1 }"));
     let machine = machine(DECLARED);
-    let beside = check::conditions(&run, Some(&machine));
+    let beside = check::suggest_conditions(&run, Some(&machine));
     assert!(beside.len() == 2 && beside[1].starts_with("door is 0 or 1"), "{beside:?}");
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use trueup_machine::{
     Machine, MachineFile, check, compile,
-    envelope::{InputRanges, cancelling, excess, states},
+    envelope::{InputRanges, find_cancelling_terms, find_limit_violation, predict_states},
 };
 
 /// Returns a spindle that grows by 1.8 µm for each kelvin of its front bearing; Z held to `max_z_um`.
@@ -39,7 +39,7 @@ fn a_zero_that_a_first_rise_takes_back_is_refused_with_what_it_does_after_a_star
     // Within the limit it can be run; `check` says it.
     let small = machine(300.0, &pair(-143.0, 139.0));
     compile(&small).expect("the board can run it");
-    let told = check::machine(&small);
+    let told = check::machine_warnings(&small);
     assert!(told.iter().any(|it| it.what.contains("take each other back")), "{told:?}");
     // With a limit as large as the two, neither is believed.
     let wide = machine(3000.0, &pair(-1450.0, 1444.0));
@@ -52,8 +52,8 @@ fn two_paths_of_one_thermometer_that_part_on_the_way_are_refused() {
                  um_per_c = 90.0\ntime_constant_s = 0.0\nreference_c = 20.0\n\
                  [[term]]\ncause = \"slow-mode\"\nquantity = \"elongation\"\ncolumn = \"temp_front_c\"\n\
                  um_per_c = -89.0\ntime_constant_s = 3600.0\nreference_c = 20.0\n";
-    let excess =
-        excess(&machine(300.0, paths)).expect("the first hour after a start is beyond the limit");
+    let excess = find_limit_violation(&machine(300.0, paths))
+        .expect("the first hour after a start is beyond the limit");
     assert!(excess.um.abs() > 300.0 && excess.rule.contains("min after a start"), "{excess:?}");
 }
 
@@ -71,7 +71,7 @@ fn what_a_machine_may_need_is_not_refused() {
     for terms in right {
         let machine = machine(300.0, terms);
         compile(&machine).unwrap_or_else(|refused| panic!("{refused}\n{terms}"));
-        assert_eq!(cancelling(&machine), None, "{terms}");
+        assert_eq!(find_cancelling_terms(&machine), None, "{terms}");
     }
 }
 
@@ -79,8 +79,8 @@ fn what_a_machine_may_need_is_not_refused() {
 #[test]
 fn a_state_is_what_the_model_says_there() {
     let machine = machine(300.0, &pair(-10.0, 25.0));
-    let all = states(&machine, &InputRanges::normal(&machine));
-    let of = |moment: fn(&&trueup_machine::envelope::State) -> bool| {
+    let all = predict_states(&machine, &InputRanges::normal(&machine));
+    let of = |moment: fn(&&trueup_machine::envelope::PredictedState) -> bool| {
         let um = all.iter().filter(moment).map(|state| state.um[0]);
         um.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], um| [low.min(um), high.max(um)])
     };

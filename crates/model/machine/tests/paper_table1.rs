@@ -8,7 +8,7 @@
 use std::path::{Path, PathBuf};
 
 use trueup_machine::{MachineFile, RunFile, compile};
-use trueup_numerics::line::{LineFit, Summary, fit_line};
+use trueup_numerics::line::{ErrorStatistics, LineFit, fit_line};
 
 /// The paper's elongations by the sensor, in µm.
 const PRINTED_UM: [f64; 15] =
@@ -22,18 +22,18 @@ fn data(name: &str) -> PathBuf {
 fn model_and_dial() -> (Vec<f64>, Vec<f64>) {
     let machine = MachineFile::read(&data("paper_spindle.toml")).expect("the project's own file");
     let run = RunFile::read(&data("spindle_paper_table1.csv")).expect("the project's own file");
-    let counts = run.require("sensor_counts").expect("a column of the file");
+    let counts = run.require_column("sensor_counts").expect("a column of the file");
     let model = counts.iter().map(|&counts| machine.elongation_um(counts)).collect();
-    let dial = run.require("measured_elongation_um").expect("a column of the file").to_vec();
+    let dial = run.require_column("measured_elongation_um").expect("a column of the file").to_vec();
     (model, dial)
 }
 
 /// Every figure of the table for a sensor of `sensor_um`.
 struct Figures {
-    papers_constants: Summary,
+    papers_constants: ErrorStatistics,
     line: LineFit,
-    fitted: Summary,
-    left_out: Summary,
+    fitted: ErrorStatistics,
+    left_out: ErrorStatistics,
 }
 
 fn figures(sensor_um: &[f64]) -> Figures {
@@ -42,9 +42,9 @@ fn figures(sensor_um: &[f64]) -> Figures {
         dial_um.iter().zip(sensor_um).map(|(dial, sensor)| dial - sensor).collect();
     let line = fit_line(sensor_um, &dial_um).expect("15 rows with spread");
     Figures {
-        papers_constants: Summary::of(&left).expect("15 rows"),
-        fitted: Summary::of(&line.residuals).expect("15 rows"),
-        left_out: Summary::of(&line.left_out_residuals).expect("15 rows"),
+        papers_constants: ErrorStatistics::from_residuals(&left).expect("15 rows"),
+        fitted: ErrorStatistics::from_residuals(&line.residuals).expect("15 rows"),
+        left_out: ErrorStatistics::from_residuals(&line.leave_one_out_residuals).expect("15 rows"),
         line,
     }
 }
@@ -116,6 +116,6 @@ fn every_reading_of_the_table_is_within_the_input_range() {
     let machine = MachineFile::read(&data("paper_spindle.toml")).expect("the project's own file");
     let sensor = machine.inputs.and_then(|inputs| inputs.sensor).expect("the file has [inputs]");
     let run = RunFile::read(&data("spindle_paper_table1.csv")).expect("the project's own file");
-    let counts = run.require("sensor_counts").expect("a column of the file");
+    let counts = run.require_column("sensor_counts").expect("a column of the file");
     assert!(counts.iter().all(|&counts| sensor.is_in_range(counts)));
 }

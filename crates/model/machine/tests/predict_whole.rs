@@ -15,7 +15,7 @@ fn predictions(machine: &str, run: &str) -> Vec<Prediction> {
     let run = RunFile::from_reader(run.as_bytes(), Path::new("r.csv")).expect("the test's own run");
     let predictor = Predictor::new(&machine, &run).expect("can be predicted");
     assert!(predictor.missing_columns().is_empty(), "{:?}", predictor.missing_columns());
-    predictor.rows().collect()
+    predictor.predictions().collect()
 }
 
 /// Both sides are within `nm` of each other and of what the hand finds.
@@ -67,7 +67,7 @@ fn the_bridge_is_within_10_nm_of_the_model_on_a_day_of_the_gantry() {
     }
     let worst = predictions(GANTRY, &run)
         .iter()
-        .map(|prediction| prediction.arithmetic_nm().expect("there is a bridge"))
+        .map(|prediction| prediction.arithmetic_error_nm().expect("there is a bridge"))
         .fold(0.0, f64::max);
     println!("largest difference of the bridge from the model: {worst:.3} nm");
     assert!(worst <= 10.0, "{worst} nm");
@@ -231,7 +231,7 @@ fn what_a_run_does_not_have_leaves_only_its_own_quantities_empty() {
     let run = read("time_s,measured_elongation_um\n0,0\n5400,80\n");
     let predictor = Predictor::new(&machine, &run).expect("the elongation can be predicted");
     assert_eq!(predictor.missing_columns(), ["x_mm"]);
-    let last = predictor.rows().last().expect("two rows");
+    let last = predictor.predictions().last().expect("two rows");
     assert!((last.model.elongation_um - 80.0).abs() < 1e-9 && last.model.error_um[0].is_nan());
     let bridge = last.bridge.expect("there is a bridge");
     assert!((bridge.elongation_um - 80.0).abs() < 1e-3 && bridge.error_um[0].is_nan());

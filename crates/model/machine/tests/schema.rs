@@ -7,7 +7,7 @@ use toml_edit::{DocumentMut, Item, TableLike};
 use trueup_machine::{
     Machine, MachineFile,
     effect::Cause,
-    file::keys::{FILE, Form, Key, Need, TERM, TERM_KEYS},
+    file::schema::{Key, MACHINE_FILE_KEYS, Requirement, TERM, TERM_KEYS, ValueType},
     schema,
 };
 
@@ -29,8 +29,8 @@ fn project(path: &str) -> String {
 fn the_reference_prints_the_tables_of_the_code() {
     let page = project("docs/reference.md");
     for (command, table) in [
-        ("trueup schema --markdown", schema::machine_table()),
-        ("trueup schema run --markdown", schema::run_table()),
+        ("trueup schema --markdown", schema::machine_file_markdown()),
+        ("trueup schema run --markdown", schema::run_columns_markdown()),
     ] {
         assert!(
             page.contains(table.trim_end()),
@@ -178,7 +178,7 @@ fn json_of(item: &Item) -> Value {
 /// Whether the schema takes a machine file.
 fn validates(text: &str) -> Result<(), String> {
     let document: DocumentMut = text.parse().expect("TOML");
-    check(&schema::machine_file(), &json_of(document.as_item()), "")
+    check(&schema::machine_file_schema(), &json_of(document.as_item()), "")
 }
 
 fn parse(text: &str) -> Result<Machine, trueup_machine::BadInput> {
@@ -207,16 +207,16 @@ fn every_shipped_file_is_in_the_schema_and_what_is_wrong_is_not() {
 fn lines(name: &str, keys: &[Key], more: &[(&str, &str)], text: &mut String) {
     text.push_str(&format!("[{name}]\n"));
     let is_more = |key: &Key| more.iter().any(|(name, _)| *name == key.name);
-    for key in keys.iter().filter(|key| key.need == Need::Required && !is_more(key)) {
-        if !matches!(key.form, Form::Table(_)) {
+    for key in keys.iter().filter(|key| key.need == Requirement::Required && !is_more(key)) {
+        if !matches!(key.form, ValueType::Table(_)) {
             text.push_str(&format!("{} = {}\n", key.name, key.example));
         }
     }
     for (key, value) in more {
         text.push_str(&format!("{key} = {value}\n"));
     }
-    for key in keys.iter().filter(|key| key.need == Need::Required) {
-        if let Form::Table(inner) = key.form {
+    for key in keys.iter().filter(|key| key.need == Requirement::Required) {
+        if let ValueType::Table(inner) = key.form {
             lines(&format!("{name}.{}", key.name), inner, &[], text);
         }
     }
@@ -225,8 +225,8 @@ fn lines(name: &str, keys: &[Key], more: &[(&str, &str)], text: &mut String) {
 /// Returns a file with this section, what it cannot be without, and `more` in it.
 fn file_with(name: &str, keys: &[Key], more: &[(&str, &str)]) -> String {
     let mut text = String::new();
-    let machine = FILE.iter().find(|key| key.name == "machine").expect("the first");
-    if let (Form::Table(machine), true) = (machine.form, name != "machine") {
+    let machine = MACHINE_FILE_KEYS.iter().find(|key| key.name == "machine").expect("the first");
+    if let (ValueType::Table(machine), true) = (machine.form, name != "machine") {
         // What the errors of the volume cannot be without.
         let chain = match name {
             "rotary.b" => [("kind", "\"table-table\""), ("chain", "\"w C' B' b X Y Z t\"")],
@@ -290,10 +290,10 @@ fn file_with(name: &str, keys: &[Key], more: &[(&str, &str)]) -> String {
 /// Calls `with` for each section of the file, with its name; one of several that are alike.
 fn sections(keys: &'static [Key], name: &str, with: &mut dyn FnMut(&str, &'static [Key])) {
     for key in keys {
-        if let Form::Table(inner) = key.form {
+        if let ValueType::Table(inner) = key.form {
             let name =
                 if name.is_empty() { key.name.into() } else { format!("{name}.{}", key.name) };
-            let is_group = inner.iter().all(|key| matches!(key.form, Form::Table(_)));
+            let is_group = inner.iter().all(|key| matches!(key.form, ValueType::Table(_)));
             if !is_group {
                 with(&name, inner);
             }
@@ -307,8 +307,8 @@ fn sections(keys: &'static [Key], name: &str, with: &mut dyn FnMut(&str, &'stati
 #[test]
 fn every_key_with_its_example_is_taken_by_the_reader_and_the_schema_and_an_unknown_one_is_not() {
     let mut tried = 0;
-    sections(FILE, "", &mut |name, keys| {
-        for key in keys.iter().filter(|key| !matches!(key.form, Form::Table(_))) {
+    sections(MACHINE_FILE_KEYS, "", &mut |name, keys| {
+        for key in keys.iter().filter(|key| !matches!(key.form, ValueType::Table(_))) {
             // What a key alone contradicts is of a rule between keys, and of other tests.
             if (name == "axis.x.dual" && key.name == "across") || key.name == "order" {
                 continue;
@@ -341,9 +341,9 @@ fn every_key_with_its_example_is_taken_by_the_reader_and_the_schema_and_an_unkno
 #[test]
 fn a_default_is_what_the_reader_takes_without_the_key() {
     let mut tried = 0;
-    sections(FILE, "", &mut |name, keys| {
+    sections(MACHINE_FILE_KEYS, "", &mut |name, keys| {
         for key in keys {
-            let Need::Default(default) = key.need else { continue };
+            let Requirement::Default(default) = key.need else { continue };
             let section = file_with(name, keys, &[]);
             let without = parse(&section).unwrap_or_else(|error| panic!("{error}\n{section}"));
             let with = parse(&file_with(name, keys, &[(key.name, default)]))
@@ -358,13 +358,14 @@ fn a_default_is_what_the_reader_takes_without_the_key() {
 
 #[test]
 fn every_key_of_every_cause_is_described_and_no_other_is() {
-    let mut used: Vec<&str> = Cause::ALL.iter().flat_map(|cause| schema::keys_of(*cause)).collect();
+    let mut used: Vec<&str> =
+        Cause::ALL.iter().flat_map(|cause| schema::cause_keys(*cause)).collect();
     used.sort_unstable();
     used.dedup();
     let described: Vec<&str> = TERM_KEYS.iter().map(|key| key.name).collect();
     assert_eq!(
         used, described,
-        "TERM_KEYS in crates/model/machine/src/file/keys/term.rs, by the alphabet"
+        "TERM_KEYS in crates/model/machine/src/file/schema/term.rs, by the alphabet"
     );
     assert_eq!(TERM.len(), 6);
 }
@@ -374,7 +375,7 @@ fn all_that_is_wrong_in_a_file_is_told_at_once_in_the_order_of_its_lines() {
     let text = "[machine]\nname = \"m\"\nkind = \"4-axis\"\n\n[limits]\nslew_um_per_s = -1.0\nhold_ms = 2.5\n\
                 slow = 3\n\n[axis.x.backlash]\nramp_mm = 0.1\n\n[[term]]\ncause = \"backlsh\"\nquantity = \"dx\"\n";
     let error = parse(text).expect_err("six things are wrong");
-    let told: Vec<String> = error.one_by_one().map(|it| it.to_string()).collect();
+    let told: Vec<String> = error.into_single_faults().map(|it| it.to_string()).collect();
     let wanted = [
         "m.toml:3:8: machine.kind must be",
         "m.toml:6:17: limits.slew_um_per_s must be above 0, not -1",

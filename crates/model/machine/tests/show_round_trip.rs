@@ -5,16 +5,16 @@ use std::path::Path;
 
 use trueup_core::{
     calibration::{Calibration, ElongationSource},
-    learned::Caps,
+    learned::LearnedLimits,
     limits::Limits,
     sensor::{SensorLaw, Slope},
-    tool::Direction,
+    tool_direction::Direction,
     units::{Nanometres, Reading, Temperature},
 };
-use trueup_machine::{Compiled, MachineFile, compile, show};
+use trueup_machine::{CompiledCalibration, MachineFile, compile, decompile};
 use trueup_store::calibration::{
-    MAX_HOLD_MS, MAX_LEARNED, MAX_LINK_TIMEOUT_MS, MAX_OFFSET_NM, MAX_REJOIN_NM_PER_S, MAX_SIZE,
-    MAX_SLEW_NM_PER_S, decode, encode,
+    MAX_BLOB_SIZE, MAX_HOLD_MS, MAX_LEARNED_LIMITS, MAX_LINK_TIMEOUT_MS, MAX_OFFSET_NM,
+    MAX_REJOIN_NM_PER_S, MAX_SLEW_NM_PER_S, decode, encode,
 };
 
 /// Repeatable random numbers (xorshift).
@@ -66,10 +66,10 @@ impl Random {
             link_timeout_ms: (self.integer() as u32 % (MAX_LINK_TIMEOUT_MS + 1)).max(1),
             hold_ms: self.integer() as u32 % (MAX_HOLD_MS + 1),
             rejoin_nm_per_s: (self.integer() as u32 % (MAX_REJOIN_NM_PER_S + 1)).max(1),
-            learned: Caps {
-                growth: (self.integer() as u8).min(MAX_LEARNED.growth),
-                axes: (self.integer() as u8).min(MAX_LEARNED.axes),
-                zero: (self.integer() as u8).min(MAX_LEARNED.zero),
+            learned: LearnedLimits {
+                growth: (self.integer() as u8).min(MAX_LEARNED_LIMITS.growth),
+                axes: (self.integer() as u8).min(MAX_LEARNED_LIMITS.axes),
+                zero: (self.integer() as u8).min(MAX_LEARNED_LIMITS.zero),
             },
         };
         calibration.cold_within = Temperature(self.integer() & 0x0F_FFFF);
@@ -103,31 +103,32 @@ fn stored(unit_vector: [f64; 3]) -> Direction {
     Direction(unit_vector.map(|component| (component * f64::from(Direction::ONE)).round() as i32))
 }
 
-fn compiled(toml: &str) -> Compiled {
+fn compiled(toml: &str) -> CompiledCalibration {
     let machine = MachineFile::parse(toml, Path::new("m.toml"))
         .unwrap_or_else(|error| panic!("{error}\n{toml}"));
     compile(&machine).unwrap_or_else(|error| panic!("{error}\n{toml}"))
 }
 
 /// Returns a 3-axis machine of `sections`.
-fn machine(sections: &str) -> Compiled {
+fn machine(sections: &str) -> CompiledCalibration {
     compiled(&format!("[machine]\nname = \"mill\"\nkind = \"3-axis\"\n{sections}"))
 }
 
 const PAPER: &str = include_str!("../../../../data/paper_spindle.toml");
 
 fn assert_comes_back(calibration: &Calibration<'_>) {
-    let mut room = [0; MAX_SIZE];
+    let mut room = [0; MAX_BLOB_SIZE];
     let blob = encode(calibration, &mut room).expect("small enough");
-    let shown = show::show(&decode(blob).expect("the test's own calibration is right"));
+    let shown =
+        decompile::decompile_to_toml(&decode(blob).expect("the test's own calibration is right"));
     let compiled = compiled(&shown.toml);
     assert_eq!(compiled.blob(), blob, "{calibration:?}\n{}", shown.toml);
     assert_eq!(shown.largest_difference_nm, Ok(compiled.largest_difference_nm));
 }
 
 /// By how much what is shown compiles to something else, in nm, as its first line says.
-fn difference_nm(compiled: &Compiled) -> f64 {
-    let shown = show::show(&compiled.calibration());
+fn difference_nm(compiled: &CompiledCalibration) -> f64 {
+    let shown = decompile::decompile_to_toml(&compiled.calibration());
     let nm = shown.largest_difference_nm.unwrap_or_else(|reason| panic!("{reason}"));
     assert!(nm < 1.0, "{nm}");
     let first = shown.toml.lines().next().unwrap_or_default();
@@ -240,7 +241,7 @@ fn speed_exponents_come_back_bit_for_bit() {
              max_um = 80\nexponent = 4\nrated_rpm = {rated_rpm:?}\n\
              speed_exponent = {speed_exponent:?}"
         ));
-        let shown = show::show(&compiled.calibration()).toml;
+        let shown = decompile::decompile_to_toml(&compiled.calibration()).toml;
         for line in [
             format!("\nrated_rpm = {rated_rpm:?}\n"),
             format!("\nspeed_exponent = {speed_exponent:?}\n"),
@@ -305,7 +306,7 @@ fn random_curves_come_back_within_a_tenth_of_a_nanometre() {
 #[test]
 fn the_gantry_of_the_description_comes_back_whole() {
     let compiled = compiled(GANTRY);
-    let shown = show::show(&compiled.calibration());
+    let shown = decompile::decompile_to_toml(&compiled.calibration());
     let again = self::compiled(&shown.toml);
     let (a, b) = (compiled.calibration(), again.calibration());
     assert_eq!(a.thermometers, b.thermometers);
@@ -315,7 +316,7 @@ fn the_gantry_of_the_description_comes_back_whole() {
     assert_eq!(a.squareness, b.squareness);
     assert_eq!(a.limits, b.limits);
     for (a, b) in a.straightness.iter().zip(&b.straightness) {
-        assert_eq!((a.first(), a.segments().len()), (b.first(), b.segments().len()));
+        assert_eq!((a.first_knot(), a.segments().len()), (b.first_knot(), b.segments().len()));
     }
     let nm = shown.largest_difference_nm.expect("it compiles");
     println!("gantry: {nm:.4} nm");

@@ -18,8 +18,8 @@ use std::path::Path;
 use trueup_machine::{
     Machine, MachineFile, RunFile,
     effect::Outliers,
-    file::{Cause, Effect, Quantity, Term, write::Edit},
-    predict::Predictor,
+    file::{Cause, Effect, Quantity, Term, writer::Edit},
+    predict::{Prediction, Predictor},
 };
 
 const HEAD: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
@@ -49,7 +49,7 @@ fn predicted(sections: &str, terms: &str, quantity: Quantity, csv: &str) -> Vec<
     let run = RunFile::from_reader(csv.as_bytes(), Path::new("r.csv")).expect("a run");
     let predictor = Predictor::new(&machine, &run).unwrap_or_else(|error| panic!("{error}"));
     let index = Quantity::ALL.iter().position(|it| *it == quantity).expect("one of all");
-    predictor.rows().map(|row| row.model.all()[index]).collect()
+    predictor.predictions().map(|row| row.model.to_array()[index]).collect()
 }
 
 fn assert_near(got: &[f64], wanted: &[f64]) {
@@ -110,9 +110,9 @@ fn a_sensors_causes_act_on_its_law_alone_whatever_the_order_in_the_file() {
         let machine = machine(&format!("{SENSOR}{INPUTS}"), &file.concat());
         let run = RunFile::from_reader(csv.as_bytes(), Path::new("r.csv")).expect("a run");
         let predictor = Predictor::new(&machine, &run).unwrap_or_else(|error| panic!("{error}"));
-        assert_eq!(predictor.why_no_bridge(), None);
-        let row = predictor.rows().next().expect("a row");
-        assert!(row.arithmetic_nm().expect("a bridge") <= 1.0, "{row:?}");
+        assert_eq!(predictor.bridge_error(), None);
+        let row = predictor.predictions().next().expect("a row");
+        assert!(row.arithmetic_error_nm().expect("a bridge") <= 1.0, "{row:?}");
     }
 }
 
@@ -257,7 +257,8 @@ fn what_only_explains_is_predicted_and_not_for_the_board() {
         let machine = machine(SENSOR, &terms);
         let run = RunFile::from_reader(csv.as_bytes(), Path::new("r.csv")).expect("a run");
         let predictor = Predictor::new(&machine, &run).expect("all columns are there");
-        let board: Vec<f64> = predictor.rows().map(|it| it.compensated.elongation_um).collect();
+        let board: Vec<f64> =
+            predictor.predictions().map(|it| it.compensated.elongation_um).collect();
         assert_near(&board, &[0.0, 10.0, 20.0]);
     }
 }
@@ -296,11 +297,11 @@ fn the_references_of_an_expansion_come_from_its_amplitudes() {
     let neutral = Effect::AxisExpansion(page);
     for amplitudes in [[8.0, 30.0, -0.4], [-2.0, 0.0, 3.0], [5.0, 0.0, 0.0]] {
         let values = [&[60.0][..], &amplitudes].concat();
-        let fitted = neutral.with(&values);
+        let fitted = neutral.with_values(&values);
         let constant_um = neutral.constant_um(&values);
         for x in [[20.5, -100.0], [31.0, 700.0], [-4.0, 12.0]] {
-            let apart_um =
-                fitted.at_row(&fitted.values(), &x) + constant_um - neutral.at_row(&values, &x);
+            let apart_um = fitted.evaluate_at(&fitted.values(), &x) + constant_um
+                - neutral.evaluate_at(&values, &x);
             assert!(apart_um.abs() < 1e-9, "{apart_um} {fitted:?}");
         }
     }
@@ -401,7 +402,7 @@ fn one_of_each() -> Vec<(&'static str, String)> {
 
 /// Terms as they stand in a machine file.
 fn written(terms: &[Term]) -> String {
-    let appended = terms.iter().map(Term::section).collect();
+    let appended = terms.iter().map(Term::to_section).collect();
     Edit { appended, ..Edit::default() }.to_toml()
 }
 
@@ -433,15 +434,14 @@ fn the_board_runs_every_term_that_compensates_as_the_model_says() {
     for (sections, text) in one_of_each() {
         let machine = machine(&format!("{INPUTS}{sections}"), &text);
         let predictor = Predictor::new(&machine, &run).unwrap_or_else(|error| panic!("{error}"));
-        assert_eq!(predictor.why_no_bridge(), None, "{text}");
+        assert_eq!(predictor.bridge_error(), None, "{text}");
         let mut largest: f64 = 0.0;
         let mut moved: f64 = 0.0;
         let plain = Machine { terms: Vec::new(), ..machine.clone() };
         let plain = Predictor::new(&plain, &run).expect("it has the columns");
-        for (row, plain) in predictor.rows().zip(plain.rows()) {
-            largest = largest.max(row.arithmetic_nm().expect("there is a bridge"));
-            let board =
-                |of: &trueup_machine::predict::Prediction| of.bridge.expect("as above").all();
+        for (row, plain) in predictor.predictions().zip(plain.predictions()) {
+            largest = largest.max(row.arithmetic_error_nm().expect("a bridge"));
+            let board = |of: &Prediction| of.bridge.expect("as above").to_array();
             for (with, without) in board(&row).into_iter().zip(board(&plain)) {
                 moved = moved.max((with - without).abs());
             }
@@ -470,8 +470,8 @@ fn an_angle_at_a_long_lever_is_within_a_nanometre_of_the_model() {
         let keys = format!("cause = \"angular-error\"\nlever = \"y\"\norigin_mm = 70.0\n{angle}");
         let machine = machine("", &term("dx", &keys));
         let predictor = Predictor::new(&machine, &run).unwrap_or_else(|error| panic!("{error}"));
-        assert_eq!(predictor.why_no_bridge(), None, "{angle}");
-        let apart = predictor.rows().map(|row| row.arithmetic_nm().expect("there is a bridge"));
+        assert_eq!(predictor.bridge_error(), None, "{angle}");
+        let apart = predictor.predictions().map(|row| row.arithmetic_error_nm().expect("a bridge"));
         let worst = apart.fold(0.0, f64::max);
         println!("an angle at levers of 20 m: {worst:.3} nm");
         assert!(worst < 1.0, "{worst} nm: {angle}");
@@ -483,7 +483,7 @@ fn a_calibration_with_terms_is_shown_and_compiles_back() {
     for (sections, text) in one_of_each() {
         let machine = machine(&format!("{INPUTS}{sections}"), &text);
         let compiled = trueup_machine::compile(&machine).unwrap_or_else(|error| panic!("{error}"));
-        let shown = trueup_machine::show::show(&compiled.calibration());
+        let shown = trueup_machine::decompile::decompile_to_toml(&compiled.calibration());
         let apart = shown.largest_difference_nm.unwrap_or_else(|why| panic!("{why}: {text}"));
         assert!(apart < 1.0, "{apart} nm: {text}");
     }

@@ -6,12 +6,12 @@ use std::path::Path;
 use trueup_machine::{
     Machine, MachineFile,
     file::{
-        AxisModel, BSpline, Backlash, Dual, ElongationSource, Feedback, Kind, LinearAxis, Pitch,
-        RotaryAxis, SensorModel, Squareness, TemperatureModel, Thermal, ThermalMode, ThermalRow,
-        Warmup,
+        AxisModel, BSpline, Backlash, ElongationSource, Feedback, LinearAxis, MachineKind,
+        PitchErrorTable, RotaryAxis, SecondDrive, SensorModel, Squareness, TemperatureModel,
+        ThermalLaw, ThermalMode, ThermalRow, Warmup,
     },
     inputs::TemperatureKind,
-    model::{Parts, ReferenceModel, Situation, required_columns, warmup_um},
+    model::{ErrorComponents, ReferenceModel, RowInputs, required_columns, warmup_elongation_um},
 };
 
 const EXAMPLE: &str = r#"
@@ -96,7 +96,7 @@ fn machine(sections: &str) -> Machine {
     parse(&format!("[machine]\nname = \"mill\"\nkind = \"3-axis\"\n{sections}"))
 }
 
-fn parts(machine: &Machine, situation: &Situation<'_>) -> Parts {
+fn parts(machine: &Machine, situation: &RowInputs<'_>) -> ErrorComponents {
     ReferenceModel::new(machine).step(situation)
 }
 
@@ -107,7 +107,7 @@ fn assert_near(there: f64, expected: f64) {
 #[test]
 fn every_key_of_the_example_arrives_in_its_field() {
     let machine = parse(EXAMPLE);
-    assert_eq!((machine.name.as_str(), machine.kind), ("gantry", Kind::HeadHead));
+    assert_eq!((machine.name.as_str(), machine.kind), ("gantry", MachineKind::HeadHead));
     assert_eq!(machine.head_axes, [RotaryAxis::C, RotaryAxis::A]);
     let inputs = machine.inputs.expect("written above");
     assert_eq!(inputs.temperatures["temp_screw_c"].kind, TemperatureKind::Pt100);
@@ -145,7 +145,7 @@ fn every_key_of_the_example_arrives_in_its_field() {
         constant_um: 0.0,
         slope_um_per_m,
     };
-    let thermal = Thermal {
+    let thermal = ThermalLaw {
         mode: ThermalMode::Position,
         sensor: "temp_screw_c".into(),
         reference_c: 23.0,
@@ -155,13 +155,13 @@ fn every_key_of_the_example_arrives_in_its_field() {
         lag_s: 0.0,
         table: Some(vec![row(23.0, 0.0), row(42.0, 270.0)]),
     };
-    let pitch = |forward_um: [f64; 3], reverse_um: Option<[f64; 3]>| Pitch {
+    let pitch = |forward_um: [f64; 3], reverse_um: Option<[f64; 3]>| PitchErrorTable {
         start_mm: 0.0,
         step_mm: 100.0,
         forward_um: forward_um.to_vec(),
         reverse_um: reverse_um.map(|table| table.to_vec()),
     };
-    let dual = Dual {
+    let dual = SecondDrive {
         across: LinearAxis::Y,
         first_mm: 0.0,
         second_mm: 3000.0,
@@ -195,13 +195,13 @@ fn every_key_of_the_example_arrives_in_its_field() {
 #[test]
 fn the_examples_parts_are_what_the_hand_finds() {
     let machine = parse(EXAMPLE);
-    let situation = Situation {
+    let situation = RowInputs {
         sensor_counts: 9164.0,
         temperatures_c: &[("temp_coil_c", 99.0), ("temp_screw_c", 32.5)],
         position_mm: [500.0, 750.0, 0.0],
         angle_deg: [30.0, f64::NAN, 90.0],
         direction: [-1.0, -1.0, f64::NAN],
-        ..Situation::UNKNOWN
+        ..RowInputs::UNKNOWN
     };
     let parts = parts(&machine, &situation);
     let s = 62.805_175_781_25;
@@ -219,7 +219,7 @@ fn the_examples_parts_are_what_the_hand_finds() {
     assert_eq!(parts.backlash_um, [0.0, 4.0, 0.0]);
     assert_near(parts.straightness_um[2], 0.75);
     assert_eq!(parts.squareness_um, [0.0; 3]);
-    let [dx, dy, dz] = parts.values().error_um;
+    let [dx, dy, dz] = parts.to_error_values().error_um;
     assert_near(dx, 67.5 + 2.5 - s / 2.0);
     assert_near(dy, 4.0);
     assert_near(dz, 0.75 - s * 0.75_f64.sqrt());
@@ -266,7 +266,7 @@ fn the_six_straightness_curves_add_up_across_the_axes() {
     let machine = machine(&text);
     assert_eq!(machine.straightness.iter().map(|curve| curve.name()).collect::<Vec<_>>(), names);
     let at = |position_mm| {
-        parts(&machine, &Situation { position_mm, ..Situation::UNKNOWN }).straightness_um
+        parts(&machine, &RowInputs { position_mm, ..RowInputs::UNKNOWN }).straightness_um
     };
     // Each axis alone, then all three: Δx = δx(y) + δx(z), Δy = δy(x) + δy(z), Δz = δz(x) + δz(y).
     assert_eq!(at([1.0, 0.0, 0.0]), [0.0, 1.0, 2.0]);
@@ -281,40 +281,40 @@ fn the_six_straightness_curves_add_up_across_the_axes() {
 #[test]
 fn squareness_is_an_error_of_the_first_axis_along_the_second() {
     let machine = machine("[squareness]\nx_of_y_um_per_m = 12\nz_of_x_um_per_m = -5\n");
-    let situation = Situation { position_mm: [2000.0, 500.0, f64::NAN], ..Situation::UNKNOWN };
+    let situation = RowInputs { position_mm: [2000.0, 500.0, f64::NAN], ..RowInputs::UNKNOWN };
     assert_eq!(parts(&machine, &situation).squareness_um, [6.0, 0.0, -10.0]);
 }
 
 #[test]
 fn a_missing_input_is_missing_only_where_it_counts() {
     let machine = parse(EXAMPLE);
-    let whole = Situation {
+    let whole = RowInputs {
         sensor_counts: 5048.0,
         temperatures_c: &[("temp_screw_c", 23.0)],
         position_mm: [0.0; 3],
         angle_deg: [0.0; 3],
-        ..Situation::UNKNOWN
+        ..RowInputs::UNKNOWN
     };
-    let missing = |situation: Situation<'_>| {
-        parts(&machine, &situation).values().all().map(|value| value.is_nan())
+    let missing = |situation: RowInputs<'_>| {
+        parts(&machine, &situation).to_error_values().to_array().map(|value| value.is_nan())
     };
     assert_eq!(missing(whole), [false; 4]);
-    assert_eq!(missing(Situation { sensor_counts: f64::NAN, ..whole }), [true, false, false, true]);
-    assert_eq!(missing(Situation { temperatures_c: &[], ..whole }), [false, true, false, false]);
-    let no_x = Situation { position_mm: [f64::NAN, 0.0, 0.0], ..whole };
+    assert_eq!(missing(RowInputs { sensor_counts: f64::NAN, ..whole }), [true, false, false, true]);
+    assert_eq!(missing(RowInputs { temperatures_c: &[], ..whole }), [false, true, false, false]);
+    let no_x = RowInputs { position_mm: [f64::NAN, 0.0, 0.0], ..whole };
     assert_eq!(missing(no_x), [false, true, false, true]);
-    let no_z = Situation { position_mm: [0.0, 0.0, f64::NAN], ..whole };
+    let no_z = RowInputs { position_mm: [0.0, 0.0, f64::NAN], ..whole };
     assert_eq!(missing(no_z), [false; 4]);
-    let no_b = Situation { angle_deg: [0.0, f64::NAN, 0.0], ..whole };
+    let no_b = RowInputs { angle_deg: [0.0, f64::NAN, 0.0], ..whole };
     assert_eq!(missing(no_b), [false; 4]);
-    let no_a = Situation { angle_deg: [f64::NAN, 0.0, 0.0], ..whole };
+    let no_a = RowInputs { angle_deg: [f64::NAN, 0.0, 0.0], ..whole };
     assert_eq!(missing(no_a), [false, true, true, true]);
 }
 
 #[test]
 fn without_a_source_no_angle_counts() {
     let machine = parse(&EXAMPLE.replacen("source = \"sensor\"", "", 1));
-    let parts = parts(&machine, &Situation::UNKNOWN);
+    let parts = parts(&machine, &RowInputs::UNKNOWN);
     assert_eq!((parts.elongation_um, parts.tool_um), (0.0, [0.0; 3]));
 }
 
@@ -327,7 +327,7 @@ fn a_head_table_machine_swings_by_its_one_axis_and_a_table_table_by_none() {
         )
     };
     let situation =
-        Situation { sensor_counts: 0.0, angle_deg: [30.0, 40.0, 50.0], ..Situation::UNKNOWN };
+        RowInputs { sensor_counts: 0.0, angle_deg: [30.0, 40.0, 50.0], ..RowInputs::UNKNOWN };
     let [dx, dy, dz] = parts(&parse(&text("head-table", "\"a\"")), &situation).error_um();
     assert_eq!(dx, 0.0);
     assert_near(dy, 250.0);
@@ -342,12 +342,15 @@ fn work_that_grows_out_of_the_chuck_by_s_is_dz_minus_s() {
                 forward_um = [0, 5]\n";
     // A radius of 25 mm: half of the table's step.
     let situation =
-        Situation { sensor_counts: 0.0, position_mm: [25.0, 0.0, -80.0], ..Situation::UNKNOWN };
+        RowInputs { sensor_counts: 0.0, position_mm: [25.0, 0.0, -80.0], ..RowInputs::UNKNOWN };
     let machine = parse(text);
-    assert_eq!(machine.kind, Kind::Lathe);
+    assert_eq!(machine.kind, MachineKind::Lathe);
     assert_eq!(parts(&machine, &situation).error_um(), [2.5, 0.0, -18.0]);
     // What the CNC adds: the turret follows the face of the work, away from the chuck.
-    assert_eq!(trueup_machine::model::offset_um(18.0, machine.tool_direction), [0.0, 0.0, 18.0]);
+    assert_eq!(
+        trueup_machine::model::compensation_offset_um(18.0, machine.tool_direction),
+        [0.0, 0.0, 18.0]
+    );
 }
 
 #[test]
@@ -359,11 +362,11 @@ fn a_warm_up_without_speeds_runs_from_the_first_row_and_anew_where_time_runs_bac
         for minute in 0..120 {
             let since_start_s = 60.0 * f64::from(minute);
             let time_s = Some(start_s + since_start_s);
-            let parts = reference.step(&Situation { time_s, ..Situation::UNKNOWN });
-            assert_near(parts.elongation_um, warmup_um(&model, since_start_s));
+            let parts = reference.step(&RowInputs { time_s, ..RowInputs::UNKNOWN });
+            assert_near(parts.elongation_um, warmup_elongation_um(&model, since_start_s));
         }
     }
-    assert!(reference.step(&Situation::UNKNOWN).elongation_um.is_nan());
+    assert!(reference.step(&RowInputs::UNKNOWN).elongation_um.is_nan());
 }
 
 #[test]
@@ -375,7 +378,7 @@ fn an_axis_follows_its_sensor_by_its_lag_and_settles_where_time_runs_back() {
     let mut reference = ReferenceModel::new(&machine);
     let mut at = |time_s, temperature_c| {
         let temperatures_c = &[("temp_a_c", temperature_c)];
-        let situation = Situation { time_s: Some(time_s), temperatures_c, ..Situation::UNKNOWN };
+        let situation = RowInputs { time_s: Some(time_s), temperatures_c, ..RowInputs::UNKNOWN };
         reference.step(&situation).thermal_um[2]
     };
     assert_near(at(50.0, 21.0), 2.0);
@@ -408,6 +411,6 @@ fn a_file_with_every_array_at_its_longest_is_read_in_a_moment() {
     let took = started.elapsed();
     println!("{} bytes in {took:?}", text.len());
     assert_eq!(machine.straightness[5].spline.control_um.len(), 4092);
-    assert_eq!(machine.places.of("axis.z.pitch.reverse_um[4095]").line, 18);
+    assert_eq!(machine.places.locate("axis.z.pitch.reverse_um[4095]").line, 18);
     assert!(took.as_secs() < 5, "{took:?}");
 }

@@ -7,14 +7,14 @@ use std::{
 
 use anyhow::Result;
 use clap::Args;
-use trueup_accept::{Acceptance, Limits, accept};
+use trueup_accept::{AcceptanceCriteria, AcceptanceResult, evaluate_acceptance};
 use trueup_machine::{MachineFile, file};
 
 use crate::{
     Outcome, UserError, commands,
-    diagnose::Quantity,
+    diagnose::QuantityArg,
     files, origin,
-    output::{self, FileSet},
+    output::{self, FileTransaction},
     report,
 };
 
@@ -22,7 +22,7 @@ use crate::{
 ///
 /// Exit 3: not as much of the error is gone as is required, or one is larger than is allowed.
 #[derive(Args)]
-pub struct Accept {
+pub struct AcceptArgs {
     /// The run without compensation.
     #[arg(long, value_name = "A.csv")]
     off: PathBuf,
@@ -30,14 +30,14 @@ pub struct Accept {
     #[arg(long, value_name = "B.csv")]
     on: PathBuf,
     /// This much of the RMS error must be gone, in percent.
-    #[arg(long, value_name = "PERCENT", default_value_t = 90.0, value_parser = percent)]
+    #[arg(long, value_name = "PERCENT", default_value_t = 90.0, value_parser = parse_percent)]
     require: f64,
     /// No error may be larger, in µm.
-    #[arg(long, value_name = "UM", value_parser = crate::diagnose::above_zero)]
+    #[arg(long, value_name = "UM", value_parser = crate::diagnose::parse_positive)]
     limit_um: Option<f64>,
     /// The quantity to compare, where the runs measure several.
     #[arg(long)]
-    quantity: Option<Quantity>,
+    quantity: Option<QuantityArg>,
     /// The machine file that the bridge ran: with it the answer says which constants to change.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
@@ -49,28 +49,28 @@ pub struct Accept {
     picture: Option<PathBuf>,
 }
 
-fn percent(text: &str) -> Result<f64, String> {
+fn parse_percent(text: &str) -> Result<f64, String> {
     let value = text.parse().ok().filter(|value: &f64| (0.0..=100.0).contains(value));
     value.ok_or_else(|| "must be a number from 0 to 100".into())
 }
 
-pub fn run(args: &Accept, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &AcceptArgs, as_json: bool) -> Result<Outcome> {
     let source = args.machine.as_deref().map(MachineFile::read_text).transpose()?;
     let believed = match (&source, &args.machine) {
-        (Some(source), Some(path)) => Some((source.as_str(), files::parsed(source, path)?)),
+        (Some(source), Some(path)) => Some((source.as_str(), files::parse_machine(source, path)?)),
         _ => None,
     };
     // The file has the numbers of the tools that a run names by labels.
     let machine = believed.as_ref().map(|(_, machine)| machine);
-    let (off, on) = (files::run(&args.off, machine)?, files::run(&args.on, machine)?);
-    let limits = Limits { require_percent: args.require, limit_um: args.limit_um };
-    let quantity: Option<file::Quantity> = args.quantity.map(Quantity::of_machine);
+    let (off, on) = (files::read_run(&args.off, machine)?, files::read_run(&args.on, machine)?);
+    let limits = AcceptanceCriteria { require_percent: args.require, limit_um: args.limit_um };
+    let quantity: Option<file::Quantity> = args.quantity.map(QuantityArg::to_machine_quantity);
     let believed = believed.as_ref().map(|(source, machine)| (*source, machine));
-    let acceptance = accept(&off, &on, quantity, believed, limits)?;
+    let acceptance = evaluate_acceptance(&off, &on, quantity, believed, limits)?;
     acceptance.notes.iter().for_each(report::warn);
-    if let Some(text) = acceptance.adjusted() {
+    if let Some(text) = acceptance.adjusted_machine_file() {
         let before = believed.map(|(_, machine)| machine);
-        files::to_be_written(text, &args.out.join("adjusted.toml"), before)?;
+        files::check_before_write(text, &args.out.join("adjusted.toml"), before)?;
     }
     let name = believed.map_or("the compensation", |(_, machine)| machine.name.as_str());
     write(args, &acceptance, name)?;
@@ -82,41 +82,48 @@ pub fn run(args: &Accept, as_json: bool) -> Result<Outcome> {
     Ok(if acceptance.passed { Outcome::Done } else { Outcome::NotMet })
 }
 
-fn write(args: &Accept, acceptance: &Acceptance, name: &str) -> Result<()> {
+fn write(args: &AcceptArgs, acceptance: &AcceptanceResult, name: &str) -> Result<()> {
     fs::create_dir_all(&args.out)
         .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
     let mut inputs: Vec<&Path> = vec![&args.off, &args.on];
     inputs.extend(args.machine.as_deref());
     let mut texts = vec![
         ("acceptance.json", serde_json::to_string_pretty(acceptance)? + "\n"),
-        ("report.html", acceptance.html(name, &origin::of(&inputs)?, &next(args, acceptance))),
+        (
+            "report.html",
+            acceptance.render_html(
+                name,
+                &origin::from_files(&inputs)?,
+                &next_commands(args, acceptance),
+            ),
+        ),
     ];
-    let mut set = FileSet::new(&inputs);
-    match acceptance.adjusted() {
+    let mut set = FileTransaction::new(&inputs);
+    match acceptance.adjusted_machine_file() {
         Some(text) => texts.push(("adjusted.toml", text.to_string())),
         // That of an earlier acceptance would change a machine that has passed.
         None => set.remove(&args.out.join("adjusted.toml"))?,
     }
     for (file, text) in texts {
-        set.text(&args.out.join(file), &text)?;
+        set.add_text(&args.out.join(file), &text)?;
     }
     if let Some(picture) = &args.picture {
-        set.text(picture, &acceptance.picture())?;
+        set.add_text(picture, &acceptance.render_chart_svg())?;
     }
     set.commit()
 }
 
 /// Returns the lines to be typed next.
-fn next(args: &Accept, it: &Acceptance) -> Vec<String> {
+fn next_commands(args: &AcceptArgs, it: &AcceptanceResult) -> Vec<String> {
     let adjusted = args.out.join("adjusted.toml");
-    match (it.adjusted(), it.passed) {
-        (Some(_), _) => commands::to_board(&adjusted, &args.out),
-        (None, true) => vec![commands::save(&args.out)],
+    match (it.adjusted_machine_file(), it.passed) {
+        (Some(_), _) => commands::deploy_commands(&adjusted, &args.out),
+        (None, true) => vec![commands::save_command(&args.out)],
         (None, false) => Vec::new(),
     }
 }
 
-fn print(args: &Accept, it: &Acceptance) -> Result<()> {
+fn print(args: &AcceptArgs, it: &AcceptanceResult) -> Result<()> {
     output::print(if it.passed { "passed" } else { "not passed" })?;
     output::print(format_args!(
         "{}, {} readings: {:.2} µm RMS without, {:.2} with: {:.1} % gone; largest {:.2} and {:.2} µm",
@@ -131,6 +138,6 @@ fn print(args: &Accept, it: &Acceptance) -> Result<()> {
     for sentence in it.unmet.iter().chain(&it.advice.sentences) {
         output::print(format_args!("  {sentence}"))?;
     }
-    commands::print(&next(args, it))?;
+    commands::print_next_commands(&next_commands(args, it))?;
     output::print(format_args!("{}", args.out.join("report.html").display()))
 }

@@ -1,16 +1,16 @@
-//! `trueup bridge`: what can be asked of a bridge. How it is spoken to is in `trueup-client`.
+//! `trueup bridge`: the requests to a bridge. The protocol is in `trueup-client`.
 
-mod asks;
 pub mod backup;
+mod comparison;
 mod disengage;
-mod forget;
+mod forget_reference;
 pub mod info;
 pub mod load;
 pub mod monitor;
+mod operator_questions;
 mod pending;
-mod plain;
+mod text_monitor;
 mod update;
-mod who;
 
 use anyhow::Result;
 use clap::{Args, Subcommand};
@@ -22,7 +22,7 @@ pub enum Command {
     /// Asks the bridge who it is, what it runs on, and how it is.
     ///
     /// Exit 3: it answers, but no heartbeat or no offsets came, or it does not run what --machine makes.
-    Info(info::Ask),
+    Info(info::InfoArgs),
     /// Lists the ports of this computer behind which a bridge may be; nothing is sent to them.
     List,
     /// Loads a calibration: says what it changes, asks, reads it back, and restarts the board with it.
@@ -33,7 +33,7 @@ pub enum Command {
     /// A calibration that is loaded starts without a reference. If the board has an older one for it, it offers
     /// that one. Each question of the bridge is answered at the CNC, by Confirm.
     /// Exit 3: it is stored, but the board does not run on it, or belongs to another machine.
-    Load(load::Load),
+    Load(load::LoadArgs),
     /// Updates the firmware of a board with two slots: shows what runs and what goes where, asks, sends it, and restarts the board.
     ///
     /// The new firmware goes to the slot that does not run, and starts on trial: engage and let it give offsets for a
@@ -41,48 +41,48 @@ pub enum Command {
     /// let the CNC disengage first, and set Service there. Where no CNC sends, this sets Service itself.
     /// If it is interrupted, the same command goes on behind the bytes that the board has.
     /// Exit 3: it is on the board, but the old firmware runs.
-    Update(update::Update),
+    Update(update::UpdateArgs),
     /// Takes the offsets back to 0 at the slew limit, where no CNC commands the bridge.
     ///
     /// Where a CNC does, nothing is sent: the offset is its own, and only it knows whether it cuts. Disengage there.
     /// Exit 3: a CNC commands the bridge, or the offset does not go to 0.
-    Disengage(disengage::Disengage),
+    Disengage(disengage::DisengageArgs),
     /// Shows the calibration that waits for the next start; puts it to use or drops it.
     ///
     /// Exit 3 (--use): the board does not run on it, or belongs to another machine.
-    Pending(pending::Pending),
+    Pending(pending::PendingArgs),
     /// Declines the reference that is offered, or drops the one in force, and what was learned.
-    ForgetReference(forget::Forget),
+    ForgetReference(forget_reference::ForgetReferenceArgs),
     /// Writes all that a board holds to a file, so that a dead board is replaced by another one.
     ///
     /// Before it replaces another machine's backup it asks.
-    Save(backup::Save),
+    Save(backup::SaveArgs),
     /// Loads what `save` has kept into a board, as `load` does, and offers it the reference that Zero took.
     ///
     /// The operator takes the reference by Confirm at the CNC.
     /// Exit 3: it is stored, but the board does not run on it, is another machine's, or was not offered the reference.
-    Restore(backup::Restore),
+    Restore(backup::RestoreArgs),
     /// Shows a bridge live: sensor, growth, offsets by cause, temperatures, faults with what to do.
     ///
     /// On a terminal it is a screen with keys (q quit, r record, g gauge reading, t trend, ? help).
     /// Otherwise it prints a line a second, until Ctrl-C. It only listens and asks: nothing is engaged by it.
     /// Exit 3: frames were damaged or out of order, or (lines) a second passed without offsets.
-    Monitor(monitor::Monitor),
+    Monitor(monitor::MonitorArgs),
 }
 
 #[derive(Args)]
-pub struct Port {
+pub struct PortArgs {
     /// Where the bridge is: tcp:HOST:PORT, a serial device, or a CAN interface (can0).
     #[arg(long, value_name = "PORT")]
     port: String,
 }
 
-/// Asks, loads, keeps or listens.
+/// Reads, loads, stores or listens.
 pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
     match command {
         Command::Info(args) => info::run(args, as_json),
         Command::List => {
-            let ports = trueup_client::found::ports();
+            let ports = trueup_client::port_discovery::list_ports();
             if as_json {
                 crate::output::print(crate::doctor::ports_json(&ports))?;
             } else {
@@ -94,7 +94,7 @@ pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
         Command::Update(args) => update::run(args, as_json),
         Command::Disengage(args) => disengage::run(args, as_json),
         Command::Pending(args) => pending::run(args, as_json),
-        Command::ForgetReference(args) => forget::run(args, as_json),
+        Command::ForgetReference(args) => forget_reference::run(args, as_json),
         Command::Save(args) => backup::save(args, as_json),
         Command::Restore(args) => backup::restore(args, as_json),
         Command::Monitor(args) => monitor::run(args, as_json),

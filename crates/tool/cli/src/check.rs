@@ -8,8 +8,8 @@ use serde_json::{Value, json};
 use trueup_machine::{
     BadInput, Machine, MachineFile, RunFile,
     check::{self, AxisSummary, Summary, Warning},
+    preprocessing::preprocess_run,
     run_file::is_known_column,
-    trusted::trusted,
 };
 
 use crate::{Outcome, files, output, report, runs, summary};
@@ -24,7 +24,7 @@ use crate::{Outcome, files, output, report, runs, summary};
   trueup check mill/mill.toml
   trueup check mill/mill.toml mill/pitch-x.csv mill/warmup-off.csv
   trueup check mill/*.csv --machine mill/mill.toml --json")]
-pub struct Check {
+pub struct CheckArgs {
     /// Machine files (.toml) and run files.
     #[arg(value_name = "FILE", required_unless_present = "machine")]
     files: Vec<PathBuf>,
@@ -35,7 +35,7 @@ pub struct Check {
 }
 
 /// Checks each file.
-pub fn run(args: &Check, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &CheckArgs, as_json: bool) -> Result<Outcome> {
     let is_named = |path: &PathBuf| args.files.is_empty() && args.machine.as_ref() == Some(path);
     let is_machine =
         |path: &&PathBuf| path.extension().is_some_and(|kind| kind == "toml") || is_named(path);
@@ -58,39 +58,43 @@ pub fn run(args: &Check, as_json: bool) -> Result<Outcome> {
     for path in files {
         let (mut warnings, summary) = if is_machine(&path) {
             let machine = MachineFile::read(path)?;
-            refused.extend(check::refusal(&check::ranges(&machine), &files::accepted()));
-            of_machine(path, &machine, as_json)?
-        } else {
-            let (run, mut reported) = trusted(runs::read(path)?, beside.as_ref());
-            refused.extend(check::refusal(
-                &check::slips(&run, beside.as_ref(), &[]),
-                &files::accepted(),
+            refused.extend(check::combine_refused(
+                &check::range_findings(&machine),
+                &files::accepted_keys(),
             ));
-            let (warnings, summary) = of_run(path, &run, beside.as_ref(), as_json)?;
-            report::remarks(&check::remarks(&run));
+            check_machine(path, &machine, as_json)?
+        } else {
+            let (run, mut reported) = preprocess_run(runs::read(path)?, beside.as_ref());
+            refused.extend(check::combine_refused(
+                &check::column_findings(&run, beside.as_ref(), &[]),
+                &files::accepted_keys(),
+            ));
+            let (warnings, summary) = check_run(path, &run, beside.as_ref(), as_json)?;
+            report::print_remarks(&check::run_remarks(&run));
             reported.extend(warnings);
             (reported, summary)
         };
         // Said once, as an error.
         let listed: Vec<BadInput> =
-            refused.iter().cloned().flat_map(BadInput::one_by_one).collect();
+            refused.iter().cloned().flat_map(BadInput::into_single_faults).collect();
         warnings.retain(|it| listed.iter().all(|error| error.place != it.place));
         doubts += warnings.len();
         if as_json {
-            let object =
-                |it: &Warning| report::object("warning", &it.what, Some(&it.place), Some(&it.help));
+            let object = |it: &Warning| {
+                report::message_json("warning", &it.what, Some(&it.place), Some(&it.help))
+            };
             let warnings: Vec<Value> = warnings.iter().map(object).collect();
             told.push(json!({
                 "file": path.to_string_lossy(), "does": summary, "warnings": warnings
             }));
         } else {
-            warnings.iter().for_each(report::warning);
+            warnings.iter().for_each(report::warn_at);
         }
     }
     if as_json {
         output::print(Value::from(told))?;
     }
-    if let Some(refused) = BadInput::gathered(refused) {
+    if let Some(refused) = BadInput::combine(refused) {
         return Err(refused.into());
     }
     if !as_json {
@@ -103,9 +107,9 @@ pub fn run(args: &Check, as_json: bool) -> Result<Outcome> {
     Ok(if doubts == 0 { Outcome::Done } else { Outcome::NotMet })
 }
 
-fn of_machine(path: &Path, machine: &Machine, as_json: bool) -> Result<(Vec<Warning>, Value)> {
-    let mut warnings = check::machine(machine);
-    let summary = Summary::of(machine);
+fn check_machine(path: &Path, machine: &Machine, as_json: bool) -> Result<(Vec<Warning>, Value)> {
+    let mut warnings = check::machine_warnings(machine);
+    let summary = Summary::from_machine(machine);
     // Without [inputs] it is a file to predict with, and no board is meant.
     if let (Err(error), true) = (&summary.bytes, machine.inputs.is_some()) {
         warnings.push(Warning {
@@ -118,19 +122,19 @@ fn of_machine(path: &Path, machine: &Machine, as_json: bool) -> Result<(Vec<Warn
         output::print(format_args!(
             "{}: {}",
             path.display(),
-            summary::in_words(machine, &summary)
+            summary::summary_text(machine, &summary)
         ))?;
     }
-    Ok((warnings, in_numbers(machine, &summary)))
+    Ok((warnings, summary_json(machine, &summary)))
 }
 
-fn in_numbers(machine: &Machine, summary: &Summary) -> Value {
+fn summary_json(machine: &Machine, summary: &Summary) -> Value {
     let axis = |axis: &AxisSummary| {
         let parts = axis.parts.iter().map(|it| json!({"key": it.key, "largest_um": it.largest_um}));
         let parts: Vec<Value> = parts.collect();
         json!({
             "axis": axis.axis.name(),
-            "largest_um": axis.largest_um(),
+            "largest_um": axis.max_total_error_um(),
             "limit_um": axis.limit_um,
             "parts": parts,
         })
@@ -151,7 +155,7 @@ fn in_numbers(machine: &Machine, summary: &Summary) -> Value {
     })
 }
 
-fn of_run(
+fn check_run(
     path: &Path,
     run: &RunFile,
     machine: Option<&Machine>,
@@ -160,19 +164,20 @@ fn of_run(
     let names = run.columns().iter().map(|column| column.name.as_str());
     let (known, others): (Vec<&str>, Vec<&str>) = names.partition(|name| is_known_column(name));
     if !as_json {
-        let mut words = format!("{}: {} rows of {}", path.display(), run.rows(), known.join(", "));
+        let mut words =
+            format!("{}: {} rows of {}", path.display(), run.row_count(), known.join(", "));
         if !others.is_empty() {
             words += &format!("; kept as possible explanations: {}", others.join(", "));
         }
         output::print(words)?;
     }
-    let suggestions = check::conditions(run, machine);
+    let suggestions = check::suggest_conditions(run, machine);
     if !as_json {
         suggestions.iter().try_for_each(|it| output::print(format_args!("  {it}")))?;
     }
     let does = json!({
-        "rows": run.rows(), "known_columns": known, "other_columns": others,
+        "rows": run.row_count(), "known_columns": known, "other_columns": others,
         "suggestions": suggestions,
     });
-    Ok((check::run(run, machine), does))
+    Ok((check::run_warnings(run, machine), does))
 }

@@ -4,33 +4,33 @@
 use std::path::Path;
 
 use anyhow::Result;
-use trueup_output::escape::shell_word;
+use trueup_output::escape::shell_quote;
 
 use crate::output;
 
 /// Placeholder of a port that only the user knows.
-const PORT: &str = "--port PORT";
+const PORT_PLACEHOLDER: &str = "--port PORT";
 
-fn word(path: &Path) -> String {
-    shell_word(&path.to_string_lossy()).to_string()
+fn quote_path(path: &Path) -> String {
+    shell_quote(&path.to_string_lossy()).to_string()
 }
 
 /// Returns the lines that bring a machine file to a board; the calibration stands in `folder`.
-pub fn to_board(machine: &Path, folder: &Path) -> Vec<String> {
+pub fn deploy_commands(machine: &Path, folder: &Path) -> Vec<String> {
     let calibration =
-        word(&folder.join(machine.with_extension("bin").file_name().unwrap_or_default()));
+        quote_path(&folder.join(machine.with_extension("bin").file_name().unwrap_or_default()));
     vec![
-        format!("trueup compile {} -o {calibration}", word(machine)),
-        format!("trueup bridge load {calibration} {PORT}"),
+        format!("trueup compile {} -o {calibration}", quote_path(machine)),
+        format!("trueup bridge load {calibration} {PORT_PLACEHOLDER}"),
     ]
 }
 
 /// Returns the line that keeps what a board holds.
-pub fn save(folder: &Path) -> String {
-    format!("trueup bridge save {} {PORT}", word(&folder.join("board.json")))
+pub fn save_command(folder: &Path) -> String {
+    format!("trueup bridge save {} {PORT_PLACEHOLDER}", quote_path(&folder.join("board.json")))
 }
 
 /// Prints them after the results of a command.
-pub fn print(lines: &[String]) -> Result<()> {
+pub fn print_next_commands(lines: &[String]) -> Result<()> {
     lines.iter().try_for_each(|line| output::print(format_args!("then: {line}")))
 }

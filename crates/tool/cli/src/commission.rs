@@ -15,10 +15,10 @@
 //! hand. The progress stands in `commission.json`: the same command goes on where it stopped.
 
 mod answers;
-mod before;
+mod board_backup;
+mod bridge_wait;
 mod journal;
-mod sign;
-mod watch;
+mod sign_test;
 
 use std::{
     fs,
@@ -31,16 +31,16 @@ use trueup_machine::{
     Machine, MachineFile, RunFile, compile,
     file::{ElongationSource, LinearAxis, Quantity, Spindle},
 };
-use trueup_program::{Kind, Options, plans};
+use trueup_program::{MeasurementKind, MeasurementOptions, create_plans};
 
 use self::{
-    answers::Answers,
-    before::{Interrupted, catch_interrupts},
+    answers::AnswerSource,
+    board_backup::{Interrupted, install_interrupt_handler},
     journal::{Journal, Step},
 };
 use crate::{
     Cli, Outcome, UserError, files, output,
-    program::{Controller, Motion},
+    program::{Controller, MotionArgs},
     report,
 };
 
@@ -51,11 +51,11 @@ use crate::{
 /// stopped when you give the same command again.
 /// Exit 3: it has stopped before the end: an answer is missing, the sign is wrong, or it is not accepted yet.
 #[derive(Args)]
-pub struct Commission {
+pub struct CommissionArgs {
     /// The kind of commissioning; left out, the growth of the spindle that the machine file describes.
     kind: Option<Procedure>,
     /// The axis, for pitch and backlash.
-    #[arg(long, value_name = "x|y|z", value_parser = axis)]
+    #[arg(long, value_name = "x|y|z", value_parser = parse_axis)]
     axis: Option<LinearAxis>,
     /// The machine file; it is copied, and never changed.
     #[arg(long, value_name = "M.toml")]
@@ -79,7 +79,7 @@ pub struct Commission {
     #[arg(long, value_name = "S")]
     heat_s: Option<f64>,
     #[command(flatten)]
-    motion: Motion,
+    motion: MotionArgs,
     /// The answers from here on, a line each, if you are not at the terminal.
     #[arg(long, value_name = "FILE")]
     readings: Option<PathBuf>,
@@ -95,22 +95,22 @@ enum Procedure {
     Backlash,
 }
 
-fn axis(name: &str) -> Result<LinearAxis, String> {
+fn parse_axis(name: &str) -> Result<LinearAxis, String> {
     let found = LinearAxis::ALL.into_iter().find(|axis| axis.name() == name);
     found.ok_or_else(|| "must be x, y or z".into())
 }
 
 /// The kind of commissioning, with its axis.
 #[derive(Clone, Copy)]
-enum Subject {
+enum CommissioningTask {
     Spindle,
     Pitch(LinearAxis),
     Backlash(LinearAxis),
 }
 
-impl Subject {
-    /// As it was asked for, if the machine file leaves no doubt.
-    fn of(args: &Commission, machine: &Machine) -> Result<Self, UserError> {
+impl CommissioningTask {
+    /// As it was requested, if the machine file leaves no doubt.
+    fn from_args(args: &CommissionArgs, machine: &Machine) -> Result<Self, UserError> {
         let file = args.machine.display();
         let no_axis = |kind: &str| {
             UserError(format!("{kind} is of an axis: say which, --axis x, --axis y or --axis z"))
@@ -134,24 +134,28 @@ impl Subject {
     }
 
     /// Checks, before the sign test, that its program can be made.
-    fn has_program(self, args: &Commission, machine: &Machine) -> Result<(), UserError> {
+    fn check_program_available(
+        self,
+        args: &CommissionArgs,
+        machine: &Machine,
+    ) -> Result<(), UserError> {
         let kind = match self {
-            Self::Spindle => Kind::Warmup,
-            Self::Pitch(_) => Kind::Pitch,
-            Self::Backlash(_) => Kind::Backlash,
+            Self::Spindle => MeasurementKind::Warmup,
+            Self::Pitch(_) => MeasurementKind::Pitch,
+            Self::Backlash(_) => MeasurementKind::Backlash,
         };
-        let options = Options {
+        let options = MeasurementOptions {
             axes: self.axis().into_iter().collect(),
             spindle_rpm: args.rpm,
             heat_s: args.heat_s,
-            ..args.motion.options()?
+            ..args.motion.to_options()?
         };
         let refused = |rule| UserError(format!("{}: {rule}", args.machine.display()));
-        plans(kind, machine, &options).map(drop).map_err(refused)
+        create_plans(kind, machine, &options).map(drop).map_err(refused)
     }
 
     /// Returns the program that measures it.
-    fn program(self) -> &'static str {
+    fn program_name(self) -> &'static str {
         match self {
             Self::Spindle => "warmup",
             Self::Pitch(_) => "pitch",
@@ -168,26 +172,26 @@ impl Subject {
 
     /// Returns what is measured.
     fn quantity(self) -> &'static str {
-        self.axis().map_or(Quantity::Elongation, Quantity::of_axis).name()
+        self.axis().map_or(Quantity::Elongation, Quantity::from_axis).name()
     }
 
     /// In one word and a letter, for the journal.
     fn name(self) -> String {
         match self.axis() {
-            None => self.program().into(),
-            Some(axis) => format!("{} {}", self.program(), axis.name()),
+            None => self.program_name().into(),
+            Some(axis) => format!("{} {}", self.program_name(), axis.name()),
         }
     }
 }
 
 /// Goes on from step to step.
-pub fn run(args: &Commission, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &CommissionArgs, as_json: bool) -> Result<Outcome> {
     // Its product is the folder, and the board.
-    trueup_output::best_effort();
+    trueup_output::enable_best_effort();
     let text = MachineFile::read_text(&args.machine)?;
-    let machine = files::parsed(&text, &args.machine)?;
-    let subject = Subject::of(args, &machine)?;
-    subject.has_program(args, &machine)?;
+    let machine = files::parse_machine(&text, &args.machine)?;
+    let subject = CommissioningTask::from_args(args, &machine)?;
+    subject.check_program_available(args, &machine)?;
     fs::create_dir_all(&args.out)
         .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
     let kept = args.out.join("machine.toml");
@@ -200,12 +204,12 @@ pub fn run(args: &Commission, as_json: bool) -> Result<Outcome> {
             .into());
         }
         Ok(_) => {}
-        Err(_) => output::write_whole(&kept, &[], |out| out.write_all(text.as_bytes()))?,
+        Err(_) => output::write_atomically(&kept, &[], |out| out.write_all(text.as_bytes()))?,
     }
-    catch_interrupts()?;
+    install_interrupt_handler()?;
     let journal = Journal::open(&args.out, &subject.name())?;
-    let answers = Answers::of(args.readings.as_deref())?;
-    let mut work = Work { args, subject, machine, journal, answers, as_json };
+    let answers = AnswerSource::from_file(args.readings.as_deref())?;
+    let mut work = CommissioningRun { args, subject, machine, journal, answers, as_json };
     loop {
         let step = work.journal.next;
         if step == Step::Done {
@@ -213,12 +217,12 @@ pub fn run(args: &Commission, as_json: bool) -> Result<Outcome> {
             return Ok(Outcome::Done);
         }
         work.journal.log(&format!("round {}: {}", work.journal.round, step.title()))?;
-        let done = match work.step(step) {
+        let done = match work.run_step(step) {
             Err(error) if error.is::<Interrupted>() => None,
             done => done?,
         };
         match done {
-            Some(next) => work.journal.proceed(next)?,
+            Some(next) => work.journal.advance_to(next)?,
             None => {
                 output::print(format_args!(
                     "stopped at \"{}\"; the same command goes on from here",
@@ -230,46 +234,57 @@ pub fn run(args: &Commission, as_json: bool) -> Result<Outcome> {
     }
 }
 
-struct Work<'a> {
-    args: &'a Commission,
-    subject: Subject,
+struct CommissioningRun<'a> {
+    args: &'a CommissionArgs,
+    subject: CommissioningTask,
     machine: Machine,
     journal: Journal,
-    answers: Answers,
+    answers: AnswerSource,
     as_json: bool,
 }
 
-impl Work<'_> {
+impl CommissioningRun<'_> {
     /// Does a step; the one after it, or `None`: it is not done.
-    fn step(&mut self, step: Step) -> Result<Option<Step>> {
+    fn run_step(&mut self, step: Step) -> Result<Option<Step>> {
         let round = self.journal.round;
-        let (believed, fitted) = (self.file(round - 1, "toml"), self.file(round, "toml"));
+        let (believed, fitted) =
+            (self.round_file(round - 1, "toml"), self.round_file(round, "toml"));
         Ok(match step {
-            Step::Sign => self.sign()?.then_some(Step::Program),
-            Step::Program => self.program()?.then_some(Step::Off),
+            Step::Sign => self.run_sign_test()?.then_some(Step::Program),
+            Step::Program => self.write_program()?.then_some(Step::Off),
             Step::Off => {
-                self.disengaged()?;
+                self.wait_until_disengaged()?;
                 let question = match self.subject {
-                    Subject::Spindle => "run warmup from cold, without compensation".into(),
-                    axis => format!("run {}, without compensation", axis.program()),
+                    CommissioningTask::Spindle => {
+                        "run warmup from cold, without compensation".into()
+                    }
+                    axis => format!("run {}, without compensation", axis.program_name()),
                 };
-                self.measured("off", &question)?.then_some(Step::Fit)
+                self.request_measured_run("off", &question)?.then_some(Step::Fit)
             }
             Step::Fit => {
                 let run = self.path(&format!("off-{round}.csv"));
-                let mut words =
-                    vec!["fit", self.fit(), "--run", &run, "--machine", &believed, "-o", &fitted];
+                let mut words = vec![
+                    "fit",
+                    self.fit_kind(),
+                    "--run",
+                    &run,
+                    "--machine",
+                    &believed,
+                    "-o",
+                    &fitted,
+                ];
                 if self.subject.axis().is_some() {
                     words.extend(["--quantity", self.subject.quantity()]);
                 }
-                self.command(&words)?.then_some(Step::Load)
+                self.run_command(&words)?.then_some(Step::Load)
             }
             Step::Load => {
-                let blob = self.file(round, "bin");
-                self.check_board()?;
-                self.disengaged()?;
-                let is_done = self.command(&["compile", &fitted, "-o", &blob])?
-                    && self.command(&[
+                let blob = self.round_file(round, "bin");
+                self.check_board_identity()?;
+                self.wait_until_disengaged()?;
+                let is_done = self.run_command(&["compile", &fitted, "-o", &blob])?
+                    && self.run_command(&[
                         "bridge",
                         "load",
                         &blob,
@@ -281,14 +296,14 @@ impl Work<'_> {
             }
             Step::On => {
                 let question = match self.subject {
-                    Subject::Spindle => {
+                    CommissioningTask::Spindle => {
                         "let the machine grow cold, engage, run warmup again".into()
                     }
-                    axis => format!("engage, run {} again", axis.program()),
+                    axis => format!("engage, run {} again", axis.program_name()),
                 };
-                self.measured("on", &question)?.then_some(Step::Accept)
+                self.request_measured_run("on", &question)?.then_some(Step::Accept)
             }
-            Step::Accept => self.accept(&fitted)?,
+            Step::Accept => self.run_acceptance(&fitted)?,
             Step::Done => Some(Step::Done),
         })
     }
@@ -299,7 +314,7 @@ impl Work<'_> {
     }
 
     /// Returns the machine file or calibration of a round; that of round 0 is the user's.
-    fn file(&self, round: u32, kind: &str) -> String {
+    fn round_file(&self, round: u32, kind: &str) -> String {
         self.path(&if round == 0 {
             format!("machine.{kind}")
         } else {
@@ -308,21 +323,22 @@ impl Work<'_> {
     }
 
     /// Returns the kind of `fit` that makes its section.
-    fn fit(&self) -> &'static str {
+    fn fit_kind(&self) -> &'static str {
         match (self.subject, self.machine.spindle.source) {
-            (Subject::Spindle, Some(ElongationSource::Sensor | ElongationSource::Temperature)) => {
-                "elongation"
-            }
-            (subject, _) => subject.program(),
+            (
+                CommissioningTask::Spindle,
+                Some(ElongationSource::Sensor | ElongationSource::Temperature),
+            ) => "elongation",
+            (subject, _) => subject.program_name(),
         }
     }
 
-    /// Runs a command of this tool and writes it down; whether it has done all that was asked for.
-    fn command(&mut self, words: &[&str]) -> Result<bool> {
+    /// Runs a command of this tool and writes it down; whether it has done all that was requested.
+    fn run_command(&mut self, words: &[&str]) -> Result<bool> {
         self.journal.log(&format!("  trueup {}", words.join(" ")))?;
         let json = self.as_json.then_some("--json");
         let all = ["trueup"].into_iter().chain(json).chain(words.iter().copied());
-        let cli = Cli::read(all).context("a command of this tool")?;
+        let cli = Cli::parse_command_line(all).context("a command of this tool")?;
         // A file of the sign test's pretends on purpose.
         let is_pretended = self.journal.next == Step::Sign;
         let done = report::with_warnings(!is_pretended, || crate::run(&cli));
@@ -334,43 +350,48 @@ impl Work<'_> {
             }
             Err(error) => {
                 // It is shown at the end, as every command's.
-                self.journal.write(&format!("  {error:#}"))?;
+                self.journal.append(&format!("  {error:#}"))?;
                 Err(error)
             }
         }
     }
 
     /// 10 µm are given by a calibration of their own, and measured.
-    fn sign(&mut self) -> Result<bool> {
+    fn run_sign_test(&mut self) -> Result<bool> {
         let axis = self.subject.axis();
-        let test = sign::machine(&self.machine, axis)?;
+        let test = sign_test::sign_test_machine(&self.machine, axis)?;
         let (file, blob) = (self.path("sign.toml"), self.path("sign.bin"));
-        output::write_whole(Path::new(&file), &[], |out| out.write_all(test.to_toml().as_bytes()))?;
-        if !self.command(&["compile", &file, "-o", &blob])? {
+        output::write_atomically(Path::new(&file), &[], |out| {
+            out.write_all(test.to_toml().as_bytes())
+        })?;
+        if !self.run_command(&["compile", &file, "-o", &blob])? {
             return Ok(false);
         }
-        self.disengaged()?;
-        let Some(held) = self.hold_board(compile(&test)?.crc())? else { return Ok(false) };
-        let tested = self.sign_loaded(&blob);
+        self.wait_until_disengaged()?;
+        let Some(held) = self.back_up_board(compile(&test)?.crc())? else { return Ok(false) };
+        let tested = self.load_sign_test_calibration(&blob);
         // Also if it was interrupted, or has failed.
-        let back = self.put_back(&held);
+        let back = self.restore_board(&held);
         match (tested, back) {
             (Err(error), Err(left)) => Err(left.context(format!("{error:#}"))),
             (tested, back) => back.and(tested),
         }
     }
 
-    /// Loads the calibration of the sign test and asks for the reading, once what the board held is saved.
-    fn sign_loaded(&mut self, blob: &str) -> Result<bool> {
+    /// Loads the calibration of the sign test and requests the reading, once what the board held is saved.
+    fn load_sign_test_calibration(&mut self, blob: &str) -> Result<bool> {
         let axis = self.subject.axis();
         let port = self.args.port.clone();
-        if !self.command(&["bridge", "load", blob, "--yes", "--port", &port])? {
+        if !self.run_command(&["bridge", "load", blob, "--yes", "--port", &port])? {
             return Ok(false);
         }
-        self.journal.log(&sign::how(&self.machine, axis))?;
-        let direction = sign::direction(&self.machine, axis);
-        watch::until(&port, |output| sign::is_given(output, direction))?;
-        let Some(answer) = self.answers.ask(&sign::question(&self.machine, axis))? else {
+        self.journal.log(&sign_test::setup_instructions(&self.machine, axis))?;
+        let direction = sign_test::error_direction(&self.machine, axis);
+        bridge_wait::wait_for_output(&port, |output| {
+            sign_test::is_offset_correct(output, direction)
+        })?;
+        let Some(answer) = self.answers.prompt(&sign_test::reading_prompt(&self.machine, axis))?
+        else {
             return Ok(false);
         };
         // In half of Europe the point is a comma.
@@ -378,35 +399,35 @@ impl Work<'_> {
             self.journal.log(&format!("  \"{answer}\" is not a reading in µm"))?;
             return Ok(false);
         };
-        let verdict = sign::verdict(moved_um);
-        self.journal.log(&format!("  measured {moved_um:+.1} µm: {}", verdict.text()))?;
-        Ok(verdict.is_right())
+        let verdict = sign_test::evaluate_sign_test(moved_um);
+        self.journal.log(&format!("  measured {moved_um:+.1} µm: {}", verdict.message()))?;
+        Ok(verdict.is_correct())
     }
 
-    fn program(&mut self) -> Result<bool> {
+    fn write_program(&mut self) -> Result<bool> {
         let (machine, out) = (self.path("machine.toml"), self.path("program"));
         let rpm = self.args.rpm.map(|rpm| rpm.to_string());
         let heat_s = self.args.heat_s.map(|heat_s| heat_s.to_string());
         let control = self.args.control.name();
         let mut words =
-            vec!["program", self.subject.program(), "--machine", &machine, "--for", &control];
+            vec!["program", self.subject.program_name(), "--machine", &machine, "--for", &control];
         words.extend(["--out", &out]);
         words.extend(self.subject.axis().iter().flat_map(|axis| ["--axis", axis.name()]));
         words.extend(rpm.iter().flat_map(|rpm| ["--rpm", rpm.as_str()]));
         words.extend(heat_s.iter().flat_map(|heat_s| ["--heat-s", heat_s.as_str()]));
-        let motion = self.args.motion.words();
+        let motion = self.args.motion.command_words();
         words.extend(motion.iter().map(String::as_str));
-        self.command(&words)
+        self.run_command(&words)
     }
 
-    /// Asks for a run that was measured, and keeps it.
-    fn measured(&mut self, which: &str, question: &str) -> Result<bool> {
+    /// Requests a run that was measured, and stores it.
+    fn request_measured_run(&mut self, which: &str, question: &str) -> Result<bool> {
         let question = format!("{question}; the filled-in run file");
-        let Some(answer) = self.answers.ask(&question)? else { return Ok(false) };
+        let Some(answer) = self.answers.prompt(&question)? else { return Ok(false) };
         let from = PathBuf::from(answer.trim());
-        let run = files::run(&from, None)?;
+        let run = files::read_run(&from, None)?;
         let column = format!("measured_{}_um", self.subject.quantity());
-        let readings = readings(&run, &column);
+        let readings = count_readings(&run, &column);
         if readings == 0 {
             let what = format!("  {}: no {column} is filled in", from.display());
             self.journal.log(&what)?;
@@ -414,14 +435,14 @@ impl Work<'_> {
         }
         let kept = self.path(&format!("{which}-{}.csv", self.journal.round));
         let bytes = fs::read(&from).with_context(|| format!("while reading {}", from.display()))?;
-        output::write_whole(Path::new(&kept), &[], |out| out.write_all(&bytes))?;
+        output::write_atomically(Path::new(&kept), &[], |out| out.write_all(&bytes))?;
         self.journal.log(&format!("  {}, {readings} readings", from.display()))?;
         Ok(true)
     }
 
     /// Compares the runs without and with offsets. If the gain is not enough, the next round begins; the command ends,
     /// so that it is read.
-    fn accept(&mut self, fitted: &str) -> Result<Option<Step>> {
+    fn run_acceptance(&mut self, fitted: &str) -> Result<Option<Step>> {
         let round = self.journal.round;
         let [off, on] = ["off", "on"].map(|which| self.path(&format!("{which}-{round}.csv")));
         let (out, require) = (self.path(&format!("accept-{round}")), self.args.require.to_string());
@@ -440,17 +461,17 @@ impl Work<'_> {
             "--quantity",
             self.subject.quantity(),
         ];
-        if self.command(&words)? {
+        if self.run_command(&words)? {
             self.journal.log("accepted")?;
             return Ok(Some(Step::Done));
         }
-        self.journal.next_round()?;
+        self.journal.start_next_round()?;
         Ok(None)
     }
 
-    fn disengaged(&mut self) -> Result<()> {
-        watch::disengaged(&self.args.port, || {
-            trueup_output::diagnostic(
+    fn wait_until_disengaged(&mut self) -> Result<()> {
+        bridge_wait::wait_until_disengaged(&self.args.port, || {
+            trueup_output::write_diagnostic(
                 "disengage at the CNC: nothing is loaded while offsets are followed",
             );
         })
@@ -458,7 +479,7 @@ impl Work<'_> {
 }
 
 /// Returns how many readings a column of a run has.
-fn readings(run: &RunFile, column: &str) -> usize {
+fn count_readings(run: &RunFile, column: &str) -> usize {
     let measured = run.column(column).unwrap_or_default();
     measured.iter().filter(|um| !um.is_nan()).count()
 }

@@ -5,24 +5,24 @@ use std::{fs, path::PathBuf};
 use anyhow::Result;
 use clap::Args;
 use trueup_compare::{
-    compare::{Comparison, Place, compare},
+    compare::{Comparison, PositionDifference, compare_runs},
     page,
-    thermal::at_reference,
+    thermal_expansion::remove_thermal_expansion,
 };
 use trueup_machine::file;
 
 use crate::{
     Outcome, UserError,
-    diagnose::{Quantity, above_zero},
+    diagnose::{QuantityArg, parse_positive},
     files, origin,
-    output::{self, FileSet},
+    output::{self, FileTransaction},
 };
 
 /// Compares two runs of one program place by place: unloaded against cut, this year against last.
 ///
 /// Exit 3: with --limit-um, a place differs by more, beyond the scatter of the readings.
 #[derive(Args)]
-pub struct Compare {
+pub struct CompareArgs {
     /// The earlier run.
     #[arg(value_name = "A.csv")]
     a: PathBuf,
@@ -31,12 +31,12 @@ pub struct Compare {
     b: PathBuf,
     /// The quantity to compare, where the runs measure several.
     #[arg(long)]
-    quantity: Option<Quantity>,
+    quantity: Option<QuantityArg>,
     /// The machine file: the expansion of its axes is taken off both runs.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
     /// No place may differ by more, in µm, the shift of all taken off.
-    #[arg(long, value_name = "UM", value_parser = above_zero)]
+    #[arg(long, value_name = "UM", value_parser = parse_positive)]
     limit_um: Option<f64>,
     /// A folder for comparison.json and report.html.
     #[arg(long, value_name = "DIR")]
@@ -44,17 +44,19 @@ pub struct Compare {
 }
 
 /// Half widths (95 %) by which a place is beyond the limit: of some dozens of places none is so by chance.
-const SURE: f64 = 2.0;
+const MIN_EXCESS_HALF_WIDTHS: f64 = 2.0;
 /// This many places are printed; all of them are in the JSON and on the page.
-const LISTED: usize = 12;
+const MAX_LISTED_PLACES: usize = 12;
 
 /// Compares the two runs.
-pub fn run(args: &Compare, as_json: bool) -> Result<Outcome> {
-    let machine = args.machine.as_ref().map(|path| files::machine(path)).transpose()?;
-    let (a, b) = (files::run(&args.a, machine.as_ref())?, files::run(&args.b, machine.as_ref())?);
-    let quantity: Option<file::Quantity> = args.quantity.map(Quantity::of_machine);
-    let [(a, first), (b, second)] = [a, b].map(|run| at_reference(&run, machine.as_ref()));
-    let mut it = compare(&a, &b, quantity)?;
+pub fn run(args: &CompareArgs, as_json: bool) -> Result<Outcome> {
+    let machine = args.machine.as_ref().map(|path| files::read_machine(path)).transpose()?;
+    let (a, b) =
+        (files::read_run(&args.a, machine.as_ref())?, files::read_run(&args.b, machine.as_ref())?);
+    let quantity: Option<file::Quantity> = args.quantity.map(QuantityArg::to_machine_quantity);
+    let [(a, first), (b, second)] =
+        [a, b].map(|run| remove_thermal_expansion(&run, machine.as_ref()));
+    let mut it = compare_runs(&a, &b, quantity)?;
     if first != second {
         // The expansion of one run alone would be a difference.
         return Err(UserError(format!(
@@ -71,10 +73,11 @@ pub fn run(args: &Compare, as_json: bool) -> Result<Outcome> {
             .map_err(|error| UserError(format!("{}: cannot be made: {error}", folder.display())))?;
         let names = [&args.a, &args.b].map(|path| path.display().to_string());
         let inputs = [args.a.as_path(), args.b.as_path()];
-        let html = page::of_comparison(&it, [&names[0], &names[1]], &origin::of(&inputs)?);
-        let mut set = FileSet::new(&inputs);
+        let html =
+            page::build_comparison_page(&it, [&names[0], &names[1]], &origin::from_files(&inputs)?);
+        let mut set = FileTransaction::new(&inputs);
         for (name, text) in [("comparison.json", format!("{json}\n")), ("report.html", html)] {
-            set.text(&folder.join(name), &text)?;
+            set.add_text(&folder.join(name), &text)?;
         }
         set.commit()?;
     }
@@ -85,8 +88,10 @@ pub fn run(args: &Compare, as_json: bool) -> Result<Outcome> {
     }
     // Runs that do not differ beyond their scatter are equal, unless a place is beyond the limit by more than its interval.
     let is_met = args.limit_um.is_none_or(|limit| {
-        let is_beyond = |place: &Place| {
-            place.half_width_um.is_some_and(|half| place.difference_um.abs() - SURE * half > limit)
+        let is_beyond = |place: &PositionDifference| {
+            place.half_width_um.is_some_and(|half| {
+                place.difference_um.abs() - MIN_EXCESS_HALF_WIDTHS * half > limit
+            })
         };
         it.max_um <= limit || !it.differs && !it.places.iter().any(is_beyond)
     });
@@ -121,7 +126,7 @@ fn print(it: &Comparison, limit_um: Option<f64>) -> Result<()> {
     }
     let mut places: Vec<_> = it.places.iter().collect();
     places.sort_by(|a, b| b.difference_um.abs().total_cmp(&a.difference_um.abs()));
-    for place in places.iter().take(if it.differs { LISTED } else { 0 }) {
+    for place in places.iter().take(if it.differs { MAX_LISTED_PLACES } else { 0 }) {
         let way = ["downwards", "", "upwards"][usize::try_from(place.direction + 1).unwrap_or(1)];
         let half = place.half_width_um.map_or(String::new(), |half| format!(" ± {half:.2}"));
         output::print(format_args!(

@@ -5,12 +5,12 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::Args;
 use serde_json::json;
-use trueup_machine::{check::corrects_nothing, compile};
+use trueup_machine::{check::no_correction_warning, compile};
 
 use crate::{Outcome, files, machine_arg::MachineArg, output, report};
 
 #[derive(Args)]
-pub struct Compile {
+pub struct CompileArgs {
     #[command(flatten)]
     machine: MachineArg,
     /// Where to write the calibration.
@@ -19,15 +19,15 @@ pub struct Compile {
 }
 
 /// Compiles the machine file.
-pub fn run(args: &Compile, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &CompileArgs, as_json: bool) -> Result<Outcome> {
     let (machine, to) = (args.machine.path(), &args.output);
-    let read = files::machine(machine)?;
+    let read = files::read_machine(machine)?;
     let compiled = compile(&read)?;
-    if let Some(nothing) = corrects_nothing(&read) {
-        report::in_short(machine, &[nothing]);
+    if let Some(nothing) = no_correction_warning(&read) {
+        report::print_brief_warnings(machine, &[nothing]);
     }
     let blob = compiled.blob();
-    output::write_whole(to, &[machine], |out| out.write_all(blob))?;
+    output::write_atomically(to, &[machine], |out| out.write_all(blob))?;
 
     let nm = compiled.largest_difference_nm;
     if as_json {

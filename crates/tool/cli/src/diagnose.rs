@@ -1,6 +1,6 @@
 //! `trueup diagnose`: what the simulation gets wrong, its cause, and the machine file with it.
 
-mod next;
+mod next_run;
 
 use std::{
     env, fs,
@@ -12,18 +12,21 @@ use std::{
 use anyhow::{Context as _, Result};
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use trueup_diagnose::{Diagnosis, Gauge, MISSING_INPUTS, Options, Verdict, diagnose_for};
+use trueup_diagnose::{
+    Diagnosis, DiagnosisOptions, MISSING_INPUTS_INSTRUCTION, ReadingMethod, Verdict,
+    diagnose_with_options,
+};
 use trueup_machine::{
     BadInput, Machine, MachineFile,
     compile::{check_slopes, compile},
     file,
 };
-use trueup_output::escape::one_line;
-use trueup_page::{Origin, micrometres, significant};
+use trueup_output::escape::escape_line;
+use trueup_page::{Origin, format_micrometres, format_significant};
 
 use crate::{
     Outcome, UserError, commands, files, origin,
-    output::{self, FileSet},
+    output::{self, FileTransaction},
     report,
 };
 
@@ -32,18 +35,18 @@ use crate::{
 /// Exit 3: something is left that has no cause, or that the data do not settle; the machine does not
 /// repeat; what explains the runs makes the hold-out worse; or there are too few data.
 #[derive(Args)]
-pub struct Diagnose {
+pub struct DiagnoseArgs {
     #[command(flatten)]
-    input: Input,
+    input: DiagnosisInput,
     /// Also plan the shortest run, of the spindle or of the axis, that distinguishes open causes: next.csv to be filled
     /// in, next.json, and the program for this control.
     #[arg(long, value_name = "CONTROL")]
     next: Option<crate::program::Controller>,
     /// How the readings of the next run get into its rows: a person takes at most one in 30 s.
-    #[arg(long, value_enum, default_value_t = Gauging::Hand, requires = "next")]
-    gauge: Gauging,
+    #[arg(long, value_enum, default_value_t = GaugeMode::Hand, requires = "next")]
+    gauge: GaugeMode,
     #[command(flatten)]
-    motion: crate::program::Motion,
+    motion: crate::program::MotionArgs,
     /// The folder for diagnosis.json, report.html, extended.toml and residuals.csv.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -51,7 +54,7 @@ pub struct Diagnose {
 
 /// Input and options of a diagnosis.
 #[derive(Args)]
-pub struct Input {
+pub struct DiagnosisInput {
     /// The machine file: what is believed.
     #[arg(long, value_name = "M.toml")]
     pub machine: PathBuf,
@@ -69,51 +72,51 @@ pub struct Input {
     pub holdout: Vec<PathBuf>,
     /// The quantity to compare, where the runs measure several.
     #[arg(long)]
-    pub quantity: Option<Quantity>,
+    pub quantity: Option<QuantityArg>,
     /// The size of an error that matters, in µm RMS; by default what is left.
-    #[arg(long, value_name = "UM", value_parser = above_zero)]
+    #[arg(long, value_name = "UM", value_parser = parse_positive)]
     pub matters_um: Option<f64>,
     /// The expanded uncertainty of the measuring instrument, in µm (95 %), in the place of the machine file's.
-    #[arg(long, value_name = "UM", value_parser = above_zero)]
+    #[arg(long, value_name = "UM", value_parser = parse_positive)]
     pub instrument_um: Option<f64>,
 }
 
-impl Input {
+impl DiagnosisInput {
     /// Returns the paths of all runs: those that are fitted to, with the bridge disengaged, and held out. They are read
     /// together, since what a column is shows in all of them.
-    pub fn paths(&self) -> Vec<PathBuf> {
+    pub fn run_paths(&self) -> Vec<PathBuf> {
         [&*self.runs, &*self.off, &*self.holdout].concat()
     }
 }
 
 /// Who reads the gauge.
 #[derive(Clone, Copy, ValueEnum)]
-pub enum Gauging {
+pub enum GaugeMode {
     /// A person, who writes it down.
     Hand,
     /// A program records it.
     Auto,
 }
 
-impl Gauging {
-    fn gauge(self) -> Gauge {
+impl GaugeMode {
+    fn reading_method(self) -> ReadingMethod {
         match self {
-            Self::Hand => Gauge::Hand,
-            Self::Auto => Gauge::Auto,
+            Self::Hand => ReadingMethod::Hand,
+            Self::Auto => ReadingMethod::Auto,
         }
     }
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-pub enum Quantity {
+pub enum QuantityArg {
     Elongation,
     Dx,
     Dy,
     Dz,
 }
 
-impl Quantity {
-    pub fn of_machine(self) -> file::Quantity {
+impl QuantityArg {
+    pub fn to_machine_quantity(self) -> file::Quantity {
         match self {
             Self::Elongation => file::Quantity::Elongation,
             Self::Dx => file::Quantity::Dx,
@@ -123,57 +126,64 @@ impl Quantity {
     }
 }
 
-pub fn above_zero(text: &str) -> Result<f64, String> {
+pub fn parse_positive(text: &str) -> Result<f64, String> {
     let value = text.parse().ok().filter(|value: &f64| value.is_finite() && *value > 0.0);
     value.ok_or_else(|| "must be a number above 0".into())
 }
 
-pub fn run(args: &Diagnose, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &DiagnoseArgs, as_json: bool) -> Result<Outcome> {
     let input = &args.input;
     let source = MachineFile::read_text(&input.machine)?;
-    let machine = with_instrument(files::parsed(&source, &input.machine)?, input.instrument_um);
-    let mut runs = files::runs_of_known_names(&input.paths(), &machine)?;
+    let machine =
+        with_instrument(files::parse_machine(&source, &input.machine)?, input.instrument_um);
+    let mut runs = files::read_runs_lenient(&input.run_paths(), &machine)?;
     let holdout = runs.split_off(input.runs.len() + input.off.len());
     fs::create_dir_all(&args.out)
         .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
 
-    let bar = progress();
-    let options = Options {
-        quantity: input.quantity.map(Quantity::of_machine),
+    let bar = progress_bar();
+    let options = DiagnosisOptions {
+        quantity: input.quantity.map(QuantityArg::to_machine_quantity),
         matters_um: input.matters_um,
         is_applied_once: input.applied_once,
     };
-    let diagnosis = diagnose_for(&machine, &runs, &holdout, options, &mut |what, share| {
-        bar.set_message(what.to_string());
-        if !share.is_nan() {
-            bar.set_position((share * 100.0) as u64);
-        }
-    });
+    let diagnosis =
+        diagnose_with_options(&machine, &runs, &holdout, options, &mut |what, share| {
+            bar.set_message(what.to_string());
+            if !share.is_nan() {
+                bar.set_position((share * 100.0) as u64);
+            }
+        });
     bar.finish_and_clear();
     let diagnosis = diagnosis?;
     for note in &diagnosis.report.notes {
         report::warn(note);
     }
     let mut inputs: Vec<&Path> = vec![&input.machine];
-    let paths = input.paths();
+    let paths = input.run_paths();
     inputs.extend(paths.iter().map(PathBuf::as_path));
-    let made = made(&diagnosis, (&source, &input.machine), &origin::of(&inputs)?, &args.out)?;
-    warn_of_board(&diagnosis, (&source, &input.machine), &args.out)?;
-    let mut set = FileSet::new(&inputs);
+    let made = diagnosis_files(
+        &diagnosis,
+        (&source, &input.machine),
+        &origin::from_files(&inputs)?,
+        &args.out,
+    )?;
+    warn_unsupported_on_board(&diagnosis, (&source, &input.machine), &args.out)?;
+    let mut set = FileTransaction::new(&inputs);
     for (file, text) in made {
-        set.text(&args.out.join(file), &text)?;
+        set.add_text(&args.out.join(file), &text)?;
     }
-    set.add(&args.out.join(RESIDUALS), |out| diagnosis.write_residuals(out))?;
+    set.add(&args.out.join(RESIDUALS_FILE), |out| diagnosis.write_residuals(out))?;
     set.commit()?;
     print(args, &diagnosis, as_json)?;
     if let Some(control) = args.next {
-        next::write(&diagnosis, &machine, control, args, as_json)?;
+        next_run::write_next_run(&diagnosis, &machine, control, args, as_json)?;
     }
-    Ok(if diagnosis.report.verdict.is_met() { Outcome::Done } else { Outcome::NotMet })
+    Ok(if diagnosis.report.verdict.is_resolved() { Outcome::Done } else { Outcome::NotMet })
 }
 
 /// Returns a bar that shows itself once the search takes more than a moment.
-fn progress() -> ProgressBar {
+fn progress_bar() -> ProgressBar {
     let style = ProgressStyle::with_template("{bar:30} {percent} % {msg}")
         .expect("the template is a constant");
     let bar = ProgressBar::with_draw_target(Some(100), ProgressDrawTarget::stderr_with_hz(4))
@@ -187,49 +197,52 @@ pub fn with_instrument(machine: Machine, instrument_um: Option<f64>) -> Machine 
     Machine { instrument_um: instrument_um.or(machine.instrument_um), ..machine }
 }
 
-/// The file of each row, next to those of [`made`].
-pub const RESIDUALS: &str = "residuals.csv";
+/// The file of each row, next to those of [`diagnosis_files`].
+pub const RESIDUALS_FILE: &str = "residuals.csv";
 
 /// Returns the files of a diagnosis of the machine file `source` at a path, as they are written to the folder `out`.
-pub fn made(
+pub fn diagnosis_files(
     diagnosis: &Diagnosis,
     (source, path): (&str, &Path),
     origin: &Origin,
     out: &Path,
 ) -> Result<Vec<(&'static str, String)>> {
-    let extended = diagnosis.extended(source, path)?;
+    let extended = diagnosis.render_extended_toml(source, path)?;
     let believed = MachineFile::parse(source, path)?;
-    files::to_be_written(&extended, &out.join("extended.toml"), Some(&believed))?;
-    let html = diagnosis.html(&believed.name, origin, &to_do_next(out, diagnosis));
+    files::check_before_write(&extended, &out.join("extended.toml"), Some(&believed))?;
+    let html = diagnosis.render_html(&believed.name, origin, &next_commands(out, diagnosis));
     Ok(vec![
-        ("diagnosis.json", diagnosis.json()? + "\n"),
+        ("diagnosis.json", diagnosis.to_json()? + "\n"),
         ("report.html", html),
         ("extended.toml", extended),
     ])
 }
 
 /// Says what a board will not take of a diagnosis that was written to `folder`.
-fn warn_of_board(
+fn warn_unsupported_on_board(
     diagnosis: &Diagnosis,
     (source, path): (&str, &Path),
     folder: &Path,
 ) -> Result<()> {
     let believed = MachineFile::parse(source, path)?;
     let target = folder.join("extended.toml");
-    let written = MachineFile::parse(&diagnosis.extended(source, path)?, &target)?;
-    if let Some(BadInput { rule, .. }) = refused(&believed, &written) {
+    let written = MachineFile::parse(&diagnosis.render_extended_toml(source, path)?, &target)?;
+    if let Some(BadInput { rule, .. }) = compile_refusal(&believed, &written) {
         report::warn(format_args!("trueup compile will refuse {}: {rule}", target.display()));
     }
     let lines = &diagnosis.report.missing_inputs;
     if !lines.is_empty() {
-        trueup_output::diagnostic(format_args!("help: {MISSING_INPUTS}\n{}", lines.join("\n")));
+        trueup_output::write_diagnostic(format_args!(
+            "help: {MISSING_INPUTS_INSTRUCTION}\n{}",
+            lines.join("\n")
+        ));
     }
     Ok(())
 }
 
 /// Why `compile` will refuse `extended`: a correction is too steep, or something else that is not in
 /// `believed`. A machine file that it refuses already, as one without `[inputs]`, shows no more.
-fn refused(believed: &Machine, extended: &Machine) -> Option<BadInput> {
+fn compile_refusal(believed: &Machine, extended: &Machine) -> Option<BadInput> {
     let too_steep = check_slopes(extended).err();
     too_steep.or_else(|| compile(believed).ok().and_then(|_| compile(extended).err()))
 }
@@ -240,27 +253,28 @@ fn print_in_red(text: &str) -> Result<()> {
     if is_plain || !trueup_output::is_output_terminal() {
         return output::print(text);
     }
-    let mut out = trueup_output::Output;
-    let written = writeln!(out, "\u{1b}[31m{}\u{1b}[0m", one_line(text)).and_then(|()| out.flush());
+    let mut out = trueup_output::StdoutWriter;
+    let written =
+        writeln!(out, "\u{1b}[31m{}\u{1b}[0m", escape_line(text)).and_then(|()| out.flush());
     written.context("standard output cannot be written")
 }
 
 /// Of the names in the table of before and after.
-const OF: usize = 42;
+const NAME_COLUMN_WIDTH: usize = 42;
 
 /// Returns the lines to be typed next; none where what was found must not go to a board.
-fn to_do_next(out: &Path, diagnosis: &Diagnosis) -> Vec<String> {
+fn next_commands(out: &Path, diagnosis: &Diagnosis) -> Vec<String> {
     let verdict = diagnosis.report.verdict;
     let is_safe = matches!(verdict, Verdict::Explained | Verdict::PartlyExplained);
-    match is_safe && diagnosis.corrects() {
-        true => commands::to_board(&out.join("extended.toml"), out),
+    match is_safe && diagnosis.has_corrections() {
+        true => commands::deploy_commands(&out.join("extended.toml"), out),
         false => Vec::new(),
     }
 }
 
-fn print(args: &Diagnose, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
+fn print(args: &DiagnoseArgs, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
     if as_json {
-        return output::print(diagnosis.json()?);
+        return output::print(diagnosis.to_json()?);
     }
     let report = &diagnosis.report;
     let verdict = format!("{}: {}", report.verdict.name(), diagnosis.sentence());
@@ -269,7 +283,7 @@ fn print(args: &Diagnose, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
     } else {
         output::print(verdict)?;
     }
-    if !report.verdict.is_met() {
+    if !report.verdict.is_resolved() {
         for reason in &report.reasons {
             output::print(format_args!("  {reason}"))?;
         }
@@ -280,7 +294,10 @@ fn print(args: &Diagnose, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
         output::print(format_args!("  {}{column}{state}: {}", finding.cause, finding.sentence))?;
         for (name, parameter) in &finding.parameters {
             if let Some(written) = parameter.get("written").and_then(serde_json::Value::as_f64) {
-                output::print(format_args!("    written: {name} = {}", significant(written)))?;
+                output::print(format_args!(
+                    "    written: {name} = {}",
+                    format_significant(written)
+                ))?;
             }
         }
         output::print(format_args!("    next: {}", finding.next_test))?;
@@ -290,7 +307,11 @@ fn print(args: &Diagnose, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
         false => "on rows not used for the fit",
     };
     let left = |rms_um: f64, holdout_rms_um: f64| {
-        format!("{} RMS ({} {not_fitted})", micrometres(rms_um), micrometres(holdout_rms_um))
+        format!(
+            "{} RMS ({} {not_fitted})",
+            format_micrometres(rms_um),
+            format_micrometres(holdout_rms_um)
+        )
     };
     let (before, explained) = (&report.before, &report.after);
     let explained = match report.findings.is_empty() {
@@ -305,17 +326,17 @@ fn print(args: &Diagnose, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
         report.quantity,
         report.rows_used,
         left(before.rms_um, before.holdout_rms_um),
-        micrometres(report.noise_um)
+        format_micrometres(report.noise_um)
     ))?;
-    if diagnosis.corrects() {
+    if diagnosis.has_corrections() {
         output::print("corrected by the board, RMS before and after:")?;
-        for (of, before_um, after_um) in diagnosis.before_and_after() {
-            let [before, after] = [before_um, after_um].map(micrometres);
-            output::print(format_args!("  {of:OF$} {before:>9} {after:>9}"))?;
+        for (of, before_um, after_um) in diagnosis.rms_before_and_after() {
+            let [before, after] = [before_um, after_um].map(format_micrometres);
+            output::print(format_args!("  {of:NAME_COLUMN_WIDTH$} {before:>9} {after:>9}"))?;
         }
         output::print(format_args!(
             "  the largest of these rows, after: {}",
-            micrometres(report.after.compensated_max_um)
+            format_micrometres(report.after.compensated_max_um)
         ))?;
         if let Some(held_out) = &report.held_out {
             output::print(format_args!(
@@ -324,7 +345,7 @@ fn print(args: &Diagnose, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
             ))?;
         }
     }
-    commands::print(&to_do_next(&args.out, diagnosis))?;
+    commands::print_next_commands(&next_commands(&args.out, diagnosis))?;
     output::print(format_args!("{}", args.out.join("report.html").display()))
 }
 
@@ -341,10 +362,10 @@ mod tests {
         let heat = "[[term]]\ncause = \"extra-heat-path\"\nquantity = \"dz\"\ncolumn = \"temp_bed_c\"\n\
                     um_per_c = 2.0\ntime_constant_s = 600.0\nreference_c = 20.0\n";
         let connected = "[inputs]\ntemp_bed_c = { channel = 0, kind = \"pt100\" }\n";
-        assert_eq!(refused(&read(""), &read("")), None);
-        let told =
-            refused(&read(""), &read(heat)).expect("no thermometer of that name is connected");
+        assert_eq!(compile_refusal(&read(""), &read("")), None);
+        let told = compile_refusal(&read(""), &read(heat))
+            .expect("no thermometer of that name is connected");
         assert!(told.rule.contains("temp_bed_c"), "{}", told.rule);
-        assert_eq!(refused(&read(connected), &read(&format!("{connected}{heat}"))), None);
+        assert_eq!(compile_refusal(&read(connected), &read(&format!("{connected}{heat}"))), None);
     }
 }

@@ -11,8 +11,8 @@ use anyhow::Result;
 use clap::Args;
 use serde_json::{Value, json};
 use trueup_client::{
-    found::{self, FoundPort},
     port::Port,
+    port_discovery::{self, FoundPort},
     session::Session,
 };
 use trueup_link::slcan::Event;
@@ -27,14 +27,14 @@ use crate::{Outcome, VERSION, output};
 #[command(after_help = "Examples:
   trueup doctor
   trueup doctor --port /dev/ttyUSB0")]
-pub struct Doctor {
+pub struct DoctorArgs {
     /// Asks whether a bridge answers there.
     #[arg(long, value_name = "PORT")]
     port: Option<String>,
 }
 
 /// Programs that some commands need: name, words that make it print its version, and what for.
-const PROGRAMS: [(&str, &[&str], &str); 5] = [
+const EXTERNAL_PROGRAMS: [(&str, &[&str], &str); 5] = [
     ("qemu-system-arm", &["--version"], "trueup virtual; apt install qemu-system-arm"),
     ("linuxcnc", &[], "trueup linuxcnc; apt install linuxcnc-uspace"),
     ("probe-rs", &["--version"], "flashing a board by a probe"),
@@ -42,13 +42,14 @@ const PROGRAMS: [(&str, &[&str], &str); 5] = [
     ("stm32flash", &["-h"], "flashing a board by its serial line; apt install stm32flash"),
 ];
 /// How long a bridge may take to say a frame.
-const PATIENCE: Duration = Duration::from_secs(2);
+const FRAME_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Prints what is here.
-pub fn run(args: &Doctor, as_json: bool) -> Result<Outcome> {
-    let ports = found::ports();
-    let answer = args.port.as_ref().map(|port| asked(port));
-    let programs = PROGRAMS.map(|(name, words, what)| (name, version(name, words), what));
+pub fn run(args: &DoctorArgs, as_json: bool) -> Result<Outcome> {
+    let ports = port_discovery::list_ports();
+    let answer = args.port.as_ref().map(|port| probe_port(port));
+    let programs =
+        EXTERNAL_PROGRAMS.map(|(name, words, what)| (name, program_version(name, words), what));
     if as_json {
         let programs: Vec<Value> = programs
             .iter()
@@ -98,8 +99,8 @@ pub fn ports_json(ports: &[FoundPort]) -> Value {
 }
 
 /// Returns the first line that a program says of its version; `None`: it is not here.
-fn version(name: &str, words: &[&str]) -> Option<String> {
-    let path = on_path(name)?;
+fn program_version(name: &str, words: &[&str]) -> Option<String> {
+    let path = find_on_path(name)?;
     if words.is_empty() {
         return Some(path.display().to_string());
     }
@@ -107,10 +108,10 @@ fn version(name: &str, words: &[&str]) -> Option<String> {
     let text = [said.stdout, said.stderr].concat();
     let text = String::from_utf8_lossy(&text);
     let line = text.lines().find(|line| !line.trim().is_empty()).unwrap_or_default();
-    Some(trueup_output::escape::one_line(line))
+    Some(trueup_output::escape::escape_line(line))
 }
 
-fn on_path(name: &str) -> Option<PathBuf> {
+fn find_on_path(name: &str) -> Option<PathBuf> {
     let folders = env::var_os("PATH")?;
     let ending = env::consts::EXE_SUFFIX;
     env::split_paths(&folders)
@@ -119,11 +120,11 @@ fn on_path(name: &str) -> Option<PathBuf> {
 }
 
 /// Returns what answers at a port, or why nothing does.
-fn asked(port: &str) -> Result<String, String> {
+fn probe_port(port: &str) -> Result<String, String> {
     let words = |error: anyhow::Error| format!("{error:#}");
     let port = Port::parse(port).map_err(|error| error.to_string())?;
     let mut session = Session::open(&port).map_err(words)?;
-    let deadline = Instant::now() + PATIENCE;
+    let deadline = Instant::now() + FRAME_TIMEOUT;
     let found = loop {
         match session.next_event(deadline).map_err(words)? {
             Some(Event::Frame(frame)) => {

@@ -18,7 +18,7 @@ macro_rules! files {
 }
 
 /// The files to write.
-const EXAMPLES: &[&[(&str, &[u8])]] = &[
+const EXAMPLE_FILES: &[&[(&str, &[u8])]] = &[
     files!("data/" => "": "README.md" "gantry.toml" "paper_spindle.toml" "scenario-axis.toml"
         "scenario-lathe.toml" "scenario-mill.toml" "scenario-warmup.toml" "spindle_paper_table1.csv"),
     files!("data/mill/" => "mill/": "README.md" "axis-heat-x.csv" "backlash-x.csv" "balls.csv" "circle-ccw.csv" "circle-cw.csv"
@@ -42,15 +42,15 @@ const EXAMPLES: &[&[(&str, &[u8])]] = &[
 /// Writes examples: machine files, runs, scenarios, and the files for LinuxCNC, SINUMERIK, FANUC, Modbus
 /// and the wire. The examples in the help of each command run in that folder.
 #[derive(Args)]
-pub struct Examples {
+pub struct ExamplesArgs {
     /// The folder; it is made if there is none. No file in it is overwritten.
     #[arg(value_name = "DIR")]
     folder: PathBuf,
 }
 
 /// Writes them.
-pub fn run(args: &Examples, as_json: bool) -> Result<Outcome> {
-    let files = || EXAMPLES.iter().copied().flatten();
+pub fn run(args: &ExamplesArgs, as_json: bool) -> Result<Outcome> {
+    let files = || EXAMPLE_FILES.iter().copied().flatten();
     // Nothing is written before it is known that all can be.
     let is_other = |path: &Path, bytes: &[u8]| fs::read(path).is_ok_and(|there| there != bytes);
     for (name, bytes) in files() {
@@ -64,13 +64,13 @@ pub fn run(args: &Examples, as_json: bool) -> Result<Outcome> {
         let path = args.folder.join(name);
         let folder = path.parent().unwrap_or(&args.folder);
         fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
-        output::write_whole(&path, &[], |out| out.write_all(bytes))?;
+        output::write_atomically(&path, &[], |out| out.write_all(bytes))?;
         if bytes.starts_with(b"#!") {
             make_executable(&path).with_context(|| path.display().to_string())?;
         }
     }
     let names: Vec<String> = files().map(|(name, _)| (*name).to_string()).collect();
-    output::list(&args.folder, &names, as_json)?;
+    output::print_written_files(&args.folder, &names, as_json)?;
     Ok(Outcome::Done)
 }
 
@@ -94,7 +94,7 @@ mod tests {
     fn every_file_of_a_folder_is_among_the_examples() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../..");
         let carried: Vec<&str> =
-            EXAMPLES.iter().copied().flatten().map(|(name, _)| *name).collect();
+            EXAMPLE_FILES.iter().copied().flatten().map(|(name, _)| *name).collect();
         for (folder, to) in [
             ("data", ""),
             ("data/mill", "mill/"),

@@ -10,32 +10,32 @@ use anyhow::Result;
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
 use trueup_export::{
-    ExportedTable, Format, Omitted, Options, Report, Units, export, fanuc::Series,
+    ExportedTable, Format, LengthUnit, OmittedSection, Options, Report, export, fanuc::Series,
 };
 
 use crate::{
     Outcome, UserError, files,
     machine_arg::MachineArg,
-    output::{self, FileSet},
+    output::{self, FileTransaction},
 };
 
 /// Turns a machine file into what another control loads, reads it back, and says how well it fits.
 ///
 /// Exit 3: exported, but something was left out or thinned, or is further off than the control's rounding.
 #[derive(Args)]
-pub struct Export {
+pub struct ExportArgs {
     #[command(flatten)]
     machine: MachineArg,
     /// The control that is to read the files.
     #[arg(long)]
-    format: Control,
+    format: ControlFormat,
     /// The folder for the files and report.txt; made if it is not there. Files of the same names
     /// are replaced.
     #[arg(long, value_name = "DIR")]
     output: PathBuf,
     /// The control's unit of length (Siemens, LinuxCNC).
     #[arg(long, default_value = "mm")]
-    units: Unit,
+    units: LengthUnitArg,
     /// The reference points, in mm: there Siemens and FANUC want a value of 0.
     #[arg(long, value_name = "x=0,y=0,z=0", value_delimiter = ',', allow_hyphen_values = true)]
     reference: Vec<String>,
@@ -63,7 +63,7 @@ pub struct Export {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum Control {
+enum ControlFormat {
     /// Siemens SINUMERIK 840D sl.
     #[value(name = "siemens-840d")]
     Siemens840d,
@@ -79,7 +79,7 @@ enum Control {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum Unit {
+enum LengthUnitArg {
     /// Positions and corrections in mm.
     Mm,
     /// Positions and corrections in inches of 25.4 mm.
@@ -87,16 +87,16 @@ enum Unit {
 }
 
 /// Exports the machine file into the folder.
-pub fn run(args: &Export, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &ExportArgs, as_json: bool) -> Result<Outcome> {
     let file = args.machine.path();
-    let machine = files::machine(file)?;
-    let options = options(args)?;
+    let machine = files::read_machine(file)?;
+    let options = parse_options(args)?;
     let format = match args.format {
-        Control::Siemens840d => Format::Siemens840d,
-        Control::Fanuc => Format::Fanuc,
-        Control::Heidenhain => Format::Heidenhain,
-        Control::LinuxCnc => Format::LinuxCnc,
-        Control::Isg => Format::Isg,
+        ControlFormat::Siemens840d => Format::Siemens840d,
+        ControlFormat::Fanuc => Format::Fanuc,
+        ControlFormat::Heidenhain => Format::Heidenhain,
+        ControlFormat::LinuxCnc => Format::LinuxCnc,
+        ControlFormat::Isg => Format::Isg,
     };
     let export = export(&machine, format, &options)
         .map_err(|refused| UserError(format!("{}: {refused}", file.display())))?;
@@ -105,14 +105,14 @@ pub fn run(args: &Export, as_json: bool) -> Result<Outcome> {
     fs::create_dir_all(folder).map_err(|error| {
         UserError(format!("{}: the folder cannot be created: {error}", folder.display()))
     })?;
-    let report = as_value(&export.report, &export.files, folder);
+    let report = report_json(&export.report, &export.files, folder);
     let text = format!("{}\n", export.report);
     let companions = [("report.txt", text), ("report.json", format!("{report:#}\n"))];
     let files = export.files.iter().map(|file| (file.name.as_str(), &file.text));
     let inputs = [file];
-    let mut set = FileSet::new(&inputs);
+    let mut set = FileTransaction::new(&inputs);
     for (name, text) in files.chain(companions.iter().map(|(name, text)| (*name, text))) {
-        set.text(&folder.join(name), text)?;
+        set.add_text(&folder.join(name), text)?;
     }
     set.commit()?;
     if as_json {
@@ -126,55 +126,55 @@ pub fn run(args: &Export, as_json: bool) -> Result<Outcome> {
             names.join(", ")
         ))?;
     }
-    Ok(if export.report.is_whole() { Outcome::Done } else { Outcome::NotMet })
+    Ok(if export.report.is_complete() { Outcome::Done } else { Outcome::NotMet })
 }
 
-fn options(args: &Export) -> Result<Options, UserError> {
+fn parse_options(args: &ExportArgs) -> Result<Options, UserError> {
     let mut options = Options {
         units: match args.units {
-            Unit::Mm => Units::Millimetres,
-            Unit::Inch => Units::Inches,
+            LengthUnitArg::Mm => LengthUnit::Millimetres,
+            LengthUnitArg::Inch => LengthUnit::Inches,
         },
-        tolerance_um: positive("--tolerance-um", args.tolerance_um)?,
-        unit_um: positive("--unit-um", args.unit_um)?,
+        tolerance_um: require_positive("--tolerance-um", args.tolerance_um)?,
+        unit_um: require_positive("--unit-um", args.unit_um)?,
         fanuc: if args.series == "0" { Series::Zero } else { Series::I },
         most_points: args.max_points,
-        elongation_um: finite("--elongation-um", args.elongation_um)?,
+        elongation_um: require_finite("--elongation-um", args.elongation_um)?,
         ..Options::default()
     };
     if args.max_points.is_some_and(|points| points < 2) {
         return Err(UserError("--max-points must be at least 2: a table has two ends".to_string()));
     }
     for entry in &args.reference {
-        let (axis, value) = of_axis("--reference", entry)?;
-        options.reference_mm[axis] = number("--reference", value)?;
+        let (axis, value) = parse_axis_value("--reference", entry)?;
+        options.reference_mm[axis] = parse_number("--reference", value)?;
     }
     for entry in &args.travel {
-        let (axis, range) = of_axis("--travel", entry)?;
+        let (axis, range) = parse_axis_value("--travel", entry)?;
         let wrong =
             || UserError(format!("--travel {entry}: must be like x=0:1000, the smaller first"));
         let (first, last) = range.split_once(':').ok_or_else(wrong)?;
-        let (first, last) = (number("--travel", first)?, number("--travel", last)?);
+        let (first, last) = (parse_number("--travel", first)?, parse_number("--travel", last)?);
         if first >= last {
             return Err(wrong());
         }
         options.travel_mm[axis] = Some((first, last));
     }
-    options.temperatures_c = temperatures(&args.temperature)?;
+    options.temperatures_c = parse_temperatures(&args.temperature)?;
     Ok(options)
 }
 
-fn temperatures(entries: &[String]) -> Result<BTreeMap<String, f64>, UserError> {
+fn parse_temperatures(entries: &[String]) -> Result<BTreeMap<String, f64>, UserError> {
     let each = entries.iter().map(|entry| {
         let (name, value) = entry
             .split_once('=')
             .ok_or_else(|| UserError(format!("--temperature {entry}: must be like temp_x_c=30")))?;
-        Ok((name.trim().to_string(), number("--temperature", value)?))
+        Ok((name.trim().to_string(), parse_number("--temperature", value)?))
     });
     each.collect()
 }
 
-fn of_axis<'e>(option: &str, entry: &'e str) -> Result<(usize, &'e str), UserError> {
+fn parse_axis_value<'e>(option: &str, entry: &'e str) -> Result<(usize, &'e str), UserError> {
     let named = entry.split_once('=').and_then(|(name, value)| {
         let axis = ["x", "y", "z"].iter().position(|axis| name.trim() == *axis)?;
         Some((axis, value))
@@ -182,25 +182,25 @@ fn of_axis<'e>(option: &str, entry: &'e str) -> Result<(usize, &'e str), UserErr
     named.ok_or_else(|| UserError(format!("{option} {entry}: must begin with x=, y= or z=")))
 }
 
-fn number(option: &str, text: &str) -> Result<f64, UserError> {
+fn parse_number(option: &str, text: &str) -> Result<f64, UserError> {
     let value =
         text.trim().parse().map_err(|_| UserError(format!("{option}: {text} is not a number")))?;
-    finite(option, value)
+    require_finite(option, value)
 }
 
-fn finite(option: &str, value: f64) -> Result<f64, UserError> {
+fn require_finite(option: &str, value: f64) -> Result<f64, UserError> {
     if value.is_finite() { Ok(value) } else { Err(UserError(format!("{option} must be finite"))) }
 }
 
-fn positive(option: &str, value: f64) -> Result<f64, UserError> {
+fn require_positive(option: &str, value: f64) -> Result<f64, UserError> {
     if value > 0.0 {
-        finite(option, value)
+        require_finite(option, value)
     } else {
         Err(UserError(format!("{option} must be above 0, not {value}")))
     }
 }
 
-fn as_value(report: &Report, files: &[trueup_export::File], folder: &Path) -> Value {
+fn report_json(report: &Report, files: &[trueup_export::ExportedFile], folder: &Path) -> Value {
     let table = |table: &ExportedTable| {
         json!({
             "file": table.file,
@@ -216,8 +216,7 @@ fn as_value(report: &Report, files: &[trueup_export::File], folder: &Path) -> Va
             "loss": table.loss,
         })
     };
-    let left_out =
-        |Omitted { section, reason }: &Omitted| json!({ "section": section, "reason": reason });
+    let left_out = |OmittedSection { section, reason }: &OmittedSection| json!({ "section": section, "reason": reason });
     json!({
         "format": report.format.name(),
         "machine": report.machine,
@@ -228,7 +227,7 @@ fn as_value(report: &Report, files: &[trueup_export::File], folder: &Path) -> Va
         "tables": report.tables.iter().map(table).collect::<Vec<_>>(),
         "left_out": report.left_out.iter().map(left_out).collect::<Vec<_>>(),
         "notes": report.notes,
-        "whole": report.is_whole(),
-        "largest_difference_um": report.largest_um(),
+        "whole": report.is_complete(),
+        "largest_difference_um": report.max_difference_um(),
     })
 }

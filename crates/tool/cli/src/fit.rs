@@ -14,13 +14,13 @@ use std::{
 use anyhow::Result;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use trueup_fit::{
-    Report, curve, elongation,
-    known::{Known, Without, known},
-    pitch, straightness, thermal, warmup,
+    Report, elongation,
+    partial_prediction::{ExcludedSection, PartialPrediction, predict_other_sections},
+    pitch, straightness, straightness_report, thermal, warmup,
 };
 use trueup_machine::{
     BadInput, Location, Machine, MachineFile, RunFile,
-    applied::{Uncompensated, require_applied_once},
+    applied_offsets::{UncompensatedRun, require_unit_factor},
     compile::check_slopes,
     file::{ElongationSource, LinearAxis, Quantity, ThermalMode},
 };
@@ -28,85 +28,88 @@ use trueup_machine::{
 pub use args::Fit;
 
 use self::args::{
-    Backlash, Common, Elongation, Kind, Measured, Method, Mode, Pitch, Positions, Straightness,
-    TableMode, Thermal, Warmup, WarmupSource,
+    Backlash, CommonArgs, Elongation, ElongationSourceArg, FitInputArgs, FitKind, Method, Pitch,
+    PositionArgs, Straightness, TableMode, Thermal, ThermalModeArg, Warmup,
 };
 use crate::{Outcome, UserError, commands, files, origin, output, runs};
 
 /// The files that were read.
-struct Input {
-    runs: Vec<Uncompensated<'static>>,
+struct FitInput {
+    runs: Vec<UncompensatedRun<'static>>,
     machine: Option<(PathBuf, String, Machine)>,
 }
 
-/// Fits what is asked for.
+/// Fits what is requested.
 pub fn run(args: &Fit, as_json: bool) -> Result<Outcome> {
     let common = match &args.kind {
-        Kind::Table1(args) => return table1::run(args, as_json),
-        Kind::Circle(args) => return circle::run(args, as_json),
-        Kind::Volume(args) => return volume::run(args, as_json),
-        Kind::Straightness(Straightness { common, .. })
-        | Kind::Pitch(Pitch { common, .. })
-        | Kind::Backlash(Backlash { common, .. })
-        | Kind::Elongation(Elongation { common, .. })
-        | Kind::Warmup(Warmup { common })
-        | Kind::Thermal(Thermal { common, .. }) => common,
+        FitKind::Table1(args) => return table1::run(args, as_json),
+        FitKind::Circle(args) => return circle::run(args, as_json),
+        FitKind::Volume(args) => return volume::run(args, as_json),
+        FitKind::Straightness(Straightness { common, .. })
+        | FitKind::Pitch(Pitch { common, .. })
+        | FitKind::Backlash(Backlash { common, .. })
+        | FitKind::Elongation(Elongation { common, .. })
+        | FitKind::Warmup(Warmup { common })
+        | FitKind::Thermal(Thermal { common, .. }) => common,
     };
-    let input = Input::read(&common.measured)?;
-    let bytes: u64 = common.measured.run.iter().map(|path| runs::bytes(path)).sum();
+    let input = FitInput::read(&common.measured)?;
+    let bytes: u64 = common.measured.run.iter().map(|path| runs::file_size(path)).sum();
     let spinner = spinner("fitting", bytes);
     let report = match &args.kind {
-        Kind::Table1(_) | Kind::Circle(_) | Kind::Volume(_) => unreachable!("has returned"),
-        Kind::Straightness(args) => straightness_of(&input, args)?,
-        Kind::Pitch(args) => pitch_of(&input, args)?,
-        Kind::Backlash(args) => backlash_of(&input, args)?,
-        Kind::Elongation(args) => {
-            let source = args.source.map(|by| match by {
-                WarmupSource::Sensor => ElongationSource::Sensor,
-                WarmupSource::Temperature => ElongationSource::Temperature,
-            });
-            let options = elongation::Options { source, temperature: args.temperature.clone() };
-            elongation::fit(&input.runs, input.machine(), &options)?
+        FitKind::Table1(_) | FitKind::Circle(_) | FitKind::Volume(_) => {
+            unreachable!("has returned")
         }
-        Kind::Warmup(_) => warmup::fit(&input.runs, input.machine())?,
-        Kind::Thermal(args) => thermal_of(&input, args)?,
+        FitKind::Straightness(args) => run_straightness_fit(&input, args)?,
+        FitKind::Pitch(args) => run_pitch_fit(&input, args)?,
+        FitKind::Backlash(args) => run_backlash_fit(&input, args)?,
+        FitKind::Elongation(args) => {
+            let source = args.source.map(|by| match by {
+                ElongationSourceArg::Sensor => ElongationSource::Sensor,
+                ElongationSourceArg::Temperature => ElongationSource::Temperature,
+            });
+            let options =
+                elongation::ElongationOptions { source, temperature: args.temperature.clone() };
+            elongation::fit_elongation(&input.runs, input.machine(), &options)?
+        }
+        FitKind::Warmup(_) => warmup::fit(&input.runs, input.machine())?,
+        FitKind::Thermal(args) => run_thermal_fit(&input, args)?,
     };
     spinner.finish_and_clear();
     // Before the machine file may be written over: the page names what was read.
-    if let Some((what, positions)) = args.kind.positions() {
-        write_page(&input, common, what, positions, &report)?;
+    if let Some((what, positions)) = args.kind.position_args() {
+        write_iso230_page(&input, common, what, positions, &report)?;
     }
-    let written = write(&input, common, &report)?;
+    let written = write_machine_file(&input, common, &report)?;
     report::print(&report, common, written, as_json)?;
     let is_whole = input.machine.is_some() && !output::is_standard_output(&common.output);
     if written && is_whole && !as_json {
         let folder = common.output.parent().unwrap_or(Path::new(""));
-        commands::print(&commands::to_board(&common.output, folder))?;
+        commands::print_next_commands(&commands::deploy_commands(&common.output, folder))?;
     }
     let is_met = report.verdict.is_fitted() && report.unmet.is_empty();
     Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
 }
 
-impl Input {
-    fn read(Measured { run: runs, machine }: &Measured) -> Result<Self> {
+impl FitInput {
+    fn read(FitInputArgs { run: runs, machine }: &FitInputArgs) -> Result<Self> {
         let machine = match machine {
             None => None,
             Some(path) => {
                 let text = MachineFile::read_text(path)?;
-                let machine = files::parsed(&text, path)?;
+                let machine = files::parse_machine(&text, path)?;
                 Some((path.clone(), text, machine))
             }
         };
         let of = machine.as_ref().map(|(_, _, machine)| machine);
-        let unaided = |run: RunFile| -> Result<Uncompensated<'static>> {
-            let (run, notes) = Uncompensated::of(Cow::Owned(run), of, None)?;
+        let unaided = |run: RunFile| -> Result<UncompensatedRun<'static>> {
+            let (run, notes) = UncompensatedRun::from_run(Cow::Owned(run), of, None)?;
             notes.iter().for_each(crate::report::warn);
             Ok(run)
         };
-        let runs = files::runs_to_fit(runs, of)?;
+        let runs = files::read_runs_for_fit(runs, of)?;
         let runs = runs.into_iter().map(unaided).collect::<Result<Vec<_>>>()?;
         for quantity in Quantity::ALL {
-            require_applied_once(&runs, of, quantity)?;
+            require_unit_factor(&runs, of, quantity)?;
         }
         Ok(Self { runs, machine })
     }
@@ -116,7 +119,7 @@ impl Input {
     }
 
     /// Returns the one run; what takes one alone refuses several.
-    fn run(&self) -> Result<&Uncompensated<'_>, UserError> {
+    fn single_run(&self) -> Result<&UncompensatedRun<'_>, UserError> {
         match &self.runs[..] {
             [run] => Ok(run),
             runs => Err(UserError(format!(
@@ -128,17 +131,17 @@ impl Input {
     }
 
     /// Returns what the rest of the machine file says of `run`, with a warning where it cannot.
-    fn known(
+    fn known_errors_um(
         &self,
-        run: &Uncompensated<'_>,
-        without: Without,
+        run: &UncompensatedRun<'_>,
+        without: ExcludedSection,
     ) -> Result<Option<Vec<f64>>, BadInput> {
         let Some(machine) = self.machine() else { return Ok(None) };
-        let Some(known) = known(machine, run, without)? else { return Ok(None) };
+        let Some(known) = predict_other_sections(machine, run, without)? else { return Ok(None) };
         if known.is_usable() {
             return Ok(Some(known.um));
         }
-        let Known { missing_columns, .. } = known;
+        let PartialPrediction { missing_columns, .. } = known;
         let lacks = if missing_columns.is_empty() {
             String::new()
         } else {
@@ -152,59 +155,67 @@ impl Input {
     }
 }
 
-fn straightness_of(input: &Input, args: &Straightness) -> Result<Report> {
+fn run_straightness_fit(input: &FitInput, args: &Straightness) -> Result<Report> {
     let options = straightness::Options {
         method: match args.method {
-            Method::LeastSquares => straightness::Method::LeastSquares,
-            Method::Paper => straightness::Method::Paper,
+            Method::LeastSquares => straightness::FitMethod::LeastSquares,
+            Method::Paper => straightness::FitMethod::Paper,
         },
-        ..args.curve.options()
+        ..args.curve.to_options()
     };
-    let run = input.run()?;
+    let run = input.single_run()?;
     let known = |curve: &straightness::StraightnessCurve| {
-        input.known(run, Without::Straightness { error: curve.error, along: curve.along })
+        input.known_errors_um(
+            run,
+            ExcludedSection::Straightness { error: curve.error, along: curve.along },
+        )
     };
-    Ok(curve::fit(run, args.curve.error.quantity().as_deref(), known, &options)?)
+    Ok(straightness_report::fit_curve(
+        run,
+        args.curve.error.quantity().as_deref(),
+        known,
+        &options,
+    )?)
 }
 
-fn pitch_of(input: &Input, args: &Pitch) -> Result<Report> {
+fn run_pitch_fit(input: &FitInput, args: &Pitch) -> Result<Report> {
     let ways = match args.ways {
         TableMode::Automatic => pitch::TableMode::Automatic,
         TableMode::One => pitch::TableMode::One,
         TableMode::Both => pitch::TableMode::Both,
     };
     let of = |options| pitch::Options { ways, step_mm: args.step_mm, ..options };
-    let axis = axis_of(&input.runs, args.positions.error.quantity().as_deref())?;
+    let axis = measured_axis(&input.runs, args.positions.error.quantity().as_deref())?;
     if let Some(dual) = input.machine().and_then(|machine| machine.axes[axis.index()].dual.clone())
     {
-        let options = |run: &Uncompensated<'_>| -> Result<pitch::Options> {
+        let options = |run: &UncompensatedRun<'_>| -> Result<pitch::Options> {
             Ok(of(position_options(input, &args.positions, run, axis)?))
         };
-        return pitch::fit_both(&input.runs, axis, &dual, options);
+        return pitch::fit_both_drives(&input.runs, axis, &dual, options);
     }
-    let (run, axis, options) = positions(input, &args.positions)?;
+    let (run, axis, options) = position_fit_inputs(input, &args.positions)?;
     Ok(pitch::fit(run, axis, &of(options))?.report)
 }
 
-fn backlash_of(input: &Input, args: &Backlash) -> Result<Report> {
-    let (run, axis, options) = positions(input, &args.positions)?;
+fn run_backlash_fit(input: &FitInput, args: &Backlash) -> Result<Report> {
+    let (run, axis, options) = position_fit_inputs(input, &args.positions)?;
     let options = pitch::Options { feed_mm_per_min: args.feed, ..options };
     Ok(pitch::fit_backlash(run, axis, &options)?.report)
 }
 
 /// Writes the figures of ISO 230-2 as a page next to what was fitted, where the readings give any.
-fn write_page(
-    input: &Input,
-    common: &Common,
+fn write_iso230_page(
+    input: &FitInput,
+    common: &CommonArgs,
     what: &str,
-    args: &Positions,
+    args: &PositionArgs,
     report: &Report,
 ) -> Result<()> {
     // Two drives of an axis have a run each.
     if output::is_standard_output(&common.output) || input.runs.len() != 1 {
         return Ok(());
     }
-    let (run, axis, options) = self::positions(input, args)?;
+    let (run, axis, options) = self::position_fit_inputs(input, args)?;
     // Of readings without repeats at targets, or at several feeds, the standard knows no figures.
     let Some(iso230) = pitch::fit(run, axis, &options).ok().and_then(|it| it.iso230) else {
         return Ok(());
@@ -212,53 +223,53 @@ fn write_page(
     let measured = &common.measured;
     let inputs: Vec<&Path> =
         measured.run.iter().chain(&measured.machine).map(PathBuf::as_path).collect();
-    let page = pitch::page(axis, what, report, &iso230, &origin::of(&inputs)?);
+    let page = pitch::build_page(axis, what, report, &iso230, &origin::from_files(&inputs)?);
     let path = common.output.with_extension("html");
-    output::write_whole(&path, &inputs, |out| out.write_all(page.html().as_bytes()))?;
-    trueup_output::diagnostic(format_args!("figures of ISO 230-2: {}", path.display()));
+    output::write_atomically(&path, &inputs, |out| out.write_all(page.to_html().as_bytes()))?;
+    trueup_output::write_diagnostic(format_args!("figures of ISO 230-2: {}", path.display()));
     Ok(())
 }
 
-/// Returns the one run, whose error it is, and what both fits of positions are asked for.
-fn positions<'a>(
-    input: &'a Input,
-    args: &Positions,
-) -> Result<(&'a Uncompensated<'a>, LinearAxis, pitch::Options)> {
-    let run = input.run()?;
-    let axis = axis_of(&input.runs, args.error.quantity().as_deref())?;
+/// Returns the one run, whose error it is, and the options of both fits of positions.
+fn position_fit_inputs<'a>(
+    input: &'a FitInput,
+    args: &PositionArgs,
+) -> Result<(&'a UncompensatedRun<'a>, LinearAxis, pitch::Options)> {
+    let run = input.single_run()?;
+    let axis = measured_axis(&input.runs, args.error.quantity().as_deref())?;
     Ok((run, axis, position_options(input, args, run, axis)?))
 }
 
-/// Returns what a fit of positions is asked for, of one run.
+/// Returns the options of a fit of positions, of one run.
 fn position_options(
-    input: &Input,
-    args: &Positions,
-    run: &Uncompensated<'_>,
+    input: &FitInput,
+    args: &PositionArgs,
+    run: &UncompensatedRun<'_>,
     axis: LinearAxis,
 ) -> Result<pitch::Options> {
     let feedback = input.machine().map(|machine| machine.axes[axis.index()].feedback);
     Ok(pitch::Options {
         runs: args.repeats.clone(),
         feedback: feedback.unwrap_or_default(),
-        known_um: input.known(run, Without::Position(axis))?,
+        known_um: input.known_errors_um(run, ExcludedSection::Position(axis))?,
         ..pitch::Options::default()
     })
 }
 
-fn thermal_of(input: &Input, args: &Thermal) -> Result<Report> {
-    let axis = axis_of(&input.runs, args.error.quantity().as_deref())?;
+fn run_thermal_fit(input: &FitInput, args: &Thermal) -> Result<Report> {
+    let axis = measured_axis(&input.runs, args.error.quantity().as_deref())?;
     let mut known_um = Vec::new();
     for run in &input.runs {
-        match input.known(run, Without::Thermal(axis))? {
+        match input.known_errors_um(run, ExcludedSection::Thermal(axis))? {
             Some(um) => known_um.extend(um),
-            None => known_um.extend(vec![0.0; run.rows()]),
+            None => known_um.extend(vec![0.0; run.row_count()]),
         }
     }
     let options = thermal::Options {
         mode: args.mode.map(|mode| match mode {
-            Mode::Constant => ThermalMode::Constant,
-            Mode::Position => ThermalMode::Position,
-            Mode::Both => ThermalMode::Both,
+            ThermalModeArg::Constant => ThermalMode::Constant,
+            ThermalModeArg::Position => ThermalMode::Position,
+            ThermalModeArg::Both => ThermalMode::Both,
         }),
         temperature: args.temperature.clone(),
         table_rows: args.table.map(usize::from),
@@ -268,8 +279,11 @@ fn thermal_of(input: &Input, args: &Thermal) -> Result<Report> {
 }
 
 /// Returns the axis of `quantity`, else the only one whose error the runs measure.
-fn axis_of(runs: &[Uncompensated<'_>], quantity: Option<&str>) -> Result<LinearAxis, BadInput> {
-    let start = || Location::start_of(runs[0].path());
+fn measured_axis(
+    runs: &[UncompensatedRun<'_>],
+    quantity: Option<&str>,
+) -> Result<LinearAxis, BadInput> {
+    let start = || Location::start_of_file(runs[0].path());
     if let Some(quantity) = quantity {
         let axis = LinearAxis::ALL.into_iter().find(|axis| quantity == format!("d{}", axis.name()));
         let rule = format!("--quantity must be dx or dy or dz, not {quantity:?}");
@@ -281,7 +295,7 @@ fn axis_of(runs: &[Uncompensated<'_>], quantity: Option<&str>) -> Result<LinearA
         .collect();
     match measured[..] {
         [axis] => Ok(axis),
-        [] => runs[0].require("measured_dx_um").map(|_| LinearAxis::X),
+        [] => runs[0].require_column("measured_dx_um").map(|_| LinearAxis::X),
         _ => {
             let names: Vec<String> =
                 measured.iter().map(|axis| format!("d{}", axis.name())).collect();
@@ -294,7 +308,7 @@ fn axis_of(runs: &[Uncompensated<'_>], quantity: Option<&str>) -> Result<LinearA
     }
 }
 
-fn write(input: &Input, common: &Common, report: &Report) -> Result<bool> {
+fn write_machine_file(input: &FitInput, common: &CommonArgs, report: &Report) -> Result<bool> {
     if report.edit.is_empty() || !report.verdict.is_fitted() {
         return Ok(false);
     }
@@ -302,20 +316,20 @@ fn write(input: &Input, common: &Common, report: &Report) -> Result<bool> {
         Some((path, source, _)) => report.edit.apply(source, path)?,
         None => report.edit.to_toml(),
     };
-    warn_of_text(input.machine(), &text, &common.output)?;
+    check_output_text(input.machine(), &text, &common.output)?;
     // The machine file itself may be written over: that is what a user means who names it twice.
     let inputs: Vec<&Path> = common.measured.run.iter().map(PathBuf::as_path).collect();
-    output::write_whole(&common.output, &inputs, |out| out.write_all(text.as_bytes()))?;
+    output::write_atomically(&common.output, &inputs, |out| out.write_all(text.as_bytes()))?;
     Ok(true)
 }
 
 /// Says, before `text` is written, what in it is unlikely, and that `compile` will refuse it for a slope;
 /// refuses what is impossible. `text` is a machine file, or sections of one.
-fn warn_of_text(machine: Option<&Machine>, text: &str, path: &Path) -> Result<()> {
-    const HEAD: &str = "[machine]\nname = \"sections\"\nkind = \"3-axis\"\n";
+fn check_output_text(machine: Option<&Machine>, text: &str, path: &Path) -> Result<()> {
+    const MINIMAL_MACHINE_HEADER: &str = "[machine]\nname = \"sections\"\nkind = \"3-axis\"\n";
     let machine = match machine {
-        Some(before) => files::to_be_written(text, path, Some(before))?,
-        None => files::to_be_written(&format!("{HEAD}{text}"), path, None)?,
+        Some(before) => files::check_before_write(text, path, Some(before))?,
+        None => files::check_before_write(&format!("{MINIMAL_MACHINE_HEADER}{text}"), path, None)?,
     };
     if let Err(BadInput { rule, .. }) = check_slopes(&machine) {
         crate::report::warn(format_args!("trueup compile will refuse {}: {rule}", path.display()));
@@ -325,7 +339,7 @@ fn warn_of_text(machine: Option<&Machine>, text: &str, path: &Path) -> Result<()
 
 /// Returns a spinner with the time that has passed, if there is a terminal: a fit does not know how far it is.
 fn spinner(what: &'static str, bytes: u64) -> ProgressBar {
-    if bytes < runs::LONG_RUN_BYTES / 8 || !trueup_output::is_error_terminal() {
+    if bytes < runs::PROGRESS_BAR_MIN_BYTES / 8 || !trueup_output::is_error_terminal() {
         return ProgressBar::hidden();
     }
     let style = ProgressStyle::with_template("{spinner} {msg} {elapsed}");

@@ -2,7 +2,7 @@
 //! on that server.
 
 mod job;
-mod place;
+mod location;
 mod records;
 mod server;
 
@@ -12,29 +12,29 @@ use anyhow::{Context as _, Result};
 use clap::{Args, Subcommand};
 use trueup_compare::dated;
 use trueup_fleet::{
-    page, result, series,
+    html_page, result, series,
     store::Store,
     structure,
-    worker::{self, Entry, Options, Tally},
+    worker::{self, JobCounts, JobStatus, WorkerOptions},
 };
 
-use self::place::{Opened, Place};
+use self::location::{FleetBackend, FleetLocationArgs};
 use crate::{
     Outcome, UserError,
-    diagnose::{self, above_zero},
+    diagnose::{self, parse_positive},
     origin,
-    output::{self, FileSet},
+    output::{self, FileTransaction},
     report,
 };
 
 #[derive(Subcommand)]
 pub enum Command {
-    Submit(Submit),
-    Worker(Worker),
-    Status(Status),
-    Diagnose(Diagnose),
-    Server(server::Server),
-    Records(records::Records),
+    Submit(SubmitArgs),
+    Worker(WorkerArgs),
+    Status(StatusArgs),
+    Diagnose(DiagnoseArgs),
+    Server(server::ServerArgs),
+    Records(records::RecordsArgs),
 }
 
 /// Puts a diagnosis of one machine into the folder, or on the server, for a worker.
@@ -42,17 +42,17 @@ pub enum Command {
 /// The files are copied. The same content of the same machine is one job, however often it is submitted; a job that
 /// failed is tried again.
 #[derive(Args)]
-pub struct Submit {
+pub struct SubmitArgs {
     #[command(flatten)]
-    place: Place,
+    place: FleetLocationArgs,
     /// The machine; left out, serial of the machine file, else its name.
     #[arg(long, value_name = "SERIAL")]
     name: Option<String>,
     /// The day of the record, 2026-11-22; left out, the date in the name of the first run file.
-    #[arg(long, value_name = "DATE", value_parser = day)]
-    date: Option<dated::Day>,
+    #[arg(long, value_name = "DATE", value_parser = parse_day)]
+    date: Option<dated::EpochDay>,
     #[command(flatten)]
-    input: diagnose::Input,
+    input: diagnose::DiagnosisInput,
 }
 
 /// Does the jobs, as many at once as it has threads.
@@ -60,9 +60,9 @@ pub struct Submit {
 /// Any number of workers may share the folder or the server. One that is killed loses nothing: its lease ends, and
 /// another worker takes the job. Exit 3 with --until-empty: a job has failed.
 #[derive(Args)]
-pub struct Worker {
+pub struct WorkerArgs {
     #[command(flatten)]
-    place: Place,
+    place: FleetLocationArgs,
     /// Jobs at once, each on one core.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
     threads: u16,
@@ -71,15 +71,15 @@ pub struct Worker {
     until_empty: bool,
     /// How long a worker may be silent before another one takes its job, in s. On a server it is one for all workers: it
     /// is set while none of them has a job.
-    #[arg(long, value_name = "S", default_value_t = 10.0, value_parser = above_zero)]
+    #[arg(long, value_name = "S", default_value_t = 10.0, value_parser = parse_positive)]
     lease_s: f64,
 }
 
 /// Shows which jobs wait, run, are done and have failed.
 #[derive(Args)]
-pub struct Status {
+pub struct StatusArgs {
     #[command(flatten)]
-    place: Place,
+    place: FleetLocationArgs,
 }
 
 /// Shows what the results say of the series: common constants, odd and drifting machines, the next measurement.
@@ -87,35 +87,35 @@ pub struct Status {
 /// Files on a server are copied to OUT/copy first, the result of each job among them. Exit 3: a machine is unlike the
 /// others, or drifts.
 #[derive(Args)]
-pub struct Diagnose {
+pub struct DiagnoseArgs {
     #[command(flatten)]
-    place: Place,
+    place: FleetLocationArgs,
     /// The folder for fleet.json and report.html.
     #[arg(long, value_name = "OUT")]
     out: PathBuf,
 }
 
 /// Parses a day as it is written.
-fn day(text: &str) -> Result<dated::Day, String> {
-    dated::day_of(text).ok_or_else(|| "is no date like 2026-11-22".into())
+fn parse_day(text: &str) -> Result<dated::EpochDay, String> {
+    dated::parse_day(text).ok_or_else(|| "is no date like 2026-11-22".into())
 }
 
 pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
     match command {
         Command::Submit(args) => submit(args, as_json),
-        Command::Worker(args) => work(args, as_json),
-        Command::Status(args) => status(args, as_json),
+        Command::Worker(args) => run_worker(args, as_json),
+        Command::Status(args) => print_status(args, as_json),
         Command::Diagnose(args) => diagnose(args, as_json),
         Command::Server(args) => server::run(args, as_json),
         Command::Records(args) => records::run(args),
     }
 }
 
-fn submit(args: &Submit, as_json: bool) -> Result<Outcome> {
-    let submission = job::submission(&args.input, args.name.as_deref(), args.date)?;
+fn submit(args: &SubmitArgs, as_json: bool) -> Result<Outcome> {
+    let submission = job::read_submission(&args.input, args.name.as_deref(), args.date)?;
     let submitted = match args.place.create()? {
-        Opened::Folder(store) => submission.submit(&store),
-        Opened::Server(remote) => remote.submit(&submission),
+        FleetBackend::Folder(store) => submission.submit(&store),
+        FleetBackend::Server(remote) => remote.submit(&submission),
     };
     let submitted = submitted.context("the job cannot be submitted")?;
     if let Some(date) = &submitted.other_date {
@@ -134,43 +134,45 @@ fn submit(args: &Submit, as_json: bool) -> Result<Outcome> {
         output::print(format_args!("job {} of {machine} {state}", submitted.id))?;
         output::print(format_args!(
             "then: trueup fleet worker {} --until-empty",
-            args.place.words()
+            args.place.command_options()
         ))?;
     }
     Ok(Outcome::Done)
 }
 
-fn work(args: &Worker, as_json: bool) -> Result<Outcome> {
+fn run_worker(args: &WorkerArgs, as_json: bool) -> Result<Outcome> {
     let opened = args.place.open()?;
-    let options = Options {
+    let options = WorkerOptions {
         threads: usize::from(args.threads),
         lease: Duration::from_secs_f64(args.lease_s),
         until_empty: args.until_empty,
     };
     // What is doubtful in the files was said when they were submitted.
     let worked = report::with_warnings(false, || match &opened {
-        Opened::Folder(store) => worker::work(store, options, &job::diagnose),
-        Opened::Server(remote) => remote.work(options, &job::diagnose, &|text| report::warn(text)),
+        FleetBackend::Folder(store) => worker::run_workers(store, options, &job::diagnose),
+        FleetBackend::Server(remote) => {
+            remote.run_workers(options, &job::diagnose, &|text| report::warn(text))
+        }
     });
-    let Tally { done, failed } = worked.with_context(|| args.place.to_string())?;
+    let JobCounts { done, failed } = worked.with_context(|| args.place.to_string())?;
     let status = opened.status()?;
     if as_json {
         output::print(serde_json::json!({"done": done, "failed": failed}))?;
     } else {
         output::print(format_args!("{done} done, {failed} failed by this worker"))?;
-        print_failed(&status.failed)?;
+        print_failed_jobs(&status.failed)?;
     }
     Ok(if status.failed.is_empty() { Outcome::Done } else { Outcome::NotMet })
 }
 
-fn print_failed(failed: &[Entry]) -> Result<()> {
+fn print_failed_jobs(failed: &[JobStatus]) -> Result<()> {
     failed.iter().try_for_each(|it| {
         let reason = it.reason.as_deref().unwrap_or("no reason is stored");
         output::print(format_args!("  failed {} {}: {reason}", it.id, it.machine))
     })
 }
 
-fn status(args: &Status, as_json: bool) -> Result<Outcome> {
+fn print_status(args: &StatusArgs, as_json: bool) -> Result<Outcome> {
     let opened = args.place.open()?;
     let status = opened.status()?;
     if as_json {
@@ -185,29 +187,29 @@ fn status(args: &Status, as_json: bool) -> Result<Outcome> {
         status.failed.len()
     ))?;
     for (state, entries) in [("waiting", &status.waiting), ("running", &status.running)] {
-        for Entry { id, machine, taken, .. } in entries {
+        for JobStatus { id, machine, taken, .. } in entries {
             let taken = taken.filter(|taken| *taken > 1);
             let taken = taken.map_or(String::new(), |it| format!(", taken {it} times"));
             output::print(format_args!("  {state} {id} {machine}{taken}"))?;
         }
     }
-    for Entry { id, machine, .. } in &status.done {
+    for JobStatus { id, machine, .. } in &status.done {
         let report = match &opened {
-            Opened::Folder(store) => {
-                format!(": {}", store.result(id).join("out").join("report.html").display())
+            FleetBackend::Folder(store) => {
+                format!(": {}", store.result_folder(id).join("out").join("report.html").display())
             }
-            Opened::Server(_) => String::new(),
+            FleetBackend::Server(_) => String::new(),
         };
         output::print(format_args!("  done {id} {machine}{report}"))?;
     }
-    print_failed(&status.failed)?;
+    print_failed_jobs(&status.failed)?;
     Ok(Outcome::Done)
 }
 
-fn diagnose(args: &Diagnose, as_json: bool) -> Result<Outcome> {
+fn diagnose(args: &DiagnoseArgs, as_json: bool) -> Result<Outcome> {
     let (store, mut notes) = match args.place.open()? {
-        Opened::Folder(store) => (store, Vec::new()),
-        Opened::Server(remote) => {
+        FleetBackend::Folder(store) => (store, Vec::new()),
+        FleetBackend::Server(remote) => {
             let store = Store::create(&args.out.join("copy"))?;
             let damaged = remote.fetch_results(&store).map_err(|error| match error.kind() {
                 io::ErrorKind::AlreadyExists => UserError(error.to_string()).into(),
@@ -216,11 +218,11 @@ fn diagnose(args: &Diagnose, as_json: bool) -> Result<Outcome> {
             (store, damaged)
         }
     };
-    let result::Results { whole, damaged } = result::read(&store)?;
+    let result::StoredResults { whole, damaged } = result::read_all(&store)?;
     notes.extend(damaged);
     let (mut records, mut ids) = (Vec::new(), Vec::new());
     for stored in &whole {
-        match job::record(&store, stored) {
+        match job::build_record(&store, stored) {
             Ok(record) => {
                 records.push(record);
                 ids.push(stored.done.id.as_str());
@@ -233,31 +235,34 @@ fn diagnose(args: &Diagnose, as_json: bool) -> Result<Outcome> {
         let rule = "has no result: trueup fleet worker makes them";
         return Err(UserError(format!("{}: {rule}", args.place)).into());
     }
-    let asked = structure::asked(&records);
+    let asked = structure::select_causes_to_fit(&records);
     for ((id, record), asked) in ids.iter().zip(&mut records).zip(asked) {
         let Some(asked) = asked else { continue };
-        match report::with_warnings(false, || job::fitted(&store, id, &record.quantity, &asked)) {
-            Ok(answered) => record.take(answered),
+        match report::with_warnings(false, || {
+            job::fitted_constants(&store, id, &record.quantity, &asked)
+        }) {
+            Ok(answered) => record.replace_constants(answered),
             Err(why) => {
                 report::warn(format_args!("results/{id}: {why}"));
                 notes.push(format!("results/{id}: {why}"));
             }
         }
     }
-    let series = series::series(&records, notes);
+    let series = series::evaluate_series(&records, notes);
     let json = serde_json::to_string_pretty(&series)?;
     let read: Vec<(&str, &[u8])> = whole
         .iter()
-        .filter_map(|it| Some((it.done.id.as_str(), it.files.get(job::DIAGNOSIS)?.as_slice())))
+        .filter_map(|it| Some((it.done.id.as_str(), it.files.get(job::DIAGNOSIS_FILE)?.as_slice())))
         .collect();
-    let html = page::html(&series, &args.place.to_string(), &origin::of_read(&read));
+    let html =
+        html_page::render_html(&series, &args.place.to_string(), &origin::from_contents(&read));
     fs::create_dir_all(&args.out)
         .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
-    let mut set = FileSet::new(&[]);
-    set.text(&args.out.join("fleet.json"), &format!("{json}\n"))?;
-    set.text(&args.out.join("report.html"), &html)?;
+    let mut set = FileTransaction::new(&[]);
+    set.add_text(&args.out.join("fleet.json"), &format!("{json}\n"))?;
+    set.add_text(&args.out.join("report.html"), &html)?;
     set.commit()?;
-    let conspicuous = page::conspicuous(&series);
+    let conspicuous = html_page::anomaly_sentences(&series);
     if as_json {
         output::print(json)?;
     } else {
@@ -267,7 +272,7 @@ fn diagnose(args: &Diagnose, as_json: bool) -> Result<Outcome> {
             output::print(it)?;
         }
         for it in series.constants.iter().filter(|it| it.machines > 1) {
-            let [value, low, high] = trueup_page::within(it.mean.value, it.mean.ci95);
+            let [value, low, high] = trueup_page::format_with_interval(it.mean.value, it.mean.ci95);
             output::print(format_args!(
                 "{}: {value} ({low} to {high}) on {} machines",
                 it.name, it.machines

@@ -15,15 +15,15 @@ use std::{
 use anyhow::{Context as _, Result};
 use clap::{Args, Subcommand, ValueEnum};
 use trueup_client::{
-    pinned::{Pinned, Rule, default_state},
+    pinned_calibration::{CalibrationPolicy, PinnedCalibration, default_state_path},
     port::Port,
 };
 use trueup_gateway::{
-    bridge::{self, Shared},
-    health::{self, End, PlcEnd},
+    bridge::{self, SharedState},
+    health::{self, PlcStatus, SharedPlcStatus},
     journal::Journal,
     modbus, rtu,
-    s7::{self, Target, client::Place},
+    s7::{self, Target, client::CpuAddress},
 };
 
 use trueup_machine::compile;
@@ -31,9 +31,9 @@ use trueup_machine::compile;
 use crate::{Outcome, UserError, files, output};
 
 /// How often a message to the user is looked for.
-const LOOK: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// How long `--once` waits for the first valid offsets, and for the PLC.
-const ONCE: Duration = Duration::from_secs(5);
+const ONCE_TIMEOUT: Duration = Duration::from_secs(5);
 
 #[derive(Subcommand)]
 pub enum Command {
@@ -43,7 +43,7 @@ pub enum Command {
     /// Exit 3 with --once: it could listen, but no valid offsets came.
     Modbus {
         #[command(flatten)]
-        bridge: Bridge,
+        bridge: BridgeArgs,
         /// Where masters connect. Only this computer's reach it unless you name another address:
         /// anyone who reaches it can engage the bridge.
         #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:502")]
@@ -68,7 +68,7 @@ pub enum Command {
     /// Exit 3 with --once: the block was written, but no valid offsets came.
     S7 {
         #[command(flatten)]
-        bridge: Bridge,
+        bridge: BridgeArgs,
         /// Where the CPU is: HOST, or HOST:PORT.
         #[arg(long, value_name = "HOST")]
         plc: String,
@@ -83,8 +83,8 @@ pub enum Command {
         slot: u8,
         /// Values to write: the offsets, or the constant and the slope of each axis, which the NCK multiplies by its
         /// own position. For long axes that warm up; it needs a PLC program with slopes (trueup_ob1_slope.awl).
-        #[arg(long, value_enum, default_value_t = Mode::Offsets)]
-        mode: Mode,
+        #[arg(long, value_enum, default_value_t = OutputMode::Offsets)]
+        mode: OutputMode,
         /// How often a second it is written.
         #[arg(long, value_name = "HZ", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=500))]
         rate: u32,
@@ -92,7 +92,7 @@ pub enum Command {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-pub enum Mode {
+pub enum OutputMode {
     Offsets,
     Slope,
 }
@@ -105,7 +105,7 @@ pub enum Parity {
 }
 
 #[derive(Args)]
-pub struct Bridge {
+pub struct BridgeArgs {
     /// Where the bridge is: tcp:HOST:PORT, a serial device, or a CAN interface (can0).
     #[arg(long, value_name = "PORT")]
     port: String,
@@ -135,12 +135,12 @@ pub fn run(command: &Command) -> Result<Outcome> {
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
     let (Command::Modbus { bridge, .. } | Command::S7 { bridge, .. }) = command;
-    let pinned = pinned(bridge)?;
-    trueup_output::detach();
+    let pinned = pinned_calibration(bridge)?;
+    trueup_output::enable_background_output();
     if let Some(why) = pinned.refusal() {
-        trueup_output::diagnostic(format_args!("warning: {why}"));
+        trueup_output::write_diagnostic(format_args!("warning: {why}"));
     }
-    let shared = Shared::new(stop.clone(), pinned);
+    let shared = SharedState::new(stop.clone(), pinned);
     let ended = match command {
         Command::Modbus { bridge, serial: Some(device), baud, parity, unit, .. } => {
             let parity = match parity {
@@ -148,18 +148,18 @@ pub fn run(command: &Command) -> Result<Outcome> {
                 Parity::Odd => serialport::Parity::Odd,
                 Parity::None => serialport::Parity::None,
             };
-            let line = rtu::Line { device: device.clone(), baud: *baud, parity };
+            let line = rtu::SerialSettings { device: device.clone(), baud: *baud, parity };
             run_rtu(&shared, bridge, line, *unit)
         }
         Command::Modbus { bridge, listen, unit, .. } => {
-            run_modbus(&shared, bridge, &resolve(listen)?, *unit)
+            run_modbus(&shared, bridge, &resolve_listen_addresses(listen)?, *unit)
         }
         Command::S7 { bridge, plc, db, rack, slot, mode, rate } => {
-            let place = Place { address: plc.clone(), rack: *rack, slot: *slot };
+            let place = CpuAddress { address: plc.clone(), rack: *rack, slot: *slot };
             let period = Duration::from_secs(1) / *rate;
             let mode = match mode {
-                Mode::Offsets => s7::Mode::Offsets,
-                Mode::Slope => s7::Mode::Slope,
+                OutputMode::Offsets => s7::Mode::Offsets,
+                OutputMode::Slope => s7::Mode::Slope,
             };
             run_s7(&shared, bridge, &Target { place, db: *db, period, mode })
         }
@@ -169,41 +169,44 @@ pub fn run(command: &Command) -> Result<Outcome> {
 }
 
 /// On which calibration the bridge has to run to be engaged.
-fn pinned(bridge: &Bridge) -> Result<Pinned> {
+fn pinned_calibration(bridge: &BridgeArgs) -> Result<PinnedCalibration> {
     let state = || {
         bridge
             .state
             .clone()
-            .unwrap_or_else(|| default_state(&bridge.port, |name| env::var_os(name)))
+            .unwrap_or_else(|| default_state_path(&bridge.port, |name| env::var_os(name)))
     };
-    Ok(Pinned::new(match &bridge.machine {
-        _ if bridge.any_calibration => Rule::Any,
+    Ok(PinnedCalibration::new(match &bridge.machine {
+        _ if bridge.any_calibration => CalibrationPolicy::Any,
         Some(path) => {
-            let crc = compile(&files::machine(path)?)?.crc();
-            Rule::Machine { crc, path: path.clone() }
+            let crc = compile(&files::read_machine(path)?)?.crc();
+            CalibrationPolicy::Machine { crc, path: path.clone() }
         }
-        None => Rule::FirstContact(state()),
+        None => CalibrationPolicy::FirstContact(state()),
     }))
 }
 
-fn resolve(listen: &str) -> Result<Vec<SocketAddr>> {
+fn resolve_listen_addresses(listen: &str) -> Result<Vec<SocketAddr>> {
     let resolved = listen.to_socket_addrs();
     let wrong = |why: String| UserError(format!("--listen \"{listen}\": {why}; ADDR:PORT"));
     Ok(resolved.map_err(|error| wrong(error.to_string()))?.collect())
 }
 
-fn keep(shared: &Shared, bridge: &Bridge) -> Result<thread::JoinHandle<()>> {
+fn start_bridge_thread(
+    shared: &SharedState,
+    bridge: &BridgeArgs,
+) -> Result<thread::JoinHandle<()>> {
     let port = Port::parse(&bridge.port)?;
-    Ok(bridge::keep(shared.clone(), move || port.open()))
+    Ok(bridge::spawn_bridge_thread(shared.clone(), move || port.open()))
 }
 
 fn run_modbus(
-    shared: &Shared,
-    bridge: &Bridge,
+    shared: &SharedState,
+    bridge: &BridgeArgs,
     listen: &[SocketAddr],
     unit: u8,
 ) -> Result<Outcome> {
-    let line = keep(shared, bridge)?;
+    let line = start_bridge_thread(shared, bridge)?;
     let listener = TcpListener::bind(listen).with_context(|| {
         format!(
             "nothing can listen at {listen:?}; a port below 1024 needs the right to it \
@@ -211,91 +214,101 @@ fn run_modbus(
         )
     })?;
     let address = listener.local_addr()?;
-    trueup_output::diagnostic(format_args!(
+    trueup_output::write_diagnostic(format_args!(
         "Modbus masters reach the bridge at tcp:{address}, unit {unit} or 255"
     ));
     if !address.ip().is_loopback() {
-        trueup_output::diagnostic(format_args!(
+        trueup_output::write_diagnostic(format_args!(
             "warning: every computer that reaches {address} can engage the bridge"
         ));
     }
     let masters = modbus::serve(shared.clone(), listener, unit)?;
-    let end =
-        || PlcEnd { is_up: masters.connected() > 0, given: masters.answers(), ..PlcEnd::default() };
+    let end = || PlcStatus {
+        is_up: masters.connection_count() > 0,
+        given: masters.response_count(),
+        ..PlcStatus::default()
+    };
     if bridge.once {
         let hears = wait_for_bridge(shared);
-        output::print(health::line(shared, &end()))?;
+        output::print(health::build_status_line(shared, &end()))?;
         return Ok(if hears { Outcome::Done } else { Outcome::NotMet });
     }
-    tell(shared, bridge, &line, end, end)
+    report_status(shared, bridge, &line, end, end)
 }
 
-fn run_rtu(shared: &Shared, bridge: &Bridge, line: rtu::Line, unit: u8) -> Result<Outcome> {
-    let thread = keep(shared, bridge)?;
+fn run_rtu(
+    shared: &SharedState,
+    bridge: &BridgeArgs,
+    line: rtu::SerialSettings,
+    unit: u8,
+) -> Result<Outcome> {
+    let thread = start_bridge_thread(shared, bridge)?;
     if bridge.once {
         let hears = wait_for_bridge(shared);
         line.open().with_context(|| format!("the serial device {}", line.device))?;
-        let end = PlcEnd { is_up: true, ..PlcEnd::default() };
-        output::print(health::line(shared, &end))?;
+        let end = PlcStatus { is_up: true, ..PlcStatus::default() };
+        output::print(health::build_status_line(shared, &end))?;
         return Ok(if hears { Outcome::Done } else { Outcome::NotMet });
     }
-    let end = End::default();
+    let end = SharedPlcStatus::default();
     let (ours, theirs) = (shared.clone(), end.clone());
     let plc = thread::spawn(move || rtu::serve(&ours, || line.open(), unit, &theirs));
-    let outcome = tell(shared, bridge, &thread, || end.look(), || end.take())?;
+    let outcome =
+        report_status(shared, bridge, &thread, || end.snapshot(), || end.snapshot_and_reset())?;
     plc.join().ok().context("the thread of the PLC")?;
     Ok(outcome)
 }
 
-fn run_s7(shared: &Shared, bridge: &Bridge, target: &Target) -> Result<Outcome> {
-    let line = keep(shared, bridge)?;
+fn run_s7(shared: &SharedState, bridge: &BridgeArgs, target: &Target) -> Result<Outcome> {
+    let line = start_bridge_thread(shared, bridge)?;
     if bridge.once {
         let hears = wait_for_bridge(shared);
-        s7::once(shared, target)?;
-        let end = PlcEnd { is_up: true, given: 1, ..PlcEnd::default() };
-        output::print(health::line(shared, &end))?;
+        s7::write_and_verify(shared, target)?;
+        let end = PlcStatus { is_up: true, given: 1, ..PlcStatus::default() };
+        output::print(health::build_status_line(shared, &end))?;
         return Ok(if hears { Outcome::Done } else { Outcome::NotMet });
     }
-    let end = End::default();
+    let end = SharedPlcStatus::default();
     let (ours, theirs, target) = (shared.clone(), end.clone(), target.clone());
     let plc = thread::spawn(move || s7::serve(&ours, &target, &theirs));
-    let outcome = tell(shared, bridge, &line, || end.look(), || end.take())?;
+    let outcome =
+        report_status(shared, bridge, &line, || end.snapshot(), || end.snapshot_and_reset())?;
     // It ends with its present write, which cannot last.
     plc.join().ok().context("the thread of the PLC")?;
     Ok(outcome)
 }
 
 /// Returns whether the bridge is received within a few seconds.
-fn wait_for_bridge(shared: &Shared) -> bool {
+fn wait_for_bridge(shared: &SharedState) -> bool {
     let start = Instant::now();
-    while start.elapsed() < ONCE && !shared.has_ended() {
-        if shared.hub().receives_bridge(shared.now()) {
+    while start.elapsed() < ONCE_TIMEOUT && !shared.is_stop_requested() {
+        if shared.lock_hub().has_fresh_output(shared.now()) {
             return true;
         }
-        thread::sleep(LOOK);
+        thread::sleep(POLL_INTERVAL);
     }
     false
 }
 
 /// Prints how both ends are, until the end; when, the journal decides.
-fn tell(
-    shared: &Shared,
-    bridge: &Bridge,
+fn report_status(
+    shared: &SharedState,
+    bridge: &BridgeArgs,
     line: &thread::JoinHandle<()>,
-    look: impl Fn() -> PlcEnd,
-    take: impl Fn() -> PlcEnd,
+    look: impl Fn() -> PlcStatus,
+    take: impl Fn() -> PlcStatus,
 ) -> Result<Outcome> {
     let mut journal = Journal::new(bridge.watch);
-    while !shared.has_ended() && !line.is_finished() {
-        // Not with the hub held: whoever reads it may be slow.
-        let messages = shared.hub().news();
+    while !shared.is_stop_requested() && !line.is_finished() {
+        // Not with the hub held: the reader of the messages may be slow.
+        let messages = shared.lock_hub().take_messages();
         let allowed = messages.iter().filter(|it| journal.is_allowed(shared.now(), it));
-        allowed.for_each(trueup_output::diagnostic);
+        allowed.for_each(trueup_output::write_diagnostic);
         let now = shared.now();
-        if journal.is_due(now, &health::line(shared, &look())) {
-            output::print(journal.entry(now, health::line(shared, &take())))?;
+        if journal.is_due(now, &health::build_status_line(shared, &look())) {
+            output::print(journal.take_entry(now, health::build_status_line(shared, &take())))?;
         }
-        thread::sleep(LOOK);
+        thread::sleep(POLL_INTERVAL);
     }
     Ok(Outcome::Done)
 }

@@ -1,10 +1,10 @@
 //! Examples for the `--help` of each command, and the short forms of options, each in one place: so that no
-//! command is forgotten (a test asks each), and a letter means the same in all of them.
+//! command is forgotten (a test checks each), and a letter means the same in all of them.
 
 use clap::{Arg, Command};
 
 /// Options that have a short form, whichever command has them. `-q` and `-v` are every command's own.
-const SHORT: &[(&str, char)] = &[
+const SHORT_OPTIONS: &[(&str, char)] = &[
     ("machine", 'm'),
     ("run", 'r'),
     ("port", 'p'),
@@ -153,7 +153,7 @@ pub fn lines() -> impl Iterator<Item = &'static str> {
 }
 
 /// The commands by what they are for, in the order of the work.
-const GROUPS: &[(&str, &[&str])] = &[
+const COMMAND_GROUPS: &[(&str, &[&str])] = &[
     ("Measure", &["new", "program", "import", "check", "simulate"]),
     ("Understand", &["fit", "diagnose", "predict", "compare"]),
     (
@@ -174,42 +174,43 @@ const GROUPS: &[(&str, &[&str])] = &[
     ("This tool", &["doctor", "examples", "schema", "firmware", "sign", "completions", "man"]),
 ];
 /// The heading of a command that is in no group.
-const OTHERS: &str = "More";
+const OTHER_GROUP_HEADING: &str = "More";
 
 /// Returns the tool with its examples and short forms, its commands in groups.
 pub fn with_examples(tool: Command) -> Command {
-    let tool = named(tool, "");
-    let groups = in_groups(&tool);
+    let tool = with_help_examples(tool, "");
+    let groups = grouped_commands(&tool);
     tool.help_template(format!(
         "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{groups}Options of every command:\n{{options}}{{after-help}}\n"
     ))
 }
 
 /// Returns the commands with their first sentence, by groups.
-fn in_groups(tool: &Command) -> String {
+fn grouped_commands(tool: &Command) -> String {
     let line = |command: &Command| {
         let about = command.get_about().map(ToString::to_string).unwrap_or_default();
         let about = about.lines().next().unwrap_or_default();
         let about = about.split(". ").next().unwrap_or_default().trim_end_matches('.');
         format!("  {:<12} {about}\n", command.get_name())
     };
-    let is_grouped = |name: &str| GROUPS.iter().any(|(_, names)| names.contains(&name));
+    let is_grouped = |name: &str| COMMAND_GROUPS.iter().any(|(_, names)| names.contains(&name));
     let mut text = String::new();
-    for (group, names) in GROUPS {
+    for (group, names) in COMMAND_GROUPS {
         let there = names.iter().filter_map(|name| tool.find_subcommand(name));
         text += &format!("{group}:\n{}\n", there.map(line).collect::<String>());
     }
     let others = tool.get_subcommands().filter(|it| !is_grouped(it.get_name()));
     let others: String = others.map(line).collect();
     if !others.is_empty() {
-        text += &format!("{OTHERS}:\n{others}\n");
+        text += &format!("{OTHER_GROUP_HEADING}:\n{others}\n");
     }
     text
 }
 
-fn named(command: Command, path: &str) -> Command {
-    let shorts: Vec<_> = command.get_arguments().filter_map(|it| short_of(&command, it)).collect();
-    let command = command.mut_args(|option| with_short(option, &shorts));
+fn with_help_examples(command: Command, path: &str) -> Command {
+    let shorts: Vec<_> =
+        command.get_arguments().filter_map(|it| short_option(&command, it)).collect();
+    let command = command.mut_args(|option| with_short_option(option, &shorts));
     let example = EXAMPLES.iter().find(|(name, _)| *name == path);
     let command = match example {
         Some((_, line)) if command.get_after_help().is_none() => {
@@ -219,18 +220,18 @@ fn named(command: Command, path: &str) -> Command {
     };
     command.mut_subcommands(|inner| {
         let path = format!("{path} {}", inner.get_name());
-        named(inner, path.trim_start())
+        with_help_examples(inner, path.trim_start())
     })
 }
 
 /// Returns the name and the letter of an option; a folder next to a file of its own has none.
-fn short_of(command: &Command, option: &Arg) -> Option<&'static (&'static str, char)> {
+fn short_option(command: &Command, option: &Arg) -> Option<&'static (&'static str, char)> {
     let has = |name: &str| command.get_arguments().any(|it| it.get_long() == Some(name));
     let long = option.get_long()?;
-    SHORT.iter().find(|(name, _)| *name == long && !(long == "out" && has("output")))
+    SHORT_OPTIONS.iter().find(|(name, _)| *name == long && !(long == "out" && has("output")))
 }
 
-fn with_short(option: Arg, shorts: &[&(&str, char)]) -> Arg {
+fn with_short_option(option: Arg, shorts: &[&(&str, char)]) -> Arg {
     let short = shorts.iter().find(|(long, _)| option.get_long() == Some(*long));
     match short {
         Some((_, letter)) if option.get_short().is_none() => option.short(*letter),
@@ -261,7 +262,7 @@ mod tests {
             assert!(help.contains(&format!("\n  {name:<12} ")), "{name}: {help}");
         }
         let places: Vec<Option<usize>> =
-            GROUPS.iter().map(|(group, _)| help.find(&format!("\n{group}:"))).collect();
+            COMMAND_GROUPS.iter().map(|(group, _)| help.find(&format!("\n{group}:"))).collect();
         assert!(places.iter().all(Option::is_some) && places.is_sorted(), "{help}");
         assert!(help.contains("Options of every command:"), "{help}");
     }
@@ -274,7 +275,7 @@ mod tests {
         let mut counted = 0;
         each(&tool, "", &mut |command, path, option| {
             let Some(long) = option.get_long() else { return };
-            let wanted = short_of(command, option).map(|(_, letter)| *letter);
+            let wanted = short_option(command, option).map(|(_, letter)| *letter);
             if let Some(letter) = option.get_short() {
                 let is_global = ["quiet", "verbose", "help", "version"].contains(&long);
                 assert!(is_global || Some(letter) == wanted, "{path} -{letter} is --{long}");

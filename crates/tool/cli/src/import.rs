@@ -10,13 +10,15 @@ use anyhow::{Error, Result};
 use clap::Args;
 use dialoguer::{Input, Select};
 use serde_json::json;
-use trueup_import::{Answers, Circle, Imported, MAX_BYTES, Question, Refused, Topic, import, map};
-use trueup_machine::{BadInput, MachineFile, bounded};
-use trueup_output::escape::{one_line, shell_word};
+use trueup_import::{
+    Answers, Circle, ImportError, ImportedRun, MAX_FILE_BYTES, Question, Topic, header_map, import,
+};
+use trueup_machine::{BadInput, MachineFile, bounded_read};
+use trueup_output::escape::{escape_line, shell_quote};
 
 use crate::{
     Outcome, UserError, files,
-    output::{self, FileSet},
+    output::{self, FileTransaction},
     report,
 };
 
@@ -29,7 +31,7 @@ use crate::{
   trueup import readings.xlsx -o run.csv
   trueup import messung.csv -o run.csv --decimal comma --column Messuhr=measured_dx_um --unit Messuhr=mil
   trueup import monday.csv -o run.csv --map logger.toml       writes logger.toml, and reuses it")]
-pub struct Import {
+pub struct ImportArgs {
     /// The table.
     #[arg(value_name = "FILE")]
     file: PathBuf,
@@ -73,7 +75,7 @@ pub struct Import {
     #[arg(long, value_parser = ["there-and-back", "one-way"])]
     runs: Option<String>,
     #[command(flatten)]
-    circle: OnCircle,
+    circle: CircleTableArgs,
     /// Replace a file that is there with other content.
     #[arg(long)]
     overwrite: bool,
@@ -81,12 +83,12 @@ pub struct Import {
 
 /// The circle of a table of angles and radial deviations, of a ball bar.
 #[derive(Args)]
-struct OnCircle {
+struct CircleTableArgs {
     /// The commanded radius in mm of a table that has angles and radial deviations: they become positions on the circle.
-    #[arg(long, value_name = "MM", value_parser = crate::diagnose::above_zero)]
+    #[arg(long, value_name = "MM", value_parser = crate::diagnose::parse_positive)]
     radius: Option<f64>,
     /// The commanded centre in mm along both axes of the plane.
-    #[arg(long, value_name = "U,V", requires = "radius", value_parser = centre_of, allow_hyphen_values = true, default_value = "0,0")]
+    #[arg(long, value_name = "U,V", requires = "radius", value_parser = parse_centre, allow_hyphen_values = true, default_value = "0,0")]
     centre: [f64; 2],
     /// The plane; the angle counts from its first axis to the second one.
     #[arg(long, requires = "radius", value_parser = ["xy", "yz", "zx"], default_value = "xy")]
@@ -96,8 +98,8 @@ struct OnCircle {
     direction: Option<String>,
 }
 
-impl OnCircle {
-    fn of(&self) -> Option<Circle> {
+impl CircleTableArgs {
+    fn to_circle(&self) -> Option<Circle> {
         let mut axes = self.plane.chars();
         let mut axis = || axes.next().unwrap_or('x');
         Some(Circle {
@@ -109,7 +111,7 @@ impl OnCircle {
     }
 }
 
-fn centre_of(text: &str) -> Result<[f64; 2], String> {
+fn parse_centre(text: &str) -> Result<[f64; 2], String> {
     let numbers: Vec<f64> = text.split(',').filter_map(|it| it.trim().parse().ok()).collect();
     match numbers[..] {
         [u, v] if u.is_finite() && v.is_finite() => Ok([u, v]),
@@ -118,33 +120,36 @@ fn centre_of(text: &str) -> Result<[f64; 2], String> {
 }
 
 /// Imports the table.
-pub fn run(args: &Import, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &ImportArgs, as_json: bool) -> Result<Outcome> {
     let asks = !as_json && stdin().is_terminal() && trueup_output::is_output_terminal();
-    output::check_target(&args.output, &[&args.file])?;
+    output::check_output_path(&args.output, &[&args.file])?;
     if asks && !args.overwrite && args.output.is_file() {
-        return Err(is_there(&args.output).into());
+        return Err(already_exists_error(&args.output).into());
     }
-    let bytes = bounded::read(&args.file, MAX_BYTES).map_err(|error| refused(error, as_json))?;
+    let bytes = bounded_read::read(&args.file, MAX_FILE_BYTES)
+        .map_err(|error| table_error(error, as_json))?;
     let map_text = match &args.map {
-        Some(path) if path.exists() => Some(files::text(path, 1 << 20)?),
+        Some(path) if path.exists() => Some(files::read_text(path, 1 << 20)?),
         _ => None,
     };
     let known = match (&map_text, &args.map) {
-        (Some(text), Some(path)) => map::read(text, path)?,
+        (Some(text), Some(path)) => header_map::parse(text, path)?,
         _ => Answers::default(),
     };
-    let mut answers = by_flags(args)?.or(known);
+    let mut answers = answers_from_flags(args)?.merge(known);
     let imported = loop {
         match import(&bytes, &args.file, &answers) {
             Ok(imported) => break imported,
-            Err(Refused::Bad(error)) => return Err(refused(error, as_json)),
-            Err(Refused::Open(questions)) if asks => {
+            Err(ImportError::Bad(error)) => return Err(table_error(error, as_json)),
+            Err(ImportError::Open(questions)) if asks => {
                 for question in questions {
-                    let value = ask(&question)?;
-                    answers.answer(&question.topic, &value).map_err(UserError)?;
+                    let value = prompt_for_answer(&question)?;
+                    answers.record_answer(&question.topic, &value).map_err(UserError)?;
                 }
             }
-            Err(Refused::Open(questions)) => return Err(open(questions, as_json)),
+            Err(ImportError::Open(questions)) => {
+                return Err(open_questions_error(questions, as_json));
+            }
         }
     };
     write(args, &imported, &answers, map_text.as_deref())?;
@@ -153,16 +158,18 @@ pub fn run(args: &Import, as_json: bool) -> Result<Outcome> {
 }
 
 /// Returns the answers that the flags give.
-fn by_flags(args: &Import) -> Result<Answers> {
+fn answers_from_flags(args: &ImportArgs) -> Result<Answers> {
     let mut answers = Answers {
         negate: args.negate.clone(),
         encoding: args.encoding.clone(),
         sheet: args.sheet.clone(),
-        circle: args.circle.of(),
+        circle: args.circle.to_circle(),
         ..Answers::default()
     };
     let mut flag = |name: &str, topic: Topic, value: &str| {
-        answers.answer(&topic, value).map_err(|rule| UserError(format!("--{name} {value}: {rule}")))
+        answers
+            .record_answer(&topic, value)
+            .map_err(|rule| UserError(format!("--{name} {value}: {rule}")))
     };
     let given = [
         ("decimal", Topic::Decimal, &args.decimal),
@@ -174,8 +181,8 @@ fn by_flags(args: &Import) -> Result<Answers> {
     for (name, topic, value) in given {
         value.as_ref().map_or(Ok(()), |value| flag(name, topic, value))?;
     }
-    type OfColumn = fn(String) -> Topic;
-    let columns: [(&str, &Vec<String>, OfColumn); 2] =
+    type TopicConstructor = fn(String) -> Topic;
+    let columns: [(&str, &Vec<String>, TopicConstructor); 2] =
         [("unit", &args.unit, Topic::Unit), ("column", &args.column, Topic::Column)];
     for (name, pairs, topic) in columns {
         for pair in pairs {
@@ -197,23 +204,23 @@ fn by_flags(args: &Import) -> Result<Answers> {
 }
 
 /// Returns the value that the user chooses or types.
-fn ask(question: &Question) -> Result<String> {
-    const OTHER: &str = "another one";
-    let prompt = format!("line {}: {}", question.place.line, one_line(&question.text));
+fn prompt_for_answer(question: &Question) -> Result<String> {
+    const OTHER_CHOICE: &str = "another one";
+    let prompt = format!("line {}: {}", question.place.line, escape_line(&question.text));
     let is_column = matches!(question.topic, Topic::Column(_));
-    let mut items: Vec<String> = question.choices.iter().map(|it| one_line(it)).collect();
+    let mut items: Vec<String> = question.choices.iter().map(|it| escape_line(it)).collect();
     if is_column && !question.choices.iter().any(|choice| choice == "-") {
         items.push("- (leave it out)".into());
     }
     if question.is_open {
-        items.push(OTHER.into());
+        items.push(OTHER_CHOICE.into());
     }
     if items.len() > 1 {
         let chosen = Select::new().with_prompt(&prompt).items(&items).default(0).interact()?;
         if let Some(choice) = question.choices.get(chosen) {
             return Ok(choice.clone());
         }
-        if items[chosen] != OTHER {
+        if items[chosen] != OTHER_CHOICE {
             return Ok("-".into());
         }
     }
@@ -223,12 +230,12 @@ fn ask(question: &Question) -> Result<String> {
         _ => "Unit".into(),
     };
     let topic = question.topic.clone();
-    let read = |text: &String| Answers::default().answer(&topic, text);
+    let read = |text: &String| Answers::default().record_answer(&topic, text);
     Input::new().with_prompt(prompt).validate_with(read).interact_text().map_err(Error::from)
 }
 
 /// Returns an error of the table on one line, with what to do.
-fn refused(error: BadInput, as_json: bool) -> Error {
+fn table_error(error: BadInput, as_json: bool) -> Error {
     if as_json {
         return error.into();
     }
@@ -242,7 +249,7 @@ fn refused(error: BadInput, as_json: bool) -> Error {
 }
 
 /// Returns the open questions, each on a line with its flag, at most three lines.
-fn open(questions: Vec<Question>, as_json: bool) -> Error {
+fn open_questions_error(questions: Vec<Question>, as_json: bool) -> Error {
     const MAX_LINES: usize = 3;
     let more = questions.len().saturating_sub(MAX_LINES);
     let shown = if more > 0 { MAX_LINES - 1 } else { questions.len() };
@@ -250,47 +257,48 @@ fn open(questions: Vec<Question>, as_json: bool) -> Error {
     let mut errors: Vec<BadInput> =
         questions.into_iter().take(shown).map(Question::into_error).collect();
     if as_json {
-        return BadInput::gathered(errors)
+        return BadInput::combine(errors)
             .map_or_else(|| UserError(String::new()).into(), Error::from);
     }
     let last = match flags.is_empty() {
-        true => errors.pop().map(|error| refused(error, false)),
+        true => errors.pop().map(|error| table_error(error, false)),
         false => Some(UserError(format!("and {}", flags.join("; "))).into()),
     };
-    errors.into_iter().for_each(|error| report::error(refused(error, false)));
+    errors.into_iter().for_each(|error| report::print_error(table_error(error, false)));
     last.unwrap_or_else(|| UserError("a question is open".into()).into())
 }
 
-fn is_there(path: &Path) -> UserError {
+fn already_exists_error(path: &Path) -> UserError {
     let rule = "is there already: give another name, or --overwrite to replace it";
     UserError(format!("{}: {rule}", path.display()))
 }
 
 /// Writes the run file, and the map with what it lacks.
 fn write(
-    args: &Import,
-    imported: &Imported,
+    args: &ImportArgs,
+    imported: &ImportedRun,
     answers: &Answers,
     map_text: Option<&str>,
 ) -> Result<()> {
     let there = std::fs::read_to_string(&args.output).ok();
     let is_other = args.output.is_file() && there.as_deref() != Some(imported.run.as_str());
     if is_other && !args.overwrite {
-        return Err(is_there(&args.output).into());
+        return Err(already_exists_error(&args.output).into());
     }
     let inputs = [args.file.as_path()];
-    let mut set = FileSet::new(&inputs);
+    let mut set = FileTransaction::new(&inputs);
     if let Some(path) = &args.map {
-        let text = map::with(map_text.unwrap_or_default(), answers).map_err(UserError)?;
-        set.text(path, &text)?;
+        let text =
+            header_map::merge_answers(map_text.unwrap_or_default(), answers).map_err(UserError)?;
+        set.add_text(path, &text)?;
     }
-    set.text(&args.output, &imported.run)?;
+    set.add_text(&args.output, &imported.run)?;
     set.commit()
 }
 
 /// Prints what was understood.
-fn print(args: &Import, imported: &Imported, as_json: bool) -> Result<()> {
-    let Imported { rows, form, columns, left_out, notes, .. } = imported;
+fn print(args: &ImportArgs, imported: &ImportedRun, as_json: bool) -> Result<()> {
+    let ImportedRun { rows, form, columns, left_out, notes, .. } = imported;
     if as_json {
         let columns: Vec<_> = columns
             .iter()
@@ -349,6 +357,6 @@ fn print(args: &Import, imported: &Imported, as_json: bool) -> Result<()> {
     if output::is_standard_output(&args.output) {
         return Ok(());
     }
-    let next = shell_word(&args.output.to_string_lossy());
+    let next = shell_quote(&args.output.to_string_lossy());
     output::print(format_args!("{}: written. Next: trueup check {next}", args.output.display()))
 }

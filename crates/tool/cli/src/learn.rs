@@ -1,6 +1,6 @@
 //! `trueup learn`: constants that follow the machine, from readings that it takes itself.
 
-mod probed;
+mod probe_reading;
 
 use std::{
     fs,
@@ -12,19 +12,22 @@ use std::{
 use anyhow::{Context as _, Result};
 use clap::Args;
 use serde_json::{Value, json};
-use trueup_learn::{Change, Constant, Learned, Limits, Live, Memory, Owner, learn, live};
+use trueup_learn::{
+    DailyChange, LearnableConstant, LearnerState, LearningResult, Limits, LiveUpdate,
+    MachineIdentity, learn, live_update,
+};
 use trueup_machine::{Machine, MachineFile, RunFile, file};
 
 use crate::{
     Outcome, UserError,
-    diagnose::{Quantity, above_zero},
+    diagnose::{QuantityArg, parse_positive},
     files,
-    output::{self, FileSet},
+    output::{self, FileTransaction},
     report,
 };
 
 /// A state grows by some kilobytes with each change; a larger file is none.
-const MAX_BYTES: u64 = 256 << 20;
+const MAX_STATE_BYTES: u64 = 256 << 20;
 
 /// Lets the constants of a machine file follow the machine: slowly, within bounds, never by one reading.
 ///
@@ -39,7 +42,7 @@ const MAX_BYTES: u64 = 256 << 20;
 /// Exit 3: an event was reported (a crash, a changed part, a moved thermometer), no reading of the record was used, or a bound was
 /// reached.
 #[derive(Args)]
-pub struct Learn {
+pub struct LearnArgs {
     /// Your machine file.
     #[arg(long, value_name = "M.toml")]
     machine: PathBuf,
@@ -47,22 +50,22 @@ pub struct Learn {
     #[arg(long, value_name = "RUN.csv", required_unless_present = "undo")]
     run: Vec<PathBuf>,
     /// A value probed just now, in µm: a reading for the last row of the record, which is not older than a minute.
-    #[arg(long, value_name = "UM", requires = "run", allow_negative_numbers = true, value_parser = finite)]
+    #[arg(long, value_name = "UM", requires = "run", allow_negative_numbers = true, value_parser = parse_finite)]
     reading_um: Option<f64>,
     /// The machine file with what was learned.
     #[arg(long, value_name = "LEARNED.toml")]
     output: PathBuf,
     /// The quantity to learn, where the record measures several.
     #[arg(long)]
-    quantity: Option<Quantity>,
+    quantity: Option<QuantityArg>,
     /// No constant changes by more than this much of itself, in percent.
-    #[arg(long, value_name = "PERCENT", default_value_t = 100.0 * Limits::default().share, value_parser = above_zero)]
+    #[arg(long, value_name = "PERCENT", default_value_t = 100.0 * Limits::default().share, value_parser = parse_positive)]
     limit_percent: f64,
     /// Together they change the correction nowhere by more, in µm.
-    #[arg(long, value_name = "UM", default_value_t = Limits::default().total_um, value_parser = above_zero)]
+    #[arg(long, value_name = "UM", default_value_t = Limits::default().total_um, value_parser = parse_positive)]
     limit_um: f64,
     /// One reading changes it by no more, in µm.
-    #[arg(long, value_name = "UM", default_value_t = Limits::default().step_um, value_parser = above_zero)]
+    #[arg(long, value_name = "UM", default_value_t = Limits::default().step_um, value_parser = parse_positive)]
     step_um: f64,
     /// Takes the last day's change back.
     #[arg(long, conflicts_with = "run")]
@@ -72,13 +75,13 @@ pub struct Learn {
     reset: bool,
 }
 
-fn finite(text: &str) -> Result<f64, String> {
+fn parse_finite(text: &str) -> Result<f64, String> {
     let value = text.parse().ok().filter(|value: &f64| value.is_finite());
     value.ok_or_else(|| "must be a number".into())
 }
 
-/// A constant as it is now.
-struct Now<'a> {
+/// The current value of a constant.
+struct LearnedConstant<'a> {
     key: &'a str,
     unit: String,
     file: f64,
@@ -87,18 +90,18 @@ struct Now<'a> {
 }
 
 /// Learns from the records, or takes the last change back.
-pub fn run(args: &Learn, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &LearnArgs, as_json: bool) -> Result<Outcome> {
     let source = MachineFile::read_text(&args.machine)?;
     let known = args.output.with_extension("learn.json");
     let mut inputs: Vec<&Path> = vec![&args.machine];
     inputs.extend(args.run.iter().map(PathBuf::as_path));
     for path in [&known, &args.output] {
-        output::check_target(path, &inputs)?;
+        output::check_output_path(path, &inputs)?;
     }
-    let machine = files::parsed(&source, &args.machine)?;
-    check_owner(&args.output, &machine)?;
+    let machine = files::parse_machine(&source, &args.machine)?;
+    check_output_machine(&args.output, &machine)?;
     let (mut memory, mut is_backup_due) =
-        if args.reset { (None, known.exists()) } else { remembered(&known)? };
+        if args.reset { (None, known.exists()) } else { load_state(&known)? };
     if args.undo {
         return undo(args, &source, &known, memory);
     }
@@ -110,22 +113,23 @@ pub fn run(args: &Learn, as_json: bool) -> Result<Outcome> {
         total_um: args.limit_um,
         step_um: args.step_um,
     };
-    let quantity: Option<file::Quantity> = args.quantity.map(Quantity::of_machine);
+    let quantity: Option<file::Quantity> = args.quantity.map(QuantityArg::to_machine_quantity);
     let mut outcome = Outcome::Done;
     // All records are learned from, or none: a command that is refused leaves the files as they were.
     let mut all = Vec::new();
     for path in &args.run {
         let run = match args.reading_um {
             Some(um) => {
-                let run = probed::with_reading(path, quantity, um, SystemTime::now())?;
-                files::usable(run, Some(&machine))?
+                let run =
+                    probe_reading::read_record_with_reading(path, quantity, um, SystemTime::now())?;
+                files::validate_run(run, Some(&machine))?
             }
-            None => read(path, &machine)?,
+            None => read_run(path, &machine)?,
         };
         let learned = learn(&source, &args.machine, &run, quantity, memory.take(), &limits)?;
         memory = Some(learned.memory.clone());
         is_backup_due |= learned.has_restarted;
-        let new = files::to_be_written(&learned.machine, &args.output, Some(&machine))?;
+        let new = files::check_before_write(&learned.machine, &args.output, Some(&machine))?;
         all.push((path, learned, new));
     }
     if let Some((_, last, _)) = all.last() {
@@ -133,15 +137,18 @@ pub fn run(args: &Learn, as_json: bool) -> Result<Outcome> {
             let backup = back_up(&known)?;
             report::warn(format_args!("{}: what was known until now", backup.display()));
         }
-        save(args, &inputs, &known, &last.machine, &last.memory)?;
+        save_outputs(args, &inputs, &known, &last.machine, &last.memory)?;
     }
     for (path, learned, new) in &all {
-        let live = Live::between(&machine, new);
+        let live = LiveUpdate::from_difference(&machine, new);
         if as_json {
-            output::print(serde_json::to_string_pretty(&said(learned, live.as_ref().ok()))?)?;
+            output::print(serde_json::to_string_pretty(&learning_json(
+                learned,
+                live.as_ref().ok(),
+            ))?)?;
         } else {
             print(path, learned)?;
-            print_live(live.ok())?;
+            print_live_corrections(live.ok())?;
         }
         let is_refused = !learned.readings.iter().any(|it| it.used) && !learned.readings.is_empty();
         if is_refused || learned.is_held || !learned.news.is_empty() {
@@ -154,43 +161,44 @@ pub fn run(args: &Learn, as_json: bool) -> Result<Outcome> {
     Ok(outcome)
 }
 
-fn read(path: &Path, machine: &Machine) -> Result<RunFile> {
+fn read_run(path: &Path, machine: &Machine) -> Result<RunFile> {
     if path == Path::new("-") {
         let run = RunFile::from_reader(BufReader::new(io::stdin()), Path::new("standard input"))?;
-        return Ok(files::usable(run, Some(machine))?);
+        return Ok(files::validate_run(run, Some(machine))?);
     }
-    let mut read = files::runs_to_fit(&[path.to_path_buf()], Some(machine))?;
+    let mut read = files::read_runs_for_fit(&[path.to_path_buf()], Some(machine))?;
     read.pop().context("one run file is one run")
 }
 
 /// Refuses an output that is the machine file of another machine.
-fn check_owner(output: &Path, machine: &Machine) -> Result<()> {
+fn check_output_machine(output: &Path, machine: &Machine) -> Result<()> {
     let Ok(text) = fs::read_to_string(output) else { return Ok(()) };
     let Ok(there) = MachineFile::parse(&text, output) else { return Ok(()) };
-    let (there, this) = (Owner::of(&there), Owner::of(machine));
-    if there.is(&this) {
+    let (there, this) =
+        (MachineIdentity::from_machine(&there), MachineIdentity::from_machine(machine));
+    if there.is_same_as(&this) {
         return Ok(());
     }
     let rule = format!(
         "{}: is of {}, and --machine is of {}: give each machine its own --output",
         output.display(),
-        there.text(),
-        this.text()
+        there.description(),
+        this.description()
     );
     Err(UserError(rule).into())
 }
 
 /// Returns what is known from before, `None` where there is no such file yet, and whether it is of an older form.
-fn remembered(path: &Path) -> Result<(Option<Memory>, bool)> {
+fn load_state(path: &Path) -> Result<(Option<LearnerState>, bool)> {
     let bad = |rule: String| UserError(format!("{}: {rule}", path.display()));
     if fs::metadata(path).is_err_and(|error| error.kind() == io::ErrorKind::NotFound) {
         return Ok((None, false));
     }
-    let text = files::text(path, MAX_BYTES)?;
-    let memory = Memory::read(&text);
+    let text = files::read_text(path, MAX_STATE_BYTES)?;
+    let memory = LearnerState::from_json(&text);
     let memory =
         memory.map_err(|rule| bad(format!("is not what trueup learn has written: {rule}")))?;
-    Ok((Some(memory), Memory::is_of_older_form(&text)))
+    Ok((Some(memory), LearnerState::is_previous_schema(&text)))
 }
 
 /// Copies the state to the first backup that is not there yet.
@@ -208,35 +216,40 @@ fn back_up(known: &Path) -> Result<PathBuf> {
 }
 
 /// Both files; what is known first, for with it the other can be made again.
-fn save(
-    args: &Learn,
+fn save_outputs(
+    args: &LearnArgs,
     inputs: &[&Path],
     known: &Path,
     machine: &str,
-    memory: &Memory,
+    memory: &LearnerState,
 ) -> Result<()> {
-    let json = memory.write()?;
-    let mut set = FileSet::new(inputs);
-    set.text(known, &json)?;
-    set.text(&args.output, machine)?;
+    let json = memory.to_json()?;
+    let mut set = FileTransaction::new(inputs);
+    set.add_text(known, &json)?;
+    set.add_text(&args.output, machine)?;
     set.commit()
 }
 
-fn undo(args: &Learn, source: &str, known: &Path, memory: Option<Memory>) -> Result<Outcome> {
+fn undo(
+    args: &LearnArgs,
+    source: &str,
+    known: &Path,
+    memory: Option<LearnerState>,
+) -> Result<Outcome> {
     let bad = |rule: &str| UserError(format!("{}: {rule}", known.display()));
     let mut memory = memory.ok_or_else(|| bad("is not there, so nothing was learned"))?;
     let undone = memory.undo().map_err(|rule| bad(&rule))?;
-    let machine = memory.applied_to(source, &args.machine).ok_or_else(|| {
+    let machine = memory.apply_to_file(source, &args.machine).ok_or_else(|| {
         bad("was learned beside another machine file than this one, or than it was then")
     })?;
-    save(args, &[&args.machine], known, &machine, &memory)?;
+    save_outputs(args, &[&args.machine], known, &machine, &memory)?;
     for (place, from, to) in &undone.values {
-        output::print(format_args!("{}: {to} is {from} again", memory.key(*place)))?;
+        output::print(format_args!("{}: {to} is {from} again", memory.value_key(*place)))?;
     }
     Ok(Outcome::Done)
 }
 
-fn now(learned: &Learned) -> Vec<Now<'_>> {
+fn current_constants(learned: &LearningResult) -> Vec<LearnedConstant<'_>> {
     let memory = &learned.memory;
     let values = memory.values().into_iter().zip(&learned.half_widths);
     memory
@@ -244,24 +257,24 @@ fn now(learned: &Learned) -> Vec<Now<'_>> {
         .iter()
         .zip(values)
         .filter_map(|(constant, (value, half_width))| {
-            let Constant { key, believed, .. } = constant;
+            let LearnableConstant { key, believed, .. } = constant;
             let (unit, half_width) = (constant.unit(), *half_width);
-            Some(Now { key, unit, file: *believed, learned: value?, half_width })
+            Some(LearnedConstant { key, unit, file: *believed, learned: value?, half_width })
         })
         .collect()
 }
 
-fn said(learned: &Learned, live: Option<&Live>) -> Value {
-    let constants: Vec<Value> = now(learned)
+fn learning_json(learned: &LearningResult, live: Option<&LiveUpdate>) -> Value {
+    let constants: Vec<Value> = current_constants(learned)
         .iter()
         .map(|it| json!({"key": it.key, "file": it.file, "learned": it.learned, "half_width": it.half_width}))
         .collect();
     // Not what was known before: that is for --undo.
     let memory = &learned.memory;
-    let listed = |change: &Change| {
+    let listed = |change: &DailyChange| {
         let values = change.values.iter();
         let values: Vec<Value> =
-            values.map(|(place, from, to)| json!([memory.key(*place), from, to])).collect();
+            values.map(|(place, from, to)| json!([memory.value_key(*place), from, to])).collect();
         json!({"at": change.at, "constants": values, "is_undo": change.is_undo})
     };
     let changes: Vec<Value> = memory.changes.iter().map(listed).collect();
@@ -274,20 +287,20 @@ fn said(learned: &Learned, live: Option<&Live>) -> Value {
         "new_events": learned.news,
         "seen": learned.seen,
         "notes": learned.notes,
-        "live": live.map(|it| json!({"told": live::text(&it.amounts.map(i32::from)), "by_new_file": it.rest})),
+        "live": live.map(|it| json!({"told": live_update::describe_amounts(&it.amounts.map(i32::from)), "by_new_file": it.rest})),
     })
 }
 
 /// Prints the parts that a bridge on the user's file can take; nothing for a file that is not for a board.
-fn print_live(live: Option<Live>) -> Result<()> {
-    let Some(Live { amounts, rest }) = live else { return Ok(()) };
-    if let Some(text) = live::text(&amounts.map(i32::from)) {
+fn print_live_corrections(live: Option<LiveUpdate>) -> Result<()> {
+    let Some(LiveUpdate { amounts, rest }) = live else { return Ok(()) };
+    if let Some(text) = live_update::describe_amounts(&amounts.map(i32::from)) {
         output::print(format_args!("  trueup linuxcnc --learned tells the bridge: {text}"))?;
     }
     rest.iter().try_for_each(|it| output::print(format_args!("  {it}")))
 }
 
-fn print(path: &Path, learned: &Learned) -> Result<()> {
+fn print(path: &Path, learned: &LearningResult) -> Result<()> {
     let used = learned.readings.iter().filter(|it| it.used).count();
     let all = learned.readings.len();
     output::print(format_args!("{}: {used} of {all} readings used", path.display()))?;
@@ -296,14 +309,14 @@ fn print(path: &Path, learned: &Learned) -> Result<()> {
             output::print(format_args!("  row {}: {:.1} µm, {reason}", it.row, it.measured_um))?;
         }
     }
-    for Now { key, unit, file, learned, half_width } in now(learned) {
-        let places = trueup_page::decimals_of_half_width(half_width);
+    for LearnedConstant { key, unit, file, learned, half_width } in current_constants(learned) {
+        let places = trueup_page::decimals_for_half_width(half_width);
         output::print(format_args!(
             "  {key}: {file} {unit} in your file, {learned:.places$} {unit} learned, ± {half_width:.places$} {unit}"
         ))?;
     }
     for event in &learned.news {
-        output::print(format_args!("  event: {}", event.sentence()))?;
+        output::print(format_args!("  event: {}", event.describe()))?;
     }
     learned.notes.iter().try_for_each(|note| output::print(format_args!("  {note}")))
 }

@@ -2,8 +2,8 @@
 
 mod component;
 mod configure;
+mod hal_pins;
 mod keep;
-mod running;
 
 use std::{
     fs::OpenOptions,
@@ -19,35 +19,35 @@ use std::{
 use anyhow::{Context as _, Result};
 use clap::Args;
 use trueup_client::{
-    pinned::{Pinned, Rule},
+    pinned_calibration::{CalibrationPolicy, PinnedCalibration},
     port::Port,
 };
 use trueup_core::units::NANOMETRES_PER_MICROMETRE;
-use trueup_learn::{Live, live};
+use trueup_learn::{LiveUpdate, live_update};
 use trueup_linuxcnc::{
     Record,
-    component::TEMPERATURES,
+    component::TEMPERATURE_COUNT,
     configuration::ini_lines::IniLines,
     ini::Ini,
     joint::MAX_JOINTS,
     offsets,
-    run::{self, Learned, Settings},
+    run::{self, LearnedUpdate, Settings},
 };
 use trueup_machine::{
-    Machine, MachineFile, bounded, compile,
-    file::{LinearAxis, MAX_BYTES},
-    model::over_compensation_um,
+    Machine, MachineFile, bounded_read, compile,
+    file::{LinearAxis, MAX_FILE_BYTES},
+    model::max_over_compensation_um,
 };
-use trueup_output::{escape::one_line, queue::Queue};
+use trueup_output::{escape::escape_line, queue::LineQueue};
 
 use crate::{Outcome, UserError, files};
 
 /// Turns of the loop in a servo cycle: a step is seen to be taken soon after it was.
-const TURNS_PER_CYCLE: f64 = 2.5;
+const POLLS_PER_CYCLE: f64 = 2.5;
 /// How often the learned file is looked at: it changes once in half an hour.
-const LOOK: Duration = Duration::from_secs(5);
+const LEARNED_FILE_POLL_INTERVAL: Duration = Duration::from_secs(5);
 /// Longest wait at the end for the log.
-const LOG_END: Duration = Duration::from_millis(500);
+const LOG_FLUSH_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// Runs as a component of LinuxCNC's HAL: sends commanded positions to a bridge and turns its offsets
 /// into external offsets. LinuxCNC starts it: `loadusr -W trueup linuxcnc --port ...`.
@@ -56,7 +56,7 @@ const LOG_END: Duration = Duration::from_millis(500);
 /// Pins, samples and what to do at tool setting, probing and homing: integrations/linuxcnc.
 #[derive(Args)]
 #[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
-pub struct LinuxCnc {
+pub struct LinuxCncArgs {
     #[command(subcommand)]
     command: Option<configure::Command>,
     /// Where the bridge is: tcp:HOST:PORT, a serial device, or can0.
@@ -83,10 +83,10 @@ pub struct LinuxCnc {
     #[arg(long, value_name = "FILE", env = "INI_FILE_NAME")]
     ini: Option<PathBuf>,
     /// The fastest change of an offset, in um/s.
-    #[arg(long, value_name = "V", value_parser = positive)]
+    #[arg(long, value_name = "V", value_parser = parse_positive)]
     slew_um_per_s: Option<f64>,
     /// The largest offset on every axis, in um.
-    #[arg(long, value_name = "MAX", value_parser = positive)]
+    #[arg(long, value_name = "MAX", value_parser = parse_positive)]
     max_um: Option<f64>,
     /// The last offset is held for so long when the bridge is lost.
     #[arg(long, value_name = "MS")]
@@ -113,7 +113,7 @@ pub struct LinuxCnc {
     #[arg(long, value_name = "LEARNED.toml", requires = "machine")]
     learned: Option<PathBuf>,
     /// How many temp-NN pins there are.
-    #[arg(long, value_name = "N", default_value_t = TEMPERATURES as u8, value_parser = clap::value_parser!(u8).range(0..=TEMPERATURES as i64))]
+    #[arg(long, value_name = "N", default_value_t = TEMPERATURE_COUNT as u8, value_parser = clap::value_parser!(u8).range(0..=TEMPERATURE_COUNT as i64))]
     temperatures: u8,
     /// The name of the component. `loadusr -W` waits for the program's own; for another one,
     /// `loadusr -Wn NAME`.
@@ -121,7 +121,7 @@ pub struct LinuxCnc {
     name: String,
 }
 
-fn positive(text: &str) -> Result<f64, String> {
+fn parse_positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(number) if number > 0.0 && number.is_finite() => Ok(number),
         _ => Err("a number above 0".into()),
@@ -129,7 +129,7 @@ fn positive(text: &str) -> Result<f64, String> {
 }
 
 /// Where the component reports what happens: standard error, and a file. Neither delays the servo cycle.
-struct Log(Option<Queue>);
+struct Log(Option<LineQueue>);
 
 impl Log {
     fn open(path: Option<&Path>) -> Result<Self> {
@@ -138,39 +138,39 @@ impl Log {
             file.with_context(|| format!("the log {} cannot be written", path.display()))
         };
         let file = path.map(append).transpose()?;
-        Ok(Self(file.map(|file| Queue::new("the log", file))))
+        Ok(Self(file.map(|file| LineQueue::new("the log", file))))
     }
 
-    fn tell(&self, text: &str) {
-        trueup_output::diagnostic(format_args!("trueup: {text}"));
+    fn write(&self, text: &str) {
+        trueup_output::write_diagnostic(format_args!("trueup: {text}"));
         if let Some(file) = &self.0 {
-            file.push(format!("trueup: {}\n", one_line(text)));
+            file.push(format!("trueup: {}\n", escape_line(text)));
         }
     }
 
     /// Waits a short time until the file has all of it.
     fn finish(&self) {
         if let Some(file) = &self.0 {
-            file.finish(Instant::now() + LOG_END);
+            file.flush_until(Instant::now() + LOG_FLUSH_TIMEOUT);
         }
     }
 }
 
 /// Runs until LinuxCNC ends it, or changes a configuration.
-pub fn run(args: &LinuxCnc, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &LinuxCncArgs, as_json: bool) -> Result<Outcome> {
     if let Some(command) = &args.command {
         return configure::run(command, as_json);
     }
-    trueup_output::detach();
+    trueup_output::enable_background_output();
     let log = Log::open(args.log.as_deref())?;
     let port = Port::parse(args.port.as_deref().unwrap_or_default())?;
-    let machine = args.machine.as_ref().map(|path| files::machine(path)).transpose()?;
+    let machine = args.machine.as_ref().map(|path| files::read_machine(path)).transpose()?;
     let against_um = LinearAxis::ALL
-        .map(|axis| machine.as_ref().map(|machine| over_compensation_um(machine, axis)));
+        .map(|axis| machine.as_ref().map(|machine| max_over_compensation_um(machine, axis)));
     // A machine is corrected although nothing can be learned.
     let record = args.record.as_ref().zip(machine.as_ref()).and_then(|(path, machine)| {
         let opened = Record::open(path, machine);
-        opened.map_err(|why| log.tell(&format!("no record: {}: {why}", path.display()))).ok()
+        opened.map_err(|why| log.write(&format!("no record: {}: {why}", path.display()))).ok()
     });
     let compiled = machine.as_ref().map(compile).transpose();
     // What does not compile makes no calibration to be compared: then it is that of the first contact.
@@ -178,7 +178,7 @@ pub fn run(args: &LinuxCnc, as_json: bool) -> Result<Outcome> {
         compiled?
     } else {
         compiled.unwrap_or_else(|why| {
-            log.tell(&format!("the machine file makes no calibration: {why}"));
+            log.write(&format!("the machine file makes no calibration: {why}"));
             None
         })
     };
@@ -187,13 +187,13 @@ pub fn run(args: &LinuxCnc, as_json: bool) -> Result<Outcome> {
         let folder = args.ini.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
         args.state.clone().unwrap_or_else(|| folder.join(format!("{}.calibration", args.name)))
     };
-    let pinned = Pinned::new(match calibration.zip(args.machine.clone()) {
-        _ if args.any_calibration => Rule::Any,
-        Some((crc, path)) => Rule::Machine { crc, path },
-        None => Rule::FirstContact(state()),
+    let pinned = PinnedCalibration::new(match calibration.zip(args.machine.clone()) {
+        _ if args.any_calibration => CalibrationPolicy::Any,
+        Some((crc, path)) => CalibrationPolicy::Machine { crc, path },
+        None => CalibrationPolicy::FirstContact(state()),
     });
     if let Some(why) = pinned.refusal() {
-        log.tell(&why);
+        log.write(&why);
     }
     let limits = machine.as_ref().map(|machine| machine.limits).unwrap_or_default();
     let slew_um_per_s = args.slew_um_per_s.unwrap_or(limits.slew_um_per_s);
@@ -201,12 +201,12 @@ pub fn run(args: &LinuxCnc, as_json: bool) -> Result<Outcome> {
         Some(path) => {
             let ini = read_ini(path)?;
             if args.by == configure::OffsetEntry::Eoffset {
-                ini.remarks(slew_um_per_s).iter().for_each(|remark| log.tell(remark));
+                ini.slew_limit_warnings(slew_um_per_s).iter().for_each(|remark| log.write(remark));
             }
             ini
         }
         None => {
-            log.tell(
+            log.write(
                 "no .ini: assuming a servo cycle of 1 ms, millimetres, and slow changes of the offsets",
             );
             Ini::default()
@@ -215,8 +215,8 @@ pub fn run(args: &LinuxCnc, as_json: bool) -> Result<Outcome> {
     let joints = match args.by {
         configure::OffsetEntry::Eoffset => [None; MAX_JOINTS],
         configure::OffsetEntry::Joint => {
-            for beyond in configure::beyond_limits(args.ini.as_deref(), machine.as_ref())? {
-                log.tell(&beyond);
+            for beyond in configure::limit_violations(args.ini.as_deref(), machine.as_ref())? {
+                log.write(&beyond);
             }
             configure::joint_settings(args.ini.as_deref(), slew_um_per_s)?
         }
@@ -227,14 +227,14 @@ pub fn run(args: &LinuxCnc, as_json: bool) -> Result<Outcome> {
         temperatures: args.temperatures,
         calibration,
         pinned,
-        turn: Duration::from_secs_f64(ini.cycle_s / TURNS_PER_CYCLE),
+        turn: Duration::from_secs_f64(ini.cycle_s / POLLS_PER_CYCLE),
         options: trueup_linuxcnc::Options {
-            limits: offsets::Limits {
-                max_nm: limits.max_um.map(|um| nanometres(args.max_um.unwrap_or(um))),
+            limits: offsets::OffsetLimits {
+                max_nm: limits.max_um.map(|um| um_to_nm(args.max_um.unwrap_or(um))),
                 stale: Duration::from_millis(args.stale_ms),
                 hold: Duration::from_millis(args.hold_ms.unwrap_or(limits.hold_ms.into())),
             },
-            pace: ini.paces(slew_um_per_s),
+            pace: ini.offset_rate_limits(slew_um_per_s),
             position_period: Duration::from_millis(args.position_period_ms),
             sends_rotary: args.rotary,
             against_um,
@@ -244,29 +244,30 @@ pub fn run(args: &LinuxCnc, as_json: bool) -> Result<Outcome> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
-    let learned = args.learned.clone().zip(machine).map(|(path, machine)| watch(path, machine));
+    let learned =
+        args.learned.clone().zip(machine).map(|(path, machine)| watch_learned_file(path, machine));
     let news = learned.map(|it| move || it.try_recv().ok());
     let ended =
-        run::run(&settings, move || port.open(), &stop, record, news, |text| log.tell(text));
+        run::run(&settings, move || port.open(), &stop, record, news, |text| log.write(text));
     log.finish();
     ended?;
     Ok(Outcome::Done)
 }
 
 /// Looks after the learned file next to the loop, which has no time to read files.
-fn watch(path: PathBuf, machine: Machine) -> Receiver<Learned> {
+fn watch_learned_file(path: PathBuf, machine: Machine) -> Receiver<LearnedUpdate> {
     let (sender, receiver) = mpsc::channel();
     std::thread::spawn(move || {
         let mut before = None;
         loop {
-            let now = bounded::read_text(&path, MAX_BYTES).map_err(|error| error.rule);
+            let now = bounded_read::read_text(&path, MAX_FILE_BYTES).map_err(|error| error.rule);
             if before.as_ref() != Some(&now) {
-                if sender.send(learned(&machine, &path, &now)).is_err() {
+                if sender.send(evaluate_learned_file(&machine, &path, &now)).is_err() {
                     return;
                 }
                 before = Some(now);
             }
-            std::thread::sleep(LOOK);
+            std::thread::sleep(LEARNED_FILE_POLL_INTERVAL);
         }
     });
     receiver
@@ -274,39 +275,43 @@ fn watch(path: PathBuf, machine: Machine) -> Receiver<Learned> {
 
 /// Returns what a learned file comes to for a bridge that runs on `machine`. One that cannot be read or is wrong
 /// changes nothing.
-fn learned(machine: &Machine, path: &Path, text: &Result<String, String>) -> Learned {
+fn evaluate_learned_file(
+    machine: &Machine,
+    path: &Path,
+    text: &Result<String, String>,
+) -> LearnedUpdate {
     let name = path.display();
     let live = match text {
         Err(why) => Err(format!("{name}: {why}")),
         Ok(text) => MachineFile::parse(text, path)
-            .and_then(|learned| Live::between(machine, &learned))
+            .and_then(|learned| LiveUpdate::from_difference(machine, &learned))
             .map_err(|error| error.to_string()),
     };
     match live {
         Err(why) => {
-            Learned { amounts: None, said: vec![format!("nothing new was learned: {why}")] }
+            LearnedUpdate { amounts: None, said: vec![format!("nothing new was learned: {why}")] }
         }
-        Ok(Live { amounts, rest }) => {
-            let text = live::text(&amounts.map(i32::from));
+        Ok(LiveUpdate { amounts, rest }) => {
+            let text = live_update::describe_amounts(&amounts.map(i32::from));
             let text =
                 text.unwrap_or_else(|| "nothing, so what it was told before is taken back".into());
             let mut said = vec![format!("the bridge is told what was learned: {text}")];
             said.extend(rest);
-            Learned { amounts: Some(amounts), said }
+            LearnedUpdate { amounts: Some(amounts), said }
         }
     }
 }
 
 #[allow(clippy::cast_possible_truncation, reason = "a cast of a float saturates")]
-fn nanometres(um: f64) -> i32 {
+fn um_to_nm(um: f64) -> i32 {
     (um * f64::from(NANOMETRES_PER_MICROMETRE)).round() as i32
 }
 
 /// Reads the INI file with what it includes.
 fn read_ini(path: &Path) -> Result<Ini> {
     let lines = IniLines::read(path).map_err(|error| UserError(error.to_string()))?;
-    Ok(Ini::parse(&lines.text()).map_err(|error| {
-        let place = lines.place_of_line(error.place.0, error.place.1);
+    Ok(Ini::parse(&lines.to_text()).map_err(|error| {
+        let place = lines.line_location(error.place.0, error.place.1);
         UserError(format!("{place}: {}", error.rule))
     })?)
 }
@@ -321,7 +326,9 @@ mod tests {
     #[test]
     fn a_learned_file_says_its_change_and_one_that_cannot_be_read_nothing() {
         let machine = MachineFile::parse(FILE, Path::new("m.toml")).expect("right");
-        let of = |text: Result<String, String>| learned(&machine, Path::new("l.toml"), &text);
+        let of = |text: Result<String, String>| {
+            evaluate_learned_file(&machine, Path::new("l.toml"), &text)
+        };
         let read = of(Ok(FILE.replace("80.0", "81.6")));
         assert_eq!(read.amounts, Some([2_000, 0, 0, 0, 0]));
         assert!(read.said[0].ends_with("growth of the spindle +2.000 %"), "{:?}", read.said);

@@ -1,7 +1,7 @@
 //! The machine file on a command line: behind `--machine` or as a word of its own, in every command that reads one.
 //!
 //! `compile` and `export` declare both forms ([`MachineArg`]). In the other commands, some of which have words of their own
-//! (`program backlash`), a word that ends with `.toml` is the machine file ([`with_option`]).
+//! (`program backlash`), a word that ends with `.toml` is the machine file ([`with_machine_option`]).
 
 use std::{
     ffi::OsString,
@@ -31,7 +31,7 @@ impl MachineArg {
 
 /// Returns the words of a command line with `--machine` before the machine file, where the command has that option and the
 /// line does not give it.
-pub fn with_option(tool: &Command, words: Vec<OsString>) -> Vec<OsString> {
+pub fn with_machine_option(tool: &Command, words: Vec<OsString>) -> Vec<OsString> {
     let mut command = tool;
     let (mut file, mut others) = (None, 0);
     let mut takes_value = false;
@@ -42,10 +42,10 @@ pub fn with_option(tool: &Command, words: Vec<OsString>) -> Vec<OsString> {
         } else if text == "--" {
             break;
         } else if text.starts_with('-') && text.len() > 1 {
-            if is_machine(&text) {
+            if is_machine_option(&text) {
                 return words;
             }
-            takes_value = !text.contains('=') && waits_for_value(tool, command, &text);
+            takes_value = !text.contains('=') && expects_value(tool, command, &text);
         } else if let Some(inner) = command.find_subcommand(text.as_ref()) {
             command = inner;
         } else if text.ends_with(".toml") && file.is_none() {
@@ -62,7 +62,9 @@ pub fn with_option(tool: &Command, words: Vec<OsString>) -> Vec<OsString> {
             || matches!(argument.get_action(), ArgAction::Append)
     });
     match file {
-        Some(at) if has("machine") && !is_declared && others >= own_files(command).count() => {
+        Some(at)
+            if has("machine") && !is_declared && others >= required_file_args(command).count() =>
+        {
             let mut words = words;
             words.insert(at, "--machine".into());
             words
@@ -72,17 +74,17 @@ pub fn with_option(tool: &Command, words: Vec<OsString>) -> Vec<OsString> {
 }
 
 /// Returns the files that a command requires as words of its own: `import FILE`.
-fn own_files(command: &Command) -> impl Iterator<Item = &Arg> {
+fn required_file_args(command: &Command) -> impl Iterator<Item = &Arg> {
     let positionals = command.get_positionals();
     positionals.filter(|it| it.is_required_set() && it.get_possible_values().is_empty())
 }
 
-fn is_machine(option: &str) -> bool {
+fn is_machine_option(option: &str) -> bool {
     option == "--machine" || option.starts_with("--machine=") || option.starts_with("-m")
 }
 
 /// Returns true if the word after an option is its value: after `-o` and `-qo`, not after `-oOUT`.
-fn waits_for_value(tool: &Command, command: &Command, option: &str) -> bool {
+fn expects_value(tool: &Command, command: &Command, option: &str) -> bool {
     let takes_value = |is_named: &dyn Fn(&Arg) -> bool| {
         let mut all = command.get_arguments().chain(tool.get_arguments());
         all.find(|argument| is_named(argument))
@@ -107,7 +109,7 @@ mod tests {
 
     /// Every command that has `--machine`, by its words.
     fn with_machine(command: &Command, path: &str, all: &mut Vec<String>) {
-        let files = own_files(command).map(|_| " x.csv").collect::<String>();
+        let files = required_file_args(command).map(|_| " x.csv").collect::<String>();
         if command.get_arguments().any(|argument| argument.get_long() == Some("machine")) {
             all.push(path.trim_start().to_owned() + &files);
         }
@@ -128,7 +130,8 @@ mod tests {
         assert!(commands.len() > 20, "{commands:?}");
         for command in commands {
             let read = |line: String| {
-                let error = Cli::read(words(&line)).err().map(|error| error.to_string());
+                let error =
+                    Cli::parse_command_line(words(&line)).err().map(|error| error.to_string());
                 // What else a command requires is not on these lines.
                 let error = error.unwrap_or_default();
                 assert!(
@@ -173,7 +176,7 @@ mod tests {
             ("trueup simulate --scenario s.toml", "trueup simulate --scenario s.toml"),
             ("trueup simulate s.toml", "trueup simulate s.toml"),
         ] {
-            assert_eq!(with_option(&tool, words(line)), words(expected), "{line}");
+            assert_eq!(with_machine_option(&tool, words(line)), words(expected), "{line}");
         }
     }
 }

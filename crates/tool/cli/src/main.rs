@@ -13,7 +13,6 @@
 
 mod accept;
 mod bridge;
-mod carried;
 mod check;
 mod commands;
 mod commission;
@@ -21,6 +20,7 @@ mod compare;
 mod compile;
 mod diagnose;
 mod doctor;
+mod embedded_images;
 mod examples;
 mod export;
 mod files;
@@ -59,9 +59,9 @@ use std::{env, ffi::OsString, path::PathBuf, process::ExitCode};
 
 use anyhow::Result;
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
-use trueup_client::Unusable;
+use trueup_client::UnusableInput;
 use trueup_machine::BadInput;
-use trueup_output::escape::is_unsafe;
+use trueup_output::escape::needs_escaping;
 
 use report::Verbosity;
 
@@ -69,24 +69,24 @@ use report::Verbosity;
 const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("TRUEUP_COMMIT"), ")");
 
 /// The heading of the options that every command has.
-const EVERYWHERE: &str = "Options of every command";
+const GLOBAL_OPTIONS_HEADING: &str = "Options of every command";
 
 /// Errors of a machine tool: what the model predicts, and what the bridge compensates.
 #[derive(Parser)]
 #[command(name = "trueup", version = VERSION, propagate_version = true)]
 struct Cli {
     /// Print JSON instead of text.
-    #[arg(long, global = true, help_heading = EVERYWHERE)]
+    #[arg(long, global = true, help_heading = GLOBAL_OPTIONS_HEADING)]
     json: bool,
     /// Say errors alone, no warnings.
-    #[arg(short, long, global = true, help_heading = EVERYWHERE)]
+    #[arg(short, long, global = true, help_heading = GLOBAL_OPTIONS_HEADING)]
     quiet: bool,
     /// Say more: what a machine file will do, before it is used.
-    #[arg(short, long, global = true, help_heading = EVERYWHERE, conflicts_with = "quiet")]
+    #[arg(short, long, global = true, help_heading = GLOBAL_OPTIONS_HEADING, conflicts_with = "quiet")]
     verbose: bool,
     /// Take the value of this key of the machine file, or this column of a run, although no machine has it;
     /// may be given several times.
-    #[arg(long, global = true, help_heading = EVERYWHERE, value_name = "KEY")]
+    #[arg(long, global = true, help_heading = GLOBAL_OPTIONS_HEADING, value_name = "KEY")]
     accept: Vec<String>,
     #[command(subcommand)]
     command: Command,
@@ -94,36 +94,38 @@ struct Cli {
 
 impl Cli {
     /// Parses a command line as users write it, with its short forms.
-    fn read(words: impl IntoIterator<Item: Into<OsString> + Clone>) -> Result<Self, clap::Error> {
+    fn parse_command_line(
+        words: impl IntoIterator<Item: Into<OsString> + Clone>,
+    ) -> Result<Self, clap::Error> {
         let tool = help::with_examples(Self::command());
         let words = words.into_iter().map(Into::into).collect();
-        let words = machine_arg::with_option(&tool, words);
+        let words = machine_arg::with_machine_option(&tool, words);
         Self::from_arg_matches(&tool.try_get_matches_from(words)?)
     }
 }
 
 #[derive(Subcommand)]
 enum Command {
-    Predict(predict::Predict),
+    Predict(predict::PredictArgs),
     /// Turns a machine file into the calibration that the bridge stores.
-    Compile(compile::Compile),
-    Check(check::Check),
-    Commission(commission::Commission),
-    Compare(compare::Compare),
-    Accept(accept::Accept),
-    Diagnose(diagnose::Diagnose),
-    Doctor(doctor::Doctor),
-    Export(export::Export),
+    Compile(compile::CompileArgs),
+    Check(check::CheckArgs),
+    Commission(commission::CommissionArgs),
+    Compare(compare::CompareArgs),
+    Accept(accept::AcceptArgs),
+    Diagnose(diagnose::DiagnoseArgs),
+    Doctor(doctor::DoctorArgs),
+    Export(export::ExportArgs),
     Fit(fit::Fit),
     /// Many machines: jobs in a folder, workers that do them, and what the results say of a series.
     Fleet {
         #[command(subcommand)]
         command: fleet::Command,
     },
-    Import(import::Import),
-    Learn(learn::Learn),
+    Import(import::ImportArgs),
+    Learn(learn::LearnArgs),
     #[command(name = "linuxcnc")]
-    LinuxCnc(linuxcnc::LinuxCnc),
+    LinuxCnc(linuxcnc::LinuxCncArgs),
     /// Prints a calibration back as a machine file.
     ///
     /// Exit 3: it is printed, but does not compile back to the same calibration.
@@ -132,20 +134,20 @@ enum Command {
         #[arg(value_name = "CAL.bin")]
         calibration: PathBuf,
     },
-    New(new::New),
-    Program(program::Program),
-    Schema(schema::Schema),
-    Serve(Box<serve::Serve>),
-    Sign(sign::Sign),
-    Simulate(simulate::Simulate),
-    Trend(trend::Trend),
-    Trust(trust::Watch),
+    New(new::NewArgs),
+    Program(program::ProgramArgs),
+    Schema(schema::SchemaArgs),
+    Serve(Box<serve::ServeArgs>),
+    Sign(sign::SignArgs),
+    Simulate(simulate::SimulateArgs),
+    Trend(trend::TrendArgs),
+    Trust(trust::TrustArgs),
     #[cfg(unix)]
-    Virtual(virtual_board::Virtual),
-    Firmware(firmware::Firmware),
-    Examples(examples::Examples),
-    Completions(manual::Completions),
-    Man(manual::Man),
+    Virtual(virtual_board::VirtualArgs),
+    Firmware(firmware::FirmwareArgs),
+    Examples(examples::ExamplesArgs),
+    Completions(manual::CompletionsArgs),
+    Man(manual::ManArgs),
     /// Brings a bridge to a control that has a PLC: offsets into its registers, positions out of them.
     Gateway {
         #[command(subcommand)]
@@ -172,19 +174,19 @@ enum Outcome {
 struct UserError(String);
 
 fn main() -> ExitCode {
-    let cli = match Cli::read(env::args_os()) {
+    let cli = match Cli::parse_command_line(env::args_os()) {
         Ok(cli) => cli,
-        Err(error) => return usage(&error),
+        Err(error) => return print_usage(&error),
     };
-    report::set(Verbosity { json: cli.json, quiet: cli.quiet, verbose: cli.verbose });
-    files::accept(&cli.accept);
+    report::set_verbosity(Verbosity { json: cli.json, quiet: cli.quiet, verbose: cli.verbose });
+    files::set_accepted_keys(&cli.accept);
     let code = exit_code(run(&cli));
-    trueup_output::finish();
+    trueup_output::flush_queues();
     code
 }
 
 /// Prints help, or what is wrong with the command line.
-fn usage(error: &clap::Error) -> ExitCode {
+fn print_usage(error: &clap::Error) -> ExitCode {
     let text = error.render();
     let is_help = !error.use_stderr();
     let is_terminal = match is_help {
@@ -192,19 +194,19 @@ fn usage(error: &clap::Error) -> ExitCode {
         false => trueup_output::is_error_terminal(),
     };
     // A terminal gets clap's colours, unless the command line could bring some of its own.
-    let is_plain = !text.to_string().chars().any(|c| c != '\n' && is_unsafe(c));
+    let is_plain = !text.to_string().chars().any(|c| c != '\n' && needs_escaping(c));
     let text = text.to_string();
     let printed = match (is_help, is_terminal && is_plain) {
         (_, true) => error.print(),
-        (true, false) => trueup_output::result(text.trim_end()),
+        (true, false) => trueup_output::write_result(text.trim_end()),
         (false, false) => {
-            trueup_output::diagnostic(text.trim_end());
+            trueup_output::write_diagnostic(text.trim_end());
             Ok(())
         }
     };
     match (printed, u8::try_from(error.exit_code())) {
         (Err(why), _) if is_help => {
-            report::error(format_args!("standard output cannot be written: {why}"));
+            report::print_error(format_args!("standard output cannot be written: {why}"));
             ExitCode::FAILURE
         }
         (_, code) => code.map_or(ExitCode::FAILURE, ExitCode::from),
@@ -218,15 +220,15 @@ fn exit_code(ended: Result<Outcome>) -> ExitCode {
         Ok(Outcome::NotMet) => ExitCode::from(3),
         Err(error) => match error.downcast::<BadInput>() {
             Ok(error) => {
-                report::bad_input(error);
+                report::report_bad_input(error);
                 ExitCode::from(2)
             }
-            Err(error) if error.is::<UserError>() || error.is::<Unusable>() => {
-                report::error(error);
+            Err(error) if error.is::<UserError>() || error.is::<UnusableInput>() => {
+                report::print_error(error);
                 ExitCode::from(2)
             }
             Err(error) => {
-                report::error(format_args!("{error:#}"));
+                report::print_error(format_args!("{error:#}"));
                 ExitCode::from(1)
             }
         },
@@ -263,9 +265,11 @@ fn run(cli: &Cli) -> Result<Outcome> {
         Command::Firmware(args) => firmware::run(args, cli.json),
         Command::Examples(args) => examples::run(args, cli.json),
         Command::Completions(args) => {
-            manual::completions(args, help::with_examples(Cli::command()))
+            manual::print_completions(args, help::with_examples(Cli::command()))
         }
-        Command::Man(args) => manual::man(args, help::with_examples(Cli::command()), cli.json),
+        Command::Man(args) => {
+            manual::write_man_pages(args, help::with_examples(Cli::command()), cli.json)
+        }
         Command::Gateway { command } => gateway::run(command),
         Command::Bridge { command } => bridge::run(command, cli.json),
     }
@@ -300,7 +304,7 @@ mod tests {
     fn every_example_is_a_line_that_the_tool_takes() {
         for line in help::lines() {
             let words = line.split(" > ").next().unwrap_or_default().split(' ');
-            let taken = Cli::read(words);
+            let taken = Cli::parse_command_line(words);
             assert!(
                 taken.is_ok(),
                 "{line}: {}",

@@ -9,31 +9,31 @@ use clap_complete::Shell;
 
 use crate::{
     Outcome,
-    output::{self, FileSet},
+    output::{self, FileTransaction},
 };
 
 /// Prints what a shell completes this tool's commands and options with.
 ///
 /// bash: trueup completions bash > ~/.local/share/bash-completion/completions/trueup
 #[derive(Args)]
-pub struct Completions {
+pub struct CompletionsArgs {
     /// The shell.
     shell: Shell,
 }
 
 /// Writes the manual's pages, one for each command: man ./trueup-fit.1.
 #[derive(Args)]
-pub struct Man {
+pub struct ManArgs {
     /// The folder; it is made if there is none.
     #[arg(value_name = "DIR")]
     folder: PathBuf,
 }
 
 /// Prints the completions.
-pub fn completions(args: &Completions, mut tool: Command) -> Result<Outcome> {
+pub fn print_completions(args: &CompletionsArgs, mut tool: Command) -> Result<Outcome> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut tool, "trueup", &mut script);
-    let mut out = trueup_output::Output;
+    let mut out = trueup_output::StdoutWriter;
     out.write_all(&script)
         .and_then(|()| out.flush())
         .context("standard output cannot be written")?;
@@ -41,7 +41,7 @@ pub fn completions(args: &Completions, mut tool: Command) -> Result<Outcome> {
 }
 
 /// Writes the pages.
-pub fn man(args: &Man, tool: Command, as_json: bool) -> Result<Outcome> {
+pub fn write_man_pages(args: &ManArgs, tool: Command, as_json: bool) -> Result<Outcome> {
     fs::create_dir_all(&args.folder).with_context(|| args.folder.display().to_string())?;
     let made = tempfile::Builder::new().prefix("trueup-man-").tempdir()?;
     clap_mangen::generate_to(tool.disable_help_subcommand(true), made.path())?;
@@ -49,12 +49,12 @@ pub fn man(args: &Man, tool: Command, as_json: bool) -> Result<Outcome> {
         fs::read_dir(&made)?.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned()));
     let mut pages: Vec<String> = names.collect::<Result<_>>()?;
     pages.sort();
-    let mut set = FileSet::new(&[]);
+    let mut set = FileTransaction::new(&[]);
     for page in &pages {
         let bytes = fs::read(made.path().join(page))?;
         set.add(&args.folder.join(page), |out| out.write_all(&bytes))?;
     }
     set.commit()?;
-    output::list(&args.folder, &pages, as_json)?;
+    output::print_written_files(&args.folder, &pages, as_json)?;
     Ok(Outcome::Done)
 }

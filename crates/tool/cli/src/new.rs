@@ -10,8 +10,8 @@ use clap::{Args, ValueEnum};
 use serde_json::json;
 use trueup_machine::{
     BadInput, MachineFile,
-    file::{Feedback, Kind, LinearAxis, RotaryAxis},
-    template::{Control, Sheet, Template},
+    file::{Feedback, LinearAxis, MachineKind, RotaryAxis},
+    template::{CncControl, SensorDataSheet, Template},
 };
 
 use crate::{Outcome, UserError, files, output, questions, report};
@@ -27,7 +27,7 @@ use crate::{Outcome, UserError, files, output, questions, report};
       --sensor-um-per-v 50 --sensor-zero-v 1.54 --thermometer screw --control siemens
   trueup new -o lathe.toml --yes --kind lathe --travel x=0:150 --travel z=-400:0
   trueup new -o - --yes --kind head-head --head-axes c,a      on standard output")]
-pub struct New {
+pub struct NewArgs {
     /// Where to write the machine file; `-` is standard output, left out it is named after the machine. A file that
     /// is there is left alone.
     #[arg(long, value_name = "M.toml")]
@@ -37,41 +37,41 @@ pub struct New {
     name: Option<String>,
     /// Which rotary axes carry the tool (head) and which the workpiece (table), or a lathe.
     #[arg(long, value_enum)]
-    kind: Option<KindName>,
+    kind: Option<KindArg>,
     /// The rotary axes that carry the spindle, from the frame to the tool: c,a.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "AXES")]
-    head_axes: Option<Vec<RotaryName>>,
+    head_axes: Option<Vec<RotaryArg>>,
     /// An axis and the ends of its travel in mm, once for each: x=0:600. X of a lathe is a radius.
-    #[arg(long, value_name = "AXIS=FROM:TO", value_parser = travel, allow_hyphen_values = true)]
+    #[arg(long, value_name = "AXIS=FROM:TO", value_parser = parse_travel, allow_hyphen_values = true)]
     travel: Vec<(LinearAxis, [f64; 2])>,
     /// Where the positions are measured.
     #[arg(long, value_enum)]
-    feedback: Option<FeedbackName>,
+    feedback: Option<FeedbackArg>,
     /// The rapid traverse in mm/min.
-    #[arg(long, value_name = "MM_PER_MIN", value_parser = questions::above_zero)]
+    #[arg(long, value_name = "MM_PER_MIN", value_parser = questions::parse_positive)]
     rapid: Option<f64>,
     /// The displacement sensor's µm for one volt, from its data sheet; without it there is none.
-    #[arg(long, value_name = "UM", value_parser = questions::not_zero, allow_hyphen_values = true)]
+    #[arg(long, value_name = "UM", value_parser = questions::parse_nonzero, allow_hyphen_values = true)]
     sensor_um_per_v: Option<f64>,
     /// The voltage at the sensor when the machine is cold, in V; by default half of its range.
-    #[arg(long, value_name = "V", value_parser = questions::finite)]
+    #[arg(long, value_name = "V", value_parser = questions::parse_finite)]
     sensor_zero_v: Option<f64>,
     /// The sensor's output at the end of its range, in V; by default 10.
-    #[arg(long, value_name = "V", value_parser = questions::above_zero)]
+    #[arg(long, value_name = "V", value_parser = questions::parse_positive)]
     sensor_volts: Option<f64>,
     /// A PT100 and where it is, once for each: screw.
-    #[arg(long, value_name = "WHERE", value_parser = questions::word)]
+    #[arg(long, value_name = "WHERE", value_parser = questions::parse_word)]
     thermometer: Vec<String>,
     /// The control that gets the offsets.
     #[arg(long, value_enum)]
-    control: Option<ControlName>,
+    control: Option<ControlArg>,
     /// Ask nothing.
     #[arg(long)]
     yes: bool,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum KindName {
+pub enum KindArg {
     #[value(name = "3-axis")]
     ThreeAxis,
     HeadHead,
@@ -80,33 +80,33 @@ pub enum KindName {
     Lathe,
 }
 
-impl KindName {
-    fn kind(self) -> Kind {
+impl KindArg {
+    fn to_kind(self) -> MachineKind {
         match self {
-            Self::ThreeAxis => Kind::ThreeAxis,
-            Self::HeadHead => Kind::HeadHead,
-            Self::HeadTable => Kind::HeadTable,
-            Self::TableTable => Kind::TableTable,
-            Self::Lathe => Kind::Lathe,
+            Self::ThreeAxis => MachineKind::ThreeAxis,
+            Self::HeadHead => MachineKind::HeadHead,
+            Self::HeadTable => MachineKind::HeadTable,
+            Self::TableTable => MachineKind::TableTable,
+            Self::Lathe => MachineKind::Lathe,
         }
     }
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum RotaryName {
+pub enum RotaryArg {
     A,
     B,
     C,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum FeedbackName {
+pub enum FeedbackArg {
     Screw,
     Scale,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum ControlName {
+pub enum ControlArg {
     #[value(name = "linuxcnc")]
     LinuxCnc,
     Siemens,
@@ -114,35 +114,36 @@ pub enum ControlName {
     Heidenhain,
 }
 
-fn travel(text: &str) -> Result<(LinearAxis, [f64; 2]), String> {
+fn parse_travel(text: &str) -> Result<(LinearAxis, [f64; 2]), String> {
     let (axis, range) = text.split_once('=').ok_or("must be an axis and its ends: x=0:600")?;
     let axis = LinearAxis::ALL.into_iter().find(|it| it.name() == axis.trim().to_lowercase());
-    Ok((axis.ok_or("the axis must be x, y or z")?, questions::ends(range)?))
+    Ok((axis.ok_or("the axis must be x, y or z")?, questions::parse_travel(range)?))
 }
 
 /// Writes the file.
-pub fn run(args: &New, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &NewArgs, as_json: bool) -> Result<Outcome> {
     let asks =
         !args.yes && !as_json && stdin().is_terminal() && trueup_output::is_output_terminal();
-    let template = by_flags(args)?;
+    let template = template_from_flags(args)?;
     // Before anything is asked: answers are not to be lost.
     let asks_name = asks && args.output.is_none() && args.name.is_none();
     if !asks_name {
-        is_free(&path(args, &template.name))?;
+        check_creatable(&output_path(args, &template.name))?;
     }
-    let check_name = |name: &str| is_free(&path(args, name)).map_err(|error| error.0);
+    let check_name =
+        |name: &str| check_creatable(&output_path(args, name)).map_err(|error| error.0);
     let template = match asks {
-        true => questions::ask(template, &said(args), &check_name)?,
+        true => questions::run_questionnaire(template, &answered_questions(args), &check_name)?,
         false => template,
     };
-    let path = path(args, &template.name);
+    let path = output_path(args, &template.name);
     let is_stdout = output::is_standard_output(&path);
     let name = if is_stdout { "machine.toml".into() } else { path.to_string_lossy() };
     let text = template.to_toml(&name);
-    // What cannot be, and no flag alone could tell: a head with three axes, two thermometers of a name.
+    // What cannot be, and no flag alone could show: a head with three axes, two thermometers of a name.
     MachineFile::parse(&text, &path).map_err(|BadInput { rule, .. }| UserError(rule))?;
-    files::to_be_written(&text, &path, None)?;
-    output::write_whole(&path, &[], |out| out.write_all(text.as_bytes()))?;
+    files::check_before_write(&text, &path, None)?;
+    output::write_atomically(&path, &[], |out| out.write_all(text.as_bytes()))?;
     if as_json {
         output::print(json!({"output": name, "machine": template.name}))?;
     } else {
@@ -155,7 +156,7 @@ pub fn run(args: &New, as_json: bool) -> Result<Outcome> {
 }
 
 /// Returns where the file goes: where the flag says, else in this folder, named after the machine.
-fn path(args: &New, machine: &str) -> PathBuf {
+fn output_path(args: &NewArgs, machine: &str) -> PathBuf {
     args.output.clone().unwrap_or_else(|| {
         let is_plain = |c: char| c.is_alphanumeric() || c == '-' || c == '_';
         let stem: String = machine.chars().map(|c| if is_plain(c) { c } else { '-' }).collect();
@@ -164,7 +165,7 @@ fn path(args: &New, machine: &str) -> PathBuf {
 }
 
 /// Fails if a file cannot be written without harm to another one.
-fn is_free(path: &Path) -> Result<(), UserError> {
+fn check_creatable(path: &Path) -> Result<(), UserError> {
     if output::is_standard_output(path) {
         return Ok(());
     }
@@ -178,8 +179,8 @@ fn is_free(path: &Path) -> Result<(), UserError> {
 }
 
 /// Returns what needs no question.
-fn said(args: &New) -> questions::Said {
-    questions::Said {
+fn answered_questions(args: &NewArgs) -> questions::AnsweredQuestions {
+    questions::AnsweredQuestions {
         name: args.name.is_some(),
         kind: args.kind.is_some(),
         head_axes: args.head_axes.is_some(),
@@ -192,14 +193,14 @@ fn said(args: &New) -> questions::Said {
     }
 }
 
-fn by_flags(args: &New) -> Result<Template, UserError> {
-    let kind = args.kind.unwrap_or(KindName::ThreeAxis).kind();
+fn template_from_flags(args: &NewArgs) -> Result<Template, UserError> {
+    let kind = args.kind.unwrap_or(KindArg::ThreeAxis).to_kind();
     let mut axes = args.travel.clone();
     axes.sort_by_key(|(axis, _)| *axis);
     if let Some(pair) = axes.windows(2).find(|pair| pair[0].0 == pair[1].0) {
         return Err(UserError(format!("--travel {} is given twice", pair[0].0.name())));
     }
-    if kind == Kind::Lathe && axes.iter().any(|(axis, _)| *axis == LinearAxis::Y) {
+    if kind == MachineKind::Lathe && axes.iter().any(|(axis, _)| *axis == LinearAxis::Y) {
         return Err(UserError("--travel y: a lathe is asked for X (radius) and Z; write [axis.y] yourself if it has one".into()));
     }
     let twice = |name: &&String| args.thermometer.iter().filter(|it| it == name).count() > 1;
@@ -211,45 +212,45 @@ fn by_flags(args: &New) -> Result<Template, UserError> {
         kind,
         head_axes: head_axes(args.head_axes.as_deref(), kind),
         axes,
-        feedback: feedback(args),
+        feedback: feedback_from_flags(args),
         rapid_mm_per_min: args.rapid,
-        sensor: args.sensor_um_per_v.map(|um_per_v| sheet(args, um_per_v)),
+        sensor: args.sensor_um_per_v.map(|um_per_v| sensor_data_sheet(args, um_per_v)),
         thermometers: args.thermometer.clone(),
         control: control(args),
     })
 }
 
 /// Returns the axes of the head, by default those of the usual machine of its kind.
-fn head_axes(names: Option<&[RotaryName]>, kind: Kind) -> Vec<RotaryAxis> {
-    let rotary = |name: &RotaryName| match name {
-        RotaryName::A => RotaryAxis::A,
-        RotaryName::B => RotaryAxis::B,
-        RotaryName::C => RotaryAxis::C,
+fn head_axes(names: Option<&[RotaryArg]>, kind: MachineKind) -> Vec<RotaryAxis> {
+    let rotary = |name: &RotaryArg| match name {
+        RotaryArg::A => RotaryAxis::A,
+        RotaryArg::B => RotaryAxis::B,
+        RotaryArg::C => RotaryAxis::C,
     };
     match names {
         Some(names) => names.iter().map(rotary).collect(),
-        None => questions::usual_head(kind),
+        None => questions::default_head_axes(kind),
     }
 }
 
-fn feedback(args: &New) -> Feedback {
+fn feedback_from_flags(args: &NewArgs) -> Feedback {
     match args.feedback {
-        Some(FeedbackName::Scale) => Feedback::Scale,
-        Some(FeedbackName::Screw) | None => Feedback::Screw,
+        Some(FeedbackArg::Scale) => Feedback::Scale,
+        Some(FeedbackArg::Screw) | None => Feedback::Screw,
     }
 }
 
-fn sheet(args: &New, um_per_v: f64) -> Sheet {
+fn sensor_data_sheet(args: &NewArgs, um_per_v: f64) -> SensorDataSheet {
     let volts_full_scale = args.sensor_volts.unwrap_or(10.0);
     let zero_v = args.sensor_zero_v.unwrap_or(volts_full_scale / 2.0);
-    Sheet { volts_full_scale, um_per_v, zero_v }
+    SensorDataSheet { volts_full_scale, um_per_v, zero_v }
 }
 
-fn control(args: &New) -> Control {
+fn control(args: &NewArgs) -> CncControl {
     match args.control {
-        Some(ControlName::Siemens) => Control::Siemens,
-        Some(ControlName::Fanuc) => Control::Fanuc,
-        Some(ControlName::Heidenhain) => Control::Heidenhain,
-        Some(ControlName::LinuxCnc) | None => Control::LinuxCnc,
+        Some(ControlArg::Siemens) => CncControl::Siemens,
+        Some(ControlArg::Fanuc) => CncControl::Fanuc,
+        Some(ControlArg::Heidenhain) => CncControl::Heidenhain,
+        Some(ControlArg::LinuxCnc) | None => CncControl::LinuxCnc,
     }
 }

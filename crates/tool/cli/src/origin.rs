@@ -15,22 +15,24 @@ use trueup_page::Origin;
 const CRC: Crc<u32, crc::Table<16>> = Crc::<u32, crc::Table<16>>::new(&CRC_32_ISO_HDLC);
 
 /// That of a report of today from these files.
-pub fn of(files: &[&Path]) -> Result<Origin> {
-    let named = |path: &&Path| Ok((path.display().to_string(), crc32(path)?));
-    Ok(of_checked(files.iter().map(named).collect::<Result<_>>()?))
+pub fn from_files(files: &[&Path]) -> Result<Origin> {
+    let named = |path: &&Path| Ok((path.display().to_string(), file_crc32(path)?));
+    Ok(from_checksums(files.iter().map(named).collect::<Result<_>>()?))
 }
 
 /// The same from files that are read already: their names and contents.
-pub fn of_read(files: &[(&str, &[u8])]) -> Origin {
-    of_checked(files.iter().map(|(name, bytes)| ((*name).into(), CRC.checksum(bytes))).collect())
+pub fn from_contents(files: &[(&str, &[u8])]) -> Origin {
+    from_checksums(
+        files.iter().map(|(name, bytes)| ((*name).into(), CRC.checksum(bytes))).collect(),
+    )
 }
 
-fn of_checked(files: Vec<(String, u32)>) -> Origin {
+fn from_checksums(files: Vec<(String, u32)>) -> Origin {
     let date = OffsetDateTime::now_utc().date().to_string();
     Origin { version: env!("CARGO_PKG_VERSION").into(), date, files }
 }
 
-fn crc32(path: &Path) -> Result<u32> {
+fn file_crc32(path: &Path) -> Result<u32> {
     let during = || format!("while reading {} again", path.display());
     let mut file = BufReader::with_capacity(1 << 16, File::open(path).with_context(during)?);
     let mut digest = CRC.digest();
@@ -54,6 +56,6 @@ mod tests {
         let file = tempfile::NamedTempFile::new().expect("a temporary file");
         std::fs::write(file.path(), "123456789").expect("it is written");
         // The check value of CRC-32/ISO-HDLC.
-        assert_eq!(crc32(file.path()).expect("it is read"), 0xCBF4_3926);
+        assert_eq!(file_crc32(file.path()).expect("it is read"), 0xCBF4_3926);
     }
 }

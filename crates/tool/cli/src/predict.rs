@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use clap::Args;
 use serde_json::json;
-use trueup_machine::predict::{Predictor, Written};
+use trueup_machine::predict::{PredictionSummary, Predictor};
 
 use crate::{Outcome, files, output, report, runs};
 
@@ -15,7 +15,7 @@ use crate::{Outcome, files, output, report, runs};
 #[derive(Args)]
 #[command(after_help = "Example:
   trueup predict --machine mill/mill.toml --run mill/warmup-off.csv -o predicted.csv")]
-pub struct Predict {
+pub struct PredictArgs {
     /// The machine file.
     #[arg(long, value_name = "M.toml")]
     machine: PathBuf,
@@ -28,12 +28,12 @@ pub struct Predict {
 }
 
 /// Predicts the run by the machine file.
-pub fn run(args: &Predict, as_json: bool) -> Result<Outcome> {
-    let Predict { machine: machine_path, run: run_path, output: to } = args;
-    let machine = files::machine(machine_path)?;
-    let run = files::run(run_path, Some(&machine))?;
+pub fn run(args: &PredictArgs, as_json: bool) -> Result<Outcome> {
+    let PredictArgs { machine: machine_path, run: run_path, output: to } = args;
+    let machine = files::read_machine(machine_path)?;
+    let run = files::read_run(run_path, Some(&machine))?;
     let predictor = Predictor::new(&machine, &run)?;
-    if let Some(why) = predictor.why_no_bridge() {
+    if let Some(why) = predictor.bridge_error() {
         report::warn(format_args!(
             "{}: the bridge's columns stay empty: {why}",
             machine_path.display()
@@ -46,30 +46,35 @@ pub fn run(args: &Predict, as_json: bool) -> Result<Outcome> {
             predictor.missing_columns().join(", ")
         ));
     }
-    let bar = runs::progress("writing", run.rows() as u64, runs::bytes(run_path));
-    let written = output::write_whole(to, &[machine_path, run_path], |out| {
-        predictor.write(out, || bar.inc(1))
+    let bar = runs::progress_bar("writing", run.row_count() as u64, runs::file_size(run_path));
+    let written = output::write_atomically(to, &[machine_path, run_path], |out| {
+        predictor.write_csv(out, || bar.inc(1))
     })?;
     bar.finish_and_clear();
-    let broken = broken_promise(&predictor, &written);
+    let broken = guarantee_violation(&predictor, &written);
     if let Some(how) = &broken {
         let row = written.broken_promise.map_or(0, |(row, _)| row);
-        report::warn(format_args!("{}: {how}", run.place(row, "time_s")));
+        report::warn(format_args!("{}: {how}", run.value_location(row, "time_s")));
     }
     print(&predictor, &written, to, as_json)?;
     Ok(if broken.is_some() { Outcome::NotMet } else { Outcome::Done })
 }
 
 /// Returns how the bridge is further from the model than `compile` has promised, if it is.
-fn broken_promise(predictor: &Predictor<'_>, written: &Written) -> Option<String> {
-    let ((_, nm), promised_nm) = (written.broken_promise?, predictor.promised_nm()?);
+fn guarantee_violation(predictor: &Predictor<'_>, written: &PredictionSummary) -> Option<String> {
+    let ((_, nm), promised_nm) = (written.broken_promise?, predictor.guaranteed_difference_nm()?);
     Some(format!(
         "the bridge is {nm:.1} nm from the model, and compile has promised {promised_nm:.1}: the row asks \
          for what the board's numbers cannot hold"
     ))
 }
 
-fn print(predictor: &Predictor<'_>, written: &Written, to: &Path, as_json: bool) -> Result<()> {
+fn print(
+    predictor: &Predictor<'_>,
+    written: &PredictionSummary,
+    to: &Path,
+    as_json: bool,
+) -> Result<()> {
     if let Some(place) = &written.first_out_of_range {
         let rows = written.rows_out_of_range;
         report::warn(format_args!(
@@ -84,7 +89,7 @@ fn print(predictor: &Predictor<'_>, written: &Written, to: &Path, as_json: bool)
             "rows_out_of_range": written.rows_out_of_range,
             "largest_difference_nm": written.largest_difference_nm,
             "largest_arithmetic_nm": written.largest_arithmetic_nm,
-            "not_run": predictor.not_run(),
+            "not_run": predictor.unsupported_features(),
         }))?;
         return Ok(());
     }
@@ -96,7 +101,7 @@ fn print(predictor: &Predictor<'_>, written: &Written, to: &Path, as_json: bool)
     if let Some(nm) = written.largest_difference_nm {
         output::print(format_args!("largest difference of the bridge from the model: {nm:.3} nm"))?;
     }
-    let not_run = predictor.not_run();
+    let not_run = predictor.unsupported_features();
     if let (Some(nm), false) = (written.largest_arithmetic_nm, not_run.is_empty()) {
         output::print(format_args!(
             "of it by the board's arithmetic: {nm:.3} nm; the rest is of what it does not run: {}",

@@ -7,8 +7,8 @@ use clap::error::ErrorKind;
 
 use crate::Cli;
 
-/// A command as it is printed, and where.
-struct Printed {
+/// A printed command, and where it stands.
+struct DocumentedCommand {
     place: String,
     line: String,
     /// It stands in a block of its own, to be copied whole; else it may be no more than the name of a command.
@@ -16,13 +16,13 @@ struct Printed {
 }
 
 /// The files below `folder` with this extension.
-fn files(folder: &Path, extension: &str, found: &mut Vec<std::path::PathBuf>) {
+fn collect_files(folder: &Path, extension: &str, found: &mut Vec<std::path::PathBuf>) {
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let path = entry.path();
         let is_left_out =
             ["target", "tests", "examples", "book.out"].iter().any(|it| path.ends_with(it));
         if path.is_dir() && !is_left_out {
-            files(&path, extension, found);
+            collect_files(&path, extension, found);
         } else if path.extension().is_some_and(|it| it == extension) {
             found.push(path);
         }
@@ -30,7 +30,7 @@ fn files(folder: &Path, extension: &str, found: &mut Vec<std::path::PathBuf>) {
 }
 
 /// Returns the commands of a page: the lines of its blocks, and what stands between backticks.
-fn of_page(place: &str, text: &str) -> Vec<Printed> {
+fn extract_commands(place: &str, text: &str) -> Vec<DocumentedCommand> {
     let mut all = Vec::new();
     let mut is_code = false;
     let mut before = String::new();
@@ -39,10 +39,13 @@ fn of_page(place: &str, text: &str) -> Vec<Printed> {
             is_code = !is_code;
             continue;
         }
-        let printed =
-            |line: &str, is_whole| Printed { place: place.into(), line: line.into(), is_whole };
+        let printed = |line: &str, is_whole| DocumentedCommand {
+            place: place.into(),
+            line: line.into(),
+            is_whole,
+        };
         if !is_code {
-            all.extend(between_backticks(line).map(|it| printed(it, false)));
+            all.extend(inline_code_spans(line).map(|it| printed(it, false)));
             continue;
         }
         // A line goes on behind a backslash.
@@ -59,12 +62,12 @@ fn of_page(place: &str, text: &str) -> Vec<Printed> {
     all
 }
 
-fn between_backticks(text: &str) -> impl Iterator<Item = &str> {
+fn inline_code_spans(text: &str) -> impl Iterator<Item = &str> {
     text.split('`').skip(1).step_by(2).filter(|it| it.starts_with("trueup "))
 }
 
 /// Returns the words of a line without what is said about it: a comment, a redirection, what follows two spaces.
-fn words(line: &str) -> Vec<String> {
+fn command_words(line: &str) -> Vec<String> {
     let line = line.split("  ").next().unwrap_or_default();
     let line = line.split(" #").next().unwrap_or_default();
     let line = line.split(" > ").next().unwrap_or_default();
@@ -72,8 +75,8 @@ fn words(line: &str) -> Vec<String> {
 }
 
 /// Why the tool does not take a command; `None`: it does.
-fn refusal(it: &Printed) -> Option<String> {
-    let mut words = words(&it.line);
+fn rejection_reason(it: &DocumentedCommand) -> Option<String> {
+    let mut words = command_words(&it.line);
     // Alternatives (`pitch|backlash`): the first. Words that stand for others (`M.toml`, `KIND`) are taken as they are.
     for word in &mut words {
         let first = word.split('|').next().map(str::to_owned);
@@ -81,7 +84,7 @@ fn refusal(it: &Printed) -> Option<String> {
     }
     let is_open = words.iter().any(|word| word.contains('…') || word == "...");
     words.retain(|word| !word.contains('…') && word != "...");
-    let error = Cli::read(&words).err()?;
+    let error = Cli::parse_command_line(&words).err()?;
     let stands_for_others = |word: &String| {
         word.len() > 1 && word.chars().all(|it| it.is_ascii_uppercase() || it == '_')
     };
@@ -106,22 +109,22 @@ fn every_command_that_is_printed_is_one_that_the_tool_takes() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../..");
     let mut pages = Vec::new();
     for folder in ["docs", "integrations", "data"] {
-        files(&root.join(folder), "md", &mut pages);
-        files(&root.join(folder), "toml", &mut pages);
+        collect_files(&root.join(folder), "md", &mut pages);
+        collect_files(&root.join(folder), "toml", &mut pages);
     }
     pages.push(root.join("README.md"));
     let mut sources = Vec::new();
-    files(&root.join("crates"), "rs", &mut sources);
+    collect_files(&root.join("crates"), "rs", &mut sources);
     let read = |path: &Path| fs::read_to_string(path).unwrap_or_default();
     let name = |path: &Path| path.strip_prefix(&root).unwrap_or(path).display().to_string();
-    let mut all: Vec<Printed> =
-        pages.iter().flat_map(|path| of_page(&name(path), &read(path))).collect();
+    let mut all: Vec<DocumentedCommand> =
+        pages.iter().flat_map(|path| extract_commands(&name(path), &read(path))).collect();
     let of_pages = all.len();
     for path in &sources {
         // What stands in the text of a message; a `{}` is filled in when it is printed.
         for line in read(path).lines() {
-            let found = between_backticks(line).filter(|it| !it.contains('{'));
-            all.extend(found.map(|it| Printed {
+            let found = inline_code_spans(line).filter(|it| !it.contains('{'));
+            all.extend(found.map(|it| DocumentedCommand {
                 place: name(path),
                 line: it.into(),
                 is_whole: false,
@@ -136,7 +139,7 @@ fn every_command_that_is_printed_is_one_that_the_tool_takes() {
     );
     let refused: Vec<String> = all
         .iter()
-        .filter_map(|it| Some(format!("{}: {}: {}", it.place, it.line, refusal(it)?)))
+        .filter_map(|it| Some(format!("{}: {}: {}", it.place, it.line, rejection_reason(it)?)))
         .collect();
     assert!(refused.is_empty(), "{}", refused.join("\n"));
 }

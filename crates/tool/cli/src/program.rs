@@ -12,13 +12,15 @@ use anyhow::Result;
 use clap::{Args, ValueEnum};
 use serde_json::json;
 use trueup_machine::{Machine, file::LinearAxis};
-use trueup_output::escape::shell_word;
-use trueup_program::{Gauge, Kind, Options, control, plans, template};
+use trueup_output::escape::shell_quote;
+use trueup_program::{
+    MeasurementKind, MeasurementOptions, MeasuringInstrument, control, create_plans, template,
+};
 
-pub use self::motion::Motion;
+pub use self::motion::MotionArgs;
 use crate::{
     Outcome, UserError, files,
-    output::{self, FileSet},
+    output::{self, FileTransaction},
     report,
 };
 
@@ -29,7 +31,7 @@ use crate::{
 /// axes that its name and --clearance name. A vertical or tool axis (Z always) moves only in a --range that you
 /// give. Run it in the air, with a hand on the feed override, before you trust it with a gauge.
 #[derive(Args)]
-pub struct Program {
+pub struct ProgramArgs {
     /// The kind of measurement.
     kind: ProgramKind,
     /// The machine file; its travel_mm say how far the axes may go.
@@ -43,17 +45,17 @@ pub struct Program {
     out: PathBuf,
     /// These axes only; left out, all whose travel is known.
     #[arg(long, value_name = "x,y,z", value_delimiter = ',')]
-    axis: Vec<Axis>,
+    axis: Vec<AxisArg>,
     #[command(flatten)]
-    motion: Motion,
+    motion: MotionArgs,
     #[command(flatten)]
-    artefact: artefact::Artefact,
+    artefact: artefact::ArtefactArgs,
     /// The feed of the moves before a reading, in mm/min; backlash is measured at each of several. 1000; of a circle
     /// 10 radii a minute, at most 1000; of a touch 60.
     #[arg(long, value_name = "MM/MIN", value_delimiter = ',')]
     feed: Vec<f64>,
     /// How long the axes stand for a reading, in s.
-    #[arg(long, value_name = "S", default_value_t = Options::default().dwell_s)]
+    #[arg(long, value_name = "S", default_value_t = MeasurementOptions::default().dwell_s)]
     dwell_s: f64,
     /// How often; left out, 7 for backlash, 5 for pitch, 3 for straightness and diagonal, 2 for step-diagonal, square, sphere and plate, 6
     /// rounds of heat.
@@ -76,7 +78,7 @@ pub struct Program {
     #[arg(long, value_name = "S")]
     heat_s: Option<f64>,
     /// axis-heat: how fast the axis is run warm, in mm/min.
-    #[arg(long, value_name = "MM/MIN", default_value_t = Options::default().heat_feed_mm_per_min)]
+    #[arg(long, value_name = "MM/MIN", default_value_t = MeasurementOptions::default().heat_feed_mm_per_min)]
     heat_feed: f64,
     /// As --range, of each axis asked for.
     #[arg(long, hide = true, value_name = "500:1500", allow_hyphen_values = true)]
@@ -128,7 +130,7 @@ impl Controller {
         self.to_possible_value().expect("none is hidden").get_name().to_owned()
     }
 
-    pub fn control(self) -> control::Control {
+    pub fn to_control(self) -> control::Control {
         match self {
             Self::LinuxCnc => control::Control::LinuxCnc,
             Self::Fanuc => control::Control::Fanuc,
@@ -147,46 +149,47 @@ enum Instrument {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum Axis {
+enum AxisArg {
     X,
     Y,
     Z,
 }
 
 /// Writes the programs of a kind.
-pub fn run(args: &Program, as_json: bool) -> Result<Outcome> {
-    let machine = files::machine(&args.machine)?;
+pub fn run(args: &ProgramArgs, as_json: bool) -> Result<Outcome> {
+    let machine = files::read_machine(&args.machine)?;
     let kind = match args.kind {
-        ProgramKind::Backlash => Kind::Backlash,
-        ProgramKind::Pitch => Kind::Pitch,
-        ProgramKind::Straightness => Kind::Straightness,
-        ProgramKind::Warmup => Kind::Warmup,
-        ProgramKind::AxisHeat => Kind::AxisHeat,
-        ProgramKind::Diagonal => Kind::Diagonal,
-        ProgramKind::StepDiagonal => Kind::StepDiagonal,
-        ProgramKind::Circle => Kind::Circle,
-        ProgramKind::Square => Kind::Square,
-        ProgramKind::Sphere => Kind::Sphere,
-        ProgramKind::Plate => Kind::Plate,
+        ProgramKind::Backlash => MeasurementKind::Backlash,
+        ProgramKind::Pitch => MeasurementKind::Pitch,
+        ProgramKind::Straightness => MeasurementKind::Straightness,
+        ProgramKind::Warmup => MeasurementKind::Warmup,
+        ProgramKind::AxisHeat => MeasurementKind::AxisHeat,
+        ProgramKind::Diagonal => MeasurementKind::Diagonal,
+        ProgramKind::StepDiagonal => MeasurementKind::StepDiagonal,
+        ProgramKind::Circle => MeasurementKind::Circle,
+        ProgramKind::Square => MeasurementKind::Square,
+        ProgramKind::Sphere => MeasurementKind::Sphere,
+        ProgramKind::Plate => MeasurementKind::Plate,
     };
-    let control = args.control.control();
+    let control = args.control.to_control();
     let refused = |why| UserError(format!("{}: {why}", args.machine.display()));
-    control.check(&machine).map_err(refused)?;
-    let (mut plans, notes) = plans(kind, &machine, &options(args, &machine)?).map_err(refused)?;
+    control.check_machine(&machine).map_err(refused)?;
+    let (mut plans, notes) =
+        create_plans(kind, &machine, &plan_options(args, &machine)?).map_err(refused)?;
     notes.iter().for_each(report::warn);
     fs::create_dir_all(&args.out)
         .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
     let mut written = Vec::new();
     let inputs = [args.machine.as_path()];
-    let mut set = FileSet::new(&inputs);
+    let mut set = FileTransaction::new(&inputs);
     let mut lines = Vec::new();
     for plan in &mut plans {
-        plan.then = whole_lines(&plan.then, args);
-        let (name, text) = control::program(plan, control).map_err(refused)?;
-        let templates = template::templates(plan);
+        plan.then = complete_commands(&plan.then, args);
+        let (name, text) = control::generate_program(plan, control).map_err(refused)?;
+        let templates = template::run_file_templates(plan);
         let runs: Vec<&str> = templates.iter().map(|(name, _)| name.as_str()).collect();
         let readings = plan.readings().len();
-        let minutes = plan.least_seconds() / 60.0;
+        let minutes = plan.min_duration_s() / 60.0;
         written.push(json!({
             "program": name, "runs": runs, "readings": readings, "least_minutes": minutes,
             "extent_mm": plan.extent_mm(), "then": plan.then,
@@ -204,8 +207,8 @@ pub fn run(args: &Program, as_json: bool) -> Result<Outcome> {
             lines.extend(plan.then.iter().map(|line| format!("  then: {line}")));
         }
         for (name, text) in [(name, text)].into_iter().chain(templates.iter().cloned()) {
-            output::check_measurement(&args.out.join(&name), &text)?;
-            set.text(&args.out.join(name), &text)?;
+            output::check_run_overwrite(&args.out.join(&name), &text)?;
+            set.add_text(&args.out.join(name), &text)?;
         }
     }
     set.commit()?;
@@ -218,8 +221,8 @@ pub fn run(args: &Program, as_json: bool) -> Result<Outcome> {
 
 /// Returns the commands of a plan as they can be typed: with the folder of their files, the machine file, and where to
 /// write. The lines after a fit take the fitted file.
-fn whole_lines(then: &[String], args: &Program) -> Vec<String> {
-    let word = |path: &Path| shell_word(&path.to_string_lossy()).to_string();
+fn complete_commands(then: &[String], args: &ProgramArgs) -> Vec<String> {
+    let word = |path: &Path| shell_quote(&path.to_string_lossy()).to_string();
     let mut machine = args.machine.clone();
     let mut lines = Vec::new();
     for line in then {
@@ -239,34 +242,34 @@ fn whole_lines(then: &[String], args: &Program) -> Vec<String> {
     lines
 }
 
-fn options(args: &Program, machine: &Machine) -> Result<Options, UserError> {
-    let axis = |axis: &Axis| match axis {
-        Axis::X => LinearAxis::X,
-        Axis::Y => LinearAxis::Y,
-        Axis::Z => LinearAxis::Z,
+fn plan_options(args: &ProgramArgs, machine: &Machine) -> Result<MeasurementOptions, UserError> {
+    let axis = |axis: &AxisArg| match axis {
+        AxisArg::X => LinearAxis::X,
+        AxisArg::Y => LinearAxis::Y,
+        AxisArg::Z => LinearAxis::Z,
     };
-    let mut options = Options {
+    let mut options = MeasurementOptions {
         axes: args.axis.iter().map(axis).collect(),
         feeds_mm_per_min: args.feed.clone(),
         dwell_s: args.dwell_s,
         repeats: args.repeats,
         step_mm: args.step_mm,
         gauge: args.gauge.map(|gauge| match gauge {
-            Instrument::Dial => Gauge::Dial,
-            Instrument::Laser => Gauge::Laser,
+            Instrument::Dial => MeasuringInstrument::Dial,
+            Instrument::Laser => MeasuringInstrument::Laser,
         }),
         spindle_rpm: args.rpm,
         every_s: args.every_s,
         heat_s: args.heat_s,
         heat_feed_mm_per_min: args.heat_feed,
-        ..args.motion.options()?
+        ..args.motion.to_options()?
     };
-    args.artefact.put(&mut options)?;
+    args.artefact.apply_to(&mut options)?;
     if let Some(text) = &args.range_mm {
-        let ends = motion::ends(text).ok_or_else(|| {
+        let ends = motion::parse_range(text).ok_or_else(|| {
             UserError(format!("--range-mm {text}: must be like 500:1500, the smaller first"))
         })?;
-        // It names no axis: Z, which may plunge, has to be asked for by name.
+        // It names no axis: Z, which may plunge, has to be requested by name.
         let is_meant = |axis: LinearAxis| match options.axes.is_empty() {
             true => axis != LinearAxis::Z && machine.axes[axis.index()].travel_mm.is_some(),
             false => options.axes.contains(&axis),

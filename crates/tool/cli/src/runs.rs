@@ -4,15 +4,15 @@
 use std::{io::BufReader, path::Path};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use trueup_import::is_foreign;
-use trueup_machine::{BadInput, Location, RunFile, bounded, run_file::is_known_column};
-use trueup_output::escape::shell_word;
+use trueup_import::is_foreign_format;
+use trueup_machine::{BadInput, Location, RunFile, bounded_read, run_file::is_known_column};
+use trueup_output::escape::shell_quote;
 
 /// A run above this is worth a progress bar: about a second of work.
-pub const LONG_RUN_BYTES: u64 = 16 << 20;
+pub const PROGRESS_BAR_MIN_BYTES: u64 = 16 << 20;
 
 /// A table above this is not tried as one that `import` could read.
-const MAX_TRIED_BYTES: u64 = 16 << 20;
+const MAX_IMPORT_PROBE_BYTES: u64 = 16 << 20;
 
 /// Reads the run file at `path`.
 pub fn read(path: &Path) -> Result<RunFile, BadInput> {
@@ -21,12 +21,16 @@ pub fn read(path: &Path) -> Result<RunFile, BadInput> {
     match read {
         Ok(run) if is_run(&run) => Ok(run),
         // A pipe has been read.
-        other if !path.metadata().is_ok_and(|it| it.is_file() && it.len() <= MAX_TRIED_BYTES) => {
+        other
+            if !path
+                .metadata()
+                .is_ok_and(|it| it.is_file() && it.len() <= MAX_IMPORT_PROBE_BYTES) =>
+        {
             other
         }
-        other => match bounded::read(path, MAX_TRIED_BYTES) {
-            Ok(bytes) if is_machine_file(&bytes) => Err(not_a_run(path)),
-            Ok(bytes) if is_foreign(&bytes, path) => Err(to_import(path)),
+        other => match bounded_read::read(path, MAX_IMPORT_PROBE_BYTES) {
+            Ok(bytes) if is_machine_file(&bytes) => Err(not_a_run_error(path)),
+            Ok(bytes) if is_foreign_format(&bytes, path) => Err(needs_import_error(path)),
             _ => other,
         },
     }
@@ -38,36 +42,36 @@ fn is_machine_file(bytes: &[u8]) -> bool {
 }
 
 /// Returns the error for a machine file in the place of a run file.
-fn not_a_run(path: &Path) -> BadInput {
-    BadInput::new(Location::start_of(path), "is a machine file, and a run file is needed here")
+fn not_a_run_error(path: &Path) -> BadInput {
+    BadInput::new(Location::start_of_file(path), "is a machine file, and a run file is needed here")
         .with_help("--machine takes the machine file; a run file is a CSV file with a header of column names")
 }
 
 /// Returns the error for a table that `import` reads.
-fn to_import(path: &Path) -> BadInput {
+fn needs_import_error(path: &Path) -> BadInput {
     let run = path.with_extension("run.csv");
-    let name = |path: &Path| shell_word(&path.to_string_lossy());
-    BadInput::new(Location::start_of(path), "is no run file, but a table that can be imported")
+    let name = |path: &Path| shell_quote(&path.to_string_lossy());
+    BadInput::new(Location::start_of_file(path), "is no run file, but a table that can be imported")
         .with_help(format!("trueup import {} -o {}", name(path), name(&run)))
 }
 
 fn read_run(path: &Path) -> Result<RunFile, BadInput> {
     let file = RunFile::open(path)?;
-    let bytes = bytes(path);
-    let bar = progress("reading", bytes, bytes);
+    let bytes = file_size(path);
+    let bar = progress_bar("reading", bytes, bytes);
     let run = RunFile::from_reader(BufReader::with_capacity(1 << 16, bar.wrap_read(file)), path);
     bar.finish_and_clear();
     run
 }
 
 /// Returns the size of the run; 0 where it is not a plain file.
-pub fn bytes(path: &Path) -> u64 {
+pub fn file_size(path: &Path) -> u64 {
     path.metadata().map_or(0, |metadata| metadata.len())
 }
 
 /// Returns a bar of `steps` on standard error; none for a short run, or without a terminal.
-pub fn progress(what: &'static str, steps: u64, run_bytes: u64) -> ProgressBar {
-    if run_bytes < LONG_RUN_BYTES {
+pub fn progress_bar(what: &'static str, steps: u64, run_bytes: u64) -> ProgressBar {
+    if run_bytes < PROGRESS_BAR_MIN_BYTES {
         return ProgressBar::hidden();
     }
     let style = ProgressStyle::with_template("{msg} {wide_bar} {percent} % {eta}");

@@ -16,17 +16,17 @@ use crate::{Outcome, output};
   trueup schema run
   trueup schema scenario
   trueup schema --markdown                the tables of docs/reference.md")]
-pub struct Schema {
+pub struct SchemaArgs {
     /// Of which file.
-    #[arg(value_enum, default_value_t = Of::Machine)]
-    of: Of,
+    #[arg(value_enum, default_value_t = SchemaKind::Machine)]
+    of: SchemaKind,
     /// As a table of Markdown.
     #[arg(long)]
     markdown: bool,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum Of {
+enum SchemaKind {
     /// The machine file.
     Machine,
     /// The columns of a run.
@@ -36,16 +36,16 @@ enum Of {
 }
 
 /// Prints it.
-pub fn run(args: &Schema) -> Result<Outcome> {
+pub fn run(args: &SchemaArgs) -> Result<Outcome> {
     let table = || match args.of {
-        Of::Machine => schema::machine_table(),
-        Of::Run => schema::run_table(),
-        Of::Scenario => trueup_twin::schema::scenario_table(),
+        SchemaKind::Machine => schema::machine_file_markdown(),
+        SchemaKind::Run => schema::run_columns_markdown(),
+        SchemaKind::Scenario => trueup_twin::schema::scenario_markdown_table(),
     };
     let schema = || match args.of {
-        Of::Machine => schema::machine_file(),
-        Of::Run => schema::run_columns(),
-        Of::Scenario => trueup_twin::schema::scenario(),
+        SchemaKind::Machine => schema::machine_file_schema(),
+        SchemaKind::Run => schema::run_columns_json(),
+        SchemaKind::Scenario => trueup_twin::schema::scenario_schema(),
     };
     if args.markdown {
         output::print(table().trim_end())?;

@@ -15,8 +15,8 @@ use anyhow::{Context as _, Result};
 use clap::Args;
 use trueup_client::port::Port;
 use trueup_serve::{
-    broker::{Broker, Files},
-    run::{self, Options},
+    broker::{BrokerConfig, TlsFiles},
+    publisher::{self, PublisherOptions},
 };
 
 use crate::{Outcome, UserError, output};
@@ -28,13 +28,13 @@ use crate::{Outcome, UserError, output};
 /// them. Topics, data items and what a broker must be set to: the book, "Publish a bridge". Exit 3 with --once: the
 /// bridge or the broker is not there.
 #[derive(Args)]
-pub struct Serve {
+pub struct ServeArgs {
     /// Where the bridge is: tcp:HOST:PORT, a serial device, or a CAN interface (can0). Several bridges are devices of
     /// one edge node.
     #[arg(long = "port", value_name = "PORT", required = true)]
     ports: Vec<String>,
     /// The name of the edge node in the group trueup.
-    #[arg(long, value_name = "NAME", value_parser = node_name)]
+    #[arg(long, value_name = "NAME", value_parser = parse_node_name)]
     name: String,
     /// The folder of the spool: of one publisher alone.
     #[arg(long, value_name = "DIR")]
@@ -43,7 +43,7 @@ pub struct Serve {
     #[arg(long, value_name = "MB", default_value_t = 256, value_parser = clap::value_parser!(u32).range(4..=1_000_000))]
     spool_mb: u32,
     /// From one recorded row to the next, in s; the state is published once a second in any case.
-    #[arg(long, value_name = "S", default_value_t = 1.0, value_parser = row_s)]
+    #[arg(long, value_name = "S", default_value_t = 1.0, value_parser = parse_row_period_s)]
     record_s: f64,
     /// The broker: mqtt://HOST:PORT, or mqtts://HOST:PORT with TLS.
     #[arg(long, value_name = "URL", required_unless_present = "mtconnect")]
@@ -64,7 +64,7 @@ pub struct Serve {
     #[arg(long, value_name = "PEM", requires = "cert")]
     key: Option<PathBuf>,
     /// Publishes only while this host application is online.
-    #[arg(long, value_name = "HOST", requires = "mqtt", value_parser = node_name)]
+    #[arg(long, value_name = "HOST", requires = "mqtt", value_parser = parse_node_name)]
     primary_host: Option<String>,
     /// Where agents of MTConnect connect. Only this computer's reach it unless you name another address.
     #[arg(long, value_name = "ADDR:PORT")]
@@ -78,7 +78,7 @@ pub struct Serve {
 }
 
 /// Parses a name that is a level of a topic. NATS refuses a topic with a space, and closes the connection.
-fn node_name(text: &str) -> Result<String, String> {
+fn parse_node_name(text: &str) -> Result<String, String> {
     let is_sound = |c: char| c.is_alphanumeric() || "-_.".contains(c);
     if text.is_empty() || text.len() > 64 || !text.chars().all(is_sound) {
         return Err("has 1 to 64 letters, digits, -, _ or ., and no space".into());
@@ -87,28 +87,29 @@ fn node_name(text: &str) -> Result<String, String> {
 }
 
 /// Parses the time from one row to the next.
-fn row_s(text: &str) -> Result<f64, String> {
+fn parse_row_period_s(text: &str) -> Result<f64, String> {
     let seconds = text.parse().ok().filter(|it| (0.1..=3_600.0).contains(it));
     seconds.ok_or_else(|| "has 0.1 to 3600 s".into())
 }
 
 /// Publishes a bridge.
-pub fn run(args: &Serve) -> Result<Outcome> {
+pub fn run(args: &ServeArgs) -> Result<Outcome> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
-    let options = options(args)?;
-    trueup_output::detach();
-    let done = run::run(options, stop, |text| trueup_output::diagnostic(text))?;
+    let options = options_from_args(args)?;
+    trueup_output::enable_background_output();
+    let done = publisher::run(options, stop, |text| trueup_output::write_diagnostic(text))?;
     output::print(&done.counts)?;
     Ok(if done.is_whole || !args.once { Outcome::Done } else { Outcome::NotMet })
 }
 
-fn options(args: &Serve) -> Result<Options> {
+fn options_from_args(args: &ServeArgs) -> Result<PublisherOptions> {
     let ports: Result<Vec<Port>, _> = args.ports.iter().map(|it| Port::parse(it)).collect();
-    let broker = args.mqtt.as_deref().map(|url| broker(args, url)).transpose()?;
-    let mtconnect = args.mtconnect.as_deref().map(resolve).transpose()?.unwrap_or_default();
-    Ok(Options {
+    let broker = args.mqtt.as_deref().map(|url| broker_from_args(args, url)).transpose()?;
+    let mtconnect =
+        args.mtconnect.as_deref().map(resolve_listen_addresses).transpose()?.unwrap_or_default();
+    Ok(PublisherOptions {
         ports: ports?,
         name: args.name.clone(),
         spool: args.spool.clone(),
@@ -123,24 +124,25 @@ fn options(args: &Serve) -> Result<Options> {
     })
 }
 
-fn broker(args: &Serve, url: &str) -> Result<Broker> {
+fn broker_from_args(args: &ServeArgs, url: &str) -> Result<BrokerConfig> {
     let login = match (&args.user, &args.password_file) {
-        (Some(user), Some(path)) => Some((user.clone(), password(path)?)),
+        (Some(user), Some(path)) => Some((user.clone(), read_password(path)?)),
         _ => None,
     };
     let own = args.cert.as_deref().zip(args.key.as_deref());
-    let files = Files { ca: args.ca.as_deref(), own };
-    Ok(Broker::new(url, login, files).map_err(|error| UserError(format!("{error:#}")))?)
+    let files = TlsFiles { ca: args.ca.as_deref(), own };
+    Ok(BrokerConfig::from_url(url, login, files)
+        .map_err(|error| UserError(format!("{error:#}")))?)
 }
 
-fn password(path: &Path) -> Result<String, UserError> {
+fn read_password(path: &Path) -> Result<String, UserError> {
     let place = path.display();
     let text = fs::read_to_string(path).map_err(|error| UserError(format!("{place}: {error}")))?;
     let first = text.lines().next().filter(|it| !it.is_empty());
     first.map(str::to_owned).ok_or_else(|| UserError(format!("{place}: its first line is empty")))
 }
 
-fn resolve(listen: &str) -> Result<Vec<SocketAddr>, UserError> {
+fn resolve_listen_addresses(listen: &str) -> Result<Vec<SocketAddr>, UserError> {
     let wrong = |why: String| UserError(format!("--mtconnect \"{listen}\": {why}; ADDR:PORT"));
     Ok(listen.to_socket_addrs().map_err(|error| wrong(error.to_string()))?.collect())
 }

@@ -4,20 +4,20 @@ use std::path::Path;
 
 use anyhow::Result;
 use serde_json::json;
-use trueup_machine::{check::ranges, compile::inverse, show};
-use trueup_store::calibration::{decode, whole};
+use trueup_machine::{check::range_findings, compile::decompile, decompile};
+use trueup_store::calibration::{decode, validate_blob};
 
 use crate::{Outcome, UserError, files, output, report};
 
 /// Above any calibration, and what may follow it in its file.
-pub const MAX_BYTES: u64 = 1 << 20;
+pub const MAX_CALIBRATION_FILE_BYTES: u64 = 1 << 20;
 
 /// Prints the calibration in the file `from`.
 pub fn run(from: &Path, as_json: bool) -> Result<Outcome> {
     let bad = |rule: String| UserError(format!("{}: {rule}", from.display()));
-    let bytes = files::bytes(from, MAX_BYTES)?;
+    let bytes = files::read_bytes(from, MAX_CALIBRATION_FILE_BYTES)?;
     let calibration = decode(&bytes).map_err(|error| bad(error.to_string()))?;
-    let more = bytes.len() - whole(&bytes).map_or(bytes.len(), <[u8]>::len);
+    let more = bytes.len() - validate_blob(&bytes).map_or(bytes.len(), <[u8]>::len);
     if more > 0 {
         report::warn(format_args!(
             "{}: {more} bytes after the calibration are ignored",
@@ -25,10 +25,10 @@ pub fn run(from: &Path, as_json: bool) -> Result<Outcome> {
         ));
     }
     // What is shown is not used: the impossible is said as well, and `compile` refuses it.
-    for finding in ranges(&inverse(&calibration)) {
+    for finding in range_findings(&decompile(&calibration)) {
         report::warn(format_args!("{}: {}", from.display(), finding.warning.what));
     }
-    let shown = show::show(&calibration);
+    let shown = decompile::decompile_to_toml(&calibration);
     let not_met = shown.largest_difference_nm.as_ref().err();
     if let Some(reason) = not_met {
         report::warn(format_args!("{}: does not compile back: {reason}", from.display()));

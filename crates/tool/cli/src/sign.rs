@@ -12,14 +12,14 @@ use trueup_signature::{PrivateKey, PublicKey};
 
 use crate::{
     Outcome, UserError, files,
-    output::{self, FileSet},
+    output::{self, FileTransaction},
     report,
 };
 
 /// A file that is handed out is no larger than this.
-const MAX_BYTES: u64 = 1 << 30;
+const MAX_SIGNED_FILE_BYTES: u64 = 1 << 30;
 /// A key in PEM has some hundred.
-const MAX_OF_A_KEY: u64 = 10_000;
+const MAX_KEY_BYTES: u64 = 10_000;
 
 /// Signs files (Ed25519), so that the receiver can check from whom they are: FILE.sig next to each.
 ///
@@ -27,7 +27,7 @@ const MAX_OF_A_KEY: u64 = 10_000;
 ///
 /// Exit 3: with --check, a signature does not hold or is missing.
 #[derive(Args)]
-pub struct Sign {
+pub struct SignArgs {
     /// The files.
     #[arg(value_name = "FILE", required_unless_present = "new")]
     files: Vec<PathBuf>,
@@ -43,11 +43,11 @@ pub struct Sign {
 }
 
 /// Makes a key, signs or checks.
-pub fn run(args: &Sign) -> Result<Outcome> {
+pub fn run(args: &SignArgs) -> Result<Outcome> {
     match (&args.new, &args.key, &args.check) {
-        (Some(path), ..) => new_key(path),
-        (None, Some(key), _) => sign(key, &args.files),
-        (None, None, Some(key)) => check(key, &args.files),
+        (Some(path), ..) => generate_key(path),
+        (None, Some(key), _) => sign_files(key, &args.files),
+        (None, None, Some(key)) => check_signatures(key, &args.files),
         (None, None, None) => {
             let rule = "--key KEY.pem signs the files, --check KEY.pub.pem checks their signatures";
             Err(UserError(rule.into()).into())
@@ -55,9 +55,9 @@ pub fn run(args: &Sign) -> Result<Outcome> {
     }
 }
 
-fn new_key(path: &Path) -> Result<Outcome> {
-    let key = PrivateKey::random()?;
-    let (private, public) = (key.to_pem()?, key.public().to_pem()?);
+fn generate_key(path: &Path) -> Result<Outcome> {
+    let key = PrivateKey::generate()?;
+    let (private, public) = (key.to_pem()?, key.public_key().to_pem()?);
     let beside = public_path(path);
     if beside.exists() {
         let rule = "there is a public key already; a new pair needs another name";
@@ -72,7 +72,7 @@ fn new_key(path: &Path) -> Result<Outcome> {
         .open(path)
         .map_err(|error| UserError(format!("{}: cannot be made: {error}", path.display())))?;
     file.write_all(private.as_bytes()).and_then(|()| file.sync_all())?;
-    output::write_whole(&beside, &[path], |out| out.write_all(public.as_bytes()))?;
+    output::write_atomically(&beside, &[path], |out| out.write_all(public.as_bytes()))?;
     report::warn(format_args!(
         "{}: whoever has this file can sign in your name; keep a copy where no network is",
         path.display()
@@ -93,13 +93,13 @@ fn signature_path(file: &Path) -> PathBuf {
     name.into()
 }
 
-fn sign(key: &Path, names: &[PathBuf]) -> Result<Outcome> {
-    let pem = files::text(key, MAX_OF_A_KEY)?;
-    let private = PrivateKey::from_pem(&pem).map_err(|fault| wrong(key, fault))?;
+fn sign_files(key: &Path, names: &[PathBuf]) -> Result<Outcome> {
+    let pem = files::read_text(key, MAX_KEY_BYTES)?;
+    let private = PrivateKey::from_pem(&pem).map_err(|fault| key_error(key, fault))?;
     let inputs: Vec<&Path> = names.iter().map(PathBuf::as_path).chain([key]).collect();
-    let mut set = FileSet::new(&inputs);
+    let mut set = FileTransaction::new(&inputs);
     for file in names {
-        let signature = private.sign(&files::bytes(file, MAX_BYTES)?);
+        let signature = private.sign(&files::read_bytes(file, MAX_SIGNED_FILE_BYTES)?);
         set.add(&signature_path(file), |out| out.write_all(&signature))?;
     }
     set.commit()?;
@@ -109,16 +109,16 @@ fn sign(key: &Path, names: &[PathBuf]) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-fn check(key: &Path, names: &[PathBuf]) -> Result<Outcome> {
-    let pem = files::text(key, MAX_OF_A_KEY)?;
-    let public = PublicKey::from_pem(&pem).map_err(|fault| wrong(key, fault))?;
+fn check_signatures(key: &Path, names: &[PathBuf]) -> Result<Outcome> {
+    let pem = files::read_text(key, MAX_KEY_BYTES)?;
+    let public = PublicKey::from_pem(&pem).map_err(|fault| key_error(key, fault))?;
     let mut outcome = Outcome::Done;
     for file in names {
         let path = signature_path(file);
         let said = if path.is_file() {
-            let message = files::bytes(file, MAX_BYTES)?;
-            let signature = files::bytes(&path, MAX_OF_A_KEY)?;
-            public.check(&message, &signature).map_err(|fault| fault.to_string())
+            let message = files::read_bytes(file, MAX_SIGNED_FILE_BYTES)?;
+            let signature = files::read_bytes(&path, MAX_KEY_BYTES)?;
+            public.verify(&message, &signature).map_err(|fault| fault.to_string())
         } else {
             Err("is missing".to_owned())
         };
@@ -133,7 +133,7 @@ fn check(key: &Path, names: &[PathBuf]) -> Result<Outcome> {
     Ok(outcome)
 }
 
-fn wrong(key: &Path, fault: trueup_signature::Fault) -> anyhow::Error {
+fn key_error(key: &Path, fault: trueup_signature::SignatureError) -> anyhow::Error {
     UserError(format!("{}: {fault}; trueup sign --new KEY.pem makes a pair", key.display())).into()
 }
 

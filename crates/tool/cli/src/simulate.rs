@@ -6,17 +6,17 @@ use anyhow::Result;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde_json::json;
-use trueup_machine::{BadInput, Location, bounded, file::MAX_BYTES};
+use trueup_machine::{BadInput, Location, bounded_read, file::MAX_FILE_BYTES};
 use trueup_twin::{Scenario, simulate};
 
 use crate::{Outcome, output};
 
 /// More rows than this are worth a progress bar: about a second of work.
-const LONG_RUN_ROWS: f64 = 50_000.0;
+const PROGRESS_BAR_MIN_ROWS: f64 = 50_000.0;
 
 /// Writes what the virtual machine tool would measure: a run file with known causes.
 #[derive(Args)]
-pub struct Simulate {
+pub struct SimulateArgs {
     /// The scenario: the machine, its faults, the sensors, and what is done.
     #[arg(long, value_name = "S.toml")]
     scenario: PathBuf,
@@ -29,42 +29,42 @@ pub struct Simulate {
 }
 
 /// Runs the scenario.
-pub fn run(args: &Simulate, as_json: bool) -> Result<Outcome> {
-    let Simulate { scenario: path, seed, output: to } = args;
+pub fn run(args: &SimulateArgs, as_json: bool) -> Result<Outcome> {
+    let SimulateArgs { scenario: path, seed, output: to } = args;
     let bad = |line, column, rule: &str| {
         BadInput::new(Location { file: path.clone(), line, column }, rule)
     };
-    let bytes = bounded::read(path, MAX_BYTES)?;
+    let bytes = bounded_read::read(path, MAX_FILE_BYTES)?;
     let text = String::from_utf8(bytes).map_err(|error| {
         let valid = String::from_utf8_lossy(&error.as_bytes()[..error.utf8_error().valid_up_to()]);
-        let place = Location::at_byte(path, &valid, valid.len());
+        let place = Location::from_byte_offset(path, &valid, valid.len());
         BadInput::new(place, "is not UTF-8 text")
     })?;
     let scenario =
         Scenario::parse(&text, path).map_err(|error| bad(error.line, error.column, &error.rule))?;
-    let bar = progress(scenario.rows());
+    let bar = create_progress_bar(scenario.estimated_row_count());
     let table = simulate(&scenario, *seed, || bar.inc(1));
     bar.finish_and_clear();
-    output::write_whole(to, &[path], |out| table.write_csv(out))?;
+    output::write_atomically(to, &[path], |out| table.write_csv(out))?;
     if as_json {
         output::print(json!({
             "output": to.to_string_lossy(),
             "scenario": scenario.name,
             "seed": seed,
-            "rows": table.rows(),
-            "columns": table.names().collect::<Vec<_>>(),
+            "rows": table.row_count(),
+            "columns": table.column_names().collect::<Vec<_>>(),
         }))?;
     } else {
-        let columns: Vec<&str> = table.names().collect();
-        let rows = table.rows();
+        let columns: Vec<&str> = table.column_names().collect();
+        let rows = table.row_count();
         output::print(format_args!("{}: {rows} rows of {}", to.display(), columns.join(", ")))?;
     }
     Ok(Outcome::Done)
 }
 
 /// Returns a bar on standard error; none for a short run, or without a terminal.
-fn progress(rows: f64) -> ProgressBar {
-    if rows < LONG_RUN_ROWS {
+fn create_progress_bar(rows: f64) -> ProgressBar {
+    if rows < PROGRESS_BAR_MIN_ROWS {
         return ProgressBar::hidden();
     }
     let style = ProgressStyle::with_template("{msg} {wide_bar} {percent} % {eta}");

@@ -2,14 +2,14 @@
 
 use trueup_machine::{
     Machine,
-    check::{AxisSummary, Summary, corrects_nothing},
+    check::{AxisSummary, Summary, no_correction_warning},
     model::required_columns,
 };
 
 /// Returns a line for the machine, each axis, the limits, the sensor and the board.
-pub fn in_words(machine: &Machine, summary: &Summary) -> String {
+pub fn summary_text(machine: &Machine, summary: &Summary) -> String {
     let mut lines = vec![format!("\"{}\", {}", machine.name.escape_debug(), machine.kind.name())];
-    lines.extend(summary.axes.iter().map(axis_in_words));
+    lines.extend(summary.axes.iter().map(describe_axis));
     lines.push(format!(
         "changes by at most {} µm/s: 1 % of the rapid traverse of axes from {:.0} mm/min on",
         summary.slew_um_per_s, summary.slowest_rapid_mm_per_min
@@ -37,7 +37,7 @@ pub fn in_words(machine: &Machine, summary: &Summary) -> String {
     if !unused.is_empty() {
         lines.push(format!("inputs that no law uses: {}", unused.join(", ")));
     }
-    if let Some(nothing) = corrects_nothing(machine) {
+    if let Some(nothing) = no_correction_warning(machine) {
         lines.push(format!("{}; {}", nothing.what.trim_start_matches("machine "), nothing.help));
     }
     lines.push(match &summary.bytes {
@@ -52,7 +52,7 @@ pub fn in_words(machine: &Machine, summary: &Summary) -> String {
 
 /// Returns the inputs that are described and that nothing on the board goes by.
 fn unused_inputs(machine: &Machine) -> Vec<String> {
-    let used = required_columns(&machine.compensated());
+    let used = required_columns(&machine.with_compensated_terms());
     let Some(inputs) = &machine.inputs else { return Vec::new() };
     let sensor = inputs.sensor.is_some().then_some(("sensor", "sensor_counts"));
     let names = inputs.temperatures.keys().map(|name| (name.as_str(), name.as_str()));
@@ -61,7 +61,7 @@ fn unused_inputs(machine: &Machine) -> Vec<String> {
     unused.map(|(name, _)| name.to_string()).collect()
 }
 
-fn axis_in_words(axis: &AxisSummary) -> String {
+fn describe_axis(axis: &AxisSummary) -> String {
     let name = axis.axis.name().to_uppercase();
     if axis.parts.is_empty() {
         return format!("{name}: not corrected");
@@ -74,7 +74,7 @@ fn axis_in_words(axis: &AxisSummary) -> String {
             None => format!("{} ?", part.key),
         })
         .collect();
-    let largest = match axis.largest_um() {
+    let largest = match axis.max_total_error_um() {
         Some(um) => format!("up to {um:.1} µm"),
         None => "as far as its parts go (? grows with something that the file does not say)".into(),
     };

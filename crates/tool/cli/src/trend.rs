@@ -8,13 +8,13 @@ use std::{
 
 use anyhow::Result;
 use clap::Args;
-use trueup_compare::{dated, page, thermal::at_reference, trend::trends};
+use trueup_compare::{dated, page, thermal_expansion::remove_thermal_expansion, trend::fit_trends};
 
 use crate::{
     Outcome, UserError,
-    diagnose::above_zero,
+    diagnose::parse_positive,
     files, origin,
-    output::{self, FileSet},
+    output::{self, FileTransaction},
     report,
 };
 
@@ -23,43 +23,43 @@ use crate::{
 ///
 /// The day is in a file's name, 2026-11-22 or 20261122.
 #[derive(Args)]
-pub struct Trend {
+pub struct TrendArgs {
     /// The folder with the files, .csv and .toml.
     #[arg(value_name = "DIR")]
     folder: PathBuf,
     /// A change that matters, in the unit of the constant; left out, the smallest that one measurement can show.
-    #[arg(long, value_name = "UM", value_parser = above_zero)]
+    #[arg(long, value_name = "UM", value_parser = parse_positive)]
     limit_um: Option<f64>,
     /// The machine file: the expansion of its axes is taken off run files that have a temperature.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
     /// The day on which it is asked, 2026-11-22; left out, the day of this computer (UTC).
-    #[arg(long, value_name = "DATE", value_parser = day)]
-    today: Option<dated::Day>,
+    #[arg(long, value_name = "DATE", value_parser = parse_day)]
+    today: Option<dated::EpochDay>,
     /// A folder for trend.json and report.html.
     #[arg(long, value_name = "OUT")]
     out: Option<PathBuf>,
 }
 
 /// Parses a day as it is written.
-fn day(text: &str) -> Result<dated::Day, String> {
-    dated::day_of(text).ok_or_else(|| "is no date like 2026-11-22".into())
+fn parse_day(text: &str) -> Result<dated::EpochDay, String> {
+    dated::parse_day(text).ok_or_else(|| "is no date like 2026-11-22".into())
 }
 
 /// Returns the day of this computer.
-fn today() -> Option<dated::Day> {
+fn today() -> Option<dated::EpochDay> {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).ok()?;
-    dated::Day::try_from(since.as_secs() / 86_400).ok()
+    dated::EpochDay::try_from(since.as_secs() / 86_400).ok()
 }
 
 /// Reads the folder and reports the trends.
-pub fn run(args: &Trend, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &TrendArgs, as_json: bool) -> Result<Outcome> {
     let bad = |rule: String| UserError(format!("{}: {rule}", args.folder.display()));
     let entries =
         fs::read_dir(&args.folder).map_err(|error| bad(format!("cannot be read: {error}")))?;
     let mut paths: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
     paths.sort();
-    let machine = args.machine.as_ref().map(|path| files::machine(path)).transpose()?;
+    let machine = args.machine.as_ref().map(|path| files::read_machine(path)).transpose()?;
     let today = args.today.or_else(today);
     let mut notes: Vec<String> = Vec::new();
     let mut days = Vec::new();
@@ -71,7 +71,7 @@ pub fn run(args: &Trend, as_json: bool) -> Result<Outcome> {
         if !matches!(kind.as_str(), "csv" | "toml") {
             continue;
         }
-        let Some(day) = dated::day_of(&name) else {
+        let Some(day) = dated::parse_day(&name) else {
             report::warn(format_args!("{name}: passed over, its name has no date like 2026-11-22"));
             continue;
         };
@@ -79,23 +79,23 @@ pub fn run(args: &Trend, as_json: bool) -> Result<Outcome> {
         if let Some(today) = today.filter(|today| day > today + 1) {
             return Err(bad(format!(
                 "{name} is of a day in the future (today is {}): correct its date, or give --today",
-                dated::text_of(today)
+                dated::format_day(today)
             ))
             .into());
         }
         let constants = match kind.as_str() {
-            "toml" => dated::of_machine(&files::machine(&path)?),
+            "toml" => dated::machine_constants(&files::read_machine(&path)?),
             _ => {
-                let run = files::run(&path, machine.as_ref())?;
-                let (run, note) = at_reference(&run, machine.as_ref());
+                let run = files::read_run(&path, machine.as_ref())?;
+                let (run, note) = remove_thermal_expansion(&run, machine.as_ref());
                 if !notes.contains(&note) {
                     notes.push(note);
                 }
-                let of_run = dated::of_run(&run);
-                notes.extend(of_run.outliers.iter().map(|(place, um)| {
+                let run_constants = dated::estimate_run_constants(&run);
+                notes.extend(run_constants.outliers.iter().map(|(place, um)| {
                     format!("{}:{}: {um:+.1} µm, excluded as an outlier", name, place.line)
                 }));
-                of_run.constants
+                run_constants.constants
             }
         };
         if constants.is_empty() {
@@ -108,18 +108,18 @@ pub fn run(args: &Trend, as_json: bool) -> Result<Outcome> {
     if days.is_empty() {
         return Err(bad("has no dated .csv or .toml with a constant in it".into()).into());
     }
-    let found = trends(&days, args.limit_um, today);
+    let found = fit_trends(&days, args.limit_um, today);
     let json = serde_json::to_string_pretty(&found)?;
     if let Some(folder) = &args.out {
         fs::create_dir_all(folder)
             .map_err(|error| UserError(format!("{}: cannot be made: {error}", folder.display())))?;
         let mut inputs: Vec<&Path> = read.iter().map(PathBuf::as_path).collect();
         inputs.extend(args.machine.as_deref());
-        let origin = origin::of(&inputs)?;
-        let html = page::of_trends(&found, &args.folder.display().to_string(), &origin);
-        let mut set = FileSet::new(&[]);
+        let origin = origin::from_files(&inputs)?;
+        let html = page::build_trends_page(&found, &args.folder.display().to_string(), &origin);
+        let mut set = FileTransaction::new(&[]);
         for (name, text) in [("trend.json", format!("{json}\n")), ("report.html", html)] {
-            set.text(&folder.join(name), &text)?;
+            set.add_text(&folder.join(name), &text)?;
         }
         set.commit()?;
     }

@@ -4,12 +4,12 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
-use trueup_learn::trust::{Trust, trust};
+use trueup_learn::calibration_monitoring::{CalibrationReport, monitor_calibration};
 use trueup_machine::file;
 
 use crate::{
     Outcome,
-    diagnose::{Quantity, above_zero},
+    diagnose::{QuantityArg, parse_positive},
     files, output,
 };
 
@@ -21,7 +21,7 @@ use crate::{
 ///
 /// Exit 3: the calibration no longer fits.
 #[derive(Args)]
-pub struct Watch {
+pub struct TrustArgs {
     /// The machine file that was right then.
     #[arg(long, value_name = "M.toml")]
     machine: PathBuf,
@@ -33,19 +33,19 @@ pub struct Watch {
     run: PathBuf,
     /// The quantity to look at, where the records measure several.
     #[arg(long)]
-    quantity: Option<Quantity>,
+    quantity: Option<QuantityArg>,
     /// This many hours of records pass on average between two false alarms.
-    #[arg(long, value_name = "HOURS", default_value_t = 1000.0, value_parser = above_zero)]
+    #[arg(long, value_name = "HOURS", default_value_t = 1000.0, value_parser = parse_positive)]
     false_alarm_h: f64,
 }
 
 /// Watches the record.
-pub fn run(args: &Watch, as_json: bool) -> Result<Outcome> {
-    let machine = files::machine(&args.machine)?;
-    let then = files::run(&args.calibrated, Some(&machine))?;
-    let now = files::run(&args.run, Some(&machine))?;
-    let quantity: Option<file::Quantity> = args.quantity.map(Quantity::of_machine);
-    let found = trust(&machine, &then, &now, quantity, args.false_alarm_h)?;
+pub fn run(args: &TrustArgs, as_json: bool) -> Result<Outcome> {
+    let machine = files::read_machine(&args.machine)?;
+    let then = files::read_run(&args.calibrated, Some(&machine))?;
+    let now = files::read_run(&args.run, Some(&machine))?;
+    let quantity: Option<file::Quantity> = args.quantity.map(QuantityArg::to_machine_quantity);
+    let found = monitor_calibration(&machine, &then, &now, quantity, args.false_alarm_h)?;
     if as_json {
         output::print(serde_json::to_string_pretty(&found)?)?;
     } else {
@@ -54,7 +54,7 @@ pub fn run(args: &Watch, as_json: bool) -> Result<Outcome> {
     Ok(if found.alarm.is_some() { Outcome::NotMet } else { Outcome::Done })
 }
 
-fn print(found: &Trust) -> Result<()> {
+fn print(found: &CalibrationReport) -> Result<()> {
     match &found.alarm {
         None => output::print("the calibration fits")?,
         Some(alarm) => {

@@ -10,9 +10,9 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use clap::Args;
-use trueup_virtual_bridge::{Options, program, qemu::PROGRAM as QEMU};
+use trueup_virtual_bridge::{BridgeOptions, program, qemu::QEMU_PROGRAM as QEMU};
 
-use crate::{Outcome, UserError, carried, files};
+use crate::{Outcome, UserError, embedded_images, files};
 
 /// Runs a virtual bridge for any client, until Ctrl-C: the real firmware in QEMU, its line on a TCP port.
 ///
@@ -23,37 +23,37 @@ use crate::{Outcome, UserError, carried, files};
     trueup examples try\n  \
     trueup virtual --machine try/paper_spindle.toml --run try/spindle_paper_table1.csv\n  \
     then, elsewhere: trueup bridge monitor --port tcp:127.0.0.1:3333")]
-pub struct Virtual {
+pub struct VirtualArgs {
     /// The machine file.
     #[arg(long, value_name = "M.toml")]
     machine: PathBuf,
     #[command(flatten)]
-    options: Options,
+    options: BridgeOptions,
     /// Another firmware image for QEMU than the one that this tool carries.
     #[arg(long, value_name = "FILE.elf")]
     image: Option<PathBuf>,
 }
 
 /// Runs it.
-pub fn run(args: &Virtual) -> Result<Outcome> {
-    if program::find(QEMU).is_none() {
+pub fn run(args: &VirtualArgs) -> Result<Outcome> {
+    if program::find_on_path(QEMU).is_none() {
         let reason =
             format!("{QEMU} is not on PATH; on Debian and Ubuntu: sudo apt install {QEMU}");
         return Err(UserError(reason).into());
     }
-    let machine = files::machine(&args.machine)?;
+    let machine = files::read_machine(&args.machine)?;
     // Clients wait for the board's time, which must not wait for a terminal.
-    trueup_output::detach();
+    trueup_output::enable_background_output();
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
-    // It goes with this command.
+    // It is removed at the end of this command.
     let folder = tempfile::Builder::new().prefix("trueup-image-").tempdir()?;
     let image = || match &args.image {
         Some(image) => Ok(image.clone()),
         None => {
-            carried::write(folder.path(), Some(carried::VIRTUAL))?;
-            Ok(folder.path().join(carried::VIRTUAL))
+            embedded_images::write_images(folder.path(), Some(embedded_images::VIRTUAL_IMAGE))?;
+            Ok(folder.path().join(embedded_images::VIRTUAL_IMAGE))
         }
     };
     trueup_virtual_bridge::run(&machine, &args.options, image, stop)?;

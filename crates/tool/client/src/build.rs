@@ -5,14 +5,9 @@ use std::fmt::{self, Display};
 use anyhow::Result;
 
 use crate::{
-    object::{self, At, SOFTWARE},
+    object::{self, COMMIT, LEGACY_COMMIT, SOFTWARE_VERSION},
     session::Session,
 };
-
-/// The commit of the image's source: the first 32 bits of its hash; 0: the image does not know.
-pub const COMMIT: At = (0x2001, 11);
-/// The same of a firmware up to 0.2.0.
-const FORMER_COMMIT: At = (0x2001, 10);
 
 /// A version and, where it is known, the commit that it is of.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -29,14 +24,14 @@ impl Build {
         Self { version: version.into(), commit: u32::from_str_radix(commit, 16).ok() }
     }
 
-    /// Returns what the bridge says of itself. A firmware up to 0.2.0 has its commit at 0x2001:0A; an older one says none.
+    /// Returns what the bridge says of itself. A firmware up to 0.2.0 has its commit in another place; an older one says none.
     ///
     /// # Errors
     /// It does not say its version, or the line is broken.
-    pub fn ask(session: &mut Session) -> Result<Self> {
-        let version = object::text(session, SOFTWARE)?;
-        let commit = object::number(session, COMMIT)
-            .or_else(|_| object::number(session, FORMER_COMMIT))
+    pub fn read(session: &mut Session) -> Result<Self> {
+        let version = object::read_text(session, SOFTWARE_VERSION)?;
+        let commit = object::read_number(session, COMMIT)
+            .or_else(|_| object::read_number(session, LEGACY_COMMIT))
             .ok()
             .filter(|commit| *commit != 0);
         Ok(Self { version, commit })

@@ -8,23 +8,23 @@ use trueup_core::{
 use trueup_link::{frame::Frame, receiver::Receiver};
 
 /// How long a value from the CNC counts, in ms of the bridge.
-const TIMEOUT_MS: u64 = 500;
+const VALUE_TIMEOUT_MS: u64 = 500;
 /// Its columns of a run file; two angles come after them, whose names the machine file knows.
 pub(crate) const COLUMNS: [&str; 8] =
     ["spindle_rpm", "load_n", "x_mm", "y_mm", "z_mm", "dir_x", "dir_y", "dir_z"];
 /// Decimals of each in a run file; the angles stand last.
-const DECIMALS: [usize; VALUES] = [0, 0, 5, 5, 5, 0, 0, 0, 4, 4];
-const VALUES: usize = COLUMNS.len() + 2;
+const DECIMALS: [usize; VALUE_COUNT] = [0, 0, 5, 5, 5, 0, 0, 0, 4, 4];
+const VALUE_COUNT: usize = COLUMNS.len() + 2;
 
 /// The CNC's state, where it can be received: the values of its columns of a run file and two angles, and when.
 #[derive(Default)]
-pub struct Cnc {
+pub struct CncState {
     receiver: Receiver,
-    values: [Option<(f64, u64)>; VALUES],
+    values: [Option<(f64, u64)>; VALUE_COUNT],
     conditions: Option<(Conditions, u64)>,
 }
 
-impl Cnc {
+impl CncState {
     /// Takes a frame from the bus at this time of the bridge.
     pub fn receive(&mut self, frame: &Frame, now_ms: u64) {
         let Ok(Some(command)) = self.receiver.accept(frame) else { return };
@@ -51,14 +51,14 @@ impl Cnc {
 
     fn value(&self, column: usize, now_ms: u64) -> Option<f64> {
         let (value, at_ms) = self.values[column]?;
-        (now_ms.saturating_sub(at_ms) <= TIMEOUT_MS).then_some(value)
+        (now_ms.saturating_sub(at_ms) <= VALUE_TIMEOUT_MS).then_some(value)
     }
 
     /// Returns the tool and the conditions of the machine.
     #[must_use]
     pub fn conditions(&self, now_ms: u64) -> Option<Conditions> {
         let (conditions, at_ms) = self.conditions?;
-        (now_ms.saturating_sub(at_ms) <= TIMEOUT_MS).then_some(conditions)
+        (now_ms.saturating_sub(at_ms) <= VALUE_TIMEOUT_MS).then_some(conditions)
     }
 
     /// Returns the speed of the spindle in r/min, at least 0.
@@ -87,7 +87,7 @@ impl Cnc {
 
     /// Returns the angles in degrees, in the order of the axes that carry the spindle.
     #[must_use]
-    pub fn angle_deg(&self, now_ms: u64) -> [Option<f64>; 2] {
+    pub fn rotary_angles_deg(&self, now_ms: u64) -> [Option<f64>; 2] {
         [8, 9].map(|column| self.value(column, now_ms))
     }
 
@@ -103,30 +103,30 @@ impl Cnc {
 mod tests {
     use super::*;
     use trueup_core::{
-        cnc::{AxisPosition, Heading, LinearAxis, Rotary, Spindle},
+        cnc::{AxisPosition, LinearAxis, Rotary, Spindle, TravelDirection},
         units::Rpm,
     };
     use trueup_link::frames;
 
     #[test]
     fn what_the_cnc_says_stands_in_its_columns_until_it_is_old() {
-        let mut cnc = Cnc::default();
+        let mut cnc = CncState::default();
         let spindle = Spindle { speed: Rpm(12_000), load_n: -7 };
-        cnc.receive(&frames::spindle(spindle, 0), 1_000);
+        cnc.receive(&frames::encode_spindle(spindle, 0), 1_000);
         let z = AxisPosition {
             axis: LinearAxis::Z,
             position: Position(-12_345_678),
-            direction: Heading::Negative,
+            direction: TravelDirection::Negative,
         };
-        cnc.receive(&frames::position(z, 0), 1_200);
+        cnc.receive(&frames::encode_position(z, 0), 1_200);
         let rotary = Rotary { angles: [MicroDegrees(-90_000_000), MicroDegrees(1_234_567)] };
-        cnc.receive(&frames::rotary(rotary, 0), 1_300);
+        cnc.receive(&frames::encode_rotary(rotary, 0), 1_300);
         let at = |ms| cnc.cells(ms).collect::<Vec<_>>().join(",");
         assert_eq!(at(1_500), "12000,-7,,,-123.45678,,,-1,-90.0000,1.2345");
         assert_eq!(at(1_501), ",,,,-123.45678,,,-1,-90.0000,1.2345");
         assert_eq!(at(1_801), ",,,,,,,,,");
         assert_eq!(cnc.position_mm(1_700), [None, None, Some(-123.456_78)]);
-        let [first, second] = cnc.angle_deg(1_800).map(|it| it.expect("heard"));
+        let [first, second] = cnc.rotary_angles_deg(1_800).map(|it| it.expect("heard"));
         // The wire has 0.0001°.
         assert!(first == -90.0 && (second - 1.234_567).abs() < 1e-4, "{first} {second}");
         assert_eq!((cnc.spindle_rpm(1_500), cnc.load_n(1_501)), (Some(12_000.0), None));

@@ -7,24 +7,24 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result};
-use trueup_canopen::dictionary::Authority;
+use trueup_canopen::dictionary::WriteAuthority;
 use trueup_core::cnc::{Control, Quality};
 
 use crate::{
-    load::{REMNANT_MARGIN, link_timeout},
-    object::{self, ACCEPTED, AUTHORITY, NOT_AVAILABLE, OFFSET, QUALITY},
+    load::{STALE_SERVICE_MARGIN, read_link_timeout},
+    object::{self, ACCEPTED_FRAMES, AUTHORITY, NOT_AVAILABLE, OFFSET, QUALITY},
     session::Session,
 };
 
 /// From one look at the offsets to the next.
-const LOOK: Duration = Duration::from_millis(100);
-/// For so long no offset need come nearer to 0 before it counts as standing still: the slowest slew limit is one of
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
+/// After this time without an offset coming nearer to 0 it counts as standing still: the slowest slew limit is one of
 /// some µm in a minute, and a bridge answers in 10 nm.
-const STANDS_STILL: Duration = Duration::from_secs(10);
+const STANDSTILL_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// The outcome of taking the offsets back.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Disengaged {
+pub enum DisengageOutcome {
     /// Nothing was followed; nothing was sent.
     AtRest(Quality),
     /// They were these, in nm, and are 0, or not available any more.
@@ -47,64 +47,64 @@ pub enum Disengaged {
 pub fn disengage(
     session: &mut Session,
     progress: &mut dyn FnMut([Option<i32>; 3]),
-) -> Result<Disengaged> {
-    let found = quality(session)?;
+) -> Result<DisengageOutcome> {
+    let found = read_quality(session)?;
     if is_at_rest(found) {
-        return Ok(Disengaged::AtRest(found));
+        return Ok(DisengageOutcome::AtRest(found));
     }
-    let from_nm = offsets(session)?;
+    let from_nm = read_offsets(session)?;
     // One that has disengaged takes its offset back already.
-    let is_commanded = is_commanded(session)?;
-    if !is_commanded {
-        session.transmit(Control::default());
+    let is_cnc_commanding = is_cnc_commanding(session)?;
+    if !is_cnc_commanding {
+        session.start_control(Control::default());
     }
     let start = Instant::now();
     let size = |all: [Option<i32>; 3]| all.into_iter().flatten().map(i32::unsigned_abs).max();
     let (mut smallest, mut fell) = (size(from_nm), start);
     let outcome = loop {
-        let now_nm = offsets(session)?;
-        let quality = quality(session)?;
-        if is_commanded && !is_at_rest(quality) && quality != Quality::RampingOut {
-            break Disengaged::CncCommands(now_nm);
+        let now_nm = read_offsets(session)?;
+        let quality = read_quality(session)?;
+        if is_cnc_commanding && !is_at_rest(quality) && quality != Quality::RampingOut {
+            break DisengageOutcome::CncCommands(now_nm);
         }
         if is_at_rest(quality) {
-            break Disengaged::Done { from_nm, took: start.elapsed() };
+            break DisengageOutcome::Done { from_nm, took: start.elapsed() };
         }
         progress(now_nm);
         if size(now_nm) < smallest {
             (smallest, fell) = (size(now_nm), Instant::now());
         }
-        if fell.elapsed() > STANDS_STILL {
-            break Disengaged::Stands(now_nm);
+        if fell.elapsed() > STANDSTILL_TIMEOUT {
+            break DisengageOutcome::Stands(now_nm);
         }
-        let look = Instant::now() + LOOK;
+        let look = Instant::now() + POLL_INTERVAL;
         while session.next_event(look)?.is_some() {}
     };
-    session.end_service();
+    session.stop_service();
     Ok(outcome)
 }
 
 /// Returns whether a CNC commands the bridge. One that has just left counts until its link timeout is over.
-fn is_commanded(session: &mut Session) -> Result<bool> {
-    let accepted = object::number(session, ACCEPTED)?;
-    let ends = Instant::now() + link_timeout(session)? + REMNANT_MARGIN;
+fn is_cnc_commanding(session: &mut Session) -> Result<bool> {
+    let accepted = object::read_number(session, ACCEPTED_FRAMES)?;
+    let ends = Instant::now() + read_link_timeout(session)? + STALE_SERVICE_MARGIN;
     loop {
-        if object::number(session, ACCEPTED)? != accepted {
+        if object::read_number(session, ACCEPTED_FRAMES)? != accepted {
             return Ok(true);
         }
-        let authority = object::number(session, AUTHORITY)?;
-        if authority == Authority::NoMaster as u32 {
+        let authority = object::read_number(session, AUTHORITY)?;
+        if authority == WriteAuthority::NoMaster as u32 {
             return Ok(false);
         }
         // The service switch hides who commands; a CNC's frames would have been counted by now.
         if Instant::now() > ends {
-            return Ok(authority != Authority::SwitchOpen as u32);
+            return Ok(authority != WriteAuthority::SwitchOpen as u32);
         }
     }
 }
 
-fn quality(session: &mut Session) -> Result<Quality> {
-    let number = object::number(session, QUALITY)?;
+fn read_quality(session: &mut Session) -> Result<Quality> {
+    let number = object::read_number(session, QUALITY)?;
     let quality = u8::try_from(number).ok().and_then(Quality::from_wire);
     quality.context("the bridge sends an unknown quality")
 }
@@ -114,10 +114,10 @@ const fn is_at_rest(quality: Quality) -> bool {
 }
 
 /// X, Y and Z in nm; `None`: not available.
-fn offsets(session: &mut Session) -> Result<[Option<i32>; 3]> {
+fn read_offsets(session: &mut Session) -> Result<[Option<i32>; 3]> {
     let mut all = [None; 3];
     for (place, at) in all.iter_mut().zip(OFFSET) {
-        let nm = object::number(session, at)?.cast_signed();
+        let nm = object::read_number(session, at)?.cast_signed();
         *place = (nm != NOT_AVAILABLE).then_some(nm);
     }
     Ok(all)

@@ -2,33 +2,32 @@
 //! it, and the restart.
 //!
 //! ```text
-//!   look at 0x2120:03 ─► none of this file ─► header ──┐      a frame is lost: look again, a few times
-//!           ▲       └──► some of it ─────► the rest ───┼──► verified by the board
-//!           └──────────── not answered, or busy ◄──────┘
+//!   how much has come? ─► none of this file ─► header ──┐      a frame is lost: look again, a few times
+//!           ▲        └──► some of it ─────► the rest ───┼──► verified by the board
+//!           └───────────── not answered, or busy ◄──────┘
 //! ```
 //!
 //! So a line that was cut costs nothing that has come: the same command goes on behind it, as long as the board was not
-//! restarted. What runs meanwhile stays as it is.
+//! restarted. What runs meanwhile stays unchanged.
 
-use std::{
-    error::Error,
-    fmt,
-    time::{Duration, Instant},
-};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail};
-use trueup_boot::{header::HEADER_SIZE, layout::Slot, record::Status, refusal::Refusal};
+use trueup_boot::{
+    boot_state::ImageStatus, flash_layout::Slot, header::HEADER_SIZE, refusal::RefusalReason,
+};
 use trueup_canopen::sdo::{
-    Abort,
-    client::{ClientError, give_up},
+    AbortCode,
+    client::{ClientError, timeout_abort},
 };
 
 use crate::{
     firmware_file::SlotFirmware,
-    firmware_slots::SlotsState,
-    load::{ask_leave, restart_until},
+    firmware_slots::FirmwareSlots,
+    load::{require_service, restart_until},
     object::{
-        self, FIRMWARE_HEADER, FIRMWARE_IMAGE, FIRMWARE_RECEIVED, FIRMWARE_REFUSED, FIRMWARE_TAG,
+        self, FIRMWARE_BYTES_RECEIVED, FIRMWARE_HEADER, FIRMWARE_IMAGE, FIRMWARE_IMAGE_ID,
+        FIRMWARE_REFUSAL,
     },
     session::Session,
 };
@@ -36,57 +35,49 @@ use crate::{
 /// Tries in a row that bring the board no byte, before an update is given up.
 const MAX_IDLE_TRIES: u32 = 5;
 /// From one try to the next: a board that verifies an image takes up to 0.4 s at full speed.
-const PAUSE: Duration = Duration::from_secs(1);
+const RETRY_DELAY: Duration = Duration::from_secs(1);
 
 /// The board refuses the firmware.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Refused {
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the board refuses it{}", refusal_text(*.reason))]
+pub struct FirmwareRefused {
     /// Its reason; `None`: one of a later version.
-    pub reason: Option<Refusal>,
+    pub reason: Option<RefusalReason>,
 }
 
-impl fmt::Display for Refused {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.reason {
-            None => f.write_str(
-                "the board refuses it for a reason that this tool does not know: update the tool",
-            ),
-            Some(reason) => {
-                write!(f, "the board refuses it: {reason}")?;
-                match remedy(reason) {
-                    "" => Ok(()),
-                    remedy => write!(f, ". {remedy}"),
-                }
-            }
-        }
+fn refusal_text(reason: Option<RefusalReason>) -> String {
+    match reason.map(|reason| (reason, refusal_remedy(reason))) {
+        None => " for a reason that this tool does not know: update the tool".into(),
+        Some((reason, "")) => format!(": {reason}"),
+        Some((reason, remedy)) => format!(": {reason}. {remedy}"),
     }
 }
 
-impl Error for Refused {}
-
-impl Refused {
+impl FirmwareRefused {
     /// Returns whether another file may be taken: the board itself is well.
     #[must_use]
-    pub const fn is_of_the_file(&self) -> bool {
-        !matches!(self.reason, Some(Refusal::Flash | Refusal::NotStored))
+    pub const fn is_file_defect(&self) -> bool {
+        !matches!(self.reason, Some(RefusalReason::Flash | RefusalReason::NotStored))
     }
 }
 
 /// Returns what to do about a refusal, where its words do not say it.
-const fn remedy(reason: Refusal) -> &'static str {
+const fn refusal_remedy(reason: RefusalReason) -> &'static str {
     match reason {
-        Refusal::Signature => {
+        RefusalReason::Signature => {
             "Take the file of the board's maker; one that is signed with another key needs a new boot program by the probe"
         }
-        Refusal::NoHeader | Refusal::Length | Refusal::Damaged => {
+        RefusalReason::NoHeader | RefusalReason::Length | RefusalReason::Damaged => {
             "The line may have damaged it: update again"
         }
-        Refusal::OtherSlot => "The board has restarted meanwhile: update again",
-        Refusal::BelowFloor | Refusal::OwnFloor | Refusal::NotNewer => "Take a newer file",
-        Refusal::Flash | Refusal::NotStored => {
+        RefusalReason::OtherSlot => "The board has restarted meanwhile: update again",
+        RefusalReason::BelowFloor | RefusalReason::OwnFloor | RefusalReason::NotNewer => {
+            "Take a newer file"
+        }
+        RefusalReason::Flash | RefusalReason::NotStored => {
             "Update again; if it stays so, the flash of the board is worn: replace the board"
         }
-        Refusal::Format | Refusal::Unconfirmed | Refusal::NoSlots => "",
+        RefusalReason::Format | RefusalReason::Unconfirmed | RefusalReason::NoSlots => "",
     }
 }
 
@@ -96,7 +87,7 @@ const fn remedy(reason: Refusal) -> &'static str {
     "interrupted near byte {received} of {length}: the board keeps what has come, and runs on as before. The same command \
      goes on there; after a restart of the board it begins anew"
 )]
-pub struct Interrupted {
+pub(crate) struct TransferInterrupted {
     /// Bytes that the board has acknowledged, the header included; a block of them more or less.
     pub received: u32,
     /// Bytes of the whole.
@@ -105,7 +96,7 @@ pub struct Interrupted {
 
 /// The way of an update that has arrived.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Stored {
+pub struct TransferReport {
     /// Bytes that an earlier command had sent; 0: it began anew.
     pub resumed_from: u32,
 }
@@ -114,8 +105,8 @@ pub struct Stored {
 ///
 /// # Errors
 /// The line breaks.
-pub fn clear(session: &mut Session) -> Result<()> {
-    session.send(&give_up(FIRMWARE_IMAGE))
+pub fn abort_open_transfer(session: &mut Session) -> Result<()> {
+    session.send(&timeout_abort(FIRMWARE_IMAGE))
 }
 
 /// Sends a firmware to the slot that does not run, from the byte on that the board does not have yet. The board then
@@ -123,35 +114,35 @@ pub fn clear(session: &mut Session) -> Result<()> {
 /// error of it ends the update.
 ///
 /// # Errors
-/// [`Refused`]; [`Interrupted`] in front of the reason, where the board has a part; the board may not be written to; the
+/// [`FirmwareRefused`]; `TransferInterrupted` in front of the reason, where the board has a part; the board may not be written to; the
 /// line breaks.
-pub fn store(
+pub fn store_firmware(
     session: &mut Session,
     firmware: &SlotFirmware,
     progress: &mut dyn FnMut(u32) -> Result<()>,
-) -> Result<Stored> {
+) -> Result<TransferReport> {
     let length = firmware.image.header.length;
     let mut reached = 0;
-    send(session, firmware, &mut reached, progress).map_err(|error| {
-        if reached == 0 || error.is::<Refused>() {
+    send_firmware(session, firmware, &mut reached, progress).map_err(|error| {
+        if reached == 0 || error.is::<FirmwareRefused>() {
             return error;
         }
-        error.context(Interrupted { received: reached, length })
+        error.context(TransferInterrupted { received: reached, length })
     })
 }
 
 /// Does the same; `reached` receives the bytes that the board has acknowledged.
-fn send(
+fn send_firmware(
     session: &mut Session,
     firmware: &SlotFirmware,
     reached: &mut u32,
     progress: &mut dyn FnMut(u32) -> Result<()>,
-) -> Result<Stored> {
+) -> Result<TransferReport> {
     let mut resumed_from = None;
     let (mut is_under_way, mut idle_tries) = (false, 0);
     loop {
-        ask_leave(session)?;
-        let begin = received(session, firmware)?;
+        require_service(session)?;
+        let begin = received_bytes(session, firmware)?;
         if resumed_from.is_none() {
             is_under_way = begin > 0;
         }
@@ -161,7 +152,7 @@ fn send(
         }
         *reached = begin;
         if begin == firmware.image.header.length && is_verified(session, firmware)? {
-            return Ok(Stored { resumed_from });
+            return Ok(TransferReport { resumed_from });
         }
         let is_header = begin == 0;
         let rest = firmware.bytes.get(begin as usize..).unwrap_or_default();
@@ -170,7 +161,7 @@ fn send(
             false => (FIRMWARE_IMAGE, rest),
         };
         let mut asked = begin;
-        let sent = object::write_in_blocks(session, at, data, |count| {
+        let sent = object::block_download(session, at, data, |count| {
             // The header counts once the board has checked it and erased the slot.
             if !is_header {
                 *reached = asked;
@@ -184,15 +175,15 @@ fn send(
                 "the board has taken the header {MAX_IDLE_TRIES} times and has none of it: does it restart by itself?"
             ),
             Ok(()) if is_header => (is_under_way, idle_tries) = (true, idle_tries + 1),
-            Ok(()) => return Ok(Stored { resumed_from }),
+            Ok(()) => return Ok(TransferReport { resumed_from }),
             Err(error) => {
                 // In a block a board takes whatever comes for a segment.
-                session.send(&give_up(at))?;
-                let is_value = is_abort(&error, Abort::Value);
-                if !is_value && !may_pass(&error) {
+                session.send(&timeout_abort(at))?;
+                let is_value = is_abort(&error, AbortCode::Value);
+                if !is_value && !is_transient_error(&error) {
                     return Err(error);
                 }
-                if let Some(refused) = refused(session, is_under_way || is_value)? {
+                if let Some(refused) = read_refusal(session, is_under_way || is_value)? {
                     return Err(refused.into());
                 }
                 if is_value {
@@ -205,7 +196,7 @@ fn send(
                 if idle_tries >= MAX_IDLE_TRIES {
                     return Err(error);
                 }
-                let end = Instant::now() + PAUSE;
+                let end = Instant::now() + RETRY_DELAY;
                 while session.next_event(end)?.is_some() {}
             }
         }
@@ -217,20 +208,20 @@ fn send(
 ///
 /// # Errors
 /// The board does not come back.
-pub fn restart(session: &mut Session, slot: Slot) -> Result<SlotsState> {
-    ask_leave(session)?;
+pub fn restart(session: &mut Session, slot: Slot) -> Result<FirmwareSlots> {
+    require_service(session)?;
     restart_until(
         session,
-        |it| SlotsState::ask(it)?.context("the board has no firmware slots any more"),
-        |now| now.running == slot || now.content(slot).status == Some(Status::Rejected),
+        |it| FirmwareSlots::read(it)?.context("the board has no firmware slots any more"),
+        |now| now.running == slot || now.content(slot).status == Some(ImageStatus::Rejected),
     )
 }
 
 /// Returns how many bytes of this firmware the board has; 0: it has none of it.
-fn received(session: &mut Session, firmware: &SlotFirmware) -> Result<u32> {
-    let received = object::number(session, FIRMWARE_RECEIVED)?;
+fn received_bytes(session: &mut Session, firmware: &SlotFirmware) -> Result<u32> {
+    let received = object::read_number(session, FIRMWARE_BYTES_RECEIVED)?;
     let is_possible = (HEADER_SIZE..=firmware.bytes.len()).contains(&(received as usize));
-    if !is_possible || object::number(session, FIRMWARE_TAG)? != firmware.image.tag {
+    if !is_possible || object::read_number(session, FIRMWARE_IMAGE_ID)? != firmware.image.tag {
         return Ok(0);
     }
     Ok(received)
@@ -238,29 +229,30 @@ fn received(session: &mut Session, firmware: &SlotFirmware) -> Result<u32> {
 
 /// Returns whether the board has verified what it has received whole.
 fn is_verified(session: &mut Session, firmware: &SlotFirmware) -> Result<bool> {
-    let slots = SlotsState::ask(session)?.context("the board has no firmware slots any more")?;
-    Ok(slots.content(firmware.image.header.slot).status == Some(Status::Verified))
+    let slots =
+        FirmwareSlots::read(session)?.context("the board has no firmware slots any more")?;
+    Ok(slots.content(firmware.image.header.slot).status == Some(ImageStatus::Verified))
 }
 
 /// Returns the refusal of the firmware under way. An earlier one stays readable until a header is accepted, so none
 /// counts before.
-fn refused(session: &mut Session, is_under_way: bool) -> Result<Option<Refused>> {
+fn read_refusal(session: &mut Session, is_under_way: bool) -> Result<Option<FirmwareRefused>> {
     if !is_under_way {
         return Ok(None);
     }
-    let number = object::number(session, FIRMWARE_REFUSED)?;
-    let reason = u8::try_from(number).ok().and_then(Refusal::of);
-    Ok((number != 0).then_some(Refused { reason }))
+    let number = object::read_number(session, FIRMWARE_REFUSAL)?;
+    let reason = u8::try_from(number).ok().and_then(RefusalReason::from_number);
+    Ok((number != 0).then_some(FirmwareRefused { reason }))
 }
 
 /// Returns whether the same may be taken a moment later: a frame was lost, or the board is at a step.
-fn may_pass(error: &anyhow::Error) -> bool {
-    object::may_be_the_line(error)
-        || is_abort(error, Abort::DeviceState)
-        || is_abort(error, Abort::CannotStore)
+fn is_transient_error(error: &anyhow::Error) -> bool {
+    object::is_line_error(error)
+        || is_abort(error, AbortCode::DeviceState)
+        || is_abort(error, AbortCode::CannotStore)
 }
 
-fn is_abort(error: &anyhow::Error, abort: Abort) -> bool {
+fn is_abort(error: &anyhow::Error, abort: AbortCode) -> bool {
     matches!(error.downcast_ref(), Some(ClientError::Aborted { code, .. }) if *code == abort.code())
 }
 
@@ -270,18 +262,18 @@ mod tests {
 
     #[test]
     fn every_refusal_says_why_and_what_to_do() {
-        for reason in Refusal::ALL {
-            let refused = Refused { reason: Some(reason) };
+        for reason in RefusalReason::ALL {
+            let refused = FirmwareRefused { reason: Some(reason) };
             let said = refused.to_string();
             assert!(said.starts_with("the board refuses it: "), "{said}");
             // In its own words, or behind them.
             let has_remedy = said.contains(". ") || reason.to_string().contains(':');
             assert!(has_remedy, "{said}");
             assert_eq!(
-                refused.is_of_the_file(),
-                !matches!(reason, Refusal::Flash | Refusal::NotStored)
+                refused.is_file_defect(),
+                !matches!(reason, RefusalReason::Flash | RefusalReason::NotStored)
             );
         }
-        assert!(Refused { reason: None }.to_string().contains("update the tool"));
+        assert!(FirmwareRefused { reason: None }.to_string().contains("update the tool"));
     }
 }

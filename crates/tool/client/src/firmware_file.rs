@@ -4,17 +4,15 @@
 //! All that can be known without the key is checked here, before a board is touched: headers, lengths, CRC and SHA-256.
 //! The signature is checked by the board, which has the key.
 
-use std::{error::Error, fmt};
-
 use embedded_storage::nor_flash::{ErrorType, NorFlashError, NorFlashErrorKind, ReadNorFlash};
 use trueup_boot::{
+    flash_layout::{SLOT_SIZE, Slot},
     header::{HEADER_SIZE, Header, HeaderError, SIGNATURE_SIZE, Version},
-    inspect::{Defect, Image, Key, check_header, check_image},
-    layout::{SLOT_SIZE, Slot},
+    image_check::{Image, ImageDefect, VerifyingKey, check_header, check_image},
 };
 
 /// The most bytes of a file: two full slots, and one to see that it is longer.
-pub const MAX_BYTES: u64 = 2 * SLOT_SIZE as u64 + 1;
+pub const MAX_FIRMWARE_FILE_BYTES: u64 = 2 * SLOT_SIZE as u64 + 1;
 
 /// A firmware for one slot: its bytes, header first, as they go to the board.
 #[derive(Debug, PartialEq, Eq)]
@@ -31,21 +29,33 @@ pub struct FirmwareFile {
     parts: Vec<SlotFirmware>,
 }
 
+const REFETCH_HINT: &str = "Fetch the file again, and compare its SHA-256 with that of the release";
+const SUPPLIER_HINT: &str = "Ask the maker of the file for a whole one";
+
 /// The rule that a file breaks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FileRule {
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum FormatViolation {
     /// The file ends within the header.
+    #[error("ends within the header of {HEADER_SIZE} bytes. {REFETCH_HINT}")]
     ShortHeader,
     /// Header or image are not those of a firmware, or are damaged.
-    Defect(Defect),
+    #[error("{}", defect_text(*.0))]
+    Defect(ImageDefect),
     /// The file ends before the image does, which its header says is this long, header included.
+    #[error(
+        "the part that begins here has {length} bytes by its header, and the file ends before. {REFETCH_HINT}"
+    )]
     Truncated {
         /// Bytes of this part.
         length: u32,
     },
     /// The part for slot B comes first, or a slot has two parts.
+    #[error("the parts are in the wrong order: slot A comes first, then slot B. {SUPPLIER_HINT}")]
     Order,
     /// Version or floor of the second part are not those of the first.
+    #[error(
+        "both parts must have the same version and floor, and the first is {first}, the second {second}. {SUPPLIER_HINT}"
+    )]
     OtherVersion {
         /// Version of the first part.
         first: Version,
@@ -53,58 +63,33 @@ pub enum FileRule {
         second: Version,
     },
     /// Bytes follow the second part.
+    #[error("bytes follow the part for slot B. {REFETCH_HINT}")]
     TooLong,
 }
 
 /// Why a file is no update.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("byte {at}: {rule}")]
 pub struct FirmwareFileError {
     /// Offset of the byte in the file from which on it is wrong.
     pub at: usize,
     /// The rule that it breaks there.
-    pub rule: FileRule,
+    pub rule: FormatViolation,
 }
 
-impl fmt::Display for FirmwareFileError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        const AGAIN: &str =
-            "Fetch the file again, and compare its SHA-256 with that of the release";
-        const MAKER: &str = "Ask the maker of the file for a whole one";
-        write!(f, "byte {}: ", self.at)?;
-        match self.rule {
-            FileRule::ShortHeader => {
-                write!(f, "ends within the header of {HEADER_SIZE} bytes. {AGAIN}")
-            }
-            FileRule::Defect(Defect::Header(HeaderError::Format)) => {
-                write!(f, "has a header of a later format. Update this tool first")
-            }
-            FileRule::Defect(Defect::Header(_)) => write!(
-                f,
-                "is no firmware for a slot, or its header is damaged. An ELF or HEX file is for a probe: trueup firmware; \
-                 otherwise: {AGAIN}"
-            ),
-            FileRule::Defect(defect @ (Defect::Crc | Defect::Digest)) => {
-                write!(f, "{defect}. {AGAIN}")
-            }
-            FileRule::Defect(defect) => write!(f, "{defect}. {MAKER}"),
-            FileRule::Truncated { length } => write!(
-                f,
-                "the part that begins here has {length} bytes by its header, and the file ends before. {AGAIN}"
-            ),
-            FileRule::Order => write!(
-                f,
-                "the parts are in the wrong order: slot A comes first, then slot B. {MAKER}"
-            ),
-            FileRule::OtherVersion { first, second } => write!(
-                f,
-                "both parts must have the same version and floor, and the first is {first}, the second {second}. {MAKER}"
-            ),
-            FileRule::TooLong => write!(f, "bytes follow the part for slot B. {AGAIN}"),
+fn defect_text(defect: ImageDefect) -> String {
+    match defect {
+        ImageDefect::Header(HeaderError::Format) => {
+            "has a header of a later format. Update this tool first".into()
         }
+        ImageDefect::Header(_) => format!(
+            "is no firmware for a slot, or its header is damaged. An ELF or HEX file is for a probe: trueup firmware; \
+             otherwise: {REFETCH_HINT}"
+        ),
+        ImageDefect::Crc | ImageDefect::Digest => format!("{defect}. {REFETCH_HINT}"),
+        _ => format!("{defect}. {SUPPLIER_HINT}"),
     }
 }
-
-impl Error for FirmwareFileError {}
 
 impl FirmwareFile {
     /// Reads a file.
@@ -117,19 +102,19 @@ impl FirmwareFile {
         while at < file.len() || parts.is_empty() {
             let wrong = |rule| FirmwareFileError { at, rule };
             if parts.len() == 2 {
-                return Err(wrong(FileRule::TooLong));
+                return Err(wrong(FormatViolation::TooLong));
             }
             let part = read_part(&file[at..]).map_err(wrong)?;
             let header = part.image.header;
             if let [first] = &parts[..] {
                 let first = first.image.header;
                 if (first.slot, header.slot) != (Slot::A, Slot::B) {
-                    return Err(wrong(FileRule::Order));
+                    return Err(wrong(FormatViolation::Order));
                 }
                 let (first, second) =
                     ((first.version, first.floor), (header.version, header.floor));
                 if first != second {
-                    let rule = FileRule::OtherVersion { first: first.0, second: second.0 };
+                    let rule = FormatViolation::OtherVersion { first: first.0, second: second.0 };
                     return Err(wrong(rule));
                 }
             }
@@ -153,46 +138,47 @@ impl FirmwareFile {
 }
 
 /// Reads the part at the beginning of these bytes.
-fn read_part(bytes: &[u8]) -> Result<SlotFirmware, FileRule> {
-    let header: &[u8; HEADER_SIZE] = bytes.first_chunk().ok_or(FileRule::ShortHeader)?;
-    let (_, decoded) = Header::decode(header).map_err(|it| FileRule::Defect(Defect::Header(it)))?;
+fn read_part(bytes: &[u8]) -> Result<SlotFirmware, FormatViolation> {
+    let header: &[u8; HEADER_SIZE] = bytes.first_chunk().ok_or(FormatViolation::ShortHeader)?;
+    let (_, decoded) =
+        Header::decode(header).map_err(|it| FormatViolation::Defect(ImageDefect::Header(it)))?;
     // Which version may start is the board's to know.
-    let image =
-        check_header(header, decoded.slot, SLOT_SIZE, Version(0)).map_err(FileRule::Defect)?;
+    let image = check_header(header, decoded.slot, SLOT_SIZE, Version(0))
+        .map_err(FormatViolation::Defect)?;
     let length = decoded.length as usize;
-    let bytes = bytes.get(..length).ok_or(FileRule::Truncated { length: decoded.length })?;
-    let mut flash = PartInSlot { slot: decoded.slot, bytes };
-    check_image(&mut flash, &image, Some(&AnyKey), || ()).map_err(FileRule::Defect)?;
+    let bytes = bytes.get(..length).ok_or(FormatViolation::Truncated { length: decoded.length })?;
+    let mut flash = ReadOnlySlotFlash { slot: decoded.slot, bytes };
+    check_image(&mut flash, &image, Some(&DummyKey), || ()).map_err(FormatViolation::Defect)?;
     Ok(SlotFirmware { image, bytes: bytes.to_vec() })
 }
 
 /// The flash of both slots, with a part in one of them.
-struct PartInSlot<'b> {
+struct ReadOnlySlotFlash<'b> {
     slot: Slot,
     bytes: &'b [u8],
 }
 
 /// A read outside of the part.
 #[derive(Debug)]
-struct Outside;
+struct OutOfRange;
 
-impl NorFlashError for Outside {
+impl NorFlashError for OutOfRange {
     fn kind(&self) -> NorFlashErrorKind {
         NorFlashErrorKind::OutOfBounds
     }
 }
 
-impl ErrorType for PartInSlot<'_> {
-    type Error = Outside;
+impl ErrorType for ReadOnlySlotFlash<'_> {
+    type Error = OutOfRange;
 }
 
-impl ReadNorFlash for PartInSlot<'_> {
+impl ReadNorFlash for ReadOnlySlotFlash<'_> {
     const READ_SIZE: usize = 1;
 
-    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Outside> {
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), OutOfRange> {
         let start = u32::from(self.slot.number()) * SLOT_SIZE;
-        let from = offset.checked_sub(start).ok_or(Outside)? as usize;
-        let part = self.bytes.get(from..from + bytes.len()).ok_or(Outside)?;
+        let from = offset.checked_sub(start).ok_or(OutOfRange)? as usize;
+        let part = self.bytes.get(from..from + bytes.len()).ok_or(OutOfRange)?;
         bytes.copy_from_slice(part);
         Ok(())
     }
@@ -203,9 +189,9 @@ impl ReadNorFlash for PartInSlot<'_> {
 }
 
 /// Stands for the key that only the board has, so that the digest is checked too.
-struct AnyKey;
+struct DummyKey;
 
-impl Key for AnyKey {
+impl VerifyingKey for DummyKey {
     fn verify(&self, _message: &[u8], _signature: &[u8; SIGNATURE_SIZE]) -> bool {
         true
     }
@@ -221,7 +207,7 @@ mod tests {
     fn signed(slot: Slot, minor: u8, change: impl FnOnce(&mut Header)) -> Vec<u8> {
         let body = [minor ^ slot.number(); BODY];
         let version = Version::new(1, minor, 0, 0);
-        let mut header = Header::unsigned(&body, slot, version, Version::new(1, 0, 0, 0));
+        let mut header = Header::new_unsigned(&body, slot, version, Version::new(1, 0, 0, 0));
         change(&mut header);
         [&header.encode()[..], &body].concat()
     }
@@ -230,7 +216,7 @@ mod tests {
         signed(slot, minor, |_| ())
     }
 
-    fn refused(file: &[u8]) -> (usize, FileRule) {
+    fn refused(file: &[u8]) -> (usize, FormatViolation) {
         let error = FirmwareFile::parse(file).expect_err("no update");
         assert!(error.to_string().starts_with(&format!("byte {}: ", error.at)), "{error}");
         (error.at, error.rule)
@@ -268,36 +254,45 @@ mod tests {
         let (a, b) = (part(Slot::A, 2), part(Slot::B, 2));
         let length = PART as u32;
         let both = [&a[..], &b].concat();
-        assert_eq!(refused(&[]), (0, FileRule::ShortHeader));
-        assert_eq!(refused(&a[..511]), (0, FileRule::ShortHeader));
-        assert_eq!(refused(&both[..PART - 1]), (0, FileRule::Truncated { length }));
-        assert_eq!(refused(&both[..PART + 1]), (PART, FileRule::ShortHeader));
-        assert_eq!(refused(&both[..2 * PART - 4]), (PART, FileRule::Truncated { length }));
-        assert_eq!(refused(&[&b[..], &a].concat()), (PART, FileRule::Order));
-        assert_eq!(refused(&[&a[..], &a].concat()), (PART, FileRule::Order));
-        assert_eq!(refused(&[&both[..], &[0xFF]].concat()), (2 * PART, FileRule::TooLong));
+        assert_eq!(refused(&[]), (0, FormatViolation::ShortHeader));
+        assert_eq!(refused(&a[..511]), (0, FormatViolation::ShortHeader));
+        assert_eq!(refused(&both[..PART - 1]), (0, FormatViolation::Truncated { length }));
+        assert_eq!(refused(&both[..PART + 1]), (PART, FormatViolation::ShortHeader));
+        assert_eq!(refused(&both[..2 * PART - 4]), (PART, FormatViolation::Truncated { length }));
+        assert_eq!(refused(&[&b[..], &a].concat()), (PART, FormatViolation::Order));
+        assert_eq!(refused(&[&a[..], &a].concat()), (PART, FormatViolation::Order));
+        assert_eq!(refused(&[&both[..], &[0xFF]].concat()), (2 * PART, FormatViolation::TooLong));
         let newer = [&a[..], &part(Slot::B, 3)].concat();
         let (first, second) = (Version::new(1, 2, 0, 0), Version::new(1, 3, 0, 0));
-        assert_eq!(refused(&newer), (PART, FileRule::OtherVersion { first, second }));
+        assert_eq!(refused(&newer), (PART, FormatViolation::OtherVersion { first, second }));
         let other_floor = signed(Slot::B, 2, |it| it.floor = Version(1));
-        let rule = FileRule::OtherVersion { first, second: first };
+        let rule = FormatViolation::OtherVersion { first, second: first };
         assert_eq!(refused(&[&a[..], &other_floor].concat()), (PART, rule));
         assert_eq!(
             refused(b"\x7FELF").1,
-            FileRule::ShortHeader,
+            FormatViolation::ShortHeader,
             "another file, shorter than a header"
         );
         let elf = [&b"\x7FELF"[..], &[0; 600]].concat();
-        assert_eq!(refused(&elf), (0, FileRule::Defect(Defect::Header(HeaderError::NoHeader))));
+        assert_eq!(
+            refused(&elf),
+            (0, FormatViolation::Defect(ImageDefect::Header(HeaderError::NoHeader)))
+        );
     }
 
     #[test]
     fn what_a_header_must_not_say_is_refused_though_nothing_is_damaged() {
         let defect = |change: fn(&mut Header)| refused(&signed(Slot::A, 2, change)).1;
-        assert_eq!(defect(|it| it.floor = Version(u32::MAX)), FileRule::Defect(Defect::OwnFloor));
-        assert_eq!(defect(|it| it.length += 1), FileRule::Defect(Defect::Length));
-        assert_eq!(defect(|it| it.length = SLOT_SIZE + 4), FileRule::Defect(Defect::Length));
-        assert_eq!(defect(|it| it.crc ^= 1), FileRule::Defect(Defect::Crc));
-        assert_eq!(defect(|it| it.digest[7] ^= 1), FileRule::Defect(Defect::Digest));
+        assert_eq!(
+            defect(|it| it.floor = Version(u32::MAX)),
+            FormatViolation::Defect(ImageDefect::OwnFloor)
+        );
+        assert_eq!(defect(|it| it.length += 1), FormatViolation::Defect(ImageDefect::Length));
+        assert_eq!(
+            defect(|it| it.length = SLOT_SIZE + 4),
+            FormatViolation::Defect(ImageDefect::Length)
+        );
+        assert_eq!(defect(|it| it.crc ^= 1), FormatViolation::Defect(ImageDefect::Crc));
+        assert_eq!(defect(|it| it.digest[7] ^= 1), FormatViolation::Defect(ImageDefect::Digest));
     }
 }

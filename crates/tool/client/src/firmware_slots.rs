@@ -1,21 +1,21 @@
-//! The firmware slots of a board (object 0x2121): versions, status, and why the last start chose the one that runs.
+//! The firmware slots of a board: versions, status, and why the last start chose the one that runs.
 
 use std::fmt;
 
 use anyhow::{Context as _, Result};
 use serde_json::{Value, json};
 use trueup_boot::{
-    handover::Choice,
+    boot_state::{ImageStatus, MAX_TRIAL_STARTS},
+    flash_layout::Slot,
+    handover::StartInfo,
     header::Version,
-    layout::Slot,
-    record::{MAX_STARTS, Status},
-    start::Reason,
+    start::StartReason,
 };
-use trueup_canopen::sdo::{Abort, client::ClientError};
+use trueup_canopen::sdo::{AbortCode, client::ClientError};
 
 use crate::{
     firmware_file::{FirmwareFile, SlotFirmware},
-    object::{self, FIRMWARE_FLOOR, RUNNING_SLOT, SLOT_CHOICE, SLOT_STATUS, SLOT_VERSION},
+    object::{self, MIN_FIRMWARE_VERSION, RUNNING_SLOT, SLOT_CHOICE, SLOT_STATUS, SLOT_VERSION},
     session::Session,
 };
 
@@ -25,12 +25,12 @@ pub struct SlotContent {
     /// `None`: no valid header is there.
     pub version: Option<Version>,
     /// `None`: a status of a later version of the board.
-    pub status: Option<Status>,
+    pub status: Option<ImageStatus>,
 }
 
 /// Both slots of a board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SlotsState {
+pub struct FirmwareSlots {
     /// The one that runs.
     pub running: Slot,
     /// A, B.
@@ -38,19 +38,19 @@ pub struct SlotsState {
     /// The oldest version that may start.
     pub floor: Version,
     /// The reason that the boot program has handed over; `None`: it has not, because it is older than that.
-    pub reported: Option<Choice>,
+    pub reported: Option<StartInfo>,
 }
 
 /// Why the last start chose the slot that runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum StartChoice {
+pub enum SlotChoiceReason {
     /// It is confirmed, and there is no other one.
     Only,
     /// It is confirmed, and no older than the other one.
     Newest,
-    /// It is on trial: which start of [`MAX_STARTS`] this is.
+    /// It is on trial: which start of [`MAX_TRIAL_STARTS`] this is.
     Trial(u8),
-    /// It was on trial, in this start of [`MAX_STARTS`], and has been confirmed since.
+    /// It was on trial, in this start of [`MAX_TRIAL_STARTS`], and has been confirmed since.
     TrialPassed(u8),
     /// It is not confirmed, but there is none to go back to.
     Alone,
@@ -72,7 +72,7 @@ pub enum StartChoice {
 
 /// Why a board must not get a file, found before anything is erased.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Unsuitable {
+pub enum UnsuitableFirmware {
     /// The file has no part for the slot that is to be written.
     #[error(
         "the board runs from slot {}, so slot {} is to be written, and the file has no part for it. Take the file with both \
@@ -116,38 +116,38 @@ pub enum Unsuitable {
 impl SlotContent {
     /// Returns the status in one word, as JSON has it.
     #[must_use]
-    pub const fn word(&self) -> &'static str {
+    pub(crate) const fn status_name(&self) -> &'static str {
         match self.status {
             None => "unknown",
-            Some(Status::Loading) => "loading",
+            Some(ImageStatus::Loading) => "loading",
             Some(_) if self.version.is_none() => "empty",
-            Some(Status::New) => "new",
-            Some(Status::Verified) => "verified",
-            Some(Status::Trial(_) | Status::Announced(_)) => "trial",
-            Some(Status::Confirmed) => "confirmed",
-            Some(Status::Rejected) => "rejected",
+            Some(ImageStatus::New) => "new",
+            Some(ImageStatus::Verified) => "verified",
+            Some(ImageStatus::Trial(_) | ImageStatus::Announced(_)) => "trial",
+            Some(ImageStatus::Confirmed) => "confirmed",
+            Some(ImageStatus::Rejected) => "rejected",
         }
     }
 
     /// Returns how often it has started on trial; `None`: it is not on trial.
     #[must_use]
-    pub const fn starts(&self) -> Option<u8> {
+    pub(crate) const fn trial_starts(&self) -> Option<u8> {
         match self.status {
-            Some(Status::Trial(starts) | Status::Announced(starts)) => Some(starts),
+            Some(ImageStatus::Trial(starts) | ImageStatus::Announced(starts)) => Some(starts),
             _ => None,
         }
     }
 
     /// Returns whether it starts before one that is incomplete or has failed.
     fn is_eligible(&self) -> bool {
-        self.version.is_some() && self.status.is_some_and(Status::is_eligible)
+        self.version.is_some() && self.status.is_some_and(ImageStatus::is_eligible)
     }
 
-    fn json(&self) -> Value {
+    fn to_json(self) -> Value {
         json!({
             "version": self.version.map(|it| it.to_string()),
-            "status": self.word(),
-            "starts": self.starts(),
+            "status": self.status_name(),
+            "starts": self.trial_starts(),
         })
     }
 }
@@ -157,8 +157,8 @@ impl fmt::Display for SlotContent {
         if let Some(version) = self.version {
             write!(f, "{version}, ")?;
         }
-        match (self.starts(), self.word()) {
-            (Some(starts), _) => write!(f, "on trial, start {starts} of {MAX_STARTS}"),
+        match (self.trial_starts(), self.status_name()) {
+            (Some(starts), _) => write!(f, "on trial, start {starts} of {MAX_TRIAL_STARTS}"),
             (None, word) => f.write_str(match word {
                 "loading" => "loading: it has not come whole",
                 "new" => "new: a probe or the ROM loader has written it",
@@ -171,7 +171,7 @@ impl fmt::Display for SlotContent {
     }
 }
 
-impl fmt::Display for StartChoice {
+impl fmt::Display for SlotChoiceReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let words = match self {
             Self::Only => "it is confirmed, and the only one",
@@ -179,14 +179,14 @@ impl fmt::Display for StartChoice {
             Self::Trial(starts) => {
                 return write!(
                     f,
-                    "it is the newest, and on trial: start {starts} of {MAX_STARTS}. Engage and let it give offsets for a \
+                    "it is the newest, and on trial: start {starts} of {MAX_TRIAL_STARTS}. Engage and let it give offsets for a \
                      minute; until then a crash or a hang goes back to the other one"
                 );
             }
             Self::TrialPassed(starts) => {
                 return write!(
                     f,
-                    "it is the newest, and was on trial: start {starts} of {MAX_STARTS}; it has been confirmed since"
+                    "it is the newest, and was on trial: start {starts} of {MAX_TRIAL_STARTS}; it has been confirmed since"
                 );
             }
             Self::AloneConfirmed => "there was none to go back to; it has been confirmed since",
@@ -207,23 +207,23 @@ impl fmt::Display for StartChoice {
     }
 }
 
-impl SlotsState {
-    /// Asks a board for its slots; `None`: it has none.
+impl FirmwareSlots {
+    /// Reads the slots of a board; `None`: it has none.
     ///
     /// # Errors
     /// The line breaks, or the board reports a slot that is neither.
-    pub fn ask(session: &mut Session) -> Result<Option<Self>> {
-        let running = match object::number(session, RUNNING_SLOT) {
-            Err(error) if is_without_slots(&error) => return Ok(None),
+    pub fn read(session: &mut Session) -> Result<Option<Self>> {
+        let running = match object::read_number(session, RUNNING_SLOT) {
+            Err(error) if is_slots_unsupported(&error) => return Ok(None),
             running => running?,
         };
-        let running = Slot::BOTH.into_iter().find(|slot| u32::from(slot.number()) == running);
+        let running = Slot::ALL.into_iter().find(|slot| u32::from(slot.number()) == running);
         let running = running.context("the bridge runs from a slot that is neither A nor B")?;
-        let slots = [content(session, Slot::A)?, content(session, Slot::B)?];
-        let floor = Version(object::number(session, FIRMWARE_FLOOR)?);
-        let reported = match object::number(session, SLOT_CHOICE) {
-            Err(error) if is_without_slots(&error) => None,
-            word => Choice::decode(word?),
+        let slots = [read_content(session, Slot::A)?, read_content(session, Slot::B)?];
+        let floor = Version(object::read_number(session, MIN_FIRMWARE_VERSION)?);
+        let reported = match object::read_number(session, SLOT_CHOICE) {
+            Err(error) if is_slots_unsupported(&error) => None,
+            word => StartInfo::decode(word?),
         };
         Ok(Some(Self { running, slots, floor, reported }))
     }
@@ -231,55 +231,62 @@ impl SlotsState {
     /// Returns the content of a slot.
     #[must_use]
     pub const fn content(&self, slot: Slot) -> &SlotContent {
-        slot.of(&self.slots)
+        slot.element_of(&self.slots)
     }
 
     /// Returns why the last start chose the slot that runs: as the boot program has it, else by what the slots hold.
     #[must_use]
-    pub fn choice(&self) -> StartChoice {
-        self.reported.map_or_else(|| self.derived(), |choice| self.explain(choice))
+    pub fn choice_reason(&self) -> SlotChoiceReason {
+        self.reported.map_or_else(|| self.inferred_choice_reason(), |choice| self.explain(choice))
     }
 
     /// Returns the reason of the boot program, with what has happened since.
-    fn explain(&self, Choice { reason, other }: Choice) -> StartChoice {
+    fn explain(&self, StartInfo { reason, other }: StartInfo) -> SlotChoiceReason {
         let (ours, spare) = (self.content(self.running), self.content(self.running.other()));
-        let is_confirmed = ours.status == Some(Status::Confirmed);
-        let waits = spare.version > ours.version && spare.status == Some(Status::Verified);
+        let is_confirmed = ours.status == Some(ImageStatus::Confirmed);
+        let waits = spare.version > ours.version && spare.status == Some(ImageStatus::Verified);
         match (reason, other) {
-            (Reason::Trial(start), _) if is_confirmed => StartChoice::TrialPassed(start),
-            (Reason::Trial(start), _) => StartChoice::Trial(start),
-            (Reason::Alone, _) if is_confirmed => StartChoice::AloneConfirmed,
-            (Reason::Alone, _) => StartChoice::Alone,
-            (Reason::Newest, _) if waits => StartChoice::NewerWaits,
-            (Reason::Newest, None) => StartChoice::Only,
-            (Reason::Newest, Some(_)) => StartChoice::Newest,
-            (Reason::WentBack, Some(Status::Rejected)) => StartChoice::NewerRejected,
-            (Reason::WentBack, Some(Status::Loading)) => StartChoice::NewerIncomplete,
-            (Reason::WentBack, _) => StartChoice::NewerPassedOver,
-            (Reason::LastResort, _) => StartChoice::LastResort,
+            (StartReason::Trial(start), _) if is_confirmed => SlotChoiceReason::TrialPassed(start),
+            (StartReason::Trial(start), _) => SlotChoiceReason::Trial(start),
+            (StartReason::Alone, _) if is_confirmed => SlotChoiceReason::AloneConfirmed,
+            (StartReason::Alone, _) => SlotChoiceReason::Alone,
+            (StartReason::Newest, _) if waits => SlotChoiceReason::NewerWaits,
+            (StartReason::Newest, None) => SlotChoiceReason::Only,
+            (StartReason::Newest, Some(_)) => SlotChoiceReason::Newest,
+            (StartReason::WentBack, Some(ImageStatus::Rejected)) => SlotChoiceReason::NewerRejected,
+            (StartReason::WentBack, Some(ImageStatus::Loading)) => {
+                SlotChoiceReason::NewerIncomplete
+            }
+            (StartReason::WentBack, _) => SlotChoiceReason::NewerPassedOver,
+            (StartReason::LastResort, _) => SlotChoiceReason::LastResort,
         }
     }
 
     /// Returns why the slot that runs was probably chosen, by the rules of `trueup_boot::start` and what the slots hold
     /// now. It cannot know a dead PLL, records that take nothing, or a trial that was passed since.
-    fn derived(&self) -> StartChoice {
+    fn inferred_choice_reason(&self) -> SlotChoiceReason {
         let (ours, other) = (self.content(self.running), self.content(self.running.other()));
-        let Some(status) = ours.status else { return StartChoice::Unknown };
+        let Some(status) = ours.status else { return SlotChoiceReason::Unknown };
         match status {
-            Status::Trial(starts) | Status::Announced(starts) => StartChoice::Trial(starts),
-            Status::New | Status::Verified => StartChoice::Alone,
-            Status::Loading | Status::Rejected => StartChoice::LastResort,
+            ImageStatus::Trial(starts) | ImageStatus::Announced(starts) => {
+                SlotChoiceReason::Trial(starts)
+            }
+            ImageStatus::New | ImageStatus::Verified => SlotChoiceReason::Alone,
+            ImageStatus::Loading | ImageStatus::Rejected => SlotChoiceReason::LastResort,
             // A new one that comes has no header yet, or is one of a version that is known.
-            Status::Confirmed if other.version.is_none() => StartChoice::Only,
-            Status::Confirmed if other.version <= ours.version => StartChoice::Newest,
-            Status::Confirmed => match other.status {
-                None => StartChoice::Unknown,
-                Some(Status::Verified) => StartChoice::NewerWaits,
-                Some(Status::Rejected) => StartChoice::NewerRejected,
-                Some(Status::Loading) => StartChoice::NewerIncomplete,
-                Some(Status::New | Status::Trial(_) | Status::Announced(_) | Status::Confirmed) => {
-                    StartChoice::NewerPassedOver
-                }
+            ImageStatus::Confirmed if other.version.is_none() => SlotChoiceReason::Only,
+            ImageStatus::Confirmed if other.version <= ours.version => SlotChoiceReason::Newest,
+            ImageStatus::Confirmed => match other.status {
+                None => SlotChoiceReason::Unknown,
+                Some(ImageStatus::Verified) => SlotChoiceReason::NewerWaits,
+                Some(ImageStatus::Rejected) => SlotChoiceReason::NewerRejected,
+                Some(ImageStatus::Loading) => SlotChoiceReason::NewerIncomplete,
+                Some(
+                    ImageStatus::New
+                    | ImageStatus::Trial(_)
+                    | ImageStatus::Announced(_)
+                    | ImageStatus::Confirmed,
+                ) => SlotChoiceReason::NewerPassedOver,
             },
         }
     }
@@ -287,52 +294,57 @@ impl SlotsState {
     /// Returns the part of a file that the board is to get.
     ///
     /// # Errors
-    /// [`Unsuitable`]: the board would refuse it, or never start it.
-    pub fn part_of<'f>(&self, file: &'f FirmwareFile) -> Result<&'f SlotFirmware, Unsuitable> {
+    /// [`UnsuitableFirmware`]: the board would refuse it, or never start it.
+    pub fn part_for_spare_slot<'f>(
+        &self,
+        file: &'f FirmwareFile,
+    ) -> Result<&'f SlotFirmware, UnsuitableFirmware> {
         let spare = self.running.other();
-        let part = file.part(spare).ok_or(Unsuitable::NoPart { running: self.running })?;
+        let part = file.part(spare).ok_or(UnsuitableFirmware::NoPart { running: self.running })?;
         let (version, floor) = (file.version(), self.floor);
         let ours = self.content(self.running);
         if let Some(running) = ours.version.filter(|running| version <= *running) {
-            return Err(Unsuitable::NotNewer { file: version, running });
+            return Err(UnsuitableFirmware::NotNewer { file: version, running });
         }
         if version < floor {
-            return Err(Unsuitable::BelowFloor { file: version, floor });
+            return Err(UnsuitableFirmware::BelowFloor { file: version, floor });
         }
         // One whose status is not known is the board's to refuse.
-        let is_confirmed = ours.status.is_none_or(|it| it == Status::Confirmed);
+        let is_confirmed = ours.status.is_none_or(|it| it == ImageStatus::Confirmed);
         if !is_confirmed && self.content(spare).is_eligible() {
-            return Err(Unsuitable::OnTrial);
+            return Err(UnsuitableFirmware::OnTrial);
         }
         Ok(part)
     }
 
     /// Returns both slots as JSON.
     #[must_use]
-    pub fn json(&self) -> Value {
+    pub fn to_json(&self) -> Value {
         json!({
             "running": self.running.name(),
-            "a": self.content(Slot::A).json(),
-            "b": self.content(Slot::B).json(),
+            "a": self.content(Slot::A).to_json(),
+            "b": self.content(Slot::B).to_json(),
             "oldest_version": self.floor.to_string(),
-            "chosen_because": self.choice().to_string(),
+            "chosen_because": self.choice_reason().to_string(),
             "choice_reported": self.reported.is_some(),
         })
     }
 }
 
-fn content(session: &mut Session, slot: Slot) -> Result<SlotContent> {
-    let version = object::number(session, *slot.of(&SLOT_VERSION))?;
-    let [status, starts, ..] = object::number(session, *slot.of(&SLOT_STATUS))?.to_le_bytes();
+fn read_content(session: &mut Session, slot: Slot) -> Result<SlotContent> {
+    let version = object::read_number(session, *slot.element_of(&SLOT_VERSION))?;
+    let [status, starts, ..] =
+        object::read_number(session, *slot.element_of(&SLOT_STATUS))?.to_le_bytes();
     Ok(SlotContent {
         version: (version != 0).then_some(Version(version)),
-        status: Status::decode([status, starts]),
+        status: ImageStatus::decode([status, starts]),
     })
 }
 
 /// Returns whether a board has refused an object because it has no slots.
-fn is_without_slots(error: &anyhow::Error) -> bool {
-    let codes = [Abort::NoData, Abort::NoObject, Abort::NoSubindex].map(Abort::code);
+fn is_slots_unsupported(error: &anyhow::Error) -> bool {
+    let codes =
+        [AbortCode::NoData, AbortCode::NoObject, AbortCode::NoSubindex].map(AbortCode::code);
     matches!(error.downcast_ref(), Some(ClientError::Aborted { code, .. }) if codes.contains(code))
 }
 
@@ -345,67 +357,65 @@ mod tests {
     const LATER: Option<Version> = Some(Version::new(1, 2, 0, 0));
 
     /// The board runs from B.
-    fn state(ours: (Option<Version>, Status), other: (Option<Version>, Status)) -> SlotsState {
+    fn state(
+        ours: (Option<Version>, ImageStatus),
+        other: (Option<Version>, ImageStatus),
+    ) -> FirmwareSlots {
         let content =
-            |(version, status): (_, Status)| SlotContent { version, status: Some(status) };
+            |(version, status): (_, ImageStatus)| SlotContent { version, status: Some(status) };
         let slots = [content(other), content(ours)];
-        SlotsState { running: Slot::B, slots, floor: Version(0), reported: None }
+        FirmwareSlots { running: Slot::B, slots, floor: Version(0), reported: None }
     }
 
     #[test]
     fn without_a_report_a_start_is_explained_by_statuses_and_versions() {
-        use Status::{Announced, Confirmed, Loading, New, Rejected, Trial, Verified};
+        use ImageStatus::{Announced, Confirmed, Loading, New, Rejected, Trial, Verified};
         for (ours, other, choice) in [
-            ((OLD, Confirmed), (None, New), StartChoice::Only),
-            ((OLD, Confirmed), (None, Loading), StartChoice::Only),
-            ((NEW, Confirmed), (OLD, Confirmed), StartChoice::Newest),
-            ((NEW, Confirmed), (NEW, Verified), StartChoice::Newest),
-            ((NEW, Confirmed), (OLD, Rejected), StartChoice::Newest),
-            ((NEW, Trial(2)), (OLD, Confirmed), StartChoice::Trial(2)),
-            ((NEW, Announced(5)), (OLD, Confirmed), StartChoice::Trial(5)),
-            ((OLD, New), (None, New), StartChoice::Alone),
-            ((NEW, Verified), (OLD, Rejected), StartChoice::Alone),
-            ((OLD, Confirmed), (NEW, Verified), StartChoice::NewerWaits),
-            ((OLD, Confirmed), (NEW, Rejected), StartChoice::NewerRejected),
-            ((OLD, Confirmed), (NEW, Loading), StartChoice::NewerIncomplete),
-            ((OLD, Confirmed), (NEW, New), StartChoice::NewerPassedOver),
-            ((OLD, Confirmed), (NEW, Trial(1)), StartChoice::NewerPassedOver),
-            ((OLD, Confirmed), (NEW, Announced(1)), StartChoice::NewerPassedOver),
-            ((OLD, Confirmed), (NEW, Confirmed), StartChoice::NewerPassedOver),
-            ((NEW, Rejected), (OLD, Confirmed), StartChoice::LastResort),
-            ((NEW, Loading), (None, New), StartChoice::LastResort),
+            ((OLD, Confirmed), (None, New), SlotChoiceReason::Only),
+            ((OLD, Confirmed), (None, Loading), SlotChoiceReason::Only),
+            ((NEW, Confirmed), (OLD, Confirmed), SlotChoiceReason::Newest),
+            ((NEW, Confirmed), (NEW, Verified), SlotChoiceReason::Newest),
+            ((NEW, Confirmed), (OLD, Rejected), SlotChoiceReason::Newest),
+            ((NEW, Trial(2)), (OLD, Confirmed), SlotChoiceReason::Trial(2)),
+            ((NEW, Announced(5)), (OLD, Confirmed), SlotChoiceReason::Trial(5)),
+            ((OLD, New), (None, New), SlotChoiceReason::Alone),
+            ((NEW, Verified), (OLD, Rejected), SlotChoiceReason::Alone),
+            ((OLD, Confirmed), (NEW, Verified), SlotChoiceReason::NewerWaits),
+            ((OLD, Confirmed), (NEW, Rejected), SlotChoiceReason::NewerRejected),
+            ((OLD, Confirmed), (NEW, Loading), SlotChoiceReason::NewerIncomplete),
+            ((OLD, Confirmed), (NEW, New), SlotChoiceReason::NewerPassedOver),
+            ((OLD, Confirmed), (NEW, Trial(1)), SlotChoiceReason::NewerPassedOver),
+            ((OLD, Confirmed), (NEW, Announced(1)), SlotChoiceReason::NewerPassedOver),
+            ((OLD, Confirmed), (NEW, Confirmed), SlotChoiceReason::NewerPassedOver),
+            ((NEW, Rejected), (OLD, Confirmed), SlotChoiceReason::LastResort),
+            ((NEW, Loading), (None, New), SlotChoiceReason::LastResort),
         ] {
-            assert_eq!(state(ours, other).choice(), choice, "{ours:?} {other:?}");
+            assert_eq!(state(ours, other).choice_reason(), choice, "{ours:?} {other:?}");
         }
         let mut later = state((OLD, Confirmed), (NEW, Confirmed));
         later.slots[0].status = None;
-        assert_eq!(later.choice(), StartChoice::Unknown);
+        assert_eq!(later.choice_reason(), SlotChoiceReason::Unknown);
         later.slots[1].status = None;
-        assert_eq!(later.choice(), StartChoice::Unknown);
+        assert_eq!(later.choice_reason(), SlotChoiceReason::Unknown);
     }
 
     #[test]
     fn the_reason_of_the_boot_program_counts_and_what_has_happened_since() {
-        use Status::{Confirmed, Loading, New, Rejected, Trial, Verified};
+        use ImageStatus::{Confirmed, Loading, New, Rejected, Trial, Verified};
+        use SlotChoiceReason as Chosen;
+        use StartReason as Reason;
         for (reason, other, ours, spare, choice, derived) in [
             // Where the derivation agrees.
-            (Reason::Newest, None, Confirmed, (None, New), StartChoice::Only, true),
-            (Reason::Newest, Some(Rejected), Confirmed, (OLD, Rejected), StartChoice::Newest, true),
-            (
-                Reason::Trial(2),
-                Some(Confirmed),
-                Trial(2),
-                (OLD, Confirmed),
-                StartChoice::Trial(2),
-                true,
-            ),
-            (Reason::Alone, None, New, (None, New), StartChoice::Alone, true),
+            (Reason::Newest, None, Confirmed, (None, New), Chosen::Only, true),
+            (Reason::Newest, Some(Rejected), Confirmed, (OLD, Rejected), Chosen::Newest, true),
+            (Reason::Trial(2), Some(Confirmed), Trial(2), (OLD, Confirmed), Chosen::Trial(2), true),
+            (Reason::Alone, None, New, (None, New), Chosen::Alone, true),
             (
                 Reason::WentBack,
                 Some(Rejected),
                 Confirmed,
                 (LATER, Rejected),
-                StartChoice::NewerRejected,
+                Chosen::NewerRejected,
                 true,
             ),
             (
@@ -413,24 +423,17 @@ mod tests {
                 Some(Loading),
                 Confirmed,
                 (LATER, Loading),
-                StartChoice::NewerIncomplete,
+                Chosen::NewerIncomplete,
                 true,
             ),
-            (
-                Reason::WentBack,
-                Some(New),
-                Confirmed,
-                (LATER, New),
-                StartChoice::NewerPassedOver,
-                true,
-            ),
-            (Reason::LastResort, None, Rejected, (None, New), StartChoice::LastResort, true),
+            (Reason::WentBack, Some(New), Confirmed, (LATER, New), Chosen::NewerPassedOver, true),
+            (Reason::LastResort, None, Rejected, (None, New), Chosen::LastResort, true),
             (
                 Reason::Newest,
                 Some(Confirmed),
                 Confirmed,
                 (LATER, Verified),
-                StartChoice::NewerWaits,
+                Chosen::NewerWaits,
                 true,
             ),
             // Where it cannot know.
@@ -439,7 +442,7 @@ mod tests {
                 Some(Verified),
                 Confirmed,
                 (LATER, Verified),
-                StartChoice::NewerPassedOver,
+                Chosen::NewerPassedOver,
                 false,
             ),
             (
@@ -447,7 +450,7 @@ mod tests {
                 Some(Rejected),
                 Confirmed,
                 (LATER, Verified),
-                StartChoice::NewerRejected,
+                Chosen::NewerRejected,
                 false,
             ),
             (
@@ -455,15 +458,15 @@ mod tests {
                 Some(Confirmed),
                 Confirmed,
                 (OLD, Confirmed),
-                StartChoice::TrialPassed(3),
+                Chosen::TrialPassed(3),
                 false,
             ),
-            (Reason::Alone, None, Confirmed, (None, New), StartChoice::AloneConfirmed, false),
+            (Reason::Alone, None, Confirmed, (None, New), Chosen::AloneConfirmed, false),
         ] {
             let mut state = state((NEW, ours), spare);
-            assert_eq!(state.choice() == choice, derived, "{reason:?} {other:?} {spare:?}");
-            state.reported = Some(Choice { reason, other });
-            assert_eq!(state.choice(), choice, "{reason:?} {other:?} {spare:?}");
+            assert_eq!(state.choice_reason() == choice, derived, "{reason:?} {other:?} {spare:?}");
+            state.reported = Some(StartInfo { reason, other });
+            assert_eq!(state.choice_reason(), choice, "{reason:?} {other:?} {spare:?}");
         }
     }
 
@@ -471,14 +474,14 @@ mod tests {
     fn a_slot_is_said_in_words() {
         let word = |version, status| SlotContent { version, status }.to_string();
         for (version, status, words) in [
-            (None, Some(Status::New), "empty"),
-            (None, Some(Status::Loading), "loading: it has not come whole"),
-            (OLD, Some(Status::New), "1.0.0, new: a probe or the ROM loader has written it"),
-            (OLD, Some(Status::Verified), "1.0.0, verified: it waits for the next start"),
-            (OLD, Some(Status::Trial(2)), "1.0.0, on trial, start 2 of 5"),
-            (OLD, Some(Status::Announced(3)), "1.0.0, on trial, start 3 of 5"),
-            (OLD, Some(Status::Confirmed), "1.0.0, confirmed"),
-            (OLD, Some(Status::Rejected), "1.0.0, rejected: it failed its trial"),
+            (None, Some(ImageStatus::New), "empty"),
+            (None, Some(ImageStatus::Loading), "loading: it has not come whole"),
+            (OLD, Some(ImageStatus::New), "1.0.0, new: a probe or the ROM loader has written it"),
+            (OLD, Some(ImageStatus::Verified), "1.0.0, verified: it waits for the next start"),
+            (OLD, Some(ImageStatus::Trial(2)), "1.0.0, on trial, start 2 of 5"),
+            (OLD, Some(ImageStatus::Announced(3)), "1.0.0, on trial, start 3 of 5"),
+            (OLD, Some(ImageStatus::Confirmed), "1.0.0, confirmed"),
+            (OLD, Some(ImageStatus::Rejected), "1.0.0, rejected: it failed its trial"),
         ] {
             assert_eq!(word(version, status), words);
         }

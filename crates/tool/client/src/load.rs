@@ -3,28 +3,34 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Error, Result, bail};
-use trueup_canopen::dictionary::{Authority, BACK, DROP, FORGET};
+use trueup_canopen::dictionary::{
+    CLEAR_REFERENCE_SIGNATURE, DROP_CALIBRATION_SIGNATURE, RESTORE_REFERENCE_SIGNATURE,
+    WriteAuthority,
+};
 use trueup_link::{
     frame::Frame,
-    frames::{self, State},
+    frames::{self, NmtState},
     layout::NMT_ID,
     slcan::Event,
 };
 
-use trueup_store::calibration::{MAX_LINK_TIMEOUT_MS, decode, identity};
+use trueup_store::calibration::{MAX_LINK_TIMEOUT_MS, calibration_crc, decode};
 
 use crate::{
-    object::{self, ACCEPTED, AUTHORITY, DROP_NEW, NEW, NEW_CRC, RUNNING, RUNNING_CRC, UTC},
-    reference::{BridgeReference, Nanometres, now_s},
+    object::{
+        self, ACCEPTED_FRAMES, AUTHORITY, DROP_PENDING, PENDING_CALIBRATION, PENDING_CRC,
+        RUNNING_CALIBRATION, RUNNING_CRC, UTC_SECONDS,
+    },
+    reference::{BridgeReference, ReferenceNm, unix_time_s},
     session::Session,
 };
 
 /// How long the bridge may take to learn that it may be written to.
-const LEAVE_TIMEOUT: Duration = Duration::from_secs(2);
+const SERVICE_TIMEOUT: Duration = Duration::from_secs(2);
 /// How long the bridge may take to believe a service switch that is closed, after its start.
-const SWITCH_TIMEOUT: Duration = Duration::from_millis(300);
+const SERVICE_SWITCH_TIMEOUT: Duration = Duration::from_millis(300);
 /// How much longer than the link timeout the `Service` of a client that has left may stand.
-pub(crate) const REMNANT_MARGIN: Duration = Duration::from_millis(500);
+pub(crate) const STALE_SERVICE_MARGIN: Duration = Duration::from_millis(500);
 /// How long the bridge may take to drop a calibration that it has stored.
 const DROP_TIMEOUT: Duration = Duration::from_secs(3);
 /// NMT: node 1 restarts.
@@ -40,7 +46,7 @@ const HEARTBEAT_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// A step of storing a calibration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Step {
+pub enum StoreStep {
     /// The calibration is sent.
     Sending,
     /// The stored calibration is read back.
@@ -52,32 +58,33 @@ pub enum Step {
 ///
 /// # Errors
 /// The bridge refuses, the line breaks, or what is stored is not what was sent.
-pub fn store(
+pub fn store_calibration(
     session: &mut Session,
     blob: &[u8],
     crc: u32,
-    progress: &mut dyn FnMut(Step, usize),
+    progress: &mut dyn FnMut(StoreStep, usize),
 ) -> Result<()> {
-    ask_leave(session)?;
+    require_service(session)?;
     // For the log of writes; a board of an older version has no such object.
-    if let Some(utc_s) = now_s() {
-        object::write(session, UTC, &utc_s.to_le_bytes(), |_| ()).ok();
+    if let Some(utc_s) = unix_time_s() {
+        object::write(session, UTC_SECONDS, &utc_s.to_le_bytes(), |_| ()).ok();
     }
-    object::write(session, NEW, blob, |sent| progress(Step::Sending, sent))
+    object::write(session, PENDING_CALIBRATION, blob, |sent| progress(StoreStep::Sending, sent))
         .context("the calibration is not loaded")
-        .and_then(|()| is_stored(session, blob, crc, progress))
-        .map_err(|error| drop_after(session, error))
+        .and_then(|()| verify_stored(session, blob, crc, progress))
+        .map_err(|error| discard_failed_load(session, error))
 }
 
 /// Whether the bridge has stored what was sent.
-fn is_stored(
+fn verify_stored(
     session: &mut Session,
     blob: &[u8],
     crc: u32,
-    progress: &mut dyn FnMut(Step, usize),
+    progress: &mut dyn FnMut(StoreStep, usize),
 ) -> Result<()> {
-    let back = object::read(session, NEW, |got, _| progress(Step::ReadingBack, got))?;
-    let stored_crc = object::number(session, NEW_CRC)?;
+    let back =
+        object::read(session, PENDING_CALIBRATION, |got, _| progress(StoreStep::ReadingBack, got))?;
+    let stored_crc = object::read_number(session, PENDING_CRC)?;
     if back != blob || stored_crc != crc {
         bail!("what the bridge has stored is not what was sent; load it again");
     }
@@ -86,7 +93,7 @@ fn is_stored(
 
 /// A load has failed: nothing of it is to be used from the next start. Returns the error, with what is left to do
 /// where it cannot be dropped.
-pub fn drop_after(session: &mut Session, error: Error) -> Error {
+pub fn discard_failed_load(session: &mut Session, error: Error) -> Error {
     match drop_pending(session) {
         Ok(_) => error,
         Err(why) => error.context(format!(
@@ -101,14 +108,14 @@ pub fn drop_after(session: &mut Session, error: Error) -> Error {
 /// # Errors
 /// The bridge refuses or cannot, the line breaks, or it is not permitted.
 pub fn drop_pending(session: &mut Session) -> Result<Option<u32>> {
-    let pending = object::number(session, NEW_CRC)?;
+    let pending = object::read_number(session, PENDING_CRC)?;
     if pending == 0 {
         return Ok(None);
     }
-    ask_leave(session)?;
-    object::write(session, DROP_NEW, &DROP.to_le_bytes(), |_| ())?;
+    require_service(session)?;
+    object::write(session, DROP_PENDING, &DROP_CALIBRATION_SIGNATURE.to_le_bytes(), |_| ())?;
     let deadline = Instant::now() + DROP_TIMEOUT;
-    while object::number(session, NEW_CRC)? != 0 {
+    while object::read_number(session, PENDING_CRC)? != 0 {
         if Instant::now() > deadline {
             bail!("the bridge does not drop it: its store takes nothing more");
         }
@@ -122,15 +129,20 @@ pub fn drop_pending(session: &mut Session) -> Result<Option<u32>> {
 /// # Errors
 /// The bridge refuses, as one of an older version does, or one that is larger than its `max_um`; the line breaks; or
 /// another one is offered then.
-pub fn offer_reference(session: &mut Session, nm: Nanometres) -> Result<BridgeReference> {
-    ask_leave(session)?;
+pub fn offer_reference(session: &mut Session, nm: ReferenceNm) -> Result<BridgeReference> {
+    require_service(session)?;
     for (at, nm) in object::REFERENCE.into_iter().zip(nm) {
         object::write(session, at, &nm.to_le_bytes(), |_| ())?;
     }
-    object::write(session, object::KEY, &BACK.to_le_bytes(), |_| ())?;
-    session.end_service();
-    let now = BridgeReference::ask(session)?;
-    if now.value() != Some(nm) {
+    object::write(
+        session,
+        object::REFERENCE_KEY,
+        &RESTORE_REFERENCE_SIGNATURE.to_le_bytes(),
+        |_| (),
+    )?;
+    session.stop_service();
+    let now = BridgeReference::read(session)?;
+    if now.effective_value() != Some(nm) {
         bail!("the reference that the bridge offers is not the one that was written");
     }
     Ok(now)
@@ -141,10 +153,15 @@ pub fn offer_reference(session: &mut Session, nm: Nanometres) -> Result<BridgeRe
 /// # Errors
 /// The bridge refuses, the line breaks, or it is still there.
 pub fn forget_reference(session: &mut Session) -> Result<()> {
-    ask_leave(session)?;
-    object::write(session, object::KEY, &FORGET.to_le_bytes(), |_| ())?;
-    session.end_service();
-    if BridgeReference::ask(session)?.value().is_some() {
+    require_service(session)?;
+    object::write(
+        session,
+        object::REFERENCE_KEY,
+        &CLEAR_REFERENCE_SIGNATURE.to_le_bytes(),
+        |_| (),
+    )?;
+    session.stop_service();
+    if BridgeReference::read(session)?.effective_value().is_some() {
         bail!("the reference is still there");
     }
     Ok(())
@@ -155,15 +172,15 @@ pub fn forget_reference(session: &mut Session) -> Result<()> {
 ///
 /// # Errors
 /// The line breaks, or the bridge does not give it.
-pub fn running(
+pub fn read_running_calibration(
     session: &mut Session,
     progress: impl FnMut(usize, Option<u32>),
 ) -> Result<Option<Vec<u8>>> {
-    match object::number(session, RUNNING_CRC)? {
+    match object::read_number(session, RUNNING_CRC)? {
         0 => Ok(None),
         crc => {
-            let blob = object::read(session, RUNNING, progress)?;
-            if identity(&blob) != crc {
+            let blob = object::read(session, RUNNING_CALIBRATION, progress)?;
+            if calibration_crc(&blob) != crc {
                 bail!(
                     "the calibration that the bridge has sent is not the one of its CRC {crc:08x}: try again"
                 );
@@ -177,8 +194,8 @@ pub fn running(
 ///
 /// # Errors
 /// As [`restart`], or it is not permitted.
-pub fn restart_allowed(session: &mut Session, wanted: u32) -> Result<u32> {
-    ask_leave(session)?;
+pub fn restart_with_permission(session: &mut Session, wanted: u32) -> Result<u32> {
+    require_service(session)?;
     restart(session, wanted)
 }
 
@@ -188,7 +205,7 @@ pub fn restart_allowed(session: &mut Session, wanted: u32) -> Result<u32> {
 /// # Errors
 /// The bridge does not come back.
 pub fn restart(session: &mut Session, wanted: u32) -> Result<u32> {
-    restart_until(session, |it| object::number(it, RUNNING_CRC), |running| *running == wanted)
+    restart_until(session, |it| object::read_number(it, RUNNING_CRC), |running| *running == wanted)
 }
 
 /// Lets the bridge restart, and asks it until the answer is the expected one, or until another one has lasted for
@@ -203,7 +220,7 @@ pub(crate) fn restart_until<T>(
 ) -> Result<T> {
     session.send(&Frame::new(NMT_ID, &RESET_NODE).context("a frame of two bytes")?)?;
     // A CNC that comes back is to be the only master.
-    session.end_service();
+    session.stop_service();
     let deadline = Instant::now() + BOOT_TIMEOUT;
     let mut settles = None;
     loop {
@@ -223,30 +240,31 @@ pub(crate) fn restart_until<T>(
 ///
 /// `Service` of a tool that has just left still stands for the link timeout. It is a CNC's only if frames of a CNC
 /// come.
-pub(crate) fn ask_leave(session: &mut Session) -> Result<()> {
+pub(crate) fn require_service(session: &mut Session) -> Result<()> {
     let begin = Instant::now();
     let [none, given, open] =
-        [Authority::NoMaster, Authority::Service, Authority::SwitchOpen].map(|it| it as u32);
+        [WriteAuthority::NoMaster, WriteAuthority::Service, WriteAuthority::SwitchOpen]
+            .map(|it| it as u32);
     // Its own, which an earlier step has begun.
-    let mut says = session.says_service();
-    let accepted = object::number(session, ACCEPTED)?;
+    let mut says = session.is_sending_service();
+    let accepted = object::read_number(session, ACCEPTED_FRAMES)?;
     let mut remnant_ends = None;
     loop {
-        let authority = object::number(session, AUTHORITY)?;
-        if authority == open && begin.elapsed() > SWITCH_TIMEOUT {
+        let authority = object::read_number(session, AUTHORITY)?;
+        if authority == open && begin.elapsed() > SERVICE_SWITCH_TIMEOUT {
             bail!(
                 "close the service switch at the board (PB7 to ground): its calibration allows no write without \
                  it; then try again"
             );
         }
         if authority == given {
-            if says || object::number(session, ACCEPTED)? != accepted {
+            if says || object::read_number(session, ACCEPTED_FRAMES)? != accepted {
                 return Ok(());
             }
             // A PLC's blocks are not among these frames: what lasts is no remnant.
             let ends = match remnant_ends {
                 Some(ends) => ends,
-                None => begin + link_timeout(session)? + REMNANT_MARGIN,
+                None => begin + read_link_timeout(session)? + STALE_SERVICE_MARGIN,
             };
             if Instant::now() > ends {
                 return Ok(());
@@ -256,10 +274,10 @@ pub(crate) fn ask_leave(session: &mut Session) -> Result<()> {
         }
         if authority == none && !says {
             says = true;
-            session.allow_service();
+            session.start_service();
         }
         let remnant = remnant_ends.map_or(Duration::ZERO, |ends| ends - begin);
-        if begin.elapsed() > LEAVE_TIMEOUT + remnant {
+        if begin.elapsed() > SERVICE_TIMEOUT + remnant {
             bail!(
                 "the CNC on this bridge's line does not allow it: set Service there (LinuxCNC: the pin \
                  trueup.0.service) with Engage off, and try again"
@@ -269,8 +287,8 @@ pub(crate) fn ask_leave(session: &mut Session) -> Result<()> {
 }
 
 /// Returns the link timeout of the running calibration.
-pub(crate) fn link_timeout(session: &mut Session) -> Result<Duration> {
-    let blob = running(session, |_, _| ())?.unwrap_or_default();
+pub(crate) fn read_link_timeout(session: &mut Session) -> Result<Duration> {
+    let blob = read_running_calibration(session, |_, _| ())?.unwrap_or_default();
     // Without one that can be read: the largest.
     let ms = decode(&blob).map_or(MAX_LINK_TIMEOUT_MS, |it| it.limits.link_timeout_ms);
     Ok(Duration::from_millis(ms.into()))
@@ -285,7 +303,7 @@ fn wait_for_boot(session: &mut Session) -> Result<()> {
     let deadline = Instant::now() + HEARTBEAT_TIMEOUT;
     while let Some(event) = session.next_event(deadline)? {
         let Event::Frame(frame) = event else { continue };
-        if frames::decode_heartbeat(&frame).is_ok_and(|state| state != State::BootUp) {
+        if frames::decode_heartbeat(&frame).is_ok_and(|state| state != NmtState::BootUp) {
             return Ok(());
         }
     }

@@ -1,20 +1,20 @@
-//! An object that is asked for again and again while frames flow by, so that none of them is missed.
+//! An object that is requested again and again while frames flow by, so that none of them is missed.
 //!
 //! The bridge serves one client of its objects at a time. Where another one is served (a master that
-//! loads), nothing is asked until that one has been silent for five seconds.
+//! loads), nothing is requested until that one has been silent for five seconds.
 
 use std::time::{Duration, Instant};
 
-use trueup_canopen::sdo::client::{At, Progress, Upload};
+use trueup_canopen::sdo::client::{ObjectAddress, Progress, Upload};
 use trueup_link::{
     frame::Frame,
-    layout::{SDO_ANSWER_ID, SDO_REQUEST_ID},
+    layout::{SDO_REQUEST_ID, SDO_RESPONSE_ID},
 };
 
 /// An answer that takes longer than this is given up: a bridge answers within 10 ms.
-const PATIENCE: Duration = Duration::from_millis(500);
+const RESPONSE_TIMEOUT: Duration = Duration::from_millis(500);
 /// The pause after another client's transfer: longer than a calibration takes to be stored.
-const BACK_OFF: Duration = Duration::from_secs(5);
+const BACKOFF_DELAY: Duration = Duration::from_secs(5);
 
 /// The result of a received frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -29,27 +29,31 @@ pub enum PollOutcome {
     Refused,
 }
 
-/// One object, and when it is asked for next.
+/// One object, and when it is requested next.
 #[derive(Debug)]
-pub struct Poll {
-    at: At,
+pub struct ObjectPoller {
+    at: ObjectAddress,
     period: Duration,
     due: Instant,
     running: Option<(Upload, Vec<u8>, Instant)>,
 }
 
-impl Poll {
-    /// Asks for the object `at` every `period`, from now on.
+impl ObjectPoller {
+    /// Requests the object `at` every `period`, from now on.
     #[must_use]
-    pub fn new(at: At, period: Duration, now: Instant) -> Self {
+    pub fn new(at: ObjectAddress, period: Duration, now: Instant) -> Self {
         Self { at, period, due: now, running: None }
     }
 
     /// Returns the request, if one is due.
-    pub fn due(&mut self, now: Instant) -> Option<Frame> {
-        if self.running.as_ref().is_some_and(|(_, _, last)| now.duration_since(*last) > PATIENCE) {
+    pub fn take_due_request(&mut self, now: Instant) -> Option<Frame> {
+        if self
+            .running
+            .as_ref()
+            .is_some_and(|(_, _, last)| now.duration_since(*last) > RESPONSE_TIMEOUT)
+        {
             self.running = None;
-            // What is asked for once an hour is not to be missed for the hour.
+            // What is requested once an hour is not to be missed for the hour.
             self.due = self.due.min(now);
         }
         if self.running.is_some() || now < self.due {
@@ -63,10 +67,10 @@ impl Poll {
 
     /// Takes a frame from the bus.
     pub fn receive(&mut self, frame: &Frame, now: Instant) -> PollOutcome {
-        let is_of_sdo = [SDO_ANSWER_ID, SDO_REQUEST_ID].contains(&frame.id());
+        let is_of_sdo = [SDO_RESPONSE_ID, SDO_REQUEST_ID].contains(&frame.id());
         let Some((upload, bytes, last)) = &mut self.running else {
             if is_of_sdo {
-                self.due = now + BACK_OFF;
+                self.due = now + BACKOFF_DELAY;
             }
             return PollOutcome::Nothing;
         };
@@ -74,7 +78,7 @@ impl Poll {
             Ok(Progress::Unchanged) => {
                 if is_of_sdo {
                     self.running = None;
-                    self.due = now + BACK_OFF;
+                    self.due = now + BACKOFF_DELAY;
                 }
                 PollOutcome::Nothing
             }
@@ -104,7 +108,7 @@ impl Poll {
     #[must_use]
     pub fn progress(&self) -> Option<(usize, u32)> {
         let (upload, bytes, _) = self.running.as_ref()?;
-        Some((bytes.len(), upload.announced()?))
+        Some((bytes.len(), upload.indicated_size()?))
     }
 }
 
@@ -112,53 +116,62 @@ impl Poll {
 mod tests {
     use super::*;
 
-    const AT: At = (0x9130, 9);
+    const AT: ObjectAddress = crate::object::ELONGATION;
 
     fn answer(data: [u8; 8]) -> Frame {
-        Frame::new(SDO_ANSWER_ID, &data).expect("eight bytes")
+        Frame::new(SDO_RESPONSE_ID, &data).expect("eight bytes")
+    }
+
+    /// Returns an answer of the object that is asked for.
+    fn own_answer(command: u8, [a, b, c, d]: [u8; 4]) -> Frame {
+        let ([low, high], subindex) = (AT.0.to_le_bytes(), AT.1);
+        answer([command, low, high, subindex, a, b, c, d])
     }
 
     #[test]
     fn an_object_is_asked_for_once_a_period_and_its_bytes_are_given() {
         let start = Instant::now();
         let period = Duration::from_millis(200);
-        let mut poll = Poll::new(AT, period, start);
-        assert!(poll.due(start).is_some_and(|it| it.id() == SDO_REQUEST_ID));
-        assert_eq!(poll.due(start + period), None, "the answer has not come");
-        let value = answer([0x43, 0x30, 0x91, 9, 1, 2, 3, 4]);
+        let mut poll = ObjectPoller::new(AT, period, start);
+        assert!(poll.take_due_request(start).is_some_and(|it| it.id() == SDO_REQUEST_ID));
+        assert_eq!(poll.take_due_request(start + period), None, "the answer has not come");
+        let value = own_answer(0x43, [1, 2, 3, 4]);
         assert_eq!(poll.receive(&value, start), PollOutcome::Bytes(vec![1, 2, 3, 4]));
-        assert_eq!(poll.due(start + period / 2), None);
-        assert!(poll.due(start + period).is_some());
+        assert_eq!(poll.take_due_request(start + period / 2), None);
+        assert!(poll.take_due_request(start + period).is_some());
         // One that never comes is given up.
-        assert_eq!(poll.due(start + 3 * period), None);
-        assert!(poll.due(start + 6 * period).is_some());
-        let abort = answer([0x80, 0x30, 0x91, 9, 0, 0, 2, 6]);
+        assert_eq!(poll.take_due_request(start + 3 * period), None);
+        assert!(poll.take_due_request(start + 6 * period).is_some());
+        let abort = own_answer(0x80, [0, 0, 2, 6]);
         assert_eq!(poll.receive(&abort, start + 6 * period), PollOutcome::Refused);
     }
 
     #[test]
     fn what_is_asked_for_once_is_asked_for_again_where_no_answer_comes() {
         let start = Instant::now();
-        let mut poll = Poll::new(AT, Duration::from_secs(3_600), start);
-        assert!(poll.due(start).is_some());
-        assert_eq!(poll.due(start + PATIENCE), None);
-        let late = start + 2 * PATIENCE;
-        assert!(poll.due(late).is_some(), "a bridge that is slow to answer is asked again");
-        let value = answer([0x43, 0x30, 0x91, 9, 1, 2, 3, 4]);
+        let mut poll = ObjectPoller::new(AT, Duration::from_secs(3_600), start);
+        assert!(poll.take_due_request(start).is_some());
+        assert_eq!(poll.take_due_request(start + RESPONSE_TIMEOUT), None);
+        let late = start + 2 * RESPONSE_TIMEOUT;
+        assert!(
+            poll.take_due_request(late).is_some(),
+            "a bridge that is slow to answer is asked again"
+        );
+        let value = own_answer(0x43, [1, 2, 3, 4]);
         assert_eq!(poll.receive(&value, late), PollOutcome::Bytes(vec![1, 2, 3, 4]));
-        assert_eq!(poll.due(late + 4 * PATIENCE), None, "it has come");
+        assert_eq!(poll.take_due_request(late + 4 * RESPONSE_TIMEOUT), None, "it has come");
     }
 
     #[test]
     fn who_is_served_meanwhile_is_not_disturbed() {
         let start = Instant::now();
-        let mut poll = Poll::new(AT, Duration::from_millis(200), start);
-        // A segment of somebody's load is answered.
+        let mut poll = ObjectPoller::new(AT, Duration::from_millis(200), start);
+        // A segment of another client's load is answered.
         assert_eq!(poll.receive(&answer([0x20, 0, 0, 0, 0, 0, 0, 0]), start), PollOutcome::Nothing);
-        assert_eq!(poll.due(start + BACK_OFF / 2), None);
-        assert!(poll.due(start + BACK_OFF).is_some());
+        assert_eq!(poll.take_due_request(start + BACKOFF_DELAY / 2), None);
+        assert!(poll.take_due_request(start + BACKOFF_DELAY).is_some());
         // Or while an answer of our own is waited for.
-        poll.receive(&answer([0x60, 0, 0x21, 2, 0, 0, 0, 0]), start + BACK_OFF);
-        assert_eq!(poll.due(start + BACK_OFF + PATIENCE), None);
+        poll.receive(&answer([0x60, 0, 0x21, 2, 0, 0, 0, 0]), start + BACKOFF_DELAY);
+        assert_eq!(poll.take_due_request(start + BACKOFF_DELAY + RESPONSE_TIMEOUT), None);
     }
 }

@@ -12,14 +12,14 @@ use std::{
 use socket2::SockRef;
 
 use crate::{
-    Unusable,
-    ends::{Ends, READ_TIMEOUT},
+    UnusableInput,
+    duplex_stream::{DuplexStream, READ_TIMEOUT},
 };
 
 /// The speed of the bridge's serial line.
-pub(crate) const BAUD: u32 = 921_600;
+pub(crate) const BAUD_RATE: u32 = 921_600;
 /// How long a bridge may take to be connected, or to take in a few bytes.
-const PATIENCE: Duration = Duration::from_secs(3);
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
 /// Where a bridge is.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Port {
@@ -37,7 +37,7 @@ impl Port {
     ///
     /// # Errors
     /// It has none of the forms of a port, or is one that this build cannot open.
-    pub fn parse(text: &str) -> Result<Self, Unusable> {
+    pub fn parse(text: &str) -> Result<Self, UnusableInput> {
         if let Some(address) = text.strip_prefix("tcp:") {
             let is_right = address.rsplit_once(':').is_some_and(|(host, number)| {
                 !host.is_empty() && number.parse::<u16>().is_ok_and(|number| number != 0)
@@ -45,24 +45,24 @@ impl Port {
             return if is_right {
                 Ok(Self::Tcp(address.into()))
             } else {
-                Err(Unusable::NoAddress { text: text.into() })
+                Err(UnusableInput::NoAddress { text: text.into() })
             };
         }
-        if is_numbered(text, &["can", "vcan", "slcan"]) {
+        if is_numbered_device(text, &["can", "vcan", "slcan"]) {
             #[cfg(all(feature = "socketcan", target_os = "linux"))]
             return Ok(Self::Can(text.into()));
             #[cfg(not(all(feature = "socketcan", target_os = "linux")))]
-            return Err(Unusable::NoSocketCan { interface: text.into() });
+            return Err(UnusableInput::NoSocketCan { interface: text.into() });
         }
-        if text.contains(['/', '\\']) || is_numbered(text, &["COM"]) {
+        if text.contains(['/', '\\']) || is_numbered_device(text, &["COM"]) {
             return Ok(Self::Serial(text.into()));
         }
-        Err(Unusable::NoPort { text: text.into() })
+        Err(UnusableInput::NoPort { text: text.into() })
     }
 
     /// Returns what a log of frames calls it: a line of SLCAN as `slcand` would name its interface.
     #[must_use]
-    pub fn interface(&self) -> &str {
+    pub fn interface_name(&self) -> &str {
         match self {
             Self::Tcp(_) | Self::Serial(_) => "can0",
             #[cfg(all(feature = "socketcan", target_os = "linux"))]
@@ -85,18 +85,18 @@ impl Port {
     ///
     /// # Errors
     /// Nothing listens there, there is no such device or interface, or it is another's.
-    pub fn open(&self) -> io::Result<Ends> {
+    pub fn open(&self) -> io::Result<DuplexStream> {
         match self {
             Self::Tcp(address) => {
                 let stream = connect(address)?;
                 stream.set_nodelay(true)?;
-                SockRef::from(&stream).set_send_buffer_size(MAY_WAIT)?;
+                SockRef::from(&stream).set_send_buffer_size(MAX_SEND_BACKLOG_BYTES)?;
                 stream.set_read_timeout(Some(READ_TIMEOUT))?;
-                stream.set_write_timeout(Some(PATIENCE))?;
+                stream.set_write_timeout(Some(CONNECT_TIMEOUT))?;
                 Ok((Box::new(stream.try_clone()?), Box::new(stream)))
             }
             Self::Serial(device) => {
-                let serial = serialport::new(device, BAUD).timeout(READ_TIMEOUT).open()?;
+                let serial = serialport::new(device, BAUD_RATE).timeout(READ_TIMEOUT).open()?;
                 Ok((Box::new(serial.try_clone()?), Box::new(serial)))
             }
             #[cfg(all(feature = "socketcan", target_os = "linux"))]
@@ -106,7 +106,7 @@ impl Port {
 }
 
 /// Returns whether `text` is one of `names` with a number after it.
-fn is_numbered(text: &str, names: &[&str]) -> bool {
+fn is_numbered_device(text: &str, names: &[&str]) -> bool {
     names.iter().any(|name| {
         text.strip_prefix(name)
             .is_some_and(|rest| !rest.is_empty() && rest.bytes().all(|byte| byte.is_ascii_digit()))
@@ -115,13 +115,13 @@ fn is_numbered(text: &str, names: &[&str]) -> bool {
 
 /// Bytes that may wait for a bridge which is slow to take them: positions that wait for longer are of
 /// no use, and the sender would rather leave some out. The system takes it as a hint.
-const MAY_WAIT: usize = 4_096;
+const MAX_SEND_BACKLOG_BYTES: usize = 4_096;
 
 /// To the first of the name's addresses that answers.
 fn connect(address: &str) -> io::Result<TcpStream> {
     let mut last = io::Error::from(io::ErrorKind::AddrNotAvailable);
     for resolved in address.to_socket_addrs()? {
-        match TcpStream::connect_timeout(&resolved, PATIENCE) {
+        match TcpStream::connect_timeout(&resolved, CONNECT_TIMEOUT) {
             Ok(stream) => return Ok(stream),
             Err(error) => last = error,
         }
@@ -134,7 +134,7 @@ mod tests {
     use std::io::{Read as _, Write as _};
 
     use super::*;
-    use crate::ends::is_timeout;
+    use crate::duplex_stream::is_timeout;
     use std::{
         net::TcpListener,
         time::{Duration, Instant},
@@ -150,7 +150,7 @@ mod tests {
             (r"\\.\COM12", Port::Serial(r"\\.\COM12".into())),
         ] {
             assert_eq!(Port::parse(text).expect(text), port);
-            assert!(port.has_adapter() && port.interface() == "can0", "{text}");
+            assert!(port.has_adapter() && port.interface_name() == "can0", "{text}");
         }
     }
 
@@ -159,7 +159,7 @@ mod tests {
     fn a_can_interface_goes_by_its_name_and_has_no_adapter() {
         for text in ["can0", "vcan1", "slcan0"] {
             let port = Port::parse(text).expect(text);
-            assert_eq!((&port, port.interface()), (&Port::Can(text.into()), text));
+            assert_eq!((&port, port.interface_name()), (&Port::Can(text.into()), text));
             assert!(!port.has_adapter(), "{text}");
         }
     }
@@ -196,7 +196,7 @@ mod tests {
     fn an_open_line_goes_both_ways_and_a_read_without_bytes_is_timeout() {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
         let number = listener.local_addr().expect("bound above").port();
-        // The name may have an address of the other family too, where nobody listens.
+        // The name may have an address of the other family too, where no server listens.
         let port = Port::Tcp(format!("localhost:{number}"));
         let (mut reader, mut writer) = port.open().expect("it listens");
         let (mut bridge, _) = listener.accept().expect("it has connected");

@@ -2,7 +2,7 @@
 
 /// Returns the words in the order of this list, what is worst first, each once, with its remedy.
 #[must_use]
-pub fn remedies(words: &[&str]) -> Vec<(&'static str, &'static str)> {
+pub fn find_remedies(words: &[&str]) -> Vec<(&'static str, &'static str)> {
     REMEDIES.into_iter().filter(|(word, _)| words.contains(word)).collect()
 }
 
@@ -101,26 +101,26 @@ pub const REMEDIES: [(&str, &str); 61] = [
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::words::{fault_words, flag_words};
+    use crate::state_text::{fault_names, flag_names};
     use trueup_canopen::emergency::Faults;
     use trueup_core::cnc::Flags;
     use trueup_link::status::StateBits;
 
     #[test]
     fn every_word_has_its_remedy() {
-        let states = StateBits::WORDS.map(|(_, word)| word);
-        for word in flag_words(Flags(0xFF))
+        let states = StateBits::NAMES.map(|(_, word)| word);
+        for word in flag_names(Flags(0xFF))
             .into_iter()
-            .chain(fault_words(Faults::from_words(u32::MAX, u32::MAX)))
+            .chain(fault_names(Faults::from_words(u32::MAX, u32::MAX)))
             .chain(states)
         {
-            assert_eq!(remedies(&[word]).len(), 1, "{word}");
+            assert_eq!(find_remedies(&[word]).len(), 1, "{word}");
         }
     }
 
     #[test]
     fn what_is_worst_comes_first_and_no_word_twice() {
-        let words = remedies(&["slewing", "sensor", "self-test", "sensor"]).into_iter();
+        let words = find_remedies(&["slewing", "sensor", "self-test", "sensor"]).into_iter();
         assert_eq!(
             words.map(|(word, _)| word).collect::<Vec<_>>(),
             ["self-test", "sensor", "slewing"]

@@ -1,4 +1,4 @@
-//! One client's time on the bridge's line: open, receive, ask, close.
+//! One client's time on the bridge's line: open, receive, request, close.
 
 use std::{
     collections::VecDeque,
@@ -14,9 +14,9 @@ use trueup_link::{
 };
 
 use crate::{
-    ends::{Ends, is_busy, is_timeout},
-    holder::holder,
+    duplex_stream::{DuplexStream, is_busy, is_timeout},
     port::Port,
+    port_holder::port_holder,
 };
 
 /// How long a bridge may take to open its channel.
@@ -30,17 +30,17 @@ const RESTART_TIMEOUT: Duration = Duration::from_secs(10);
 const RETRY_TIMEOUT: Duration = Duration::from_millis(500);
 /// From one `Control` with `Service` to the next: a fifth of the link timeout that is usual.
 const SERVICE_PERIOD: Duration = Duration::from_millis(100);
-/// The lines in [`client::OPEN`], each of which a bridge answers.
-const OPEN_LINES: usize = 5;
+/// The lines in [`client::OPEN_SEQUENCE`], each of which a bridge answers.
+const OPEN_COMMAND_COUNT: usize = 5;
 /// An adapter that answers in a way of its own has opened its channel if frames still come so long after it was asked:
 /// what an earlier client was being sent has come by then.
-const DRAINED: Duration = Duration::from_secs(1);
+const DRAIN_TIMEOUT: Duration = Duration::from_secs(1);
 /// Between lines that are sent one by one, to an adapter that reads only the first line of a packet.
-const LINE_PAUSE: Duration = Duration::from_millis(30);
+const INTER_COMMAND_DELAY: Duration = Duration::from_millis(30);
 
 /// An open channel.
 pub struct Session {
-    ends: Ends,
+    ends: DuplexStream,
     has_adapter: bool,
     client: Client,
     heard: VecDeque<Event>,
@@ -60,7 +60,7 @@ impl Session {
             )),
             Port::Serial(device) if is_busy(&error) => Error::from(error).context(format!(
                 "the serial device {device} is busy: {} talks to the bridge; end it first",
-                holder(port)
+                port_holder(port)
                     .unwrap_or_else(|| "another program (a monitor, LinuxCNC, slcand)".into())
             )),
             Port::Serial(device) => {
@@ -70,8 +70,8 @@ impl Session {
             #[cfg(all(feature = "socketcan", target_os = "linux"))]
             Port::Can(_) => error.into(),
         })?;
-        let mut session = Self::over(ends, port.has_adapter());
-        session.open_channel(OPEN_TIMEOUT).map_err(|error| match holder(port) {
+        let mut session = Self::from_stream(ends, port.has_adapter());
+        session.open_channel(OPEN_TIMEOUT).map_err(|error| match port_holder(port) {
             Some(other) => error.context(format!(
                 "the bridge serves one program at a time, and {other} has it: end it first"
             )),
@@ -84,13 +84,13 @@ impl Session {
     ///
     /// # Errors
     /// The device behind it is silent or refuses.
-    pub fn open_over(ends: Ends) -> Result<Self> {
-        let mut session = Self::over(ends, true);
+    pub fn open_on_stream(ends: DuplexStream) -> Result<Self> {
+        let mut session = Self::from_stream(ends, true);
         session.open_channel(OPEN_TIMEOUT)?;
         Ok(session)
     }
 
-    fn over(ends: Ends, has_adapter: bool) -> Self {
+    fn from_stream(ends: DuplexStream, has_adapter: bool) -> Self {
         Self { ends, has_adapter, client: Client::new(), heard: VecDeque::new(), service: None }
     }
 
@@ -118,37 +118,37 @@ impl Session {
         if !self.has_adapter {
             return Ok(());
         }
-        self.write(client::OPEN)?;
+        self.write(client::OPEN_SEQUENCE)?;
         let start = Instant::now();
         let mut answers = 0;
         let mut is_refused = false;
         let mut is_one_by_one = false;
         loop {
-            if answers >= OPEN_LINES && !is_refused {
+            if answers >= OPEN_COMMAND_COUNT && !is_refused {
                 return Ok(());
             }
             let look = if is_one_by_one {
                 start + timeout
             } else {
-                start + (DRAINED + RETRY_TIMEOUT).min(timeout)
+                start + (DRAIN_TIMEOUT + RETRY_TIMEOUT).min(timeout)
             };
             match self.next_event(look)? {
                 Some(Event::Accepted) => (answers, is_refused) = (answers + 1, false),
                 Some(Event::Refused) => (answers, is_refused) = (answers + 1, true),
-                Some(Event::Frame(_)) if start.elapsed() >= DRAINED => return Ok(()),
+                Some(Event::Frame(_)) if start.elapsed() >= DRAIN_TIMEOUT => return Ok(()),
                 // What an earlier client was still being sent.
                 Some(Event::Frame(_) | Event::Malformed(_) | Event::Other(_)) => {}
-                None if !is_one_by_one && timeout > DRAINED => {
+                None if !is_one_by_one && timeout > DRAIN_TIMEOUT => {
                     is_one_by_one = true;
-                    if answers < OPEN_LINES {
-                        self.write_one_by_one()?;
+                    if answers < OPEN_COMMAND_COUNT {
+                        self.send_open_commands()?;
                     }
                 }
-                None if is_refused && answers >= OPEN_LINES => {
+                None if is_refused && answers >= OPEN_COMMAND_COUNT => {
                     bail!("the bridge refuses to open its channel, and sends no frame")
                 }
                 None => bail!(
-                    "the bridge has answered {answers} of {OPEN_LINES} lines in {} s; is it a \
+                    "the bridge has answered {answers} of {OPEN_COMMAND_COUNT} lines in {} s; is it a \
                      bridge, is it powered, and does no other program talk to it? It serves one at a \
                      time",
                     timeout.as_secs_f64()
@@ -158,9 +158,9 @@ impl Session {
     }
 
     /// Opens the channel by one line after the other.
-    fn write_one_by_one(&mut self) -> Result<()> {
-        for line in client::OPEN.split_inclusive(|byte| *byte == b'\r').skip(1) {
-            std::thread::sleep(LINE_PAUSE);
+    fn send_open_commands(&mut self) -> Result<()> {
+        for line in client::OPEN_SEQUENCE.split_inclusive(|byte| *byte == b'\r').skip(1) {
+            std::thread::sleep(INTER_COMMAND_DELAY);
             self.write(line)?;
         }
         Ok(())
@@ -168,23 +168,23 @@ impl Session {
 
     /// Sends `Control` with `Service` from now on, as long as events are waited for: for a bridge
     /// that receives no CNC.
-    pub(crate) fn allow_service(&mut self) {
-        self.transmit(Control { service: true, ..Control::default() });
+    pub(crate) fn start_service(&mut self) {
+        self.start_control(Control { service: true, ..Control::default() });
     }
 
     /// Sends this `Control` from now on, in the same way.
-    pub(crate) fn transmit(&mut self, control: Control) {
+    pub(crate) fn start_control(&mut self, control: Control) {
         self.service = Some((control, 0, Instant::now()));
     }
 
     /// Returns whether it does.
     #[must_use]
-    pub(crate) const fn says_service(&self) -> bool {
+    pub(crate) const fn is_sending_service(&self) -> bool {
         self.service.is_some()
     }
 
     /// Ends that.
-    pub(crate) fn end_service(&mut self) {
+    pub(crate) fn stop_service(&mut self) {
         self.service = None;
     }
 
@@ -195,7 +195,7 @@ impl Session {
             return Ok(());
         };
         self.service = Some((control, counter.wrapping_add(1), due.max(now) + SERVICE_PERIOD));
-        self.send(&frames::control(control, counter))
+        self.send(&frames::encode_control(control, counter))
     }
 
     /// Sends lines, whose answers come as events. Where the port has no adapter, only frames are
@@ -246,7 +246,7 @@ impl Session {
 
     /// Closes the channel. Whether the bridge learns of it does not matter to one who leaves.
     pub fn close(mut self) {
-        if self.has_adapter && self.write(client::CLOSE).is_ok() {
+        if self.has_adapter && self.write(client::CLOSE_COMMAND).is_ok() {
             let deadline = Instant::now() + CLOSE_TIMEOUT;
             while let Ok(Some(event)) = self.next_event(deadline) {
                 if event == Event::Accepted {
@@ -280,7 +280,7 @@ mod tests {
 
     fn open(answers: &[u8]) -> Result<Session> {
         let script = Script(answers.iter().copied().collect());
-        let mut session = Session::over((Box::new(script), Box::new(io::sink())), true);
+        let mut session = Session::from_stream((Box::new(script), Box::new(io::sink())), true);
         session.open_channel(OPEN_TIMEOUT)?;
         Ok(session)
     }
@@ -352,7 +352,8 @@ mod tests {
             let (sender, lines) = std::sync::mpsc::channel();
             let script = Script(answers.iter().copied().collect());
             let adapter = Adapter { script, lines, first_lines, is_open: false };
-            let mut session = Session::over((Box::new(adapter), Box::new(Lines(sender))), true);
+            let mut session =
+                Session::from_stream((Box::new(adapter), Box::new(Lines(sender))), true);
             session.open_channel(OPEN_TIMEOUT).expect("frames come");
         }
     }
@@ -361,7 +362,7 @@ mod tests {
     fn where_nobody_answers_no_channel_is_opened_or_closed_and_frames_pass() {
         let reader = Script(b"t701105\r".iter().copied().collect());
         let (mut bridge, ours) = io::pipe().expect("this machine has pipes");
-        let mut session = Session::over((Box::new(reader), Box::new(ours)), false);
+        let mut session = Session::from_stream((Box::new(reader), Box::new(ours)), false);
         session.open_channel(OPEN_TIMEOUT).expect("there is nothing to open");
         let heard = session.next_event(Instant::now() + OPEN_TIMEOUT).expect("no fault");
         let Some(Event::Frame(frame)) = heard else { panic!("{heard:?}") };

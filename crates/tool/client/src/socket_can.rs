@@ -15,10 +15,10 @@ use trueup_link::{
     slcan::{Client, Event, encode_line},
 };
 
-use crate::ends::{Ends, READ_TIMEOUT};
+use crate::duplex_stream::{DuplexStream, READ_TIMEOUT};
 
 /// Opens an interface, which must be up.
-pub fn open(interface: &str) -> io::Result<Ends> {
+pub fn open(interface: &str) -> io::Result<DuplexStream> {
     let socket = CanSocket::open(interface).map_err(|error| {
         let text = format!(
             "the CAN interface {interface} cannot be opened; is it up (ip link set {interface} up \
@@ -26,11 +26,11 @@ pub fn open(interface: &str) -> io::Result<Ends> {
         );
         io::Error::new(error.kind(), text)
     })?;
-    Ok(lines(Arc::new(socket)))
+    Ok(create_slcan_stream(Arc::new(socket)))
 }
 
 /// The bus that frames go through.
-trait Bus: Send + Sync + 'static {
+trait CanBus: Send + Sync + 'static {
     fn send(&self, frame: &Frame) -> io::Result<()>;
 
     /// Returns the next standard data frame. Anything else, or nothing for [`READ_TIMEOUT`], fails as timed
@@ -38,7 +38,7 @@ trait Bus: Send + Sync + 'static {
     fn receive(&self) -> io::Result<Frame>;
 }
 
-impl Bus for CanSocket {
+impl CanBus for CanSocket {
     fn send(&self, frame: &Frame) -> io::Result<()> {
         let id = StandardId::new(frame.id());
         let frame = id.and_then(|id| CanFrame::new(id, frame.payload()));
@@ -62,19 +62,19 @@ impl Bus for CanSocket {
     }
 }
 
-fn lines<B: Bus>(bus: Arc<B>) -> Ends {
-    let writer = Writer { bus: bus.clone(), lines: Client::new() };
-    (Box::new(Reader { bus, rest: Vec::new() }), Box::new(writer))
+fn create_slcan_stream<B: CanBus>(bus: Arc<B>) -> DuplexStream {
+    let writer = SlcanWriter { bus: bus.clone(), lines: Client::new() };
+    (Box::new(SlcanReader { bus, rest: Vec::new() }), Box::new(writer))
 }
 
 /// Frames come out as lines.
-struct Reader<B> {
+struct SlcanReader<B> {
     bus: Arc<B>,
     /// Of a line that was begun.
     rest: Vec<u8>,
 }
 
-impl<B: Bus> Read for Reader<B> {
+impl<B: CanBus> Read for SlcanReader<B> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         if self.rest.is_empty() {
             self.rest = encode_line(&self.bus.receive()?).into_bytes().to_vec();
@@ -87,12 +87,12 @@ impl<B: Bus> Read for Reader<B> {
 }
 
 /// Sends the frames of the lines that go in; other lines have no receiver.
-struct Writer<B> {
+struct SlcanWriter<B> {
     bus: Arc<B>,
     lines: Client,
 }
 
-impl<B: Bus> Write for Writer<B> {
+impl<B: CanBus> Write for SlcanWriter<B> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         for &byte in bytes {
             if let Some(Event::Frame(frame)) = self.lines.receive(byte) {
@@ -110,7 +110,7 @@ impl<B: Bus> Write for Writer<B> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ends::is_timeout;
+    use crate::duplex_stream::is_timeout;
     use std::sync::Mutex;
     use trueup_link::slcan::client;
 
@@ -118,7 +118,7 @@ mod tests {
     #[derive(Default)]
     struct Echo(Mutex<Vec<Frame>>);
 
-    impl Bus for Echo {
+    impl CanBus for Echo {
         fn send(&self, frame: &Frame) -> io::Result<()> {
             self.0.lock().expect("nobody panics with it").push(*frame);
             Ok(())
@@ -142,8 +142,8 @@ mod tests {
         let text: String = frames.iter().map(|frame| encode_line(frame).to_string()).collect();
         for piece in [1, 2, 7, 100] {
             let bus = Arc::new(Echo::default());
-            let (mut reader, mut writer) = lines(bus.clone());
-            writer.write_all(client::OPEN).expect("passed over");
+            let (mut reader, mut writer) = create_slcan_stream(bus.clone());
+            writer.write_all(client::OPEN_SEQUENCE).expect("passed over");
             for part in text.as_bytes().chunks(piece) {
                 writer.write_all(part).expect("the bus takes all");
             }

@@ -2,25 +2,25 @@
 
 use serde_json::{Value, json};
 use trueup_canopen::emergency::Faults;
-use trueup_core::{dimensions::CHANNELS, units::Nanometres};
+use trueup_core::{dimensions::CHANNEL_COUNT, units::Nanometres};
 use trueup_link::{
     frame::Frame,
     layout::STATUS_ID,
     receiver::StatusReceiver,
-    status::{Item, Reason, ResetReason, StateBits},
+    status::{FrameRejectReason, Item, ResetReason, StateBits},
 };
 
-use crate::words::{fault_words, micrometres, state_words};
+use crate::state_text::{fault_names, state_names, to_micrometres};
 
 /// The newest of each item.
 #[derive(Default)]
-pub struct Board {
+pub struct BoardStatus {
     receiver: StatusReceiver,
     /// In 0.01 °C, by channel.
-    pub centi_c: [Option<i16>; CHANNELS],
+    pub centi_c: [Option<i16>; CHANNEL_COUNT],
     /// Of the spindle, by its sensor.
     pub elongation: Option<Nanometres>,
-    last_refused: Reason,
+    last_refused: FrameRejectReason,
     damaged: u16,
     out_of_sequence: u16,
     malformed: u16,
@@ -37,7 +37,7 @@ pub struct Board {
     pub slopes: [Option<(i16, i16)>; 3],
 }
 
-impl Board {
+impl BoardStatus {
     /// Takes a frame from the bus, and returns what it is about; `None`: it is no status, or cannot be used, which is
     /// counted.
     pub fn receive(&mut self, frame: &Frame) -> Option<Item> {
@@ -75,33 +75,33 @@ impl Board {
 
     /// Returns what is wrong with the board, in words.
     #[must_use]
-    pub fn faults(&self) -> Vec<&'static str> {
-        fault_words(Faults::from_words(self.faults.into(), 0))
+    pub fn fault_names(&self) -> Vec<&'static str> {
+        fault_names(Faults::from_words(self.faults.into(), 0))
     }
 
     /// Returns what is wrong with the board and what a CNC must know of it, in words.
     #[must_use]
-    pub fn words(&self) -> Vec<&'static str> {
-        let mut words = self.faults();
-        words.extend(state_words(self.state));
+    pub fn fault_and_state_names(&self) -> Vec<&'static str> {
+        let mut words = self.fault_names();
+        words.extend(state_names(self.state));
         words
     }
 
     /// Frames of the CNC that the board has refused: damaged, out of sequence, malformed.
     #[must_use]
-    pub const fn refused_of_cnc(&self) -> [u16; 3] {
+    pub const fn rejected_cnc_frames(&self) -> [u16; 3] {
         [self.damaged, self.out_of_sequence, self.malformed]
     }
 
     /// RMS noise of the sensor in ADC codes.
     #[must_use]
-    pub fn noise_codes(&self) -> f64 {
+    pub fn rms_noise_codes(&self) -> f64 {
         f64::from(self.noise_thousandths) / 1_000.0
     }
 
     /// Status frames that were damaged or out of order.
     #[must_use]
-    pub fn refused(&self) -> u32 {
+    pub fn rejected_frame_count(&self) -> u32 {
         let counters = self.receiver.counters();
         counters
             .crc_errors
@@ -112,12 +112,12 @@ impl Board {
     /// Returns the elongation of the spindle in µm, by its sensor.
     #[must_use]
     pub fn elongation_um(&self) -> Option<f64> {
-        self.elongation.map(micrometres)
+        self.elongation.map(to_micrometres)
     }
 
     /// Returns the temperatures that are known, the faults, and what the board has refused, if anything.
     #[must_use]
-    pub fn text(&self) -> String {
+    pub fn to_text(&self) -> String {
         let known =
             (0..).zip(self.centi_c).filter_map(|(channel, it): (u8, _)| Some((channel, it?)));
         let mut text: String = known
@@ -133,11 +133,11 @@ impl Board {
                 text += &format!("  from the CNC {what} {count}");
             }
         }
-        let faults = fault_words(Faults::from_words(self.faults.into(), 0));
+        let faults = fault_names(Faults::from_words(self.faults.into(), 0));
         if !faults.is_empty() {
             text += &format!("  faults {}", faults.join(" "));
         }
-        let state = state_words(self.state);
+        let state = state_names(self.state);
         if !state.is_empty() {
             text += &format!("  state {}", state.join(" "));
         }
@@ -146,14 +146,14 @@ impl Board {
 
     /// Returns the same as JSON members.
     #[must_use]
-    pub fn json(&self) -> Value {
+    pub fn to_json(&self) -> Value {
         json!({
             "temps_c": self.centi_c.map(|it| it.map(|centi_c| f64::from(centi_c) / 100.0)),
             "elongation_um": self.elongation_um(),
-            "noise_codes": self.noise_codes(),
-            "faults": fault_words(Faults::from_words(self.faults.into(), 0)),
-            "state": state_words(self.state),
-            "reset_reason": self.reset_reason.word(),
+            "noise_codes": self.rms_noise_codes(),
+            "faults": fault_names(Faults::from_words(self.faults.into(), 0)),
+            "state": state_names(self.state),
+            "reset_reason": self.reset_reason.as_str(),
             "free_stack_bytes": self.free_stack,
             "calibration_crc":
                 self.calibration.filter(|crc| *crc != 0).map(|crc| format!("{crc:08x}")),
@@ -162,19 +162,19 @@ impl Board {
                 "out_of_sequence": self.out_of_sequence,
                 "malformed": self.malformed,
                 "lost": self.lost,
-                "last_refused": reason_word(self.last_refused),
+                "last_refused": reason_name(self.last_refused),
             },
         })
     }
 }
 
-fn reason_word(reason: Reason) -> Option<&'static str> {
+fn reason_name(reason: FrameRejectReason) -> Option<&'static str> {
     match reason {
-        Reason::None => None,
-        Reason::Malformed => Some("malformed"),
-        Reason::Damaged => Some("damaged"),
-        Reason::Repeated => Some("repeated"),
-        Reason::WrongSequence => Some("wrong-sequence"),
+        FrameRejectReason::None => None,
+        FrameRejectReason::Malformed => Some("malformed"),
+        FrameRejectReason::Damaged => Some("damaged"),
+        FrameRejectReason::Repeated => Some("repeated"),
+        FrameRejectReason::WrongSequence => Some("wrong-sequence"),
     }
 }
 
@@ -185,7 +185,7 @@ mod tests {
 
     #[test]
     fn the_newest_of_each_item_is_told() {
-        let mut board = Board::default();
+        let mut board = BoardStatus::default();
         let items = [
             Item::Temperatures { pair: 0, centi_c: [Some(2_345), None] },
             Item::Temperatures { pair: 3, centi_c: [None, Some(-50)] },
@@ -197,14 +197,17 @@ mod tests {
             Item::Calibration(0xF4AC_FB13),
         ];
         for (counter, item) in (0..).zip(items) {
-            board.receive(&encode(&Status { last_refused: Reason::Damaged, item }, counter));
+            board.receive(&encode(
+                &Status { last_refused: FrameRejectReason::Damaged, item },
+                counter,
+            ));
         }
         assert_eq!(
-            board.text(),
+            board.to_text(),
             "  T0 23.45 °C  T7 -0.50 °C  from the CNC damaged 2  faults cnc-lost  \
              state restarted"
         );
-        let json = board.json();
+        let json = board.to_json();
         assert_eq!(json["temps_c"], json!([23.45, null, null, null, null, null, null, -0.5]));
         assert_eq!(json["elongation_um"], json!(62.805));
         assert_eq!(json["noise_codes"], json!(1.041));
@@ -213,8 +216,9 @@ mod tests {
         assert_eq!(json["calibration_crc"], json!("f4acfb13"));
         assert_eq!(json["from_cnc"]["last_refused"], json!("damaged"));
         // A repetition changes nothing and is counted.
-        let repeated = Status { last_refused: Reason::None, item: Item::Elongation(None) };
+        let repeated =
+            Status { last_refused: FrameRejectReason::None, item: Item::Elongation(None) };
         board.receive(&encode(&repeated, 7));
-        assert_eq!((board.elongation, board.refused()), (Some(Nanometres(62_805)), 1));
+        assert_eq!((board.elongation, board.rejected_frame_count()), (Some(Nanometres(62_805)), 1));
     }
 }

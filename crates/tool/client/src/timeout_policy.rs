@@ -1,29 +1,29 @@
 //! How long an answer of the bridge is waited for.
 //!
-//! A bridge is asked while it works, and it may live slower than we do: one that is emulated on a busy PC gets
+//! A bridge gets requests while it works, and it may live slower than we do: one that is emulated on a busy PC gets
 //! a part of the time of a real one, and one that writes its flash stands still for a second. So what counts is
 //! *its* time, which its heartbeats show, ten a second, and the time for which *we* have listened: a program
 //! that was not let run for five seconds has received nothing in them, and knows nothing.
 //!
 //! | given up after | where |
 //! |---|---|
-//! | [`MIN`], and [`BEATS`] heartbeats | the bridge lives, and has not answered: the frame is lost |
-//! | [`SILENCE`] without a heartbeat | no bridge is there, or it hangs, or its heartbeat is turned off |
-//! | [`STALL`] without a heartbeat | the same of a bridge that erases a firmware slot, which stops all of it |
+//! | [`MIN`], and [`MAX_HEARTBEATS`] heartbeats | the bridge lives, and has not answered: the frame is lost |
+//! | [`MAX_SILENCE`] without a heartbeat | no bridge is there, or it hangs, or its heartbeat is turned off |
+//! | [`ERASE_TIMEOUT`] without a heartbeat | the same of a bridge that erases a firmware slot, which stops all of it |
 
 use std::time::{Duration, Instant};
 
 /// How long each look at the line may take. A look that took longer was one at which we slept.
-pub const LOOK: Duration = Duration::from_millis(100);
+pub const POLL_INTERVAL: Duration = Duration::from_millis(100);
 /// Heartbeats of a bridge that has had its time: 2 s of it.
-const BEATS: u32 = 20;
+const MAX_HEARTBEATS: u32 = 20;
 /// The same by the clock, for heartbeats that have waited in a buffer all at once.
-const MIN: Duration = Duration::from_secs(2);
+const MIN_LISTENING_TIME: Duration = Duration::from_secs(2);
 /// The longest wait without any heartbeat.
-const SILENCE: Duration = Duration::from_secs(5);
+const MAX_SILENCE: Duration = Duration::from_secs(5);
 /// The same of a bridge that erases two sectors of 128 KB meanwhile: 4 s at most by the data sheet of its chip, and as
 /// much again for one that is emulated, or waits for its CNC.
-const STALL: Duration = Duration::from_secs(12);
+const ERASE_TIMEOUT: Duration = Duration::from_secs(12);
 
 /// The patience of one question.
 pub(crate) struct TimeoutPolicy {
@@ -38,19 +38,19 @@ pub(crate) struct TimeoutPolicy {
 
 impl TimeoutPolicy {
     /// From `now` on an answer is waited for.
-    pub fn from(now: Instant) -> Self {
+    pub fn new(now: Instant) -> Self {
         let [listened, silent] = [Duration::ZERO; 2];
-        Self { looked: now, listened, silent, beats: 0, silence: SILENCE }
+        Self { looked: now, listened, silent, beats: 0, silence: MAX_SILENCE }
     }
 
     /// As [`Self::from`], of a bridge that may erase a firmware slot first.
-    pub(crate) fn over_an_erase(now: Instant) -> Self {
-        Self { silence: STALL, ..Self::from(now) }
+    pub(crate) fn for_flash_erase(now: Instant) -> Self {
+        Self { silence: ERASE_TIMEOUT, ..Self::new(now) }
     }
 
     /// A look at the line ends now; whether it has brought a heartbeat.
-    pub fn look(&mut self, now: Instant, is_beat: bool) {
-        let look = now.saturating_duration_since(self.looked).min(LOOK);
+    pub(crate) fn record_poll(&mut self, now: Instant, is_beat: bool) {
+        let look = now.saturating_duration_since(self.looked).min(POLL_INTERVAL);
         self.looked = now;
         self.listened += look;
         self.silent = if is_beat { Duration::ZERO } else { self.silent + look };
@@ -58,12 +58,13 @@ impl TimeoutPolicy {
     }
 
     /// Returns whether no answer is to be expected any more.
-    pub fn is_over(&self) -> bool {
-        self.silent >= self.silence || self.listened >= MIN && self.beats >= BEATS
+    pub(crate) fn is_expired(&self) -> bool {
+        self.silent >= self.silence
+            || self.listened >= MIN_LISTENING_TIME && self.beats >= MAX_HEARTBEATS
     }
 
     /// Returns how long has been listened.
-    pub(crate) fn listened(&self) -> Duration {
+    pub(crate) fn listening_time(&self) -> Duration {
         self.listened
     }
 }
@@ -76,7 +77,7 @@ mod tests {
 
     /// Looks that each take `look`, every `per_beat`th of which brings a heartbeat; when it is over.
     fn over_after(look: Duration, per_beat: u32) -> Duration {
-        over(TimeoutPolicy::from, look, per_beat)
+        over(TimeoutPolicy::new, look, per_beat)
     }
 
     fn over(patience: fn(Instant) -> TimeoutPolicy, look: Duration, per_beat: u32) -> Duration {
@@ -84,8 +85,8 @@ mod tests {
         let (mut patience, mut now) = (patience(start), start);
         for number in 1..100_000 {
             now += look;
-            patience.look(now, per_beat > 0 && number % per_beat == 0);
-            if patience.is_over() {
+            patience.record_poll(now, per_beat > 0 && number % per_beat == 0);
+            if patience.is_expired() {
                 return now - start;
             }
         }
@@ -104,15 +105,15 @@ mod tests {
 
     #[test]
     fn silence_is_five_seconds_of_listening_and_time_in_which_we_slept_is_not() {
-        assert_eq!(over_after(LOOK, 0), 5_000 * MS);
+        assert_eq!(over_after(POLL_INTERVAL, 0), 5_000 * MS);
         // Frames without heartbeats.
         assert_eq!(over_after(MS, 0), 5_000 * MS);
         // Each look took ten times what it may: we were not let run.
-        assert_eq!(over_after(10 * LOOK, 0), 50_000 * MS);
+        assert_eq!(over_after(10 * POLL_INTERVAL, 0), 50_000 * MS);
     }
     #[test]
     fn an_erase_may_last_twelve_seconds_and_a_live_bridge_has_no_longer_for_it() {
-        assert_eq!(over(TimeoutPolicy::over_an_erase, LOOK, 0), 12_000 * MS);
-        assert_eq!(over(TimeoutPolicy::over_an_erase, MS, 100), 2_000 * MS);
+        assert_eq!(over(TimeoutPolicy::for_flash_erase, POLL_INTERVAL, 0), 12_000 * MS);
+        assert_eq!(over(TimeoutPolicy::for_flash_erase, MS, 100), 2_000 * MS);
     }
 }

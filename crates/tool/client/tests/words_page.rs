@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use trueup_canopen::emergency::Faults;
 use trueup_client::{
     remedy::REMEDIES,
-    words::{fault_words, flag_words, quality_word, state_words},
+    state_text::{fault_names, flag_names, quality_name, state_names},
 };
 use trueup_core::cnc::{Flags, Quality};
 use trueup_link::status::{ResetReason, StateBits};
@@ -28,13 +28,13 @@ fn words(section: &str) -> BTreeSet<&'static str> {
 fn every_word_on_the_screen_is_on_the_page_and_no_other() {
     use Quality::{Fault, Hold, Live, Off, RampingOut, TemperatureModel, WarmUpModel};
     let qualities = [Off, Live, TemperatureModel, WarmUpModel, Hold, RampingOut, Fault];
-    assert_eq!(words("## Quality"), qualities.map(quality_word).into());
-    assert_eq!(words("## Flags"), flag_words(Flags(u8::MAX)).into_iter().collect());
-    let conditions = fault_words(Faults::from_words(u32::MAX, u32::MAX))
+    assert_eq!(words("## Quality"), qualities.map(quality_name).into());
+    assert_eq!(words("## Flags"), flag_names(Flags(u8::MAX)).into_iter().collect());
+    let conditions = fault_names(Faults::from_words(u32::MAX, u32::MAX))
         .into_iter()
-        .chain(state_words(StateBits(u32::MAX)));
+        .chain(state_names(StateBits(u32::MAX)));
     assert_eq!(words("## Faults and state"), conditions.collect());
-    let reasons = (0..).map_while(ResetReason::from_wire).map(ResetReason::word);
+    let reasons = (0..).map_while(ResetReason::from_wire).map(ResetReason::as_str);
     assert_eq!(words("## Why it last started"), reasons.collect());
     let all = ["## Flags", "## Faults and state", "## Frames of the CNC"].map(words);
     let remedies = REMEDIES.iter().map(|(word, _)| *word).collect();

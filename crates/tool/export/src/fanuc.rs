@@ -19,7 +19,7 @@
 //! **Rounding:** not each value is rounded but the sum up to each point, and the value is the
 //! difference of two sums. So the sum is within half a unit times the magnification everywhere, and
 //! never drifts. The smallest magnification that the slope permits is taken; if 8 is not enough,
-//! the spacing is divided; if that needs more than 128 points, the axis is left out.
+//! the spacing is divided; if that needs more than 128 points, the axis is omitted.
 //!
 //! **In between:** without the option of interpolated compensation, the control gives out each
 //! value at once, taken here to be in the middle of its section; with it, evenly over the section.
@@ -33,7 +33,7 @@
 //! numbers, the middle of the section and `N10000` are from memory of the parameter manuals; look
 //! them up in the manual of the control before loading.
 
-mod read;
+mod read_back;
 mod series0;
 mod straightness;
 
@@ -41,16 +41,16 @@ use std::fmt::Write as _;
 
 use trueup_machine::{Machine, file::LinearAxis};
 
-pub use read::{AxisTables, Control};
-pub use series0::read as read_series_0;
+pub use read_back::{AxisTables, CompensationData};
+pub use series0::parse_series_0_sheet;
 
 use crate::{
-    Export, ExportedTable, File, Options,
-    course::{Cross, Drive, drives},
-    grid::{largest_difference, probes_mm},
-    linuxcnc::leave_out_heat,
+    Export, ExportedFile, ExportedTable, Options,
+    axis_errors::{CrossAxisError, DriveError, collect_drive_errors},
+    grid::{comparison_positions_mm, find_largest_residual},
+    linuxcnc::omit_thermal_terms,
+    number_format::format_number,
     report::Approach,
-    text::number,
 };
 
 /// Which FANUC: the numbers of its parameters.
@@ -64,19 +64,19 @@ pub enum Series {
 }
 
 /// This many point numbers has an axis.
-pub(crate) const MAX_POINTS: usize = 128;
+pub(crate) const MAX_POINTS_PER_AXIS: usize = 128;
 /// A value is at most this, times the magnification.
-pub(crate) const MAX_STEP: i64 = 7;
+pub(crate) const MAX_COMPENSATION_VALUE: i64 = 7;
 /// The magnifications there are.
 const MAGNIFICATIONS: [u8; 4] = [1, 2, 4, 8];
 /// Spacings are whole multiples of this, in mm (increment system IS-B).
-const SPACING_MM: f64 = 0.001;
+const SPACING_INCREMENT_MM: f64 = 0.001;
 /// A moving axis without a pitch table gets this many sections for its straightness.
-const SECTIONS: usize = 60;
+const DEFAULT_SECTION_COUNT: usize = 60;
 
 /// Where an axis's points are.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Points {
+struct CompensationPoints {
     reference_mm: f64,
     spacing_mm: f64,
     /// Sections on the negative and on the positive side of the reference.
@@ -84,9 +84,9 @@ struct Points {
     positive: usize,
 }
 
-impl Points {
+impl CompensationPoints {
     /// Points from the reference over `range_mm`.
-    fn over(range_mm: (f64, f64), reference_mm: f64, spacing_mm: f64) -> Self {
+    fn from_range(range_mm: (f64, f64), reference_mm: f64, spacing_mm: f64) -> Self {
         // A point that is a rounding away from the end is the end.
         let sections = |mm: f64| (mm / spacing_mm - 1e-6).ceil().max(0.0) as usize;
         Self {
@@ -97,25 +97,25 @@ impl Points {
         }
     }
 
-    fn sections(&self) -> usize {
+    fn section_count(&self) -> usize {
         self.negative + self.positive
     }
 
     /// Returns the ends of all sections, one more than there are sections.
     fn positions_mm(&self) -> Vec<f64> {
-        (0..=self.sections())
+        (0..=self.section_count())
             .map(|k| self.reference_mm + self.spacing_mm * (k as f64 - self.negative as f64))
             .collect()
     }
 }
 
 /// An axis as it will be written.
-struct Planned<'m> {
+struct AxisCompensation<'m> {
     axis: LinearAxis,
     is_second: bool,
-    drive: Option<Drive<'m>>,
-    crosses: Vec<Cross<'m>>,
-    points: Points,
+    drive: Option<DriveError<'m>>,
+    cross_axis_errors: Vec<CrossAxisError<'m>>,
+    points: CompensationPoints,
     magnification: u8,
     /// The values in the positive direction, and in the negative one where there are two tables.
     tables: Vec<Vec<i64>>,
@@ -127,14 +127,14 @@ struct Planned<'m> {
 
 pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) {
     let chosen = match options.fanuc {
-        Series::I => straightness::chosen(machine, options, &mut export.report),
-        Series::Zero => series0::without_straightness(machine, &mut export.report),
+        Series::I => straightness::select_pairs(machine, options, &mut export.report),
+        Series::Zero => series0::omit_straightness(machine, &mut export.report),
     };
-    let all_drives = drives(machine, options);
-    for drive in all_drives.iter().filter(|drive| drive.is_flat()) {
-        let section = drive.section();
+    let all_drives = collect_drive_errors(machine, options);
+    for drive in all_drives.iter().filter(|drive| drive.is_constant()) {
+        let section = drive.source_sections();
         let note = "the same error everywhere is a shift of the zero, nothing to correct";
-        export.report.note(format!("{section}: {note}"));
+        export.report.add_note(format!("{section}: {note}"));
     }
     let mut planned = Vec::new();
     for axis in LinearAxis::ALL {
@@ -142,67 +142,72 @@ pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) 
             let drive = all_drives
                 .iter()
                 .find(|drive| drive.axis == axis && drive.is_second == is_second)
-                .filter(|drive| !drive.is_flat());
+                .filter(|drive| !drive.is_constant());
             if options.fanuc == Series::Zero
                 && let Some(drive) = drive
-                && let Some(reason) = series0::refuses(drive)
+                && let Some(reason) = series0::unsupported_reason(drive)
             {
-                export.report.leave_out(drive.section(), reason);
+                export.report.add_omitted_section(drive.source_sections(), reason);
                 continue;
             }
-            let along: Vec<Cross<'_>> =
+            let along: Vec<CrossAxisError<'_>> =
                 chosen.iter().filter(|cross| cross.along == axis && !is_second).cloned().collect();
             if drive.is_none() && along.is_empty() {
                 continue;
             }
-            let mut sections: Vec<String> = drive.map(Drive::section).into_iter().collect();
-            sections.extend(along.iter().map(Cross::section));
-            match plan(machine, options, (axis, is_second), drive.cloned(), along) {
+            let mut sections: Vec<String> =
+                drive.map(DriveError::source_sections).into_iter().collect();
+            sections.extend(along.iter().map(CrossAxisError::source_sections));
+            match plan_axis(machine, options, (axis, is_second), drive.cloned(), along) {
                 Ok(plan) => planned.push(plan),
-                Err(reason) => export.report.leave_out(sections.join(" + "), reason),
+                Err(reason) => export.report.add_omitted_section(sections.join(" + "), reason),
             }
         }
     }
     match options.fanuc {
         _ if planned.is_empty() => {}
-        Series::I => write(&planned, options, export),
-        Series::Zero => series0::write(planned, options, export),
+        Series::I => write_files(&planned, options, export),
+        Series::Zero => series0::write_sheet(planned, options, export),
     }
     let reason = "the growth is given to the control by its PMC at run time (one scalar along the \
                   tool; in small steps, a jump of 9999 units is an alarm), not by a table";
-    leave_out_heat(machine, &mut export.report, reason);
+    omit_thermal_terms(machine, &mut export.report, reason);
 }
 
-fn plan<'m>(
+fn plan_axis<'m>(
     machine: &Machine,
     options: &Options,
     (axis, is_second): (LinearAxis, bool),
-    drive: Option<Drive<'m>>,
-    crosses: Vec<Cross<'m>>,
-) -> Result<Planned<'m>, String> {
+    drive: Option<DriveError<'m>>,
+    cross_axis_errors: Vec<CrossAxisError<'m>>,
+) -> Result<AxisCompensation<'m>, String> {
     let reference_mm = options.reference_mm[axis.index()];
     let table_mm = drive.as_ref().and_then(|drive| {
-        let points = drive.points_mm();
+        let points = drive.breakpoints_mm();
         Some((*points.first()?, *points.last()?))
     });
-    let curves = crosses.iter().filter_map(|cross| cross.range_mm(machine, options));
+    let curves = cross_axis_errors.iter().filter_map(|cross| cross.range_mm(machine, options));
     let range = table_mm.into_iter().chain(curves).reduce(|(a, b), (c, d)| (a.min(c), b.max(d)));
     // Only a backlash: the sections are empty.
     let (first_mm, last_mm) = range.unwrap_or((reference_mm, reference_mm + 100.0));
     let range_mm = (first_mm.min(reference_mm), last_mm.max(reference_mm));
-    let is_two_way = drive.as_ref().is_some_and(Drive::is_two_way);
-    let fits = |points: &Points| {
-        points.sections() * if is_two_way { 2 } else { 1 } < MAX_POINTS
-            && (crosses.is_empty() || points.sections() >= 3)
+    let is_bidirectional = drive.as_ref().is_some_and(DriveError::is_bidirectional);
+    let fits = |points: &CompensationPoints| {
+        points.section_count() * if is_bidirectional { 2 } else { 1 } < MAX_POINTS_PER_AXIS
+            && (cross_axis_errors.is_empty() || points.section_count() >= 3)
     };
-    let rounded = |mm: f64| ((mm / SPACING_MM).round() * SPACING_MM).max(SPACING_MM);
+    let rounded = |mm: f64| {
+        ((mm / SPACING_INCREMENT_MM).round() * SPACING_INCREMENT_MM).max(SPACING_INCREMENT_MM)
+    };
     let wanted_mm = drive
         .as_ref()
-        .and_then(|drive| drive.only_table().map(|pitch| pitch.step_mm))
-        .unwrap_or((range_mm.1 - range_mm.0) / SECTIONS as f64);
-    let at = |spacing_mm: f64| Points::over(range_mm, reference_mm, rounded(spacing_mm));
-    let finer: Vec<Points> =
-        (1..MAX_POINTS).map(|parts| at(wanted_mm / parts as f64)).filter(fits).collect();
+        .and_then(|drive| drive.single_table().map(|pitch| pitch.step_mm))
+        .unwrap_or((range_mm.1 - range_mm.0) / DEFAULT_SECTION_COUNT as f64);
+    let at = |spacing_mm: f64| {
+        CompensationPoints::from_range(range_mm, reference_mm, rounded(spacing_mm))
+    };
+    let finer: Vec<CompensationPoints> =
+        (1..MAX_POINTS_PER_AXIS).map(|parts| at(wanted_mm / parts as f64)).filter(fits).collect();
     let coarser = || (2..=4096).map(|times| at(wanted_mm * f64::from(times))).find(fits);
     let was_thinned = finer.is_empty();
     let candidates = if was_thinned { coarser().into_iter().collect() } else { finer };
@@ -211,11 +216,11 @@ fn plan<'m>(
         drive.as_ref().map_or(0.0, |drive| drive.error_um(reference_mm, Approach::Positive));
     for &points in &candidates {
         for magnification in MAGNIFICATIONS {
-            let mut planned = Planned {
+            let mut planned = AxisCompensation {
                 axis,
                 is_second,
                 drive: drive.clone(),
-                crosses: crosses.clone(),
+                cross_axis_errors: cross_axis_errors.clone(),
                 points,
                 magnification,
                 tables: Vec::new(),
@@ -223,30 +228,31 @@ fn plan<'m>(
                 constant_um,
                 was_thinned,
             };
-            if planned.fill(options) {
+            if planned.compute_tables(options) {
                 return Ok(planned);
             }
         }
     }
     Err(format!(
-        "it rises by more than {MAX_STEP} times 8 units of {} µm a section, and finer sections \
-         would take more than {MAX_POINTS} points",
-        number(options.unit_um, 4)
+        "it rises by more than {MAX_COMPENSATION_VALUE} times 8 units of {} µm a section, and finer sections \
+         would take more than {MAX_POINTS_PER_AXIS} points",
+        format_number(options.unit_um, 4)
     ))
 }
 
-impl Planned<'_> {
+impl AxisCompensation<'_> {
     /// Rounds the sums and takes their differences; `false` if one of them is above 7.
-    fn fill(&mut self, options: &Options) -> bool {
+    fn compute_tables(&mut self, options: &Options) -> bool {
         let Some(drive) = self.drive.as_ref().filter(|drive| drive.has_table()) else {
-            self.tables = vec![vec![0; self.points.sections()]];
+            self.tables = vec![vec![0; self.points.section_count()]];
             return true;
         };
         let scale = f64::from(self.magnification);
         let correction = |mm: f64, approach| {
             -(drive.error_um(mm, approach) - self.constant_um) / options.unit_um
         };
-        let ways = if drive.is_two_way() { &Approach::BOTH[..] } else { &Approach::BOTH[..1] };
+        let ways =
+            if drive.is_bidirectional() { &Approach::BOTH[..] } else { &Approach::BOTH[..1] };
         let mut tables = Vec::new();
         for &way in ways {
             // The backlash of one table is a parameter of its own.
@@ -263,28 +269,29 @@ impl Planned<'_> {
             tables.push(sums.windows(2).map(|pair| pair[1] - pair[0]).collect::<Vec<i64>>());
         }
         self.tables = tables;
-        self.tables.iter().flatten().all(|value| value.abs() <= MAX_STEP)
+        self.tables.iter().flatten().all(|value| value.abs() <= MAX_COMPENSATION_VALUE)
     }
 }
 
-fn write(planned: &[Planned<'_>], options: &Options, export: &mut Export) {
+fn write_files(planned: &[AxisCompensation<'_>], options: &Options, export: &mut Export) {
     // Parameter number → axis number → value.
     let mut parameters: Vec<(u32, usize, i64)> = Vec::new();
     let mut pitch = String::from("%\n");
     let seconds = planned.iter().filter(|plan| plan.is_second).map(|plan| plan.axis);
     let seconds: Vec<LinearAxis> = seconds.collect();
-    let number_of = |plan: &Planned<'_>| {
+    let number_of = |plan: &AxisCompensation<'_>| {
         let second = seconds.iter().position(|&axis| axis == plan.axis).unwrap_or(0);
         if plan.is_second { 4 + second } else { plan.axis.index() + 1 }
     };
     for (order, plan) in planned.iter().enumerate() {
         let axis = number_of(plan);
-        let base = (order * MAX_POINTS) as i64;
-        let (negative, sections) = (plan.points.negative as i64, plan.points.sections() as i64);
+        let base = (order * MAX_POINTS_PER_AXIS) as i64;
+        let (negative, sections) =
+            (plan.points.negative as i64, plan.points.section_count() as i64);
         let reference = base + negative;
         let first = reference - negative + 1;
         let last = reference + plan.points.positive as i64;
-        let spacing = (plan.points.spacing_mm / SPACING_MM).round() as i64;
+        let spacing = (plan.points.spacing_mm / SPACING_INCREMENT_MM).round() as i64;
         let mut set = |number: u32, value: i64| parameters.push((number, axis, value));
         set(3620, reference);
         set(3621, first);
@@ -304,39 +311,45 @@ fn write(planned: &[Planned<'_>], options: &Options, export: &mut Export) {
         }
     }
     pitch.push_str("%\n");
-    let pairs = straightness::plan(planned, options, number_of, &mut export.report);
-    let text = parameter_text(&parameters, &pairs);
+    let pairs = straightness::plan_pairs(planned, options, number_of, &mut export.report);
+    let text = format_parameters(&parameters, &pairs);
     let (para, pitch) =
-        ("CNC-PARA.TXT".to_string(), File { name: "PITCH.TXT".into(), text: pitch });
-    match Control::read(&text, &pitch.text) {
+        ("CNC-PARA.TXT".to_string(), ExportedFile { name: "PITCH.TXT".into(), text: pitch });
+    match CompensationData::parse(&text, &pitch.text) {
         Ok(control) => {
             for plan in planned {
                 compare(plan, number_of(plan), &control, options, export);
             }
-            straightness::compare(&pairs, &control, options, export);
+            straightness::compare_pairs(&pairs, &control, options, export);
         }
-        Err(rule) => export.report.leave_out("all", format!("it reads back wrong: {rule}")),
+        Err(rule) => {
+            export.report.add_omitted_section("all", format!("it reads back wrong: {rule}"))
+        }
     }
-    export.files.push(File { name: para, text });
+    export.files.push(ExportedFile { name: para, text });
     export.files.push(pitch);
     let report = &mut export.report;
     if planned.iter().any(|plan| plan.tables.len() == 2) {
-        report.note("set 3605#0 to 1 on the axes with 3626: two tables, one for each direction");
-        report.note("3627 suits an axis that is referenced in the positive direction");
+        report
+            .add_note("set 3605#0 to 1 on the axes with 3626: two tables, one for each direction");
+        report.add_note("3627 suits an axis that is referenced in the positive direction");
     }
-    report.note(format!(
+    report.add_note(format!(
         "X, Y, Z are the axes 1, 2, 3{}; detection unit {} µm; 3624 in 0.001 mm",
         if seconds.is_empty() { "" } else { ", the second drives of gantries 4 and up" },
-        number(options.unit_um, 4)
+        format_number(options.unit_um, 4)
     ));
-    report.note(
+    report.add_note(
         "compare the parameter numbers with the manual of the control, switch the power off \
                  and on after loading, and reference",
     );
 }
 
 /// `N03620A1P40A2P168`, one line a parameter, in rising order; then the straightness.
-fn parameter_text(parameters: &[(u32, usize, i64)], pairs: &[straightness::Pair<'_>]) -> String {
+fn format_parameters(
+    parameters: &[(u32, usize, i64)],
+    pairs: &[straightness::AxisPair<'_>],
+) -> String {
     let mut sorted = parameters.to_vec();
     sorted.sort_unstable();
     let mut text = String::from("%");
@@ -348,7 +361,7 @@ fn parameter_text(parameters: &[(u32, usize, i64)], pairs: &[straightness::Pair<
         }
         let _ = write!(text, "A{axis}P{value}");
     }
-    for (number, value) in pairs.iter().flat_map(straightness::Pair::parameters) {
+    for (number, value) in pairs.iter().flat_map(straightness::AxisPair::parameters) {
         let _ = write!(text, "\nN{number:05}P{value}");
     }
     text.push_str("\n%\n");
@@ -356,50 +369,54 @@ fn parameter_text(parameters: &[(u32, usize, i64)], pairs: &[straightness::Pair<
 }
 
 fn compare(
-    plan: &Planned<'_>,
+    plan: &AxisCompensation<'_>,
     axis: usize,
-    control: &Control,
+    control: &CompensationData,
     options: &Options,
     export: &mut Export,
 ) {
     let Some(drive) = &plan.drive else { return };
-    match control.axis(axis) {
+    match control.axis_tables(axis) {
         Ok(back) => compare_axis(plan, drive, &back, (axis, "PITCH.TXT"), options, export),
         Err(rule) => {
-            export.report.leave_out(drive.section(), format!("it reads back wrong: {rule}"));
+            export.report.add_omitted_section(
+                drive.source_sections(),
+                format!("it reads back wrong: {rule}"),
+            );
         }
     }
 }
 
 fn compare_axis(
-    plan: &Planned<'_>,
-    drive: &Drive<'_>,
+    plan: &AxisCompensation<'_>,
+    drive: &DriveError<'_>,
     back: &AxisTables,
     (axis, file): (usize, &str),
     options: &Options,
     export: &mut Export,
 ) {
-    let Points { reference_mm, spacing_mm, .. } = plan.points;
+    let CompensationPoints { reference_mm, spacing_mm, .. } = plan.points;
     let positions_mm = plan.points.positions_mm();
     let range = (positions_mm[0], positions_mm[positions_mm.len() - 1]);
     // A step is looked at on both of its sides.
-    let mut special = drive.points_mm();
+    let mut special = drive.breakpoints_mm();
     special.extend(positions_mm.iter().flat_map(|mm| [*mm, mm + spacing_mm / 2.0]));
-    let probes = probes_mm(range, &special, drive.is_held());
+    let probes = comparison_positions_mm(range, &special, drive.has_constant_extrapolation());
     let error_um = |mm, way| drive.error_um(mm, way) - plan.constant_um;
     let with = |is_interpolated: bool| {
-        largest_difference(&probes, error_um, |mm, way| {
-            back.units(mm - reference_mm, way, is_interpolated) * options.unit_um
+        find_largest_residual(&probes, error_um, |mm, way| {
+            back.correction_in_detection_units(mm - reference_mm, way, is_interpolated)
+                * options.unit_um
         })
     };
     let (stepped, interpolated) = (with(false), with(true));
-    export.report.note(format!(
+    export.report.add_note(format!(
         "{}: with the option of interpolated compensation the largest difference is {:.4} µm at {}",
         drive.name(),
         interpolated.um,
         interpolated.at
     ));
-    let count = plan.points.sections();
+    let count = plan.points.section_count();
     // Half a unit is rounded away in each sum, and a step of one unit comes half of it too early and half
     // too late: what is further off is no rounding.
     let is_off = stepped.um > options.tolerance_um + options.unit_um;
@@ -420,7 +437,7 @@ fn compare_axis(
             "axis {axis}, points {} to {}, magnification {}",
             back.first, back.last, plan.magnification
         ),
-        section: drive.section(),
+        section: drive.source_sections(),
         points: count,
         range,
         spacing: Some(spacing_mm),

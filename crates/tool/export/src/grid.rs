@@ -16,23 +16,23 @@
 use crate::report::{Approach, Difference};
 
 /// This many positions at least are compared in each direction.
-const PROBES: usize = 4000;
+const MIN_COMPARISON_POSITIONS: usize = 4000;
 
 /// Returns the fewest of the rows `x` whose straight lines stay within `tolerance` of every column, or
 /// `most` of them if that takes more; of all choices of this many rows the one that stays nearest.
 /// Gives the rows, and how far the lines are off at most.
-pub(crate) fn best_rows(
+pub(crate) fn select_breakpoints(
     x: &[f64],
     columns: &[Vec<f64>],
     tolerance: f64,
     most: usize,
 ) -> (Vec<usize>, f64) {
     /// Nearer than this is the same, in µm.
-    const SMALLEST: f64 = 1e-9;
+    const MIN_TOLERANCE_UM: f64 = 1e-9;
     if x.len() <= 2 {
         return ((0..x.len()).collect(), 0.0);
     }
-    let mut best = fewest(x, columns, tolerance);
+    let mut best = find_min_breakpoints(x, columns, tolerance);
     let mut enough = tolerance;
     let mut too_small = 0.0;
     let most = if best.len() > most {
@@ -43,14 +43,14 @@ pub(crate) fn best_rows(
         too_small = tolerance;
         // Two rows alone are off by the whole span at most.
         enough = spans.fold(tolerance, f64::max);
-        best = fewest(x, columns, enough);
+        best = find_min_breakpoints(x, columns, enough);
         most
     } else {
         best.len()
     };
-    while enough - too_small > enough * 1e-6 && enough > SMALLEST {
+    while enough - too_small > enough * 1e-6 && enough > MIN_TOLERANCE_UM {
         let middle = too_small.midpoint(enough);
-        let rows = fewest(x, columns, middle);
+        let rows = find_min_breakpoints(x, columns, middle);
         if rows.len() <= most {
             (enough, best) = (middle, rows);
         } else {
@@ -61,7 +61,7 @@ pub(crate) fn best_rows(
 }
 
 /// Returns the fewest rows, the first and the last among them, between which the lines stay within `epsilon`.
-fn fewest(x: &[f64], columns: &[Vec<f64>], epsilon: f64) -> Vec<usize> {
+fn find_min_breakpoints(x: &[f64], columns: &[Vec<f64>], epsilon: f64) -> Vec<usize> {
     let mut steps = vec![usize::MAX; x.len()];
     let mut from = vec![0; x.len()];
     steps[0] = 0;
@@ -108,22 +108,22 @@ pub(crate) struct Grid {
 }
 
 impl Grid {
-    pub fn at_mm(&self, index: usize) -> f64 {
+    pub fn position_mm(&self, index: usize) -> f64 {
         self.start_mm + self.step_mm * index as f64
     }
 
-    pub(crate) fn last_mm(&self) -> f64 {
-        self.at_mm(self.points.saturating_sub(1))
+    pub(crate) fn end_mm(&self) -> f64 {
+        self.position_mm(self.points.saturating_sub(1))
     }
 
     pub(crate) fn positions_mm(&self) -> Vec<f64> {
-        (0..self.points).map(|index| self.at_mm(index)).collect()
+        (0..self.points).map(|index| self.position_mm(index)).collect()
     }
 
     /// Returns the fewest points over `range_mm` whose straight lines stay within `tolerance_um` of
     /// `error_um`, or `most` points, whichever is less. The step is a whole number of
     /// `resolution_mm`, so the last point may lie a little beyond the range.
-    pub fn over(
+    pub(crate) fn with_tolerance(
         range_mm: (f64, f64),
         resolution_mm: f64,
         tolerance_um: f64,
@@ -140,20 +140,21 @@ impl Grid {
         let mut intervals = 1;
         loop {
             let grid = with(intervals);
-            if intervals == most_intervals || grid.is_within(tolerance_um, &error_um) {
+            if intervals == most_intervals || grid.is_within_tolerance(tolerance_um, &error_um) {
                 return grid;
             }
             intervals = (intervals + intervals.div_ceil(4)).min(most_intervals);
         }
     }
 
-    fn is_within(&self, tolerance_um: f64, error_um: &impl Fn(f64) -> f64) -> bool {
+    fn is_within_tolerance(&self, tolerance_um: f64, error_um: &impl Fn(f64) -> f64) -> bool {
         (1..self.points).all(|index| {
-            let (left, right) = (error_um(self.at_mm(index - 1)), error_um(self.at_mm(index)));
+            let (left, right) =
+                (error_um(self.position_mm(index - 1)), error_um(self.position_mm(index)));
             (1..16).all(|part| {
                 let share = f64::from(part) / 16.0;
                 let line = left + (right - left) * share;
-                let at_mm = self.at_mm(index - 1) + self.step_mm * share;
+                let at_mm = self.position_mm(index - 1) + self.step_mm * share;
                 (error_um(at_mm) - line).abs() <= tolerance_um
             })
         })
@@ -161,7 +162,7 @@ impl Grid {
 }
 
 /// Linear between the points, the end values held outside; NaN without a point.
-pub(crate) fn interpolated(points: &[(f64, f64)], at: f64) -> f64 {
+pub(crate) fn interpolate_linear(points: &[(f64, f64)], at: f64) -> f64 {
     let above = points.partition_point(|&(x, _)| x <= at);
     match (above.checked_sub(1).and_then(|below| points.get(below)), points.get(above)) {
         (Some(&(x0, y0)), Some(&(x1, y1))) => y0 + (y1 - y0) * (at - x0) / (x1 - x0),
@@ -172,12 +173,17 @@ pub(crate) fn interpolated(points: &[(f64, f64)], at: f64) -> f64 {
 
 /// Positions to compare at: dense over the range, and each of `special_mm`, just next to it, and
 /// half way to the next. With `beyond`, also a tenth of the range outside, where tables are held.
-pub(crate) fn probes_mm(range_mm: (f64, f64), special_mm: &[f64], beyond: bool) -> Vec<f64> {
+pub(crate) fn comparison_positions_mm(
+    range_mm: (f64, f64),
+    special_mm: &[f64],
+    beyond: bool,
+) -> Vec<f64> {
     let (first, last) = range_mm;
     let span = (last - first).max(1e-3);
     let margin = if beyond { span / 10.0 } else { 0.0 };
-    let step = (span + 2.0 * margin) / PROBES as f64;
-    let mut at: Vec<f64> = (0..=PROBES).map(|probe| first - margin + step * probe as f64).collect();
+    let step = (span + 2.0 * margin) / MIN_COMPARISON_POSITIONS as f64;
+    let mut at: Vec<f64> =
+        (0..=MIN_COMPARISON_POSITIONS).map(|probe| first - margin + step * probe as f64).collect();
     let mut special = special_mm.to_vec();
     special.sort_by(f64::total_cmp);
     at.extend(special.windows(2).map(|pair| pair[0].midpoint(pair[1])));
@@ -189,17 +195,17 @@ pub(crate) fn probes_mm(range_mm: (f64, f64), special_mm: &[f64], beyond: bool) 
 }
 
 /// Returns the largest of correction plus error, both in µm: what is left on the machine.
-pub(crate) fn largest_difference(
-    probes_mm: &[f64],
+pub(crate) fn find_largest_residual(
+    comparison_positions_mm: &[f64],
     error_um: impl Fn(f64, Approach) -> f64,
     correction_um: impl Fn(f64, Approach) -> f64,
 ) -> Difference {
     let mut largest = Difference::NONE;
     for approach in Approach::BOTH {
-        for &mm in probes_mm {
+        for &mm in comparison_positions_mm {
             let left = correction_um(mm, approach) + error_um(mm, approach);
 
-            largest.take(left, || format!("{mm:.3} mm, direction {:+}", approach.sign()));
+            largest.update_max(left, || format!("{mm:.3} mm, direction {:+}", approach.sign()));
         }
     }
     largest
@@ -213,11 +219,11 @@ mod tests {
     fn the_best_three_of_a_roof_are_its_ends_and_its_ridge() {
         let x: Vec<f64> = (0..=20).map(f64::from).collect();
         let roof = vec![x.iter().map(|x| 7.0 - (x - 7.0).abs()).collect::<Vec<_>>()];
-        let (rows, off) = best_rows(&x, &roof, 1e-9, 3);
+        let (rows, off) = select_breakpoints(&x, &roof, 1e-9, 3);
         assert_eq!(rows, [0, 7, 20]);
         assert!(off <= 1e-9);
         // A tolerance that three points reach is not a reason to move the ridge.
-        assert_eq!(best_rows(&x, &roof, 0.5, 10).0, [0, 7, 20]);
+        assert_eq!(select_breakpoints(&x, &roof, 0.5, 10).0, [0, 7, 20]);
     }
 
     #[test]
@@ -227,7 +233,7 @@ mod tests {
         let y: Vec<f64> = (0..12_u32).map(|k| f64::from(k * 7919 % 23) - 11.0).collect();
         let off = |rows: &[usize]| {
             let points: Vec<(f64, f64)> = rows.iter().map(|&row| (x[row], y[row])).collect();
-            (0..12).map(|k| (interpolated(&points, x[k]) - y[k]).abs()).fold(0.0, f64::max)
+            (0..12).map(|k| (interpolate_linear(&points, x[k]) - y[k]).abs()).fold(0.0, f64::max)
         };
         let mut least = f64::INFINITY;
         for a in 1..9 {
@@ -237,7 +243,7 @@ mod tests {
                 }
             }
         }
-        let (rows, claimed) = best_rows(&x, std::slice::from_ref(&y), 1e-9, 5);
+        let (rows, claimed) = select_breakpoints(&x, std::slice::from_ref(&y), 1e-9, 5);
         println!("5 of 12: {least} is the least, {} found with {rows:?}", off(&rows));
         assert!(rows.len() <= 5 && (off(&rows) - least).abs() < 1e-5 * least);
         assert!((claimed - least).abs() < 1e-5 * least);
@@ -246,11 +252,11 @@ mod tests {
     #[test]
     fn an_equidistant_grid_is_as_coarse_as_the_tolerance_allows() {
         let bow = |mm: f64| mm * (1000.0 - mm) / 250_000.0 * 10.0;
-        let grid = Grid::over((0.0, 1000.0), 1e-4, 0.1, 5000, bow);
+        let grid = Grid::with_tolerance((0.0, 1000.0), 1e-4, 0.1, 5000, bow);
         // A parabola of 10 µm over n intervals is off by 10/n².
         assert!((11..=14).contains(&grid.points), "{grid:?}");
-        assert!(grid.last_mm() >= 1000.0 && grid.last_mm() < 1000.01);
-        assert_eq!(Grid::over((0.0, 1000.0), 1e-4, 0.1, 4, bow).points, 4);
-        assert_eq!(Grid::over((0.0, 1000.0), 1e-4, 0.1, 5000, |mm| mm).points, 2);
+        assert!(grid.end_mm() >= 1000.0 && grid.end_mm() < 1000.01);
+        assert_eq!(Grid::with_tolerance((0.0, 1000.0), 1e-4, 0.1, 4, bow).points, 4);
+        assert_eq!(Grid::with_tolerance((0.0, 1000.0), 1e-4, 0.1, 5000, |mm| mm).points, 2);
     }
 }

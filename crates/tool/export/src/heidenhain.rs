@@ -21,12 +21,14 @@ use std::fmt::Write as _;
 use trueup_machine::{Machine, file::LinearAxis};
 
 use crate::{
-    Export, ExportedTable, File, Options,
-    course::{Cross, Drive, crosses, drives},
-    grid::{best_rows, interpolated, largest_difference, probes_mm},
-    linuxcnc::leave_out_heat,
+    Export, ExportedFile, ExportedTable, Options,
+    axis_errors::{CrossAxisError, DriveError, collect_cross_axis_errors, collect_drive_errors},
+    grid::{
+        comparison_positions_mm, find_largest_residual, interpolate_linear, select_breakpoints,
+    },
+    linuxcnc::omit_thermal_terms,
+    number_format::format_signed,
     report::{Approach, Difference},
-    text::signed,
 };
 
 /// The most entries of a table.
@@ -36,13 +38,13 @@ const VALUE_DECIMALS: usize = 4;
 /// Positions to 0.1 µm.
 const POSITION_DECIMALS: usize = 4;
 /// A curve is looked at in this many equal parts before its best points are chosen, …
-const CANDIDATES: f64 = 1000.0;
+const CANDIDATES_PER_CURVE: f64 = 1000.0;
 /// … and each of its spans in at least this many.
-const CANDIDATES_OF_SPAN: f64 = 16.0;
+const CANDIDATES_PER_SPAN: f64 = 16.0;
 
 /// A `.COM` table as the control holds it.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Compensation {
+pub struct CompensationTable {
     /// The names of the columns after `NR` and `AXISPOS`.
     columns: Vec<String>,
     /// One curve a column: position and value, both in mm.
@@ -54,7 +56,7 @@ pub struct Compensation {
 /// # Errors
 /// The frame, the column names, a number, the order of the positions or the number of entries is
 /// not as it must be.
-pub fn read(text: &str) -> Result<Compensation, String> {
+pub fn parse(text: &str) -> Result<CompensationTable, String> {
     let mut lines = text.lines();
     let head = lines.next().unwrap_or_default();
     if !(head.starts_with("BEGIN ") && head.ends_with(" MM")) {
@@ -87,39 +89,39 @@ pub fn read(text: &str) -> Result<Compensation, String> {
     if entries as usize > MAX_ENTRIES {
         return Err(format!("more than {MAX_ENTRIES} entries"));
     }
-    Ok(Compensation { columns, curves })
+    Ok(CompensationTable { columns, curves })
 }
 
-impl Compensation {
+impl CompensationTable {
     /// Returns what the control adds to the command of the axis of `column`, in µm; 0 without this column.
     #[must_use]
     pub fn correction_um(&self, column: &str, position_mm: f64) -> f64 {
         let curve = self.columns.iter().position(|name| name == column).map(|at| &self.curves[at]);
-        curve.map_or(0.0, |curve| -interpolated(curve, position_mm) * 1000.0)
+        curve.map_or(0.0, |curve| -interpolate_linear(curve, position_mm) * 1000.0)
     }
 }
 
 /// One moving axis, with the drive errors and cross errors in its table.
-struct Moving<'m> {
+struct MovingAxis<'m> {
     /// `X`, or `X2` for a second drive.
     key: String,
-    drive: Option<Drive<'m>>,
-    crosses: Vec<Cross<'m>>,
+    drive: Option<DriveError<'m>>,
+    cross_axis_errors: Vec<CrossAxisError<'m>>,
 }
 
 pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) {
-    let mut moving: Vec<Moving<'_>> = Vec::new();
-    let all_drives = drives(machine, options);
+    let mut moving: Vec<MovingAxis<'_>> = Vec::new();
+    let all_drives = collect_drive_errors(machine, options);
     for axis in LinearAxis::ALL {
         for is_second in [false, true] {
             let drive = all_drives
                 .iter()
                 .find(|drive| drive.axis == axis && drive.is_second == is_second)
                 .filter(|drive| {
-                    !(drive.is_flat() && drive.error_um(0.0, Approach::Positive) == 0.0)
+                    !(drive.is_constant() && drive.error_um(0.0, Approach::Positive) == 0.0)
                 });
-            let mut along: Vec<Cross<'_>> = Vec::new();
-            for cross in crosses(machine).into_iter().filter(|_| !is_second) {
+            let mut along: Vec<CrossAxisError<'_>> = Vec::new();
+            for cross in collect_cross_axis_errors(machine).into_iter().filter(|_| !is_second) {
                 if cross.along != axis {
                     continue;
                 }
@@ -128,7 +130,7 @@ pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) 
                         "an angle needs the travel of {}: give it with --travel",
                         axis.name()
                     );
-                    export.report.leave_out(cross.section(), reason);
+                    export.report.add_omitted_section(cross.source_sections(), reason);
                     continue;
                 }
                 along.push(cross);
@@ -136,15 +138,15 @@ pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) 
             if drive.is_some() || !along.is_empty() {
                 let suffix = if is_second { "2" } else { "" };
                 let key = format!("{}{suffix}", axis.name().to_uppercase());
-                moving.push(Moving { key, drive: drive.cloned(), crosses: along });
+                moving.push(MovingAxis { key, drive: drive.cloned(), cross_axis_errors: along });
             }
         }
     }
     for of in &moving {
-        export_moving(machine, options, of, export);
+        export_moving_axis(machine, options, of, export);
     }
     let reason = "a thermal offset is given to the control by its PLC at run time, not by a table";
-    leave_out_heat(machine, &mut export.report, reason);
+    omit_thermal_terms(machine, &mut export.report, reason);
     if export.files.is_empty() {
         return;
     }
@@ -155,18 +157,25 @@ pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) 
         keys.join(" "),
         files.join(" ")
     );
-    export.files.push(File { name: "config.cma".to_string(), text });
-    export.report.note(
+    export.files.push(ExportedFile { name: "config.cma".to_string(), text });
+    export.report.add_note(
         "the value is the error, positive where the axis goes too far: check the sign with an \
          indicator at one point before cutting",
     );
     if moving.iter().any(|of| of.key.ends_with('2')) {
-        export.report.note("a key ending in 2 is the second drive of a gantry: use its axis key");
+        export
+            .report
+            .add_note("a key ending in 2 is the second drive of a gantry: use its axis key");
     }
 }
 
-fn export_moving(machine: &Machine, options: &Options, of: &Moving<'_>, export: &mut Export) {
-    let positions_mm = candidates_mm(machine, options, of);
+fn export_moving_axis(
+    machine: &Machine,
+    options: &Options,
+    of: &MovingAxis<'_>,
+    export: &mut Export,
+) {
+    let positions_mm = candidate_positions_mm(machine, options, of);
     // The axis itself in both directions, then the others.
     let own = of.drive.as_ref();
     let mut columns: Vec<(String, Vec<f64>)> = Vec::new();
@@ -177,19 +186,20 @@ fn export_moving(machine: &Machine, options: &Options, of: &Moving<'_>, export: 
         columns.push(("BACKLASH".to_string(), of_drive(Approach::Negative)));
         columns.push((of.key.clone(), of_drive(Approach::Positive)));
     }
-    for cross in &of.crosses {
+    for cross in &of.cross_axis_errors {
         let name = cross.error.name().to_uppercase();
         columns.push((name, column(&|mm| cross.error_um(mm))));
     }
     let (names, values): (Vec<String>, Vec<Vec<f64>>) = columns.into_iter().unzip();
     let most = options.most_points.unwrap_or(MAX_ENTRIES).clamp(2, MAX_ENTRIES);
-    let is_curved = own.is_some_and(Drive::is_curved) || of.crosses.iter().any(Cross::is_curved);
+    let is_curved = own.is_some_and(DriveError::is_curved)
+        || of.cross_axis_errors.iter().any(CrossAxisError::is_curved);
     let keeps_all = !is_curved && positions_mm.len() <= most;
     let (rows, off_um) = if keeps_all {
         ((0..positions_mm.len()).collect(), 0.0)
     } else {
         let tolerance_um = if is_curved { options.tolerance_um / 2.0 } else { 0.0 };
-        best_rows(&positions_mm, &values, tolerance_um, most)
+        select_breakpoints(&positions_mm, &values, tolerance_um, most)
     };
     let loss = (off_um > options.tolerance_um).then(|| {
         format!("thinned to the best {} entries: lines up to {off_um:.3} µm off", rows.len())
@@ -199,20 +209,23 @@ fn export_moving(machine: &Machine, options: &Options, of: &Moving<'_>, export: 
     let mut text = format!("BEGIN {name} MM\nNR AXISPOS {}\n", names.join(" "));
     for (entry, &row) in rows.iter().enumerate() {
         // Writing to a string cannot fail.
-        let _ = write!(text, "{entry} {}", signed(positions_mm[row], POSITION_DECIMALS));
+        let _ = write!(text, "{entry} {}", format_signed(positions_mm[row], POSITION_DECIMALS));
         for column in &values {
-            let _ = write!(text, " {}", signed(column[row] / 1000.0, VALUE_DECIMALS));
+            let _ = write!(text, " {}", format_signed(column[row] / 1000.0, VALUE_DECIMALS));
         }
         text.push('\n');
     }
     text.push_str("[END]\n");
 
-    let sections = own.map(Drive::section).into_iter();
-    let sections: Vec<String> = sections.chain(of.crosses.iter().map(Cross::section)).collect();
-    let back = match read(&text) {
+    let sections = own.map(DriveError::source_sections).into_iter();
+    let sections: Vec<String> =
+        sections.chain(of.cross_axis_errors.iter().map(CrossAxisError::source_sections)).collect();
+    let back = match parse(&text) {
         Ok(back) => back,
         Err(rule) => {
-            export.report.leave_out(sections.join(" + "), format!("it reads back wrong: {rule}"));
+            export
+                .report
+                .add_omitted_section(sections.join(" + "), format!("it reads back wrong: {rule}"));
             return;
         }
     };
@@ -223,18 +236,19 @@ fn export_moving(machine: &Machine, options: &Options, of: &Moving<'_>, export: 
             let column = if approach == Approach::Negative { "BACKLASH" } else { &of.key };
             back.correction_um(column, mm)
         };
-        let probes = probes_mm(range, &positions_mm, drive.is_held());
-        let here = largest_difference(&probes, |mm, way| drive.error_um(mm, way), read_back);
-        largest.take(here.um, || format!("{}, {}", of.key, here.at));
+        let probes =
+            comparison_positions_mm(range, &positions_mm, drive.has_constant_extrapolation());
+        let here = find_largest_residual(&probes, |mm, way| drive.error_um(mm, way), read_back);
+        largest.update_max(here.um, || format!("{}, {}", of.key, here.at));
     }
-    for cross in &of.crosses {
+    for cross in &of.cross_axis_errors {
         let name = cross.error.name().to_uppercase();
-        let here = largest_difference(
-            &probes_mm(range, &positions_mm, cross.is_held()),
+        let here = find_largest_residual(
+            &comparison_positions_mm(range, &positions_mm, cross.has_constant_extrapolation()),
             |mm, _| cross.error_um(mm),
             |mm, _| back.correction_um(&name, mm),
         );
-        largest.take(here.um, || format!("{name} of {}, {}", of.key, here.at));
+        largest.update_max(here.um, || format!("{name} of {}, {}", of.key, here.at));
     }
     export.report.tables.push(ExportedTable {
         file: name.clone(),
@@ -247,24 +261,24 @@ fn export_moving(machine: &Machine, options: &Options, of: &Moving<'_>, export: 
         largest,
         loss,
     });
-    export.files.push(File { name, text });
+    export.files.push(ExportedFile { name, text });
 }
 
 /// Returns the positions among which the entries are chosen: every point of the axis's table, and the
 /// curves in small parts with all their knots. Rounded as they are written, so that the value is
 /// taken where the control puts it.
-fn candidates_mm(machine: &Machine, options: &Options, of: &Moving<'_>) -> Vec<f64> {
-    let mut positions_mm = of.drive.as_ref().map_or_else(Vec::new, Drive::points_mm);
-    for cross in &of.crosses {
+fn candidate_positions_mm(machine: &Machine, options: &Options, of: &MovingAxis<'_>) -> Vec<f64> {
+    let mut positions_mm = of.drive.as_ref().map_or_else(Vec::new, DriveError::breakpoints_mm);
+    for cross in &of.cross_axis_errors {
         let Some((first, last)) = cross.range_mm(machine, options) else { continue };
-        let mut ends_mm = cross.kinks_mm();
+        let mut ends_mm = cross.knot_positions_mm();
         ends_mm.extend([first, last]);
         ends_mm.sort_by(f64::total_cmp);
         let is_straight = !cross.is_curved();
         for pair in ends_mm.windows(2) {
             // Knots that are close together may have much between them.
-            let share = (pair[1] - pair[0]) / (last - first) * CANDIDATES;
-            let parts = if is_straight { 1.0 } else { share.ceil().max(CANDIDATES_OF_SPAN) };
+            let share = (pair[1] - pair[0]) / (last - first) * CANDIDATES_PER_CURVE;
+            let parts = if is_straight { 1.0 } else { share.ceil().max(CANDIDATES_PER_SPAN) };
             let at = |part: u32| pair[0] + (pair[1] - pair[0]) * f64::from(part) / parts;
             positions_mm.extend((0..=parts as u32).map(at));
         }
@@ -291,18 +305,18 @@ mod tests {
     fn a_table_that_is_not_in_order_is_refused() {
         let table =
             |entries: &str| format!("BEGIN X.com MM\nNR AXISPOS BACKLASH X\n{entries}[END]\n");
-        assert!(read(&table("0 +0 +0 +0\n1 +10 +0.001 +0.002\n")).is_ok());
+        assert!(parse(&table("0 +0 +0 +0\n1 +10 +0.001 +0.002\n")).is_ok());
         for entries in ["0 +0 +0 +0\n1 +0 +0 +0\n", "0 +0 +0\n", "1 +0 +0 +0\n", "0 +0 x +0\n"] {
-            assert!(read(&table(entries)).is_err(), "{entries:?}");
+            assert!(parse(&table(entries)).is_err(), "{entries:?}");
         }
-        assert!(read("NR AXISPOS\n").is_err());
+        assert!(parse("NR AXISPOS\n").is_err());
     }
 
     #[test]
     fn the_control_corrects_the_opposite_of_the_value() {
         let table = "BEGIN X.com MM\nNR AXISPOS BACKLASH X Z\n0 +0 +0.005 +0 +0.001\n\
                      1 +100 +0.007 +0.002 -0.003\n[END]\n";
-        let read = read(table).unwrap();
+        let read = parse(table).unwrap();
         for (column, mm, um) in
             [("X", 100.0, -2.0), ("X", 50.0, -1.0), ("BACKLASH", 100.0, -7.0), ("Z", 500.0, 3.0)]
         {

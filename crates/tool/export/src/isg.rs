@@ -12,7 +12,7 @@
 //!
 //! Names, units, blocks and the list are from the functional description of Beckhoff (TF5280) and ISG (FCT-C26). That
 //! angles act about the machine's zero and by the right hand, and that no `negate` is needed, is assumed: check one point
-//! with an indicator before cutting. The sign of an axis that moves the workpiece is not stated there: its errors are left out.
+//! with an indicator before cutting. The sign of an axis that moves the workpiece is not stated there: its errors are omitted.
 
 use std::fmt::Write as _;
 
@@ -24,37 +24,39 @@ use trueup_machine::{
 };
 
 use crate::{
-    Export, ExportedTable, File, Options,
-    course::{Cross, Drive, crosses, drives, travel_mm},
-    grid::{best_rows, interpolated},
-    linuxcnc::leave_out_heat,
+    Export, ExportedFile, ExportedTable, Options,
+    axis_errors::{
+        CrossAxisError, DriveError, collect_cross_axis_errors, collect_drive_errors, travel_mm,
+    },
+    grid::{interpolate_linear, select_breakpoints},
+    linuxcnc::omit_thermal_terms,
+    number_format::format_number,
     report::{Approach, Difference},
-    text::number,
 };
 
 /// The names of the two files.
-const CSV: &str = "volcomp.csv";
-const LIST: &str = "volcomp.lis";
+const CSV_FILE_NAME: &str = "volcomp.csv";
+const LIST_FILE_NAME: &str = "volcomp.lis";
 /// The most rows of an axis; how many the control reads is a setting of its own (`max_records`).
 const MAX_ROWS: usize = 2_000;
 /// The lines between the rows are kept this near, in µm, angles at a lever of 1 m.
-const TOLERANCE_UM: f64 = 0.02;
+const THINNING_TOLERANCE_UM: f64 = 0.02;
 /// A travel is looked at in this many equal parts before its best points are chosen.
-const CANDIDATES: u32 = 1_000;
+const CANDIDATE_COUNT: u32 = 1_000;
 /// Offsets to 0.01 nm, angles to 10⁻¹¹ rad, positions to 0.1 nm.
 const OFFSET_DECIMALS: usize = 8;
 const ANGLE_DECIMALS: usize = 11;
 const POSITION_DECIMALS: usize = 7;
 
 /// The assumptions that no description confirms, and how to try them: part of the report and of the file itself.
-const ASSUMED: &str = "assumed, not tried on a control: values are errors as ISO 230-1 has them, without negate; angles act about machine \
+const ASSUMPTIONS: &str = "assumed, not tried on a control: values are errors as ISO 230-1 has them, without negate; angles act about machine \
                        zero; a wrong sign doubles the errors";
-const TRY: &str = "before cutting: read an indicator at the point where the file has its largest value, compensation off, then on; the \
+const VERIFICATION_HINT: &str = "before cutting: read an indicator at the point where the file has its largest value, compensation off, then on; the \
                    error must go, and if it doubles set negate";
 
 /// A file as the control holds it: the columns of each block by their names.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Compensation {
+pub struct CompensationFile {
     blocks: Vec<(Vec<String>, Vec<Vec<f64>>)>,
 }
 
@@ -62,8 +64,8 @@ pub struct Compensation {
 ///
 /// # Errors
 /// A row that has not a number for each name of its header, or a position that does not rise.
-pub fn read(text: &str) -> Result<Compensation, String> {
-    let mut read = Compensation::default();
+pub fn parse(text: &str) -> Result<CompensationFile, String> {
+    let mut read = CompensationFile::default();
     let mut is_header = true;
     for (index, line) in text.lines().enumerate() {
         let line = line.split("//").next().unwrap_or_default().trim();
@@ -93,7 +95,7 @@ pub fn read(text: &str) -> Result<Compensation, String> {
     Ok(read)
 }
 
-impl Compensation {
+impl CompensationFile {
     /// Returns a value in mm or rad at the position of its axis, in mm; `None` where no block has the name.
     #[must_use]
     pub fn value(&self, name: &str, position_mm: f64) -> Option<f64> {
@@ -105,29 +107,29 @@ impl Compensation {
                 rows[around].iter().map(|row| (row[0], row[column])).collect();
             Some(match points[..] {
                 [(_, only)] => only,
-                _ => interpolated(&points, position_mm),
+                _ => interpolate_linear(&points, position_mm),
             })
         })
     }
 }
 
 /// The six component errors of a linear axis.
-struct Component<'m> {
+struct ComponentErrors<'m> {
     axis: LinearAxis,
     machine: &'m Machine,
-    drive: Option<&'m Drive<'m>>,
-    crosses: Vec<&'m Cross<'m>>,
+    drive: Option<&'m DriveError<'m>>,
+    cross_axis_errors: Vec<&'m CrossAxisError<'m>>,
 }
 
-impl Component<'_> {
+impl ComponentErrors<'_> {
     /// Returns offsets in µm along X, Y and Z, about the machine's zero, and angles in µrad about them.
-    fn at(&self, mm: f64) -> [f64; 6] {
+    fn evaluate(&self, mm: f64) -> [f64; 6] {
         let mut um = [0.0; 3];
         // The format has no direction: the mean of both.
         um[self.axis.index()] += self.drive.map_or(0.0, |drive| {
             Approach::BOTH.iter().map(|it| drive.error_um(mm, *it)).sum::<f64>() / 2.0
         });
-        for cross in &self.crosses {
+        for cross in &self.cross_axis_errors {
             um[cross.error.index()] += cross.error_um(mm);
         }
         let mut urad = [0.0; 3];
@@ -144,20 +146,20 @@ impl Component<'_> {
     }
 
     /// Returns the sections of the machine file that it comes from.
-    fn section(&self) -> String {
+    fn source_sections(&self) -> String {
         let angles = self.machine.volume.angular.iter().filter(|it| it.along == self.axis);
-        let drive = self.drive.map(Drive::section);
-        let crosses = self.crosses.iter().map(|it| it.section());
+        let drive = self.drive.map(DriveError::source_sections);
+        let cross_axis_errors = self.cross_axis_errors.iter().map(|it| it.source_sections());
         let angles = angles.map(|it| format!("angular.{}", it.name()));
-        drive.into_iter().chain(crosses).chain(angles).collect::<Vec<_>>().join(" + ")
+        drive.into_iter().chain(cross_axis_errors).chain(angles).collect::<Vec<_>>().join(" + ")
     }
 
     /// Returns where it may bend, in mm, rising.
-    fn candidates_mm(&self, (first, last): (f64, f64)) -> Vec<f64> {
-        let part = |n: u32| first + (last - first) * f64::from(n) / f64::from(CANDIDATES);
-        let mut all: Vec<f64> = (0..=CANDIDATES).map(part).collect();
-        all.extend(self.drive.iter().flat_map(|it| it.points_mm()));
-        all.extend(self.crosses.iter().flat_map(|it| it.kinks_mm()));
+    fn candidate_positions_mm(&self, (first, last): (f64, f64)) -> Vec<f64> {
+        let part = |n: u32| first + (last - first) * f64::from(n) / f64::from(CANDIDATE_COUNT);
+        let mut all: Vec<f64> = (0..=CANDIDATE_COUNT).map(part).collect();
+        all.extend(self.drive.iter().flat_map(|it| it.breakpoints_mm()));
+        all.extend(self.cross_axis_errors.iter().flat_map(|it| it.knot_positions_mm()));
         for angular in self.machine.volume.angular.iter().filter(|it| it.along == self.axis) {
             if let Angle::Curve(spline) = &angular.angle {
                 all.extend(&spline.knots_mm);
@@ -173,46 +175,49 @@ impl Component<'_> {
 pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) {
     let Some(chain) = &machine.volume.chain else {
         let reason = "TwinCAT wants the chain of the axes: write chain = \"w X' b Y Z t\" with yours into [machine]";
-        export.report.leave_out("machine", reason);
+        export.report.add_omitted_section("machine", reason);
         return;
     };
-    let (all_drives, all_crosses) = (drives(machine, options), crosses(machine));
+    let (all_drives, all_crosses) =
+        (collect_drive_errors(machine, options), collect_cross_axis_errors(machine));
     let mut text = format!(
-        "// volumetric compensation of {}: errors, mm and rad over mm\n// {ASSUMED}\n// {TRY}\n",
+        "// volumetric compensation of {}: errors, mm and rad over mm\n// {ASSUMPTIONS}\n// {VERIFICATION_HINT}\n",
         machine.name.escape_default()
     );
     let mut blocks = 0;
     for axis in LinearAxis::ALL {
         let drive = all_drives.iter().find(|it| it.axis == axis && !it.is_second);
-        let crosses = all_crosses.iter().filter(|it| it.along == axis).collect();
-        let component = Component { axis, machine, drive, crosses };
-        let section = component.section();
+        let cross_axis_errors = all_crosses.iter().filter(|it| it.along == axis).collect();
+        let component = ComponentErrors { axis, machine, drive, cross_axis_errors };
+        let section = component.source_sections();
         if section.is_empty() {
             continue;
         }
         if chain.moves_workpiece(axis) {
             let reason = "TwinCAT's description does not say which sign the errors of an axis have that moves the \
                           workpiece; the bridge corrects them";
-            export.report.leave_out(section, reason);
+            export.report.add_omitted_section(section, reason);
             continue;
         }
-        let Some(range) = travel_of(machine, options, axis) else {
-            export
-                .report
-                .leave_out(section, "it needs the travel of its axis: give it with --travel");
+        let Some(range) = axis_travel_mm(machine, options, axis) else {
+            export.report.add_omitted_section(
+                section,
+                "it needs the travel of its axis: give it with --travel",
+            );
             continue;
         };
-        leave_out_directions(&component, export);
+        omit_direction_terms(&component, export);
         blocks += 1;
-        add_block(&component, &section, range, &mut text, export);
+        add_error_table(&component, &section, range, &mut text, export);
     }
     for drive in all_drives.iter().filter(|drive| drive.is_second) {
-        export
-            .report
-            .leave_out(drive.section(), "the kernel gives a slave axis the values of its master");
+        export.report.add_omitted_section(
+            drive.source_sections(),
+            "the kernel gives a slave axis the values of its master",
+        );
     }
-    let lines = add_lines(machine, chain, &mut text, export);
-    leave_out_heat(
+    let lines = add_rotary_axis_lines(machine, chain, &mut text, export);
+    omit_thermal_terms(
         machine,
         &mut export.report,
         "a volumetric compensation has no temperature; the bridge has",
@@ -220,22 +225,24 @@ pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) 
     if blocks == 0 && lines == 0 {
         return;
     }
-    if let Err(rule) = read(&text) {
-        export.report.leave_out("all", format!("it reads back wrong: {rule}"));
+    if let Err(rule) = parse(&text) {
+        export.report.add_omitted_section("all", format!("it reads back wrong: {rule}"));
         return;
     }
-    export.files.push(File { name: CSV.into(), text });
-    export.files.push(File { name: LIST.into(), text: list(chain) });
-    export.report.note("set the logical numbers of the axes in volcomp.lis, and vol_comp[0].max_records to its rows or more");
+    export.files.push(ExportedFile { name: CSV_FILE_NAME.into(), text });
+    export
+        .files
+        .push(ExportedFile { name: LIST_FILE_NAME.into(), text: format_compensation_list(chain) });
+    export.report.add_note("set the logical numbers of the axes in volcomp.lis, and vol_comp[0].max_records to its rows or more");
     export
         .report
-        .note("take the tables of pitch and straightness out of the axes: this file has them");
-    export.report.note(ASSUMED);
-    export.report.note(TRY);
+        .add_note("take the tables of pitch and straightness out of the axes: this file has them");
+    export.report.add_note(ASSUMPTIONS);
+    export.report.add_note(VERIFICATION_HINT);
 }
 
 /// Returns the travel, else as far as angles and curves reach.
-fn travel_of(machine: &Machine, options: &Options, axis: LinearAxis) -> Option<(f64, f64)> {
+fn axis_travel_mm(machine: &Machine, options: &Options, axis: LinearAxis) -> Option<(f64, f64)> {
     let own = machine.axes[axis.index()].travel_mm.map(|[first, last]| (first, last));
     let known = options.travel_mm[axis.index()].or(own);
     let angles = machine.volume.angular.iter().filter(|it| it.along == axis);
@@ -247,55 +254,57 @@ fn travel_of(machine: &Machine, options: &Options, axis: LinearAxis) -> Option<(
     known.or_else(|| reached.reduce(|(a, b), (c, d)| (a.min(c), b.max(d))))
 }
 
-fn leave_out_directions(component: &Component<'_>, export: &mut Export) {
+fn omit_direction_terms(component: &ComponentErrors<'_>, export: &mut Export) {
     let Some(drive) = component.drive else { return };
-    if drive.is_two_way() || drive.backlash_um() != 0.0 {
-        let what = format!("the direction of {}", drive.section());
-        export.report.leave_out(
+    if drive.is_bidirectional() || drive.backlash_um() != 0.0 {
+        let what = format!("the direction of {}", drive.source_sections());
+        export.report.add_omitted_section(
             what,
             "the format has none: the mean of both is written; keep the control's own backlash",
         );
     }
 }
 
-fn add_block(
-    component: &Component<'_>,
+fn add_error_table(
+    component: &ComponentErrors<'_>,
     section: &str,
     range: (f64, f64),
     text: &mut String,
     export: &mut Export,
 ) {
-    let places = component.candidates_mm(range);
-    let values: Vec<[f64; 6]> = places.iter().map(|mm| component.at(*mm)).collect();
+    let places = component.candidate_positions_mm(range);
+    let values: Vec<[f64; 6]> = places.iter().map(|mm| component.evaluate(*mm)).collect();
     let columns: Vec<Vec<f64>> =
         (0..6).map(|n| values.iter().map(|row| row[n]).collect()).collect();
-    let (rows, off_um) = best_rows(&places, &columns, TOLERANCE_UM, MAX_ROWS);
+    let (rows, off_um) = select_breakpoints(&places, &columns, THINNING_TOLERANCE_UM, MAX_ROWS);
     let axis = component.axis.name().to_uppercase();
     let names: Vec<String> =
         ["X", "Y", "Z", "A", "B", "C"].iter().map(|along| format!("E{along}{axis}")).collect();
     let mut block = format!("{axis} {}\n", names.join(" "));
     for row in &rows {
         let [x, y, z, a, b, c] = values[*row];
-        let offset = |um: f64| number(um / 1e3, OFFSET_DECIMALS);
-        let angle = |urad: f64| number(urad / 1e6, ANGLE_DECIMALS);
-        let place = number(places[*row], POSITION_DECIMALS);
+        let offset = |um: f64| format_number(um / 1e3, OFFSET_DECIMALS);
+        let angle = |urad: f64| format_number(urad / 1e6, ANGLE_DECIMALS);
+        let place = format_number(places[*row], POSITION_DECIMALS);
         let (offsets, angles) = ([x, y, z].map(offset).join(" "), [a, b, c].map(angle).join(" "));
         writeln!(block, "{place} {offsets} {angles}").expect("a string takes everything");
     }
     let mut largest = Difference::NONE;
-    if let Ok(read) = read(&block) {
+    if let Ok(read) = parse(&block) {
         for (mm, row) in places.iter().zip(&values) {
             for (n, name) in names.iter().enumerate() {
                 let per_unit = if n < 3 { 1e3 } else { 1e6 };
                 let back = read.value(name, *mm).map_or(f64::NAN, |value| value * per_unit);
-                largest.take(back - row[n], || format!("{axis} {} mm, {name}", number(*mm, 3)));
+                largest.update_max(back - row[n], || {
+                    format!("{axis} {} mm, {name}", format_number(*mm, 3))
+                });
             }
         }
     }
     text.push_str("#\n");
     text.push_str(&block);
     export.report.tables.push(ExportedTable {
-        file: CSV.into(),
+        file: CSV_FILE_NAME.into(),
         name: format!("component errors of {axis}, angles at a lever of 1 m"),
         section: section.into(),
         points: rows.len(),
@@ -308,34 +317,39 @@ fn add_block(
 }
 
 /// Writes the tool tip and the lines of the rotary axes. Returns how many of these are off.
-fn add_lines(machine: &Machine, chain: &Chain, text: &mut String, export: &mut Export) -> usize {
-    let tip = machine.volume.tool.tip_mm(machine.tool_direction);
+fn add_rotary_axis_lines(
+    machine: &Machine,
+    chain: &Chain,
+    text: &mut String,
+    export: &mut Export,
+) -> usize {
+    let tip = machine.volume.tool.tip_offset_mm(machine.tool_direction);
     let mut entries: Vec<(String, String)> = Vec::new();
     for (axis, mm) in ["X", "Y", "Z"].iter().zip(tip) {
-        entries.push((format!("P0{axis}"), number(mm, POSITION_DECIMALS)));
+        entries.push((format!("P0{axis}"), format_number(mm, POSITION_DECIMALS)));
     }
     let mut lines = 0;
-    for axis in chain.rotary() {
+    for axis in chain.rotary_axes() {
         let letter = axis.name().to_uppercase();
-        for (along, mm) in ["X", "Y", "Z"].iter().zip(machine.volume.line_mm(axis)) {
-            entries.push((format!("P{along}{letter}"), number(mm, POSITION_DECIMALS)));
+        for (along, mm) in ["X", "Y", "Z"].iter().zip(machine.volume.axis_line_point_mm(axis)) {
+            entries.push((format!("P{along}{letter}"), format_number(mm, POSITION_DECIMALS)));
         }
-        let off = machine.volume.rotary.iter().find(|it| it.axis == axis && !it.is_right());
+        let off = machine.volume.rotary.iter().find(|it| it.axis == axis && !it.is_error_free());
         let Some(off) = off else { continue };
         if chain.table.contains(&axis) {
             let reason = "TwinCAT's description does not say which sign the errors of an axis have that turns the \
                           workpiece; the bridge corrects them";
-            export.report.leave_out(format!("rotary.{}", axis.name()), reason);
+            export.report.add_omitted_section(format!("rotary.{}", axis.name()), reason);
             continue;
         }
         lines += 1;
         for (along, um) in LinearAxis::ALL.into_iter().zip(off.shift_um) {
             let along = along.name().to_uppercase();
-            entries.push((format!("{along}0{letter}"), number(um / 1e3, OFFSET_DECIMALS)));
+            entries.push((format!("{along}0{letter}"), format_number(um / 1e3, OFFSET_DECIMALS)));
         }
         for (about, urad) in RotaryAxis::ALL.into_iter().zip(off.tilt_urad) {
             let about = about.name().to_uppercase();
-            entries.push((format!("{about}0{letter}"), number(urad / 1e6, ANGLE_DECIMALS)));
+            entries.push((format!("{about}0{letter}"), format_number(urad / 1e6, ANGLE_DECIMALS)));
         }
     }
     let (names, values): (Vec<String>, Vec<String>) = entries.into_iter().unzip();
@@ -345,7 +359,7 @@ fn add_lines(machine: &Machine, chain: &Chain, text: &mut String, export: &mut E
 }
 
 /// Returns the compensation list: the axes from the workpiece to the tool, and the file.
-fn list(chain: &Chain) -> String {
+fn format_compensation_list(chain: &Chain) -> String {
     let letters = |axis: &str| axis.to_uppercase();
     let table = chain.table.iter().rev().map(|axis| letters(axis.name()));
     let linear = chain.linear.iter().map(|axis| letters(axis.name()));
@@ -357,7 +371,7 @@ fn list(chain: &Chain) -> String {
     for (number, axis) in (1..).zip(&all) {
         writeln!(text, "{axis} {number}").expect("a string takes everything");
     }
-    writeln!(text, "interpolation GRID\nfile[0] {CSV}\nfile_format[0] ISG_CSV")
+    writeln!(text, "interpolation GRID\nfile[0] {CSV_FILE_NAME}\nfile_format[0] ISG_CSV")
         .expect("a string takes everything");
     text
 }

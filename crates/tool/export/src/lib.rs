@@ -19,27 +19,27 @@
 //!
 //! The terms that a diagnosis has added are exported with what they add to: along an axis (scale,
 //! table, periodic, backlash), across one, and the constants that they correct. Those that change
-//! while the machine runs are left out.
+//! while the machine runs are omitted.
 //!
-//! A part that a control cannot hold is left out with the reason, or thinned to its limit with the loss
+//! A part that a control cannot hold is omitted with the reason, or thinned to its limit with the loss
 //! stated: never in silence.
 #![forbid(unsafe_code)]
 
-mod course;
+mod axis_errors;
 pub mod fanuc;
 mod grid;
 pub mod heidenhain;
 pub mod isg;
 pub mod linuxcnc;
+mod number_format;
 pub mod report;
 pub mod siemens;
-mod text;
 
 use std::{borrow::Cow, collections::BTreeMap, error::Error, fmt};
 
-use trueup_machine::{Machine, model::corrected};
+use trueup_machine::{Machine, model::apply_constant_terms};
 
-pub use report::{Approach, Difference, ExportedTable, Omitted, Report};
+pub use report::{Approach, Difference, ExportedTable, OmittedSection, Report};
 
 /// The control that is exported to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,7 +76,7 @@ impl Format {
 
 /// The unit of length in the files.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Units {
+pub enum LengthUnit {
     /// Millimetres.
     #[default]
     Millimetres,
@@ -84,10 +84,10 @@ pub enum Units {
     Inches,
 }
 
-impl Units {
+impl LengthUnit {
     /// Returns how many millimetres one of it is.
     #[must_use]
-    pub fn mm(self) -> f64 {
+    pub fn mm_per_unit(self) -> f64 {
         match self {
             Self::Millimetres => 1.0,
             Self::Inches => 25.4,
@@ -108,7 +108,7 @@ impl Units {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
     /// The control's unit of length (Siemens, LinuxCNC; FANUC and HEIDENHAIN are written in mm).
-    pub units: Units,
+    pub units: LengthUnit,
     /// The reference points of X, Y and Z, in mm: where Siemens and FANUC want a value of 0.
     pub reference_mm: [f64; 3],
     /// The travel of X, Y and Z, in mm; `None`: as far as the model's tables and knots reach.
@@ -131,7 +131,7 @@ pub struct Options {
 impl Default for Options {
     fn default() -> Self {
         Self {
-            units: Units::Millimetres,
+            units: LengthUnit::Millimetres,
             reference_mm: [0.0; 3],
             travel_mm: [None; 3],
             tolerance_um: 0.1,
@@ -146,7 +146,7 @@ impl Default for Options {
 
 /// A file for the control.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct File {
+pub struct ExportedFile {
     /// Its name, without a folder.
     pub name: String,
     /// Its whole text, ASCII.
@@ -157,21 +157,21 @@ pub struct File {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Export {
     /// The files for the control, in the order in which they are loaded.
-    pub files: Vec<File>,
+    pub files: Vec<ExportedFile>,
     /// The report on their content, and how well it fits the model.
     pub report: Report,
 }
 
 /// Nothing of the model can be held by the control.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Refused {
+pub struct ExportError {
     /// The control that cannot hold it.
     pub format: Format,
     /// The sections of the model, each with the reason; empty where the model has none.
-    pub left_out: Vec<Omitted>,
+    pub left_out: Vec<OmittedSection>,
 }
 
-impl fmt::Display for Refused {
+impl fmt::Display for ExportError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let name = self.format.name();
         if self.left_out.is_empty() {
@@ -180,31 +180,31 @@ impl fmt::Display for Refused {
         write!(f, "nothing of the model can be held by {name}")?;
         self.left_out
             .iter()
-            .try_for_each(|Omitted { section, reason }| write!(f, "; {section}: {reason}"))
+            .try_for_each(|OmittedSection { section, reason }| write!(f, "; {section}: {reason}"))
     }
 }
 
-impl Error for Refused {}
+impl Error for ExportError {}
 
 /// Exports `machine` to `format`, and reads it back.
 ///
 /// # Errors
 /// Nothing of the model can be held.
-pub fn export(machine: &Machine, format: Format, options: &Options) -> Result<Export, Refused> {
+pub fn export(machine: &Machine, format: Format, options: &Options) -> Result<Export, ExportError> {
     // Some terms of a diagnosis say which constants of the model are right.
-    let (machine, _) = corrected(Cow::Borrowed(machine));
+    let (machine, _) = apply_constant_terms(Cow::Borrowed(machine));
     let mut machine = machine.into_owned();
     // A table of a control goes by position and direction, not by feed.
     machine.terms.iter_mut().for_each(|term| term.effect = term.effect.without_feed());
     let machine = &machine;
     let mut export =
         Export { files: Vec::new(), report: Report::new(format, &machine.name, options) };
-    let mut left_out = course::terms_left_out(machine, options);
+    let mut left_out = axis_errors::unsupported_terms(machine, options);
     if format != Format::Isg {
-        left_out.extend(course::volume_left_out(machine, format));
+        left_out.extend(axis_errors::unsupported_volume_terms(machine, format));
     }
     for (section, reason) in left_out {
-        export.report.leave_out(section, reason);
+        export.report.add_omitted_section(section, reason);
     }
     match format {
         Format::Siemens840d => siemens::export(machine, options, &mut export),
@@ -214,7 +214,7 @@ pub fn export(machine: &Machine, format: Format, options: &Options) -> Result<Ex
         Format::Isg => isg::export(machine, options, &mut export),
     }
     if export.files.is_empty() {
-        return Err(Refused { format, left_out: export.report.left_out });
+        return Err(ExportError { format, left_out: export.report.left_out });
     }
     Ok(export)
 }

@@ -10,20 +10,22 @@
 //! `100 -0.002 -0.007`.
 //!
 //! The loader stops at the first line that is not three numbers and still reports success, so the
-//! file has no header, no comment and no empty line; [`read`] refuses what the loader would skip.
-//! The real LinuxCNC is asked in `host-tests/tests/linuxcnc_comp.rs`: what it adds is within
-//! 0.0004 µm of what [`Compensation::trim`] says.
+//! file has no header, no comment and no empty line; [`parse`] refuses what the loader would skip.
+//! The real LinuxCNC is compared in `host-tests/tests/linuxcnc_comp.rs`: what it adds is within
+//! 0.0004 µm of what [`CompensationTable::trim`] says.
 
 use std::fmt::Write as _;
 
 use trueup_machine::{Machine, file::LinearAxis};
 
 use crate::{
-    Export, ExportedTable, File, Options, Report,
-    course::{Drive, crosses, drives},
-    grid::{best_rows, interpolated, largest_difference, probes_mm},
+    Export, ExportedFile, ExportedTable, Options, Report,
+    axis_errors::{DriveError, collect_cross_axis_errors, collect_drive_errors},
+    grid::{
+        comparison_positions_mm, find_largest_residual, interpolate_linear, select_breakpoints,
+    },
+    number_format::format_number,
     report::Approach,
-    text::number,
 };
 
 /// The most lines that the motion controller stores for a joint.
@@ -33,7 +35,7 @@ const DECIMALS: usize = 8;
 
 /// A compensation file as the motion controller holds it.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Compensation {
+pub struct CompensationTable {
     /// Nominal position and trim, in machine units, for positive speeds.
     forward: Vec<(f64, f64)>,
     /// The same for negative speeds.
@@ -45,8 +47,8 @@ pub struct Compensation {
 /// # Errors
 /// A line that is not three numbers, a nominal position that does not rise, or more than
 /// [`MAX_LINES`]: the loader would stop there, and the machine would cut with half a table.
-pub fn read(text: &str) -> Result<Compensation, String> {
-    let mut read = Compensation { forward: Vec::new(), reverse: Vec::new() };
+pub fn parse(text: &str) -> Result<CompensationTable, String> {
+    let mut read = CompensationTable { forward: Vec::new(), reverse: Vec::new() };
     for (index, line) in text.lines().enumerate() {
         let line_number = index + 1;
         let numbers: Vec<f64> =
@@ -66,39 +68,39 @@ pub fn read(text: &str) -> Result<Compensation, String> {
     Ok(read)
 }
 
-impl Compensation {
+impl CompensationTable {
     /// Returns what is added to the joint's command, in machine units.
     #[must_use]
     pub fn trim(&self, position: f64, approach: Approach) -> f64 {
         match approach {
-            Approach::Positive => interpolated(&self.forward, position),
-            Approach::Negative => interpolated(&self.reverse, position),
+            Approach::Positive => interpolate_linear(&self.forward, position),
+            Approach::Negative => interpolate_linear(&self.reverse, position),
         }
     }
 }
 
 pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) {
-    for drive in drives(machine, options) {
+    for drive in collect_drive_errors(machine, options) {
         export_drive(&drive, options, export);
     }
-    leave_out(machine, &mut export.report);
+    omit_unsupported(machine, &mut export.report);
     if !export.files.is_empty() {
-        export.report.note(
+        export.report.add_note(
             "set COMP_FILE and COMP_FILE_TYPE = 1 in [JOINT_n], and remove BACKLASH there: the \
              file takes its place",
         );
-        export.report.note(format!(
+        export.report.add_note(format!(
             "LINEAR_UNITS must be {}; nothing is corrected before the first move tells a direction",
             options.units.name()
         ));
     }
 }
 
-fn export_drive(drive: &Drive<'_>, options: &Options, export: &mut Export) {
-    if drive.is_flat() && drive.error_um(0.0, Approach::Positive) == 0.0 {
+fn export_drive(drive: &DriveError<'_>, options: &Options, export: &mut Export) {
+    if drive.is_constant() && drive.error_um(0.0, Approach::Positive) == 0.0 {
         return;
     }
-    let mut positions_mm = drive.points_mm();
+    let mut positions_mm = drive.breakpoints_mm();
     if positions_mm.is_empty() {
         // One line holds everywhere.
         positions_mm.push(0.0);
@@ -112,7 +114,7 @@ fn export_drive(drive: &Drive<'_>, options: &Options, export: &mut Export) {
         ((0..positions_mm.len()).collect(), 0.0)
     } else {
         let tolerance_um = if drive.is_curved() { options.tolerance_um / 2.0 } else { 0.0 };
-        best_rows(&positions_mm, &columns, tolerance_um, most)
+        select_breakpoints(&positions_mm, &columns, tolerance_um, most)
     };
     let is_lost = !keeps_all && (!drive.is_curved() || off_um > options.tolerance_um);
     let loss = is_lost.then(|| {
@@ -123,33 +125,36 @@ fn export_drive(drive: &Drive<'_>, options: &Options, export: &mut Export) {
             rows.len()
         )
     });
-    let unit_mm = options.units.mm();
+    let unit_mm = options.units.mm_per_unit();
     let mut text = String::new();
     for &row in &rows {
         let [forward, reverse] =
-            [0, 1].map(|column| number(-columns[column][row] / 1000.0 / unit_mm, DECIMALS));
-        let nominal = number(positions_mm[row] / unit_mm, DECIMALS);
+            [0, 1].map(|column| format_number(-columns[column][row] / 1000.0 / unit_mm, DECIMALS));
+        let nominal = format_number(positions_mm[row] / unit_mm, DECIMALS);
         // Writing to a string cannot fail.
         let _ = writeln!(text, "{nominal} {forward} {reverse}");
     }
     let name = format!("{}.comp", drive.name());
-    let back = match read(&text) {
+    let back = match parse(&text) {
         Ok(back) => back,
         Err(rule) => {
-            export.report.leave_out(drive.section(), format!("LinuxCNC would not load it: {rule}"));
+            export.report.add_omitted_section(
+                drive.source_sections(),
+                format!("LinuxCNC would not load it: {rule}"),
+            );
             return;
         }
     };
     let range = (positions_mm[0], positions_mm[positions_mm.len() - 1]);
-    let largest = largest_difference(
-        &probes_mm(range, &positions_mm, drive.is_held()),
+    let largest = find_largest_residual(
+        &comparison_positions_mm(range, &positions_mm, drive.has_constant_extrapolation()),
         |mm, approach| drive.error_um(mm, approach),
         |mm, approach| back.trim(mm / unit_mm, approach) * unit_mm * 1000.0,
     );
     export.report.tables.push(ExportedTable {
         file: name.clone(),
         name: format!("COMP_FILE of the joint of {}", drive.name()),
-        section: drive.section(),
+        section: drive.source_sections(),
         points: rows.len(),
         range,
         spacing: None,
@@ -158,33 +163,37 @@ fn export_drive(drive: &Drive<'_>, options: &Options, export: &mut Export) {
         loss,
     });
     if drive.is_second {
-        export.report.note(format!(
+        export.report.add_note(format!(
             "{name} is for the joint of the second drive of {}: the beam itself shares the error \
              out between the two",
             drive.axis.name()
         ));
     }
-    export.files.push(File { name, text });
+    export.files.push(ExportedFile { name, text });
 }
 
-fn leave_out(machine: &Machine, report: &mut Report) {
-    for cross in crosses(machine) {
+fn omit_unsupported(machine: &Machine, report: &mut Report) {
+    for cross in collect_cross_axis_errors(machine) {
         let reason =
             "LinuxCNC's tables correct a joint by its own position only; the bridge corrects this";
-        report.leave_out(cross.section(), reason);
+        report.add_omitted_section(cross.source_sections(), reason);
     }
-    leave_out_heat(machine, report, "LinuxCNC has no compensation by temperature; the bridge has");
+    omit_thermal_terms(
+        machine,
+        report,
+        "LinuxCNC has no compensation by temperature; the bridge has",
+    );
 }
 
 /// The parts of the model that change while the machine runs, for controls with nothing for them.
-pub(crate) fn leave_out_heat(machine: &Machine, report: &mut Report, reason: &str) {
+pub(crate) fn omit_thermal_terms(machine: &Machine, report: &mut Report, reason: &str) {
     for axis in LinearAxis::ALL {
         if machine.axes[axis.index()].thermal.is_some() {
-            report.leave_out(format!("axis.{}.thermal", axis.name()), reason);
+            report.add_omitted_section(format!("axis.{}.thermal", axis.name()), reason);
         }
     }
     if let Some(source) = machine.spindle.source {
-        report.leave_out(format!("spindle.{}", source.name()), reason);
+        report.add_omitted_section(format!("spindle.{}", source.name()), reason);
     }
 }
 
@@ -200,16 +209,16 @@ mod tests {
             ("0 0\n", "line 1 is not three numbers"),
             ("0 0 0\n0 1 1\n", "line 2: 0 does not rise"),
         ] {
-            assert!(read(text).is_err_and(|error| error.starts_with(rule)), "{text:?}");
+            assert!(parse(text).is_err_and(|error| error.starts_with(rule)), "{text:?}");
         }
         let lines = |n: usize| (0..n).map(|k| format!("{k} 0 0\n")).collect::<String>();
-        assert!(read(&lines(256)).is_ok());
-        assert_eq!(read(&lines(257)), Err("more than 256 lines".to_string()));
+        assert!(parse(&lines(256)).is_ok());
+        assert_eq!(parse(&lines(257)), Err("more than 256 lines".to_string()));
     }
 
     #[test]
     fn the_direction_chooses_the_column_and_the_ends_hold() {
-        let read = read("0 0.001 0.004\n100 0.003 -0.002\n").unwrap();
+        let read = parse("0 0.001 0.004\n100 0.003 -0.002\n").unwrap();
         for (mm, forward, reverse) in
             [(-50.0, 0.001, 0.004), (50.0, 0.002, 0.001), (150.0, 0.003, -0.002)]
         {

@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Display};
 
-use crate::{Format, Options, text::number};
+use crate::{Format, Options, number_format::format_number};
 
 /// The direction in which a position is approached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,7 +27,7 @@ impl Approach {
     }
 }
 
-/// Where what the control corrects differs most from what the model asks for.
+/// Where what the control corrects differs most from what the model requires.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Difference {
     /// The difference in µm, at least 0.
@@ -40,7 +40,7 @@ impl Difference {
     pub(crate) const NONE: Self = Self { um: 0.0, at: String::new() };
 
     /// Keeps the larger one. NaN is the largest of all.
-    pub(crate) fn take(&mut self, difference_um: f64, at: impl FnOnce() -> String) {
+    pub(crate) fn update_max(&mut self, difference_um: f64, at: impl FnOnce() -> String) {
         let um = if difference_um.is_nan() { f64::INFINITY } else { difference_um.abs() };
         if um > self.um || self.at.is_empty() {
             *self = Self { um, at: at() };
@@ -76,7 +76,7 @@ pub struct ExportedTable {
 
 /// A section of the model that the control cannot hold.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Omitted {
+pub struct OmittedSection {
     /// Its name in the machine file.
     pub section: String,
     /// Why the control cannot hold it, as a sentence.
@@ -95,7 +95,7 @@ pub struct Report {
     /// One entry a table.
     pub tables: Vec<ExportedTable>,
     /// Sections that the control cannot hold.
-    pub left_out: Vec<Omitted>,
+    pub left_out: Vec<OmittedSection>,
     /// Settings to be made by hand, and assumptions.
     pub notes: Vec<String>,
 }
@@ -112,23 +112,27 @@ impl Report {
         }
     }
 
-    pub(crate) fn leave_out(&mut self, section: impl Into<String>, reason: impl Into<String>) {
-        self.left_out.push(Omitted { section: section.into(), reason: reason.into() });
+    pub(crate) fn add_omitted_section(
+        &mut self,
+        section: impl Into<String>,
+        reason: impl Into<String>,
+    ) {
+        self.left_out.push(OmittedSection { section: section.into(), reason: reason.into() });
     }
 
-    pub(crate) fn note(&mut self, note: impl Into<String>) {
+    pub(crate) fn add_note(&mut self, note: impl Into<String>) {
         self.notes.push(note.into());
     }
 
-    /// Returns whether the control holds the whole model: nothing was left out, and nothing lost but its rounding.
+    /// Returns whether the control holds the whole model: nothing was omitted, and nothing lost but its rounding.
     #[must_use]
-    pub fn is_whole(&self) -> bool {
+    pub fn is_complete(&self) -> bool {
         self.left_out.is_empty() && self.tables.iter().all(|table| table.loss.is_none())
     }
 
     /// Returns the largest difference of all tables, in µm.
     #[must_use]
-    pub fn largest_um(&self) -> f64 {
+    pub fn max_difference_um(&self) -> f64 {
         self.tables.iter().map(|table| table.largest.um).fold(0.0, f64::max)
     }
 }
@@ -138,14 +142,20 @@ impl Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { machine, options, .. } = self;
         writeln!(f, "export of \"{}\" to {}", machine.escape_debug(), self.format.name())?;
-        let [x, y, z] = options.reference_mm.map(|mm| number(mm, 6));
+        let [x, y, z] = options.reference_mm.map(|mm| format_number(mm, 6));
         writeln!(f, "reference point: x {x}, y {y}, z {z} mm; unit {}", options.units.name())?;
         for table in &self.tables {
             let (first, last) = table.range;
             writeln!(f, "\n{} {}: {}", table.file, table.name, table.section)?;
-            write!(f, "  {} points, {} to {}", table.points, number(first, 6), number(last, 6))?;
+            write!(
+                f,
+                "  {} points, {} to {}",
+                table.points,
+                format_number(first, 6),
+                format_number(last, 6)
+            )?;
             if let Some(spacing) = table.spacing {
-                write!(f, ", {} apart", number(spacing, 6))?;
+                write!(f, ", {} apart", format_number(spacing, 6))?;
             }
             writeln!(f)?;
             if table.constant_um != 0.0 {
@@ -159,7 +169,7 @@ impl Display for Report {
         }
         if !self.left_out.is_empty() {
             writeln!(f, "\nnot exported:")?;
-            for Omitted { section, reason } in &self.left_out {
+            for OmittedSection { section, reason } in &self.left_out {
                 writeln!(f, "  {section}: {reason}")?;
             }
         }
@@ -167,6 +177,6 @@ impl Display for Report {
             writeln!(f, "\nto know and to do:")?;
             self.notes.iter().try_for_each(|note| writeln!(f, "  {note}"))?;
         }
-        write!(f, "\nlargest difference of all: {:.4} µm", self.largest_um())
+        write!(f, "\nlargest difference of all: {:.4} µm", self.max_difference_um())
     }
 }

@@ -23,21 +23,21 @@
 //! smaller controls have less, `--max-points 200` for an 828D.
 
 mod compare;
-mod heat;
-mod read;
+mod read_back;
+mod thermal;
 
 use std::collections::BTreeMap;
 
 use trueup_machine::{Machine, file::LinearAxis};
 
-pub use read::{Lookup, Variables};
+pub use read_back::{LookupTable, Variables};
 
 use crate::{
-    Export, File, Options, Units,
-    course::{Cross, Drive, crosses, drives},
+    Export, ExportedFile, LengthUnit, Options,
+    axis_errors::{CrossAxisError, DriveError, collect_cross_axis_errors, collect_drive_errors},
     grid::Grid,
+    number_format::format_number,
     report::Approach,
-    text::number,
 };
 
 /// The most points of an encoder table.
@@ -45,18 +45,18 @@ pub(crate) const MAX_EEC_POINTS: usize = 5000;
 /// The most points of a cross-axis table.
 pub(crate) const MAX_CEC_POINTS: usize = 2000;
 /// Steps are whole multiples of this, in mm.
-const STEP_MM: f64 = 1e-4;
+const POSITION_INCREMENT_MM: f64 = 1e-4;
 
 /// Decimals of values and positions: 1 nm, and 2.5 nm in inches.
-fn decimals(units: Units) -> usize {
+fn decimal_places(units: LengthUnit) -> usize {
     match units {
-        Units::Millimetres => 6,
-        Units::Inches => 7,
+        LengthUnit::Millimetres => 6,
+        LengthUnit::Inches => 7,
     }
 }
 
 /// Returns the machine axis of a drive: AX1, AX2, AX3 for X, Y, Z, then the second drives.
-fn machine_axis(machine: &Machine, axis: LinearAxis, is_second: bool) -> String {
+fn machine_axis_name(machine: &Machine, axis: LinearAxis, is_second: bool) -> String {
     if !is_second {
         return format!("AX{}", axis.index() + 1);
     }
@@ -68,7 +68,7 @@ fn machine_axis(machine: &Machine, axis: LinearAxis, is_second: bool) -> String 
 
 /// The files as they grow.
 #[derive(Default)]
-struct Files {
+struct FileContents {
     eec: String,
     cec: String,
     cec_tables: usize,
@@ -79,60 +79,61 @@ struct Files {
 }
 
 pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) {
-    let mut files = Files::default();
+    let mut files = FileContents::default();
     let mut planned = Vec::new();
-    for drive in drives(machine, options) {
-        if drive.is_flat() {
+    for drive in collect_drive_errors(machine, options) {
+        if drive.is_constant() {
             let um = drive.error_um(0.0, Approach::Positive);
-            export.report.note(format!(
+            export.report.add_note(format!(
                 "{}: the same {um:+.3} µm everywhere is a shift of the zero, nothing to correct",
-                drive.section()
+                drive.source_sections()
             ));
             continue;
         }
-        planned.push(write_drive(machine, options, &drive, &mut files));
+        planned.push(write_drive_table(machine, options, &drive, &mut files));
     }
-    for cross in crosses(machine).iter().flat_map(Cross::apart) {
-        match write_cross(machine, options, &cross, &mut files) {
+    for cross in collect_cross_axis_errors(machine).iter().flat_map(CrossAxisError::separate_terms)
+    {
+        match write_cross_axis_table(machine, options, &cross, &mut files) {
             Some(plan) => planned.push(plan),
             None => {
                 let along = cross.along.name();
                 let reason = format!("an angle needs the travel of {along}: give it with --travel");
-                export.report.leave_out(cross.section(), reason);
+                export.report.add_omitted_section(cross.source_sections(), reason);
             }
         }
     }
     let has_tables = !planned.is_empty();
-    finish(options, files, export);
+    write_files(options, files, export);
     let read = |name: &str, export: &Export| {
         let file = export.files.iter().find(|file| file.name == name);
-        file.map_or_else(|| Ok(Variables::default()), |file| Variables::read(&file.text))
+        file.map_or_else(|| Ok(Variables::default()), |file| Variables::parse(&file.text))
     };
     let tables = ["AX_EEC.INI", "NC_CEC.INI", "ENABLE.INI"].map(|name| read(name, export));
     for plan in planned {
         compare::compare(machine, options, &plan, &tables, export);
     }
-    heat::export(machine, options, export);
+    thermal::export(machine, options, export);
     if has_tables {
-        export.report.note(
+        export.report.add_note(
             "load MEMORY.INI and power on (it re-formats the memory: save the NC first), then the \
              tables with MD32700 = 0 and MD32710 = 0, then ENABLE.INI, power on, reference",
         );
-        export.report.note(
+        export.report.add_note(
             "the backlash and the tables of two directions suit an axis that is referenced in the \
              positive direction",
         );
     }
     if !export.files.is_empty() {
-        let second = drives(machine, options).iter().any(|drive| drive.is_second);
+        let second = collect_drive_errors(machine, options).iter().any(|drive| drive.is_second);
         let more = if second { ", the second drives of gantries AX4 and up" } else { "" };
-        export.report.note(format!("X, Y, Z are the machine axes AX1, AX2, AX3{more}"));
+        export.report.add_note(format!("X, Y, Z are the machine axes AX1, AX2, AX3{more}"));
     }
 }
 
 /// A part that is written, to be compared once it is read back.
-struct Plan<'m> {
-    part: Part<'m>,
+struct PlannedTable<'m> {
+    part: ModelPart<'m>,
     grid: Grid,
     constant_um: f64,
     /// The indices of its CEC tables; none for an encoder table or a backlash.
@@ -140,24 +141,24 @@ struct Plan<'m> {
     was_thinned: bool,
 }
 
-enum Part<'m> {
-    Drive(Drive<'m>),
-    Cross(Cross<'m>),
+enum ModelPart<'m> {
+    Drive(DriveError<'m>),
+    CrossAxisError(CrossAxisError<'m>),
 }
 
-fn write_drive<'m>(
+fn write_drive_table<'m>(
     machine: &'m Machine,
     options: &Options,
-    drive: &Drive<'m>,
-    files: &mut Files,
-) -> Plan<'m> {
-    let axis = machine_axis(machine, drive.axis, drive.is_second);
+    drive: &DriveError<'m>,
+    files: &mut FileContents,
+) -> PlannedTable<'m> {
+    let axis = machine_axis_name(machine, drive.axis, drive.is_second);
     let reference_mm = options.reference_mm[drive.axis.index()];
     let constant_um = drive.error_um(reference_mm, Approach::Positive);
-    let most = if drive.is_two_way() { MAX_CEC_POINTS } else { MAX_EEC_POINTS };
+    let most = if drive.is_bidirectional() { MAX_CEC_POINTS } else { MAX_EEC_POINTS };
     let most = options.most_points.unwrap_or(most).clamp(2, most);
-    let points_mm = drive.points_mm();
-    let (grid, was_thinned) = match (drive.only_table(), &points_mm[..]) {
+    let points_mm = drive.breakpoints_mm();
+    let (grid, was_thinned) = match (drive.single_table(), &points_mm[..]) {
         (Some(pitch), _) if pitch.forward_um.len() <= most => {
             // A table of one point holds everywhere; a control's table has two ends.
             let points = pitch.forward_um.len().max(2);
@@ -168,7 +169,13 @@ fn write_drive<'m>(
             let grids = Approach::BOTH.map(|approach| {
                 let error_um = |mm| drive.error_um(mm, approach);
                 let tolerance_um = options.tolerance_um / 2.0;
-                Grid::over((*first, *last), STEP_MM, tolerance_um, most, error_um)
+                Grid::with_tolerance(
+                    (*first, *last),
+                    POSITION_INCREMENT_MM,
+                    tolerance_um,
+                    most,
+                    error_um,
+                )
             });
             let [a, b] = grids;
             let grid = if a.points < b.points { b } else { a };
@@ -178,7 +185,7 @@ fn write_drive<'m>(
     };
     let mut cec = Vec::new();
     let error_um = |mm: f64, approach| drive.error_um(mm, approach) - constant_um;
-    if drive.is_two_way() {
+    if drive.is_bidirectional() {
         for approach in Approach::BOTH {
             let table = CecTable { input: &axis, output: &axis, approach: Some(approach), grid };
             cec.push(files.write_cec(options, &table, |mm| error_um(mm, approach)));
@@ -194,34 +201,41 @@ fn write_drive<'m>(
             files.write_eec(options, &axis, grid, |mm| error_um(mm, Approach::Positive));
         }
         if drive.backlash_um() != 0.0 {
-            let mm = drive.backlash_um() / 1000.0 / options.units.mm();
-            let mm = number(mm, decimals(options.units));
-            push(&mut files.enable, &format!("$MA_BACKLASH[0,{axis}]={mm}"));
+            let mm = drive.backlash_um() / 1000.0 / options.units.mm_per_unit();
+            let mm = format_number(mm, decimal_places(options.units));
+            push_line(&mut files.enable, &format!("$MA_BACKLASH[0,{axis}]={mm}"));
         }
     }
-    Plan { part: Part::Drive(drive.clone()), grid, constant_um, cec, was_thinned }
+    PlannedTable { part: ModelPart::Drive(drive.clone()), grid, constant_um, cec, was_thinned }
 }
 
-fn write_cross<'m>(
+fn write_cross_axis_table<'m>(
     machine: &'m Machine,
     options: &Options,
-    cross: &Cross<'m>,
-    files: &mut Files,
-) -> Option<Plan<'m>> {
+    cross: &CrossAxisError<'m>,
+    files: &mut FileContents,
+) -> Option<PlannedTable<'m>> {
     let range_mm = cross.range_mm(machine, options)?;
     let constant_um = cross.error_um(options.reference_mm[cross.along.index()]);
     let error_um = |mm| cross.error_um(mm) - constant_um;
     let most = options.most_points.unwrap_or(MAX_CEC_POINTS).clamp(2, MAX_CEC_POINTS);
     // Half of the tolerance is left for the rounding.
-    let grid = Grid::over(range_mm, STEP_MM, options.tolerance_um / 2.0, most, error_um);
-    let [input, output] = [cross.along, cross.error].map(|axis| machine_axis(machine, axis, false));
+    let grid = Grid::with_tolerance(
+        range_mm,
+        POSITION_INCREMENT_MM,
+        options.tolerance_um / 2.0,
+        most,
+        error_um,
+    );
+    let [input, output] =
+        [cross.along, cross.error].map(|axis| machine_axis_name(machine, axis, false));
     let table = CecTable { input: &input, output: &output, approach: None, grid };
     let index = files.write_cec(options, &table, error_um);
     let largest = grid.positions_mm().into_iter().map(|mm| error_um(mm).abs());
     *files.cec_sum_um.entry(output).or_default() += largest.fold(0.0, f64::max);
     let was_thinned = grid.points == most;
-    Some(Plan {
-        part: Part::Cross(cross.clone()),
+    Some(PlannedTable {
+        part: ModelPart::CrossAxisError(cross.clone()),
         grid,
         constant_um,
         cec: vec![index],
@@ -237,12 +251,12 @@ struct CecTable<'a> {
     grid: Grid,
 }
 
-fn push(text: &mut String, line: &str) {
+fn push_line(text: &mut String, line: &str) {
     text.push_str(line);
     text.push('\n');
 }
 
-impl Files {
+impl FileContents {
     fn write_eec(
         &mut self,
         options: &Options,
@@ -250,17 +264,17 @@ impl Files {
         grid: Grid,
         error_um: impl Fn(f64) -> f64,
     ) {
-        let points = points(options, grid, error_um);
+        let points = format_table(options, grid, error_um);
         for (index, value) in points.values.iter().enumerate() {
-            push(&mut self.eec, &format!("$AA_ENC_COMP[0,{index},{axis}]={value}"));
+            push_line(&mut self.eec, &format!("$AA_ENC_COMP[0,{index},{axis}]={value}"));
         }
-        push(&mut self.eec, &format!("$AA_ENC_COMP_STEP[0,{axis}]={}", points.step));
-        push(&mut self.eec, &format!("$AA_ENC_COMP_MIN[0,{axis}]={}", points.min));
-        push(&mut self.eec, &format!("$AA_ENC_COMP_MAX[0,{axis}]={}", points.max));
-        push(&mut self.eec, &format!("$AA_ENC_COMP_IS_MODULO[0,{axis}]=0"));
+        push_line(&mut self.eec, &format!("$AA_ENC_COMP_STEP[0,{axis}]={}", points.step));
+        push_line(&mut self.eec, &format!("$AA_ENC_COMP_MIN[0,{axis}]={}", points.min));
+        push_line(&mut self.eec, &format!("$AA_ENC_COMP_MAX[0,{axis}]={}", points.max));
+        push_line(&mut self.eec, &format!("$AA_ENC_COMP_IS_MODULO[0,{axis}]=0"));
         let memory = format!("$MA_MM_ENC_COMP_MAX_POINTS[0,{axis}]={}", grid.points);
-        push(&mut self.memory, &memory);
-        push(&mut self.enable, &format!("$MA_ENC_COMP_ENABLE[0,{axis}]=1"));
+        push_line(&mut self.memory, &memory);
+        push_line(&mut self.enable, &format!("$MA_ENC_COMP_ENABLE[0,{axis}]=1"));
     }
 
     /// Gives the table's index.
@@ -272,58 +286,61 @@ impl Files {
     ) -> usize {
         let t = self.cec_tables;
         self.cec_tables += 1;
-        let points = points(options, table.grid, error_um);
+        let points = format_table(options, table.grid, error_um);
         let direction = table.approach.map_or(0.0, Approach::sign);
         let cec = &mut self.cec;
         for (index, value) in points.values.iter().enumerate() {
-            push(cec, &format!("$AN_CEC[{t},{index}]={value}"));
+            push_line(cec, &format!("$AN_CEC[{t},{index}]={value}"));
         }
-        push(cec, &format!("$AN_CEC_INPUT_AXIS[{t}]=({})", table.input));
-        push(cec, &format!("$AN_CEC_OUTPUT_AXIS[{t}]=({})", table.output));
-        push(cec, &format!("$AN_CEC_STEP[{t}]={}", points.step));
-        push(cec, &format!("$AN_CEC_MIN[{t}]={}", points.min));
-        push(cec, &format!("$AN_CEC_MAX[{t}]={}", points.max));
-        push(cec, &format!("$AN_CEC_DIRECTION[{t}]={direction}"));
-        push(cec, &format!("$AN_CEC_MULT_BY_TABLE[{t}]=0"));
-        push(cec, &format!("$AN_CEC_IS_MODULO[{t}]=0"));
-        push(&mut self.memory, &format!("$MN_MM_CEC_MAX_POINTS[{t}]={}", table.grid.points));
-        push(&mut self.enable, &format!("$SN_CEC_TABLE_ENABLE[{t}]=1"));
+        push_line(cec, &format!("$AN_CEC_INPUT_AXIS[{t}]=({})", table.input));
+        push_line(cec, &format!("$AN_CEC_OUTPUT_AXIS[{t}]=({})", table.output));
+        push_line(cec, &format!("$AN_CEC_STEP[{t}]={}", points.step));
+        push_line(cec, &format!("$AN_CEC_MIN[{t}]={}", points.min));
+        push_line(cec, &format!("$AN_CEC_MAX[{t}]={}", points.max));
+        push_line(cec, &format!("$AN_CEC_DIRECTION[{t}]={direction}"));
+        push_line(cec, &format!("$AN_CEC_MULT_BY_TABLE[{t}]=0"));
+        push_line(cec, &format!("$AN_CEC_IS_MODULO[{t}]=0"));
+        push_line(&mut self.memory, &format!("$MN_MM_CEC_MAX_POINTS[{t}]={}", table.grid.points));
+        push_line(&mut self.enable, &format!("$SN_CEC_TABLE_ENABLE[{t}]=1"));
         let enable = format!("$MA_CEC_ENABLE[{}]=1", table.output);
         if !self.enable.lines().any(|line| line == enable) {
-            push(&mut self.enable, &enable);
-            let is_metric = u8::from(options.units == Units::Millimetres);
+            push_line(&mut self.enable, &enable);
+            let is_metric = u8::from(options.units == LengthUnit::Millimetres);
             let line = format!("$MA_CEC_SCALING_SYSTEM_METRIC[{}]={is_metric}", table.output);
-            push(&mut self.enable, &line);
+            push_line(&mut self.enable, &line);
         }
         t
     }
 }
 
 /// A table's numbers as they are written, in the control's unit.
-struct Points {
+struct FormattedTable {
     min: String,
     step: String,
     max: String,
     values: Vec<String>,
 }
 
-fn points(options: &Options, grid: Grid, error_um: impl Fn(f64) -> f64) -> Points {
-    let (unit_mm, decimals) = (options.units.mm(), decimals(options.units));
-    let mm = |mm: f64| number(mm / unit_mm, decimals + 3);
-    let value = |mm: f64| number(error_um(mm) / 1000.0 / unit_mm, decimals);
-    Points {
+fn format_table(options: &Options, grid: Grid, error_um: impl Fn(f64) -> f64) -> FormattedTable {
+    let (unit_mm, decimals) = (options.units.mm_per_unit(), decimal_places(options.units));
+    let mm = |mm: f64| format_number(mm / unit_mm, decimals + 3);
+    let value = |mm: f64| format_number(error_um(mm) / 1000.0 / unit_mm, decimals);
+    FormattedTable {
         min: mm(grid.start_mm),
         step: mm(grid.step_mm),
-        max: mm(grid.last_mm()),
+        max: mm(grid.end_mm()),
         values: grid.positions_mm().into_iter().map(value).collect(),
     }
 }
 
-fn finish(options: &Options, mut files: Files, export: &mut Export) {
+fn write_files(options: &Options, mut files: FileContents, export: &mut Export) {
     for (name, um) in &files.cec_sum_um {
         // Rounded up to a whole µm: above MD32720 the control raises an alarm.
-        let mm = number(um.ceil() / 1000.0 / options.units.mm(), decimals(options.units));
-        push(&mut files.enable, &format!("$MA_CEC_MAX_SUM[{name}]={mm}"));
+        let mm = format_number(
+            um.ceil() / 1000.0 / options.units.mm_per_unit(),
+            decimal_places(options.units),
+        );
+        push_line(&mut files.enable, &format!("$MA_CEC_MAX_SUM[{name}]={mm}"));
     }
     for (name, header, body) in [
         ("MEMORY.INI", "%_N_MEMORY_INI", &files.memory),
@@ -332,11 +349,11 @@ fn finish(options: &Options, mut files: Files, export: &mut Export) {
         ("ENABLE.INI", "%_N_ENABLE_INI", &files.enable),
     ] {
         if !body.is_empty() {
-            export.files.push(file(name, header, body));
+            export.files.push(build_file(name, header, body));
         }
     }
 }
 
-fn file(name: &str, header: &str, body: &str) -> File {
-    File { name: name.to_string(), text: format!("{header}\nCHANDATA(1)\n{body}M17\n") }
+fn build_file(name: &str, header: &str, body: &str) -> ExportedFile {
+    ExportedFile { name: name.to_string(), text: format!("{header}\nCHANDATA(1)\n{body}M17\n") }
 }

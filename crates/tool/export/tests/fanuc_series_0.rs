@@ -4,12 +4,12 @@
 use std::path::Path;
 
 use trueup_export::{
-    Export, Format, Options, Refused, export,
-    fanuc::{Series, read_series_0},
+    Export, ExportError, Format, Options, export,
+    fanuc::{Series, parse_series_0_sheet},
 };
 use trueup_machine::{MachineFile, file::LinearAxis};
 
-fn exported(text: &str, fanuc: Series) -> Result<Export, Refused> {
+fn exported(text: &str, fanuc: Series) -> Result<Export, ExportError> {
     let source = format!("[machine]\nname = \"lathe\"\nkind = \"3-axis\"\n{text}");
     let machine = MachineFile::parse(&source, Path::new("m.toml")).expect("it is correct");
     export(&machine, Format::Fanuc, &Options { fanuc, ..Options::default() })
@@ -38,7 +38,7 @@ fn the_sheet_has_the_papers_numbers() {
     ] {
         assert!(sheet.lines().any(|it| it == line), "{line}: {sheet}");
     }
-    assert_eq!(read_series_0(sheet, LinearAxis::X), Ok((1, 100.0, vec![4, 2, -5])));
+    assert_eq!(parse_series_0_sheet(sheet, LinearAxis::X), Ok((1, 100.0, vec![4, 2, -5])));
 }
 
 #[test]
@@ -50,7 +50,7 @@ fn both_axes_have_one_magnification() {
     // +20 in each section of Z: 5 times 4.
     assert!(sheet.contains("2002 5 (Z: POINT 1)\n2003 5 (Z: POINT 2)"), "{sheet}");
     // X in whole steps of 4: 4, 0 (or 4), -4.
-    let (_, _, values) = read_series_0(sheet, LinearAxis::X).expect("it reads back");
+    let (_, _, values) = parse_series_0_sheet(sheet, LinearAxis::X).expect("it reads back");
     let sums: Vec<i64> = values
         .iter()
         .scan(-4, |sum, value| {
@@ -60,7 +60,11 @@ fn both_axes_have_one_magnification() {
         .collect();
     assert!(sums.iter().zip([0, 2, -3]).all(|(sum, right)| (sum - right).abs() <= 2), "{sums:?}");
     // What is off by micrometres is no whole export.
-    assert!(!export.report.is_whole() && export.report.largest_um() > 1.0, "{}", export.report);
+    assert!(
+        !export.report.is_complete() && export.report.max_difference_um() > 1.0,
+        "{}",
+        export.report
+    );
 }
 
 #[test]
@@ -86,7 +90,7 @@ fn straightness_that_four_points_cannot_hold_is_not_written_and_its_loss_is_told
     let export = export(&machine, Format::Fanuc, &Options::default()).expect("its pitch is held");
     let report = export.report.to_string();
     println!("{report}");
-    assert!(!export.report.is_whole());
+    assert!(!export.report.is_complete());
     // Only curves of which a tenth at most stays are written, each with its loss.
     let written =
         export.report.tables.iter().filter(|table| table.section.contains("straightness"));

@@ -3,19 +3,19 @@
 use std::path::Path;
 
 use trueup_export::{
-    Export, Format, Options, Refused, export,
-    isg::{Compensation, read},
+    Export, ExportError, Format, Options, export,
+    isg::{CompensationFile, parse},
 };
 use trueup_machine::{
     Machine, MachineFile,
-    model::{ReferenceModel, Situation},
+    model::{ReferenceModel, RowInputs},
 };
 
 fn machine(text: &str) -> Machine {
     MachineFile::parse(text, Path::new("m.toml")).unwrap_or_else(|error| panic!("{error}\n{text}"))
 }
 
-fn exported(text: &str) -> Result<Export, Refused> {
+fn exported(text: &str) -> Result<Export, ExportError> {
     export(&machine(text), Format::Isg, &Options::default())
 }
 
@@ -48,7 +48,7 @@ ecz.urad_per_m = 21.0
 ";
 
 /// Returns the error in µm as the kernel adds it up, of a chain X, Y, Z that moves the tool.
-fn as_the_control(file: &Compensation, position_mm: [f64; 3]) -> [f64; 3] {
+fn as_the_control(file: &CompensationFile, position_mm: [f64; 3]) -> [f64; 3] {
     let value = |name: String, mm: f64| file.value(&name, mm).unwrap_or(0.0);
     let tip = ["X", "Y", "Z"].map(|axis| value(format!("P0{axis}"), 0.0));
     let mut sum = [0.0; 3];
@@ -69,7 +69,7 @@ fn as_the_control(file: &Compensation, position_mm: [f64; 3]) -> [f64; 3] {
 #[test]
 fn the_volume_is_read_back_within_50_nm_wherever_the_tool_is() {
     let export = exported(VOLUME).expect("it has component errors");
-    let back = read(file(&export, "volcomp.csv")).expect("its own file");
+    let back = parse(file(&export, "volcomp.csv")).expect("its own file");
     let machine = machine(VOLUME);
     let (mut worst, mut largest, mut seed) = (0.0_f64, 0.0_f64, 1_u64);
     for _ in 0..1_000 {
@@ -79,7 +79,7 @@ fn the_volume_is_read_back_within_50_nm_wherever_the_tool_is() {
                 .wrapping_add(1_442_695_040_888_963_407);
             low + (high - low) * (seed >> 11) as f64 / (1_u64 << 53) as f64
         });
-        let situation = Situation { position_mm, direction: [1.0; 3], ..Situation::UNKNOWN };
+        let situation = RowInputs { position_mm, direction: [1.0; 3], ..RowInputs::UNKNOWN };
         let model = ReferenceModel::new(&machine).step(&situation).error_um();
         for (model, control) in model.into_iter().zip(as_the_control(&back, position_mm)) {
             worst = worst.max((model - control).abs());
@@ -132,7 +132,7 @@ fn what_turns_the_tool_is_written_and_what_moves_the_workpiece_is_left_out_with_
                 rotary.c.exoc_um = 3.0";
     let export = exported(text).expect("the head's line");
     let csv = file(&export, "volcomp.csv");
-    let back = read(csv).expect("its own file");
+    let back = parse(csv).expect("its own file");
     for (name, value) in [("PZB", 250.0), ("X0B", 0.005), ("C0B", -0.000_02), ("PYB", 1.0)] {
         assert_eq!(back.value(name, 0.0), Some(value), "{csv}");
     }
@@ -172,7 +172,7 @@ fn a_file_that_is_no_table_is_refused() {
         ("X EXX\n0\n", "line 2 has not a number for each name"),
         ("X EXX\n0 a\n", "line 2 is not of numbers"),
     ] {
-        assert_eq!(read(text), Err(rule.into()));
+        assert_eq!(parse(text), Err(rule.into()));
     }
-    assert_eq!(read("// nothing\n\n#\n"), Ok(Compensation::default()));
+    assert_eq!(parse("// nothing\n\n#\n"), Ok(CompensationFile::default()));
 }

@@ -7,12 +7,13 @@
 use std::{fmt::Write as _, path::Path};
 
 use trueup_export::{
-    Approach, Export, ExportedTable, Format, Options, Units, export, fanuc, heidenhain, linuxcnc,
-    siemens::{Lookup, Variables},
+    Approach, Export, ExportedTable, Format, LengthUnit, Options, export, fanuc, heidenhain,
+    linuxcnc,
+    siemens::{LookupTable, Variables},
 };
 use trueup_machine::{
     Machine, MachineFile,
-    file::{AxisModel, LinearAxis, Pitch},
+    file::{AxisModel, LinearAxis, PitchErrorTable},
     model::{backlash_um, pitch_um, spline_um, squareness_um},
 };
 
@@ -132,7 +133,7 @@ fn positions(first: f64, last: f64) -> impl Iterator<Item = f64> {
 }
 
 /// Returns the error of one drive, from the model's functions alone.
-fn drive_um(axis: &AxisModel, pitch: Option<&Pitch>, mm: f64, approach: Approach) -> f64 {
+fn drive_um(axis: &AxisModel, pitch: Option<&PitchErrorTable>, mm: f64, approach: Approach) -> f64 {
     let direction = approach.sign();
     pitch.map_or(0.0, |pitch| pitch_um(pitch, mm, direction))
         + axis.backlash.as_ref().map_or(0.0, |backlash| backlash_um(backlash, direction))
@@ -148,7 +149,7 @@ fn cross_um(machine: &Machine, error: LinearAxis, along: LinearAxis, mm: f64) ->
 }
 
 /// Returns every drive: its name, its axis, its table.
-fn drives(machine: &Machine) -> Vec<(String, &AxisModel, Option<&Pitch>)> {
+fn drives(machine: &Machine) -> Vec<(String, &AxisModel, Option<&PitchErrorTable>)> {
     let mut all = Vec::new();
     for axis in LinearAxis::ALL {
         let of = &machine.axes[axis.index()];
@@ -188,19 +189,20 @@ fn linuxcnc_corrects_every_drive_exactly() {
     let mut worst = 0.0_f64;
     for seed in 0..MACHINES {
         let machine = Random(seed).machine();
-        for units in [Units::Millimetres, Units::Inches] {
+        for units in [LengthUnit::Millimetres, LengthUnit::Inches] {
             let options = Options { units, ..Options::default() };
             let export = export(&machine, Format::LinuxCnc, &options).expect("it has tables");
             for (name, axis, pitch) in drives(&machine) {
                 let file = format!("{name}.comp");
-                let read = linuxcnc::read(text(&export, &file)).expect("it loads");
+                let read = linuxcnc::parse(text(&export, &file)).expect("it loads");
                 let table = table(&export, |table| table.file == file);
-                let correction =
-                    |mm: f64, way| read.trim(mm / units.mm(), way) * units.mm() * 1000.0;
+                let correction = |mm: f64, way| {
+                    read.trim(mm / units.mm_per_unit(), way) * units.mm_per_unit() * 1000.0
+                };
                 let error = |mm, way| drive_um(axis, pitch, mm, way);
                 worst = worst.max(assert_stated(table, error, correction));
             }
-            assert!(!export.report.is_whole(), "heat and straightness are left out");
+            assert!(!export.report.is_complete(), "heat and straightness are left out");
         }
     }
     println!("linuxcnc: {MACHINES} machines, largest difference {worst:.6} µm");
@@ -212,25 +214,27 @@ fn siemens_corrects_every_drive_and_every_pair_within_the_tolerance() {
     let (mut worst, mut heat, mut thinned) = (0.0_f64, 0.0_f64, 0);
     for seed in 0..MACHINES {
         let machine = Random(seed).machine();
-        let units = if seed % 2 == 0 { Units::Millimetres } else { Units::Inches };
+        let units = if seed % 2 == 0 { LengthUnit::Millimetres } else { LengthUnit::Inches };
         let options = Options { units, reference_mm: [10.0, 0.0, -20.0], ..Options::default() };
         let export = export(&machine, Format::Siemens840d, &options).expect("it has tables");
-        let variables = |name| Variables::read(text(&export, name)).expect("it reads back");
+        let variables = |name| Variables::parse(text(&export, name)).expect("it reads back");
         let (eec, cec, data) =
             (variables("AX_EEC.INI"), variables("NC_CEC.INI"), variables("ENABLE.INI"));
-        let unit = units.mm() * 1000.0;
-        let tables: Vec<Lookup> = (0..).map_while(|t| Lookup::cec(&cec, t).ok()).collect();
+        let unit = units.mm_per_unit() * 1000.0;
+        let tables: Vec<LookupTable> =
+            (0..).map_while(|t| LookupTable::from_cec_variables(&cec, t).ok()).collect();
         let cross_tables = |input: &str, output: &str, mm: f64, way| -> f64 {
             let tables = tables.iter().filter(|t| t.input == input && t.output == output);
-            -tables.map(|t| t.value(mm / units.mm(), way)).sum::<f64>() * unit
+            -tables.map(|t| t.value(mm / units.mm_per_unit(), way)).sum::<f64>() * unit
         };
         for ((_, axis, pitch), name) in
             drives(&machine).into_iter().zip(["AX1", "AX2", "AX4", "AX3"])
         {
-            let own = Lookup::eec(&eec, name).ok();
+            let own = LookupTable::from_eec_variables(&eec, name).ok();
             let lash = data.number(&format!("$MA_BACKLASH[0,{name}]")).unwrap_or(0.0);
             let correction = |mm: f64, way| {
-                let table = own.as_ref().map_or(0.0, |own| own.value(mm / units.mm(), way));
+                let table =
+                    own.as_ref().map_or(0.0, |own| own.value(mm / units.mm_per_unit(), way));
                 let lash = if way == Approach::Negative { lash } else { 0.0 };
                 cross_tables(name, name, mm, way) - (table + lash) * unit
             };
@@ -298,7 +302,7 @@ fn heidenhain_corrects_every_drive_and_every_pair_within_tolerance_and_rounding(
         let machine = Random(seed).machine();
         let export = export(&machine, Format::Heidenhain, &Options::default()).expect("it fits");
         let read =
-            |key: &str| heidenhain::read(text(&export, &format!("{key}.com"))).expect("it loads");
+            |key: &str| heidenhain::parse(text(&export, &format!("{key}.com"))).expect("it loads");
         for (name, axis, pitch) in drives(&machine) {
             let key = name.to_uppercase();
             let back = read(&key);
@@ -341,11 +345,13 @@ fn fanuc_sums_stay_within_half_a_step_of_the_magnification_at_every_point() {
         let machine = Random(seed).machine();
         let options = Options { unit_um: [1.0, 0.5][seed as usize % 2], ..Options::default() };
         let export = export(&machine, Format::Fanuc, &options).expect("it has tables");
-        let control =
-            fanuc::Control::read(text(&export, "CNC-PARA.TXT"), text(&export, "PITCH.TXT"))
-                .expect("it loads");
+        let control = fanuc::CompensationData::parse(
+            text(&export, "CNC-PARA.TXT"),
+            text(&export, "PITCH.TXT"),
+        )
+        .expect("it loads");
         for ((name, axis, pitch), number) in drives(&machine).into_iter().zip([1, 2, 4, 3]) {
-            let Ok(back) = control.axis(number) else {
+            let Ok(back) = control.axis_tables(number) else {
                 assert!(
                     export.report.left_out.iter().any(|left| left.section.contains(&name[..1]))
                 );
@@ -353,7 +359,8 @@ fn fanuc_sums_stay_within_half_a_step_of_the_magnification_at_every_point() {
             };
             exported += 1;
             let stated = table(&export, |table| table.name.starts_with(&format!("axis {number},")));
-            let correction = |mm, way| back.units(mm, way, false) * options.unit_um;
+            let correction =
+                |mm, way| back.correction_in_detection_units(mm, way, false) * options.unit_um;
             assert_stated(stated, |mm, way| drive_um(axis, pitch, mm, way), correction);
             // At the points themselves only the rounding is left.
             let scale = control.parameter(3623, number).expect("it is there") as f64;
@@ -361,7 +368,7 @@ fn fanuc_sums_stay_within_half_a_step_of_the_magnification_at_every_point() {
             for k in 0..=stated.points {
                 let mm = stated.range.0 + spacing * k as f64;
                 for way in Approach::BOTH {
-                    let left = back.units(mm, way, true) * options.unit_um
+                    let left = back.correction_in_detection_units(mm, way, true) * options.unit_um
                         + drive_um(axis, pitch, mm, way)
                         - stated.constant_um;
                     // The second table, and the backlash, begin at a rounded value of their own.
@@ -415,7 +422,7 @@ fn a_table_above_the_limit_is_thinned_to_it_with_the_loss_stated() {
         // FANUC's sections are whole multiples of the model's.
         let least = if format == Format::Fanuc { most - 5 } else { most };
         assert!((least..=most).contains(&table.points), "{table:?}");
-        assert!(table.loss.is_some() && !export.report.is_whole());
+        assert!(table.loss.is_some() && !export.report.is_complete());
         assert!(table.largest.um > 0.1, "{table:?}");
     }
 }

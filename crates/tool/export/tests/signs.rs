@@ -7,7 +7,7 @@
 
 use std::path::Path;
 
-use trueup_export::{Approach, Export, Format, Options, Units, export};
+use trueup_export::{Approach, Export, Format, LengthUnit, Options, export};
 use trueup_machine::{Machine, MachineFile};
 
 const MACHINE: &str = r#"
@@ -70,15 +70,15 @@ fn linuxcnc_trims_are_the_opposite_of_the_error_with_the_backlash_in_the_reverse
     assert_eq!(file(&export, "y.comp"), "-100 -0.001 -0.006\n0 -0.003 -0.007\n100 -0.004 -0.009\n");
     let left: Vec<&str> = export.report.left_out.iter().map(|left| left.section.as_str()).collect();
     assert_eq!(left, ["straightness.z_of_x", "axis.x.thermal", "spindle.temperature"]);
-    assert!(export.report.largest_um() < 1e-9, "{}", export.report);
+    assert!(export.report.max_difference_um() < 1e-9, "{}", export.report);
 }
 
 #[test]
 fn linuxcnc_in_inches_has_the_same_positions_and_trims() {
-    let options = Options { units: Units::Inches, ..Options::default() };
+    let options = Options { units: LengthUnit::Inches, ..Options::default() };
     let export = exported(Format::LinuxCnc, &options);
     assert_lines(file(&export, "x.comp"), &["3.93700787 -0.00007874 -0.00027559"]);
-    assert!(export.report.largest_um() < 0.001, "{}", export.report);
+    assert!(export.report.max_difference_um() < 0.001, "{}", export.report);
 }
 
 #[test]
@@ -143,19 +143,19 @@ fn siemens_values_are_the_error_because_a_positive_one_moves_the_axis_negative()
         .filter(|um| *um != 0.0)
         .collect();
     assert_eq!(constants, [3.0]);
-    assert!(export.report.largest_um() < 1e-6, "{}", export.report);
+    assert!(export.report.max_difference_um() < 1e-6, "{}", export.report);
 }
 
 #[test]
 fn siemens_in_inches_is_25_4_times_smaller() {
-    let options = Options { units: Units::Inches, ..Options::default() };
+    let options = Options { units: LengthUnit::Inches, ..Options::default() };
     let export = exported(Format::Siemens840d, &options);
     assert_lines(
         file(&export, "AX_EEC.INI"),
         &["$AA_ENC_COMP[0,1,AX1]=0.0000787", "$AA_ENC_COMP_STEP[0,AX1]=3.937007874"],
     );
     assert_lines(file(&export, "ENABLE.INI"), &["$MA_CEC_SCALING_SYSTEM_METRIC[AX2]=0"]);
-    assert!(export.report.largest_um() < 0.01, "{}", export.report);
+    assert!(export.report.max_difference_um() < 0.01, "{}", export.report);
 }
 
 #[test]
@@ -199,16 +199,16 @@ fn heidenhain_values_are_the_error_and_the_cma_names_the_moving_axis() {
         file(&export, "config.cma"),
         "BEGIN config.cma MM\nNR ACTIVE X Y\n0 * X.com Y.com\n[END]\n"
     );
-    let read = trueup_export::heidenhain::read(file(&export, "X.com")).expect("it is correct");
+    let read = trueup_export::heidenhain::parse(file(&export, "X.com")).expect("it is correct");
     assert!((read.correction_um("X", 100.0) + 2.0).abs() < 1e-9);
-    assert!(export.report.largest_um() < 1e-6, "{}", export.report);
+    assert!(export.report.max_difference_um() < 1e-6, "{}", export.report);
 }
 
 #[test]
 fn a_wrong_sign_anywhere_would_show() {
     // The readers give the correction; with the model's error it must vanish, not double.
     let export = exported(Format::LinuxCnc, &Options::default());
-    let read = trueup_export::linuxcnc::read(file(&export, "x.comp")).expect("it is correct");
+    let read = trueup_export::linuxcnc::parse(file(&export, "x.comp")).expect("it is correct");
     assert_eq!(read.trim(200.0, Approach::Positive), 0.003);
     assert_eq!(read.trim(200.0, Approach::Negative), -0.002);
 }
@@ -262,7 +262,7 @@ fn what_a_diagnosis_has_added_along_and_across_an_axis_is_exported_with_it() {
         assert!(left.contains(&"term[3] (extra-heat-path)"), "{}", export.report);
         assert!(left.contains(&"term[4] (axis-expansion)"), "{}", export.report);
         assert!(left.contains(&"term[5] (extra-heat-path)"), "{}", export.report);
-        assert!(export.report.largest_um() < 1.0, "{}", export.report);
+        assert!(export.report.max_difference_um() < 1.0, "{}", export.report);
     }
     // Without the travel a scale cannot be a table, and that is said.
     let export =
@@ -282,8 +282,8 @@ fn a_periodic_error_gets_points_where_it_bends() {
     for format in [Format::LinuxCnc, Format::Heidenhain, Format::Siemens840d] {
         let export = export(&machine, format, &options).expect("it fits");
         println!("{}: {:?}", format.name(), export.report.tables);
-        assert!(export.report.is_whole(), "{}", export.report);
-        assert!(export.report.largest_um() < 0.15, "{}", export.report);
+        assert!(export.report.is_complete(), "{}", export.report);
+        assert!(export.report.max_difference_um() < 0.15, "{}", export.report);
     }
 }
 

@@ -7,81 +7,82 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::{
-    constants::{Found, nothing},
-    pool::{Estimate, MIN_MACHINES, pool},
+    constants::{Finding, neutral_value},
+    pool::{Estimate, MIN_MACHINES, pool_estimates},
     record::Record,
     report::Cause,
 };
 
 /// A cause by all machines.
 #[derive(Default)]
-struct Of<'r> {
+struct CauseOccurrences<'r> {
     claimed: BTreeSet<&'r str>,
     found: BTreeSet<&'r str>,
     alternative: BTreeSet<&'r str>,
-    sizes: Vec<Size<'r>>,
+    sizes: Vec<EffectSize<'r>>,
 }
 
 /// A deviation from nothing: the machine, the parameter, its size, and whether it is of a claim.
-type Size<'r> = (&'r str, &'r str, Estimate, bool);
+type EffectSize<'r> = (&'r str, &'r str, Estimate, bool);
 
 /// Returns the causes of all records.
-pub(crate) fn causes(records: &[Record]) -> Vec<Cause> {
-    let mut all: BTreeMap<&str, Of<'_>> = BTreeMap::new();
+pub(crate) fn summarise_causes(records: &[Record]) -> Vec<Cause> {
+    let mut all: BTreeMap<&str, CauseOccurrences<'_>> = BTreeMap::new();
     for record in records {
         let machine = record.machine.as_str();
         for found in &record.found {
             let of = all.entry(&found.name).or_default();
             let list = if found.claimed { &mut of.claimed } else { &mut of.found };
             list.insert(machine);
-            sizes(of, machine, found);
+            add_effect_sizes(of, machine, found);
             for other in &found.alternatives {
                 all.entry(other).or_default().alternative.insert(machine);
             }
         }
         for found in &record.fitted {
-            sizes(all.entry(&found.name).or_default(), machine, found);
+            add_effect_sizes(all.entry(&found.name).or_default(), machine, found);
         }
     }
-    all.into_iter().map(|(name, of)| cause(name, &of)).collect()
+    all.into_iter().map(|(name, of)| summarise_cause(name, &of)).collect()
 }
 
-fn sizes<'r>(of: &mut Of<'r>, machine: &'r str, found: &'r Found) {
+fn add_effect_sizes<'r>(of: &mut CauseOccurrences<'r>, machine: &'r str, found: &'r Finding) {
     of.sizes.extend(found.constants.iter().filter_map(|it| {
-        let value = it.estimate.value - nothing(&it.parameter)?;
+        let value = it.estimate.value - neutral_value(&it.parameter)?;
         let size = Estimate { value, se: it.estimate.se };
         Some((machine, it.parameter.as_str(), size, found.claimed))
     }));
 }
 
 /// Returns the side on which machines together exclude that a parameter does nothing: −1 or 1; none where they do not.
-fn side(sizes: &[&Size<'_>], parameter: &str) -> Option<f64> {
+fn significant_sign(sizes: &[&EffectSize<'_>], parameter: &str) -> Option<f64> {
     let of_parameter = sizes.iter().filter(|it| it.1 == parameter);
     let estimates: Vec<Estimate> = of_parameter.map(|it| it.2).collect();
-    let mean = pool(&estimates)?.mean;
+    let mean = pool_estimates(&estimates)?.mean;
     let [low, high] = mean.ci95();
     (low > 0.0 || high < 0.0).then(|| mean.value.signum())
 }
 
 /// Returns whether other machines than the one that claims it have a cause too.
-fn is_confirmed(of: &Of<'_>) -> bool {
-    let is_claim = |it: &&Size<'_>| of.claimed.contains(it.0);
-    let (claims, others): (Vec<&Size<'_>>, Vec<&Size<'_>>) = of.sizes.iter().partition(is_claim);
-    let is_same = |claim: &&Size<'_>| {
-        claim.3 && side(&others, claim.1).is_some_and(|side| side * claim.2.value > 0.0)
+fn is_confirmed(of: &CauseOccurrences<'_>) -> bool {
+    let is_claim = |it: &&EffectSize<'_>| of.claimed.contains(it.0);
+    let (claims, others): (Vec<&EffectSize<'_>>, Vec<&EffectSize<'_>>) =
+        of.sizes.iter().partition(is_claim);
+    let is_same = |claim: &&EffectSize<'_>| {
+        claim.3 && significant_sign(&others, claim.1).is_some_and(|side| side * claim.2.value > 0.0)
     };
     of.claimed.len() > 1 || claims.iter().any(is_same)
 }
 
 /// Returns whether machines of which none claims a cause exclude together that it does nothing.
-fn is_supported(of: &Of<'_>) -> bool {
-    let all: Vec<&Size<'_>> = of.sizes.iter().collect();
+fn is_supported(of: &CauseOccurrences<'_>) -> bool {
+    let all: Vec<&EffectSize<'_>> = of.sizes.iter().collect();
     of.claimed.is_empty()
         && of.found.len() >= MIN_MACHINES
-        && all.iter().any(|it| side(&all, it.1).is_some())
+        && all.iter().any(|it| significant_sign(&all, it.1).is_some())
 }
 
-fn cause(name: &str, of: &Of<'_>) -> Cause {
+fn summarise_cause(name: &str, of: &CauseOccurrences<'_>) -> Cause {
     let list = |names: &BTreeSet<&str>| names.iter().map(ToString::to_string).collect::<Vec<_>>();
     let confirmed = is_confirmed(of);
     let measured: BTreeSet<&str> = of.sizes.iter().map(|it| it.0).collect();
@@ -90,7 +91,7 @@ fn cause(name: &str, of: &Of<'_>) -> Cause {
         |count: usize| format!("{count} {}", if count == 1 { "machine" } else { "machines" });
     let sentence = match (of.claimed.len(), confirmed) {
         (0, _) if of.found.is_empty() => {
-            format!("{} cannot exclude it.", capital(&machines(of.alternative.len())))
+            format!("{} cannot exclude it.", capitalise(&machines(of.alternative.len())))
         }
         (0, _) if is_supported(of) => format!(
             "Found on {}, and claimed on none; together they exclude that it does nothing.",
@@ -120,7 +121,7 @@ fn cause(name: &str, of: &Of<'_>) -> Cause {
     }
 }
 
-fn capital(text: &str) -> String {
+fn capitalise(text: &str) -> String {
     let mut characters = text.chars();
     characters
         .next()

@@ -8,14 +8,14 @@ use serde_json::Value;
 use crate::pool::{Estimate, Z95};
 
 /// Parameters of what happened once, in one record: no constants of a machine.
-const OF_EVENTS: &[&str] =
+const EVENT_PARAMETERS: &[&str] =
     &["at_s", "size_um", "um_per_h", "um_per_run", "fraction", "duration_s", "shift_s"];
 /// Parameters that are known by ratios.
-const BY_RATIOS: &[&str] = &["time_constant_s", "period_mm", "period_s"];
+const LOG_SCALE_PARAMETERS: &[&str] = &["time_constant_s", "period_mm", "period_s"];
 /// Parameters that are 1 where a cause does nothing.
-const FACTORS: &[&str] = &["gain", "scale", "factor"];
+const GAIN_PARAMETERS: &[&str] = &["gain", "scale", "factor"];
 /// Parameters whose value without the cause is what the machine file says: no value says that there is none.
-const STATED: &[&str] = &["time_constant_s", "lag_s", "period_mm", "period_s"];
+const MACHINE_FILE_PARAMETERS: &[&str] = &["time_constant_s", "lag_s", "period_mm", "period_s"];
 
 /// A parameter of a finding.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,7 +28,7 @@ pub struct Constant {
 
 /// A cause, its column and its form.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Identity {
+pub struct CauseIdentity {
     /// The cause.
     pub cause: String,
     /// Its column.
@@ -37,7 +37,7 @@ pub struct Identity {
     pub form: Option<String>,
 }
 
-impl Identity {
+impl CauseIdentity {
     /// Returns the name of a finding of it.
     #[must_use]
     pub fn name(&self, quantity: &str) -> String {
@@ -51,11 +51,11 @@ impl Identity {
 
 /// A finding of a diagnosis.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Found {
-    /// Quantity, cause, and what else tells it from another finding: `dz extra-heat-path temp_bed_c`.
+pub struct Finding {
+    /// Quantity, cause, and what else distinguishes it from another finding: `dz extra-heat-path temp_bed_c`.
     pub name: String,
     /// What names it to the diagnosis of another machine; none where it is more than that: a range, or two columns.
-    pub identity: Option<Identity>,
+    pub identity: Option<CauseIdentity>,
     /// True if it is claimed.
     pub claimed: bool,
     /// RMS in µm that it explains.
@@ -67,73 +67,74 @@ pub struct Found {
 }
 
 /// A difference of scores below which two causes are not separated (a BIC difference).
-const NOT_SEPARATED: f64 = 6.0;
+const MIN_BIC_DIFFERENCE: f64 = 6.0;
 
 /// Returns whether a parameter is known by ratios.
 #[must_use]
-pub(crate) fn is_by_ratios(parameter: &str) -> bool {
-    BY_RATIOS.contains(&parameter)
+pub(crate) fn is_log_scaled(parameter: &str) -> bool {
+    LOG_SCALE_PARAMETERS.contains(&parameter)
 }
 
 /// Returns the value of a parameter where its cause does nothing; none where that is not known.
 #[must_use]
-pub fn nothing(parameter: &str) -> Option<f64> {
+pub(crate) fn neutral_value(parameter: &str) -> Option<f64> {
     match parameter {
-        it if STATED.contains(&it) => None,
-        it if FACTORS.contains(&it) => Some(1.0),
+        it if MACHINE_FILE_PARAMETERS.contains(&it) => None,
+        it if GAIN_PARAMETERS.contains(&it) => Some(1.0),
         _ => Some(0.0),
     }
 }
 
 /// Returns the findings of a diagnosis.
 #[must_use]
-pub fn found(diagnosis: &Value) -> Vec<Found> {
+pub fn parse_findings(diagnosis: &Value) -> Vec<Finding> {
     let quantity = diagnosis["quantity"].as_str().unwrap_or_default();
     let findings = diagnosis["findings"].as_array();
     let findings = findings.into_iter().flatten();
-    findings.flat_map(|finding| of_finding(quantity, finding)).collect()
+    findings.flat_map(|finding| parse_finding(quantity, finding)).collect()
 }
 
 /// A finding, and those that are only certain together with it.
-fn of_finding(quantity: &str, finding: &Value) -> Vec<Found> {
+fn parse_finding(quantity: &str, finding: &Value) -> Vec<Finding> {
     let claimed = finding["claimed"].as_bool().unwrap_or(false);
     let gain = |key: &str| finding["gain"][key].as_f64().unwrap_or(f64::NAN);
     let explained = gain("rms_before_um").powi(2) - gain("rms_after_um").powi(2);
     let rivals = finding["rivals"].as_array();
-    let is_open = |rival: &&Value| rival["score_gap"].as_f64().is_some_and(|it| it < NOT_SEPARATED);
+    let is_open =
+        |rival: &&Value| rival["score_gap"].as_f64().is_some_and(|it| it < MIN_BIC_DIFFERENCE);
     let alternatives = rivals.into_iter().flatten().filter(is_open);
-    let alternatives: Vec<String> = alternatives.map(|it| name_of(quantity, it)).collect();
-    let one = |of: &Value, alternatives: Vec<String>| Found {
-        name: name_of(quantity, of),
-        identity: identity(of),
+    let alternatives: Vec<String> = alternatives.map(|it| finding_name(quantity, it)).collect();
+    let one = |of: &Value, alternatives: Vec<String>| Finding {
+        name: finding_name(quantity, of),
+        identity: parse_identity(of),
         claimed,
         explains_um: explained.max(0.0).sqrt(),
-        constants: constants(&of["parameters"]),
+        constants: parse_constants(&of["parameters"]),
         alternatives,
     };
     let partners = finding["together_with"].as_array();
-    let partners: Vec<Found> =
+    let partners: Vec<Finding> =
         partners.into_iter().flatten().map(|it| one(it, Vec::new())).collect();
     let mut all = vec![one(finding, alternatives)];
     all.extend(partners);
     all
 }
 
-fn identity(of: &Value) -> Option<Identity> {
+fn parse_identity(of: &Value) -> Option<CauseIdentity> {
     let is_more = ["columns", "where", "times"].iter().any(|key| !of[key].is_null());
     let owned = |key: &str| of[key].as_str().map(String::from);
     let identity =
-        Identity { cause: owned("cause")?, column: owned("column"), form: owned("form") };
+        CauseIdentity { cause: owned("cause")?, column: owned("column"), form: owned("form") };
     (!is_more).then_some(identity)
 }
 
-fn text<'v>(of: &'v Value, key: &str) -> &'v str {
+fn string_field<'v>(of: &'v Value, key: &str) -> &'v str {
     of[key].as_str().unwrap_or_default()
 }
 
-/// Returns what tells a finding from others.
-fn name_of(quantity: &str, of: &Value) -> String {
-    let mut name = format!("{quantity} {}", text(of, "cause"));
+/// Returns what distinguishes a finding from others.
+fn finding_name(quantity: &str, of: &Value) -> String {
+    let mut name = format!("{quantity} {}", string_field(of, "cause"));
     let mut add = |word: &str| {
         if !word.is_empty() {
             name.push(' ');
@@ -142,10 +143,10 @@ fn name_of(quantity: &str, of: &Value) -> String {
     };
     match of["columns"].as_array() {
         Some(columns) => columns.iter().filter_map(Value::as_str).for_each(&mut add),
-        None => add(text(of, "column")),
+        None => add(string_field(of, "column")),
     }
-    add(text(of, "form"));
-    add(text(of, "times"));
+    add(string_field(of, "form"));
+    add(string_field(of, "times"));
     if let Some(column) = of["where"]["column"].as_str() {
         add("where");
         add(column);
@@ -154,21 +155,21 @@ fn name_of(quantity: &str, of: &Value) -> String {
     name
 }
 
-fn constants(parameters: &Value) -> Vec<Constant> {
+fn parse_constants(parameters: &Value) -> Vec<Constant> {
     let all = parameters.as_object().into_iter().flatten();
-    all.filter(|(name, _)| !OF_EVENTS.contains(&name.as_str()))
+    all.filter(|(name, _)| !EVENT_PARAMETERS.contains(&name.as_str()))
         .filter_map(|(name, value)| {
             let number = value["value"].as_f64()?;
             let [low, high] = [0, 1].map(|end| value["ci95"][end].as_f64());
-            let estimate = estimate(name, number, [low?, high?])?;
+            let estimate = estimate_from_interval(name, number, [low?, high?])?;
             Some(Constant { parameter: name.clone(), estimate })
         })
         .collect()
 }
 
 /// Returns a value with its error out of its interval; none where the interval has no width, or no end.
-fn estimate(parameter: &str, value: f64, [low, high]: [f64; 2]) -> Option<Estimate> {
-    let estimate = if is_by_ratios(parameter) {
+fn estimate_from_interval(parameter: &str, value: f64, [low, high]: [f64; 2]) -> Option<Estimate> {
+    let estimate = if is_log_scaled(parameter) {
         if !(low > 0.0 && value > 0.0) {
             return None;
         }
@@ -205,7 +206,7 @@ mod tests {
 
     #[test]
     fn a_finding_gives_its_constants_with_their_errors() {
-        let found = found(&json!({"quantity": "dz", "findings": [finding()]}));
+        let found = parse_findings(&json!({"quantity": "dz", "findings": [finding()]}));
         assert_eq!(found.len(), 1);
         let it = &found[0];
         assert_eq!((it.name.as_str(), it.claimed), ("dz heat temp_bed_c", false));
@@ -225,7 +226,7 @@ mod tests {
         let mut one = finding();
         let partner = json!({"um_per_c": {"value": 1.0, "ci95": [0.0, 2.0]}});
         one["together_with"] = json!([{"cause": "slow", "parameters": partner}]);
-        let found = found(&json!({"quantity": "dz", "findings": [one]}));
+        let found = parse_findings(&json!({"quantity": "dz", "findings": [one]}));
         assert_eq!(
             found.iter().map(|it| it.name.as_str()).collect::<Vec<_>>(),
             ["dz heat temp_bed_c", "dz slow"]

@@ -5,16 +5,16 @@
 //! Student's t for the days that are left.
 
 use serde::Serialize;
-use trueup_compare::dated::Day;
+use trueup_compare::dated::EpochDay;
 use trueup_numerics::t_quantile;
 
 use crate::{
-    anomalous::LEVEL,
+    outliers::SIGNIFICANCE_LEVEL,
     pool::{Estimate, Z95},
 };
 
 /// Days of a year.
-const YEAR: f64 = 365.25;
+const DAYS_PER_YEAR: f64 = 365.25;
 
 /// A change with time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -29,12 +29,12 @@ pub struct Drift {
 
 /// Returns the change over the days; none below two days. `constants`: how many are looked at on the machine.
 #[must_use]
-pub fn drift(days: &[(Day, Estimate)], constants: usize) -> Option<Drift> {
+pub(crate) fn estimate_drift(days: &[(EpochDay, Estimate)], constants: usize) -> Option<Drift> {
     let first = days.iter().map(|(day, _)| *day).min()?;
-    let at = |day: Day| (day - first) as f64 / YEAR;
+    let at = |day: EpochDay| (day - first) as f64 / DAYS_PER_YEAR;
     let weight = |it: &Estimate| it.se.powi(-2);
     let sum: f64 = days.iter().map(|(_, it)| weight(it)).sum();
-    let mean = |of: &dyn Fn(&(Day, Estimate)) -> f64| {
+    let mean = |of: &dyn Fn(&(EpochDay, Estimate)) -> f64| {
         days.iter().map(|it| weight(&it.1) * of(it)).sum::<f64>() / sum
     };
     let (mean_t, mean_v) = (mean(&|it| at(it.0)), mean(&|it| it.1.value));
@@ -45,17 +45,18 @@ pub fn drift(days: &[(Day, Estimate)], constants: usize) -> Option<Drift> {
     let products =
         days.iter().map(|(day, it)| weight(it) * (at(*day) - mean_t) * (it.value - mean_v));
     let per_year = products.sum::<f64>() / spread;
-    let residual = |(day, it): &(Day, Estimate)| it.value - mean_v - per_year * (at(*day) - mean_t);
+    let residual =
+        |(day, it): &(EpochDay, Estimate)| it.value - mean_v - per_year * (at(*day) - mean_t);
     let squares: f64 = days.iter().map(|it| weight(&it.1) * residual(it).powi(2)).sum();
     let freedom = days.len() as f64 - 2.0;
-    let scatters = freedom > 0.0 && squares > chi_squared_95(freedom);
+    let scatters = freedom > 0.0 && squares > chi_squared_quantile_95(freedom);
     let birge = if scatters { squares / freedom } else { 1.0 };
     let se = (birge / spread).sqrt();
     // With known errors the normal distribution.
     let freedom = if scatters { freedom } else { 1e6 };
     let quantile = |two_sided: f64| t_quantile(1.0 - 0.5 * two_sided, freedom);
     let half = quantile(0.05).max(Z95) * se;
-    let level = LEVEL / constants.max(1) as f64;
+    let level = SIGNIFICANCE_LEVEL / constants.max(1) as f64;
     Some(Drift {
         per_year,
         ci95: [per_year - half, per_year + half],
@@ -64,7 +65,7 @@ pub fn drift(days: &[(Day, Estimate)], constants: usize) -> Option<Drift> {
 }
 
 /// Returns the 95 % quantile of χ² by Wilson and Hilferty (1931), within 3 %.
-fn chi_squared_95(freedom: f64) -> f64 {
+fn chi_squared_quantile_95(freedom: f64) -> f64 {
     let part = 2.0 / (9.0 * freedom);
     freedom * (1.0 - part + 1.645 * part.sqrt()).powi(3)
 }
@@ -72,7 +73,10 @@ fn chi_squared_95(freedom: f64) -> f64 {
 /// Returns one value for all days: the newest where the constant changes, else the mean, with an error that covers
 /// their scatter.
 #[must_use]
-pub(crate) fn present(days: &[(Option<Day>, Estimate)], drift: Option<Drift>) -> Option<Estimate> {
+pub(crate) fn current_estimate(
+    days: &[(Option<EpochDay>, Estimate)],
+    drift: Option<Drift>,
+) -> Option<Estimate> {
     let newest = days.iter().max_by_key(|(day, _)| *day).map(|(_, it)| *it)?;
     if drift.is_some_and(|it| it.is_certain) {
         return Some(newest);
@@ -96,29 +100,29 @@ mod tests {
     fn a_change_beyond_the_errors_is_found_and_one_within_them_is_not() {
         let year = 365;
         let grows = [(0, value(1.0)), (year, value(2.0)), (2 * year, value(3.0))];
-        let found = drift(&grows, 1).expect("three days");
+        let found = estimate_drift(&grows, 1).expect("three days");
         assert!((found.per_year - 1.0).abs() < 1e-3 && found.is_certain, "{found:?}");
         let stays = [(0, value(1.0)), (year, value(1.15))];
-        assert!(!drift(&stays, 1).expect("two days").is_certain);
-        assert_eq!(drift(&[(7, value(1.0)), (7, value(2.0))], 1), None, "one day");
+        assert!(!estimate_drift(&stays, 1).expect("two days").is_certain);
+        assert_eq!(estimate_drift(&[(7, value(1.0)), (7, value(2.0))], 1), None, "one day");
     }
 
     #[test]
     fn what_scatters_beyond_its_errors_is_no_drift() {
         let days = [(0, value(1.0)), (100, value(3.0)), (200, value(1.2)), (300, value(3.1))];
-        let found = drift(&days, 1).expect("four days");
+        let found = estimate_drift(&days, 1).expect("four days");
         assert!(!found.is_certain && found.ci95[0] < 0.0, "{found:?}");
         for (freedom, exact) in [(1.0, 3.841), (2.0, 5.991), (10.0, 18.307)] {
-            assert!((chi_squared_95(freedom) / exact - 1.0).abs() < 0.03, "{freedom}");
+            assert!((chi_squared_quantile_95(freedom) / exact - 1.0).abs() < 0.03, "{freedom}");
         }
     }
 
     #[test]
     fn a_machine_that_drifts_is_as_it_was_last_and_another_is_the_mean() {
         let days = [(Some(0), value(1.0)), (Some(365), value(2.0))];
-        let drifting = drift(&[(0, value(1.0)), (365, value(2.0))], 1);
-        assert_eq!(present(&days, drifting), Some(value(2.0)));
-        let mean = present(&days, None).expect("two values");
+        let drifting = estimate_drift(&[(0, value(1.0)), (365, value(2.0))], 1);
+        assert_eq!(current_estimate(&days, drifting), Some(value(2.0)));
+        let mean = current_estimate(&days, None).expect("two values");
         assert!((mean.value - 1.5).abs() < 1e-12 && mean.se > 0.3, "{mean:?}");
     }
 }

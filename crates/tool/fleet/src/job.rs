@@ -1,10 +1,10 @@
-//! A job: the files of one diagnosis and what is asked of it, under an identifier that follows from its content.
+//! A job: the files of one diagnosis and its options, under an identifier that follows from its content.
 
 use std::{fmt, fs, io, path::Path};
 
 use serde::{Deserialize, Serialize};
 
-use crate::store::{CRC, Store, checksum};
+use crate::store::{CRC, Store, compute_checksum};
 
 /// A file of a job.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -47,7 +47,7 @@ pub struct Job {
     pub runs: Vec<JobFile>,
     /// Runs with the bridge disengaged.
     pub off: Vec<JobFile>,
-    /// Runs that nothing is fitted to.
+    /// Runs not used for the fit.
     pub holdout: Vec<JobFile>,
     /// The request.
     pub request: Request,
@@ -55,7 +55,7 @@ pub struct Job {
 
 /// A file that is submitted: its path as the user gave it, and its content.
 #[derive(Clone, Debug)]
-pub struct Content {
+pub struct SubmittedFile {
     /// The path.
     pub path: String,
     /// The bytes.
@@ -70,20 +70,20 @@ pub struct Submission {
     /// The day of the record.
     pub date: Option<String>,
     /// The machine file.
-    pub machine_file: Content,
+    pub machine_file: SubmittedFile,
     /// The runs.
-    pub runs: Vec<Content>,
+    pub runs: Vec<SubmittedFile>,
     /// Runs with the bridge disengaged.
-    pub off: Vec<Content>,
-    /// Runs that nothing is fitted to.
-    pub holdout: Vec<Content>,
+    pub off: Vec<SubmittedFile>,
+    /// Runs not used for the fit.
+    pub holdout: Vec<SubmittedFile>,
     /// The request.
     pub request: Request,
 }
 
 /// A job in the folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Submitted {
+pub struct SubmittedJob {
     /// Its identifier.
     pub id: String,
     /// False if the same job was there already.
@@ -94,7 +94,7 @@ pub struct Submitted {
 
 /// Why a stored job cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Damage {
+pub enum StoredJobError {
     /// A file is missing or cannot be read.
     #[error("{0} cannot be read: {1}")]
     Unreadable(String, String),
@@ -110,8 +110,8 @@ pub enum Damage {
 
 impl Submission {
     /// Returns the files in their order: the name that each has in the folder, and its content.
-    fn files(&self) -> Vec<(String, &Content)> {
-        let numbered = |kind: &'static str, all: &'_ [Content]| -> Vec<String> {
+    fn files(&self) -> Vec<(String, &SubmittedFile)> {
+        let numbered = |kind: &'static str, all: &'_ [SubmittedFile]| -> Vec<String> {
             (1..=all.len()).map(|number| format!("{kind}-{number}.csv")).collect()
         };
         let mut files = vec![("machine.toml".to_string(), &self.machine_file)];
@@ -139,11 +139,11 @@ impl Submission {
         format!("{:016x}", digest.finalize())
     }
 
-    fn job(&self) -> Job {
-        let stored = |stored: String, content: &Content| JobFile {
+    fn to_job(&self) -> Job {
+        let stored = |stored: String, content: &SubmittedFile| JobFile {
             path: content.path.clone(),
             stored,
-            crc64: checksum(&content.bytes),
+            crc64: compute_checksum(&content.bytes),
         };
         let mut files = self.files().into_iter().map(|(name, content)| stored(name, content));
         let mut take = |count: usize| -> Vec<JobFile> { files.by_ref().take(count).collect() };
@@ -164,24 +164,24 @@ impl Submission {
     ///
     /// # Errors
     /// The folder cannot be written, or has another job under this identifier.
-    pub fn submit(&self, store: &Store) -> io::Result<Submitted> {
+    pub fn submit(&self, store: &Store) -> io::Result<SubmittedJob> {
         let id = self.id();
-        let target = store.job(&id);
+        let target = store.job_folder(&id);
         if !target.exists() {
-            let staged = store.staging(&format!("job-{id}-"))?;
-            let text = serde_json::to_string_pretty(&self.job())?;
+            let staged = store.create_staging_folder(&format!("job-{id}-"))?;
+            let text = serde_json::to_string_pretty(&self.to_job())?;
             fs::write(staged.path().join("job.json"), text + "\n")?;
             for (name, content) in self.files() {
                 fs::write(staged.path().join(name), &content.bytes)?;
             }
             if store.publish(staged, &target)? {
-                return Ok(Submitted { id, is_new: true, other_date: None });
+                return Ok(SubmittedJob { id, is_new: true, other_date: None });
             }
         }
         let there = Job::read(store, &id).map_err(io::Error::other)?;
-        let other_date = self.job().other_date(there, target.display())?;
-        fs::remove_file(store.failed(&id)).or_else(crate::store::ignore_missing)?;
-        Ok(Submitted { id, is_new: false, other_date })
+        let other_date = self.to_job().conflicting_date(there, target.display())?;
+        fs::remove_file(store.failure_path(&id)).or_else(crate::store::ignore_missing)?;
+        Ok(SubmittedJob { id, is_new: false, other_date })
     }
 }
 
@@ -190,10 +190,10 @@ impl Job {
     ///
     /// # Errors
     /// It is missing or damaged.
-    pub fn read(store: &Store, id: &str) -> Result<Self, Damage> {
-        let text = fs::read_to_string(store.job(id).join("job.json"))
-            .map_err(|error| Damage::Unreadable("job.json".into(), error.to_string()))?;
-        serde_json::from_str(&text).map_err(|error| Damage::Form(error.to_string()))
+    pub fn read(store: &Store, id: &str) -> Result<Self, StoredJobError> {
+        let text = fs::read_to_string(store.job_folder(id).join("job.json"))
+            .map_err(|error| StoredJobError::Unreadable("job.json".into(), error.to_string()))?;
+        serde_json::from_str(&text).map_err(|error| StoredJobError::Form(error.to_string()))
     }
 
     /// Returns its files.
@@ -204,7 +204,7 @@ impl Job {
     }
 
     /// Returns what the identifier is made of.
-    fn content(&self) -> (&str, &Request, Vec<(&str, &str)>) {
+    fn identifying_content(&self) -> (&str, &Request, Vec<(&str, &str)>) {
         let files = self.files().map(|it| (it.stored.as_str(), it.crc64.as_str()));
         (&self.machine, &self.request, files.collect())
     }
@@ -214,12 +214,12 @@ impl Job {
     ///
     /// # Errors
     /// It is another job.
-    pub(crate) fn other_date(
+    pub(crate) fn conflicting_date(
         &self,
         there: Self,
         place: impl fmt::Display,
     ) -> io::Result<Option<String>> {
-        if there.content() != self.content() {
+        if there.identifying_content() != self.identifying_content() {
             let why = format!("{place}: holds another job");
             return Err(io::Error::new(io::ErrorKind::AlreadyExists, why));
         }
@@ -231,11 +231,11 @@ impl Job {
     ///
     /// # Errors
     /// It is missing or damaged.
-    pub fn bytes(&self, folder: &Path, file: &JobFile) -> Result<Vec<u8>, Damage> {
+    pub fn read_file(&self, folder: &Path, file: &JobFile) -> Result<Vec<u8>, StoredJobError> {
         let bytes = fs::read(folder.join(&file.stored))
-            .map_err(|error| Damage::Unreadable(file.stored.clone(), error.to_string()))?;
-        if checksum(&bytes) != file.crc64 {
-            return Err(Damage::Checksum(file.stored.clone()));
+            .map_err(|error| StoredJobError::Unreadable(file.stored.clone(), error.to_string()))?;
+        if compute_checksum(&bytes) != file.crc64 {
+            return Err(StoredJobError::Checksum(file.stored.clone()));
         }
         Ok(bytes)
     }
@@ -246,7 +246,8 @@ mod tests {
     use super::*;
 
     fn submission(machine: &str, run: &[u8]) -> Submission {
-        let content = |path: &str, bytes: &[u8]| Content { path: path.into(), bytes: bytes.into() };
+        let content =
+            |path: &str, bytes: &[u8]| SubmittedFile { path: path.into(), bytes: bytes.into() };
         Submission {
             machine: machine.into(),
             date: None,
@@ -271,7 +272,7 @@ mod tests {
         for other in [submission("b", b"1"), submission("a", b"2")] {
             assert_ne!(other.submit(&store).expect("it is written").id, first.id);
         }
-        assert_eq!(store.ids().expect("it is read").len(), 3);
+        assert_eq!(store.job_ids().expect("it is read").len(), 3);
     }
 
     #[test]
@@ -289,9 +290,9 @@ mod tests {
         let store = Store::create(folder.path()).expect("it is made");
         let id = submission("a", b"1").submit(&store).expect("it is written").id;
         let job = Job::read(&store, &id).expect("a job");
-        assert_eq!(job.bytes(&store.job(&id), &job.runs[0]).expect("it is read"), b"1");
-        fs::write(store.job(&id).join("run-1.csv"), b"3").expect("it is written");
-        let found = job.bytes(&store.job(&id), &job.runs[0]);
-        assert_eq!(found, Err(Damage::Checksum("run-1.csv".into())));
+        assert_eq!(job.read_file(&store.job_folder(&id), &job.runs[0]).expect("it is read"), b"1");
+        fs::write(store.job_folder(&id).join("run-1.csv"), b"3").expect("it is written");
+        let found = job.read_file(&store.job_folder(&id), &job.runs[0]);
+        assert_eq!(found, Err(StoredJobError::Checksum("run-1.csv".into())));
     }
 }

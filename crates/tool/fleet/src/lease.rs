@@ -18,14 +18,14 @@ use std::{
 use crate::store::{Store, ignore_missing};
 
 /// Content of a lease whose owner has given it back.
-const RELEASED: &str = "released";
+const RELEASED_MARKER: &str = "released";
 
 /// The newest lease of each job.
-pub(crate) type Newest = BTreeMap<String, u64>;
+pub(crate) type NewestLeases = BTreeMap<String, u64>;
 
 /// Leases of others, as a worker has seen them.
 #[derive(Debug)]
-pub(crate) struct Watch {
+pub(crate) struct LeaseMonitor {
     length: Duration,
     seen: Mutex<HashMap<PathBuf, (String, Instant)>>,
 }
@@ -38,15 +38,15 @@ pub(crate) struct Lease {
     beats: u64,
 }
 
-impl Watch {
+impl LeaseMonitor {
     pub(crate) fn new(length: Duration) -> Self {
         Self { length, seen: Mutex::default() }
     }
 
     /// Returns whether a lease has ended at `now`.
-    pub(crate) fn has_ended(&self, path: PathBuf, now: Instant) -> bool {
+    pub(crate) fn has_expired(&self, path: PathBuf, now: Instant) -> bool {
         let Ok(content) = fs::read_to_string(&path) else { return false };
-        if content == RELEASED {
+        if content == RELEASED_MARKER {
             return true;
         }
         let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
@@ -60,14 +60,15 @@ impl Watch {
 
 /// Returns whether a lease was given back.
 pub(crate) fn is_released(store: &Store, id: &str, number: u64) -> bool {
-    fs::read_to_string(path(store, id, number)).is_ok_and(|content| content == RELEASED)
+    fs::read_to_string(lease_path(store, id, number))
+        .is_ok_and(|content| content == RELEASED_MARKER)
 }
 
 /// Returns the newest lease of each job.
-pub(crate) fn newest(store: &Store) -> io::Result<Newest> {
-    let mut newest = Newest::new();
+pub(crate) fn find_newest(store: &Store) -> io::Result<NewestLeases> {
+    let mut newest = NewestLeases::new();
     for name in store.list("leases")? {
-        if let Some((id, number)) = parsed(&name) {
+        if let Some((id, number)) = parse_file_name(&name) {
             let known = newest.entry(id.to_string()).or_default();
             *known = number.max(*known);
         }
@@ -75,21 +76,21 @@ pub(crate) fn newest(store: &Store) -> io::Result<Newest> {
     Ok(newest)
 }
 
-fn parsed(name: &str) -> Option<(&str, u64)> {
+fn parse_file_name(name: &str) -> Option<(&str, u64)> {
     let (id, number) = name.rsplit_once('.')?;
     Some((id, number.parse().ok()?))
 }
 
 /// Returns the file of a lease.
-pub(crate) fn path(store: &Store, id: &str, number: u64) -> PathBuf {
-    store.lease(&format!("{id}.{number}"))
+pub(crate) fn lease_path(store: &Store, id: &str, number: u64) -> PathBuf {
+    store.lease_path(&format!("{id}.{number}"))
 }
 
 /// Removes the leases of a job that has ended.
-pub(crate) fn clear(store: &Store, id: &str) -> io::Result<()> {
+pub(crate) fn remove_leases(store: &Store, id: &str) -> io::Result<()> {
     for name in store.list("leases")? {
-        if parsed(&name).is_some_and(|(of, _)| of == id) {
-            fs::remove_file(store.lease(&name)).or_else(ignore_missing)?;
+        if parse_file_name(&name).is_some_and(|(of, _)| of == id) {
+            fs::remove_file(store.lease_path(&name)).or_else(ignore_missing)?;
         }
     }
     Ok(())
@@ -97,13 +98,13 @@ pub(crate) fn clear(store: &Store, id: &str) -> io::Result<()> {
 
 impl Lease {
     /// Takes a job for the `number`-th time; none where another worker was faster.
-    pub(crate) fn take(
+    pub(crate) fn acquire(
         store: &Store,
         id: &str,
         number: u64,
         worker: &str,
     ) -> io::Result<Option<Self>> {
-        let path = path(store, id, number);
+        let path = lease_path(store, id, number);
         match OpenOptions::new().write(true).create_new(true).open(&path) {
             Ok(mut file) => {
                 file.write_all(format!("{worker} 0").as_bytes())?;
@@ -127,7 +128,7 @@ impl Lease {
     /// Gives the job back, so that another worker need not wait for the end of the lease.
     pub(crate) fn release(&self) {
         // Else it ends by itself.
-        let _ = fs::write(&self.path, RELEASED);
+        let _ = fs::write(&self.path, RELEASED_MARKER);
     }
 }
 
@@ -139,17 +140,18 @@ mod tests {
     fn one_of_two_workers_gets_a_job_and_a_still_counter_ends_its_lease() {
         let folder = tempfile::tempdir().expect("a folder");
         let store = Store::create(folder.path()).expect("it is made");
-        let take = |number| Lease::take(&store, "a", number, "w").expect("it is written");
+        let take = |number| Lease::acquire(&store, "a", number, "w").expect("it is written");
         let mut first = take(1).expect("nobody has it");
         assert!(take(1).is_none());
-        let watch = Watch::new(Duration::from_secs(10));
+        let watch = LeaseMonitor::new(Duration::from_secs(10));
         let start = Instant::now();
-        let ended = |s| watch.has_ended(path(&store, "a", 1), start + Duration::from_secs(s));
+        let ended =
+            |s| watch.has_expired(lease_path(&store, "a", 1), start + Duration::from_secs(s));
         assert!(!ended(0) && !ended(9));
         first.renew();
         assert!(!ended(15) && !ended(24) && ended(25));
         assert!(take(2).is_some());
-        assert_eq!(newest(&store).expect("it is read").get("a"), Some(&2));
+        assert_eq!(find_newest(&store).expect("it is read").get("a"), Some(&2));
         first.release();
         assert!(ended(25), "what was given back is free at once");
     }

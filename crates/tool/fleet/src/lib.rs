@@ -11,23 +11,23 @@
 //! | [`constants`] | constants with their errors, out of a diagnosis |
 //! | [`structure`] | one structure of the model for all machines |
 //! | [`pool`] | one constant on many machines: mean, spread, shrunk values |
-//! | [`anomalous`] | a machine that is unlike the others |
+//! | [`outliers`] | a machine that is unlike the others |
 //! | [`drift`] | a constant of one machine over its days |
 //! | `causes`, `next` | a cause over the series; which machine to measure next |
 //! | [`record`] | a result of one machine as the series takes it |
 //! | [`series`], [`report`] | all of it together: `fleet.json` |
-//! | [`page`] | the same as one page with pictures |
+//! | [`html_page`] | the same as one page with pictures |
 #![forbid(unsafe_code)]
 
-pub mod anomalous;
 mod causes;
 pub mod constants;
 pub mod drift;
+pub mod html_page;
 pub mod job;
 mod lease;
 pub mod nats;
-mod next;
-pub mod page;
+mod next_measurement;
+pub mod outliers;
 pub mod pool;
 pub mod record;
 pub mod report;

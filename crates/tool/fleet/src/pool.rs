@@ -22,13 +22,13 @@ use serde::Serialize;
 pub(crate) const MIN_MACHINES: usize = 4;
 
 /// This many machines beyond three have the full weight of the mean.
-const FULL_STRENGTH: f64 = 4.0;
+const FULL_WEIGHT_MACHINES: f64 = 4.0;
 
 /// Half of an interval of 95 % in standard errors.
 pub(crate) const Z95: f64 = 1.96;
 
 /// Points of the grid in a decade of τ.
-const POINTS: f64 = 40.0;
+const GRID_POINTS_PER_DECADE: f64 = 40.0;
 
 /// A value and its standard error.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -49,7 +49,7 @@ impl Estimate {
 
 /// A constant over a series.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Pooled {
+pub struct PooledEstimate {
     /// The mean over machines.
     pub mean: Estimate,
     /// The standard deviation between machines, and its standard error.
@@ -62,7 +62,7 @@ pub struct Pooled {
 
 /// Returns what machines say together.
 #[must_use]
-pub fn pool(machines: &[Estimate]) -> Option<Pooled> {
+pub fn pool_estimates(machines: &[Estimate]) -> Option<PooledEstimate> {
     let count = machines.len();
     if count == 0 {
         return None;
@@ -72,18 +72,19 @@ pub fn pool(machines: &[Estimate]) -> Option<Pooled> {
         [low.min(it.value), high.max(it.value)]
     });
     let widest = 30.0 * (1.0 + (ends[1] - ends[0]) / typical);
-    let decades = (widest / LOWEST).log10();
-    let points = (decades * POINTS).ceil() as usize;
-    let taus = (0..=points).map(|n| LOWEST * 10_f64.powf(decades * n as f64 / points as f64));
-    let grid: Vec<At> = taus.map(|ratio| At::new(machines, ratio, typical)).collect();
+    let decades = (widest / MIN_TAU_RATIO).log10();
+    let points = (decades * GRID_POINTS_PER_DECADE).ceil() as usize;
+    let taus =
+        (0..=points).map(|n| MIN_TAU_RATIO * 10_f64.powf(decades * n as f64 / points as f64));
+    let grid: Vec<GridPoint> = taus.map(|ratio| GridPoint::new(machines, ratio, typical)).collect();
     let best = grid.iter().map(|at| at.log_weight).fold(f64::NEG_INFINITY, f64::max);
     let weights: Vec<f64> = grid.iter().map(|at| (at.log_weight - best).exp()).collect();
     let total: f64 = weights.iter().sum();
-    let mean_of = |of: &dyn Fn(&At) -> f64| -> f64 {
+    let mean_of = |of: &dyn Fn(&GridPoint) -> f64| -> f64 {
         grid.iter().zip(&weights).map(|(at, weight)| weight * of(at)).sum::<f64>() / total
     };
     // Of a mixture: the mean variance within, and the variance of the means.
-    let mixed = |value: &dyn Fn(&At) -> f64, variance: &dyn Fn(&At) -> f64| {
+    let mixed = |value: &dyn Fn(&GridPoint) -> f64, variance: &dyn Fn(&GridPoint) -> f64| {
         let mean = mean_of(value);
         let within = mean_of(variance);
         let between = mean_of(&|at| (value(at) - mean).powi(2));
@@ -92,10 +93,16 @@ pub fn pool(machines: &[Estimate]) -> Option<Pooled> {
     let mean = mixed(&|at| at.mean, &|at| at.mean_variance);
     let spread = mixed(&|at| at.tau, &|_| 0.0);
     if count < MIN_MACHINES {
-        return Some(Pooled { mean, spread, shrunk: machines.to_vec(), weight: vec![0.0; count] });
+        return Some(PooledEstimate {
+            mean,
+            spread,
+            shrunk: machines.to_vec(),
+            weight: vec![0.0; count],
+        });
     }
-    let caution = ((count as f64 - 3.0) / FULL_STRENGTH).min(1.0);
-    let part = |it: &Estimate, at: &At| caution * it.se.powi(2) / (it.se.powi(2) + at.tau.powi(2));
+    let caution = ((count as f64 - 3.0) / FULL_WEIGHT_MACHINES).min(1.0);
+    let part =
+        |it: &Estimate, at: &GridPoint| caution * it.se.powi(2) / (it.se.powi(2) + at.tau.powi(2));
     let shrunk = |it: &Estimate| {
         mixed(&|at| part(it, at) * at.mean + (1.0 - part(it, at)) * it.value, &|at| {
             let b = part(it, at);
@@ -103,7 +110,7 @@ pub fn pool(machines: &[Estimate]) -> Option<Pooled> {
             (1.0 - b).powi(2) * it.se.powi(2) + b.powi(2) * of_mean
         })
     };
-    Some(Pooled {
+    Some(PooledEstimate {
         mean,
         spread,
         shrunk: machines.iter().map(shrunk).collect(),
@@ -112,10 +119,10 @@ pub fn pool(machines: &[Estimate]) -> Option<Pooled> {
 }
 
 /// The lowest τ of the grid, in typical errors of a fit: what is below does the same.
-const LOWEST: f64 = 1e-2;
+const MIN_TAU_RATIO: f64 = 1e-2;
 
 /// Estimate if the spread is `tau`.
-struct At {
+struct GridPoint {
     tau: f64,
     mean: f64,
     mean_variance: f64,
@@ -123,7 +130,7 @@ struct At {
     log_weight: f64,
 }
 
-impl At {
+impl GridPoint {
     fn new(machines: &[Estimate], ratio: f64, typical: f64) -> Self {
         let tau = ratio * typical;
         let variance = |it: &Estimate| it.se.powi(2) + tau.powi(2);

@@ -1,8 +1,8 @@
 //! A result of one machine as the series takes it, and what is open about a constant of it.
 
-use trueup_compare::dated::Day;
+use trueup_compare::dated::EpochDay;
 
-use crate::{constants::Found, pool::Estimate};
+use crate::{constants::Finding, pool::Estimate};
 
 /// A result of one machine.
 #[derive(Clone, Debug)]
@@ -10,7 +10,7 @@ pub struct Record {
     /// The machine.
     pub machine: String,
     /// The day of the record.
-    pub day: Option<Day>,
+    pub day: Option<EpochDay>,
     /// The verdict.
     pub verdict: String,
     /// Quantity that was compared.
@@ -19,20 +19,20 @@ pub struct Record {
     /// where it is the same.
     pub belief: String,
     /// The findings of the diagnosis.
-    pub found: Vec<Found>,
+    pub found: Vec<Finding>,
     /// Causes of other machines, fitted to this record.
-    pub fitted: Vec<Found>,
+    pub fitted: Vec<Finding>,
 }
 
 /// A constant on all machines, with what the next measurement would change.
-pub(crate) struct Pooled<'r> {
+pub(crate) struct PooledConstant<'r> {
     pub name: String,
     pub parameter: &'r str,
-    pub open: Vec<Open<'r>>,
+    pub open: Vec<UncertainConstant<'r>>,
 }
 
 /// Open question about a constant of one machine.
-pub(crate) struct Open<'r> {
+pub(crate) struct UncertainConstant<'r> {
     pub machine: &'r str,
     /// The value with the help of the others, and its error.
     pub now: Estimate,

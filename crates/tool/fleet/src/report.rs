@@ -6,7 +6,7 @@ use crate::drift::Drift;
 
 /// A number with its interval of 95 %.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Interval {
+pub struct IntervalEstimate {
     /// The value.
     pub value: f64,
     /// The interval.
@@ -15,19 +15,19 @@ pub struct Interval {
 
 /// The whole answer.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Series {
+pub struct SeriesReport {
     /// The version of this form.
     pub schema: u32,
     /// The machines, by name.
     pub machines: Vec<Machine>,
     /// The constants that more than one machine has, and those of single machines.
-    pub constants: Vec<Constant>,
+    pub constants: Vec<SeriesConstant>,
     /// The causes.
     pub causes: Vec<Cause>,
     /// Constants that were measured on several days.
-    pub drifts: Vec<Drifting>,
+    pub drifts: Vec<DriftingConstant>,
     /// Which machine to measure next, the best first.
-    pub next: Vec<Next>,
+    pub next: Vec<NextMeasurement>,
     /// Notes to the results, a sentence each.
     pub notes: Vec<String>,
 }
@@ -51,7 +51,7 @@ pub struct Machine {
 
 /// A constant over the series.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Constant {
+pub struct SeriesConstant {
     /// Quantity, cause, column and parameter.
     pub name: String,
     /// The parameter, with its unit.
@@ -61,16 +61,16 @@ pub struct Constant {
     /// How many machines have it.
     pub machines: usize,
     /// The mean over the machines that are not odd.
-    pub mean: Interval,
+    pub mean: IntervalEstimate,
     /// The standard deviation between machines, with its standard error as interval.
-    pub spread: Interval,
+    pub spread: IntervalEstimate,
     /// Each machine.
-    pub values: Vec<Member>,
+    pub values: Vec<MemberConstant>,
 }
 
 /// A constant of a machine.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Member {
+pub struct MemberConstant {
     /// The machine.
     pub machine: String,
     /// True if its diagnosis claims the cause.
@@ -78,19 +78,19 @@ pub struct Member {
     /// True if its diagnosis did not find the cause, and it was fitted because others have it.
     pub fitted_for_series: bool,
     /// The value from its own records.
-    pub own: Interval,
+    pub own: IntervalEstimate,
     /// The value with the others' help.
-    pub shrunk: Interval,
+    pub shrunk: IntervalEstimate,
     /// The weight of the mean in it, 0…1.
     pub weight: f64,
     /// The others' prediction for it, and its distance from that in predictive standard deviations.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub compared: Option<Compared>,
+    pub compared: Option<MachineComparison>,
 }
 
 /// A machine compared with the others.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Compared {
+pub struct MachineComparison {
     /// The others' prediction.
     pub predicted: f64,
     /// The deviation in predictive standard deviations.
@@ -124,7 +124,7 @@ pub struct Cause {
 
 /// A constant of a machine over time.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Drifting {
+pub struct DriftingConstant {
     /// The machine.
     pub machine: String,
     /// The constant.
@@ -138,7 +138,7 @@ pub struct Drifting {
 
 /// A measurement that would say most.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Next {
+pub struct NextMeasurement {
     /// The machine.
     pub machine: String,
     /// The constant that it would say most of.

@@ -4,11 +4,11 @@ use std::{collections::BTreeMap, fs, io};
 
 use serde::{Deserialize, Serialize};
 
-use crate::store::{Store, checksum};
+use crate::store::{Store, compute_checksum};
 
 /// A file of a result.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Named {
+pub struct ResultFile {
     /// Its name in `out`.
     pub name: String,
     /// The CRC-64 of its content.
@@ -17,7 +17,7 @@ pub struct Named {
 
 /// `result.json`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Done {
+pub struct JobResult {
     /// The version of this form.
     pub schema: u32,
     /// The job.
@@ -27,23 +27,23 @@ pub struct Done {
     /// The day of the record.
     pub date: Option<String>,
     /// The files of the diagnosis.
-    pub files: Vec<Named>,
+    pub files: Vec<ResultFile>,
 }
 
 /// A result with its files.
 #[derive(Clone, Debug)]
-pub struct Stored {
+pub struct StoredResult {
     /// The quantity.
-    pub done: Done,
+    pub done: JobResult,
     /// The content of each file, by its name.
     pub files: BTreeMap<String, Vec<u8>>,
 }
 
 /// The results of a folder.
 #[derive(Clone, Debug, Default)]
-pub struct Results {
+pub struct StoredResults {
     /// Those that are whole.
-    pub whole: Vec<Stored>,
+    pub whole: Vec<StoredResult>,
     /// Those that are damaged, each in a sentence.
     pub damaged: Vec<String>,
 }
@@ -52,10 +52,10 @@ pub struct Results {
 ///
 /// # Errors
 /// The folder cannot be read.
-pub fn read(store: &Store) -> io::Result<Results> {
-    let mut results = Results::default();
+pub fn read_all(store: &Store) -> io::Result<StoredResults> {
+    let mut results = StoredResults::default();
     for id in store.list("results")? {
-        match stored(store, &id) {
+        match read_result(store, &id) {
             Ok(stored) => results.whole.push(stored),
             Err(why) => results.damaged.push(format!(
                 "results/{id}: {why}; remove this folder, and a worker does the job again"
@@ -65,28 +65,28 @@ pub fn read(store: &Store) -> io::Result<Results> {
     Ok(results)
 }
 
-fn stored(store: &Store, id: &str) -> Result<Stored, String> {
-    let folder = store.result(id);
+fn read_result(store: &Store, id: &str) -> Result<StoredResult, String> {
+    let folder = store.result_folder(id);
     let unreadable = |name: &str, error: io::Error| format!("{name} cannot be read: {error}");
     let text = fs::read_to_string(folder.join("result.json"))
         .map_err(|error| unreadable("result.json", error))?;
-    let done: Done =
+    let done: JobResult =
         serde_json::from_str(&text).map_err(|error| format!("result.json is damaged: {error}"))?;
     if done.id != id {
         return Err(format!("result.json is damaged: it is of job {:?}", done.id));
     }
     let mut files = BTreeMap::new();
-    for Named { name, crc64 } in &done.files {
+    for ResultFile { name, crc64 } in &done.files {
         // A name of the form that workers write, and no way out of the folder.
         if name.contains(['/', '\\']) {
             return Err(format!("result.json is damaged: {name:?} is no name of a file"));
         }
         let bytes =
             fs::read(folder.join("out").join(name)).map_err(|error| unreadable(name, error))?;
-        if checksum(&bytes) != *crc64 {
+        if compute_checksum(&bytes) != *crc64 {
             return Err(format!("{name} is damaged (its checksum is wrong)"));
         }
         files.insert(name.clone(), bytes);
     }
-    Ok(Stored { done, files })
+    Ok(StoredResult { done, files })
 }

@@ -7,26 +7,29 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use trueup_compare::dated::{Day, text_of};
+use trueup_compare::dated::{EpochDay, format_day};
 
 use crate::{
-    anomalous::{self, compare, holm},
     causes,
-    constants::is_by_ratios,
-    drift::{Drift, drift, present},
-    next,
-    pool::{Estimate, Z95, pool},
-    record::{Open, Pooled, Record},
-    report::{Compared, Constant, Drifting, Interval, Machine, Member, Series},
+    constants::is_log_scaled,
+    drift::{Drift, current_estimate, estimate_drift},
+    next_measurement,
+    outliers::{self, compare_machines, holm_adjust},
+    pool::{Estimate, Z95, pool_estimates},
+    record::{PooledConstant, Record, UncertainConstant},
+    report::{
+        DriftingConstant, IntervalEstimate, Machine, MachineComparison, MemberConstant,
+        SeriesConstant, SeriesReport,
+    },
 };
 
 /// A constant: what the machine file believes, the finding, and the parameter.
-type Key<'r> = (&'r str, &'r str, &'r str);
+type ConstantKey<'r> = (&'r str, &'r str, &'r str);
 
 /// A constant by one record.
 #[derive(Clone, Copy, Debug)]
-struct Reading {
-    day: Option<Day>,
+struct RecordEstimate {
+    day: Option<EpochDay>,
     estimate: Estimate,
     claimed: bool,
     is_fitted: bool,
@@ -34,19 +37,19 @@ struct Reading {
 }
 
 /// A constant on one machine, over its records.
-struct OnMachine<'r> {
+struct MachineConstant<'r> {
     machine: &'r str,
-    present: Estimate,
+    current_estimate: Estimate,
     drift: Option<(usize, Drift)>,
-    last: Reading,
+    last: RecordEstimate,
     claimed: bool,
     is_fitted: bool,
 }
 
 /// Returns what the records say together; `notes`: what is known of them already.
 #[must_use]
-pub fn series(records: &[Record], notes: Vec<String>) -> Series {
-    let constants = by_constant(records);
+pub fn evaluate_series(records: &[Record], notes: Vec<String>) -> SeriesReport {
+    let constants = group_by_constant(records);
     let beliefs: BTreeSet<&str> = records.iter().map(|it| it.belief.as_str()).collect();
     let mut compared_on: BTreeMap<&str, usize> = BTreeMap::new();
     let mut known_on: BTreeMap<&str, usize> = BTreeMap::new();
@@ -66,26 +69,34 @@ pub fn series(records: &[Record], notes: Vec<String>) -> Series {
             if beliefs.len() > 1 { format!(" (machine files {number})") } else { String::new() };
         let name = format!("{finding} {parameter}{group}");
         let members = machines.iter();
-        let members: Vec<OnMachine<'_>> = members
-            .filter_map(|(machine, readings)| on_machine(machine, readings, known_on[*machine]))
+        let members: Vec<MachineConstant<'_>> = members
+            .filter_map(|(machine, readings)| {
+                evaluate_machine_constant(machine, readings, known_on[*machine])
+            })
             .collect();
         drifts.extend(members.iter().filter_map(|it| {
             let (days, drift) = it.drift?;
-            Some(Drifting { machine: it.machine.into(), constant: name.clone(), days, drift })
+            Some(DriftingConstant {
+                machine: it.machine.into(),
+                constant: name.clone(),
+                days,
+                drift,
+            })
         }));
         let most = members.iter().filter_map(|it| compared_on.get(it.machine)).max();
-        let (constant, open) = of_constant(&name, parameter, &members, most.copied().unwrap_or(1));
+        let (constant, open) =
+            evaluate_constant(&name, parameter, &members, most.copied().unwrap_or(1));
         all.push(constant);
-        pooled.push(Pooled { name, parameter, open });
+        pooled.push(PooledConstant { name, parameter, open });
     }
-    correct_for_number(&mut all);
-    let mut series = Series {
+    correct_multiple_testing(&mut all);
+    let mut series = SeriesReport {
         schema: 1,
-        machines: machines(records, &all, &drifts),
+        machines: summarise_machines(records, &all, &drifts),
         constants: all,
-        causes: causes::causes(records),
+        causes: causes::summarise_causes(records),
         drifts,
-        next: next::next(&pooled, records),
+        next: next_measurement::suggest_measurements(&pooled, records),
         notes,
     };
     if beliefs.len() > 1 {
@@ -108,8 +119,10 @@ pub fn series(records: &[Record], notes: Vec<String>) -> Series {
 
 /// Returns each constant with its readings on each machine. A fit for the series counts where the machine's own diagnoses
 /// did not find the cause.
-fn by_constant(records: &[Record]) -> BTreeMap<Key<'_>, BTreeMap<&str, Vec<Reading>>> {
-    let mut all: BTreeMap<Key<'_>, BTreeMap<&str, Vec<Reading>>> = BTreeMap::new();
+fn group_by_constant(
+    records: &[Record],
+) -> BTreeMap<ConstantKey<'_>, BTreeMap<&str, Vec<RecordEstimate>>> {
+    let mut all: BTreeMap<ConstantKey<'_>, BTreeMap<&str, Vec<RecordEstimate>>> = BTreeMap::new();
     for record in records {
         let own = record.found.iter().map(|it| (it, false));
         let fitted = record.fitted.iter().map(|it| (it, true));
@@ -117,7 +130,7 @@ fn by_constant(records: &[Record]) -> BTreeMap<Key<'_>, BTreeMap<&str, Vec<Readi
             for constant in &found.constants {
                 let key =
                     (record.belief.as_str(), found.name.as_str(), constant.parameter.as_str());
-                let reading = Reading {
+                let reading = RecordEstimate {
                     day: record.day,
                     estimate: constant.estimate,
                     claimed: found.claimed,
@@ -131,20 +144,20 @@ fn by_constant(records: &[Record]) -> BTreeMap<Key<'_>, BTreeMap<&str, Vec<Readi
     all
 }
 
-fn on_machine<'r>(
+fn evaluate_machine_constant<'r>(
     machine: &'r str,
-    readings: &[Reading],
+    readings: &[RecordEstimate],
     constants: usize,
-) -> Option<OnMachine<'r>> {
-    let dated: Vec<(Day, Estimate)> =
+) -> Option<MachineConstant<'r>> {
+    let dated: Vec<(EpochDay, Estimate)> =
         readings.iter().filter_map(|it| Some((it.day?, it.estimate))).collect();
-    let days: BTreeSet<Day> = dated.iter().map(|(day, _)| *day).collect();
-    let drift = drift(&dated, constants);
-    let all: Vec<(Option<Day>, Estimate)> =
+    let days: BTreeSet<EpochDay> = dated.iter().map(|(day, _)| *day).collect();
+    let drift = estimate_drift(&dated, constants);
+    let all: Vec<(Option<EpochDay>, Estimate)> =
         readings.iter().map(|it| (it.day, it.estimate)).collect();
-    Some(OnMachine {
+    Some(MachineConstant {
         machine,
-        present: present(&all, drift)?,
+        current_estimate: current_estimate(&all, drift)?,
         drift: drift.map(|it| (days.len(), it)),
         last: *readings.iter().max_by_key(|it| it.day)?,
         claimed: readings.iter().any(|it| it.claimed),
@@ -153,23 +166,25 @@ fn on_machine<'r>(
 }
 
 /// Returns a constant over its machines, and what is open about it on each.
-fn of_constant<'r>(
+fn evaluate_constant<'r>(
     name: &str,
     parameter: &str,
-    members: &[OnMachine<'r>],
+    members: &[MachineConstant<'r>],
     constants: usize,
-) -> (Constant, Vec<Open<'r>>) {
-    let values: Vec<Estimate> = members.iter().map(|it| it.present).collect();
-    let compared = compare(&values, constants);
+) -> (SeriesConstant, Vec<UncertainConstant<'r>>) {
+    let values: Vec<Estimate> = members.iter().map(|it| it.current_estimate).collect();
+    let compared = compare_machines(&values, constants);
     let is_odd = |index: usize| compared.as_ref().is_some_and(|all| all[index].is_odd);
     let healthy: Vec<usize> = (0..values.len()).filter(|index| !is_odd(*index)).collect();
     let of_healthy: Vec<Estimate> = healthy.iter().map(|index| values[*index]).collect();
-    let together = pool(&of_healthy).or_else(|| pool(&values)).expect("a constant has a machine");
-    let by_ratios = is_by_ratios(parameter);
+    let together = pool_estimates(&of_healthy)
+        .or_else(|| pool_estimates(&values))
+        .expect("a constant has a machine");
+    let by_ratios = is_log_scaled(parameter);
     let interval = |it: Estimate| {
         let [value, low, high] = [it.value, it.ci95()[0], it.ci95()[1]]
             .map(|value| if by_ratios { value.exp() } else { value });
-        Interval { value, ci95: [low, high] }
+        IntervalEstimate { value, ci95: [low, high] }
     };
     let mut list = Vec::new();
     let mut open = Vec::new();
@@ -179,59 +194,63 @@ fn of_constant<'r>(
             Some(place) if place < together.shrunk.len() => {
                 (together.shrunk[place], together.weight[place])
             }
-            _ => (it.present, 0.0),
+            _ => (it.current_estimate, 0.0),
         };
-        open.push(Open {
+        open.push(UncertainConstant {
             machine: it.machine,
             now: shrunk,
             record_se: it.last.estimate.se,
             explains_um: it.last.explains_um,
         });
-        list.push(Member {
+        list.push(MemberConstant {
             machine: it.machine.into(),
             claimed: it.claimed,
             fitted_for_series: it.is_fitted,
-            own: interval(it.present),
+            own: interval(it.current_estimate),
             shrunk: interval(shrunk),
             weight,
             compared: compared.as_ref().map(|all| {
-                let anomalous::Compared { predicted, t, p, is_odd } = all[index];
+                let outliers::PredictiveTestResult { predicted, t, p, is_odd } = all[index];
                 let predicted = if by_ratios { predicted.exp() } else { predicted };
-                Compared { predicted, t, p, p_series: p, odd: is_odd }
+                MachineComparison { predicted, t, p, p_series: p, odd: is_odd }
             }),
         });
     }
     let spread = together.spread;
     let ratio = |it: f64| if by_ratios { it.exp() } else { it };
     let ends = [(spread.value - Z95 * spread.se).max(0.0), spread.value + Z95 * spread.se];
-    let constant = Constant {
+    let constant = SeriesConstant {
         name: name.into(),
         parameter: parameter.into(),
         by_ratios,
         machines: members.len(),
         mean: interval(together.mean),
-        spread: Interval { value: ratio(spread.value), ci95: ends.map(ratio) },
+        spread: IntervalEstimate { value: ratio(spread.value), ci95: ends.map(ratio) },
         values: list,
     };
     (constant, open)
 }
 
 /// Corrects the probabilities for the number of machines and constants.
-fn correct_for_number(constants: &mut [Constant]) {
-    let mut all: Vec<&mut Compared> = constants
+fn correct_multiple_testing(constants: &mut [SeriesConstant]) {
+    let mut all: Vec<&mut MachineComparison> = constants
         .iter_mut()
         .flat_map(|it| it.values.iter_mut().filter_map(|it| it.compared.as_mut()))
         .collect();
     let p: Vec<f64> = all.iter().map(|it| it.p).collect();
-    all.iter_mut().zip(holm(&p)).for_each(|(it, p)| it.p_series = p);
+    all.iter_mut().zip(holm_adjust(&p)).for_each(|(it, p)| it.p_series = p);
 }
 
-fn machines(records: &[Record], constants: &[Constant], drifts: &[Drifting]) -> Vec<Machine> {
+fn summarise_machines(
+    records: &[Record],
+    constants: &[SeriesConstant],
+    drifts: &[DriftingConstant],
+) -> Vec<Machine> {
     let names: BTreeSet<&str> = records.iter().map(|it| it.machine.as_str()).collect();
     let of = |name: &str| {
         let own: Vec<&Record> = records.iter().filter(|it| it.machine == name).collect();
         let newest = own.iter().max_by_key(|it| it.day);
-        let is_odd = |it: &&Constant| {
+        let is_odd = |it: &&SeriesConstant| {
             let mut members = it.values.iter().filter(|it| it.machine == name);
             members.any(|it| it.compared.is_some_and(|it| it.odd))
         };
@@ -239,7 +258,7 @@ fn machines(records: &[Record], constants: &[Constant], drifts: &[Drifting]) -> 
         Machine {
             machine: name.into(),
             results: own.len(),
-            newest: newest.and_then(|it| it.day).map(text_of),
+            newest: newest.and_then(|it| it.day).map(format_day),
             verdict: newest.map(|it| it.verdict.clone()).unwrap_or_default(),
             odd: constants.iter().filter(is_odd).map(|it| it.name.clone()).collect(),
             drifting: changes.map(|it| it.constant.clone()).collect(),
@@ -269,7 +288,7 @@ mod tests {
             verdict: "explained".into(),
             quantity: "dz".into(),
             belief: "b".into(),
-            found: constants::found(&diagnosis),
+            found: constants::parse_findings(&diagnosis),
             fitted: Vec::new(),
         }
     }
@@ -281,7 +300,7 @@ mod tests {
             records.extend(
                 others.iter().zip(["b", "c", "d"]).map(|(v, name)| record(name, *v, false)),
             );
-            series(&records, Vec::new()).causes[0].confirmed
+            evaluate_series(&records, Vec::new()).causes[0].confirmed
         };
         assert!(confirmed([1.9, 2.1, 2.0]));
         assert!(!confirmed([0.05, -0.1, 0.02]));
@@ -293,7 +312,7 @@ mod tests {
         let mut records: Vec<Record> =
             (0..6).map(|n| record(&format!("m{n}"), 2.0, true)).collect();
         records[..3].iter_mut().for_each(|it| it.belief = "other".into());
-        let series = series(&records, Vec::new());
+        let series = evaluate_series(&records, Vec::new());
         assert_eq!(series.constants.iter().map(|it| it.machines).collect::<Vec<_>>(), [3, 3]);
         assert!(series.notes[0].contains("2 different things"), "{:?}", series.notes);
     }
@@ -303,7 +322,7 @@ mod tests {
         let mut records: Vec<Record> =
             (0..6).map(|n| record(&format!("m{n}"), 2.0 + 0.3 * f64::from(n), true)).collect();
         records[3].found[0].constants[0].estimate.se = 0.5;
-        let series = series(&records, Vec::new());
+        let series = evaluate_series(&records, Vec::new());
         assert_eq!(series.next[0].machine, "m3");
         assert!(series.next[0].after_um < series.next[0].doubt_um);
         assert_eq!(series.next[0].program, "axis-heat");

@@ -22,7 +22,7 @@ use crc::{CRC_64_XZ, Crc};
 use tempfile::{NamedTempFile, TempDir};
 
 /// The folders of a fleet.
-const FOLDERS: [&str; 5] = ["jobs", "leases", "results", "failed", "tmp"];
+const SUBFOLDERS: [&str; 5] = ["jobs", "leases", "results", "failed", "tmp"];
 
 /// A fleet's folder.
 #[derive(Clone, Debug)]
@@ -36,65 +36,65 @@ impl Store {
     /// # Errors
     /// A folder cannot be made.
     pub fn create(root: &Path) -> io::Result<Self> {
-        FOLDERS.iter().try_for_each(|name| fs::create_dir_all(root.join(name)))?;
+        SUBFOLDERS.iter().try_for_each(|name| fs::create_dir_all(root.join(name)))?;
         Ok(Self { root: root.into() })
     }
 
     /// Opens a folder that `submit` has made; none where it is something else.
     #[must_use]
     pub fn open(root: &Path) -> Option<Self> {
-        let is_there = FOLDERS.iter().all(|name| root.join(name).is_dir());
+        let is_there = SUBFOLDERS.iter().all(|name| root.join(name).is_dir());
         is_there.then(|| Self { root: root.into() })
     }
 
     /// Returns the folder of a job.
     #[must_use]
-    pub fn job(&self, id: &str) -> PathBuf {
+    pub fn job_folder(&self, id: &str) -> PathBuf {
         self.root.join("jobs").join(id)
     }
 
     /// Returns the folder of a result.
     #[must_use]
-    pub fn result(&self, id: &str) -> PathBuf {
+    pub fn result_folder(&self, id: &str) -> PathBuf {
         self.root.join("results").join(id)
     }
 
     /// Returns the file that says why a job has failed.
     #[must_use]
-    pub fn failed(&self, id: &str) -> PathBuf {
+    pub(crate) fn failure_path(&self, id: &str) -> PathBuf {
         self.root.join("failed").join(format!("{id}.json"))
     }
 
     /// Returns the file that says of which fleet on a server this folder is a copy.
-    pub(crate) fn copy_of(&self) -> PathBuf {
+    pub(crate) fn copy_source_path(&self) -> PathBuf {
         self.root.join("copy-of")
     }
 
     /// Returns the names in one of the folders, sorted.
     pub(crate) fn list(&self, folder: &str) -> io::Result<Vec<String>> {
-        names(&self.root.join(folder))
+        list_file_names(&self.root.join(folder))
     }
 
     /// Returns the file of a lease.
-    pub(crate) fn lease(&self, name: &str) -> PathBuf {
+    pub(crate) fn lease_path(&self, name: &str) -> PathBuf {
         self.root.join("leases").join(name)
     }
 
     /// Returns whether a job has ended, with a result or a reason.
     pub(crate) fn is_ended(&self, id: &str) -> bool {
-        self.result(id).exists() || self.failed(id).exists()
+        self.result_folder(id).exists() || self.failure_path(id).exists()
     }
 
     /// Returns the jobs that were submitted, in the order of their identifiers.
     ///
     /// # Errors
     /// The folder cannot be read.
-    pub fn ids(&self) -> io::Result<Vec<String>> {
+    pub fn job_ids(&self) -> io::Result<Vec<String>> {
         self.list("jobs")
     }
 
     /// Returns a new folder that is not visible yet.
-    pub(crate) fn staging(&self, prefix: &str) -> io::Result<TempDir> {
+    pub(crate) fn create_staging_folder(&self, prefix: &str) -> io::Result<TempDir> {
         tempfile::Builder::new().prefix(prefix).tempdir_in(self.root.join("tmp"))
     }
 
@@ -137,7 +137,7 @@ impl Store {
 }
 
 /// Returns the names in a folder, sorted.
-fn names(folder: &Path) -> io::Result<Vec<String>> {
+fn list_file_names(folder: &Path) -> io::Result<Vec<String>> {
     let entries = fs::read_dir(folder)?;
     let mut names: Vec<String> = entries
         .map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned()))
@@ -171,7 +171,7 @@ fn sync_folder(folder: &Path) -> io::Result<()> {
 
 /// Returns the CRC-64 (that of xz) of bytes, as 16 hexadecimal digits.
 #[must_use]
-pub fn checksum(bytes: &[u8]) -> String {
+pub fn compute_checksum(bytes: &[u8]) -> String {
     format!("{:016x}", CRC.checksum(bytes))
 }
 

@@ -13,44 +13,44 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::{
-    constants::{Found, Identity},
+    constants::{CauseIdentity, Finding},
     record::Record,
 };
 
 /// The share of machines on which a common cause is found.
-const COMMON_SHARE: f64 = 0.25;
+const MIN_COMMON_FRACTION: f64 = 0.25;
 /// The fewest machines on which it is.
-const MIN_COMMON: usize = 3;
+const MIN_COMMON_MACHINES: usize = 3;
 
 /// The terms to be fitted to a record.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Asked {
+pub struct FitRequest {
     /// The causes of the model.
-    pub together: Vec<Identity>,
+    pub together: Vec<CauseIdentity>,
     /// Causes that are fitted alone next to it.
-    pub alone: Vec<Identity>,
+    pub alone: Vec<CauseIdentity>,
 }
 
 /// The constants of each cause that was asked, in its order; none where the record does not allow it.
 #[derive(Clone, Debug, Default)]
-pub struct Answered {
+pub struct FittedConstants {
     /// Of the causes of the model.
-    pub together: Vec<Option<Found>>,
+    pub together: Vec<Option<Finding>>,
     /// Of those next to it.
-    pub alone: Vec<Option<Found>>,
+    pub alone: Vec<Option<Finding>>,
 }
 
 /// Returns what is to be fitted to each record; none where its own diagnosis has all that the series has.
 #[must_use]
-pub fn asked(records: &[Record]) -> Vec<Option<Asked>> {
-    records.iter().map(|record| of_record(record, records)).collect()
+pub fn select_causes_to_fit(records: &[Record]) -> Vec<Option<FitRequest>> {
+    records.iter().map(|record| select_causes_for_record(record, records)).collect()
 }
 
-fn of_record(record: &Record, records: &[Record]) -> Option<Asked> {
+fn select_causes_for_record(record: &Record, records: &[Record]) -> Option<FitRequest> {
     let alike = || records.iter().filter(|it| it.quantity == record.quantity);
     let machines: BTreeSet<&str> = alike().map(|it| it.machine.as_str()).collect();
-    let mut found_on: BTreeMap<&Identity, BTreeSet<&str>> = BTreeMap::new();
-    let mut claimed: BTreeSet<&Identity> = BTreeSet::new();
+    let mut found_on: BTreeMap<&CauseIdentity, BTreeSet<&str>> = BTreeMap::new();
+    let mut claimed: BTreeSet<&CauseIdentity> = BTreeSet::new();
     for other in alike() {
         for found in other.found.iter().filter(|it| !it.constants.is_empty()) {
             let Some(identity) = &found.identity else { continue };
@@ -60,32 +60,33 @@ fn of_record(record: &Record, records: &[Record]) -> Option<Asked> {
             }
         }
     }
-    let count = |identity: &Identity| found_on.get(identity).map_or(0, BTreeSet::len);
-    let least = ((COMMON_SHARE * machines.len() as f64).ceil() as usize).max(MIN_COMMON);
-    let is_common = |identity: &Identity| count(identity) >= least;
+    let count = |identity: &CauseIdentity| found_on.get(identity).map_or(0, BTreeSet::len);
+    let least =
+        ((MIN_COMMON_FRACTION * machines.len() as f64).ceil() as usize).max(MIN_COMMON_MACHINES);
+    let is_common = |identity: &CauseIdentity| count(identity) >= least;
     // Another name for what more machines call otherwise.
-    let is_replaced = |own: &Found| {
+    let is_replaced = |own: &Finding| {
         let common = found_on.keys().filter(|it| is_common(it));
         let mut names = common.filter(|it| own.alternatives.contains(&it.name(&record.quantity)));
         !own.claimed
             && own.identity.as_ref().is_some_and(|own| names.any(|it| count(it) > count(own)))
     };
     let own = record.found.iter().filter(|it| !is_replaced(it));
-    let mut together: Vec<Identity> = own.filter_map(|it| it.identity.clone()).collect();
+    let mut together: Vec<CauseIdentity> = own.filter_map(|it| it.identity.clone()).collect();
     let before = together.len();
     let missing = found_on.keys().filter(|it| is_common(it) && !together.contains(**it));
-    let missing: Vec<Identity> = missing.map(|it| (*it).clone()).collect();
+    let missing: Vec<CauseIdentity> = missing.map(|it| (*it).clone()).collect();
     together.extend(missing);
     let is_whole = together.len() == before && before == record.found.len();
     let alone = claimed.into_iter().filter(|it| !together.contains(*it));
-    let alone: Vec<Identity> = alone.cloned().collect();
-    (!is_whole || !alone.is_empty()).then_some(Asked { together, alone })
+    let alone: Vec<CauseIdentity> = alone.cloned().collect();
+    (!is_whole || !alone.is_empty()).then_some(FitRequest { together, alone })
 }
 
 impl Record {
     /// Takes the constants of the model of the series in the place of its own.
-    pub fn take(&mut self, answered: Answered) {
-        let fitted: Vec<Found> = answered.together.into_iter().flatten().collect();
+    pub fn replace_constants(&mut self, answered: FittedConstants) {
+        let fitted: Vec<Finding> = answered.together.into_iter().flatten().collect();
         for own in &mut self.found {
             // What another cause stands for, and what is more than a name, says nothing to the series.
             own.constants = match fitted.iter().find(|it| it.name == own.name) {
@@ -93,8 +94,8 @@ impl Record {
                 None => Vec::new(),
             };
         }
-        let is_new = |it: &Found| self.found.iter().all(|own| own.name != it.name);
-        let new: Vec<Found> = fitted.into_iter().filter(is_new).collect();
+        let is_new = |it: &Finding| self.found.iter().all(|own| own.name != it.name);
+        let new: Vec<Finding> = fitted.into_iter().filter(is_new).collect();
         self.fitted = new;
         self.fitted.extend(answered.alone.into_iter().flatten());
     }
@@ -122,12 +123,12 @@ mod tests {
             verdict: "explained".into(),
             quantity: "dz".into(),
             belief: String::new(),
-            found: constants::found(&json!({"quantity": "dz", "findings": findings})),
+            found: constants::parse_findings(&json!({"quantity": "dz", "findings": findings})),
             fitted: Vec::new(),
         }
     }
 
-    fn names(of: &[Identity]) -> Vec<&str> {
+    fn names(of: &[CauseIdentity]) -> Vec<&str> {
         of.iter().map(|it| it.cause.as_str()).collect()
     }
 
@@ -140,7 +141,7 @@ mod tests {
             record("c", &[("heat", true), ("play", true)]),
             record("d", &[]),
         ];
-        let asked = asked(&records);
+        let asked = select_causes_to_fit(&records);
         let of = |n: usize| asked[n].clone().unwrap_or_default();
         assert_eq!((names(&of(0).together), names(&of(0).alone)), (vec!["heat"], vec!["play"]));
         assert_eq!((names(&of(3).together), names(&of(3).alone)), (vec!["heat"], vec!["play"]));
@@ -152,11 +153,11 @@ mod tests {
         let heat = [("heat", true)];
         let mut records = vec![record("a", &heat), record("b", &heat), record("c", &heat)];
         records.push(record("d", &[("slow", false)]));
-        let asked = asked(&records)[3].clone().unwrap_or_default();
+        let asked = select_causes_to_fit(&records)[3].clone().unwrap_or_default();
         assert_eq!(names(&asked.together), ["heat"]);
         let mut own = records.remove(3);
         let heat = records[0].found[0].clone();
-        own.take(Answered { together: vec![Some(heat)], alone: Vec::new() });
+        own.replace_constants(FittedConstants { together: vec![Some(heat)], alone: Vec::new() });
         assert!(own.found[0].constants.is_empty() && own.fitted[0].name == "dz heat");
     }
 }

@@ -23,23 +23,23 @@ use std::{
 
 use serde::Serialize;
 use serde_json::json;
-use trueup_numerics::parallel::on_one_core;
+use trueup_numerics::parallel::run_single_threaded;
 
 use crate::{
-    job::{Damage, Job, JobFile},
-    lease::{self, Lease, Watch},
-    result::{Done, Named},
-    store::{Store, checksum},
+    job::{Job, JobFile, StoredJobError},
+    lease::{self, Lease, LeaseMonitor},
+    result::{JobResult, ResultFile},
+    store::{Store, compute_checksum},
 };
 
 /// The longest pause before a worker looks for jobs again.
-const PAUSE: Duration = Duration::from_millis(500);
+const MAX_POLL_INTERVAL: Duration = Duration::from_millis(500);
 /// How often a lease is renewed in its length.
-pub(crate) const BEATS: u32 = 4;
+pub(crate) const RENEWALS_PER_LEASE: u32 = 4;
 
 /// A job with the content of its files, as the worker has read it.
 #[derive(Debug)]
-pub struct Loaded {
+pub struct LoadedJob {
     /// The job.
     pub job: Job,
     /// The machine file.
@@ -48,13 +48,13 @@ pub struct Loaded {
     pub runs: Vec<Vec<u8>>,
     /// Runs with the bridge disengaged.
     pub off: Vec<Vec<u8>>,
-    /// Runs that nothing is fitted to.
+    /// Runs not used for the fit.
     pub holdout: Vec<Vec<u8>>,
 }
 
 /// Why a diagnosis was not made.
 #[derive(Debug)]
-pub enum Failure {
+pub enum DiagnosisError {
     /// The job cannot be done, by any worker: the reason.
     Job(String),
     /// This worker cannot: the job waits for another one.
@@ -62,14 +62,15 @@ pub enum Failure {
 }
 
 /// Files that a diagnosis hands to the worker, which writes them: names and content.
-pub type Files = Vec<(&'static str, Vec<u8>)>;
+pub type DiagnosisFiles = Vec<(&'static str, Vec<u8>)>;
 
 /// Makes the diagnosis of a job whose result will stand in the folder.
-pub type Diagnose<'d> = dyn Fn(&Loaded, &Path) -> Result<Files, Failure> + Sync + 'd;
+pub type DiagnoseFn<'d> =
+    dyn Fn(&LoadedJob, &Path) -> Result<DiagnosisFiles, DiagnosisError> + Sync + 'd;
 
 /// How workers work.
 #[derive(Clone, Copy, Debug)]
-pub struct Options {
+pub struct WorkerOptions {
     /// Threads, each with a job of its own.
     pub threads: usize,
     /// The length of a lease.
@@ -80,7 +81,7 @@ pub struct Options {
 
 /// Work done by this process.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Tally {
+pub struct JobCounts {
     /// Jobs with a result of theirs.
     pub done: usize,
     /// Jobs that failed.
@@ -91,19 +92,23 @@ pub struct Tally {
 ///
 /// # Errors
 /// The folder cannot be read or written, or the diagnosis says that this worker cannot go on.
-pub fn work(store: &Store, options: Options, diagnose: &Diagnose<'_>) -> io::Result<Tally> {
-    let team = Team {
+pub fn run_workers(
+    store: &Store,
+    options: WorkerOptions,
+    diagnose: &DiagnoseFn<'_>,
+) -> io::Result<JobCounts> {
+    let team = WorkerThreads {
         store,
         options,
         diagnose,
-        watch: Watch::new(options.lease),
+        watch: LeaseMonitor::new(options.lease),
         queue: Mutex::default(),
         done: AtomicUsize::new(0),
         failed: AtomicUsize::new(0),
     };
     run_threads(options.threads, |number| team.run(number))?;
     let count = |counter: &AtomicUsize| counter.load(Ordering::Relaxed);
-    Ok(Tally { done: count(&team.done), failed: count(&team.failed) })
+    Ok(JobCounts { done: count(&team.done), failed: count(&team.failed) })
 }
 
 /// Runs this many threads, each with its number, until all have ended.
@@ -126,11 +131,11 @@ pub(crate) fn run_threads(
 }
 
 /// The threads of one process.
-struct Team<'t> {
+struct WorkerThreads<'t> {
     store: &'t Store,
-    options: Options,
-    diagnose: &'t Diagnose<'t>,
-    watch: Watch,
+    options: WorkerOptions,
+    diagnose: &'t DiagnoseFn<'t>,
+    watch: LeaseMonitor,
     /// Jobs that waited when they were last looked for, with the number of their next lease.
     queue: Mutex<Vec<(String, u64)>>,
     done: AtomicUsize,
@@ -138,7 +143,7 @@ struct Team<'t> {
 }
 
 /// Work to do.
-enum Next {
+enum NextJob {
     Job(String, Lease),
     /// Other workers have what is left.
     Wait,
@@ -146,22 +151,22 @@ enum Next {
     Nothing,
 }
 
-impl Team<'_> {
+impl WorkerThreads<'_> {
     fn run(&self, number: usize) -> io::Result<()> {
         let worker = format!("{}-{number}", process::id());
         loop {
-            match self.next(&worker)? {
-                Next::Job(id, lease) => self.process(&id, lease)?,
-                Next::Nothing if self.options.until_empty => return Ok(()),
-                Next::Wait | Next::Nothing => {
-                    thread::sleep(PAUSE.min(self.options.lease / BEATS));
+            match self.acquire_next(&worker)? {
+                NextJob::Job(id, lease) => self.process_job(&id, lease)?,
+                NextJob::Nothing if self.options.until_empty => return Ok(()),
+                NextJob::Wait | NextJob::Nothing => {
+                    thread::sleep(MAX_POLL_INTERVAL.min(self.options.lease / RENEWALS_PER_LEASE));
                 }
             }
         }
     }
 
     /// Takes the next job that waits.
-    fn next(&self, worker: &str) -> io::Result<Next> {
+    fn acquire_next(&self, worker: &str) -> io::Result<NextJob> {
         let mut queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
         let mut is_fresh = false;
         loop {
@@ -169,42 +174,44 @@ impl Team<'_> {
                 if self.store.is_ended(&id) {
                     continue;
                 }
-                let Some(lease) = Lease::take(self.store, &id, number, worker)? else { continue };
+                let Some(lease) = Lease::acquire(self.store, &id, number, worker)? else {
+                    continue;
+                };
                 // It may have ended between the two.
                 if self.store.is_ended(&id) {
-                    lease::clear(self.store, &id)?;
+                    lease::remove_leases(self.store, &id)?;
                     continue;
                 }
-                return Ok(Next::Job(id, lease));
+                return Ok(NextJob::Job(id, lease));
             }
             if is_fresh {
-                return Ok(Next::Wait);
+                return Ok(NextJob::Wait);
             }
             let open;
-            (*queue, open) = self.waiting()?;
+            (*queue, open) = self.waiting_jobs()?;
             is_fresh = true;
             if open == 0 {
-                return Ok(Next::Nothing);
+                return Ok(NextJob::Nothing);
             }
         }
     }
 
     /// Returns the jobs that wait, in an order of this process, and how many have not ended.
-    fn waiting(&self) -> io::Result<(Vec<(String, u64)>, usize)> {
-        let leases = lease::newest(self.store)?;
+    fn waiting_jobs(&self) -> io::Result<(Vec<(String, u64)>, usize)> {
+        let leases = lease::find_newest(self.store)?;
         let now = Instant::now();
-        let open = self.store.ids()?.into_iter().filter(|id| !self.store.is_ended(id));
+        let open = self.store.job_ids()?.into_iter().filter(|id| !self.store.is_ended(id));
         let open: Vec<String> = open.collect();
         // What a worker has left that was killed after its result.
         for id in leases.keys().filter(|id| self.store.is_ended(id)) {
             self.store.clear_staging(&format!("result-{id}-"))?;
-            lease::clear(self.store, id)?;
+            lease::remove_leases(self.store, id)?;
         }
         let waits = |id: &String| match leases.get(id) {
             None => Some((id.clone(), 1)),
             Some(number) => self
                 .watch
-                .has_ended(lease::path(self.store, id, *number), now)
+                .has_expired(lease::lease_path(self.store, id, *number), now)
                 .then(|| (id.clone(), number + 1)),
         };
         let mut waiting: Vec<(String, u64)> = open.iter().filter_map(waits).collect();
@@ -217,9 +224,9 @@ impl Team<'_> {
     }
 
     /// Does a job while its lease is renewed.
-    fn process(&self, id: &str, mut lease: Lease) -> io::Result<()> {
+    fn process_job(&self, id: &str, mut lease: Lease) -> io::Result<()> {
         let (ended, end) = channel::<()>();
-        let renewed = self.options.lease / BEATS;
+        let renewed = self.options.lease / RENEWALS_PER_LEASE;
         let done = thread::scope(|scope| {
             let lease = &mut lease;
             scope.spawn(move || {
@@ -227,14 +234,14 @@ impl Team<'_> {
                     lease.renew();
                 }
             });
-            let done = self.attempt(id);
+            let done = self.attempt_job(id);
             drop(ended);
             done
         });
         match done {
             Ok(()) => {
                 self.store.clear_staging(&format!("result-{id}-"))?;
-                lease::clear(self.store, id)
+                lease::remove_leases(self.store, id)
             }
             Err(error) => {
                 lease.release();
@@ -243,35 +250,35 @@ impl Team<'_> {
         }
     }
 
-    fn attempt(&self, id: &str) -> io::Result<()> {
-        let damage = |damage: Damage| Failure::Job(format!("jobs/{id}: {damage}"));
-        let made = loaded(self.store, id).map_err(damage).and_then(|loaded| {
-            let out = self.store.result(id).join("out");
-            let diagnose = || on_one_core(|| (self.diagnose)(&loaded, &out));
+    fn attempt_job(&self, id: &str) -> io::Result<()> {
+        let damage = |damage: StoredJobError| DiagnosisError::Job(format!("jobs/{id}: {damage}"));
+        let made = load_job(self.store, id).map_err(damage).and_then(|loaded| {
+            let out = self.store.result_folder(id).join("out");
+            let diagnose = || run_single_threaded(|| (self.diagnose)(&loaded, &out));
             // A job that breaks the program must not take the others with it.
             let made = catch_unwind(AssertUnwindSafe(diagnose)).unwrap_or_else(|_| {
                 let why =
                     "the program has failed on these files: report it with the folder of the job";
-                Err(Failure::Job(why.into()))
+                Err(DiagnosisError::Job(why.into()))
             });
             made.map(|files| (loaded.job, files))
         });
         match made {
             Ok((job, files)) => {
-                if publish(self.store, id, &job, &files)? {
+                if publish_result(self.store, id, &job, &files)? {
                     self.done.fetch_add(1, Ordering::Relaxed);
                 }
                 Ok(())
             }
-            Err(Failure::Job(reason)) => {
+            Err(DiagnosisError::Job(reason)) => {
                 let machine = Job::read(self.store, id).map(|job| job.machine).ok();
                 let text = json!({"schema": 1, "id": id, "machine": machine, "reason": reason});
                 let text = serde_json::to_string_pretty(&text)? + "\n";
-                self.store.publish_file(&self.store.failed(id), &text)?;
+                self.store.publish_file(&self.store.failure_path(id), &text)?;
                 self.failed.fetch_add(1, Ordering::Relaxed);
                 Ok(())
             }
-            Err(Failure::Worker(reason)) => Err(io::Error::other(reason)),
+            Err(DiagnosisError::Worker(reason)) => Err(io::Error::other(reason)),
         }
     }
 }
@@ -280,12 +287,12 @@ impl Team<'_> {
 ///
 /// # Errors
 /// A file is missing or damaged.
-pub fn loaded(store: &Store, id: &str) -> Result<Loaded, Damage> {
-    let folder = store.job(id);
+pub fn load_job(store: &Store, id: &str) -> Result<LoadedJob, StoredJobError> {
+    let folder = store.job_folder(id);
     let job = Job::read(store, id)?;
-    let bytes = |file: &JobFile| job.bytes(&folder, file);
+    let bytes = |file: &JobFile| job.read_file(&folder, file);
     let all = |files: &[JobFile]| files.iter().map(bytes).collect::<Result<Vec<_>, _>>();
-    Ok(Loaded {
+    Ok(LoadedJob {
         machine_file: bytes(&job.machine_file)?,
         runs: all(&job.runs)?,
         off: all(&job.off)?,
@@ -295,18 +302,18 @@ pub fn loaded(store: &Store, id: &str) -> Result<Loaded, Damage> {
 }
 
 /// Publishes the result of a job, unless it has one. Returns whether it was the first.
-fn publish(store: &Store, id: &str, job: &Job, files: &Files) -> io::Result<bool> {
-    let staged = store.staging(&format!("result-{id}-"))?;
+fn publish_result(store: &Store, id: &str, job: &Job, files: &DiagnosisFiles) -> io::Result<bool> {
+    let staged = store.create_staging_folder(&format!("result-{id}-"))?;
     let out = staged.path().join("out");
     fs::create_dir(&out)?;
     for (name, content) in files {
         fs::write(out.join(name), content)?;
     }
-    let named = |(name, content): &(&'static str, Vec<u8>)| Named {
+    let named = |(name, content): &(&'static str, Vec<u8>)| ResultFile {
         name: (*name).into(),
-        crc64: checksum(content),
+        crc64: compute_checksum(content),
     };
-    let done = Done {
+    let done = JobResult {
         schema: 1,
         id: id.into(),
         machine: job.machine.clone(),
@@ -314,25 +321,25 @@ fn publish(store: &Store, id: &str, job: &Job, files: &Files) -> io::Result<bool
         files: files.iter().map(named).collect(),
     };
     fs::write(staged.path().join("result.json"), serde_json::to_string_pretty(&done)? + "\n")?;
-    store.publish(staged, &store.result(id))
+    store.publish(staged, &store.result_folder(id))
 }
 
 /// Where the jobs of a folder stand.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Status {
+pub struct FleetStatus {
     /// Jobs that no worker has.
-    pub waiting: Vec<Entry>,
+    pub waiting: Vec<JobStatus>,
     /// Jobs that a worker has, or had when it ended.
-    pub running: Vec<Entry>,
+    pub running: Vec<JobStatus>,
     /// Jobs with a result.
-    pub done: Vec<Entry>,
+    pub done: Vec<JobStatus>,
     /// Jobs that cannot be done.
-    pub failed: Vec<Entry>,
+    pub failed: Vec<JobStatus>,
 }
 
 /// A job and how it stands.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Entry {
+pub struct JobStatus {
     /// Its identifier.
     pub id: String,
     /// Its machine; empty where the job cannot be read.
@@ -349,17 +356,17 @@ pub struct Entry {
 ///
 /// # Errors
 /// The folder cannot be read.
-pub fn status(store: &Store) -> io::Result<Status> {
-    let leases = lease::newest(store)?;
+pub fn read_status(store: &Store) -> io::Result<FleetStatus> {
+    let leases = lease::find_newest(store)?;
     let failed = store.list("failed")?;
-    let mut status = Status::default();
-    for id in store.ids()? {
+    let mut status = FleetStatus::default();
+    for id in store.job_ids()? {
         let machine = Job::read(store, &id).map(|job| job.machine).unwrap_or_default();
-        let mut entry = Entry { id: id.clone(), machine, taken: None, reason: None };
-        if store.result(&id).exists() {
+        let mut entry = JobStatus { id: id.clone(), machine, taken: None, reason: None };
+        if store.result_folder(&id).exists() {
             status.done.push(entry);
         } else if failed.contains(&format!("{id}.json")) {
-            let text = fs::read_to_string(store.failed(&id)).unwrap_or_default();
+            let text = fs::read_to_string(store.failure_path(&id)).unwrap_or_default();
             let value: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
             entry.reason = value["reason"].as_str().map(String::from);
             status.failed.push(entry);

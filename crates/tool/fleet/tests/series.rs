@@ -2,8 +2,8 @@
 //! healthy one is left alone.
 
 use trueup_fleet::{
-    anomalous::compare,
-    pool::{Estimate, pool},
+    outliers::compare_machines,
+    pool::{Estimate, pool_estimates},
 };
 use trueup_numerics::random::Generator;
 
@@ -32,7 +32,7 @@ fn relative_error(machines: usize, spread: f64, are_equal: bool, series: usize) 
     let (mut shrunk_sum, mut own_sum, mut held) = (0.0, 0.0, 0);
     for _ in 0..series {
         let Drawn { truth, measured } = drawn(&mut generator, machines, spread, are_equal);
-        let pooled = pool(&measured).expect("there are machines");
+        let pooled = pool_estimates(&measured).expect("there are machines");
         for ((truth, own), shrunk) in truth.iter().zip(&measured).zip(&pooled.shrunk) {
             shrunk_sum += (shrunk.value - truth).powi(2);
             own_sum += (own.value - truth).powi(2);
@@ -86,7 +86,7 @@ fn found_and_accused(machines: usize, error: f64, off: &dyn Fn(&mut Generator) -
             .map(|_| Estimate { value: generator.normal() + error * generator.normal(), se: error })
             .collect();
         measured[0].value = off(&mut generator) + error * generator.normal();
-        let compared = compare(&measured, 1).expect("there are four");
+        let compared = compare_machines(&measured, 1).expect("there are four");
         found += usize::from(compared[0].is_odd);
         let wrong = compared[1..].iter().filter(|it| it.is_odd).count();
         accused += wrong;
@@ -127,7 +127,7 @@ fn three_odd_machines_do_not_hide_each_other() {
         let mut measured: Vec<Estimate> =
             (0..30).map(|_| Estimate { value: generator.normal(), se: 0.1 }).collect();
         measured[..3].iter_mut().for_each(|it| it.value = 6.0 + 0.3 * it.value);
-        let compared = compare(&measured, 1).expect("there are four");
+        let compared = compare_machines(&measured, 1).expect("there are four");
         found += compared[..3].iter().filter(|it| it.is_odd).count();
     }
     println!("{found} of 300");

@@ -11,20 +11,20 @@ use std::{
 };
 
 use trueup_client::{
-    ends::Ends,
-    line::{Line, LineEvent},
-    pinned::Pinned,
+    connection::{Connection, ConnectionEvent},
+    duplex_stream::DuplexStream,
+    pinned_calibration::PinnedCalibration,
 };
 
 use crate::hub::Hub;
 
 /// From one look at the line to the next: two cycles of the bridge. Events between them are taken
 /// together, which is what keeps the gateway cheap.
-const TURN: Duration = Duration::from_millis(2);
+const POLL_INTERVAL: Duration = Duration::from_millis(2);
 
 /// How the line to the bridge is.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct LineState {
+pub(crate) struct LinkState {
     /// It is open.
     pub is_up: bool,
     /// Why it last was not.
@@ -33,17 +33,17 @@ pub struct LineState {
 
 /// The hub, its clock, and the sign to stop: one for all threads.
 #[derive(Clone)]
-pub struct Shared {
+pub struct SharedState {
     hub: Arc<Mutex<Hub>>,
-    line: Arc<Mutex<LineState>>,
+    line: Arc<Mutex<LinkState>>,
     stop: Arc<AtomicBool>,
     start: Instant,
 }
 
-impl Shared {
+impl SharedState {
     /// Returns a hub whose clock starts now. Everything ends when `stop` is set.
     #[must_use]
-    pub fn new(stop: Arc<AtomicBool>, pinned: Pinned) -> Self {
+    pub fn new(stop: Arc<AtomicBool>, pinned: PinnedCalibration) -> Self {
         Self {
             hub: Arc::new(Mutex::new(Hub::new(pinned))),
             line: Arc::default(),
@@ -59,67 +59,69 @@ impl Shared {
     }
 
     /// Returns the hub, for a moment. A thread that has panicked with it leaves it as it was.
-    pub fn hub(&self) -> MutexGuard<'_, Hub> {
+    pub fn lock_hub(&self) -> MutexGuard<'_, Hub> {
         self.hub.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Returns how the line to the bridge is.
     #[must_use]
-    pub fn line(&self) -> LineState {
+    pub(crate) fn link_state(&self) -> LinkState {
         self.line.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Returns whether it is time to end.
     #[must_use]
-    pub fn has_ended(&self) -> bool {
+    pub fn is_stop_requested(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
     }
 
-    fn line_is(&self, state: LineState) {
+    fn set_link_state(&self, state: LinkState) {
         *self.line.lock().unwrap_or_else(PoisonError::into_inner) = state;
     }
 }
 
 /// Reads at most once a turn: a thread that woke for each frame would cost more than all the rest.
-struct OnceATurn(Box<dyn Read + Send>);
+struct ThrottledReader(Box<dyn Read + Send>);
 
-impl Read for OnceATurn {
+impl Read for ThrottledReader {
     fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
-        thread::sleep(TURN);
+        thread::sleep(POLL_INTERVAL);
         self.0.read(bytes)
     }
 }
 
 /// Keeps a line to the bridge, in a thread of its own, until the end.
-pub fn keep(
-    shared: Shared,
-    mut open: impl FnMut() -> io::Result<Ends> + Send + 'static,
+pub fn spawn_bridge_thread(
+    shared: SharedState,
+    mut open: impl FnMut() -> io::Result<DuplexStream> + Send + 'static,
 ) -> JoinHandle<()> {
     thread::spawn(move || {
-        let line = Line::keep(move || {
+        let line = Connection::spawn(move || {
             let (reader, writer) = open()?;
-            Ok((Box::new(OnceATurn(reader)), writer))
+            Ok((Box::new(ThrottledReader(reader)), writer))
         });
-        while !shared.has_ended() {
+        while !shared.is_stop_requested() {
             let frames = {
-                let mut hub = shared.hub();
-                for heard in line.received() {
+                let mut hub = shared.lock_hub();
+                for heard in line.take_events() {
                     match heard {
-                        LineEvent::Up => shared.line_is(LineState { is_up: true, why: None }),
-                        LineEvent::Down(why) => {
-                            shared.line_is(LineState { is_up: false, why: Some(why) });
+                        ConnectionEvent::Up => {
+                            shared.set_link_state(LinkState { is_up: true, why: None })
                         }
-                        LineEvent::Received(event) => hub.receive(shared.now(), &event),
-                        LineEvent::Late => hub.stalled(),
+                        ConnectionEvent::Down(why) => {
+                            shared.set_link_state(LinkState { is_up: false, why: Some(why) });
+                        }
+                        ConnectionEvent::Received(event) => hub.receive(shared.now(), &event),
+                        ConnectionEvent::Late => hub.count_stall(),
                     }
                 }
-                hub.refresh(shared.now());
-                hub.frames()
+                hub.refresh_input_block(shared.now());
+                hub.take_due_frames()
             };
             for frame in frames {
-                line.send(frame);
+                line.try_send(frame);
             }
-            thread::sleep(TURN);
+            thread::sleep(POLL_INTERVAL);
         }
     })
 }

@@ -10,18 +10,18 @@ use trueup_link::{
         self, CONDITIONS_PERIOD_MS, CONTROL_PERIOD_MS, POSITION_PERIOD_MS, SPINDLE_PERIOD_MS,
     },
 };
-use trueup_modbus::cnc::Cnc;
+use trueup_modbus::holding::CncData;
 
 /// Frames of one identifier: their counter, and when the last was sent.
 #[derive(Clone, Copy, Debug, Default)]
-struct Course {
+struct FrameTxState {
     counter: u8,
     sent: Option<Duration>,
 }
 
-impl Course {
+impl FrameTxState {
     /// Returns the counter of the next frame, if it is due.
-    fn due(&mut self, now: Duration, period_ms: u32, at_once: bool) -> Option<u8> {
+    fn take_due_counter(&mut self, now: Duration, period_ms: u32, at_once: bool) -> Option<u8> {
         let period = Duration::from_millis(period_ms.into());
         let waits = self.sent.is_some_and(|sent| now.saturating_sub(sent) < period);
         if waits && !at_once {
@@ -37,49 +37,51 @@ impl Course {
 /// Transmitter of the frames to the bridge.
 #[derive(Debug, Default)]
 pub(crate) struct CncTransmitter {
-    control: Course,
-    positions: [Course; 3],
-    rotary: Course,
-    spindle: Course,
-    conditions: Course,
+    control: FrameTxState,
+    positions: [FrameTxState; 3],
+    rotary: FrameTxState,
+    spindle: FrameTxState,
+    conditions: FrameTxState,
     last: Option<Control>,
     due: Vec<Frame>,
 }
 
 impl CncTransmitter {
     /// Takes what the PLC has just said; nothing is repeated by itself.
-    pub(crate) fn transmit(&mut self, now: Duration, said: &Cnc) {
+    pub(crate) fn queue_frames(&mut self, now: Duration, said: &CncData) {
         let has_changed = self.last.replace(said.control) != Some(said.control);
-        if let Some(counter) = self.control.due(now, CONTROL_PERIOD_MS, has_changed) {
-            self.due.push(frames::control(said.control, counter));
+        if let Some(counter) = self.control.take_due_counter(now, CONTROL_PERIOD_MS, has_changed) {
+            self.due.push(frames::encode_control(said.control, counter));
         }
         for axis in LinearAxis::ALL {
             let place = axis as usize;
             if let Some(position) = said.positions[place]
-                && let Some(counter) = self.positions[place].due(now, POSITION_PERIOD_MS, false)
+                && let Some(counter) =
+                    self.positions[place].take_due_counter(now, POSITION_PERIOD_MS, false)
             {
-                self.due.push(frames::position(position, counter));
+                self.due.push(frames::encode_position(position, counter));
             }
         }
         if let Some(rotary) = said.rotary
-            && let Some(counter) = self.rotary.due(now, POSITION_PERIOD_MS, false)
+            && let Some(counter) = self.rotary.take_due_counter(now, POSITION_PERIOD_MS, false)
         {
-            self.due.push(frames::rotary(rotary, counter));
+            self.due.push(frames::encode_rotary(rotary, counter));
         }
         if let Some(spindle) = said.spindle
-            && let Some(counter) = self.spindle.due(now, SPINDLE_PERIOD_MS, false)
+            && let Some(counter) = self.spindle.take_due_counter(now, SPINDLE_PERIOD_MS, false)
         {
-            self.due.push(frames::spindle(spindle, counter));
+            self.due.push(frames::encode_spindle(spindle, counter));
         }
         if let Some(conditions) = said.conditions
-            && let Some(counter) = self.conditions.due(now, CONDITIONS_PERIOD_MS, false)
+            && let Some(counter) =
+                self.conditions.take_due_counter(now, CONDITIONS_PERIOD_MS, false)
         {
-            self.due.push(frames::conditions(conditions, counter));
+            self.due.push(frames::encode_conditions(conditions, counter));
         }
     }
 
     /// Returns the frames that are due.
-    pub fn take(&mut self) -> Vec<Frame> {
+    pub(crate) fn take_frames(&mut self) -> Vec<Frame> {
         std::mem::take(&mut self.due)
     }
 }
@@ -88,15 +90,19 @@ impl CncTransmitter {
 mod tests {
     use super::*;
     use trueup_core::{
-        cnc::{AxisPosition, Command, Conditions, Heading, Spindle},
+        cnc::{AxisPosition, Command, Conditions, Spindle, TravelDirection},
         units::{Position, Rpm},
     };
     use trueup_link::receiver::Receiver;
 
     #[test]
     fn a_plc_that_is_faster_than_the_bus_loses_nothing_but_repetitions() {
-        let at = |axis| AxisPosition { axis, position: Position(7), direction: Heading::Positive };
-        let mut said = Cnc {
+        let at = |axis| AxisPosition {
+            axis,
+            position: Position(7),
+            direction: TravelDirection::Positive,
+        };
+        let mut said = CncData {
             control: Control::REFERENCED,
             positions: LinearAxis::ALL.map(|axis| Some(at(axis))),
             rotary: None,
@@ -108,8 +114,8 @@ mod tests {
         for ms in 0..100 {
             said.control.engage = ms >= 33;
             said.conditions = Some(Conditions { tool: if ms < 10 { 3 } else { 4 }, bits: 1 });
-            speaker.transmit(Duration::from_millis(ms), &said);
-            for frame in speaker.take() {
+            speaker.queue_frames(Duration::from_millis(ms), &said);
+            for frame in speaker.take_frames() {
                 match receiver.accept(&frame).expect("in order") {
                     Some(Command::Control(control)) => controls.push((ms, control.engage)),
                     Some(Command::Position(_)) => positions += 1,
@@ -122,6 +128,6 @@ mod tests {
         assert_eq!(controls, expected);
         assert_eq!((positions, others), (150, 5));
         assert_eq!(tools, [(0, 3, 1), (50, 4, 1)], "20 a second");
-        assert_eq!(speaker.take(), []);
+        assert_eq!(speaker.take_frames(), []);
     }
 }

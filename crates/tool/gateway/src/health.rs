@@ -3,18 +3,18 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use serde_json::{Value, json};
-use trueup_client::words::{output_json, state_words};
+use trueup_client::state_text::{output_to_json, state_names};
 use trueup_link::status::StateBits;
-use trueup_modbus::cnc::Refused;
+use trueup_modbus::holding::BlockRejectReason;
 
 use crate::{
-    bridge::Shared,
-    hub::{MAY_BE_OLD, OTHER_CALIBRATION},
+    bridge::SharedState,
+    hub::{REFUSED_CALIBRATION, REFUSED_STALE},
 };
 
 /// State of the PLC's end.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct PlcEnd {
+pub struct PlcStatus {
     /// It is connected, or at least one master is.
     pub is_up: bool,
     /// Why it last was not.
@@ -27,12 +27,12 @@ pub struct PlcEnd {
 
 /// State of the PLC's end, shared between threads.
 #[derive(Clone, Debug, Default)]
-pub struct End(Arc<Mutex<PlcEnd>>);
+pub struct SharedPlcStatus(Arc<Mutex<PlcStatus>>);
 
-impl End {
+impl SharedPlcStatus {
     /// Returns how it is; the longest write is counted anew from here.
     #[must_use]
-    pub fn take(&self) -> PlcEnd {
+    pub fn snapshot_and_reset(&self) -> PlcStatus {
         let mut end = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let now = end.clone();
         end.longest_ms = 0.0;
@@ -41,36 +41,36 @@ impl End {
 
     /// Returns how it is.
     #[must_use]
-    pub fn look(&self) -> PlcEnd {
+    pub fn snapshot(&self) -> PlcStatus {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Changes it.
-    pub fn change(&self, change: impl FnOnce(&mut PlcEnd)) {
+    pub fn update(&self, change: impl FnOnce(&mut PlcStatus)) {
         change(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner));
     }
 }
 
 /// Returns what a line says.
 #[must_use]
-pub fn line(shared: &Shared, plc: &PlcEnd) -> Value {
+pub fn build_status_line(shared: &SharedState, plc: &PlcStatus) -> Value {
     let now = shared.now();
-    let bridge_line = shared.line();
-    let hub = shared.hub();
-    let (said, counters) = (hub.said(), hub.counters());
-    let mut bridge = output_json(Some(&said.output));
+    let bridge_line = shared.link_state();
+    let hub = shared.lock_hub();
+    let (said, counters) = (hub.current_input(), hub.counters());
+    let mut bridge = output_to_json(Some(&said.output));
     if let Some(bridge) = bridge.as_object_mut() {
-        bridge.insert("line".into(), word(bridge_line.is_up).into());
+        bridge.insert("line".into(), link_state_name(bridge_line.is_up).into());
         bridge.insert("why".into(), bridge_line.why.into());
-        bridge.insert("heard".into(), hub.receives_bridge(now).into());
+        bridge.insert("heard".into(), hub.has_fresh_output(now).into());
         bridge.insert("age_ms".into(), said.age_ms.into());
-        bridge.insert("state".into(), state_words(StateBits(said.state)).into());
+        bridge.insert("state".into(), state_names(StateBits(said.state)).into());
         let wrong = counters.crc_errors + counters.sequence_errors + counters.malformed;
         bridge.insert("refused_frames".into(), wrong.into());
         bridge.insert("lost_frames".into(), counters.lost.into());
-        bridge.insert("stalls".into(), hub.stalls().into());
-        let pinned = hub.pinned();
-        let expected = pinned.expected().map(|crc| format!("{crc:08x}"));
+        bridge.insert("stalls".into(), hub.stall_count().into());
+        let pinned = hub.pinned_calibration();
+        let expected = pinned.expected_crc().map(|crc| format!("{crc:08x}"));
         bridge.insert("pinned_calibration".into(), expected.into());
         bridge.insert("not_engaged".into(), pinned.refusal().into());
     }
@@ -79,20 +79,20 @@ pub fn line(shared: &Shared, plc: &PlcEnd) -> Value {
         "t_s": (now.as_secs_f64() * 1e3).round() / 1e3,
         "bridge": bridge,
         "plc": {
-            "line": word(plc.is_up),
+            "line": link_state_name(plc.is_up),
             "why": plc.why,
             "given": plc.given,
             "longest_ms": (plc.longest_ms * 1e3).round() / 1e3,
             "heard": control.is_some(),
             "engage": control.map(|control| control.engage),
             "refused": said.refused,
-            "last_refused": refused_word(said.last_refused),
+            "last_refused": refusal_text(said.last_refused),
         },
     })
 }
 
 /// The members that are written at once when they change.
-pub(crate) const NEWS: [&str; 7] = [
+pub(crate) const IMMEDIATE_MEMBERS: [&str; 7] = [
     "/bridge/line",
     "/bridge/heard",
     "/bridge/quality",
@@ -102,20 +102,25 @@ pub(crate) const NEWS: [&str; 7] = [
     "/plc/engage",
 ];
 
-fn word(is_up: bool) -> &'static str {
+fn link_state_name(is_up: bool) -> &'static str {
     if is_up { "up" } else { "down" }
 }
 
-fn refused_word(number: u16) -> Option<String> {
+fn refusal_text(number: u16) -> Option<String> {
     match number {
-        MAY_BE_OLD => return Some("it came after a silence and may be old".into()),
-        OTHER_CALIBRATION => {
+        REFUSED_STALE => return Some("it came after a silence and may be old".into()),
+        REFUSED_CALIBRATION => {
             return Some("Engage, but the bridge runs on another calibration".into());
         }
         _ => {}
     }
-    [Refused::Malformed, Refused::Damaged, Refused::Repeated, Refused::WrongSequence]
-        .into_iter()
-        .find(|it| *it as u16 == number)
-        .map(|it| it.to_string())
+    [
+        BlockRejectReason::Malformed,
+        BlockRejectReason::Damaged,
+        BlockRejectReason::Repeated,
+        BlockRejectReason::WrongSequence,
+    ]
+    .into_iter()
+    .find(|it| *it as u16 == number)
+    .map(|it| it.to_string())
 }

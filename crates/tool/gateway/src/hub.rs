@@ -4,19 +4,19 @@
 //! |---|---|
 //! | a valid pair of offset frames | what they say, the counter one further |
 //! | no new pair | stands, counter and all |
-//! | none for `STALE` | "not available", quality 6; the counter goes on, since the gateway lives |
+//! | none for `STALE_TIMEOUT` | "not available", quality 6; the counter goes on, since the gateway lives |
 //!
 //! | the PLC | the bridge |
 //! |---|---|
 //! | a block in step | its frames |
-//! | the first block after `MASTER_LASTS` of silence, and those on its heels | nothing: it may be of a stalled line |
+//! | the first block after `MASTER_TIMEOUT` of silence, and those on its heels | nothing: it may be of a stalled line |
 //! | `Engage` while the bridge runs on another calibration than the pinned one | `Engage` and `Zero` 0 |
 //!
 //! A block is made whole and replaced whole, so a reader gets one moment's.
 
 use std::time::Duration;
 
-use trueup_client::{pinned::Pinned, status::Board};
+use trueup_client::{pinned_calibration::PinnedCalibration, status::BoardStatus};
 use trueup_core::cnc::{Control, Output, Quality};
 use trueup_link::{
     frame::Frame,
@@ -26,43 +26,43 @@ use trueup_link::{
     status::{Item, StateBits, decode},
 };
 use trueup_modbus::{
-    cnc::{self, Checker, Cnc, Refused},
-    input::{self, Input},
+    holding::{self, BlockRejectReason, Checker, CncData},
+    input::{self, InputBlock},
+    input_with_slopes,
+    register_map::WHOLE_HOLDING_LEN,
     server::Busy,
-    slopes,
-    table::WHOLE_HOLDING_LEN,
 };
 
 use crate::cnc::CncTransmitter;
 
-/// Without a valid pair for so long the bridge counts as silent: as in `trueup linuxcnc`, a hundred
+/// After this time without a valid pair the bridge counts as silent: as in `trueup linuxcnc`, a hundred
 /// cycles, and less than the 256 ms after which a counter of CAN comes round.
-pub(crate) const STALE: Duration = Duration::from_millis(100);
+pub(crate) const STALE_TIMEOUT: Duration = Duration::from_millis(100);
 /// Each item of `Status` comes every 1.1 s; three missed, and it counts as unknown.
-const STATUS_LASTS: Duration = Duration::from_millis(3_400);
+const STATUS_TIMEOUT: Duration = Duration::from_millis(3_400);
 /// With slopes each item comes every 1.5 s; three missed.
-const SLOPES_LAST: Duration = Duration::from_millis(4_600);
-/// A master that has sent no valid block for so long no longer keeps others out: the link timeout
+const SLOPES_TIMEOUT: Duration = Duration::from_millis(4_600);
+/// After this time without a valid block a master no longer keeps others out: the link timeout
 /// after which the bridge counts its CNC as lost, by default.
-pub(crate) const MASTER_LASTS: Duration = Duration::from_millis(500);
+pub(crate) const MASTER_TIMEOUT: Duration = Duration::from_millis(500);
 /// How long a second master is reported of.
-const TOLD: Duration = Duration::from_secs(2);
+const SECOND_MASTER_HOLD_TIME: Duration = Duration::from_secs(2);
 
 /// Blocks that come so soon after one that may be old have waited with it: a line that goes on delivers them at once.
-const ON_ITS_HEELS: Duration = Duration::from_millis(30);
+const BACKLOG_WINDOW: Duration = Duration::from_millis(30);
 /// `LastRefused` of a block that may be old: it came after a silence.
-pub(crate) const MAY_BE_OLD: u16 = 5;
+pub(crate) const REFUSED_STALE: u16 = 5;
 /// `LastRefused` of `Engage` to a bridge that runs on another calibration than the pinned one.
-pub(crate) const OTHER_CALIBRATION: u16 = 6;
-/// Without a valid pair for so long the bridge may have been exchanged: as long as a bridge holds by default.
-const GONE: Duration = Duration::from_secs(2);
+pub(crate) const REFUSED_CALIBRATION: u16 = 6;
+/// After this time without a valid pair the bridge may have been exchanged: as long as a bridge holds by default.
+const BRIDGE_LOSS_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Reported where slopes are expected and none come.
-const NO_SLOPES: &str = "warning: the bridge sends no slopes, so nothing is handed over: its calibration has no \
+const NO_SLOPES_WARNING: &str = "warning: the bridge sends no slopes, so nothing is handed over: its calibration has no \
                          [axis.*.thermal] of mode \"position\" or \"both\", or its firmware is older. Take --mode offsets";
 
 /// Who sends holding blocks: a connection.
-pub type Master = u64;
+pub type MasterId = u64;
 
 /// Exchange of blocks between the bridge and the PLC.
 pub struct Hub {
@@ -70,9 +70,9 @@ pub struct Hub {
     malformed_lines: u32,
     last: Option<(Duration, Output)>,
     is_new: bool,
-    board: Board,
+    board: BoardStatus,
     status_heard: Option<Duration>,
-    pinned: Pinned,
+    pinned: PinnedCalibration,
     /// When the bridge last was not available, or gone: what it ran on before does not count.
     was_away: Option<Duration>,
     calibration_heard: Option<Duration>,
@@ -82,16 +82,16 @@ pub struct Hub {
     expects_slopes: Option<(Duration, bool)>,
     news: Vec<String>,
     stalls: u32,
-    input: Input,
+    input: InputBlock,
     registers: input::Registers,
-    with_slopes: [u16; slopes::LEN],
-    master: Option<(Master, Duration)>,
+    with_slopes: [u16; input_with_slopes::BLOCK_LEN],
+    master: Option<(MasterId, Duration)>,
     checker: Checker,
-    holding: cnc::Registers,
+    holding: holding::Registers,
     speaker: CncTransmitter,
     control: Option<(Duration, Control)>,
     /// The last whole block of the master, or its connection.
-    arrived: Option<(Master, Duration)>,
+    arrived: Option<(MasterId, Duration)>,
     /// How long it had not come before that.
     pace: Option<Duration>,
     /// Blocks before this time may be old.
@@ -105,7 +105,7 @@ pub enum BlockOutcome {
     /// It is used.
     Used,
     /// It is not, and why.
-    Refused(Refused),
+    Refused(BlockRejectReason),
     /// It is not, because it may have waited in a line that stalled.
     MayBeOld,
 }
@@ -113,18 +113,18 @@ pub enum BlockOutcome {
 impl Hub {
     /// Nothing received from anyone. Only a bridge that runs on the pinned calibration is engaged.
     #[must_use]
-    pub fn new(pinned: Pinned) -> Self {
-        let input = Input {
+    pub fn new(pinned: PinnedCalibration) -> Self {
+        let input = InputBlock {
             output: Output { quality: Quality::Fault, ..Output::default() },
             age_ms: u16::MAX,
-            ..Input::default()
+            ..InputBlock::default()
         };
         Self {
             offsets: OffsetReceiver::new(),
             malformed_lines: 0,
             last: None,
             is_new: false,
-            board: Board::default(),
+            board: BoardStatus::default(),
             status_heard: None,
             pinned,
             was_away: None,
@@ -134,7 +134,7 @@ impl Hub {
             news: Vec::new(),
             stalls: 0,
             registers: input.encode(),
-            with_slopes: slopes::encode(&input, None),
+            with_slopes: input_with_slopes::encode(&input, None),
             input,
             master: None,
             checker: Checker::default(),
@@ -152,9 +152,9 @@ impl Hub {
     pub fn receive(&mut self, now: Duration, event: &Event) {
         match event {
             Event::Frame(frame) if frame.id() == STATUS_ID => {
-                let refused = self.board.refused();
+                let refused = self.board.rejected_frame_count();
                 self.board.receive(frame);
-                if self.board.refused() == refused {
+                if self.board.rejected_frame_count() == refused {
                     self.status_heard = Some(now);
                     match decode(frame).map(|status| status.item) {
                         Ok(Item::Calibration(_)) => self.calibration_heard = Some(now),
@@ -185,43 +185,43 @@ impl Hub {
     }
 
     /// Takes note that the line delivers frames that are too old to be used.
-    pub fn stalled(&mut self) {
+    pub(crate) fn count_stall(&mut self) {
         self.stalls = self.stalls.saturating_add(1);
     }
 
     /// Returns how often the line has stalled.
     #[must_use]
-    pub(crate) fn stalls(&self) -> u32 {
+    pub(crate) fn stall_count(&self) -> u32 {
         self.stalls
     }
 
     /// Returns the messages about the bridge's calibration since the last call.
-    pub fn news(&mut self) -> Vec<String> {
+    pub fn take_messages(&mut self) -> Vec<String> {
         std::mem::take(&mut self.news)
     }
 
     /// Returns what may be engaged.
     #[must_use]
-    pub fn pinned(&self) -> &Pinned {
+    pub fn pinned_calibration(&self) -> &PinnedCalibration {
         &self.pinned
     }
 
     /// Looks on what calibration the bridge runs now, as far as it has said so since it was last away.
     fn check_calibration(&mut self, now: Duration) {
-        if self.last.is_some_and(|(heard, _)| now.saturating_sub(heard) > GONE) {
+        if self.last.is_some_and(|(heard, _)| now.saturating_sub(heard) > BRIDGE_LOSS_TIMEOUT) {
             self.was_away = Some(now);
         }
         let is_known = self.calibration_heard.is_some_and(|heard| {
-            now.saturating_sub(heard) <= STATUS_LASTS && self.was_away.is_none_or(|at| heard > at)
+            now.saturating_sub(heard) <= STATUS_TIMEOUT && self.was_away.is_none_or(|at| heard > at)
         });
         let running = self.board.calibration.filter(|_| is_known);
-        self.news.extend(self.pinned.runs_on(running));
+        self.news.extend(self.pinned.set_running_crc(running));
     }
 
     /// Makes the input block anew, if there is anything new to say.
-    pub fn refresh(&mut self, now: Duration) {
+    pub fn refresh_input_block(&mut self, now: Duration) {
         self.check_calibration(now);
-        let fresh = self.fresh(now).copied();
+        let fresh = self.fresh_output(now).copied();
         if !self.is_new && fresh.is_some() {
             return;
         }
@@ -234,23 +234,27 @@ impl Hub {
             (self.input.output.offset, self.input.output.quality) = (None, Quality::Fault);
         }
         self.input.age_ms = self.age_ms(now);
-        let knows = self.status_heard.is_some_and(|at| now.saturating_sub(at) <= STATUS_LASTS);
-        let second = self.second_master.is_some_and(|at| now.saturating_sub(at) <= TOLD);
+        let knows = self.status_heard.is_some_and(|at| now.saturating_sub(at) <= STATUS_TIMEOUT);
+        let second =
+            self.second_master.is_some_and(|at| now.saturating_sub(at) <= SECOND_MASTER_HOLD_TIME);
         let state = if knows { self.board.state } else { StateBits::default() };
         self.input.state = state.with_if(second, StateBits::SECOND_MASTER).0;
         self.input.calibration = self.board.calibration.filter(|_| knows).unwrap_or(0);
         self.input.elongation = self.board.elongation.filter(|_| knows);
         self.input.centi_c = self.board.centi_c.map(|it| it.filter(|_| knows));
         self.registers = self.input.encode();
-        let slopes = self.slopes(now);
-        self.with_slopes = slopes::encode(&self.input, slopes);
+        let slopes = self.fresh_slopes(now);
+        self.with_slopes = input_with_slopes::encode(&self.input, slopes);
     }
 
     /// Returns K₀ and slope of each axis, if all are fresh and of the bridge that is there now.
-    fn slopes(&mut self, now: Duration) -> Option<[slopes::Part; 3]> {
+    fn fresh_slopes(
+        &mut self,
+        now: Duration,
+    ) -> Option<[input_with_slopes::LinearCoefficients; 3]> {
         let is_fresh = |heard: &Option<Duration>| {
             heard.is_some_and(|heard| {
-                now.saturating_sub(heard) <= SLOPES_LAST
+                now.saturating_sub(heard) <= SLOPES_TIMEOUT
                     && self.was_away.is_none_or(|at| heard > at)
             })
         };
@@ -258,9 +262,9 @@ impl Hub {
         if let Some((since, is_reported)) = &mut self.expects_slopes {
             if are_fresh || self.input.output.offset.is_none() {
                 (*since, *is_reported) = (now, false);
-            } else if !*is_reported && now.saturating_sub(*since) > SLOPES_LAST {
+            } else if !*is_reported && now.saturating_sub(*since) > SLOPES_TIMEOUT {
                 *is_reported = true;
-                self.news.push(NO_SLOPES.into());
+                self.news.push(NO_SLOPES_WARNING.into());
             }
         }
         let [Some(x), Some(y), Some(z)] = self.board.slopes else { return None };
@@ -274,14 +278,14 @@ impl Hub {
 
     /// Returns the input block with slopes.
     #[must_use]
-    pub(crate) fn input_with_slopes(&self) -> [u16; slopes::LEN] {
+    pub(crate) fn input_registers_with_slopes(&self) -> [u16; input_with_slopes::BLOCK_LEN] {
         self.with_slopes
     }
 
     /// Returns the newest valid pair, unless it is stale.
-    fn fresh(&self, now: Duration) -> Option<&Output> {
+    fn fresh_output(&self, now: Duration) -> Option<&Output> {
         let (heard, output) = self.last.as_ref()?;
-        (now.saturating_sub(*heard) <= STALE).then_some(output)
+        (now.saturating_sub(*heard) <= STALE_TIMEOUT).then_some(output)
     }
 
     fn age_ms(&self, now: Duration) -> u16 {
@@ -292,20 +296,20 @@ impl Hub {
 
     /// Returns the input block.
     #[must_use]
-    pub fn input(&self) -> input::Registers {
+    pub fn input_registers(&self) -> input::Registers {
         self.registers
     }
 
     /// Returns what it says.
     #[must_use]
-    pub fn said(&self) -> &Input {
+    pub(crate) fn current_input(&self) -> &InputBlock {
         &self.input
     }
 
     /// Returns whether the bridge is received.
     #[must_use]
-    pub fn receives_bridge(&self, now: Duration) -> bool {
-        self.fresh(now).is_some()
+    pub fn has_fresh_output(&self, now: Duration) -> bool {
+        self.fresh_output(now).is_some()
     }
 
     /// Returns what has arrived from the bridge, in frames.
@@ -317,15 +321,15 @@ impl Hub {
 
     /// Returns the holding block that was last used.
     #[must_use]
-    pub fn holding(&self) -> cnc::Registers {
+    pub fn holding_registers(&self) -> holding::Registers {
         self.holding
     }
 
-    /// Returns what the PLC last said, while that is not older than `MASTER_LASTS`.
+    /// Returns what the PLC last said, while that is not older than `MASTER_TIMEOUT`.
     #[must_use]
     pub fn control(&self, now: Duration) -> Option<Control> {
         let (at, control) = self.control?;
-        (now.saturating_sub(at) <= MASTER_LASTS).then_some(control)
+        (now.saturating_sub(at) <= MASTER_TIMEOUT).then_some(control)
     }
 
     /// Takes a holding block from a master. One that is refused is counted, and reported in the input
@@ -333,15 +337,15 @@ impl Hub {
     ///
     /// # Errors
     /// Another master sends.
-    pub fn take(
+    pub fn accept_block(
         &mut self,
         now: Duration,
-        master: Master,
-        block: &cnc::Registers,
+        master: MasterId,
+        block: &holding::Registers,
     ) -> Result<BlockOutcome, Busy> {
         match self.master {
             Some((other, at)) if other != master => {
-                if now.saturating_sub(at) <= MASTER_LASTS {
+                if now.saturating_sub(at) <= MASTER_TIMEOUT {
                     self.second_master = Some(now);
                     return Err(Busy);
                 }
@@ -352,31 +356,31 @@ impl Hub {
         }
         let checked = self.checker.accept(block);
         match checked {
-            Ok(_) if self.may_be_old(now, master) => {
+            Ok(_) if self.is_possibly_stale(now, master) => {
                 self.master = Some((master, now));
-                self.refuse(MAY_BE_OLD);
+                self.record_refusal(REFUSED_STALE);
                 Ok(BlockOutcome::MayBeOld)
             }
             Ok(said) => {
                 self.master = Some((master, now));
                 self.holding = *block;
-                self.use_block(now, said);
+                self.apply_block(now, said);
                 Ok(BlockOutcome::Used)
             }
             Err(refused) => {
-                self.refuse(refused as u16);
+                self.record_refusal(refused as u16);
                 Ok(BlockOutcome::Refused(refused))
             }
         }
     }
 
-    fn refuse(&mut self, why: u16) {
+    fn record_refusal(&mut self, why: u16) {
         self.input.last_refused = why;
         self.input.refused = self.input.refused.saturating_add(1);
     }
 
     /// A master has connected: what it sends has not waited for longer than since now.
-    pub fn join(&mut self, now: Duration, master: Master) {
+    pub(crate) fn register_master(&mut self, now: Duration, master: MasterId) {
         if self.master.is_none() {
             (self.arrived, self.pace, self.doubted_until) =
                 (Some((master, now)), None, Duration::ZERO);
@@ -384,7 +388,7 @@ impl Hub {
     }
 
     /// Returns whether a whole block may have waited in the line since the one before it. A slow PLC has a slow pace.
-    fn may_be_old(&mut self, now: Duration, master: Master) -> bool {
+    fn is_possibly_stale(&mut self, now: Duration, master: MasterId) -> bool {
         let before = self.arrived.replace((master, now));
         let Some((_, at)) = before.filter(|(of, _)| *of == master) else {
             (self.pace, self.doubted_until) = (None, Duration::ZERO);
@@ -392,33 +396,33 @@ impl Hub {
         };
         let waited = now.saturating_sub(at);
         let pace = self.pace.replace(waited);
-        if waited > MASTER_LASTS && pace.is_none_or(|pace| waited > 2 * pace) {
-            self.doubted_until = now + ON_ITS_HEELS;
+        if waited > MASTER_TIMEOUT && pace.is_none_or(|pace| waited > 2 * pace) {
+            self.doubted_until = now + BACKLOG_WINDOW;
         }
         now < self.doubted_until
     }
 
-    fn use_block(&mut self, now: Duration, mut said: Cnc) {
+    fn apply_block(&mut self, now: Duration, mut said: CncData) {
         // A bridge that has yet to say what it runs on is no matter for the PLC.
-        if said.control.engage && self.pinned.refuses() {
-            self.refuse(OTHER_CALIBRATION);
+        if said.control.engage && self.pinned.is_engage_refused() {
+            self.record_refusal(REFUSED_CALIBRATION);
         }
-        said.control.engage &= self.pinned.lets_engage();
-        said.control.zero &= self.pinned.lets_engage();
+        said.control.engage &= self.pinned.is_engage_allowed();
+        said.control.zero &= self.pinned.is_engage_allowed();
         self.control = Some((now, said.control));
-        self.speaker.transmit(now, &said);
+        self.speaker.queue_frames(now, &said);
     }
 
     /// A master has gone: another need not wait.
-    pub fn leave(&mut self, master: Master) {
+    pub fn release_master(&mut self, master: MasterId) {
         if self.master.is_some_and(|(it, _)| it == master) {
             self.master = None;
         }
     }
 
     /// Returns the frames that are due for the bridge.
-    pub fn frames(&mut self) -> Vec<Frame> {
-        self.speaker.take()
+    pub fn take_due_frames(&mut self) -> Vec<Frame> {
+        self.speaker.take_frames()
     }
 }
 

@@ -5,29 +5,29 @@
 //!             by member: how often, which values                     any 24 h: ≤ 250 kB + 734 kB
 //! ```
 //!
-//! Without changes a line comes each [`PERIOD`]. A line that flaps uses up the allowance; its changes are then counted
+//! Without changes a line comes each `JOURNAL_PERIOD`. A line that flaps uses up the allowance; its changes are then counted
 //! and written with the next line, which comes as soon as it is allowed. Time is an argument.
 
 use std::{collections::BTreeMap, time::Duration};
 
 use serde_json::{Value, json};
 
-use crate::health::NEWS;
+use crate::health::IMMEDIATE_MEMBERS;
 
 /// From one line to the next where nothing changes.
-pub const PERIOD: Duration = Duration::from_secs(300);
+pub(crate) const JOURNAL_PERIOD: Duration = Duration::from_secs(300);
 /// The same for a person who watches; then no line is withheld.
-pub(crate) const WATCHED: Duration = Duration::from_secs(1);
+pub(crate) const INTERACTIVE_PERIOD: Duration = Duration::from_secs(1);
 /// The largest allowance, in bytes: two hundred changes at once.
-const BURST: f64 = 250_000.0;
+const MAX_ALLOWANCE_BYTES: f64 = 250_000.0;
 /// Rate at which the allowance grows: with the largest allowance 0.98 MB in 24 hours.
-const BYTES_PER_S: f64 = 8.5;
+const REFILL_BYTES_PER_S: f64 = 8.5;
 /// Different values of a member that are listed in one line; others are only counted.
-const VALUES: usize = 8;
+const MAX_LISTED_VALUES: usize = 8;
 
 /// The changes of a member since the last line.
 #[derive(Debug, Default)]
-struct Changes {
+struct MemberChanges {
     count: u64,
     values: Vec<Value>,
 }
@@ -41,7 +41,7 @@ pub struct Journal {
     allowance: f64,
     filled: Duration,
     seen: Option<Vec<Value>>,
-    pending: BTreeMap<String, Changes>,
+    pending: BTreeMap<String, MemberChanges>,
 }
 
 impl Journal {
@@ -49,10 +49,10 @@ impl Journal {
     #[must_use]
     pub fn new(is_watched: bool) -> Self {
         Self {
-            period: if is_watched { WATCHED } else { PERIOD },
+            period: if is_watched { INTERACTIVE_PERIOD } else { JOURNAL_PERIOD },
             is_limited: !is_watched,
             due: None,
-            allowance: BURST,
+            allowance: MAX_ALLOWANCE_BYTES,
             filled: Duration::ZERO,
             seen: None,
             pending: BTreeMap::new(),
@@ -61,49 +61,49 @@ impl Journal {
 
     /// Returns true if a line is to be written at `now`, where the state is `line`; its changes are counted.
     pub fn is_due(&mut self, now: Duration, line: &Value) -> bool {
-        self.refill(now);
-        let values = NEWS.map(|name| line.pointer(name).cloned().unwrap_or_default());
+        self.refill_allowance(now);
+        let values = IMMEDIATE_MEMBERS.map(|name| line.pointer(name).cloned().unwrap_or_default());
         if let Some(before) = self.seen.replace(values.to_vec()) {
-            let all = NEWS.into_iter().zip(values).zip(before);
+            let all = IMMEDIATE_MEMBERS.into_iter().zip(values).zip(before);
             for ((name, value), _) in all.filter(|((_, value), before)| value != before) {
-                self.count(name.trim_start_matches('/').replace('/', "."), value);
+                self.count_change(name.trim_start_matches('/').replace('/', "."), value);
             }
         }
         let is_wanted = !self.pending.is_empty() || self.due.is_none_or(|due| now >= due);
-        is_wanted && self.has_room(self.whole(line.clone()).to_string().len())
+        is_wanted && self.has_allowance(self.with_pending_changes(line.clone()).to_string().len())
     }
 
     /// Returns the line to write, with the changes since the last one.
-    pub fn entry(&mut self, now: Duration, line: Value) -> String {
-        let text = self.whole(line).to_string();
+    pub fn take_entry(&mut self, now: Duration, line: Value) -> String {
+        let text = self.with_pending_changes(line).to_string();
         self.pending.clear();
         self.due = Some(now + self.period);
-        self.use_up(text.len());
+        self.consume_allowance(text.len());
         text
     }
 
     /// Returns true if the message is to be written at once; else the next line counts it.
     pub fn is_allowed(&mut self, now: Duration, message: &str) -> bool {
-        self.refill(now);
-        let is_allowed = self.has_room(message.len());
+        self.refill_allowance(now);
+        let is_allowed = self.has_allowance(message.len());
         if is_allowed {
-            self.use_up(message.len());
+            self.consume_allowance(message.len());
         } else {
-            self.count("message".into(), message.into());
+            self.count_change("message".into(), message.into());
         }
         is_allowed
     }
 
-    fn count(&mut self, member: String, value: Value) {
+    fn count_change(&mut self, member: String, value: Value) {
         let changes = self.pending.entry(member).or_default();
         changes.count = changes.count.saturating_add(1);
-        if changes.values.len() < VALUES && !changes.values.contains(&value) {
+        if changes.values.len() < MAX_LISTED_VALUES && !changes.values.contains(&value) {
             changes.values.push(value);
         }
     }
 
     /// Returns `line` with what is pending.
-    fn whole(&self, mut line: Value) -> Value {
+    fn with_pending_changes(&self, mut line: Value) -> Value {
         let all = self.pending.iter().map(|(member, changes)| {
             (member.clone(), json!({ "count": changes.count, "values": changes.values }))
         });
@@ -114,23 +114,23 @@ impl Journal {
         line
     }
 
-    fn refill(&mut self, now: Duration) {
+    fn refill_allowance(&mut self, now: Duration) {
         let passed_s = now.saturating_sub(self.filled).as_secs_f64();
-        self.allowance = (self.allowance + BYTES_PER_S * passed_s).min(BURST);
+        self.allowance = (self.allowance + REFILL_BYTES_PER_S * passed_s).min(MAX_ALLOWANCE_BYTES);
         self.filled = now;
     }
 
-    fn has_room(&self, bytes: usize) -> bool {
-        !self.is_limited || self.allowance >= with_end(bytes)
+    fn has_allowance(&self, bytes: usize) -> bool {
+        !self.is_limited || self.allowance >= line_bytes(bytes)
     }
 
-    fn use_up(&mut self, bytes: usize) {
-        self.allowance = (self.allowance - with_end(bytes)).max(0.0);
+    fn consume_allowance(&mut self, bytes: usize) {
+        self.allowance = (self.allowance - line_bytes(bytes)).max(0.0);
     }
 }
 
 /// Returns the bytes of a line with its end.
-fn with_end(bytes: usize) -> f64 {
+fn line_bytes(bytes: usize) -> f64 {
     bytes as f64 + 1.0
 }
 
@@ -152,7 +152,7 @@ mod tests {
         for step in 0.. {
             let line = &lines[usize::from(is_heard(step))];
             if journal.is_due(now, line) {
-                all.push(journal.entry(now, line.clone()));
+                all.push(journal.take_entry(now, line.clone()));
             }
             now += STEP;
             if now >= DAY {
@@ -212,12 +212,12 @@ mod tests {
         assert!(!journal.is_due(Duration::ZERO, &line), "there is no room");
         let later = Duration::from_secs(3_000);
         assert!(journal.is_due(later, &line));
-        assert!(journal.entry(later, line.clone()).contains("\"count\":6"));
+        assert!(journal.take_entry(later, line.clone()).contains("\"count\":6"));
         let mut journal = Journal::new(true);
         let seconds = (0..3_600).map(Duration::from_secs);
         let lines = seconds.filter(|now| {
             let is_due = journal.is_due(*now, &line);
-            is_due.then(|| journal.entry(*now, line.clone())).is_some()
+            is_due.then(|| journal.take_entry(*now, line.clone())).is_some()
         });
         assert_eq!(lines.count(), 3_600);
     }

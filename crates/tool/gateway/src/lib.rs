@@ -19,19 +19,19 @@
 //! | [`s7`] | ISO-on-TCP: the small client, and the loop that writes and reads the data block |
 //! | [`health`] | how both ends are, as lines of JSON |
 //! | [`journal`] | which of them are written: at most a megabyte a day |
-//! | [`pause`] | how long is waited before something is opened again |
+//! | `backoff` | how long is waited before something is opened again |
 //!
 //! A gateway invents no life: an old offset never gets a new counter, and `Control` goes to the bridge
 //! only when the PLC has sent a new block, and `Engage` only to a bridge on the pinned calibration. Whichever end dies, the other finds out by itself.
 
-pub use trueup_client::pinned;
+pub use trueup_client::pinned_calibration;
 
+pub(crate) mod backoff;
 pub mod bridge;
 pub mod cnc;
 pub mod health;
 pub mod hub;
 pub mod journal;
 pub mod modbus;
-pub mod pause;
 pub mod rtu;
 pub mod s7;

@@ -1,6 +1,6 @@
 //! Modbus TCP: a thread for each master.
 //!
-//! Any number up to [`MAX`] may read, one writes: the first whose block was used, until it is gone
+//! Any number up to `MAX_MASTERS` may read, one writes: the first whose block was used, until it is gone
 //! or silent. A connection that says what is no request, or half of one for too long, is closed; the
 //! others do not notice.
 
@@ -16,64 +16,66 @@ use std::{
 };
 
 use trueup_modbus::{
-    cnc, input,
-    server::{Bridge, Busy, HEADER_LEN, MAX_FRAME, Response, Transport, answer},
+    holding, input,
+    server::{
+        Busy, MAX_FRAME_BYTES, MBAP_PREFIX_LEN, RegisterStore, Response, Transport, handle_request,
+    },
 };
 
-use crate::{bridge::Shared, hub::Master};
+use crate::{bridge::SharedState, hub::MasterId};
 
 /// Masters at a time: as many as a small PLC has connections. One more is closed at once.
-pub const MAX: usize = 16;
+pub(crate) const MAX_MASTERS: usize = 16;
 /// How long a connection waits before it looks whether it is to end.
-const LOOK: Duration = Duration::from_millis(100);
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 /// How long the rest of a request may take.
-const REST: Duration = Duration::from_secs(1);
+const REQUEST_READ_TIMEOUT: Duration = Duration::from_secs(1);
 /// How long a master may take to take in an answer.
-const DEAF: Duration = Duration::from_secs(1);
+const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
 /// The largest length that a header may give: unit and request.
-const MAX_LENGTH: usize = MAX_FRAME - HEADER_LEN;
+const MAX_LENGTH_FIELD: usize = MAX_FRAME_BYTES - MBAP_PREFIX_LEN;
 
 /// How many there are, and what they have been given.
 #[derive(Clone, Debug, Default)]
-pub struct Masters {
+pub struct MasterCounters {
     connected: Arc<AtomicUsize>,
     answers: Arc<AtomicU64>,
 }
 
-impl Masters {
+impl MasterCounters {
     /// Masters that are connected.
     #[must_use]
-    pub fn connected(&self) -> usize {
+    pub fn connection_count(&self) -> usize {
         self.connected.load(Ordering::Relaxed)
     }
 
     /// Answers that were given, exceptions among them.
     #[must_use]
-    pub fn answers(&self) -> u64 {
+    pub fn response_count(&self) -> u64 {
         self.answers.load(Ordering::Relaxed)
     }
 }
 
 /// One master's view of the hub.
-pub struct Registers<'a> {
+pub(crate) struct HubView<'a> {
     /// The hub.
-    pub shared: &'a Shared,
+    pub shared: &'a SharedState,
     /// The master's number.
-    pub master: Master,
+    pub master: MasterId,
 }
 
-impl Bridge for Registers<'_> {
-    fn input(&mut self) -> input::Registers {
-        self.shared.hub().input()
+impl RegisterStore for HubView<'_> {
+    fn input_registers(&mut self) -> input::Registers {
+        self.shared.lock_hub().input_registers()
     }
 
-    fn holding(&mut self) -> cnc::Registers {
-        self.shared.hub().holding()
+    fn holding_registers(&mut self) -> holding::Registers {
+        self.shared.lock_hub().holding_registers()
     }
 
-    fn take(&mut self, block: &cnc::Registers) -> Result<(), Busy> {
+    fn write_holding_registers(&mut self, block: &holding::Registers) -> Result<(), Busy> {
         let now = self.shared.now();
-        self.shared.hub().take(now, self.master, block).map(drop)
+        self.shared.lock_hub().accept_block(now, self.master, block).map(drop)
     }
 }
 
@@ -81,28 +83,28 @@ impl Bridge for Registers<'_> {
 ///
 /// # Errors
 /// The listener cannot be made non-blocking.
-pub fn serve(shared: Shared, listener: TcpListener, unit: u8) -> io::Result<Masters> {
+pub fn serve(shared: SharedState, listener: TcpListener, unit: u8) -> io::Result<MasterCounters> {
     listener.set_nonblocking(true)?;
-    let masters = Masters::default();
+    let masters = MasterCounters::default();
     let all = masters.clone();
     thread::spawn(move || {
         let mut next = 0;
-        while !shared.has_ended() {
+        while !shared.is_stop_requested() {
             let Ok((stream, _)) = listener.accept() else {
-                thread::sleep(LOOK);
+                thread::sleep(POLL_INTERVAL);
                 continue;
             };
-            if all.connected.fetch_add(1, Ordering::Relaxed) >= MAX {
+            if all.connected.fetch_add(1, Ordering::Relaxed) >= MAX_MASTERS {
                 all.connected.fetch_sub(1, Ordering::Relaxed);
                 continue;
             }
             next += 1;
             let (shared, all, master) = (shared.clone(), all.clone(), next);
             thread::spawn(move || {
-                shared.hub().join(shared.now(), master);
-                // What breaks a connection concerns nobody but its master.
-                serve_one(&shared, stream, master, unit, &all.answers).ok();
-                shared.hub().leave(master);
+                shared.lock_hub().register_master(shared.now(), master);
+                // What breaks a connection concerns only its master.
+                serve_master(&shared, stream, master, unit, &all.answers).ok();
+                shared.lock_hub().release_master(master);
                 all.connected.fetch_sub(1, Ordering::Relaxed);
             });
         }
@@ -110,22 +112,22 @@ pub fn serve(shared: Shared, listener: TcpListener, unit: u8) -> io::Result<Mast
     Ok(masters)
 }
 
-fn serve_one(
-    shared: &Shared,
+fn serve_master(
+    shared: &SharedState,
     mut stream: TcpStream,
-    master: Master,
+    master: MasterId,
     unit: u8,
     answers: &AtomicU64,
 ) -> io::Result<()> {
     stream.set_nonblocking(false)?;
     stream.set_nodelay(true)?;
-    stream.set_read_timeout(Some(LOOK))?;
-    stream.set_write_timeout(Some(DEAF))?;
-    let mut registers = Registers { shared, master };
+    stream.set_read_timeout(Some(POLL_INTERVAL))?;
+    stream.set_write_timeout(Some(WRITE_TIMEOUT))?;
+    let mut registers = HubView { shared, master };
     let mut response = Response::new();
-    let (mut waiting, mut bytes) = (Vec::with_capacity(MAX_FRAME), [0; MAX_FRAME]);
+    let (mut waiting, mut bytes) = (Vec::with_capacity(MAX_FRAME_BYTES), [0; MAX_FRAME_BYTES]);
     let mut since = Instant::now();
-    while !shared.has_ended() {
+    while !shared.is_stop_requested() {
         match stream.read(&mut bytes) {
             Ok(0) => return Ok(()),
             Ok(length) => {
@@ -134,19 +136,19 @@ fn serve_one(
                 }
                 waiting.extend_from_slice(&bytes[..length]);
             }
-            Err(error) if trueup_client::ends::is_timeout(&error) => {}
+            Err(error) if trueup_client::duplex_stream::is_timeout(&error) => {}
             Err(error) => return Err(error),
         }
         while let Some(length) = frame_length(&waiting)? {
             let rest = waiting.split_off(length);
-            if answer(Transport::Tcp, unit, &waiting, &mut registers, &mut response) {
+            if handle_request(Transport::Tcp, unit, &waiting, &mut registers, &mut response) {
                 stream.write_all(&response)?;
                 answers.fetch_add(1, Ordering::Relaxed);
             }
             waiting = rest;
             since = Instant::now();
         }
-        if !waiting.is_empty() && since.elapsed() > REST {
+        if !waiting.is_empty() && since.elapsed() > REQUEST_READ_TIMEOUT {
             return Err(io::ErrorKind::TimedOut.into());
         }
     }
@@ -157,10 +159,10 @@ fn serve_one(
 fn frame_length(bytes: &[u8]) -> io::Result<Option<usize>> {
     let &[_, _, a, b, high, low, ..] = bytes else { return Ok(None) };
     let length = usize::from(u16::from_be_bytes([high, low]));
-    if (a, b) != (0, 0) || !(2..=MAX_LENGTH).contains(&length) {
+    if (a, b) != (0, 0) || !(2..=MAX_LENGTH_FIELD).contains(&length) {
         return Err(io::ErrorKind::InvalidData.into());
     }
-    Ok((bytes.len() >= HEADER_LEN + length).then_some(HEADER_LEN + length))
+    Ok((bytes.len() >= MBAP_PREFIX_LEN + length).then_some(MBAP_PREFIX_LEN + length))
 }
 
 #[cfg(test)]

@@ -9,24 +9,24 @@ use std::{
 };
 
 use serialport::{DataBits, Parity, SerialPort, StopBits};
-use trueup_client::ends::{Ends, is_timeout};
+use trueup_client::duplex_stream::{DuplexStream, is_timeout};
 use trueup_modbus::{
-    rtu::{Slave, Timing},
+    rtu::{FrameTiming, Slave},
     server::Response,
 };
 
-use crate::{bridge::Shared, health::End, modbus::Registers, pause::Pause};
+use crate::{backoff::Backoff, bridge::SharedState, health::SharedPlcStatus, modbus::HubView};
 
 /// How long a read waits: the silence is looked at so often.
-const LOOK: Duration = Duration::from_millis(2);
+const READ_TIMEOUT: Duration = Duration::from_millis(2);
 /// A USB adapter keeps bytes for 16 ms (FTDI's latency timer as delivered); a little more ends a frame.
-const TIMING: Timing = Timing { within_us: u32::MAX, behind_us: 20_000 };
+const FRAME_TIMING: FrameTiming = FrameTiming { within_us: u32::MAX, behind_us: 20_000 };
 /// Its number among the masters; those of TCP begin behind it.
-const MASTER: u64 = 0;
+const MASTER_ID: u64 = 0;
 
 /// How the line is set; 8 data bits.
 #[derive(Clone, Debug)]
-pub struct Line {
+pub struct SerialSettings {
     /// The serial device.
     pub device: String,
     /// Its speed.
@@ -35,18 +35,18 @@ pub struct Line {
     pub parity: Parity,
 }
 
-impl Line {
+impl SerialSettings {
     /// Opens it.
     ///
     /// # Errors
     /// There is no such device, or it is another's.
-    pub fn open(&self) -> io::Result<Ends> {
+    pub fn open(&self) -> io::Result<DuplexStream> {
         let stop = if self.parity == Parity::None { StopBits::Two } else { StopBits::One };
         let port = serialport::new(&self.device, self.baud)
             .data_bits(DataBits::Eight)
             .parity(self.parity)
             .stop_bits(stop)
-            .timeout(LOOK)
+            .timeout(READ_TIMEOUT)
             .open()?;
         let reader: Box<dyn SerialPort> = port.try_clone()?;
         Ok((Box::new(reader), Box::new(port)))
@@ -54,35 +54,45 @@ impl Line {
 }
 
 /// Answers the master on a line until the end; one that breaks is opened again.
-pub fn serve(shared: &Shared, mut open: impl FnMut() -> io::Result<Ends>, unit: u8, end: &End) {
-    let mut pause = Pause::default();
-    while !shared.has_ended() {
+pub fn serve(
+    shared: &SharedState,
+    mut open: impl FnMut() -> io::Result<DuplexStream>,
+    unit: u8,
+    end: &SharedPlcStatus,
+) {
+    let mut pause = Backoff::default();
+    while !shared.is_stop_requested() {
         let broken = match open() {
             Ok(ends) => {
-                end.change(|end| (end.is_up, end.why) = (true, None));
-                pause = Pause::default();
-                let broken = exchange(shared, ends, unit, end);
-                shared.hub().leave(MASTER);
+                end.update(|end| (end.is_up, end.why) = (true, None));
+                pause = Backoff::default();
+                let broken = serve_requests(shared, ends, unit, end);
+                shared.lock_hub().release_master(MASTER_ID);
                 broken
             }
             Err(error) => Err(error),
         };
         let Err(error) = broken else { return };
-        end.change(|end| (end.is_up, end.why) = (false, Some(error.to_string())));
+        end.update(|end| (end.is_up, end.why) = (false, Some(error.to_string())));
         pause.wait(shared);
     }
 }
 
-fn exchange(shared: &Shared, ends: Ends, unit: u8, end: &End) -> io::Result<()> {
+fn serve_requests(
+    shared: &SharedState,
+    ends: DuplexStream,
+    unit: u8,
+    end: &SharedPlcStatus,
+) -> io::Result<()> {
     let (mut reader, mut writer) = ends;
-    let mut registers = Registers { shared, master: MASTER };
-    let mut slave = Slave::new(unit, TIMING);
+    let mut registers = HubView { shared, master: MASTER_ID };
+    let mut slave = Slave::new(unit, FRAME_TIMING);
     let mut response = Response::new();
     let mut bytes = [0; 256];
     let start = Instant::now();
     // It wraps after 71 minutes, which a slave is made for.
     let now_us = || start.elapsed().as_micros() as u32;
-    while !shared.has_ended() {
+    while !shared.is_stop_requested() {
         match reader.read(&mut bytes) {
             Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
             Ok(length) => bytes[..length].iter().for_each(|byte| slave.receive(now_us(), *byte)),
@@ -92,7 +102,7 @@ fn exchange(shared: &Shared, ends: Ends, unit: u8, end: &End) -> io::Result<()> 
         if slave.poll(now_us(), &mut registers, &mut response) {
             writer.write_all(&response)?;
             writer.flush()?;
-            end.change(|end| end.given += 1);
+            end.update(|end| end.given += 1);
         }
     }
     Ok(())
@@ -110,15 +120,15 @@ mod tests {
         },
         thread,
     };
-    use trueup_client::pinned::{Pinned, Rule};
+    use trueup_client::pinned_calibration::{CalibrationPolicy, PinnedCalibration};
 
     /// Read input register 0 of unit 1, with its checksum.
-    const ASK: [u8; 8] = [1, 4, 0, 0, 0, 1, 0x31, 0xCA];
+    const READ_REQUEST: [u8; 8] = [1, 4, 0, 0, 0, 1, 0x31, 0xCA];
     /// The layout, 1.
-    const ANSWER: [u8; 7] = [1, 4, 2, 0, 1, 0x78, 0xF0];
+    const LAYOUT_RESPONSE: [u8; 7] = [1, 4, 2, 0, 1, 0x78, 0xF0];
 
     fn asked(master: &mut TTYPort, part: usize) -> Option<[u8; 7]> {
-        for part in ASK.chunks(part) {
+        for part in READ_REQUEST.chunks(part) {
             master.write_all(part).expect("the line is open");
             thread::sleep(Duration::from_millis(3));
         }
@@ -132,8 +142,8 @@ mod tests {
         let (mut master, slave) = TTYPort::pair().expect("this machine has pseudo terminals");
         master.set_timeout(Duration::from_secs(2)).expect("a terminal");
         let stop = Arc::new(AtomicBool::new(false));
-        let shared = Shared::new(stop.clone(), Pinned::new(Rule::Any));
-        let end = End::default();
+        let shared = SharedState::new(stop.clone(), PinnedCalibration::new(CalibrationPolicy::Any));
+        let end = SharedPlcStatus::default();
         let (theirs, ours) = (shared.clone(), end.clone());
         let mut tries = 0;
         let thread = thread::spawn(move || {
@@ -143,20 +153,20 @@ mod tests {
                     return Err(io::ErrorKind::NotFound.into());
                 }
                 let mut port = slave.try_clone_native().map_err(io::Error::from)?;
-                port.set_timeout(LOOK)?;
+                port.set_timeout(READ_TIMEOUT)?;
                 let reader = port.try_clone_native().map_err(io::Error::from)?;
                 Ok((Box::new(reader) as _, Box::new(port) as _))
             };
             serve(&theirs, open, 1, &ours);
         });
         for part in [8, 3, 1] {
-            assert_eq!(asked(&mut master, part), Some(ANSWER), "{part} bytes at a time");
+            assert_eq!(asked(&mut master, part), Some(LAYOUT_RESPONSE), "{part} bytes at a time");
         }
         master.write_all(&[0xFF; 9]).expect("noise");
         thread::sleep(Duration::from_millis(60));
-        assert_eq!(asked(&mut master, 8), Some(ANSWER), "after noise");
+        assert_eq!(asked(&mut master, 8), Some(LAYOUT_RESPONSE), "after noise");
         stop.store(true, Ordering::Relaxed);
         thread.join().expect("it ends");
-        assert_eq!(end.look().given, 4);
+        assert_eq!(end.snapshot().given, 4);
     }
 }

@@ -1,5 +1,5 @@
-//! A data block of an S7 CPU: the input block is written into it, the holding block read out of it, so
-//! many times a second; after a fault the connection is made again.
+//! A data block of an S7 CPU: the input block is written into it and the holding block read out of it
+//! periodically; after a fault the connection is made again.
 //!
 //! ```text
 //!  byte   0 … 55    input block, written by the gateway alone; in mode slope 0 … 63
@@ -14,26 +14,26 @@ use std::{
 };
 
 use trueup_modbus::{
-    cnc,
-    table::{HOLDING_LEN, WHOLE_HOLDING_LEN},
+    holding,
+    register_map::{HOLDING_LEN, WHOLE_HOLDING_LEN},
 };
 
-use crate::{bridge::Shared, health::End, hub::MASTER_LASTS, pause::Pause};
-use client::{Client, Error, Place};
+use crate::{backoff::Backoff, bridge::SharedState, health::SharedPlcStatus, hub::MASTER_TIMEOUT};
+use client::{Client, CpuAddress, Error};
 
 /// Where the holding block begins in the data block, in bytes.
-pub(crate) const HOLDING_AT: usize = 64;
+pub(crate) const HOLDING_OFFSET: usize = 64;
 /// Bytes of the holding block, and of one in a data block that ends without tool and conditions.
 const HOLDING_BYTES: usize = 2 * WHOLE_HOLDING_LEN;
 const SHORT_HOLDING_BYTES: usize = 2 * HOLDING_LEN;
 /// The one master there is.
-const PLC: u64 = 0;
+const MASTER_ID: u64 = 0;
 
 /// Where the block is.
 #[derive(Clone, Debug)]
 pub struct Target {
     /// The CPU.
-    pub place: Place,
+    pub place: CpuAddress,
     /// The number of the data block.
     pub db: u16,
     /// From one write to the next.
@@ -53,57 +53,57 @@ pub enum Mode {
 }
 
 /// Writes and reads until the end.
-pub fn serve(shared: &Shared, target: &Target, end: &End) {
+pub fn serve(shared: &SharedState, target: &Target, end: &SharedPlcStatus) {
     if target.mode == Mode::Slope {
-        shared.hub().expect_slopes(shared.now());
+        shared.lock_hub().expect_slopes(shared.now());
     }
-    let mut pause = Pause::default();
-    while !shared.has_ended() {
+    let mut pause = Backoff::default();
+    while !shared.is_stop_requested() {
         let why = match Client::connect(&target.place) {
             Ok(mut client) => {
-                end.change(|end| (end.is_up, end.why) = (true, None));
-                let (why, has_written) = exchange(shared, target, &mut client, end);
+                end.update(|end| (end.is_up, end.why) = (true, None));
+                let (why, has_written) = exchange_blocks(shared, target, &mut client, end);
                 if has_written {
-                    pause = Pause::default();
+                    pause = Backoff::default();
                 }
-                shared.hub().leave(PLC);
+                shared.lock_hub().release_master(MASTER_ID);
                 why
             }
             Err(error) => Some(error),
         };
         let Some(why) = why else { return };
-        end.change(|end| (end.is_up, end.why) = (false, Some(why.to_string())));
+        end.update(|end| (end.is_up, end.why) = (false, Some(why.to_string())));
         pause.wait(shared);
     }
 }
 
 /// Writes and reads until something breaks; why, and whether anything was written. `None`: it is the
 /// end.
-fn exchange(
-    shared: &Shared,
+fn exchange_blocks(
+    shared: &SharedState,
     target: &Target,
     client: &mut Client,
-    end: &End,
+    end: &SharedPlcStatus,
 ) -> (Option<Error>, bool) {
     let mut has_written = false;
     let mut length = HOLDING_BYTES;
-    let mut seen = Seen::default();
+    let mut seen = BlockChangeDetector::default();
     let mut due = Instant::now();
-    while !shared.has_ended() {
+    while !shared.is_stop_requested() {
         let started = Instant::now();
-        let block = input(shared, target.mode);
+        let block = encode_input(shared, target.mode);
         if let Err(error) = client.write(target.db, 0, &block) {
             return (Some(error), has_written);
         }
         has_written = true;
         let took = started.elapsed().as_secs_f64() * 1e3;
-        end.change(|end| {
+        end.update(|end| {
             end.given += 1;
             end.longest_ms = end.longest_ms.max(took);
         });
         let mut read = [0; HOLDING_BYTES];
         let asked = Instant::now();
-        match client.read(target.db, HOLDING_AT, &mut read[..length]) {
+        match client.read(target.db, HOLDING_OFFSET, &mut read[..length]) {
             Ok(()) => {}
             Err(Error::Item(_)) if length == HOLDING_BYTES => {
                 length = SHORT_HOLDING_BYTES;
@@ -111,16 +111,16 @@ fn exchange(
             }
             Err(error) => return (Some(error), has_written),
         }
-        let block = registers(&read);
+        let block = decode_registers(&read);
         // An answer that took long may be as old as its question: it is seen, and not said.
-        if seen.is_new(block) && asked.elapsed() <= MASTER_LASTS {
+        if seen.has_changed(block) && asked.elapsed() <= MASTER_TIMEOUT {
             // There is no second master here, and what is refused is reported in the block.
-            shared.hub().take(shared.now(), PLC, &block).ok();
+            shared.lock_hub().accept_block(shared.now(), MASTER_ID, &block).ok();
         }
         due += target.period;
         match due.checked_duration_since(Instant::now()) {
             Some(rest) => thread::sleep(rest),
-            // Late: what was left out is not made up for.
+            // Late: skipped cycles are not made up for.
             None => due = Instant::now(),
         }
     }
@@ -130,11 +130,11 @@ fn exchange(
 /// The block that was last read. Memory keeps a block long after the program that wrote it has stopped: only
 /// a change counts as said now.
 #[derive(Default)]
-struct Seen(Option<cnc::Registers>);
+struct BlockChangeDetector(Option<holding::Registers>);
 
-impl Seen {
+impl BlockChangeDetector {
     /// Returns whether the PLC has said this since the last look: not at the first, and not what stands there.
-    fn is_new(&mut self, block: cnc::Registers) -> bool {
+    fn has_changed(&mut self, block: holding::Registers) -> bool {
         self.0.replace(block).is_some_and(|before| before != block)
     }
 }
@@ -143,9 +143,9 @@ impl Seen {
 ///
 /// # Errors
 /// The CPU cannot be reached, has no such data block, or has not kept what was written.
-pub fn once(shared: &Shared, target: &Target) -> Result<(), Error> {
+pub fn write_and_verify(shared: &SharedState, target: &Target) -> Result<(), Error> {
     let mut client = Client::connect(&target.place)?;
-    let written = input(shared, target.mode);
+    let written = encode_input(shared, target.mode);
     client.write(target.db, 0, &written)?;
     let mut read = vec![0; written.len()];
     client.read(target.db, 0, &mut read)?;
@@ -153,19 +153,19 @@ pub fn once(shared: &Shared, target: &Target) -> Result<(), Error> {
 }
 
 /// Returns the present input block.
-fn input(shared: &Shared, mode: Mode) -> Vec<u8> {
-    let hub = shared.hub();
+fn encode_input(shared: &SharedState, mode: Mode) -> Vec<u8> {
+    let hub = shared.lock_hub();
     match mode {
-        Mode::Offsets => bytes(&hub.input()),
-        Mode::Slope => bytes(&hub.input_with_slopes()),
+        Mode::Offsets => encode_registers(&hub.input_registers()),
+        Mode::Slope => encode_registers(&hub.input_registers_with_slopes()),
     }
 }
 
-fn bytes(block: &[u16]) -> Vec<u8> {
+fn encode_registers(block: &[u16]) -> Vec<u8> {
     block.iter().flat_map(|word| word.to_be_bytes()).collect()
 }
 
-fn registers(bytes: &[u8; HOLDING_BYTES]) -> cnc::Registers {
+fn decode_registers(bytes: &[u8; HOLDING_BYTES]) -> holding::Registers {
     let mut block = [0; WHOLE_HOLDING_LEN];
     for (place, word) in block.iter_mut().zip(bytes.as_chunks::<2>().0) {
         *place = u16::from_be_bytes(*word);
@@ -180,14 +180,14 @@ mod tests {
         *,
     };
     use std::sync::{Arc, atomic::AtomicBool};
-    use trueup_client::pinned::{Pinned, Rule};
-    use trueup_modbus::cnc::Cnc;
+    use trueup_client::pinned_calibration::{CalibrationPolicy, PinnedCalibration};
+    use trueup_modbus::holding::CncData;
 
     /// A data block of before tool and conditions ends at byte 97: what reads beyond it gets an error of its item.
     #[test]
     fn a_data_block_of_before_is_read_as_far_as_it_goes() {
         let block = |counter| {
-            let registers = Cnc::default().encode(counter);
+            let registers = CncData::default().encode(counter);
             let bytes: Vec<u8> = registers.iter().flat_map(|it| it.to_be_bytes()).collect();
             [&[0xFF, 4, 1, 16][..], &bytes[..SHORT_HOLDING_BYTES]].concat()
         };
@@ -197,22 +197,26 @@ mod tests {
             answers.push(answer(reference, &[5, 1], &[0xFF]));
             answers.push(answer(reference + 1, &[4, 1], &data));
         }
-        let shared = Shared::new(Arc::new(AtomicBool::new(false)), Pinned::new(Rule::Any));
+        let shared = SharedState::new(
+            Arc::new(AtomicBool::new(false)),
+            PinnedCalibration::new(CalibrationPolicy::Any),
+        );
         let place = cpu(answers, 1_000);
         let target =
             Target { place, db: 900, period: Duration::from_millis(1), mode: Mode::Offsets };
         let mut client = Client::connect(&target.place).expect("a CPU");
         // It goes at its end.
-        let (why, has_written) = exchange(&shared, &target, &mut client, &End::default());
+        let (why, has_written) =
+            exchange_blocks(&shared, &target, &mut client, &SharedPlcStatus::default());
         assert!(has_written && matches!(why, Some(Error::Io(_))), "{why:?}");
-        assert_eq!(shared.hub().holding(), Cnc::default().encode(2));
+        assert_eq!(shared.lock_hub().holding_registers(), CncData::default().encode(2));
     }
 
     #[test]
     fn what_a_stopped_program_has_left_in_the_block_is_no_sign_of_life() {
-        let mut seen = Seen::default();
-        let blocks = [7, 7, 7, 8, 8, 9].map(|counter| Cnc::default().encode(counter));
-        let new = blocks.map(|block| seen.is_new(block));
+        let mut seen = BlockChangeDetector::default();
+        let blocks = [7, 7, 7, 8, 8, 9].map(|counter| CncData::default().encode(counter));
+        let new = blocks.map(|block| seen.has_changed(block));
         assert_eq!(new, [false, false, false, true, false, true]);
     }
 }

@@ -13,17 +13,17 @@ use std::{
     time::{Duration, Instant},
 };
 
-use trueup_client::ends::Ends;
+use trueup_client::duplex_stream::DuplexStream;
 use trueup_core::{
-    cnc::{AxisPosition, Command, Control, Heading, LinearAxis, Output, Quality},
+    cnc::{AxisPosition, Command, Control, LinearAxis, Output, Quality, TravelDirection},
     units::{Nanometres, Position},
 };
 use trueup_gateway::{
-    bridge::{Shared, keep},
-    pinned::{Pinned, Rule},
+    bridge::{SharedState, spawn_bridge_thread},
+    pinned_calibration::{CalibrationPolicy, PinnedCalibration},
 };
 use trueup_link::{frames, receiver::Receiver, slcan::Port};
-use trueup_modbus::{cnc::Cnc, input::Input};
+use trueup_modbus::{holding::CncData, input::InputBlock};
 
 const MS: Duration = Duration::from_millis(1);
 /// The oldest that may be used, and the arithmetic of a busy computer.
@@ -73,8 +73,8 @@ fn bridge(start: Instant, received: Arc<Mutex<Vec<(i32, i32)>>>) -> u16 {
                     let z = Nanometres(ms(start) * NANOMETRES_PER_MS);
                     let offset = Some([Nanometres(0), Nanometres(0), z]);
                     let output = Output { offset, quality: Quality::Live, ..Output::default() };
-                    port.send(&frames::offset_xy(&output, counter));
-                    port.send(&frames::offset_z(&output, counter));
+                    port.send(&frames::encode_offset_xy(&output, counter));
+                    port.send(&frames::encode_offset_z(&output, counter));
                     counter = counter.wrapping_add(1);
                 }
                 waiting.extend(std::iter::from_fn(|| port.pop()));
@@ -127,14 +127,14 @@ fn stalls_for(stall: Duration) {
     let (start, stop) = (Instant::now(), Arc::new(AtomicBool::new(false)));
     let (received, stands) = (Arc::default(), Arc::new(AtomicBool::new(false)));
     let port = proxy(bridge(start, Arc::clone(&received)), stands.clone());
-    let open = move || -> std::io::Result<Ends> {
+    let open = move || -> std::io::Result<DuplexStream> {
         let stream = TcpStream::connect(("127.0.0.1", port))?;
         stream.set_nodelay(true)?;
         stream.set_read_timeout(Some(20 * MS))?;
         Ok((Box::new(stream.try_clone()?), Box::new(stream)))
     };
-    let shared = Shared::new(stop.clone(), Pinned::new(Rule::Any));
-    let line = keep(shared.clone(), open);
+    let shared = SharedState::new(stop.clone(), PinnedCalibration::new(CalibrationPolicy::Any));
+    let line = spawn_bridge_thread(shared.clone(), open);
     let begins = 1_500 * MS;
     let ends = begins + stall;
     let (mut counter, mut seen) = (0, Vec::new());
@@ -144,13 +144,16 @@ fn stalls_for(stall: Duration) {
         let position = AxisPosition {
             axis: LinearAxis::X,
             position: Position(ms(start)),
-            direction: Heading::Positive,
+            direction: TravelDirection::Positive,
         };
         let positions = [Some(position), None, None];
-        let said = Cnc { control: Control::ENGAGED, positions, ..Cnc::default() };
-        shared.hub().take(shared.now(), 1, &said.encode(counter)).expect("the only master");
+        let said = CncData { control: Control::ENGAGED, positions, ..CncData::default() };
+        shared
+            .lock_hub()
+            .accept_block(shared.now(), 1, &said.encode(counter))
+            .expect("the only master");
         counter = counter.wrapping_add(1);
-        let input = Input::decode(&shared.hub().input()).expect("whole");
+        let input = InputBlock::decode(&shared.lock_hub().input_registers()).expect("whole");
         if let Some([_, _, z]) = input.output.offset {
             seen.push((z.0 / NANOMETRES_PER_MS, ms(start), input.age_ms));
         }

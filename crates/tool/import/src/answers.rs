@@ -1,9 +1,9 @@
 //! Questions about a file that only the user can answer, and the answers from flags, a terminal or a map of headers.
 
 use trueup_machine::{BadInput, Location};
-use trueup_output::escape::shell_word;
+use trueup_output::escape::shell_quote;
 
-use crate::{number::Decimal, stamp::DateOrder};
+use crate::{number::DecimalSeparator, timestamp::DateOrder};
 
 /// The circle of a table that has angles alone.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,7 +22,7 @@ pub struct Circle {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Answers {
     /// The sign before the decimals.
-    pub decimal: Option<Decimal>,
+    pub decimal: Option<DecimalSeparator>,
     /// The order of the numbers of a date.
     pub date: Option<DateOrder>,
     /// Column and unit. A column is named by its header, its number from 1, or its name in the run file.
@@ -94,9 +94,9 @@ impl Question {
         let value = match &self.topic {
             Topic::Decimal => format!("--decimal {first}"),
             Topic::Date => format!("--date {first}"),
-            Topic::Unit(column) => format!("--unit {}", quoted(column, first)),
-            Topic::Column(column) => format!("--column {}", quoted(column, first)),
-            Topic::Sheet => format!("--sheet {}", shell_word(first)),
+            Topic::Unit(column) => format!("--unit {}", quoted_assignment(column, first)),
+            Topic::Column(column) => format!("--column {}", quoted_assignment(column, first)),
+            Topic::Sheet => format!("--sheet {}", shell_quote(first)),
             Topic::CountsPerV => {
                 "--counts-per-v N, or --machine M.toml, which has the input's scale".into()
             }
@@ -114,14 +114,14 @@ impl Question {
     }
 }
 
-fn quoted(column: &str, value: &str) -> String {
-    shell_word(&format!("{column}={value}"))
+fn quoted_assignment(column: &str, value: &str) -> String {
+    shell_quote(&format!("{column}={value}"))
 }
 
-impl Decimal {
+impl DecimalSeparator {
     /// Returns the sign of this name.
     #[must_use]
-    pub fn of(name: &str) -> Option<Self> {
+    pub(crate) fn from_name(name: &str) -> Option<Self> {
         match name {
             "comma" | "," => Some(Self::Comma),
             "point" | "." => Some(Self::Point),
@@ -142,7 +142,7 @@ impl Decimal {
 impl DateOrder {
     /// Returns the order of this name.
     #[must_use]
-    pub fn of(name: &str) -> Option<Self> {
+    pub(crate) fn from_name(name: &str) -> Option<Self> {
         [Self::DayMonth, Self::MonthDay, Self::Year].into_iter().find(|order| order.name() == name)
     }
 
@@ -162,18 +162,23 @@ impl Answers {
     ///
     /// # Errors
     /// The value is none that answers it.
-    pub fn answer(&mut self, topic: &Topic, value: &str) -> Result<(), String> {
+    pub fn record_answer(&mut self, topic: &Topic, value: &str) -> Result<(), String> {
         let value = value.trim();
         let wrong = |rule: &str| format!("must be {rule}, not {value}");
         match topic {
             Topic::Decimal => {
-                self.decimal = Some(Decimal::of(value).ok_or_else(|| wrong("comma or point"))?)
+                self.decimal = Some(
+                    DecimalSeparator::from_name(value).ok_or_else(|| wrong("comma or point"))?,
+                )
             }
             Topic::Date => {
-                self.date = Some(DateOrder::of(value).ok_or_else(|| wrong("dmy, mdy or ymd"))?)
+                self.date =
+                    Some(DateOrder::from_name(value).ok_or_else(|| wrong("dmy, mdy or ymd"))?)
             }
             Topic::Unit(column) => {
-                if crate::unit::parse(value).is_none() && !crate::meaning::is_clock_form(value) {
+                if crate::unit::parse(value).is_none()
+                    && !crate::column_meaning::is_clock_format(value)
+                {
                     return Err(wrong("a unit, such as mm, µm, inch, °C, °F, K, s, min"));
                 }
                 self.units.push((column.clone(), value.into()));
@@ -200,7 +205,7 @@ impl Answers {
 
     /// Returns these answers, and for what they leave open those of `other`.
     #[must_use]
-    pub fn or(mut self, other: Self) -> Self {
+    pub fn merge(mut self, other: Self) -> Self {
         self.decimal = self.decimal.or(other.decimal);
         self.date = self.date.or(other.date);
         self.units.extend(other.units);
@@ -219,14 +224,14 @@ impl Answers {
 
 /// Why a file was not read.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Refused {
+pub enum ImportError {
     /// It breaks a rule.
     Bad(BadInput),
     /// These questions are open, at least one.
     Open(Vec<Question>),
 }
 
-impl From<BadInput> for Refused {
+impl From<BadInput> for ImportError {
     fn from(error: BadInput) -> Self {
         Self::Bad(error)
     }

@@ -5,16 +5,16 @@ use std::path::Path;
 use trueup_machine::BadInput;
 
 use crate::{
-    answers::{Question, Refused, Topic},
+    answers::{ImportError, Question, Topic},
     grid::{Cell, Content},
-    layout::Layout,
-    number::{self, Decimal, Evidence},
-    stamp, unit, words,
+    layout::SourceTable,
+    number::{self, DecimalEvidence, DecimalSeparator},
+    timestamp, unit, vocabulary,
 };
 
 /// The cells of a column, counted.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Counts {
+pub(crate) struct CellCounts {
     pub(crate) numbers: usize,
     pub(crate) stamps: usize,
     pub(crate) directions: usize,
@@ -26,9 +26,9 @@ pub(crate) struct Counts {
     pub(crate) unit: Option<String>,
 }
 
-impl Counts {
+impl CellCounts {
     /// Counts the cells of a column.
-    pub(crate) fn of<'c>(cells: impl Iterator<Item = &'c Cell>) -> Self {
+    pub(crate) fn from_cells<'c>(cells: impl Iterator<Item = &'c Cell>) -> Self {
         let mut counts = Self::default();
         for cell in cells {
             let Content::Text(text) = &cell.content else {
@@ -44,19 +44,19 @@ impl Counts {
             if text.trim().is_empty() {
                 continue;
             }
-            let is_way = words::direction(text).is_some();
-            let is_switch = words::switch(text).is_some();
+            let is_way = vocabulary::parse_direction(text).is_some();
+            let is_switch = vocabulary::parse_switch(text).is_some();
             counts.directions += usize::from(is_way);
             counts.switches += usize::from(is_switch);
             let (digits, unit) = number::split_unit(text);
-            if number::evidence(digits).is_some()
+            if number::decimal_evidence(digits).is_some()
                 && (unit.is_empty() || unit::parse(unit).is_some())
             {
                 counts.numbers += 1;
                 if !unit.is_empty() {
                     counts.unit.get_or_insert_with(|| unit.to_string());
                 }
-            } else if stamp::is_stamp(text) {
+            } else if timestamp::is_timestamp(text) {
                 counts.stamps += 1;
             } else if number::is_missing(text) {
                 counts.missing += usize::from(!is_way);
@@ -68,7 +68,7 @@ impl Counts {
     }
 
     /// Returns true if most of the cells are words.
-    pub(crate) fn is_text(&self) -> bool {
+    pub(crate) fn is_mostly_text(&self) -> bool {
         self.others > 0 && self.others >= self.numbers + self.stamps
     }
 }
@@ -81,12 +81,12 @@ fn is_sign(cell: &Cell) -> bool {
 ///
 /// # Errors
 /// Numbers contradict each other, or all of them can be read both ways: a question.
-pub(crate) fn decimal(
-    layout: &Layout,
+pub(crate) fn detect_decimal_separator(
+    layout: &SourceTable,
     is_by_comma: bool,
-    stated: Option<Decimal>,
+    stated: Option<DecimalSeparator>,
     path: &Path,
-) -> Result<(Decimal, bool), Refused> {
+) -> Result<(DecimalSeparator, bool), ImportError> {
     let (mut sure, mut open) = (None, None);
     for (row, at) in
         layout.rows.iter().flat_map(|row| (0..row.cells.len()).map(move |at| (row, at)))
@@ -96,8 +96,8 @@ pub(crate) fn decimal(
         if !(unit.is_empty() || unit::parse(unit).is_some()) {
             continue;
         }
-        match number::evidence(digits) {
-            Some(Evidence::Sure(found)) => {
+        match number::decimal_evidence(digits) {
+            Some(DecimalEvidence::Sure(found)) => {
                 let &mut (known, ref first) = sure.get_or_insert((found, digits.to_string()));
                 if known != found && stated.is_none() {
                     let rule = format!(
@@ -107,11 +107,11 @@ pub(crate) fn decimal(
                     );
                     let help =
                         "write all numbers one way, or say which one is right: --decimal comma";
-                    return Err(BadInput::new(row.place(path, at), rule).with_help(help).into());
+                    return Err(BadInput::new(row.location(path, at), rule).with_help(help).into());
                 }
             }
-            Some(Evidence::Either(found)) => {
-                open.get_or_insert((row.place(path, at), found, digits.to_string()));
+            Some(DecimalEvidence::Either(found)) => {
+                open.get_or_insert((row.location(path, at), found, digits.to_string()));
             }
             _ => {}
         }
@@ -121,13 +121,19 @@ pub(crate) fn decimal(
     }
     match (sure, open) {
         (Some((known, _)), _) => Ok((known, true)),
-        (None, None) => Ok((Decimal::Point, false)),
-        (None, Some((_, Decimal::Point, _))) if is_by_comma => Ok((Decimal::Point, true)),
+        (None, None) => Ok((DecimalSeparator::Point, false)),
+        (None, Some((_, DecimalSeparator::Point, _))) if is_by_comma => {
+            Ok((DecimalSeparator::Point, true))
+        }
         (None, Some((place, found, digits))) => {
-            let other = if found == Decimal::Point { Decimal::Comma } else { Decimal::Point };
+            let other = if found == DecimalSeparator::Point {
+                DecimalSeparator::Comma
+            } else {
+                DecimalSeparator::Point
+            };
             let small = number::parse(&digits, found).unwrap_or(f64::NAN);
             let large = number::parse(&digits, other).unwrap_or(f64::NAN);
-            Err(Refused::Open(vec![Question {
+            Err(ImportError::Open(vec![Question {
                 place,
                 text: format!("{digits} reads as {small} or as {large}"),
                 topic: Topic::Decimal,
@@ -139,7 +145,10 @@ pub(crate) fn decimal(
 }
 
 /// Returns the number in a cell and the unit behind it; `None` where there is none.
-pub(crate) fn number_in(cell: &Cell, decimal: Decimal) -> Option<(f64, &str)> {
+pub(crate) fn parse_number_with_unit(
+    cell: &Cell,
+    decimal: DecimalSeparator,
+) -> Option<(f64, &str)> {
     match &cell.content {
         Content::Number(value) => Some((*value, "")),
         Content::Date(_) => None,

@@ -6,29 +6,31 @@
 
 use crate::{
     answers::{Answers, Circle},
+    column_meaning::slugify,
     convert::Column,
-    layout::Layout,
-    meaning::slug,
+    layout::SourceTable,
 };
 
 /// The column of deviations in a run file.
-const DEVIATION: &str = "measured_dr_um";
+const DEVIATION_COLUMN: &str = "measured_dr_um";
 
 /// Beginnings of the names of columns of angles.
-const ANGLES: &[&str] = &["angle", "winkel", "phi", "theta"];
+const ANGLE_WORDS: &[&str] = &["angle", "winkel", "phi", "theta"];
 /// Parts of the names of columns of deviations.
-const DEVIATIONS: &[&str] =
+const DEVIATION_WORDS: &[&str] =
     &["dr", "radial", "radius", "deviation", "abweichung", "error", "fehler"];
 
 /// Returns the answers with the name of the deviation, which is of no axis here, where the user has not named it.
-pub(crate) fn answered(layout: &Layout, answers: &Answers) -> Answers {
+pub(crate) fn with_deviation_answer(layout: &SourceTable, answers: &Answers) -> Answers {
     let mut answers = answers.clone();
-    let is_named = |(_, name): &(String, String)| name == DEVIATION;
+    let is_named = |(_, name): &(String, String)| name == DEVIATION_COLUMN;
     if answers.circle.is_some() && !answers.columns.iter().any(is_named) {
-        let is_one =
-            |header: &&String| slug(header).split('_').any(|word| DEVIATIONS.contains(&word));
+        let is_one = |header: &&String| {
+            slugify(header).split('_').any(|word| DEVIATION_WORDS.contains(&word))
+        };
         let headers = layout.columns.iter().map(|column| &column.header);
-        let found = headers.filter(is_one).take(1).map(|header| (header.clone(), DEVIATION.into()));
+        let found =
+            headers.filter(is_one).take(1).map(|header| (header.clone(), DEVIATION_COLUMN.into()));
         answers.columns.extend(found.collect::<Vec<_>>());
     }
     answers
@@ -38,10 +40,13 @@ pub(crate) fn answered(layout: &Layout, answers: &Answers) -> Answers {
 ///
 /// # Errors
 /// There is no column of angles, or none of deviations: the text names the option.
-pub(crate) fn place(columns: &mut Vec<Column>, circle: &Circle) -> Result<(), String> {
+pub(crate) fn convert_to_positions(
+    columns: &mut Vec<Column>,
+    circle: &Circle,
+) -> Result<(), String> {
     let is_angle = |name: &str| {
         let of_unit = name.ends_with("_deg") || name.ends_with("_rad");
-        of_unit && ANGLES.iter().any(|word| name.starts_with(word))
+        of_unit && ANGLE_WORDS.iter().any(|word| name.starts_with(word))
     };
     let angle = columns
         .iter()
@@ -49,7 +54,7 @@ pub(crate) fn place(columns: &mut Vec<Column>, circle: &Circle) -> Result<(), St
         .ok_or("there is no column of angles: name it, as in --column 1=angle_deg")?;
     let is_deviation = |name: &str| {
         let of_unit = name.ends_with("_um") || name.ends_with("_mm");
-        of_unit && name.split('_').any(|word| DEVIATIONS.contains(&word))
+        of_unit && name.split('_').any(|word| DEVIATION_WORDS.contains(&word))
     };
     let deviation = columns.iter().position(|column| is_deviation(&column.name)).ok_or(
         "there is no column of radial deviations: name it, as in --column 2=measured_dr_um",
@@ -58,7 +63,7 @@ pub(crate) fn place(columns: &mut Vec<Column>, circle: &Circle) -> Result<(), St
     if column.name.ends_with("_mm") {
         column.values.iter_mut().for_each(|value| *value *= 1e3);
     }
-    (column.name, column.to) = (DEVIATION.into(), "µm".into());
+    (column.name, column.to) = (DEVIATION_COLUMN.into(), "µm".into());
 
     let of_angle = columns.remove(angle);
     let is_deg = of_angle.name.ends_with("_deg");

@@ -5,29 +5,29 @@ use std::path::Path;
 use trueup_machine::BadInput;
 
 use crate::{
-    answers::{Question, Refused, Topic},
+    answers::{ImportError, Question, Topic},
     grid::{Cell, Content, Row},
-    stamp::{self, DateOrder, Pair, Stamp},
-    unit::rounded,
+    timestamp::{self, DateOrder, Timestamp, TwoPartTimeFormat},
+    unit::round_significant,
 };
 
 /// How the cells of the time column are read.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Reading {
+pub(crate) struct TimeFormat {
     pub(crate) order: DateOrder,
-    pub(crate) pair: Pair,
+    pub(crate) pair: TwoPartTimeFormat,
 }
 
 /// Returns the moment that a cell says.
-pub(crate) fn moment(cell: &Cell, reading: Reading) -> Option<Stamp> {
+pub(crate) fn parse_timestamp(cell: &Cell, reading: TimeFormat) -> Option<Timestamp> {
     match &cell.content {
-        Content::Text(text) => stamp::parse(text, reading.order, reading.pair),
-        Content::Number(days) | Content::Date(days) => Some(stamp::of_serial(*days)),
+        Content::Text(text) => timestamp::parse(text, reading.order, reading.pair),
+        Content::Number(days) | Content::Date(days) => Some(timestamp::from_serial(*days)),
     }
 }
 
 /// Returns the seconds of one count of Unix time if `values` can only be that: of the years 2001 to 2096.
-pub(crate) fn unix_factor(values: &[f64]) -> Option<(f64, &'static str)> {
+pub(crate) fn detect_unix_time_scale(values: &[f64]) -> Option<(f64, &'static str)> {
     [(1.0, "s"), (1e-3, "ms"), (1e-6, "µs")].into_iter().find(|(factor, _)| {
         !values.is_empty() && values.iter().all(|value| (1e9..4e9).contains(&(value * factor)))
     })
@@ -37,16 +37,16 @@ pub(crate) fn unix_factor(values: &[f64]) -> Option<(f64, &'static str)> {
 ///
 /// # Errors
 /// Two orders make different times: a question.
-pub(crate) fn order(
+pub(crate) fn detect_date_order(
     rows: &[Row],
     columns: &[usize],
     stated: Option<DateOrder>,
     path: &Path,
-) -> Result<Option<DateOrder>, Refused> {
+) -> Result<Option<DateOrder>, ImportError> {
     use DateOrder::{DayMonth, MonthDay, Year};
     let first = rows.iter().find_map(|row| {
         let open = |at: &&usize| {
-            matches!(&row.cells[**at].content, Content::Text(text) if stamp::needs_order(text) && stamp::is_stamp(text))
+            matches!(&row.cells[**at].content, Content::Text(text) if timestamp::has_ambiguous_order(text) && timestamp::is_timestamp(text))
         };
         columns.iter().find(open).map(|at| (row, *at))
     });
@@ -55,9 +55,9 @@ pub(crate) fn order(
         return Ok(stated);
     }
     let days = |order| -> Option<Vec<i64>> {
-        let reading = Reading { order, pair: Pair::HoursMinutes };
+        let reading = TimeFormat { order, pair: TwoPartTimeFormat::HoursMinutes };
         let cells = rows.iter().map(|row| &row.cells[at]).filter(|cell| !cell.is_empty());
-        cells.map(|cell| moment(cell, reading).and_then(|stamp| stamp.day)).collect()
+        cells.map(|cell| parse_timestamp(cell, reading).and_then(|stamp| stamp.day)).collect()
     };
     let from_first =
         |days: Vec<i64>| -> Vec<i64> { days.iter().map(|day| day - days[0]).collect() };
@@ -74,7 +74,7 @@ pub(crate) fn order(
         if rising.is_empty() { readings.iter().collect() } else { rising };
     match &left[..] {
         [] => Err(BadInput::new(
-            row.place(path, at),
+            row.location(path, at),
             format!("{} is no date of the calendar", row.cells[at].text()),
         )
         .with_help("write 2026-04-03, or say the order: --date dmy")
@@ -82,8 +82,8 @@ pub(crate) fn order(
         [(order, first), others @ ..] if others.iter().all(|(_, days)| days == first) => {
             Ok(Some(*order))
         }
-        [..] => Err(Refused::Open(vec![Question {
-            place: row.place(path, at),
+        [..] => Err(ImportError::Open(vec![Question {
+            place: row.location(path, at),
             text: format!("{} reads as more than one date", row.cells[at].text()),
             topic: Topic::Date,
             choices: left.iter().map(|(order, _)| order.name().into()).collect(),
@@ -96,17 +96,22 @@ pub(crate) fn order(
 ///
 /// # Errors
 /// They may be of a stopwatch: a question.
-pub(crate) fn pair(
+pub(crate) fn detect_two_part_format(
     rows: &[Row],
     at: usize,
     header: &str,
     form: &str,
     path: &Path,
-) -> Result<Pair, Refused> {
-    const OF_DAY: [&str; 7] = ["uhr", "clock", "day", "heure", "hora", "ora", "tageszeit"];
+) -> Result<TwoPartTimeFormat, ImportError> {
+    const TIME_OF_DAY_WORDS: [&str; 7] =
+        ["uhr", "clock", "day", "heure", "hora", "ora", "tageszeit"];
     if !form.is_empty() {
         let is_minutes = form.to_lowercase().starts_with('m');
-        return Ok(if is_minutes { Pair::MinutesSeconds } else { Pair::HoursMinutes });
+        return Ok(if is_minutes {
+            TwoPartTimeFormat::MinutesSeconds
+        } else {
+            TwoPartTimeFormat::HoursMinutes
+        });
     }
     let texts: Vec<&str> = rows
         .iter()
@@ -115,30 +120,30 @@ pub(crate) fn pair(
             _ => None,
         })
         .collect();
-    let Some(first) = texts.iter().find(|text| stamp::is_pair(text)) else {
-        return Ok(Pair::HoursMinutes);
+    let Some(first) = texts.iter().find(|text| timestamp::is_two_part_time(text)) else {
+        return Ok(TwoPartTimeFormat::HoursMinutes);
     };
     let parts = |text: &str| -> Option<(u32, u32)> {
         let (first, second) = text.split_once(':')?;
         Some((first.parse().ok()?, second.parse().ok()?))
     };
-    let Some(start) = parts(first) else { return Ok(Pair::HoursMinutes) };
+    let Some(start) = parts(first) else { return Ok(TwoPartTimeFormat::HoursMinutes) };
     let numbers: Vec<(u32, u32)> = texts.iter().filter_map(|text| parts(text)).collect();
     if numbers.iter().any(|(first, _)| *first >= 24) {
-        return Ok(Pair::MinutesSeconds);
+        return Ok(TwoPartTimeFormat::MinutesSeconds);
     }
-    if OF_DAY.iter().any(|word| header.to_lowercase().contains(word)) {
-        return Ok(Pair::HoursMinutes);
+    if TIME_OF_DAY_WORDS.iter().any(|word| header.to_lowercase().contains(word)) {
+        return Ok(TwoPartTimeFormat::HoursMinutes);
     }
     // A working day does not begin in the night, and a stopwatch begins near 0.
-    const EARLIEST: u32 = 5;
+    const EARLIEST_SHIFT_HOUR: u32 = 5;
     let is_whole = numbers.iter().all(|(_, second)| *second == 0);
-    if start.0 >= EARLIEST && !is_whole {
-        return Ok(Pair::HoursMinutes);
+    if start.0 >= EARLIEST_SHIFT_HOUR && !is_whole {
+        return Ok(TwoPartTimeFormat::HoursMinutes);
     }
     let row = rows.iter().find(|row| row.cells[at].text() == *first);
-    Err(Refused::Open(vec![Question {
-        place: row.unwrap_or(&rows[0]).place(path, at),
+    Err(ImportError::Open(vec![Question {
+        place: row.unwrap_or(&rows[0]).location(path, at),
         text: format!("{first} reads as hours and minutes, or as minutes and seconds"),
         topic: Topic::Unit(header.into()),
         choices: vec!["h:mm".into(), "mm:ss".into()],
@@ -147,26 +152,26 @@ pub(crate) fn pair(
 }
 
 /// Seconds of the rows, and notes on how the clock was read.
-pub(crate) struct Seconds {
+pub(crate) struct ElapsedSeconds {
     pub(crate) values: Vec<f64>,
     pub(crate) notes: Vec<String>,
 }
 
 /// An hour, and what a clock may be off by when it changes.
-const HOUR_S: f64 = 3600.0;
+const SECONDS_PER_HOUR: f64 = 3600.0;
 
 /// Returns the seconds from the first moment, for each row; midnight passed by clocks without a date.
 ///
 /// # Errors
 /// The clock steps by an hour, which may be summer time: a question. It runs back: an error.
-pub(crate) fn seconds(
-    stamps: &[Option<Stamp>],
+pub(crate) fn compute_elapsed_seconds(
+    stamps: &[Option<Timestamp>],
     rows: &[Row],
     at: usize,
     runs: Option<&[f64]>,
     summer_time: Option<bool>,
     path: &Path,
-) -> Result<Seconds, Refused> {
+) -> Result<ElapsedSeconds, ImportError> {
     let has_date = stamps.iter().flatten().any(|stamp| stamp.day.is_some());
     let has_zone = stamps.iter().flatten().any(|stamp| stamp.has_zone);
     let zones = stamps.iter().flatten().filter(|stamp| stamp.has_zone).count();
@@ -174,22 +179,22 @@ pub(crate) fn seconds(
         let row =
             stamps.iter().position(|stamp| stamp.is_some_and(|stamp| !stamp.has_zone)).unwrap_or(0);
         let rule = "has no time zone, other times of the file have one";
-        return Err(BadInput::new(rows[row].place(path, at), rule)
+        return Err(BadInput::new(rows[row].location(path, at), rule)
             .with_help("give all of them a zone, or none")
             .into());
     }
-    let start_s = stamps.iter().flatten().next().map_or(0.0, Stamp::total_s);
+    let start_s = stamps.iter().flatten().next().map_or(0.0, Timestamp::total_s);
     let raw: Vec<f64> = stamps
         .iter()
         .map(|stamp| stamp.map_or(f64::NAN, |stamp| stamp.total_s() - start_s))
         .collect();
     let is_wall_clock = has_date || stamps.iter().flatten().any(|stamp| stamp.seconds.is_some());
-    walk(
+    accumulate_elapsed(
         &raw,
         rows,
         at,
         runs,
-        Wall { has_midnight: !has_date, has_hours: is_wall_clock && !has_zone },
+        ClockJumps { has_midnight: !has_date, has_hours: is_wall_clock && !has_zone },
         summer_time,
         path,
     )
@@ -197,7 +202,7 @@ pub(crate) fn seconds(
 
 /// The jumps that a clock may make and time does not.
 #[derive(Clone, Copy)]
-pub(crate) struct Wall {
+pub(crate) struct ClockJumps {
     /// It begins again at midnight.
     pub(crate) has_midnight: bool,
     /// It may change to and from summer time.
@@ -205,15 +210,15 @@ pub(crate) struct Wall {
 }
 
 /// Follows a clock row by row.
-pub(crate) fn walk(
+pub(crate) fn accumulate_elapsed(
     raw: &[f64],
     rows: &[Row],
     at: usize,
     runs: Option<&[f64]>,
-    wall: Wall,
+    wall: ClockJumps,
     summer_time: Option<bool>,
     path: &Path,
-) -> Result<Seconds, Refused> {
+) -> Result<ElapsedSeconds, ImportError> {
     let mut steps: Vec<f64> = Vec::new();
     let there: Vec<usize> = (0..raw.len()).filter(|row| !raw[*row].is_nan()).collect();
     steps.extend(
@@ -229,16 +234,18 @@ pub(crate) fn walk(
         if let Some(last) = before {
             let step_s = raw[row] - raw[last];
             let is_new_run = runs.is_some_and(|runs| runs[row] != runs[last]);
-            let rest_s = |hours: f64| step_s - hours * HOUR_S;
+            let rest_s = |hours: f64| step_s - hours * SECONDS_PER_HOUR;
             let fits = |rest_s: f64| rest_s >= 0.0 && rest_s <= 2.0 * usual_s;
-            let is_regular = wall.has_hours && usual_s < HOUR_S / 2.0 && !is_new_run;
+            let is_regular = wall.has_hours && usual_s < SECONDS_PER_HOUR / 2.0 && !is_new_run;
             let back = is_regular && step_s < 0.0 && fits(rest_s(-1.0));
             let ahead = is_regular && step_s > 0.0 && fits(rest_s(1.0)) && rest_s(1.0) > 0.0;
-            if wall.has_midnight && step_s < -12.0 * HOUR_S && !is_new_run {
-                added_s += 24.0 * HOUR_S;
+            if wall.has_midnight && step_s < -12.0 * SECONDS_PER_HOUR && !is_new_run {
+                added_s += 24.0 * SECONDS_PER_HOUR;
             } else if back || ahead {
                 match summer_time {
-                    Some(true) => added_s += if back { HOUR_S } else { -HOUR_S },
+                    Some(true) => {
+                        added_s += if back { SECONDS_PER_HOUR } else { -SECONDS_PER_HOUR }
+                    }
                     Some(false) if ahead => {}
                     Some(false) | None => {
                         let rule = if back {
@@ -247,10 +254,10 @@ pub(crate) fn walk(
                             "is an hour ahead of its step"
                         };
                         if summer_time.is_some() {
-                            return Err(runs_back(rows, row, at, path).into());
+                            return Err(backward_clock_error(rows, row, at, path).into());
                         }
-                        return Err(Refused::Open(vec![Question {
-                            place: rows[row].place(path, at),
+                        return Err(ImportError::Open(vec![Question {
+                            place: rows[row].location(path, at),
                             text: format!("the clock {rule} here: the change of summer time?"),
                             topic: Topic::SummerTime,
                             choices: vec!["yes".into(), "no".into()],
@@ -259,36 +266,36 @@ pub(crate) fn walk(
                     }
                 }
             } else if step_s < 0.0 && !is_new_run {
-                return Err(runs_back(rows, row, at, path).into());
+                return Err(backward_clock_error(rows, row, at, path).into());
             } else if step_s > 20.0 * usual_s && step_s > 60.0 {
                 notes.push(format!(
                     "{} without a reading before line {}",
-                    duration(step_s),
+                    format_duration(step_s),
                     rows[row].line
                 ));
             }
         }
-        values[row] = rounded(raw[row] + added_s);
+        values[row] = round_significant(raw[row] + added_s);
         before = Some(row);
     }
     if notes.len() > 3 {
         notes = vec![format!("{} gaps in the clock, the first one: {}", notes.len(), notes[0])];
     }
-    Ok(Seconds { values, notes })
+    Ok(ElapsedSeconds { values, notes })
 }
 
-fn runs_back(rows: &[Row], row: usize, at: usize, path: &Path) -> BadInput {
+fn backward_clock_error(rows: &[Row], row: usize, at: usize, path: &Path) -> BadInput {
     BadInput::new(
-        rows[row].place(path, at),
+        rows[row].location(path, at),
         format!("the time runs back to {}", rows[row].cells[at].text()),
     )
     .with_help("sort the rows by time, or number the repeats in a column run")
 }
 
-fn duration(seconds: f64) -> String {
-    if seconds < HOUR_S {
+fn format_duration(seconds: f64) -> String {
+    if seconds < SECONDS_PER_HOUR {
         format!("{:.0} min", seconds / 60.0)
     } else {
-        format!("{:.1} h", seconds / HOUR_S)
+        format!("{:.1} h", seconds / SECONDS_PER_HOUR)
     }
 }

@@ -5,16 +5,16 @@ use std::path::Path;
 use trueup_machine::BadInput;
 
 use crate::{
-    answers::{Answers, Refused},
-    cells::number_in,
-    clock::{self, Reading, Wall},
+    answers::{Answers, ImportError},
+    cells::parse_number_with_unit,
+    clock::{self, ClockJumps, TimeFormat},
     grid::Cell,
-    layout::Layout,
-    number::{self, Decimal},
-    plan::{Plan, Role, target_of, unit_question},
-    stamp::{DateOrder, Pair, Stamp},
-    unit::{Dimension, Unit, rounded},
-    words,
+    import_mapping::{ColumnMapping, ColumnRole, target_column, unit_question},
+    layout::SourceTable,
+    number::{self, DecimalSeparator},
+    timestamp::{DateOrder, Timestamp, TwoPartTimeFormat},
+    unit::{Dimension, Unit, round_significant},
+    vocabulary,
 };
 
 /// A column of the run file.
@@ -30,7 +30,7 @@ pub(crate) struct Column {
 }
 
 /// The run file's columns and what is to be said about them.
-pub(crate) struct Converted {
+pub(crate) struct ConvertedRun {
     pub(crate) columns: Vec<Column>,
     pub(crate) notes: Vec<String>,
     pub(crate) order: Option<DateOrder>,
@@ -41,33 +41,33 @@ pub(crate) struct Converted {
 /// # Errors
 /// A cell is none of what its column holds; or a question is open.
 pub(crate) fn convert(
-    layout: &Layout,
-    plans: &[Plan],
-    decimal: Decimal,
+    layout: &SourceTable,
+    plans: &[ColumnMapping],
+    decimal: DecimalSeparator,
     answers: &Answers,
     path: &Path,
-) -> Result<Converted, Refused> {
-    let table = Table { layout, plans, decimal, path };
+) -> Result<ConvertedRun, ImportError> {
+    let table = TableConverter { layout, plans, decimal, path };
     let mut notes = Vec::new();
     let mut columns = Vec::new();
     let dates: Vec<usize> = (0..plans.len())
-        .filter(|at| matches!(plans[*at].role, Role::DateOf | Role::Moments { .. }))
+        .filter(|at| matches!(plans[*at].role, ColumnRole::DateOf | ColumnRole::Moments { .. }))
         .collect();
-    let order = clock::order(&layout.rows, &dates, answers.date, path)?;
+    let order = clock::detect_date_order(&layout.rows, &dates, answers.date, path)?;
     let runs =
-        plans.iter().position(|plan| target_of(&plan.role).is_some_and(|it| it.name == "run"));
-    let runs = runs.map(|at| table.numbers(at, None)).transpose()?;
+        plans.iter().position(|plan| target_column(&plan.role).is_some_and(|it| it.name == "run"));
+    let runs = runs.map(|at| table.parse_numbers(at, None)).transpose()?;
     let mut open = Vec::new();
     for (at, plan) in plans.iter().enumerate() {
-        let done = table.column(at, plan, order, runs.as_deref(), answers, &mut notes);
+        let done = table.convert_column(at, plan, order, runs.as_deref(), answers, &mut notes);
         match done {
             Ok(column) => columns.extend(column),
-            Err(Refused::Open(questions)) => open.extend(questions),
+            Err(ImportError::Open(questions)) => open.extend(questions),
             Err(bad) => return Err(bad),
         }
     }
     if !open.is_empty() {
-        return Err(Refused::Open(open));
+        return Err(ImportError::Open(open));
     }
     for column in &mut columns {
         if plans[column.source].is_negated {
@@ -76,25 +76,25 @@ pub(crate) fn convert(
             column.from.push_str(", sign turned");
         }
     }
-    Ok(Converted { columns, notes, order })
+    Ok(ConvertedRun { columns, notes, order })
 }
 
-struct Table<'l> {
-    layout: &'l Layout,
-    plans: &'l [Plan],
-    decimal: Decimal,
+struct TableConverter<'l> {
+    layout: &'l SourceTable,
+    plans: &'l [ColumnMapping],
+    decimal: DecimalSeparator,
     path: &'l Path,
 }
 
-impl Table<'_> {
-    fn cells(&self, at: usize) -> impl Iterator<Item = &Cell> {
+impl TableConverter<'_> {
+    fn column_cells(&self, at: usize) -> impl Iterator<Item = &Cell> {
         self.layout.rows.iter().map(move |row| &row.cells[at])
     }
 
-    fn bad(&self, row: usize, at: usize, rule: &str, help: &str) -> Refused {
+    fn cell_error(&self, row: usize, at: usize, rule: &str, help: &str) -> ImportError {
         let cell = self.layout.rows[row].cells[at].text();
         let short: String = cell.chars().take(40).collect();
-        let place = self.layout.rows[row].place(self.path, at);
+        let place = self.layout.rows[row].location(self.path, at);
         BadInput::new(place, format!("\"{short}\" {rule} in {}", self.layout.columns[at].header))
             .with_help(help)
             .into()
@@ -102,14 +102,14 @@ impl Table<'_> {
 
     /// Returns the numbers of a column as they are written, NaN where one is missing; those with `unit` behind them, or
     /// none.
-    fn numbers(&self, at: usize, unit: Option<Unit>) -> Result<Vec<f64>, Refused> {
+    fn parse_numbers(&self, at: usize, unit: Option<Unit>) -> Result<Vec<f64>, ImportError> {
         let of_cell = |(row, cell): (usize, &Cell)| {
             if number::is_missing(&cell.text()) {
                 return Ok(f64::NAN);
             }
-            let Some((value, behind)) = number_in(cell, self.decimal) else {
+            let Some((value, behind)) = parse_number_with_unit(cell, self.decimal) else {
                 let help = "correct it in the file, or empty it: an empty cell is a missing value";
-                return Err(self.bad(row, at, "is no number", help));
+                return Err(self.cell_error(row, at, "is no number", help));
             };
             let is_other = !behind.is_empty()
                 && crate::unit::parse(behind)
@@ -117,40 +117,40 @@ impl Table<'_> {
             if is_other {
                 let help =
                     "a column has one unit: convert these rows, or give them a column of their own";
-                return Err(self.bad(row, at, "has another unit than the column", help));
+                return Err(self.cell_error(row, at, "has another unit than the column", help));
             }
             Ok(value)
         };
-        self.cells(at).enumerate().map(of_cell).collect()
+        self.column_cells(at).enumerate().map(of_cell).collect()
     }
 
-    fn words(
+    fn parse_words(
         &self,
         at: usize,
         word: impl Fn(&str) -> Option<f64>,
         rule: &str,
         help: &str,
-    ) -> Result<Vec<f64>, Refused> {
+    ) -> Result<Vec<f64>, ImportError> {
         let of_cell = |(row, cell): (usize, &Cell)| {
             let text = cell.text();
             match word(&text) {
                 Some(value) => Ok(value),
                 None if number::is_missing(&text) => Ok(f64::NAN),
-                None => Err(self.bad(row, at, rule, help)),
+                None => Err(self.cell_error(row, at, rule, help)),
             }
         };
-        self.cells(at).enumerate().map(of_cell).collect()
+        self.column_cells(at).enumerate().map(of_cell).collect()
     }
 
-    fn column(
+    fn convert_column(
         &self,
         at: usize,
-        plan: &Plan,
+        plan: &ColumnMapping,
         order: Option<DateOrder>,
         runs: Option<&[f64]>,
         answers: &Answers,
         notes: &mut Vec<String>,
-    ) -> Result<Option<Column>, Refused> {
+    ) -> Result<Option<Column>, ImportError> {
         let column = |name: &str, from: &str, to: &str, values| {
             Ok(Some(Column {
                 source: at,
@@ -161,41 +161,43 @@ impl Table<'_> {
             }))
         };
         match &plan.role {
-            Role::Ignored(_) | Role::DateOf => Ok(None),
-            Role::Bare(target) => column(&target.name, "", target.unit(), self.numbers(at, None)?),
-            Role::Number { target, unit, per_base } => {
-                let values = self.numbers(at, Some(*unit))?;
+            ColumnRole::Ignored(_) | ColumnRole::DateOf => Ok(None),
+            ColumnRole::Bare(target) => {
+                column(&target.name, "", target.unit(), self.parse_numbers(at, None)?)
+            }
+            ColumnRole::Number { target, unit, per_base } => {
+                let values = self.parse_numbers(at, Some(*unit))?;
                 let values =
                     values.into_iter().map(|value| unit.convert(value, *per_base)).collect();
                 let to = match target.dimension {
                     Some(_) => target.unit(),
-                    None => Unit::base(unit.dimension).name,
+                    None => Unit::base_unit(unit.dimension).name,
                 };
                 column(&target.name, unit.name, to, values)
             }
-            Role::Direction(target) => {
+            ColumnRole::Direction(target) => {
                 let help = "a direction is +1 or -1, hin or rück, forward or reverse";
                 column(
                     &target.name,
                     "",
                     "+1, −1",
-                    self.words(at, words::direction, "is no direction", help)?,
+                    self.parse_words(at, vocabulary::parse_direction, "is no direction", help)?,
                 )
             }
-            Role::Switch(target) => {
+            ColumnRole::Switch(target) => {
                 let help = "a switch is on or off, 1 or 0";
                 let word = |text: &str| {
-                    words::switch(text).or(match text {
+                    vocabulary::parse_switch(text).or(match text {
                         "1" => Some(1.0),
                         "0" => Some(0.0),
                         _ => None,
                     })
                 };
-                column(&target.name, "", "0, 1", self.words(at, word, "is no switch", help)?)
+                column(&target.name, "", "0, 1", self.parse_words(at, word, "is no switch", help)?)
             }
-            Role::Actual { target, unit, position } => {
-                let commanded = self.position_mm(*position)?;
-                let actual = self.numbers(at, Some(*unit))?;
+            ColumnRole::Actual { target, unit, position } => {
+                let commanded = self.positions_mm(*position)?;
+                let actual = self.parse_numbers(at, Some(*unit))?;
                 let error = |(actual, commanded): (&f64, &f64)| {
                     // To a picometre: the difference of two large numbers has noise below that.
                     let um = (unit.convert(*actual, 1.0) - commanded) * 1e3;
@@ -208,18 +210,14 @@ impl Table<'_> {
                 ));
                 column(&target.name, unit.name, "µm", values)
             }
-            Role::Elapsed { target, unit } => {
-                self.elapsed(at, target.name.as_str(), *unit, runs, answers, notes)
+            ColumnRole::Elapsed { target, unit } => {
+                self.convert_elapsed_column(at, target.name.as_str(), *unit, runs, answers, notes)
             }
-            Role::Moments { target, form } => {
-                let header = &self.layout.columns[at].header;
-                let pair = match self.date_column(at) {
-                    Some(_) => Pair::HoursMinutes,
-                    None => clock::pair(&self.layout.rows, at, header, form, self.path)?,
-                };
-                let reading = Reading { order: order.unwrap_or(DateOrder::Year), pair };
-                let stamps = self.stamps(at, reading)?;
-                let found = clock::seconds(
+            ColumnRole::Moments { target, form } => {
+                let pair = self.two_part_format(at, form)?;
+                let reading = TimeFormat { order: order.unwrap_or(DateOrder::Year), pair };
+                let stamps = self.parse_timestamps(at, reading)?;
+                let found = clock::compute_elapsed_seconds(
                     &stamps,
                     &self.layout.rows,
                     at,
@@ -229,9 +227,11 @@ impl Table<'_> {
                 )?;
                 notes.extend(found.notes);
                 let from = match (stamps.iter().flatten().next(), pair) {
-                    (Some(Stamp { day: None, .. }), Pair::MinutesSeconds) => "minutes:seconds",
-                    (Some(Stamp { day: None, .. }), _) => "time of day",
-                    (Some(Stamp { seconds: None, .. }), _) => "date",
+                    (Some(Timestamp { day: None, .. }), TwoPartTimeFormat::MinutesSeconds) => {
+                        "minutes:seconds"
+                    }
+                    (Some(Timestamp { day: None, .. }), _) => "time of day",
+                    (Some(Timestamp { seconds: None, .. }), _) => "date",
                     _ => "date and time",
                 };
                 column(&target.name, from, "s from the first", found.values)
@@ -239,23 +239,36 @@ impl Table<'_> {
         }
     }
 
-    fn position_mm(&self, at: usize) -> Result<Vec<f64>, Refused> {
+    fn positions_mm(&self, at: usize) -> Result<Vec<f64>, ImportError> {
         match &self.plans[at].role {
-            Role::Number { unit, .. } => {
-                let values = self.numbers(at, Some(*unit))?;
+            ColumnRole::Number { unit, .. } => {
+                let values = self.parse_numbers(at, Some(*unit))?;
                 Ok(values.into_iter().map(|value| unit.convert(value, 1.0)).collect())
             }
-            _ => self.numbers(at, None),
+            _ => self.parse_numbers(at, None),
         }
     }
 
     /// Returns the column of dates that belongs to the times in `at`.
     fn date_column(&self, at: usize) -> Option<usize> {
         let dates = (0..self.plans.len()).filter(|other| *other != at);
-        dates.into_iter().find(|other| matches!(self.plans[*other].role, Role::DateOf))
+        dates.into_iter().find(|other| matches!(self.plans[*other].role, ColumnRole::DateOf))
     }
 
-    fn stamps(&self, at: usize, reading: Reading) -> Result<Vec<Option<Stamp>>, Refused> {
+    /// Returns how the times in `at` with two numbers are meant: as hours and minutes where dates belong to them.
+    fn two_part_format(&self, at: usize, form: &str) -> Result<TwoPartTimeFormat, ImportError> {
+        if self.date_column(at).is_some() {
+            return Ok(TwoPartTimeFormat::HoursMinutes);
+        }
+        let header = &self.layout.columns[at].header;
+        clock::detect_two_part_format(&self.layout.rows, at, header, form, self.path)
+    }
+
+    fn parse_timestamps(
+        &self,
+        at: usize,
+        reading: TimeFormat,
+    ) -> Result<Vec<Option<Timestamp>>, ImportError> {
         let dates = self.date_column(at);
         let help = "write 2026-04-03 08:15:00, 08:15:00, or seconds";
         let read = |row: usize, at: usize| {
@@ -263,8 +276,8 @@ impl Table<'_> {
             if number::is_missing(&cell.text()) {
                 return Ok(None);
             }
-            let stamp = clock::moment(cell, reading);
-            stamp.map(Some).ok_or_else(|| self.bad(row, at, "is no time", help))
+            let stamp = clock::parse_timestamp(cell, reading);
+            stamp.map(Some).ok_or_else(|| self.cell_error(row, at, "is no time", help))
         };
         let mut first: Option<(bool, bool)> = None;
         let mut stamps = Vec::new();
@@ -275,14 +288,14 @@ impl Table<'_> {
             {
                 match read(row, dates)? {
                     Some(date) => time.day = date.day,
-                    None => return Err(self.bad(row, dates, "is no date", help)),
+                    None => return Err(self.cell_error(row, dates, "is no date", help)),
                 }
             }
             if let Some(stamp) = stamp {
                 // A date alone is its midnight, as workbooks have it.
                 let form = (stamp.day.is_some(), stamp.day.is_some() || stamp.seconds.is_some());
                 if *first.get_or_insert(form) != form {
-                    return Err(self.bad(
+                    return Err(self.cell_error(
                         row,
                         at,
                         "is written otherwise than the first time",
@@ -295,7 +308,7 @@ impl Table<'_> {
         Ok(stamps)
     }
 
-    fn elapsed(
+    fn convert_elapsed_column(
         &self,
         at: usize,
         name: &str,
@@ -303,21 +316,23 @@ impl Table<'_> {
         runs: Option<&[f64]>,
         answers: &Answers,
         notes: &mut Vec<String>,
-    ) -> Result<Option<Column>, Refused> {
+    ) -> Result<Option<Column>, ImportError> {
         let header = &self.layout.columns[at].header;
-        let raw = self.numbers(at, unit)?;
+        let raw = self.parse_numbers(at, unit)?;
         let there: Vec<f64> = raw.iter().copied().filter(|value| !value.is_nan()).collect();
         let is_own = header == name;
-        let unix = clock::unix_factor(&there).filter(|_| !is_own);
+        let unix = clock::detect_unix_time_scale(&there).filter(|_| !is_own);
         let (seconds, from): (Vec<f64>, String) = match (unix, unit) {
             (Some((factor, unix)), None) => {
                 let start = there.first().copied().unwrap_or(0.0);
-                let seconds = raw.iter().map(|value| rounded((value - start) * factor)).collect();
+                let seconds =
+                    raw.iter().map(|value| round_significant((value - start) * factor)).collect();
                 (seconds, format!("Unix time in {unix}"))
             }
             (Some((factor, _)), Some(unit)) if (unit.factor - factor).abs() < 1e-12 => {
                 let start = there.first().copied().unwrap_or(0.0);
-                let seconds = raw.iter().map(|value| rounded((value - start) * factor)).collect();
+                let seconds =
+                    raw.iter().map(|value| round_significant((value - start) * factor)).collect();
                 (seconds, format!("Unix time in {}", unit.name))
             }
             (_, Some(unit)) => {
@@ -325,13 +340,13 @@ impl Table<'_> {
             }
             (None, None) => {
                 let question = unit_question(&self.layout.columns[at], "", Dimension::Time);
-                return Err(Refused::Open(vec![question]));
+                return Err(ImportError::Open(vec![question]));
             }
         };
         // A counter has no summer time, unless the user says that it has.
         let has_hours = answers.summer_time.is_some();
-        let wall = Wall { has_midnight: false, has_hours };
-        let found = clock::walk(
+        let wall = ClockJumps { has_midnight: false, has_hours };
+        let found = clock::accumulate_elapsed(
             &seconds,
             &self.layout.rows,
             at,

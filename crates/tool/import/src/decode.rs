@@ -17,14 +17,14 @@ pub(crate) fn decode(
     label: Option<&str>,
     path: &Path,
 ) -> Result<(String, &'static str), BadInput> {
-    let start = || Location::start_of(path);
+    let start = || Location::start_of_file(path);
     let encoding = match label {
         Some(label) => Encoding::for_label(label.as_bytes()).ok_or_else(|| {
             BadInput::new(start(), format!("{label} is no encoding that is known")).with_help(
                 "--encoding utf-8, utf-16le, latin1, windows-1252, iso-8859-15, ibm866 …",
             )
         })?,
-        None => guess(bytes),
+        None => guess_encoding(bytes),
     };
     let (text, used, has_errors) = encoding.decode(bytes);
     let is_binary = text.chars().take(1 << 16).any(|c| c < ' ' && !"\t\n\r\u{c}".contains(c));
@@ -36,7 +36,7 @@ pub(crate) fn decode(
     Ok((text.into_owned(), used.name()))
 }
 
-fn guess(bytes: &[u8]) -> &'static Encoding {
+fn guess_encoding(bytes: &[u8]) -> &'static Encoding {
     if let Some((encoding, _)) = Encoding::for_bom(bytes) {
         return encoding;
     }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use trueup_machine::{BadInput, Location};
 
-use crate::stamp;
+use crate::timestamp;
 
 /// The content of a cell.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,11 +47,11 @@ pub(crate) struct Row {
 
 impl Row {
     /// Returns the number of cells that are not empty.
-    pub(crate) fn filled(&self) -> usize {
+    pub(crate) fn filled_cell_count(&self) -> usize {
         self.cells.iter().filter(|cell| !cell.is_empty()).count()
     }
 
-    pub(crate) fn place(&self, path: &Path, cell: usize) -> Location {
+    pub(crate) fn location(&self, path: &Path, cell: usize) -> Location {
         let column = self.cells.get(cell).map_or(1, |cell| cell.column);
         Location { file: path.to_path_buf(), line: self.line, column }
     }
@@ -73,22 +73,22 @@ pub(crate) struct Grid {
 const SEPARATORS: [char; 5] = ['\t', ';', ',', '|', ' '];
 
 /// Lines that the separator is chosen by.
-const LOOKED_AT: usize = 200;
+const SEPARATOR_SAMPLE_LINES: usize = 200;
 
 /// Splits `text` into rows of cells.
 ///
 /// # Errors
 /// A quoted field has no end.
-pub(crate) fn of_text(text: &str, path: &Path) -> Result<Grid, BadInput> {
-    let (stated, skipped) = match text.lines().next().and_then(stated_separator) {
+pub(crate) fn from_text(text: &str, path: &Path) -> Result<Grid, BadInput> {
+    let (stated, skipped) = match text.lines().next().and_then(parse_separator_line) {
         Some(separator) => (Some(separator), 1),
         None => (None, 0),
     };
-    let separator = stated.unwrap_or_else(|| likeliest(text));
-    let mut rows = split(text, separator, path)?;
+    let separator = stated.unwrap_or_else(|| detect_separator(text));
+    let mut rows = split_rows(text, separator, path)?;
     rows.retain(|row| row.line > skipped);
     if separator == ' ' {
-        join_headers(&mut rows, text);
+        join_header_cells(&mut rows, text);
     }
     let is_open_ended = !text.ends_with(['\n', '\r']);
     let name = match separator {
@@ -102,9 +102,9 @@ pub(crate) fn of_text(text: &str, path: &Path) -> Result<Grid, BadInput> {
 /// Joins cells of text where blanks separate the columns: `Actual value` and `Position [mm]` are one header each. A
 /// line with more cells than the lines of numbers is taken by gaps of two blanks, or with its units behind the words,
 /// where that gives as many cells as they have.
-fn join_headers(rows: &mut [Row], text: &str) {
+fn join_header_cells(rows: &mut [Row], text: &str) {
     let is_of_numbers = |row: &&Row| {
-        row.cells.len() > 1 && row.cells.iter().all(|cell| looks_like_value(&cell.text()))
+        row.cells.len() > 1 && row.cells.iter().all(|cell| is_value_like(&cell.text()))
     };
     let mut counts = std::collections::BTreeMap::new();
     for row in rows.iter().filter(is_of_numbers) {
@@ -138,7 +138,7 @@ fn join_headers(rows: &mut [Row], text: &str) {
 }
 
 /// Returns the separator of a line `sep=;`.
-fn stated_separator(line: &str) -> Option<char> {
+fn parse_separator_line(line: &str) -> Option<char> {
     let rest = line.trim_matches(['"', ' ', '\r']).strip_prefix("sep=")?;
     let mut chars = rest.chars();
     match (chars.next(), chars.next()) {
@@ -149,14 +149,15 @@ fn stated_separator(line: &str) -> Option<char> {
 }
 
 /// Returns the separator that makes most of the fields numbers, in rows of one length.
-fn likeliest(text: &str) -> char {
+fn detect_separator(text: &str) -> char {
     let lines: Vec<&str> =
         text.lines().filter(|line| !line.trim().is_empty() && !is_comment(line)).collect();
-    let from = lines.len().saturating_sub(LOOKED_AT) / 2;
-    let lines = &lines[from..lines.len().min(from + LOOKED_AT)];
+    let from = lines.len().saturating_sub(SEPARATOR_SAMPLE_LINES) / 2;
+    let lines = &lines[from..lines.len().min(from + SEPARATOR_SAMPLE_LINES)];
     // Nothing but a separator: no number, date or unit has one.
     let is_in_most = |separator: &char| {
-        lines.iter().filter(|line| fields_of(line, *separator).len() > 1).count() * 2 > lines.len()
+        lines.iter().filter(|line| split_fields(line, *separator).len() > 1).count() * 2
+            > lines.len()
     };
     if let Some(separator) = ['\t', ';', '|'].iter().find(|it| is_in_most(it)) {
         return *separator;
@@ -166,9 +167,9 @@ fn likeliest(text: &str) -> char {
         let counts: Vec<(usize, usize)> = lines
             .iter()
             .map(|line| {
-                let fields = fields_of(line, separator);
+                let fields = split_fields(line, separator);
                 let filled = fields.iter().filter(|field| !field.trim().is_empty()).count();
-                (filled, fields.iter().filter(|field| looks_like_value(field)).count())
+                (filled, fields.iter().filter(|field| is_value_like(field)).count())
             })
             .collect();
         let score: f64 = counts
@@ -189,7 +190,7 @@ fn likeliest(text: &str) -> char {
 }
 
 /// Returns the fields of a line without its quotes, for the choice of the separator only.
-fn fields_of(line: &str, separator: char) -> Vec<String> {
+fn split_fields(line: &str, separator: char) -> Vec<String> {
     let mut fields = vec![String::new()];
     let mut is_quoted = false;
     for c in line.trim_end().chars() {
@@ -208,9 +209,9 @@ fn fields_of(line: &str, separator: char) -> Vec<String> {
 }
 
 /// Returns true for what is a number or a time in some writing.
-fn looks_like_value(field: &str) -> bool {
+fn is_value_like(field: &str) -> bool {
     let field = field.trim();
-    if stamp::is_stamp(field) {
+    if timestamp::is_timestamp(field) {
         return true;
     }
     let of_value = |c: char| c.is_ascii_digit() || "+-.,:/eETZ'\u{a0}\u{2212}".contains(c);
@@ -229,7 +230,7 @@ pub(crate) fn is_comment(line: &str) -> bool {
     line.starts_with('#') || line.starts_with('%') || line.starts_with("//")
 }
 
-fn split(text: &str, separator: char, path: &Path) -> Result<Vec<Row>, BadInput> {
+fn split_rows(text: &str, separator: char, path: &Path) -> Result<Vec<Row>, BadInput> {
     let mut rows = Vec::new();
     let mut line = 1;
     let mut rest = text;
@@ -324,7 +325,7 @@ mod tests {
     use super::*;
 
     fn cells(text: &str) -> Vec<Vec<String>> {
-        let grid = of_text(text, Path::new("a.csv")).expect("a table");
+        let grid = from_text(text, Path::new("a.csv")).expect("a table");
         grid.rows.iter().map(|row| row.cells.iter().map(Cell::text).collect()).collect()
     }
 
@@ -351,10 +352,10 @@ mod tests {
     #[test]
     fn lines_and_columns_are_those_of_the_file() {
         let grid =
-            of_text("sep=;\r\n\"a\nb\";c\r\n1;22;3\r\n", Path::new("a.csv")).expect("a table");
+            from_text("sep=;\r\n\"a\nb\";c\r\n1;22;3\r\n", Path::new("a.csv")).expect("a table");
         let row = &grid.rows[1];
         assert_eq!((row.line, row.cells[2].column), (4, 6));
-        let error = of_text("a;b\n\"1;2\n", Path::new("a.csv")).expect_err("no end");
+        let error = from_text("a;b\n\"1;2\n", Path::new("a.csv")).expect_err("no end");
         assert_eq!((error.place.line, error.place.column), (2, 1));
     }
 }

@@ -6,38 +6,38 @@
 //!          workbook, forms     wide                         plan               clock
 //! ```
 //! No unit, sign of decimals, order of a date or axis is guessed in silence: what can be read in two ways is a
-//! [`Question`], which a flag, a terminal or a map of headers answers ([`Answers`], [`map`]).
+//! [`Question`], which a flag, a terminal or a map of headers answers ([`Answers`], [`header_map`]).
 #![forbid(unsafe_code)]
 
 mod answers;
 mod cells;
 mod circle;
 mod clock;
+mod column_meaning;
 mod convert;
 mod decode;
-mod forms;
+mod formats;
 mod grid;
+pub mod header_map;
+mod import_mapping;
 mod layout;
-pub mod map;
-mod meaning;
 mod number;
-mod plan;
-mod stamp;
+mod timestamp;
 mod unit;
-mod wide;
-mod words;
+mod vocabulary;
+mod wide_table;
 mod workbook;
 
 use std::{fmt::Write as _, path::Path};
 
 use trueup_machine::{BadInput, Location, RunFile, run_file::is_known_column};
 
-pub use answers::{Answers, Circle, Question, Refused, Topic};
-pub use number::Decimal;
-pub use stamp::DateOrder;
+pub use answers::{Answers, Circle, ImportError, Question, Topic};
+pub use number::DecimalSeparator;
+pub use timestamp::DateOrder;
 
 /// The largest file that is read, in bytes.
-pub const MAX_BYTES: u64 = 256 << 20;
+pub const MAX_FILE_BYTES: u64 = 256 << 20;
 
 /// A column as it was understood.
 #[derive(Clone, Debug, PartialEq)]
@@ -56,7 +56,7 @@ pub struct ColumnPreview {
 
 /// A file that was read.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Imported {
+pub struct ImportedRun {
     /// The run file.
     pub run: String,
     /// Its number of rows.
@@ -65,55 +65,56 @@ pub struct Imported {
     pub form: Vec<String>,
     /// The columns of the run file.
     pub columns: Vec<ColumnPreview>,
-    /// Columns that were left out, and why.
+    /// Columns that were not imported, and why.
     pub left_out: Vec<(String, String)>,
     /// Further notes for the user, a sentence each.
     pub notes: Vec<String>,
 }
 
 /// Values that a preview shows of each column.
-const SAMPLES: usize = 3;
+const PREVIEW_SAMPLE_COUNT: usize = 3;
 
 /// Reads `bytes`, the content of `path`, with what the user has said about it.
 ///
 /// # Errors
-/// [`Refused::Open`]: questions that only the user can answer. [`Refused::Bad`]: the place and the rule broken.
-pub fn import(bytes: &[u8], path: &Path, answers: &Answers) -> Result<Imported, Refused> {
-    if let Some(error) = forms::refused(bytes, path) {
+/// [`ImportError::Open`]: questions that only the user can answer. [`ImportError::Bad`]: the place and the rule broken.
+pub fn import(bytes: &[u8], path: &Path, answers: &Answers) -> Result<ImportedRun, ImportError> {
+    if let Some(error) = formats::unsupported_format_error(bytes, path) {
         return Err(error.into());
     }
     let mut form = Vec::new();
     let (layout, is_by_comma) = if workbook::is_workbook(bytes) {
         let grid = workbook::read(bytes, answers.sheet.as_deref(), path)?;
         form.push("workbook".to_string());
-        (layout::find(&grid, path)?, false)
+        (layout::find_table(&grid, path)?, false)
     } else {
         let (text, encoding) = decode::decode(bytes, answers.encoding.as_deref(), path)?;
         form.push(encoding.to_string());
-        match forms::recognise(&text, answers, path)? {
+        match formats::parse_known_format(&text, answers, path)? {
             Some((name, layout)) => {
                 form.push(name.to_string());
                 (layout, false)
             }
             None => {
-                let grid = grid::of_text(&text, path)?;
+                let grid = grid::from_text(&text, path)?;
                 form.push(format!("{} between columns", grid.separator));
-                let found = layout::find(&grid, path)
-                    .map_err(|error| forms::refused_without_table(bytes, path).unwrap_or(error))?;
+                let found = layout::find_table(&grid, path)
+                    .map_err(|error| formats::detect_cycle_log(bytes, path).unwrap_or(error))?;
                 (found, grid.is_by_comma)
             }
         }
     };
-    let layout = wide::one_reading_a_row(layout)?;
-    let (decimal, is_of_use) = cells::decimal(&layout, is_by_comma, answers.decimal, path)?;
+    let layout = wide_table::to_long_format(layout)?;
+    let (decimal, is_of_use) =
+        cells::detect_decimal_separator(&layout, is_by_comma, answers.decimal, path)?;
     if is_of_use {
         form.push(format!("decimal {}", decimal.name()));
     }
-    let answers = &circle::answered(&layout, answers);
-    let plans = plan::plan(&layout, answers, path)?;
+    let answers = &circle::with_deviation_answer(&layout, answers);
+    let plans = import_mapping::map_columns(&layout, answers, path)?;
     let mut converted = convert::convert(&layout, &plans, decimal, answers, path)?;
     if let Some(circle) = &answers.circle {
-        circle::place(&mut converted.columns, circle)
+        circle::convert_to_positions(&mut converted.columns, circle)
             .map_err(|rule| BadInput::new(layout.columns[0].place.clone(), rule))?;
     }
     if let Some(order) = converted.order {
@@ -121,13 +122,13 @@ pub fn import(bytes: &[u8], path: &Path, answers: &Answers) -> Result<Imported, 
     }
     let mut left_out: Vec<(String, String)> = Vec::new();
     for plan in &plans {
-        if let plan::Role::Ignored(why) = plan.role {
+        if let import_mapping::ColumnRole::Ignored(why) = plan.role {
             left_out.push((plan.header.clone(), why.into()));
         }
     }
     // A table of which nothing is understood is no run, whatever its numbers are.
     if !converted.columns.iter().any(|column| is_known_column(&column.name)) {
-        if let Some(error) = forms::refused_without_table(bytes, path) {
+        if let Some(error) = formats::detect_cycle_log(bytes, path) {
             return Err(error.into());
         }
         let headers: Vec<&str> =
@@ -136,41 +137,45 @@ pub fn import(bytes: &[u8], path: &Path, answers: &Answers) -> Result<Imported, 
         let error = BadInput::new(layout.columns[0].place.clone(), rule);
         return Err(error.with_help("Name one, by its header or number: --column 1=x_mm").into());
     }
-    let run = written(&converted.columns, layout.rows.len());
+    let run = format_run_file(&converted.columns, layout.rows.len());
     // What is written is a run file, whatever the rules above have missed.
-    let parsed =
-        RunFile::from_reader(run.as_bytes(), path).map_err(|error| at_source(error, &layout))?;
+    let parsed = RunFile::from_reader(run.as_bytes(), path)
+        .map_err(|error| map_error_to_source(error, &layout))?;
     let mut notes = layout.notes.clone();
     notes.extend(converted.notes);
-    let columns = converted.columns.iter().map(|column| preview(column, &layout)).collect();
-    Ok(Imported { rows: parsed.rows(), run, form, columns, left_out, notes })
+    let columns = converted.columns.iter().map(|column| preview_column(column, &layout)).collect();
+    Ok(ImportedRun { rows: parsed.row_count(), run, form, columns, left_out, notes })
 }
 
 /// Returns true if [`import`] reads `bytes`, with answers or without, and it is no run file with a fault: a workbook, a
 /// file of an instrument, or a table whose headers are not those of a run file.
 #[must_use]
-pub fn is_foreign(bytes: &[u8], path: &Path) -> bool {
-    if matches!(import(bytes, path, &Answers::default()), Err(Refused::Bad(_))) {
+pub fn is_foreign_format(bytes: &[u8], path: &Path) -> bool {
+    if matches!(import(bytes, path, &Answers::default()), Err(ImportError::Bad(_))) {
         return false;
     }
     if workbook::is_workbook(bytes) {
         return true;
     }
     let Ok((text, _)) = decode::decode(bytes, None, path) else { return false };
-    let is_of_instrument = !matches!(forms::recognise(&text, &Answers::default(), path), Ok(None));
-    let table = grid::of_text(&text, path).and_then(|grid| layout::find(&grid, path));
-    let is_other = |column: &layout::Source| {
-        let parts = meaning::split(&column.header);
+    let is_of_instrument =
+        !matches!(formats::parse_known_format(&text, &Answers::default(), path), Ok(None));
+    let table = grid::from_text(&text, path).and_then(|grid| layout::find_table(&grid, path));
+    let is_other = |column: &layout::SourceColumn| {
+        let parts = column_meaning::split_header(&column.header);
         let unit = unit::parse(if column.unit.is_empty() { &parts.unit } else { &column.unit });
-        let meaning = meaning::understand(&column.header, &parts.name, unit);
-        let is_meant = !matches!(meaning, meaning::Meaning::Other(_) | meaning::Meaning::Nothing);
+        let meaning = column_meaning::classify_column(&column.header, &parts.name, unit);
+        let is_meant = !matches!(
+            meaning,
+            column_meaning::ColumnMeaning::Other(_) | column_meaning::ColumnMeaning::Nothing
+        );
         is_meant && !is_known_column(&column.header)
     };
     is_of_instrument || table.is_ok_and(|table| table.columns.iter().any(is_other))
 }
 
 /// Returns the run file as text.
-fn written(columns: &[convert::Column], rows: usize) -> String {
+fn format_run_file(columns: &[convert::Column], rows: usize) -> String {
     let mut text = columns.iter().map(|column| column.name.as_str()).collect::<Vec<_>>().join(",");
     text.push('\n');
     for row in 0..rows {
@@ -190,7 +195,7 @@ fn written(columns: &[convert::Column], rows: usize) -> String {
 }
 
 /// Returns an error of the run file at the row of the table that it came from.
-fn at_source(error: BadInput, layout: &layout::Layout) -> BadInput {
+fn map_error_to_source(error: BadInput, layout: &layout::SourceTable) -> BadInput {
     let row = error.place.line.checked_sub(2).and_then(|at| layout.rows.get(at));
     let line = row.map_or(1, |row| row.line);
     BadInput {
@@ -201,7 +206,7 @@ fn at_source(error: BadInput, layout: &layout::Layout) -> BadInput {
     }
 }
 
-fn preview(column: &convert::Column, layout: &layout::Layout) -> ColumnPreview {
+fn preview_column(column: &convert::Column, layout: &layout::SourceTable) -> ColumnPreview {
     let cells = layout.rows.iter().map(|row| row.cells[column.source].text());
     let there = cells.zip(&column.values).filter(|(_, value)| !value.is_nan());
     ColumnPreview {
@@ -209,6 +214,9 @@ fn preview(column: &convert::Column, layout: &layout::Layout) -> ColumnPreview {
         name: column.name.clone(),
         unit_before: column.from.clone(),
         unit_after: column.to.clone(),
-        samples: there.take(SAMPLES).map(|(text, value)| [text, value.to_string()]).collect(),
+        samples: there
+            .take(PREVIEW_SAMPLE_COUNT)
+            .map(|(text, value)| [text, value.to_string()])
+            .collect(),
     }
 }

@@ -2,7 +2,7 @@
 
 /// The sign before the decimals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Decimal {
+pub enum DecimalSeparator {
     /// 1234.5
     Point,
     /// 1234,5
@@ -11,24 +11,24 @@ pub enum Decimal {
 
 /// Evidence of a number for the decimal sign of its file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Evidence {
+pub(crate) enum DecimalEvidence {
     /// It has neither sign.
     None,
     /// It can only be read with this one.
-    Sure(Decimal),
+    Sure(DecimalSeparator),
     /// It reads with this one as a decimal sign, or as a thousands separator: `1.234`.
-    Either(Decimal),
+    Either(DecimalSeparator),
 }
 
 /// Returns the number without what groups its digits (blanks, apostrophes) and with an ASCII minus; `None` if it has
 /// other characters than a number.
-fn cleaned(text: &str) -> Option<String> {
-    const GROUPING: &str = " '\u{a0}\u{202f}\u{2009}\u{2019}";
+fn clean_number(text: &str) -> Option<String> {
+    const GROUP_SEPARATORS: &str = " '\u{a0}\u{202f}\u{2009}\u{2019}";
     let text = text.trim();
     let mut out = String::with_capacity(text.len());
     let chars: Vec<char> = text.chars().collect();
     for (at, &c) in chars.iter().enumerate() {
-        if GROUPING.contains(c) {
+        if GROUP_SEPARATORS.contains(c) {
             // `1 234`: three digits follow, no more.
             let digits = chars[at + 1..].iter().take_while(|c| c.is_ascii_digit()).count();
             let is_after_digit = at > 0 && chars[at - 1].is_ascii_digit();
@@ -46,38 +46,42 @@ fn cleaned(text: &str) -> Option<String> {
 }
 
 /// Returns what `text` says about the decimal sign; `None` if it is no number.
-pub(crate) fn evidence(text: &str) -> Option<Evidence> {
-    let number = cleaned(text)?;
-    let reads = |decimal| plain(&number, decimal).is_some();
+pub(crate) fn decimal_evidence(text: &str) -> Option<DecimalEvidence> {
+    let number = clean_number(text)?;
+    let reads = |decimal| normalise_separators(&number, decimal).is_some();
     let of = |c| number.matches(c).count();
     let (points, commas) = (of('.'), of(','));
     let first = match (points, commas) {
-        (0, 0) => return reads(Decimal::Point).then_some(Evidence::None),
-        (_, 0) => Decimal::Point,
-        (0, _) => Decimal::Comma,
-        _ if number.rfind('.') > number.rfind(',') => Decimal::Point,
-        _ => Decimal::Comma,
+        (0, 0) => return reads(DecimalSeparator::Point).then_some(DecimalEvidence::None),
+        (_, 0) => DecimalSeparator::Point,
+        (0, _) => DecimalSeparator::Comma,
+        _ if number.rfind('.') > number.rfind(',') => DecimalSeparator::Point,
+        _ => DecimalSeparator::Comma,
     };
-    let other = if first == Decimal::Point { Decimal::Comma } else { Decimal::Point };
+    let other = if first == DecimalSeparator::Point {
+        DecimalSeparator::Comma
+    } else {
+        DecimalSeparator::Point
+    };
     match (reads(first), reads(other)) {
-        (true, true) => Some(Evidence::Either(first)),
-        (true, false) => Some(Evidence::Sure(first)),
-        (false, true) => Some(Evidence::Sure(other)),
+        (true, true) => Some(DecimalEvidence::Either(first)),
+        (true, false) => Some(DecimalEvidence::Sure(first)),
+        (false, true) => Some(DecimalEvidence::Sure(other)),
         (false, false) => None,
     }
 }
 
 /// Returns the value of `text`; `None` if it is no number in this writing.
-pub(crate) fn parse(text: &str, decimal: Decimal) -> Option<f64> {
-    let value: f64 = plain(&cleaned(text)?, decimal)?.parse().ok()?;
+pub(crate) fn parse(text: &str, decimal: DecimalSeparator) -> Option<f64> {
+    let value: f64 = normalise_separators(&clean_number(text)?, decimal)?.parse().ok()?;
     value.is_finite().then_some(value)
 }
 
 /// Returns the number with a point for its decimals and without thousands separators.
-fn plain(number: &str, decimal: Decimal) -> Option<String> {
+fn normalise_separators(number: &str, decimal: DecimalSeparator) -> Option<String> {
     let (sign, group) = match decimal {
-        Decimal::Point => ('.', ','),
-        Decimal::Comma => (',', '.'),
+        DecimalSeparator::Point => ('.', ','),
+        DecimalSeparator::Comma => (',', '.'),
     };
     let (mantissa, exponent) = match number.find(['e', 'E']) {
         Some(at) => number.split_at(at),
@@ -132,18 +136,18 @@ pub(crate) fn split_unit(text: &str) -> (&str, &str) {
 
 /// Returns true for what stands where there is no value.
 pub(crate) fn is_missing(text: &str) -> bool {
-    const WORDS: [&str; 26] = [
+    const MISSING_VALUE_WORDS: [&str; 26] = [
         "", "-", "--", "---", "–", "—", "n/a", "na", "#n/a", "#na", "nan", "null", "none", "k.a.",
         "#nv", "#wert!", "#value!", "#div/0!", "#ref!", "#bezug!", "#num!", "#zahl!", "ol",
         "overload", "overflow", "n.a.",
     ];
-    WORDS.contains(&text.trim().to_lowercase().as_str())
+    MISSING_VALUE_WORDS.contains(&text.trim().to_lowercase().as_str())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use Decimal::{Comma, Point};
+    use DecimalSeparator::{Comma, Point};
 
     #[test]
     fn a_number_reads_as_it_is_written_or_not_at_all() {
@@ -174,18 +178,18 @@ mod tests {
     #[test]
     fn what_may_be_a_thousand_is_evidence_of_neither() {
         for (text, expected) in [
-            ("12", Some(Evidence::None)),
-            ("1.234", Some(Evidence::Either(Point))),
-            ("1,234", Some(Evidence::Either(Comma))),
-            ("0.123", Some(Evidence::Sure(Point))),
-            ("1.23", Some(Evidence::Sure(Point))),
-            ("1234.567", Some(Evidence::Sure(Point))),
-            ("1.234.567", Some(Evidence::Sure(Comma))),
-            ("1.234,5", Some(Evidence::Sure(Comma))),
+            ("12", Some(DecimalEvidence::None)),
+            ("1.234", Some(DecimalEvidence::Either(Point))),
+            ("1,234", Some(DecimalEvidence::Either(Comma))),
+            ("0.123", Some(DecimalEvidence::Sure(Point))),
+            ("1.23", Some(DecimalEvidence::Sure(Point))),
+            ("1234.567", Some(DecimalEvidence::Sure(Point))),
+            ("1.234.567", Some(DecimalEvidence::Sure(Comma))),
+            ("1.234,5", Some(DecimalEvidence::Sure(Comma))),
             ("03.04.2026", None),
             ("a", None),
         ] {
-            assert_eq!(evidence(text), expected, "{text}");
+            assert_eq!(decimal_evidence(text), expected, "{text}");
         }
         assert_eq!(split_unit("12,5 µm"), ("12,5", "µm"));
         assert_eq!(split_unit("1.5e-3mm"), ("1.5e-3", "mm"));

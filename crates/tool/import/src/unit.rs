@@ -40,7 +40,7 @@ impl Dimension {
     }
 
     /// Returns the units that are offered for a value without one.
-    pub(crate) fn offers(self) -> &'static [&'static str] {
+    pub(crate) fn suggested_units(self) -> &'static [&'static str] {
         match self {
             Self::Time => &["s", "ms", "min", "h", "d"],
             Self::Length => &["mm", "µm", "inch", "mil", "µin", "m", "1/100mm"],
@@ -58,16 +58,16 @@ impl Dimension {
 /// A unit: a value in it is `factor · value + offset` in the base unit of its dimension.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Unit {
-    /// As it is shown.
+    /// The name that is shown.
     pub(crate) name: &'static str,
     pub(crate) dimension: Dimension,
     pub(crate) factor: f64,
     pub(crate) offset: f64,
 }
 
-type Line = (&'static str, Dimension, f64, f64, &'static [&'static str]);
+type UnitDefinition = (&'static str, Dimension, f64, f64, &'static [&'static str]);
 
-const UNITS: &[Line] = {
+const UNITS: &[UnitDefinition] = {
     use Dimension::{Angle, Counts, Feed, Force, Length, Speed, Temperature, Time, Voltage};
     &[
         (
@@ -266,8 +266,8 @@ const UNITS: &[Line] = {
     ]
 };
 
-/// Returns the text of a unit as it is compared: small letters, no blanks, one micro sign, no brackets.
-fn normal(text: &str) -> String {
+/// Returns the text of a unit for comparison: small letters, no blanks, one micro sign, no brackets.
+fn normalise(text: &str) -> String {
     let text = text.trim().trim_matches(['[', ']', '(', ')', '{', '}', '<', '>']);
     let mut out = String::new();
     for c in text.to_lowercase().chars() {
@@ -286,7 +286,7 @@ fn normal(text: &str) -> String {
 
 /// Returns the unit that `text` names.
 pub(crate) fn parse(text: &str) -> Option<Unit> {
-    let wanted = normal(text);
+    let wanted = normalise(text);
     // `MV` and `Mm` are others; no instrument here has them.
     let found = UNITS.iter().find(|(.., names)| names.contains(&wanted.as_str()));
     found.map(|&(name, dimension, factor, offset, _)| Unit { name, dimension, factor, offset })
@@ -294,7 +294,7 @@ pub(crate) fn parse(text: &str) -> Option<Unit> {
 
 impl Unit {
     /// Returns the base unit of a dimension.
-    pub(crate) fn base(dimension: Dimension) -> Self {
+    pub(crate) fn base_unit(dimension: Dimension) -> Self {
         let found = UNITS.iter().find(|(_, of, factor, offset, _)| {
             *of == dimension && *factor == 1.0 && *offset == 0.0
         });
@@ -312,12 +312,12 @@ impl Unit {
         if self.is_identity(per_base) {
             return value;
         }
-        rounded((value * self.factor + self.offset) * per_base)
+        round_significant((value * self.factor + self.offset) * per_base)
     }
 }
 
 /// Returns the value to twelve significant digits.
-pub(crate) fn rounded(value: f64) -> f64 {
+pub(crate) fn round_significant(value: f64) -> f64 {
     // The difference of two large numbers has noise far below what was read.
     let text = format!("{value:.11e}");
     let value = text.parse().unwrap_or(value);
@@ -363,7 +363,7 @@ mod tests {
             for name in *names {
                 let twice = UNITS[at + 1..].iter().any(|(.., others)| others.contains(name));
                 assert!(!twice, "{name}");
-                for offer in UNITS[at].1.offers() {
+                for offer in UNITS[at].1.suggested_units() {
                     assert!(parse(offer).is_some(), "{offer}");
                 }
             }

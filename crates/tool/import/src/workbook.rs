@@ -6,7 +6,7 @@ use calamine::{Data, Range, Reader as _, open_workbook_auto_from_rs};
 use trueup_machine::{BadInput, Location};
 
 use crate::{
-    answers::{Question, Refused, Topic},
+    answers::{ImportError, Question, Topic},
     grid::{Cell, Content, Grid, Row},
     layout,
 };
@@ -17,15 +17,15 @@ pub(crate) fn is_workbook(bytes: &[u8]) -> bool {
 }
 
 /// The most that a workbook's parts may be unpacked, in bytes, by what its archive states.
-const MAX_UNPACKED: u64 = 1 << 30;
+const MAX_UNPACKED_BYTES: u64 = 1 << 30;
 
 /// Reads the sheet `name`, or the only one with a table.
 ///
 /// # Errors
 /// It is no workbook, is protected, has no table, no sheet of this name, or several tables: a question.
-pub(crate) fn read(bytes: &[u8], name: Option<&str>, path: &Path) -> Result<Grid, Refused> {
-    let bad = |rule: String| BadInput::new(Location::start_of(path), rule);
-    if unpacked(bytes) > MAX_UNPACKED {
+pub(crate) fn read(bytes: &[u8], name: Option<&str>, path: &Path) -> Result<Grid, ImportError> {
+    let bad = |rule: String| BadInput::new(Location::start_of_file(path), rule);
+    if unpacked_size(bytes) > MAX_UNPACKED_BYTES {
         return Err(bad("unpacks to more than 1 GiB".into()).into());
     }
     let help = "save it without a password as xlsx or ods, or as csv";
@@ -41,14 +41,14 @@ pub(crate) fn read(bytes: &[u8], name: Option<&str>, path: &Path) -> Result<Grid
         };
         let range =
             book.worksheet_range(known).map_err(|error| bad(format!("sheet {known}: {error}")))?;
-        return Ok(grid(&range));
+        return Ok(convert_range(&range));
     }
     let mut tables: Vec<(String, Grid)> = Vec::new();
     for name in &names {
         // A sheet of a chart has no cells.
         let Ok(range) = book.worksheet_range(name) else { continue };
-        let grid = grid(&range);
-        if layout::find(&grid, path).is_ok() {
+        let grid = convert_range(&range);
+        if layout::find_table(&grid, path).is_ok() {
             tables.push((name.clone(), grid));
         }
     }
@@ -57,10 +57,10 @@ pub(crate) fn read(bytes: &[u8], name: Option<&str>, path: &Path) -> Result<Grid
         0 => {
             // The first sheet says why it has none.
             let range = names.first().and_then(|name| book.worksheet_range(name).ok());
-            Ok(range.map_or_else(|| grid(&Range::empty()), |range| grid(&range)))
+            Ok(range.map_or_else(|| convert_range(&Range::empty()), |range| convert_range(&range)))
         }
-        _ => Err(Refused::Open(vec![Question {
-            place: Location::start_of(path),
+        _ => Err(ImportError::Open(vec![Question {
+            place: Location::start_of_file(path),
             text: "more than one sheet has a table".into(),
             topic: Topic::Sheet,
             choices: tables.into_iter().map(|(name, _)| name).collect(),
@@ -69,14 +69,14 @@ pub(crate) fn read(bytes: &[u8], name: Option<&str>, path: &Path) -> Result<Grid
     }
 }
 
-fn grid(range: &Range<Data>) -> Grid {
+fn convert_range(range: &Range<Data>) -> Grid {
     let (first_row, first_column) = range.start().unwrap_or((0, 0));
     let rows = range.rows().enumerate().map(|(row, cells)| {
         let cells: Vec<Cell> = cells
             .iter()
             .enumerate()
             .map(|(at, data)| Cell {
-                content: content(data),
+                content: convert_cell(data),
                 column: at + first_column as usize + 1,
             })
             .collect();
@@ -90,7 +90,7 @@ fn grid(range: &Range<Data>) -> Grid {
     }
 }
 
-fn content(data: &Data) -> Content {
+fn convert_cell(data: &Data) -> Content {
     match data {
         Data::Int(value) => Content::Number(*value as f64),
         Data::Float(value) => Content::Number(*value),
@@ -98,7 +98,9 @@ fn content(data: &Data) -> Content {
         Data::Bool(value) => Content::Text(if *value { "on" } else { "off" }.into()),
         Data::DateTime(moment) => Content::Date(moment.as_f64()),
         Data::DateTimeIso(text) => Content::Text(text.clone()),
-        Data::DurationIso(text) => Content::Text(clock_of(text).unwrap_or_else(|| text.clone())),
+        Data::DurationIso(text) => {
+            Content::Text(parse_iso_duration(text).unwrap_or_else(|| text.clone()))
+        }
         // As the spreadsheet shows it: a missing value.
         Data::Error(_) => Content::Text("#n/a".into()),
         Data::Empty => Content::Text(String::new()),
@@ -106,7 +108,7 @@ fn content(data: &Data) -> Content {
 }
 
 /// `PT08H15M30.5S` as `08:15:30.5`.
-fn clock_of(text: &str) -> Option<String> {
+fn parse_iso_duration(text: &str) -> Option<String> {
     let rest = text.strip_prefix("PT")?;
     let (hours, rest) = rest.split_once('H')?;
     let (minutes, rest) = rest.split_once('M')?;
@@ -115,8 +117,8 @@ fn clock_of(text: &str) -> Option<String> {
 }
 
 /// Returns the size of all parts of a zip archive by its directory; 0 where there is none.
-fn unpacked(bytes: &[u8]) -> u64 {
-    const ENTRY: &[u8] = b"PK\x01\x02";
+fn unpacked_size(bytes: &[u8]) -> u64 {
+    const CENTRAL_DIRECTORY_SIGNATURE: &[u8] = b"PK\x01\x02";
     let Some(end) = bytes.windows(4).rposition(|window| window == b"PK\x05\x06") else { return 0 };
     let number = |at: usize, length: usize| -> Option<u64> {
         let bytes = bytes.get(at..at + length)?;
@@ -126,7 +128,7 @@ fn unpacked(bytes: &[u8]) -> u64 {
         return 0;
     };
     let mut sum = 0_u64;
-    while bytes.get(at..at + 4) == Some(ENTRY) {
+    while bytes.get(at..at + 4) == Some(CENTRAL_DIRECTORY_SIGNATURE) {
         let field = |offset: usize, length: usize| number(at + offset, length).unwrap_or(0);
         sum = sum.saturating_add(field(24, 4));
         let names = field(28, 2) + field(30, 2) + field(32, 2);

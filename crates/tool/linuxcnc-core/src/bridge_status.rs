@@ -11,19 +11,19 @@ use trueup_link::{
 use crate::NANOMETRES_PER_MICROMETRE;
 
 /// Temperature channels of the bridge.
-pub const TEMPERATURES: usize = trueup_core::dimensions::CHANNELS;
+pub const TEMPERATURE_COUNT: usize = trueup_core::dimensions::CHANNEL_COUNT;
 
 /// The newest of what the bridge says of itself, with its time.
 #[derive(Debug, Default)]
-pub(crate) struct Status {
+pub(crate) struct BridgeStatus {
     receiver: StatusReceiver,
-    pub(crate) temperatures_c: [Option<(Duration, f64)>; TEMPERATURES],
+    pub(crate) temperatures_c: [Option<(Duration, f64)>; TEMPERATURE_COUNT],
     pub(crate) elongation_um: Option<(Duration, f64)>,
     pub(crate) state: StateBits,
     pub(crate) calibration: Option<u32>,
 }
 
-impl Status {
+impl BridgeStatus {
     /// Takes a frame of `Status`.
     pub(crate) fn receive(&mut self, now: Duration, frame: &Frame) {
         let Ok(status) = self.receiver.accept(frame) else { return };

@@ -4,36 +4,39 @@ use core::time::Duration;
 
 use trueup_core::{
     cnc::{Conditions, Control, Flags, Quality},
-    learned::PARTS,
+    learned::PART_COUNT,
 };
 use trueup_link::{layout::STATUS_ID, receiver::Counters, slcan::Event, status::StateBits};
 
 use crate::{
     NANOMETRES_PER_MICROMETRE, NANOMETRES_PER_MILLIMETRE,
-    bridge_status::Status,
-    engage::Engage,
-    follower::{Follower, Pace, Reading},
-    joint::{Applied, JointGoal, JointOffsets, JointReading, JointSettings, MAX_JOINTS, Step},
-    offsets::{Limits, ReceivedOffsets, Target},
+    bridge_status::BridgeStatus,
+    engage::EngageSequence,
+    follower::{AxisReading, OffsetFollower, RateLimits},
+    joint::{
+        AppliedOffsets, JointGoal, JointOffsets, JointReading, JointSettings, MAX_JOINTS,
+        StepInputs,
+    },
+    offsets::{OffsetLimits, OffsetTarget, ReceivedOffsets},
     sender::{Command, Frames, Sender},
 };
 
 /// LinuxCNC has applied an offset when it is within this of it, in nanometres: the planner stops a
 /// thousandth of its step before its goal, and a wire bit is 10 nm.
-const APPLIED_WITHIN_NM: f64 = 20.0;
-pub use crate::bridge_status::TEMPERATURES;
+const APPLIED_TOLERANCE_NM: f64 = 20.0;
+pub use crate::bridge_status::TEMPERATURE_COUNT;
 /// Each item of `Status` comes every 1.1 s; three missed, and it counts as unknown.
-const STATUS_LASTS: Duration = Duration::from_millis(3_400);
+const STATUS_TIMEOUT: Duration = Duration::from_millis(3_400);
 /// How often the heartbeat turns round.
-const HEARTBEAT_HALF: Duration = Duration::from_millis(50);
+const HEARTBEAT_HALF_PERIOD: Duration = Duration::from_millis(50);
 
 /// How the component is set.
 #[derive(Clone, Copy, Debug)]
 pub struct Options {
     /// How long silence is tolerated, and how large an offset may be.
-    pub limits: Limits,
+    pub limits: OffsetLimits,
     /// How fast the offset of each axis may change.
-    pub pace: [Pace; 3],
+    pub pace: [RateLimits; 3],
     /// How often the position of a moving axis is sent.
     pub position_period: Duration,
     /// Whether angles are sent.
@@ -58,12 +61,12 @@ pub struct Inputs {
     pub zero: bool,
     /// The operator allows that a master writes to the bridge while nothing is engaged.
     pub service: bool,
-    /// The operator answers the question that the bridge asks.
+    /// The operator confirms what the bridge requires.
     pub confirm: bool,
     /// Commanded positions of X, Y and Z in mm, without the external offset.
     pub position_mm: [f64; 3],
     /// LinuxCNC's external offsets of X, Y and Z, as requested and as applied.
-    pub readings: [Reading; 3],
+    pub readings: [AxisReading; 3],
     /// The joints at which offsets enter.
     pub joints: [JointReading; MAX_JOINTS],
     /// Commanded angles of the head axes in degrees.
@@ -106,7 +109,7 @@ pub struct Outputs {
     /// Counters of received frames.
     pub counters: Counters,
     /// The bridge's temperatures in °C; `None` where it does not say.
-    pub temperatures_c: [Option<f64>; TEMPERATURES],
+    pub temperatures_c: [Option<f64>; TEMPERATURE_COUNT],
     /// The elongation of the spindle by its sensor, in µm; `None` where the bridge does not say.
     pub elongation_um: Option<f64>,
     /// State bits that the bridge reports next to its offsets.
@@ -125,12 +128,12 @@ pub struct Outputs {
 pub struct Component {
     options: Options,
     offsets: ReceivedOffsets,
-    followers: [Follower; 3],
+    followers: [OffsetFollower; 3],
     /// At the joints, if any gets an offset.
     joints: JointOffsets,
     sender: Sender,
-    engage: Engage,
-    status: Status,
+    engage: EngageSequence,
+    status: BridgeStatus,
     was_away: bool,
     offset_nm: [i32; 3],
 }
@@ -145,8 +148,8 @@ impl Component {
             followers: Default::default(),
             joints: JointOffsets::default(),
             sender: Sender::new(options.position_period, options.sends_rotary, options.against_um),
-            engage: Engage::default(),
-            status: Status::default(),
+            engage: EngageSequence::default(),
+            status: BridgeStatus::default(),
             was_away: false,
             offset_nm: [0; 3],
         }
@@ -159,15 +162,17 @@ impl Component {
 
     /// Says from now on what was learned, in the bridge's units, to a bridge that runs on the calibration with this
     /// CRC; `None`: nothing.
-    pub fn learn(&mut self, learned: Option<([i16; PARTS], u32)>) {
+    pub fn set_learned_values(&mut self, learned: Option<([i16; PART_COUNT], u32)>) {
         let running = self.status.calibration;
-        self.sender.learn(learned.filter(|(_, calibration)| running == Some(*calibration)));
+        self.sender
+            .set_learned_values(learned.filter(|(_, calibration)| running == Some(*calibration)));
     }
 
     /// Says from now on that nothing was learned, to whatever calibration the bridge runs on: values that it got before
     /// this component began stay in force until they are taken back.
-    pub fn unlearn(&mut self) {
-        self.sender.learn(self.status.calibration.map(|running| ([0; PARTS], running)));
+    pub fn clear_learned(&mut self) {
+        self.sender
+            .set_learned_values(self.status.calibration.map(|running| ([0; PART_COUNT], running)));
     }
 
     /// Takes what came over the line.
@@ -175,7 +180,7 @@ impl Component {
         match event {
             Event::Frame(frame) if frame.id() == STATUS_ID => self.status.receive(now, frame),
             Event::Frame(frame) => self.offsets.receive(now, frame),
-            Event::Malformed(_) => self.offsets.receive_malformed(),
+            Event::Malformed(_) => self.offsets.count_malformed(),
             Event::Accepted | Event::Refused | Event::Other(_) => {}
         }
     }
@@ -184,25 +189,25 @@ impl Component {
     pub fn step(&mut self, now: Duration, inputs: &Inputs) -> (Outputs, Frames) {
         let ready = inputs.machine_on && inputs.homed;
         let limits = &self.options.limits;
-        let target = self.offsets.target(now, limits);
-        if let Target::Follow(offset) = target {
+        let target = self.offsets.update_target(now, limits);
+        if let OffsetTarget::Follow(offset) = target {
             self.offset_nm = offset;
         }
         let goal = match target {
-            Target::Follow(offset) => Some(offset),
-            Target::Hold => None,
-            Target::RampOut => Some([0; 3]),
+            OffsetTarget::Follow(offset) => Some(offset),
+            OffsetTarget::Hold => None,
+            OffsetTarget::RampOut => Some([0; 3]),
         };
         let mut outputs = Outputs::default();
-        let applied = self.apply(now, inputs, ready, goal, &mut outputs);
-        let Applied { nm: applied_nm, at_zero, arrived, .. } = applied;
+        let applied = self.apply_offsets(now, inputs, ready, goal, &mut outputs);
+        let AppliedOffsets { nm: applied_nm, at_zero, arrived, .. } = applied;
         outputs.offset_um = self.offset_nm.map(|nm| f64::from(nm) / NANOMETRES_PER_MICROMETRE);
         outputs.applied_um = applied_nm.map(|nm| nm / NANOMETRES_PER_MICROMETRE);
         let limits = &self.options.limits;
-        let fresh = self.offsets.fresh(now, limits);
+        let fresh = self.offsets.fresh_output(now, limits);
         // A bridge that was away may be another one, or have another calibration: until it says which.
         let is_here = fresh.is_some_and(|output| output.quality != Quality::Fault);
-        let is_away = target == Target::RampOut && !is_here;
+        let is_away = target == OffsetTarget::RampOut && !is_here;
         if is_away && !self.was_away {
             self.status.calibration = None;
         }
@@ -211,22 +216,22 @@ impl Component {
         outputs.flags = fresh.map_or(Flags::NONE, |output| output.flags);
         outputs.flags = outputs.flags.with_if(self.offsets.is_clamped(), Flags::CLAMPED);
         outputs.quality = match (target, fresh) {
-            (Target::Follow(_), Some(output)) => output.quality,
-            (Target::Follow(_) | Target::Hold, _) => Quality::Hold,
-            (Target::RampOut, _) if at_zero => Quality::Fault,
-            (Target::RampOut, _) => Quality::RampingOut,
+            (OffsetTarget::Follow(_), Some(output)) => output.quality,
+            (OffsetTarget::Follow(_) | OffsetTarget::Hold, _) => Quality::Hold,
+            (OffsetTarget::RampOut, _) if at_zero => Quality::Fault,
+            (OffsetTarget::RampOut, _) => Quality::RampingOut,
         };
-        outputs.fault = outputs.not_taken || target == Target::RampOut;
-        outputs.applied = ready && matches!(target, Target::Follow(_)) && arrived;
+        outputs.fault = outputs.not_taken || target == OffsetTarget::RampOut;
+        outputs.applied = ready && matches!(target, OffsetTarget::Follow(_)) && arrived;
         outputs.age_ms = self.offsets.age_ms(now).unwrap_or(u32::MAX);
         outputs.counters = self.offsets.counters();
         let known = |said: Option<(Duration, f64)>| {
-            said.filter(|(at, _)| now.saturating_sub(*at) <= STATUS_LASTS).map(|(_, value)| value)
+            said.filter(|(at, _)| now.saturating_sub(*at) <= STATUS_TIMEOUT).map(|(_, value)| value)
         };
         outputs.temperatures_c = self.status.temperatures_c.map(known);
         outputs.elongation_um = known(self.status.elongation_um);
         (outputs.state, outputs.calibration) = (self.status.state, self.status.calibration);
-        outputs.heartbeat = (now.as_millis() / HEARTBEAT_HALF.as_millis()) % 2 == 1;
+        outputs.heartbeat = (now.as_millis() / HEARTBEAT_HALF_PERIOD.as_millis()) % 2 == 1;
 
         let control = Control {
             engage: self.engage.step(
@@ -250,26 +255,26 @@ impl Component {
             load_n: inputs.load_n,
             conditions: inputs.conditions,
         };
-        (outputs, self.sender.frames(now, &command))
+        (outputs, self.sender.due_frames(now, &command))
     }
 
     /// Brings the offsets towards their goal, at the joints or as external offsets.
-    fn apply(
+    fn apply_offsets(
         &mut self,
         now: Duration,
         inputs: &Inputs,
         ready: bool,
         goal_nm: Option<[i32; 3]>,
         outputs: &mut Outputs,
-    ) -> Applied {
+    ) -> AppliedOffsets {
         if self.options.joints.iter().any(Option::is_some) {
-            let step = Step { now, ready, goal_nm, max_nm: self.options.limits.max_nm };
+            let step = StepInputs { now, ready, goal_nm, max_nm: self.options.limits.max_nm };
             let (goals, applied) = self.joints.step(&step, &self.options.joints, &inputs.joints);
             (outputs.limited, outputs.not_taken) = (applied.limited, applied.not_taken);
             outputs.joints = goals;
             return applied;
         }
-        let mut applied = Applied::NOTHING;
+        let mut applied = AppliedOffsets::ZERO;
         for (axis, follower) in self.followers.iter_mut().enumerate() {
             let reading = inputs.readings[axis];
             let goal = goal_nm.map(|goal| goal[axis]);
@@ -279,9 +284,9 @@ impl Component {
             outputs.not_taken |= step.not_taken;
             let offset = f64::from(self.offset_nm[axis]);
             applied.nm[axis] = reading.eoffset_nm;
-            applied.at_zero &= reading.eoffset_nm.abs() <= APPLIED_WITHIN_NM;
-            applied.arrived &= (reading.eoffset_nm - offset).abs() <= APPLIED_WITHIN_NM
-                && (reading.request_nm - offset).abs() <= APPLIED_WITHIN_NM;
+            applied.at_zero &= reading.eoffset_nm.abs() <= APPLIED_TOLERANCE_NM;
+            applied.arrived &= (reading.eoffset_nm - offset).abs() <= APPLIED_TOLERANCE_NM
+                && (reading.request_nm - offset).abs() <= APPLIED_TOLERANCE_NM;
         }
         applied
     }
@@ -296,7 +301,7 @@ pub(crate) mod tests {
         units::Nanometres,
     };
     use trueup_link::{
-        frames::{offset_xy, offset_z},
+        frames::{encode_offset_xy, encode_offset_z},
         receiver::Receiver,
         status::{self, Item},
     };
@@ -304,13 +309,13 @@ pub(crate) mod tests {
     const SLEW: f64 = 500e3;
 
     pub(crate) fn component() -> Component {
-        let pace = Pace {
+        let pace = RateLimits {
             slew_nm_per_s: SLEW,
             cycle_s: 1e-3,
             acceleration_nm_per_s2: f64::INFINITY,
             planner_keeps_slew: true,
         };
-        let limits = Limits {
+        let limits = OffsetLimits {
             max_nm: [200_000; 3],
             stale: Duration::from_millis(100),
             hold: Duration::from_millis(2_000),
@@ -327,7 +332,7 @@ pub(crate) mod tests {
         Component::new(Duration::ZERO, options)
     }
 
-    /// A machine that does at once what it is asked for, and a bridge that says this every
+    /// A machine that executes each request at once, and a bridge that says this every
     /// millisecond, while it is there.
     struct World {
         component: Component,
@@ -360,7 +365,9 @@ pub(crate) mod tests {
                     let offset = Some(offset.map(Nanometres));
                     let output = Output { offset, quality: Quality::Live, ..Output::default() };
                     let counter = (self.ms % 256) as u8;
-                    for frame in [offset_xy(&output, counter), offset_z(&output, counter)] {
+                    for frame in
+                        [encode_offset_xy(&output, counter), encode_offset_z(&output, counter)]
+                    {
                         self.component.receive(now, &Event::Frame(frame));
                     }
                 }
@@ -436,13 +443,13 @@ pub(crate) mod tests {
         let mut world = World::new();
         world.live(1);
         let item = Item::Temperatures { pair: 1, centi_c: [Some(2_345), None] };
-        let said = status::Status { last_refused: status::Reason::None, item };
+        let said = status::Status { last_refused: status::FrameRejectReason::None, item };
         let frame = Event::Frame(status::encode(&said, 0));
         world.component.receive(Duration::from_millis(world.ms), &frame);
         world.live(3_400);
         assert_eq!(world.outputs.temperatures_c[..5], [None, None, Some(23.45), None, None]);
         world.live(2);
-        assert_eq!(world.outputs.temperatures_c, [None; TEMPERATURES]);
+        assert_eq!(world.outputs.temperatures_c, [None; TEMPERATURE_COUNT]);
     }
 
     #[test]
@@ -453,7 +460,7 @@ pub(crate) mod tests {
         world.inputs.machine_on = false;
         world.live(20);
         // As LinuxCNC does it at machine on.
-        world.inputs.readings = [Reading::default(); 3];
+        world.inputs.readings = [AxisReading::default(); 3];
         world.inputs.machine_on = true;
         world.live(60);
         assert!(world.z_um() > 0.0 && world.z_um() < 10.0, "{}", world.z_um());

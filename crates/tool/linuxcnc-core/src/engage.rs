@@ -9,25 +9,25 @@
 use core::time::Duration;
 
 /// Three `Control` frames, 20 ms apart, with as long again for a loop that comes late.
-const RELEASED: Duration = Duration::from_millis(120);
+const MIN_RELEASE_TIME: Duration = Duration::from_millis(120);
 /// A bridge that has received `Engage` for this long and still says "not available" gets the sequence (0, then 1) again.
-const AGAIN: Duration = Duration::from_secs(1);
+const ENGAGE_RETRY_DELAY: Duration = Duration::from_secs(1);
 
 /// Whether `Engage` is raised.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Engage {
+pub(crate) struct EngageSequence {
     /// Since when it is, or is not; `None`: the component has just begun.
     since: Option<Duration>,
     is_raised: bool,
 }
 
-impl Engage {
+impl EngageSequence {
     /// Returns what to say now. `wanted`: the operator wants offsets and the machine is on; `available`: the
     /// bridge gives one, or has not been received; `at_zero`: LinuxCNC applies none.
     pub fn step(&mut self, now: Duration, wanted: bool, available: bool, at_zero: bool) -> bool {
         let lasts = now.saturating_sub(*self.since.get_or_insert(now));
-        let falls = self.is_raised && (!wanted || (!available && lasts >= AGAIN));
-        let rises = !self.is_raised && wanted && at_zero && lasts >= RELEASED;
+        let falls = self.is_raised && (!wanted || (!available && lasts >= ENGAGE_RETRY_DELAY));
+        let rises = !self.is_raised && wanted && at_zero && lasts >= MIN_RELEASE_TIME;
         if falls || rises {
             self.is_raised = rises;
             self.since = Some(now);
@@ -47,17 +47,17 @@ mod tests {
 
     #[test]
     fn it_is_raised_only_where_no_offset_is_applied_and_after_three_frames_without() {
-        let mut engage = Engage::default();
+        let mut engage = EngageSequence::default();
         let raised = (0..1_000).find(|n| engage.step(ms(*n), true, false, *n >= 500));
         assert_eq!(raised, Some(500));
-        let mut engage = Engage::default();
+        let mut engage = EngageSequence::default();
         let raised = (0..1_000).find(|n| engage.step(ms(*n), true, false, true));
         assert_eq!(raised, Some(120));
     }
 
     #[test]
     fn it_falls_with_the_operator_at_once_and_comes_back_only_at_zero() {
-        let mut engage = Engage::default();
+        let mut engage = EngageSequence::default();
         assert!((0..200).any(|n| engage.step(ms(n), true, true, true)));
         assert!(!engage.step(ms(200), false, true, false));
         assert!((201..900).all(|n| !engage.step(ms(n), true, true, false)));
@@ -66,11 +66,11 @@ mod tests {
 
     #[test]
     fn a_bridge_that_gives_nothing_is_told_from_the_beginning_once_a_second() {
-        let mut engage = Engage::default();
+        let mut engage = EngageSequence::default();
         let said: Vec<bool> = (0..5_000).map(|n| engage.step(ms(n), true, false, true)).collect();
         let rises = said.windows(2).filter(|pair| !pair[0] && pair[1]).count();
         assert_eq!(rises, 5);
-        let mut engage = Engage::default();
+        let mut engage = EngageSequence::default();
         let said: Vec<bool> = (0..5_000).map(|n| engage.step(ms(n), true, true, true)).collect();
         assert!(said[200..].iter().all(|raised| *raised), "a live bridge is left alone");
     }

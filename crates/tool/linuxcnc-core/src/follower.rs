@@ -16,9 +16,9 @@
 //!   starved computer, finds one step at most, however long it stood.
 //! * **The state is LinuxCNC's own.** r is read, never remembered. Where it has changed by
 //!   something else (machine on, another writer), the next step begins there.
-//! * **No wind-up.** LinuxCNC's planner (`simple_tp.c`) asks for the speed
+//! * **No wind-up.** LinuxCNC's planner (`simple_tp.c`) requests the speed
 //!   u = −aT + √(2a·e + a²T²) at the distance e = r − c, with a its acceleration. u = v at
-//!   e = v²/(2a) + vT, which is `lead`: an offset that could not move for a while (joint mode, soft
+//!   e = v²/(2a) + vT, which is `max_lead_counts`: an offset that could not move for a while (joint mode, soft
 //!   limit) cannot hurry afterwards. The rest is what the planner covers in the cycle that
 //!   `eoffset` does not show yet, taken from the cycle that it shows. A planner that stops in that very cycle
 //!   would hurry by it afterwards; so it is given only where `OFFSET_AV_RATIO` has LinuxCNC itself keep the limit.
@@ -29,23 +29,23 @@ use core::time::Duration;
 use crate::rounding::{floor, trunc};
 
 /// A step that `eoffset-request` does not show after so long is taken back.
-const LOST_AFTER: Duration = Duration::from_secs(1);
-/// After a change that was not ours, the pins are left to settle for so long, which is many servo
+const STEP_TIMEOUT: Duration = Duration::from_secs(1);
+/// After a change that was not ours, the pins are left to settle for this time, which is many servo
 /// cycles.
-const SETTLE: Duration = Duration::from_millis(50);
+const SETTLE_TIME: Duration = Duration::from_millis(50);
 /// This many of them one after the other: the pins are not connected as they should be, or LinuxCNC
 /// stands.
-const LOST_STEPS: u8 = 3;
+const MAX_LOST_STEPS: u8 = 3;
 /// An axis that the planner does not move for this time is reported as stuck.
-const STUCK_AFTER: Duration = Duration::from_millis(500);
+const STUCK_TIMEOUT: Duration = Duration::from_millis(500);
 /// Two readings of `eoffset-request` are the same within this, in counts.
-const SAME: f64 = 0.25;
+const READING_TOLERANCE_COUNTS: f64 = 0.25;
 /// A request is a whole number of counts within this.
-const NOISE: f64 = 1e-3;
+const COUNT_TOLERANCE: f64 = 1e-3;
 
 /// How fast an offset may change.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pace {
+pub struct RateLimits {
     /// The slew limit, in nanometres a second.
     pub slew_nm_per_s: f64,
     /// The servo cycle, in seconds.
@@ -57,25 +57,25 @@ pub struct Pace {
     pub planner_keeps_slew: bool,
 }
 
-impl Pace {
+impl RateLimits {
     /// Returns the largest step, d: whole counts, at least one. So below 1 µm/s (at a servo cycle of 1 ms)
     /// the bridge's own slew limit is the one that counts.
     #[must_use]
-    pub fn step(&self) -> f64 {
-        floor(self.slew_nm_per_s * self.cycle_s + NOISE).max(1.0)
+    pub fn max_step_counts(&self) -> f64 {
+        floor(self.slew_nm_per_s * self.cycle_s + COUNT_TOLERANCE).max(1.0)
     }
 
     /// Returns how far the request may run ahead of an offset that stands.
     #[must_use]
-    pub fn lead(&self) -> f64 {
+    pub(crate) fn max_lead_counts(&self) -> f64 {
         let slew = self.slew_nm_per_s;
-        slew * slew / (2.0 * self.acceleration_nm_per_s2) + self.step()
+        slew * slew / (2.0 * self.acceleration_nm_per_s2) + self.max_step_counts()
     }
 }
 
 /// Values of the pins of an axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Reading {
+pub struct AxisReading {
     /// `axis.L.eoffset-request`, in nanometres.
     pub request_nm: f64,
     /// `axis.L.eoffset`, in nanometres.
@@ -84,7 +84,7 @@ pub struct Reading {
 
 /// A step that was written.
 #[derive(Clone, Copy, Debug)]
-struct Pending {
+struct PendingStep {
     before: f64,
     counts: i32,
     written: Duration,
@@ -92,7 +92,7 @@ struct Pending {
 
 /// The result of one call.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Step {
+pub struct StepResult {
     /// To be added to the counts, with wrapping; 0: leave the pin alone.
     pub counts: i32,
     /// LinuxCNC has not moved the offset for a while although it should.
@@ -103,8 +103,8 @@ pub struct Step {
 
 /// Brings the external offset of one axis to its target, step by step.
 #[derive(Debug, Default)]
-pub struct Follower {
-    pending: Option<Pending>,
+pub struct OffsetFollower {
+    pending: Option<PendingStep>,
     /// Nothing is written before.
     settled: Duration,
     was_ready: bool,
@@ -115,7 +115,7 @@ pub struct Follower {
     held_since: Option<Duration>,
 }
 
-impl Follower {
+impl OffsetFollower {
     /// Returns the next step towards `goal_nm`, or, without one, towards where the request stands. `ready`:
     /// the machine is on and all joints are homed.
     pub fn step(
@@ -123,30 +123,30 @@ impl Follower {
         now: Duration,
         ready: bool,
         goal_nm: Option<i32>,
-        reading: Reading,
-        pace: &Pace,
-    ) -> Step {
-        let stuck = self.held_since.is_some_and(|since| now.saturating_sub(since) > STUCK_AFTER);
-        let told = Step { counts: 0, stuck, not_taken: self.lost >= LOST_STEPS };
+        reading: AxisReading,
+        pace: &RateLimits,
+    ) -> StepResult {
+        let stuck = self.held_since.is_some_and(|since| now.saturating_sub(since) > STUCK_TIMEOUT);
+        let told = StepResult { counts: 0, stuck, not_taken: self.lost >= MAX_LOST_STEPS };
         if !ready || !reading.request_nm.is_finite() || !reading.eoffset_nm.is_finite() {
             *self = Self { offset_before: reading.eoffset_nm, ..Self::default() };
-            return Step::default();
+            return StepResult::default();
         }
         if !self.was_ready {
             self.was_ready = true;
-            self.settled = now.saturating_add(SETTLE);
+            self.settled = now.saturating_add(SETTLE_TIME);
         }
         if let Some(pending) = self.pending {
             let change = reading.request_nm - pending.before;
-            if (change - f64::from(pending.counts)).abs() < SAME {
+            if (change - f64::from(pending.counts)).abs() < READING_TOLERANCE_COUNTS {
                 self.lost = 0;
-            } else if change.abs() >= SAME {
-                self.settled = now.saturating_add(SETTLE);
-            } else if now.saturating_sub(pending.written) >= LOST_AFTER {
+            } else if change.abs() >= READING_TOLERANCE_COUNTS {
+                self.settled = now.saturating_add(SETTLE_TIME);
+            } else if now.saturating_sub(pending.written) >= STEP_TIMEOUT {
                 self.lost = self.lost.saturating_add(1);
-                self.settled = now.saturating_add(SETTLE);
+                self.settled = now.saturating_add(SETTLE_TIME);
                 self.pending = None;
-                return Step { counts: -pending.counts, ..told };
+                return StepResult { counts: -pending.counts, ..told };
             } else {
                 return told;
             }
@@ -155,32 +155,42 @@ impl Follower {
         if now < self.settled {
             return told;
         }
-        let counts = self.next(now, goal_nm, reading, pace);
+        let counts = self.compute_step_counts(now, goal_nm, reading, pace);
         if counts != 0 {
-            self.pending = Some(Pending { before: reading.request_nm, counts, written: now });
+            self.pending = Some(PendingStep { before: reading.request_nm, counts, written: now });
         }
-        Step { counts, ..told }
+        StepResult { counts, ..told }
     }
 
     /// Returns the step, in counts.
     #[allow(clippy::cast_possible_truncation, reason = "held to the range of an i32 before")]
-    fn next(&mut self, now: Duration, goal_nm: Option<i32>, reading: Reading, pace: &Pace) -> i32 {
-        let Reading { request_nm: request, eoffset_nm: offset } = reading;
+    fn compute_step_counts(
+        &mut self,
+        now: Duration,
+        goal_nm: Option<i32>,
+        reading: AxisReading,
+        pace: &RateLimits,
+    ) -> i32 {
+        let AxisReading { request_nm: request, eoffset_nm: offset } = reading;
         let goal = goal_nm.map_or(request, f64::from);
-        let wanted = within(goal - request, -pace.step(), pace.step());
+        let wanted = saturate(goal - request, -pace.max_step_counts(), pace.max_step_counts());
         let moved = (offset - self.offset_before) * wanted.signum();
-        let covers = if pace.planner_keeps_slew { within(moved, 0.0, pace.step()) } else { 0.0 };
-        let lead = pace.lead() + covers;
-        let next = within(request + wanted, offset - lead, offset + lead);
-        if (next - (request + wanted)).abs() < SAME {
+        let covers = if pace.planner_keeps_slew {
+            saturate(moved, 0.0, pace.max_step_counts())
+        } else {
+            0.0
+        };
+        let lead = pace.max_lead_counts() + covers;
+        let next = saturate(request + wanted, offset - lead, offset + lead);
+        if (next - (request + wanted)).abs() < READING_TOLERANCE_COUNTS {
             self.held_since = None;
         } else {
             self.held_since.get_or_insert(now);
         }
         // Towards zero; what LinuxCNC has added up is whole but for the noise of its arithmetic.
         let exact = next - request;
-        let whole = trunc(exact + NOISE.copysign(exact));
-        let whole = within(whole, f64::from(i32::MIN), f64::from(i32::MAX)) as i32;
+        let whole = trunc(exact + COUNT_TOLERANCE.copysign(exact));
+        let whole = saturate(whole, f64::from(i32::MIN), f64::from(i32::MAX)) as i32;
         if whole != 0 {
             self.offset_before = offset;
         }
@@ -189,6 +199,6 @@ impl Follower {
 }
 
 /// Holds a value between two others; unlike `clamp` it does not panic where they are not in order.
-fn within(value: f64, low: f64, high: f64) -> f64 {
+fn saturate(value: f64, low: f64, high: f64) -> f64 {
     value.max(low).min(high)
 }

@@ -25,15 +25,15 @@ use core::time::Duration;
 /// `moveoff` has this many joints.
 pub const MAX_JOINTS: usize = 9;
 /// An offset is applied when it is within this of its goal, in nanometres.
-const APPLIED_WITHIN_NM: f64 = 20.0;
+const APPLIED_TOLERANCE_NM: f64 = 20.0;
 /// `motor-offset` has changed if it differs by this, in nanometres.
-const SAME_NM: f64 = 1e-3;
+const CHANGE_TOLERANCE_NM: f64 = 1e-3;
 /// An offset moves if it does so by this, in nanometres.
-const MOVED_NM: f64 = 1.0;
-/// An offset that is not at its goal and has not moved for so long is not taken.
-const LOST_AFTER: Duration = Duration::from_secs(1);
+const MOTION_THRESHOLD_NM: f64 = 1.0;
+/// An offset that is not at its goal and has not moved for this time is not taken.
+const STALL_TIMEOUT: Duration = Duration::from_secs(1);
 /// By how much a goal changes that is above the offset, in nanometres: a tenth of the wire's resolution.
-const KICK_NM: f64 = 1.0;
+const DITHER_NM: f64 = 1.0;
 
 /// Settings of a joint that gets an offset.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -67,7 +67,7 @@ impl JointReading {
     /// Returns what is known of a joint whose wires are not connected yet: its pins say 0, and the first real value
     /// would count as a change.
     #[must_use]
-    pub fn not_wired() -> Self {
+    pub fn unconnected() -> Self {
         let unknown = f64::NAN;
         Self { now_nm: unknown, command_nm: unknown, reference_nm: unknown, homing: true }
     }
@@ -89,7 +89,7 @@ pub struct JointGoal {
 
 /// Offsets that act on the axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Applied {
+pub struct AppliedOffsets {
     /// Offset of X, Y and Z without the bases, in nanometres; of an axis with two joints the larger one.
     pub nm: [f64; 3],
     /// True if no offset acts.
@@ -102,15 +102,15 @@ pub struct Applied {
     pub not_taken: bool,
 }
 
-impl Applied {
+impl AppliedOffsets {
     /// Nothing acts, and nothing is to.
-    pub(crate) const NOTHING: Self =
+    pub(crate) const ZERO: Self =
         Self { nm: [0.0; 3], at_zero: true, arrived: true, limited: false, not_taken: false };
 }
 
 /// A joint between two steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct State {
+struct JointState {
     base_nm: f64,
     offset_nm: f64,
     /// `motor-offset` at the step before; `None` before the first one.
@@ -119,7 +119,7 @@ struct State {
     follows: bool,
     /// Where the offset stands off its goal or goes away from it, and since when.
     stands: Option<(f64, Duration)>,
-    /// The goal of the step before, and whether it was changed by [`KICK_NM`].
+    /// The goal of the step before, and whether it was changed by [`DITHER_NM`].
     given: (f64, bool),
     /// The goal is that of a component before this one, and its wires have said nothing yet.
     is_left: bool,
@@ -128,12 +128,12 @@ struct State {
 /// The offsets of all joints.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct JointOffsets {
-    states: [State; MAX_JOINTS],
+    states: [JointState; MAX_JOINTS],
 }
 
 /// Inputs of a step that all joints share.
 #[derive(Clone, Copy, Debug)]
-pub struct Step {
+pub struct StepInputs {
     /// The time.
     pub now: Duration,
     /// The machine is on and all joints are homed.
@@ -150,12 +150,12 @@ impl JointOffsets {
         let base_nm = f64::midpoint(left.min_nm, left.max_nm);
         if let Some(state) = self.states.get_mut(joint) {
             let reference_nm = Some(left.reference_nm).filter(|it| it.is_finite());
-            *state = State {
+            *state = JointState {
                 base_nm,
                 offset_nm: left.offset_nm,
                 reference_nm,
                 is_left: true,
-                ..State::default()
+                ..JointState::default()
             };
         }
     }
@@ -163,29 +163,29 @@ impl JointOffsets {
     /// Computes the goal of each joint.
     pub fn step(
         &mut self,
-        step: &Step,
+        step: &StepInputs,
         joints: &[Option<JointSettings>; MAX_JOINTS],
         readings: &[JointReading; MAX_JOINTS],
-    ) -> ([JointGoal; MAX_JOINTS], Applied) {
+    ) -> ([JointGoal; MAX_JOINTS], AppliedOffsets) {
         let mut goals = [JointGoal::default(); MAX_JOINTS];
-        let mut applied = Applied::NOTHING;
+        let mut applied = AppliedOffsets::ZERO;
         for (index, (joint, reading)) in joints.iter().zip(readings).enumerate() {
             let Some(joint) = joint else { continue };
             let Some(state) = self.states.get_mut(index) else { continue };
             // There is no other axis, and the servo thread checks no index.
             let axis = joint.axis.min(2);
-            state.land(reading);
-            state.follow_reference(reading);
-            state.hold(step.ready && !reading.homing, reading);
+            state.adopt_current_offset(reading);
+            state.update_base_offset(reading);
+            state.hold_offset(step.ready && !reading.homing, reading);
             if let (true, Some(goal)) = (state.follows, step.goal_nm) {
                 let goal = f64::from(goal[axis]);
-                let allowed = within_limits(goal, joint, reading);
-                applied.limited |= (allowed - goal).abs() > APPLIED_WITHIN_NM;
+                let allowed = clamp_to_limits(goal, joint, reading);
+                applied.limited |= (allowed - goal).abs() > APPLIED_TOLERANCE_NM;
                 state.offset_nm = state.base_nm + allowed;
             }
             let max = f64::from(step.max_nm[axis].max(0));
             goals[index] = JointGoal {
-                offset_nm: state.offset_nm + state.kick(reading),
+                offset_nm: state.offset_nm + state.dither_nm(reading),
                 min_nm: state.base_nm - max,
                 max_nm: state.base_nm + max,
                 reference_nm: state.reference_nm.unwrap_or(f64::NAN),
@@ -194,19 +194,19 @@ impl JointOffsets {
             if acts.abs() > applied.nm[axis].abs() {
                 applied.nm[axis] = acts;
             }
-            applied.at_zero &= acts.abs() <= APPLIED_WITHIN_NM;
-            applied.arrived &= (reading.now_nm - state.offset_nm).abs() <= APPLIED_WITHIN_NM;
-            applied.not_taken |= state.is_lost(step.now, reading);
+            applied.at_zero &= acts.abs() <= APPLIED_TOLERANCE_NM;
+            applied.arrived &= (reading.now_nm - state.offset_nm).abs() <= APPLIED_TOLERANCE_NM;
+            applied.not_taken |= state.is_stalled(step.now, reading);
         }
         applied.arrived &= !applied.limited;
         (goals, applied)
     }
 }
 
-impl State {
+impl JointState {
     /// Stands where `moveoff` stands when it is known for the first time: it was stopped on its way to the goal that was left,
     /// and the machine may be off now.
-    fn land(&mut self, reading: &JointReading) {
+    fn adopt_current_offset(&mut self, reading: &JointReading) {
         if self.is_left && reading.now_nm.is_finite() {
             self.offset_nm = reading.now_nm;
             self.is_left = false;
@@ -214,19 +214,20 @@ impl State {
     }
 
     /// Takes the offset that acts as the base when LinuxCNC has taken a new reference with it.
-    fn follow_reference(&mut self, reading: &JointReading) {
+    fn update_base_offset(&mut self, reading: &JointReading) {
         if !reading.reference_nm.is_finite() || !reading.now_nm.is_finite() {
             return;
         }
         let before = self.reference_nm.replace(reading.reference_nm);
-        if before.is_some_and(|before| (before - reading.reference_nm).abs() > SAME_NM) {
+        if before.is_some_and(|before| (before - reading.reference_nm).abs() > CHANGE_TOLERANCE_NM)
+        {
             self.base_nm = reading.now_nm;
             self.offset_nm = reading.now_nm;
         }
     }
 
     /// Keeps the offset that acts when the machine is no longer ready, on whatever way it is to its goal.
-    fn hold(&mut self, follows: bool, reading: &JointReading) {
+    fn hold_offset(&mut self, follows: bool, reading: &JointReading) {
         if self.follows && !follows && reading.now_nm.is_finite() {
             self.offset_nm = reading.now_nm;
         }
@@ -234,37 +235,38 @@ impl State {
     }
 
     /// Returns by how much the goal is changed now, in nanometres: in every other step, while it stands above the offset.
-    fn kick(&mut self, reading: &JointReading) -> f64 {
+    fn dither_nm(&mut self, reading: &JointReading) -> f64 {
         let (before_nm, was_kicked) = self.given;
-        let stands = (self.offset_nm - before_nm).abs() <= SAME_NM;
-        let is_kicked = stands && !was_kicked && self.offset_nm - reading.now_nm > SAME_NM;
+        let stands = (self.offset_nm - before_nm).abs() <= CHANGE_TOLERANCE_NM;
+        let is_kicked =
+            stands && !was_kicked && self.offset_nm - reading.now_nm > CHANGE_TOLERANCE_NM;
         self.given = (self.offset_nm, is_kicked);
         match (is_kicked, self.offset_nm > self.base_nm) {
             (false, _) => 0.0,
-            (true, true) => -KICK_NM,
-            (true, false) => KICK_NM,
+            (true, true) => -DITHER_NM,
+            (true, false) => DITHER_NM,
         }
     }
 
     /// Returns whether `moveoff` leaves the offset where it is, off its goal, or moves it away from there.
-    fn is_lost(&mut self, now: Duration, reading: &JointReading) -> bool {
-        let is_off = (reading.now_nm - self.offset_nm).abs() > APPLIED_WITHIN_NM;
+    fn is_stalled(&mut self, now: Duration, reading: &JointReading) -> bool {
+        let is_off = (reading.now_nm - self.offset_nm).abs() > APPLIED_TOLERANCE_NM;
         if !self.follows || !is_off {
             self.stands = None;
             return false;
         }
         let (at_nm, since) = *self.stands.get_or_insert((reading.now_nm, now));
         let towards = (self.offset_nm - at_nm).signum();
-        if (reading.now_nm - at_nm) * towards > MOVED_NM {
+        if (reading.now_nm - at_nm) * towards > MOTION_THRESHOLD_NM {
             self.stands = Some((reading.now_nm, now));
             return false;
         }
-        now.saturating_sub(since) >= LOST_AFTER
+        now.saturating_sub(since) >= STALL_TIMEOUT
     }
 }
 
 /// Returns the offset with which the drive stays within the joint's limits; a command beyond them is LinuxCNC's affair.
-fn within_limits(goal_nm: f64, joint: &JointSettings, reading: &JointReading) -> f64 {
+fn clamp_to_limits(goal_nm: f64, joint: &JointSettings, reading: &JointReading) -> f64 {
     if !reading.command_nm.is_finite() {
         return goal_nm;
     }

@@ -1,6 +1,6 @@
 //! Where the offsets are to go: from the bridge's frames, their age, and the lack of them.
 //!
-//! | what was received | the offset | [`Target`] |
+//! | what was received | the offset | `OffsetTarget` |
 //! |---|---|---|
 //! | a valid pair of frames, not older than `stale` | what it says, within the largest permitted | follow |
 //! | none, or "not available" | stays where it is, for `hold` | hold |
@@ -17,14 +17,14 @@ use trueup_link::{
 };
 
 /// A pair's counter comes round after 256 ms, so nothing older may count as fresh.
-pub(crate) const LONGEST_STALE: Duration = Duration::from_millis(250);
+pub(crate) const MAX_FRESH_AGE: Duration = Duration::from_millis(250);
 
 /// How long silence is tolerated, and how large an offset may be.
 #[derive(Clone, Copy, Debug)]
-pub struct Limits {
+pub struct OffsetLimits {
     /// The largest offset on X, Y and Z, in nanometres, either way.
     pub max_nm: [i32; 3],
-    /// Without a valid pair for so long the bridge counts as silent; at most `LONGEST_STALE`.
+    /// After this time without a valid pair the bridge counts as silent; at most `MAX_FRESH_AGE`.
     pub stale: Duration,
     /// How long the last offset is then held.
     pub hold: Duration,
@@ -32,7 +32,7 @@ pub struct Limits {
 
 /// The target of the offsets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Target {
+pub(crate) enum OffsetTarget {
     /// Go to these offsets, in nanometres.
     Follow([i32; 3]),
     /// Keep the present offsets.
@@ -69,20 +69,20 @@ impl ReceivedOffsets {
     }
 
     /// Takes note of a line that was not a frame.
-    pub(crate) fn receive_malformed(&mut self) {
+    pub(crate) fn count_malformed(&mut self) {
         self.malformed_lines = self.malformed_lines.saturating_add(1);
     }
 
     /// Returns the newest valid pair, unless it is stale.
     #[must_use]
-    pub(crate) fn fresh(&self, now: Duration, limits: &Limits) -> Option<&Output> {
+    pub(crate) fn fresh_output(&self, now: Duration, limits: &OffsetLimits) -> Option<&Output> {
         let (heard, output) = self.last.as_ref()?;
-        (now.saturating_sub(*heard) <= limits.stale.min(LONGEST_STALE)).then_some(output)
+        (now.saturating_sub(*heard) <= limits.stale.min(MAX_FRESH_AGE)).then_some(output)
     }
 
     /// Returns what the offsets are to do now.
-    pub fn target(&mut self, now: Duration, limits: &Limits) -> Target {
-        let available = self.fresh(now, limits).and_then(|output| match output.quality {
+    pub(crate) fn update_target(&mut self, now: Duration, limits: &OffsetLimits) -> OffsetTarget {
+        let available = self.fresh_output(now, limits).and_then(|output| match output.quality {
             Quality::Fault => None,
             _ => output.offset,
         });
@@ -94,11 +94,11 @@ impl ReceivedOffsets {
                 self.clamped |= held != *offset;
                 *offset = held;
             }
-            Target::Follow(offset)
+            OffsetTarget::Follow(offset)
         } else if now.saturating_sub(self.followed) <= limits.hold {
-            Target::Hold
+            OffsetTarget::Hold
         } else {
-            Target::RampOut
+            OffsetTarget::RampOut
         }
     }
 
@@ -128,9 +128,9 @@ impl ReceivedOffsets {
 mod tests {
     use super::*;
     use trueup_core::{cnc::Flags, units::Nanometres};
-    use trueup_link::frames::{offset_xy, offset_z};
+    use trueup_link::frames::{encode_offset_xy, encode_offset_z};
 
-    const LIMITS: Limits = Limits {
+    const LIMITS: OffsetLimits = OffsetLimits {
         max_nm: [200_000, 200_000, 500_000],
         stale: Duration::from_millis(100),
         hold: Duration::from_millis(2_000),
@@ -148,33 +148,33 @@ mod tests {
             flags: Flags::NONE,
             age_ms: 3,
         };
-        offsets.receive(now, &offset_xy(&output, counter));
-        offsets.receive(now, &offset_z(&output, counter));
+        offsets.receive(now, &encode_offset_xy(&output, counter));
+        offsets.receive(now, &encode_offset_z(&output, counter));
     }
 
     #[test]
     fn silence_holds_then_ramps_out_and_a_word_brings_it_back() {
         let mut offsets = ReceivedOffsets::new(ms(0));
-        assert_eq!(offsets.target(ms(0), &LIMITS), Target::Hold, "just started");
+        assert_eq!(offsets.update_target(ms(0), &LIMITS), OffsetTarget::Hold, "just started");
         say(&mut offsets, ms(1_000), 0, Some(50_000));
-        assert_eq!(offsets.target(ms(1_100), &LIMITS), Target::Follow([50_000; 3]));
+        assert_eq!(offsets.update_target(ms(1_100), &LIMITS), OffsetTarget::Follow([50_000; 3]));
         assert_eq!(offsets.age_ms(ms(1_100)), Some(103));
-        assert_eq!(offsets.target(ms(1_101), &LIMITS), Target::Hold);
-        assert_eq!(offsets.target(ms(3_100), &LIMITS), Target::Hold);
-        assert_eq!(offsets.target(ms(3_101), &LIMITS), Target::RampOut);
+        assert_eq!(offsets.update_target(ms(1_101), &LIMITS), OffsetTarget::Hold);
+        assert_eq!(offsets.update_target(ms(3_100), &LIMITS), OffsetTarget::Hold);
+        assert_eq!(offsets.update_target(ms(3_101), &LIMITS), OffsetTarget::RampOut);
         say(&mut offsets, ms(9_000), 1, Some(40_000));
-        assert_eq!(offsets.target(ms(9_000), &LIMITS), Target::Follow([40_000; 3]));
+        assert_eq!(offsets.update_target(ms(9_000), &LIMITS), OffsetTarget::Follow([40_000; 3]));
     }
 
     #[test]
     fn not_available_is_held_as_silence_is() {
         let mut offsets = ReceivedOffsets::new(ms(0));
         say(&mut offsets, ms(10), 0, Some(1_000));
-        offsets.target(ms(10), &LIMITS);
+        offsets.update_target(ms(10), &LIMITS);
         for cycle in 1..=250_u8 {
             say(&mut offsets, ms(10 + 10 * u64::from(cycle)), cycle, None);
-            let expected = if cycle <= 200 { Target::Hold } else { Target::RampOut };
-            assert_eq!(offsets.target(ms(10 + 10 * u64::from(cycle)), &LIMITS), expected);
+            let expected = if cycle <= 200 { OffsetTarget::Hold } else { OffsetTarget::RampOut };
+            assert_eq!(offsets.update_target(ms(10 + 10 * u64::from(cycle)), &LIMITS), expected);
         }
     }
 
@@ -183,13 +183,13 @@ mod tests {
         let mut offsets = ReceivedOffsets::new(ms(0));
         say(&mut offsets, ms(10), 5, Some(1_000));
         say(&mut offsets, ms(100), 5, Some(9_000));
-        assert_eq!(offsets.target(ms(100), &LIMITS), Target::Follow([1_000; 3]));
+        assert_eq!(offsets.update_target(ms(100), &LIMITS), OffsetTarget::Follow([1_000; 3]));
         assert_eq!(offsets.counters().sequence_errors, 2);
-        assert_eq!(offsets.target(ms(111), &LIMITS), Target::Hold);
+        assert_eq!(offsets.update_target(ms(111), &LIMITS), OffsetTarget::Hold);
         let damaged = Frame::new(0x181, &[0; 8]).unwrap();
         offsets.receive(ms(112), &damaged);
         assert_eq!(offsets.counters().crc_errors, 1);
-        offsets.receive_malformed();
+        offsets.count_malformed();
         assert_eq!(offsets.counters().malformed, 1);
     }
 
@@ -197,8 +197,8 @@ mod tests {
     fn more_than_permitted_is_held_to_the_limit_and_told() {
         let mut offsets = ReceivedOffsets::new(ms(0));
         say(&mut offsets, ms(10), 0, Some(-300_000));
-        let expected = Target::Follow([-200_000, -200_000, -300_000]);
-        assert_eq!(offsets.target(ms(10), &LIMITS), expected);
+        let expected = OffsetTarget::Follow([-200_000, -200_000, -300_000]);
+        assert_eq!(offsets.update_target(ms(10), &LIMITS), expected);
         assert!(offsets.is_clamped());
     }
 }

@@ -1,12 +1,12 @@
 //! Rounding of numbers: `core` has none, and the servo thread should not need a library for it.
 
 /// From here on every number is whole: 2⁵².
-const WHOLE: f64 = 4_503_599_627_370_496.0;
+const TWO_POW_52: f64 = 4_503_599_627_370_496.0;
 
 /// Rounds towards zero.
 #[allow(clippy::cast_possible_truncation, reason = "below 2⁵²")]
 pub(crate) fn trunc(value: f64) -> f64 {
-    if value.abs() < WHOLE { (value as i64) as f64 } else { value }
+    if value.abs() < TWO_POW_52 { (value as i64) as f64 } else { value }
 }
 
 /// Rounds down.
@@ -27,8 +27,8 @@ mod tests {
 
     #[test]
     fn every_number_is_rounded_as_the_standard_library_rounds_it() {
-        let near = [0.0, 0.5, 0.499_999_999_999_999_94, 1.0, 1.5, 2.5, 1e9 + 0.5, WHOLE - 0.5];
-        let more = [WHOLE, WHOLE + 1.0, 1e300, f64::INFINITY, f64::MIN_POSITIVE];
+        let near = [0.0, 0.5, 0.499_999_999_999_999_94, 1.0, 1.5, 2.5, 1e9 + 0.5, TWO_POW_52 - 0.5];
+        let more = [TWO_POW_52, TWO_POW_52 + 1.0, 1e300, f64::INFINITY, f64::MIN_POSITIVE];
         let spread = (0..100_000).map(|n| f64::from(n) * 0.123_456_789);
         for value in near.into_iter().chain(more).chain(spread) {
             for value in [value, -value] {

@@ -22,8 +22,8 @@ use core::time::Duration;
 
 use crate::rounding::{floor, round};
 use trueup_core::{
-    cnc::{AxisPosition, Conditions, Control, Heading, LinearAxis, Rotary, Spindle},
-    learned::{Change, PARTS, named},
+    cnc::{AxisPosition, Conditions, Control, LinearAxis, Rotary, Spindle, TravelDirection},
+    learned::{ChangeRequest, PART_COUNT, calibration_id},
     units::{MicroDegrees, Position, Rpm},
 };
 use trueup_link::{
@@ -35,11 +35,11 @@ use trueup_link::{
 pub type Frames = heapless::Vec<Frame, 7>;
 
 /// Unchanged values are sent this often: a bridge that was away has to learn where it is.
-const STANDING_PERIOD: Duration = Duration::from_millis(50);
+const IDLE_PERIOD: Duration = Duration::from_millis(50);
 /// A command that has gone back by this much is a reversal.
-const REVERSAL: i32 = Position::PER_MILLIMETRE / 1_000;
+const REVERSAL_THRESHOLD: i32 = Position::PER_MILLIMETRE / 1_000;
 /// The board sees the edge of `Zero` only if it holds for some frames of `Control`.
-const ZERO_HOLDS: Duration = Duration::from_millis(100);
+const ZERO_HOLD_TIME: Duration = Duration::from_millis(100);
 
 /// Values to send.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -62,20 +62,26 @@ pub struct Command {
 
 /// A value that is sent while it changes.
 #[derive(Debug)]
-struct Changing<T> {
+struct SendOnChange<T> {
     sent: Option<(Duration, T)>,
     counter: u8,
 }
 
-impl<T> Default for Changing<T> {
+impl<T> Default for SendOnChange<T> {
     fn default() -> Self {
         Self { sent: None, counter: 0 }
     }
 }
 
-impl<T: PartialEq + Copy> Changing<T> {
+impl<T: PartialEq + Copy> SendOnChange<T> {
     /// Returns the counter of the frame if one is due.
-    fn due(&mut self, now: Duration, value: T, fastest: Duration, slowest: Duration) -> Option<u8> {
+    fn take_due_counter(
+        &mut self,
+        now: Duration,
+        value: T,
+        fastest: Duration,
+        slowest: Duration,
+    ) -> Option<u8> {
         let is_due = self.sent.is_none_or(|(at, last)| {
             let waited = now.saturating_sub(at);
             waited >= slowest || (value != last && waited >= fastest)
@@ -92,34 +98,40 @@ impl<T: PartialEq + Copy> Changing<T> {
 
 /// Where an axis heads: by its command, and by command and offset together.
 #[derive(Clone, Copy, Debug, Default)]
-struct Course {
-    heading: Heading,
+struct DirectionTracker {
+    heading: TravelDirection,
     /// The furthest of both since the last turn.
     furthest: Option<[Position; 2]>,
 }
 
-impl Course {
+impl DirectionTracker {
     /// Takes the command, and the command with the offset, which turns the axis once it is back by
     /// more than `reversal`, in the units of a position.
-    fn take(&mut self, command: Position, driven: Position, reversal: Option<i32>) -> Heading {
+    fn update(
+        &mut self,
+        command: Position,
+        driven: Position,
+        reversal: Option<i32>,
+    ) -> TravelDirection {
         let at = [command, driven];
         let furthest = self.furthest.get_or_insert(at);
         let ways: [i32; 2] = [0, 1].map(|n| at[n].0.saturating_sub(furthest[n].0));
-        let back_by = [REVERSAL, reversal.unwrap_or(i32::MAX)];
+        let back_by = [REVERSAL_THRESHOLD, reversal.unwrap_or(i32::MAX)];
         let turn = [0, 1].into_iter().find(|&n| match self.heading {
-            Heading::Positive => ways[n] < -back_by[n],
-            Heading::Negative => ways[n] > back_by[n],
-            Heading::Standing => ways[n].unsigned_abs() > back_by[n].unsigned_abs(),
+            TravelDirection::Positive => ways[n] < -back_by[n],
+            TravelDirection::Negative => ways[n] > back_by[n],
+            TravelDirection::Standing => ways[n].unsigned_abs() > back_by[n].unsigned_abs(),
         });
         if let Some(n) = turn {
-            self.heading = if ways[n] > 0 { Heading::Positive } else { Heading::Negative };
+            self.heading =
+                if ways[n] > 0 { TravelDirection::Positive } else { TravelDirection::Negative };
             *furthest = at;
         } else {
             for n in [0, 1] {
                 let is_further = match self.heading {
-                    Heading::Positive => ways[n] > 0,
-                    Heading::Negative => ways[n] < 0,
-                    Heading::Standing => false,
+                    TravelDirection::Positive => ways[n] > 0,
+                    TravelDirection::Negative => ways[n] < 0,
+                    TravelDirection::Standing => false,
                 };
                 if is_further {
                     furthest[n] = at[n];
@@ -135,21 +147,21 @@ impl Course {
 pub struct Sender {
     position_period: Duration,
     sends_rotary: bool,
-    control: Changing<Control>,
-    positions: [Changing<AxisPosition>; 3],
-    courses: [Course; 3],
+    control: SendOnChange<Control>,
+    positions: [SendOnChange<AxisPosition>; 3],
+    courses: [DirectionTracker; 3],
     reversals: [Option<i32>; 3],
-    rotary: Changing<Rotary>,
-    spindle: Changing<Spindle>,
-    conditions: Changing<Conditions>,
+    rotary: SendOnChange<Rotary>,
+    spindle: SendOnChange<Spindle>,
+    conditions: SendOnChange<Conditions>,
     zero_until: Option<Duration>,
     zero_was: bool,
     /// Learned values, and the calibration that they change; `None`: none are sent.
-    learned: Option<([i16; PARTS], u32)>,
+    learned: Option<([i16; PART_COUNT], u32)>,
 }
 
 impl Sender {
-    /// Sends moving positions every `position_period`, and angles if asked for. `against_um` is the
+    /// Sends moving positions every `position_period`, and angles if requested. `against_um` is the
     /// most by which the offset of X, Y and Z goes against a reversal, where that is known.
     #[must_use]
     pub fn new(
@@ -160,14 +172,15 @@ impl Sender {
         Self {
             position_period,
             sends_rotary,
-            control: Changing::default(),
+            control: SendOnChange::default(),
             positions: Default::default(),
             courses: Default::default(),
-            reversals: against_um
-                .map(|um| um.map(|um| position(um / 1_000.0).0.saturating_add(REVERSAL))),
-            rotary: Changing::default(),
-            spindle: Changing::default(),
-            conditions: Changing::default(),
+            reversals: against_um.map(|um| {
+                um.map(|um| to_position(um / 1_000.0).0.saturating_add(REVERSAL_THRESHOLD))
+            }),
+            rotary: SendOnChange::default(),
+            spindle: SendOnChange::default(),
+            conditions: SendOnChange::default(),
             zero_until: None,
             zero_was: false,
             learned: None,
@@ -176,73 +189,76 @@ impl Sender {
 
     /// Sends the learned values from now on again and again, a part in each `Control`: a bridge that has
     /// restarted has forgotten them.
-    pub fn learn(&mut self, learned: Option<([i16; PARTS], u32)>) {
+    pub fn set_learned_values(&mut self, learned: Option<([i16; PART_COUNT], u32)>) {
         self.learned = learned;
     }
 
     /// Returns the part of what was learned that this frame is to say.
-    fn learned(&self, counter: u8) -> Change {
-        let Some((amounts, calibration)) = self.learned else { return Change::default() };
-        let part = counter % PARTS as u8;
-        Change {
+    fn next_learned_change(&self, counter: u8) -> ChangeRequest {
+        let Some((amounts, calibration)) = self.learned else { return ChangeRequest::default() };
+        let part = counter % PART_COUNT as u8;
+        ChangeRequest {
             part: part + 1,
             amount: amounts[usize::from(part)],
-            calibration: named(calibration),
+            calibration: calibration_id(calibration),
         }
     }
 
     /// Returns the frames that are due.
-    pub fn frames(&mut self, now: Duration, command: &Command) -> Frames {
+    pub(crate) fn due_frames(&mut self, now: Duration, command: &Command) -> Frames {
         let mut due = Frames::new();
-        let control = Control { zero: self.zero(now, command.control.zero), ..command.control };
+        let control =
+            Control { zero: self.stretch_zero_pulse(now, command.control.zero), ..command.control };
         let often = Duration::from_millis(CONTROL_PERIOD_MS.into());
-        if let Some(counter) = self.control.due(now, control, Duration::ZERO, often) {
-            let learned = self.learned(counter);
-            push(&mut due, frames::control(Control { learned, ..control }, counter));
+        if let Some(counter) = self.control.take_due_counter(now, control, Duration::ZERO, often) {
+            let learned = self.next_learned_change(counter);
+            push_frame(&mut due, frames::encode_control(Control { learned, ..control }, counter));
         }
         for (place, axis) in LinearAxis::ALL.into_iter().enumerate() {
             if !command.position_mm[place].is_finite() || !command.offset_mm[place].is_finite() {
                 continue;
             }
-            let position = position(command.position_mm[place]);
-            let driven = self::position(command.position_mm[place] + command.offset_mm[place]);
+            let position = to_position(command.position_mm[place]);
+            let driven = self::to_position(command.position_mm[place] + command.offset_mm[place]);
             let reversal = self.reversals[place];
-            let direction = self.courses[place].take(position, driven, reversal);
+            let direction = self.courses[place].update(position, driven, reversal);
             let there = AxisPosition { axis, position, direction };
             let period = self.position_period;
-            if let Some(counter) = self.positions[place].due(now, there, period, STANDING_PERIOD) {
-                push(&mut due, frames::position(there, counter));
+            if let Some(counter) =
+                self.positions[place].take_due_counter(now, there, period, IDLE_PERIOD)
+            {
+                push_frame(&mut due, frames::encode_position(there, counter));
             }
         }
         if self.sends_rotary && command.angles_deg.iter().all(|angle| angle.is_finite()) {
-            let rotary = Rotary { angles: command.angles_deg.map(angle) };
+            let rotary = Rotary { angles: command.angles_deg.map(to_micro_degrees) };
             if let Some(counter) =
-                self.rotary.due(now, rotary, self.position_period, STANDING_PERIOD)
+                self.rotary.take_due_counter(now, rotary, self.position_period, IDLE_PERIOD)
             {
-                push(&mut due, frames::rotary(rotary, counter));
+                push_frame(&mut due, frames::encode_rotary(rotary, counter));
             }
         }
-        let spindle = spindle(command.spindle_rpm, command.load_n);
+        let spindle = to_spindle(command.spindle_rpm, command.load_n);
         let often = Duration::from_millis(SPINDLE_PERIOD_MS.into());
         if command.spindle_rpm.is_finite()
             && command.load_n.is_finite()
-            && let Some(counter) = self.spindle.due(now, spindle, often, STANDING_PERIOD)
+            && let Some(counter) = self.spindle.take_due_counter(now, spindle, often, IDLE_PERIOD)
         {
-            push(&mut due, frames::spindle(spindle, counter));
+            push_frame(&mut due, frames::encode_spindle(spindle, counter));
         }
         let often = Duration::from_millis(CONDITIONS_PERIOD_MS.into());
         if let Some(conditions) = command.conditions
-            && let Some(counter) = self.conditions.due(now, conditions, often, often)
+            && let Some(counter) = self.conditions.take_due_counter(now, conditions, often, often)
         {
-            push(&mut due, frames::conditions(conditions, counter));
+            push_frame(&mut due, frames::encode_conditions(conditions, counter));
         }
         due
     }
 
     /// `Zero` holds for a while after its edge, however short the pulse on the pin.
-    fn zero(&mut self, now: Duration, pin: bool) -> bool {
+    fn stretch_zero_pulse(&mut self, now: Duration, pin: bool) -> bool {
         if pin && !self.zero_was {
-            self.zero_until = Some(now.saturating_add(ZERO_HOLDS));
+            self.zero_until = Some(now.saturating_add(ZERO_HOLD_TIME));
         }
         self.zero_was = pin;
         pin || self.zero_until.is_some_and(|until| now < until)
@@ -250,25 +266,25 @@ impl Sender {
 }
 
 /// There is room for one of each kind.
-fn push(due: &mut Frames, frame: Frame) {
+fn push_frame(due: &mut Frames, frame: Frame) {
     due.push(frame).ok();
 }
 
 /// Conversions saturate; what is not a number is not sent.
 #[allow(clippy::cast_possible_truncation, reason = "a cast of a float saturates")]
-fn position(mm: f64) -> Position {
+fn to_position(mm: f64) -> Position {
     Position(round(mm * f64::from(Position::PER_MILLIMETRE)) as i32)
 }
 
 /// Within one turn, −180 to 180.
 #[allow(clippy::cast_possible_truncation, reason = "a cast of a float saturates")]
-fn angle(deg: f64) -> MicroDegrees {
+fn to_micro_degrees(deg: f64) -> MicroDegrees {
     let within = deg - 360.0 * floor((deg + 180.0) / 360.0);
     MicroDegrees(round(within * f64::from(MicroDegrees::PER_DEGREE)) as i32)
 }
 
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "they saturate")]
-fn spindle(rpm: f64, load_n: f64) -> Spindle {
+fn to_spindle(rpm: f64, load_n: f64) -> Spindle {
     Spindle { speed: Rpm(round(rpm.abs()) as u16), load_n: round(load_n) as i16 }
 }
 
@@ -285,7 +301,7 @@ mod tests {
 
     fn said(sender: &mut Sender, now: Duration, command: &Command) -> Vec<Received> {
         let mut receiver = Receiver::new();
-        let frames = sender.frames(now, command);
+        let frames = sender.due_frames(now, command);
         frames.iter().filter_map(|frame| receiver.accept(frame).expect("protected")).collect()
     }
 
@@ -296,7 +312,7 @@ mod tests {
         let mut count = [0; 2];
         for now in 0..1_000 {
             let command = Command { position_mm: [now as f64, 7.0, 0.0], ..Command::default() };
-            for frame in sender.frames(ms(now), &command) {
+            for frame in sender.due_frames(ms(now), &command) {
                 match receiver.accept(&frame).expect("in order") {
                     Some(Received::Position(there)) if there.axis == LinearAxis::X => count[0] += 1,
                     Some(Received::Position(there)) if there.axis == LinearAxis::Y => count[1] += 1,
@@ -310,16 +326,16 @@ mod tests {
 
     #[test]
     fn a_direction_lasts_until_the_command_goes_back_by_more_than_a_micrometre() {
-        let mut course = Course::default();
-        let mut at = |nm: i32| course.take(Position(nm / 10), Position(nm / 10), None);
-        assert_eq!(at(0), Heading::Standing);
-        assert_eq!(at(900), Heading::Standing);
-        assert_eq!(at(2_000), Heading::Positive);
-        assert_eq!(at(1_010), Heading::Positive, "not even a micrometre back");
-        assert_eq!(at(2_500), Heading::Positive);
-        assert_eq!(at(1_490), Heading::Negative, "just over a micrometre");
-        assert_eq!(at(1_490), Heading::Negative, "it stands");
-        assert_eq!(at(10_000), Heading::Positive);
+        let mut course = DirectionTracker::default();
+        let mut at = |nm: i32| course.update(Position(nm / 10), Position(nm / 10), None);
+        assert_eq!(at(0), TravelDirection::Standing);
+        assert_eq!(at(900), TravelDirection::Standing);
+        assert_eq!(at(2_000), TravelDirection::Positive);
+        assert_eq!(at(1_010), TravelDirection::Positive, "not even a micrometre back");
+        assert_eq!(at(2_500), TravelDirection::Positive);
+        assert_eq!(at(1_490), TravelDirection::Negative, "just over a micrometre");
+        assert_eq!(at(1_490), TravelDirection::Negative, "it stands");
+        assert_eq!(at(10_000), TravelDirection::Positive);
     }
 
     #[test]
@@ -336,33 +352,33 @@ mod tests {
                 _ => None,
             })
         };
-        assert_eq!(z(0, 0.0), Some((700_000, Heading::Standing)));
-        assert_eq!(z(10, 0.020), Some((700_000, Heading::Positive)));
-        assert_eq!(z(20, 0.018), Some((700_000, Heading::Negative)));
+        assert_eq!(z(0, 0.0), Some((700_000, TravelDirection::Standing)));
+        assert_eq!(z(10, 0.020), Some((700_000, TravelDirection::Positive)));
+        assert_eq!(z(20, 0.018), Some((700_000, TravelDirection::Negative)));
     }
 
     #[test]
     fn an_offset_that_goes_against_its_own_reversal_is_no_reversal() {
         // A CNC that over-compensates by 25 µm: as soon as the axis is sent back, its offset rises.
         let play = |against: Option<i32>| {
-            let (mut course, mut offset, mut turns) = (Course::default(), 0, 0);
-            let mut heading = Heading::Standing;
+            let (mut course, mut offset, mut turns) = (DirectionTracker::default(), 0, 0);
+            let mut heading = TravelDirection::Standing;
             for step in 0..400 {
                 // Up by 1 mm, then back by a tenth, then it stands.
                 let command = if step < 100 { step * 1_000 } else { (199 - step).max(90) * 1_000 };
                 let driven = Position(command + offset);
-                let now = course.take(Position(command), driven, against);
+                let now = course.update(Position(command), driven, against);
                 turns += i32::from(now != heading);
                 heading = now;
                 // The bridge's answer, 0.5 µm a step.
-                let target = if heading == Heading::Negative { 2_500 } else { 0 };
+                let target = if heading == TravelDirection::Negative { 2_500 } else { 0 };
                 offset += (target - offset).clamp(-50, 50);
             }
             turns
         };
         assert_eq!(play(Some(2_600)), 2, "up, and back");
         assert_eq!(play(None), 2);
-        assert!(play(Some(REVERSAL)) > 4, "they chase each other");
+        assert!(play(Some(REVERSAL_THRESHOLD)) > 4, "they chase each other");
     }
 
     #[test]
@@ -394,16 +410,16 @@ mod tests {
                 _ => None,
             })
         };
-        assert_eq!(learned(&mut sender, 0), Some(Change::default()));
-        sender.learn(Some(([10, 20, 30, 40, -50], 0x1234_ABCD)));
+        assert_eq!(learned(&mut sender, 0), Some(ChangeRequest::default()));
+        sender.set_learned_values(Some(([10, 20, 30, 40, -50], 0x1234_ABCD)));
         assert_eq!(learned(&mut sender, 1), None, "no frame is sent for its sake");
-        let all: Vec<Change> =
+        let all: Vec<ChangeRequest> =
             (1..=5).map(|n| learned(&mut sender, 20 * n).expect("one every 20 ms")).collect();
         for (part, amount) in (1..).zip([10, 20, 30, 40, -50]) {
-            assert!(all.contains(&Change { part, amount, calibration: 0xABCD }), "{all:?}");
+            assert!(all.contains(&ChangeRequest { part, amount, calibration: 0xABCD }), "{all:?}");
         }
-        sender.learn(None);
-        assert_eq!(learned(&mut sender, 200), Some(Change::default()));
+        sender.set_learned_values(None);
+        assert_eq!(learned(&mut sender, 200), Some(ChangeRequest::default()));
     }
 
     #[test]
@@ -426,10 +442,10 @@ mod tests {
 
     #[test]
     fn angles_come_within_one_turn_and_nothing_wraps() {
-        assert_eq!(angle(370.0), MicroDegrees(10_000_000));
-        assert_eq!(angle(-190.5), MicroDegrees(169_500_000));
-        assert_eq!(position(1e30), Position(i32::MAX));
-        assert_eq!(spindle(-24_000.0, 1e9), Spindle { speed: Rpm(24_000), load_n: i16::MAX });
+        assert_eq!(to_micro_degrees(370.0), MicroDegrees(10_000_000));
+        assert_eq!(to_micro_degrees(-190.5), MicroDegrees(169_500_000));
+        assert_eq!(to_position(1e30), Position(i32::MAX));
+        assert_eq!(to_spindle(-24_000.0, 1e9), Spindle { speed: Rpm(24_000), load_n: i16::MAX });
         let mut sender = Sender::new(ms(2), true, [Some(0.0); 3]);
         let command = Command { angles_deg: [725.0, -30.0], ..Command::default() };
         let received = said(&mut sender, ms(0), &command);

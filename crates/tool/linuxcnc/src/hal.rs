@@ -9,7 +9,7 @@
 use std::{
     cell::{RefCell, UnsafeCell},
     ffi::{CStr, CString, c_char, c_int, c_long, c_void},
-    fmt, fs,
+    fs,
     marker::PhantomData,
     ptr,
 };
@@ -17,22 +17,22 @@ use std::{
 use libloading::Library;
 
 /// The library of LinuxCNC 2.8 and 2.9.
-const LIBRARY: &str = "liblinuxcnchal.so.0";
+const HAL_LIBRARY: &str = "liblinuxcnchal.so.0";
 /// `HAL_IN` and `HAL_OUT`.
-const IN: c_int = 16;
-const OUT: c_int = 32;
+const HAL_IN: c_int = 16;
+const HAL_OUT: c_int = 32;
 /// The longest name of a pin in bytes: `HAL_NAME_LEN` of LinuxCNC's `hal.h`.
-const LONGEST_NAME: usize = 47;
+const MAX_NAME_LENGTH: usize = 47;
 
-type NewPin = unsafe extern "C" fn(*const c_char, c_int, *mut *mut c_void, c_int) -> c_int;
-type PinByName =
+type NewPinFn = unsafe extern "C" fn(*const c_char, c_int, *mut *mut c_void, c_int) -> c_int;
+type PinByNameFn =
     unsafe extern "C" fn(*const c_char, *mut c_int, *mut *mut c_void, *mut bool) -> c_int;
 
 /// A type that a pin can have.
-pub trait PinType: sealed::Sealed + Copy {
+pub(crate) trait PinType: sealed::Sealed + Copy {
     /// The function that makes such a pin.
     #[doc(hidden)]
-    const MAKE: &'static [u8];
+    const NEW_PIN_SYMBOL: &'static [u8];
     /// Its number in `hal_type_t`.
     #[doc(hidden)]
     const KIND: c_int;
@@ -53,7 +53,7 @@ macro_rules! pin_type {
     ($type:ty, $raw:ty, $kind:literal, $make:literal, $from:expr, $to:expr) => {
         impl sealed::Sealed for $type {}
         impl PinType for $type {
-            const MAKE: &'static [u8] = $make;
+            const NEW_PIN_SYMBOL: &'static [u8] = $make;
             const KIND: c_int = $kind;
             type Raw = $raw;
             fn from_raw(raw: $raw) -> Self {
@@ -74,7 +74,7 @@ pin_type!(u32, u32, 4, b"hal_pin_u32_new\0", |raw| raw, |value| value);
 
 /// A pin of this component.
 #[derive(Debug)]
-pub struct Pin<'hal, T: PinType> {
+pub(crate) struct Pin<'hal, T: PinType> {
     /// The cell in the shared memory where LinuxCNC keeps where the value is.
     cell: *const *mut T::Raw,
     hal: PhantomData<&'hal Hal>,
@@ -84,7 +84,7 @@ impl<T: PinType> Pin<'_, T> {
     /// Returns what the pin, or the signal that it is connected to, says now.
     #[must_use]
     pub fn get(&self) -> T {
-        // SAFETY: `cell` was made by `Hal::pin`: it lies in the HAL's memory, or is kept by `Hal`,
+        // SAFETY: `cell` was made by `Hal::create_pin`: it lies in the HAL's memory, or is kept by `Hal`,
         // and holds a pointer into the HAL's memory, which stays attached for the lifetime of `Hal`
         // and which LinuxCNC keeps valid and aligned for the type. Others write it at any time, hence volatile; a value of
         // at most 8 aligned bytes is read in one piece on the processors that LinuxCNC runs on.
@@ -106,12 +106,12 @@ pub struct Hal {
     id: c_int,
     /// The pins are those of a component whose process was killed.
     adopts: bool,
-    adopted: RefCell<Vec<Adopted>>,
+    adopted: RefCell<Vec<AdoptedPin>>,
 }
 
 /// A pin of a component whose process was killed.
 #[derive(Debug)]
-struct Adopted {
+struct AdoptedPin {
     name: CString,
     kind: c_int,
     /// Where its value is; on the heap, because a [`Pin`] points to it.
@@ -119,7 +119,7 @@ struct Adopted {
 }
 
 /// A pin, as the HAL has it.
-struct Found {
+struct PinInfo {
     kind: c_int,
     data: *mut c_void,
     is_connected: bool,
@@ -128,9 +128,9 @@ struct Found {
 impl Hal {
     /// Registers a component.
     ///
-    /// Where one of this name is left over from a process that was killed, which `pid_pin` tells,
-    /// its pins are adopted, with all their connections: whoever restarts a component need not wire
-    /// it again, and at no moment is a pin missing.
+    /// Where one of this name is left over from a process that was killed, which `pid_pin` shows,
+    /// its pins are adopted, with all their connections: a restarted component need not be wired
+    /// again, and at no moment is a pin missing.
     ///
     /// # Errors
     /// LinuxCNC's library is not here or is another one; a component of this name is alive; a name
@@ -138,7 +138,7 @@ impl Hal {
     pub fn new(name: &str, pid_pin: &str) -> Result<Self, HalError> {
         // SAFETY: the library of LinuxCNC has no initialiser that could do harm, and stays loaded
         // as long as anything of it is used, because `Hal` owns it.
-        let library = unsafe { Library::new(LIBRARY) }
+        let library = unsafe { Library::new(HAL_LIBRARY) }
             .map_err(|error| HalError::NoLibrary(error.to_string()))?;
         let mut hal = Self { library, id: 0, adopts: false, adopted: RefCell::default() };
         if let Ok(id) = hal.init(name) {
@@ -147,7 +147,7 @@ impl Hal {
         }
         hal.id = hal.init(&format!("{name}-{}", std::process::id()))?;
         hal.adopts = true;
-        match hal.foreign::<u32>(pid_pin) {
+        match hal.read_foreign_pin::<u32>(pid_pin) {
             Some(pid) if !is_alive(pid) => Ok(hal),
             pid => Err(HalError::Taken { name: name.into(), pid }),
         }
@@ -155,15 +155,15 @@ impl Hal {
 
     /// Returns whether the pins are those of a component whose process was killed.
     #[must_use]
-    pub(crate) fn adopts(&self) -> bool {
+    pub(crate) fn has_adopted_pins(&self) -> bool {
         self.adopts
     }
 
-    /// Looks where the adopted pins are connected to now. LinuxCNC tells that to the dead process
-    /// only, so it has to be asked from time to time.
-    pub fn refresh(&self) {
+    /// Looks where the adopted pins are connected to now. LinuxCNC reports that to the dead process
+    /// only, so this has to be called from time to time.
+    pub(crate) fn refresh(&self) {
         for pin in &*self.adopted.borrow() {
-            if let Some(data) = self.find(&pin.name, pin.kind) {
+            if let Some(data) = self.find_pin_value(&pin.name, pin.kind) {
                 // SAFETY: the cell lives as long as `Hal`; no `Pin` reads it meanwhile, because
                 // neither can leave its thread.
                 unsafe { ptr::write_volatile(pin.cell.get(), data) }
@@ -175,22 +175,22 @@ impl Hal {
     ///
     /// # Errors
     /// The HAL refuses: the name is taken or too long, or its memory is full.
-    pub fn input<T: PinType>(&self, name: &str) -> Result<Pin<'_, T>, HalError> {
-        self.pin(name, IN)
+    pub(crate) fn create_input<T: PinType>(&self, name: &str) -> Result<Pin<'_, T>, HalError> {
+        self.create_pin(name, HAL_IN)
     }
 
     /// Returns a pin that this component writes.
     ///
     /// # Errors
-    /// As [`Hal::input`].
-    pub fn output<T: PinType>(&self, name: &str) -> Result<Pin<'_, T>, HalError> {
-        self.pin(name, OUT)
+    /// As [`Hal::create_input`].
+    pub(crate) fn create_output<T: PinType>(&self, name: &str) -> Result<Pin<'_, T>, HalError> {
+        self.create_pin(name, HAL_OUT)
     }
 
     /// Returns what anybody's pin says; `None` if there is none of this name and type.
     #[must_use]
-    pub fn foreign<T: PinType>(&self, name: &str) -> Option<T> {
-        let data = self.find(&text(name).ok()?, T::KIND)?;
+    pub(crate) fn read_foreign_pin<T: PinType>(&self, name: &str) -> Option<T> {
+        let data = self.find_pin_value(&to_c_string(name).ok()?, T::KIND)?;
         // SAFETY: the HAL says that a value of this type lies there, in its memory, which is
         // attached; volatile, because others write it.
         Some(T::from_raw(unsafe { ptr::read_volatile(data.cast::<T::Raw>()) }))
@@ -199,33 +199,33 @@ impl Hal {
     /// Returns whether anybody's pin is connected to a signal; `None` if there is none of this name.
     #[must_use]
     pub(crate) fn is_connected(&self, name: &str) -> Option<bool> {
-        self.look_up(&text(name).ok()?).map(|found| found.is_connected)
+        self.look_up(&to_c_string(name).ok()?).map(|found| found.is_connected)
     }
 
     /// Says that all pins are there: `loadusr -W` waits for it.
     ///
     /// # Errors
     /// The HAL refuses.
-    pub fn ready(&self) -> Result<(), HalError> {
-        type Ready = unsafe extern "C" fn(c_int) -> c_int;
-        let ready = self.function::<Ready>("hal_ready", b"hal_ready\0")?;
+    pub(crate) fn set_ready(&self) -> Result<(), HalError> {
+        type ReadyFn = unsafe extern "C" fn(c_int) -> c_int;
+        let ready = self.load_function::<ReadyFn>("hal_ready", b"hal_ready\0")?;
         // SAFETY: the signature is that of `hal.h`, and the number is that of this component.
-        check("hal_ready", unsafe { ready(self.id) }).map(drop)
+        check_return_code("hal_ready", unsafe { ready(self.id) }).map(drop)
     }
 
-    fn pin<T: PinType>(&self, name: &str, direction: c_int) -> Result<Pin<'_, T>, HalError> {
-        type Malloc = unsafe extern "C" fn(c_long) -> *mut c_void;
-        let text = text(name)?;
+    fn create_pin<T: PinType>(&self, name: &str, direction: c_int) -> Result<Pin<'_, T>, HalError> {
+        type MallocFn = unsafe extern "C" fn(c_long) -> *mut c_void;
+        let text = to_c_string(name)?;
         if self.adopts
-            && let Some(data) = self.find(&text, T::KIND)
+            && let Some(data) = self.find_pin_value(&text, T::KIND)
         {
             let cell = Box::new(UnsafeCell::new(data));
             let place = cell.get();
-            self.adopted.borrow_mut().push(Adopted { name: text, kind: T::KIND, cell });
+            self.adopted.borrow_mut().push(AdoptedPin { name: text, kind: T::KIND, cell });
             return Ok(Pin { cell: place.cast_const().cast(), hal: PhantomData });
         }
-        let malloc = self.function::<Malloc>("hal_malloc", b"hal_malloc\0")?;
-        let make = self.function::<NewPin>("hal_pin_…_new", T::MAKE)?;
+        let malloc = self.load_function::<MallocFn>("hal_malloc", b"hal_malloc\0")?;
+        let make = self.load_function::<NewPinFn>("hal_pin_…_new", T::NEW_PIN_SYMBOL)?;
         // SAFETY: the signature is that of `hal.h`; the size is that of a pointer.
         let cell = unsafe { malloc(size_of::<*mut c_void>() as c_long) }.cast::<*mut c_void>();
         if cell.is_null() {
@@ -234,38 +234,41 @@ impl Hal {
         // SAFETY: the signature is that of `hal.h`; the name ends with a zero byte and is copied;
         // the cell is from `hal_malloc`, as it must be, and large enough.
         let code = unsafe { make(text.as_ptr(), direction, cell, self.id) };
-        check("hal_pin_new", code)?;
+        check_return_code("hal_pin_new", code)?;
         Ok(Pin { cell: cell.cast_const().cast(), hal: PhantomData })
     }
 
     fn init(&self, name: &str) -> Result<c_int, HalError> {
-        type Init = unsafe extern "C" fn(*const c_char) -> c_int;
-        let init = self.function::<Init>("hal_init", b"hal_init\0")?;
-        let text = text(name)?;
+        type InitFn = unsafe extern "C" fn(*const c_char) -> c_int;
+        let init = self.load_function::<InitFn>("hal_init", b"hal_init\0")?;
+        let text = to_c_string(name)?;
         // SAFETY: the signature is that of `hal.h`; the name ends with a zero byte and is copied.
-        check("hal_init", unsafe { init(text.as_ptr()) })
+        check_return_code("hal_init", unsafe { init(text.as_ptr()) })
     }
 
     fn exit(&self, id: c_int) -> Result<(), HalError> {
-        type Exit = unsafe extern "C" fn(c_int) -> c_int;
-        let exit = self.function::<Exit>("hal_exit", b"hal_exit\0")?;
+        type ExitFn = unsafe extern "C" fn(c_int) -> c_int;
+        let exit = self.load_function::<ExitFn>("hal_exit", b"hal_exit\0")?;
         // SAFETY: the signature is that of `hal.h`. No pin of the component is used afterwards:
         // pins borrow from `Hal`.
-        check("hal_exit", unsafe { exit(id) }).map(drop)
+        check_return_code("hal_exit", unsafe { exit(id) }).map(drop)
     }
 
     /// Where the value of anybody's pin of this kind is.
-    fn find(&self, pin: &CStr, kind: c_int) -> Option<*mut c_void> {
+    fn find_pin_value(&self, pin: &CStr, kind: c_int) -> Option<*mut c_void> {
         self.look_up(pin)
             .filter(|found| found.kind == kind && !found.data.is_null())
             .map(|found| found.data)
     }
 
-    fn look_up(&self, pin: &CStr) -> Option<Found> {
+    fn look_up(&self, pin: &CStr) -> Option<PinInfo> {
         let by_name = self
-            .function::<PinByName>("hal_get_pin_value_by_name", b"hal_get_pin_value_by_name\0")
+            .load_function::<PinByNameFn>(
+                "hal_get_pin_value_by_name",
+                b"hal_get_pin_value_by_name\0",
+            )
             .ok()?;
-        let mut found = Found { kind: 0, data: ptr::null_mut(), is_connected: false };
+        let mut found = PinInfo { kind: 0, data: ptr::null_mut(), is_connected: false };
         // SAFETY: the signature is that of `hal.h`; the three places are valid for writing.
         let code = unsafe {
             by_name(pin.as_ptr(), &mut found.kind, &mut found.data, &mut found.is_connected)
@@ -274,7 +277,7 @@ impl Hal {
     }
 
     /// Returns a function of the library; `F` is its type in `hal.h`.
-    fn function<F: Copy>(&self, name: &'static str, symbol: &[u8]) -> Result<F, HalError> {
+    fn load_function<F: Copy>(&self, name: &'static str, symbol: &[u8]) -> Result<F, HalError> {
         // SAFETY: every caller states the type that `hal.h` declares for the symbol, and calls it
         // while `self.library` is loaded.
         let found = unsafe { self.library.get::<F>(symbol) };
@@ -285,21 +288,21 @@ impl Hal {
 impl Drop for Hal {
     fn drop(&mut self) {
         if self.id > 0 {
-            // At the end of the process there is nobody to tell.
+            // At the end of the process an error cannot be reported.
             self.exit(self.id).ok();
         }
     }
 }
 
-fn text(name: &str) -> Result<CString, HalError> {
+fn to_c_string(name: &str) -> Result<CString, HalError> {
     let bad = || HalError::Name(name.into());
-    if name.len() > LONGEST_NAME {
+    if name.len() > MAX_NAME_LENGTH {
         return Err(bad());
     }
     CString::new(name).map_err(|_| bad())
 }
 
-fn check(what: &'static str, code: c_int) -> Result<c_int, HalError> {
+fn check_return_code(what: &'static str, code: c_int) -> Result<c_int, HalError> {
     if code < 0 { Err(HalError::Call { what, code }) } else { Ok(code) }
 }
 
@@ -313,13 +316,16 @@ pub fn is_alive(pid: u32) -> bool {
 }
 
 /// Why the HAL cannot be used.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum HalError {
     /// LinuxCNC's library cannot be opened.
+    #[error("{HAL_LIBRARY} cannot be opened; is LinuxCNC 2.8 or 2.9 installed? {0}")]
     NoLibrary(String),
     /// It lacks a function: another version of LinuxCNC.
+    #[error("{HAL_LIBRARY} has no {0}: it is not that of LinuxCNC 2.8 or 2.9")]
     NoFunction(&'static str),
     /// A call is refused, with the code that it gave.
+    #[error("the HAL refuses {what} (code {code})")]
     Call {
         /// The HAL's function that refused.
         what: &'static str,
@@ -327,6 +333,7 @@ pub enum HalError {
         code: c_int,
     },
     /// A component of this name is alive.
+    #[error("{}", name_in_use_message(.name, *.pid))]
     Taken {
         /// The component's name.
         name: String,
@@ -334,30 +341,13 @@ pub enum HalError {
         pid: Option<u32>,
     },
     /// The HAL takes no such name.
+    #[error("\"{0}\" is not a name for the HAL: at most {MAX_NAME_LENGTH} characters")]
     Name(String),
 }
 
-impl fmt::Display for HalError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::NoLibrary(why) => {
-                write!(f, "{LIBRARY} cannot be opened; is LinuxCNC 2.8 or 2.9 installed? {why}")
-            }
-            Self::NoFunction(name) => {
-                write!(f, "{LIBRARY} has no {name}: it is not that of LinuxCNC 2.8 or 2.9")
-            }
-            Self::Call { what, code } => write!(f, "the HAL refuses {what} (code {code})"),
-            Self::Taken { name, pid: Some(pid) } => {
-                write!(f, "a HAL component called {name} is running already, as process {pid}")
-            }
-            Self::Taken { name, pid: None } => {
-                write!(f, "there is another HAL component called {name}")
-            }
-            Self::Name(name) => {
-                write!(f, "\"{name}\" is not a name for the HAL: at most {LONGEST_NAME} characters")
-            }
-        }
+fn name_in_use_message(name: &str, pid: Option<u32>) -> String {
+    match pid {
+        Some(pid) => format!("a HAL component called {name} is running already, as process {pid}"),
+        None => format!("there is another HAL component called {name}"),
     }
 }
-
-impl std::error::Error for HalError {}

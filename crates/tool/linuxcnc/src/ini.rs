@@ -5,21 +5,21 @@
 //! `OFFSET_AV_RATIO` of `[AXIS_X]`, `[AXIS_Y]`, `[AXIS_Z]`, and `[TRAJ]COORDINATES`: a lathe has no Y. As LinuxCNC does it, the first section of a name
 //! alone counts, the first line with a name wins, `#` and `;` begin a comment, and what is not there has LinuxCNC's own default.
 
-use crate::{NANOMETRES_PER_MICROMETRE, NANOMETRES_PER_MILLIMETRE, follower::Pace};
+use crate::{NANOMETRES_PER_MICROMETRE, NANOMETRES_PER_MILLIMETRE, follower::RateLimits};
 
 /// LinuxCNC's default of `[EMCMOT]SERVO_PERIOD`, in ns.
-const SERVO_PERIOD_NS: f64 = 1e6;
+const DEFAULT_SERVO_PERIOD_NS: f64 = 1e6;
 /// A servo cycle of a second is none.
-const LONGEST_PERIOD_NS: f64 = 1e9;
+const MAX_PERIOD_NS: f64 = 1e9;
 /// Millimetres in an inch.
 const MM_PER_INCH: f64 = 25.4;
 const MICROMETRES_PER_MILLIMETRE: f64 = 1e3;
 /// `OFFSET_AV_RATIO` may give this much more speed than the slew limit without a remark.
-const GENEROUS: f64 = 1.5;
+const MAX_SLEW_RATIO: f64 = 1.5;
 
 /// How an axis moves, in mm and seconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct AxisMotion {
+pub struct AxisMotionLimits {
     /// `MAX_VELOCITY`, if stated.
     pub velocity_mm_per_s: Option<f64>,
     /// `MAX_ACCELERATION`, if stated.
@@ -28,9 +28,9 @@ pub struct AxisMotion {
     pub ratio: f64,
 }
 
-impl AxisMotion {
+impl AxisMotionLimits {
     /// Returns how fast LinuxCNC itself lets an offset of this axis change, µm/s; to a billionth, which is arithmetic.
-    fn most_um_per_s(&self) -> Option<f64> {
+    fn max_offset_rate_um_per_s(&self) -> Option<f64> {
         let most = self.velocity_mm_per_s? * self.ratio * MICROMETRES_PER_MILLIMETRE;
         Some((most * 1e9).round() / 1e9)
     }
@@ -44,7 +44,7 @@ pub struct Ini {
     /// Millimetres in a machine unit: 1 or 25.4.
     pub mm_per_unit: f64,
     /// X, Y and Z.
-    pub axes: [AxisMotion; 3],
+    pub axes: [AxisMotionLimits; 3],
     /// Which of them the machine has.
     pub has: [bool; 3],
 }
@@ -52,8 +52,8 @@ pub struct Ini {
 /// What LinuxCNC takes where a file states nothing.
 impl Default for Ini {
     fn default() -> Self {
-        let axes = [AxisMotion::default(); 3];
-        Self { cycle_s: SERVO_PERIOD_NS * 1e-9, mm_per_unit: 1.0, axes, has: [true; 3] }
+        let axes = [AxisMotionLimits::default(); 3];
+        Self { cycle_s: DEFAULT_SERVO_PERIOD_NS * 1e-9, mm_per_unit: 1.0, axes, has: [true; 3] }
     }
 }
 
@@ -63,13 +63,13 @@ impl Ini {
     /// # Errors
     /// A value of those that count is not a number, a servo cycle that cannot be, or a unit that LinuxCNC
     /// does not know; with its place.
-    pub fn parse(text: &str) -> Result<Self, BadIni> {
-        let found = |section: &str, key: &str| find(text, section, key);
-        let number = |section: &str, key: &str| -> Result<Option<f64>, BadIni> {
+    pub fn parse(text: &str) -> Result<Self, IniError> {
+        let found = |section: &str, key: &str| find_value(text, section, key);
+        let number = |section: &str, key: &str| -> Result<Option<f64>, IniError> {
             let Some((place, value)) = found(section, key) else { return Ok(None) };
             let number = value.parse::<f64>().ok().filter(|number| number.is_finite());
             let rule = || format!("[{section}]{key} = {value} is not a number");
-            number.map(Some).ok_or_else(|| BadIni { place, rule: rule() })
+            number.map(Some).ok_or_else(|| IniError { place, rule: rule() })
         };
         let mm_per_unit = match found("TRAJ", "LINEAR_UNITS") {
             None => 1.0,
@@ -78,21 +78,21 @@ impl Ini {
                 "in" | "inch" | "imperial" => MM_PER_INCH,
                 _ => {
                     let rule = format!("[TRAJ]LINEAR_UNITS = {value} is neither mm nor inch");
-                    return Err(BadIni { place, rule });
+                    return Err(IniError { place, rule });
                 }
             },
         };
-        let period_ns = number("EMCMOT", "SERVO_PERIOD")?.unwrap_or(SERVO_PERIOD_NS);
+        let period_ns = number("EMCMOT", "SERVO_PERIOD")?.unwrap_or(DEFAULT_SERVO_PERIOD_NS);
         if let Some((place, value)) = found("EMCMOT", "SERVO_PERIOD")
-            && !(period_ns > 0.0 && period_ns <= LONGEST_PERIOD_NS)
+            && !(period_ns > 0.0 && period_ns <= MAX_PERIOD_NS)
         {
             let rule = format!("[EMCMOT]SERVO_PERIOD = {value} is not above 0 and at most 1e9 ns");
-            return Err(BadIni { place, rule });
+            return Err(IniError { place, rule });
         }
-        let mut axes = [AxisMotion::default(); 3];
+        let mut axes = [AxisMotionLimits::default(); 3];
         for (axis, section) in axes.iter_mut().zip(["AXIS_X", "AXIS_Y", "AXIS_Z"]) {
             let length = |key| Ok(number(section, key)?.map(|number| number * mm_per_unit));
-            *axis = AxisMotion {
+            *axis = AxisMotionLimits {
                 velocity_mm_per_s: length("MAX_VELOCITY")?,
                 acceleration_mm_per_s2: length("MAX_ACCELERATION")?,
                 ratio: number(section, "OFFSET_AV_RATIO")?.unwrap_or(0.0),
@@ -105,8 +105,8 @@ impl Ini {
 
     /// Returns how fast the offsets of X, Y and Z may change with this slew limit.
     #[must_use]
-    pub fn paces(&self, slew_um_per_s: f64) -> [Pace; 3] {
-        self.axes.map(|axis| Pace {
+    pub fn offset_rate_limits(&self, slew_um_per_s: f64) -> [RateLimits; 3] {
+        self.axes.map(|axis| RateLimits {
             slew_nm_per_s: slew_um_per_s * NANOMETRES_PER_MICROMETRE,
             cycle_s: self.cycle_s,
             acceleration_nm_per_s2: axis
@@ -114,14 +114,16 @@ impl Ini {
                 .map(|acceleration| acceleration * axis.ratio * NANOMETRES_PER_MILLIMETRE)
                 .filter(|&acceleration| acceleration > 0.0)
                 .unwrap_or(f64::INFINITY),
-            planner_keeps_slew: axis.most_um_per_s().is_some_and(|most| most <= slew_um_per_s),
+            planner_keeps_slew: axis
+                .max_offset_rate_um_per_s()
+                .is_some_and(|most| most <= slew_um_per_s),
         })
     }
 
-    /// Returns what in the file does not go with this slew limit, a sentence each: an axis whose
+    /// Returns what in the file is not compatible with this slew limit, a sentence each: an axis whose
     /// `OFFSET_AV_RATIO` is missing, too small, or so large that LinuxCNC itself would not keep it.
     #[must_use]
-    pub fn remarks(&self, slew_um_per_s: f64) -> Vec<String> {
+    pub fn slew_limit_warnings(&self, slew_um_per_s: f64) -> Vec<String> {
         let mut remarks = Vec::new();
         for ((axis, name), has) in self.axes.iter().zip(["X", "Y", "Z"]).zip(self.has) {
             if !has {
@@ -133,20 +135,20 @@ impl Ini {
                 ));
                 continue;
             }
-            let (Some(velocity), Some(most_um_per_s)) =
-                (axis.velocity_mm_per_s, axis.most_um_per_s())
+            let (Some(velocity), Some(max_offset_rate_um_per_s)) =
+                (axis.velocity_mm_per_s, axis.max_offset_rate_um_per_s())
             else {
                 continue;
             };
             let proper = slew_um_per_s / MICROMETRES_PER_MILLIMETRE / velocity;
-            if most_um_per_s < slew_um_per_s {
+            if max_offset_rate_um_per_s < slew_um_per_s {
                 remarks.push(format!(
-                    "[AXIS_{name}]OFFSET_AV_RATIO lets offsets change by {most_um_per_s:.1} um/s \
+                    "[AXIS_{name}]OFFSET_AV_RATIO lets offsets change by {max_offset_rate_um_per_s:.1} um/s \
                      only, the slew limit is {slew_um_per_s} um/s; {proper:.6} would do"
                 ));
-            } else if most_um_per_s > GENEROUS * slew_um_per_s {
+            } else if max_offset_rate_um_per_s > MAX_SLEW_RATIO * slew_um_per_s {
                 remarks.push(format!(
-                    "[AXIS_{name}]OFFSET_AV_RATIO lets offsets change by {most_um_per_s:.1} um/s; \
+                    "[AXIS_{name}]OFFSET_AV_RATIO lets offsets change by {max_offset_rate_um_per_s:.1} um/s; \
                      with {proper:.6} LinuxCNC itself would keep the slew limit of \
                      {slew_um_per_s} um/s"
                 ));
@@ -157,7 +159,7 @@ impl Ini {
 }
 
 /// Returns the first value with this key in this section, and its line and column.
-fn find<'a>(text: &'a str, section: &str, key: &str) -> Option<((usize, usize), &'a str)> {
+fn find_value<'a>(text: &'a str, section: &str, key: &str) -> Option<((usize, usize), &'a str)> {
     let (mut here, mut is_over) = ("", false);
     for (index, whole) in text.lines().enumerate() {
         let line = whole.trim();
@@ -184,7 +186,7 @@ fn find<'a>(text: &'a str, section: &str, key: &str) -> Option<((usize, usize), 
 /// A value that cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}:{}: {rule}", .place.0, .place.1)]
-pub struct BadIni {
+pub struct IniError {
     /// Its line and column, from 1.
     pub place: (usize, usize),
     /// The fault.
@@ -206,7 +208,7 @@ mod tests {
         assert_eq!(ini.axes[0].velocity_mm_per_s, Some(50.8));
         assert_eq!(ini.axes[0].acceleration_mm_per_s2, Some(508.0));
         assert_eq!(ini.axes[0].ratio, 0.2);
-        assert_eq!(ini.axes[1], AxisMotion::default());
+        assert_eq!(ini.axes[1], AxisMotionLimits::default());
     }
 
     /// Returns an .ini with this in `[AXIS_X]`, and a second and a third axis that are as they should be.
@@ -236,7 +238,7 @@ mod tests {
                 "[AXIS_X]OFFSET_AV_RATIO is 0 or missing: LinuxCNC will not move this axis",
             ),
         ] {
-            assert_eq!(with_x(x).remarks(20.0), [remark]);
+            assert_eq!(with_x(x).slew_limit_warnings(20.0), [remark]);
         }
     }
 
@@ -245,7 +247,7 @@ mod tests {
         let fits = "MAX_VELOCITY = 100\nOFFSET_AV_RATIO = 0.0002\n";
         let of = |letters: &str| {
             let text = format!("[TRAJ]\nCOORDINATES = {letters}\n[AXIS_X]\n{fits}[AXIS_Z]\n{fits}");
-            Ini::parse(&text).expect("reads").remarks(20.0)
+            Ini::parse(&text).expect("reads").slew_limit_warnings(20.0)
         };
         assert!(of("XZ").is_empty() && of("x z").is_empty());
         assert_eq!(of("XYZ").len(), 1);
@@ -255,27 +257,27 @@ mod tests {
     fn a_ratio_that_fits_and_a_speed_that_is_not_stated_are_passed_over() {
         // 100 mm/s · 0.00029 = 29 µm/s: less than half as much again.
         for x in ["MAX_VELOCITY = 100\nOFFSET_AV_RATIO = 0.00029", "OFFSET_AV_RATIO = 0.0001"] {
-            assert_eq!(with_x(x).remarks(20.0), [""; 0]);
+            assert_eq!(with_x(x).slew_limit_warnings(20.0), [""; 0]);
         }
     }
 
     #[test]
     fn a_pace_has_the_planners_share_of_the_acceleration_where_there_is_one() {
         let x = "MAX_ACCELERATION = 500\nOFFSET_AV_RATIO = 0.25";
-        let [x, y, _] = with_x(x).paces(20.0);
+        let [x, y, _] = with_x(x).offset_rate_limits(20.0);
         // 500 mm/s² · 0.25 = 125 mm/s².
-        let slew = Pace {
+        let slew = RateLimits {
             slew_nm_per_s: 2e4,
             cycle_s: 1e-3,
             acceleration_nm_per_s2: 1.25e8,
             planner_keeps_slew: false,
         };
         assert_eq!(x, slew);
-        let unknown = Pace { acceleration_nm_per_s2: f64::INFINITY, ..slew };
+        let unknown = RateLimits { acceleration_nm_per_s2: f64::INFINITY, ..slew };
         // Y's share of its speed is the slew limit.
-        assert_eq!(y, Pace { planner_keeps_slew: true, ..unknown });
+        assert_eq!(y, RateLimits { planner_keeps_slew: true, ..unknown });
         // An acceleration without a share moves nothing, and must not divide by 0.
-        assert_eq!(with_x("MAX_ACCELERATION = 500").paces(20.0)[0], unknown);
+        assert_eq!(with_x("MAX_ACCELERATION = 500").offset_rate_limits(20.0)[0], unknown);
     }
 
     #[test]
@@ -284,7 +286,11 @@ mod tests {
             [("0.0025", true), ("0.0024", true), ("0.002501", false), ("0.1", false)]
         {
             let x = format!("MAX_VELOCITY = 200\nOFFSET_AV_RATIO = {ratio}");
-            assert_eq!(with_x(&x).paces(500.0)[0].planner_keeps_slew, keeps, "{ratio}");
+            assert_eq!(
+                with_x(&x).offset_rate_limits(500.0)[0].planner_keeps_slew,
+                keeps,
+                "{ratio}"
+            );
         }
     }
 

@@ -9,7 +9,7 @@
 //!
 //! The decisions ([`offsets`], [`follower`], [`sender`], put together in [`component`]) are `trueup-linuxcnc-core`: it takes time
 //! and inputs as arguments and knows no HAL, so that a test can drive it through years. [`hal`] is
-//! the only file with `unsafe`, [`pins`] names every pin, [`trueup_client::line`] keeps the
+//! the only file with `unsafe`, [`pins`] names every pin, [`trueup_client::connection`] keeps the
 //! connection to the bridge alive, [`status`] puts the pins into words, [`record`] writes down what `trueup learn` needs of the past,
 //! [`run()`] is the loop.
 //!
@@ -24,7 +24,7 @@
 //! | `eoffset-enable` = 0 stops the offset where it is, and `eoffset-request` no longer says where | `enable-out` is true as long as the component lives; offsets are taken back by a ramp |
 //! | joint mode, and an axis at its soft limit, do not move the offset; afterwards it hurries after the request | the request never runs ahead of `eoffset` by more than the planner needs |
 //! | the planner moves with `OFFSET_AV_RATIO` of the axis' speed and acceleration, by default 0 | read from the .ini, and warned of in words |
-//! | `axis.L.pos-cmd` is without the external offset | sent to the bridge as it is |
+//! | `axis.L.pos-cmd` is without the external offset | sent to the bridge unchanged |
 
 pub mod configuration;
 pub mod hal;

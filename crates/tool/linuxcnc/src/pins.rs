@@ -8,12 +8,12 @@
 //! | `machine-on`, `homed` | bit in | `motion.motion-enabled`, `motion.is-all-homed` |
 //! | `zero` | bit in | a rising edge takes the present error as the reference |
 //! | `service` | bit in | the operator allows that `bridge load` and CANopen masters write, while nothing is engaged |
-//! | `confirm` | bit in | a rising edge answers the question that the bridge asks |
-//! | `L-cmd` | float in | `axis.L.pos-cmd`, L = x, y, z; nan, or not connected: the bridge is not told |
+//! | `confirm` | bit in | a rising edge confirms what the bridge requires |
+//! | `L-cmd` | float in | `axis.L.pos-cmd`, L = x, y, z; nan, or not connected: nothing is sent to the bridge |
 //! | `L-request`, `L-eoffset` | float in | `axis.L.eoffset-request`, `axis.L.eoffset` |
 //! | `angle-1`, `angle-2` | float in | commanded angles of the head axes, degrees |
 //! | `spindle-rpm`, `load-n` | float in | speed in r/min, axial cutting force in N |
-//! | `tool` | s32 in | `iocontrol.0.tool-number`, 0: none; below 0, as long as it is not connected: the bridge is not told, of conditions neither |
+//! | `tool` | s32 in | `iocontrol.0.tool-number`, 0: none; below 0, as long as it is not connected: neither tool nor conditions are sent |
 //! | `condition-NN` | bit in | the condition with `bit = NN` in the machine file, 00 to 15 |
 //! | `L-counts` | s32 out | to `axis.L.eoffset-counts` |
 //! | `scale` | float out | to `axis.L.eoffset-scale`: machine units a count |
@@ -35,29 +35,29 @@
 
 use std::cell::Cell;
 
-use trueup_core::{cnc::Conditions, dimensions::CONDITIONS};
+use trueup_core::{cnc::Conditions, dimensions::CONDITION_COUNT};
 
 use crate::{
     component::{Inputs, Outputs},
-    configuration::wiring::{LIMITER, kept_at},
-    follower::Reading,
+    configuration::wiring::{LIMITER_INSTANCE, reference_hold_pin},
+    follower::AxisReading,
     hal::{Hal, HalError, Pin},
     joint::{JointGoal, JointReading, JointSettings, MAX_JOINTS},
 };
 
-/// At the pin `tool`: nobody says which it is.
-const NO_TOOL_SAID: i32 = -1;
+/// At the pin `tool`: it is not known which it is.
+const UNKNOWN_TOOL: i32 = -1;
 /// A count is a nanometre.
 const MM_PER_COUNT: f64 = 1e-6;
-const AXES: [&str; 3] = ["x", "y", "z"];
+const AXIS_NAMES: [&str; 3] = ["x", "y", "z"];
 /// No offset is as large, in machine units.
-const MAX_LIMIT: f64 = 1e6;
+const MAX_OFFSET_LIMIT: f64 = 1e6;
 /// Without the wire of one of these, of an axis' four and of a joint's ten, an offset no longer does what it says.
-const WIRES: [&str; 5] = ["machine-on", "homed", "scale", "enable-out", "heartbeat"];
-const AXIS_WIRES: [&str; 4] = ["cmd", "request", "eoffset", "counts"];
-const TO_JOINT: [&str; 6] = ["offset", "min", "max", "vel", "accel", "kept"];
+const REQUIRED_PINS: [&str; 5] = ["machine-on", "homed", "scale", "enable-out", "heartbeat"];
+const REQUIRED_AXIS_PINS: [&str; 4] = ["cmd", "request", "eoffset", "counts"];
+const JOINT_OUTPUT_PINS: [&str; 6] = ["offset", "min", "max", "vel", "accel", "kept"];
 /// The state of a joint is not known before all of these are connected.
-const OF_JOINT: [&str; 4] = ["now", "cmd", "reference", "homing"];
+const JOINT_INPUT_PINS: [&str; 4] = ["now", "cmd", "reference", "homing"];
 
 /// The pins of an axis.
 struct AxisPins<'hal> {
@@ -79,18 +79,18 @@ struct JointPins<'hal> {
     command: Pin<'hal, f64>,
     reference: Pin<'hal, f64>,
     homing: Pin<'hal, bool>,
-    wires: Vec<Wire>,
+    wires: Vec<RequiredPin>,
     /// Values that an earlier component has left.
     left: Option<JointGoal>,
 }
 
 /// A pin that nothing works without, once it is connected.
-struct Wire {
+struct RequiredPin {
     name: String,
     was_connected: Cell<bool>,
 }
 
-impl Wire {
+impl RequiredPin {
     fn new(name: String) -> Self {
         Self { name, was_connected: Cell::new(false) }
     }
@@ -128,12 +128,12 @@ pub(crate) struct Pins<'hal> {
     elongation_um: Pin<'hal, f64>,
     heartbeat: Pin<'hal, bool>,
     hal: &'hal Hal,
-    wires: Vec<Wire>,
+    wires: Vec<RequiredPin>,
 }
 
-/// Returns the pin that tells which process the component called `name` is.
+/// Returns the pin that holds the process number of the component called `name`.
 #[must_use]
-pub(crate) fn pid_pin(name: &str) -> String {
+pub(crate) fn pid_pin_name(name: &str) -> String {
     format!("{name}.0.pid")
 }
 
@@ -153,71 +153,73 @@ impl<'hal> Pins<'hal> {
         let axis = |letter: &str| -> Result<AxisPins<'hal>, HalError> {
             // When a pin that is written is connected, the HAL gives its value to the signal: any
             // other than the present one would be a change, and move the axis.
-            let counts = hal.output(&full(&format!("{letter}-counts")))?;
-            counts.set(hal.foreign(&format!("axis.{letter}.eoffset-counts")).unwrap_or(0));
+            let counts = hal.create_output(&full(&format!("{letter}-counts")))?;
+            counts.set(hal.read_foreign_pin(&format!("axis.{letter}.eoffset-counts")).unwrap_or(0));
             // Until it is connected it says that it is not: 0 would be a position.
-            let command = hal.input(&full(&format!("{letter}-cmd")))?;
-            if !hal.adopts() {
+            let command = hal.create_input(&full(&format!("{letter}-cmd")))?;
+            if !hal.has_adopted_pins() {
                 command.set(f64::NAN);
             }
             Ok(AxisPins {
                 command,
-                request: hal.input(&full(&format!("{letter}-request")))?,
-                eoffset: hal.input(&full(&format!("{letter}-eoffset")))?,
+                request: hal.create_input(&full(&format!("{letter}-request")))?,
+                eoffset: hal.create_input(&full(&format!("{letter}-eoffset")))?,
                 counts,
-                offset_um: hal.output(&full(&format!("{letter}-offset-um")))?,
-                applied_um: hal.output(&full(&format!("{letter}-applied-um")))?,
+                offset_um: hal.create_output(&full(&format!("{letter}-offset-um")))?,
+                applied_um: hal.create_output(&full(&format!("{letter}-applied-um")))?,
             })
         };
-        hal.output::<f64>(&full("scale"))?.set(MM_PER_COUNT / mm_per_unit);
-        hal.output::<bool>(&full("enable-out"))?.set(true);
-        hal.output::<u32>(&pid_pin(name))?.set(std::process::id());
-        let tool = hal.input(&full("tool"))?;
+        hal.create_output::<f64>(&full("scale"))?.set(MM_PER_COUNT / mm_per_unit);
+        hal.create_output::<bool>(&full("enable-out"))?.set(true);
+        hal.create_output::<u32>(&pid_pin_name(name))?.set(std::process::id());
+        let tool = hal.create_input(&full("tool"))?;
         // Until it is connected it says that it is not: 0 would be no tool.
-        if !hal.adopts() {
-            tool.set(NO_TOOL_SAID);
+        if !hal.has_adopted_pins() {
+            tool.set(UNKNOWN_TOOL);
         }
-        let condition = |bit: u8| hal.input(&full(&format!("condition-{bit:02}")));
-        let [x, y, z] = AXES.map(axis);
-        let temperature = |number: u8| hal.output(&full(&format!("temp-{number:02}")));
-        let of_axes = AXES.iter().flat_map(|axis| AXIS_WIRES.map(|pin| format!("{axis}-{pin}")));
+        let condition = |bit: u8| hal.create_input(&full(&format!("condition-{bit:02}")));
+        let [x, y, z] = AXIS_NAMES.map(axis);
+        let temperature = |number: u8| hal.create_output(&full(&format!("temp-{number:02}")));
+        let of_axes = AXIS_NAMES
+            .iter()
+            .flat_map(|axis| REQUIRED_AXIS_PINS.map(|pin| format!("{axis}-{pin}")));
         let of_joints = joints
             .iter()
             .flatten()
-            .flat_map(|joint| TO_JOINT.map(|pin| format!("joint-{}-{pin}", joint.number)));
-        let wires = WIRES.map(String::from).into_iter().chain(of_axes).chain(of_joints);
+            .flat_map(|joint| JOINT_OUTPUT_PINS.map(|pin| format!("joint-{}-{pin}", joint.number)));
+        let wires = REQUIRED_PINS.map(String::from).into_iter().chain(of_axes).chain(of_joints);
         Ok(Self {
             hal,
-            wires: wires.map(|pin| Wire::new(full(&pin))).collect(),
+            wires: wires.map(|pin| RequiredPin::new(full(&pin))).collect(),
             mm_per_unit,
-            enable: hal.input(&full("enable"))?,
-            machine_on: hal.input(&full("machine-on"))?,
-            homed: hal.input(&full("homed"))?,
-            zero: hal.input(&full("zero"))?,
-            service: hal.input(&full("service"))?,
-            confirm: hal.input(&full("confirm"))?,
-            angles: [hal.input(&full("angle-1"))?, hal.input(&full("angle-2"))?],
-            spindle_rpm: hal.input(&full("spindle-rpm"))?,
-            load_n: hal.input(&full("load-n"))?,
+            enable: hal.create_input(&full("enable"))?,
+            machine_on: hal.create_input(&full("machine-on"))?,
+            homed: hal.create_input(&full("homed"))?,
+            zero: hal.create_input(&full("zero"))?,
+            service: hal.create_input(&full("service"))?,
+            confirm: hal.create_input(&full("confirm"))?,
+            angles: [hal.create_input(&full("angle-1"))?, hal.create_input(&full("angle-2"))?],
+            spindle_rpm: hal.create_input(&full("spindle-rpm"))?,
+            load_n: hal.create_input(&full("load-n"))?,
             tool,
-            conditions: (0..CONDITIONS).map(condition).collect::<Result<_, HalError>>()?,
+            conditions: (0..CONDITION_COUNT).map(condition).collect::<Result<_, HalError>>()?,
             axes: [x?, y?, z?],
-            joints: joint_pins(hal, name, mm_per_unit, joints)?,
-            applied: hal.output(&full("applied"))?,
-            connected: hal.output(&full("connected"))?,
-            fault: hal.output(&full("fault"))?,
-            limited: hal.output(&full("limited"))?,
-            other_calibration: hal.output(&full("other-calibration"))?,
-            quality: hal.output(&full("quality"))?,
-            flags: hal.output(&full("flags"))?,
-            age_ms: hal.output(&full("age-ms"))?,
-            crc_errors: hal.output(&full("crc-errors"))?,
-            seq_errors: hal.output(&full("seq-errors"))?,
-            malformed: hal.output(&full("malformed"))?,
-            lost: hal.output(&full("lost"))?,
+            joints: create_joint_pins(hal, name, mm_per_unit, joints)?,
+            applied: hal.create_output(&full("applied"))?,
+            connected: hal.create_output(&full("connected"))?,
+            fault: hal.create_output(&full("fault"))?,
+            limited: hal.create_output(&full("limited"))?,
+            other_calibration: hal.create_output(&full("other-calibration"))?,
+            quality: hal.create_output(&full("quality"))?,
+            flags: hal.create_output(&full("flags"))?,
+            age_ms: hal.create_output(&full("age-ms"))?,
+            crc_errors: hal.create_output(&full("crc-errors"))?,
+            seq_errors: hal.create_output(&full("seq-errors"))?,
+            malformed: hal.create_output(&full("malformed"))?,
+            lost: hal.create_output(&full("lost"))?,
             temperatures: (0..temperatures).map(temperature).collect::<Result<_, HalError>>()?,
-            elongation_um: hal.output(&full("elongation-um"))?,
-            heartbeat: hal.output(&full("heartbeat"))?,
+            elongation_um: hal.create_output(&full("elongation-um"))?,
+            heartbeat: hal.create_output(&full("heartbeat"))?,
         })
     }
 
@@ -233,15 +235,15 @@ impl<'hal> Pins<'hal> {
     /// Returns a pin that was connected and is no longer. One that never was belongs to an axis that the machine does
     /// not have.
     #[must_use]
-    pub(crate) fn cut_wire(&self) -> Option<&str> {
-        let is_cut = |wire: &&Wire| {
+    pub(crate) fn disconnected_pin(&self) -> Option<&str> {
+        let is_cut = |wire: &&RequiredPin| {
             let is_connected = self.hal.is_connected(&wire.name) == Some(true);
             wire.was_connected.set(wire.was_connected.get() || is_connected);
             wire.was_connected.get() && !is_connected
         };
         // Each is looked at, so that each is known once it has been there.
         let of_joints = self.joints.iter().flatten().flat_map(|joint| &joint.wires);
-        let cut: Vec<&Wire> = self.wires.iter().chain(of_joints).filter(is_cut).collect();
+        let cut: Vec<&RequiredPin> = self.wires.iter().chain(of_joints).filter(is_cut).collect();
         cut.first().map(|wire| wire.name.as_str())
     }
 
@@ -257,14 +259,14 @@ impl<'hal> Pins<'hal> {
             service: self.service.get(),
             confirm: self.confirm.get(),
             position_mm: self.axes.each_ref().map(|axis| axis.command.get() * self.mm_per_unit),
-            readings: self.axes.each_ref().map(|axis| Reading {
+            readings: self.axes.each_ref().map(|axis| AxisReading {
                 request_nm: nm(axis.request.get()),
                 eoffset_nm: nm(axis.eoffset.get()),
             }),
             joints: self.joints.each_ref().map(|joint| {
                 let Some(joint) = joint else { return JointReading::default() };
                 if !joint.wires.iter().all(|wire| wire.was_connected.get()) {
-                    return JointReading::not_wired();
+                    return JointReading::unconnected();
                 }
                 JointReading {
                     now_nm: nm(joint.now.get()),
@@ -328,7 +330,7 @@ impl<'hal> Pins<'hal> {
 
 /// Makes the pins of the joints. Until the first step they say what `moveoff` does already: a signal takes its value
 /// from the pin that is connected to it.
-fn joint_pins<'hal>(
+fn create_joint_pins<'hal>(
     hal: &'hal Hal,
     name: &str,
     mm_per_unit: f64,
@@ -338,18 +340,24 @@ fn joint_pins<'hal>(
     for (channel, settings) in joints.iter().enumerate() {
         let Some(settings) = *settings else { continue };
         let full = |pin: &str| format!("{name}.0.joint-{}-{pin}", settings.number);
-        let there = |pin: &str| hal.foreign::<f64>(&format!("{LIMITER}.offset-{pin}-{channel}"));
-        let [offset, min, max] =
-            [hal.output(&full("offset"))?, hal.output(&full("min"))?, hal.output(&full("max"))?];
+        let there = |pin: &str| {
+            hal.read_foreign_pin::<f64>(&format!("{LIMITER_INSTANCE}.offset-{pin}-{channel}"))
+        };
+        let [offset, min, max] = [
+            hal.create_output(&full("offset"))?,
+            hal.create_output(&full("min"))?,
+            hal.create_output(&full("max"))?,
+        ];
         // Read before it is set: the pin of a component that was killed is still on its signal.
-        let of_base = hal.foreign(&kept_at(settings.number)).unwrap_or(f64::NAN);
-        let kept = hal.output(&full("kept"))?;
+        let of_base =
+            hal.read_foreign_pin(&reference_hold_pin(settings.number)).unwrap_or(f64::NAN);
+        let kept = hal.create_output(&full("kept"))?;
         kept.set(f64::NAN);
         let nm = |units: f64| units * mm_per_unit / MM_PER_COUNT;
         // The limits of a moveoff that no component has driven yet are 10²⁰.
         let driven = there("min")
             .zip(there("max"))
-            .filter(|(min, max)| min.abs() < MAX_LIMIT && max.abs() < MAX_LIMIT);
+            .filter(|(min, max)| min.abs() < MAX_OFFSET_LIMIT && max.abs() < MAX_OFFSET_LIMIT);
         let left = driven.zip(there("in")).map(|((low, high), goal)| {
             min.set(low);
             max.set(high);
@@ -362,18 +370,18 @@ fn joint_pins<'hal>(
                 reference_nm: nm(of_base),
             }
         });
-        hal.output::<f64>(&full("vel"))?.set(settings.mm_per_s / mm_per_unit);
-        hal.output::<f64>(&full("accel"))?.set(settings.mm_per_s2 / mm_per_unit);
+        hal.create_output::<f64>(&full("vel"))?.set(settings.mm_per_s / mm_per_unit);
+        hal.create_output::<f64>(&full("accel"))?.set(settings.mm_per_s2 / mm_per_unit);
         all[channel] = Some(JointPins {
             offset,
             min,
             max,
             kept,
-            now: hal.input(&full("now"))?,
-            command: hal.input(&full("cmd"))?,
-            reference: hal.input(&full("reference"))?,
-            homing: hal.input(&full("homing"))?,
-            wires: OF_JOINT.map(|pin| Wire::new(full(pin))).into(),
+            now: hal.create_input(&full("now"))?,
+            command: hal.create_input(&full("cmd"))?,
+            reference: hal.create_input(&full("reference"))?,
+            homing: hal.create_input(&full("homing"))?,
+            wires: JOINT_INPUT_PINS.map(|pin| RequiredPin::new(full(pin))).into(),
             left,
         });
     }

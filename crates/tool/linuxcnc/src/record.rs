@@ -18,16 +18,16 @@ use trueup_client::record::temperature_columns;
 use trueup_machine::{
     Machine,
     file::{SensorModel, TOOL_COLUMN},
-    model::{required_columns, sensor_counts},
+    model::{required_columns, sensor_counts_from_elongation},
 };
 
 use crate::component::{Inputs, Outputs};
 
 /// From row to row: a spindle that changes its speed grows at once by micrometres.
-const EVERY_S: u64 = 2;
+const ROW_PERIOD_S: u64 = 2;
 /// Kept are at least twelve hours, eight times the slowest time constant of a machine tool's column; at twice as much
 /// the older half goes.
-const KEPT_ROWS: usize = 12 * 3600 / EVERY_S as usize;
+const MIN_RETAINED_ROWS: usize = 12 * 3600 / ROW_PERIOD_S as usize;
 
 /// The record.
 #[derive(Debug)]
@@ -50,7 +50,7 @@ impl Record {
     /// It cannot be read or written there.
     pub fn open(path: &Path, machine: &Machine) -> io::Result<Self> {
         let temperatures = temperature_columns(machine);
-        let sensor = machine.sensor_on_board().cloned();
+        let sensor = machine.board_sensor_model().cloned();
         let names = temperatures.iter().map(|(_, name)| name.as_str());
         let first = ["time_s", "spindle_rpm", "load_n", "x_mm", "y_mm", "z_mm"];
         let counts = sensor.as_ref().map(|_| "sensor_counts");
@@ -70,7 +70,7 @@ impl Record {
         };
         let mut lines = there.lines();
         let is_same = lines.next() == Some(&header);
-        // Whoever is killed may leave half a row.
+        // A process that is killed may leave half a row.
         let cells = header.split(',').count();
         let whole = lines.filter(|line| line.split(',').count() == cells);
         let rows: VecDeque<String> =
@@ -86,9 +86,14 @@ impl Record {
     ///
     /// # Errors
     /// It cannot be written.
-    pub fn step(&mut self, now: SystemTime, inputs: &Inputs, outputs: &Outputs) -> io::Result<()> {
+    pub(crate) fn write_row_if_due(
+        &mut self,
+        now: SystemTime,
+        inputs: &Inputs,
+        outputs: &Outputs,
+    ) -> io::Result<()> {
         let now_s = now.duration_since(UNIX_EPOCH).unwrap_or(Duration::ZERO).as_secs();
-        if self.last_s.is_some_and(|last_s| (last_s..last_s + EVERY_S).contains(&now_s)) {
+        if self.last_s.is_some_and(|last_s| (last_s..last_s + ROW_PERIOD_S).contains(&now_s)) {
             return Ok(());
         }
         // A clock that was set back: what came before is no past of what comes now.
@@ -97,10 +102,10 @@ impl Record {
             self.rows.clear();
         }
         self.last_s = Some(now_s);
-        let row = self.row(now_s, inputs, outputs);
+        let row = self.format_row(now_s, inputs, outputs);
         self.rows.push_back(row);
-        if self.rows.len() > 2 * KEPT_ROWS {
-            self.rows.drain(..KEPT_ROWS);
+        if self.rows.len() > 2 * MIN_RETAINED_ROWS {
+            self.rows.drain(..MIN_RETAINED_ROWS);
             return self.write_all();
         }
         if is_back {
@@ -111,7 +116,7 @@ impl Record {
         file.write_all(format!("{}\n", self.rows[self.rows.len() - 1]).as_bytes())
     }
 
-    fn row(&self, now_s: u64, inputs: &Inputs, outputs: &Outputs) -> String {
+    fn format_row(&self, now_s: u64, inputs: &Inputs, outputs: &Outputs) -> String {
         let cell = |value: f64, decimals: usize| {
             if value.is_finite() { format!("{value:.decimals$}") } else { String::new() }
         };
@@ -120,7 +125,7 @@ impl Record {
         cells.extend(inputs.position_mm.map(|mm| cell(mm, 4)));
         let unknown = f64::NAN;
         if let Some(sensor) = &self.sensor {
-            let counts = outputs.elongation_um.map(|um| sensor_counts(sensor, um));
+            let counts = outputs.elongation_um.map(|um| sensor_counts_from_elongation(sensor, um));
             cells.push(cell(counts.unwrap_or(unknown), 2));
         }
         for (channel, _) in &self.temperatures {
@@ -131,7 +136,7 @@ impl Record {
         let whole = |value: Option<u16>| cell(value.map_or(unknown, f64::from), 0);
         cells.extend(self.has_tool.then(|| whole(said.map(|it| it.tool))));
         let bits = self.conditions.iter();
-        cells.extend(bits.map(|(bit, _)| whole(said.map(|it| it.has(*bit).into()))));
+        cells.extend(bits.map(|(bit, _)| whole(said.map(|it| it.is_set(*bit).into()))));
         cells.join(",")
     }
 
@@ -174,7 +179,7 @@ mod tests {
         let mut outputs = Outputs { elongation_um: Some(20.0), ..Outputs::default() };
         outputs.temperatures_c[3] = Some(23.5);
         let now = UNIX_EPOCH + Duration::from_secs(now_s);
-        record.step(now, &inputs, &outputs).expect("it can be written");
+        record.write_row_if_due(now, &inputs, &outputs).expect("it can be written");
     }
 
     fn times(path: &Path) -> Vec<f64> {
@@ -220,14 +225,16 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("record.csv");
         let mut record = record(&path);
-        let full = 2 * KEPT_ROWS;
+        let full = 2 * MIN_RETAINED_ROWS;
         record.rows = (0..full as u64)
-            .map(|row| record.row(EVERY_S * row, &Inputs::default(), &Outputs::default()))
+            .map(|row| {
+                record.format_row(ROW_PERIOD_S * row, &Inputs::default(), &Outputs::default())
+            })
             .collect();
-        let next_s = EVERY_S * full as u64;
+        let next_s = ROW_PERIOD_S * full as u64;
         at(&mut record, next_s);
         let left = times(&path);
-        assert_eq!((left.len(), left[left.len() - 1]), (KEPT_ROWS + 1, next_s as f64));
-        assert_eq!(left[0], (EVERY_S as usize * KEPT_ROWS) as f64);
+        assert_eq!((left.len(), left[left.len() - 1]), (MIN_RETAINED_ROWS + 1, next_s as f64));
+        assert_eq!(left[0], (ROW_PERIOD_S as usize * MIN_RETAINED_ROWS) as f64);
     }
 }

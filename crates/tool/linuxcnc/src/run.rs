@@ -8,23 +8,23 @@ use std::{
 };
 
 use trueup_client::{
-    ends::Ends,
-    line::{Line, LineEvent},
-    pinned::Pinned,
-    words::state_words,
+    connection::{Connection, ConnectionEvent},
+    duplex_stream::DuplexStream,
+    pinned_calibration::PinnedCalibration,
+    state_text::state_names,
 };
-use trueup_core::{cnc::Quality, learned::PARTS};
+use trueup_core::{cnc::Quality, learned::PART_COUNT};
 use trueup_link::status::StateBits;
 
 use crate::{
     component::{Component, Options, Outputs},
     hal::{Hal, HalError},
-    pins::{Pins, pid_pin},
+    pins::{Pins, pid_pin_name},
     record::Record,
 };
 
 /// How often adopted pins, and the wires, are looked after.
-const REFRESH: Duration = Duration::from_millis(50);
+const PIN_REFRESH_PERIOD: Duration = Duration::from_millis(50);
 
 /// How the component appears in the HAL.
 #[derive(Clone, Debug)]
@@ -38,7 +38,7 @@ pub struct Settings {
     /// CRC of what `compile` makes of the machine file; `None`: without one.
     pub calibration: Option<u32>,
     /// On which calibration the bridge has to run to be engaged.
-    pub pinned: Pinned,
+    pub pinned: PinnedCalibration,
     /// From one turn of the loop to the next.
     pub turn: Duration,
     /// How it decides.
@@ -47,9 +47,9 @@ pub struct Settings {
 
 /// Corrections learned since the bridge's calibration was made.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Learned {
+pub struct LearnedUpdate {
     /// Each part in the bridge's units; `None`: as before.
-    pub amounts: Option<[i16; PARTS]>,
+    pub amounts: Option<[i16; PART_COUNT]>,
     /// Lines about it for the operator.
     pub said: Vec<String>,
 }
@@ -62,109 +62,110 @@ pub struct Learned {
 /// The HAL refuses the component or a pin.
 pub fn run(
     settings: &Settings,
-    open: impl FnMut() -> io::Result<Ends> + Send + 'static,
+    open: impl FnMut() -> io::Result<DuplexStream> + Send + 'static,
     stop: &AtomicBool,
     mut record: Option<Record>,
-    learned: Option<impl Fn() -> Option<Learned>>,
+    learned: Option<impl Fn() -> Option<LearnedUpdate>>,
     mut tell: impl FnMut(&str),
 ) -> Result<(), HalError> {
     let Settings { name, mm_per_unit, temperatures, calibration, pinned, turn, options } = settings;
-    let hal = Hal::new(name, &pid_pin(name))?;
+    let hal = Hal::new(name, &pid_pin_name(name))?;
     let pins = Pins::new(&hal, name, *mm_per_unit, *temperatures, &options.joints)?;
-    let line = Line::keep(open);
+    let line = Connection::spawn(open);
     let start = Instant::now();
     let mut component = Component::new(start.elapsed(), *options);
     pins.resume(&mut component);
-    let mut news = News::of(pinned.clone());
-    hal.ready()?;
-    if hal.adopts() {
+    let mut news = StateReporter::new(pinned.clone());
+    hal.set_ready()?;
+    if hal.has_adopted_pins() {
         tell("takes over the pins of a component that was killed");
     }
     let mut refreshed = Duration::ZERO;
     let mut cut = None;
-    let mut lessons = Lessons { news: learned, of: *calibration, amounts: None };
+    let mut lessons = LearnedCorrections { news: learned, of: *calibration, amounts: None };
     while !stop.load(Ordering::Relaxed) {
         let now = start.elapsed();
-        if now.saturating_sub(refreshed) >= REFRESH {
+        if now.saturating_sub(refreshed) >= PIN_REFRESH_PERIOD {
             refreshed = now;
             hal.refresh();
-            cut = pins.cut_wire();
-            news.wire(cut, &mut tell);
+            cut = pins.disconnected_pin();
+            news.report_disconnected_pin(cut, &mut tell);
         }
-        for heard in line.received() {
+        for heard in line.take_events() {
             match heard {
-                LineEvent::Up => tell("the line is open"),
-                LineEvent::Down(why) => news.line_down(&why, &mut tell),
-                LineEvent::Received(event) => component.receive(now, &event),
-                LineEvent::Late => tell(
+                ConnectionEvent::Up => tell("the line is open"),
+                ConnectionEvent::Down(why) => news.report_line_down(&why, &mut tell),
+                ConnectionEvent::Received(event) => component.receive(now, &event),
+                ConnectionEvent::Late => tell(
                     "the line has stalled, and delivers what is old: not used until it is in time again",
                 ),
             }
         }
-        lessons.teach(&mut component, &mut tell);
+        lessons.send_learned_corrections(&mut component, &mut tell);
         let mut inputs = pins.read();
-        inputs.enable &= news.pinned.lets_engage();
-        inputs.zero &= news.pinned.lets_engage();
+        inputs.enable &= news.pinned.is_engage_allowed();
+        inputs.zero &= news.pinned.is_engage_allowed();
         let (mut outputs, frames) = component.step(now, &inputs);
-        outputs.other_calibration = news.pinned.refuses();
+        outputs.other_calibration = news.pinned.is_engage_refused();
         // The watchdog of the heartbeat holds the feed, as if the component were gone.
         outputs.heartbeat &= cut.is_none();
         pins.write(&outputs);
-        let recorded = record.as_mut().map(|it| it.step(SystemTime::now(), &inputs, &outputs));
+        let recorded =
+            record.as_mut().map(|it| it.write_row_if_due(SystemTime::now(), &inputs, &outputs));
         if let Some(Err(why)) = recorded {
-            // Whoever learns finds it too old, and says so.
+            // The learner finds it too old, and says so.
             tell(&format!("the record cannot be written, and is given up: {why}"));
             record = None;
         }
         for frame in frames {
-            line.send(frame);
+            line.try_send(frame);
         }
-        news.of_turn(&outputs, &mut tell);
+        news.report_state_change(&outputs, &mut tell);
         thread::sleep(*turn);
     }
     Ok(())
 }
 
 /// The learned corrections, as they are sent to the bridge.
-struct Lessons<F> {
+struct LearnedCorrections<F> {
     /// The change since the last one sent; `None`: nothing is learned here.
     news: Option<F>,
     /// CRC of the calibration that it is a change of.
     of: Option<u32>,
     /// As it was said last; `None`: it is not known yet.
-    amounts: Option<[i16; PARTS]>,
+    amounts: Option<[i16; PART_COUNT]>,
 }
 
-impl<F: Fn() -> Option<Learned>> Lessons<F> {
-    /// Without a source, a bridge is told to forget what a component before this one has told it.
-    fn teach(&mut self, component: &mut Component, tell: &mut impl FnMut(&str)) {
-        let Some(news) = &self.news else { return component.unlearn() };
+impl<F: Fn() -> Option<LearnedUpdate>> LearnedCorrections<F> {
+    /// Without a source, a bridge receives the order to forget what a component before this one has sent.
+    fn send_learned_corrections(&mut self, component: &mut Component, tell: &mut impl FnMut(&str)) {
+        let Some(news) = &self.news else { return component.clear_learned() };
         if let Some(news) = news() {
             news.said.iter().for_each(|said| tell(said));
             self.amounts = news.amounts.or(self.amounts);
         }
-        component.learn(self.amounts.zip(self.of));
+        component.set_learned_values(self.amounts.zip(self.of));
     }
 }
 
 /// The last report.
 #[derive(Debug)]
-struct News {
+struct StateReporter {
     down: Option<String>,
     state: Option<(bool, bool, bool, bool, Quality)>,
-    pinned: Pinned,
+    pinned: PinnedCalibration,
     bits: StateBits,
     cut: Option<String>,
 }
 
-impl News {
+impl StateReporter {
     /// Nothing was reported.
-    fn of(pinned: Pinned) -> Self {
+    fn new(pinned: PinnedCalibration) -> Self {
         Self { down: None, state: None, pinned, bits: StateBits::default(), cut: None }
     }
 
     /// A wire that is cut is reported once, and that it is whole again.
-    fn wire(&mut self, cut: Option<&str>, tell: &mut impl FnMut(&str)) {
+    fn report_disconnected_pin(&mut self, cut: Option<&str>, tell: &mut impl FnMut(&str)) {
         if self.cut.as_deref() == cut {
             return;
         }
@@ -178,7 +179,7 @@ impl News {
     }
 
     /// The same reason is reported once.
-    fn line_down(&mut self, why: &str, tell: &mut impl FnMut(&str)) {
+    fn report_line_down(&mut self, why: &str, tell: &mut impl FnMut(&str)) {
         if self.down.as_deref() != Some(why) {
             tell(&format!("the line is down: {why}; trying again"));
             self.down = Some(why.into());
@@ -186,13 +187,13 @@ impl News {
     }
 
     /// The bridge's version and state, when they change.
-    fn of_bridge(&mut self, outputs: &Outputs, tell: &mut impl FnMut(&str)) {
-        if let Some(told) = self.pinned.runs_on(outputs.calibration) {
+    fn report_bridge_state(&mut self, outputs: &Outputs, tell: &mut impl FnMut(&str)) {
+        if let Some(told) = self.pinned.set_running_crc(outputs.calibration) {
             tell(&told);
         }
         if outputs.state != self.bits {
             self.bits = outputs.state;
-            let words = state_words(self.bits);
+            let words = state_names(self.bits);
             match words[..] {
                 [] => tell("the bridge says that all is well"),
                 _ => tell(&format!("the bridge says: {}", words.join(" "))),
@@ -200,8 +201,8 @@ impl News {
         }
     }
 
-    fn of_turn(&mut self, outputs: &Outputs, tell: &mut impl FnMut(&str)) {
-        self.of_bridge(outputs, tell);
+    fn report_state_change(&mut self, outputs: &Outputs, tell: &mut impl FnMut(&str)) {
+        self.report_bridge_state(outputs, tell);
         let Outputs { connected, fault, limited, not_taken, quality, .. } = *outputs;
         let state = (connected, fault, limited, not_taken, quality);
         if self.state.replace(state) == Some(state) {
@@ -241,12 +242,14 @@ impl News {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{component::Inputs, follower::Pace, joint::MAX_JOINTS, offsets::Limits};
+    use crate::{
+        component::Inputs, follower::RateLimits, joint::MAX_JOINTS, offsets::OffsetLimits,
+    };
     use std::cell::Cell;
-    use trueup_client::pinned::Rule;
+    use trueup_client::pinned_calibration::CalibrationPolicy;
     use trueup_core::{
         cnc::Command,
-        learned::{Change, named},
+        learned::{ChangeRequest, calibration_id},
     };
     use trueup_link::{
         receiver::Receiver,
@@ -257,13 +260,13 @@ mod tests {
     const RUNNING: u32 = 0x1234_ABCD;
 
     fn component() -> Component {
-        let pace = Pace {
+        let pace = RateLimits {
             slew_nm_per_s: 500e3,
             cycle_s: 1e-3,
             acceleration_nm_per_s2: f64::INFINITY,
             planner_keeps_slew: true,
         };
-        let limits = Limits {
+        let limits = OffsetLimits {
             max_nm: [200_000; 3],
             stale: Duration::from_millis(100),
             hold: Duration::from_millis(2_000),
@@ -281,20 +284,25 @@ mod tests {
 
     /// Returns what a component says of what was learned in five frames of `Control`, to a bridge that runs on
     /// `RUNNING`.
-    fn taught(news: Option<impl Fn() -> Option<Learned>>, of: Option<u32>) -> Vec<(u8, i16)> {
+    fn taught(news: Option<impl Fn() -> Option<LearnedUpdate>>, of: Option<u32>) -> Vec<(u8, i16)> {
         let (mut component, mut receiver) = (component(), Receiver::new());
         let item = Item::Calibration(RUNNING);
-        let said = status::encode(&Status { last_refused: status::Reason::None, item }, 0);
+        let said =
+            status::encode(&Status { last_refused: status::FrameRejectReason::None, item }, 0);
         component.receive(Duration::ZERO, &Event::Frame(said));
-        let mut lessons = Lessons { news, of, amounts: None };
+        let mut lessons = LearnedCorrections { news, of, amounts: None };
         let mut all = Vec::new();
         for turn in 0..5 {
-            lessons.teach(&mut component, &mut |_: &str| ());
+            lessons.send_learned_corrections(&mut component, &mut |_: &str| ());
             let (_, frames) = component.step(Duration::from_millis(20 * turn), &Inputs::default());
             for frame in &frames {
                 if let Some(Command::Control(it)) = receiver.accept(frame).expect("in order") {
-                    let Change { part, amount, calibration } = it.learned;
-                    assert!(part == 0 || calibration == named(RUNNING), "{:?}", it.learned);
+                    let ChangeRequest { part, amount, calibration } = it.learned;
+                    assert!(
+                        part == 0 || calibration == calibration_id(RUNNING),
+                        "{:?}",
+                        it.learned
+                    );
                     all.push((part, amount));
                 }
             }
@@ -305,7 +313,7 @@ mod tests {
 
     #[test]
     fn without_a_learned_file_any_bridge_is_told_that_nothing_was_learned() {
-        let none = None::<fn() -> Option<Learned>>;
+        let none = None::<fn() -> Option<LearnedUpdate>>;
         for of in [None, Some(RUNNING), Some(RUNNING ^ 1)] {
             assert_eq!(taught(none, of), [(1, 0), (2, 0), (3, 0), (4, 0), (5, 0)], "{of:?}");
         }
@@ -316,13 +324,14 @@ mod tests {
         let nothing = [(0, 0); 5];
         let (ours, other) = (Some(RUNNING), Some(RUNNING ^ 1));
         assert_eq!(taught(Some(|| None), ours), nothing, "not looked at yet");
-        assert_eq!(taught(Some(|| Some(Learned::default())), ours), nothing, "not readable");
-        let read = || Some(Learned { amounts: Some([10, 20, 30, 40, -50]), said: Vec::new() });
+        assert_eq!(taught(Some(|| Some(LearnedUpdate::default())), ours), nothing, "not readable");
+        let read =
+            || Some(LearnedUpdate { amounts: Some([10, 20, 30, 40, -50]), said: Vec::new() });
         assert_eq!(taught(Some(read), ours), [(1, 10), (2, 20), (3, 30), (4, 40), (5, -50)]);
         let looks = Cell::new(0);
         let gone = || match looks.replace(looks.get() + 1) {
             0 => read(),
-            _ => Some(Learned::default()),
+            _ => Some(LearnedUpdate::default()),
         };
         assert_eq!(taught(Some(gone), ours), taught(Some(read), ours), "a file that is gone");
         assert_eq!(taught(Some(read), other), nothing, "another calibration");
@@ -331,11 +340,11 @@ mod tests {
 
     #[test]
     fn another_calibration_than_the_machine_files_is_told_once_and_so_is_each_state() {
-        let rule = Rule::Machine { crc: 0xABCD, path: "m.toml".into() };
-        let mut news = News::of(Pinned::new(rule));
+        let rule = CalibrationPolicy::Machine { crc: 0xABCD, path: "m.toml".into() };
+        let mut news = StateReporter::new(PinnedCalibration::new(rule));
         let mut told = Vec::new();
         let says = |calibration, state| Outputs { calibration, state, ..Outputs::default() };
-        for (outputs, lets_engage) in [
+        for (outputs, is_engage_allowed) in [
             (says(None, StateBits::default()), false),
             (says(Some(0xABCD), StateBits::default()), true),
             (says(Some(0x1234), StateBits::default()), false),
@@ -343,8 +352,8 @@ mod tests {
             (says(Some(0x1234), StateBits::OLDER_CALIBRATION), false),
             (says(Some(0xABCD), StateBits::default()), true),
         ] {
-            news.of_bridge(&outputs, &mut |text: &str| told.push(text.to_owned()));
-            assert_eq!(news.pinned.lets_engage(), lets_engage, "{outputs:?}");
+            news.report_bridge_state(&outputs, &mut |text: &str| told.push(text.to_owned()));
+            assert_eq!(news.pinned.is_engage_allowed(), is_engage_allowed, "{outputs:?}");
         }
         assert_eq!(told.len(), 3, "{told:#?}");
         assert!(told[0].contains("00001234") && told[0].contains("0000abcd"));
@@ -354,10 +363,10 @@ mod tests {
 
     #[test]
     fn a_wire_that_is_cut_is_told_once_and_so_is_its_mending() {
-        let mut news = News::of(Pinned::new(Rule::Any));
+        let mut news = StateReporter::new(PinnedCalibration::new(CalibrationPolicy::Any));
         let mut told = Vec::new();
         for cut in [None, Some("trueup.0.z-counts"), Some("trueup.0.z-counts"), None, None] {
-            news.wire(cut, &mut |text: &str| told.push(text.to_owned()));
+            news.report_disconnected_pin(cut, &mut |text: &str| told.push(text.to_owned()));
         }
         assert_eq!(told.len(), 2, "{told:#?}");
         assert!(told[0].contains("trueup.0.z-counts") && told[1].contains("again"));

@@ -17,12 +17,12 @@ pub fn parse(shown: &str) -> BTreeMap<String, String> {
 
 /// Returns what the pins say, and whether offsets are live.
 #[must_use]
-pub fn in_words(pins: &BTreeMap<String, String>) -> (String, bool) {
+pub fn describe_status(pins: &BTreeMap<String, String>) -> (String, bool) {
     if pins.is_empty() {
         return ("LinuxCNC runs without the component trueup".into(), false);
     }
     // A component that is killed leaves its pins with what they said last.
-    let pid = pins.get("pid").and_then(|text| process(text));
+    let pid = pins.get("pid").and_then(|text| parse_process_id(text));
     if !pid.is_some_and(is_alive) {
         return (
             "LinuxCNC runs, and the component trueup was killed: its pins say what was before"
@@ -53,7 +53,7 @@ pub fn in_words(pins: &BTreeMap<String, String>) -> (String, bool) {
 }
 
 /// Returns the number of a process; `halcmd` shows it decimal or hexadecimal.
-fn process(text: &str) -> Option<u32> {
+fn parse_process_id(text: &str) -> Option<u32> {
     match text.strip_prefix("0x") {
         Some(digits) => u32::from_str_radix(digits, 16).ok(),
         None => text.parse().ok(),
@@ -75,10 +75,10 @@ mod tests {
         );
         let pins = parse(&shown);
         assert_eq!((pins.len(), pins["x-applied-um"].as_str()), (5, "-6.5"));
-        let (text, is_live) = in_words(&pins);
+        let (text, is_live) = describe_status(&pins);
         assert!(is_live && text.contains("x -6.5 um") && text.contains("y ? um"), "{text}");
-        assert!(!in_words(&BTreeMap::new()).1);
-        assert!(!in_words(&parse(&shown.replace("FALSE", "TRUE"))).1, "a fault is not live");
+        assert!(!describe_status(&BTreeMap::new()).1);
+        assert!(!describe_status(&parse(&shown.replace("FALSE", "TRUE"))).1, "a fault is not live");
     }
 
     #[test]
@@ -90,7 +90,7 @@ mod tests {
             let mut pins: BTreeMap<String, String> =
                 ["connected", "applied"].map(|it| (it.into(), "TRUE".into())).into();
             pins.insert("pid".into(), pid.into());
-            in_words(&pins)
+            describe_status(&pins)
         };
         let ours = std::process::id();
         assert!(all(&ours.to_string()).1 && all(&format!("0x{ours:08X}")).1);

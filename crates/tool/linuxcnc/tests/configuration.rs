@@ -5,13 +5,13 @@ use std::{fs, path::Path};
 
 use tempfile::TempDir;
 use trueup_linuxcnc::configuration::{
-    Entry,
-    check::{Report, check},
-    finding::{Demand, Severity},
+    OffsetEntryPoint,
+    check::{CheckReport, check},
+    finding::{OffsetRequirements, Severity},
     hal_files::HalFiles,
     ini_lines::IniLines,
-    install::{self, Change},
-    installed::{Bridge, Installed},
+    install::{self, FileChange},
+    installed::{BridgeSettings, InstalledSetup},
 };
 use trueup_machine::{BadInput, MachineFile};
 
@@ -29,8 +29,8 @@ net y-pos joint.1.motor-pos-cmd => joint.1.motor-pos-fb
 linkps joint.2.motor-pos-cmd z-pos
 linksp z-pos joint.2.motor-pos-fb
 ";
-const DEMAND: Demand = Demand {
-    entry: Entry::Joint,
+const DEMAND: OffsetRequirements = OffsetRequirements {
+    entry: OffsetEntryPoint::Joint,
     max_um: [200.0; 3],
     slew_um_per_s: 1_200.0,
     corrects_screw: Some([true; 3]),
@@ -71,32 +71,35 @@ impl Case {
         (ini, hal)
     }
 
-    fn check(&self, demand: &Demand) -> Report {
+    fn check(&self, demand: &OffsetRequirements) -> CheckReport {
         let (ini, hal) = self.read();
         check(&ini, &hal, demand)
     }
 
-    fn set_up(&self, demand: &Demand) -> Result<(Report, Vec<Change>), BadInput> {
+    fn set_up(
+        &self,
+        demand: &OffsetRequirements,
+    ) -> Result<(CheckReport, Vec<FileChange>), BadInput> {
         self.set_up_with(demand, "/dev/ttyUSB0", "m.toml")
     }
 
     fn set_up_with(
         &self,
-        demand: &Demand,
+        demand: &OffsetRequirements,
         port: &str,
         machine: &str,
-    ) -> Result<(Report, Vec<Change>), BadInput> {
+    ) -> Result<(CheckReport, Vec<FileChange>), BadInput> {
         let (ini, hal) = self.read();
-        let bridge = Bridge {
+        let bridge = BridgeSettings {
             port: Some(port.into()),
             machine: Some(machine.into()),
             position_period_ms: 2,
         };
-        install::setup(&ini, &hal, demand, &bridge)
+        install::prepare_setup(&ini, &hal, demand, &bridge)
     }
 
-    fn write(changes: &[Change]) {
-        for Change { path, content } in changes {
+    fn write(changes: &[FileChange]) {
+        for FileChange { path, content } in changes {
             match content {
                 Some(content) => fs::write(path, content).expect("writes"),
                 None => fs::remove_file(path).expect("removes"),
@@ -131,7 +134,7 @@ fn a_configuration_that_has_all_has_no_findings_and_says_how_fast_offsets_are() 
         "{:?}",
         report.facts
     );
-    let eoffset = Demand { entry: Entry::Eoffset, ..DEMAND };
+    let eoffset = OffsetRequirements { entry: OffsetEntryPoint::Eoffset, ..DEMAND };
     let report = Case::new(&whole(), HAL).check(&eoffset);
     assert_eq!(report.findings, []);
     // 1.2/50 of 1000 mm/s² are 24 mm/s².
@@ -209,7 +212,7 @@ fn a_headroom_that_is_not_stated_is_assumed_with_the_line_to_add() {
 fn a_screw_that_the_machine_file_leaves_alone_may_be_corrected_by_linuxcnc() {
     let text = whole().replacen("STEPGEN_MAXVEL", "BACKLASH = 0.01\nSTEPGEN_MAXVEL", 1);
     let of = |corrects_screw| {
-        let report = Case::new(&text, HAL).check(&Demand { corrects_screw, ..DEMAND });
+        let report = Case::new(&text, HAL).check(&OffsetRequirements { corrects_screw, ..DEMAND });
         (report.findings[0].severity, report.findings[0].what.clone())
     };
     let (severity, what) = of(Some([false, true, true]));
@@ -284,7 +287,10 @@ fn setup_puts_the_offset_between_command_and_drive_in_the_order_of_the_thread() 
         halfiles,
         ["HALFILE = machine.hal", "HALFILE = trueup_realtime.hal", "HALFILE = trueup.hal"]
     );
-    assert_eq!(Installed::of(&case.read().0).map(|it| it.entry), Some(Entry::Joint));
+    assert_eq!(
+        InstalledSetup::from_ini(&case.read().0).map(|it| it.entry),
+        Some(OffsetEntryPoint::Joint)
+    );
 }
 
 #[test]
@@ -294,9 +300,9 @@ fn inputs_of_the_machine_file_come_in_by_their_names_with_a_board_too() {
         [inputs]\ncoolant = { kind = \"condition\", bit = 3 }\n\
         [spindle]\nsource = \"warmup\"\n[spindle.warmup]\nlag_s = 60.0\nwarm_s = 5400.0\nmax_um = 80.0\nexponent = 4.0\n";
     let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("a machine file");
-    let demand = |entry| Demand::of(entry, Some(&machine));
+    let demand = |entry| OffsetRequirements::from_machine(entry, Some(&machine));
     // Nothing brings them: each is named, with a pin that may give it.
-    let report = Case::new(&whole(), HAL).check(&demand(Entry::Joint));
+    let report = Case::new(&whole(), HAL).check(&demand(OffsetEntryPoint::Joint));
     let said: Vec<String> =
         report.findings.iter().map(|it| format!("{} {}", it.what, it.help)).collect();
     for (signal, pin) in [
@@ -315,14 +321,14 @@ fn inputs_of_the_machine_file_come_in_by_their_names_with_a_board_too() {
     let one = "net trueup-angle-1 axis.c.pos-cmd\n";
     for own in ["", one] {
         let case = Case::new(&whole(), &format!("{HAL}{own}"));
-        Case::write(&case.set_up(&demand(Entry::Joint)).expect("reads").1);
+        Case::write(&case.set_up(&demand(OffsetEntryPoint::Joint)).expect("reads").1);
         let files = case.files();
         let text = &files.iter().find(|it| it.0 == "trueup.hal").expect("written").1;
         assert!(!text.contains("--rotary"), "{text}");
     }
     let own = "net trueup-condition-03 drive.flood\nnet trueup-tool iocontrol.0.tool-number\n\
         net trueup-angle-1 axis.c.pos-cmd\nnet trueup-angle-2 axis.a.pos-cmd\nnet trueup-service drive.key\n";
-    for entry in [Entry::Joint, Entry::Eoffset] {
+    for entry in [OffsetEntryPoint::Joint, OffsetEntryPoint::Eoffset] {
         let case = Case::new(&whole(), &format!("{HAL}{own}"));
         assert_eq!(case.check(&demand(entry)).findings, []);
         Case::write(&case.set_up(&demand(entry)).expect("reads").1);
@@ -341,7 +347,7 @@ fn inputs_of_the_machine_file_come_in_by_their_names_with_a_board_too() {
 }
 
 /// Returns the text of a file that setup writes.
-fn written(demand: &Demand, file: &str) -> String {
+fn written(demand: &OffsetRequirements, file: &str) -> String {
     let (_, changes) = Case::new(&whole(), HAL).set_up(demand).expect("reads");
     let change = changes.into_iter().find(|it| name(&it.path) == file);
     String::from_utf8(change.and_then(|it| it.content).expect("written")).expect("a text")
@@ -349,8 +355,8 @@ fn written(demand: &Demand, file: &str) -> String {
 
 #[test]
 fn a_record_to_learn_from_is_kept_only_where_a_probed_point_contains_the_offset() {
-    for (entry, is_kept) in [(Entry::Joint, false), (Entry::Eoffset, true)] {
-        let text = written(&Demand { entry, ..DEMAND }, "trueup.hal");
+    for (entry, is_kept) in [(OffsetEntryPoint::Joint, false), (OffsetEntryPoint::Eoffset, true)] {
+        let text = written(&OffsetRequirements { entry, ..DEMAND }, "trueup.hal");
         assert!(text.contains("--machine [TRUEUP](MACHINE)"), "{text}");
         assert_eq!(text.contains("--record"), is_kept, "{text}");
     }
@@ -371,7 +377,10 @@ fn watchdog_and_messages_are_those_of_the_sample() {
     let sample: String = ["trueup_watchdog.hal", "trueup_message.hal"]
         .map(|name| fs::read_to_string(folder.join(name)).expect("reads"))
         .concat();
-    let ours = written(&Demand { entry: Entry::Eoffset, ..DEMAND }, "trueup_realtime.hal");
+    let ours = written(
+        &OffsetRequirements { entry: OffsetEntryPoint::Eoffset, ..DEMAND },
+        "trueup_realtime.hal",
+    );
     assert_eq!(commands(&ours), commands(&sample));
 }
 
@@ -401,20 +410,29 @@ fn setup_twice_is_setup_once_and_the_files_are_equal_to_the_byte_afterwards() {
     let no_end = whole().trim_end().to_owned();
     let dos = whole().replace('\n', "\r\n");
     for text in [whole(), no_end, dos] {
-        for entry in [Entry::Joint, Entry::Eoffset] {
+        for entry in [OffsetEntryPoint::Joint, OffsetEntryPoint::Eoffset] {
             let case = Case::new(&text, HAL);
             let before = case.files();
-            let demand = Demand { entry, ..DEMAND };
+            let demand = OffsetRequirements { entry, ..DEMAND };
             Case::write(&case.set_up(&demand).expect("reads").1);
             let once = case.files();
             assert_eq!(case.set_up(&demand).expect("reads").1, []);
             // The other way, and back again.
-            let other = if entry == Entry::Joint { Entry::Eoffset } else { Entry::Joint };
-            Case::write(&case.set_up(&Demand { entry: other, ..demand.clone() }).expect("reads").1);
+            let other = if entry == OffsetEntryPoint::Joint {
+                OffsetEntryPoint::Eoffset
+            } else {
+                OffsetEntryPoint::Joint
+            };
+            Case::write(
+                &case
+                    .set_up(&OffsetRequirements { entry: other, ..demand.clone() })
+                    .expect("reads")
+                    .1,
+            );
             assert_ne!(case.files(), once);
             Case::write(&case.set_up(&demand).expect("reads").1);
             assert_eq!(case.files(), once);
-            Case::write(&install::remove(&case.read().0).expect("reads"));
+            Case::write(&install::prepare_removal(&case.read().0).expect("reads"));
             assert_eq!(case.files(), before);
             let copy = fs::read_to_string(case.folder.path().join("machine.ini.trueup-backup"));
             assert_eq!(copy.expect("kept"), text);
@@ -436,7 +454,7 @@ fn setup_leaves_what_the_user_has_connected_or_written() {
         report.findings.iter().any(|it| it.what.contains("not written by setup"))
             && changes.is_empty()
     );
-    Case::write(&install::remove(&case.read().0).expect("reads"));
+    Case::write(&install::prepare_removal(&case.read().0).expect("reads"));
     assert_eq!(
         fs::read_to_string(case.folder.path().join("trueup.hal")).expect("there"),
         "# mine\n"

@@ -3,14 +3,14 @@
 use std::{fs, path::Path};
 
 use trueup_linuxcnc::configuration::{
-    Entry,
+    OffsetEntryPoint,
+    boardless::BoardlessConfig,
     check::check,
-    finding::{Demand, Severity},
+    finding::{OffsetRequirements, Severity},
     hal_files::HalFiles,
     ini_lines::IniLines,
-    install::{self, Change},
-    installed::{Bridge, Installed},
-    no_board::NoBoard,
+    install::{self, FileChange},
+    installed::{BridgeSettings, InstalledSetup},
 };
 use trueup_machine::{Machine, MachineFile};
 
@@ -69,9 +69,9 @@ fn machine() -> Machine {
     MachineFile::parse(MACHINE, Path::new("m.toml")).expect("a machine file")
 }
 
-fn demand(entry: Entry) -> Demand {
-    let no_board = Some(NoBoard::of(&machine()).expect("compiles"));
-    Demand { no_board, ..Demand::of(entry, Some(&machine())) }
+fn demand(entry: OffsetEntryPoint) -> OffsetRequirements {
+    let no_board = Some(BoardlessConfig::from_machine(&machine()).expect("compiles"));
+    OffsetRequirements { no_board, ..OffsetRequirements::from_machine(entry, Some(&machine())) }
 }
 
 #[test]
@@ -85,8 +85,11 @@ fn a_machine_file_with_heat_says_how_the_first_start_is_confirmed() {
         fs::write(folder.path().join("machine.hal"), hal() + more).expect("writes");
         let ini = IniLines::read(&path).expect("reads");
         let machine = MachineFile::parse(text, Path::new("m.toml")).expect("a machine file");
-        let no_board = Some(NoBoard::of(&machine).expect("compiles"));
-        let demand = Demand { no_board, ..Demand::of(Entry::Joint, Some(&machine)) };
+        let no_board = Some(BoardlessConfig::from_machine(&machine).expect("compiles"));
+        let demand = OffsetRequirements {
+            no_board,
+            ..OffsetRequirements::from_machine(OffsetEntryPoint::Joint, Some(&machine))
+        };
         let facts = check(&ini, &HalFiles::read(&ini).expect("reads"), &demand).facts;
         facts.iter().any(|it| it.contains("halcmd setp trueup.0.confirm 1"))
     };
@@ -95,37 +98,40 @@ fn a_machine_file_with_heat_says_how_the_first_start_is_confirmed() {
 }
 
 /// Returns the report's warnings and what setup writes into a file.
-fn written(ini_text: &str, entry: Entry, file: &str) -> (Vec<String>, Vec<u8>) {
+fn written(ini_text: &str, entry: OffsetEntryPoint, file: &str) -> (Vec<String>, Vec<u8>) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("machine.ini");
     fs::write(&path, ini_text).expect("writes");
     fs::write(folder.path().join("machine.hal"), hal()).expect("writes");
     let read = || IniLines::read(&path).expect("reads");
     let hal = HalFiles::read(&read()).expect("reads");
-    let bridge = Bridge { port: None, machine: Some("m.toml".into()), position_period_ms: 0 };
-    let (report, changes) = install::setup(&read(), &hal, &demand(entry), &bridge).expect("reads");
+    let bridge =
+        BridgeSettings { port: None, machine: Some("m.toml".into()), position_period_ms: 0 };
+    let (report, changes) =
+        install::prepare_setup(&read(), &hal, &demand(entry), &bridge).expect("reads");
     let said = report.findings.iter().map(|it| format!("{} {}", it.what, it.help)).collect();
-    let of = |change: &&Change| change.path.ends_with(file);
+    let of = |change: &&FileChange| change.path.ends_with(file);
     let content = changes.iter().find(of).and_then(|it| it.content.clone()).unwrap_or_default();
     if report.is_usable() {
         for change in &changes {
             fs::write(&change.path, change.content.as_ref().expect("new")).expect("writes");
         }
-        let installed = Installed::of(&read()).expect("set up");
+        let installed = InstalledSetup::from_ini(&read()).expect("set up");
         assert_eq!((installed.entry, installed.bridge), (entry, bridge.clone()));
-        let again = install::setup(&read(), &hal, &demand(entry), &bridge).expect("reads").1;
+        let again =
+            install::prepare_setup(&read(), &hal, &demand(entry), &bridge).expect("reads").1;
         assert!(again.is_empty(), "{again:?}");
     }
     (said, content)
 }
 
-fn text(entry: Entry, file: &str) -> String {
+fn text(entry: OffsetEntryPoint, file: &str) -> String {
     String::from_utf8(written(&ini(), entry, file).1).expect("a text")
 }
 
 #[test]
 fn at_the_joint_the_node_runs_between_the_motion_controller_and_the_limiter() {
-    let text = text(Entry::Joint, "trueup_realtime.hal");
+    let text = text(OffsetEntryPoint::Joint, "trueup_realtime.hal");
     assert!(
         text.contains(
             "loadrt trueup_node file=[TRUEUP](CALIBRATION) heat=[TRUEUP](HEAT) joints=.XYZY\n"
@@ -157,7 +163,7 @@ fn at_the_joint_the_node_runs_between_the_motion_controller_and_the_limiter() {
 
 #[test]
 fn inputs_are_connected_by_their_names_and_those_that_are_missing_are_named() {
-    let (said, content) = written(&ini(), Entry::Joint, "trueup.hal");
+    let (said, content) = written(&ini(), OffsetEntryPoint::Joint, "trueup.hal");
     let text = String::from_utf8(content).expect("a text");
     for line in [
         "net trueup-sensor-v => trueup.0.sensor-v\n",
@@ -180,7 +186,7 @@ fn inputs_are_connected_by_their_names_and_those_that_are_missing_are_named() {
 
 #[test]
 fn by_eoffset_the_node_knows_the_planners_share() {
-    let text = text(Entry::Eoffset, "trueup_realtime.hal");
+    let text = text(OffsetEntryPoint::Eoffset, "trueup_realtime.hal");
     // 1 mm/s of 50 mm/s, and as much of 1000 mm/s2.
     for line in [
         "setp trueup.0.x-accel 20\n",
@@ -194,17 +200,17 @@ fn by_eoffset_the_node_knows_the_planners_share() {
 
 #[test]
 fn the_calibration_is_that_of_compile_and_an_odd_servo_period_is_refused() {
-    let (_, blob) = written(&ini(), Entry::Joint, "trueup_calibration.bin");
+    let (_, blob) = written(&ini(), OffsetEntryPoint::Joint, "trueup_calibration.bin");
     assert_eq!(blob, trueup_machine::compile(&machine()).expect("compiles").blob());
     let odd = ini().replace("= 1000000", "= 1500000");
-    let (said, blob) = written(&odd, Entry::Joint, "trueup_calibration.bin");
+    let (said, blob) = written(&odd, OffsetEntryPoint::Joint, "trueup_calibration.bin");
     assert!(
         blob.is_empty() && said.iter().any(|it| it.contains("without a board it is 0.5")),
         "{said:?}"
     );
     for (thread, is_said) in [("30000", true), ("25000", false), ("0", false)] {
         let with = ini().replace("= 1000000", &format!("= 1000000\nBASE_PERIOD = {thread}"));
-        let (said, _) = written(&with, Entry::Joint, "trueup_calibration.bin");
+        let (said, _) = written(&with, OffsetEntryPoint::Joint, "trueup_calibration.bin");
         assert_eq!(said.iter().any(|it| it.contains("990000 ns")), is_said, "{said:?}");
     }
     let folder = tempfile::tempdir().expect("a folder");
@@ -212,7 +218,7 @@ fn the_calibration_is_that_of_compile_and_an_odd_servo_period_is_refused() {
     fs::write(&path, odd).expect("writes");
     fs::write(folder.path().join("machine.hal"), hal()).expect("writes");
     let read = IniLines::read(&path).expect("reads");
-    let with_board = Demand { no_board: None, ..demand(Entry::Joint) };
+    let with_board = OffsetRequirements { no_board: None, ..demand(OffsetEntryPoint::Joint) };
     let report = check(&read, &HalFiles::read(&read).expect("reads"), &with_board);
     let errors = report.findings.iter().filter(|it| it.severity == Severity::Error);
     assert_eq!(errors.count(), 0, "a board may: {:?}", report.findings);

@@ -7,7 +7,7 @@
 use std::time::Duration;
 
 use proptest::prelude::*;
-use trueup_linuxcnc::follower::{Follower, Pace, Reading};
+use trueup_linuxcnc::follower::{AxisReading, OffsetFollower, RateLimits};
 
 const CYCLE_S: f64 = 1e-3;
 
@@ -86,26 +86,26 @@ impl Motion {
         self.offset += self.speed * CYCLE_S;
     }
 
-    fn reading(&self) -> Reading {
-        Reading { request_nm: self.request, eoffset_nm: self.offset }
+    fn reading(&self) -> AxisReading {
+        AxisReading { request_nm: self.request, eoffset_nm: self.offset }
     }
 }
 
 /// The axis and the component, each in its own time.
 struct Both {
     motion: Motion,
-    follower: Follower,
+    follower: OffsetFollower,
     counts: i32,
-    pace: Pace,
+    pace: RateLimits,
     us: u64,
     /// The servo thread gets no time.
     stands: bool,
 }
 
 impl Both {
-    fn new(pace: Pace, motion: Motion) -> Self {
+    fn new(pace: RateLimits, motion: Motion) -> Self {
         let counts = motion.counts_before;
-        Self { motion, follower: Follower::default(), counts, pace, us: 0, stands: false }
+        Self { motion, follower: OffsetFollower::default(), counts, pace, us: 0, stands: false }
     }
 
     /// One turn of the component's loop.
@@ -131,8 +131,8 @@ impl Both {
     }
 }
 
-fn pace(slew_um_per_s: f64, acceleration_mm_per_s2: f64) -> Pace {
-    Pace {
+fn pace(slew_um_per_s: f64, acceleration_mm_per_s2: f64) -> RateLimits {
+    RateLimits {
         slew_nm_per_s: slew_um_per_s * 1e3,
         cycle_s: CYCLE_S,
         acceleration_nm_per_s2: acceleration_mm_per_s2 * 1e6,
@@ -175,10 +175,10 @@ proptest! {
         acceleration in prop_oneof![Just(5.0), Just(50.0), Just(500.0)],
         top in prop_oneof![Just(1.0), Just(40.0)],
     ) {
-        let pace = Pace { planner_keeps_slew: top <= 1.0, ..pace(slew, acceleration) };
+        let pace = RateLimits { planner_keeps_slew: top <= 1.0, ..pace(slew, acceleration) };
         let motion = Motion::new(slew * 1e3 * top, acceleration * 1e6, counts);
         let mut both = Both::new(pace, motion);
-        let most = pace.step();
+        let most = pace.max_step_counts();
         let mut goal = Some(0);
         for (event, turns) in &events {
             match *event {
@@ -196,7 +196,7 @@ proptest! {
         both.motion.homed = true;
         both.motion.moves = true;
         // A whole turn round at the limit, and then some for the planner to settle.
-        let cycles = (130_000.0 / pace.step()) as u32 * 3 + 1_500;
+        let cycles = (130_000.0 / pace.max_step_counts()) as u32 * 3 + 1_500;
         for _ in 0..cycles {
             let step = both.cycle(2, Some(31_234));
             prop_assert!(step <= most + 1e-3, "{step} of {most} nm");
@@ -213,7 +213,7 @@ fn the_pace_is_kept_at_two_turns_a_cycle_and_the_counts_wrap_unnoticed() {
     let mut both = Both::new(pace, motion);
     let mut cycles = 0;
     while (both.motion.offset - 40_000.0).abs() > 1.0 {
-        assert!(both.cycle(2, Some(40_000)) <= pace.step() + 1e-3);
+        assert!(both.cycle(2, Some(40_000)) <= pace.max_step_counts() + 1e-3);
         cycles += 1;
         assert!(cycles < 300, "{:?}", both.motion);
     }
@@ -246,8 +246,8 @@ fn an_offset_that_the_soft_limit_has_held_back_does_not_hurry_afterwards() {
         assert!(both.motion.position + both.motion.offset <= 1e6 + 1e-3, "beyond the limit");
         largest = largest.max(step);
     }
-    println!("the largest step is {largest:.1} of {} nm", pace.step());
-    assert!(largest <= pace.step() + 1e-3, "{largest} nm");
+    println!("the largest step is {largest:.1} of {} nm", pace.max_step_counts());
+    assert!(largest <= pace.max_step_counts() + 1e-3, "{largest} nm");
     assert!((both.motion.offset - 40_000.0).abs() < 2.0, "{:?}", both.motion);
 }
 
@@ -271,7 +271,10 @@ fn a_servo_thread_that_stood_for_seconds_finds_one_step_and_is_followed_again() 
             let before = both.motion.request;
             both.cycle(2, Some(31_000));
             let asked = (both.motion.request - before).abs();
-            assert!(asked <= pace.step() + 1e-3, "{asked} nm at once after {stood_ms} ms");
+            assert!(
+                asked <= pace.max_step_counts() + 1e-3,
+                "{asked} nm at once after {stood_ms} ms"
+            );
             cycles += 1;
             // It is left alone for a little after a step was taken back.
             both.stands = cycles < 60;
@@ -283,11 +286,11 @@ fn a_servo_thread_that_stood_for_seconds_finds_one_step_and_is_followed_again() 
 #[test]
 fn a_component_whose_pins_are_not_connected_says_so_and_is_never_more_than_a_step_off() {
     let pace = pace(500.0, 50.0);
-    let mut follower = Follower::default();
+    let mut follower = OffsetFollower::default();
     let (mut written, mut tries, mut not_taken) = (0_i32, 0, false);
     for ms in 0..20_000 {
         let now = Duration::from_millis(ms);
-        let step = follower.step(now, true, Some(40_000), Reading::default(), &pace);
+        let step = follower.step(now, true, Some(40_000), AxisReading::default(), &pace);
         written += step.counts;
         tries += i32::from(step.counts != 0);
         not_taken = step.not_taken;

@@ -19,22 +19,16 @@ pub struct Arc {
 }
 
 impl Arc {
-    /// Returns the number of the axis that stands.
-    #[must_use]
-    pub fn still(&self) -> usize {
-        3 - self.axes[0] - self.axes[1]
-    }
-
     /// Returns +1 counter-clockwise, −1 clockwise.
     #[must_use]
-    pub fn sense(&self) -> f64 {
+    pub fn rotation_sign(&self) -> f64 {
         self.turn_deg.signum()
     }
 
     /// Returns the place after a turn of `turned_deg` degrees, counted without sign.
     #[must_use]
-    pub fn at_mm(&self, start_mm: [f64; 2], turned_deg: f64) -> [f64; 2] {
-        let (sin, cos) = (self.sense() * turned_deg).to_radians().sin_cos();
+    pub fn position_mm(&self, start_mm: [f64; 2], turned_deg: f64) -> [f64; 2] {
+        let (sin, cos) = (self.rotation_sign() * turned_deg).to_radians().sin_cos();
         let [u, v] = [0, 1].map(|n| start_mm[n] - self.centre_mm[n]);
         [self.centre_mm[0] + u * cos - v * sin, self.centre_mm[1] + u * sin + v * cos]
     }
@@ -44,16 +38,16 @@ impl Arc {
     pub fn end_mm(&self, start_mm: [f64; 2]) -> [f64; 2] {
         match self.turn_deg % 360.0 == 0.0 {
             true => start_mm,
-            false => self.at_mm(start_mm, self.turn_deg.abs()).map(micrometres),
+            false => self.position_mm(start_mm, self.turn_deg.abs()).map(round_to_micrometres),
         }
     }
 
     /// Returns the turns of its blocks in degrees: each a whole turn or less.
     #[must_use]
-    pub fn blocks_deg(&self) -> Vec<f64> {
+    pub fn block_angles_deg(&self) -> Vec<f64> {
         let whole = (self.turn_deg.abs() / 360.0).floor() as usize;
         let rest = self.turn_deg % 360.0;
-        let mut blocks = vec![360.0 * self.sense(); whole];
+        let mut blocks = vec![360.0 * self.rotation_sign(); whole];
         blocks.extend((rest != 0.0).then_some(rest));
         blocks
     }
@@ -76,7 +70,7 @@ impl Arc {
         let end = self.end_mm(start_mm);
         // The four places at which an axis turns round, where the way passes them.
         let passes = |deg: f64| {
-            let ahead = (self.sense() * (deg - first.to_degrees())).rem_euclid(360.0);
+            let ahead = (self.rotation_sign() * (deg - first.to_degrees())).rem_euclid(360.0);
             // The start itself is an end of the way.
             ahead <= self.turn_deg.abs()
         };
@@ -88,7 +82,7 @@ impl Arc {
             places.extend(passes(turns + 180.0).then_some(centre - radius));
             let low = places.iter().copied().fold(f64::INFINITY, f64::min);
             let high = places.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-            [micrometres(low), micrometres(high)]
+            [round_to_micrometres(low), round_to_micrometres(high)]
         })
     }
 
@@ -96,15 +90,16 @@ impl Arc {
     #[must_use]
     pub fn direction(&self, start_mm: [f64; 2], turned_deg: f64) -> [i8; 2] {
         /// Distance before a place, in degrees: at a reversal an axis stands.
-        const BEFORE: f64 = 0.01;
-        let at = self.at_mm(start_mm, turned_deg - BEFORE);
+        const DIRECTION_STEP_DEG: f64 = 0.01;
+        let at = self.position_mm(start_mm, turned_deg - DIRECTION_STEP_DEG);
         let [u, v] = [0, 1].map(|n| at[n] - self.centre_mm[n]);
-        [-v * self.sense(), u * self.sense()].map(|it| if it < 0.0 { -1 } else { 1 })
+        [-v * self.rotation_sign(), u * self.rotation_sign()]
+            .map(|it| if it < 0.0 { -1 } else { 1 })
     }
 }
 
 /// As a control takes it: whole micrometres.
-pub(crate) fn micrometres(mm: f64) -> f64 {
+pub(crate) fn round_to_micrometres(mm: f64) -> f64 {
     (mm * 1000.0).round() / 1000.0
 }
 
@@ -122,15 +117,16 @@ mod tests {
         let whole = arc(-720.0);
         assert_eq!(whole.extent_mm([150.0, 50.0]), [[50.0, 150.0], [0.0, 100.0]]);
         assert_eq!(whole.end_mm([150.0, 50.0]), [150.0, 50.0]);
-        assert_eq!(whole.blocks_deg(), [-360.0, -360.0]);
+        assert_eq!(whole.block_angles_deg(), [-360.0, -360.0]);
         // From 20° below the first axis over the top to 20° below its other end.
         let start_mm = [20.0_f64.to_radians().cos(), -20.0_f64.to_radians().sin()];
-        let start_mm = [100.0 + 50.0 * start_mm[0], 50.0 + 50.0 * start_mm[1]].map(micrometres);
+        let start_mm =
+            [100.0 + 50.0 * start_mm[0], 50.0 + 50.0 * start_mm[1]].map(round_to_micrometres);
         let part = arc(220.0);
         assert_eq!(part.extent_mm(start_mm), [[50.0, 150.0], [32.899, 100.0]]);
-        assert_eq!(part.end_mm(start_mm), [micrometres(200.0 - start_mm[0]), start_mm[1]]);
+        assert_eq!(part.end_mm(start_mm), [round_to_micrometres(200.0 - start_mm[0]), start_mm[1]]);
         assert_eq!(arc(-220.0).end_mm(part.end_mm(start_mm)), start_mm);
-        assert_eq!(part.blocks_deg(), [220.0]);
+        assert_eq!(part.block_angles_deg(), [220.0]);
     }
 
     #[test]
@@ -141,6 +137,6 @@ mod tests {
         // Counter-clockwise from the end of the first axis; at a reversal that of before.
         assert_eq!(found, [[1, 1], [-1, 1], [-1, 1], [-1, -1], [1, -1], [1, 1]]);
         assert_eq!(arc(-360.0).direction(start_mm, 45.0), [-1, -1]);
-        assert_eq!(arc(-360.0).sense(), -1.0);
+        assert_eq!(arc(-360.0).rotation_sign(), -1.0);
     }
 }

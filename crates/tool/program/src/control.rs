@@ -13,7 +13,7 @@
 //! A rotation, a mirror or a scale that an earlier program left would turn the way to a centre: it ends the program before
 //! anything moves.
 //!
-//! Every program begins with a stop ([`Plan::first_stop`]), then sets the modes that it needs; no block moves at
+//! Every program begins with a stop ([`Plan::first_stop_instructions`]), then sets the modes that it needs; no block moves at
 //! rapid, and none by a way from a place that the program does not know. No form depends on a work offset. Positions are whole micrometres, so that increments add up to
 //! exactly where they began.
 //!
@@ -25,14 +25,14 @@ mod heidenhain;
 mod linuxcnc;
 mod siemens;
 
-use self::dialect::{Around, Cell, Dialect, Ends, Touching};
-use trueup_machine::{Machine, file::Kind};
+use self::dialect::{ArcBlocks, Cell, Dialect, MoveTargets, ProbeMove};
+use trueup_machine::{Machine, file::MachineKind};
 
 use crate::{
     arc::Arc,
-    plan::{Column, Plan, Reading, Step},
-    probe::Found,
-    refused::Refused,
+    plan::{Column, Plan, PlannedReading, Step},
+    probe::ProbedPoint,
+    refused::ProgramError,
     template,
 };
 
@@ -54,7 +54,7 @@ impl Control {
     ///
     /// # Errors
     /// A lathe of a control whose words mean something else there.
-    pub fn check(self, machine: &Machine) -> Result<(), Refused> {
+    pub fn check_machine(self, machine: &Machine) -> Result<(), ProgramError> {
         let why = match self {
             Self::LinuxCnc | Self::Siemens => return Ok(()),
             Self::Fanuc => {
@@ -63,7 +63,7 @@ impl Control {
             Self::Heidenhain => "turning is a mode of its own, which has not been tried",
         };
         match machine.kind {
-            Kind::Lathe => Err(Refused(format!(
+            MachineKind::Lathe => Err(ProgramError(format!(
                 "no program of a lathe for this control: {why}. Move by hand to the positions of the program for siemens, \
                  and fill in its run file"
             ))),
@@ -76,10 +76,10 @@ impl Control {
 ///
 /// # Errors
 /// The control cannot do a step of the plan.
-pub fn program(plan: &Plan, control: Control) -> Result<(String, String), Refused> {
+pub fn generate_program(plan: &Plan, control: Control) -> Result<(String, String), ProgramError> {
     if control == Control::Heidenhain && plan.steps.iter().any(|step| matches!(step, Step::Arc(_)))
     {
-        return Err(Refused(format!(
+        return Err(ProgramError(format!(
             "no {} for this control: M91 does not hold in the blocks of a circle, and a basic rotation would turn it. Program \
              the circle by hand around a preset, with the positions of the program for siemens, and fill in its run file",
             plan.name
@@ -87,7 +87,7 @@ pub fn program(plan: &Plan, control: Control) -> Result<(String, String), Refuse
     }
     let is_probed = plan.steps.iter().any(|step| matches!(step, Step::Touch(_)));
     if is_probed && control != Control::LinuxCnc {
-        return Err(Refused(format!(
+        return Err(ProgramError(format!(
             "no {} for this control: how it reads a probe outside of its own cycles depends on its builder. Touch the places of the \
              program for linuxcnc by the control's own measuring cycles, and fill in its run file",
             plan.name
@@ -95,101 +95,118 @@ pub fn program(plan: &Plan, control: Control) -> Result<(String, String), Refuse
     }
     let name = plan.name.replace('-', "_");
     let text = |mut dialect: Box<dyn Dialect>| {
-        dialect.head(plan);
-        dialect.stop(&plan.first_stop());
-        dialect.modes(plan);
+        dialect.write_header(plan);
+        dialect.write_stop(&plan.first_stop_instructions());
+        dialect.write_modes(plan);
         let mut at_um = [None; 3];
-        write(plan, &plan.steps, dialect.as_mut(), &mut at_um);
-        dialect.end()
+        write_steps(plan, &plan.steps, dialect.as_mut(), &mut at_um);
+        dialect.finish()
     };
     Ok(match control {
-        Control::LinuxCnc => (format!("{name}.ngc"), text(Box::<linuxcnc::Text>::default())),
-        Control::Fanuc => (format!("{name}.nc"), text(Box::<fanuc::Text>::default())),
-        Control::Siemens => (format!("{name}.mpf"), text(Box::<siemens::Text>::default())),
-        Control::Heidenhain => (format!("{name}.h"), text(Box::<heidenhain::Text>::default())),
+        Control::LinuxCnc => {
+            (format!("{name}.ngc"), text(Box::<linuxcnc::ProgramWriter>::default()))
+        }
+        Control::Fanuc => (format!("{name}.nc"), text(Box::<fanuc::ProgramWriter>::default())),
+        Control::Siemens => (format!("{name}.mpf"), text(Box::<siemens::ProgramWriter>::default())),
+        Control::Heidenhain => {
+            (format!("{name}.h"), text(Box::<heidenhain::ProgramWriter>::default()))
+        }
     })
 }
 
-fn write(plan: &Plan, steps: &[Step], dialect: &mut dyn Dialect, at_um: &mut [Option<i64>; 3]) {
+fn write_steps(
+    plan: &Plan,
+    steps: &[Step],
+    dialect: &mut dyn Dialect,
+    at_um: &mut [Option<i64>; 3],
+) {
     for step in steps {
         match step {
-            Step::Note(text) => dialect.note(text),
+            Step::Note(text) => dialect.write_comment(text),
             Step::Stop(text) => {
-                dialect.stop(text);
+                dialect.write_stop(text);
                 // The operator may have jogged.
                 *at_um = [None; 3];
             }
             Step::Approach { axis, to_mm } => {
                 let mut to = [None; 3];
                 to[*axis] = Some(*to_mm);
-                dialect.line(&ends(plan, &to, at_um), plan.approach_mm_per_min);
+                dialect.write_linear_move(
+                    &compute_move_targets(plan, &to, at_um),
+                    plan.approach_mm_per_min,
+                );
             }
             Step::Move { to_mm, feed_mm_per_min } => {
-                dialect.line(&ends(plan, to_mm, at_um), *feed_mm_per_min);
+                dialect
+                    .write_linear_move(&compute_move_targets(plan, to_mm, at_um), *feed_mm_per_min);
             }
             Step::Arc(arc) => {
-                if let Some(around) = around(arc, at_um) {
-                    dialect.around(&around);
+                if let Some(around) = compute_arc_blocks(arc, at_um) {
+                    dialect.write_arc(&around);
                 }
             }
             Step::Guarded { axis, to_mm } => {
-                let to = micrometres(*to_mm);
+                let to = to_micrometres(*to_mm);
                 at_um[*axis] = Some(to);
-                dialect.guarded(*axis, to, plan.approach_mm_per_min);
+                dialect.write_guarded_move(*axis, to, plan.approach_mm_per_min);
             }
             Step::Touch(touch) => {
                 let (axis, number, feed) = (touch.axis, touch.number, touch.feed_mm_per_min);
-                let to = micrometres(touch.to_mm);
+                let to = to_micrometres(touch.to_mm);
                 if let Some(from) = at_um[axis] {
-                    let touching = Touching { axis, from, to, feed, number };
-                    dialect.touch(&touching, plan.approach_mm_per_min);
+                    let touching = ProbeMove { axis, from, to, feed, number };
+                    dialect.write_probe_move(&touching, plan.approach_mm_per_min);
                 }
             }
-            Step::Found(found) => dialect.found(&cells(plan, found)),
-            Step::Spindle(rpm) => dialect.spindle(*rpm),
-            Step::Dwell(s) => dialect.dwell(*s, false),
-            Step::Read(s) => dialect.dwell(*s, true),
+            Step::Found(found) => dialect.write_result_row(&build_row(plan, found)),
+            Step::Spindle(rpm) => dialect.write_spindle_command(*rpm),
+            Step::Dwell(s) => dialect.write_dwell(*s, false),
+            Step::Read(s) => dialect.write_dwell(*s, true),
             Step::Repeat { times, steps } => {
-                dialect.repeat(*times);
-                write(plan, steps, dialect, at_um);
-                dialect.repeated();
+                dialect.begin_repeat(*times);
+                write_steps(plan, steps, dialect, at_um);
+                dialect.end_repeat();
             }
         }
     }
 }
 
-fn ends(plan: &Plan, to_mm: &[Option<f64>; 3], at_um: &mut [Option<i64>; 3]) -> Ends {
+fn compute_move_targets(
+    plan: &Plan,
+    to_mm: &[Option<f64>; 3],
+    at_um: &mut [Option<i64>; 3],
+) -> MoveTargets {
     let mut axes = Vec::new();
     for (axis, to_mm) in to_mm.iter().enumerate() {
         let Some(to_mm) = to_mm else { continue };
         // X of a lathe is written as a diameter.
         let times = if plan.is_lathe && axis == 0 { 2 } else { 1 };
-        let to = times * micrometres(*to_mm);
+        let to = times * to_micrometres(*to_mm);
         axes.push((axis, at_um[axis].replace(to), to));
     }
-    Ends { axes }
+    MoveTargets { axes }
 }
 
 /// Returns the row of what touches have found.
-fn cells(plan: &Plan, found: &Found) -> Vec<Cell> {
-    let reading = Reading::of(found);
+fn build_row(plan: &Plan, found: &ProbedPoint) -> Vec<Cell> {
+    let reading = PlannedReading::from_touches(found);
     let cell = |column: &Column| {
-        let name = template::name(column);
+        let name = template::column_name(column);
         let measured = ["measured_dx_um", "measured_dy_um", "measured_dz_um"];
         let mean = measured.iter().position(|it| *it == name).and_then(|axis| found.by[axis]);
-        mean.map_or_else(|| Cell::Text(template::cell(column, &reading)), Cell::Found)
+        mean.map_or_else(|| Cell::Text(template::cell_text(column, &reading)), Cell::Found)
     };
     plan.columns.iter().map(cell).collect()
 }
 
 /// Returns the blocks of an arc, and puts the axes to its end; `None` where it is not known from where it goes.
-fn around(arc: &Arc, at_um: &mut [Option<i64>; 3]) -> Option<Around> {
+fn compute_arc_blocks(arc: &Arc, at_um: &mut [Option<i64>; 3]) -> Option<ArcBlocks> {
     let mut from = [at_um[arc.axes[0]]?, at_um[arc.axes[1]]?];
-    let centre = arc.centre_mm.map(micrometres);
+    let centre = arc.centre_mm.map(to_micrometres);
     let mut blocks = Vec::new();
-    for turn_deg in arc.blocks_deg() {
+    for turn_deg in arc.block_angles_deg() {
         let block = Arc { turn_deg, ..*arc };
-        let end = block.end_mm(from.map(|um| um as f64 / 1000.0)).map(micrometres);
+        let end = block.end_mm(from.map(|um| um as f64 / 1000.0)).map(to_micrometres);
         let way = |to: [i64; 2]| [0, 1].map(|n| to[n] - from[n]);
         blocks.push((turn_deg > 0.0, way(end), way(centre)));
         from = end;
@@ -197,10 +214,10 @@ fn around(arc: &Arc, at_um: &mut [Option<i64>; 3]) -> Option<Around> {
     for (axis, um) in arc.axes.into_iter().zip(from) {
         at_um[axis] = Some(um);
     }
-    Some(Around { axes: arc.axes, blocks, feed: arc.feed_mm_per_min })
+    Some(ArcBlocks { axes: arc.axes, blocks, feed: arc.feed_mm_per_min })
 }
 
 /// A machine is far shorter than what an i64 holds.
-fn micrometres(mm: f64) -> i64 {
+fn to_micrometres(mm: f64) -> i64 {
     (mm * 1000.0).round() as i64
 }

@@ -5,15 +5,15 @@
 
 use crate::plan::{Plan, Step};
 
-const AXES: [&str; 3] = ["X", "Y", "Z"];
+const AXIS_NAMES: [&str; 3] = ["X", "Y", "Z"];
 
 impl Plan {
     /// Returns the sentences of the stop that comes before anything moves or turns.
     #[must_use]
-    pub fn first_stop(&self) -> Vec<String> {
+    pub fn first_stop_instructions(&self) -> Vec<String> {
         let mut sentences = Vec::new();
         let approaches = self.first_approaches();
-        let extents: Vec<(&str, [f64; 2])> = AXES
+        let extents: Vec<(&str, [f64; 2])> = AXIS_NAMES
             .into_iter()
             .zip(self.extent_mm())
             .filter_map(|(axis, extent)| extent.map(|extent| (axis, extent)))
@@ -21,14 +21,22 @@ impl Plan {
         if !extents.is_empty() {
             // A lathe's screen shows diameters.
             let diameter = |axis: &str, mm: &[f64]| match (self.is_lathe && axis == "X", mm) {
-                (true, [mm]) => format!(" (diameter {})", whole_um(2.0 * mm)),
+                (true, [mm]) => format!(" (diameter {})", round_to_um(2.0 * mm)),
                 (true, [low, high]) => {
-                    format!(" (diameters {} to {})", whole_um(2.0 * low), whole_um(2.0 * high))
+                    format!(
+                        " (diameters {} to {})",
+                        round_to_um(2.0 * low),
+                        round_to_um(2.0 * high)
+                    )
                 }
                 _ => String::new(),
             };
             let to = approaches.iter().map(|(axis, mm)| {
-                format!("{} goes to {mm} mm{}", AXES[*axis], diameter(AXES[*axis], &[*mm]))
+                format!(
+                    "{} goes to {mm} mm{}",
+                    AXIS_NAMES[*axis],
+                    diameter(AXIS_NAMES[*axis], &[*mm])
+                )
             });
             let to: Vec<String> = to.collect();
             let feed = self.approach_mm_per_min;
@@ -36,15 +44,15 @@ impl Plan {
             let between = |(axis, [low, high]): &(&str, [f64; 2])| {
                 format!(
                     "{axis} moves {} mm, from {low} to {high} mm{}",
-                    whole_um(high - low),
+                    round_to_um(high - low),
                     diameter(axis, &[*low, *high])
                 )
             };
             let moves: Vec<String> = extents.iter().map(between).collect();
-            let highest = self.highest_feed_mm_per_min();
+            let highest = self.max_feed_mm_per_min();
             sentences.push(format!("Then {}, at up to {highest} mm/min.", moves.join(", ")));
             let axes: Vec<&str> = extents.iter().map(|(axis, _)| *axis).collect();
-            let others: Vec<&str> = AXES
+            let others: Vec<&str> = AXIS_NAMES
                 .into_iter()
                 .filter(|axis| !axes.contains(axis) && (!self.is_lathe || *axis != "Y"))
                 .collect();
@@ -58,8 +66,8 @@ impl Plan {
                 format!("Home all axes; jog {} clear: they stand.", others.join(" and "))
             });
         }
-        if self.highest_rpm() > 0.0 {
-            sentences.push(format!("The spindle turns at up to {} r/min.", self.highest_rpm()));
+        if self.max_rpm() > 0.0 {
+            sentences.push(format!("The spindle turns at up to {} r/min.", self.max_rpm()));
             if extents.is_empty() {
                 sentences
                     .push("No axis moves. All that turns must be clear, the door closed.".into());
@@ -90,6 +98,6 @@ impl Plan {
 }
 
 /// Returns a difference of two positions without the rounding of `f64`.
-fn whole_um(mm: f64) -> f64 {
+fn round_to_um(mm: f64) -> f64 {
     (mm * 1000.0).round() / 1000.0
 }

@@ -36,15 +36,15 @@ mod travel;
 use trueup_machine::Machine;
 
 pub use control::Control;
-pub use kind::speeds::{Stretch, speeds};
-pub use kind::targets::{Targets, targets};
-pub use options::{Gauge, Options};
+pub use kind::speeds::{SpeedSegment, plan_speed_run};
+pub use kind::targets::{TargetRun, plan_target_run};
+pub use options::{MeasurementOptions, MeasuringInstrument};
 pub use plan::Plan;
-pub use refused::Refused;
+pub use refused::ProgramError;
 
 /// The kinds of measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum MeasurementKind {
     /// The lost motion of an axis on a reversal, at three places.
     Backlash,
     /// Position errors there and back.
@@ -72,28 +72,28 @@ pub enum Kind {
 /// Returns the plans of `kind` for this machine, one for each axis, plane or spindle; and notes of what has none.
 ///
 /// # Errors
-/// The travel is not known, or what is asked for does not fit in it.
-pub fn plans(
-    kind: Kind,
+/// The travel is not known, or what is requested does not fit in it.
+pub fn create_plans(
+    kind: MeasurementKind,
     machine: &Machine,
-    options: &Options,
-) -> Result<(Vec<Plan>, Vec<String>), Refused> {
+    options: &MeasurementOptions,
+) -> Result<(Vec<Plan>, Vec<String>), ProgramError> {
     options.check()?;
     let (mut plans, notes) = match kind {
-        Kind::Backlash => kind::backlash::plans(machine, options),
-        Kind::Pitch => kind::pitch::plans(machine, options),
-        Kind::Straightness => kind::straightness::plans(machine, options),
-        Kind::Warmup => kind::warmup::plans(machine, options),
-        Kind::AxisHeat => kind::axis_heat::plans(machine, options),
-        Kind::Diagonal => kind::diagonal::plans(machine, options),
-        Kind::StepDiagonal => kind::step_diagonal::plans(machine, options),
-        Kind::Circle => kind::circle::plans(machine, options),
-        Kind::Square => kind::square::plans(machine, options),
-        Kind::Sphere => kind::sphere::plans(machine, options),
-        Kind::Plate => kind::plate::plans(machine, options),
+        MeasurementKind::Backlash => kind::backlash::create_plans(machine, options),
+        MeasurementKind::Pitch => kind::pitch::create_plans(machine, options),
+        MeasurementKind::Straightness => kind::straightness::create_plans(machine, options),
+        MeasurementKind::Warmup => kind::warmup::create_plans(machine, options),
+        MeasurementKind::AxisHeat => kind::axis_heat::create_plans(machine, options),
+        MeasurementKind::Diagonal => kind::diagonal::create_plans(machine, options),
+        MeasurementKind::StepDiagonal => kind::step_diagonal::create_plans(machine, options),
+        MeasurementKind::Circle => kind::circle::create_plans(machine, options),
+        MeasurementKind::Square => kind::square::create_plans(machine, options),
+        MeasurementKind::Sphere => kind::sphere::create_plans(machine, options),
+        MeasurementKind::Plate => kind::plate::create_plans(machine, options),
     }?;
     plans
         .iter_mut()
-        .for_each(|plan| plan.is_lathe = machine.kind == trueup_machine::file::Kind::Lathe);
+        .for_each(|plan| plan.is_lathe = machine.kind == trueup_machine::file::MachineKind::Lathe);
     Ok((plans, notes))
 }

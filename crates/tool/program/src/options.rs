@@ -2,11 +2,11 @@
 
 use trueup_machine::file::LinearAxis;
 
-use crate::refused::Refused;
+use crate::refused::ProgramError;
 
 /// By what is measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Gauge {
+pub enum MeasuringInstrument {
     /// An indicator at one place: the program stops for it to be set up, and clears it on the way.
     #[default]
     Dial,
@@ -14,9 +14,9 @@ pub enum Gauge {
     Laser,
 }
 
-/// How a measurement is wanted.
+/// How a measurement is to be made.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Options {
+pub struct MeasurementOptions {
     /// These axes only; empty: all whose travel is known.
     pub axes: Vec<LinearAxis>,
     /// The range in mm in which an axis may move; `None`: its whole travel. A vertical or tool axis without a
@@ -57,7 +57,7 @@ pub struct Options {
     /// From target to target in mm; `None`: each kind has its own.
     pub step_mm: Option<f64>,
     /// The instrument; `None`: a dial for backlash, a gauge that does not touch for the warm-up.
-    pub gauge: Option<Gauge>,
+    pub gauge: Option<MeasuringInstrument>,
     /// The spindle's speed in r/min; `None`: the machine file's `rated_rpm`.
     pub spindle_rpm: Option<f64>,
     /// From reading to reading of a warm-up, in s; `None`: 60, and 600 where the spindle stops for each.
@@ -68,14 +68,14 @@ pub struct Options {
     pub heat_feed_mm_per_min: f64,
 }
 
-impl Default for Options {
+impl Default for MeasurementOptions {
     fn default() -> Self {
         Self {
             axes: Vec::new(),
             range_mm: [None; 3],
             clearance_mm: None,
-            approach_mm_per_min: APPROACH_MM_PER_MIN,
-            margin_mm: MARGIN_MM,
+            approach_mm_per_min: APPROACH_FEED_MM_PER_MIN,
+            margin_mm: TRAVEL_MARGIN_MM,
             feeds_mm_per_min: Vec::new(),
             dwell_s: 5.0,
             at_mm: [None; 3],
@@ -99,21 +99,21 @@ impl Default for Options {
 }
 
 /// The feed of an approach, in mm/min: the operator has a second for each 8 mm.
-pub(crate) const APPROACH_MM_PER_MIN: f64 = 500.0;
+pub(crate) const APPROACH_FEED_MM_PER_MIN: f64 = 500.0;
 /// The distance to the ends of travel, in mm: wider than a limit switch repeats.
-pub(crate) const MARGIN_MM: f64 = 2.0;
+pub(crate) const TRAVEL_MARGIN_MM: f64 = 2.0;
 /// No number of a measurement is larger; beyond it a control would not read it.
-const MAX_NUMBER: f64 = 1e6;
+const MAX_OPTION_VALUE: f64 = 1e6;
 
 /// The feed of the paper's own program (N10 … F1000), in mm/min.
-const FEED_MM_PER_MIN: f64 = 1000.0;
+const DEFAULT_FEED_MM_PER_MIN: f64 = 1000.0;
 
-impl Options {
+impl MeasurementOptions {
     /// Returns the feeds to measure at, at least one.
     #[must_use]
-    pub(crate) fn feeds(&self) -> Vec<f64> {
+    pub(crate) fn feeds_mm_per_min(&self) -> Vec<f64> {
         if self.feeds_mm_per_min.is_empty() {
-            vec![FEED_MM_PER_MIN]
+            vec![DEFAULT_FEED_MM_PER_MIN]
         } else {
             self.feeds_mm_per_min.clone()
         }
@@ -121,11 +121,11 @@ impl Options {
 
     /// Returns the feed of what is measured at one alone.
     #[must_use]
-    pub fn feed(&self) -> f64 {
-        self.feeds()[0]
+    pub(crate) fn first_feed_mm_per_min(&self) -> f64 {
+        self.feeds_mm_per_min()[0]
     }
 
-    pub(crate) fn check(&self) -> Result<(), Refused> {
+    pub(crate) fn check(&self) -> Result<(), ProgramError> {
         let above_zero = [
             ("--dwell-s", Some(self.dwell_s)),
             ("--step-mm", self.step_mm),
@@ -144,36 +144,43 @@ impl Options {
         let lengths = self.tool_lengths_mm.iter().map(|mm| ("--tool-length", Some(*mm)));
         for (name, value) in above_zero.into_iter().chain(feeds).chain(lengths) {
             if let Some(value) = value
-                && !(value > 0.0 && value <= MAX_NUMBER)
+                && !(value > 0.0 && value <= MAX_OPTION_VALUE)
             {
-                return Err(Refused(format!(
-                    "{name} must be above 0 and at most {MAX_NUMBER}, not {value}"
+                return Err(ProgramError(format!(
+                    "{name} must be above 0 and at most {MAX_OPTION_VALUE}, not {value}"
                 )));
             }
         }
         if self.repeats == Some(0) {
-            return Err(Refused("--repeats must be at least 1".into()));
+            return Err(ProgramError("--repeats must be at least 1".into()));
         }
-        if !(0.0..=MAX_NUMBER).contains(&self.margin_mm) {
-            return Err(Refused(format!("--margin must be 0 or more, not {}", self.margin_mm)));
+        if !(0.0..=MAX_OPTION_VALUE).contains(&self.margin_mm) {
+            return Err(ProgramError(format!(
+                "--margin must be 0 or more, not {}",
+                self.margin_mm
+            )));
         }
         if let Some((axis, mm)) = self.clearance_mm
-            && !(mm != 0.0 && mm.abs() <= MAX_NUMBER)
+            && !(mm != 0.0 && mm.abs() <= MAX_OPTION_VALUE)
         {
             let name = axis.name();
-            return Err(Refused(format!("--clearance {name}={mm}: must be a way in mm, not 0")));
+            return Err(ProgramError(format!(
+                "--clearance {name}={mm}: must be a way in mm, not 0"
+            )));
         }
         if self.angles_deg.iter().flatten().any(|deg| deg.is_nan() || deg.abs() > 360.0) {
-            return Err(Refused("--angle must be from -360 to 360 degrees".into()));
+            return Err(ProgramError("--angle must be from -360 to 360 degrees".into()));
         }
         let places = self.at_mm.iter().zip(LinearAxis::ALL);
         let mut far = places.filter_map(|(mm, axis)| Some((axis, (*mm)?)));
-        if let Some((axis, mm)) = far.find(|(_, mm)| mm.is_nan() || mm.abs() > MAX_NUMBER) {
-            return Err(Refused(format!("--at {}={mm}: must be a place in mm", axis.name())));
+        if let Some((axis, mm)) = far.find(|(_, mm)| mm.is_nan() || mm.abs() > MAX_OPTION_VALUE) {
+            return Err(ProgramError(format!("--at {}={mm}: must be a place in mm", axis.name())));
         }
         self.range_mm.iter().zip(LinearAxis::ALL).try_for_each(|(range, axis)| match *range {
-            Some([low, high]) if !(-MAX_NUMBER <= low && low < high && high <= MAX_NUMBER) => {
-                Err(Refused(format!(
+            Some([low, high])
+                if !(-MAX_OPTION_VALUE <= low && low < high && high <= MAX_OPTION_VALUE) =>
+            {
+                Err(ProgramError(format!(
                     "--range {}={low}:{high}: must be like {0}=-120:-20, the smaller first",
                     axis.name()
                 )))

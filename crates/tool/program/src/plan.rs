@@ -5,7 +5,7 @@
 
 use crate::{
     arc::Arc,
-    probe::{Found, Touch},
+    probe::{ProbedPoint, Touch},
 };
 
 /// A step of a plan.
@@ -41,7 +41,7 @@ pub enum Step {
     /// A touch probe touches.
     Touch(Touch),
     /// A reading by the touches before it. Stands outside of every repeat.
-    Found(Found),
+    Found(ProbedPoint),
     /// The spindle turns to the right; 0: it stops. In r/min.
     Spindle(f64),
     /// All stand.
@@ -59,14 +59,14 @@ pub enum Step {
 
 /// A reading as the plan takes it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reading {
+pub struct PlannedReading {
     /// The turn of the outermost repeat, from 1.
     pub run: u32,
     /// Where the axes stand, in mm; `None`: this program has not sent that axis anywhere.
     pub position_mm: [Option<f64>; 3],
     /// The direction of each axis's last move: 1, −1; 0: none yet.
     pub direction: [i8; 3],
-    /// Where A, B and C stand, by what the operator was asked; `None`: not stated.
+    /// Where A, B and C stand, as the operator has stated; `None`: not stated.
     pub angle_deg: [Option<f64>; 3],
     /// The length of the stylus in mm.
     pub tool_length_mm: Option<f64>,
@@ -82,8 +82,8 @@ pub struct Reading {
     pub dwelt_s: f64,
 }
 
-impl Reading {
-    const NONE: Self = Self {
+impl PlannedReading {
+    const EMPTY: Self = Self {
         run: 1,
         position_mm: [None; 3],
         direction: [0; 3],
@@ -98,14 +98,14 @@ impl Reading {
 
     /// Returns the reading that touches have made.
     #[must_use]
-    pub fn of(found: &Found) -> Self {
+    pub(crate) fn from_touches(found: &ProbedPoint) -> Self {
         Self {
             run: found.run,
             position_mm: found.at_mm.map(Some),
             angle_deg: found.angle_deg,
             tool_length_mm: found.tool_length_mm,
             point: found.point,
-            ..Self::NONE
+            ..Self::EMPTY
         }
     }
 }
@@ -169,101 +169,101 @@ pub struct Plan {
 impl Plan {
     /// Returns the readings in their order.
     #[must_use]
-    pub fn readings(&self) -> Vec<Reading> {
-        self.walk().readings
+    pub fn readings(&self) -> Vec<PlannedReading> {
+        self.simulate().readings
     }
 
     /// Returns the seconds of moves at their feeds and of dwells, without the way to the first position,
     /// stops and accelerations.
     #[must_use]
-    pub fn least_seconds(&self) -> f64 {
-        let walk = self.walk();
+    pub fn min_duration_s(&self) -> f64 {
+        let walk = self.simulate();
         walk.dwelt_s + walk.moved_s
     }
 
     /// Returns the lowest and highest position of each axis in mm; `None` where it is not sent anywhere.
     #[must_use]
     pub fn extent_mm(&self) -> [Option<[f64; 2]>; 3] {
-        self.walk().extent_mm
+        self.simulate().extent_mm
     }
 
     /// Returns the highest speed of the spindle in r/min; 0 if it never turns.
     #[must_use]
-    pub(crate) fn highest_rpm(&self) -> f64 {
-        self.walk().highest_rpm
+    pub(crate) fn max_rpm(&self) -> f64 {
+        self.simulate().max_rpm
     }
 
     /// Returns the highest feed of a move in mm/min.
     #[must_use]
-    pub(crate) fn highest_feed_mm_per_min(&self) -> f64 {
-        self.walk().highest_feed_mm_per_min
+    pub(crate) fn max_feed_mm_per_min(&self) -> f64 {
+        self.simulate().highest_feed_mm_per_min
     }
 
-    fn walk(&self) -> Walk {
-        let mut walk = Walk::new(self.approach_mm_per_min);
-        walk.all(&self.steps);
+    fn simulate(&self) -> PlanSimulation {
+        let mut walk = PlanSimulation::new(self.approach_mm_per_min);
+        walk.execute_steps(&self.steps);
         walk
     }
 }
 
 /// The machine on its way through the steps.
-struct Walk {
-    now: Reading,
+struct PlanSimulation {
+    now: PlannedReading,
     dwelt_s: f64,
     moved_s: f64,
     is_in_repeat: bool,
     approach_mm_per_min: f64,
-    highest_rpm: f64,
+    max_rpm: f64,
     highest_feed_mm_per_min: f64,
     extent_mm: [Option<[f64; 2]>; 3],
-    readings: Vec<Reading>,
+    readings: Vec<PlannedReading>,
 }
 
-impl Walk {
+impl PlanSimulation {
     fn new(approach_mm_per_min: f64) -> Self {
         let (readings, extent_mm) = (Vec::new(), [None; 3]);
         Self {
-            now: Reading::NONE,
+            now: PlannedReading::EMPTY,
             dwelt_s: 0.0,
             moved_s: 0.0,
             is_in_repeat: false,
             approach_mm_per_min,
-            highest_rpm: 0.0,
+            max_rpm: 0.0,
             highest_feed_mm_per_min: approach_mm_per_min,
             extent_mm,
             readings,
         }
     }
 
-    fn all(&mut self, steps: &[Step]) {
-        steps.iter().for_each(|step| self.one(step));
+    fn execute_steps(&mut self, steps: &[Step]) {
+        steps.iter().for_each(|step| self.execute_step(step));
     }
 
-    fn one(&mut self, step: &Step) {
+    fn execute_step(&mut self, step: &Step) {
         match step {
             Step::Note(_) | Step::Stop(_) => {}
             Step::Approach { axis, to_mm } | Step::Guarded { axis, to_mm } => {
                 let mut to = [None; 3];
                 to[*axis] = Some(*to_mm);
-                self.moved_s += 60.0 * self.go(&to) / self.approach_mm_per_min;
+                self.moved_s += 60.0 * self.move_to(&to) / self.approach_mm_per_min;
             }
             Step::Move { to_mm, feed_mm_per_min } => {
-                let way_mm = self.go(to_mm);
+                let way_mm = self.move_to(to_mm);
                 self.now.feed_mm_per_min = Some(*feed_mm_per_min);
                 self.highest_feed_mm_per_min = self.highest_feed_mm_per_min.max(*feed_mm_per_min);
                 self.moved_s += 60.0 * way_mm / feed_mm_per_min;
             }
-            Step::Arc(arc) => self.turn_around(arc),
-            Step::Touch(touch) => self.touch(touch),
-            Step::Found(found) => self.readings.push(Reading::of(found)),
+            Step::Arc(arc) => self.follow_arc(arc),
+            Step::Touch(touch) => self.execute_touch(touch),
+            Step::Found(found) => self.readings.push(PlannedReading::from_touches(found)),
             Step::Spindle(rpm) => {
                 self.now.spindle_rpm = *rpm;
-                self.highest_rpm = self.highest_rpm.max(*rpm);
+                self.max_rpm = self.max_rpm.max(*rpm);
             }
             Step::Dwell(s) => self.dwelt_s += s,
             Step::Read(s) => {
                 self.dwelt_s += s;
-                self.readings.push(Reading { dwelt_s: self.dwelt_s, ..self.now });
+                self.readings.push(PlannedReading { dwelt_s: self.dwelt_s, ..self.now });
             }
             Step::Repeat { times, steps } => {
                 let is_outermost = !self.is_in_repeat;
@@ -272,7 +272,7 @@ impl Walk {
                     if is_outermost {
                         self.now.run = turn;
                     }
-                    self.all(steps);
+                    self.execute_steps(steps);
                 }
                 if is_outermost {
                     self.is_in_repeat = false;
@@ -283,12 +283,12 @@ impl Walk {
     }
 
     /// Goes there; the way in mm, as far as it is known.
-    fn go(&mut self, to_mm: &[Option<f64>; 3]) -> f64 {
+    fn move_to(&mut self, to_mm: &[Option<f64>; 3]) -> f64 {
         let mut square = 0.0;
         for (axis, to) in to_mm.iter().enumerate() {
             let Some(to) = *to else { continue };
             if let Some(at) = self.now.position_mm[axis] {
-                self.turn(axis, to - at);
+                self.update_direction(axis, to - at);
                 square += (to - at) * (to - at);
             }
             self.now.position_mm[axis] = Some(to);
@@ -299,13 +299,13 @@ impl Walk {
     }
 
     /// Goes there and back. A plan has sent the axis before.
-    fn touch(&mut self, touch: &Touch) {
+    fn execute_touch(&mut self, touch: &Touch) {
         let Some(start_mm) = self.now.position_mm[touch.axis] else { return };
         let feed = touch.feed_mm_per_min;
         for mm in [touch.to_mm, start_mm] {
             let mut to = [None; 3];
             to[touch.axis] = Some(mm);
-            self.go(&to);
+            self.move_to(&to);
         }
         // The surface is half way.
         let way_mm = (touch.to_mm - start_mm).abs() / 2.0;
@@ -314,11 +314,11 @@ impl Walk {
     }
 
     /// Goes around, and reads on the way. A plan has sent both axes before.
-    fn turn_around(&mut self, arc: &Arc) {
+    fn follow_arc(&mut self, arc: &Arc) {
         let [Some(u), Some(v)] = arc.axes.map(|axis| self.now.position_mm[axis]) else { return };
         let start_mm = [u, v];
         let feed = arc.feed_mm_per_min;
-        let put = |now: &mut Reading, mm: [f64; 2], way: [i8; 2]| {
+        let put = |now: &mut PlannedReading, mm: [f64; 2], way: [i8; 2]| {
             for (n, axis) in arc.axes.into_iter().enumerate() {
                 now.position_mm[axis] = Some(mm[n]);
                 now.direction[axis] = way[n];
@@ -330,9 +330,9 @@ impl Walk {
         let [from, until] = arc.read_deg;
         for deg in from..=until {
             let deg = f64::from(deg);
-            let mut reading = Reading { sense: arc.sense() as i8, ..self.now };
+            let mut reading = PlannedReading { sense: arc.rotation_sign() as i8, ..self.now };
             // Nanometres: more digits of a position are none.
-            let at_mm = arc.at_mm(start_mm, deg).map(|mm| (mm * 1e6).round() / 1e6);
+            let at_mm = arc.position_mm(start_mm, deg).map(|mm| (mm * 1e6).round() / 1e6);
             put(&mut reading, at_mm, arc.direction(start_mm, deg));
             self.readings.push(reading);
         }
@@ -344,7 +344,7 @@ impl Walk {
         }
     }
 
-    fn turn(&mut self, axis: usize, mm: f64) {
+    fn update_direction(&mut self, axis: usize, mm: f64) {
         if mm != 0.0 {
             self.now.direction[axis] = if mm > 0.0 { 1 } else { -1 };
         }

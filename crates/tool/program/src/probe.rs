@@ -9,13 +9,13 @@ pub struct Touch {
     pub to_mm: f64,
     /// In mm/min.
     pub feed_mm_per_min: f64,
-    /// Its number among the touches of a [`Found`], from 1.
+    /// Its number among the touches of a [`ProbedPoint`], from 1.
     pub number: usize,
 }
 
 /// What touches have found: a row of the run file.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Found {
+pub struct ProbedPoint {
     /// The round, from 1.
     pub run: u32,
     /// Where X, Y and Z would stand at the place, by its certificate.
@@ -27,12 +27,12 @@ pub struct Found {
     /// The number of the ball or of the point.
     pub point: Option<u32>,
     /// For X, Y and Z: by which touches its place is found.
-    pub by: [Option<Mean>; 3],
+    pub by: [Option<TouchMean>; 3],
 }
 
 /// A place by the mean of one or two touches.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Mean {
+pub struct TouchMean {
     /// Numbers of touches; the same twice: one touch.
     pub touches: [usize; 2],
     /// The mean if the machine were right, in mm.

@@ -3,4 +3,4 @@
 /// Why there is no program: a sentence for the user.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
-pub struct Refused(pub String);
+pub struct ProgramError(pub String);

@@ -13,7 +13,8 @@ use std::{
 use support::{machine, with_z};
 use trueup_machine::MachineFile;
 use trueup_program::{
-    Control, Gauge, Kind, Options, Plan, Stretch, control, plan::Reading, plan::Step, plans, speeds,
+    Control, MeasurementKind, MeasurementOptions, MeasuringInstrument, Plan, SpeedSegment, control,
+    create_plans, plan::PlannedReading, plan::Step, plan_speed_run,
 };
 
 /// Where the interpreter says that the machine stands, by axis.
@@ -75,12 +76,12 @@ fn stands(program: &str) -> Option<Vec<Stand>> {
 }
 
 fn check(plan: &Plan) -> bool {
-    let text = control::program(plan, Control::LinuxCnc).expect("it is written").1;
+    let text = control::generate_program(plan, Control::LinuxCnc).expect("it is written").1;
     let Some(stands) = stands(&text) else { return false };
     let readings = plan.readings();
     assert_eq!(stands.len(), readings.len(), "{}", plan.name);
     for (n, (stand, reading)) in stands.iter().zip(&readings).enumerate() {
-        let Reading { position_mm, direction, feed_mm_per_min, .. } = *reading;
+        let PlannedReading { position_mm, direction, feed_mm_per_min, .. } = *reading;
         for axis in 0..3 {
             let Some(mm) = position_mm[axis] else { continue };
             assert!((stand.mm[axis] - mm).abs() < 1e-4, "{} {n}: {reading:?}", plan.name);
@@ -96,33 +97,38 @@ fn check(plan: &Plan) -> bool {
 #[test]
 fn linuxcncs_interpreter_stands_where_the_run_file_says() {
     let kinds = [
-        Kind::Backlash,
-        Kind::Pitch,
-        Kind::Straightness,
-        Kind::Warmup,
-        Kind::AxisHeat,
-        Kind::Diagonal,
+        MeasurementKind::Backlash,
+        MeasurementKind::Pitch,
+        MeasurementKind::Straightness,
+        MeasurementKind::Warmup,
+        MeasurementKind::AxisHeat,
+        MeasurementKind::Diagonal,
     ];
-    let stretch = |rpm, load_n| Stretch { rpm, minutes: 4.0, load_n };
+    let stretch = |rpm, load_n| SpeedSegment { rpm, minutes: 4.0, load_n };
     let stretches = [stretch(6000.0, 0.0), stretch(6000.0, 300.0), stretch(0.0, 0.0)];
-    let planned = speeds(&stretches, 20.0, &["temp_front_c".into()], "to tell a from b");
+    let planned = plan_speed_run(&stretches, 20.0, &["temp_front_c".into()], "to tell a from b");
     assert_eq!(planned.readings().len(), 37);
     check(&planned);
     // X words are diameters, the interpreter's positions are radii.
     let text = "[machine]\nname = \"l\"\nkind = \"lathe\"\n[axis.x]\ntravel_mm = [0.0, 140.0]\n[axis.z]\n\
                 travel_mm = [-500.0, 0.0]\n";
     let lathe = MachineFile::parse(text, Path::new("l.toml")).expect("the test's own file");
-    let ranges = Options {
+    let ranges = MeasurementOptions {
         range_mm: [Some([60.0, 120.0]), None, Some([-300.0, -50.0])],
-        ..Options::default()
+        ..MeasurementOptions::default()
     };
-    for kind in [Kind::Backlash, Kind::Pitch] {
-        plans(kind, &lathe, &ranges).expect("it fits").0.iter().for_each(|plan| _ = check(plan));
+    for kind in [MeasurementKind::Backlash, MeasurementKind::Pitch] {
+        create_plans(kind, &lathe, &ranges)
+            .expect("it fits")
+            .0
+            .iter()
+            .for_each(|plan| _ = check(plan));
     }
     for kind in kinds {
-        for gauge in [None, Some(Gauge::Dial), Some(Gauge::Laser)] {
-            let options = Options { gauge, feeds_mm_per_min: vec![1000.0, 200.0], ..with_z() };
-            for plan in plans(kind, &machine(), &options).expect("it fits").0 {
+        for gauge in [None, Some(MeasuringInstrument::Dial), Some(MeasuringInstrument::Laser)] {
+            let options =
+                MeasurementOptions { gauge, feeds_mm_per_min: vec![1000.0, 200.0], ..with_z() };
+            for plan in create_plans(kind, &machine(), &options).expect("it fits").0 {
                 if !check(&plan) {
                     println!("skipped: LinuxCNC's interpreter (rs274) is not here");
                     return;
@@ -134,10 +140,10 @@ fn linuxcncs_interpreter_stands_where_the_run_file_says() {
 
 #[test]
 fn linuxcncs_interpreter_goes_around_the_centre_that_the_plan_has() {
-    let plans = plans(Kind::Circle, &machine(), &with_z()).expect("it fits").0;
+    let plans = create_plans(MeasurementKind::Circle, &machine(), &with_z()).expect("it fits").0;
     assert_eq!(plans.len(), 3);
     for plan in &plans {
-        let text = control::program(plan, Control::LinuxCnc).expect("it is written").1;
+        let text = control::generate_program(plan, Control::LinuxCnc).expect("it is written").1;
         let Some(made) = calls(&text) else {
             println!("skipped: LinuxCNC's interpreter (rs274) is not here");
             return;
@@ -148,7 +154,7 @@ fn linuxcncs_interpreter_goes_around_the_centre_that_the_plan_has() {
             .map(|call| numbers(call))
             .collect();
         let planned = plan.steps.iter().filter_map(|step| match step {
-            Step::Arc(arc) => Some(arc.blocks_deg().into_iter().map(|deg| (*arc, deg))),
+            Step::Arc(arc) => Some(arc.block_angles_deg().into_iter().map(|deg| (*arc, deg))),
             _ => None,
         });
         let planned: Vec<_> = planned.flatten().collect();
@@ -168,7 +174,7 @@ fn linuxcncs_interpreter_goes_around_the_centre_that_the_plan_has() {
 
 #[test]
 fn linuxcncs_interpreter_touches_where_the_plan_says_whatever_the_work_coordinates_are() {
-    let options = Options {
+    let options = MeasurementOptions {
         at_mm: [Some(300.0), Some(-150.0), Some(-300.0)],
         ball_mm: Some(20.0),
         stylus_mm: Some(6.0),
@@ -176,9 +182,9 @@ fn linuxcncs_interpreter_touches_where_the_plan_says_whatever_the_work_coordinat
         step_mm: Some(90.0),
         ..with_z()
     };
-    for kind in [Kind::Square, Kind::Sphere, Kind::Plate] {
-        let plan = &plans(kind, &machine(), &options).expect("it fits").0[0];
-        let text = control::program(plan, Control::LinuxCnc).expect("it is written").1;
+    for kind in [MeasurementKind::Square, MeasurementKind::Sphere, MeasurementKind::Plate] {
+        let plan = &create_plans(kind, &machine(), &options).expect("it fits").0[0];
+        let text = control::generate_program(plan, Control::LinuxCnc).expect("it is written").1;
         for (before, shift) in [("", [0.0; 3]), ("G10 L2 P1 X7 Y-3 Z20\nG92 X5", [2.0, -3.0, 20.0])]
         {
             // G92 X5 at X -7 of the work coordinates: 12 mm more.

@@ -10,13 +10,13 @@ use std::{
 };
 
 /// Before a line that broke is opened again.
-const PAUSE: Duration = Duration::from_secs(1);
+const RECONNECT_DELAY: Duration = Duration::from_secs(1);
 /// A line of this many characters or more is not a reading.
-const LONGEST: usize = 80;
+const READING_LENGTH_LIMIT: usize = 80;
 
 /// The unit in which a gauge counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Unit {
+pub enum IndicatorUnit {
     /// mm.
     Millimetre,
     /// µm.
@@ -25,10 +25,10 @@ pub enum Unit {
     Inch,
 }
 
-impl Unit {
+impl IndicatorUnit {
     /// µm in one of it.
     #[must_use]
-    pub const fn micrometres(self) -> f64 {
+    pub(crate) const fn micrometres_per_unit(self) -> f64 {
         match self {
             Self::Millimetre => 1_000.0,
             Self::Micrometre => 1.0,
@@ -50,27 +50,27 @@ impl Unit {
 
 /// Where a gauge is, and what its numbers mean.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Indicator {
+pub struct IndicatorConfig {
     /// A serial device, or `tcp:HOST:PORT`.
     pub port: String,
     /// Of the serial device.
     pub baud: u32,
     /// Of a value that has none of its own.
-    pub unit: Unit,
+    pub unit: IndicatorUnit,
 }
 
 /// A reading in µm, or why there is none.
 pub type IndicatorReading = Result<f64, String>;
 
-impl Indicator {
+impl IndicatorConfig {
     /// Listens until the receiver is dropped.
     #[must_use]
     pub fn listen(self) -> Receiver<IndicatorReading> {
         let (sender, received) = mpsc::channel();
         thread::spawn(move || {
             loop {
-                let why = match self.open() {
-                    Ok(line) => match self.read(line, &sender) {
+                let why = match self.open_port() {
+                    Ok(line) => match self.forward_readings(line, &sender) {
                         Some(why) => why,
                         None => return,
                     },
@@ -79,13 +79,13 @@ impl Indicator {
                 if sender.send(Err(format!("indicator {}: {why}", self.port))).is_err() {
                     return;
                 }
-                thread::sleep(PAUSE);
+                thread::sleep(RECONNECT_DELAY);
             }
         });
         received
     }
 
-    fn open(&self) -> io::Result<Box<dyn Read + Send>> {
+    fn open_port(&self) -> io::Result<Box<dyn Read + Send>> {
         Ok(match self.port.strip_prefix("tcp:") {
             Some(address) => Box::new(TcpStream::connect(address)?),
             // A day: who reads a gauge by hand may take his time.
@@ -97,7 +97,7 @@ impl Indicator {
     }
 
     /// Reads until the line ends, and says why; `None`: the receiver is gone.
-    fn read(
+    fn forward_readings(
         &self,
         line: Box<dyn Read + Send>,
         sender: &Sender<IndicatorReading>,
@@ -106,11 +106,11 @@ impl Indicator {
         let mut bytes = Vec::new();
         loop {
             bytes.clear();
-            match until_end(&mut reader, &mut bytes) {
+            match read_until_line_end(&mut reader, &mut bytes) {
                 Ok(0) => return Some("it has closed the line".into()),
                 Ok(_) => {
                     let text = String::from_utf8_lossy(&bytes);
-                    if let Some(received) = reading(&text, self.unit)
+                    if let Some(received) = parse_reading(&text, self.unit)
                         && sender.send(received).is_err()
                     {
                         return None;
@@ -123,24 +123,24 @@ impl Indicator {
 }
 
 /// A reading has a few digits.
-const MAX_BYTES: usize = 4_096;
+const MAX_LINE_BYTES: usize = 4_096;
 
 /// Reads a line, which CR or LF ends. Returns how many bytes were taken.
-fn until_end(reader: &mut impl io::BufRead, line: &mut Vec<u8>) -> io::Result<usize> {
+fn read_until_line_end(reader: &mut impl io::BufRead, line: &mut Vec<u8>) -> io::Result<usize> {
     let mut taken = 0;
     loop {
         let buffer = reader.fill_buf()?;
         if buffer.is_empty() {
             return Ok(taken);
         }
-        if line.len() > MAX_BYTES {
+        if line.len() > MAX_LINE_BYTES {
             return Err(io::Error::other(
                 "it sends no end of a line; is this the gauge, at this speed?",
             ));
         }
         let end = buffer.iter().position(|byte| matches!(byte, b'\r' | b'\n'));
         let length = end.map_or(buffer.len(), |end| end + 1);
-        let room = LONGEST.saturating_sub(line.len()).min(end.unwrap_or(length));
+        let room = READING_LENGTH_LIMIT.saturating_sub(line.len()).min(end.unwrap_or(length));
         line.extend_from_slice(&buffer[..room]);
         reader.consume(length);
         taken += length;
@@ -152,9 +152,11 @@ fn until_end(reader: &mut impl io::BufRead, line: &mut Vec<u8>) -> io::Result<us
 
 /// Returns what a line says, in µm; `None`: it is empty.
 #[must_use]
-pub fn reading(line: &str, unit: Unit) -> Option<IndicatorReading> {
-    if line.len() >= LONGEST {
-        return Some(Err(format!("a line of {LONGEST} characters and more is not a reading")));
+pub(crate) fn parse_reading(line: &str, unit: IndicatorUnit) -> Option<IndicatorReading> {
+    if line.len() >= READING_LENGTH_LIMIT {
+        return Some(Err(format!(
+            "a line of {READING_LENGTH_LIMIT} characters and more is not a reading"
+        )));
     }
     let line = line.trim();
     if line.is_empty() {
@@ -177,14 +179,14 @@ pub fn reading(line: &str, unit: Unit) -> Option<IndicatorReading> {
     let (number, name) = value.split_at(end.unwrap_or(value.len()));
     let unit = match name.trim() {
         "" => unit,
-        name => match Unit::parse(name) {
+        name => match IndicatorUnit::parse(name) {
             Some(unit) => unit,
             None => return refused("not a reading"),
         },
     };
     let number: String = number.chars().filter(|it| *it != ' ').collect();
     match number.parse::<f64>() {
-        Ok(number) => Some(Ok(number * unit.micrometres())),
+        Ok(number) => Some(Ok(number * unit.micrometres_per_unit())),
         Err(_) => refused("not a reading"),
     }
 }
@@ -197,23 +199,23 @@ mod tests {
     #[test]
     fn digimatic_and_plain_values_are_read_in_their_unit() {
         for (line, unit, um) in [
-            ("01A+00012.345", Unit::Millimetre, 12_345.0),
-            ("02A-00000.0005", Unit::Inch, -12.7),
-            ("0.012", Unit::Millimetre, 12.0),
-            ("+ 3.5", Unit::Micrometre, 3.5),
-            ("-0.004 mm", Unit::Inch, -4.0),
-            ("12.5 µm", Unit::Millimetre, 12.5),
+            ("01A+00012.345", IndicatorUnit::Millimetre, 12_345.0),
+            ("02A-00000.0005", IndicatorUnit::Inch, -12.7),
+            ("0.012", IndicatorUnit::Millimetre, 12.0),
+            ("+ 3.5", IndicatorUnit::Micrometre, 3.5),
+            ("-0.004 mm", IndicatorUnit::Inch, -4.0),
+            ("12.5 µm", IndicatorUnit::Millimetre, 12.5),
         ] {
-            let received = reading(line, unit).expect(line).expect(line);
+            let received = parse_reading(line, unit).expect(line).expect(line);
             assert!((received - um).abs() < 1e-9, "{line}: {received}");
         }
-        assert_eq!(reading(" \r", Unit::Millimetre), None);
+        assert_eq!(parse_reading(" \r", IndicatorUnit::Millimetre), None);
     }
 
     #[test]
     fn what_is_no_reading_is_refused_and_told() {
         for line in ["0,012", "err", "1.2.3", "A12", "01A", "12 bar", "--1", "911A"] {
-            let received = reading(line, Unit::Millimetre).expect(line);
+            let received = parse_reading(line, IndicatorUnit::Millimetre).expect(line);
             assert!(received.as_ref().is_err_and(|why| why.contains(line)), "{line}: {received:?}");
         }
     }
@@ -222,7 +224,8 @@ mod tests {
     fn it_listens_line_by_line_and_says_when_the_line_is_gone() {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
         let port = format!("tcp:{}", listener.local_addr().expect("bound"));
-        let received = Indicator { port, baud: 9_600, unit: Unit::Millimetre }.listen();
+        let received =
+            IndicatorConfig { port, baud: 9_600, unit: IndicatorUnit::Millimetre }.listen();
         let (mut gauge, _) = listener.accept().expect("it connects");
         gauge.write_all(b"0.001\r\n01A+0.0025\r").expect("open");
         gauge.write_all(&[b'9'; 500]).expect("open");

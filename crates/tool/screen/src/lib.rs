@@ -12,13 +12,13 @@
 //! | [`live`] | the loop: what comes from outside goes into the state, the state is drawn |
 //! | [`state`] | all that the screen knows, and what a key does; no terminal, no clock |
 //! | [`view`] | the state as lines of a terminal of any size |
-//! | [`laws`] | volts, codes and the shares of the causes, by the machine file or the board's own calibration |
+//! | `compensation_model` | volts, codes and the shares of the causes, by the machine file or the board's own calibration |
 //! | [`trend`] | the last minutes |
 //! | [`indicator`] | a gauge that sends its readings over a serial line |
 #![forbid(unsafe_code)]
 
+pub(crate) mod compensation_model;
 pub mod indicator;
-pub mod laws;
 pub mod live;
 pub mod state;
 pub mod trend;

@@ -14,43 +14,43 @@ use ratatui::{
     },
 };
 use trueup_client::{
-    Unusable,
-    build::{Build, COMMIT},
-    holder::holder,
-    line::{Line, LineEvent},
+    UnusableInput,
+    build::Build,
+    connection::{Connection, ConnectionEvent},
     object,
-    poll::{Poll, PollOutcome},
+    poll::{ObjectPoller, PollOutcome},
     port::Port,
+    port_holder::port_holder,
     record::Recorder,
 };
 use trueup_link::{
     frame::Frame,
-    frames::{self, State as NodeState},
+    frames::{self, NmtState as NodeState},
     slcan::Event,
 };
 use trueup_machine::file::Quantity;
 
 use crate::{
-    indicator::Indicator,
-    laws::Laws,
-    state::{Action, Key, Link, Source, State},
+    compensation_model::CompensationModel,
+    indicator::IndicatorConfig,
+    state::{Action, Key, LinkState, ModelSource, State},
     view::{self, Theme},
 };
 
 /// From one sample of the trend to the next, and from one question for the growth to the next: as fast as
 /// a number can be read while a finger pushes.
-const SAMPLE: Duration = Duration::from_millis(200);
+const SAMPLE_PERIOD: Duration = Duration::from_millis(200);
 /// From one drawing to the next.
-const DRAW: Duration = Duration::from_millis(100);
+const DRAW_PERIOD: Duration = Duration::from_millis(100);
 /// Characters of a picture of the screen, across and down.
-const PICTURE: [u16; 2] = [80, 24];
+const SNAPSHOT_SIZE: [u16; 2] = [80, 24];
 /// A look at line and keys.
-const TURN: Duration = Duration::from_millis(10);
-/// A calibration is read once; after a refusal it is asked for again, not sooner than this.
-const AGAIN: Duration = Duration::from_secs(3_600);
+const POLL_INTERVAL: Duration = Duration::from_millis(10);
+/// A calibration is read once; after a refusal it is requested again, not sooner than this.
+const READ_RETRY_INTERVAL: Duration = Duration::from_secs(3_600);
 
 /// Options of the screen.
-pub struct Options {
+pub struct ScreenOptions {
     /// Where the bridge is.
     pub port: String,
     /// Who shows it: a bridge of another source is reported.
@@ -65,7 +65,7 @@ pub struct Options {
     /// The quantity that the gauge measures.
     pub quantity: Quantity,
     /// A gauge that speaks.
-    pub indicator: Option<Indicator>,
+    pub indicator: Option<IndicatorConfig>,
     /// A picture of the screen is written here after so long, and nothing is drawn.
     pub picture: Option<(PathBuf, Duration)>,
 }
@@ -74,102 +74,104 @@ pub struct Options {
 ///
 /// # Errors
 /// The port or the machine file is wrong; the terminal cannot be used; a recording cannot be written.
-pub fn run(options: Options) -> Result<bool> {
+pub fn run(options: ScreenOptions) -> Result<bool> {
     let port = Port::parse(&options.port)?;
-    let laws = options.machine.as_deref().map(Laws::read).transpose()?;
+    let laws = options.machine.as_deref().map(CompensationModel::read).transpose()?;
     let mut state = State::new(&options.port, options.quantity, options.indicator.is_some());
     if let (Some(laws), Some(file)) = (laws, &options.machine) {
         let name = file.file_name().unwrap_or(file.as_os_str());
-        state.source = Source::File(name.to_string_lossy().into_owned());
+        state.source = ModelSource::File(name.to_string_lossy().into_owned());
         state.laws = Some(laws);
     }
     let theme = Theme { has_colour: std::env::var_os("NO_COLOR").is_none_or(|it| it.is_empty()) };
-    let interface = port.interface().to_owned();
+    let interface = port.interface_name().to_owned();
     let kept = port.clone();
-    let line = Line::keep(move || kept.open());
-    let indicator = options.indicator.clone().map(Indicator::listen);
-    let mut live = Live {
+    let line = Connection::spawn(move || kept.open());
+    let indicator = options.indicator.clone().map(IndicatorConfig::listen);
+    let mut live = EventLoop {
         state,
         options,
         port,
         interface,
         recorder: None,
         start: Instant::now(),
-        growth: Poll::new(object::ELONGATION, SAMPLE, Instant::now()),
-        commit: Poll::new(COMMIT, AGAIN, Instant::now()),
+        growth: ObjectPoller::new(object::ELONGATION, SAMPLE_PERIOD, Instant::now()),
+        commit: ObjectPoller::new(object::COMMIT, READ_RETRY_INTERVAL, Instant::now()),
         calibration: None,
     };
     if live.options.record.is_some() && !live.options.is_strict {
-        live.record()?;
+        live.start_recording()?;
     }
     if let Some((path, after)) = live.options.picture.clone() {
-        live.watch(&line, after)?;
-        let picture = view::picture::picture(&live.state, PICTURE);
+        live.run_headless(&line, after)?;
+        let picture = view::svg::render_svg(&live.state, SNAPSHOT_SIZE);
         fs::write(&path, picture).with_context(|| format!("while writing {}", path.display()))?;
-        return Ok(live.state.is_sound());
+        return Ok(live.state.is_error_free());
     }
     let terminal = ratatui::try_init().context("the terminal cannot be used; try --plain")?;
-    let ended = live.turn(terminal, theme, &line, indicator.as_ref());
+    let ended = live.run_in_terminal(terminal, theme, &line, indicator.as_ref());
     // `restore` prints its failure to a standard error that may be gone.
     _ = ratatui::try_restore();
     ended?;
     if let Some(recorder) = &live.recorder {
-        trueup_output::diagnostic(recorder.summary());
+        trueup_output::write_diagnostic(recorder.summary());
     }
-    Ok(live.state.is_sound())
+    Ok(live.state.is_error_free())
 }
 
-struct Live {
+struct EventLoop {
     state: State,
-    options: Options,
+    options: ScreenOptions,
     port: Port,
     interface: String,
     recorder: Option<Recorder>,
     start: Instant,
-    growth: Poll,
-    /// Asked for once as well.
-    commit: Poll,
+    growth: ObjectPoller,
+    /// Requested once as well.
+    commit: ObjectPoller,
     /// The calibration of this CRC is being read, or was.
-    calibration: Option<(u32, Poll)>,
+    calibration: Option<(u32, ObjectPoller)>,
 }
 
-impl Live {
-    fn turn(
+impl EventLoop {
+    fn run_in_terminal(
         &mut self,
         mut terminal: DefaultTerminal,
         theme: Theme,
-        line: &Line,
+        line: &Connection,
         indicator: Option<&std::sync::mpsc::Receiver<crate::indicator::IndicatorReading>>,
     ) -> Result<()> {
         let (mut sampled, mut drawn) = (None::<Instant>, None::<Instant>);
         loop {
-            for heard in line.received() {
-                self.receive(heard, line)?;
+            for heard in line.take_events() {
+                self.handle_line_event(heard, line)?;
             }
             for heard in indicator.iter().flat_map(|it| it.try_iter()) {
-                let action = self.state.gauged(heard, self.now_s());
-                self.act(action)?;
+                let action = self.state.handle_gauge_reading(heard, self.now_s());
+                self.perform_action(action)?;
             }
             let now = Instant::now();
-            if sampled.is_none_or(|at| now - at >= SAMPLE) {
+            if sampled.is_none_or(|at| now - at >= SAMPLE_PERIOD) {
                 sampled = Some(now);
-                self.state.sample(self.now_s());
-                self.ask(line, now);
+                self.state.record_trend_sample(self.now_s());
+                self.send_due_requests(line, now);
             }
-            if drawn.is_none_or(|at| now - at >= DRAW) {
+            if drawn.is_none_or(|at| now - at >= DRAW_PERIOD) {
                 drawn = Some(now);
                 terminal.draw(|frame| view::draw(frame, &self.state, theme))?;
                 if let Some(recorder) = &mut self.recorder {
                     recorder.flush()?;
                 }
             }
-            while event::poll(TURN)? {
+            while event::poll(POLL_INTERVAL)? {
                 let pressed = match event::read()? {
-                    TerminalEvent::Key(key) if key.kind != KeyEventKind::Release => self::key(key),
+                    TerminalEvent::Key(key) if key.kind != KeyEventKind::Release => {
+                        self::convert_key_event(key)
+                    }
                     _ => None,
                 };
-                let action = pressed.and_then(|key| self.state.key(key));
-                if self.act(action)? {
+                let action = pressed.and_then(|key| self.state.handle_key(key));
+                if self.perform_action(action)? {
                     return Ok(());
                 }
                 drawn = None;
@@ -177,15 +179,15 @@ impl Live {
         }
     }
 
-    /// Takes what comes for so long, without a terminal.
-    fn watch(&mut self, line: &Line, length: Duration) -> Result<()> {
+    /// Processes what comes for the time `length`, without a terminal.
+    fn run_headless(&mut self, line: &Connection, length: Duration) -> Result<()> {
         while self.start.elapsed() < length {
-            for heard in line.received() {
-                self.receive(heard, line)?;
+            for heard in line.take_events() {
+                self.handle_line_event(heard, line)?;
             }
-            self.state.sample(self.now_s());
-            self.ask(line, Instant::now());
-            std::thread::sleep(SAMPLE);
+            self.state.record_trend_sample(self.now_s());
+            self.send_due_requests(line, Instant::now());
+            std::thread::sleep(SAMPLE_PERIOD);
         }
         Ok(())
     }
@@ -194,32 +196,32 @@ impl Live {
         self.start.elapsed().as_secs_f64()
     }
 
-    fn receive(&mut self, heard: LineEvent, line: &Line) -> Result<()> {
+    fn handle_line_event(&mut self, heard: ConnectionEvent, line: &Connection) -> Result<()> {
         match heard {
-            LineEvent::Up => self.state.link = Link::Up,
-            LineEvent::Down(why) => {
-                let other = holder(&self.port);
+            ConnectionEvent::Up => self.state.link = LinkState::Up,
+            ConnectionEvent::Down(why) => {
+                let other = port_holder(&self.port);
                 let other = other.map(|it| format!("; {it} has the line: end it first"));
-                self.state.link = Link::Down(why + &other.unwrap_or_default());
+                self.state.link = LinkState::Down(why + &other.unwrap_or_default());
             }
-            LineEvent::Received(Event::Frame(frame)) => self.frame(&frame, line)?,
-            LineEvent::Received(Event::Malformed(_)) => self.state.malformed_lines += 1,
-            LineEvent::Late => {
+            ConnectionEvent::Received(Event::Frame(frame)) => self.handle_frame(&frame, line)?,
+            ConnectionEvent::Received(Event::Malformed(_)) => self.state.malformed_lines += 1,
+            ConnectionEvent::Late => {
                 self.state.left_out += 1;
                 self.state.show_message("the line has stalled: what is old is left out");
             }
-            LineEvent::Received(_) => {}
+            ConnectionEvent::Received(_) => {}
         }
         Ok(())
     }
 
-    fn frame(&mut self, frame: &Frame, line: &Line) -> Result<()> {
+    fn handle_frame(&mut self, frame: &Frame, line: &Connection) -> Result<()> {
         let now = Instant::now();
         self.state.receive(frame, self.now_s());
         if let Some(recorder) = &mut self.recorder {
-            recorder.runs(self.state.board.calibration);
+            recorder.set_running_calibration(self.state.board.calibration);
             recorder.receive(frame, SystemTime::now())?;
-            self.state.recorded(recorder.readings(), recorder.rows());
+            self.state.set_recording_counts(recorder.reading_count(), recorder.row_count());
         }
         if frames::decode_heartbeat(frame) == Ok(NodeState::BootUp) {
             self.state.show_message("the bridge has started anew");
@@ -227,23 +229,23 @@ impl Live {
         // What the bridge runs on is known now.
         let is_asked = self.options.is_strict && self.options.record.is_some();
         if is_asked && self.state.board.calibration.is_some() {
-            self.record()?;
+            self.start_recording()?;
         }
-        // One transfer at a time: the calibration first, as it is asked for once.
+        // One transfer at a time: the calibration first, as it is requested once.
         if let Some((_, poll)) = &mut self.calibration
             && poll.is_running()
         {
             match poll.receive(frame, now) {
-                PollOutcome::Ask(request) => line.send(request),
-                PollOutcome::Bytes(blob) => self.learn(&blob),
-                PollOutcome::Refused => self.state.source = Source::None,
+                PollOutcome::Ask(request) => line.try_send(request),
+                PollOutcome::Bytes(blob) => self.apply_board_calibration(&blob),
+                PollOutcome::Refused => self.state.source = ModelSource::None,
                 PollOutcome::Nothing => {}
             }
             if let Some((_, poll)) = &self.calibration
                 && let Some((bytes, of)) = poll.progress()
             {
                 let percent = bytes as u64 * 100 / u64::from(of.max(1));
-                self.state.source = Source::Reading(u32::try_from(percent).unwrap_or(100));
+                self.state.source = ModelSource::Reading(u32::try_from(percent).unwrap_or(100));
             }
             return Ok(());
         }
@@ -257,12 +259,12 @@ impl Live {
             return Ok(());
         }
         match self.growth.receive(frame, now) {
-            PollOutcome::Ask(request) => line.send(request),
+            PollOutcome::Ask(request) => line.try_send(request),
             PollOutcome::Bytes(bytes) => {
                 let thousandths = bytes.first_chunk().copied().map(i32::from_le_bytes);
                 let thousandths = thousandths.filter(|it| *it != object::NOT_AVAILABLE);
                 let growth_um = thousandths.map(|it| f64::from(it) / 1_000.0);
-                self.state.answered(growth_um, self.now_s());
+                self.state.set_sensor_growth(growth_um, self.now_s());
             }
             PollOutcome::Refused | PollOutcome::Nothing => {}
         }
@@ -270,43 +272,46 @@ impl Live {
     }
 
     /// Sends the requests to the bridge that are due: reading alone, and none while the line is down.
-    fn ask(&mut self, line: &Line, now: Instant) {
-        if self.state.link != Link::Up {
+    fn send_due_requests(&mut self, line: &Connection, now: Instant) {
+        if self.state.link != LinkState::Up {
             return;
         }
         let running = self.state.board.calibration.filter(|crc| *crc != 0);
-        let is_file = matches!(self.state.source, Source::File(_));
+        let is_file = matches!(self.state.source, ModelSource::File(_));
         if let (Some(crc), false) = (running, is_file)
             && self.calibration.as_ref().is_none_or(|(of, _)| *of != crc)
         {
-            self.calibration = Some((crc, Poll::new(object::RUNNING, AGAIN, now)));
+            self.calibration = Some((
+                crc,
+                ObjectPoller::new(object::RUNNING_CALIBRATION, READ_RETRY_INTERVAL, now),
+            ));
         }
         let calibration = self.calibration.as_mut().filter(|_| !self.commit.is_running());
-        let calibration = calibration.and_then(|(_, poll)| poll.due(now));
+        let calibration = calibration.and_then(|(_, poll)| poll.take_due_request(now));
         let is_reading = self.calibration.as_ref().is_some_and(|(_, poll)| poll.is_running());
-        let commit = if is_reading { None } else { self.commit.due(now) };
+        let commit = if is_reading { None } else { self.commit.take_due_request(now) };
         let is_asking = is_reading || self.commit.is_running();
-        let growth = if is_asking { None } else { self.growth.due(now) };
+        let growth = if is_asking { None } else { self.growth.take_due_request(now) };
         for request in calibration.into_iter().chain(commit).chain(growth) {
-            line.send(request);
+            line.try_send(request);
         }
     }
 
-    fn learn(&mut self, blob: &[u8]) {
-        self.state.laws = Laws::of_board(blob);
+    fn apply_board_calibration(&mut self, blob: &[u8]) {
+        self.state.laws = CompensationModel::from_board_blob(blob);
         self.state.source = match self.state.laws {
-            Some(_) => Source::Board,
-            None => Source::None,
+            Some(_) => ModelSource::Board,
+            None => ModelSource::None,
         };
     }
 
-    /// Does what a key has asked for; whether it was to end.
-    fn act(&mut self, action: Option<Action>) -> Result<bool> {
+    /// Executes what a key has requested; returns whether it was to end.
+    fn perform_action(&mut self, action: Option<Action>) -> Result<bool> {
         match action {
             None => {}
             Some(Action::Quit) => return Ok(true),
             Some(Action::Record) => {
-                if let Err(error) = self.record() {
+                if let Err(error) = self.start_recording() {
                     self.state.show_message(format!("{error:#}"));
                 }
             }
@@ -319,18 +324,18 @@ impl Live {
             }
             Some(Action::Mark(um)) => {
                 if let Some(recorder) = &mut self.recorder {
-                    recorder.mark(um);
-                    self.state.recorded(recorder.readings(), recorder.rows());
-                    self.state.mark(um);
+                    recorder.record_gauge_reading(um);
+                    self.state.set_recording_counts(recorder.reading_count(), recorder.row_count());
+                    self.state.record_gauge_reading(um);
                     self.state.show_message(format!("{um:+.2} µm written down; u takes it back"));
                 }
             }
             Some(Action::Unmark) => {
                 if let Some(recorder) = &mut self.recorder
-                    && let Some(um) = recorder.unmark()?
+                    && let Some(um) = recorder.undo_gauge_reading()?
                 {
-                    self.state.recorded(recorder.readings(), recorder.rows());
-                    self.state.unmark();
+                    self.state.set_recording_counts(recorder.reading_count(), recorder.row_count());
+                    self.state.undo_gauge_reading();
                     self.state.show_message(format!("{um:+.2} µm taken out again"));
                 }
             }
@@ -338,37 +343,41 @@ impl Live {
         Ok(false)
     }
 
-    fn record(&mut self) -> Result<()> {
-        let expected = self.state.laws.as_ref().and_then(Laws::crc);
+    fn start_recording(&mut self) -> Result<()> {
+        let expected = self.state.laws.as_ref().and_then(CompensationModel::crc);
         if self.options.is_strict
             && (expected.is_none() || self.state.board.calibration != expected)
         {
-            return Err(Unusable::OtherCalibration.into());
+            return Err(UnusableInput::OtherCalibration.into());
         }
         // A second recording must not be written over the first.
-        let path = self.options.record.take().unwrap_or_else(|| folder_of(SystemTime::now()));
+        let path = self
+            .options
+            .record
+            .take()
+            .unwrap_or_else(|| unused_recording_folder(SystemTime::now()));
         let machine = self.options.machine.as_deref();
         let quantity = Some(self.options.quantity);
-        self.recorder = Some(Recorder::begin(&path, machine, &self.interface, quantity)?);
-        self.state.recorded(0, 0);
-        self.state.recording = Some(shown(&path));
+        self.recorder = Some(Recorder::create(&path, machine, &self.interface, quantity)?);
+        self.state.set_recording_counts(0, 0);
+        self.state.recording = Some(display_path(&path));
         Ok(())
     }
 }
 
-fn shown(path: &Path) -> String {
+fn display_path(path: &Path) -> String {
     path.display().to_string()
 }
 
 /// Returns a folder that no other recording has.
-fn folder_of(now: SystemTime) -> PathBuf {
+fn unused_recording_folder(now: SystemTime) -> PathBuf {
     let since = now.duration_since(UNIX_EPOCH).unwrap_or_default();
     let seconds = u32::try_from(since.as_secs()).unwrap_or(u32::MAX);
-    let stamp = trueup_client::writes::utc_text(seconds).replace([':', '-'], "");
+    let stamp = trueup_client::write_log::format_utc(seconds).replace([':', '-'], "");
     PathBuf::from(format!("bridge-{stamp}"))
 }
 
-fn key(event: KeyEvent) -> Option<Key> {
+fn convert_key_event(event: KeyEvent) -> Option<Key> {
     Some(match event.code {
         KeyCode::Char('c') if event.modifiers.contains(KeyModifiers::CONTROL) => Key::Interrupt,
         KeyCode::Char(it) => Key::Char(it),

@@ -2,12 +2,12 @@
 //! seconds since the screen began.
 
 use trueup_client::{
-    cnc::Cnc,
-    remedy::remedies,
-    status::Board,
-    words::{flag_words, offset_um, waits_for},
+    cnc::CncState,
+    remedy::find_remedies,
+    state_text::{flag_names, offset_um, pending_action},
+    status::BoardStatus,
 };
-use trueup_core::{cnc::Output, dimensions::CHANNELS};
+use trueup_core::{cnc::Output, dimensions::CHANNEL_COUNT};
 use trueup_link::{
     frame::Frame,
     receiver::{Counters, OffsetReceiver},
@@ -16,24 +16,24 @@ use trueup_link::{
 use trueup_machine::file::Quantity;
 
 use crate::{
-    laws::{Laws, Moment, Share},
-    trend::{DIFFERENCE, SERIES, Trend},
+    compensation_model::{CompensationModel, LiveValues, OffsetContribution},
+    trend::{DIFFERENCE_SERIES_INDEX, SERIES_COUNT, Trend},
 };
 
 /// Offsets older than this are not shown as being of now: 1 s is a thousand cycles.
-const STALE_S: f64 = 1.0;
+const MAX_OFFSET_AGE_S: f64 = 1.0;
 /// A value of the status older than this is shown as old: each item comes every 1.5 s.
-const OLD_S: f64 = 4.0;
-/// A reading of the sensor that was asked for counts for so long; then the one of the status does.
-const ASKED_S: f64 = 1.0;
+const MAX_STATUS_AGE_S: f64 = 4.0;
+/// A requested reading of the sensor counts for this time; then the one of the status does.
+const MAX_SENSOR_AGE_S: f64 = 1.0;
 /// A gauge's reading older than this is not of the moment at which a key is pressed.
-pub(crate) const FRESH_S: f64 = 1.0;
-/// A message stands for so long.
-const MESSAGE_S: f64 = 8.0;
+pub(crate) const MAX_GAUGE_AGE_S: f64 = 1.0;
+/// Time for which a message is shown.
+const MESSAGE_DURATION_S: f64 = 8.0;
 
 /// A key that was pressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Key {
+pub(crate) enum Key {
     /// A character.
     Char(char),
     /// Return.
@@ -48,7 +48,7 @@ pub enum Key {
 
 /// An action for the loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Action {
+pub(crate) enum Action {
     /// End.
     Quit,
     /// Begin a recording.
@@ -63,7 +63,7 @@ pub enum Action {
 
 /// The line to the bridge.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Link {
+pub enum LinkState {
     /// It is being opened.
     Opening,
     /// It is open.
@@ -74,7 +74,7 @@ pub enum Link {
 
 /// Whose laws the screen uses.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Source {
+pub enum ModelSource {
     /// No laws.
     None,
     /// The board's own calibration; this many percent of it have come.
@@ -87,7 +87,7 @@ pub enum Source {
 
 /// The gauge that measures the machine while the bridge runs.
 #[derive(Clone, Debug)]
-pub struct Gauge {
+pub struct GaugeState {
     /// The quantity that it measures.
     pub quantity: Quantity,
     /// It speaks to this computer; otherwise its readings are typed.
@@ -100,9 +100,9 @@ pub struct Gauge {
 
 /// When the items of the status came last, in s since the screen began.
 #[derive(Clone, Copy, Debug, Default)]
-struct ReceivedAt {
+struct ReceptionTimes {
     growth: Option<f64>,
-    temperatures: [Option<f64>; CHANNELS / 2],
+    temperatures: [Option<f64>; CHANNEL_COUNT / 2],
     state: Option<f64>,
 }
 
@@ -111,13 +111,13 @@ pub struct State {
     /// Where the bridge is, as the user wrote it.
     pub port: String,
     /// The line.
-    pub link: Link,
+    pub link: LinkState,
     /// The laws that make shares and volts of what is received.
-    pub laws: Option<Laws>,
+    pub laws: Option<CompensationModel>,
     /// Where they are from.
-    pub source: Source,
+    pub source: ModelSource,
     /// The gauge.
-    pub gauge: Gauge,
+    pub gauge: GaugeState,
     /// The part of a gauge's reading that is typed so far.
     pub prompt: Option<String>,
     /// Where the recording goes.
@@ -129,9 +129,9 @@ pub struct State {
     /// Every key is explained.
     pub is_helping: bool,
     /// The board's state, as it reports it.
-    pub board: Board,
+    pub board: BoardStatus,
     /// The share of each cause.
-    pub shares: Vec<Share>,
+    pub shares: Vec<OffsetContribution>,
     /// The last minutes.
     pub trend: Trend,
     /// Which of the series is drawn.
@@ -146,8 +146,8 @@ pub struct State {
     output: Option<(Output, f64)>,
     asked: Option<(Option<f64>, f64)>,
     /// When the elongation came last, each pair of temperatures, and anything of the status.
-    told_s: ReceivedAt,
-    cnc: Cnc,
+    told_s: ReceptionTimes,
+    cnc: CncState,
     frames: u32,
     counted_s: f64,
     message: Option<(String, f64)>,
@@ -160,16 +160,16 @@ impl State {
     pub fn new(port: &str, quantity: Quantity, has_indicator: bool) -> Self {
         Self {
             port: port.into(),
-            link: Link::Opening,
+            link: LinkState::Opening,
             laws: None,
-            source: Source::None,
-            gauge: Gauge { quantity, is_live: has_indicator, latest: None, trouble: None },
+            source: ModelSource::None,
+            gauge: GaugeState { quantity, is_live: has_indicator, latest: None, trouble: None },
             prompt: None,
             recording: None,
             marks: 0,
             rows: 0,
             is_helping: false,
-            board: Board::default(),
+            board: BoardStatus::default(),
             shares: Vec::new(),
             trend: Trend::default(),
             series: 0,
@@ -179,8 +179,8 @@ impl State {
             offsets: OffsetReceiver::new(),
             output: None,
             asked: None,
-            told_s: ReceivedAt::default(),
-            cnc: Cnc::default(),
+            told_s: ReceptionTimes::default(),
+            cnc: CncState::default(),
             frames: 0,
             counted_s: 0.0,
             message: None,
@@ -209,13 +209,17 @@ impl State {
         }
     }
 
-    /// The elongation that was asked for, in µm; `None`: the sensor gives none.
-    pub fn answered(&mut self, growth_um: Option<f64>, now_s: f64) {
+    /// The elongation that was requested, in µm; `None`: the sensor gives none.
+    pub(crate) fn set_sensor_growth(&mut self, growth_um: Option<f64>, now_s: f64) {
         self.asked = Some((growth_um, now_s));
     }
 
     /// Takes the gauge's newest reading, or what is wrong with it. A reading that is waited for is written down.
-    pub(crate) fn gauged(&mut self, heard: Result<f64, String>, now_s: f64) -> Option<Action> {
+    pub(crate) fn handle_gauge_reading(
+        &mut self,
+        heard: Result<f64, String>,
+        now_s: f64,
+    ) -> Option<Action> {
         self.now_s = now_s;
         match heard {
             Ok(um) => {
@@ -231,7 +235,7 @@ impl State {
     }
 
     /// Takes a sample for the trend, and the shares of this moment: a few times a second.
-    pub(crate) fn sample(&mut self, now_s: f64) {
+    pub(crate) fn record_trend_sample(&mut self, now_s: f64) {
         self.now_s = now_s;
         if now_s - self.counted_s >= 1.0 {
             self.frames_per_s = f64::from(self.frames) / (now_s - self.counted_s);
@@ -239,32 +243,33 @@ impl State {
         }
         let growth_um = self.growth_um();
         // What is old says nothing of now.
-        let centi_c: [Option<i16>; CHANNELS] = std::array::from_fn(|channel| {
-            self.board.centi_c[channel].filter(|_| self.temperature_age_s(channel).is_none())
+        let centi_c: [Option<i16>; CHANNEL_COUNT] = std::array::from_fn(|channel| {
+            self.board.centi_c[channel].filter(|_| self.stale_temperature_age_s(channel).is_none())
         });
         self.shares = match &mut self.laws {
             Some(laws) => {
-                laws.shares(&Moment { time_s: now_s, growth_um, centi_c: &centi_c, cnc: &self.cnc })
+                let (centi_c, cnc) = (&centi_c[..], &self.cnc);
+                laws.offset_contributions(&LiveValues { time_s: now_s, growth_um, centi_c, cnc })
             }
             None => Vec::new(),
         };
-        let mut values = [f64::NAN; SERIES];
+        let mut values = [f64::NAN; SERIES_COUNT];
         values[0] = growth_um.unwrap_or(f64::NAN);
         values[1..4].copy_from_slice(&self.offset_um().unwrap_or([f64::NAN; 3]));
         for (value, centi_c) in values[4..].iter_mut().zip(centi_c) {
             *value = centi_c.map_or(f64::NAN, |it| f64::from(it) / 100.0);
         }
-        values[DIFFERENCE] = self.difference_um().unwrap_or(f64::NAN);
+        values[DIFFERENCE_SERIES_INDEX] = self.difference_um().unwrap_or(f64::NAN);
         self.trend.push(now_s, values);
     }
 
-    /// Takes a key. Returns the action that it asks for.
-    pub fn key(&mut self, key: Key) -> Option<Action> {
+    /// Takes a key. Returns the action that it requests.
+    pub(crate) fn handle_key(&mut self, key: Key) -> Option<Action> {
         if key == Key::Interrupt {
             return Some(Action::Quit);
         }
         if self.prompt.is_some() {
-            return self.typed(key);
+            return self.handle_prompt_key(key);
         }
         let is_helping = std::mem::take(&mut self.is_helping);
         match key {
@@ -273,25 +278,25 @@ impl State {
                 let is_recording = self.recording.is_some();
                 return Some(if is_recording { Action::EndRecording } else { Action::Record });
             }
-            Key::Char('g' | 'G') => return self.asks_for_a_reading(),
+            Key::Char('g' | 'G') => return self.request_gauge_reading(),
             Key::Char('u' | 'U') if self.marks > 0 => return Some(Action::Unmark),
             Key::Char('u' | 'U') => {
                 self.show_message("no reading of the gauge is in the recording")
             }
-            Key::Char('t' | 'T') => self.next_series(),
+            Key::Char('t' | 'T') => self.select_next_series(),
             Key::Char('?' | 'h') => self.is_helping = !is_helping,
             _ => {}
         }
         None
     }
 
-    fn asks_for_a_reading(&mut self) -> Option<Action> {
+    fn request_gauge_reading(&mut self) -> Option<Action> {
         if self.recording.is_none() {
             self.show_message("press r first: a gauge reading is written into a recording");
             return None;
         }
         match self.gauge.latest {
-            Some((um, at_s)) if self.gauge.is_live && self.now_s - at_s <= FRESH_S => {
+            Some((um, at_s)) if self.gauge.is_live && self.now_s - at_s <= MAX_GAUGE_AGE_S => {
                 Some(Action::Mark(um))
             }
             _ => {
@@ -301,7 +306,7 @@ impl State {
         }
     }
 
-    fn typed(&mut self, key: Key) -> Option<Action> {
+    fn handle_prompt_key(&mut self, key: Key) -> Option<Action> {
         let text = self.prompt.as_mut()?;
         match key {
             Key::Char(it @ ('0'..='9' | '+' | '-' | '.')) => text.push(it),
@@ -324,8 +329,8 @@ impl State {
     }
 
     /// The next series of which something is known.
-    fn next_series(&mut self) {
-        let after = (1..=SERIES).map(|step| (self.series + step) % SERIES);
+    fn select_next_series(&mut self) {
+        let after = (1..=SERIES_COUNT).map(|step| (self.series + step) % SERIES_COUNT);
         let known = after.into_iter().find(|which| !self.trend.series(*which).is_empty());
         self.series = known.unwrap_or(self.series);
     }
@@ -339,7 +344,7 @@ impl State {
     #[must_use]
     pub fn message(&self) -> Option<&str> {
         let (message, at_s) = self.message.as_ref()?;
-        (self.now_s - at_s < MESSAGE_S).then_some(message)
+        (self.now_s - at_s < MESSAGE_DURATION_S).then_some(message)
     }
 
     /// Returns the moment that the screen shows, in s since it began.
@@ -352,7 +357,7 @@ impl State {
     #[must_use]
     pub fn output(&self) -> Option<&Output> {
         let (output, at_s) = self.output.as_ref()?;
-        (self.now_s - at_s <= STALE_S).then_some(output)
+        (self.now_s - at_s <= MAX_OFFSET_AGE_S).then_some(output)
     }
 
     /// Returns the offsets of X, Y and Z in µm, if they are available.
@@ -364,15 +369,17 @@ impl State {
     /// Returns the growth by the sensor, in µm: the newest that is known, as long as it is not old.
     #[must_use]
     pub fn growth_um(&self) -> Option<f64> {
-        self.last_growth().filter(|(_, age_s)| age_s.is_none()).map(|(um, _)| um)
+        self.last_growth_um().filter(|(_, age_s)| age_s.is_none()).map(|(um, _)| um)
     }
 
     /// Returns the last growth that came, in µm, and its age in s where it is old.
     #[must_use]
-    pub(crate) fn last_growth(&self) -> Option<(f64, Option<f64>)> {
+    pub(crate) fn last_growth_um(&self) -> Option<(f64, Option<f64>)> {
         match self.asked {
-            Some((growth_um, at_s)) if self.now_s - at_s <= ASKED_S => Some((growth_um?, None)),
-            _ => Some((self.board.elongation_um()?, self.age_s(self.told_s.growth))),
+            Some((growth_um, at_s)) if self.now_s - at_s <= MAX_SENSOR_AGE_S => {
+                Some((growth_um?, None))
+            }
+            _ => Some((self.board.elongation_um()?, self.stale_age_s(self.told_s.growth))),
         }
     }
 
@@ -385,34 +392,34 @@ impl State {
     /// Returns the last offsets that came, in µm, and their age in s; `None`: they are new, were not available, or none
     /// came.
     #[must_use]
-    pub(crate) fn old_offset_um(&self) -> Option<([f64; 3], f64)> {
+    pub(crate) fn stale_offset_um(&self) -> Option<([f64; 3], f64)> {
         let (output, at_s) = self.output.as_ref()?;
         let age_s = self.now_s - at_s;
-        Some((offset_um(output)?, age_s)).filter(|_| age_s > STALE_S)
+        Some((offset_um(output)?, age_s)).filter(|_| age_s > MAX_OFFSET_AGE_S)
     }
 
     /// Returns the age in s of a channel's temperature, where it is old.
     #[must_use]
-    pub(crate) fn temperature_age_s(&self, channel: usize) -> Option<f64> {
-        self.age_s(self.told_s.temperatures.get(channel / 2).copied().flatten())
+    pub(crate) fn stale_temperature_age_s(&self, channel: usize) -> Option<f64> {
+        self.stale_age_s(self.told_s.temperatures.get(channel / 2).copied().flatten())
     }
 
     /// Returns the age in s of what the board has said of its faults, where it is old.
     #[must_use]
-    pub(crate) fn state_age_s(&self) -> Option<f64> {
-        self.age_s(self.told_s.state)
+    pub(crate) fn stale_state_age_s(&self) -> Option<f64> {
+        self.stale_age_s(self.told_s.state)
     }
 
     /// Returns how long ago this was, in s, where it is too long.
-    fn age_s(&self, at_s: Option<f64>) -> Option<f64> {
+    fn stale_age_s(&self, at_s: Option<f64>) -> Option<f64> {
         let age_s = self.now_s - at_s?;
-        (age_s > OLD_S).then_some(age_s)
+        (age_s > MAX_STATUS_AGE_S).then_some(age_s)
     }
 
     /// Returns what the bridge has for the quantity of the gauge, in µm: the growth, or the error of an axis that its
     /// offset corrects.
     #[must_use]
-    pub(crate) fn bridge_um(&self) -> Option<f64> {
+    pub(crate) fn bridge_value_um(&self) -> Option<f64> {
         let axis = match self.gauge.quantity {
             Quantity::Elongation => return self.growth_um(),
             Quantity::Dx => 0,
@@ -426,28 +433,28 @@ impl State {
     #[must_use]
     pub fn difference_um(&self) -> Option<f64> {
         let (um, at_s) = self.gauge.latest?;
-        (self.now_s - at_s <= FRESH_S).then_some(um - self.bridge_um()?)
+        (self.now_s - at_s <= MAX_GAUGE_AGE_S).then_some(um - self.bridge_value_um()?)
     }
 
     /// For whom the bridge waits that gives no offset: "engage" or "confirm".
     #[must_use]
-    pub fn waits_for(&self) -> Option<&'static str> {
-        waits_for(self.output()?.quality, self.board.state, self.board.calibration)
+    pub(crate) fn awaited_command(&self) -> Option<&'static str> {
+        pending_action(self.output()?.quality, self.board.state, self.board.calibration)
     }
 
     /// A reading of the gauge was written down, or taken out: its number and the rows of the recording.
-    pub fn recorded(&mut self, readings: usize, rows: u64) {
+    pub(crate) fn set_recording_counts(&mut self, readings: usize, rows: u64) {
         (self.marks, self.rows) = (readings, rows);
     }
 
     /// The reading is drawn where it was taken.
-    pub(crate) fn mark(&mut self, um: f64) {
-        self.trend.mark(self.now_s, um);
+    pub(crate) fn record_gauge_reading(&mut self, um: f64) {
+        self.trend.record_gauge_reading(self.now_s, um);
     }
 
     /// The last of them is not drawn any more.
-    pub(crate) fn unmark(&mut self) {
-        self.trend.unmark();
+    pub(crate) fn undo_gauge_reading(&mut self) {
+        self.trend.undo_gauge_reading();
     }
 
     /// Returns what was received of the offsets, since the screen began.
@@ -458,8 +465,8 @@ impl State {
 
     /// Halves of offsets that were dropped because their other half never came.
     #[must_use]
-    pub fn unpaired(&self) -> u32 {
-        self.offsets.unpaired()
+    pub fn unpaired_count(&self) -> u32 {
+        self.offsets.unpaired_count()
     }
 
     /// Returns the tool and the conditions that the laws depend on, by their names; NaN: the CNC does not say.
@@ -472,20 +479,20 @@ impl State {
     /// Returns what is wrong, with what to do about it.
     #[must_use]
     pub(crate) fn alarms(&self) -> Vec<(&'static str, &'static str)> {
-        let mut words = self.board.words();
-        words.extend(self.output().map(|output| flag_words(output.flags)).unwrap_or_default());
+        let mut words = self.board.fault_and_state_names();
+        words.extend(self.output().map(|output| flag_names(output.flags)).unwrap_or_default());
         let of_cnc = ["cnc-damaged", "cnc-sequence", "cnc-malformed"];
-        let refused = of_cnc.into_iter().zip(self.board.refused_of_cnc());
+        let refused = of_cnc.into_iter().zip(self.board.rejected_cnc_frames());
         words.extend(refused.filter(|(_, count)| *count > 0).map(|(word, _)| word));
-        remedies(&words)
+        find_remedies(&words)
     }
 
     /// Nothing on the line was damaged or out of order.
     #[must_use]
-    pub fn is_sound(&self) -> bool {
+    pub fn is_error_free(&self) -> bool {
         let Counters { malformed, crc_errors, sequence_errors, .. } = self.counters();
-        let refused = self.board.refused() + self.malformed_lines;
-        // What was left out as too old is missing in the sequence, and is no error of a frame.
+        let refused = self.board.rejected_frame_count() + self.malformed_lines;
+        // What was dropped as too old is missing in the sequence, and is no error of a frame.
         let sequence_errors = if self.left_out == 0 { sequence_errors } else { 0 };
         malformed + crc_errors + sequence_errors + refused == 0
     }

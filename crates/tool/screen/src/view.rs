@@ -2,7 +2,7 @@
 //! room the trend goes first, then the shares.
 
 mod lines;
-pub mod picture;
+pub(crate) mod svg;
 mod trend;
 
 use ratatui::{
@@ -13,14 +13,14 @@ use ratatui::{
     widgets::Paragraph,
 };
 
-use crate::state::{Link, State};
+use crate::state::{LinkState, State};
 
 /// Rows without which a trend says nothing.
-const MIN_TREND: u16 = 4;
+const MIN_TREND_ROWS: u16 = 4;
 /// The keys, each with its action.
-const KEYS: [(&str, &str); 6] =
+const KEY_BINDINGS: [(&str, &str); 6] =
     [("q", "quit"), ("r", "record"), ("g", "gauge"), ("u", "undo"), ("t", "trend"), ("?", "help")];
-const HELP: [&str; 11] = [
+const HELP_LINES: [&str; 11] = [
     "q  quit; the bridge goes on as it was",
     "r  begin or end a recording: every frame, and a run file for diagnose",
     "g  write a reading of the gauge into the recording, typed or live",
@@ -34,7 +34,7 @@ const HELP: [&str; 11] = [
     "is not heard on this line. \"rest\" is slew, limits, zero, and what is ?.",
 ];
 
-/// How things are distinguished: by letters and weight always, by colour where it is wanted.
+/// How things are distinguished: by letters and weight always, by colour where it is allowed.
 #[derive(Clone, Copy, Debug)]
 pub struct Theme {
     /// Colours may be used.
@@ -42,26 +42,26 @@ pub struct Theme {
 }
 
 impl Theme {
-    fn heading(self) -> Style {
+    fn heading_style(self) -> Style {
         Style::new().add_modifier(Modifier::BOLD)
     }
 
-    fn good(self) -> Style {
+    fn ok_style(self) -> Style {
         if self.has_colour { Style::new().fg(Color::Green) } else { Style::new() }
     }
 
-    fn bad(self) -> Style {
+    fn error_style(self) -> Style {
         let style = Style::new().add_modifier(Modifier::BOLD);
         if self.has_colour { style.fg(Color::Red) } else { style }
     }
 
     /// Of a value that is old.
-    fn old(self) -> Style {
+    fn stale_style(self) -> Style {
         let style = Style::new().add_modifier(Modifier::DIM);
         if self.has_colour { style.fg(Color::DarkGray) } else { style }
     }
 
-    fn number(self) -> Style {
+    fn value_style(self) -> Style {
         let style = Style::new().add_modifier(Modifier::BOLD);
         if self.has_colour { style.fg(Color::Cyan) } else { style }
     }
@@ -71,19 +71,19 @@ impl Theme {
 pub fn draw(frame: &mut Frame<'_>, state: &State, theme: Theme) {
     let area = frame.area();
     let width = area.width.into();
-    let top = lines::top(state, theme, width);
-    let table = lines::offsets(state, theme, true);
-    let short = lines::offsets(state, theme, false);
-    let below = lines::below(state, theme, width);
-    let troubles = lines::alarms(state, theme, width);
+    let top = lines::status_lines(state, theme, width);
+    let table = lines::offset_lines(state, theme, true);
+    let short = lines::offset_lines(state, theme, false);
+    let below = lines::footer_lines(state, theme, width);
+    let troubles = lines::alarm_lines(state, theme, width);
     let rows = |lines: &[Line<'_>]| u16::try_from(lines.len()).unwrap_or(u16::MAX);
-    let message = message(state, theme, width);
+    let message = message_lines(state, theme, width);
     // The lines of messages and the line of keys.
     let fixed = rows(&top) + rows(&below) + rows(&troubles) + rows(&message) + 1;
     let fits = |table: &[Line<'_>], trend| fixed + rows(table) + trend <= area.height;
-    let table = if fits(&table, MIN_TREND) { table } else { short };
+    let table = if fits(&table, MIN_TREND_ROWS) { table } else { short };
     let spare = area.height.saturating_sub(fixed + rows(&table));
-    let trend = if spare >= MIN_TREND { spare } else { 0 };
+    let trend = if spare >= MIN_TREND_ROWS { spare } else { 0 };
     // Troubles that do not fit are cut off at their end, where the lesser ones stand.
     let [at_top, at_table, at_below, at_troubles, at_trend, at_message, at_keys] =
         Layout::vertical([
@@ -104,57 +104,59 @@ pub fn draw(frame: &mut Frame<'_>, state: &State, theme: Theme) {
         trend::draw(frame, at_trend, state, theme);
     }
     frame.render_widget(Paragraph::new(message), at_message);
-    frame.render_widget(Paragraph::new(keys(state, theme)), at_keys);
+    frame.render_widget(Paragraph::new(key_hint_line(state, theme)), at_keys);
     if state.is_helping {
-        help(frame, area, theme);
+        draw_help(frame, area, theme);
     }
 }
 
 /// Lines of the last one that need no more than this are shown whole.
-const MAX_MESSAGE: usize = 3;
+const MAX_MESSAGE_LINES: usize = 3;
 
-fn message(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
+fn message_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
     let quantity = state.gauge.quantity.name();
     let (text, style) = if let Some(typed) = &state.prompt {
         let or_live = if state.gauge.is_live { " (or press its button)" } else { "" };
         let asked = format!("measured {quantity} in µm{or_live}: {typed}_");
         let said = state.message().map(|it| format!("   {it}")).unwrap_or_default();
-        (asked + &said, theme.heading())
+        (asked + &said, theme.heading_style())
     } else if let Some(message) = state.message() {
-        (message.to_owned(), theme.heading())
+        (message.to_owned(), theme.heading_style())
     } else {
         match &state.link {
-            Link::Down(why) => (format!("line down, trying again: {why}"), theme.bad()),
-            Link::Opening => ("opening the line".to_owned(), Style::new()),
-            Link::Up => {
+            LinkState::Down(why) => {
+                (format!("line down, trying again: {why}"), theme.error_style())
+            }
+            LinkState::Opening => ("opening the line".to_owned(), Style::new()),
+            LinkState::Up => {
                 ("listening only: nothing is engaged by this screen".to_owned(), Style::new())
             }
         }
     };
-    let mut lines = lines::wrapped(&text, width, style);
-    lines.truncate(MAX_MESSAGE);
+    let mut lines = lines::wrap_text(&text, width, style);
+    lines.truncate(MAX_MESSAGE_LINES);
     lines
 }
 
-fn keys(state: &State, theme: Theme) -> Line<'static> {
+fn key_hint_line(state: &State, theme: Theme) -> Line<'static> {
     let mut spans = Vec::new();
-    for (key, word) in KEYS {
+    for (key, word) in KEY_BINDINGS {
         let is_recording = state.recording.is_some();
         let word = if key == "r" && is_recording { "end recording" } else { word };
         if key == "u" && !is_recording {
             continue;
         }
-        spans.push(Span::styled(key, theme.heading()));
+        spans.push(Span::styled(key, theme.heading_style()));
         spans.push(Span::raw(format!(" {word}  ")));
     }
     Line::from(spans)
 }
 
-fn help(frame: &mut Frame<'_>, area: Rect, theme: Theme) {
-    let height = (HELP.len() as u16).min(area.height.saturating_sub(2));
+fn draw_help(frame: &mut Frame<'_>, area: Rect, theme: Theme) {
+    let height = (HELP_LINES.len() as u16).min(area.height.saturating_sub(2));
     let at = Rect { y: area.height.saturating_sub(height + 1), height, ..area };
     frame.render_widget(ratatui::widgets::Clear, at);
-    let lines = HELP.map(|line| Line::styled(line, theme.heading()));
+    let lines = HELP_LINES.map(|line| Line::styled(line, theme.heading_style()));
     frame.render_widget(Paragraph::new(lines.to_vec()), at);
 }
 

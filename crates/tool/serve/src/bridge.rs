@@ -4,94 +4,97 @@
 use std::time::{Duration, Instant};
 
 use trueup_client::{
-    cnc::Cnc,
-    line::LineEvent,
-    object::{self, At},
-    poll::{Poll, PollOutcome},
-    status::Board,
-    words::{flag_words, offset_um},
+    cnc::CncState,
+    connection::ConnectionEvent,
+    object::{self, ObjectAddress},
+    poll::{ObjectPoller, PollOutcome},
+    state_text::{flag_names, offset_um},
+    status::BoardStatus,
 };
 use trueup_core::cnc::{Output, Quality};
 use trueup_link::{
     frame::Frame,
-    frames::{self, State as NodeState},
+    frames::{self, NmtState as NodeState},
     receiver::OffsetReceiver,
     slcan::Event,
     status::Item,
 };
-use trueup_output::escape::one_line;
+use trueup_output::escape::escape_line;
 
-use crate::snapshot::{Identity, Snapshot};
+use crate::snapshot::{BridgeIdentity, Snapshot};
 
 /// Offsets older than this are not of now: a thousand cycles.
-const STALE: Duration = Duration::from_secs(1);
+const MAX_OFFSET_AGE: Duration = Duration::from_secs(1);
 /// Each item of the status comes every 1.5 s; three missed, and all of it counts as unknown.
-const STATUS_LASTS: Duration = Duration::from_millis(4_600);
-/// An answered question is asked again after this: a bridge may be exchanged while the line stays.
-const AGAIN: Duration = Duration::from_secs(600);
+const MAX_STATUS_AGE: Duration = Duration::from_millis(4_600);
+/// An answered request is sent again after this: a bridge may be exchanged while the line stays.
+const IDENTITY_POLL_INTERVAL: Duration = Duration::from_secs(600);
 /// The questions, in this order, one after the other.
-const QUESTIONS: [At; 3] = [object::SERIAL_NUMBER, object::MACHINE_NAME, object::SOFTWARE];
+const IDENTITY_OBJECTS: [ObjectAddress; 3] =
+    [object::SERIAL_NUMBER, object::MACHINE_NAME, object::SOFTWARE_VERSION];
 /// Maximum length of a name, in bytes.
-const MAX_NAME: usize = 64;
+const MAX_NAME_LENGTH: usize = 64;
 
 /// A bridge, as far as it is known.
-pub struct Bridge {
+pub struct BridgeMonitor {
     start: Instant,
-    board: Board,
+    board: BoardStatus,
     offsets: OffsetReceiver,
     lost_before: u32,
     output: Option<(Output, Instant)>,
     status_at: Option<Instant>,
-    cnc: Cnc,
+    cnc: CncState,
     is_open: bool,
     why: Option<String>,
-    identity: Identity,
-    polls: [Poll; QUESTIONS.len()],
+    identity: BridgeIdentity,
+    polls: [ObjectPoller; IDENTITY_OBJECTS.len()],
     starts: u32,
 }
 
-impl Bridge {
+impl BridgeMonitor {
     /// Returns a bridge that has said nothing yet.
     #[must_use]
     pub fn new(now: Instant) -> Self {
         Self {
             start: now,
-            board: Board::default(),
+            board: BoardStatus::default(),
             offsets: OffsetReceiver::new(),
             lost_before: 0,
             output: None,
             status_at: None,
-            cnc: Cnc::default(),
+            cnc: CncState::default(),
             is_open: false,
             why: None,
-            identity: Identity::default(),
-            polls: QUESTIONS.map(|at| Poll::new(at, AGAIN, now)),
+            identity: BridgeIdentity::default(),
+            polls: IDENTITY_OBJECTS.map(|at| ObjectPoller::new(at, IDENTITY_POLL_INTERVAL, now)),
             starts: 0,
         }
     }
 
     /// Takes what happened on the line, and returns what is to be sent, if anything.
-    pub fn receive(&mut self, event: LineEvent, now: Instant) -> Option<Frame> {
+    pub fn receive(&mut self, event: ConnectionEvent, now: Instant) -> Option<Frame> {
         match event {
-            LineEvent::Up => {
+            ConnectionEvent::Up => {
                 self.is_open = true;
-                self.ask_again(now);
+                self.restart_polls(now);
             }
-            LineEvent::Down(why) => {
+            ConnectionEvent::Down(why) => {
                 self.lost_before = self.lost_frames();
                 self.is_open = false;
                 self.why = Some(why);
-                self.board = Board::default();
+                self.board = BoardStatus::default();
                 self.offsets = OffsetReceiver::new();
                 (self.output, self.status_at) = (None, None);
             }
-            LineEvent::Received(Event::Frame(frame)) => return self.frame(&frame, now),
-            LineEvent::Received(_) | LineEvent::Late => {}
+            ConnectionEvent::Received(Event::Frame(frame)) => {
+                return self.handle_frame(&frame, now);
+            }
+            ConnectionEvent::Received(_) | ConnectionEvent::Late => {}
         }
         None
     }
 
-    fn frame(&mut self, frame: &Frame, now: Instant) -> Option<Frame> {
+    fn handle_frame(&mut self, frame: &Frame, now: Instant) -> Option<Frame> {
         if let Ok(Some(output)) = self.offsets.accept(frame) {
             (self.output, self.why) = (Some((output, now)), None);
             return None;
@@ -104,20 +107,20 @@ impl Bridge {
         self.cnc.receive(frame, u64::try_from(ms).unwrap_or(u64::MAX));
         if frames::decode_heartbeat(frame) == Ok(NodeState::BootUp) {
             self.starts = self.starts.saturating_add(1);
-            self.ask_again(now);
+            self.restart_polls(now);
         }
-        self.answer(frame, now)
+        self.handle_response(frame, now)
     }
 
     /// Returns the next part of an answer's question.
-    fn answer(&mut self, frame: &Frame, now: Instant) -> Option<Frame> {
-        let running = self.polls.iter().position(Poll::is_running)?;
+    fn handle_response(&mut self, frame: &Frame, now: Instant) -> Option<Frame> {
+        let running = self.polls.iter().position(ObjectPoller::is_running)?;
         match self.polls[running].receive(frame, now) {
             PollOutcome::Ask(request) => Some(request),
             PollOutcome::Bytes(bytes) => {
                 let text = || {
-                    let text = String::from_utf8_lossy(&bytes[..bytes.len().min(MAX_NAME)]);
-                    Some(one_line(text.trim_end_matches('\0'))).filter(|it| !it.is_empty())
+                    let text = String::from_utf8_lossy(&bytes[..bytes.len().min(MAX_NAME_LENGTH)]);
+                    Some(escape_line(text.trim_end_matches('\0'))).filter(|it| !it.is_empty())
                 };
                 match running {
                     0 => {
@@ -132,17 +135,17 @@ impl Bridge {
         }
     }
 
-    fn ask_again(&mut self, now: Instant) {
-        self.polls = QUESTIONS.map(|at| Poll::new(at, AGAIN, now));
+    fn restart_polls(&mut self, now: Instant) {
+        self.polls = IDENTITY_OBJECTS.map(|at| ObjectPoller::new(at, IDENTITY_POLL_INTERVAL, now));
     }
 
     /// Returns the question that is due, if any; one at a time.
-    pub fn due(&mut self, now: Instant) -> Option<Frame> {
+    pub fn take_due_request(&mut self, now: Instant) -> Option<Frame> {
         if !self.is_open {
             return None;
         }
         for poll in &mut self.polls {
-            if let Some(request) = poll.due(now) {
+            if let Some(request) = poll.take_due_request(now) {
                 return Some(request);
             }
             if poll.is_running() {
@@ -160,7 +163,8 @@ impl Bridge {
     #[must_use]
     pub fn snapshot(&self, now: Instant) -> Snapshot {
         let is_fresh = |at: Instant, lasts| now.saturating_duration_since(at) <= lasts;
-        let output = self.output.as_ref().filter(|(_, at)| self.is_open && is_fresh(*at, STALE));
+        let output =
+            self.output.as_ref().filter(|(_, at)| self.is_open && is_fresh(*at, MAX_OFFSET_AGE));
         let mut snapshot = Snapshot {
             is_up: output.is_some(),
             why: self.why.clone(),
@@ -171,19 +175,19 @@ impl Bridge {
         };
         let Some((output, _)) = output else { return snapshot };
         snapshot.quality = Some(output.quality);
-        snapshot.flags = flag_words(output.flags);
+        snapshot.flags = flag_names(output.flags);
         if output.quality != Quality::Fault {
             snapshot.offset_um = offset_um(output).map_or([None; 3], |it| it.map(Some));
         }
         let ms = now.saturating_duration_since(self.start).as_millis();
         snapshot.position_mm = self.cnc.position_mm(u64::try_from(ms).unwrap_or(u64::MAX));
-        if self.status_at.is_some_and(|at| is_fresh(at, STATUS_LASTS)) {
+        if self.status_at.is_some_and(|at| is_fresh(at, MAX_STATUS_AGE)) {
             let celsius = |centi_c: i16| f64::from(centi_c) / 100.0;
             snapshot.temperature_c = self.board.centi_c.map(|it| it.map(celsius));
             snapshot.elongation_um = self.board.elongation_um();
             snapshot.has_status = true;
-            snapshot.faults = self.board.faults();
-            snapshot.state = trueup_client::words::state_words(self.board.state);
+            snapshot.faults = self.board.fault_names();
+            snapshot.state = trueup_client::state_text::state_names(self.board.state);
             snapshot.calibration = self.board.calibration;
         }
         snapshot

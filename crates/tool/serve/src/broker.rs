@@ -15,11 +15,11 @@ use rumqttc::{
 };
 
 /// The ports of MQTT without and with TLS.
-const PORTS: [u16; 2] = [1883, 8883];
+const DEFAULT_PORTS: [u16; 2] = [1883, 8883];
 
 /// A broker.
 #[derive(Clone)]
-pub struct Broker {
+pub struct BrokerConfig {
     /// Its name or address.
     pub host: String,
     /// Its port.
@@ -32,24 +32,28 @@ pub struct Broker {
 
 /// The files of TLS.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Files<'a> {
+pub struct TlsFiles<'a> {
     /// Certificates that the broker's must be signed by; `None`: those that the system trusts.
     pub ca: Option<&'a Path>,
     /// The certificate and the key by which the broker knows this publisher.
     pub own: Option<(&'a Path, &'a Path)>,
 }
 
-impl Broker {
+impl BrokerConfig {
     /// Reads the URL of a broker, and the files.
     ///
     /// # Errors
     /// The URL has another form, a file is not what it should be, or a password would be readable on a network.
-    pub fn new(url: &str, login: Option<(String, String)>, files: Files<'_>) -> Result<Self> {
-        const FORMS: &str = "a broker is mqtt://HOST:PORT, or mqtts://HOST:PORT with TLS";
+    pub fn from_url(
+        url: &str,
+        login: Option<(String, String)>,
+        files: TlsFiles<'_>,
+    ) -> Result<Self> {
+        const URL_SYNTAX: &str = "a broker is mqtt://HOST:PORT, or mqtts://HOST:PORT with TLS";
         let (is_tls, rest) = match url.split_once("://") {
             Some(("mqtt", rest)) => (false, rest),
             Some(("mqtts", rest)) => (true, rest),
-            _ => bail!("--mqtt \"{url}\": {FORMS}"),
+            _ => bail!("--mqtt \"{url}\": {URL_SYNTAX}"),
         };
         let rest = rest.trim_end_matches('/');
         ensure!(
@@ -60,12 +64,12 @@ impl Broker {
         let (host, port) = match rest.rsplit_once(':') {
             Some((host, port)) if !port.contains(']') => {
                 let port = port.parse().ok().filter(|port| *port != 0);
-                (host, port.with_context(|| format!("--mqtt \"{url}\": {FORMS}"))?)
+                (host, port.with_context(|| format!("--mqtt \"{url}\": {URL_SYNTAX}"))?)
             }
-            _ => (rest, PORTS[usize::from(is_tls)]),
+            _ => (rest, DEFAULT_PORTS[usize::from(is_tls)]),
         };
         let is_name = |c: char| c.is_ascii_alphanumeric() || "-._[]:%".contains(c);
-        ensure!(!host.is_empty() && host.chars().all(is_name), "--mqtt \"{url}\": {FORMS}");
+        ensure!(!host.is_empty() && host.chars().all(is_name), "--mqtt \"{url}\": {URL_SYNTAX}");
         // The client of MQTT takes a name or an IPv4 address for that of the certificate.
         ensure!(
             !is_tls || !host.starts_with('['),
@@ -81,7 +85,7 @@ impl Broker {
                 "--user with mqtt://: the password could be read on the way; write mqtts://{rest}"
             );
         }
-        let tls = if is_tls { Some(Arc::new(config(files)?)) } else { None };
+        let tls = if is_tls { Some(Arc::new(build_tls_config(files)?)) } else { None };
         Ok(Self { host: host.into(), port, tls, login })
     }
 
@@ -94,7 +98,7 @@ impl Broker {
 
     /// Returns whether what is published can be read on a network.
     #[must_use]
-    pub fn is_readable(&self) -> bool {
+    pub(crate) fn is_unencrypted(&self) -> bool {
         self.tls.is_none() && !is_loopback(&self.host)
     }
 }
@@ -106,7 +110,7 @@ pub fn is_loopback(host: &str) -> bool {
     host == "localhost" || bare.parse().is_ok_and(|it: IpAddr| it.is_loopback())
 }
 
-fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>> {
+fn load_certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>> {
     let place = || format!("{}: is no certificate in PEM", path.display());
     let all: Result<Vec<_>, _> = CertificateDer::pem_file_iter(path).with_context(place)?.collect();
     let all = all.with_context(place)?;
@@ -114,10 +118,10 @@ fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>> {
     Ok(all)
 }
 
-fn config(files: Files<'_>) -> Result<ClientConfig> {
+fn build_tls_config(files: TlsFiles<'_>) -> Result<ClientConfig> {
     let mut roots = RootCertStore::empty();
     let trusted = match files.ca {
-        Some(path) => certificates(path)?,
+        Some(path) => load_certificates(path)?,
         None => rustls_native_certs::load_native_certs().certs,
     };
     roots.add_parsable_certificates(trusted);
@@ -135,7 +139,7 @@ fn config(files: Files<'_>) -> Result<ClientConfig> {
             let place = || format!("{}: is no private key in PEM", key.display());
             let private = PrivateKeyDer::from_pem_file(key).with_context(place)?;
             let fit = || format!("{} and {}", cert.display(), key.display());
-            builder.with_client_auth_cert(certificates(cert)?, private).with_context(fit)?
+            builder.with_client_auth_cert(load_certificates(cert)?, private).with_context(fit)?
         }
     })
 }
@@ -144,9 +148,10 @@ fn config(files: Files<'_>) -> Result<ClientConfig> {
 mod tests {
     use super::*;
 
-    fn broker(url: &str, has_login: bool) -> Result<Broker, String> {
+    fn broker(url: &str, has_login: bool) -> Result<BrokerConfig, String> {
         let login = has_login.then(|| ("u".to_owned(), "p".to_owned()));
-        Broker::new(url, login, Files::default()).map_err(|error| format!("{error:#}"))
+        BrokerConfig::from_url(url, login, TlsFiles::default())
+            .map_err(|error| format!("{error:#}"))
     }
 
     #[test]
@@ -179,11 +184,11 @@ mod tests {
             assert!(!error.contains("secret"), "{error}");
         }
         assert!(broker("mqtt://127.0.0.1", true).is_ok());
-        let cert = Files { ca: Some(Path::new("/nonexistent.pem")), own: None };
+        let cert = TlsFiles { ca: Some(Path::new("/nonexistent.pem")), own: None };
         for (url, phrase) in
             [("mqtt://localhost", "write mqtts://"), ("mqtts://localhost", "/nonexistent.pem")]
         {
-            let error = Broker::new(url, None, cert).err().expect(url);
+            let error = BrokerConfig::from_url(url, None, cert).err().expect(url);
             assert!(format!("{error:#}").contains(phrase), "{error:#}");
         }
     }

@@ -9,7 +9,7 @@
 //!
 //! | module | does |
 //! |---|---|
-//! | [`mod@bridge`] | frames in, a snapshot out; asks the bridge who it is, and writes nothing to it |
+//! | [`mod@bridge`] | frames in, a snapshot out; reads the identity of the bridge, and writes nothing to it |
 //! | [`snapshot`] | the state at one moment, the events between two |
 //! | `metrics` | names, units and values: one list for all that is published |
 //! | [`sparkplug`] | payloads and topics of Sparkplug B; births, deaths and numbers |
@@ -17,9 +17,9 @@
 //! | [`broker`] | where the broker is: URL, TLS, password |
 //! | [`mqtt`] | the connection, again and again |
 //! | [`mtconnect`] | lines of SHDR for agents, and `Devices.xml` |
-//! | [`record`] | rows and events, onto the disk |
-//! | [`mod@identity`] | the identity of a publisher |
-//! | [`mod@run`] | all of it, from the beginning to the end |
+//! | [`recorder`] | rows and events, onto the disk |
+//! | `identity` | the identity of a publisher |
+//! | [`mod@publisher`] | all of it, from the beginning to the end |
 //! | [`shared`] | what the threads share; the thread of the line |
 //! | [`clock`] | the time of day, and whether it was set |
 //!
@@ -29,12 +29,12 @@
 pub mod bridge;
 pub mod broker;
 pub mod clock;
-pub mod identity;
+pub(crate) mod identity;
 pub(crate) mod metrics;
 pub mod mqtt;
 pub mod mtconnect;
-pub mod record;
-pub mod run;
+pub mod publisher;
+pub mod recorder;
 pub mod shared;
 pub mod snapshot;
 pub mod sparkplug;

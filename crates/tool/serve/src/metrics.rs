@@ -2,14 +2,14 @@
 //!
 //! The order is part of what is published: the alias of a metric is its place.
 
-use trueup_client::words::quality_word;
-use trueup_core::dimensions::CHANNELS;
+use trueup_client::state_text::quality_name;
+use trueup_core::dimensions::CHANNEL_COUNT;
 
 use crate::snapshot::Snapshot;
 
 /// A value, and of which kind it is even where there is none.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Value {
+pub enum MetricValue {
     /// With a unit.
     Number(Option<f64>),
     /// A count that only rises, until the publisher ends.
@@ -28,14 +28,14 @@ pub struct Metric {
     /// Its unit; empty where it has none.
     pub unit: &'static str,
     /// Its value.
-    pub value: Value,
+    pub value: MetricValue,
 }
 
 /// Words that may change with every offset.
-pub const FLAGS: &str = "Bridge/Flags";
-const OFFSETS: [&str; 3] = ["Offset/X", "Offset/Y", "Offset/Z"];
-const POSITIONS: [&str; 3] = ["Position/X", "Position/Y", "Position/Z"];
-const TEMPERATURES: [&str; CHANNELS] = [
+pub(crate) const FLAGS_METRIC: &str = "Bridge/Flags";
+const OFFSET_METRICS: [&str; 3] = ["Offset/X", "Offset/Y", "Offset/Z"];
+const POSITION_METRICS: [&str; 3] = ["Position/X", "Position/Y", "Position/Z"];
+const TEMPERATURE_METRICS: [&str; CHANNEL_COUNT] = [
     "Temperature/0",
     "Temperature/1",
     "Temperature/2",
@@ -48,25 +48,27 @@ const TEMPERATURES: [&str; CHANNELS] = [
 
 /// Returns all metrics of a bridge.
 #[must_use]
-pub(crate) fn metrics(of: &Snapshot) -> Vec<Metric> {
-    let text = |name, text: Option<String>| Metric { name, unit: "", value: Value::Text(text) };
+pub(crate) fn bridge_metrics(of: &Snapshot) -> Vec<Metric> {
+    let text =
+        |name, text: Option<String>| Metric { name, unit: "", value: MetricValue::Text(text) };
     let words =
         |name, is_known: bool, words: &[&str]| text(name, is_known.then(|| words.join(" ")));
     let numbers = |names: &'static [&'static str], unit, values: &[Option<f64>]| {
         let both = names.iter().zip(values);
-        both.map(|(name, value)| Metric { name, unit, value: Value::Number(*value) })
+        both.map(|(name, value)| Metric { name, unit, value: MetricValue::Number(*value) })
             .collect::<Vec<_>>()
     };
-    let count = |name, count: u32| Metric { name, unit: "", value: Value::Count(count.into()) };
-    let mut all = vec![Metric { name: "Bridge/Up", unit: "", value: Value::Flag(of.is_up) }];
-    all.push(text("Bridge/Quality", of.quality.map(|it| quality_word(it).to_owned())));
-    all.push(words(FLAGS, of.is_up, &of.flags));
+    let count =
+        |name, count: u32| Metric { name, unit: "", value: MetricValue::Count(count.into()) };
+    let mut all = vec![Metric { name: "Bridge/Up", unit: "", value: MetricValue::Flag(of.is_up) }];
+    all.push(text("Bridge/Quality", of.quality.map(|it| quality_name(it).to_owned())));
+    all.push(words(FLAGS_METRIC, of.is_up, &of.flags));
     all.push(words("Bridge/Faults", of.has_status, &of.faults));
     all.push(words("Bridge/State", of.has_status, &of.state));
-    all.extend(numbers(&OFFSETS, "µm", &of.offset_um));
+    all.extend(numbers(&OFFSET_METRICS, "µm", &of.offset_um));
     all.extend(numbers(&["Elongation"], "µm", &[of.elongation_um]));
-    all.extend(numbers(&TEMPERATURES, "°C", &of.temperature_c));
-    all.extend(numbers(&POSITIONS, "mm", &of.position_mm));
+    all.extend(numbers(&TEMPERATURE_METRICS, "°C", &of.temperature_c));
+    all.extend(numbers(&POSITION_METRICS, "mm", &of.position_mm));
     let crc = of.calibration.filter(|crc| *crc != 0);
     all.push(text("Calibration/CRC", crc.map(|crc| format!("{crc:08x}"))));
     all.push(text("Calibration/Machine", of.identity.machine.clone()));
@@ -92,7 +94,7 @@ mod tests {
             ..Snapshot::default()
         };
         let silent = Snapshot { has_status: false, ..known.clone() };
-        let (known, unknown) = (metrics(&known), metrics(&Snapshot::default()));
+        let (known, unknown) = (bridge_metrics(&known), bridge_metrics(&Snapshot::default()));
         let names = |all: &[Metric]| all.iter().map(|it| it.name).collect::<Vec<_>>();
         assert_eq!(names(&known), names(&unknown));
         let mut different = names(&known);
@@ -100,11 +102,15 @@ mod tests {
         different.dedup();
         assert_eq!(different.len(), known.len(), "each name once");
         let of = |name| known.iter().find(|it| it.name == name).map(|it| it.value.clone());
-        assert_eq!(of("Offset/X"), Some(Value::Number(Some(1.5))));
-        assert_eq!(of("Calibration/CRC"), Some(Value::Text(Some("000000ab".into()))));
-        assert_eq!(of("Bridge/Faults"), Some(Value::Text(Some(String::new()))));
-        let silent = metrics(&silent);
+        assert_eq!(of("Offset/X"), Some(MetricValue::Number(Some(1.5))));
+        assert_eq!(of("Calibration/CRC"), Some(MetricValue::Text(Some("000000ab".into()))));
+        assert_eq!(of("Bridge/Faults"), Some(MetricValue::Text(Some(String::new()))));
+        let silent = bridge_metrics(&silent);
         let faults = silent.iter().find(|it| it.name == "Bridge/Faults").map(|it| &it.value);
-        assert_eq!(faults, Some(&Value::Text(None)), "without its status no fault is not claimed");
+        assert_eq!(
+            faults,
+            Some(&MetricValue::Text(None)),
+            "without its status no fault is not claimed"
+        );
     }
 }

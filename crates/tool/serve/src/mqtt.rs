@@ -18,44 +18,44 @@ use std::{
 use rumqttc::{Publish, QoS};
 
 use self::{
-    connection::{Connection, Happened},
+    connection::{Connection, ConnectionEvent},
     host::PrimaryHost,
 };
 use crate::{
-    broker::Broker,
+    broker::BrokerConfig,
     clock,
-    shared::Shared,
+    shared::SharedState,
     sparkplug::{
         self,
-        node::{Node, Own},
+        node::{EdgeNode, NodeStatistics},
     },
 };
 
 /// From one publication of values that have changed to the next.
-const PERIOD: Duration = Duration::from_secs(1);
+const PUBLISH_PERIOD: Duration = Duration::from_secs(1);
 /// The same where a word has changed: a fault, a quality, a calibration.
-const PERIOD_OF_WORDS: Duration = Duration::from_millis(100);
+const MIN_STATE_CHANGE_INTERVAL: Duration = Duration::from_millis(100);
 /// From one look at what is to be sent to the next.
-const TURN: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Records that wait for their acknowledgement at most.
-const MAX_OPEN: usize = 64;
-/// A host may ask for all births so often.
-const REBIRTH_PERIOD: Duration = Duration::from_millis(500);
+const MAX_UNACKNOWLEDGED: usize = 64;
+/// Minimum time between two requests of a host for all births.
+const MIN_REBIRTH_INTERVAL: Duration = Duration::from_millis(500);
 /// Births that are known again when they come back.
-const MAX_BIRTHS: usize = 4_096;
+const MAX_REMEMBERED_BIRTHS: usize = 4_096;
 /// Topics on which another publisher is reported at most.
-const MAX_OTHERS: usize = 16;
+const MAX_REPORTED_TOPICS: usize = 16;
 /// How long the last messages may take.
-const FAREWELL: Duration = Duration::from_secs(1);
+const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(1);
 /// The first and the longest pause before the next try.
-const PAUSES: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(1)];
+const RETRY_DELAYS: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(1)];
 /// A connection that lasted so long was a good one: the pauses begin anew.
-const GOOD: Duration = Duration::from_secs(10);
+const STABLE_CONNECTION_TIME: Duration = Duration::from_secs(10);
 
 /// Who publishes.
-pub struct Publisher {
+pub struct PublisherConfig {
     /// The broker.
-    pub broker: Broker,
+    pub broker: BrokerConfig,
     /// The name of the edge node.
     pub name: String,
     /// An identifier that no other publisher has.
@@ -69,40 +69,44 @@ pub struct Publisher {
 }
 
 /// Publishes until the end.
-pub fn run(shared: &Shared, publisher: &Publisher, node: &mut Node) {
-    let mut pause = PAUSES[0];
+pub fn run(shared: &SharedState, publisher: &PublisherConfig, node: &mut EdgeNode) {
+    let mut pause = RETRY_DELAYS[0];
     let mut reported = None;
-    while !shared.has_ended() {
+    while !shared.is_stop_requested() {
         let began = Instant::now();
-        let why = connected(shared, publisher, node, &mut reported);
+        let why = run_connection(shared, publisher, node, &mut reported);
         shared.counts().is_online.store(false, Ordering::Relaxed);
-        if shared.has_ended() {
+        if shared.is_stop_requested() {
             return;
         }
-        shared.spool().rewind();
+        shared.lock_spool().rewind();
         if reported.as_ref() != Some(&why) {
             (publisher.report)(&format!("the broker is not connected: {why}; it is tried again"));
             reported = Some(why);
         }
-        pause = if began.elapsed() > GOOD { PAUSES[0] } else { PAUSES[1].min(2 * pause) };
+        pause = if began.elapsed() > STABLE_CONNECTION_TIME {
+            RETRY_DELAYS[0]
+        } else {
+            RETRY_DELAYS[1].min(2 * pause)
+        };
         let until = Instant::now() + pause;
-        while Instant::now() < until && !shared.has_ended() {
-            thread::sleep(TURN);
+        while Instant::now() < until && !shared.is_stop_requested() {
+            thread::sleep(POLL_INTERVAL);
         }
     }
 }
 
 /// One connection; returns why it ended.
-fn connected(
-    shared: &Shared,
-    publisher: &Publisher,
-    node: &mut Node,
+fn run_connection(
+    shared: &SharedState,
+    publisher: &PublisherConfig,
+    node: &mut EdgeNode,
     reported: &mut Option<String>,
 ) -> String {
     (publisher.keep_bd_seq)(node.begin_connection());
-    let will = node.death(clock::now_ms());
+    let will = node.death_message(clock::now_ms());
     let mut connection = Connection::open(&publisher.broker, &publisher.id, &will);
-    let mut link = Link {
+    let mut link = BrokerSession {
         shared,
         publisher,
         host: publisher.primary_host.as_ref().map(|_| PrimaryHost::new()),
@@ -117,36 +121,36 @@ fn connected(
         others: Vec::new(),
     };
     loop {
-        for happened in connection.wait(TURN) {
+        for happened in connection.wait_for_events(POLL_INTERVAL) {
             match happened {
-                Happened::Accepted => {
+                ConnectionEvent::Accepted => {
                     link.subscribe(&connection);
                     link.wants_birth = link.host.is_none();
                     if reported.take().is_some() {
                         (publisher.report)("the broker is connected again");
                     }
                 }
-                Happened::Sent { id, number } => drop(link.open.insert(id, number)),
-                Happened::Acknowledged(id) => link.acknowledged(id),
-                Happened::Came(message) => link.take(&message),
-                Happened::Ended(why) => return why,
+                ConnectionEvent::Sent { id, number } => drop(link.open.insert(id, number)),
+                ConnectionEvent::Acknowledged(id) => link.record_acknowledgement(id),
+                ConnectionEvent::Came(message) => link.handle_message(&message),
+                ConnectionEvent::Ended(why) => return why,
             }
         }
         let is_lost = link.host.as_ref().is_some_and(|it| !it.is_online()) && link.is_born;
-        if is_lost || shared.has_ended() {
-            let death = node.death(clock::now_ms());
+        if is_lost || shared.is_stop_requested() {
+            let death = node.death_message(clock::now_ms());
             connection.publish(&death.topic, death.payload, false);
-            connection.end(FAREWELL);
+            connection.disconnect(SHUTDOWN_TIMEOUT);
             return "the primary host application is offline".into();
         }
-        link.publish(&mut connection, node);
+        link.publish_due(&mut connection, node);
     }
 }
 
 /// A connection that the broker has accepted.
-struct Link<'a> {
-    shared: &'a Shared,
-    publisher: &'a Publisher,
+struct BrokerSession<'a> {
+    shared: &'a SharedState,
+    publisher: &'a PublisherConfig,
     host: Option<PrimaryHost>,
     /// The numbers of the records that are on their way, by their packet identifier.
     open: HashMap<u16, u64>,
@@ -162,7 +166,7 @@ struct Link<'a> {
     others: Vec<String>,
 }
 
-impl Link<'_> {
+impl BrokerSession<'_> {
     fn subscribe(&self, connection: &Connection) {
         let name = &self.publisher.name;
         connection.subscribe(&sparkplug::topic("NCMD", name, None), QoS::AtLeastOnce);
@@ -179,39 +183,39 @@ impl Link<'_> {
         }
     }
 
-    fn acknowledged(&mut self, id: u16) {
+    fn record_acknowledgement(&mut self, id: u16) {
         if let Some(number) = self.open.remove(&id) {
-            self.shared.spool().acknowledge(number, Instant::now());
+            self.shared.lock_spool().acknowledge(number, Instant::now());
             self.shared.counts().acknowledged.fetch_add(1, Ordering::Relaxed);
         }
     }
 
     /// Takes a message of the broker. It may hold anything.
-    fn take(&mut self, message: &Publish) {
+    fn handle_message(&mut self, message: &Publish) {
         let topic = message.topic.as_str();
         let is_state =
             self.publisher.primary_host.as_deref().map(sparkplug::state_topic).as_deref()
                 == Some(topic);
         if is_state && let Some(host) = &mut self.host {
-            let is_state = host.take(&message.payload).is_some();
+            let is_state = host.update_state(&message.payload).is_some();
             self.wants_birth |= host.is_online() && !self.is_born;
             if !is_state {
-                self.hostile(topic);
+                self.count_malformed(topic);
             }
         } else if topic == sparkplug::topic("NCMD", &self.publisher.name, None) {
-            match sparkplug::asks_rebirth(&message.payload) {
+            match sparkplug::is_rebirth_command(&message.payload) {
                 Some(asks) => self.wants_birth |= asks && self.is_born,
-                None => self.hostile(topic),
+                None => self.count_malformed(topic),
             }
         } else if topic.contains("BIRTH/") {
-            self.take_birth(topic, &message.payload);
+            self.receive_birth(topic, &message.payload);
         }
     }
 
-    fn take_birth(&mut self, topic: &str, payload: &[u8]) {
+    fn receive_birth(&mut self, topic: &str, payload: &[u8]) {
         let is_own = self.sent.contains(&self.hasher.hash_one((topic, payload)));
         let is_reported = self.others.iter().any(|it| it == topic);
-        if is_own || is_reported || self.others.len() >= MAX_OTHERS {
+        if is_own || is_reported || self.others.len() >= MAX_REPORTED_TOPICS {
             return;
         }
         self.others.push(topic.to_owned());
@@ -221,7 +225,7 @@ impl Link<'_> {
         ));
     }
 
-    fn hostile(&self, topic: &str) {
+    fn count_malformed(&self, topic: &str) {
         if self.shared.counts().hostile.fetch_add(1, Ordering::Relaxed) == 0 {
             (self.publisher.report)(&format!(
                 "warning: a message on {topic} is no payload of Sparkplug; it is ignored, and \
@@ -231,44 +235,49 @@ impl Link<'_> {
     }
 
     /// Publishes what is due.
-    fn publish(&mut self, connection: &mut Connection, node: &mut Node) {
+    fn publish_due(&mut self, connection: &mut Connection, node: &mut EdgeNode) {
         let now = Instant::now();
-        let may_be_born = self.born_at.is_none_or(|at| now - at >= REBIRTH_PERIOD);
+        let may_be_born = self.born_at.is_none_or(|at| now - at >= MIN_REBIRTH_INTERVAL);
         if self.wants_birth && may_be_born {
-            let messages = node.rebirth(self.own(), &self.shared.snapshots(), clock::now_ms());
+            let messages =
+                node.rebirth(self.node_statistics(), &self.shared.snapshots(), clock::now_ms());
             (self.is_born, self.wants_birth, self.born_at) = (true, false, Some(now));
             (self.published_at, self.looked_at) = (now, now);
-            self.send(connection, messages);
+            self.send_messages(connection, messages);
             self.shared.counts().is_online.store(true, Ordering::Relaxed);
-        } else if self.is_born && now - self.looked_at >= PERIOD_OF_WORDS {
+        } else if self.is_born && now - self.looked_at >= MIN_STATE_CHANGE_INTERVAL {
             self.looked_at = now;
             let bridges = self.shared.snapshots();
-            let is_due = now - self.published_at >= PERIOD;
-            if is_due || node.has_other_words(&bridges) {
+            let is_due = now - self.published_at >= PUBLISH_PERIOD;
+            if is_due || node.has_state_change(&bridges) {
                 self.published_at = now;
-                let messages = node.update(self.own(), &bridges, clock::now_ms());
-                self.send(connection, messages);
+                let messages = node.update(self.node_statistics(), &bridges, clock::now_ms());
+                self.send_messages(connection, messages);
             }
             if is_due {
-                self.shared.spool().settle(now);
+                self.shared.lock_spool().settle(now);
             }
         }
-        while self.is_born && self.open.len() + connection.waiting() < MAX_OPEN {
-            let Some(record) = self.shared.spool().next_to_send(now) else { break };
+        while self.is_born && self.open.len() + connection.unsent_count() < MAX_UNACKNOWLEDGED {
+            let Some(record) = self.shared.lock_spool().next_to_send(now) else { break };
             let number = record.number;
             if !connection.publish_record(record) {
-                self.shared.spool().put_back(number);
+                self.shared.lock_spool().requeue(number);
                 break;
             }
         }
     }
 
-    fn send(&mut self, connection: &mut Connection, messages: Vec<sparkplug::node::Message>) {
+    fn send_messages(
+        &mut self,
+        connection: &mut Connection,
+        messages: Vec<sparkplug::node::Message>,
+    ) {
         for message in messages {
             if message.topic.contains("BIRTH/") {
                 let hash = (message.topic.as_str(), message.payload.as_slice());
                 self.sent.push_back(self.hasher.hash_one(hash));
-                if self.sent.len() > MAX_BIRTHS {
+                if self.sent.len() > MAX_REMEMBERED_BIRTHS {
                     self.sent.pop_front();
                 }
                 if message.topic.contains("DBIRTH/")
@@ -282,12 +291,12 @@ impl Link<'_> {
         }
     }
 
-    fn own(&self) -> Own {
+    fn node_statistics(&self) -> NodeStatistics {
         let counts = self.shared.counts();
         let lost = counts.lost.load(Ordering::Relaxed);
-        Own {
+        NodeStatistics {
             recorded: counts.recorded.load(Ordering::Relaxed),
-            waiting: self.shared.spool().waiting() as u64,
+            waiting: self.shared.lock_spool().unacknowledged_count() as u64,
             lost: lost + counts.not_recorded.load(Ordering::Relaxed),
         }
     }

@@ -9,20 +9,20 @@ use std::{
     time::{Duration, Instant},
 };
 
-use trueup_client::{ends::Ends, line::Line};
+use trueup_client::{connection::Connection, duplex_stream::DuplexStream};
 
-use crate::{bridge::Bridge, snapshot::Snapshot, spool::Spool};
+use crate::{bridge::BridgeMonitor, snapshot::Snapshot, spool::Spool};
 
 /// From one look at the line to the next. Events between them are taken together.
-const TURN: Duration = Duration::from_millis(5);
+const POLL_INTERVAL: Duration = Duration::from_millis(5);
 
 /// One for all threads.
 #[derive(Clone)]
-pub struct Shared(Arc<Inner>);
+pub struct SharedState(Arc<Inner>);
 
 struct Inner {
     /// A lock each: the thread of a line waits for no other bridge.
-    bridges: Vec<Mutex<Bridge>>,
+    bridges: Vec<Mutex<BridgeMonitor>>,
     spool: Mutex<Spool>,
     counts: Counts,
     stop: Arc<AtomicBool>,
@@ -45,17 +45,17 @@ pub struct Counts {
     pub is_online: AtomicBool,
 }
 
-impl Shared {
+impl SharedState {
     /// Returns what is shared. Everything ends when `stop` is set.
     #[must_use]
-    pub fn new(bridges: Vec<Bridge>, spool: Spool, stop: Arc<AtomicBool>) -> Self {
+    pub fn new(bridges: Vec<BridgeMonitor>, spool: Spool, stop: Arc<AtomicBool>) -> Self {
         let (counts, bridges) = (Counts::default(), bridges.into_iter().map(Mutex::new).collect());
         Self(Arc::new(Inner { bridges, spool: Mutex::new(spool), counts, stop }))
     }
 
     /// Returns the bridge of this place, for a moment. A thread that has panicked with it leaves it as it was.
     #[must_use]
-    pub fn bridge(&self, place: usize) -> Option<MutexGuard<'_, Bridge>> {
+    pub fn lock_bridge(&self, place: usize) -> Option<MutexGuard<'_, BridgeMonitor>> {
         let bridge = self.0.bridges.get(place)?;
         Some(bridge.lock().unwrap_or_else(PoisonError::into_inner))
     }
@@ -64,11 +64,11 @@ impl Shared {
     #[must_use]
     pub fn snapshots(&self) -> Vec<Snapshot> {
         let now = Instant::now();
-        (0..).map_while(|place| self.bridge(place)).map(|it| it.snapshot(now)).collect()
+        (0..).map_while(|place| self.lock_bridge(place)).map(|it| it.snapshot(now)).collect()
     }
 
     /// Returns the spool, for a moment.
-    pub fn spool(&self) -> MutexGuard<'_, Spool> {
+    pub fn lock_spool(&self) -> MutexGuard<'_, Spool> {
         self.0.spool.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -80,29 +80,29 @@ impl Shared {
 
     /// Returns whether it is time to end.
     #[must_use]
-    pub fn has_ended(&self) -> bool {
+    pub fn is_stop_requested(&self) -> bool {
         self.0.stop.load(Ordering::Relaxed)
     }
 }
 
 /// Keeps a line to the bridge of this place, in a thread of its own that waits neither for a disk nor for a network,
 /// until the end.
-pub fn keep(
-    shared: Shared,
+pub fn spawn_bridge_thread(
+    shared: SharedState,
     place: usize,
-    open: impl FnMut() -> std::io::Result<Ends> + Send + 'static,
+    open: impl FnMut() -> std::io::Result<DuplexStream> + Send + 'static,
 ) -> JoinHandle<()> {
     thread::spawn(move || {
-        let line = Line::keep(open);
-        while !shared.has_ended() {
+        let line = Connection::spawn(open);
+        while !shared.is_stop_requested() {
             let now = Instant::now();
             let mut to_send = Vec::new();
-            if let Some(mut bridge) = shared.bridge(place) {
-                to_send.extend(line.received().filter_map(|event| bridge.receive(event, now)));
-                to_send.extend(bridge.due(now));
+            if let Some(mut bridge) = shared.lock_bridge(place) {
+                to_send.extend(line.take_events().filter_map(|event| bridge.receive(event, now)));
+                to_send.extend(bridge.take_due_request(now));
             }
-            to_send.into_iter().for_each(|frame| line.send(frame));
-            thread::sleep(TURN);
+            to_send.into_iter().for_each(|frame| line.try_send(frame));
+            thread::sleep(POLL_INTERVAL);
         }
     })
 }

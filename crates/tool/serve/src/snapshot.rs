@@ -1,14 +1,14 @@
 //! The state of a bridge at one moment, and the events from one moment to the next.
 
-use trueup_client::words::quality_word;
-use trueup_core::{cnc::Quality, dimensions::CHANNELS};
+use trueup_client::state_text::quality_name;
+use trueup_core::{cnc::Quality, dimensions::CHANNEL_COUNT};
 
 /// Why a bridge is down whose line is open.
-pub(crate) const SILENT: &str = "no offsets come";
+pub(crate) const NO_OFFSETS_REASON: &str = "no offsets come";
 
 /// Who the bridge is, as far as it has answered.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Identity {
+pub struct BridgeIdentity {
     /// The serial number of its board.
     pub serial: Option<u32>,
     /// The name of the machine that its calibration is for.
@@ -25,7 +25,7 @@ pub struct Snapshot {
     /// Why the line was lost, until offsets come again.
     pub why: Option<String>,
     /// Who it is; this outlives the line.
-    pub identity: Identity,
+    pub identity: BridgeIdentity,
     /// The newest offsets of X, Y and Z in µm.
     pub offset_um: [Option<f64>; 3],
     /// How good they are.
@@ -33,7 +33,7 @@ pub struct Snapshot {
     /// Why they are not simply the full correction.
     pub flags: Vec<&'static str>,
     /// By channel.
-    pub temperature_c: [Option<f64>; CHANNELS],
+    pub temperature_c: [Option<f64>; CHANNEL_COUNT],
     /// Of the spindle, by its sensor.
     pub elongation_um: Option<f64>,
     /// The commanded positions of X, Y and Z, where the CNC is on this line.
@@ -71,11 +71,11 @@ impl Event {
 
 /// Returns what has happened between two moments, in the order in which it is best read.
 #[must_use]
-pub fn events(before: &Snapshot, now: &Snapshot) -> Vec<Event> {
+pub(crate) fn detect_events(before: &Snapshot, now: &Snapshot) -> Vec<Event> {
     let mut events = Vec::new();
     match (before.is_up, now.is_up) {
         (true, false) => {
-            let why = now.why.clone().unwrap_or_else(|| SILENT.into());
+            let why = now.why.clone().unwrap_or_else(|| NO_OFFSETS_REASON.into());
             events.push(Event::new("bridge-down", why));
             // The rest is unknown now; it has not changed.
             return events;
@@ -95,7 +95,7 @@ pub fn events(before: &Snapshot, now: &Snapshot) -> Vec<Event> {
     if now.quality != before.quality
         && let Some(quality) = now.quality
     {
-        events.push(Event::new("quality", quality_word(quality)));
+        events.push(Event::new("quality", quality_name(quality)));
     }
     if now.calibration != before.calibration
         && let Some(crc) = now.calibration
@@ -124,7 +124,7 @@ mod tests {
     use super::*;
 
     fn codes(before: &Snapshot, now: &Snapshot) -> Vec<(&'static str, String)> {
-        events(before, now).into_iter().map(|it| (it.code, it.about)).collect()
+        detect_events(before, now).into_iter().map(|it| (it.code, it.about)).collect()
     }
 
     #[test]
@@ -172,7 +172,10 @@ mod tests {
         let down = Snapshot { why: Some("closed".into()), ..Snapshot::default() };
         assert_eq!(codes(&up, &down), [("bridge-down", "closed".to_owned())]);
         assert_eq!(codes(&down, &down), []);
-        assert_eq!(codes(&up, &Snapshot::default()), [("bridge-down", SILENT.to_owned())]);
+        assert_eq!(
+            codes(&up, &Snapshot::default()),
+            [("bridge-down", NO_OFFSETS_REASON.to_owned())]
+        );
         let expected = [("bridge-up", String::new()), ("fault-set", "store".into())];
         assert_eq!(codes(&down, &up), expected);
     }

@@ -12,24 +12,24 @@ use srad_types::payload::{
 };
 
 use crate::{
-    clock::utc_text,
-    metrics::{Metric, Value, metrics},
+    clock::format_utc,
+    metrics::{Metric, MetricValue, bridge_metrics},
     snapshot::{Event, Snapshot},
-    spool::Draft,
+    spool::NewRecord,
 };
 
 /// The group of every edge node.
-pub(crate) const GROUP: &str = "trueup";
-/// The metric by which a host asks for all births again.
-pub(crate) const REBIRTH: &str = "Node Control/Rebirth";
+pub(crate) const GROUP_ID: &str = "trueup";
+/// The metric by which a host requests all births again.
+pub(crate) const REBIRTH_METRIC: &str = "Node Control/Rebirth";
 /// The unit of a metric, as hosts read it.
-const UNIT: &str = "engUnit";
+const UNIT_PROPERTY: &str = "engUnit";
 
 /// Returns the topic of a message of this type of an edge node, or of a device of it.
 #[must_use]
 pub fn topic(kind: &str, node: &str, device: Option<&str>) -> String {
     let device = device.map(|it| format!("/{it}")).unwrap_or_default();
-    format!("spBv1.0/{GROUP}/{kind}/{node}{device}")
+    format!("spBv1.0/{GROUP_ID}/{kind}/{node}{device}")
 }
 
 /// Returns the topic of a host application's state.
@@ -40,9 +40,9 @@ pub(crate) fn state_topic(host: &str) -> String {
 
 /// Returns the topic outside Sparkplug's name space of what is recorded, or of the retained state.
 #[must_use]
-pub(crate) fn own_topic(node: &str, device: Option<&str>, kind: &str) -> String {
+pub(crate) fn non_sparkplug_topic(node: &str, device: Option<&str>, kind: &str) -> String {
     let device = device.map(|it| format!("/{it}")).unwrap_or_default();
-    format!("{GROUP}/{node}{device}/{kind}")
+    format!("{GROUP_ID}/{node}{device}/{kind}")
 }
 
 /// Returns the identifier of a device: the serial number of its board.
@@ -53,45 +53,46 @@ pub(crate) fn device_id(serial: u32) -> String {
 
 /// Returns a metric with its name.
 #[must_use]
-pub fn named(name: &str, value: &Value, time_ms: u64) -> payload::Metric {
+pub(crate) fn named_metric(name: &str, value: &MetricValue, time_ms: u64) -> payload::Metric {
     let mut metric = payload::Metric::new();
     metric.set_name(name.to_owned()).set_timestamp(time_ms);
     let datatype = match value {
-        Value::Number(_) => DataType::Double,
-        Value::Count(_) => DataType::UInt64,
-        Value::Text(_) => DataType::String,
-        Value::Flag(_) => DataType::Boolean,
+        MetricValue::Number(_) => DataType::Double,
+        MetricValue::Count(_) => DataType::UInt64,
+        MetricValue::Text(_) => DataType::String,
+        MetricValue::Flag(_) => DataType::Boolean,
     };
     metric.set_datatype(datatype);
     match value {
-        Value::Number(Some(number)) => metric.set_value(metric::Value::DoubleValue(*number)),
-        Value::Count(count) => metric.set_value(metric::Value::LongValue(*count)),
-        Value::Text(Some(text)) => metric.set_value(metric::Value::StringValue(text.clone())),
-        Value::Flag(flag) => metric.set_value(metric::Value::BooleanValue(*flag)),
-        Value::Number(None) | Value::Text(None) => metric.set_null(),
+        MetricValue::Number(Some(number)) => metric.set_value(metric::Value::DoubleValue(*number)),
+        MetricValue::Count(count) => metric.set_value(metric::Value::LongValue(*count)),
+        MetricValue::Text(Some(text)) => metric.set_value(metric::Value::StringValue(text.clone())),
+        MetricValue::Flag(flag) => metric.set_value(metric::Value::BooleanValue(*flag)),
+        MetricValue::Number(None) | MetricValue::Text(None) => metric.set_null(),
     };
     metric
 }
 
 /// Returns a metric of a birth: name, alias, unit.
 #[must_use]
-pub(crate) fn born(metric: &Metric, alias: u64, time_ms: u64) -> payload::Metric {
-    let mut born = named(metric.name, &metric.value, time_ms);
-    born.set_alias(alias);
+pub(crate) fn birth_metric(metric: &Metric, alias: u64, time_ms: u64) -> payload::Metric {
+    let mut birth_metric = named_metric(metric.name, &metric.value, time_ms);
+    birth_metric.set_alias(alias);
     if !metric.unit.is_empty() {
         let unit = PropertyValue {
             r#type: Some(DataType::String as u32),
             is_null: None,
             value: Some(property_value::Value::StringValue(metric.unit.to_owned())),
         };
-        born.properties = Some(PropertySet { keys: vec![UNIT.into()], values: vec![unit] });
+        birth_metric.properties =
+            Some(PropertySet { keys: vec![UNIT_PROPERTY.into()], values: vec![unit] });
     }
-    born
+    birth_metric
 }
 
 /// Returns the bytes of a payload.
 #[must_use]
-pub fn encode(
+pub fn encode_payload(
     metrics: Vec<payload::Metric>,
     time_ms: u64,
     seq: Option<u8>,
@@ -109,14 +110,14 @@ pub fn encode(
 
 /// Returns the metrics of what came over a topic; `None`: it is no payload.
 #[must_use]
-pub fn decode(bytes: &[u8]) -> Option<Vec<payload::Metric>> {
+pub(crate) fn decode_metrics(bytes: &[u8]) -> Option<Vec<payload::Metric>> {
     Payload::decode(bytes).ok().map(|it| it.metrics)
 }
 
 /// Returns a record or an event that was published as an object: its identifier, its time, its metrics by name; `None`: it
 /// is no payload.
 #[must_use]
-pub fn object(bytes: &[u8]) -> Option<serde_json::Value> {
+pub fn payload_to_json(bytes: &[u8]) -> Option<serde_json::Value> {
     use serde_json::{Value as Json, json};
     let Payload { timestamp, metrics, uuid, .. } = Payload::decode(bytes).ok()?;
     let value = |value: metric::Value| match value {
@@ -132,41 +133,54 @@ pub fn object(bytes: &[u8]) -> Option<serde_json::Value> {
     let named =
         metrics.into_iter().filter_map(|it| Some((it.name?, it.value.map_or(Json::Null, value))));
     let named: serde_json::Map<String, Json> = named.collect();
-    Some(json!({ "id": uuid, "time": timestamp.map(utc_text), "metrics": named }))
+    Some(json!({ "id": uuid, "time": timestamp.map(format_utc), "metrics": named }))
 }
 
-/// Returns whether a command asks for all births again; `None`: it is no payload.
+/// Returns whether a command requests all births again; `None`: it is no payload.
 #[must_use]
-pub(crate) fn asks_rebirth(bytes: &[u8]) -> Option<bool> {
+pub(crate) fn is_rebirth_command(bytes: &[u8]) -> Option<bool> {
     let asks = |it: &payload::Metric| {
-        it.name.as_deref() == Some(REBIRTH) && it.value == Some(metric::Value::BooleanValue(true))
+        it.name.as_deref() == Some(REBIRTH_METRIC)
+            && it.value == Some(metric::Value::BooleanValue(true))
     };
-    Some(decode(bytes)?.iter().any(asks))
+    Some(decode_metrics(bytes)?.iter().any(asks))
 }
 
 /// Returns an event to be recorded.
 #[must_use]
-pub fn event(node: &str, device: Option<&str>, event: Event, time_ms: u64) -> Draft {
+pub(crate) fn event_record(
+    node: &str,
+    device: Option<&str>,
+    event: Event,
+    time_ms: u64,
+) -> NewRecord {
     let payload = move |id: &str| {
-        let text = |name, text: &str| named(name, &Value::Text(Some(text.to_owned())), time_ms);
+        let text = |name, text: &str| {
+            named_metric(name, &MetricValue::Text(Some(text.to_owned())), time_ms)
+        };
         let metrics = vec![text("Event/Code", event.code), text("Event/About", &event.about)];
-        encode(metrics, time_ms, None, Some(id))
+        encode_payload(metrics, time_ms, None, Some(id))
     };
-    let topic = own_topic(node, device, "event");
-    Draft { time_ms, topic, payload: Box::new(payload) }
+    let topic = non_sparkplug_topic(node, device, "event");
+    NewRecord { time_ms, topic, payload: Box::new(payload) }
 }
 
 /// Returns a row of what a bridge does at a moment, to be recorded: all that is known.
 #[must_use]
-pub fn row(node: &str, device: Option<&str>, of: &Snapshot, time_ms: u64) -> Draft {
-    let mut known = metrics(of);
-    known.retain(|it| !matches!(it.value, Value::Number(None) | Value::Text(None)));
+pub(crate) fn snapshot_record(
+    node: &str,
+    device: Option<&str>,
+    of: &Snapshot,
+    time_ms: u64,
+) -> NewRecord {
+    let mut known = bridge_metrics(of);
+    known.retain(|it| !matches!(it.value, MetricValue::Number(None) | MetricValue::Text(None)));
     let payload = move |id: &str| {
-        let metrics = known.iter().map(|it| named(it.name, &it.value, time_ms)).collect();
-        encode(metrics, time_ms, None, Some(id))
+        let metrics = known.iter().map(|it| named_metric(it.name, &it.value, time_ms)).collect();
+        encode_payload(metrics, time_ms, None, Some(id))
     };
-    let topic = own_topic(node, device, "record");
-    Draft { time_ms, topic, payload: Box::new(payload) }
+    let topic = non_sparkplug_topic(node, device, "record");
+    NewRecord { time_ms, topic, payload: Box::new(payload) }
 }
 
 #[cfg(test)]
@@ -175,14 +189,14 @@ mod tests {
 
     #[test]
     fn a_record_is_read_as_it_was_made() {
-        let made = event("n", None, Event::new("quality", "live"), 1_000);
-        let read = object(&(made.payload)("00000000000000ff-7")).expect("a payload");
+        let made = event_record("n", None, Event::new("quality", "live"), 1_000);
+        let read = payload_to_json(&(made.payload)("00000000000000ff-7")).expect("a payload");
         let expected = serde_json::json!({
             "id": "00000000000000ff-7",
             "time": "1970-01-01T00:00:01.000Z",
             "metrics": {"Event/Code": "quality", "Event/About": "live"},
         });
         assert_eq!(read, expected);
-        assert_eq!(object(b"\xff"), None);
+        assert_eq!(payload_to_json(b"\xff"), None);
     }
 }

@@ -6,7 +6,7 @@
 //!                                 └── rewind: the connection broke ◄┘
 //! ```
 //!
-//! A broker that is killed may lose what it acknowledged last, so a record stays for [`RESEND`] after its
+//! A broker that is killed may lose what it acknowledged last, so a record stays for `RETENTION_TIME` after its
 //! acknowledgement, and is sent again with the same identifier if the connection breaks meanwhile. The identifier
 //! is that of its file, drawn at random, and its number: no clock and no restart makes two records the same.
 //!
@@ -31,30 +31,30 @@ use anyhow::{Context as _, Result};
 use fs4::FileExt;
 
 pub use self::report::Report;
-use self::segment::{CRC, Entry, Record, decode, encode, scan};
+use self::segment::{CRC, IndexEntry, Record, decode, encode, scan};
 
 /// A record is kept for this long after its acknowledgement.
-pub const RESEND: Duration = Duration::from_secs(60);
+pub(crate) const RETENTION_TIME: Duration = Duration::from_secs(60);
 /// A file that cannot be read is tried again for this long.
-const READ_AGAIN: Duration = Duration::from_secs(60);
+const READ_RETRY_TIME: Duration = Duration::from_secs(60);
 /// A file that has reached this length is followed by a new one.
-const FILE_BYTES: u64 = 1 << 20;
-const EXTENSION: &str = "spool";
+const MAX_SEGMENT_BYTES: u64 = 1 << 20;
+const SEGMENT_EXTENSION: &str = "spool";
 /// The folder of bytes and files that could not be sent.
-const DAMAGED: &str = "damaged";
-const SETTLED: &str = "settled";
+const DAMAGED_FOLDER: &str = "damaged";
+const SETTLED_FILE_NAME: &str = "settled";
 
 /// Makes the payload of the record with an identifier.
-pub type MakePayload = dyn Fn(&str) -> Vec<u8> + Send;
+pub type PayloadBuilder = dyn Fn(&str) -> Vec<u8> + Send;
 
 /// Something to be recorded.
-pub struct Draft {
+pub struct NewRecord {
     /// When it was made, in ms since 1970 (UTC).
     pub time_ms: u64,
     /// Where it is published.
     pub topic: String,
     /// Makes the payload of the record with this identifier.
-    pub payload: Box<MakePayload>,
+    pub payload: Box<PayloadBuilder>,
 }
 
 /// The files of a folder, of which this process alone takes care.
@@ -80,19 +80,19 @@ pub struct Spool {
 struct Segment {
     id: u64,
     path: PathBuf,
-    entries: Vec<Entry>,
+    entries: Vec<IndexEntry>,
     bytes: u64,
     /// Records of it were given up: they could not be read.
     has_lost: bool,
 }
 
 impl Segment {
-    /// Removes the file, or moves it into [`DAMAGED`] if it has records that were never sent.
+    /// Removes the file, or moves it into [`DAMAGED_FOLDER`] if it has records that were never sent.
     fn remove(&self) {
         if self.has_lost
             && let Some((folder, name)) = self.path.parent().zip(self.path.file_name())
         {
-            let copies = folder.join(DAMAGED);
+            let copies = folder.join(DAMAGED_FOLDER);
             fs::create_dir_all(&copies).ok();
             fs::rename(&self.path, copies.join(name)).ok();
         } else {
@@ -101,7 +101,7 @@ impl Segment {
     }
 
     /// Returns the records with a higher number.
-    fn after(&self, number: u64) -> &[Entry] {
+    fn entries_after(&self, number: u64) -> &[IndexEntry] {
         &self.entries[self.entries.partition_point(|it| it.number <= number)..]
     }
 }
@@ -136,31 +136,31 @@ impl Spool {
             reports: Vec::new(),
             _lock: lock,
         };
-        spool.read_files().with_context(place)?;
+        spool.load_segments().with_context(place)?;
         spool.remove_settled();
         Ok(spool)
     }
 
-    fn read_files(&mut self) -> io::Result<()> {
+    fn load_segments(&mut self) -> io::Result<()> {
         let mut names: Vec<PathBuf> =
             fs::read_dir(&self.folder)?.flatten().map(|entry| entry.path()).collect();
-        names.retain(|path| path.extension().is_some_and(|it| it == EXTENSION));
+        names.retain(|path| path.extension().is_some_and(|it| it == SEGMENT_EXTENSION));
         names.sort();
         for path in names {
-            let Some((first, id)) = numbers(&path) else { continue };
+            let Some((first, id)) = parse_file_name(&path) else { continue };
             let bytes = fs::read(&path)?;
             let (entries, gaps) = scan(id, &bytes);
             for gap in gaps.iter().filter(|gap| {
                 // Damage among settled records needs no report.
                 gap.after.is_none_or(|after| after.number > self.settled + 1)
             }) {
-                let copy = self.folder.join(DAMAGED);
+                let copy = self.folder.join(DAMAGED_FOLDER);
                 fs::create_dir_all(&copy)?;
                 let name = path.file_stem().unwrap_or_default().to_string_lossy();
                 let copy = copy.join(format!("{name}-{}.bin", gap.at));
                 if !copy.exists() {
                     fs::write(&copy, &bytes[gap.at..gap.at + gap.length])?;
-                    self.reports.push(Report::damage(&path, gap, first, copy));
+                    self.reports.push(Report::damaged(&path, gap, first, copy));
                 }
             }
             let last = entries.last().map_or(first.saturating_sub(1), |entry| entry.number);
@@ -175,12 +175,14 @@ impl Spool {
     ///
     /// # Errors
     /// The disk takes them not: it is full, or broken.
-    pub fn append(&mut self, drafts: &[Draft]) -> io::Result<()> {
+    pub fn append(&mut self, drafts: &[NewRecord]) -> io::Result<()> {
         if drafts.is_empty() {
             return Ok(());
         }
-        if self.active.is_none() || self.segments.back().is_none_or(|it| it.bytes >= FILE_BYTES) {
-            self.begin_file()?;
+        if self.active.is_none()
+            || self.segments.back().is_none_or(|it| it.bytes >= MAX_SEGMENT_BYTES)
+        {
+            self.create_segment()?;
         }
         let Some((segment, file)) = self.segments.back_mut().zip(self.active.as_mut()) else {
             return Err(io::ErrorKind::NotFound.into());
@@ -193,7 +195,7 @@ impl Spool {
             let encoded = encode(segment.id, &record)
                 .ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "a record too long"))?;
             let at = segment.bytes + bytes.len() as u64;
-            entries.push(Entry { number, time_ms, at, length: encoded.len() });
+            entries.push(IndexEntry { number, time_ms, at, length: encoded.len() });
             bytes.extend(encoded);
         }
         if let Err(error) = file.write_all(&bytes).and_then(|()| file.sync_data()) {
@@ -207,18 +209,18 @@ impl Spool {
         segment.bytes += bytes.len() as u64;
         self.next += entries.len() as u64;
         segment.entries.extend(entries);
-        self.make_room();
+        self.enforce_size_limit();
         Ok(())
     }
 
-    fn begin_file(&mut self) -> io::Result<()> {
+    fn create_segment(&mut self) -> io::Result<()> {
         self.active = None;
         if self.segments.back().is_some_and(|it| it.entries.is_empty()) {
             // It could not be written; it may hold half a record.
             self.segments.pop_back().map(|it| fs::remove_file(it.path));
         }
         let id = RandomState::new().hash_one(self.next);
-        let path = self.folder.join(format!("{:020}-{id:016x}.{EXTENSION}", self.next));
+        let path = self.folder.join(format!("{:020}-{id:016x}.{SEGMENT_EXTENSION}", self.next));
         let file = OpenOptions::new().create_new(true).append(true).open(&path)?;
         // Its name too must outlive the power.
         #[cfg(unix)]
@@ -230,15 +232,15 @@ impl Spool {
     }
 
     /// Removes the oldest files while there are more bytes than the limit.
-    fn make_room(&mut self) {
+    fn enforce_size_limit(&mut self) {
         let mut bytes: u64 = self.segments.iter().map(|it| it.bytes).sum();
         while bytes > self.limit && self.segments.len() > 1 {
             let Some(oldest) = self.segments.pop_front() else { return };
             bytes -= oldest.bytes;
-            let lost = |it: &&Entry| {
+            let lost = |it: &&IndexEntry| {
                 it.number > self.settled && !self.acknowledged.contains_key(&it.number)
             };
-            let lost: Vec<Entry> = oldest.entries.iter().filter(lost).copied().collect();
+            let lost: Vec<IndexEntry> = oldest.entries.iter().filter(lost).copied().collect();
             if let (Some(first), Some(last)) = (lost.first(), lost.last()) {
                 self.reports.push(Report::overrun(*first, *last, lost.len()));
             }
@@ -247,7 +249,7 @@ impl Spool {
             self.sent = self.sent.max(self.settled);
             oldest.remove();
         }
-        self.forget_acknowledged();
+        self.prune_acknowledged();
     }
 
     /// Returns the next record that was not sent since the last [`Self::rewind`]; `None`: there is none, or its file cannot
@@ -255,10 +257,10 @@ impl Spool {
     pub fn next_to_send(&mut self, now: Instant) -> Option<Record> {
         loop {
             let sent = self.sent;
-            let first = |it: &Segment| it.after(sent).first().copied();
+            let first = |it: &Segment| it.entries_after(sent).first().copied();
             let mut found = self.segments.iter_mut().filter_map(|it| first(it).map(|of| (it, of)));
             let (segment, entry) = found.next()?;
-            let why = match read(segment, entry) {
+            let why = match read_record(segment, entry) {
                 Ok(Some(record)) => {
                     self.sent = entry.number;
                     self.unreadable_since = None;
@@ -270,9 +272,9 @@ impl Spool {
                     let is_first = self.unreadable_since.is_none();
                     let since = *self.unreadable_since.get_or_insert(now);
                     if is_first {
-                        self.reports.push(Report::unread(&segment.path, &error));
+                        self.reports.push(Report::file_unreadable(&segment.path, &error));
                     }
-                    if now.saturating_duration_since(since) < READ_AGAIN {
+                    if now.saturating_duration_since(since) < READ_RETRY_TIME {
                         return None;
                     }
                     Some(error)
@@ -286,7 +288,7 @@ impl Spool {
     }
 
     /// Takes a record back that could not be sent: it is the next one.
-    pub fn put_back(&mut self, number: u64) {
+    pub(crate) fn requeue(&mut self, number: u64) {
         self.sent = number.saturating_sub(1);
     }
 
@@ -304,20 +306,20 @@ impl Spool {
     }
 
     /// Settles what was acknowledged long enough ago, and removes files without any other record.
-    pub fn settle(&mut self, now: Instant) {
+    pub(crate) fn settle(&mut self, now: Instant) {
         let before = self.settled;
-        let old = |at: &Instant| now.saturating_duration_since(*at) >= RESEND;
+        let old = |at: &Instant| now.saturating_duration_since(*at) >= RETENTION_TIME;
         // One that is open keeps all after it, in whatever order the acknowledgements came.
-        let open = self.segments.iter().flat_map(|it| it.after(before));
+        let open = self.segments.iter().flat_map(|it| it.entries_after(before));
         let done = open.take_while(|it| self.acknowledged.get(&it.number).is_some_and(old));
         self.settled = done.last().map_or(before, |it| it.number);
         if self.settled != before {
-            self.forget_acknowledged();
+            self.prune_acknowledged();
             self.remove_settled();
         }
     }
 
-    fn forget_acknowledged(&mut self) {
+    fn prune_acknowledged(&mut self) {
         self.acknowledged = self.acknowledged.split_off(&(self.settled + 1));
     }
 
@@ -331,21 +333,21 @@ impl Spool {
             self.segments.pop_front();
         }
         // If it is lost, some records are sent once more.
-        let path = self.folder.join(SETTLED);
+        let path = self.folder.join(SETTLED_FILE_NAME);
         let new = path.with_extension("new");
-        let text = settled_text(self.settled);
+        let text = format_settled(self.settled);
         fs::write(&new, text).and_then(|()| fs::rename(&new, &path)).ok();
     }
 
     /// Returns how many records the broker has not acknowledged.
     #[must_use]
-    pub fn waiting(&self) -> usize {
-        let open: usize = self.segments.iter().map(|it| it.after(self.settled).len()).sum();
+    pub fn unacknowledged_count(&self) -> usize {
+        let open: usize = self.segments.iter().map(|it| it.entries_after(self.settled).len()).sum();
         open.saturating_sub(self.acknowledged.len())
     }
 
     /// Returns what was found damaged and what gave way since the last call.
-    pub(crate) fn reports(&mut self) -> Vec<Report> {
+    pub(crate) fn take_reports(&mut self) -> Vec<Report> {
         std::mem::take(&mut self.reports)
     }
 }
@@ -354,7 +356,7 @@ impl Spool {
 ///
 /// # Errors
 /// The file cannot be read.
-fn read(segment: &Segment, entry: Entry) -> io::Result<Option<Record>> {
+fn read_record(segment: &Segment, entry: IndexEntry) -> io::Result<Option<Record>> {
     let mut bytes = vec![0; entry.length];
     let mut file = File::open(&segment.path)?;
     file.seek(SeekFrom::Start(entry.at))?;
@@ -368,20 +370,20 @@ fn read(segment: &Segment, entry: Entry) -> io::Result<Option<Record>> {
 }
 
 /// Returns the first number and the identifier that a file's name has.
-fn numbers(path: &Path) -> Option<(u64, u64)> {
+fn parse_file_name(path: &Path) -> Option<(u64, u64)> {
     let (first, id) = path.file_stem()?.to_str()?.split_once('-')?;
     Some((first.parse().ok()?, u64::from_str_radix(id, 16).ok()?))
 }
 
 fn read_settled(folder: &Path) -> u64 {
-    let text = fs::read_to_string(folder.join(SETTLED)).unwrap_or_default();
+    let text = fs::read_to_string(folder.join(SETTLED_FILE_NAME)).unwrap_or_default();
     let number = text.split(' ').next().and_then(|it| it.parse().ok());
     // A number that is too high by a flipped bit would remove records that were never sent.
-    number.filter(|number| text == settled_text(*number)).unwrap_or(0)
+    number.filter(|number| text == format_settled(*number)).unwrap_or(0)
 }
 
-/// Returns the text of the file [`SETTLED`]: the number and its checksum.
-fn settled_text(number: u64) -> String {
+/// Returns the text of the file [`SETTLED_FILE_NAME`]: the number and its checksum.
+fn format_settled(number: u64) -> String {
     format!("{number} {:08x}\n", CRC.checksum(&number.to_le_bytes()))
 }
 

@@ -1,33 +1,36 @@
 //! The C interface: what `hal/trueup_node.c` calls. `hal/trueup_servo.h` declares the same.
 //!
-//! The memory of a bridge belongs to the caller: [`BYTES`] of it, aligned to [`ALIGNMENT`], so that nothing is
+//! The memory of a bridge belongs to the caller: [`BRIDGE_MEMORY_BYTES`] of it, aligned to [`BRIDGE_MEMORY_ALIGNMENT`], so that nothing is
 //! allocated. A pointer that is null is refused; any other has to point to what the function says.
 #![allow(unsafe_code, reason = "the edge to C")]
 
 use core::{ffi::c_char, mem, ptr, slice};
 
-use trueup_core::dimensions::CHANNELS;
+use trueup_core::dimensions::CHANNEL_COUNT;
 use trueup_linuxcnc_core::joint::MAX_JOINTS;
 use trueup_store::{
     calibration::BlobError,
-    retained::{Copies, SIZE},
+    retained::{COPY_SIZE, RetainedCopies},
 };
 
 use crate::{
     sensor::SensorScale,
-    servo::{Inputs, Joint, Outputs, Refusal, Servo, Settings},
+    servo::{Joint, Outputs, Servo, ServoError, ServoInputs, ServoSettings},
 };
 
 /// Bytes of memory of a bridge.
-pub const BYTES: usize = 65_536;
+pub const BRIDGE_MEMORY_BYTES: usize = 65_536;
 /// Alignment of this memory.
-pub const ALIGNMENT: usize = 16;
+pub const BRIDGE_MEMORY_ALIGNMENT: usize = 16;
 /// Bytes of the two copies of what outlasts a restart.
-pub(crate) const RETAINED_BYTES: usize = 2 * SIZE;
-const _: () = assert!(RETAINED_BYTES == mem::size_of::<Copies>());
-const _: () = assert!(mem::size_of::<Servo>() <= BYTES && mem::align_of::<Servo>() <= ALIGNMENT);
+pub(crate) const RETAINED_BYTES: usize = 2 * COPY_SIZE;
+const _: () = assert!(RETAINED_BYTES == mem::size_of::<RetainedCopies>());
+const _: () = assert!(
+    mem::size_of::<Servo>() <= BRIDGE_MEMORY_BYTES
+        && mem::align_of::<Servo>() <= BRIDGE_MEMORY_ALIGNMENT
+);
 
-/// [`Settings`] in C.
+/// [`ServoSettings`] in C.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct CSettings {
@@ -37,9 +40,9 @@ pub struct CSettings {
     pub codes_per_v: f64,
     /// Smallest step of the source, in volts.
     pub resolution_v: f64,
-    /// As [`Settings::against_um`].
+    /// As [`ServoSettings::against_um`].
     pub against_um: [f64; 3],
-    /// As [`Settings::acceleration`].
+    /// As [`ServoSettings::acceleration`].
     pub acceleration: [f64; 3],
     /// Least position of each joint, in machine units.
     pub joint_min: [f64; MAX_JOINTS],
@@ -47,45 +50,45 @@ pub struct CSettings {
     pub joint_max: [f64; MAX_JOINTS],
     /// Axis of each joint, 0…2; below 0: no offset enters there.
     pub joint_axis: [i32; MAX_JOINTS],
-    /// As [`Settings::temperature_timeout_ms`].
+    /// As [`ServoSettings::temperature_timeout_ms`].
     pub temperature_timeout_ms: u32,
-    /// A bit for each axis: as [`Settings::planner_keeps_slew`].
+    /// A bit for each axis: as [`ServoSettings::planner_keeps_slew`].
     pub planner_keeps_slew: u32,
     /// Not 0: angles are given.
     pub sends_rotary: u32,
 }
 
-/// [`Inputs`] in C: flags are bits of `bits`.
+/// [`ServoInputs`] in C: flags are bits of `bits`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct CInputs {
-    /// As [`Inputs`].
+    /// As [`ServoInputs`].
     pub position: [f64; 3],
-    /// As [`Inputs`].
+    /// As [`ServoInputs`].
     pub request: [f64; 3],
-    /// As [`Inputs`].
+    /// As [`ServoInputs`].
     pub eoffset: [f64; 3],
-    /// As [`Inputs`].
+    /// As [`ServoInputs`].
     pub angles_deg: [f64; 2],
-    /// As [`Inputs`].
+    /// As [`ServoInputs`].
     pub spindle_rpm: f64,
-    /// As [`Inputs`].
+    /// As [`ServoInputs`].
     pub load_n: f64,
-    /// As [`Inputs`].
+    /// As [`ServoInputs`].
     pub sensor_v: f64,
-    /// As [`Inputs`].
-    pub temperature_c: [f64; CHANNELS],
-    /// As [`Inputs`].
+    /// As [`ServoInputs`].
+    pub temperature_c: [f64; CHANNEL_COUNT],
+    /// As [`ServoInputs`].
     pub joint_now: [f64; MAX_JOINTS],
-    /// As [`Inputs`].
+    /// As [`ServoInputs`].
     pub joint_command: [f64; MAX_JOINTS],
-    /// As [`Inputs`].
+    /// As [`ServoInputs`].
     pub joint_reference: [f64; MAX_JOINTS],
-    /// As [`Inputs`].
+    /// As [`ServoInputs`].
     pub tool: i32,
-    /// As [`Inputs`].
+    /// As [`ServoInputs`].
     pub conditions: u32,
-    /// As [`Inputs`].
+    /// As [`ServoInputs`].
     pub joint_homing: u32,
     /// From bit 0: enable, machine on, homed, zero, confirm, heartbeat of the temperatures.
     pub bits: u32,
@@ -106,7 +109,7 @@ pub struct COutputs {
     /// Largest offset of each joint, in machine units.
     pub joint_max: [f64; MAX_JOINTS],
     /// Temperatures that the bridge has, in °C; not a number: none.
-    pub temperature_c: [f64; CHANNELS],
+    pub temperature_c: [f64; CHANNEL_COUNT],
     /// Elongation of the spindle by its sensor, in µm; not a number: none.
     pub elongation_um: f64,
     /// To be added to the counts of X, Y and Z, with wrapping.
@@ -126,7 +129,7 @@ pub struct COutputs {
 }
 
 impl CSettings {
-    fn read(&self) -> Settings {
+    fn to_settings(self) -> ServoSettings {
         let mut joints = [None; MAX_JOINTS];
         let limits = self.joint_min.iter().zip(&self.joint_max);
         for (place, (axis, (low, high))) in
@@ -135,7 +138,7 @@ impl CSettings {
             *place = usize::try_from(*axis).ok().map(|axis| Joint { axis, limits: [*low, *high] });
         }
         let bit = |number: u32| self.planner_keeps_slew >> number & 1 == 1;
-        Settings {
+        ServoSettings {
             mm_per_unit: self.mm_per_unit,
             sensor: SensorScale { codes_per_v: self.codes_per_v, resolution_v: self.resolution_v },
             sends_rotary: self.sends_rotary != 0,
@@ -150,9 +153,9 @@ impl CSettings {
 
 impl CInputs {
     #[allow(clippy::cast_possible_truncation, reason = "16 bits are used")]
-    fn read(&self) -> Inputs {
+    fn to_inputs(self) -> ServoInputs {
         let bit = |number: u32| self.bits >> number & 1 == 1;
-        Inputs {
+        ServoInputs {
             enable: bit(0),
             machine_on: bit(1),
             homed: bit(2),
@@ -178,7 +181,7 @@ impl CInputs {
 }
 
 impl COutputs {
-    fn of(outputs: &Outputs, nm_per_unit: f64) -> Self {
+    fn from_outputs(outputs: &Outputs, nm_per_unit: f64) -> Self {
         let units = |nm: f64| nm / nm_per_unit;
         let bit = |number: u32, is_set: bool| u32::from(is_set) << number;
         Self {
@@ -221,18 +224,18 @@ pub unsafe extern "C" fn trueup_servo_start(
 ) -> i32 {
     let place = memory.cast::<Servo>();
     if place.is_null() || !place.is_aligned() || size < mem::size_of::<Servo>() || blob.is_null() {
-        return number::MEMORY;
+        return refusal_code::MEMORY_MISMATCH;
     }
     // SAFETY: not null; the caller's word for the rest.
     let (blob, settings) = unsafe { (slice::from_raw_parts(blob, length), settings.as_ref()) };
-    let Some(settings) = settings else { return number::MEMORY };
-    match Servo::new(blob, &settings.read(), period_ns) {
+    let Some(settings) = settings else { return refusal_code::MEMORY_MISMATCH };
+    match Servo::new(blob, &settings.to_settings(), period_ns) {
         // SAFETY: aligned and large enough, as looked at above; the memory is the bridge's own.
         Ok(servo) => unsafe {
             ptr::write(place, servo);
             0
         },
-        Err(refusal) => number::of(&refusal),
+        Err(refusal) => refusal_code::from_refusal(&refusal),
     }
 }
 
@@ -249,13 +252,15 @@ pub unsafe extern "C" fn trueup_servo_step(
 ) -> i32 {
     // SAFETY: the caller's word; null is looked at.
     let all = unsafe { (memory.cast::<Servo>().as_mut(), inputs.as_ref(), outputs.as_mut()) };
-    let (Some(servo), Some(inputs), Some(outputs)) = all else { return number::MEMORY };
-    match servo.step(&inputs.read(), period_ns) {
+    let (Some(servo), Some(inputs), Some(outputs)) = all else {
+        return refusal_code::MEMORY_MISMATCH;
+    };
+    match servo.step(&inputs.to_inputs(), period_ns) {
         Ok(all) => {
-            *outputs = COutputs::of(&all, servo.nm_per_unit());
+            *outputs = COutputs::from_outputs(&all, servo.nm_per_unit());
             0
         }
-        Err(refusal) => number::of(&refusal),
+        Err(refusal) => refusal_code::from_refusal(&refusal),
     }
 }
 
@@ -267,7 +272,8 @@ pub unsafe extern "C" fn trueup_servo_step(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn trueup_servo_resume(memory: *mut u8, copies: *const u8, now_s: u32) {
     // SAFETY: the caller's word; null is looked at. Copies are bytes, which need no alignment.
-    let all = unsafe { (memory.cast::<Servo>().as_mut(), copies.cast::<Copies>().as_ref()) };
+    let all =
+        unsafe { (memory.cast::<Servo>().as_mut(), copies.cast::<RetainedCopies>().as_ref()) };
     if let (Some(servo), Some(copies)) = all {
         servo.resume(copies, (now_s != 0).then_some(now_s));
     }
@@ -280,7 +286,8 @@ pub unsafe extern "C" fn trueup_servo_resume(memory: *mut u8, copies: *const u8,
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn trueup_servo_retain(memory: *mut u8, copies: *mut u8) -> i32 {
     // SAFETY: as above.
-    let all = unsafe { (memory.cast::<Servo>().as_mut(), copies.cast::<Copies>().as_mut()) };
+    let all =
+        unsafe { (memory.cast::<Servo>().as_mut(), copies.cast::<RetainedCopies>().as_mut()) };
     let (Some(servo), Some(copies)) = all else { return 0 };
     i32::from(servo.retain(copies))
 }
@@ -288,20 +295,20 @@ pub unsafe extern "C" fn trueup_servo_retain(memory: *mut u8, copies: *mut u8) -
 /// Returns the sentence for the number of a refusal.
 #[unsafe(no_mangle)]
 pub extern "C" fn trueup_servo_reason(number: i32) -> *const c_char {
-    number::text(number).as_ptr()
+    refusal_code::message(number).as_ptr()
 }
 
 /// Refusals as numbers.
-mod number {
-    use super::{BlobError, Refusal};
+mod refusal_code {
+    use super::{BlobError, ServoError};
     use core::ffi::CStr;
 
-    pub const MEMORY: i32 = 1;
+    pub const MEMORY_MISMATCH: i32 = 1;
 
-    pub fn of(refusal: &Refusal) -> i32 {
+    pub fn from_refusal(refusal: &ServoError) -> i32 {
         match refusal {
-            Refusal::Period(_) => 2,
-            Refusal::Calibration(error) => match error {
+            ServoError::Period(_) => 2,
+            ServoError::Calibration(error) => match error {
                 BlobError::Magic { .. } => 3,
                 BlobError::TooShort { .. } | BlobError::Length { .. } => 4,
                 BlobError::Schema { .. } => 5,
@@ -311,10 +318,10 @@ mod number {
         }
     }
 
-    pub fn text(number: i32) -> &'static CStr {
+    pub fn message(number: i32) -> &'static CStr {
         match number {
             0 => c"nothing is wrong",
-            MEMORY => c"the component and its library do not fit together: build it again (trueup linuxcnc component)",
+            MEMORY_MISMATCH => c"the component and its library do not fit together: build it again (trueup linuxcnc component)",
             2 => c"the servo period is none of 0.5, 1, 2 and 4 ms: set [EMCMOT]SERVO_PERIOD to 500000, 1000000, 2000000 or 4000000, and BASE_PERIOD of a base thread to a divisor of it",
             3 => c"the file is no calibration: write it with trueup compile, or run trueup linuxcnc setup again",
             4 => c"the calibration is not whole: write it with trueup compile, or run trueup linuxcnc setup again",

@@ -1,8 +1,8 @@
 //! The component in C, as text: `trueup linuxcnc component` compiles it on the computer on which LinuxCNC runs.
 
 /// Name of the static library.
-pub const LIBRARY: &str = "libtrueup_servo.a";
+pub const LIBRARY_FILE_NAME: &str = "libtrueup_servo.a";
 /// Source of the component.
-pub const SOURCE: &str = include_str!("../hal/trueup_node.c");
+pub const C_SOURCE: &str = include_str!("../hal/trueup_node.c");
 /// The C interface of the library.
-pub const HEADER: &str = include_str!("../hal/trueup_servo.h");
+pub const C_HEADER: &str = include_str!("../hal/trueup_servo.h");

@@ -16,9 +16,9 @@
 #![deny(unsafe_code)]
 
 pub mod abi;
-pub mod component;
 #[cfg(trueup_library)]
-mod library;
+mod abort_handler;
+pub mod component;
 pub mod sensor;
 pub mod servo;
 pub mod temperature;
@@ -26,4 +26,4 @@ pub mod temperature;
 #[cfg(test)]
 extern crate std;
 
-pub use servo::{Inputs, Outputs, Servo, Settings};
+pub use servo::{Outputs, Servo, ServoInputs, ServoSettings};

@@ -12,7 +12,7 @@
 //! | 1 ms | one |
 //! | 2, 4 ms | two, four, with the same sample |
 //!
-//! Other periods are refused: no tick runs, and the reason is said ([`Refusal`]).
+//! Other periods are refused: no tick runs, and the reason is said ([`ServoError`]).
 //!
 //! A joint of LinuxCNC follows the command of its axis two periods later, and an offset takes one from the position to
 //! the joint. So where offsets enter at the joints, a position waits for a period, and its offset acts together with
@@ -21,45 +21,48 @@
 use core::time::Duration;
 
 use trueup_core::{
-    bridge::Input, channels::RawTemperatures, cnc::Conditions, dimensions::CHANNELS,
-    thermometer::Raw,
+    bridge::Input, cnc::Conditions, dimensions::CHANNEL_COUNT,
+    temperature_channels::RawTemperatures, thermometer::RawReading,
 };
 use trueup_link::slcan::Event;
 use trueup_linuxcnc_core::{
     NANOMETRES_PER_MILLIMETRE,
     component::{self, Component, Options},
-    follower::{Pace, Reading},
+    follower::{AxisReading, RateLimits},
     joint::{JointReading, JointSettings, MAX_JOINTS},
     offsets,
 };
-use trueup_node::node::{Interface, Node};
+use trueup_node::{
+    configuration::Configuration,
+    node::{Interface, Node},
+};
 use trueup_store::{
-    calibration::{self, BlobError, identity},
-    retained::{self, Copies},
+    calibration::{self, BlobError, calibration_crc},
+    retained::{self, RetainedCopies},
 };
 
 use crate::{
-    sensor::{Samples, SensorScale},
-    temperature::Channel,
+    sensor::{SensorScale, TickSamples},
+    temperature::ChannelConversion,
 };
 
 pub use trueup_linuxcnc_core::component::Outputs;
 
 /// The bridge runs in the same thread: a silence of this length is a fault of this program.
-const STALE: Duration = Duration::from_millis(100);
+const STALE_TIMEOUT: Duration = Duration::from_millis(100);
 /// Time between two copies of the heat, which changes no faster.
-const RETAIN_US: u64 = 1_000_000;
+const RETAIN_PERIOD_US: u64 = 1_000_000;
 const US_PER_S: u64 = 1_000_000;
 const NS_PER_US: u64 = 1_000;
 const US_PER_TICK: u64 = 1_000;
 /// LinuxCNC rounds a period to its timer.
-const PERIOD_WITHIN_NS: u64 = 1_000;
+const PERIOD_TOLERANCE_NS: u64 = 1_000;
 /// Supported servo periods.
-const PERIODS_US: [u64; 4] = [500, 1_000, 2_000, 4_000];
+const SUPPORTED_PERIODS_US: [u64; 4] = [500, 1_000, 2_000, 4_000];
 
 /// How the component is set: what setup has written into the HAL file.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Settings {
+pub struct ServoSettings {
     /// Millimetres in a machine unit.
     pub mm_per_unit: f64,
     /// The input of the sensor.
@@ -89,7 +92,7 @@ pub struct Joint {
 
 /// Values of the pins. Lengths are in machine units.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Inputs {
+pub struct ServoInputs {
     /// The operator wants offsets.
     pub enable: bool,
     /// LinuxCNC's motion is enabled.
@@ -98,7 +101,7 @@ pub struct Inputs {
     pub homed: bool,
     /// The operator takes the present error as the reference.
     pub zero: bool,
-    /// The operator answers the question that the bridge asks.
+    /// The operator confirms what the bridge requires.
     pub confirm: bool,
     /// Commanded positions of X, Y and Z, without the external offset.
     pub position: [f64; 3],
@@ -127,14 +130,14 @@ pub struct Inputs {
     /// The sensor, in volts; not a number: none.
     pub sensor_v: f64,
     /// Temperatures of the channels in °C; not a number: none.
-    pub temperature_c: [f64; CHANNELS],
+    pub temperature_c: [f64; CHANNEL_COUNT],
     /// Changes with each set of temperatures, where a program gives them.
     pub temperature_heartbeat: bool,
 }
 
 /// Why nothing runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Refusal {
+pub enum ServoError {
     /// The calibration is not one.
     Calibration(BlobError),
     /// The servo period, in ns, is none of 0.5, 1, 2 and 4 ms.
@@ -146,13 +149,13 @@ pub enum Refusal {
 pub struct Servo {
     node: Node<'static>,
     component: Component,
-    settings: Settings,
-    channels: [Channel; CHANNELS],
+    settings: ServoSettings,
+    channels: [ChannelConversion; CHANNEL_COUNT],
     /// CRC of the calibration.
     calibration: u32,
     /// Where X, Y and Z were commanded a period ago.
     position_before: Option<[f64; 3]>,
-    samples: Samples,
+    samples: TickSamples,
     temperatures: RawTemperatures,
     /// Which channel is converted next.
     turn: usize,
@@ -171,10 +174,10 @@ pub struct Servo {
 /// Returns the ticks' time of a servo period.
 ///
 /// # Errors
-/// [`Refusal::Period`].
-pub fn period_us(period_ns: u64) -> Result<u64, Refusal> {
-    let near = |us: &&u64| period_ns.abs_diff(us.saturating_mul(NS_PER_US)) <= PERIOD_WITHIN_NS;
-    PERIODS_US.iter().find(near).copied().ok_or(Refusal::Period(period_ns))
+/// [`ServoError::Period`].
+pub(crate) fn supported_period_us(period_ns: u64) -> Result<u64, ServoError> {
+    let near = |us: &&u64| period_ns.abs_diff(us.saturating_mul(NS_PER_US)) <= PERIOD_TOLERANCE_NS;
+    SUPPORTED_PERIODS_US.iter().find(near).copied().ok_or(ServoError::Period(period_ns))
 }
 
 impl Servo {
@@ -182,18 +185,22 @@ impl Servo {
     ///
     /// # Errors
     /// The calibration or the servo period is refused.
-    pub fn new(blob: &'static [u8], settings: &Settings, period_ns: u64) -> Result<Self, Refusal> {
-        let period_us = period_us(period_ns)?;
-        let blob = calibration::whole(blob).map_err(Refusal::Calibration)?;
-        let law = calibration::decode(blob).map_err(Refusal::Calibration)?;
-        let mut channels = [Channel::Unused; CHANNELS];
+    pub fn new(
+        blob: &'static [u8],
+        settings: &ServoSettings,
+        period_ns: u64,
+    ) -> Result<Self, ServoError> {
+        let period_us = supported_period_us(period_ns)?;
+        let blob = calibration::validate_blob(blob).map_err(ServoError::Calibration)?;
+        let law = calibration::decode(blob).map_err(ServoError::Calibration)?;
+        let mut channels = [ChannelConversion::Unused; CHANNEL_COUNT];
         for (channel, thermometer) in channels.iter_mut().zip(&law.thermometers) {
-            *channel = Channel::of(thermometer.as_ref());
+            *channel = ChannelConversion::from_thermometer(thermometer.as_ref());
         }
         let limits = law.limits;
         let nm = |units: f64| units * settings.mm_per_unit * NANOMETRES_PER_MILLIMETRE;
         let cycle = Duration::from_micros(period_us);
-        let slew = Pace {
+        let slew = RateLimits {
             slew_nm_per_s: limits.slew_nm_per_s.into(),
             cycle_s: period_us as f64 * 1e-6,
             acceleration_nm_per_s2: f64::INFINITY,
@@ -219,9 +226,9 @@ impl Servo {
             });
         }
         let options = Options {
-            limits: offsets::Limits {
+            limits: offsets::OffsetLimits {
                 max_nm: limits.max.map(|max| max.0),
-                stale: STALE,
+                stale: STALE_TIMEOUT,
                 hold: Duration::from_millis(limits.hold_ms.into()),
             },
             pace,
@@ -230,24 +237,23 @@ impl Servo {
             against_um: settings.against_um.map(|um| um.is_finite().then_some(um)),
             joints,
         };
-        let mut node = Node::new(Some(law), false);
-        node.set_blob(blob);
+        let node = Node::new(Configuration { blob, ..law.into() });
         Ok(Self {
             node,
             component: Component::new(Duration::ZERO, options),
             settings: *settings,
             channels,
-            calibration: identity(blob),
+            calibration: calibration_crc(blob),
             position_before: None,
-            samples: Samples::default(),
-            temperatures: [Raw::NONE; CHANNELS],
+            samples: TickSamples::default(),
+            temperatures: [RawReading::NONE; CHANNEL_COUNT],
             turn: 0,
             heartbeat: false,
             since_heartbeat_us: 0,
             now_us: 0,
             pending_us: 0,
             started_s: None,
-            retain_at_us: RETAIN_US,
+            retain_at_us: RETAIN_PERIOD_US,
             copy: 1,
         })
     }
@@ -261,22 +267,22 @@ impl Servo {
     /// Goes on with the heat from before a restart, `copies` as they were saved last. `now_s`: the wall's clock. Where
     /// it does not say for how long nothing ran, or no copy is whole, the heat is not known, as on the board after a
     /// power cut.
-    pub fn resume(&mut self, copies: &Copies, now_s: Option<u32>) {
+    pub fn resume(&mut self, copies: &RetainedCopies, now_s: Option<u32>) {
         self.started_s = now_s;
-        let off_s = retained::off_s(copies, now_s);
+        let off_s = retained::off_time_s(copies, now_s);
         let kept = retained::load(copies).filter(|_| off_s.is_some());
         self.node.resume(kept.as_ref(), off_s.unwrap_or(0));
     }
 
     /// Saves the heat into the older of the copies once a second. Returns true if it did.
-    pub fn retain(&mut self, copies: &mut Copies) -> bool {
+    pub fn retain(&mut self, copies: &mut RetainedCopies) -> bool {
         if self.now_us < self.retain_at_us {
             return false;
         }
-        self.retain_at_us = self.now_us.saturating_add(RETAIN_US);
+        self.retain_at_us = self.now_us.saturating_add(RETAIN_PERIOD_US);
         let passed_s = u32::try_from(self.now_us / US_PER_S).unwrap_or(u32::MAX);
         let now_s = self.started_s.map(|started| started.saturating_add(passed_s));
-        self.copy = retained::save_as(copies, self.copy, &self.node.retained(), now_s);
+        self.copy = retained::write_copy(copies, self.copy, &self.node.retained_state(), now_s);
         true
     }
 
@@ -288,19 +294,20 @@ impl Servo {
 
     /// Returns the CRC of the calibration.
     #[must_use]
-    pub fn calibration(&self) -> u32 {
+    pub fn calibration_crc(&self) -> u32 {
         self.calibration
     }
 
     /// Runs a servo period.
     ///
     /// # Errors
-    /// [`Refusal::Period`]: nothing has run.
-    pub fn step(&mut self, inputs: &Inputs, period_ns: u64) -> Result<Outputs, Refusal> {
-        let period_us = period_us(period_ns)?;
+    /// [`ServoError::Period`]: nothing has run.
+    pub fn step(&mut self, inputs: &ServoInputs, period_ns: u64) -> Result<Outputs, ServoError> {
+        let period_us = supported_period_us(period_ns)?;
         self.sample(inputs, period_us);
         let now = Duration::from_micros(self.now_us);
-        let position = self.position_before.replace(inputs.position).filter(|_| self.is_at_joint());
+        let position =
+            self.position_before.replace(inputs.position).filter(|_| self.has_joint_offsets());
         let position = position.unwrap_or(inputs.position);
         let (mut outputs, frames) =
             self.component.step(now, &self.component_inputs(inputs, position));
@@ -318,15 +325,15 @@ impl Servo {
         Ok(outputs)
     }
 
-    fn is_at_joint(&self) -> bool {
+    fn has_joint_offsets(&self) -> bool {
         self.settings.joints.iter().any(Option::is_some)
     }
 
     /// Takes the samples of this period.
-    fn sample(&mut self, inputs: &Inputs, period_us: u64) {
+    fn sample(&mut self, inputs: &ServoInputs, period_us: u64) {
         let parts = if period_us < US_PER_TICK { 2 } else { 1 };
         let part = usize::from(self.pending_us > 0);
-        self.samples.take(inputs.sensor_v, &self.settings.sensor, part, parts);
+        self.samples.add_sample(inputs.sensor_v, &self.settings.sensor, part, parts);
         self.since_heartbeat_us = self.since_heartbeat_us.saturating_add(period_us);
         if inputs.temperature_heartbeat != self.heartbeat {
             self.heartbeat = inputs.temperature_heartbeat;
@@ -335,13 +342,16 @@ impl Servo {
     }
 
     /// Runs a tick of the node, and lets the component receive what it sends.
-    fn tick(&mut self, inputs: &Inputs) {
+    fn tick(&mut self, inputs: &ServoInputs) {
         let timeout_us =
             u64::from(self.settings.temperature_timeout_ms).saturating_mul(US_PER_TICK);
         let is_late = timeout_us > 0 && self.since_heartbeat_us > timeout_us;
         // One channel a tick: a temperature is slow.
-        self.turn =
-            if self.turn.saturating_add(1) < CHANNELS { self.turn.saturating_add(1) } else { 0 };
+        self.turn = if self.turn.saturating_add(1) < CHANNEL_COUNT {
+            self.turn.saturating_add(1)
+        } else {
+            0
+        };
         if let Some(((place, channel), celsius)) = self
             .temperatures
             .iter_mut()
@@ -349,7 +359,7 @@ impl Servo {
             .zip(&inputs.temperature_c)
             .nth(self.turn)
         {
-            *place = if is_late { Raw::NONE } else { channel.delivery(*celsius) };
+            *place = if is_late { RawReading::NONE } else { channel.raw_reading(*celsius) };
         }
         let input = Input {
             codes: self.samples.codes(),
@@ -365,14 +375,14 @@ impl Servo {
         }
     }
 
-    fn component_inputs(&self, inputs: &Inputs, position: [f64; 3]) -> component::Inputs {
+    fn component_inputs(&self, inputs: &ServoInputs, position: [f64; 3]) -> component::Inputs {
         let mm_per_unit = self.settings.mm_per_unit;
         let nm = |units: f64| units * mm_per_unit * NANOMETRES_PER_MILLIMETRE;
-        let mut readings = [Reading::default(); 3];
+        let mut readings = [AxisReading::default(); 3];
         for (reading, (request, eoffset)) in
             readings.iter_mut().zip(inputs.request.iter().zip(&inputs.eoffset))
         {
-            *reading = Reading { request_nm: nm(*request), eoffset_nm: nm(*eoffset) };
+            *reading = AxisReading { request_nm: nm(*request), eoffset_nm: nm(*eoffset) };
         }
         let mut joints = [JointReading::default(); MAX_JOINTS];
         let pins = inputs.joint_now.iter().zip(&inputs.joint_command).zip(&inputs.joint_reference);

@@ -6,21 +6,21 @@
 //! 512th of a count for a chain.
 
 use trueup_core::{
-    thermometer::{Raw, Thermometer},
+    thermometer::{RawReading, Thermometer},
     units::Temperature,
 };
 
 /// IEC 60751: A per kelvin, B per kelvin², C per kelvin⁴ (below 0 °C).
-const A: f64 = 3.9083e-3;
-const B: f64 = -5.775e-7;
-const C: f64 = -4.183e-12;
-const MICROOHMS_AT_ZERO: f64 = 1e8;
+const CALLENDAR_VAN_DUSEN_A: f64 = 3.9083e-3;
+const CALLENDAR_VAN_DUSEN_B: f64 = -5.775e-7;
+const CALLENDAR_VAN_DUSEN_C: f64 = -4.183e-12;
+const PT100_R0_MICROOHMS: f64 = 1e8;
 /// Beyond this either way a thermometer has failed, and no polynomial of it means anything.
-const REACH_C: f64 = 1_000.0;
+const MAX_TEMPERATURE_C: f64 = 1_000.0;
 
 /// How a channel is made of degrees.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Channel {
+pub(crate) enum ChannelConversion {
     /// No thermometer of the calibration.
     Unused,
     /// A platinum resistance.
@@ -34,10 +34,10 @@ pub(crate) enum Channel {
     },
 }
 
-impl Channel {
+impl ChannelConversion {
     /// Returns how this thermometer is made of degrees.
     #[must_use]
-    pub fn of(thermometer: Option<&Thermometer>) -> Self {
+    pub(crate) fn from_thermometer(thermometer: Option<&Thermometer>) -> Self {
         match thermometer {
             None => Self::Unused,
             Some(Thermometer::Pt100) => Self::Pt100,
@@ -53,23 +53,25 @@ impl Channel {
 
     /// Returns what the thermometer delivers at a temperature; nothing where that is not a number.
     #[must_use]
-    pub fn delivery(&self, celsius: f64) -> Raw {
-        if !celsius.is_finite() || celsius.abs() > REACH_C {
-            return Raw::NONE;
+    pub(crate) fn raw_reading(&self, celsius: f64) -> RawReading {
+        if !celsius.is_finite() || celsius.abs() > MAX_TEMPERATURE_C {
+            return RawReading::NONE;
         }
         let exact = match *self {
-            Self::Unused => return Raw::NONE,
+            Self::Unused => return RawReading::NONE,
             Self::Linear { zero, per_kelvin } => zero + celsius * per_kelvin,
             Self::Pt100 => {
                 let t = celsius;
-                let below = if t < 0.0 { C * (t - 100.0) * t * t * t } else { 0.0 };
-                MICROOHMS_AT_ZERO * (1.0 + A * t + B * t * t + below)
+                let below =
+                    if t < 0.0 { CALLENDAR_VAN_DUSEN_C * (t - 100.0) * t * t * t } else { 0.0 };
+                PT100_R0_MICROOHMS
+                    * (1.0 + CALLENDAR_VAN_DUSEN_A * t + CALLENDAR_VAN_DUSEN_B * t * t + below)
             }
         };
         let half = 0.5_f64.copysign(exact);
         // The smallest number is that of no delivery.
         #[allow(clippy::cast_possible_truncation, reason = "a cast of a float saturates")]
-        Raw(((exact + half) as i32).max(i32::MIN.saturating_add(1)))
+        RawReading(((exact + half) as i32).max(i32::MIN.saturating_add(1)))
     }
 }
 
@@ -85,10 +87,11 @@ mod tests {
             (Thermometer::Linear { zero: 90_000, slope: -32_768_000, shift: 12 }, -40.0, 40.0, 1.1),
         ];
         for (thermometer, from, to, within_mk) in chains {
-            let channel = Channel::of(Some(&thermometer));
+            let channel = ChannelConversion::from_thermometer(Some(&thermometer));
             for step in 0..10_000 {
                 let celsius = from + (to - from) * f64::from(step) / 10_000.0;
-                let read = thermometer.read(channel.delivery(celsius)).expect("a temperature");
+                let read =
+                    thermometer.convert(channel.raw_reading(celsius)).expect("a temperature");
                 let mk = f64::from(read.0) / f64::from(Temperature::PER_MILLIKELVIN);
                 assert!(
                     (mk - celsius * 1e3).abs() <= within_mk,
@@ -100,15 +103,17 @@ mod tests {
 
     #[test]
     fn what_is_no_temperature_delivers_nothing() {
-        for channel in [Channel::Pt100, Channel::Linear { zero: 0.0, per_kelvin: 1.0 }] {
+        for channel in
+            [ChannelConversion::Pt100, ChannelConversion::Linear { zero: 0.0, per_kelvin: 1.0 }]
+        {
             for celsius in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e9, -1e9] {
-                assert_eq!(channel.delivery(celsius), Raw::NONE);
+                assert_eq!(channel.raw_reading(celsius), RawReading::NONE);
             }
         }
-        assert_eq!(Channel::of(None).delivery(20.0), Raw::NONE);
+        assert_eq!(ChannelConversion::from_thermometer(None).raw_reading(20.0), RawReading::NONE);
         assert_eq!(
-            Channel::Linear { zero: 0.0, per_kelvin: -1e9 }.delivery(999.0),
-            Raw(i32::MIN + 1)
+            ChannelConversion::Linear { zero: 0.0, per_kelvin: -1e9 }.raw_reading(999.0),
+            RawReading(i32::MIN + 1)
         );
     }
 }

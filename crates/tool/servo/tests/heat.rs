@@ -5,8 +5,8 @@ use std::path::Path;
 
 use trueup_link::status::StateBits;
 use trueup_machine::{MachineFile, compile};
-use trueup_servo::{Inputs, Outputs, Servo, Settings, sensor::SensorScale};
-use trueup_store::retained::{Copies, SIZE};
+use trueup_servo::{Outputs, Servo, ServoInputs, ServoSettings, sensor::SensorScale};
+use trueup_store::retained::{COPY_SIZE, RetainedCopies};
 
 /// A spindle that grows by 80 µm in some minutes, and a thermometer.
 const MACHINE: &str = r#"
@@ -31,7 +31,7 @@ const PERIOD_NS: u64 = 1_000_000;
 const NOW_S: u32 = 1_700_000_000;
 
 fn servo(blob: &'static [u8]) -> Servo {
-    let settings = Settings {
+    let settings = ServoSettings {
         mm_per_unit: 1.0,
         sensor: SensorScale { codes_per_v: 407.0, resolution_v: 0.0003 },
         sends_rotary: false,
@@ -45,8 +45,8 @@ fn servo(blob: &'static [u8]) -> Servo {
 }
 
 /// Runs for a number of seconds, and returns the last outputs.
-fn live(servo: &mut Servo, copies: &mut Copies, rpm: f64, seconds: u32) -> Outputs {
-    let mut inputs = Inputs {
+fn live(servo: &mut Servo, copies: &mut RetainedCopies, rpm: f64, seconds: u32) -> Outputs {
+    let mut inputs = ServoInputs {
         enable: true,
         machine_on: true,
         homed: true,
@@ -54,7 +54,7 @@ fn live(servo: &mut Servo, copies: &mut Copies, rpm: f64, seconds: u32) -> Outpu
         tool: -1,
         sensor_v: f64::NAN,
         temperature_c: [f64::NAN; 8],
-        ..Inputs::default()
+        ..ServoInputs::default()
     };
     // A warm head: the machine does not look cold.
     (inputs.temperature_c[0], inputs.temperature_c[1]) = (31.0, 22.0);
@@ -77,12 +77,12 @@ fn blob() -> &'static [u8] {
 }
 
 /// Returns the copies of a spindle that has run for some minutes, and its growth.
-fn warm(blob: &'static [u8]) -> (Copies, f64) {
-    let mut copies = [[0; SIZE]; 2];
+fn warm(blob: &'static [u8]) -> (RetainedCopies, f64) {
+    let mut copies = [[0; COPY_SIZE]; 2];
     let mut servo = servo(blob);
     // Never run before: nothing is known, and the operator says that it is cold.
     servo.resume(&copies, Some(NOW_S));
-    let mut nothing = [[0; SIZE]; 2];
+    let mut nothing = [[0; COPY_SIZE]; 2];
     let outputs = live(&mut servo, &mut nothing, 0.0, 3);
     assert!(outputs.state.0 & StateBits::HEAT_UNKNOWN.0 != 0, "{outputs:?}");
     let mut cold = self::servo(blob);
@@ -112,13 +112,13 @@ fn with_a_clock_it_goes_on_and_damaged_copies_are_not_believed() {
     let mut first = servo(blob);
     let (_, cold_um) = warm(blob);
     // A machine that has a clock and is known to be cold: resumed from copies of a cold one, an hour old.
-    let mut copies = [[0; SIZE]; 2];
-    let cold = servo(blob).node().retained();
+    let mut copies = [[0; COPY_SIZE]; 2];
+    let cold = servo(blob).node().retained_state();
     trueup_store::retained::save(&mut copies, &cold, Some(NOW_S - 3_600));
     first.resume(&copies, Some(NOW_S));
     let warm_um = live(&mut first, &mut copies, 18_000.0, 240).offset_um[2];
     assert!((warm_um - cold_um).abs() < 0.5, "{warm_um} and {cold_um} um");
-    let resumed = |copies: &Copies, now_s: Option<u32>| {
+    let resumed = |copies: &RetainedCopies, now_s: Option<u32>| {
         let (mut servo, mut copies) = (servo(blob), *copies);
         servo.resume(&copies, now_s);
         let outputs = live(&mut servo, &mut copies, 0.0, 12);

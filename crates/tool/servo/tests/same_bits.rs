@@ -13,22 +13,25 @@ use std::{path::Path, time::Duration};
 use trueup_core::{
     bridge::Input,
     cnc::Conditions,
-    dimensions::{CHANNELS, CODES_PER_TICK},
-    thermometer::Raw,
-    units::Code,
+    dimensions::{CHANNEL_COUNT, CODES_PER_TICK},
+    thermometer::RawReading,
+    units::AdcCode,
 };
 use trueup_link::{frame::Frame, slcan};
 use trueup_linuxcnc_core::{
     component::{Component, Inputs, Options, Outputs},
-    follower::{Pace, Reading},
+    follower::{AxisReading, RateLimits},
     joint::{JointReading, JointSettings, MAX_JOINTS},
-    offsets::Limits,
+    offsets::OffsetLimits,
 };
 use trueup_machine::{MachineFile, compile};
-use trueup_node::node::{Interface, Node};
+use trueup_node::{
+    configuration::Configuration,
+    node::{Interface, Node},
+};
 use trueup_servo::abi::{
-    ALIGNMENT, BYTES, CInputs, COutputs, CSettings, trueup_servo_reason, trueup_servo_start,
-    trueup_servo_step,
+    BRIDGE_MEMORY_ALIGNMENT, BRIDGE_MEMORY_BYTES, CInputs, COutputs, CSettings,
+    trueup_servo_reason, trueup_servo_start, trueup_servo_step,
 };
 use trueup_store::calibration::decode;
 
@@ -119,7 +122,7 @@ impl World {
             spindle_rpm: 0.0,
             load_n: 0.0,
             sensor_v: 2.0,
-            temperature_c: [f64::NAN; CHANNELS],
+            temperature_c: [f64::NAN; CHANNEL_COUNT],
             joint_now: [0.0; MAX_JOINTS],
             joint_command: [0.0; MAX_JOINTS],
             joint_reference: [0.0; MAX_JOINTS],
@@ -204,17 +207,17 @@ impl World {
 struct Host<'a> {
     node: Node<'a>,
     component: Component,
-    codes: [Code; CODES_PER_TICK],
+    codes: [AdcCode; CODES_PER_TICK],
     volts: f64,
     position_mm: Option<[f64; 3]>,
-    temperatures: [Raw; CHANNELS],
+    temperatures: [RawReading; CHANNEL_COUNT],
     ms: u64,
 }
 
 impl<'a> Host<'a> {
     fn new(blob: &'a [u8]) -> Self {
         let law = decode(blob).expect("compiled");
-        let pace = Pace {
+        let pace = RateLimits {
             slew_nm_per_s: law.limits.slew_nm_per_s.into(),
             cycle_s: 1e-3,
             acceleration_nm_per_s2: f64::INFINITY,
@@ -231,7 +234,7 @@ impl<'a> Host<'a> {
                 mm_per_s2: 1.0,
             });
         }
-        let limits = Limits {
+        let limits = OffsetLimits {
             max_nm: law.limits.max.map(|max| max.0),
             stale: Duration::from_millis(100),
             hold: Duration::from_millis(law.limits.hold_ms.into()),
@@ -244,15 +247,14 @@ impl<'a> Host<'a> {
             against_um: [Some(0.0), Some(6.0), None],
             joints,
         };
-        let mut node = Node::new(Some(law), false);
-        node.set_blob(blob);
+        let node = Node::new(Configuration { blob, ..law.into() });
         Self {
             node,
             component: Component::new(Duration::ZERO, options),
-            codes: [Code(0); CODES_PER_TICK],
+            codes: [AdcCode(0); CODES_PER_TICK],
             volts: f64::NAN,
             position_mm: None,
-            temperatures: [Raw::NONE; CHANNELS],
+            temperatures: [RawReading::NONE; CHANNEL_COUNT],
             ms: 0,
         }
     }
@@ -278,7 +280,7 @@ impl<'a> Host<'a> {
             confirm: bit(4),
             // Of the period before.
             position_mm: self.position_mm.replace(pins.position).unwrap_or(pins.position),
-            readings: [Reading::default(); 3],
+            readings: [AxisReading::default(); 3],
             joints,
             angles_deg: pins.angles_deg,
             spindle_rpm: pins.spindle_rpm,
@@ -291,7 +293,7 @@ impl<'a> Host<'a> {
         }
         self.ms += 1;
         let codes = self.sample(pins.sensor_v);
-        let channel = (self.ms % CHANNELS as u64) as usize;
+        let channel = (self.ms % CHANNEL_COUNT as u64) as usize;
         self.temperatures[channel] = delivery(channel, pins.temperature_c[channel]);
         let input = Input {
             codes: codes.then_some(&self.codes),
@@ -315,28 +317,28 @@ impl<'a> Host<'a> {
         }
         let exact = (volts * CODES_PER_V).clamp(0.0, 4095.0);
         if volts == before || (volts - before).abs() < RESOLUTION_V / 2.0 {
-            self.codes = [Code((exact + 0.5).floor() as u16); CODES_PER_TICK];
+            self.codes = [AdcCode((exact + 0.5).floor() as u16); CODES_PER_TICK];
             return true;
         }
         let above = ((exact - exact.floor()) * 20.0 + 0.5).floor() as usize;
         for (place, code) in self.codes.iter_mut().enumerate() {
-            *code = Code(exact.floor() as u16 + u16::from(place >= CODES_PER_TICK - above));
+            *code = AdcCode(exact.floor() as u16 + u16::from(place >= CODES_PER_TICK - above));
         }
         true
     }
 }
 
 /// IEC 60751, and the linear chain of the machine file: 0.1 V a kelvin behind a divider of 0.328, in 1/256 codes.
-fn delivery(channel: usize, t: f64) -> Raw {
+fn delivery(channel: usize, t: f64) -> RawReading {
     if !t.is_finite() {
-        return Raw::NONE;
+        return RawReading::NONE;
     }
     let exact = match channel {
         0 => 1e8 * (1.0 + 3.9083e-3 * t + -5.775e-7 * t * t + 0.0),
         3 => 256.0 * t * 0.1 * CODES_PER_V,
-        _ => return Raw::NONE,
+        _ => return RawReading::NONE,
     };
-    Raw(exact.round() as i32)
+    RawReading(exact.round() as i32)
 }
 
 /// A frame as the text of the serial line has it.
@@ -347,7 +349,7 @@ fn over_the_line(frame: &Frame) -> Frame {
 
 /// Memory as C has it.
 #[repr(C, align(16))]
-struct Memory([u8; BYTES]);
+struct Memory([u8; BRIDGE_MEMORY_BYTES]);
 
 fn settings() -> CSettings {
     let mut settings = CSettings {
@@ -379,7 +381,7 @@ fn outputs() -> COutputs {
         joint_offset: [0.0; MAX_JOINTS],
         joint_min: [0.0; MAX_JOINTS],
         joint_max: [0.0; MAX_JOINTS],
-        temperature_c: [0.0; CHANNELS],
+        temperature_c: [0.0; CHANNEL_COUNT],
         elongation_um: 0.0,
         counts: [0; 3],
         quality: 0,
@@ -395,12 +397,19 @@ fn outputs() -> COutputs {
 fn compare(ticks: u64) {
     // The bridge lives as long as the process.
     let blob: &'static [u8] = blob().leak();
-    let mut memory = Box::new(Memory([0; BYTES]));
+    let mut memory = Box::new(Memory([0; BRIDGE_MEMORY_BYTES]));
     let start = |memory: &mut Memory| {
         let place = memory.0.as_mut_ptr();
         // SAFETY: the memory is aligned and as large as it has to be, and the calibration stays.
         unsafe {
-            trueup_servo_start(place, BYTES, blob.as_ptr(), blob.len(), &settings(), 1_000_000)
+            trueup_servo_start(
+                place,
+                BRIDGE_MEMORY_BYTES,
+                blob.as_ptr(),
+                blob.len(),
+                &settings(),
+                1_000_000,
+            )
         }
     };
     assert_eq!(start(&mut memory), 0);
@@ -454,7 +463,7 @@ fn ten_million_offsets_are_those_of_the_hosts_node_to_the_bit() {
 #[test]
 fn what_is_no_calibration_and_other_servo_periods_are_refused_with_the_reason() {
     let blob: &'static [u8] = blob().leak();
-    let mut memory = Box::new(Memory([0; BYTES]));
+    let mut memory = Box::new(Memory([0; BRIDGE_MEMORY_BYTES]));
     let mut start = |blob: &'static [u8], size: usize, period_ns: u64| {
         let place = memory.0.as_mut_ptr();
         // SAFETY: the memory is aligned, and no size that is given is above it.
@@ -465,10 +474,10 @@ fn what_is_no_calibration_and_other_servo_periods_are_refused_with_the_reason() 
         unsafe { std::ffi::CStr::from_ptr(trueup_servo_reason(number)) }.to_str().expect("ASCII")
     };
     for period in [500_000, 1_000_000, 999_900, 2_000_000, 4_000_000] {
-        assert_eq!(start(blob, BYTES, period), "nothing is wrong");
+        assert_eq!(start(blob, BRIDGE_MEMORY_BYTES, period), "nothing is wrong");
     }
     for period in [0, 250_000, 750_000, 1_002_000, 3_000_000, 8_000_000, u64::MAX] {
-        assert!(start(blob, BYTES, period).contains("SERVO_PERIOD"), "{period}");
+        assert!(start(blob, BRIDGE_MEMORY_BYTES, period).contains("SERVO_PERIOD"), "{period}");
     }
     let changed = |at: usize, to: u8| -> &'static [u8] {
         let mut bytes = blob.to_vec();
@@ -482,8 +491,8 @@ fn what_is_no_calibration_and_other_servo_periods_are_refused_with_the_reason() 
         (changed(4, 99), "another version"),
         (changed(40, blob[40] ^ 1), "CRC"),
     ] {
-        assert!(start(bytes, BYTES, 1_000_000).contains(reason), "{reason}");
+        assert!(start(bytes, BRIDGE_MEMORY_BYTES, 1_000_000).contains(reason), "{reason}");
     }
     assert!(start(blob, 1_000, 1_000_000).contains("do not fit"));
-    assert_eq!(BYTES % ALIGNMENT, 0);
+    assert_eq!(BRIDGE_MEMORY_BYTES % BRIDGE_MEMORY_ALIGNMENT, 0);
 }

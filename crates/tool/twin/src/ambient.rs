@@ -10,9 +10,9 @@
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-use crate::noise::Stream;
+use crate::noise::RandomStream;
 
-const DAY_S: f64 = 86_400.0;
+const SECONDS_PER_DAY: f64 = 86_400.0;
 
 /// The air as a scenario describes it.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
@@ -49,7 +49,7 @@ impl Default for AmbientConfig {
 #[derive(Clone, Debug)]
 pub struct Ambient {
     config: AmbientConfig,
-    stream: Stream,
+    stream: RandomStream,
     time_s: f64,
     wander_c: f64,
 }
@@ -57,16 +57,17 @@ pub struct Ambient {
 impl Ambient {
     /// At the start of the run.
     #[must_use]
-    pub fn new(config: &AmbientConfig, mut stream: Stream) -> Self {
-        let wander_c = config.wander_c * stream.normal();
+    pub fn new(config: &AmbientConfig, mut stream: RandomStream) -> Self {
+        let wander_c = config.wander_c * stream.standard_normal();
         Self { config: config.clone(), stream, time_s: 0.0, wander_c }
     }
 
-    /// Returns the temperature in °C as it is now.
+    /// Returns the current temperature in °C.
     #[must_use]
     pub fn temperature_c(&self) -> f64 {
         let config = &self.config;
-        let phase = std::f64::consts::TAU * (self.time_s - config.warmest_h * 3600.0) / DAY_S;
+        let phase =
+            std::f64::consts::TAU * (self.time_s - config.warmest_h * 3600.0) / SECONDS_PER_DAY;
         config.mean_c
             + config.amplitude_c * phase.cos()
             + config.trend_c_per_h * self.time_s / 3600.0
@@ -78,7 +79,8 @@ impl Ambient {
         self.time_s += dt_s;
         // The exact step of an Ornstein–Uhlenbeck process: its size does not depend on dt_s.
         let left = (-dt_s / self.config.wander_s.max(1e-9)).exp();
-        let fresh = (1.0 - left * left).sqrt() * self.config.wander_c * self.stream.normal();
+        let fresh =
+            (1.0 - left * left).sqrt() * self.config.wander_c * self.stream.standard_normal();
         self.wander_c = left * self.wander_c + fresh;
         self.temperature_c()
     }
@@ -91,7 +93,7 @@ mod tests {
     #[test]
     fn the_day_is_warmest_at_its_hour_and_coldest_half_a_day_later() {
         let config = AmbientConfig { amplitude_c: 3.0, warmest_h: 5.0, ..Default::default() };
-        let mut ambient = Ambient::new(&config, Stream::new(1, "ambient"));
+        let mut ambient = Ambient::new(&config, RandomStream::new(1, "ambient"));
         assert!((ambient.step(5.0 * 3600.0) - 23.0).abs() < 1e-9);
         assert!((ambient.step(12.0 * 3600.0) - 17.0).abs() < 1e-9);
     }
@@ -100,7 +102,7 @@ mod tests {
     fn the_wander_has_its_size_at_every_step_length() {
         for dt_s in [10.0, 600.0] {
             let config = AmbientConfig { wander_c: 0.5, wander_s: 300.0, ..Default::default() };
-            let mut ambient = Ambient::new(&config, Stream::new(3, "ambient"));
+            let mut ambient = Ambient::new(&config, RandomStream::new(3, "ambient"));
             let apart: Vec<f64> = (0..40_000).map(|_| ambient.step(dt_s) - 20.0).collect();
             assert!((crate::noise::rms(&apart) / 0.5 - 1.0).abs() < 0.06, "{dt_s} s");
         }

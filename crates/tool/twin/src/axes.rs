@@ -19,12 +19,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    broken::{Rule, keys},
     cubic_spline::CubicSpline,
+    scenario_error::{RuleViolation, keys},
 };
 
 /// The axes' names, by number.
-pub const NAMES: [&str; 3] = ["x", "y", "z"];
+pub const AXIS_NAMES: [&str; 3] = ["x", "y", "z"];
 
 /// A linear axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize, JsonSchema)]
@@ -126,18 +126,20 @@ impl Default for AxisConfig {
 
 impl AxisConfig {
     /// The first rule that is broken.
-    pub(crate) fn check(&self) -> Result<(), Rule> {
+    pub(crate) fn check(&self) -> Result<(), RuleViolation> {
         if self.periodic_mm <= 0.0 {
-            return Err(Rule::new(
+            return Err(RuleViolation::new(
                 "periodic_mm",
                 format!("must be above 0, not {}", self.periodic_mm),
             ));
         }
         if self.gap && (self.backlash_um < 0.0 || self.backlash_um_per_m != 0.0) {
             let rule = "takes a backlash_um of at least 0, the same everywhere".to_string();
-            return Err(Rule::new("gap", rule));
+            return Err(RuleViolation::new("gap", rule));
         }
-        Rule::none_negative(&keys!(self: screw_heating_c, screw_lag_s, scale_lag_s, pre_sliding_mm))
+        RuleViolation::require_non_negative(
+            &keys!(self: screw_heating_c, screw_lag_s, scale_lag_s, pre_sliding_mm),
+        )
     }
 }
 
@@ -228,15 +230,20 @@ impl Axes {
             let Some(config) = self.config.axes.get(&AXES[axis]) else { continue };
             let m_per_min = way_mm.abs() * 0.06 / dt_s;
             let heated_c = ambient_c + config.screw_heating_c * m_per_min;
-            follow(&mut state.screw_c, heated_c, dt_s, config.screw_lag_s);
-            follow(&mut state.scale_c, ambient_c, dt_s, config.scale_lag_s);
+            relax_exponentially(&mut state.screw_c, heated_c, dt_s, config.screw_lag_s);
+            relax_exponentially(&mut state.scale_c, ambient_c, dt_s, config.scale_lag_s);
             let width_um = config.backlash_um
                 + config.backlash_um_per_m * (state.position_mm - config.origin_mm) / 1000.0;
             let settled_um = if state.direction < 0.0 { width_um } else { 0.0 };
             if config.gap {
                 state.lost_um = (state.lost_um - way_mm * 1000.0).clamp(0.0, config.backlash_um);
             } else if way_mm != 0.0 {
-                follow(&mut state.lost_um, settled_um, way_mm.abs(), config.pre_sliding_mm);
+                relax_exponentially(
+                    &mut state.lost_um,
+                    settled_um,
+                    way_mm.abs(),
+                    config.pre_sliding_mm,
+                );
             }
         }
     }
@@ -255,34 +262,34 @@ impl Axes {
 
     /// Returns the temperature of a screw, in °C.
     #[must_use]
-    pub fn screw_c(&self, axis: AxisName) -> f64 {
+    pub(crate) fn screw_temperature_c(&self, axis: AxisName) -> f64 {
         self.states[axis.index()].screw_c
     }
 
     /// Returns the temperature of a scale, in °C.
     #[must_use]
-    pub(crate) fn scale_c(&self, axis: AxisName) -> f64 {
+    pub(crate) fn scale_temperature_c(&self, axis: AxisName) -> f64 {
         self.states[axis.index()].scale_c
     }
 
-    /// Returns the error of X, Y and Z as it is now, in µm, without the tool's.
+    /// Returns the current error of X, Y and Z, in µm, without the tool's.
     #[must_use]
     pub fn error_um(&self) -> [f64; 3] {
         let mut error_um = [0.0; 3];
         for (axis, error_um) in error_um.iter_mut().enumerate() {
             if let Some(config) = self.config.axes.get(&AXES[axis]) {
-                *error_um += self.states[axis].own_error_um(config);
+                *error_um += self.states[axis].positioning_error_um(config);
             }
         }
         let at_mm = self.position_mm();
         for curve in &self.config.straightness {
             let along_mm = at_mm[curve.along.index()];
             error_um[curve.error.index()] +=
-                curve.points.at(along_mm) + curve.um_per_m * along_mm / 1000.0;
+                curve.points.evaluate(along_mm) + curve.um_per_m * along_mm / 1000.0;
         }
         for abbe in &self.config.abbe {
             let arm_m = (at_mm[abbe.arm.index()] - abbe.arm_zero_mm) / 1000.0;
-            error_um[abbe.error.index()] += abbe.points.at(at_mm[abbe.along.index()]) * arm_m;
+            error_um[abbe.error.index()] += abbe.points.evaluate(at_mm[abbe.along.index()]) * arm_m;
         }
         error_um
     }
@@ -292,7 +299,7 @@ const AXES: [AxisName; 3] = [AxisName::X, AxisName::Y, AxisName::Z];
 
 impl AxisState {
     /// Returns the error of this axis along itself.
-    fn own_error_um(&self, config: &AxisConfig) -> f64 {
+    fn positioning_error_um(&self, config: &AxisConfig) -> f64 {
         let at_mm = self.position_mm;
         let from_origin_m = (at_mm - config.origin_mm) / 1000.0;
         let (expansion, temperature_c, lost_um) = match config.feedback {
@@ -303,7 +310,7 @@ impl AxisState {
         let angle = std::f64::consts::TAU * turns + config.periodic_phase_deg.to_radians();
         expansion * (temperature_c - config.reference_c) * from_origin_m
             + config.pitch_um_per_m * from_origin_m
-            + config.pitch.at(at_mm)
+            + config.pitch.evaluate(at_mm)
             + config.periodic_um * angle.sin()
             + config.periodic_second_um * (2.0 * angle).sin()
             + lost_um
@@ -311,7 +318,7 @@ impl AxisState {
 }
 
 /// `value` on its way to `settled`, of which e^(−step/constant) is left; both in s, or both in mm.
-fn follow(value: &mut f64, settled: f64, step: f64, constant: f64) {
+fn relax_exponentially(value: &mut f64, settled: f64, step: f64, constant: f64) {
     let left = if constant > 0.0 { (-step / constant).exp() } else { 0.0 };
     *value = settled + (*value - settled) * left;
 }

@@ -12,12 +12,12 @@
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-use crate::{broken::Rule, cubic_spline::CubicSpline, head};
+use crate::{cubic_spline::CubicSpline, head, scenario_error::RuleViolation};
 
 /// The axis that moves a body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
-pub enum Drive {
+pub enum MovingAxis {
     /// Along X.
     X,
     /// Along Y.
@@ -37,7 +37,7 @@ pub enum Drive {
 #[serde(deny_unknown_fields)]
 pub struct Body {
     /// The axis that moves it.
-    pub axis: Drive,
+    pub axis: MovingAxis,
     /// Whether it carries the workpiece, not the tool.
     #[serde(default)]
     pub workpiece: bool,
@@ -64,17 +64,16 @@ pub struct Body {
 }
 
 /// The first rule that the bodies of a machine break, `head` being its rotary axes that turn the tool.
-pub(crate) fn check(bodies: &[Body], head: &[head::RotaryAxis]) -> Result<(), Rule> {
+pub(crate) fn check(bodies: &[Body], head: &[head::RotaryAxis]) -> Result<(), RuleViolation> {
     for (index, body) in bodies.iter().enumerate() {
         let section = format!("body[{index}]");
         if bodies[..index].iter().any(|before| before.axis == body.axis) {
-            return Err(Rule::new("axis", "moves two bodies".into()).within(&section));
+            return Err(RuleViolation::new("axis", "moves two bodies".into()).in_section(&section));
         }
-        let turns_tool = !body.workpiece && body.rotary().is_some();
-        if turns_tool && !head.iter().any(|it| Some(*it as usize) == body.rotary()) {
-            return Err(
-                Rule::new("axis", "turns the tool, and is not in head".into()).within(&section)
-            );
+        let turns_tool = !body.workpiece && body.rotation_axis().is_some();
+        if turns_tool && !head.iter().any(|it| Some(*it as usize) == body.rotation_axis()) {
+            return Err(RuleViolation::new("axis", "turns the tool, and is not in head".into())
+                .in_section(&section));
         }
     }
     Ok(())
@@ -88,19 +87,19 @@ struct Transform {
 }
 
 impl Transform {
-    const NONE: Self = Self {
+    const IDENTITY: Self = Self {
         rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
         translation: [0.0; 3],
     };
 
-    fn shift(translation: [f64; 3]) -> Self {
-        Self { translation, ..Self::NONE }
+    fn from_translation(translation: [f64; 3]) -> Self {
+        Self { translation, ..Self::IDENTITY }
     }
 
-    fn turn(about: usize, angle: f64) -> Self {
+    fn from_rotation(about: usize, angle: f64) -> Self {
         let (sin, cos) = angle.sin_cos();
         let (first, second) = ((about + 1) % 3, (about + 2) % 3);
-        let mut turn = Self::NONE;
+        let mut turn = Self::IDENTITY;
         turn.rotation[first][first] = cos;
         turn.rotation[first][second] = -sin;
         turn.rotation[second][first] = sin;
@@ -108,29 +107,29 @@ impl Transform {
         turn
     }
 
-    fn turned_a_little(urad: [f64; 3]) -> Self {
-        let turns = (0..3).map(|about| Self::turn(about, urad[about] * 1e-6));
-        turns.fold(Self::NONE, Self::then)
+    fn from_small_rotations(urad: [f64; 3]) -> Self {
+        let turns = (0..3).map(|about| Self::from_rotation(about, urad[about] * 1e-6));
+        turns.fold(Self::IDENTITY, Self::compose)
     }
 
     /// First `inner`, then this.
-    fn then(self, inner: Self) -> Self {
+    fn compose(self, inner: Self) -> Self {
         let rotation = std::array::from_fn(|row| {
             std::array::from_fn(|column| {
                 (0..3).map(|n| self.rotation[row][n] * inner.rotation[n][column]).sum()
             })
         });
-        Self { rotation, translation: self.of(inner.translation) }
+        Self { rotation, translation: self.transform_point(inner.translation) }
     }
 
-    fn of(&self, point: [f64; 3]) -> [f64; 3] {
+    fn transform_point(&self, point: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|row| {
             (0..3).map(|n| self.rotation[row][n] * point[n]).sum::<f64>() + self.translation[row]
         })
     }
 
     /// Where a point of outside is, seen from what was moved so.
-    fn seen(&self, point: [f64; 3]) -> [f64; 3] {
+    fn inverse_transform_point(&self, point: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|column| {
             (0..3).map(|n| self.rotation[n][column] * (point[n] - self.translation[n])).sum()
         })
@@ -139,34 +138,34 @@ impl Transform {
 
 impl Body {
     /// About which of X, Y and Z its axis turns it; `None` of a linear one.
-    fn rotary(&self) -> Option<usize> {
+    fn rotation_axis(&self) -> Option<usize> {
         (self.axis as usize).checked_sub(3)
     }
 
     /// Returns what the body's axis does to all that is on it.
     fn transform(&self, position_mm: [f64; 3], angle_deg: [f64; 3], is_perfect: bool) -> Transform {
         let way = if self.workpiece { -1.0 } else { 1.0 };
-        let to = Transform::shift(self.at_mm);
-        let back = Transform::shift(self.at_mm.map(|mm| -mm));
-        match self.rotary() {
+        let to = Transform::from_translation(self.at_mm);
+        let back = Transform::from_translation(self.at_mm.map(|mm| -mm));
+        match self.rotation_axis() {
             None => {
                 let along = self.axis as usize;
                 let mm = position_mm[along];
                 let mut step = [0.0; 3];
                 step[along] = way * mm;
-                let step = Transform::shift(step);
+                let step = Transform::from_translation(step);
                 if is_perfect {
                     return step;
                 }
-                let urad = [&self.turn_x, &self.turn_y, &self.turn_z].map(|turn| turn.at(mm));
-                step.then(to).then(Transform::turned_a_little(urad)).then(back)
+                let urad = [&self.turn_x, &self.turn_y, &self.turn_z].map(|turn| turn.evaluate(mm));
+                step.compose(to).compose(Transform::from_small_rotations(urad)).compose(back)
             }
             Some(about) => {
-                let turn = Transform::turn(about, (way * angle_deg[about]).to_radians());
-                let off = Transform::shift(self.shift_um.map(|um| um / 1000.0))
-                    .then(Transform::turned_a_little(self.tilt_urad));
-                let line = if is_perfect { to } else { to.then(off) };
-                line.then(turn).then(back)
+                let turn = Transform::from_rotation(about, (way * angle_deg[about]).to_radians());
+                let off = Transform::from_translation(self.shift_um.map(|um| um / 1000.0))
+                    .compose(Transform::from_small_rotations(self.tilt_urad));
+                let line = if is_perfect { to } else { to.compose(off) };
+                line.compose(turn).compose(back)
             }
         }
     }
@@ -191,15 +190,17 @@ pub fn error_um(
         if of_workpiece {
             from_bed.reverse();
         }
-        from_bed.into_iter().fold(Transform::NONE, Transform::then)
+        from_bed.into_iter().fold(Transform::IDENTITY, Transform::compose)
     };
-    let on_workpiece =
-        |is_perfect: bool| branch(is_perfect, true).seen(branch(is_perfect, false).of(tip_mm));
+    let on_workpiece = |is_perfect: bool| {
+        branch(is_perfect, true)
+            .inverse_transform_point(branch(is_perfect, false).transform_point(tip_mm))
+    };
     let (actual, right) = (on_workpiece(false), on_workpiece(true));
     let off = std::array::from_fn(|n| (actual[n] - right[n]) * 1000.0);
     // A direction, not a point.
     let table = branch(true, true);
-    Transform { translation: [0.0; 3], ..table }.of(off)
+    Transform { translation: [0.0; 3], ..table }.transform_point(off)
 }
 
 #[cfg(test)]

@@ -24,7 +24,7 @@ impl CubicSpline {
     ///
     /// # Errors
     /// Places that do not rise.
-    pub fn through(points: Vec<[f64; 2]>) -> Result<Self, String> {
+    pub fn from_points(points: Vec<[f64; 2]>) -> Result<Self, String> {
         for pair in points.windows(2) {
             let ([before, _], [after, _]) = (pair[0], pair[1]);
             if after.is_nan() || before.is_nan() || after <= before {
@@ -53,13 +53,13 @@ impl CubicSpline {
     ///
     /// ```
     /// use trueup_twin::cubic_spline::CubicSpline;
-    /// let hump = CubicSpline::through(vec![[0.0, 0.0], [10.0, 4.0], [20.0, 0.0]]).expect("it rises");
+    /// let hump = CubicSpline::from_points(vec![[0.0, 0.0], [10.0, 4.0], [20.0, 0.0]]).expect("it rises");
     /// // M = (0, −0.12, 0): half way 0.5·0 + 0.5·4 + ((0.5³ − 0.5)·(0 − 0.12))·10²/6 = 2.75
-    /// assert!((hump.at(5.0) - 2.75).abs() < 1e-12);
-    /// assert_eq!(hump.at(99.0), 0.0);
+    /// assert!((hump.evaluate(5.0) - 2.75).abs() < 1e-12);
+    /// assert_eq!(hump.evaluate(99.0), 0.0);
     /// ```
     #[must_use]
-    pub fn at(&self, place: f64) -> f64 {
+    pub fn evaluate(&self, place: f64) -> f64 {
         let above = self.points.partition_point(|point| point[0] <= place);
         let Some(below) = above.checked_sub(1) else {
             return self.points.first().map_or(0.0, |point| point[1]);
@@ -76,7 +76,7 @@ impl CubicSpline {
 
 impl<'de> Deserialize<'de> for CubicSpline {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        Self::through(Vec::deserialize(deserializer)?).map_err(D::Error::custom)
+        Self::from_points(Vec::deserialize(deserializer)?).map_err(D::Error::custom)
     }
 }
 
@@ -101,18 +101,19 @@ mod tests {
     #[test]
     fn it_goes_through_its_points_and_a_straight_line_stays_straight() {
         let points = vec![[-3.0, 1.0], [0.0, 5.0], [2.0, -1.0], [7.0, 2.0]];
-        let curve = CubicSpline::through(points.clone()).expect("it rises");
+        let curve = CubicSpline::from_points(points.clone()).expect("it rises");
         for [place, value] in points {
-            assert!((curve.at(place) - value).abs() < 1e-12);
+            assert!((curve.evaluate(place) - value).abs() < 1e-12);
         }
         let line =
-            CubicSpline::through(vec![[0.0, 1.0], [1.0, 3.0], [4.0, 9.0]]).expect("it rises");
-        assert!((line.at(2.7) - 6.4).abs() < 1e-12);
+            CubicSpline::from_points(vec![[0.0, 1.0], [1.0, 3.0], [4.0, 9.0]]).expect("it rises");
+        assert!((line.evaluate(2.7) - 6.4).abs() < 1e-12);
     }
 
     #[test]
     fn places_must_rise() {
-        let error = CubicSpline::through(vec![[0.0, 0.0], [0.0, 1.0]]).expect_err("they do not");
+        let error =
+            CubicSpline::from_points(vec![[0.0, 0.0], [0.0, 1.0]]).expect_err("they do not");
         assert_eq!(error, "0 is not above 0: the places must rise");
     }
 }

@@ -20,17 +20,17 @@ pub enum RotaryAxis {
 }
 
 /// At most this many of them carry a spindle.
-pub(crate) const MAX_AXES: usize = 2;
+pub(crate) const MAX_HEAD_AXES: usize = 2;
 
 impl RotaryAxis {
     /// Returns the column of its angle.
     #[must_use]
-    pub fn column(self) -> &'static str {
+    pub(crate) fn angle_column(self) -> &'static str {
         ["a_deg", "b_deg", "c_deg"][self as usize]
     }
 
     /// `v` turned by `angle_deg` about this axis.
-    fn turn(self, angle_deg: f64, v: [f64; 3]) -> [f64; 3] {
+    fn rotate(self, angle_deg: f64, v: [f64; 3]) -> [f64; 3] {
         let (sin, cos) = angle_deg.to_radians().sin_cos();
         // The two components that it turns, in the order in which it turns them.
         let (first, second) = match self {
@@ -48,16 +48,20 @@ impl RotaryAxis {
 /// `straight` turned by the head's axes, which stand at `angles_deg`.
 ///
 /// ```
-/// use trueup_twin::head::{RotaryAxis, turned};
+/// use trueup_twin::head::{RotaryAxis, rotate_tool_direction};
 /// // A at +30° moves a tool that points down to +Y: sin 30° = 0.5.
-/// let v = turned(&[RotaryAxis::C, RotaryAxis::A], [0.0, 30.0], [0.0, 0.0, -1.0]);
+/// let v = rotate_tool_direction(&[RotaryAxis::C, RotaryAxis::A], [0.0, 30.0], [0.0, 0.0, -1.0]);
 /// assert!((v[1] - 0.5).abs() < 1e-12 && (v[2] + 0.75_f64.sqrt()).abs() < 1e-12);
 /// // C at 90° then takes +Y to −X.
-/// let v = turned(&[RotaryAxis::C, RotaryAxis::A], [90.0, 30.0], [0.0, 0.0, -1.0]);
+/// let v = rotate_tool_direction(&[RotaryAxis::C, RotaryAxis::A], [90.0, 30.0], [0.0, 0.0, -1.0]);
 /// assert!((v[0] + 0.5).abs() < 1e-12 && v[1].abs() < 1e-12);
 /// ```
 #[must_use]
-pub fn turned(axes: &[RotaryAxis], angles_deg: [f64; MAX_AXES], straight: [f64; 3]) -> [f64; 3] {
+pub fn rotate_tool_direction(
+    axes: &[RotaryAxis],
+    angles_deg: [f64; MAX_HEAD_AXES],
+    straight: [f64; 3],
+) -> [f64; 3] {
     let from_the_frame: Vec<_> = axes.iter().zip(angles_deg).collect();
-    from_the_frame.iter().rev().fold(straight, |v, (axis, angle_deg)| axis.turn(*angle_deg, v))
+    from_the_frame.iter().rev().fold(straight, |v, (axis, angle_deg)| axis.rotate(*angle_deg, v))
 }

@@ -41,7 +41,7 @@ impl Material {
 
 /// The boundary condition at an end of a rod.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum End {
+pub enum BoundaryCondition {
     /// No heat passes.
     Insulated,
     /// The face is held at a temperature, in °C.
@@ -69,9 +69,9 @@ pub struct Rod {
     /// The temperature of what surrounds each cell, in °C.
     pub surroundings_c: Vec<f64>,
     /// Boundary condition at the left end.
-    pub left: End,
+    pub left: BoundaryCondition,
     /// Boundary condition at the right end.
-    pub right: End,
+    pub right: BoundaryCondition,
     /// 1: backward Euler; 1/2: Crank–Nicolson.
     theta: f64,
     scratch: Scratch,
@@ -86,7 +86,7 @@ struct Scratch {
 
 /// Where the heat of one step went, in J.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Account {
+pub struct HeatBalance {
     /// Put in by the sources.
     pub from_sources_j: f64,
     /// Come in through the sides (negative: gone).
@@ -95,10 +95,10 @@ pub struct Account {
     pub through_ends_j: f64,
 }
 
-impl Account {
+impl HeatBalance {
     /// Returns all that has come in.
     #[must_use]
-    pub fn total_j(&self) -> f64 {
+    pub fn total_heat_input_j(&self) -> f64 {
         self.from_sources_j + self.through_sides_j + self.through_ends_j
     }
 }
@@ -124,8 +124,8 @@ impl Rod {
             sources_w: vec![0.0; cells],
             sides_w_per_k: vec![0.0; cells],
             surroundings_c: vec![start_c; cells],
-            left: End::Insulated,
-            right: End::Insulated,
+            left: BoundaryCondition::Insulated,
+            right: BoundaryCondition::Insulated,
             theta: theta.clamp(0.5, 1.0),
             scratch: Scratch { upper: vec![0.0; cells], right: vec![0.0; cells] },
         }
@@ -139,7 +139,7 @@ impl Rod {
 
     /// Puts the cells at other temperatures; `by_position_m` is asked for the middle of each.
     pub fn set_temperatures(&mut self, by_position_m: impl Fn(f64) -> f64) {
-        let cell_m = self.cell_m();
+        let cell_m = self.cell_length_m();
         for (cell, temperature_c) in self.temperatures_c.iter_mut().enumerate() {
             *temperature_c = by_position_m((cell as f64 + 0.5) * cell_m);
         }
@@ -147,61 +147,61 @@ impl Rod {
 
     /// Returns the length of a cell in m.
     #[must_use]
-    pub fn cell_m(&self) -> f64 {
+    pub fn cell_length_m(&self) -> f64 {
         self.length_m / self.temperatures_c.len() as f64
     }
 
     /// Returns the cell in which `position_m` from the left end lies; the nearest one outside.
     #[must_use]
-    pub(crate) fn cell_at(&self, position_m: f64) -> usize {
+    pub(crate) fn cell_index_at(&self, position_m: f64) -> usize {
         // A cast from f64 saturates.
-        ((position_m / self.cell_m()) as usize).min(self.temperatures_c.len() - 1)
+        ((position_m / self.cell_length_m()) as usize).min(self.temperatures_c.len() - 1)
     }
 
     /// Returns the heat above 0 °C that is stored, in J.
     #[must_use]
-    pub fn stored_j(&self) -> f64 {
-        self.capacity_j_per_k() * self.temperatures_c.iter().sum::<f64>()
+    pub fn stored_heat_j(&self) -> f64 {
+        self.cell_capacity_j_per_k() * self.temperatures_c.iter().sum::<f64>()
     }
 
     /// Returns how much longer the cells `from..to` are than at `reference_c`, in m: the integral of the
     /// expansion.
     #[must_use]
-    pub fn growth_m(&self, from: usize, to: usize, reference_c: f64) -> f64 {
+    pub fn thermal_expansion_m(&self, from: usize, to: usize, reference_c: f64) -> f64 {
         let above = self.temperatures_c[from..to].iter().map(|t| t - reference_c).sum::<f64>();
-        self.material.expansion_per_k * self.cell_m() * above
+        self.material.expansion_per_k * self.cell_length_m() * above
     }
 
-    fn capacity_j_per_k(&self) -> f64 {
-        self.material.capacity_j_per_m3_k * self.area_m2 * self.cell_m()
+    fn cell_capacity_j_per_k(&self) -> f64 {
+        self.material.capacity_j_per_m3_k * self.area_m2 * self.cell_length_m()
     }
 
     /// Between the middles of two neighbours, in W/K.
-    fn link_w_per_k(&self) -> f64 {
-        self.material.conductivity_w_per_m_k * self.area_m2 / self.cell_m()
+    fn cell_conductance_w_per_k(&self) -> f64 {
+        self.material.conductivity_w_per_m_k * self.area_m2 / self.cell_length_m()
     }
 
     /// From the middle of the outermost cell to what is at the end: W/K, and its temperature.
-    fn end_link(&self, end: End) -> (f64, f64) {
-        let half_cell = 2.0 * self.link_w_per_k();
+    fn boundary_conductance(&self, end: BoundaryCondition) -> (f64, f64) {
+        let half_cell = 2.0 * self.cell_conductance_w_per_k();
         match end {
-            End::Insulated => (0.0, 0.0),
-            End::Held(face_c) => (half_cell, face_c),
-            End::Film { h_w_per_m2_k, fluid_c } if h_w_per_m2_k > 0.0 => {
+            BoundaryCondition::Insulated => (0.0, 0.0),
+            BoundaryCondition::Held(face_c) => (half_cell, face_c),
+            BoundaryCondition::Film { h_w_per_m2_k, fluid_c } if h_w_per_m2_k > 0.0 => {
                 (1.0 / (1.0 / half_cell + 1.0 / (h_w_per_m2_k * self.area_m2)), fluid_c)
             }
-            End::Film { .. } => (0.0, 0.0),
+            BoundaryCondition::Film { .. } => (0.0, 0.0),
         }
     }
 
     /// Steps on by `dt_s`, above 0. Returns where the heat went; its sum is the change of
-    /// [`Self::stored_j`] but for rounding.
-    pub fn step(&mut self, dt_s: f64) -> Account {
+    /// [`Self::stored_heat_j`] but for rounding.
+    pub fn step(&mut self, dt_s: f64) -> HeatBalance {
         let count = self.temperatures_c.len();
         let last = count - 1;
-        let (capacity, link) = (self.capacity_j_per_k(), self.link_w_per_k());
-        let (left, left_c) = self.end_link(self.left);
-        let (right, right_c) = self.end_link(self.right);
+        let (capacity, link) = (self.cell_capacity_j_per_k(), self.cell_conductance_w_per_k());
+        let (left, left_c) = self.boundary_conductance(self.left);
+        let (right, right_c) = self.boundary_conductance(self.right);
         let theta = self.theta;
         // Only the new temperatures and the mean of old and new matter: the change d of each cell is
         // solved for, (C/Δt − θ·K)·d = K·T_old + Q.
@@ -228,7 +228,7 @@ impl Rod {
             self.scratch.right[cell] = (flow - lower * right_before) / pivot;
         }
         let mut change_after = 0.0;
-        let mut account = Account::default();
+        let mut account = HeatBalance::default();
         for cell in (0..count).rev() {
             let change = self.scratch.right[cell] - self.scratch.upper[cell] * change_after;
             change_after = change;

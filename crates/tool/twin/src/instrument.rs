@@ -11,9 +11,9 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::{
-    broken::{Rule, keys},
-    noise::{Correlated, Stream},
-    sensors::memory,
+    noise::{CorrelatedNoise, RandomStream},
+    scenario_error::{RuleViolation, keys},
+    sensors::autocorrelation,
 };
 
 /// The instrument as a scenario describes it; without faults by default.
@@ -70,12 +70,15 @@ impl Default for InstrumentConfig {
 
 impl InstrumentConfig {
     /// The first rule that is broken.
-    pub(crate) fn check(&self) -> Result<(), Rule> {
+    pub(crate) fn check(&self) -> Result<(), RuleViolation> {
         if self.period_um <= 0.0 {
-            return Err(Rule::new("period_um", format!("must be above 0, not {}", self.period_um)));
+            return Err(RuleViolation::new(
+                "period_um",
+                format!("must be above 0, not {}", self.period_um),
+            ));
         }
-        Rule::shares(&keys!(self: dropout, outliers))?;
-        Rule::none_negative(
+        RuleViolation::require_fractions(&keys!(self: dropout, outliers))?;
+        RuleViolation::require_non_negative(
             &keys!(self: quantum_um, noise_um, correlated_um, correlated_s, jumps_per_h, jump_um, outlier_um),
         )
     }
@@ -85,9 +88,9 @@ impl InstrumentConfig {
 #[derive(Clone, Debug)]
 pub struct Instrument {
     config: InstrumentConfig,
-    chance: Stream,
-    jumps: Stream,
-    correlated: Correlated,
+    chance: RandomStream,
+    jumps: RandomStream,
+    correlated: CorrelatedNoise,
     jumped_um: f64,
     time_s: f64,
 }
@@ -96,9 +99,9 @@ impl Instrument {
     /// Returns the instrument for `quantity`, with chance of its own under `seed`.
     #[must_use]
     pub fn new(config: &InstrumentConfig, quantity: &str, seed: u64) -> Self {
-        let stream = |what: &str| Stream::new(seed, &format!("instrument {quantity} {what}"));
+        let stream = |what: &str| RandomStream::new(seed, &format!("instrument {quantity} {what}"));
         Self {
-            correlated: Correlated::new(stream("correlated"), config.correlated_um, 0.0),
+            correlated: CorrelatedNoise::new(stream("correlated"), config.correlated_um, 0.0),
             config: config.clone(),
             chance: stream("noise"),
             jumps: stream("jumps"),
@@ -112,23 +115,23 @@ impl Instrument {
         let config = &self.config;
         let passed_s = time_s - self.time_s;
         self.time_s = time_s;
-        let jump_um = config.jump_um * self.jumps.normal();
+        let jump_um = config.jump_um * self.jumps.standard_normal();
         // The chance that one falls into this interval; two of them are one larger one.
-        if self.jumps.chance(1.0 - (-config.jumps_per_h * passed_s / 3600.0).exp()) {
+        if self.jumps.bernoulli(1.0 - (-config.jumps_per_h * passed_s / 3600.0).exp()) {
             self.jumped_um += jump_um;
         }
         let turns = reading_um / config.period_um;
-        let white = config.noise_um * self.chance.normal();
-        let gross = config.outlier_um * self.chance.normal();
-        let is_gross = self.chance.chance(config.outliers);
-        let is_missing = self.chance.chance(config.dropout);
+        let white = config.noise_um * self.chance.standard_normal();
+        let gross = config.outlier_um * self.chance.standard_normal();
+        let is_gross = self.chance.bernoulli(config.outliers);
+        let is_missing = self.chance.bernoulli(config.dropout);
         let shown_um = config.gain * value_um
             + config.drift_um_per_h * time_s / 3600.0
             + self.jumped_um
             + config.periodic_um * (std::f64::consts::TAU * turns).sin()
             + white
             + if is_gross { gross } else { 0.0 }
-            + self.correlated.draw_at(memory(passed_s, config.correlated_s));
+            + self.correlated.draw_correlated(autocorrelation(passed_s, config.correlated_s));
         match config.quantum_um {
             _ if is_missing => f64::NAN,
             quantum_um if quantum_um > 0.0 => (shown_um / quantum_um).round() * quantum_um,

@@ -20,7 +20,7 @@
 //! | [`machine`] | all of it as one machine, stepped by its drives |
 //! | [`path`] | speeds, loads, ways, position runs |
 //! | [`scenario`] | all of these in one file |
-//! | [`run`] | a scenario that is run: `trueup simulate` |
+//! | `simulation` | a scenario that is run: `trueup simulate` |
 //! | [`noise`] | streams of chance by seed and purpose, correlated noise |
 //! | [`table`] | columns of numbers, and the run file that they are written to |
 #![forbid(unsafe_code)]
@@ -28,7 +28,6 @@
 pub mod ambient;
 pub mod axes;
 pub mod bodies;
-mod broken;
 pub mod cubic_spline;
 pub mod head;
 pub mod heat;
@@ -36,13 +35,14 @@ pub mod instrument;
 pub mod machine;
 pub mod noise;
 pub mod path;
-pub mod run;
 pub mod scenario;
+mod scenario_error;
 pub mod schema;
 pub mod sensors;
+pub(crate) mod simulation;
 pub mod spindle;
 pub mod table;
 pub mod tool;
 
-pub use run::simulate;
-pub use scenario::{BadScenario, Scenario};
+pub use scenario::{Scenario, ScenarioError};
+pub use simulation::simulate;

@@ -8,7 +8,7 @@
 //!    └─────► axes ─► errors ───────────┴─► tip_error_um = errors + of the bodies + growth·V
 //! ```
 //!
-//! [`crate::run`] plays a scenario with it, row by row; a control in the loop may step it with
+//! `crate::simulation` plays a scenario with it, row by row; a control in the loop may step it with
 //! whatever it has just commanded.
 
 use crate::{
@@ -16,10 +16,10 @@ use crate::{
     axes::{Axes, AxisName},
     bodies::{self, Body},
     head,
-    noise::Stream,
+    noise::RandomStream,
     scenario::{CoolantConfig, Scenario},
-    sensors::{Displacement, Spot, Thermometer},
-    spindle::{Drive, Growth, Spindle, SpindleTemperatures},
+    sensors::{DisplacementSensor, Spot, Thermometer},
+    spindle::{Growth, OperatingConditions, Spindle, SpindleTemperatures},
     tool::{ToolConfig, growth_um},
 };
 
@@ -49,7 +49,7 @@ pub struct Machine {
     axes: Axes,
     bodies: Vec<Body>,
     tip_mm: [f64; 3],
-    sensor: Option<Displacement>,
+    sensor: Option<DisplacementSensor>,
     thermometers: Vec<(String, Thermometer)>,
     head: Vec<head::RotaryAxis>,
     /// From the spindle nose to the tool tip, a unit vector; at all angles 0, and now.
@@ -63,7 +63,7 @@ impl Machine {
     /// under `seed`.
     #[must_use]
     pub fn new(scenario: &Scenario, seed: u64) -> Self {
-        let ambient = Ambient::new(&scenario.ambient, Stream::new(seed, "ambient"));
+        let ambient = Ambient::new(&scenario.ambient, RandomStream::new(seed, "ambient"));
         let start_c = scenario.start_c.unwrap_or(ambient.temperature_c());
         let [x, y, z] = scenario.tool_direction;
         let length = (x * x + y * y + z * z).sqrt();
@@ -78,10 +78,10 @@ impl Machine {
             coolant: scenario.coolant.clone(),
             spindle: scenario.spindle.as_ref().map(|config| Spindle::new(config, start_c)),
             tools: scenario.tool.clone(),
-            axes: Axes::new(&scenario.axes(), scenario.start_mm, start_c),
+            axes: Axes::new(&scenario.axes_config(), scenario.start_mm, start_c),
             bodies: scenario.body.clone(),
             tip_mm: scenario.tip_mm,
-            sensor: scenario.sensor.as_ref().map(|config| Displacement::new(config, seed)),
+            sensor: scenario.sensor.as_ref().map(|config| DisplacementSensor::new(config, seed)),
             thermometers: thermometers.collect(),
             head: scenario.head.clone(),
             straight,
@@ -92,7 +92,7 @@ impl Machine {
                 ..Command::default()
             },
         };
-        machine.look(0.0);
+        machine.update_sensors(0.0);
         machine
     }
 
@@ -101,18 +101,18 @@ impl Machine {
         let is_changed = self.command.tool != command.tool;
         self.command = *command;
         let ambient_c = self.ambient.step(dt_s);
-        let coolant_c = self.coolant_c(ambient_c);
+        let coolant_c = self.coolant_temperature_c(ambient_c);
         if let Some(spindle) = &mut self.spindle {
             if is_changed {
-                spindle.take_cold_tool(ambient_c);
+                spindle.load_cold_tool(ambient_c);
             }
             let Command { spindle_rpm, load_n, .. } = *command;
-            spindle.step(dt_s, &Drive { spindle_rpm, load_n, ambient_c, coolant_c });
+            spindle.step(dt_s, &OperatingConditions { spindle_rpm, load_n, ambient_c, coolant_c });
         }
         self.axes.step(dt_s, command.position_mm, ambient_c);
-        self.direction = head::turned(&self.head, command.head_deg, self.straight);
+        self.direction = head::rotate_tool_direction(&self.head, command.head_deg, self.straight);
         self.time_s += dt_s;
-        self.look(dt_s);
+        self.update_sensors(dt_s);
     }
 
     /// Seconds since the start.
@@ -145,7 +145,7 @@ impl Machine {
     /// Returns how far the tool tip is out of the spindle, in µm.
     #[must_use]
     pub fn elongation_um(&self) -> f64 {
-        self.growth().at_tip_um()
+        self.growth().growth_at_tip_um()
     }
 
     /// Returns the error of the tool tip on X, Y and Z, actual minus commanded, in µm: the axes' errors,
@@ -180,7 +180,7 @@ impl Machine {
         self.direction
     }
 
-    fn coolant_c(&self, ambient_c: f64) -> f64 {
+    fn coolant_temperature_c(&self, ambient_c: f64) -> f64 {
         let CoolantConfig { temperature_c, air_share } = self.coolant;
         temperature_c * (1.0 - air_share) + ambient_c * air_share
     }
@@ -192,26 +192,28 @@ impl Machine {
     }
 
     /// Lets the sensors that have a memory see the truth.
-    fn look(&mut self, dt_s: f64) {
-        let growth_um = self.growth().at_sensor_um();
+    fn update_sensors(&mut self, dt_s: f64) {
+        let growth_um = self.growth().growth_at_sensor_um();
         if let Some(sensor) = &mut self.sensor {
             sensor.step(dt_s, growth_um);
         }
         let ambient_c = self.ambient.temperature_c();
-        let coolant_c = self.coolant_c(ambient_c);
+        let coolant_c = self.coolant_temperature_c(ambient_c);
         let spindle = self.spindle.as_ref().map(Spindle::temperatures);
         for (_, thermometer) in &mut self.thermometers {
             let spot_c = match thermometer.spot() {
                 Spot::Ambient => ambient_c,
                 Spot::Coolant => coolant_c,
-                Spot::ScrewX => self.axes.screw_c(AxisName::X),
-                Spot::ScrewY => self.axes.screw_c(AxisName::Y),
-                Spot::ScrewZ => self.axes.screw_c(AxisName::Z),
-                Spot::ScaleX => self.axes.scale_c(AxisName::X),
-                Spot::ScaleY => self.axes.scale_c(AxisName::Y),
-                Spot::ScaleZ => self.axes.scale_c(AxisName::Z),
+                Spot::ScrewX => self.axes.screw_temperature_c(AxisName::X),
+                Spot::ScrewY => self.axes.screw_temperature_c(AxisName::Y),
+                Spot::ScrewZ => self.axes.screw_temperature_c(AxisName::Z),
+                Spot::ScaleX => self.axes.scale_temperature_c(AxisName::X),
+                Spot::ScaleY => self.axes.scale_temperature_c(AxisName::Y),
+                Spot::ScaleZ => self.axes.scale_temperature_c(AxisName::Z),
                 // A scenario with a thermometer on a spindle has one.
-                on_spindle => spindle.map_or(f64::NAN, |it| on(&it, on_spindle)),
+                on_spindle => {
+                    spindle.map_or(f64::NAN, |it| spindle_temperature_at(&it, on_spindle))
+                }
             };
             thermometer.step(dt_s, spot_c);
         }
@@ -219,7 +221,7 @@ impl Machine {
 }
 
 /// Returns the temperature at a spot on the spindle; NaN for one that is elsewhere.
-fn on(spindle: &SpindleTemperatures, spot: Spot) -> f64 {
+fn spindle_temperature_at(spindle: &SpindleTemperatures, spot: Spot) -> f64 {
     match spot {
         Spot::Front => spindle.front_c,
         Spot::Rear => spindle.rear_c,

@@ -18,9 +18,9 @@ use rand_distr::StandardNormal;
 
 /// A stream of random numbers for one purpose.
 #[derive(Clone, Debug)]
-pub struct Stream(ChaCha8Rng);
+pub struct RandomStream(ChaCha8Rng);
 
-impl Stream {
+impl RandomStream {
     /// Returns the stream of `purpose` under `seed`.
     #[must_use]
     pub fn new(seed: u64, purpose: &str) -> Self {
@@ -40,28 +40,28 @@ impl Stream {
     }
 
     /// Normal, mean 0, standard deviation 1.
-    pub fn normal(&mut self) -> f64 {
+    pub fn standard_normal(&mut self) -> f64 {
         self.0.sample(StandardNormal)
     }
 
     /// Returns true with `probability`.
-    pub fn chance(&mut self, probability: f64) -> bool {
+    pub fn bernoulli(&mut self, probability: f64) -> bool {
         self.0.random::<f64>() < probability
     }
 
     /// +1 or −1.
-    pub fn sign(&mut self) -> f64 {
-        if self.chance(0.5) { 1.0 } else { -1.0 }
+    pub fn random_sign(&mut self) -> f64 {
+        if self.bernoulli(0.5) { 1.0 } else { -1.0 }
     }
 
     /// Returns a whole number from `low` to `high`, both possible.
-    pub fn whole(&mut self, low: usize, high: usize) -> usize {
+    pub fn uniform_integer(&mut self, low: usize, high: usize) -> usize {
         self.0.random_range(low..=high.max(low))
     }
 
     /// Returns one of `choices`, which must not be empty.
-    pub fn pick<T: Copy>(&mut self, choices: &[T]) -> T {
-        choices[self.whole(0, choices.len() - 1)]
+    pub fn choose<T: Copy>(&mut self, choices: &[T]) -> T {
+        choices[self.uniform_integer(0, choices.len() - 1)]
     }
 }
 
@@ -75,29 +75,29 @@ fn fnv_1a(name: &str) -> u64 {
 
 /// Noise with a memory.
 #[derive(Clone, Debug)]
-pub struct Correlated {
-    stream: Stream,
+pub struct CorrelatedNoise {
+    stream: RandomStream,
     sigma: f64,
     rho: f64,
     value: Option<f64>,
 }
 
-impl Correlated {
+impl CorrelatedNoise {
     /// Of standard deviation `sigma` and correlation `rho` from one value to the next, in 0…1.
     #[must_use]
-    pub fn new(stream: Stream, sigma: f64, rho: f64) -> Self {
+    pub fn new(stream: RandomStream, sigma: f64, rho: f64) -> Self {
         Self { stream, sigma, rho: rho.clamp(0.0, 0.999_999), value: None }
     }
 
     /// Returns the next value.
     pub fn draw(&mut self) -> f64 {
-        self.draw_at(self.rho)
+        self.draw_correlated(self.rho)
     }
 
     /// Returns the next value, where it is correlated by `rho` with the one before: over a step Δt of noise
     /// with the time constant τ that is e^(−Δt/τ).
-    pub fn draw_at(&mut self, rho: f64) -> f64 {
-        let fresh = self.sigma * self.stream.normal();
+    pub fn draw_correlated(&mut self, rho: f64) -> f64 {
+        let fresh = self.sigma * self.stream.standard_normal();
         let value = match self.value {
             // It starts as if it had always run.
             None => fresh,
@@ -123,7 +123,7 @@ mod tests {
 
     #[test]
     fn a_seed_and_a_purpose_repeat_and_another_of_either_differs() {
-        let first = |seed, purpose| Stream::new(seed, purpose).normal();
+        let first = |seed, purpose| RandomStream::new(seed, purpose).standard_normal();
         assert_eq!(first(1, "a"), first(1, "a"));
         assert_ne!(first(1, "a"), first(2, "a"));
         assert_ne!(first(1, "a"), first(1, "b"));
@@ -132,7 +132,7 @@ mod tests {
     #[test]
     fn correlated_noise_has_its_size_and_its_memory() {
         for (seed, rho) in [(1, 0.0), (2, 0.5), (3, 0.97)] {
-            let mut noise = Correlated::new(Stream::new(seed, "noise"), 0.4, rho);
+            let mut noise = CorrelatedNoise::new(RandomStream::new(seed, "noise"), 0.4, rho);
             let values: Vec<f64> = (0..200_000).map(|_| noise.draw()).collect();
             let size = rms(&values);
             let product: f64 = values.windows(2).map(|pair| pair[0] * pair[1]).sum();
@@ -145,11 +145,11 @@ mod tests {
 
     #[test]
     fn draws_stay_in_their_range() {
-        let mut stream = Stream::new(7, "range");
+        let mut stream = RandomStream::new(7, "range");
         for _ in 0..10_000 {
             assert!((2.0..3.0).contains(&stream.uniform(2.0, 3.0)));
             assert!((1e-3..1e3).contains(&stream.log_uniform(1e-3, 1e3)));
-            assert!((4..=6).contains(&stream.whole(4, 6)));
+            assert!((4..=6).contains(&stream.uniform_integer(4, 6)));
         }
     }
 }

@@ -16,14 +16,14 @@ use serde::Deserialize;
 
 use crate::{
     axes::AxisName,
-    broken::{Rule, keys},
-    noise::Stream,
+    noise::RandomStream,
+    scenario_error::{RuleViolation, keys},
 };
 
 /// The kind of a piece.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
-pub enum Kind {
+pub enum SegmentKind {
     /// The axes stand.
     Spindle,
     /// All axes go to a point.
@@ -37,7 +37,7 @@ pub enum Kind {
 #[serde(deny_unknown_fields)]
 pub struct Segment {
     /// The kind of piece.
-    pub kind: Kind,
+    pub kind: SegmentKind,
     /// Speed of the spindle in r/min.
     #[serde(default)]
     pub spindle_rpm: f64,
@@ -72,7 +72,7 @@ pub struct Segment {
 impl Segment {
     /// Returns a piece of which nothing else is said: still, without load, every key at its default.
     #[must_use]
-    pub fn of(kind: Kind) -> Self {
+    pub fn from_kind(kind: SegmentKind) -> Self {
         Self {
             kind,
             spindle_rpm: 0.0,
@@ -92,15 +92,15 @@ impl Segment {
     }
 
     /// The first rule that is broken.
-    pub(crate) fn check(&self) -> Result<(), Rule> {
-        use Kind::{Move, Positions, Spindle};
+    pub(crate) fn check(&self) -> Result<(), RuleViolation> {
+        use SegmentKind::{Move, Positions, Spindle};
         // A key, whether it is there, whether its kinds need it, its kinds.
         macro_rules! of_kinds {
             ($($key:ident $is_needed:literal $kinds:expr;)*) => {
                 [$((stringify!($key), self.$key.is_some(), $is_needed, $kinds)),*]
             };
         }
-        let keys: [(&str, bool, bool, &[Kind]); 10] = of_kinds! {
+        let keys: [(&str, bool, bool, &[SegmentKind]); 10] = of_kinds! {
             duration_s true &[Spindle];
             to_mm true &[Move];
             feed_mm_per_min true &[Move, Positions];
@@ -115,28 +115,34 @@ impl Segment {
         for (key, is_there, is_needed, kinds) in keys {
             let belongs = kinds.contains(&self.kind);
             if is_there && !belongs {
-                return Err(Rule::new(key, format!("does not belong to kind {:?}", self.kind)));
+                return Err(RuleViolation::new(
+                    key,
+                    format!("does not belong to kind {:?}", self.kind),
+                ));
             }
             if !is_there && belongs && is_needed {
-                return Err(Rule::new(key, format!("is missing in kind {:?}", self.kind)));
+                return Err(RuleViolation::new(key, format!("is missing in kind {:?}", self.kind)));
             }
         }
         for (key, value) in keys!(self: duration_s, feed_mm_per_min) {
             if let Some(value) = value.filter(|value| *value <= 0.0) {
-                return Err(Rule::new(key, format!("must be above 0, not {value}")));
+                return Err(RuleViolation::new(key, format!("must be above 0, not {value}")));
             }
         }
         for (key, value) in keys!(self: dwell_s, overshoot_mm, spread_mm) {
-            Rule::none_negative(&[(key, value.unwrap_or(0.0))])?;
+            RuleViolation::require_non_negative(&[(key, value.unwrap_or(0.0))])?;
         }
         if let Some([first, last]) = self.range_mm.filter(|[first, last]| last <= first) {
-            return Err(Rule::new("range_mm", format!("must rise, not from {first} to {last}")));
+            return Err(RuleViolation::new(
+                "range_mm",
+                format!("must rise, not from {first} to {last}"),
+            ));
         }
         if self.cycles == Some(0) {
-            return Err(Rule::new("cycles", "must be at least 1, not 0".into()));
+            return Err(RuleViolation::new("cycles", "must be at least 1, not 0".into()));
         }
         if self.targets.is_some_and(|targets| targets < 2) {
-            return Err(Rule::new("targets", "must be at least 2".into()));
+            return Err(RuleViolation::new("targets", "must be at least 2".into()));
         }
         if let (Some([first, last]), Some(targets), Some(spread_mm)) =
             (self.range_mm, self.targets, self.spread_mm)
@@ -144,7 +150,7 @@ impl Segment {
             let most_mm = (last - first) / f64::from(targets - 1) / 2.0;
             if spread_mm >= most_mm {
                 let rule = format!("must be below {most_mm}, else targets change places");
-                return Err(Rule::new("spread_mm", rule));
+                return Err(RuleViolation::new("spread_mm", rule));
             }
         }
         Ok(())
@@ -170,19 +176,19 @@ pub struct Leg {
 
 /// Returns the legs of all `segments`, `repeat` times over, from `start_mm` on.
 #[must_use]
-pub fn legs(
+pub fn build_legs(
     segments: &[Segment],
     repeat: u32,
     start_mm: [f64; 3],
     interval_s: f64,
     seed: u64,
 ) -> Vec<Leg> {
-    let mut path = Path { legs: Vec::new(), at_mm: start_mm, tool: 0, cycle: 0 };
+    let mut path = PathBuilder { legs: Vec::new(), at_mm: start_mm, tool: 0, cycle: 0 };
     for number in 1..=repeat {
         for (index, segment) in segments.iter().enumerate() {
             // The same targets each time: they are what is compared.
-            let chance = Stream::new(seed, &format!("targets {index}"));
-            path.add(segment, number, interval_s, chance);
+            let chance = RandomStream::new(seed, &format!("targets {index}"));
+            path.add_segment(segment, number, interval_s, chance);
         }
     }
     path.legs
@@ -193,21 +199,27 @@ pub(crate) fn distance_mm(from_mm: [f64; 3], to_mm: [f64; 3]) -> f64 {
     from_mm.iter().zip(to_mm).map(|(from, to)| (to - from).powi(2)).sum::<f64>().sqrt()
 }
 
-struct Path {
+struct PathBuilder {
     legs: Vec<Leg>,
     at_mm: [f64; 3],
     tool: u16,
     cycle: u32,
 }
 
-impl Path {
-    fn add(&mut self, segment: &Segment, number: u32, interval_s: f64, mut chance: Stream) {
+impl PathBuilder {
+    fn add_segment(
+        &mut self,
+        segment: &Segment,
+        number: u32,
+        interval_s: f64,
+        mut chance: RandomStream,
+    ) {
         let feed_mm_per_s = segment.feed_mm_per_min.unwrap_or(f64::INFINITY) / 60.0;
         self.tool = segment.tool.unwrap_or(self.tool);
         match segment.kind {
-            Kind::Spindle => {
+            SegmentKind::Spindle => {
                 let to_mm = self.at_mm;
-                self.with_rows(
+                self.append_with_rows(
                     segment,
                     to_mm,
                     segment.duration_s.unwrap_or(0.0),
@@ -215,12 +227,12 @@ impl Path {
                     interval_s,
                 );
             }
-            Kind::Move => {
+            SegmentKind::Move => {
                 let to_mm = segment.to_mm.unwrap_or(self.at_mm);
                 let from_mm = self.at_mm;
                 let seconds = distance_mm(from_mm, to_mm) / feed_mm_per_s;
                 let Some(cycles) = segment.cycles else {
-                    self.with_rows(segment, to_mm, seconds, number, interval_s);
+                    self.append_with_rows(segment, to_mm, seconds, number, interval_s);
                     return;
                 };
                 let mut since_row_s = 0.0;
@@ -230,10 +242,10 @@ impl Path {
                     if has_row {
                         since_row_s = 0.0;
                     }
-                    self.push(segment, end_mm, seconds, has_row.then_some(number));
+                    self.push_leg(segment, end_mm, seconds, has_row.then_some(number));
                 }
             }
-            Kind::Positions => {
+            SegmentKind::Positions => {
                 let (Some(axis), Some([first, last]), Some(targets)) =
                     (segment.axis, segment.range_mm, segment.targets)
                 else {
@@ -249,11 +261,11 @@ impl Path {
                 for _ in 0..segment.cycles.unwrap_or(1) {
                     self.cycle += 1;
                     for (way, before_mm) in [(&up, first - beyond_mm), (&down, last + beyond_mm)] {
-                        self.go(segment, axis.index(), before_mm, feed_mm_per_s);
+                        self.append_move(segment, axis.index(), before_mm, feed_mm_per_s);
                         for &target_mm in way {
-                            self.go(segment, axis.index(), target_mm, feed_mm_per_s);
+                            self.append_move(segment, axis.index(), target_mm, feed_mm_per_s);
                             let dwell_s = segment.dwell_s.unwrap_or(2.0);
-                            self.push(segment, self.at_mm, dwell_s, Some(self.cycle));
+                            self.push_leg(segment, self.at_mm, dwell_s, Some(self.cycle));
                         }
                     }
                 }
@@ -261,15 +273,15 @@ impl Path {
         }
     }
 
-    fn go(&mut self, segment: &Segment, axis: usize, to_mm: f64, feed_mm_per_s: f64) {
+    fn append_move(&mut self, segment: &Segment, axis: usize, to_mm: f64, feed_mm_per_s: f64) {
         let seconds = (to_mm - self.at_mm[axis]).abs() / feed_mm_per_s;
         let mut to = self.at_mm;
         to[axis] = to_mm;
-        self.push(segment, to, seconds, None);
+        self.push_leg(segment, to, seconds, None);
     }
 
     /// To `to_mm` over `seconds`, with a row every interval; what is left at the end is a last one.
-    fn with_rows(
+    fn append_with_rows(
         &mut self,
         segment: &Segment,
         to_mm: [f64; 3],
@@ -278,7 +290,7 @@ impl Path {
         interval_s: f64,
     ) {
         if self.legs.is_empty() {
-            self.push(segment, self.at_mm, 0.0, Some(number));
+            self.push_leg(segment, self.at_mm, 0.0, Some(number));
         }
         let from_mm = self.at_mm;
         // A rest that is only rounding is not a row of its own.
@@ -288,13 +300,19 @@ impl Path {
             let (before_s, now_s) = (row * interval_s, ((row + 1.0) * interval_s).min(seconds));
             let share = now_s / seconds;
             let now_mm = [0, 1, 2].map(|i| from_mm[i] + (to_mm[i] - from_mm[i]) * share);
-            self.push(segment, now_mm, now_s - before_s, Some(number));
+            self.push_leg(segment, now_mm, now_s - before_s, Some(number));
             row += 1.0;
         }
         self.at_mm = to_mm;
     }
 
-    fn push(&mut self, segment: &Segment, to_mm: [f64; 3], seconds: f64, row_of_run: Option<u32>) {
+    fn push_leg(
+        &mut self,
+        segment: &Segment,
+        to_mm: [f64; 3],
+        seconds: f64,
+        row_of_run: Option<u32>,
+    ) {
         let Segment { spindle_rpm, load_n, .. } = *segment;
         let tool = self.tool;
         self.legs.push(Leg { seconds, to_mm, spindle_rpm, load_n, tool, row_of_run });

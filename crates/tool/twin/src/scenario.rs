@@ -14,21 +14,21 @@ use crate::{
     ambient::AmbientConfig,
     axes::{Abbe, AxesConfig, AxisConfig, AxisName, Straightness},
     bodies::{self, Body},
-    broken::{Rule, line_and_column, not_finite, offset_of},
     head,
     instrument::InstrumentConfig,
     path::{Segment, distance_mm},
+    scenario_error::{RuleViolation, find_non_finite, key_offset, line_and_column},
     sensors::{DisplacementConfig, Spot, ThermometerConfig},
     spindle::SpindleConfig,
     tool::{self, ToolConfig},
 };
 
-pub use crate::broken::BadScenario;
+pub use crate::scenario_error::ScenarioError;
 
 /// The most rows, and the most ways there and back, that a scenario may ask for.
 pub const MAX_ROWS: f64 = 5e6;
 /// The shortest step of the simulation that a scenario may ask for, in s.
-pub(crate) const SHORTEST_STEP_S: f64 = 1e-3;
+pub(crate) const MIN_STEP_S: f64 = 1e-3;
 
 /// A measured quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
@@ -77,13 +77,13 @@ pub struct Scenario {
     /// The quantities to measure; a column each.
     pub measure: Vec<Quantity>,
     /// From row to row, in s, above 0.
-    #[serde(default = "ten")]
+    #[serde(default = "default_interval_s")]
     pub interval_s: f64,
     /// The longest step of the simulation in s, at least 0.001.
-    #[serde(default = "five")]
+    #[serde(default = "default_step_s")]
     pub step_s: f64,
     /// How often the segments are gone through.
-    #[serde(default = "once")]
+    #[serde(default = "default_repeat")]
     pub repeat: u32,
     /// The start of all temperatures, in °C; by default that of the air.
     pub start_c: Option<f64>,
@@ -91,7 +91,7 @@ pub struct Scenario {
     #[serde(default)]
     pub start_mm: [f64; 3],
     /// From the spindle nose to the tool tip; its length does not count.
-    #[serde(default = "down")]
+    #[serde(default = "default_tool_direction")]
     pub tool_direction: [f64; 3],
     /// The rotary axes that carry the spindle, from the frame to the tool; at most two.
     /// In a run of segments they stand at 0.
@@ -116,7 +116,7 @@ pub struct Scenario {
     pub thermometer: BTreeMap<String, ThermometerConfig>,
     /// The axes; one that is not here is right.
     #[serde(default)]
-    #[schemars(extend("propertyNames" = {"enum": crate::axes::NAMES}))]
+    #[schemars(extend("propertyNames" = {"enum": crate::axes::AXIS_NAMES}))]
     pub axis: BTreeMap<AxisName, AxisConfig>,
     /// Errors of one axis along another.
     #[serde(default)]
@@ -138,19 +138,19 @@ pub struct Scenario {
     pub segment: Vec<Segment>,
 }
 
-fn ten() -> f64 {
+fn default_interval_s() -> f64 {
     10.0
 }
 
-fn five() -> f64 {
+fn default_step_s() -> f64 {
     5.0
 }
 
-fn once() -> u32 {
+fn default_repeat() -> u32 {
     1
 }
 
-fn down() -> [f64; 3] {
+fn default_tool_direction() -> [f64; 3] {
     [0.0, 0.0, -1.0]
 }
 
@@ -160,26 +160,26 @@ impl Scenario {
     /// # Errors
     /// Invalid TOML, an unknown or missing key, a value of the wrong type or out of its range, or
     /// something measured that is not there; with its place and the rule.
-    pub fn parse(text: &str, file: &Path) -> Result<Self, BadScenario> {
+    pub fn parse(text: &str, file: &Path) -> Result<Self, ScenarioError> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let bad = |offset: usize, rule: String| {
             let (line, column) = line_and_column(text, offset);
             // One line, whatever the user wrote.
             let rule = rule.trim().replace(['\n', '\r'], " ");
-            BadScenario { file: file.to_path_buf(), line, column, rule }
+            ScenarioError { file: file.to_path_buf(), line, column, rule }
         };
         let document = DeTable::parse(text).map_err(|error| {
             let offset = error.span().map_or(0, |span| span.start);
             bad(offset, format!("not valid TOML: {}", error.message()))
         })?;
-        if let Some((offset, key)) = not_finite("", document.get_ref()) {
+        if let Some((offset, key)) = find_non_finite("", document.get_ref()) {
             return Err(bad(offset, format!("{key} must be a finite number")));
         }
         let scenario: Self = toml::from_str(text).map_err(|error| {
             bad(error.span().map_or(0, |span| span.start), error.message().to_string())
         })?;
         scenario.check().map_err(|broken| {
-            let offset = offset_of(document.get_ref(), &broken.key);
+            let offset = key_offset(document.get_ref(), &broken.key);
             bad(offset, format!("{} {}", broken.key, broken.rule))
         })?;
         Ok(scenario)
@@ -187,7 +187,7 @@ impl Scenario {
 
     /// Returns the axes, as what moves them takes them.
     #[must_use]
-    pub fn axes(&self) -> AxesConfig {
+    pub(crate) fn axes_config(&self) -> AxesConfig {
         AxesConfig {
             axes: self.axis.clone(),
             straightness: self.straightness.clone(),
@@ -195,52 +195,61 @@ impl Scenario {
         }
     }
 
-    fn check(&self) -> Result<(), Rule> {
+    fn check(&self) -> Result<(), RuleViolation> {
         for (key, value) in [
             ("interval_s", self.interval_s),
             ("step_s", self.step_s),
             ("ambient.wander_s", self.ambient.wander_s),
         ] {
             if value <= 0.0 {
-                return Err(Rule::new(key, format!("must be above 0, not {value}")));
+                return Err(RuleViolation::new(key, format!("must be above 0, not {value}")));
             }
         }
-        Rule::none_negative(&[("ambient.wander_c", self.ambient.wander_c)])?;
-        Rule::share("coolant.air_share", self.coolant.air_share)?;
+        RuleViolation::require_non_negative(&[("ambient.wander_c", self.ambient.wander_c)])?;
+        RuleViolation::require_fraction("coolant.air_share", self.coolant.air_share)?;
         if self.measure.is_empty() {
-            return Err(Rule::new("measure", "must name at least one quantity".into()));
+            return Err(RuleViolation::new("measure", "must name at least one quantity".into()));
         }
         for (index, quantity) in self.measure.iter().enumerate() {
             let key = format!("measure[{index}]");
             if self.measure[..index].contains(quantity) {
-                return Err(Rule::new(&key, format!("is {} a second time", quantity.name())));
+                return Err(RuleViolation::new(
+                    &key,
+                    format!("is {} a second time", quantity.name()),
+                ));
             }
             if *quantity == Quantity::Elongation && self.spindle.is_none() {
-                return Err(Rule::new(&key, "is elongation, but there is no [spindle]".into()));
+                return Err(RuleViolation::new(
+                    &key,
+                    "is elongation, but there is no [spindle]".into(),
+                ));
             }
         }
         if self.tool_direction.iter().all(|component| *component == 0.0) {
-            return Err(Rule::new("tool_direction", "has no length".into()));
+            return Err(RuleViolation::new("tool_direction", "has no length".into()));
         }
-        if self.head.len() > head::MAX_AXES {
-            let rule = format!("has more than {} axes", head::MAX_AXES);
-            return Err(Rule::new("head", rule));
+        if self.head.len() > head::MAX_HEAD_AXES {
+            let rule = format!("has more than {} axes", head::MAX_HEAD_AXES);
+            return Err(RuleViolation::new("head", rule));
         }
         if let Some(spindle) = &self.spindle {
-            spindle.check().map_err(|rule| rule.within("spindle"))?;
+            spindle.check().map_err(|rule| rule.in_section("spindle"))?;
         }
         if let Some(sensor) = &self.sensor {
-            sensor.check().map_err(|rule| rule.within("sensor"))?;
+            sensor.check().map_err(|rule| rule.in_section("sensor"))?;
             if self.spindle.is_none() {
-                return Err(Rule::new("sensor", "needs a [spindle] to sit in".into()));
+                return Err(RuleViolation::new("sensor", "needs a [spindle] to sit in".into()));
             }
         }
         for (name, thermometer) in &self.thermometer {
             let section = format!("thermometer.{name}");
             if name.is_empty() || !name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_') {
-                return Err(Rule::new(&section, "must be named by letters, digits and _".into()));
+                return Err(RuleViolation::new(
+                    &section,
+                    "must be named by letters, digits and _".into(),
+                ));
             }
-            thermometer.check().map_err(|rule| rule.within(&section))?;
+            thermometer.check().map_err(|rule| rule.in_section(&section))?;
             let axis = match thermometer.at {
                 Spot::ScrewX | Spot::ScaleX => Some((AxisName::X, "x")),
                 Spot::ScrewY | Spot::ScaleY => Some((AxisName::Y, "y")),
@@ -255,48 +264,58 @@ impl Scenario {
                 _ => continue,
             };
             let rule = format!("needs [{missing}], which is missing");
-            return Err(Rule::new("at", rule).within(&section));
+            return Err(RuleViolation::new("at", rule).in_section(&section));
         }
         for (&name, axis) in &self.axis {
-            let section = format!("axis.{}", crate::axes::NAMES[name.index()]);
-            axis.check().map_err(|rule| rule.within(&section))?;
+            let section = format!("axis.{}", crate::axes::AXIS_NAMES[name.index()]);
+            axis.check().map_err(|rule| rule.in_section(&section))?;
         }
         bodies::check(&self.body, &self.head)?;
         for (index, curve) in self.straightness.iter().enumerate() {
             if curve.error == curve.along {
                 let rule = "must be another axis than error".to_string();
-                return Err(Rule::new("along", rule).within(&format!("straightness[{index}]")));
+                return Err(
+                    RuleViolation::new("along", rule).in_section(&format!("straightness[{index}]"))
+                );
             }
         }
-        self.instrument.check().map_err(|rule| rule.within("instrument"))?;
+        self.instrument.check().map_err(|rule| rule.in_section("instrument"))?;
+        self.check_segments()
+    }
+
+    /// Checks what the machine does, and how many rows come of it.
+    fn check_segments(&self) -> Result<(), RuleViolation> {
         if self.segment.is_empty() {
-            return Err(Rule::new("segment", "must be there: it is what the machine does".into()));
+            return Err(RuleViolation::new(
+                "segment",
+                "must be there: it is what the machine does".into(),
+            ));
         }
         for (index, segment) in self.segment.iter().enumerate() {
-            segment.check().map_err(|rule| rule.within(&format!("segment[{index}]")))?;
+            segment.check().map_err(|rule| rule.in_section(&format!("segment[{index}]")))?;
         }
         tool::check(&self.tool, &self.segment)?;
         if self.repeat == 0 {
-            return Err(Rule::new("repeat", "must be at least 1, not 0".into()));
+            return Err(RuleViolation::new("repeat", "must be at least 1, not 0".into()));
         }
         // A step costs time whether or not a row comes of it.
-        if self.step_s < SHORTEST_STEP_S {
-            let rule = format!("must be at least {SHORTEST_STEP_S}, not {}", self.step_s);
-            return Err(Rule::new("step_s", rule));
+        if self.step_s < MIN_STEP_S {
+            let rule = format!("must be at least {MIN_STEP_S}, not {}", self.step_s);
+            return Err(RuleViolation::new("step_s", rule));
         }
         let ways = |segment: &Segment| 2.0 * f64::from(segment.cycles.unwrap_or(1));
         let ways = f64::from(self.repeat) * self.segment.iter().map(ways).sum::<f64>();
-        let rows = self.rows().max(ways);
+        let rows = self.estimated_row_count().max(ways);
         if rows > MAX_ROWS {
             let rule = format!("comes to {rows:.0} rows or ways, more than {MAX_ROWS:.0}");
-            return Err(Rule::new("repeat", rule));
+            return Err(RuleViolation::new("repeat", rule));
         }
         Ok(())
     }
 
     /// Returns how many rows there will be, nearly.
     #[must_use]
-    pub fn rows(&self) -> f64 {
+    pub fn estimated_row_count(&self) -> f64 {
         let mut at_mm = self.start_mm;
         let mut rows = 0.0;
         for segment in &self.segment {

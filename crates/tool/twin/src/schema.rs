@@ -23,7 +23,7 @@ use crate::{
 
 /// Returns the scenario as a JSON schema (draft 2020-12).
 #[must_use]
-pub fn scenario() -> Value {
+pub fn scenario_schema() -> Value {
     let settings = SchemaSettings::draft2020_12().with(|it| it.inline_subschemas = true);
     let mut schema: Schema = settings.into_generator().into_root_schema_for::<Scenario>();
     schema.insert("title".into(), "Scenario of trueup".into());
@@ -39,72 +39,72 @@ pub fn scenario() -> Value {
 
 /// Returns the scenario's keys as a table of Markdown.
 #[must_use]
-pub fn scenario_table() -> String {
+pub fn scenario_markdown_table() -> String {
     let mut rows = "| key | what stands there | default | what |\n|---|---|---|---|\n".to_string();
-    rows_of(&scenario(), "", &mut rows);
+    append_table_rows(&scenario_schema(), "", &mut rows);
     rows
 }
 
 /// The keys of a table, then the tables in it, in the order of the code.
-fn rows_of(schema: &Value, name: &str, rows: &mut String) {
+fn append_table_rows(schema: &Value, name: &str, rows: &mut String) {
     let is_needed = |key: &str| {
         schema["required"].as_array().is_some_and(|needed| needed.iter().any(|it| it == key))
     };
-    let all = fields_of(name).iter().map(|key| (*key, &schema["properties"][*key]));
-    for (key, value) in all.clone().filter(|(_, value)| inner(value).is_none()) {
+    let all = table_keys(name).iter().map(|key| (*key, &schema["properties"][*key]));
+    for (key, value) in all.clone().filter(|(_, value)| table_schema(value).is_none()) {
         let default = match &value["default"] {
             _ if is_needed(key) => "needed".into(),
             Value::Null => String::new(),
             default => format!("`{default}`"),
         };
-        let (form, what) = (form(value), sentence(value));
+        let (form, what) = (describe_value_type(value), describe_key(value));
         rows.push_str(&format!("| `{key}` | {form} | {default} | {what} |\n"));
     }
     for (key, value) in all {
-        let Some((inner, how)) = inner(value) else { continue };
+        let Some((inner, how)) = table_schema(value) else { continue };
         let title = match how {
-            Table::One => format!("[{key}]"),
-            Table::Named => format!("[{key}.<name>]"),
-            Table::Many => format!("[[{key}]]"),
+            TableMultiplicity::One => format!("[{key}]"),
+            TableMultiplicity::Named => format!("[{key}.<name>]"),
+            TableMultiplicity::Many => format!("[[{key}]]"),
         };
         let need = if is_needed(key) { "needed" } else { "" };
-        rows.push_str(&format!("| **`{title}`** | | {need} | {} |\n", sentence(value)));
-        rows_of(inner, key, rows);
+        rows.push_str(&format!("| **`{title}`** | | {need} | {} |\n", describe_key(value)));
+        append_table_rows(inner, key, rows);
     }
 }
 
 /// Returns the keys of the table of this name, of the file itself where it has none.
-fn fields_of(table: &str) -> &'static [&'static str] {
+fn table_keys(table: &str) -> &'static [&'static str] {
     match table {
-        "" => fields::<Scenario>(),
-        "ambient" => fields::<AmbientConfig>(),
-        "coolant" => fields::<CoolantConfig>(),
-        "spindle" => fields::<SpindleConfig>(),
-        "tool" => fields::<ToolConfig>(),
-        "sensor" => fields::<DisplacementConfig>(),
-        "thermometer" => fields::<ThermometerConfig>(),
-        "axis" => fields::<AxisConfig>(),
-        "straightness" => fields::<Straightness>(),
-        "abbe" => fields::<Abbe>(),
-        "body" => fields::<Body>(),
-        "instrument" => fields::<InstrumentConfig>(),
-        "segment" => fields::<Segment>(),
+        "" => field_names::<Scenario>(),
+        "ambient" => field_names::<AmbientConfig>(),
+        "coolant" => field_names::<CoolantConfig>(),
+        "spindle" => field_names::<SpindleConfig>(),
+        "tool" => field_names::<ToolConfig>(),
+        "sensor" => field_names::<DisplacementConfig>(),
+        "thermometer" => field_names::<ThermometerConfig>(),
+        "axis" => field_names::<AxisConfig>(),
+        "straightness" => field_names::<Straightness>(),
+        "abbe" => field_names::<Abbe>(),
+        "body" => field_names::<Body>(),
+        "instrument" => field_names::<InstrumentConfig>(),
+        "segment" => field_names::<Segment>(),
         _ => &[],
     }
 }
 
 /// Returns the fields of a type in the order of the code, which a schema forgets: its reader is asked for them.
-fn fields<'de, T: Deserialize<'de>>() -> &'static [&'static str] {
+fn field_names<'de, T: Deserialize<'de>>() -> &'static [&'static str] {
     let mut fields: &'static [&'static str] = &[];
     // It reads nothing, and so cannot but fail.
-    _ = T::deserialize(Asked(&mut fields));
+    _ = T::deserialize(FieldNameCollector(&mut fields));
     fields
 }
 
 /// The deserializer that records the fields that a type's reader wants.
-struct Asked<'f>(&'f mut &'static [&'static str]);
+struct FieldNameCollector<'f>(&'f mut &'static [&'static str]);
 
-impl<'de> Deserializer<'de> for Asked<'_> {
+impl<'de> Deserializer<'de> for FieldNameCollector<'_> {
     type Error = Error;
 
     fn deserialize_struct<V: Visitor<'de>>(
@@ -128,7 +128,7 @@ impl<'de> Deserializer<'de> for Asked<'_> {
 }
 
 /// How often a table may stand in the file.
-enum Table {
+enum TableMultiplicity {
     One,
     /// One for each name.
     Named,
@@ -137,7 +137,7 @@ enum Table {
 }
 
 /// Returns the schema of a table that `value` is, or holds.
-fn inner(value: &Value) -> Option<(&Value, Table)> {
+fn table_schema(value: &Value) -> Option<(&Value, TableMultiplicity)> {
     let whole = value["anyOf"].as_array().and_then(|any| any.first()).unwrap_or(value);
     let is_table = |it: &Value| it["properties"].is_object();
     let named = || {
@@ -148,18 +148,18 @@ fn inner(value: &Value) -> Option<(&Value, Table)> {
             .find(|it| is_table(it))
     };
     if is_table(whole) {
-        return Some((whole, Table::One));
+        return Some((whole, TableMultiplicity::One));
     }
     if is_table(&whole["items"]) {
-        return Some((&whole["items"], Table::Many));
+        return Some((&whole["items"], TableMultiplicity::Many));
     }
-    named().map(|named| (named, Table::Named))
+    named().map(|named| (named, TableMultiplicity::Named))
 }
 
 /// Returns what may stand at a key, in words.
-fn form(value: &Value) -> String {
+fn describe_value_type(value: &Value) -> String {
     if let Some(any) = value["anyOf"].as_array() {
-        return any.first().map(form).unwrap_or_default();
+        return any.first().map(describe_value_type).unwrap_or_default();
     }
     let choices = value["enum"].as_array().or(value["oneOf"].as_array());
     if let Some(choices) = choices {
@@ -176,7 +176,7 @@ fn form(value: &Value) -> String {
         Some("array") => match value["maxItems"].as_u64() {
             Some(2) => "two numbers".into(),
             Some(3) => "three numbers".into(),
-            _ => format!("a list of {}", form(&value["items"])),
+            _ => format!("a list of {}", describe_value_type(&value["items"])),
         },
         Some("string") => "text".into(),
         Some("integer") => "whole number".into(),
@@ -186,7 +186,7 @@ fn form(value: &Value) -> String {
 }
 
 /// Returns what a key is, on one line, without its full stop.
-fn sentence(value: &Value) -> String {
+fn describe_key(value: &Value) -> String {
     let text = value["description"].as_str().unwrap_or_default();
     let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
     text.trim_end_matches('.').replace('|', "\\|")
@@ -200,7 +200,7 @@ mod tests {
         let properties = schema["properties"].as_object().expect("a table has keys");
         with(name, properties.keys().map(String::as_str).collect());
         for (key, value) in properties {
-            if let Some((inner, _)) = inner(value) {
+            if let Some((inner, _)) = table_schema(value) {
                 each_table(inner, key, with);
             }
         }
@@ -209,8 +209,8 @@ mod tests {
     #[test]
     fn the_table_has_every_key_of_the_schema() {
         let mut tables = 0;
-        each_table(&scenario(), "", &mut |name, keys| {
-            let mut fields = fields_of(name).to_vec();
+        each_table(&scenario_schema(), "", &mut |name, keys| {
+            let mut fields = table_keys(name).to_vec();
             fields.sort_unstable();
             assert_eq!(fields, keys, "{name}");
             tables += 1;
@@ -220,7 +220,7 @@ mod tests {
 
     #[test]
     fn every_key_says_what_stands_there_and_what_it_is() {
-        let table = scenario_table();
+        let table = scenario_markdown_table();
         assert!(table.lines().count() > 100, "{table}");
         for row in table.lines().skip(2) {
             let cells: Vec<&str> = row.split(" | ").map(str::trim).collect();

@@ -17,8 +17,8 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::{
-    broken::{Rule, keys},
-    noise::{Correlated, Stream},
+    noise::{CorrelatedNoise, RandomStream},
+    scenario_error::{RuleViolation, keys},
 };
 
 /// The displacement sensor in the spindle nose; without faults by default.
@@ -78,12 +78,12 @@ impl Default for DisplacementConfig {
 
 impl DisplacementConfig {
     /// The first rule that is broken.
-    pub(crate) fn check(&self) -> Result<(), Rule> {
+    pub(crate) fn check(&self) -> Result<(), RuleViolation> {
         if self.um_per_count == 0.0 {
-            return Err(Rule::new("um_per_count", "must not be 0".into()));
+            return Err(RuleViolation::new("um_per_count", "must not be 0".into()));
         }
-        Rule::shares(&keys!(self: dropout))?;
-        Rule::none_negative(
+        RuleViolation::require_fractions(&keys!(self: dropout))?;
+        RuleViolation::require_non_negative(
             &keys!(self: full_scale_counts, delay_s, lag_s, runout_um, noise_um, correlated_um, correlated_s),
         )
     }
@@ -91,31 +91,31 @@ impl DisplacementConfig {
 
 /// A displacement sensor on its way through a run.
 #[derive(Clone, Debug)]
-pub(crate) struct Displacement {
+pub(crate) struct DisplacementSensor {
     config: DisplacementConfig,
     /// Times and growths that have not come out of the delay yet, the oldest first.
     waiting: VecDeque<(f64, f64)>,
     time_s: f64,
     delayed_um: f64,
     lagged_um: Option<f64>,
-    chance: Stream,
-    correlated: Correlated,
+    chance: RandomStream,
+    correlated: CorrelatedNoise,
     read_s: f64,
 }
 
-impl Displacement {
+impl DisplacementSensor {
     /// Returns a sensor with chance of its own under `seed`.
     #[must_use]
     pub fn new(config: &DisplacementConfig, seed: u64) -> Self {
-        let correlated = Stream::new(seed, "sensor, correlated");
+        let correlated = RandomStream::new(seed, "sensor, correlated");
         Self {
-            correlated: Correlated::new(correlated, config.correlated_um, 0.0),
+            correlated: CorrelatedNoise::new(correlated, config.correlated_um, 0.0),
             config: config.clone(),
             waiting: VecDeque::new(),
             time_s: 0.0,
             delayed_um: f64::NAN,
             lagged_um: None,
-            chance: Stream::new(seed, "sensor"),
+            chance: RandomStream::new(seed, "sensor"),
             read_s: 0.0,
         }
     }
@@ -153,16 +153,16 @@ impl Displacement {
         let config = &self.config;
         let u = self.lagged_um.unwrap_or(0.0);
         let phase = self.chance.uniform(0.0, std::f64::consts::TAU);
-        let white = self.chance.normal();
-        let is_missing = self.chance.chance(config.dropout);
-        let rho = memory(self.time_s - self.read_s, config.correlated_s);
+        let white = self.chance.standard_normal();
+        let is_missing = self.chance.bernoulli(config.dropout);
+        let rho = autocorrelation(self.time_s - self.read_s, config.correlated_s);
         self.read_s = self.time_s;
         let v = config.gain * u
             + config.curvature_per_um * u * u
             + config.coil_um_per_c * (coil_c - config.coil_reference_c)
             + if turns { config.runout_um * phase.sin() } else { 0.0 }
             + config.noise_um * white
-            + self.correlated.draw_at(rho);
+            + self.correlated.draw_correlated(rho);
         if is_missing {
             return f64::NAN;
         }
@@ -171,7 +171,7 @@ impl Displacement {
 }
 
 /// Returns the correlation over `dt_s` of noise with the time constant `constant_s`.
-pub(crate) fn memory(dt_s: f64, constant_s: f64) -> f64 {
+pub(crate) fn autocorrelation(dt_s: f64, constant_s: f64) -> f64 {
     if constant_s > 0.0 { (-dt_s / constant_s).exp() } else { 0.0 }
 }
 
@@ -244,22 +244,22 @@ pub struct ThermometerConfig {
     #[serde(default)]
     pub noise_c: f64,
     /// Its last digit in K; 0: a thousandth.
-    #[serde(default = "sixteenth")]
+    #[serde(default = "default_resolution_c")]
     pub quantum_c: f64,
     /// The share of rows in which it is missing, 0…1.
     #[serde(default)]
     pub dropout: f64,
 }
 
-fn sixteenth() -> f64 {
+fn default_resolution_c() -> f64 {
     1.0 / 16.0
 }
 
 impl ThermometerConfig {
     /// The first rule that is broken.
-    pub(crate) fn check(&self) -> Result<(), Rule> {
-        Rule::shares(&keys!(self: dropout))?;
-        Rule::none_negative(&keys!(self: lag_s, noise_c, quantum_c))
+    pub(crate) fn check(&self) -> Result<(), RuleViolation> {
+        RuleViolation::require_fractions(&keys!(self: dropout))?;
+        RuleViolation::require_non_negative(&keys!(self: lag_s, noise_c, quantum_c))
     }
 }
 
@@ -268,14 +268,14 @@ impl ThermometerConfig {
 pub struct Thermometer {
     config: ThermometerConfig,
     shown_c: Option<f64>,
-    chance: Stream,
+    chance: RandomStream,
 }
 
 impl Thermometer {
     /// Returns the thermometer `name`, with chance of its own under `seed`.
     #[must_use]
     pub fn new(config: &ThermometerConfig, name: &str, seed: u64) -> Self {
-        let chance = Stream::new(seed, &format!("thermometer {name}"));
+        let chance = RandomStream::new(seed, &format!("thermometer {name}"));
         Self { config: config.clone(), shown_c: None, chance }
     }
 
@@ -295,8 +295,8 @@ impl Thermometer {
     /// Returns what it shows now, in °C; NaN where missing.
     pub fn read(&mut self) -> f64 {
         let shown_c = self.shown_c.unwrap_or(f64::NAN) + self.config.offset_c;
-        let noisy_c = shown_c + self.config.noise_c * self.chance.normal();
-        if self.chance.chance(self.config.dropout) {
+        let noisy_c = shown_c + self.config.noise_c * self.chance.standard_normal();
+        if self.chance.bernoulli(self.config.dropout) {
             return f64::NAN;
         }
         let quantum_c = self.config.quantum_c;

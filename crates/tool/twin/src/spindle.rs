@@ -21,8 +21,8 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::{
-    broken::{Rule, keys},
-    heat::{Account, End, Material, Rod},
+    heat::{BoundaryCondition, HeatBalance, Material, Rod},
+    scenario_error::{RuleViolation, keys},
 };
 
 /// A spindle as a scenario describes it; the defaults are a 24 000 r/min motorised spindle.
@@ -89,7 +89,7 @@ pub struct SpindleConfig {
     pub coil_lag_s: f64,
     /// How far the coil stays between the nose's temperature (0) and the air's (1).
     pub coil_air_share: f64,
-    /// Growth by speed in µm at 1000 r/min; it goes with the square.
+    /// Growth by speed in µm at 1000 r/min; proportional to the square of the speed.
     pub centrifugal_um_per_krpm2: f64,
     /// Axial stiffness in N/µm; 0: rigid.
     pub stiffness_n_per_um: f64,
@@ -141,10 +141,10 @@ impl SpindleConfig {
     /// use trueup_twin::spindle::SpindleConfig;
     /// let spindle = SpindleConfig { viscous_factor: 0.0, ..SpindleConfig::default() };
     /// // Load alone: 0.0013 · 300 N · 70 mm = 27.3 N·mm; at 6000 r/min, ω = 628.3 rad/s.
-    /// assert!((spindle.bearing_w(6000.0, 300.0) - 0.0273 * 628.318_530_7).abs() < 1e-6);
+    /// assert!((spindle.bearing_heat_w(6000.0, 300.0) - 0.0273 * 628.318_530_7).abs() < 1e-6);
     /// ```
     #[must_use]
-    pub fn bearing_w(&self, spindle_rpm: f64, preload_n: f64) -> f64 {
+    pub fn bearing_heat_w(&self, spindle_rpm: f64, preload_n: f64) -> f64 {
         let speed_rpm = spindle_rpm.abs();
         let mean_mm = self.bearing_diameter_mm;
         let load_nmm = self.load_factor * preload_n.max(0.0) * mean_mm;
@@ -156,18 +156,20 @@ impl SpindleConfig {
     }
 
     /// The first rule that is broken.
-    pub(crate) fn check(&self) -> Result<(), Rule> {
+    pub(crate) fn check(&self) -> Result<(), RuleViolation> {
         for (key, value) in
             keys!(self: length_m, diameter_mm, bearing_diameter_mm, max_rpm, housing_j_per_k)
         {
             if value <= 0.0 {
-                return Err(Rule::new(key, format!("must be above 0, not {value}")));
+                return Err(RuleViolation::new(key, format!("must be above 0, not {value}")));
             }
         }
-        Rule::none_negative(
+        RuleViolation::require_non_negative(
             &keys!(self: viscosity_mm2_per_s, viscous_factor, load_factor, preload_n, idle_loss_w, loss_w_per_n, still_h_w_per_m2_k, speed_h_w_per_m2_k, coolant_w_per_k, housing_air_w_per_k, housing_coolant_w_per_k, holder_lag_s, coil_lag_s, stiffness_n_per_um),
         )?;
-        Rule::shares(&keys!(self: shaft_share, holder_air_share, coil_air_share))?;
+        RuleViolation::require_fractions(
+            &keys!(self: shaft_share, holder_air_share, coil_air_share),
+        )?;
         let on_shaft = 0.0..=self.length_m;
         for (key, value) in [
             ("front_bearing_m", self.front_bearing_m),
@@ -178,15 +180,15 @@ impl SpindleConfig {
         ] {
             if !on_shaft.contains(&value) {
                 let rule = format!("must be on the shaft, 0…{}, not {value}", self.length_m);
-                return Err(Rule::new(key, rule));
+                return Err(RuleViolation::new(key, rule));
             }
         }
         if self.motor_m[1] <= self.motor_m[0] {
-            return Err(Rule::new("motor_m", "must end after its beginning".into()));
+            return Err(RuleViolation::new("motor_m", "must end after its beginning".into()));
         }
         if !(2..=2000).contains(&self.cells) {
             let rule = format!("must be from 2 to 2000, not {}", self.cells);
-            return Err(Rule::new("cells", rule));
+            return Err(RuleViolation::new("cells", rule));
         }
         Ok(())
     }
@@ -194,7 +196,7 @@ impl SpindleConfig {
 
 /// The surroundings and the drive of the spindle over one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Drive {
+pub struct OperatingConditions {
     /// Speed in r/min.
     pub spindle_rpm: f64,
     /// Axial cutting force in N; positive pushes the tool back into the spindle.
@@ -225,14 +227,18 @@ pub struct Growth {
 impl Growth {
     /// Returns what a sensor in the nose sees.
     #[must_use]
-    pub fn at_sensor_um(&self) -> f64 {
+    pub fn growth_at_sensor_um(&self) -> f64 {
         self.shaft_um + self.centrifugal_um
     }
 
     /// Returns what the tool tip does: the elongation.
     #[must_use]
-    pub(crate) fn at_tip_um(&self) -> f64 {
-        self.at_sensor_um() + self.housing_um + self.holder_um + self.tool_um + self.elastic_um
+    pub(crate) fn growth_at_tip_um(&self) -> f64 {
+        self.growth_at_sensor_um()
+            + self.housing_um
+            + self.holder_um
+            + self.tool_um
+            + self.elastic_um
     }
 }
 
@@ -267,7 +273,7 @@ pub struct Spindle {
     rear: usize,
     fixed: usize,
     motor: (usize, usize),
-    drive: Drive,
+    drive: OperatingConditions,
 }
 
 impl Spindle {
@@ -278,29 +284,36 @@ impl Spindle {
         let area_m2 = std::f64::consts::PI * radius_m * radius_m;
         // Backward Euler: a spindle is switched on and off, and must not ring.
         let shaft = Rod::new(config.length_m, area_m2, Material::STEEL, config.cells, start_c, 1.0);
-        let (first, last) = (shaft.cell_at(config.motor_m[0]), shaft.cell_at(config.motor_m[1]));
+        let (first, last) =
+            (shaft.cell_index_at(config.motor_m[0]), shaft.cell_index_at(config.motor_m[1]));
         Self {
-            front: shaft.cell_at(config.front_bearing_m),
-            rear: shaft.cell_at(config.rear_bearing_m),
-            fixed: shaft.cell_at(config.fixed_at_m),
+            front: shaft.cell_index_at(config.front_bearing_m),
+            rear: shaft.cell_index_at(config.rear_bearing_m),
+            fixed: shaft.cell_index_at(config.fixed_at_m),
             motor: (first, last.max(first + 1).min(config.cells)),
             shaft,
             config: config.clone(),
             housing_c: start_c,
             holder_c: start_c,
             coil_c: start_c,
-            drive: Drive { spindle_rpm: 0.0, load_n: 0.0, ambient_c: start_c, coolant_c: start_c },
+            drive: OperatingConditions {
+                spindle_rpm: 0.0,
+                load_n: 0.0,
+                ambient_c: start_c,
+                coolant_c: start_c,
+            },
         }
     }
 
     /// Steps on by `dt_s`, above 0, under `drive`. Returns where the shaft's heat went.
-    pub fn step(&mut self, dt_s: f64, drive: &Drive) -> Account {
+    pub fn step(&mut self, dt_s: f64, drive: &OperatingConditions) -> HeatBalance {
         let config = &self.config;
         self.drive = *drive;
         let krpm = drive.spindle_rpm.abs() / 1000.0;
         let front_c = self.shaft.temperatures_c()[self.front];
         let stiffening = 1.0 + config.preload_per_c * (front_c - self.housing_c);
-        let bearing_w = config.bearing_w(drive.spindle_rpm, config.preload_n * stiffening.max(0.0));
+        let bearing_w =
+            config.bearing_heat_w(drive.spindle_rpm, config.preload_n * stiffening.max(0.0));
         // A lathe's cut does not heat a motor that stands still.
         let load_w = if krpm > 0.0 { config.loss_w_per_n * drive.load_n.abs() } else { 0.0 };
         let motor_w = config.idle_loss_w * (krpm * 1000.0 / config.max_rpm).powf(1.5) + load_w;
@@ -315,7 +328,7 @@ impl Spindle {
         }
         let h = config.still_h_w_per_m2_k + config.speed_h_w_per_m2_k * krpm.powf(2.0 / 3.0);
         let air_w_per_k =
-            h * std::f64::consts::PI * config.diameter_mm * 1e-3 * self.shaft.cell_m();
+            h * std::f64::consts::PI * config.diameter_mm * 1e-3 * self.shaft.cell_length_m();
         self.shaft.sides_w_per_k.fill(air_w_per_k);
         self.shaft.surroundings_c.fill(drive.ambient_c);
         for cell in first..end {
@@ -326,7 +339,7 @@ impl Spindle {
                 + coolant * drive.coolant_c)
                 / (air_w_per_k + coolant).max(f64::MIN_POSITIVE);
         }
-        let film = End::Film { h_w_per_m2_k: h, fluid_c: drive.ambient_c };
+        let film = BoundaryCondition::Film { h_w_per_m2_k: h, fluid_c: drive.ambient_c };
         (self.shaft.left, self.shaft.right) = (film, film);
         let account = self.shaft.step(dt_s);
 
@@ -354,7 +367,7 @@ impl Spindle {
     }
 
     /// Takes another tool out of the magazine, in air of `ambient_c`: it warms behind the nose from now on.
-    pub(crate) fn take_cold_tool(&mut self, ambient_c: f64) {
+    pub(crate) fn load_cold_tool(&mut self, ambient_c: f64) {
         self.holder_c = ambient_c;
     }
 
@@ -364,7 +377,7 @@ impl Spindle {
         &self.shaft
     }
 
-    /// Returns the growth as it is now.
+    /// Returns the current growth.
     #[must_use]
     pub fn growth(&self) -> Growth {
         let config = &self.config;
@@ -374,7 +387,7 @@ impl Spindle {
         let nodes_um =
             |length_m: f64, c: f64| length_m * expansion * (c - config.reference_c) * 1e6;
         Growth {
-            shaft_um: self.shaft.growth_m(0, self.fixed, config.reference_c) * 1e6,
+            shaft_um: self.shaft.thermal_expansion_m(0, self.fixed, config.reference_c) * 1e6,
             centrifugal_um: config.centrifugal_um_per_krpm2 * krpm * krpm,
             housing_um: nodes_um(config.housing_length_m, self.housing_c),
             holder_um: nodes_um(config.holder_length_m, self.holder_c),

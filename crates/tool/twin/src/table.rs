@@ -33,7 +33,7 @@ impl RunTable {
 
     /// Adds a column, or puts other values into the one of this name. `decimals` (0 to 12) are
     /// kept.
-    pub fn set(&mut self, name: &str, decimals: u8, values: impl IntoIterator<Item = f64>) {
+    pub fn set_column(&mut self, name: &str, decimals: u8, values: impl IntoIterator<Item = f64>) {
         let scale = 10_f64.powi(decimals.min(12).into());
         // + 0.0 turns −0 into 0, which is what a table should show.
         let values = values.into_iter().map(|value| (value * scale).round() / scale + 0.0);
@@ -45,9 +45,9 @@ impl RunTable {
     }
 
     /// Adds one value to the end of the column `name`, which is made where there is none.
-    pub fn push(&mut self, name: &str, decimals: u8, value: f64) {
+    pub fn push_value(&mut self, name: &str, decimals: u8, value: f64) {
         if !self.columns.iter().any(|there| there.name == name) {
-            self.set(name, decimals, []);
+            self.set_column(name, decimals, []);
         }
         if let Some(there) = self.columns.iter_mut().find(|there| there.name == name) {
             there.values.push((value * there.scale).round() / there.scale + 0.0);
@@ -62,13 +62,13 @@ impl RunTable {
     }
 
     /// Returns the names of the columns, in the order of the file.
-    pub fn names(&self) -> impl Iterator<Item = &str> {
+    pub fn column_names(&self) -> impl Iterator<Item = &str> {
         self.columns.iter().map(|column| column.name.as_str())
     }
 
     /// Returns how many rows there are: the length of the longest column.
     #[must_use]
-    pub fn rows(&self) -> usize {
+    pub fn row_count(&self) -> usize {
         self.columns.iter().map(|column| column.values.len()).max().unwrap_or(0)
     }
 
@@ -77,10 +77,10 @@ impl RunTable {
     /// # Errors
     /// `out` cannot be written.
     pub fn write_csv(&self, mut out: impl Write) -> io::Result<()> {
-        let header: Vec<&str> = self.names().collect();
+        let header: Vec<&str> = self.column_names().collect();
         writeln!(out, "{}", header.join(","))?;
         let mut line = String::new();
-        for row in 0..self.rows() {
+        for row in 0..self.row_count() {
             line.clear();
             for (number, column) in self.columns.iter().enumerate() {
                 if number > 0 {
@@ -115,16 +115,16 @@ mod tests {
     #[test]
     fn a_missing_value_is_an_empty_cell() {
         let mut table = RunTable::new();
-        table.set("time_s", 1, [0.0, 0.26, 10.0]);
-        table.set("sensor_counts", 0, [5048.4, f64::NAN, -0.2]);
+        table.set_column("time_s", 1, [0.0, 0.26, 10.0]);
+        table.set_column("sensor_counts", 0, [5048.4, f64::NAN, -0.2]);
         assert_eq!(table.to_csv(), "time_s,sensor_counts\n0,5048\n0.3,\n10,0\n");
     }
 
     #[test]
     fn what_is_read_from_a_column_is_what_is_written() {
         let mut table = RunTable::new();
-        table.push("x_mm", 3, 1.000_4);
-        table.push("x_mm", 3, 2.000_6);
+        table.push_value("x_mm", 3, 1.000_4);
+        table.push_value("x_mm", 3, 2.000_6);
         assert_eq!(table.column("x_mm"), Some(&[1.0, 2.001][..]));
         assert_eq!(table.to_csv(), "x_mm\n1\n2.001\n");
     }
@@ -132,9 +132,9 @@ mod tests {
     #[test]
     fn a_column_that_is_set_again_keeps_its_place() {
         let mut table = RunTable::new();
-        table.set("a", 0, [1.0]);
-        table.set("b", 0, [2.0]);
-        table.set("a", 0, [3.0]);
+        table.set_column("a", 0, [1.0]);
+        table.set_column("b", 0, [2.0]);
+        table.set_column("a", 0, [3.0]);
         assert_eq!(table.to_csv(), "a,b\n3,2\n");
     }
 }

@@ -13,7 +13,7 @@ use std::collections::BTreeSet;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-use crate::{broken::Rule, path::Segment};
+use crate::{path::Segment, scenario_error::RuleViolation};
 
 /// A tool.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
@@ -21,7 +21,7 @@ use crate::{broken::Rule, path::Segment};
 pub struct ToolConfig {
     /// Its number, from 1; 0 is no tool.
     pub number: u16,
-    /// Its growth by speed in µm at 1000 r/min; it goes with the square.
+    /// Its growth by speed in µm at 1000 r/min; proportional to the square of the speed.
     pub centrifugal_um_per_krpm2: f64,
 }
 
@@ -40,10 +40,10 @@ pub fn growth_um(tools: &[ToolConfig], number: u16, spindle_rpm: f64) -> f64 {
 }
 
 /// Checks the tools and the pieces that take them. Fails with the first rule that is broken.
-pub(crate) fn check(tools: &[ToolConfig], segments: &[Segment]) -> Result<(), Rule> {
+pub(crate) fn check(tools: &[ToolConfig], segments: &[Segment]) -> Result<(), RuleViolation> {
     let mut numbers = BTreeSet::new();
     for (index, tool) in tools.iter().enumerate() {
-        let broken = |rule: String| Err(Rule::new(&format!("tool[{index}].number"), rule));
+        let broken = |rule: String| Err(RuleViolation::new(&format!("tool[{index}].number"), rule));
         if tool.number == 0 {
             return broken("must be from 1: 0 is no tool".into());
         }
@@ -54,7 +54,7 @@ pub(crate) fn check(tools: &[ToolConfig], segments: &[Segment]) -> Result<(), Ru
     for (index, segment) in segments.iter().enumerate() {
         if let Some(number) = segment.tool.filter(|it| *it != 0 && !numbers.contains(it)) {
             let rule = format!("is {number}, which no [[tool]] has");
-            return Err(Rule::new(&format!("segment[{index}].tool"), rule));
+            return Err(RuleViolation::new(&format!("segment[{index}].tool"), rule));
         }
     }
     Ok(())

@@ -15,13 +15,13 @@ fn column<'t>(table: &'t RunTable, name: &str) -> &'t [f64] {
 
 /// Returns the columns that differ.
 fn changed(before: &RunTable, after: &RunTable) -> Vec<String> {
-    assert_eq!(before.names().collect::<Vec<_>>(), after.names().collect::<Vec<_>>());
+    assert_eq!(before.column_names().collect::<Vec<_>>(), after.column_names().collect::<Vec<_>>());
     let same = |name: &&str| {
         let pairs = column(before, name).iter().zip(column(after, name));
         let mut all = pairs.map(|(a, b)| a == b || a.is_nan() && b.is_nan());
         all.all(|same| same)
     };
-    before.names().filter(|name| !same(name)).map(str::to_string).collect()
+    before.column_names().filter(|name| !same(name)).map(str::to_string).collect()
 }
 
 /// A spindle that runs, cuts and stands.
@@ -190,18 +190,19 @@ fn the_instruments_faults_are_in_what_it_measures_alone() {
 
 #[test]
 fn the_shafts_account_of_heat_is_closed_over_a_whole_run() {
-    use trueup_twin::spindle::{Drive, Spindle, SpindleConfig};
+    use trueup_twin::spindle::{OperatingConditions, Spindle, SpindleConfig};
     let mut spindle = Spindle::new(&SpindleConfig::default(), 20.0);
-    let start_j = spindle.shaft().stored_j();
+    let start_j = spindle.shaft().stored_heat_j();
     let (mut came_j, mut sources_j) = (0.0, 0.0);
     for step in 0..5000 {
         let spindle_rpm = if step % 1000 < 700 { 24_000.0 } else { 0.0 };
-        let drive = Drive { spindle_rpm, load_n: 300.0, ambient_c: 21.0, coolant_c: 19.0 };
+        let drive =
+            OperatingConditions { spindle_rpm, load_n: 300.0, ambient_c: 21.0, coolant_c: 19.0 };
         let account = spindle.step(5.0, &drive);
-        came_j += account.total_j();
+        came_j += account.total_heat_input_j();
         sources_j += account.from_sources_j;
     }
-    let left_over = (spindle.shaft().stored_j() - start_j - came_j).abs() / sources_j;
+    let left_over = (spindle.shaft().stored_heat_j() - start_j - came_j).abs() / sources_j;
     println!("energy of the shaft closed within {left_over:.1e} of {:.0} kJ", sources_j / 1e3);
     assert!(sources_j > 1e6 && left_over < 1e-10);
 }

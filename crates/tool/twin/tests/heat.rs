@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use trueup_twin::heat::{End, Material, Rod};
+use trueup_twin::heat::{BoundaryCondition, Material, Rod};
 
 /// Numbers that are easy to reckon with: the diffusivity is 1e-5 m²/s.
 const METAL: Material =
@@ -35,7 +35,7 @@ fn decay(mut rod: Rod, from_s: f64, to_s: f64, dt_s: f64) -> f64 {
 fn the_first_eigenvalue_of_the_slab_between_held_faces_is_pi_over_its_length() {
     let exact = DIFFUSIVITY * (PI / LENGTH_M).powi(2);
     let mut rod = rod(40, CRANK_NICOLSON);
-    (rod.left, rod.right) = (End::Held(0.0), End::Held(0.0));
+    (rod.left, rod.right) = (BoundaryCondition::Held(0.0), BoundaryCondition::Held(0.0));
     rod.set_temperatures(|_| 1.0);
     let off = decay(rod, 400.0, 900.0, 1.0) / exact - 1.0;
     println!("held faces, 40 cells: eigenvalue off by {:.4} %", off * 100.0);
@@ -54,7 +54,7 @@ fn the_first_eigenvalue_of_the_slab_under_a_film_solves_biots_equation() {
     assert!((low - 0.860_334).abs() < 1e-6);
     let exact = DIFFUSIVITY * (low / LENGTH_M).powi(2);
     let mut rod = rod(40, CRANK_NICOLSON);
-    rod.right = End::Film { h_w_per_m2_k: h, fluid_c: 0.0 };
+    rod.right = BoundaryCondition::Film { h_w_per_m2_k: h, fluid_c: 0.0 };
     rod.set_temperatures(|_| 1.0);
     let off = decay(rod, 4000.0, 9000.0, 5.0) / exact - 1.0;
     println!("film, Bi = 1, 40 cells: eigenvalue off by {:.4} %", off * 100.0);
@@ -68,14 +68,14 @@ fn the_steady_state_with_a_source_is_the_parabola() {
     let (q, h) = (2e5, 300.0); // W/m³, W/(m²·K)
     let cells = 40;
     let mut rod = rod(cells, EULER);
-    rod.right = End::Film { h_w_per_m2_k: h, fluid_c: 20.0 };
+    rod.right = BoundaryCondition::Film { h_w_per_m2_k: h, fluid_c: 20.0 };
     rod.sources_w.fill(q * AREA_M2 * LENGTH_M / cells as f64);
     for _ in 0..200 {
         rod.step(1e5);
     }
     let mut worst = 0.0_f64;
     for (cell, there) in rod.temperatures_c().iter().enumerate() {
-        let x = (cell as f64 + 0.5) * rod.cell_m();
+        let x = (cell as f64 + 0.5) * rod.cell_length_m();
         let rise = q * LENGTH_M / h + q * (LENGTH_M * LENGTH_M - x * x) / (2.0 * 40.0);
         worst = worst.max(((there - 20.0) / rise - 1.0).abs());
     }
@@ -87,11 +87,11 @@ fn the_steady_state_with_a_source_is_the_parabola() {
 #[test]
 fn growth_is_the_integral_of_the_expansion() {
     let mut rod = rod(20, EULER);
-    (rod.left, rod.right) = (End::Held(20.0), End::Held(50.0));
+    (rod.left, rod.right) = (BoundaryCondition::Held(20.0), BoundaryCondition::Held(50.0));
     for _ in 0..200 {
         rod.step(1e5);
     }
-    let grown_um = rod.growth_m(0, 20, 20.0) * 1e6;
+    let grown_um = rod.thermal_expansion_m(0, 20, 20.0) * 1e6;
     // 0.2 m · 1e-5/K · 15 K
     assert!((grown_um - 30.0).abs() < 1e-9, "{grown_um}");
 }
@@ -99,7 +99,7 @@ fn growth_is_the_integral_of_the_expansion() {
 /// Returns the error of the half wave between held faces, which decays by its own eigenvalue: exact everywhere and always.
 fn error_after(cells: usize, theta: f64, dt_s: f64, end_s: f64) -> f64 {
     let mut rod = rod(cells, theta);
-    (rod.left, rod.right) = (End::Held(0.0), End::Held(0.0));
+    (rod.left, rod.right) = (BoundaryCondition::Held(0.0), BoundaryCondition::Held(0.0));
     rod.set_temperatures(|x| (PI * x / LENGTH_M).sin());
     for _ in 0..(end_s / dt_s).round() as usize {
         rod.step(dt_s);
@@ -110,7 +110,7 @@ fn error_after(cells: usize, theta: f64, dt_s: f64, end_s: f64) -> f64 {
         .iter()
         .enumerate()
         .map(|(cell, there)| {
-            let x = (cell as f64 + 0.5) * rod.cell_m();
+            let x = (cell as f64 + 0.5) * rod.cell_length_m();
             (there - left * (PI * x / LENGTH_M).sin()).powi(2)
         })
         .sum();
@@ -151,24 +151,24 @@ fn halving_the_step_halves_eulers_error_and_quarters_crank_nicolsons() {
 fn the_energy_that_came_in_is_the_energy_that_is_stored() {
     for theta in [EULER, CRANK_NICOLSON, 0.7] {
         let mut rod = rod(33, theta);
-        rod.left = End::Held(35.0);
-        rod.right = End::Film { h_w_per_m2_k: 55.0, fluid_c: 12.0 };
+        rod.left = BoundaryCondition::Held(35.0);
+        rod.right = BoundaryCondition::Film { h_w_per_m2_k: 55.0, fluid_c: 12.0 };
         rod.sources_w[7] = 90.0;
         rod.sides_w_per_k.fill(0.05);
         rod.surroundings_c.fill(18.0);
-        let start_j = rod.stored_j();
+        let start_j = rod.stored_heat_j();
         let (mut came_j, mut moved_j) = (0.0, 0.0);
         for step in 0..5000 {
             if step % 700 == 0 {
                 rod.sources_w[20] = if rod.sources_w[20] == 0.0 { 60.0 } else { 0.0 };
             }
             let account = rod.step(0.1 * f64::from(1 + step % 97));
-            came_j += account.total_j();
+            came_j += account.total_heat_input_j();
             moved_j += account.from_sources_j.abs()
                 + account.through_sides_j.abs()
                 + account.through_ends_j.abs();
         }
-        let left_over = (rod.stored_j() - start_j - came_j).abs() / moved_j;
+        let left_over = (rod.stored_heat_j() - start_j - came_j).abs() / moved_j;
         println!("theta {theta}: energy closed within {left_over:.1e} of what moved");
         assert!(left_over < 1e-12);
     }
@@ -178,10 +178,10 @@ fn the_energy_that_came_in_is_the_energy_that_is_stored() {
 fn an_insulated_rod_keeps_its_heat_and_becomes_even() {
     let mut rod = rod(16, EULER);
     rod.set_temperatures(|x| 100.0 * x);
-    let stored_j = rod.stored_j();
+    let stored_heat_j = rod.stored_heat_j();
     for _ in 0..1000 {
         rod.step(100.0);
     }
-    assert!((rod.stored_j() / stored_j - 1.0).abs() < 1e-12);
+    assert!((rod.stored_heat_j() / stored_heat_j - 1.0).abs() < 1e-12);
     assert!(rod.temperatures_c().iter().all(|c| (c - 10.0).abs() < 1e-6));
 }

@@ -82,8 +82,8 @@ fn what_the_file_shows_is_in_the_run() {
     let scenario = Scenario::parse(GOOD, Path::new("s.toml")).expect("it is good");
     let mut rows = 0;
     let table = simulate(&scenario, 1, || rows += 1);
-    assert_eq!((table.rows(), rows), (7, 7));
-    let names: Vec<&str> = table.names().collect();
+    assert_eq!((table.row_count(), rows), (7, 7));
+    let names: Vec<&str> = table.column_names().collect();
     assert_eq!(names, ["time_s", "run", "spindle_rpm", "load_n", "measured_elongation_um"]);
 }
 

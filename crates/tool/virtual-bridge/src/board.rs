@@ -23,21 +23,21 @@ use rustix::{
     fs::{CWD, FileType, Mode, mknodat},
     net::sockopt::set_socket_send_buffer_size,
 };
-use trueup_core::units::Millis;
+use trueup_core::units::TimestampMs;
 use trueup_link::frame::Frame;
 use trueup_pipe::{Block, RECORD_SIZE, Record};
 
 use crate::{
-    log::Decoder,
-    qemu::{self, BOOT_TIMEOUT, Folder, Qemu},
+    log::LogDecoder,
+    qemu::{self, BOOT_TIMEOUT, Qemu, SharedTempDir},
 };
 
 /// Blocks that can be announced with one ring: a byte.
-pub const LARGEST_BATCH: u32 = u8::MAX as u32;
+pub const MAX_BATCH_BLOCKS: u32 = u8::MAX as u32;
 /// Bytes that may wait for the board's serial line. On a computer that is busy the emulator takes in
 /// less than a CNC says, and what waits for seconds is no longer the position. The kernel gives about
 /// twice as much, and takes its own book-keeping from it.
-pub(crate) const MAY_WAIT: usize = 4_096;
+pub(crate) const SERIAL_BUFFER_BYTES: usize = 4_096;
 
 /// A running virtual board.
 pub struct VirtualBoard {
@@ -56,7 +56,7 @@ impl VirtualBoard {
     /// # Errors
     /// QEMU is missing or ends, or the board does not come up in time.
     pub fn boot(image: &Path, calibration: &[u8]) -> Result<Self> {
-        Self::boot_in(qemu::new_folder()?, image, calibration)
+        Self::boot_in_folder(qemu::create_temp_folder()?, image, calibration)
     }
 
     /// Ends this board as a power cut would, and boots it again: what it has stored, it finds.
@@ -66,12 +66,12 @@ impl VirtualBoard {
     pub fn restart(self, image: &Path, calibration: &[u8]) -> Result<Self> {
         let folder = self.qemu.folder();
         drop(self);
-        Self::boot_in(folder, image, calibration)
+        Self::boot_in_folder(folder, image, calibration)
     }
 
-    fn boot_in(folder: Folder, image: &Path, calibration: &[u8]) -> Result<Self> {
-        let decoder = Decoder::of(image)?;
-        let mut qemu = Qemu::start_in(
+    fn boot_in_folder(folder: SharedTempDir, image: &Path, calibration: &[u8]) -> Result<Self> {
+        let decoder = LogDecoder::from_image(image)?;
+        let mut qemu = Qemu::start_in_folder(
             folder,
             image,
             // QEMU waits for the host at the doorbell, so that the first word of the board is not
@@ -90,30 +90,30 @@ impl VirtualBoard {
                 std::fs::write(folder.join("calibration.bin"), calibration)?;
                 for pipe in ["samples", "frames"] {
                     // One of an earlier life would hold what that one has left unread.
-                    remove_file(folder.join(pipe)).or_else(not_there)?;
+                    remove_file(folder.join(pipe)).or_else(ignore_not_found)?;
                     mknodat(CWD, folder.join(pipe), FileType::Fifo, Mode::RUSR | Mode::WUSR, 0)
                         .context("cannot make a pipe")?;
                 }
                 Ok(())
             },
         )?;
-        // Held open both ways until the board has opened its ends, so that nobody waits in `open`.
+        // Held open both ways until the board has opened its ends, so that no side waits in `open`.
         let both = |name| OpenOptions::new().read(true).write(true).open(qemu.path(name));
         let held = [both("samples")?, both("frames")?];
 
         let log = Arc::new(Mutex::new(Vec::new()));
         let lines = log.clone();
-        let source = qemu.stdout()?;
+        let source = qemu.take_stdout()?;
         thread::spawn(move || {
             let keep = |line| lines.lock().unwrap_or_else(PoisonError::into_inner).push(line);
-            if let Err(error) = decoder.follow(source, keep) {
-                trueup_output::diagnostic(format_args!("the board's log ends: {error:#}"));
+            if let Err(error) = decoder.decode_stream(source, keep) {
+                trueup_output::write_diagnostic(format_args!("the board's log ends: {error:#}"));
             }
         });
 
         let doorbell = qemu.connect("doorbell.sock")?;
         let serial = qemu.connect("serial.sock")?;
-        set_socket_send_buffer_size(&serial, MAY_WAIT)?;
+        set_socket_send_buffer_size(&serial, SERIAL_BUFFER_BYTES)?;
         doorbell.set_read_timeout(Some(BOOT_TIMEOUT))?;
         let samples = OpenOptions::new().write(true).open(qemu.path("samples"))?;
         let frames = BufReader::new(File::open(qemu.path("frames"))?);
@@ -123,12 +123,12 @@ impl VirtualBoard {
         Ok(board)
     }
 
-    /// Lets the board live through these blocks, at most [`LARGEST_BATCH`], and gives what it sent
+    /// Lets the board live through these blocks, at most [`MAX_BATCH_BLOCKS`], and gives what it sent
     /// on its CAN meanwhile.
     ///
     /// # Errors
     /// QEMU has ended.
-    pub fn step(&mut self, blocks: &[Block]) -> Result<Vec<(Millis, Frame)>> {
+    pub fn step(&mut self, blocks: &[Block]) -> Result<Vec<(TimestampMs, Frame)>> {
         let count = u8::try_from(blocks.len()).context("too many blocks for one batch")?;
         if count == 0 {
             return Ok(Vec::new());
@@ -136,13 +136,13 @@ impl VirtualBoard {
         let bytes = blocks.iter().map(Block::encode).collect::<Result<Vec<_>, _>>()?.concat();
         let rung = self.samples.write_all(&bytes).and_then(|()| self.doorbell.write_all(&[count]));
         if rung.is_err() {
-            return Err(self.qemu.broken("the board no longer takes samples"));
+            return Err(self.qemu.channel_error("the board no longer takes samples"));
         }
         let mut sent = Vec::with_capacity(blocks.len() * 3);
         loop {
             let mut bytes = [0; RECORD_SIZE];
             if self.frames.read_exact(&mut bytes).is_err() {
-                return Err(self.qemu.broken("the board no longer sends frames"));
+                return Err(self.qemu.channel_error("the board no longer sends frames"));
             }
             match Record::decode(&bytes).context("the board sent a broken record")? {
                 Record::Frame { time, frame } => sent.push((time, frame)),
@@ -159,7 +159,7 @@ impl VirtualBoard {
     fn wait_until_up(&mut self) -> Result<()> {
         let mut ready = [0];
         if self.doorbell.read_exact(&mut ready).is_err() || ready != *b"R" {
-            return Err(self.qemu.broken("the board does not come up"));
+            return Err(self.qemu.channel_error("the board does not come up"));
         }
         Ok(())
     }
@@ -177,7 +177,7 @@ impl VirtualBoard {
     ///
     /// # Errors
     /// The socket cannot be shared.
-    pub fn line(&self) -> Result<Line> {
+    pub fn buffered_serial(&self) -> Result<BufferedSerial> {
         let (sender, received) = mpsc::channel();
         let mut source = self.serial()?;
         thread::spawn(move || {
@@ -188,7 +188,7 @@ impl VirtualBoard {
                 }
             }
         });
-        Ok(Line { writer: self.serial()?, received, rest: VecDeque::new() })
+        Ok(BufferedSerial { writer: self.serial()?, received, rest: VecDeque::new() })
     }
 
     /// Returns the board's log so far.
@@ -205,7 +205,7 @@ impl VirtualBoard {
 
     /// Returns what the board keeps when its power goes: [`VirtualBoard::restart`] finds it there.
     #[must_use]
-    pub fn flash(&self) -> std::path::PathBuf {
+    pub fn flash_path(&self) -> std::path::PathBuf {
         self.qemu.path("flash.bin")
     }
 
@@ -215,31 +215,31 @@ impl VirtualBoard {
     }
 }
 
-fn not_there(error: io::Error) -> io::Result<()> {
+fn ignore_not_found(error: io::Error) -> io::Result<()> {
     if error.kind() == io::ErrorKind::NotFound { Ok(()) } else { Err(error) }
 }
 
 /// The CNC's end of the serial line: it takes in whatever comes, and a read waits at most
-/// [`Line::PATIENCE`].
-pub struct Line {
+/// [`BufferedSerial::READ_TIMEOUT`].
+pub struct BufferedSerial {
     writer: UnixStream,
     received: mpsc::Receiver<Vec<u8>>,
     rest: VecDeque<u8>,
 }
 
-impl Line {
+impl BufferedSerial {
     /// How long a board may take to say something.
-    pub const PATIENCE: Duration = Duration::from_secs(20);
+    pub const READ_TIMEOUT: Duration = Duration::from_secs(20);
 }
 
-impl Read for Line {
+impl Read for BufferedSerial {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         if self.rest.is_empty() {
-            match self.received.recv_timeout(Self::PATIENCE) {
+            match self.received.recv_timeout(Self::READ_TIMEOUT) {
                 Ok(bytes) => self.rest.extend(bytes),
                 Err(RecvTimeoutError::Disconnected) => return Ok(0),
                 Err(RecvTimeoutError::Timeout) => {
-                    let seconds = Self::PATIENCE.as_secs();
+                    let seconds = Self::READ_TIMEOUT.as_secs();
                     let said = format!("the board has said nothing for {seconds} s");
                     return Err(io::Error::new(io::ErrorKind::TimedOut, said));
                 }
@@ -249,7 +249,7 @@ impl Read for Line {
     }
 }
 
-impl Write for Line {
+impl Write for BufferedSerial {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.writer.write(bytes)
     }

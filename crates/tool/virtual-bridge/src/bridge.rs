@@ -12,15 +12,15 @@ use trueup_machine::{Machine, RunFile, compile};
 use crate::{
     front_end::FrontEnd,
     gauge::Gauge,
-    hand::Hand,
+    operator_controls::OperatorControls,
     plant::Plant,
-    replay::{DEFAULT_ROW_S, GAUGED_COLUMN, Replay},
-    serve::{self, AtMachine, SampleSource},
+    replay::{DEFAULT_ROW_DURATION_S, GAUGE_COLUMN, Replay},
+    serve::{self, OperatorStation, SampleSource},
 };
 
 /// Options that both commands have next to the machine file.
 #[derive(Args)]
-pub struct Options {
+pub struct BridgeOptions {
     /// Where the bridge listens for the CNC (SLCAN); port 0 is any free one.
     #[arg(long, value_name = "tcp:HOST:PORT", default_value = "tcp:127.0.0.1:3333")]
     cnc: String,
@@ -28,10 +28,10 @@ pub struct Options {
     #[arg(long, value_name = "R.csv", conflicts_with = "plant", required_unless_present = "plant")]
     run: Option<PathBuf>,
     /// Board time in multiples of real time, or "max".
-    #[arg(long, value_name = "N", default_value = "1", value_parser = speed)]
-    speed: Speed,
+    #[arg(long, value_name = "N", default_value = "1", value_parser = parse_speed)]
+    speed: PlaybackSpeed,
     /// Seconds that a row lasts in a run file without time_s.
-    #[arg(long, value_name = "S", default_value_t = DEFAULT_ROW_S)]
+    #[arg(long, value_name = "S", default_value_t = DEFAULT_ROW_DURATION_S)]
     row_s: f64,
     /// Where a plant listens that plays the machine, in JSON lines.
     #[arg(long, value_name = "tcp:HOST:PORT")]
@@ -47,12 +47,12 @@ pub struct Options {
 
 /// Multiples of real time; `None`: as fast as it goes.
 #[derive(Clone, Copy)]
-struct Speed(Option<f64>);
+struct PlaybackSpeed(Option<f64>);
 
-fn speed(text: &str) -> Result<Speed, String> {
+fn parse_speed(text: &str) -> Result<PlaybackSpeed, String> {
     match (text, text.parse::<f64>()) {
-        ("max", _) => Ok(Speed(None)),
-        (_, Ok(speed)) if speed > 0.0 && speed.is_finite() => Ok(Speed(Some(speed))),
+        ("max", _) => Ok(PlaybackSpeed(None)),
+        (_, Ok(speed)) if speed > 0.0 && speed.is_finite() => Ok(PlaybackSpeed(Some(speed))),
         _ => Err("a speed is a number above 0, or \"max\"".into()),
     }
 }
@@ -65,7 +65,7 @@ fn speed(text: &str) -> Result<Speed, String> {
 /// or QEMU ends.
 pub fn run(
     machine: &Machine,
-    options: &Options,
+    options: &BridgeOptions,
     image: impl FnOnce() -> Result<PathBuf>,
     stop: Arc<AtomicBool>,
 ) -> Result<()> {
@@ -77,16 +77,16 @@ pub fn run(
             let run = RunFile::read(path)?.with_tool_numbers(machine)?;
             let names = run.columns().iter().map(|column| column.name.as_str());
             let unused =
-                names.filter(|name| !Replay::uses(machine, name) && *name != GAUGED_COLUMN);
+                names.filter(|name| !Replay::uses_column(machine, name) && *name != GAUGE_COLUMN);
             let unused: Vec<_> = unused.collect();
             if !unused.is_empty() {
                 let unused = unused.join(", ");
-                trueup_output::diagnostic(format_args!(
+                trueup_output::write_diagnostic(format_args!(
                     "not replayed, this machine has no input for them: {unused}"
                 ));
             }
-            if options.gauge.is_some() && run.column(GAUGED_COLUMN).is_none() {
-                bail!("{}: has no {GAUGED_COLUMN} that a gauge could show", path.display());
+            if options.gauge.is_some() && run.column(GAUGE_COLUMN).is_none() {
+                bail!("{}: has no {GAUGE_COLUMN} that a gauge could show", path.display());
             }
             let replay = Replay::new(&run, machine, options.row_s)?;
             Ok(SampleSource::Run { replay, speed: options.speed.0 })
@@ -104,8 +104,8 @@ pub fn run(
             SampleSource::Plant(Plant::connect(address, temperatures.unwrap_or_default())?)
         }
     };
-    // Port 0 asks for any free one, so this is what was got, not what was asked for.
-    trueup_output::diagnostic(format_args!(
+    // Port 0 asks for any free one, so this is what was got, not what was requested.
+    trueup_output::write_diagnostic(format_args!(
         "the CNC's line is at tcp:{} (SLCAN)",
         listener.local_addr()?
     ));
@@ -115,7 +115,7 @@ pub fn run(
     if let Some(address) = &options.gauge {
         gauge.listen(serve::tcp_address(address)?)?;
     }
-    let hand = Hand::at_standard_input(gauge.clone());
-    let at_machine = AtMachine { hand, gauge };
+    let hand = OperatorControls::from_stdin(gauge.clone());
+    let at_machine = OperatorStation { hand, gauge };
     serve::serve(&image, compiled.blob(), front_end, listener, source, &at_machine, stop)
 }

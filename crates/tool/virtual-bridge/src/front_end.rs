@@ -7,14 +7,14 @@
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
-use trueup_core::units::Code;
+use trueup_core::units::AdcCode;
 
 /// Conversions a second.
-pub const SAMPLE_HZ: f64 = 20_000.0;
+pub const SAMPLE_RATE_HZ: f64 = 20_000.0;
 /// Both poles of the low-pass before the ADC.
-pub(crate) const POLE_HZ: f64 = 2_000.0;
+pub(crate) const LOW_PASS_POLE_HZ: f64 = 2_000.0;
 /// The ADC's full scale.
-pub const REFERENCE_VOLTS: f64 = 3.3;
+pub const ADC_REFERENCE_VOLTS: f64 = 3.3;
 /// RMS of the noise, in codes.
 pub const NOISE_CODES_RMS: f64 = 1.0;
 /// The signal is followed in steps of 1/320 kHz, so that a carrier at 40 kHz is one.
@@ -67,7 +67,7 @@ impl FrontEnd {
     #[must_use]
     #[allow(clippy::cast_precision_loss, reason = "14 000 years of samples fit")]
     pub fn time_s(&self) -> f64 {
-        self.samples as f64 / SAMPLE_HZ
+        self.samples as f64 / SAMPLE_RATE_HZ
     }
 
     /// Returns the next conversion. `volts_at` is the sensor's voltage at a time in seconds from the start.
@@ -76,13 +76,13 @@ impl FrontEnd {
         clippy::cast_sign_loss,
         reason = "clamped to the 12 bits of the converter"
     )]
-    pub(crate) fn convert(&mut self, volts_at: impl Fn(f64) -> f64) -> Code {
+    pub(crate) fn convert(&mut self, volts_at: impl Fn(f64) -> f64) -> AdcCode {
         let now = self.time_s();
         let pin = match &mut self.low_pass {
             None => volts_at(now),
             Some(low_pass) => {
-                let step_s = 1.0 / SAMPLE_HZ / f64::from(STEPS_PER_SAMPLE);
-                let share = 1.0 - (-std::f64::consts::TAU * POLE_HZ * step_s).exp();
+                let step_s = 1.0 / SAMPLE_RATE_HZ / f64::from(STEPS_PER_SAMPLE);
+                let share = 1.0 - (-std::f64::consts::TAU * LOW_PASS_POLE_HZ * step_s).exp();
                 (0..STEPS_PER_SAMPLE).rev().fold(0.0, |_, steps_left| {
                     low_pass.step(volts_at(now - f64::from(steps_left) * step_s), share)
                 })
@@ -90,13 +90,13 @@ impl FrontEnd {
         };
         self.samples += 1;
         let noise: f64 = StandardNormal.sample(&mut self.random);
-        let code = pin * self.divider / REFERENCE_VOLTS * f64::from(Code::FULL_SCALE)
+        let code = pin * self.divider / ADC_REFERENCE_VOLTS * f64::from(AdcCode::FULL_SCALE)
             + noise * NOISE_CODES_RMS;
-        Code(code.round().clamp(0.0, f64::from(Code::MAX.0)) as u16)
+        AdcCode(code.round().clamp(0.0, f64::from(AdcCode::MAX.0)) as u16)
     }
 
     /// Returns a millisecond of conversions.
-    pub fn block(&mut self, volts_at: impl Fn(f64) -> f64) -> [Code; 20] {
+    pub fn convert_block(&mut self, volts_at: impl Fn(f64) -> f64) -> [AdcCode; 20] {
         std::array::from_fn(|_| self.convert(&volts_at))
     }
 }
@@ -105,7 +105,7 @@ impl FrontEnd {
 mod tests {
     use super::*;
 
-    fn mean(codes: impl Iterator<Item = Code>) -> f64 {
+    fn mean(codes: impl Iterator<Item = AdcCode>) -> f64 {
         let codes: Vec<f64> = codes.map(|code| f64::from(code.0)).collect();
         codes.iter().sum::<f64>() / codes.len() as f64
     }
@@ -120,7 +120,7 @@ mod tests {
 
     #[test]
     fn the_noise_is_one_code_rms_and_comes_from_the_seed() {
-        let run = |seed| -> Vec<Code> {
+        let run = |seed| -> Vec<AdcCode> {
             let mut front_end = FrontEnd::new(0.33, seed);
             (0..50_000).map(|_| front_end.convert(|_| 5.0)).collect()
         };

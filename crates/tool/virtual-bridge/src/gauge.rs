@@ -13,16 +13,16 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use trueup_core::cnc::Output;
-use trueup_machine::{Machine, file::Kind};
+use trueup_machine::{Machine, file::MachineKind};
 
-use crate::plant::Answer;
+use crate::plant::PlantResponse;
 
 /// From one value to the next.
-const PERIOD: Duration = Duration::from_millis(100);
+const SEND_PERIOD: Duration = Duration::from_millis(100);
 
 /// The parts of a reading, in µm along the tool.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Shown {
+struct ReadingComponents {
     growth_um: f64,
     /// How far the offsets have moved what carries the gauge's counterpart: the housing, on a lathe the turret.
     moved_um: f64,
@@ -32,7 +32,7 @@ struct Shown {
 #[derive(Clone, Debug)]
 pub struct Gauge {
     /// `None`: the run file does not say what the tool does.
-    shown: Arc<Mutex<Option<Shown>>>,
+    shown: Arc<Mutex<Option<ReadingComponents>>>,
     tool_direction: [f64; 3],
     /// The part that the offsets move.
     carrier: &'static str,
@@ -42,41 +42,41 @@ impl Gauge {
     /// Returns the gauge of a machine, which shows nothing yet.
     #[must_use]
     pub fn new(machine: &Machine) -> Self {
-        let carrier = if machine.kind == Kind::Lathe { "turret" } else { "housing" };
+        let carrier = if machine.kind == MachineKind::Lathe { "turret" } else { "housing" };
         Self { shown: Arc::default(), tool_direction: machine.tool_direction, carrier }
     }
 
     /// Takes what the tool does at this moment, and the newest offsets, if there are some.
-    pub(crate) fn take(&self, growth_um: Option<f64>, output: Option<&Output>) {
+    pub(crate) fn update(&self, growth_um: Option<f64>, output: Option<&Output>) {
         let mut shown = self.shown.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(growth_um) = growth_um else {
             *shown = None;
             return;
         };
-        let moved_um = match output.map(Answer::from) {
+        let moved_um = match output.map(PlantResponse::from) {
             // No frame has come: the axis stands where it stood.
             None => shown.map_or(0.0, |it| it.moved_um),
-            Some(Answer { offset_um, .. }) => {
+            Some(PlantResponse { offset_um, .. }) => {
                 let along = offset_um.iter().zip(self.tool_direction);
                 along.map(|(offset, direction)| offset.unwrap_or(0.0) * direction).sum()
             }
         };
-        *shown = Some(Shown { growth_um, moved_um });
+        *shown = Some(ReadingComponents { growth_um, moved_um });
     }
 
-    fn shown(&self) -> Option<Shown> {
+    fn reading_components(&self) -> Option<ReadingComponents> {
         *self.shown.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Returns what is left at the tool, in µm.
-    fn left_um(&self) -> Option<f64> {
-        self.shown().map(|it| it.growth_um + it.moved_um)
+    fn residual_um(&self) -> Option<f64> {
+        self.reading_components().map(|it| it.growth_um + it.moved_um)
     }
 
     /// Returns both readings in words.
     #[must_use]
-    pub fn text(&self) -> String {
-        match self.shown() {
+    pub fn describe(&self) -> String {
+        match self.reading_components() {
             Some(it) => format!(
                 "a gauge at the tool shows {:+.2} µm, one at the {} {:+.2} µm (+ the way the tool points)",
                 it.growth_um + it.moved_um,
@@ -97,7 +97,7 @@ impl Gauge {
                 "cannot listen at tcp:{address}; is another program, or another bridge, using it?"
             )
         })?;
-        trueup_output::diagnostic(format_args!(
+        trueup_output::write_diagnostic(format_args!(
             "the gauge is at tcp:{}, in µm",
             listener.local_addr()?
         ));
@@ -105,21 +105,21 @@ impl Gauge {
         thread::spawn(move || {
             for stream in listener.incoming().flatten() {
                 let gauge = gauge.clone();
-                thread::spawn(move || gauge.speak(stream));
+                thread::spawn(move || gauge.send_readings(stream));
             }
         });
         Ok(())
     }
 
     /// Until the other side has gone.
-    fn speak(&self, mut stream: TcpStream) {
+    fn send_readings(&self, mut stream: TcpStream) {
         loop {
-            if let Some(um) = self.left_um()
+            if let Some(um) = self.residual_um()
                 && writeln!(stream, "{um:.2}").is_err()
             {
                 return;
             }
-            thread::sleep(PERIOD);
+            thread::sleep(SEND_PERIOD);
         }
     }
 }
@@ -152,16 +152,16 @@ mod tests {
     #[test]
     fn an_offset_takes_the_growth_away_and_is_kept_until_the_next_one() {
         let gauge = Gauge::new(&machine("3-axis"));
-        assert!(gauge.text().contains("no measured_elongation_um"), "{}", gauge.text());
-        gauge.take(Some(42.0), None);
-        assert_eq!(gauge.left_um(), Some(42.0));
-        gauge.take(Some(42.0), Some(&lifted(40_000)));
-        gauge.take(Some(42.5), None);
-        assert_eq!(gauge.left_um(), Some(2.5));
-        assert!(gauge.text().contains("tool shows +2.50 µm, one at the housing -40.00 µm"));
+        assert!(gauge.describe().contains("no measured_elongation_um"), "{}", gauge.describe());
+        gauge.update(Some(42.0), None);
+        assert_eq!(gauge.residual_um(), Some(42.0));
+        gauge.update(Some(42.0), Some(&lifted(40_000)));
+        gauge.update(Some(42.5), None);
+        assert_eq!(gauge.residual_um(), Some(2.5));
+        assert!(gauge.describe().contains("tool shows +2.50 µm, one at the housing -40.00 µm"));
         // None is given: the CNC has taken it back.
-        gauge.take(Some(42.5), Some(&Output { offset: None, ..lifted(0) }));
-        assert_eq!(gauge.left_um(), Some(42.5));
+        gauge.update(Some(42.5), Some(&Output { offset: None, ..lifted(0) }));
+        assert_eq!(gauge.residual_um(), Some(42.5));
         assert!(Gauge::new(&machine("lathe")).carrier == "turret");
     }
 
@@ -171,7 +171,7 @@ mod tests {
         let free = TcpListener::bind("127.0.0.1:0").and_then(|it| it.local_addr());
         let address = free.expect("a free port").to_string();
         gauge.listen(&address).expect("it was free");
-        gauge.take(Some(7.125), Some(&lifted(5_000)));
+        gauge.update(Some(7.125), Some(&lifted(5_000)));
         let stream = TcpStream::connect(&address).expect("it listens");
         let line = BufReader::new(stream).lines().next().expect("a line").expect("text");
         assert_eq!(line, "2.12");

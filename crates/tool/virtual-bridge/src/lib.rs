@@ -9,15 +9,15 @@
 
 pub mod board;
 mod bridge;
+pub mod cnc_emulator;
 pub mod front_end;
 pub mod gauge;
-pub(crate) mod hand;
 pub mod log;
+pub(crate) mod operator_controls;
 pub mod plant;
 pub mod program;
 pub mod qemu;
 pub mod replay;
 pub mod serve;
-pub mod stand_in;
 
-pub use bridge::{Options, run};
+pub use bridge::{BridgeOptions, run};

@@ -6,16 +6,16 @@ use anyhow::{Context as _, Result, anyhow};
 use defmt_decoder::{DecodeError, Table};
 
 /// A decoder for the log of one image.
-pub struct Decoder {
+pub struct LogDecoder {
     table: Table,
 }
 
-impl Decoder {
+impl LogDecoder {
     /// Returns the decoder for an image.
     ///
     /// # Errors
     /// It cannot be read, or it logs nothing.
-    pub fn of(image: &Path) -> Result<Self> {
+    pub fn from_image(image: &Path) -> Result<Self> {
         let elf = fs::read(image).with_context(|| format!("cannot read {}", image.display()))?;
         let table =
             Table::parse(&elf)?.ok_or_else(|| anyhow!("{} has no log strings", image.display()))?;
@@ -26,7 +26,7 @@ impl Decoder {
     ///
     /// # Errors
     /// The stream cannot be read, or does not fit the image.
-    pub fn follow(
+    pub fn decode_stream(
         &self,
         mut source: impl std::io::Read,
         mut line: impl FnMut(String),

@@ -15,7 +15,7 @@ use anyhow::{Context as _, Result, anyhow, bail};
 use serde::{Deserialize, Serialize};
 use trueup_machine::inputs::TemperatureInput;
 
-use crate::replay::{self, Situation};
+use crate::replay::{self, MachineSnapshot};
 
 /// One step of the machine.
 #[derive(Debug, Deserialize)]
@@ -34,7 +34,7 @@ pub struct Step {
 
 /// The board's answer to the plant.
 #[derive(Debug, Default, Serialize)]
-pub struct Answer {
+pub struct PlantResponse {
     /// Offsets on X, Y and Z; `null` where they are not available.
     pub offset_um: [Option<f64>; 3],
     /// As on the wire.
@@ -51,13 +51,13 @@ pub struct Plant {
     last_s: Option<f64>,
     temperatures: BTreeMap<String, TemperatureInput>,
     /// The board's last answer; a step too short for a new word repeats it.
-    pub last_answer: Answer,
+    pub last_answer: PlantResponse,
 }
 
 /// A step has a few numbers; a longer line has no end.
-const MAX_BYTES: u64 = 1 << 16;
+const MAX_LINE_BYTES: u64 = 1 << 16;
 /// How often a plant that thinks is looked after.
-const PATIENCE: Duration = Duration::from_millis(200);
+const READ_POLL_INTERVAL: Duration = Duration::from_millis(200);
 
 impl Plant {
     /// Connects to the plant, which listens. `temperatures` are the machine's channels by the names
@@ -73,7 +73,7 @@ impl Plant {
             .with_context(|| format!("no plant listens at tcp:{address}"))?;
         // A step is one short line: it must not wait for more.
         stream.set_nodelay(true)?;
-        stream.set_read_timeout(Some(PATIENCE))?;
+        stream.set_read_timeout(Some(READ_POLL_INTERVAL))?;
         let peer = format!("plant at tcp:{address}");
         Ok(Self {
             lines: BufReader::new(stream),
@@ -82,12 +82,12 @@ impl Plant {
             peer,
             last_s: None,
             temperatures,
-            last_answer: Answer::default(),
+            last_answer: PlantResponse::default(),
         })
     }
 
     /// Returns the next step: what the machine does, and for how many milliseconds. `None` when the plant
-    /// has closed the line, or when `is_over` says so, which is asked while the plant thinks.
+    /// has closed the line, or when `is_over` says so, which is called while the plant thinks.
     ///
     /// # Errors
     /// A line that is not a step, or time that runs back; with its number.
@@ -95,13 +95,13 @@ impl Plant {
     pub fn next_step(
         &mut self,
         mut is_over: impl FnMut() -> Result<bool>,
-    ) -> Result<Option<(Situation, u32)>> {
+    ) -> Result<Option<(MachineSnapshot, u32)>> {
         self.bytes.clear();
         loop {
-            let room = MAX_BYTES.saturating_sub(self.bytes.len() as u64);
+            let room = MAX_LINE_BYTES.saturating_sub(self.bytes.len() as u64);
             match (&mut self.lines).take(room).read_until(b'\n', &mut self.bytes) {
-                Ok(_) if self.bytes.len() as u64 >= MAX_BYTES => bail!(
-                    "{}, line {}: is longer than {MAX_BYTES} bytes",
+                Ok(_) if self.bytes.len() as u64 >= MAX_LINE_BYTES => bail!(
+                    "{}, line {}: is longer than {MAX_LINE_BYTES} bytes",
                     self.peer,
                     self.number.saturating_add(1)
                 ),
@@ -135,17 +135,17 @@ impl Plant {
         let speed = step
             .spindle_rpm
             .map(|speed| {
-                replay::rpm(speed)
+                replay::rounded_rpm(speed)
                     .ok_or_else(|| anyhow!("{place}: spindle_rpm {speed} is outside 0…65535"))
             })
             .transpose()?;
         // The sub-millisecond rest stays in the account, so no time is lost over many steps.
         self.last_s = Some(last_s + ms / 1_000.0);
-        let situation = Situation {
+        let situation = MachineSnapshot {
             sensor_volts: step.sensor_v,
             speed,
             temperatures: replay::raw_temperatures(&self.temperatures, &step.temps_c),
-            ..Situation::default()
+            ..MachineSnapshot::default()
         };
         Ok(Some((situation, ms as u32)))
     }
@@ -154,7 +154,7 @@ impl Plant {
     ///
     /// # Errors
     /// The line is broken.
-    pub fn answer(&mut self) -> Result<()> {
+    pub(crate) fn send_response(&mut self) -> Result<()> {
         let mut line = serde_json::to_string(&self.last_answer)?;
         line.push('\n');
         self.lines.get_mut().write_all(line.as_bytes()).context("the plant no longer listens")

@@ -1,4 +1,4 @@
-//! Finds other programs and asks them; an error names the command line, with what the program said.
+//! Finds other programs and runs them; an error names the command line, with what the program said.
 
 use std::{
     path::PathBuf,
@@ -11,8 +11,8 @@ use anyhow::{Context as _, Result, bail};
 ///
 /// # Errors
 /// It could not be started, or it failed; the error has what it said.
-pub fn output(command: &mut Command) -> Result<String> {
-    let line = line(command);
+pub fn capture_stdout(command: &mut Command) -> Result<String> {
+    let line = command_line(command);
     let output =
         command.stdin(Stdio::null()).output().with_context(|| format!("cannot start `{line}`"))?;
     if !output.status.success() {
@@ -23,14 +23,14 @@ pub fn output(command: &mut Command) -> Result<String> {
 
 /// Returns the command as one would type it.
 #[must_use]
-pub fn line(command: &Command) -> String {
+pub fn command_line(command: &Command) -> String {
     let words = std::iter::once(command.get_program()).chain(command.get_args());
     words.map(|word| word.to_string_lossy()).collect::<Vec<_>>().join(" ")
 }
 
 /// Where a program is, if it is on the search path.
 #[must_use]
-pub fn find(program: &str) -> Option<PathBuf> {
+pub fn find_on_path(program: &str) -> Option<PathBuf> {
     std::env::split_paths(&std::env::var_os("PATH")?)
         .map(|folder| folder.join(program))
         .find(|path| path.is_file())

@@ -13,57 +13,57 @@ use std::{
 
 use anyhow::{Context as _, Result, bail};
 
-use crate::program::{find, output};
+use crate::program::{capture_stdout, find_on_path};
 
 /// The emulator's program, and the package that has it.
-pub const PROGRAM: &str = "qemu-system-arm";
+pub const QEMU_PROGRAM: &str = "qemu-system-arm";
 /// The oldest version that has what the board needs.
-const OLDEST: (u32, u32) = (7, 2);
+const MIN_QEMU_VERSION: (u32, u32) = (7, 2);
 
 /// How long QEMU may take to open its sockets, and the board to say that it is up.
 pub(crate) const BOOT_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// The longest path that the kernel takes for a socket, in bytes.
-const LONGEST_SOCKET_PATH: usize = 107;
+const MAX_SOCKET_PATH_BYTES: usize = 107;
 
 /// Returns the path of QEMU.
 ///
 /// # Errors
 /// It is not on the search path, or it is too old.
-pub fn program() -> Result<PathBuf> {
-    let path = find(PROGRAM).context("qemu-system-arm is not on PATH")?;
-    let said = output(Command::new(&path).arg("--version"))?;
+pub fn find_qemu() -> Result<PathBuf> {
+    let path = find_on_path(QEMU_PROGRAM).context("qemu-system-arm is not on PATH")?;
+    let said = capture_stdout(Command::new(&path).arg("--version"))?;
     let version = said.split("version ").nth(1).unwrap_or_default();
     let mut numbers = version.split('.').map(|number| number.parse::<u32>().unwrap_or(0));
     let version = (numbers.next().unwrap_or(0), numbers.next().unwrap_or(0));
-    if version < OLDEST {
+    if version < MIN_QEMU_VERSION {
         bail!(
             "{} is version {}.{}; {}.{} or newer is needed",
             path.display(),
             version.0,
             version.1,
-            OLDEST.0,
-            OLDEST.1
+            MIN_QEMU_VERSION.0,
+            MIN_QEMU_VERSION.1
         );
     }
     Ok(path)
 }
 
 /// A folder that is removed with the last emulator in it.
-pub type Folder = Arc<tempfile::TempDir>;
+pub type SharedTempDir = Arc<tempfile::TempDir>;
 
 /// Returns a new, empty one.
 ///
 /// # Errors
 /// There is no place for temporary files.
-pub fn new_folder() -> Result<Folder> {
+pub(crate) fn create_temp_folder() -> Result<SharedTempDir> {
     Ok(Arc::new(tempfile::Builder::new().prefix("trueup-").tempdir()?))
 }
 
 /// A running emulator. Dropping it ends the process.
 pub struct Qemu {
     child: Child,
-    folder: Folder,
+    folder: SharedTempDir,
 }
 
 impl Qemu {
@@ -77,24 +77,24 @@ impl Qemu {
         arguments: &[&str],
         prepare: impl FnOnce(&Path) -> Result<()>,
     ) -> Result<Self> {
-        Self::start_in(new_folder()?, image, arguments, prepare)
+        Self::start_in_folder(create_temp_folder()?, image, arguments, prepare)
     }
 
     /// The same in a folder that there is already: what an earlier image has left, this one finds.
     ///
     /// # Errors
     /// As [`Qemu::start`].
-    pub(crate) fn start_in(
-        folder: Folder,
+    pub(crate) fn start_in_folder(
+        folder: SharedTempDir,
         image: &Path,
         arguments: &[&str],
         prepare: impl FnOnce(&Path) -> Result<()>,
     ) -> Result<Self> {
-        let qemu = program()?;
+        let qemu = find_qemu()?;
         let image = fs::canonicalize(image)
             .with_context(|| format!("there is no firmware image {}", image.display()))?;
         let longest = folder.path().as_os_str().len() + "/doorbell.sock".len();
-        if longest > LONGEST_SOCKET_PATH {
+        if longest > MAX_SOCKET_PATH_BYTES {
             bail!(
                 "the folder for temporary files, {}, is too long a name for a socket in it; set \
                    TMPDIR to a shorter one",
@@ -103,7 +103,7 @@ impl Qemu {
         }
         prepare(folder.path())?;
         // With setpriv the kernel ends QEMU when this process dies, however it dies.
-        let mut command = match find("setpriv") {
+        let mut command = match find_on_path("setpriv") {
             Some(setpriv) => {
                 let mut command = Command::new(setpriv);
                 command.args(["--pdeathsig", "KILL"]).arg(qemu);
@@ -132,13 +132,13 @@ impl Qemu {
 
     /// Returns the emulator's folder.
     #[must_use]
-    pub fn folder(&self) -> Folder {
+    pub fn folder(&self) -> SharedTempDir {
         self.folder.clone()
     }
 
     /// Returns the process id, for those who want to end it from outside.
     #[must_use]
-    pub fn id(&self) -> u32 {
+    pub(crate) fn process_id(&self) -> u32 {
         self.child.id()
     }
 
@@ -146,7 +146,7 @@ impl Qemu {
     ///
     /// # Errors
     /// It was taken before.
-    pub fn stdout(&mut self) -> Result<ChildStdout> {
+    pub(crate) fn take_stdout(&mut self) -> Result<ChildStdout> {
         self.child.stdout.take().context("QEMU's standard output is taken")
     }
 
@@ -160,7 +160,7 @@ impl Qemu {
             if let Ok(stream) = UnixStream::connect(self.path(name)) {
                 return Ok(stream);
             }
-            self.check()?;
+            self.check_running()?;
             if Instant::now() > end {
                 bail!("QEMU does not open its socket {name}");
             }
@@ -172,27 +172,27 @@ impl Qemu {
     ///
     /// # Errors
     /// It has.
-    pub fn check(&mut self) -> Result<()> {
+    pub fn check_running(&mut self) -> Result<()> {
         if let Some(status) = self.child.try_wait()? {
-            bail!("QEMU has ended ({status}){}", self.said());
+            bail!("QEMU has ended ({status}){}", self.stderr_text());
         }
         Ok(())
     }
 
     /// Returns the error for a channel to the board that has broken off.
     #[must_use]
-    pub fn broken(&mut self, what: &str) -> anyhow::Error {
+    pub(crate) fn channel_error(&mut self, what: &str) -> anyhow::Error {
         // The pipes close a moment before the process can be seen to have ended.
         for _ in 0..100 {
-            if let Err(error) = self.check() {
+            if let Err(error) = self.check_running() {
                 return error.context(what.to_owned());
             }
             thread::sleep(Duration::from_millis(10));
         }
-        anyhow::anyhow!("{what}, though QEMU is still running{}", self.said())
+        anyhow::anyhow!("{what}, though QEMU is still running{}", self.stderr_text())
     }
 
-    fn said(&self) -> String {
+    fn stderr_text(&self) -> String {
         let mut said = String::new();
         let read =
             fs::File::open(self.path("qemu.err")).and_then(|mut f| f.read_to_string(&mut said));

@@ -27,22 +27,22 @@ use trueup_pipe::Block;
 
 mod opening;
 
-use self::opening::{Opening, is_end};
+use self::opening::{OpeningHandshake, is_response_end};
 use crate::{
-    board::{LARGEST_BATCH, MAY_WAIT, VirtualBoard},
+    board::{MAX_BATCH_BLOCKS, SERIAL_BUFFER_BYTES, VirtualBoard},
+    cnc_emulator::{CncEmulator, ReceivedFrames},
     front_end::FrontEnd,
     gauge::Gauge,
-    hand::Hand,
-    plant::{Answer, Plant},
-    replay::{Replay, Situation},
-    stand_in::{ReceivedFrames, StandIn},
+    operator_controls::OperatorControls,
+    plant::{Plant, PlantResponse},
+    replay::{MachineSnapshot, Replay},
 };
 
 /// The source of the machine's samples and time.
 pub enum SampleSource {
     /// A run file, at a multiple of real time, or as fast as it goes.
     Run {
-        /// The run file, as it is played.
+        /// The run file that is played.
         replay: Replay,
         /// Milliseconds of the board in a millisecond of the clock; `None`: no pacing.
         speed: Option<f64>,
@@ -52,23 +52,23 @@ pub enum SampleSource {
 }
 
 /// The operator's side of the virtual machine, next to the bridge.
-pub struct AtMachine {
+pub struct OperatorStation {
     /// The hand at the CNC.
-    pub hand: Hand,
+    pub hand: OperatorControls,
     /// The gauge at the tool.
     pub gauge: Gauge,
 }
 
 /// Blocks handed over at once while time is not paced.
-const FREE_BATCH: u32 = 20;
+const UNPACED_BATCH_BLOCKS: u32 = 20;
 /// Bytes that may wait for a client, a third of a second: offsets in a queue grow old. When it is
 /// full the board's time stands still until he reads.
-const CLIENT_QUEUE: usize = 16 * 1024;
+const CLIENT_QUEUE_BYTES: usize = 16 * 1024;
 /// The board's clock may fall behind by this much before it slips.
-const LARGEST_BACKLOG_MS: f64 = 200.0;
+const MAX_BACKLOG_MS: f64 = 200.0;
 /// Time for which the first row is held before the run begins again, in s of the board: the bridge takes the offset of a hot
 /// machine back at its slew limit, and a gauge that is read before shows both.
-const COLD_S: f64 = 10.0;
+const COLD_START_HOLD_S: f64 = 10.0;
 
 /// Serves until `stop` is set or the source ends.
 ///
@@ -80,29 +80,29 @@ pub fn serve(
     front_end: FrontEnd,
     listener: TcpListener,
     source: SampleSource,
-    at_machine: &AtMachine,
+    at_machine: &OperatorStation,
     stop: Arc<AtomicBool>,
 ) -> Result<()> {
     let mut board = VirtualBoard::boot(image, calibration)?;
-    trueup_output::diagnostic(format_args!(
+    trueup_output::write_diagnostic(format_args!(
         "the bridge is up in QEMU (process {})",
-        board.qemu().id()
+        board.qemu().process_id()
     ));
-    end_with(stop.clone(), board.qemu().id());
-    let result = play(&mut board, front_end, listener, source, at_machine, &stop);
+    kill_after_stop(stop.clone(), board.qemu().process_id());
+    let result = run_board(&mut board, front_end, listener, source, at_machine, &stop);
     // Whatever broke because it was stopped is not an error.
     if stop.load(Ordering::Relaxed) { Ok(()) } else { result }
 }
 
 /// Ends QEMU if serving has not ended a second after `stop`: a client that does not read stops QEMU, and with it
 /// every thread that waits for the board.
-fn end_with(stop: Arc<AtomicBool>, qemu: u32) {
-    const GRACE: Duration = Duration::from_secs(1);
+fn kill_after_stop(stop: Arc<AtomicBool>, qemu: u32) {
+    const KILL_GRACE_PERIOD: Duration = Duration::from_secs(1);
     thread::spawn(move || {
         while !stop.load(Ordering::Relaxed) {
             thread::sleep(Duration::from_millis(50));
         }
-        thread::sleep(GRACE);
+        thread::sleep(KILL_GRACE_PERIOD);
         if let Some(pid) = i32::try_from(qemu).ok().and_then(Pid::from_raw) {
             // It may have ended in the meantime.
             kill_process(pid, Signal::KILL).ok();
@@ -110,44 +110,51 @@ fn end_with(stop: Arc<AtomicBool>, qemu: u32) {
     });
 }
 
+/// Returns whether serving has to stop, and prints what the board has logged.
+///
+/// # Errors
+/// QEMU has ended.
+fn is_over(board: &mut VirtualBoard, stop: &AtomicBool) -> Result<bool> {
+    print_board_log(board);
+    board.qemu().check_running()?;
+    Ok(stop.load(Ordering::Relaxed))
+}
+
 /// Lets the board live through what the source has.
-fn play(
+fn run_board(
     board: &mut VirtualBoard,
     mut front_end: FrontEnd,
     listener: TcpListener,
     source: SampleSource,
-    AtMachine { hand, gauge }: &AtMachine,
+    OperatorStation { hand, gauge }: &OperatorStation,
     stop: &AtomicBool,
 ) -> Result<()> {
-    let opening = Arc::new(Opening::default());
+    let opening = Arc::new(OpeningHandshake::default());
     let heard = Arc::new(ReceivedFrames::default());
-    share_line(listener, board.serial()?, opening.clone(), heard.clone())?;
-    let mut stand_in = StandIn::default();
-    let is_over = |board: &mut VirtualBoard| -> Result<bool> {
-        tell(board);
-        board.qemu().check()?;
-        Ok(stop.load(Ordering::Relaxed))
-    };
+    serve_clients(listener, board.serial()?, opening.clone(), heard.clone())?;
+    let mut stand_in = CncEmulator::default();
     let mut live = |board: &mut VirtualBoard,
-                    situation: &dyn Fn(f64) -> Situation,
+                    situation: &dyn Fn(f64) -> MachineSnapshot,
                     count: u32|
      -> Result<Option<Output>> {
         let mut offsets = OffsetReceiver::new();
         let mut last = None;
         let mut left = count;
         while left > 0 {
-            let batch = left.min(LARGEST_BATCH);
+            let batch = left.min(MAX_BATCH_BLOCKS);
             left -= batch;
             let blocks: Vec<Block> = (0..batch)
                 .map(|_| {
-                    let now =
-                        Situation { control: hand.control(), ..situation(front_end.time_s()) };
+                    let now = MachineSnapshot {
+                        control: hand.next_control(),
+                        ..situation(front_end.time_s())
+                    };
                     Block {
-                        codes: front_end.block(|_| now.sensor_volts),
+                        codes: front_end.convert_block(|_| now.sensor_volts),
                         speed: now.speed,
-                        service_switch: hand.switch_is_closed(),
+                        service_switch: hand.is_switch_closed(),
                         temperatures: now.temperatures,
-                        frames: stand_in.frames(&now, &heard),
+                        frames: stand_in.next_frames(&now, &heard),
                     }
                 })
                 .collect();
@@ -155,39 +162,40 @@ fn play(
                 last = offsets.accept(&frame).ok().flatten().or(last);
             }
         }
-        tell(board);
+        print_board_log(board);
         Ok(last)
     };
     match source {
         SampleSource::Run { replay, speed } => {
-            trueup_output::diagnostic("the replay starts when a client opens the channel");
-            while !opening.is_over() {
-                if is_over(board)? {
+            trueup_output::write_diagnostic("the replay starts when a client opens the channel");
+            while !opening.is_complete() {
+                if is_over(board, stop)? {
                     return Ok(());
                 }
                 thread::sleep(Duration::from_millis(5));
             }
-            let mut pace = Pace::new(speed);
+            let mut pace = Pacer::new(speed);
             let mut lived_s = 0.0;
             let mut began_s = 0.0;
             let mut is_cold = false;
             while !stop.load(Ordering::Relaxed) {
-                match pace.due() {
+                match pace.take_due_ms() {
                     0 => thread::sleep(Duration::from_micros(300)),
                     mut due => {
                         // In parts, so that the gauge keeps up with what a client has received.
                         while due > 0 {
-                            let part = due.min(FREE_BATCH);
+                            let part = due.min(UNPACED_BATCH_BLOCKS);
                             due -= part;
-                            if hand.take_again() {
-                                (began_s, is_cold) = (lived_s + COLD_S, true);
+                            if hand.take_restart_request() {
+                                (began_s, is_cold) = (lived_s + COLD_START_HOLD_S, true);
                             }
-                            let output = live(board, &|time| replay.at(time - began_s), part)?;
-                            gauge.take(replay.growth_um(lived_s - began_s), output.as_ref());
+                            let output =
+                                live(board, &|time| replay.snapshot_at(time - began_s), part)?;
+                            gauge.update(replay.growth_um(lived_s - began_s), output.as_ref());
                             lived_s += f64::from(part) / 1_000.0;
                             if is_cold && lived_s >= began_s {
                                 is_cold = false;
-                                trueup_output::diagnostic("the run begins again");
+                                trueup_output::write_diagnostic("the run begins again");
                             }
                         }
                     }
@@ -195,22 +203,22 @@ fn play(
             }
         }
         SampleSource::Plant(mut plant) => {
-            while let Some((situation, ms)) = plant.next_step(|| is_over(board))? {
+            while let Some((situation, ms)) = plant.next_step(|| is_over(board, stop))? {
                 if let Some(output) = live(board, &|_| situation, ms)? {
-                    plant.last_answer = Answer::from(&output);
+                    plant.last_answer = PlantResponse::from(&output);
                 }
-                plant.answer()?;
-                if is_over(board)? {
+                plant.send_response()?;
+                if is_over(board, stop)? {
                     break;
                 }
             }
-            trueup_output::diagnostic("the plant has closed its line");
+            trueup_output::write_diagnostic("the plant has closed its line");
         }
     }
     Ok(())
 }
 
-impl From<&Output> for Answer {
+impl From<&Output> for PlantResponse {
     fn from(output: &Output) -> Self {
         let um = |nm: i32| f64::from(nm) / f64::from(NANOMETRES_PER_MICROMETRE);
         Self {
@@ -224,29 +232,29 @@ impl From<&Output> for Answer {
 }
 
 /// How much of the board's time is due.
-struct Pace {
+struct Pacer {
     speed: Option<f64>,
     last: Instant,
     owed_ms: f64,
     slipped: bool,
 }
 
-impl Pace {
+impl Pacer {
     fn new(speed: Option<f64>) -> Self {
         Self { speed, last: Instant::now(), owed_ms: 0.0, slipped: false }
     }
 
     /// Milliseconds of the board that are due now.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0…backlog")]
-    fn due(&mut self) -> u32 {
-        let Some(speed) = self.speed else { return FREE_BATCH };
+    fn take_due_ms(&mut self) -> u32 {
+        let Some(speed) = self.speed else { return UNPACED_BATCH_BLOCKS };
         let now = Instant::now();
         self.owed_ms += now.duration_since(self.last).as_secs_f64() * 1_000.0 * speed;
         self.last = now;
-        let largest = LARGEST_BACKLOG_MS * speed.max(1.0);
+        let largest = MAX_BACKLOG_MS * speed.max(1.0);
         if self.owed_ms > largest {
             if !self.slipped {
-                trueup_output::diagnostic(format_args!(
+                trueup_output::write_diagnostic(format_args!(
                     "this machine is too slow for {speed} times real time: time slips"
                 ));
                 self.slipped = true;
@@ -260,9 +268,9 @@ impl Pace {
 }
 
 /// Shows what the board has logged.
-fn tell(board: &VirtualBoard) {
+fn print_board_log(board: &VirtualBoard) {
     for line in board.take_log() {
-        trueup_output::diagnostic(format_args!("board: {line}"));
+        trueup_output::write_diagnostic(format_args!("board: {line}"));
     }
 }
 
@@ -270,15 +278,15 @@ fn tell(board: &VirtualBoard) {
 struct Client {
     stream: TcpStream,
     /// Has got nothing yet: what the board says first may be the end of a line that began for
-    /// another client. Some programs take that for a frame, so it is left out.
+    /// another client. Some programs take that for a frame, so it is not sent.
     is_new: bool,
 }
 
 /// Joins the clients of a port, one at a time, to the board's line.
-fn share_line(
+fn serve_clients(
     listener: TcpListener,
     line: UnixStream,
-    opening: Arc<Opening>,
+    opening: Arc<OpeningHandshake>,
     heard: Arc<ReceivedFrames>,
 ) -> Result<()> {
     let client: Arc<Mutex<Option<Client>>> = Arc::default();
@@ -290,10 +298,10 @@ fn share_line(
         let mut in_line = false;
         while let Ok(length @ 1..) = from_board.read(&mut bytes) {
             let mut said = &bytes[..length];
-            answered.take_answers(said);
+            answered.count_responses(said);
             let stream = lock(&to_client).as_mut().and_then(|client| {
                 if client.is_new && in_line {
-                    let end = said.iter().position(|&byte| is_end(byte));
+                    let end = said.iter().position(|&byte| is_response_end(byte));
                     said = end.map_or(&[], |end| &said[end + 1..]);
                     client.is_new = end.is_none();
                 } else {
@@ -301,8 +309,8 @@ fn share_line(
                 }
                 client.stream.try_clone().ok()
             });
-            in_line = !is_end(bytes[length - 1]);
-            // With no client, or one that has just gone, the bytes have nobody to go to.
+            in_line = !is_response_end(bytes[length - 1]);
+            // With no client, or one that has just gone, the bytes have no receiver.
             if let Some(mut stream) = stream {
                 stream.write_all(said).ok();
             }
@@ -311,7 +319,7 @@ fn share_line(
     thread::spawn(move || {
         for stream in listener.incoming().flatten() {
             if let Err(error) = serve_client(stream, &client, &line, &opening, &heard) {
-                trueup_output::diagnostic(format_args!("a client is gone: {error}"));
+                trueup_output::write_diagnostic(format_args!("a client is gone: {error}"));
             }
             lock(&client).take();
         }
@@ -328,20 +336,22 @@ fn serve_client(
     mut stream: TcpStream,
     client: &Mutex<Option<Client>>,
     mut line: &UnixStream,
-    opening: &Opening,
+    opening: &OpeningHandshake,
     heard: &ReceivedFrames,
 ) -> io::Result<()> {
     stream.set_nodelay(true)?;
-    set_socket_send_buffer_size(&stream, CLIENT_QUEUE)?;
+    set_socket_send_buffer_size(&stream, CLIENT_QUEUE_BYTES)?;
     let peer = stream.peer_addr()?;
-    trueup_output::diagnostic(format_args!("client {peer} is connected"));
+    trueup_output::write_diagnostic(format_args!("client {peer} is connected"));
     *lock(client) = Some(Client { stream: stream.try_clone()?, is_new: true });
     let mut bytes = [0; 4096];
     let mut command: Vec<u8> = Vec::new();
     loop {
         let length = stream.read(&mut bytes)?;
         if length == 0 {
-            trueup_output::diagnostic(format_args!("client {peer} has closed its connection"));
+            trueup_output::write_diagnostic(format_args!(
+                "client {peer} has closed its connection"
+            ));
             return Ok(());
         }
         for &byte in &bytes[..length] {
@@ -351,8 +361,8 @@ fn serve_client(
                 continue;
             }
             let said = std::mem::take(&mut command);
-            opening.take_line(said.trim_ascii_start() == b"O");
-            heard.note(said.trim_ascii_start());
+            opening.count_line(said.trim_ascii_start() == b"O");
+            heard.record_line(said.trim_ascii_start());
         }
         line.write_all(&bytes[..length])?;
     }
@@ -368,7 +378,7 @@ pub fn listen(address: &str) -> Result<TcpListener> {
     let listener = TcpListener::bind(address).with_context(|| {
         format!("cannot listen at tcp:{address}; is another program, or another bridge, using it?")
     })?;
-    set_socket_recv_buffer_size(&listener, MAY_WAIT)?;
+    set_socket_recv_buffer_size(&listener, SERIAL_BUFFER_BYTES)?;
     Ok(listener)
 }
 

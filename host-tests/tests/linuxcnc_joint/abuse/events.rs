@@ -136,7 +136,7 @@ impl Kind {
             Program => rapid_move(rig)?,
             Abort => {
                 moving(rig)?;
-                rig.cnc.ask(&json!({ "do": "abort" }))?;
+                rig.cnc.send_request(&json!({ "do": "abort" }))?;
                 rig.idle()?;
             }
             EStop => switched(rig, "estop")?,
@@ -160,7 +160,7 @@ impl Kind {
             }
             LongSilence => {
                 silence(rig, true)?;
-                rig.cnc.wait("a fault", 10, &["trueup.0.fault"], |seen| seen[0] == 1.0)?;
+                rig.cnc.wait_for_pins("a fault", 10, &["trueup.0.fault"], |seen| seen[0] == 1.0)?;
                 rig.rest(0, 500);
                 silence(rig, false)?;
             }
@@ -188,7 +188,7 @@ fn moving(rig: &mut Abused) -> Result<()> {
     if rig.random.random_bool(0.5) {
         rig.say_any()?;
     }
-    rig.cnc.act("begin_mdi", "text", format!("G53 {code} X{x:.3} Y{y:.3} Z{z:.3}"))?;
+    rig.cnc.send_command("begin_mdi", "text", format!("G53 {code} X{x:.3} Y{y:.3} Z{z:.3}"))?;
     rig.rest(20, 350);
     if rig.random.random_bool(0.5) {
         rig.say_any()?;
@@ -209,7 +209,7 @@ fn switched(rig: &mut Abused, state: &str) -> Result<()> {
 }
 
 fn switch(rig: &mut Abused, state: &str) -> Result<()> {
-    rig.cnc.act("state", "name", state)?;
+    rig.cnc.send_command("state", "name", state)?;
     if rig.random.random_bool(0.5) {
         rig.say_any()?;
     }
@@ -221,9 +221,11 @@ fn drive_fault(rig: &mut Abused) -> Result<()> {
     moving(rig)?;
     let pin = if rig.random.random_bool(0.5) { "joint.1" } else { "spindle.0" };
     let pin = format!("{pin}.amp-fault-in");
-    rig.cnc.set(&pin, 1)?;
-    rig.cnc.wait("the machine is off", 5, &["motion.motion-enabled"], |seen| seen[0] == 0.0)?;
-    rig.cnc.set(&pin, 0)?;
+    rig.cnc.set_pin(&pin, 1)?;
+    rig.cnc.wait_for_pins("the machine is off", 5, &["motion.motion-enabled"], |seen| {
+        seen[0] == 0.0
+    })?;
+    rig.cnc.set_pin(&pin, 0)?;
     // Until the task has seen it.
     rig.rest(100, 300);
     Ok(())
@@ -234,7 +236,7 @@ fn homing(rig: &mut Abused) -> Result<()> {
     rig.mdi("G53 G0 X-3")?;
     rig.say_any()?;
     rig.rest(0, 100);
-    rig.cnc.act("home", "joint", 0).map(drop)
+    rig.cnc.send_command("home", "joint", 0).map(drop)
 }
 
 /// Begins to home X, and breaks it off in any of its phases: search, way back, latch at 0.1 mm/s.
@@ -242,7 +244,7 @@ fn homing_broken(rig: &mut Abused) -> Result<()> {
     rig.mdi("G53 G0 X-3")?;
     rig.say_any()?;
     rig.rest(0, 100);
-    rig.cnc.act("begin_home", "joint", 0)?;
+    rig.cnc.send_command("begin_home", "joint", 0)?;
     rig.rest(10, 900);
     break_off(rig)?;
     rig.on()
@@ -251,7 +253,7 @@ fn homing_broken(rig: &mut Abused) -> Result<()> {
 /// Aborts, stops or switches off.
 fn break_off(rig: &mut Abused) -> Result<()> {
     match rig.random.random_range(0..3) {
-        0 => rig.cnc.ask(&json!({ "do": "abort" })).map(drop),
+        0 => rig.cnc.send_request(&json!({ "do": "abort" })).map(drop),
         1 => switch(rig, "estop"),
         _ => switch(rig, "off"),
     }
@@ -263,7 +265,7 @@ fn soft_limit(rig: &mut Abused) -> Result<f64> {
     let mm = rig.draw(0.01, 0.05);
     rig.say([side * mm * 1e3, 0.0, 0.0])?;
     rig.applied()?;
-    rig.cnc.ask(&json!({ "do": "jog", "axis": 0, "speed": side * MAX_VELOCITY }))?;
+    rig.cnc.send_request(&json!({ "do": "jog", "axis": 0, "speed": side * MAX_VELOCITY }))?;
     // Until the offset stands back.
     thread::sleep(Duration::from_millis(600));
     // The place of the joint differs by the scatter of the home switch.
@@ -296,7 +298,7 @@ fn probing_broken(rig: &mut Abused) -> Result<()> {
     rig.say_any()?;
     rig.mdi(&format!("G53 G0 Z{:.4}", SURFACE + 2.0))?;
     let feed = rig.draw(10.0, 60.0);
-    rig.cnc.act("begin_mdi", "text", format!("G38.2 Z{:.4} F{feed:.1}", SURFACE - 1.0))?;
+    rig.cnc.send_command("begin_mdi", "text", format!("G38.2 Z{:.4} F{feed:.1}", SURFACE - 1.0))?;
     rig.rest(20, 500);
     break_off(rig)?;
     rig.on()?;
@@ -307,10 +309,10 @@ fn overrides(rig: &mut Abused) -> Result<()> {
     moving(rig)?;
     for _ in 0..3 {
         let (feed, rapid) = (rig.draw(0.0, 1.5), rig.draw(0.05, 1.0));
-        rig.cnc.ask(&json!({ "do": "overrides", "feed": feed, "rapid": rapid }))?;
+        rig.cnc.send_request(&json!({ "do": "overrides", "feed": feed, "rapid": rapid }))?;
         rig.rest(20, 150);
     }
-    rig.cnc.ask(&json!({ "do": "overrides", "feed": 1.0, "rapid": 1.0 }))?;
+    rig.cnc.send_request(&json!({ "do": "overrides", "feed": 1.0, "rapid": 1.0 }))?;
     rig.idle()
 }
 
@@ -321,9 +323,9 @@ fn pause(rig: &mut Abused) -> Result<()> {
         program += &format!("G53 G1 F1500 X{x:.3} Y{y:.3} Z{z:.3}\n");
     }
     fs::write(rig.cnc.folder().join(PROGRAM), program + "M2\n")?;
-    rig.cnc.begin(PROGRAM)?;
+    rig.cnc.start_program(PROGRAM)?;
     rig.rest(50, 400);
-    rig.cnc.ask(&json!({ "do": "pause" }))?;
+    rig.cnc.send_request(&json!({ "do": "pause" }))?;
     rig.say_any()?;
     rig.rest(50, 300);
     rig.cnc.resume()?;
@@ -335,7 +337,8 @@ fn jog(rig: &mut Abused) -> Result<()> {
     let side = if rig.random.random_bool(0.5) { 1.0 } else { -1.0 };
     let (speed, seconds) = (side * rig.draw(3.0, MAX_VELOCITY), rig.draw(0.05, 0.5));
     rig.say_any()?;
-    rig.cnc.ask(&json!({ "do": "jog", "axis": axis, "speed": speed, "seconds": seconds }))?;
+    rig.cnc
+        .send_request(&json!({ "do": "jog", "axis": axis, "speed": speed, "seconds": seconds }))?;
     rig.mdi("G53 G0 X5 Y0")
 }
 
@@ -388,7 +391,9 @@ fn calibration(rig: &mut Abused) -> Result<()> {
         rig.bridge.as_ref().context("a bridge")?.run_on(crc);
         kill(rig, false)?;
         let names = ["trueup.0.connected", "trueup.0.other-calibration"];
-        rig.cnc.wait("its calibration is known", 10, &names, |seen| seen == [1.0, is_other])?;
+        rig.cnc.wait_for_pins("its calibration is known", 10, &names, |seen| {
+            seen == [1.0, is_other]
+        })?;
     }
     Ok(())
 }

@@ -66,7 +66,7 @@ fn campaign_abuse() -> Result<()> {
     println!("seed {seed}: {cycles} servo cycles and {events} events, by {each} ways of entering");
     let (mut outcomes, mut version) = (Vec::new(), String::new());
     for (way, seed) in ways.iter().zip(seed..) {
-        let Some(control) = setup::linuxcnc()? else {
+        let Some(control) = setup::ensure_linuxcnc()? else {
             println!("skipped: this distribution has no package of LinuxCNC");
             return Ok(());
         };
@@ -102,7 +102,7 @@ fn abuse(
         let kind = Kind::draw(&mut rig);
         happened.push(kind);
         let number = happened.len();
-        rig.cnc.act("mark", "scenario", number)?;
+        rig.cnc.send_command("mark", "scenario", number)?;
         match kind.happen(&mut rig).and_then(|measured| Ok((measured, rig.settle()?))) {
             Ok((measured, off)) => {
                 most.take(&measured);
@@ -135,7 +135,7 @@ fn abuse(
     // What the recorder holds back for a moment.
     thread::sleep(Duration::from_millis(300));
     rig.judge();
-    rig.cnc.end()?;
+    rig.cnc.close()?;
     Ok(Outcome {
         way,
         full_acceleration: MAX_ACCELERATION,

@@ -7,7 +7,7 @@ use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use trueup_emulator::{
-    linuxcnc::headless::{Headless, Sampler},
+    linuxcnc::headless::{HeadlessLinuxCnc, Sampler},
     setup::LinuxCnc,
 };
 use trueup_machine::{MachineFile, compile};
@@ -25,7 +25,7 @@ use super::{
     judge::{Bounds, Entry, Judge, off_um},
 };
 
-/// The slew limit of external offsets, in mm/s: 0.8 % of the axis' speed, and so of its acceleration, is set aside.
+/// The slew limit of external offsets, in mm/s: 0.8 % of the axis' speed, and so of its acceleration, is reserved.
 const EOFFSET_SLEW: f64 = 0.24;
 /// Largest offsets of the machine files, in mm.
 const SIZE: [f64; 3] = [0.2, 0.2, 0.5];
@@ -142,7 +142,7 @@ fn is_right(offset_um: &[f64], x_mm: f64, growth_um: f64) -> bool {
 /// One that is abused.
 pub(crate) struct Abused {
     pub way: Way,
-    pub cnc: Headless,
+    pub cnc: HeadlessLinuxCnc,
     /// None without a board.
     pub bridge: Option<FakeBridge>,
     /// CRC of the calibration that the component expects.
@@ -187,7 +187,7 @@ impl Abused {
             cycles,
             _sampler: sampler,
         };
-        rig.cnc.switch_on()?;
+        rig.cnc.power_on_and_home()?;
         rig.mdi("G53 G0 X-5 Y0 Z-1")?;
         rig.settle()?;
         Ok(rig)
@@ -217,7 +217,7 @@ impl Abused {
 
     /// Sets the sensor without a board, in volts.
     pub(crate) fn sensor(&mut self, volts: f64) -> Result<()> {
-        self.cnc.set("siggen.0.offset", volts)
+        self.cnc.set_pin("siggen.0.offset", volts)
     }
 
     /// Lets the bridge say offsets that are drawn.
@@ -235,7 +235,7 @@ impl Abused {
     /// Returns a place: X on the other side of where it is now, so that it moves far enough to reach all of its
     /// acceleration.
     pub(crate) fn place(&mut self) -> Result<[f64; 3]> {
-        let x = self.cnc.pin("axis.x.pos-cmd")?;
+        let x = self.cnc.read_pin("axis.x.pos-cmd")?;
         let other_side = if x > 0.0 { -1.0 } else { 1.0 };
         Ok([
             other_side * self.draw(ROOM / 4.0, ROOM),
@@ -245,23 +245,23 @@ impl Abused {
     }
 
     pub(crate) fn mdi(&mut self, text: &str) -> Result<()> {
-        self.cnc.act("mdi", "text", text).map(drop)
+        self.cnc.send_command("mdi", "text", text).map(drop)
     }
 
     /// Waits until nothing moves and the interpreter has nothing to do.
     pub(crate) fn idle(&mut self) -> Result<()> {
-        self.cnc.ask(&json!({ "do": "idle" })).map(drop)
+        self.cnc.send_request(&json!({ "do": "idle" })).map(drop)
     }
 
     /// Returns the state of LinuxCNC.
     pub(crate) fn stat(&mut self) -> Result<Value> {
-        self.cnc.ask(&json!({ "do": "stat" }))
+        self.cnc.send_request(&json!({ "do": "stat" }))
     }
 
     /// Returns what the drives get, in mm.
     pub(crate) fn drives(&mut self) -> Result<[f64; 3]> {
         let names = self.way.drives();
-        let seen = self.cnc.pins(&names.each_ref().map(String::as_str))?;
+        let seen = self.cnc.read_pins(&names.each_ref().map(String::as_str))?;
         seen.try_into().ok().context("three drives")
     }
 
@@ -273,7 +273,7 @@ impl Abused {
                 ["trueup-j0.offset", "trueup-j1.offset", "trueup-j2.offset"]
             }
         };
-        self.cnc.pins(&names)?.try_into().ok().context("three offsets")
+        self.cnc.read_pins(&names)?.try_into().ok().context("three offsets")
     }
 
     /// Waits until the offsets act that the bridge says; without a board those that are right for place and growth.
@@ -283,7 +283,7 @@ impl Abused {
         let (said, way) = (self.said_um, self.way);
         // Pins are read one after the other: twice, so that all are of one state.
         for _ in 0..2 {
-            self.cnc.wait(&format!("{said:.3?} act"), 15, &names, |seen| {
+            self.cnc.wait_for_pins(&format!("{said:.3?} act"), 15, &names, |seen| {
                 let is_there = match way {
                     Way::NoBoard => is_right(&seen[..3], seen[3], said[2]),
                     _ => (0..3).all(|axis| (seen[axis] - said[axis]).abs() < 0.02),
@@ -307,10 +307,10 @@ impl Abused {
         self.applied()?;
         let drives = self.drives()?;
         let names = ["axis.x.pos-cmd", "axis.y.pos-cmd", "axis.z.pos-cmd"];
-        let axes: [f64; 3] = self.cnc.pins(&names)?.try_into().ok().context("three axes")?;
+        let axes: [f64; 3] = self.cnc.read_pins(&names)?.try_into().ok().context("three axes")?;
         let said_um = match self.bridge {
             Some(_) => self.said_um,
-            None => self.cnc.pins(&OFFSETS)?.try_into().ok().context("three offsets")?,
+            None => self.cnc.read_pins(&OFFSETS)?.try_into().ok().context("three offsets")?,
         };
         let off = off_um(drives, axes, said_um);
         let is_off = (0..3).any(|axis| off[axis].abs() > OFF_UM[axis]);
@@ -339,18 +339,18 @@ impl Abused {
         if self.way != Way::Eoffset {
             names.extend(limiter.iter().map(String::as_str));
         }
-        let values = self.cnc.pins(&names)?;
+        let values = self.cnc.read_pins(&names)?;
         let each = names.iter().zip(values).map(|(name, value)| format!("{name} {value:.6}"));
         Ok(each.collect::<Vec<_>>().join(", "))
     }
 
     /// Brings everything in order after something was lost.
     pub(crate) fn recover(&mut self) -> Result<()> {
-        self.cnc.ask(&json!({ "do": "abort" }))?;
-        self.cnc.ask(&json!({ "do": "overrides", "feed": 1.0, "rapid": 1.0 }))?;
-        self.cnc.set("joint.1.amp-fault-in", 0)?;
-        self.cnc.set("spindle.0.amp-fault-in", 0)?;
-        if self.cnc.pin("motion.feed-inhibit")? != 0.0 {
+        self.cnc.send_request(&json!({ "do": "abort" }))?;
+        self.cnc.send_request(&json!({ "do": "overrides", "feed": 1.0, "rapid": 1.0 }))?;
+        self.cnc.set_pin("joint.1.amp-fault-in", 0)?;
+        self.cnc.set_pin("spindle.0.amp-fault-in", 0)?;
+        if self.cnc.read_pin("motion.feed-inhibit")? != 0.0 {
             // It was killed, and has left its wires.
             load_component(&mut self.cnc, "KILL")?;
         }
@@ -362,17 +362,17 @@ impl Abused {
     /// Switches the machine on, and homes X where that was broken off. Y and Z have no switch: homed again, they would
     /// be at 0 wherever they stand.
     pub(crate) fn on(&mut self) -> Result<()> {
-        self.cnc.act("state", "name", "reset")?;
-        self.cnc.act("state", "name", "on")?;
-        if self.cnc.pin("joint.0.homed")? == 0.0 {
-            self.cnc.act("home", "joint", 0)?;
+        self.cnc.send_command("state", "name", "reset")?;
+        self.cnc.send_command("state", "name", "on")?;
+        if self.cnc.read_pin("joint.0.homed")? == 0.0 {
+            self.cnc.send_command("home", "joint", 0)?;
         }
-        self.cnc.switch_on()
+        self.cnc.power_on_and_home()
     }
 
     /// Returns the version of LinuxCNC.
     pub(crate) fn version(&mut self) -> Result<String> {
-        let version = self.cnc.ask(&json!({ "do": "version" }))?;
+        let version = self.cnc.send_request(&json!({ "do": "version" }))?;
         Ok(version.as_str().context("a version")?.to_owned())
     }
 

@@ -1,8 +1,8 @@
 //! Columns that follow from others row by row: gaps filled, values behind a first-order lag.
 
 /// With the value before in place of a missing one; at the start, the next one.
-pub(crate) fn filled(values: &[f64]) -> Vec<f64> {
-    let mut last = first_of(values);
+pub(crate) fn forward_fill(values: &[f64]) -> Vec<f64> {
+    let mut last = first_finite(values);
     values
         .iter()
         .map(|&value| {
@@ -15,22 +15,22 @@ pub(crate) fn filled(values: &[f64]) -> Vec<f64> {
 }
 
 /// Returns the first value that is there; 0 where none is.
-pub(crate) fn first_of(values: &[f64]) -> f64 {
+pub(crate) fn first_finite(values: &[f64]) -> f64 {
     values.iter().copied().find(|value| !value.is_nan()).unwrap_or(0.0)
 }
 
 /// Where a lag begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Start {
+pub(super) enum InitialState {
     /// At its first value: a temperature.
     Settled,
     /// At 0: heat of a spindle that was cold.
     Cold,
 }
 
-impl Start {
+impl InitialState {
     /// Returns what the lag is at its first value.
-    pub(super) fn at(self, value: f64) -> f64 {
+    pub(super) fn initial_value(self, value: f64) -> f64 {
         match self {
             Self::Settled => value,
             Self::Cold => 0.0,
@@ -40,12 +40,12 @@ impl Start {
 
 /// `values` behind a first-order lag, whose time constants in s are for its rise and for its fall, as
 /// `trueup_machine::model::Lag` steps it; anew at each `restart`, from `start` on; missing values hold.
-pub(super) fn lag(
+pub(super) fn apply_lag(
     values: &[f64],
     time_s: &[f64],
     restart: &[bool],
     [rise_s, fall_s]: [f64; 2],
-    start: Start,
+    start: InitialState,
 ) -> Vec<f64> {
     let mut out = Vec::with_capacity(values.len());
     let mut settled: Option<f64> = None;
@@ -58,19 +58,19 @@ pub(super) fn lag(
     // Which way it goes from row to row is noise, and not asked where it does not matter.
     let is_one = rise_s == fall_s;
     let (mut row, mut first) = (0, 0.0);
-    let mut even = Even::new(0.0);
+    let mut even = UniformlySampledLag::new(0.0);
     while row < values.len() {
         if let Some(before) = settled.filter(|_| row > 0 && before_s == time_s[row - 1])
-            && let Some(next) = next_even(values, time_s, restart, row, last_elapsed)
+            && let Some(next) = next_uniform_values(values, time_s, restart, row, last_elapsed)
         {
             let next = if is_one {
-                even.behind(next, first, before)
+                even.step_lag(next, first, before)
             } else {
-                either(next, before, last_shares)
+                step_asymmetric_lag(next, before, last_shares)
             };
             out.extend_from_slice(&next);
-            row += AT_ONCE;
-            (settled, before_s) = (Some(next[AT_ONCE - 1]), time_s[row - 1]);
+            row += LAG_LANES;
+            (settled, before_s) = (Some(next[LAG_LANES - 1]), time_s[row - 1]);
             continue;
         }
         if restart[row] {
@@ -80,7 +80,7 @@ pub(super) fn lag(
         if !value.is_nan() && !now_s.is_nan() {
             let before = settled.unwrap_or_else(|| {
                 first = value;
-                start.at(value)
+                start.initial_value(value)
             });
             let elapsed = if before_s.is_nan() { 0.0 } else { (now_s - before_s).max(0.0) };
             before_s = now_s;
@@ -88,7 +88,7 @@ pub(super) fn lag(
                 last_elapsed = elapsed;
                 last_shares = [share(elapsed, rise_s); 2];
                 if is_one {
-                    even = Even::new(last_shares[0]);
+                    even = UniformlySampledLag::new(last_shares[0]);
                 } else {
                     last_shares[1] = share(elapsed, fall_s);
                 }
@@ -99,12 +99,12 @@ pub(super) fn lag(
         out.push(settled.unwrap_or(f64::NAN));
         row += 1;
     }
-    if out.iter().any(|value| value.is_nan()) { filled(&out) } else { out }
+    if out.iter().any(|value| value.is_nan()) { forward_fill(&out) } else { out }
 }
 
 /// Rows that a lag is stepped through at once where they are equally far apart: one after the other each waits for
 /// the one before.
-const AT_ONCE: usize = 8;
+const LAG_LANES: usize = 8;
 
 /// A lag through rows that are equally far apart: with the share s of the way in one step and φ = 1 − s
 ///
@@ -113,13 +113,13 @@ const AT_ONCE: usize = 8;
 /// ```
 ///
 /// of which the sum does not wait for y. Both from the first value on, so that what stays stays to the bit.
-struct Even {
+struct UniformlySampledLag {
     share: f64,
     /// φ, φ²…
-    kept: [f64; AT_ONCE],
+    kept: [f64; LAG_LANES],
 }
 
-impl Even {
+impl UniformlySampledLag {
     fn new(share: f64) -> Self {
         let mut power = 1.0;
         let kept = std::array::from_fn(|_| {
@@ -130,7 +130,7 @@ impl Even {
     }
 
     /// Returns the `next` values behind the lag, which is at `before`; `first` is near all of them.
-    fn behind(&self, next: &[f64; AT_ONCE], first: f64, before: f64) -> [f64; AT_ONCE] {
+    fn step_lag(&self, next: &[f64; LAG_LANES], first: f64, before: f64) -> [f64; LAG_LANES] {
         let Self { share, kept } = self;
         let ahead = before - first;
         let mut sum = 0.0;
@@ -143,7 +143,11 @@ impl Even {
 
 /// Returns the `next` values behind a lag that is at `before`, with a share of the way for its rise and one for its
 /// fall: of both steps the upper one where the rise is the faster one, else the lower one.
-fn either(next: &[f64; AT_ONCE], before: f64, [rise, fall]: [f64; 2]) -> [f64; AT_ONCE] {
+fn step_asymmetric_lag(
+    next: &[f64; LAG_LANES],
+    before: f64,
+    [rise, fall]: [f64; 2],
+) -> [f64; LAG_LANES] {
     let mut here = before;
     let mut step = |value: f64, one: fn(f64, f64) -> f64| {
         let apart = value - here;
@@ -159,20 +163,20 @@ fn either(next: &[f64; AT_ONCE], before: f64, [rise, fall]: [f64; 2]) -> [f64; A
 
 /// Returns the next values from `row` on, above 0, if each follows `elapsed` after the one before it and none is
 /// missing.
-fn next_even<'v>(
+fn next_uniform_values<'v>(
     values: &'v [f64],
     time_s: &[f64],
     restart: &[bool],
     row: usize,
     elapsed: f64,
-) -> Option<&'v [f64; AT_ONCE]> {
-    let next = values.get(row..)?.first_chunk::<AT_ONCE>()?;
-    let now_s = time_s.get(row..)?.first_chunk::<AT_ONCE>()?;
-    let before_s = time_s.get(row - 1..)?.first_chunk::<AT_ONCE>()?;
-    let restart = restart.get(row..)?.first_chunk::<AT_ONCE>()?;
+) -> Option<&'v [f64; LAG_LANES]> {
+    let next = values.get(row..)?.first_chunk::<LAG_LANES>()?;
+    let now_s = time_s.get(row..)?.first_chunk::<LAG_LANES>()?;
+    let before_s = time_s.get(row - 1..)?.first_chunk::<LAG_LANES>()?;
+    let restart = restart.get(row..)?.first_chunk::<LAG_LANES>()?;
     let near = 1e-9 * elapsed;
     let mut are_even = true;
-    for n in 0..AT_ONCE {
+    for n in 0..LAG_LANES {
         are_even &= (now_s[n] - before_s[n] - elapsed).abs() <= near;
     }
     let is_none_missing = !next.iter().sum::<f64>().is_nan();
@@ -181,16 +185,21 @@ fn next_even<'v>(
 
 /// `values` smoothed over `width_s` without being late: behind a lag of half of it in time, of that
 /// behind one against time.
-pub(super) fn smoothed(values: &[f64], time_s: &[f64], restart: &[bool], width_s: f64) -> Vec<f64> {
+pub(super) fn smooth_zero_phase(
+    values: &[f64],
+    time_s: &[f64],
+    restart: &[bool],
+    width_s: f64,
+) -> Vec<f64> {
     let reversed = |list: &[f64]| list.iter().rev().copied().collect::<Vec<f64>>();
     let against_s: Vec<f64> = time_s.iter().rev().map(|time_s| -time_s).collect();
     // Against time a series begins where it ends.
     let ends: Vec<bool> =
         (0..values.len()).rev().map(|row| restart.get(row + 1).copied().unwrap_or(true)).collect();
     let lags_s = [0.5 * width_s; 2];
-    let settled = Start::Settled;
-    let against = lag(&reversed(values), &against_s, &ends, lags_s, settled);
-    lag(&reversed(&against), time_s, restart, lags_s, settled)
+    let settled = InitialState::Settled;
+    let against = apply_lag(&reversed(values), &against_s, &ends, lags_s, settled);
+    apply_lag(&reversed(&against), time_s, restart, lags_s, settled)
 }
 
 #[cfg(test)]
@@ -208,14 +217,14 @@ mod tests {
         let mut values: Vec<f64> = (0..rows).map(|row| 20.0 + (0.3 * row as f64).sin()).collect();
         values[90] = f64::NAN;
         let all = [[0.0; 2], [0.02; 2], [3.0; 2], [1e5; 2], [3.0, 9.0], [9.0, 3.0], [3.0, 0.0]];
-        let starts = [Start::Settled, Start::Cold];
+        let starts = [InitialState::Settled, InitialState::Cold];
         for (lags_s, start) in all.into_iter().flat_map(|s| starts.map(|start| (s, start))) {
-            let found = lag(&values, &time_s, &restart, lags_s, start);
+            let found = apply_lag(&values, &time_s, &restart, lags_s, start);
             let (mut here, mut before) = (f64::NAN, f64::NAN);
             for row in 0..rows {
                 if restart[row] {
                     let is_late = lags_s != [0.0; 2];
-                    here = if is_late { start.at(values[row]) } else { values[row] };
+                    here = if is_late { start.initial_value(values[row]) } else { values[row] };
                     before = time_s[row];
                 } else if !values[row].is_nan() {
                     let lag_s = lags_s[usize::from(values[row] < here)];
@@ -226,7 +235,8 @@ mod tests {
                 assert!((found[row] - here).abs() < 1e-11, "{lags_s:?} s, {start:?}, row {row}");
             }
         }
-        let still = lag(&vec![21.7; rows], &time_s, &restart, [3.0; 2], Start::Settled);
+        let still =
+            apply_lag(&vec![21.7; rows], &time_s, &restart, [3.0; 2], InitialState::Settled);
         assert!(still.iter().all(|&value| value == 21.7));
     }
 
@@ -239,8 +249,8 @@ mod tests {
         let noise = |row: i32| if row % 2 == 0 { 1.0 } else { -1.0 };
         let slope = |row: i32| 0.1 * f64::from(row % 200);
         let values: Vec<f64> = (0..rows).map(|row| slope(row) + noise(row)).collect();
-        let smooth = smoothed(&values, &time_s, &restart, 20.0);
-        let late = lag(&values, &time_s, &restart, [20.0; 2], Start::Settled);
+        let smooth = smooth_zero_phase(&values, &time_s, &restart, 20.0);
+        let late = apply_lag(&values, &time_s, &restart, [20.0; 2], InitialState::Settled);
         for row in [100, 300] {
             let [smooth, late] = [&smooth, &late].map(|list| list[row as usize] - slope(row));
             assert!(smooth.abs() < 0.05, "{smooth}");

@@ -13,42 +13,42 @@
 
 use std::sync::Arc;
 
-use super::{lag::Start, row_blocks::RowBlocks};
+use super::{lag::InitialState, row_blocks::RowBlocks};
 
 /// Coefficients of a series.
-const TERMS: usize = 8;
-/// The longest piece whose series is believed, in time constants: the first term that is left out is
+const SERIES_TERMS: usize = 8;
+/// The longest piece whose series is believed, in time constants: the first omitted term is
 /// 0.12⁸/8! = 10⁻¹² there.
-const LONGEST: f64 = 0.12;
+const MAX_PIECE_TIME_CONSTANTS: f64 = 0.12;
 
-type Series = [f64; TERMS];
+type PowerSeries = [f64; SERIES_TERMS];
 
 /// Returns the value of a series at ε, whose powers are given.
-fn value(series: &Series, powers: &Series) -> f64 {
+fn evaluate_series(series: &PowerSeries, powers: &PowerSeries) -> f64 {
     series.iter().zip(powers).map(|(coefficient, power)| coefficient * power).sum()
 }
 
 /// ε⁰, ε¹, …
-fn powers(epsilon: f64) -> Series {
+fn successive_powers(epsilon: f64) -> PowerSeries {
     std::array::from_fn(|n| epsilon.powi(n as i32))
 }
 
 /// δⁿ/n!
-fn exponential(delta: f64) -> Series {
-    let mut series = [1.0; TERMS];
-    for n in 1..TERMS {
+fn exponential_series(delta: f64) -> PowerSeries {
+    let mut series = [1.0; SERIES_TERMS];
+    for n in 1..SERIES_TERMS {
         series[n] = series[n - 1] * delta / n as f64;
     }
     series
 }
 
-fn add(sum: &mut Series, other: &Series) {
+fn add_series(sum: &mut PowerSeries, other: &PowerSeries) {
     sum.iter_mut().zip(other).for_each(|(sum, other)| *sum += other);
 }
 
 /// The pieces of a table and their times, shared by all its columns.
 #[derive(Debug)]
-pub(super) struct Clock {
+pub(super) struct TimeGrid {
     pieces: Vec<Piece>,
     /// From the row before to each row, in s; infinite where the lag begins anew.
     elapsed_s: Vec<f64>,
@@ -62,10 +62,10 @@ struct Piece {
     /// From its first row to its last, in s; infinite where a row between begins anew.
     span_s: f64,
     /// How much of the value at its first row is in the one at its last, and in the mean.
-    kept: [Series; 2],
+    kept: [PowerSeries; 2],
 }
 
-impl Clock {
+impl TimeGrid {
     /// None where a time is missing.
     pub(super) fn new(time_s: &[f64], restart: &[bool], blocks: &RowBlocks) -> Option<Self> {
         if time_s.iter().any(|time| time.is_nan()) {
@@ -78,20 +78,20 @@ impl Clock {
         let elapsed_s: Vec<f64> = (0..time_s.len()).map(since).collect();
         let mut first = 0;
         let mut pieces = Vec::with_capacity(blocks.len());
-        for rows in blocks.rows_of_each() {
+        for rows in blocks.rows_by_block() {
             let last = rows[rows.len() - 1] as usize;
-            let (mut span_s, mut mean) = (0.0, [0.0; TERMS]);
+            let (mut span_s, mut mean) = (0.0, [0.0; SERIES_TERMS]);
             let mut used = rows.iter().peekable();
             for (row, elapsed_s) in (first..).zip(&elapsed_s[first..=last]) {
                 if row > first {
                     span_s += elapsed_s;
                 }
                 if used.next_if(|used| **used as usize == row).is_some() {
-                    add(&mut mean, &exponential(span_s));
+                    add_series(&mut mean, &exponential_series(span_s));
                 }
             }
             mean.iter_mut().for_each(|mean| *mean /= rows.len() as f64);
-            let kept = [exponential(span_s), mean];
+            let kept = [exponential_series(span_s), mean];
             pieces.push(Piece { first, last, span_s, kept });
             first = last + 1;
         }
@@ -102,37 +102,37 @@ impl Clock {
 /// One column's lags.
 #[derive(Debug)]
 pub(super) struct LagSeries {
-    clock: Arc<Clock>,
+    clock: Arc<TimeGrid>,
     /// The column's contribution to the value at the last row of each piece, and to the mean.
-    added: Vec<[Series; 2]>,
+    added: Vec<[PowerSeries; 2]>,
 }
 
 impl LagSeries {
     /// Returns the pieces that it is of.
-    pub(super) fn clock(&self) -> &Arc<Clock> {
+    pub(super) fn time_grid(&self) -> &Arc<TimeGrid> {
         &self.clock
     }
 
     /// None where a value is missing.
-    pub(super) fn new(clock: &Arc<Clock>, values: &[f64], blocks: &RowBlocks) -> Option<Self> {
+    pub(super) fn new(clock: &Arc<TimeGrid>, values: &[f64], blocks: &RowBlocks) -> Option<Self> {
         if values.iter().any(|value| value.is_nan()) {
             return None;
         }
         let of = |(piece, rows): (&Piece, &[u32])| {
-            let (mut here, mut mean) = ([0.0; TERMS], [0.0; TERMS]);
+            let (mut here, mut mean) = ([0.0; SERIES_TERMS], [0.0; SERIES_TERMS]);
             let mut used = rows.iter().peekable();
             for (row, &value) in (piece.first..).zip(&values[piece.first..=piece.last]) {
                 if row > piece.first {
-                    step(&mut here, value, &exponential(clock.elapsed_s[row]));
+                    step_series(&mut here, value, &exponential_series(clock.elapsed_s[row]));
                 }
                 if used.next_if(|used| **used as usize == row).is_some() {
-                    add(&mut mean, &here);
+                    add_series(&mut mean, &here);
                 }
             }
             mean.iter_mut().for_each(|mean| *mean /= rows.len() as f64);
             [here, mean]
         };
-        let added = clock.pieces.iter().zip(blocks.rows_of_each()).map(of).collect();
+        let added = clock.pieces.iter().zip(blocks.rows_by_block()).map(of).collect();
         Some(Self { clock: clock.clone(), added })
     }
 
@@ -142,15 +142,15 @@ impl LagSeries {
         values: &[f64],
         blocks: &RowBlocks,
         tau_s: f64,
-        start: Start,
+        start: InitialState,
     ) -> Vec<f64> {
-        let powers = powers(-1.0 / tau_s);
-        let Clock { pieces, elapsed_s } = &*self.clock;
+        let powers = successive_powers(-1.0 / tau_s);
+        let TimeGrid { pieces, elapsed_s } = &*self.clock;
         let (mut known_s, mut share) = (f64::NAN, 0.0);
         // Most rows are as far apart as the rows before them, but for the rounding of their times.
         let mut settle = |before: f64, row: usize| {
             if elapsed_s[row].is_infinite() {
-                return start.at(values[row]);
+                return start.initial_value(values[row]);
             }
             if known_s.is_nan() || (elapsed_s[row] - known_s).abs() > 1e-9 * known_s {
                 known_s = elapsed_s[row];
@@ -159,13 +159,15 @@ impl LagSeries {
             before + (values[row] - before) * share
         };
         let mut here = f64::NAN;
-        let each = pieces.iter().zip(&self.added).zip(blocks.rows_of_each());
+        let each = pieces.iter().zip(&self.added).zip(blocks.rows_by_block());
         each.map(|((piece, [added_last, added_mean]), rows)| {
             here = settle(here, piece.first);
-            if piece.span_s <= LONGEST * tau_s {
+            if piece.span_s <= MAX_PIECE_TIME_CONSTANTS * tau_s {
                 let [kept_last, kept_mean] = &piece.kept;
-                let mean = here * value(kept_mean, &powers) + value(added_mean, &powers);
-                here = here * value(kept_last, &powers) + value(added_last, &powers);
+                let mean = here * evaluate_series(kept_mean, &powers)
+                    + evaluate_series(added_mean, &powers);
+                here = here * evaluate_series(kept_last, &powers)
+                    + evaluate_series(added_last, &powers);
                 return mean;
             }
             let mut sum = 0.0;
@@ -184,8 +186,8 @@ impl LagSeries {
 }
 
 /// One step of a lag, as a series.
-fn step(here: &mut Series, value: f64, decay: &Series) {
-    for n in (1..TERMS).rev() {
+fn step_series(here: &mut PowerSeries, value: f64, decay: &PowerSeries) {
+    for n in (1..SERIES_TERMS).rev() {
         let kept: f64 = (0..=n).map(|m| here[m] * decay[n - m]).sum();
         here[n] = kept - value * decay[n];
     }
@@ -193,7 +195,7 @@ fn step(here: &mut Series, value: f64, decay: &Series) {
 
 #[cfg(test)]
 mod tests {
-    use super::{super::lag::lag, *};
+    use super::{super::lag::apply_lag, *};
 
     #[test]
     fn means_by_series_are_those_of_the_rows_stepped_through() {
@@ -218,13 +220,13 @@ mod tests {
         let values: Vec<f64> = (0..count).map(column).collect();
         let counts = |row: &usize| row % 17 != 3 && !(400..470).contains(row);
         let blocks = RowBlocks::new((0..count).filter(counts), |row| row % 60 == 0 || row == 2111);
-        let clock = Arc::new(Clock::new(&time_s, &restart, &blocks).expect("all times"));
+        let clock = Arc::new(TimeGrid::new(&time_s, &restart, &blocks).expect("all times"));
         let series = LagSeries::new(&clock, &values, &blocks).expect("all values");
-        let starts = [Start::Settled, Start::Cold];
+        let starts = [InitialState::Settled, InitialState::Cold];
         for (tau_s, start) in
             [0.3, 20.0, 600.0, 900.0, 1e5].into_iter().flat_map(|s| starts.map(|start| (s, start)))
         {
-            let stepped = blocks.means(&lag(&values, &time_s, &restart, [tau_s; 2], start));
+            let stepped = blocks.means(&apply_lag(&values, &time_s, &restart, [tau_s; 2], start));
             let worst = series
                 .means(&values, &blocks, tau_s, start)
                 .iter()
@@ -240,8 +242,8 @@ mod tests {
     fn a_gap_in_the_column_has_no_series() {
         let blocks = RowBlocks::new(0..4, |row| row % 2 == 0);
         let restart = [true, false, false, false];
-        let clock = Clock::new(&[0.0, 1.0, 2.0, 3.0], &restart, &blocks).expect("all times");
+        let clock = TimeGrid::new(&[0.0, 1.0, 2.0, 3.0], &restart, &blocks).expect("all times");
         assert!(LagSeries::new(&Arc::new(clock), &[1.0, f64::NAN, 1.0, 1.0], &blocks).is_none());
-        assert!(Clock::new(&[0.0, f64::NAN, 2.0, 3.0], &restart, &blocks).is_none());
+        assert!(TimeGrid::new(&[0.0, f64::NAN, 2.0, 3.0], &restart, &blocks).is_none());
     }
 }

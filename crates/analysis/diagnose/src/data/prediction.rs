@@ -1,34 +1,35 @@
 //! The machine file's prediction for each row.
 
-use std::sync::Arc;
-
 use trueup_machine::{
     Machine,
-    applied::Uncompensated,
+    applied_offsets::UncompensatedRun,
     file::LinearAxis,
     model::{
-        ReferenceModel, Situation, part_temperatures, required_columns, shifted, time_shift_s,
+        ReferenceModel, RowInputs, part_temperatures, required_columns, shift_series, time_shift_s,
     },
 };
 
-use super::table::{Column, Data};
+use super::{
+    columns::NamedColumn,
+    table::{DataTable, RowPredictions},
+};
 
 /// Steps the reference model through the runs: as the machine file says, and by the machine's own laws,
 /// without its terms.
-pub(super) fn predict(data: &mut Data, runs: &[Uncompensated<'_>]) {
-    let machine = data.machine.clone();
-    let mut said = stepped(data, runs, &machine);
+pub(super) fn fill_predictions(data: &mut DataTable, runs: &[UncompensatedRun<'_>]) {
+    let machine = data.setting.machine.clone();
+    let mut said = simulate_machine(data, runs, &machine);
     let laws = if machine.terms.is_empty() {
         said.clone()
     } else {
-        stepped(data, runs, &Machine { terms: Vec::new(), ..machine.clone() })
+        simulate_machine(data, runs, &Machine { terms: Vec::new(), ..machine.clone() })
     };
     // A machine that has been diagnosed before may have a time shift among its terms.
-    let shift_s = time_shift_s(&machine.terms, data.quantity);
-    if let (Some(time_s), true) = (&data.time_s, shift_s != 0.0) {
-        let is_axis = data.quantity.axis().is_some();
+    let shift_s = time_shift_s(&machine.terms, data.setting.quantity);
+    if let (Some(time_s), true) = (data.time_s(), shift_s != 0.0) {
+        let is_axis = data.setting.quantity.axis().is_some();
         let part = if is_axis { &mut said.axis } else { &mut said.elongation };
-        *part = shifted(time_s, part, shift_s);
+        *part = shift_series(time_s, part, shift_s);
     }
     data.used = (0..data.rows)
         .map(|row| {
@@ -36,32 +37,40 @@ pub(super) fn predict(data: &mut Data, runs: &[Uncompensated<'_>]) {
             data.measured[row].is_finite() && p.is_finite()
         })
         .collect();
-    (data.elongation, data.along) = (said.elongation, said.along.into());
-    (data.law, data.axis, data.thermal) = (laws.elongation, laws.axis, laws.thermal);
+    data.predicted = RowPredictions {
+        elongation: said.elongation.into(),
+        along: said.along.into(),
+        law: laws.elongation.into(),
+        axis: laws.axis.into(),
+        thermal: laws.thermal.into(),
+    };
 }
 
 /// A machine's prediction for each row.
 #[derive(Clone)]
-struct Stepped {
+struct MachinePrediction {
     elongation: Vec<f64>,
     along: Vec<f64>,
     axis: Vec<f64>,
     thermal: Vec<f64>,
 }
 
-fn stepped(data: &Data, runs: &[Uncompensated<'_>], machine: &Machine) -> Stepped {
-    let at = |column: &Option<Arc<[f64]>>, row: usize| {
-        column.as_ref().map_or(f64::NAN, |values| values[row])
-    };
+fn simulate_machine(
+    data: &DataTable,
+    runs: &[UncompensatedRun<'_>],
+    machine: &Machine,
+) -> MachinePrediction {
+    let at = |column: Option<&[f64]>, row: usize| column.map_or(f64::NAN, |values| values[row]);
     let angles: Vec<[Option<&[f64]>; 3]> =
         runs.iter().map(|run| ["a_deg", "b_deg", "c_deg"].map(|name| run.column(name))).collect();
     let counts: Vec<Option<&[f64]>> = runs.iter().map(|run| run.column("sensor_counts")).collect();
     let feeds: Vec<Option<&[f64]>> = runs.iter().map(|run| run.column("feed_mm_per_min")).collect();
     let lengths: Vec<Option<&[f64]>> =
         runs.iter().map(|run| run.column("tool_length_mm")).collect();
-    let axis = data.quantity.axis().map(LinearAxis::index);
+    let axis = data.setting.quantity.axis().map(LinearAxis::index);
     let list = || Vec::with_capacity(data.rows);
-    let mut stepped = Stepped { elongation: list(), along: list(), axis: list(), thermal: list() };
+    let mut stepped =
+        MachinePrediction { elongation: list(), along: list(), axis: list(), thermal: list() };
     let needed = required_columns(machine);
     let mut row = 0;
     for (number, run) in runs.iter().enumerate() {
@@ -69,36 +78,37 @@ fn stepped(data: &Data, runs: &[Uncompensated<'_>], machine: &Machine) -> Steppe
             ["time_s", "run", "spindle_rpm", "load_n"].map(|name| run.column(name).is_some());
         let mut reference = ReferenceModel::new(machine);
         let parts_c = part_temperatures(machine, |name| run.column(name));
-        let columns = data.temperatures.iter().map(|(name, _)| name);
+        let columns = data.temperatures().iter().map(|(name, _)| name);
         let columns = columns.chain(parts_c.iter().map(|(name, _)| name));
         let mut temperatures: Vec<(&str, f64)> =
             columns.map(|name| (name.as_str(), f64::NAN)).collect();
         let is_read = |name: &str| needed.iter().any(|needed| needed == name);
-        let read: Vec<&Column> = data.others.iter().filter(|(name, _)| is_read(name)).collect();
+        let read: Vec<&NamedColumn> =
+            data.other_columns().iter().filter(|(name, _)| is_read(name)).collect();
         let mut others: Vec<(&str, f64)> =
             read.iter().map(|(name, _)| (name.as_str(), f64::NAN)).collect();
-        for own in 0..run.rows() {
+        for own in 0..run.row_count() {
             for ((_, now), (_, values)) in others.iter_mut().zip(&read) {
                 *now = values[row];
             }
-            for ((_, now_c), (_, values)) in temperatures.iter_mut().zip(&data.temperatures) {
+            for ((_, now_c), (_, values)) in temperatures.iter_mut().zip(data.temperatures()) {
                 *now_c = values[row];
             }
-            let of_parts = temperatures.iter_mut().skip(data.temperatures.len()).zip(&parts_c);
+            let of_parts = temperatures.iter_mut().skip(data.temperatures().len()).zip(&parts_c);
             of_parts.for_each(|((_, now_c), (_, values))| *now_c = values[own]);
             let of = |column: Option<&[f64]>| column.map_or(f64::NAN, |values| values[own]);
-            let parts = reference.step(&Situation {
-                time_s: has_time.then(|| at(&data.time_s, row)),
-                run: has_run.then(|| at(&data.run, row)),
+            let parts = reference.step(&RowInputs {
+                time_s: has_time.then(|| at(data.time_s(), row)),
+                run: has_run.then(|| at(data.run_numbers(), row)),
                 sensor_counts: of(counts[number]),
-                spindle_rpm: has_speed.then(|| at(&data.spindle_rpm, row)),
-                load_n: has_load.then(|| at(&data.load_n, row)),
+                spindle_rpm: has_speed.then(|| at(data.spindle_rpm(), row)),
+                load_n: has_load.then(|| at(data.load_n(), row)),
                 feed_mm_per_min: of(feeds[number]),
                 temperatures_c: &temperatures,
                 others: &others,
-                position_mm: [0, 1, 2].map(|n| at(&data.position_mm[n], row)),
+                position_mm: data.positions_mm().map(|axis| at(axis, row)),
                 angle_deg: angles[number].map(of),
-                direction: [0, 1, 2].map(|n| at(&data.direction[n], row)),
+                direction: LinearAxis::ALL.map(|axis| at(data.direction(axis), row)),
                 tool_length_mm: lengths[number].map(|lengths| lengths[own]),
             });
             let (along, rest, thermal) = match axis {
@@ -109,7 +119,7 @@ fn stepped(data: &Data, runs: &[Uncompensated<'_>], machine: &Machine) -> Steppe
                     parts.thermal_um[axis],
                 ),
             };
-            let is_blind = along == 0.0 || !data.has_elongation;
+            let is_blind = along == 0.0 || !data.setting.has_elongation;
             stepped.elongation.push(if is_blind { 0.0 } else { parts.elongation_um });
             stepped.along.push(if is_blind && axis.is_some() { 0.0 } else { along });
             stepped.axis.push(rest);

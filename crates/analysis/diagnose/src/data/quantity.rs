@@ -2,12 +2,15 @@
 
 use trueup_machine::{BadInput, RunFile, file::Quantity};
 
-/// Returns the quantity that is asked for, or the only one that the runs measure.
-pub(crate) fn quantity_of(runs: &[RunFile], asked: Option<Quantity>) -> Result<Quantity, BadInput> {
+/// Returns the quantity that is requested, or the only one that the runs measure.
+pub(crate) fn resolve_quantity(
+    runs: &[RunFile],
+    asked: Option<Quantity>,
+) -> Result<Quantity, BadInput> {
     let measured = |quantity: Quantity| format!("measured_{}_um", quantity.name());
     if let Some(quantity) = asked {
         for run in runs {
-            run.require(&measured(quantity))?;
+            run.require_column(&measured(quantity))?;
         }
         return Ok(quantity);
     }
@@ -20,11 +23,11 @@ pub(crate) fn quantity_of(runs: &[RunFile], asked: Option<Quantity>) -> Result<Q
         [only] => Ok(only),
         [] => {
             if let Some(slip) =
-                runs.iter().find_map(|run| run.slip(|it| it.starts_with("measured_")))
+                runs.iter().find_map(|run| run.column_typo(|it| it.starts_with("measured_")))
             {
                 return Err(slip);
             }
-            let places = first.place(0, "");
+            let places = first.value_location(0, "");
             let header = trueup_machine::Location { line: 1, column: 1, ..places };
             let rule = "a column measured_elongation_um, measured_dx_um, measured_dy_um or \
                         measured_dz_um is missing: there is nothing to compare the model with";
@@ -32,7 +35,8 @@ pub(crate) fn quantity_of(runs: &[RunFile], asked: Option<Quantity>) -> Result<Q
         }
         _ => {
             let names: Vec<&str> = there.iter().map(|quantity| quantity.name()).collect();
-            let header = trueup_machine::Location { line: 1, column: 1, ..first.place(0, "") };
+            let header =
+                trueup_machine::Location { line: 1, column: 1, ..first.value_location(0, "") };
             let rule = format!(
                 "several quantities are measured: choose one by --quantity {}",
                 names.join(" or --quantity ")

@@ -1,15 +1,15 @@
 //! Columns that follow from where the axis turned.
 
-use super::table::{Column, Data};
+use super::{columns::NamedColumn, table::DataTable};
 
 /// For ways in equal ratios between the shortest and the longest steps: u ← (u + Δd)·e^(−|ΔP|/way),
 /// Δd the change of the direction. Nothing where the axis never turns.
-pub(super) fn reversal_decay(data: &Data) -> Vec<Column> {
-    const WAYS: i32 = 6;
+pub(super) fn reversal_decay_columns(data: &DataTable) -> Vec<NamedColumn> {
+    const DECAY_LENGTH_COUNT: i32 = 6;
     let (Some(own), Some(direction)) = (data.own_position(), data.own_direction()) else {
         return Vec::new();
     };
-    let is_next = |row: usize| row > 0 && data.series[row] == data.series[row - 1];
+    let is_next = |row: usize| row > 0 && data.places.series[row] == data.places.series[row - 1];
     let step = |row: usize| (own[row] - own[row - 1]).abs();
     let mut steps: Vec<f64> =
         (0..data.rows).filter(|&row| is_next(row)).map(step).filter(|mm| *mm > 0.0).collect();
@@ -19,9 +19,9 @@ pub(super) fn reversal_decay(data: &Data) -> Vec<Column> {
         return Vec::new();
     };
     // Beyond twenty of the shortest steps nothing would be left of it at once.
-    (0..WAYS)
+    (0..DECAY_LENGTH_COUNT)
         .map(|n| {
-            let way_mm = short * 20.0_f64.powf(f64::from(n + 1) / f64::from(WAYS));
+            let way_mm = short * 20.0_f64.powf(f64::from(n + 1) / f64::from(DECAY_LENGTH_COUNT));
             let mut left = 0.0;
             let values = (0..data.rows)
                 .map(|row| {

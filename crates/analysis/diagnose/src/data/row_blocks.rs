@@ -36,43 +36,43 @@ impl RowBlocks {
     }
 
     /// Returns whether a block has more than one row.
-    pub(super) fn has_means(&self) -> bool {
+    pub(super) fn has_multirow_blocks(&self) -> bool {
         self.len() < self.rows.len()
     }
 
     /// Where each block stands among the rows.
-    fn blocks(&self) -> impl Iterator<Item = std::ops::Range<usize>> {
+    fn block_ranges(&self) -> impl Iterator<Item = std::ops::Range<usize>> {
         let mut start = 0;
         self.ends.iter().map(move |&end| std::mem::replace(&mut start, end as usize)..end as usize)
     }
 
     /// Returns the rows of each block.
-    pub(super) fn rows_of_each(&self) -> impl Iterator<Item = &[u32]> {
-        self.blocks().map(|block| &self.rows[block])
+    pub(super) fn rows_by_block(&self) -> impl Iterator<Item = &[u32]> {
+        self.block_ranges().map(|block| &self.rows[block])
     }
 
     /// Returns the first row of each block.
     pub(super) fn first_rows(&self) -> Vec<usize> {
-        self.blocks().map(|block| self.rows[block.start] as usize).collect()
+        self.block_ranges().map(|block| self.rows[block.start] as usize).collect()
     }
 
     /// Returns what each block counts for: its rows.
-    pub(super) fn counts(&self) -> Vec<f64> {
+    pub(super) fn block_weights(&self) -> Vec<f64> {
         let weigh = |block: std::ops::Range<usize>| match &self.weights {
             None => block.len() as f64,
             Some(weights) => weights[block].iter().sum(),
         };
-        self.blocks().map(weigh).collect()
+        self.block_ranges().map(weigh).collect()
     }
 
     /// Returns the mean of `values`, one a row of the table, in each block.
     pub(crate) fn means(&self, values: &[f64]) -> Vec<f64> {
-        if !self.has_means() {
+        if !self.has_multirow_blocks() {
             return self.rows.iter().map(|&row| values[row as usize]).collect();
         }
-        self.blocks()
+        self.block_ranges()
             .map(|block| match &self.weights {
-                None => self.sum(block.clone(), values) / block.len() as f64,
+                None => self.block_sum(block.clone(), values) / block.len() as f64,
                 Some(weights) => {
                     let (rows, weights) = (&self.rows[block.clone()], &weights[block]);
                     let weighted =
@@ -83,22 +83,22 @@ impl RowBlocks {
             .collect()
     }
 
-    fn sum(&self, block: std::ops::Range<usize>, values: &[f64]) -> f64 {
+    fn block_sum(&self, block: std::ops::Range<usize>, values: &[f64]) -> f64 {
         let rows = &self.rows[block];
         let (first, last) = (rows[0] as usize, rows[rows.len() - 1] as usize);
         if last - first + 1 == rows.len() {
-            return sum(&values[first..=last]);
+            return sum_in_lanes(&values[first..=last]);
         }
         rows.iter().map(|&row| values[row as usize]).sum()
     }
 
     /// Returns each block cut into at most `pieces`, and how the pieces, a row each, make up the blocks again:
     /// a mean over them is the mean over all rows.
-    pub(super) fn cut(&self, pieces: usize) -> (Self, Self) {
+    pub(super) fn split_blocks(&self, pieces: usize) -> (Self, Self) {
         let mut fine = Self { rows: self.rows.clone(), ends: Vec::new(), weights: None };
         let mut whole = Self::default();
         let mut weights = Vec::new();
-        for block in self.blocks() {
+        for block in self.block_ranges() {
             let size = block.len().div_ceil(pieces);
             for start in block.clone().step_by(size) {
                 let end = (start + size).min(block.end);
@@ -114,7 +114,7 @@ impl RowBlocks {
 }
 
 /// Σ values, in eight sums side by side: one sum alone waits for each addition.
-fn sum(values: &[f64]) -> f64 {
+fn sum_in_lanes(values: &[f64]) -> f64 {
     const LANES: usize = 8;
     let chunks = values.chunks_exact(LANES);
     let rest: f64 = chunks.remainder().iter().sum();
@@ -136,9 +136,9 @@ mod tests {
         let rows = (0..1000).filter(|row| row % 13 != 5);
         let blocks = RowBlocks::new(rows, |row| row % 100 == 0 || row == 150);
         let values: Vec<f64> = (0..1000).map(|row| f64::from(row * row % 89)).collect();
-        let (fine, whole) = blocks.cut(7);
+        let (fine, whole) = blocks.split_blocks(7);
         assert!(fine.len() > 5 * blocks.len() && fine.len() <= 7 * blocks.len());
-        assert_eq!(whole.counts(), blocks.counts());
+        assert_eq!(whole.block_weights(), blocks.block_weights());
         let means = whole.means(&fine.means(&values));
         for (mean, plain) in means.iter().zip(blocks.means(&values)) {
             assert!((mean - plain).abs() < 1e-12 * plain, "{mean} {plain}");

@@ -1,230 +1,295 @@
-//! The table itself: its columns, and how they are asked for by name.
+//! The table itself: its columns, and how they are requested by name.
 
 use std::sync::Arc;
 
 use trueup_machine::{
     Machine,
-    effect::{Late, SpeedPower},
-    file::Quantity,
+    effect::{SpeedExponent, ThermometerDelay},
+    file::{LinearAxis, Quantity},
     model::part_temperature,
 };
 
 use super::{
-    lag::{Start, filled, lag, smoothed},
-    lags::{Lags, Rows},
+    columns::{ColumnGroup, KnownColumn, NamedColumn, TableColumns},
+    lag::{InitialState, apply_lag, forward_fill, smooth_zero_phase},
+    lag_cache::{LagCache, LagRows},
+    lag_column_cache::{LagColumnCache, LagSource},
     row_blocks::RowBlocks,
-    stated::Stated,
-    stepped::{Source, Stepped},
+    stated_terms::StatedTerm,
 };
 
-pub(super) use super::lags::Column;
-
-/// A run's columns, all files one after the other. A list has one value a row; NaN where missing. Columns that stay as
-/// they were read are shared by the copies of a table.
+/// The measurements of the runs, all files one after the other, and the model's prediction of each row. A list has one
+/// value a row.
 #[derive(Clone, Debug)]
-pub(crate) struct Data {
-    pub machine: Machine,
-    pub quantity: Quantity,
+pub(crate) struct DataTable {
+    pub setting: Arc<DataSettings>,
     pub rows: usize,
-    /// The number of the file of each row.
-    pub file: Arc<[u32]>,
-    pub files: usize,
-    /// Their names, as the user has given them.
-    pub names: Vec<String>,
-    /// Rows at which states begin anew: the first of a file, and where time runs back.
-    pub restart: Arc<[bool]>,
-    /// The number of the series of each row: files, runs, restarts.
-    pub series: Arc<[u32]>,
-    pub time_s: Option<Arc<[f64]>>,
-    /// The gauge's own clock, in s, where the run has it next to `time_s`: the two may differ either way.
-    pub gauge_time_s: Option<Arc<[f64]>>,
-    pub run: Option<Arc<[f64]>>,
-    /// By column, in °C.
-    pub temperatures: Vec<Column>,
-    /// Those of them that did not measure for most of the time, or have jumped.
-    pub distrusted: Vec<String>,
-    /// Columns that this project does not know.
-    pub others: Vec<Column>,
-    /// Whether the own axis went one way all the time: an error along it and a drift are one question.
-    pub is_one_pass: bool,
-    /// In 1/min.
-    pub spindle_rpm: Option<Arc<[f64]>>,
-    /// How hard the spindle heats by each power of its speed, by [`drive`].
-    pub drives: Vec<Column>,
-    /// The load along the tool, in N.
-    pub load_n: Option<Arc<[f64]>>,
-    pub position_mm: [Option<Arc<[f64]>>; 3],
-    pub direction: [Option<Arc<[f64]>>; 3],
-    /// The rest of the last reversal of the quantity's own axis if it is taken up over a way, for
-    /// several ways, each under its name.
-    pub reversal_decay: Vec<Column>,
-    /// The quantity, in µm.
+    pub places: RowLocations,
+    pub columns: TableColumns,
+    /// The quantity, in µm; NaN where it is missing.
     pub measured: Arc<[f64]>,
-    /// The machine file's terms that change the quantity.
-    pub stated: Vec<Stated>,
-    /// The sums that the constants of the file's terms add to the elongation and to the axis, in µm.
-    pub constants_um: [f64; 2],
-    /// The elongation by the machine file, in µm.
-    pub elongation: Vec<f64>,
-    /// The same by the source's own law, without the file's terms.
-    pub law: Vec<f64>,
-    /// How much of the elongation is in the quantity, −1…1.
-    pub along: Arc<[f64]>,
-    pub has_elongation: bool,
-    /// The axis's error but for the tool's growth and the file's terms, in µm.
-    pub axis: Vec<f64>,
-    /// The part of it that goes with the axis's temperature.
-    pub thermal: Vec<f64>,
+    pub predicted: RowPredictions,
     /// Rows that count: measured and predicted.
     pub used: Arc<[bool]>,
-    /// The temperatures that terms are counted from, by column, and the start of time: those of the
-    /// first row that was trained on. A hold-out has its own first row and never refers to it.
-    pub references_c: Vec<(String, f64)>,
-    pub start_s: f64,
-    /// Data that were set aside before anything was compared, and why: a sentence each.
+    pub origin: ReferenceState,
+    /// Data that were excluded before anything was compared, and why: a sentence each.
     pub notes: Vec<String>,
+    /// The thermometers that did not measure for most of the time, or have jumped.
+    pub distrusted: Vec<String>,
     /// Where these are drawn rows, or means of rows: all of them, for what a row has from the rows
     /// before it.
-    pub whole: Option<DrawnFrom>,
+    pub whole: Option<ParentTable>,
     /// Its temperatures that were stepped through all rows.
-    pub(super) stepped: Stepped,
+    pub(super) stepped: LagColumnCache,
+}
+
+/// The settings that all rows share.
+#[derive(Clone, Debug)]
+pub(crate) struct DataSettings {
+    pub machine: Machine,
+    pub quantity: Quantity,
+    /// The files, as the user has named them.
+    pub files: Vec<String>,
+    /// Whether the own axis went one way all the time: an error along it and a drift are one question.
+    pub is_one_pass: bool,
+    pub has_elongation: bool,
+    /// The machine file's terms that change the quantity.
+    pub stated: Vec<StatedTerm>,
+    /// The sums that the constants of the file's terms add to the elongation and to the axis, in µm.
+    pub constants_um: [f64; 2],
+}
+
+/// Where each row stands in the runs.
+#[derive(Clone, Debug)]
+pub(crate) struct RowLocations {
+    /// The number of its file.
+    pub file: Arc<[u32]>,
+    /// Rows at which states begin anew: the first of a file, and where time runs back.
+    pub restart: Arc<[bool]>,
+    /// The number of its series: files, runs, restarts.
+    pub series: Arc<[u32]>,
+}
+
+/// The machine file's prediction of each row, in µm.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct RowPredictions {
+    /// The elongation.
+    pub elongation: Arc<[f64]>,
+    /// The same by the source's own law, without the file's terms.
+    pub law: Arc<[f64]>,
+    /// How much of the elongation is in the quantity, −1…1.
+    pub along: Arc<[f64]>,
+    /// The axis's error but for the tool's growth and the file's terms.
+    pub axis: Arc<[f64]>,
+    /// The part of it that depends on the axis's temperature.
+    pub thermal: Arc<[f64]>,
+}
+
+/// From where terms count: the first row that was trained on. A hold-out has its own first row and never refers to it.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct ReferenceState {
+    /// The temperatures, by column.
+    pub temperatures_c: Vec<(String, f64)>,
+    pub start_s: f64,
 }
 
 /// The table that rows were drawn from, or are means of.
 #[derive(Clone, Debug)]
-pub(crate) struct DrawnFrom {
-    pub data: Arc<Data>,
+pub(crate) struct ParentTable {
+    pub data: Arc<DataTable>,
     /// Which of its rows each row is, or is the mean of.
     blocks: RowBlocks,
     /// Its temperatures behind lags, in these rows.
-    lags: Lags,
+    lags: LagCache,
 }
 
 /// Returns the name of the column of what the speed heats by this power.
-pub(super) fn drive(power: SpeedPower) -> &'static str {
+pub(super) fn heating_column_name(power: SpeedExponent) -> &'static str {
     match power {
-        SpeedPower::First => "heating by the speed",
-        SpeedPower::Second => "heating by the square of the speed",
+        SpeedExponent::First => "heating by the speed",
+        SpeedExponent::Second => "heating by the square of the speed",
     }
 }
 
-impl DrawnFrom {
-    pub(super) fn new(data: Arc<Data>, blocks: RowBlocks) -> Self {
-        let columns = [&data.temperatures[..], &data.drives].concat();
-        let lags = Lags::new(data.among(&blocks), &columns);
+impl ParentTable {
+    pub(super) fn new(data: Arc<DataTable>, blocks: RowBlocks) -> Self {
+        let columns =
+            [&data.columns[ColumnGroup::Temperatures][..], &data.columns[ColumnGroup::Heating]]
+                .concat();
+        let lags = LagCache::new(data.rows_in_blocks(&blocks), &columns);
         Self { data, blocks, lags }
     }
 
-    /// Returns the same rows of `data`: another table than before in the temperatures of `changed`.
-    pub(super) fn of(&self, data: Arc<Data>, changed: &[Column]) -> Self {
-        let lags = self.lags.changed(data.among(&self.blocks), changed);
+    /// Returns the same rows of `data`: another table than before in the temperatures of `with_changed_columns`.
+    pub(super) fn with_data(&self, data: Arc<DataTable>, changed: &[NamedColumn]) -> Self {
+        let lags = self.lags.with_changed_columns(data.rows_in_blocks(&self.blocks), changed);
         Self { data, blocks: self.blocks.clone(), lags }
     }
 
     /// Returns a column of the whole behind a lag, in the drawn rows.
     fn lagged(&self, column: &str, lags_s @ [rise_s, fall_s]: [f64; 2]) -> Arc<Vec<f64>> {
-        let (values, start) = self.data.heated_by(column).unzip();
-        let values = (column, values.map(|it| &it[..]), start.unwrap_or(Start::Settled));
+        let (values, start) = self.data.heat_source(column).unzip();
+        let values = (column, values.map(|it| &it[..]), start.unwrap_or(InitialState::Settled));
         self.lags.lagged(&self.blocks, values, lags_s, || self.data.lagged(column, rise_s, fall_s))
     }
 
     /// Returns the same for the temperature of the part whose thermometer is late.
-    fn followed(&self, column: &str, late: Late, lags_s: [f64; 2]) -> Arc<Vec<f64>> {
+    fn lagged_part_temperature(
+        &self,
+        column: &str,
+        late: ThermometerDelay,
+        lags_s: [f64; 2],
+    ) -> Arc<Vec<f64>> {
         let lagged = || self.lagged(column, lags_s);
-        let stepped = || self.data.followed(column, Some(late), lags_s);
-        self.lags.followed(&self.blocks, column, late, lags_s, lagged, stepped)
+        let stepped = || self.data.lagged_part_temperature(column, Some(late), lags_s);
+        self.lags.lagged_part_temperature(&self.blocks, column, late, lags_s, lagged, stepped)
+    }
+
+    /// Returns what the machine file says of `whole`, in the drawn rows.
+    pub(super) fn select_predictions(&self, whole: &DataTable) -> RowPredictions {
+        whole.predicted.select_blocks(&self.blocks)
     }
 
     /// Returns which of its rows each row is, or begins with.
-    pub(crate) fn rows(&self) -> Vec<usize> {
+    pub(crate) fn source_rows(&self) -> Vec<usize> {
         self.blocks.first_rows()
     }
 
     /// Of values for all rows, those of the drawn ones, or their means.
-    pub(crate) fn pick(&self, all: &[f64]) -> Vec<f64> {
+    pub(crate) fn select_rows(&self, all: &[f64]) -> Vec<f64> {
         self.blocks.means(all)
     }
 }
 
-impl Data {
+impl DataTable {
     /// Returns the table without the terms of the machine file that the board does not run; `None`: there are none.
-    pub(crate) fn compensated(&self) -> Option<Self> {
-        let is_run = |stated: &Stated| stated.effect.is_compensated();
-        if self.stated.iter().all(is_run) {
+    pub(crate) fn without_unsupported_terms(&self) -> Option<Self> {
+        let is_run = |stated: &StatedTerm| stated.effect.is_compensated();
+        let mut setting = (*self.setting).clone();
+        setting.stated.retain(is_run);
+        if setting.stated.len() == self.setting.stated.len() {
             return None;
         }
-        let mut data = self.clone();
-        data.stated.retain(is_run);
-        data.constants_um = Stated::constants_um(&self.machine.compensated(), self.quantity);
-        Some(data)
+        setting.constants_um = StatedTerm::sum_constants_um(
+            &setting.machine.with_compensated_terms(),
+            setting.quantity,
+        );
+        Some(Self { setting: setting.into(), ..self.clone() })
+    }
+
+    /// Returns the time of each row, in s.
+    pub(crate) fn time_s(&self) -> Option<&[f64]> {
+        self.columns[KnownColumn::Time].as_deref()
+    }
+
+    /// Returns the speed of the spindle, in 1/min.
+    pub(crate) fn spindle_rpm(&self) -> Option<&[f64]> {
+        self.columns[KnownColumn::Speed].as_deref()
+    }
+
+    /// Returns the load along the tool, in N.
+    pub(crate) fn load_n(&self) -> Option<&[f64]> {
+        self.columns[KnownColumn::Load].as_deref()
+    }
+
+    /// Returns the number of the run of each row.
+    pub(crate) fn run_numbers(&self) -> Option<&[f64]> {
+        self.columns[KnownColumn::Run].as_deref()
+    }
+
+    /// Returns the position of an axis, in mm.
+    pub(crate) fn position_mm(&self, axis: LinearAxis) -> Option<&[f64]> {
+        self.columns[KnownColumn::Position(axis)].as_deref()
+    }
+
+    /// Returns the positions of X, Y and Z, in mm.
+    pub(crate) fn positions_mm(&self) -> [Option<&[f64]>; 3] {
+        LinearAxis::ALL.map(|axis| self.position_mm(axis))
+    }
+
+    /// Returns from which side an axis came to its position: −1 or 1.
+    pub(crate) fn direction(&self, axis: LinearAxis) -> Option<&[f64]> {
+        self.columns[KnownColumn::Direction(axis)].as_deref()
+    }
+
+    /// Returns the temperatures, by column.
+    pub(crate) fn temperatures(&self) -> &[NamedColumn] {
+        &self.columns[ColumnGroup::Temperatures]
+    }
+
+    /// Returns the columns that this project does not know.
+    pub(crate) fn other_columns(&self) -> &[NamedColumn] {
+        &self.columns[ColumnGroup::Others]
     }
 
     /// Returns the position of the quantity's own axis.
     pub(crate) fn own_position(&self) -> Option<&[f64]> {
-        self.quantity.axis().and_then(|axis| self.position_mm[axis.index()].as_deref())
+        self.position_mm(self.setting.quantity.axis()?)
     }
 
     /// Returns the direction of the quantity's own axis.
     pub(crate) fn own_direction(&self) -> Option<&[f64]> {
-        self.quantity.axis().and_then(|axis| self.direction[axis.index()].as_deref())
+        self.direction(self.setting.quantity.axis()?)
     }
 
     /// Returns a column of temperatures, in °C.
     pub(crate) fn temperature(&self, name: &str) -> Option<&[f64]> {
-        let found = self.temperatures.iter().find(|(there, _)| there == name);
+        let found = self.temperatures().iter().find(|(there, _)| there == name);
         found.map(|(_, values)| &values[..])
     }
 
     /// Returns the temperature that a term on `column` is counted from.
-    pub(crate) fn reference_c(&self, column: &str) -> f64 {
-        let found = self.references_c.iter().find(|(name, _)| name == column);
+    pub(crate) fn reference_temperature_c(&self, column: &str) -> f64 {
+        let found = self.origin.temperatures_c.iter().find(|(name, _)| name == column);
         found.map_or(0.0, |&(_, reference_c)| reference_c)
     }
 
     /// Counts from where `training` does.
-    pub(crate) fn refer_to(&mut self, training: &Self) {
-        self.references_c.clone_from(&training.references_c);
-        self.start_s = training.start_s;
+    pub(crate) fn set_origin(&mut self, training: &Self) {
+        self.origin.clone_from(&training.origin);
     }
 
     /// Returns the table that these rows were drawn from, where others are missing between them.
-    pub(crate) fn drawn(&self) -> Option<&DrawnFrom> {
-        self.whole.as_ref().filter(|whole| !whole.blocks.has_means())
+    pub(crate) fn sampled_from(&self) -> Option<&ParentTable> {
+        self.whole.as_ref().filter(|whole| !whole.blocks.has_multirow_blocks())
     }
 
     /// Returns the table that these rows were drawn from, or this one: no row is missing between its rows.
-    pub(crate) fn without_holes(&self) -> &Self {
-        self.drawn().map_or(self, |drawn| &drawn.data)
+    pub(crate) fn full_table(&self) -> &Self {
+        self.sampled_from().map_or(self, |drawn| &drawn.data)
     }
 
     /// Returns the rows that were written down for these: where they are means, there were more.
-    pub(crate) fn recorded_rows(&self) -> usize {
-        let means = self.whole.as_ref().filter(|whole| whole.blocks.has_means());
+    pub(crate) fn recorded_row_count(&self) -> usize {
+        let means = self.whole.as_ref().filter(|whole| whole.blocks.has_multirow_blocks());
         means.map_or(self.rows, |whole| whole.data.rows)
     }
 
-    /// Its rows, of which those in `blocks` are asked for.
-    fn among<'t>(&'t self, blocks: &'t RowBlocks) -> Rows<'t> {
-        Rows { time_s: self.time_s.as_deref(), restart: &self.restart, blocks }
+    /// Its rows, of which those in `blocks` are requested.
+    fn rows_in_blocks<'t>(&'t self, blocks: &'t RowBlocks) -> LagRows<'t> {
+        LagRows { time_s: self.time_s(), restart: &self.places.restart, blocks }
     }
 
     /// Returns the fastest lag that is looked for in this many rows, in s; 0 where any is.
-    pub(crate) fn fastest_lag_s(&self) -> f64 {
-        self.whole.as_ref().map_or(0.0, |whole| whole.lags.fastest_s())
+    pub(crate) fn min_lag_s(&self) -> f64 {
+        self.whole.as_ref().map_or(0.0, |whole| whole.lags.min_lag_s())
     }
 
     /// Returns a temperature, or a power of the speed that heats, and where a lag of it starts.
-    fn heated_by(&self, name: &str) -> Option<(&Arc<[f64]>, Start)> {
-        let starts = [(&self.temperatures, Start::Settled), (&self.drives, Start::Cold)];
-        starts.into_iter().find_map(|(columns, start)| {
-            let found = columns.iter().find(|(there, _)| there == name);
+    fn heat_source(&self, name: &str) -> Option<(&Arc<[f64]>, InitialState)> {
+        let starts = [
+            (ColumnGroup::Temperatures, InitialState::Settled),
+            (ColumnGroup::Heating, InitialState::Cold),
+        ];
+        starts.into_iter().find_map(|(list, start)| {
+            let found = self.columns[list].iter().find(|(there, _)| there == name);
             found.map(|(_, values)| (values, start))
         })
     }
 
     /// Returns what the spindle heats by this power of its speed, behind a first-order lag that starts cold.
-    pub(crate) fn heated(&self, power: SpeedPower, lag_s: f64) -> Arc<Vec<f64>> {
-        self.lagged(drive(power), lag_s, lag_s)
+    pub(crate) fn spindle_heat(&self, power: SpeedExponent, lag_s: f64) -> Arc<Vec<f64>> {
+        self.lagged(heating_column_name(power), lag_s, lag_s)
     }
 
     /// Returns a temperature behind a first-order lag with one time constant while it rises and one while it
@@ -233,34 +298,45 @@ impl Data {
         if let Some(whole) = &self.whole {
             return whole.lagged(column, [rise_s, fall_s]);
         }
-        match (self.heated_by(column), self.source(column)) {
+        match (self.heat_source(column), self.lag_source(column)) {
             (None, _) => vec![0.0; self.rows].into(),
-            (Some((values, _)), None) => filled(values).into(),
-            (Some(_), Some(source)) => self.stepped(&source, None, [rise_s, fall_s]),
+            (Some((values, _)), None) => forward_fill(values).into(),
+            (Some(_), Some(source)) => self.step_through_rows(&source, None, [rise_s, fall_s]),
         }
     }
 
     /// Returns what a temperature is stepped through, where there is time.
-    fn source(&self, column: &str) -> Option<Source> {
-        let (values, start) = self.heated_by(column)?;
-        let time_s = self.time_s.clone()?;
-        Some(Source { values: values.clone(), time_s, restart: self.restart.clone(), start })
+    fn lag_source(&self, column: &str) -> Option<LagSource> {
+        let (values, start) = self.heat_source(column)?;
+        let time_s = self.columns[KnownColumn::Time].clone()?;
+        Some(LagSource {
+            values: values.clone(),
+            time_s,
+            restart: self.places.restart.clone(),
+            start,
+        })
     }
 
     /// Returns a temperature, or that of the part whose thermometer is late, behind a lag, stepped through all rows.
-    fn stepped(&self, source: &Source, late: Option<Late>, lags_s: [f64; 2]) -> Arc<Vec<f64>> {
-        let behind =
-            |values: &[f64]| lag(values, &source.time_s, &source.restart, lags_s, source.start);
-        self.stepped.known(source, (late, Some(lags_s)), || match late {
+    fn step_through_rows(
+        &self,
+        source: &LagSource,
+        late: Option<ThermometerDelay>,
+        lags_s: [f64; 2],
+    ) -> Arc<Vec<f64>> {
+        let behind = |values: &[f64]| {
+            apply_lag(values, &source.time_s, &source.restart, lags_s, source.start)
+        };
+        self.stepped.memoise(source, (late, Some(lags_s)), || match late {
             None => behind(&source.values),
-            Some(late) => behind(&self.part_c(source, late)),
+            Some(late) => behind(&self.part_temperature_c(source, late)),
         })
     }
 
     /// Returns the temperature of the part whose thermometer is late, series by series.
-    fn part_c(&self, source: &Source, late: Late) -> Arc<Vec<f64>> {
-        let Source { values, time_s, restart, .. } = source;
-        self.stepped.known(source, (Some(late), None), || {
+    fn part_temperature_c(&self, source: &LagSource, late: ThermometerDelay) -> Arc<Vec<f64>> {
+        let LagSource { values, time_s, restart, .. } = source;
+        self.stepped.memoise(source, (Some(late), None), || {
             let mut part_c = Vec::with_capacity(self.rows);
             let mut start = 0;
             for end in (1..=self.rows).filter(|&row| row == self.rows || restart[row]) {
@@ -272,37 +348,47 @@ impl Data {
     }
 
     /// Smooths a temperature over `width_s`, without making it late.
-    pub(crate) fn smooth(&mut self, column: &str, width_s: f64) {
-        let Some(time_s) = self.time_s.as_deref() else { return };
-        let found = self.temperatures.iter_mut().find(|(there, _)| there == column);
-        if let Some((_, values)) = found {
-            *values = smoothed(values, time_s, &self.restart, width_s).into();
-        }
+    pub(crate) fn smooth_temperature(&mut self, column: &str, width_s: f64) {
+        self.transform_temperature(column, |values, time_s, restart| {
+            smooth_zero_phase(values, time_s, restart, width_s)
+        });
     }
 
     /// A temperature behind a lag.
-    pub(crate) fn delay(&mut self, column: &str, late_s: f64) {
-        let Some(time_s) = self.time_s.as_deref() else { return };
-        let found = self.temperatures.iter_mut().find(|(there, _)| there == column);
-        if let Some((_, values)) = found {
-            *values = lag(values, time_s, &self.restart, [late_s; 2], Start::Settled).into();
+    pub(crate) fn delay_temperature(&mut self, column: &str, late_s: f64) {
+        let behind = [late_s; 2];
+        self.transform_temperature(column, |values, time_s, restart| {
+            apply_lag(values, time_s, restart, behind, InitialState::Settled)
+        });
+    }
+
+    /// Changes a temperature, where there is time: from its values, the times and where states begin anew.
+    fn transform_temperature(
+        &mut self,
+        column: &str,
+        of: impl Fn(&[f64], &[f64], &[bool]) -> Vec<f64>,
+    ) {
+        let Some(time_s) = self.columns[KnownColumn::Time].clone() else { return };
+        let mut temperatures = self.columns[ColumnGroup::Temperatures].iter_mut();
+        if let Some((_, values)) = temperatures.find(|(there, _)| there == column) {
+            *values = of(values, &time_s, &self.places.restart).into();
         }
     }
 
     /// Returns the temperature of the part whose thermometer, in `column`, is late, behind a lag as in
     /// [`Data::lagged`].
-    pub(crate) fn followed(
+    pub(crate) fn lagged_part_temperature(
         &self,
         column: &str,
-        late: Option<Late>,
+        late: Option<ThermometerDelay>,
         [rise_s, fall_s]: [f64; 2],
     ) -> Arc<Vec<f64>> {
-        let (Some(late), Some(source)) = (late, self.source(column)) else {
+        let (Some(late), Some(source)) = (late, self.lag_source(column)) else {
             return self.lagged(column, rise_s, fall_s);
         };
         match &self.whole {
-            Some(whole) => whole.followed(column, late, [rise_s, fall_s]),
-            None => self.stepped(&source, Some(late), [rise_s, fall_s]),
+            Some(whole) => whole.lagged_part_temperature(column, late, [rise_s, fall_s]),
+            None => self.step_through_rows(&source, Some(late), [rise_s, fall_s]),
         }
     }
 }

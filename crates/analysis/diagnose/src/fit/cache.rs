@@ -7,47 +7,47 @@ use std::{
     sync::Arc,
 };
 
-use super::growth::Grown;
+use super::growth::GrowthCache;
 use crate::{
-    kind::{Kind, Part},
     model::Model,
+    term_kind::{ModelPart, TermKind},
 };
 
 /// Columns side by side, in groups.
-pub(crate) type Columns = Arc<Vec<Vec<f64>>>;
+pub(crate) type GroupColumns = Arc<Vec<Vec<f64>>>;
 
 /// The parts that columns are of: equal if all values are, to the bit.
 #[derive(Clone, Debug)]
-pub(super) struct Key {
-    parts: Vec<Part>,
+pub(super) struct CacheKey {
+    parts: Vec<ModelPart>,
     /// The constant of a whole model, in bits.
     constant: Option<u64>,
 }
 
-impl Key {
+impl CacheKey {
     /// Of one part, by its nonlinear values.
-    pub(super) fn of(kind: &Kind, nonlinear: &[f64]) -> Self {
-        let parts = vec![Part { kind: kind.clone(), values: nonlinear.to_vec() }];
+    pub(super) fn from_part(kind: &TermKind, nonlinear: &[f64]) -> Self {
+        let parts = vec![ModelPart { kind: kind.clone(), values: nonlinear.to_vec() }];
         Self { parts, constant: None }
     }
 
     /// Of several parts together.
-    pub(super) fn of_all(parts: &[&Part]) -> Self {
+    pub(super) fn from_parts(parts: &[&ModelPart]) -> Self {
         Self { parts: parts.iter().copied().cloned().collect(), constant: None }
     }
 
     /// Of a model.
-    pub(super) fn of_model(model: &Model) -> Self {
+    pub(super) fn from_model(model: &Model) -> Self {
         Self { parts: model.parts.clone(), constant: model.constant_um.map(f64::to_bits) }
     }
 }
 
-impl PartialEq for Key {
+impl PartialEq for CacheKey {
     fn eq(&self, other: &Self) -> bool {
-        fn bits(part: &Part) -> impl Iterator<Item = u64> {
+        fn bits(part: &ModelPart) -> impl Iterator<Item = u64> {
             part.values.iter().map(|value| value.to_bits())
         }
-        let is_equal = |(a, b): (&Part, &Part)| bits(a).eq(bits(b)) && a.kind == b.kind;
+        let is_equal = |(a, b): (&ModelPart, &ModelPart)| bits(a).eq(bits(b)) && a.kind == b.kind;
         let (own, others) = (&self.parts, &other.parts);
         self.constant == other.constant
             && own.len() == others.len()
@@ -56,9 +56,9 @@ impl PartialEq for Key {
 }
 
 // No kind holds a NaN.
-impl Eq for Key {}
+impl Eq for CacheKey {}
 
-impl Hash for Key {
+impl Hash for CacheKey {
     /// Kinds that differ only in what is fixed about them meet, and are distinguished by `eq`.
     fn hash<H: Hasher>(&self, state: &mut H) {
         self.constant.hash(state);
@@ -72,39 +72,39 @@ impl Hash for Key {
 
 /// Cache of the columns that were worked out before.
 #[derive(Debug, Default)]
-pub(super) struct Cache {
+pub(super) struct ColumnCache {
     /// Of the settings that every scan tries.
-    kept: HashMap<Key, Columns>,
+    kept: HashMap<CacheKey, GroupColumns>,
     /// Numbers in them.
     numbers: usize,
     /// Of values on the way of a fit.
-    recent: HashMap<Arc<Key>, Columns>,
+    recent: HashMap<Arc<CacheKey>, GroupColumns>,
     /// Their order, the newest last.
-    order: VecDeque<Arc<Key>>,
+    order: VecDeque<Arc<CacheKey>>,
     recent_numbers: usize,
-    pub grown: Grown,
+    pub grown: GrowthCache,
     /// A model that is late, and what it would predict of each row if it were not.
     pub unshifted: Option<(Model, Arc<Vec<f64>>)>,
 }
 
-impl Cache {
+impl ColumnCache {
     /// Numbers that are kept at most, 8 bytes each: 80 MB and 16 MB.
-    const LIMIT: usize = 10_000_000;
-    const RECENT_LIMIT: usize = 2_000_000;
+    const MAX_CACHED_VALUES: usize = 10_000_000;
+    const MAX_RECENT_VALUES: usize = 2_000_000;
     /// The longest column: of all rows of a long record a few would fill the room, and only the last fit asks for them.
-    const LONGEST: usize = 100_000;
+    const MAX_CACHED_ROWS: usize = 100_000;
 
-    pub(super) fn get(&self, key: &Key) -> Option<Columns> {
+    pub(super) fn get(&self, key: &CacheKey) -> Option<GroupColumns> {
         self.kept.get(key).or_else(|| self.recent.get(key)).cloned()
     }
 
-    /// `keep`: they will be asked for again and again.
-    pub(super) fn put(&mut self, key: Key, columns: Columns, keep: bool) {
-        if columns.iter().any(|column| column.len() > Self::LONGEST) {
+    /// `keep`: they will be requested again and again.
+    pub(super) fn insert(&mut self, key: CacheKey, columns: GroupColumns, keep: bool) {
+        if columns.iter().any(|column| column.len() > Self::MAX_CACHED_ROWS) {
             return;
         }
         let size = columns.iter().map(Vec::len).sum::<usize>();
-        if keep && self.numbers + size < Self::LIMIT {
+        if keep && self.numbers + size < Self::MAX_CACHED_VALUES {
             self.numbers += size;
             self.kept.insert(key, columns);
             return;
@@ -116,7 +116,7 @@ impl Cache {
         }
         self.recent_numbers += size;
         self.order.push_back(key);
-        while self.recent_numbers > Self::RECENT_LIMIT {
+        while self.recent_numbers > Self::MAX_RECENT_VALUES {
             let oldest = self.order.pop_front().and_then(|key| self.recent.remove(&key));
             let Some(oldest) = oldest else { break };
             self.recent_numbers -= oldest.iter().map(Vec::len).sum::<usize>();

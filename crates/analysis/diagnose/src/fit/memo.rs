@@ -7,33 +7,33 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
-use super::cache::Key;
+use super::cache::CacheKey;
 use crate::model::Model;
 
 /// The name of a result, and its model.
-type Asked = (String, Key);
-type Known = Arc<dyn Any + Send + Sync>;
+type MemoKey = (String, CacheKey);
+type MemoValue = Arc<dyn Any + Send + Sync>;
 
 /// The results, of any type.
 #[derive(Debug, Default)]
-pub(super) struct Memo(Mutex<Shelf>);
+pub(super) struct Memo(Mutex<MemoStore>);
 
 #[derive(Debug, Default)]
-struct Shelf {
-    known: HashMap<Arc<Asked>, Known>,
+struct MemoStore {
+    known: HashMap<Arc<MemoKey>, MemoValue>,
     /// The newest last.
-    order: VecDeque<Arc<Asked>>,
+    order: VecDeque<Arc<MemoKey>>,
 }
 
 impl Memo {
     /// Nothing is known any more.
     pub(super) fn clear(&self) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Shelf::default();
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = MemoStore::default();
     }
 
     /// Returns what may have been found before for `model`, else made now: the same whenever `what` is the same. At
     /// most so `many` are kept.
-    pub(super) fn known<T: Any + Send + Sync>(
+    pub(super) fn memoise<T: Any + Send + Sync>(
         &self,
         what: &str,
         model: &Model,
@@ -41,7 +41,7 @@ impl Memo {
         make: impl FnOnce() -> T,
     ) -> Arc<T> {
         let shelf = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let asked = (what.to_string(), Key::of_model(model));
+        let asked = (what.to_string(), CacheKey::from_model(model));
         let known = shelf().known.get(&asked).cloned();
         if let Some(known) = known.and_then(|known| known.downcast().ok()) {
             return known;
@@ -66,14 +66,14 @@ mod tests {
     use std::cell::Cell;
 
     use super::*;
-    use crate::kind::{Kind, Part};
+    use crate::term_kind::{ModelPart, TermKind};
 
     #[test]
     fn what_was_found_is_not_looked_for_again_but_for_another_question_or_model() {
         let (memo, made) = (Memo::default(), Cell::new(0));
         let model = |column: &str, value: f64, constant_um: Option<f64>| {
-            let kind = Kind::heat_of(column, true);
-            Model { parts: vec![Part { kind, values: vec![value, 1.0] }], constant_um }
+            let kind = TermKind::heat_of(column, true);
+            Model { parts: vec![ModelPart { kind, values: vec![value, 1.0] }], constant_um }
         };
         let models = [
             model("temp_a_c", 1.0, None),
@@ -87,7 +87,7 @@ mod tests {
                 made.set(made.get() + 1);
                 made.get()
             };
-            *memo.known(what, model, many, count)
+            *memo.memoise(what, model, many, count)
         };
         for _ in 0..2 {
             let mut number = 0;

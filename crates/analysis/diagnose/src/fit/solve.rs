@@ -3,15 +3,15 @@
 use trueup_numerics::least_squares::normal::{dot, solve};
 
 use super::{
-    jacobian::{Parameter, jacobian},
-    problem::Problem,
-    undetermined::{keep_only, substitute, substitutes},
+    jacobian::{ParameterIndex, jacobian},
+    problem::FitProblem,
+    undetermined::{apply_substitutes, find_substitutes, retain_by_mask},
 };
 use crate::model::Model;
 
 /// A fitted model, and what it leaves.
 #[derive(Clone, Debug)]
-pub(crate) struct Fitted {
+pub(crate) struct FittedModel {
     pub model: Model,
     /// Measured minus predicted, in groups.
     pub residual: Vec<f64>,
@@ -21,7 +21,7 @@ pub(crate) struct Fitted {
     pub degrees: usize,
 }
 
-impl Fitted {
+impl FittedModel {
     pub(crate) fn rms(&self) -> f64 {
         (dot(&self.residual, &self.residual) / self.residual.len().max(1) as f64).sqrt()
     }
@@ -29,14 +29,14 @@ impl Fitted {
 
 /// Fits all values of `model` by least squares over the groups in `mask` (all where there is none).
 /// The time of a step is not moved: it is searched, not fitted.
-pub(crate) fn fit(problem: &Problem, model: &Model, mask: Option<&[bool]>) -> Fitted {
+pub(crate) fn fit(problem: &FitProblem, model: &Model, mask: Option<&[bool]>) -> FittedModel {
     match mask {
-        None => (*problem.known("fit", model, || fitted(problem, model, None))).clone(),
-        Some(_) => fitted(problem, model, mask),
+        None => (*problem.memoise("fit", model, || fit_uncached(problem, model, None))).clone(),
+        Some(_) => fit_uncached(problem, model, mask),
     }
 }
 
-fn fitted(problem: &Problem, model: &Model, mask: Option<&[bool]>) -> Fitted {
+fn fit_uncached(problem: &FitProblem, model: &Model, mask: Option<&[bool]>) -> FittedModel {
     // From the fit to all, the fit to most is near.
     let iterations = if mask.is_some() { 6 } else { 25 };
     let masked = |residual: &[f64]| match mask {
@@ -46,32 +46,32 @@ fn fitted(problem: &Problem, model: &Model, mask: Option<&[bool]>) -> Fitted {
         }
     };
     let mut model = model.clone();
-    problem.keep(&mut model);
+    problem.constrain_values(&mut model);
     let mut residual = problem.residual(&model);
     let mut sum = masked(&residual);
     let mut damping: f64 = 0.0;
     let is_linear = model.parts.iter().all(|part| {
-        let nonlinear = part.kind.nonlinear().len();
-        part.kind.is_added() && (nonlinear == 0 || part.kind.has_instant())
+        let nonlinear = part.kind.nonlinear_parameters().len();
+        part.kind.is_additive() && (nonlinear == 0 || part.kind.has_instant())
     });
     let mut degrees = 0;
     for _ in 0..if is_linear { 1 } else { iterations } {
         let (mut parameters, mut columns) = jacobian(problem, &model);
-        let substitutes = substitutes(&model, &parameters, &columns, mask);
+        let substitutes = find_substitutes(&model, &parameters, &columns, mask);
         if !substitutes.is_empty() {
-            substitute(&mut model, &substitutes);
+            apply_substitutes(&mut model, &substitutes);
             residual = problem.residual(&model);
             sum = masked(&residual);
         }
-        let is_fitted = |parameter: &Parameter| {
+        let is_fitted = |parameter: &ParameterIndex| {
             parameter.is_none_or(|(part, value)| {
                 let is_step = model.parts[part].kind.has_instant() && value == 0;
                 !is_step && !substitutes.iter().any(|it| (it.part, it.value) == (part, value))
             })
         };
         let fitted: Vec<bool> = parameters.iter().map(is_fitted).collect();
-        keep_only(&mut parameters, &fitted);
-        keep_only(&mut columns, &fitted);
+        retain_by_mask(&mut parameters, &fitted);
+        retain_by_mask(&mut columns, &fitted);
         degrees = parameters.len();
         let mut improved = false;
         for _ in 0..6 {
@@ -93,8 +93,8 @@ fn fitted(problem: &Problem, model: &Model, mask: Option<&[bool]>) -> Fitted {
                     }
                 }
             }
-            substitute(&mut moved, &substitutes);
-            problem.keep(&mut moved);
+            apply_substitutes(&mut moved, &substitutes);
+            problem.constrain_values(&mut moved);
             let there = problem.residual(&moved);
             let there_sum = masked(&there);
             if there_sum <= sum {
@@ -112,7 +112,7 @@ fn fitted(problem: &Problem, model: &Model, mask: Option<&[bool]>) -> Fitted {
             break;
         }
     }
-    Fitted { model, residual, sum, degrees }
+    FittedModel { model, residual, sum, degrees }
 }
 
 #[cfg(test)]
@@ -121,14 +121,14 @@ mod tests {
 
     use trueup_machine::{
         MachineFile, RunFile,
-        effect::OnBoard,
-        file::{LinearAxis, Pitch, Quantity},
+        effect::BoardTerm,
+        file::{LinearAxis, PitchErrorTable, Quantity},
     };
 
     use super::*;
     use crate::{
-        data::{Data, Groups},
-        kind::{Kind, Part},
+        data::{DataTable, Groups},
+        term_kind::{ModelPart, TermKind},
     };
 
     #[test]
@@ -146,17 +146,18 @@ mod tests {
         let file = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
         let machine = MachineFile::parse(file, Path::new("m.toml")).expect("a machine file");
         let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
-        let data = Data::new(&machine, &[run], Quantity::Dx).expect("comparable");
+        let data = DataTable::new(&machine, &[run], Quantity::Dx).expect("comparable");
         let groups = Groups::new(&data, &data.used.clone(), 1);
-        let problem = Problem::new(data, groups);
-        let table = Pitch {
+        let problem = FitProblem::new(data, groups);
+        let table = PitchErrorTable {
             start_mm: 0.0,
             step_mm: 100.0,
             forward_um: vec![0.0; 5],
             reverse_um: Some(vec![0.0; 5]),
         };
-        let kind = Kind::of_form(Some(LinearAxis::X), &OnBoard::Table(table)).expect("a table");
-        let part = Part { values: vec![0.0; 10], kind };
+        let kind = TermKind::from_board_term(Some(LinearAxis::X), &BoardTerm::Table(table))
+            .expect("a table");
+        let part = ModelPart { values: vec![0.0; 10], kind };
         let model = Model { parts: vec![part], constant_um: None };
         let values = &fit(&problem, &model, None).model.parts[0].values;
         let exact = [1.0, 3.0, 2.0, 5.0, 4.0, 7.0, 9.0, 8.0, 11.0, 11.0];

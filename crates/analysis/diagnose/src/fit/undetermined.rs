@@ -1,8 +1,8 @@
 //! Values of tables and splines that the data do not determine.
 
-use trueup_numerics::{least_squares::normal::dot, repeats::HARDLY};
+use trueup_numerics::{least_squares::normal::dot, repeats::DETERMINACY_THRESHOLD};
 
-use super::jacobian::Parameter;
+use super::jacobian::ParameterIndex;
 use crate::model::Model;
 
 /// A value of a list that nothing determines, and the one of the same list that stands for it.
@@ -17,9 +17,9 @@ pub(super) struct Substitute {
 /// hardly ever more than 0, because the axis was hardly ever there. Fitted to the hundredth of a
 /// reading such a value would be anything, and wrong by as much where it is needed. The nearest
 /// value that is determined stands for it.
-pub(super) fn substitutes(
+pub(super) fn find_substitutes(
     model: &Model,
-    parameters: &[Parameter],
+    parameters: &[ParameterIndex],
     columns: &[Vec<f64>],
     mask: Option<&[bool]>,
 ) -> Vec<Substitute> {
@@ -30,13 +30,13 @@ pub(super) fn substitutes(
     let mut all = Vec::new();
     for (part, it) in model.parts.iter().enumerate() {
         let Some(length) = it.kind.list_length() else { continue };
-        for start in (it.kind.nonlinear().len()..it.values.len()).step_by(length) {
+        for start in (it.kind.nonlinear_parameters().len()..it.values.len()).step_by(length) {
             let column = |value: usize| {
                 let at = parameters.iter().position(|parameter| *parameter == Some((part, value)));
                 at.map_or(0.0, |at| squares(&columns[at]))
             };
             let own: Vec<f64> = (start..start + length).map(column).collect();
-            let least = HARDLY * own.iter().copied().fold(0.0, f64::max);
+            let least = DETERMINACY_THRESHOLD * own.iter().copied().fold(0.0, f64::max);
             let is_known = |n: &usize| own[*n] > least;
             for n in (0..own.len()).filter(|n| !is_known(n)) {
                 let nearest = (0..own.len()).filter(is_known).min_by_key(|there| there.abs_diff(n));
@@ -49,7 +49,7 @@ pub(super) fn substitutes(
     all
 }
 
-pub(super) fn substitute(model: &mut Model, all: &[Substitute]) {
+pub(super) fn apply_substitutes(model: &mut Model, all: &[Substitute]) {
     for it in all {
         let values = &mut model.parts[it.part].values;
         values[it.value] = values[it.by];
@@ -57,7 +57,7 @@ pub(super) fn substitute(model: &mut Model, all: &[Substitute]) {
 }
 
 /// Removes the items of `list` that are not `kept`.
-pub(super) fn keep_only<T>(list: &mut Vec<T>, kept: &[bool]) {
+pub(super) fn retain_by_mask<T>(list: &mut Vec<T>, kept: &[bool]) {
     let mut kept = kept.iter();
     list.retain(|_| kept.next().is_some_and(|kept| *kept));
 }

@@ -4,21 +4,21 @@ use std::path::Path;
 
 use trueup_machine::{
     MachineFile, RunFile,
-    effect::{Angle, OnBoard, Tilt},
+    effect::{Angle, BoardTerm, Tilt},
     file::{BSpline, LinearAxis, Quantity},
 };
 use trueup_numerics::random::Generator;
 
 use super::*;
 use crate::{
-    data::{Data, Groups},
+    data::{DataTable, Groups},
     fit::fit,
-    kind::Kind,
     model::Model,
+    term_kind::TermKind,
 };
 
 /// Z by X and Y at 9 × 9 places with noise of 0.3 µm, and what is known of a tilt of X at the lever Y there.
-fn tilt_of(um: impl Fn(f64, f64) -> f64) -> (Estimates, f64) {
+fn tilt_of(um: impl Fn(f64, f64) -> f64) -> (ParameterEstimates, f64) {
     let mut noise = Generator::new(5);
     let mut text = String::from("x_mm,y_mm,measured_dz_um\n");
     for place in 0..81 {
@@ -28,9 +28,9 @@ fn tilt_of(um: impl Fn(f64, f64) -> f64) -> (Estimates, f64) {
     let file = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
     let machine = MachineFile::parse(file, Path::new("m.toml")).expect("a machine file");
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
-    let data = Data::new(&machine, &[run], Quantity::Dz).expect("comparable");
+    let data = DataTable::new(&machine, &[run], Quantity::Dz).expect("comparable");
     let groups = Groups::new(&data, &data.used.clone(), 1);
-    let problem = Problem::new(data, groups);
+    let problem = FitProblem::new(data, groups);
     let spline = BSpline {
         order: 4,
         knots_mm: vec![0.0, 0.0, 0.0, 0.0, 120.0, 240.0, 240.0, 240.0, 240.0],
@@ -42,14 +42,15 @@ fn tilt_of(um: impl Fn(f64, f64) -> f64) -> (Estimates, f64) {
         origin_mm: 0.0,
         angle: Angle::Curve(spline),
     };
-    let kind = Kind::of_form(Some(LinearAxis::Z), &OnBoard::Tilt(tilt)).expect("a tilt");
+    let kind =
+        TermKind::from_board_term(Some(LinearAxis::Z), &BoardTerm::Tilt(tilt)).expect("a tilt");
     // From where the lever is long: a search begins there too, where nothing goes with the lever.
     let values = vec![-1000.0, 10.0, 10.0, 10.0, 10.0, 10.0];
-    let model = Model { parts: vec![Part { kind, values }], constant_um: Some(0.0) };
+    let model = Model { parts: vec![ModelPart { kind, values }], constant_um: Some(0.0) };
     let fitted = fit(&problem, &model, None);
     let part = fitted.model.parts[0].clone();
     let origin_mm = part.values[0];
-    (estimates(&problem, &fitted, &part, Noise::WHITE), origin_mm)
+    (estimate_parameters(&problem, &fitted, &part, NoiseModel::WHITE), origin_mm)
 }
 
 #[test]

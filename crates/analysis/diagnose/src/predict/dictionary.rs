@@ -1,14 +1,16 @@
 //! The terms that a correction is chosen from: what the board can run and only adds to the prediction, at each setting
 //! of what enters nonlinearly.
 
-use crate::{candidates::possible, fit::Problem, kind::Part, search::start};
+use crate::{
+    candidates::simple_candidates, fit::FitProblem, search::initial_model, term_kind::ModelPart,
+};
 
 /// A table or curve of more values is judged by its repeats, not by blocks.
 const MAX_AMPLITUDES: usize = 16;
 
 /// A term at one setting; amplitudes 0.
-pub(super) struct Entry {
-    pub part: Part,
+pub(super) struct DictionaryEntry {
+    pub part: ModelPart,
     /// Its columns in [`Dictionary::columns`].
     pub columns: std::ops::Range<usize>,
     /// The number of its kind: a correction has one setting of a kind.
@@ -19,7 +21,7 @@ pub(super) struct Entry {
 
 /// All terms, and what each adds to each group at an amplitude of 1.
 pub(super) struct Dictionary {
-    pub entries: Vec<Entry>,
+    pub entries: Vec<DictionaryEntry>,
     pub columns: Vec<Vec<f64>>,
     /// Whether the measurement's zero is arbitrary.
     has_zero: bool,
@@ -27,29 +29,29 @@ pub(super) struct Dictionary {
 
 impl Dictionary {
     /// Returns the terms that the machine and the data allow.
-    pub(super) fn new(problem: &Problem) -> Self {
-        let base = start(&problem.data);
+    pub(super) fn new(problem: &FitProblem) -> Self {
+        let base = initial_model(&problem.data);
         let residual = problem.residual(&base);
         let groups = residual.len() as f64;
         let has_zero = base.constant_um.is_some();
         let mut dictionary = Self { entries: Vec::new(), columns: Vec::new(), has_zero };
-        let candidates = possible(problem, &base, &residual);
+        let candidates = simple_candidates(problem, &base, &residual);
         for (kind, candidate) in candidates.iter().enumerate() {
             let of = &candidate.kind;
-            // A wave's period is found in what was measured, and would not be left out with a part of it.
-            let is_open = of.is_compensated() && of.is_added() && of.stated().is_none();
-            let amplitudes = of.amplitudes();
-            // Nor is what happens once a record foreseen by its other parts.
-            let is_once = of.is_wave() || of.is_from_the_start();
+            // A wave's period is found in what was measured, and would not be held out with a part of it.
+            let is_open = of.is_compensated() && of.is_additive() && of.as_stated_term().is_none();
+            let amplitudes = of.amplitude_count();
+            // Nor is what happens once a record predicted by its other parts.
+            let is_once = of.is_wave() || of.is_settling_from_start();
             if !is_open || is_once || !(1..=MAX_AMPLITUDES).contains(&amplitudes) {
                 continue;
             }
             for setting in &candidate.settings {
                 // What the record does not show all of is continued at will.
-                if of.has_time_constant() && !problem.is_short(setting[0]) {
+                if of.has_time_constant() && !problem.is_time_constant_short(setting[0]) {
                     continue;
                 }
-                let columns = problem.columns(of, setting, true);
+                let columns = problem.basis_columns(of, setting, true);
                 let varies = |column: &Vec<f64>| {
                     let mean = column.iter().sum::<f64>() / groups;
                     let spread = column.iter().map(|c| (c - mean).powi(2)).sum::<f64>();
@@ -59,14 +61,14 @@ impl Dictionary {
                     continue;
                 }
                 let mut values = setting.clone();
-                values.resize(of.degrees(), 0.0);
+                values.resize(of.degrees_of_freedom(), 0.0);
                 let first = dictionary.columns.len();
                 dictionary.columns.extend(columns.iter().cloned());
-                dictionary.entries.push(Entry {
-                    part: Part { kind: of.clone(), values },
+                dictionary.entries.push(DictionaryEntry {
+                    part: ModelPart { kind: of.clone(), values },
                     columns: first..dictionary.columns.len(),
                     kind,
-                    degrees: of.degrees(),
+                    degrees: of.degrees_of_freedom(),
                 });
             }
         }

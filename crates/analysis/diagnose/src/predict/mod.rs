@@ -1,6 +1,6 @@
 //! The correction for prediction, where structure remains that the claimed causes leave.
 //!
-//! Names and correction are two outputs. A name is one answer; of a correction it is only asked what it foresees, and
+//! Names and correction are two outputs. A name is one answer; of a correction only its prediction counts, and
 //! there the mean over many searches is better than any one of them: which of several thermometers a search takes
 //! depends on the rows that it was shown.
 //!
@@ -9,94 +9,103 @@
 //!                                            └► their terms ─► compact: at most 8 terms ─► fitted to measured and mean
 //! ```
 //!
-//! Nothing is promised of a fit: the whole of it is done again without each part of the record, which it then foresees.
+//! Nothing is promised of a fit: the whole of it is done again without each part of the record, which it then predicts.
 
-pub(crate) mod compact;
+pub(crate) mod compact_model;
 mod dictionary;
-mod forward;
+mod forward_selection;
 
-use trueup_numerics::{blocks::stretches, parallel::on_all_cores, random::Generator};
+use trueup_numerics::{blocks::segment_indices, parallel::parallel_map, random::Generator};
 
 use crate::{
-    blocks::Folds,
-    fit::Problem,
+    fit::FitProblem,
+    folds::Folds,
     model::Model,
     predict::{
-        compact::{Compact, compact, single},
+        compact_model::{CompactModel, fit_terms, select_compact_model},
         dictionary::Dictionary,
-        forward::{Forward, memory},
+        forward_selection::{ForwardSelection, autocorrelation_time},
     },
-    search::start,
+    search::initial_model,
 };
 
 /// Pairs of subsamples, and of those of a fit without a part of the record.
-const PAIRS: usize = 15;
-const PAIRS_WITHOUT: usize = 6;
+const SUBSAMPLE_PAIRS: usize = 15;
+const HELD_OUT_SUBSAMPLE_PAIRS: usize = 6;
 /// The share of the blocks in a subsample.
-const SHARE: f64 = 0.75;
+const SUBSAMPLE_SHARE: f64 = 0.75;
 /// Terms that a subsample may have more than the whole record.
-const MORE: usize = 2;
+const MAX_EXTRA_TERMS: usize = 2;
 /// Blocks are this many times as long as what is left remembers; this many there are at least and at most.
-const MEMORIES: f64 = 4.0;
-const BLOCKS: [usize; 2] = [8, 60];
+const BLOCK_LENGTH_CORRELATION_TIMES: f64 = 4.0;
+const BLOCK_COUNT_RANGE: [usize; 2] = [8, 60];
 /// Blocks to begin with.
-const FIRST_BLOCKS: usize = 24;
+const INITIAL_BLOCK_COUNT: usize = 24;
 /// Of fewer groups a subsample shows too little.
-const FEW: usize = 40;
+const MIN_SUBSAMPLED_GROUPS: usize = 40;
 
-/// A correction, and what it foresaw of parts that it was not fitted to.
+/// A correction, and what it predicted of parts not used for its fit.
 #[derive(Clone, Debug)]
-pub(crate) struct Prediction {
+pub(crate) struct SelectedCorrection {
     pub model: Model,
-    pub foreseen: Predicted,
+    pub foreseen: HeldOutResiduals,
 }
 
 /// Residuals of parts that took no part in search and fit.
 #[derive(Clone, Debug)]
-pub(crate) struct Predicted {
-    /// Of each group, by a fit to the other parts ([`Folds::of_promise`]), in µm.
+pub(crate) struct HeldOutResiduals {
+    /// Of each group, by a fit to the other parts ([`Folds::for_prediction`]), in µm.
     pub left: Vec<f64>,
     /// Of the rest, by a fit to the first half and the first two thirds: from which group on, and in each.
     pub later: Vec<(usize, Vec<f64>)>,
 }
 
-/// Where the rest begins that is foreseen from the groups before.
-pub(crate) fn later_from(groups: usize) -> [usize; 2] {
+/// Where the rest begins that is predicted from the groups before.
+pub(crate) fn forecast_origins(groups: usize) -> [usize; 2] {
     [groups / 2, 2 * groups / 3]
 }
 
-/// Returns the correction that foresees left-out parts best; none where no term gains on left-out blocks. `beside` is
+/// Returns the correction that predicts held-out parts best; none where no term gains on held-out blocks. `drift_um` is
 /// what no board runs and is explained in each group, in µm: a gauge that drifts is no growth.
-pub(crate) fn prediction(problem: &Problem, folds: &Folds, beside: &[f64]) -> Option<Prediction> {
+pub(crate) fn select_correction(
+    problem: &FitProblem,
+    folds: &Folds,
+    drift_um: &[f64],
+) -> Option<SelectedCorrection> {
     let dictionary = Dictionary::new(problem);
     let measured = problem.residual(&Model::default());
-    let y: Vec<f64> = measured.iter().zip(beside).map(|(um, beside)| um - beside).collect();
+    let y: Vec<f64> = measured.iter().zip(drift_um).map(|(um, drift)| um - drift).collect();
     let groups = y.len();
-    let is_timed = problem.data.time_s.is_some();
+    let is_timed = problem.data.time_s().is_some();
     let all: Vec<usize> = (0..groups).collect();
-    let engine = Engine { dictionary: &dictionary, y: &y, is_timed, is_large: problem.is_large() };
-    let whole = engine.run(&all, PAIRS)?;
-    let model = whole.model(&dictionary, start(&problem.data));
-    let parts = folds.parts();
+    let engine = SubsampleSelection {
+        dictionary: &dictionary,
+        y: &y,
+        is_timed,
+        is_large: problem.is_parallel_worthwhile(),
+    };
+    let whole = engine.select_model(&all, SUBSAMPLE_PAIRS)?;
+    let model = whole.to_model(&dictionary, initial_model(&problem.data));
+    let parts = folds.part_numbers();
     let count = parts.iter().max().map_or(0, |last| last + 1);
     let mut left = measured.clone();
     for part in 0..count {
         let rows: Vec<usize> = all.iter().copied().filter(|&row| parts[row] != part).collect();
-        let without = engine.run(&rows, PAIRS_WITHOUT);
+        let without = engine.select_model(&rows, HELD_OUT_SUBSAMPLE_PAIRS);
         for row in (0..groups).filter(|&row| parts[row] == part) {
-            left[row] -= without.as_ref().map_or(0.0, |it| it.at(&dictionary, row));
+            left[row] -= without.as_ref().map_or(0.0, |it| it.predict_group(&dictionary, row));
         }
     }
-    let later = later_from(groups).into_iter().filter(|first| *first > 0).map(|first| {
-        let without = engine.run(&all[..first], PAIRS_WITHOUT);
-        let of = |row: usize| without.as_ref().map_or(0.0, |it| it.at(&dictionary, row));
+    let later = forecast_origins(groups).into_iter().filter(|first| *first > 0).map(|first| {
+        let without = engine.select_model(&all[..first], HELD_OUT_SUBSAMPLE_PAIRS);
+        let of = |row: usize| without.as_ref().map_or(0.0, |it| it.predict_group(&dictionary, row));
         (first, (first..groups).map(|row| measured[row] - of(row)).collect())
     });
-    Some(Prediction { model, foreseen: Predicted { later: later.collect(), left } })
+    Some(SelectedCorrection { model, foreseen: HeldOutResiduals { later: later.collect(), left } })
 }
 
 /// The search with all that it needs.
-struct Engine<'e> {
+struct SubsampleSelection<'e> {
     dictionary: &'e Dictionary,
     /// The machine file's residual in each group, in µm.
     y: &'e [f64],
@@ -104,37 +113,45 @@ struct Engine<'e> {
     is_large: bool,
 }
 
-impl Engine<'_> {
+impl SubsampleSelection<'_> {
     /// Returns the compact correction by these groups, which are in order.
-    fn run(&self, rows: &[usize], pairs: usize) -> Option<Compact> {
+    fn select_model(&self, rows: &[usize], pairs: usize) -> Option<CompactModel> {
         let count = rows.len();
         let forward = |rows: &[usize], blocks: &[usize], most: usize, stops: bool| {
-            Forward { dictionary: self.dictionary, y: self.y, stops }.terms(rows, blocks, most)
+            ForwardSelection { dictionary: self.dictionary, y: self.y, stops }
+                .select_terms(rows, blocks, most)
         };
-        let first = if self.is_timed { FIRST_BLOCKS.min(count / 4) } else { (count / 2).min(40) };
-        let mut blocks = stretches(count, first.max(2));
+        let first =
+            if self.is_timed { INITIAL_BLOCK_COUNT.min(count / 4) } else { (count / 2).min(40) };
+        let mut blocks = segment_indices(count, first.max(2));
         if self.is_timed {
             // Of what is left by a search that does not stop: what is still to be found remembers longer.
-            let rich = forward(rows, &blocks, compact::MAX_TERMS, false);
-            let left =
-                single(self.dictionary, self.y, rows, &rich).left(self.dictionary, self.y, rows);
-            let length = MEMORIES * memory(&left);
+            let rich = forward(rows, &blocks, compact_model::MAX_TERMS, false);
+            let left = fit_terms(self.dictionary, self.y, rows, &rich).residuals(
+                self.dictionary,
+                self.y,
+                rows,
+            );
+            let length = BLOCK_LENGTH_CORRELATION_TIMES * autocorrelation_time(&left);
             let most = (count as f64 / length).min(count as f64 / 8.0) as usize;
-            blocks = stretches(count, most.clamp(BLOCKS[0], BLOCKS[1]).min(count));
+            blocks = segment_indices(
+                count,
+                most.clamp(BLOCK_COUNT_RANGE[0], BLOCK_COUNT_RANGE[1]).min(count),
+            );
         }
-        let terms = forward(rows, &blocks, compact::MAX_TERMS, true);
+        let terms = forward(rows, &blocks, compact_model::MAX_TERMS, true);
         if terms.is_empty() {
             return None;
         }
-        if count < FEW {
-            return Some(single(self.dictionary, self.y, rows, &terms));
+        if count < MIN_SUBSAMPLED_GROUPS {
+            return Some(fit_terms(self.dictionary, self.y, rows, &terms));
         }
         let number = blocks[count - 1] + 1;
-        let kept = ((SHARE * number as f64).round() as usize).clamp(1, number - 1);
+        let kept = ((SUBSAMPLE_SHARE * number as f64).round() as usize).clamp(1, number - 1);
         let mut generator = Generator::new(count as u64);
         let sides: Vec<Vec<bool>> = (0..pairs)
             .flat_map(|_| {
-                let order = shuffled(number, &mut generator);
+                let order = random_permutation(number, &mut generator);
                 let of = |blocks: &[usize]| {
                     let mut is_in = vec![false; number];
                     blocks.iter().for_each(|&block| is_in[block] = true);
@@ -143,25 +160,25 @@ impl Engine<'_> {
                 [of(&order[..kept]), of(&order[number - kept..])]
             })
             .collect();
-        let samples = on_all_cores(&sides, self.is_large, |is_in| {
+        let samples = parallel_map(&sides, self.is_large, |is_in| {
             let inside: Vec<usize> = (0..count).filter(|&n| is_in[blocks[n]]).collect();
             let of: Vec<usize> = inside.iter().map(|&n| rows[n]).collect();
             let there: Vec<usize> = inside.iter().map(|&n| blocks[n]).collect();
-            let found = forward(&of, &there, terms.len() + MORE, true);
+            let found = forward(&of, &there, terms.len() + MAX_EXTRA_TERMS, true);
             let outside: Vec<usize> =
                 (0..count).filter(|&n| !is_in[blocks[n]]).map(|n| rows[n]).collect();
-            let fitted = single(self.dictionary, self.y, &of, &found);
-            compact::Sample { inside: of, outside, fitted }
+            let fitted = fit_terms(self.dictionary, self.y, &of, &found);
+            compact_model::Subsample { inside: of, outside, fitted }
         });
-        Some(compact(self.dictionary, self.y, rows, &samples, self.is_large))
+        Some(select_compact_model(self.dictionary, self.y, rows, &samples, self.is_large))
     }
 }
 
 /// Returns the numbers below `count` in a random order.
-fn shuffled(count: usize, generator: &mut Generator) -> Vec<usize> {
+fn random_permutation(count: usize, generator: &mut Generator) -> Vec<usize> {
     let mut order: Vec<usize> = (0..count).collect();
     for last in (1..count).rev() {
-        order.swap(last, generator.below(last + 1));
+        order.swap(last, generator.uniform_index(last + 1));
     }
     order
 }

@@ -3,32 +3,32 @@
 use std::fmt;
 
 use crate::{
-    blocks::Unit,
     candidates::Candidate,
-    fit::{Fitted, Problem},
-    kind::{Curve, Kind},
+    fit::{FitProblem, FittedModel},
+    folds::FoldUnit,
     search::{
-        criterion::{STRONG_EVIDENCE, bic},
-        extend::{Extension, extensions},
+        criterion::{STRONG_EVIDENCE_BIC, bic},
+        extension::{Extension, fit_extensions},
     },
+    term_kind::{Curve, TermKind},
 };
 
 /// A sign that what is left is more than noise.
 #[derive(Clone, Debug)]
 pub(crate) enum LackOfFit {
-    /// A cause explains more than noise would let it, but predicts no better what was left out.
+    /// A cause explains more than noise would let it, but predicts no better what was held out.
     NoGain {
-        /// The cause, with the column that it hangs on.
-        cause: Kind,
-        left_out: Unit,
+        /// The cause, with the column that it depends on.
+        cause: TermKind,
+        left_out: FoldUnit,
     },
     /// A curve over these explains more than noise would let it.
-    GoesWith(Inputs),
+    GoesWith(CurveInputs),
 }
 
 impl LackOfFit {
-    /// Returns whether what is left goes with these.
-    pub(crate) fn goes_with(&self, inputs: &Inputs) -> bool {
+    /// Returns whether what is left depends on these.
+    pub(crate) fn depends_on(&self, inputs: &CurveInputs) -> bool {
         matches!(self, Self::GoesWith(left) if left == inputs)
     }
 }
@@ -50,22 +50,22 @@ impl fmt::Display for LackOfFit {
 
 /// The inputs of a curve.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Inputs {
+pub(crate) struct CurveInputs {
     column: String,
     /// The column that the curve is multiplied by.
     times: Option<String>,
     by_direction: bool,
 }
 
-impl Inputs {
+impl CurveInputs {
     /// Those of a curve; none of a cause.
-    pub(crate) fn of(kind: &Kind) -> Option<Self> {
-        let Kind::Curve(Curve { column, by_direction, times, .. }) = kind else { return None };
+    pub(crate) fn from_kind(kind: &TermKind) -> Option<Self> {
+        let TermKind::Curve(Curve { column, by_direction, times, .. }) = kind else { return None };
         Some(Self { column: column.clone(), times: times.clone(), by_direction: *by_direction })
     }
 }
 
-impl fmt::Display for Inputs {
+impl fmt::Display for CurveInputs {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.column)?;
         if let Some(times) = &self.times {
@@ -76,22 +76,26 @@ impl fmt::Display for Inputs {
 }
 
 /// `base` with each of the curves that do most next to what it has.
-pub(crate) fn with_each_curve(
-    problem: &Problem,
-    base: &Fitted,
+pub(crate) fn fit_single_curve_extensions(
+    problem: &FitProblem,
+    base: &FittedModel,
     curves: &[Candidate],
 ) -> Vec<Extension> {
-    extensions(problem, base, curves, 2)
+    fit_extensions(problem, base, curves, 2)
 }
 
 /// `base` with up to two curves that explain more than they cost: what is left then is left by
 /// whatever law there is.
-pub(crate) fn with_curves(problem: &Problem, base: &Fitted, curves: &[Candidate]) -> Fitted {
+pub(crate) fn with_curves(
+    problem: &FitProblem,
+    base: &FittedModel,
+    curves: &[Candidate],
+) -> FittedModel {
     let mut best = base.clone();
     for _ in 0..2 {
         let own = bic(problem, &best);
-        let with = Extension::best(with_each_curve(problem, &best, curves));
-        let Some(with) = with.filter(|with| with.bic < own - STRONG_EVIDENCE) else { break };
+        let with = Extension::best_by_bic(fit_single_curve_extensions(problem, &best, curves));
+        let Some(with) = with.filter(|with| with.bic < own - STRONG_EVIDENCE_BIC) else { break };
         best = with.fitted;
     }
     best

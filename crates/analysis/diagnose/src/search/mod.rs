@@ -2,7 +2,7 @@
 //! has not seen.
 //!
 //! ```text
-//! scan all causes ─► significant? ─► fit with all terms ─► BIC ─► gain on left-out blocks ─► add
+//! scan all causes ─► significant? ─► fit with all terms ─► BIC ─► gain on held-out blocks ─► add
 //!        ▲                                                                             │
 //!        └───────── is another cause better in a term's place? is it still needed? ◄───┘
 //! ```
@@ -16,63 +16,65 @@
 //! | `state` | the model in work, its terms, what was rejected and why |
 //! | `choose` | which extension is taken |
 //! | `table` | a table that was measured several times, judged by its repeats |
-//! | `composed`, `bound` | what takes two inputs together: differences of two temperatures, ranges and their bounds |
-//! | `float` | several terms at once, what one alone cannot show |
+//! | `interaction`, `bound` | what takes two inputs together: differences of two temperatures, ranges and their bounds |
+//! | `apply_floating_search` | several terms at once, what one alone cannot show |
 //! | `revise` | what is looked at again once other terms are there |
-//! | `simplify` | what is made simpler at the end |
+//! | `simplification` | what is made simpler at the end |
 //! | `smoothing` | lags that only take noise away |
 //!
 //! Models whose BIC cannot be distinguished are equal; then the simpler cause wins, among those the one
-//! that predicts left-out blocks better, and the machine's own model and sensors come before others.
+//! that predicts held-out blocks better, and the machine's own model and sensors come before others.
 
-pub(crate) mod bound;
-mod choose;
-pub(crate) mod composed;
 pub(crate) mod criterion;
-pub(crate) mod extend;
-mod float;
+pub(crate) mod extension;
+mod extension_choice;
+mod floating_search;
+pub(crate) mod interaction;
 pub(crate) mod lack_of_fit;
-mod revise;
+pub(crate) mod range_bound;
+mod revision;
 pub(crate) mod scan;
-pub(crate) mod simplify;
+pub(crate) mod simplification;
 pub(crate) mod smoothing;
 pub(crate) mod state;
 mod statistics;
 pub(crate) mod table;
 
-use trueup_numerics::noise::Noise;
+use trueup_numerics::noise::NoiseModel;
 
 use crate::{
-    blocks::Folds,
-    candidates::{possible, structure, with_clock, with_composed},
-    data::Data,
-    fit::{Fitted, Problem},
-    kind::Part,
+    candidates::{
+        all_candidates, curve_candidates, simple_and_clock_candidates, simple_candidates,
+    },
+    data::DataTable,
+    fit::{FitProblem, FittedModel},
+    folds::Folds,
     model::Model,
+    term_kind::ModelPart,
 };
-use choose::{Choice, ChosenExtension, choose, pair_from_nothing};
-use composed::alone_over_a_column;
-use criterion::{degrees, noise_of};
-use extend::fit_hits;
-use lack_of_fit::{Inputs, LackOfFit};
-use scan::{Draw, Hit, Scan, scan};
-pub(crate) use state::{Added, Tried};
-use state::{RejectReason, Search, Stage};
+use criterion::{degrees_of_freedom, estimate_noise};
+use extension::fit_hits;
+use extension_choice::{ChosenExtension, SelectionOutcome, choose_extension, suppressor_pair};
+use interaction::single_term_replacements;
+use lack_of_fit::{CurveInputs, LackOfFit};
+use scan::{Hit, NoiseSimulation, ScanResult, scan};
+pub(crate) use state::{AddedTerm, RejectedCandidate};
+use state::{RejectReason, Search, SearchStage};
 
 /// Most terms of one diagnosis.
 const MAX_TERMS: usize = 8;
 /// Most rounds: one for each term, and as many as find nothing.
 const MAX_ROUNDS: usize = MAX_TERMS + 8;
 /// How often the search begins again after a term was given up.
-const MAX_RETURNS: usize = 3;
+const MAX_RESTARTS: usize = 3;
 /// Candidates that are fitted with everything else, of those that a scan puts first.
-const MAX_FITTED: usize = 10;
+const MAX_FITTED_CANDIDATES: usize = 10;
 /// Groups times fitted values up to which several terms ahead are looked at: it is many fits.
-const MAX_WORK_AHEAD: usize = 40_000;
+const MAX_LOOKAHEAD_WORK: usize = 40_000;
 
 /// How far a search goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Breadth {
+pub(crate) enum SearchScope {
     /// One recorded input a term, and products.
     Simple,
     /// Also what takes two inputs together.
@@ -80,54 +82,54 @@ pub(crate) enum Breadth {
 }
 
 /// The outcome.
-pub(crate) struct Found {
-    pub fitted: Fitted,
+pub(crate) struct SearchOutcome {
+    pub fitted: FittedModel,
     /// In the order in which they were added.
-    pub added: Vec<Added>,
+    pub added: Vec<AddedTerm>,
     /// Extensions that were tried at the end and not taken.
-    pub rejected: Vec<Tried>,
+    pub rejected: Vec<RejectedCandidate>,
     /// Tests that fire on what is left.
     pub lack_of_fit: Vec<LackOfFit>,
-    pub noise: Noise,
+    pub noise: NoiseModel,
     pub folds: Folds,
 }
 
 /// Returns the model to begin with: an axis's measurement has an arbitrary zero.
-pub(crate) fn start(data: &Data) -> Model {
-    Model { parts: Vec::<Part>::new(), constant_um: data.quantity.axis().map(|_| 0.0) }
+pub(crate) fn initial_model(data: &DataTable) -> Model {
+    Model { parts: Vec::<ModelPart>::new(), constant_um: data.setting.quantity.axis().map(|_| 0.0) }
 }
 
-/// Returns the search on `problem`, from the model as it is; `known` was found before some rows were set aside, and
+/// Returns the search on `problem`, from the current model; `known` was found before some rows were excluded as outliers, and
 /// is the answer to go on from where it is better than what is found now. `progress` receives what is being tried, and
 /// how far the search has come (0…1).
 pub(crate) fn search(
-    problem: &Problem,
+    problem: &FitProblem,
     start: &Model,
     known: Option<&Model>,
-    breadth: Breadth,
+    breadth: SearchScope,
     progress: &mut dyn FnMut(&str, f64),
-) -> Found {
+) -> SearchOutcome {
     let mut search = Search::new(problem, start, breadth);
     let mut no_gain = search.add_terms(progress);
     // A few rows more or less may let a search stop short of what another one has found.
-    if known.is_some_and(|known| search.recall(known)) {
-        search.try_all_again();
+    if known.is_some_and(|known| search.adopt_if_better(known)) {
+        search.restart_search();
         no_gain = search.add_terms(progress);
     }
-    // What foresees nothing may have stood in the way of what does.
+    // What predicts nothing may have stood in the way of what does.
     let mut returns = 0;
-    while search.simplify() && returns < MAX_RETURNS {
-        search.try_all_again();
+    while search.simplify_model() && returns < MAX_RESTARTS {
+        search.restart_search();
         no_gain = search.add_terms(progress);
         returns += 1;
     }
-    search.outcome(no_gain)
+    search.into_outcome(no_gain)
 }
 
 /// The outcome of a round.
-enum Round {
+enum RoundOutcome {
     /// A term is there, or two.
-    Added,
+    AddedTerm,
     /// Nothing; there is more to try.
     Widened,
     /// Nothing, and everything was tried. With the last scan.
@@ -135,154 +137,155 @@ enum Round {
 }
 
 impl Search<'_> {
-    /// Adds terms until nothing more is to be found; what is more than noise then, but foresees nothing.
+    /// Adds terms until nothing more is to be found; what is more than noise then, but predicts nothing.
     fn add_terms(&mut self, progress: &mut dyn FnMut(&str, f64)) -> Vec<LackOfFit> {
         for round in 0..MAX_ROUNDS {
             let part = |rounds: f64| (rounds / MAX_TERMS as f64).min(0.9);
             progress("looking for a cause", part(round as f64));
-            match self.round(progress) {
-                Round::Added if self.added.len() >= MAX_TERMS => break,
-                Round::Added => {
+            match self.run_round(progress) {
+                RoundOutcome::AddedTerm if self.added.len() >= MAX_TERMS => break,
+                RoundOutcome::AddedTerm => {
                     progress("comparing with rivals", part(round as f64 + 0.7));
                     self.revise();
                 }
-                Round::Widened => {}
-                Round::Exhausted(hits) => return self.close(&hits),
+                RoundOutcome::Widened => {}
+                RoundOutcome::Exhausted(hits) => return self.collect_rejected(&hits),
             }
         }
         Vec::new()
     }
 
     /// Scans what may be tried now, and takes the best if it is worth it.
-    fn round(&mut self, progress: &mut dyn FnMut(&str, f64)) -> Round {
+    fn run_round(&mut self, progress: &mut dyn FnMut(&str, f64)) -> RoundOutcome {
         let all = match self.stage {
-            Stage::Composed => with_composed,
-            Stage::ByTheClock => with_clock,
-            _ => possible,
+            SearchStage::Composed => all_candidates,
+            SearchStage::ByTheClock => simple_and_clock_candidates,
+            _ => simple_candidates,
         };
         let mut candidates = all(self.problem, &self.fitted.model, &self.fitted.residual);
         candidates.retain(|candidate| {
             self.stage.admits(&candidate.kind)
-                && !self.has_composed_over_its_column(&candidate.kind)
+                && !self.has_interaction_on_column(&candidate.kind)
                 && !self.rejected.iter().any(|tried| tried.cause == candidate.kind)
                 && !self.given_up.contains(&candidate.kind)
         });
         let tier = candidates.iter().map(|candidate| candidate.kind.tier()).max().unwrap_or(0);
         let scanned = scan(self.problem, &self.fitted, &candidates, self.limits);
-        let is_open = |hit: &&Hit| self.is_open(hit);
+        let is_open = |hit: &&Hit| self.is_admissible(hit);
         let hits: Vec<Hit> = scanned.hits.iter().filter(is_open).cloned().collect();
-        let mut options = fit_hits(self.problem, &self.fitted, &hits, MAX_FITTED);
-        if self.stage == Stage::Composed {
+        let mut options = fit_hits(self.problem, &self.fitted, &hits, MAX_FITTED_CANDIDATES);
+        if self.stage == SearchStage::Composed {
             let causes = self.added.iter().map(|it| &it.cause);
-            let alone = alone_over_a_column(self.problem, &self.fitted, causes);
+            let alone = single_term_replacements(self.problem, &self.fitted, causes);
             let bic = self.bic();
             options.extend(alone.into_iter().filter(|it| it.bic < bic));
-            options.retain(|it| !self.takes_back(it));
+            options.retain(|it| !self.cancels_other_term(it));
         }
-        match choose(self, options, tier, progress) {
-            Choice::Take(taken) => {
-                self.take(taken, &hits);
-                Round::Added
+        match choose_extension(self, options, tier, progress) {
+            SelectionOutcome::Take(taken) => {
+                self.accept_extension(taken, &hits);
+                RoundOutcome::AddedTerm
             }
-            Choice::Reject(tried) => self.widen(scanned, tier, tried, progress),
+            SelectionOutcome::Reject(tried) => self.widen_search(scanned, tier, tried, progress),
         }
     }
 
     /// Returns whether a hit may be taken. One slow misfit may be explained that the likelihood would leave to
     /// the noise (only the squares see it); with that the few independent rows that it rests on are
     /// used up, and a second one would follow the wander of the first one's remainder.
-    fn is_open(&self, hit: &Hit) -> bool {
+    fn is_admissible(&self, hit: &Hit) -> bool {
         let is_free = self.by_squares.is_empty() || hit.part.kind.tier() == 0;
         hit.is_likely || hit.is_significant && is_free
     }
 
-    fn take(&mut self, taken: ChosenExtension, hits: &[Hit]) {
+    fn accept_extension(&mut self, taken: ChosenExtension, hits: &[Hit]) {
         self.rejected.clear();
-        self.limits = Draw::Robust;
+        self.limits = NoiseSimulation::Robust;
         self.fitted = taken.fitted;
-        self.added.retain(|there| self.fitted.model.has(&there.cause));
-        self.by_squares.retain(|cause| self.fitted.model.has(cause));
+        self.added.retain(|there| self.fitted.model.contains(&there.cause));
+        self.by_squares.retain(|cause| self.fitted.model.contains(cause));
         for cause in taken.causes {
             let own = || hits.iter().filter(|hit| hit.part.kind == cause);
             let by_squares = own().next().is_some() && !own().any(|hit| hit.is_likely);
             if cause.tier() > 0 && by_squares {
                 self.by_squares.push(cause.clone());
             }
-            self.added.push(Added { cause, gain: taken.gain, tried: taken.tried.clone() });
+            self.added.push(AddedTerm { cause, gain: taken.gain, tried: taken.tried.clone() });
         }
     }
 
     /// Returns what to try after a round that took none of `tried`: two causes that hide each other, the next
-    /// stage, sharper limits, two terms ahead, what takes two inputs together, what goes with the clock alone; in this
+    /// stage, sharper limits, two terms ahead, what takes two inputs together, what depends on the clock alone; in this
     /// order.
-    fn widen(
+    fn widen_search(
         &mut self,
-        scanned: Scan,
+        scanned: ScanResult,
         tier: u8,
-        tried: Vec<Tried>,
+        tried: Vec<RejectedCandidate>,
         progress: &mut dyn FnMut(&str, f64),
-    ) -> Round {
+    ) -> RoundOutcome {
         let is_empty = self.added.is_empty();
-        if self.stage == Stage::All && is_empty {
+        if self.stage == SearchStage::All && is_empty {
             let limit = scanned.likelihood_limit.unwrap_or(0.0);
             if let Some(ChosenExtension { fitted, causes, gain, .. }) =
-                pair_from_nothing(self, &scanned.hits, tier, limit)
+                suppressor_pair(self, &scanned.hits, tier, limit)
             {
                 self.fitted = fitted;
-                let added = |cause| Added { cause, gain, tried: Vec::new() };
+                let added = |cause| AddedTerm { cause, gain, tried: Vec::new() };
                 self.added = causes.into_iter().map(added).collect();
-                self.try_all_again();
-                return Round::Widened;
+                self.restart_search();
+                return RoundOutcome::Widened;
             }
         }
         self.rejected.extend(tried);
-        if let Some(next) = self.stage.next() {
+        if let Some(next) = self.stage.next_stage() {
             self.stage = next;
-            return Round::Widened;
+            return RoundOutcome::Widened;
         }
         // Two causes may together look like slow noise. Before all is called noise, a sharper look.
-        if is_empty && self.limits == Draw::Robust {
-            self.limits = Draw::Sharp;
-            self.try_all_again();
-            return Round::Widened;
+        if is_empty && self.limits == NoiseSimulation::Robust {
+            self.limits = NoiseSimulation::Sharp;
+            self.restart_search();
+            return RoundOutcome::Widened;
         }
-        let work = self.problem.groups.len() * degrees(&self.fitted.model);
-        if !is_empty && self.is_new_to_look_ahead() {
+        let work = self.problem.groups.len() * degrees_of_freedom(&self.fitted.model);
+        if !is_empty && self.mark_lookahead_done() {
             progress("looking several terms ahead", f64::NAN);
-            let is_cheap = work < MAX_WORK_AHEAD;
-            if self.plain_in_place_of_lists() || is_cheap && (self.float() || self.look_two_ahead())
+            let is_cheap = work < MAX_LOOKAHEAD_WORK;
+            if self.replace_lists_by_plain_terms()
+                || is_cheap && (self.apply_floating_search() || self.try_two_step_lookahead())
             {
                 self.revise();
-                return Round::Widened;
+                return RoundOutcome::Widened;
             }
         }
         // What was measured several times is judged by that, once all that is not of the axis is there.
         if !self.has_judged_repeats {
             self.has_judged_repeats = true;
             progress("comparing repeats", f64::NAN);
-            if self.table_by_repeats() {
-                self.try_all_again();
-                return Round::Widened;
+            if self.apply_table_from_repeats() {
+                self.restart_search();
+                return RoundOutcome::Widened;
             }
         }
         // Many candidates, any of which may imitate a simple one: last.
-        if self.stage == Stage::All && self.breadth == Breadth::Composed {
-            self.stage = Stage::Composed;
-            return Round::Widened;
+        if self.stage == SearchStage::All && self.breadth == SearchScope::Composed {
+            self.stage = SearchStage::Composed;
+            return RoundOutcome::Widened;
         }
-        if self.stage != Stage::ByTheClock {
-            self.stage = Stage::ByTheClock;
-            return Round::Widened;
+        if self.stage != SearchStage::ByTheClock {
+            self.stage = SearchStage::ByTheClock;
+            return RoundOutcome::Widened;
         }
-        Round::Exhausted(scanned.hits)
+        RoundOutcome::Exhausted(scanned.hits)
     }
 
     /// Gathers what was rejected on the way, down to what was not even significant in the last scan;
     /// what is more than noise, but does not predict, is a lack of fit.
-    fn close(&mut self, hits: &[Hit]) -> Vec<LackOfFit> {
+    fn collect_rejected(&mut self, hits: &[Hit]) -> Vec<LackOfFit> {
         for added in &self.added {
             for tried in &added.tried {
-                let is_in = added.cause == tried.cause || self.fitted.model.has(&tried.cause);
+                let is_in = added.cause == tried.cause || self.fitted.model.contains(&tried.cause);
                 if !is_in && !self.rejected.iter().any(|there| there.cause == tried.cause) {
                     self.rejected.push(tried.clone());
                 }
@@ -307,7 +310,7 @@ impl Search<'_> {
             }
             let same = hits.iter().filter(|there| there.part.kind.name() == name);
             let best = same.max_by(|a, b| a.by_likelihood.total_cmp(&b.by_likelihood));
-            self.rejected.push(Tried {
+            self.rejected.push(RejectedCandidate {
                 cause: best.unwrap_or(hit).part.kind.clone(),
                 rms_um,
                 left_out_um: None,
@@ -318,21 +321,24 @@ impl Search<'_> {
     }
 
     /// Returns the outcome, with what fires on what is left next to `lack_of_fit`.
-    fn outcome(self, mut lack_of_fit: Vec<LackOfFit>) -> Found {
+    fn into_outcome(self, mut lack_of_fit: Vec<LackOfFit>) -> SearchOutcome {
         let (problem, fitted) = (self.problem, self.fitted);
-        let scanned = scan(problem, &fitted, &structure(problem), self.limits);
+        let scanned = scan(problem, &fitted, &curve_candidates(problem), self.limits);
         let share_um = |hit: &Hit| (hit.explained * fitted.rms().powi(2)).sqrt();
         let counts = |hit: &&Hit| hit.is_significant && share_um(hit) > self.relevant_um;
-        let inputs =
-            scanned.hits.iter().filter(counts).filter_map(|hit| Inputs::of(&hit.part.kind));
+        let inputs = scanned
+            .hits
+            .iter()
+            .filter(counts)
+            .filter_map(|hit| CurveInputs::from_kind(&hit.part.kind));
         for inputs in inputs {
-            if !lack_of_fit.iter().any(|there| there.goes_with(&inputs)) {
+            if !lack_of_fit.iter().any(|there| there.depends_on(&inputs)) {
                 lack_of_fit.push(LackOfFit::GoesWith(inputs));
             }
         }
-        let noise = noise_of(problem, &fitted.residual, degrees(&fitted.model));
+        let noise = estimate_noise(problem, &fitted.residual, degrees_of_freedom(&fitted.model));
         let folds = Folds::new(problem, noise.memory);
         let (added, rejected) = (self.added, self.rejected);
-        Found { fitted, added, rejected, lack_of_fit, noise, folds }
+        SearchOutcome { fitted, added, rejected, lack_of_fit, noise, folds }
     }
 }

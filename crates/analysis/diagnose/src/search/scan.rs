@@ -20,34 +20,34 @@
 
 use trueup_numerics::{
     least_squares::normal::dot,
-    noise::{self, Noise},
-    parallel::on_all_cores,
+    noise::{self, NoiseModel},
+    parallel::parallel_map,
     random::Generator,
 };
 
 use crate::{
     candidates::Candidate,
-    fit::{Fitted, Problem, jacobian, of_part},
-    kind::Part,
+    fit::{FitProblem, FittedModel, jacobian, part_derivatives},
     model::Model,
-    outliers::CLAIM,
+    outliers::FALSE_CLAIM_PROBABILITY,
     search::{
-        criterion::{longest_memory, noise_of},
-        statistics::{Trial, statistics},
+        criterion::{estimate_noise, max_autocorrelation_time},
+        statistics::{Trial, compute_statistics},
     },
+    term_kind::ModelPart,
 };
 
 /// Chance that noise passes the limit of one of the two statistics in one search: together that of a claim.
-pub(crate) const FALSE_ALARM: f64 = CLAIM / 2.0;
+pub(crate) const FALSE_ALARM_PROBABILITY: f64 = FALSE_CLAIM_PROBABILITY / 2.0;
 /// Draws of noise.
-const DRAWS: usize = 32;
+const NOISE_SIMULATIONS: usize = 32;
 
 /// A candidate at its best setting.
 #[derive(Clone, Debug)]
 pub(crate) struct Hit {
     /// Its number among the candidates.
     pub candidate: usize,
-    pub part: Part,
+    pub part: ModelPart,
     /// Whether a constant comes with it.
     pub with_constant: bool,
     /// T and U.
@@ -62,7 +62,7 @@ pub(crate) struct Hit {
 }
 
 /// The outcome of a search.
-pub(crate) struct Scan {
+pub(crate) struct ScanResult {
     /// The best setting of each candidate, with and without a constant.
     pub hits: Vec<Hit>,
     /// The limit of T, where noise had to be drawn.
@@ -70,63 +70,75 @@ pub(crate) struct Scan {
 }
 
 /// Returns what a part at these nonlinear values would add, in groups; whether its size is fixed.
-fn effect(
-    problem: &Problem,
+fn effect_columns(
+    problem: &FitProblem,
     model: &Model,
     here: &[f64],
     candidate: &Candidate,
     setting: &[f64],
 ) -> (Vec<Vec<f64>>, bool) {
     let kind = &candidate.kind;
-    if kind.stated().is_some() {
+    if kind.as_stated_term().is_some() {
         // It is there already: what it may add is how it changes with its values.
         let mut with = model.clone();
-        with.parts.push(Part { kind: kind.clone(), values: setting.to_vec() });
-        let columns = of_part(problem, &with, model.parts.len());
+        with.parts.push(ModelPart { kind: kind.clone(), values: setting.to_vec() });
+        let columns = part_derivatives(problem, &with, model.parts.len());
         return (columns.into_iter().map(|(_, column)| column).collect(), false);
     }
-    if kind.is_added() {
-        return (problem.columns(kind, setting, true).to_vec(), false);
+    if kind.is_additive() {
+        return (problem.basis_columns(kind, setting, true).to_vec(), false);
     }
-    let is_fixed = kind.amplitudes() == 0 && !kind.nonlinear().is_empty();
+    let is_fixed = kind.amplitude_count() == 0 && !kind.nonlinear_parameters().is_empty();
     let step = if is_fixed { 1.0 } else { 1e-4 };
     let mut values = setting.to_vec();
-    values.resize(kind.nonlinear().len() + kind.amplitudes(), step);
+    values.resize(kind.nonlinear_parameters().len() + kind.amplitude_count(), step);
     let mut with = model.clone();
-    with.parts.push(Part { kind: kind.clone(), values });
-    with.sort();
-    let there = problem.predicted(&with);
+    with.parts.push(ModelPart { kind: kind.clone(), values });
+    with.sort_parts();
+    let there = problem.predict(&with);
     (vec![there.iter().zip(here).map(|(t, h)| (t - h) / step).collect()], is_fixed)
 }
 
 /// Whether noise is drawn for the limits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Draw {
+pub(crate) enum NoiseSimulation {
     /// Nothing is decided by them.
     Not,
     /// Noises on a coarse grid: between its points any candidate seems to help, the limits are high,
     /// and what passes them does so whatever the noise is.
     Robust,
-    /// The noise as it is estimated is among them, and what it would be without its slow part: the
+    /// The estimated noise is among them, and what it would be without its slow part: the
     /// limits are low, and right if the noise is as it is modelled.
     Sharp,
 }
 
 /// Tries `candidates` on what `base` leaves. Noise is drawn only if something may pass the limits.
-pub(crate) fn scan(problem: &Problem, base: &Fitted, candidates: &[Candidate], draw: Draw) -> Scan {
-    let trials = trials(problem, &base.model, candidates);
+pub(crate) fn scan(
+    problem: &FitProblem,
+    base: &FittedModel,
+    candidates: &[Candidate],
+    draw: NoiseSimulation,
+) -> ScanResult {
+    let trials = build_trials(problem, &base.model, candidates);
     let (steps, residual) = (&problem.groups.steps, &base.residual);
     let rows = problem.groups.len();
     let (_, nuisance) = jacobian(problem, &base.model);
-    let own = noise_of(problem, residual, nuisance.len());
-    let independent = noise::effective_rows(own, steps).max(3.0);
-    let noises = noises(problem, own, draw);
+    let own = estimate_noise(problem, residual, nuisance.len());
+    let independent = noise::effective_sample_size(own, steps).max(3.0);
+    let noises = candidate_noise_models(problem, own, draw);
     let price: Vec<f64> =
         trials.iter().map(|trial| 2.0 * candidates[trial.candidate].searched).collect();
     let mut of_trials = Vec::new();
     let mut of = |lists: &[Vec<f64>]| {
-        let mut all =
-            statistics(&trials, &nuisance, lists, problem, &noises, independent, &mut of_trials);
+        let mut all = compute_statistics(
+            &trials,
+            &nuisance,
+            lists,
+            problem,
+            &noises,
+            independent,
+            &mut of_trials,
+        );
         for (values, price) in all.iter_mut().zip(&price) {
             values.iter_mut().flatten().for_each(|value| *value -= price);
         }
@@ -139,10 +151,10 @@ pub(crate) fn scan(problem: &Problem, base: &Fitted, candidates: &[Candidate], d
     };
     let real = of(std::slice::from_ref(residual));
     let may_pass = best(&real, 0).iter().any(|value| *value > 0.0);
-    let limits = (draw != Draw::Not && may_pass).then(|| {
+    let limits = (draw != NoiseSimulation::Not && may_pass).then(|| {
         let sigma = (dot(residual, residual) / rows as f64).sqrt();
         let mut generator = Generator::new(0x7472_7565_7570 ^ rows as u64);
-        let drawn: Vec<Vec<f64>> = (0..DRAWS)
+        let drawn: Vec<Vec<f64>> = (0..NOISE_SIMULATIONS)
             .map(|_| {
                 let mut e = noise::draw(own, steps, &mut generator);
                 e.iter_mut().for_each(|e| *e *= sigma);
@@ -150,7 +162,7 @@ pub(crate) fn scan(problem: &Problem, base: &Fitted, candidates: &[Candidate], d
             })
             .collect();
         let all = of(&drawn);
-        let most: Vec<[f64; 2]> = (0..DRAWS).map(|draw| best(&all, draw)).collect();
+        let most: Vec<[f64; 2]> = (0..NOISE_SIMULATIONS).map(|draw| best(&all, draw)).collect();
         [0, 1].map(|which| gumbel_limit(most.iter().map(|most| most[which])))
     });
     let mut hits: Vec<Hit> = Vec::new();
@@ -160,11 +172,11 @@ pub(crate) fn scan(problem: &Problem, base: &Fitted, candidates: &[Candidate], d
         let is_likely = limits.is_some_and(|[t, _]| by_likelihood > t);
         let is_significant = is_likely || limits.is_some_and(|[_, u]| by_squares > u);
         let mut values = trial.setting.clone();
-        values.resize(candidate.kind.degrees(), 0.0);
+        values.resize(candidate.kind.degrees_of_freedom(), 0.0);
         let gain = by_squares + price[number] + trial.degrees * independent.ln();
         let hit = Hit {
             candidate: trial.candidate,
-            part: Part { kind: candidate.kind.clone(), values },
+            part: ModelPart { kind: candidate.kind.clone(), values },
             with_constant: trial.with_constant,
             by_likelihood,
             by_squares,
@@ -180,7 +192,7 @@ pub(crate) fn scan(problem: &Problem, base: &Fitted, candidates: &[Candidate], d
             None => hits.push(hit),
         }
     }
-    Scan { hits, likelihood_limit: limits.map(|[t, _]| t) }
+    ScanResult { hits, likelihood_limit: limits.map(|[t, _]| t) }
 }
 
 impl Hit {
@@ -199,21 +211,22 @@ impl Hit {
 }
 
 /// Returns every candidate at every setting, with and without a constant.
-fn trials(problem: &Problem, model: &Model, candidates: &[Candidate]) -> Vec<Trial> {
+fn build_trials(problem: &FitProblem, model: &Model, candidates: &[Candidate]) -> Vec<Trial> {
     let rows = problem.groups.len();
-    let here = problem.predicted(model);
+    let here = problem.predict(model);
     let mut trials = Vec::new();
     for (number, candidate) in candidates.iter().enumerate() {
-        let effects = on_all_cores(&candidate.settings, problem.is_large(), |setting| {
-            effect(problem, model, &here, candidate, setting)
-        });
+        let effects =
+            parallel_map(&candidate.settings, problem.is_parallel_worthwhile(), |setting| {
+                effect_columns(problem, model, &here, candidate, setting)
+            });
         for (setting, (columns, is_fixed)) in candidate.settings.iter().zip(effects) {
             if columns.iter().flatten().any(|value| !value.is_finite()) {
                 continue;
             }
             let may_have = model.constant_um.is_none() && candidate.kind.has_reference();
             // As many values as can be distinguished from this many rows.
-            let degrees = candidate.kind.degrees();
+            let degrees = candidate.kind.degrees_of_freedom();
             if 3 * (degrees + 1) > rows {
                 continue;
             }
@@ -242,15 +255,19 @@ fn trials(problem: &Problem, model: &Model, candidates: &[Candidate]) -> Vec<Tri
     trials
 }
 
-/// Returns the noises that a candidate may choose from. Where nothing is decided by it, the noise as it is and
+/// Returns the noises that a candidate may choose from. Where nothing is decided by it, the estimated noise and
 /// its extremes are enough.
-fn noises(problem: &Problem, own: Noise, draw: Draw) -> Vec<Noise> {
-    if draw == Draw::Not {
-        let quick = Noise { memory: (own.memory / 4.0).max(0.5), white: 0.3 };
-        return vec![Noise::WHITE, quick, own];
+fn candidate_noise_models(
+    problem: &FitProblem,
+    own: NoiseModel,
+    draw: NoiseSimulation,
+) -> Vec<NoiseModel> {
+    if draw == NoiseSimulation::Not {
+        let quick = NoiseModel { memory: (own.memory / 4.0).max(0.5), white: 0.3 };
+        return vec![NoiseModel::WHITE, quick, own];
     }
-    let mut noises = noise::grid(longest_memory(problem));
-    if draw == Draw::Sharp && own != Noise::WHITE {
+    let mut noises = noise::noise_grid(max_autocorrelation_time(problem));
+    if draw == NoiseSimulation::Sharp && own != NoiseModel::WHITE {
         let more = (2.0 * own.white + 0.1).min(0.9);
         for (memory, white) in [
             (own.memory, own.white),
@@ -258,22 +275,22 @@ fn noises(problem: &Problem, own: Noise, draw: Draw) -> Vec<Noise> {
             (own.memory / 3.0, own.white),
             (own.memory / 3.0, more),
         ] {
-            noises.push(Noise { memory, white });
+            noises.push(NoiseModel { memory, white });
         }
     }
     noises
 }
 
-/// Returns the value that the largest of a search on noise passes with the chance [`FALSE_ALARM`], by the
+/// Returns the value that the largest of a search on noise passes with the chance [`FALSE_ALARM_PROBABILITY`], by the
 /// moments of a Gumbel distribution.
 fn gumbel_limit(values: impl Iterator<Item = f64>) -> f64 {
-    const EULER: f64 = 0.577_215_664_901_532_9;
+    const EULER_MASCHERONI: f64 = 0.577_215_664_901_532_9;
     let values: Vec<f64> = values.filter(|value| value.is_finite()).collect();
     let count = values.len().max(1) as f64;
     let mean = values.iter().sum::<f64>() / count;
     let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / count;
     let scale = variance.sqrt() * 6.0_f64.sqrt() / std::f64::consts::PI;
-    mean - EULER * scale - scale * (-(-FALSE_ALARM).ln_1p()).ln()
+    mean - EULER_MASCHERONI * scale - scale * (-(-FALSE_ALARM_PROBABILITY).ln_1p()).ln()
 }
 
 #[cfg(test)]
@@ -284,7 +301,7 @@ mod tests {
     fn the_limit_is_the_quantile_of_the_distribution_that_the_largest_follow() {
         // The quantiles of 8 + 2·G, G of the standard Gumbel distribution.
         let values = (0..2000).map(|n| 8.0 - 2.0 * (-((f64::from(n) + 0.5) / 2000.0).ln()).ln());
-        let exact = 8.0 - 2.0 * (-(1.0 - FALSE_ALARM).ln()).ln();
+        let exact = 8.0 - 2.0 * (-(1.0 - FALSE_ALARM_PROBABILITY).ln()).ln();
         let limit = gumbel_limit(values);
         assert!((limit - exact).abs() < 0.02 * exact, "{limit} {exact}");
     }

@@ -5,40 +5,40 @@ use std::fmt;
 use trueup_machine::effect::{Effect, HeatPath};
 
 use crate::{
-    blocks::{Folds, Unit},
-    fit::{Fitted, Problem, fit},
+    fit::{FitProblem, FittedModel, fit},
+    folds::{FoldUnit, Folds},
     gain::Gain,
-    kind::Kind,
     model::Model,
     search::{
-        Breadth,
-        criterion::{bic, left_out_um},
-        extend::{Extension, Replacements, replacements, without},
-        scan::Draw,
+        SearchScope,
+        criterion::{bic, held_out_rms_um},
+        extension::{Extension, Replacements, fit_replacements, without_term},
+        scan::NoiseSimulation,
     },
+    term_kind::TermKind,
 };
 
 /// The search on one problem.
 pub(crate) struct Search<'p> {
-    pub problem: &'p Problem,
-    /// The blocks that are left out in turn.
+    pub problem: &'p FitProblem,
+    /// The blocks that are held out in turn.
     pub folds: Folds,
     /// The model in work.
-    pub fitted: Fitted,
+    pub fitted: FittedModel,
     /// Its terms, in the order in which they were added.
-    pub added: Vec<Added>,
-    pub breadth: Breadth,
-    pub stage: Stage,
+    pub added: Vec<AddedTerm>,
+    pub breadth: SearchScope,
+    pub stage: SearchStage,
     /// How the limits of the scan are drawn.
-    pub limits: Draw,
+    pub limits: NoiseSimulation,
     /// Extensions that were tried next to the model in work and rejected; they are not tried next to it again.
-    pub rejected: Vec<Tried>,
-    /// Terms that were there and foresaw no better than without them; they are not tried again.
-    pub given_up: Vec<Kind>,
+    pub rejected: Vec<RejectedCandidate>,
+    /// Terms that were there and predicted no better than without them; they are not tried again.
+    pub given_up: Vec<TermKind>,
     /// Terms that only the statistic of squares called for.
-    pub by_squares: Vec<Kind>,
+    pub by_squares: Vec<TermKind>,
     /// The causes next to which several terms ahead have been looked at.
-    looked_ahead: Vec<Vec<Kind>>,
+    looked_ahead: Vec<Vec<TermKind>>,
     /// Whether a table was judged by its repeats.
     pub has_judged_repeats: bool,
     /// The reduction of the RMS below which a term is not worth it, in µm.
@@ -47,7 +47,7 @@ pub(crate) struct Search<'p> {
 
 /// Which causes are tried. A stage begins once the one before has nothing more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Stage {
+pub(crate) enum SearchStage {
     /// Possible errors of the machine's own model.
     OwnModel,
     /// Other recorded inputs that act at once.
@@ -56,12 +56,12 @@ pub(crate) enum Stage {
     All,
     /// Causes that take two recorded inputs together: the difference of two, or a range of one.
     Composed,
-    /// Causes that come and go with the clock alone: before all else is tried, they would follow what is missing.
+    /// Causes that are periodic in time alone: before all else is tried, they would follow what is missing.
     ByTheClock,
 }
 
-impl Stage {
-    pub(crate) fn admits(self, cause: &Kind) -> bool {
+impl SearchStage {
+    pub(crate) fn admits(self, cause: &TermKind) -> bool {
         let of_path = |path: HeatPath<'_>| path.has_lag && !path.is_second;
         let is_late = match cause.heat_path() {
             Some(path) => of_path(path),
@@ -77,7 +77,7 @@ impl Stage {
     }
 
     /// Returns the next one; none after the last that is tried before all else is.
-    pub(crate) fn next(self) -> Option<Self> {
+    pub(crate) fn next_stage(self) -> Option<Self> {
         match self {
             Self::OwnModel => Some(Self::ActsAtOnce),
             Self::ActsAtOnce => Some(Self::All),
@@ -88,19 +88,19 @@ impl Stage {
 
 /// A term that was added, with what it brought then, and what was tried in its place.
 #[derive(Clone, Debug)]
-pub(crate) struct Added {
-    pub cause: Kind,
+pub(crate) struct AddedTerm {
+    pub cause: TermKind,
     pub gain: Gain,
-    pub tried: Vec<Tried>,
+    pub tried: Vec<RejectedCandidate>,
 }
 
 /// A cause that was tried and not taken.
 #[derive(Clone, Debug)]
-pub(crate) struct Tried {
-    pub cause: Kind,
+pub(crate) struct RejectedCandidate {
+    pub cause: TermKind,
     /// The residual of the model with it: RMS, in µm.
     pub rms_um: f64,
-    /// The same on left-out blocks, where it was worked out.
+    /// The same on held-out blocks, where it was worked out.
     pub left_out_um: Option<f64>,
     pub why_not: RejectReason,
 }
@@ -110,8 +110,8 @@ pub(crate) struct Tried {
 pub(crate) enum RejectReason {
     /// Another explains as much and is simpler, or predicts better.
     Outperformed,
-    /// It predicts no better what was left out.
-    NoGain { left_out: Unit, before_um: f64, after_um: f64 },
+    /// It predicts no better what was held out.
+    NoGain { left_out: FoldUnit, before_um: f64, after_um: f64 },
     /// Noise would show as much.
     Insignificant,
 }
@@ -131,22 +131,22 @@ impl fmt::Display for RejectReason {
     }
 }
 
-/// The share of the RMS below which nothing is worth a term: of what the machine file leaves, and of left-out blocks.
-pub(crate) const RELEVANT: f64 = 0.01;
+/// The share of the RMS below which nothing is worth a term: of what the machine file leaves, and of held-out blocks.
+pub(crate) const MIN_RELEVANT_SHARE: f64 = 0.01;
 
 impl<'p> Search<'p> {
-    pub(crate) fn new(problem: &'p Problem, start: &Model, breadth: Breadth) -> Self {
+    pub(crate) fn new(problem: &'p FitProblem, start: &Model, breadth: SearchScope) -> Self {
         let fitted = fit(problem, start, None);
         Self {
             problem,
             // No interval is asked of them: the memory of the noise does not matter.
             folds: Folds::new(problem, 0.0),
-            relevant_um: RELEVANT * fitted.rms(),
+            relevant_um: MIN_RELEVANT_SHARE * fitted.rms(),
             fitted,
             added: Vec::new(),
             breadth,
-            stage: Stage::OwnModel,
-            limits: Draw::Robust,
+            stage: SearchStage::OwnModel,
+            limits: NoiseSimulation::Robust,
             rejected: Vec::new(),
             given_up: Vec::new(),
             by_squares: Vec::new(),
@@ -160,24 +160,24 @@ impl<'p> Search<'p> {
         bic(self.problem, &self.fitted)
     }
 
-    /// Returns what `fitted` leaves on left-out blocks: RMS, in µm.
-    pub(crate) fn left_out_um(&self, fitted: &Fitted) -> f64 {
-        left_out_um(self.problem, &self.folds, &fitted.model)
+    /// Returns what `fitted` leaves on held-out blocks: RMS, in µm.
+    pub(crate) fn held_out_rms_um(&self, fitted: &FittedModel) -> f64 {
+        held_out_rms_um(self.problem, &self.folds, &fitted.model)
     }
 
-    /// Returns what `fitted` leaves on left-out blocks, in each group, in µm.
-    pub(crate) fn foresight(&self, fitted: &Fitted) -> Vec<f64> {
-        self.folds.held_out(self.problem, &fitted.model)
+    /// Returns what `fitted` leaves on held-out blocks, in each group, in µm.
+    pub(crate) fn held_out_residuals(&self, fitted: &FittedModel) -> Vec<f64> {
+        self.folds.held_out_residuals(self.problem, &fitted.model)
     }
 
     /// Returns the model in work without a term.
-    pub(crate) fn without(&self, cause: &Kind) -> Fitted {
-        fit(self.problem, &without(self.problem, &self.fitted.model, cause), None)
+    pub(crate) fn refit_without(&self, cause: &TermKind) -> FittedModel {
+        fit(self.problem, &without_term(self.problem, &self.fitted.model, cause), None)
     }
 
     /// Returns the model in work without a term, and with other causes in its place.
-    pub(crate) fn replacements(&self, cause: &Kind, most: usize) -> Replacements {
-        replacements(self.problem, &self.fitted, cause, most)
+    pub(crate) fn fit_replacements(&self, cause: &TermKind, most: usize) -> Replacements {
+        fit_replacements(self.problem, &self.fitted, cause, most)
     }
 
     /// Another cause takes the place of a term.
@@ -187,16 +187,17 @@ impl<'p> Search<'p> {
     }
 
     /// A term leaves; `without` is the model without it.
-    pub(crate) fn remove(&mut self, index: usize, without: Fitted) {
+    pub(crate) fn remove(&mut self, index: usize, without: FittedModel) {
         self.fitted = without;
         self.added.remove(index);
     }
 
     /// Returns whether several terms ahead have never been looked at from these causes; they have now. A failure to
     /// improve another model says nothing of this one.
-    pub(crate) fn is_new_to_look_ahead(&mut self) -> bool {
-        let here: Vec<Kind> = self.fitted.model.parts.iter().map(|it| it.kind.clone()).collect();
-        let is_same = |there: &Vec<Kind>| {
+    pub(crate) fn mark_lookahead_done(&mut self) -> bool {
+        let here: Vec<TermKind> =
+            self.fitted.model.parts.iter().map(|it| it.kind.clone()).collect();
+        let is_same = |there: &Vec<TermKind>| {
             there.len() == here.len() && here.iter().all(|kind| there.contains(kind))
         };
         let is_new = !self.looked_ahead.iter().any(is_same);
@@ -207,9 +208,9 @@ impl<'p> Search<'p> {
     }
 
     /// Begins anew with all causes: nothing counts as tried.
-    pub(crate) fn try_all_again(&mut self) {
+    pub(crate) fn restart_search(&mut self) {
         self.rejected.clear();
-        self.stage = Stage::OwnModel;
+        self.stage = SearchStage::OwnModel;
     }
 }
 
@@ -221,16 +222,16 @@ mod tests {
 
     #[test]
     fn a_stage_admits_all_that_the_one_before_did_and_something_more() {
-        let gain = Kind::Cause(Effect::SensorGain(SensorGain::default()));
-        let drift = Kind::Cause(Effect::Drift(Drift::InTime { um_per_h: 0.0 }));
-        let path = |has_lag| Kind::heat_of("temp_a_c", has_lag);
+        let gain = TermKind::Cause(Effect::SensorGain(SensorGain::default()));
+        let drift = TermKind::Cause(Effect::Drift(Drift::InTime { um_per_h: 0.0 }));
+        let path = |has_lag| TermKind::heat_of("temp_a_c", has_lag);
         let causes = [gain, path(false), path(true), drift];
-        let mut stage = Some(Stage::OwnModel);
+        let mut stage = Some(SearchStage::OwnModel);
         let mut admitted = Vec::new();
         while let Some(there) = stage {
-            let admits = |cause: &&Kind| there.admits(cause);
+            let admits = |cause: &&TermKind| there.admits(cause);
             admitted.push(causes.iter().filter(admits).count());
-            stage = there.next();
+            stage = there.next_stage();
         }
         assert_eq!(admitted, [1, 2, 4]);
     }

@@ -2,20 +2,20 @@
 
 use nalgebra::{DMatrix, DMatrixView};
 use trueup_numerics::{
-    least_squares::normal::{cholesky, dot, forward, orthonormal},
-    noise::{Noise, Whitener},
-    parallel::on_all_cores,
+    least_squares::normal::{cholesky, dot, forward_substitute, orthonormalise},
+    noise::{NoiseModel, Whitener},
+    parallel::parallel_map,
 };
 
-use crate::fit::Problem;
+use crate::fit::FitProblem;
 
 /// Columns of one trial's matrix at a time, so that they stay in the cache.
-const COLUMNS_AT_ONCE: usize = 16;
+const COLUMNS_PER_CHUNK: usize = 16;
 /// Values of all trials' columns below which threads cost more than they bring.
-const WORTH_CORES: usize = 50_000;
+const MIN_PARALLEL_VALUES: usize = 50_000;
 
 /// Rows up to which a product of matrices is quicker row by row: for more there is a routine in blocks.
-const FEW: usize = 5;
+const MAX_NAIVE_PRODUCT_ROWS: usize = 5;
 
 /// A candidate at one setting, in columns.
 pub(crate) struct Trial {
@@ -34,28 +34,28 @@ pub(crate) struct Trial {
 }
 
 /// The part of a trial that does not depend on the lists: G, and the squares of its columns.
-pub(crate) struct Own {
+pub(crate) struct TrialGram {
     beside: DMatrix<f64>,
     whole: Vec<f64>,
 }
 
 /// T and U of each trial on each of `lists`, next to the columns of the model's own values. `own` is empty, or what
 /// other lists have left there for the same trials and noises.
-pub(crate) fn statistics(
+pub(crate) fn compute_statistics(
     trials: &[Trial],
     nuisance: &[Vec<f64>],
     lists: &[Vec<f64>],
-    problem: &Problem,
-    noises: &[Noise],
+    problem: &FitProblem,
+    noises: &[NoiseModel],
     independent: f64,
-    own: &mut Vec<Vec<Own>>,
+    own: &mut Vec<Vec<TrialGram>>,
 ) -> Vec<Vec<[f64; 2]>> {
     let steps = &problem.groups.steps;
     let rows = problem.groups.len() as f64;
     let mut base = vec![f64::INFINITY; lists.len()];
     let mut with = vec![vec![f64::INFINITY; lists.len()]; trials.len()];
     let mut share = vec![vec![0.0_f64; lists.len()]; trials.len()];
-    let chunks = chunks(trials);
+    let chunks = chunk_trials(trials);
     for (which, &noise) in noises.iter().enumerate() {
         let whitener = Whitener::new(noise, steps);
         let known = own.get(which).map(Vec::as_slice);
@@ -66,10 +66,10 @@ pub(crate) fn statistics(
         }
         let of = |&(start, chunk): &(usize, &[Trial])| {
             let known = known.map(|known| &known[start..start + chunk.len()]);
-            projector.gains(&whitener, chunk, known)
+            projector.compute_gains(&whitener, chunk, known)
         };
-        let is_worth = trials.len() * rows as usize > WORTH_CORES;
-        let all = on_all_cores(&chunks, is_worth, of);
+        let is_worth = trials.len() * rows as usize > MIN_PARALLEL_VALUES;
+        let all = parallel_map(&chunks, is_worth, of);
         let (all, new): (Vec<_>, Vec<_>) = all.into_iter().unzip();
         if known.is_none() {
             own.push(new.into_iter().flatten().collect());
@@ -103,13 +103,13 @@ pub(crate) fn statistics(
         .collect()
 }
 
-/// Trials side by side, about [`COLUMNS_AT_ONCE`] columns each, with the number of the first.
-fn chunks(trials: &[Trial]) -> Vec<(usize, &[Trial])> {
+/// Trials side by side, about [`COLUMNS_PER_CHUNK`] columns each, with the number of the first.
+fn chunk_trials(trials: &[Trial]) -> Vec<(usize, &[Trial])> {
     let mut chunks = Vec::new();
     let (mut start, mut columns) = (0, 0);
     for (index, trial) in trials.iter().enumerate() {
         columns += trial.columns.len();
-        if columns >= COLUMNS_AT_ONCE {
+        if columns >= COLUMNS_PER_CHUNK {
             chunks.push((start, &trials[start..=index]));
             (start, columns) = (index + 1, 0);
         }
@@ -141,7 +141,7 @@ struct Projector {
 
 impl Projector {
     fn new(whitener: &Whitener, nuisance: &[Vec<f64>], lists: &[Vec<f64>], is_known: bool) -> Self {
-        let mut columns = orthonormal(whitener.apply_all(nuisance));
+        let mut columns = orthonormalise(whitener.apply_all(nuisance));
         let mut basis = columns.len();
         let mut sums = Vec::with_capacity(lists.len());
         for mut list in whitener.apply_all(lists) {
@@ -156,14 +156,14 @@ impl Projector {
             columns.drain(..basis);
             basis = 0;
         }
-        let left = matrix(&columns).transpose();
-        let rows = if columns.len() > FEW { Vec::new() } else { columns };
+        let left = matrix_from_columns(&columns).transpose();
+        let rows = if columns.len() > MAX_NAIVE_PRODUCT_ROWS { Vec::new() } else { columns };
         Self { left, rows, basis, sums }
     }
 
     /// Q and the lists times columns, a column each.
-    fn products(&self, white: &DMatrix<f64>) -> DMatrix<f64> {
-        if self.left.nrows() > FEW {
+    fn inner_products(&self, white: &DMatrix<f64>) -> DMatrix<f64> {
+        if self.left.nrows() > MAX_NAIVE_PRODUCT_ROWS {
             return &self.left * white;
         }
         let rows = self.rows.as_slice();
@@ -172,17 +172,17 @@ impl Projector {
     }
 
     /// Returns the gain of each trial on each list, and what of it does not depend on them where it is not `known`.
-    fn gains(
+    fn compute_gains(
         &self,
         whitener: &Whitener,
         trials: &[Trial],
-        known: Option<&[Own]>,
-    ) -> (Vec<Vec<f64>>, Vec<Own>) {
+        known: Option<&[TrialGram]>,
+    ) -> (Vec<Vec<f64>>, Vec<TrialGram>) {
         let columns: Vec<&Vec<f64>> = trials.iter().flat_map(|trial| &trial.columns).collect();
         let rows = self.left.ncols();
         let mut white = DMatrix::zeros(rows, columns.len());
         whitener.apply_into(&columns, white.as_mut_slice());
-        let products = self.products(&white);
+        let products = self.inner_products(&white);
         let lists = self.sums.len();
         let mut first = 0;
         let mut new = Vec::new();
@@ -194,27 +194,27 @@ impl Projector {
                 Some(known) => &known[number],
                 None => {
                     let in_basis = products.view((0, first), (self.basis, count));
-                    let squares = squares(white, count);
+                    let squares = gram_matrix(white, count);
                     let whole = squares.diagonal().as_slice().to_vec();
                     let beside = squares - in_basis.transpose() * in_basis;
-                    new.push(Own { beside, whole });
+                    new.push(TrialGram { beside, whole });
                     &new[number]
                 }
             };
             first += count;
             if trial.is_fixed {
-                return explained_by_fixed(&own.beside, &own.whole, &on_lists);
+                return explained_by_fixed_amplitude(&own.beside, &own.whole, &on_lists);
             }
-            explained(own.beside.clone(), &own.whole, on_lists)
+            explained_sum_of_squares(own.beside.clone(), &own.whole, on_lists)
         };
         (trials.iter().enumerate().map(gain).collect(), new)
     }
 }
 
 /// XᵀX; of a few columns the lower half, which is all that is read.
-fn squares(columns: &[f64], count: usize) -> DMatrix<f64> {
+fn gram_matrix(columns: &[f64], count: usize) -> DMatrix<f64> {
     let rows = columns.len() / count.max(1);
-    if count > FEW {
+    if count > MAX_NAIVE_PRODUCT_ROWS {
         let columns = DMatrixView::from_slice(columns, rows, count);
         return columns.transpose() * columns;
     }
@@ -222,13 +222,13 @@ fn squares(columns: &[f64], count: usize) -> DMatrix<f64> {
     DMatrix::from_fn(count, count, |i, j| if j <= i { dot(of(i), of(j)) } else { 0.0 })
 }
 
-fn matrix(columns: &[Vec<f64>]) -> DMatrix<f64> {
+fn matrix_from_columns(columns: &[Vec<f64>]) -> DMatrix<f64> {
     let rows = columns.first().map_or(0, Vec::len);
     DMatrix::from_iterator(rows, columns.len(), columns.iter().flatten().copied())
 }
 
 /// Returns what a change of fixed size, the first column, and then the others explain of each list.
-fn explained_by_fixed(g: &DMatrix<f64>, whole: &[f64], b: &DMatrix<f64>) -> Vec<f64> {
+fn explained_by_fixed_amplitude(g: &DMatrix<f64>, whole: &[f64], b: &DMatrix<f64>) -> Vec<f64> {
     let others = g.nrows() - 1;
     let of_change = b.row(0).iter().map(|b| 2.0 * b - g[(0, 0)]).collect();
     if others == 0 {
@@ -238,16 +238,17 @@ fn explained_by_fixed(g: &DMatrix<f64>, whole: &[f64], b: &DMatrix<f64>) -> Vec<
     for mut list in left.column_iter_mut() {
         list -= g.view((1, 0), (others, 1));
     }
-    let rest = explained(g.view((1, 1), (others, others)).into_owned(), &whole[1..], left);
+    let rest =
+        explained_sum_of_squares(g.view((1, 1), (others, others)).into_owned(), &whole[1..], left);
     of_change.into_iter().zip(rest).map(|(change, rest)| change + rest).collect()
 }
 
 /// bᵀ·G⁻¹·b for each column b.
-fn explained(g: DMatrix<f64>, whole: &[f64], mut b: DMatrix<f64>) -> Vec<f64> {
+fn explained_sum_of_squares(g: DMatrix<f64>, whole: &[f64], mut b: DMatrix<f64>) -> Vec<f64> {
     let lower = cholesky(g, whole);
     let count = b.nrows();
     let column = |b: &mut [f64]| {
-        forward(&lower, b);
+        forward_substitute(&lower, b);
         dot(b, b)
     };
     b.as_mut_slice().chunks_exact_mut(count).map(column).collect()

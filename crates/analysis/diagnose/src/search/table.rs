@@ -7,79 +7,89 @@ use trueup_numerics::{
 };
 
 use crate::{
-    fit::{Fitted, Problem, fit},
+    fit::{FitProblem, FittedModel, fit},
     gain::Gain,
-    kind::{Kind, Part},
     model::Model,
-    repeats::Targets,
+    repeats::TargetPositions,
     search::{
-        criterion::degrees,
-        state::{Added, Search},
+        criterion::degrees_of_freedom,
+        state::{AddedTerm, Search},
     },
+    term_kind::{ModelPart, TermKind},
 };
 
 impl Search<'_> {
-    /// Puts the table that the repeats call for in the place of all that goes with the axis's own position
-    /// and direction, if it foresees what is left out better than that, or as well with fewer values.
+    /// Puts the table that the repeats call for in the place of all that depends on the axis's own position
+    /// and direction, if it predicts what is held out better than that, or as well with fewer values.
     /// Whether it did.
-    pub(crate) fn table_by_repeats(&mut self) -> bool {
+    pub(crate) fn apply_table_from_repeats(&mut self) -> bool {
         let problem = self.problem;
         if problem.groups.size != 1 {
             return false;
         }
         let rows = &problem.groups.first_row;
-        let Some(targets) = Targets::of(&problem.data, rows.iter().copied()) else { return false };
-        let base = without_own_axis(&self.fitted.model);
+        let Some(targets) = TargetPositions::from_rows(&problem.data, rows.iter().copied()) else {
+            return false;
+        };
+        let base = without_own_axis_terms(&self.fitted.model);
         let without = fit(problem, &base, None);
-        let Some(terms) = decided(&targets, self, &without) else { return false };
+        let Some(terms) = terms_from_repeats(&targets, self, &without) else { return false };
         let mut model = base;
         model.parts.extend(terms.iter().cloned());
-        model.sort();
+        model.sort_parts();
         let with = fit(problem, &model, None);
-        let [before, own, there] =
-            [&without, &self.fitted, &with].map(|it| self.folds.held_out(problem, &it.model));
+        let [before, own, there] = [&without, &self.fitted, &with]
+            .map(|it| self.folds.held_out_residuals(problem, &it.model));
         let is_bare = without.model == self.fitted.model;
-        let is_simpler = degrees(&with.model) < degrees(&self.fitted.model);
+        let is_simpler = degrees_of_freedom(&with.model) < degrees_of_freedom(&self.fitted.model);
         let is_better = repeats::is_worse(&own, &there)
             || !is_bare && is_simpler && !repeats::is_worse(&there, &own);
         if !is_better || rms(&there) >= rms(&before) {
             return false;
         }
-        let reduction = self.folds.reduction(&before, &there);
+        let reduction = self.folds.rms_reduction(&before, &there);
         let gain = Gain::new([without.rms(), with.rms()], [&before, &there], &reduction);
         self.fitted = with;
-        self.added.retain(|it| !is_of_own_axis(&it.cause));
-        let added = |term: Part| Added { cause: term.kind, gain, tried: Vec::new() };
+        self.added.retain(|it| !is_own_axis_term(&it.cause));
+        let added = |term: ModelPart| AddedTerm { cause: term.kind, gain, tried: Vec::new() };
         self.added.extend(terms.into_iter().map(added));
         true
     }
 }
 
-/// Returns whether a cause goes with the axis's own position and direction alone; what the machine file has is
+/// Returns whether a cause depends on the axis's own position and direction alone; what the machine file has is
 /// its own.
-pub(crate) fn is_of_own_axis(kind: &Kind) -> bool {
-    kind.stated().is_none() && kind.cause().is_some_and(|it| it.is_along_own_axis())
+pub(crate) fn is_own_axis_term(kind: &TermKind) -> bool {
+    kind.as_stated_term().is_none() && kind.cause().is_some_and(|it| it.depends_on_own_axis_only())
 }
 
-/// Returns the model without what goes with the axis's own position and direction alone.
-pub(crate) fn without_own_axis(model: &Model) -> Model {
+/// Returns the model without what depends on the axis's own position and direction alone.
+pub(crate) fn without_own_axis_terms(model: &Model) -> Model {
     let mut without = model.clone();
-    without.parts.retain(|part| !is_of_own_axis(&part.kind));
+    without.parts.retain(|part| !is_own_axis_term(&part.kind));
     without
 }
 
 /// Returns the terms that the repeats call for next to what `without` has.
-fn decided(targets: &Targets, search: &Search<'_>, without: &Fitted) -> Option<Vec<Part>> {
+fn terms_from_repeats(
+    targets: &TargetPositions,
+    search: &Search<'_>,
+    without: &FittedModel,
+) -> Option<Vec<ModelPart>> {
     let problem = search.problem;
-    let readings = beside_own_axis(targets, problem, &without.model);
+    let readings = residual_readings(targets, problem, &without.model);
     let none = vec![false; readings.len()];
-    let laws = targets.laws(&problem.data);
-    let decision = repeats::decide(&readings, &none, targets.at_mm.len(), &laws);
-    targets.terms(decision.taken.ok()?)
+    let laws = targets.candidate_laws(&problem.data);
+    let decision = repeats::select_table(&readings, &none, targets.at_mm.len(), &laws);
+    targets.law_terms(decision.taken.ok()?)
 }
 
 /// Returns the readings with what `model` leaves of each group, which are rows here.
-pub(crate) fn beside_own_axis(targets: &Targets, problem: &Problem, model: &Model) -> Vec<Reading> {
+pub(crate) fn residual_readings(
+    targets: &TargetPositions,
+    problem: &FitProblem,
+    model: &Model,
+) -> Vec<Reading> {
     let mut residual = vec![f64::NAN; problem.data.rows];
     let rows = problem.groups.first_row.iter();
     rows.zip(problem.residual(model)).for_each(|(&row, um)| residual[row] = um);

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use trueup_campaigns::trial_axis::{Act, AxisTrial, TRAVEL_MM, WrongAxis};
-use trueup_diagnose::{AxisRun, Diagnosis, Next, diagnose};
+use trueup_campaigns::axis_trial::{AxisFileDefect, AxisTrial, TRAVEL_MM, TrialStep};
+use trueup_diagnose::{AxisRun, Diagnosis, NextRun, diagnose};
 use trueup_machine::{MachineFile, RunFile};
 
 use crate::needed::{Tried, needed};
@@ -14,25 +14,30 @@ const HEAT_FEED: f64 = 10_000.0;
 const DWELL_S: f64 = 5.0;
 const ENDS_MM: [f64; 2] = [50.0, 950.0];
 
-fn recorded(trial: &AxisTrial, acts: &[Act], day: u64) -> RunFile {
+fn recorded(trial: &AxisTrial, acts: &[TrialStep], day: u64) -> RunFile {
     let (csv, _) = trial.run(acts, day);
     RunFile::from_reader(csv.as_bytes(), Path::new("run.csv")).expect("a run file")
 }
 
 /// Up and down over these targets, with a reading at each.
-fn there_and_back(targets_mm: &[f64], feed: f64) -> Vec<Act> {
-    let read = |mm: &f64| [Act::Go(*mm, feed), Act::Read(DWELL_S)];
+fn there_and_back(targets_mm: &[f64], feed: f64) -> Vec<TrialStep> {
+    let read = |mm: &f64| [TrialStep::Go(*mm, feed), TrialStep::Read(DWELL_S)];
     let up = targets_mm.iter().flat_map(read);
     let down = targets_mm.iter().rev().flat_map(read);
     let [low, high] = TRAVEL_MM;
-    [Act::Go(low, feed)].into_iter().chain(up).chain([Act::Go(high, feed)]).chain(down).collect()
+    [TrialStep::Go(low, feed)]
+        .into_iter()
+        .chain(up)
+        .chain([TrialStep::Go(high, feed)])
+        .chain(down)
+        .collect()
 }
 
 /// To and fro for this many minutes.
-fn run_warm(minutes: f64) -> Vec<Act> {
+fn run_warm(minutes: f64) -> Vec<TrialStep> {
     let [low, high] = ENDS_MM;
     let strokes = (minutes * HEAT_FEED / (2.0 * (high - low))).ceil() as usize;
-    [Act::Go(high, HEAT_FEED), Act::Go(low, HEAT_FEED)].repeat(strokes)
+    [TrialStep::Go(high, HEAT_FEED), TrialStep::Go(low, HEAT_FEED)].repeat(strokes)
 }
 
 fn even(count: usize) -> Vec<f64> {
@@ -40,13 +45,13 @@ fn even(count: usize) -> Vec<f64> {
     (0..count).map(|n| low + (high - low) * n as f64 / (count - 1) as f64).collect()
 }
 
-fn acts(run: &AxisRun) -> Vec<Act> {
+fn acts(run: &AxisRun) -> Vec<TrialStep> {
     let measure = || {
         let feeds = run.feeds_mm_per_min.iter();
         let once = |feed: &f64| {
             (0..run.times).flat_map(|_| there_and_back(&run.targets_mm, *feed)).collect::<Vec<_>>()
         };
-        feeds.flat_map(once).collect::<Vec<Act>>()
+        feeds.flat_map(once).collect::<Vec<TrialStep>>()
     };
     let mut all = if run.cold { measure() } else { Vec::new() };
     all.extend(run_warm(run.heat_min));
@@ -61,12 +66,12 @@ impl Tried for AxisTrial {
 
     fn truth(&self) -> &'static [&'static str] {
         match self.wrong {
-            WrongAxis::Expansion => &["axis-expansion of temp_screw_c"],
-            WrongAxis::Scale => &["pitch-scale"],
-            WrongAxis::Slope => &["expansion-slope"],
-            WrongAxis::Reference => &["reference-temperature"],
-            WrongAxis::Backlash => &["backlash"],
-            WrongAxis::BacklashAlong => &["position-dependent-backlash"],
+            AxisFileDefect::Expansion => &["axis-expansion of temp_screw_c"],
+            AxisFileDefect::Scale => &["pitch-scale"],
+            AxisFileDefect::Slope => &["expansion-slope"],
+            AxisFileDefect::Reference => &["reference-temperature"],
+            AxisFileDefect::Backlash => &["backlash"],
+            AxisFileDefect::BacklashAlong => &["position-dependent-backlash"],
         }
     }
 
@@ -78,7 +83,7 @@ impl Tried for AxisTrial {
         diagnose(&machine, &[first], &[], None, &mut |_, _| {}).expect("comparable")
     }
 
-    fn planned(&self, next: &Next) -> RunFile {
+    fn planned(&self, next: &NextRun) -> RunFile {
         recorded(self, &acts(next.axis.as_ref().expect("an axis is measured")), 2)
     }
 
@@ -92,7 +97,7 @@ impl Tried for AxisTrial {
             warm.extend(ends.iter().copied());
         }
         for _ in 0..12 {
-            warm.push(Act::Wait(240.0));
+            warm.push(TrialStep::Wait(240.0));
             warm.extend(ends.iter().copied());
         }
         [recorded(self, &warm, 2), recorded(self, &there_and_back(&even(5), FEED).repeat(5), 2)]
@@ -101,16 +106,16 @@ impl Tried for AxisTrial {
 
 #[test]
 fn a_planned_run_of_an_axis_tells_what_a_short_one_left_open() {
-    let it = needed(8..12, AxisTrial::drawn);
+    let it = needed(8..12, AxisTrial::from_seed);
     assert!(it.planned > 0 && it.told > 0 && it.minutes[0] < it.minutes[1], "{it:?}");
 }
 
-/// Seeds that nothing was chosen by. Causes that foresee the same in every run need no run: a scale and a reference
+/// Seeds that nothing was chosen by. Causes that predict the same in every run need no run: a scale and a reference
 /// temperature of a file that has a slope are one law.
 #[test]
 #[ignore = "long: a hundred diagnoses, each with some hundred runs that are thought of and three that are made"]
 fn half_the_minutes_of_iso_230_3_tell_causes_of_an_axis_apart() {
-    let it = needed(4000..4100, AxisTrial::drawn);
+    let it = needed(4000..4100, AxisTrial::from_seed);
     assert!(it.open >= 20 && it.planned + it.alike == it.open, "{it:?}");
     assert!(it.minutes[0] <= 0.5 * it.minutes[1], "{it:?}");
     // A plan that does not tell is charged with the cycle's minutes besides: 13 of 16 told.

@@ -1,7 +1,7 @@
 //! The minutes that the planned runs, and two fixed cycles, need over many machines.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
-use trueup_diagnose::{Diagnosis, Gauge, Next, NoNext};
+use trueup_diagnose::{Diagnosis, NextRun, NoNextRunReason, ReadingMethod};
 use trueup_machine::RunFile;
 
 /// The score gap that is strong evidence.
@@ -17,7 +17,7 @@ pub trait Tried {
     fn begun(&self) -> Diagnosis;
     /// Returns the planned run, as it is recorded, and the two fixed cycles on the same morning, so that chance is the
     /// same.
-    fn planned(&self, next: &Next) -> RunFile;
+    fn planned(&self, next: &NextRun) -> RunFile;
     fn fixed(&self) -> [RunFile; 2];
 }
 
@@ -26,7 +26,7 @@ pub trait Tried {
 pub struct Needed {
     /// Machines of which something is open.
     pub open: usize,
-    /// Of them: those whose open causes foresee the same in every run.
+    /// Of them: those whose open causes predict the same in every run.
     pub alike: usize,
     /// Of all that are open: those for which a run is planned.
     pub planned: usize,
@@ -43,12 +43,12 @@ pub struct Needed {
 /// After how many minutes what was recorded is strong evidence, and stays so to its end; none: it never is.
 fn minutes_until_told(diagnosis: &Diagnosis, run: &RunFile) -> Option<f64> {
     let score = |rows: usize| {
-        let part = run.altered(rows, |_, _| {});
-        diagnosis.separation_by(&part).expect("all columns").expect("open")
+        let part = run.with_altered_values(rows, |_, _| {});
+        diagnosis.separation_from_run(&part).expect("all columns").expect("open")
     };
-    let whole = score(run.rows());
+    let whole = score(run.row_count());
     let is_told = |rows: &usize| score(*rows) * whole.signum() >= STRONG;
-    let first = (3..=run.rows()).rev().take_while(is_told).last()?;
+    let first = (3..=run.row_count()).rev().take_while(is_told).last()?;
     Some(run.column("time_s").expect("there")[first - 1] / 60.0)
 }
 
@@ -61,9 +61,9 @@ pub fn needed<T: Tried>(seeds: impl Iterator<Item = u64>, drawn: impl Fn(u64) ->
     for seed in seeds {
         let tried = drawn(seed);
         let diagnosis = tried.begun();
-        let next = match diagnosis.next(Gauge::Auto) {
+        let next = match diagnosis.next_run(ReadingMethod::Auto) {
             Ok(next) => next,
-            Err(NoNext::NothingOpen) => continue,
+            Err(NoNextRunReason::NothingOpen) => continue,
             Err(why) => {
                 all.open += 1;
                 all.alike += usize::from(why.to_string().contains("foresee the same"));
@@ -78,7 +78,7 @@ pub fn needed<T: Tried>(seeds: impl Iterator<Item = u64>, drawn: impl Fn(u64) ->
         let cycles = tried.fixed().map(|cycle| {
             minutes_until_told(&diagnosis, &cycle).unwrap_or_else(|| lasts_min(&cycle))
         });
-        let measured = diagnosis.separation_by(&planned).expect("all columns").expect("open");
+        let measured = diagnosis.separation_from_run(&planned).expect("all columns").expect("open");
         println!(
             "seed {seed} ({}): {}; measured {measured:.0}, told after {own:.1?} of {:.1} min, by the fixed cycles after \
              {cycles:.1?}",

@@ -2,34 +2,34 @@
 
 use std::path::Path;
 
-use trueup_campaigns::trial::{RATED_RPM, Trial, Wrong};
-use trueup_diagnose::{Diagnosis, Next, Stretch, diagnose};
+use trueup_campaigns::spindle_trial::{MachineFileDefect, RATED_RPM, SpindleTrial};
+use trueup_diagnose::{Diagnosis, NextRun, SpindleSegment, diagnose};
 use trueup_machine::{MachineFile, RunFile};
 
 use crate::needed::{Tried, needed};
 
 /// Returns what is recorded of a machine while it does this from cold, on the morning `day`.
-fn recorded(trial: &Trial, stretches: &[Stretch], day: u64) -> RunFile {
+fn recorded(trial: &SpindleTrial, stretches: &[SpindleSegment], day: u64) -> RunFile {
     let pieces: Vec<(f64, f64)> = stretches.iter().map(|it| (it.rpm, it.minutes)).collect();
     let csv = trial.run(&pieces, day);
     RunFile::from_reader(csv.as_bytes(), Path::new("run.csv")).expect("a run file")
 }
 
-fn at(rpm: f64, minutes: f64) -> Stretch {
-    Stretch { rpm, minutes, load_n: 0.0 }
+fn at(rpm: f64, minutes: f64) -> SpindleSegment {
+    SpindleSegment { rpm, minutes, load_n: 0.0 }
 }
 
-impl Tried for Trial {
+impl Tried for SpindleTrial {
     fn wrong(&self) -> String {
         format!("{:?}", self.wrong)
     }
 
     fn truth(&self) -> &'static [&'static str] {
         match self.wrong {
-            Wrong::Centrifugal => &["centrifugal-growth"],
-            Wrong::Column => &["extra-heat-path of temp_column_c"],
-            Wrong::Lag => &["thermal-lag"],
-            Wrong::Growth => &["growth-amplitude"],
+            MachineFileDefect::Centrifugal => &["centrifugal-growth"],
+            MachineFileDefect::Column => &["extra-heat-path of temp_column_c"],
+            MachineFileDefect::Lag => &["thermal-lag"],
+            MachineFileDefect::Growth => &["growth-amplitude"],
         }
     }
 
@@ -41,7 +41,7 @@ impl Tried for Trial {
         diagnose(&machine, &[first], &[], None, &mut |_, _| {}).expect("comparable")
     }
 
-    fn planned(&self, next: &Next) -> RunFile {
+    fn planned(&self, next: &NextRun) -> RunFile {
         recorded(self, &next.stretches, 2)
     }
 
@@ -57,7 +57,7 @@ impl Tried for Trial {
 
 #[test]
 fn a_planned_run_tells_what_a_short_one_left_open() {
-    let it = needed(1000..1012, Trial::drawn);
+    let it = needed(1000..1012, SpindleTrial::from_seed);
     assert!(it.planned > 0 && it.told > 0 && it.minutes[0] < it.minutes[2], "{it:?}");
 }
 
@@ -65,7 +65,7 @@ fn a_planned_run_tells_what_a_short_one_left_open() {
 #[test]
 #[ignore = "long: twenty seconds of diagnoses, each with three runs that are looked at minute by minute"]
 fn half_the_minutes_of_the_cycles_of_iso_230_3_tell_causes_apart() {
-    let it = needed(1000..1100, Trial::drawn);
+    let it = needed(1000..1100, SpindleTrial::from_seed);
     let [own, one_speed, spectrum] = it.minutes;
     assert!(it.open >= 20 && it.planned == it.open, "{it:?}");
     assert!(own <= 0.5 * spectrum && own <= 0.5 * one_speed, "{it:?}");

@@ -3,7 +3,7 @@
 
 use std::{collections::BTreeSet, path::Path};
 
-use trueup_campaigns::inputs::{Kind, draw};
+use trueup_campaigns::input_dependence::{DependenceKind, draw};
 use trueup_diagnose::{diagnose, report::Finding};
 use trueup_machine::{MachineFile, RunFile};
 
@@ -33,7 +33,7 @@ fn columns(finding: &Finding) -> BTreeSet<&str> {
 }
 
 /// Diagnoses the days of `kind` under `seed`.
-pub fn worth(kind: Kind, seed: u64) -> Worth {
+pub fn worth(kind: DependenceKind, seed: u64) -> Worth {
     let days = draw(kind, seed);
     let machine = MachineFile::parse(&days.machine, Path::new("m.toml")).expect("a machine file");
     let read =

@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, fmt, path::Path};
 
-use trueup_campaigns::hidden::{Expected, Hidden, TestCase, Truth};
+use trueup_campaigns::hidden_effects::{ExpectedDiagnosis, GroundTruth, HiddenCause, TestCase};
 use trueup_diagnose::{Diagnosis, Verdict, diagnose, report::Finding};
 use trueup_machine::{MachineFile, RunFile};
 
@@ -54,7 +54,7 @@ pub struct Score {
     pub is_harmed: bool,
 }
 
-/// Harm on a hold-out: this many times what the machine file as it is leaves (RMS), by the fixed form of the answer.
+/// Harm on a hold-out: this many times what the current machine file leaves (RMS), by the fixed form of the answer.
 const HARM: f64 = 1.05;
 
 impl fmt::Display for Score {
@@ -132,7 +132,7 @@ impl Answered {
     }
 
     /// Returns whether a finding says without a physical name what a law without one depends on.
-    fn is_of_unnamed(it: &Named, truth: &Truth) -> bool {
+    fn is_of_unnamed(it: &Named, truth: &GroundTruth) -> bool {
         let inputs: Vec<&str> = truth
             .effects
             .iter()
@@ -144,13 +144,14 @@ impl Answered {
     }
 
     /// Returns whether every hidden cause is named as it may be.
-    pub fn is_right(&self, truth: &Truth) -> bool {
-        let answers: Vec<&str> = truth.effects.iter().map(|effect| effect.cause.answer()).collect();
+    pub fn is_right(&self, truth: &GroundTruth) -> bool {
+        let answers: Vec<&str> =
+            truth.effects.iter().map(|effect| effect.cause.expected_name()).collect();
         let is_claimed =
             |name: &str| self.findings.iter().any(|it| it.is_claimed && it.cause == name);
         // Causes that explain the same data are as right, if they are not claimed.
         let rivals = |name: &str| {
-            let effect = truth.effects.iter().find(|effect| effect.cause.answer() == name);
+            let effect = truth.effects.iter().find(|effect| effect.cause.expected_name() == name);
             effect.is_some_and(|effect| {
                 effect.rivals.iter().any(|rival| {
                     let mut open = self.findings.iter().filter(|it| !it.is_claimed);
@@ -168,26 +169,26 @@ impl Answered {
         };
         match truth.expected {
             // What has a memory is structure, where nobody says what the instrument is worth.
-            Expected::Clean => {
+            ExpectedDiagnosis::Clean => {
                 let wanders = truth.noise_rho > 0.0 && self.verdict == Verdict::Unexplained.name();
                 self.verdict == Verdict::Clean.name() || wanders
             }
-            Expected::Unnamed => {
+            ExpectedDiagnosis::Unnamed => {
                 let is_of_it = |it: &Named| it.is_claimed && Self::is_of_unnamed(it, truth);
                 let is_open = [Verdict::Unexplained, Verdict::PartlyExplained];
                 is_open.iter().any(|it| it.name() == self.verdict)
                     || self.findings.iter().any(is_of_it)
             }
-            Expected::Compensated | Expected::Reported => {
+            ExpectedDiagnosis::Compensated | ExpectedDiagnosis::Reported => {
                 answers.iter().all(|name| is_claimed(name) || rivals(name) || together(name))
             }
         }
     }
 
     /// Returns whether a cause is claimed that was not hidden.
-    pub fn is_wrong(&self, truth: &Truth) -> bool {
+    pub fn is_wrong(&self, truth: &GroundTruth) -> bool {
         let is_hidden =
-            |name: &str| truth.effects.iter().any(|effect| effect.cause.answer() == name);
+            |name: &str| truth.effects.iter().any(|effect| effect.cause.expected_name() == name);
         let is_true = |it: &Named| is_hidden(&it.cause) || Self::is_of_unnamed(it, truth);
         self.findings.iter().any(|it| it.is_claimed && !is_true(it))
     }
@@ -204,10 +205,10 @@ fn columns(finding: &Finding) -> Vec<String> {
 pub fn score(challenge: &TestCase, diagnosis: &Diagnosis) -> Score {
     let truth = &challenge.truth;
     let report = &diagnosis.report;
-    let names = |of: fn(Hidden) -> &'static str| -> Vec<&'static str> {
+    let names = |of: fn(HiddenCause) -> &'static str| -> Vec<&'static str> {
         truth.effects.iter().map(|effect| of(effect.cause)).collect()
     };
-    let (hidden, answers) = (names(Hidden::name), names(Hidden::answer));
+    let (hidden, answers) = (names(HiddenCause::name), names(HiddenCause::expected_name));
     let of = |claimed: bool| -> Vec<String> {
         let findings = report.findings.iter().filter(|finding| finding.claimed == claimed);
         findings.map(|finding| finding.cause.clone()).collect()
@@ -237,7 +238,8 @@ pub fn score(challenge: &TestCase, diagnosis: &Diagnosis) -> Score {
         .collect();
     let mut intervals = Vec::new();
     for effect in &truth.effects {
-        let finding = report.findings.iter().find(|finding| finding.cause == effect.cause.answer());
+        let finding =
+            report.findings.iter().find(|finding| finding.cause == effect.cause.expected_name());
         let Some(finding) = finding else { continue };
         for &(name, hidden) in &effect.parameters {
             let Some(parameter) = finding.parameters.get(name) else { continue };
@@ -253,10 +255,10 @@ pub fn score(challenge: &TestCase, diagnosis: &Diagnosis) -> Score {
     }
     // What cannot be distinguished here may differ there.
     let is_claimed = answers.iter().all(|name| named.iter().any(|there| there == name));
-    let possible = truth.possible_reduction();
+    let possible = truth.max_achievable_reduction();
     let reduction = 1.0 - report.after.holdout_rms_um / report.before.holdout_rms_um;
     let share_of_gain = match truth.expected {
-        Expected::Compensated if possible > 0.0 && is_claimed => reduction / possible,
+        ExpectedDiagnosis::Compensated if possible > 0.0 && is_claimed => reduction / possible,
         _ => f64::NAN,
     };
     Score {

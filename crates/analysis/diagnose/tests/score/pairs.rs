@@ -3,7 +3,7 @@
 //! Two causes may do the same, or nearly take each other away: a pair has to be named where each does as
 //! much as the noise that the other could not do.
 
-use trueup_campaigns::hidden::{Expected, Hidden, TestCase, draw_pair};
+use trueup_campaigns::hidden_effects::{ExpectedDiagnosis, HiddenCause, TestCase, draw_pair};
 
 use crate::{
     own::own_rms,
@@ -24,23 +24,25 @@ const MIN_GAIN: f64 = 0.85;
 
 /// A cause, and what is a part of it already: a table, each way one, has all that hangs on position and
 /// direction alone; another reference of a temperature or of a lever is a slope over the axis.
-const PARTS_OF: [(Hidden, Hidden); 7] = [
-    (Hidden::FeedDependentBacklash, Hidden::Backlash),
-    (Hidden::PitchError, Hidden::PitchScale),
-    (Hidden::PitchError, Hidden::PitchPeriodic),
-    (Hidden::PitchError, Hidden::Backlash),
-    (Hidden::PitchError, Hidden::PositionDependentBacklash),
-    (Hidden::AxisExpansion, Hidden::PitchScale),
-    (Hidden::AngularError, Hidden::PitchScale),
+const PARTS_OF: [(HiddenCause, HiddenCause); 7] = [
+    (HiddenCause::FeedDependentBacklash, HiddenCause::Backlash),
+    (HiddenCause::PitchError, HiddenCause::PitchScale),
+    (HiddenCause::PitchError, HiddenCause::PitchPeriodic),
+    (HiddenCause::PitchError, HiddenCause::Backlash),
+    (HiddenCause::PitchError, HiddenCause::PositionDependentBacklash),
+    (HiddenCause::AxisExpansion, HiddenCause::PitchScale),
+    (HiddenCause::AngularError, HiddenCause::PitchScale),
 ];
 
 /// Causes with a name of their own.
-pub fn causes() -> Vec<Hidden> {
-    let is_named = |cause: &Hidden| {
-        matches!(cause.expected(), Expected::Compensated | Expected::Reported)
-            && cause.name() == cause.answer()
+pub fn causes() -> Vec<HiddenCause> {
+    let is_named = |cause: &HiddenCause| {
+        matches!(
+            cause.expected_diagnosis(),
+            ExpectedDiagnosis::Compensated | ExpectedDiagnosis::Reported
+        ) && cause.name() == cause.expected_name()
     };
-    Hidden::ALL.iter().copied().filter(is_named).collect()
+    HiddenCause::ALL.iter().copied().filter(is_named).collect()
 }
 
 /// Returns what is wrong with the values of an answer: an interval that is far off, a gain that is missing.
@@ -55,7 +57,7 @@ pub fn faults(score: &Score) -> Vec<String> {
 
 /// Two causes of one machine.
 #[derive(Clone, Copy)]
-pub struct Pair(pub Hidden, pub Hidden);
+pub struct Pair(pub HiddenCause, pub HiddenCause);
 
 /// The score of a pair.
 pub struct Judged {
@@ -70,7 +72,7 @@ impl Pair {
         let all = causes();
         let of = |number: usize| all[number + 1..].iter().map(move |b| (number, *b));
         let both = (0..all.len()).flat_map(of).map(|(a, b)| Self(all[a], b));
-        both.filter(|Self(a, b)| a.stands_beside(*b)).collect()
+        both.filter(|Self(a, b)| a.is_compatible_with(*b)).collect()
     }
 
     pub fn name(self) -> String {
@@ -85,8 +87,8 @@ impl Pair {
             return None;
         }
         let score = score(&challenge, &answer(&challenge));
-        let is_named = |cause: Hidden| {
-            score.named.iter().chain(&score.unclaimed).any(|name| name == cause.answer())
+        let is_named = |cause: HiddenCause| {
+            score.named.iter().chain(&score.unclaimed).any(|name| name == cause.expected_name())
         };
         let is_right = is_named(a) && is_named(b) && !score.is_wrong;
         Some(Judged { score, is_right })

@@ -3,11 +3,11 @@
 
 use std::{fmt, path::Path};
 
-use trueup_campaigns::physical::{Fault, Kind, Plant};
+use trueup_campaigns::physical::{MachineKind, PhysicalFault, Plant};
 use trueup_diagnose::diagnose;
 use trueup_machine::{MachineFile, RunFile, predict::Predictor};
 use trueup_twin::{
-    noise::{Stream, rms},
+    noise::{RandomStream, rms},
     simulate,
 };
 
@@ -19,29 +19,29 @@ use crate::{
 /// Returns the causes that may be named for `fault`: one or two, by physics. They were written down before the
 /// first diagnosis of such a machine, and are not changed to fit a result.
 #[must_use]
-pub fn causes(fault: Fault) -> &'static [&'static str] {
+pub fn causes(fault: PhysicalFault) -> &'static [&'static str] {
     match fault {
-        Fault::SensorGain => &["sensor-gain"],
-        Fault::CoilTemperature => &["sensor-temperature-drift"],
-        Fault::UnseenHolder => &["extra-heat-path", "slow-mode"],
-        Fault::AxialStiffness => &["cutting-load"],
-        Fault::SpeedGrowth => &["centrifugal-growth"],
-        Fault::ToolGrowth => &["dependence", "centrifugal-growth"],
-        Fault::ColdTool => &["extra-heat-path", "slow-mode"],
-        Fault::LostCooling => &["growth-amplitude", "growth-rate"],
-        Fault::Room => &["extra-heat-path", "axis-expansion"],
-        Fault::ScrewHeating => &["axis-expansion"],
-        Fault::Mounting => &["cross-axis"],
-        Fault::Wear => &["backlash", "position-dependent-backlash"],
-        Fault::MisplacedThermometer => &["thermal-lag"],
-        Fault::GaugeDrift => &["drift"],
+        PhysicalFault::SensorGain => &["sensor-gain"],
+        PhysicalFault::CoilTemperature => &["sensor-temperature-drift"],
+        PhysicalFault::UnseenHolder => &["extra-heat-path", "slow-mode"],
+        PhysicalFault::AxialStiffness => &["cutting-load"],
+        PhysicalFault::SpeedGrowth => &["centrifugal-growth"],
+        PhysicalFault::ToolGrowth => &["dependence", "centrifugal-growth"],
+        PhysicalFault::ColdTool => &["extra-heat-path", "slow-mode"],
+        PhysicalFault::LostCooling => &["growth-amplitude", "growth-rate"],
+        PhysicalFault::Room => &["extra-heat-path", "axis-expansion"],
+        PhysicalFault::ScrewHeating => &["axis-expansion"],
+        PhysicalFault::Mounting => &["cross-axis"],
+        PhysicalFault::Wear => &["backlash", "position-dependent-backlash"],
+        PhysicalFault::MisplacedThermometer => &["thermal-lag"],
+        PhysicalFault::GaugeDrift => &["drift"],
     }
 }
 
 /// No fault is smaller, in RMS of the noise.
-pub const MIN_RATIO: f64 = 3.0;
+pub const MIN_FAULT_NOISE_RATIO: f64 = 3.0;
 /// Faults are drawn from a little above that to this many times the noise.
-const RATIOS: [f64; 2] = [1.1 * MIN_RATIO, 10.0];
+const RATIOS: [f64; 2] = [1.1 * MIN_FAULT_NOISE_RATIO, 10.0];
 /// A fault that must be larger to be seen is none of this machine: a room that swings by more than
 /// this, in K, is no room.
 const LARGEST_SIZE: f64 = 8.0;
@@ -52,8 +52,8 @@ pub const HARM: f64 = 1.05;
 /// A fault that is drawn.
 #[derive(Clone, Debug)]
 pub struct SampledFault {
-    pub fault: Fault,
-    /// How much of it ([`Fault`]).
+    pub fault: PhysicalFault,
+    /// How much of it ([`PhysicalFault`]).
     pub size: f64,
     /// The record with it minus that without it, in µm.
     pub um: Vec<f64>,
@@ -72,14 +72,16 @@ pub struct Case {
 impl Case {
     /// Returns the machine of `seed` with 1 to 5 faults.
     pub fn draw(seed: u64) -> Self {
-        let mut stream = Stream::new(seed, "physical faults");
+        let mut stream = RandomStream::new(seed, "physical faults");
         let count = 1 + (seed % 5) as usize;
-        let kinds: Vec<Kind> =
-            Kind::ALL.into_iter().filter(|kind| kind.faults().len() >= count).collect();
-        let mut case = Self::healthy_of(stream.pick(&kinds), seed);
-        let mut left = case.plant.kind.faults().to_vec();
+        let kinds: Vec<MachineKind> = MachineKind::SAMPLED_KINDS
+            .into_iter()
+            .filter(|kind| kind.possible_faults().len() >= count)
+            .collect();
+        let mut case = Self::healthy_of(stream.choose(&kinds), seed);
+        let mut left = case.plant.kind.possible_faults().to_vec();
         while case.faults.len() < count && !left.is_empty() {
-            let fault = left.swap_remove(stream.whole(0, left.len() - 1));
+            let fault = left.swap_remove(stream.uniform_integer(0, left.len() - 1));
             let target = stream.log_uniform(RATIOS[0], RATIOS[1]);
             case.faults.extend(case.sized(fault, target));
         }
@@ -88,10 +90,13 @@ impl Case {
 
     /// Returns the machine of `seed` without a fault.
     pub fn healthy(seed: u64) -> Self {
-        Self::healthy_of(Kind::ALL[(seed % Kind::ALL.len() as u64) as usize], seed)
+        Self::healthy_of(
+            MachineKind::SAMPLED_KINDS[(seed % MachineKind::SAMPLED_KINDS.len() as u64) as usize],
+            seed,
+        )
     }
 
-    fn healthy_of(kind: Kind, seed: u64) -> Self {
+    fn healthy_of(kind: MachineKind, seed: u64) -> Self {
         let mut case = Self { plant: Plant::draw(kind, seed), faults: Vec::new(), noise_um: 0.0 };
         case.noise_um = rms(&case.left(&case.plant.machine, &case.record(0), true));
         case
@@ -99,7 +104,7 @@ impl Case {
 
     /// `fault` at a size at which the record differs by `target` times the noise from that of the
     /// machine without it. `None` where this machine does not show it.
-    fn sized(&self, fault: Fault, target: f64) -> Option<SampledFault> {
+    fn sized(&self, fault: PhysicalFault, target: f64) -> Option<SampledFault> {
         let mut drawn = self.at(fault, 1.0);
         for _ in 0..8 {
             if (drawn.ratio / target - 1.0).abs() < 0.05 {
@@ -108,13 +113,15 @@ impl Case {
             // What a fault does is nearly in proportion to its size.
             drawn = self.at(fault, (drawn.size * target / drawn.ratio).min(2.0 * LARGEST_SIZE));
         }
-        (drawn.size <= LARGEST_SIZE && drawn.ratio >= MIN_RATIO).then_some(drawn)
+        (drawn.size <= LARGEST_SIZE && drawn.ratio >= MIN_FAULT_NOISE_RATIO).then_some(drawn)
     }
 
-    fn at(&self, fault: Fault, size: f64) -> SampledFault {
-        let seed = self.plant.seed_of_day(0);
-        let with = simulate(&self.plant.day(0, &[(fault, size)]), seed, || {}).to_csv();
-        let without = simulate(&self.plant.day_without(0, fault, size), seed, || {}).to_csv();
+    fn at(&self, fault: PhysicalFault, size: f64) -> SampledFault {
+        let seed = self.plant.day_seed(0);
+        let with =
+            simulate(&self.plant.scenario_for_day(0, &[(fault, size)]), seed, || {}).to_csv();
+        let without =
+            simulate(&self.plant.scenario_without_fault(0, fault, size), seed, || {}).to_csv();
         let [with, without] = [with, without].map(|csv| self.left(&self.plant.machine, &csv, true));
         let um: Vec<f64> = with.iter().zip(without).map(|(with, other)| with - other).collect();
         SampledFault { fault, size, ratio: rms(&um) / self.noise_um, um }
@@ -131,9 +138,11 @@ impl Case {
     /// Returns the record of a day, as a run file.
     pub fn record(&self, day: u64) -> String {
         // Another day has another gauge: what is corrected is the machine.
-        let own = self.faults.iter().filter(|it| day == 0 || it.fault != Fault::GaugeDrift);
-        let faults: Vec<(Fault, f64)> = own.map(|drawn| (drawn.fault, drawn.size)).collect();
-        simulate(&self.plant.day(day, &faults), self.plant.seed_of_day(day), || {}).to_csv()
+        let own = self.faults.iter().filter(|it| day == 0 || it.fault != PhysicalFault::GaugeDrift);
+        let faults: Vec<(PhysicalFault, f64)> =
+            own.map(|drawn| (drawn.fault, drawn.size)).collect();
+        simulate(&self.plant.scenario_for_day(day, &faults), self.plant.day_seed(day), || {})
+            .to_csv()
     }
 
     /// Measured minus predicted by the file `machine`, row by row, in µm; the zero of an axis's gauge
@@ -146,9 +155,9 @@ impl Case {
         let quantity = if self.plant.quantity == "elongation" { 0 } else { 1 };
         let column = format!("measured_{}_um", self.plant.quantity);
         let measured = run.column(&column).expect("the twin measures it");
-        let rows = predictor.rows().zip(measured).map(|(row, measured)| {
+        let rows = predictor.predictions().zip(measured).map(|(row, measured)| {
             let values = if all { row.model } else { row.compensated };
-            measured - values.all()[quantity]
+            measured - values.to_array()[quantity]
         });
         let left: Vec<f64> = rows.filter(|left| !left.is_nan()).collect();
         let mean = left.iter().sum::<f64>() / left.len() as f64;
@@ -171,7 +180,8 @@ impl Case {
             .expect("the twin writes run files");
         let diagnosis = diagnose(&machine, &[run], &[], None, &mut |_, _| {})
             .expect("the record can be compared");
-        let extended = diagnosis.extended(&self.plant.machine, path).expect("a machine file");
+        let extended =
+            diagnosis.render_extended_toml(&self.plant.machine, path).expect("a machine file");
         let second = self.record(1);
         Judged {
             kind: self.plant.kind,
@@ -187,9 +197,9 @@ impl Case {
 
 /// An answer and what it was worth.
 pub struct Judged {
-    pub kind: Kind,
+    pub kind: MachineKind,
     /// Each with its RMS over that of the noise, whole and without what others could do as well.
-    pub faults: Vec<(Fault, f64, f64)>,
+    pub faults: Vec<(PhysicalFault, f64, f64)>,
     pub told: KeyComparison,
     /// RMS on the second day with the file as it was, in µm.
     pub before_um: f64,

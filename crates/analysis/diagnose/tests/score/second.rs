@@ -6,27 +6,37 @@
 
 use std::fmt::Write as _;
 
-use trueup_campaigns::hidden::{Effect, Expected, Hidden, TestCase, draw, draw_pair};
+use trueup_campaigns::hidden_effects::{
+    Effect, ExpectedDiagnosis, HiddenCause, TestCase, draw, draw_pair,
+};
 
 /// Returns what the file may have: causes with a name whose term a board corrects.
-pub fn firsts() -> impl Iterator<Item = Hidden> {
-    let is_a_term = |cause: &Hidden| {
-        cause.expected() == Expected::Compensated && cause.name() == cause.answer()
+pub fn firsts() -> impl Iterator<Item = HiddenCause> {
+    let is_a_term = |cause: &HiddenCause| {
+        cause.expected_diagnosis() == ExpectedDiagnosis::Compensated
+            && cause.name() == cause.expected_name()
     };
-    Hidden::ALL.iter().copied().filter(is_a_term)
+    HiddenCause::ALL.iter().copied().filter(is_a_term)
 }
 
 /// Returns all pairs (in the file, newly hidden) that one machine can have.
-pub fn pairs() -> Vec<(Hidden, Hidden)> {
-    let is_named =
-        |cause: &&Hidden| matches!(cause.expected(), Expected::Compensated | Expected::Reported);
-    let all = || Hidden::ALL.iter().filter(is_named).copied();
-    firsts().flat_map(|a| all().map(move |b| (a, b))).filter(|(a, b)| a.stands_beside(*b)).collect()
+pub fn pairs() -> Vec<(HiddenCause, HiddenCause)> {
+    let is_named = |cause: &&HiddenCause| {
+        matches!(
+            cause.expected_diagnosis(),
+            ExpectedDiagnosis::Compensated | ExpectedDiagnosis::Reported
+        )
+    };
+    let all = || HiddenCause::ALL.iter().filter(is_named).copied();
+    firsts()
+        .flat_map(|a| all().map(move |b| (a, b)))
+        .filter(|(a, b)| a.is_compatible_with(*b))
+        .collect()
 }
 
 /// Returns the challenge with `known` in the file and in the data, and `new` in the data alone: the answer is
 /// `new`. `None` where no machine has both.
-pub fn beside(known: Hidden, new: Hidden, ratio: f64, seed: u64) -> Option<TestCase> {
+pub fn beside(known: HiddenCause, new: HiddenCause, ratio: f64, seed: u64) -> Option<TestCase> {
     let mut challenge = draw_pair(known, new, ratio, seed)?;
     let [a, b] = &challenge.truth.effects[..] else { return None };
     let (a, b) = (a.clone(), b.clone());
@@ -36,14 +46,14 @@ pub fn beside(known: Hidden, new: Hidden, ratio: f64, seed: u64) -> Option<TestC
     add(&mut truth.holdout_believed_um, &a.holdout_um);
     truth.effect_um.clone_from(&b.um);
     truth.holdout_effect_um.clone_from(&b.holdout_um);
-    truth.expected = b.cause.expected();
+    truth.expected = b.cause.expected_diagnosis();
     truth.effects = vec![b];
     Some(challenge)
 }
 
 /// Returns the challenge with `cause` in the data and in the file, where it has half of its size: what is not
 /// in the file is about `ratio` times the noise.
-pub fn aged(cause: Hidden, ratio: f64, seed: u64) -> TestCase {
+pub fn aged(cause: HiddenCause, ratio: f64, seed: u64) -> TestCase {
     let mut challenge = draw(cause, 2.0 * ratio, seed);
     let mut old = challenge.truth.effects[0].clone();
     halve(&mut old, &challenge);
@@ -71,7 +81,7 @@ fn halve(effect: &mut Effect, challenge: &TestCase) {
             "gain" | "scale" => 1.0,
             "limit_um" => most_um,
             "um_per_m_per_c" => slope,
-            "um_per_c" if effect.cause == Hidden::ExpansionConstant => constant,
+            "um_per_c" if effect.cause == HiddenCause::ExpansionConstant => constant,
             "shift_c"
             | "offset_um"
             | "per_um"
@@ -84,9 +94,12 @@ fn halve(effect: &mut Effect, challenge: &TestCase) {
             | "second_amplitude_um"
             | "urad_per_m" => 0.0,
             // Next to an amplitude the time constant stays; alone it is what ages.
-            "time_constant_s" if effect.cause == Hidden::ThermalLag => 0.0,
+            "time_constant_s" if effect.cause == HiddenCause::ThermalLag => 0.0,
             "time_constant_s"
-                if matches!(effect.cause, Hidden::GrowthRate | Hidden::CoolingAsymmetry) =>
+                if matches!(
+                    effect.cause,
+                    HiddenCause::GrowthRate | HiddenCause::CoolingAsymmetry
+                ) =>
             {
                 // Where it does nothing is the believed one; this is a clear change wherever that is.
                 *value *= 1.8;
@@ -125,7 +138,7 @@ pub fn term(effect: &Effect, challenge: &TestCase) -> String {
     let axis = |column: &str| format!("{:?}", column.trim_end_matches("_mm"));
     let column = effect.column.as_deref().unwrap_or_default();
     match cause {
-        Hidden::PitchPeriodic => {
+        HiddenCause::PitchPeriodic => {
             let degrees = |name: &str| of(name).to_degrees();
             key("period_mm", format!("{:?}", of("period_mm")));
             key("harmonic", "[1, 2]".into());
@@ -133,13 +146,15 @@ pub fn term(effect: &Effect, challenge: &TestCase) -> String {
             key("phase_deg", format!("{:?}", [degrees("phase_rad"), degrees("second_phase_rad")]));
             return text;
         }
-        Hidden::Straightness => key("along", axis(column)),
-        Hidden::CrossAxis => key("axis", axis(column)),
-        Hidden::AngularError => key("lever", axis(column)),
-        Hidden::SensorTemperatureDrift | Hidden::ExtraHeatPath | Hidden::AxisExpansion => {
+        HiddenCause::Straightness => key("along", axis(column)),
+        HiddenCause::CrossAxis => key("axis", axis(column)),
+        HiddenCause::AngularError => key("lever", axis(column)),
+        HiddenCause::SensorTemperatureDrift
+        | HiddenCause::ExtraHeatPath
+        | HiddenCause::AxisExpansion => {
             key("column", format!("{column:?}"));
         }
-        Hidden::SlowMode if !column.is_empty() => key("column", format!("{column:?}")),
+        HiddenCause::SlowMode if !column.is_empty() => key("column", format!("{column:?}")),
         _ => {}
     }
     for (name, value) in &effect.parameters {

@@ -5,20 +5,20 @@ use std::f64::consts::TAU;
 use trueup_machine::file::LinearAxis;
 
 use super::{
-    choose::{Chosen, Fitted, Tried, Unit},
     record::{Plane, Record},
-    terms::{Moving, Term, Wave},
+    term_selection::{CrossValidatedTerm, FittedTerm, SelectedModel, TermGroup},
+    terms::{CircleTerm, DriftParameter, WavePhase},
 };
 use crate::report::Parameter;
 
 /// From a value to either end of its 95 % interval, in standard errors: records have hundreds of rows.
-const HALF_WIDTH: f64 = 1.96;
+const NORMAL_QUANTILE_975: f64 = 1.96;
 /// A squareness below this share of an odd harmonic may be the line of its form: t³ is 2·sin 2φ for 1·sin 4φ.
-const LINE_OF_ODD: f64 = 2.2;
+const MIN_SQUARENESS_ODD_HARMONIC_RATIO: f64 = 2.2;
 /// The same of an even one, whose middle is not that of the circle.
-const LINE_OF_EVEN: f64 = 0.3;
+const MIN_SQUARENESS_EVEN_HARMONIC_RATIO: f64 = 0.3;
 /// |t| of heights of spikes: of two, or of one.
-const HEIGHTS: [f64; 2] = [4.0, 8.0];
+const MIN_SPIKE_T_VALUES: [f64; 2] = [4.0, 8.0];
 
 /// A cause.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,7 +65,7 @@ impl Cause {
 
     /// Returns why no table corrects it; `None` where one does.
     #[must_use]
-    pub(crate) fn why_not_corrected(self) -> Option<&'static str> {
+    pub(crate) fn uncorrected_reason(self) -> Option<&'static str> {
         match self {
             Self::ServoMismatch => Some(
                 "it depends on the feed: match the position gains (Kv) or the feed-forward of both axes",
@@ -108,51 +108,53 @@ pub struct Finding {
     /// The measurement that settles what is open, or the remedy; empty where nothing is.
     pub next_test: String,
     /// The terms, for the machine file and the plot.
-    pub terms: Vec<Fitted>,
+    pub terms: Vec<FittedTerm>,
 }
 
 /// Returns the causes of a circle, the largest first.
 #[must_use]
-pub fn findings(record: &Record, chosen: &Chosen) -> Vec<Finding> {
-    let has = |unit: &Unit| chosen.tried.iter().any(|tried| tried.unit == *unit);
-    // Forms whose axis a circle does not show go with the larger straightness that it does show.
-    let rms_um = |wave: Wave| {
-        let own = chosen.tried.iter().find(|tried| tried.unit == Unit::Even(wave));
+pub(crate) fn build_findings(record: &Record, chosen: &SelectedModel) -> Vec<Finding> {
+    let has = |unit: &TermGroup| chosen.tried.iter().any(|tried| tried.unit == *unit);
+    // Forms whose axis a circle does not show are listed with the larger straightness that it does show.
+    let rms_um = |wave: WavePhase| {
+        let own = chosen.tried.iter().find(|tried| tried.unit == TermGroup::Even(wave));
         own.map_or(0.0, |tried| tried.rms_um)
     };
-    let odd_to = match [Wave::Sine, Wave::Cosine].map(|wave| has(&Unit::Even(wave))) {
+    let odd_to = match [WavePhase::Sine, WavePhase::Cosine].map(|wave| has(&TermGroup::Even(wave)))
+    {
         [false, false] => None,
-        _ if rms_um(Wave::Sine) >= rms_um(Wave::Cosine) => Some(Wave::Sine),
-        _ => Some(Wave::Cosine),
+        _ if rms_um(WavePhase::Sine) >= rms_um(WavePhase::Cosine) => Some(WavePhase::Sine),
+        _ => Some(WavePhase::Cosine),
     };
     let mut all = Vec::new();
     for tried in &chosen.tried {
-        if tried.unit == Unit::OddSines && odd_to.is_some() {
+        if tried.unit == TermGroup::OddSines && odd_to.is_some() {
             continue;
         }
-        let is_own = |it: &&Fitted| {
+        let is_own = |it: &&FittedTerm| {
             it.unit == tried.unit
-                || it.unit == Unit::OddSines
-                    && odd_to.is_some_and(|to| Unit::Even(to) == tried.unit)
+                || it.unit == TermGroup::OddSines
+                    && odd_to.is_some_and(|to| TermGroup::Even(to) == tried.unit)
         };
-        let terms: Vec<Fitted> = chosen.terms.iter().filter(is_own).cloned().collect();
-        all.push(finding(record, tried, terms));
+        let terms: Vec<FittedTerm> = chosen.terms.iter().filter(is_own).cloned().collect();
+        all.push(build_finding(record, tried, terms));
     }
-    weigh_squareness(&mut all);
+    flag_doubtful_squareness(&mut all);
     all.sort_by(|a, b| b.rms_um.total_cmp(&a.rms_um));
     all
 }
 
 /// Doubts a squareness that is no more than the line from which a form that is there counts.
-fn weigh_squareness(all: &mut [Finding]) {
+fn flag_doubtful_squareness(all: &mut [Finding]) {
     let forms = || all.iter().filter(|it| it.cause == Cause::Straightness).flat_map(|it| &it.terms);
-    let size = |is_one: fn(&Term) -> bool| {
+    let size = |is_one: fn(&CircleTerm) -> bool| {
         let own = forms().filter(|it| is_one(&it.term)).map(|it| it.um.abs());
         own.fold(0.0, f64::max)
     };
-    let odd = size(|term| matches!(term, Term::Form(4 | 6, _)));
-    let even = size(|term| matches!(term, Term::Form(3 | 5 | 7, _)));
-    let of_line_um = (LINE_OF_ODD * odd).max(LINE_OF_EVEN * even);
+    let odd = size(|term| matches!(term, CircleTerm::Form(4 | 6, _)));
+    let even = size(|term| matches!(term, CircleTerm::Form(3 | 5 | 7, _)));
+    let of_line_um =
+        (MIN_SQUARENESS_ODD_HARMONIC_RATIO * odd).max(MIN_SQUARENESS_EVEN_HARMONIC_RATIO * even);
     for it in all.iter_mut().filter(|it| it.cause == Cause::Squareness) {
         if it.terms.iter().all(|term| term.um.abs() < of_line_um) {
             it.claimed = false;
@@ -164,24 +166,24 @@ fn weigh_squareness(all: &mut [Finding]) {
     }
 }
 
-fn finding(record: &Record, tried: &Tried, terms: Vec<Fitted>) -> Finding {
+fn build_finding(record: &Record, tried: &CrossValidatedTerm, terms: Vec<FittedTerm>) -> Finding {
     let axes = record.plane.axes();
     let [u, v] = axes;
     let (cause, axis, along) = match &tried.unit {
-        Unit::Single(Term::Backlash(of)) => (Cause::Backlash, Some(axes[*of]), None),
-        Unit::Single(Term::Lateral(of)) => {
+        TermGroup::Single(CircleTerm::Backlash(of)) => (Cause::Backlash, Some(axes[*of]), None),
+        TermGroup::Single(CircleTerm::Lateral(of)) => {
             (Cause::LateralPlay, Some(axes[1 - of]), Some(axes[*of]))
         }
-        Unit::Single(Term::Scale) => (Cause::ScaleMismatch, None, None),
-        Unit::Single(Term::Servo) => (Cause::ServoMismatch, None, None),
-        Unit::Setup | Unit::Single(_) => (Cause::Squareness, None, None),
-        Unit::Even(Wave::Sine) => (Cause::Straightness, Some(v), Some(u)),
-        Unit::Even(Wave::Cosine) => (Cause::Straightness, Some(u), Some(v)),
-        Unit::OddSines => (Cause::Straightness, None, None),
-        Unit::EvenCosines => (Cause::PositionForm, None, None),
-        Unit::Drift => (Cause::Drift, None, None),
-        Unit::Spikes(of) => (Cause::ReversalSpike, Some(axes[*of]), Some(axes[*of])),
-        Unit::Cyclic(of, _) => (Cause::CyclicError, Some(axes[*of]), None),
+        TermGroup::Single(CircleTerm::Scale) => (Cause::ScaleMismatch, None, None),
+        TermGroup::Single(CircleTerm::Servo) => (Cause::ServoMismatch, None, None),
+        TermGroup::Setup | TermGroup::Single(_) => (Cause::Squareness, None, None),
+        TermGroup::Even(WavePhase::Sine) => (Cause::Straightness, Some(v), Some(u)),
+        TermGroup::Even(WavePhase::Cosine) => (Cause::Straightness, Some(u), Some(v)),
+        TermGroup::OddSines => (Cause::Straightness, None, None),
+        TermGroup::EvenCosines => (Cause::PositionForm, None, None),
+        TermGroup::Drift => (Cause::Drift, None, None),
+        TermGroup::Spikes(of) => (Cause::ReversalSpike, Some(axes[*of]), Some(axes[*of])),
+        TermGroup::Cyclic(of, _) => (Cause::CyclicError, Some(axes[*of]), None),
     };
     let mut it = Finding {
         cause,
@@ -190,7 +192,7 @@ fn finding(record: &Record, tried: &Tried, terms: Vec<Fitted>) -> Finding {
         along: along.filter(|_| cause != Cause::ReversalSpike),
         claimed: tried.is_gain,
         compensated: false,
-        parameters: parameters(record, cause, &terms),
+        parameters: build_parameters(record, cause, &terms),
         rms_um: tried.rms_um,
         evidence: vec![format!(
             "{}: {:.2} µm RMS without it, {:.2} µm with it",
@@ -198,23 +200,25 @@ fn finding(record: &Record, tried: &Tried, terms: Vec<Fitted>) -> Finding {
             tried.left_out_um[0],
             tried.left_out_um[1]
         )],
-        alternatives: tried.alternatives.iter().map(|unit| name_of(record, unit)).collect(),
+        alternatives: tried.alternatives.iter().map(|unit| cause_name(record, unit)).collect(),
         next_test: String::new(),
         terms,
     };
     if cause == Cause::ReversalSpike {
         let heights = it.parameters.iter().filter_map(|it| Some((it.value, it.ci95?)));
-        let size =
-            |(um, [low, high]): (f64, [f64; 2])| (um / (high - low) * 2.0 * HALF_WIDTH).abs();
+        let size = |(um, [low, high]): (f64, [f64; 2])| {
+            (um / (high - low) * 2.0 * NORMAL_QUANTILE_975).abs()
+        };
         let mut sizes: Vec<f64> = heights.map(size).collect();
         sizes.sort_unstable_by(|a, b| b.total_cmp(a));
         let second = sizes.get(1).copied().unwrap_or_default();
-        it.claimed = second > HEIGHTS[0] || sizes.first().is_some_and(|it| *it > HEIGHTS[1]);
+        it.claimed = second > MIN_SPIKE_T_VALUES[0]
+            || sizes.first().is_some_and(|it| *it > MIN_SPIKE_T_VALUES[1]);
     }
-    open_questions(record, &mut it);
+    add_ambiguities(record, &mut it);
     it.claimed &= it.alternatives.is_empty();
     if it.next_test.is_empty()
-        && let Some(why) = cause.why_not_corrected()
+        && let Some(why) = cause.uncorrected_reason()
     {
         it.next_test = format!("no table corrects it, {why}");
     }
@@ -222,9 +226,9 @@ fn finding(record: &Record, tried: &Tried, terms: Vec<Fitted>) -> Finding {
 }
 
 /// Adds what one plane or one direction cannot distinguish, and the test that does.
-fn open_questions(record: &Record, it: &mut Finding) {
+fn add_ambiguities(record: &Record, it: &mut Finding) {
     let [u, v] = record.plane.axes().map(LinearAxis::name);
-    let one_way = !(record.has_sense(1.0) && record.has_sense(-1.0));
+    let one_way = !(record.has_direction(1.0) && record.has_direction(-1.0));
     let plane = record.plane.name();
     let other_way = format!("measure the same circle in {plane} in the other direction too");
     match it.cause {
@@ -258,7 +262,7 @@ fn open_questions(record: &Record, it: &mut Finding) {
             it.next_test = format!("measure the positions of {u} and {v}: `trueup program pitch`, then `trueup fit pitch`");
         }
         _ if !it.alternatives.is_empty() => {
-            it.next_test = if record.arc() < 6.0 {
+            it.next_test = if record.covered_arc_rad() < 6.0 {
                 format!("measure the whole circle in {plane}, in both directions")
             } else if one_way {
                 other_way
@@ -271,32 +275,34 @@ fn open_questions(record: &Record, it: &mut Finding) {
 }
 
 /// Returns the name of a cause that was not chosen.
-fn name_of(record: &Record, unit: &Unit) -> String {
+fn cause_name(record: &Record, unit: &TermGroup) -> String {
     let axes = record.plane.axes().map(LinearAxis::name);
     match unit {
-        Unit::Single(Term::Backlash(of)) => format!("{} of {}", Cause::Backlash.name(), axes[*of]),
-        Unit::Single(Term::Lateral(of)) => {
+        TermGroup::Single(CircleTerm::Backlash(of)) => {
+            format!("{} of {}", Cause::Backlash.name(), axes[*of])
+        }
+        TermGroup::Single(CircleTerm::Lateral(of)) => {
             format!("{} of {}", Cause::LateralPlay.name(), axes[*of])
         }
-        Unit::Single(Term::Scale) => Cause::ScaleMismatch.name().into(),
-        Unit::Single(Term::Servo) => Cause::ServoMismatch.name().into(),
-        Unit::Even(_) | Unit::OddSines => Cause::Straightness.name().into(),
-        Unit::EvenCosines => Cause::PositionForm.name().into(),
-        Unit::Drift => Cause::Drift.name().into(),
-        Unit::Spikes(of) => format!("{} of {}", Cause::ReversalSpike.name(), axes[*of]),
-        Unit::Cyclic(of, _) => format!("{} of {}", Cause::CyclicError.name(), axes[*of]),
-        Unit::Setup | Unit::Single(_) => Cause::Squareness.name().into(),
+        TermGroup::Single(CircleTerm::Scale) => Cause::ScaleMismatch.name().into(),
+        TermGroup::Single(CircleTerm::Servo) => Cause::ServoMismatch.name().into(),
+        TermGroup::Even(_) | TermGroup::OddSines => Cause::Straightness.name().into(),
+        TermGroup::EvenCosines => Cause::PositionForm.name().into(),
+        TermGroup::Drift => Cause::Drift.name().into(),
+        TermGroup::Spikes(of) => format!("{} of {}", Cause::ReversalSpike.name(), axes[*of]),
+        TermGroup::Cyclic(of, _) => format!("{} of {}", Cause::CyclicError.name(), axes[*of]),
+        TermGroup::Setup | TermGroup::Single(_) => Cause::Squareness.name().into(),
     }
 }
 
 /// Returns the constants of a cause.
-fn parameters(record: &Record, cause: Cause, terms: &[Fitted]) -> Vec<Parameter> {
+fn build_parameters(record: &Record, cause: Cause, terms: &[FittedTerm]) -> Vec<Parameter> {
     let Some(first) = terms.first() else { return Vec::new() };
-    let scaled = |name: &str, it: &Fitted, factor: f64| {
+    let scaled = |name: &str, it: &FittedTerm, factor: f64| {
         Parameter::amplitude(
             name,
             factor * it.um,
-            HALF_WIDTH * (factor * it.standard_error_um).abs(),
+            NORMAL_QUANTILE_975 * (factor * it.standard_error_um).abs(),
         )
     };
     match cause {
@@ -310,49 +316,51 @@ fn parameters(record: &Record, cause: Cause, terms: &[Fitted]) -> Vec<Parameter>
             if let Some(feed) = record.feed_mm_per_min() {
                 // 2·amplitude / F, in ms.
                 all.push(scaled("lag_difference_ms", first, 2.0 / (feed / 60.0)));
-                all.push(Parameter::set("feed_mm_per_min", feed));
+                all.push(Parameter::fixed("feed_mm_per_min", feed));
             }
             all
         }
-        Cause::ReversalSpike => spikes(record, terms),
-        Cause::CyclicError => cyclic(record, terms),
+        Cause::ReversalSpike => build_spike_parameters(record, terms),
+        Cause::CyclicError => build_cyclic_parameters(record, terms),
         Cause::Straightness | Cause::PositionForm => {
             let largest = terms.iter().map(|it| it.um.abs()).fold(0.0, f64::max);
             let error = terms.iter().map(|it| it.standard_error_um.powi(2)).sum::<f64>().sqrt();
-            let range = range_um(terms);
+            let range = straightness_range_um(terms);
             let mut all = vec![Parameter::fitted(
                 "range_um",
                 range,
-                HALF_WIDTH * error * range / largest.max(f64::MIN_POSITIVE),
+                NORMAL_QUANTILE_975 * error * range / largest.max(f64::MIN_POSITIVE),
             )];
             all.extend(terms.iter().filter_map(|it| match it.term {
-                Term::Form(number, _) => Some(scaled(&format!("harmonic_{number}_um"), it, 1.0)),
+                CircleTerm::Form(number, _) => {
+                    Some(scaled(&format!("harmonic_{number}_um"), it, 1.0))
+                }
                 _ => None,
             }));
             all
         }
-        Cause::Drift => drift(record, terms),
+        Cause::Drift => build_drift_parameters(record, terms),
     }
 }
 
 /// Returns the height of each spike, the peak of its shapes' sum, and the width of the highest.
-fn spikes(record: &Record, terms: &[Fitted]) -> Vec<Parameter> {
+fn build_spike_parameters(record: &Record, terms: &[FittedTerm]) -> Vec<Parameter> {
     /// Steps of an angle.
-    const STEPS: i32 = 600;
+    const ANGLE_STEPS: i32 = 600;
     let mut all = Vec::new();
     let (mut highest, mut width_rad) = (0.0, 0.0);
     for (is_positive, sense) in [(true, 1.0), (true, -1.0), (false, 1.0), (false, -1.0)] {
-        let own = |it: &&Fitted| matches!(it.term, Term::Spike { is_positive: end, sense: way, .. } if end == is_positive && way == sense);
-        let own: Vec<&Fitted> = terms.iter().filter(own).collect();
+        let own = |it: &&FittedTerm| matches!(it.term, CircleTerm::Spike { is_positive: end, sense: way, .. } if end == is_positive && way == sense);
+        let own: Vec<&FittedTerm> = terms.iter().filter(own).collect();
         let at = |step: i32| {
             let since = f64::from(step).to_radians() / 20.0;
-            let of = |it: &&Fitted| match it.term {
-                Term::Spike { shape, width, .. } => it.um * shape.at(since, width),
+            let of = |it: &&FittedTerm| match it.term {
+                CircleTerm::Spike { shape, width, .. } => it.um * shape.evaluate(since, width),
                 _ => 0.0,
             };
             own.iter().map(of).sum::<f64>()
         };
-        let curve: Vec<f64> = (-STEPS..STEPS).map(at).collect();
+        let curve: Vec<f64> = (-ANGLE_STEPS..ANGLE_STEPS).map(at).collect();
         let Some(peak) = curve.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())) else {
             continue;
         };
@@ -365,7 +373,7 @@ fn spikes(record: &Record, terms: &[Fitted]) -> Vec<Parameter> {
         all.push(Parameter::amplitude(
             format!("height_{end}_end_{way}_um"),
             peak,
-            HALF_WIDTH * error,
+            NORMAL_QUANTILE_975 * error,
         ));
         if peak.abs() > highest {
             highest = peak.abs();
@@ -373,34 +381,38 @@ fn spikes(record: &Record, terms: &[Fitted]) -> Vec<Parameter> {
             width_rad = (wide as f64 / 20.0).to_radians();
         }
     }
-    all.push(Parameter::set("width_deg", width_rad.to_degrees()));
-    all.push(Parameter::set("width_mm", width_rad * record.radius_mm));
+    all.push(Parameter::fixed("width_deg", width_rad.to_degrees()));
+    all.push(Parameter::fixed("width_mm", width_rad * record.radius_mm));
     all
 }
 
-fn cyclic(record: &Record, terms: &[Fitted]) -> Vec<Parameter> {
-    let of = |wave: Wave| {
-        terms.iter().find(|it| matches!(it.term, Term::Cyclic { wave: own, .. } if own == wave))
+fn build_cyclic_parameters(record: &Record, terms: &[FittedTerm]) -> Vec<Parameter> {
+    let of = |wave: WavePhase| {
+        terms
+            .iter()
+            .find(|it| matches!(it.term, CircleTerm::Cyclic { wave: own, .. } if own == wave))
     };
-    let (Some(sine), Some(cosine)) = (of(Wave::Sine), of(Wave::Cosine)) else { return Vec::new() };
-    let Term::Cyclic { period_mm, .. } = sine.term else { return Vec::new() };
+    let (Some(sine), Some(cosine)) = (of(WavePhase::Sine), of(WavePhase::Cosine)) else {
+        return Vec::new();
+    };
+    let CircleTerm::Cyclic { period_mm, .. } = sine.term else { return Vec::new() };
     let amplitude = sine.um.hypot(cosine.um);
     let error = sine.standard_error_um.max(cosine.standard_error_um);
     // The phase over a travel of ±R, weighted with the half of it: ∂phase/∂L = 2π·u/L².
     let spread = record.radius_mm / 2.0;
     let period_error = error / amplitude * period_mm * period_mm / (TAU * spread);
     vec![
-        Parameter::amplitude("amplitude_um", amplitude, HALF_WIDTH * error),
-        Parameter::fitted("period_mm", period_mm, HALF_WIDTH * period_error),
+        Parameter::amplitude("amplitude_um", amplitude, NORMAL_QUANTILE_975 * error),
+        Parameter::fitted("period_mm", period_mm, NORMAL_QUANTILE_975 * period_error),
         Parameter::fitted(
             "phase_deg",
             cosine.um.atan2(sine.um).to_degrees(),
-            HALF_WIDTH * (error / amplitude).to_degrees(),
+            NORMAL_QUANTILE_975 * (error / amplitude).to_degrees(),
         ),
     ]
 }
 
-fn drift(record: &Record, terms: &[Fitted]) -> Vec<Parameter> {
+fn build_drift_parameters(record: &Record, terms: &[FittedTerm]) -> Vec<Parameter> {
     let [u, v] = record.plane.axes().map(LinearAxis::name);
     let [first, last] = record.clock;
     let (unit, factor) = if record.has_time && last > first {
@@ -408,14 +420,14 @@ fn drift(record: &Record, terms: &[Fitted]) -> Vec<Parameter> {
     } else {
         ("um_over_record", 1.0)
     };
-    let parameter = |it: &Fitted| {
-        let Term::Drift(of) = it.term else { return None };
+    let parameter = |it: &FittedTerm| {
+        let CircleTerm::Drift(of) = it.term else { return None };
         let name = match of {
-            Moving::Radius => format!("radius_{unit}"),
-            Moving::CentreU => format!("{u}_{unit}"),
-            Moving::CentreV => format!("{v}_{unit}"),
+            DriftParameter::Radius => format!("radius_{unit}"),
+            DriftParameter::CentreU => format!("{u}_{unit}"),
+            DriftParameter::CentreV => format!("{v}_{unit}"),
         };
-        let half = HALF_WIDTH * (factor * it.standard_error_um).abs();
+        let half = NORMAL_QUANTILE_975 * (factor * it.standard_error_um).abs();
         Some(Parameter::amplitude(name, factor * it.um, half))
     };
     terms.iter().filter_map(parameter).collect()
@@ -426,18 +438,19 @@ fn drift(record: &Record, terms: &[Fitted]) -> Vec<Parameter> {
 /// Uₙ(t)·√(1 − t²) = sin((n + 1)·acos t) makes the harmonic sin mφ of the second axis along the first. Of the first axis
 /// along the second φ is counted from the other axis: cos 3φ ↦ −U₂, sin 4φ ↦ −U₃, cos 5φ ↦ U₄, sin 6φ ↦ U₅, cos 7φ ↦ −U₆.
 #[must_use]
-pub(crate) fn straightness_um(terms: &[Fitted], share: f64) -> f64 {
-    let is_first = terms.iter().any(|it| matches!(it.term, Term::Form(3 | 5 | 7, Wave::Cosine)));
-    let of = |it: &Fitted| {
-        let Term::Form(number, _) = it.term else { return 0.0 };
+pub(crate) fn straightness_um(terms: &[FittedTerm], share: f64) -> f64 {
+    let is_first =
+        terms.iter().any(|it| matches!(it.term, CircleTerm::Form(3 | 5 | 7, WavePhase::Cosine)));
+    let of = |it: &FittedTerm| {
+        let CircleTerm::Form(number, _) = it.term else { return 0.0 };
         let sign = if is_first && matches!(number, 3 | 4 | 7) { -1.0 } else { 1.0 };
-        sign * it.um * second_kind(number - 1, share)
+        sign * it.um * chebyshev_second_kind(number - 1, share)
     };
     terms.iter().map(of).sum()
 }
 
 /// Returns Chebyshev's polynomial of the second kind.
-fn second_kind(degree: u8, t: f64) -> f64 {
+fn chebyshev_second_kind(degree: u8, t: f64) -> f64 {
     let (mut before, mut now) = (0.0, 1.0);
     for _ in 0..degree {
         (before, now) = (now, 2.0 * t * now - before);
@@ -445,7 +458,7 @@ fn second_kind(degree: u8, t: f64) -> f64 {
     now
 }
 
-fn range_um(terms: &[Fitted]) -> f64 {
+fn straightness_range_um(terms: &[FittedTerm]) -> f64 {
     let at = |n: i32| straightness_um(terms, f64::from(n) / 100.0);
     let values = (-100..=100).map(at);
     values.clone().fold(f64::MIN, f64::max) - values.fold(f64::MAX, f64::min)

@@ -3,13 +3,13 @@
 use std::f64::consts::TAU;
 
 use trueup_machine::file::LinearAxis;
-use trueup_page::{Colour, Origin, Page, Polar, Series, Table, micrometres};
+use trueup_page::{Colour, Origin, Page, PolarPlot, Series, Table, format_micrometres};
 
 use super::{CircleReport, CircleResult, Finding, Verdict};
 
 /// Returns the page of a report.
 #[must_use]
-pub fn page(report: &CircleReport, origin: &Origin) -> Page {
+pub fn build_page(report: &CircleReport, origin: &Origin) -> Page {
     let mut page = Page::new("Circles and their causes, ISO 230-4");
     let (state, heading) = match report.verdict {
         Verdict::Clean => ("good", "Clean: nothing but set-up and noise"),
@@ -17,29 +17,29 @@ pub fn page(report: &CircleReport, origin: &Origin) -> Page {
         Verdict::PartlyExplained => ("open", "Partly explained"),
         Verdict::Unexplained => ("bad", "Unexplained: nothing is claimed, and something is left"),
     };
-    let said: Vec<String> = report.circles.iter().map(in_short).collect();
-    page.card(state, heading, &said);
+    let said: Vec<String> = report.circles.iter().map(summarise).collect();
+    page.add_card(state, heading, &said);
     for circle in &report.circles {
-        of_circle(&mut page, circle);
+        write_circle(&mut page, circle);
     }
     if !report.written.is_empty() {
-        page.heading("Written into the machine file");
-        page.list(&report.written);
+        page.add_heading("Written into the machine file");
+        page.add_list(&report.written);
     }
-    page.list(&report.warnings);
-    page.note(
+    page.add_list(&report.warnings);
+    page.add_note(
         "G: range of the radii about the centre of least squares, in one direction and in both, G(b). H: largest difference of \
          both directions at an angle. F: deviation from the nominal radius. D: mean radius of both directions minus the nominal \
          one. The uncertainty of the instrument is not part of these figures.",
     );
-    page.signature();
-    page.origin(origin);
+    page.add_signature_block();
+    page.add_provenance_footer(origin);
     page
 }
 
 /// Returns a circle and its causes in a sentence.
 #[must_use]
-pub fn in_short(circle: &CircleResult) -> String {
+pub(crate) fn summarise(circle: &CircleResult) -> String {
     let named = |is_claimed: bool| -> Vec<String> {
         let own = circle.findings.iter().filter(|it| it.claimed == is_claimed);
         own.map(title).collect()
@@ -67,22 +67,22 @@ pub fn title(finding: &Finding) -> String {
     }
 }
 
-fn of_circle(page: &mut Page, circle: &CircleResult) {
+fn write_circle(page: &mut Page, circle: &CircleResult) {
     let record = &circle.record;
     let [u, v] = record.plane.axes().map(|axis| axis.name().to_uppercase());
-    page.heading(&format!("{u}{v}, radius {:.3} mm", record.radius_mm));
+    page.add_heading(&format!("{u}{v}, radius {:.3} mm", record.radius_mm));
     if let (Some(g), Some(h)) = (circle.figures.g_both_um, circle.figures.h_um) {
-        page.figures(&[
-            (micrometres(g), "G(b), bi-directional circular deviation".into(), "before"),
-            (micrometres(h), "H, circular hysteresis".into(), "before"),
-            (micrometres(circle.before.rms_um), "RMS about the centre".into(), "before"),
-            (micrometres(circle.after.rms_um), "RMS without the causes".into(), "after"),
+        page.add_key_figures(&[
+            (format_micrometres(g), "G(b), bi-directional circular deviation".into(), "before"),
+            (format_micrometres(h), "H, circular hysteresis".into(), "before"),
+            (format_micrometres(circle.before.rms_um), "RMS about the centre".into(), "before"),
+            (format_micrometres(circle.after.rms_um), "RMS without the causes".into(), "after"),
         ]);
     }
-    page.pictures(&[plot(circle, [u, v])]);
-    page.table(&figures(circle));
+    page.add_charts(&[polar_plot(circle, [u, v])]);
+    page.add_table(&deviation_table(circle));
     if circle.findings.is_empty() {
-        page.text("No cause: centre and radius of the set-up, and noise.");
+        page.add_paragraph("No cause: centre and radius of the set-up, and noise.");
     }
     for finding in &circle.findings {
         let mut table = Table::new(&["constant", "value", "95 %"]);
@@ -90,27 +90,30 @@ fn of_circle(page: &mut Page, circle: &CircleResult) {
             let interval = parameter
                 .ci95
                 .map_or_else(|| "–".into(), |[low, high]| format!("{low:.3} … {high:.3}"));
-            table.row(&[parameter.name.clone(), format!("{:.3}", parameter.value), interval]);
+            table.add_row(&[parameter.name.clone(), format!("{:.3}", parameter.value), interval]);
         }
-        page.subheading(&format!(
+        page.add_subheading(&format!(
             "{}{}: {} RMS",
             title(finding),
             if finding.claimed { "" } else { " (not claimed)" },
-            micrometres(finding.rms_um)
+            format_micrometres(finding.rms_um)
         ));
-        page.table(&table);
-        page.list(&finding.evidence);
+        page.add_table(&table);
+        page.add_list(&finding.evidence);
         if !finding.alternatives.is_empty() {
-            page.text(&format!("It would look the same: {}.", finding.alternatives.join(", ")));
+            page.add_paragraph(&format!(
+                "It would look the same: {}.",
+                finding.alternatives.join(", ")
+            ));
         }
         if !finding.next_test.is_empty() {
-            page.text(&format!("Next: {}.", finding.next_test));
+            page.add_paragraph(&format!("Next: {}.", finding.next_test));
         }
     }
 }
 
 /// Returns the polar plot: both directions, and what the causes predict.
-fn plot(circle: &CircleResult, axes: [String; 2]) -> String {
+fn polar_plot(circle: &CircleResult, axes: [String; 2]) -> String {
     let record = &circle.record;
     let mut series = Vec::new();
     for (name, colour, sense) in
@@ -131,12 +134,13 @@ fn plot(circle: &CircleResult, axes: [String; 2]) -> String {
     }
     let causes: Vec<String> = circle.findings.iter().filter(|it| it.claimed).map(title).collect();
     let causes = if causes.is_empty() { "no cause".into() } else { causes.join(", ") };
-    Polar { title: format!("Deviation of the radius, enlarged: {causes}."), axes, series }.figure()
+    PolarPlot { title: format!("Deviation of the radius, enlarged: {causes}."), axes, series }
+        .to_figure()
 }
 
-fn figures(circle: &CircleResult) -> Table {
+fn deviation_table(circle: &CircleResult) -> Table {
     let it = &circle.figures;
-    let cell = |um: Option<f64>| um.map_or_else(|| "–".into(), micrometres);
+    let cell = |um: Option<f64>| um.map_or_else(|| "–".into(), format_micrometres);
     let mut table = Table::new(&["ISO 230-4", "counter-clockwise", "clockwise", "both"]);
     for (name, [ccw, cw], both) in [
         ("G, circular deviation", it.g_um, it.g_both_um),
@@ -145,7 +149,7 @@ fn figures(circle: &CircleResult) -> Table {
         ("H, circular hysteresis", [None; 2], it.h_um),
         ("D, mean radial deviation", [None; 2], it.d_um),
     ] {
-        table.row(&[name.to_string(), cell(ccw), cell(cw), cell(both)]);
+        table.add_row(&[name.to_string(), cell(ccw), cell(cw), cell(both)]);
     }
     table
 }

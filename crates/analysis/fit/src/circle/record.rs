@@ -5,11 +5,11 @@ use std::f64::consts::TAU;
 use trueup_machine::file::LinearAxis;
 use trueup_numerics::robust;
 
-use super::path::turned;
-use crate::report::SetAside;
+use super::circular_path::angle_difference;
+use crate::report::ExcludedRow;
 
 /// The column with the readings.
-pub(crate) const READING: &str = "measured_dr_um";
+pub(crate) const READING_COLUMN: &str = "measured_dr_um";
 
 /// The plane of a circle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -44,7 +44,7 @@ impl Plane {
     }
 
     /// Returns the plane in which this axis stands still.
-    pub(super) fn across(still: LinearAxis) -> Self {
+    pub(super) fn perpendicular_to(still: LinearAxis) -> Self {
         match still {
             LinearAxis::X => Self::Yz,
             LinearAxis::Y => Self::Zx,
@@ -98,26 +98,26 @@ pub struct Record {
     /// Zeros of the instrument.
     pub setups: usize,
     /// Gross readings, which are not in `rows`.
-    pub set_aside: Vec<SetAside>,
+    pub set_aside: Vec<ExcludedRow>,
 }
 
 impl Record {
     /// Returns the share of the time at a row, −½…½.
     #[must_use]
-    pub fn share_of_time(&self, row: &Row) -> f64 {
+    pub(crate) fn relative_time(&self, row: &Row) -> f64 {
         let [first, last] = self.clock;
         if last > first { (row.clock - first) / (last - first) - 0.5 } else { 0.0 }
     }
 
     /// Returns whether there are rows of this direction.
     #[must_use]
-    pub(crate) fn has_sense(&self, sense: f64) -> bool {
+    pub(crate) fn has_direction(&self, sense: f64) -> bool {
         self.rows.iter().any(|row| row.sense * sense > 0.0)
     }
 
     /// Returns the arc that is covered, in rad: the circle without its largest gap.
     #[must_use]
-    pub fn arc(&self) -> f64 {
+    pub(crate) fn covered_arc_rad(&self) -> f64 {
         let mut angles: Vec<f64> = self.rows.iter().map(|row| row.angle.rem_euclid(TAU)).collect();
         angles.sort_unstable_by(f64::total_cmp);
         let (Some(first), Some(last)) = (angles.first(), angles.last()) else { return 0.0 };
@@ -136,7 +136,7 @@ impl Record {
             let steps = self.rows.windows(2).filter(|pair| pair[0].pass == pair[1].pass);
             feeds = steps
                 .map(|pair| {
-                    let way = self.radius_mm * turned(pair[0].angle, pair[1].angle).abs();
+                    let way = self.radius_mm * angle_difference(pair[0].angle, pair[1].angle).abs();
                     60.0 * way / (pair[1].clock - pair[0].clock)
                 })
                 .filter(|it| it.is_finite() && *it > 0.0)
@@ -147,7 +147,7 @@ impl Record {
 
     /// Returns the record without the rows for which `is_out` holds.
     #[must_use]
-    pub fn without(&self, is_out: impl Fn(&Row) -> bool) -> Self {
+    pub(crate) fn without_rows(&self, is_out: impl Fn(&Row) -> bool) -> Self {
         let mut rest = self.clone();
         rest.rows.retain(|row| !is_out(row));
         rest

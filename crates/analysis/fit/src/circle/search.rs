@@ -7,54 +7,56 @@
 use trueup_numerics::least_squares::normal::{dot, solve};
 
 use super::{
-    choose::{Column, Unit, linear, setup},
     record::Record,
-    terms::{Shape, Term, Wave, since_reversal},
+    term_selection::{TermColumn, TermGroup, linear_columns, setup_columns},
+    terms::{CircleTerm, SpikeShape, WavePhase, angle_since_reversal},
 };
 
 /// Minimum gain of a candidate, in variances of the residual: a wave by chance in 10⁻⁴ of circles.
-const GAIN: f64 = 30.0;
+const MIN_GAIN_VARIANCES: f64 = 30.0;
 /// Rounds of a search, and of a look at each that was found.
-const ROUNDS: usize = 3;
+const MAX_ROUNDS: usize = 3;
 /// The most that is searched for.
-const MAX_FOUND: usize = 9;
+const MAX_SELECTED_CANDIDATES: usize = 9;
 /// Shapes whose sum is that of the spikes of an axis.
-const MAX_SHAPES: usize = 3;
+const MAX_SPIKE_SHAPES: usize = 3;
 /// Periods in the diameter, at least.
-const MIN_PERIODS: f64 = 2.5;
+const MIN_PERIODS_PER_DIAMETER: f64 = 2.5;
 /// Steps of the frequency in one over the diameter.
-const FINENESS: f64 = 0.3;
+const RELATIVE_FREQUENCY_STEP: f64 = 0.3;
 /// The most frequencies of an axis.
 const MAX_FREQUENCIES: usize = 400;
 /// Candidates that are looked at closely.
-const CLOSE: usize = 16;
+const MAX_REFINED_CANDIDATES: usize = 16;
 /// Widths of spikes at half their height, in degrees.
-const WIDTHS_DEG: [f64; 9] = [0.8, 1.2, 1.8, 2.6, 3.6, 5.0, 7.0, 10.0, 14.0];
+const SPIKE_WIDTHS_DEG: [f64; 9] = [0.8, 1.2, 1.8, 2.6, 3.6, 5.0, 7.0, 10.0, 14.0];
 
 /// Terms that are searched for together.
 #[derive(Clone, Debug)]
 struct Candidate {
-    unit: Unit,
-    terms: Vec<Term>,
+    unit: TermGroup,
+    terms: Vec<CircleTerm>,
 }
 
 /// A candidate with its columns.
-type WithColumns = (Candidate, Vec<Vec<f64>>);
+type CandidateColumns = (Candidate, Vec<Vec<f64>>);
 
 /// Returns the columns of the cyclic errors and spikes that the record seems to have.
 #[must_use]
-pub fn search(record: &Record) -> Vec<Column> {
-    let candidates = (0..2).flat_map(|axis| [waves(record, axis), peaks(record, axis)].concat());
-    let candidates: Vec<WithColumns> = candidates
+pub(crate) fn search_nonlinear_terms(record: &Record) -> Vec<TermColumn> {
+    let candidates = (0..2).flat_map(|axis| {
+        [cyclic_candidates(record, axis), spike_candidates(record, axis)].concat()
+    });
+    let candidates: Vec<CandidateColumns> = candidates
         .map(|candidate| {
-            let columns = candidate.columns(record);
+            let columns = candidate.term_columns(record);
             (candidate, columns)
         })
         .collect();
     let mut found: Vec<Candidate> = Vec::new();
-    for _ in 0..ROUNDS {
+    for _ in 0..MAX_ROUNDS {
         let before = found.len();
-        add_best(record, &candidates, &mut found);
+        add_best_candidates(record, &candidates, &mut found);
         if found.len() == before {
             break;
         }
@@ -62,14 +64,14 @@ pub fn search(record: &Record) -> Vec<Column> {
         for at in 0..found.len() {
             let others: Vec<&Candidate> =
                 found.iter().enumerate().filter(|(other, _)| *other != at).map(|it| it.1).collect();
-            let basis = Basis::of(record, &others);
-            let again = refined(&basis, record, &found[at]);
+            let basis = OrthogonalBasis::from_candidates(record, &others);
+            let again = refine_candidate(&basis, record, &found[at]);
             // The shape of a spike was chosen next to others that have changed.
             let is_own =
-                |it: &Candidate| it.unit == again.unit && matches!(it.unit, Unit::Spikes(_));
-            let other = best(&basis, candidates.iter().filter(|(it, _)| is_own(it)));
-            let other = other.map(|(_, it)| refined(&basis, record, it));
-            let gain = |it: &Candidate| basis.gain(&it.columns(record));
+                |it: &Candidate| it.unit == again.unit && matches!(it.unit, TermGroup::Spikes(_));
+            let other = best_candidate(&basis, candidates.iter().filter(|(it, _)| is_own(it)));
+            let other = other.map(|(_, it)| refine_candidate(&basis, record, it));
+            let gain = |it: &Candidate| basis.gain(&it.term_columns(record));
             found[at] = match other {
                 Some(other) if gain(&other) > gain(&again) => other,
                 _ => again,
@@ -79,52 +81,57 @@ pub fn search(record: &Record) -> Vec<Column> {
     let mut numbered = Vec::new();
     for (number, candidate) in found.into_iter().enumerate() {
         let unit = match candidate.unit {
-            Unit::Cyclic(axis, _) => Unit::Cyclic(axis, number),
+            TermGroup::Cyclic(axis, _) => TermGroup::Cyclic(axis, number),
             other => other,
         };
-        let columns = candidate.terms.into_iter().map(|term| Column { unit: unit.clone(), term });
+        let columns =
+            candidate.terms.into_iter().map(|term| TermColumn { unit: unit.clone(), term });
         numbered.extend(columns);
     }
     numbered
 }
 
 /// Adds the candidate that removes most, until none removes enough.
-fn add_best(record: &Record, candidates: &[WithColumns], found: &mut Vec<Candidate>) {
-    let mut basis = Basis::of(record, &found.iter().collect::<Vec<_>>());
-    while found.len() < MAX_FOUND {
-        let free = candidates.iter().filter(|(it, _)| !is_there(record, found, it));
-        let Some((gain, candidate)) = best(&basis, free) else { return };
+fn add_best_candidates(
+    record: &Record,
+    candidates: &[CandidateColumns],
+    found: &mut Vec<Candidate>,
+) {
+    let mut basis = OrthogonalBasis::from_candidates(record, &found.iter().collect::<Vec<_>>());
+    while found.len() < MAX_SELECTED_CANDIDATES {
+        let free = candidates.iter().filter(|(it, _)| !is_already_found(record, found, it));
+        let Some((gain, candidate)) = best_candidate(&basis, free) else { return };
         let count = candidate.terms.len() as f64;
-        if gain < (GAIN + 2.0 * (count - 2.0)) * basis.variance() {
+        if gain < (MIN_GAIN_VARIANCES + 2.0 * (count - 2.0)) * basis.residual_variance() {
             return;
         }
-        let candidate = refined(&basis, record, candidate);
-        candidate.columns(record).into_iter().for_each(|column| basis.add(column));
+        let candidate = refine_candidate(&basis, record, candidate);
+        candidate.term_columns(record).into_iter().for_each(|column| basis.add_column(column));
         found.push(candidate);
     }
 }
 
 /// Returns the candidate that removes most, and how much.
-fn best<'c>(
-    basis: &Basis,
-    candidates: impl Iterator<Item = &'c WithColumns>,
+fn best_candidate<'c>(
+    basis: &OrthogonalBasis,
+    candidates: impl Iterator<Item = &'c CandidateColumns>,
 ) -> Option<(f64, &'c Candidate)> {
-    let mut rough: Vec<_> = candidates.map(|it| (basis.rough_gain(&it.1), it)).collect();
+    let mut rough: Vec<_> = candidates.map(|it| (basis.approximate_gain(&it.1), it)).collect();
     rough.sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
-    let close = rough.iter().take(CLOSE).map(|(_, it)| (basis.gain(&it.1), &it.0));
+    let close = rough.iter().take(MAX_REFINED_CANDIDATES).map(|(_, it)| (basis.gain(&it.1), &it.0));
     close.max_by(|a, b| a.0.total_cmp(&b.0))
 }
 
 /// Returns whether a period next to this one is found already, or as many shapes of the spikes of this axis as may be: their
 /// sum is the shape.
-fn is_there(record: &Record, found: &[Candidate], candidate: &Candidate) -> bool {
+fn is_already_found(record: &Record, found: &[Candidate], candidate: &Candidate) -> bool {
     let of_unit = found.iter().filter(|it| it.unit == candidate.unit);
-    if matches!(candidate.unit, Unit::Spikes(_)) && of_unit.count() >= MAX_SHAPES {
+    if matches!(candidate.unit, TermGroup::Spikes(_)) && of_unit.count() >= MAX_SPIKE_SHAPES {
         return true;
     }
     found.iter().any(|it| match (&it.unit, &candidate.unit) {
-        (Unit::Cyclic(a, _), Unit::Cyclic(b, _)) if a == b => {
-            let [there, here] = [&it.terms[0], &candidate.terms[0]].map(period_of);
+        (TermGroup::Cyclic(a, _), TermGroup::Cyclic(b, _)) if a == b => {
+            let [there, here] = [&it.terms[0], &candidate.terms[0]].map(cyclic_period_mm);
             // Less than a period more in the diameter.
             (1.0 / there - 1.0 / here).abs() * 2.0 * record.radius_mm < 1.0
         }
@@ -133,22 +140,26 @@ fn is_there(record: &Record, found: &[Candidate], candidate: &Candidate) -> bool
 }
 
 impl Candidate {
-    fn columns(&self, record: &Record) -> Vec<Vec<f64>> {
-        self.terms.iter().map(|term| term.column(record)).collect()
+    fn term_columns(&self, record: &Record) -> Vec<Vec<f64>> {
+        self.terms.iter().map(|term| term.basis_column(record)).collect()
     }
 }
 
-fn period_of(term: &Term) -> f64 {
-    if let Term::Cyclic { period_mm, .. } = term { *period_mm } else { f64::NAN }
+fn cyclic_period_mm(term: &CircleTerm) -> f64 {
+    if let CircleTerm::Cyclic { period_mm, .. } = term { *period_mm } else { f64::NAN }
 }
 
-fn wave(axis: usize, period_mm: f64) -> Candidate {
-    let terms = [Wave::Sine, Wave::Cosine].map(|wave| Term::Cyclic { axis, period_mm, wave });
-    Candidate { unit: Unit::Cyclic(axis, 0), terms: terms.into() }
+fn cyclic_candidate(axis: usize, period_mm: f64) -> Candidate {
+    let terms = [WavePhase::Sine, WavePhase::Cosine].map(|wave| CircleTerm::Cyclic {
+        axis,
+        period_mm,
+        wave,
+    });
+    Candidate { unit: TermGroup::Cyclic(axis, 0), terms: terms.into() }
 }
 
 /// Returns the waves of an axis that the record can show.
-fn waves(record: &Record, axis: usize) -> Vec<Candidate> {
+fn cyclic_candidates(record: &Record, axis: usize) -> Vec<Candidate> {
     let diameter = 2.0 * record.radius_mm;
     let steps = record.rows.windows(2).filter(|pair| pair[0].pass == pair[1].pass);
     let mut ways: Vec<f64> =
@@ -157,52 +168,59 @@ fn waves(record: &Record, axis: usize) -> Vec<Candidate> {
     // Nine tenths of the steps are shorter.
     let Some(step) = ways.get(ways.len() * 9 / 10) else { return Vec::new() };
     let shortest = (2.5 * step).max(0.5);
-    let most = (diameter / shortest / FINENESS) as usize;
-    let first = (MIN_PERIODS / FINENESS).ceil() as usize;
+    let most = (diameter / shortest / RELATIVE_FREQUENCY_STEP) as usize;
+    let first = (MIN_PERIODS_PER_DIAMETER / RELATIVE_FREQUENCY_STEP).ceil() as usize;
     let last = most.min(first + MAX_FREQUENCIES);
-    (first..=last).map(|n| wave(axis, diameter / (n as f64 * FINENESS))).collect()
+    (first..=last)
+        .map(|n| cyclic_candidate(axis, diameter / (n as f64 * RELATIVE_FREQUENCY_STEP)))
+        .collect()
 }
 
 /// Returns the spikes of an axis, at both ends and in both directions.
-fn peaks(record: &Record, axis: usize) -> Vec<Candidate> {
-    let step = record.arc() / record.rows.len() as f64 * passes(record);
-    let senses: Vec<f64> = [1.0, -1.0].into_iter().filter(|it| record.has_sense(*it)).collect();
-    let of = |(shape, width): (Shape, f64)| {
+fn spike_candidates(record: &Record, axis: usize) -> Vec<Candidate> {
+    let step = record.covered_arc_rad() / record.rows.len() as f64 * pass_count(record);
+    let senses: Vec<f64> = [1.0, -1.0].into_iter().filter(|it| record.has_direction(*it)).collect();
+    let of = |(shape, width): (SpikeShape, f64)| {
         let ends =
             [true, false].into_iter().flat_map(|end| senses.iter().map(move |it| (end, *it)));
-        let terms =
-            ends.map(|(is_positive, sense)| Term::Spike { axis, is_positive, sense, shape, width });
+        let terms = ends.map(|(is_positive, sense)| CircleTerm::Spike {
+            axis,
+            is_positive,
+            sense,
+            shape,
+            width,
+        });
         // A part of a circle does not have all reversals.
-        let is_seen = |term: &Term| {
-            let Term::Spike { is_positive, sense, .. } = *term else { return false };
+        let is_seen = |term: &CircleTerm| {
+            let CircleTerm::Spike { is_positive, sense, .. } = *term else { return false };
             let near = |row: &&super::record::Row| {
-                let since = since_reversal(row, axis, is_positive);
+                let since = angle_since_reversal(row, axis, is_positive);
                 row.sense * sense > 0.0 && (-width..2.0 * width).contains(&since)
             };
             record.rows.iter().filter(near).count() >= 2
         };
         let terms = terms.filter(is_seen).collect();
-        Candidate { unit: Unit::Spikes(axis), terms }
+        Candidate { unit: TermGroup::Spikes(axis), terms }
     };
-    let widths = WIDTHS_DEG.into_iter().map(f64::to_radians).filter(|it| *it > 1.2 * step);
-    let all = widths.flat_map(|width| Shape::ALL.map(|shape| (shape, width)));
+    let widths = SPIKE_WIDTHS_DEG.into_iter().map(f64::to_radians).filter(|it| *it > 1.2 * step);
+    let all = widths.flat_map(|width| SpikeShape::ALL.map(|shape| (shape, width)));
     all.map(of).filter(|it| !it.terms.is_empty()).collect()
 }
 
 /// Returns the number of passes.
-fn passes(record: &Record) -> f64 {
+fn pass_count(record: &Record) -> f64 {
     record.rows.chunk_by(|a, b| a.pass == b.pass).count() as f64
 }
 
 /// Returns the candidate with the period or the width that removes most.
-fn refined(basis: &Basis, record: &Record, candidate: &Candidate) -> Candidate {
-    let gain = |candidate: &Candidate| basis.gain(&candidate.columns(record));
+fn refine_candidate(basis: &OrthogonalBasis, record: &Record, candidate: &Candidate) -> Candidate {
+    let gain = |candidate: &Candidate| basis.gain(&candidate.term_columns(record));
     let scaled = |candidate: &Candidate, factor: f64| {
         let mut other = candidate.clone();
         for term in &mut other.terms {
             match term {
-                Term::Cyclic { period_mm, .. } => *period_mm *= factor,
-                Term::Spike { width, .. } => *width *= factor,
+                CircleTerm::Cyclic { period_mm, .. } => *period_mm *= factor,
+                CircleTerm::Spike { width, .. } => *width *= factor,
                 _ => {}
             }
         }
@@ -210,7 +228,9 @@ fn refined(basis: &Basis, record: &Record, candidate: &Candidate) -> Candidate {
     };
     // To the middle between neighbours of the grid first.
     let mut step = match candidate.terms[0] {
-        Term::Cyclic { period_mm, .. } => 0.5 * FINENESS * period_mm / (2.0 * record.radius_mm),
+        CircleTerm::Cyclic { period_mm, .. } => {
+            0.5 * RELATIVE_FREQUENCY_STEP * period_mm / (2.0 * record.radius_mm)
+        }
         _ => 0.2,
     };
     let (mut best, mut most) = (candidate.clone(), gain(candidate));
@@ -228,25 +248,28 @@ fn refined(basis: &Basis, record: &Record, candidate: &Candidate) -> Candidate {
 }
 
 /// Columns made orthogonal, and what they leave.
-struct Basis {
+struct OrthogonalBasis {
     columns: Vec<Vec<f64>>,
     left: Vec<f64>,
 }
 
-impl Basis {
+impl OrthogonalBasis {
     /// Of the set-up, the linear causes and `found`.
-    fn of(record: &Record, found: &[&Candidate]) -> Self {
+    fn from_candidates(record: &Record, found: &[&Candidate]) -> Self {
         let left = record.rows.iter().map(|row| row.um).collect();
         let mut basis = Self { columns: Vec::new(), left };
-        for column in setup(record).iter().chain(&linear(record)) {
-            basis.add(column.term.column(record));
+        for column in setup_columns(record).iter().chain(&linear_columns(record)) {
+            basis.add_column(column.term.basis_column(record));
         }
-        found.iter().flat_map(|it| it.columns(record)).for_each(|column| basis.add(column));
+        found
+            .iter()
+            .flat_map(|it| it.term_columns(record))
+            .for_each(|column| basis.add_column(column));
         basis
     }
 
     /// Takes the share of the columns here off `column`; `None` where nothing of it is left.
-    fn apart(&self, column: &[f64]) -> Option<Vec<f64>> {
+    fn orthogonalise(&self, column: &[f64]) -> Option<Vec<f64>> {
         let length = dot(column, column);
         let mut rest = column.to_vec();
         // Twice: once leaves rounding.
@@ -264,20 +287,20 @@ impl Basis {
         })
     }
 
-    fn add(&mut self, column: Vec<f64>) {
-        let Some(own) = self.apart(&column) else { return };
+    fn add_column(&mut self, column: Vec<f64>) {
+        let Some(own) = self.orthogonalise(&column) else { return };
         let share = dot(&own, &self.left);
         self.left.iter_mut().zip(&own).for_each(|(left, own)| *left -= share * own);
         self.columns.push(own);
     }
 
-    fn variance(&self) -> f64 {
+    fn residual_variance(&self) -> f64 {
         let degrees = self.left.len().saturating_sub(self.columns.len()).max(1) as f64;
         dot(&self.left, &self.left) / degrees
     }
 
     /// Returns at least roughly what the columns remove: of columns with a share in those here it is less than they do.
-    fn rough_gain(&self, columns: &[Vec<f64>]) -> f64 {
+    fn approximate_gain(&self, columns: &[Vec<f64>]) -> f64 {
         let of = |column: &Vec<f64>| {
             let length = dot(column, column);
             if length > 0.0 { dot(column, &self.left).powi(2) / length } else { 0.0 }
@@ -287,7 +310,7 @@ impl Basis {
 
     /// Returns the squares that the columns remove.
     fn gain(&self, columns: &[Vec<f64>]) -> f64 {
-        let apart: Vec<Vec<f64>> = columns.iter().filter_map(|it| self.apart(it)).collect();
+        let apart: Vec<Vec<f64>> = columns.iter().filter_map(|it| self.orthogonalise(it)).collect();
         let solution = solve(&apart, &self.left, None, 0.0);
         apart.iter().zip(&solution.coefficients).map(|(it, um)| um * dot(it, &self.left)).sum()
     }

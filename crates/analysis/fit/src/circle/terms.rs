@@ -5,14 +5,14 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use super::record::{Record, Row};
 
 /// Half widths of a Gaussian: √(2·ln 2).
-const HALF_OF_GAUSS: f64 = 1.177_410_022_515_474_6;
+const GAUSSIAN_HWHM_PER_STD: f64 = 1.177_410_022_515_474_6;
 
 /// The width of x·e^(1 − x) at half its height.
-const WIDTH_OF_SURGE: f64 = 2.446_385;
+const SURGE_FWHM: f64 = 2.446_385;
 
 /// Sine or cosine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Wave {
+pub enum WavePhase {
     /// The cosine.
     Cosine,
     /// The sine.
@@ -21,7 +21,7 @@ pub enum Wave {
 
 /// The parameter of the circle that drifts with the time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Moving {
+pub enum DriftParameter {
     /// The radius.
     Radius,
     /// The centre along the first axis.
@@ -32,7 +32,7 @@ pub enum Moving {
 
 /// The shape of a reversal spike over the angle since the reversal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Shape {
+pub enum SpikeShape {
     /// A jump that decays exponentially.
     Exponential,
     /// A jump that decays along a line.
@@ -45,21 +45,21 @@ pub enum Shape {
     Gauss,
 }
 
-impl Shape {
+impl SpikeShape {
     /// All shapes.
     pub const ALL: [Self; 5] =
         [Self::Exponential, Self::GivensQr, Self::HalfSine, Self::Surge, Self::Gauss];
 
     /// Returns its value `since` the reversal, an angle in −π…π, for a width at half its height; its peak is 1.
     #[must_use]
-    pub fn at(self, since: f64, width: f64) -> f64 {
+    pub fn evaluate(self, since: f64, width: f64) -> f64 {
         match self {
-            Self::Gauss => (-0.5 * (since / width * 2.0 * HALF_OF_GAUSS).powi(2)).exp(),
+            Self::Gauss => (-0.5 * (since / width * 2.0 * GAUSSIAN_HWHM_PER_STD).powi(2)).exp(),
             _ if since < 0.0 => 0.0,
             Self::Exponential => (-since / width * std::f64::consts::LN_2).exp(),
             Self::GivensQr => (1.0 - since / (2.0 * width)).max(0.0),
             Self::Surge => {
-                let scaled = since / width * WIDTH_OF_SURGE;
+                let scaled = since / width * SURGE_FWHM;
                 scaled * (1.0 - scaled).exp()
             }
             Self::HalfSine if since < 1.5 * width => (PI * since / (1.5 * width)).sin(),
@@ -70,7 +70,7 @@ impl Shape {
 
 /// A column. An axis is 0, the first of the plane, or 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Term {
+pub enum CircleTerm {
     /// The radius of a set-up.
     Radius(usize),
     /// The centre of a set-up along an axis.
@@ -86,9 +86,9 @@ pub enum Term {
     /// s·sin 2φ.
     Servo,
     /// A harmonic from 3 on: a straightness.
-    Form(u8, Wave),
+    Form(u8, WavePhase),
     /// Growth with time, from 0 at the middle of the record; the coefficient is what the whole record has.
-    Drift(Moving),
+    Drift(DriftParameter),
     /// A peak at one place of an axis in one direction.
     Spike {
         /// The axis that reverses.
@@ -98,7 +98,7 @@ pub enum Term {
         /// +1 or −1.
         sense: f64,
         /// Its shape.
-        shape: Shape,
+        shape: SpikeShape,
         /// Its width at half its height, in rad.
         width: f64,
     },
@@ -109,14 +109,14 @@ pub enum Term {
         /// Its period.
         period_mm: f64,
         /// Its part.
-        wave: Wave,
+        wave: WavePhase,
     },
 }
 
-impl Term {
+impl CircleTerm {
     /// Returns the value of its column in a row.
     #[must_use]
-    pub fn at(self, row: &Row, record: &Record) -> f64 {
+    pub fn evaluate(self, row: &Row, record: &Record) -> f64 {
         let (sin, cos) = row.angle.sin_cos();
         let along = |axis: usize| if axis == 0 { cos } else { sin };
         match self {
@@ -124,43 +124,43 @@ impl Term {
             Self::Centre(setup, axis) => f64::from(row.setup == setup) * along(axis),
             Self::Squareness => 2.0 * sin * cos,
             Self::Scale => cos * cos - sin * sin,
-            Self::Backlash(axis) => 0.5 * reverse(axis, row) * along(axis),
-            Self::Lateral(axis) => 0.5 * reverse(axis, row) * along(1 - axis),
+            Self::Backlash(axis) => 0.5 * reversal_sign(axis, row) * along(axis),
+            Self::Lateral(axis) => 0.5 * reversal_sign(axis, row) * along(1 - axis),
             Self::Servo => row.sense * 2.0 * sin * cos,
             Self::Form(number, wave) => {
                 let (sin, cos) = (f64::from(number) * row.angle).sin_cos();
-                if wave == Wave::Sine { sin } else { cos }
+                if wave == WavePhase::Sine { sin } else { cos }
             }
             Self::Drift(of) => {
-                record.share_of_time(row)
+                record.relative_time(row)
                     * match of {
-                        Moving::Radius => 1.0,
-                        Moving::CentreU => cos,
-                        Moving::CentreV => sin,
+                        DriftParameter::Radius => 1.0,
+                        DriftParameter::CentreU => cos,
+                        DriftParameter::CentreV => sin,
                     }
             }
             Self::Spike { axis, is_positive, sense, shape, width } => {
                 if sense * row.sense < 0.0 {
                     return 0.0;
                 }
-                shape.at(since_reversal(row, axis, is_positive), width)
+                shape.evaluate(angle_since_reversal(row, axis, is_positive), width)
             }
             Self::Cyclic { axis, period_mm, wave } => {
                 let (sin, cos) = (TAU * row.at_mm[axis] / period_mm).sin_cos();
-                along(axis) * if wave == Wave::Sine { sin } else { cos }
+                along(axis) * if wave == WavePhase::Sine { sin } else { cos }
             }
         }
     }
 
     /// Returns its column.
     #[must_use]
-    pub fn column(self, record: &Record) -> Vec<f64> {
-        record.rows.iter().map(|row| self.at(row, record)).collect()
+    pub(crate) fn basis_column(self, record: &Record) -> Vec<f64> {
+        record.rows.iter().map(|row| self.evaluate(row, record)).collect()
     }
 }
 
 /// Returns +1 where the axis moves in the negative direction, else −1.
-fn reverse(axis: usize, row: &Row) -> f64 {
+fn reversal_sign(axis: usize, row: &Row) -> f64 {
     let (sin, cos) = row.angle.sin_cos();
     let velocity = if axis == 0 { -sin } else { cos } * row.sense;
     if velocity < 0.0 { 1.0 } else { -1.0 }
@@ -168,7 +168,7 @@ fn reverse(axis: usize, row: &Row) -> f64 {
 
 /// Returns the angle that was travelled since a reversal of `axis`, negative ahead of it, in −π…π.
 #[must_use]
-pub(crate) fn since_reversal(row: &Row, axis: usize, is_positive: bool) -> f64 {
+pub(crate) fn angle_since_reversal(row: &Row, axis: usize, is_positive: bool) -> f64 {
     let end = if is_positive { 0.0 } else { PI };
     let turned = row.sense * (row.angle - end - FRAC_PI_2 * axis as f64);
     turned - TAU * (turned / TAU).round()
@@ -177,7 +177,7 @@ pub(crate) fn since_reversal(row: &Row, axis: usize, is_positive: bool) -> f64 {
 /// Returns the travel of `axis` behind its last reversal, in mm, at the row before: 0 within `step` of a reversal, in rad.
 #[must_use]
 pub(crate) fn travel_since_reversal(row: &Row, axis: usize, radius_mm: f64, step: f64) -> f64 {
-    let since = [true, false].map(|end| since_reversal(row, axis, end)).into_iter();
+    let since = [true, false].map(|end| angle_since_reversal(row, axis, end)).into_iter();
     let last = since.filter(|it| *it >= -step).fold(f64::INFINITY, f64::min);
     radius_mm * (1.0 - (last - step).max(0.0).cos())
 }

@@ -9,32 +9,33 @@
 //! Readings at several feeds are distinguished in `by_feed`: where the width depends on the feed, one feed's
 //! alone is fitted.
 //!
-//! Whether b̄ᵢ changes along the axis is asked by analysis of variance: the scatter of the b̄ᵢ next to
-//! that of the repeats, F at 95 %. Whether B is worth laying in is asked on runs left out.
+//! Whether b̄ᵢ changes along the axis is tested by analysis of variance: the scatter of the b̄ᵢ next to
+//! that of the repeats, F at 95 %. Whether B is worth laying in is tested on held-out runs.
 
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 use trueup_machine::{
     BadInput,
-    applied::Uncompensated,
-    file::write::{Edit, rounded},
+    applied_offsets::UncompensatedRun,
+    file::writer::{Edit, round_to_decimals},
     file::{Backlash, Feedback, LinearAxis},
 };
 
 use super::{
-    Options, by_feed,
-    difference::{Difference, differences},
-    judge::{fold_of, folds, is_gain},
-    readings::{FEED, Readings, Wanted, measured_column},
-    summary::{half_interval, left_out_by},
-    table::DECIMALS,
+    Options,
+    cross_validation::{fold_count, fold_index, is_significant_gain},
+    feed_dependence,
+    readings::{FEED_COLUMN, ReadingSelection, Readings, measured_column},
+    reversal_difference::{ReversalDifference, reversal_differences},
+    summary::{confidence_half_width, describe_folds},
+    table::TABLE_DECIMALS,
 };
-use crate::report::{Fact, Parameter, Report, Spread, Verdict};
+use crate::report::{Fact, FitVerdict, Parameter, Report, ResidualStatistics};
 
 /// This many positions are a test of backlash, more are a sweep.
-const POSITIONS_OF_A_TEST: usize = 3;
+const MAX_TEST_POSITIONS: usize = 3;
 
 /// Below this probability a difference between positions is not chance.
-const CHANCE: f64 = 0.05;
+const SIGNIFICANCE_LEVEL: f64 = 0.05;
 
 /// Which of the means is the width.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -67,56 +68,63 @@ pub struct BacklashFit {
 /// A column is missing or in another unit, a cell of a row is empty, a position comes twice in a
 /// run and direction, or no position was approached from both sides in one run.
 pub fn fit_backlash(
-    run: &Uncompensated<'_>,
+    run: &UncompensatedRun<'_>,
     axis: LinearAxis,
     options: &Options,
 ) -> Result<BacklashFit, BadInput> {
-    let wanted = Wanted {
+    let wanted = ReadingSelection {
         axis,
         runs: options.runs.as_deref(),
         known_um: options.known_um.as_deref(),
         by_feed: true,
         in_order: false,
     };
-    let mut readings = Readings::of(run, &wanted)?;
-    let set_aside = readings.set_gross_aside(run, axis);
-    let mut differences = differences(&readings);
-    if differences.is_empty() {
+    let mut readings = Readings::from_run(run, &wanted)?;
+    let set_aside = readings.exclude_gross_errors(run, axis);
+    let mut reversal_differences = reversal_differences(&readings);
+    if reversal_differences.is_empty() {
         let direction = format!("dir_{}", axis.name());
-        let rule = match readings.has_way() {
+        let rule = match readings.measured_directions() {
             [true, true] => "never has both 1 and -1 at one position in one run".to_string(),
             [true, false] => "is never -1".to_string(),
             _ => "is never 1".to_string(),
         } + ": backlash needs positions that were approached from both sides";
-        return Err(run.bad(0, &direction, rule));
+        return Err(run.value_error(0, &direction, rule));
     }
-    let feed = by_feed::told(&readings, &differences, options)
-        .map_err(|rule| run.bad(0, if run.column(FEED).is_some() { FEED } else { "" }, rule))?;
+    let feed = feed_dependence::separate_by_feed(&readings, &reversal_differences, options)
+        .map_err(|rule| {
+            run.value_error(
+                0,
+                if run.column(FEED_COLUMN).is_some() { FEED_COLUMN } else { "" },
+                rule,
+            )
+        })?;
     if let Some(feed) = &feed {
         readings.list.retain(|reading| reading.feed == feed.chosen);
-        differences.retain(|difference| difference.feed == feed.chosen);
+        reversal_differences.retain(|difference| difference.feed == feed.chosen);
     }
-    let by_target = by_target(&readings, &differences);
+    let by_target = group_by_target(&readings, &reversal_differences);
     let means: Vec<(f64, f64)> =
         by_target.iter().map(|(x, um)| (*x, um.iter().sum::<f64>() / um.len() as f64)).collect();
     let rule = match options.width {
-        WidthRule::Automatic if means.len() <= POSITIONS_OF_A_TEST => WidthRule::Largest,
+        WidthRule::Automatic if means.len() <= MAX_TEST_POSITIONS => WidthRule::Largest,
         WidthRule::Automatic => WidthRule::Mean,
         rule => rule,
     };
-    let width_um = rounded(width(means.iter().map(|mean| mean.1), rule), DECIMALS);
-    let p = chance(&by_target);
-    let mut report = report(&readings, &differences, axis, rule, width_um);
+    let width_um =
+        round_to_decimals(backlash_width(means.iter().map(|mean| mean.1), rule), TABLE_DECIMALS);
+    let p = p_value(&by_target);
+    let mut report = build_report(&readings, &reversal_differences, axis, rule, width_um);
     report.set_aside = set_aside;
     if let Some(feed) = feed {
-        feed.say(&mut report, width_um);
+        feed.add_to_report(&mut report, width_um);
     }
-    let other = |rule| width(means.iter().map(|mean| mean.1), rule);
+    let other = |rule| backlash_width(means.iter().map(|mean| mean.1), rule);
     report.facts.push(Fact::numbers("position_mm", means.iter().map(|it| it.0).collect()));
     report.facts.push(Fact::numbers("reversal_um", means.iter().map(|it| it.1).collect()));
     report.facts.push(Fact::number("largest_um", other(WidthRule::Largest)));
     report.facts.push(Fact::number("mean_um", other(WidthRule::Mean)));
-    let depends_on_position = p.is_some_and(|p| p < CHANCE);
+    let depends_on_position = p.is_some_and(|p| p < SIGNIFICANCE_LEVEL);
     if depends_on_position {
         let um = || means.iter().map(|mean| mean.1);
         let (low, high) = (um().fold(f64::INFINITY, f64::min), um().fold(f64::MIN, f64::max));
@@ -127,22 +135,25 @@ pub fn fit_backlash(
         ));
     }
     if options.feedback == Feedback::Scale {
-        report.verdict = Verdict::DoNotCompensate(vec![
+        report.verdict = FitVerdict::DoNotCompensate(vec![
             "the axis has its feedback from a scale, which sees the backlash itself".to_string(),
         ]);
     }
     let backlash = report.verdict.is_fitted().then(|| {
-        report.edit = Edit::of(Backlash::section(axis, width_um));
+        report.edit = Edit::from_section(Backlash::width_section(axis, width_um));
         Backlash { width_um, ramp_mm: 0.0, hysteresis_um: 0.0 }
     });
     Ok(BacklashFit { report, backlash, by_position: means, depends_on_position })
 }
 
 /// Position in mm and differences in µm, of each target that has any.
-fn by_target(readings: &Readings, differences: &[Difference]) -> Vec<(f64, Vec<f64>)> {
+fn group_by_target(
+    readings: &Readings,
+    reversal_differences: &[ReversalDifference],
+) -> Vec<(f64, Vec<f64>)> {
     let mut targets: Vec<(f64, Vec<f64>)> =
         readings.targets_mm.iter().map(|&x| (x, Vec::new())).collect();
-    for difference in differences {
+    for difference in reversal_differences {
         targets[difference.target].1.push(difference.um);
     }
     targets.retain(|(_, um)| !um.is_empty());
@@ -150,7 +161,7 @@ fn by_target(readings: &Readings, differences: &[Difference]) -> Vec<(f64, Vec<f
 }
 
 /// Returns the width of these means by `rule`.
-fn width(means: impl Iterator<Item = f64> + Clone, rule: WidthRule) -> f64 {
+fn backlash_width(means: impl Iterator<Item = f64> + Clone, rule: WidthRule) -> f64 {
     match rule {
         WidthRule::Largest => {
             means.fold(0.0, |largest: f64, um| if um.abs() > largest.abs() { um } else { largest })
@@ -161,7 +172,7 @@ fn width(means: impl Iterator<Item = f64> + Clone, rule: WidthRule) -> f64 {
 
 /// Returns how likely chance alone makes the positions differ so; `None` without repeats or with one
 /// position.
-fn chance(by_target: &[(f64, Vec<f64>)]) -> Option<f64> {
+fn p_value(by_target: &[(f64, Vec<f64>)]) -> Option<f64> {
     let count: usize = by_target.iter().map(|(_, um)| um.len()).sum();
     let freedom = (by_target.len().checked_sub(1)?, count - by_target.len());
     if freedom.0 == 0 || freedom.1 == 0 {
@@ -177,25 +188,26 @@ fn chance(by_target: &[(f64, Vec<f64>)]) -> Option<f64> {
         .sum();
     let (between, within) = (between / freedom.0 as f64, within / freedom.1 as f64);
     // What is equal to a nanometre is equal: rounding must not make a finding.
-    const EQUAL_UM2: f64 = 1e-6;
-    if between <= EQUAL_UM2 {
+    const ZERO_VARIANCE_UM2: f64 = 1e-6;
+    if between <= ZERO_VARIANCE_UM2 {
         return Some(1.0);
     }
     let f = FisherSnedecor::new(freedom.0 as f64, freedom.1 as f64).ok()?;
     Some(if within > 0.0 { f.sf(between / within) } else { 0.0 })
 }
 
-fn report(
+fn build_report(
     readings: &Readings,
-    differences: &[Difference],
+    reversal_differences: &[ReversalDifference],
     axis: LinearAxis,
     rule: WidthRule,
     width_um: f64,
 ) -> Report {
     let mut report = Report::new("backlash", measured_column(axis));
-    let um: Vec<f64> = differences.iter().map(|it| it.um).collect();
-    report.before = Spread::of(&um);
-    report.in_sample = Spread::of(&um.iter().map(|um| um - width_um).collect::<Vec<_>>());
+    let um: Vec<f64> = reversal_differences.iter().map(|it| it.um).collect();
+    report.before = ResidualStatistics::from_residuals(&um);
+    report.in_sample =
+        ResidualStatistics::from_residuals(&um.iter().map(|um| um - width_um).collect::<Vec<_>>());
     report.rows_used = readings.list.len();
     report.rows_incomplete = readings.rows_incomplete;
     report.facts.push(Fact::number("runs", readings.runs as f64));
@@ -203,19 +215,19 @@ fn report(
         "width_is",
         if rule == WidthRule::Largest { "the largest mean" } else { "the mean of all positions" },
     ));
-    let blocks = folds(readings.runs);
-    let block = |it: &Difference| fold_of(it.run, readings.runs);
+    let blocks = fold_count(readings.runs);
+    let block = |it: &ReversalDifference| fold_index(it.run, readings.runs);
     let mut left_out = Vec::new();
     let (mut gains, mut own) = (Vec::new(), Vec::new());
     for out in 0..blocks {
-        let kept: Vec<Difference> =
-            differences.iter().filter(|it| block(it) != out).copied().collect();
+        let kept: Vec<ReversalDifference> =
+            reversal_differences.iter().filter(|it| block(it) != out).copied().collect();
         let test: Vec<f64> =
-            differences.iter().filter(|it| block(it) == out).map(|it| it.um).collect();
+            reversal_differences.iter().filter(|it| block(it) == out).map(|it| it.um).collect();
         if kept.is_empty() || test.is_empty() {
             continue;
         }
-        let kept_width = width(means_of(&kept).into_iter(), rule);
+        let kept_width = backlash_width(target_means(&kept).into_iter(), rule);
         let rest: Vec<f64> = test.iter().map(|um| um - kept_width).collect();
         let mean_square = |um: &[f64]| um.iter().map(|x| x * x).sum::<f64>() / um.len() as f64;
         gains.push(mean_square(&test) - mean_square(&rest));
@@ -223,17 +235,19 @@ fn report(
         left_out.extend(rest);
     }
     // The largest mean is one position's own; a mean of all is known from the runs' own widths.
-    let at_largest = differences.chunk_by(|a, b| a.target == b.target).max_by(|a, b| {
-        let size = |group: &[Difference]| width(means_of(group).into_iter(), rule).abs();
+    let at_largest = reversal_differences.chunk_by(|a, b| a.target == b.target).max_by(|a, b| {
+        let size = |group: &[ReversalDifference]| {
+            backlash_width(target_means(group).into_iter(), rule).abs()
+        };
         size(a).total_cmp(&size(b))
     });
     let sample = match (rule, at_largest) {
         (WidthRule::Largest, Some(group)) => group.iter().map(|it| it.um).collect(),
         _ => own.clone(),
     };
-    report.parameters.push(match half_interval(&sample) {
+    report.parameters.push(match confidence_half_width(&sample) {
         Some(half) => Parameter::fitted("width_um", width_um, half),
-        None => Parameter::set("width_um", width_um),
+        None => Parameter::fixed("width_um", width_um),
     });
     if gains.len() < 2 {
         report.warnings.push(
@@ -243,12 +257,12 @@ fn report(
         );
         return report;
     }
-    report.left_out = Spread::of(&left_out);
-    report.left_out_by = left_out_by(readings.runs);
-    if !is_gain(&gains) {
-        let rms = |spread: Option<Spread>| spread.map_or(f64::NAN, |it| it.rms_um);
+    report.left_out = ResidualStatistics::from_residuals(&left_out);
+    report.left_out_by = describe_folds(readings.runs);
+    if !is_significant_gain(&gains) {
+        let rms = |spread: Option<ResidualStatistics>| spread.map_or(f64::NAN, |it| it.rms_um);
         let each: Vec<String> = own.iter().map(|um| format!("{um:.1}")).collect();
-        report.verdict = Verdict::DoNotCompensate(vec![format!(
+        report.verdict = FitVerdict::DoNotCompensate(vec![format!(
             "on runs left out the difference between the directions is {:.1} µm rms without a \
              correction and {:.1} µm with the width of the other runs: no gain that holds (width \
              run by run: {} µm)",
@@ -261,9 +275,9 @@ fn report(
 }
 
 /// Returns the mean at each target.
-fn means_of(differences: &[Difference]) -> Vec<f64> {
+fn target_means(reversal_differences: &[ReversalDifference]) -> Vec<f64> {
     // Sorted by target already.
-    differences
+    reversal_differences
         .chunk_by(|a, b| a.target == b.target)
         .map(|group| group.iter().map(|it| it.um).sum::<f64>() / group.len() as f64)
         .collect()

@@ -6,19 +6,19 @@
 
 use trueup_machine::{
     BadInput,
-    applied::Uncompensated,
-    file::{Dual, Feedback, LinearAxis},
+    applied_offsets::UncompensatedRun,
+    file::{Feedback, LinearAxis, SecondDrive},
 };
 
 use super::{Options, PitchFit, TableMode, fit};
-use crate::report::{Fact, Report, Verdict};
+use crate::report::{Fact, FitVerdict, Report};
 
 /// How far from a drive a reading may be, as a share of the beam: the other drive then counts for as much.
-const NEAR: f64 = 0.05;
+const MAX_DRIVE_DISTANCE_RATIO: f64 = 0.05;
 
 /// Which drive a run is of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Drive {
+pub(crate) enum GantryDrive {
     /// The first: `[axis.x.pitch]`.
     First,
     /// The second: `[axis.x.dual] pitch`.
@@ -29,26 +29,29 @@ pub enum Drive {
 ///
 /// # Errors
 /// It stood elsewhere, or moved.
-pub(crate) fn drive_of(run: &Uncompensated<'_>, dual: &Dual) -> Result<Option<Drive>, BadInput> {
+pub(crate) fn identify_drive(
+    run: &UncompensatedRun<'_>,
+    dual: &SecondDrive,
+) -> Result<Option<GantryDrive>, BadInput> {
     let column = format!("{}_mm", dual.across.name());
     let Some(places) = run.column(&column) else { return Ok(None) };
     let mut found = None;
     for (row, place) in places.iter().enumerate().filter(|(_, place)| !place.is_nan()) {
         let share = (place - dual.first_mm) / (dual.second_mm - dual.first_mm);
-        let drive = if share.abs() <= NEAR {
-            Drive::First
-        } else if (share - 1.0).abs() <= NEAR {
-            Drive::Second
+        let drive = if share.abs() <= MAX_DRIVE_DISTANCE_RATIO {
+            GantryDrive::First
+        } else if (share - 1.0).abs() <= MAX_DRIVE_DISTANCE_RATIO {
+            GantryDrive::Second
         } else {
             let rule = format!(
                 "is {place}: the two drives are at {} and {} mm, and the table of each is measured there",
                 dual.first_mm, dual.second_mm
             );
-            return Err(run.bad(row, &column, rule));
+            return Err(run.value_error(row, &column, rule));
         };
         if found.is_some_and(|found| found != drive) {
             let rule = "has readings at both drives: give a run file for each, --run twice";
-            return Err(run.bad(row, &column, rule));
+            return Err(run.value_error(row, &column, rule));
         }
         found = Some(drive);
     }
@@ -58,16 +61,16 @@ pub(crate) fn drive_of(run: &Uncompensated<'_>, dual: &Dual) -> Result<Option<Dr
 /// Fits both tables. `options` are asked for each run.
 ///
 /// # Errors
-/// As [`fit`] and `drive_of`; two runs of the same drive, or more than two.
-pub fn fit_both<E: From<BadInput>>(
-    runs: &[Uncompensated<'_>],
+/// As [`fit`] and `identify_drive`; two runs of the same drive, or more than two.
+pub fn fit_both_drives<E: From<BadInput>>(
+    runs: &[UncompensatedRun<'_>],
     axis: LinearAxis,
-    dual: &Dual,
-    mut options: impl FnMut(&Uncompensated<'_>) -> Result<Options, E>,
+    dual: &SecondDrive,
+    mut options: impl FnMut(&UncompensatedRun<'_>) -> Result<Options, E>,
 ) -> Result<Report, E> {
     let mut of = [None, None];
     for run in runs {
-        let place = &mut of[drive_of(run, dual)?.unwrap_or(Drive::First) as usize];
+        let place = &mut of[identify_drive(run, dual)?.unwrap_or(GantryDrive::First) as usize];
         if place.is_some() {
             let rule = format!(
                 "is of the same drive as another run: give one with {0} at {1} mm and one at {2} mm",
@@ -75,7 +78,7 @@ pub fn fit_both<E: From<BadInput>>(
                 dual.first_mm,
                 dual.second_mm
             );
-            return Err(run.bad(0, &format!("{}_mm", dual.across.name()), rule).into());
+            return Err(run.value_error(0, &format!("{}_mm", dual.across.name()), rule).into());
         }
         *place = Some(run);
     }
@@ -84,7 +87,7 @@ pub fn fit_both<E: From<BadInput>>(
     let second = of[1]
         .map(|run| -> Result<PitchFit, E> {
             let of_first = first.as_ref();
-            Ok(fit(run, axis, &second_options(run, axis, of_first, options(run)?))?)
+            Ok(fit(run, axis, &second_drive_options(run, axis, of_first, options(run)?))?)
         })
         .transpose()?;
     let name = axis.name();
@@ -99,13 +102,13 @@ pub fn fit_both<E: From<BadInput>>(
             let mut report = first.report;
             report.warnings.push(format!(
                 "this run is of one drive of two: the second one's table, [axis.{name}.dual] pitch, stays as it is, {}; {}",
-                largest(&dual.pitch.forward_um),
+                format_max_abs(&dual.pitch.forward_um),
                 to_measure(dual.second_mm)
             ));
             report
         }
         (None, Some(second)) => {
-            let mut report = as_second(second.report, axis);
+            let mut report = second_drive_report(second.report, axis);
             report.warnings.push(format!(
                 "this run is of the second drive: the first one's table, [axis.{name}.pitch], and the backlash stay as they \
                  are; {}",
@@ -113,20 +116,22 @@ pub fn fit_both<E: From<BadInput>>(
             ));
             report
         }
-        (Some(first), Some(second)) => joined(first.report, as_second(second.report, axis)),
+        (Some(first), Some(second)) => {
+            merge_reports(first.report, second_drive_report(second.report, axis))
+        }
         (None, None) => unreachable!("a run is of one of them"),
     })
 }
 
 /// Returns what stands in a table that stays.
-fn largest(um: &[f64]) -> String {
+fn format_max_abs(um: &[f64]) -> String {
     let largest = um.iter().fold(0.0_f64, |most, um| most.max(um.abs()));
     if largest == 0.0 { "0 everywhere".into() } else { format!("up to {largest:.1} µm") }
 }
 
 /// At the second drive the backlash of the axis is known.
-fn second_options(
-    run: &Uncompensated<'_>,
+fn second_drive_options(
+    run: &UncompensatedRun<'_>,
     axis: LinearAxis,
     first: Option<&PitchFit>,
     options: Options,
@@ -139,7 +144,7 @@ fn second_options(
         return Options { ways: TableMode::Both, ..options };
     }
     let width_um = first.backlash.map_or(0.0, |backlash| backlash.width_um);
-    let mut known_um = options.known_um.unwrap_or_else(|| vec![0.0; run.rows()]);
+    let mut known_um = options.known_um.unwrap_or_else(|| vec![0.0; run.row_count()]);
     if let Some(ways) = run.column(&format!("dir_{}", axis.name())) {
         for (known, way) in known_um.iter_mut().zip(ways) {
             *known += if *way < 0.0 { width_um } else { 0.0 };
@@ -149,7 +154,7 @@ fn second_options(
 }
 
 /// Returns the report of the second drive's own table.
-fn as_second(mut report: Report, axis: LinearAxis) -> Report {
+fn second_drive_report(mut report: Report, axis: LinearAxis) -> Report {
     let pitch = format!("axis.{}.pitch", axis.name());
     report.edit.sections.retain(|section| section.name() == pitch);
     for section in &mut report.edit.sections {
@@ -161,7 +166,7 @@ fn as_second(mut report: Report, axis: LinearAxis) -> Report {
 }
 
 /// Returns one report of both.
-fn joined(mut first: Report, second: Report) -> Report {
+fn merge_reports(mut first: Report, second: Report) -> Report {
     let told = |text: &String| format!("second drive: {text}");
     first.warnings.extend(second.warnings.iter().map(told));
     first.set_aside.extend(second.set_aside);
@@ -174,12 +179,12 @@ fn joined(mut first: Report, second: Report) -> Report {
     }
     first.rows_used += second.rows_used;
     match second.verdict {
-        Verdict::Fitted => first.edit.sections.extend(second.edit.sections),
-        Verdict::DoNotCompensate(why) => {
+        FitVerdict::Fitted => first.edit.sections.extend(second.edit.sections),
+        FitVerdict::DoNotCompensate(why) => {
             let why = why.iter().map(told);
             match &mut first.verdict {
-                Verdict::Fitted => first.verdict = Verdict::DoNotCompensate(why.collect()),
-                Verdict::DoNotCompensate(of_first) => of_first.extend(why),
+                FitVerdict::Fitted => first.verdict = FitVerdict::DoNotCompensate(why.collect()),
+                FitVerdict::DoNotCompensate(of_first) => of_first.extend(why),
             }
         }
     }

@@ -10,15 +10,17 @@
 
 use std::{borrow::Cow, collections::HashMap};
 
-use trueup_machine::{BadInput, applied::Uncompensated, file::LinearAxis, model::is_reverse};
-use trueup_numerics::repeats::{self, gross, places};
+use trueup_machine::{
+    BadInput, applied_offsets::UncompensatedRun, file::LinearAxis, model::is_reverse,
+};
+use trueup_numerics::repeats::{self, find_gross_errors, group_positions};
 
-use crate::report::SetAside;
+use crate::report::ExcludedRow;
 
 /// The column of the feed.
-pub(super) const FEED: &str = "feed_mm_per_min";
+pub(super) const FEED_COLUMN: &str = "feed_mm_per_min";
 /// Feeds nearer than this share are one, as speeds of a spindle are.
-pub(super) const SAME_FEED: f64 = 0.02;
+pub(super) const FEED_RELATIVE_TOLERANCE: f64 = 0.02;
 /// More positions than this are gathered in cells.
 pub(super) const MAX_TARGETS: usize = 2048;
 
@@ -57,7 +59,7 @@ pub(super) struct Readings {
 }
 
 /// The selection of the readings of a run.
-pub(super) struct Wanted<'a> {
+pub(super) struct ReadingSelection<'a> {
     pub axis: LinearAxis,
     /// Only runs with these numbers.
     pub runs: Option<&'a [f64]>,
@@ -70,7 +72,7 @@ pub(super) struct Wanted<'a> {
 }
 
 /// A row that has all its values.
-struct Raw {
+struct RawRow {
     row: usize,
     position_mm: f64,
     way: usize,
@@ -81,7 +83,7 @@ struct Raw {
 }
 
 /// The names of an axis's columns.
-struct Names {
+struct ColumnNames {
     position: String,
     direction: String,
     measured: String,
@@ -96,33 +98,36 @@ impl Readings {
     ///
     /// # Errors
     /// A column is missing or in another unit; a value is missing in a row of this quantity; no
-    /// reading is left; positions do not go with their direction; a position comes twice in a run.
-    pub(super) fn of(file: &Uncompensated<'_>, wanted: &Wanted<'_>) -> Result<Self, BadInput> {
+    /// reading is left; positions do not agree with their direction; a position comes twice in a run.
+    pub(super) fn from_run(
+        file: &UncompensatedRun<'_>,
+        wanted: &ReadingSelection<'_>,
+    ) -> Result<Self, BadInput> {
         let axis = wanted.axis.name();
-        let names = Names {
+        let names = ColumnNames {
             position: format!("{axis}_mm"),
             direction: format!("dir_{axis}"),
             measured: measured_column(wanted.axis),
         };
-        let (mut rows, rows_incomplete) = raw_rows(file, &names, wanted)?;
+        let (mut rows, rows_incomplete) = collect_raw_rows(file, &names, wanted)?;
         if file.column("run").is_none() {
-            let (_, target_of_row, is_record) = targets_of(&rows);
-            number_runs(&mut rows, &target_of_row, is_record);
-            // Only now do these rows have the numbers by which they may be wanted.
+            let (_, target_of_row, is_record) = assign_targets(&rows);
+            assign_run_numbers(&mut rows, &target_of_row, is_record);
+            // Only now do these rows have the numbers by which they may be requested.
             if let Some(runs) = wanted.runs {
                 rows.retain(|raw| runs.contains(&raw.run));
             }
         }
         if rows.is_empty() {
-            let mut bad = no_column(file, &names.measured);
+            let mut bad = missing_column_error(file, &names.measured);
             bad.rule = format!("no row of the wanted runs has a {}", names.measured);
             return Err(bad);
         }
-        let (targets_mm, target_of_row, is_record) = targets_of(&rows);
+        let (targets_mm, target_of_row, is_record) = assign_targets(&rows);
         if !is_record {
-            check_repeats(file, &names, &rows, &target_of_row)?;
+            check_duplicates(file, &names, &rows, &target_of_row)?;
             if wanted.in_order {
-                check_order(file, &names, &rows, &target_of_row)?;
+                check_position_order(file, &names, &rows, &target_of_row)?;
             }
         }
         let mut numbers: Vec<f64> = rows.iter().map(|raw| raw.run).collect();
@@ -130,7 +135,7 @@ impl Readings {
         numbers.dedup();
         let mut feeds: Vec<f64> = rows.iter().map(|raw| raw.feed).collect();
         feeds.sort_by(f64::total_cmp);
-        feeds.dedup_by(|b, a| *b <= *a * (1.0 + SAME_FEED));
+        feeds.dedup_by(|b, a| *b <= *a * (1.0 + FEED_RELATIVE_TOLERANCE));
         let list = rows.iter().zip(&target_of_row).map(|(raw, &target)| Reading {
             row: raw.row,
             target,
@@ -151,11 +156,11 @@ impl Readings {
     }
 
     /// Takes out the readings that stand alone among the repeats of their target, and says why.
-    pub(super) fn set_gross_aside(
+    pub(super) fn exclude_gross_errors(
         &mut self,
-        file: &Uncompensated<'_>,
+        file: &UncompensatedRun<'_>,
         axis: LinearAxis,
-    ) -> Vec<SetAside> {
+    ) -> Vec<ExcludedRow> {
         if self.is_record {
             // A cell holds the slope of the error as well.
             return Vec::new();
@@ -165,11 +170,12 @@ impl Readings {
             place: it.place + reading.feed * self.targets_mm.len(),
             ..it
         };
-        let by_feed: Vec<_> = self.repeats().into_iter().zip(&self.list).map(of_feed).collect();
-        let found = gross(&by_feed);
+        let by_feed: Vec<_> =
+            self.to_repeat_readings().into_iter().zip(&self.list).map(of_feed).collect();
+        let found = find_gross_errors(&by_feed);
         let measured = measured_column(axis);
-        let aside = |(it, _): (&Reading, &bool)| SetAside {
-            place: file.place(it.row, &measured),
+        let aside = |(it, _): (&Reading, &bool)| ExcludedRow {
+            place: file.value_location(it.row, &measured),
             measured_um: it.um,
             reason: "far from the other readings at its target".into(),
         };
@@ -181,7 +187,7 @@ impl Readings {
     }
 
     /// Returns the readings for a decision by their repeats.
-    pub(super) fn repeats(&self) -> Vec<repeats::Reading> {
+    pub(super) fn to_repeat_readings(&self) -> Vec<repeats::Reading> {
         let of = |it: &Reading| repeats::Reading {
             place: it.target,
             side: it.way,
@@ -192,12 +198,12 @@ impl Readings {
     }
 
     /// Returns whether there is a reading in each of the two directions.
-    pub(super) fn has_way(&self) -> [bool; 2] {
+    pub(super) fn measured_directions(&self) -> [bool; 2] {
         [0, 1].map(|way| self.list.iter().any(|reading| reading.way == way))
     }
 
     /// Returns the values at each target, by direction.
-    pub(super) fn by_target(&self) -> Vec<[Vec<f64>; 2]> {
+    pub(super) fn values_by_target(&self) -> Vec<[Vec<f64>; 2]> {
         let mut values = vec![[const { Vec::new() }; 2]; self.targets_mm.len()];
         for reading in &self.list {
             values[reading.target][reading.way].push(reading.um);
@@ -207,24 +213,25 @@ impl Readings {
 }
 
 /// Returns an error at the header, its rule still to be said.
-fn no_column(file: &Uncompensated<'_>, name: &str) -> BadInput {
+fn missing_column_error(file: &UncompensatedRun<'_>, name: &str) -> BadInput {
     // The empty name is never there, so that the place comes even where `name` is.
-    let place = file.require("").map_or_else(|bad| bad.place, |_| file.place(0, name));
+    let place =
+        file.require_column("").map_or_else(|bad| bad.place, |_| file.value_location(0, name));
     BadInput::new(place, String::new())
 }
 
 /// Returns the column `stem_unit`, which must not be there in another unit, be it next to it or instead.
-fn column_in<'f>(
-    file: &'f Uncompensated<'_>,
+fn column_with_unit<'f>(
+    file: &'f UncompensatedRun<'_>,
     stem: &str,
     unit: &str,
 ) -> Result<&'f [f64], BadInput> {
-    const LENGTHS: [&str; 7] = ["nm", "um", "mm", "cm", "m", "in", "inch"];
+    const LENGTH_UNITS: [&str; 7] = ["nm", "um", "mm", "cm", "m", "in", "inch"];
     let name = format!("{stem}_{unit}");
-    for other in LENGTHS.iter().filter(|&&other| other != unit) {
+    for other in LENGTH_UNITS.iter().filter(|&&other| other != unit) {
         let wrong = format!("{stem}_{other}");
         if file.column(&wrong).is_some() {
-            let mut bad = no_column(file, &wrong);
+            let mut bad = missing_column_error(file, &wrong);
             bad.rule = match file.column(&name) {
                 Some(_) => format!("mixed units: there are both {name} and {wrong}"),
                 None => {
@@ -234,28 +241,30 @@ fn column_in<'f>(
             return Err(bad);
         }
     }
-    file.require(&name)
+    file.require_column(&name)
 }
 
-fn raw_rows(
-    file: &Uncompensated<'_>,
-    names: &Names,
-    wanted: &Wanted<'_>,
-) -> Result<(Vec<Raw>, usize), BadInput> {
+fn collect_raw_rows(
+    file: &UncompensatedRun<'_>,
+    names: &ColumnNames,
+    wanted: &ReadingSelection<'_>,
+) -> Result<(Vec<RawRow>, usize), BadInput> {
     let axis = wanted.axis.name();
-    let measured = column_in(file, &format!("measured_d{axis}"), "um")?;
-    let positions = column_in(file, axis, "mm")?;
-    let directions = match (file.column(&names.direction), way_of_one_pass(positions)) {
+    let measured = column_with_unit(file, &format!("measured_d{axis}"), "um")?;
+    let positions = column_with_unit(file, axis, "mm")?;
+    let directions = match (file.column(&names.direction), monotonic_direction(positions)) {
         (Some(stated), _) => Cow::Borrowed(stated),
         // The order says it.
         (None, Some(way)) => Cow::Owned(vec![way; positions.len()]),
-        (None, None) => Cow::Borrowed(file.require(&names.direction).map_err(|mut bad| {
-            bad.rule += "; it says from which side each position was approached, 1 or -1";
-            bad
-        })?),
+        (None, None) => {
+            Cow::Borrowed(file.require_column(&names.direction).map_err(|mut bad| {
+                bad.rule += "; it says from which side each position was approached, 1 or -1";
+                bad
+            })?)
+        }
     };
     let numbers = file.column("run");
-    let feeds = if wanted.by_feed { file.column(FEED) } else { None };
+    let feeds = if wanted.by_feed { file.column(FEED_COLUMN) } else { None };
     let (mut rows, mut rows_incomplete) = (Vec::new(), 0);
     for (row, ((&um, &position_mm), &direction)) in
         measured.iter().zip(positions).zip(&*directions).enumerate()
@@ -279,16 +288,16 @@ fn raw_rows(
         let known = wanted.known_um.map_or(0.0, |known| known.get(row).copied().unwrap_or(0.0));
         if known.is_nan() {
             let rule = "cannot be compared: the machine's other sections say nothing of this row";
-            return Err(file.bad(row, &names.measured, rule));
+            return Err(file.value_error(row, &names.measured, rule));
         }
         let way = usize::from(is_reverse(direction));
-        rows.push(Raw { row, position_mm, way, run, feed, um: um - known });
+        rows.push(RawRow { row, position_mm, way, run, feed, um: um - known });
     }
     Ok((rows, rows_incomplete))
 }
 
 /// Returns the direction of positions that only rise (1) or only fall (−1); `None` for all others.
-fn way_of_one_pass(positions_mm: &[f64]) -> Option<f64> {
+fn monotonic_direction(positions_mm: &[f64]) -> Option<f64> {
     let there: Vec<f64> = positions_mm.iter().copied().filter(|mm| !mm.is_nan()).collect();
     let mut steps = there.windows(2).map(|pair| (pair[1] - pair[0]).signum());
     let first = steps.next()?;
@@ -297,8 +306,8 @@ fn way_of_one_pass(positions_mm: &[f64]) -> Option<f64> {
 }
 
 /// Returns the smallest step from row to row within a sweep; `None` where no sweep has two positions.
-fn smallest_step(rows: &[Raw]) -> Option<f64> {
-    let same_sweep = |a: &Raw, b: &Raw| a.way == b.way && (a.run == b.run || a.run.is_nan());
+fn smallest_step(rows: &[RawRow]) -> Option<f64> {
+    let same_sweep = |a: &RawRow, b: &RawRow| a.way == b.way && (a.run == b.run || a.run.is_nan());
     rows.windows(2)
         .filter_map(|pair| match pair {
             [a, b] if same_sweep(a, b) => Some((b.position_mm - a.position_mm).abs()),
@@ -309,9 +318,9 @@ fn smallest_step(rows: &[Raw]) -> Option<f64> {
 }
 
 /// Returns the targets in mm, rising; the target of each position; whether they are cells of a record.
-fn targets_of(rows: &[Raw]) -> (Vec<f64>, Vec<usize>, bool) {
+fn assign_targets(rows: &[RawRow]) -> (Vec<f64>, Vec<usize>, bool) {
     let positions: Vec<f64> = rows.iter().map(|raw| raw.position_mm).collect();
-    let (targets, target_of) = places(&positions, smallest_step(rows).unwrap_or(0.0));
+    let (targets, target_of) = group_positions(&positions, smallest_step(rows).unwrap_or(0.0));
     let (Some(&start), Some(&end)) = (targets.first(), targets.last()) else {
         return (targets, target_of, false);
     };
@@ -339,7 +348,7 @@ fn targets_of(rows: &[Raw]) -> (Vec<f64>, Vec<usize>, bool) {
 }
 
 /// Numbers the runs of a file without the column, from 1.
-fn number_runs(rows: &mut [Raw], target_of_row: &[usize], is_record: bool) {
+fn assign_run_numbers(rows: &mut [RawRow], target_of_row: &[usize], is_record: bool) {
     let mut arrivals: HashMap<(usize, usize, u64), usize> = HashMap::new();
     let mut comes_again = false;
     for (raw, &target) in rows.iter_mut().zip(target_of_row) {
@@ -356,7 +365,7 @@ fn number_runs(rows: &mut [Raw], target_of_row: &[usize], is_record: bool) {
     let mut before: Option<(usize, f64)> = None;
     for raw in rows {
         let goes_on = before.is_some_and(|(way, position_mm)| {
-            way == raw.way && -along(way, raw.position_mm - position_mm) < half
+            way == raw.way && -signed_step(way, raw.position_mm - position_mm) < half
         });
         if !goes_on {
             sweeps[raw.way] += 1;
@@ -366,27 +375,28 @@ fn number_runs(rows: &mut [Raw], target_of_row: &[usize], is_record: bool) {
     }
 }
 
-fn half_span(rows: &[Raw]) -> f64 {
-    let ends =
-        |(low, high): (f64, f64), raw: &Raw| (low.min(raw.position_mm), high.max(raw.position_mm));
+fn half_span(rows: &[RawRow]) -> f64 {
+    let ends = |(low, high): (f64, f64), raw: &RawRow| {
+        (low.min(raw.position_mm), high.max(raw.position_mm))
+    };
     let (low, high) = rows.iter().fold((f64::INFINITY, f64::NEG_INFINITY), ends);
     (high - low) / 2.0
 }
 
 /// `step` counted in the direction of approach.
-fn along(way: usize, step: f64) -> f64 {
+fn signed_step(way: usize, step: f64) -> f64 {
     if way == 0 { step } else { -step }
 }
 
-fn way_name(way: usize) -> &'static str {
+fn direction_name(way: usize) -> &'static str {
     ["positive", "negative"][way]
 }
 
 /// Within a run a position is measured once in each direction.
-fn check_repeats(
-    file: &Uncompensated<'_>,
-    names: &Names,
-    rows: &[Raw],
+fn check_duplicates(
+    file: &UncompensatedRun<'_>,
+    names: &ColumnNames,
+    rows: &[RawRow],
     target_of_row: &[usize],
 ) -> Result<(), BadInput> {
     let mut seen: HashMap<(usize, usize, u64, u64), usize> = HashMap::with_capacity(rows.len());
@@ -398,10 +408,10 @@ fn check_repeats(
                  {}): number the repeats in the column run",
                 raw.position_mm,
                 raw.run,
-                way_name(raw.way),
-                file.place(first, &names.position).line
+                direction_name(raw.way),
+                file.value_location(first, &names.position).line
             );
-            return Err(file.bad(raw.row, &names.position, rule));
+            return Err(file.value_error(raw.row, &names.position, rule));
         }
     }
     Ok(())
@@ -411,23 +421,23 @@ fn check_repeats(
 /// the negative one; or all sweeps of a direction are listed the other way round, which is a list sorted
 /// by position. Without run numbers a step back to a target that was there before, or over half the
 /// travel, begins the next sweep.
-fn check_order(
-    file: &Uncompensated<'_>,
-    names: &Names,
-    rows: &[Raw],
+fn check_position_order(
+    file: &UncompensatedRun<'_>,
+    names: &ColumnNames,
+    rows: &[RawRow],
     target_of_row: &[usize],
 ) -> Result<(), BadInput> {
     let is_numbered = file.column("run").is_some();
     let half = half_span(rows);
     let mut seen: HashMap<(usize, usize), ()> = HashMap::new();
-    let mut before: Option<&Raw> = None;
+    let mut before: Option<&RawRow> = None;
     // By direction: whether a row follows in order, and the first two that do not.
     let mut in_order = [false; 2];
-    let mut out_of_order: [Option<(&Raw, &Raw)>; 2] = [None; 2];
+    let mut out_of_order: [Option<(&RawRow, &RawRow)>; 2] = [None; 2];
     for (raw, &target) in rows.iter().zip(target_of_row) {
         let is_new = seen.insert((target, raw.way), ()).is_none();
         if let Some(before) = before.filter(|it| it.way == raw.way) {
-            let back = -along(raw.way, raw.position_mm - before.position_mm);
+            let back = -signed_step(raw.way, raw.position_mm - before.position_mm);
             let same_sweep =
                 if is_numbered { before.run == raw.run } else { is_new && back < half };
             if back > 0.0 && same_sweep {
@@ -445,9 +455,9 @@ fn check_order(
                 raw.position_mm,
                 before.position_mm,
                 names.direction,
-                way_name(way)
+                direction_name(way)
             );
-            return Err(file.bad(raw.row, &names.position, rule));
+            return Err(file.value_error(raw.row, &names.position, rule));
         }
     }
     Ok(())

@@ -1,34 +1,43 @@
 //! The report of a pitch fit.
 
 use trueup_machine::{
-    file::write::Edit,
+    file::writer::Edit,
     file::{Backlash, LinearAxis},
 };
 
-use trueup_numerics::repeats::{Decision, Refusal, between, cycles_for};
+use trueup_numerics::repeats::{
+    TableRejection, TableSelection, check_interpolation, required_cycles,
+};
 
 use super::{
-    judge::{Fitted, Judged, Law, Sums, folds, is_gain, student},
+    cross_validation::{
+        CorrectionModel, CrossValidationScore, DirectionSums, FittedCorrection, fold_count,
+        is_significant_gain, student_t_quantile,
+    },
+    pitch_aliasing::aliased_pitches,
     readings::Readings,
     scatter::Scatter,
     table::Grid,
-    test_points::hidden_pitches,
 };
 use crate::{
-    iso230::Iso230,
-    report::{Fact, Parameter, Report, Spread},
+    iso230::Iso230Results,
+    report::{Fact, Parameter, Report, ResidualStatistics},
 };
 
-/// The standard asks for this many arrivals at each target in each direction.
-const RUNS_OF_THE_STANDARD: usize = 5;
+/// The standard requires this many arrivals at each target in each direction.
+const MIN_ISO_230_2_RUNS: usize = 5;
 
 /// Adds the figures of the measurement to the report, whatever becomes of the correction.
-pub(super) fn describe(report: &mut Report, readings: &Readings, iso230: &Option<Iso230>) {
+pub(super) fn add_statistics(
+    report: &mut Report,
+    readings: &Readings,
+    iso230: &Option<Iso230Results>,
+) {
     let um: Vec<f64> = readings.list.iter().map(|reading| reading.um).collect();
-    report.before = Spread::of(&um);
+    report.before = ResidualStatistics::from_residuals(&um);
     report.rows_used = um.len();
     report.rows_incomplete = readings.rows_incomplete;
-    report.left_out_by = left_out_by(readings.runs);
+    report.left_out_by = describe_folds(readings.runs);
     report.facts.push(Fact::number("runs", readings.runs as f64));
     report.facts.push(Fact::number("targets", readings.targets_mm.len() as f64));
     if let Some(iso230) = iso230 {
@@ -36,8 +45,8 @@ pub(super) fn describe(report: &mut Report, readings: &Readings, iso230: &Option
     }
 }
 
-pub(super) fn left_out_by(runs: usize) -> String {
-    match folds(runs) {
+pub(super) fn describe_folds(runs: usize) -> String {
+    match fold_count(runs) {
         0 | 1 => String::new(),
         blocks if blocks < runs => format!("each of {blocks} blocks of {runs} runs in turn"),
         _ => format!("each of {runs} runs in turn"),
@@ -45,7 +54,7 @@ pub(super) fn left_out_by(runs: usize) -> String {
 }
 
 /// Returns the figures of the axis by the symbols of the standard.
-fn iso230_facts(iso230: &Iso230) -> Vec<Fact> {
+fn iso230_facts(iso230: &Iso230Results) -> Vec<Fact> {
     let mut facts = Vec::new();
     let mut fact = |name: &str, um: f64| facts.push(Fact::number(format!("iso230_{name}_um"), um));
     for (way, axis) in [("forward", iso230.forward), ("reverse", iso230.reverse)] {
@@ -67,7 +76,11 @@ fn iso230_facts(iso230: &Iso230) -> Vec<Fact> {
 }
 
 /// Adds the warnings for a user who relies on the table.
-pub(super) fn warn(report: &mut Report, readings: &Readings, iso230: &Option<Iso230>) {
+pub(super) fn add_warnings(
+    report: &mut Report,
+    readings: &Readings,
+    iso230: &Option<Iso230Results>,
+) {
     let warnings = &mut report.warnings;
     if readings.runs < 2 {
         report.facts.push(Fact::text("repeatability", "unknown"));
@@ -77,15 +90,15 @@ pub(super) fn warn(report: &mut Report, readings: &Readings, iso230: &Option<Iso
                 .to_string(),
         );
     } else if let Some(iso230) = iso230
-        && iso230.fewest_runs < RUNS_OF_THE_STANDARD
+        && iso230.fewest_runs < MIN_ISO_230_2_RUNS
     {
         warnings.push(format!(
-            "ISO 230-2 asks for {RUNS_OF_THE_STANDARD} runs in each direction, there are {}: its \
+            "ISO 230-2 asks for {MIN_ISO_230_2_RUNS} runs in each direction, there are {}: its \
              figures from so few are uncertain",
             iso230.fewest_runs
         ));
     }
-    match readings.has_way() {
+    match readings.measured_directions() {
         [true, true] => {}
         [true, false] => warnings.push(
             "only the positive direction was measured: backlash is not known, and the table is \
@@ -99,7 +112,7 @@ pub(super) fn warn(report: &mut Report, readings: &Readings, iso230: &Option<Iso
         ),
     }
     if !readings.is_record {
-        let hidden = hidden_pitches(&readings.targets_mm);
+        let hidden = aliased_pitches(&readings.targets_mm);
         if !hidden.is_empty() {
             let hidden: Vec<String> = hidden.iter().map(f64::to_string).collect();
             warnings.push(format!(
@@ -113,21 +126,23 @@ pub(super) fn warn(report: &mut Report, readings: &Readings, iso230: &Option<Iso
 }
 
 /// The constants and what changes in the machine file.
-pub(super) fn write(
+pub(super) fn write_pitch_section(
     report: &mut Report,
     axis: LinearAxis,
     readings: &Readings,
-    sums: &Sums,
+    sums: &DirectionSums,
     grid: &Grid,
-    fitted: &Fitted,
+    fitted: &FittedCorrection,
 ) {
     let Some(pitch) = &fitted.pitch else { return };
-    report.parameters.push(Parameter::set("start_mm", pitch.start_mm));
-    report.parameters.push(Parameter::set("step_mm", pitch.step_mm));
+    report.parameters.push(Parameter::fixed("start_mm", pitch.start_mm));
+    report.parameters.push(Parameter::fixed("step_mm", pitch.step_mm));
     report.facts.push(Fact::number("table_points", grid.points as f64));
     let name = format!("axis.{}", axis.name());
-    let rms = |spread: Option<Spread>| spread.map_or("?".into(), |it| format!("{:.2}", it.rms_um));
-    report.edit = Edit::of(pitch.section(axis).remark(format!(
+    let rms = |spread: Option<ResidualStatistics>| {
+        spread.map_or("?".into(), |it| format!("{:.2}", it.rms_um))
+    };
+    report.edit = Edit::from_section(pitch.to_section(axis).with_header_comment(format!(
         "From {} readings of {} runs; rms µm before {}, fitted {}, left out {}.",
         report.rows_used,
         readings.runs,
@@ -138,14 +153,14 @@ pub(super) fn write(
     let backlash = format!("{name}.backlash");
     match fitted.width_um {
         Some(width_um) => {
-            let half = half_width_um(readings, sums);
+            let half = backlash_half_width_um(readings, sums);
             report.parameters.push(match half {
                 Some(half) => Parameter::fitted("width_um", width_um, half),
-                None => Parameter::set("width_um", width_um),
+                None => Parameter::fixed("width_um", width_um),
             });
             report.edit.sections.push(
-                Backlash::section(axis, width_um)
-                    .remark("Belongs to the table above: both were fitted together."),
+                Backlash::width_section(axis, width_um)
+                    .with_header_comment("Belongs to the table above: both were fitted together."),
             );
         }
         // It is in the tables, or was found not to gain.
@@ -155,57 +170,60 @@ pub(super) fn write(
 
 /// Returns half the 95 % interval of the mean width: from the runs' own widths, or with one run from those
 /// of the targets.
-fn half_width_um(readings: &Readings, sums: &Sums) -> Option<f64> {
+fn backlash_half_width_um(readings: &Readings, sums: &DirectionSums) -> Option<f64> {
     let runs = readings.runs;
     let widths: Vec<f64> = if runs < 2 {
-        sums.widths()
+        sums.reversal_errors_um()
     } else {
-        let blocks = folds(runs);
+        let blocks = fold_count(runs);
         (0..blocks)
             .filter_map(|block| {
-                let own = |it: &&super::Reading| super::judge::fold_of(it.run, runs) == block;
+                let own = |it: &&super::Reading| {
+                    super::cross_validation::fold_index(it.run, runs) == block
+                };
                 let own = readings.list.iter().filter(own);
-                let widths = Sums::of(readings.targets_mm.len(), own).widths();
+                let widths = DirectionSums::from_readings(readings.targets_mm.len(), own)
+                    .reversal_errors_um();
                 let count = widths.len() as f64;
                 (count > 0.0).then(|| widths.iter().sum::<f64>() / count)
             })
             .collect()
     };
-    half_interval(&widths)
+    confidence_half_width(&widths)
 }
 
 /// Returns half the 95 % interval of the mean of `values`; `None` below two values.
-pub(super) fn half_interval(values: &[f64]) -> Option<f64> {
+pub(super) fn confidence_half_width(values: &[f64]) -> Option<f64> {
     if values.len() < 2 {
         return None;
     }
     let count = values.len() as f64;
     let mean = values.iter().sum::<f64>() / count;
     let variance = values.iter().map(|it| (it - mean).powi(2)).sum::<f64>() / (count - 1.0);
-    Some(student(values.len() - 1, 0.975)? * (variance / count).sqrt())
+    Some(student_t_quantile(values.len() - 1, 0.975)? * (variance / count).sqrt())
 }
 
 /// Why the axis should not be corrected, a sentence each.
-pub(super) fn reasons(
+pub(super) fn rejection_reasons(
     readings: &Readings,
-    judged: &[Judged],
-    best: Option<&Judged>,
+    judged: &[CrossValidationScore],
+    best: Option<&CrossValidationScore>,
     by_target: &[[Vec<f64>; 2]],
 ) -> Vec<String> {
-    let mut reasons = Vec::new();
-    let (Some(best), [nothing, constant, ..]) = (best, judged) else { return reasons };
+    let mut rejection_reasons = Vec::new();
+    let (Some(best), [nothing, constant, ..]) = (best, judged) else { return rejection_reasons };
     let law = match best.law {
-        Law::BothTables => "a table for each direction",
-        Law::TableAndBacklash => "a table and a backlash",
+        CorrectionModel::BothTables => "a table for each direction",
+        CorrectionModel::TableAndBacklash => "a table and a backlash",
         _ => "a table",
     };
-    let each = |judged: &Judged| {
+    let each = |judged: &CrossValidationScore| {
         let each: Vec<String> = judged.rms_by_fold().iter().map(|um| format!("{um:.1}")).collect();
         each.join(", ")
     };
-    let constant_alone = best.gains_on(nothing) && !best.gains_on(constant);
+    let constant_alone = best.is_better_than(nothing) && !best.is_better_than(constant);
     let verdict = if constant_alone { "" } else { ": no gain that holds" };
-    reasons.push(format!(
+    rejection_reasons.push(format!(
         "on runs left out the error is {:.1} µm rms without a correction and {:.1} µm with {law} \
          from the other runs (run by run {} and {}){verdict}",
         nothing.rms_um(),
@@ -213,40 +231,40 @@ pub(super) fn reasons(
         each(nothing),
         each(best)
     ));
-    let scatter = Scatter::of(by_target);
+    let scatter = Scatter::from_targets(by_target);
     if let Some(repeats_um) = scatter.repeats_um {
-        reasons.push(format!(
+        rejection_reasons.push(format!(
             "repeats at one position from one side scatter by {repeats_um:.1} µm (one standard \
              deviation), and what is systematic along the axis is {:.1} µm rms",
-            scatter.systematic_um()
+            scatter.systematic_rms_um()
         ));
     }
     if constant_alone {
-        reasons.push(format!(
+        rejection_reasons.push(format!(
             "what a table would gain is a constant, which already leaves {:.1} µm: the zero of a \
              measurement is arbitrary, and a constant is not a position error",
             constant.rms_um()
         ));
-    } else if repeats_once_centred(readings, nothing, best) {
-        reasons.push(
+    } else if is_better_after_centring(readings, nothing, best) {
+        rejection_reasons.push(
             "with the mean of each run taken out, the shape does repeat: the axis or the \
              instrument shifts from run to run; find that first, or zero the instrument before \
              each run"
                 .to_string(),
         );
     }
-    reasons
+    rejection_reasons
 }
 
 /// Returns what to measure so that it can be decided, in a sentence.
-pub(super) fn to_measure(
+pub(super) fn suggest_measurement(
     readings: &Readings,
-    decision: &Decision,
+    decision: &TableSelection,
     by_target: &[[Vec<f64>; 2]],
 ) -> Option<String> {
     let targets = readings.targets_mm.len();
     let refusal = decision.taken.err()?;
-    if refusal == Refusal::TooFew {
+    if refusal == TableRejection::TooFew {
         return Some(if targets < 3 {
             "too few targets for a table: measure at three at least, better at ten".to_string()
         } else {
@@ -257,7 +275,7 @@ pub(super) fn to_measure(
     }
     let trial = decision.trials.iter().max_by(|a, b| a.f.total_cmp(&b.f))?;
     let chance = match refusal {
-        Refusal::Chance => format!(
+        TableRejection::Chance => format!(
             "the targets differ by no more than their repeats: F = {:.2}, which chance exceeds with \
              {:.0} %",
             trial.f,
@@ -265,8 +283,8 @@ pub(super) fn to_measure(
         ),
         _ => "the targets differ, but not every run is foreseen by the others".to_string(),
     };
-    let shape_um = Scatter::of(by_target).shape_um;
-    let cycles = cycles_for(shape_um, decision.scatter?, targets);
+    let shape_um = Scatter::from_targets(by_target).shape_um;
+    let cycles = required_cycles(shape_um, decision.scatter?, targets);
     Some(match cycles.filter(|cycles| *cycles > decision.blocks) {
         Some(cycles) => format!(
             "{chance}; an error of {shape_um:.1} µm rms that repeats would show with 95 % in {cycles} runs"
@@ -276,10 +294,15 @@ pub(super) fn to_measure(
 }
 
 /// Returns what the table is worth between its points, where that is doubted.
-pub(super) fn between_points(readings: &Readings, law: Law) -> Option<String> {
+pub(super) fn interpolation_caveat(readings: &Readings, law: CorrectionModel) -> Option<String> {
     let none = vec![false; readings.list.len()];
-    let found = between(&readings.targets_mm, &readings.repeats(), &none, law.table()?)?;
-    found.is_doubted().then(|| {
+    let found = check_interpolation(
+        &readings.targets_mm,
+        &readings.to_repeat_readings(),
+        &none,
+        law.as_table_law()?,
+    )?;
+    found.is_interpolation_doubtful().then(|| {
         format!(
             "the table holds at its points; between them it is doubted: the line between its neighbours \
              misses a target that is left out by {:.1} µm rms, no table at all by {:.1} µm; measure \
@@ -290,8 +313,12 @@ pub(super) fn between_points(readings: &Readings, law: Law) -> Option<String> {
 }
 
 /// Returns whether `best` gains on `nothing` if each run's residuals are counted from their own mean.
-fn repeats_once_centred(readings: &Readings, nothing: &Judged, best: &Judged) -> bool {
-    let by_run = |judged: &Judged| {
+fn is_better_after_centring(
+    readings: &Readings,
+    nothing: &CrossValidationScore,
+    best: &CrossValidationScore,
+) -> bool {
+    let by_run = |judged: &CrossValidationScore| {
         let mut runs = vec![(0.0, 0.0, 0.0); readings.runs];
         for (reading, um) in readings.list.iter().zip(&judged.residuals_um) {
             let (sum, squares, count) = &mut runs[reading.run];
@@ -303,5 +330,5 @@ fn repeats_once_centred(readings: &Readings, nothing: &Judged, best: &Judged) ->
     };
     let gains: Vec<f64> =
         by_run(nothing).zip(by_run(best)).map(|(before, after)| before - after).collect();
-    is_gain(&gains)
+    is_significant_gain(&gains)
 }

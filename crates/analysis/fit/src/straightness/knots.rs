@@ -14,30 +14,32 @@
 //! D = Q₂ᵀ·∂C/∂t,   (DᵀD + λ·diag DᵀD)·δ = DᵀQ₂ᵀy
 //! ```
 //!
-//! Both products fall out of the row-wise rotations of [`Banded`](crate::bspline::Banded).
+//! Both products fall out of the row-wise rotations of [`BandedLeastSquares`](crate::bspline::Banded).
 
 use nalgebra::{DMatrix, DVector};
 
 use super::sites::Sites;
-use crate::bspline::{Banded, InKnots, basis, clamped, is_determined, least_squares};
+use crate::bspline::{
+    BandedLeastSquares, SplineFit, basis, clamped_knots, fit_least_squares, is_determined,
+};
 
 /// The order of every curve that has inner knots: cubic.
-pub(super) const ORDER: usize = 4;
+pub(super) const CUBIC_ORDER: usize = 4;
 
 /// How sure of each coefficient the data must be, as the sine that
-/// [`Banded::least_sine`] gives: where points are too few, no knot.
+/// [`BandedLeastSquares::min_sine`] gives: where points are too few, no knot.
 const MIN_SINE: f64 = 0.03;
 
 /// Inner knots, and what they leave.
 #[derive(Clone, Debug)]
-pub(super) struct Placed {
+pub(super) struct PlacedKnots {
     pub(super) inner: Vec<f64>,
     pub(super) sum_of_squares: f64,
 }
 
 /// Which sites must suffice to determine the coefficients.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Support {
+pub(super) enum RequiredSites {
     /// Every second, from the first on or from the second: no coefficient follows a single point.
     EverySecond,
     /// All sites together.
@@ -45,81 +47,85 @@ pub(super) enum Support {
 }
 
 /// Looks for knots over given sites.
-pub(super) struct Search<'s> {
+pub(super) struct KnotSearch<'s> {
     sites: &'s Sites,
-    support: Support,
+    support: RequiredSites,
     /// Two knots are at least that far apart, in mm.
     least_gap: f64,
 }
 
-impl<'s> Search<'s> {
-    pub(super) fn new(sites: &'s Sites, support: Support) -> Self {
-        let [first, last] = sites.ends();
+impl<'s> KnotSearch<'s> {
+    pub(super) fn new(sites: &'s Sites, support: RequiredSites) -> Self {
+        let [first, last] = sites.end_positions();
         // A quarter of the mean spacing: two knots for one kink are possible, and distinguished.
         let least_gap = 0.25 * (last - first) / (sites.len() - 1) as f64;
         Self { sites, support, least_gap }
     }
 
-    fn knots(&self, inner: &[f64]) -> Vec<f64> {
-        let [first, last] = self.sites.ends();
-        clamped(ORDER, first, inner, last)
+    fn knot_vector(&self, inner: &[f64]) -> Vec<f64> {
+        let [first, last] = self.sites.end_positions();
+        clamped_knots(CUBIC_ORDER, first, inner, last)
     }
 
     /// Returns the fit in these inner knots; `None` if they may not be.
-    fn fit(&self, inner: &[f64]) -> Option<InKnots> {
-        let [first, last] = self.sites.ends();
+    fn fit(&self, inner: &[f64]) -> Option<SplineFit> {
+        let [first, last] = self.sites.end_positions();
         let before = std::iter::once(first).chain(inner.iter().copied());
         let after = inner.iter().copied().chain(std::iter::once(last));
         if before.zip(after).any(|(low, high)| high - low < self.least_gap) {
             return None;
         }
-        let knots = self.knots(inner);
+        let knots = self.knot_vector(inner);
         let is_supported = |(from, step)| {
-            is_determined(&knots, ORDER, self.sites.x.iter().skip(from).step_by(step).copied())
+            is_determined(
+                &knots,
+                CUBIC_ORDER,
+                self.sites.x.iter().skip(from).step_by(step).copied(),
+            )
         };
         let is_supported = match self.support {
-            Support::EverySecond => [(0, 2), (1, 2)].into_iter().all(is_supported),
-            Support::All => is_supported((0, 1)),
+            RequiredSites::EverySecond => [(0, 2), (1, 2)].into_iter().all(is_supported),
+            RequiredSites::All => is_supported((0, 1)),
         };
         is_supported
-            .then(|| least_squares(knots.clone(), ORDER, self.sites.points()))?
-            .filter(|fit| fit.triangle.least_sine() > MIN_SINE)
+            .then(|| fit_least_squares(knots.clone(), CUBIC_ORDER, self.sites.points()))?
+            .filter(|fit| fit.triangle.min_sine() > MIN_SINE)
     }
 
     /// These inner knots as they are.
-    pub(super) fn place(&self, inner: Vec<f64>) -> Option<Placed> {
+    pub(super) fn evaluate(&self, inner: Vec<f64>) -> Option<PlacedKnots> {
         let sum_of_squares = self.fit(&inner)?.sum_of_squares;
-        Some(Placed { inner, sum_of_squares })
+        Some(PlacedKnots { inner, sum_of_squares })
     }
 
     /// Returns one knot more than `from` has, all at their best; `None` where the sites allow no further.
-    pub(super) fn one_more(&self, from: &Placed) -> Option<Placed> {
+    pub(super) fn add_knot(&self, from: &PlacedKnots) -> Option<PlacedKnots> {
         /// Of more knots than that, each gains little: one start is enough.
-        const MANY: usize = 32;
+        const MAX_MULTISTART_KNOTS: usize = 32;
         let count = from.inner.len() + 1;
-        if count > MANY {
-            return self.insertions(from, 1).pop().map(|start| self.slide(start));
+        if count > MAX_MULTISTART_KNOTS {
+            return self.best_insertions(from, 1).pop().map(|start| self.optimise_knots(start));
         }
-        let mut starts = self.insertions(from, 2);
-        starts.extend(self.spread(from, count));
-        let slid = starts.into_iter().map(|start| self.slide(start));
+        let mut starts = self.best_insertions(from, 2);
+        starts.extend(self.equidistribute_knots(from, count));
+        let slid = starts.into_iter().map(|start| self.optimise_knots(start));
         let best = slid.min_by(|a, b| a.sum_of_squares.total_cmp(&b.sum_of_squares))?;
-        Some(self.relocate(best))
+        Some(self.relocate_weakest_knot(best))
     }
 
     /// Knots that may leave a smaller largest residual than the least sum of squares does: evenly
     /// spaced ones, and those to which the knots slide when large residuals weigh more and more
     /// (Lawson's way to the smallest maximum).
-    pub(super) fn flattened(&self, from: &Placed) -> Vec<Vec<f64>> {
-        const ROUNDS: usize = 4;
-        let [first, last] = self.sites.ends();
+    pub(super) fn minimax_starts(&self, from: &PlacedKnots) -> Vec<Vec<f64>> {
+        const LAWSON_ITERATIONS: usize = 4;
+        let [first, last] = self.sites.end_positions();
         let count = from.inner.len();
         let share = |n: usize| n as f64 / (count + 1) as f64;
         let even: Vec<f64> = (1..=count).map(|n| first + share(n) * (last - first)).collect();
-        let mut tried: Vec<Vec<f64>> = self.place(even).map(|it| it.inner).into_iter().collect();
+        let mut tried: Vec<Vec<f64>> = self.evaluate(even).map(|it| it.inner).into_iter().collect();
         let mut weighted = self.sites.clone();
         let mut at = from.inner.clone();
-        for _ in 0..ROUNDS {
+        for _ in 0..LAWSON_ITERATIONS {
             let Some(fit) = self.fit(&at) else { break };
             let residuals = self.sites.residuals(&fit.spline);
             let mean = residuals.iter().map(|r| r.abs()).sum::<f64>() / residuals.len() as f64;
@@ -129,25 +135,25 @@ impl<'s> Search<'s> {
             for (weight, residual) in weighted.weight.iter_mut().zip(&residuals) {
                 *weight *= residual.abs() / mean + 0.1;
             }
-            let search = Search { sites: &weighted, ..*self };
-            let Some(start) = search.place(at) else { break };
-            at = search.slide(start).inner;
+            let search = KnotSearch { sites: &weighted, ..*self };
+            let Some(start) = search.evaluate(at) else { break };
+            at = search.optimise_knots(start).inner;
             tried.push(at.clone());
         }
         tried
     }
 
     /// Returns the `most` best places for one more knot, each with the knots of `from` where they are.
-    fn insertions(&self, from: &Placed, most: usize) -> Vec<Placed> {
-        let knots = self.knots(&from.inner);
-        let mut found: Vec<Placed> = Vec::new();
+    fn best_insertions(&self, from: &PlacedKnots, most: usize) -> Vec<PlacedKnots> {
+        let knots = self.knot_vector(&from.inner);
+        let mut found: Vec<PlacedKnots> = Vec::new();
         let pairs = knots.windows(2).filter(|pair| pair[1] - pair[0] >= 2.0 * self.least_gap);
         for pair in pairs {
             let tried = [0.25, 0.5, 0.75].into_iter().filter_map(|share| {
                 let mut inner = from.inner.clone();
                 let place = pair[0] + share * (pair[1] - pair[0]);
                 inner.insert(inner.partition_point(|&knot| knot < place), place);
-                self.place(inner)
+                self.evaluate(inner)
             });
             // One of each interval: the rest of it is for the slide.
             found.extend(tried.min_by(|a, b| a.sum_of_squares.total_cmp(&b.sum_of_squares)));
@@ -159,14 +165,16 @@ impl<'s> Search<'s> {
 
     /// `count` knots so that each interval holds an equal share of |f⁗|^¼, the fourth derivative
     /// taken from the jumps of the third at the knots of `from` (de Boor's `newknt`).
-    fn spread(&self, from: &Placed, count: usize) -> Option<Placed> {
+    fn equidistribute_knots(&self, from: &PlacedKnots, count: usize) -> Option<PlacedKnots> {
         let spline = self.fit(&from.inner)?.spline;
         let knots = &spline.knots_mm;
         // Distinct spans and the third derivative in each, from second derivatives at their ends.
         let mut spans: Vec<(f64, f64, f64)> = Vec::new();
         for pair in knots.windows(2).filter(|pair| pair[1] > pair[0]) {
             let width = pair[1] - pair[0];
-            let second = |share: f64| crate::bspline::derivatives(&spline, pair[0] + share * width);
+            let second = |share: f64| {
+                crate::bspline::evaluate_with_derivatives(&spline, pair[0] + share * width)
+            };
             let third = (second(0.75)[2] - second(0.25)[2]) / (0.5 * width);
             spans.push((pair[0], pair[1], third));
         }
@@ -200,27 +208,32 @@ impl<'s> Search<'s> {
             }
             inner.push(spans[n].0 + (wanted - passed) / density[n]);
         }
-        self.place(inner)
+        self.evaluate(inner)
     }
 
     /// Without the knot whose loss costs least.
-    fn without_least(&self, from: &Placed) -> Option<Placed> {
+    fn remove_weakest_knot(&self, from: &PlacedKnots) -> Option<PlacedKnots> {
         let tried = (0..from.inner.len()).filter_map(|n| {
             let mut inner = from.inner.clone();
             inner.remove(n);
-            self.place(inner)
+            self.evaluate(inner)
         });
         tried.min_by(|a, b| a.sum_of_squares.total_cmp(&b.sum_of_squares))
     }
 
     /// Puts the knot that is missed least where it gains most, as long as that gains.
-    fn relocate(&self, mut best: Placed) -> Placed {
-        const MIN_GAIN: f64 = 1e-3;
+    fn relocate_weakest_knot(&self, mut best: PlacedKnots) -> PlacedKnots {
+        const MIN_RELATIVE_GAIN: f64 = 1e-3;
         for _ in 0..best.inner.len() {
-            let Some(without) = self.without_least(&best) else { break };
-            let moved = self.insertions(&without, 2).into_iter().map(|start| self.slide(start));
+            let Some(without) = self.remove_weakest_knot(&best) else { break };
+            let moved = self
+                .best_insertions(&without, 2)
+                .into_iter()
+                .map(|start| self.optimise_knots(start));
             match moved.min_by(|a, b| a.sum_of_squares.total_cmp(&b.sum_of_squares)) {
-                Some(moved) if moved.sum_of_squares < (1.0 - MIN_GAIN) * best.sum_of_squares => {
+                Some(moved)
+                    if moved.sum_of_squares < (1.0 - MIN_RELATIVE_GAIN) * best.sum_of_squares =>
+                {
                     best = moved;
                 }
                 _ => break,
@@ -230,32 +243,32 @@ impl<'s> Search<'s> {
     }
 
     /// Slides all knots to the bottom of their valley.
-    fn slide(&self, mut at: Placed) -> Placed {
-        const MAX_STEPS: usize = 30;
-        const MIN_GAIN: f64 = 1e-4;
-        const STEEPEST_DESCENT: f64 = 1e6;
+    fn optimise_knots(&self, mut at: PlacedKnots) -> PlacedKnots {
+        const MAX_ITERATIONS: usize = 30;
+        const MIN_RELATIVE_GAIN: f64 = 1e-4;
+        const MAX_DAMPING: f64 = 1e6;
         if at.inner.is_empty() {
             return at;
         }
         let mut damping = 1e-2;
         let mut small_gains = 0;
-        for _ in 0..MAX_STEPS {
-            let Some((curvature, slope)) = self.downhill(&at.inner) else { break };
+        for _ in 0..MAX_ITERATIONS {
+            let Some((curvature, slope)) = self.normal_equations(&at.inner) else { break };
             let next = loop {
-                let next = self.step(&at, &curvature, &slope, damping);
+                let next = self.damped_step(&at, &curvature, &slope, damping);
                 if let Some(next) = next.filter(|next| next.sum_of_squares < at.sum_of_squares) {
                     damping *= 0.2;
                     break Some(next);
                 }
                 damping *= 5.0;
-                if damping > STEEPEST_DESCENT {
+                if damping > MAX_DAMPING {
                     break None;
                 }
             };
             let Some(next) = next else { break };
             let gain = 1.0 - next.sum_of_squares / at.sum_of_squares;
             at = next;
-            small_gains = if gain < MIN_GAIN { small_gains + 1 } else { 0 };
+            small_gains = if gain < MIN_RELATIVE_GAIN { small_gains + 1 } else { 0 };
             if small_gains == 2 {
                 break;
             }
@@ -264,14 +277,14 @@ impl<'s> Search<'s> {
     }
 
     /// `DᵀD` and `DᵀQ₂ᵀy` of the module's text.
-    fn downhill(&self, inner: &[f64]) -> Option<(DMatrix<f64>, DVector<f64>)> {
+    fn normal_equations(&self, inner: &[f64]) -> Option<(DMatrix<f64>, DVector<f64>)> {
         let fit = self.fit(inner)?;
         let (knots, control) = (&fit.spline.knots_mm, &fit.spline.control_um);
-        let degree = ORDER - 1;
+        let degree = CUBIC_ORDER - 1;
         // For each inner knot the sites that it moves, and how.
         let moves: Vec<(usize, Vec<f64>)> = (0..inner.len())
             .map(|n| {
-                let l = ORDER + n;
+                let l = CUBIC_ORDER + n;
                 let mut doubled = knots.clone();
                 doubled.insert(l, knots[l]);
                 let part = |at: f64| self.sites.x.partition_point(|&x| x < at);
@@ -279,8 +292,9 @@ impl<'s> Search<'s> {
                 let rate =
                     |i: usize| (control[i] - control[i - 1]) / (knots[i + degree] - knots[i]);
                 let value = |x: f64| {
-                    let (first, weights) = basis(&doubled, ORDER, x);
-                    let near = (l - degree..=l).filter(|&i| (first..first + ORDER).contains(&i));
+                    let (first, weights) = basis(&doubled, CUBIC_ORDER, x);
+                    let near =
+                        (l - degree..=l).filter(|&i| (first..first + CUBIC_ORDER).contains(&i));
                     // The first control point has none before it, and its knot is not an inner one.
                     -near.map(|i| rate(i) * weights[i - first]).sum::<f64>()
                 };
@@ -289,7 +303,7 @@ impl<'s> Search<'s> {
             .collect();
 
         let sides = inner.len() + 1;
-        let mut triangle = Banded::new(ORDER, control.len(), sides);
+        let mut triangle = BandedLeastSquares::new(CUBIC_ORDER, control.len(), sides);
         let (mut curvature, mut slope) =
             (DMatrix::zeros(inner.len(), inner.len()), DVector::zeros(inner.len()));
         let mut row = vec![0.0; sides];
@@ -300,8 +314,8 @@ impl<'s> Search<'s> {
                 *slot = value.copied().unwrap_or(0.0) * root;
             }
             row[sides - 1] = y * root;
-            let (first, weights) = basis(knots, ORDER, x);
-            triangle.add(first, weights.map(|w| w * root), &mut row);
+            let (first, weights) = basis(knots, CUBIC_ORDER, x);
+            triangle.add_observation(first, weights.map(|w| w * root), &mut row);
             let left = row[sides - 1];
             for j in 0..inner.len() {
                 slope[j] += row[j] * left;
@@ -320,22 +334,24 @@ impl<'s> Search<'s> {
 
     /// Returns the knots after a damped step, which takes none of them more than a part of the way to its
     /// neighbour.
-    fn step(
+    fn damped_step(
         &self,
-        at: &Placed,
+        at: &PlacedKnots,
         curvature: &DMatrix<f64>,
         slope: &DVector<f64>,
         damping: f64,
-    ) -> Option<Placed> {
-        const PART: f64 = 0.45;
+    ) -> Option<PlacedKnots> {
+        const MAX_STEP_FRACTION: f64 = 0.45;
         let mut damped = curvature.clone();
         let floor = 1e-12 * damped.diagonal().max();
         for n in 0..at.inner.len() {
             damped[(n, n)] += damping * damped[(n, n)] + floor;
         }
         let delta = damped.cholesky()?.solve(slope);
-        let [first, last] = self.sites.ends();
-        let room = |low: f64, high: f64| (PART * (high - low)).min(high - low - self.least_gap);
+        let [first, last] = self.sites.end_positions();
+        let room = |low: f64, high: f64| {
+            (MAX_STEP_FRACTION * (high - low)).min(high - low - self.least_gap)
+        };
         let inner = (0..at.inner.len())
             .map(|n| {
                 let here = at.inner[n];
@@ -345,6 +361,6 @@ impl<'s> Search<'s> {
                 here + delta[n].clamp(-back, forth)
             })
             .collect();
-        self.place(inner)
+        self.evaluate(inner)
     }
 }

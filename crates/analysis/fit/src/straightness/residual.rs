@@ -2,7 +2,7 @@
 
 /// The differences between readings and a curve, over the positions.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Residual {
+pub struct ResidualSummary {
     /// Largest minus smallest, in µm.
     pub range_um: f64,
     /// Mean, in µm.
@@ -16,9 +16,9 @@ pub struct Residual {
     pub largest_um: f64,
 }
 
-impl Residual {
+impl ResidualSummary {
     /// Of at least one value.
-    pub(super) fn of(residuals: &[f64]) -> Self {
+    pub(super) fn from_residuals(residuals: &[f64]) -> Self {
         let count = residuals.len() as f64;
         let mean_um = residuals.iter().sum::<f64>() / count;
         let square =

@@ -8,7 +8,7 @@ use trueup_machine::file::BSpline;
 use super::{FitError, ReferenceLine};
 
 /// Positions nearer to each other than this share of the travel are the same position.
-const SAME_PLACE: f64 = 1e-7;
+const POSITION_RELATIVE_TOLERANCE: f64 = 1e-7;
 
 /// Readings by position.
 #[derive(Clone, Debug)]
@@ -27,21 +27,21 @@ pub(super) struct Sites {
 
 /// A straight line, in µm over mm.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Line {
+pub struct StraightLine {
     /// At position 0, in µm.
     pub offset_um: f64,
     /// In µm per mm.
     pub slope_um_per_mm: f64,
 }
 
-impl Line {
+impl StraightLine {
     /// Returns the line's value, in µm.
     #[must_use]
-    pub fn at(&self, x_mm: f64) -> f64 {
+    pub fn evaluate(&self, x_mm: f64) -> f64 {
         self.offset_um + self.slope_um_per_mm * x_mm
     }
 
-    fn through([x0, y0]: [f64; 2], [x1, y1]: [f64; 2]) -> Self {
+    fn through_points([x0, y0]: [f64; 2], [x1, y1]: [f64; 2]) -> Self {
         let slope_um_per_mm = (y1 - y0) / (x1 - x0);
         Self { offset_um: y0 - slope_um_per_mm * x0, slope_um_per_mm }
     }
@@ -49,7 +49,7 @@ impl Line {
 
 impl Sites {
     /// Sorts and merges readings.
-    pub(super) fn of(along_mm: &[f64], error_um: &[f64]) -> Result<Self, FitError> {
+    pub(super) fn from_readings(along_mm: &[f64], error_um: &[f64]) -> Result<Self, FitError> {
         if along_mm.len() != error_um.len() {
             let (positions, errors) = (along_mm.len(), error_um.len());
             return Err(FitError::LengthsDiffer { positions, errors });
@@ -65,7 +65,7 @@ impl Sites {
         order.sort_by(|&a, &b| along_mm[a].total_cmp(&along_mm[b]));
         let ends = order.first().zip(order.last()).map(|(&a, &b)| [along_mm[a], along_mm[b]]);
         let [first, last] = ends.ok_or(FitError::TooFewPositions { positions: 0 })?;
-        let same = SAME_PLACE * (last - first);
+        let same = POSITION_RELATIVE_TOLERANCE * (last - first);
 
         let mut sites =
             Self { x: vec![], y: vec![], weight: vec![], within: 0.0, rows: order.len() };
@@ -89,7 +89,7 @@ impl Sites {
         self.x.len()
     }
 
-    pub(super) fn ends(&self) -> [f64; 2] {
+    pub(super) fn end_positions(&self) -> [f64; 2] {
         [self.x[0], self.x[self.len() - 1]]
     }
 
@@ -99,7 +99,7 @@ impl Sites {
     }
 
     /// Degrees of freedom of the scatter within sites.
-    pub(super) fn within_freedom(&self) -> usize {
+    pub(super) fn within_degrees_of_freedom(&self) -> usize {
         self.rows - self.len()
     }
 
@@ -110,22 +110,22 @@ impl Sites {
     }
 
     /// Takes a reference line away from all readings, and says which.
-    pub(super) fn subtract(&mut self, reference: ReferenceLine) -> Line {
+    pub(super) fn subtract_reference(&mut self, reference: ReferenceLine) -> StraightLine {
         let last = self.len() - 1;
         let line = match reference {
-            ReferenceLine::AsMeasured => return Line::default(),
+            ReferenceLine::AsMeasured => return StraightLine::default(),
             ReferenceLine::EndPoints => {
-                Line::through([self.x[0], self.y[0]], [self.x[last], self.y[last]])
+                StraightLine::through_points([self.x[0], self.y[0]], [self.x[last], self.y[last]])
             }
             ReferenceLine::LeastSquares => self.least_squares_line(),
         };
         for (y, x) in self.y.iter_mut().zip(&self.x) {
-            *y -= line.at(*x);
+            *y -= line.evaluate(*x);
         }
         line
     }
 
-    pub(super) fn least_squares_line(&self) -> Line {
+    pub(super) fn least_squares_line(&self) -> StraightLine {
         let rows = self.rows as f64;
         let mean = |of: fn((f64, f64, f64)) -> f64| self.points().map(of).sum::<f64>() / rows;
         let (x_mean, y_mean) = (mean(|(x, _, w)| w * x), mean(|(_, y, w)| w * y));
@@ -135,12 +135,12 @@ impl Sites {
             along += weight * (x - x_mean).powi(2);
         }
         let slope_um_per_mm = across / along;
-        Line { offset_um: y_mean - slope_um_per_mm * x_mean, slope_um_per_mm }
+        StraightLine { offset_um: y_mean - slope_um_per_mm * x_mean, slope_um_per_mm }
     }
 
     /// At most `most` sites: neighbours are joined, equally many in each. To look for knots in; the
     /// fit itself takes all.
-    pub(super) fn thinned(&self, most: usize) -> Self {
+    pub(super) fn merge_neighbours(&self, most: usize) -> Self {
         let size = self.len().div_ceil(most);
         let mut thin = Self { x: vec![], y: vec![], weight: vec![], within: 0.0, rows: self.rows };
         let all: Vec<_> = self.points().collect();
@@ -159,7 +159,7 @@ impl Sites {
         let weight: Vec<f64> = take(&self.weight);
         let rows = weight.iter().sum::<f64>() as usize;
         // The scatter within is shared out by degrees of freedom.
-        let freedom = self.within_freedom().max(1) as f64;
+        let freedom = self.within_degrees_of_freedom().max(1) as f64;
         let within = self.within * (rows - weight.len()) as f64 / freedom;
         Self { x: take(&self.x), y: take(&self.y), weight, within, rows }
     }
@@ -170,5 +170,5 @@ impl Sites {
 pub(super) fn every_10_mm(count: usize, error_um: impl Fn(f64) -> f64) -> Sites {
     let x: Vec<f64> = (0..count).map(|n| 10.0 * n as f64).collect();
     let y: Vec<f64> = x.iter().map(|&x| error_um(x)).collect();
-    Sites::of(&x, &y).expect("sound")
+    Sites::from_readings(&x, &y).expect("sound")
 }

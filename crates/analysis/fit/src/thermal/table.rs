@@ -2,31 +2,31 @@
 
 use trueup_machine::file::{ThermalMode, ThermalRow};
 use trueup_numerics::{
-    least_squares::{Separable, Solution},
+    least_squares::{SeparableModel, Solution},
     t_quantile,
 };
 
-use super::{Data, SURE};
+use super::{CONFIDENCE_LEVEL, ThermalData};
 use crate::{
+    pooled_rows::{self, PooledRows},
     report::{Fact, Report},
-    rows::{self, Rows},
 };
 
 /// A table must leave at least this share less than the lines do.
-const WORTH: f64 = 0.1;
+const MIN_RMS_REDUCTION: f64 = 0.1;
 
 /// y = (a + b·P)·(T − T₀).
-pub(super) struct CommonReference<'a> {
+pub(super) struct CommonReferenceModel<'a> {
     pub(super) lagged_c: Vec<f64>,
     pub(super) arm_m: &'a [f64],
 }
 
-impl Separable for CommonReference<'_> {
-    fn nonlinear(&self) -> usize {
+impl SeparableModel for CommonReferenceModel<'_> {
+    fn nonlinear_count(&self) -> usize {
         1
     }
 
-    fn linear(&self) -> usize {
+    fn linear_count(&self) -> usize {
         2
     }
 
@@ -47,9 +47,9 @@ pub(super) struct FittedTable {
 
 /// Returns the temperatures at which whole runs were measured, rising, each the mean of its runs; empty
 /// where a run's own temperature moves by more than a quarter of the way to the next.
-pub(super) fn levels(rows: &Rows<'_>, data: &Data) -> Vec<f64> {
+pub(super) fn temperature_levels(rows: &PooledRows<'_>, data: &ThermalData) -> Vec<f64> {
     let is_used: Vec<bool> = data.y.iter().map(|y| !y.is_nan()).collect();
-    let Some(groups) = rows.runs_of_rows() else { return Vec::new() };
+    let Some(groups) = rows.run_indices() else { return Vec::new() };
     let mut spans: Vec<(f64, f64)> = Vec::new();
     for group in 0..=groups.iter().copied().max().unwrap_or(0) {
         let within = groups
@@ -84,10 +84,10 @@ pub(super) fn levels(rows: &Rows<'_>, data: &Data) -> Vec<f64> {
 }
 
 impl FittedTable {
-    /// With rows at the `levels`, or, if `wanted`, that many rows between the coldest and the
+    /// With rows at the `temperature_levels`, or, if `wanted`, that many rows between the coldest and the
     /// warmest temperature; `None` where the data does not decide it.
     pub(super) fn fit(
-        data: &Data,
+        data: &ThermalData,
         mode: ThermalMode,
         lag_s: f64,
         levels: &[f64],
@@ -98,7 +98,7 @@ impl FittedTable {
             None if levels.len() >= 3 => levels.to_vec(),
             None => return None,
             Some(count) => {
-                let lagged_c = data.lagged_c(lag_s);
+                let lagged_c = data.lagged_temperatures_c(lag_s);
                 let used = || lagged_c.iter().zip(&data.y).filter(|(_, y)| !y.is_nan());
                 let low = used().map(|(t, _)| *t).fold(f64::INFINITY, f64::min);
                 let high = used().map(|(t, _)| *t).fold(f64::NEG_INFINITY, f64::max);
@@ -106,18 +106,18 @@ impl FittedTable {
                 (0..count).map(|at| low + (high - low) * at as f64 / last as f64).collect()
             }
         };
-        Self::with_rows(data, mode, lag_s, &knots)
+        Self::with_knots(data, mode, lag_s, &knots)
     }
 
     /// With rows at these temperatures.
-    pub(super) fn with_rows(
-        data: &Data,
+    pub(super) fn with_knots(
+        data: &ThermalData,
         mode: ThermalMode,
         lag_s: f64,
         knots: &[f64],
     ) -> Option<Self> {
-        let columns = columns(&data.lagged_c(lag_s), &data.arm_m, mode, knots);
-        let solution = rows::solve(&columns, &data.y, |_| true)?;
+        let columns = design_columns(&data.lagged_temperatures_c(lag_s), &data.arm_m, mode, knots);
+        let solution = pooled_rows::solve_least_squares(&columns, &data.y, |_| true)?;
         let count = knots.len();
         let constant =
             |at: usize| if mode.has_constant() { solution.coefficients[at] } else { 0.0 };
@@ -136,7 +136,7 @@ impl FittedTable {
 
     /// Returns whether it leaves clearly less than the lines do, whose residuals these are: more than its
     /// further constants do by chance (F), and not by a hair.
-    pub(super) fn is_better(
+    pub(super) fn is_better_than_lines(
         &self,
         residuals: &[f64],
         lines_are_a_table: bool,
@@ -157,19 +157,20 @@ impl FittedTable {
         let gained = (squares - self.solution.residual_squares) / more;
         let ratio = gained / (self.solution.residual_squares / degrees) / (wider * wider);
         // F of several degrees is below t² of one at the same probability, shared among them.
-        let limit = t_quantile(1.0 - (1.0 - SURE) / (2.0 * more), degrees).powi(2);
+        let limit = t_quantile(1.0 - (1.0 - CONFIDENCE_LEVEL) / (2.0 * more), degrees).powi(2);
         let left = (self.solution.residual_squares / squares).sqrt();
-        ratio > limit && left < 1.0 - WORTH
+        ratio > limit && left < 1.0 - MIN_RMS_REDUCTION
     }
 
-    pub(super) fn report(&self, report: &mut Report, mode: ThermalMode) {
+    pub(super) fn add_to_report(&self, report: &mut Report, mode: ThermalMode) {
         report.parameters.retain(|parameter| parameter.name == "lag_s");
         let temperatures: Vec<f64> = self.rows.iter().map(|row| row.temperature_c).collect();
         report.facts.push(Fact::numbers("table_c", temperatures));
         let count = self.rows.len();
         let mut first = 0;
         let mut push = |name: &str, values: Vec<f64>| {
-            let halves = (0..count).map(|at| self.solution.half_width(first + at)).collect();
+            let halves =
+                (0..count).map(|at| self.solution.confidence_half_width(first + at)).collect();
             report.facts.push(Fact::numbers(format!("table_{name}"), values));
             report.facts.push(Fact::numbers(format!("table_{name}_half_width"), halves));
             first += count;
@@ -187,25 +188,27 @@ impl FittedTable {
     }
 }
 
-/// Returns the residuals of left-out groups from a table with these knots, and how they were left out.
-pub(super) fn held_out(
-    data: &Data,
+/// Returns the residuals of held-out groups from a table with these knots, and how they were held out.
+pub(super) fn held_out_residuals(
+    data: &ThermalData,
     mode: ThermalMode,
     lag_s: f64,
     knots: &[f64],
     (groups, by): (Option<&[usize]>, String),
 ) -> (Option<Vec<f64>>, String) {
-    let columns = columns(&data.lagged_c(lag_s), &data.arm_m, mode, knots);
-    match rows::held_out(&columns, &data.y, groups) {
+    let columns = design_columns(&data.lagged_temperatures_c(lag_s), &data.arm_m, mode, knots);
+    match pooled_rows::held_out_residuals(&columns, &data.y, groups) {
         Some(left_out) => (Some(left_out), by),
         // Whole runs at one temperature are whole rows of the table: without such a run its row is
-        // not decided, and rows must be left out singly.
-        None => (rows::held_out(&columns, &data.y, None), "each row in turn".into()),
+        // not decided, and rows must be held out singly.
+        None => {
+            (pooled_rows::held_out_residuals(&columns, &data.y, None), "each row in turn".into())
+        }
     }
 }
 
 /// Returns the hat functions of K₀'s rows, then those of tanβ's.
-pub(super) fn columns(
+pub(super) fn design_columns(
     lagged_c: &[f64],
     arm_m: &[f64],
     mode: ThermalMode,
@@ -213,24 +216,21 @@ pub(super) fn columns(
 ) -> Vec<Vec<f64>> {
     let mut columns = Vec::new();
     if mode.has_constant() {
-        columns.extend(
-            knots
-                .iter()
-                .enumerate()
-                .map(|(at, _)| lagged_c.iter().map(|t| hat(knots, at, *t)).collect::<Vec<f64>>()),
-        );
+        columns.extend(knots.iter().enumerate().map(|(at, _)| {
+            lagged_c.iter().map(|t| hat_function(knots, at, *t)).collect::<Vec<f64>>()
+        }));
     }
     if mode.has_position() {
         columns.extend(knots.iter().enumerate().map(|(at, _)| {
             let values = lagged_c.iter().zip(arm_m);
-            values.map(|(t, arm)| arm * hat(knots, at, *t)).collect::<Vec<f64>>()
+            values.map(|(t, arm)| arm * hat_function(knots, at, *t)).collect::<Vec<f64>>()
         }));
     }
     columns
 }
 
 /// 1 at knot `at`, 0 at the others, linear between, held outside.
-fn hat(knots: &[f64], at: usize, t: f64) -> f64 {
+fn hat_function(knots: &[f64], at: usize, t: f64) -> f64 {
     let own = knots[at];
     let before = at.checked_sub(1).map(|before| knots[before]);
     let after = knots.get(at + 1).copied();
@@ -250,9 +250,9 @@ mod tests {
     fn hats_sum_to_one_everywhere() {
         let knots = [20.0, 23.0, 30.0];
         for t in [0.0, 20.0, 21.5, 23.0, 29.0, 30.0, 99.0] {
-            let sum: f64 = (0..3).map(|at| hat(&knots, at, t)).sum();
+            let sum: f64 = (0..3).map(|at| hat_function(&knots, at, t)).sum();
             assert!((sum - 1.0).abs() < 1e-15, "{t}: {sum}");
         }
-        assert_eq!(hat(&knots, 1, 21.5), 0.5);
+        assert_eq!(hat_function(&knots, 1, 21.5), 0.5);
     }
 }

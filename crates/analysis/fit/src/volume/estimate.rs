@@ -20,9 +20,9 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::{
-    constants::{Constant, Error, Part},
-    design::{Design, Normals},
-    setup::Uncertainty,
+    design_matrix::{DesignMatrix, NormalEquationsByKind},
+    error_parameters::{ErrorParameter, ErrorPart, GeometricError},
+    setup::SetupUncertainty,
 };
 
 /// The weight of a usual size, in constants.
@@ -31,15 +31,15 @@ const PRIOR_WEIGHT: f64 = 2.0;
 const FAMILY_WEIGHT: f64 = 4.0;
 /// The weight of the stated noise, in readings.
 const NOISE_WEIGHT: f64 = 4.0;
-const MAX_ROUNDS: usize = 60;
+const MAX_ITERATIONS: usize = 60;
 /// Change of a logarithm of a variance at which it has settled.
-const SETTLED: f64 = 0.02;
+const CONVERGENCE_TOLERANCE: f64 = 0.02;
 /// The smallest noise, in µm: readings have digits.
 const MIN_NOISE_UM: f64 = 0.02;
 
 /// Constants that are of one size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Family {
+pub(crate) enum VarianceFamily {
     /// Lines of positions.
     Scale,
     /// Forms of positions.
@@ -58,25 +58,25 @@ pub(crate) enum Family {
     Tilt,
 }
 
-impl Family {
+impl VarianceFamily {
     /// Returns the family of a constant.
     #[must_use]
-    pub fn of(constant: Constant) -> Self {
+    pub(crate) fn from_constant(constant: ErrorParameter) -> Self {
         match (constant.error, constant.part) {
-            (Error::Position(_), Part::Form(_)) => Self::Position,
-            (Error::Position(_), _) => Self::Scale,
-            (Error::Straightness(..), _) => Self::Straightness,
-            (Error::Squareness(..), _) => Self::Squareness,
-            (Error::Angle(..), Part::Form(_)) => Self::Angle,
-            (Error::Angle(..), _) => Self::AngleLine,
-            (Error::Shift(..), _) => Self::Shift,
-            (Error::Tilt(..), _) => Self::Tilt,
+            (GeometricError::Position(_), ErrorPart::Form(_)) => Self::Position,
+            (GeometricError::Position(_), _) => Self::Scale,
+            (GeometricError::Straightness(..), _) => Self::Straightness,
+            (GeometricError::Squareness(..), _) => Self::Squareness,
+            (GeometricError::Angle(..), ErrorPart::Form(_)) => Self::Angle,
+            (GeometricError::Angle(..), _) => Self::AngleLine,
+            (GeometricError::Shift(..), _) => Self::Shift,
+            (GeometricError::Tilt(..), _) => Self::Tilt,
         }
     }
 
     /// Returns a usual size: µm, µm/m, µrad or µrad/m.
     #[must_use]
-    pub fn usual(self) -> f64 {
+    pub(crate) fn typical_std(self) -> f64 {
         match self {
             Self::Position | Self::Straightness => 3.0,
             Self::Angle => 5.0,
@@ -102,32 +102,33 @@ pub struct Variances {
 impl Variances {
     /// Returns usual ones, `size` times as large: what a design sees without the readings.
     #[must_use]
-    pub fn usual(
-        design: &Design,
-        uncertainty: &Uncertainty,
+    pub(crate) fn typical(
+        design: &DesignMatrix,
+        uncertainty: &SetupUncertainty,
         noise_um: [f64; 4],
         size: f64,
     ) -> Self {
-        let of = |constant: &Constant| {
-            (size * Family::of(*constant).usual()).powi(2) * share(design, *constant)
+        let of = |constant: &ErrorParameter| {
+            (size * VarianceFamily::from_constant(*constant).typical_std()).powi(2)
+                * variance_fraction(design, *constant)
         };
-        let of_nuisance = design.nuisances.iter().map(|it| it.expected(uncertainty).powi(2));
+        let of_nuisance = design.nuisances.iter().map(|it| it.prior_std(uncertainty).powi(2));
         let of_column = design.constants.all.iter().map(of).chain(of_nuisance).collect();
         Self { noise_um, of_column }
     }
 
     /// Returns the same without any error of the machine.
     #[must_use]
-    pub(crate) fn without_errors(&self, design: &Design) -> Self {
+    pub(crate) fn without_errors(&self, design: &DesignMatrix) -> Self {
         let mut own = self.clone();
         own.of_column[..design.constants.all.len()].fill(0.0);
         own
     }
 }
 
-fn share(design: &Design, constant: Constant) -> f64 {
-    match (constant.part, constant.error.along()) {
-        (Part::Form(n), Some(along)) => {
+fn variance_fraction(design: &DesignMatrix, constant: ErrorParameter) -> f64 {
+    match (constant.part, constant.error.motion_axis()) {
+        (ErrorPart::Form(n), Some(along)) => {
             design.constants.modes[along.index()].as_ref().map_or(1.0, |modes| modes.shares[n])
         }
         _ => 1.0,
@@ -136,7 +137,7 @@ fn share(design: &Design, constant: Constant) -> f64 {
 
 /// The constants after the readings.
 #[derive(Clone, Debug)]
-pub struct Posterior {
+pub(crate) struct Posterior {
     /// Of each column.
     pub mean: DVector<f64>,
     /// Of all columns.
@@ -146,7 +147,7 @@ pub struct Posterior {
 impl Posterior {
     /// Returns the mean and the standard deviation of a row of columns; a row may end earlier.
     #[must_use]
-    pub fn of(&self, row: &[f64]) -> [f64; 2] {
+    pub fn predict(&self, row: &[f64]) -> [f64; 2] {
         let used: Vec<usize> = (0..row.len()).filter(|n| row[*n] != 0.0).collect();
         let mean = used.iter().map(|n| row[*n] * self.mean[*n]).sum();
         let variance: f64 = used
@@ -164,7 +165,10 @@ impl Posterior {
 /// # Panics
 /// The equations are not finite.
 #[must_use]
-pub(crate) fn posterior(normals: &Normals, variances: &Variances) -> Posterior {
+pub(crate) fn compute_posterior(
+    normals: &NormalEquationsByKind,
+    variances: &Variances,
+) -> Posterior {
     let count = variances.of_column.len();
     let scale = DVector::from_iterator(count, variances.of_column.iter().map(|it| it.sqrt()));
     let (mut squares, mut products) = (DMatrix::zeros(count, count), DVector::zeros(count));
@@ -192,27 +196,32 @@ pub(crate) fn posterior(normals: &Normals, variances: &Variances) -> Posterior {
 
 /// Returns the variances that make the readings most likely, begun at the stated noise, and the constants with them.
 #[must_use]
-pub fn estimate(
-    design: &Design,
-    normals: &Normals,
-    uncertainty: &Uncertainty,
+pub(crate) fn estimate_variances(
+    design: &DesignMatrix,
+    normals: &NormalEquationsByKind,
+    uncertainty: &SetupUncertainty,
     noise_um: f64,
 ) -> (Variances, Posterior) {
-    let mut variances = Variances::usual(design, uncertainty, [noise_um; 4], 1.0);
-    let mut found = posterior(normals, &variances);
-    for _ in 0..MAX_ROUNDS {
+    let mut variances = Variances::typical(design, uncertainty, [noise_um; 4], 1.0);
+    let mut found = compute_posterior(normals, &variances);
+    for _ in 0..MAX_ITERATIONS {
         let before = variances.clone();
-        noise(normals, &found, noise_um, &mut variances);
-        sizes(design, &found, &mut variances);
-        found = posterior(normals, &variances);
-        if is_settled(&before, &variances) {
+        update_noise(normals, &found, noise_um, &mut variances);
+        update_variances(design, &found, &mut variances);
+        found = compute_posterior(normals, &variances);
+        if is_converged(&before, &variances) {
             break;
         }
     }
     (variances, found)
 }
 
-fn noise(normals: &Normals, found: &Posterior, stated_um: f64, variances: &mut Variances) {
+fn update_noise(
+    normals: &NormalEquationsByKind,
+    found: &Posterior,
+    stated_um: f64,
+    variances: &mut Variances,
+) {
     for (normal, noise_um) in normals.iter().zip(&mut variances.noise_um) {
         let own = &normal.squares * &found.mean;
         let left = normal.whole - 2.0 * found.mean.dot(&normal.products) + found.mean.dot(&own);
@@ -222,14 +231,15 @@ fn noise(normals: &Normals, found: &Posterior, stated_um: f64, variances: &mut V
     }
 }
 
-fn sizes(design: &Design, found: &Posterior, variances: &mut Variances) {
+fn update_variances(design: &DesignMatrix, found: &Posterior, variances: &mut Variances) {
     let all = &design.constants.all;
     let square = |at: usize| {
-        (found.mean[at] * found.mean[at] + found.covariance[(at, at)]) / share(design, all[at])
+        (found.mean[at] * found.mean[at] + found.covariance[(at, at)])
+            / variance_fraction(design, all[at])
     };
-    let mut groups: Vec<(Family, Option<Error>, Vec<usize>)> = Vec::new();
+    let mut groups: Vec<(VarianceFamily, Option<GeometricError>, Vec<usize>)> = Vec::new();
     for (at, constant) in all.iter().enumerate() {
-        let family = Family::of(*constant);
+        let family = VarianceFamily::from_constant(*constant);
         let error = family.is_form().then_some(constant.error);
         match groups.iter_mut().find(|it| (it.0, it.1) == (family, error)) {
             Some(group) => group.2.push(at),
@@ -237,12 +247,12 @@ fn sizes(design: &Design, found: &Posterior, variances: &mut Variances) {
         }
     }
     let mean = |group: &[usize]| group.iter().map(|at| square(*at)).sum::<f64>();
-    let of_families: Vec<(Family, f64, f64)> = groups
+    let of_families: Vec<(VarianceFamily, f64, f64)> = groups
         .iter()
         .map(|(family, _, group)| (*family, mean(group), group.len() as f64))
         .collect();
     for (family, _, group) in &groups {
-        let usual = family.usual().powi(2);
+        let usual = family.typical_std().powi(2);
         let (sum, count) = of_families
             .iter()
             .filter(|it| it.0 == *family)
@@ -254,15 +264,15 @@ fn sizes(design: &Design, found: &Posterior, variances: &mut Variances) {
             of_family
         };
         for at in group {
-            variances.of_column[*at] = size * share(design, all[*at]);
+            variances.of_column[*at] = size * variance_fraction(design, all[*at]);
         }
     }
 }
 
-fn is_settled(before: &Variances, after: &Variances) -> bool {
+fn is_converged(before: &Variances, after: &Variances) -> bool {
     let noise = before.noise_um.iter().zip(after.noise_um).map(|(a, b)| (b / a).ln().abs());
     let sizes = before.of_column.iter().zip(&after.of_column).filter(|(a, _)| **a > 0.0);
     let sizes = sizes.map(|(a, b)| (b / a).ln().abs());
     // The noise is a standard deviation.
-    noise.map(|it| 2.0 * it).chain(sizes).all(|it| it < SETTLED)
+    noise.map(|it| 2.0 * it).chain(sizes).all(|it| it < CONVERGENCE_TOLERANCE)
 }

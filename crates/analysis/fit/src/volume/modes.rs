@@ -14,13 +14,13 @@
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use trueup_machine::file::BSpline;
 
-use crate::bspline::{self, derivatives};
+use crate::bspline::{self, evaluate_with_derivatives};
 
 /// Pieces of the spline over the travel.
-const PIECES: usize = 8;
+const SPLINE_SPANS: usize = 8;
 /// Points of a piece in the integrals.
-const POINTS: usize = 16;
-const ORDER: usize = 4;
+const QUADRATURE_POINTS: usize = 16;
+const SPLINE_ORDER: usize = 4;
 
 /// The forms over the travel of an axis.
 #[derive(Clone, Debug)]
@@ -40,24 +40,24 @@ impl Modes {
     /// # Panics
     /// The ends do not rise.
     #[must_use]
-    pub fn over(ends_mm: [f64; 2]) -> Self {
+    pub fn new(ends_mm: [f64; 2]) -> Self {
         let [first, last] = ends_mm;
         assert!(last > first, "a travel");
-        let piece = (last - first) / PIECES as f64;
-        let inner: Vec<f64> = (1..PIECES).map(|n| first + piece * n as f64).collect();
-        let knots_mm = bspline::clamped(ORDER, first, &inner, last);
-        let count = knots_mm.len() - ORDER;
+        let piece = (last - first) / SPLINE_SPANS as f64;
+        let inner: Vec<f64> = (1..SPLINE_SPANS).map(|n| first + piece * n as f64).collect();
+        let knots_mm = bspline::clamped_knots(SPLINE_ORDER, first, &inner, last);
+        let count = knots_mm.len() - SPLINE_ORDER;
         let basis: Vec<BSpline> = (0..count)
             .map(|own| {
                 let control_um = (0..count).map(|n| f64::from(u8::from(n == own))).collect();
-                BSpline { order: ORDER, knots_mm: knots_mm.clone(), control_um }
+                BSpline { order: SPLINE_ORDER, knots_mm: knots_mm.clone(), control_um }
             })
             .collect();
         let (mut mass, mut rough) = (DMatrix::zeros(count, count), DMatrix::zeros(count, count));
-        let points = PIECES * POINTS;
+        let points = SPLINE_SPANS * QUADRATURE_POINTS;
         for point in 0..points {
             let mm = first + (last - first) * (point as f64 + 0.5) / points as f64;
-            let at = basis.iter().map(|it| derivatives(it, mm)).collect::<Vec<_>>();
+            let at = basis.iter().map(|it| evaluate_with_derivatives(it, mm)).collect::<Vec<_>>();
             let value = DVector::from_iterator(count, at.iter().map(|it| it[0]));
             let length = last - first;
             let bend = DVector::from_iterator(count, at.iter().map(|it| it[2] * length * length));
@@ -91,14 +91,15 @@ impl Modes {
 
     /// Returns `mm`, or the end of the travel that is beyond it.
     #[must_use]
-    pub fn held(&self, mm: f64) -> f64 {
+    pub(crate) fn clamp_to_travel(&self, mm: f64) -> f64 {
         mm.clamp(self.ends_mm[0], self.ends_mm[1])
     }
 
     /// Returns the value of each form; beyond the travel that of its end.
     #[must_use]
-    pub fn at(&self, mm: f64) -> Vec<f64> {
-        let (first, weights) = bspline::basis(&self.knots_mm, ORDER, self.held(mm));
+    pub fn evaluate(&self, mm: f64) -> Vec<f64> {
+        let (first, weights) =
+            bspline::basis(&self.knots_mm, SPLINE_ORDER, self.clamp_to_travel(mm));
         let of = |shape: &DVector<f64>| -> f64 {
             weights.iter().enumerate().map(|(n, weight)| weight * shape[first + n]).sum()
         };
@@ -108,17 +109,18 @@ impl Modes {
     /// Returns the spline that is the sum of these amounts of the forms and a line about the middle of the travel, in units
     /// for a metre.
     #[must_use]
-    pub fn spline(&self, amounts: &[f64], per_m: f64) -> BSpline {
+    pub(crate) fn to_spline(&self, amounts: &[f64], per_m: f64) -> BSpline {
         let sum = |n: usize| -> f64 {
             self.shapes.iter().zip(amounts).map(|(shape, amount)| shape[n] * amount).sum()
         };
         // A line has its control points at the means of the inner knots (Greville).
-        let greville = |n: usize| (1..ORDER).map(|k| self.knots_mm[n + k]).sum::<f64>() / 3.0;
-        let count = self.knots_mm.len() - ORDER;
+        let greville =
+            |n: usize| (1..SPLINE_ORDER).map(|k| self.knots_mm[n + k]).sum::<f64>() / 3.0;
+        let count = self.knots_mm.len() - SPLINE_ORDER;
         let control_um = (0..count)
             .map(|n| sum(n) + per_m * (greville(n) - self.middle_mm()) / 1000.0)
             .collect();
-        BSpline { order: ORDER, knots_mm: self.knots_mm.clone(), control_um }
+        BSpline { order: SPLINE_ORDER, knots_mm: self.knots_mm.clone(), control_um }
     }
 }
 
@@ -129,12 +131,12 @@ mod tests {
 
     #[test]
     fn forms_have_mean_square_one_and_no_line() {
-        let modes = Modes::over([-100.0, 500.0]);
+        let modes = Modes::new([-100.0, 500.0]);
         assert_eq!(modes.count(), 9);
         let mean = |of: &dyn Fn(f64, &[f64]) -> f64| -> f64 {
             let each = (0..2400).map(|n| {
                 let share = (f64::from(n) + 0.5) / 2400.0;
-                of(share - 0.5, &modes.at(600.0 * share - 100.0))
+                of(share - 0.5, &modes.evaluate(600.0 * share - 100.0))
             });
             each.sum::<f64>() / 2400.0
         };
@@ -152,11 +154,11 @@ mod tests {
 
     #[test]
     fn a_spline_is_the_sum_of_its_forms_and_its_line() {
-        let modes = Modes::over([0.0, 400.0]);
+        let modes = Modes::new([0.0, 400.0]);
         let amounts: Vec<f64> = (0..9_u8).map(|n| 3.0 - f64::from(n)).collect();
-        let spline = modes.spline(&amounts, 20.0);
+        let spline = modes.to_spline(&amounts, 20.0);
         for mm in [0.0, 13.0, 200.0, 371.0, 400.0] {
-            let forms: f64 = modes.at(mm).iter().zip(&amounts).map(|(at, it)| at * it).sum();
+            let forms: f64 = modes.evaluate(mm).iter().zip(&amounts).map(|(at, it)| at * it).sum();
             let expected = forms + 20.0 * (mm - 200.0) / 1000.0;
             assert!((spline_um(&spline, mm) - expected).abs() < 1e-9, "at {mm}");
         }

@@ -13,7 +13,7 @@ pub struct Pose {
 
 /// The kind of a reading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Kind {
+pub enum ReadingKind {
     /// Components of the error at a ball: two or three of them in a row.
     Ball,
     /// One component: a dial gauge on a straight edge, a laser along an axis.
@@ -24,7 +24,7 @@ pub enum Kind {
     Circle,
 }
 
-impl Kind {
+impl ReadingKind {
     /// All kinds, in the order of their numbers.
     pub const ALL: [Self; 4] = [Self::Ball, Self::Edge, Self::Diagonal, Self::Circle];
 
@@ -43,7 +43,7 @@ impl Kind {
 
 /// The place on a circle.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct OnCircle {
+pub struct CirclePosition {
     /// The angle from the first axis of the plane to the second, in rad.
     pub angle: f64,
     /// +1 counter-clockwise, −1 clockwise.
@@ -52,7 +52,7 @@ pub struct OnCircle {
 
 /// The place on a straight edge whose form is not known.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct OnEdge {
+pub struct EdgePosition {
     /// The number of the edge.
     pub edge: usize,
     /// From 0 at one end of what was read of it to 1 at the other.
@@ -63,7 +63,7 @@ pub struct OnEdge {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {
     /// Its kind.
-    pub kind: Kind,
+    pub kind: ReadingKind,
     /// Where.
     pub pose: Pose,
     /// The direction of the reading, of length 1 along the machine's X, Y and Z.
@@ -77,9 +77,9 @@ pub struct Reading {
     /// The number of its alignment: that of its zero, but both faces of a square have one alignment.
     pub aligned: usize,
     /// Where on a circle.
-    pub on_circle: Option<OnCircle>,
+    pub on_circle: Option<CirclePosition>,
     /// Where on an edge without a certificate.
-    pub on_edge: Option<OnEdge>,
+    pub on_edge: Option<EdgePosition>,
     /// The number of the point on the artefact, where it is stated.
     pub point: Option<i64>,
     /// The file and the row in it.

@@ -14,14 +14,14 @@
 use std::{collections::BTreeMap, sync::LazyLock};
 
 use super::{
-    frame::Frame,
+    kinematics::ForwardKinematics,
     modes::Modes,
-    reading::{Kind, OnEdge, Pose, Reading, cross, dot},
+    reading::{EdgePosition, Pose, Reading, ReadingKind, cross, dot},
 };
 
 /// An unknown of a set-up; `usize` is a number of a set-up, and which of its components.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Nuisance {
+pub enum NuisanceParameter {
     /// Where the artefact lies, in µm.
     Zero(usize, usize),
     /// How it is turned, in µrad.
@@ -29,7 +29,7 @@ pub enum Nuisance {
     /// The tip of a tool, by the number of the file and the bits of its length.
     Tip(usize, u64, usize),
     /// The scale of the artefacts of a kind, in µm/m.
-    Scale(Kind),
+    Scale(ReadingKind),
     /// How a beam is turned from the diagonal, in µrad.
     Beam(usize, usize),
     /// Radius, centre, and what changes its sign with the direction.
@@ -42,39 +42,39 @@ pub enum Nuisance {
 
 /// How large these may be, in µm, µrad or µm/m.
 #[derive(Clone, Copy, Debug)]
-pub struct Uncertainty {
+pub(crate) struct SetupUncertainty {
     /// Of the scale; standard uncertainty in µm/m.
     pub scale_um_per_m: f64,
     /// Of a point of the artefact against its certificate, in µm; 0: it is right.
     pub artefact_um: f64,
 }
 
-const PLACE_UM: f64 = 1e4;
-const TURN_URAD: f64 = 1e4;
-const TIP_UM: f64 = 1e3;
-const OF_DIRECTION_UM: f64 = 20.0;
+const PRIOR_POSITION_STD_UM: f64 = 1e4;
+const PRIOR_ROTATION_STD_URAD: f64 = 1e4;
+const PRIOR_TIP_STD_UM: f64 = 1e3;
+const PRIOR_DIRECTION_STD_UM: f64 = 20.0;
 /// A straight edge that nothing is known of: RMS of its form.
-const EDGE_UM: f64 = 10.0;
+const PRIOR_EDGE_STD_UM: f64 = 10.0;
 
 /// Returns the forms over an edge, from 0 to 1.
-fn edge_forms() -> &'static Modes {
-    static FORMS: LazyLock<Modes> = LazyLock::new(|| Modes::over([0.0, 1.0]));
-    &FORMS
+fn edge_modes() -> &'static Modes {
+    static EDGE_MODES: LazyLock<Modes> = LazyLock::new(|| Modes::new([0.0, 1.0]));
+    &EDGE_MODES
 }
 
-impl Nuisance {
+impl NuisanceParameter {
     /// Returns the standard deviation that is expected before anything is read.
     #[must_use]
-    pub fn expected(self, uncertainty: &Uncertainty) -> f64 {
+    pub(crate) fn prior_std(self, uncertainty: &SetupUncertainty) -> f64 {
         match self {
-            Self::Zero(..) => PLACE_UM,
-            Self::Turn(..) | Self::Beam(..) => TURN_URAD,
-            Self::Tip(..) => TIP_UM,
+            Self::Zero(..) => PRIOR_POSITION_STD_UM,
+            Self::Turn(..) | Self::Beam(..) => PRIOR_ROTATION_STD_URAD,
+            Self::Tip(..) => PRIOR_TIP_STD_UM,
             Self::Scale(_) => uncertainty.scale_um_per_m,
-            Self::Circle(_, component) if component < 3 => TIP_UM,
-            Self::Circle(..) => OF_DIRECTION_UM,
+            Self::Circle(_, component) if component < 3 => PRIOR_TIP_STD_UM,
+            Self::Circle(..) => PRIOR_DIRECTION_STD_UM,
             Self::Edge(_, form) => {
-                EDGE_UM * edge_forms().shares.get(form).map_or(0.0, |it| it.sqrt())
+                PRIOR_EDGE_STD_UM * edge_modes().shares.get(form).map_or(0.0, |it| it.sqrt())
             }
             Self::Point(..) => uncertainty.artefact_um,
         }
@@ -97,15 +97,15 @@ impl Nuisance {
 
 /// The means of each set-up's places, about which it is turned.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Centres(BTreeMap<usize, ([f64; 3], f64)>);
+pub(crate) struct SetupCentres(BTreeMap<usize, ([f64; 3], f64)>);
 
-impl Centres {
+impl SetupCentres {
     /// Returns the centres of the set-ups of `readings`.
     #[must_use]
-    pub fn of(readings: &[Reading], frame: &Frame<'_>) -> Self {
+    pub(crate) fn from_readings(readings: &[Reading], frame: &ForwardKinematics<'_>) -> Self {
         let mut sums: BTreeMap<usize, ([f64; 3], f64)> = BTreeMap::new();
         for reading in readings {
-            let place = place_mm(reading, frame);
+            let place = measured_point_mm(reading, frame);
             let (sum, count) = sums.entry(reading.setup).or_default();
             sum.iter_mut().zip(place).for_each(|(sum, mm)| *sum += mm);
             *count += 1.0;
@@ -113,31 +113,31 @@ impl Centres {
         Self(sums)
     }
 
-    fn arm_mm(&self, reading: &Reading, frame: &Frame<'_>) -> [f64; 3] {
-        let place = place_mm(reading, frame);
+    fn lever_arm_mm(&self, reading: &Reading, frame: &ForwardKinematics<'_>) -> [f64; 3] {
+        let place = measured_point_mm(reading, frame);
         let (sum, count) = self.0.get(&reading.setup).copied().unwrap_or(([0.0; 3], 1.0));
         [0, 1, 2].map(|n| place[n] - sum[n] / count)
     }
 }
 
-fn place_mm(reading: &Reading, frame: &Frame<'_>) -> [f64; 3] {
+fn measured_point_mm(reading: &Reading, frame: &ForwardKinematics<'_>) -> [f64; 3] {
     match reading.kind {
-        Kind::Ball | Kind::Edge => frame.on_workpiece_mm(&reading.pose),
-        Kind::Diagonal | Kind::Circle => reading.pose.position_mm,
+        ReadingKind::Ball | ReadingKind::Edge => frame.tip_on_workpiece_mm(&reading.pose),
+        ReadingKind::Diagonal | ReadingKind::Circle => reading.pose.position_mm,
     }
 }
 
 /// Returns the unknowns of a reading, each with what a unit of it adds.
 #[must_use]
-pub(crate) fn unknowns(
+pub(crate) fn nuisance_sensitivities(
     reading: &Reading,
-    frame: &Frame<'_>,
-    centres: &Centres,
-) -> Vec<(Nuisance, f64)> {
+    frame: &ForwardKinematics<'_>,
+    centres: &SetupCentres,
+) -> Vec<(NuisanceParameter, f64)> {
     let own = reading.setup;
-    let arm_mm = centres.arm_mm(reading, frame);
+    let arm_mm = centres.lever_arm_mm(reading, frame);
     match (reading.kind, reading.on_circle) {
-        (Kind::Circle, Some(on)) => {
+        (ReadingKind::Circle, Some(on)) => {
             let (sin, cos) = on.angle.sin_cos();
             let of_direction = [
                 sin.signum() * cos,
@@ -148,50 +148,52 @@ pub(crate) fn unknowns(
             ];
             let columns = [1.0, cos, sin].into_iter();
             let columns = columns.chain(of_direction.map(|it| it * on.sense));
-            columns.enumerate().map(|(n, it)| (Nuisance::Circle(own, n), it)).collect()
+            columns.enumerate().map(|(n, it)| (NuisanceParameter::Circle(own, n), it)).collect()
         }
-        (Kind::Diagonal, _) => {
+        (ReadingKind::Diagonal, _) => {
             let along = dot(arm_mm, reading.toward);
             let mut all = vec![
-                (Nuisance::Zero(own, 0), 1.0),
-                (Nuisance::Scale(Kind::Diagonal), along / 1000.0),
+                (NuisanceParameter::Zero(own, 0), 1.0),
+                (NuisanceParameter::Scale(ReadingKind::Diagonal), along / 1000.0),
             ];
-            let across = across(reading.toward);
-            all.extend(
-                across.into_iter().enumerate().map(|(n, direction)| {
-                    (Nuisance::Beam(own, n), dot(arm_mm, direction) / 1000.0)
-                }),
-            );
+            let across = perpendicular_directions(reading.toward);
+            all.extend(across.into_iter().enumerate().map(|(n, direction)| {
+                (NuisanceParameter::Beam(own, n), dot(arm_mm, direction) / 1000.0)
+            }));
             all
         }
-        _ => on_workpiece(reading, frame, arm_mm),
+        _ => workpiece_nuisance_sensitivities(reading, frame, arm_mm),
     }
 }
 
-fn on_workpiece(reading: &Reading, frame: &Frame<'_>, arm_mm: [f64; 3]) -> Vec<(Nuisance, f64)> {
+fn workpiece_nuisance_sensitivities(
+    reading: &Reading,
+    frame: &ForwardKinematics<'_>,
+    arm_mm: [f64; 3],
+) -> Vec<(NuisanceParameter, f64)> {
     let (own, aligned, pose): (_, _, &Pose) = (reading.setup, reading.aligned, &reading.pose);
     let seen = |vector| dot(reading.toward, frame.workpiece_to_machine(vector, pose));
-    let mut all = vec![(Nuisance::Scale(reading.kind), seen(arm_mm) / 1000.0)];
-    if let Some(OnEdge { edge, share }) = reading.on_edge {
-        let forms = edge_forms().at(share).into_iter().enumerate();
-        all.extend(forms.map(|(n, um)| (Nuisance::Edge(edge, n), um)));
+    let mut all = vec![(NuisanceParameter::Scale(reading.kind), seen(arm_mm) / 1000.0)];
+    if let Some(EdgePosition { edge, share }) = reading.on_edge {
+        let forms = edge_modes().evaluate(share).into_iter().enumerate();
+        all.extend(forms.map(|(n, um)| (NuisanceParameter::Edge(edge, n), um)));
     }
     for n in 0..3 {
         let mut one = [0.0; 3];
         one[n] = 1.0;
-        all.push((Nuisance::Zero(own, n), seen(one)));
-        all.push((Nuisance::Turn(aligned, n), seen(cross(one, arm_mm)) / 1000.0));
+        all.push((NuisanceParameter::Zero(own, n), seen(one)));
+        all.push((NuisanceParameter::Turn(aligned, n), seen(cross(one, arm_mm)) / 1000.0));
         let tip = dot(reading.toward, frame.tool_to_machine(one, pose));
-        all.push((Nuisance::Tip(reading.source[0], pose.tool_mm.to_bits(), n), tip));
+        all.push((NuisanceParameter::Tip(reading.source[0], pose.tool_mm.to_bits(), n), tip));
         if let Some(point) = reading.point {
-            all.push((Nuisance::Point(point, n), seen(one)));
+            all.push((NuisanceParameter::Point(point, n), seen(one)));
         }
     }
     all
 }
 
 /// Returns two directions across a third.
-fn across(toward: [f64; 3]) -> [[f64; 3]; 2] {
+fn perpendicular_directions(toward: [f64; 3]) -> [[f64; 3]; 2] {
     let least = (0..3).min_by(|a, b| toward[*a].abs().total_cmp(&toward[*b].abs())).unwrap_or(0);
     let mut other = [0.0; 3];
     other[least] = 1.0;

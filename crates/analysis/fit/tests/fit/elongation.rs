@@ -6,16 +6,17 @@ use crate::support::{
     MACHINE, Noise, applied, assert_holds, assert_round_trip, machine, parse, predicted_rms, run,
     unaided,
 };
-use trueup_fit::{Verdict, elongation};
-use trueup_machine::{RunFile, applied::Uncompensated, file::ElongationSource};
-use trueup_measured_data::file as measured;
+use trueup_fit::{FitVerdict, elongation};
+use trueup_machine::{RunFile, applied_offsets::UncompensatedRun, file::ElongationSource};
+use trueup_measured_data::find_file as measured;
 
 const PAPER: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n[spindle]\nsource = \"sensor\"\n\
     [spindle.sensor]\nk0_um = 0.0\nzero_counts = 5048.0 # cold\num_per_count = 0.0152587890625\n";
 
-fn fit(run: Uncompensated<'_>, text: &str) -> trueup_fit::Report {
+fn fit(run: UncompensatedRun<'_>, text: &str) -> trueup_fit::Report {
     let machine = machine(text);
-    elongation::fit(&[run], Some(&machine), &elongation::Options::default()).expect("a fit")
+    elongation::fit_elongation(&[run], Some(&machine), &elongation::ElongationOptions::default())
+        .expect("a fit")
 }
 
 #[test]
@@ -84,7 +85,11 @@ fn without_a_machine_file_the_section_alone_is_written_and_loads() {
     let counts: Vec<f64> = (0..10).map(|row| 6000.0 - 50.0 * f64::from(row)).collect();
     let y: Vec<f64> = counts.iter().map(|v| 90.0 - 0.01 * v).collect();
     let run = run(&[("sensor_counts", &counts), ("measured_elongation_um", &y)]);
-    let report = elongation::fit(std::slice::from_ref(&run), None, &elongation::Options::default());
+    let report = elongation::fit_elongation(
+        std::slice::from_ref(&run),
+        None,
+        &elongation::ElongationOptions::default(),
+    );
     let report = report.expect("a fit");
     let text = format!("{MACHINE}[spindle]\nsource = \"sensor\"\n{}", report.edit.to_toml());
     let machine = machine(&text);
@@ -130,7 +135,7 @@ fn readings_that_have_nothing_to_do_with_it_are_not_compensated() {
     let y: Vec<f64> = counts.iter().map(|_| 3.0 * noise.next()).collect();
     let run = run(&[("sensor_counts", &counts), ("measured_elongation_um", &y)]);
     let report = fit(run, PAPER);
-    let Verdict::DoNotCompensate(reasons) = &report.verdict else { panic!("{report:?}") };
+    let FitVerdict::DoNotCompensate(reasons) = &report.verdict else { panic!("{report:?}") };
     assert!(reasons[0].contains("0 is within the interval"), "{reasons:?}");
     assert!(reasons[1].starts_with("left-out rows (each row in turn) are "), "{reasons:?}");
     assert!(report.edit.is_empty());
@@ -161,8 +166,10 @@ fn an_amplitude_that_may_be_zero_is_not_written() {
     let measured = [0.0, 20.0, 5.0, 30.0];
     for input in ["sensor_counts", "temp_frame_c"] {
         let run = run(&[(input, &[20.0, 21.0, 22.0, 23.0]), ("measured_elongation_um", &measured)]);
-        let report = elongation::fit(&[run], None, &elongation::Options::default()).expect("a fit");
-        let Verdict::DoNotCompensate(reasons) = &report.verdict else { panic!("{report:?}") };
+        let report =
+            elongation::fit_elongation(&[run], None, &elongation::ElongationOptions::default())
+                .expect("a fit");
+        let FitVerdict::DoNotCompensate(reasons) = &report.verdict else { panic!("{report:?}") };
         assert!(reasons[0].contains("(-16 to 31): 0 is within the interval"), "{reasons:?}");
         assert!(report.edit.is_empty());
     }
@@ -172,11 +179,12 @@ fn an_amplitude_that_may_be_zero_is_not_written() {
 fn a_lag_that_fits_better_but_predicts_worse_is_not_taken() {
     let Some(path) = measured("spindle_sjtu/run.csv") else { return };
     let run = unaided(RunFile::read(&path).expect("a run file"));
-    let options = elongation::Options {
+    let options = elongation::ElongationOptions {
         temperature: Some("temp_t0_c".into()),
-        ..elongation::Options::default()
+        ..elongation::ElongationOptions::default()
     };
-    let report = elongation::fit(std::slice::from_ref(&run), None, &options).expect("a fit");
+    let report =
+        elongation::fit_elongation(std::slice::from_ref(&run), None, &options).expect("a fit");
     println!("spindle_sjtu: {:?}, left out {:?}", report.in_sample, report.left_out);
     report.parameters.iter().for_each(|parameter| println!("{parameter}"));
     report.warnings.iter().for_each(|warning| println!("{warning}"));
@@ -186,10 +194,12 @@ fn a_lag_that_fits_better_but_predicts_worse_is_not_taken() {
 
 #[test]
 fn bad_input_is_named_with_its_place_and_rule() {
-    let options = elongation::Options::default();
+    let options = elongation::ElongationOptions::default();
     let error = |text: &str, machine_text: Option<&str>| {
         let machine = machine_text.map(machine);
-        elongation::fit(&[parse(text)], machine.as_ref(), &options).expect_err(text).to_string()
+        elongation::fit_elongation(&[parse(text)], machine.as_ref(), &options)
+            .expect_err(text)
+            .to_string()
     };
     for (text, expected) in [
         (

@@ -6,12 +6,12 @@ use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, Normal};
 use trueup_fit::{
-    Verdict,
+    FitVerdict,
     pitch::{Options, PitchFit, TableMode, WidthRule, fit, fit_backlash},
     report::FactValue,
 };
 use trueup_machine::{
-    applied::Uncompensated,
+    applied_offsets::UncompensatedRun,
     file::{Feedback, LinearAxis},
     predict::Predictor,
 };
@@ -25,7 +25,7 @@ fn shape(x: f64) -> f64 {
     15.0 * (x / 90.0).sin() + 0.02 * x
 }
 
-fn fitted(run: &Uncompensated<'_>, options: &Options) -> PitchFit {
+fn fitted(run: &UncompensatedRun<'_>, options: &Options) -> PitchFit {
     fit(run, X, options).expect("the test's own run keeps the rules")
 }
 
@@ -54,7 +54,7 @@ fn one_table_and_the_backlash_are_found_from_uneven_targets() {
     let column = |name| run.column(name).expect("written above");
     let truth = column("x_mm").iter().zip(column("dir_x"));
     let off: Vec<f64> = predictor
-        .rows()
+        .predictions()
         .zip(truth)
         .map(|(it, (&x, &dir))| {
             it.model.error_um[0] - shape(x) - if dir < 0.0 { -6.0 } else { 0.0 }
@@ -115,7 +115,8 @@ fn scatter_alone_is_not_compensated() {
 fn a_constant_alone_is_no_position_error() {
     let mut noise = noise(3, 0.5);
     let run = run_of(&sweeps(5, &UNEVEN, |_, _, _| 12.0 + noise()));
-    let Verdict::DoNotCompensate(reasons) = fitted(&run, &Options::default()).report.verdict else {
+    let FitVerdict::DoNotCompensate(reasons) = fitted(&run, &Options::default()).report.verdict
+    else {
         panic!("a constant was compensated")
     };
     println!("{}", reasons.join("\n"));
@@ -126,7 +127,8 @@ fn a_constant_alone_is_no_position_error() {
 fn a_shape_that_repeats_under_shifts_from_run_to_run_is_told() {
     let shifts = [-60.0, 45.0, 10.0, -25.0, 70.0];
     let run = run_of(&sweeps(5, &UNEVEN, |run, x, _| shape(x) + shifts[run - 1]));
-    let Verdict::DoNotCompensate(reasons) = fitted(&run, &Options::default()).report.verdict else {
+    let FitVerdict::DoNotCompensate(reasons) = fitted(&run, &Options::default()).report.verdict
+    else {
         panic!("the shifts are larger than the shape")
     };
     println!("{}", reasons.join("\n"));
@@ -222,7 +224,7 @@ fn one_pass_is_taken_over_with_its_repeatability_unknown() {
     // Two places always lie on a line.
     let two = "x_mm,dir_x,measured_dx_um\n0,1,3\n100,1,-2\n";
     let fit = fitted(&run_of(two), &Options::default());
-    let Verdict::DoNotCompensate(reasons) = fit.report.verdict else { panic!("it was fitted") };
+    let FitVerdict::DoNotCompensate(reasons) = fit.report.verdict else { panic!("it was fitted") };
     assert!(reasons[0].contains("too few targets"), "{reasons:?}");
     assert!(fit.report.edit.is_empty());
 }
@@ -304,7 +306,7 @@ fn an_even_backlash_is_not_called_dependent_on_position() {
 }
 
 /// Returns a record while the axis moves: `count` rows of position, direction, error, each sweep of 1000.
-fn record(count: usize) -> Uncompensated<'static> {
+fn record(count: usize) -> UncompensatedRun<'static> {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let mut noise = noise(12, 1.0);
     let mut text = String::from("x_mm,dir_x,measured_dx_um\n");
@@ -319,7 +321,7 @@ fn record(count: usize) -> Uncompensated<'static> {
     run_of(&text)
 }
 
-fn check_record(run: &Uncompensated<'_>) {
+fn check_record(run: &UncompensatedRun<'_>) {
     let fit = fitted(run, &Options::default());
     let pitch = fit.pitch.expect("it repeats");
     let width_um = fit.backlash.expect("a backlash is in it").width_um;
@@ -331,7 +333,7 @@ fn check_record(run: &Uncompensated<'_>) {
         .collect();
     println!(
         "{} rows: {} points, {:.3} µm rms from the truth, width {width_um}, left out {:?} by {}",
-        run.rows(),
+        run.row_count(),
         off.len(),
         rms(&off),
         fit.report.left_out,
@@ -353,6 +355,6 @@ fn campaign_a_million_rows_are_fitted() {
     let targets: Vec<f64> = (0..500).map(|n| f64::from(n) * 0.8).collect();
     let run = run_of(&sweeps(1000, &targets, |run, x, dir| shape(x) - dir + (run % 7) as f64));
     let fit = fitted(&run, &Options { ways: TableMode::Automatic, ..Options::default() });
-    println!("{} rows of {} targets: {:?}", run.rows(), targets.len(), fit.report.left_out);
+    println!("{} rows of {} targets: {:?}", run.row_count(), targets.len(), fit.report.left_out);
     assert!((fit.backlash.expect("it repeats").width_um - 2.0).abs() < 1e-3);
 }

@@ -6,18 +6,18 @@
 
 use crate::pitch_support::{left_by_model, rms, unaided};
 use trueup_fit::{
-    Verdict,
+    FitVerdict,
     pitch::{Options, TableMode, fit, fit_backlash},
 };
 use trueup_machine::{
     RunFile,
-    applied::Uncompensated,
-    file::{LinearAxis, write::Edit},
+    applied_offsets::UncompensatedRun,
+    file::{LinearAxis, writer::Edit},
 };
 
 /// Returns the run of this name, `None` (and a line that says so) where the data are not there.
-fn measured(name: &str) -> Option<Uncompensated<'static>> {
-    let path = trueup_measured_data::file(&format!("ess_iso230/{name}"))?;
+fn measured(name: &str) -> Option<UncompensatedRun<'static>> {
+    let path = trueup_measured_data::find_file(&format!("ess_iso230/{name}"))?;
     Some(unaided(RunFile::read(&path).expect("the data are a run file")))
 }
 
@@ -26,7 +26,7 @@ fn first_three(ways: TableMode) -> Options {
 }
 
 /// Returns the rms on runs 4 and 5 after a fit on 1 to 3.
-fn tested(run: &Uncompensated<'_>, name: &str, ways: TableMode) -> f64 {
+fn tested(run: &UncompensatedRun<'_>, name: &str, ways: TableMode) -> f64 {
     let fit = fit(run, LinearAxis::X, &first_three(ways)).expect("the run can be fitted");
     assert!(fit.report.verdict.is_fitted(), "{name}: {:?}", fit.report.verdict);
     let left = left_by_model(run, &fit.report.edit, &[4.0, 5.0]);
@@ -60,7 +60,7 @@ fn an_axis_that_does_not_repeat_is_refused_with_its_figures() {
     let Some(run) = measured("muts_x.csv") else { return };
     for options in [first_three(TableMode::Automatic), Options::default()] {
         let fit = fit(&run, LinearAxis::X, &options).expect("the run can be read");
-        let Verdict::DoNotCompensate(reasons) = &fit.report.verdict else {
+        let FitVerdict::DoNotCompensate(reasons) = &fit.report.verdict else {
             panic!("compensated: {:?}", fit.report)
         };
         for reason in reasons {

@@ -6,12 +6,13 @@ use std::{borrow::Cow, f64::consts::TAU, path::Path};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng as _};
 use rand_distr::{Distribution as _, Normal};
 use trueup_fit::{
-    bspline::clamped,
+    bspline::clamped_knots,
     straightness::{
-        Fit, FitError, Method, Options, ReferenceLine, Stop, StraightnessCurve, fit, fit_run,
+        FitError, FitMethod, Options, ReferenceLine, StopReason, StraightnessCurve,
+        StraightnessFit, fit, fit_run,
     },
 };
-use trueup_machine::{RunFile, applied::Uncompensated, file::BSpline, model::spline_um};
+use trueup_machine::{RunFile, applied_offsets::UncompensatedRun, file::BSpline, model::spline_um};
 
 fn every(step_mm: f64, travel_mm: f64) -> Vec<f64> {
     (0..=(travel_mm / step_mm).round() as u32).map(|n| f64::from(n) * step_mm).collect()
@@ -23,7 +24,7 @@ fn noise(count: usize, um: f64, seed: u64) -> Vec<f64> {
     (0..count).map(|_| normal.sample(&mut random)).collect()
 }
 
-fn of(x: &[f64], error_um: impl Fn(f64) -> f64, options: &Options) -> Fit {
+fn of(x: &[f64], error_um: impl Fn(f64) -> f64, options: &Options) -> StraightnessFit {
     let y: Vec<f64> = x.iter().map(|&x| error_um(x)).collect();
     fit(x, &y, options).expect("sound data")
 }
@@ -60,7 +61,7 @@ fn lines_and_parabolas_take_2_and_3_coefficients() {
 fn a_spline_of_known_knots_is_found_with_its_knots() {
     let known = BSpline {
         order: 4,
-        knots_mm: clamped(4, 0.0, &[210.0, 390.0, 740.0], 1_000.0),
+        knots_mm: clamped_knots(4, 0.0, &[210.0, 390.0, 740.0], 1_000.0),
         control_um: vec![0.0, 20.0, -15.0, 30.0, -20.0, 10.0, 0.0],
     };
     let found = of(&every(5.0, 1_000.0), |x| spline_um(&known, x), &tolerance(0.01));
@@ -86,7 +87,7 @@ fn noise_alone_is_no_curve() {
         if found.spline.control_um.len() == 2 {
             // The line was taken away: what is left of it is rounding.
             assert!(found.spline.control_um.iter().all(|um| um.abs() < 1e-9));
-            assert_eq!(found.stopped, Stop::Noise);
+            assert_eq!(found.stopped, StopReason::Noise);
         } else {
             curves += 1;
         }
@@ -112,7 +113,7 @@ fn a_tolerance_below_the_noise_stops_at_the_noise_and_says_so() {
             found.spline.control_um.len(),
             noise.um
         );
-        assert_eq!(found.stopped, Stop::Noise);
+        assert_eq!(found.stopped, StopReason::Noise);
         assert!(!found.is_within_tolerance && found.warnings[0].contains("noise"));
         assert!(rms < 0.45 * NOISE_UM && found.spline.control_um.len() <= 22);
         assert!((0.85..1.15).contains(&noise.um) && !noise.from_repeats);
@@ -152,7 +153,10 @@ fn the_reference_line_is_taken_away_and_given() {
     let bowed = |x: f64| 7.0 + 0.03 * x + 1e-4 * x * (400.0 - x);
     let with = |reference| of(&x, bowed, &Options { reference, ..Options::default() });
     let ends = with(ReferenceLine::EndPoints);
-    assert!((ends.line.at(0.0) - 7.0).abs() < 1e-12 && (ends.line.at(400.0) - 19.0).abs() < 1e-12);
+    assert!(
+        (ends.line.evaluate(0.0) - 7.0).abs() < 1e-12
+            && (ends.line.evaluate(400.0) - 19.0).abs() < 1e-12
+    );
     assert!(spline_um(&ends.spline, 0.0).abs() < 1e-9);
     assert!((spline_um(&ends.spline, 200.0) - 4.0).abs() < 1e-9);
     let squares = with(ReferenceLine::LeastSquares);
@@ -231,7 +235,7 @@ fn what_is_no_curve_is_refused_by_name() {
 
 fn from_csv(text: &str, quantity: Option<&str>) -> Result<StraightnessCurve, String> {
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own");
-    let (run, _) = Uncompensated::of(Cow::Owned(run), None, None).expect("no bridge");
+    let (run, _) = UncompensatedRun::from_run(Cow::Owned(run), None, None).expect("no bridge");
     fit_run(&run, quantity, &tolerance(9.0)).map_err(|bad| bad.to_string())
 }
 
@@ -246,10 +250,10 @@ fn the_moving_axis_and_the_quantity_are_found() {
         })
         .collect();
     let curve = from_csv(&format!("x_mm,y_mm,z_mm,measured_dz_um\n{rows}"), None).expect("sound");
-    assert_eq!(curve.name(), "z_of_x");
+    assert_eq!(curve.section_name(), "z_of_x");
     assert_eq!((curve.fit.rows, curve.rows_incomplete), (29, 1));
     assert!(curve.fit.is_within_tolerance && curve.fit.warnings.is_empty());
-    assert_eq!(curve.straightness().spline.check(), Ok(()));
+    assert_eq!(curve.straightness().spline.validate(), Ok(()));
 }
 
 #[test]
@@ -304,9 +308,9 @@ fn positions_that_look_like_metres_are_told() {
 
 #[test]
 fn the_papers_way_alone_is_a_machine_files_spline_too() {
-    let options = Options { method: Method::Paper, ..tolerance(2.0) };
+    let options = Options { method: FitMethod::Paper, ..tolerance(2.0) };
     let found = of(&every(50.0, 3_000.0), |x| 30.0 * (x / 400.0).sin(), &options);
-    assert_eq!(found.spline.check(), Ok(()));
+    assert_eq!(found.spline.validate(), Ok(()));
     assert!(found.is_within_tolerance && found.residual.largest_um <= 2.0);
 }
 
@@ -321,8 +325,9 @@ fn a_bad_reading_among_three_passes_is_excluded_by_its_line_and_bends_no_curve()
         text += &format!("{},{x},{um:.3}\n", row / 21);
     }
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
-    let (run, _) = Uncompensated::of(Cow::Owned(run), None, None).expect("no bridge");
-    let report = trueup_fit::curve::fit(&run, None, |_| Ok(None), &Options::default());
+    let (run, _) = UncompensatedRun::from_run(Cow::Owned(run), None, None).expect("no bridge");
+    let report =
+        trueup_fit::straightness_report::fit_curve(&run, None, |_| Ok(None), &Options::default());
     let report = report.expect("a curve");
     let [excluded] = &report.set_aside[..] else { panic!("{:?}", report.set_aside) };
     assert_eq!((excluded.place.line, report.rows_used, report.rows_incomplete), (32, 62, 0));

@@ -2,7 +2,7 @@
 //! fitted at the even points, tested at the odd ones. Figures:
 //! `cargo test -p trueup-fit --test fit straightness_bed -- --show-output`.
 
-use trueup_fit::straightness::{Fit, Options, Stop, fit};
+use trueup_fit::straightness::{Options, StopReason, StraightnessFit, fit};
 use trueup_machine::model::spline_um;
 
 /// Positions in mm; heights in µm of the mean over the rows, and of each row.
@@ -10,7 +10,7 @@ type Mesh = (Vec<f64>, Vec<f64>, Vec<Vec<f64>>);
 
 /// Returns the mesh; `None` where the data are not there.
 fn mesh() -> Option<Mesh> {
-    let path = trueup_measured_data::file("bed_mesh_troodon/mesh_101x101_mm.csv")?;
+    let path = trueup_measured_data::find_file("bed_mesh_troodon/mesh_101x101_mm.csv")?;
     let text = std::fs::read_to_string(path).expect("a text file");
     let um = |value: &str| 1e3 * value.trim().parse::<f64>().expect("a height");
     let rows: Vec<Vec<f64>> = text.lines().map(|line| line.split(',').map(um).collect()).collect();
@@ -25,7 +25,7 @@ fn every_second(values: &[f64], from: usize) -> Vec<f64> {
 }
 
 /// Returns the fit at the even points, and its RMS error at the odd ones.
-fn even_and_odd(x: &[f64], y: &[f64], options: &Options) -> (Fit, f64) {
+fn even_and_odd(x: &[f64], y: &[f64], options: &Options) -> (StraightnessFit, f64) {
     let fit = fit(&every_second(x, 0), &every_second(y, 0), options).expect("sound data");
     let odd = every_second(x, 1).into_iter().zip(every_second(y, 1));
     let squares: Vec<f64> = odd.map(|(x, y)| (y - spline_um(&fit.spline, x)).powi(2)).collect();
@@ -48,7 +48,7 @@ fn the_mean_profile_is_predicted_within_0_62_um_by_at_most_12_coefficients() {
             fit.residual.largest_um,
             fit.stopped
         );
-        if fit.stopped != Stop::Tolerance {
+        if fit.stopped != StopReason::Tolerance {
             assert!(fit.spline.control_um.len() <= 12 && odd_um <= 0.62, "{odd_um} µm");
         }
     }

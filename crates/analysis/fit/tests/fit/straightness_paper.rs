@@ -5,10 +5,12 @@
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use crate::support::guideway::{CURVES, Guideway};
-use trueup_fit::straightness::{Compared, Fit, Method, Options, Stop, fit};
+use trueup_fit::straightness::{
+    FitMethod, MethodComparison, Options, StopReason, StraightnessFit, fit,
+};
 use trueup_machine::model::spline_um;
 
-fn print(table: &[Compared]) {
+fn print(table: &[MethodComparison]) {
     println!(
         "  {:<31}{:>6}{:>8}{:>7}{:>8}{:>9}{:>10}{:>12}{:>10}",
         "", "coeff", "range", "mean", "msq", "largest", "left-out", "slope", "curv"
@@ -29,7 +31,7 @@ fn print(table: &[Compared]) {
     }
 }
 
-fn within(tolerance_um: f64, x: &[f64], y: &[f64]) -> Fit {
+fn within(tolerance_um: f64, x: &[f64], y: &[f64]) -> StraightnessFit {
     let options = Options { tolerance_um: Some(tolerance_um), ..Options::default() };
     fit(x, y, &options).expect("sound data")
 }
@@ -52,7 +54,7 @@ fn each_of_the_six_curves_is_within_the_papers_residual_with_fewer_coefficients(
         for (curve, (name, _, _, range_um, tolerance_um)) in CURVES.into_iter().enumerate() {
             let (_, x, y) = guideway(set, curve);
             let fit = within(tolerance_um, &x, &y);
-            let table = fit.compare();
+            let table = fit.compare_methods();
             let [paper, points, own] = [0, 1, 2].map(|row| table[row].coefficients);
             println!(
                 "set {set} {name}: {range_um} µm at {} positions -> {:.2} µm (allowed \
@@ -64,10 +66,10 @@ fn each_of_the_six_curves_is_within_the_papers_residual_with_fewer_coefficients(
             if set == 0 {
                 print(&table);
             }
-            assert_eq!(fit.stopped, Stop::Tolerance);
+            assert_eq!(fit.stopped, StopReason::Tolerance);
             assert!(fit.residual.largest_um <= tolerance_um);
             assert!(fit.residual.largest_um < 0.1 * range_um, "90 % of the error is foreseen");
-            assert_eq!(fit.spline.check(), Ok(()));
+            assert_eq!(fit.spline.validate(), Ok(()));
             assert!(own <= paper, "the paper's way takes {paper}");
             // Its points with control values by least squares: where they are within as well.
             if table[1].residual.largest_um <= tolerance_um {
@@ -87,14 +89,14 @@ fn the_papers_way_says_whether_it_has_reached_its_tolerance() {
         for (curve, (name, .., tolerance_um)) in CURVES.into_iter().enumerate() {
             let (_, x, y) = guideway(set, curve);
             let options = Options {
-                method: Method::Paper,
+                method: FitMethod::Paper,
                 tolerance_um: Some(tolerance_um),
                 ..Options::default()
             };
             let fit = fit(&x, &y, &options).expect("sound data");
             let is_within = fit.residual.largest_um <= tolerance_um;
             assert_eq!(fit.is_within_tolerance, is_within);
-            assert_eq!(fit.stopped == Stop::Tolerance, is_within);
+            assert_eq!(fit.stopped == StopReason::Tolerance, is_within);
             if !is_within {
                 // A curve that does not pass through its control points cuts corners, even with all
                 // of them.

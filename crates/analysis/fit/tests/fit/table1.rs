@@ -6,10 +6,13 @@ use std::{borrow::Cow, fmt::Write as _, path::Path};
 
 use crate::support::guideway::{CURVES, Guideway};
 use trueup_fit::straightness::{
-    Options, Way,
-    table1::{Asked, Entry, Left, Row, Table1, table1},
+    CurveMethod, Options,
+    method_table::{
+        MethodResult, MethodTable, MethodTableOptions, ResidualError, TableEntry,
+        build_method_table,
+    },
 };
-use trueup_machine::{RunFile, applied::Uncompensated};
+use trueup_machine::{RunFile, applied_offsets::UncompensatedRun};
 
 /// The paper's feed, and a control's cycle.
 const FEED_MM_PER_MIN: f64 = 1000.0;
@@ -20,13 +23,13 @@ const SETS: std::ops::Range<u64> = 0..8;
 const DIAGONALS: [(&str, [usize; 2], [f64; 2]); 3] =
     [("z", [0, 2], [160.0, 7.9]), ("y", [1, 5], [91.0, 8.0]), ("x", [3, 4], [41.0, 3.6])];
 
-fn run(text: &str) -> Uncompensated<'static> {
+fn run(text: &str) -> UncompensatedRun<'static> {
     let run = RunFile::from_reader(text.as_bytes(), Path::new("run.csv")).expect("a run file");
-    Uncompensated::of(Cow::Owned(run), None, None).expect("no bridge").0
+    UncompensatedRun::from_run(Cow::Owned(run), None, None).expect("no bridge").0
 }
 
 /// `z_of_x` of a set, as a laser reads it.
-fn curve(set: u64, number: usize) -> (Guideway, Uncompensated<'static>) {
+fn curve(set: u64, number: usize) -> (Guideway, UncompensatedRun<'static>) {
     let (name, travel_mm, step_mm, range_um, _) = CURVES[number];
     let seed = 100 * set + number as u64;
     let way = Guideway::new(seed, travel_mm, range_um);
@@ -39,7 +42,7 @@ fn curve(set: u64, number: usize) -> (Guideway, Uncompensated<'static>) {
 }
 
 /// Returns the diagonal of two curves, read every 240 mm of the longer axis where that is X, else at 60 places.
-fn diagonal(set: u64, error: &str, pair: [usize; 2]) -> Uncompensated<'static> {
+fn diagonal(set: u64, error: &str, pair: [usize; 2]) -> UncompensatedRun<'static> {
     let ways = pair.map(|number| curve(set, number).0);
     let names = pair.map(|number| &CURVES[number].0[5..]);
     let places = if ways[0].travel_mm > 10_000.0 { (ways[0].travel_mm / 240.0) as u32 } else { 60 };
@@ -53,25 +56,31 @@ fn diagonal(set: u64, error: &str, pair: [usize; 2]) -> Uncompensated<'static> {
 }
 
 /// Returns both curves of a diagonal and itself, at the smaller of the two ε that the paper's curves keep to.
-fn table(set: u64, error: &str, pair: [usize; 2]) -> (Table1, f64) {
+fn table(set: u64, error: &str, pair: [usize; 2]) -> (MethodTable, f64) {
     let [first, second] = pair.map(|number| curve(set, number).1);
     let tolerance_um = CURVES[pair[0]].4.min(CURVES[pair[1]].4);
-    let table = table1(&[first, second, diagonal(set, error, pair)], &asked(tolerance_um));
+    let table =
+        build_method_table(&[first, second, diagonal(set, error, pair)], &asked(tolerance_um));
     (table.expect("a table"), tolerance_um)
 }
 
-fn asked(tolerance_um: f64) -> Asked<'static> {
+fn asked(tolerance_um: f64) -> MethodTableOptions<'static> {
     let options = Options { tolerance_um: Some(tolerance_um), ..Options::default() };
-    Asked { quantity: None, options, feed_mm_per_min: FEED_MM_PER_MIN, cycle_ms: CYCLE_MS }
+    MethodTableOptions {
+        quantity: None,
+        options,
+        feed_mm_per_min: FEED_MM_PER_MIN,
+        cycle_ms: CYCLE_MS,
+    }
 }
 
-fn of(entry: &Entry, way: Way) -> &Row {
+fn of(entry: &TableEntry, way: CurveMethod) -> &MethodResult {
     entry.rows.iter().find(|row| row.way == way).expect("each way is there")
 }
 
 /// Returns true if what `a` leaves changes less from one position to the next than what `b` leaves, as shares of their
 /// ranges.
-fn is_smoother(a: &Left, b: &Left) -> bool {
+fn is_smoother(a: &ResidualError, b: &ResidualError) -> bool {
     a.step_um / a.residual.range_um < b.step_um / b.residual.range_um
 }
 
@@ -89,8 +98,10 @@ fn the_papers_order_of_the_ways_where_its_reason_holds() {
     for set in SETS {
         for (error, pair, [papers_without, papers_with]) in DIAGONALS {
             let (table, tolerance_um) = table(set, error, pair);
-            let [own, polynomial, lines] = [Way::LeastSquares, Way::Polynomial, Way::Lines]
-                .map(|way| table.entries.iter().map(|entry| of(entry, way)).collect::<Vec<_>>());
+            let [own, polynomial, lines] =
+                [CurveMethod::LeastSquares, CurveMethod::Polynomial, CurveMethod::Lines].map(
+                    |way| table.entries.iter().map(|entry| of(entry, way)).collect::<Vec<_>>(),
+                );
             for n in 0..table.entries.len() {
                 let entry = &table.entries[n];
                 // A polynomial cannot follow what is irregular: where it cannot, it leaves more.
@@ -104,7 +115,7 @@ fn the_papers_order_of_the_ways_where_its_reason_holds() {
                 all += 1;
                 // Lines alone jump in speed, and ask the most of the axis.
                 for row in &entry.rows {
-                    let is_lines = row.way == Way::Lines;
+                    let is_lines = row.way == CurveMethod::Lines;
                     assert_eq!(row.jump_mm_per_s > 0.0, is_lines, "{}", row.way);
                     assert!(
                         is_lines || row.acceleration_mm_per_s2 < lines[n].acceleration_mm_per_s2,
@@ -154,8 +165,8 @@ fn the_papers_order_of_the_ways_where_its_reason_holds() {
 fn a_curve_within_half_of_5_um_keeps_5_um_in_any_metre() {
     // Whatever is within ±ε differs by 2ε at most, over a metre or over the whole way.
     for (set, number) in [(0, 0), (1, 1), (2, 2)] {
-        let table = table1(&[curve(set, number).1], &asked(2.5)).expect("a table");
-        let own = of(&table.entries[0], Way::LeastSquares);
+        let table = build_method_table(&[curve(set, number).1], &asked(2.5)).expect("a table");
+        let own = of(&table.entries[0], CurveMethod::LeastSquares);
         assert!(own.left.over_a_metre_um <= 5.0, "{}", own.left.over_a_metre_um);
         assert!(table.entries[0].without.over_a_metre_um > 5.0);
     }
@@ -196,7 +207,7 @@ fn no_control_is_as_late_as_the_papers_27_um_of_lines_would_need() {
 fn a_metre_is_counted_where_it_is_and_not_beyond() {
     // A step of 6 µm within 1500 mm: none of it within 1000 mm but a slope of 4.
     let text = "x_mm,measured_dz_um\n0,0\n500,0\n1000,2\n1500,4\n2000,6\n2500,6\n3000,6\n3500,6\n";
-    let table = table1(&[run(text)], &asked(0.5)).expect("a table");
+    let table = build_method_table(&[run(text)], &asked(0.5)).expect("a table");
     assert_eq!(table.entries[0].without.over_a_metre_um, 4.0);
     assert_eq!(table.entries[0].without.residual.range_um, 6.0);
     assert_eq!(table.entries[0].without.step_um, 2.0);
@@ -207,9 +218,9 @@ fn a_roof_of_lines_jumps_by_what_the_hand_finds() {
     // 1 µm in 100 mm up and down: the slope changes by 0.02 µm/mm; at 6000 mm/min, 100 mm/s, by 2 µm/s, and in a cycle of
     // 2 ms that asks 1 mm/s².
     let text = "x_mm,measured_dz_um\n0,0\n50,0.5\n100,1\n150,0.5\n200,0\n";
-    let fast = Asked { feed_mm_per_min: 6000.0, cycle_ms: 2.0, ..asked(5.0) };
-    let table = table1(&[run(text)], &fast).expect("a table");
-    let lines = of(&table.entries[0], Way::Lines);
+    let fast = MethodTableOptions { feed_mm_per_min: 6000.0, cycle_ms: 2.0, ..asked(5.0) };
+    let table = build_method_table(&[run(text)], &fast).expect("a table");
+    let lines = of(&table.entries[0], CurveMethod::Lines);
     assert!((lines.jump_mm_per_s - 0.002).abs() < 1e-12, "{}", lines.jump_mm_per_s);
     assert!((lines.acceleration_mm_per_s2 - 1.0).abs() < 1e-9);
     // Along a diagonal of two such roofs the first moves 0.6 of the way, the second 0.8.
@@ -217,8 +228,9 @@ fn a_roof_of_lines_jumps_by_what_the_hand_finds() {
     let second = "y_mm,measured_dz_um\n0,0\n200,0\n400,0\n600,0\n800,0\n";
     let across =
         "x_mm,y_mm,measured_dz_um\n0,0,0\n150,200,1.5\n300,400,3\n450,600,1.5\n600,800,0\n";
-    let table = table1(&[run(first), run(second), run(across)], &fast).expect("a table");
-    let lines = of(&table.entries[2], Way::Lines);
+    let table =
+        build_method_table(&[run(first), run(second), run(across)], &fast).expect("a table");
+    let lines = of(&table.entries[2], CurveMethod::Lines);
     assert!(lines.left.residual.range_um < 1e-9, "the sum of its curves");
     assert!((lines.jump_mm_per_s - 0.6 * 0.002).abs() < 1e-12, "{}", lines.jump_mm_per_s);
 }
@@ -226,7 +238,7 @@ fn a_roof_of_lines_jumps_by_what_the_hand_finds() {
 #[test]
 fn the_papers_way_begins_with_ten_points_and_the_eleventh_joins() {
     let (_, run) = curve(0, 0);
-    let table = table1(&[run], &asked(9.0)).expect("a table");
+    let table = build_method_table(&[run], &asked(9.0)).expect("a table");
     let steps = &table.entries[0].steps;
     println!("control points and the largest residual in µm: {steps:.2?}");
     let counts: Vec<usize> = steps.iter().map(|(points, _)| *points).collect();
@@ -239,18 +251,18 @@ fn the_papers_way_begins_with_ten_points_and_the_eleventh_joins() {
 #[test]
 fn a_diagonal_without_its_curves_or_off_its_line_is_refused() {
     let diagonal = || run("x_mm,y_mm,measured_dz_um\n0,0,0\n150,200,1\n300,400,2\n450,600,1\n");
-    let error = table1(&[diagonal()], &asked(1.0)).expect_err("no curves");
+    let error = build_method_table(&[diagonal()], &asked(1.0)).expect_err("no curves");
     assert!(error.rule.contains("give the run of z over x alone"), "{error}");
     let bent = run("x_mm,y_mm,measured_dz_um\n0,0,0\n150,220,1\n300,400,2\n450,600,1\n");
     let along = |axis| run(&format!("{axis}_mm,measured_dz_um\n0,0\n200,1\n400,1\n600,0\n"));
-    let error = table1(&[along("x"), along("y"), bent], &asked(1.0)).expect_err("bent");
+    let error = build_method_table(&[along("x"), along("y"), bent], &asked(1.0)).expect_err("bent");
     assert!(error.rule.contains("off the straight line"), "{error}");
 }
 
 #[test]
 fn the_page_draws_the_speeds_and_names_each_way() {
     let (table, _) = table(0, "z", [0, 2]);
-    let html = table.html(&trueup_page::Origin::default());
+    let html = table.to_html(&trueup_page::Origin::default());
     assert_eq!(html.matches("<svg").count(), 3);
     for name in ["z_of_x", "z_of_y", "dz on the diagonal of x and y", "polynomial of degree 7"] {
         assert!(html.contains(name), "{name}");

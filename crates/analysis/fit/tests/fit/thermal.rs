@@ -3,20 +3,20 @@
 use crate::support::{
     MACHINE, Noise, applied, assert_holds, assert_round_trip, machine, parse, run, unaided,
 };
-use trueup_fit::{Report, Verdict, report::FactValue, thermal};
+use trueup_fit::{FitVerdict, Report, report::FactValue, thermal};
 use trueup_machine::{
     RunFile,
-    applied::Uncompensated,
+    applied_offsets::UncompensatedRun,
     file::{LinearAxis, ThermalMode},
 };
-use trueup_measured_data::file as measured;
+use trueup_measured_data::find_file as measured;
 
-fn fit(run: &Uncompensated<'_>, options: &thermal::Options) -> Report {
+fn fit(run: &UncompensatedRun<'_>, options: &thermal::Options) -> Report {
     thermal::fit(std::slice::from_ref(run), LinearAxis::X, None, options).expect("a fit")
 }
 
 /// Returns an axis that is scanned at 0…1000 mm every 10 minutes while its screw warms up and cools.
-fn scanned(law: impl Fn(f64, f64) -> f64, lag_s: f64, noise_um: f64) -> Uncompensated<'static> {
+fn scanned(law: impl Fn(f64, f64) -> f64, lag_s: f64, noise_um: f64) -> UncompensatedRun<'static> {
     let mut noise = Noise::seeded(21);
     let columns = ["time_s", "x_mm", "temp_screw_c", "measured_dx_um"];
     let mut values = vec![Vec::new(); 4];
@@ -189,7 +189,7 @@ fn the_other_runs_of_the_voron_lose_no_row() {
 fn scatter_is_not_compensated() {
     let run = scanned(|_, _| 0.0, 0.0, 5.0);
     let report = fit(&run, &thermal::Options::default());
-    assert!(matches!(report.verdict, Verdict::DoNotCompensate(_)), "{report:?}");
+    assert!(matches!(report.verdict, FitVerdict::DoNotCompensate(_)), "{report:?}");
 }
 
 #[test]

@@ -4,11 +4,11 @@
 use crate::support::{
     MACHINE, Noise, applied, assert_holds, assert_round_trip, machine, parse, predicted_rms, run,
 };
-use trueup_fit::{Report, Verdict, warmup};
+use trueup_fit::{FitVerdict, Report, warmup};
 use trueup_machine::{
-    applied::Uncompensated,
+    applied_offsets::UncompensatedRun,
     file::{ElongationSource, Warmup},
-    model::{WarmupState, warmup_um},
+    model::{WarmupState, warmup_elongation_um},
 };
 
 const TRUTH: Warmup = Warmup {
@@ -29,7 +29,7 @@ fn recorded(
     rpm: impl Fn(f64) -> f64,
     noise_um: f64,
     seed: u64,
-) -> Uncompensated<'static> {
+) -> UncompensatedRun<'static> {
     let mut noise = Noise::seeded(seed);
     let mut state = WarmupState::default();
     let time: Vec<f64> = (0..rows).map(|row| interval_s * row as f64).collect();
@@ -42,7 +42,7 @@ fn recorded(
     run(&[("time_s", &time), ("spindle_rpm", &speed), ("measured_elongation_um", &y)])
 }
 
-fn fit(runs: &[Uncompensated<'_>]) -> Report {
+fn fit(runs: &[UncompensatedRun<'_>]) -> Report {
     let report = warmup::fit(runs, None).expect("a fit");
     report.parameters.iter().for_each(|parameter| println!("{parameter}"));
     report.warnings.iter().for_each(|warning| println!("{warning}"));
@@ -86,7 +86,8 @@ fn without_an_end_the_exponent_is_set_and_said_to_be() {
     assert_holds(&report, "time_constant_s", truth.time_constant_s());
     let model = applied(&report, MACHINE).spindle.warmup.expect("written");
     for time_s in [600.0, 2000.0, 5000.0] {
-        let difference = warmup_um(&model, time_s) - warmup_um(&truth, time_s);
+        let difference =
+            warmup_elongation_um(&model, time_s) - warmup_elongation_um(&truth, time_s);
         assert!(difference.abs() < 0.3, "{time_s} s: {difference}");
     }
 }
@@ -123,7 +124,7 @@ fn speeds_and_stops_give_the_speed_exponent_and_the_cooling() {
 
 #[test]
 fn each_speed_alone_is_reported_where_each_has_its_run() {
-    let runs: Vec<Uncompensated<'_>> = [12_000.0, 24_000.0]
+    let runs: Vec<UncompensatedRun<'_>> = [12_000.0, 24_000.0]
         .into_iter()
         .map(|rpm| {
             let truth = Warmup { max_um: rpm / 300.0, ..TRUTH };
@@ -173,7 +174,7 @@ fn noise_alone_is_not_compensated() {
     let truth = Warmup { max_um: 1e-9, ..TRUTH };
     let run = recorded(&truth, 60.0, 100, |_| 24_000.0, 2.0, 9);
     let report = fit(&[run]);
-    assert!(matches!(report.verdict, Verdict::DoNotCompensate(_)), "{report:?}");
+    assert!(matches!(report.verdict, FitVerdict::DoNotCompensate(_)), "{report:?}");
 }
 
 #[test]

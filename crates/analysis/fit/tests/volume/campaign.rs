@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use trueup_fit::volume::{self, HALF_WIDTH, Options, VolumeReport, reading::Pose};
+use trueup_fit::volume::{self, NORMAL_QUANTILE_975, Options, VolumeReport, reading::Pose};
 use trueup_machine::{Machine, MachineFile, RunFile};
 
 use crate::{
@@ -98,14 +98,14 @@ fn corrected(report: &VolumeReport, file: &str) -> Machine {
 
 /// Returns the error that is predicted at a pose.
 fn predicted_um(machine: &Machine, at: &At) -> [f64; 3] {
-    use trueup_machine::model::{ReferenceModel, Situation};
+    use trueup_machine::model::{ReferenceModel, RowInputs};
     let mut model = ReferenceModel::new(machine);
-    let situation = Situation {
+    let situation = RowInputs {
         position_mm: at.mm,
         angle_deg: at.deg,
         direction: [1.0; 3],
         tool_length_mm: Some(at.tool_mm),
-        ..Situation::UNKNOWN
+        ..RowInputs::UNKNOWN
     };
     model.step(&situation).error_um()
 }
@@ -129,7 +129,7 @@ fn volumetric_um(machine: &Drawn, poses: &[At], errors: &[[f64; 3]]) -> f64 {
         });
         columns.push(column.collect());
     }
-    let columns = trueup_numerics::least_squares::normal::orthonormal(columns);
+    let columns = trueup_numerics::least_squares::normal::orthonormalise(columns);
     let mut left: Vec<f64> = errors.iter().flatten().copied().collect();
     for column in &columns {
         let share: f64 = column.iter().zip(&left).map(|(a, b)| a * b).sum();
@@ -179,11 +179,11 @@ fn outcome(seed: u64, plan: Plan, law: Law) -> Outcome {
         let truth: f64 = (0..3).map(|n| toward[n] * (end[n] - start[n])).sum();
         let pose = |at: &At| Pose { position_mm: at.mm, angle_deg: at.deg, tool_mm: at.tool_mm };
         let [um, sd] = report.model.difference_um(&pose(&from), &pose(&to), toward);
-        covered[0] += usize::from((um - truth).abs() <= HALF_WIDTH * sd);
+        covered[0] += usize::from((um - truth).abs() <= NORMAL_QUANTILE_975 * sd);
         covered[1] += 1;
     }
     let [before_um, after_um] = [&errors, &left].map(|it| volumetric_um(&drawn, &poses, it));
-    let outcome = Outcome { before_um, after_um, covered, was_better: report.is_better() };
+    let outcome = Outcome { before_um, after_um, covered, was_better: report.is_improvement() };
     if std::env::var_os("TRUEUP_VOLUMES_EACH").is_some() {
         println!(
             "{plan:?} {seed}: {outcome:?} gone {:.3} noise {:?} held out {:?}",
@@ -211,7 +211,7 @@ fn outcome(seed: u64, plan: Plan, law: Law) -> Outcome {
 /// Prints the figures of a plan, and returns median and least share that is gone, and the share of intervals that hold.
 fn figures(plan: Plan, seeds: &[u64], law: Law) -> [f64; 3] {
     let outcomes =
-        trueup_numerics::parallel::on_all_cores(seeds, true, |seed| outcome(*seed, plan, law));
+        trueup_numerics::parallel::parallel_map(seeds, true, |seed| outcome(*seed, plan, law));
     let mut gone: Vec<f64> = outcomes.iter().map(Outcome::gone).collect();
     let sum = |n: usize| outcomes.iter().map(|it| it.covered[n]).sum::<usize>() as f64;
     let worst = gone.iter().copied().fold(f64::INFINITY, f64::min);
@@ -258,7 +258,7 @@ fn sound(seed: u64, plan: Plan) -> Sound {
 
 /// Prints the figures of machines without any error, and returns the share of known errors that are claimed.
 fn false_claims(plan: Plan, seeds: &[u64]) -> f64 {
-    let all = trueup_numerics::parallel::on_all_cores(seeds, true, |seed| sound(*seed, plan));
+    let all = trueup_numerics::parallel::parallel_map(seeds, true, |seed| sound(*seed, plan));
     let known: usize = all.iter().map(|it| it.known).sum();
     let claimed: usize = all.iter().map(|it| it.claimed).sum();
     let share = claimed as f64 / known as f64;

@@ -9,7 +9,7 @@ use rand::{Rng as _, SeedableRng as _, seq::IndexedRandom as _};
 use rand_chacha::ChaCha8Rng;
 use trueup_twin::{
     axes::{Axes, AxesConfig, AxisConfig, AxisName, Straightness},
-    bodies::{Body, Drive, error_um},
+    bodies::{Body, MovingAxis, error_um},
     cubic_spline::CubicSpline,
 };
 
@@ -29,7 +29,8 @@ const KINDS: [(&str, &[usize], &[usize]); 8] = [
 
 const LETTERS: [&str; 3] = ["x", "y", "z"];
 const TURNS: [&str; 3] = ["a", "b", "c"];
-const DRIVES: [Drive; 6] = [Drive::X, Drive::Y, Drive::Z, Drive::A, Drive::B, Drive::C];
+const DRIVES: [MovingAxis; 6] =
+    [MovingAxis::X, MovingAxis::Y, MovingAxis::Z, MovingAxis::A, MovingAxis::B, MovingAxis::C];
 const NAMES: [AxisName; 3] = [AxisName::X, AxisName::Y, AxisName::Z];
 
 /// Where the axes stand, and the length of the tool.

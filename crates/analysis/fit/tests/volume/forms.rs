@@ -71,7 +71,7 @@ fn polynomials(random: &mut ChaCha8Rng, length: f64, size: f64, slope_per_m: f64
         let um: f64 = amounts.iter().zip(legendre).map(|(a, p)| 2.2 * a * p).sum();
         [length * f64::from(n) / 12.0, um + slope * length / 2000.0 * s]
     });
-    CubicSpline::through(points.collect()).expect("they rise")
+    CubicSpline::from_points(points.collect()).expect("they rise")
 }
 
 fn waves(random: &mut ChaCha8Rng, length: f64, size: f64, slope_per_m: f64) -> CubicSpline {
@@ -110,5 +110,5 @@ fn curve(length: f64, um: impl Fn(f64) -> f64) -> CubicSpline {
         let share = f64::from(n) / f64::from(STEPS);
         [length * share, um(share)]
     });
-    CubicSpline::through(points.collect()).expect("they rise")
+    CubicSpline::from_points(points.collect()).expect("they rise")
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use trueup_fit::volume::{self, Options, VolumeReport, judge::Known};
+use trueup_fit::volume::{self, Options, VolumeReport, identifiability::ErrorAssessment};
 use trueup_machine::{BadInput, Machine, MachineFile, RunFile};
 
 use crate::{
@@ -25,7 +25,7 @@ pub fn fit(text: &str, machine: &Machine, options: &Options) -> VolumeReport {
     volume::fit(&[run(text)], machine, options).expect("a fit")
 }
 
-pub fn of<'r>(report: &'r VolumeReport, name: &str) -> &'r Known {
+pub fn of<'r>(report: &'r VolumeReport, name: &str) -> &'r ErrorAssessment {
     let found = report.known.iter().find(|it| it.error.to_string() == name);
     found.unwrap_or_else(|| panic!("no {name}"))
 }
@@ -73,7 +73,7 @@ fn a_sound_machine_stays_as_it_is_or_gets_less_than_the_noise() {
     let mut machine = Drawn::of_size(0, 0.0);
     let text = plates(&mut machine, 2);
     let report = fit(&text, &file(&machine.file), &STATED);
-    assert!(report.is_better() != report.edit.is_empty(), "{:?}", report.held_out);
+    assert!(report.is_improvement() != report.edit.is_empty(), "{:?}", report.held_out);
     for it in report.known.iter().filter(|it| it.is_known) {
         assert!(it.size.abs() < 3.0 * it.half_width.max(0.5), "{it:?}");
     }
@@ -191,7 +191,8 @@ fn an_angle_that_was_a_line_goes_on_beyond_what_was_measured() {
         let path = Path::new("m.toml");
         let fitted = file(&report.edit.apply(text, path).expect("sections"));
         let tool = fitted.volume.tool;
-        let dz = |y| trueup_machine::model::volume_um(&fitted, tool, [x, y, 0.0], [0.0; 3])[2];
+        let dz =
+            |y| trueup_machine::model::volumetric_error_um(&fitted, tool, [x, y, 0.0], [0.0; 3])[2];
         (dz(300.0) - dz(0.0), report.warnings)
     };
     // 150 mm beyond, the line alone goes on: 13.5 µrad at 300 mm.

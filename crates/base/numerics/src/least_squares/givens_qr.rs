@@ -12,7 +12,7 @@
 use crate::t_quantile;
 
 /// Below this share of a column's length, what the columns before leave of it is rounding.
-const DEPENDENT: f64 = 1e-11;
+const RANK_TOLERANCE: f64 = 1e-11;
 
 /// The rows so far.
 #[derive(Clone, Debug)]
@@ -31,7 +31,7 @@ pub struct GivensQr {
 /// A column is a combination of those before it, or 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("column {} follows from the columns before it", .column + 1)]
-pub struct Dependent {
+pub struct DependentColumn {
     /// The column, from 0.
     pub column: usize,
 }
@@ -54,7 +54,7 @@ impl GivensQr {
     ///
     /// # Panics
     /// `x` has another number of columns.
-    pub fn add(&mut self, x: &[f64], y: f64) {
+    pub fn add_row(&mut self, x: &[f64], y: f64) {
         assert_eq!(x.len(), self.columns, "a row has as many values as there are columns");
         let width = self.columns + 1;
         self.row[..self.columns].copy_from_slice(x);
@@ -94,7 +94,7 @@ impl GivensQr {
     }
 
     /// Returns the length of what no combination of the columns reaches.
-    pub(super) fn rest(&self) -> f64 {
+    pub(super) fn residual_norm(&self) -> f64 {
         self.residual_squares.sqrt()
     }
 
@@ -103,15 +103,15 @@ impl GivensQr {
     /// # Errors
     /// A column follows from those before it, to within 1e-11 of its own length: its coefficient
     /// could be anything.
-    pub fn solve(&self) -> Result<Solution, Dependent> {
+    pub fn solve(&self) -> Result<Solution, DependentColumn> {
         let n = self.columns;
         if let Some(column) = (0..n).find(|&column| {
             // Not `<=`: a column of NaN is caught as well.
             let is_independent =
-                self.element(column, column).abs() > DEPENDENT * self.lengths[column].sqrt();
+                self.element(column, column).abs() > RANK_TOLERANCE * self.lengths[column].sqrt();
             !is_independent
         }) {
-            return Err(Dependent { column });
+            return Err(DependentColumn { column });
         }
         let mut coefficients = vec![0.0; n];
         for row in (0..n).rev() {
@@ -178,14 +178,14 @@ impl Solution {
 
     /// From a coefficient to either end of its 95 % interval.
     #[must_use]
-    pub fn half_width(&self, coefficient: usize) -> f64 {
+    pub fn confidence_half_width(&self, coefficient: usize) -> f64 {
         t_quantile(0.975, self.degrees_of_freedom() as f64) * self.standard_error(coefficient)
     }
 
     /// From a smooth function of the coefficients, with this gradient, to either end of its 95 %
     /// interval: to first order.
     #[must_use]
-    pub fn half_width_of(&self, gradient: &[f64]) -> f64 {
+    pub fn half_width_for_gradient(&self, gradient: &[f64]) -> f64 {
         t_quantile(0.975, self.degrees_of_freedom() as f64)
             * (self.variance() * self.leverage(gradient)).sqrt()
     }
@@ -205,7 +205,7 @@ impl Solution {
 
     /// Returns the fitted value of a row.
     #[must_use]
-    pub fn at(&self, x: &[f64]) -> f64 {
+    pub fn predict(&self, x: &[f64]) -> f64 {
         self.coefficients.iter().zip(x).map(|(coefficient, x)| coefficient * x).sum()
     }
 }
@@ -226,14 +226,14 @@ mod tests {
         let (x, y) = data();
         let line = fit_line(&x, &y).expect("spread data");
         let mut triangle = GivensQr::new(2);
-        x.iter().zip(&y).for_each(|(&x, &y)| triangle.add(&[1.0, x - 1e4], y));
+        x.iter().zip(&y).for_each(|(&x, &y)| triangle.add_row(&[1.0, x - 1e4], y));
         let solution = triangle.solve().expect("spread data");
         assert!((solution.coefficients[1] - line.gain).abs() < 1e-12);
         let squares: f64 = line.residuals.iter().map(|residual| residual * residual).sum();
         assert!((solution.residual_squares - squares).abs() < 1e-10);
-        for (row, left_out) in line.left_out_residuals.iter().enumerate() {
+        for (row, left_out) in line.leave_one_out_residuals.iter().enumerate() {
             let at = [1.0, x[row] - 1e4];
-            let own = (y[row] - solution.at(&at)) / (1.0 - solution.leverage(&at));
+            let own = (y[row] - solution.predict(&at)) / (1.0 - solution.leverage(&at));
             assert!((own - left_out).abs() < 1e-10, "row {row}");
         }
     }
@@ -242,15 +242,15 @@ mod tests {
     fn the_standard_errors_are_those_of_the_textbook() {
         let (x, y) = data();
         let mut triangle = GivensQr::new(2);
-        x.iter().zip(&y).for_each(|(&x, &y)| triangle.add(&[1.0, x], y));
+        x.iter().zip(&y).for_each(|(&x, &y)| triangle.add_row(&[1.0, x], y));
         let solution = triangle.solve().expect("spread data");
         let mean = x.iter().sum::<f64>() / 25.0;
         let spread: f64 = x.iter().map(|x| (x - mean).powi(2)).sum();
         let slope = (solution.variance() / spread).sqrt();
         assert!((solution.standard_error(1) / slope - 1.0).abs() < 1e-6);
-        let gradient = solution.half_width_of(&[0.0, 1.0]);
-        assert!((gradient / solution.half_width(1) - 1.0).abs() < 1e-12);
-        assert!((solution.half_width(1) / slope - 2.068_658).abs() < 1e-3);
+        let gradient = solution.half_width_for_gradient(&[0.0, 1.0]);
+        assert!((gradient / solution.confidence_half_width(1) - 1.0).abs() < 1e-12);
+        assert!((solution.confidence_half_width(1) / slope - 2.068_658).abs() < 1e-3);
     }
 
     #[test]
@@ -258,9 +258,9 @@ mod tests {
         let mut triangle = GivensQr::new(3);
         for i in 0..20 {
             let x = f64::from(i);
-            triangle.add(&[1.0, x, 3.0 - 0.1 * x], x * x);
+            triangle.add_row(&[1.0, x, 3.0 - 0.1 * x], x * x);
         }
-        assert_eq!(triangle.solve(), Err(Dependent { column: 2 }));
-        assert_eq!(GivensQr::new(1).solve(), Err(Dependent { column: 0 }));
+        assert_eq!(triangle.solve(), Err(DependentColumn { column: 2 }));
+        assert_eq!(GivensQr::new(1).solve(), Err(DependentColumn { column: 0 }));
     }
 }

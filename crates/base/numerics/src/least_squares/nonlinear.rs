@@ -13,16 +13,16 @@ use std::{cell::RefCell, rc::Rc};
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt, TerminationReason};
 use nalgebra::{DMatrix, DVector, Dyn, storage::Owned};
 
-use super::givens_qr::{Dependent, GivensQr, Solution};
+use super::givens_qr::{DependentColumn, GivensQr, Solution};
 
 /// A model of a column of measured values.
 pub trait Model {
     /// Returns the number of parameters.
-    fn parameters(&self) -> usize;
+    fn parameter_count(&self) -> usize;
 
     /// The model's value for each row at these parameters; false where it has none (a negative
     /// time constant), which the solver takes as a step too far.
-    fn values(&self, parameters: &[f64], values: &mut [f64]) -> bool;
+    fn evaluate(&self, parameters: &[f64], values: &mut [f64]) -> bool;
 
     /// The derivative of each row's value, one column for each parameter; false as above. Unless
     /// it is given: by central differences.
@@ -31,7 +31,7 @@ pub trait Model {
     }
 
     /// Returns the size of a change that matters in a parameter that is 0: for the step of the differences.
-    fn typical(&self, _parameter: usize) -> f64 {
+    fn typical_magnitude(&self, _parameter: usize) -> f64 {
         1.0
     }
 }
@@ -48,14 +48,14 @@ pub(crate) fn central_differences<M: Model + ?Sized>(
     let mut below = vec![0.0; columns.first().map_or(0, Vec::len)];
     for (index, column) in columns.iter_mut().enumerate() {
         let parameter = parameters[index];
-        let size = if parameter == 0.0 { model.typical(index) } else { parameter.abs() };
+        let size = if parameter == 0.0 { model.typical_magnitude(index) } else { parameter.abs() };
         let (low, high) = (parameter - relative * size, parameter + relative * size);
         moved[index] = low;
-        if !model.values(&moved, &mut below) {
+        if !model.evaluate(&moved, &mut below) {
             return false;
         }
         moved[index] = high;
-        if !model.values(&moved, column) {
+        if !model.evaluate(&moved, column) {
             return false;
         }
         moved[index] = parameter;
@@ -67,7 +67,7 @@ pub(crate) fn central_differences<M: Model + ?Sized>(
 
 /// How to solve.
 #[derive(Clone, Debug)]
-pub struct Options {
+pub struct SolverOptions {
     /// Steps that are allowed, for each parameter.
     pub patience: usize,
     /// The first step is at most this many times the start, tried in turn. The best end is taken: a
@@ -79,7 +79,7 @@ pub struct Options {
     pub tolerance: f64,
 }
 
-impl Default for Options {
+impl Default for SolverOptions {
     fn default() -> Self {
         Self { patience: 500, first_steps: vec![100.0, 1.0, 0.01], followed: 4, tolerance: 1e-14 }
     }
@@ -109,7 +109,7 @@ pub enum SolveError {
 
 /// The result of a fit.
 #[derive(Clone, Debug)]
-pub struct Fit {
+pub struct NonlinearFit {
     /// The fitted parameters, in the order and the units of the model.
     pub parameters: Vec<f64>,
     /// Measured minus model, by row; NaN where there is no measured value.
@@ -120,23 +120,23 @@ pub struct Fit {
     ///
     /// # Errors
     /// The rows do not decide the parameter: it could be anything.
-    pub linear: Result<Solution, Dependent>,
+    pub linear: Result<Solution, DependentColumn>,
     /// The sum of the squares of the residuals.
     pub residual_squares: f64,
 }
 
-impl Fit {
+impl NonlinearFit {
     /// From a parameter to either end of its 95 % interval; infinite where the rows do not decide
     /// all parameters.
     #[must_use]
-    pub fn half_width(&self, parameter: usize) -> f64 {
-        self.linear.as_ref().map_or(f64::INFINITY, |linear| linear.half_width(parameter))
+    pub fn confidence_half_width(&self, parameter: usize) -> f64 {
+        self.linear.as_ref().map_or(f64::INFINITY, |linear| linear.confidence_half_width(parameter))
     }
 
     /// Returns each row's residual from the fit to all other rows, to first order; NaN where there is no
     /// measured value.
     #[must_use]
-    pub fn left_out_residuals(&self) -> Vec<f64> {
+    pub fn leave_one_out_residuals(&self) -> Vec<f64> {
         let Ok(linear) = &self.linear else { return vec![f64::NAN; self.residuals.len()] };
         let mut at = vec![0.0; self.parameters.len()];
         let left_out = |(row, residual): (usize, &f64)| {
@@ -158,16 +158,16 @@ pub fn fit(
     model: &(impl Model + ?Sized),
     measured: &[f64],
     start: &[f64],
-    options: &Options,
-) -> Result<Fit, SolveError> {
-    let parameters = model.parameters();
+    options: &SolverOptions,
+) -> Result<NonlinearFit, SolveError> {
+    let parameters = model.parameter_count();
     assert_eq!(start.len(), parameters, "a start has as many values as the model has parameters");
     let rows = measured.iter().filter(|value| !value.is_nan()).count();
     if rows < parameters {
         return Err(SolveError::TooFewRows { rows, parameters });
     }
-    let folded = Folded::new(model, measured, start);
-    if folded.triangle(start).is_none() {
+    let folded = SolverProblem::new(model, measured, start);
+    if folded.jacobian_qr(start).is_none() {
         return Err(SolveError::BadStart);
     }
     let mut best: Option<(f64, Vec<f64>)> = None;
@@ -179,10 +179,10 @@ pub fn fit(
             .with_ftol(options.tolerance)
             .with_xtol(options.tolerance)
             .with_gtol(options.tolerance);
-        let (end, report) = solver.minimize(folded.from(start));
+        let (end, report) = solver.minimize(folded.with_parameters(start));
         let squares = 2.0 * report.objective_function;
         match report.termination {
-            // Rounding keeps it from the tolerance that was asked for: as good as it gets.
+            // Rounding keeps it from the tolerance that was requested: as good as it gets.
             TerminationReason::NoImprovementPossible(_) => {}
             ref ended if ended.was_successful() => {}
             ended => {
@@ -197,22 +197,22 @@ pub fn fit(
         }
     }
     let Some((_, parameters)) = best else { return Err(SolveError::NotConverged { reason }) };
-    let polished = folded.polished(parameters);
+    let polished = folded.refine_by_gauss_newton(parameters);
     Ok(folded.finish(polished))
 }
 
 /// Buffers, a value for each row: the model's values, and its derivatives by parameter.
-type Space = (Vec<f64>, Vec<Vec<f64>>);
+type Workspace = (Vec<f64>, Vec<Vec<f64>>);
 
 /// The problem as the solver sees it.
-struct Folded<'a, M: Model + ?Sized> {
+struct SolverProblem<'a, M: Model + ?Sized> {
     model: &'a M,
     measured: &'a [f64],
     parameters: Vec<f64>,
-    space: Rc<RefCell<Space>>,
+    space: Rc<RefCell<Workspace>>,
 }
 
-impl<'a, M: Model + ?Sized> Folded<'a, M> {
+impl<'a, M: Model + ?Sized> SolverProblem<'a, M> {
     fn new(model: &'a M, measured: &'a [f64], start: &[f64]) -> Self {
         let column = vec![0.0; measured.len()];
         let columns = vec![column.clone(); start.len()];
@@ -220,17 +220,23 @@ impl<'a, M: Model + ?Sized> Folded<'a, M> {
         Self { model, measured, parameters: start.to_vec(), space }
     }
 
-    fn from(&self, start: &[f64]) -> Self {
+    fn with_parameters(&self, start: &[f64]) -> Self {
         let space = Rc::clone(&self.space);
-        Folded { model: self.model, measured: self.measured, parameters: start.to_vec(), space }
+        SolverProblem {
+            model: self.model,
+            measured: self.measured,
+            parameters: start.to_vec(),
+            space,
+        }
     }
 
     /// Returns the triangle of derivatives and residuals (measured minus model) at `parameters`; `None`
     /// where the model has no finite value.
-    fn triangle(&self, parameters: &[f64]) -> Option<GivensQr> {
+    fn jacobian_qr(&self, parameters: &[f64]) -> Option<GivensQr> {
         let mut space = self.space.borrow_mut();
         let (values, columns) = &mut *space;
-        if !self.model.values(parameters, values) || !self.model.derivatives(parameters, columns) {
+        if !self.model.evaluate(parameters, values) || !self.model.derivatives(parameters, columns)
+        {
             return None;
         }
         let mut triangle = GivensQr::new(parameters.len());
@@ -243,7 +249,7 @@ impl<'a, M: Model + ?Sized> Folded<'a, M> {
             if !value.is_finite() || row_of.iter().any(|derivative| !derivative.is_finite()) {
                 return None;
             }
-            triangle.add(&row_of, measured - value);
+            triangle.add_row(&row_of, measured - value);
         }
         Some(triangle)
     }
@@ -251,11 +257,11 @@ impl<'a, M: Model + ?Sized> Folded<'a, M> {
     /// Returns a few steps of Gauss and Newton from the minimum. The solver ends where the sum of squares
     /// moves no more, which is half the digits that the parameters could have: there the sum is
     /// flat.
-    fn polished(&self, mut parameters: Vec<f64>) -> Vec<f64> {
-        const STEPS: usize = 30;
-        let Some(mut triangle) = self.triangle(&parameters) else { return parameters };
+    fn refine_by_gauss_newton(&self, mut parameters: Vec<f64>) -> Vec<f64> {
+        const MAX_ITERATIONS: usize = 30;
+        let Some(mut triangle) = self.jacobian_qr(&parameters) else { return parameters };
         let mut longest = f64::INFINITY;
-        for _ in 0..STEPS {
+        for _ in 0..MAX_ITERATIONS {
             let Ok(step) = triangle.solve() else { break };
             // In units of the parameters' standard errors, so that each step can be compared.
             let length = (0..parameters.len())
@@ -269,16 +275,16 @@ impl<'a, M: Model + ?Sized> Folded<'a, M> {
             longest = length;
             let moved: Vec<f64> =
                 parameters.iter().zip(&step.coefficients).map(|(p, step)| p + step).collect();
-            let Some(there) = self.triangle(&moved) else { break };
+            let Some(there) = self.jacobian_qr(&moved) else { break };
             (parameters, triangle) = (moved, there);
         }
         parameters
     }
 
-    fn finish(self, parameters: Vec<f64>) -> Fit {
-        let linear = match self.triangle(&parameters) {
+    fn finish(self, parameters: Vec<f64>) -> NonlinearFit {
+        let linear = match self.jacobian_qr(&parameters) {
             Some(triangle) => triangle.solve(),
-            None => Err(Dependent { column: 0 }),
+            None => Err(DependentColumn { column: 0 }),
         };
         let mut space = self.space.borrow_mut();
         let (values, columns) = std::mem::take(&mut *space);
@@ -286,11 +292,11 @@ impl<'a, M: Model + ?Sized> Folded<'a, M> {
             self.measured.iter().zip(values).map(|(measured, value)| measured - value).collect();
         let present = residuals.iter().filter(|residual| !residual.is_nan());
         let residual_squares = present.map(|residual| residual * residual).sum();
-        Fit { parameters, residuals, derivatives: columns, linear, residual_squares }
+        NonlinearFit { parameters, residuals, derivatives: columns, linear, residual_squares }
     }
 }
 
-impl<M: Model + ?Sized> LeastSquaresProblem<f64, Dyn, Dyn> for Folded<'_, M> {
+impl<M: Model + ?Sized> LeastSquaresProblem<f64, Dyn, Dyn> for SolverProblem<'_, M> {
     type ResidualStorage = Owned<f64, Dyn>;
     type JacobianStorage = Owned<f64, Dyn, Dyn>;
     type ParameterStorage = Owned<f64, Dyn>;
@@ -305,10 +311,10 @@ impl<M: Model + ?Sized> LeastSquaresProblem<f64, Dyn, Dyn> for Folded<'_, M> {
 
     fn residuals(&self) -> Option<DVector<f64>> {
         let n = self.parameters.len();
-        let triangle = self.triangle(&self.parameters);
+        let triangle = self.jacobian_qr(&self.parameters);
         Some(match triangle {
             Some(triangle) => DVector::from_fn(n + 1, |row, _| {
-                if row < n { triangle.element(row, n) } else { triangle.rest() }
+                if row < n { triangle.element(row, n) } else { triangle.residual_norm() }
             }),
             // Larger than any sum that is left: the step is taken back, and a shorter one tried.
             None => DVector::from_element(n + 1, 1e150),
@@ -317,7 +323,7 @@ impl<M: Model + ?Sized> LeastSquaresProblem<f64, Dyn, Dyn> for Folded<'_, M> {
 
     fn jacobian(&self) -> Option<DMatrix<f64>> {
         let n = self.parameters.len();
-        let triangle = self.triangle(&self.parameters)?;
+        let triangle = self.jacobian_qr(&self.parameters)?;
         // Residuals fall as the model's values rise.
         Some(DMatrix::from_fn(
             n + 1,
@@ -337,11 +343,11 @@ mod tests {
     struct Decay(Vec<f64>);
 
     impl Model for Decay {
-        fn parameters(&self) -> usize {
+        fn parameter_count(&self) -> usize {
             2
         }
 
-        fn values(&self, parameters: &[f64], values: &mut [f64]) -> bool {
+        fn evaluate(&self, parameters: &[f64], values: &mut [f64]) -> bool {
             values
                 .iter_mut()
                 .zip(&self.0)
@@ -360,7 +366,7 @@ mod tests {
     fn a_curve_without_noise_is_found_from_afar() {
         let (model, mut y) = decay();
         y[3] = f64::NAN;
-        let fit = fit(&model, &y, &[1.0, 100.0], &Options::default()).expect("a plain curve");
+        let fit = fit(&model, &y, &[1.0, 100.0], &SolverOptions::default()).expect("a plain curve");
         assert!((fit.parameters[0] - 7.0).abs() < 1e-8 && (fit.parameters[1] - 12.5).abs() < 1e-7);
         assert!(fit.residuals[3].is_nan() && fit.residual_squares < 1e-15);
     }
@@ -380,9 +386,9 @@ mod tests {
     #[test]
     fn what_cannot_be_fitted_is_refused() {
         let (model, y) = decay();
-        let bad = fit(&model, &y, &[1.0, -1.0], &Options::default()).expect_err("no value");
+        let bad = fit(&model, &y, &[1.0, -1.0], &SolverOptions::default()).expect_err("no value");
         assert_eq!(bad, SolveError::BadStart);
-        let few = fit(&Decay(vec![1.0]), &[1.0], &[1.0, 1.0], &Options::default());
+        let few = fit(&Decay(vec![1.0]), &[1.0], &[1.0, 1.0], &SolverOptions::default());
         let few = few.expect_err("one row").to_string();
         assert_eq!(few, "1 rows cannot decide 2 parameters");
     }
@@ -392,14 +398,16 @@ mod tests {
         let (model, mut y) = decay();
         let noise = |row: usize| ((row * 7919 % 101) as f64 / 101.0 - 0.5) * 0.1;
         y.iter_mut().enumerate().for_each(|(row, y)| *y += noise(row));
-        let whole = fit(&model, &y, &[5.0, 10.0], &Options::default()).expect("a plain curve");
+        let whole =
+            fit(&model, &y, &[5.0, 10.0], &SolverOptions::default()).expect("a plain curve");
         for row in [0, 5, 30] {
             let mut rest = y.clone();
             rest[row] = f64::NAN;
-            let refit = fit(&model, &rest, &[5.0, 10.0], &Options::default()).expect("a curve");
+            let refit =
+                fit(&model, &rest, &[5.0, 10.0], &SolverOptions::default()).expect("a curve");
             let mut values = vec![0.0; y.len()];
-            assert!(model.values(&refit.parameters, &mut values));
-            let difference = (y[row] - values[row]) - whole.left_out_residuals()[row];
+            assert!(model.evaluate(&refit.parameters, &mut values));
+            let difference = (y[row] - values[row]) - whole.leave_one_out_residuals()[row];
             assert!(difference.abs() < 5e-4, "row {row}: {difference:e}");
         }
     }

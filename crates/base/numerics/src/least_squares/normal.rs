@@ -39,11 +39,11 @@ pub struct NormalSolution {
 impl NormalSolution {
     /// (XᵀX)⁻¹: times the variance of independent noise it is the covariance of the coefficients.
     #[must_use]
-    pub fn inverse(&self) -> DMatrix<f64> {
+    pub fn unscaled_covariance(&self) -> DMatrix<f64> {
         let count = self.scale.len();
         let mut inverse = DMatrix::identity(count, count);
         for (i, mut column) in inverse.column_iter_mut().enumerate() {
-            back(&self.lower, column.as_mut_slice());
+            cholesky_solve(&self.lower, column.as_mut_slice());
             column.iter_mut().zip(&self.scale).for_each(|(v, scale)| *v *= self.scale[i] * scale);
         }
         inverse
@@ -83,7 +83,7 @@ pub fn solve(
         columns.iter().map(Vec::as_slice).map(counted).collect()
     });
     let columns = masked.as_deref().unwrap_or(columns);
-    let mut normal = squares(columns);
+    let mut normal = gram_matrix(columns);
     let scale: Vec<f64> = (0..count)
         .map(|i| {
             let norm = normal[(i, i)].sqrt();
@@ -102,24 +102,24 @@ pub fn solve(
     }
     let whole: Vec<f64> = scale.iter().map(|&scale| if scale > 0.0 { 1.0 } else { 0.0 }).collect();
     let lower = cholesky(normal, &whole);
-    back(&lower, &mut right);
+    cholesky_solve(&lower, &mut right);
     let coefficients = right.iter().zip(&scale).map(|(b, scale)| b * scale).collect();
     NormalSolution { coefficients, lower, scale }
 }
 
 /// Columns up to which their products are quicker one by one: for more there is a routine in blocks.
-const FEW: usize = 5;
+const MAX_PAIRWISE_COLUMNS: usize = 5;
 /// Rows of such a block.
-const ROWS: usize = 4096;
+const ROWS_PER_BLOCK: usize = 4096;
 
 /// XᵀX, of which the lower half is read.
-fn squares(columns: &[Vec<f64>]) -> DMatrix<f64> {
+fn gram_matrix(columns: &[Vec<f64>]) -> DMatrix<f64> {
     let count = columns.len();
-    if count > FEW {
+    if count > MAX_PAIRWISE_COLUMNS {
         // Not more rows at once than stay in the cache.
         let mut sum = DMatrix::zeros(count, count);
-        for start in (0..columns[0].len()).step_by(ROWS) {
-            let end = (start + ROWS).min(columns[0].len());
+        for start in (0..columns[0].len()).step_by(ROWS_PER_BLOCK) {
+            let end = (start + ROWS_PER_BLOCK).min(columns[0].len());
             let rows = columns.iter().flat_map(|column| &column[start..end]).copied();
             let rows = DMatrix::from_iterator(end - start, count, rows);
             sum += rows.transpose() * rows;
@@ -131,8 +131,8 @@ fn squares(columns: &[Vec<f64>]) -> DMatrix<f64> {
 }
 
 /// (L·Lᵀ)⁻¹·b in the place of b.
-fn back(lower: &DMatrix<f64>, b: &mut [f64]) {
-    forward(lower, b);
+fn cholesky_solve(lower: &DMatrix<f64>, b: &mut [f64]) {
+    forward_substitute(lower, b);
     for i in (0..b.len()).rev() {
         let sum: f64 = (i + 1..b.len()).map(|k| lower[(k, i)] * b[k]).sum();
         b[i] = if lower[(i, i)] > 0.0 { (b[i] - sum) / lower[(i, i)] } else { 0.0 };
@@ -140,7 +140,7 @@ fn back(lower: &DMatrix<f64>, b: &mut [f64]) {
 }
 
 /// The share of a column's squares left next to others, below which it is a combination of them.
-const DEPENDENT: f64 = 1e-11;
+const PIVOT_TOLERANCE: f64 = 1e-11;
 
 /// L of G = L·Lᵀ, from the lower half of G. A column that is a combination of those before it, measured
 /// by its `whole` squares, has a 0 on the diagonal and counts for nothing.
@@ -153,13 +153,14 @@ pub fn cholesky(mut g: DMatrix<f64>, whole: &[f64]) -> DMatrix<f64> {
         }
         let sum: f64 = (0..i).map(|k| g[(i, k)] * g[(i, k)]).sum();
         let rest = g[(i, i)] - sum;
-        g[(i, i)] = if whole[i] > 0.0 && rest > DEPENDENT * whole[i] { rest.sqrt() } else { 0.0 };
+        g[(i, i)] =
+            if whole[i] > 0.0 && rest > PIVOT_TOLERANCE * whole[i] { rest.sqrt() } else { 0.0 };
     }
     g
 }
 
 /// L⁻¹·b in the place of b.
-pub fn forward(lower: &DMatrix<f64>, b: &mut [f64]) {
+pub fn forward_substitute(lower: &DMatrix<f64>, b: &mut [f64]) {
     for i in 0..b.len() {
         let sum: f64 = (0..i).map(|k| lower[(i, k)] * b[k]).sum();
         b[i] = if lower[(i, i)] > 0.0 { (b[i] - sum) / lower[(i, i)] } else { 0.0 };
@@ -168,7 +169,7 @@ pub fn forward(lower: &DMatrix<f64>, b: &mut [f64]) {
 
 /// Makes `vectors` orthonormal to each other; what vanishes is left out.
 #[must_use]
-pub fn orthonormal(vectors: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+pub fn orthonormalise(vectors: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
     let mut own: Vec<Vec<f64>> = Vec::with_capacity(vectors.len());
     for mut vector in vectors {
         let before = dot(&vector, &vector);

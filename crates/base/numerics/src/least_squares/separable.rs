@@ -6,22 +6,22 @@
 
 use super::{
     givens_qr::{GivensQr, Solution},
-    nonlinear::{Fit, Model, Options, SolveError, fit},
+    nonlinear::{Model, NonlinearFit, SolveError, SolverOptions, fit},
 };
 
 /// A model with linear parameters.
-pub trait Separable {
+pub trait SeparableModel {
     /// Returns the number of the parameters that are not linear, q.
-    fn nonlinear(&self) -> usize;
+    fn nonlinear_count(&self) -> usize;
 
     /// Returns the number of those that are, c.
-    fn linear(&self) -> usize;
+    fn linear_count(&self) -> usize;
 
     /// f at q: a column for each linear parameter; false where there is no such q.
     fn basis(&self, q: &[f64], columns: &mut [Vec<f64>]) -> bool;
 
     /// Returns the size of a change that matters in a parameter that is 0, q first, then c.
-    fn typical(&self, _parameter: usize) -> f64 {
+    fn typical_magnitude(&self, _parameter: usize) -> f64 {
         1.0
     }
 }
@@ -29,8 +29,8 @@ pub trait Separable {
 /// Returns the best c at `q`; `None` where there is no such q or the columns depend on each other.
 /// Rows whose measured value is NaN take no part.
 #[must_use]
-pub fn project(
-    model: &(impl Separable + ?Sized),
+pub(crate) fn solve_linear_parameters(
+    model: &(impl SeparableModel + ?Sized),
     q: &[f64],
     measured: &[f64],
     columns: &mut [Vec<f64>],
@@ -45,7 +45,7 @@ pub fn project(
         if row_of.iter().any(|value| !value.is_finite()) {
             return None;
         }
-        triangle.add(&row_of, measured);
+        triangle.add_row(&row_of, measured);
     }
     triangle.solve().ok()
 }
@@ -56,28 +56,28 @@ pub fn project(
 /// # Errors
 /// See [`SolveError`]; [`SolveError::BadStart`] where no point of the grid has a fit.
 pub fn fit_separable(
-    model: &(impl Separable + ?Sized),
+    model: &(impl SeparableModel + ?Sized),
     measured: &[f64],
     grid: &[Vec<f64>],
-    options: &Options,
-) -> Result<Fit, SolveError> {
+    options: &SolverOptions,
+) -> Result<NonlinearFit, SolveError> {
     let rows = measured.iter().filter(|value| !value.is_nan()).count();
-    let parameters = model.nonlinear() + model.linear();
+    let parameters = model.nonlinear_count() + model.linear_count();
     if rows < parameters {
         return Err(SolveError::TooFewRows { rows, parameters });
     }
-    let mut columns = vec![vec![0.0; measured.len()]; model.linear()];
+    let mut columns = vec![vec![0.0; measured.len()]; model.linear_count()];
     let mut starts: Vec<(f64, Vec<f64>)> = grid
         .iter()
         .filter_map(|q| {
-            let solution = project(model, q, measured, &mut columns)?;
+            let solution = solve_linear_parameters(model, q, measured, &mut columns)?;
             let start = [q.as_slice(), &solution.coefficients].concat();
             Some((solution.residual_squares, start))
         })
         .collect();
     starts.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let joint = Joint(model);
-    let mut best: Option<Fit> = None;
+    let joint = JointModel(model);
+    let mut best: Option<NonlinearFit> = None;
     let mut failed = SolveError::BadStart;
     for (_, start) in starts.iter().take(options.followed) {
         match fit(&joint, measured, start, options) {
@@ -92,35 +92,36 @@ pub fn fit_separable(
 }
 
 /// q and c as parameters of one model.
-struct Joint<'m, S: ?Sized>(&'m S);
+struct JointModel<'m, S: ?Sized>(&'m S);
 
-impl<S: Separable + ?Sized> Model for Joint<'_, S> {
-    fn parameters(&self) -> usize {
-        self.0.nonlinear() + self.0.linear()
+impl<S: SeparableModel + ?Sized> Model for JointModel<'_, S> {
+    fn parameter_count(&self) -> usize {
+        self.0.nonlinear_count() + self.0.linear_count()
     }
 
-    fn values(&self, parameters: &[f64], values: &mut [f64]) -> bool {
-        let (q, c) = parameters.split_at(self.0.nonlinear());
+    fn evaluate(&self, parameters: &[f64], values: &mut [f64]) -> bool {
+        let (q, c) = parameters.split_at(self.0.nonlinear_count());
         let mut columns = vec![vec![0.0; values.len()]; c.len()];
-        self.combine(q, c, &mut columns, values)
+        self.linear_combination(q, c, &mut columns, values)
     }
 
     /// In c the derivatives are the columns themselves; in q by central differences.
     fn derivatives(&self, parameters: &[f64], columns: &mut [Vec<f64>]) -> bool {
-        let (q, c) = parameters.split_at(self.0.nonlinear());
+        let (q, c) = parameters.split_at(self.0.nonlinear_count());
         let (in_q, in_c) = columns.split_at_mut(q.len());
         let relative = f64::EPSILON.cbrt();
         let mut moved = q.to_vec();
         let mut below = vec![0.0; in_q.first().map_or(0, Vec::len)];
         for (index, column) in in_q.iter_mut().enumerate() {
-            let size = if q[index] == 0.0 { self.0.typical(index) } else { q[index].abs() };
+            let size =
+                if q[index] == 0.0 { self.0.typical_magnitude(index) } else { q[index].abs() };
             let (low, high) = (q[index] - relative * size, q[index] + relative * size);
             moved[index] = low;
-            if !self.combine(&moved, c, in_c, &mut below) {
+            if !self.linear_combination(&moved, c, in_c, &mut below) {
                 return false;
             }
             moved[index] = high;
-            if !self.combine(&moved, c, in_c, column) {
+            if !self.linear_combination(&moved, c, in_c, column) {
                 return false;
             }
             moved[index] = q[index];
@@ -131,14 +132,20 @@ impl<S: Separable + ?Sized> Model for Joint<'_, S> {
         self.0.basis(q, in_c)
     }
 
-    fn typical(&self, parameter: usize) -> f64 {
-        self.0.typical(parameter)
+    fn typical_magnitude(&self, parameter: usize) -> f64 {
+        self.0.typical_magnitude(parameter)
     }
 }
 
-impl<S: Separable + ?Sized> Joint<'_, S> {
+impl<S: SeparableModel + ?Sized> JointModel<'_, S> {
     /// The values c₁·f₁(q) + …; `columns` is space for f.
-    fn combine(&self, q: &[f64], c: &[f64], columns: &mut [Vec<f64>], values: &mut [f64]) -> bool {
+    fn linear_combination(
+        &self,
+        q: &[f64],
+        c: &[f64],
+        columns: &mut [Vec<f64>],
+        values: &mut [f64],
+    ) -> bool {
         if !self.0.basis(q, columns) {
             return false;
         }
@@ -152,7 +159,7 @@ impl<S: Separable + ?Sized> Joint<'_, S> {
 
 /// Points from `least` to `most`, both above 0, each the same factor above the one before.
 #[must_use]
-pub fn geometric(least: f64, most: f64, points: usize) -> Vec<f64> {
+pub fn geometric_sequence(least: f64, most: f64, points: usize) -> Vec<f64> {
     let factor = (most / least).ln() / points.saturating_sub(1).max(1) as f64;
     (0..points).map(|point| least * (factor * point as f64).exp()).collect()
 }
@@ -164,12 +171,12 @@ mod tests {
     /// c₁ + c₂·e^(−x/q₁) + c₃·e^(−x/q₂)
     struct TwoDecays(Vec<f64>);
 
-    impl Separable for TwoDecays {
-        fn nonlinear(&self) -> usize {
+    impl SeparableModel for TwoDecays {
+        fn nonlinear_count(&self) -> usize {
             2
         }
 
-        fn linear(&self) -> usize {
+        fn linear_count(&self) -> usize {
             3
         }
 
@@ -187,12 +194,13 @@ mod tests {
         let x: Vec<f64> = (0..200).map(f64::from).collect();
         let y: Vec<f64> =
             x.iter().map(|x| 3.0 - 8.0 * (-x / 60.0).exp() + 5.0 * (-x / 9.0).exp()).collect();
-        let points = geometric(1.0, 500.0, 12);
+        let points = geometric_sequence(1.0, 500.0, 12);
         let grid: Vec<Vec<f64>> = points
             .iter()
             .flat_map(|&a| points.iter().filter(move |&&b| b < a).map(move |&b| vec![a, b]))
             .collect();
-        let fit = fit_separable(&TwoDecays(x), &y, &grid, &Options::default()).expect("exact data");
+        let fit =
+            fit_separable(&TwoDecays(x), &y, &grid, &SolverOptions::default()).expect("exact data");
         for (value, truth) in fit.parameters.iter().zip([60.0, 9.0, 3.0, -8.0, 5.0]) {
             assert!((value - truth).abs() < 1e-6 * truth.abs(), "{:?}", fit.parameters);
         }
@@ -200,7 +208,7 @@ mod tests {
 
     #[test]
     fn a_geometric_grid_has_both_its_ends() {
-        let grid = geometric(0.1, 1000.0, 5);
+        let grid = geometric_sequence(0.1, 1000.0, 5);
         assert_eq!(grid.len(), 5);
         assert!((grid[0] - 0.1).abs() < 1e-15 && (grid[4] - 1000.0).abs() < 1e-9);
     }

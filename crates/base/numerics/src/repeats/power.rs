@@ -3,11 +3,11 @@
 //! With p places, n cycles and an error of the size b (root mean square) next to a scatter s, F has the
 //! noncentral distribution with (p − 1, p·(n − 1)) degrees of freedom and λ = n·p·(b/s)².
 
-use super::decide::SIGNIFICANCE;
+use super::table_selection::SIGNIFICANCE_LEVEL;
 use crate::noncentral_f;
 
 /// The chance with which the error is to be found.
-const POWER: f64 = 0.95;
+const TARGET_POWER: f64 = 0.95;
 /// No more cycles are considered.
 const MAX_CYCLES: usize = 100;
 
@@ -15,13 +15,13 @@ const MAX_CYCLES: usize = 100;
 /// is found with 95 %, where one reading scatters by `scatter` (in the same unit). None: not within 100.
 ///
 /// ```
-/// use trueup_numerics::repeats::cycles_for;
-/// assert_eq!(cycles_for(10.0, 1.0, 10), Some(2));
-/// assert_eq!(cycles_for(0.01, 1.0, 10), None);
+/// use trueup_numerics::repeats::required_cycles;
+/// assert_eq!(required_cycles(10.0, 1.0, 10), Some(2));
+/// assert_eq!(required_cycles(0.01, 1.0, 10), None);
 /// ```
 #[must_use]
-pub fn cycles_for(size: f64, scatter: f64, places: usize) -> Option<usize> {
-    (2..=MAX_CYCLES).find(|&cycles| power(size, scatter, places, cycles) >= POWER)
+pub fn required_cycles(size: f64, scatter: f64, places: usize) -> Option<usize> {
+    (2..=MAX_CYCLES).find(|&cycles| power(size, scatter, places, cycles) >= TARGET_POWER)
 }
 
 /// Returns the chance that this many cycles show the error, 0…1.
@@ -29,5 +29,5 @@ pub(super) fn power(size: f64, scatter: f64, places: usize, cycles: usize) -> f6
     let more = places.saturating_sub(1) as f64;
     let freedom = (places * cycles.saturating_sub(1)) as f64;
     let lambda = (places * cycles) as f64 * (size / scatter).powi(2);
-    noncentral_f::power(SIGNIFICANCE, more, freedom, lambda)
+    noncentral_f::power(SIGNIFICANCE_LEVEL, more, freedom, lambda)
 }

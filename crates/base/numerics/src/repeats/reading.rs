@@ -18,11 +18,11 @@ pub struct Reading {
 ///
 /// ```
 /// let there_and_back_twice = [(0, 0), (1, 0), (1, 1), (0, 1), (0, 0), (1, 0), (1, 1), (0, 1)];
-/// let cycles = trueup_numerics::repeats::arrivals(&there_and_back_twice);
+/// let cycles = trueup_numerics::repeats::cycle_numbers(&there_and_back_twice);
 /// assert_eq!(cycles, [0, 0, 0, 0, 1, 1, 1, 1]);
 /// ```
 #[must_use]
-pub fn arrivals(stops: &[(usize, usize)]) -> Vec<usize> {
+pub fn cycle_numbers(stops: &[(usize, usize)]) -> Vec<usize> {
     let places = stops.iter().map(|stop| stop.0 + 1).max().unwrap_or(0);
     let mut counts = vec![[0; 2]; places];
     let mut cycle_of = |&(place, side): &(usize, usize)| {
@@ -37,12 +37,12 @@ pub fn arrivals(stops: &[(usize, usize)]) -> Vec<usize> {
 ///
 /// Source: ISO 230-2 lets a target differ from an even grid by up to 30 % of the step; a position that is
 /// meant to be the same is nearer by far, and a tenth lies between.
-pub const SAME_PLACE: f64 = 0.1;
+pub const SAME_PLACE_TOLERANCE: f64 = 0.1;
 
 /// Returns the places that `positions` are meant to be, rising, and the place of each position. `step` is the
 /// smallest that was meant, in the same unit; 0: only equal positions are one place.
 #[must_use]
-pub fn places(positions: &[f64], step: f64) -> (Vec<f64>, Vec<usize>) {
+pub fn group_positions(positions: &[f64], step: f64) -> (Vec<f64>, Vec<usize>) {
     let mut order: Vec<usize> = (0..positions.len()).collect();
     order.sort_by(|&a, &b| positions[a].total_cmp(&positions[b]));
     let mut place_of = vec![0; positions.len()];
@@ -51,7 +51,7 @@ pub fn places(positions: &[f64], step: f64) -> (Vec<f64>, Vec<usize>) {
     for row in order {
         let position = positions[row];
         match groups.last_mut() {
-            Some((first, sum, count)) if position - *first <= SAME_PLACE * step => {
+            Some((first, sum, count)) if position - *first <= SAME_PLACE_TOLERANCE * step => {
                 *sum += position - *first;
                 *count += 1.0;
             }

@@ -4,7 +4,7 @@ use super::reading::Reading;
 
 /// The relation between the two sides of a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Law {
+pub enum TableLaw {
     /// The same: a value for each place.
     Table,
     /// The same, but for one step that the second side has everywhere.
@@ -17,7 +17,7 @@ pub enum Law {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Table {
     /// The law.
-    pub law: Law,
+    pub law: TableLaw,
     /// By place, for each side; without the step.
     pub values: [Vec<f64>; 2],
     /// The excess of the second side over the first, where the law has a step; else 0.
@@ -29,7 +29,11 @@ pub struct Table {
 impl Table {
     /// `law` by least squares over `places` places.
     #[must_use]
-    pub fn fit<'r>(law: Law, places: usize, readings: impl Iterator<Item = &'r Reading>) -> Self {
+    pub fn fit<'r>(
+        law: TableLaw,
+        places: usize,
+        readings: impl Iterator<Item = &'r Reading>,
+    ) -> Self {
         let mut sum = [vec![0.0; places], vec![0.0; places]];
         let mut count = [vec![0.0; places], vec![0.0; places]];
         for it in readings {
@@ -37,14 +41,14 @@ impl Table {
             count[it.side][it.place] += 1.0;
         }
         let seen = |counts: &[f64]| counts.iter().filter(|count| **count > 0.5).count();
-        if law == Law::EachSide {
+        if law == TableLaw::EachSide {
             let constants = seen(&count[0]) + seen(&count[1]);
             let mean = |side: usize| -> Vec<f64> {
                 sum[side].iter().zip(&count[side]).map(|(sum, count)| sum / count).collect()
             };
             return Self { law, values: [mean(0), mean(1)], step: 0.0, constants };
         }
-        let step = if law == Law::TableAndStep { step(&sum, &count) } else { None };
+        let step = if law == TableLaw::TableAndStep { fit_step(&sum, &count) } else { None };
         let width = step.unwrap_or(0.0);
         let both: Vec<f64> = (0..places).map(|place| count[0][place] + count[1][place]).collect();
         let values: Vec<f64> = (0..places)
@@ -56,14 +60,14 @@ impl Table {
 
     /// Returns what it says at a place from a side; NaN where it has no value.
     #[must_use]
-    pub fn at(&self, place: usize, side: usize) -> f64 {
+    pub(crate) fn value_at(&self, place: usize, side: usize) -> f64 {
         self.values[side][place] + if side == 1 { self.step } else { 0.0 }
     }
 }
 
 /// Returns the step by least squares next to a value for each place: the places' own differences, each with the
 /// weight n₀·n₁/(n₀ + n₁). None where no place has both sides.
-fn step(sum: &[Vec<f64>; 2], count: &[Vec<f64>; 2]) -> Option<f64> {
+fn fit_step(sum: &[Vec<f64>; 2], count: &[Vec<f64>; 2]) -> Option<f64> {
     let (mut total, mut weights) = (0.0, 0.0);
     for place in 0..sum[0].len() {
         let [n0, n1] = [count[0][place], count[1][place]];

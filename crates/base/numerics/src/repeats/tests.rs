@@ -25,10 +25,10 @@ fn noise(seed: u64) -> impl FnMut() -> f64 {
     move || generator.normal()
 }
 
-const ALL: [Law; 3] = [Law::Table, Law::TableAndStep, Law::EachSide];
+const ALL: [TableLaw; 3] = [TableLaw::Table, TableLaw::TableAndStep, TableLaw::EachSide];
 
-fn decided(readings: &[Reading], places: usize) -> Decision {
-    decide(readings, &gross(readings), places, &ALL)
+fn decided(readings: &[Reading], places: usize) -> TableSelection {
+    select_table(readings, &find_gross_errors(readings), places, &ALL)
 }
 
 #[test]
@@ -38,7 +38,7 @@ fn two_bad_readings_of_thirty_are_found_in_three_cycles_also_beside_each_other()
         let mut readings = cycles_of(5, 3, |place, side, _| 10.0 * (place * side) as f64 + noise());
         readings[at].value += 40.0;
         readings[at + 1].value += 90.0;
-        let found: Vec<usize> = (0..30).filter(|&row| gross(&readings)[row]).collect();
+        let found: Vec<usize> = (0..30).filter(|&row| find_gross_errors(&readings)[row]).collect();
         assert_eq!(found, [at, at + 1]);
     }
 }
@@ -51,7 +51,7 @@ fn two_bad_readings_of_fifteen_are_found_where_three_cycles_went_one_way() {
         readings.retain(|it| it.side == 0);
         readings[at].value += 40.0;
         readings[at + 1].value += 90.0;
-        let found: Vec<usize> = (0..15).filter(|&row| gross(&readings)[row]).collect();
+        let found: Vec<usize> = (0..15).filter(|&row| find_gross_errors(&readings)[row]).collect();
         assert_eq!(found, [at, at + 1]);
     }
 }
@@ -61,7 +61,7 @@ fn a_sound_table_loses_a_reading_in_at_most_one_of_a_hundred() {
     let mut noise = noise(2);
     for cycles in [3, 5] {
         let lost = (0..1000)
-            .filter(|_| gross(&cycles_of(5, cycles, |_, _, _| noise())).contains(&true))
+            .filter(|_| find_gross_errors(&cycles_of(5, cycles, |_, _, _| noise())).contains(&true))
             .count();
         println!("{cycles} cycles: {lost} of 1000 sound tables lost a reading");
         assert!(lost <= 15, "{lost}");
@@ -72,12 +72,12 @@ fn a_sound_table_loses_a_reading_in_at_most_one_of_a_hundred() {
 fn a_cycle_that_is_warmer_than_the_others_is_no_row_of_gross_errors() {
     let mut noise = noise(3);
     let warm = cycles_of(9, 6, |_, _, cycle| (if cycle == 5 { 50.0 } else { 0.0 }) + noise());
-    assert!(!gross(&warm).contains(&true));
+    assert!(!find_gross_errors(&warm).contains(&true));
     // From the middle of it on as well, but for its first reading.
     let readings = cycles_of(9, 6, |place, side, cycle| {
         (if cycle == 5 && side == 1 && place < 6 { 50.0 } else { 0.0 }) + noise()
     });
-    let count = gross(&readings).iter().filter(|gross| **gross).count();
+    let count = find_gross_errors(&readings).iter().filter(|gross| **gross).count();
     assert!(count == 0, "{count}");
 }
 
@@ -88,12 +88,12 @@ fn f_is_that_of_an_analysis_of_variance() {
     let values = [1.0, 5.0, 9.0, 3.0, 7.0, 11.0];
     let readings: Vec<Reading> =
         (0..6).map(|n| Reading { place: n % 3, side: 0, cycle: n / 3, value: values[n] }).collect();
-    let decision = decide(&readings, &[false; 6], 3, &[Law::Table]);
+    let decision = select_table(&readings, &[false; 6], 3, &[TableLaw::Table]);
     let trial = &decision.trials[0];
     assert!((trial.f - 16.0).abs() < 1e-12, "{}", trial.f);
     assert!((trial.chance - (1.0_f64 + 32.0 / 3.0).powf(-1.5)).abs() < 1e-9, "{}", trial.chance);
     assert_eq!(decision.scatter, Some(2.0_f64.sqrt()));
-    assert_eq!(decision.taken, Err(Refusal::Chance));
+    assert_eq!(decision.taken, Err(TableRejection::Chance));
 }
 
 #[test]
@@ -103,10 +103,10 @@ fn left_out_cycles_are_foreseen_by_the_others() {
     let readings: Vec<Reading> = (0..9)
         .map(|n| Reading { place: n % 3, side: 0, cycle: n / 3, value: values[n % 3][n / 3] })
         .collect();
-    let decision = decide(&readings, &[false; 9], 3, &[Law::Table]);
+    let decision = select_table(&readings, &[false; 9], 3, &[TableLaw::Table]);
     let left: Vec<f64> = decision.trials[0].left_out.clone();
     assert_eq!(left, [-1.5, -1.5, -1.5, 0.0, 0.0, 0.0, 1.5, 1.5, 1.5]);
-    assert_eq!(decision.taken, Ok(Law::Table));
+    assert_eq!(decision.taken, Ok(TableLaw::Table));
 }
 
 #[test]
@@ -143,15 +143,15 @@ fn one_cycle_is_judged_by_its_two_sides_and_one_way_alone_not_at_all() {
     let mut noise = noise(5);
     let both = cycles_of(7, 1, |place, _, _| shape[place] + noise());
     let decision = decided(&both, 7);
-    assert_eq!((decision.taken, decision.by_side), (Ok(Law::Table), true));
+    assert_eq!((decision.taken, decision.by_side), (Ok(TableLaw::Table), true));
     // The same with a number for each way in the place of a cycle.
     let ways: Vec<Reading> = both.iter().map(|it| Reading { cycle: it.side, ..*it }).collect();
-    assert_eq!(decided(&ways, 7).taken, Ok(Law::Table));
+    assert_eq!(decided(&ways, 7).taken, Ok(TableLaw::Table));
     // A step is seen at every place.
     let step = cycles_of(7, 1, |place, side, _| shape[place] - 4.0 * side as f64 + noise());
-    assert_eq!(decided(&step, 7).taken, Ok(Law::TableAndStep));
+    assert_eq!(decided(&step, 7).taken, Ok(TableLaw::TableAndStep));
     let one_way = &both[..7];
-    assert_eq!(decided(one_way, 7).taken, Err(Refusal::TooFew));
+    assert_eq!(decided(one_way, 7).taken, Err(TableRejection::TooFew));
 }
 
 #[test]
@@ -159,7 +159,7 @@ fn what_shifts_from_cycle_to_cycle_as_much_as_places_differ_is_refused() {
     let shape = [4.0, -9.0, 12.0, 3.0, -14.0];
     let shift = [-64.0, 20.0, 45.0, -20.0, -10.0];
     let readings = cycles_of(5, 5, |place, _, cycle| shape[place] + shift[cycle]);
-    assert_eq!(decided(&readings, 5).taken, Err(Refusal::Chance));
+    assert_eq!(decided(&readings, 5).taken, Err(TableRejection::Chance));
 }
 
 #[test]
@@ -167,7 +167,7 @@ fn a_cycle_that_does_not_gain_refuses_the_table() {
     let shape = [4.0, -9.0, 12.0, 3.0, -14.0];
     let readings =
         cycles_of(5, 6, |place, _, cycle| if cycle == 5 { -0.6 } else { 1.0 } * shape[place]);
-    assert_eq!(decided(&readings, 5).taken, Err(Refusal::NoGain));
+    assert_eq!(decided(&readings, 5).taken, Err(TableRejection::NoGain));
 }
 
 #[test]
@@ -178,12 +178,13 @@ fn a_slow_curve_is_foreseen_between_its_places_and_a_quick_one_is_not() {
         let readings = cycles_of(9, 3, |place, _, _| {
             size * (std::f64::consts::TAU * at[place] / period).sin() + noise()
         });
-        between(&at, &readings, &[false; 54], Law::Table).expect("it has inner places")
+        check_interpolation(&at, &readings, &[false; 54], TableLaw::Table)
+            .expect("it has inner places")
     };
-    assert!(!found(60.0, 30.0).is_doubted());
-    assert!(found(11.0, 30.0).is_doubted());
+    assert!(!found(60.0, 30.0).is_interpolation_doubtful());
+    assert!(found(11.0, 30.0).is_interpolation_doubtful());
     // What the scatter hides is not doubted.
-    let count = (0..300).filter(|_| found(11.0, 0.0).is_doubted()).count();
+    let count = (0..300).filter(|_| found(11.0, 0.0).is_interpolation_doubtful()).count();
     println!("{count} of 300 tables of noise alone are doubted between their places");
     assert!(count <= 9, "{count}");
 }
@@ -192,8 +193,9 @@ fn a_slow_curve_is_foreseen_between_its_places_and_a_quick_one_is_not() {
 fn five_places_cannot_tell_what_is_between_them() {
     let at = [0.0, 2.0, 4.0, 6.0, 8.0];
     let readings = cycles_of(5, 3, |place, _, _| [9.0, -7.0, 8.0, -9.0, 7.0][place]);
-    let found = between(&at, &readings, &[false; 30], Law::Table).expect("it has inner places");
-    assert!(!found.can_tell() && !found.is_doubted());
+    let found = check_interpolation(&at, &readings, &[false; 30], TableLaw::Table)
+        .expect("it has inner places");
+    assert!(!found.has_enough_places() && !found.is_interpolation_doubtful());
     assert_eq!(found.inner, 3);
 }
 
@@ -214,7 +216,8 @@ fn the_power_is_that_of_drawn_tables() {
                         value: error(place) + noise(),
                     })
                     .collect();
-                let decision = decide(&readings, &vec![false; readings.len()], 10, &[Law::Table]);
+                let decision =
+                    select_table(&readings, &vec![false; readings.len()], 10, &[TableLaw::Table]);
                 decision.trials[0].is_significant()
             })
             .count();
@@ -228,7 +231,7 @@ fn the_power_is_that_of_drawn_tables() {
 
 #[test]
 fn positions_within_a_tenth_of_a_step_are_one_place() {
-    let (places, of) = places(&[10.0, 0.0, 0.3, 9.8, 20.0], 10.0);
+    let (places, of) = group_positions(&[10.0, 0.0, 0.3, 9.8, 20.0], 10.0);
     assert_eq!(of, [1, 0, 0, 1, 2]);
     assert_eq!(places, [0.15, 9.9, 20.0]);
 }

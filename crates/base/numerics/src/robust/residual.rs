@@ -5,28 +5,33 @@
 //! where there are many rows), is far from the middle of the whole residual as well, and its neighbours
 //! on both sides are not.
 
-use super::statistics::NORMAL;
+use super::statistics::MAD_SCALE;
 
 /// Neighbours on each side.
-const HALF: usize = 3;
+const NEIGHBOURS_PER_SIDE: usize = 3;
 /// Fewer rows have no scatter to speak of.
-const MIN: usize = 12;
+const MIN_ROWS: usize = 12;
 /// A larger share of the rows is not a few readings.
-pub const LARGEST_SHARE: f64 = 0.08;
+pub const MAX_OUTLIER_FRACTION: f64 = 0.08;
 
 /// Returns whether each row is a gross error. `series` says which rows are neighbours: those of one number;
 /// `resolution` is the instrument's last digit, in the unit of `residual`, or 0.
 #[must_use]
-pub fn in_residual(residual: &[f64], series: &[impl PartialEq], resolution: f64) -> Vec<bool> {
+pub fn residual_outliers(
+    residual: &[f64],
+    series: &[impl PartialEq],
+    resolution: f64,
+) -> Vec<bool> {
     let count = residual.len();
     let none = vec![false; count];
-    if count < MIN {
+    if count < MIN_ROWS {
         return none;
     }
-    let mut around = Vec::with_capacity(2 * HALF + 1);
+    let mut around = Vec::with_capacity(2 * NEIGHBOURS_PER_SIDE + 1);
     let differences: Vec<f64> = (0..count)
         .map(|at| {
-            let near = at.saturating_sub(HALF)..(at + HALF + 1).min(count);
+            let near =
+                at.saturating_sub(NEIGHBOURS_PER_SIDE)..(at + NEIGHBOURS_PER_SIDE + 1).min(count);
             around.clear();
             around.extend(near.filter(|&row| series[row] == series[at]).map(|row| residual[row]));
             around.sort_unstable_by(f64::total_cmp);
@@ -39,21 +44,21 @@ pub fn in_residual(residual: &[f64], series: &[impl PartialEq], resolution: f64)
     // scale, as the mean of the inner nine tenths.
     let inner = &work[..count * 9 / 10];
     let mean = inner.iter().sum::<f64>() / inner.len().max(1) as f64;
-    let scale = (NORMAL * work[count / 2]).max(1.2533 * mean).max(0.6 * resolution);
+    let scale = (MAD_SCALE * work[count / 2]).max(1.2533 * mean).max(0.6 * resolution);
     if scale <= 0.0 {
         return none;
     }
     work.copy_from_slice(residual);
-    let middle = in_the_middle(&mut work);
+    let middle = upper_median(&mut work);
     work.iter_mut().for_each(|value| *value = (*value - middle).abs());
-    let overall = NORMAL * in_the_middle(&mut work);
+    let overall = MAD_SCALE * upper_median(&mut work);
     // One in a thousand clean runs has a row beyond it.
     let limit = scale * (2.0 * (500.0 * count as f64).ln()).sqrt().max(6.0);
     let is_far = |row: usize| {
         differences[row].abs() > limit && (residual[row] - middle).abs() > 5.0 * overall
     };
     let far: Vec<usize> = (0..count).filter(|&row| is_far(row)).collect();
-    if far.len() as f64 > LARGEST_SHARE * count as f64 {
+    if far.len() as f64 > MAX_OUTLIER_FRACTION * count as f64 {
         return none;
     }
     let mut found = none;
@@ -66,6 +71,6 @@ pub fn in_residual(residual: &[f64], series: &[impl PartialEq], resolution: f64)
 }
 
 /// Returns the value that half of `values`, at least one, are below; their order changes.
-fn in_the_middle(values: &mut [f64]) -> f64 {
+fn upper_median(values: &mut [f64]) -> f64 {
     *values.select_nth_unstable_by(values.len() / 2, f64::total_cmp).1
 }

@@ -2,36 +2,39 @@
 
 use std::collections::BTreeSet;
 
-use super::statistics::{GROSS, Outlier, cutoff, median, resolution, scale};
+use super::statistics::{
+    MIN_CUTOFF_SCALES, Outlier, median, median_step, outlier_cutoff, robust_scale,
+};
 
 /// Neighbours on each side of a row of a series.
-const NEIGHBOURS: usize = 7;
-/// A burst of more rows is not set aside: it has become the level.
-const LONGEST_BURST: usize = 5;
+const NEIGHBOURS_PER_SIDE: usize = 7;
+/// A burst of more rows is not excluded: it has become the level.
+const MAX_BURST_ROWS: usize = 5;
 /// Fewer rows than this have no neighbours to speak of.
-pub const MIN_IN_SERIES: usize = 2 * NEIGHBOURS + 1;
+pub const MIN_SERIES_ROWS: usize = 2 * NEIGHBOURS_PER_SIDE + 1;
 
 /// Rows of a time series that leave it and come back. `time` does not run back; rows where either
-/// is NaN take no part. Nothing is found in fewer than [`MIN_IN_SERIES`] rows.
+/// is NaN take no part. Nothing is found in fewer than [`MIN_SERIES_ROWS`] rows.
 #[must_use]
-pub fn in_series(time: &[f64], y: &[f64]) -> Vec<Outlier> {
+pub fn series_outliers(time: &[f64], y: &[f64]) -> Vec<Outlier> {
     let present = |row: &usize| !time[*row].is_nan() && !y[*row].is_nan();
     let rows: Vec<usize> = (0..y.len().min(time.len())).filter(present).collect();
-    if rows.len() < MIN_IN_SERIES {
+    if rows.len() < MIN_SERIES_ROWS {
         return Vec::new();
     }
-    let floor = resolution(rows.iter().map(|&row| y[row]));
-    let most = cutoff(rows.len(), 2);
+    let floor = median_step(rows.iter().map(|&row| y[row]));
+    let most = outlier_cutoff(rows.len(), 2);
     let mut found: Vec<Outlier> = Vec::new();
     // A burst hides behind itself: without the rows found so far the others stand out.
-    for _ in 0..LONGEST_BURST {
+    for _ in 0..MAX_BURST_ROWS {
         let known: BTreeSet<usize> = found.iter().map(|outlier| outlier.row).collect();
         let clean: Vec<usize> = rows.iter().copied().filter(|row| !known.contains(row)).collect();
-        if clean.len() < MIN_IN_SERIES {
+        if clean.len() < MIN_SERIES_ROWS {
             break;
         }
-        let local: Vec<Local> = (0..clean.len()).map(|at| Local::at(&clean, at, time, y)).collect();
-        let global = scale(local.iter().map(|local| local.distance / local.widening));
+        let local: Vec<NeighbourFit> =
+            (0..clean.len()).map(|at| NeighbourFit::from_row(&clean, at, time, y)).collect();
+        let global = robust_scale(local.iter().map(|local| local.distance / local.widening));
         let mut new: Vec<Outlier> = Vec::new();
         for (local, &row) in local.iter().zip(&clean) {
             let scale = local.widening * global.max(local.scale).max(floor);
@@ -46,13 +49,18 @@ pub fn in_series(time: &[f64], y: &[f64]) -> Vec<Outlier> {
         found.extend(new);
     }
     found.sort_unstable_by_key(|outlier| outlier.row);
-    that_come_back(found, &rows, time, y)
+    discard_level_shifts(found, &rows, time, y)
 }
 
 /// Takes back what may be the machine: bursts so long that they are a level, and at either end of
 /// the series, where no return was recorded, all but a single row that does not continue its
 /// neighbours' curve either. A cold machine moves fastest in its first rows.
-fn that_come_back(found: Vec<Outlier>, rows: &[usize], time: &[f64], y: &[f64]) -> Vec<Outlier> {
+fn discard_level_shifts(
+    found: Vec<Outlier>,
+    rows: &[usize],
+    time: &[f64],
+    y: &[f64],
+) -> Vec<Outlier> {
     let place = |outlier: &Outlier| rows.binary_search(&outlier.row).unwrap_or(usize::MAX);
     let follows = |a: &Outlier, b: &Outlier| {
         place(a) + 1 == place(b) && a.distance.signum() == b.distance.signum()
@@ -61,18 +69,18 @@ fn that_come_back(found: Vec<Outlier>, rows: &[usize], time: &[f64], y: &[f64]) 
     let is_kept = |burst: &&[Outlier]| {
         let (from, to) = (place(&burst[0]), place(&burst[burst.len() - 1]));
         match (from, to) {
-            (0, 0) => leaves_its_curve(&burst[0], &rows[1..4], time, y),
+            (0, 0) => deviates_from_parabola(&burst[0], &rows[1..4], time, y),
             (from, to) if from == last && to == last => {
-                leaves_its_curve(&burst[0], &rows[last - 3..last], time, y)
+                deviates_from_parabola(&burst[0], &rows[last - 3..last], time, y)
             }
-            (from, to) => from != 0 && to != last && burst.len() <= LONGEST_BURST,
+            (from, to) => from != 0 && to != last && burst.len() <= MAX_BURST_ROWS,
         }
     };
     found.chunk_by(follows).filter(is_kept).flatten().copied().collect()
 }
 
 /// Returns whether a row at an end is far from the parabola through its three neighbours as well.
-fn leaves_its_curve(outlier: &Outlier, three: &[usize], time: &[f64], y: &[f64]) -> bool {
+fn deviates_from_parabola(outlier: &Outlier, three: &[usize], time: &[f64], y: &[f64]) -> bool {
     let at = time[outlier.row];
     let (mut value, mut squares) = (0.0, 1.0);
     for &row in three {
@@ -85,11 +93,11 @@ fn leaves_its_curve(outlier: &Outlier, three: &[usize], time: &[f64], y: &[f64])
     let scale = (outlier.distance / outlier.scales).abs();
     // Rows at one time have no parabola: then nothing speaks for the row.
     let away = (y[outlier.row] - value).abs();
-    away.is_nan() || away > GROSS * scale * squares.sqrt()
+    away.is_nan() || away > MIN_CUTOFF_SCALES * scale * squares.sqrt()
 }
 
 /// A row of a series next to its neighbours.
-struct Local {
+struct NeighbourFit {
     /// From the line through the neighbours.
     distance: f64,
     /// The neighbours' own scale about that line.
@@ -99,10 +107,10 @@ struct Local {
     widening: f64,
 }
 
-impl Local {
-    fn at(rows: &[usize], at: usize, time: &[f64], y: &[f64]) -> Self {
-        let wanted = 2 * NEIGHBOURS;
-        let first = at.saturating_sub(NEIGHBOURS).min(rows.len() - wanted - 1);
+impl NeighbourFit {
+    fn from_row(rows: &[usize], at: usize, time: &[f64], y: &[f64]) -> Self {
+        let wanted = 2 * NEIGHBOURS_PER_SIDE;
+        let first = at.saturating_sub(NEIGHBOURS_PER_SIDE).min(rows.len() - wanted - 1);
         let others = || rows[first..=first + wanted].iter().copied().filter(|&row| row != rows[at]);
         let own = time[rows[at]];
         // Slopes of all pairs of neighbours; two rows at one time have none.
@@ -119,7 +127,7 @@ impl Local {
         let mut heights: Vec<f64> =
             others().map(|row| y[row] - slope * (time[row] - own)).collect();
         let height = median(&mut heights);
-        let scale = scale(heights.iter().map(|there| there - height));
+        let scale = robust_scale(heights.iter().map(|there| there - height));
         let count = wanted as f64;
         let mean = others().map(|row| time[row] - own).sum::<f64>() / count;
         let spread: f64 = others().map(|row| (time[row] - own - mean).powi(2)).sum();

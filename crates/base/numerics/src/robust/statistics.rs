@@ -2,10 +2,10 @@
 
 use crate::t_quantile;
 
-/// A row within this many scales is never set aside.
-pub const GROSS: f64 = 5.0;
+/// A row within this many scales is never excluded.
+pub const MIN_CUTOFF_SCALES: f64 = 5.0;
 /// The median magnitude of a normal distribution is the standard deviation divided by this.
-pub(super) const NORMAL: f64 = 1.482_602_218_505_602;
+pub(super) const MAD_SCALE: f64 = 1.482_602_218_505_602;
 
 /// A row that does not belong to the rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,9 +19,9 @@ pub struct Outlier {
 }
 
 impl Outlier {
-    /// Returns the reason for a list of rows that were set aside, y in µm.
+    /// Returns the reason for a list of rows that were excluded as outliers, y in µm.
     #[must_use]
-    pub fn reason(&self) -> String {
+    pub fn exclusion_reason(&self) -> String {
         let Self { distance, scales, .. } = self;
         format!(
             "{distance:.3} um away from what the other rows say, {scales:.0} times their scatter"
@@ -29,15 +29,15 @@ impl Outlier {
     }
 }
 
-/// Returns how many scales away a row of `rows` is set aside.
+/// Returns how many scales away a row of `rows` is excluded.
 #[must_use]
-pub(crate) fn cutoff(rows: usize, fitted: usize) -> f64 {
+pub(crate) fn outlier_cutoff(rows: usize, fitted: usize) -> f64 {
     let known = 0.37 * rows.saturating_sub(fitted).max(1) as f64;
-    t_quantile(1.0 - 0.005 / rows.max(1) as f64, known).max(GROSS)
+    t_quantile(1.0 - 0.005 / rows.max(1) as f64, known).max(MIN_CUTOFF_SCALES)
 }
 
 /// Returns the smallest difference of two of `values` that differ by more than rounding; 0 if none do.
-pub(super) fn finest(values: impl Iterator<Item = f64>) -> f64 {
+pub(super) fn smallest_difference(values: impl Iterator<Item = f64>) -> f64 {
     let mut rising: Vec<f64> = values.collect();
     rising.sort_unstable_by(f64::total_cmp);
     let least = rising.last().map_or(0.0, |last| last.abs().max(1.0) * 1e-12);
@@ -47,7 +47,7 @@ pub(super) fn finest(values: impl Iterator<Item = f64>) -> f64 {
 
 /// Returns the step in which a series moves: the median difference of two values that follow each other
 /// and differ; 0 if all are equal. Of values in fine steps it is about the scatter, or less.
-pub(super) fn resolution(values: impl Iterator<Item = f64>) -> f64 {
+pub(super) fn median_step(values: impl Iterator<Item = f64>) -> f64 {
     let mut steps = Vec::new();
     let mut before = f64::NAN;
     for value in values {
@@ -75,8 +75,8 @@ pub fn median(values: &mut [f64]) -> f64 {
 }
 
 /// Returns the scale of residuals about their model: 1.4826 times the median magnitude.
-pub(super) fn scale(residuals: impl Iterator<Item = f64>) -> f64 {
+pub(super) fn robust_scale(residuals: impl Iterator<Item = f64>) -> f64 {
     let mut magnitudes: Vec<f64> =
         residuals.filter(|residual| !residual.is_nan()).map(f64::abs).collect();
-    NORMAL * median(&mut magnitudes)
+    MAD_SCALE * median(&mut magnitudes)
 }

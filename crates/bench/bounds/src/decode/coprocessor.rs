@@ -2,7 +2,7 @@
 //!
 //! A result that the next instruction needs is one cycle late (DDI 0439, table 7-1): it is always counted.
 
-use super::{Address, Effect, Flags, Instruction, Register};
+use super::{AddressingMode, FlagEffect, Instruction, Register, RegisterEffect};
 
 /// Fills in what the word says.
 pub(super) fn decode(one: Instruction, all: u32) -> Instruction {
@@ -16,16 +16,16 @@ pub(super) fn decode(one: Instruction, all: u32) -> Instruction {
         // vmov of two registers of the core
         12 if all >> 21 & 0b111 == 0b010 => {
             let one = Instruction { cycles: 3, ..one };
-            if all >> 20 & 1 != 0 { one.writing([to, base]) } else { one }
+            if all >> 20 & 1 != 0 { one.with_writes([to, base]) } else { one }
         }
-        12 | 13 => memory(one, all, base),
-        14 if all >> 4 & 1 == 0 => Instruction { cycles: 1 + arithmetic(all), ..one },
+        12 | 13 => decode_load_store(one, all, base),
+        14 if all >> 4 & 1 == 0 => Instruction { cycles: 1 + arithmetic_cycles(all), ..one },
         // vmov, vmsr, vmrs
         14 => {
             let one = Instruction { cycles: 2, ..one };
             match (all >> 20 & 1 != 0, to) {
-                (true, 15) => Instruction { flags: Flags::Other, ..one },
-                (true, _) => one.writing([to]),
+                (true, 15) => Instruction { flags: FlagEffect::Other, ..one },
+                (true, _) => one.with_writes([to]),
                 _ => one,
             }
         }
@@ -33,7 +33,7 @@ pub(super) fn decode(one: Instruction, all: u32) -> Instruction {
     }
 }
 
-fn arithmetic(all: u32) -> u32 {
+fn arithmetic_cycles(all: u32) -> u32 {
     let (high, low) = (all >> 23 & 1, all >> 20 & 3);
     match (high, low) {
         // vdiv
@@ -47,7 +47,7 @@ fn arithmetic(all: u32) -> u32 {
 }
 
 /// `vldr`, `vstr`, `vldm`, `vstm`, `vpush`, `vpop`: this many words.
-fn memory(one: Instruction, all: u32, base: Register) -> Instruction {
+fn decode_load_store(one: Instruction, all: u32, base: Register) -> Instruction {
     let is_load = all >> 20 & 1 != 0;
     let writes_back = all >> 21 & 1 != 0;
     let is_single_access = all >> 24 & 1 != 0 && !writes_back;
@@ -58,11 +58,12 @@ fn memory(one: Instruction, all: u32, base: Register) -> Instruction {
     } else {
         (number, 0)
     };
-    let address = if base == 15 { Address::Literal } else { Address::Near(base, offset) };
-    let one = if is_load { one.load(words, address) } else { one.store(words, address) };
+    let address =
+        if base == 15 { AddressingMode::Literal } else { AddressingMode::Near(base, offset) };
+    let one = if is_load { one.with_load(words, address) } else { one.with_store(words, address) };
     if writes_back {
         let amount = if is_up { 4 * number } else { (4 * number).wrapping_neg() };
-        one.writing([base]).with(Effect::Add(base, base, amount))
+        one.with_writes([base]).with_effect(RegisterEffect::Add(base, base, amount))
     } else {
         one
     }

@@ -3,11 +3,11 @@
 //!
 //! Cycles: Cortex-M4 technical reference manual (ARM DDI 0439), tables 3-1 and 7-1, each at its longest: a load is never
 //! pipelined, a divide takes 12, a result of the FPU is waited for. The refill of the pipeline after a taken branch is no
-//! part of them. The disassembler of LLVM is the check of lengths and targets (`tests/disassembler.rs`).
+//! part of them. The disassembler of LLVM is the check of lengths and targets (`host-tests/tests/bounds.rs`).
 
 mod coprocessor;
-mod narrow;
-mod wide;
+mod thumb16;
+mod thumb32;
 
 /// Number of a core register.
 pub type Register = u8;
@@ -20,7 +20,7 @@ pub(crate) const PC: Register = 15;
 
 /// The place at which an instruction leads on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Flow {
+pub enum ControlFlow {
     /// To the next instruction.
     #[default]
     Next,
@@ -54,7 +54,7 @@ pub enum Flow {
 
 /// The value that an instruction leaves in a register, where that is simple enough.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Effect {
+pub enum RegisterEffect {
     /// None, or one that is not followed; [`Instruction::writes`] has the registers.
     #[default]
     Other,
@@ -91,7 +91,7 @@ pub enum Operand {
 
 /// The effect of an instruction on the flags.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Flags {
+pub enum FlagEffect {
     /// None.
     #[default]
     Keep,
@@ -109,18 +109,18 @@ pub enum Flags {
 
 /// The memory that an instruction reads or writes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Access {
+pub struct MemoryAccess {
     /// Words.
     pub words: u32,
     /// It reads.
     pub is_load: bool,
     /// Its address.
-    pub at: Address,
+    pub at: AddressingMode,
 }
 
 /// An address as the instruction has it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Address {
+pub enum AddressingMode {
     /// Among the code.
     Literal,
     /// A register and a number.
@@ -131,7 +131,7 @@ pub enum Address {
 
 /// A change of the mask of interrupts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Mask {
+pub enum InterruptMask {
     /// `cpsid i`.
     Off,
     /// `cpsie i`, or a write of PRIMASK.
@@ -150,21 +150,21 @@ pub struct Instruction {
     /// Its bytes, 2 or 4.
     pub size: u32,
     /// The place at which it leads on.
-    pub flow: Flow,
+    pub flow: ControlFlow,
     /// The value that it leaves.
-    pub effect: Effect,
+    pub effect: RegisterEffect,
     /// The registers that it writes, a bit each.
     pub writes: u16,
     /// Its effect on the flags.
-    pub flags: Flags,
+    pub flags: FlagEffect,
     /// Its condition, 0 to 13; `None`: always.
     pub condition: Option<u8>,
     /// Its cycles at the longest, without waits and refill.
     pub cycles: u32,
     /// Its access to memory.
-    pub access: Option<Access>,
+    pub access: Option<MemoryAccess>,
     /// Its change of the mask of interrupts.
-    pub mask: Option<Mask>,
+    pub mask: Option<InterruptMask>,
     /// The state of an IT block that begins behind it.
     pub it: u8,
 }
@@ -172,36 +172,36 @@ pub struct Instruction {
 impl Instruction {
     /// Returns the address behind it.
     #[must_use]
-    pub fn end(&self) -> u32 {
+    pub(crate) fn end_address(&self) -> u32 {
         self.at + self.size
     }
 
     /// Returns what the caller finds changed behind a call at this address (procedure call standard, AAPCS 6.1.1).
     #[must_use]
-    pub fn call(at: u32) -> Self {
-        Self { at, writes: 0b0101_0000_0000_1111, flags: Flags::Other, ..Self::default() }
+    pub(crate) fn call_clobbers(at: u32) -> Self {
+        Self { at, writes: 0b0101_0000_0000_1111, flags: FlagEffect::Other, ..Self::default() }
     }
 
-    fn load(mut self, words: u32, at: Address) -> Self {
-        self.access = Some(Access { words, is_load: true, at });
+    fn with_load(mut self, words: u32, at: AddressingMode) -> Self {
+        self.access = Some(MemoryAccess { words, is_load: true, at });
         self.cycles = 1 + words;
         self
     }
 
-    fn store(mut self, words: u32, at: Address) -> Self {
-        self.access = Some(Access { words, is_load: false, at });
+    fn with_store(mut self, words: u32, at: AddressingMode) -> Self {
+        self.access = Some(MemoryAccess { words, is_load: false, at });
         self.cycles = 1 + words;
         self
     }
 
-    fn writing(mut self, registers: impl IntoIterator<Item = Register>) -> Self {
+    fn with_writes(mut self, registers: impl IntoIterator<Item = Register>) -> Self {
         for register in registers {
             self.writes |= 1 << register;
         }
         self
     }
 
-    fn with(mut self, effect: Effect) -> Self {
+    fn with_effect(mut self, effect: RegisterEffect) -> Self {
         self.effect = effect;
         self
     }
@@ -209,14 +209,14 @@ impl Instruction {
 
 /// The state of an IT block (A7.3.3).
 #[derive(Clone, Copy, Default)]
-struct Block(u8);
+struct ItBlock(u8);
 
-impl Block {
+impl ItBlock {
     fn condition(self) -> Option<u8> {
         (self.0 & 0xF != 0).then_some(self.0 >> 4)
     }
 
-    fn next(self) -> Self {
+    fn advance(self) -> Self {
         if self.0 & 7 == 0 { Self(0) } else { Self(self.0 & 0xE0 | self.0 << 1 & 0x1F) }
     }
 }
@@ -226,7 +226,7 @@ impl Block {
 pub fn decode(code: &[u8], start: u32) -> Vec<Instruction> {
     let halves: Vec<u32> =
         code.chunks_exact(2).map(|two| u16::from_le_bytes([two[0], two[1]]).into()).collect();
-    let (mut all, mut number, mut block) = (Vec::new(), 0, Block::default());
+    let (mut all, mut number, mut block) = (Vec::new(), 0, ItBlock::default());
     while let Some(&first) = halves.get(number) {
         let at = start + 2 * number as u32;
         let is_wide = first >> 11 >= 0b11101;
@@ -239,9 +239,12 @@ pub fn decode(code: &[u8], start: u32) -> Vec<Instruction> {
             condition,
             ..Instruction::default()
         };
-        let one =
-            if is_wide { wide::decode(plain, first, second) } else { narrow::decode(plain, first) };
-        block = if one.it != 0 { Block(one.it) } else { block.next() };
+        let one = if is_wide {
+            thumb32::decode(plain, first, second)
+        } else {
+            thumb16::decode(plain, first)
+        };
+        block = if one.it != 0 { ItBlock(one.it) } else { block.advance() };
         number += one.size as usize / 2;
         all.push(one);
     }
@@ -249,12 +252,12 @@ pub fn decode(code: &[u8], start: u32) -> Vec<Instruction> {
 }
 
 /// Returns the low `bits` bits as a number with a sign.
-fn signed(value: u32, bits: u32) -> u32 {
+fn sign_extend(value: u32, bits: u32) -> u32 {
     let unused = 32 - bits;
     ((value << unused).cast_signed() >> unused).cast_unsigned()
 }
 
 /// Returns the registers of a list of 16 bits.
-fn listed(list: u32) -> impl Iterator<Item = Register> {
+fn register_list(list: u32) -> impl Iterator<Item = Register> {
     (0..16).filter(move |bit| list >> bit & 1 != 0)
 }

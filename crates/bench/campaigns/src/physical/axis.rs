@@ -3,71 +3,76 @@
 use std::collections::BTreeMap;
 
 use super::{
-    Fault, Kind,
-    kind::{Directions, HELD_C, bare, thermometers},
+    MachineKind, PhysicalFault,
+    kind::{CONTROLLED_ROOM_C, FaultDirections, base_scenario, build_thermometers},
 };
 use trueup_twin::{
     axes::{AxisConfig, AxisName, Feedback, Straightness},
     cubic_spline::CubicSpline,
-    noise::Stream,
-    path::{Kind as Piece, Segment},
+    noise::RandomStream,
+    path::{Segment, SegmentKind as Piece},
     scenario::{Quantity, Scenario},
     sensors::Spot,
 };
 
 /// Rows are written at targets alone: no way lasts so long as this, in s.
-const NEVER_S: f64 = 1e12;
+const DISABLED_ROW_INTERVAL_S: f64 = 1e12;
 /// How often the axis is measured in a day.
-const MEASUREMENTS: u32 = 20;
+const MEASUREMENTS_PER_DAY: u32 = 20;
 const TRAVEL_MM: [f64; 2] = [20.0, 980.0];
 
 /// Returns the machine that is drawn, and its user's file.
-pub(super) fn draw(kind: Kind, stream: &mut Stream) -> (Scenario, String) {
-    let on_screw = kind == Kind::ScrewAxis;
+pub(super) fn draw(kind: MachineKind, stream: &mut RandomStream) -> (Scenario, String) {
+    let on_screw = kind == MachineKind::ScrewAxis;
     let axis = AxisConfig {
         feedback: if on_screw { Feedback::Screw } else { Feedback::Scale },
         screw_heating_c: 0.0,
         screw_lag_s: stream.uniform(900.0, 2000.0),
         scale_lag_s: stream.uniform(900.0, 2500.0),
-        reference_c: HELD_C,
+        reference_c: CONTROLLED_ROOM_C,
         ..AxisConfig::default()
     };
     let head = "[machine]\nname = \"an axis\"\nkind = \"3-axis\"\n";
     let (feedback, spots) = match kind {
-        Kind::ScrewAxis => ("screw", vec![("screw", Spot::ScrewX), ("ambient", Spot::Ambient)]),
-        Kind::ScaleAxis => ("scale", vec![("scale", Spot::ScaleX), ("ambient", Spot::Ambient)]),
+        MachineKind::ScrewAxis => {
+            ("screw", vec![("screw", Spot::ScrewX), ("ambient", Spot::Ambient)])
+        }
+        MachineKind::ScaleAxis => {
+            ("scale", vec![("scale", Spot::ScaleX), ("ambient", Spot::Ambient)])
+        }
         _ => ("scale", vec![("scale", Spot::ScaleX)]),
     };
     let mut machine = format!("{head}[axis.x]\nfeedback = \"{feedback}\"\n");
-    if kind == Kind::CompensatedAxis {
+    if kind == MachineKind::CompensatedAxis {
         machine += &format!(
             "[axis.x.thermal]\nmode = \"position\"\nsensor = \"temp_scale_c\"\n\
-             reference_c = {HELD_C:?}\nconstant_um_per_c = 0.0\nslope_um_per_m_per_c = {:?}\n\
+             reference_c = {CONTROLLED_ROOM_C:?}\nconstant_um_per_c = 0.0\nslope_um_per_m_per_c = {:?}\n\
              origin_mm = 0.0\nlag_s = 0.0\n",
             axis.scale_um_per_m_per_c
         );
     }
     let scenario = Scenario {
-        interval_s: NEVER_S,
+        interval_s: DISABLED_ROW_INTERVAL_S,
         start_mm: [TRAVEL_MM[0], 300.0, 200.0],
-        thermometer: thermometers(spots),
+        thermometer: build_thermometers(spots),
         axis: BTreeMap::from([(AxisName::X, axis)]),
-        ..bare(kind, Quantity::Dx)
+        ..base_scenario(kind, Quantity::Dx)
     };
     (scenario, machine)
 }
 
 /// A day: the axis works for a while, quickly or hardly at all, and is measured up and down with Y at
 /// another place each time.
-pub(super) fn programme(scenario: &mut Scenario, stream: &mut Stream) {
-    let piece = |kind: Piece| Segment { feed_mm_per_min: Some(12_000.0), ..Segment::of(kind) };
+pub(super) fn add_day_programme(scenario: &mut Scenario, stream: &mut RandomStream) {
+    let piece =
+        |kind: Piece| Segment { feed_mm_per_min: Some(12_000.0), ..Segment::from_kind(kind) };
     let [low_mm, high_mm] = TRAVEL_MM;
     let spread_mm = stream.uniform(5.0, 15.0);
     let mut feed_mm_per_min = 600.0;
-    for number in 0..MEASUREMENTS {
+    for number in 0..MEASUREMENTS_PER_DAY {
         // It works on as before, or does not.
         if number % 3 == 0 {
-            feed_mm_per_min = stream.pick(&[600.0, 6000.0, 15_000.0, 20_000.0]);
+            feed_mm_per_min = stream.choose(&[600.0, 6000.0, 15_000.0, 20_000.0]);
         }
         let seconds = stream.uniform(300.0, 900.0);
         let there_and_back_s = 2.0 * (high_mm - low_mm) * 60.0 / feed_mm_per_min;
@@ -91,11 +96,16 @@ pub(super) fn programme(scenario: &mut Scenario, stream: &mut Stream) {
 }
 
 /// A fault of an axis or its thermometer.
-pub(super) fn damage(scenario: &mut Scenario, fault: Fault, size: f64, way: &Directions) {
+pub(super) fn apply_fault(
+    scenario: &mut Scenario,
+    fault: PhysicalFault,
+    size: f64,
+    way: &FaultDirections,
+) {
     let Some(x) = scenario.axis.get_mut(&AxisName::X) else { return };
     match fault {
-        Fault::ScrewHeating => x.screw_heating_c = 0.2 * size,
-        Fault::Wear => {
+        PhysicalFault::ScrewHeating => x.screw_heating_c = 0.2 * size,
+        PhysicalFault::Wear => {
             let middle_um = 2.0 * size;
             let along_um = way.wear_along * middle_um;
             let [low_mm, high_mm] = TRAVEL_MM;
@@ -103,13 +113,13 @@ pub(super) fn damage(scenario: &mut Scenario, fault: Fault, size: f64, way: &Dir
             x.backlash_um_per_m = along_um / half_m;
             x.backlash_um = middle_um - x.backlash_um_per_m * (low_mm + high_mm) / 2000.0;
         }
-        Fault::Mounting => scenario.straightness.push(Straightness {
+        PhysicalFault::Mounting => scenario.straightness.push(Straightness {
             error: AxisName::X,
             along: AxisName::Y,
             points: CubicSpline::default(),
             um_per_m: way.mounting * 10.0 * size,
         }),
-        Fault::MisplacedThermometer => {
+        PhysicalFault::MisplacedThermometer => {
             if let Some(thermometer) = scenario.thermometer.get_mut("scale") {
                 thermometer.at = Spot::Ambient;
             }

@@ -7,11 +7,11 @@ macro_rules! faults {
     ($($(#[doc = $doc:literal])+ $variant:ident = $name:literal;)*) => {
         /// A physical fault.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-        pub enum Fault {
+        pub enum PhysicalFault {
             $($(#[doc = $doc])+ $variant,)*
         }
 
-        impl Fault {
+        impl PhysicalFault {
             /// All of them.
             pub const ALL: &[Self] = &[$(Self::$variant,)*];
 

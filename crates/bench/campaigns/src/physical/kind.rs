@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::Fault;
+use super::PhysicalFault;
 use trueup_twin::{
     ambient::AmbientConfig,
     instrument::InstrumentConfig,
@@ -11,11 +11,11 @@ use trueup_twin::{
 };
 
 /// The temperature that a room is held at, and at which everything is right, in °C.
-pub(super) const HELD_C: f64 = 20.0;
+pub(super) const CONTROLLED_ROOM_C: f64 = 20.0;
 
 /// The kind of machine, with the laws in its file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Kind {
+pub enum MachineKind {
     /// A motor spindle with a displacement sensor in its nose; the file has the sensor's law.
     SensorSpindle,
     /// A spindle whose housing grows as its bearings heat it; the file has the warm-up.
@@ -33,9 +33,9 @@ pub enum Kind {
     ToolSpindle,
 }
 
-impl Kind {
-    /// Those that are drawn by chance; [`Self::ToolSpindle`] is asked for by name.
-    pub const ALL: [Self; 6] = [
+impl MachineKind {
+    /// Those that are drawn by chance; [`Self::ToolSpindle`] is requested by name.
+    pub const SAMPLED_KINDS: [Self; 6] = [
         Self::SensorSpindle,
         Self::WarmupSpindle,
         Self::ThermometerSpindle,
@@ -61,8 +61,8 @@ impl Kind {
     /// Returns the faults that such a machine can have and its model does not follow: what a sensor or a
     /// thermometer in use sees is corrected.
     #[must_use]
-    pub fn faults(self) -> &'static [Fault] {
-        use Fault::{
+    pub fn possible_faults(self) -> &'static [PhysicalFault] {
+        use PhysicalFault::{
             AxialStiffness, CoilTemperature, ColdTool, GaugeDrift, LostCooling,
             MisplacedThermometer, Mounting, Room, ScrewHeating, SensorGain, SpeedGrowth,
             ToolGrowth, UnseenHolder, Wear,
@@ -90,7 +90,7 @@ impl Kind {
 /// The way in which a fault of either direction goes, −1 or +1, the share of the wear that grows
 /// along the screw, and what the tools differ by.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Directions {
+pub(super) struct FaultDirections {
     pub gain: f64,
     pub coil: f64,
     pub drift: f64,
@@ -101,7 +101,7 @@ pub(super) struct Directions {
 }
 
 /// Thermometers by name and place, each as good as thermometers on machines are.
-pub(super) fn thermometers(spots: Vec<(&str, Spot)>) -> BTreeMap<String, ThermometerConfig> {
+pub(super) fn build_thermometers(spots: Vec<(&str, Spot)>) -> BTreeMap<String, ThermometerConfig> {
     let good = |at: Spot| ThermometerConfig {
         at,
         offset_c: 0.0,
@@ -115,7 +115,7 @@ pub(super) fn thermometers(spots: Vec<(&str, Spot)>) -> BTreeMap<String, Thermom
 
 /// Returns a machine of which only the kind is known, and what is measured on it: nothing of it errs, and it does
 /// nothing yet.
-pub(super) fn bare(kind: Kind, measured: Quantity) -> Scenario {
+pub(super) fn base_scenario(kind: MachineKind, measured: Quantity) -> Scenario {
     Scenario {
         name: kind.name().into(),
         measure: vec![measured],

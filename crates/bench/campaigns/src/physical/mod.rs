@@ -19,6 +19,6 @@ mod kind;
 mod plant;
 mod spindle;
 
-pub use fault::Fault;
-pub use kind::Kind;
+pub use fault::PhysicalFault;
+pub use kind::MachineKind;
 pub use plant::Plant;

@@ -8,7 +8,7 @@ use std::{
 use anyhow::Result;
 
 /// A link in a text.
-pub struct Link {
+pub(crate) struct Link {
     /// The line, from 1 on.
     pub line: usize,
     /// Its target, the text between `](` and `)`.
@@ -16,10 +16,10 @@ pub struct Link {
 }
 
 /// Returns the links of a text, but for what is code.
-pub fn of(text: &str) -> Vec<Link> {
+pub(crate) fn find_links(text: &str) -> Vec<Link> {
     let mut found = Vec::new();
     let mut line = 0;
-    rewritten_with(text, &mut |number, target| {
+    rewrite_targets_at(text, &mut |number, target| {
         line = number;
         found.push(Link { line, target: target.into() });
         None
@@ -27,12 +27,12 @@ pub fn of(text: &str) -> Vec<Link> {
     found
 }
 
-/// Returns the same text with the targets that `new` gives; `None` leaves one as it is.
-pub(crate) fn rewritten(text: &str, new: &mut dyn FnMut(&str) -> Option<String>) -> String {
-    rewritten_with(text, &mut |_, target| new(target))
+/// Returns the same text with the targets that `new` gives; `None` leaves one unchanged.
+pub(crate) fn rewrite_targets(text: &str, new: &mut dyn FnMut(&str) -> Option<String>) -> String {
+    rewrite_targets_at(text, &mut |_, target| new(target))
 }
 
-fn rewritten_with(text: &str, new: &mut dyn FnMut(usize, &str) -> Option<String>) -> String {
+fn rewrite_targets_at(text: &str, new: &mut dyn FnMut(usize, &str) -> Option<String>) -> String {
     let mut result = String::with_capacity(text.len());
     let mut in_code = false;
     for (line, number) in text.split_inclusive('\n').zip(1..) {
@@ -46,7 +46,8 @@ fn rewritten_with(text: &str, new: &mut dyn FnMut(usize, &str) -> Option<String>
         while let Some(at) = rest.find("](") {
             let (before, target) = rest.split_at(at + 2);
             let end = target.find(')');
-            let Some(end) = end.filter(|_| !is_code(line, line.len() - target.len())) else {
+            let Some(end) = end.filter(|_| !is_in_code_span(line, line.len() - target.len()))
+            else {
                 result += before;
                 rest = target;
                 continue;
@@ -62,23 +63,23 @@ fn rewritten_with(text: &str, new: &mut dyn FnMut(usize, &str) -> Option<String>
 }
 
 /// Returns whether a place in a line is between backquotes.
-fn is_code(line: &str, place: usize) -> bool {
+fn is_in_code_span(line: &str, place: usize) -> bool {
     line[..place].matches('`').count() % 2 == 1
 }
 
 /// Path and anchor of a target, the anchor with its `#`.
-pub fn split(target: &str) -> (&str, &str) {
+pub(crate) fn split_anchor(target: &str) -> (&str, &str) {
     target.split_at(target.find('#').unwrap_or(target.len()))
 }
 
 /// Returns the file that a page, or a line of it, includes as a whole.
-pub(crate) fn included(page: &Path, text: &str) -> Option<PathBuf> {
+pub(crate) fn included_file(page: &Path, text: &str) -> Option<PathBuf> {
     let path = text.trim().strip_prefix("{{#include ")?.strip_suffix("}}")?;
-    Some(normal(&page.parent()?.join(path)))
+    Some(normalise_path(&page.parent()?.join(path)))
 }
 
 /// Returns a path without `..`.
-pub(crate) fn normal(path: &Path) -> PathBuf {
+pub(crate) fn normalise_path(path: &Path) -> PathBuf {
     path.components().fold(PathBuf::new(), |mut normal, part| {
         match part {
             Component::ParentDir => drop(normal.pop()),
@@ -90,10 +91,10 @@ pub(crate) fn normal(path: &Path) -> PathBuf {
 }
 
 /// Returns the documents whose links are looked after.
-pub fn documents(root: &Path) -> Result<Vec<PathBuf>> {
+pub(crate) fn checked_documents(root: &Path) -> Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     for folder in ["", "data", "docs", "docs/book/src", "integrations", "crates"] {
-        below(
+        collect_markdown_files(
             &root.join(folder),
             match folder {
                 "crates" => 2,
@@ -107,11 +108,11 @@ pub fn documents(root: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-fn below(folder: &Path, deeper: usize, found: &mut Vec<PathBuf>) -> Result<()> {
+fn collect_markdown_files(folder: &Path, deeper: usize, found: &mut Vec<PathBuf>) -> Result<()> {
     for entry in fs::read_dir(folder)? {
         let path = entry?.path();
         if path.is_dir() && deeper > 0 {
-            below(&path, deeper - 1, found)?;
+            collect_markdown_files(&path, deeper - 1, found)?;
         } else if path.extension().is_some_and(|extension| extension == "md") {
             found.push(path);
         }
@@ -120,25 +121,25 @@ fn below(folder: &Path, deeper: usize, found: &mut Vec<PathBuf>) -> Result<()> {
 }
 
 /// Returns the links of a document that lead nowhere, a line each.
-pub fn broken(root: &Path, document: &Path) -> Result<Vec<String>> {
+pub(crate) fn find_broken_links(root: &Path, document: &Path) -> Result<Vec<String>> {
     let text = fs::read_to_string(document)?;
     let shown = document.strip_prefix(root).unwrap_or(document).display().to_string();
     let mut broken = Vec::new();
-    for link in of(&text) {
-        let (path, anchor) = split(&link.target);
+    for link in find_links(&text) {
+        let (path, anchor) = split_anchor(&link.target);
         if link.target.contains("://") || link.target.starts_with("mailto:") {
             continue;
         }
         let file = match path {
             "" => document.to_owned(),
-            path => normal(&document.parent().unwrap_or(root).join(path)),
+            path => normalise_path(&document.parent().unwrap_or(root).join(path)),
         };
         let has_anchor = || -> Result<bool> {
             let mut text = fs::read_to_string(&file)?;
-            if let Some(origin) = included(&file, &text) {
+            if let Some(origin) = included_file(&file, &text) {
                 text = fs::read_to_string(origin)?;
             }
-            Ok(anchors(&text).iter().any(|known| *known == anchor[1..]))
+            Ok(heading_anchors(&text).iter().any(|known| *known == anchor[1..]))
         };
         if !file.exists() {
             broken.push(format!("{shown}:{}: there is no {}", link.line, link.target));
@@ -153,7 +154,7 @@ pub fn broken(root: &Path, document: &Path) -> Result<Vec<String>> {
 }
 
 /// Returns what the headings of a text are called in a link.
-fn anchors(text: &str) -> Vec<String> {
+fn heading_anchors(text: &str) -> Vec<String> {
     let mut in_code = false;
     let mut anchors = Vec::new();
     for line in text.lines() {
@@ -176,9 +177,10 @@ mod tests {
     #[test]
     fn links_are_found_outside_code_and_given_other_targets() {
         let text = "[a](b.md#c) `[no](x.md)` and [d](e)\n```\n[no](y.md)\n```\n[`f`](g.md)\n";
-        let found: Vec<_> = of(text).into_iter().map(|link| (link.line, link.target)).collect();
+        let found: Vec<_> =
+            find_links(text).into_iter().map(|link| (link.line, link.target)).collect();
         assert_eq!(found, [(1, "b.md#c".into()), (1, "e".into()), (5, "g.md".into())]);
-        let new = rewritten(text, &mut |target| (target == "e").then(|| "new".into()));
+        let new = rewrite_targets(text, &mut |target| (target == "e").then(|| "new".into()));
         assert_eq!(new, text.replace("[d](e)", "[d](new)"));
     }
 
@@ -189,7 +191,7 @@ mod tests {
         let page = folder.join("page.md");
         let text = "# It is, so: a head\n[a](#it-is-so-a-head)\n[b](#other) [c](none.md)\n";
         fs::write(&page, text).expect("written");
-        let told = broken(&folder, &page).expect("it can be read");
+        let told = find_broken_links(&folder, &page).expect("it can be read");
         fs::remove_dir_all(&folder).expect("removed");
         let wanted =
             ["page.md:3: there is no heading for #other", "page.md:3: there is no none.md"];

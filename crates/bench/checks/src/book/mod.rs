@@ -16,13 +16,13 @@ use std::{
 use anyhow::{Context as _, Result, bail};
 use trueup_emulator::{process, setup};
 
-use self::links::{included, normal};
+use self::links::{included_file, normalise_path};
 use crate::cargo;
 
 /// The version that the pages are written for.
-const MDBOOK: &str = "0.5.4";
+const MDBOOK_VERSION: &str = "0.5.4";
 /// Where the book's own text is, below the project's root.
-const SOURCE: &str = "docs/book/src";
+const BOOK_SOURCE_FOLDER: &str = "docs/book/src";
 
 /// A page of the book.
 struct Page {
@@ -34,17 +34,19 @@ struct Page {
 }
 
 /// Returns the pages that stand in the book's folder, but for its contents.
-fn pages(root: &Path) -> Result<Vec<Page>> {
+fn read_book_pages(root: &Path) -> Result<Vec<Page>> {
     let mut pages = Vec::new();
-    for entry in fs::read_dir(root.join(SOURCE))? {
+    for entry in fs::read_dir(root.join(BOOK_SOURCE_FOLDER))? {
         let path = entry?.path();
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         if name == "SUMMARY.md" || !name.ends_with(".md") {
             continue;
         }
-        let own = read(&path)?;
-        let origin = included(&path, &own).unwrap_or(path);
-        let text = read(&origin).and_then(|text| whole(&origin, &text)).context(name.clone())?;
+        let own = read_text(&path)?;
+        let origin = included_file(&path, &own).unwrap_or(path);
+        let text = read_text(&origin)
+            .and_then(|text| expand_includes(&origin, &text))
+            .context(name.clone())?;
         pages.push(Page { name, origin, text });
     }
     pages.sort_by(|a, b| a.name.cmp(&b.name));
@@ -52,15 +54,16 @@ fn pages(root: &Path) -> Result<Vec<Page>> {
 }
 
 /// Returns the text of a page, with the files that it includes between its own lines.
-fn whole(page: &Path, text: &str) -> Result<String> {
+fn expand_includes(page: &Path, text: &str) -> Result<String> {
     let mut whole = String::new();
     for line in text.split_inclusive('\n') {
-        whole += &included(page, line).map_or_else(|| Ok(line.into()), |file| read(&file))?;
+        whole +=
+            &included_file(page, line).map_or_else(|| Ok(line.into()), |file| read_text(&file))?;
     }
     Ok(whole)
 }
 
-fn read(file: &Path) -> Result<String> {
+fn read_text(file: &Path) -> Result<String> {
     fs::read_to_string(file).with_context(|| format!("{} is missing", file.display()))
 }
 
@@ -68,18 +71,19 @@ fn read(file: &Path) -> Result<String> {
 ///
 /// # Errors
 /// A document cannot be read.
-pub fn faults(root: &Path) -> Result<Vec<String>> {
-    let summary = fs::read_to_string(root.join(SOURCE).join("SUMMARY.md"))?;
-    let listed: Vec<String> = links::of(&summary).into_iter().map(|link| link.target).collect();
+pub(crate) fn find_problems(root: &Path) -> Result<Vec<String>> {
+    let summary = fs::read_to_string(root.join(BOOK_SOURCE_FOLDER).join("SUMMARY.md"))?;
+    let listed: Vec<String> =
+        links::find_links(&summary).into_iter().map(|link| link.target).collect();
     let mut faults = Vec::new();
-    for page in pages(root)? {
+    for page in read_book_pages(root)? {
         match listed.iter().filter(|name| **name == page.name).count() {
             1 => {}
             count => faults.push(format!("{}: {count} times in SUMMARY.md", page.name)),
         }
     }
-    for document in links::documents(root)? {
-        faults.extend(links::broken(root, &document)?);
+    for document in links::checked_documents(root)? {
+        faults.extend(links::find_broken_links(root, &document)?);
     }
     Ok(faults)
 }
@@ -89,8 +93,8 @@ pub fn faults(root: &Path) -> Result<Vec<String>> {
 /// # Errors
 /// A link is broken, or mdBook cannot be built or fails.
 pub fn render() -> Result<PathBuf> {
-    let root = setup::root();
-    let faults = faults(&root)?;
+    let root = setup::project_root();
+    let faults = find_problems(&root)?;
     if !faults.is_empty() {
         bail!("broken links:\n{}", faults.join("\n"));
     }
@@ -105,8 +109,8 @@ pub fn render() -> Result<PathBuf> {
     }
     fs::create_dir_all(&source)?;
     fs::copy(root.join("docs/book/book.toml"), folder.join("book.toml"))?;
-    fs::copy(root.join(SOURCE).join("SUMMARY.md"), source.join("SUMMARY.md"))?;
-    for entry in fs::read_dir(root.join(SOURCE))? {
+    fs::copy(root.join(BOOK_SOURCE_FOLDER).join("SUMMARY.md"), source.join("SUMMARY.md"))?;
+    for entry in fs::read_dir(root.join(BOOK_SOURCE_FOLDER))? {
         let path = entry?.path();
         if let (Some("svg"), Some(name)) =
             (path.extension().and_then(|it| it.to_str()), path.file_name())
@@ -114,21 +118,21 @@ pub fn render() -> Result<PathBuf> {
             fs::copy(&path, source.join(name))?;
         }
     }
-    let pages = pages(&root)?;
+    let pages = read_book_pages(&root)?;
     let place = |path: &Path| {
         let page = pages.iter().find(|page| page.origin == path);
         page.map(|page| page.name.clone()).or_else(|| {
-            let own = path.parent() == Some(&root.join(SOURCE));
+            let own = path.parent() == Some(&root.join(BOOK_SOURCE_FOLDER));
             own.then(|| path.file_name().unwrap_or_default().to_string_lossy().into_owned())
         })
     };
     for page in &pages {
-        let text = links::rewritten(&page.text, &mut |target| {
-            let (path, anchor) = links::split(target);
+        let text = links::rewrite_targets(&page.text, &mut |target| {
+            let (path, anchor) = links::split_anchor(target);
             if path.is_empty() || target.contains("://") {
                 return None;
             }
-            let path = normal(&page.origin.parent()?.join(path));
+            let path = normalise_path(&page.origin.parent()?.join(path));
             let web = place(&path).unwrap_or_else(|| {
                 let below = path.strip_prefix(&root).unwrap_or(&path);
                 format!("{repository}/blob/main/{}", below.display())
@@ -137,7 +141,7 @@ pub fn render() -> Result<PathBuf> {
         });
         fs::write(source.join(&page.name), text)?;
     }
-    let mdbook = cargo::tool("mdbook", MDBOOK)?;
+    let mdbook = cargo::install_tool("mdbook", MDBOOK_VERSION)?;
     process::run(
         Command::new(mdbook).args(["build", "--dest-dir"]).arg(folder.join("html")).arg(&folder),
     )?;
@@ -148,8 +152,8 @@ pub fn render() -> Result<PathBuf> {
 mod tests {
     use super::*;
 
-    fn root() -> PathBuf {
-        normal(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../.."))
+    fn project_root() -> PathBuf {
+        normalise_path(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../.."))
     }
 
     /// Returns what is between backquotes and is a path of this project: it has a slash, and no blank, option,
@@ -170,23 +174,24 @@ mod tests {
 
     #[test]
     fn every_page_is_in_the_contents_once_and_every_link_of_every_document_resolves() {
-        let faults = faults(&root()).expect("the documents can be read");
+        let faults = find_problems(&project_root()).expect("the documents can be read");
         assert!(faults.is_empty(), "{}", faults.join("\n"));
         // Not because nothing was looked at.
-        assert!(pages(&root()).expect("as above").len() > 20);
-        assert!(links::documents(&root()).expect("as above").len() > 40);
+        assert!(read_book_pages(&project_root()).expect("as above").len() > 20);
+        assert!(links::checked_documents(&project_root()).expect("as above").len() > 40);
     }
 
     #[test]
     fn a_page_has_what_it_includes_between_its_own_lines() {
-        for page in pages(&root()).expect("the pages can be read") {
+        for page in read_book_pages(&project_root()).expect("the pages can be read") {
             assert!(!page.text.contains("{{#include"), "{}", page.name);
         }
-        let page = root().join(SOURCE).join("tutorial.md");
-        let text = whole(&page, "before\n{{#include tutorial.in/on.csv}}\nbehind\n");
+        let page = project_root().join(BOOK_SOURCE_FOLDER).join("tutorial.md");
+        let text = expand_includes(&page, "before\n{{#include tutorial.in/on.csv}}\nbehind\n");
         let text = text.expect("the file is there");
         assert!(text.starts_with("before\ntime_s,") && text.ends_with("\nbehind\n"), "{text}");
-        let missing = whole(&page, "{{#include tutorial.in/off.txt}}\n").expect_err("no such file");
+        let missing =
+            expand_includes(&page, "{{#include tutorial.in/off.txt}}\n").expect_err("no such file");
         assert!(missing.to_string().ends_with("tutorial.in/off.txt is missing"), "{missing}");
     }
 
@@ -194,9 +199,9 @@ mod tests {
     fn every_path_that_the_two_pages_for_programmers_name_is_there() {
         let mut named = 0;
         for page in ["ARCHITECTURE.md", "CONTRIBUTING.md"] {
-            let text = fs::read_to_string(root().join(page)).expect("it is there");
+            let text = fs::read_to_string(project_root().join(page)).expect("it is there");
             for path in paths(&text) {
-                assert!(root().join(path).exists(), "{page}: there is no {path}");
+                assert!(project_root().join(path).exists(), "{page}: there is no {path}");
                 named += 1;
             }
         }
@@ -205,7 +210,7 @@ mod tests {
 
     #[test]
     fn the_readme_is_short() {
-        let lines = fs::read_to_string(root().join("README.md")).expect("it is there");
+        let lines = fs::read_to_string(project_root().join("README.md")).expect("it is there");
         assert!(lines.lines().count() <= 150, "what it loses belongs to the book");
     }
 

@@ -5,16 +5,16 @@
 //! | Linux, x86-64 and arm64 | `.tar.gz` with the tool, the library of the bridge without a board, manual pages, completions, licences; a Debian package for each | this file |
 //! | Windows, x86-64 | `.zip` with the tool and licences | this file |
 //! | the board | images with their `.elf`, which alone can read a board's log; the update of boards with two firmware slots | this file |
-//! | who must answer for a product | parts lists, licences, known vulnerabilities, declarations | `papers.rs` |
+//! | who must answer for a product | parts lists, licences, known vulnerabilities, declarations | `compliance_documents.rs` |
 //! | all | `SHA256SUMS`, signatures | this file |
 //!
-//! All but the papers is built in two folders and compared: see `twice.rs`.
+//! All but the papers is built in two folders and compared: see `reproducible_build.rs`.
 //!
-//! A platform whose tool chain is not on this computer is left out and named, with the lines that install it: a release is whole
-//! only if nothing was left out.
+//! A platform whose tool chain is not on this computer is omitted and named, with the lines that install it: a release is whole
+//! only if nothing was omitted.
 
-mod papers;
-mod twice;
+mod compliance_documents;
+mod reproducible_build;
 
 use std::{
     env::consts,
@@ -59,7 +59,7 @@ pub struct Release {
     pub folder: PathBuf,
     /// The files, by name.
     pub files: Vec<String>,
-    /// A sentence for each platform, paper or signature that was left out.
+    /// A sentence for each platform, paper or signature that was omitted.
     pub left_out: Vec<String>,
 }
 
@@ -68,26 +68,27 @@ pub struct Release {
 /// # Errors
 /// The folder has changes that are in no commit; something does not build; a file of the second folder is another one;
 /// or a tool is missing or fails.
-pub fn release(key: Option<&Path>) -> Result<Release> {
-    // Before anything is built: minutes later nobody waits for it.
+pub fn create_release(key: Option<&Path>) -> Result<Release> {
+    // Before anything is built: an error minutes later would go unnoticed.
     let private = key.map(read_key).transpose()?;
-    let again = twice::build(key.zip(private.as_ref()))?;
-    let folder = folder();
-    let mut left_out = left_out();
-    left_out.extend(papers::write(&again, &folder)?);
+    let again = reproducible_build::build_reproducibly(key.zip(private.as_ref()))?;
+    let folder = release_folder();
+    let mut left_out = describe_unavailable_platforms();
+    left_out.extend(compliance_documents::write_documents(&again, &folder)?);
     fs::remove_dir_all(&again)?;
-    let files = names(&folder)?;
-    let sums = process::output(Command::new("sha256sum").args(&files).current_dir(&folder))?;
+    let files = file_names(&folder)?;
+    let sums =
+        process::capture_stdout(Command::new("sha256sum").args(&files).current_dir(&folder))?;
     fs::write(folder.join("SHA256SUMS"), sums)?;
     match private {
-        Some(key) => sign(&key, &folder)?,
+        Some(key) => sign_files(&key, &folder)?,
         None => left_out.push(
             "no file is signed, and the images of two slots with the developers' key; first: trueup sign --new KEY.pem, then \
              cargo xtask release --key KEY.pem"
                 .into(),
         ),
     }
-    Ok(Release { files: names(&folder)?, folder, left_out })
+    Ok(Release { files: file_names(&folder)?, folder, left_out })
 }
 
 fn read_key(path: &Path) -> Result<PrivateKey> {
@@ -96,20 +97,20 @@ fn read_key(path: &Path) -> Result<PrivateKey> {
 }
 
 /// Signs every file of a folder, and leaves the public key there.
-fn sign(key: &PrivateKey, folder: &Path) -> Result<()> {
-    for name in names(folder)? {
+fn sign_files(key: &PrivateKey, folder: &Path) -> Result<()> {
+    for name in file_names(folder)? {
         let signature = key.sign(&fs::read(folder.join(&name))?);
         fs::write(folder.join(name + ".sig"), signature)?;
     }
-    Ok(fs::write(folder.join("trueup.pub.pem"), key.public().to_pem()?)?)
+    Ok(fs::write(folder.join("trueup.pub.pem"), key.public_key().to_pem()?)?)
 }
 
 /// Returns the folder of all files.
-fn folder() -> PathBuf {
-    setup::root().join("target/release-files")
+fn release_folder() -> PathBuf {
+    setup::project_root().join("target/release-files")
 }
 
-fn names(folder: &Path) -> Result<Vec<String>> {
+fn file_names(folder: &Path) -> Result<Vec<String>> {
     let mut files: Vec<String> = fs::read_dir(folder)?
         .flatten()
         .map(|entry| entry.file_name().to_string_lossy().into_owned())
@@ -119,8 +120,12 @@ fn names(folder: &Path) -> Result<Vec<String>> {
 }
 
 /// Returns a sentence for each platform that cannot be built here.
-fn left_out() -> Vec<String> {
-    let why = |platform| missing(platform, has_library, |program| process::find(program).is_some());
+fn describe_unavailable_platforms() -> Vec<String> {
+    let why = |platform| {
+        missing_requirement(platform, has_standard_library, |program| {
+            process::find_on_path(program).is_some()
+        })
+    };
     PLATFORMS.iter().filter_map(why).collect()
 }
 
@@ -128,22 +133,29 @@ fn left_out() -> Vec<String> {
 ///
 /// # Errors
 /// Something does not build, or `tar` or `zip` is missing or fails.
-pub fn once() -> Result<()> {
-    let (root, folder) = (setup::root(), folder());
+pub fn build_release_files() -> Result<()> {
+    let (root, folder) = (setup::project_root(), release_folder());
     if folder.is_dir() {
         fs::remove_dir_all(&folder)?;
     }
     fs::create_dir_all(&folder)?;
     // Before the tool, which carries them.
-    copy_all(&images::carried()?, &folder)?;
+    copy_files(&images::build_bundled_images()?, &folder)?;
     let built: Vec<&Platform> = PLATFORMS
         .iter()
-        .filter(|it| missing(it, has_library, |program| process::find(program).is_some()).is_none())
+        .filter(|it| {
+            missing_requirement(it, has_standard_library, |program| {
+                process::find_on_path(program).is_some()
+            })
+            .is_none()
+        })
         .collect();
-    built.iter().try_for_each(|platform| pack(platform, &root, &folder))?;
-    let mut packages = vec![debian::package()?];
-    for Platform { target, .. } in built.iter().filter(|it| !it.is_windows && !is_own(it.target)) {
-        packages.push(debian::package_for(target)?);
+    built.iter().try_for_each(|platform| package_platform(platform, &root, &folder))?;
+    let mut packages = vec![debian::build_host_package()?];
+    for Platform { target, .. } in
+        built.iter().filter(|it| !it.is_windows && !is_host_target(it.target))
+    {
+        packages.push(debian::build_package_for_target(target)?);
     }
     for package in packages {
         let name = package.file_name().context("a package has a name")?;
@@ -153,14 +165,14 @@ pub fn once() -> Result<()> {
 }
 
 /// Returns whether the standard library of a target is installed.
-fn has_library(target: &str) -> bool {
+fn has_standard_library(target: &str) -> bool {
     let mut ask = Command::new("rustc");
     ask.args(["--print", "target-libdir", "--target", target]);
-    process::output(&mut ask).is_ok_and(|folder| Path::new(folder.trim()).is_dir())
+    process::capture_stdout(&mut ask).is_ok_and(|folder| Path::new(folder.trim()).is_dir())
 }
 
 /// Why a platform cannot be built here, with the lines that change it; `None`: it can.
-fn missing(
+fn missing_requirement(
     platform: &Platform,
     has_library: impl Fn(&str) -> bool,
     has_program: impl Fn(&str) -> bool,
@@ -177,7 +189,7 @@ fn missing(
 }
 
 /// Returns whether a build without `--target`, on a computer of this architecture and system, is for `target`.
-fn is_of(target: &str, architecture: &str, system: &str) -> bool {
+fn is_native_target(target: &str, architecture: &str, system: &str) -> bool {
     let rest = match system {
         "linux" => "unknown-linux-gnu",
         "windows" => "pc-windows-gnu",
@@ -187,17 +199,17 @@ fn is_of(target: &str, architecture: &str, system: &str) -> bool {
 }
 
 /// Returns whether a build without `--target` on this computer is for `target`.
-fn is_own(target: &str) -> bool {
-    cfg!(target_env = "gnu") && is_of(target, consts::ARCH, consts::OS)
+fn is_host_target(target: &str) -> bool {
+    cfg!(target_env = "gnu") && is_native_target(target, consts::ARCH, consts::OS)
 }
 
 /// Builds the tool for a platform and packs it.
-fn pack(platform: &Platform, root: &Path, folder: &Path) -> Result<()> {
+fn package_platform(platform: &Platform, root: &Path, folder: &Path) -> Result<()> {
     let Platform { target, linker: (linker, _), is_windows } = platform;
-    let mut build = cargo::locked("build");
+    let mut build = cargo::locked_command("build");
     build.args(["--release", "--package", "trueup-cli"]);
     // This computer's own is built once, for the archive and for the package.
-    let is_own = is_own(target);
+    let is_own = is_host_target(target);
     let mut built = root.join("target");
     // A linker that is named, even the usual one, would make it another build than the package's.
     if !is_own {
@@ -214,24 +226,24 @@ fn pack(platform: &Platform, root: &Path, folder: &Path) -> Result<()> {
     let built = built.join("release").join(tool);
     fs::copy(&built, content.join(tool)).with_context(|| built.display().to_string())?;
     if !is_windows {
-        let library = debian::library((!is_own).then_some(target))?;
+        let library = debian::build_bridge_library((!is_own).then_some(target))?;
         fs::copy(&library, content.join(library.file_name().context("a library has a name")?))?;
     }
     for text in ["README.md", "CHANGELOG.md", "LICENSE-MIT", "LICENSE-APACHE"] {
         fs::copy(root.join(text), content.join(text))?;
     }
     if is_own {
-        process::output(Command::new(&built).arg("man").arg(content.join("man")))?;
-        let script = process::output(Command::new(&built).args(["completions", "bash"]))?;
+        process::capture_stdout(Command::new(&built).arg("man").arg(content.join("man")))?;
+        let script = process::capture_stdout(Command::new(&built).args(["completions", "bash"]))?;
         fs::write(content.join("trueup.bash"), script)?;
     }
-    archive(&name, folder, *is_windows)?;
+    create_archive(&name, folder, *is_windows)?;
     Ok(fs::remove_dir_all(content)?)
 }
 
 /// Packs a folder so that the same files give the same bytes: no order, time, owner or mode of this computer.
-fn archive(name: &str, folder: &Path, is_windows: bool) -> Result<()> {
-    let at = format!("@{}", twice::commit_time()?);
+fn create_archive(name: &str, folder: &Path, is_windows: bool) -> Result<()> {
+    let at = format!("@{}", reproducible_build::commit_time()?);
     if is_windows {
         let mut touch = Command::new("find");
         touch.args([name, "-exec", "touch", "--date", &at, "{}", "+"]).current_dir(folder);
@@ -239,7 +251,7 @@ fn archive(name: &str, folder: &Path, is_windows: bool) -> Result<()> {
         let mut list = Command::new("find");
         list.args([name, "-type", "f"]).current_dir(folder);
         let mut names: Vec<String> =
-            process::output(&mut list)?.lines().map(str::to_owned).collect();
+            process::capture_stdout(&mut list)?.lines().map(str::to_owned).collect();
         names.sort();
         let mut zip = Command::new("zip");
         // Without extra fields, with times as they are in UTC.
@@ -257,7 +269,7 @@ fn archive(name: &str, folder: &Path, is_windows: bool) -> Result<()> {
     process::run(tar.current_dir(folder))
 }
 
-fn copy_all(from: &Path, to: &Path) -> Result<()> {
+fn copy_files(from: &Path, to: &Path) -> Result<()> {
     for entry in fs::read_dir(from)? {
         let entry = entry?;
         fs::copy(entry.path(), to.join(entry.file_name()))?;
@@ -280,7 +292,11 @@ mod tests {
         ] {
             for target in [x86, arm, windows] {
                 let is_own = own == Some(target);
-                assert_eq!(is_of(target, architecture, system), is_own, "{target} on {system}");
+                assert_eq!(
+                    is_native_target(target, architecture, system),
+                    is_own,
+                    "{target} on {system}"
+                );
             }
         }
     }
@@ -291,15 +307,15 @@ mod tests {
         let all = |_: &str| true;
         let none = |_: &str| false;
         for platform in &PLATFORMS {
-            assert_eq!(missing(platform, all, all), None);
+            assert_eq!(missing_requirement(platform, all, all), None);
         }
-        let said = missing(arm, none, none).expect("nothing is there");
+        let said = missing_requirement(arm, none, none).expect("nothing is there");
         assert_eq!(
             said,
             "aarch64-unknown-linux-gnu is left out; first: rustup target add aarch64-unknown-linux-gnu; \
              sudo apt-get install gcc-aarch64-linux-gnu"
         );
-        let said = missing(windows, all, none).expect("no linker");
+        let said = missing_requirement(windows, all, none).expect("no linker");
         assert!(said.ends_with("sudo apt-get install gcc-mingw-w64-x86-64"), "{said}");
         assert!(!own.is_windows && windows.is_windows);
     }

@@ -10,8 +10,13 @@ use anyhow::{Context as _, Result};
 
 use super::source::SourceFile;
 
+/// Counted words of one kind that 10,000 words may have.
+pub(super) const MAX_FREQUENCY: f64 = 2.0;
+/// Doc comments of functions that begin with a verb, of a hundred.
+pub(super) const MIN_VERB_PERCENT: f64 = 60.0;
+
 /// Words whose frequency is printed: the heading, and the forms in lower case.
-const COUNTED: &[(&str, &[&str])] = &[
+const COUNTED_WORDS: &[(&str, &[&str])] = &[
     ("told, tell", &["told", "tell", "tells", "telling"]),
     ("so much, so many", &["so much", "so many"]),
     ("beside", &["beside"]),
@@ -19,13 +24,25 @@ const COUNTED: &[(&str, &[&str])] = &[
     ("hear", &["hear", "hears", "heard", "hearing"]),
 ];
 
+/// Phrases that have a term of the trade: none may be in a page or a comment.
+const REPLACED_PHRASES: &[(&str, &str)] = &[
+    ("set aside", "excluded as outliers"),
+    ("foresee", "predict"),
+    ("foresees", "predicts"),
+    ("foreseen", "predicted"),
+    ("the machine file as it is", "the current machine file"),
+    ("nothing was fitted to", "not used for the fit"),
+    ("does not hold nothing", "excludes zero"),
+    ("nobody here has made", "recorded by others"),
+];
+
 /// References that lead nowhere, and names of the workplace: none of them may be in the project.
-const NOWHERE: &[&str] =
+const FORBIDDEN_REFERENCES: &[&str] =
     &["the issue's", "interfaces.md", "language.md", "design.md", "seed 00", "shared/seeds"];
 
 /// Verbs that a doc comment of a function may begin with are these endings' third person; words with the ending that
 /// are none:
-const NO_VERBS: &[&str] = &[
+const NON_VERBS: &[&str] = &[
     "This",
     "Its",
     "As",
@@ -68,22 +85,26 @@ const NO_VERBS: &[&str] = &[
 ];
 
 /// What was counted.
-pub struct Language {
+pub(crate) struct LanguageReport {
     /// All words.
     pub words: usize,
-    /// The headings of [`COUNTED`] and "What …", each with its number.
+    /// The headings of [`COUNTED_WORDS`] and "What …", each with its number.
     pub counts: Vec<(&'static str, usize)>,
     /// Doc comments of functions, and those that begin with a verb.
     pub functions: [usize; 2],
-    /// `file:line: phrase` of [`NOWHERE`].
+    /// `file:line: phrase` of [`FORBIDDEN_REFERENCES`].
     pub nowhere: Vec<String>,
+    /// `file:line: phrase -> term` of [`REPLACED_PHRASES`].
+    pub phrases: Vec<String>,
+    /// `file:line: path` of source files that are named and are not there.
+    pub missing_files: Vec<String>,
     /// `file:line` of tables whose rows begin without a head.
     pub cut_tables: Vec<String>,
     /// The files with the most counted words, and their number.
     pub files: Vec<(String, usize)>,
 }
 
-impl Language {
+impl LanguageReport {
     /// Returns a count per 10,000 words.
     pub(crate) fn frequency(&self, count: usize) -> f64 {
         1e4 * count as f64 / self.words.max(1) as f64
@@ -94,12 +115,14 @@ impl Language {
 ///
 /// # Errors
 /// A page cannot be read.
-pub fn count(root: &Path, sources: &[SourceFile]) -> Result<Language> {
-    let mut found = Language {
+pub(crate) fn count_words(root: &Path, sources: &[SourceFile]) -> Result<LanguageReport> {
+    let mut found = LanguageReport {
         words: 0,
-        counts: COUNTED.iter().map(|(head, _)| (*head, 0)).chain([("What …", 0)]).collect(),
+        counts: COUNTED_WORDS.iter().map(|(head, _)| (*head, 0)).chain([("What …", 0)]).collect(),
         functions: [0; 2],
         nowhere: Vec::new(),
+        phrases: Vec::new(),
+        missing_files: Vec::new(),
         cut_tables: Vec::new(),
         files: Vec::new(),
     };
@@ -108,17 +131,24 @@ pub fn count(root: &Path, sources: &[SourceFile]) -> Result<Language> {
     for path in pages {
         let name = path.strip_prefix(root).unwrap_or(&path).to_string_lossy().replace('\\', "/");
         let text = fs::read_to_string(&path).with_context(|| name.clone())?;
-        found.cut_tables.extend(cut_tables(&text).iter().map(|line| format!("{name}:{line}")));
-        found.nowhere.extend(nowhere(&name, &text));
-        found.add(&name, &prose(&text));
+        found
+            .cut_tables
+            .extend(find_headerless_table_rows(&text).iter().map(|line| format!("{name}:{line}")));
+        found.nowhere.extend(find_forbidden_references(&name, &text));
+        found.phrases.extend(find_replaced_phrases(&name, &strip_code(&text)));
+        found.missing_files.extend(find_missing_files(&name, &text, sources));
+        found.add_text(&name, &strip_code(&text));
     }
     for source in sources {
         // The lists above.
         if source.path.ends_with("structure/language.rs") {
             continue;
         }
-        found.nowhere.extend(nowhere(&source.path, &source.text));
-        found.add(&source.path, &prose(&doc_comments(&source.text)));
+        found.nowhere.extend(find_forbidden_references(&source.path, &source.text));
+        let comments = comment_lines(&source.text);
+        found.phrases.extend(find_replaced_phrases(&source.path, &strip_code(&comments)));
+        found.missing_files.extend(find_missing_files(&source.path, &comments, sources));
+        found.add_text(&source.path, &strip_code(&doc_comments(&source.text)));
         if !source.is_test() {
             for first in first_words_of_functions(&source.text) {
                 found.functions[0] += 1;
@@ -130,18 +160,18 @@ pub fn count(root: &Path, sources: &[SourceFile]) -> Result<Language> {
     Ok(found)
 }
 
-impl Language {
-    fn add(&mut self, name: &str, text: &str) {
+impl LanguageReport {
+    fn add_text(&mut self, name: &str, text: &str) {
         self.words += text.split_whitespace().count();
         let lower = text.to_lowercase();
         let mut all = 0;
-        for (index, (_, forms)) in COUNTED.iter().enumerate() {
-            let count: usize = forms.iter().map(|form| whole_words(&lower, form)).sum();
+        for (index, (_, forms)) in COUNTED_WORDS.iter().enumerate() {
+            let count: usize = forms.iter().map(|form| count_whole_words(&lower, form)).sum();
             self.counts[index].1 += count;
             all += count;
         }
-        let what = sentences_with_what(text);
-        self.counts[COUNTED.len()].1 += what;
+        let what = count_sentences_opening_with_what(text);
+        self.counts[COUNTED_WORDS.len()].1 += what;
         all += what;
         if all > 0 {
             self.files.push((name.to_owned(), all));
@@ -179,8 +209,17 @@ fn doc_comments(text: &str) -> String {
     all
 }
 
+/// Returns the comments of a file, each on its line; the other lines are empty.
+fn comment_lines(text: &str) -> String {
+    let comment = |line: &str| {
+        let line = line.trim_start();
+        line.starts_with("//").then(|| line.trim_start_matches(['/', '!']).to_owned())
+    };
+    text.lines().flat_map(|line| [comment(line).unwrap_or_default(), "\n".to_owned()]).collect()
+}
+
 /// Returns the text without blocks of code and without what is in backticks.
-fn prose(text: &str) -> String {
+fn strip_code(text: &str) -> String {
     let mut is_code = false;
     let mut all = String::with_capacity(text.len());
     for line in text.lines() {
@@ -196,7 +235,7 @@ fn prose(text: &str) -> String {
     all
 }
 
-fn whole_words(text: &str, form: &str) -> usize {
+fn count_whole_words(text: &str, form: &str) -> usize {
     let is_letter = |it: Option<char>| it.is_some_and(char::is_alphanumeric);
     let matches = text.match_indices(form);
     matches
@@ -208,7 +247,7 @@ fn whole_words(text: &str, form: &str) -> usize {
 }
 
 /// Returns how many sentences begin with "What" and are no question.
-fn sentences_with_what(text: &str) -> usize {
+fn count_sentences_opening_with_what(text: &str) -> usize {
     let is_start = |before: &str| {
         let on_line = before.rsplit('\n').next().unwrap_or_default();
         let trimmed = before.trim_end();
@@ -253,22 +292,57 @@ fn is_verb(word: &str) -> bool {
     word.starts_with(char::is_uppercase)
         && word.ends_with('s')
         && !word.ends_with("ss")
-        && !NO_VERBS.contains(&word)
+        && !NON_VERBS.contains(&word)
         && word.chars().skip(1).all(char::is_lowercase)
 }
 
-fn nowhere(name: &str, text: &str) -> Vec<String> {
+fn find_forbidden_references(name: &str, text: &str) -> Vec<String> {
     let mut found = Vec::new();
     for (index, line) in text.lines().enumerate() {
         let lower = line.to_lowercase();
-        let phrases = NOWHERE.iter().filter(|phrase| lower.contains(**phrase));
+        let phrases = FORBIDDEN_REFERENCES.iter().filter(|phrase| lower.contains(**phrase));
         found.extend(phrases.map(|phrase| format!("{name}:{}: {phrase}", index + 1)));
     }
     found
 }
 
+/// Returns where a phrase stands that has a term of the trade.
+fn find_replaced_phrases(name: &str, text: &str) -> Vec<String> {
+    let mut found = Vec::new();
+    for (index, line) in text.lines().enumerate() {
+        let lower = line.to_lowercase();
+        for (phrase, term) in REPLACED_PHRASES {
+            if count_whole_words(&lower, phrase) > 0 {
+                found.push(format!("{name}:{}: {phrase} -> {term}", index + 1));
+            }
+        }
+    }
+    found
+}
+
+/// Returns where a source file is named in backticks that no path of the project ends with.
+fn find_missing_files(name: &str, text: &str, sources: &[SourceFile]) -> Vec<String> {
+    let mut found = Vec::new();
+    for (index, line) in text.lines().enumerate() {
+        for quoted in line.split('`').skip(1).step_by(2).filter(|it| it.ends_with(".rs")) {
+            let is_path =
+                quoted.bytes().all(|it| it.is_ascii_alphanumeric() || b"._-/".contains(&it));
+            let is_there = |source: &SourceFile| {
+                source
+                    .path
+                    .strip_suffix(quoted)
+                    .is_some_and(|it| it.is_empty() || it.ends_with('/'))
+            };
+            if is_path && !sources.iter().any(is_there) {
+                found.push(format!("{name}:{}: {quoted}", index + 1));
+            }
+        }
+    }
+    found
+}
+
 /// Returns the lines at which rows of a table begin without a head: an empty line has cut the table.
-fn cut_tables(text: &str) -> Vec<usize> {
+fn find_headerless_table_rows(text: &str) -> Vec<usize> {
     let lines: Vec<&str> = text.lines().map(str::trim).collect();
     let mut is_code = false;
     let mut found = Vec::new();
@@ -289,17 +363,29 @@ mod tests {
     use super::*;
 
     #[test]
+    fn phrases_with_a_term_and_files_that_are_gone_are_found_by_line() {
+        let text = "Rows are set aside.\n`set aside`, setaside\n";
+        let phrases = find_replaced_phrases("a.md", &strip_code(text));
+        assert_eq!(phrases, ["a.md:1: set aside -> excluded as outliers"]);
+        let comments =
+            comment_lines("fn x() {} // no\n    /// See `b.rs`, `src/a.rs` and `a.rs`.\n");
+        let sources = [SourceFile::new("crates/x/src/a.rs", "")];
+        assert_eq!(find_missing_files("y.rs", &comments, &sources), ["y.rs:2: b.rs"]);
+    }
+
+    #[test]
     fn words_are_counted_where_they_are_whole_and_no_code() {
-        let text = prose("He was told. `told`\n```\ntold\n```\nRetold, Told; besides beside.\n");
-        assert_eq!(whole_words(&text.to_lowercase(), "told"), 2);
-        assert_eq!(whole_words(&text.to_lowercase(), "beside"), 1);
+        let text =
+            strip_code("He was told. `told`\n```\ntold\n```\nRetold, Told; besides beside.\n");
+        assert_eq!(count_whole_words(&text.to_lowercase(), "told"), 2);
+        assert_eq!(count_whole_words(&text.to_lowercase(), "beside"), 1);
     }
 
     #[test]
     fn a_question_is_no_noun_clause() {
         let text =
             "What a curve leaves.\n\nWhat is it?\nIt is. What else is there.\nSee What it is.";
-        assert_eq!(sentences_with_what(text), 2);
+        assert_eq!(count_sentences_opening_with_what(text), 2);
     }
 
     #[test]
@@ -314,12 +400,12 @@ mod tests {
     #[test]
     fn an_empty_line_cuts_a_table() {
         let text = "| a | b |\n|---|---|\n| 1 | 2 |\n\n| 3 | 4 |\n\n```\n| no table\n```\n";
-        assert_eq!(cut_tables(text), [5]);
+        assert_eq!(find_headerless_table_rows(text), [5]);
     }
 
     #[test]
     fn references_that_lead_nowhere_are_found() {
-        let found = nowhere("a.md", "fine\nas The Issue's figure says\n");
+        let found = find_forbidden_references("a.md", "fine\nas The Issue's figure says\n");
         assert_eq!(found, ["a.md:2: the issue's"]);
     }
 }

@@ -48,7 +48,7 @@ const LAYERS: &[(&str, &[&str])] = &[
 ];
 
 /// Returns the dependencies that lead to a higher layer, as `crate -> crate (layer)`. Those of tests alone do not count.
-pub(crate) fn arrows_up(root: &Path) -> Result<Vec<String>> {
+pub(crate) fn find_upward_dependencies(root: &Path) -> Result<Vec<String>> {
     let mut manifests = Vec::new();
     for (layer, names) in LAYERS {
         for name in *names {
@@ -59,12 +59,12 @@ pub(crate) fn arrows_up(root: &Path) -> Result<Vec<String>> {
             }
         }
     }
-    Ok(manifests.iter().flat_map(|(name, text)| up(name, text)).collect())
+    Ok(manifests.iter().flat_map(|(name, text)| find_upward_in_manifest(name, text)).collect())
 }
 
 /// Returns the folders of crates in `crates`, or in a folder of a layer there, that [`LAYERS`] does not name: their
 /// arrows are seen by nothing.
-pub(crate) fn without_layer(root: &Path) -> Result<Vec<String>> {
+pub(crate) fn crates_without_layer(root: &Path) -> Result<Vec<String>> {
     let crates = root.join("crates");
     let mut found = Vec::new();
     for folder in [crates.clone()].into_iter().chain(LAYERS.iter().map(|(it, _)| crates.join(it))) {
@@ -74,7 +74,7 @@ pub(crate) fn without_layer(root: &Path) -> Result<Vec<String>> {
         for entry in fs::read_dir(&folder).with_context(|| folder.display().to_string())? {
             let path = entry?.path();
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            if path.join("Cargo.toml").is_file() && layer(&name).is_none() {
+            if path.join("Cargo.toml").is_file() && layer_index(&name).is_none() {
                 found.push(path.strip_prefix(root).unwrap_or(&path).display().to_string());
             }
         }
@@ -84,11 +84,11 @@ pub(crate) fn without_layer(root: &Path) -> Result<Vec<String>> {
 }
 
 /// Returns the index of a crate's layer.
-fn layer(name: &str) -> Option<usize> {
+fn layer_index(name: &str) -> Option<usize> {
     LAYERS.iter().position(|(_, names)| names.contains(&name))
 }
 
-fn up(name: &str, manifest: &str) -> Vec<String> {
+fn find_upward_in_manifest(name: &str, manifest: &str) -> Vec<String> {
     let mut is_counted = false;
     let mut found = Vec::new();
     for line in manifest.lines().map(str::trim) {
@@ -98,7 +98,7 @@ fn up(name: &str, manifest: &str) -> Vec<String> {
         let Some(rest) = line.strip_prefix("trueup-").filter(|_| is_counted) else { continue };
         let end = rest.find(['.', ' ', '=']).unwrap_or(rest.len());
         let other = &rest[..end];
-        if let (Some(own), Some(higher)) = (layer(name), layer(other))
+        if let (Some(own), Some(higher)) = (layer_index(name), layer_index(other))
             && higher > own
         {
             found.push(format!("{name} -> {other} ({})", LAYERS[higher].0));
@@ -116,8 +116,8 @@ mod tests {
         let manifest = "[dependencies]\ntrueup-core.workspace = true\n\
                         [target.'cfg(unix)'.dependencies]\ntrueup-emulator = { workspace = true }\n\
                         [dev-dependencies]\ntrueup-twin.workspace = true\n";
-        assert_eq!(up("cli", manifest), ["cli -> emulator (bench)"]);
-        assert!(up("emulator", manifest).is_empty());
+        assert_eq!(find_upward_in_manifest("cli", manifest), ["cli -> emulator (bench)"]);
+        assert!(find_upward_in_manifest("emulator", manifest).is_empty());
     }
 
     #[test]
@@ -128,7 +128,7 @@ mod tests {
             fs::create_dir_all(&folder)?;
             fs::write(folder.join("Cargo.toml"), "")?;
         }
-        let found = without_layer(&root)?;
+        let found = crates_without_layer(&root)?;
         fs::remove_dir_all(&root)?;
         assert_eq!(found, ["crates/board/another", "crates/stranger"]);
         Ok(())

@@ -6,37 +6,38 @@
 //! thousand lines is not read at all; and a cause that is written in thirty places is added in
 //! twenty-nine. Each is counted here and red above its limit.
 
-mod causes;
-mod circles;
-mod functions;
-mod ignored;
+mod cause_mentions;
+mod dependency_cycles;
+mod ignored_tests;
 mod language;
 mod layers;
-mod modules;
+mod long_functions;
 pub mod names;
-mod public;
+mod public_items;
 mod source;
 mod thresholds;
+mod undeclared_modules;
 
 use std::{fmt::Write as _, fs, path::Path};
 
 use anyhow::{Result, ensure};
 
+use language::{LanguageReport, MAX_FREQUENCY, MIN_VERB_PERCENT};
 use source::SourceFile;
 
 /// Lines that a source file may have, its tests included.
-const LONGEST: usize = 500;
+const MAX_FILE_LINES: usize = 500;
 
 /// Files that are tables of data and may be longer.
-const TABLES: &[&str] = &[];
+const TABLE_FILES: &[&str] = &[];
 
 /// The limit of each count.
 struct Limits {
     /// Circles of files.
     circles: usize,
-    /// Files above [`LONGEST`] lines.
+    /// Files above [`MAX_FILE_LINES`] lines.
     long_files: usize,
-    /// Functions above [`functions::LONGEST`] lines.
+    /// Functions above [`long_functions::MAX_FUNCTION_LINES`] lines.
     long_functions: usize,
     /// Dependencies on a higher layer.
     arrows: usize,
@@ -44,6 +45,10 @@ struct Limits {
     strangers: usize,
     /// References that lead nowhere.
     nowhere: usize,
+    /// Phrases that have a term of the trade.
+    phrases: usize,
+    /// Source files that are named and are not there.
+    missing_files: usize,
     /// Tables that an empty line cuts.
     cut_tables: usize,
     /// Files that `rustfmt` does not see.
@@ -67,6 +72,8 @@ const LIMITS: Limits = Limits {
     arrows: 0,
     strangers: 0,
     nowhere: 0,
+    phrases: 0,
+    missing_files: 0,
     cut_tables: 0,
     unseen: 0,
     without_tier: 0,
@@ -77,23 +84,25 @@ const LIMITS: Limits = Limits {
 };
 
 /// Lines of code that the project aims at.
-const CODE: usize = 110_000;
+const TARGET_CODE_LINES: usize = 110_000;
 
 /// How many files with the most counted words are named.
-const NAMED_FILES: usize = 8;
+const MAX_LISTED_FILES: usize = 8;
 
 /// Counts, and gives what was found as text, one count a heading and what it counts below.
 ///
 /// # Errors
 /// A count is above its limit (the error has the whole report), or a file cannot be read.
 pub fn check(root: &Path) -> Result<String> {
-    let sources = source::all(root)?;
-    let circles = circles::find(&sources);
+    let sources = source::read_sources(root)?;
+    let circles = dependency_cycles::find_cycles(&sources);
     let long: Vec<&SourceFile> = sources
         .iter()
-        .filter(|source| source.lines() > LONGEST && !TABLES.contains(&source.path.as_str()))
+        .filter(|source| {
+            source.line_count() > MAX_FILE_LINES && !TABLE_FILES.contains(&source.path.as_str())
+        })
         .collect();
-    let (cause, places) = causes::most_often_named(&sources);
+    let (cause, places) = cause_mentions::most_mentioned_cause(&sources);
 
     let mut text = String::new();
     let mut over = Vec::new();
@@ -111,29 +120,32 @@ pub fn check(root: &Path) -> Result<String> {
             writeln!(text, "        {from}:{line} -> {to}")?;
         }
     }
-    head(&mut text, &format!("files above {LONGEST} lines"), long.len(), LIMITS.long_files)?;
+    head(&mut text, &format!("files above {MAX_FILE_LINES} lines"), long.len(), LIMITS.long_files)?;
     for source in &long {
-        writeln!(text, "    {:5}  {}", source.lines(), source.path)?;
+        writeln!(text, "    {:5}  {}", source.line_count(), source.path)?;
     }
-    let long = functions::long(&sources);
-    let what = format!("functions above {} lines", functions::LONGEST);
+    let long = long_functions::find_long_functions(&sources);
+    let what = format!("functions above {} lines", long_functions::MAX_FUNCTION_LINES);
     head(&mut text, &what, long.len(), LIMITS.long_functions)?;
     for it in &long {
         writeln!(text, "    {:5}  {} {}", it.lines, it.place, it.name)?;
     }
-    let public = public::find(&sources, &public::packages(root)?);
+    let public = public_items::find_unused_items(&sources, &public_items::read_packages(root)?);
     let what = format!("public items that nothing outside their crate names, of {}", public.all);
     for (what, found, limit) in [
-        ("arrows up", layers::arrows_up(root)?, LIMITS.arrows),
-        ("crates without a layer", layers::without_layer(root)?, LIMITS.strangers),
+        ("arrows up", layers::find_upward_dependencies(root)?, LIMITS.arrows),
+        ("crates without a layer", layers::crates_without_layer(root)?, LIMITS.strangers),
         (
             "files that the format check does not see",
-            modules::unseen(&sources).into_iter().map(str::to_owned).collect(),
+            undeclared_modules::find_undeclared_files(&sources)
+                .into_iter()
+                .map(str::to_owned)
+                .collect(),
             LIMITS.unseen,
         ),
         (
             "ignored tests whose reason and name are of no tier",
-            ignored::without_tier(&sources),
+            ignored_tests::find_untiered_tests(&sources),
             LIMITS.without_tier,
         ),
         (what.as_str(), public.unused, LIMITS.public),
@@ -148,14 +160,18 @@ pub fn check(root: &Path) -> Result<String> {
     for place in &places {
         writeln!(text, "    {place}")?;
     }
-    let thresholds =
-        thresholds::count(&sources, &fs::read_to_string(root.join("docs/thresholds.md"))?);
+    let thresholds = thresholds::count_thresholds(
+        &sources,
+        &fs::read_to_string(root.join("docs/thresholds.md"))?,
+    );
     let what =
         format!("thresholds of the finder (target: 40; and {} other numbers)", thresholds.others);
     head(&mut text, &what, thresholds.decide.len(), LIMITS.thresholds)?;
-    let language = language::count(root, &sources)?;
+    let language = language::count_words(root, &sources)?;
     for (what, found, limit) in [
         ("references that lead nowhere", &language.nowhere, LIMITS.nowhere),
+        ("phrases that have a term of the trade", &language.phrases, LIMITS.phrases),
+        ("files that are named and not there", &language.missing_files, LIMITS.missing_files),
         ("tables without a head", &language.cut_tables, LIMITS.cut_tables),
         ("thresholds of the finder that are elsewhere", &thresholds.stale, LIMITS.stale),
     ] {
@@ -164,25 +180,39 @@ pub fn check(root: &Path) -> Result<String> {
             writeln!(text, "    {place}")?;
         }
     }
-    let lines: usize = sources.iter().map(SourceFile::lines_of_code).sum();
+    let lines: usize = sources.iter().map(SourceFile::code_line_count).sum();
     writeln!(
         text,
-        "lines of code without tests, comments and blank lines: {lines} (target: {CODE})"
+        "lines of code without tests, comments and blank lines: {lines} (target: {TARGET_CODE_LINES})"
     )?;
-    writeln!(text, "words per 10,000 of {} (target: 2 at most each)", language.words)?;
+    over.extend(write_language(&mut text, &language)?);
+    ensure!(over.is_empty(), "{text}above the limit: {}", over.join(", "));
+    Ok(text)
+}
+
+/// Writes how frequent the counted words are, and where most of them stand. Returns which of them are beyond their limit.
+fn write_language(text: &mut String, language: &LanguageReport) -> Result<Vec<String>> {
+    let mut over = Vec::new();
+    writeln!(text, "words per 10,000 of {} (at most {MAX_FREQUENCY} each)", language.words)?;
     for (what, count) in &language.counts {
-        writeln!(text, "    {:5.1}  {what}", language.frequency(*count))?;
+        let frequency = language.frequency(*count);
+        writeln!(text, "    {frequency:5.1}  {what}")?;
+        if frequency > MAX_FREQUENCY {
+            over.push((*what).to_owned());
+        }
     }
     let [all, with_verb] = language.functions;
     let share = 100.0 * with_verb as f64 / all.max(1) as f64;
     writeln!(
         text,
-        "doc comments of functions that begin with a verb: {share:.0} % of {all} (target: 60 %)"
+        "doc comments of functions that begin with a verb: {share:.0} % of {all} (at least {MIN_VERB_PERCENT} %)"
     )?;
+    if share < MIN_VERB_PERCENT {
+        over.push("doc comments of functions that begin with a verb, below their limit".to_owned());
+    }
     writeln!(text, "most of these words:")?;
-    for (file, count) in language.files.iter().take(NAMED_FILES) {
+    for (file, count) in language.files.iter().take(MAX_LISTED_FILES) {
         writeln!(text, "    {count:5}  {file}")?;
     }
-    ensure!(over.is_empty(), "{text}above the limit: {}", over.join(", "));
-    Ok(text)
+    Ok(over)
 }

@@ -4,15 +4,15 @@ use anyhow::{Result, ensure};
 use rand::{SeedableRng as _, seq::IndexedRandom as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::source::{SourceFile, is_name};
+use super::source::{SourceFile, is_identifier_byte};
 
 /// The words that declare an item.
-const KINDS: [&str; 9] =
+const ITEM_KEYWORDS: [&str; 9] =
     ["fn", "struct", "enum", "union", "trait", "type", "const", "static", "mod"];
 
 /// A name with the place where it is declared.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Name {
+pub struct DeclaredName {
     /// The word that declares it.
     pub kind: &'static str,
     /// The name.
@@ -22,11 +22,11 @@ pub struct Name {
 }
 
 /// Returns the names of all items that are not there for tests, in the order of their places.
-fn all(sources: &[SourceFile]) -> Vec<Name> {
-    sources.iter().filter(|source| !source.is_test()).flat_map(of_file).collect()
+fn all_declared_names(sources: &[SourceFile]) -> Vec<DeclaredName> {
+    sources.iter().filter(|source| !source.is_test()).flat_map(declared_names).collect()
 }
 
-fn of_file(source: &SourceFile) -> Vec<Name> {
+fn declared_names(source: &SourceFile) -> Vec<DeclaredName> {
     let mut found = Vec::new();
     let mut is_of_a_test = false;
     for (line, text) in source.code.lines().enumerate() {
@@ -37,11 +37,11 @@ fn of_file(source: &SourceFile) -> Vec<Name> {
             _ => {}
         }
         let words: Vec<&str> =
-            text.split(|it: char| !is_name_letter(it)).filter(|it| !it.is_empty()).collect();
+            text.split(|it: char| !is_identifier_char(it)).filter(|it| !it.is_empty()).collect();
         let declared = words.windows(2).find_map(|pair| {
-            let kind = KINDS.into_iter().find(|kind| *kind == pair[0])?;
+            let kind = ITEM_KEYWORDS.into_iter().find(|kind| *kind == pair[0])?;
             // `const fn`, and `_`.
-            (!KINDS.contains(&pair[1]) && pair[1].chars().any(char::is_alphabetic))
+            (!ITEM_KEYWORDS.contains(&pair[1]) && pair[1].chars().any(char::is_alphabetic))
                 .then(|| (kind, pair[1].to_owned()))
         });
         let is_item = declared.as_ref().is_some_and(|(kind, name)| {
@@ -51,14 +51,14 @@ fn of_file(source: &SourceFile) -> Vec<Name> {
             })
         });
         if let Some((kind, name)) = declared.filter(|_| is_item) {
-            found.push(Name { kind, name, place: format!("{}:{}", source.path, line + 1) });
+            found.push(DeclaredName { kind, name, place: format!("{}:{}", source.path, line + 1) });
         }
     }
     found
 }
 
-fn is_name_letter(letter: char) -> bool {
-    u8::try_from(letter).is_ok_and(is_name)
+fn is_identifier_char(letter: char) -> bool {
+    u8::try_from(letter).is_ok_and(is_identifier_byte)
 }
 
 /// Returns whether a word may stand before the one that declares an item.
@@ -73,8 +73,12 @@ fn is_modifier(word: &str) -> bool {
 ///
 /// # Errors
 /// A file cannot be read, or there are fewer names.
-pub fn drawn(root: &std::path::Path, count: usize, seed: u64) -> Result<(Vec<Name>, usize)> {
-    let mut names = all(&super::source::all(root)?);
+pub fn draw_names(
+    root: &std::path::Path,
+    count: usize,
+    seed: u64,
+) -> Result<(Vec<DeclaredName>, usize)> {
+    let mut names = all_declared_names(&super::source::read_sources(root)?);
     names.sort_by(|a, b| a.name.cmp(&b.name));
     names.dedup_by(|a, b| a.name == b.name);
     ensure!(count <= names.len(), "there are {} names", names.len());
@@ -92,7 +96,7 @@ mod tests {
         let text = "pub(crate) const fn lag() {}\nstruct Heat;\nlet x: *const u8 = f;\n\
                     use std::fn_name;\n// fn comment() {}\n#[cfg(test)]\nmod tests { fn of_test() {} }\n\
                     const _: () = ();\n#[test]\nfn it_is() {}\n    pub fn step(&self) {}\nstatic TABLE: [u8; 2] = [0; 2];\n";
-        let found: Vec<_> = of_file(&SourceFile::new("x.rs", text))
+        let found: Vec<_> = declared_names(&SourceFile::new("x.rs", text))
             .into_iter()
             .map(|it| (it.kind, it.name, it.place))
             .collect();
@@ -110,9 +114,9 @@ mod tests {
     #[test]
     fn a_seed_draws_the_same_names_again() {
         let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
-        let (first, of) = drawn(root, 60, 7).expect("there are 60 names");
-        assert_eq!(drawn(root, 60, 7).expect("the same").0, first);
-        assert_ne!(drawn(root, 60, 8).expect("others").0, first);
+        let (first, of) = draw_names(root, 60, 7).expect("there are 60 names");
+        assert_eq!(draw_names(root, 60, 7).expect("the same").0, first);
+        assert_ne!(draw_names(root, 60, 8).expect("others").0, first);
         let mut names: Vec<_> = first.iter().map(|it| &it.name).collect();
         names.sort();
         names.dedup();

@@ -5,10 +5,10 @@ use std::{fs, path::Path};
 use anyhow::{Context as _, Result};
 
 /// A Rust file of the project.
-pub struct SourceFile {
+pub(crate) struct SourceFile {
     /// From the project's root, with `/`.
     pub path: String,
-    /// As it is.
+    /// The unchanged text.
     pub text: String,
     /// As long as [`Self::text`], with blanks for comments and for what is compiled for tests only.
     pub words: String,
@@ -19,22 +19,22 @@ pub struct SourceFile {
 impl SourceFile {
     /// Reads a file's text.
     pub fn new(path: impl Into<String>, text: &str) -> Self {
-        let (words, code) = without_tests(text);
+        let (words, code) = blank_out_tests(text);
         Self { path: path.into(), text: text.to_owned(), words, code }
     }
 
     /// Returns the code with what is compiled for tests, as long as [`Self::text`].
     pub(crate) fn code_with_tests(&self) -> String {
-        String::from_utf8_lossy(&without_comments(&self.text).1).into_owned()
+        String::from_utf8_lossy(&blank_out_comments(&self.text).1).into_owned()
     }
 
     /// Returns how many lines it has.
-    pub fn lines(&self) -> usize {
+    pub(crate) fn line_count(&self) -> usize {
         self.text.lines().count()
     }
 
     /// Returns how many lines are code: those of tests and examples, comments and blank ones do not count.
-    pub(crate) fn lines_of_code(&self) -> usize {
+    pub(crate) fn code_line_count(&self) -> usize {
         let is_code = |line: &&str| !line.trim().is_empty();
         if self.is_test() { 0 } else { self.words.lines().filter(is_code).count() }
     }
@@ -47,8 +47,8 @@ impl SourceFile {
 }
 
 /// Reads all Rust files below a folder, in the order of their paths; build output and hidden folders
-/// are left out.
-pub fn all(root: &Path) -> Result<Vec<SourceFile>> {
+/// are excluded.
+pub(crate) fn read_sources(root: &Path) -> Result<Vec<SourceFile>> {
     let mut sources = Vec::new();
     let mut folders = vec![root.to_owned()];
     while let Some(folder) = folders.pop() {
@@ -72,14 +72,14 @@ pub fn all(root: &Path) -> Result<Vec<SourceFile>> {
 }
 
 /// Returns the text with blanks for comments and test code, once with what is in quotes and once without.
-fn without_tests(text: &str) -> (String, String) {
-    let (mut words, mut code) = without_comments(text);
-    const MARK: &[u8] = b"#[cfg(test)]";
+fn blank_out_tests(text: &str) -> (String, String) {
+    let (mut words, mut code) = blank_out_comments(text);
+    const TEST_ATTRIBUTE: &[u8] = b"#[cfg(test)]";
     let mut from = 0;
-    while let Some(start) = find(&code[from..], MARK).map(|at| at + from) {
-        let end = end_of_item(&code, start + MARK.len());
+    while let Some(start) = find_subslice(&code[from..], TEST_ATTRIBUTE).map(|at| at + from) {
+        let end = find_item_end(&code, start + TEST_ATTRIBUTE.len());
         for part in [&mut words, &mut code] {
-            blank(&mut part[start..end]);
+            blank_out(&mut part[start..end]);
         }
         from = end;
     }
@@ -87,12 +87,12 @@ fn without_tests(text: &str) -> (String, String) {
     (string(words), string(code))
 }
 
-fn find(bytes: &[u8], what: &[u8]) -> Option<usize> {
+fn find_subslice(bytes: &[u8], what: &[u8]) -> Option<usize> {
     bytes.windows(what.len()).position(|window| window == what)
 }
 
 /// Where the item ends that begins here: after its `;`, or after the brace that closes its body.
-pub(super) fn end_of_item(code: &[u8], from: usize) -> usize {
+pub(super) fn find_item_end(code: &[u8], from: usize) -> usize {
     let mut depth = 0usize;
     for (at, &byte) in code.iter().enumerate().skip(from) {
         match byte {
@@ -110,36 +110,37 @@ pub(super) fn end_of_item(code: &[u8], from: usize) -> usize {
     code.len()
 }
 
-fn blank(bytes: &mut [u8]) {
+fn blank_out(bytes: &mut [u8]) {
     bytes.iter_mut().filter(|byte| **byte != b'\n').for_each(|byte| *byte = b' ');
 }
 
 /// Returns the text with blanks for comments, once with what is in quotes and once without.
-fn without_comments(text: &str) -> (Vec<u8>, Vec<u8>) {
+fn blank_out_comments(text: &str) -> (Vec<u8>, Vec<u8>) {
     let bytes = text.as_bytes();
     let (mut words, mut code) = (bytes.to_vec(), bytes.to_vec());
     let mut at = 0;
     while at < bytes.len() {
         let end = match bytes[at] {
             b'/' if bytes[at..].starts_with(b"//") => {
-                let end = find(&bytes[at..], b"\n").map_or(bytes.len(), |length| at + length);
-                blank(&mut words[at..end]);
+                let end =
+                    find_subslice(&bytes[at..], b"\n").map_or(bytes.len(), |length| at + length);
+                blank_out(&mut words[at..end]);
                 end
             }
             b'/' if bytes[at..].starts_with(b"/*") => {
                 let end = end_of_block_comment(bytes, at);
-                blank(&mut words[at..end]);
+                blank_out(&mut words[at..end]);
                 end
             }
-            b'"' => end_of_quotes(bytes, at),
-            b'r' if is_raw(bytes, at) => end_of_raw_quotes(bytes, at),
-            b'\'' => end_of_character(bytes, at),
+            b'"' => end_of_string(bytes, at),
+            b'r' if is_raw_string_start(bytes, at) => end_of_raw_string(bytes, at),
+            b'\'' => end_of_char_literal(bytes, at),
             _ => {
                 at += 1;
                 continue;
             }
         };
-        blank(&mut code[at..end]);
+        blank_out(&mut code[at..end]);
         at = end;
     }
     (words, code)
@@ -162,7 +163,7 @@ fn end_of_block_comment(bytes: &[u8], from: usize) -> usize {
     at
 }
 
-fn end_of_quotes(bytes: &[u8], from: usize) -> usize {
+fn end_of_string(bytes: &[u8], from: usize) -> usize {
     let mut at = from + 1;
     while at < bytes.len() && bytes[at] != b'"' {
         at += if bytes[at] == b'\\' { 2 } else { 1 };
@@ -171,21 +172,22 @@ fn end_of_quotes(bytes: &[u8], from: usize) -> usize {
 }
 
 /// `r"`, `r#"` and so on, not the end of a name and not a raw name.
-fn is_raw(bytes: &[u8], at: usize) -> bool {
+fn is_raw_string_start(bytes: &[u8], at: usize) -> bool {
     let hashes = bytes[at + 1..].iter().take_while(|&&byte| byte == b'#').count();
-    let in_name = at > 0 && is_name(bytes[at - 1]) && bytes[at - 1] != b'b';
+    let in_name = at > 0 && is_identifier_byte(bytes[at - 1]) && bytes[at - 1] != b'b';
     bytes.get(at + 1 + hashes) == Some(&b'"') && !in_name
 }
 
-fn end_of_raw_quotes(bytes: &[u8], from: usize) -> usize {
+fn end_of_raw_string(bytes: &[u8], from: usize) -> usize {
     let hashes = bytes[from + 1..].iter().take_while(|&&byte| byte == b'#').count();
     let close = [b"\"".as_slice(), &b"#".repeat(hashes)].concat();
     let inside = from + hashes + 2;
-    find(&bytes[inside..], &close).map_or(bytes.len(), |length| inside + length + close.len())
+    find_subslice(&bytes[inside..], &close)
+        .map_or(bytes.len(), |length| inside + length + close.len())
 }
 
 /// Returns a character in single quotes; a lifetime ends behind its quote.
-fn end_of_character(bytes: &[u8], from: usize) -> usize {
+fn end_of_char_literal(bytes: &[u8], from: usize) -> usize {
     let rest = &bytes[from + 1..];
     let length = match rest.first() {
         Some(b'\\') => rest.iter().skip(2).position(|&byte| byte == b'\'').map(|at| at + 2),
@@ -198,7 +200,7 @@ fn end_of_character(bytes: &[u8], from: usize) -> usize {
 }
 
 /// Returns whether a byte may stand in a name.
-pub(crate) fn is_name(byte: u8) -> bool {
+pub(crate) fn is_identifier_byte(byte: u8) -> bool {
     byte.is_ascii_alphanumeric() || byte == b'_'
 }
 
@@ -226,6 +228,6 @@ mod tests {
             assert_eq!(source.code.contains(word), in_code, "{word} in code");
         }
         assert_eq!(source.code.len(), text.len());
-        assert_eq!(source.lines_of_code(), 4);
+        assert_eq!(source.code_line_count(), 4);
     }
 }

@@ -8,12 +8,12 @@ use std::collections::BTreeSet;
 use super::source::SourceFile;
 
 /// The finder's code.
-const FINDER: &str = "crates/analysis/diagnose/src/";
+const DIAGNOSE_SOURCE: &str = "crates/analysis/diagnose/src/";
 /// The column of the table that says where a number is: its name, then its file.
-const WHERE: usize = 3;
+const LOCATION_COLUMN: usize = 3;
 
 /// The named numbers of the finder.
-pub struct Thresholds {
+pub(crate) struct Thresholds {
     /// `file:name` of those that decide.
     pub decide: BTreeSet<String>,
     /// How many others there are.
@@ -23,35 +23,36 @@ pub struct Thresholds {
 }
 
 /// Counts the named numbers of `sources` that the `table` names, and the others.
-pub fn count(sources: &[SourceFile], table: &str) -> Thresholds {
-    let is_finder = |it: &&SourceFile| it.path.starts_with(FINDER) && !it.is_test();
+pub(crate) fn count_thresholds(sources: &[SourceFile], table: &str) -> Thresholds {
+    let is_finder = |it: &&SourceFile| it.path.starts_with(DIAGNOSE_SOURCE) && !it.is_test();
     let finder: Vec<&SourceFile> = sources.iter().filter(is_finder).collect();
     let mut found = Thresholds { decide: BTreeSet::new(), others: 0, stale: Vec::new() };
     let mut file = String::new();
     for (number, row) in table.lines().enumerate() {
-        let Some(cell) = row.split('|').nth(WHERE) else { continue };
-        for (name, path) in named(cell, &mut file) {
+        let Some(cell) = row.split('|').nth(LOCATION_COLUMN) else { continue };
+        for (name, path) in parse_named_constants(cell, &mut file) {
             let end = format!("/{path}");
             let own = finder.iter().filter(|it| it.path.ends_with(&end));
             let (with, without): (Vec<&&SourceFile>, Vec<&&SourceFile>) =
-                own.partition(|it| names(it).any(|it| it == name));
+                own.partition(|it| declared_constants(it).any(|it| it == name));
             found.decide.extend(with.iter().map(|it| format!("{}:{name}", it.path)));
             // A file of this name may be in another crate as well.
-            let elsewhere =
-                sources.iter().any(|it| it.path.ends_with(&end) && names(it).any(|it| it == name));
+            let elsewhere = sources
+                .iter()
+                .any(|it| it.path.ends_with(&end) && declared_constants(it).any(|it| it == name));
             if with.is_empty() && !without.is_empty() && !elsewhere {
                 found.stale.push(format!("docs/thresholds.md:{} {name}", number + 1));
             }
         }
     }
-    let all: usize = finder.iter().map(|it| names(it).count()).sum();
+    let all: usize = finder.iter().map(|it| declared_constants(it).count()).sum();
     found.others = all.saturating_sub(found.decide.len());
     found
 }
 
 /// Returns the numbers that a cell names, each with its file; `file` is that of the cell before, which "the same file"
 /// means.
-fn named(cell: &str, file: &mut String) -> Vec<(String, String)> {
+fn parse_named_constants(cell: &str, file: &mut String) -> Vec<(String, String)> {
     let mut names = Vec::new();
     let mut all = Vec::new();
     for (n, word) in cell.split('`').enumerate() {
@@ -59,7 +60,7 @@ fn named(cell: &str, file: &mut String) -> Vec<(String, String)> {
         if is_quoted && word.ends_with(".rs") {
             *file = word.to_owned();
         } else if is_quoted {
-            names.extend(is_constant(word).then(|| word.to_owned()));
+            names.extend(is_constant_name(word).then(|| word.to_owned()));
             continue;
         } else if !word.contains("same") {
             continue;
@@ -69,13 +70,13 @@ fn named(cell: &str, file: &mut String) -> Vec<(String, String)> {
     all
 }
 
-fn is_constant(word: &str) -> bool {
+fn is_constant_name(word: &str) -> bool {
     let of_name = |it: char| it.is_ascii_uppercase() || it.is_ascii_digit() || it == '_';
     word.starts_with(|it: char| it.is_ascii_uppercase()) && word.chars().all(of_name)
 }
 
 /// Returns the names of the numbers and lists of numbers that a file declares.
-fn names(source: &SourceFile) -> impl Iterator<Item = &str> {
+fn declared_constants(source: &SourceFile) -> impl Iterator<Item = &str> {
     source.code.lines().filter_map(|line| {
         let (before, rest) = line.split_once("const ")?;
         let (name, rest) = rest.split_once(": ")?;
@@ -84,7 +85,7 @@ fn names(source: &SourceFile) -> impl Iterator<Item = &str> {
         let is_number = matches!(kind, "f64" | "usize" | "u8" | "u32" | "u64" | "i32");
         (before.trim_start().is_empty() || before.trim_start().starts_with("pub"))
             .then_some(name)
-            .filter(|name| is_number && is_constant(name))
+            .filter(|name| is_number && is_constant_name(name))
     })
 }
 
@@ -102,7 +103,7 @@ mod tests {
             SourceFile::new("crates/analysis/diagnose/src/a.rs", code),
             SourceFile::new("crates/analysis/fit/src/a.rs", "const F: f64 = 1.0;"),
         ];
-        let found = count(&sources, table);
+        let found = count_thresholds(&sources, table);
         let of = "crates/analysis/diagnose/src/a.rs";
         assert_eq!(
             found.decide.into_iter().collect::<Vec<_>>(),

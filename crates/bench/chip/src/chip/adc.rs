@@ -1,15 +1,21 @@
-//! The three converters' registers (RM0090 section 13.13): `convert.rs` has what they do.
+//! The three converters' registers (RM0090 section 13.13): `conversion.rs` has what they do.
+
+pub(super) mod registers;
 
 use super::Chip;
 use crate::{
-    report::Grade,
-    time::{NEVER, TPS},
+    memory_map::ADC_OFFSET_MASK,
+    report::Severity,
+    time::{NEVER, TICKS_PER_SECOND},
 };
+use registers::*;
 
 /// One converter.
 pub struct Adc {
+    /// ADC_SR, the status register.
     pub sr: u32,
     pub(crate) cr1: u32,
+    /// ADC_CR2, control register 2.
     pub cr2: u32,
     pub(crate) smpr: [u32; 2],
     jofr: [u32; 4],
@@ -20,6 +26,7 @@ pub struct Adc {
     pub(crate) dr: u32,
     pub(crate) jdr: [u32; 4],
     pub(crate) on_at: u64,
+    /// When the conversion under way ends; NEVER: there is none.
     pub end_at: u64,
     /// The conversion under way is an injected one.
     pub(crate) injected: bool,
@@ -34,8 +41,11 @@ pub struct Adc {
     pub(crate) stalled: bool,
     /// Regular conversions so far.
     pub conversions: u64,
+    /// Injected conversions so far.
     pub injections: u64,
+    /// When the first regular conversion ended.
     pub first_at: u64,
+    /// When the last regular conversion ended.
     pub last_at: u64,
 }
 
@@ -47,7 +57,7 @@ impl Default for Adc {
             cr2: 0,
             smpr: [0; 2],
             jofr: [0; 4],
-            htr: 0xfff,
+            htr: HTR_RESET,
             ltr: 0,
             sqr: [0; 3],
             jsqr: 0,
@@ -72,22 +82,28 @@ impl Default for Adc {
 
 impl Adc {
     /// After a reset: what was counted stays.
-    pub(crate) fn reset(&self) -> Adc {
+    pub(crate) fn after_reset(&self) -> Adc {
         let Adc { conversions, injections, first_at, last_at, .. } = *self;
         Adc { conversions, injections, first_at, last_at, ..Adc::default() }
     }
 
     /// Its request for an interrupt (13.13.2: EOCIE, AWDIE, JEOCIE, OVRIE).
-    pub(crate) fn line(&self) -> bool {
-        [(1, 5), (0, 6), (2, 7), (5, 26)]
-            .into_iter()
-            .any(|(flag, enable)| self.sr >> flag & self.cr1 >> enable & 1 != 0)
+    pub(crate) fn is_irq_asserted(&self) -> bool {
+        [
+            (SR_EOC_BIT, CR1_EOCIE_BIT),
+            (SR_AWD_BIT, CR1_AWDIE_BIT),
+            (SR_JEOC_BIT, CR1_JEOCIE_BIT),
+            (SR_OVR_BIT, CR1_OVRIE_BIT),
+        ]
+        .into_iter()
+        .any(|(flag, enable)| self.sr >> flag & self.cr1 >> enable & 1 != 0)
     }
 }
 
 /// The three converters and their common state.
 #[derive(Default)]
 pub struct Adcs {
+    /// ADC1, ADC2 and ADC3.
     pub unit: [Adc; 3],
     pub(crate) ccr: u32,
     /// Since when the channels of the temperature and of VREFINT are on.
@@ -96,132 +112,143 @@ pub struct Adcs {
 
 impl Chip {
     pub(crate) fn adc_read(&mut self, off: u32) -> u32 {
-        if off >= 0x300 {
+        if off >= COMMON_OFFSET {
             return match off {
-                0x300 => (0..3).map(|n| (self.adc.unit[n].sr & 0x3f) << (8 * n)).sum(),
-                0x304 => self.adc.ccr,
-                0x308 => 0,
-                _ => self.adc_no_such(off, "read"),
+                CSR_OFFSET => (0..3).map(|n| (self.adc.unit[n].sr & SR_MASK) << (8 * n)).sum(),
+                CCR_OFFSET => self.adc.ccr,
+                CDR_OFFSET => 0,
+                _ => self.adc_report_unknown_register(off, "read"),
             };
         }
-        let adc = &mut self.adc.unit[off as usize >> 8];
-        match off & 0xff {
-            0x00 => adc.sr,
-            0x04 => adc.cr1,
-            0x08 => adc.cr2,
-            0x0c => adc.smpr[0],
-            0x10 => adc.smpr[1],
-            at @ 0x14..=0x20 => adc.jofr[(at as usize - 0x14) / 4],
-            0x24 => adc.htr,
-            0x28 => adc.ltr,
-            at @ 0x2c..=0x34 => adc.sqr[(at as usize - 0x2c) / 4],
-            0x38 => adc.jsqr,
-            at @ 0x3c..=0x48 => adc.jdr[(at as usize - 0x3c) / 4],
-            0x4c => {
-                adc.sr &= !2;
+        let adc = &mut self.adc.unit[off as usize >> UNIT_SHIFT];
+        match off & ADC_OFFSET_MASK {
+            SR_OFFSET => adc.sr,
+            CR1_OFFSET => adc.cr1,
+            CR2_OFFSET => adc.cr2,
+            SMPR1_OFFSET => adc.smpr[0],
+            SMPR2_OFFSET => adc.smpr[1],
+            at @ JOFR1_OFFSET..=JOFR4_OFFSET => adc.jofr[(at as usize - JOFR1_OFFSET as usize) / 4],
+            HTR_OFFSET => adc.htr,
+            LTR_OFFSET => adc.ltr,
+            at @ SQR1_OFFSET..=SQR3_OFFSET => adc.sqr[(at as usize - SQR1_OFFSET as usize) / 4],
+            JSQR_OFFSET => adc.jsqr,
+            at @ JDR1_OFFSET..=JDR4_OFFSET => adc.jdr[(at as usize - JDR1_OFFSET as usize) / 4],
+            DR_OFFSET => {
+                adc.sr &= !SR_EOC;
                 adc.unread = false;
                 adc.dr
             }
-            _ => self.adc_no_such(off, "read"),
+            _ => self.adc_report_unknown_register(off, "read"),
         }
     }
 
-    fn adc_no_such(&mut self, off: u32, what: &str) -> u32 {
-        self.say(Grade::Unmodelled, format!("ADC {what} at {off:#x}"));
+    fn adc_report_unknown_register(&mut self, off: u32, what: &str) -> u32 {
+        self.record_finding(Severity::Unmodelled, format!("ADC {what} at {off:#x}"));
         0
     }
 
     pub(crate) fn adc_write(&mut self, off: u32, v: u32) {
-        let n = off as usize >> 8;
+        let n = off as usize >> UNIT_SHIFT;
         match off {
-            0x304 => return self.adc_common(v),
-            0x300 | 0x308 => {
-                return self.violation(format!("ADC: read-only register at {off:#x} written"));
+            CCR_OFFSET => return self.adc_write_ccr(v),
+            CSR_OFFSET | CDR_OFFSET => {
+                return self
+                    .report_violation(format!("ADC: read-only register at {off:#x} written"));
             }
-            0x000..0x300 => {}
-            _ => return self.violation(format!("ADC: write at {off:#x}")),
+            0..COMMON_OFFSET => {}
+            _ => return self.report_violation(format!("ADC: write at {off:#x}")),
         }
         let name = format!("ADC{}", n + 1);
         let of = |register: &str| format!("{name}_{register}");
-        match off & 0xff {
-            0x00 => {
+        match off & ADC_OFFSET_MASK {
+            SR_OFFSET => {
                 let adc = &mut self.adc.unit[n];
-                if adc.sr & 1 << 5 != 0 && v & 1 << 5 == 0 {
+                if adc.sr & SR_OVR != 0 && v & SR_OVR == 0 {
                     adc.dma_over = false;
                     adc.unread = false;
                 }
                 adc.sr &= v;
             }
-            0x04 => {
+            CR1_OFFSET => {
                 let old = self.adc.unit[n].cr1;
-                self.adc.unit[n].cr1 = self.set(&of("CR1"), old, v, 0x07c0_ffff);
+                self.adc.unit[n].cr1 = self.apply_write_mask(&of("CR1"), old, v, CR1_WRITE_MASK);
             }
-            0x08 => self.adc_control(n, v),
-            0x0c => {
+            CR2_OFFSET => self.adc_write_cr2(n, v),
+            SMPR1_OFFSET => {
                 let old = self.adc.unit[n].smpr[0];
-                self.adc.unit[n].smpr[0] = self.set(&of("SMPR1"), old, v, 0x07ff_ffff);
+                self.adc.unit[n].smpr[0] =
+                    self.apply_write_mask(&of("SMPR1"), old, v, SMPR1_WRITE_MASK);
             }
-            0x10 => {
+            SMPR2_OFFSET => {
                 let old = self.adc.unit[n].smpr[1];
-                self.adc.unit[n].smpr[1] = self.set(&of("SMPR2"), old, v, 0x3fff_ffff);
+                self.adc.unit[n].smpr[1] =
+                    self.apply_write_mask(&of("SMPR2"), old, v, SMPR2_WRITE_MASK);
             }
-            at @ 0x14..=0x20 => self.adc.unit[n].jofr[(at as usize - 0x14) / 4] = v & 0xfff,
-            0x24 => self.adc.unit[n].htr = v & 0xfff,
-            0x28 => self.adc.unit[n].ltr = v & 0xfff,
-            at @ 0x2c..=0x34 => self.adc.unit[n].sqr[(at as usize - 0x2c) / 4] = v,
-            0x38 => self.adc.unit[n].jsqr = v & 0x003f_ffff,
-            0x3c..=0x4c => {
-                self.violation(format!("{name}: read-only register at {off:#x} written"));
+            at @ JOFR1_OFFSET..=JOFR4_OFFSET => {
+                self.adc.unit[n].jofr[(at as usize - JOFR1_OFFSET as usize) / 4] =
+                    v & TWELVE_BITS_MASK
             }
-            _ => self.violation(format!("{name}: write at {off:#x}")),
+            HTR_OFFSET => self.adc.unit[n].htr = v & TWELVE_BITS_MASK,
+            LTR_OFFSET => self.adc.unit[n].ltr = v & TWELVE_BITS_MASK,
+            at @ SQR1_OFFSET..=SQR3_OFFSET => {
+                self.adc.unit[n].sqr[(at as usize - SQR1_OFFSET as usize) / 4] = v
+            }
+            JSQR_OFFSET => self.adc.unit[n].jsqr = v & JSQR_MASK,
+            JDR1_OFFSET..=DR_OFFSET => {
+                self.report_violation(format!("{name}: read-only register at {off:#x} written"));
+            }
+            _ => self.report_violation(format!("{name}: write at {off:#x}")),
         }
     }
 
-    fn adc_control(&mut self, n: usize, v: u32) {
+    fn adc_write_cr2(&mut self, n: usize, v: u32) {
         let name = format!("ADC{}_CR2", n + 1);
         let old = self.adc.unit[n].cr2;
         // SWSTART and JSWSTART are gone once the conversion begins.
-        let starts = 1 << 30 | 1 << 22;
-        self.adc.unit[n].cr2 = self.set(&name, old, v, 0x7f7f_0f03) & !starts;
+        let starts = CR2_SWSTART | CR2_JSWSTART;
+        self.adc.unit[n].cr2 = self.apply_write_mask(&name, old, v, CR2_WRITE_MASK) & !starts;
         let adc = &mut self.adc.unit[n];
-        if v & 1 == 0 {
+        if v & CR2_ADON == 0 {
             (adc.end_at, adc.stalled, adc.injected, adc.regular_waits) =
                 (NEVER, false, false, false);
         }
-        if v & !old & 1 << 8 != 0 {
+        if v & !old & CR2_DMA != 0 {
             adc.dma_over = false;
         }
-        if v & !old & 1 != 0 {
+        if v & !old & CR2_ADON != 0 {
             adc.on_at = self.now;
-            self.adc_clock();
+            self.adc_check_clock();
         }
-        if v & 1 << 30 != 0 {
+        if v & CR2_SWSTART != 0 {
             self.adc_start(n);
         }
-        if v & 1 << 22 != 0 {
-            self.adc_inject(n);
+        if v & CR2_JSWSTART != 0 {
+            self.adc_start_injected(n);
         }
     }
 
-    fn adc_common(&mut self, v: u32) {
+    fn adc_write_ccr(&mut self, v: u32) {
         let old = self.adc.ccr;
-        self.adc.ccr = self.set("ADC_CCR", old, v, 0x00c3_ef1f);
-        if v & !old & 1 << 23 != 0 {
+        self.adc.ccr = self.apply_write_mask("ADC_CCR", old, v, CCR_WRITE_MASK);
+        if v & !old & CCR_TSVREFE != 0 {
             self.adc.internal_at = self.now;
         }
-        if v & 0x1f != 0 {
-            self.say(Grade::Unmodelled, format!("ADC: converters in common, mode {}", v & 0x1f));
+        if v & CCR_MULTI_MASK != 0 {
+            self.record_finding(
+                Severity::Unmodelled,
+                format!("ADC: converters in common, mode {}", v & CCR_MULTI_MASK),
+            );
         }
     }
 
     /// DS8626, ADC characteristics: 0.6 to 36 MHz with 2.4 to 3.6 V.
-    fn adc_clock(&mut self) {
-        let hz = TPS / self.adc_tick();
+    fn adc_check_clock(&mut self) {
+        let hz = TICKS_PER_SECOND / self.adc_clock_ticks();
         if hz > 36_000_000 {
-            self.violation(format!("ADC clock {hz} Hz, at most 36 MHz"));
+            self.report_violation(format!("ADC clock {hz} Hz, at most 36 MHz"));
         }
         if hz < 600_000 {
-            self.violation(format!("ADC clock {hz} Hz, at least 0.6 MHz"));
+            self.report_violation(format!("ADC clock {hz} Hz, at least 0.6 MHz"));
         }
     }
 }

@@ -2,19 +2,20 @@
 
 use super::{
     Chip,
-    can::{RX, Sender, TX},
+    can::{FrameSender, RX_PINS, TX_PINS, registers::*},
 };
 use crate::{
     frame::Frame,
-    report::Grade,
-    time::{NEVER, TPS, ms},
+    report::Severity,
+    time::{NEVER, TICKS_PER_SECOND, ms_to_ticks},
 };
 
 impl Chip {
-    pub(crate) fn can_mode(&mut self) {
+    pub(crate) fn can_update_mode(&mut self) {
         self.can.mode_at = NEVER;
-        let (init, sleep) = (self.can.mcr & 1 != 0, self.can.mcr & 2 != 0);
-        let listening = self.muxed(RX, 9).is_some() || self.can.btr >> 30 & 1 != 0;
+        let (init, sleep) = (self.can.mcr & MCR_INRQ != 0, self.can.mcr & MCR_SLEEP != 0);
+        let listening = self.find_alternate_function(RX_PINS, 9).is_some()
+            || self.can.btr >> BTR_LBKM_BIT & 1 != 0;
         if self.faults.can_stuck && !init {
             // A dominant bus: 11 recessive bits never come.
             return;
@@ -22,162 +23,200 @@ impl Chip {
         if self.can.boff && !init {
             (self.can.boff, self.can.tec, self.can.rec) = (false, 0, 0);
             let by = if self.can.inak { "through initialization" } else { "by itself (ABOM)" };
-            self.say(Grade::Fact, format!("CAN: back from bus-off {by}"));
+            self.record_finding(Severity::Fact, format!("CAN: back from bus-off {by}"));
         }
         if !init && self.can.inak && !listening {
-            self.violation("CAN: leaves initialization without a receive pin on AF9: it never sees 11 recessive bits".into());
+            self.report_violation("CAN: leaves initialization without a receive pin on AF9: it never sees 11 recessive bits".into());
             return;
         }
         self.can.inak = init;
         self.can.slak = sleep && !init;
         if !init && !sleep {
-            self.say(
-                Grade::Fact,
-                format!("CAN: in normal mode after {:.2} ms", self.now as f64 / ms(1) as f64),
+            self.record_finding(
+                Severity::Fact,
+                format!(
+                    "CAN: in normal mode after {:.2} ms",
+                    self.now as f64 / ms_to_ticks(1) as f64
+                ),
             );
-            self.can_start();
+            self.can_start_frame();
         }
     }
 
     /// The bus is quiet again: what waited for recessive bits goes on.
-    pub(crate) fn can_quiet(&mut self) {
-        let waits = self.can.boff || self.can.inak != (self.can.mcr & 1 != 0);
+    pub(crate) fn can_bus_idle(&mut self) {
+        let waits = self.can.boff || self.can.inak != (self.can.mcr & MCR_INRQ != 0);
         if waits && self.can.mode_at == NEVER {
-            self.can.mode_at = self.now + self.can_recessive();
+            self.can.mode_at = self.now + self.recessive_wait_ticks();
         }
     }
 
     /// Returns how long the bus must be recessive before the controller takes part in it.
-    pub(crate) fn can_recessive(&self) -> u64 {
-        if self.can.boff { 128 * 11 * self.can_bit() } else { 11 * self.can_bit() }
+    pub(crate) fn recessive_wait_ticks(&self) -> u64 {
+        if self.can.boff { 128 * 11 * self.can_bit_ticks() } else { 11 * self.can_bit_ticks() }
     }
 
     /// Puts the next frame on the bus, if it is free and there is one.
-    pub(crate) fn can_start(&mut self) {
+    pub(crate) fn can_start_frame(&mut self) {
         if self.can.end_at != NEVER {
             return;
         }
-        let txfp = self.can.mcr & 4 != 0;
-        let mine = (self.can.normal() && self.can.btr >> 30 & 3 == 0)
+        let txfp = self.can.mcr & MCR_TXFP != 0;
+        let mine = (self.can.is_in_normal_mode()
+            && self.can.btr >> BTR_LBKM_BIT & BTR_TEST_MODES_MASK == 0)
             .then(|| {
                 (0..3).filter(|i| self.can.mb[*i].pending).min_by_key(|i| {
                     if txfp {
                         (self.can.mb[*i].order, 0)
                     } else {
-                        (self.can.mb[*i].frame().rank(), *i)
+                        (self.can.mb[*i].frame().arbitration_key(), *i)
                     }
                 })
             })
             .flatten();
-        let theirs = self.world.can_head(self.now);
+        let theirs = self.world.peek_can_frame(self.now);
         let (sender, frame) = match (mine, theirs) {
             (None, None) => return,
-            (Some(i), t) if t.is_none_or(|t| self.can.mb[i].frame().rank() < t.rank()) => {
-                (Sender::Board(i), self.can.mb[i].frame())
+            (Some(i), t)
+                if t.is_none_or(|t| {
+                    self.can.mb[i].frame().arbitration_key() < t.arbitration_key()
+                }) =>
+            {
+                (FrameSender::Board(i), self.can.mb[i].frame())
             }
-            (_, Some(t)) => (Sender::Cnc, t),
+            (_, Some(t)) => (FrameSender::Cnc, t),
             (Some(_), None) => unreachable!(),
         };
-        let bit = if sender == Sender::Cnc { TPS / 1_000_000 } else { self.can_bit() };
-        let len = frame.bits() * bit;
+        let bit = if sender == FrameSender::Cnc {
+            TICKS_PER_SECOND / 1_000_000
+        } else {
+            self.can_bit_ticks()
+        };
+        let len = frame.bit_length() * bit;
         self.can.current = Some((sender, frame));
         self.can.end_at = self.now + len;
         self.can.busy += len;
     }
 
-    pub(crate) fn can_error(&mut self, lec: u32, tec: u32) {
+    pub(crate) fn can_record_error(&mut self, lec: u32, tec: u32) {
         let before = self.can.esr();
         self.can.lec = lec;
         self.can.tec += tec;
         if self.can.tec > 255 {
             self.can.boff = true;
             self.can.tec = 255;
-            if self.can.mcr & 0x40 != 0 {
+            if self.can.mcr & MCR_ABOM != 0 {
                 // ABOM: back after 128 × 11 recessive bits.
-                self.can.mode_at = self.now + self.can_recessive();
+                self.can.mode_at = self.now + self.recessive_wait_ticks();
             }
         }
         let after = self.can.esr();
         let ier = self.can.ier;
-        if (after & !before & 7 & ier >> 8) != 0 || ier & 1 << 11 != 0 {
+        if (after & !before & ESR_STATES & ier >> IER_STATE_SHIFT) != 0 || ier & IER_LECIE != 0 {
             self.can.erri = true;
         }
     }
 
-    pub(crate) fn can_end(&mut self) {
+    pub(crate) fn can_end_frame(&mut self) {
         self.can.end_at = NEVER;
         let Some((sender, frame)) = self.can.current.take() else { return };
         match sender {
-            Sender::Board(i) => {
-                let hz = TPS as f64 / self.can_bit() as f64;
-                let pins = self.muxed(TX, 9).is_some() && self.muxed(RX, 9).is_some();
+            FrameSender::Board(i) => {
+                let hz = TICKS_PER_SECOND as f64 / self.can_bit_ticks() as f64;
+                let pins = self.find_alternate_function(TX_PINS, 9).is_some()
+                    && self.find_alternate_function(RX_PINS, 9).is_some();
                 let right = (hz - 1e6).abs() < 5e3;
                 if !pins {
-                    self.violation("CAN: sends without both pins on AF9".into());
+                    self.report_violation("CAN: sends without both pins on AF9".into());
                 }
                 let silent = self.faults.can_alone || self.faults.can_short || !pins || !right;
                 if silent {
                     // An error-passive node's count stays when nothing but the acknowledgement is missing.
                     let ack_only = !self.faults.can_short && pins;
                     let step = if ack_only && self.can.tec >= 128 { 0 } else { 8 };
-                    self.can_error(if ack_only { 3 } else { 5 }, step);
-                    if self.can.mcr & 0x10 != 0 {
+                    self.can_record_error(
+                        if ack_only { LEC_ACKNOWLEDGEMENT } else { LEC_BIT_DOMINANT },
+                        step,
+                    );
+                    if self.can.mcr & MCR_NART != 0 {
                         self.can.mb[i].pending = false;
-                        self.can.mb[i].flags = 1 | 8;
+                        self.can.mb[i].flags = TSR_RQCP | TSR_TERR;
                     }
                 } else {
                     let m = &mut self.can.mb[i];
                     m.pending = false;
-                    m.flags = 3;
+                    m.flags = TSR_TXOK | TSR_RQCP;
                     self.can.longest_wait = self.can.longest_wait.max(self.now - m.asked);
                     self.can.tec = self.can.tec.saturating_sub(1);
                     self.can.sent += 1;
-                    self.world.heard(self.now, frame);
+                    self.world.record_frame(self.now, frame);
                 }
             }
-            Sender::Cnc => {
-                self.world.can_pop();
+            FrameSender::Cnc => {
+                self.world.pop_can_frame();
                 if self.faults.can_short || self.faults.can_alone {
                     self.can.unheard += 1;
-                } else if self.can.normal()
-                    && self.muxed(RX, 9).is_some()
-                    && (TPS as f64 / self.can_bit() as f64 - 1e6).abs() < 5e3
+                } else if self.can.is_in_normal_mode()
+                    && self.find_alternate_function(RX_PINS, 9).is_some()
+                    && (TICKS_PER_SECOND as f64 / self.can_bit_ticks() as f64 - 1e6).abs() < 5e3
                 {
-                    self.can_take(frame);
+                    self.can_receive_frame(frame);
                 } else {
                     self.can.unheard += 1;
                 }
             }
         }
-        self.can_start();
+        self.can_start_frame();
     }
 
-    pub(crate) fn can_take(&mut self, frame: Frame) {
-        let word = (if frame.ext { frame.id << 3 | 4 } else { frame.id << 21 })
-            | u32::from(frame.rtr) << 1;
-        let (std, low) =
-            if frame.ext { (frame.id >> 18, frame.id >> 15 & 7) } else { (frame.id, 0) };
-        let half = std << 5 | u32::from(frame.rtr) << 4 | u32::from(frame.ext) << 3 | low;
+    pub(crate) fn can_receive_frame(&mut self, frame: Frame) {
+        let word = (if frame.ext {
+            frame.id << IR_EXID_SHIFT | IR_IDE
+        } else {
+            frame.id << IR_STID_SHIFT
+        }) | u32::from(frame.rtr) << IR_RTR_SHIFT;
+        let (std, low) = if frame.ext {
+            (frame.id >> 18, frame.id >> 15 & FILTER_HALF_EXID_MASK)
+        } else {
+            (frame.id, 0)
+        };
+        let half = std << FILTER_HALF_STID_SHIFT
+            | u32::from(frame.rtr) << FILTER_HALF_RTR_SHIFT
+            | u32::from(frame.ext) << FILTER_HALF_IDE_SHIFT
+            | low;
         // (class of priority, number, FIFO)
         let mut hit: Option<(u32, u32, usize)> = None;
         let mut numbers = [0u32; 2];
         let c = &self.can;
-        if c.fmr & 1 != 0 {
-            self.say(Grade::Remark, "CAN: a frame came while FINIT held reception off".into());
+        if c.fmr & FMR_FINIT != 0 {
+            self.record_finding(
+                Severity::Remark,
+                "CAN: a frame came while FINIT held reception off".into(),
+            );
             return;
         }
-        for bank in 0..(c.fmr >> 8 & 0x3f).min(28) as usize {
+        for bank in 0..(c.fmr >> FMR_CAN2SB_SHIFT & FMR_CAN2SB_MASK).min(28) as usize {
             let fifo = (c.ffa1r >> bank & 1) as usize;
             let [a, b] = c.filters[bank];
             let (list, wide) = (c.fm1r >> bank & 1 != 0, c.fs1r >> bank & 1 != 0);
             let tests: Vec<bool> = match (wide, list) {
-                (true, false) => vec![(word ^ a) & b & !1 == 0],
-                (true, true) => vec![(word ^ a) & !1 == 0, (word ^ b) & !1 == 0],
+                (true, false) => vec![(word ^ a) & b & !FILTER_UNUSED_BIT == 0],
+                (true, true) => {
+                    vec![(word ^ a) & !FILTER_UNUSED_BIT == 0, (word ^ b) & !FILTER_UNUSED_BIT == 0]
+                }
                 (false, false) => {
-                    vec![(half ^ a) & a >> 16 & 0xffff == 0, (half ^ b) & b >> 16 & 0xffff == 0]
+                    vec![
+                        (half ^ a) & a >> FILTER_HALF_SHIFT & FILTER_HALF_MASK == 0,
+                        (half ^ b) & b >> FILTER_HALF_SHIFT & FILTER_HALF_MASK == 0,
+                    ]
                 }
                 (false, true) => {
-                    vec![half == a & 0xffff, half == a >> 16, half == b & 0xffff, half == b >> 16]
+                    vec![
+                        half == a & FILTER_HALF_MASK,
+                        half == a >> FILTER_HALF_SHIFT,
+                        half == b & FILTER_HALF_MASK,
+                        half == b >> FILTER_HALF_SHIFT,
+                    ]
                 }
             };
             for ok in tests {
@@ -199,11 +238,11 @@ impl Chip {
         if c.fifo[f].len() == 3 {
             c.over[f] = true;
             c.lost += 1;
-            if c.mcr & 8 == 0 {
+            if c.mcr & MCR_RFLM == 0 {
                 c.fifo[f].pop_back();
                 c.fifo[f].push_back((frame, fmi));
             }
-            self.say(Grade::Remark, format!("CAN: FIFO {f} overrun"));
+            self.record_finding(Severity::Remark, format!("CAN: FIFO {f} overrun"));
             return;
         }
         c.fifo[f].push_back((frame, fmi));

@@ -8,50 +8,62 @@ mod backup;
 mod bus;
 mod can;
 mod can_bus;
-mod convert;
+mod conversion;
 mod crc;
 mod dma;
+mod fault_injection;
 mod flash;
 mod gpio;
 mod iwdg;
-mod outside;
-mod play;
-mod rcc;
+pub(crate) mod rcc;
 mod rtc;
+mod script_playback;
 mod spi;
 mod tim;
 mod tim11;
 mod uart;
-mod upset;
+mod world_step;
 
 use crate::{
-    processor::{Lines, Memories, Memory},
-    report::{Grade, Report},
+    processor::{InterruptLines, Memories, Memory},
+    report::{Report, Severity},
     time::NEVER,
     world::World,
 };
 use adc::{Adc, Adcs};
-use backup::Backup;
+use backup::{BackupDomain, registers::PWR_CR_RESET};
 use can::Can;
 use crc::Crc;
 use dma::Dma;
-use flash::Flash;
-use gpio::Gpio;
-use iwdg::Iwdg;
-use rcc::Rcc;
+use flash::{
+    Flash,
+    registers::{ACR_ICRST, OPTCR_OPTLOCK},
+};
+use gpio::{Gpio, registers::*};
+use iwdg::{Iwdg, registers::RLR_RESET};
+use rcc::{HSI_HZ, Rcc, registers::*};
 use spi::Spi;
 use std::sync::{
     Arc,
     atomic::{AtomicU64, Ordering},
 };
-use tim::Tim;
+use tim::{Tim, registers::SR_INTERRUPT_FLAGS as TIM_INTERRUPT_FLAGS};
 use tim11::Tim11;
 use uart::Uart;
 
+/// Bit of [`SharedState::flag`]: there is something new in the report.
+pub const FLAG_REPORT: u64 = 1 << 0;
+/// Bit of [`SharedState::flag`]: a reset is requested.
+pub const FLAG_RESET: u64 = 1 << 1;
+/// Bit of [`SharedState::flag`]: programming of the flash was switched on or off.
+pub const FLAG_PROGRAMMING: u64 = 1 << 2;
+
 /// State that the run loop and the bus share without a lock.
 #[derive(Debug, Default)]
-pub struct Shared {
+pub struct SharedState {
+    /// The present time, in ticks since power-on.
     pub now: AtomicU64,
+    /// When the next event of the chip is due.
     pub next: AtomicU64,
     /// Ticks in a cycle of the processor.
     pub cycle: AtomicU64,
@@ -59,16 +71,18 @@ pub struct Shared {
     pub stall: AtomicU64,
     /// FLASH_ACR, and a count of its writes in the upper half.
     pub acr: AtomicU64,
-    /// 1: something new in the report; 2: reset wanted; 4: programming was switched on or off.
+    /// Requests to the run loop, as bits: [`FLAG_REPORT`], [`FLAG_RESET`], [`FLAG_PROGRAMMING`].
     pub flag: AtomicU64,
 }
 
 /// Faults outside the processor, for checks of the fall-backs.
 #[derive(Clone, Copy, Default, Debug)]
-pub struct Faults {
+pub struct InjectedFaults {
+    /// The crystal does not swing.
     pub hse_dead: bool,
     /// When the crystal stops; 0: never.
     pub hse_stops: u64,
+    /// The PLL does not lock.
     pub pll_dead: bool,
     /// The 32 kHz crystal does not swing.
     pub lse_dead: bool,
@@ -92,6 +106,7 @@ pub struct Faults {
     pub can_stuck: bool,
 }
 
+/// The registers of EXTI.
 #[derive(Default)]
 pub struct Exti {
     pub(crate) imr: u32,
@@ -101,45 +116,78 @@ pub struct Exti {
     pub(crate) pr: u32,
 }
 
+/// The chip without its processor.
 pub struct Chip {
-    pub lines: Lines,
-    pub shared: Arc<Shared>,
+    /// The interrupt lines to the processor.
+    pub lines: InterruptLines,
+    /// State shared by the run loop and the bus.
+    pub shared: Arc<SharedState>,
+    /// The SRAM on the bus matrix.
     pub sram: Arc<Memory>,
+    /// The flash array.
     pub rom: Arc<Memory>,
+    /// The present time, in ticks since power-on.
     pub now: u64,
+    /// Findings about the image.
     pub report: Report,
-    pub faults: Faults,
+    /// Faults from outside.
+    pub faults: InjectedFaults,
+    /// Reset and clock control.
     pub rcc: Rcc,
+    /// Frequency of SYSCLK, in Hz.
     pub sys_hz: u64,
+    /// Ticks in a cycle of HCLK.
     pub hclk: u64,
+    /// Ticks in a cycle of PCLK1.
     pub pclk1: u64,
+    /// Ticks in a cycle of PCLK2.
     pub pclk2: u64,
+    /// Ticks in a cycle of the clock of the timers on APB1.
     pub tclk1: u64,
+    /// Ticks in a cycle of the clock of the timers on APB2.
     pub tclk2: u64,
+    /// PWR_CR, the power control register.
     pub pwr_cr: u32,
-    pub backup: Backup,
+    /// The backup domain.
+    pub backup: BackupDomain,
+    /// The flash interface.
     pub flash: Flash,
+    /// The CRC unit.
     pub crc: Crc,
+    /// The ports A to I.
     pub gpio: [Gpio; 9],
+    /// The timers, as `Tim::all_timers` orders them.
     pub tims: Vec<Tim>,
+    /// TIM11, which measures the crystal.
     pub tim11: Tim11,
+    /// The three converters.
     pub adc: Adcs,
+    /// DMA1 and DMA2.
     pub dma: [Dma; 2],
+    /// CAN 1.
     pub can: Can,
     /// As [`uart::UNITS`] names them.
     pub uart: [Uart; 2],
+    /// SPI2.
     pub spi: Spi,
+    /// The independent watchdog.
     pub iwdg: Iwdg,
     pub(crate) exti: Exti,
     pub(crate) syscfg: [u32; 9],
     pub(crate) dbgmcu: [u32; 4],
+    /// The interrupt lines that are up.
     pub irqs: [bool; 82],
+    /// Rises of each interrupt line.
     pub irq_counts: [u64; 82],
-    /// Since when each line is up, and the longest that it was up: the wait for its handler, and its service.
+    /// Since when each interrupt line is up.
     irq_since: [u64; 82],
+    /// The longest that each interrupt line was up, in ticks: the wait for its handler, and its service.
     pub irq_longest: [u64; 82],
+    /// Surroundings of the chip.
     pub world: World,
+    /// The cause of the reset that is requested, as flags of RCC_CSR.
     pub reset_cause: u32,
+    /// The resets so far: when, and why.
     pub resets: Vec<(u64, &'static str)>,
     /// Something may have changed that the interrupt lines or the next event depend on.
     pub(crate) dirty: bool,
@@ -147,7 +195,7 @@ pub struct Chip {
 
 /// The events that lie ahead.
 #[derive(Clone, Copy, Debug)]
-enum Ev {
+enum ChipEvent {
     Hse,
     HseStop,
     Pll,
@@ -168,12 +216,13 @@ enum Ev {
 }
 
 impl Chip {
+    /// Returns a chip after power-on.
     pub fn new(
-        lines: Lines,
-        shared: Arc<Shared>,
+        lines: InterruptLines,
+        shared: Arc<SharedState>,
         memories: Memories,
         world: World,
-        faults: Faults,
+        faults: InjectedFaults,
     ) -> Chip {
         let mut c = Chip {
             lines,
@@ -184,14 +233,14 @@ impl Chip {
             report: Report::default(),
             faults,
             rcc: Rcc::default(),
-            sys_hz: 16_000_000,
+            sys_hz: HSI_HZ,
             hclk: 0,
             pclk1: 0,
             pclk2: 0,
             tclk1: 0,
             tclk2: 0,
             pwr_cr: 0,
-            backup: Backup::default(),
+            backup: BackupDomain::default(),
             flash: Flash::default(),
             crc: Crc::default(),
             gpio: Default::default(),
@@ -215,49 +264,54 @@ impl Chip {
             resets: Vec::new(),
             dirty: true,
         };
-        c.reset(1 << 27 | 1 << 26 | 1 << 25);
+        c.reset(RCC_CSR_PORRSTF | RCC_CSR_PINRSTF | RCC_CSR_BORRSTF);
         c
     }
 
     /// Every register to what RM0090 gives as its reset value; the memories stay.
     pub fn reset(&mut self, cause: u32) {
-        let csr = self.rcc.csr & 0xfe00_0000;
+        let csr = self.rcc.csr & RCC_CSR_CAUSES_MASK;
         self.rcc = Rcc {
-            cr: 0x0000_8083,
-            pllcfgr: 0x2400_3010,
-            enr: [0x0010_0000, 0, 0, 0, 0],
-            lpenr: [0x7e67_91ff, 0xf1, 1, 0x36fe_c9ff, 0x0007_5f33],
+            cr: RCC_CR_RESET,
+            pllcfgr: RCC_PLLCFGR_RESET,
+            enr: RCC_ENR_RESETS,
+            lpenr: RCC_LPENR_RESETS,
             csr: csr | cause,
-            plli2s: 0x2000_3000,
+            plli2s: RCC_PLLI2SCFGR_RESET,
             hse_at: NEVER,
             pll_at: NEVER,
             lsi_at: NEVER,
             ..Rcc::default()
         };
-        self.pwr_cr = 0x4000;
+        self.pwr_cr = PWR_CR_RESET;
         self.backup.rtc.system_reset(self.now);
         self.gpio = Default::default();
         self.gpio[0] = Gpio {
-            moder: 0xa800_0000,
-            ospeedr: 0x0c00_0000,
-            pupdr: 0x6400_0000,
+            moder: GPIOA_MODER_RESET,
+            ospeedr: GPIOA_OSPEEDR_RESET,
+            pupdr: GPIOA_PUPDR_RESET,
             ..Gpio::default()
         };
-        self.gpio[1] = Gpio { moder: 0x280, ospeedr: 0xc0, pupdr: 0x100, ..Gpio::default() };
-        let options = self.flash.optcr | 1;
-        self.flash = Flash::reset(self.flash.stats);
+        self.gpio[1] = Gpio {
+            moder: GPIOB_MODER_RESET,
+            ospeedr: GPIOB_OSPEEDR_RESET,
+            pupdr: GPIOB_PUPDR_RESET,
+            ..Gpio::default()
+        };
+        let options = self.flash.optcr | OPTCR_OPTLOCK;
+        self.flash = Flash::after_reset(self.flash.stats);
         self.flash.optcr = options;
         self.crc = Crc::default();
-        self.tims = Tim::all();
+        self.tims = Tim::all_timers();
         self.tim11 = Tim11::default();
-        self.adc = Adcs { unit: self.adc.unit.each_ref().map(Adc::reset), ..Adcs::default() };
+        self.adc = Adcs { unit: self.adc.unit.each_ref().map(Adc::after_reset), ..Adcs::default() };
         self.dma = Default::default();
-        self.can = Can::reset();
-        self.uart = [Uart::reset(), Uart::reset()];
-        self.spi = Spi::reset();
+        self.can = Can::after_reset();
+        self.uart = [Uart::after_reset(), Uart::after_reset()];
+        self.spi = Spi::after_reset();
         self.iwdg = Iwdg {
-            rlr: 0xfff,
-            count: 0xfff,
+            rlr: RLR_RESET,
+            count: RLR_RESET,
             expire: NEVER,
             longest: self.iwdg.longest,
             ..Iwdg::default()
@@ -265,71 +319,73 @@ impl Chip {
         self.exti = Exti::default();
         self.syscfg = [0; 9];
         for n in 0..82 {
-            self.lines.interrupt(n, false);
+            self.lines.set_interrupt_line(n, false);
         }
         self.irqs = [false; 82];
         self.dirty = true;
-        self.tell_acr(1 << 11);
-        self.clocks();
+        self.update_accelerator(ACR_ICRST);
+        self.update_clocks();
     }
 
-    pub fn violation(&mut self, text: String) {
-        self.say(Grade::Violation, text);
+    /// Records what silicon would not do, or what the manual forbids.
+    pub fn report_violation(&mut self, text: String) {
+        self.record_finding(Severity::Violation, text);
     }
-    pub fn say(&mut self, grade: Grade, text: String) {
-        self.report.say(self.now, grade, text);
-        if self.report.has_fresh() {
-            self.shared.flag.fetch_or(1, Ordering::Relaxed);
+    /// Records a finding; for a new one, requests its program counter from the run loop.
+    pub fn record_finding(&mut self, grade: Severity, text: String) {
+        self.report.record_finding(self.now, grade, text);
+        if self.report.has_new_entries() {
+            self.shared.flag.fetch_or(FLAG_REPORT, Ordering::Relaxed);
         }
     }
     /// Returns a register's new value: only writable bits change, and a try at the others is reported.
-    pub fn set(&mut self, name: &str, old: u32, new: u32, writable: u32) -> u32 {
+    pub fn apply_write_mask(&mut self, name: &str, old: u32, new: u32, writable: u32) -> u32 {
         let wrong = (old ^ new) & !writable;
         if wrong != 0 {
-            self.violation(format!("{name}: {new:#010x} written, which would change the reserved or read-only bits {wrong:#x}"));
+            self.report_violation(format!("{name}: {new:#010x} written, which would change the reserved or read-only bits {wrong:#x}"));
         }
         (old & !writable) | (new & writable)
     }
 
-    fn next_event(&self) -> (u64, Ev) {
-        let mut best = (self.rcc.hse_at, Ev::Hse);
-        let mut take = |t: u64, e: Ev| {
+    fn next_event(&self) -> (u64, ChipEvent) {
+        let mut best = (self.rcc.hse_at, ChipEvent::Hse);
+        let mut take = |t: u64, e: ChipEvent| {
             if t < best.0 {
                 best = (t, e)
             }
         };
-        take(self.rcc.pll_at, Ev::Pll);
+        take(self.rcc.pll_at, ChipEvent::Pll);
         if self.faults.hse_stops > 0 {
-            take(self.faults.hse_stops, Ev::HseStop);
+            take(self.faults.hse_stops, ChipEvent::HseStop);
         }
-        take(self.rcc.lsi_at, Ev::Lsi);
+        take(self.rcc.lsi_at, ChipEvent::Lsi);
         for (i, t) in self.tims.iter().enumerate() {
-            if t.running() {
-                take(t.update_at, Ev::TimUp(i));
+            if t.is_running() {
+                take(t.update_at, ChipEvent::TimUp(i));
                 for (ch, at) in t.cc_at.iter().enumerate() {
-                    take(*at, Ev::TimCc(i, ch));
+                    take(*at, ChipEvent::TimCc(i, ch));
                 }
             }
         }
         for (n, adc) in self.adc.unit.iter().enumerate() {
             if !adc.stalled {
-                take(adc.end_at, Ev::Adc(n));
+                take(adc.end_at, ChipEvent::Adc(n));
             }
         }
-        take(self.can.end_at, Ev::CanEnd);
-        take(self.can.mode_at, Ev::CanMode);
+        take(self.can.end_at, ChipEvent::CanEnd);
+        take(self.can.mode_at, ChipEvent::CanMode);
         if self.can.end_at == NEVER {
-            take(self.world.can_ready(), Ev::CanStart);
+            take(self.world.next_can_frame_time(), ChipEvent::CanStart);
         }
         for (n, uart) in self.uart.iter().enumerate() {
-            take(uart.tx_at, Ev::UartTx(n));
-            take(uart.rx_at, Ev::UartRx(n));
-            take(uart.idle_at, Ev::UartIdle(n));
+            take(uart.tx_at, ChipEvent::UartTx(n));
+            take(uart.rx_at, ChipEvent::UartRx(n));
+            take(uart.idle_at, ChipEvent::UartIdle(n));
         }
-        take(self.spi.end_at, Ev::Spi);
-        take(self.iwdg.expire, Ev::Iwdg);
-        take(self.flash.done_at, Ev::Flash);
-        take(self.world.next_at, Ev::World);
+        take(self.spi.end_at, ChipEvent::Spi);
+        take(self.iwdg.expire, ChipEvent::Iwdg);
+        take(self.flash.done_at, ChipEvent::Flash);
+        take(self.world.next_at, ChipEvent::World);
         best
     }
 
@@ -343,76 +399,78 @@ impl Chip {
             self.now = self.now.max(t);
             self.dirty = true;
             match ev {
-                Ev::Hse => {
+                ChipEvent::Hse => {
                     self.rcc.hse_at = NEVER;
-                    self.rcc.cr |= 1 << 17;
-                    self.try_switch()
+                    self.rcc.cr |= RCC_CR_HSERDY;
+                    self.try_clock_switch()
                 }
-                Ev::HseStop => self.hse_stop(),
-                Ev::Pll => {
+                ChipEvent::HseStop => self.inject_hse_failure(),
+                ChipEvent::Pll => {
                     self.rcc.pll_at = NEVER;
-                    self.rcc.cr |= 1 << 25;
-                    self.try_switch()
+                    self.rcc.cr |= RCC_CR_PLLRDY;
+                    self.try_clock_switch()
                 }
-                Ev::Lsi => {
+                ChipEvent::Lsi => {
                     self.rcc.lsi_at = NEVER;
-                    self.rcc.csr |= 2
+                    self.rcc.csr |= RCC_CSR_LSIRDY
                 }
-                Ev::TimUp(i) => self.tim_update(i),
-                Ev::TimCc(i, ch) => self.tim_compare(i, ch),
-                Ev::Adc(n) => self.adc_end(n),
-                Ev::CanEnd => self.can_end(),
-                Ev::CanStart => self.can_start(),
-                Ev::CanMode => self.can_mode(),
-                Ev::UartTx(n) => self.uart_tx_end(n),
-                Ev::UartRx(n) => self.uart_rx_end(n),
-                Ev::UartIdle(n) => self.uart_idle(n),
-                Ev::Spi => self.spi_end(),
-                Ev::Iwdg => {
+                ChipEvent::TimUp(i) => self.handle_tim_update_event(i),
+                ChipEvent::TimCc(i, ch) => self.handle_tim_compare_match(i, ch),
+                ChipEvent::Adc(n) => self.adc_end_conversion(n),
+                ChipEvent::CanEnd => self.can_end_frame(),
+                ChipEvent::CanStart => self.can_start_frame(),
+                ChipEvent::CanMode => self.can_update_mode(),
+                ChipEvent::UartTx(n) => self.finish_uart_transmission(n),
+                ChipEvent::UartRx(n) => self.finish_uart_reception(n),
+                ChipEvent::UartIdle(n) => self.on_uart_idle(n),
+                ChipEvent::Spi => self.finish_spi_transfer(),
+                ChipEvent::Iwdg => {
                     self.iwdg.expire = NEVER;
-                    self.want_reset(1 << 29 | 1 << 26, "IWDG")
+                    self.request_reset(RCC_CSR_IWDGRSTF | RCC_CSR_PINRSTF, "IWDG")
                 }
-                Ev::Flash => self.flash_done(),
-                Ev::World => self.world_step(),
+                ChipEvent::Flash => self.flash_operation_complete(),
+                ChipEvent::World => self.step_world(),
             }
         }
         self.now = self.now.max(to);
     }
 
-    pub fn want_reset(&mut self, cause: u32, why: &'static str) {
+    /// Requests a reset from the run loop; `cause`: flags of RCC_CSR.
+    pub fn request_reset(&mut self, cause: u32, why: &'static str) {
         self.reset_cause = cause;
         self.resets.push((self.now, why));
-        self.shared.flag.fetch_or(2, Ordering::Relaxed);
+        self.shared.flag.fetch_or(FLAG_RESET, Ordering::Relaxed);
     }
 
     /// Returns whether any interrupt line is up.
-    pub fn interrupts(&self) -> bool {
+    pub fn has_pending_interrupt(&self) -> bool {
         self.irqs.iter().any(|line| *line)
     }
 
-    pub fn touch(&mut self) {
+    /// Has the interrupt lines and the next event computed anew.
+    pub fn mark_dirty(&mut self) {
         self.dirty = true;
     }
 
     /// After anything has changed: the interrupt lines, and the time of the next event.
-    pub fn settle(&mut self) {
+    pub fn update_interrupt_lines(&mut self) {
         if !self.dirty {
             return;
         }
         self.dirty = false;
         let mut want = [false; 82];
         for t in &self.tims {
-            want[t.irq] |= t.sr & t.dier & 0x5f != 0;
+            want[t.irq] |= t.sr & t.dier & TIM_INTERRUPT_FLAGS != 0;
         }
-        want[18] = self.adc.unit.iter().any(Adc::line);
-        self.dma_lines(&mut want);
-        self.can_lines(&mut want);
-        want[37] = self.uart_line(0);
-        want[39] = self.uart_line(1);
-        want[36] = self.spi_line();
-        self.lines.nmi(self.rcc.cir & 0x80 != 0);
-        want[4] = self.flash.line();
-        want[5] = self.rcc.cir & self.rcc.cir >> 8 & 0x3f != 0;
+        want[18] = self.adc.unit.iter().any(Adc::is_irq_asserted);
+        self.dma_interrupt_lines(&mut want);
+        self.can_interrupt_lines(&mut want);
+        want[37] = self.is_uart_irq_asserted(0);
+        want[39] = self.is_uart_irq_asserted(1);
+        want[36] = self.is_spi_irq_asserted();
+        self.lines.set_nmi_line(self.rcc.cir & RCC_CIR_CSSF != 0);
+        want[4] = self.flash.is_irq_asserted();
+        want[5] = self.rcc.cir & self.rcc.cir >> RCC_CIR_ENABLE_SHIFT & RCC_CIR_READY_FLAGS != 0;
         for (n, on) in want.into_iter().enumerate() {
             if on != self.irqs[n] {
                 self.irqs[n] = on;
@@ -423,7 +481,7 @@ impl Chip {
                     let up = self.now - self.irq_since[n];
                     self.irq_longest[n] = self.irq_longest[n].max(up);
                 }
-                self.lines.interrupt(n as u16, on);
+                self.lines.set_interrupt_line(n as u16, on);
             }
         }
         self.shared.next.store(self.next_event().0, Ordering::Relaxed);

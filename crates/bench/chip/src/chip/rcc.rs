@@ -1,12 +1,16 @@
 //! Reset and clock control (RM0090 section 7) and PWR's regulator scale: oscillators, PLL, their limits, enables.
 
+pub(crate) mod registers;
+
 use super::{
     Chip,
     adc::Adcs,
-    bus::{BUSES, GATES},
+    backup::registers::PWR_CR_VOS,
+    bus::{BUS_NAMES, CLOCK_GATES},
     can::Can,
     crc::Crc,
     dma::Dma,
+    flash::registers::ACR_LATENCY_MASK,
     gpio::Gpio,
     spi::Spi,
     tim::Tim,
@@ -14,20 +18,30 @@ use super::{
     uart::Uart,
 };
 use crate::{
-    report::Grade,
-    time::{NEVER, TPS, ms, us},
+    memory_map::*,
+    report::Severity,
+    time::{NEVER, TICKS_PER_SECOND, ms_to_ticks, us_to_ticks},
 };
+use registers::*;
 use std::sync::atomic::Ordering;
 
+/// Frequency of the internal oscillator (7.2.2).
+pub(crate) const HSI_HZ: u64 = 16_000_000;
+
+/// The registers of reset and clock control, and when its oscillators are ready.
 #[derive(Default)]
 pub struct Rcc {
+    /// RCC_CR, the oscillators and the PLL.
     pub cr: u32,
     pub(crate) pllcfgr: u32,
     pub(crate) cfgr: u32,
     pub(crate) cir: u32,
+    /// RCC_AHB1RSTR to RCC_APB2RSTR, the units held in reset.
     pub rstr: [u32; 5],
+    /// RCC_AHB1ENR to RCC_APB2ENR, the units with a clock.
     pub enr: [u32; 5],
     pub(crate) lpenr: [u32; 5],
+    /// RCC_CSR, LSI and the causes of a reset.
     pub csr: u32,
     pub(crate) sscgr: u32,
     pub(crate) plli2s: u32,
@@ -40,52 +54,59 @@ pub struct Rcc {
 impl Chip {
     pub(crate) fn pll_hz(&mut self) -> u64 {
         let r = self.rcc.pllcfgr;
-        let input = if r & 1 << 22 != 0 { self.world.crystal_hz } else { 16_000_000 };
+        let input = if r & RCC_PLLCFGR_PLLSRC != 0 { self.world.crystal_hz } else { HSI_HZ };
         let (m, n, p, q) = (
-            u64::from(r & 63),
-            u64::from(r >> 6 & 511),
-            u64::from((r >> 16 & 3) * 2 + 2),
-            u64::from(r >> 24 & 15),
+            u64::from(r & RCC_PLLCFGR_PLLM_MASK),
+            u64::from(r >> RCC_PLLCFGR_PLLN_SHIFT & RCC_PLLCFGR_PLLN_MASK),
+            u64::from((r >> RCC_PLLCFGR_PLLP_SHIFT & RCC_PLLCFGR_PLLP_MASK) * 2 + 2),
+            u64::from(r >> RCC_PLLCFGR_PLLQ_SHIFT & RCC_PLLCFGR_PLLQ_MASK),
         );
         if !(2..=63).contains(&m) || !(50..=432).contains(&n) || q < 2 {
-            self.violation(format!(
+            self.report_violation(format!(
                 "RCC_PLLCFGR: M {m}, N {n}, Q {q} are outside what the manual allows"
             ));
-            return 16_000_000;
+            return HSI_HZ;
         }
         let (vin, vco) = (input / m, input / m * n);
         if !(950_000..=2_100_000).contains(&vin) || !(100_000_000..=432_000_000).contains(&vco) {
-            self.violation(format!(
+            self.report_violation(format!(
                 "PLL: VCO input {vin} Hz (0.95 to 2.1 MHz), output {vco} Hz (100 to 432 MHz)"
             ));
         }
-        self.say(Grade::Fact, format!("PLL: input {input} Hz / {m} × {n} = VCO {vco} Hz, / {p} = {} Hz, 48 MHz domain {} Hz", vco / p, vco / q));
+        self.record_finding(Severity::Fact, format!("PLL: input {input} Hz / {m} × {n} = VCO {vco} Hz, / {p} = {} Hz, 48 MHz domain {} Hz", vco / p, vco / q));
         vco / p
     }
 
-    pub(crate) fn clocks(&mut self) {
-        let sws = self.rcc.cfgr >> 2 & 3;
+    pub(crate) fn update_clocks(&mut self) {
+        let sws = self.rcc.cfgr >> RCC_CFGR_SWS_SHIFT & RCC_CFGR_SWS_FIELD_MASK;
         self.sys_hz = match sws {
-            0 => 16_000_000,
-            1 => self.world.crystal_hz,
+            SYSTEM_CLOCK_HSI => HSI_HZ,
+            SYSTEM_CLOCK_HSE => self.world.crystal_hz,
             _ => self.pll_hz(),
         };
-        let ahb = match self.rcc.cfgr >> 4 & 15 {
+        let ahb = match self.rcc.cfgr >> RCC_CFGR_HPRE_SHIFT & RCC_CFGR_HPRE_MASK {
             n @ 8..=11 => 1 << (n - 7),
             n @ 12..=15 => 1 << (n - 6),
             _ => 1u64,
         };
-        let apb = |f: u32| if f & 4 != 0 { 2u64 << (f & 3) } else { 1 };
-        let (a1, a2) = (apb(self.rcc.cfgr >> 10 & 7), apb(self.rcc.cfgr >> 13 & 7));
-        let sys = TPS / self.sys_hz;
-        if !TPS.is_multiple_of(self.sys_hz) {
-            self.say(
-                Grade::Remark,
-                format!("the model rounds {} Hz to {} Hz", self.sys_hz, TPS as f64 / sys as f64),
+        let apb = |f: u32| if f & PPRE_DIVIDED != 0 { 2u64 << (f & PPRE_EXPONENT_MASK) } else { 1 };
+        let (a1, a2) = (
+            apb(self.rcc.cfgr >> RCC_CFGR_PPRE1_SHIFT & RCC_CFGR_PPRE_MASK),
+            apb(self.rcc.cfgr >> RCC_CFGR_PPRE2_SHIFT & RCC_CFGR_PPRE_MASK),
+        );
+        let sys = TICKS_PER_SECOND / self.sys_hz;
+        if !TICKS_PER_SECOND.is_multiple_of(self.sys_hz) {
+            self.record_finding(
+                Severity::Remark,
+                format!(
+                    "the model rounds {} Hz to {} Hz",
+                    self.sys_hz,
+                    TICKS_PER_SECOND as f64 / sys as f64
+                ),
             );
         }
         for t in &mut self.tims {
-            t.freeze(self.now);
+            t.latch_count(self.now);
         }
         self.hclk = sys * ahb;
         self.pclk1 = self.hclk * a1;
@@ -94,23 +115,23 @@ impl Chip {
         self.tclk2 = if a2 == 1 { self.pclk2 } else { self.pclk2 / 2 };
         for t in &mut self.tims {
             t.tick = if t.apb2 { self.tclk2 } else { self.tclk1 };
-            t.thaw(self.now);
+            t.schedule_events(self.now);
         }
         self.shared.cycle.store(self.hclk, Ordering::Relaxed);
-        let hz = |t: u64| TPS / t;
+        let hz = |t: u64| TICKS_PER_SECOND / t;
         if hz(self.hclk) > 168_000_000 || hz(self.pclk1) > 42_000_000 || hz(self.pclk2) > 84_000_000
         {
-            self.violation(format!(
+            self.report_violation(format!(
                 "clocks: HCLK {}, APB1 {}, APB2 {} Hz; at most 168, 42 and 84 MHz",
                 hz(self.hclk),
                 hz(self.pclk1),
                 hz(self.pclk2)
             ));
         }
-        self.scale_check();
-        self.flash_check();
-        self.say(
-            Grade::Fact,
+        self.check_voltage_scale();
+        self.flash_check_latency();
+        self.record_finding(
+            Severity::Fact,
             format!(
                 "clocks: source {}, SYSCLK {} Hz, HCLK {}, APB1 {}, APB2 {}, flash wait states {}",
                 ["HSI", "HSE", "PLL", "?"][sws as usize],
@@ -118,65 +139,71 @@ impl Chip {
                 hz(self.hclk),
                 hz(self.pclk1),
                 hz(self.pclk2),
-                self.flash.acr & 7
+                self.flash.acr & ACR_LATENCY_MASK
             ),
         );
     }
 
     /// 3.5.1: above 144 MHz the regulator is at scale 1.
-    pub(crate) fn scale_check(&mut self) {
-        if TPS / self.hclk > 144_000_000 && self.pwr_cr & 0x4000 == 0 {
-            self.violation(
+    pub(crate) fn check_voltage_scale(&mut self) {
+        if TICKS_PER_SECOND / self.hclk > 144_000_000 && self.pwr_cr & PWR_CR_VOS == 0 {
+            self.report_violation(
                 "HCLK above 144 MHz with the regulator at scale 2 (PWR_CR.VOS 0)".into(),
             );
         }
     }
 
     /// The clock tree, and the lock of the flash, as the loader leaves them: 60 MHz from HSI by the PLL.
-    pub(crate) fn as_from_loader(&mut self) {
-        self.rcc.pllcfgr = 2 << 28 | 5 << 24 | 1 << 16 | 240 << 6 | 16;
-        self.rcc.cr |= 1 << 24 | 1 << 25;
-        self.rcc.cfgr = 4 << 10 | 2 << 2 | 2;
-        self.rcc.sw_wanted = 2;
+    pub(crate) fn set_bootloader_state(&mut self) {
+        self.rcc.pllcfgr = RCC_PLLCFGR_RESERVED_ONES
+            | 5 << RCC_PLLCFGR_PLLQ_SHIFT
+            | 1 << RCC_PLLCFGR_PLLP_SHIFT
+            | 240 << RCC_PLLCFGR_PLLN_SHIFT
+            | 16;
+        self.rcc.cr |= RCC_CR_PLLON | RCC_CR_PLLRDY;
+        self.rcc.cfgr =
+            4 << RCC_CFGR_PPRE1_SHIFT | SYSTEM_CLOCK_PLL << RCC_CFGR_SWS_SHIFT | SYSTEM_CLOCK_PLL;
+        self.rcc.sw_wanted = SYSTEM_CLOCK_PLL;
         self.flash.acr = 2;
-        self.tell_acr(0);
+        self.update_accelerator(0);
         self.flash.unlock();
-        self.clocks();
+        self.update_clocks();
     }
 
-    pub(crate) fn try_switch(&mut self) {
+    pub(crate) fn try_clock_switch(&mut self) {
         let want = self.rcc.sw_wanted;
         let ready = match want {
-            0 => self.rcc.cr & 2,
-            1 => self.rcc.cr & 1 << 17,
-            2 => self.rcc.cr & 1 << 25,
+            SYSTEM_CLOCK_HSI => self.rcc.cr & RCC_CR_HSIRDY,
+            SYSTEM_CLOCK_HSE => self.rcc.cr & RCC_CR_HSERDY,
+            SYSTEM_CLOCK_PLL => self.rcc.cr & RCC_CR_PLLRDY,
             _ => 0,
         } != 0;
-        if ready && self.rcc.cfgr >> 2 & 3 != want {
-            self.rcc.cfgr = self.rcc.cfgr & !0xc | want << 2;
-            self.clocks();
+        if ready && self.rcc.cfgr >> RCC_CFGR_SWS_SHIFT & RCC_CFGR_SWS_FIELD_MASK != want {
+            self.rcc.cfgr = self.rcc.cfgr & !RCC_CFGR_SWS | want << RCC_CFGR_SWS_SHIFT;
+            self.update_clocks();
         }
     }
 
     /// The crystal stops. With the clock security system on, the chip goes on from HSI and raises the NMI.
-    pub(crate) fn hse_stop(&mut self) {
+    pub(crate) fn inject_hse_failure(&mut self) {
         self.faults.hse_stops = 0;
         self.faults.hse_dead = true;
-        self.rcc.cr &= !(1 << 17);
-        let sws = self.rcc.cfgr >> 2 & 3;
-        let in_use = sws == 1 || (sws == 2 && self.rcc.pllcfgr & 1 << 22 != 0);
-        if self.rcc.cr & 1 << 19 != 0 {
-            self.rcc.cr &= !(1 << 16 | 1 << 24 | 1 << 25);
-            self.rcc.cr |= 3;
-            self.rcc.cir |= 0x80;
+        self.rcc.cr &= !RCC_CR_HSERDY;
+        let sws = self.rcc.cfgr >> RCC_CFGR_SWS_SHIFT & RCC_CFGR_SWS_FIELD_MASK;
+        let in_use = sws == SYSTEM_CLOCK_HSE
+            || (sws == SYSTEM_CLOCK_PLL && self.rcc.pllcfgr & RCC_PLLCFGR_PLLSRC != 0);
+        if self.rcc.cr & RCC_CR_CSSON != 0 {
+            self.rcc.cr &= !(RCC_CR_HSEON | RCC_CR_PLLON | RCC_CR_PLLRDY);
+            self.rcc.cr |= RCC_CR_HSIRDY | RCC_CR_HSION;
+            self.rcc.cir |= RCC_CIR_CSSF;
             if in_use {
-                self.rcc.cfgr &= !0xf;
-                self.rcc.sw_wanted = 0;
-                self.clocks();
+                self.rcc.cfgr &= !(RCC_CFGR_SWS | RCC_CFGR_SW_MASK);
+                self.rcc.sw_wanted = SYSTEM_CLOCK_HSI;
+                self.update_clocks();
             }
         } else if in_use {
-            self.say(
-                Grade::Remark,
+            self.record_finding(
+                Severity::Remark,
                 "the crystal stops without the clock security system: the processor stands still"
                     .into(),
             );
@@ -186,25 +213,31 @@ impl Chip {
     pub(crate) fn rcc_read(&mut self, off: u32) -> u32 {
         let r = &self.rcc;
         match off {
-            0x00 => r.cr,
-            0x04 => r.pllcfgr,
-            0x08 => r.cfgr,
-            0x0c => r.cir,
-            0x10 | 0x14 | 0x18 => r.rstr[(off as usize - 0x10) / 4],
-            0x20 => r.rstr[3],
-            0x24 => r.rstr[4],
-            0x30 | 0x34 | 0x38 => r.enr[(off as usize - 0x30) / 4],
-            0x40 => r.enr[3],
-            0x44 => r.enr[4],
-            0x50 | 0x54 | 0x58 => r.lpenr[(off as usize - 0x50) / 4],
-            0x60 => r.lpenr[3],
-            0x64 => r.lpenr[4],
-            0x70 => self.bdcr_read(),
-            0x74 => r.csr,
-            0x80 => r.sscgr,
-            0x84 => r.plli2s,
+            RCC_CR_OFFSET => r.cr,
+            RCC_PLLCFGR_OFFSET => r.pllcfgr,
+            RCC_CFGR_OFFSET => r.cfgr,
+            RCC_CIR_OFFSET => r.cir,
+            RCC_AHB1RSTR_OFFSET | RCC_AHB2RSTR_OFFSET | RCC_AHB3RSTR_OFFSET => {
+                r.rstr[(off as usize - RCC_AHB1RSTR_OFFSET as usize) / 4]
+            }
+            RCC_APB1RSTR_OFFSET => r.rstr[3],
+            RCC_APB2RSTR_OFFSET => r.rstr[4],
+            RCC_AHB1ENR_OFFSET | RCC_AHB2ENR_OFFSET | RCC_AHB3ENR_OFFSET => {
+                r.enr[(off as usize - RCC_AHB1ENR_OFFSET as usize) / 4]
+            }
+            RCC_APB1ENR_OFFSET => r.enr[3],
+            RCC_APB2ENR_OFFSET => r.enr[4],
+            RCC_AHB1LPENR_OFFSET | RCC_AHB2LPENR_OFFSET | RCC_AHB3LPENR_OFFSET => {
+                r.lpenr[(off as usize - RCC_AHB1LPENR_OFFSET as usize) / 4]
+            }
+            RCC_APB1LPENR_OFFSET => r.lpenr[3],
+            RCC_APB2LPENR_OFFSET => r.lpenr[4],
+            RCC_BDCR_OFFSET => self.bdcr_read(),
+            RCC_CSR_OFFSET => r.csr,
+            RCC_SSCGR_OFFSET => r.sscgr,
+            RCC_PLLI2SCFGR_OFFSET => r.plli2s,
             _ => {
-                self.violation(format!("RCC: read at the reserved offset {off:#x}"));
+                self.report_violation(format!("RCC: read at the reserved offset {off:#x}"));
                 0
             }
         }
@@ -213,155 +246,180 @@ impl Chip {
     pub(crate) fn rcc_write(&mut self, off: u32, v: u32) {
         let now = self.now;
         match off {
-            0x00 => self.rcc_control(v),
-            0x04 => {
-                if self.rcc.cr & 1 << 24 != 0 {
-                    self.violation("RCC_PLLCFGR: written while the PLL is on".into());
+            RCC_CR_OFFSET => self.write_rcc_cr(v),
+            RCC_PLLCFGR_OFFSET => {
+                if self.rcc.cr & RCC_CR_PLLON != 0 {
+                    self.report_violation("RCC_PLLCFGR: written while the PLL is on".into());
                     return;
                 }
-                self.rcc.pllcfgr = self.set("RCC_PLLCFGR", self.rcc.pllcfgr, v, 0x0f43_7fff);
-            }
-            0x08 => {
-                self.rcc.cfgr = self.set(
-                    "RCC_CFGR",
-                    self.rcc.cfgr,
-                    v & !0xc | self.rcc.cfgr & 0xc,
-                    0xffff_fcf3,
+                self.rcc.pllcfgr = self.apply_write_mask(
+                    "RCC_PLLCFGR",
+                    self.rcc.pllcfgr,
+                    v,
+                    RCC_PLLCFGR_WRITE_MASK,
                 );
-                self.rcc.sw_wanted = v & 3;
-                let ready = match v & 3 {
-                    0 => self.rcc.cr & 2,
-                    1 => self.rcc.cr & 1 << 17,
-                    2 => self.rcc.cr & 1 << 25,
-                    _ => 0,
-                } != 0;
-                if !ready {
-                    self.violation(format!(
-                        "RCC_CFGR: SW {} chosen while that clock is not ready",
-                        v & 3
-                    ));
-                }
-                let sws = self.rcc.cfgr >> 2 & 3;
-                self.try_switch();
-                if self.rcc.cfgr >> 2 & 3 == sws {
-                    self.clocks();
-                }
             }
-            0x0c => {
+            RCC_CFGR_OFFSET => self.write_rcc_cfgr(v),
+            RCC_CIR_OFFSET => {
                 // RDY flags and CSSF are cleared by their bits 16 higher.
-                let cleared = v >> 16 & 0xbf;
-                self.rcc.cir = (self.rcc.cir & !cleared) & 0xff | v & 0x3f00;
+                let cleared = v >> RCC_CIR_CLEAR_SHIFT & RCC_CIR_CLEAR_MASK;
+                self.rcc.cir = (self.rcc.cir & !cleared) & RCC_CIR_FLAGS_MASK | v & RCC_CIR_ENABLES;
             }
-            0x10 | 0x14 | 0x18 | 0x20 | 0x24 => {
-                let i = if off >= 0x20 {
-                    (off as usize - 0x20) / 4 + 3
+            RCC_AHB1RSTR_OFFSET | RCC_AHB2RSTR_OFFSET | RCC_AHB3RSTR_OFFSET
+            | RCC_APB1RSTR_OFFSET | RCC_APB2RSTR_OFFSET => {
+                let i = if off >= RCC_APB1RSTR_OFFSET {
+                    (off as usize - RCC_APB1RSTR_OFFSET as usize) / 4 + 3
                 } else {
-                    (off as usize - 0x10) / 4
+                    (off as usize - RCC_AHB1RSTR_OFFSET as usize) / 4
                 };
                 let old = self.rcc.rstr[i];
                 self.rcc.rstr[i] = v;
-                for (base, bus, bit, _) in GATES {
+                for (base, bus, bit, _) in CLOCK_GATES {
                     if *bus == i && (!old & v) >> bit & 1 != 0 {
-                        self.reset_unit(*base);
+                        self.reset_peripheral(*base);
                     }
                 }
             }
-            0x30 | 0x34 | 0x38 | 0x40 | 0x44 => {
-                let i = if off >= 0x40 {
-                    (off as usize - 0x40) / 4 + 3
+            RCC_AHB1ENR_OFFSET | RCC_AHB2ENR_OFFSET | RCC_AHB3ENR_OFFSET | RCC_APB1ENR_OFFSET
+            | RCC_APB2ENR_OFFSET => {
+                let i = if off >= RCC_APB1ENR_OFFSET {
+                    (off as usize - RCC_APB1ENR_OFFSET as usize) / 4 + 3
                 } else {
-                    (off as usize - 0x30) / 4
+                    (off as usize - RCC_AHB1ENR_OFFSET as usize) / 4
                 };
-                let mask = [0x7e7411ff, 0xf1, 1, 0x36fec9ff, 0x00075f33][i];
-                self.rcc.enr[i] =
-                    self.set(&format!("RCC_{}ENR", BUSES[i]), self.rcc.enr[i], v, mask);
+                let mask = RCC_ENR_WRITE_MASKS[i];
+                self.rcc.enr[i] = self.apply_write_mask(
+                    &format!("RCC_{}ENR", BUS_NAMES[i]),
+                    self.rcc.enr[i],
+                    v,
+                    mask,
+                );
             }
-            0x50 | 0x54 | 0x58 | 0x60 | 0x64 => {
-                let i = if off >= 0x60 {
-                    (off as usize - 0x60) / 4 + 3
+            RCC_AHB1LPENR_OFFSET | RCC_AHB2LPENR_OFFSET | RCC_AHB3LPENR_OFFSET
+            | RCC_APB1LPENR_OFFSET | RCC_APB2LPENR_OFFSET => {
+                let i = if off >= RCC_APB1LPENR_OFFSET {
+                    (off as usize - RCC_APB1LPENR_OFFSET as usize) / 4 + 3
                 } else {
-                    (off as usize - 0x50) / 4
+                    (off as usize - RCC_AHB1LPENR_OFFSET as usize) / 4
                 };
                 self.rcc.lpenr[i] = v;
             }
-            0x70 => self.bdcr_write(v),
-            0x74 => {
-                if v & 1 != 0 && self.rcc.csr & 3 == 0 {
-                    self.rcc.lsi_at = now + us(40);
+            RCC_BDCR_OFFSET => self.bdcr_write(v),
+            RCC_CSR_OFFSET => {
+                if v & RCC_CSR_LSION != 0 && self.rcc.csr & (RCC_CSR_LSIRDY | RCC_CSR_LSION) == 0 {
+                    self.rcc.lsi_at = now + us_to_ticks(40);
                 }
-                self.rcc.csr = self.rcc.csr & !1 | v & 1;
-                if v & 1 == 0 && !self.iwdg.running {
-                    self.rcc.csr &= !2;
+                self.rcc.csr = self.rcc.csr & !RCC_CSR_LSION | v & RCC_CSR_LSION;
+                if v & RCC_CSR_LSION == 0 && !self.iwdg.running {
+                    self.rcc.csr &= !RCC_CSR_LSIRDY;
                 }
-                if v & 1 << 24 != 0 {
-                    self.rcc.csr &= 3;
+                if v & RCC_CSR_RMVF != 0 {
+                    self.rcc.csr &= RCC_CSR_LSIRDY | RCC_CSR_LSION;
                 }
             }
-            0x80 => self.rcc.sscgr = v,
-            0x84 => self.rcc.plli2s = v,
-            _ => self.violation(format!("RCC: write at the reserved offset {off:#x}")),
+            RCC_SSCGR_OFFSET => self.rcc.sscgr = v,
+            RCC_PLLI2SCFGR_OFFSET => self.rcc.plli2s = v,
+            _ => self.report_violation(format!("RCC: write at the reserved offset {off:#x}")),
+        }
+    }
+
+    /// Writes RCC_CFGR: chooses the system clock and its prescalers.
+    fn write_rcc_cfgr(&mut self, v: u32) {
+        self.rcc.cfgr = self.apply_write_mask(
+            "RCC_CFGR",
+            self.rcc.cfgr,
+            v & !RCC_CFGR_SWS | self.rcc.cfgr & RCC_CFGR_SWS,
+            RCC_CFGR_WRITE_MASK,
+        );
+        self.rcc.sw_wanted = v & RCC_CFGR_SW_MASK;
+        let ready = match v & RCC_CFGR_SW_MASK {
+            SYSTEM_CLOCK_HSI => self.rcc.cr & RCC_CR_HSIRDY,
+            SYSTEM_CLOCK_HSE => self.rcc.cr & RCC_CR_HSERDY,
+            SYSTEM_CLOCK_PLL => self.rcc.cr & RCC_CR_PLLRDY,
+            _ => 0,
+        } != 0;
+        if !ready {
+            self.report_violation(format!(
+                "RCC_CFGR: SW {} chosen while that clock is not ready",
+                v & RCC_CFGR_SW_MASK
+            ));
+        }
+        let sws = self.rcc.cfgr >> RCC_CFGR_SWS_SHIFT & RCC_CFGR_SWS_FIELD_MASK;
+        self.try_clock_switch();
+        if self.rcc.cfgr >> RCC_CFGR_SWS_SHIFT & RCC_CFGR_SWS_FIELD_MASK == sws {
+            self.update_clocks();
         }
     }
 
     /// Writes RCC_CR: switches the crystal and the PLL.
-    fn rcc_control(&mut self, v: u32) {
+    fn write_rcc_cr(&mut self, v: u32) {
         let now = self.now;
-        let ready = 1 << 1 | 0xff00 | 1 << 17 | 1 << 25 | 1 << 27;
+        let ready = RCC_CR_READ_ONLY;
         let old = self.rcc.cr;
-        let v = self.set("RCC_CR", old, v & !ready | old & ready, 0x050d_00f9);
+        let v = self.apply_write_mask("RCC_CR", old, v & !ready | old & ready, RCC_CR_WRITE_MASK);
         self.rcc.cr = v;
         let on = |bit: u32| (!old & v) >> bit & 1 != 0;
         let off = |bit: u32| (old & !v) >> bit & 1 != 0;
-        let sws = self.rcc.cfgr >> 2 & 3;
-        if on(16) && !self.faults.hse_dead {
-            self.rcc.hse_at = now + ms(2);
+        let sws = self.rcc.cfgr >> RCC_CFGR_SWS_SHIFT & RCC_CFGR_SWS_FIELD_MASK;
+        if on(RCC_CR_HSEON_BIT) && !self.faults.hse_dead {
+            self.rcc.hse_at = now + ms_to_ticks(2);
         }
-        if off(16) {
-            if sws == 1 || (sws == 2 && self.rcc.pllcfgr & 1 << 22 != 0) {
-                self.violation("RCC_CR: HSEON cleared while the system runs on it".into());
-                self.rcc.cr |= 1 << 16;
+        if off(RCC_CR_HSEON_BIT) {
+            if sws == SYSTEM_CLOCK_HSE
+                || (sws == SYSTEM_CLOCK_PLL && self.rcc.pllcfgr & RCC_PLLCFGR_PLLSRC != 0)
+            {
+                self.report_violation("RCC_CR: HSEON cleared while the system runs on it".into());
+                self.rcc.cr |= RCC_CR_HSEON;
             } else {
-                self.rcc.cr &= !(1 << 17);
+                self.rcc.cr &= !RCC_CR_HSERDY;
                 self.rcc.hse_at = NEVER;
             }
         }
-        if on(24) {
-            let source = if self.rcc.pllcfgr & 1 << 22 != 0 { 17 } else { 1 };
+        if on(RCC_CR_PLLON_BIT) {
+            let source = if self.rcc.pllcfgr & RCC_PLLCFGR_PLLSRC != 0 {
+                RCC_CR_HSERDY_BIT
+            } else {
+                RCC_CR_HSIRDY_BIT
+            };
             if v >> source & 1 == 0 {
-                self.violation("RCC_CR: PLLON set before its source is ready".into());
+                self.report_violation("RCC_CR: PLLON set before its source is ready".into());
             } else if !self.faults.pll_dead {
-                self.rcc.pll_at = now + us(150);
+                self.rcc.pll_at = now + us_to_ticks(150);
             }
         }
-        if off(24) {
-            if sws == 2 {
-                self.violation("RCC_CR: PLLON cleared while the system runs on it".into());
-                self.rcc.cr |= 1 << 24;
+        if off(RCC_CR_PLLON_BIT) {
+            if sws == SYSTEM_CLOCK_PLL {
+                self.report_violation("RCC_CR: PLLON cleared while the system runs on it".into());
+                self.rcc.cr |= RCC_CR_PLLON;
             } else {
-                self.rcc.cr &= !(1 << 25);
+                self.rcc.cr &= !RCC_CR_PLLRDY;
                 self.rcc.pll_at = NEVER;
             }
         }
-        self.rcc.cr = if v & 1 != 0 { self.rcc.cr | 2 } else { self.rcc.cr & !2 };
+        self.rcc.cr = if v & RCC_CR_HSION != 0 {
+            self.rcc.cr | RCC_CR_HSIRDY
+        } else {
+            self.rcc.cr & !RCC_CR_HSIRDY
+        };
     }
 
-    pub(crate) fn reset_unit(&mut self, base: u32) {
+    pub(crate) fn reset_peripheral(&mut self, base: u32) {
         match base {
-            0x4002_0000..=0x4002_23ff => {
-                self.gpio[(base as usize - 0x4002_0000) / 0x400] = Gpio::default()
+            GPIOA_BASE..=GPIO_LAST => {
+                self.gpio[(base as usize - GPIOA_BASE as usize) / GPIO_STRIDE] = Gpio::default()
             }
             // 7.3.9: one bit resets all three.
-            0x4001_2000 => self.adc = Adcs::default(),
-            0x4002_3000 => self.crc = Crc::default(),
-            0x4002_6000 => self.dma[0] = Dma::default(),
-            0x4002_6400 => self.dma[1] = Dma::default(),
-            0x4000_6400 => self.can = Can::reset(),
-            0x4001_1000 => self.uart[0] = Uart::reset(),
-            0x4000_4800 => self.uart[1] = Uart::reset(),
-            0x4000_3800 => self.spi = Spi::reset(),
-            0x4001_4800 => self.tim11 = Tim11::default(),
+            ADC1_BASE => self.adc = Adcs::default(),
+            CRC_BASE => self.crc = Crc::default(),
+            DMA1_BASE => self.dma[0] = Dma::default(),
+            DMA2_BASE => self.dma[1] = Dma::default(),
+            CAN1_BASE => self.can = Can::after_reset(),
+            USART1_BASE => self.uart[0] = Uart::after_reset(),
+            USART3_BASE => self.uart[1] = Uart::after_reset(),
+            SPI2_BASE => self.spi = Spi::after_reset(),
+            TIM11_BASE => self.tim11 = Tim11::default(),
             _ => {
-                let fresh = Tim::all();
+                let fresh = Tim::all_timers();
                 for (i, f) in fresh.into_iter().enumerate() {
                     if f.base == base {
                         let tick = self.tims[i].tick;

@@ -1,29 +1,45 @@
 //! The timers, up-counting: update and compare events, preload, trigger output to the converter.
 
+pub(super) mod registers;
+
 use super::{
     Chip,
-    convert::Sequence::{Injected, Regular},
+    conversion::ConversionGroup::{Injected, Regular},
 };
 use crate::{
-    report::Grade,
-    time::{NEVER, TPS},
+    memory_map::*,
+    report::Severity,
+    time::{NEVER, TICKS_PER_SECOND},
 };
+use registers::*;
 
+/// A timer: its registers, and its next events.
 #[derive(Clone, Default)]
 pub struct Tim {
+    /// Its name in the manual.
     pub name: &'static str,
+    /// Base address of its registers.
     pub base: u32,
+    /// Number of its interrupt.
     pub irq: usize,
+    /// It is on APB2, not on APB1.
     pub apb2: bool,
     pub(crate) wide: bool,
     /// Ticks of the simulation in a tick of the timer's clock.
     pub tick: u64,
+    /// TIMx_CR1, control register 1.
     pub cr1: u32,
+    /// TIMx_CR2, control register 2.
     pub cr2: u32,
+    /// TIMx_SMCR, the slave mode.
     pub smcr: u32,
+    /// TIMx_DIER, the enable bits of interrupts and DMA requests.
     pub dier: u32,
+    /// TIMx_SR, the status register.
     pub sr: u32,
+    /// TIMx_CCMR1 and TIMx_CCMR2, the modes of the channels.
     pub ccmr: [u32; 2],
+    /// TIMx_CCER, the enable bits of the channels.
     pub ccer: u32,
     pub(crate) psc: u32,
     pub(crate) psc_next: u32,
@@ -34,26 +50,29 @@ pub struct Tim {
     /// The count at `since`.
     pub(crate) count: u64,
     pub(crate) since: u64,
+    /// When the next update comes; NEVER: none is due.
     pub update_at: u64,
+    /// When each channel's next match comes; NEVER: none is due.
     pub cc_at: [u64; 4],
+    /// Updates so far.
     pub updates: u64,
 }
 
 impl Tim {
-    pub(crate) fn all() -> Vec<Tim> {
+    pub(crate) fn all_timers() -> Vec<Tim> {
         [
-            ("TIM2", 0x4000_0000, 28, false, true),
-            ("TIM3", 0x4000_0400, 29, false, false),
-            ("TIM4", 0x4000_0800, 30, false, false),
-            ("TIM5", 0x4000_0c00, 50, false, true),
-            ("TIM6", 0x4000_1000, 54, false, false),
-            ("TIM7", 0x4000_1400, 55, false, false),
-            ("TIM1", 0x4001_0000, 25, true, false),
-            ("TIM8", 0x4001_0400, 44, true, false),
+            ("TIM2", TIM2_BASE, 28, false, true),
+            ("TIM3", TIM3_BASE, 29, false, false),
+            ("TIM4", TIM4_BASE, 30, false, false),
+            ("TIM5", TIM5_BASE, 50, false, true),
+            ("TIM6", TIM6_BASE, 54, false, false),
+            ("TIM7", TIM7_BASE, 55, false, false),
+            ("TIM1", TIM1_BASE, 25, true, false),
+            ("TIM8", TIM8_BASE, 44, true, false),
         ]
         .into_iter()
         .map(|(name, base, irq, apb2, wide)| {
-            let arr = if wide { u32::MAX } else { 0xffff };
+            let arr = if wide { u32::MAX } else { ARR_RESET };
             Tim {
                 name,
                 base,
@@ -71,34 +90,34 @@ impl Tim {
         .collect()
     }
     /// Returns whether it counts its clock.
-    pub(crate) fn running(&self) -> bool {
-        self.cr1 & 1 != 0 && self.smcr & 7 != 7
+    pub(crate) fn is_running(&self) -> bool {
+        self.cr1 & CR1_CEN != 0 && self.smcr & SMCR_SMS_MASK != SMS_EXTERNAL_CLOCK
     }
-    pub(crate) fn step(&self) -> u64 {
+    pub(crate) fn ticks_per_count(&self) -> u64 {
         self.tick * (u64::from(self.psc) + 1)
     }
     pub(crate) fn count(&self, now: u64) -> u32 {
-        if self.running() {
-            (self.count + (now - self.since) / self.step()) as u32
+        if self.is_running() {
+            (self.count + (now - self.since) / self.ticks_per_count()) as u32
         } else {
             self.count as u32
         }
     }
     /// Before its clock changes.
-    pub(crate) fn freeze(&mut self, now: u64) {
-        if self.running() {
+    pub(crate) fn latch_count(&mut self, now: u64) {
+        if self.is_running() {
             self.count = u64::from(self.count(now));
             self.since = now;
         }
     }
     /// Plans what comes, from the count at `since`.
-    pub(crate) fn thaw(&mut self, now: u64) {
-        if !self.running() {
+    pub(crate) fn schedule_events(&mut self, now: u64) {
+        if !self.is_running() {
             self.update_at = NEVER;
             self.cc_at = [NEVER; 4];
             return;
         }
-        let step = self.step();
+        let step = self.ticks_per_count();
         let elapsed = (now - self.since) / step;
         let here = self.count + elapsed;
         self.update_at = if self.arr == 0 {
@@ -121,63 +140,67 @@ impl Tim {
         }
     }
     pub(crate) fn output_mode(&self, ch: usize) -> u32 {
-        self.ccmr[ch / 2] >> (8 * (ch % 2) + 4) & 7
+        self.ccmr[ch / 2] >> (CCMR_CHANNEL_BITS * (ch % 2) + CCMR_OCM_SHIFT) & CCMR_OCM_MASK
     }
 }
 
 impl Chip {
-    pub(crate) fn tim_update(&mut self, i: usize) {
+    pub(crate) fn handle_tim_update_event(&mut self, i: usize) {
         let now = self.now;
         let t = &mut self.tims[i];
         t.updates += 1;
-        if t.cr1 & 2 == 0 {
+        if t.cr1 & CR1_UDIS == 0 {
             t.psc = t.psc_next;
             t.arr = t.arr_next;
             t.ccr = t.ccr_next;
-            t.sr |= 1;
+            t.sr |= SR_UIF;
         }
         t.count = 0;
         t.since = now;
-        if t.cr1 & 8 != 0 {
-            t.cr1 &= !1;
+        if t.cr1 & CR1_OPM != 0 {
+            t.cr1 &= !CR1_CEN;
         }
-        t.thaw(now);
+        t.schedule_events(now);
         for ch in 0..4 {
-            if t.ccr[ch] == 0 && t.base != 0x4000_1000 && t.base != 0x4000_1400 {
-                t.sr |= 2 << ch;
+            if t.ccr[ch] == 0 && t.base != TIM6_BASE && t.base != TIM7_BASE {
+                t.sr |= SR_CC1IF << ch;
             }
         }
-        let mms = t.cr2 >> 4 & 7;
-        let pwm1 = mms >= 4 && t.output_mode(mms as usize - 4) == 6 && t.ccr[mms as usize - 4] > 0;
-        if mms == 2 || pwm1 {
-            self.trgo(i);
+        let mms = t.cr2 >> CR2_MMS_SHIFT & CR2_MMS_MASK;
+        let pwm1 = mms >= MMS_OC1REF
+            && t.output_mode(mms as usize - MMS_OC1REF as usize) == OCM_PWM1
+            && t.ccr[mms as usize - MMS_OC1REF as usize] > 0;
+        if mms == MMS_UPDATE || pwm1 {
+            self.emit_trigger_output(i);
         }
         for ch in 0..4 {
-            if self.tims[i].output_mode(ch) == 6 && self.tims[i].ccr[ch] > 0 {
-                self.cc_out(i, ch);
+            if self.tims[i].output_mode(ch) == OCM_PWM1 && self.tims[i].ccr[ch] > 0 {
+                self.emit_compare_output(i, ch);
             }
         }
     }
 
-    pub(crate) fn tim_compare(&mut self, i: usize, ch: usize) {
+    pub(crate) fn handle_tim_compare_match(&mut self, i: usize, ch: usize) {
         let t = &mut self.tims[i];
         t.cc_at[ch] = NEVER;
-        if t.ccmr[ch / 2] >> (8 * (ch % 2)) & 3 != 0 {
+        if t.ccmr[ch / 2] >> (CCMR_CHANNEL_BITS * (ch % 2)) & CCMR_CCS_MASK != 0 {
             return;
         }
-        t.sr |= 2 << ch;
-        let mms = t.cr2 >> 4 & 7;
+        t.sr |= SR_CC1IF << ch;
+        let mms = t.cr2 >> CR2_MMS_SHIFT & CR2_MMS_MASK;
         let mode = t.output_mode(ch);
-        if (mms == 3 && ch == 0) || (mms == 4 + ch as u32 && matches!(mode, 1 | 3 | 7)) {
-            self.trgo(i);
+        if (mms == MMS_COMPARE_PULSE && ch == 0)
+            || (mms == MMS_OC1REF + ch as u32 && matches!(mode, OCM_ACTIVE | OCM_TOGGLE | OCM_PWM2))
+        {
+            self.emit_trigger_output(i);
         }
-        if matches!(mode, 1 | 3 | 7) {
-            self.cc_out(i, ch);
+        if matches!(mode, OCM_ACTIVE | OCM_TOGGLE | OCM_PWM2) {
+            self.emit_compare_output(i, ch);
         }
     }
 
     /// RM0090 tables 69 and 70: what starts regular and injected sequences.
-    pub(crate) fn trgo(&mut self, i: usize) {
+    pub(crate) fn emit_trigger_output(&mut self, i: usize) {
         let name = self.tims[i].name;
         for j in 0..self.tims.len() {
             // RM0090 17.4.3 and 18.4.3, tables 94 and 98: who is behind the internal triggers.
@@ -191,30 +214,33 @@ impl Chip {
                 _ => continue,
             };
             let smcr = self.tims[j].smcr;
-            if smcr & 7 < 4 || smcr >> 4 & 7 > 3 || from[(smcr >> 4 & 3) as usize] != name {
+            if smcr & SMCR_SMS_MASK < SMS_RESET
+                || smcr >> SMCR_TS_SHIFT & SMCR_TS_MASK > TS_ITR3
+                || from[(smcr >> SMCR_TS_SHIFT & TS_ITR_MASK) as usize] != name
+            {
                 continue;
             }
-            match smcr & 7 {
-                7 if self.tims[j].cr1 & 1 != 0 => {
+            match smcr & SMCR_SMS_MASK {
+                SMS_EXTERNAL_CLOCK if self.tims[j].cr1 & CR1_CEN != 0 => {
                     let t = &mut self.tims[j];
                     t.count += 1;
                     if t.count > u64::from(t.arr) {
-                        self.tim_update(j);
+                        self.handle_tim_update_event(j);
                     } else {
                         for ch in 0..4 {
                             if u64::from(self.tims[j].ccr[ch]) == self.tims[j].count {
-                                self.tim_compare(j, ch);
+                                self.handle_tim_compare_match(j, ch);
                             }
                         }
                     }
                 }
-                4 => self.tim_update(j),
-                6 if self.tims[j].cr1 & 1 == 0 => {
+                SMS_RESET => self.handle_tim_update_event(j),
+                SMS_TRIGGER if self.tims[j].cr1 & CR1_CEN == 0 => {
                     let now = self.now;
                     let t = &mut self.tims[j];
-                    t.cr1 |= 1;
+                    t.cr1 |= CR1_CEN;
                     t.since = now;
-                    t.thaw(now);
+                    t.schedule_events(now);
                 }
                 _ => {}
             }
@@ -233,8 +259,8 @@ impl Chip {
         }
     }
 
-    pub(crate) fn cc_out(&mut self, i: usize, ch: usize) {
-        if self.tims[i].ccer >> (4 * ch) & 1 == 0 {
+    pub(crate) fn emit_compare_output(&mut self, i: usize, ch: usize) {
+        if self.tims[i].ccer >> (CCER_CHANNEL_BITS * ch) & CCER_CC1E == 0 {
             return;
         }
         let (sequence, source) = match (self.tims[i].name, ch) {
@@ -270,19 +296,19 @@ impl Chip {
         let now = self.now;
         let t = &self.tims[i];
         match off {
-            0x00 => t.cr1,
-            0x04 => t.cr2,
-            0x08 => t.smcr,
-            0x0c => t.dier,
-            0x10 => t.sr,
-            0x14 => 0,
-            0x18 => t.ccmr[0],
-            0x1c => t.ccmr[1],
-            0x20 => t.ccer,
-            0x24 => t.count(now),
-            0x28 => t.psc_next,
-            0x2c => t.arr_next,
-            0x34..=0x40 => t.ccr_next[(off as usize - 0x34) / 4],
+            CR1_OFFSET => t.cr1,
+            CR2_OFFSET => t.cr2,
+            SMCR_OFFSET => t.smcr,
+            DIER_OFFSET => t.dier,
+            SR_OFFSET => t.sr,
+            EGR_OFFSET => 0,
+            CCMR1_OFFSET => t.ccmr[0],
+            CCMR2_OFFSET => t.ccmr[1],
+            CCER_OFFSET => t.ccer,
+            CNT_OFFSET => t.count(now),
+            PSC_OFFSET => t.psc_next,
+            ARR_OFFSET => t.arr_next,
+            CCR1_OFFSET..=CCR4_OFFSET => t.ccr_next[(off as usize - CCR1_OFFSET as usize) / 4],
             _ => 0,
         }
     }
@@ -290,112 +316,126 @@ impl Chip {
     pub(crate) fn tim_write(&mut self, i: usize, off: u32, v: u32) {
         let now = self.now;
         let name = self.tims[i].name;
-        let masks =
-            |r: &str, m: u32, c: &mut Chip, old: u32| c.set(&format!("{name}_{r}"), old, v, m);
+        let masks = |r: &str, m: u32, c: &mut Chip, old: u32| {
+            c.apply_write_mask(&format!("{name}_{r}"), old, v, m)
+        };
         match off {
-            0x00 => self.tim_control(i, v),
-            0x04 => {
+            CR1_OFFSET => self.write_tim_cr1(i, v),
+            CR2_OFFSET => {
                 let o = self.tims[i].cr2;
-                self.tims[i].cr2 = masks("CR2", 0xf8, self, o)
+                self.tims[i].cr2 = masks("CR2", CR2_WRITE_MASK, self, o)
             }
-            0x08 => {
+            SMCR_OFFSET => {
                 self.tims[i].smcr = v;
-                match v & 7 {
-                    0 => {}
-                    4 | 6 | 7 if v >> 4 & 7 < 4 => self.say(
-                        Grade::Fact,
-                        format!(
-                            "{name}: slave mode {} on trigger {} ({})",
-                            v & 7,
-                            v >> 4 & 7,
-                            if v & 7 == 7 {
-                                "counts its pulses"
-                            } else if v & 7 == 6 {
-                                "is started by it"
-                            } else {
-                                "is cleared by it"
-                            }
-                        ),
+                match v & SMCR_SMS_MASK {
+                    SMS_OFF => {}
+                    SMS_RESET | SMS_TRIGGER | SMS_EXTERNAL_CLOCK
+                        if v >> SMCR_TS_SHIFT & SMCR_TS_MASK <= TS_ITR3 =>
+                    {
+                        self.record_finding(
+                            Severity::Fact,
+                            format!(
+                                "{name}: slave mode {} on trigger {} ({})",
+                                v & SMCR_SMS_MASK,
+                                v >> SMCR_TS_SHIFT & SMCR_TS_MASK,
+                                if v & SMCR_SMS_MASK == SMS_EXTERNAL_CLOCK {
+                                    "counts its pulses"
+                                } else if v & SMCR_SMS_MASK == SMS_TRIGGER {
+                                    "is started by it"
+                                } else {
+                                    "is cleared by it"
+                                }
+                            ),
+                        )
+                    }
+                    _ => self.record_finding(
+                        Severity::Unmodelled,
+                        format!("{name}: slave register {v:#x}"),
                     ),
-                    _ => self.say(Grade::Unmodelled, format!("{name}: slave register {v:#x}")),
                 }
                 let t = &mut self.tims[i];
-                t.freeze(now);
-                t.thaw(now);
+                t.latch_count(now);
+                t.schedule_events(now);
             }
-            0x0c => {
+            DIER_OFFSET => {
                 let o = self.tims[i].dier;
-                self.tims[i].dier = masks("DIER", 0x5f5f, self, o)
+                self.tims[i].dier = masks("DIER", DIER_WRITE_MASK, self, o)
             }
-            0x10 => self.tims[i].sr &= v,
-            0x14 => {
-                if v & 1 != 0 {
-                    let quiet = self.tims[i].cr1 & 4 != 0;
+            SR_OFFSET => self.tims[i].sr &= v,
+            EGR_OFFSET => {
+                if v & EGR_UG != 0 {
+                    let quiet = self.tims[i].cr1 & CR1_URS != 0;
                     let sr = self.tims[i].sr;
-                    self.tim_update(i);
+                    self.handle_tim_update_event(i);
                     if quiet {
                         self.tims[i].sr = sr;
                     }
                 }
-                self.tims[i].sr |= v & 0x5e;
+                self.tims[i].sr |= v & EGR_FLAGS_MASK;
             }
-            0x18 | 0x1c => self.tims[i].ccmr[(off as usize - 0x18) / 4] = v & 0xffff,
-            0x20 => {
+            CCMR1_OFFSET | CCMR2_OFFSET => {
+                self.tims[i].ccmr[(off as usize - CCMR1_OFFSET as usize) / 4] = v & HALF_WORD_MASK
+            }
+            CCER_OFFSET => {
                 let o = self.tims[i].ccer;
-                self.tims[i].ccer = masks("CCER", 0xbbbb, self, o)
+                self.tims[i].ccer = masks("CCER", CCER_WRITE_MASK, self, o)
             }
-            0x24 => {
+            CNT_OFFSET => {
                 let t = &mut self.tims[i];
                 t.count = u64::from(v);
                 t.since = now;
-                t.thaw(now);
+                t.schedule_events(now);
             }
-            0x28 => self.tims[i].psc_next = v & 0xffff,
-            0x2c => {
+            PSC_OFFSET => self.tims[i].psc_next = v & HALF_WORD_MASK,
+            ARR_OFFSET => {
                 let t = &mut self.tims[i];
-                t.arr_next = if t.wide { v } else { v & 0xffff };
-                if t.cr1 & 0x80 == 0 {
+                t.arr_next = if t.wide { v } else { v & HALF_WORD_MASK };
+                if t.cr1 & CR1_ARPE == 0 {
                     t.arr = t.arr_next;
-                    t.thaw(now);
+                    t.schedule_events(now);
                 }
             }
-            0x34..=0x40 => {
-                let ch = (off as usize - 0x34) / 4;
+            CCR1_OFFSET..=CCR4_OFFSET => {
+                let ch = (off as usize - CCR1_OFFSET as usize) / 4;
                 let t = &mut self.tims[i];
-                t.ccr_next[ch] = if t.wide { v } else { v & 0xffff };
-                if t.ccmr[ch / 2] >> (8 * (ch % 2) + 3) & 1 == 0 {
+                t.ccr_next[ch] = if t.wide { v } else { v & HALF_WORD_MASK };
+                if t.ccmr[ch / 2] >> (CCMR_CHANNEL_BITS * (ch % 2) + CCMR_OCPE_BIT) & 1 == 0 {
                     t.ccr[ch] = t.ccr_next[ch];
-                    t.thaw(now);
+                    t.schedule_events(now);
                 }
             }
-            _ => self.say(Grade::Unmodelled, format!("{name}: write at {off:#x}")),
+            _ => self.record_finding(Severity::Unmodelled, format!("{name}: write at {off:#x}")),
         }
     }
 
     /// Writes TIMx_CR1: switches the counter, and says at which rate it runs.
-    fn tim_control(&mut self, i: usize, v: u32) {
+    fn write_tim_cr1(&mut self, i: usize, v: u32) {
         let now = self.now;
         let name = self.tims[i].name;
         let old = self.tims[i].cr1;
-        let new = self.set(&format!("{name}_CR1"), old, v, 0x3ff);
+        let new = self.apply_write_mask(&format!("{name}_CR1"), old, v, CR1_WRITE_MASK);
         let t = &mut self.tims[i];
-        t.freeze(now);
+        t.latch_count(now);
         t.cr1 = new;
-        if new & !old & 1 != 0 {
+        if new & !old & CR1_CEN != 0 {
             t.since = now;
         }
-        t.thaw(now);
-        if new & 0x70 != 0 {
-            self.say(Grade::Unmodelled, format!("{name} counts down or centre-aligned"));
+        t.schedule_events(now);
+        if new & CR1_DIR_CMS != 0 {
+            self.record_finding(
+                Severity::Unmodelled,
+                format!("{name} counts down or centre-aligned"),
+            );
         }
-        if new & !old & 1 != 0 {
+        if new & !old & CR1_CEN != 0 {
             let t = &self.tims[i];
-            let rate = TPS as f64 / (t.step() as f64 * (f64::from(t.arr) + 1.0));
-            self.say(
-                Grade::Fact,
+            let rate =
+                TICKS_PER_SECOND as f64 / (t.ticks_per_count() as f64 * (f64::from(t.arr) + 1.0));
+            self.record_finding(
+                Severity::Fact,
                 format!(
                     "{name} on: tick {:.3} MHz, period {rate:.4} Hz",
-                    TPS as f64 / t.step() as f64 / 1e6
+                    TICKS_PER_SECOND as f64 / t.ticks_per_count() as f64 / 1e6
                 ),
             );
         }

@@ -1,14 +1,17 @@
 //! USART1 and USART3, asynchronous, with parity or without.
 
-use super::{Chip, upset::Disturbance};
+pub(super) mod registers;
+
+use super::{Chip, fault_injection::SerialDisturbance, gpio::registers::MODE_OUTPUT};
 use crate::{
-    report::Grade,
-    time::{NEVER, TPS},
+    report::Severity,
+    time::{NEVER, TICKS_PER_SECOND},
     wire::Parity,
 };
+use registers::*;
 
 /// A unit as RM0090 (tables 1 and 62) and DS8626 (alternate functions, AF7) place it.
-pub(crate) struct Unit {
+pub(crate) struct UartInstance {
     name: &'static str,
     transmit: &'static [(usize, u32)],
     receive: &'static [(usize, u32)],
@@ -16,9 +19,14 @@ pub(crate) struct Unit {
 }
 
 /// The units that are modelled; the wire of the same number is behind it.
-pub(crate) const UNITS: [Unit; 2] = [
-    Unit { name: "USART1", transmit: &[(0, 9), (1, 6)], receive: &[(0, 10), (1, 7)], apb2: true },
-    Unit {
+pub(crate) const MODELLED_UARTS: [UartInstance; 2] = [
+    UartInstance {
+        name: "USART1",
+        transmit: &[(0, 9), (1, 6)],
+        receive: &[(0, 10), (1, 7)],
+        apb2: true,
+    },
+    UartInstance {
         name: "USART3",
         transmit: &[(1, 10), (2, 10), (3, 8)],
         receive: &[(1, 11), (2, 11), (3, 9)],
@@ -26,11 +34,10 @@ pub(crate) const UNITS: [Unit; 2] = [
     },
 ];
 
-/// CR1: a word of nine bits, with its parity, which is odd.
-const M: u32 = 1 << 12;
-const PCE: u32 = 1 << 10;
-const PS: u32 = 1 << 9;
+/// Bits by which a byte differs that the receiver samples at the wrong rate or format: a choice of the model.
+const WRONG_BAUD_PATTERN: u8 = 0x55;
 
+/// The registers of a unit and the characters under way.
 #[derive(Default)]
 pub struct Uart {
     pub(crate) sr: u32,
@@ -43,38 +50,47 @@ pub struct Uart {
     pub(crate) shift: Option<u8>,
     /// The wire was driven when the byte began.
     pub(crate) driven: bool,
+    /// When the character that goes out ends; NEVER: none does.
     pub tx_at: u64,
+    /// When the character that comes in ends; NEVER: none does.
     pub rx_at: u64,
+    /// When the line has been idle for a frame; NEVER: not yet predicted.
     pub idle_at: u64,
     pub(crate) sr_read: bool,
+    /// Characters lost because the last one was not yet read.
     pub overruns: u64,
-    pub disturbed: Disturbance,
+    /// The disturbance of the characters to come.
+    pub disturbed: SerialDisturbance,
+    /// Characters received so far.
     pub received: u64,
     pub(crate) rx_since: u64,
+    /// The longest that a character waited to be read, in ticks.
     pub longest: u64,
+    /// When the character of `longest` came.
     pub longest_at: u64,
 }
 
 impl Uart {
-    pub(crate) fn reset() -> Uart {
-        Uart { sr: 0xc0, tx_at: NEVER, rx_at: NEVER, idle_at: NEVER, ..Uart::default() }
+    pub(crate) fn after_reset() -> Uart {
+        Uart { sr: SR_RESET, tx_at: NEVER, rx_at: NEVER, idle_at: NEVER, ..Uart::default() }
     }
 }
 
 impl Chip {
-    pub(crate) fn uart_line(&self, n: usize) -> bool {
+    pub(crate) fn is_uart_irq_asserted(&self, n: usize) -> bool {
         let u = &self.uart[n];
-        (u.sr & u.cr1 & 0xf0 != 0)
-            || (u.sr & 8 != 0 && u.cr1 & 0x20 != 0)
-            || (u.sr & 1 != 0 && u.cr1 & 0x100 != 0)
-            || (u.sr & 0xe != 0 && u.cr3 & 0x41 == 0x41)
+        (u.sr & u.cr1 & CR1_FLAG_ENABLES != 0)
+            || (u.sr & SR_ORE != 0 && u.cr1 & CR1_RXNEIE != 0)
+            || (u.sr & SR_PE != 0 && u.cr1 & CR1_PEIE != 0)
+            || (u.sr & SR_ERROR_MASK != 0 && u.cr3 & (CR3_DMAR | CR3_EIE) == CR3_DMAR | CR3_EIE)
     }
 
     pub(crate) fn uart_baud(&self, n: usize) -> f64 {
-        let hz = TPS as f64 / if UNITS[n].apb2 { self.pclk2 } else { self.pclk1 } as f64;
+        let hz = TICKS_PER_SECOND as f64
+            / if MODELLED_UARTS[n].apb2 { self.pclk2 } else { self.pclk1 } as f64;
         let b = self.uart[n].brr;
-        let div = if self.uart[n].cr1 & 0x8000 != 0 {
-            f64::from((b >> 4) * 8 + (b & 7))
+        let div = if self.uart[n].cr1 & CR1_OVER8 != 0 {
+            f64::from((b >> 4) * 8 + (b & BRR_FRACTION_OVER8_MASK))
         } else {
             f64::from(b)
         };
@@ -84,223 +100,256 @@ impl Chip {
     pub(crate) fn uart_read(&mut self, n: usize, off: u32) -> u32 {
         let now = self.now;
         let u = &mut self.uart[n];
-        if off == 4 && u.sr & 0x20 != 0 && now - u.rx_since > u.longest {
+        if off == DR_OFFSET && u.sr & SR_RXNE != 0 && now - u.rx_since > u.longest {
             u.longest = now - u.rx_since;
             u.longest_at = u.rx_since;
         }
         match off {
-            0 => {
+            SR_OFFSET => {
                 u.sr_read = true;
                 u.sr
             }
-            4 => {
-                u.sr &= !0x20;
+            DR_OFFSET => {
+                u.sr &= !SR_RXNE;
                 if u.sr_read {
-                    u.sr &= !0x1f;
+                    u.sr &= !SR_CLEARED_BY_READ;
                     u.sr_read = false;
                 }
                 u.rdr
             }
-            8 => u.brr,
-            12 => u.cr1,
-            16 => u.cr2,
-            20 => u.cr3,
+            BRR_OFFSET => u.brr,
+            CR1_OFFSET => u.cr1,
+            CR2_OFFSET => u.cr2,
+            CR3_OFFSET => u.cr3,
             _ => 0,
         }
     }
 
     pub(crate) fn uart_write(&mut self, n: usize, off: u32, v: u32) {
         match off {
-            0 => self.uart[n].sr &= v | !0x360,
-            4 => {
-                if self.uart[n].cr1 & 0x2008 != 0x2008 {
-                    return self.violation(format!(
+            SR_OFFSET => self.uart[n].sr &= v | !SR_CLEARED_BY_ZERO,
+            DR_OFFSET => {
+                if self.uart[n].cr1 & (CR1_UE | CR1_TE) != CR1_UE | CR1_TE {
+                    return self.report_violation(format!(
                         "{}: byte written while the transmitter is off",
-                        UNITS[n].name
+                        MODELLED_UARTS[n].name
                     ));
                 }
-                if self.uart[n].sr & 0x80 == 0 {
-                    self.violation(format!(
+                if self.uart[n].sr & SR_TXE == 0 {
+                    self.report_violation(format!(
                         "{}: byte written while TXE is 0: one is lost",
-                        UNITS[n].name
+                        MODELLED_UARTS[n].name
                     ));
                 }
-                self.uart[n].sr &= !0x80;
+                self.uart[n].sr &= !SR_TXE;
                 if self.uart[n].sr_read {
-                    self.uart[n].sr &= !0x40;
+                    self.uart[n].sr &= !SR_TC;
                 }
                 self.uart[n].tdr = Some(v as u8);
-                self.uart_load(n);
+                self.load_uart_shift_register(n);
             }
-            8 => {
-                if self.uart[n].cr1 & 0x2000 != 0 && self.uart[n].tx_at != NEVER {
-                    self.violation(format!("{}_BRR: changed while a byte goes out", UNITS[n].name));
+            BRR_OFFSET => {
+                if self.uart[n].cr1 & CR1_UE != 0 && self.uart[n].tx_at != NEVER {
+                    self.report_violation(format!(
+                        "{}_BRR: changed while a byte goes out",
+                        MODELLED_UARTS[n].name
+                    ));
                 }
-                self.uart[n].brr = v & 0xffff;
+                self.uart[n].brr = v & BRR_MASK;
             }
-            12 => {
+            CR1_OFFSET => {
                 let old = self.uart[n].cr1;
-                self.uart[n].cr1 = self.set(&format!("{}_CR1", UNITS[n].name), old, v, 0xbfff);
-                if v & !old & 0x2000 != 0 || (v & 0x2000 != 0 && v & !old & 0xc != 0) {
+                self.uart[n].cr1 = self.apply_write_mask(
+                    &format!("{}_CR1", MODELLED_UARTS[n].name),
+                    old,
+                    v,
+                    CR1_WRITE_MASK,
+                );
+                if v & !old & CR1_UE != 0 || (v & CR1_UE != 0 && v & !old & (CR1_TE | CR1_RE) != 0)
+                {
                     let baud = self.uart_baud(n);
-                    let (name, meant) = (UNITS[n].name, self.world.wires[n].baud);
+                    let (name, meant) = (MODELLED_UARTS[n].name, self.world.wires[n].baud);
                     let wrong = (baud / meant - 1.0) * 100.0;
-                    self.say(
-                        Grade::Fact,
+                    self.record_finding(
+                        Severity::Fact,
                         format!("{name}: {baud:.0} Bd, {wrong:+.2} % off {meant:.0}"),
                     );
                     if wrong.abs() > 2.0 {
-                        self.violation(format!("{name}: {baud:.0} Bd where {meant:.0} is meant"));
+                        self.report_violation(format!(
+                            "{name}: {baud:.0} Bd where {meant:.0} is meant"
+                        ));
                     }
                 }
-                self.uart_listen(n);
+                self.uart_schedule_receive(n);
             }
-            16 => {
-                let name = format!("{}_CR2", UNITS[n].name);
-                self.uart[n].cr2 = self.set(&name, self.uart[n].cr2, v, 0x7f6f);
+            CR2_OFFSET => {
+                let name = format!("{}_CR2", MODELLED_UARTS[n].name);
+                self.uart[n].cr2 =
+                    self.apply_write_mask(&name, self.uart[n].cr2, v, CR2_WRITE_MASK);
             }
-            20 => {
-                let name = format!("{}_CR3", UNITS[n].name);
-                self.uart[n].cr3 = self.set(&name, self.uart[n].cr3, v, 0xfff);
-                if n > 0 && v & 0xc0 != 0 {
-                    self.say(Grade::Unmodelled, format!("{}: DMA", UNITS[n].name));
+            CR3_OFFSET => {
+                let name = format!("{}_CR3", MODELLED_UARTS[n].name);
+                self.uart[n].cr3 =
+                    self.apply_write_mask(&name, self.uart[n].cr3, v, CR3_WRITE_MASK);
+                if n > 0 && v & (CR3_DMAT | CR3_DMAR) != 0 {
+                    self.record_finding(
+                        Severity::Unmodelled,
+                        format!("{}: DMA", MODELLED_UARTS[n].name),
+                    );
                 }
-                self.uart_dma_tx();
-                self.uart_dma_rx();
+                self.request_uart_tx_dma();
+                self.request_uart_rx_dma();
             }
-            _ => self.say(Grade::Unmodelled, format!("{}: write at {off:#x}", UNITS[n].name)),
+            _ => self.record_finding(
+                Severity::Unmodelled,
+                format!("{}: write at {off:#x}", MODELLED_UARTS[n].name),
+            ),
         }
     }
 
-    pub(crate) fn uart_load(&mut self, n: usize) {
+    pub(crate) fn load_uart_shift_register(&mut self, n: usize) {
         if self.uart[n].shift.is_some() {
             return;
         }
         let Some(b) = self.uart[n].tdr.take() else { return };
-        if self.muxed(UNITS[n].transmit, 7).is_none() {
-            self.violation(format!("{}: sends without a pin on AF7", UNITS[n].name));
+        if self.find_alternate_function(MODELLED_UARTS[n].transmit, 7).is_none() {
+            self.report_violation(format!(
+                "{}: sends without a pin on AF7",
+                MODELLED_UARTS[n].name
+            ));
         }
         self.uart[n].shift = Some(b);
-        self.uart[n].sr = self.uart[n].sr & !0x40 | 0x80;
-        self.uart[n].driven = self.drives(n);
+        self.uart[n].sr = self.uart[n].sr & !SR_TC | SR_TXE;
+        self.uart[n].driven = self.is_driver_enabled(n);
         // RM0090 30.3.2 and 30.6.5: start bit, a word of 8 or 9, stop bits.
-        let word = if self.uart[n].cr1 & M != 0 { 9.0 } else { 8.0 };
-        let stop = [1.0, 0.5, 2.0, 1.5][(self.uart[n].cr2 >> 12 & 3) as usize];
+        let word = if self.uart[n].cr1 & CR1_M != 0 { 9.0 } else { 8.0 };
+        let stop =
+            [1.0, 0.5, 2.0, 1.5][(self.uart[n].cr2 >> CR2_STOP_SHIFT & CR2_STOP_MASK) as usize];
         let bits = 1.0 + word + stop;
-        self.uart[n].tx_at = self.now + (bits * TPS as f64 / self.uart_baud(n)) as u64;
+        self.uart[n].tx_at = self.now + (bits * TICKS_PER_SECOND as f64 / self.uart_baud(n)) as u64;
     }
 
     /// Returns whether the bits sent reach the wire: a transceiver of RS-485 has to be switched to send.
-    fn drives(&self, n: usize) -> bool {
+    fn is_driver_enabled(&self, n: usize) -> bool {
         let Some((port, pin)) = self.world.wires[n].drive else { return true };
-        self.pin_mode(port, pin) == 1 && self.gpio[port].odr >> pin & 1 != 0
+        self.pin_mode(port, pin) == MODE_OUTPUT && self.gpio[port].odr >> pin & 1 != 0
     }
 
     /// Returns whether the unit takes the characters of the wire as they are meant (RM0090 30.3.7).
-    fn agrees(&self, n: usize) -> bool {
-        let settings = self.uart[n].cr1 & (M | PCE | PS);
+    fn has_matching_format(&self, n: usize) -> bool {
+        let settings = self.uart[n].cr1 & (CR1_M | CR1_PCE | CR1_PS);
         let meant = match self.world.wires[n].parity {
             Parity::None => 0,
-            Parity::Even => M | PCE,
+            Parity::Even => CR1_M | CR1_PCE,
         };
         settings == meant && (self.uart_baud(n) / self.world.wires[n].baud - 1.0).abs() < 0.035
     }
 
     /// Asks the DMA for bytes as long as there is room (RM0090 30.3.13: TXE with DMAT is the request, a
     /// level: a stream that is switched on later finds it).
-    pub(crate) fn uart_dma_tx(&mut self) {
-        while self.uart[0].cr3 & 0x80 != 0 && self.uart[0].sr & 0x80 != 0 {
-            if self.dma_request(1, 7, 4).is_none() {
+    pub(crate) fn request_uart_tx_dma(&mut self) {
+        while self.uart[0].cr3 & CR3_DMAT != 0 && self.uart[0].sr & SR_TXE != 0 {
+            if self.dma_serve_request(1, 7, 4).is_none() {
                 break;
             }
         }
     }
 
     /// Offers the DMA the byte that has come (RM0090 30.3.13: RXNE with DMAR).
-    pub(crate) fn uart_dma_rx(&mut self) {
-        if self.uart[0].cr3 & 0x40 != 0 && self.uart[0].sr & 0x20 != 0 {
-            self.dma_request(1, 2, 4).or_else(|| self.dma_request(1, 5, 4));
+    pub(crate) fn request_uart_rx_dma(&mut self) {
+        if self.uart[0].cr3 & CR3_DMAR != 0 && self.uart[0].sr & SR_RXNE != 0 {
+            self.dma_serve_request(1, 2, 4).or_else(|| self.dma_serve_request(1, 5, 4));
         }
     }
 
-    pub(crate) fn uart_tx_end(&mut self, n: usize) {
+    pub(crate) fn finish_uart_transmission(&mut self, n: usize) {
         self.uart[n].tx_at = NEVER;
         if let Some(b) = self.uart[n].shift.take() {
-            if self.uart[n].driven && self.drives(n) {
-                self.world.wires[n].hear(self.now, b);
+            if self.uart[n].driven && self.is_driver_enabled(n) {
+                self.world.wires[n].push_byte_from_board(self.now, b);
             } else {
-                let text =
-                    format!("{}: a byte goes out while nothing drives the line", UNITS[n].name);
-                self.say(Grade::Remark, text);
+                let text = format!(
+                    "{}: a byte goes out while nothing drives the line",
+                    MODELLED_UARTS[n].name
+                );
+                self.record_finding(Severity::Remark, text);
             }
         }
         if self.uart[n].tdr.is_some() {
-            self.uart_load(n);
+            self.load_uart_shift_register(n);
             if n == 0 {
-                self.uart_dma_tx();
+                self.request_uart_tx_dma();
             }
         } else {
-            self.uart[n].sr |= 0x40;
-            self.world.wires[n].give();
+            self.uart[n].sr |= SR_TC;
+            self.world.wires[n].flush_to_client();
         }
     }
 
     /// Plans the next byte that the host sends.
-    pub(crate) fn uart_listen(&mut self, n: usize) {
+    pub(crate) fn uart_schedule_receive(&mut self, n: usize) {
         if self.uart[n].rx_at == NEVER
-            && let Some(at) = self.world.wires[n].next_at()
+            && let Some(at) = self.world.wires[n].next_byte_time()
         {
             let start = at.max(self.now);
-            self.uart[n].rx_at = start + self.world.wires[n].character();
+            self.uart[n].rx_at = start + self.world.wires[n].character_ticks();
             if start < self.uart[n].idle_at {
                 self.uart[n].idle_at = NEVER;
             }
         }
     }
 
-    pub(crate) fn uart_rx_end(&mut self, n: usize) {
+    pub(crate) fn finish_uart_reception(&mut self, n: usize) {
         self.uart[n].rx_at = NEVER;
-        let Some(mut b) = self.world.wires[n].take() else { return };
+        let Some(mut b) = self.world.wires[n].take_byte() else { return };
         let mut disturbed = 0;
         if self.uart[n].disturbed.count > 0 {
             self.uart[n].disturbed.count -= 1;
             disturbed = self.uart[n].disturbed.flags;
             b = self.uart[n].disturbed.byte.unwrap_or(b);
         }
-        if self.world.wires[n].drive.is_some() && self.drives(n) {
-            let text = format!("{}: a byte of the host collides with the board's", UNITS[n].name);
-            self.say(Grade::Remark, text);
-        } else if self.uart[n].cr1 & 0x2004 == 0x2004 {
-            if self.muxed(UNITS[n].receive, 7).is_none() {
-                self.violation(format!("{}: receives without a pin on AF7", UNITS[n].name));
+        if self.world.wires[n].drive.is_some() && self.is_driver_enabled(n) {
+            let text =
+                format!("{}: a byte of the host collides with the board's", MODELLED_UARTS[n].name);
+            self.record_finding(Severity::Remark, text);
+        } else if self.uart[n].cr1 & (CR1_UE | CR1_RE) == CR1_UE | CR1_RE {
+            if self.find_alternate_function(MODELLED_UARTS[n].receive, 7).is_none() {
+                self.report_violation(format!(
+                    "{}: receives without a pin on AF7",
+                    MODELLED_UARTS[n].name
+                ));
             }
-            let agrees = self.agrees(n);
-            if self.uart[n].sr & 0x20 != 0 {
-                self.uart[n].sr |= 8;
+            let agrees = self.has_matching_format(n);
+            if self.uart[n].sr & SR_RXNE != 0 {
+                self.uart[n].sr |= SR_ORE;
                 self.uart[n].overruns += 1;
-                let text = format!("{}: overrun, a byte of the host is lost", UNITS[n].name);
-                self.say(Grade::Remark, text);
+                let text =
+                    format!("{}: overrun, a byte of the host is lost", MODELLED_UARTS[n].name);
+                self.record_finding(Severity::Remark, text);
             } else {
                 // RM0090 30.6.2: with parity its bit is read above the data.
-                let parity =
-                    if self.uart[n].cr1 & (M | PCE) == M | PCE { b.count_ones() & 1 } else { 0 };
-                let byte = if agrees { b } else { b ^ 0x55 };
+                let parity = if self.uart[n].cr1 & (CR1_M | CR1_PCE) == CR1_M | CR1_PCE {
+                    b.count_ones() & 1
+                } else {
+                    0
+                };
+                let byte = if agrees { b } else { b ^ WRONG_BAUD_PATTERN };
                 self.uart[n].rdr = u32::from(byte) | parity << 8;
-                self.uart[n].sr |= 0x20 | disturbed | if agrees { 0 } else { 2 };
+                self.uart[n].sr |= SR_RXNE | disturbed | if agrees { 0 } else { SR_FE };
                 self.uart[n].received += 1;
                 self.uart[n].rx_since = self.now;
                 if n == 0 {
-                    self.uart_dma_rx();
+                    self.request_uart_rx_dma();
                 }
             }
         }
         // RM0090 30.3.1: idle is a whole frame of ones, unless the next start bit comes before.
-        self.uart[n].idle_at = self.now + self.world.wires[n].character();
-        self.uart_listen(n);
+        self.uart[n].idle_at = self.now + self.world.wires[n].character_ticks();
+        self.uart_schedule_receive(n);
     }
 
-    pub(crate) fn uart_idle(&mut self, n: usize) {
+    pub(crate) fn on_uart_idle(&mut self, n: usize) {
         self.uart[n].idle_at = NEVER;
-        self.uart[n].sr |= 0x10;
+        self.uart[n].sr |= SR_IDLE;
     }
 }

@@ -1,14 +1,14 @@
 //! The backup domain and the RTC (sections 5.1.2, 5.4, 7.3.20, 26).
 
 use super::bench::{Bench, RCC};
-use trueup_chip::time::{ms, us};
+use trueup_chip::time::{ms_to_ticks, us_to_ticks};
 
 const PWR: u32 = 0x4000_7000;
 const RTC: u32 = 0x4000_2800;
 const BKPSRAM: u32 = 0x4002_4000;
 const BDCR: u32 = RCC + 0x70;
 /// A cycle of the 32 kHz crystal, and a little.
-const CYCLE: u64 = us(31);
+const CYCLE: u64 = us_to_ticks(31);
 
 /// With the clocks of PWR and of the SRAM on; the domain is still closed.
 fn bench(battery: bool) -> Bench {
@@ -28,7 +28,7 @@ fn started(battery: bool) -> Bench {
     let mut bench = bench(battery);
     open(&bench);
     bench.write(BDCR, 1);
-    bench.pass(ms(2_001));
+    bench.pass(ms_to_ticks(2_001));
     assert_eq!(bench.read(BDCR) & 2, 2, "LSERDY");
     bench.write(BDCR, 1 | 1 << 8 | 1 << 15);
     bench.write(RTC + 0x24, 0xca);
@@ -44,7 +44,7 @@ fn started(battery: bool) -> Bench {
 
 /// The supply goes for this many seconds and comes back; the clocks of the units are on again.
 fn cut(bench: &mut Bench, seconds: u64) {
-    bench.at_once(|chip| chip.power_cut(seconds));
+    bench.at_once(|chip| chip.cycle_power(seconds));
     bench.set(RCC + 0x40, 1 << 28);
     bench.set(RCC + 0x30, 1 << 18);
 }
@@ -77,7 +77,7 @@ fn the_clock_of_the_rtc_is_chosen_once_and_the_sram_outlasts_a_reset_of_the_doma
     bench.write(BKPSRAM, 5);
     bench.write(RTC + 0x50, 5);
     bench.write(PWR + 4, 1 << 9);
-    bench.pass(ms(1));
+    bench.pass(ms_to_ticks(1));
     bench.write(BDCR, 1 << 16);
     bench.write(BDCR, 0);
     assert_eq!((bench.read(BDCR), bench.read(RTC + 0x50), bench.read(BKPSRAM)), (0, 0, 5));
@@ -85,7 +85,7 @@ fn the_clock_of_the_rtc_is_chosen_once_and_the_sram_outlasts_a_reset_of_the_doma
     assert_eq!(bench.read(RTC + 0x10), 0x007f_00ff, "26.6.5");
     bench.write(BDCR, 1 | 2 << 8);
     assert_eq!(bench.read(BDCR) & 0x300, 0x200, "it can be chosen anew");
-    bench.pass(us(1));
+    bench.pass(us_to_ticks(1));
 }
 
 #[test]
@@ -93,12 +93,12 @@ fn the_calendar_counts_seconds_in_bcd_over_a_leap_day() {
     let mut bench = started(true);
     bench.pass(5 * CYCLE);
     assert_eq!(time_and_date(&bench), (0x23_5958, 0x24_6228));
-    bench.pass(ms(1_000));
+    bench.pass(ms_to_ticks(1_000));
     assert_eq!(time_and_date(&bench), (0x23_5959, 0x24_6228));
-    bench.pass(ms(1_000));
+    bench.pass(ms_to_ticks(1_000));
     assert_eq!(time_and_date(&bench), (0, 0x24_8229), "Thursday the 29th");
     // 26.6.11: the sub-second counts down from PREDIV_S; a quarter of a second is 64 of 256.
-    bench.pass(ms(250));
+    bench.pass(ms_to_ticks(250));
     assert_eq!(bench.read(RTC + 0x28), 255 - 64);
     assert_eq!(bench.violations(""), 0);
 }
@@ -106,9 +106,9 @@ fn the_calendar_counts_seconds_in_bcd_over_a_leap_day() {
 #[test]
 fn what_is_read_first_locks_what_is_read_then() {
     let mut bench = started(true);
-    bench.pass(ms(1_900));
+    bench.pass(ms_to_ticks(1_900));
     assert_eq!(bench.read(RTC), 0x23_5959);
-    bench.pass(ms(1_000));
+    bench.pass(ms_to_ticks(1_000));
     assert_eq!(bench.read(RTC + 4), 0x24_6228, "the date of that time (26.3.6)");
     assert_eq!(bench.read(RTC + 4), 0x24_8229);
 }
@@ -130,7 +130,7 @@ fn without_keys_or_initialisation_nothing_is_set() {
 #[test]
 fn the_shadows_need_two_cycles_after_a_reset_of_the_system() {
     let mut bench = started(true);
-    bench.pass(ms(1_000));
+    bench.pass(ms_to_ticks(1_000));
     bench.at_once(|chip| chip.reset(1 << 28));
     assert_eq!(bench.read(RTC + 0x0c) & 0x20, 0, "26.6.4: RSF");
     assert_eq!(bench.read(RTC), 0);
@@ -146,13 +146,13 @@ fn vbat_keeps_the_time_and_the_registers_and_with_its_regulator_the_sram() {
         if regulator {
             bench.write(PWR + 4, 1 << 9);
             assert_eq!(bench.read(PWR + 4) & 8, 0, "BRR comes later (5.4.2)");
-            bench.pass(ms(1));
+            bench.pass(ms_to_ticks(1));
             assert_eq!(bench.read(PWR + 4) & 8, 8);
         }
         bench.write(BKPSRAM, 0x5a5a_0001);
         bench.write(RTC + 0x50, 0x1234);
         cut(&mut bench, 3_600);
-        bench.pass(ms(3));
+        bench.pass(ms_to_ticks(3));
         assert_eq!(bench.read(BKPSRAM) == 0x5a5a_0001, regulator, "5.1.2");
         assert_eq!(bench.read(RTC + 0x50), 0x1234);
         assert_eq!(time_and_date(&bench), (0x00_5958, 0x24_8229), "an hour later");
@@ -166,7 +166,7 @@ fn vbat_keeps_the_time_and_the_registers_and_with_its_regulator_the_sram() {
 fn without_vbat_nothing_is_left() {
     let mut bench = started(false);
     bench.write(PWR + 4, 1 << 9);
-    bench.pass(ms(1));
+    bench.pass(ms_to_ticks(1));
     bench.write(BKPSRAM, 0x5a5a_0001);
     bench.write(RTC + 0x50, 0x1234);
     cut(&mut bench, 1);
@@ -181,17 +181,17 @@ fn a_dead_crystal_never_gets_ready_and_one_that_stops_stops_the_time() {
     bench.at_once(|chip| chip.faults.lse_dead = true);
     open(&bench);
     bench.write(BDCR, 1 | 1 << 8 | 1 << 15);
-    bench.pass(ms(4_000));
+    bench.pass(ms_to_ticks(4_000));
     assert_eq!(bench.read(BDCR) & 2, 0);
     assert_eq!(bench.read(RTC + 0x0c) & 0x20, 0, "the shadows never come");
     let mut bench = started(true);
-    bench.pass(ms(500));
-    bench.at_once(|chip| chip.lse(false));
+    bench.pass(ms_to_ticks(500));
+    bench.at_once(|chip| chip.set_lse_running(false));
     cut(&mut bench, 3_600);
-    bench.at_once(|chip| chip.lse(true));
+    bench.at_once(|chip| chip.set_lse_running(true));
     assert_eq!(bench.read(BDCR) & 2, 2, "LSERDY stays");
-    bench.pass(ms(1_990));
+    bench.pass(ms_to_ticks(1_990));
     assert_eq!(bench.read(RTC + 0x0c) & 0x20, 0, "DS8626: a crystal takes 2 s to start, also anew");
-    bench.pass(ms(20));
+    bench.pass(ms_to_ticks(20));
     assert_eq!(bench.read(RTC), 0x23_5958);
 }

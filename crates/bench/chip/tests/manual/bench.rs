@@ -1,12 +1,12 @@
 //! The chip as a bench for the manual's statements: the test is its bus master.
 
 use trueup_chip::{
-    chip::{Chip, Faults},
+    board::{Board, TraceOptions},
+    chip::{Chip, InjectedFaults},
     processor::Memories,
-    report::Grade,
-    run::{Board, Watch},
+    report::Severity,
     time::NEVER,
-    world::{Plan, World},
+    world::{StimulusPlan, World},
 };
 
 pub const RCC: u32 = 0x4002_3800;
@@ -29,11 +29,11 @@ pub struct Bench {
 
 impl Bench {
     pub fn new() -> Bench {
-        Bench::with(Faults::default())
+        Bench::with(InjectedFaults::default())
     }
 
-    pub fn with(faults: Faults) -> Bench {
-        let plan = Plan {
+    pub fn with(faults: InjectedFaults) -> Bench {
+        let plan = StimulusPlan {
             code: 1000.0,
             code_after: 1000.0,
             step_at: NEVER,
@@ -47,7 +47,12 @@ impl Bench {
             positions: 0,
             frames: Vec::new(),
         };
-        let board = Board::bare(Memories::new(), World::new(plan), faults, Watch::default());
+        let board = Board::from_memories(
+            Memories::new(),
+            World::new(plan),
+            faults,
+            TraceOptions::default(),
+        );
         Bench { board, now: 0 }
     }
 
@@ -56,7 +61,7 @@ impl Bench {
         self.board.with_chip(|chip| {
             chip.advance(now);
             let result = work(chip);
-            chip.settle();
+            chip.update_interrupt_lines();
             result
         })
     }
@@ -81,8 +86,8 @@ impl Bench {
     /// Violations so far that speak of `what`.
     pub fn violations(&self, what: &str) -> usize {
         self.board.with_chip(|chip| {
-            let of = |(grade, text): &&(Grade, String)| {
-                *grade == Grade::Violation && text.contains(what)
+            let of = |(grade, text): &&(Severity, String)| {
+                *grade == Severity::Violation && text.contains(what)
             };
             chip.report.items.keys().filter(of).count()
         })

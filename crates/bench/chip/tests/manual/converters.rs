@@ -2,8 +2,8 @@
 
 use crate::bench::{ADC1, Bench, DMA2, GPIOA, RCC, TIM3, clocked};
 use trueup_chip::{
-    report::Grade,
-    time::{ms, us},
+    report::Severity,
+    time::{ms_to_ticks, us_to_ticks},
 };
 
 const ADC2: u32 = ADC1 + 0x100;
@@ -21,17 +21,17 @@ fn ready() -> Bench {
     bench.set(GPIOA, 0xff);
     bench.write(ADC1 + 8, ON);
     bench.write(ADC2 + 8, ON);
-    bench.pass(us(4));
+    bench.pass(us_to_ticks(4));
     bench
 }
 
 fn remarks(bench: &Bench) -> usize {
-    bench.board.with_chip(|chip| chip.report.count(Grade::Remark))
+    bench.board.with_chip(|chip| chip.report.count(Severity::Remark))
 }
 
 /// Ticks of this many cycles of the converter.
 fn cycles(count: u64) -> u64 {
-    count * trueup_chip::time::TPS / CLOCK_HZ
+    count * trueup_chip::time::TICKS_PER_SECOND / CLOCK_HZ
 }
 
 #[test]
@@ -50,7 +50,7 @@ fn the_second_converter_reads_its_own_pin_while_the_first_reads_another() {
     bench.write(ADC2 + 0x34, 3);
     bench.write(ADC1 + 8, ON | SWSTART);
     bench.write(ADC2 + 8, ON | SWSTART);
-    bench.pass(us(10));
+    bench.pass(us_to_ticks(10));
     assert_eq!(bench.read(ADC1 + 0x4c), 1000);
     let half = bench.read(ADC2 + 0x4c);
     assert!((2047..=2049).contains(&half), "{half}");
@@ -64,7 +64,7 @@ fn the_internal_reference_needs_its_switch_its_time_and_10_microseconds() {
     bench.write(ADC1 + 0x38, 17 << 15);
     let inject = |bench: &mut Bench| {
         bench.write(ADC1 + 8, ON | JSWSTART);
-        bench.pass(us(70));
+        bench.pass(us_to_ticks(70));
         bench.read(ADC1 + 0x3c)
     };
     inject(&mut bench);
@@ -94,7 +94,7 @@ fn an_injected_conversion_between_two_regular_ones_disturbs_neither() {
     // 13.3.9, triggered injection; the events of tables 69 and 70: TIM3's update and its compare 4.
     let mut bench = ready();
     bench.write(COMMON, 1 << 23);
-    bench.pass(us(11));
+    bench.pass(us_to_ticks(11));
     bench.write(ADC1 + 0x10, 6);
     bench.write(ADC1 + 0x0c, 5 << 21);
     bench.write(ADC1 + 0x38, 17 << 15);
@@ -105,7 +105,7 @@ fn an_injected_conversion_between_two_regular_ones_disturbs_neither() {
     bench.write(TIM3 + 0x1c, 7 << 12);
     bench.write(TIM3 + 0x20, 1 << 12);
     bench.write(TIM3, 1);
-    bench.pass(ms(1) + us(49));
+    bench.pass(ms_to_ticks(1) + us_to_ticks(49));
     let (regular, injected) = bench.board.with_chip(|chip| {
         let adc = &chip.adc.unit[0];
         (adc.conversions, adc.injections)
@@ -118,7 +118,7 @@ fn an_injected_conversion_between_two_regular_ones_disturbs_neither() {
 fn an_injected_conversion_breaks_off_a_regular_one_which_is_then_done_again() {
     let mut bench = ready();
     bench.write(COMMON, 1 << 23);
-    bench.pass(us(11));
+    bench.pass(us_to_ticks(11));
     bench.write(ADC1 + 0x0c, 5 << 21);
     bench.write(ADC1 + 0x38, 17 << 15);
     bench.write(ADC1 + 8, ON | SWSTART);
@@ -146,7 +146,7 @@ fn a_discontinuous_sequence_goes_on_by_one_at_each_trigger() {
     bench.write(ADC2 + 0x34, 1 | 2 << 5 | 3 << 10);
     for _ in 0..3 {
         bench.write(ADC2 + 8, ON | 1 << 8 | 1 << 9 | SWSTART);
-        bench.pass(us(10));
+        bench.pass(us_to_ticks(10));
     }
     let codes: Vec<u16> = bench.board.with_chip(|chip| {
         let mut bytes = [0; 6];
@@ -164,12 +164,12 @@ fn a_converter_that_stalls_ends_nothing_until_it_is_switched_off() {
     let mut bench = ready();
     bench.at_once(|chip| chip.faults.adc_stalls = 1);
     bench.write(ADC1 + 8, ON | SWSTART);
-    bench.pass(ms(1));
+    bench.pass(ms_to_ticks(1));
     assert_eq!(bench.read(ADC1) & 2, 0);
     bench.write(ADC1 + 8, 0);
     bench.write(ADC1 + 8, ON);
-    bench.pass(us(4));
+    bench.pass(us_to_ticks(4));
     bench.write(ADC1 + 8, ON | SWSTART);
-    bench.pass(us(10));
+    bench.pass(us_to_ticks(10));
     assert_eq!(bench.read(ADC1) & 2, 2);
 }

@@ -5,8 +5,8 @@ use crate::bench::{
     ADC1, Bench, CAN1, DMA2, FLASH, GPIOA, GPIOB, IWDG, RCC, TIM3, TIM11, USART1, clocked,
 };
 use trueup_chip::{
-    chip::Faults,
-    time::{ms, us},
+    chip::InjectedFaults,
+    time::{ms_to_ticks, us_to_ticks},
 };
 
 #[test]
@@ -62,14 +62,14 @@ fn an_unclocked_unit_reads_0_and_drops_writes() {
 fn the_crystal_and_the_pll_take_their_time_and_their_limits_are_told() {
     let mut bench = Bench::new();
     bench.set(RCC, 1 << 16);
-    bench.pass(us(1990));
+    bench.pass(us_to_ticks(1990));
     assert_eq!(bench.read(RCC) >> 17 & 1, 0);
-    bench.pass(us(20));
+    bench.pass(us_to_ticks(20));
     assert_eq!(bench.read(RCC) >> 17 & 1, 1);
     // Bits 31 to 28 are reserved and stay as they are.
     bench.write(RCC + 4, 2 << 28 | 7 << 24 | 1 << 22 | 168 << 6 | 4);
     bench.set(RCC, 1 << 24);
-    bench.pass(us(160));
+    bench.pass(us_to_ticks(160));
     assert_eq!(bench.read(RCC) >> 25 & 1, 1);
     assert_eq!(bench.violations(""), 0);
     // 7.3.2: the settings are fixed while the PLL is on; 3.5.1: five wait states at 168 MHz.
@@ -88,7 +88,7 @@ fn the_scale_of_the_regulator_changes_on_the_fly_but_not_below_what_the_clock_ne
     bench.set(RCC + 0x40, 1 << 28);
     bench.write(RCC + 4, 2 << 28 | 7 << 24 | 168 << 6 | 8);
     bench.set(RCC, 1 << 24);
-    bench.pass(us(160));
+    bench.pass(us_to_ticks(160));
     bench.write(PWR, 0);
     bench.write(PWR, 0x4000);
     bench.write(FLASH, 5);
@@ -101,9 +101,9 @@ fn the_scale_of_the_regulator_changes_on_the_fly_but_not_below_what_the_clock_ne
 
 #[test]
 fn a_dead_crystal_never_becomes_ready() {
-    let mut bench = Bench::with(Faults { hse_dead: true, ..Faults::default() });
+    let mut bench = Bench::with(InjectedFaults { hse_dead: true, ..InjectedFaults::default() });
     bench.set(RCC, 1 << 16);
-    bench.pass(ms(100));
+    bench.pass(ms_to_ticks(100));
     assert_eq!(bench.read(RCC) >> 17 & 1, 0);
 }
 
@@ -127,7 +127,7 @@ fn a_flash_word_is_programmed_in_16_microseconds_and_only_towards_0() {
     bench.write(FLASH + 0x10, 2 << 8 | 1);
     bench.program(0x8_0000, 0x1234_5678);
     assert_eq!(bench.read(FLASH + 0x0c) >> 16 & 1, 1, "BSY");
-    bench.pass(us(17));
+    bench.pass(us_to_ticks(17));
     assert_eq!(bench.read(FLASH + 0x0c), 0);
     bench.program(0x8_0000, 0xffff_ffff);
     assert_eq!(bench.violations("0 into a 1"), 1);
@@ -141,9 +141,9 @@ fn a_flash_word_takes_100_microseconds_at_the_most() {
     bench.unlock_flash();
     bench.write(FLASH + 0x10, 2 << 8 | 1);
     bench.program(0x8_0000, 0);
-    bench.pass(us(99));
+    bench.pass(us_to_ticks(99));
     assert_eq!(bench.read(FLASH + 0x0c) >> 16 & 1, 1, "BSY");
-    bench.pass(us(2));
+    bench.pass(us_to_ticks(2));
     assert_eq!(bench.read(FLASH + 0x0c), 0);
 }
 
@@ -163,7 +163,7 @@ fn error_flags_of_the_flash_clear_on_1_and_hold_up_the_next_write() {
     bench.write(FLASH + 0x0c, 0x40);
     assert_eq!(bench.read(FLASH + 0x0c), 0, "1 clears it");
     bench.program(0x8_0000, 0);
-    bench.pass(us(17));
+    bench.pass(us_to_ticks(17));
     assert_eq!(bench.read(FLASH + 0x0c), 0);
 }
 
@@ -172,9 +172,9 @@ fn a_timer_updates_at_its_period_and_its_flag_clears_on_0() {
     let mut bench = clocked();
     bench.write(TIM3 + 0x2c, 799);
     bench.write(TIM3, 1);
-    bench.pass(us(49));
+    bench.pass(us_to_ticks(49));
     assert_eq!(bench.read(TIM3 + 0x10) & 1, 0);
-    bench.pass(us(2));
+    bench.pass(us_to_ticks(2));
     assert_eq!(bench.read(TIM3 + 0x10) & 1, 1, "20 kHz of 16 MHz");
     bench.write(TIM3 + 0x10, 0xffff);
     assert_eq!(bench.read(TIM3 + 0x10) & 1, 1, "1 leaves it");
@@ -190,10 +190,10 @@ fn the_converter_needs_3_microseconds_and_its_pin() {
     assert_eq!(bench.violations("tSTAB"), 1);
     let mut bench = clocked();
     bench.write(ADC1 + 8, 1);
-    bench.pass(us(4));
+    bench.pass(us_to_ticks(4));
     bench.write(ADC1 + 8, 1 | 1 << 30);
     assert_eq!(bench.violations("its pin is not analog"), 1);
-    bench.pass(us(10));
+    bench.pass(us_to_ticks(10));
     assert_eq!(bench.read(ADC1) & 2, 2, "EOC");
     assert_eq!(bench.read(ADC1 + 0x4c), 1000);
     assert_eq!(bench.read(ADC1) & 2, 0, "reading the data clears it");
@@ -201,44 +201,44 @@ fn the_converter_needs_3_microseconds_and_its_pin() {
 
 /// CAN on PB8 and PB9 with these faults, 40 µs after it was to leave its initialisation: 16 MHz by 2 and 8 quanta,
 /// 1 Mbit/s.
-fn can(faults: Faults) -> Bench {
+fn can(faults: InjectedFaults) -> Bench {
     let mut bench = Bench::with(faults);
     bench.set(RCC + 0x30, 2);
     bench.set(RCC + 0x40, 1 << 25);
     bench.write(GPIOB, 0x280 | 2 << 16 | 2 << 18);
     bench.write(GPIOB + 0x24, 0x99);
     bench.write(CAN1, 1);
-    bench.pass(us(10));
+    bench.pass(us_to_ticks(10));
     assert_eq!(bench.read(CAN1 + 4) & 3, 1, "INAK");
     bench.write(CAN1 + 0x1c, 0x0014_0001);
     bench.write(CAN1, 0);
-    bench.pass(us(40));
+    bench.pass(us_to_ticks(40));
     bench
 }
 
 #[test]
 fn can_leaves_initialisation_after_11_recessive_bits_and_never_on_a_dominant_bus() {
     for stuck in [false, true] {
-        let bench = can(Faults { can_stuck: stuck, ..Faults::default() });
+        let bench = can(InjectedFaults { can_stuck: stuck, ..InjectedFaults::default() });
         assert_eq!(bench.read(CAN1 + 4) & 1, u32::from(stuck), "32.4.2");
     }
 }
 
 #[test]
 fn bus_off_is_left_after_128_times_11_recessive_bits_initialisation_or_not() {
-    let mut bench = can(Faults { can_short: true, ..Faults::default() });
+    let mut bench = can(InjectedFaults { can_short: true, ..InjectedFaults::default() });
     // A frame that nobody receives whole is sent 32 times, 8 errors each: 256.
     bench.write(CAN1 + 0x180, 0x100 << 21 | 1);
-    bench.pass(us(32 * 80));
+    bench.pass(us_to_ticks(32 * 80));
     assert_eq!(bench.read(CAN1 + 0x18) & 4, 4, "BOFF");
     bench.write(CAN1, 1);
-    bench.pass(us(40));
+    bench.pass(us_to_ticks(40));
     assert_eq!(bench.read(CAN1 + 4) & 1, 1, "INAK");
     assert_eq!(bench.read(CAN1 + 0x18) & 4, 4, "no pin is watched there: 32.7.6");
     bench.write(CAN1, 0);
-    bench.pass(us(1_400));
+    bench.pass(us_to_ticks(1_400));
     assert_eq!(bench.read(CAN1 + 0x18) & 4, 4, "1,408 bits");
-    bench.pass(us(20));
+    bench.pass(us_to_ticks(20));
     assert_eq!(bench.read(CAN1 + 0x18) >> 16 & 0xff | bench.read(CAN1 + 0x18) & 4, 0, "TEC, BOFF");
 }
 
@@ -259,15 +259,15 @@ fn the_watchdog_wants_its_key_and_resets_once_it_is_not_fed() {
     assert_eq!(bench.violations("without 0x5555"), 1);
     bench.write(IWDG, 0x5555);
     bench.write(IWDG + 8, 799);
-    bench.pass(ms(1));
+    bench.pass(ms_to_ticks(1));
     bench.write(IWDG, 0xcccc);
     // 800 counts of 32 kHz / 4.
-    bench.pass(ms(99));
+    bench.pass(ms_to_ticks(99));
     assert!(bench.board.with_chip(|chip| chip.resets.is_empty()));
     bench.write(IWDG, 0xaaaa);
-    bench.pass(ms(99));
+    bench.pass(ms_to_ticks(99));
     assert!(bench.board.with_chip(|chip| chip.resets.is_empty()));
-    bench.pass(ms(2));
+    bench.pass(ms_to_ticks(2));
     assert_eq!(bench.board.with_chip(|chip| chip.resets[0].1), "IWDG");
 }
 
@@ -278,14 +278,14 @@ fn the_watchdog_counts_from_its_reset_value_until_it_is_reloaded() {
         let mut bench = Bench::new();
         bench.write(IWDG, 0x5555);
         bench.write(IWDG + 8, 799);
-        bench.pass(ms(1));
+        bench.pass(ms_to_ticks(1));
         if reloads {
             bench.write(IWDG, 0xaaaa);
         }
         bench.write(IWDG, 0xcccc);
-        bench.pass(ms(until - 1));
+        bench.pass(ms_to_ticks(until - 1));
         assert!(bench.board.with_chip(|chip| chip.resets.is_empty()), "{reloads}");
-        bench.pass(ms(2));
+        bench.pass(ms_to_ticks(2));
         assert_eq!(bench.board.with_chip(|chip| chip.resets.len()), 1, "{reloads}");
     }
 }
@@ -317,7 +317,7 @@ fn the_dma_does_not_reach_the_core_coupled_memory() {
 fn timer_11_measures_the_crystal_against_the_internal_oscillator() {
     let mut bench = Bench::new();
     bench.set(RCC, 1 << 16);
-    bench.pass(ms(3));
+    bench.pass(ms_to_ticks(3));
     bench.set(RCC + 8, 31 << 16);
     bench.set(RCC + 0x44, 1 << 18);
     bench.write(TIM11 + 0x50, 2);
@@ -325,13 +325,13 @@ fn timer_11_measures_the_crystal_against_the_internal_oscillator() {
     bench.write(TIM11 + 0x20, 1);
     bench.write(TIM11, 1);
     // 8 periods of 8 MHz / 31 are 31 µs: 496 counts of 16 MHz.
-    bench.pass(us(32));
+    bench.pass(us_to_ticks(32));
     assert_eq!(bench.read(TIM11 + 0x10) & 0x202, 2, "CC1IF");
     assert_eq!(bench.read(TIM11 + 0x34), 496);
     assert_eq!(bench.read(TIM11 + 0x10) & 0x202, 0, "reading the capture clears it");
-    bench.pass(us(31));
+    bench.pass(us_to_ticks(31));
     assert_eq!(bench.read(TIM11 + 0x34), 992);
-    bench.pass(us(62));
+    bench.pass(us_to_ticks(62));
     assert_eq!(bench.read(TIM11 + 0x10) & 0x202, 0x202, "two at once: CC1OF");
     assert_eq!(bench.violations(""), 0);
 }

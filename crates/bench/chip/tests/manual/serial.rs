@@ -1,7 +1,7 @@
 //! The manual's statements on the serial units, tried on USART3 with a wire of RS-485. Section numbers are RM0090's.
 
 use crate::bench::{Bench, GPIOB, RCC, clocked};
-use trueup_chip::{report::Grade, time::us};
+use trueup_chip::{report::Severity, time::us_to_ticks};
 
 const USART3: u32 = 0x4000_4800;
 /// UE, M, PCE, RXNEIE, TE, RE; and without M and PCE.
@@ -33,9 +33,9 @@ fn parity_is_the_ninth_bit_of_the_word_and_is_read_above_the_data() {
     for (byte, parity) in [(0x03, 0), (0x07, 1)] {
         let mut bench = line(EVEN);
         said(&bench, byte);
-        bench.pass(us(CHARACTER_US - 5));
+        bench.pass(us_to_ticks(CHARACTER_US - 5));
         assert_eq!(bench.read(USART3) & 0x20, 0, "it is still coming");
-        bench.pass(us(10));
+        bench.pass(us_to_ticks(10));
         assert_eq!(bench.read(USART3) & 0x3f, 0x20);
         assert_eq!(bench.read(USART3 + 4), u32::from(byte) | parity << 8);
         assert_eq!(bench.read(USART3) & 0x20, 0, "reading it has cleared RXNE");
@@ -47,13 +47,13 @@ fn a_character_of_another_form_and_a_wrong_parity_raise_their_flags_which_two_re
     // 30.6.1: PE and FE, cleared by a read of SR and one of DR.
     let mut bench = line(PLAIN);
     said(&bench, 0x55);
-    bench.pass(us(CHARACTER_US + 5));
+    bench.pass(us_to_ticks(CHARACTER_US + 5));
     assert_eq!(bench.read(USART3) & 0x22, 0x22, "FE: the wire has parity, the unit none");
     let mut bench = line(EVEN);
     bench.at_once(|chip| chip.uart[1].disturbed.count = 1);
     bench.at_once(|chip| chip.uart[1].disturbed.flags = 1);
     said(&bench, 0x55);
-    bench.pass(us(CHARACTER_US + 5));
+    bench.pass(us_to_ticks(CHARACTER_US + 5));
     assert_eq!(bench.read(USART3) & 0x21, 0x21);
     bench.read(USART3 + 4);
     assert_eq!(bench.read(USART3) & 0x21, 0);
@@ -68,10 +68,10 @@ fn what_goes_out_while_nothing_drives_the_line_is_heard_by_nobody() {
         bench.read(USART3);
         bench.write(USART3 + 4, 0x41);
         assert_eq!(bench.read(USART3) & 0xc0, 0x80, "TXE at once, TC not yet");
-        bench.pass(us(CHARACTER_US + 5));
+        bench.pass(us_to_ticks(CHARACTER_US + 5));
         assert_eq!(bench.read(USART3) & 0xc0, 0xc0, "TC when its stop bit is out");
         let (heard, remarks) = bench
-            .at_once(|chip| (chip.world.wires[1].heard.len(), chip.report.count(Grade::Remark)));
+            .at_once(|chip| (chip.world.wires[1].heard.len(), chip.report.count(Severity::Remark)));
         assert_eq!((heard, remarks), (usize::from(is_driven), usize::from(!is_driven)));
     }
 }

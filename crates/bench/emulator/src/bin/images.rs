@@ -6,13 +6,13 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    match trueup_emulator::images::carried() {
+    match trueup_emulator::images::build_bundled_images() {
         Ok(folder) => {
-            trueup_output::line(folder.display());
+            trueup_output::write_line(folder.display());
             ExitCode::SUCCESS
         }
         Err(error) => {
-            trueup_output::diagnostic(format_args!("error: {error:#}"));
+            trueup_output::write_diagnostic(format_args!("error: {error:#}"));
             ExitCode::FAILURE
         }
     }

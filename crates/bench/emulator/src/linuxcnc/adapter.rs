@@ -21,23 +21,23 @@ use std::{
 };
 
 use anyhow::Result;
-use trueup_core::units::Millis;
+use trueup_core::units::TimestampMs;
 use trueup_link::{
     frame::Frame,
     layout::{OFFSET_XY_ID, OFFSET_Z_ID},
     slcan::Port,
 };
-use trueup_pipe::FRAMES;
+use trueup_pipe::FRAMES_PER_BLOCK;
 
 /// Cycles from one pair to the next while time is compressed.
-pub(crate) const COMPRESSED_STRIDE: u32 = 257;
-/// A client that takes nothing in for so long is gone.
-const PATIENCE: Duration = Duration::from_secs(1);
+pub(crate) const COMPRESSED_STRIDE_CYCLES: u32 = 257;
+/// A client that takes nothing in for this time counts as gone.
+const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
 /// What `N` answers.
 const SERIAL_NUMBER: u16 = 2;
 
 /// State of both sides.
-struct Shared {
+struct AdapterState {
     port: Port,
     from_cnc: VecDeque<Frame>,
     client: Option<TcpStream>,
@@ -47,16 +47,16 @@ struct Shared {
 }
 
 /// An adapter that listens.
-pub struct Adapter {
-    shared: Arc<Mutex<Shared>>,
+pub(crate) struct SlcanAdapter {
+    shared: Arc<Mutex<AdapterState>>,
     address: SocketAddr,
     stride: u32,
     /// The cycle of the last pair that was passed on.
-    last: Option<Millis>,
+    last: Option<TimestampMs>,
     passed: u64,
 }
 
-impl Adapter {
+impl SlcanAdapter {
     /// Listens on a free port of the loopback.
     ///
     /// # Errors
@@ -64,7 +64,7 @@ impl Adapter {
     pub fn listen() -> Result<Self> {
         let listener = TcpListener::bind("127.0.0.1:0")?;
         let address = listener.local_addr()?;
-        let shared = Arc::new(Mutex::new(Shared {
+        let shared = Arc::new(Mutex::new(AdapterState {
             port: Port::new(SERIAL_NUMBER),
             from_cnc: VecDeque::new(),
             client: None,
@@ -74,7 +74,7 @@ impl Adapter {
         let theirs = shared.clone();
         thread::spawn(move || {
             for stream in listener.incoming().flatten() {
-                serve(stream, &theirs);
+                serve_client(stream, &theirs);
                 lock(&theirs).client = None;
             }
         });
@@ -94,7 +94,7 @@ impl Adapter {
 
     /// Pairs passed on to the CNC, and frames received from it.
     #[must_use]
-    pub(crate) fn traffic(&self) -> (u64, u64) {
+    pub(crate) fn frame_counts(&self) -> (u64, u64) {
         (self.passed, lock(&self.shared).heard)
     }
 
@@ -106,20 +106,21 @@ impl Adapter {
 
     /// Returns what the CNC has sent, as much of it as fits a block.
     #[must_use]
-    pub fn take(&self) -> [Option<Frame>; FRAMES] {
+    pub(crate) fn take_frames(&self) -> [Option<Frame>; FRAMES_PER_BLOCK] {
         let mut shared = lock(&self.shared);
         std::array::from_fn(|_| shared.from_cnc.pop_front())
     }
 
     /// Passes on what the board has sent on its bus.
-    pub fn pass(&mut self, sent: &[(Millis, Frame)]) {
+    pub(crate) fn forward_frames(&mut self, sent: &[(TimestampMs, Frame)]) {
         let mut shared = lock(&self.shared);
         let mut bytes = Vec::new();
         for cycle in sent.chunk_by(|(one, _), (other, _)| one == other) {
             let Some((time, _)) = cycle.first() else { continue };
             // A board that was restarted begins at 0 again.
-            let due =
-                self.last.is_none_or(|last| time.0 < last.0 || time.since(last) >= self.stride);
+            let due = self
+                .last
+                .is_none_or(|last| time.0 < last.0 || time.duration_since(last) >= self.stride);
             if !due {
                 continue;
             }
@@ -137,7 +138,7 @@ impl Adapter {
     }
 }
 
-impl Shared {
+impl AdapterState {
     fn write(&mut self, bytes: &[u8]) {
         let Some(client) = &mut self.client else { return };
         // A line that was cut off would garble the next: such a client is let go.
@@ -148,15 +149,15 @@ impl Shared {
     }
 }
 
-fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
+fn lock(shared: &Mutex<AdapterState>) -> MutexGuard<'_, AdapterState> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// One client, until it goes.
-fn serve(mut stream: TcpStream, shared: &Mutex<Shared>) {
+fn serve_client(mut stream: TcpStream, shared: &Mutex<AdapterState>) {
     let set_up = || -> std::io::Result<TcpStream> {
         stream.set_nodelay(true)?;
-        stream.set_write_timeout(Some(PATIENCE))?;
+        stream.set_write_timeout(Some(WRITE_TIMEOUT))?;
         stream.try_clone()
     };
     let Ok(writer) = set_up() else { return };

@@ -3,11 +3,11 @@
 //!
 //! | | QEMU | model of the chip |
 //! |---|---|---|
-//! | image | `virtual`, told a calibration | `stm32f405`, with its machine file linked in |
+//! | image | `virtual`, loaded with a calibration | `stm32f405`, with its machine file linked in |
 //! | sensor | blocks of 20 codes through the front end | volts at the converter's pin, TIM3, ADC1, DMA |
 //! | temperatures | the converters' words | ohms behind MAX31865 on SPI |
-//! | the CNC's line | CAN through pipes, [`Adapter`] | the image's own SLCAN on USART1 |
-//! | its second is | a second of the wall, or less | `Bridge::slower` seconds of the wall |
+//! | the CNC's line | CAN through pipes, `SlcanAdapter` | the image's own SLCAN on USART1 |
+//! | its second is | a second of the wall, or less | `Bridge::time_stretch` seconds of the wall |
 //! | two hours | are lived through by the board | are the machine's: it lives faster than the board |
 //!
 //! The model cannot outrun the wall, so what is slow there is the time of everything: LinuxCNC's feeds are
@@ -23,27 +23,27 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, ensure};
-use trueup_core::units::Code;
+use trueup_core::units::AdcCode;
 use trueup_machine::inputs::{TemperatureInput, TemperatureKind};
 use trueup_pipe::Block;
 
-use super::adapter::{Adapter, COMPRESSED_STRIDE};
+use super::adapter::{COMPRESSED_STRIDE_CYCLES, SlcanAdapter};
 use crate::{
     board::VirtualBoard,
-    chip_live::LiveChip,
-    front_end::{FrontEnd, NOISE_CODES_RMS, REFERENCE_VOLTS},
+    front_end::{ADC_REFERENCE_VOLTS, FrontEnd, NOISE_CODES_RMS},
+    lockstep_chip::LockstepChip,
     replay,
 };
 
 /// How long the model's speed is measured, in ms of the board, once it is up.
-const UP_MS: u64 = 1_000;
-const MEASURED_MS: u64 = 2_000;
+const STARTUP_MS: u64 = 1_000;
+const SPEED_MEASUREMENT_MS: u64 = 2_000;
 /// What LinuxCNC and its frames may take of this computer: the model is given this many times longer than it
 /// took without them.
-const MARGIN: f64 = 1.5;
+const TIME_STRETCH_MARGIN: f64 = 1.5;
 
-/// Parts of the bridge: the machine file as it is, and the one for the warm-up.
-pub enum Images {
+/// Parts of the bridge: the current machine file, and the one for the warm-up.
+pub enum BridgeImages {
     /// In QEMU: the image, and both calibrations.
     Qemu(PathBuf, [Vec<u8>; 2]),
     /// On the model of the chip: its program, and both images.
@@ -67,13 +67,13 @@ enum Board {
         image: PathBuf,
         later: Vec<u8>,
         board: VirtualBoard,
-        adapter: Adapter,
+        adapter: SlcanAdapter,
         front_end: Box<FrontEnd>,
     },
     Chip {
         model: PathBuf,
         later: PathBuf,
-        board: LiveChip,
+        board: LockstepChip,
         slower: u32,
     },
     Servo {
@@ -95,21 +95,21 @@ impl Bridge {
     ///
     /// # Errors
     /// It does not come up.
-    pub fn start(images: Images, wiring: Wiring) -> Result<Self> {
+    pub fn start(images: BridgeImages, wiring: Wiring) -> Result<Self> {
         let board = match images {
-            Images::Qemu(image, [first, later]) => Board::Qemu {
+            BridgeImages::Qemu(image, [first, later]) => Board::Qemu {
                 board: VirtualBoard::boot(&image, &first)?,
-                adapter: Adapter::listen()?,
+                adapter: SlcanAdapter::listen()?,
                 front_end: Box::new(FrontEnd::new(wiring.divider, wiring.seed)),
                 image,
                 later,
             },
-            Images::Chip(model, [first, later]) => {
-                let mut board = begin(LiveChip::start(&model, &first, 0)?)?;
-                let slower = measure(&mut board)?;
+            BridgeImages::Chip(model, [first, later]) => {
+                let mut board = add_converter_noise(LockstepChip::start(&model, &first, 0)?)?;
+                let slower = measure_time_stretch(&mut board)?;
                 Board::Chip { model, later, board, slower }
             }
-            Images::Servo(library) => {
+            BridgeImages::Servo(library) => {
                 let listener = TcpListener::bind("127.0.0.1:0")?;
                 listener.set_nonblocking(true)?;
                 let front_end = Box::new(FrontEnd::new(wiring.divider, wiring.seed));
@@ -133,22 +133,22 @@ impl Bridge {
 
     /// Returns the library of the component, where there is no board.
     #[must_use]
-    pub fn library(&self) -> Option<&Path> {
+    pub(crate) fn component_library(&self) -> Option<&Path> {
         match &self.board {
             Board::Servo { library, .. } => Some(library),
             Board::Qemu { .. } | Board::Chip { .. } => None,
         }
     }
 
-    /// Returns the channels of the thermometers, in the order in which [`Bridge::live`] gives them where there is no board.
+    /// Returns the channels of the thermometers, in the order in which [`Bridge::advance`] gives them where there is no board.
     #[must_use]
-    pub fn channels(&self) -> Vec<u8> {
+    pub fn temperature_channels(&self) -> Vec<u8> {
         self.wiring.temperatures.values().map(|input| input.channel).collect()
     }
 
     /// Returns a second of the board, in seconds of the wall, while the axes move.
     #[must_use]
-    pub(crate) fn slower(&self) -> u32 {
+    pub(crate) fn time_stretch(&self) -> u32 {
         match self.board {
             Board::Qemu { .. } | Board::Servo { .. } => 1,
             Board::Chip { slower, .. } => slower,
@@ -158,7 +158,7 @@ impl Bridge {
     /// While machine time is compressed by `factor`: seconds of the board in one of the wall, and of the
     /// machine in one of the board.
     #[must_use]
-    pub fn paces(&self, factor: u32) -> [f64; 2] {
+    pub(crate) fn time_ratios(&self, factor: u32) -> [f64; 2] {
         match self.board {
             Board::Qemu { .. } => [f64::from(factor), 1.0],
             Board::Chip { slower, .. } => [1.0 / f64::from(slower), f64::from(factor)],
@@ -171,7 +171,7 @@ impl Bridge {
     ///
     /// # Errors
     /// It has ended.
-    pub fn live(
+    pub fn advance(
         &mut self,
         ms: u64,
         factor: u32,
@@ -185,30 +185,33 @@ impl Bridge {
                     .map(|_| {
                         let volts = volts();
                         Block {
-                            codes: front_end.block(|_| volts),
+                            codes: front_end.convert_block(|_| volts),
                             // The speed comes from the CNC, as everything else that it knows.
                             speed: None,
                             temperatures,
-                            frames: adapter.take(),
+                            frames: adapter.take_frames(),
                             ..Block::default()
                         }
                     })
                     .collect();
                 let sent = board.step(&blocks)?;
-                adapter.set_stride(if factor > 1 { COMPRESSED_STRIDE } else { 1 });
-                adapter.pass(&sent);
+                adapter.set_stride(if factor > 1 { COMPRESSED_STRIDE_CYCLES } else { 1 });
+                adapter.forward_frames(&sent);
                 Ok(())
             }
             Board::Chip { board, .. } => {
                 for (name, input) in &self.wiring.temperatures {
                     let Some(celsius) = celsius.get(name) else { continue };
                     ensure!(input.kind == TemperatureKind::Pt100, "{name} is no PT100");
-                    board.set(&format!("rtd {} {celsius}", input.channel))?;
+                    board.apply_script_line(&format!("rtd {} {celsius}", input.channel))?;
                 }
                 for _ in 0..ms {
-                    let share = volts() * self.wiring.divider / REFERENCE_VOLTS;
-                    board.set(&format!("code {}", share * f64::from(Code::FULL_SCALE)))?;
-                    board.live(1)?;
+                    let share = volts() * self.wiring.divider / ADC_REFERENCE_VOLTS;
+                    board.apply_script_line(&format!(
+                        "code {}",
+                        share * f64::from(AdcCode::FULL_SCALE)
+                    ))?;
+                    board.advance(1)?;
                 }
                 Ok(())
             }
@@ -222,11 +225,11 @@ impl Bridge {
                 let mut lines = String::new();
                 for _ in 0..ms {
                     let volts = volts();
-                    let codes = front_end.block(|_| volts);
+                    let codes = front_end.convert_block(|_| volts);
                     let mean = codes.iter().map(|code| f64::from(code.0)).sum::<f64>()
                         / codes.len() as f64;
-                    let seen =
-                        mean / f64::from(Code::FULL_SCALE) * REFERENCE_VOLTS / self.wiring.divider;
+                    let seen = mean / f64::from(AdcCode::FULL_SCALE) * ADC_REFERENCE_VOLTS
+                        / self.wiring.divider;
                     lines += &format!("{seen:.6}{degrees}\n");
                 }
                 // It ends before the machine does; while it runs, a sensor that stands is a fault of the figures.
@@ -240,7 +243,7 @@ impl Bridge {
 
     /// Returns whether its time begins with that of LinuxCNC: what is said before would be late for good.
     #[must_use]
-    pub(crate) fn waits_for_cnc(&self) -> bool {
+    pub(crate) fn is_clocked_by_cnc(&self) -> bool {
         matches!(self.board, Board::Servo { .. })
     }
 
@@ -257,7 +260,7 @@ impl Bridge {
     ///
     /// # Errors
     /// It does not come up again, or the model of the chip objects to what was done so far.
-    pub fn swap(self) -> Result<Self> {
+    pub(crate) fn restart_for_warm_up(self) -> Result<Self> {
         let board = match self.board {
             Board::Qemu { image, later, adapter, front_end, board } => {
                 drop(board);
@@ -266,8 +269,8 @@ impl Bridge {
             }
             Board::Chip { model, later, board, slower } => {
                 let port = board.port();
-                board.end()?;
-                let board = begin(LiveChip::start(&model, &later, port)?)?;
+                board.power_off()?;
+                let board = add_converter_noise(LockstepChip::start(&model, &later, port)?)?;
                 Board::Chip { model, later, board, slower }
             }
             // LinuxCNC reads its machine file once.
@@ -291,26 +294,26 @@ impl Bridge {
     ///
     /// # Errors
     /// The model of the chip objects to what was done.
-    pub fn end(self) -> Result<Option<(u64, u64)>> {
+    pub fn shut_down(self) -> Result<Option<(u64, u64)>> {
         match self.board {
-            Board::Qemu { adapter, .. } => Ok(Some(adapter.traffic())),
-            Board::Chip { board, .. } => board.end().map(|()| None),
+            Board::Qemu { adapter, .. } => Ok(Some(adapter.frame_counts())),
+            Board::Chip { board, .. } => board.power_off().map(|()| None),
             Board::Servo { .. } => Ok(None),
         }
     }
 }
 
 /// Its converter has the front end's noise: the sum of two even draws, which is 1/√6 of its peak.
-fn begin(mut board: LiveChip) -> Result<LiveChip> {
-    board.set(&format!("noise {}", 6.0_f64.sqrt() * NOISE_CODES_RMS))?;
+fn add_converter_noise(mut board: LockstepChip) -> Result<LockstepChip> {
+    board.apply_script_line(&format!("noise {}", 6.0_f64.sqrt() * NOISE_CODES_RMS))?;
     Ok(board)
 }
 
 /// By how much the model is slower than life on this computer, with a client at its line, and with room for
 /// LinuxCNC.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a cast saturates")]
-fn measure(board: &mut LiveChip) -> Result<u32> {
-    board.live(UP_MS)?;
+fn measure_time_stretch(board: &mut LockstepChip) -> Result<u32> {
+    board.advance(STARTUP_MS)?;
     let mut client = TcpStream::connect(("127.0.0.1", board.port()))?;
     client.write_all(b"S8\rO\r")?;
     let mut line = client.try_clone()?;
@@ -322,16 +325,19 @@ fn measure(board: &mut LiveChip) -> Result<u32> {
         received
     });
     let began = Instant::now();
-    for _ in 0..MEASURED_MS {
-        board.live(1)?;
+    for _ in 0..SPEED_MEASUREMENT_MS {
+        board.advance(1)?;
     }
     let took_ms = began.elapsed().as_secs_f64() * 1e3;
     client.write_all(b"C\r")?;
-    board.live(100)?;
+    board.advance(100)?;
     client.shutdown(Shutdown::Both)?;
     // The model sees that its client has gone.
-    board.live(10)?;
+    board.advance(10)?;
     let received = reader.join().ok().context("the reader does not panic")?;
-    ensure!(received as u64 > 40 * MEASURED_MS, "the board says too little: {received} bytes");
-    Ok((took_ms / MEASURED_MS as f64 * MARGIN).ceil() as u32)
+    ensure!(
+        received as u64 > 40 * SPEED_MEASUREMENT_MS,
+        "the board says too little: {received} bytes"
+    );
+    Ok((took_ms / SPEED_MEASUREMENT_MS as f64 * TIME_STRETCH_MARGIN).ceil() as u32)
 }

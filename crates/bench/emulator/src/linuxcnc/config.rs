@@ -12,27 +12,28 @@
 
 use std::fmt::Write as _;
 
-use super::{By, plant::PINS};
+use super::{OffsetEntry, plant::SAMPLER_PINS};
 
 /// The travel of X, Y and Z in mm, from 0.
 pub const TRAVEL_MM: [f64; 3] = [14_300.0, 3_000.0, 2_500.0];
 /// The share of an axis' speed and acceleration that external offsets get.
 pub(crate) const OFFSET_AV_RATIO: f64 = 0.0025;
 /// The feed along the diagonal in mm/min.
-pub(crate) const DIAGONAL_FEED: f64 = 58_000.0;
+pub(crate) const DIAGONAL_FEED_MM_PER_MIN: f64 = 58_000.0;
 /// The centre, the radius and the feed of the arc.
-pub(crate) const ARC: ([f64; 2], f64, f64) = ([13_000.0, 1_500.0], 700.0, 20_000.0);
+pub(crate) const ARC_CENTRE_RADIUS_FEED: ([f64; 2], f64, f64) =
+    ([13_000.0, 1_500.0], 700.0, 20_000.0);
 /// The heights of the staircase in mm; off the multiples of the screw's pitch.
-pub(crate) const STAIRS_MM: [f64; 6] = [101.3, 509.9, 901.2, 1_309.1, 1_717.5, 2_126.8];
+pub(crate) const STAIRCASE_HEIGHTS_MM: [f64; 6] = [101.3, 509.9, 901.2, 1_309.1, 1_717.5, 2_126.8];
 /// The feed between them in mm/min.
-pub(crate) const STAIRS_FEED: f64 = 30_000.0;
+pub(crate) const STAIRCASE_FEED_MM_PER_MIN: f64 = 30_000.0;
 /// The feed of the move with five axes in mm/min.
-const FIVE_AXES_FEED: f64 = 4_000.0;
+const FIVE_AXES_FEED_MM_PER_MIN: f64 = 4_000.0;
 /// How long a program waits until an offset has settled.
 const DWELL_S: f64 = 0.3;
 /// How long it stands at each height of the staircase. LinuxCNC's interpreter ends a dwell by the wall's clock,
 /// so where the computer keeps the servo thread waiting, that many cycles are missing from the dwell.
-pub(crate) const STAIR_DWELL_S: f64 = 1.0;
+pub(crate) const STAIRCASE_DWELL_S: f64 = 1.0;
 /// The spindle's speed in r/min.
 pub(crate) const SPINDLE_RPM: f64 = 24_000.0;
 
@@ -43,7 +44,7 @@ pub mod phase {
     /// The arc.
     pub(crate) const ARC: u32 = 2;
     /// The staircase.
-    pub(crate) const STAIRS: u32 = 3;
+    pub(crate) const STAIRCASE: u32 = 3;
     /// The warm-up.
     pub(crate) const WARM_UP: u32 = 4;
     /// Rotary axes in motion.
@@ -56,7 +57,7 @@ const POSITION_PERIOD_MS: u32 = 2;
 /// Returns the .ini. `port` is where the bridge is, `None`: setup adds what is ours; `here` is the session's folder. A busy computer answers late, so
 /// LinuxCNC's parts wait for each other.
 #[must_use]
-pub fn ini(port: Option<&str>, here: &str, slower: u32) -> String {
+pub(crate) fn ini_file(port: Option<&str>, here: &str, slower: u32) -> String {
     let slow = f64::from(slower);
     let period_ms = POSITION_PERIOD_MS * slower;
     let section = port.map_or(String::new(), |port| {
@@ -121,21 +122,23 @@ MAX_FORWARD_VELOCITY = 24000
         let _ = write!(
             text,
             "[AXIS_{axis}]\nMIN_LIMIT = -5\nMAX_LIMIT = {}\n{motion}{ratio}[JOINT_{joint}]\nTYPE = LINEAR\nMIN_LIMIT = -10\nMAX_LIMIT = {}\n\
-             {motion}{JOINT}",
+             {motion}{JOINT_INI}",
             travel_mm + 5.0,
             travel_mm + 10.0,
         );
     }
     for (joint, axis) in [(3, "A"), (4, "C")] {
         let motion = format!("MIN_LIMIT = -200\nMAX_LIMIT = 200\n{}", motion(40.0, 300.0));
-        let _ =
-            write!(text, "[AXIS_{axis}]\n{motion}[JOINT_{joint}]\nTYPE = ANGULAR\n{motion}{JOINT}");
+        let _ = write!(
+            text,
+            "[AXIS_{axis}]\n{motion}[JOINT_{joint}]\nTYPE = ANGULAR\n{motion}{JOINT_INI}"
+        );
     }
     text
 }
 
-/// A joint that is where it is told to be.
-pub(super) const JOINT: &str = "\
+/// A joint that is where it is commanded to be.
+pub(super) const JOINT_INI: &str = "\
 FERROR = 10
 MIN_FERROR = 10
 HOME = 0
@@ -145,7 +148,7 @@ HOME_LATCH_VEL = 0
 HOME_SEQUENCE = 0
 ";
 
-/// Returns the machine: joints that are where they are told to be.
+/// Returns the machine: joints that are where they are commanded to be.
 #[must_use]
 pub(crate) fn machine_hal() -> String {
     let mut text = String::from(
@@ -180,7 +183,7 @@ pub(crate) fn trueup_hal(shipped: &str, slew_um_per_s: f64, slower: u32) -> Stri
 }
 
 /// The angles and the load, by the names that setup looks for.
-pub(crate) const ANGLES: [&str; 3] = [
+pub(crate) const ANGLE_NETS: [&str; 3] = [
     "trueup-angle-1 axis.c.pos-cmd",
     "trueup-angle-2 axis.a.pos-cmd",
     "trueup-load motion.analog-out-00",
@@ -190,22 +193,22 @@ pub(crate) const ANGLES: [&str; 3] = [
 #[must_use]
 pub(crate) fn angles_hal() -> String {
     let to = ["angle-1", "angle-2", "load-n"];
-    ANGLES.iter().zip(to).map(|(net, pin)| format!("net {net} => trueup.0.{pin}\n")).collect()
+    ANGLE_NETS.iter().zip(to).map(|(net, pin)| format!("net {net} => trueup.0.{pin}\n")).collect()
 }
 
 /// Returns the writer of the servo cycles.
 #[must_use]
-pub(crate) fn loop_hal(by: By) -> String {
+pub(crate) fn sampler_hal(by: OffsetEntry) -> String {
     let offsets = match by {
-        By::Eoffset => ["trueup-x-eoff", "trueup-y-eoff", "trueup-z-eoff"],
-        By::Joint => ["trueup-j0-now", "trueup-j1-now", "trueup-j2-now"],
+        OffsetEntry::Eoffset => ["trueup-x-eoff", "trueup-y-eoff", "trueup-z-eoff"],
+        OffsetEntry::Joint => ["trueup-j0-now", "trueup-j1-now", "trueup-j2-now"],
     };
     let mut text = format!(
         "\
 loadrt sampler depth=16000 cfg={}
 addf sampler.0 servo-thread
 ",
-        "f".repeat(PINS.len())
+        "f".repeat(SAMPLER_PINS.len())
     );
     // A pin that is wired already has a signal of another name.
     let signals = [
@@ -220,7 +223,7 @@ addf sampler.0 servo-thread
         "trueup-rpm",
         "trueup-load",
     ];
-    for (number, pin) in PINS.iter().enumerate() {
+    for (number, pin) in SAMPLER_PINS.iter().enumerate() {
         let _ = match signals.get(number) {
             Some(signal) => writeln!(text, "net {signal} => sampler.0.pin.{number}"),
             None => writeln!(text, "net sample-{number} {pin} => sampler.0.pin.{number}"),
@@ -231,10 +234,10 @@ addf sampler.0 servo-thread
 
 /// Returns the diagonal, the arc and the staircase.
 #[must_use]
-pub fn path(pass: u32, slower: u32) -> String {
+pub(crate) fn path_program(pass: u32, slower: u32) -> String {
     let slow = f64::from(slower);
     let [x_mm, y_mm, _] = TRAVEL_MM;
-    let ([cx, cy], radius, arc_feed) = ARC;
+    let ([cx, cy], radius, arc_feed) = ARC_CENTRE_RADIUS_FEED;
     let mut text = format!(
         "\
 G21 G90 G94 G17 G64 P0.001
@@ -259,18 +262,23 @@ M68 E1 Q{stairs}
 ",
         diagonal = phase::DIAGONAL,
         arc = phase::ARC,
-        stairs = phase::STAIRS,
+        stairs = phase::STAIRCASE,
         start = cx + radius,
         end = cx - radius,
-        diagonal_feed = DIAGONAL_FEED / slow,
+        diagonal_feed = DIAGONAL_FEED_MM_PER_MIN / slow,
         arc_feed = arc_feed / slow,
         dwell_s = DWELL_S * slow,
         long_s = 2.0 * DWELL_S * slow,
     );
-    let down = STAIRS_MM.iter().rev();
-    let turn = [STAIRS_MM[STAIRS_MM.len() - 1] + 40.0];
-    for z_mm in STAIRS_MM.iter().chain(&turn).chain(down) {
-        let _ = write!(text, "G1 Z{z_mm} F{}\nG4 P{}\n", STAIRS_FEED / slow, STAIR_DWELL_S * slow);
+    let down = STAIRCASE_HEIGHTS_MM.iter().rev();
+    let turn = [STAIRCASE_HEIGHTS_MM[STAIRCASE_HEIGHTS_MM.len() - 1] + 40.0];
+    for z_mm in STAIRCASE_HEIGHTS_MM.iter().chain(&turn).chain(down) {
+        let _ = write!(
+            text,
+            "G1 Z{z_mm} F{}\nG4 P{}\n",
+            STAIRCASE_FEED_MM_PER_MIN / slow,
+            STAIRCASE_DWELL_S * slow
+        );
     }
     text + "M68 E1 Q0\nM2\n"
 }
@@ -278,7 +286,7 @@ M68 E1 Q{stairs}
 /// Returns the warm-up, which lasts until the machine's clock says that it is over, and the rotary axes with
 /// the warm spindle.
 #[must_use]
-pub fn warm(pass: u32, slower: u32) -> String {
+pub(crate) fn warm_up_program(pass: u32, slower: u32) -> String {
     let slow = f64::from(slower);
     format!(
         "\
@@ -306,7 +314,7 @@ M2
         warm_up = phase::WARM_UP,
         five_axes = phase::FIVE_AXES,
         longest_s = 1_800 * slower,
-        five_axes_feed = FIVE_AXES_FEED / slow,
+        five_axes_feed = FIVE_AXES_FEED_MM_PER_MIN / slow,
         long_s = 2.0 * DWELL_S * slow,
         dwell_s = DWELL_S * slow,
         short_s = DWELL_S * slow / 3.0,
@@ -319,8 +327,8 @@ mod tests {
 
     #[test]
     fn every_pin_is_wired_once() {
-        let text = loop_hal(By::Eoffset);
-        for number in 0..PINS.len() {
+        let text = sampler_hal(OffsetEntry::Eoffset);
+        for number in 0..SAMPLER_PINS.len() {
             let pin = format!("sampler.0.pin.{number}\n");
             assert_eq!(text.matches(&pin).count(), 1, "{pin}");
         }

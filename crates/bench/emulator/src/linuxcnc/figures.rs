@@ -1,7 +1,7 @@
 //! The results: the error of the tool tip before and after, in every servo cycle.
 //!
 //! The tool tip's error is the command of LinuxCNC's motors, plus the machine's response to it,
-//! minus what the program wanted. "Before" is the pass of the path that was cut with the component
+//! minus what the program commanded. "Before" is the pass of the path that was cut with the component
 //! disabled; in the warm-up, where the machine only stands, and with the rotary axes it is the second
 //! machine, which gets the same without the external offset.
 //!
@@ -12,7 +12,7 @@
 //! * Warm-up: the largest change of the error along the tool since its start.
 //! * Five axes: the largest length of the whole error vector, against the growth.
 //! * Lag τ: the delay at which the variance of offset(t) − asked(t − τ) is least along the diagonal,
-//!   asked(t) being what the machine file asks for where the joint is commanded (`on_host`). It holds everything
+//!   asked(t) being what the machine file asks for where the joint is commanded (`host_bridge`). It holds everything
 //!   between that place and the offset that is applied there. It is taken on Y, which has no thermal law and no
 //!   backlash that the offset could cross, and holds for all axes.
 
@@ -22,31 +22,33 @@ use anyhow::{Context as _, Result, bail, ensure};
 use serde::Serialize;
 use trueup_machine::MachineFile;
 
-mod measure;
+mod cycle_statistics;
 
-pub use measure::{ErrorCurve, Lag, Stair};
-use measure::{
-    Of, across, along, angle_deg, five_axes_curve, ignored_against_cut_um, lag, largest_step_um,
-    length, radial, range, stairs, warm_up_curve,
+use cycle_statistics::{
+    CycleMetric, arc_angle_deg, compare_staircases, compute_lag, cross_track_range, error_curve,
+    five_axes_curve, largest_step_um, max_uncompensated_difference_um, peak_to_peak,
+    radial_error_range, vector_norm, warm_up_curve,
 };
+pub use cycle_statistics::{ErrorCurve, LagStatistics, StaircaseStep};
 
 use super::{
-    By, COMPRESSION, On, PASSES, WARM_UP_S, Way, adapter,
+    BridgePlatform, CompensationRoute, OffsetEntry, PASS_NUMBERS, TIME_COMPRESSION, WARM_UP_S,
+    adapter,
     config::{OFFSET_AV_RATIO, phase},
-    on_host,
-    plant::{Account, Cycle},
+    host_bridge,
+    plant::{LoopResult, ServoCycle},
 };
 
 /// The record of the run.
-pub struct Run {
+pub struct RunRecord {
     /// The way from the machine to the drives.
-    pub way: Way,
+    pub way: CompensationRoute,
     /// A second of the board in motion, in seconds of the wall.
     pub slower: u32,
     /// All servo cycles.
-    pub cycles: Vec<Cycle>,
+    pub cycles: Vec<ServoCycle>,
     /// The account of the loop.
-    pub account: Account,
+    pub account: LoopResult,
     /// How long the warm-up took on the wall's clock, in s.
     pub warm_up_wall_s: f64,
     /// The component's counters, by their pins.
@@ -65,7 +67,7 @@ pub struct Run {
 
 /// One claim and what came of it.
 #[derive(Clone, Debug, Serialize)]
-pub struct Check {
+pub struct AcceptanceCheck {
     /// The claim, in words.
     pub name: &'static str,
     /// Without compensation, in µm, where there is such a thing.
@@ -82,8 +84,8 @@ pub struct Check {
     pub at_least: bool,
 }
 
-impl Check {
-    fn reduction(name: &'static str, before_um: f64, after_um: f64, limit: f64) -> Self {
+impl AcceptanceCheck {
+    fn with_min_reduction(name: &'static str, before_um: f64, after_um: f64, limit: f64) -> Self {
         Self {
             name,
             before_um: Some(before_um),
@@ -95,7 +97,7 @@ impl Check {
         }
     }
 
-    fn most(name: &'static str, value: f64, unit: &'static str, limit: f64) -> Self {
+    fn with_upper_limit(name: &'static str, value: f64, unit: &'static str, limit: f64) -> Self {
         Self { name, before_um: None, after_um: None, value, unit, limit, at_least: false }
     }
 
@@ -108,7 +110,7 @@ impl Check {
 
 /// The error across a path, axis by axis.
 #[derive(Clone, Debug, Default, Serialize)]
-pub struct Across {
+pub struct CrossTrackError {
     /// Range on X, Y and Z before, in µm.
     pub before_um: [f64; 3],
     /// Range on X, Y and Z after, in µm.
@@ -117,14 +119,14 @@ pub struct Across {
 
 /// The compression of time, part by part.
 #[derive(Clone, Debug, Default, Serialize)]
-pub struct Time {
+pub struct TimeCompression {
     /// Wall seconds of a second of the board in motion, for LinuxCNC as well.
     pub slower: u32,
     /// Seconds of the machine in the warm-up.
     pub warm_up_s: u32,
     /// Seconds of the wall that it took, in which LinuxCNC lived in real time.
     pub warm_up_wall_s: f64,
-    /// The factor that was asked for: over the wall in QEMU, over the chip on its model.
+    /// The factor that was requested: over the wall in QEMU, over the chip on its model.
     pub compression: u32,
     /// The board's `link_timeout_ms` and `hold_ms` were longer by this factor in the warm-up and after
     /// it, because they count its own time.
@@ -146,26 +148,26 @@ pub struct Time {
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Figures {
     /// The way from the machine to the drives.
-    pub way: Way,
+    pub way: CompensationRoute,
     /// The claim.
-    pub checks: Vec<Check>,
+    pub checks: Vec<AcceptanceCheck>,
     /// Across the diagonal.
-    pub diagonal: Across,
+    pub diagonal: CrossTrackError,
     /// Range of the error across the arc, radially: before and after, in µm.
     pub arc_radial_um: [f64; 2],
     /// The same across the arc on Z: before and after, in µm.
     pub arc_z_um: [f64; 2],
     /// The errors at each height of the staircase.
-    pub stairs: Vec<Stair>,
+    pub stairs: Vec<StaircaseStep>,
     /// How late the offsets act.
-    pub lag: Lag,
+    pub lag: LagStatistics,
     /// Growth at the end of the warm-up, in µm.
     pub growth_um: f64,
     /// How far the second machine's error along the diagonal is from the pass that was really cut
     /// without compensation, at most, in µm.
     pub ignored_against_cut_um: f64,
     /// How long the run took, and what was compressed in it.
-    pub time: Time,
+    pub time: TimeCompression,
     /// The slew limit of board and component, in µm/s.
     pub slew_um_per_s: f64,
     /// LinuxCNC's share for offsets.
@@ -185,12 +187,12 @@ pub struct Figures {
     /// For the pictures: along the diagonal on Y and Z, around the arc, over the warm-up, with five
     /// axes.
     #[serde(skip)]
-    pub curves: Curves,
+    pub curves: ErrorCurves,
 }
 
 /// The pictures' data.
 #[derive(Clone, Debug, Default)]
-pub struct Curves {
+pub struct ErrorCurves {
     /// Y along the diagonal.
     pub diagonal_y: ErrorCurve,
     /// Z along the diagonal.
@@ -204,31 +206,32 @@ pub struct Curves {
 }
 
 /// Computes the least growth while five axes move, in µm.
-fn least_growth_um(five: &[&Cycle]) -> f64 {
+fn min_growth_um(five: &[&ServoCycle]) -> f64 {
     five.iter().map(|cycle| cycle.growth_um).fold(f64::INFINITY, f64::min)
 }
 
 /// Compares each figure with the least or most that it has to reach.
-fn checks(
-    run: &Run,
-    diagonal: &Across,
-    lag: &Lag,
-    stairs: &[Stair],
-    warm_up: &[&Cycle],
-    five: &[&Cycle],
-) -> Vec<Check> {
+fn evaluate_checks(
+    run: &RunRecord,
+    diagonal: &CrossTrackError,
+    lag: &LagStatistics,
+    stairs: &[StaircaseStep],
+    warm_up: &[&ServoCycle],
+    five: &[&ServoCycle],
+) -> Vec<AcceptanceCheck> {
     let whole = |across: &[f64; 3]| across.iter().map(|um| um * um).sum::<f64>().sqrt();
-    let pitch = |of: fn(&Stair) -> f64| range(stairs.iter().map(of));
-    let backlash = |of: fn(&Stair) -> [f64; 2]| {
+    let pitch = |of: fn(&StaircaseStep) -> f64| peak_to_peak(stairs.iter().map(of));
+    let backlash = |of: fn(&StaircaseStep) -> [f64; 2]| {
         stairs.iter().map(|stair| (of(stair)[1] - of(stair)[0]).abs()).fold(0.0, f64::max)
     };
-    let change = |of: Of| {
+    let change = |of: CycleMetric| {
         let start = of(warm_up[0]);
         warm_up.iter().map(|cycle| (of(cycle) - start).abs()).fold(0.0, f64::max)
     };
-    let growth_um = least_growth_um(five);
-    let left_um = five.iter().map(|cycle| length(cycle.with_um)).fold(0.0, f64::max);
-    let [on_z, on_z_now]: [Of; 2] = [|cycle| cycle.without_um[2], |cycle| cycle.with_um[2]];
+    let growth_um = min_growth_um(five);
+    let left_um = five.iter().map(|cycle| vector_norm(cycle.with_um)).fold(0.0, f64::max);
+    let [on_z, on_z_now]: [CycleMetric; 2] =
+        [|cycle| cycle.without_um[2], |cycle| cycle.with_um[2]];
     let damaged: f64 = run
         .errors
         .iter()
@@ -236,35 +239,45 @@ fn checks(
         .map(|(_, count)| count)
         .sum();
     vec![
-        Check::reduction(
+        AcceptanceCheck::with_min_reduction(
             "straightness along the diagonal, Z",
             diagonal.before_um[2],
             diagonal.after_um[2],
             95.0,
         ),
-        Check::reduction(
+        AcceptanceCheck::with_min_reduction(
             "straightness along the diagonal, X, Y and Z together",
             whole(&diagonal.before_um),
             whole(&diagonal.after_um),
             95.0,
         ),
-        Check::reduction("growth in two hours of warm-up", change(on_z), change(on_z_now), 97.0),
-        Check::reduction(
+        AcceptanceCheck::with_min_reduction(
+            "growth in two hours of warm-up",
+            change(on_z),
+            change(on_z_now),
+            97.0,
+        ),
+        AcceptanceCheck::with_min_reduction(
             "pitch on the staircase",
             pitch(|stair| stair.before_um[0]),
             pitch(|stair| stair.after_um[0]),
             90.0,
         ),
-        Check::reduction(
+        AcceptanceCheck::with_min_reduction(
             "backlash on the staircase",
             backlash(|stair| stair.before_um),
             backlash(|stair| stair.after_um),
             95.0,
         ),
-        Check::reduction("growth with five axes in motion", growth_um, left_um, 95.0),
-        Check::most("lag of the offsets at the CNC", lag.mean_ms, "ms", 20.0),
-        Check::most("damaged frames and faults at the CNC", damaged, "", 0.0),
-        Check::most(
+        AcceptanceCheck::with_min_reduction(
+            "growth with five axes in motion",
+            growth_um,
+            left_um,
+            95.0,
+        ),
+        AcceptanceCheck::with_upper_limit("lag of the offsets at the CNC", lag.mean_ms, "ms", 20.0),
+        AcceptanceCheck::with_upper_limit("damaged frames and faults at the CNC", damaged, "", 0.0),
+        AcceptanceCheck::with_upper_limit(
             "largest change of an offset in a servo cycle",
             largest_step_um(&run.cycles),
             "um",
@@ -279,43 +292,48 @@ impl Figures {
     ///
     /// # Errors
     /// A part of the run is missing.
-    pub fn of(run: &Run) -> Result<Self> {
-        let part = |pass: usize, phase: u32| -> Result<Vec<&Cycle>> {
-            let wanted = |cycle: &&Cycle| cycle.pass == PASSES[pass] && cycle.phase == phase;
-            let cycles: Vec<&Cycle> = run.cycles.iter().filter(wanted).collect();
+    pub fn from_run(run: &RunRecord) -> Result<Self> {
+        let part = |pass: usize, phase: u32| -> Result<Vec<&ServoCycle>> {
+            let wanted =
+                |cycle: &&ServoCycle| cycle.pass == PASS_NUMBERS[pass] && cycle.phase == phase;
+            let cycles: Vec<&ServoCycle> = run.cycles.iter().filter(wanted).collect();
             ensure!(cycles.len() > 100, "pass {pass}, phase {phase}: {} cycles", cycles.len());
             Ok(cycles)
         };
         let [before, after] = [part(0, phase::DIAGONAL)?, part(1, phase::DIAGONAL)?];
-        let diagonal = Across { before_um: across(&before), after_um: across(&after) };
+        let diagonal = CrossTrackError {
+            before_um: cross_track_range(&before),
+            after_um: cross_track_range(&after),
+        };
         let file = MachineFile::parse(&run.machine_file, Path::new("extended.toml"))?;
-        let lag = lag(&after, &on_host::asked_um(&file, &after)?)?;
+        let lag = compute_lag(&after, &host_bridge::requested_offset_um(&file, &after)?)?;
         let [arc_before, arc_after] = [part(0, phase::ARC)?, part(1, phase::ARC)?];
-        let stairs = stairs(&part(0, phase::STAIRS)?, &part(1, phase::STAIRS)?)
-            .with_context(|| format!("{} cycles are not recorded", run.account.lost_samples))?;
+        let stairs =
+            compare_staircases(&part(0, phase::STAIRCASE)?, &part(1, phase::STAIRCASE)?)
+                .with_context(|| format!("{} cycles are not recorded", run.account.lost_samples))?;
         let warm_up = part(2, phase::WARM_UP)?;
         let five = part(2, phase::FIVE_AXES)?;
-        let growth_um = least_growth_um(&five);
-        let checks = checks(run, &diagonal, &lag, &stairs, &warm_up, &five);
+        let growth_um = min_growth_um(&five);
+        let checks = evaluate_checks(run, &diagonal, &lag, &stairs, &warm_up, &five);
         let [limits_longer_by, constants_shorter_by, pairs_passed_one_in] = match run.way.on {
-            On::Qemu => [COMPRESSION, 1, adapter::COMPRESSED_STRIDE],
-            On::Chip | On::Servo => [1, COMPRESSION, 1],
+            BridgePlatform::Qemu => [TIME_COMPRESSION, 1, adapter::COMPRESSED_STRIDE_CYCLES],
+            BridgePlatform::Chip | BridgePlatform::Servo => [1, TIME_COMPRESSION, 1],
         };
-        let Account { board_ms, slipped_ms, lost_samples, traffic } = run.account;
+        let LoopResult { board_ms, slipped_ms, lost_samples, traffic } = run.account;
         Ok(Self {
             way: run.way,
             checks,
-            arc_radial_um: [radial(&arc_before), radial(&arc_after)],
+            arc_radial_um: [radial_error_range(&arc_before), radial_error_range(&arc_after)],
             arc_z_um: [&arc_before, &arc_after]
-                .map(|part| range(part.iter().map(|it| it.with_um[2]))),
+                .map(|part| peak_to_peak(part.iter().map(|it| it.with_um[2]))),
             stairs,
             growth_um,
-            ignored_against_cut_um: ignored_against_cut_um(&before, &after),
-            time: Time {
+            ignored_against_cut_um: max_uncompensated_difference_um(&before, &after),
+            time: TimeCompression {
                 slower: run.slower,
                 warm_up_s: WARM_UP_S,
                 warm_up_wall_s: run.warm_up_wall_s,
-                compression: COMPRESSION,
+                compression: TIME_COMPRESSION,
                 limits_longer_by,
                 constants_shorter_by,
                 pairs_passed_one_in,
@@ -325,8 +343,8 @@ impl Figures {
             },
             slew_um_per_s: run.slew_um_per_s,
             offset_av_ratio: match run.way.by {
-                By::Eoffset => OFFSET_AV_RATIO,
-                By::Joint => 0.0,
+                OffsetEntry::Eoffset => OFFSET_AV_RATIO,
+                OffsetEntry::Joint => 0.0,
             },
             largest_step_um: largest_step_um(&run.cycles),
             cycles: [run.cycles.len() as u64, lost_samples],
@@ -334,10 +352,10 @@ impl Figures {
             component: run.errors.clone(),
             findings: run.findings.clone(),
             machine_file: run.machine_file.clone(),
-            curves: Curves {
-                diagonal_y: along(&before, &after, |cycle| cycle.commanded_mm()[0], 1),
-                diagonal_z: along(&before, &after, |cycle| cycle.commanded_mm()[0], 2),
-                arc_z: along(&arc_before, &arc_after, angle_deg, 2),
+            curves: ErrorCurves {
+                diagonal_y: error_curve(&before, &after, |cycle| cycle.commanded_mm()[0], 1),
+                diagonal_z: error_curve(&before, &after, |cycle| cycle.commanded_mm()[0], 2),
+                arc_z: error_curve(&arc_before, &arc_after, arc_angle_deg, 2),
                 warm_up: warm_up_curve(&warm_up),
                 five_axes: five_axes_curve(&five),
             },
@@ -350,15 +368,15 @@ impl Figures {
     ///
     /// # Errors
     /// One is not reached.
-    pub fn check(&self) -> Result<u32> {
+    pub(crate) fn ensure_all_met(&self) -> Result<u32> {
         let missed: Vec<String> = self
             .checks
             .iter()
             .filter(|check| !check.is_met())
             .map(|check| {
                 let than = if check.at_least { "at least" } else { "at most" };
-                let Check { name, value, unit, limit, .. } = check;
-                format!("{name}: {value:.2} {unit}, wanted {than} {limit} {unit}")
+                let AcceptanceCheck { name, value, unit, limit, .. } = check;
+                format!("{name}: {value:.2} {unit}, target: {than} {limit} {unit}")
             })
             .collect();
         if !missed.is_empty() {
@@ -369,7 +387,7 @@ impl Figures {
 
     /// Returns the table for a machinist.
     #[must_use]
-    pub fn table(&self) -> String {
+    pub fn format_table(&self) -> String {
         let mut text = String::from(
             "                                                        before      after\n",
         );
@@ -387,7 +405,7 @@ impl Figures {
                 check.limit,
             );
         }
-        let Lag { worst_ms, steepest_um_per_mm, costs_um_at_10_m_per_min, .. } = self.lag;
+        let LagStatistics { worst_ms, steepest_um_per_mm, costs_um_at_10_m_per_min, .. } = self.lag;
         text + &format!(
             "\nThe lag is {:.1} ms over the diagonal, {worst_ms:.1} ms in its worst two seconds. Where the \
              error is steepest\n({steepest_um_per_mm:.3} um/mm) it costs {costs_um_at_10_m_per_min:.2} um at \
@@ -414,11 +432,11 @@ mod tests {
 
     #[test]
     fn a_figure_that_is_missed_or_is_none_is_not_met() {
-        let reduced = |after| Check::reduction("it", 100.0, after, 95.0);
+        let reduced = |after| AcceptanceCheck::with_min_reduction("it", 100.0, after, 95.0);
         assert!(reduced(5.0).is_met() && !reduced(5.1).is_met());
-        assert!(!Check::reduction("nothing to reduce", 0.0, 0.0, 95.0).is_met());
-        assert!(Check::most("late", 20.0, "ms", 20.0).is_met());
-        assert!(!Check::most("late", 20.1, "ms", 20.0).is_met());
-        assert!(!Check::most("late", f64::NAN, "ms", 20.0).is_met());
+        assert!(!AcceptanceCheck::with_min_reduction("nothing to reduce", 0.0, 0.0, 95.0).is_met());
+        assert!(AcceptanceCheck::with_upper_limit("late", 20.0, "ms", 20.0).is_met());
+        assert!(!AcceptanceCheck::with_upper_limit("late", 20.1, "ms", 20.0).is_met());
+        assert!(!AcceptanceCheck::with_upper_limit("late", f64::NAN, "ms", 20.0).is_met());
     }
 }

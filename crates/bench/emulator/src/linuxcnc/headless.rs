@@ -1,7 +1,7 @@
 //! LinuxCNC itself: Debian's, without a screen, as a user that owns nothing, with all that belongs
 //! to it in a folder of its own.
 //!
-//! Its screen is a script that does what it is told over a socket of the loopback (`screen.py` has
+//! Its screen is a script that executes the commands from a socket of the loopback (`screen.py` has
 //! the verbs). Everything that is started here is ended here, and no wait is without an end.
 
 use std::{
@@ -23,46 +23,46 @@ use anyhow::{Context as _, Result, bail, ensure};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use super::left_over;
+use super::stale_shared_memory;
 use crate::{process, setup::LinuxCnc};
 
 /// The user and group that own nothing.
-const NOBODY: u32 = 65_534;
+const NOBODY_ID: u32 = 65_534;
 /// LinuxCNC is up after a few seconds on an idle computer.
-const START: Duration = Duration::from_secs(90);
+const STARTUP_TIMEOUT: Duration = Duration::from_secs(90);
 /// An answer of the screen; homing, moves and loading a program are in it.
-const ANSWER: Duration = Duration::from_secs(150);
+const RESPONSE_TIMEOUT: Duration = Duration::from_secs(150);
 /// How long it may take to go, and to obey a signal.
-const END: Duration = Duration::from_secs(30);
-const OBEY: Duration = Duration::from_secs(5);
-const STEP: Duration = Duration::from_millis(20);
-/// How often it is started when it loses its own race for shared memory; see [`left_over`].
-const ATTEMPTS: u32 = 3;
-const SCREEN: &str = include_str!("screen.py");
+const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(30);
+const TERMINATION_TIMEOUT: Duration = Duration::from_secs(5);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
+/// How often it is started when it loses its own race for shared memory; see [`stale_shared_memory`].
+const MAX_START_ATTEMPTS: u32 = 3;
+const SCREEN_SCRIPT: &str = include_str!("screen.py");
 /// The `DISPLAY` of a configuration, in the folder.
-pub const DISPLAY: &str = "screen.sh";
+pub const DISPLAY_PROGRAM: &str = "screen.sh";
 
 /// A running LinuxCNC.
 #[derive(Debug)]
-pub struct Headless {
+pub struct HeadlessLinuxCnc {
     folder: TempDir,
     child: Child,
     screen: BufReader<TcpStream>,
-    /// While this is held nobody else runs one.
+    /// While this is held no other process runs one.
     alone: Option<LinuxCnc>,
     _keeper: Sender<()>,
 }
 
-impl Headless {
+impl HeadlessLinuxCnc {
     /// Returns an empty folder for the configuration; it is also the first on the search path.
     ///
     /// # Errors
     /// It cannot be made.
-    pub fn new_folder() -> Result<TempDir> {
+    pub fn create_config_folder() -> Result<TempDir> {
         Ok(tempfile::Builder::new().prefix("trueup-cnc-").tempdir()?)
     }
 
-    /// Starts it with this configuration of the folder, whose `DISPLAY` is [`DISPLAY`], and waits
+    /// Starts it with this configuration of the folder, whose `DISPLAY` is [`DISPLAY_PROGRAM`], and waits
     /// until that is there.
     ///
     /// # Errors
@@ -72,25 +72,26 @@ impl Headless {
         let listener = TcpListener::bind("127.0.0.1:0")?;
         let port = listener.local_addr()?.port();
         let here = folder.path().display();
-        fs::write(path("screen.py"), SCREEN)?;
+        fs::write(path("screen.py"), SCREEN_SCRIPT)?;
         fs::write(
-            path(DISPLAY),
+            path(DISPLAY_PROGRAM),
             format!("#!/bin/sh\nexec /usr/bin/python3 {here}/screen.py {port}\n"),
         )?;
-        fs::set_permissions(path(DISPLAY), fs::Permissions::from_mode(0o755))?;
+        fs::set_permissions(path(DISPLAY_PROGRAM), fs::Permissions::from_mode(0o755))?;
         if is_root()? {
             for entry in fs::read_dir(&folder)? {
-                chown(entry?.path(), Some(NOBODY), Some(NOBODY))?;
+                chown(entry?.path(), Some(NOBODY_ID), Some(NOBODY_ID))?;
             }
-            chown(&folder, Some(NOBODY), Some(NOBODY))?;
+            chown(&folder, Some(NOBODY_ID), Some(NOBODY_ID))?;
         }
         for attempt in 1.. {
             let log = File::create(path("log.txt"))?;
-            let mut command = unprivileged(control.program(), folder.path())?;
+            let mut command = unprivileged_command(control.program(), folder.path())?;
             command.arg(path(ini)).stdin(Stdio::null()).stdout(log.try_clone()?).stderr(log);
             // A group of its own, so that it can be ended with all that it started.
             command.process_group(0);
-            let (mut child, keeper) = spawn(command).context("LinuxCNC cannot be started")?;
+            let (mut child, keeper) =
+                spawn_on_dedicated_thread(command).context("LinuxCNC cannot be started")?;
             match wait_for_screen(&listener, &mut child) {
                 Ok(stream) => {
                     let screen = BufReader::new(stream);
@@ -103,13 +104,13 @@ impl Headless {
                     });
                 }
                 Err(error) => {
-                    end_group(&mut child);
-                    let said = said(folder.path());
-                    let denied = left_over::denied(&said);
-                    if attempt == ATTEMPTS || denied.is_empty() {
+                    terminate_group(&mut child);
+                    let said = read_recent_log(folder.path());
+                    let denied = stale_shared_memory::denied_keys(&said);
+                    if attempt == MAX_START_ATTEMPTS || denied.is_empty() {
                         bail!("LinuxCNC does not come up: {error:#}\n{said}");
                     }
-                    left_over::remove(&denied)?;
+                    stale_shared_memory::remove_segments(&denied)?;
                 }
             }
         }
@@ -120,50 +121,55 @@ impl Headless {
     ///
     /// # Errors
     /// It cannot, or LinuxCNC has ended; with what that said.
-    pub fn ask(&mut self, request: &Value) -> Result<Value> {
+    pub fn send_request(&mut self, request: &Value) -> Result<Value> {
         let line = format!("{request}\n");
         let mut answer = String::new();
         let asked = self.screen.get_mut().write_all(line.as_bytes());
         let length = asked.and_then(|()| self.screen.read_line(&mut answer));
         if !matches!(length, Ok(1..)) {
-            bail!("{request}: LinuxCNC's screen no longer answers\n{}", self.said());
+            bail!("{request}: LinuxCNC's screen no longer answers\n{}", self.recent_log());
         }
         let mut answer: Value = serde_json::from_str(&answer)?;
         if let Some(error) = answer["error"].as_str() {
-            bail!("{request}: {error}\n{}", self.said());
+            bail!("{request}: {error}\n{}", self.recent_log());
         }
         Ok(answer["ok"].take())
     }
 
-    /// [`Headless::ask`] for something that has one argument.
+    /// [`HeadlessLinuxCnc::send_request`] for something that has one argument.
     ///
     /// # Errors
-    /// As [`Headless::ask`].
-    pub fn act(&mut self, verb: &str, name: &str, value: impl Into<Value>) -> Result<Value> {
-        self.ask(&json!({ "do": verb, name: value.into() }))
+    /// As [`HeadlessLinuxCnc::send_request`].
+    pub fn send_command(
+        &mut self,
+        verb: &str,
+        name: &str,
+        value: impl Into<Value>,
+    ) -> Result<Value> {
+        self.send_request(&json!({ "do": verb, name: value.into() }))
     }
 
     /// Takes it out of the emergency stop, switches it on, homes it if it is not homed, and gives
     /// it to its axes: joint by joint, as after homing, no external offset moves.
     ///
     /// # Errors
-    /// As [`Headless::ask`].
-    pub fn switch_on(&mut self) -> Result<()> {
-        self.act("state", "name", "reset")?;
-        self.act("state", "name", "on")?;
-        if self.pin("motion.is-all-homed")? == 0.0 {
-            self.ask(&json!({ "do": "home" }))?;
+    /// As [`HeadlessLinuxCnc::send_request`].
+    pub fn power_on_and_home(&mut self) -> Result<()> {
+        self.send_command("state", "name", "reset")?;
+        self.send_command("state", "name", "on")?;
+        if self.read_pin("motion.is-all-homed")? == 0.0 {
+            self.send_request(&json!({ "do": "home" }))?;
         }
-        self.act("teleop", "on", true).map(drop)
+        self.send_command("teleop", "on", true).map(drop)
     }
 
     /// Starts a program of the folder.
     ///
     /// # Errors
-    /// As [`Headless::ask`].
-    pub fn begin(&mut self, program: &str) -> Result<()> {
+    /// As [`HeadlessLinuxCnc::send_request`].
+    pub fn start_program(&mut self, program: &str) -> Result<()> {
         let path = self.folder.path().join(program);
-        self.act("begin", "program", path.to_string_lossy()).map(drop)
+        self.send_command("begin", "program", path.to_string_lossy()).map(drop)
     }
 
     /// Returns whether the program still runs.
@@ -171,40 +177,40 @@ impl Headless {
     /// # Errors
     /// LinuxCNC has stopped it.
     pub fn is_busy(&mut self) -> Result<bool> {
-        Ok(self.ask(&json!({ "do": "busy" }))? == Value::Bool(true))
+        Ok(self.send_request(&json!({ "do": "busy" }))? == Value::Bool(true))
     }
 
     /// Returns true if the program waits for the operator at a stop (`M0`).
     ///
     /// # Errors
-    /// As [`Headless::ask`].
+    /// As [`HeadlessLinuxCnc::send_request`].
     pub fn is_stopped(&mut self) -> Result<bool> {
-        Ok(self.ask(&json!({ "do": "stopped" }))? == Value::Bool(true))
+        Ok(self.send_request(&json!({ "do": "stopped" }))? == Value::Bool(true))
     }
 
     /// Goes on after a stop, as the operator does.
     ///
     /// # Errors
-    /// As [`Headless::ask`].
+    /// As [`HeadlessLinuxCnc::send_request`].
     pub fn resume(&mut self) -> Result<()> {
-        self.ask(&json!({ "do": "resume" })).map(drop)
+        self.send_request(&json!({ "do": "resume" })).map(drop)
     }
 
     /// Sets a pin that nothing drives.
     ///
     /// # Errors
     /// There is no such pin.
-    pub fn set(&mut self, pin: &str, value: impl Into<Value>) -> Result<()> {
+    pub fn set_pin(&mut self, pin: &str, value: impl Into<Value>) -> Result<()> {
         let value: Value = value.into();
-        self.ask(&json!({ "do": "setp", "name": pin, "value": value })).map(drop)
+        self.send_request(&json!({ "do": "setp", "name": pin, "value": value })).map(drop)
     }
 
     /// Reads pins as numbers; a bit is 0 or 1.
     ///
     /// # Errors
     /// There is no such pin.
-    pub fn pins(&mut self, names: &[&str]) -> Result<Vec<f64>> {
-        let values = self.act("pins", "names", names)?;
+    pub fn read_pins(&mut self, names: &[&str]) -> Result<Vec<f64>> {
+        let values = self.send_command("pins", "names", names)?;
         let values = values.as_array().context("the screen gives no list")?;
         let number = |value: &Value| match value {
             Value::Bool(bit) => f64::from(u8::from(*bit)),
@@ -217,15 +223,15 @@ impl Headless {
     ///
     /// # Errors
     /// There is no such pin.
-    pub fn pin(&mut self, name: &str) -> Result<f64> {
-        Ok(self.pins(&[name])?[0])
+    pub fn read_pin(&mut self, name: &str) -> Result<f64> {
+        Ok(self.read_pins(&[name])?[0])
     }
 
     /// Waits until this holds of these pins.
     ///
     /// # Errors
     /// It does not within this many seconds; with what they are.
-    pub fn wait(
+    pub fn wait_for_pins(
         &mut self,
         what: &str,
         seconds: u64,
@@ -234,16 +240,16 @@ impl Headless {
     ) -> Result<()> {
         let end = Instant::now() + Duration::from_secs(seconds);
         loop {
-            let values = self.pins(names)?;
+            let values = self.read_pins(names)?;
             if holds(&values) {
                 return Ok(());
             }
             ensure!(
                 Instant::now() < end,
                 "{what}: not within {seconds} s; {names:?} are {values:?}\n{}",
-                self.said()
+                self.recent_log()
             );
-            thread::sleep(STEP / 2);
+            thread::sleep(POLL_INTERVAL / 2);
         }
     }
 
@@ -253,7 +259,7 @@ impl Headless {
     /// It refuses; with what it says.
     pub fn halcmd(&mut self, words: &str) -> Result<String> {
         let words: Vec<&str> = words.split_whitespace().collect();
-        let said = self.act("halcmd", "words", words)?;
+        let said = self.send_command("halcmd", "words", words)?;
         Ok(said.as_str().unwrap_or_default().to_owned())
     }
 
@@ -261,9 +267,10 @@ impl Headless {
     ///
     /// # Errors
     /// It cannot be started.
-    pub fn sample(&self) -> Result<(Sampler, ChildStdout)> {
-        let program = process::find("halsampler").context("halsampler belongs to LinuxCNC")?;
-        let mut child = unprivileged(&program, self.folder())?
+    pub fn start_sampler(&self) -> Result<(Sampler, ChildStdout)> {
+        let program =
+            process::find_on_path("halsampler").context("halsampler belongs to LinuxCNC")?;
+        let mut child = unprivileged_command(&program, self.folder())?
             .arg("-t")
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
@@ -275,8 +282,8 @@ impl Headless {
 
     /// Returns the end of what it and its parts have said so far.
     #[must_use]
-    pub fn said(&self) -> String {
-        said(self.folder())
+    pub fn recent_log(&self) -> String {
+        read_recent_log(self.folder())
     }
 
     /// Returns the folder of its session: the .ini, programs and logs.
@@ -289,29 +296,29 @@ impl Headless {
     ///
     /// # Errors
     /// It does not end by itself; it is then made to.
-    pub fn end(&mut self) -> Result<()> {
+    pub fn close(&mut self) -> Result<()> {
         self.screen.get_mut().shutdown(Shutdown::Both).ok();
-        if ends_within(&mut self.child, END) {
+        if has_exited_within(&mut self.child, SHUTDOWN_TIMEOUT) {
             return Ok(());
         }
-        end_group(&mut self.child);
-        bail!("LinuxCNC does not end: {}", self.said())
+        terminate_group(&mut self.child);
+        bail!("LinuxCNC does not end: {}", self.recent_log())
     }
 
     /// Ends it; gives what is needed to start it again before anybody else does.
     ///
     /// # Errors
-    /// As [`Headless::end`].
-    pub fn give_back(&mut self) -> Result<LinuxCnc> {
-        self.end()?;
+    /// As [`HeadlessLinuxCnc::close`].
+    pub fn shut_down(&mut self) -> Result<LinuxCnc> {
+        self.close()?;
         self.alone.take().context("it was given back before")
     }
 }
 
-impl Drop for Headless {
+impl Drop for HeadlessLinuxCnc {
     fn drop(&mut self) {
-        if let Err(error) = self.end() {
-            trueup_output::diagnostic(format_args!("{error:#}"));
+        if let Err(error) = self.close() {
+            trueup_output::write_diagnostic(format_args!("{error:#}"));
         }
     }
 }
@@ -330,11 +337,11 @@ impl Drop for Sampler {
 
 /// Starts it from a thread that lives as long as what is given with it: the kernel ends the process
 /// with the thread that has started it, and one test may leave LinuxCNC to the next.
-fn spawn(mut command: Command) -> Result<(Child, Sender<()>)> {
+fn spawn_on_dedicated_thread(mut command: Command) -> Result<(Child, Sender<()>)> {
     let (keeper, kept) = mpsc::channel::<()>();
     let (give, take) = mpsc::channel();
     thread::spawn(move || {
-        // Nobody is there to take it only if the other thread has died.
+        // There is no receiver only if the other thread has died.
         give.send(command.spawn()).ok();
         // Nothing is ever sent: this ends when the other end goes.
         kept.recv().ok();
@@ -344,12 +351,12 @@ fn spawn(mut command: Command) -> Result<(Child, Sender<()>)> {
 
 fn wait_for_screen(listener: &TcpListener, child: &mut Child) -> Result<TcpStream> {
     listener.set_nonblocking(true)?;
-    let end = Instant::now() + START;
+    let end = Instant::now() + STARTUP_TIMEOUT;
     loop {
         match listener.accept() {
             Ok((stream, _)) => {
                 stream.set_nonblocking(false)?;
-                stream.set_read_timeout(Some(ANSWER))?;
+                stream.set_read_timeout(Some(RESPONSE_TIMEOUT))?;
                 return Ok(stream);
             }
             Err(error) if error.kind() == ErrorKind::WouldBlock => {}
@@ -358,42 +365,42 @@ fn wait_for_screen(listener: &TcpListener, child: &mut Child) -> Result<TcpStrea
         if let Some(status) = child.try_wait()? {
             bail!("it ends, {status}");
         }
-        ensure!(Instant::now() < end, "not within {START:?}");
-        thread::sleep(STEP);
+        ensure!(Instant::now() < end, "not within {STARTUP_TIMEOUT:?}");
+        thread::sleep(POLL_INTERVAL);
     }
 }
 
-fn ends_within(child: &mut Child, patience: Duration) -> bool {
+fn has_exited_within(child: &mut Child, patience: Duration) -> bool {
     let end = Instant::now() + patience;
     while matches!(child.try_wait(), Ok(None)) {
         if Instant::now() > end {
             return false;
         }
-        thread::sleep(STEP);
+        thread::sleep(POLL_INTERVAL);
     }
     true
 }
 
 /// Makes LinuxCNC and all that it started end. It takes its real-time part down by itself if it is
 /// asked to.
-fn end_group(child: &mut Child) {
+fn terminate_group(child: &mut Child) {
     let group = format!("-{}", child.id());
     for signal in ["-TERM", "-KILL"] {
-        if ends_within(child, Duration::ZERO) {
+        if has_exited_within(child, Duration::ZERO) {
             return;
         }
         // There is nothing else to do about a failure here.
         Command::new("kill").args([signal, "--", &group]).status().ok();
-        ends_within(child, OBEY);
+        has_exited_within(child, TERMINATION_TIMEOUT);
     }
 }
 
 /// Returns a command in the folder's own surroundings; LinuxCNC refuses to run as root.
-fn unprivileged(program: &Path, folder: &Path) -> Result<Command> {
+fn unprivileged_command(program: &Path, folder: &Path) -> Result<Command> {
     let mut command = if is_root()? {
         let mut command = Command::new("setpriv");
-        command.args([&format!("--reuid={NOBODY}"), &format!("--regid={NOBODY}")]);
-        // The kernel ends it when this process dies, however it dies; see [`spawn`].
+        command.args([&format!("--reuid={NOBODY_ID}"), &format!("--regid={NOBODY_ID}")]);
+        // The kernel ends it when this process dies, however it dies; see [`spawn_on_dedicated_thread`].
         command.args(["--clear-groups", "--pdeathsig", "TERM"]).arg(program);
         command
     } else {
@@ -410,15 +417,15 @@ fn unprivileged(program: &Path, folder: &Path) -> Result<Command> {
 }
 
 fn is_root() -> Result<bool> {
-    Ok(process::output(Command::new("id").arg("-u"))?.trim() == "0")
+    Ok(process::capture_stdout(Command::new("id").arg("-u"))?.trim() == "0")
 }
 
-fn said(folder: &Path) -> String {
-    const LINES_OF_EACH: usize = 40;
+fn read_recent_log(folder: &Path) -> String {
+    const MAX_LOG_LINES: usize = 40;
     let end_of = |name: &str| {
         let text = fs::read_to_string(folder.join(name)).unwrap_or_default();
         let lines: Vec<&str> = text.lines().collect();
-        lines[lines.len().saturating_sub(LINES_OF_EACH)..].join("\n")
+        lines[lines.len().saturating_sub(MAX_LOG_LINES)..].join("\n")
     };
     ["trueup.log", "log.txt", "linuxcnc_print.txt", "linuxcnc_debug.txt"].map(end_of).join("\n")
 }

@@ -15,20 +15,20 @@
 //! | bridge | the firmware in QEMU, or the image that is flashed on the model of its chip | [`bridge`] |
 //! | its link in QEMU | CAN through the pipes of the samples, SLCAN before it | [`adapter`] |
 //! | machine | the twin: heat, guides, screws, spindle, sensors | [`plant`], `machine.toml` |
-//! | machine file | measured on the twin, fitted, diagnosed | [`measured`] |
+//! | machine file | measured on the twin, fitted, diagnosed | `machine_measurement` |
 //! | figures | from every servo cycle | [`figures`], [`page`] |
-//! | how far the backlash goes up and down | the staircase without LinuxCNC, again and again | [`repeat`] |
+//! | how far the backlash goes up and down | the staircase without LinuxCNC, again and again | [`repeatability`] |
 //!
-//! Tests that need a control and no bridge start the LinuxCNC of [`three_joints`].
+//! Tests that need a control and no bridge start the LinuxCNC of [`simulated_joints`].
 //!
-//! What is compressed, and how. In QEMU: in the warm-up a second of the wall is up to `COMPRESSION`
+//! What is compressed, and how. In QEMU: in the warm-up a second of the wall is up to `TIME_COMPRESSION`
 //! seconds of board and machine; LinuxCNC stays in real time and its G-code waits for the machine's clock.
 //! The board counts silence of the CNC in its own time, so it gets `[limits]` that are as many times
 //! longer, and LinuxCNC gets every 257th pair of offsets. All motion is cut at real time.
 //!
 //! On the model of the chip a second of the board is some of the wall, by a factor that is measured first.
 //! The motion is slower by it (see [`config`]) and every figure is taken in the board's time. The board
-//! itself cannot be hurried, so in the warm-up the machine is: it lives `COMPRESSION` seconds in one
+//! itself cannot be hurried, so in the warm-up the machine is: it lives `TIME_COMPRESSION` seconds in one
 //! of the board, whose machine file has time constants as many times shorter. No limit of anybody is other.
 //!
 //! Without a board it is the same: the servo thread is in real time, and the machine file has short time constants from the
@@ -36,17 +36,17 @@
 
 pub mod adapter;
 pub mod bridge;
-mod by_setup;
 pub mod config;
 pub mod figures;
 pub mod headless;
-mod left_over;
-pub mod measured;
-mod on_host;
+mod host_bridge;
+pub(crate) mod machine_measurement;
 pub mod page;
 pub mod plant;
-pub mod repeat;
-pub mod three_joints;
+pub mod repeatability;
+mod setup_config;
+pub mod simulated_joints;
+mod stale_shared_memory;
 
 use std::{
     fs,
@@ -64,22 +64,22 @@ use trueup_machine::{Machine, MachineFile, compile};
 use trueup_twin::machine::Machine as Twin;
 
 use self::{
-    bridge::{Bridge, Images, Wiring},
-    figures::{Figures, Run},
-    headless::Headless,
-    measured::{LOOP_SEED, Measured},
+    bridge::{Bridge, BridgeImages, Wiring},
+    figures::{Figures, RunRecord},
+    headless::HeadlessLinuxCnc,
+    machine_measurement::{LOOP_SEED, MeasuredMachine},
     plant::Plant,
 };
-use crate::{chip, firmware, programs, setup};
+use crate::{chip, firmware, host_programs, setup};
 
 /// How many times faster the machine lives through the warm-up: in QEMU than the wall, with the board, if
 /// this computer is fast enough; on the model of the chip than the board.
-pub(crate) const COMPRESSION: u32 = 72;
+pub(crate) const TIME_COMPRESSION: u32 = 72;
 
 /// Where the bridge runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, ValueEnum)]
 #[serde(rename_all = "lowercase")]
-pub enum On {
+pub enum BridgePlatform {
     /// The image for the emulator, in QEMU.
     #[default]
     Qemu,
@@ -92,7 +92,7 @@ pub enum On {
 /// Where the offsets enter LinuxCNC.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, ValueEnum)]
 #[serde(rename_all = "lowercase")]
-pub enum By {
+pub enum OffsetEntry {
     /// As external offsets, by the HAL files of `integrations/linuxcnc`.
     #[default]
     Eoffset,
@@ -102,57 +102,57 @@ pub enum By {
 
 /// A way from the machine to LinuxCNC's drives.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Way {
+pub struct CompensationRoute {
     /// Where the bridge runs.
-    pub on: On,
+    pub on: BridgePlatform,
     /// Where its offsets enter.
-    pub by: By,
+    pub by: OffsetEntry,
 }
 
-impl Way {
+impl CompensationRoute {
     /// Where the page and the figures go.
-    fn folder(self) -> String {
+    fn output_folder(self) -> String {
         let on = match self.on {
-            On::Qemu => "",
-            On::Chip => "-chip",
-            On::Servo => "-servo",
+            BridgePlatform::Qemu => "",
+            BridgePlatform::Chip => "-chip",
+            BridgePlatform::Servo => "-servo",
         };
-        let by = if self.by == By::Joint { "-joint" } else { "" };
+        let by = if self.by == OffsetEntry::Joint { "-joint" } else { "" };
         format!("target/linuxcnc{on}{by}")
     }
 
     /// Returns whether `trueup linuxcnc setup` writes the HAL files.
-    fn is_set_up(self) -> bool {
-        self.on == On::Servo || self.by == By::Joint
+    fn is_written_by_setup(self) -> bool {
+        self.on == BridgePlatform::Servo || self.by == OffsetEntry::Joint
     }
 }
 
 /// The warm-up in seconds of the machine.
 pub(crate) const WARM_UP_S: u32 = 7_200;
 /// The first pass of the path, without compensation, and the second, with it; then the warm-up.
-pub(crate) const PASSES: [u32; 3] = [1, 2, 3];
+pub(crate) const PASS_NUMBERS: [u32; 3] = [1, 2, 3];
 /// A part of a program may take so long.
-const PATIENCE: Duration = Duration::from_secs(180);
+const PROGRAM_TIMEOUT: Duration = Duration::from_secs(180);
 /// The warm-up may take this many times as long as planned, on a computer that is too slow.
-const SLOWEST: u32 = 6;
+const MAX_WARM_UP_STRETCH: u32 = 6;
 const SEED: u64 = 77;
 
 /// Runs the whole; `None` where the distribution has no package of LinuxCNC, or the compiler is too old for
 /// the model of the chip.
 ///
 /// # Errors
-/// Something does not run. What is not reached is not an error here: [`Figures::check`] says it.
-pub fn run(way: Way) -> Result<Option<Figures>> {
+/// Something does not run. What is not reached is not an error here: `Figures::ensure_all_met` says it.
+pub fn run(way: CompensationRoute) -> Result<Option<Figures>> {
     let on = way.on;
     let started = Instant::now();
-    let Some(control) = setup::linuxcnc()? else { return Ok(None) };
+    let Some(control) = setup::ensure_linuxcnc()? else { return Ok(None) };
     let bar = ProgressBar::new_spinner();
     bar.set_style(ProgressStyle::with_template("{spinner} {elapsed} {msg}")?);
     bar.enable_steady_tick(Duration::from_millis(200));
     let announce = |what: &str| {
-        // Also where nobody watches a bar.
+        // Also where no progress bar is shown.
         bar.suspend(|| {
-            trueup_output::diagnostic(format_args!(
+            trueup_output::write_diagnostic(format_args!(
                 "{:>4.0} s  {what}",
                 started.elapsed().as_secs_f64()
             ))
@@ -160,68 +160,73 @@ pub fn run(way: Way) -> Result<Option<Figures>> {
         bar.set_message(what.to_owned());
     };
 
-    let Some((trueup, measured, images)) = prepared(way, &announce)? else { return Ok(None) };
+    let Some((trueup, measured, images)) = prepare(way, &announce)? else { return Ok(None) };
 
     announce("starting the bridge and LinuxCNC");
-    let twin = measured::twin()?;
+    let twin = machine_measurement::load_twin()?;
     let inputs = measured.machine.inputs.as_ref().context("the machine file has its inputs")?;
     let sensor = inputs.sensor.as_ref().context("the machine file has a sensor")?;
     let temperatures = inputs.temperatures.clone();
     let wiring = Wiring { temperatures, divider: sensor.divider, seed: SEED };
     let bridge = Bridge::start(images, wiring)?;
-    let slower = bridge.slower();
+    let slower = bridge.time_stretch();
     if slower > 1 {
         announce(&format!(
             "a second of the board is given {slower} of the wall, and so is the CNC's"
         ));
     }
     let mut plant = Plant::start(bridge, Twin::new(&twin, LOOP_SEED))?;
-    let mut cnc = start(&trueup, &plant, &measured, way, control)?;
-    let (sampler, cycles) = cnc.sample()?;
-    plant.listen(cycles);
-    cnc.switch_on()?;
+    let mut cnc = start_linuxcnc(&trueup, &plant, &measured, way, control)?;
+    let (sampler, cycles) = cnc.start_sampler()?;
+    plant.attach_sampler(cycles);
+    cnc.power_on_and_home()?;
 
     announce("the path without compensation");
-    cnc.set("trueup.0.enable", 0)?;
-    cut(&mut cnc, &mut plant, "path-1.ngc")?;
+    cnc.set_pin("trueup.0.enable", 0)?;
+    run_program(&mut cnc, &mut plant, "path-1.ngc")?;
     announce("the path with compensation");
-    cnc.set("trueup.0.enable", 1)?;
-    engaged(&mut cnc, &mut plant)?;
-    cut(&mut cnc, &mut plant, "path-2.ngc")?;
+    cnc.set_pin("trueup.0.enable", 1)?;
+    wait_until_engaged(&mut cnc, &mut plant)?;
+    run_program(&mut cnc, &mut plant, "path-2.ngc")?;
 
-    announce(&format!("two hours of warm-up, {COMPRESSION} times as fast"));
+    announce(&format!("two hours of warm-up, {TIME_COMPRESSION} times as fast"));
     // Without a board the machine file is that of the warm-up from the start.
-    if on != On::Servo {
-        plant.swap();
+    if on != BridgePlatform::Servo {
+        plant.restart_for_warm_up();
         thread::sleep(Duration::from_secs(2) * slower);
     }
-    engaged(&mut cnc, &mut plant)?;
+    wait_until_engaged(&mut cnc, &mut plant)?;
     // Its HAL files say that the bridge was away.
-    cnc.ask(&json!({ "do": "stat" }))?;
+    cnc.send_request(&json!({ "do": "stat" }))?;
     let warm_up = Instant::now();
-    warm_up_phase(&mut cnc, &mut plant)?;
+    run_warm_up_phase(&mut cnc, &mut plant)?;
     let warm_up_wall_s = warm_up.elapsed().as_secs_f64();
     announce("five axes, at real time");
     while cnc.is_busy()? {
-        plant.check()?;
-        ensure!(warm_up.elapsed() < PATIENCE * SLOWEST * slower, "the program does not end");
+        plant.check_running()?;
+        ensure!(
+            warm_up.elapsed() < PROGRAM_TIMEOUT * MAX_WARM_UP_STRETCH * slower,
+            "the program does not end"
+        );
         thread::sleep(Duration::from_millis(50));
     }
     // Without a board there is no line.
     let of_line: &[&str] = match on {
-        On::Servo => &[],
-        On::Qemu | On::Chip => &["crc-errors", "seq-errors", "lost", "malformed"],
+        BridgePlatform::Servo => &[],
+        BridgePlatform::Qemu | BridgePlatform::Chip => {
+            &["crc-errors", "seq-errors", "lost", "malformed"]
+        }
     };
     let names = [of_line, &["fault"]].concat();
     let pins: Vec<String> = names.iter().map(|name| format!("trueup.0.{name}")).collect();
-    let errors = cnc.pins(&pins.iter().map(String::as_str).collect::<Vec<_>>())?;
+    let errors = cnc.read_pins(&pins.iter().map(String::as_str).collect::<Vec<_>>())?;
     announce("ending");
     drop(sampler);
-    cnc.end()?;
+    cnc.close()?;
     let log = plant.take_log();
     let (cycles, account) = plant.finish()?;
     bar.finish_and_clear();
-    let run = Run {
+    let run = RunRecord {
         way,
         slower,
         cycles,
@@ -234,32 +239,35 @@ pub fn run(way: Way) -> Result<Option<Figures>> {
         wall_s: started.elapsed().as_secs_f64(),
         log,
     };
-    Figures::of(&run).map(Some)
+    Figures::from_run(&run).map(Some)
 }
 
 /// Builds the bridge and the tool, and measures the machine; `None`: the compiler is too old for the model of the chip.
-fn prepared(way: Way, announce: &impl Fn(&str)) -> Result<Option<(PathBuf, Measured, Images)>> {
+fn prepare(
+    way: CompensationRoute,
+    announce: &impl Fn(&str),
+) -> Result<Option<(PathBuf, MeasuredMachine, BridgeImages)>> {
     announce("building the firmware and the host tool");
-    let trueup = programs::trueup()?;
+    let trueup = host_programs::build_trueup()?;
     // The image, the program that is the chip, or the library of the component.
     let firmware = match way.on {
-        On::Qemu => Some(firmware::build_virtual()?),
-        On::Chip => chip::build()?,
-        On::Servo => Some(programs::servo_library()?),
+        BridgePlatform::Qemu => Some(firmware::build_virtual()?),
+        BridgePlatform::Chip => chip::build()?,
+        BridgePlatform::Servo => Some(host_programs::build_servo_library()?),
     };
     let Some(firmware) = firmware else { return Ok(None) };
     announce("measuring the machine, fitting its machine file");
     let measured = {
         let work = tempfile::tempdir()?;
-        measured::measure(&trueup, work.path())?
+        machine_measurement::measure_machine(&trueup, work.path())?
     };
     let images = match way.on {
-        On::Qemu => Images::Qemu(firmware, blobs(&measured)?),
-        On::Chip => {
+        BridgePlatform::Qemu => BridgeImages::Qemu(firmware, calibration_blobs(&measured)?),
+        BridgePlatform::Chip => {
             announce("building the images of this machine");
-            Images::Chip(firmware, images(&measured, &way.folder())?)
+            BridgeImages::Chip(firmware, build_images(&measured, &way.output_folder())?)
         }
-        On::Servo => Images::Servo(firmware),
+        BridgePlatform::Servo => BridgeImages::Servo(firmware),
     };
     Ok(Some((trueup, measured, images)))
 }
@@ -268,95 +276,96 @@ fn prepared(way: Way, announce: &impl Fn(&str)) -> Result<Option<(PathBuf, Measu
 ///
 /// # Errors
 /// It does not run, or a figure is not reached; with the figure.
-pub fn run_and_publish(way: Way) -> Result<Option<u32>> {
+pub fn run_and_publish(way: CompensationRoute) -> Result<Option<u32>> {
     let Some(figures) = run(way)? else {
-        trueup_output::line(
+        trueup_output::write_line(
             "skipped: there is no package of LinuxCNC, or the compiler is too old for the chip",
         );
         return Ok(None);
     };
-    let shown = way.folder();
-    let folder = setup::root().join(&shown);
+    let shown = way.output_folder();
+    let folder = setup::project_root().join(&shown);
     fs::create_dir_all(&folder)?;
     fs::write(folder.join("summary.json"), serde_json::to_string_pretty(&figures)? + "\n")?;
-    fs::write(folder.join("report.html"), page::page(&figures))?;
-    trueup_output::line(figures.table());
-    trueup_output::line(format_args!(
+    fs::write(folder.join("report.html"), page::render_page(&figures))?;
+    trueup_output::write_line(figures.format_table());
+    trueup_output::write_line(format_args!(
         "\nThe picture: {shown}/report.html   The figures: {shown}/summary.json"
     ));
-    figures.check().map(Some)
+    figures.ensure_all_met().map(Some)
 }
 
 /// Returns the calibrations for real time and for compressed time, which differ in the limits that count
 /// board time.
-fn blobs(measured: &Measured) -> Result<[Vec<u8>; 2]> {
+fn calibration_blobs(measured: &MeasuredMachine) -> Result<[Vec<u8>; 2]> {
     let mut slow: Machine = MachineFile::parse(&measured.text, Path::new("extended.toml"))?;
-    slow.limits.link_timeout_ms *= COMPRESSION;
-    slow.limits.hold_ms *= COMPRESSION;
+    slow.limits.link_timeout_ms *= TIME_COMPRESSION;
+    slow.limits.hold_ms *= TIME_COMPRESSION;
     let blob = |machine: &Machine| -> Result<Vec<u8>> { Ok(compile(machine)?.blob().to_vec()) };
     Ok([blob(&measured.machine)?, blob(&slow)?])
 }
 
 /// Returns the images for the machine, and for the same machine that lives faster, which differ in the time constants.
-fn images(measured: &Measured, folder: &str) -> Result<[PathBuf; 2]> {
-    let folder = setup::root().join(folder);
+fn build_images(measured: &MeasuredMachine, folder: &str) -> Result<[PathBuf; 2]> {
+    let folder = setup::project_root().join(folder);
     fs::create_dir_all(&folder)?;
     let image = |name: &str, text: &str| -> Result<PathBuf> {
         let machine = folder.join(name).with_extension("toml");
         fs::write(&machine, text)?;
-        firmware::build_for(&machine)
+        firmware::build_for_machine(&machine)
     };
-    let hurried = measured.hurried(COMPRESSION)?;
+    let hurried = measured.accelerated_machine(TIME_COMPRESSION)?;
     Ok([image("machine", &measured.text)?, image("hurried", &hurried)?])
 }
 
-fn start(
+fn start_linuxcnc(
     trueup: &Path,
     plant: &Plant,
-    measured: &Measured,
-    way: Way,
+    measured: &MeasuredMachine,
+    way: CompensationRoute,
     control: setup::LinuxCnc,
-) -> Result<Headless> {
-    let (slower, slew_um_per_s) = (plant.slower(), measured.machine.limits.slew_um_per_s);
-    let folder = Headless::new_folder()?;
+) -> Result<HeadlessLinuxCnc> {
+    let (slower, slew_um_per_s) = (plant.time_stretch(), measured.machine.limits.slew_um_per_s);
+    let folder = HeadlessLinuxCnc::create_config_folder()?;
     fs::copy(trueup, folder.path().join("trueup"))?;
-    if way.is_set_up() {
-        return by_setup::start(plant, measured, way, folder, control);
+    if way.is_written_by_setup() {
+        return setup_config::start(plant, measured, way, folder, control);
     }
     let here = folder.path().to_str().context("a temporary folder has a plain name")?.to_owned();
-    let sample =
-        |name: &str| fs::read_to_string(setup::root().join("integrations/linuxcnc").join(name));
+    let sample = |name: &str| {
+        fs::read_to_string(setup::project_root().join("integrations/linuxcnc").join(name))
+    };
     let texts = [
-        ("loop.ini", config::ini(Some(plant.address()), &here, slower)),
+        ("loop.ini", config::ini_file(Some(plant.address()), &here, slower)),
         ("machine.hal", config::machine_hal()),
         ("trueup_watchdog.hal", sample("trueup_watchdog.hal")?),
         ("trueup.hal", config::trueup_hal(&sample("trueup.hal")?, slew_um_per_s, slower)),
-        ("loop.hal", config::angles_hal() + &config::loop_hal(By::Eoffset)),
+        ("loop.hal", config::angles_hal() + &config::sampler_hal(OffsetEntry::Eoffset)),
         ("machine.toml", measured.text.clone()),
     ];
-    for (name, text) in texts.into_iter().chain(programs_of(slower)) {
+    for (name, text) in texts.into_iter().chain(nc_programs(slower)) {
         fs::write(folder.path().join(name), text)?;
     }
-    Headless::start(folder, "loop.ini", control)
+    HeadlessLinuxCnc::start(folder, "loop.ini", control)
 }
 
 /// Returns the programs and the table of tools.
-fn programs_of(slower: u32) -> [(&'static str, String); 4] {
+fn nc_programs(slower: u32) -> [(&'static str, String); 4] {
     [
         ("loop.tbl", String::new()),
-        ("path-1.ngc", config::path(PASSES[0], slower)),
-        ("path-2.ngc", config::path(PASSES[1], slower)),
-        ("warm.ngc", config::warm(PASSES[2], slower)),
+        ("path-1.ngc", config::path_program(PASS_NUMBERS[0], slower)),
+        ("path-2.ngc", config::path_program(PASS_NUMBERS[1], slower)),
+        ("warm.ngc", config::warm_up_program(PASS_NUMBERS[2], slower)),
     ]
 }
 
 /// Runs a program to its end.
-fn cut(cnc: &mut Headless, plant: &mut Plant, program: &str) -> Result<()> {
-    cnc.begin(program)?;
+fn run_program(cnc: &mut HeadlessLinuxCnc, plant: &mut Plant, program: &str) -> Result<()> {
+    cnc.start_program(program)?;
     let begun = Instant::now();
-    while cnc.is_busy().with_context(|| cnc.said())? {
-        plant.check()?;
-        let patience = PATIENCE * plant.slower();
+    while cnc.is_busy().with_context(|| cnc.recent_log())? {
+        plant.check_running()?;
+        let patience = PROGRAM_TIMEOUT * plant.time_stretch();
         ensure!(begun.elapsed() < patience, "{program} is not done after {patience:?}");
         thread::sleep(Duration::from_millis(50));
     }
@@ -364,51 +373,54 @@ fn cut(cnc: &mut Headless, plant: &mut Plant, program: &str) -> Result<()> {
 }
 
 /// Waits until the bridge is live and LinuxCNC has applied what it says.
-fn engaged(cnc: &mut Headless, plant: &mut Plant) -> Result<()> {
+fn wait_until_engaged(cnc: &mut HeadlessLinuxCnc, plant: &mut Plant) -> Result<()> {
     let begun = Instant::now();
     loop {
-        let pins = cnc.pins(&["trueup.0.quality", "trueup.0.applied", "trueup.0.fault"])?;
+        let pins = cnc.read_pins(&["trueup.0.quality", "trueup.0.applied", "trueup.0.fault"])?;
         if pins == [1.0, 1.0, 0.0] {
             return Ok(());
         }
-        plant.check()?;
+        plant.check_running()?;
         ensure!(
-            begun.elapsed() < PATIENCE,
+            begun.elapsed() < PROGRAM_TIMEOUT,
             "the bridge is not live: quality, applied, fault are {pins:?}; the board's last word is \
              {:?}; {}",
             plant.take_log().last(),
-            cnc.said()
+            cnc.recent_log()
         );
         thread::sleep(Duration::from_millis(100));
     }
 }
 
 /// Two hours of the machine.
-fn warm_up_phase(cnc: &mut Headless, plant: &mut Plant) -> Result<()> {
-    let lived_s = |plant: &Plant| plant.latest().map_or(0.0, |cycle| cycle.time_s);
-    cnc.begin("warm.ngc")?;
+fn run_warm_up_phase(cnc: &mut HeadlessLinuxCnc, plant: &mut Plant) -> Result<()> {
+    let lived_s = |plant: &Plant| plant.latest_cycle().map_or(0.0, |cycle| cycle.time_s);
+    cnc.start_program("warm.ngc")?;
     let begun = Instant::now();
-    while plant.latest().is_none_or(|cycle| cycle.phase != config::phase::WARM_UP) {
-        plant.check()?;
-        ensure!(begun.elapsed() < PATIENCE, "the warm-up does not begin");
+    while plant.latest_cycle().is_none_or(|cycle| cycle.phase != config::phase::WARM_UP) {
+        plant.check_running()?;
+        ensure!(begun.elapsed() < PROGRAM_TIMEOUT, "the warm-up does not begin");
         thread::sleep(Duration::from_millis(5));
     }
     let from_s = lived_s(plant);
     // It runs up at real time: growth by speed comes within seconds.
-    while plant.latest().is_none_or(|cycle| cycle.spindle_rpm < config::SPINDLE_RPM) {
-        plant.check()?;
-        ensure!(begun.elapsed() < PATIENCE, "the spindle does not run up");
+    while plant.latest_cycle().is_none_or(|cycle| cycle.spindle_rpm < config::SPINDLE_RPM) {
+        plant.check_running()?;
+        ensure!(begun.elapsed() < PROGRAM_TIMEOUT, "the spindle does not run up");
         thread::sleep(Duration::from_millis(5));
     }
-    plant.set_factor(COMPRESSION);
+    plant.set_time_factor(TIME_COMPRESSION);
     while lived_s(plant) - from_s < f64::from(WARM_UP_S) {
-        plant.check()?;
+        plant.check_running()?;
         cnc.is_busy()?;
-        ensure!(begun.elapsed() < PATIENCE * SLOWEST * plant.slower(), "the warm-up does not end");
+        ensure!(
+            begun.elapsed() < PROGRAM_TIMEOUT * MAX_WARM_UP_STRETCH * plant.time_stretch(),
+            "the warm-up does not end"
+        );
         thread::sleep(Duration::from_millis(20));
     }
-    plant.set_factor(1);
+    plant.set_time_factor(1);
     // At real time again before the axes move.
-    thread::sleep(Duration::from_millis(300) * plant.slower());
-    cnc.set("motion.digital-in-00", 1)
+    thread::sleep(Duration::from_millis(300) * plant.time_stretch());
+    cnc.set_pin("motion.digital-in-00", 1)
 }

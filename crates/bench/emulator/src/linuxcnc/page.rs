@@ -1,100 +1,112 @@
 //! The page of the loop: what the tool tip did before and after, in the look of all reports.
 
-use trueup_page::{Chart, Colour, Page, Series, Table, micrometres};
+use trueup_page::{Chart, Colour, Page, Series, Table, format_micrometres};
 
 use super::{
-    By, On,
-    figures::{Check, ErrorCurve, Figures, Stair},
+    BridgePlatform, OffsetEntry,
+    figures::{AcceptanceCheck, ErrorCurve, Figures, StaircaseStep},
 };
 
 /// Returns the page.
 #[must_use]
-pub fn page(figures: &Figures) -> String {
+pub fn render_page(figures: &Figures) -> String {
     let mut page = Page::new("Where the tool tip really was, without and with the bridge");
-    verdict(&mut page, &figures.checks);
-    page.text(&format!(
+    add_verdict(&mut page, &figures.checks);
+    page.add_paragraph(&format!(
         "A real LinuxCNC drives a virtual gantry of 14.3 × 3 × 2.5 m; the bridge's real {}, corrects it {}. The machine file was made by \
          measuring the virtual machine and fitting, as on a real one. {} servo cycles were looked at.",
         match figures.way.on {
-            On::Qemu => "firmware, on an emulated board",
-            On::Chip => "firmware, as it is flashed, on the model of its chip",
-            On::Servo => "component without a board, in the servo thread",
+            BridgePlatform::Qemu => "firmware, on an emulated board",
+            BridgePlatform::Chip => "firmware, as it is flashed, on the model of its chip",
+            BridgePlatform::Servo => "component without a board, in the servo thread",
         },
         match figures.way.by {
-            By::Eoffset => "through LinuxCNC's external offsets",
-            By::Joint => "between LinuxCNC's joints and their drives",
+            OffsetEntry::Eoffset => "through LinuxCNC's external offsets",
+            OffsetEntry::Joint => "between LinuxCNC's joints and their drives",
         },
         figures.cycles[0]
     ));
-    let mut table = Table::new(&["", "without", "with", "", "wanted"]);
-    figures.checks.iter().for_each(|check| table.row(&row(check)));
-    page.table(&table);
+    let mut table = Table::new(&["", "without", "with", "", "target"]);
+    figures.checks.iter().for_each(|check| table.add_row(&check_row(check)));
+    page.add_table(&table);
 
     let curves = &figures.curves;
     let across = "place on X, mm";
-    page.heading("The error of the tool tip");
-    page.pictures(&[
-        picture("Along the diagonal: height", across, "error on Z, µm", &curves.diagonal_z),
-        picture("Along the diagonal: sideways", across, "error on Y, µm", &curves.diagonal_y),
-        picture("Around the arc: height", "angle, degrees", "error on Z, µm", &curves.arc_z),
-        picture(
+    page.add_heading("The error of the tool tip");
+    page.add_charts(&[
+        render_chart("Along the diagonal: height", across, "error on Z, µm", &curves.diagonal_z),
+        render_chart("Along the diagonal: sideways", across, "error on Y, µm", &curves.diagonal_y),
+        render_chart("Around the arc: height", "angle, degrees", "error on Z, µm", &curves.arc_z),
+        render_chart(
             "Two hours of warm-up at 24 000 r/min: height",
             "time, h",
             "change of the error on Z, µm",
             &curves.warm_up,
         ),
-        picture(
+        render_chart(
             "Five axes, the spindle warm",
             "time, s",
             "length of the error, µm",
             &curves.five_axes,
         ),
     ]);
-    page.note(
+    page.add_note(
         "Five axes: without the bridge the tool tip is off by the growth of the spindle, wherever the head \
          points. With it, this is the length of the whole error, of all axes.",
     );
-    page.heading("The staircase: error on Z, µm");
-    page.table(&stairs(&figures.stairs));
-    page.heading("How late the offsets are");
-    page.text(&lag(figures));
-    page.heading("What was compressed");
-    page.text(&compressed(figures));
-    page.details("What the diagnosis found in the measured warm-up", &figures.findings);
-    page.details("The machine file that the board ran", &figures.machine_file);
-    page.html()
+    page.add_heading("The staircase: error on Z, µm");
+    page.add_table(&staircase_table(&figures.stairs));
+    page.add_heading("How late the offsets are");
+    page.add_paragraph(&describe_lag(figures));
+    page.add_heading("What was compressed");
+    page.add_paragraph(&time_compression_table(figures));
+    page.add_details("What the diagnosis found in the measured warm-up", &figures.findings);
+    page.add_details("The machine file that the board ran", &figures.machine_file);
+    page.to_html()
 }
 
 /// Whether all is reached, and what is not.
-fn verdict(page: &mut Page, checks: &[Check]) {
+fn add_verdict(page: &mut Page, checks: &[AcceptanceCheck]) {
     let missed: Vec<String> = checks
         .iter()
         .filter(|check| !check.is_met())
-        .map(|check| format!("{}: {}, wanted {}", check.name, figure(check), wanted(check)))
+        .map(|check| {
+            format!("{}: {}, target {}", check.name, format_value(check), format_limit(check))
+        })
         .collect();
     if missed.is_empty() {
-        page.card("good", "Reached", &[format!("All {} figures are as wanted.", checks.len())]);
+        page.add_card(
+            "good",
+            "Reached",
+            &[format!("All {} figures reach their targets.", checks.len())],
+        );
     } else {
-        page.card("bad", "Not reached", &missed);
+        page.add_card("bad", "Not reached", &missed);
     }
 }
 
-fn figure(check: &Check) -> String {
+fn format_value(check: &AcceptanceCheck) -> String {
     let sign = if check.before_um.is_some() { "−" } else { "" };
     format!("{sign}{:.2} {}", check.value, check.unit).trim_end().into()
 }
 
-fn wanted(check: &Check) -> String {
+fn format_limit(check: &AcceptanceCheck) -> String {
     let sense = if check.at_least { "≥" } else { "≤" };
     format!("{sense} {} {}", check.limit, check.unit).trim_end().into()
 }
 
-fn row(check: &Check) -> [String; 5] {
-    let um = |value: Option<f64>| value.map_or(String::new(), micrometres);
-    [check.name.into(), um(check.before_um), um(check.after_um), figure(check), wanted(check)]
+fn check_row(check: &AcceptanceCheck) -> [String; 5] {
+    let um = |value: Option<f64>| value.map_or(String::new(), format_micrometres);
+    [
+        check.name.into(),
+        um(check.before_um),
+        um(check.after_um),
+        format_value(check),
+        format_limit(check),
+    ]
 }
 
-fn stairs(stairs: &[Stair]) -> Table {
+fn staircase_table(stairs: &[StaircaseStep]) -> Table {
     let mut table = Table::new(&[
         "Z, mm",
         "without: from below",
@@ -105,12 +117,12 @@ fn stairs(stairs: &[Stair]) -> Table {
     for stair in stairs {
         let ([b0, b1], [a0, a1]) = (stair.before_um, stair.after_um);
         let um = [b0, b1, a0, a1].map(|um| format!("{um:.2}"));
-        table.row(&[&[format!("{:.1}", stair.z_mm)], &um[..]].concat());
+        table.add_row(&[&[format!("{:.1}", stair.z_mm)], &um[..]].concat());
     }
     table
 }
 
-fn lag(figures: &Figures) -> String {
+fn describe_lag(figures: &Figures) -> String {
     let lag = &figures.lag;
     format!(
         "{:.1} ms from where a joint is to the offset that belongs there, over the diagonal; {:.1} ms in the \
@@ -122,35 +134,35 @@ fn lag(figures: &Figures) -> String {
         lag.worst_ms,
         lag.steepest_um_per_mm,
         lag.costs_um_at_10_m_per_min,
-        of_lag(figures),
+        lag_table(figures),
         figures.slew_um_per_s
     )
 }
 
 /// The parts of the lag.
-fn of_lag(figures: &Figures) -> String {
+fn lag_table(figures: &Figures) -> String {
     let way_there = match figures.way.on {
-        On::Qemu | On::Chip => {
+        BridgePlatform::Qemu | BridgePlatform::Chip => {
             "sending the position (every 2 ms), the board's millisecond, the way back"
         }
-        On::Servo => "the node's millisecond",
+        BridgePlatform::Servo => "the node's millisecond",
     };
     let at_last = match figures.way.by {
-        By::Eoffset => format!(
+        OffsetEntry::Eoffset => format!(
             "LinuxCNC's own planner for offsets, which has OFFSET_AV_RATIO = {} of each axis' acceleration",
             figures.offset_av_ratio
         ),
-        By::Joint => "the limits of the offset at the joint".into(),
+        OffsetEntry::Joint => "the limits of the offset at the joint".into(),
     };
     format!("The lag contains: {way_there}, and {at_last}.")
 }
 
-fn compressed(figures: &Figures) -> String {
+fn time_compression_table(figures: &Figures) -> String {
     let time = &figures.time;
     let hours = f64::from(time.warm_up_s) / 3_600.0;
     let times = f64::from(time.warm_up_s) / time.warm_up_wall_s;
     let how = match figures.way.on {
-        On::Qemu => format!(
+        BridgePlatform::Qemu => format!(
             "All motion was cut at real time. In the warm-up board and machine lived {hours:.0} h in {:.0} s, \
              {times:.0} times as fast as the wall clock, while LinuxCNC stayed in real time and its program \
              waited for the machine's clock. Because the board counts the CNC's silence in its own time, its \
@@ -158,7 +170,7 @@ fn compressed(figures: &Figures) -> String {
              in {}, each as the board sent it.",
             time.warm_up_wall_s, time.limits_longer_by, time.pairs_passed_one_in,
         ),
-        On::Chip => format!(
+        BridgePlatform::Chip => format!(
             "On this computer a second of the chip was given {} of the wall, and so was LinuxCNC's: feeds \
              divided by it, accelerations by its square, dwells and the period of positions as much longer; \
              all times here are the chip's. In the warm-up the machine lived {} times faster than the chip, \
@@ -167,7 +179,7 @@ fn compressed(figures: &Figures) -> String {
              LinuxCNC got every pair of offsets.",
             time.slower, time.compression, time.warm_up_wall_s,
         ),
-        On::Servo => format!(
+        BridgePlatform::Servo => format!(
             "LinuxCNC and the bridge in it lived in real time. The machine file had time constants {} times shorter, and in the \
              warm-up the machine lived as many times faster: {hours:.0} h took {:.0} s. No limit was longer.",
             time.compression, time.warm_up_wall_s,
@@ -179,11 +191,11 @@ fn compressed(figures: &Figures) -> String {
     )
 }
 
-fn picture(title: &str, x: &str, y: &str, curve: &ErrorCurve) -> String {
+fn render_chart(title: &str, x: &str, y: &str, curve: &ErrorCurve) -> String {
     let points = |um: &[f64]| curve.at.iter().zip(um).map(|(at, um)| [*at, *um]).collect();
     let series = vec![
         Series::line("without", Colour::Before, points(&curve.before_um)),
         Series::line("with the bridge", Colour::After, points(&curve.after_um)),
     ];
-    Chart { title: title.into(), x: x.into(), y: y.into(), series }.figure()
+    Chart { title: title.into(), x: x.into(), y: y.into(), series }.to_figure()
 }

@@ -31,25 +31,25 @@ use anyhow::{Context as _, Result, anyhow, bail};
 use trueup_twin::machine::{Command, Machine};
 
 use super::bridge::Bridge;
-use crate::board::LARGEST_BATCH;
+use crate::board::MAX_BATCH_BLOCKS;
 
 /// At real time the board may fall behind the clock by this much before its time slips. Compressed time
 /// goes as fast as it can, and nothing waits. The model of the chip takes long to catch up, and its offsets
 /// would be late until then: there a slow computer makes the board's time slower instead.
-const LARGEST_BACKLOG_MS: f64 = 500.0;
-const LARGEST_BACKLOG_OF_A_CHIP_MS: f64 = 10.0;
-/// While time is compressed, board and machine wait for a CNC that has been silent for so long: a
+const MAX_BACKLOG_MS: f64 = 500.0;
+const MAX_CHIP_BACKLOG_MS: f64 = 10.0;
+/// While time is compressed, board and machine wait for a CNC that has been silent for this time: a
 /// stall of this computer would count for a minute.
-const HESITATION: Duration = Duration::from_millis(60);
+const CNC_SILENCE_TIMEOUT: Duration = Duration::from_millis(60);
 /// How fast the spindle's drive changes its speed, in r/min a second of the machine.
-const DRIVE_RPM_PER_S: f64 = 4_800.0;
+const SPINDLE_ACCELERATION_RPM_PER_S: f64 = 4_800.0;
 /// How often the loop looks when nothing is due.
-const NAP: Duration = Duration::from_micros(200);
-/// The real-time thread may be silent for so long.
-const SILENCE: Duration = Duration::from_secs(20);
+const POLL_INTERVAL: Duration = Duration::from_micros(200);
+/// Maximum silence of the real-time thread.
+const REALTIME_TIMEOUT: Duration = Duration::from_secs(20);
 
 /// The pins that `sampler` writes down, in this order; all are floats.
-pub const PINS: [&str; 12] = [
+pub(crate) const SAMPLER_PINS: [&str; 12] = [
     // At the joint: what the drives get.
     "joint.0.motor-pos-cmd",
     "joint.1.motor-pos-cmd",
@@ -69,7 +69,7 @@ pub const PINS: [&str; 12] = [
 
 /// One servo cycle.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Cycle {
+pub struct ServoCycle {
     /// Its number, as `sampler` counts.
     pub number: u64,
     /// The machine's time in seconds.
@@ -94,7 +94,7 @@ pub struct Cycle {
     pub spindle_rpm: f64,
 }
 
-impl Cycle {
+impl ServoCycle {
     /// Where the program wants the tool tip, in mm.
     #[must_use]
     pub(crate) fn commanded_mm(&self) -> [f64; 3] {
@@ -104,20 +104,20 @@ impl Cycle {
 
 /// Requests to the loop, and its answers.
 #[derive(Default)]
-struct Shared {
+struct SharedState {
     factor: AtomicU32,
     stop: AtomicBool,
     board_ms: AtomicU64,
     slipped_ms: AtomicU64,
     lost_samples: AtomicU64,
-    cycles: Mutex<Vec<Cycle>>,
+    cycles: Mutex<Vec<ServoCycle>>,
     log: Mutex<Vec<String>>,
     swap: AtomicBool,
 }
 
 /// Result of the loop.
 #[derive(Clone, Copy, Debug)]
-pub struct Account {
+pub struct LoopResult {
     /// Milliseconds of the board.
     pub board_ms: u64,
     /// Milliseconds that the board should have lived through at real time and has not: this computer
@@ -130,13 +130,13 @@ pub struct Account {
 }
 
 /// State that the loop's thread leaves.
-type Traffic = Option<(u64, u64)>;
+type FrameCounts = Option<(u64, u64)>;
 
 /// The running machine.
 pub struct Plant {
-    shared: Arc<Shared>,
+    shared: Arc<SharedState>,
     to_loop: Sender<Sample>,
-    thread: Option<JoinHandle<Result<Traffic>>>,
+    thread: Option<JoinHandle<Result<FrameCounts>>>,
     slower: u32,
     address: String,
     library: Option<PathBuf>,
@@ -149,18 +149,19 @@ impl Plant {
     /// # Errors
     /// The bridge listens nowhere.
     pub fn start(bridge: Bridge, twin: Machine) -> Result<Self> {
-        let (address, slower) = (bridge.address()?, bridge.slower());
-        let (library, channels) = (bridge.library().map(Path::to_path_buf), bridge.channels());
-        let shared = Arc::new(Shared { factor: AtomicU32::new(1), ..Shared::default() });
+        let (address, slower) = (bridge.address()?, bridge.time_stretch());
+        let (library, channels) =
+            (bridge.component_library().map(Path::to_path_buf), bridge.temperature_channels());
+        let shared = Arc::new(SharedState { factor: AtomicU32::new(1), ..SharedState::default() });
         let (to_loop, samples) = mpsc::channel();
         let theirs = shared.clone();
-        let thread = thread::spawn(move || Loop::new(twin, samples, theirs).run(bridge));
+        let thread = thread::spawn(move || SimulationLoop::new(twin, samples, theirs).run(bridge));
         Ok(Self { shared, to_loop, thread: Some(thread), slower, address, library, channels })
     }
 
     /// Returns the library of the component, and the channels of the thermometers, where there is no board.
     #[must_use]
-    pub fn no_board(&self) -> Option<(&Path, &[u8])> {
+    pub(crate) fn host_component(&self) -> Option<(&Path, &[u8])> {
         self.library.as_deref().map(|library| (library, &self.channels[..]))
     }
 
@@ -172,12 +173,12 @@ impl Plant {
 
     /// Returns a second of the machine in motion, in seconds of the wall.
     #[must_use]
-    pub(crate) fn slower(&self) -> u32 {
+    pub(crate) fn time_stretch(&self) -> u32 {
         self.slower
     }
 
     /// Takes in LinuxCNC's servo cycles from now on.
-    pub fn listen(&self, lines: ChildStdout) {
+    pub(crate) fn attach_sampler(&self, lines: ChildStdout) {
         let (to_loop, shared) = (self.to_loop.clone(), self.shared.clone());
         thread::spawn(move || {
             for line in BufReader::new(lines).lines().map_while(Result::ok) {
@@ -192,18 +193,18 @@ impl Plant {
     }
 
     /// Lets time pass this many times as fast for the machine.
-    pub(crate) fn set_factor(&self, factor: u32) {
+    pub(crate) fn set_time_factor(&self, factor: u32) {
         self.shared.factor.store(factor, Ordering::Relaxed);
     }
 
     /// Takes the board's power and gives it the machine file of the warm-up.
-    pub fn swap(&self) {
+    pub(crate) fn restart_for_warm_up(&self) {
         self.shared.swap.store(true, Ordering::Relaxed);
     }
 
     /// Returns the newest servo cycle.
     #[must_use]
-    pub(crate) fn latest(&self) -> Option<Cycle> {
+    pub(crate) fn latest_cycle(&self) -> Option<ServoCycle> {
         lock(&self.shared.cycles).last().copied()
     }
 
@@ -217,7 +218,7 @@ impl Plant {
     ///
     /// # Errors
     /// It has.
-    pub fn check(&mut self) -> Result<()> {
+    pub(crate) fn check_running(&mut self) -> Result<()> {
         if self.thread.as_ref().is_some_and(JoinHandle::is_finished) {
             self.join()?;
             bail!("the loop has ended");
@@ -229,10 +230,10 @@ impl Plant {
     ///
     /// # Errors
     /// It had ended before, for a reason of its own.
-    pub fn finish(mut self) -> Result<(Vec<Cycle>, Account)> {
+    pub fn finish(mut self) -> Result<(Vec<ServoCycle>, LoopResult)> {
         let traffic = self.join()?;
         let load = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
-        let account = Account {
+        let account = LoopResult {
             board_ms: load(&self.shared.board_ms),
             slipped_ms: load(&self.shared.slipped_ms),
             lost_samples: load(&self.shared.lost_samples),
@@ -241,7 +242,7 @@ impl Plant {
         Ok((std::mem::take(&mut lock(&self.shared.cycles)), account))
     }
 
-    fn join(&mut self) -> Result<Traffic> {
+    fn join(&mut self) -> Result<FrameCounts> {
         self.shared.stop.store(true, Ordering::Relaxed);
         let thread = self.thread.take().context("the loop has ended before")?;
         thread.join().map_err(|_| anyhow!("the loop has panicked"))?
@@ -265,7 +266,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Sample {
     number: u64,
-    pins: [f64; PINS.len()],
+    pins: [f64; SAMPLER_PINS.len()],
 }
 
 impl Sample {
@@ -273,24 +274,24 @@ impl Sample {
     fn parse(line: &str) -> Option<Self> {
         let mut words = line.split_ascii_whitespace();
         let number = words.next()?.parse().ok()?;
-        let mut pins = [0.0; PINS.len()];
+        let mut pins = [0.0; SAMPLER_PINS.len()];
         for pin in &mut pins {
             *pin = words.next()?.parse().ok()?;
         }
         Some(Self { number, pins })
     }
 
-    fn cycle(&self) -> Cycle {
+    fn to_servo_cycle(self) -> ServoCycle {
         let [x, y, z, c, a, ex, ey, ez, spindle_rpm, _, phase, pass] = self.pins;
-        Cycle {
+        ServoCycle {
             number: self.number,
             motor_mm: [x, y, z],
             head_deg: [c, a],
             eoffset_mm: [ex, ey, ez],
-            phase: whole(phase),
-            pass: whole(pass),
+            phase: round_to_u32(phase),
+            pass: round_to_u32(pass),
             spindle_rpm,
-            ..Cycle::default()
+            ..ServoCycle::default()
         }
     }
 
@@ -300,16 +301,16 @@ impl Sample {
 }
 
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a cast saturates")]
-fn whole(value: f64) -> u32 {
+fn round_to_u32(value: f64) -> u32 {
     value.round() as u32
 }
 
 /// The loop itself.
-struct Loop {
+struct SimulationLoop {
     with: Machine,
     without: Machine,
     samples: Receiver<Sample>,
-    shared: Arc<Shared>,
+    shared: Arc<SharedState>,
     /// Milliseconds of the machine that the board has lived through and the machine has not.
     ahead_ms: f64,
     heard: Option<Instant>,
@@ -317,8 +318,8 @@ struct Loop {
     spindle_rpm: f64,
 }
 
-impl Loop {
-    fn new(twin: Machine, samples: Receiver<Sample>, shared: Arc<Shared>) -> Self {
+impl SimulationLoop {
+    fn new(twin: Machine, samples: Receiver<Sample>, shared: Arc<SharedState>) -> Self {
         Self {
             with: twin.clone(),
             without: twin,
@@ -330,66 +331,66 @@ impl Loop {
         }
     }
 
-    fn run(mut self, mut bridge: Bridge) -> Result<Traffic> {
+    fn run(mut self, mut bridge: Bridge) -> Result<FrameCounts> {
         let mut owed_ms = 0.0;
         let mut last = Instant::now();
         while !self.shared.stop.load(Ordering::Relaxed) {
             if self.shared.swap.swap(false, Ordering::Relaxed) {
                 // A power cut, and another machine file behind it.
-                bridge = bridge.swap()?;
+                bridge = bridge.restart_for_warm_up()?;
                 last = Instant::now();
                 self.heard = self.heard.map(|_| last);
             }
             let factor = self.shared.factor.load(Ordering::Relaxed);
-            let [of_board, of_machine] = bridge.paces(factor);
+            let [of_board, of_machine] = bridge.time_ratios(factor);
             let now = Instant::now();
             owed_ms += now.duration_since(last).as_secs_f64() * 1e3 * of_board;
             last = now;
             let is_compressed = of_board > 1.0;
             let most_ms = match of_board {
-                more if more > 1.0 => f64::from(LARGEST_BATCH),
-                1.0 => LARGEST_BACKLOG_MS,
-                _ => LARGEST_BACKLOG_OF_A_CHIP_MS,
+                more if more > 1.0 => f64::from(MAX_BATCH_BLOCKS),
+                1.0 => MAX_BACKLOG_MS,
+                _ => MAX_CHIP_BACKLOG_MS,
             };
             if owed_ms > most_ms {
                 if !is_compressed {
                     let slipped = (owed_ms - most_ms).round();
-                    self.shared.slipped_ms.fetch_add(count(slipped), Ordering::Relaxed);
+                    self.shared.slipped_ms.fetch_add(floor_to_u64(slipped), Ordering::Relaxed);
                 }
                 owed_ms = most_ms;
             }
-            if is_compressed && !self.cnc_is_there(&bridge) {
+            if is_compressed && !self.is_cnc_alive(&bridge) {
                 owed_ms = 0.0;
             }
-            let due = owed_ms.floor().min(f64::from(LARGEST_BATCH));
-            self.receive(bridge.slower())?;
-            if bridge.waits_for_cnc() && self.heard.is_none() {
+            let due = owed_ms.floor().min(f64::from(MAX_BATCH_BLOCKS));
+            self.process_samples(bridge.time_stretch())?;
+            if bridge.is_clocked_by_cnc() && self.heard.is_none() {
                 owed_ms = 0.0;
-                thread::sleep(NAP);
+                thread::sleep(POLL_INTERVAL);
                 continue;
             }
             if due < 1.0 {
-                thread::sleep(NAP);
+                thread::sleep(POLL_INTERVAL);
                 continue;
             }
             owed_ms -= due;
-            self.live(&mut bridge, count(due), factor)?;
+            self.advance(&mut bridge, floor_to_u64(due), factor)?;
             self.ahead_ms += due * of_machine;
         }
-        bridge.end()
+        bridge.shut_down()
     }
 
     /// Returns whether both halves of the CNC, its real-time part and the component, have just been received.
-    fn cnc_is_there(&self, bridge: &Bridge) -> bool {
-        let moves = self.heard.is_some_and(|heard| heard.elapsed() < HESITATION);
-        moves && bridge.has_received_within(HESITATION)
+    fn is_cnc_alive(&self, bridge: &Bridge) -> bool {
+        let moves = self.heard.is_some_and(|heard| heard.elapsed() < CNC_SILENCE_TIMEOUT);
+        moves && bridge.has_received_within(CNC_SILENCE_TIMEOUT)
     }
 
     /// Lets the board live through this many milliseconds of the machine as it stands.
-    fn live(&mut self, bridge: &mut Bridge, ms: u64, factor: u32) -> Result<()> {
+    fn advance(&mut self, bridge: &mut Bridge, ms: u64, factor: u32) -> Result<()> {
         let shown = self.with.temperatures_c().into_iter();
         let celsius = shown.map(|(column, shown_c)| (column.to_owned(), shown_c)).collect();
-        bridge.live(ms, factor, || self.with.sensor_volts().unwrap_or(0.0), &celsius)?;
+        bridge.advance(ms, factor, || self.with.sensor_volts().unwrap_or(0.0), &celsius)?;
         self.shared.board_ms.fetch_add(ms, Ordering::Relaxed);
         let said = bridge.take_log();
         if !said.is_empty() {
@@ -400,29 +401,29 @@ impl Loop {
 
     /// Lets the machine do what LinuxCNC has commanded meanwhile. Its time is the board's, spread
     /// evenly over the servo cycles that have come.
-    fn receive(&mut self, slower: u32) -> Result<()> {
+    fn process_samples(&mut self, slower: u32) -> Result<()> {
         if slower > 1 && self.ahead_ms <= 0.0 {
             // Frames within a millisecond of the board belong to it.
             return Ok(());
         }
         let samples: Vec<Sample> = self.samples.try_iter().collect();
         if samples.is_empty() {
-            if self.heard.is_some_and(|heard| heard.elapsed() > SILENCE) {
-                bail!("LinuxCNC's real-time part has been silent for {SILENCE:?}");
+            if self.heard.is_some_and(|heard| heard.elapsed() > REALTIME_TIMEOUT) {
+                bail!("LinuxCNC's real-time part has been silent for {REALTIME_TIMEOUT:?}");
             }
             return Ok(());
         }
         self.heard = Some(Instant::now());
         if self.ahead_ms <= 0.0 {
             // The board is behind: the machine waits for it, but its axes move on.
-            self.ahead_ms = SHORTEST_STEP_MS * samples.len() as f64;
+            self.ahead_ms = MIN_STEP_MS * samples.len() as f64;
         }
         let dt_s = self.ahead_ms / 1e3 / samples.len() as f64;
         self.ahead_ms = 0.0;
         let mut cycles = Vec::with_capacity(samples.len());
         for sample in &samples {
-            let mut cycle = sample.cycle();
-            let most = DRIVE_RPM_PER_S * dt_s;
+            let mut cycle = sample.to_servo_cycle();
+            let most = SPINDLE_ACCELERATION_RPM_PER_S * dt_s;
             self.spindle_rpm += (cycle.spindle_rpm - self.spindle_rpm).clamp(-most, most);
             cycle.spindle_rpm = self.spindle_rpm;
             let command = |position_mm: [f64; 3]| Command {
@@ -451,10 +452,10 @@ impl Loop {
 }
 
 /// The machine's time goes on by at least this much in a servo cycle.
-const SHORTEST_STEP_MS: f64 = 1e-3;
+const MIN_STEP_MS: f64 = 1e-3;
 
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "whole, not negative")]
-fn count(ms: f64) -> u64 {
+fn floor_to_u64(ms: f64) -> u64 {
     ms as u64
 }
 
@@ -466,7 +467,7 @@ mod tests {
     fn a_line_of_the_sampler_is_a_cycle() {
         let sample =
             Sample::parse("17 1 2 3 90 -30 0.01 0.02 -0.03 24000 150 4 2 ").expect("whole");
-        let cycle = sample.cycle();
+        let cycle = sample.to_servo_cycle();
         assert_eq!((cycle.number, cycle.phase, cycle.pass), (17, 4, 2));
         assert_eq!((cycle.head_deg, cycle.commanded_mm()[2]), ([90.0, -30.0], 3.03));
         assert_eq!(sample.load_n(), 150.0);

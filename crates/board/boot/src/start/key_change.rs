@@ -7,56 +7,63 @@
 use super::*;
 use crate::{
     header::{HEADER_SIZE, Version},
-    inspect::Defect,
-    testing::{KEY, Powered, RECORDS, SLOT, Supply, TestKey, flash_by_probe, powered, signed_by},
+    image_check::ImageDefect,
+    testing::{
+        PowerSupply, PoweredFlash, RECORDS_SECTOR_BYTES, SLOT_BYTES, TEST_KEY, TestKey,
+        flash_by_probe, image_signed_by, with_supply,
+    },
     update::{Update, UpdateError},
 };
 use std::{println, vec::Vec};
 use trueup_store::strict_flash::StrictFlash;
 
-const OLD_KEY: TestKey = KEY;
+const OLD_KEY: TestKey = TEST_KEY;
 const NEW_KEY: TestKey = TestKey(8);
 /// Far more bytes than an update takes.
-const FUEL: usize = usize::MAX / 2;
+const UNLIMITED_BYTES: usize = usize::MAX / 2;
 
 #[derive(Clone)]
 struct Board {
-    records: StrictFlash<RECORDS>,
-    slots: StrictFlash<SLOT>,
+    records: StrictFlash<RECORDS_SECTOR_BYTES>,
+    slots: StrictFlash<SLOT_BYTES>,
 }
 
 impl Board {
     /// An erased chip with the files of a probe; its boot program has the new key.
-    fn flashed(a: &[u8], b: &[u8], seed: u32) -> Self {
-        let (records, mut slots) = (StrictFlash::wavering(seed), StrictFlash::wavering(!seed));
+    fn with_images(a: &[u8], b: &[u8], seed: u32) -> Self {
+        let (records, mut slots) =
+            (StrictFlash::with_unstable_bits(seed), StrictFlash::with_unstable_bits(!seed));
         flash_by_probe(&mut slots, Slot::A, a);
         flash_by_probe(&mut slots, Slot::B, b);
         Self { records, slots }
     }
 
-    fn powered<T>(
+    fn with_supply<T>(
         &mut self,
-        supply: &Supply,
-        work: impl FnOnce(&mut Journal<Powered<RECORDS>>, &mut Powered<SLOT>) -> T,
+        supply: &PowerSupply,
+        work: impl FnOnce(
+            &mut Journal<PoweredFlash<RECORDS_SECTOR_BYTES>>,
+            &mut PoweredFlash<SLOT_BYTES>,
+        ) -> T,
     ) -> T {
-        powered(&mut self.records, &mut self.slots, supply, work)
+        with_supply(&mut self.records, &mut self.slots, supply, work)
     }
 
     /// Returns what starts with a dead PLL.
-    fn start(&mut self) -> Option<(Slot, Reason)> {
-        self.start_at(Clock::Slow)
+    fn start(&mut self) -> Option<(Slot, StartReason)> {
+        self.start_with_clock(ClockSpeed::Slow)
     }
 
-    fn start_at(&mut self, clock: Clock) -> Option<(Slot, Reason)> {
-        self.powered(&Supply::of(FUEL), |journal, slots| {
-            choose(journal, slots, &NEW_KEY, Ending::PowerCycle, clock, || ())
+    fn start_with_clock(&mut self, clock: ClockSpeed) -> Option<(Slot, StartReason)> {
+        self.with_supply(&PowerSupply::with_byte_budget(UNLIMITED_BYTES), |journal, slots| {
+            select_image(journal, slots, &NEW_KEY, StartOutcome::PowerCycle, clock, || ())
         })
         .map(|start| (start.image.header.slot, start.reason))
     }
 
     /// Loads a file into slot B, from the image in slot A.
-    fn update(&mut self, supply: &Supply, file: &[u8]) -> Result<(), UpdateError> {
-        self.powered(supply, |journal, slots| {
+    fn load_update(&mut self, supply: &PowerSupply, file: &[u8]) -> Result<(), UpdateError> {
+        self.with_supply(supply, |journal, slots| {
             let running = read_header(slots, Slot::A, Version::default()).expect("it runs");
             let header = file.first_chunk::<HEADER_SIZE>().expect("a header");
             let mut update = Update::begin(journal, slots, &running, header)?;
@@ -68,39 +75,48 @@ impl Board {
     }
 
     /// Checks that this slot holds the whole file, and that its bytes are read the same each time.
-    fn holds(&self, slot: Slot, file: &[u8]) -> bool {
-        let from = usize::from(slot.number()) * SLOT;
+    fn holds_image(&self, slot: Slot, file: &[u8]) -> bool {
+        let from = usize::from(slot.number()) * SLOT_BYTES;
         let range = from..from + file.len();
         let wavers = self.slots.wavering.range(range.clone()).any(|(_, bits)| *bits != 0);
         !wavers && self.slots.bytes[range] == *file
     }
 }
 
-fn new_a() -> Vec<u8> {
-    signed_by(NEW_KEY, Slot::A, 1, 0)
+fn new_image_a() -> Vec<u8> {
+    image_signed_by(NEW_KEY, Slot::A, 1, 0)
 }
 
 #[test]
 fn with_a_dead_pll_the_image_of_the_new_key_starts_and_one_of_the_old_key_does_not() {
-    for b in [Vec::new(), signed_by(OLD_KEY, Slot::B, 2, 0)] {
-        let mut board = Board::flashed(&new_a(), &b, 1);
+    for b in [Vec::new(), image_signed_by(OLD_KEY, Slot::B, 2, 0)] {
+        let mut board = Board::with_images(&new_image_a(), &b, 1);
         for _ in 0..2 {
             assert_eq!(board.start().map(|it| it.0), Some(Slot::A));
         }
     }
     // The image was not signed anew: nothing may start.
-    let mut board = Board::flashed(&signed_by(OLD_KEY, Slot::A, 1, 0), &[], 1);
+    let mut board = Board::with_images(&image_signed_by(OLD_KEY, Slot::A, 1, 0), &[], 1);
     assert_eq!(board.start(), None);
 }
 
 #[test]
 fn with_a_dead_pll_an_update_of_the_new_key_starts_on_trial_and_one_of_the_old_key_is_refused() {
-    let mut board = Board::flashed(&new_a(), &[], 1);
-    assert_eq!(board.update(&Supply::of(FUEL), &signed_by(NEW_KEY, Slot::B, 2, 0)), Ok(()));
-    assert_eq!(board.start(), Some((Slot::B, Reason::Trial(1))));
-    let mut board = Board::flashed(&new_a(), &[], 1);
-    let refused = board.update(&Supply::of(FUEL), &signed_by(OLD_KEY, Slot::B, 2, 0));
-    assert_eq!(refused, Err(UpdateError::Defect(Defect::Signature)));
+    let mut board = Board::with_images(&new_image_a(), &[], 1);
+    assert_eq!(
+        board.load_update(
+            &PowerSupply::with_byte_budget(UNLIMITED_BYTES),
+            &image_signed_by(NEW_KEY, Slot::B, 2, 0)
+        ),
+        Ok(())
+    );
+    assert_eq!(board.start(), Some((Slot::B, StartReason::Trial(1))));
+    let mut board = Board::with_images(&new_image_a(), &[], 1);
+    let refused = board.load_update(
+        &PowerSupply::with_byte_budget(UNLIMITED_BYTES),
+        &image_signed_by(OLD_KEY, Slot::B, 2, 0),
+    );
+    assert_eq!(refused, Err(UpdateError::Defect(ImageDefect::Signature)));
     for _ in 0..3 {
         assert_eq!(board.start().map(|it| it.0), Some(Slot::A));
     }
@@ -110,20 +126,20 @@ fn with_a_dead_pll_an_update_of_the_new_key_starts_on_trial_and_one_of_the_old_k
 fn a_cut_at_any_word_of_an_update_after_a_key_change_leaves_a_signed_image_that_starts() {
     let mut cuts = 0;
     for (key, seed) in [(NEW_KEY, 1), (OLD_KEY, 2), (NEW_KEY, 3), (OLD_KEY, 4)] {
-        let (old, new) = (new_a(), signed_by(key, Slot::B, 2, 0));
-        let whole = Supply::of(FUEL);
-        Board::flashed(&old, &[], seed).update(&whole, &new).ok();
-        let words = (FUEL - whole.left()) / 4;
+        let (old, new) = (new_image_a(), image_signed_by(key, Slot::B, 2, 0));
+        let whole = PowerSupply::with_byte_budget(UNLIMITED_BYTES);
+        Board::with_images(&old, &[], seed).load_update(&whole, &new).ok();
+        let words = (UNLIMITED_BYTES - whole.remaining_bytes()) / 4;
         let mut started = [0_u32; 2];
         for word in 0..=words {
-            let mut board = Board::flashed(&old, &[], seed);
-            board.update(&Supply::of(4 * word), &new).ok();
+            let mut board = Board::with_images(&old, &[], seed);
+            board.load_update(&PowerSupply::with_byte_budget(4 * word), &new).ok();
             cuts += 1;
             for turn in 0..3_u32 {
                 let (slot, _) = board.start().unwrap_or_else(|| panic!("silent: word {word}"));
                 started[usize::from(slot.number())] += 1;
                 let file = if slot == Slot::A { &old } else { &new };
-                assert!(board.holds(slot, file), "word {word}, start {turn}: not whole");
+                assert!(board.holds_image(slot, file), "word {word}, start {turn}: not whole");
                 assert!(slot == Slot::A || key == NEW_KEY, "word {word}: the old key's");
                 for random in [&board.records.random, &board.slots.random] {
                     random.set(random.get().wrapping_mul(0x9E37_79B9) | 1);
@@ -139,14 +155,14 @@ fn a_cut_at_any_word_of_an_update_after_a_key_change_leaves_a_signed_image_that_
 /// An image that was verified with the old key is recorded as verified: so the whole chip is erased when the key is changed.
 #[test]
 fn an_image_of_the_old_key_that_stays_starts_with_a_dead_pll_unless_the_records_are_erased() {
-    let stays = signed_by(OLD_KEY, Slot::B, 2, 0);
+    let stays = image_signed_by(OLD_KEY, Slot::B, 2, 0);
     let tag = u32::from_le_bytes(*stays[..HEADER_SIZE].last_chunk().expect("a tag"));
-    let mut board = Board::flashed(&new_a(), &stays, 1);
-    board.powered(&Supply::of(FUEL), |journal, _| {
-        let verified = journal.state().with(Slot::B, tag, Status::Verified);
+    let mut board = Board::with_images(&new_image_a(), &stays, 1);
+    board.with_supply(&PowerSupply::with_byte_budget(UNLIMITED_BYTES), |journal, _| {
+        let verified = journal.state().with_status(Slot::B, tag, ImageStatus::Verified);
         journal.commit(verified).expect("powered");
     });
-    assert_eq!(board.clone().start_at(Clock::Full).map(|it| it.0), Some(Slot::A));
+    assert_eq!(board.clone().start_with_clock(ClockSpeed::Full).map(|it| it.0), Some(Slot::A));
     assert_eq!(board.clone().start().map(|it| it.0), Some(Slot::B), "the record counts");
     board.records = StrictFlash::erased();
     assert_eq!(board.start().map(|it| it.0), Some(Slot::A));

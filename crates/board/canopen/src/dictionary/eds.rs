@@ -3,23 +3,25 @@
 
 use core::fmt;
 
-use super::{Access, Entry, OBJECTS, Object, ObjectKind, Shape, Type};
+use super::{AccessType, DataType, Entry, EntryContent, OBJECTS, Object, ObjectCode};
 
 /// Prints the whole file.
 ///
 /// # Errors
 /// None but those of `out`.
-pub fn eds(out: &mut impl fmt::Write) -> fmt::Result {
-    out.write_str(HEAD)?;
+pub(crate) fn write_eds(out: &mut impl fmt::Write) -> fmt::Result {
+    out.write_str(FILE_INFO)?;
     let is_mandatory = |object: &Object| [0x1000, 0x1001, 0x1018].contains(&object.index);
     let is_manufacturers = |object: &Object| (0x2000..0x6000).contains(&object.index);
-    list(out, "MandatoryObjects", is_mandatory)?;
-    list(out, "OptionalObjects", |object| !is_mandatory(object) && !is_manufacturers(object))?;
-    list(out, "ManufacturerObjects", is_manufacturers)?;
-    OBJECTS.iter().try_for_each(|object| one(out, object))
+    write_object_list(out, "MandatoryObjects", is_mandatory)?;
+    write_object_list(out, "OptionalObjects", |object| {
+        !is_mandatory(object) && !is_manufacturers(object)
+    })?;
+    write_object_list(out, "ManufacturerObjects", is_manufacturers)?;
+    OBJECTS.iter().try_for_each(|object| write_object(out, object))
 }
 
-const HEAD: &str = concat!(
+const FILE_INFO: &str = concat!(
     "[FileInfo]\nFileName=trueup.eds\nFileVersion=1\nFileRevision=1\nEDSVersion=4.0\n",
     "Description=trueup bridge, printed from its object dictionary\n\n",
     "[DeviceInfo]\nVendorName=trueup\nVendorNumber=0\nProductName=trueup bridge\n",
@@ -43,7 +45,11 @@ const HEAD: &str = concat!(
     "Line10=A calibration may ask for the service switch as well: while it is open, 0x08000021 (0x2001:8: 3).\n\n",
 );
 
-fn list(out: &mut impl fmt::Write, name: &str, is_in: impl Fn(&Object) -> bool) -> fmt::Result {
+fn write_object_list(
+    out: &mut impl fmt::Write,
+    name: &str,
+    is_in: impl Fn(&Object) -> bool,
+) -> fmt::Result {
     let objects = || OBJECTS.iter().filter(|object| is_in(object));
     write!(out, "[{name}]\nSupportedObjects={}\n", objects().count())?;
     for (number, object) in (1..).zip(objects()) {
@@ -53,46 +59,46 @@ fn list(out: &mut impl fmt::Write, name: &str, is_in: impl Fn(&Object) -> bool) 
     out.write_str("\n")
 }
 
-fn one(out: &mut impl fmt::Write, object: &Object) -> fmt::Result {
+fn write_object(out: &mut impl fmt::Write, object: &Object) -> fmt::Result {
     let shape = match object.shape {
-        Shape::Var => 0x7,
-        Shape::Array => 0x8,
-        Shape::Record => 0x9,
+        ObjectCode::Var => 0x7,
+        ObjectCode::Array => 0x8,
+        ObjectCode::Record => 0x9,
     };
     write!(out, "[{:04X}]\nParameterName={}\nObjectType=0x{shape:X}\n", object.index, object.name)?;
-    if object.shape == Shape::Var {
-        return object.entries.iter().try_for_each(|entry| fields(out, entry));
+    if object.shape == ObjectCode::Var {
+        return object.entries.iter().try_for_each(|entry| write_entry(out, entry));
     }
     write!(out, "SubNumber={}\n\n", object.entries.len())?;
     object.entries.iter().try_for_each(|entry| {
         let (index, subindex) = (object.index, entry.subindex);
         let name = entry.name;
         write!(out, "[{index:04X}sub{subindex:X}]\nParameterName={name}\nObjectType=0x7\n")?;
-        fields(out, entry)
+        write_entry(out, entry)
     })
 }
 
-fn fields(out: &mut impl fmt::Write, entry: &Entry) -> fmt::Result {
+fn write_entry(out: &mut impl fmt::Write, entry: &Entry) -> fmt::Result {
     let kind = match entry.kind {
-        Type::I32 => 0x4,
-        Type::U8 => 0x5,
-        Type::U16 => 0x6,
-        Type::U32 => 0x7,
-        Type::Text => 0x9,
-        Type::Domain => 0xF,
+        DataType::I32 => 0x4,
+        DataType::U8 => 0x5,
+        DataType::U16 => 0x6,
+        DataType::U32 => 0x7,
+        DataType::Text => 0x9,
+        DataType::Domain => 0xF,
     };
     let access = match entry.access {
-        Access::Constant => "const",
-        Access::Read => "ro",
-        Access::ReadWrite => "rw",
-        Access::Write => "wo",
+        AccessType::Constant => "const",
+        AccessType::Read => "ro",
+        AccessType::ReadWrite => "rw",
+        AccessType::Write => "wo",
     };
     write!(out, "DataType=0x{kind:04X}\nAccessType={access}\n")?;
     match (entry.what, entry.default) {
-        (ObjectKind::Fixed(number), _) | (_, Some(number)) => {
+        (EntryContent::Fixed(number), _) | (_, Some(number)) => {
             writeln!(out, "DefaultValue=0x{number:X}")?
         }
-        (ObjectKind::Text(text), _) => writeln!(out, "DefaultValue={text}")?,
+        (EntryContent::Text(text), _) => writeln!(out, "DefaultValue={text}")?,
         _ => {}
     }
     out.write_str("PDOMapping=0\n\n")
@@ -107,7 +113,7 @@ mod tests {
     #[test]
     fn the_eds_file_is_what_the_table_prints() {
         let mut text = String::new();
-        eds(&mut text).expect("a string takes everything");
+        write_eds(&mut text).expect("a string takes everything");
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("trueup.eds");
         if env::var_os("TRUEUP_WRITE_EDS").is_some() {
             fs::write(&path, &text).expect("the crate's folder");

@@ -10,12 +10,12 @@ use std::{
 use trueup_link::status::StateBits;
 
 /// Code, register and number of whatever is reported in this many milliseconds of these faults.
-fn told(all: &mut Emergencies, now: Faults, ms: u32) -> Vec<(u16, u8, u8)> {
+fn told(all: &mut EmergencyProducer, now: Faults, ms: u32) -> Vec<(u16, u8, u8)> {
     let output = Output::default();
     let mut frames = Vec::new();
     for _ in 0..ms {
         all.update(1, now);
-        frames.extend(all.next(now, &output));
+        frames.extend(all.next_frame(now, &output));
     }
     let fields = |frame: &Frame| {
         let data = frame.data();
@@ -48,10 +48,10 @@ fn the_dbc_names_every_fault_by_its_number() {
 #[test]
 fn each_fault_is_told_when_it_comes_and_when_it_has_gone() {
     for fault in Fault::ALL {
-        let mut all = Emergencies::default();
+        let mut all = EmergencyProducer::default();
         let there = Faults::default().with_if(true, fault);
         let (code, number) = (fault.code(), fault as u8);
-        assert_eq!(told(&mut all, there, 100), [(code, 1 | fault.register(), number)]);
+        assert_eq!(told(&mut all, there, 100), [(code, 1 | fault.error_register_bit(), number)]);
         assert_eq!(told(&mut all, Faults::default(), 100), [(0, 0, number)]);
         assert_eq!(told(&mut all, Faults::default(), 100), []);
         assert_eq!(all.error(0), Some(u32::from(code) | u32::from(number) << 16));
@@ -60,21 +60,21 @@ fn each_fault_is_told_when_it_comes_and_when_it_has_gone() {
 
 #[test]
 fn a_fault_that_flickers_is_told_no_more_often_than_the_inhibit_time_permits() {
-    let mut all = Emergencies::default();
+    let mut all = EmergencyProducer::default();
     let there = Faults::default().with_if(true, Fault::Sensor);
     let mut sent = 0;
     for _ in 0..500 {
         sent += told(&mut all, there, 1).len() + told(&mut all, Faults::default(), 1).len();
     }
     assert!((90..=100).contains(&sent), "{sent} in a second");
-    all.set_inhibit(1_000);
+    all.set_inhibit_time(1_000);
     let both = there.with_if(true, Fault::Clamped);
     assert!(told(&mut all, both, 300).len() <= 3);
 }
 
 #[test]
 fn a_fault_of_one_tick_within_the_inhibit_time_is_told_all_the_same() {
-    let mut all = Emergencies::default();
+    let mut all = EmergencyProducer::default();
     let sensor = Faults::default().with_if(true, Fault::Sensor);
     assert_eq!(told(&mut all, sensor, 1).len(), 1);
     let both = sensor.with_if(true, Fault::Clamped);
@@ -84,18 +84,18 @@ fn a_fault_of_one_tick_within_the_inhibit_time_is_told_all_the_same() {
 
 #[test]
 fn every_bit_of_the_state_is_an_emergency_too() {
-    for (bit, word) in StateBits::WORDS {
-        let tells = |fault: &Fault| Faults::default().with_if(true, *fault).state() == bit;
+    for (bit, word) in StateBits::NAMES {
+        let tells = |fault: &Fault| Faults::default().with_if(true, *fault).state_bits() == bit;
         assert!(Fault::ALL.iter().any(tells), "{word}");
     }
 }
 
 #[test]
 fn a_second_source_that_is_lost_while_the_first_is_missing_is_told() {
-    let thermometers = Fault::THERMOMETERS.into_iter().chain(Fault::TEMPERATURE_RATES);
+    let thermometers = Fault::THERMOMETER_FAULTS.into_iter().chain(Fault::TEMPERATURE_RATE_FAULTS);
     let sources: Vec<Fault> =
         thermometers.chain([Fault::Sensor, Fault::SamplesMissing, Fault::PlaceLost]).collect();
-    let (mut all, mut now) = (Emergencies::default(), Faults::default());
+    let (mut all, mut now) = (EmergencyProducer::default(), Faults::default());
     for fault in sources {
         now = now.with_if(true, fault);
         let told: Vec<u16> = told(&mut all, now, 100).into_iter().map(|(code, ..)| code).collect();
@@ -115,16 +115,16 @@ fn both_words_of_the_objects_hold_every_fault_at_its_number() {
 
 #[test]
 fn the_history_keeps_the_newest() {
-    let mut all = Emergencies::default();
+    let mut all = EmergencyProducer::default();
     for fault in Fault::ALL {
         told(&mut all, Faults::default().with_if(true, fault), 20);
     }
-    assert_eq!(all.count(), HISTORY);
+    assert_eq!(all.error_count(), ERROR_HISTORY_LEN);
     let newest = Fault::ALL[Fault::ALL.len() - 1];
     assert_eq!(all.error(0), Some((newest as u32) << 16 | u32::from(newest.code())));
     assert_eq!(all.error(8), None);
-    all.clear();
-    assert_eq!((all.count(), all.error(0)), (0, None));
+    all.clear_history();
+    assert_eq!((all.error_count(), all.error(0)), (0, None));
 }
 
 #[test]
@@ -142,7 +142,7 @@ fn what_is_encoded_is_decoded_and_what_has_no_meaning_is_named() {
     for (byte, raw, signal) in [(3, 200, "Fault"), (5, 7, "Quality")] {
         let mut data = *frame.data();
         data[byte] = raw;
-        let wrong = Frame::full(EMERGENCY_ID, data);
+        let wrong = Frame::from_data(EMERGENCY_ID, data);
         assert_eq!(decode(&wrong), Err(DecodeError::Value { signal, raw: raw.into() }));
     }
 }

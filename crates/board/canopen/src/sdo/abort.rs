@@ -3,7 +3,7 @@
 /// An abort code, as it goes over the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
-pub enum Abort {
+pub enum AbortCode {
     /// The toggle bit of a segment is not the expected one.
     Toggle = 0x0503_0000,
     /// The client has been silent in the middle of a transfer.
@@ -38,7 +38,7 @@ pub enum Abort {
     NoData = 0x0800_0024,
 }
 
-impl Abort {
+impl AbortCode {
     /// All of them.
     pub const ALL: [Self; 16] = [
         Self::Toggle,
@@ -61,7 +61,7 @@ impl Abort {
 
     /// Returns what it means, in words.
     #[must_use]
-    pub const fn text(self) -> &'static str {
+    pub const fn description(self) -> &'static str {
         match self {
             Self::Toggle => "a segment was lost or came twice",
             Self::Timeout => "the transfer took too long",

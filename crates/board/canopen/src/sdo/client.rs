@@ -4,88 +4,68 @@
 //! A transfer is a value that takes the server's answers and gives the next request; it has no
 //! clock and no line, so its caller decides how long to wait.
 
-use core::{error::Error, fmt};
-
 use trueup_link::{
     frame::Frame,
-    layout::{SDO_ANSWER_ID, SDO_REQUEST_ID},
+    layout::{SDO_REQUEST_ID, SDO_RESPONSE_ID},
 };
 
-use super::{Abort, SEGMENT, initiated, is_toggled, size_byte};
+use super::{AbortCode, SEGMENT_BYTES, encode_message, is_toggled, saturate_to_u8};
 
-mod block;
-pub use block::BlockDownload;
+mod block_download;
+pub use block_download::BlockDownload;
 
-/// An object: index and sub-index.
-pub type At = (u16, u8);
+pub use crate::dictionary::ObjectAddress;
 
 /// Why a transfer has failed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ClientError {
     /// The server has ended it with this code.
+    #[error("object {:04X}:{}: {} (abort code {code:08X})", .at.0, .at.1, text(*.code))]
     Aborted {
         /// Of this object.
-        at: At,
+        at: ObjectAddress,
         /// The code, as CiA 301 lists it.
         code: u32,
     },
     /// The answer is none to what was asked.
+    #[error("object {:04X}:{}: {answer:02X?} does not answer this request", .at.0, .at.1)]
     Unexpected {
         /// Of this object.
-        at: At,
+        at: ObjectAddress,
         /// The eight bytes that came.
         answer: [u8; 8],
     },
     /// The server sends or announces more bytes than the object may have, or a segment without any.
+    #[error("object {:04X}:{}: does not end within its {most} bytes", .at.0, .at.1)]
     TooLong {
         /// Of this object.
-        at: At,
+        at: ObjectAddress,
         /// It may have this many.
         most: u32,
     },
     /// The object ends before the length that the server has announced.
+    #[error("object {:04X}:{}: ends before its announced length", .at.0, .at.1)]
     TooShort {
         /// Of this object.
-        at: At,
+        at: ObjectAddress,
     },
 }
 
-impl fmt::Display for ClientError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match *self {
-            Self::Aborted { at: (index, subindex), code } => {
-                write!(f, "object {index:04X}:{subindex}: ")?;
-                match Abort::ALL.into_iter().find(|abort| abort.code() == code) {
-                    Some(abort) => f.write_str(abort.text())?,
-                    None => f.write_str("refused")?,
-                }
-                write!(f, " (abort code {code:08X})")
-            }
-            Self::Unexpected { at: (index, subindex), answer } => {
-                write!(
-                    f,
-                    "object {index:04X}:{subindex}: {answer:02X?} does not answer this request"
-                )
-            }
-            Self::TooLong { at: (index, subindex), most } => {
-                write!(f, "object {index:04X}:{subindex}: does not end within its {most} bytes")
-            }
-            Self::TooShort { at: (index, subindex) } => {
-                write!(f, "object {index:04X}:{subindex}: ends before its announced length")
-            }
-        }
-    }
+/// Returns what CiA 301 says of an abort code.
+fn text(code: u32) -> &'static str {
+    AbortCode::ALL
+        .into_iter()
+        .find(|abort| abort.code() == code)
+        .map_or("refused", AbortCode::description)
 }
 
-impl Error for ClientError {}
-
 impl ClientError {
-    /// Returns whether the line may be to blame, and the same may be answered when it is asked for again: a
+    /// Returns whether the line may be to blame, and the same may be answered when it is requested again: a
     /// request was lost, or an answer.
     #[must_use]
-    pub const fn may_be_the_line(&self) -> bool {
+    pub const fn is_transmission_error(&self) -> bool {
         match *self {
-            Self::Aborted { code, .. } => code == Abort::Timeout.code(),
+            Self::Aborted { code, .. } => code == AbortCode::Timeout.code(),
             Self::Unexpected { .. } | Self::TooShort { .. } => true,
             Self::TooLong { .. } => false,
         }
@@ -95,7 +75,7 @@ impl ClientError {
 /// An object that is being read.
 #[derive(Clone, Copy, Debug)]
 pub struct Upload {
-    at: At,
+    at: ObjectAddress,
     /// `None` before the answer to the start.
     toggle: Option<bool>,
     announced: Option<u32>,
@@ -104,24 +84,24 @@ pub struct Upload {
 }
 
 /// The most bytes of an object for which nothing else is known: above any calibration.
-pub const MAX_UPLOAD: u32 = 1 << 16;
+pub const MAX_UPLOAD_BYTES: u32 = 1 << 16;
 
 impl Upload {
     /// Starts it, with the first request.
     #[must_use]
-    pub fn start(at: At) -> (Self, Frame) {
-        Self::start_at_most(at, MAX_UPLOAD)
+    pub fn start(at: ObjectAddress) -> (Self, Frame) {
+        Self::start_with_limit(at, MAX_UPLOAD_BYTES)
     }
 
     /// Returns the same of an object that has at most this many bytes.
     #[must_use]
-    pub fn start_at_most(at: At, most: u32) -> (Self, Frame) {
+    pub fn start_with_limit(at: ObjectAddress, most: u32) -> (Self, Frame) {
         let this = Self { at, toggle: None, announced: None, received: 0, most };
-        (this, request(initiated(0x40, at, 0)))
+        (this, request_frame(encode_message(0x40, at, 0)))
     }
 
     /// Counts bytes that have come.
-    fn count(&mut self, length: usize) -> Result<(), ClientError> {
+    fn record_received(&mut self, length: usize) -> Result<(), ClientError> {
         self.received = self.received.saturating_add(u32::try_from(length).unwrap_or(u32::MAX));
         let most = self.announced.unwrap_or(self.most).min(self.most);
         if self.received > most {
@@ -132,7 +112,7 @@ impl Upload {
 
     /// Bytes that the server has announced; `None` before it has.
     #[must_use]
-    pub const fn announced(&self) -> Option<u32> {
+    pub const fn indicated_size(&self) -> Option<u32> {
         self.announced
     }
 
@@ -147,12 +127,12 @@ impl Upload {
         frame: &Frame,
         bytes: &mut impl Extend<u8>,
     ) -> Result<Progress, ClientError> {
-        let Some(answer) = answer(frame) else { return Ok(Progress::Unchanged) };
+        let Some(answer) = response_bytes(frame) else { return Ok(Progress::Unchanged) };
         let &[command, _, _, _, a, b, c, d] = answer;
         let unexpected = ClientError::Unexpected { at: self.at, answer: *answer };
         match (command >> 5, self.toggle) {
-            (_, None) if !is_of(answer, self.at) => Ok(Progress::Unchanged),
-            (4, _) => Err(aborted(answer, self.at)),
+            (_, None) if !matches_object(answer, self.at) => Ok(Progress::Unchanged),
+            (4, _) => Err(abort_error(answer, self.at)),
             (2, None) => {
                 if command & 2 == 0 {
                     self.announced = (command & 1 != 0).then(|| u32::from_le_bytes([a, b, c, d]));
@@ -160,21 +140,21 @@ impl Upload {
                     if self.announced.is_some_and(|announced| announced > self.most) {
                         return Err(ClientError::TooLong { at: self.at, most: self.most });
                     }
-                    return Ok(Progress::Ask(request([0x60, 0, 0, 0, 0, 0, 0, 0])));
+                    return Ok(Progress::Ask(request_frame([0x60, 0, 0, 0, 0, 0, 0, 0])));
                 }
                 let unused = if command & 1 != 0 { usize::from(command >> 2 & 3) } else { 0 };
                 let length = 4_usize.saturating_sub(unused);
-                self.count(length)?;
+                self.record_received(length)?;
                 bytes.extend([a, b, c, d].into_iter().take(length));
                 Ok(Progress::Done)
             }
             // The answer to an earlier start of the same, which was given up.
-            (2, Some(false)) if is_of(answer, self.at) => Ok(Progress::Unchanged),
+            (2, Some(false)) if matches_object(answer, self.at) => Ok(Progress::Unchanged),
             (0, Some(toggle)) if is_toggled(command) == toggle => {
                 let [_, data @ ..] = answer;
-                let length = SEGMENT.saturating_sub(usize::from(command >> 1 & 7));
+                let length = SEGMENT_BYTES.saturating_sub(usize::from(command >> 1 & 7));
                 let is_last = command & 1 != 0;
-                self.count(length)?;
+                self.record_received(length)?;
                 // Segments without a byte would have no end.
                 if length == 0 && !is_last {
                     return Err(ClientError::TooLong { at: self.at, most: self.most });
@@ -189,7 +169,16 @@ impl Upload {
                     };
                 }
                 self.toggle = Some(!toggle);
-                Ok(Progress::Ask(request([0x60 | u8::from(!toggle) << 4, 0, 0, 0, 0, 0, 0, 0])))
+                Ok(Progress::Ask(request_frame([
+                    0x60 | u8::from(!toggle) << 4,
+                    0,
+                    0,
+                    0,
+                    0,
+                    0,
+                    0,
+                    0,
+                ])))
             }
             _ => Err(unexpected),
         }
@@ -210,7 +199,7 @@ pub enum Progress {
 /// An object that is being written.
 #[derive(Clone, Copy, Debug)]
 pub struct Download<'d> {
-    at: At,
+    at: ObjectAddress,
     data: &'d [u8],
     /// The start was answered.
     is_answered: bool,
@@ -224,23 +213,23 @@ pub struct Download<'d> {
 impl<'d> Download<'d> {
     /// Starts it, with the first request.
     #[must_use]
-    pub fn start(at: At, data: &'d [u8]) -> (Self, Frame) {
+    pub fn start(at: ObjectAddress, data: &'d [u8]) -> (Self, Frame) {
         let is_expedited = (1..=4).contains(&data.len());
         let this = Self { at, data, is_answered: false, next: 0, toggle: true, is_expedited };
         let first = if is_expedited {
             let mut number = [0; 4];
             number.iter_mut().zip(data).for_each(|(place, byte)| *place = *byte);
-            let unused = 4_u8.saturating_sub(size_byte(data.len()));
-            initiated(0x23 | unused << 2, at, u32::from_le_bytes(number))
+            let unused = 4_u8.saturating_sub(saturate_to_u8(data.len()));
+            encode_message(0x23 | unused << 2, at, u32::from_le_bytes(number))
         } else {
-            initiated(0x21, at, u32::try_from(data.len()).unwrap_or(u32::MAX))
+            encode_message(0x21, at, u32::try_from(data.len()).unwrap_or(u32::MAX))
         };
-        (this, request(first))
+        (this, request_frame(first))
     }
 
     /// Bytes that were sent.
     #[must_use]
-    pub fn sent(&self) -> usize {
+    pub fn bytes_sent(&self) -> usize {
         self.next.min(self.data.len())
     }
 
@@ -249,65 +238,65 @@ impl<'d> Download<'d> {
     /// # Errors
     /// [`ClientError`]: the transfer is over.
     pub fn receive(&mut self, frame: &Frame) -> Result<Progress, ClientError> {
-        let Some(answer) = answer(frame) else { return Ok(Progress::Unchanged) };
+        let Some(answer) = response_bytes(frame) else { return Ok(Progress::Unchanged) };
         let &[command, ..] = answer;
         match (command >> 5, self.is_answered) {
-            (_, false) if !is_of(answer, self.at) => Ok(Progress::Unchanged),
-            (4, _) => Err(aborted(answer, self.at)),
+            (_, false) if !matches_object(answer, self.at) => Ok(Progress::Unchanged),
+            (4, _) => Err(abort_error(answer, self.at)),
             (3, false) => {
                 if self.is_expedited {
                     return Ok(Progress::Done);
                 }
                 self.is_answered = true;
-                Ok(Progress::Ask(self.segment()))
+                Ok(Progress::Ask(self.encode_segment()))
             }
             (1, true) if is_toggled(command) == self.toggle => {
                 if self.next >= self.data.len() {
                     return Ok(Progress::Done);
                 }
-                Ok(Progress::Ask(self.segment()))
+                Ok(Progress::Ask(self.encode_segment()))
             }
             _ => Err(ClientError::Unexpected { at: self.at, answer: *answer }),
         }
     }
 
-    fn segment(&mut self) -> Frame {
+    fn encode_segment(&mut self) -> Frame {
         let rest = self.data.get(self.next..).unwrap_or_default();
-        let part = rest.get(..SEGMENT).unwrap_or(rest);
+        let part = rest.get(..SEGMENT_BYTES).unwrap_or(rest);
         self.toggle = !self.toggle;
-        self.next = self.next.saturating_add(SEGMENT);
-        let unused = size_byte(SEGMENT).saturating_sub(size_byte(part.len()));
+        self.next = self.next.saturating_add(SEGMENT_BYTES);
+        let unused = saturate_to_u8(SEGMENT_BYTES).saturating_sub(saturate_to_u8(part.len()));
         let is_last = part.len() == rest.len();
         let mut data = [0; 8];
         let [head, places @ ..] = &mut data;
         *head = u8::from(self.toggle) << 4 | unused << 1 | u8::from(is_last);
         places.iter_mut().zip(part).for_each(|(place, byte)| *place = *byte);
-        request(data)
+        request_frame(data)
     }
 }
 
-fn request(data: [u8; 8]) -> Frame {
-    Frame::full(SDO_REQUEST_ID, data)
+fn request_frame(data: [u8; 8]) -> Frame {
+    Frame::from_data(SDO_REQUEST_ID, data)
 }
 
 /// Ends a transfer whose answer has not come, so that it can be started again.
 #[must_use]
-pub fn give_up(at: At) -> Frame {
-    request(initiated(0x80, at, Abort::Timeout.code()))
+pub fn timeout_abort(at: ObjectAddress) -> Frame {
+    request_frame(encode_message(0x80, at, AbortCode::Timeout.code()))
 }
 
 /// Returns the bytes of a frame that is an answer of the bridge.
-fn answer(frame: &Frame) -> Option<&[u8; 8]> {
-    (frame.id() == SDO_ANSWER_ID && usize::from(frame.len()) == Frame::MAX_LEN)
+fn response_bytes(frame: &Frame) -> Option<&[u8; 8]> {
+    (frame.id() == SDO_RESPONSE_ID && usize::from(frame.len()) == Frame::MAX_LEN)
         .then(|| frame.data())
 }
 
-fn is_of(answer: &[u8; 8], at: At) -> bool {
+fn matches_object(answer: &[u8; 8], at: ObjectAddress) -> bool {
     let &[_, low, high, subindex, ..] = answer;
     (u16::from_le_bytes([low, high]), subindex) == at
 }
 
-fn aborted(answer: &[u8; 8], at: At) -> ClientError {
+fn abort_error(answer: &[u8; 8], at: ObjectAddress) -> ClientError {
     let &[_, _, _, _, a, b, c, d] = answer;
     ClientError::Aborted { at, code: u32::from_le_bytes([a, b, c, d]) }
 }
@@ -320,16 +309,16 @@ mod tests {
 
     #[test]
     fn the_abort_codes_rise_so_each_is_there_once() {
-        assert!(Abort::ALL.map(Abort::code).is_sorted_by(|a, b| a < b));
+        assert!(AbortCode::ALL.map(AbortCode::code).is_sorted_by(|a, b| a < b));
     }
 
     #[test]
     fn what_somebody_before_has_asked_for_is_no_answer_to_a_start() {
         let at = (0x2001, 1);
         let stale = [
-            initiated(0x80, (0x2100, 2), Abort::Toggle.code()),
-            initiated(0x80, (0, 0), Abort::Command.code()),
-            initiated(0x60, (0x2100, 2), 0),
+            encode_message(0x80, (0x2100, 2), AbortCode::Toggle.code()),
+            encode_message(0x80, (0, 0), AbortCode::Command.code()),
+            encode_message(0x60, (0x2100, 2), 0),
             [0x20, 0, 0, 0, 0, 0, 0, 0],
             [0x01, 1, 2, 3, 4, 5, 6, 7],
         ];
@@ -337,24 +326,24 @@ mod tests {
         let (mut download, _) = Download::start(at, &[1]);
         let mut bytes = Vec::new();
         for answer in stale {
-            let frame = Frame::full(SDO_ANSWER_ID, answer);
+            let frame = Frame::from_data(SDO_RESPONSE_ID, answer);
             assert_eq!(upload.receive(&frame, &mut bytes), Ok(Progress::Unchanged));
             assert_eq!(download.receive(&frame), Ok(Progress::Unchanged));
         }
-        let answer = Frame::full(SDO_ANSWER_ID, initiated(0x4F, at, 3));
+        let answer = Frame::from_data(SDO_RESPONSE_ID, encode_message(0x4F, at, 3));
         assert_eq!(upload.receive(&answer, &mut bytes), Ok(Progress::Done));
         assert_eq!(bytes, [3]);
-        let answer = Frame::full(SDO_ANSWER_ID, initiated(0x60, at, 0));
+        let answer = Frame::from_data(SDO_RESPONSE_ID, encode_message(0x60, at, 0));
         assert_eq!(download.receive(&answer), Ok(Progress::Done));
     }
 
     #[test]
     fn a_read_that_was_started_twice_takes_one_of_the_two_answers() {
         let at = (0x2100, 1);
-        let frame = |data| Frame::full(SDO_ANSWER_ID, data);
+        let frame = |data| Frame::from_data(SDO_RESPONSE_ID, data);
         let (mut upload, _) = Upload::start(at);
         let mut bytes = Vec::new();
-        let started = frame(initiated(0x41, at, 7));
+        let started = frame(encode_message(0x41, at, 7));
         assert!(matches!(upload.receive(&started, &mut bytes), Ok(Progress::Ask(_))));
         assert_eq!(upload.receive(&started, &mut bytes), Ok(Progress::Unchanged));
         let all = frame([0x01, 1, 2, 3, 4, 5, 6, 7]);
@@ -365,7 +354,7 @@ mod tests {
     #[test]
     fn an_object_that_has_no_end_or_another_length_than_announced_is_refused() {
         let at = (0x1008, 0);
-        let frame = |data| Frame::full(SDO_ANSWER_ID, data);
+        let frame = |data| Frame::from_data(SDO_RESPONSE_ID, data);
         // Announced and most bytes, how many of which length come in each segment, and how it ends.
         for (announced, most, length, segments, ends) in [
             (0, 21, 7, 3, "done"),
@@ -374,14 +363,15 @@ mod tests {
             (14, 100, 7, 3, "long"),
             (22, 100, 7, 3, "short"),
             (101, 100, 7, 1, "long"),
-            (u32::MAX, MAX_UPLOAD, 7, 1, "long"),
+            (u32::MAX, MAX_UPLOAD_BYTES, 7, 1, "long"),
             (0, 100, 0, 2, "long"),
             (0, 100, 0, 1, "done"),
         ] {
-            let (mut upload, _) = Upload::start_at_most(at, most);
+            let (mut upload, _) = Upload::start_with_limit(at, most);
             let mut bytes = Vec::new();
             let command = if announced == 0 { 0x40 } else { 0x41 };
-            let mut last = upload.receive(&frame(initiated(command, at, announced)), &mut bytes);
+            let mut last =
+                upload.receive(&frame(encode_message(command, at, announced)), &mut bytes);
             for number in 0..segments {
                 if last.is_err() {
                     break;
@@ -412,12 +402,12 @@ mod tests {
             let (mut down, _) = Download::start((0x2100, 2), &data);
             let mut bytes = Vec::new();
             for answer in &answers {
-                let frame = Frame::full(SDO_ANSWER_ID, *answer);
+                let frame = Frame::from_data(SDO_RESPONSE_ID, *answer);
                 up.receive(&frame, &mut bytes).ok();
                 down.receive(&frame).ok();
             }
             prop_assert!(bytes.len() <= 7 * answers.len());
-            prop_assert!(down.sent() <= length);
+            prop_assert!(down.bytes_sent() <= length);
         }
     }
 }

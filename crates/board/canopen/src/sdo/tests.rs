@@ -17,59 +17,59 @@ pub(super) struct Fake {
 
 const MAX: usize = 600;
 
-impl Objects for Fake {
-    fn read(&self, what: ObjectKind) -> Result<ObjectValue<'_>, Abort> {
+impl ObjectAccess for Fake {
+    fn read(&self, what: EntryContent) -> Result<ObjectValue<'_>, AbortCode> {
         Ok(match what {
-            ObjectKind::Fixed(number) => ObjectValue::Number(number),
-            ObjectKind::Text(text) => ObjectValue::Bytes(text.as_bytes()),
-            ObjectKind::ProducerHeartbeat => ObjectValue::Number(self.period),
-            ObjectKind::New => ObjectValue::Bytes(&self.domain),
-            _ => return Err(Abort::NoData),
+            EntryContent::Fixed(number) => ObjectValue::Number(number),
+            EntryContent::Text(text) => ObjectValue::Bytes(text.as_bytes()),
+            EntryContent::ProducerHeartbeat => ObjectValue::Number(self.period),
+            EntryContent::New => ObjectValue::Bytes(&self.domain),
+            _ => return Err(AbortCode::NoData),
         })
     }
 
-    fn write(&mut self, what: ObjectKind, number: u32) -> Result<(), Abort> {
+    fn write(&mut self, what: EntryContent, number: u32) -> Result<(), AbortCode> {
         self.written.push(number);
         match what {
-            ObjectKind::ProducerHeartbeat => self.period = number,
-            ObjectKind::Forget => {}
-            _ => return Err(Abort::Value),
+            EntryContent::ProducerHeartbeat => self.period = number,
+            EntryContent::Forget => {}
+            _ => return Err(AbortCode::Value),
         }
         Ok(())
     }
 
-    fn open(&mut self, _: ObjectKind, size: Option<u32>) -> Result<(), Abort> {
+    fn open(&mut self, _: EntryContent, size: Option<u32>) -> Result<(), AbortCode> {
         self.domain.clear();
-        if size.is_some_and(|size| size as usize > MAX) { Err(Abort::TooLong) } else { Ok(()) }
+        if size.is_some_and(|size| size as usize > MAX) { Err(AbortCode::TooLong) } else { Ok(()) }
     }
 
-    fn append(&mut self, _: ObjectKind, bytes: &[u8]) -> Result<(), Abort> {
+    fn append(&mut self, _: EntryContent, bytes: &[u8]) -> Result<(), AbortCode> {
         self.domain.extend(bytes);
-        if self.domain.len() > MAX { Err(Abort::TooLong) } else { Ok(()) }
+        if self.domain.len() > MAX { Err(AbortCode::TooLong) } else { Ok(()) }
     }
 
-    fn is_ready(&self, _: ObjectKind) -> bool {
+    fn is_ready(&self, _: EntryContent) -> bool {
         !self.is_full
     }
 
-    fn close(&mut self, _: ObjectKind) -> Result<(), Abort> {
+    fn close(&mut self, _: EntryContent) -> Result<(), AbortCode> {
         Ok(())
     }
 }
 
 fn ask(server: &mut Server, fake: &mut Fake, data: [u8; 8]) -> Option<[u8; 8]> {
     let answer = server.receive(&Frame::new(SDO_REQUEST_ID, &data).unwrap(), fake)?;
-    assert_eq!(answer.id(), SDO_ANSWER_ID);
+    assert_eq!(answer.id(), SDO_RESPONSE_ID);
     Some(*answer.data())
 }
 
 /// Returns the abort of this object.
-fn refused(index: u16, subindex: u8, abort: Abort) -> Option<[u8; 8]> {
-    Some(initiated(0x80, (index, subindex), abort.code()))
+fn refused(index: u16, subindex: u8, abort: AbortCode) -> Option<[u8; 8]> {
+    Some(encode_message(0x80, (index, subindex), abort.code()))
 }
 
 fn to(command: u8, index: u16, subindex: u8, number: u32) -> [u8; 8] {
-    initiated(command, (index, subindex), number)
+    encode_message(command, (index, subindex), number)
 }
 
 /// Reads all of an object, in segments where it has to.
@@ -133,7 +133,7 @@ fn numbers_go_in_one_frame_with_their_length() {
     }
     assert_eq!(read(&mut server, &mut fake, 0x1017, 0), Ok([0xF4, 0x01].into()));
     let segmented = write(&mut server, &mut fake, (0x1017, 0), Some(2), &[7, 0]);
-    assert_eq!((segmented, fake.period), (Some(segment_taken(false)), 7));
+    assert_eq!((segmented, fake.period), (Some(segment_response(false)), 7));
 }
 
 #[test]
@@ -146,24 +146,24 @@ fn a_text_comes_in_segments() {
 fn every_misuse_gets_its_abort_code() {
     let announced_too_long = to(0x21, 0x2100, 2, 601);
     for (request, abort) in [
-        (to(0x40, 0x1FFF, 0, 0), Abort::NoObject),
-        (to(0x2F, 0x1FFF, 0, 0), Abort::NoObject),
-        (to(0x40, 0x1018, 9, 0), Abort::NoSubindex),
-        (to(0x40, 0x2010, 6, 0), Abort::WriteOnly),
-        (to(0x23, 0x1000, 0, 0), Abort::ReadOnly),
-        (to(0x23, 0x2000, 1, 0), Abort::ReadOnly),
-        (to(0x21, 0x2100, 1, 8), Abort::ReadOnly),
-        (to(0x23, 0x1017, 0, 0), Abort::Length),
-        (to(0x2F, 0x1017, 0, 0), Abort::Length),
-        (to(0x21, 0x1017, 0, 3), Abort::Length),
-        (to(0x23, 0x2100, 2, 0), Abort::TooShort),
-        (announced_too_long, Abort::TooLong),
-        (to(0xA0, 0x2100, 1, 0), Abort::Command),
-        (to(0xA4, 0x2100, 1, 0), Abort::Command),
-        (to(0xC6, 0x1017, 0, 2), Abort::Command),
-        (to(0xC6, 0x2100, 1, 8), Abort::ReadOnly),
-        (to(0xC6, 0x2100, 2, 601), Abort::TooLong),
-        (to(0x40, 0x1003, 1, 0), Abort::NoData),
+        (to(0x40, 0x1FFF, 0, 0), AbortCode::NoObject),
+        (to(0x2F, 0x1FFF, 0, 0), AbortCode::NoObject),
+        (to(0x40, 0x1018, 9, 0), AbortCode::NoSubindex),
+        (to(0x40, 0x2010, 6, 0), AbortCode::WriteOnly),
+        (to(0x23, 0x1000, 0, 0), AbortCode::ReadOnly),
+        (to(0x23, 0x2000, 1, 0), AbortCode::ReadOnly),
+        (to(0x21, 0x2100, 1, 8), AbortCode::ReadOnly),
+        (to(0x23, 0x1017, 0, 0), AbortCode::Length),
+        (to(0x2F, 0x1017, 0, 0), AbortCode::Length),
+        (to(0x21, 0x1017, 0, 3), AbortCode::Length),
+        (to(0x23, 0x2100, 2, 0), AbortCode::TooShort),
+        (announced_too_long, AbortCode::TooLong),
+        (to(0xA0, 0x2100, 1, 0), AbortCode::Command),
+        (to(0xA4, 0x2100, 1, 0), AbortCode::Command),
+        (to(0xC6, 0x1017, 0, 2), AbortCode::Command),
+        (to(0xC6, 0x2100, 1, 8), AbortCode::ReadOnly),
+        (to(0xC6, 0x2100, 2, 601), AbortCode::TooLong),
+        (to(0x40, 0x1003, 1, 0), AbortCode::NoData),
     ] {
         let (mut server, mut fake) = (Server::default(), Fake::default());
         let index = u16::from_le_bytes([request[1], request[2]]);
@@ -175,7 +175,7 @@ fn every_misuse_gets_its_abort_code() {
     for command in [0x00, 0x60, 0x70, 0xC1, 0xE0, 0xFF] {
         let (mut server, mut fake) = (Server::default(), Fake::default());
         let answer = ask(&mut server, &mut fake, [command, 0, 0, 0, 0, 0, 0, 0]);
-        assert_eq!(answer, refused(0, 0, Abort::Command), "{command:02X}");
+        assert_eq!(answer, refused(0, 0, AbortCode::Command), "{command:02X}");
     }
 }
 
@@ -188,9 +188,9 @@ fn a_wrong_toggle_ends_the_transfer() {
         let size = if index == 0x1017 { 2 } else { 14 };
         assert_ne!(ask(&mut server, &mut fake, to(start, index, subindex, size)).unwrap()[0], 0x80);
         let answer = ask(&mut server, &mut fake, [wrong, 0, 0, 0, 0, 0, 0, 0]);
-        assert_eq!(answer, refused(index, subindex, Abort::Toggle));
+        assert_eq!(answer, refused(index, subindex, AbortCode::Toggle));
         let again = ask(&mut server, &mut fake, [wrong, 0, 0, 0, 0, 0, 0, 0]);
-        assert_eq!(again, refused(0, 0, Abort::Command), "the transfer has ended");
+        assert_eq!(again, refused(0, 0, AbortCode::Command), "the transfer has ended");
     }
 }
 
@@ -200,33 +200,33 @@ fn a_length_that_is_not_the_announced_one_is_refused() {
         let (mut server, mut fake) = (Server::default(), Fake::default());
         let at = (0x2100, 2);
         let answer = write(&mut server, &mut fake, at, Some(announced), &std::vec![1; sent]);
-        assert_eq!(answer, refused(0x2100, 2, Abort::Length), "{announced}, {sent}");
+        assert_eq!(answer, refused(0x2100, 2, AbortCode::Length), "{announced}, {sent}");
     }
     let (mut server, mut fake) = (Server::default(), Fake::default());
     let answer = write(&mut server, &mut fake, (0x1017, 0), None, &[1; 3]);
-    assert_eq!((answer, &fake.written[..]), (refused(0x1017, 0, Abort::Length), &[][..]));
+    assert_eq!((answer, &fake.written[..]), (refused(0x1017, 0, AbortCode::Length), &[][..]));
     let unannounced = write(&mut server, &mut fake, (0x2100, 2), None, &[1; MAX + 1]);
-    assert_eq!(unannounced, refused(0x2100, 2, Abort::TooLong));
+    assert_eq!(unannounced, refused(0x2100, 2, AbortCode::TooLong));
 }
 
 #[test]
 fn the_last_segment_of_a_domain_is_answered_once_it_has_been_looked_at() {
     for (outcome, expected) in [
-        (Ok(()), Some(segment_taken(true))),
-        (Err(Abort::Value), refused(0x2100, 2, Abort::Value)),
-        (Err(Abort::CannotStore), refused(0x2100, 2, Abort::CannotStore)),
+        (Ok(()), Some(segment_response(true))),
+        (Err(AbortCode::Value), refused(0x2100, 2, AbortCode::Value)),
+        (Err(AbortCode::CannotStore), refused(0x2100, 2, AbortCode::CannotStore)),
     ] {
         let (mut server, mut fake) = (Server::default(), Fake::default());
         let at = (0x2100, 2);
         assert_eq!(write(&mut server, &mut fake, at, Some(14), &[9; 14]), None);
-        assert_eq!(server.tick(2 * TIMEOUT_MS), None, "it is not the master who is late");
+        assert_eq!(server.tick(2 * SDO_TIMEOUT_MS), None, "it is not the master who is late");
         let busy = ask(&mut server, &mut Fake::default(), to(0x21, 0x2100, 2, 14)).unwrap();
-        assert_eq!(Some(busy), refused(0x2100, 2, Abort::DeviceState));
-        assert_eq!(server.end(outcome), None, "the master has begun something else");
+        assert_eq!(Some(busy), refused(0x2100, 2, AbortCode::DeviceState));
+        assert_eq!(server.finish_download(outcome), None, "the master has begun something else");
 
         assert_eq!(write(&mut server, &mut fake, at, Some(14), &[9; 14]), None);
-        assert_eq!(server.end(outcome).map(|frame| *frame.data()), expected);
-        assert_eq!(server.end(outcome), None);
+        assert_eq!(server.finish_download(outcome).map(|frame| *frame.data()), expected);
+        assert_eq!(server.finish_download(outcome), None);
     }
 }
 
@@ -235,15 +235,15 @@ fn a_silent_master_is_told_and_one_that_aborts_is_not_answered() {
     let (mut server, mut fake) = (Server::default(), Fake::default());
     assert_eq!(server.tick(u32::MAX), None);
     ask(&mut server, &mut fake, to(0x40, 0x1008, 0, 0));
-    assert_eq!(server.tick(TIMEOUT_MS), None);
+    assert_eq!(server.tick(SDO_TIMEOUT_MS), None);
     let late = server.tick(1).map(|frame| *frame.data());
-    assert_eq!(late, refused(0x1008, 0, Abort::Timeout));
-    assert_eq!(server.tick(TIMEOUT_MS), None);
+    assert_eq!(late, refused(0x1008, 0, AbortCode::Timeout));
+    assert_eq!(server.tick(SDO_TIMEOUT_MS), None);
 
     ask(&mut server, &mut fake, to(0x40, 0x1008, 0, 0));
     assert_eq!(ask(&mut server, &mut fake, to(0x80, 0x1008, 0, 0x0504_0000)), None);
     let after = ask(&mut server, &mut fake, [0x60, 0, 0, 0, 0, 0, 0, 0]);
-    assert_eq!(after, refused(0, 0, Abort::Command));
+    assert_eq!(after, refused(0, 0, AbortCode::Command));
     for short in 0..8 {
         let request = Frame::new(SDO_REQUEST_ID, &[0x40; 8][..short]).unwrap();
         assert_eq!(server.receive(&request, &mut fake), None);
@@ -275,7 +275,7 @@ proptest! {
             let answer = server.receive(&frame, &mut fake);
             prop_assert!(fake.domain.len() <= MAX + 7);
             if let Some(answer) = answer {
-                prop_assert_eq!((answer.id(), answer.len()), (SDO_ANSWER_ID, 8));
+                prop_assert_eq!((answer.id(), answer.len()), (SDO_RESPONSE_ID, 8));
                 let (asked, kind) = (request[0] >> 5, answer.data()[0] >> 5);
                 has_block |= asked == 6 && kind == 5;
                 let expected = match asked { 0 => 1, 1 => 3, 2 => 2, 3 => 0, _ => 4 };
@@ -292,7 +292,7 @@ proptest! {
         let (mut server, mut fake) = (Server::default(), Fake::default());
         let announced = announce.then_some(u32::try_from(bytes.len()).expect("a short one"));
         prop_assert_eq!(write(&mut server, &mut fake, (0x2100, 2), announced, &bytes), None);
-        prop_assert!(server.end(Ok(())).is_some());
+        prop_assert!(server.finish_download(Ok(())).is_some());
         prop_assert_eq!(read(&mut server, &mut fake, 0x2100, 2), Ok(bytes));
     }
 }

@@ -3,18 +3,18 @@
 //! Each has a zero of its own, so what is compared is how far they have grown since both were there for the
 //! first time. They differ, where one is wrong, in proportion to the growth; so a model no longer fits if it is
 //! off by more than half of the larger growth: then more than half of what it corrects is made up. Below
-//! [`MIN_NM`] nothing is said, and not before it has lasted for [`LASTS_STEPS`].
+//! [`MIN_DISAGREEMENT_NM`] nothing is said, and not before it has lasted for [`MIN_DISAGREEMENT_STEPS`].
 
 use crate::{calibration::ElongationSource, units::Nanometres};
 
 /// The paper's own sensor law is off by 15.2 µm of 62.8 and is called sufficient.
-pub const MIN_NM: u32 = 15_000;
+pub const MIN_DISAGREEMENT_NM: u32 = 15_000;
 /// A minute, in steps of the heat: what lags by less is no fault of a calibration.
-pub const LASTS_STEPS: u16 = 600;
+pub const MIN_DISAGREEMENT_STEPS: u16 = 600;
 
 /// The elongation by the sources at a step of the heat.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Past {
+pub(super) struct PastElongation {
     /// The elongation that was reported.
     pub elongation: Nanometres,
     /// The elongation by each source on its own, in the order of [`ElongationSource::ALL`]; `None`: not available.
@@ -23,16 +23,16 @@ pub(super) struct Past {
 
 /// Whether the sources grow alike.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Agreement {
+pub(super) struct SourceAgreement {
     /// The first source and another one when both were there for the first time, by the other one.
     began: [Option<(Nanometres, Nanometres)>; 3],
     /// For how many steps they have not.
     off_steps: u16,
 }
 
-impl Agreement {
+impl SourceAgreement {
     /// A step of the heat, with what each source says; `first`: the one that the others are held against.
-    pub fn step(&mut self, first: Option<ElongationSource>, past: &Past) {
+    pub fn step(&mut self, first: Option<ElongationSource>, past: &PastElongation) {
         let of = |source: ElongationSource| past.raw.get(source as usize).copied().flatten();
         let first_now = first.and_then(of);
         let mut is_off = false;
@@ -46,21 +46,21 @@ impl Agreement {
             let other_grown = i64::from(other_now.0).wrapping_sub(other_then.0.into());
             let off = grown.abs_diff(other_grown);
             let larger = grown.unsigned_abs().max(other_grown.unsigned_abs());
-            is_off |= off > MIN_NM.into() && off > larger / 2;
+            is_off |= off > MIN_DISAGREEMENT_NM.into() && off > larger / 2;
         }
         self.off_steps = if is_off { self.off_steps.saturating_add(1) } else { 0 };
     }
 
     /// Returns whether one of them no longer fits.
-    pub const fn is_off(&self) -> bool {
-        self.off_steps >= LASTS_STEPS
+    pub const fn has_disagreement(&self) -> bool {
+        self.off_steps >= MIN_DISAGREEMENT_STEPS
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::random;
+    use crate::testing::next_random;
     extern crate std;
 
     const STEPS_PER_HOUR: u32 = 36_000;
@@ -73,10 +73,10 @@ mod tests {
     /// and is switched on anew; the model is off by this share of the growth and wanders by this much RMS next to.
     fn told(hours: u32, share: f64, wander_nm: f64, seed: u64) -> u32 {
         let mut seed = seed;
-        let mut uniform = || f64::from(random(&mut seed)) / 2_f64.powi(32);
+        let mut uniform = || f64::from(next_random(&mut seed)) / 2_f64.powi(32);
         // Uniform steps of this size add up to a normal number of this RMS.
         let kick_nm = wander_nm * (2.0 / WANDER_STEPS).sqrt() * 12_f64.sqrt();
-        let (mut agreement, mut was_off, mut told) = (Agreement::default(), false, 0);
+        let (mut agreement, mut was_off, mut told) = (SourceAgreement::default(), false, 0);
         let (mut grown_nm, mut target_nm, mut steps_of_growth, mut left_nm) = (0.0, 0.0, 1.0, 0.0);
         for step in 0..hours * STEPS_PER_HOUR {
             // Every few minutes another speed, every few hours another start.
@@ -85,16 +85,16 @@ mod tests {
                 steps_of_growth = 10.0 * (300.0 + 1_500.0 * uniform());
             }
             if step == 0 || uniform() < 1.0 / 72_000.0 {
-                (agreement, was_off) = (Agreement::default(), false);
+                (agreement, was_off) = (SourceAgreement::default(), false);
             }
             grown_nm += (target_nm - grown_nm) / steps_of_growth;
             left_nm += kick_nm * (uniform() - 0.5) - left_nm / WANDER_STEPS;
             let model_nm = grown_nm * (1.0 + share) + left_nm;
             let [sensor, model] = [grown_nm, model_nm].map(|nm| Some(Nanometres(nm as i32)));
-            let past = Past { elongation: Nanometres::ZERO, raw: [sensor, model, None] };
+            let past = PastElongation { elongation: Nanometres::ZERO, raw: [sensor, model, None] };
             agreement.step(Some(ElongationSource::Sensor), &past);
-            told += u32::from(agreement.is_off() && !was_off);
-            was_off = agreement.is_off();
+            told += u32::from(agreement.has_disagreement() && !was_off);
+            was_off = agreement.has_disagreement();
         }
         told
     }
@@ -102,7 +102,7 @@ mod tests {
     /// At most this many an hour: each takes a minute in which the model, less what it was off by at the start, is off
     /// by more than is said nothing of; the growth's share lets it come nearer by that of 30 µm.
     fn most_an_hour(share: f64, wander_nm: f64) -> f64 {
-        let rest_nm = f64::from(MIN_NM) * (1.0 - 2.0 * share.abs());
+        let rest_nm = f64::from(MIN_DISAGREEMENT_NM) * (1.0 - 2.0 * share.abs());
         let sigmas = rest_nm / (2_f64.sqrt() * wander_nm);
         // Mills: both tails of a normal number lie below this.
         let tails = (2.0 / core::f64::consts::PI).sqrt() * (-sigmas * sigmas / 2.0).exp() / sigmas;
@@ -154,20 +154,20 @@ mod tests {
             (19_999, 40_000, false),
             (100_000, 51_000, true),
         ] {
-            let mut agreement = Agreement::default();
+            let mut agreement = SourceAgreement::default();
             let mut step = |first: i32, other: i32| {
                 let raw = [Some(Nanometres(first)), None, Some(Nanometres(other))];
-                let past = Past { elongation: Nanometres(first), raw };
+                let past = PastElongation { elongation: Nanometres(first), raw };
                 agreement.step(Some(ElongationSource::Sensor), &past);
-                agreement.is_off()
+                agreement.has_disagreement()
             };
             // Wherever they began.
             step(7_000, -3_000);
-            for steps in 1..=LASTS_STEPS {
+            for steps in 1..=MIN_DISAGREEMENT_STEPS {
                 let is_off = step(7_000 + grown, other_grown - 3_000);
                 assert_eq!(
                     is_off,
-                    !fits && steps == LASTS_STEPS,
+                    !fits && steps == MIN_DISAGREEMENT_STEPS,
                     "{grown}, {other_grown}, {steps}"
                 );
             }

@@ -1,4 +1,4 @@
-//! The angles of the rotary axes: the tool direction goes with them, and the errors of the volume.
+//! The angles of the rotary axes: the tool direction and the errors of the volume depend on them.
 
 use super::{Bridge, state::State};
 use crate::units::MicroDegrees;
@@ -9,13 +9,15 @@ impl Bridge<'_> {
         let kinematics = &self.calibration.kinematics;
         let direction = match state.tool.latest() {
             Some((known, direction)) if known == angles => direction,
-            _ if self.needs.rotary => kinematics.direction(angles),
+            _ if self.needs.rotary => kinematics.tool_direction(angles),
             _ => kinematics.zero,
         };
         state.receive_angles(angles, direction);
         if self.needs.volume_angles && state.place.angles != angles {
             state.place.angles = angles;
-            self.update(state, |errors, _, place| errors.turned(&self.calibration, place));
+            self.update_errors(state, |errors, _, place| {
+                errors.update_rotary_angles(&self.calibration, place)
+            });
         }
     }
 }

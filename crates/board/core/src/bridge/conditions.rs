@@ -15,7 +15,7 @@ use super::{Bridge, State, state::ReceivedConditions};
 use crate::cnc::Conditions;
 
 /// They may be this many times as old as the CNC's sign of life.
-pub const CONDITIONS_TIMEOUTS: u32 = 4;
+pub const CONDITIONS_TIMEOUT_FACTOR: u32 = 4;
 
 impl Bridge<'_> {
     /// Takes a message.
@@ -31,30 +31,30 @@ impl Bridge<'_> {
         }
     }
 
-    /// Returns whether none has come for so long that none is to be expected.
-    pub(super) fn conditions_are_lost(&self, state: &State) -> bool {
+    /// Returns whether the time since the last one is so long that no further one is expected.
+    pub(super) fn are_conditions_lost(&self, state: &State) -> bool {
         state.conditions.age_ms > self.needs.conditions_ms
     }
 
     /// Returns whether the offset can be followed: they are known, or were held long enough and the defaults stand
     /// in for them.
     #[inline]
-    pub(super) fn knows_conditions(&self, state: &mut State, elapsed_ms: u32) -> bool {
-        !self.needs.conditions || self.awaits_no_conditions(state, elapsed_ms)
+    pub(super) fn has_conditions(&self, state: &mut State, elapsed_ms: u32) -> bool {
+        !self.needs.conditions || self.has_conditions_or_defaults(state, elapsed_ms)
     }
 
     #[inline]
-    fn awaits_no_conditions(&self, state: &mut State, elapsed_ms: u32) -> bool {
+    fn has_conditions_or_defaults(&self, state: &mut State, elapsed_ms: u32) -> bool {
         state.conditions.advance_ages(elapsed_ms);
-        if self.conditions_are_lost(state) {
-            return self.goes_by_defaults(state);
+        if self.are_conditions_lost(state) {
+            return self.fall_back_to_defaults(state);
         }
         state.conditions.last.is_some()
     }
 
     #[cold]
     #[inline(never)]
-    fn goes_by_defaults(&self, state: &mut State) -> bool {
+    fn fall_back_to_defaults(&self, state: &mut State) -> bool {
         if !state.conditions.by_default && !state.is_held(self.calibration.limits.hold_ms) {
             state.conditions.by_default = true;
             self.select_category(state, None);
@@ -63,7 +63,7 @@ impl Bridge<'_> {
     }
 
     fn select_category(&self, state: &mut State, conditions: Option<Conditions>) {
-        state.heat.select(&self.calibration, conditions);
-        self.term_warmed(state);
+        state.heat.set_conditions(&self.calibration, conditions);
+        self.update_term_heat(state);
     }
 }

@@ -5,7 +5,7 @@
 //! the elongation go on where it was: from there the spindle grows as this source says. Back on the first
 //! source the shift is taken back at `rejoin_nm_per_s` of the [limits](crate::limits::Limits), and reported
 //! as an offset on its way. A source
-//! that returns is asked again only once it has been fresh for [`RETURN_MS`].
+//! that returns is asked again only once it has been fresh for [`SOURCE_RETURN_MS`].
 //!
 //! As long as none is used a fall-back waits until the sources before it are dead, which is known
 //! within half a second: else it would be shifted against one that only has not come yet. And its zero is not
@@ -15,23 +15,23 @@
 
 use super::{
     Bridge, State,
-    agreement::Past,
-    joint::{BEFORE_STEPS, Joint, RetainedJoint, SelectedSource},
+    agreement::PastElongation,
+    bumpless_transfer::{BumplessTransfer, HISTORY_STEPS, RetainedTransfer, SelectedSource},
 };
 use crate::{
-    bridge::state::{Reference, SAMPLES_TIMEOUT_MS, STARVED_MS},
+    bridge::state::{Reference, SAMPLES_TIMEOUT_MS, STALE_AFTER_LOSS_MS},
     calibration::ElongationSource,
     cnc::Quality,
-    dimensions::STEP_MS,
+    dimensions::THERMAL_STEP_MS,
     term::{self, OperatingPoint},
-    tip,
+    tip_error,
     units::Nanometres,
 };
 
-/// A source that returns has to be fresh for so long: five times the longest window of the filter.
-pub const RETURN_MS: u32 = 1_000;
-/// The same in steps of the heat; for as long the shift of a source that has taken over stays as it is.
-const RETURN_STEPS: u32 = RETURN_MS / STEP_MS;
+/// A source that returns has to be fresh for this time: five times the longest window of the filter.
+pub const SOURCE_RETURN_MS: u32 = 1_000;
+/// The same in steps of the heat; for as long the shift of a source that has taken over stays unchanged.
+const SOURCE_RETURN_STEPS: u32 = SOURCE_RETURN_MS / THERMAL_STEP_MS;
 
 /// (Nanometres a second)·milliseconds in a nanometre.
 const MILLISECONDS_PER_SECOND: u32 = 1_000;
@@ -39,20 +39,20 @@ const MILLISECONDS_PER_SECOND: u32 = 1_000;
 impl State {
     /// Returns the source that was used last and its shift, once the elongation goes on.
     #[must_use]
-    pub fn retained_joint(&self) -> Option<RetainedJoint> {
-        let Joint { last, shift, is_anchored, .. } = self.joint;
-        last.filter(|_| is_anchored).map(|source| RetainedJoint { source, shift })
+    pub fn retained_transfer(&self) -> Option<RetainedTransfer> {
+        let BumplessTransfer { last, shift, is_anchored, .. } = self.joint;
+        last.filter(|_| is_anchored).map(|source| RetainedTransfer { source, shift })
     }
 
     /// Goes on from where it was before a reset.
-    pub fn resume_joint(&mut self, kept: RetainedJoint) {
-        let RetainedJoint { source, shift } = kept;
-        self.joint = Joint {
+    pub fn restore_transfer(&mut self, kept: RetainedTransfer) {
+        let RetainedTransfer { source, shift } = kept;
+        self.joint = BumplessTransfer {
             last: Some(source),
             shift,
             is_anchored: true,
             is_resumed: true,
-            ..Joint::default()
+            ..BumplessTransfer::default()
         };
     }
 }
@@ -60,41 +60,41 @@ impl State {
 impl Bridge<'_> {
     /// Returns the source of this tick.
     #[inline]
-    pub(super) fn select(&self, state: &mut State, elapsed_ms: u32) -> SelectedSource {
-        const SENSOR: SelectedSource = SelectedSource::Source(ElongationSource::Sensor);
+    pub(super) fn select_source(&self, state: &mut State, elapsed_ms: u32) -> SelectedSource {
+        const SENSOR_SOURCE: SelectedSource = SelectedSource::Source(ElongationSource::Sensor);
         // As nearly always.
         if self.needs.first == Some(ElongationSource::Sensor)
-            && state.joint.selected == SENSOR
-            && state.sensor_is_fresh()
+            && state.joint.selected == SENSOR_SOURCE
+            && state.is_sensor_fresh()
         {
-            return SENSOR;
+            return SENSOR_SOURCE;
         }
-        self.reselect(state, elapsed_ms)
+        self.reselect_source(state, elapsed_ms)
     }
 
     #[inline(never)]
-    fn reselect(&self, state: &mut State, elapsed_ms: u32) -> SelectedSource {
-        let best = self.first_fresh(state);
+    fn reselect_source(&self, state: &mut State, elapsed_ms: u32) -> SelectedSource {
+        let best = self.first_fresh_source(state);
         let present = state.joint.selected;
         let stays = present.source().is_some_and(|source| self.is_fresh(state, source));
         let returned_ms = if stays && best != present && state.joint.is_anchored {
             state.joint.returned_ms.saturating_add(elapsed_ms)
         } else {
-            RETURN_MS
+            SOURCE_RETURN_MS
         };
         state.joint.returned_ms = if best == present { 0 } else { returned_ms };
-        if best != present && returned_ms >= RETURN_MS {
-            self.take_over(state, best);
+        if best != present && returned_ms >= SOURCE_RETURN_MS {
+            self.switch_source(state, best);
         }
         state.joint.selected
     }
 
-    fn take_over(&self, state: &mut State, next: SelectedSource) {
+    fn switch_source(&self, state: &mut State, next: SelectedSource) {
         if let Some(source) = next.source() {
             if state.joint.is_resumed && state.joint.last != Some(source) {
                 // What that one would say now is not known: this one counts from its own zero.
-                state.joint = Joint::default();
-                if !self.has_zero(state, source) {
+                state.joint = BumplessTransfer::default();
+                if !self.has_common_zero(state, source) {
                     return;
                 }
             }
@@ -104,26 +104,26 @@ impl Bridge<'_> {
                 && state.joint.is_anchored
             {
                 let latest = || {
-                    let sum =
-                        i64::from(self.raw(state, last).0).wrapping_add(state.joint.shift.0.into());
-                    Nanometres::saturating(sum)
+                    let sum = i64::from(self.raw_elongation(state, last).0)
+                        .wrapping_add(state.joint.shift.0.into());
+                    Nanometres::saturating_from(sum)
                 };
                 // A source that is still there, and only gives way, is right to the last.
                 let stays = self.is_fresh(state, last) && self.is_available(state, last);
                 let oldest = state.joint.before.into_iter().flatten().next();
                 let (joins_at, said) = match oldest.filter(|_| !stays) {
-                    // Where the two were at that time: it tells how the spindle has grown since.
-                    Some(Past { elongation, raw }) => {
+                    // Where the two were at that time: it shows how the spindle has grown since.
+                    Some(PastElongation { elongation, raw }) => {
                         let said = raw.get(source as usize).copied().flatten();
-                        (elongation, said.unwrap_or_else(|| self.raw(state, source)))
+                        (elongation, said.unwrap_or_else(|| self.raw_elongation(state, source)))
                     }
-                    None => (latest(), self.raw(state, source)),
+                    None => (latest(), self.raw_elongation(state, source)),
                 };
                 let shift = i64::from(joins_at.0).wrapping_sub(said.0.into());
-                state.joint.shift = Nanometres::saturating(shift);
+                state.joint.shift = Nanometres::saturating_from(shift);
                 // What one has said before it was lost is no longer where the next goes on from.
                 if !stays {
-                    state.joint.before = [None; BEFORE_STEPS];
+                    state.joint.before = [None; HISTORY_STEPS];
                 }
             }
             state.joint.steps = 0;
@@ -135,13 +135,13 @@ impl Bridge<'_> {
     }
 
     /// A step of the heat: on the first source the shift is taken back.
-    pub(super) fn rejoin(&self, state: &mut State) {
+    pub(super) fn decay_source_shift(&self, state: &mut State) {
         if let SelectedSource::Source(source) = state.joint.selected {
             let raw = ElongationSource::ALL
-                .map(|it| self.is_fresh(state, it).then(|| self.raw(state, it)));
-            let now = Past { elongation: self.elongation(state), raw };
-            // A thermometer that says nothing new may be about to be given up: what the spindle grows
-            // meanwhile the next source is to tell.
+                .map(|it| self.is_fresh(state, it).then(|| self.raw_elongation(state, it)));
+            let now = PastElongation { elongation: self.elongation(state), raw };
+            // A thermometer that says nothing new may be about to be given up: the next source
+            // is to show what the spindle grows meanwhile.
             if self.is_available(state, source) {
                 let [_, second, third, last] = state.joint.before;
                 state.joint.before = [second, third, last, Some(now)];
@@ -150,10 +150,10 @@ impl Bridge<'_> {
         }
         // Not in its first second: then the offset goes on with the growth, and nothing else moves it.
         state.joint.steps = state.joint.steps.saturating_add(1);
-        if state.joint.steps > RETURN_STEPS && self.is_rejoining(state) {
+        if state.joint.steps > SOURCE_RETURN_STEPS && self.is_source_shift_decaying(state) {
             let rate = self.calibration.limits.rejoin_nm_per_s;
-            let Joint { shift, rest, .. } = &mut state.joint;
-            let due = rate.saturating_mul(STEP_MS).saturating_add(*rest);
+            let BumplessTransfer { shift, rest, .. } = &mut state.joint;
+            let due = rate.saturating_mul(THERMAL_STEP_MS).saturating_add(*rest);
             *rest = due % MILLISECONDS_PER_SECOND;
             let most = due / MILLISECONDS_PER_SECOND;
             let step = shift.0.unsigned_abs().min(most).cast_signed();
@@ -163,52 +163,53 @@ impl Bridge<'_> {
 
     /// `Zero` makes the present error the reference: on the first source it counts as that source gives it,
     /// and there is nothing left to take back.
-    pub(super) fn join(&self, state: &mut State) {
-        if self.is_first(state.joint.selected) {
+    pub(super) fn clear_source_shift(&self, state: &mut State) {
+        if self.is_primary_source(state.joint.selected) {
             state.joint.shift = Nanometres::ZERO;
-            state.joint.before = [None; BEFORE_STEPS];
+            state.joint.before = [None; HISTORY_STEPS];
         }
     }
 
     /// Returns whether the shift is still being taken back.
-    pub(super) fn is_rejoining(&self, state: &State) -> bool {
-        state.joint.shift.0 != 0 && self.is_first(state.joint.selected)
+    pub(super) fn is_source_shift_decaying(&self, state: &State) -> bool {
+        state.joint.shift.0 != 0 && self.is_primary_source(state.joint.selected)
     }
 
-    fn is_first(&self, selected: SelectedSource) -> bool {
+    fn is_primary_source(&self, selected: SelectedSource) -> bool {
         selected.source().is_some_and(|source| self.needs.first == Some(source))
     }
 
     /// Returns whether the source is the spindle's temperature, which changed too fast and is held.
     #[inline(never)]
-    pub(super) fn holds_source(&self, state: &State, chosen: SelectedSource) -> bool {
-        const TEMPERATURE: SelectedSource = SelectedSource::Source(ElongationSource::Temperature);
-        chosen == TEMPERATURE && self.temperature_is_held(state)
+    pub(super) fn is_source_held(&self, state: &State, chosen: SelectedSource) -> bool {
+        const TEMPERATURE_SOURCE: SelectedSource =
+            SelectedSource::Source(ElongationSource::Temperature);
+        chosen == TEMPERATURE_SOURCE && self.is_spindle_temperature_held(state)
     }
 
     /// Returns whether the spindle's temperature is held: it was believed, and changed too fast since.
-    fn temperature_is_held(&self, state: &State) -> bool {
+    fn is_spindle_temperature_held(&self, state: &State) -> bool {
         let law = self.calibration.spindle.temperature.as_ref();
         law.is_some_and(|law| {
-            state.channels.doubtful().has(law.channel.into())
+            state.channels.doubtful_channels().contains(law.channel.into())
                 && state.channels.temperature(law.channel).is_some()
-                && state.heat.knows_spindle()
+                && state.heat.has_spindle_temperature()
                 && (!state.heat.is_unknown() || !law.has_memory())
         })
     }
 
     /// Returns the first source that is fresh; without one the spindle's temperature, if it is held.
     #[inline(never)]
-    fn first_fresh(&self, state: &State) -> SelectedSource {
-        match self.first_available(state) {
+    fn first_fresh_source(&self, state: &State) -> SelectedSource {
+        match self.first_available_source(state) {
             SelectedSource::Missing
-                if self.temperature_is_held(state)
+                if self.is_spindle_temperature_held(state)
                     && self
                         .calibration
                         .spindle
                         .chain
                         .contains(&Some(ElongationSource::Temperature))
-                    && self.has_zero(state, ElongationSource::Temperature) =>
+                    && self.has_common_zero(state, ElongationSource::Temperature) =>
             {
                 SelectedSource::Source(ElongationSource::Temperature)
             }
@@ -216,15 +217,15 @@ impl Bridge<'_> {
         }
     }
 
-    fn first_available(&self, state: &State) -> SelectedSource {
+    fn first_available_source(&self, state: &State) -> SelectedSource {
         let mut chosen = SelectedSource::Unneeded;
         for source in self.calibration.spindle.chain.into_iter().flatten() {
-            if self.is_fresh(state, source) && self.has_zero(state, source) {
+            if self.is_fresh(state, source) && self.has_common_zero(state, source) {
                 return SelectedSource::Source(source);
             }
             chosen = SelectedSource::Missing;
             let is_awaited = state.joint.selected.source().is_none();
-            if is_awaited && !self.is_dead(state, source) {
+            if is_awaited && !self.has_source_failed(state, source) {
                 break;
             }
         }
@@ -232,7 +233,7 @@ impl Bridge<'_> {
     }
 
     /// Returns whether what a source says counts from the same zero as the reference.
-    fn has_zero(&self, state: &State, source: ElongationSource) -> bool {
+    fn has_common_zero(&self, state: &State, source: ElongationSource) -> bool {
         self.needs.first == Some(source)
             || state.joint.is_anchored
             || state.reference == Reference::default()
@@ -241,12 +242,12 @@ impl Bridge<'_> {
     fn is_fresh(&self, state: &State, source: ElongationSource) -> bool {
         let spindle = &self.calibration.spindle;
         match source {
-            ElongationSource::Sensor => state.sensor_is_fresh(),
+            ElongationSource::Sensor => state.is_sensor_fresh(),
             ElongationSource::Temperature => spindle.temperature.is_some_and(|temperature| {
                 let channel = temperature.channel;
                 state.channels.temperature(channel).is_some()
-                    && !state.channels.doubtful().has(channel.into())
-                    && state.heat.knows_spindle()
+                    && !state.channels.doubtful_channels().contains(channel.into())
+                    && state.heat.has_spindle_temperature()
                     && (!state.heat.is_unknown() || !temperature.has_memory())
             }),
             ElongationSource::Warmup => spindle.warmup.is_some() && !state.heat.is_unknown(),
@@ -261,13 +262,13 @@ impl Bridge<'_> {
     }
 
     /// Returns whether a source has failed and gives nothing. A source that has only not come yet is not dead.
-    fn is_dead(&self, state: &State, source: ElongationSource) -> bool {
+    fn has_source_failed(&self, state: &State, source: ElongationSource) -> bool {
         let spindle = &self.calibration.spindle;
         match source {
             ElongationSource::Sensor => {
-                state.codes_age.is_above(SAMPLES_TIMEOUT_MS)
+                state.codes_age.is_older_than(SAMPLES_TIMEOUT_MS)
                     || !state.believable
-                    || !state.starved_age.is_above(STARVED_MS)
+                    || !state.starved_age.is_older_than(STALE_AFTER_LOSS_MS)
             }
             ElongationSource::Temperature => spindle.temperature.is_none_or(|it| {
                 state.channels.is_faulty(it.channel) || (state.heat.is_unknown() && it.has_memory())
@@ -277,60 +278,61 @@ impl Bridge<'_> {
     }
 
     /// Returns whether every source of the elongation is dead or without a zero, and there are some.
-    pub(super) fn all_sources_are_dead(&self, state: &State) -> bool {
+    pub(super) fn have_all_sources_failed(&self, state: &State) -> bool {
         let mut sources = self.calibration.spindle.chain.into_iter().flatten().peekable();
         sources.peek().is_some()
-            && sources.all(|it| self.is_dead(state, it) || !self.has_zero(state, it))
+            && sources
+                .all(|it| self.has_source_failed(state, it) || !self.has_common_zero(state, it))
     }
 
     /// Returns whether a fall-back could not take over if it were needed: it is watched before it is.
     #[must_use]
-    pub fn fall_back_is_dead(&self, state: &State) -> bool {
+    pub fn has_fallback_failed(&self, state: &State) -> bool {
         let sources = self.calibration.spindle.chain.into_iter().flatten();
-        sources.skip(1).any(|source| self.is_dead(state, source))
+        sources.skip(1).any(|source| self.has_source_failed(state, source))
     }
 
     /// Returns whether what the sources measure no longer fits the calibration: they grow apart.
     #[must_use]
-    pub const fn is_unfit(&self, state: &State) -> bool {
-        state.joint.agreement.is_off()
+    pub const fn has_source_disagreement(&self, state: &State) -> bool {
+        state.joint.agreement.has_disagreement()
     }
 
     /// Returns the elongation by the source in use, as it goes on from the one before.
     #[inline]
     pub(super) fn elongation(&self, state: &State) -> Nanometres {
         let raw = match state.joint.selected.source() {
-            Some(source) => self.raw(state, source),
-            None => self.terms_alone(state),
+            Some(source) => self.raw_elongation(state, source),
+            None => self.terms_elongation(state),
         };
         let sum = i64::from(raw.0).wrapping_add(state.joint.shift.0.into());
-        Nanometres::saturating(sum)
+        Nanometres::saturating_from(sum)
     }
 
     /// Returns what a source says, with what was learned and the terms of a diagnosis. Both were fitted to the first
     /// source, and say nothing of another.
     #[inline]
-    fn raw(&self, state: &State, source: ElongationSource) -> Nanometres {
+    fn raw_elongation(&self, state: &State, source: ElongationSource) -> Nanometres {
         let by_sensor = state.elongation.unwrap_or_default();
-        let plain = tip::elongation_by(Some(source), by_sensor, &state.heat);
+        let plain = tip_error::source_elongation(Some(source), by_sensor, &state.heat);
         if self.needs.first != Some(source) {
             return plain;
         }
-        let plain = state.heat.learned.growth(plain);
-        if self.needs.terms { self.with_terms(state, plain) } else { plain }
+        let plain = state.heat.learned.apply_to_growth(plain);
+        if self.needs.terms { self.add_terms(state, plain) } else { plain }
     }
 
     /// Terms of an elongation that has no source.
-    fn terms_alone(&self, state: &State) -> Nanometres {
+    fn terms_elongation(&self, state: &State) -> Nanometres {
         if self.needs.terms && state.joint.selected == SelectedSource::Unneeded {
-            self.with_terms(state, Nanometres::ZERO)
+            self.add_terms(state, Nanometres::ZERO)
         } else {
             Nanometres::ZERO
         }
     }
 
     #[inline(never)]
-    fn with_terms(&self, state: &State, plain: Nanometres) -> Nanometres {
+    fn add_terms(&self, state: &State, plain: Nanometres) -> Nanometres {
         let terms = self.calibration.terms.get(..self.needs.walked_terms).unwrap_or_default();
         let operating = match state.spindle.latest() {
             Some(spindle) if !terms.is_empty() => OperatingPoint {
@@ -339,7 +341,8 @@ impl Bridge<'_> {
             },
             _ => OperatingPoint::default(),
         };
-        term::elongation(terms, plain.fine(), state.heat.terms(), operating).rounded()
+        term::apply_elongation_terms(terms, plain.to_fine(), state.heat.terms(), operating)
+            .rounded()
     }
 
     /// Returns the quality of an offset that is followed: how far down the chain its source stands.

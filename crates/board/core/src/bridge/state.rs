@@ -1,69 +1,70 @@
 //! The state that the bridge keeps from tick to tick.
 
-use super::joint::Joint;
+use super::bumpless_transfer::BumplessTransfer;
 use crate::{
+    axis_errors::{CachedErrors, ErrorSums},
     calibration::AxisModel,
-    channels::{Channels, RawTemperatures},
     cnc::{AxisPosition, Conditions, Control, Spindle},
-    dimensions::CHANNELS,
+    dead_band_filter::DeadBandFilter,
+    dimensions::CHANNEL_COUNT,
     filter::Filter,
-    geometry::{CachedErrors, ErrorSums},
-    health::{Health, Noise},
-    heat::Heat,
-    learned::Learned,
-    limits::Applied,
-    place::Place,
-    run_out::RunOut,
-    steady::SteadyTemperature,
-    supply::Scale,
-    tool::Direction,
-    units::{Fine, MicroDegrees, Millis, Nanometres, Position, Temperature},
+    learned::LearnedChanges,
+    limits::AppliedOffset,
+    machine_position::MachinePosition,
+    run_out::RunOutMonitor,
+    sensor_health::{Noise, SensorHealth},
+    supply::SupplyScale,
+    temperature_channels::{RawTemperatures, TemperatureChannels},
+    thermal_state::MachineThermalState,
+    tool_direction::Direction,
+    units::{FineNanometres, MicroDegrees, Nanometres, Position, Temperature, TimestampMs},
 };
 
-/// Without samples for so long the converter counts as stopped, and a reading as stale.
+/// After this time without samples the converter counts as stopped, and a reading as stale.
 pub const SAMPLES_TIMEOUT_MS: u32 = 20;
-/// After blocks were missing the reading counts as stale for so long: many turns of the supervisor that
+/// After blocks were missing the reading counts as stale for this time: many turns of the supervisor that
 /// looks for them, so that it does not flicker.
-pub const STARVED_MS: u32 = 100;
-/// Without a temperature for so long its channel counts as bad.
+pub const STALE_AFTER_LOSS_MS: u32 = 100;
+/// After this time without a temperature its channel counts as bad.
 pub const TEMPERATURE_TIMEOUT_MS: u32 = 1_000;
 
 /// By this much may two positions lie nearer together in time than they were sent: a serial adapter hands on what
 /// it has every 16 ms.
 pub const POSITION_JITTER_MS: u32 = 20;
 /// After a jump this many more have to follow from it before they are believed.
-const FOLLOWING: u8 = 3;
-/// A jump is reported for so long: many turns of what looks for it, so that it does not flicker.
-pub const JUMP_TOLD_MS: u32 = 100;
+const MIN_CONFIRMING_POSITIONS: u8 = 3;
+/// A jump is reported for this time: many turns of what looks for it, so that it does not flicker.
+pub const JUMP_REPORT_MS: u32 = 100;
 
 /// Where the offset is to go.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Mode {
+pub(super) enum OffsetMode {
     Follow,
     Hold,
     RampOut,
 }
 
-/// The state of the bridge from tick to tick.
-#[derive(Clone, Debug, Default)]
+/// The state of the bridge from tick to tick. [`Bridge::initial_state`](super::Bridge::initial_state) makes it, with the errors where
+/// the machine stands; so it has no default.
+#[derive(Clone, Debug)]
 pub struct State {
-    pub(super) now: Millis,
-    pub(super) health: Health,
+    pub(super) now: TimestampMs,
+    pub(super) health: SensorHealth,
     pub(super) filter: Filter,
-    pub(super) run_out: RunOut,
-    pub(super) control: Received<Control>,
-    pub(super) spindle: Received<Spindle>,
+    pub(super) run_out: RunOutMonitor,
+    pub(super) control: ReceivedMessage<Control>,
+    pub(super) spindle: ReceivedMessage<Spindle>,
     pub(super) conditions: ReceivedConditions,
     /// The angles of the head, and where they point the tool.
-    pub(super) tool: Received<([MicroDegrees; 2], Direction)>,
-    pub(super) place: Place,
+    pub(super) tool: ReceivedMessage<([MicroDegrees; 2], Direction)>,
+    pub(super) place: MachinePosition,
     pub(super) position_age: [Age; 3],
     /// Axes, and as the fourth the angles, that were somewhere else in the frame before.
     moving: [bool; 4],
-    said: [Said; 3],
+    said: [ReportedPosition; 3],
     /// Since a position came that was not believed.
     jump_age: Age,
-    pub(super) joint: Joint,
+    pub(super) joint: BumplessTransfer,
     /// Whether the CNC was ever received: silence is a loss only after that.
     pub(super) cnc_known: bool,
     pub(super) codes_age: Age,
@@ -75,25 +76,26 @@ pub struct State {
     pub(super) believable: bool,
     pub(super) raw: RawTemperatures,
     pub(super) raw_age: Age,
-    pub(super) channels: Channels,
+    pub(super) channels: TemperatureChannels,
     /// Their temperatures without jitter.
-    pub(super) steady: [SteadyTemperature; CHANNELS],
-    pub(super) heat: Heat,
+    pub(super) steady: [DeadBandFilter; CHANNEL_COUNT],
+    pub(super) heat: MachineThermalState,
     /// Milliseconds of the present step of the heat.
     pub(super) phase_ms: u32,
-    /// The errors of the axes as they are now, and their sums unless a part has changed since; `None` until they are
-    /// first asked for.
-    pub(super) axes: Option<(CachedErrors, Option<ErrorSums>)>,
+    /// The errors of the axes as they are now.
+    pub(super) errors: CachedErrors,
+    /// Their sums; `None`: a part has changed since.
+    pub(super) error_sums: Option<ErrorSums>,
     pub(super) reference: Reference,
-    /// A `Zero` has taken it, and [`Self::take_zeroed`] has not said so.
+    /// A `Zero` has taken it, and [`Self::take_zero_event`] has not said so.
     pub(super) zeroed: bool,
     /// How long ago the offset was last live; `None` if it is not to be held.
     live_age: Option<Age>,
-    pub(super) applied: Applied,
+    pub(super) applied: AppliedOffset,
     /// Nothing is followed, and nothing is available.
     pub(super) inhibited: bool,
     /// By what readings of the converter are multiplied.
-    scale: Scale,
+    scale: SupplyScale,
     /// The converter's supply is not believed, and nothing that is measured by it.
     supply_is_off: bool,
 }
@@ -104,7 +106,7 @@ pub struct Reference {
     /// The elongation in nm, along the tool: it turns with it.
     pub elongation: Nanometres,
     /// The sums of the errors of X, Y and Z in 1/256 nm.
-    pub axes: [Fine; 3],
+    pub axes: [FineNanometres; 3],
 }
 
 /// Milliseconds since something happened; stays at its largest value, where it also begins.
@@ -118,39 +120,39 @@ impl Default for Age {
 }
 
 impl Age {
-    pub const NEW: Self = Self(0);
+    pub const ZERO: Self = Self(0);
 
-    fn grow(&mut self, elapsed_ms: u32) {
+    fn advance(&mut self, elapsed_ms: u32) {
         self.0 = self.0.saturating_add(elapsed_ms);
     }
 
-    pub fn is_above(self, ms: u32) -> bool {
+    pub fn is_older_than(self, ms: u32) -> bool {
         self.0 > ms
     }
 
-    /// As it is sent: 255 stands for all beyond.
-    pub fn byte(self) -> u8 {
+    /// The byte that is sent: 255 stands for all beyond.
+    pub fn to_wire_byte(self) -> u8 {
         u8::try_from(self.0).unwrap_or(u8::MAX)
     }
 }
 
 /// The last message of a kind, with its age.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Received<T> {
+pub(super) struct ReceivedMessage<T> {
     value: Option<T>,
     age: Age,
 }
 
-impl<T> Default for Received<T> {
+impl<T> Default for ReceivedMessage<T> {
     fn default() -> Self {
         Self { value: None, age: Age::default() }
     }
 }
 
-impl<T: Copy> Received<T> {
+impl<T: Copy> ReceivedMessage<T> {
     /// Returns what it says, until it is too old.
-    pub fn value(&self, timeout_ms: u32) -> Option<T> {
-        if self.age.is_above(timeout_ms) { None } else { self.value }
+    pub fn fresh_value(&self, timeout_ms: u32) -> Option<T> {
+        if self.age.is_older_than(timeout_ms) { None } else { self.value }
     }
 
     /// Returns what it says, however old.
@@ -159,7 +161,7 @@ impl<T: Copy> Received<T> {
     }
 
     pub fn receive(&mut self, value: T) {
-        *self = Self { value: Some(value), age: Age::NEW };
+        *self = Self { value: Some(value), age: Age::ZERO };
     }
 }
 
@@ -181,37 +183,91 @@ impl ReceivedConditions {
 
 /// Where and when an axis was last said to be, believed or not.
 #[derive(Clone, Copy, Debug, Default)]
-struct Said {
+struct ReportedPosition {
     position: Position,
-    at: Millis,
+    at: TimestampMs,
     /// This many more have to follow.
     doubt: u8,
 }
 
-impl Said {
+impl ReportedPosition {
     /// Takes the next position; whether it is believed. A jump is one that the axis cannot have reached since the
     /// last, by its rapid traverse (10 nm a millisecond); the first is none. After one the next few have to follow
     /// from each other: then the CNC means it.
-    fn follows(&mut self, position: Position, now: Millis, is_first: bool, rapid: u32) -> bool {
-        let reach = rapid.saturating_mul(now.since(self.at).saturating_add(POSITION_JITTER_MS));
+    fn accept_position(
+        &mut self,
+        position: Position,
+        now: TimestampMs,
+        is_first: bool,
+        rapid: u32,
+    ) -> bool {
+        let reach =
+            rapid.saturating_mul(now.duration_since(self.at).saturating_add(POSITION_JITTER_MS));
         let jumps = !is_first && self.position.0.abs_diff(position.0) > reach;
-        let doubt = if jumps { FOLLOWING } else { self.doubt.saturating_sub(1) };
+        let doubt = if jumps { MIN_CONFIRMING_POSITIONS } else { self.doubt.saturating_sub(1) };
         *self = Self { position, at: now, doubt };
         doubt == 0
     }
 }
 
 impl State {
+    /// Returns that of a bridge that has just been switched on, with the errors where it stands.
+    pub(super) fn with_errors(errors: CachedErrors) -> Self {
+        Self {
+            now: Default::default(),
+            health: Default::default(),
+            filter: Default::default(),
+            run_out: Default::default(),
+            control: Default::default(),
+            spindle: Default::default(),
+            conditions: Default::default(),
+            tool: Default::default(),
+            place: Default::default(),
+            position_age: Default::default(),
+            moving: [false; 4],
+            said: Default::default(),
+            jump_age: Default::default(),
+            joint: Default::default(),
+            cnc_known: false,
+            codes_age: Default::default(),
+            starved_age: Default::default(),
+            elongation: None,
+            elongation_age: Default::default(),
+            believable: false,
+            raw: Default::default(),
+            raw_age: Default::default(),
+            channels: Default::default(),
+            steady: Default::default(),
+            heat: Default::default(),
+            phase_ms: 0,
+            errors,
+            error_sums: None,
+            reference: Default::default(),
+            zeroed: false,
+            live_age: None,
+            applied: Default::default(),
+            inhibited: false,
+            scale: Default::default(),
+            supply_is_off: false,
+        }
+    }
+
+    /// Returns that of a board without a calibration, which has no bridge.
+    #[must_use]
+    pub fn without_calibration() -> Self {
+        Self::with_errors(CachedErrors::default())
+    }
+
     /// Returns the time of the last tick.
     #[must_use]
-    pub fn now(&self) -> Millis {
+    pub fn now(&self) -> TimestampMs {
         self.now
     }
 
     /// Returns the elongation by the sensor, before reference and limits; `None` where it is not fresh.
     #[must_use]
     pub fn elongation(&self) -> Option<Nanometres> {
-        self.elongation.filter(|_| self.sensor_is_fresh())
+        self.elongation.filter(|_| self.is_sensor_fresh())
     }
 
     /// Returns the tool and the conditions that were last received, where a term needs them; and whether they are lost and
@@ -222,12 +278,12 @@ impl State {
     }
 
     /// Takes by what readings of the converter are to be multiplied; `None`: its supply is not believed.
-    pub fn set_supply(&mut self, scale: Option<Scale>) {
+    pub fn set_supply_scale(&mut self, scale: Option<SupplyScale>) {
         self.supply_is_off = scale.is_none();
         self.scale = scale.unwrap_or_default();
     }
 
-    pub(super) fn supply(&self) -> Option<Scale> {
+    pub(super) fn supply_scale(&self) -> Option<SupplyScale> {
         (!self.supply_is_off).then_some(self.scale)
     }
 
@@ -235,24 +291,24 @@ impl State {
     /// too fast.
     #[must_use]
     pub fn temperature(&self, channel: u8) -> Option<Temperature> {
-        let is_held = self.channels.doubtful().has(channel.into());
+        let is_held = self.channels.doubtful_channels().contains(channel.into());
         self.channels.temperature(channel).filter(|_| !is_held)
     }
 
     /// Returns how the parts differ from what the calibration says.
     #[must_use]
-    pub const fn learned(&self) -> &Learned {
+    pub const fn learned(&self) -> &LearnedChanges {
         &self.heat.learned
     }
 
     /// They no longer do, from one tick to the next: for a bridge at rest.
-    pub fn forget_learned(&mut self) {
-        self.heat.learned = Learned::default();
+    pub fn clear_learned(&mut self) {
+        self.heat.learned = LearnedChanges::default();
     }
 
     /// Returns whether it is not known how warm the machine was before the start.
     #[must_use]
-    pub fn heat_is_unknown(&self) -> bool {
+    pub fn is_heat_unknown(&self) -> bool {
         self.heat.is_unknown()
     }
 
@@ -263,7 +319,7 @@ impl State {
     }
 
     /// Returns whether a `Zero` has taken a reference since the last call, be it the same as before.
-    pub fn take_zeroed(&mut self) -> bool {
+    pub fn take_zero_event(&mut self) -> bool {
         core::mem::take(&mut self.zeroed)
     }
 
@@ -274,7 +330,7 @@ impl State {
 
     /// Bars the offset, or gives it free: while it is barred it goes to 0, and is not available
     /// from then on.
-    pub fn inhibit(&mut self, inhibited: bool) {
+    pub fn set_inhibited(&mut self, inhibited: bool) {
         self.inhibited = inhibited;
     }
 
@@ -286,7 +342,7 @@ impl State {
     /// Returns whether the sensor shows something that no spindle does: a jump, or another run-out at the same
     /// speed.
     #[must_use]
-    pub fn sensor_is_anomalous(&self) -> bool {
+    pub fn is_sensor_anomalous(&self) -> bool {
         self.health.has_jumped() || self.run_out.is_anomalous()
     }
 
@@ -306,11 +362,12 @@ impl State {
         let before = (*position, travel.reversal());
         *moving = before.0 != heard.position;
         let is_first = *age == Age::default();
-        if axis.rapid != 0 && !said.follows(heard.position, self.now, is_first, axis.rapid) {
-            self.jump_age = Age::NEW;
+        if axis.rapid != 0 && !said.accept_position(heard.position, self.now, is_first, axis.rapid)
+        {
+            self.jump_age = Age::ZERO;
             return false;
         }
-        *age = Age::NEW;
+        *age = Age::ZERO;
         *position = heard.position;
         travel.update(&axis.travel, heard.position, heard.direction as i8);
         before != (*position, travel.reversal())
@@ -318,8 +375,8 @@ impl State {
 
     /// Returns whether a position has come of late that is not believed: its axis could not have reached it.
     #[must_use]
-    pub fn position_has_jumped(&self) -> bool {
-        !self.jump_age.is_above(JUMP_TOLD_MS)
+    pub fn has_position_jumped(&self) -> bool {
+        !self.jump_age.is_older_than(JUMP_REPORT_MS)
     }
 
     /// Takes the angles of the head, and where they point the tool.
@@ -331,61 +388,66 @@ impl State {
 
     /// Returns the age of the oldest position or angle of what moves.
     #[inline]
-    pub(super) fn oldest_motion(&self) -> Age {
+    pub(super) fn oldest_motion_age(&self) -> Age {
         let [x, y, z] = self.position_age;
         let ages = [x, y, z, self.tool.age];
-        let of_moving = |(is_moving, age): (bool, Age)| if is_moving { age } else { Age::NEW };
-        self.moving.into_iter().zip(ages).map(of_moving).fold(Age::NEW, Age::max)
+        let of_moving = |(is_moving, age): (bool, Age)| if is_moving { age } else { Age::ZERO };
+        self.moving.into_iter().zip(ages).map(of_moving).fold(Age::ZERO, Age::max)
     }
 
     pub(super) fn advance_ages(&mut self, elapsed_ms: u32) {
-        self.control.age.grow(elapsed_ms);
-        self.spindle.age.grow(elapsed_ms);
-        self.tool.age.grow(elapsed_ms);
+        self.control.age.advance(elapsed_ms);
+        self.spindle.age.advance(elapsed_ms);
+        self.tool.age.advance(elapsed_ms);
         for age in &mut self.position_age {
-            age.grow(elapsed_ms);
+            age.advance(elapsed_ms);
         }
-        self.jump_age.grow(elapsed_ms);
-        self.codes_age.grow(elapsed_ms);
-        self.starved_age.grow(elapsed_ms);
-        self.elongation_age.grow(elapsed_ms);
-        self.raw_age.grow(elapsed_ms);
+        self.jump_age.advance(elapsed_ms);
+        self.codes_age.advance(elapsed_ms);
+        self.starved_age.advance(elapsed_ms);
+        self.elongation_age.advance(elapsed_ms);
+        self.raw_age.advance(elapsed_ms);
         if let Some(age) = &mut self.live_age {
-            age.grow(elapsed_ms);
+            age.advance(elapsed_ms);
         }
     }
 
-    pub(super) fn sensor_is_fresh(&self) -> bool {
+    pub(super) fn is_sensor_fresh(&self) -> bool {
         self.elongation.is_some()
             && self.believable
-            && !self.elongation_age.is_above(SAMPLES_TIMEOUT_MS)
-            && self.starved_age.is_above(STARVED_MS)
+            && !self.elongation_age.is_older_than(SAMPLES_TIMEOUT_MS)
+            && self.starved_age.is_older_than(STALE_AFTER_LOSS_MS)
     }
 
     /// Blocks of samples are missing, by a clock that does not count them: what the filter has is
     /// not what it takes it for.
-    pub fn starve(&mut self) {
+    pub fn mark_samples_lost(&mut self) {
         self.filter.clear();
-        self.health.interrupt();
-        self.starved_age = Age::NEW;
+        self.health.record_gap();
+        self.starved_age = Age::ZERO;
     }
 
     /// Returns whether the offset was live so lately that it is held where an input is lost.
     pub(super) fn is_held(&self, hold_ms: u32) -> bool {
-        self.live_age.is_some_and(|age| !age.is_above(hold_ms))
+        self.live_age.is_some_and(|age| !age.is_older_than(hold_ms))
     }
 
     /// Decides where the offset goes, and remembers when it was last live.
-    pub(super) fn mode(&mut self, control: Option<Control>, fresh: bool, hold_ms: u32) -> Mode {
+    pub(super) fn update_mode(
+        &mut self,
+        control: Option<Control>,
+        fresh: bool,
+        hold_ms: u32,
+    ) -> OffsetMode {
         let is_free = |control: Control| control.engage && control.referenced && !self.inhibited;
         if self.inhibited || control.is_some_and(|control| !is_free(control)) {
             self.live_age = None;
         } else if control.is_some() && fresh {
-            self.live_age = Some(Age::NEW);
-            return Mode::Follow;
+            self.live_age = Some(Age::ZERO);
+            return OffsetMode::Follow;
         } else if self.is_held(hold_ms) {
-            return Mode::Hold;
+            return OffsetMode::Hold;
         }
-        Mode::RampOut
+        OffsetMode::RampOut
     }
 }

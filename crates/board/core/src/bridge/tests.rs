@@ -12,20 +12,20 @@ mod timeouts;
 
 use super::*;
 use crate::{
-    calibration::AxisThermal,
-    cnc::{AxisPosition, Control, Heading, LinearAxis, Spindle},
+    calibration::AxisThermalModel,
+    cnc::{AxisPosition, Control, LinearAxis, Spindle, TravelDirection},
     kinematics,
     lag::SmoothingFactor,
     sensor::{SensorLaw, Slope},
-    testing::plain,
-    thermal::Law,
-    thermometer::{Raw, Thermometer},
+    testing::minimal_calibration,
+    thermal::ThermalExpansionLaw,
+    thermometer::{RawReading, Thermometer},
     units::{MicroDegrees, Position, Reading, Temperature},
 };
 
 /// 1024 nm a code exactly, zero at code 1000, 1 µm in a millisecond.
 fn calibration() -> Calibration<'static> {
-    let mut calibration = plain();
+    let mut calibration = minimal_calibration();
     calibration.spindle.chain[0] = Some(ElongationSource::Sensor);
     calibration.spindle.sensor =
         SensorLaw { k0: Nanometres(0), zero: Reading(1000 << 10), slope: Slope(1 << 28) };
@@ -37,26 +37,22 @@ const ENGAGED: Control = Control::ENGAGED;
 struct Rig {
     bridge: Bridge<'static>,
     state: State,
-    now: Millis,
+    now: TimestampMs,
     last: Output,
 }
 
 impl Rig {
     fn new(calibration: Calibration<'static>) -> Self {
-        Self {
-            bridge: Bridge::new(calibration),
-            state: State::default(),
-            now: Millis(0),
-            last: Output::default(),
-        }
+        let bridge = Bridge::new(calibration);
+        Self { state: bridge.initial_state(), bridge, now: TimestampMs(0), last: Output::default() }
     }
 
     fn control(&mut self, control: Control) {
         self.bridge.receive(&mut self.state, Command::Control(control));
     }
 
-    fn tick(&mut self, codes: Option<[Code; CODES_PER_TICK]>) -> Output {
-        self.now = self.now.after(1);
+    fn tick(&mut self, codes: Option<[AdcCode; CODES_PER_TICK]>) -> Output {
+        self.now = self.now.wrapping_add_ms(1);
         let input = Input { codes: codes.as_ref(), speed: Some(Rpm(24_000)), temperatures: None };
         self.last = self.bridge.tick(&mut self.state, self.now, input);
         self.last
@@ -66,9 +62,9 @@ impl Rig {
     fn run(&mut self, ms: u32, code: u16) -> Output {
         for _ in 0..ms {
             let codes = core::array::from_fn(|n| match n % 4 {
-                0 => Code(code - 1),
-                2 => Code(code + 1),
-                _ => Code(code),
+                0 => AdcCode(code - 1),
+                2 => AdcCode(code + 1),
+                _ => AdcCode(code),
             });
             self.tick(Some(codes));
         }
@@ -179,7 +175,7 @@ fn a_broken_wire_holds_then_ramps_out_then_is_not_available() {
             rig.control(ENGAGED);
         }
         let before = rig.last.offset.map_or(0, |offset| offset[2].0);
-        rig.tick(Some([Code(0); CODES_PER_TICK]));
+        rig.tick(Some([AdcCode(0); CODES_PER_TICK]));
         let after = rig.last.offset.map_or(0, |offset| offset[2].0);
         assert!((after - before).abs() <= 1_000, "a jump at {ms} ms");
         assert!(rig.last.flags.contains(Flags::SENSOR_FAULT));
@@ -259,9 +255,9 @@ fn the_clamp_is_told() {
 fn without_a_speed_the_window_is_200_ms_and_it_says_so() {
     let mut rig = Rig::new(calibration());
     for ms in 0..450_u16 {
-        let codes = core::array::from_fn(|n| Code(1000 + (n % 2) as u16 + ms % 2));
+        let codes = core::array::from_fn(|n| AdcCode(1000 + (n % 2) as u16 + ms % 2));
         let input = Input { codes: Some(&codes), ..Input::default() };
-        let output = rig.bridge.tick(&mut rig.state, Millis(u32::from(ms) + 1), input);
+        let output = rig.bridge.tick(&mut rig.state, TimestampMs(u32::from(ms) + 1), input);
         assert!(output.flags.contains(Flags::SPEED_UNKNOWN));
         assert_eq!(rig.state.elongation().is_some(), ms >= 399, "at {ms} ms");
     }
@@ -273,10 +269,10 @@ fn the_speed_of_the_cnc_wins_while_it_is_fresh() {
     let spindle = Spindle { speed: Rpm(60_000), load_n: 0 };
     rig.bridge.receive(&mut rig.state, Command::Spindle(spindle));
     for ms in 1..=3 {
-        let codes = core::array::from_fn(|n| Code(1000 + (n % 2) as u16));
+        let codes = core::array::from_fn(|n| AdcCode(1000 + (n % 2) as u16));
         rig.bridge.tick(
             &mut rig.state,
-            Millis(ms),
+            TimestampMs(ms),
             Input { codes: Some(&codes), ..Input::default() },
         );
     }
@@ -300,11 +296,11 @@ const fn piece_bytes() -> [u8; 20] {
 }
 
 fn expanding() -> Calibration<'static> {
-    let mut calibration = plain();
+    let mut calibration = minimal_calibration();
     // One count a kelvin: 16 000 units per 1/256 count.
     calibration.thermometers[3] = Some(Thermometer::Linear { zero: 0, slope: 16_000, shift: 0 });
-    let law = Law { pieces: &LAW };
-    calibration.axes[0].thermal = Some(AxisThermal {
+    let law = ThermalExpansionLaw { pieces: &LAW };
+    calibration.axes[0].thermal = Some(AxisThermalModel {
         channel: 3,
         smoothing: SmoothingFactor::NO_LAG,
         smoothing_falling: SmoothingFactor::NO_LAG,
@@ -322,12 +318,12 @@ fn warm(rig: &mut Rig, ms: u32, kelvin: Option<i32>, x_mm: i32) -> Output {
             Command::Position(AxisPosition {
                 axis: LinearAxis::X,
                 position: Position(x_mm * Position::PER_MILLIMETRE),
-                direction: Heading::Positive,
+                direction: TravelDirection::Positive,
             }),
         );
-        let mut raw = [Raw::NONE; CHANNELS];
-        raw[3] = kelvin.map_or(Raw::NONE, |kelvin| Raw(kelvin * 256));
-        rig.now = rig.now.after(1);
+        let mut raw = [RawReading::NONE; CHANNEL_COUNT];
+        raw[3] = kelvin.map_or(RawReading::NONE, |kelvin| RawReading(kelvin * 256));
+        rig.now = rig.now.wrapping_add_ms(1);
         let input = Input { temperatures: Some(&raw), speed: Some(Rpm(0)), codes: None };
         rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
     }
@@ -394,12 +390,12 @@ fn zero_takes_all_of_the_present_error() {
     let output = warm(&mut rig, 300, Some(21), 2_000);
     assert_eq!(output.offset, Some([Nanometres(-100_000), Nanometres(0), Nanometres(0)]));
     let reference = rig.state.reference();
-    assert_eq!(reference.axes, [Fine(25_600_000), Fine(0), Fine(0)]);
+    assert_eq!(reference.axes, [FineNanometres(25_600_000), FineNanometres(0), FineNanometres(0)]);
 }
 
 #[test]
 fn an_axis_that_is_not_square_errs_along_the_other_where_it_goes() {
-    let mut machine = plain();
+    let mut machine = minimal_calibration();
     // X over Y, 10 µm/m.
     machine.squareness[0] = crate::gradient::Gradient(6_871_948);
     let mut rig = Rig::new(machine);
@@ -407,8 +403,11 @@ fn an_axis_that_is_not_square_errs_along_the_other_where_it_goes() {
         for _ in 0..100 {
             rig.control(ENGAGED);
             let position = Position(y_mm * Position::PER_MILLIMETRE);
-            let received =
-                AxisPosition { axis: LinearAxis::Y, position, direction: Heading::Positive };
+            let received = AxisPosition {
+                axis: LinearAxis::Y,
+                position,
+                direction: TravelDirection::Positive,
+            };
             rig.bridge.receive(&mut rig.state, Command::Position(received));
             rig.tick(None);
         }
@@ -437,8 +436,8 @@ fn a_tilted_head_takes_growth_to_both_axes() {
 fn it_tells_the_time_of_its_last_tick_and_the_noise_since_it_was_last_asked() {
     let mut rig = Rig::new(calibration());
     rig.run(5, 1050);
-    assert_eq!(rig.state.now(), Millis(5));
+    assert_eq!(rig.state.now(), TimestampMs(5));
     // −1, 0, 1, 0: every other second difference is 2. The first block goes on from nothing.
-    assert_eq!(rig.state.take_noise(), crate::health::Noise { squares: 4 * 40, count: 80 });
-    assert_eq!(rig.state.take_noise(), crate::health::Noise::default());
+    assert_eq!(rig.state.take_noise(), crate::sensor_health::Noise { squares: 4 * 40, count: 80 });
+    assert_eq!(rig.state.take_noise(), crate::sensor_health::Noise::default());
 }

@@ -1,15 +1,15 @@
 //! Curves and their segments against `f64`, and what bad bytes do.
 
-use super::{segment::SPAN_BITS, *};
-use crate::testing::random;
+use super::{segment::SPAN_MASK, *};
+use crate::testing::next_random;
 extern crate std;
 use std::vec::Vec;
 
-const NM: f64 = Fine::PER_NANOMETRE as f64;
+const NM: f64 = FineNanometres::PER_NANOMETRE as f64;
 
 /// From −1 to 1.
 fn signed(seed: &mut u64) -> f64 {
-    f64::from(random(seed)) / 2f64.powi(31) - 1.0
+    f64::from(next_random(seed)) / 2f64.powi(31) - 1.0
 }
 
 /// A B-spline of order 4 as Bézier pieces, in 1/256 nm.
@@ -21,14 +21,14 @@ struct Spline {
 impl Spline {
     /// Random inner knots and control points up to `amplitude`.
     fn random(seed: &mut u64, first: i32, length: u32, count: usize, amplitude: f64) -> Self {
-        let inner = |_| first.wrapping_add_unsigned(1 + random(seed) % (length - 1));
+        let inner = |_| first.wrapping_add_unsigned(1 + next_random(seed) % (length - 1));
         let mut knots: Vec<i32> = (1..count).map(inner).collect();
         knots.extend([first, first.wrapping_add_unsigned(length)]);
         knots.sort_unstable();
         knots.dedup();
         let count = knots.len() - 1;
         // A jagged curve uses the whole amplitude either way in turn.
-        let jagged = random(seed).is_multiple_of(4);
+        let jagged = next_random(seed).is_multiple_of(4);
         let control: Vec<f64> = (0..count + 3)
             .map(|n| match jagged {
                 true => amplitude * if n % 2 == 0 { 1.0 } else { -1.0 },
@@ -129,10 +129,10 @@ fn every_curve_is_f64_at_its_knots_and_between() {
             _ => (10_000.0 * 200_000f64.powf(signed(&mut seed) / 2.0 + 0.5)) as u32,
         };
         let room = 3_000_000_000 - length;
-        let first = (-1_500_000_000_i32).wrapping_add_unsigned(random(&mut seed) % room);
+        let first = (-1_500_000_000_i32).wrapping_add_unsigned(next_random(&mut seed) % room);
         let count = match round % 3 {
-            0 => 1 + random(&mut seed) % 4,
-            1 => 1 + random(&mut seed) % 64,
+            0 => 1 + next_random(&mut seed) % 4,
+            1 => 1 + next_random(&mut seed) % 64,
             _ => 512,
         };
         let amplitude = 250_000.0 * NM * if round % 2 == 0 { 1.0 } else { signed(&mut seed) };
@@ -144,7 +144,7 @@ fn every_curve_is_f64_at_its_knots_and_between() {
         let curve = Curve::new(Position(first), &stored, &index, shift);
         assert!(curve.is_consistent());
         let mut check = |p: i32| {
-            let (value, outside) = curve.at(Position(p));
+            let (value, outside) = curve.evaluate(Position(p));
             assert!(!outside, "{p}");
             worst = worst.max((f64::from(value.0) - spline.at(p)).abs() / NM);
             points += 1;
@@ -157,12 +157,12 @@ fn every_curve_is_f64_at_its_knots_and_between() {
             check(*knot - 1);
         }
         for _ in 0..3_000 {
-            check(first.wrapping_add_unsigned(random(&mut seed) % (length + 1)));
+            check(first.wrapping_add_unsigned(next_random(&mut seed) % (length + 1)));
         }
         let last = first.wrapping_add_unsigned(length);
         let ends = [first, last].map(&mut check);
         for (p, end) in [first - 1, last + 1, i32::MIN, i32::MAX].iter().zip([0, 1, 0, 1]) {
-            assert_eq!(curve.at(Position(*p)), (ends[end], true), "held, and says so");
+            assert_eq!(curve.evaluate(Position(*p)), (ends[end], true), "held, and says so");
         }
     }
     std::println!(
@@ -176,7 +176,7 @@ fn every_curve_is_f64_at_its_knots_and_between() {
 fn every_spline_up_to_262_micrometres_fits() {
     let mut seed = 2;
     for _ in 0..20_000 {
-        let length = 10_000 + random(&mut seed) % 1_000_000;
+        let length = 10_000 + next_random(&mut seed) % 1_000_000;
         // `segments` asserts that each is sound.
         Spline::random(&mut seed, 0, length, 5, 262_000.0 * NM).segments();
     }
@@ -186,19 +186,20 @@ fn every_spline_up_to_262_micrometres_fits() {
 fn a_sound_segment_is_f64_and_so_never_overflows() {
     let (mut worst, mut sound, mut seed) = (0.0_f64, 0, 3);
     for _ in 0..1_000_000 {
-        let coefficients = [(); 4].map(|()| (random(&mut seed) as i32) >> (random(&mut seed) % 4));
-        let reach = random(&mut seed) >> (random(&mut seed) % 32);
-        let end = random(&mut seed) as i32;
+        let coefficients =
+            [(); 4].map(|()| (next_random(&mut seed) as i32) >> (next_random(&mut seed) % 4));
+        let reach = next_random(&mut seed) >> (next_random(&mut seed) % 32);
+        let end = next_random(&mut seed) as i32;
         let segment = Segment::new(Position(end), Segment::shift_for(reach), coefficients);
         if !segment.is_sound(reach) {
             continue;
         }
         sound += 1;
-        for u in [0, 1, reach / 2, reach, random(&mut seed) % reach.max(1)] {
+        for u in [0, 1, reach / 2, reach, next_random(&mut seed) % reach.max(1)] {
             let t = f64::from(u) * 2f64.powi(i32::from(segment.shift) - 31) - 1.0;
             let [c0, c1, c2, c3] = segment.coefficients.map(f64::from);
             let exact = c0 + t * (c1 + t * (c2 / 2.0 + t * c3 / 4.0));
-            let value = segment.at(Position(end.wrapping_sub_unsigned(u)));
+            let value = segment.evaluate(Position(end.wrapping_sub_unsigned(u)));
             worst = worst.max((f64::from(value.0) - exact).abs());
         }
     }
@@ -210,11 +211,11 @@ fn a_sound_segment_is_f64_and_so_never_overflows() {
 fn a_segment_survives_its_bytes() {
     let mut seed = 4;
     for shift in 0..32 {
-        let coefficients = [(); 4].map(|()| random(&mut seed) as i32);
+        let coefficients = [(); 4].map(|()| next_random(&mut seed) as i32);
         let segment = Segment::new(Position(-7), shift, coefficients);
         assert_eq!(Segment::from_bytes(&segment.to_bytes()), segment);
         assert!(coefficients[3].abs_diff(segment.coefficients[3]) <= 16);
-        assert_eq!(segment.coefficients[3] & SPAN_BITS, (32 - i32::from(shift)) % 32);
+        assert_eq!(segment.coefficients[3] & SPAN_MASK, (32 - i32::from(shift)) % 32);
     }
     for c3 in [i32::MIN, i32::MAX] {
         let [.., kept] = Segment::new(Position(0), 3, [0, 0, 0, c3]).coefficients;
@@ -232,7 +233,7 @@ fn three_knots_in_a_bucket_are_passed_and_a_fourth_is_refused() {
     let stored = line(&[10, 20, 30, 1_000]);
     let curve = Curve::new(Position(0), &stored, &[[0, 0]], 32);
     assert!(curve.is_consistent());
-    let at = |p| curve.at(Position(p)).0.rounded().0;
+    let at = |p| curve.evaluate(Position(p)).0.rounded().0;
     assert_eq!([0, 10, 11, 20, 21, 30, 31, 1_000].map(at), [0, 0, 1, 1, 2, 2, 3, 3]);
     let stored = line(&[10, 20, 30, 40, 1_000]);
     assert!(!Curve::new(Position(0), &stored, &[[0, 0]], 32).is_consistent());
@@ -279,9 +280,9 @@ fn what_is_not_right_is_refused() {
 #[test]
 fn no_curve_is_nought_and_nothing_is_outside() {
     for p in [i32::MIN, 0, i32::MAX] {
-        assert_eq!(Curve::default().at(Position(p)), (Fine::ZERO, false));
+        assert_eq!(Curve::default().evaluate(Position(p)), (FineNanometres::ZERO, false));
         let none = Curve::new(Position(p), &[], &[[0, 0]], 7);
-        assert_eq!(none.at(Position(p)), (Fine::ZERO, false));
+        assert_eq!(none.evaluate(Position(p)), (FineNanometres::ZERO, false));
     }
 }
 
@@ -290,7 +291,7 @@ fn an_entry_that_leads_nowhere_is_outside() {
     let stored = [Segment::new(Position(1_000), 16, [256; 4]).to_bytes()];
     for index in [&[][..], &[[1, 0]], &[[0xff, 0xff]]] {
         let curve = Curve::new(Position(0), &stored, index, 32);
-        assert_eq!(curve.at(Position(5)), (Fine::ZERO, true));
+        assert_eq!(curve.evaluate(Position(5)), (FineNanometres::ZERO, true));
     }
 }
 
@@ -298,20 +299,26 @@ fn an_entry_that_leads_nowhere_is_outside() {
 fn any_bytes_may_come() {
     let mut seed = 6;
     for _ in 0..20_000 {
-        let stored: Vec<[u8; SEGMENT_SIZE]> = (0..random(&mut seed) % 6)
-            .map(|_| [(); SEGMENT_SIZE].map(|()| random(&mut seed) as u8))
+        let stored: Vec<[u8; SEGMENT_SIZE]> = (0..next_random(&mut seed) % 6)
+            .map(|_| [(); SEGMENT_SIZE].map(|()| next_random(&mut seed) as u8))
             .collect();
-        let index: Vec<[u8; 2]> = (0..random(&mut seed) % 6)
-            .map(|_| [random(&mut seed) as u8 % 8, u8::from(random(&mut seed).is_multiple_of(8))])
+        let index: Vec<[u8; 2]> = (0..next_random(&mut seed) % 6)
+            .map(|_| {
+                [
+                    next_random(&mut seed) as u8 % 8,
+                    u8::from(next_random(&mut seed).is_multiple_of(8)),
+                ]
+            })
             .collect();
-        let (first, shift) = (random(&mut seed) as i32, random(&mut seed) as u8);
+        let (first, shift) = (next_random(&mut seed) as i32, next_random(&mut seed) as u8);
         let curve = Curve::new(Position(first), &stored, &index, shift % 40);
         let _ = curve.is_consistent();
-        for p in [i32::MIN, -1, 0, 1, i32::MAX, first, random(&mut seed) as i32] {
-            let _ = curve.at(Position(p));
+        for p in [i32::MIN, -1, 0, 1, i32::MAX, first, next_random(&mut seed) as i32] {
+            let _ = curve.evaluate(Position(p));
         }
         for segment in stored.iter().map(Segment::from_bytes) {
-            let _ = (segment.at(Position(i32::MIN)), segment.is_sound(random(&mut seed)));
+            let _ =
+                (segment.evaluate(Position(i32::MIN)), segment.is_sound(next_random(&mut seed)));
         }
     }
 }

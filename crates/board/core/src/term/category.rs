@@ -15,7 +15,7 @@
 
 use crate::{
     cnc::Conditions,
-    fixed::{Scaled, product, rounded_shift, saturated},
+    fixed_point::{ScaledCoefficient, rounding_shift_right, saturate_to_i32, widening_mul},
     lag::SmoothingFactor,
 };
 
@@ -83,7 +83,7 @@ impl ToolTable<'_> {
 
 /// A level while a condition holds, and one while it does not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct OnOff {
+pub struct ConditionLevels {
     /// The condition's bit, 0…15.
     pub bit: u8,
     /// Whether the condition counts as holding while the CNC does not say.
@@ -100,11 +100,11 @@ pub struct OnOff {
     pub times: Factor,
 }
 
-impl OnOff {
+impl ConditionLevels {
     /// Returns s in parts of [`UNIT_STEP`] while the CNC says this.
     #[must_use]
     pub fn input(&self, conditions: Option<Conditions>) -> i32 {
-        if conditions.map_or(self.default, |it| it.has(self.bit)) { UNIT_STEP } else { 0 }
+        if conditions.map_or(self.default, |it| it.is_set(self.bit)) { UNIT_STEP } else { 0 }
     }
 
     /// Returns m where s, behind its lag, is `input`.
@@ -112,19 +112,20 @@ impl OnOff {
     pub fn level(&self, input: i32) -> i32 {
         let way = i64::from(self.on).wrapping_sub(self.off.into());
         // Below 2³¹ · 2³⁰, and s ends at the exact levels.
-        let share = rounded_shift(way.wrapping_mul(input.into()), UNIT_STEP.trailing_zeros());
-        saturated(i64::from(self.off).wrapping_add(share))
+        let share =
+            rounding_shift_right(way.wrapping_mul(input.into()), UNIT_STEP.trailing_zeros());
+        saturate_to_i32(i64::from(self.off).wrapping_add(share))
     }
 }
 
 /// Returns m·f in 1/256 nm; `x` is f.
-pub(super) fn times(level: i32, shift: u8, x: i64) -> i32 {
-    Scaled { mantissa: level, shift }.times(x)
+pub(super) fn scale_level(level: i32, shift: u8, x: i64) -> i32 {
+    ScaledCoefficient { mantissa: level, shift }.multiply(x)
 }
 
 /// n² in (r/min)².
-pub(super) fn squared(rpm: u16) -> i64 {
-    product(rpm.into(), rpm.into())
+pub(super) fn speed_squared(rpm: u16) -> i64 {
+    widening_mul(rpm.into(), rpm.into())
 }
 
 #[cfg(test)]

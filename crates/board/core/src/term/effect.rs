@@ -5,19 +5,19 @@ use crate::{
     cnc::LinearAxis,
     curve::Curve,
     dimensions::MAX_TERMS,
-    fixed::{self, Scaled},
+    fixed_point::{self, ScaledCoefficient},
     gradient::Gradient,
+    index_set::IndexSet,
     lag::SmoothingFactor,
-    pitch::Pitch,
-    place::Place,
-    set::IndexSet,
+    machine_position::MachinePosition,
+    pitch_table::PitchErrorTable,
     term::{
-        category::{OnOff, ToolTable},
+        category::{ConditionLevels, ToolTable},
         tilt::Tilt,
     },
-    tool::Direction,
-    travel::backlash,
-    units::{Fine, MicroDegrees, Position, Rpm, Temperature},
+    tool_direction::Direction,
+    travel::backlash_error,
+    units::{FineNanometres, MicroDegrees, Position, Rpm, Temperature},
 };
 
 /// Binary places of the position in a slope by heat.
@@ -29,7 +29,7 @@ pub type Terms<'a> = [Option<Term<'a>>; MAX_TERMS];
 /// The quantity that a term changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Target {
-    /// The elongation by the first source; another one was not what the term was fitted to.
+    /// The elongation by the first source; the term was not fitted to another one.
     Elongation,
     /// The error of an axis.
     Axis(LinearAxis),
@@ -41,7 +41,7 @@ pub struct Term<'a> {
     /// The quantity that it changes.
     pub target: Target,
     /// Added as well, in 1/256 nm: an error of the axis, or an elongation.
-    pub constant: Fine,
+    pub constant: FineNanometres,
     /// How it changes it.
     pub effect: Effect<'a>,
 }
@@ -52,11 +52,11 @@ pub enum Effect<'a> {
     /// The constant alone.
     Offset,
     /// p + m·p; of an elongation alone.
-    Gain(Scaled),
+    Gain(ScaledCoefficient),
     /// p + m·(p²/2²⁴), p held to ±1.05 mm there; of an elongation alone.
-    Curvature(Scaled),
+    Curvature(ScaledCoefficient),
     /// At most this; of an elongation alone.
-    Saturation(Fine),
+    Saturation(FineNanometres),
     /// + m·(lag(T) − reference).
     Heat {
         /// The channel of T, 0…7.
@@ -66,7 +66,7 @@ pub enum Effect<'a> {
         /// T_ref, in 1/4096 mK.
         reference: Temperature,
         /// m, in 1/256 nm per temperature unit.
-        per_temperature: Scaled,
+        per_temperature: ScaledCoefficient,
     },
     /// + m·(lag(T) − reference)·P/2²⁷, P of the term's own axis: 2²⁷ position units are 1.34 m.
     HeatSlope {
@@ -77,28 +77,28 @@ pub enum Effect<'a> {
         /// T_ref, in 1/4096 mK.
         reference: Temperature,
         /// m, in 1/256 nm per temperature unit.
-        per_temperature: Scaled,
+        per_temperature: ScaledCoefficient,
     },
     /// + m·lag(x), x a power of the speed; cold (0) at the start.
     SpeedHeat {
         /// Which power.
-        power: SpeedPower,
+        power: SpeedExponent,
         /// α of the lag, per step of 100 ms.
         smoothing: SmoothingFactor,
-        /// m, in 1/256 nm for each of [`SpeedPower::heating`]'s units.
-        per_unit: Scaled,
+        /// m, in 1/256 nm for each of [`SpeedExponent::heat_input`]'s units.
+        per_unit: ScaledCoefficient,
     },
     /// + m·(1 − e^(−t/τ)), t since the start of the board.
     Time {
         /// α = 1 − e^(−0.1 s/τ), per step of 100 ms.
         smoothing: SmoothingFactor,
         /// m, in 1/256 nm per [`UNIT_STEP`](crate::term::UNIT_STEP).
-        amplitude: Scaled,
+        amplitude: ScaledCoefficient,
     },
     /// + m·n², n in r/min.
-    Speed(Scaled),
+    Speed(ScaledCoefficient),
     /// + m·F, F in 1/256 N.
-    Load(Scaled),
+    Load(ScaledCoefficient),
     /// + gradient·P.
     Position {
         /// Of P.
@@ -109,12 +109,12 @@ pub enum Effect<'a> {
     /// + β·(width + gradient·P), P and β of the term's own axis.
     Reversed {
         /// At P = 0.
-        width: Fine,
+        width: FineNanometres,
         /// From 0.
         gradient: Gradient,
     },
     /// A table of the term's own axis for either direction.
-    Table(Pitch<'a>),
+    Table(PitchErrorTable<'a>),
     /// A curve.
     Curve {
         /// Over which axis.
@@ -129,7 +129,7 @@ pub enum Effect<'a> {
         /// φ in 2⁻³² turns.
         phase: u32,
         /// a.
-        amplitude: Fine,
+        amplitude: FineNanometres,
     },
     /// + θ·(L − L₀), θ = gradient·P.
     TiltLine(Tilt<Gradient>),
@@ -138,29 +138,29 @@ pub enum Effect<'a> {
     /// + m(tool)·f.
     Tool(ToolTable<'a>),
     /// + m·f, m by a condition that holds or does not.
-    Condition(OnOff),
+    Condition(ConditionLevels),
 }
 
 /// The power of the spindle's speed by which it heats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SpeedPower {
+pub enum SpeedExponent {
     /// n: friction of constant force.
     First,
     /// n²: friction that grows with the speed.
     Second,
 }
 
-impl SpeedPower {
+impl SpeedExponent {
     /// Returns how hard a spindle of this speed heats, in units of the lag's input. An unknown speed does not heat.
     ///
     /// ```
-    /// use trueup_core::{term::SpeedPower, units::Rpm};
-    /// assert_eq!(SpeedPower::First.heating(Some(Rpm(3))), 98_304);
-    /// assert_eq!(SpeedPower::Second.heating(Some(Rpm(4_000))), 8_000_000);
-    /// assert_eq!(SpeedPower::Second.heating(None), 0);
+    /// use trueup_core::{term::SpeedExponent, units::Rpm};
+    /// assert_eq!(SpeedExponent::First.heat_input(Some(Rpm(3))), 98_304);
+    /// assert_eq!(SpeedExponent::Second.heat_input(Some(Rpm(4_000))), 8_000_000);
+    /// assert_eq!(SpeedExponent::Second.heat_input(None), 0);
     /// ```
     #[must_use]
-    pub fn heating(self, speed: Option<Rpm>) -> i32 {
+    pub fn heat_input(self, speed: Option<Rpm>) -> i32 {
         let rpm = u32::from(speed.unwrap_or_default().0);
         // Below 2¹⁶, so that both are below 2³¹.
         match self {
@@ -172,7 +172,7 @@ impl SpeedPower {
 
     /// Returns the units of a (r/min)^power.
     #[must_use]
-    pub const fn units(self) -> f64 {
+    pub const fn input_units(self) -> f64 {
         match self {
             Self::First => 32_768.0,
             Self::Second => 0.5,
@@ -199,48 +199,68 @@ pub fn heat_terms(terms: &Terms<'_>) -> IndexSet {
 
 impl Effect<'_> {
     /// Returns what it adds to the error of its own axis, and whether that is the end of a table held.
-    pub(super) fn at(&self, own: LinearAxis, warmth: Fine, place: &Place) -> (Fine, bool) {
-        let of = |axis: LinearAxis| place.of(axis);
+    pub(super) fn error_at(
+        &self,
+        own: LinearAxis,
+        warmth: FineNanometres,
+        place: &MachinePosition,
+    ) -> (FineNanometres, bool) {
+        let of = |axis: LinearAxis| place.axis_position(axis);
         let reversal = || place.reversal(own);
         let inside = |part| (part, false);
         match self {
             Self::Heat { .. } | Self::SpeedHeat { .. } | Self::Time { .. } => inside(warmth),
             Self::HeatSlope { .. } => {
-                let part = fixed::product(warmth.0, of(own).0);
-                inside(Fine::saturating(fixed::rounded_shift(part, HEAT_SLOPE_BITS)))
+                let part = fixed_point::widening_mul(warmth.0, of(own).0);
+                inside(FineNanometres::saturating_from(fixed_point::rounding_shift_right(
+                    part,
+                    HEAT_SLOPE_BITS,
+                )))
             }
-            Self::Position { axis, gradient } => inside(gradient.over(Position(0), of(*axis))),
-            Self::Reversed { width, gradient } => {
-                inside(backlash(width.plus(gradient.over(Position(0), of(own))), reversal()))
+            Self::Position { axis, gradient } => {
+                inside(gradient.error_over_travel(Position(0), of(*axis)))
             }
-            Self::Table(pitch) => pitch.at(of(own), reversal()),
-            Self::Curve { axis, curve } => curve.at(of(*axis)),
+            Self::Reversed { width, gradient } => inside(backlash_error(
+                width.saturating_add(gradient.error_over_travel(Position(0), of(own))),
+                reversal(),
+            )),
+            Self::Table(pitch) => pitch.error_at(of(own), reversal()),
+            Self::Curve { axis, curve } => curve.evaluate(of(*axis)),
             Self::Wave { turns, phase, amplitude } => {
-                inside(wave(*turns, *phase, *amplitude, of(own)))
+                inside(compute_sine_wave(*turns, *phase, *amplitude, of(own)))
             }
             Self::TiltLine(tilt) => {
-                let error = tilt.angle.over(Position(0), of(tilt.along));
-                inside(tilt.at_lever(error, place))
+                let error = tilt.angle.error_over_travel(Position(0), of(tilt.along));
+                inside(tilt.scale_to_lever(error, place))
             }
             Self::TiltCurve(tilt) => {
-                let (error, beyond) = tilt.angle.at(of(tilt.along));
-                (tilt.at_lever(error, place), beyond)
+                let (error, beyond) = tilt.angle.evaluate(of(tilt.along));
+                (tilt.scale_to_lever(error, place), beyond)
             }
             // Of an elongation alone, the constant alone, or by category.
-            _ => inside(Fine::ZERO),
+            _ => inside(FineNanometres::ZERO),
         }
     }
 }
 
 /// a·sin(2π·(P·turns + φ)); whole turns wrap away.
 #[allow(clippy::cast_possible_truncation, reason = "a word of two, and less than 2³¹")]
-fn wave(turns: u64, phase: u32, amplitude: Fine, position: Position) -> Fine {
-    const TURN: u32 = 360 * MicroDegrees::PER_DEGREE.unsigned_abs();
+fn compute_sine_wave(
+    turns: u64,
+    phase: u32,
+    amplitude: FineNanometres,
+    position: Position,
+) -> FineNanometres {
+    const FULL_TURN_MICRO_DEGREES: u32 = 360 * MicroDegrees::PER_DEGREE.unsigned_abs();
     // Modulo 2⁶⁴ a product with a negative number is that with its complement.
     let turned = i64::from(position.0).cast_unsigned().wrapping_mul(turns) >> 32;
     let turned = (turned as u32).wrapping_add(phase);
-    let angle = MicroDegrees(fixed::high_word_unsigned(turned, TURN).cast_signed());
+    let angle =
+        MicroDegrees(fixed_point::mul_high_unsigned(turned, FULL_TURN_MICRO_DEGREES).cast_signed());
     let (sine, _) = sine_cosine(angle);
-    let along = fixed::product(sine, amplitude.0);
-    Fine::saturating(fixed::rounded_shift(along, Direction::FRACTION_BITS))
+    let along = fixed_point::widening_mul(sine, amplitude.0);
+    FineNanometres::saturating_from(fixed_point::rounding_shift_right(
+        along,
+        Direction::FRACTION_BITS,
+    ))
 }

@@ -2,43 +2,51 @@
 
 use crate::{
     cnc::Conditions,
-    dimensions::{CHANNELS, MAX_TERMS},
-    fixed::Scaled,
-    heat_memory::{HeatMemory, Key, RetainedLag},
+    dimensions::{CHANNEL_COUNT, MAX_TERMS},
+    fixed_point::ScaledCoefficient,
+    index_set::IndexSet,
     lag::{Lag, SmoothingFactor},
-    set::IndexSet,
+    retained_lags::{RetainedLag, RetainedLagKey, RetainedLags},
     term::{
-        category::{Factor, OnOff, UNIT_STEP, squared, times},
+        category::{ConditionLevels, Factor, UNIT_STEP, scale_level, speed_squared},
         effect::{Effect, Target, Terms},
-        order::factor,
+        evaluation_order::category_factor,
     },
-    units::{Fine, Rpm, Temperature},
+    units::{FineNanometres, Rpm, Temperature},
 };
 
 /// Returns what each term's lag follows; `None` without one.
-fn keys(terms: &Terms<'_>) -> impl Iterator<Item = Option<Key>> {
+fn lag_keys(terms: &Terms<'_>) -> impl Iterator<Item = Option<RetainedLagKey>> {
     terms.iter().map(|term| match term.as_ref()?.effect {
         Effect::Heat { channel, smoothing, .. } | Effect::HeatSlope { channel, smoothing, .. }
             if smoothing != SmoothingFactor::NO_LAG =>
         {
-            Some(Key { input: channel, rising: smoothing, falling: smoothing })
+            Some(RetainedLagKey { input: channel, rising: smoothing, falling: smoothing })
         }
         Effect::SpeedHeat { power, smoothing, .. } if smoothing != SmoothingFactor::NO_LAG => {
-            Some(Key { input: Key::of_speed(power), rising: smoothing, falling: smoothing })
+            Some(RetainedLagKey {
+                input: RetainedLagKey::speed_input(power),
+                rising: smoothing,
+                falling: smoothing,
+            })
         }
-        Effect::Time { smoothing, .. } => {
-            Some(Key { input: Key::TIME, rising: smoothing, falling: smoothing })
-        }
-        Effect::Condition(OnOff { bit, smoothing, .. }) if smoothing != SmoothingFactor::NO_LAG => {
-            let input = Key::CONDITION | bit;
-            Some(Key { input, rising: smoothing, falling: smoothing })
+        Effect::Time { smoothing, .. } => Some(RetainedLagKey {
+            input: RetainedLagKey::TIME_INPUT,
+            rising: smoothing,
+            falling: smoothing,
+        }),
+        Effect::Condition(ConditionLevels { bit, smoothing, .. })
+            if smoothing != SmoothingFactor::NO_LAG =>
+        {
+            let input = RetainedLagKey::CONDITION_FLAG | bit;
+            Some(RetainedLagKey { input, rising: smoothing, falling: smoothing })
         }
         _ => None,
     })
 }
 
 /// Returns the binary places of a term by category; 0 of another.
-const fn shift(effect: &Effect<'_>) -> u8 {
+const fn fraction_bits(effect: &Effect<'_>) -> u8 {
     match effect {
         Effect::Tool(tools) => tools.shift,
         Effect::Condition(it) => it.shift,
@@ -50,7 +58,7 @@ const fn shift(effect: &Effect<'_>) -> u8 {
 #[derive(Clone, Debug, Default)]
 pub struct TermStates {
     lags: [Option<Lag>; MAX_TERMS],
-    values: [Fine; MAX_TERMS],
+    values: [FineNanometres; MAX_TERMS],
     /// Terms of heat that have had a temperature, or whose heat by the speed is known.
     known: IndexSet,
     /// The conditions by the CNC, or `None` inside: the defaults hold. Nothing before either is known.
@@ -58,21 +66,21 @@ pub struct TermStates {
     /// m of the terms by category.
     levels: [i32; MAX_TERMS],
     /// The sum of those of the elongation that are not multiplied by its growth, and all their constants.
-    by_category: Fine,
+    by_category: FineNanometres,
     /// m of those that are, the first ones; 0 behind them.
-    by_growth: [Scaled; MAX_TERMS],
+    by_growth: [ScaledCoefficient; MAX_TERMS],
     /// n of those that go by it.
     speed: Rpm,
 }
 
 impl TermStates {
     /// A step of 100 ms of term `index`, if it is one of heat or time. A temperature that is missing
-    /// leaves it as it is; an unknown speed does not heat.
+    /// leaves it unchanged; an unknown speed does not heat.
     pub fn step(
         &mut self,
         terms: &Terms<'_>,
         index: usize,
-        temperatures: &[Option<Temperature>; CHANNELS],
+        temperatures: &[Option<Temperature>; CHANNEL_COUNT],
         speed: Option<Rpm>,
         is_heat_known: bool,
     ) {
@@ -86,37 +94,37 @@ impl TermStates {
             | Effect::HeatSlope { channel, smoothing, reference, per_temperature } => {
                 let temperature = temperatures.get(usize::from(channel)).copied().flatten();
                 if let Some(Temperature(now)) = temperature {
-                    let lag = lag.get_or_insert(Lag::settled(now));
+                    let lag = lag.get_or_insert(Lag::settled_at(now));
                     lag.step(now, smoothing);
                     if is_heat_known || smoothing == SmoothingFactor::NO_LAG {
                         self.known.insert(index);
                     }
                     let warmer = lag.value().saturating_sub(reference.0);
-                    *value = Fine(per_temperature.times(warmer.into()));
+                    *value = FineNanometres(per_temperature.multiply(warmer.into()));
                 }
             }
             Effect::SpeedHeat { power, smoothing, per_unit } => {
-                let lag = lag.get_or_insert(Lag::settled(0));
-                lag.step(power.heating(speed), smoothing);
+                let lag = lag.get_or_insert(Lag::settled_at(0));
+                lag.step(power.heat_input(speed), smoothing);
                 if is_heat_known || smoothing == SmoothingFactor::NO_LAG {
                     self.known.insert(index);
                 }
-                *value = Fine(per_unit.times(lag.value().into()));
+                *value = FineNanometres(per_unit.multiply(lag.value().into()));
             }
             Effect::Time { smoothing, amplitude } => {
-                let lag = lag.get_or_insert(Lag::settled(0));
+                let lag = lag.get_or_insert(Lag::settled_at(0));
                 lag.step(UNIT_STEP, smoothing);
-                *value = Fine(amplitude.times(lag.value().into()));
+                *value = FineNanometres(amplitude.multiply(lag.value().into()));
             }
             Effect::Condition(it) if it.smoothing != SmoothingFactor::NO_LAG => {
                 if let (Some(conditions), Some(level)) =
                     (self.conditions, self.levels.get_mut(index))
                 {
                     let input = it.input(conditions);
-                    let lag = lag.get_or_insert(Lag::settled(input));
+                    let lag = lag.get_or_insert(Lag::settled_at(input));
                     lag.step(input, it.smoothing);
                     *level = it.level(lag.value());
-                    self.sum_up(terms);
+                    self.update_sum(terms);
                 }
             }
             _ => {}
@@ -124,7 +132,7 @@ impl TermStates {
     }
 
     /// Takes what the CNC says of tool and conditions; `None`: the defaults hold.
-    pub fn select(&mut self, terms: &Terms<'_>, conditions: Option<Conditions>) {
+    pub fn set_conditions(&mut self, terms: &Terms<'_>, conditions: Option<Conditions>) {
         self.conditions = Some(conditions);
         for (level, term) in self.levels.iter_mut().zip(terms.iter().flatten()) {
             match &term.effect {
@@ -135,100 +143,120 @@ impl TermStates {
                 _ => {}
             }
         }
-        self.sum_up(terms);
+        self.update_sum(terms);
     }
 
     /// Takes the speed of the spindle; returns whether it is another one.
-    pub fn turn(&mut self, terms: &Terms<'_>, speed: Rpm) -> bool {
+    pub fn update_speed(&mut self, terms: &Terms<'_>, speed: Rpm) -> bool {
         let is_new = core::mem::replace(&mut self.speed, speed) != speed;
         if is_new {
-            self.sum_up(terms);
+            self.update_sum(terms);
         }
         is_new
     }
 
     /// A level or the speed has changed.
     #[inline(never)]
-    fn sum_up(&mut self, terms: &Terms<'_>) {
-        let mut sum = Fine::ZERO;
-        let mut by_growth = [Scaled::default(); MAX_TERMS];
+    fn update_sum(&mut self, terms: &Terms<'_>) {
+        let mut sum = FineNanometres::ZERO;
+        let mut by_growth = [ScaledCoefficient::default(); MAX_TERMS];
         let mut places = by_growth.iter_mut();
         for ((index, term), level) in terms.iter().enumerate().zip(self.levels) {
             let Some(term) = term.as_ref().filter(|it| it.target == Target::Elongation) else {
                 continue;
             };
-            match factor(&term.effect) {
+            match category_factor(&term.effect) {
                 None => continue,
                 Some(Factor::Growth) => {
                     // What is 0 ends the list, and adds nothing.
                     if level != 0
                         && let Some(place) = places.next()
                     {
-                        *place = Scaled { mantissa: level, shift: shift(&term.effect) };
+                        *place = ScaledCoefficient {
+                            mantissa: level,
+                            shift: fraction_bits(&term.effect),
+                        };
                     }
                 }
-                Some(_) => sum = sum.plus(self.category(index, &term.effect, 0)),
+                Some(_) => sum = sum.saturating_add(self.category_effect(index, &term.effect, 0)),
             }
-            sum = sum.plus(term.constant);
+            sum = sum.saturating_add(term.constant);
         }
         (self.by_category, self.by_growth) = (sum, by_growth);
     }
 
     /// Returns what the terms by category make of an elongation: `plain` without terms, `made` by all others.
     #[inline]
-    pub(super) fn with_categories(&self, plain: Fine, made: Fine) -> Fine {
-        let mut p = made.plus(self.by_category);
+    pub(super) fn apply_category_terms(
+        &self,
+        plain: FineNanometres,
+        made: FineNanometres,
+    ) -> FineNanometres {
+        let mut p = made.saturating_add(self.by_category);
         for m in &self.by_growth {
             if m.mantissa == 0 {
                 break;
             }
-            p = p.plus(Fine(m.times(plain.0.into())));
+            p = p.saturating_add(FineNanometres(m.multiply(plain.0.into())));
         }
         p
     }
 
     /// Returns what of it is no heat: what the CNC says.
     #[must_use]
-    pub fn without_heat(&self) -> Self {
+    pub fn without_thermal_state(&self) -> Self {
         let Self { conditions, levels, by_category, by_growth, speed, .. } = *self;
         Self { conditions, levels, by_category, by_growth, speed, ..Self::default() }
     }
 
     /// Adds its lags to what outlasts a reset.
-    pub fn keep(&self, terms: &Terms<'_>, memory: &mut HeatMemory) {
-        for (lag, key) in self.lags.iter().zip(keys(terms)) {
+    pub fn store_lags(&self, terms: &Terms<'_>, memory: &mut RetainedLags) {
+        for (lag, key) in self.lags.iter().zip(lag_keys(terms)) {
             if let (Some(lag), Some(key)) = (*lag, key) {
-                memory.keep(RetainedLag { key, lag, running_ms: 0 });
+                memory.store(RetainedLag { key, lag, running_ms: 0 });
             }
         }
     }
 
     /// Goes on from before a reset.
-    pub fn resume(&mut self, terms: &Terms<'_>, mut find: impl FnMut(Key) -> Option<RetainedLag>) {
-        for (lag, key) in self.lags.iter_mut().zip(keys(terms)) {
+    pub fn restore_lags(
+        &mut self,
+        terms: &Terms<'_>,
+        mut find: impl FnMut(RetainedLagKey) -> Option<RetainedLag>,
+    ) {
+        for (lag, key) in self.lags.iter_mut().zip(lag_keys(terms)) {
             *lag = key.and_then(&mut find).map(|kept| kept.lag);
         }
     }
 
     /// Returns whether each of these has had a temperature, or knows its heat by the speed.
     #[must_use]
-    pub fn knows(&self, terms: IndexSet) -> bool {
-        self.known.has_all(terms)
+    pub fn is_initialised(&self, terms: IndexSet) -> bool {
+        self.known.is_superset(terms)
     }
 
     /// Returns what term `index`, by category, adds where its growth or position is `x`.
-    pub(super) fn category(&self, index: usize, effect: &Effect<'_>, x: i64) -> Fine {
-        let Some(by) = factor(effect) else { return Fine::ZERO };
+    pub(super) fn category_effect(
+        &self,
+        index: usize,
+        effect: &Effect<'_>,
+        x: i64,
+    ) -> FineNanometres {
+        let Some(by) = category_factor(effect) else { return FineNanometres::ZERO };
         let x = match by {
             Factor::One => 1,
-            Factor::Speed2 => squared(self.speed.0),
+            Factor::Speed2 => speed_squared(self.speed.0),
             Factor::Growth | Factor::Position => x,
         };
-        Fine(times(self.levels.get(index).copied().unwrap_or_default(), shift(effect), x))
+        FineNanometres(scale_level(
+            self.levels.get(index).copied().unwrap_or_default(),
+            fraction_bits(effect),
+            x,
+        ))
     }
 
     /// Returns what heat or time has made of term `index`; 0 for one of neither.
-    pub(super) fn value(&self, index: usize) -> Fine {
+    pub(super) fn thermal_effect(&self, index: usize) -> FineNanometres {
         self.values.get(index).copied().unwrap_or_default()
     }
 }

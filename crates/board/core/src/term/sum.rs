@@ -1,13 +1,13 @@
 //! The effect of all terms together on the elongation and on the errors of the axes.
 
 use crate::{
-    fixed::product,
-    place::Place,
+    fixed_point::widening_mul,
+    machine_position::MachinePosition,
     term::{
         effect::{Effect, Target, Term, Terms},
         states::TermStates,
     },
-    units::{Fine, Rpm},
+    units::{FineNanometres, Rpm},
 };
 
 /// Speed and load of the spindle by the CNC: the inputs of the terms over speed and load.
@@ -20,50 +20,56 @@ pub struct OperatingPoint {
 }
 
 /// Returns the elongation with its terms, each applied to what those before it have made; those by category come last,
-/// of which `states` knows all. So `terms` need not be more than those that a tick has to [walk](crate::term::walked)
+/// of which `states` knows all. So `terms` need not be more than those that a tick has to [walk](crate::term::elongation_term_count)
 /// through.
 #[must_use]
 #[inline]
-pub fn elongation(
+pub fn apply_elongation_terms(
     terms: &[Option<Term<'_>>],
-    plain: Fine,
+    plain: FineNanometres,
     states: &TermStates,
     operating: OperatingPoint,
-) -> Fine {
-    let made = if terms.is_empty() { plain } else { walk(terms, plain, states, operating) };
-    states.with_categories(plain, made)
+) -> FineNanometres {
+    let made = if terms.is_empty() {
+        plain
+    } else {
+        apply_terms_in_order(terms, plain, states, operating)
+    };
+    states.apply_category_terms(plain, made)
 }
 
 #[inline(never)]
-fn walk(
+fn apply_terms_in_order(
     terms: &[Option<Term<'_>>],
-    plain: Fine,
+    plain: FineNanometres,
     states: &TermStates,
     operating: OperatingPoint,
-) -> Fine {
+) -> FineNanometres {
     let mut p = plain;
     for (index, term) in terms.iter().enumerate() {
         let Some(term) = term else { break };
         let is_category = matches!(term.effect, Effect::Tool(_) | Effect::Condition(_));
         if term.target == Target::Elongation && !is_category {
             p = match &term.effect {
-                Effect::Gain(m) => p.plus(Fine(m.times(i64::from(p.0)))),
+                Effect::Gain(m) => p.saturating_add(FineNanometres(m.multiply(i64::from(p.0)))),
                 Effect::Curvature(m) => {
                     let held = p.0.clamp(-(1 << 28), 1 << 28);
-                    p.plus(Fine(m.times(product(held, held) >> 24)))
+                    p.saturating_add(FineNanometres(m.multiply(widening_mul(held, held) >> 24)))
                 }
                 Effect::Saturation(limit) => p.min(*limit),
                 Effect::Heat { .. } | Effect::SpeedHeat { .. } | Effect::Time { .. } => {
-                    p.plus(states.value(index))
+                    p.saturating_add(states.thermal_effect(index))
                 }
                 Effect::Speed(m) => {
                     let rpm = i64::from(operating.speed.unwrap_or_default().0);
-                    p.plus(Fine(m.times(rpm.wrapping_mul(rpm))))
+                    p.saturating_add(FineNanometres(m.multiply(rpm.wrapping_mul(rpm))))
                 }
-                Effect::Load(m) => p.plus(Fine(m.times(i64::from(operating.load)))),
+                Effect::Load(m) => {
+                    p.saturating_add(FineNanometres(m.multiply(i64::from(operating.load))))
+                }
                 _ => p,
             }
-            .plus(term.constant);
+            .saturating_add(term.constant);
         }
     }
     p
@@ -71,19 +77,23 @@ fn walk(
 
 /// Returns what the terms of the axes add, and whether a position is outside a table.
 #[must_use]
-pub fn axis_errors(terms: &Terms<'_>, states: &TermStates, place: &Place) -> ([Fine; 3], bool) {
-    let (mut errors, mut outside) = ([Fine::ZERO; 3], false);
+pub fn compute_axis_errors(
+    terms: &Terms<'_>,
+    states: &TermStates,
+    place: &MachinePosition,
+) -> ([FineNanometres; 3], bool) {
+    let (mut errors, mut outside) = ([FineNanometres::ZERO; 3], false);
     for (index, term) in terms.iter().enumerate() {
         let Some(term) = term else { break };
         let Target::Axis(own) = term.target else { continue };
         let Some(error) = errors.get_mut(own as usize) else { continue };
         let (part, beyond) = match &term.effect {
             effect @ (Effect::Tool(_) | Effect::Condition(_)) => {
-                (states.category(index, effect, place.of(own).0.into()), false)
+                (states.category_effect(index, effect, place.axis_position(own).0.into()), false)
             }
-            effect => effect.at(own, states.value(index), place),
+            effect => effect.error_at(own, states.thermal_effect(index), place),
         };
-        *error = error.plus(part).plus(term.constant);
+        *error = error.saturating_add(part).saturating_add(term.constant);
         outside |= beyond;
     }
     (errors, outside)

@@ -13,14 +13,14 @@ use std::{env, f64::consts::TAU, thread};
 
 use trueup_core::{
     dimensions::CODES_PER_TICK,
-    health::Health,
-    run_out::{FAMILY_WINDOWS, RunOut, WINDOW_MS},
-    units::{Code, READINGS_PER_CODE, Reading, Rpm},
+    run_out::{MIN_BASELINE_WINDOWS, RunOutMonitor, WINDOW_MS},
+    sensor_health::SensorHealth,
+    units::{AdcCode, READING_UNITS_PER_CODE, Reading, Rpm},
 };
 
 use crate::random::Random;
 
-type Block = [Code; CODES_PER_TICK];
+type Block = [AdcCode; CODES_PER_TICK];
 
 /// A sensor in codes before a spindle that runs, stands, and grows.
 struct Sensor {
@@ -84,7 +84,7 @@ impl Sensor {
 
     /// Without run-out and noise.
     fn reading(&self) -> Reading {
-        Reading((self.level * f64::from(READINGS_PER_CODE)) as i32)
+        Reading((self.level * f64::from(READING_UNITS_PER_CODE)) as i32)
     }
 
     fn block(&mut self) -> Block {
@@ -103,22 +103,22 @@ impl Sensor {
             let (further_cosine, further_sine) = self.within[n];
             let run_out = run_out * (sine * further_cosine + cosine * further_sine);
             let code = level + run_out + noise * normals[n];
-            Code((code + 0.5).clamp(0.0, 4_095.0) as u16)
+            AdcCode((code + 0.5).clamp(0.0, 4_095.0) as u16)
         })
     }
 }
 
 /// Alarms of a sensor that is well, over this many hours.
 fn false_alarms(noise: f64, hours: f64, seed: u64) -> u64 {
-    let (mut sensor, mut health) = (Sensor::new(noise, seed), Health::default());
-    let mut run_out = RunOut::default();
+    let (mut sensor, mut health) = (Sensor::new(noise, seed), SensorHealth::default());
+    let mut run_out = RunOutMonitor::default();
     let (mut was_well, mut was_odd) = (false, false);
     let mut alarms = 0;
     for ms in 0..(hours * 3.6e6) as u64 {
         let block = sensor.block();
         let is_well = health.check(&block, sensor.turns).is_some();
         match sensor.speed() {
-            Rpm(0) => run_out.stop(),
+            Rpm(0) => run_out.record_standstill(),
             speed => run_out.receive(&block, sensor.reading(), speed),
         }
         let is_odd = health.has_jumped() || run_out.is_anomalous();
@@ -170,18 +170,18 @@ fn campaign_a_sound_sensor_is_believed_for_hundreds_of_hours() {
 struct Detector {
     name: &'static str,
     found_within_ms: u32,
-    bend: fn(Code, &mut Fault) -> Code,
+    bend: fn(AdcCode, &mut Fault) -> AdcCode,
     /// Whether the spindle has to turn for it to be judged, where noise is below 0.3 codes.
     needs_life: bool,
-    is_told: fn(&Health) -> bool,
+    is_told: fn(&SensorHealth) -> bool,
 }
 
 /// Not at all: the codes are not believed.
-const BY_ITS_CODES: fn(&Health) -> bool = |_| false;
+const BY_ITS_CODES: fn(&SensorHealth) -> bool = |_| false;
 
 /// The state of a fault.
 struct Fault {
-    stuck: Code,
+    stuck: AdcCode,
     number: u32,
     /// Of a jump, in codes.
     by: i16,
@@ -191,23 +191,23 @@ const DETECTORS: [Detector; 6] = [
     Detector {
         name: "open",
         found_within_ms: 1,
-        bend: |_, _| Code(0),
+        bend: |_, _| AdcCode(0),
         needs_life: false,
         is_told: BY_ITS_CODES,
     },
     Detector {
         name: "short",
         found_within_ms: 1,
-        bend: |_, _| Code(4_095),
+        bend: |_, _| AdcCode(4_095),
         needs_life: false,
         is_told: BY_ITS_CODES,
     },
     Detector {
         name: "slew in range",
         found_within_ms: 1,
-        bend: |code, it| Code(code.0.saturating_add_signed(it.by)),
+        bend: |code, it| AdcCode(code.0.saturating_add_signed(it.by)),
         needs_life: false,
-        is_told: Health::has_jumped,
+        is_told: SensorHealth::has_jumped,
     },
     Detector {
         // Even ones over the whole range, as of a converter that is lost.
@@ -215,7 +215,7 @@ const DETECTORS: [Detector; 6] = [
         found_within_ms: 2,
         bend: |_, it| {
             it.number = it.number.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            Code(9 + (((it.number >> 16) * 4_078) >> 16) as u16)
+            AdcCode(9 + (((it.number >> 16) * 4_078) >> 16) as u16)
         },
         needs_life: false,
         is_told: BY_ITS_CODES,
@@ -226,7 +226,7 @@ const DETECTORS: [Detector; 6] = [
         found_within_ms: 4,
         bend: |code, fault| {
             fault.number += 1;
-            if fault.number % 4 == 0 { code } else { Code(4_095) }
+            if fault.number % 4 == 0 { code } else { AdcCode(4_095) }
         },
         needs_life: false,
         is_told: BY_ITS_CODES,
@@ -249,14 +249,14 @@ fn found(detector: &Detector, draws: u32, seed: u64) -> u32 {
         let mut sensor = Sensor::new(noise, (seed << 32) + u64::from(draw));
         sensor.level = random.between(100.0, 3_900.0);
         sensor.change();
-        let mut health = Health::default();
+        let mut health = SensorHealth::default();
         // A sensor of little noise has to have been seen for a while: 0.3 codes are in balance 0.73 to 1.
         let lived = random.between(1_800.0, 4_000.0) as u64;
         sensor.next_change = u64::MAX;
         // More than twelve times what noise of three codes makes of second differences, by either way.
         let by =
             if random.bits().is_multiple_of(2) { 100.0 } else { -100.0 } * random.between(1.0, 5.0);
-        let mut fault = Fault { stuck: Code(0), number: draw, by: by as i16 };
+        let mut fault = Fault { stuck: AdcCode(0), number: draw, by: by as i16 };
         // Not beyond a rail.
         sensor.level = sensor.level.clamp(650.0, 3_400.0);
         sensor.target = sensor.level;
@@ -284,7 +284,7 @@ fn found_spikes(draws: u32, seed: u64) -> u32 {
         let mut sensor = Sensor::new(noise, (seed << 32) + u64::from(draw));
         sensor.change();
         (sensor.next_change, sensor.target) = (u64::MAX, sensor.level);
-        let mut health = Health::default();
+        let mut health = SensorHealth::default();
         for _ in 0..500 {
             health.check(&sensor.block(), sensor.turns);
         }
@@ -294,7 +294,7 @@ fn found_spikes(draws: u32, seed: u64) -> u32 {
         let by =
             if random.bits().is_multiple_of(2) { 80.0 } else { -80.0 } * random.between(1.0, 7.0);
         for code in &mut block[first..first + length] {
-            *code = Code(code.0.saturating_add_signed(by as i16));
+            *code = AdcCode(code.0.saturating_add_signed(by as i16));
         }
         let passed = health.check(&block, sensor.turns).copied();
         let is_mended = passed.is_some_and(|it| {
@@ -320,7 +320,7 @@ fn found_run_outs(draws: u32, seed: u64) -> u32 {
         (sensor.next_change, sensor.target) = (u64::MAX, sensor.level);
         sensor.run_out_then = sensor.run_out_then.max(4.0);
         sensor.run_out = sensor.run_out_then;
-        let mut run_out = RunOut::default();
+        let mut run_out = RunOutMonitor::default();
         let mut lives = |sensor: &mut Sensor, windows: u32, until_odd: bool| {
             (0..windows * u32::from(WINDOW_MS)).any(|_| {
                 let block = sensor.block();
@@ -328,7 +328,7 @@ fn found_run_outs(draws: u32, seed: u64) -> u32 {
                 until_odd && run_out.is_anomalous()
             })
         };
-        lives(&mut sensor, u32::from(FAMILY_WINDOWS) + 1, false);
+        lives(&mut sensor, u32::from(MIN_BASELINE_WINDOWS) + 1, false);
         let grown = (5.0 * sensor.run_out).max(55.0);
         sensor.run_out_then = if draw % 2 == 0 { 0.4 * sensor.run_out } else { grown };
         found += u32::from(lives(&mut sensor, 3, true));

@@ -2,11 +2,11 @@
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use trueup_core::{
-    channels::{Channel, Channels},
-    set::IndexSet,
-    stillness::STILL_READINGS,
-    thermal_rate::{DEFAULT_TENTHS, RateLimit},
-    thermometer::{Raw, Thermometer},
+    freeze_detector::FROZEN_AFTER_READINGS,
+    index_set::IndexSet,
+    temperature_channels::{TemperatureChannel, TemperatureChannels},
+    thermal_rate::{DEFAULT_RATE_DECIKELVIN_PER_MIN, RateLimit},
+    thermometer::{RawReading, Thermometer},
     units::Temperature,
 };
 
@@ -18,21 +18,21 @@ fn three_thousand_dead_thermometers_are_found_at_the_fourth_reading_and_none_bef
     for _ in 0..3_000 {
         let celsius = random.between(-20.0, 120.0);
         let micro_ohms =
-            |c: f64| Raw((100e6 * (1.0 + 3.9083e-3 * c - 5.775e-7 * c * c)).round() as i32);
-        let mut channel = Channel::default();
+            |c: f64| RawReading((100e6 * (1.0 + 3.9083e-3 * c - 5.775e-7 * c * c)).round() as i32);
+        let mut channel = TemperatureChannel::default();
         for _ in 0..10 {
             let reading = micro_ohms(celsius + 0.03 * random.normal());
-            channel.receive(Thermometer::Pt100.read(reading).ok());
+            channel.receive(Thermometer::Pt100.convert(reading).ok());
             assert!(!channel.is_faulty());
         }
         // A wire that is off, a short circuit, a converter that does not answer: anywhere beyond −65…408 °C.
         let dead = match random.bits() % 3 {
-            0 => Raw(random.between(249.1e6, 2e9) as i32),
-            1 => Raw(random.between(0.0, 73.9e6) as i32),
-            _ => Raw::NONE,
+            0 => RawReading(random.between(249.1e6, 2e9) as i32),
+            1 => RawReading(random.between(0.0, 73.9e6) as i32),
+            _ => RawReading::NONE,
         };
         let readings = (1..=10).find(|_| {
-            channel.receive(Thermometer::Pt100.read(dead).ok());
+            channel.receive(Thermometer::Pt100.convert(dead).ok());
             channel.is_faulty()
         });
         assert_eq!(readings, Some(4), "{dead:?}");
@@ -41,7 +41,7 @@ fn three_thousand_dead_thermometers_are_found_at_the_fourth_reading_and_none_bef
 
 /// Returns how often a channel is bad, for `readings` readings a tenth of a second apart.
 fn bad_readings(readings: impl Iterator<Item = f64>) -> usize {
-    let mut channels = Channels::default();
+    let mut channels = TemperatureChannels::default();
     let received = readings.map(|celsius| {
         channels
             .receive(0, Some(Temperature((celsius * f64::from(Temperature::PER_KELVIN)) as i32)));
@@ -61,7 +61,7 @@ fn three_thousand_thermometers_that_jump_are_found_at_the_fourth_reading_and_sou
         |celsius: f64| Some(Temperature((celsius * f64::from(Temperature::PER_KELVIN)) as i32));
     for draw in 0..3_000 {
         let by = beyond();
-        let mut channel = Channel::default();
+        let mut channel = TemperatureChannel::default();
         (0..10).for_each(|_| channel.receive(step(40.0)));
         // Three are sparks.
         (0..draw % 4).for_each(|_| channel.receive(step(40.0 + by)));
@@ -75,7 +75,7 @@ fn three_thousand_thermometers_that_jump_are_found_at_the_fourth_reading_and_sou
         assert_eq!((1..=10).find(&mut received), Some(4), "{by} K");
         assert_eq!((5..=10).find(|it| !received(it)), Some(7), "{by} K");
         // Any that do not agree are no temperature.
-        let mut wild = Channel::default();
+        let mut wild = TemperatureChannel::default();
         (0..10).for_each(|_| wild.receive(step(40.0)));
         for reading in 1..=40 {
             let now = if reading % 2 == 0 { 40.0 + by } else { 40.0 - by };
@@ -100,7 +100,7 @@ fn a_thermometer_whose_first_results_are_none_or_unsettled_is_believed_at_the_fi
     let step = |celsius: i32| Some(Temperature(celsius * Temperature::PER_KELVIN));
     for first in [&[][..], &[None], &[None, None, None], &[None, step(-40)], &[step(300), step(90)]]
     {
-        let mut channel = Channel::default();
+        let mut channel = TemperatureChannel::default();
         first.iter().for_each(|it| channel.receive(*it));
         channel.receive(step(20));
         assert!(!channel.is_faulty() && channel.temperature() == step(20), "after {first:?}");
@@ -109,7 +109,11 @@ fn a_thermometer_whose_first_results_are_none_or_unsettled_is_believed_at_the_fi
 
 /// Returns the limit of a PT100 that a law uses, where none is stated.
 fn default_limit() -> RateLimit {
-    RateLimit::new(DEFAULT_TENTHS, Thermometer::Pt100.step(), IndexSet::default())
+    RateLimit::new(
+        DEFAULT_RATE_DECIKELVIN_PER_MIN,
+        Thermometer::Pt100.resolution(),
+        IndexSet::default(),
+    )
 }
 
 #[test]
@@ -122,10 +126,10 @@ fn three_thousand_steps_and_ramps_that_no_mass_can_make_are_found_and_none_is_be
             random.between(1.2, 60.0) * if random.bits().is_multiple_of(2) { 1.0 } else { -1.0 };
         let per_reading = (12.0 / 600.0_f64).max(random.between(0.0, 1.0).powi(4) * by.abs());
         let noise = STEP_C * random.between(0.0, 3.0);
-        let mut channel = Channel::default();
-        let mut read = |channel: &mut Channel, celsius: f64| {
+        let mut channel = TemperatureChannel::default();
+        let mut read = |channel: &mut TemperatureChannel, celsius: f64| {
             let reading = (celsius + noise * random.normal()) * f64::from(Temperature::PER_KELVIN);
-            channel.receive_within(Ok(Temperature(reading as i32)), &limit, false);
+            channel.receive_rate_limited(Ok(Temperature(reading as i32)), &limit, false);
             channel.is_in_doubt()
         };
         (0..100).for_each(|_| _ = read(&mut channel, 40.0));
@@ -158,7 +162,7 @@ impl Thermometers {
     }
 
     /// The next readings, a tenth of a second later; those before `from` are as they were.
-    fn read(&mut self, channels: &mut Channels, last: &mut [f64; 3], from: usize) {
+    fn read(&mut self, channels: &mut TemperatureChannels, last: &mut [f64; 3], from: usize) {
         for (number, last) in last.iter_mut().enumerate() {
             if self.random.uniform() < 1e-4 {
                 let far =
@@ -171,7 +175,11 @@ impl Thermometers {
                 *last = exact.round() * STEP_C;
             }
             let reading = *last * f64::from(Temperature::PER_KELVIN);
-            channels.receive_within(number, Ok(Temperature(reading as i32)), &default_limit());
+            channels.receive_rate_limited(
+                number,
+                Ok(Temperature(reading as i32)),
+                &default_limit(),
+            );
         }
     }
 }
@@ -182,10 +190,10 @@ fn a_thermometer_that_stops_is_found_in_40_s_beside_one_that_goes_on() {
     for draw in 0..1_000 {
         let noise = Random::new(40 + draw).between(0.6, 3.0);
         let mut sound = Thermometers::new(noise, 50_000 + draw);
-        let (mut channels, mut last) = (Channels::default(), [0.0; 3]);
+        let (mut channels, mut last) = (TemperatureChannels::default(), [0.0; 3]);
         // Eight minutes.
         (0..4_800).for_each(|_| sound.read(&mut channels, &mut last, 0));
-        let within = u32::from(STILL_READINGS) + 5;
+        let within = u32::from(FROZEN_AFTER_READINGS) + 5;
         let told = (0..within).any(|_| {
             sound.read(&mut channels, &mut last, 1);
             channels.is_faulty(0)
@@ -199,11 +207,11 @@ fn a_thermometer_that_stops_is_found_in_40_s_beside_one_that_goes_on() {
 fn sound_thermometers(hours: f64) {
     for noise in NOISES {
         let mut sound = Thermometers::new(noise, (1_000.0 * noise) as u64);
-        let (mut channels, mut last) = (Channels::default(), [0.0; 3]);
+        let (mut channels, mut last) = (TemperatureChannels::default(), [0.0; 3]);
         for reading in 0..(hours * 36_000.0) as u64 {
             sound.read(&mut channels, &mut last, 0);
             let faulty = (0..3).any(|number| channels.is_faulty(number));
-            let faulty = faulty || channels.doubtful() != IndexSet::default();
+            let faulty = faulty || channels.doubtful_channels() != IndexSet::default();
             assert!(!faulty, "noise of {noise} steps: an alarm at reading {reading}");
         }
         println!("thermometers, noise of {noise} steps: no false alarm in {hours} h");

@@ -3,25 +3,25 @@
 use proptest::{prelude::*, sample::select};
 use trueup_core::{
     calibration::{
-        AxisModel, AxisThermal, Calibration, Dual, ElongationSource, Names, SpindleModel,
-        SpindleTemperature, SpindleWarmup,
+        AxisModel, AxisThermalModel, Calibration, DualDrive, ElongationSource, MachineIdentity,
+        SpindleModel, SpindleTemperatureModel, SpindleWarmupModel,
     },
     cnc::LinearAxis,
     curve::{Curve, Segment},
-    dimensions::{CHANNELS, MAX_TERMS},
-    fixed::Scaled,
+    dimensions::{CHANNEL_COUNT, MAX_TERMS},
+    fixed_point::ScaledCoefficient,
     gradient::Gradient,
     kinematics::{self, Kinematics},
     lag::SmoothingFactor,
     limits::Limits,
-    pitch::{Beam, Pitch},
+    pitch_table::{Beam, PitchErrorTable},
     sensor::{SensorLaw, Slope},
-    term::{Effect, SpeedPower, Target, Term},
-    thermal::{Law, Piece},
+    term::{Effect, SpeedExponent, Target, Term},
+    thermal::{LawSegment, ThermalExpansionLaw},
     thermometer::Thermometer,
-    tool::Direction,
-    travel::{Config, Interval},
-    units::{Fine, Nanometres, Position, Reading, Temperature},
+    tool_direction::Direction,
+    travel::{Interval, ReversalConfig},
+    units::{FineNanometres, Nanometres, Position, Reading, Temperature},
     warmup,
 };
 
@@ -98,8 +98,8 @@ impl OwnedPitch {
             .boxed()
     }
 
-    fn pitch(&self) -> Pitch<'_> {
-        Pitch {
+    fn pitch(&self) -> PitchErrorTable<'_> {
+        PitchErrorTable {
             start: Position(self.start),
             step: Interval::new(self.step),
             forward: &self.forward,
@@ -112,9 +112,9 @@ type OwnedLaw = Vec<[u8; 20]>;
 
 fn law() -> BoxedStrategy<OwnedLaw> {
     let piece = numbers::<5>().prop_map(|[start, constant, slope, gradient, gradient_slope]| {
-        Piece {
+        LawSegment {
             start: Temperature(start),
-            constant: Fine(constant),
+            constant: FineNanometres(constant),
             constant_slope: slope,
             gradient: Gradient(gradient),
             gradient_slope,
@@ -157,21 +157,24 @@ impl OwnedAxis {
     fn axis(&self) -> AxisModel<'_> {
         let [origin, backlash, first, second] = self.numbers;
         AxisModel {
-            thermal: self.thermal.as_ref().map(|(channel, smoothing, pieces)| AxisThermal {
+            thermal: self.thermal.as_ref().map(|(channel, smoothing, pieces)| AxisThermalModel {
                 channel: *channel,
                 smoothing: SmoothingFactor(*smoothing),
                 smoothing_falling: SmoothingFactor(smoothing.rotate_left(7)),
                 origin: Position(origin),
-                law: Law { pieces },
+                law: ThermalExpansionLaw { pieces },
             }),
             pitch: self.pitch.as_ref().map(OwnedPitch::pitch),
-            dual: self.dual.as_ref().map(|(across, pitch)| Dual {
+            dual: self.dual.as_ref().map(|(across, pitch)| DualDrive {
                 across: *across,
                 beam: Beam::new(Position(first), Position(second)),
                 pitch: pitch.pitch(),
             }),
-            backlash: Fine(backlash),
-            travel: Config { hysteresis: self.sizes[0], ramp: Interval::new(self.sizes[1]) },
+            backlash: FineNanometres(backlash),
+            travel: ReversalConfig {
+                hysteresis: self.sizes[0],
+                ramp: Interval::new(self.sizes[1]),
+            },
             // From none to any.
             rapid: self.sizes[0].rotate_left(16),
         }
@@ -186,7 +189,7 @@ fn channel() -> impl Strategy<Value = u8> {
 /// A calibration that owns its tables.
 #[derive(Clone, Debug)]
 pub struct Machine {
-    thermometers: [Option<Thermometer>; CHANNELS],
+    thermometers: [Option<Thermometer>; CHANNEL_COUNT],
     chain: [Option<ElongationSource>; 3],
     sensor: [i32; 3],
     temperature: Option<(u8, u32, OwnedLaw)>,
@@ -204,13 +207,14 @@ pub struct Machine {
 fn term() -> BoxedStrategy<Term<'static>> {
     let target =
         prop_oneof![Just(Target::Elongation), select(&LinearAxis::ALL).prop_map(Target::Axis)];
-    let scaled = (number(), 0..70_u8).prop_map(|(mantissa, shift)| Scaled { mantissa, shift });
+    let scaled =
+        (number(), 0..70_u8).prop_map(|(mantissa, shift)| ScaledCoefficient { mantissa, shift });
     let parts = (scaled, numbers::<2>(), channel(), any::<u32>(), select(&LinearAxis::ALL), 0..14);
     let effect = parts.prop_map(|(m, [a, b], channel, smoothing, axis, kind)| match kind {
         0 => Effect::Offset,
         1 => Effect::Gain(m),
         2 => Effect::Curvature(m),
-        3 => Effect::Saturation(Fine(a)),
+        3 => Effect::Saturation(FineNanometres(a)),
         4 => Effect::Heat {
             channel,
             smoothing: SmoothingFactor(smoothing),
@@ -221,7 +225,7 @@ fn term() -> BoxedStrategy<Term<'static>> {
         6 => Effect::Speed(m),
         7 => Effect::Load(m),
         8 => Effect::Position { axis, gradient: Gradient(a) },
-        9 => Effect::Reversed { width: Fine(a), gradient: Gradient(b) },
+        9 => Effect::Reversed { width: FineNanometres(a), gradient: Gradient(b) },
         12 => Effect::HeatSlope {
             channel,
             smoothing: SmoothingFactor(smoothing),
@@ -229,14 +233,20 @@ fn term() -> BoxedStrategy<Term<'static>> {
             per_temperature: m,
         },
         10 | 11 => Effect::SpeedHeat {
-            power: if kind == 10 { SpeedPower::First } else { SpeedPower::Second },
+            power: if kind == 10 { SpeedExponent::First } else { SpeedExponent::Second },
             smoothing: SmoothingFactor(smoothing),
             per_unit: m,
         },
-        _ => Effect::Wave { turns: smoothing.into(), phase: smoothing, amplitude: Fine(a) },
+        _ => {
+            Effect::Wave { turns: smoothing.into(), phase: smoothing, amplitude: FineNanometres(a) }
+        }
     });
     (target, number(), effect)
-        .prop_map(|(target, constant, effect)| Term { target, constant: Fine(constant), effect })
+        .prop_map(|(target, constant, effect)| Term {
+            target,
+            constant: FineNanometres(constant),
+            effect,
+        })
         .boxed()
 }
 
@@ -319,18 +329,18 @@ impl Machine {
                 chain: self.chain,
                 sensor: SensorLaw { k0: Nanometres(k0), zero: Reading(zero), slope: Slope(slope) },
                 temperature: self.temperature.as_ref().map(|(channel, smoothing, pieces)| {
-                    SpindleTemperature {
+                    SpindleTemperatureModel {
                         channel: *channel,
                         smoothing: SmoothingFactor(*smoothing),
                         smoothing_falling: SmoothingFactor(smoothing.rotate_left(7)),
-                        law: Law { pieces },
+                        law: ThermalExpansionLaw { pieces },
                     }
                 }),
                 warmup: self.warmup.as_ref().map(|(lag_ms, [max, full], shares, power)| {
-                    SpindleWarmup {
-                        law: warmup::Warmup {
+                    SpindleWarmupModel {
+                        law: warmup::WarmupModel {
                             lag_ms: *lag_ms,
-                            max: Fine(*max),
+                            max: FineNanometres(*max),
                             smoothing_heating: SmoothingFactor(shares[0]),
                             smoothing_cooling: SmoothingFactor(shares[1]),
                             full: *full,
@@ -348,7 +358,7 @@ impl Machine {
             limits: self.limits,
             cold_within: Temperature(Temperature::PER_KELVIN / 2),
             guards: Default::default(),
-            names: Names::default(),
+            names: MachineIdentity::default(),
         }
     }
 }

@@ -18,30 +18,30 @@ fn hex(digits: u64) -> [u8; 8] {
 #[test]
 fn offset_frames_match_other_tools() {
     let nothing = output(Some([0; 3]), Quality::Off, 0, 0);
-    assert_eq!(offset_xy(&nothing, 0).data(), &hex(0xb609_0000_0000_0000));
+    assert_eq!(encode_offset_xy(&nothing, 0).data(), &hex(0xb609_0000_0000_0000));
     let some = output(Some([12_340, -56_780, -77_010]), Quality::Live, 0x22, 1);
-    assert_eq!(offset_xy(&some, 7).data(), &hex(0x7ce6_07d2_0420_9dfe));
-    assert_eq!(offset_z(&some, 7).data(), &hex(0x2cef_07eb_e11f_2201));
+    assert_eq!(encode_offset_xy(&some, 7).data(), &hex(0x7ce6_07d2_0420_9dfe));
+    assert_eq!(encode_offset_z(&some, 7).data(), &hex(0x2cef_07eb_e11f_2201));
     let ends = output(Some([5_242_870, -5_242_870, 0]), Quality::Off, 0, 0);
-    assert_eq!(offset_xy(&ends, 255).data(), &hex(0xe334_ffff_ff17_0080));
+    assert_eq!(encode_offset_xy(&ends, 255).data(), &hex(0xe334_ffff_ff17_0080));
     let missing = output(None, Quality::Fault, 0x88, 255);
-    assert_eq!(offset_xy(&missing, 1).data(), &hex(0x1277_0100_0008_0080));
-    assert_eq!(offset_z(&missing, 1).data(), &hex(0x6ff2_0100_0068_88ff));
+    assert_eq!(encode_offset_xy(&missing, 1).data(), &hex(0x1277_0100_0008_0080));
+    assert_eq!(encode_offset_z(&missing, 1).data(), &hex(0x6ff2_0100_0068_88ff));
 }
 
 #[test]
 fn command_frames_match_other_tools() {
     let cutting = Spindle { speed: Rpm(24_000), load_n: -1_500 };
-    assert_eq!(spindle(cutting, 3).data(), &hex(0xfd81_03c0_5d24_fa00));
+    assert_eq!(encode_spindle(cutting, 3).data(), &hex(0xfd81_03c0_5d24_fa00));
     let ends = Spindle { speed: Rpm(u16::MAX), load_n: i16::MAX };
-    assert_eq!(spindle(ends, 4).data(), &hex(0x8945_04ff_ffff_7f00));
+    assert_eq!(encode_spindle(ends, 4).data(), &hex(0x8945_04ff_ffff_7f00));
     let run = Control::ENGAGED;
-    assert_eq!(control(run, 9).data(), &hex(0xb4e6_0903_0000_0000));
+    assert_eq!(encode_control(run, 9).data(), &hex(0xb4e6_0903_0000_0000));
     let zero = Control { zero: true, ..Control::default() };
-    assert_eq!(control(zero, 10).data(), &hex(0x8537_0a04_0000_0000));
+    assert_eq!(encode_control(zero, 10).data(), &hex(0x8537_0a04_0000_0000));
 }
 
-fn at(axis: LinearAxis, position: i32, direction: Heading) -> AxisPosition {
+fn at(axis: LinearAxis, position: i32, direction: TravelDirection) -> AxisPosition {
     AxisPosition { axis, position: Position(position), direction }
 }
 
@@ -51,18 +51,21 @@ fn angles(first: i32, second: i32) -> Rotary {
 
 #[test]
 fn position_frames_match_other_tools() {
-    let x = at(LinearAxis::X, 123_456_789, Heading::Positive);
-    assert_eq!(position(x, 5).data(), &hex(0x8c4b_0515_cd5b_0701));
-    let y = at(LinearAxis::Y, -1_500_000_001, Heading::Negative);
-    assert_eq!(position(y, 200).data(), &hex(0xc3f3_c8ff_d097_a603));
-    let z = at(LinearAxis::Z, i32::MIN, Heading::Standing);
-    assert_eq!(position(z, 0).data(), &hex(0xb39f_0000_0000_8000));
-    let end = at(LinearAxis::Z, i32::MAX, Heading::Positive);
-    assert_eq!(position(end, 255).data(), &hex(0x0edc_ffff_ffff_7f01));
+    let x = at(LinearAxis::X, 123_456_789, TravelDirection::Positive);
+    assert_eq!(encode_position(x, 5).data(), &hex(0x8c4b_0515_cd5b_0701));
+    let y = at(LinearAxis::Y, -1_500_000_001, TravelDirection::Negative);
+    assert_eq!(encode_position(y, 200).data(), &hex(0xc3f3_c8ff_d097_a603));
+    let z = at(LinearAxis::Z, i32::MIN, TravelDirection::Standing);
+    assert_eq!(encode_position(z, 0).data(), &hex(0xb39f_0000_0000_8000));
+    let end = at(LinearAxis::Z, i32::MAX, TravelDirection::Positive);
+    assert_eq!(encode_position(end, 255).data(), &hex(0x0edc_ffff_ffff_7f01));
     // 90° and -33.3335°; both ends.
-    assert_eq!(rotary(angles(90_000_000, -33_333_500), 17).data(), &hex(0x83a7_1120_bf52_b9ef));
+    assert_eq!(
+        encode_rotary(angles(90_000_000, -33_333_500), 17).data(),
+        &hex(0x83a7_1120_bf52_b9ef)
+    );
     let ends = angles(-262_144_000, 262_143_500);
-    assert_eq!(rotary(ends, 18).data(), &hex(0x5962_1200_00f8_ff7f));
+    assert_eq!(encode_rotary(ends, 18).data(), &hex(0x5962_1200_00f8_ff7f));
 }
 
 #[test]
@@ -81,23 +84,23 @@ fn angles_round_half_away_from_zero_and_saturate_at_their_20_bits() {
         (i32::MAX, 262_143_500),
         (i32::MIN, -262_144_000),
     ] {
-        let frame = rotary(angles(sent, 0), 0);
+        let frame = encode_rotary(angles(sent, 0), 0);
         assert_eq!(decode_rotary(&frame), Ok(angles(came, 0)), "{sent} micro-degrees");
     }
 }
 
 #[test]
 fn a_direction_that_is_none_is_refused() {
-    let mut data = *position(at(LinearAxis::Y, 1, Heading::Standing), 0).data();
+    let mut data = *encode_position(at(LinearAxis::Y, 1, TravelDirection::Standing), 0).data();
     DIRECTION.insert(&mut data, -2);
-    let error = decode_position(LinearAxis::Y, &Frame::full(POSITION_Y_ID, data));
+    let error = decode_position(LinearAxis::Y, &Frame::from_data(POSITION_Y_ID, data));
     assert_eq!(error, Err(DecodeError::Value { signal: "Direction", raw: -2 }));
 }
 
 #[test]
 fn the_position_of_one_axis_is_none_of_another() {
     for axis in LinearAxis::ALL {
-        let frame = position(at(axis, -5, Heading::Positive), 3);
+        let frame = encode_position(at(axis, -5, TravelDirection::Positive), 3);
         for expected in LinearAxis::ALL {
             let is_same = expected == axis;
             assert_eq!(decode_position(expected, &frame).is_ok(), is_same, "{axis:?}");
@@ -107,9 +110,9 @@ fn the_position_of_one_axis_is_none_of_another() {
 
 #[test]
 fn heartbeats_match_other_tools() {
-    assert_eq!(heartbeat(State::BootUp).payload(), [0x00]);
-    assert_eq!(heartbeat(State::Operational).payload(), [0x05]);
-    assert_eq!(heartbeat(State::PreOperational).payload(), [0x7F]);
+    assert_eq!(encode_heartbeat(NmtState::BootUp).payload(), [0x00]);
+    assert_eq!(encode_heartbeat(NmtState::Operational).payload(), [0x05]);
+    assert_eq!(encode_heartbeat(NmtState::PreOperational).payload(), [0x7F]);
 }
 
 #[test]
@@ -139,20 +142,20 @@ fn one_missing_half_makes_x_and_y_missing() {
     for signal in [OFFSET_X, OFFSET_Y] {
         let mut data = [0; 8];
         signal.insert(&mut data, NOT_AVAILABLE_RAW);
-        let frame = Frame::full(OFFSET_XY_ID, data);
+        let frame = Frame::from_data(OFFSET_XY_ID, data);
         assert_eq!(decode_offset_xy(&frame), Ok(OffsetXy { offset: None }));
     }
 }
 
 #[test]
 fn the_reserved_bit_of_a_heartbeat_is_ignored() {
-    let frame = Frame::single(HEARTBEAT_ID, 0x85);
-    assert_eq!(decode_heartbeat(&frame), Ok(State::Operational));
+    let frame = Frame::from_byte(HEARTBEAT_ID, 0x85);
+    assert_eq!(decode_heartbeat(&frame), Ok(NmtState::Operational));
 }
 
 #[test]
 fn another_identifier_length_or_value_is_refused_with_what_was_found() {
-    let frame = control(Control::default(), 0);
+    let frame = encode_control(Control::default(), 0);
     assert_eq!(
         decode_spindle(&frame),
         Err(DecodeError::Identifier { expected: SPINDLE_ID, found: CONTROL_ID })
@@ -162,11 +165,11 @@ fn another_identifier_length_or_value_is_refused_with_what_was_found() {
     for raw in 7..16 {
         let mut data = [0; 8];
         QUALITY.insert(&mut data, raw);
-        let error = decode_offset_z(&Frame::full(OFFSET_Z_ID, data)).unwrap_err();
+        let error = decode_offset_z(&Frame::from_data(OFFSET_Z_ID, data)).unwrap_err();
         let signal = "Quality";
         assert_eq!(error, DecodeError::Value { signal, raw });
     }
-    let error = decode_heartbeat(&Frame::single(HEARTBEAT_ID, 1)).unwrap_err();
+    let error = decode_heartbeat(&Frame::from_byte(HEARTBEAT_ID, 1)).unwrap_err();
     let signal = "State";
     assert_eq!(error, DecodeError::Value { signal, raw: 1 });
 }
@@ -178,8 +181,8 @@ proptest! {
         quality in 0_u8..=6, flags: u8, age_ms: u8, count: u8,
     ) {
         let sent = output(nm, Quality::from_wire(quality).unwrap(), flags, age_ms);
-        let (first, second) = (offset_xy(&sent, count), offset_z(&sent, count));
-        prop_assert_eq!((counter(&first), counter(&second)), (count, count));
+        let (first, second) = (encode_offset_xy(&sent, count), encode_offset_z(&sent, count));
+        prop_assert_eq!((e2e_counter(&first), e2e_counter(&second)), (count, count));
         let xy = decode_offset_xy(&first).unwrap();
         let z = decode_offset_z(&second).unwrap();
         prop_assert_eq!((z.quality, z.flags, z.age_ms), (sent.quality, sent.flags, age_ms));
@@ -196,18 +199,18 @@ proptest! {
     #[test]
     fn commands_come_back_whole(speed: u16, load_n: i16, bits in 0_u8..32, part in 0_u8..8, count: u8) {
         let sent = Spindle { speed: Rpm(speed), load_n };
-        prop_assert_eq!(decode_spindle(&spindle(sent, count)), Ok(sent));
+        prop_assert_eq!(decode_spindle(&encode_spindle(sent, count)), Ok(sent));
         let sent = Conditions { tool: speed, bits: load_n.cast_unsigned() };
-        prop_assert_eq!(decode_conditions(&conditions(sent, count)), Ok(sent));
+        prop_assert_eq!(decode_conditions(&encode_conditions(sent, count)), Ok(sent));
         let sent = Control {
             engage: bits & 1 != 0,
             referenced: bits & 2 != 0,
             zero: bits & 4 != 0,
             service: bits & 8 != 0,
             confirm: bits & 16 != 0,
-            learned: Change { part, amount: load_n, calibration: speed },
+            learned: ChangeRequest { part, amount: load_n, calibration: speed },
         };
-        prop_assert_eq!(decode_control(&control(sent, count)), Ok(sent));
+        prop_assert_eq!(decode_control(&encode_control(sent, count)), Ok(sent));
     }
 
     #[test]
@@ -216,11 +219,11 @@ proptest! {
         sent in prop::array::uniform2(-262_144_249..=262_143_749),
     ) {
         let axis = LinearAxis::ALL[axis];
-        let there = at(axis, place, Heading::from_wire(heading).unwrap());
-        let frame = position(there, count);
-        prop_assert_eq!(counter(&frame), count);
+        let there = at(axis, place, TravelDirection::from_wire(heading).unwrap());
+        let frame = encode_position(there, count);
+        prop_assert_eq!(e2e_counter(&frame), count);
         prop_assert_eq!(decode_position(axis, &frame), Ok(there));
-        let came = decode_rotary(&rotary(angles(sent[0], sent[1]), count)).unwrap();
+        let came = decode_rotary(&encode_rotary(angles(sent[0], sent[1]), count)).unwrap();
         for (sent, MicroDegrees(came)) in sent.into_iter().zip(came.angles) {
             prop_assert!((sent - came).abs() <= MICRO_DEGREES_PER_BIT / 2);
             prop_assert_eq!(came % MICRO_DEGREES_PER_BIT, 0);

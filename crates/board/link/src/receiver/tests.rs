@@ -3,13 +3,16 @@
 use super::*;
 use crate::{
     e2e,
-    frames::{State, control, heartbeat, offset_xy, offset_z, position, rotary, spindle},
+    frames::{
+        NmtState, encode_control, encode_heartbeat, encode_offset_xy, encode_offset_z,
+        encode_position, encode_rotary, encode_spindle,
+    },
     layout::{DIRECTION, QUALITY},
 };
 use proptest::prelude::*;
 use std::string::ToString;
 use trueup_core::{
-    cnc::{AxisPosition, Control, Flags, Heading, Quality, Rotary, Spindle},
+    cnc::{AxisPosition, Control, Flags, Quality, Rotary, Spindle, TravelDirection},
     units::{MicroDegrees, Nanometres, Position, Rpm},
 };
 
@@ -39,9 +42,9 @@ fn damaged(frame: Frame) -> Frame {
 fn commands_are_told_apart_and_each_has_its_own_sequence() {
     let mut receiver = Receiver::new();
     for counter in 0..=u8::MAX {
-        let frame = control(ENGAGED, counter);
+        let frame = encode_control(ENGAGED, counter);
         assert_eq!(receiver.accept(&frame), Ok(Some(Command::Control(ENGAGED))));
-        let frame = spindle(TURNING, counter.wrapping_mul(3));
+        let frame = encode_spindle(TURNING, counter.wrapping_mul(3));
         assert_eq!(receiver.accept(&frame), Ok(Some(Command::Spindle(TURNING))));
     }
     let expected = Counters { accepted: 512, lost: 255 * 2, ..Counters::default() };
@@ -49,7 +52,7 @@ fn commands_are_told_apart_and_each_has_its_own_sequence() {
 }
 
 fn at(axis: LinearAxis, position: i32) -> AxisPosition {
-    AxisPosition { axis, position: Position(position), direction: Heading::Positive }
+    AxisPosition { axis, position: Position(position), direction: TravelDirection::Positive }
 }
 
 #[test]
@@ -59,10 +62,10 @@ fn each_axis_and_the_rotary_pair_has_its_own_sequence() {
     for step in 0..=u8::MAX {
         for (axis, stride) in LinearAxis::ALL.into_iter().zip([1, 3, 5]) {
             let there = at(axis, i32::from(step) * 1_000 - 64_000);
-            let frame = position(there, step.wrapping_mul(stride));
+            let frame = encode_position(there, step.wrapping_mul(stride));
             assert_eq!(receiver.accept(&frame), Ok(Some(Command::Position(there))));
         }
-        let frame = rotary(turned, step.wrapping_mul(7));
+        let frame = encode_rotary(turned, step.wrapping_mul(7));
         assert_eq!(receiver.accept(&frame), Ok(Some(Command::Rotary(turned))));
     }
     let lost = 255 * (2 + 4 + 6);
@@ -73,28 +76,28 @@ fn each_axis_and_the_rotary_pair_has_its_own_sequence() {
 #[test]
 fn the_frame_of_one_axis_under_the_identifier_of_another_is_refused() {
     let mut receiver = Receiver::new();
-    let x = position(at(LinearAxis::X, 5), 0);
+    let x = encode_position(at(LinearAxis::X, 5), 0);
     let moved = Frame::new(POSITION_Y_ID, x.data()).unwrap();
     let refused = receiver.accept(&moved).unwrap_err();
-    assert!(matches!(refused, Refused::E2e(E2eError::Crc { .. })));
+    assert!(matches!(refused, ReceiveError::E2e(E2eError::Crc { .. })));
     assert_eq!(receiver.counters().crc_errors, 1);
 }
 
 #[test]
 fn a_direction_without_meaning_is_refused_although_its_protection_holds() {
     let mut receiver = Receiver::new();
-    let mut data = *position(at(LinearAxis::Z, 5), 0).data();
+    let mut data = *encode_position(at(LinearAxis::Z, 5), 0).data();
     DIRECTION.insert(&mut data, -2);
     e2e::protect(POSITION_Z_ID, 0, &mut data);
     let refused = receiver.accept(&Frame::new(POSITION_Z_ID, &data).unwrap());
-    assert!(matches!(refused, Err(Refused::Decode(DecodeError::Value { raw: -2, .. }))));
+    assert!(matches!(refused, Err(ReceiveError::Decode(DecodeError::Value { raw: -2, .. }))));
     assert_eq!(receiver.counters().malformed, 1);
 }
 
 #[test]
 fn frames_for_others_are_passed_over_and_not_counted() {
     let mut receiver = Receiver::new();
-    for frame in [offset_xy(&output(0), 0), heartbeat(State::Operational)] {
+    for frame in [encode_offset_xy(&output(0), 0), encode_heartbeat(NmtState::Operational)] {
         assert_eq!(receiver.accept(&frame), Ok(None));
     }
     assert_eq!(receiver.counters(), Counters::default());
@@ -103,15 +106,15 @@ fn frames_for_others_are_passed_over_and_not_counted() {
 #[test]
 fn every_kind_of_fault_is_refused_and_counted_once() {
     let mut receiver = Receiver::new();
-    let frame = control(ENGAGED, 7);
+    let frame = encode_control(ENGAGED, 7);
     receiver.accept(&frame).unwrap();
     let refused = receiver.accept(&damaged(frame)).unwrap_err();
-    assert!(matches!(refused, Refused::E2e(E2eError::Crc { .. })));
+    assert!(matches!(refused, ReceiveError::E2e(E2eError::Crc { .. })));
     let refused = receiver.accept(&frame).unwrap_err();
-    assert_eq!(refused, Refused::E2e(E2eError::Repeated { counter: 7 }));
+    assert_eq!(refused, ReceiveError::E2e(E2eError::Repeated { counter: 7 }));
     let short = Frame::new(CONTROL_ID, &frame.payload()[..7]).unwrap();
     let refused = receiver.accept(&short).unwrap_err();
-    assert!(matches!(refused, Refused::Decode(DecodeError::Length { .. })));
+    assert!(matches!(refused, ReceiveError::Decode(DecodeError::Length { .. })));
     let expected =
         Counters { accepted: 1, malformed: 1, crc_errors: 1, sequence_errors: 1, lost: 0 };
     assert_eq!(receiver.counters(), expected);
@@ -121,27 +124,27 @@ fn every_kind_of_fault_is_refused_and_counted_once() {
 fn only_a_frame_that_is_whole_and_out_of_sequence_speaks_of_a_second_sender() {
     let mut receiver = Receiver::new();
     let mut is_sound =
-        |frame: Frame| receiver.accept(&frame).err().map(|refused| refused.is_sound());
-    let sent = control(ENGAGED, 7);
+        |frame: Frame| receiver.accept(&frame).err().map(|refused| refused.is_sequence_error());
+    let sent = encode_control(ENGAGED, 7);
     assert_eq!(is_sound(sent), None);
     assert_eq!(is_sound(sent), Some(true), "repeated");
-    assert_eq!(is_sound(control(ENGAGED, 207)), Some(true), "out of sequence");
+    assert_eq!(is_sound(encode_control(ENGAGED, 207)), Some(true), "out of sequence");
     assert_eq!(is_sound(Frame::new(CONTROL_ID, &sent.payload()[..7]).unwrap()), Some(false));
     // Noise, until nothing is trusted: then a whole frame in order says no more than that it is late.
     for _ in 0..8 {
         assert_eq!(is_sound(damaged(sent)), Some(false), "damaged");
     }
-    assert_eq!(is_sound(control(ENGAGED, 208)), Some(false), "not trusted yet");
+    assert_eq!(is_sound(encode_control(ENGAGED, 208)), Some(false), "not trusted yet");
 }
 
 #[test]
 fn a_restarted_cnc_is_heard_again_with_its_second_frame() {
     let mut receiver = Receiver::new();
-    receiver.accept(&control(ENGAGED, 100)).unwrap();
+    receiver.accept(&encode_control(ENGAGED, 100)).unwrap();
     let (last, counter) = (100, 0);
-    let refused = receiver.accept(&control(ENGAGED, counter)).unwrap_err();
-    assert_eq!(refused, Refused::E2e(E2eError::WrongSequence { last, counter }));
-    let received = receiver.accept(&control(ENGAGED, 1));
+    let refused = receiver.accept(&encode_control(ENGAGED, counter)).unwrap_err();
+    assert_eq!(refused, ReceiveError::E2e(E2eError::WrongSequence { last, counter }));
+    let received = receiver.accept(&encode_control(ENGAGED, 1));
     assert_eq!(received, Ok(Some(Command::Control(ENGAGED))));
 }
 
@@ -150,7 +153,7 @@ fn a_cycle_comes_out_once_with_its_second_half_in_either_order() {
     let mut receiver = OffsetReceiver::new();
     for cycle in 0..=u8::MAX {
         let sent = output(cycle);
-        let mut halves = [offset_xy(&sent, cycle), offset_z(&sent, cycle)];
+        let mut halves = [encode_offset_xy(&sent, cycle), encode_offset_z(&sent, cycle)];
         if cycle % 3 == 0 {
             halves.reverse();
         }
@@ -158,40 +161,40 @@ fn a_cycle_comes_out_once_with_its_second_half_in_either_order() {
         assert_eq!(receiver.accept(&halves[1]), Ok(Some(sent)));
     }
     assert_eq!(receiver.counters().accepted, 512);
-    assert_eq!(receiver.unpaired(), 0);
+    assert_eq!(receiver.unpaired_count(), 0);
 }
 
 #[test]
 fn halves_of_different_cycles_are_never_joined() {
     let mut receiver = OffsetReceiver::new();
-    assert_eq!(receiver.accept(&offset_xy(&output(1), 1)), Ok(None));
-    assert_eq!(receiver.accept(&offset_z(&output(2), 2)), Ok(None));
-    assert_eq!(receiver.accept(&offset_xy(&output(3), 3)), Ok(None));
-    assert_eq!(receiver.accept(&offset_z(&output(3), 3)), Ok(Some(output(3))));
-    assert_eq!(receiver.unpaired(), 2);
+    assert_eq!(receiver.accept(&encode_offset_xy(&output(1), 1)), Ok(None));
+    assert_eq!(receiver.accept(&encode_offset_z(&output(2), 2)), Ok(None));
+    assert_eq!(receiver.accept(&encode_offset_xy(&output(3), 3)), Ok(None));
+    assert_eq!(receiver.accept(&encode_offset_z(&output(3), 3)), Ok(Some(output(3))));
+    assert_eq!(receiver.unpaired_count(), 2);
     assert_eq!(receiver.counters().lost, 1);
 }
 
 #[test]
 fn a_damaged_half_drops_its_cycle_alone() {
     let mut receiver = OffsetReceiver::new();
-    assert_eq!(receiver.accept(&offset_xy(&output(1), 1)), Ok(None));
-    assert!(receiver.accept(&damaged(offset_z(&output(1), 1))).is_err());
-    assert_eq!(receiver.accept(&offset_xy(&output(2), 2)), Ok(None));
-    assert_eq!(receiver.accept(&offset_z(&output(2), 2)), Ok(Some(output(2))));
-    assert_eq!((receiver.counters().crc_errors, receiver.unpaired()), (1, 1));
+    assert_eq!(receiver.accept(&encode_offset_xy(&output(1), 1)), Ok(None));
+    assert!(receiver.accept(&damaged(encode_offset_z(&output(1), 1))).is_err());
+    assert_eq!(receiver.accept(&encode_offset_xy(&output(2), 2)), Ok(None));
+    assert_eq!(receiver.accept(&encode_offset_z(&output(2), 2)), Ok(Some(output(2))));
+    assert_eq!((receiver.counters().crc_errors, receiver.unpaired_count()), (1, 1));
 }
 
 #[test]
 fn a_repeated_cycle_is_not_given_out_again() {
     let mut receiver = OffsetReceiver::new();
-    let halves = [offset_xy(&output(1), 1), offset_z(&output(1), 1)];
+    let halves = [encode_offset_xy(&output(1), 1), encode_offset_z(&output(1), 1)];
     for half in &halves {
         receiver.accept(half).unwrap();
     }
     for half in &halves {
         let refused = receiver.accept(half).unwrap_err();
-        assert_eq!(refused, Refused::E2e(E2eError::Repeated { counter: 1 }));
+        assert_eq!(refused, ReceiveError::E2e(E2eError::Repeated { counter: 1 }));
     }
 }
 
@@ -199,18 +202,18 @@ fn a_repeated_cycle_is_not_given_out_again() {
 fn a_missing_offset_is_given_out_as_missing() {
     let mut receiver = OffsetReceiver::new();
     let sent = Output { offset: None, quality: Quality::Fault, ..output(0) };
-    assert_eq!(receiver.accept(&offset_xy(&sent, 0)), Ok(None));
-    assert_eq!(receiver.accept(&offset_z(&sent, 0)), Ok(Some(sent)));
+    assert_eq!(receiver.accept(&encode_offset_xy(&sent, 0)), Ok(None));
+    assert_eq!(receiver.accept(&encode_offset_z(&sent, 0)), Ok(Some(sent)));
 }
 
 #[test]
 fn a_quality_without_meaning_is_refused_although_its_protection_holds() {
     let mut receiver = OffsetReceiver::new();
-    let mut data = *offset_z(&output(0), 0).data();
+    let mut data = *encode_offset_z(&output(0), 0).data();
     QUALITY.insert(&mut data, 9);
     e2e::protect(OFFSET_Z_ID, 0, &mut data);
     let refused = receiver.accept(&Frame::new(OFFSET_Z_ID, &data).unwrap());
-    assert!(matches!(refused, Err(Refused::Decode(DecodeError::Value { raw: 9, .. }))));
+    assert!(matches!(refused, Err(ReceiveError::Decode(DecodeError::Value { raw: 9, .. }))));
     assert_eq!(receiver.counters().malformed, 1);
 }
 
@@ -223,7 +226,7 @@ proptest! {
         let mut newest = None;
         for (cycle, (xy, z)) in (0_u8..=255).cycle().zip(fates) {
             let sent = output(cycle);
-            for (fate, frame) in [(xy, offset_xy(&sent, cycle)), (z, offset_z(&sent, cycle))] {
+            for (fate, frame) in [(xy, encode_offset_xy(&sent, cycle)), (z, encode_offset_z(&sent, cycle))] {
                 let arriving: &[Frame] = match fate {
                     0 => &[],
                     1 => &[damaged(frame)],
@@ -256,8 +259,8 @@ fn what_a_cnc_sends_is_what_the_bridge_takes_as_a_command() {
 fn a_frame_that_is_not_trusted_yet_is_told_apart_from_one_that_is_wrong() {
     let error = E2eError::Repeated { counter: 4 };
     let length = DecodeError::Length { expected: 8, found: 7 };
-    assert_eq!(Refused::E2e(error).to_string(), error.to_string());
-    assert_eq!(Refused::Decode(length).to_string(), length.to_string());
+    assert_eq!(ReceiveError::E2e(error).to_string(), error.to_string());
+    assert_eq!(ReceiveError::Decode(length).to_string(), length.to_string());
     let told = "not trusted yet: before it, counter 4 is repeated";
-    assert_eq!(Refused::Untrusted(error).to_string(), told);
+    assert_eq!(ReceiveError::Untrusted(error).to_string(), told);
 }

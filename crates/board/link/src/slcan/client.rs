@@ -1,13 +1,13 @@
 //! The host's end of the line: frames and answers out of what an adapter sends.
 
-use super::{BELL, Line, LineSplitter, SlcanError, decode_line};
+use super::{BELL, LineBuffer, LineSplitter, SlcanError, decode_line};
 use crate::frame::Frame;
 
 /// The lines with which a client starts over with an adapter in any state: ends a line that was left over, closes, sets
 /// 1 Mbit/s, switches time stamps off, which an adapter keeps over a power cut, and opens.
-pub const OPEN: &[u8] = b"\rC\rS8\rZ0\rO\r";
+pub const OPEN_SEQUENCE: &[u8] = b"\rC\rS8\rZ0\rO\r";
 /// Line that a client sends to leave.
-pub const CLOSE: &[u8] = b"C\r";
+pub const CLOSE_COMMAND: &[u8] = b"C\r";
 
 /// Message of an adapter.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -20,7 +20,7 @@ pub enum Event {
     Refused,
     /// Something else: version, serial number, status, or a frame that is not a standard data
     /// frame.
-    Other(Line),
+    Other(LineBuffer),
     /// A data frame that cannot be read, or a line that is too long.
     Malformed(SlcanError),
 }
@@ -59,15 +59,15 @@ impl Client {
             // `z` is how adapters with automatic polling accept a frame.
             Ok(line) if line.is_empty() || line == b"z" => Event::Accepted,
             Ok(line) if line.first() == Some(&b't') => {
-                decode_line(unstamped(line)).map_or_else(Event::Malformed, Event::Frame)
+                decode_line(strip_timestamp(line)).map_or_else(Event::Malformed, Event::Frame)
             }
-            Ok(line) => Event::Other(Line::from_slice(line).unwrap_or_default()),
+            Ok(line) => Event::Other(LineBuffer::from_slice(line).unwrap_or_default()),
         })
     }
 }
 
 /// Returns a frame's line without the time that some adapters add to it (`Z1`): 4 digits of ms, or 8 of µs.
-fn unstamped(line: &[u8]) -> &[u8] {
+fn strip_timestamp(line: &[u8]) -> &[u8] {
     let Some(length) = line.get(4).and_then(|digit| char::from(*digit).to_digit(16)) else {
         return line;
     };
@@ -117,7 +117,7 @@ mod tests {
                 port.receive(*byte);
             }
             received(&mut client, &mut port);
-            for byte in OPEN {
+            for byte in OPEN_SEQUENCE {
                 port.receive(*byte);
             }
             let answers = received(&mut client, &mut port);
@@ -126,7 +126,7 @@ mod tests {
             let frame = Frame::new(0x281, &[1, 2, 3]).unwrap();
             assert!(port.send(&frame));
             assert_eq!(received(&mut client, &mut port), [Event::Frame(frame)]);
-            for byte in CLOSE {
+            for byte in CLOSE_COMMAND {
                 port.receive(*byte);
             }
             assert!(!port.is_open());

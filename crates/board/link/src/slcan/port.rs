@@ -16,7 +16,9 @@
 
 use heapless::Vec;
 
-use super::{BELL, CR, Fields, LineSplitter, SlcanError, bytes_of_line, digit, len_of_line};
+use super::{
+    BELL, CR, LineParser, LineSplitter, SlcanError, encode_line_bytes, hex_digit, line_length,
+};
 use crate::frame::Frame;
 
 /// Bytes that wait to be transmitted. One cycle of offsets is 44, so this is 5 ms of traffic: older
@@ -24,10 +26,10 @@ use crate::frame::Frame;
 pub const TX_CAPACITY: usize = 256;
 
 /// Room that frames leave for answers, so that a client is answered while frames pile up.
-const ANSWER_RESERVE: usize = 32;
+const REPLY_RESERVE_BYTES: usize = 32;
 
 /// The version of hardware and software in the answer to a client, two digits each.
-const VERSION: &[u8] = b"V1013\r";
+const VERSION_REPLY: &[u8] = b"V1013\r";
 
 /// Counts of errors since the start. Each stops at its largest value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -40,7 +42,7 @@ pub struct PortCounters {
 
 /// Whether a client has opened the channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Channel {
+enum ChannelState {
     Closed,
     Listening,
     Open,
@@ -59,7 +61,7 @@ enum Channel {
 #[derive(Clone, Debug)]
 pub struct Port {
     serial: u16,
-    channel: Channel,
+    channel: ChannelState,
     lines: LineSplitter,
     /// The oldest first.
     tx: Vec<u8, TX_CAPACITY>,
@@ -73,7 +75,7 @@ impl Port {
     pub const fn new(serial: u16) -> Self {
         Self {
             serial,
-            channel: Channel::Closed,
+            channel: ChannelState::Closed,
             lines: LineSplitter::new(),
             tx: Vec::new(),
             counters: PortCounters { malformed: 0, dropped: 0 },
@@ -85,7 +87,7 @@ impl Port {
     /// was one for the board.
     pub fn receive(&mut self, byte: u8) -> Option<Frame> {
         let line = self.lines.push(byte)?;
-        match line.and_then(|line| Request::read(line, self.channel)) {
+        match line.and_then(|line| Request::parse(line, self.channel)) {
             Ok(request) => {
                 self.channel = request.channel;
                 self.reply(request.command);
@@ -94,7 +96,7 @@ impl Port {
             Err(error) => {
                 self.counters.malformed = self.counters.malformed.saturating_add(1);
                 self.last_error = Some(error);
-                self.answer(&[BELL]);
+                self.queue_reply(&[BELL]);
                 None
             }
         }
@@ -112,14 +114,15 @@ impl Port {
         if !self.is_open() {
             return false;
         }
-        let needed = frames.iter().map(len_of_line).fold(ANSWER_RESERVE, usize::saturating_add);
-        if needed > self.room() {
+        let needed =
+            frames.iter().map(line_length).fold(REPLY_RESERVE_BYTES, usize::saturating_add);
+        if needed > self.remaining_capacity() {
             let lost = u32::try_from(frames.len()).unwrap_or(u32::MAX);
             self.counters.dropped = self.counters.dropped.saturating_add(lost);
             return false;
         }
         for frame in frames {
-            let (line, len) = bytes_of_line(frame);
+            let (line, len) = encode_line_bytes(frame);
             self.queue(line.get(..len).unwrap_or_default());
         }
         true
@@ -128,18 +131,18 @@ impl Port {
     /// Takes the next byte to transmit.
     pub fn pop(&mut self) -> Option<u8> {
         let mut byte = [0];
-        (self.take(&mut byte) == 1).then_some(byte[0])
+        (self.drain_into(&mut byte) == 1).then_some(byte[0])
     }
 
     /// Takes the next bytes to transmit into `piece`, as many as there are and it has room for. Returns how many.
-    pub fn take(&mut self, piece: &mut [u8]) -> usize {
+    pub fn drain_into(&mut self, piece: &mut [u8]) -> usize {
         let count = self.tx.len().min(piece.len());
         let (oldest, rest) = self.tx.split_at(count);
         piece.iter_mut().zip(oldest).for_each(|(place, byte)| *place = *byte);
         if rest.is_empty() {
             self.tx.clear();
         } else {
-            self.move_up(count);
+            self.discard_front(count);
         }
         count
     }
@@ -147,7 +150,7 @@ impl Port {
     /// Moves what was not taken to the front.
     // A function of its own in the image: its time is bounded by how often a full piece leaves (`cargo xtask bounds`).
     #[inline(never)]
-    fn move_up(&mut self, count: usize) {
+    fn discard_front(&mut self, count: usize) {
         let left = self.tx.len().saturating_sub(count);
         self.tx.copy_within(count.., 0);
         self.tx.truncate(left);
@@ -155,13 +158,13 @@ impl Port {
 
     /// Closes the channel, as the client's `C` does: nothing is queued any more, what waits still goes out.
     pub fn close(&mut self) {
-        self.channel = Channel::Closed;
+        self.channel = ChannelState::Closed;
     }
 
     /// Returns whether a client listens.
     #[must_use]
     pub fn is_open(&self) -> bool {
-        self.channel != Channel::Closed
+        self.channel != ChannelState::Closed
     }
 
     /// Returns what went wrong so far.
@@ -179,28 +182,28 @@ impl Port {
     /// Answers a request that was accepted.
     fn reply(&mut self, command: Option<u8>) {
         match command {
-            Some(b'V') => self.answer(VERSION),
+            Some(b'V') => self.queue_reply(VERSION_REPLY),
             Some(b'N') => {
                 let [high, low] = self.serial.to_be_bytes();
-                let [a, b] = [digit(high >> 4), digit(high)];
-                let [c, d] = [digit(low >> 4), digit(low)];
-                self.answer(&[b'N', a, b, c, d, CR]);
+                let [a, b] = [hex_digit(high >> 4), hex_digit(high)];
+                let [c, d] = [hex_digit(low >> 4), hex_digit(low)];
+                self.queue_reply(&[b'N', a, b, c, d, CR]);
             }
-            Some(b'F') => self.answer(b"F00\r"),
-            _ => self.answer(&[CR]),
+            Some(b'F') => self.queue_reply(b"F00\r"),
+            _ => self.queue_reply(&[CR]),
         }
     }
 
     /// Queues an answer whole, or counts it as dropped.
-    fn answer(&mut self, bytes: &[u8]) {
-        if bytes.len() > self.room() {
+    fn queue_reply(&mut self, bytes: &[u8]) {
+        if bytes.len() > self.remaining_capacity() {
             self.counters.dropped = self.counters.dropped.saturating_add(1);
         } else {
             self.queue(bytes);
         }
     }
 
-    fn room(&self) -> usize {
+    fn remaining_capacity(&self) -> usize {
         TX_CAPACITY.saturating_sub(self.tx.len())
     }
 
@@ -216,64 +219,64 @@ struct Request {
     /// `None`: the line is empty.
     command: Option<u8>,
     /// The channel from now on.
-    channel: Channel,
+    channel: ChannelState,
     /// A frame for the board.
     frame: Option<Frame>,
 }
 
 impl Request {
     /// Reads a line that has come on this channel.
-    fn read(line: &[u8], mut channel: Channel) -> Result<Self, SlcanError> {
+    fn parse(line: &[u8], mut channel: ChannelState) -> Result<Self, SlcanError> {
         if line.is_empty() {
             return Ok(Self { command: None, channel, frame: None });
         }
-        let (command, mut fields) = Fields::of(line)?;
+        let (command, mut fields) = LineParser::split_command(line)?;
         let mut frame = None;
         match command {
-            b'O' => channel = Channel::Open,
-            b'L' => channel = Channel::Listening,
-            b'C' => channel = Channel::Closed,
-            b't' => frame = Some(fields.frame()?),
+            b'O' => channel = ChannelState::Open,
+            b'L' => channel = ChannelState::Listening,
+            b'C' => channel = ChannelState::Closed,
+            b't' => frame = Some(fields.parse_frame()?),
             b'T' => {
-                fields.extended_id()?;
-                fields.data(&mut [0; Frame::MAX_LEN])?;
+                fields.parse_extended_id()?;
+                fields.parse_data(&mut [0; Frame::MAX_LEN])?;
             }
             b'r' => {
-                fields.standard_id()?;
-                fields.len()?;
+                fields.parse_standard_id()?;
+                fields.parse_length()?;
             }
             b'R' => {
-                fields.extended_id()?;
-                fields.len()?;
+                fields.parse_extended_id()?;
+                fields.parse_length()?;
             }
-            b'S' => fields.parameter(command, b'0'..=b'8')?,
-            b'Z' => fields.parameter(command, b'0'..=b'0')?,
+            b'S' => fields.parse_parameter(command, b'0'..=b'8')?,
+            b'Z' => fields.parse_parameter(command, b'0'..=b'0')?,
             b'M' | b'm' => {
-                fields.hex(8)?;
+                fields.parse_hex(8)?;
             }
-            b's' => fields.hex_to_end()?,
+            b's' => fields.parse_hex_to_end()?,
             b'V' | b'N' | b'F' => {}
             _ => return Err(SlcanError::Command(command)),
         }
-        fields.end()?;
-        if matches!(command, b't' | b'T' | b'r' | b'R') && channel != Channel::Open {
+        fields.expect_end()?;
+        if matches!(command, b't' | b'T' | b'r' | b'R') && channel != ChannelState::Open {
             return Err(SlcanError::NotOpen(command));
         }
         Ok(Self { command: Some(command), channel, frame })
     }
 }
 
-impl Fields<'_> {
-    fn standard_id(&mut self) -> Result<(), SlcanError> {
-        self.id_up_to(3, u32::from(Frame::MAX_ID))
+impl LineParser<'_> {
+    fn parse_standard_id(&mut self) -> Result<(), SlcanError> {
+        self.parse_id(3, u32::from(Frame::MAX_ID))
     }
 
-    fn extended_id(&mut self) -> Result<(), SlcanError> {
-        self.id_up_to(8, 0x1FFF_FFFF)
+    fn parse_extended_id(&mut self) -> Result<(), SlcanError> {
+        self.parse_id(8, 0x1FFF_FFFF)
     }
 
-    fn id_up_to(&mut self, digits: u8, max: u32) -> Result<(), SlcanError> {
-        let id = self.hex(digits)?;
+    fn parse_id(&mut self, digits: u8, max: u32) -> Result<(), SlcanError> {
+        let id = self.parse_hex(digits)?;
         if id > max {
             return Err(SlcanError::Identifier(id));
         }
@@ -281,12 +284,12 @@ impl Fields<'_> {
     }
 
     /// One character out of `allowed`.
-    fn parameter(
+    fn parse_parameter(
         &mut self,
         command: u8,
         allowed: core::ops::RangeInclusive<u8>,
     ) -> Result<(), SlcanError> {
-        let found = self.next()?;
+        let found = self.next_byte()?;
         if !allowed.contains(&found) {
             return Err(SlcanError::Parameter { command, found });
         }
@@ -294,10 +297,10 @@ impl Fields<'_> {
     }
 
     /// At least one hexadecimal digit, and nothing else: adapters differ in how many.
-    fn hex_to_end(&mut self) -> Result<(), SlcanError> {
-        self.hex(1)?;
-        while self.end().is_err() {
-            self.hex(1)?;
+    fn parse_hex_to_end(&mut self) -> Result<(), SlcanError> {
+        self.parse_hex(1)?;
+        while self.expect_end().is_err() {
+            self.parse_hex(1)?;
         }
         Ok(())
     }

@@ -1,7 +1,7 @@
 //! Every item there and back, and what has no meaning.
 
 use super::*;
-use crate::{e2e::Checker, layout::COUNTER};
+use crate::{e2e::Checker, layout::E2E_COUNTER};
 use proptest::prelude::*;
 use std::{format, string::String, vec::Vec};
 
@@ -31,7 +31,7 @@ fn the_ends_and_what_is_missing_keep_apart() {
         ),
         (Item::Slope { axis: 2, constant: None, slope: i16::MAX }, [0x1D, 0, 0x80, 0xFF, 0x7F]),
     ] {
-        let status = Status { last_refused: Reason::Malformed, item };
+        let status = Status { last_refused: FrameRejectReason::Malformed, item };
         let frame = encode(&status, 9);
         assert_eq!(frame.data()[3..], tail, "{item:?}");
         assert_eq!(decode(&frame), Ok(status));
@@ -40,9 +40,10 @@ fn the_ends_and_what_is_missing_keep_apart() {
 
 #[test]
 fn an_item_or_a_reason_without_meaning_is_refused_by_name() {
-    for (signal, at, from) in [("Item", ITEM, 14), ("LastRefused", LAST_REFUSED, 5)] {
+    for (signal, at, from) in [("Item", STATUS_ITEM, 14), ("LastRefused", LAST_REFUSED, 5)] {
         for raw in from..16 {
-            let status = Status { last_refused: Reason::None, item: Item::Elongation(None) };
+            let status =
+                Status { last_refused: FrameRejectReason::None, item: Item::Elongation(None) };
             let mut data = *encode(&status, 0).data();
             at.insert(&mut data, raw);
             let frame = Frame::new(STATUS_ID, &data).expect("8 bytes");
@@ -58,7 +59,7 @@ proptest! {
         if let Ok(status) = decode(&frame) {
             let again = encode(&status, counter);
             prop_assert_eq!(&again.data()[3..], &data[3..]);
-            prop_assert_eq!(COUNTER.extract(again.data()), counter.into());
+            prop_assert_eq!(E2E_COUNTER.extract(again.data()), counter.into());
             prop_assert!(Checker::new(STATUS_ID).accept(&again).is_ok());
         }
     }
@@ -66,8 +67,8 @@ proptest! {
 
 #[test]
 fn every_condition_of_the_state_has_a_bit_of_its_own_in_their_order() {
-    assert!(StateBits::WORDS.is_sorted_by(|(a, _), (b, _)| a.0 < b.0));
-    for (bit, word) in StateBits::WORDS {
+    assert!(StateBits::NAMES.is_sorted_by(|(a, _), (b, _)| a.0 < b.0));
+    for (bit, word) in StateBits::NAMES {
         assert_eq!(bit.0.count_ones(), 1, "{word}");
         assert!(!StateBits::default().contains(bit), "{word}");
     }
@@ -75,9 +76,9 @@ fn every_condition_of_the_state_has_a_bit_of_its_own_in_their_order() {
 
 #[test]
 fn a_condition_that_holds_is_added_to_the_others_and_adding_it_again_changes_nothing() {
-    let (first, second) = (StateBits::SECOND_MASTER, StateBits::SELF_TEST);
+    let (first, second) = (StateBits::SECOND_MASTER, StateBits::SELF_TEST_FAILED);
     let both = StateBits::default().with_if(true, first).with_if(true, second);
-    assert_eq!(both.with_if(true, first).with_if(false, StateBits::CAN_OFF), both);
+    assert_eq!(both.with_if(true, first).with_if(false, StateBits::CAN_BUS_OFF), both);
     assert!(both.contains(first) && both.contains(second) && both.contains(both));
     assert!(!first.contains(both), "of several each has to be set");
 }
@@ -92,6 +93,6 @@ fn every_reason_of_a_start_has_its_own_number_and_word() {
         let name = format!("{reason:?}");
         let apart = |(n, c): (usize, char)| [(n > 0 && c.is_uppercase()).then_some('-'), Some(c)];
         let words: String = name.chars().enumerate().flat_map(apart).flatten().collect();
-        assert_eq!(reason.word(), words.to_lowercase());
+        assert_eq!(reason.as_str(), words.to_lowercase());
     }
 }

@@ -30,29 +30,29 @@ enum Verdict {
 
 /// E2E_SMCheck as PRS E2E Protocol words it: a list of verdicts, counted anew each time.
 struct Standard {
-    state: Trust,
+    state: StreamState,
     window: VecDeque<Verdict>,
 }
 
 impl Standard {
-    fn check(&mut self, verdict: Verdict) -> Trust {
+    fn check(&mut self, verdict: Verdict) -> StreamState {
         self.window.push_front(verdict);
-        let size = if self.state == Trust::Invalid { 3 } else { 8 };
+        let size = if self.state == StreamState::Invalid { 3 } else { 8 };
         self.window.truncate(8);
         let count =
             |what| self.window.iter().take(size).filter(|verdict| **verdict == what).count();
         let (ok, error) = (count(Verdict::Ok), count(Verdict::Error));
         let next = match self.state {
-            Trust::Initial if error > 4 => Trust::Invalid,
-            Trust::Initial if ok >= 1 => Trust::Valid,
-            Trust::Valid if error <= 4 && ok >= 1 => Trust::Valid,
+            StreamState::Initial if error > 4 => StreamState::Invalid,
+            StreamState::Initial if ok >= 1 => StreamState::Valid,
+            StreamState::Valid if error <= 4 && ok >= 1 => StreamState::Valid,
             // A window that is not full yet has no verdict on what is missing in it.
-            Trust::Valid if error <= 4 && self.window.len() < size => Trust::Valid,
-            Trust::Valid => Trust::Invalid,
-            Trust::Invalid if ok >= 3 && error == 0 => Trust::Valid,
+            StreamState::Valid if error <= 4 && self.window.len() < size => StreamState::Valid,
+            StreamState::Valid => StreamState::Invalid,
+            StreamState::Invalid if ok >= 3 && error == 0 => StreamState::Valid,
             same => same,
         };
-        if next == Trust::Invalid && self.state != next {
+        if next == StreamState::Invalid && self.state != next {
             self.window.clear();
         }
         self.state = next;
@@ -64,7 +64,7 @@ proptest! {
     #[test]
     fn it_goes_through_the_states_of_the_standard(fates in prop::collection::vec(0_u8..9, 1..400)) {
         let mut stream = Stream::new(ID);
-        let mut standard = Standard { state: Trust::Initial, window: VecDeque::new() };
+        let mut standard = Standard { state: StreamState::Initial, window: VecDeque::new() };
         let (mut counter, mut received, mut mode) = (0_u8, false, 0);
         for fate in fates {
             // Fates come in stretches, or no stretch of damage would ever be long enough.
@@ -81,8 +81,8 @@ proptest! {
             };
             let got = stream.accept(&sent);
             let state = standard.check(verdict);
-            prop_assert_eq!(stream.trust(), state);
-            prop_assert_eq!(got.is_ok(), verdict == Verdict::Ok && state == Trust::Valid);
+            prop_assert_eq!(stream.state(), state);
+            prop_assert_eq!(got.is_ok(), verdict == Verdict::Ok && state == StreamState::Valid);
         }
     }
 }
@@ -90,14 +90,14 @@ proptest! {
 #[test]
 fn four_damaged_of_eight_cost_nothing_else_and_a_fifth_ends_it() {
     let mut stream = Stream::new(ID);
-    assert_eq!((stream.trust(), stream.accept(&frame(0))), (Trust::Initial, Ok(0)));
+    assert_eq!((stream.state(), stream.accept(&frame(0))), (StreamState::Initial, Ok(0)));
     for n in 1..=4 {
         assert!(stream.accept(&damaged(n)).is_err());
-        assert_eq!(stream.trust(), Trust::Valid, "after {n}");
+        assert_eq!(stream.state(), StreamState::Valid, "after {n}");
     }
     assert_eq!(stream.accept(&frame(5)), Ok(4), "within one frame");
     assert!(stream.accept(&damaged(6)).is_err());
-    assert_eq!(stream.trust(), Trust::Invalid);
+    assert_eq!(stream.state(), StreamState::Invalid);
     // Three in a row, the third is used.
     for counter in [7, 8] {
         assert!(matches!(
@@ -106,17 +106,17 @@ fn four_damaged_of_eight_cost_nothing_else_and_a_fifth_ends_it() {
         ));
     }
     assert_eq!(stream.accept(&frame(9)), Ok(0));
-    assert_eq!(stream.trust(), Trust::Valid);
+    assert_eq!(stream.state(), StreamState::Valid);
 }
 
 #[test]
 fn noise_from_the_start_makes_the_first_whole_frame_no_good() {
     let mut stream = Stream::new(ID);
     for n in 0..5 {
-        assert_eq!(stream.trust(), Trust::Initial);
+        assert_eq!(stream.state(), StreamState::Initial);
         assert!(stream.accept(&damaged(n)).is_err());
     }
-    assert_eq!(stream.trust(), Trust::Invalid);
+    assert_eq!(stream.state(), StreamState::Invalid);
     assert!(stream.accept(&frame(0)).is_err());
 }
 
@@ -124,8 +124,8 @@ fn noise_from_the_start_makes_the_first_whole_frame_no_good() {
 fn frames_too_short_to_be_checked_count_as_damaged() {
     let mut stream = Stream::new(ID);
     assert_eq!(stream.accept(&frame(0)), Ok(0));
-    (0..5).for_each(|_| stream.note_damaged(E2eError::TooShort { len: 2 }));
-    assert_eq!(stream.trust(), Trust::Invalid);
+    (0..5).for_each(|_| stream.record_damaged(E2eError::TooShort { len: 2 }));
+    assert_eq!(stream.state(), StreamState::Invalid);
     let refused = stream.accept(&frame(1));
     assert_eq!(refused, Err(StreamError::Untrusted(E2eError::TooShort { len: 2 })));
 }
@@ -137,11 +137,11 @@ fn a_sender_that_stands_still_is_not_trusted_after_a_window() {
     let states: Vec<_> = (0..8)
         .map(|_| {
             assert!(stream.accept(&frame(9)).is_err());
-            stream.trust()
+            stream.state()
         })
         .collect();
-    assert_eq!(states[..7], [Trust::Valid; 7]);
-    assert_eq!(states[7], Trust::Invalid);
+    assert_eq!(states[..7], [StreamState::Valid; 7]);
+    assert_eq!(states[7], StreamState::Invalid);
 }
 
 #[test]

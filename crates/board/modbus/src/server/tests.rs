@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::{
-    cnc::{Cnc, written},
-    input::Input,
+    holding::{CncData, registers_to_write},
+    input::InputBlock,
 };
 use proptest::prelude::*;
 use std::{vec, vec::Vec as List};
@@ -12,26 +12,26 @@ use trueup_core::cnc::Conditions;
 /// Registers that count what was taken.
 pub(crate) struct Mock {
     pub(crate) input: input::Registers,
-    pub(crate) taken: List<cnc::Registers>,
+    pub(crate) taken: List<holding::Registers>,
     pub(crate) is_busy: bool,
 }
 
 impl Mock {
     pub(crate) fn new() -> Self {
-        Self { input: Input::default().encode(), taken: vec![], is_busy: false }
+        Self { input: InputBlock::default().encode(), taken: vec![], is_busy: false }
     }
 }
 
-impl Bridge for Mock {
-    fn input(&mut self) -> input::Registers {
+impl RegisterStore for Mock {
+    fn input_registers(&mut self) -> input::Registers {
         self.input
     }
 
-    fn holding(&mut self) -> cnc::Registers {
+    fn holding_registers(&mut self) -> holding::Registers {
         self.taken.last().copied().unwrap_or([0; WHOLE_HOLDING_LEN])
     }
 
-    fn take(&mut self, block: &cnc::Registers) -> Result<(), Busy> {
+    fn write_holding_registers(&mut self, block: &holding::Registers) -> Result<(), Busy> {
         if self.is_busy {
             return Err(Busy);
         }
@@ -62,17 +62,19 @@ pub(crate) fn write(block: &[u16]) -> List<u8> {
 /// Returns what is answered to a PDU over TCP and over RTU, without header and checksum; `None`: nothing.
 fn ask(bridge: &mut Mock, unit: u8, pdu: &[u8]) -> [Option<List<u8>>; 2] {
     let mut response = Response::new();
-    let over_tcp = answer(Transport::Tcp, 1, &tcp(unit, pdu), bridge, &mut response).then(|| {
-        assert_eq!(response[..4], [0xAB, 0xCD, 0, 0]);
-        let length = usize::from(u16::from_be_bytes([response[4], response[5]]));
-        assert_eq!(length, response.len() - 6);
-        assert_eq!(response[6], unit);
-        response[7..].to_vec()
-    });
-    let over_rtu = answer(Transport::Rtu, 1, &rtu(unit, pdu), bridge, &mut response).then(|| {
-        assert_eq!(rtu(response[0], &response[1..response.len() - 2]), response[..]);
-        response[1..response.len() - 2].to_vec()
-    });
+    let over_tcp =
+        handle_request(Transport::Tcp, 1, &tcp(unit, pdu), bridge, &mut response).then(|| {
+            assert_eq!(response[..4], [0xAB, 0xCD, 0, 0]);
+            let length = usize::from(u16::from_be_bytes([response[4], response[5]]));
+            assert_eq!(length, response.len() - 6);
+            assert_eq!(response[6], unit);
+            response[7..].to_vec()
+        });
+    let over_rtu =
+        handle_request(Transport::Rtu, 1, &rtu(unit, pdu), bridge, &mut response).then(|| {
+            assert_eq!(rtu(response[0], &response[1..response.len() - 2]), response[..]);
+            response[1..response.len() - 2].to_vec()
+        });
     [over_tcp, over_rtu]
 }
 
@@ -91,10 +93,12 @@ fn the_whole_input_block_is_read_in_one_request() {
 fn the_whole_holding_block_is_written_and_read_back() {
     let mut bridge = Mock::new();
     let conditions = Some(Conditions { tool: 9, bits: 0x8001 });
-    for (said, registers) in [(Cnc::default(), 17), (Cnc { conditions, ..Cnc::default() }, 20)] {
+    for (said, registers) in
+        [(CncData::default(), 17), (CncData { conditions, ..CncData::default() }, 20)]
+    {
         let block = said.encode(5);
         let echo = Some(vec![16, 0, 0, 0, registers]);
-        assert_eq!(ask(&mut bridge, 1, &write(written(&block))), [echo.clone(), echo]);
+        assert_eq!(ask(&mut bridge, 1, &write(registers_to_write(&block))), [echo.clone(), echo]);
         assert_eq!(bridge.taken.split_off(0), [block, block]);
         bridge.taken.push(block);
         for count in [17, 20] {
@@ -170,7 +174,7 @@ fn each_fault_gets_the_exception_that_the_standard_names_and_moves_nothing() {
 #[test]
 fn unit_0_moves_nothing_and_reads_over_tcp_alone_and_another_unit_is_not_us() {
     let mut bridge = Mock::new();
-    let block = write(&Cnc::default().encode(0));
+    let block = write(&CncData::default().encode(0));
     for pdu in [&block[..], &[4, 0, 0, 0, 28], &[99]] {
         let [over_tcp, serial] = ask(&mut bridge, 0, pdu);
         assert_eq!(serial, None);
@@ -204,24 +208,27 @@ fn the_order_of_words_is_tried_at_address_100() {
 fn a_frame_whose_length_or_checksum_is_wrong_is_not_answered() {
     let mut bridge = Mock::new();
     let mut response = Response::new();
-    let block = write(&Cnc::default().encode(0));
+    let block = write(&CncData::default().encode(0));
     let good = [tcp(1, &block), rtu(1, &block)];
     for (transport, good) in [Transport::Tcp, Transport::Rtu].into_iter().zip(good) {
         for length in 0..good.len() {
-            assert!(!answer(transport, 1, &good[..length], &mut bridge, &mut response));
+            assert!(!handle_request(transport, 1, &good[..length], &mut bridge, &mut response));
         }
         let long = [&good[..], &[0x55]].concat();
-        assert!(!answer(transport, 1, &long, &mut bridge, &mut response));
+        assert!(!handle_request(transport, 1, &long, &mut bridge, &mut response));
     }
     let good = rtu(1, &block);
     for bit in 0..8 * good.len() {
         let mut bad = good.clone();
         bad[bit / 8] ^= 1 << (bit % 8);
-        assert!(!answer(Transport::Rtu, 1, &bad, &mut bridge, &mut response), "bit {bit}");
+        assert!(!handle_request(Transport::Rtu, 1, &bad, &mut bridge, &mut response), "bit {bit}");
     }
     let mut other = tcp(1, &block);
     other[2] = 1;
-    assert!(!answer(Transport::Tcp, 1, &other, &mut bridge, &mut response), "another protocol");
+    assert!(
+        !handle_request(Transport::Tcp, 1, &other, &mut bridge, &mut response),
+        "another protocol"
+    );
     assert!(bridge.taken.is_empty());
 }
 
@@ -244,7 +251,7 @@ proptest! {
         prop_assert!(unit != 0 || answers[1].is_none());
         let mut response = Response::new();
         for transport in [Transport::Tcp, Transport::Rtu] {
-            answer(transport, 1, &rest, &mut bridge, &mut response);
+            handle_request(transport, 1, &rest, &mut bridge, &mut response);
         }
     }
 }

@@ -5,13 +5,13 @@ use trueup_core::{
     cnc::{Conditions, LinearAxis},
     dimensions::CODES_PER_TICK,
     lag::SmoothingFactor,
-    term::{Effect, Factor, OnOff, Target, Term},
-    units::{Code, Fine, Nanometres},
+    term::{ConditionLevels, Effect, Factor, Target, Term},
+    units::{AdcCode, FineNanometres, Nanometres},
 };
 use trueup_link::status::StateBits;
 
 /// X moves by 5 µm while bit 9 is on.
-const ON_NM: i32 = 5_000;
+const CONDITION_SHIFT_NM: i32 = 5_000;
 
 struct Rig {
     node: Node<'static>,
@@ -21,37 +21,37 @@ struct Rig {
 
 impl Rig {
     fn new() -> Self {
-        let mut calibration = tests_calibration();
+        let mut calibration = sensor_only_calibration();
         calibration.limits.slew_nm_per_s = 1_000_000;
-        let condition = OnOff {
+        let condition = ConditionLevels {
             bit: 9,
             default: false,
             off: 0,
-            on: ON_NM * 256,
+            on: CONDITION_SHIFT_NM * 256,
             shift: 0,
             smoothing: SmoothingFactor::NO_LAG,
             times: Factor::One,
         };
         let target = Target::Axis(LinearAxis::X);
         let effect = Effect::Condition(condition);
-        calibration.terms[0] = Some(Term { target, constant: Fine::ZERO, effect });
-        let node = Node::new(Some(calibration), false);
+        calibration.terms[0] = Some(Term { target, constant: FineNanometres::ZERO, effect });
+        let node = Node::new(calibration.into());
         let mut rig = Self { node, counter: 0, emergencies: std::vec::Vec::new() };
-        (0..3).for_each(|_| rig.says(Control::REFERENCED, None));
+        (0..3).for_each(|_| rig.send_control(Control::REFERENCED, None));
         rig
     }
 
     /// `Control`, and `Conditions` if they are said, then 20 ms.
-    fn says(&mut self, control: Control, conditions: Option<Frame>) {
+    fn send_control(&mut self, control: Control, conditions: Option<Frame>) {
         self.node
-            .receive(Interface::Can, &frames::control(control, self.counter))
+            .receive(Interface::Can, &frames::encode_control(control, self.counter))
             .expect("in order");
         self.counter = self.counter.wrapping_add(1);
         if let Some(frame) = conditions {
             let _ = self.node.receive(Interface::Can, &frame);
         }
-        let codes: [Code; CODES_PER_TICK] =
-            core::array::from_fn(|n| Code(700 + u16::from(n % 2 == 1)));
+        let codes: [AdcCode; CODES_PER_TICK] =
+            core::array::from_fn(|n| AdcCode(700 + u16::from(n % 2 == 1)));
         for _ in 0..20 {
             self.node.tick(1, Input { codes: Some(&codes), ..Input::default() });
             let told =
@@ -61,48 +61,51 @@ impl Rig {
     }
 
     fn x(&self) -> Option<Nanometres> {
-        self.node.last().offset.map(|[x, ..]| x)
+        self.node.last_output().offset.map(|[x, ..]| x)
     }
 
     fn state(&self) -> StateBits {
-        self.node.faults(self.node.last()).state()
+        self.node.faults(self.node.last_output()).state_bits()
     }
 }
 
 fn on(counter: u8) -> Option<Frame> {
-    Some(frames::conditions(Conditions { tool: 3, bits: 1 << 9 }, counter))
+    Some(frames::encode_conditions(Conditions { tool: 3, bits: 1 << 9 }, counter))
 }
 
 #[test]
 fn a_condition_that_is_sent_moves_its_axis_and_a_damaged_frame_does_not() {
     let mut rig = Rig::new();
-    (0..50).for_each(|n| rig.says(Control::ENGAGED, on(n)));
-    assert_eq!(rig.x(), Some(Nanometres(-ON_NM)));
+    (0..50).for_each(|n| rig.send_control(Control::ENGAGED, on(n)));
+    assert_eq!(rig.x(), Some(Nanometres(-CONDITION_SHIFT_NM)));
     assert!(!rig.emergencies.contains(&Fault::ConditionsLost));
     // Off, but damaged.
-    let frame = frames::conditions(Conditions::default(), 50);
+    let frame = frames::encode_conditions(Conditions::default(), 50);
     let mut data = *frame.data();
     data[4] ^= 1;
-    rig.says(Control::ENGAGED, Frame::new(frame.id(), &data).ok());
-    assert_eq!(rig.x(), Some(Nanometres(-ON_NM)));
+    rig.send_control(Control::ENGAGED, Frame::new(frame.id(), &data).ok());
+    assert_eq!(rig.x(), Some(Nanometres(-CONDITION_SHIFT_NM)));
 }
 
 #[test]
 fn lost_conditions_are_an_emergency_and_a_state_bit_within_100_ms_of_their_timeout() {
     let mut rig = Rig::new();
-    (0..50).for_each(|n| rig.says(Control::ENGAGED, on(n)));
+    (0..50).for_each(|n| rig.send_control(Control::ENGAGED, on(n)));
     // Four times the link timeout of 500 ms.
-    (0..99).for_each(|_| rig.says(Control::ENGAGED, None));
+    (0..99).for_each(|_| rig.send_control(Control::ENGAGED, None));
     assert!(!rig.emergencies.contains(&Fault::ConditionsLost));
     assert!(!rig.state().contains(StateBits::CONDITIONS_LOST));
-    (0..5).for_each(|_| rig.says(Control::ENGAGED, None));
+    (0..5).for_each(|_| rig.send_control(Control::ENGAGED, None));
     assert!(rig.emergencies.contains(&Fault::ConditionsLost), "{:?}", rig.emergencies);
     assert!(rig.state().contains(StateBits::CONDITIONS_LOST));
-    assert_eq!((rig.node.last().quality, rig.x()), (Quality::Hold, Some(Nanometres(-ON_NM))));
-    (0..200).for_each(|_| rig.says(Control::ENGAGED, None));
-    assert_eq!(rig.node.last().quality, Quality::TemperatureModel);
+    assert_eq!(
+        (rig.node.last_output().quality, rig.x()),
+        (Quality::Hold, Some(Nanometres(-CONDITION_SHIFT_NM)))
+    );
+    (0..200).for_each(|_| rig.send_control(Control::ENGAGED, None));
+    assert_eq!(rig.node.last_output().quality, Quality::TemperatureModel);
     assert_eq!(rig.x(), Some(Nanometres(0)), "off is the default");
-    (0..50).for_each(|n| rig.says(Control::ENGAGED, on(n)));
+    (0..50).for_each(|n| rig.send_control(Control::ENGAGED, on(n)));
     assert!(!rig.state().contains(StateBits::CONDITIONS_LOST));
-    assert_eq!(rig.node.last().quality, Quality::Live);
+    assert_eq!(rig.node.last_output().quality, Quality::Live);
 }

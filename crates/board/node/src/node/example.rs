@@ -1,16 +1,16 @@
 //! The calibration that the tests of this folder run on.
 
 use trueup_core::{
-    calibration::{Calibration, ElongationSource, Names, SpindleModel},
+    calibration::{Calibration, ElongationSource, MachineIdentity, SpindleModel},
     kinematics::Kinematics,
     limits::Limits,
     sensor::{SensorLaw, Slope},
-    tool::Direction,
+    tool_direction::Direction,
     units::{Nanometres, Reading, Temperature},
 };
 
 /// Returns a bridge with a sensor and nothing else.
-pub(crate) fn tests_calibration() -> Calibration<'static> {
+pub(crate) fn sensor_only_calibration() -> Calibration<'static> {
     Calibration {
         thermometers: [None; 8],
         spindle: SpindleModel {
@@ -34,6 +34,6 @@ pub(crate) fn tests_calibration() -> Calibration<'static> {
         },
         cold_within: Temperature(Temperature::PER_KELVIN / 2),
         guards: Default::default(),
-        names: Names::default(),
+        names: MachineIdentity::default(),
     }
 }

@@ -1,9 +1,9 @@
 //! The faults of a node. Each lost input is one of its own: the second loss is reported while the first lasts.
 
-use trueup_canopen::emergency::{Fault, Faults, faults_of};
+use trueup_canopen::emergency::{Fault, Faults, faults_from_output};
 use trueup_core::{
     cnc::{Flags, Output},
-    set::IndexSet,
+    index_set::IndexSet,
 };
 
 use super::Node;
@@ -12,28 +12,29 @@ impl Node<'_> {
     /// Returns the faults, with an output like this.
     pub(super) fn faults(&self, output: &Output) -> Faults {
         let board = self.board_faults;
-        let known = [Fault::Crystal, Fault::Pll, Fault::Can].iter().any(|fault| board.has(*fault));
-        faults_of(output)
-            .and(board)
-            .and(self.lost_inputs(output.flags))
+        let known =
+            [Fault::Crystal, Fault::Pll, Fault::Can].iter().any(|fault| board.contains(*fault));
+        faults_from_output(output)
+            .union(board)
+            .union(self.lost_inputs(output.flags))
             .with_if(self.bridge.is_none(), Fault::NoCalibration)
             .with_if(self.consumer.is_lost(), Fault::HeartbeatLost)
             .with_if(self.degraded && !known, Fault::Degraded)
-            .with_if(!self.master.is_started(), Fault::Restarted)
-            .with_if(self.master.is_second(), Fault::SecondMaster)
+            .with_if(!self.master.is_engage_complete(), Fault::Restarted)
+            .with_if(self.master.has_second_sender(), Fault::SecondMaster)
             .with_if(self.zero_refused, Fault::ZeroRefused)
             .with_if(self.learned_refused, Fault::LearnedRefused)
-            .with_if(self.state.position_has_jumped(), Fault::PositionJump)
-            .with_if(self.state.sensor_is_anomalous(), Fault::SensorOdd)
+            .with_if(self.state.has_position_jumped(), Fault::PositionJump)
+            .with_if(self.state.is_sensor_anomalous(), Fault::SensorOdd)
             .with_if(
-                self.bridge.as_ref().is_some_and(|it| it.fall_back_is_dead(&self.state)),
+                self.bridge.as_ref().is_some_and(|it| it.has_fallback_failed(&self.state)),
                 Fault::SourceDead,
             )
             .with_if(
-                self.bridge.as_ref().is_some_and(|it| it.is_unfit(&self.state)),
+                self.bridge.as_ref().is_some_and(|it| it.has_source_disagreement(&self.state)),
                 Fault::CalibrationUnfit,
             )
-            .and(self.questions)
+            .union(self.questions)
     }
 
     /// Returns the lost inputs, with the flags of an output. A flag without a source that is lost by now was a
@@ -49,10 +50,11 @@ impl Node<'_> {
             .with_if(lost.conditions, Fault::ConditionsLost);
         let of = |sources: Faults, channels: IndexSet, faults: [Fault; 8]| {
             let numbered = faults.into_iter().enumerate();
-            numbered
-                .fold(sources, |all, (channel, fault)| all.with_if(channels.has(channel), fault))
+            numbered.fold(sources, |all, (channel, fault)| {
+                all.with_if(channels.contains(channel), fault)
+            })
         };
-        let sources = of(sources, lost.thermometers, Fault::THERMOMETERS);
-        of(sources, lost.too_fast, Fault::TEMPERATURE_RATES)
+        let sources = of(sources, lost.thermometers, Fault::THERMOMETER_FAULTS);
+        of(sources, lost.too_fast, Fault::TEMPERATURE_RATE_FAULTS)
     }
 }

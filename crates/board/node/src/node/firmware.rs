@@ -2,30 +2,31 @@
 //!
 //! A master writes the header, then the bytes behind it, in one transfer or, after a line that broke, in several: each goes on
 //! with the byte after those that have come. Nothing is stored here. Bytes wait in the buffer that calibrations come through
-//! until the board takes them ([`Node::take_firmware`]), and the last segment is answered once the board has looked at all of
+//! until the board takes them ([`Node::take_firmware_step`]), and the last segment is answered once the board has looked at all of
 //! it. So no flash is written where a frame is received, and an answer without an abort means: checked, and in the flash.
 
 use heapless::Vec;
 use trueup_canopen::{
-    dictionary::{FIRMWARE_HEADER, ObjectKind},
-    sdo::{self, Abort},
+    dictionary::{EntryContent, FIRMWARE_HEADER_BYTES},
+    sdo::{self, AbortCode},
 };
 
-use super::{Node, objects::abort};
+use super::{Node, objects::load_abort_code};
 
 /// Bytes that wait for the board at the most: at one segment in 2 ms 0.14 s of them, 14 turns of its supervisor.
-const WAITING: usize = 512;
-const _: () = assert!(WAITING >= FIRMWARE_HEADER && WAITING >= 2 * BLOCK_BYTES);
+const MAX_PENDING_BYTES: usize = 512;
+const _: () =
+    assert!(MAX_PENDING_BYTES >= FIRMWARE_HEADER_BYTES && MAX_PENDING_BYTES >= 2 * BLOCK_BYTES);
 
 /// Bytes of a block.
-const BLOCK_BYTES: usize = 7 * sdo::BLOCK as usize;
+const BLOCK_BYTES: usize = 7 * sdo::SEGMENTS_PER_BLOCK as usize;
 
 /// Bytes on their way to the board.
-pub type Piece = Vec<u8, WAITING>;
+pub type FirmwareChunk = Vec<u8, MAX_PENDING_BYTES>;
 
 /// State of both slots, as object 0x2121 has it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Slots {
+pub struct SlotStates {
     /// The one that runs: 0 A, 1 B.
     pub running: u8,
     /// The versions in A and B; 0: none.
@@ -40,7 +41,7 @@ pub struct Slots {
 
 /// The next step of the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Step {
+pub enum UpdateStep {
     /// Check the header of the piece, and erase the other slot.
     Begin,
     /// Write the piece behind the bytes that are there.
@@ -51,7 +52,7 @@ pub enum Step {
 
 /// Which domain is being written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum Transfer {
+enum TransferTarget {
     #[default]
     None,
     Header,
@@ -60,71 +61,73 @@ enum Transfer {
 
 /// A firmware under way.
 #[derive(Debug, Default)]
-pub(super) struct Firmware {
-    slots: Option<Slots>,
+pub(super) struct FirmwareUpdate {
+    slots: Option<SlotStates>,
     /// Bytes that have come, the header included; 0: none is under way.
     received: u32,
     tag: u32,
     refused: u8,
-    transfer: Transfer,
+    transfer: TransferTarget,
     /// All bytes of this transfer have come; its master waits for the outcome.
     is_closed: bool,
     /// The board is at a step.
     is_away: bool,
 }
 
-impl Firmware {
-    fn drop_all(&mut self) {
-        (self.received, self.tag, self.transfer) = (0, 0, Transfer::None);
+impl FirmwareUpdate {
+    fn reset_transfer(&mut self) {
+        (self.received, self.tag, self.transfer) = (0, 0, TransferTarget::None);
     }
 
-    pub fn number(&self, what: ObjectKind) -> Result<u32, Abort> {
-        let slots = self.slots.as_ref().ok_or(Abort::NoData);
+    pub(crate) fn entry_value(&self, what: EntryContent) -> Result<u32, AbortCode> {
+        let slots = self.slots.as_ref().ok_or(AbortCode::NoData);
         let of = |slot: u8| usize::from(slot);
         Ok(match what {
-            ObjectKind::FirmwareReceived => self.received,
-            ObjectKind::FirmwareTag => self.tag,
-            ObjectKind::FirmwareRefused => self.refused.into(),
-            ObjectKind::RunningSlot => slots?.running.into(),
-            ObjectKind::SlotVersion(slot) => {
-                *slots?.versions.get(of(slot)).ok_or(Abort::NoSubindex)?
+            EntryContent::FirmwareReceived => self.received,
+            EntryContent::FirmwareTag => self.tag,
+            EntryContent::FirmwareRefused => self.refused.into(),
+            EntryContent::RunningSlot => slots?.running.into(),
+            EntryContent::SlotVersion(slot) => {
+                *slots?.versions.get(of(slot)).ok_or(AbortCode::NoSubindex)?
             }
-            ObjectKind::SlotStatus(slot) => {
-                let status = slots?.status.get(of(slot)).ok_or(Abort::NoSubindex)?;
+            EntryContent::SlotStatus(slot) => {
+                let status = slots?.status.get(of(slot)).ok_or(AbortCode::NoSubindex)?;
                 u16::from_le_bytes(*status).into()
             }
-            ObjectKind::FirmwareFloor => slots?.floor,
-            ObjectKind::SlotChoice => slots?.choice,
-            _ => return Err(Abort::WriteOnly),
+            EntryContent::FirmwareFloor => slots?.floor,
+            EntryContent::SlotChoice => slots?.choice,
+            _ => return Err(AbortCode::WriteOnly),
         })
     }
 }
 
 impl Node<'_> {
     /// Notes the state of the firmware slots; a board that has none does not call this.
-    pub fn note_slots(&mut self, slots: Slots) {
+    pub fn set_slots(&mut self, slots: SlotStates) {
         self.firmware.slots = Some(slots);
     }
 
-    /// Returns the next step of a new firmware, once, and its bytes in `piece`; [`Self::end_firmware`] is to follow. None is
+    /// Returns the next step of a new firmware, once, and its bytes in `piece`; [`Self::finish_firmware_step`] is to follow. None is
     /// due while an offset is followed: a step stops the core for as long as the flash takes.
-    pub fn take_firmware(&mut self, piece: &mut Piece) -> Option<Step> {
+    pub fn take_firmware_step(&mut self, piece: &mut FirmwareChunk) -> Option<UpdateStep> {
         if !self.is_at_rest() || self.firmware.is_away {
             return None;
         }
         let step = match (self.firmware.transfer, self.firmware.is_closed) {
-            (Transfer::Header, true) => Step::Begin,
-            (Transfer::Image, _) if !self.slot.gathered().is_empty() => Step::Write,
-            (Transfer::Image, true) => Step::Finish,
+            (TransferTarget::Header, true) => UpdateStep::Begin,
+            (TransferTarget::Image, _) if !self.slot.received_bytes().is_empty() => {
+                UpdateStep::Write
+            }
+            (TransferTarget::Image, true) => UpdateStep::Finish,
             _ => return None,
         };
         piece.clear();
         // It has room for all that may wait.
-        for byte in self.slot.gathered() {
+        for byte in self.slot.received_bytes() {
             piece.push(*byte).ok();
         }
         self.slot.clear();
-        if step == Step::Begin {
+        if step == UpdateStep::Begin {
             self.firmware.tag = piece.last_chunk().map_or(0, |it| u32::from_le_bytes(*it));
         }
         self.firmware.is_away = true;
@@ -132,98 +135,100 @@ impl Node<'_> {
     }
 
     /// Takes what came of a step: an error is the number of the refusal.
-    pub fn end_firmware(&mut self, step: Step, outcome: Result<(), u8>) {
+    pub fn finish_firmware_step(&mut self, step: UpdateStep, outcome: Result<(), u8>) {
         let firmware = &mut self.firmware;
         firmware.is_away = false;
         let outcome = match (outcome, step) {
             (Err(number), _) => {
                 firmware.refused = number;
-                firmware.drop_all();
+                firmware.reset_transfer();
                 self.slot.clear();
                 if !core::mem::take(&mut firmware.is_closed) {
                     return;
                 }
-                Err(Abort::Value)
+                Err(AbortCode::Value)
             }
-            (Ok(()), Step::Write) => return,
-            (Ok(()), Step::Begin) => {
-                firmware.received = u32::try_from(FIRMWARE_HEADER).unwrap_or(0);
+            (Ok(()), UpdateStep::Write) => return,
+            (Ok(()), UpdateStep::Begin) => {
+                firmware.received = u32::try_from(FIRMWARE_HEADER_BYTES).unwrap_or(0);
                 Ok(())
             }
-            (Ok(()), Step::Finish) => Ok(()),
+            (Ok(()), UpdateStep::Finish) => Ok(()),
         };
-        (firmware.transfer, firmware.is_closed) = (Transfer::None, false);
-        self.answer = self.server.end(outcome).or(self.answer);
+        (firmware.transfer, firmware.is_closed) = (TransferTarget::None, false);
+        self.answer = self.server.finish_download(outcome).or(self.answer);
     }
 
     /// Returns whether bytes of a firmware wait in the buffer, which then takes no calibration.
-    pub(super) fn firmware_waits(&self) -> bool {
-        self.firmware.transfer != Transfer::None && !self.slot.gathered().is_empty()
+    pub(super) fn has_pending_firmware(&self) -> bool {
+        self.firmware.transfer != TransferTarget::None && !self.slot.received_bytes().is_empty()
     }
 
     pub(super) fn open_firmware(
         &mut self,
-        what: ObjectKind,
+        what: EntryContent,
         size: Option<u32>,
-    ) -> Result<(), Abort> {
+    ) -> Result<(), AbortCode> {
         if self.firmware.slots.is_none() {
-            return Err(Abort::CannotStore);
+            return Err(AbortCode::CannotStore);
         }
         // The board may still be at bytes of a transfer that broke off.
-        if self.firmware.is_away || self.firmware.is_closed || self.firmware_waits() {
-            return Err(Abort::DeviceState);
+        if self.firmware.is_away || self.firmware.is_closed || self.has_pending_firmware() {
+            return Err(AbortCode::DeviceState);
         }
-        if what == ObjectKind::FirmwareHeader {
-            if size.is_some_and(|size| usize::try_from(size) != Ok(FIRMWARE_HEADER)) {
-                return Err(Abort::Length);
+        if what == EntryContent::FirmwareHeader {
+            if size.is_some_and(|size| usize::try_from(size) != Ok(FIRMWARE_HEADER_BYTES)) {
+                return Err(AbortCode::Length);
             }
-            self.slot.open(None).map_err(abort)?;
-            self.firmware.drop_all();
-            (self.firmware.refused, self.firmware.transfer) = (0, Transfer::Header);
+            self.slot.open(None).map_err(load_abort_code)?;
+            self.firmware.reset_transfer();
+            (self.firmware.refused, self.firmware.transfer) = (0, TransferTarget::Header);
         } else {
             if self.firmware.received == 0 {
-                return Err(Abort::DeviceState);
+                return Err(AbortCode::DeviceState);
             }
-            self.slot.open(None).map_err(abort)?;
-            self.firmware.transfer = Transfer::Image;
+            self.slot.open(None).map_err(load_abort_code)?;
+            self.firmware.transfer = TransferTarget::Image;
         }
         Ok(())
     }
 
-    pub(super) fn append_firmware(&mut self, bytes: &[u8]) -> Result<(), Abort> {
+    pub(super) fn append_firmware(&mut self, bytes: &[u8]) -> Result<(), AbortCode> {
         // Nothing is written to the flash under a CNC that has engaged meanwhile.
-        self.allow_change()?;
-        let length = self.slot.gathered().len().saturating_add(bytes.len());
+        self.check_change_allowed()?;
+        let length = self.slot.received_bytes().len().saturating_add(bytes.len());
         match self.firmware.transfer {
             // The board has refused it meanwhile.
-            Transfer::None => return Err(Abort::Value),
-            Transfer::Header if length > FIRMWARE_HEADER => return Err(Abort::TooLong),
-            _ if length > WAITING => return Err(Abort::CannotStore),
-            Transfer::Header => {}
-            Transfer::Image => {
+            TransferTarget::None => return Err(AbortCode::Value),
+            TransferTarget::Header if length > FIRMWARE_HEADER_BYTES => {
+                return Err(AbortCode::TooLong);
+            }
+            _ if length > MAX_PENDING_BYTES => return Err(AbortCode::CannotStore),
+            TransferTarget::Header => {}
+            TransferTarget::Image => {
                 let count = u32::try_from(bytes.len()).unwrap_or(u32::MAX);
                 self.firmware.received = self.firmware.received.saturating_add(count);
             }
         }
-        self.slot.append(bytes).map_err(abort)
+        self.slot.append(bytes).map_err(load_abort_code)
     }
 
     /// Returns whether a whole block finds room.
-    pub(super) fn is_firmware_ready(&self) -> bool {
+    pub(super) fn has_block_capacity(&self) -> bool {
         // The header is taken in one piece.
-        self.firmware.transfer == Transfer::Header
-            || self.slot.gathered().len().saturating_add(BLOCK_BYTES) <= WAITING
+        self.firmware.transfer == TransferTarget::Header
+            || self.slot.received_bytes().len().saturating_add(BLOCK_BYTES) <= MAX_PENDING_BYTES
     }
 
-    pub(super) fn close_firmware(&mut self) -> Result<(), Abort> {
+    pub(super) fn close_firmware(&mut self) -> Result<(), AbortCode> {
         match self.firmware.transfer {
-            Transfer::None => return Err(Abort::Value),
-            Transfer::Header if self.slot.gathered().len() < FIRMWARE_HEADER => {
-                self.firmware.drop_all();
+            TransferTarget::None => return Err(AbortCode::Value),
+            TransferTarget::Header if self.slot.received_bytes().len() < FIRMWARE_HEADER_BYTES => {
+                self.firmware.reset_transfer();
                 self.slot.clear();
-                return Err(Abort::TooShort);
+                return Err(AbortCode::TooShort);
             }
-            Transfer::Header | Transfer::Image => self.firmware.is_closed = true,
+            TransferTarget::Header | TransferTarget::Image => self.firmware.is_closed = true,
         }
         Ok(())
     }

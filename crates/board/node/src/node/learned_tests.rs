@@ -3,20 +3,20 @@
 use super::*;
 use std::{vec, vec::Vec};
 use trueup_canopen::{
-    dictionary::{FORGET, ObjectKind, object},
-    sdo::{ObjectValue, Objects as _},
+    dictionary::{CLEAR_REFERENCE_SIGNATURE, EntryContent, find_object},
+    sdo::{ObjectAccess as _, ObjectValue},
 };
 use trueup_core::{
     cnc::Control,
     dimensions::CODES_PER_TICK,
-    learned::{Caps, Change, PARTS, named},
-    units::Code,
+    learned::{ChangeRequest, LearnedLimits, PART_COUNT, calibration_id},
+    units::AdcCode,
 };
-use trueup_store::calibration::{MAX_SIZE, encode};
+use trueup_store::calibration::{MAX_BLOB_SIZE, encode};
 
 /// 700.5 codes of 1024 nm.
-const GROWN_NM: i32 = 717_312;
-const CAPS: Caps = Caps { growth: 20, axes: 0, zero: 50 };
+const BASE_ELONGATION_NM: i32 = 717_312;
+const LEARNED_LIMITS: LearnedLimits = LearnedLimits { growth: 20, axes: 0, zero: 50 };
 
 /// A bridge that permits a little, with the blob that says so, and its CNC on CAN.
 struct Rig {
@@ -27,41 +27,40 @@ struct Rig {
 
 impl Rig {
     fn new() -> Self {
-        Self::with(CAPS)
+        Self::with(LEARNED_LIMITS)
     }
 
-    fn with(caps: Caps) -> Self {
-        let mut calibration = tests_calibration();
+    fn with(caps: LearnedLimits) -> Self {
+        let mut calibration = sensor_only_calibration();
         calibration.limits.learned = caps;
         calibration.limits.slew_nm_per_s = 1_000_000;
         calibration.limits.max = [trueup_core::units::Nanometres(2_000_000); 3];
-        let mut room = vec![0; MAX_SIZE];
+        let mut room = vec![0; MAX_BLOB_SIZE];
         let blob = encode(&calibration, &mut room).expect("small").to_vec().leak();
-        let mut node = Node::new(Some(calibration), false);
-        node.set_blob(blob);
-        Self { node, calibration: named(identity(blob)), counter: 0 }
+        let node = Node::new(Configuration { blob, ..calibration.into() });
+        Self { node, calibration: calibration_id(calibration_crc(blob)), counter: 0 }
     }
 
     /// Engaged, and grown.
     fn live() -> Self {
         let mut rig = Self::new();
-        rig.says(Control::REFERENCED, 3);
-        rig.says(Control::ENGAGED, 100);
-        assert_eq!(rig.node.last().quality, Quality::Live);
-        assert_eq!(rig.z_nm(), GROWN_NM);
+        rig.send_control_frames(Control::REFERENCED, 3);
+        rig.send_control_frames(Control::ENGAGED, 100);
+        assert_eq!(rig.node.last_output().quality, Quality::Live);
+        assert_eq!(rig.z_nm(), BASE_ELONGATION_NM);
         rig
     }
 
-    fn change(&self, part: u8, amount: i16) -> Change {
-        Change { part, amount, calibration: self.calibration }
+    fn change(&self, part: u8, amount: i16) -> ChangeRequest {
+        ChangeRequest { part, amount, calibration: self.calibration }
     }
 
     /// `Control` so often, 20 ms apart, over CAN; gives the offset of Z in every tick.
-    fn says(&mut self, control: Control, count: usize) -> Vec<i32> {
+    fn send_control_frames(&mut self, control: Control, count: usize) -> Vec<i32> {
         let mut all = Vec::new();
         for _ in 0..count {
             self.node
-                .receive(Interface::Can, &frames::control(control, self.counter))
+                .receive(Interface::Can, &frames::encode_control(control, self.counter))
                 .expect("in order");
             self.counter = self.counter.wrapping_add(1);
             all.extend(self.ticks(20));
@@ -70,8 +69,8 @@ impl Rig {
     }
 
     fn ticks(&mut self, ms: u32) -> Vec<i32> {
-        let codes: [Code; CODES_PER_TICK] =
-            core::array::from_fn(|n| Code(700 + u16::from(n % 2 == 1)));
+        let codes: [AdcCode; CODES_PER_TICK] =
+            core::array::from_fn(|n| AdcCode(700 + u16::from(n % 2 == 1)));
         let mut all = Vec::new();
         for _ in 0..ms {
             self.node.tick(1, Input { codes: Some(&codes), ..Input::default() });
@@ -81,20 +80,20 @@ impl Rig {
         all
     }
 
-    fn learns(&mut self, change: Change, count: usize) -> Vec<i32> {
-        self.says(Control { learned: change, ..Control::ENGAGED }, count)
+    fn apply_change(&mut self, change: ChangeRequest, count: usize) -> Vec<i32> {
+        self.send_control_frames(Control { learned: change, ..Control::ENGAGED }, count)
     }
 
     fn z_nm(&self) -> i32 {
-        self.node.last().offset.map_or(i32::MIN, |[_, _, z]| z.0)
+        self.node.last_output().offset.map_or(i32::MIN, |[_, _, z]| z.0)
     }
 
-    fn now(&self) -> [i16; PARTS] {
-        self.node.state.learned().now()
+    fn now(&self) -> [i16; PART_COUNT] {
+        self.node.state.learned().current()
     }
 
     fn is_refused(&self) -> bool {
-        self.node.faults(self.node.last()).has(Fault::LearnedRefused)
+        self.node.faults(self.node.last_output()).contains(Fault::LearnedRefused)
     }
 }
 
@@ -104,42 +103,46 @@ fn its_own_master_says_it_while_engaged_and_the_offset_gets_there_without_a_step
     // 0.1 % of 717.312 µm are 717 nm; and 500 nm of zero. A hundred units are 10 s.
     let mut all = Vec::new();
     for part in [rig.change(1, 100), rig.change(5, 500)] {
-        all.extend(rig.learns(part, 1));
+        all.extend(rig.apply_change(part, 1));
     }
-    all.extend(rig.says(Control::ENGAGED, 600));
+    all.extend(rig.send_control_frames(Control::ENGAGED, 600));
     assert_eq!((rig.now(), rig.is_refused()), ([100, 0, 0, 0, 120], false));
-    assert_eq!(rig.z_nm(), GROWN_NM + 717 + 120, "what grows is lifted");
+    assert_eq!(rig.z_nm(), BASE_ELONGATION_NM + 717 + 120, "what grows is lifted");
     let largest = all.windows(2).map(|pair| (pair[1] - pair[0]).abs()).max();
     assert!(largest <= Some(8), "a unit of 717 µm is 7.2 nm: {largest:?}");
     // Taken back in the same way.
-    rig.learns(rig.change(1, 0), 1);
-    rig.learns(rig.change(5, 0), 1);
-    rig.says(Control::ENGAGED, 700);
-    assert_eq!((rig.now(), rig.z_nm()), ([0; PARTS], GROWN_NM));
+    rig.apply_change(rig.change(1, 0), 1);
+    rig.apply_change(rig.change(5, 0), 1);
+    rig.send_control_frames(Control::ENGAGED, 700);
+    assert_eq!((rig.now(), rig.z_nm()), ([0; PART_COUNT], BASE_ELONGATION_NM));
 }
 
 #[test]
 fn beyond_its_cap_of_no_part_or_of_another_calibration_it_is_refused_and_told() {
     let good = Rig::new().change(1, 100);
     for bad in [
-        Change { amount: 2_001, ..good },
-        Change { amount: -2_001, ..good },
-        Change { part: 2, amount: 1, ..good },
-        Change { part: 5, amount: 5_001, ..good },
-        Change { part: 6, ..good },
-        Change { part: 7, ..good },
-        Change { calibration: good.calibration ^ 1, ..good },
-        Change { calibration: good.calibration ^ 0x8000, ..good },
+        ChangeRequest { amount: 2_001, ..good },
+        ChangeRequest { amount: -2_001, ..good },
+        ChangeRequest { part: 2, amount: 1, ..good },
+        ChangeRequest { part: 5, amount: 5_001, ..good },
+        ChangeRequest { part: 6, ..good },
+        ChangeRequest { part: 7, ..good },
+        ChangeRequest { calibration: good.calibration ^ 1, ..good },
+        ChangeRequest { calibration: good.calibration ^ 0x8000, ..good },
     ] {
         let mut rig = Rig::live();
-        rig.learns(bad, 50);
-        assert_eq!((rig.now(), rig.z_nm()), ([0; PARTS], GROWN_NM), "{bad:?}");
+        rig.apply_change(bad, 50);
+        assert_eq!((rig.now(), rig.z_nm()), ([0; PART_COUNT], BASE_ELONGATION_NM), "{bad:?}");
         assert!(rig.is_refused(), "{bad:?}");
-        assert_eq!(rig.node.last().quality, Quality::Live, "it is a sign of life all the same");
+        assert_eq!(
+            rig.node.last_output().quality,
+            Quality::Live,
+            "it is a sign of life all the same"
+        );
         // Told until nothing of the kind is asked for, and good ones count meanwhile.
-        rig.learns(good, 10);
+        rig.apply_change(good, 10);
         assert!(rig.is_refused() && rig.now()[0] > 0);
-        rig.says(Control::ENGAGED, 1);
+        rig.send_control_frames(Control::ENGAGED, 1);
         assert!(!rig.is_refused());
     }
 }
@@ -147,59 +150,60 @@ fn beyond_its_cap_of_no_part_or_of_another_calibration_it_is_refused_and_told() 
 #[test]
 fn that_nothing_was_learned_is_never_refused_and_of_another_calibration_takes_nothing_back() {
     let mut rig = Rig::live();
-    rig.learns(rig.change(1, 100), 1);
+    rig.apply_change(rig.change(1, 100), 1);
     let ours = rig.calibration;
     for (part, calibration) in (1..=5).map(|part| (part, ours ^ 1)) {
-        rig.learns(Change { part, amount: 0, calibration }, 100);
+        rig.apply_change(ChangeRequest { part, amount: 0, calibration }, 100);
     }
     assert_eq!((rig.now(), rig.is_refused()), ([100, 0, 0, 0, 0], false));
     for part in 1..=5 {
-        rig.learns(rig.change(part, 0), 100);
+        rig.apply_change(rig.change(part, 0), 100);
     }
-    assert_eq!((rig.now(), rig.is_refused()), ([0; PARTS], false), "no cap is below 0");
+    assert_eq!((rig.now(), rig.is_refused()), ([0; PART_COUNT], false), "no cap is below 0");
 
     // Nor by a board without a calibration.
-    let mut bare = Node::new(None, false);
-    let learned = Change { part: 1, amount: 0, calibration: named(0) };
+    let mut bare = Node::new(Configuration::default());
+    let learned = ChangeRequest { part: 1, amount: 0, calibration: calibration_id(0) };
     for counter in 0..10 {
         let control = Control { learned, ..Control::REFERENCED };
-        bare.receive(Interface::Can, &frames::control(control, counter)).expect("in order");
+        bare.receive(Interface::Can, &frames::encode_control(control, counter)).expect("in order");
         bare.tick(1, Input::default());
     }
-    assert!(!bare.faults(bare.last()).has(Fault::LearnedRefused));
+    assert!(!bare.faults(bare.last_output()).contains(Fault::LearnedRefused));
 }
 
 #[test]
 fn a_calibration_that_states_no_cap_lets_nothing_be_changed() {
-    let mut node = Node::new(Some(tests_calibration()), false);
+    let mut node = Node::new(sensor_only_calibration().into());
     // Without a blob its CRC is 0.
-    let learned = Change { part: 1, amount: 1, calibration: named(identity(&[])) };
+    let learned =
+        ChangeRequest { part: 1, amount: 1, calibration: calibration_id(calibration_crc(&[])) };
     for counter in 0..10 {
         let control = Control { learned, ..Control::REFERENCED };
-        node.receive(Interface::Can, &frames::control(control, counter)).expect("in order");
+        node.receive(Interface::Can, &frames::encode_control(control, counter)).expect("in order");
         node.tick(1, Input::default());
     }
-    assert!(node.faults(node.last()).has(Fault::LearnedRefused));
-    assert_eq!(node.state.learned().now(), [0; PARTS]);
+    assert!(node.faults(node.last_output()).contains(Fault::LearnedRefused));
+    assert_eq!(node.state.learned().current(), [0; PART_COUNT]);
 }
 
 #[test]
 fn what_is_damaged_repeated_or_from_another_line_moves_nothing() {
     let mut rig = Rig::live();
     let control = Control { learned: rig.change(1, 100), ..Control::ENGAGED };
-    let mut damaged = *frames::control(control, rig.counter).data();
+    let mut damaged = *frames::encode_control(control, rig.counter).data();
     damaged[4] ^= 1;
     let damaged = Frame::new(CONTROL_ID, &damaged).expect("8 bytes");
     assert!(rig.node.receive(Interface::Can, &damaged).is_err());
-    let repeated = frames::control(control, rig.counter.wrapping_sub(1));
+    let repeated = frames::encode_control(control, rig.counter.wrapping_sub(1));
     assert!(rig.node.receive(Interface::Can, &repeated).is_err());
-    let late = frames::control(control, rig.counter.wrapping_add(100));
+    let late = frames::encode_control(control, rig.counter.wrapping_add(100));
     assert!(rig.node.receive(Interface::Can, &late).is_err());
-    let strange = frames::control(control, 0);
+    let strange = frames::encode_control(control, 0);
     assert_eq!(rig.node.receive(Interface::Serial, &strange), Ok(None));
     rig.ticks(400);
-    assert_eq!((rig.now(), rig.z_nm()), ([0; PARTS], GROWN_NM));
-    assert!(rig.node.master.is_second(), "who speaks on another line is told");
+    assert_eq!((rig.now(), rig.z_nm()), ([0; PART_COUNT], BASE_ELONGATION_NM));
+    assert!(rig.node.master.has_second_sender(), "who speaks on another line is told");
 }
 
 #[test]
@@ -207,32 +211,35 @@ fn of_two_masters_on_one_line_neither_is_believed() {
     let mut rig = Rig::live();
     let learned = rig.change(1, 100);
     for _ in 0..3 {
-        let late = frames::control(Control::ENGAGED, rig.counter.wrapping_add(100));
+        let late = frames::encode_control(Control::ENGAGED, rig.counter.wrapping_add(100));
         assert!(rig.node.receive(Interface::Can, &late).is_err());
         rig.counter = rig.counter.wrapping_add(101);
     }
-    rig.says(Control { learned, ..Control::ENGAGED }, 5);
-    assert!(rig.node.master.is_second());
-    assert_eq!(rig.now(), [0; PARTS]);
+    rig.send_control_frames(Control { learned, ..Control::ENGAGED }, 5);
+    assert!(rig.node.master.has_second_sender());
+    assert_eq!(rig.now(), [0; PART_COUNT]);
 }
 
 #[test]
 fn one_frame_of_a_stranger_moves_a_unit_and_the_masters_next_takes_it_back() {
     let mut rig = Rig::live();
-    rig.learns(rig.change(1, 1_000), 1);
-    rig.learns(rig.change(1, 0), 1);
-    rig.says(Control::ENGAGED, 50);
-    assert_eq!((rig.now(), rig.z_nm()), ([0; PARTS], GROWN_NM));
+    rig.apply_change(rig.change(1, 1_000), 1);
+    rig.apply_change(rig.change(1, 0), 1);
+    rig.send_control_frames(Control::ENGAGED, 50);
+    assert_eq!((rig.now(), rig.z_nm()), ([0; PART_COUNT], BASE_ELONGATION_NM));
 }
 
 #[test]
 fn a_master_reads_each_part_at_its_place_in_the_dictionary() {
-    let mut rig = Rig::with(Caps { axes: 20, ..CAPS });
-    rig.says(Control::REFERENCED, 3);
+    let mut rig = Rig::with(LearnedLimits { axes: 20, ..LEARNED_LIMITS });
+    rig.send_control_frames(Control::REFERENCED, 3);
     for (part, amount) in [(1, -1), (2, 2), (3, -3), (4, 4), (5, -5)] {
-        rig.says(Control { learned: rig.change(part, amount), ..Control::REFERENCED }, 30);
+        rig.send_control_frames(
+            Control { learned: rig.change(part, amount), ..Control::REFERENCED },
+            30,
+        );
     }
-    let places = object(0x2011).expect("it is there");
+    let places = find_object(0x2011).expect("it is there");
     let told = [1, 2, 3, 4, 5]
         .map(|place| rig.node.read(places.entry(place).expect("a part").what).expect("readable"));
     assert_eq!(told, [-1, 2, -3, 4, -5].map(|it: i32| ObjectValue::Number(it.cast_unsigned())));
@@ -241,21 +248,21 @@ fn a_master_reads_each_part_at_its_place_in_the_dictionary() {
 #[test]
 fn it_may_be_said_at_rest_and_forget_and_a_restart_forget_it() {
     let mut rig = Rig::new();
-    rig.says(Control::REFERENCED, 3);
+    rig.send_control_frames(Control::REFERENCED, 3);
     let at_rest = Control { learned: rig.change(5, 30), ..Control::REFERENCED };
-    rig.says(at_rest, 200);
+    rig.send_control_frames(at_rest, 200);
     assert_eq!(rig.now(), [0, 0, 0, 0, 30]);
-    let told = rig.node.read(ObjectKind::Learned(4));
+    let told = rig.node.read(EntryContent::Learned(4));
     assert_eq!(told, Ok(ObjectValue::Number(30)));
-    rig.says(Control { service: true, ..Control::REFERENCED }, 1);
-    rig.node.write(ObjectKind::Forget, FORGET).expect("at rest, and allowed");
-    assert_eq!(rig.now(), [0; PARTS]);
+    rig.send_control_frames(Control { service: true, ..Control::REFERENCED }, 1);
+    rig.node.write(EntryContent::Forget, CLEAR_REFERENCE_SIGNATURE).expect("at rest, and allowed");
+    assert_eq!(rig.now(), [0; PART_COUNT]);
 
-    rig.says(at_rest, 200);
-    let kept = rig.node.retained();
+    rig.send_control_frames(at_rest, 200);
+    let kept = rig.node.retained_state();
     let mut again = Rig::new();
     again.node.resume(Some(&kept), 0);
-    again.says(Control::REFERENCED, 3);
-    again.says(Control::ENGAGED, 100);
-    assert_eq!((again.now(), again.z_nm()), ([0; PARTS], GROWN_NM));
+    again.send_control_frames(Control::REFERENCED, 3);
+    again.send_control_frames(Control::ENGAGED, 100);
+    assert_eq!((again.now(), again.z_nm()), ([0; PART_COUNT], BASE_ELONGATION_NM));
 }

@@ -20,9 +20,9 @@
 //! reported.
 //!
 //! **Whether a CNC is there.** A tool says `Service` itself where no CNC sends. No operator at the machine has seen
-//! such a change, so the board has to distinguish the two ([`Master::is_cnc`]).
+//! such a change, so the board has to distinguish the two ([`Master::is_master_cnc`]).
 
-use trueup_canopen::dictionary::Authority;
+use trueup_canopen::dictionary::WriteAuthority;
 use trueup_core::cnc::Control;
 
 /// A wire on which the bridge is spoken to.
@@ -37,55 +37,55 @@ pub enum Interface {
 }
 
 /// This many accepted frames in a row make the engage sequence, and an edge believable.
-const STEADY: u8 = 3;
+const MIN_CONSECUTIVE_FRAMES: u8 = 3;
 /// The weight of a frame out of sequence, and the sum that is a second master: three frames.
-const WEIGHT: u8 = 4;
-const SECOND_MASTER: u8 = 3 * WEIGHT;
+const OUT_OF_SEQUENCE_WEIGHT: u8 = 4;
+const SECOND_MASTER_THRESHOLD: u8 = 3 * OUT_OF_SEQUENCE_WEIGHT;
 /// The sum goes down by one in this time: 2.4 s for three frames.
-const LEAK_MS: u32 = 200;
+const LEAK_PERIOD_MS: u32 = 200;
 /// Frames that have to follow on after one out of sequence, for its sender to be the master.
-const FOLLOWING: u8 = 2;
+const MIN_SEQUENTIAL_FRAMES: u8 = 2;
 /// And none may come out of sequence for this share of the link timeout. A CNC sends more often: else one lost frame
 /// or two would be its silence.
-const QUIET_SHARE: u32 = 4;
+const QUIET_TIMEOUT_DIVISOR: u32 = 4;
 /// Time for which another line is reported after its last command.
-const TOLD_MS: u32 = LEAK_MS * SECOND_MASTER as u32;
+const OTHER_INTERFACE_REPORT_MS: u32 = LEAK_PERIOD_MS * SECOND_MASTER_THRESHOLD as u32;
 
 /// A bit of `Control` whose edge means something.
 #[derive(Clone, Copy, Debug, Default)]
-struct Edge {
+struct EdgeDetector {
     /// It was 0 in a frame of a master that is steady.
     is_armed: bool,
-    /// Frames in a row with it set, up to [`STEADY`].
+    /// Frames in a row with it set, up to [`MIN_CONSECUTIVE_FRAMES`].
     run: u8,
 }
 
 /// The outcome of an edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Asked {
+enum EdgeOutcome {
     No,
     Yes,
     /// It was taken back, or a frame was refused, before it could be believed.
     TooShort,
 }
 
-impl Edge {
-    fn receive(&mut self, bit: bool, is_steady: bool) -> Asked {
-        let was_begun = (1..STEADY).contains(&self.run);
+impl EdgeDetector {
+    fn receive(&mut self, bit: bool, is_steady: bool) -> EdgeOutcome {
+        let was_begun = (1..MIN_CONSECUTIVE_FRAMES).contains(&self.run);
         if !bit {
             *self = Self { is_armed: is_steady, run: 0 };
-            return if was_begun { Asked::TooShort } else { Asked::No };
+            return if was_begun { EdgeOutcome::TooShort } else { EdgeOutcome::No };
         }
-        if !self.is_armed || self.run == STEADY {
-            return Asked::No;
+        if !self.is_armed || self.run == MIN_CONSECUTIVE_FRAMES {
+            return EdgeOutcome::No;
         }
         self.run = self.run.saturating_add(1);
-        if self.run == STEADY { Asked::Yes } else { Asked::No }
+        if self.run == MIN_CONSECUTIVE_FRAMES { EdgeOutcome::Yes } else { EdgeOutcome::No }
     }
 
     /// A frame was refused. Whether that has cut it short.
-    fn cut(&mut self) -> bool {
-        let was_begun = (1..STEADY).contains(&self.run);
+    fn abort(&mut self) -> bool {
+        let was_begun = (1..MIN_CONSECUTIVE_FRAMES).contains(&self.run);
         *self = Self::default();
         was_begun
     }
@@ -98,11 +98,11 @@ pub(super) struct Master {
     line: Option<Interface>,
     silent_ms: u32,
     last: Control,
-    zero: Edge,
-    confirm: Edge,
+    zero: EdgeDetector,
+    confirm: EdgeDetector,
     /// A `Zero` was cut short, and that is not reported yet.
     zero_was_cut: bool,
-    /// Frames accepted since the last one that was refused, up to [`STEADY`].
+    /// Frames accepted since the last one that was refused, up to [`MIN_CONSECUTIVE_FRAMES`].
     steady: u8,
     /// Of these, in a row and at the end, with `Engage` 0.
     released: u8,
@@ -128,58 +128,65 @@ pub(super) struct Master {
 pub(super) struct ControlEvent {
     /// The command that the bridge follows: `Zero` is set where its edge is believed, and in this frame alone.
     pub control: Control,
-    /// `Zero` was asked for, believed or not.
+    /// `Zero` was requested, believed or not.
     pub zero: bool,
-    /// `Confirm` was asked for.
+    /// `Confirm` was requested.
     pub confirm: bool,
 }
 
 impl Master {
     /// Returns true if the commands of a CNC are accepted from this line.
-    pub(crate) fn admits(&self, line: Interface) -> bool {
+    pub(crate) fn accepts_interface(&self, line: Interface) -> bool {
         self.line.is_none_or(|his| his == line)
     }
 
     /// Records a CNC's frame on a line that is not the master's. A damaged frame is noise and does not count.
-    pub(crate) fn receive_other(&mut self) {
-        self.other_line_ms = TOLD_MS;
+    pub(crate) fn record_other_interface(&mut self) {
+        self.other_line_ms = OTHER_INTERFACE_REPORT_MS;
     }
 
     /// Takes an accepted `Control`; `None`: it is not believed.
-    pub fn take(&mut self, line: Interface, control: Control) -> Option<ControlEvent> {
+    pub(crate) fn accept_control(
+        &mut self,
+        line: Interface,
+        control: Control,
+    ) -> Option<ControlEvent> {
         self.line = Some(line);
         self.silent_ms = 0;
-        self.steady = self.steady.saturating_add(1).min(STEADY);
-        let is_steady = self.steady >= STEADY;
+        self.steady = self.steady.saturating_add(1).min(MIN_CONSECUTIVE_FRAMES);
+        let is_steady = self.steady >= MIN_CONSECUTIVE_FRAMES;
         let asked = self.zero.receive(control.zero, is_steady);
-        let confirm = self.confirm.receive(control.confirm, is_steady) == Asked::Yes;
+        let confirm = self.confirm.receive(control.confirm, is_steady) == EdgeOutcome::Yes;
         let was_cut = core::mem::take(&mut self.zero_was_cut);
-        let zero = was_cut || asked != Asked::No;
+        let zero = was_cut || asked != EdgeOutcome::No;
         self.last = control;
         if control.engage {
             self.has_engaged = true;
-            self.is_started |= self.released >= STEADY && !self.is_doubtful;
+            self.is_started |= self.released >= MIN_CONSECUTIVE_FRAMES && !self.is_doubtful;
             self.released = 0;
         } else {
-            self.released = self.released.saturating_add(1).min(STEADY);
+            self.released = self.released.saturating_add(1).min(MIN_CONSECUTIVE_FRAMES);
         }
-        let control = Control { zero: asked == Asked::Yes, confirm: false, ..control };
+        let control = Control { zero: asked == EdgeOutcome::Yes, confirm: false, ..control };
         (!self.is_doubtful).then_some(ControlEvent { control, zero, confirm })
     }
 
     /// A `Control` that was refused; `is_sound`: it was whole, but not in sequence.
-    pub fn refuse(&mut self, is_sound: bool) {
+    pub(crate) fn reject_control(&mut self, is_sound: bool) {
         self.steady = 0;
         self.released = 0;
-        self.zero_was_cut |= self.zero.cut();
-        self.confirm.cut();
+        self.zero_was_cut |= self.zero.abort();
+        self.confirm.abort();
         if is_sound {
             self.quiet_ms = 0;
             // It may be another sender.
             (self.has_engaged, self.was_interrupted) = (false, true);
             // Up to one weight more than a second master has, so that the doubt lasts for a while after the last of them.
-            self.strange = self.strange.saturating_add(WEIGHT).min(SECOND_MASTER + WEIGHT);
-            self.is_doubtful |= self.strange >= SECOND_MASTER;
+            self.strange = self
+                .strange
+                .saturating_add(OUT_OF_SEQUENCE_WEIGHT)
+                .min(SECOND_MASTER_THRESHOLD + OUT_OF_SEQUENCE_WEIGHT);
+            self.is_doubtful |= self.strange >= SECOND_MASTER_THRESHOLD;
         }
     }
 
@@ -192,12 +199,14 @@ impl Master {
             self.has_engaged = false;
         }
         self.leak_ms = self.leak_ms.saturating_add(elapsed_ms);
-        if self.leak_ms >= LEAK_MS {
+        if self.leak_ms >= LEAK_PERIOD_MS {
             self.leak_ms = 0;
             self.strange = self.strange.saturating_sub(1);
         }
         self.quiet_ms = self.quiet_ms.saturating_add(elapsed_ms);
-        if self.steady >= FOLLOWING && self.quiet_ms > link_timeout_ms / QUIET_SHARE {
+        if self.steady >= MIN_SEQUENTIAL_FRAMES
+            && self.quiet_ms > link_timeout_ms / QUIET_TIMEOUT_DIVISOR
+        {
             self.strange = if self.is_doubtful { 0 } else { self.strange };
         }
         self.is_doubtful &= self.strange > 0;
@@ -205,31 +214,31 @@ impl Master {
     }
 
     /// Returns whether the engage sequence is complete.
-    pub(crate) const fn is_started(&self) -> bool {
+    pub(crate) const fn is_engage_complete(&self) -> bool {
         self.is_started
     }
 
     /// Returns whether more than one sends `Control`.
-    pub const fn is_second(&self) -> bool {
+    pub(crate) const fn has_second_sender(&self) -> bool {
         self.is_doubtful || self.other_line_ms > 0
     }
 
     /// Returns whether the master is the CNC: it has engaged since it began to speak, or it speaks since the start of
     /// the board without a gap, and its axes are referenced. A tool that sends `Control` for want of a CNC has no axes.
     /// One that comes after a silence may be anybody.
-    pub(crate) fn is_cnc(&self) -> bool {
+    pub(crate) fn is_master_cnc(&self) -> bool {
         let from_the_start = !self.was_interrupted && self.last.referenced;
         self.line.is_some() && (self.has_engaged || from_the_start)
     }
 
     /// Who may write, as the dictionary has it.
-    pub fn authority(&self) -> Authority {
+    pub(crate) fn write_authority(&self) -> WriteAuthority {
         if self.line.is_none() {
-            Authority::NoMaster
+            WriteAuthority::NoMaster
         } else if self.last.service && !self.last.engage && !self.is_doubtful {
-            Authority::Service
+            WriteAuthority::Service
         } else {
-            Authority::NoService
+            WriteAuthority::NoService
         }
     }
 }

@@ -1,8 +1,11 @@
 //! The node's own values behind the object dictionary.
 
 use trueup_canopen::{
-    dictionary::{BACK, Counter, DROP, ELONGATION_INPUT, FORGET, NOT_AVAILABLE, ObjectKind, Stop},
-    sdo::{Abort, ObjectValue, Objects},
+    dictionary::{
+        CLEAR_REFERENCE_SIGNATURE, CrashDetail, DROP_CALIBRATION_SIGNATURE, ELONGATION_SUBINDEX,
+        EntryContent, NOT_AVAILABLE, RESTORE_REFERENCE_SIGNATURE, ReceiverCounter,
+    },
+    sdo::{AbortCode, ObjectAccess, ObjectValue},
 };
 use trueup_core::{
     bridge::Reference,
@@ -10,39 +13,36 @@ use trueup_core::{
     units::{Nanometres, Temperature},
 };
 use trueup_link::{layout::NO_TEMPERATURE_RAW, status::Item};
-use trueup_store::{calibration::identity, load::LoadError};
+use trueup_store::{calibration::calibration_crc, load::LoadError};
 
 use super::Node;
 
 impl Node<'_> {
-    /// Sets the serial number of the identity object (0x1018:04), 0…2³² − 1: a board of its own has its own.
-    pub fn set_serial_number(&mut self, number: u32) {
-        self.serial_number = number;
-    }
-
     /// Returns whether no offset is followed: only then may the board be changed under it.
     pub(super) fn is_at_rest(&self) -> bool {
         matches!(self.last.quality, Quality::Off | Quality::Fault)
     }
 
     /// Returns a process value in thousandths of its unit.
-    fn input(&self, number: u8) -> Option<i32> {
-        if number.saturating_add(1) == ELONGATION_INPUT {
+    fn process_value(&self, number: u8) -> Option<i32> {
+        if number.saturating_add(1) == ELONGATION_SUBINDEX {
             return self.state.elongation().map(|elongation| elongation.0);
         }
         let Temperature(temperature) = self.state.temperature(number)?;
-        const HALF: i32 = Temperature::PER_MILLIKELVIN / 2;
-        temperature.saturating_add(HALF).checked_div_euclid(Temperature::PER_MILLIKELVIN)
+        const HALF_MILLIKELVIN: i32 = Temperature::PER_MILLIKELVIN / 2;
+        temperature
+            .saturating_add(HALF_MILLIKELVIN)
+            .checked_div_euclid(Temperature::PER_MILLIKELVIN)
     }
 
-    fn counter(&self, counter: Counter) -> u32 {
+    fn receiver_counter(&self, counter: ReceiverCounter) -> u32 {
         let counters = self.receiver.counters();
         match counter {
-            Counter::Accepted => counters.accepted,
-            Counter::Malformed => counters.malformed,
-            Counter::Crc => counters.crc_errors,
-            Counter::Sequence => counters.sequence_errors,
-            Counter::Lost => counters.lost,
+            ReceiverCounter::Accepted => counters.accepted,
+            ReceiverCounter::Malformed => counters.malformed,
+            ReceiverCounter::Crc => counters.crc_errors,
+            ReceiverCounter::Sequence => counters.sequence_errors,
+            ReceiverCounter::Lost => counters.lost,
         }
     }
 
@@ -57,109 +57,120 @@ impl Node<'_> {
     // Not a part of its caller, which has dealt with some of these: the compiler would put a trap
     // where they cannot come, and no trap may be reachable from a frame (host-tests, no_panic).
     #[inline(never)]
-    fn number(&self, what: ObjectKind) -> Result<u32, Abort> {
+    fn entry_value(&self, what: EntryContent) -> Result<u32, AbortCode> {
         let signed = |number: i32| number.cast_unsigned();
         let nanometres = |length: Nanometres| signed(length.0);
         let reference = self.state.reference();
         Ok(match what {
-            ObjectKind::Fixed(number) => number,
-            ObjectKind::SerialNumber => self.serial_number,
-            ObjectKind::ErrorRegister => self.faults(&self.last).register().into(),
-            ObjectKind::ErrorCount => u32::try_from(self.emergencies.count()).unwrap_or(u32::MAX),
-            ObjectKind::Error(number) => self.emergencies.error(number).ok_or(Abort::NoData)?,
-            ObjectKind::Inhibit => self.emergencies.inhibit().into(),
-            ObjectKind::ConsumerHeartbeat => self.consumer.setting(),
-            ObjectKind::ProducerHeartbeat => self.heartbeat_period_ms.into(),
-            ObjectKind::Offset(axis) => {
+            EntryContent::Fixed(number) => number,
+            EntryContent::SerialNumber => self.board.serial_number,
+            EntryContent::ErrorRegister => self.faults(&self.last).error_register().into(),
+            EntryContent::ErrorCount => {
+                u32::try_from(self.emergencies.error_count()).unwrap_or(u32::MAX)
+            }
+            EntryContent::Error(number) => {
+                self.emergencies.error(number).ok_or(AbortCode::NoData)?
+            }
+            EntryContent::Inhibit => self.emergencies.inhibit_time().into(),
+            EntryContent::ConsumerHeartbeat => self.consumer.to_object_value(),
+            EntryContent::ProducerHeartbeat => self.heartbeat.period_ms.into(),
+            EntryContent::Offset(axis) => {
                 let offset = self.last.offset.and_then(|all| all.get(usize::from(axis)).copied());
                 offset.map_or(signed(NOT_AVAILABLE), nanometres)
             }
-            ObjectKind::Quality => self.last.quality as u32,
-            ObjectKind::Flags => self.last.flags.0.into(),
-            ObjectKind::Age => self.last.age_ms.into(),
-            ObjectKind::Faults => self.faults(&self.last).low_bits().into(),
-            ObjectKind::AllFaults => self.faults(&self.last).low_word(),
-            ObjectKind::HighFaults => self.faults(&self.last).high_word(),
-            ObjectKind::StateBits => self.faults(&self.last).state().0,
-            ObjectKind::ResetReason => self.start.reason as u32,
-            ObjectKind::Stop(what) => self.start.stop.number(what).ok_or(Abort::NoData)?,
-            ObjectKind::Resets(reason) => self.start.resets(reason).into(),
-            ObjectKind::Commit => self.commit,
-            ObjectKind::Authority => self.authority() as u32,
-            ObjectKind::Clock => self.now.0,
-            ObjectKind::ReferenceElongation => nanometres(reference.elongation),
-            ObjectKind::Reference(axis) => {
-                let axis = reference.axes.get(usize::from(axis)).ok_or(Abort::NoSubindex)?;
+            EntryContent::Quality => self.last.quality as u32,
+            EntryContent::Flags => self.last.flags.0.into(),
+            EntryContent::Age => self.last.age_ms.into(),
+            EntryContent::Faults => self.faults(&self.last).low_half_word().into(),
+            EntryContent::AllFaults => self.faults(&self.last).low_word(),
+            EntryContent::HighFaults => self.faults(&self.last).high_word(),
+            EntryContent::StateBits => self.faults(&self.last).state_bits().0,
+            EntryContent::ResetReason => self.board.start.reason as u32,
+            EntryContent::CrashDetail(what) => {
+                self.board.start.stop.detail_value(what).ok_or(AbortCode::NoData)?
+            }
+            EntryContent::Resets(reason) => self.board.start.reset_count(reason).into(),
+            EntryContent::Commit => self.board.commit,
+            EntryContent::Authority => self.write_authority() as u32,
+            EntryContent::Clock => self.now.0,
+            EntryContent::ReferenceElongation => nanometres(reference.elongation),
+            EntryContent::Reference(axis) => {
+                let axis = reference.axes.get(usize::from(axis)).ok_or(AbortCode::NoSubindex)?;
                 nanometres(axis.rounded())
             }
-            ObjectKind::HasReference => (reference != Reference::default()).into(),
-            ObjectKind::Learned(part) => {
-                let part = self.state.learned().now().get(usize::from(part)).copied();
-                signed(part.ok_or(Abort::NoSubindex)?.into())
+            EntryContent::HasReference => (reference != Reference::default()).into(),
+            EntryContent::Learned(part) => {
+                let part = self.state.learned().current().get(usize::from(part)).copied();
+                signed(part.ok_or(AbortCode::NoSubindex)?.into())
             }
-            ObjectKind::Tool => self.state.conditions().0.unwrap_or_default().tool.into(),
-            ObjectKind::Conditions => self.state.conditions().0.unwrap_or_default().bits.into(),
-            ObjectKind::ConditionsOrigin => match self.state.conditions() {
+            EntryContent::Tool => self.state.conditions().0.unwrap_or_default().tool.into(),
+            EntryContent::Conditions => self.state.conditions().0.unwrap_or_default().bits.into(),
+            EntryContent::ConditionsOrigin => match self.state.conditions() {
                 (_, true) => 2,
                 (last, false) => last.is_some().into(),
             },
-            ObjectKind::Noise => self.noise_thousandths(),
-            ObjectKind::Counter(counter) => self.counter(counter),
-            ObjectKind::RunningCrc => identity(self.blob),
-            ObjectKind::NewCrc => self.new_crc,
-            ObjectKind::Utc => self.utc_s(),
-            ObjectKind::MachineBoard(word) => {
-                let word = self.names().board.get(usize::from(word)).copied();
-                word.ok_or(Abort::NoSubindex)?
+            EntryContent::Noise => self.noise_thousandths(),
+            EntryContent::ReceiverCounter(counter) => self.receiver_counter(counter),
+            EntryContent::RunningCrc => calibration_crc(self.blob),
+            EntryContent::NewCrc => self.new_crc,
+            EntryContent::Utc => self.utc_s(),
+            EntryContent::MachineBoard(word) => {
+                let word = self.machine_identity().board.get(usize::from(word)).copied();
+                word.ok_or(AbortCode::NoSubindex)?
             }
-            ObjectKind::Input(number) => signed(self.input(number).unwrap_or(NOT_AVAILABLE)),
-            ObjectKind::InputStatus(number) => self.input(number).is_none().into(),
-            ObjectKind::OfferedElongation => {
+            EntryContent::Input(number) => {
+                signed(self.process_value(number).unwrap_or(NOT_AVAILABLE))
+            }
+            EntryContent::InputStatus(number) => self.process_value(number).is_none().into(),
+            EntryContent::OfferedElongation => {
                 let offered = self.offer.reference();
                 offered.map_or(signed(NOT_AVAILABLE), |it| nanometres(it.elongation))
             }
-            ObjectKind::Offered(axis) => {
+            EntryContent::Offered(axis) => {
                 let axes = self.offer.reference().map(|it| it.axes);
                 let axis = axes.and_then(|axes| axes.get(usize::from(axis)).copied());
                 axis.map_or(signed(NOT_AVAILABLE), |axis| nanometres(axis.rounded()))
             }
-            ObjectKind::ReferenceUtc => self.offer.taken().map_or(0, |write| write.utc_s),
-            ObjectKind::ReferenceOrigin => self.offer.origin().into(),
-            ObjectKind::ReferenceAge => self.reference_age_s().unwrap_or(u32::MAX),
-            ObjectKind::FirmwareReceived
-            | ObjectKind::FirmwareTag
-            | ObjectKind::FirmwareRefused
-            | ObjectKind::RunningSlot
-            | ObjectKind::SlotVersion(_)
-            | ObjectKind::SlotStatus(_)
-            | ObjectKind::FirmwareFloor
-            | ObjectKind::SlotChoice => self.firmware.number(what)?,
-            ObjectKind::Forget
-            | ObjectKind::DropNew
-            | ObjectKind::FirmwareHeader
-            | ObjectKind::FirmwareImage => return Err(Abort::WriteOnly),
-            ObjectKind::Text(_)
-            | ObjectKind::Running
-            | ObjectKind::New
-            | ObjectKind::WriteLog
-            | ObjectKind::MachineName
-            | ObjectKind::MachineSerial => {
-                return Err(Abort::NoData);
+            EntryContent::ReferenceUtc => {
+                self.offer.reference_write().map_or(0, |write| write.utc_s)
             }
+            EntryContent::ReferenceOrigin => self.offer.origin().into(),
+            EntryContent::ReferenceAge => self.reference_age_s().unwrap_or(u32::MAX),
+            EntryContent::FirmwareReceived
+            | EntryContent::FirmwareTag
+            | EntryContent::FirmwareRefused
+            | EntryContent::RunningSlot
+            | EntryContent::SlotVersion(_)
+            | EntryContent::SlotStatus(_)
+            | EntryContent::FirmwareFloor
+            | EntryContent::SlotChoice => self.firmware.entry_value(what)?,
+            EntryContent::Forget
+            | EntryContent::DropNew
+            | EntryContent::FirmwareHeader
+            | EntryContent::FirmwareImage => return Err(AbortCode::WriteOnly),
+            EntryContent::Text(_)
+            | EntryContent::Running
+            | EntryContent::New
+            | EntryContent::WriteLog
+            | EntryContent::MachineName
+            | EntryContent::MachineSerial => return Err(AbortCode::NoData),
         })
     }
 }
 
 impl Node<'_> {
     /// Returns what a status frame about this item says.
-    pub(super) fn item(&self, number: u8) -> Item {
+    pub(super) fn status_item(&self, number: u8) -> Item {
         let short = |number: u32| u16::try_from(number).unwrap_or(u16::MAX);
         let counters = self.receiver.counters();
         match number {
             pair @ 0..=3 => {
                 let first = pair.saturating_mul(2);
                 let both = [first, first.saturating_add(1)];
-                Item::Temperatures { pair, centi_c: both.map(|channel| self.centi_c(channel)) }
+                Item::Temperatures {
+                    pair,
+                    centi_c: both.map(|channel| self.temperature_centi_c(channel)),
+                }
             }
             4 => Item::Elongation(self.state.elongation()),
             5 => Item::Refused {
@@ -171,10 +182,10 @@ impl Node<'_> {
             }
             7 => Item::Board {
                 noise_thousandths: short(self.noise_thousandths()),
-                faults: self.faults(&self.last).low_bits(),
+                faults: self.faults(&self.last).low_half_word(),
             },
-            8 => Item::State(self.faults(&self.last).state()),
-            9 => Item::Reset { reason: self.start.reason, free_stack: self.free_stack },
+            8 => Item::State(self.faults(&self.last).state_bits()),
+            9 => Item::Reset { reason: self.board.start.reason, free_stack: self.board.free_stack },
             _ => Item::Calibration(self.running_crc()),
         }
     }
@@ -182,96 +193,111 @@ impl Node<'_> {
     /// Returns a temperature in 0.01 °C.
     // Once in the image, not once for each channel.
     #[inline(never)]
-    pub(super) fn centi_c(&self, channel: u8) -> Option<i16> {
-        const STEP: i32 = 10 * Temperature::PER_MILLIKELVIN;
+    pub(super) fn temperature_centi_c(&self, channel: u8) -> Option<i16> {
+        const UNITS_PER_CENTIKELVIN: i32 = 10 * Temperature::PER_MILLIKELVIN;
         let Temperature(temperature) = self.state.temperature(channel)?;
-        let rounded = temperature.saturating_add(STEP / 2).div_euclid(STEP);
+        let rounded =
+            temperature.saturating_add(UNITS_PER_CENTIKELVIN / 2).div_euclid(UNITS_PER_CENTIKELVIN);
         // The ends are beyond what a thermometer reads.
         i16::try_from(rounded).ok().filter(|it| i32::from(*it) != NO_TEMPERATURE_RAW)
     }
 }
 
 /// Returns the abort code that a master gets for a calibration that is not loaded.
-pub(super) const fn abort(error: LoadError) -> Abort {
+pub(super) const fn load_abort_code(error: LoadError) -> AbortCode {
     match error {
-        LoadError::TooLong => Abort::TooLong,
-        LoadError::Busy => Abort::DeviceState,
-        LoadError::Refused => Abort::Value,
-        LoadError::NotStored => Abort::CannotStore,
+        LoadError::TooLong => AbortCode::TooLong,
+        LoadError::Busy => AbortCode::DeviceState,
+        LoadError::Refused => AbortCode::Value,
+        LoadError::NotStored => AbortCode::CannotStore,
     }
 }
 
-impl Objects for Node<'_> {
-    fn read(&self, what: ObjectKind) -> Result<ObjectValue<'_>, Abort> {
+impl ObjectAccess for Node<'_> {
+    fn read(&self, what: EntryContent) -> Result<ObjectValue<'_>, AbortCode> {
         Ok(ObjectValue::Bytes(match what {
-            ObjectKind::Text(text) => text.as_bytes(),
-            ObjectKind::Stop(Stop::File) => self.start.stop.file(),
-            ObjectKind::Running if !self.blob.is_empty() => self.blob,
-            ObjectKind::WriteLog if !self.log.bytes().is_empty() => self.log.bytes(),
-            ObjectKind::MachineName if !self.names().machine.is_empty() => self.names().machine,
-            ObjectKind::MachineSerial if !self.names().serial.is_empty() => self.names().serial,
-            ObjectKind::New => self.slot.stored().ok_or(Abort::NoData)?,
-            number => return self.number(number).map(ObjectValue::Number),
+            EntryContent::Text(text) => text.as_bytes(),
+            EntryContent::CrashDetail(CrashDetail::File) => self.board.start.stop.file_name(),
+            EntryContent::Running if !self.blob.is_empty() => self.blob,
+            EntryContent::WriteLog if !self.log.as_bytes().is_empty() => self.log.as_bytes(),
+            EntryContent::MachineName if !self.machine_identity().machine.is_empty() => {
+                self.machine_identity().machine
+            }
+            EntryContent::MachineSerial if !self.machine_identity().serial.is_empty() => {
+                self.machine_identity().serial
+            }
+            EntryContent::New => self.slot.stored().ok_or(AbortCode::NoData)?,
+            number => return self.entry_value(number).map(ObjectValue::Number),
         }))
     }
 
-    fn write(&mut self, what: ObjectKind, number: u32) -> Result<(), Abort> {
-        let short = || u16::try_from(number).map_err(|_| Abort::Value);
+    fn write(&mut self, what: EntryContent, number: u32) -> Result<(), AbortCode> {
+        let short = || u16::try_from(number).map_err(|_| AbortCode::Value);
         // A stranger on the bus must not change it, nor anybody under a tool that cuts.
-        self.allow_change()?;
+        self.check_change_allowed()?;
         match what {
-            ObjectKind::ErrorCount if number == 0 => self.emergencies.clear(),
-            ObjectKind::Inhibit => self.emergencies.set_inhibit(short()?),
-            ObjectKind::ConsumerHeartbeat => self.consumer.set(number)?,
-            ObjectKind::ProducerHeartbeat => {
-                self.heartbeat_period_ms = short()?;
-                self.since_heartbeat_ms = 0;
+            EntryContent::ErrorCount if number == 0 => self.emergencies.clear_history(),
+            EntryContent::Inhibit => self.emergencies.set_inhibit_time(short()?),
+            EntryContent::ConsumerHeartbeat => self.consumer.set_object_value(number)?,
+            EntryContent::ProducerHeartbeat => {
+                self.heartbeat.period_ms = short()?;
+                self.heartbeat.since_ms = 0;
             }
-            ObjectKind::Utc => self.set_utc_s(number),
-            ObjectKind::ReferenceElongation => self.write_part(0, number)?,
-            ObjectKind::Reference(axis) => self.write_part(axis.saturating_add(1), number)?,
-            ObjectKind::Forget if number == BACK => self.offer_written()?,
-            ObjectKind::Forget if number != FORGET => return Err(Abort::Value),
-            ObjectKind::Forget => self.forget(),
-            ObjectKind::DropNew if number != DROP => return Err(Abort::Value),
-            ObjectKind::DropNew => self.drop_new()?,
-            _ => return Err(Abort::Value),
+            EntryContent::Utc => self.set_utc_s(number),
+            EntryContent::ReferenceElongation => self.write_reference_part(0, number)?,
+            EntryContent::Reference(axis) => {
+                self.write_reference_part(axis.saturating_add(1), number)?
+            }
+            EntryContent::Forget if number == RESTORE_REFERENCE_SIGNATURE => {
+                self.offer_transferred_reference()?
+            }
+            EntryContent::Forget if number != CLEAR_REFERENCE_SIGNATURE => {
+                return Err(AbortCode::Value);
+            }
+            EntryContent::Forget => self.clear_learned_and_reference(),
+            EntryContent::DropNew if number != DROP_CALIBRATION_SIGNATURE => {
+                return Err(AbortCode::Value);
+            }
+            EntryContent::DropNew => self.request_calibration_drop()?,
+            _ => return Err(AbortCode::Value),
         }
         Ok(())
     }
 
-    fn open(&mut self, what: ObjectKind, size: Option<u32>) -> Result<(), Abort> {
-        self.allow_change()?;
+    fn open(&mut self, what: EntryContent, size: Option<u32>) -> Result<(), AbortCode> {
+        self.check_change_allowed()?;
         match what {
-            ObjectKind::FirmwareHeader | ObjectKind::FirmwareImage => {
+            EntryContent::FirmwareHeader | EntryContent::FirmwareImage => {
                 self.open_firmware(what, size)
             }
-            _ if self.firmware_waits() => Err(Abort::DeviceState),
-            _ => self.slot.open(size).map_err(abort),
+            _ if self.has_pending_firmware() => Err(AbortCode::DeviceState),
+            _ => self.slot.open(size).map_err(load_abort_code),
         }
     }
 
-    fn append(&mut self, what: ObjectKind, bytes: &[u8]) -> Result<(), Abort> {
+    fn append(&mut self, what: EntryContent, bytes: &[u8]) -> Result<(), AbortCode> {
         match what {
-            ObjectKind::FirmwareHeader | ObjectKind::FirmwareImage => self.append_firmware(bytes),
-            _ => self.slot.append(bytes).map_err(abort),
+            EntryContent::FirmwareHeader | EntryContent::FirmwareImage => {
+                self.append_firmware(bytes)
+            }
+            _ => self.slot.append(bytes).map_err(load_abort_code),
         }
     }
 
-    fn is_ready(&self, what: ObjectKind) -> bool {
+    fn is_ready(&self, what: EntryContent) -> bool {
         match what {
-            ObjectKind::FirmwareHeader | ObjectKind::FirmwareImage => self.is_firmware_ready(),
+            EntryContent::FirmwareHeader | EntryContent::FirmwareImage => self.has_block_capacity(),
             // Its buffer takes all of it.
             _ => true,
         }
     }
 
-    fn close(&mut self, what: ObjectKind) -> Result<(), Abort> {
-        self.allow_change()?;
-        if matches!(what, ObjectKind::FirmwareHeader | ObjectKind::FirmwareImage) {
+    fn close(&mut self, what: EntryContent) -> Result<(), AbortCode> {
+        self.check_change_allowed()?;
+        if matches!(what, EntryContent::FirmwareHeader | EntryContent::FirmwareImage) {
             return self.close_firmware();
         }
-        self.log.loads(!self.master.is_cnc());
-        self.slot.close().map_err(abort)
+        self.log.set_load_origin(!self.master.is_master_cnc());
+        self.slot.close().map_err(load_abort_code)
     }
 }

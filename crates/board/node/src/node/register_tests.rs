@@ -4,30 +4,30 @@ use std::{vec, vec::Vec};
 use trueup_core::{
     bridge::Input,
     cnc::{
-        AxisPosition, Command, Conditions, Control, Flags, Heading, LinearAxis, Quality, Rotary,
-        Spindle,
+        AxisPosition, Command, Conditions, Control, Flags, LinearAxis, Quality, Rotary, Spindle,
+        TravelDirection,
     },
-    units::{Code, MicroDegrees, Position, Rpm},
+    units::{AdcCode, MicroDegrees, Position, Rpm},
 };
 use trueup_link::{frames, status::StateBits};
 use trueup_modbus::{
-    cnc::{self, Block, Cnc},
+    holding::{self, Block, CncData},
     input,
-    rtu::{Slave, Timing},
-    server::{Bridge, Busy, Response},
+    rtu::{FrameTiming, Slave},
+    server::{Busy, RegisterStore, Response},
 };
 
 use super::*;
-use crate::node::tests_calibration;
+use crate::node::sensor_only_calibration;
 
-fn block(control: Control, counter: u16) -> cnc::Registers {
-    Cnc { control, ..Cnc::default() }.encode(counter)
+fn block(control: Control, counter: u16) -> holding::Registers {
+    CncData { control, ..CncData::default() }.encode(counter)
 }
 
 /// Lets this many milliseconds pass with a sensor at this code.
-fn pass(node: &mut Node<'_>, ms: u32, code: u16) {
+fn run_for_ms(node: &mut Node<'_>, ms: u32, code: u16) {
     for n in 0..ms {
-        let noise = core::array::from_fn(|i| Code(code + u16::from((n as usize + i) % 2 == 1)));
+        let noise = core::array::from_fn(|i| AdcCode(code + u16::from((n as usize + i) % 2 == 1)));
         node.tick(1, Input { codes: Some(&noise), ..Input::default() });
         node.service();
     }
@@ -39,24 +39,24 @@ fn after(node: &mut Node<'_>, said: &[Control], first: u16) -> u16 {
     for control in said {
         assert_eq!(node.receive_registers(&block(*control, counter)), Ok(()));
         counter = counter.wrapping_add(1);
-        pass(node, 20, 700);
+        run_for_ms(node, 20, 700);
     }
     counter
 }
 
-fn engaged() -> (Node<'static>, u16) {
-    let mut calibration = tests_calibration();
+fn engaged_node() -> (Node<'static>, u16) {
+    let mut calibration = sensor_only_calibration();
     // 1 µm in a millisecond.
     calibration.limits.slew_nm_per_s = 1_000_000;
-    let mut node = Node::new(Some(calibration), false);
+    let mut node = Node::new(calibration.into());
     let counter = after(&mut node, &[Control::REFERENCED; 4], 0xFFF8);
     let counter = after(&mut node, &[Control::ENGAGED; 60], counter);
-    assert_eq!(node.last().quality, Quality::Live);
+    assert_eq!(node.last_output().quality, Quality::Live);
     (node, counter)
 }
 
 fn state(node: &Node<'_>) -> StateBits {
-    StateBits(node.said().state)
+    StateBits(node.input_data().state)
 }
 
 #[test]
@@ -65,16 +65,16 @@ fn a_plc_engages_by_the_sequence_and_a_plc_that_falls_silent_is_a_lost_cnc() {
     for (received, is_available) in
         [(vec![on; 20], false), (vec![off, off, on, on], false), (vec![off, off, off, on], true)]
     {
-        let mut node = Node::new(Some(tests_calibration()), false);
+        let mut node = Node::new(sensor_only_calibration().into());
         after(&mut node, &received, 7);
-        assert_eq!(node.last().offset.is_some(), is_available, "{received:?}");
+        assert_eq!(node.last_output().offset.is_some(), is_available, "{received:?}");
         assert_eq!(state(&node).contains(StateBits::RESTARTED), !is_available);
     }
-    let (mut node, _) = engaged();
+    let (mut node, _) = engaged_node();
     let qualities: Vec<Quality> = (0..4_000)
         .map(|_| {
-            pass(&mut node, 1, 700);
-            node.last().quality
+            run_for_ms(&mut node, 1, 700);
+            node.last_output().quality
         })
         .collect();
     let mut course = qualities.clone();
@@ -87,8 +87,8 @@ fn a_plc_engages_by_the_sequence_and_a_plc_that_falls_silent_is_a_lost_cnc() {
 
 #[test]
 fn blocks_that_are_damaged_repeated_or_jump_are_counted_and_move_nothing() {
-    let (mut node, counter) = engaged();
-    let before = *node.last();
+    let (mut node, counter) = engaged_node();
+    let before = *node.last_output();
     assert!(before.offset.is_some_and(|all| all[2].0.abs() > 1_000), "{before:?}");
     let mut damaged = block(Control::default(), counter);
     damaged[1] ^= 1;
@@ -98,29 +98,29 @@ fn blocks_that_are_damaged_repeated_or_jump_are_counted_and_move_nothing() {
         (block(Control::default(), counter.wrapping_add(900)), 4),
     ] {
         assert_eq!(node.receive_registers(&bad), Ok(()), "it is acknowledged");
-        assert_eq!(node.said().last_refused, reason);
-        pass(&mut node, 20, 700);
-        let moved = [node.last(), &before].map(|it| it.offset.expect("live")[2].0);
+        assert_eq!(node.input_data().last_refused, reason);
+        run_for_ms(&mut node, 20, 700);
+        let moved = [node.last_output(), &before].map(|it| it.offset.expect("live")[2].0);
         assert!(
             moved[0].abs_diff(moved[1]) < 100,
             "it is off by that if it is followed: {moved:?}"
         );
-        assert_eq!(node.last().quality, Quality::Live);
+        assert_eq!(node.last_output().quality, Quality::Live);
     }
-    assert_eq!(node.said().refused, 3);
+    assert_eq!(node.input_data().refused, 3);
     // As on CAN, three that are whole and out of order within 2.4 s are two masters.
     assert!(!state(&node).contains(StateBits::SECOND_MASTER));
     node.receive_registers(&block(Control::default(), counter)).expect("acknowledged");
-    pass(&mut node, 2, 700);
+    run_for_ms(&mut node, 2, 700);
     assert!(state(&node).contains(StateBits::SECOND_MASTER));
 }
 
 #[test]
 fn a_plc_beside_a_cnc_on_can_is_busy_and_told_and_noise_is_not() {
-    let mut node = Node::new(Some(tests_calibration()), false);
+    let mut node = Node::new(sensor_only_calibration().into());
     let can = |node: &mut Node<'_>, control, counter| {
-        node.receive(Interface::Can, &frames::control(control, counter)).expect("in order");
-        pass(node, 20, 700);
+        node.receive(Interface::Can, &frames::encode_control(control, counter)).expect("in order");
+        run_for_ms(node, 20, 700);
     };
     (0..4).for_each(|n| can(&mut node, Control::REFERENCED, n));
     (4..30).for_each(|n| can(&mut node, Control::ENGAGED, n));
@@ -132,18 +132,18 @@ fn a_plc_beside_a_cnc_on_can_is_busy_and_told_and_noise_is_not() {
             can(&mut node, Control::ENGAGED, n.to_le_bytes()[0] + if is_told { 10 } else { 0 });
         }
         assert_eq!(state(&node).contains(StateBits::SECOND_MASTER), is_told);
-        assert_eq!(node.last().quality, Quality::Live);
+        assert_eq!(node.last_output().quality, Quality::Live);
     }
-    assert_eq!(node.said().refused, 0);
+    assert_eq!(node.input_data().refused, 0);
 }
 
 /// Returns a block of a control that says all it can, at this place.
-fn whole_block(counter: u16, place: i32) -> cnc::Registers {
+fn full_control_block(counter: u16, place: i32) -> holding::Registers {
     let at = |axis| {
         let position = Position(100_000 * place);
-        Some(AxisPosition { axis, position, direction: Heading::Positive })
+        Some(AxisPosition { axis, position, direction: TravelDirection::Positive })
     };
-    let said = Cnc {
+    let said = CncData {
         control: Control::ENGAGED,
         positions: LinearAxis::ALL.map(at),
         rotary: Some(Rotary { angles: [MicroDegrees(1_000 * place); 2] }),
@@ -155,59 +155,59 @@ fn whole_block(counter: u16, place: i32) -> cnc::Registers {
 
 #[test]
 fn a_block_taken_in_steps_ends_where_one_taken_at_once_does() {
-    let ((mut at_once, mut counter), (mut in_steps, _)) = (engaged(), engaged());
+    let ((mut at_once, mut counter), (mut in_steps, _)) = (engaged_node(), engaged_node());
     for n in 0..40 {
-        let registers = whole_block(counter, n.min(10));
+        let registers = full_control_block(counter, n.min(10));
         assert_eq!(at_once.receive_registers(&registers), Ok(()));
-        pass(&mut at_once, 10, 700);
-        let block = Block::examine(&registers);
+        run_for_ms(&mut at_once, 10, 700);
+        let block = Block::from_registers(&registers);
         assert_eq!(in_steps.receive_block(&block), Ok(true));
-        let values: Vec<Command> = block.values().collect();
+        let values: Vec<Command> = block.commands().collect();
         assert_eq!(values.len(), 6, "all are there: {values:?}");
         for value in values {
             // A tick of the offset comes in between.
-            pass(&mut in_steps, 1, 700);
-            in_steps.receive_value(value);
+            run_for_ms(&mut in_steps, 1, 700);
+            in_steps.receive_command(value);
         }
-        pass(&mut in_steps, 4, 700);
+        run_for_ms(&mut in_steps, 4, 700);
         counter = counter.wrapping_add(1);
-        assert_eq!(in_steps.holding(), registers, "read back as it was written");
-        assert_eq!(in_steps.last().quality, Quality::Live);
+        assert_eq!(in_steps.holding_registers(), registers, "read back as it was written");
+        assert_eq!(in_steps.last_output().quality, Quality::Live);
     }
-    assert_eq!(in_steps.said(), at_once.said());
-    assert!(!in_steps.last().flags.contains(Flags::SPEED_UNKNOWN));
+    assert_eq!(in_steps.input_data(), at_once.input_data());
+    assert!(!in_steps.last_output().flags.contains(Flags::SPEED_UNKNOWN));
 }
 
 #[test]
 fn values_of_a_block_have_no_effect_once_another_line_has_the_master() {
     for (is_lost, is_unknown) in [(false, false), (true, true)] {
-        let (mut node, counter) = engaged();
-        let block = Block::examine(&whole_block(counter, 0));
+        let (mut node, counter) = engaged_node();
+        let block = Block::from_registers(&full_control_block(counter, 0));
         assert_eq!(node.receive_block(&block), Ok(true));
         if is_lost {
-            pass(&mut node, 600, 700);
-            node.receive(Interface::Can, &frames::control(Control::REFERENCED, 0))
+            run_for_ms(&mut node, 600, 700);
+            node.receive(Interface::Can, &frames::encode_control(Control::REFERENCED, 0))
                 .expect("in order");
         }
-        block.values().for_each(|value| node.receive_value(value));
-        pass(&mut node, 2, 700);
-        assert_eq!(node.last().flags.contains(Flags::SPEED_UNKNOWN), is_unknown);
+        block.commands().for_each(|value| node.receive_command(value));
+        run_for_ms(&mut node, 2, 700);
+        assert_eq!(node.last_output().flags.contains(Flags::SPEED_UNKNOWN), is_unknown);
     }
 }
 
 /// The node, as its slave reaches it.
-struct Reached<'n>(&'n mut Node<'static>);
+struct NodeBridge<'n>(&'n mut Node<'static>);
 
-impl Bridge for Reached<'_> {
-    fn input(&mut self) -> input::Registers {
-        self.0.said().encode()
+impl RegisterStore for NodeBridge<'_> {
+    fn input_registers(&mut self) -> input::Registers {
+        self.0.input_data().encode()
     }
 
-    fn holding(&mut self) -> cnc::Registers {
-        self.0.holding()
+    fn holding_registers(&mut self) -> holding::Registers {
+        self.0.holding_registers()
     }
 
-    fn take(&mut self, block: &cnc::Registers) -> Result<(), Busy> {
+    fn write_holding_registers(&mut self, block: &holding::Registers) -> Result<(), Busy> {
         self.0.receive_registers(block)
     }
 }
@@ -215,33 +215,33 @@ impl Bridge for Reached<'_> {
 #[test]
 fn of_100_000_polls_of_values_that_change_every_millisecond_none_is_half_old() {
     // Read input registers 0 to 27 of unit 1.
-    const ASK: [u8; 8] = [1, 4, 0, 0, 0, 28, 0xF1, 0xC3];
-    let (mut node, mut counter) = engaged();
-    let mut slave = Slave::new(1, Timing::at(115_200));
+    const READ_REQUEST: [u8; 8] = [1, 4, 0, 0, 0, 28, 0xF1, 0xC3];
+    let (mut node, mut counter) = engaged_node();
+    let mut slave = Slave::new(1, FrameTiming::from_baud(115_200));
     let (mut response, mut now_us) = (Response::new(), 0_u32);
     let mut last = None;
     let mut changed = 0;
     for n in 0..100_000_u32 {
-        for byte in ASK {
+        for byte in READ_REQUEST {
             now_us = now_us.wrapping_add(96);
             slave.receive(now_us, byte);
         }
         now_us = now_us.wrapping_add(1_750);
-        assert!(slave.poll(now_us, &mut Reached(&mut node), &mut response));
+        assert!(slave.poll(now_us, &mut NodeBridge(&mut node), &mut response));
         let mut words = [0; 28];
         for (word, pair) in words.iter_mut().zip(response[3..59].as_chunks::<2>().0) {
             *word = u16::from_be_bytes(*pair);
         }
-        let said = input::Input::decode(&words).expect("a whole block");
+        let said = input::InputBlock::decode(&words).expect("a whole block");
         let round = |it: trueup_core::units::Nanometres| (it.0.abs() + 5) / 10 * 10 * it.0.signum();
-        let wanted = node.last().offset.map(|all| all.map(round));
+        let wanted = node.last_output().offset.map(|all| all.map(round));
         assert_eq!(said.output.offset.map(|all| all.map(|it| it.0)), wanted, "poll {n}");
         assert_eq!(said.counter, (node.now().0 & 0xFFFF) as u16);
         assert_eq!((said.output.quality, said.state), (Quality::Live, 0), "poll {n}");
         changed += u32::from(last.replace(said.elongation) != Some(said.elongation));
         // Up and down again, not from one end to the other: that would be a jump, and told.
         let step = n / 8 % 2_000;
-        pass(&mut node, 1, 700 + step.min(2_000 - step) as u16);
+        run_for_ms(&mut node, 1, 700 + step.min(2_000 - step) as u16);
         if n % 20 == 0 {
             node.receive_registers(&block(Control::ENGAGED, counter))
                 .expect("nobody else is there");

@@ -3,8 +3,8 @@
 
 use trueup_core::cnc::Command;
 use trueup_modbus::{
-    cnc::{self, Block, Checker, Refused},
-    input::Input,
+    holding::{self, Block, BlockRejectReason, Checker},
+    input::InputBlock,
     server::Busy,
 };
 
@@ -12,9 +12,9 @@ use super::{Interface, Node};
 
 /// State of the exchange in registers.
 #[derive(Debug, Default)]
-pub(super) struct Registers {
+pub(super) struct RegisterExchange {
     checker: Checker,
-    holding: cnc::Registers,
+    holding: holding::Registers,
     last_refused: u16,
     refused: u16,
 }
@@ -24,29 +24,29 @@ impl Node<'_> {
     // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
     #[inline(never)]
     #[must_use]
-    pub fn said(&self) -> Input {
+    pub fn input_data(&self) -> InputBlock {
         let [low, high, ..] = self.now.0.to_le_bytes();
-        Input {
+        InputBlock {
             counter: u16::from_le_bytes([low, high]),
             output: self.last,
             age_ms: self.last.age_ms.into(),
             last_refused: self.registers.last_refused,
             refused: self.registers.refused,
-            state: self.faults(&self.last).state().0,
+            state: self.faults(&self.last).state_bits().0,
             calibration: self.running_crc(),
             elongation: self.state.elongation(),
-            centi_c: [0, 1, 2, 3, 4, 5, 6, 7].map(|channel| self.centi_c(channel)),
+            centi_c: [0, 1, 2, 3, 4, 5, 6, 7].map(|channel| self.temperature_centi_c(channel)),
         }
     }
 
     /// Returns the holding block that was last used; zeros before.
     #[must_use]
-    pub const fn holding(&self) -> cnc::Registers {
+    pub const fn holding_registers(&self) -> holding::Registers {
         self.registers.holding
     }
 
     /// Takes a holding block from the RS-485 line, and follows its `Control`. Returns whether its values are to follow, one
-    /// by one, by [`Node::receive_value`]: a tick between two of them comes first, as between two frames on CAN. A block that
+    /// by one, by [`Node::receive_command`]: a tick between two of them comes first, as between two frames on CAN. A block that
     /// is refused has no effect; it is counted, and reported in the input block.
     ///
     /// # Errors
@@ -54,13 +54,13 @@ impl Node<'_> {
     // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
     #[inline(never)]
     pub fn receive_block(&mut self, block: &Block) -> Result<bool, Busy> {
-        if !self.master.admits(Interface::Modbus) {
-            if block.is_sound() {
-                self.master.receive_other();
+        if !self.master.accepts_interface(Interface::Modbus) {
+            if block.has_valid_crc() {
+                self.master.record_other_interface();
             }
             return Err(Busy);
         }
-        match self.registers.checker.admit(block) {
+        match self.registers.checker.accept_block(block) {
             Ok(said) => {
                 self.registers.holding = *block.registers();
                 self.receive_control(Interface::Modbus, said.control);
@@ -69,8 +69,11 @@ impl Node<'_> {
             Err(refused) => {
                 self.registers.last_refused = refused as u16;
                 self.registers.refused = self.registers.refused.saturating_add(1);
-                let is_another = matches!(refused, Refused::Repeated | Refused::WrongSequence);
-                self.master.refuse(is_another);
+                let is_another = matches!(
+                    refused,
+                    BlockRejectReason::Repeated | BlockRejectReason::WrongSequence
+                );
+                self.master.reject_control(is_another);
                 Ok(false)
             }
         }
@@ -79,12 +82,12 @@ impl Node<'_> {
     /// Takes one of the values of a block that was taken. It has no effect once another line has the master.
     // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
     #[inline(never)]
-    pub fn receive_value(&mut self, value: Command) {
-        if !self.master.admits(Interface::Modbus) {
+    pub fn receive_command(&mut self, value: Command) {
+        if !self.master.accepts_interface(Interface::Modbus) {
             return;
         }
         if let Some(bridge) = &self.bridge {
-            bridge.receive_value(&mut self.state, value);
+            bridge.receive_command(&mut self.state, value);
         }
     }
 
@@ -92,10 +95,10 @@ impl Node<'_> {
     ///
     /// # Errors
     /// As [`Node::receive_block`].
-    pub fn receive_registers(&mut self, registers: &cnc::Registers) -> Result<(), Busy> {
-        let block = Block::examine(registers);
+    pub fn receive_registers(&mut self, registers: &holding::Registers) -> Result<(), Busy> {
+        let block = Block::from_registers(registers);
         if self.receive_block(&block)? {
-            block.values().for_each(|value| self.receive_value(value));
+            block.commands().for_each(|value| self.receive_command(value));
         }
         Ok(())
     }

@@ -1,29 +1,29 @@
 //! Tests of the state that a restart keeps, and of time that samples do not count.
 
 use super::*;
-use crate::node::tests_calibration;
+use crate::node::sensor_only_calibration;
 use trueup_core::{
-    calibration::{ElongationSource, SpindleWarmup},
+    calibration::{Calibration, ElongationSource, SpindleWarmupModel},
     cnc::Spindle,
     dimensions::CODES_PER_TICK,
     lag::SmoothingFactor,
-    units::{Code, Nanometres, Rpm},
-    warmup::Warmup,
+    units::{AdcCode, Nanometres, Rpm},
+    warmup::WarmupModel,
 };
 
 /// Returns a spindle without a sensor that grows by 80 µm, with a time constant of 20 s.
-fn warming_up() -> Calibration<'static> {
-    let mut calibration = tests_calibration();
+fn warmup_calibration() -> Calibration<'static> {
+    let mut calibration = sensor_only_calibration();
     calibration.limits.slew_nm_per_s = 10_000;
     calibration.spindle.chain = [Some(ElongationSource::Warmup), None, None];
-    calibration.spindle.warmup = Some(SpindleWarmup {
-        law: Warmup {
+    calibration.spindle.warmup = Some(SpindleWarmupModel {
+        law: WarmupModel {
             lag_ms: 0,
-            max: Nanometres(80_000).fine(),
+            max: Nanometres(80_000).to_fine(),
             // 1 − e^(−0.1/20) in Q32.
             smoothing_heating: SmoothingFactor(21_421_336),
             smoothing_cooling: SmoothingFactor(21_421_336),
-            full: 1 << Warmup::FULL_FRACTION_BITS,
+            full: 1 << WarmupModel::FULL_FRACTION_BITS,
         },
         power: Default::default(),
     });
@@ -31,20 +31,20 @@ fn warming_up() -> Calibration<'static> {
 }
 
 /// A node with the CNC that engages it, after the engage sequence.
-struct Life {
+struct EngagedNode {
     node: Node<'static>,
     counter: u8,
 }
 
-impl Life {
-    fn begins(calibration: Calibration<'static>) -> Self {
-        Self { node: Node::new(Some(calibration), false), counter: 0 }
+impl EngagedNode {
+    fn with_calibration(calibration: Calibration<'static>) -> Self {
+        Self { node: Node::new(calibration.into()), counter: 0 }
     }
 
     fn say(&mut self, control: Control) {
         for frame in [
-            frames::control(control, self.counter),
-            frames::spindle(Spindle { speed: Rpm(12_000), load_n: 0 }, self.counter),
+            frames::encode_control(control, self.counter),
+            frames::encode_spindle(Spindle { speed: Rpm(12_000), load_n: 0 }, self.counter),
         ] {
             self.node.receive(Interface::Can, &frame).expect("in order");
         }
@@ -52,7 +52,7 @@ impl Life {
     }
 
     /// Released for 60 ms, then engaged.
-    fn goes_on(&mut self, ms: u32, control: Control) -> Output {
+    fn send_control_for(&mut self, ms: u32, control: Control) -> Output {
         for n in 0..ms {
             if n % 20 == 0 {
                 self.say(control);
@@ -60,7 +60,7 @@ impl Life {
             self.node.tick(1, Input::default());
             self.node.service();
         }
-        *self.node.last()
+        *self.node.last_output()
     }
 }
 
@@ -70,41 +70,46 @@ fn z_nm(output: &Output) -> i32 {
 
 #[test]
 fn a_reset_keeps_the_warm_up_and_the_reference_and_the_offset_comes_back_as_it_was() {
-    let mut before = Life::begins(warming_up());
-    before.goes_on(60, Control::REFERENCED);
-    before.goes_on(20_000, Control::ENGAGED);
-    let grown = z_nm(before.node.last());
+    let mut before = EngagedNode::with_calibration(warmup_calibration());
+    before.send_control_for(60, Control::REFERENCED);
+    before.send_control_for(20_000, Control::ENGAGED);
+    let grown = z_nm(before.node.last_output());
     assert!((grown - 50_600).abs() < 500, "63 % of 80 µm: {grown}");
-    let kept = before.node.retained();
+    let kept = before.node.retained_state();
 
-    let mut after = Life::begins(warming_up());
+    let mut after = EngagedNode::with_calibration(warmup_calibration());
     after.node.resume(Some(&kept), 0);
-    assert_eq!(after.goes_on(60, Control::ENGAGED).offset, None, "engaged by level is not enough");
-    after.goes_on(60, Control::REFERENCED);
-    after.goes_on(8_000, Control::ENGAGED);
-    before.goes_on(8_120, Control::ENGAGED);
-    let (without, with) = (z_nm(before.node.last()), z_nm(after.node.last()));
+    assert_eq!(
+        after.send_control_for(60, Control::ENGAGED).offset,
+        None,
+        "engaged by level is not enough"
+    );
+    after.send_control_for(60, Control::REFERENCED);
+    after.send_control_for(8_000, Control::ENGAGED);
+    before.send_control_for(8_120, Control::ENGAGED);
+    let (without, with) = (z_nm(before.node.last_output()), z_nm(after.node.last_output()));
     assert!((without - with).abs() < 1_000, "{without} without the reset, {with} with it");
 }
 
 #[test]
 fn over_a_power_cut_of_known_length_the_spindle_cools_and_the_reference_stays() {
-    let mut before = Life::begins(warming_up());
-    before.goes_on(60, Control::REFERENCED);
-    before.goes_on(20_000, Control::ENGAGED);
-    let grown = z_nm(before.node.last());
-    let kept = before.node.retained();
-    let mut after = Life::begins(warming_up());
+    let mut before = EngagedNode::with_calibration(warmup_calibration());
+    before.send_control_for(60, Control::REFERENCED);
+    before.send_control_for(20_000, Control::ENGAGED);
+    let grown = z_nm(before.node.last_output());
+    let kept = before.node.retained_state();
+    let mut after = EngagedNode::with_calibration(warmup_calibration());
     after.node.resume(Some(&kept), 20);
     // The spindle stands: what is left after 20 s without power, and 8 s with.
-    let standing = |life: &mut Life, ms: u32| {
+    let standing = |life: &mut EngagedNode, ms: u32| {
         for n in 0..ms {
             if n % 20 == 0 {
                 let control = if n < 60 { Control::REFERENCED } else { Control::ENGAGED };
                 let spindle = Spindle { speed: Rpm(0), load_n: 0 };
-                for frame in
-                    [frames::control(control, life.counter), frames::spindle(spindle, life.counter)]
-                {
+                for frame in [
+                    frames::encode_control(control, life.counter),
+                    frames::encode_spindle(spindle, life.counter),
+                ] {
                     life.node.receive(Interface::Can, &frame).expect("in order");
                 }
                 life.counter = life.counter.wrapping_add(1);
@@ -112,51 +117,52 @@ fn over_a_power_cut_of_known_length_the_spindle_cools_and_the_reference_stays() 
             life.node.tick(1, Input::default());
             life.node.service();
         }
-        *life.node.last()
+        *life.node.last_output()
     };
     let output = standing(&mut after, 8_000);
-    assert_eq!((output.quality, after.node.faults(&output).state().0), (Quality::Live, 0));
+    assert_eq!((output.quality, after.node.faults(&output).state_bits().0), (Quality::Live, 0));
     let expected = f64::from(grown) * (-28.0_f64 / 20.0).exp();
     assert!((f64::from(z_nm(&output)) - expected).abs() < 200.0, "{output:?} for {expected}");
 }
 
 #[test]
 fn after_a_power_cut_the_heat_is_not_known_and_confirm_says_that_it_is_cold() {
-    let mut life = Life::begins(warming_up());
+    let mut life = EngagedNode::with_calibration(warmup_calibration());
     life.node.resume(None, 0);
-    life.goes_on(60, Control::REFERENCED);
-    let output = life.goes_on(1_000, Control::ENGAGED);
+    life.send_control_for(60, Control::REFERENCED);
+    let output = life.send_control_for(1_000, Control::ENGAGED);
     assert_eq!((output.quality, output.offset), (Quality::Fault, None));
-    let bits = life.node.faults(&output).state();
+    let bits = life.node.faults(&output).state_bits();
     assert_eq!(bits, trueup_link::status::StateBits::HEAT_UNKNOWN);
-    life.goes_on(60, Control { confirm: true, ..Control::ENGAGED });
-    let output = life.goes_on(1_000, Control::ENGAGED);
+    life.send_control_for(60, Control { confirm: true, ..Control::ENGAGED });
+    let output = life.send_control_for(1_000, Control::ENGAGED);
     assert_eq!(output.quality, Quality::Live);
-    assert_eq!(life.node.faults(&output).state().0, 0);
+    assert_eq!(life.node.faults(&output).state_bits().0, 0);
 }
 
 #[test]
 fn heat_that_is_not_known_is_waited_for_until_it_no_longer_matters() {
-    let mut life = Life::begins(warming_up());
+    let mut life = EngagedNode::with_calibration(warmup_calibration());
     life.node.resume(None, 0);
-    life.goes_on(60, Control::REFERENCED);
+    life.send_control_for(60, Control::REFERENCED);
     // 1 mm to 1 µm are ten half-lives of 13.9 s.
-    assert_eq!(life.goes_on(137_000, Control::ENGAGED).offset, None);
-    let output = life.goes_on(3_000, Control::ENGAGED);
+    assert_eq!(life.send_control_for(137_000, Control::ENGAGED).offset, None);
+    let output = life.send_control_for(3_000, Control::ENGAGED);
     assert_eq!(output.quality, Quality::Live);
-    let bits = life.node.faults(&output).state();
+    let bits = life.node.faults(&output).state_bits();
     assert_eq!(bits.0, 0, "and told no longer");
 }
 
 /// One block in ten milliseconds: by the samples time goes ten times slower.
 #[test]
 fn a_clock_of_its_own_finds_missing_blocks_and_keeps_every_timeout() {
-    let alive: [Code; CODES_PER_TICK] = core::array::from_fn(|n| Code(700 + u16::from(n == 1)));
-    let mut node = Node::new(Some(tests_calibration()), false);
-    for frame in frames::released() {
+    let alive: [AdcCode; CODES_PER_TICK] =
+        core::array::from_fn(|n| AdcCode(700 + u16::from(n == 1)));
+    let mut node = Node::new(sensor_only_calibration().into());
+    for frame in frames::release_sequence() {
         node.receive(Interface::Can, &frame).expect("in order");
     }
-    node.receive(Interface::Can, &frames::control(Control::ENGAGED, 3)).expect("in order");
+    node.receive(Interface::Can, &frames::encode_control(Control::ENGAGED, 3)).expect("in order");
     let block = Input { codes: Some(&alive), speed: Some(Rpm(12_000)), temperatures: None };
     for _ in 0..30 {
         for _ in 0..10 {
@@ -164,7 +170,7 @@ fn a_clock_of_its_own_finds_missing_blocks_and_keeps_every_timeout() {
         }
         assert_eq!(node.catch_up(10), None, "as many as there should be");
     }
-    assert_eq!(node.last().quality, Quality::Live);
+    assert_eq!(node.last_output().quality, Quality::Live);
     let before = node.now();
     let mut missing_after_ms = None;
     for ms in (0..3_000).step_by(10) {
@@ -172,20 +178,20 @@ fn a_clock_of_its_own_finds_missing_blocks_and_keeps_every_timeout() {
         if let Some(behind_ms) = node.catch_up(10) {
             node.tick(behind_ms, Input::default());
         }
-        let is_missing = node.last().flags.contains(Flags::SAMPLES_MISSING);
+        let is_missing = node.last_output().flags.contains(Flags::SAMPLES_MISSING);
         missing_after_ms = missing_after_ms.or(is_missing.then_some(ms));
         assert!(missing_after_ms.is_none() || is_missing, "it flickers at {ms} ms");
     }
-    let passed_ms = node.now().since(before);
+    let passed_ms = node.now().duration_since(before);
     assert!((2_980..=3_000).contains(&passed_ms), "{passed_ms} ms by its clock");
     assert!(missing_after_ms.is_some_and(|ms| ms <= 20), "{missing_after_ms:?}");
-    assert!(node.last().flags.contains(Flags::CNC_LOST), "silent for 3 s");
-    assert_eq!(node.last().quality, Quality::Fault);
+    assert!(node.last_output().flags.contains(Flags::CNC_LOST), "silent for 3 s");
+    assert_eq!(node.last_output().quality, Quality::Fault);
 }
 
 #[test]
 fn a_millisecond_that_is_lost_now_and_then_is_no_missing_block() {
-    let mut node = Node::new(Some(tests_calibration()), false);
+    let mut node = Node::new(sensor_only_calibration().into());
     for turn in 0..10_000 {
         let count = if turn % 150 == 0 { 9 } else { 10 };
         for _ in 0..count {
@@ -198,7 +204,7 @@ fn a_millisecond_that_is_lost_now_and_then_is_no_missing_block() {
 #[test]
 fn a_turn_without_any_block_is_told_with_its_length_and_one_with_a_block_is_not() {
     for (blocks, missing_ms) in [(0, Some(10)), (1, None), (10, None)] {
-        let mut node = Node::new(Some(tests_calibration()), false);
+        let mut node = Node::new(sensor_only_calibration().into());
         for _ in 0..blocks {
             node.tick(1, Input::default());
         }

@@ -3,13 +3,13 @@
 use super::*;
 use std::{vec, vec::Vec};
 use trueup_core::{
-    calibration::AxisThermal,
-    channels::RawTemperatures,
-    cnc::{AxisPosition, Heading, LinearAxis},
-    dimensions::CHANNELS,
+    calibration::AxisThermalModel,
+    cnc::{AxisPosition, LinearAxis, TravelDirection},
+    dimensions::CHANNEL_COUNT,
     lag::SmoothingFactor,
-    thermal::{Law, PIECE_SIZE, Piece},
-    thermometer::{Raw, Thermometer},
+    temperature_channels::RawTemperatures,
+    thermal::{LAW_SEGMENT_SIZE, LawSegment, ThermalExpansionLaw},
+    thermometer::{RawReading, Thermometer},
     units::{Nanometres, Position, Temperature},
 };
 use trueup_link::{
@@ -19,14 +19,14 @@ use trueup_link::{
 };
 
 /// tanβ = (T − 23 °C)·14.21 µm/m, and K₀ = (T − 23 °C)·2 µm.
-fn law() -> [u8; PIECE_SIZE] {
-    Piece {
+fn law() -> [u8; LAW_SEGMENT_SIZE] {
+    LawSegment {
         start: Temperature(23 * Temperature::PER_KELVIN),
         // 2 µm = 2000 nm · 256, times 1.024 K, times 16.
         constant_slope: 8_388_608,
         // 1.421e-4 nm per 10 nm, times 2³⁶ · 1.024 · 16.
         gradient_slope: 159_990_376,
-        ..Piece::default()
+        ..LawSegment::default()
     }
     .to_bytes()
 }
@@ -42,20 +42,20 @@ impl Rig<'_> {
     /// This many milliseconds; the status items with their times.
     fn pass(&mut self, ms: u32, kelvin_tenths: i32, x_mm: i32, engage: bool) -> Vec<(u32, Item)> {
         let mut items = vec![];
-        let mut raw: RawTemperatures = [Raw::NONE; CHANNELS];
+        let mut raw: RawTemperatures = [RawReading::NONE; CHANNEL_COUNT];
         // A count a tenth of a kelvin.
-        raw[3] = Raw(kelvin_tenths * 256);
+        raw[3] = RawReading(kelvin_tenths * 256);
         for _ in 0..ms {
             let now = self.node.now().0;
             if now.is_multiple_of(CONTROL_PERIOD_MS) {
                 let control = Control { engage, ..Control::REFERENCED };
-                self.receive(0, |counter| frames::control(control, counter));
+                self.receive(0, |counter| frames::encode_control(control, counter));
                 let position = AxisPosition {
                     axis: LinearAxis::X,
                     position: Position(x_mm * Position::PER_MILLIMETRE),
-                    direction: Heading::Positive,
+                    direction: TravelDirection::Positive,
                 };
-                self.receive(1, |counter| frames::position(position, counter));
+                self.receive(1, |counter| frames::encode_position(position, counter));
             }
             let input = Input { temperatures: Some(&raw), ..Input::default() };
             for frame in self.node.tick(1, input) {
@@ -77,7 +77,7 @@ impl Rig<'_> {
 }
 
 /// Returns the last slope of X.
-fn slope_of_x(items: &[(u32, Item)]) -> (Option<i16>, i16) {
+fn last_x_slope(items: &[(u32, Item)]) -> (Option<i16>, i16) {
     let of_x = |(_, item): &(u32, Item)| match *item {
         Item::Slope { axis: 0, constant, slope } => Some((constant, slope)),
         _ => None,
@@ -88,29 +88,29 @@ fn slope_of_x(items: &[(u32, Item)]) -> (Option<i16>, i16) {
 #[test]
 fn an_axis_is_sent_as_constant_and_slope_about_its_origin() {
     let pieces = [law()];
-    let mut calibration = tests_calibration();
+    let mut calibration = sensor_only_calibration();
     calibration.spindle = Default::default();
     calibration.limits.slew_nm_per_s = 1_000_000;
     calibration.thermometers[3] = Some(Thermometer::Linear { zero: 0, slope: 1_600, shift: 0 });
-    calibration.axes[0].thermal = Some(AxisThermal {
+    calibration.axes[0].thermal = Some(AxisThermalModel {
         channel: 3,
         smoothing: SmoothingFactor::NO_LAG,
         smoothing_falling: SmoothingFactor::NO_LAG,
         origin: Position(500 * Position::PER_MILLIMETRE),
-        law: Law { pieces: &pieces },
+        law: ThermalExpansionLaw { pieces: &pieces },
     });
-    let node = Node::new(Some(calibration), false);
+    let node = Node::new(calibration.into());
     let mut rig =
         Rig { node, counters: [0; 2], offsets: OffsetReceiver::new(), last: Default::default() };
     rig.pass(200, 249, 2_500, false);
     // 1.9 K: 27.0 µm/m too far, and 3.8 µm. At 2.5 m, 2 m from the origin: −57.8 µm.
     let items = rig.pass(3_500, 249, 2_500, true);
     assert!((rig.last[0].0 + 57_798).abs() <= 10, "{:?}", rig.last);
-    assert_eq!(slope_of_x(&items), (Some(-38), -270));
+    assert_eq!(last_x_slope(&items), (Some(-38), -270));
     // Elsewhere the offset is another, constant and slope are the same.
     let items = rig.pass(3_500, 249, 0, true);
     assert!((rig.last[0].0 - 9_700).abs() <= 10, "{:?}", rig.last);
-    assert_eq!(slope_of_x(&items), (Some(-38), -270));
+    assert_eq!(last_x_slope(&items), (Some(-38), -270));
     let others = items.iter().filter(|(_, it)| matches!(it, Item::Slope { axis: 1.., .. }));
     let none = |it: &(u32, Item)| matches!(it.1, Item::Slope { constant: Some(0), slope: 0, .. });
     assert!(others.clone().count() >= 4 && others.clone().all(none), "Y and Z have none");
@@ -123,25 +123,25 @@ fn an_axis_is_sent_as_constant_and_slope_about_its_origin() {
     assert!(states.windows(2).all(|pair| pair[1] - pair[0] <= 1_000), "{states:?}");
     // Disengaged both go to 0.
     let items = rig.pass(3_500, 249, 2_500, false);
-    assert_eq!((rig.last[0].0, slope_of_x(&items)), (0, (Some(0), 0)));
+    assert_eq!((rig.last[0].0, last_x_slope(&items)), (0, (Some(0), 0)));
 }
 
 #[test]
 fn a_slope_goes_on_its_way_no_faster_than_the_slew_limit_at_its_place() {
     let pieces = [law()];
-    let mut calibration = tests_calibration();
+    let mut calibration = sensor_only_calibration();
     calibration.spindle = Default::default();
     // 4 µm/s: 6 µm in 1.5 s, at 4 m 1.5 µm/m.
     calibration.limits.slew_nm_per_s = 4_000;
     calibration.thermometers[3] = Some(Thermometer::Linear { zero: 0, slope: 1_600, shift: 0 });
-    calibration.axes[0].thermal = Some(AxisThermal {
+    calibration.axes[0].thermal = Some(AxisThermalModel {
         channel: 3,
         smoothing: SmoothingFactor::NO_LAG,
         smoothing_falling: SmoothingFactor::NO_LAG,
         origin: Position(0),
-        law: Law { pieces: &pieces },
+        law: ThermalExpansionLaw { pieces: &pieces },
     });
-    let node = Node::new(Some(calibration), false);
+    let node = Node::new(calibration.into());
     let mut rig =
         Rig { node, counters: [0; 2], offsets: OffsetReceiver::new(), last: Default::default() };
     rig.pass(200, 249, 4_000, false);
@@ -156,7 +156,7 @@ fn a_slope_goes_on_its_way_no_faster_than_the_slew_limit_at_its_place() {
     assert!(slopes.len() >= 5 && *slopes.last().expect("some") < -40, "{slopes:?}");
     assert!(slopes.windows(2).all(|pair| (0..=15).contains(&(pair[0] - pair[1]))), "{slopes:?}");
     // What is sent is what is applied, on its way too.
-    let (constant, slope) = slope_of_x(&rig.pass(1_500, 249, 4_000, true));
+    let (constant, slope) = last_x_slope(&rig.pass(1_500, 249, 4_000, true));
     let sum_nm = i32::from(constant.expect("available")) * 100 + i32::from(slope) * 400;
     // The newest is up to 1.5 s old: 6 µm.
     assert!((rig.last[0].0 - sum_nm).abs() <= 6_100, "{sum_nm} {:?}", rig.last);

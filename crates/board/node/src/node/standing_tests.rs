@@ -3,19 +3,22 @@
 use super::*;
 use std::{boxed::Box, vec, vec::Vec};
 use trueup_canopen::{
-    dictionary::{BACK, DROP, FORGET, ObjectKind as O},
-    sdo::{Abort, ObjectValue, Objects as _},
+    dictionary::{
+        CLEAR_REFERENCE_SIGNATURE, DROP_CALIBRATION_SIGNATURE, EntryContent as O,
+        RESTORE_REFERENCE_SIGNATURE,
+    },
+    sdo::{AbortCode, ObjectAccess as _, ObjectValue},
 };
 use trueup_core::{
     bridge::Reference,
     dimensions::CODES_PER_TICK,
-    units::{Code, Fine, Nanometres},
+    units::{AdcCode, FineNanometres, Nanometres},
 };
 use trueup_link::status::StateBits;
 use trueup_store::{
-    calibration::{MAX_SIZE, encode},
-    reference::Standing,
-    writes::{Origin, Write},
+    calibration::{MAX_BLOB_SIZE, encode},
+    reference::ReferenceStatus,
+    write_log::{WriteOrigin, WriteRecord},
 };
 
 /// A CNC, or who says that it is one, on the serial line.
@@ -25,10 +28,10 @@ struct Cnc {
 
 impl Cnc {
     fn say(&mut self, node: &mut Node<'_>, control: Control, times: u32) {
-        let codes: [Code; CODES_PER_TICK] =
-            core::array::from_fn(|n| Code(400 + u16::from(n % 2 == 1)));
+        let codes: [AdcCode; CODES_PER_TICK] =
+            core::array::from_fn(|n| AdcCode(400 + u16::from(n % 2 == 1)));
         for _ in 0..times {
-            node.receive(Interface::Serial, &frames::control(control, self.counter))
+            node.receive(Interface::Serial, &frames::encode_control(control, self.counter))
                 .expect("in order");
             self.counter = self.counter.wrapping_add(1);
             for _ in 0..20 {
@@ -48,7 +51,7 @@ impl Cnc {
 
 const SERVICE: Control = Control { service: true, ..Control::REFERENCED };
 
-fn silence(node: &mut Node<'_>, ms: u32) {
+fn run_without_control(node: &mut Node<'_>, ms: u32) {
     for _ in 0..ms {
         node.tick(1, Input::default());
         node.service();
@@ -56,65 +59,75 @@ fn silence(node: &mut Node<'_>, ms: u32) {
 }
 
 fn reference(elongation_nm: i32) -> Reference {
-    Reference { elongation: Nanometres(elongation_nm), axes: [Fine(256), Fine(0), Fine(-512)] }
+    Reference {
+        elongation: Nanometres(elongation_nm),
+        axes: [FineNanometres(256), FineNanometres(0), FineNanometres(-512)],
+    }
 }
 
 fn state(node: &Node<'_>) -> StateBits {
-    node.faults(&node.last).state()
+    node.faults(&node.last).state_bits()
 }
 
 /// Returns a board that runs on a calibration with these limits, in µm.
 fn board(max_um: [i32; 3]) -> Node<'static> {
-    let mut calibration = tests_calibration();
+    let mut calibration = sensor_only_calibration();
     calibration.limits.max = max_um.map(|um| Nanometres(um * 1_000));
-    let mut blob = vec![0; MAX_SIZE];
+    let mut blob = vec![0; MAX_BLOB_SIZE];
     let length = encode(&calibration, &mut blob).expect("small").len();
     blob.truncate(length);
-    let mut node = Node::new(Some(calibration), false);
-    node.set_blob(Box::leak(blob.into()));
-    node.set_buffer(Box::leak(vec![0; MAX_SIZE].into()));
-    node
+    Node::new(Configuration {
+        blob: Box::leak(blob.into()),
+        buffer: Some(Box::leak(vec![0; MAX_BLOB_SIZE].into())),
+        ..calibration.into()
+    })
 }
 
 fn engaged(node: &mut Node<'_>, cnc: &mut Cnc) -> Quality {
     cnc.say(node, Control::REFERENCED, 4);
     cnc.say(node, Control::ENGAGED, 40);
-    node.last().quality
+    node.last_output().quality
 }
 
 #[test]
 fn an_offered_reference_bars_every_offset_until_confirm_takes_it() {
     let mut node = board([500; 3]);
-    let offered = Standing { is_offered: true, ..Standing::in_force(reference(32_840)) };
-    assert!(node.set_standing(offered, None));
+    let offered =
+        ReferenceStatus { is_offered: true, ..ReferenceStatus::in_force(reference(32_840)) };
+    assert!(node.restore_reference_status(offered, None));
     let mut cnc = Cnc { counter: 0 };
     assert_eq!(engaged(&mut node, &mut cnc), Quality::Fault);
     assert_eq!(state(&node).0 & !1, StateBits::REFERENCE_OFFERED.0);
     assert_eq!(node.reference(), Reference::default());
     cnc.confirm(&mut node);
     assert_eq!(node.reference(), reference(32_840));
-    assert_eq!(node.take_standing(), Some(Standing::in_force(reference(32_840))));
+    assert_eq!(node.take_reference_status(), Some(ReferenceStatus::in_force(reference(32_840))));
     assert_eq!(engaged(&mut node, &mut cnc), Quality::Live);
     assert_eq!(state(&node).0, 0);
 }
 
 #[test]
 fn zero_replaces_an_offered_reference_and_forgetting_declines_it() {
-    let offered = Standing { is_offered: true, ..Standing::in_force(reference(32_840)) };
+    let offered =
+        ReferenceStatus { is_offered: true, ..ReferenceStatus::in_force(reference(32_840)) };
     for declines in [false, true] {
         let mut node = board([500; 3]);
-        node.set_standing(offered, None);
+        node.restore_reference_status(offered, None);
         let mut cnc = Cnc { counter: 0 };
         cnc.say(&mut node, SERVICE, 30);
         if declines {
-            node.write(O::Forget, FORGET).expect("allowed");
+            node.write(O::Forget, CLEAR_REFERENCE_SIGNATURE).expect("allowed");
             assert_eq!(node.reference(), Reference::default());
         } else {
             cnc.say(&mut node, Control { zero: true, ..Control::REFERENCED }, 5);
             assert_ne!(node.reference(), Reference::default());
         }
         let now = node.reference();
-        assert_eq!(node.take_standing(), Some(Standing::in_force(now)), "{declines}");
+        assert_eq!(
+            node.take_reference_status(),
+            Some(ReferenceStatus::in_force(now)),
+            "{declines}"
+        );
         assert_eq!(node.read(O::OfferedElongation), Ok(ObjectValue::Number(1 << 31)));
         assert_eq!(engaged(&mut node, &mut cnc), Quality::Live, "{declines}");
     }
@@ -123,9 +136,12 @@ fn zero_replaces_an_offered_reference_and_forgetting_declines_it() {
 #[test]
 fn one_edge_of_confirm_answers_one_question_in_the_fixed_order() {
     let mut node = board([500; 3]);
-    let standing =
-        Standing { is_offered: true, is_changed: true, ..Standing::in_force(reference(9)) };
-    node.set_standing(standing, None);
+    let standing = ReferenceStatus {
+        is_offered: true,
+        is_changed: true,
+        ..ReferenceStatus::in_force(reference(9))
+    };
+    node.restore_reference_status(standing, None);
     for question in [Fault::HeatUnknown, Fault::OlderCalibration, Fault::ForeignMachine] {
         node.require_confirmation(question);
     }
@@ -138,7 +154,7 @@ fn one_edge_of_confirm_answers_one_question_in_the_fixed_order() {
     ] {
         assert_eq!(engaged(&mut node, &mut cnc), Quality::Fault, "{question:?}");
         cnc.confirm(&mut node);
-        assert_eq!(node.take_confirmed(), Some(question));
+        assert_eq!(node.take_confirmed_fault(), Some(question));
     }
     assert_eq!(engaged(&mut node, &mut cnc), Quality::Live);
 }
@@ -160,15 +176,18 @@ fn a_reference_beyond_its_limit_is_taken_by_nobody() {
         let mut node = board(limits_um);
         Cnc { counter: 0 }.say(&mut node, SERVICE, 5);
         let taken = node.write(part, nm.cast_unsigned());
-        assert_eq!(taken, if may { Ok(()) } else { Err(Abort::Value) }, "{part:?} {nm}");
+        assert_eq!(taken, if may { Ok(()) } else { Err(AbortCode::Value) }, "{part:?} {nm}");
     }
     for (elongation_nm, may) in [(100_000, true), (100_001, false), (-100_001, false)] {
         for is_offered in [false, true] {
             let mut node = board(limits_um);
-            let standing = Standing { is_offered, ..Standing::in_force(reference(elongation_nm)) };
-            assert_eq!(node.set_standing(standing, None), may);
+            let standing = ReferenceStatus {
+                is_offered,
+                ..ReferenceStatus::in_force(reference(elongation_nm))
+            };
+            assert_eq!(node.restore_reference_status(standing, None), may);
             assert_eq!(state(&node).contains(StateBits::STORE_FAILING), !may, "it is reported");
-            assert_eq!(node.offer.is_open(), may && is_offered);
+            assert_eq!(node.offer.has_offer(), may && is_offered);
             assert_eq!(node.reference() != Reference::default(), may && !is_offered);
         }
     }
@@ -177,22 +196,25 @@ fn a_reference_beyond_its_limit_is_taken_by_nobody() {
     let mut cnc = Cnc { counter: 0 };
     cnc.say(&mut node, Control::REFERENCED, 30);
     cnc.say(&mut node, Control { zero: true, ..Control::REFERENCED }, 5);
-    assert_eq!((node.take_zero(), node.reference()), (Some(Zero::Unchanged), Reference::default()));
+    assert_eq!(
+        (node.take_zero_outcome(), node.reference()),
+        (Some(ZeroOutcome::Unchanged), Reference::default())
+    );
 }
 
 /// Loads another calibration over the serial line, and returns the write that is logged.
-fn load(node: &mut Node<'_>) -> Write {
-    let mut calibration = tests_calibration();
+fn load(node: &mut Node<'_>) -> WriteRecord {
+    let mut calibration = sensor_only_calibration();
     calibration.limits.hold_ms = 77;
-    let mut place = [0; MAX_SIZE];
+    let mut place = [0; MAX_BLOB_SIZE];
     let blob = encode(&calibration, &mut place).expect("small").to_vec();
-    node.log.speaks(Interface::Serial);
+    node.log.set_sender(Interface::Serial);
     node.open(O::New, None).expect("allowed");
     node.append(O::New, &blob).and_then(|()| node.close(O::New)).expect("allowed");
-    let mut load = node.take_load().expect("whole");
-    load.check().expect("a calibration");
-    node.end_load(load, Outcome::Stored);
-    let writes: Vec<_> = core::iter::from_fn(|| node.take_write()).collect();
+    let mut load = node.take_received_calibration().expect("whole");
+    load.validate().expect("a calibration");
+    node.finish_load(load, LoadOutcome::Stored);
+    let writes: Vec<_> = core::iter::from_fn(|| node.take_pending_write()).collect();
     writes.into_iter().find(|write| write.what == WriteKind::Loaded).expect("it is logged")
 }
 
@@ -209,14 +231,14 @@ fn a_load_is_unattended_unless_the_master_is_a_cnc_that_is_heard() {
     cnc.say(&mut node, SERVICE, 10);
     assert!(!load(&mut node).is_unattended);
     // Whoever comes after a silence, until it has engaged.
-    silence(&mut node, 600);
+    run_without_control(&mut node, 600);
     cnc.say(&mut node, SERVICE, 100);
     assert!(load(&mut node).is_unattended);
     cnc.say(&mut node, Control::ENGAGED, 10);
     cnc.say(&mut node, SERVICE, 300);
     assert!(!load(&mut node).is_unattended);
     // Somebody else goes on in its place.
-    let stranger = frames::control(SERVICE, cnc.counter.wrapping_add(100));
+    let stranger = frames::encode_control(SERVICE, cnc.counter.wrapping_add(100));
     node.receive(Interface::Serial, &stranger).expect_err("out of sequence");
     cnc.counter = cnc.counter.wrapping_add(101);
     cnc.say(&mut node, SERVICE, 10);
@@ -226,12 +248,13 @@ fn a_load_is_unattended_unless_the_master_is_a_cnc_that_is_heard() {
 #[test]
 fn a_first_calibration_asks_nobody() {
     let mut node = board([500; 3]);
-    node.inhibit_example();
+    node.set_fault(Fault::ExampleConstants);
+    node.update_inhibition();
     let tool = Control { service: true, ..Control::default() };
     Cnc { counter: 0 }.say(&mut node, tool, 10);
     assert!(!load(&mut node).is_unattended);
-    let mut node = Node::new(None, false);
-    node.set_buffer(Box::leak(vec![0; MAX_SIZE].into()));
+    let buffer = Some(Box::leak(vec![0; MAX_BLOB_SIZE].into()));
+    let mut node = Node::new(Configuration { buffer, ..Configuration::default() });
     Cnc { counter: 0 }.say(&mut node, tool, 10);
     assert!(!load(&mut node).is_unattended);
 }
@@ -241,20 +264,24 @@ fn a_load_that_waits_for_the_next_start_is_dropped_once() {
     let mut node = board([500; 3]);
     let mut cnc = Cnc { counter: 0 };
     cnc.say(&mut node, SERVICE, 10);
-    assert_eq!(node.write(O::DropNew, DROP), Err(Abort::DeviceState), "nothing waits");
+    assert_eq!(
+        node.write(O::DropNew, DROP_CALIBRATION_SIGNATURE),
+        Err(AbortCode::DeviceState),
+        "nothing waits"
+    );
     let crc = load(&mut node).about;
     assert_eq!(node.read(O::NewCrc), Ok(ObjectValue::Number(crc)));
-    assert_eq!(node.write(O::DropNew, DROP + 1), Err(Abort::Value));
-    node.write(O::DropNew, DROP).expect("allowed");
-    assert!(node.take_drop() && !node.take_drop());
-    node.end_drop(true);
+    assert_eq!(node.write(O::DropNew, DROP_CALIBRATION_SIGNATURE + 1), Err(AbortCode::Value));
+    node.write(O::DropNew, DROP_CALIBRATION_SIGNATURE).expect("allowed");
+    assert!(node.take_calibration_drop() && !node.take_calibration_drop());
+    node.finish_calibration_drop(true);
     assert_eq!(node.read(O::NewCrc), Ok(ObjectValue::Number(0)));
-    let write = node.take_write().map(|write| (write.what, write.about, write.origin));
-    assert_eq!(write, Some((WriteKind::Cancelled, crc, Origin::Serial)));
+    let write = node.take_pending_write().map(|write| (write.what, write.about, write.origin));
+    assert_eq!(write, Some((WriteKind::Cancelled, crc, WriteOrigin::Serial)));
     // A store that takes nothing leaves it, and is reported.
     load(&mut node);
-    node.write(O::DropNew, DROP).expect("allowed");
-    node.end_drop(false);
+    node.write(O::DropNew, DROP_CALIBRATION_SIGNATURE).expect("allowed");
+    node.finish_calibration_drop(false);
     assert_eq!(node.read(O::NewCrc), Ok(ObjectValue::Number(crc)));
     assert!(state(&node).contains(StateBits::STORE_FAILING));
 }
@@ -268,21 +295,22 @@ fn the_age_of_a_reference_is_known_in_the_start_that_has_taken_it_or_by_two_time
     cnc.say(&mut node, Control { zero: true, ..SERVICE }, 5);
     cnc.say(&mut node, SERVICE, 500);
     assert_eq!(node.read(O::ReferenceAge), Ok(ObjectValue::Number(10)));
-    let by = u32::from(u16::from_le_bytes([WriteKind::Zeroed as u8, Origin::Serial as u8]));
+    let by = u32::from(u16::from_le_bytes([WriteKind::Zeroed as u8, WriteOrigin::Serial as u8]));
     assert_eq!(node.read(O::ReferenceOrigin), Ok(ObjectValue::Number(by)));
     // After a start: by the log alone, if the times are there.
-    let taken = core::iter::from_fn(|| node.take_write()).find(|it| it.what == WriteKind::Zeroed);
-    let taken = Write { utc_s: 1_790_000_000, ..taken.expect("it is logged") };
+    let taken =
+        core::iter::from_fn(|| node.take_pending_write()).find(|it| it.what == WriteKind::Zeroed);
+    let taken = WriteRecord { utc_s: 1_790_000_000, ..taken.expect("it is logged") };
     let mut again = board([500; 3]);
-    again.set_standing(Standing::in_force(node.reference()), Some(taken));
+    again.restore_reference_status(ReferenceStatus::in_force(node.reference()), Some(taken));
     assert_eq!(again.read(O::ReferenceAge), Ok(ObjectValue::Number(u32::MAX)));
     assert_eq!(again.read(O::ReferenceUtc), Ok(ObjectValue::Number(1_790_000_000)));
     again.set_utc_s(1_790_000_100);
     assert_eq!(again.read(O::ReferenceAge), Ok(ObjectValue::Number(100)));
     // The write of another reference says nothing of this one.
     let mut other = board([500; 3]);
-    other.set_standing(Standing::in_force(reference(5)), Some(taken));
+    other.restore_reference_status(ReferenceStatus::in_force(reference(5)), Some(taken));
     assert_eq!(other.read(O::ReferenceUtc), Ok(ObjectValue::Number(0)));
     // Without the rest of it nothing is offered.
-    assert_eq!(again.write(O::Forget, BACK), Err(Abort::DeviceState));
+    assert_eq!(again.write(O::Forget, RESTORE_REFERENCE_SIGNATURE), Err(AbortCode::DeviceState));
 }

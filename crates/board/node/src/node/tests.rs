@@ -2,24 +2,24 @@
 
 use super::*;
 use crate::{
-    node::firmware::Slots,
-    start::{Start, Stop},
+    node::firmware::SlotStates,
+    reset_info::{CrashInfo, ResetInfo},
 };
 use std::{boxed::Box, vec, vec::Vec};
 use trueup_canopen::{
-    dictionary::{Access, FORGET, OBJECTS, Type},
-    sdo::Abort,
+    dictionary::{AccessType, CLEAR_REFERENCE_SIGNATURE, DataType, OBJECTS},
+    sdo::AbortCode,
 };
 use trueup_core::{bridge::Reference, cnc::Control, units::Nanometres};
-use trueup_link::layout::{CONTROL_ID, EMERGENCY_ID, HEARTBEAT_ID, SDO_ANSWER_ID};
+use trueup_link::layout::{CONTROL_ID, EMERGENCY_ID, HEARTBEAT_ID, SDO_RESPONSE_ID};
 use trueup_link::status::ResetReason;
 use trueup_store::{
-    calibration::{MAX_SIZE, encode, identity},
-    reference::Standing,
+    calibration::{MAX_BLOB_SIZE, calibration_crc, encode},
+    reference::ReferenceStatus,
 };
 
 fn blob() -> Vec<u8> {
-    encode(&super::tests_calibration(), &mut [0; MAX_SIZE]).expect("it is small").to_vec()
+    encode(&super::sensor_only_calibration(), &mut [0; MAX_BLOB_SIZE]).expect("small").to_vec()
 }
 
 std::thread_local! {
@@ -44,7 +44,7 @@ fn service(node: &mut Node<'_>) {
     let counter = SERVICE.get().map_or(0, |counter| counter.wrapping_add(1));
     SERVICE.set(Some(counter));
     let control = Control { service: true, ..Control::REFERENCED };
-    node.receive(Interface::Can, &frames::control(control, counter)).expect("in order");
+    node.receive(Interface::Can, &frames::encode_control(control, counter)).expect("in order");
 }
 
 fn receive(node: &mut Node<'_>, data: [u8; 8]) {
@@ -56,7 +56,7 @@ fn receive(node: &mut Node<'_>, data: [u8; 8]) {
 fn ask(node: &mut Node<'_>, data: [u8; 8]) -> [u8; 8] {
     receive(node, data);
     for _ in 0..200 {
-        if let Some(answer) = pass(node, 1).iter().find(|frame| frame.id() == SDO_ANSWER_ID) {
+        if let Some(answer) = pass(node, 1).iter().find(|frame| frame.id() == SDO_RESPONSE_ID) {
             return *answer.data();
         }
     }
@@ -116,16 +116,15 @@ fn read_domain(node: &mut Node<'_>, index: u16, subindex: u8) -> Vec<u8> {
 
 /// Returns a node with all that a board gives it.
 fn whole<'a>(blob: &'a [u8], buffer: &'a mut [u8]) -> Node<'a> {
-    let mut node = Node::new(Some(tests_calibration()), false);
-    node.set_blob(blob);
-    node.set_buffer(buffer);
-    node.note_slots(Slots::default());
+    let mut node =
+        Node::new(Configuration { blob, buffer: Some(buffer), ..sensor_only_calibration().into() });
+    node.set_slots(SlotStates::default());
     node
 }
 
 #[test]
 fn every_object_that_can_be_read_is_answered_with_its_type() {
-    let (blob, mut buffer) = (blob(), vec![0; MAX_SIZE]);
+    let (blob, mut buffer) = (blob(), vec![0; MAX_BLOB_SIZE]);
     let mut node = whole(&blob, &mut buffer);
     for object in OBJECTS {
         for entry in object.entries {
@@ -134,14 +133,14 @@ fn every_object_that_can_be_read_is_answered_with_its_type() {
             let (kind, size) = (answer[0] >> 5, 4 - usize::from(answer[0] >> 2 & 3));
             let abort = u32::from_le_bytes(*answer.last_chunk().expect("8 bytes"));
             match (entry.kind, entry.access) {
-                (_, Access::Write) => assert_eq!(abort, Abort::WriteOnly.code()),
+                (_, AccessType::Write) => assert_eq!(abort, AbortCode::WriteOnly.code()),
                 // No error was there yet, or fewer; nothing was loaded.
                 _ if kind == 4 => {
-                    assert_eq!(abort, Abort::NoData.code(), "{at:04X?}");
+                    assert_eq!(abort, AbortCode::NoData.code(), "{at:04X?}");
                     let may_be_empty = [(0x2100, 2), (0x2101, 1), (0x2101, 2), (0x2110, 1)];
                     assert!(object.index == 0x1003 || may_be_empty.contains(&at), "{at:04X?}");
                 }
-                (Type::Text | Type::Domain, _) => assert_eq!(answer[0], 0x41, "{at:04X?}"),
+                (DataType::Text | DataType::Domain, _) => assert_eq!(answer[0], 0x41, "{at:04X?}"),
                 (number, _) => assert_eq!((kind, Some(size)), (2, number.size()), "{at:04X?}"),
             }
         }
@@ -150,14 +149,15 @@ fn every_object_that_can_be_read_is_answered_with_its_type() {
 
 #[test]
 fn how_the_last_start_ended_is_read_by_a_master() {
-    let (blob, mut buffer) = (blob(), vec![0; MAX_SIZE]);
+    let (blob, mut buffer) = (blob(), vec![0; MAX_BLOB_SIZE]);
     let mut node = whole(&blob, &mut buffer);
-    let mut start = Start { reason: ResetReason::Panic, ..Start::default() };
-    start.stop = Stop { pc: 0x0800_1234, lr: 5, status: 0x200, address: 6, line: 77, ..start.stop };
+    let mut start = ResetInfo { reason: ResetReason::Panic, ..ResetInfo::default() };
+    start.stop =
+        CrashInfo { pc: 0x0800_1234, lr: 5, status: 0x200, address: 6, line: 77, ..start.stop };
     start.stop.task = 3;
     start.stop.file[20..].copy_from_slice(b"a.rs");
     start.counts[ResetReason::Panic as usize] = 2;
-    node.note_start(start);
+    node.board.start = start;
     let numbers = [1, 2, 3, 4, 5, 7].map(|sub| read(&mut node, 0x2002, sub));
     assert_eq!(numbers, [0x0800_1234, 5, 0x200, 6, 77, 3].map(Ok));
     assert_eq!(read_domain(&mut node, 0x2002, 6), b"a.rs");
@@ -167,44 +167,44 @@ fn how_the_last_start_ended_is_read_by_a_master() {
 
 #[test]
 fn a_loaded_calibration_is_checked_stored_and_read_back() {
-    let (running, mut buffer) = (blob(), vec![0; MAX_SIZE]);
+    let (running, mut buffer) = (blob(), vec![0; MAX_BLOB_SIZE]);
     let mut node = whole(&running, &mut buffer);
     assert_eq!(read_domain(&mut node, 0x2100, 1), running);
-    assert_eq!(read(&mut node, 0x2100, 3), Ok(identity(&running)));
-    let mut other = tests_calibration();
+    assert_eq!(read(&mut node, 0x2100, 3), Ok(calibration_crc(&running)));
+    let mut other = sensor_only_calibration();
     other.limits.hold_ms += 1;
-    let other = encode(&other, &mut [0; MAX_SIZE]).expect("small").to_vec();
+    let other = encode(&other, &mut [0; MAX_BLOB_SIZE]).expect("small").to_vec();
 
     send_calibration(&mut node, &other);
     assert_eq!(read(&mut node, 0x2100, 4), Ok(0), "asked before the board has looked at it");
     for (bytes, fate, answer) in [
-        (other.clone(), Outcome::Stored, [0x20, 0x30].to_vec()),
-        (other.clone(), Outcome::NotStored, [0x80].to_vec()),
-        (vec![7; 700], Outcome::Refused, [0x80].to_vec()),
+        (other.clone(), LoadOutcome::Stored, [0x20, 0x30].to_vec()),
+        (other.clone(), LoadOutcome::NotStored, [0x80].to_vec()),
+        (vec![7; 700], LoadOutcome::Refused, [0x80].to_vec()),
     ] {
-        if let Some(load) = node.take_load() {
-            node.end_load(load, Outcome::Refused);
+        if let Some(load) = node.take_received_calibration() {
+            node.finish_load(load, LoadOutcome::Refused);
         }
         let started = node.now();
         send_calibration(&mut node, &bytes);
-        assert!(pass(&mut node, 20).iter().all(|frame| frame.id() != SDO_ANSWER_ID));
-        let mut load = node.take_load().expect("it has come whole");
-        assert_eq!(load.check().is_ok(), fate != Outcome::Refused);
-        assert!(node.take_load().is_none());
-        node.end_load(load, fate);
+        assert!(pass(&mut node, 20).iter().all(|frame| frame.id() != SDO_RESPONSE_ID));
+        let mut load = node.take_received_calibration().expect("it has come whole");
+        assert_eq!(load.validate().is_ok(), fate != LoadOutcome::Refused);
+        assert!(node.take_received_calibration().is_none());
+        node.finish_load(load, fate);
         let said = pass(&mut node, 5);
-        let end = said.iter().find(|frame| frame.id() == SDO_ANSWER_ID).expect("an answer");
+        let end = said.iter().find(|frame| frame.id() == SDO_RESPONSE_ID).expect("an answer");
         assert!(answer.contains(&end.data()[0]), "{fate:?}: {end:?}");
-        let stored = fate == Outcome::Stored;
+        let stored = fate == LoadOutcome::Stored;
         // What is stored for the next start is reported, whatever became of a load after it.
-        assert_eq!(read(&mut node, 0x2100, 4), Ok(identity(&other)), "{fate:?}");
+        assert_eq!(read(&mut node, 0x2100, 4), Ok(calibration_crc(&other)), "{fate:?}");
         if stored {
             assert_eq!(read_domain(&mut node, 0x2100, 2), other);
             let segments = bytes.len().div_ceil(7);
-            let took = node.now().since(started);
+            let took = node.now().duration_since(started);
             std::println!("{} bytes, {segments} segments, both ways: {took} ms", bytes.len());
         } else {
-            assert_eq!(read(&mut node, 0x2100, 2), Err(Abort::NoData.code()));
+            assert_eq!(read(&mut node, 0x2100, 2), Err(AbortCode::NoData.code()));
         }
     }
     assert_eq!(read_domain(&mut node, 0x2100, 1), running, "it runs on until the next start");
@@ -212,39 +212,41 @@ fn a_loaded_calibration_is_checked_stored_and_read_back() {
 
 #[test]
 fn nothing_is_loaded_or_forgotten_while_an_offset_is_followed_or_without_a_store() {
-    let mut node = Node::new(Some(tests_calibration()), false);
+    let mut node = Node::new(sensor_only_calibration().into());
     let load = |node: &mut Node<'_>| {
         let answer = ask(node, request(0x21, 0x2100, 2, 700));
         u32::from_le_bytes(*answer.last_chunk().expect("8 bytes"))
     };
-    assert_eq!(load(&mut node), Abort::DeviceState.code(), "nobody has allowed it");
+    assert_eq!(load(&mut node), AbortCode::DeviceState.code(), "nobody has allowed it");
     service(&mut node);
-    assert_eq!(load(&mut node), Abort::CannotStore.code());
-    node.set_buffer(Box::leak(vec![0; 800].into()));
+    assert_eq!(load(&mut node), AbortCode::CannotStore.code());
+    node.slot = LoadSlot::new(Box::leak(vec![0; 800].into()));
     assert_eq!(load(&mut node), 0);
     let too_long = ask(&mut node, request(0x21, 0x2100, 2, 801));
-    assert_eq!(u32::from_le_bytes(*too_long.last_chunk().unwrap()), Abort::TooLong.code());
-    assert_eq!(write(&mut node, 0x2010, 6, FORGET), Ok(()));
-    assert_eq!(node.take_zero(), None, "there is none to forget");
-    node.set_standing(
-        Standing::in_force(Reference { elongation: Nanometres(1), ..Reference::default() }),
+    assert_eq!(u32::from_le_bytes(*too_long.last_chunk().unwrap()), AbortCode::TooLong.code());
+    assert_eq!(write(&mut node, 0x2010, 6, CLEAR_REFERENCE_SIGNATURE), Ok(()));
+    assert_eq!(node.take_zero_outcome(), None, "there is none to forget");
+    node.restore_reference_status(
+        ReferenceStatus::in_force(Reference { elongation: Nanometres(1), ..Reference::default() }),
         None,
     );
-    assert_eq!(write(&mut node, 0x2010, 6, FORGET), Ok(()));
-    assert!(matches!(node.take_zero(), Some(Zero::Taken(_))));
-    assert_eq!(write(&mut node, 0x2010, 6, FORGET + 1), Err(Abort::Value.code()));
+    assert_eq!(write(&mut node, 0x2010, 6, CLEAR_REFERENCE_SIGNATURE), Ok(()));
+    assert!(matches!(node.take_zero_outcome(), Some(ZeroOutcome::Taken(_))));
+    let wrong_signature = write(&mut node, 0x2010, 6, CLEAR_REFERENCE_SIGNATURE + 1);
+    assert_eq!(wrong_signature, Err(AbortCode::Value.code()));
     node.last.quality = Quality::Live;
     receive(&mut node, request(0x21, 0x2100, 2, 700));
     let refused = node.answer.expect("at once");
     let abort = u32::from_le_bytes(*refused.data().last_chunk().unwrap());
-    assert_eq!(abort, Abort::DeviceState.code());
-    receive(&mut node, request(0x22, 0x2010, 6, FORGET));
-    assert_eq!(node.answer, Some(Frame::full(SDO_ANSWER_ID, request(0x80, 0x2010, 6, abort))));
+    assert_eq!(abort, AbortCode::DeviceState.code());
+    receive(&mut node, request(0x22, 0x2010, 6, CLEAR_REFERENCE_SIGNATURE));
+    let refusal = Frame::from_data(SDO_RESPONSE_ID, request(0x80, 0x2010, 6, abort));
+    assert_eq!(node.answer, Some(refusal));
 }
 
 #[test]
 fn settings_are_taken_within_their_range_and_act() {
-    let mut node = Node::new(Some(tests_calibration()), false);
+    let mut node = Node::new(sensor_only_calibration().into());
     let beats = |node: &mut Node<'_>, ms| {
         pass(node, ms).iter().filter(|frame| frame.id() == HEARTBEAT_ID).count()
     };
@@ -252,9 +254,9 @@ fn settings_are_taken_within_their_range_and_act() {
     assert_eq!(beats(&mut node, 1_000), 50);
     assert_eq!(write(&mut node, 0x1017, 0, 0), Ok(()));
     assert_eq!(beats(&mut node, 1_000), 0);
-    assert_eq!(write(&mut node, 0x1003, 0, 1), Err(Abort::Value.code()));
+    assert_eq!(write(&mut node, 0x1003, 0, 1), Err(AbortCode::Value.code()));
     for wrong in [0x0101_0064, 0x0080_0064, 0x0001_0064] {
-        assert_eq!(write(&mut node, 0x1016, 1, wrong), Err(Abort::Value.code()), "{wrong:X}");
+        assert_eq!(write(&mut node, 0x1016, 1, wrong), Err(AbortCode::Value.code()), "{wrong:X}");
     }
     assert_eq!(write(&mut node, 0x1015, 0, 500), Ok(()));
     assert_eq!(read(&mut node, 0x1015, 0), Ok(500));
@@ -267,7 +269,7 @@ fn codes_of(said: &[Frame]) -> Vec<u16> {
 
 #[test]
 fn the_heartbeat_of_a_node_that_was_heard_is_missed() {
-    let mut node = Node::new(Some(tests_calibration()), false);
+    let mut node = Node::new(sensor_only_calibration().into());
     pass(&mut node, 1_000);
     assert_eq!(write(&mut node, 0x1016, 1, 0x0002_0032), Ok(()));
     assert_eq!(codes_of(&pass(&mut node, 200)), [], "it was never heard");
@@ -286,7 +288,7 @@ fn the_heartbeat_of_a_node_that_was_heard_is_missed() {
 
 #[test]
 fn the_faults_of_the_bridge_and_the_board_are_told_and_remembered() {
-    let mut node = Node::new(None, true);
+    let mut node = Node::new(Configuration { is_degraded: true, ..Configuration::default() });
     node.set_fault(Fault::Crystal);
     node.set_fault(Fault::WatchdogReset);
     assert_eq!(codes_of(&pass(&mut node, 100)), [0x6300, 0x5001, 0x6101, 0x6102]);
@@ -298,18 +300,19 @@ fn the_faults_of_the_bridge_and_the_board_are_told_and_remembered() {
 
     // The converter stops, the CNC comes and goes.
     SERVICE.set(None);
-    let mut node = Node::new(Some(tests_calibration()), true);
+    let mut node =
+        Node::new(Configuration { is_degraded: true, ..sensor_only_calibration().into() });
     assert_eq!(codes_of(&pass(&mut node, 100)), [0x7002, 0x9001, 0x5000, 0x6102]);
     let control = Control::REFERENCED;
-    node.receive(Interface::Can, &frames::control(control, 0)).expect("the first");
+    node.receive(Interface::Can, &frames::encode_control(control, 0)).expect("the first");
     assert_eq!(codes_of(&pass(&mut node, 1_000)), [0x8100]);
-    node.receive(Interface::Can, &frames::control(control, 1)).expect("in order");
+    node.receive(Interface::Can, &frames::encode_control(control, 1)).expect("in order");
     assert_eq!(codes_of(&pass(&mut node, 100)), [0]);
 }
 
 #[test]
 fn two_frames_beside_the_offsets_never_come_in_the_same_or_the_next_tick() {
-    let (blob, mut buffer) = (blob(), vec![0; MAX_SIZE]);
+    let (blob, mut buffer) = (blob(), vec![0; MAX_BLOB_SIZE]);
     let mut node = whole(&blob, &mut buffer);
     let mut before = 0;
     let mut answers = 0;
@@ -317,7 +320,7 @@ fn two_frames_beside_the_offsets_never_come_in_the_same_or_the_next_tick() {
         receive(&mut node, request(0x40, 0x1000, 0, 0));
         let said = pass(&mut node, 1);
         let services = said.len();
-        answers += said.iter().filter(|frame| frame.id() == SDO_ANSWER_ID).count();
+        answers += said.iter().filter(|frame| frame.id() == SDO_RESPONSE_ID).count();
         assert!(before == 0 || services == 0, "at {ms} ms");
         before = services;
     }
@@ -330,34 +333,34 @@ fn command(node: &mut Node<'_>, data: &[u8]) {
 
 #[test]
 fn a_node_restarts_only_when_it_is_asked_itself_and_no_offset_is_followed() {
-    let mut node = Node::new(Some(tests_calibration()), false);
+    let mut node = Node::new(sensor_only_calibration().into());
     pass(&mut node, 10);
     // To another node, too long, too short; start, stop, pre-operational.
     let others: [&[u8]; 7] =
         [&[0x81, 2], &[0x81, 1, 0], &[0x81], &[], &[0x01, 1], &[0x02, 0], &[0x80, 1]];
     for data in others {
         command(&mut node, data);
-        assert!(!node.take_restart(), "{data:02X?}");
+        assert!(!node.take_restart_request(), "{data:02X?}");
     }
     for data in [[0x81, 1], [0x81, 0]] {
-        let mut alone = Node::new(Some(tests_calibration()), false);
+        let mut alone = Node::new(sensor_only_calibration().into());
         command(&mut alone, &data);
-        assert!(!alone.take_restart(), "nobody has allowed it");
+        assert!(!alone.take_restart_request(), "nobody has allowed it");
         service(&mut node);
         command(&mut node, &data);
-        assert_eq!((node.take_restart(), node.take_restart()), (true, false));
+        assert_eq!((node.take_restart_request(), node.take_restart_request()), (true, false));
         for quality in [Quality::Live, Quality::Hold, Quality::RampingOut] {
             node.last.quality = quality;
             command(&mut node, &data);
             // Nor does it restart once the offset is gone: that was asked at another time.
-            assert!(!node.take_restart(), "{quality:?}");
+            assert!(!node.take_restart_request(), "{quality:?}");
             node.last.quality = Quality::Off;
-            assert!(!node.take_restart(), "{quality:?}");
+            assert!(!node.take_restart_request(), "{quality:?}");
         }
         // Asked in time, but the CNC was quicker.
         command(&mut node, &data);
         node.last.quality = Quality::Live;
-        assert!(!node.take_restart());
+        assert!(!node.take_restart_request());
         node.last.quality = Quality::Off;
     }
 }
@@ -365,7 +368,7 @@ fn a_node_restarts_only_when_it_is_asked_itself_and_no_offset_is_followed() {
 #[test]
 fn stop_and_start_change_no_frame() {
     let life = |commands: &[[u8; 2]]| -> Vec<Frame> {
-        let mut node = Node::new(Some(tests_calibration()), false);
+        let mut node = Node::new(sensor_only_calibration().into());
         let sent = (0..400_usize).flat_map(|ms| {
             if let Some(data) = commands.get(ms / 100).filter(|_| ms % 100 == 50) {
                 command(&mut node, data);
@@ -381,7 +384,7 @@ fn stop_and_start_change_no_frame() {
 
 #[test]
 fn reset_communication_sets_back_what_cia_301_says_and_the_offsets_go_on() {
-    let mut node = Node::new(Some(tests_calibration()), false);
+    let mut node = Node::new(sensor_only_calibration().into());
     pass(&mut node, 10);
     service(&mut node);
     for (index, subindex, value) in [(0x1015, 0, 500), (0x1017, 0, 20), (0x1016, 1, 0x0002_0032)] {
@@ -393,7 +396,7 @@ fn reset_communication_sets_back_what_cia_301_says_and_the_offsets_go_on() {
     command(&mut node, &[0x82, 0]);
     let said = pass(&mut node, 150);
     let beats: Vec<_> = said.iter().filter_map(|it| frames::decode_heartbeat(it).ok()).collect();
-    assert_eq!(beats, [State::BootUp, State::Stopped], "without samples");
+    assert_eq!(beats, [NmtState::BootUp, NmtState::Stopped], "without samples");
     assert_eq!(node.counter, counter.wrapping_add(150), "a pair a millisecond");
     assert_eq!(read(&mut node, 0x1015, 0), Ok(100));
     assert_eq!(read(&mut node, 0x1017, 0), Ok(100));
@@ -405,41 +408,41 @@ fn reset_communication_sets_back_what_cia_301_says_and_the_offsets_go_on() {
 #[test]
 fn reset_communication_is_passed_over_while_an_offset_is_followed() {
     for (quality, period_ms) in [(Quality::Live, 20), (Quality::Hold, 20), (Quality::Off, 100)] {
-        let mut node = Node::new(Some(tests_calibration()), false);
-        node.heartbeat_period_ms = 20;
+        let mut node = Node::new(sensor_only_calibration().into());
+        node.heartbeat.period_ms = 20;
         node.last.quality = quality;
         command(&mut node, &[0x82, 0]);
-        assert_eq!(node.heartbeat_period_ms, period_ms, "{quality:?}");
+        assert_eq!(node.heartbeat.period_ms, period_ms, "{quality:?}");
     }
 }
 
 #[test]
 fn the_status_tells_each_item_in_turn_and_why_a_frame_was_refused() {
     use trueup_link::layout::STATUS_ID;
-    use trueup_link::status::{Item, Reason, decode};
-    let mut node = Node::new(Some(tests_calibration()), false);
-    node.note_start(Start { reason: ResetReason::Watchdog, ..Start::default() });
-    node.note_free_stack(4_000);
+    use trueup_link::status::{FrameRejectReason, Item, decode};
+    let start = ResetInfo { reason: ResetReason::Watchdog, ..ResetInfo::default() };
+    let mut node = Node::new(Configuration { start, ..sensor_only_calibration().into() });
+    node.set_free_stack(4_000);
     let statuses = |node: &mut Node<'_>, ms| -> Vec<_> {
         let said = pass(node, ms);
         let frames = said.iter().filter(|frame| frame.id() == STATUS_ID);
-        frames.map(|frame| (frames::counter(frame), decode(frame).expect("ours"))).collect()
+        frames.map(|frame| (frames::e2e_counter(frame), decode(frame).expect("ours"))).collect()
     };
     let first = statuses(&mut node, 2_200);
     assert_eq!(first.len(), 22, "ten a second");
     for (number, (counter, status)) in (0..).zip(&first) {
-        assert_eq!((*counter, status.last_refused), (number, Reason::None));
+        assert_eq!((*counter, status.last_refused), (number, FrameRejectReason::None));
         let item = match status.item {
             Item::Temperatures { pair, centi_c: [None, None] } => pair,
             Item::Elongation(None) => 4,
             Item::Refused { damaged: 0, out_of_sequence: 0 } => 5,
             Item::Received { malformed: 0, lost: 0 } => 6,
             Item::Board { noise_thousandths: 0, faults } => {
-                assert_eq!(faults, node.faults(&node.last).low_bits());
+                assert_eq!(faults, node.faults(&node.last).low_half_word());
                 7
             }
             Item::State(bits) => {
-                assert_eq!(bits, node.faults(&node.last).state());
+                assert_eq!(bits, node.faults(&node.last).state_bits());
                 8
             }
             Item::Reset { reason: ResetReason::Watchdog, free_stack: 4_000 } => 9,
@@ -449,16 +452,16 @@ fn the_status_tells_each_item_in_turn_and_why_a_frame_was_refused() {
         assert_eq!(item, number % 11);
     }
     let control = Control::REFERENCED;
-    let frame = |counter| frames::control(control, counter);
+    let frame = |counter| frames::encode_control(control, counter);
     let mut damaged = *frame(0).data();
     damaged[4] ^= 1;
     for (sent, reason, counts) in [
-        (Frame::new(CONTROL_ID, &damaged).unwrap(), Reason::Damaged, [1, 0, 0, 0]),
-        (frame(0), Reason::Damaged, [1, 0, 0, 0]),
-        (frame(0), Reason::Repeated, [1, 1, 0, 0]),
-        (frame(100), Reason::WrongSequence, [1, 2, 0, 0]),
-        (Frame::new(CONTROL_ID, &[0; 7]).unwrap(), Reason::Malformed, [1, 2, 1, 0]),
-        (frame(103), Reason::Malformed, [1, 2, 1, 2]),
+        (Frame::new(CONTROL_ID, &damaged).unwrap(), FrameRejectReason::Damaged, [1, 0, 0, 0]),
+        (frame(0), FrameRejectReason::Damaged, [1, 0, 0, 0]),
+        (frame(0), FrameRejectReason::Repeated, [1, 1, 0, 0]),
+        (frame(100), FrameRejectReason::WrongSequence, [1, 2, 0, 0]),
+        (Frame::new(CONTROL_ID, &[0; 7]).unwrap(), FrameRejectReason::Malformed, [1, 2, 1, 0]),
+        (frame(103), FrameRejectReason::Malformed, [1, 2, 1, 2]),
     ] {
         node.receive(Interface::Can, &sent).ok();
         let mut found = [None; 4];
@@ -466,10 +469,10 @@ fn the_status_tells_each_item_in_turn_and_why_a_frame_was_refused() {
             assert_eq!(status.last_refused, reason);
             match status.item {
                 Item::Refused { damaged, out_of_sequence } => {
-                    found[..2].copy_from_slice(&[Some(damaged), Some(out_of_sequence)]);
+                    (found[0], found[1]) = (Some(damaged), Some(out_of_sequence));
                 }
                 Item::Received { malformed, lost } => {
-                    found[2..].copy_from_slice(&[Some(malformed), Some(lost)]);
+                    (found[2], found[3]) = (Some(malformed), Some(lost));
                 }
                 _ => {}
             }
@@ -480,16 +483,16 @@ fn the_status_tells_each_item_in_turn_and_why_a_frame_was_refused() {
 
 #[test]
 fn a_fault_of_a_single_tick_is_told_whenever_it_comes() {
-    use trueup_core::{dimensions::CODES_PER_TICK, units::Code, units::Rpm};
-    let alive: [Code; CODES_PER_TICK] = core::array::from_fn(|n| Code(700 + u16::from(n == 1)));
+    use trueup_core::{dimensions::CODES_PER_TICK, units::AdcCode, units::Rpm};
+    let alive: [AdcCode; CODES_PER_TICK] =
+        core::array::from_fn(|n| AdcCode(700 + u16::from(n == 1)));
     for phase in 0..4 {
-        let mut node = Node::new(Some(tests_calibration()), false);
+        let mut node = Node::new(sensor_only_calibration().into());
         let mut said = Vec::new();
         for ms in 0..200 {
             let speed = (ms != 100 + phase).then_some(Rpm(12_000));
             node.tick(1, Input { codes: Some(&alive), speed, temperatures: None });
-            let is_flagged = node.last().flags.contains(Flags::SPEED_UNKNOWN);
-            assert_eq!(is_flagged, speed.is_none(), "a single tick");
+            assert_eq!(node.last_output().flags.contains(Flags::SPEED_UNKNOWN), speed.is_none());
             said.extend(node.service());
         }
         assert_eq!(codes_of(&said), [0x6102, 0x9001, 0], "at {phase}");

@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 use crate::rig::{Kind, Part, Rig, calibration};
 use trueup_core::cnc::{Flags, Quality};
 use trueup_node::node::Node;
-use trueup_store::reference::Standing;
+use trueup_store::reference::ReferenceStatus;
 
 /// The slew limit of the rig in nm a millisecond, and what rounding may add.
 const SLEW_NM: u32 = 20;
@@ -48,17 +48,17 @@ impl Cnc {
 fn resets(count: u32, seed: u64) {
     let (mut twin, mut rig) = (Rig::engaged(seed), Rig::engaged(seed));
     let (mut cnc, mut kept) =
-        (Cnc { z_nm: rig.applied_nm()[1], ..Cnc::default() }, rig.node.retained());
+        (Cnc { z_nm: rig.applied_nm()[1], ..Cnc::default() }, rig.node.retained_state());
     let (mut compared, mut worst_nm, mut done) = (0_u32, 0, 0);
     let mut until = 100;
     while done < count {
         if rig.ms.is_multiple_of(1_000) {
-            kept = rig.node.retained();
+            kept = rig.node.retained_state();
         }
         until -= 1;
         if until == 0 {
-            let mut next = Node::new(Some(calibration()), false);
-            next.set_standing(Standing::in_force(rig.node.reference()), None);
+            let mut next = Node::new(calibration().into());
+            next.restore_reference_status(ReferenceStatus::in_force(rig.node.reference()), None);
             next.resume(Some(&kept), 0);
             rig.node = next;
             rig.last.offset = None;

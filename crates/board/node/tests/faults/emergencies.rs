@@ -4,18 +4,21 @@ use std::fmt::Write as _;
 
 use crate::rig::{Kind, Part, Rig, SPINDLE_CHANNEL, calibration};
 use trueup_canopen::{
-    dictionary::ObjectKind,
-    emergency::Fault,
-    sdo::{ObjectValue, Objects as _},
+    dictionary::EntryContent,
+    emergency::{Fault, Faults},
+    sdo::{ObjectAccess as _, ObjectValue},
 };
-use trueup_core::{cnc::Control, dimensions::CHANNELS, learned::Change};
+use trueup_core::{cnc::Control, dimensions::CHANNEL_COUNT, learned::ChangeRequest};
 use trueup_link::{frame::Frame, frames};
-use trueup_node::node::{Interface, Node};
+use trueup_node::{
+    configuration::Configuration,
+    node::{Interface, Node},
+};
 
 /// The most between the moment at which a master can read a fault and its emergency.
 const WITHIN_MS: u32 = 100;
 
-fn number(rig: &Rig, what: ObjectKind) -> u32 {
+fn number(rig: &Rig, what: EntryContent) -> u32 {
     match rig.node.read(what) {
         Ok(ObjectValue::Number(number)) => number,
         other => panic!("{what:?} is {other:?}"),
@@ -24,13 +27,14 @@ fn number(rig: &Rig, what: ObjectKind) -> u32 {
 
 /// Returns the bits of faults and state in the objects.
 fn bits(rig: &Rig) -> [u32; 3] {
-    [ObjectKind::AllFaults, ObjectKind::HighFaults, ObjectKind::StateBits].map(|it| number(rig, it))
+    [EntryContent::AllFaults, EntryContent::HighFaults, EntryContent::StateBits]
+        .map(|it| number(rig, it))
 }
 
 /// `Control` from a master of its own line, as often as given.
 fn controls(rig: &mut Rig, line: Interface, control: Control, from: u8, count: u8) {
     for n in 0..count {
-        rig.node.receive(line, &frames::control(control, from + n)).ok();
+        rig.node.receive(line, &frames::encode_control(control, from + n)).ok();
     }
 }
 
@@ -39,8 +43,8 @@ fn provoke(fault: Fault, rig: &mut Rig) {
     let since = rig.ms + 1;
     let mut breaks = |part, kind| rig.fault = Some((part, kind, since));
     match fault {
-        Fault::NoCalibration => rig.node = Node::new(None, false),
-        Fault::Restarted => rig.node = Node::new(Some(calibration()), false),
+        Fault::NoCalibration => rig.node = Node::new(Configuration::default()),
+        Fault::Restarted => rig.node = Node::new(calibration().into()),
         Fault::Sensor => breaks(Part::Sensor, Kind::Short),
         Fault::SamplesMissing => breaks(Part::Blocks, Kind::Off),
         Fault::CncLost => breaks(Part::Control, Kind::Off),
@@ -53,14 +57,17 @@ fn provoke(fault: Fault, rig: &mut Rig) {
         Fault::PositionJump => breaks(Part::Position, Kind::Bias),
         Fault::SensorOdd => breaks(Part::Sensor, Kind::Bias),
         Fault::HeatUnknown => {
-            rig.node = Node::new(Some(calibration()), false);
+            rig.node = Node::new(calibration().into());
             rig.node.resume(None, 0);
         }
         Fault::OlderCalibration
         | Fault::ForeignMachine
         | Fault::ReferenceOffered
         | Fault::CalibrationChanged => rig.node.require_confirmation(fault),
-        Fault::ExampleConstants => rig.node.inhibit_example(),
+        Fault::ExampleConstants => {
+            let faults = Faults::default().with_if(true, fault);
+            rig.node = Node::new(Configuration { faults, ..calibration().into() });
+        }
         Fault::SecondMaster => {
             controls(rig, Interface::Serial, Control::REFERENCED, 0, 1);
         }
@@ -71,7 +78,7 @@ fn provoke(fault: Fault, rig: &mut Rig) {
             rig.run(6_000);
             controls(rig, Interface::Can, service, 230, 4);
             rig.run(10);
-            rig.node.write(ObjectKind::ConsumerHeartbeat, 0x0002_0064).expect("allowed");
+            rig.node.write(EntryContent::ConsumerHeartbeat, 0x0002_0064).expect("allowed");
             let beat = Frame::new(0x702, &[5]).expect("a heartbeat");
             rig.node.receive(Interface::Can, &beat).expect("not for the receiver");
         }
@@ -85,7 +92,7 @@ fn provoke(fault: Fault, rig: &mut Rig) {
         }
         Fault::LearnedRefused => {
             // Of no cap, and of another calibration.
-            let learned = Change { part: 1, amount: 1, calibration: 0 };
+            let learned = ChangeRequest { part: 1, amount: 1, calibration: 0 };
             breaks(Part::Control, Kind::Off);
             rig.run(6_000);
             controls(rig, Interface::Can, Control { learned, ..Control::REFERENCED }, 200, 5);
@@ -99,23 +106,23 @@ fn provoke(fault: Fault, rig: &mut Rig) {
 
 /// Returns a rig with the spindle's thermometer on this channel, and the axis's on the next.
 fn engaged_on(channel: usize) -> Rig {
-    let channels = [channel, (channel + 1) % CHANNELS];
+    let channels = [channel, (channel + 1) % CHANNEL_COUNT];
     let mut wired = calibration();
     let [spindle, axis] = channels.map(|channel| channel as u8);
-    wired.thermometers = [wired.thermometers[SPINDLE_CHANNEL]; CHANNELS];
+    wired.thermometers = [wired.thermometers[SPINDLE_CHANNEL]; CHANNEL_COUNT];
     wired.spindle.temperature.as_mut().expect("its model").channel = spindle;
     wired.axes[0].thermal.as_mut().expect("its law").channel = axis;
     let mut rig = Rig::new(7);
-    (rig.node, rig.channels) = (Node::new(Some(wired), false), channels);
+    (rig.node, rig.channels) = (Node::new(wired.into()), channels);
     rig.into_engaged()
 }
 
 /// Returns the channel of a thermometer's fault, and what breaks there.
 fn channel_of(fault: Fault) -> Option<(usize, Kind)> {
     let of = |faults: [Fault; 8]| faults.into_iter().position(|it| it == fault);
-    of(Fault::THERMOMETERS)
+    of(Fault::THERMOMETER_FAULTS)
         .map(|channel| (channel, Kind::Off))
-        .or(of(Fault::TEMPERATURE_RATES).map(|channel| (channel, Kind::Bias)))
+        .or(of(Fault::TEMPERATURE_RATE_FAULTS).map(|channel| (channel, Kind::Bias)))
 }
 
 /// Milliseconds from the moment at which the objects report a fault to its emergency.

@@ -99,7 +99,7 @@ fn cell(part: Part, kind: Kind, state: State) -> String {
 
 const HEAD: &str = "# Fault matrix
 
-What a bridge does when an input fails, in every state: after how many milliseconds it is told and as which emergency, the
+What a bridge does when an input fails, in every state: after how many milliseconds it is reported and as which emergency, the
 quality after 10 s of the fault, and the largest difference from the offset of a bridge without the fault in these 10 s (on
 X or Z; slew limit 20 µm/s; where no offset is available, from 0). Made and compared by a test:
 `TRUEUP_WRITE_MATRIX=1 cargo test -p trueup-node --test faults matrix -- --ignored` writes it.
@@ -114,7 +114,7 @@ thermometer (2 µm/K) and a table (20 µm/m), on its way at up to 3.8 m/min. *Of
 the error: the sensor's 1 : 1, a thermometer's times its law (µm/K), a position's times the slope of its tables. Who needs
 more watches with a second source. A thermometer that changes faster than its mass can (here by more than 10 K/min) is not believed until it has stayed within that for 60 s; one that stops is found after 40 s, longer than here, if
 its noise is half a step or more and another one goes on. A sensor that jumps by more than 3.9 µm in 50 µs (before its low-pass: by some 30 µm)
-is told, and believed. A position that its axis
+is reported, and believed. A position that its axis
 cannot have reached since the last (by its rapid traverse, here 6 m/min) is not believed until three more have followed from it; one that a CNC
 sends wrong but within reach is the CNC's word: the offset follows it at the slew limit and within the largest offset.
 

@@ -6,17 +6,17 @@ use std::{f64::consts::TAU, sync::OnceLock};
 use trueup_canopen::emergency::{Fault, decode};
 use trueup_core::{
     bridge::Input,
-    calibration::{AxisModel, AxisThermal, Calibration, Names},
-    cnc::{AxisPosition, Control, Heading, LinearAxis, Output, Spindle},
-    dimensions::{CHANNELS, CODES_PER_TICK},
+    calibration::{AxisModel, AxisThermalModel, Calibration, MachineIdentity},
+    cnc::{AxisPosition, Control, LinearAxis, Output, Spindle, TravelDirection},
+    dimensions::{CHANNEL_COUNT, CODES_PER_TICK},
     kinematics::Kinematics,
     lag::SmoothingFactor,
     limits::Limits,
-    pitch::Pitch,
-    thermometer::{Raw, Thermometer},
-    tool::Direction,
+    pitch_table::PitchErrorTable,
+    thermometer::{RawReading, Thermometer},
+    tool_direction::Direction,
     travel::Interval,
-    units::{Code, Nanometres, Position, Rpm, Temperature},
+    units::{AdcCode, Nanometres, Position, Rpm, Temperature},
 };
 use trueup_link::{frame::Frame, frames, layout::EMERGENCY_ID};
 use trueup_node::node::{Interface, Node};
@@ -42,9 +42,9 @@ const SPEED: u16 = 12_000;
 const RAPID: u32 = 10_000;
 
 /// 20 µm a metre over 1 m.
-fn table() -> Pitch<'static> {
+fn table() -> PitchErrorTable<'static> {
     let points: Vec<[u8; 4]> = (0..11).map(|n| (n * 2_000 * 256_i32).to_le_bytes()).collect();
-    Pitch {
+    PitchErrorTable {
         start: Position(0),
         step: Interval::new(10_000_000),
         forward: Box::leak(points.into()),
@@ -54,7 +54,7 @@ fn table() -> Pitch<'static> {
 
 pub fn calibration() -> Calibration<'static> {
     let linear = Thermometer::Linear { zero: 0, slope: 1_000, shift: 0 };
-    let mut thermometers = [None; CHANNELS];
+    let mut thermometers = [None; CHANNEL_COUNT];
     thermometers[SPINDLE_CHANNEL] = Some(linear);
     thermometers[AXIS_CHANNEL] = Some(linear);
     let none = SmoothingFactor::NO_LAG;
@@ -68,7 +68,7 @@ pub fn calibration() -> Calibration<'static> {
         tau_s: TAU_S,
     };
     let x = AxisModel {
-        thermal: Some(AxisThermal {
+        thermal: Some(AxisThermalModel {
             channel: AXIS_CHANNEL as u8,
             smoothing: none,
             smoothing_falling: none,
@@ -98,7 +98,7 @@ pub fn calibration() -> Calibration<'static> {
         },
         cold_within: Temperature(Temperature::PER_KELVIN / 2),
         guards: Default::default(),
-        names: Names::default(),
+        names: MachineIdentity::default(),
     }
 }
 
@@ -211,7 +211,7 @@ pub struct Rig {
 impl Rig {
     pub fn new(seed: u64) -> Self {
         Self {
-            node: Node::new(Some(calibration()), false),
+            node: Node::new(calibration().into()),
             ms: 0,
             fault: None,
             engage: false,
@@ -281,7 +281,7 @@ impl Rig {
         self.heat * GROWTH_NM
     }
 
-    fn codes(&mut self) -> Option<[Code; CODES_PER_TICK]> {
+    fn codes(&mut self) -> Option<[AdcCode; CODES_PER_TICK]> {
         let fault = self.fault_of(Part::Sensor);
         let turn = if self.runs { 10.0 } else { 0.0 };
         let grown = ZERO_CODE + self.grown_nm() / NM_PER_CODE;
@@ -313,7 +313,7 @@ impl Rig {
             if fault.is_none() {
                 self.code = code;
             }
-            Code(code as u16)
+            AdcCode(code as u16)
         });
         let arrives = match blocks {
             None | Some((Kind::Bias | Kind::Drift | Kind::Stuck | Kind::Garbage, _)) => true,
@@ -325,21 +325,21 @@ impl Rig {
         arrives.then_some(codes)
     }
 
-    fn raw(&mut self, part: Part, kelvin: f64) -> Raw {
+    fn raw(&mut self, part: Part, kelvin: f64) -> RawReading {
         let fault = self.fault_of(part);
         let number = match part {
             Part::SpindleThermometer => &mut self.spindle_k,
             _ => &mut self.axis_k,
         };
         number.live(kelvin, fault.is_some());
-        let Some((kind, lasts)) = fault else { return Raw((kelvin * RAW_PER_K) as i32) };
+        let Some((kind, lasts)) = fault else { return RawReading((kelvin * RAW_PER_K) as i32) };
         let bent = kind.bend(kelvin, number, 5.0, lasts);
         let drawn = self.uniform() * 200.0 - 50.0;
         match kind {
-            Kind::Off | Kind::Open | Kind::Short => Raw::NONE,
-            Kind::Intermittent if lasts % 1_000 < 300 => Raw::NONE,
-            Kind::Garbage => Raw((drawn * RAW_PER_K) as i32),
-            _ => Raw((bent * RAW_PER_K) as i32),
+            Kind::Off | Kind::Open | Kind::Short => RawReading::NONE,
+            Kind::Intermittent if lasts % 1_000 < 300 => RawReading::NONE,
+            Kind::Garbage => RawReading((drawn * RAW_PER_K) as i32),
+            _ => RawReading((bent * RAW_PER_K) as i32),
         }
     }
 
@@ -370,7 +370,7 @@ impl Rig {
         let control = Control { engage: self.engage, ..Control::REFERENCED };
         if self.sends(Part::Control, 20) {
             let counter = self.next(0);
-            let frame = frames::control(control, counter);
+            let frame = frames::encode_control(control, counter);
             let frame = match self.fault_of(Part::Control) {
                 Some((Kind::Stuck, _)) => self.repeated.unwrap_or(frame),
                 Some((Kind::Garbage, _)) => {
@@ -391,7 +391,10 @@ impl Rig {
                 _ => true_speed,
             };
             let counter = self.next(1);
-            self.receive(&frames::spindle(Spindle { speed: Rpm(speed), load_n: 0 }, counter));
+            self.receive(&frames::encode_spindle(
+                Spindle { speed: Rpm(speed), load_n: 0 },
+                counter,
+            ));
         }
         // ±100 mm about 500 mm, once in 10 s.
         let t_s = f64::from(self.ms) / 1_000.0;
@@ -406,9 +409,12 @@ impl Rig {
             };
             let position = Position((place_mm * 100_000.0) as i32);
             let counter = self.next(2);
-            let received =
-                AxisPosition { axis: LinearAxis::X, position, direction: Heading::Positive };
-            self.receive(&frames::position(received, counter));
+            let received = AxisPosition {
+                axis: LinearAxis::X,
+                position,
+                direction: TravelDirection::Positive,
+            };
+            self.receive(&frames::encode_position(received, counter));
         }
     }
 
@@ -423,7 +429,7 @@ impl Rig {
         // A kelvin a minute, for half an hour up and then down: what rose for eight hours was no thermometer.
         let minutes = f64::from(self.ms) / 60_000.0 % 60.0;
         let axis_c = 22.0 + minutes.min(60.0 - minutes);
-        let mut raw = [Raw::NONE; CHANNELS];
+        let mut raw = [RawReading::NONE; CHANNEL_COUNT];
         let [spindle, axis] = self.channels;
         raw[spindle] = self.raw(Part::SpindleThermometer, spindle_c);
         raw[axis] = self.raw(Part::AxisThermometer, axis_c);
@@ -441,7 +447,7 @@ impl Rig {
 
     fn tick(&mut self, elapsed_ms: u32, input: Input<'_>) {
         self.node.tick(elapsed_ms, input);
-        self.last = *self.node.last();
+        self.last = *self.node.last_output();
         let said = self.node.service();
         if let Some(frame) = said.filter(|frame| frame.id() == EMERGENCY_ID)
             && let Ok(emergency) = decode(&frame)
@@ -470,7 +476,7 @@ impl Rig {
         let mut narrow = calibration();
         narrow.limits.max[0] = Nanometres(x_nm);
         narrow.axes[0].rapid = 0;
-        Self { node: Node::new(Some(narrow), false), ..Self::new(seed) }.into_engaged()
+        Self { node: Node::new(narrow.into()), ..Self::new(seed) }.into_engaged()
     }
 
     pub fn into_engaged(mut self) -> Self {

@@ -1,7 +1,7 @@
 //! A bridge with a sensor, a thermometer and names, as boards of the tests know it.
 
 use trueup_core::{
-    calibration::{Calibration, Names},
+    calibration::{Calibration, MachineIdentity},
     limits::Limits,
     thermometer::Thermometer,
     units::Nanometres,
@@ -14,13 +14,13 @@ mod example;
 pub fn calibration() -> Calibration<'static> {
     let mut thermometers = [None; 8];
     thermometers[2] = Some(Thermometer::Pt100);
-    let example = example::tests_calibration();
+    let example = example::sensor_only_calibration();
     Calibration {
         // What its codes say may be zeroed.
         limits: Limits { max: [Nanometres(4_000_000); 3], ..example.limits },
         thermometers,
         guards: Default::default(),
-        names: Names { machine: b"gantry", serial: b"17/4", board: [1, 2, 3] },
+        names: MachineIdentity { machine: b"gantry", serial: b"17/4", board: [1, 2, 3] },
         ..example
     }
 }

@@ -3,8 +3,8 @@
 //! The error is computed here from the same knots in `f64`, not by the bridge's table.
 
 use trueup_core::{
-    cnc::{AxisPosition, Heading, LinearAxis},
-    pitch::Pitch,
+    cnc::{AxisPosition, LinearAxis, TravelDirection},
+    pitch_table::PitchErrorTable,
     travel::Interval,
     units::Position,
 };
@@ -25,10 +25,15 @@ const TABLES_NM: [[i32; KNOTS]; 2] =
     [[0, 4_000, -6_000, 9_000, 1_000, -3_000], [0, -2_000, 8_000, -9_000, 500, 0]];
 
 /// Returns a table as a calibration has it.
-pub fn pitch(table: usize) -> Pitch<'static> {
+pub fn pitch(table: usize) -> PitchErrorTable<'static> {
     let points = TABLES_NM[table].map(|nm| (nm * 256).to_le_bytes());
     let forward: &'static [[u8; 4]] = Box::leak(Box::new(points));
-    Pitch { start: Position(0), step: Interval::new(STEP.unsigned_abs()), forward, reverse: None }
+    PitchErrorTable {
+        start: Position(0),
+        step: Interval::new(STEP.unsigned_abs()),
+        forward,
+        reverse: None,
+    }
 }
 
 /// The axis and its CNC.
@@ -71,12 +76,12 @@ impl Axis {
         }
         self.counter = self.counter.wrapping_add(1);
         let direction = match self.velocity {
-            1.. => Heading::Positive,
-            0 => Heading::Standing,
-            _ => Heading::Negative,
+            1.. => TravelDirection::Positive,
+            0 => TravelDirection::Standing,
+            _ => TravelDirection::Negative,
         };
         let at = AxisPosition { axis: LinearAxis::X, position: Position(self.at), direction };
-        Some(frames::position(at, self.counter))
+        Some(frames::encode_position(at, self.counter))
     }
 
     /// The bridge has taken what was sent now.

@@ -7,26 +7,27 @@ use std::{collections::BTreeMap, env};
 use crc::{CRC_32_AUTOSAR, Crc};
 use trueup_core::{
     bridge::Input,
-    cnc::{AxisPosition, Control, Heading, LinearAxis, Quality, Rotary, Spindle},
+    cnc::{AxisPosition, Control, LinearAxis, Quality, Rotary, Spindle, TravelDirection},
     dimensions::CODES_PER_TICK,
-    learned::{Caps, Change, named},
-    thermometer::Raw,
-    units::{Code, MicroDegrees, Position, Rpm},
+    learned::{ChangeRequest, LearnedLimits, calibration_id},
+    thermometer::RawReading,
+    units::{AdcCode, MicroDegrees, Position, Rpm},
 };
 use trueup_link::frames;
 use trueup_node::{
+    configuration::Configuration,
     node::{Interface, Node},
-    vectors::Random,
+    test_vectors::XorShift32,
 };
 use trueup_store::calibration::{
-    MAX_HOLD_MS, MAX_LEARNED, MAX_LINK_TIMEOUT_MS, MAX_OFFSET_NM, MAX_SIZE, MAX_SLEW_NM_PER_S,
-    decode, encode, identity,
+    MAX_BLOB_SIZE, MAX_HOLD_MS, MAX_LEARNED_LIMITS, MAX_LINK_TIMEOUT_MS, MAX_OFFSET_NM,
+    MAX_SLEW_NM_PER_S, calibration_crc, decode, encode,
 };
 
 use crate::machine;
 
 /// A slot of the board's flash.
-type Slot = [u8; MAX_SIZE];
+type Slot = [u8; MAX_BLOB_SIZE];
 /// How long a bridge lives on what was not refused, in ms: through the engage sequence and on its way.
 const LIFE_MS: u8 = 130;
 
@@ -38,25 +39,25 @@ fn seal(blob: &mut [u8]) {
 }
 
 /// Returns a blob that is whole and has something wrong, or nothing.
-fn hostile<'s>(random: &mut Random, seeds: &[Vec<u8>], slot: &'s mut Slot) -> &'s mut [u8] {
-    let seed = &seeds[random.below(seeds.len() as u32) as usize];
+fn hostile<'s>(random: &mut XorShift32, seeds: &[Vec<u8>], slot: &'s mut Slot) -> &'s mut [u8] {
+    let seed = &seeds[random.next_below(seeds.len() as u32) as usize];
     slot[..seed.len()].copy_from_slice(seed);
     let blob = &mut slot[..seed.len()];
-    for _ in 0..=random.below(4) {
+    for _ in 0..=random.next_below(4) {
         // The head of 8 bytes stays: what is wrong there is reported before anything is read.
-        let at = 8 + random.below(blob.len() as u32 - 12) as usize;
+        let at = 8 + random.next_below(blob.len() as u32 - 12) as usize;
         let word = 8 + (at - 8) / 4 * 4;
-        match random.below(4) {
-            0 => blob[at] ^= 1 << random.below(8),
+        match random.next_below(4) {
+            0 => blob[at] ^= 1 << random.next_below(8),
             1 => blob[at] = random.next() as u8,
             // Words at the ends of their range, and others.
             2 => {
                 let ends = [0, 1, -1, i32::MAX, i32::MIN, 1 << 20, -(1 << 20), 255];
-                let end = ends[random.below(8) as usize];
+                let end = ends[random.next_below(8) as usize];
                 blob[word..word + 4].copy_from_slice(&end.to_le_bytes());
             }
             _ => {
-                let any = random.next() >> random.below(32);
+                let any = random.next() >> random.next_below(32);
                 blob[word..word + 4].copy_from_slice(&any.to_le_bytes());
             }
         }
@@ -66,44 +67,46 @@ fn hostile<'s>(random: &mut Random, seeds: &[Vec<u8>], slot: &'s mut Slot) -> &'
 }
 
 /// A bridge lives on this calibration, with any inputs, and stays within the caps.
-fn lives_within_the_caps(random: &mut Random, blob: &[u8], number: u64) -> bool {
+fn lives_within_the_caps(random: &mut XorShift32, blob: &[u8], number: u64) -> bool {
     let calibration = decode(blob).expect("it was not refused");
     let limits = calibration.limits;
     assert!(limits.slew_nm_per_s <= MAX_SLEW_NM_PER_S, "blob {number}: {limits:?}");
     assert!(limits.link_timeout_ms <= MAX_LINK_TIMEOUT_MS, "blob {number}: {limits:?}");
     assert!(limits.hold_ms <= MAX_HOLD_MS, "blob {number}: {limits:?}");
-    let Caps { growth, axes, zero } = limits.learned;
-    let within = growth <= MAX_LEARNED.growth && axes <= MAX_LEARNED.axes;
-    assert!(within && zero <= MAX_LEARNED.zero, "blob {number}: {limits:?}");
-    let mut node = Node::new(Some(calibration), false);
-    node.set_blob(blob);
+    let LearnedLimits { growth, axes, zero } = limits.learned;
+    let within = growth <= MAX_LEARNED_LIMITS.growth && axes <= MAX_LEARNED_LIMITS.axes;
+    assert!(within && zero <= MAX_LEARNED_LIMITS.zero, "blob {number}: {limits:?}");
+    let mut node = Node::new(Configuration { blob, ..calibration.into() });
     let mut before = [0; 3];
     let mut was_on = false;
-    let level = random.below(4_096) as i32;
+    let level = random.next_below(4_096) as i32;
     for ms in 0..LIFE_MS {
         if ms % 10 == 0 {
             let counter = ms / 10;
             let any = random.next() as i32;
-            let calibration = named(identity(blob));
-            let learned = Change { part: any as u8 % 8, amount: (any >> 16) as i16, calibration };
+            let calibration = calibration_id(calibration_crc(blob));
+            let learned =
+                ChangeRequest { part: any as u8 % 8, amount: (any >> 16) as i16, calibration };
             let control = Control { engage: counter >= 4, learned, ..Control::REFERENCED };
-            let _ = node.receive(Interface::Can, &frames::control(control, counter));
+            let _ = node.receive(Interface::Can, &frames::encode_control(control, counter));
             let spindle = Spindle { speed: Rpm(any as u16), load_n: any as i16 };
-            let _ = node.receive(Interface::Can, &frames::spindle(spindle, counter));
+            let _ = node.receive(Interface::Can, &frames::encode_spindle(spindle, counter));
             let angles = [any / 16, any / 32].map(MicroDegrees);
-            let _ = node.receive(Interface::Can, &frames::rotary(Rotary { angles }, counter));
+            let _ =
+                node.receive(Interface::Can, &frames::encode_rotary(Rotary { angles }, counter));
             for axis in LinearAxis::ALL {
                 let position = Position(random.next() as i32 / 2);
-                let at = AxisPosition { axis, position, direction: Heading::Positive };
-                let _ = node.receive(Interface::Can, &frames::position(at, counter));
+                let at = AxisPosition { axis, position, direction: TravelDirection::Positive };
+                let _ = node.receive(Interface::Can, &frames::encode_position(at, counter));
             }
         }
-        let codes: [Code; CODES_PER_TICK] =
-            core::array::from_fn(|_| Code((level + random.around(3)).clamp(0, 4_095) as u16));
-        let raw = [Raw(random.next() as i32 >> 16); 8];
+        let codes: [AdcCode; CODES_PER_TICK] = core::array::from_fn(|_| {
+            AdcCode((level + random.next_symmetric(3)).clamp(0, 4_095) as u16)
+        });
+        let raw = [RawReading(random.next() as i32 >> 16); 8];
         let temperatures = (ms % 10 == 5).then_some(&raw);
         node.tick(1, Input { codes: Some(&codes), speed: None, temperatures });
-        let output = node.last();
+        let output = node.last_output();
         was_on |= output.quality == Quality::Live;
         let Some(offset) = output.offset else {
             before = [0; 3];
@@ -120,11 +123,11 @@ fn lives_within_the_caps(random: &mut Random, blob: &[u8], number: u64) -> bool 
 }
 
 fn attack(blobs: u64, seed: u32) {
-    let mut slot = [0; MAX_SIZE];
+    let mut slot = [0; MAX_BLOB_SIZE];
     let seeds: Vec<Vec<u8>> = [0, 1]
         .map(|table| encode(&machine::calibration(table), &mut slot).expect("it fits").to_vec())
         .into();
-    let mut random = Random::new(seed);
+    let mut random = XorShift32::new(seed);
     let (mut refused, mut reasons, mut live) = (0_u64, BTreeMap::new(), 0_u64);
     for number in 0..blobs {
         let blob = hostile(&mut random, &seeds, &mut slot);

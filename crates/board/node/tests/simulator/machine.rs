@@ -2,13 +2,13 @@
 //! the rules of the README.
 
 use trueup_core::{
-    calibration::{AxisModel, Calibration, Names},
+    calibration::{AxisModel, Calibration, MachineIdentity},
     cnc::{Control, Output, Spindle},
-    dimensions::CHANNELS,
+    dimensions::CHANNEL_COUNT,
     kinematics::Kinematics,
     limits::Limits,
     thermometer::Thermometer,
-    tool::Direction,
+    tool_direction::Direction,
     units::{Nanometres, Rpm, Temperature},
 };
 use trueup_link::{frame::Frame, frames, receiver::OffsetReceiver};
@@ -34,7 +34,7 @@ pub const NM_PER_KELVIN: i32 = 4_000;
 
 /// Returns a sensor, then a temperature with a lag, then running time; and one of the two tables of X.
 pub fn calibration(table: usize) -> Calibration<'static> {
-    let mut thermometers = [None; CHANNELS];
+    let mut thermometers = [None; CHANNEL_COUNT];
     // One count a kelvin.
     thermometers[2] = Some(Thermometer::Linear { zero: 0, slope: 16_000, shift: 0 });
     thermometers[4] = thermometers[2];
@@ -74,7 +74,7 @@ pub fn calibration(table: usize) -> Calibration<'static> {
         },
         cold_within: Temperature(Temperature::PER_KELVIN / 2),
         guards: Default::default(),
-        names: Names::default(),
+        names: MachineIdentity::default(),
     }
 }
 
@@ -155,12 +155,15 @@ impl Cnc {
         let control = Control { engage: self.raised, zero, ..Control::REFERENCED };
         let counter = self.counters[0];
         self.counters[0] = counter.wrapping_add(1);
-        frames::control(control, counter)
+        frames::encode_control(control, counter)
     }
 
     pub fn spindle(&mut self, runs: bool) -> Frame {
         let counter = self.counters[1];
         self.counters[1] = counter.wrapping_add(1);
-        frames::spindle(Spindle { speed: Rpm(if runs { 12_000 } else { 0 }), load_n: 0 }, counter)
+        frames::encode_spindle(
+            Spindle { speed: Rpm(if runs { 12_000 } else { 0 }), load_n: 0 },
+            counter,
+        )
     }
 }

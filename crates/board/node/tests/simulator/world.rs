@@ -6,20 +6,20 @@
 
 use trueup_core::{
     bridge::{Input, Reference},
-    channels::RawTemperatures,
     cnc::{Command, Control, Output, Quality},
-    dimensions::{CHANNELS, CODES_PER_TICK},
-    thermometer::Raw,
-    units::Code,
+    dimensions::{CHANNEL_COUNT, CODES_PER_TICK},
+    temperature_channels::RawTemperatures,
+    thermometer::RawReading,
+    units::AdcCode,
 };
-use trueup_link::{frame::Frame, frames, receiver::Refused};
+use trueup_link::{frame::Frame, frames, receiver::ReceiveError};
 use trueup_node::{
     node::{Interface, Node},
-    vectors::Random,
+    test_vectors::XorShift32,
 };
 use trueup_store::{
-    reference::Standing,
-    retained::{self, Copies, SIZE},
+    reference::ReferenceStatus,
+    retained::{self, COPY_SIZE, RetainedCopies},
 };
 
 mod judge;
@@ -99,9 +99,9 @@ struct Zeroed {
 /// A world and its bridge.
 pub struct World {
     seed: u32,
-    random: Random,
+    random: XorShift32,
     node: Node<'static>,
-    ram: Box<Copies>,
+    ram: Box<RetainedCopies>,
     spindle: GrowingSpindle,
     axis: Axis,
     /// Which table is loaded.
@@ -140,12 +140,12 @@ pub struct World {
 
 impl World {
     pub fn new(seed: u32) -> Self {
-        let random = Random::new(seed.wrapping_mul(0x9E37_79B9) | 1);
+        let random = XorShift32::new(seed.wrapping_mul(0x9E37_79B9) | 1);
         Self {
             seed,
             random,
-            node: Node::new(Some(calibration(0)), false),
-            ram: Box::new([[0; SIZE]; 2]),
+            node: Node::new(calibration(0).into()),
+            ram: Box::new([[0; COPY_SIZE]; 2]),
             spindle: GrowingSpindle { heat: 0.0, runs: true },
             axis: Axis::default(),
             table: 0,
@@ -174,18 +174,18 @@ impl World {
 
     /// One in this many.
     fn chance(&mut self, one_in: u32) -> bool {
-        self.random.below(one_in) == 0
+        self.random.next_below(one_in) == 0
     }
 
-    fn codes(&mut self) -> [Code; CODES_PER_TICK] {
+    fn codes(&mut self) -> [AdcCode; CODES_PER_TICK] {
         let level = ZERO_CODE + self.spindle.grown_nm() / NM_PER_CODE;
         let fault = self.fault;
         let random = &mut self.random;
-        let spike = random.below(20) as usize;
+        let spike = random.next_below(20) as usize;
         core::array::from_fn(|n| {
-            let noise = f64::from(random.around(1_000)) / 1_000.0;
+            let noise = f64::from(random.next_symmetric(1_000)) / 1_000.0;
             let code = (level + noise).round().clamp(0.0, 4_095.0) as u16;
-            Code(match fault {
+            AdcCode(match fault {
                 Fault::SensorOpen | Fault::BothOpen => 0,
                 Fault::SensorShort => 4_095,
                 Fault::SensorStuck => 777,
@@ -198,8 +198,8 @@ impl World {
     }
 
     fn raw(&self) -> RawTemperatures {
-        let mut raw = [Raw::NONE; CHANNELS];
-        let counts = |celsius: f64| Raw((celsius * 256.0).round() as i32);
+        let mut raw = [RawReading::NONE; CHANNEL_COUNT];
+        let counts = |celsius: f64| RawReading((celsius * 256.0).round() as i32);
         // The housing follows at once; its own law has the lag.
         let front = self.room_c + if self.spindle.runs { 15.0 } else { 0.0 };
         raw[4] = counts(self.room_c);
@@ -215,9 +215,9 @@ impl World {
             return;
         }
         let is_well = self.fault == Fault::None;
-        let drawn = self.random.below(FAULTS.len() as u32) as usize;
+        let drawn = self.random.next_below(FAULTS.len() as u32) as usize;
         self.fault = if is_well { FAULTS[drawn] } else { Fault::None };
-        self.fault_ms = 200 + self.random.below(if is_well { 6_000 } else { 9_000 });
+        self.fault_ms = 200 + self.random.next_below(if is_well { 6_000 } else { 9_000 });
         self.began = self.seen.ticks;
         self.spindle.runs = !self.chance(4);
         let drawn = self.random.next() >> 8;
@@ -239,8 +239,11 @@ impl World {
             self.seen.tables += 1;
             self.table = 1 - self.table;
         }
-        self.node = Node::new(Some(calibration(self.table)), false);
-        self.node.set_standing(Standing::in_force(self.zeroed[self.table].reference), None);
+        self.node = Node::new(calibration(self.table).into());
+        self.node.restore_reference_status(
+            ReferenceStatus::in_force(self.zeroed[self.table].reference),
+            None,
+        );
         self.axis.forget();
         let kept = retained::load(&self.ram);
         // Nothing has been kept since the last cut, or all of it is lost.
@@ -286,9 +289,9 @@ impl World {
         };
         let engage = self.chance(2);
         let control = Control { engage, zero: true, ..Control::REFERENCED };
-        let counter = self.cnc.counters[0].wrapping_add(self.random.below(4) as u8);
+        let counter = self.cnc.counters[0].wrapping_add(self.random.next_below(4) as u8);
         let before = self.node.reference();
-        let received = self.node.receive(stranger, &frames::control(control, counter));
+        let received = self.node.receive(stranger, &frames::encode_control(control, counter));
         self.note_control(&received, engage);
         // Where the CNC asks for it in the same moment, it is the CNC's, whoever's frame completes it.
         assert!(
@@ -301,7 +304,7 @@ impl World {
 
     /// Follows the engage sequence of any sender: a stranger on the same line cannot be distinguished from the
     /// CNC by one frame.
-    fn note_control(&mut self, received: &Result<Option<Command>, Refused>, engage: bool) {
+    fn note_control(&mut self, received: &Result<Option<Command>, ReceiveError>, engage: bool) {
         match received {
             Ok(None) => return,
             Ok(Some(_)) if !engage => self.released += 1,
@@ -323,7 +326,7 @@ impl World {
             self.seen.zeros += 1;
             (self.joined, self.zero_tick) = (None, self.seen.ticks);
             // What was just broken may still be in the filter.
-            let is_live = self.node.last().quality == Quality::Live
+            let is_live = self.node.last_output().quality == Quality::Live
                 && self.fault == Fault::None
                 && self.lasts_ms() > 500;
             let truth_nm = || Some([self.spindle.grown_nm(), self.axis.error_nm(self.table)?]);
@@ -339,7 +342,7 @@ impl World {
             Fault::LostFrames if is_hit => None,
             Fault::DamagedFrames if is_hit => {
                 let mut data = *frame.data();
-                data[self.random.below(8) as usize] ^= 1 << self.random.below(8);
+                data[self.random.next_below(8) as usize] ^= 1 << self.random.next_below(8);
                 Some(Frame::new(frame.id(), &data).expect("8 bytes"))
             }
             _ => Some(frame),
@@ -391,7 +394,7 @@ impl World {
             self.one(behind_ms, Input { temperatures: Some(&raw), ..Input::default() });
         }
         if self.seen.ticks.is_multiple_of(1_000) {
-            retained::save(&mut self.ram, &self.node.retained(), None);
+            retained::save(&mut self.ram, &self.node.retained_state(), None);
             self.has_kept = true;
         }
         let was = self.cnc.applied_nm;
@@ -415,7 +418,7 @@ impl World {
             }
             self.cnc.receive(frame);
         }
-        let output = *self.node.last();
+        let output = *self.node.last_output();
         // What the CNC has of it is the same, rounded to a bit of 10 nm.
         if let (Some(received), Some(offset)) =
             (self.cnc.received.and_then(|it| it.offset), output.offset)

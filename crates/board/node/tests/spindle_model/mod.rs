@@ -1,12 +1,12 @@
 //! A spindle with all three sources of its growth, as the boards of the tests know it.
 
 use trueup_core::{
-    calibration::{ElongationSource, SpindleModel, SpindleTemperature, SpindleWarmup},
+    calibration::{ElongationSource, SpindleModel, SpindleTemperatureModel, SpindleWarmupModel},
     lag::SmoothingFactor,
     sensor::{SensorLaw, Slope},
-    thermal::{Law, Piece},
-    units::{Fine, Nanometres, Reading, Temperature},
-    warmup::Warmup,
+    thermal::{LawSegment, ThermalExpansionLaw},
+    units::{FineNanometres, Nanometres, Reading, Temperature},
+    warmup::WarmupModel,
 };
 
 /// Its parameters: the sensor first, then a thermometer, then its running time.
@@ -35,19 +35,19 @@ impl KnownSpindle {
                 zero: Reading((self.zero_code * 1024.0) as i32),
                 slope: Slope((self.nm_per_code / 1024.0 * 2_f64.powi(28)).round() as i32),
             },
-            temperature: Some(SpindleTemperature {
+            temperature: Some(SpindleTemperatureModel {
                 channel: self.channel,
                 smoothing: self.lag,
                 smoothing_falling: self.lag,
                 law: law(self.nm_per_kelvin),
             }),
-            warmup: Some(SpindleWarmup {
-                law: Warmup {
+            warmup: Some(SpindleWarmupModel {
+                law: WarmupModel {
                     lag_ms: 0,
-                    max: Fine((self.growth_nm * 256.0) as i32),
+                    max: FineNanometres((self.growth_nm * 256.0) as i32),
                     smoothing_heating: heating,
                     smoothing_cooling: heating,
-                    full: 1 << Warmup::FULL_FRACTION_BITS,
+                    full: 1 << WarmupModel::FULL_FRACTION_BITS,
                 },
                 power: Default::default(),
             }),
@@ -61,10 +61,10 @@ pub fn per_step(tau_s: f64) -> SmoothingFactor {
 }
 
 /// K₀(T) that rises by this much a kelvin from 20 °C.
-pub fn law(nm_per_kelvin: f64) -> Law<'static> {
+pub fn law(nm_per_kelvin: f64) -> ThermalExpansionLaw<'static> {
     // 1/16 of 1/256 nm by 1.024 K.
     let slope = nm_per_kelvin * 256.0 * 1.024 * 16.0;
     let start = Temperature(20 * Temperature::PER_KELVIN);
-    let piece = Piece { start, constant_slope: slope.round() as i32, ..Piece::default() };
-    Law { pieces: Box::leak(Box::new([piece.to_bytes()])) }
+    let piece = LawSegment { start, constant_slope: slope.round() as i32, ..LawSegment::default() };
+    ThermalExpansionLaw { pieces: Box::leak(Box::new([piece.to_bytes()])) }
 }

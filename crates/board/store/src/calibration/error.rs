@@ -1,51 +1,49 @@
 //! Why there is no blob, or no calibration in one.
 
-use core::{error::Error, fmt};
+use trueup_core::tool_direction::Direction;
 
-use trueup_core::tool::Direction;
-
-use super::format::{CRC_SIZE, FIXED_SIZE, MAGIC, MAX_OFFSET_NM, MAX_SIZE, SCHEMA};
+use super::format::{
+    CRC_SIZE, FIXED_PART_SIZE, MAGIC, MAX_BLOB_SIZE, MAX_OFFSET_NM, SCHEMA_VERSION,
+};
 
 /// Why there is no blob: the calibration has more in it than a board can store.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{bytes} bytes do not fit the board's {MAX_BLOB_SIZE}")]
 pub struct TooLarge {
     /// Bytes that it would have.
     pub bytes: usize,
 }
 
-impl fmt::Display for TooLarge {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} bytes do not fit the board's {MAX_SIZE}", self.bytes)
-    }
-}
-
-impl Error for TooLarge {}
-
 /// Why a blob is no calibration. Offsets count bytes from the start of the blob.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum BlobError {
     /// Fewer bytes than the blob has.
+    #[error("{len} bytes are too short for the calibration")]
     TooShort {
         /// Bytes given.
         len: usize,
     },
     /// No calibration at all, such as erased flash: the bytes at offset 0.
+    #[error("bytes {found:02X?} at 0 are not the mark {MAGIC:02X?} of a calibration")]
     Magic {
         /// The four bytes.
         found: [u8; 4],
     },
     /// Written by a host of another version: the number at offset 4.
+    #[error("schema {found} at 4 is not {SCHEMA_VERSION}")]
     Schema {
         /// The schema of the blob.
         found: u16,
     },
     /// The stated length, at offset 6, is no length of a blob.
+    #[error("length {found} at 6 is not within {least}…{MAX_BLOB_SIZE}", least = FIXED_PART_SIZE.saturating_add(CRC_SIZE))]
     Length {
         /// The stated length.
         found: u16,
     },
     /// Damaged: the CRC at the end does not fit.
+    #[error("the CRC at the end is 0x{stored:08X}, should be 0x{computed:08X}")]
     Crc {
         /// The CRC in the blob.
         stored: u32,
@@ -53,6 +51,7 @@ pub enum BlobError {
         computed: u32,
     },
     /// The tool direction is not a unit vector.
+    #[error("tool direction {found:?} at {offset} has not the length 1 ({one})", one = Direction::ONE)]
     NotUnit {
         /// Offset of its first component.
         offset: usize,
@@ -60,6 +59,7 @@ pub enum BlobError {
         found: [i32; 3],
     },
     /// A largest offset is negative, or more than the firmware allows any calibration.
+    #[error("largest offset {found} nm at {offset} is not within 0…{MAX_OFFSET_NM} nm")]
     MaxOffset {
         /// Offset of the value.
         offset: usize,
@@ -68,6 +68,7 @@ pub enum BlobError {
     },
     /// A slew limit, a link timeout, a hold, a way back or an agreement of a cold machine's thermometers is
     /// more than the firmware allows any calibration.
+    #[error("the limit {found} at {offset} is above the firmware's own, {most}")]
     Limit {
         /// Offset of the value.
         offset: usize,
@@ -77,6 +78,7 @@ pub enum BlobError {
         most: u32,
     },
     /// A number that stands for nothing: of a channel, an axis, a source.
+    #[error("{found} at {offset} has no meaning")]
     Value {
         /// Offset of the value.
         offset: usize,
@@ -84,45 +86,9 @@ pub enum BlobError {
         found: u32,
     },
     /// A table that is not in the blob, or that contradicts itself.
+    #[error("the table named at {offset} is outside the blob or contradicts itself")]
     Table {
         /// Offset of its reference.
         offset: usize,
     },
 }
-
-impl fmt::Display for BlobError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::TooShort { len } => write!(f, "{len} bytes are too short for the calibration"),
-            Self::Magic { found } => {
-                write!(f, "bytes {found:02X?} at 0 are not the mark {MAGIC:02X?} of a calibration")
-            }
-            Self::Schema { found } => write!(f, "schema {found} at 4 is not {SCHEMA}"),
-            Self::Length { found } => {
-                let least = FIXED_SIZE.saturating_add(CRC_SIZE);
-                write!(f, "length {found} at 6 is not within {least}…{MAX_SIZE}")
-            }
-            Self::Crc { stored, computed } => {
-                write!(f, "the CRC at the end is 0x{stored:08X}, should be 0x{computed:08X}")
-            }
-            Self::NotUnit { offset, found } => write!(
-                f,
-                "tool direction {found:?} at {offset} has not the length 1 ({})",
-                Direction::ONE
-            ),
-            Self::MaxOffset { offset, found } => write!(
-                f,
-                "largest offset {found} nm at {offset} is not within 0…{MAX_OFFSET_NM} nm"
-            ),
-            Self::Limit { offset, found, most } => {
-                write!(f, "the limit {found} at {offset} is above the firmware's own, {most}")
-            }
-            Self::Value { offset, found } => write!(f, "{found} at {offset} has no meaning"),
-            Self::Table { offset } => {
-                write!(f, "the table named at {offset} is outside the blob or contradicts itself")
-            }
-        }
-    }
-}
-
-impl Error for BlobError {}

@@ -2,32 +2,33 @@
 
 use trueup_core::{
     calibration::{
-        AxisModel, AxisThermal, Calibration, Dual, ElongationSource, Guards, Names, SpindleModel,
-        SpindleTemperature, SpindleWarmup,
+        AxisModel, AxisThermalModel, Calibration, DualDrive, ElongationSource, InputSettings,
+        MachineIdentity, SpindleModel, SpindleTemperatureModel, SpindleWarmupModel,
     },
     cnc::LinearAxis,
     curve::Curve,
-    dimensions::CHANNELS,
+    dimensions::CHANNEL_COUNT,
     gradient::Gradient,
     kinematics::Kinematics,
     lag::SmoothingFactor,
-    learned::Caps,
+    learned::LearnedLimits,
     limits::Limits,
-    pitch::{Beam, Pitch},
+    pitch_table::{Beam, PitchErrorTable},
     sensor::SensorLaw,
-    thermal::Law,
-    tool::Direction,
+    thermal::ThermalExpansionLaw,
+    tool_direction::Direction,
     travel::{self, Interval},
-    units::{Fine, Position},
-    warmup::Warmup,
+    units::{FineNanometres, Position},
+    warmup::WarmupModel,
 };
 
 use super::{
-    format::{FIXED_SIZE, HEAD_SIZE, MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_SLEW_NM_PER_S},
+    format::{FIXED_PART_SIZE, HEADER_SIZE, MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_SLEW_NM_PER_S},
     quantities::{
-        Chain, Channel, ColdWithin, Connected, HeadAxes, Limit, MaxOffset, RejoinAndSwitches, Text,
+        BoundedU32, Channel, ColdTolerance, ConnectedThermometer, HeadAxesAndLearnedLimits,
+        MaxOffset, RejoinAndSwitches, SourceChain, Text,
     },
-    terms::Terms,
+    terms::TermTable,
     wire::{Field, record},
 };
 
@@ -35,32 +36,32 @@ record! {
     /// All that follows the mark, the schema and the length.
     FixedPart<'b> {
         max_offsets: [MaxOffset; 3],
-        slew_nm_per_s: Limit<MAX_SLEW_NM_PER_S>,
-        link_timeout_ms: Limit<MAX_LINK_TIMEOUT_MS>,
-        hold_ms: Limit<MAX_HOLD_MS>,
+        slew_nm_per_s: BoundedU32<MAX_SLEW_NM_PER_S>,
+        link_timeout_ms: BoundedU32<MAX_LINK_TIMEOUT_MS>,
+        hold_ms: BoundedU32<MAX_HOLD_MS>,
         tool_direction: Direction,
-        head_axes: HeadAxes,
-        chain: Chain,
+        head_axes: HeadAxesAndLearnedLimits,
+        chain: SourceChain,
         sensor: SensorLaw,
         spindle_channel: Channel,
         spindle_smoothing: SmoothingFactor,
-        spindle_law: Law<'b>,
-        warmup: Warmup,
+        spindle_law: ThermalExpansionLaw<'b>,
+        warmup: WarmupModel,
         power: Curve<'b>,
-        thermometers: [Connected; CHANNELS],
+        thermometers: [ConnectedThermometer; CHANNEL_COUNT],
         axes: [AxisRecord<'b>; 3],
         straightness: [Curve<'b>; 6],
         squareness: [Gradient; 6],
         spindle_smoothing_falling: SmoothingFactor,
-        terms: Terms<'b>,
+        terms: TermTable<'b>,
         rejoin: RejoinAndSwitches,
-        cold_within: ColdWithin,
+        cold_within: ColdTolerance,
         board: [u32; 3],
         machine_name: Text<'b>,
         machine_serial: Text<'b>,
     }
 }
-const _: () = assert!(FixedPart::SIZE + HEAD_SIZE == FIXED_SIZE);
+const _: () = assert!(FixedPart::SIZE + HEADER_SIZE == FIXED_PART_SIZE);
 
 record! {
     /// A linear axis.
@@ -68,13 +69,13 @@ record! {
         channel: Channel,
         smoothing: SmoothingFactor,
         origin: Position,
-        law: Law<'b>,
-        pitch: Option<Pitch<'b>>,
+        law: ThermalExpansionLaw<'b>,
+        pitch: Option<PitchErrorTable<'b>>,
         /// Without it the axis has one drive.
         across: Option<LinearAxis>,
         drives: [Position; 2],
-        second_pitch: Option<Pitch<'b>>,
-        backlash: Fine,
+        second_pitch: Option<PitchErrorTable<'b>>,
+        backlash: FineNanometres,
         hysteresis: u32,
         ramp: Interval,
         smoothing_falling: SmoothingFactor,
@@ -85,7 +86,7 @@ record! {
 const _: () = assert!(AxisRecord::SIZE == 80);
 
 impl<'b> FixedPart<'b> {
-    pub fn of(calibration: &Calibration<'b>) -> Self {
+    pub(crate) fn from_calibration(calibration: &Calibration<'b>) -> Self {
         let Calibration {
             thermometers,
             spindle: SpindleModel { chain, sensor, temperature, warmup },
@@ -98,25 +99,25 @@ impl<'b> FixedPart<'b> {
             limits:
                 Limits { max, slew_nm_per_s, link_timeout_ms, hold_ms, rejoin_nm_per_s, learned },
             cold_within,
-            guards: Guards { max_rates, service_switch, mains },
-            names: Names { machine, serial, board },
+            guards: InputSettings { max_rates, service_switch, mains },
+            names: MachineIdentity { machine, serial, board },
         } = *calibration;
         let none = SmoothingFactor(0);
-        let never = Warmup {
+        let never = WarmupModel {
             lag_ms: 0,
-            max: Fine::ZERO,
+            max: FineNanometres::ZERO,
             smoothing_heating: none,
             smoothing_cooling: none,
             full: 0,
         };
         Self {
             max_offsets: max.map(MaxOffset),
-            slew_nm_per_s: Limit(slew_nm_per_s),
-            link_timeout_ms: Limit(link_timeout_ms),
-            hold_ms: Limit(hold_ms),
+            slew_nm_per_s: BoundedU32(slew_nm_per_s),
+            link_timeout_ms: BoundedU32(link_timeout_ms),
+            hold_ms: BoundedU32(hold_ms),
             tool_direction: zero,
-            head_axes: HeadAxes(head_axes, [learned.growth, learned.axes]),
-            chain: Chain(chain, learned.zero),
+            head_axes: HeadAxesAndLearnedLimits(head_axes, [learned.growth, learned.axes]),
+            chain: SourceChain(chain, learned.zero),
             sensor,
             spindle_channel: Channel(temperature.map(|it| it.channel)),
             spindle_smoothing: temperature.map_or(none, |it| it.smoothing),
@@ -125,26 +126,27 @@ impl<'b> FixedPart<'b> {
             power: warmup.map(|it| it.power).unwrap_or_default(),
             thermometers: core::array::from_fn(|channel| {
                 let connected = thermometers.get(channel).copied().flatten();
-                Connected(connected, max_rates.get(channel).copied().unwrap_or_default())
+                ConnectedThermometer(connected, max_rates.get(channel).copied().unwrap_or_default())
             }),
-            axes: axes.map(AxisRecord::of),
+            axes: axes.map(AxisRecord::from_axis_model),
             straightness,
             squareness,
             spindle_smoothing_falling: temperature.map_or(none, |it| it.smoothing_falling),
-            terms: Terms(terms, volume),
+            terms: TermTable(terms, volume),
             rejoin: RejoinAndSwitches(rejoin_nm_per_s, service_switch, mains),
-            cold_within: ColdWithin(cold_within),
+            cold_within: ColdTolerance(cold_within),
             board,
             machine_name: Text(machine),
             machine_serial: Text(serial),
         }
     }
 
-    pub fn calibration(self) -> Calibration<'b> {
-        let Self { chain: Chain(chain, zero), warmup: law, power, .. } = self;
-        let HeadAxes(head_axes, [growth, axes]) = self.head_axes;
-        let has_warmup = law.max != Fine::ZERO || chain.contains(&Some(ElongationSource::Warmup));
-        let temperature = self.spindle_channel.0.map(|channel| SpindleTemperature {
+    pub(crate) fn into_calibration(self) -> Calibration<'b> {
+        let Self { chain: SourceChain(chain, zero), warmup: law, power, .. } = self;
+        let HeadAxesAndLearnedLimits(head_axes, [growth, axes]) = self.head_axes;
+        let has_warmup =
+            law.max != FineNanometres::ZERO || chain.contains(&Some(ElongationSource::Warmup));
+        let temperature = self.spindle_channel.0.map(|channel| SpindleTemperatureModel {
             channel,
             smoothing: self.spindle_smoothing,
             smoothing_falling: self.spindle_smoothing_falling,
@@ -156,10 +158,10 @@ impl<'b> FixedPart<'b> {
                 chain,
                 sensor: self.sensor,
                 temperature,
-                warmup: has_warmup.then_some(SpindleWarmup { law, power }),
+                warmup: has_warmup.then_some(SpindleWarmupModel { law, power }),
             },
             kinematics: Kinematics { zero: self.tool_direction, axes: head_axes },
-            axes: self.axes.map(AxisRecord::axis),
+            axes: self.axes.map(AxisRecord::into_axis_model),
             straightness: self.straightness,
             squareness: self.squareness,
             terms: self.terms.0,
@@ -170,15 +172,15 @@ impl<'b> FixedPart<'b> {
                 link_timeout_ms: self.link_timeout_ms.0,
                 hold_ms: self.hold_ms.0,
                 rejoin_nm_per_s: self.rejoin.0,
-                learned: Caps { growth, axes, zero },
+                learned: LearnedLimits { growth, axes, zero },
             },
             cold_within: self.cold_within.0,
-            guards: Guards {
+            guards: InputSettings {
                 max_rates: self.thermometers.map(|it| it.1),
                 service_switch: self.rejoin.1,
                 mains: self.rejoin.2,
             },
-            names: Names {
+            names: MachineIdentity {
                 machine: self.machine_name.0,
                 serial: self.machine_serial.0,
                 board: self.board,
@@ -188,7 +190,7 @@ impl<'b> FixedPart<'b> {
 }
 
 impl<'b> AxisRecord<'b> {
-    fn of(axis: AxisModel<'b>) -> Self {
+    fn from_axis_model(axis: AxisModel<'b>) -> Self {
         let AxisModel { thermal, pitch, dual, backlash, travel, rapid } = axis;
         let none = SmoothingFactor(0);
         Self {
@@ -198,7 +200,7 @@ impl<'b> AxisRecord<'b> {
             law: thermal.map(|it| it.law).unwrap_or_default(),
             pitch,
             across: dual.map(|it| it.across),
-            drives: dual.map(|it| it.beam.drives()).unwrap_or_default(),
+            drives: dual.map(|it| it.beam.drive_positions()).unwrap_or_default(),
             second_pitch: dual.map(|it| it.pitch),
             backlash,
             hysteresis: travel.hysteresis,
@@ -208,10 +210,10 @@ impl<'b> AxisRecord<'b> {
         }
     }
 
-    fn axis(self) -> AxisModel<'b> {
+    fn into_axis_model(self) -> AxisModel<'b> {
         let [first, second] = self.drives;
         AxisModel {
-            thermal: self.channel.0.map(|channel| AxisThermal {
+            thermal: self.channel.0.map(|channel| AxisThermalModel {
                 channel,
                 smoothing: self.smoothing,
                 smoothing_falling: self.smoothing_falling,
@@ -219,13 +221,13 @@ impl<'b> AxisRecord<'b> {
                 law: self.law,
             }),
             pitch: self.pitch,
-            dual: self.across.zip(self.second_pitch).map(|(across, pitch)| Dual {
+            dual: self.across.zip(self.second_pitch).map(|(across, pitch)| DualDrive {
                 across,
                 beam: Beam::new(first, second),
                 pitch,
             }),
             backlash: self.backlash,
-            travel: travel::Config { hysteresis: self.hysteresis, ramp: self.ramp },
+            travel: travel::ReversalConfig { hysteresis: self.hysteresis, ramp: self.ramp },
             rapid: self.rapid,
         }
     }

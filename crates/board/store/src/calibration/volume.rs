@@ -6,83 +6,87 @@ use trueup_core::{
     curve::Curve,
     gradient::Gradient,
     kinematics::RotaryAxis,
-    units::{Fine, Position},
-    volume::{Angle, AngularErrors, Chain, MAX_ARM, RotaryLocation, Volume},
+    units::{FineNanometres, Position},
+    volumetric_error::{
+        AngularErrorCurve, AngularErrors, KinematicChain, MAX_LEVER_ARM, RotaryLocation,
+        VolumetricErrorModel,
+    },
 };
 
 use super::{
     error::BlobError,
-    quantities::{linear_axis, rotary_axis, rotary_number},
+    quantities::{decode_linear_axis, decode_rotary_axis, rotary_axis_number},
     wire::{Field, Reader, Writer, fields},
 };
 
 /// Its kind among the terms.
-pub(super) const KIND: u8 = 18;
+pub(super) const TERM_KIND: u8 = 18;
 
-fields!(Angle<'b> { slope: Gradient, curve: Curve<'b> });
-fields!(AngularErrors<'b> { point: [Position; 3], about: [Angle<'b>; 3] });
+fields!(AngularErrorCurve<'b> { slope: Gradient, curve: Curve<'b> });
+fields!(AngularErrors<'b> { point: [Position; 3], about: [AngularErrorCurve<'b>; 3] });
 
 /// Writes the reference to the record, and the record with its curves.
-pub(super) fn put(volume: &Volume<'_>, to: &mut Writer<'_>) {
-    let place = to.table(&[[0_u8; Volume::SIZE]]);
-    to.elsewhere(place, |to| volume.put(to));
+pub(super) fn write_volume(volume: &VolumetricErrorModel<'_>, to: &mut Writer<'_>) {
+    let place = to.write_table(&[[0_u8; VolumetricErrorModel::SIZE]]);
+    to.write_at(place, |to| volume.write(to));
 }
 
 /// Reads the record that the next reference names.
-pub(super) fn get<'b>(from: &mut Reader<'b>) -> Option<Volume<'b>> {
+pub(super) fn read_volume<'b>(from: &mut Reader<'b>) -> Option<VolumetricErrorModel<'b>> {
     let offset = from.at;
-    let records = from.table::<{ Volume::SIZE }>();
+    let records = from.read_records::<{ VolumetricErrorModel::SIZE }>();
     if records.len() != 1 {
-        from.refuse(BlobError::Table { offset });
+        from.reject(BlobError::Table { offset });
         return None;
     }
-    let start = from.elsewhere(offset, u32::get) & 0xFFFF;
-    Some(from.elsewhere(usize::try_from(start).unwrap_or(usize::MAX), Volume::get))
+    let start = from.read_at(offset, u32::read) & 0xFFFF;
+    Some(from.read_at(usize::try_from(start).unwrap_or(usize::MAX), VolumetricErrorModel::read))
 }
 
-impl<'b> Field<'b> for Volume<'b> {
+impl<'b> Field<'b> for VolumetricErrorModel<'b> {
     const SIZE: usize = 312;
 
-    fn put(&self, to: &mut Writer<'_>) {
-        self.chain.put(to);
-        self.guides.put(to);
-        self.tool.put(to);
-        self.rotary.put(to);
+    fn write(&self, to: &mut Writer<'_>) {
+        self.chain.write(to);
+        self.guides.write(to);
+        self.tool.write(to);
+        self.rotary.write(to);
     }
 
-    fn get(from: &mut Reader<'b>) -> Self {
+    fn read(from: &mut Reader<'b>) -> Self {
         Self {
-            chain: Chain::get(from),
-            guides: Field::get(from),
-            tool: arm(from),
-            rotary: Field::get(from),
+            chain: KinematicChain::read(from),
+            guides: Field::read(from),
+            tool: read_lever_arm(from),
+            rotary: Field::read(from),
         }
     }
 }
 const _: () = assert!(
-    Volume::SIZE == Chain::SIZE + 3 * AngularErrors::SIZE + 12 + 2 * Option::<RotaryLocation>::SIZE
+    VolumetricErrorModel::SIZE
+        == KinematicChain::SIZE + 3 * AngularErrors::SIZE + 12 + 2 * Option::<RotaryLocation>::SIZE
 );
 
 /// The axes from the workpiece to the tool, a byte each, and how many of them move the workpiece.
-impl<'b> Field<'b> for Chain {
+impl<'b> Field<'b> for KinematicChain {
     const SIZE: usize = 4;
 
-    fn put(&self, to: &mut Writer<'_>) {
+    fn write(&self, to: &mut Writer<'_>) {
         let [first, second, third] = self.order().map(|axis| axis as u8);
-        to.bytes(&[first, second, third, self.on_workpiece()]);
+        to.write_bytes(&[first, second, third, self.workpiece_axis_count()]);
     }
 
-    fn get(from: &mut Reader<'b>) -> Self {
+    fn read(from: &mut Reader<'b>) -> Self {
         let offset = from.at;
-        let bytes = from.bytes();
+        let bytes = from.read_bytes();
         let [first, second, third, on_workpiece] = bytes;
-        let axes = [first, second, third].map(|number| linear_axis(number.into()));
+        let axes = [first, second, third].map(|number| decode_linear_axis(number.into()));
         let order = match axes {
             [Some(first), Some(second), Some(third)] => Some([first, second, third]),
             _ => None,
         };
         let chain = order.and_then(|order| Self::new(order, on_workpiece));
-        chain.or_else(|| from.refuse_value(offset, u32::from_le_bytes(bytes))).unwrap_or_default()
+        chain.or_else(|| from.reject_value(offset, u32::from_le_bytes(bytes))).unwrap_or_default()
     }
 }
 
@@ -90,35 +94,36 @@ impl<'b> Field<'b> for Chain {
 impl<'b> Field<'b> for Option<RotaryLocation> {
     const SIZE: usize = 40;
 
-    fn put(&self, to: &mut Writer<'_>) {
-        let Some(it) = self else { return [[0_i32; 2]; 5].put(to) };
-        to.bytes(&[rotary_number(Some(it.axis)), it.moves_workpiece.into(), 0, 0]);
-        it.point.put(to);
-        it.shift.put(to);
-        it.tilt.put(to);
+    fn write(&self, to: &mut Writer<'_>) {
+        let Some(it) = self else { return [[0_i32; 2]; 5].write(to) };
+        to.write_bytes(&[rotary_axis_number(Some(it.axis)), it.moves_workpiece.into(), 0, 0]);
+        it.point.write(to);
+        it.shift.write(to);
+        it.tilt.write(to);
     }
 
-    fn get(from: &mut Reader<'b>) -> Self {
+    fn read(from: &mut Reader<'b>) -> Self {
         let offset = from.at;
-        let word = from.bytes();
+        let word = from.read_bytes();
         let [number, side, rest @ ..] = word;
         if side > 1 || rest != [0; 2] {
-            from.refuse_value::<()>(offset, u32::from_le_bytes(word));
+            from.reject_value::<()>(offset, u32::from_le_bytes(word));
         }
-        let axis: Option<RotaryAxis> = rotary_axis(number, offset, from);
-        let point = arm(from);
-        let (shift, tilt): ([Fine; 3], [Fine; 3]) = (Field::get(from), Field::get(from));
+        let axis: Option<RotaryAxis> = decode_rotary_axis(number, offset, from);
+        let point = read_lever_arm(from);
+        let (shift, tilt): ([FineNanometres; 3], [FineNanometres; 3]) =
+            (Field::read(from), Field::read(from));
         axis.map(|axis| RotaryLocation { axis, moves_workpiece: side == 1, point, shift, tilt })
     }
 }
 
 /// Reads a vector that may be turned.
-fn arm(from: &mut Reader<'_>) -> [Position; 3] {
+fn read_lever_arm(from: &mut Reader<'_>) -> [Position; 3] {
     let offset = from.at;
-    let arm: [Position; 3] = Field::get(from);
-    let most = MAX_ARM.unsigned_abs();
+    let arm: [Position; 3] = Field::read(from);
+    let most = MAX_LEVER_ARM.unsigned_abs();
     if let Some(found) = arm.iter().map(|it| it.0.unsigned_abs()).find(|it| *it > most) {
-        from.refuse(BlobError::Limit { offset, found, most });
+        from.reject(BlobError::Limit { offset, found, most });
     }
     arm
 }

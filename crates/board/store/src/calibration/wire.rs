@@ -3,17 +3,17 @@
 //! A field of fixed size lies where it stands. A table lies behind the fixed part and all tables
 //! before it; where it stands there is a reference, `u16` offset and `u16` number of records.
 
-use super::{error::BlobError, format::FIXED_SIZE};
+use super::{error::BlobError, format::FIXED_PART_SIZE};
 
 /// A type that can be a field: written and read alike.
 pub(super) trait Field<'b>: Sized {
     /// Bytes where it stands, its tables aside.
     const SIZE: usize;
 
-    fn put(&self, to: &mut Writer<'_>);
+    fn write(&self, to: &mut Writer<'_>);
 
-    /// Refuses what has no meaning ([`Reader::refuse`]), and goes on with another value.
-    fn get(from: &mut Reader<'b>) -> Self;
+    /// Refuses what has no meaning ([`Reader::reject`]), and goes on with another value.
+    fn read(from: &mut Reader<'b>) -> Self;
 }
 
 /// Makes fields of types that are one number.
@@ -22,12 +22,12 @@ macro_rules! numbers {
         impl<'b> $crate::calibration::wire::Field<'b> for $type {
             const SIZE: usize = <$number as $crate::calibration::wire::Field<'b>>::SIZE;
 
-            fn put(&self, to: &mut $crate::calibration::wire::Writer<'_>) {
-                self.0.put(to);
+            fn write(&self, to: &mut $crate::calibration::wire::Writer<'_>) {
+                self.0.write(to);
             }
 
-            fn get(from: &mut $crate::calibration::wire::Reader<'b>) -> Self {
-                Self(<$number>::get(from))
+            fn read(from: &mut $crate::calibration::wire::Reader<'b>) -> Self {
+                Self(<$number>::read(from))
             }
         }
     )*};
@@ -40,12 +40,12 @@ macro_rules! fields {
             const SIZE: usize =
                 0_usize$(.saturating_add(<$kind as $crate::calibration::wire::Field<'b>>::SIZE))*;
 
-            fn put(&self, to: &mut $crate::calibration::wire::Writer<'_>) {
-                $(self.$field.put(to);)*
+            fn write(&self, to: &mut $crate::calibration::wire::Writer<'_>) {
+                $(self.$field.write(to);)*
             }
 
-            fn get(from: &mut $crate::calibration::wire::Reader<'b>) -> Self {
-                Self { $($field: <$kind>::get(from)),* }
+            fn read(from: &mut $crate::calibration::wire::Reader<'b>) -> Self {
+                Self { $($field: <$kind>::read(from)),* }
             }
         }
     };
@@ -79,10 +79,10 @@ pub(super) struct Writer<'o> {
 
 impl<'o> Writer<'o> {
     pub fn new(out: &'o mut [u8]) -> Self {
-        Self { out, at: 0, tables_end: FIXED_SIZE, term: 0 }
+        Self { out, at: 0, tables_end: FIXED_PART_SIZE, term: 0 }
     }
 
-    pub fn bytes(&mut self, bytes: &[u8]) {
+    pub(crate) fn write_bytes(&mut self, bytes: &[u8]) {
         let end = self.at.saturating_add(bytes.len());
         if let Some(place) = self.out.get_mut(self.at..end) {
             place.copy_from_slice(bytes);
@@ -91,34 +91,34 @@ impl<'o> Writer<'o> {
     }
 
     /// A byte in the head of the present term.
-    pub(crate) fn term_byte(&mut self, number: usize, byte: u8) {
+    pub(crate) fn write_term_byte(&mut self, number: usize, byte: u8) {
         if let Some(place) = self.out.get_mut(self.term.saturating_add(number)) {
             *place = byte;
         }
     }
 
     /// Writes a reference to a table, and the table. Returns where that begins.
-    pub fn table<const N: usize>(&mut self, records: &[[u8; N]]) -> usize {
+    pub(crate) fn write_table<const N: usize>(&mut self, records: &[[u8; N]]) -> usize {
         let start = self.tables_end;
         // A place or a number beyond 16 bits is beyond the largest blob, which is refused.
         let place = u16::try_from(start).unwrap_or(u16::MAX);
         let count = u16::try_from(records.len()).unwrap_or(u16::MAX);
-        self.bytes(&(if count == 0 { 0 } else { place }).to_le_bytes());
-        self.bytes(&count.to_le_bytes());
-        self.elsewhere(start, |to| to.bytes(records.as_flattened()));
+        self.write_bytes(&(if count == 0 { 0 } else { place }).to_le_bytes());
+        self.write_bytes(&count.to_le_bytes());
+        self.write_at(start, |to| to.write_bytes(records.as_flattened()));
         self.tables_end = start.saturating_add(records.as_flattened().len());
         start
     }
 
     /// Writes at another place, and goes on here.
-    pub fn elsewhere(&mut self, at: usize, write: impl FnOnce(&mut Self)) {
+    pub(crate) fn write_at(&mut self, at: usize, write: impl FnOnce(&mut Self)) {
         let here = core::mem::replace(&mut self.at, at);
         write(self);
         self.at = here;
     }
 
     /// Where the last table ends.
-    pub const fn end(&self) -> usize {
+    pub(crate) const fn tables_end(&self) -> usize {
         self.tables_end
     }
 
@@ -144,22 +144,22 @@ impl<'b> Reader<'b> {
     }
 
     /// Refuses the blob for this, unless it is refused already.
-    pub fn refuse(&mut self, fault: BlobError) {
+    pub(crate) fn reject(&mut self, fault: BlobError) {
         self.fault.get_or_insert(fault);
     }
 
     /// Refuses a number that stands for nothing.
-    pub(crate) fn refuse_value<T>(&mut self, offset: usize, found: impl Into<u32>) -> Option<T> {
-        self.refuse(BlobError::Value { offset, found: found.into() });
+    pub(crate) fn reject_value<T>(&mut self, offset: usize, found: impl Into<u32>) -> Option<T> {
+        self.reject(BlobError::Value { offset, found: found.into() });
         None
     }
 
     /// Returns a cap in the four bytes that were read last, at most `most`.
     #[inline(never)]
-    pub fn cap(&mut self, found: u8, most: u8) -> u8 {
+    pub(crate) fn read_cap(&mut self, found: u8, most: u8) -> u8 {
         if found > most {
             let offset = self.at.saturating_sub(4);
-            self.refuse(BlobError::Limit { offset, found: found.into(), most: most.into() });
+            self.reject(BlobError::Limit { offset, found: found.into(), most: most.into() });
         }
         found
     }
@@ -171,7 +171,7 @@ impl<'b> Reader<'b> {
 
     /// Returns the next four bytes. The fixed part is there: its length was checked.
     #[inline(never)]
-    pub fn bytes(&mut self) -> [u8; 4] {
+    pub fn read_bytes(&mut self) -> [u8; 4] {
         let rest = self.blob.get(self.at..).unwrap_or_default();
         self.at = self.at.saturating_add(4);
         rest.first_chunk().copied().unwrap_or_default()
@@ -183,29 +183,29 @@ impl<'b> Reader<'b> {
     }
 
     /// Returns the table that the next reference names.
-    pub fn table<const N: usize>(&mut self) -> &'b [[u8; N]] {
-        self.table_of(N).as_chunks().0
+    pub fn read_records<const N: usize>(&mut self) -> &'b [[u8; N]] {
+        self.read_table(N).as_chunks().0
     }
 
     /// Returns the bytes of the table of records of `size` bytes that the next reference names.
     #[inline(never)]
-    fn table_of(&mut self, size: usize) -> &'b [u8] {
+    fn read_table(&mut self, size: usize) -> &'b [u8] {
         let offset = self.at;
-        let [o0, o1, n0, n1] = self.bytes();
+        let [o0, o1, n0, n1] = self.read_bytes();
         let start = usize::from(u16::from_le_bytes([o0, o1]));
         let bytes = usize::from(u16::from_le_bytes([n0, n1])).saturating_mul(size);
         if bytes == 0 {
             return &[];
         }
         let table = self.blob.get(start..start.saturating_add(bytes));
-        table.filter(|_| start >= FIXED_SIZE).unwrap_or_else(|| {
-            self.refuse(BlobError::Table { offset });
+        table.filter(|_| start >= FIXED_PART_SIZE).unwrap_or_else(|| {
+            self.reject(BlobError::Table { offset });
             &[]
         })
     }
 
     /// Reads at another place, and goes on here.
-    pub fn elsewhere<T>(&mut self, at: usize, read: impl FnOnce(&mut Self) -> T) -> T {
+    pub(crate) fn read_at<T>(&mut self, at: usize, read: impl FnOnce(&mut Self) -> T) -> T {
         let here = core::mem::replace(&mut self.at, at);
         let result = read(self);
         self.at = here;
@@ -216,24 +216,24 @@ impl<'b> Reader<'b> {
 impl<'b> Field<'b> for u32 {
     const SIZE: usize = 4;
 
-    fn put(&self, to: &mut Writer<'_>) {
-        to.bytes(&self.to_le_bytes());
+    fn write(&self, to: &mut Writer<'_>) {
+        to.write_bytes(&self.to_le_bytes());
     }
 
-    fn get(from: &mut Reader<'b>) -> Self {
-        Self::from_le_bytes(from.bytes())
+    fn read(from: &mut Reader<'b>) -> Self {
+        Self::from_le_bytes(from.read_bytes())
     }
 }
 
 impl<'b> Field<'b> for i32 {
     const SIZE: usize = 4;
 
-    fn put(&self, to: &mut Writer<'_>) {
-        to.bytes(&self.to_le_bytes());
+    fn write(&self, to: &mut Writer<'_>) {
+        to.write_bytes(&self.to_le_bytes());
     }
 
-    fn get(from: &mut Reader<'b>) -> Self {
-        Self::from_le_bytes(from.bytes())
+    fn read(from: &mut Reader<'b>) -> Self {
+        Self::from_le_bytes(from.read_bytes())
     }
 }
 
@@ -241,12 +241,12 @@ impl<'b> Field<'b> for i32 {
 impl<'b> Field<'b> for u64 {
     const SIZE: usize = 8;
 
-    fn put(&self, to: &mut Writer<'_>) {
-        to.bytes(&self.to_le_bytes());
+    fn write(&self, to: &mut Writer<'_>) {
+        to.write_bytes(&self.to_le_bytes());
     }
 
-    fn get(from: &mut Reader<'b>) -> Self {
-        let (low, high) = (u32::get(from), u32::get(from));
+    fn read(from: &mut Reader<'b>) -> Self {
+        let (low, high) = (u32::read(from), u32::read(from));
         Self::from(high) << 32 | Self::from(low)
     }
 }
@@ -254,11 +254,11 @@ impl<'b> Field<'b> for u64 {
 impl<'b, T: Field<'b>, const N: usize> Field<'b> for [T; N] {
     const SIZE: usize = N.saturating_mul(T::SIZE);
 
-    fn put(&self, to: &mut Writer<'_>) {
-        self.iter().for_each(|field| field.put(to));
+    fn write(&self, to: &mut Writer<'_>) {
+        self.iter().for_each(|field| field.write(to));
     }
 
-    fn get(from: &mut Reader<'b>) -> Self {
-        core::array::from_fn(|_| T::get(from))
+    fn read(from: &mut Reader<'b>) -> Self {
+        core::array::from_fn(|_| T::read(from))
     }
 }

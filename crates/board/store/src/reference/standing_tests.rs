@@ -1,37 +1,41 @@
 //! In force or offered: calibrations that are loaded, come back, and are dropped, through starts and power cuts.
 
 use super::{tests::*, *};
-use crate::writes::Origin;
+use crate::write_log::WriteOrigin;
 
 const A: u32 = OURS;
 const B: u32 = 0xBBBB_0001;
 
 /// Starts on a calibration, as a board does. Returns what it has found.
-fn start(log: &References<Flash>, calibration: u32) -> (References<Flash>, Standing) {
+fn start(
+    log: &ReferenceStore<Flash>,
+    calibration: u32,
+) -> (ReferenceStore<Flash>, ReferenceStatus) {
     let (mut log, found) = open(&log.log.flash, calibration);
-    log.make_room().unwrap();
+    log.erase_spare_half().unwrap();
     (log, found.standing.map(|it| it.1).unwrap_or_default())
 }
 
-fn write(log: &mut References<Flash>, what: WriteKind, about: u32, is_unattended: bool) {
-    let (calibration, origin) = (log.calibration, Origin::Can);
+fn write(log: &mut ReferenceStore<Flash>, what: WriteKind, about: u32, is_unattended: bool) {
+    let (calibration, origin) = (log.calibration, WriteOrigin::Can);
     let (sequence, at_ms, utc_s) = (0, 5, 0);
-    let write = Write { sequence, calibration, about, at_ms, utc_s, what, origin, is_unattended };
+    let write =
+        WriteRecord { sequence, calibration, about, at_ms, utc_s, what, origin, is_unattended };
     log.append_write(&write).unwrap();
 }
 
 /// Loads another calibration and starts on it.
 fn load(
-    mut log: References<Flash>,
+    mut log: ReferenceStore<Flash>,
     calibration: u32,
     is_unattended: bool,
-) -> (References<Flash>, Standing) {
+) -> (ReferenceStore<Flash>, ReferenceStatus) {
     write(&mut log, WriteKind::Loaded, calibration, is_unattended);
     start(&log, calibration)
 }
 
-const fn offered(n: Standing) -> Standing {
-    Standing { is_offered: true, ..n }
+const fn offered(n: ReferenceStatus) -> ReferenceStatus {
+    ReferenceStatus { is_offered: true, ..n }
 }
 
 #[test]
@@ -51,7 +55,7 @@ fn an_old_zero_does_not_come_back_with_its_calibration_it_is_offered() {
     let mut log = open(&Flash::erased(), A).0;
     log.append(held(1)).unwrap();
     let (mut log, standing) = load(log, B, false);
-    assert_eq!(standing, Standing::default());
+    assert_eq!(standing, ReferenceStatus::default());
     log.append(held(2)).unwrap();
     let (log, standing) = load(log, A, false);
     assert_eq!(standing, offered(held(1)));
@@ -75,8 +79,8 @@ fn the_same_calibration_loaded_again_offers_its_own_reference() {
     let (mut log, standing) = load(log, A, false);
     assert_eq!(standing, offered(held(1)));
     // Declined: nothing is offered the next time.
-    log.append(Standing::default()).unwrap();
-    assert_eq!(load(log, A, false).1, Standing::default());
+    log.append(ReferenceStatus::default()).unwrap();
+    assert_eq!(load(log, A, false).1, ReferenceStatus::default());
 }
 
 #[test]
@@ -103,7 +107,7 @@ fn a_change_that_no_cnc_has_seen_is_asked_for_until_it_is_confirmed() {
             log.append(held(1)).unwrap();
         }
         let (mut log, standing) = load(log, B, true);
-        let asked = Standing { is_changed: true, ..Standing::default() };
+        let asked = ReferenceStatus { is_changed: true, ..ReferenceStatus::default() };
         assert_eq!(standing, asked);
         for number in 0..3 * SLOTS {
             write(&mut log, WriteKind::Confirmed, number, false);
@@ -111,8 +115,8 @@ fn a_change_that_no_cnc_has_seen_is_asked_for_until_it_is_confirmed() {
             (log, standing) = start(&log, B);
             assert_eq!(standing, asked, "{number}");
         }
-        log.append(Standing::default()).unwrap();
-        assert_eq!(start(&log, B).1, Standing::default());
+        log.append(ReferenceStatus::default()).unwrap();
+        assert_eq!(start(&log, B).1, ReferenceStatus::default());
         // With a CNC there nothing is asked.
         assert!(!load(log, A, false).1.is_changed);
     }
@@ -120,14 +124,14 @@ fn a_change_that_no_cnc_has_seen_is_asked_for_until_it_is_confirmed() {
 
 #[test]
 fn a_calibration_that_came_without_a_load_is_a_change_and_the_first_one_is_none() {
-    assert_eq!(start(&open(&Flash::erased(), A).0, A).1, Standing::default());
+    assert_eq!(start(&open(&Flash::erased(), A).0, A).1, ReferenceStatus::default());
     // Another image, or a power cut between the calibration and its record.
     let mut log = open(&Flash::erased(), A).0;
     log.append(held(1)).unwrap();
     let (log, standing) = start(&log, B);
-    assert_eq!(standing, Standing { is_changed: true, ..Standing::default() });
+    assert_eq!(standing, ReferenceStatus { is_changed: true, ..ReferenceStatus::default() });
     let (_, standing) = start(&log, A);
-    assert_eq!(standing, Standing { is_changed: true, ..offered(held(1)) });
+    assert_eq!(standing, ReferenceStatus { is_changed: true, ..offered(held(1)) });
 }
 
 #[test]
@@ -142,10 +146,10 @@ fn a_power_cut_at_any_byte_of_the_first_start_after_a_load_changes_no_answer() {
                 log.append(held(2 + number)).unwrap();
             }
         }
-        if log.log.has_room() {
+        if log.log.has_free_slot() {
             write(&mut log, WriteKind::Loaded, A, true);
         } else {
-            log.make_room().unwrap();
+            log.erase_spare_half().unwrap();
             write(&mut log, WriteKind::Loaded, A, true);
         }
         let expected = open(&log.log.flash, A).1.standing.map(|it| it.1).expect("a change");
@@ -153,11 +157,11 @@ fn a_power_cut_at_any_byte_of_the_first_start_after_a_load_changes_no_answer() {
         for fuel in (0..=3 * RECORD_SIZE + HALF as usize).step_by(4) {
             let mut cut = open(&log.log.flash, A).0;
             cut.log.flash.fuel = fuel;
-            cut.make_room().ok();
+            cut.erase_spare_half().ok();
             let found = open(&cut.log.flash, A).1.standing.map(|it| it.1).unwrap_or_default();
             // What is offered may be lost with a half that was full; it never comes into force.
-            let is_kept =
-                found == expected || found == Standing { is_changed: true, ..Standing::default() };
+            let is_kept = found == expected
+                || found == ReferenceStatus { is_changed: true, ..ReferenceStatus::default() };
             assert!(is_kept, "{before} before, cut at {fuel}: {found:?}");
         }
     }

@@ -15,17 +15,17 @@ pub(super) fn reference(n: u32) -> Reference {
     let value = |k: u32| (n * 0x0101_0101).wrapping_mul(2 * k + 1) as i32;
     Reference {
         elongation: Nanometres(value(1)),
-        axes: [Fine(value(2)), Fine(value(3)), Fine(value(4))],
+        axes: [FineNanometres(value(2)), FineNanometres(value(3)), FineNanometres(value(4))],
     }
 }
 
 /// Returns the same, in force.
-pub(super) fn held(n: u32) -> Standing {
-    Standing { reference: reference(n), ..Standing::default() }
+pub(super) fn held(n: u32) -> ReferenceStatus {
+    ReferenceStatus { reference: reference(n), ..ReferenceStatus::default() }
 }
 
-pub(super) fn open(flash: &Flash, calibration: u32) -> (References<Flash>, Found) {
-    References::open(flash.powered(), calibration)
+pub(super) fn open(flash: &Flash, calibration: u32) -> (ReferenceStore<Flash>, ScanResult) {
+    ReferenceStore::open(flash.with_power_restored(), calibration)
 }
 
 fn loaded(flash: &Flash) -> Option<Reference> {
@@ -37,15 +37,15 @@ fn the_bytes_of_a_record_are_as_the_table_says() {
     let record = Record {
         sequence: 2,
         calibration: 0x1122_3344,
-        standing: Standing {
+        standing: ReferenceStatus {
             reference: Reference {
                 elongation: Nanometres(62_805),
-                axes: [Fine(-1), Fine(0), Fine(256)],
+                axes: [FineNanometres(-1), FineNanometres(0), FineNanometres(256)],
             },
             is_offered: false,
             is_changed: true,
         },
-        supply: Level(0x5DE0),
+        supply: SupplyLevel(0x5DE0),
     };
     let bytes = record.encode();
     assert_eq!(
@@ -65,14 +65,14 @@ fn the_bytes_of_a_record_are_as_the_table_says() {
 #[test]
 fn the_level_of_the_supply_goes_with_the_reference_through_every_move() {
     let (mut log, found) = open(&Flash::erased(), OURS);
-    assert_eq!(found.supply, Level(0));
-    log.set_supply(Level(24_001));
+    assert_eq!(found.supply, SupplyLevel(0));
+    log.set_supply(SupplyLevel(24_001));
     // More than the flash holds: records move, and after a start what was found goes on.
     for n in 1..=4 * SLOTS {
         log.append(held(n)).unwrap();
-        log.make_room().unwrap();
+        log.erase_spare_half().unwrap();
         let (reopened, found) = open(&log.log.flash, OURS);
-        assert_eq!(found.supply, Level(24_001), "{n}");
+        assert_eq!(found.supply, SupplyLevel(24_001), "{n}");
         log = reopened;
     }
 }
@@ -80,12 +80,12 @@ fn the_level_of_the_supply_goes_with_the_reference_through_every_move() {
 #[test]
 fn the_newest_counts_through_more_records_than_the_flash_holds() {
     let (mut log, found) = open(&Flash::erased(), OURS);
-    assert_eq!(found, Found::default());
+    assert_eq!(found, ScanResult::default());
     let mut erases = 0;
     for n in 1..=100 {
         assert_eq!(log.append(held(n)), Ok(n));
         assert_eq!(loaded(&log.log.flash), Some(reference(n)));
-        erases += u32::from(log.make_room() == Ok(true));
+        erases += u32::from(log.erase_spare_half() == Ok(true));
         assert_eq!(loaded(&log.log.flash), Some(reference(n)));
     }
     std::println!("100 records in a flash of {} slots: {erases} erases", 2 * SLOTS);
@@ -101,7 +101,7 @@ fn without_room_a_reference_is_refused_and_the_next_start_makes_room() {
     assert_eq!(log.append(held(99)), Err(StoreError::Full));
     let (mut log, found) = open(&log.log.flash, OURS);
     assert_eq!(found.standing, Some((2 * SLOTS, held(2 * SLOTS))));
-    assert_eq!((log.make_room(), log.make_room()), (Ok(true), Ok(false)));
+    assert_eq!((log.erase_spare_half(), log.erase_spare_half()), (Ok(true), Ok(false)));
     assert_eq!(log.append(held(99)), Ok(2 * SLOTS + 1));
     assert_eq!(loaded(&log.log.flash), Some(reference(99)));
 }
@@ -113,12 +113,12 @@ fn a_reference_of_a_calibration_that_is_back_is_offered_and_not_lost() {
     // Others fill both halves, and room is made again and again.
     let (mut others, found) = open(&log.log.flash, OTHER);
     // It came with no load that a record tells of.
-    let standing = Some((0, Standing { is_changed: true, ..Standing::default() }));
-    assert_eq!(found, Found { standing, is_new: true, foreign: 1, ..Found::default() });
+    let standing = Some((0, ReferenceStatus { is_changed: true, ..ReferenceStatus::default() }));
+    assert_eq!(found, ScanResult { standing, is_new: true, foreign: 1, ..ScanResult::default() });
     for n in 2..SLOTS {
         others.append(held(n)).unwrap();
     }
-    let offered = Standing { is_offered: true, is_changed: true, ..held(1) };
+    let offered = ReferenceStatus { is_offered: true, is_changed: true, ..held(1) };
     let (mut log, found) = open(&others.log.flash, OURS);
     assert_eq!((found.standing, found.foreign), (Some((1, offered)), SLOTS - 2));
     // Ours moves on when its half goes, as it stands.
@@ -127,7 +127,7 @@ fn a_reference_of_a_calibration_that_is_back_is_offered_and_not_lost() {
         others.append(held(n)).unwrap();
     }
     log = open(&others.log.flash, OURS).0;
-    assert_eq!(log.make_room(), Ok(true));
+    assert_eq!(log.erase_spare_half(), Ok(true));
     let found = open(&log.log.flash, OURS).1;
     assert_eq!((found.standing.map(|it| it.1), found.is_new), (Some(offered), false));
 }
@@ -148,7 +148,7 @@ fn a_power_cut_at_any_byte_of_a_record_loses_that_record_at_most() {
             // Life goes on after it.
             let (mut log, found) = open(&cut.log.flash, OURS);
             assert!(found.damaged <= 1);
-            log.make_room().unwrap();
+            log.erase_spare_half().unwrap();
             log.append(held(88)).unwrap();
             assert_eq!(loaded(&log.log.flash), Some(reference(88)));
         }
@@ -162,7 +162,7 @@ fn a_first_record_that_is_cut_needs_no_erase_at_the_next_start() {
         cut.log.flash.fuel = fuel;
         assert!(cut.append(held(1)).is_err());
         let mut log = open(&cut.log.flash, OURS).0;
-        assert_eq!(log.make_room(), Ok(false), "cut at byte {fuel}");
+        assert_eq!(log.erase_spare_half(), Ok(false), "cut at byte {fuel}");
         log.append(held(2)).unwrap();
         assert_eq!(loaded(&log.log.flash), Some(reference(2)));
     }
@@ -183,10 +183,10 @@ fn a_power_cut_at_any_byte_of_making_room_loses_nothing() {
         for fuel in 0..=RECORD_SIZE + HALF as usize {
             let mut cut = open(&log.log.flash, OURS).0;
             cut.log.flash.fuel = fuel;
-            let done = cut.make_room() == Ok(true);
+            let done = cut.erase_spare_half() == Ok(true);
             assert_eq!(loaded(&cut.log.flash), expected, "{others} others, cut at byte {fuel}");
             let mut log = open(&cut.log.flash, OURS).0;
-            assert_eq!(log.make_room(), Ok(!done));
+            assert_eq!(log.erase_spare_half(), Ok(!done));
             log.append(held(88)).unwrap();
             assert_eq!(loaded(&log.log.flash), Some(reference(88)));
         }
@@ -201,7 +201,8 @@ fn every_flipped_bit_of_a_record_is_found() {
         let mut flash = log.log.flash.clone();
         flash.bytes[RECORD_SIZE + bit / 8] ^= 1 << (bit % 8);
         let (_, found) = open(&flash, OURS);
-        let expected = Found { standing: Some((1, held(1))), damaged: 1, ..Found::default() };
+        let expected =
+            ScanResult { standing: Some((1, held(1))), damaged: 1, ..ScanResult::default() };
         assert_eq!(found, expected, "bit {bit}");
     }
 }
@@ -210,13 +211,13 @@ fn every_flipped_bit_of_a_record_is_found() {
 fn a_dead_flash_is_said_and_nothing_else_happens() {
     // Nothing is taken; or all reads as 0, as where no flash answers.
     for fill in [0xFF, 0] {
-        let flash = Flash { dead: true, ..Flash::holding(std::vec![fill; SIZE]) };
+        let flash = Flash { dead: true, ..Flash::from_bytes(std::vec![fill; SIZE]) };
         let (mut log, found) = open(&flash, OURS);
         let is_blank = fill == 0xFF;
         assert_eq!(found.standing, None);
         assert_eq!(found.damaged, if is_blank { 0 } else { 2 * SLOTS });
         let room = if is_blank { Ok(false) } else { Err(StoreError::NotErased) };
-        assert_eq!(log.make_room(), room);
+        assert_eq!(log.erase_spare_half(), room);
         let refused = if is_blank { StoreError::NotTaken } else { StoreError::Full };
         assert_eq!(log.append(held(1)), Err(refused));
     }
@@ -233,11 +234,11 @@ fn any_bytes_at_all_can_be_opened_and_written_on() {
         }
         let (mut log, found) = open(&flash, OURS);
         assert_eq!((found.standing, found.foreign), (None, 0));
-        log.make_room().unwrap();
+        log.erase_spare_half().unwrap();
         let stored = log.append(held(5)).or_else(|_| {
             // Both halves were full of nothing: the next start makes the other room.
             log = open(&log.log.flash, OURS).0;
-            log.make_room().and_then(|_| log.append(held(5)))
+            log.erase_spare_half().and_then(|_| log.append(held(5)))
         });
         assert_eq!((stored.is_ok(), loaded(&log.log.flash)), (true, Some(reference(5))));
     }
@@ -247,7 +248,7 @@ fn any_bytes_at_all_can_be_opened_and_written_on() {
 fn live(flash: &Flash, fuel: usize, n: u32) -> (Flash, bool) {
     let mut log = open(flash, OURS).0;
     log.log.flash.fuel = fuel;
-    let is_stored = log.make_room().is_ok() && log.append(held(n)).is_ok();
+    let is_stored = log.erase_spare_half().is_ok() && log.append(held(n)).is_ok();
     (log.log.flash, is_stored)
 }
 
@@ -255,7 +256,7 @@ fn live(flash: &Flash, fuel: usize, n: u32) -> (Flash, bool) {
 fn two_power_cuts_in_a_row_at_any_words_with_bits_that_waver_leave_an_old_or_a_new_one() {
     // Up to two halves full, so that what is torn is the first of its half at times.
     for before in 1..=2 * SLOTS {
-        let mut flash = Flash::wavering(before);
+        let mut flash = Flash::with_unstable_bits(before);
         for n in 1..=before {
             flash = live(&flash, usize::MAX, n).0;
         }
@@ -263,7 +264,7 @@ fn two_power_cuts_in_a_row_at_any_words_with_bits_that_waver_leave_an_old_or_a_n
         let burnt = |flash: &Flash| {
             let mut log = open(flash, OURS).0;
             log.log.flash.fuel = usize::MAX / 2;
-            assert!(log.make_room().is_ok() && log.append(held(88)).is_ok());
+            assert!(log.erase_spare_half().is_ok() && log.append(held(88)).is_ok());
             usize::MAX / 2 - log.log.flash.fuel
         };
         for first in (0..=burnt(&flash)).step_by(4) {
@@ -289,7 +290,7 @@ fn what_a_start_has_found_alone_in_its_half_is_there_twice_before_the_other_half
     let mut log = open(&Flash::erased(), OURS).0;
     (1..=SLOTS + 1).for_each(|n| assert_eq!(log.append(held(n)), Ok(n)));
     log = open(&log.log.flash, OURS).0;
-    assert_eq!(log.make_room(), Ok(true));
+    assert_eq!(log.erase_spare_half(), Ok(true));
     let mut lost = log.log.flash.clone();
     lost.bytes[HALF as usize] = 0;
     assert_eq!(loaded(&lost), Some(reference(SLOTS + 1)));
@@ -300,7 +301,7 @@ fn what_a_start_has_found_alone_in_its_half_is_there_twice_before_the_other_half
         log = open(&log.log.flash, OURS).0;
         (0..ours_before + ours).for_each(|n| assert!(log.append(held(n)).is_ok()));
         log = open(&log.log.flash, OURS).0;
-        assert_eq!(log.make_room(), Ok(true));
+        assert_eq!(log.erase_spare_half(), Ok(true));
         let used = log.log.flash.bytes.iter().filter(|byte| **byte != 0xFF).count();
         assert!(used <= ours as usize * RECORD_SIZE, "{used} bytes");
     }

@@ -1,24 +1,24 @@
 //! Writes next to references: listed again after a power cut, and the names outlast every erase.
 
 use super::{tests::*, *};
-use crate::writes::Origin;
+use crate::write_log::WriteOrigin;
 use std::vec::Vec;
 
-fn write(what: WriteKind, about: u32) -> Write {
-    Write {
+fn write(what: WriteKind, about: u32) -> WriteRecord {
+    WriteRecord {
         sequence: 0,
         calibration: OURS,
         about,
         at_ms: 5,
         utc_s: 0,
         what,
-        origin: Origin::Can,
+        origin: WriteOrigin::Can,
         is_unattended: false,
     }
 }
 
-fn told(log: &References<Flash>) -> Vec<(u32, WriteKind, u32)> {
-    let all = log.writes().bytes().as_chunks().0.iter().filter_map(Write::from_bytes);
+fn logged_writes(log: &ReferenceStore<Flash>) -> Vec<(u32, WriteKind, u32)> {
+    let all = log.last_writes().as_bytes().as_chunks().0.iter().filter_map(WriteRecord::from_bytes);
     all.map(|write| (write.sequence, write.what, write.about)).collect()
 }
 
@@ -33,7 +33,7 @@ fn writes_are_told_after_a_power_cut_in_their_order_and_references_stay() {
     assert_eq!((found.standing, found.damaged), (Some((2, held(1))), 0));
     let expected =
         [(1, WriteKind::Loaded, 1), (3, WriteKind::Zeroed, 2), (4, WriteKind::Confirmed, 3)];
-    assert_eq!(told(&log), expected);
+    assert_eq!(logged_writes(&log), expected);
 }
 
 #[test]
@@ -63,14 +63,14 @@ fn names_and_reference_outlast_erases_with_power_cuts_at_any_byte() {
         for fuel in 0..=2 * RECORD_SIZE + HALF as usize {
             let mut cut = open(&log.log.flash, OURS).0;
             cut.log.flash.fuel = fuel;
-            cut.make_room().ok();
+            cut.erase_spare_half().ok();
             let found = open(&cut.log.flash, OURS).1;
             assert_eq!(found.named, Some(77), "{number}, cut at byte {fuel}");
             let is_same = found.standing.map(|it| it.1) == before.standing.map(|it| it.1);
             assert!(is_same && found.standing.is_some(), "{number}, cut at byte {fuel}");
         }
         log = open(&log.log.flash, OURS).0;
-        log.make_room().unwrap();
+        log.erase_spare_half().unwrap();
     }
 }
 
@@ -80,12 +80,12 @@ fn writes_are_told_the_oldest_first_whichever_half_holds_them() {
     for number in 1..=5 * SLOTS {
         let entry = write(WriteKind::Confirmed, number);
         if log.append_write(&entry) == Err(StoreError::Full) {
-            log.make_room().unwrap();
+            log.erase_spare_half().unwrap();
             log.append_write(&entry).unwrap();
         }
         log = open(&log.log.flash, OURS).0;
         // Once the first half was emptied, the newest lie before what the second still holds.
-        let numbers: Vec<_> = told(&log).iter().map(|(_, _, about)| *about).collect();
+        let numbers: Vec<_> = logged_writes(&log).iter().map(|(_, _, about)| *about).collect();
         let first = number + 1 - numbers.len() as u32;
         assert_eq!(numbers, (first..=number).collect::<Vec<_>>());
         assert!(numbers.len() as u32 >= number.min(SLOTS));
@@ -101,7 +101,7 @@ fn a_name_that_a_start_has_found_alone_in_its_half_is_there_twice_before_the_oth
     }
     log.append_write(&write(WriteKind::Named, 88)).unwrap();
     log = open(&log.log.flash, OURS).0;
-    assert_eq!(log.make_room(), Ok(true));
+    assert_eq!(log.erase_spare_half(), Ok(true));
     let mut lost = log.log.flash.clone();
     lost.bytes[HALF as usize] = 0;
     assert_eq!(open(&lost, OURS).1.named, Some(88));
@@ -113,7 +113,7 @@ fn a_name_outlasts_the_erase_of_its_half_without_a_start_between() {
     log.append_write(&write(WriteKind::Named, 77)).unwrap();
     for number in 0..5 * SLOTS {
         log.append_write(&write(WriteKind::Confirmed, number)).unwrap();
-        log.make_room().unwrap();
+        log.erase_spare_half().unwrap();
         assert_eq!(open(&log.log.flash, OURS).1.named, Some(77), "after {number}");
     }
 }

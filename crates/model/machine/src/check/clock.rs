@@ -11,34 +11,34 @@
 //! A clock that runs back within a run is refused where the run is read.
 
 use super::{
-    range::{Finding, Grade},
+    range::{Finding, Plausibility},
     warning::Warning,
 };
 use crate::{file::is_temperature_column, run_file::RunFile};
 
 /// Steps that make a record regular: at least as many, of which this share is within a tenth of the median.
-const MIN_STEPS: usize = 50;
-const REGULAR: f64 = 0.95;
-const TENTH: f64 = 0.1;
+const MIN_REGULAR_STEPS: usize = 50;
+const MIN_REGULAR_SHARE: f64 = 0.95;
+const STEP_TOLERANCE: f64 = 0.1;
 /// From this many medians on a step is a pause …
-const PAUSE: f64 = 20.0;
+const MIN_PAUSE_RATIO: f64 = 20.0;
 /// … and from this many on it may be a clock that was set.
-const MIN_JUMP: f64 = 3.0;
+const MIN_CLOCK_JUMP_RATIO: f64 = 3.0;
 /// A change to summer time, in s.
-const HOUR_S: f64 = 3600.0;
+const DST_SHIFT_S: f64 = 3600.0;
 /// The longest step, in s, next to which an hour can be distinguished from a pause of the logger.
 const MAX_STEP_S: f64 = 600.0;
 /// Rows on each side of a step through which the lines are laid, and the fewest of them.
-const ROWS: usize = 12;
-const MIN_ROWS: usize = 5;
+const FIT_ROWS: usize = 12;
+const MIN_FIT_ROWS: usize = 5;
 /// A change is visible from this many standard errors on.
-const VISIBLE: f64 = 5.0;
+const MIN_CHANGE_STANDARD_ERRORS: f64 = 5.0;
 /// Lines before and after of which the steeper is at most this much steeper are one course.
-const ALIKE: f64 = 2.5;
+const MAX_SLOPE_RATIO: f64 = 2.5;
 
 /// The findings about the clock of a run.
 #[derive(Default)]
-pub(super) struct Clock {
+pub(super) struct ClockFindings {
     /// Slips: constants that are fitted to this time are wrong.
     pub(super) slips: Vec<Finding>,
     /// An hour that may be a slip.
@@ -48,25 +48,28 @@ pub(super) struct Clock {
 }
 
 /// A step of the clock that is longer than the others.
-struct Step {
+struct ClockStep {
     row: usize,
     step_s: f64,
     is_hour: bool,
     /// Whether the values show a slip; `None` where they do not move.
-    is_slip: Option<bool>,
+    is_clock_error: Option<bool>,
 }
 
 /// Returns what the steps of the clock are.
-pub(super) fn look(run: &RunFile) -> Clock {
-    let Some((steps, median_s)) = steps(run) else { return Clock::default() };
-    let at = |step: &Step, what: String, help: String| Warning {
-        place: run.place(step.row, "time_s"),
+pub(super) fn check_clock(run: &RunFile) -> ClockFindings {
+    let Some((steps, median_s)) = find_irregular_steps(run) else {
+        return ClockFindings::default();
+    };
+    let at = |step: &ClockStep, what: String, help: String| Warning {
+        place: run.value_location(step.row, "time_s"),
         what,
         help,
     };
-    let line = |step: &Step| run.place(step.row, "time_s").line;
-    let mut clock = Clock::default();
-    let slips: Vec<&Step> = steps.iter().filter(|step| step.is_slip == Some(true)).collect();
+    let line = |step: &ClockStep| run.value_location(step.row, "time_s").line;
+    let mut clock = ClockFindings::default();
+    let slips: Vec<&ClockStep> =
+        steps.iter().filter(|step| step.is_clock_error == Some(true)).collect();
     if let Some(step) = slips.first() {
         let kind = if step.is_hour { "summer time begins" } else { "the clock was set" };
         let others = match slips.len() - 1 {
@@ -76,22 +79,22 @@ pub(super) fn look(run: &RunFile) -> Clock {
         let what = format!(
             "time_s steps by {} s here, the other rows are {} s apart, and the values went on as from one row to the \
              next: {kind}{others}",
-            shown(step.step_s),
-            shown(median_s)
+            round_to_milliseconds(step.step_s),
+            round_to_milliseconds(median_s)
         );
         let help = format!(
             "take {} s off from line {} on: lags and drifts are fitted to the time",
-            shown(step.step_s - median_s),
+            round_to_milliseconds(step.step_s - median_s),
             line(step)
         );
         let warning = at(step, what, help);
-        clock.slips.push(Finding { key: "time_s".into(), grade: Grade::Unlikely, warning });
+        clock.slips.push(Finding { key: "time_s".into(), grade: Plausibility::Unlikely, warning });
     }
-    let hour = steps.iter().find(|step| step.is_hour && step.is_slip.is_none());
+    let hour = steps.iter().find(|step| step.is_hour && step.is_clock_error.is_none());
     clock.warnings.extend(hour.map(|step| {
         let what = format!(
             "time_s steps by {} s here, an hour more than between the other rows: the begin of summer time, or a pause",
-            shown(step.step_s)
+            round_to_milliseconds(step.step_s)
         );
         let help = format!(
             "if the clock was changed, take 3600 s off from line {} on: lags and drifts are fitted to the time",
@@ -99,19 +102,19 @@ pub(super) fn look(run: &RunFile) -> Clock {
         );
         at(step, what, help)
     }));
-    let is_pause = |step: &&Step| {
-        step.step_s > PAUSE * median_s
-            && step.is_slip != Some(true)
-            && !(step.is_hour && step.is_slip.is_none())
+    let is_pause = |step: &&ClockStep| {
+        step.step_s > MIN_PAUSE_RATIO * median_s
+            && step.is_clock_error != Some(true)
+            && !(step.is_hour && step.is_clock_error.is_none())
     };
-    let pauses: Vec<&Step> = steps.iter().filter(is_pause).collect();
+    let pauses: Vec<&ClockStep> = steps.iter().filter(is_pause).collect();
     let longest = pauses.iter().max_by(|a, b| a.step_s.total_cmp(&b.step_s));
     clock.remarks.extend(longest.map(|longest| {
         let what = match pauses.len() {
-            1 => format!("time_s has a pause of {} s here", shown(longest.step_s)),
-            count => format!("time_s has {count} pauses, the longest of {} s here", shown(longest.step_s)),
+            1 => format!("time_s has a pause of {} s here", round_to_milliseconds(longest.step_s)),
+            count => format!("time_s has {count} pauses, the longest of {} s here", round_to_milliseconds(longest.step_s)),
         };
-        let what = format!("{what}; the other rows are {} s apart", shown(median_s));
+        let what = format!("{what}; the other rows are {} s apart", round_to_milliseconds(median_s));
         let help = "nothing to do if nothing was recorded then; number the parts in a column run if each shall start settled";
         at(longest, what, help.into())
     }));
@@ -119,7 +122,7 @@ pub(super) fn look(run: &RunFile) -> Clock {
 }
 
 /// Returns the steps that differ from the others, and the median step; `None` where the record is not regular.
-fn steps(run: &RunFile) -> Option<(Vec<Step>, f64)> {
+fn find_irregular_steps(run: &RunFile) -> Option<(Vec<ClockStep>, f64)> {
     let time_s = run.column("time_s")?;
     let runs = run.column("run");
     let rows: Vec<usize> = (0..time_s.len()).filter(|row| !time_s[*row].is_nan()).collect();
@@ -133,26 +136,31 @@ fn steps(run: &RunFile) -> Option<(Vec<Step>, f64)> {
     let mut sorted: Vec<f64> = pairs.iter().map(|(_, step_s)| *step_s).collect();
     sorted.sort_by(f64::total_cmp);
     let median_s = *sorted.get(sorted.len() / 2)?;
-    let near =
-        sorted.iter().filter(|step_s| (**step_s - median_s).abs() <= TENTH * median_s).count();
-    if sorted.len() < MIN_STEPS || median_s <= 0.0 || (near as f64) < REGULAR * sorted.len() as f64
+    let near = sorted
+        .iter()
+        .filter(|step_s| (**step_s - median_s).abs() <= STEP_TOLERANCE * median_s)
+        .count();
+    if sorted.len() < MIN_REGULAR_STEPS
+        || median_s <= 0.0
+        || (near as f64) < MIN_REGULAR_SHARE * sorted.len() as f64
     {
         return None;
     }
     let is_hour = |step_s: f64| {
-        median_s <= MAX_STEP_S && (step_s - median_s - HOUR_S).abs() <= 0.5 * median_s.min(120.0)
+        median_s <= MAX_STEP_S
+            && (step_s - median_s - DST_SHIFT_S).abs() <= 0.5 * median_s.min(120.0)
     };
-    let long = pairs.into_iter().filter(|(_, step_s)| *step_s > MIN_JUMP * median_s);
+    let long = pairs.into_iter().filter(|(_, step_s)| *step_s > MIN_CLOCK_JUMP_RATIO * median_s);
     let steps = long.map(|(index, step_s)| {
-        let is_slip = is_slip(run, &rows, index, step_s, median_s);
-        Step { row: rows[index + 1], step_s, is_hour: is_hour(step_s), is_slip }
+        let is_clock_error = is_clock_error(run, &rows, index, step_s, median_s);
+        ClockStep { row: rows[index + 1], step_s, is_hour: is_hour(step_s), is_clock_error }
     });
     Some((steps.collect(), median_s))
 }
 
 /// Returns whether the values went on over the step after `rows[index]` as from one row to the next; `None` where they
 /// do not move enough to say that.
-fn is_slip(
+fn is_clock_error(
     run: &RunFile,
     rows: &[usize],
     index: usize,
@@ -168,9 +176,9 @@ fn is_slip(
     let votes = run.columns().iter().filter(|column| is_value(&column.name)).filter_map(|column| {
         let side =
             |rows: &[usize]| -> Vec<f64> { rows.iter().map(|row| column.values[*row]).collect() };
-        let before = side(&rows[(index + 1).saturating_sub(ROWS)..=index]);
-        let after = side(&rows[index + 1..rows.len().min(index + 1 + ROWS)]);
-        let [before, after] = [Line::through(&before)?, Line::through(&after)?];
+        let before = side(&rows[(index + 1).saturating_sub(FIT_ROWS)..=index]);
+        let after = side(&rows[index + 1..rows.len().min(index + 1 + FIT_ROWS)]);
+        let [before, after] = [StraightLine::fit(&before)?, StraightLine::fit(&after)?];
         let error = (before.end_error.powi(2) + after.end_error.powi(2)).sqrt();
         // In one row, and in as many rows as the clock says.
         let slope = 0.5 * (before.slope + after.slope);
@@ -179,8 +187,8 @@ fn is_slip(
             [before.slope.abs().min(after.slope.abs()), before.slope.abs().max(after.slope.abs())];
         let rows_passed = ((step_s - median_s) / median_s).abs();
         let expected = flat * rows_passed;
-        let is_course = before.slope * after.slope > 0.0 && steep <= ALIKE * flat;
-        let allowed = VISIBLE * error + steep;
+        let is_course = before.slope * after.slope > 0.0 && steep <= MAX_SLOPE_RATIO * flat;
+        let allowed = MIN_CHANGE_STANDARD_ERRORS * error + steep;
         if is_course && expected > 2.0 * allowed && beyond <= allowed {
             return Some(true);
         }
@@ -191,7 +199,7 @@ fn is_slip(
 }
 
 /// The straight line through values at equal distances.
-struct Line {
+struct StraightLine {
     first: f64,
     last: f64,
     /// The change from one value to the next.
@@ -200,9 +208,9 @@ struct Line {
     end_error: f64,
 }
 
-impl Line {
-    fn through(values: &[f64]) -> Option<Self> {
-        if values.len() < MIN_ROWS || values.iter().any(|value| !value.is_finite()) {
+impl StraightLine {
+    fn fit(values: &[f64]) -> Option<Self> {
+        if values.len() < MIN_FIT_ROWS || values.iter().any(|value| !value.is_finite()) {
             return None;
         }
         let count = values.len() as f64;
@@ -221,7 +229,7 @@ impl Line {
 }
 
 /// Seconds to a thousandth, without trailing zeros.
-fn shown(seconds: f64) -> f64 {
+fn round_to_milliseconds(seconds: f64) -> f64 {
     (seconds * 1000.0).round() / 1000.0
 }
 
@@ -254,7 +262,7 @@ mod tests {
         let run =
             RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own run");
         let line = |it: Warning| format!("{}: {}", it.place.line, it.what);
-        let Clock { slips, warnings, remarks } = look(&run);
+        let ClockFindings { slips, warnings, remarks } = check_clock(&run);
         (
             slips.into_iter().map(|it| line(it.warning)).collect(),
             warnings.into_iter().map(line).collect(),
@@ -316,7 +324,7 @@ mod tests {
             text += &format!("{time_s},21.5\n");
         }
         let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
-        let clock = look(&run);
+        let clock = check_clock(&run);
         assert!(clock.slips.is_empty() && clock.remarks.is_empty());
         assert!(clock.warnings.len() == 1 && clock.warnings[0].what.contains("an hour more"));
     }

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use crate::{
-    compile::free_bit,
+    compile::first_free_bit,
     file::{Machine, is_temperature_column},
     inputs::ConditionInput,
     run_file::{Column, RunFile, is_known_column},
@@ -14,15 +14,15 @@ use crate::{
 const MAX_LEVELS: usize = 12;
 const MIN_LEVEL_ROWS: usize = 8;
 /// Columns that a recorder writes next to the known ones.
-const RECORDED: [&str; 3] = ["flags", "age_ms", "elongation_um"];
+const RECORDER_COLUMNS: [&str; 3] = ["flags", "age_ms", "elongation_um"];
 
 /// Returns a sentence for each column of `run` that has few values and is no condition in `machine` yet.
 #[must_use]
-pub fn conditions(run: &RunFile, machine: Option<&Machine>) -> Vec<String> {
+pub fn suggest_conditions(run: &RunFile, machine: Option<&Machine>) -> Vec<String> {
     let mut inputs = machine.and_then(|machine| machine.inputs.clone()).unwrap_or_default();
     let mut sentences = Vec::new();
-    for column in run.columns().iter().filter(|column| is_free(&column.name)) {
-        let Some(levels) = levels(column) else { continue };
+    for column in run.columns().iter().filter(|column| is_user_column(&column.name)) {
+        let Some(levels) = discrete_levels(column) else { continue };
         let name = &column.name;
         if inputs.conditions.contains_key(name) {
             continue;
@@ -33,7 +33,7 @@ pub fn conditions(run: &RunFile, machine: Option<&Machine>) -> Vec<String> {
                 "{name} has {count} values: a board knows a category by the column tool, or by a column of 0 and 1 \
                  for each value"
             ));
-        } else if let Some(bit) = free_bit(&inputs) {
+        } else if let Some(bit) = first_free_bit(&inputs) {
             sentences.push(format!(
                 "{name} is 0 or 1: `{name} = {{ kind = \"condition\", bit = {bit} }}` in [inputs] lets the CNC send \
                  it to the board"
@@ -44,15 +44,15 @@ pub fn conditions(run: &RunFile, machine: Option<&Machine>) -> Vec<String> {
     sentences
 }
 
-fn is_free(name: &str) -> bool {
+fn is_user_column(name: &str) -> bool {
     !is_known_column(name)
         && !is_temperature_column(name)
-        && !RECORDED.contains(&name)
+        && !RECORDER_COLUMNS.contains(&name)
         && !["measured_", "predicted_", "bridge_"].iter().any(|start| name.starts_with(start))
 }
 
 /// Returns the values of a column that has few; none of one that stands still.
-fn levels(column: &Column) -> Option<Vec<f64>> {
+fn discrete_levels(column: &Column) -> Option<Vec<f64>> {
     let there = || column.values.iter().copied().filter(|value| value.is_finite());
     let mut bits: BTreeSet<u64> = BTreeSet::new();
     for value in there() {

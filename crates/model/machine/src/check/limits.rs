@@ -1,7 +1,7 @@
 //! The limits: a slew that no axis notices, and room for what they limit.
 
 use super::{
-    extent::{self, Part, ROOM_C},
+    error_bounds::{self, ErrorBound, MAX_TEMPERATURE_DEVIATION_K},
     warning::Warning,
 };
 use crate::{
@@ -12,28 +12,31 @@ use crate::{
 
 /// The fastest change of an offset as a share of the axis's rapid traverse: the default of Siemens' MD32760
 /// (field notes), at which a following error does not show.
-const SHARE_OF_RAPID: f64 = 0.01;
+const MAX_SLEW_SHARE_OF_RAPID: f64 = 0.01;
 
 /// The rapid traverse of an axis that does not say its own, in mm/min: what a slow machine tool does.
-pub(super) const SLOW_RAPID_MM_PER_MIN: f64 = 10_000.0;
+pub(super) const DEFAULT_RAPID_MM_PER_MIN: f64 = 10_000.0;
 
 pub(super) fn warnings(machine: &Machine) -> Vec<Warning> {
-    let of_axes = LinearAxis::ALL.into_iter().flat_map(|axis| no_room(machine, axis));
-    let mut all: Vec<Warning> =
-        too_fast(machine).into_iter().chain(of_axes).chain(no_room_for_growth(machine)).collect();
-    all.extend(taken_back(machine));
+    let of_axes = LinearAxis::ALL.into_iter().flat_map(|axis| limit_warnings(machine, axis));
+    let mut all: Vec<Warning> = slew_rate_warning(machine)
+        .into_iter()
+        .chain(of_axes)
+        .chain(elongation_limit_warnings(machine))
+        .collect();
+    all.extend(cancelling_terms_warning(machine));
     all
 }
 
 /// Terms that leave what is possible, which `compile` refuses, or take each other back.
-fn taken_back(machine: &Machine) -> Option<Warning> {
-    match envelope::refuse(machine) {
+fn cancelling_terms_warning(machine: &Machine) -> Option<Warning> {
+    match envelope::check_envelope(machine) {
         // Of a machine with [inputs] it is said that no board can run it.
         Err(_) if machine.inputs.is_some() => None,
         Err(BadInput { place, rule, help, .. }) => {
             Some(Warning { place, what: rule, help: help.unwrap_or_default() })
         }
-        Ok(()) => envelope::cancelling(machine).map(|pair| {
+        Ok(()) => envelope::find_cancelling_terms(machine).map(|pair| {
             let [first, second] = pair.terms;
             let [one, other] = pair.um;
             let what = format!(
@@ -42,23 +45,23 @@ fn taken_back(machine: &Machine) -> Option<Warning> {
             );
             let help = "right after a start, or with one of them a little off, what is left is anything: take \
                         both out, or diagnose anew";
-            Warning::at(machine, &format!("term[{first}]"), &what, help)
+            Warning::for_key(machine, &format!("term[{first}]"), &what, help)
         }),
     }
 }
 
 /// Returns the fastest slew that an axis of this rapid traverse does not notice, in µm/s.
-pub(super) fn unnoticed_um_per_s(rapid_mm_per_min: f64) -> f64 {
-    const UM_PER_S: f64 = 1000.0 / 60.0;
-    rapid_mm_per_min * UM_PER_S * SHARE_OF_RAPID
+pub(super) fn max_unnoticed_slew_um_per_s(rapid_mm_per_min: f64) -> f64 {
+    const UM_PER_S_PER_MM_PER_MIN: f64 = 1000.0 / 60.0;
+    rapid_mm_per_min * UM_PER_S_PER_MM_PER_MIN * MAX_SLEW_SHARE_OF_RAPID
 }
 
-fn too_fast(machine: &Machine) -> Option<Warning> {
+fn slew_rate_warning(machine: &Machine) -> Option<Warning> {
     let rapids = LinearAxis::ALL.map(|axis| (axis, machine.axes[axis.index()].rapid_mm_per_min));
     let stated = rapids.into_iter().filter_map(|(axis, rapid)| Some((axis, rapid?)));
     let slowest = stated.min_by(|a, b| a.1.total_cmp(&b.1));
-    let rapid = slowest.map_or(SLOW_RAPID_MM_PER_MIN, |(_, rapid)| rapid);
-    let most = unnoticed_um_per_s(rapid);
+    let rapid = slowest.map_or(DEFAULT_RAPID_MM_PER_MIN, |(_, rapid)| rapid);
+    let most = max_unnoticed_slew_um_per_s(rapid);
     let slew = machine.limits.slew_um_per_s;
     if slew <= most {
         return None;
@@ -78,19 +81,19 @@ fn too_fast(machine: &Machine) -> Option<Warning> {
     let what = format!(
         "{slew} is more than 1 % ({most:.0} µm/s) of {whose}: the offset would jerk the axis"
     );
-    Some(Warning::at(machine, "limits.slew_um_per_s", &what, help))
+    Some(Warning::for_key(machine, "limits.slew_um_per_s", &what, help))
 }
 
 /// Parts that alone are larger than their axis's limit.
-fn no_room(machine: &Machine, axis: LinearAxis) -> Vec<Warning> {
+fn limit_warnings(machine: &Machine, axis: LinearAxis) -> Vec<Warning> {
     let limit_um = machine.limits.max_um[axis.index()];
-    let parts = extent::of_axis(machine, axis).into_iter();
-    parts.filter_map(|part| beyond(machine, &part, axis, limit_um)).collect()
+    let parts = error_bounds::axis_error_bounds(machine, axis).into_iter();
+    parts.filter_map(|part| limit_exceeded_warning(machine, &part, axis, limit_um)).collect()
 }
 
 /// Models of the growth that reach beyond the limit on the axis that the tool lies along. The sensor's
 /// range is no growth: a sensor may well see more than the limit lets through.
-fn no_room_for_growth(machine: &Machine) -> Vec<Warning> {
+fn elongation_limit_warnings(machine: &Machine) -> Vec<Warning> {
     let along = LinearAxis::ALL.into_iter().max_by(|a, b| {
         let share = |axis: &LinearAxis| machine.tool_direction[axis.index()].abs();
         share(a).total_cmp(&share(b))
@@ -98,16 +101,23 @@ fn no_room_for_growth(machine: &Machine) -> Vec<Warning> {
     let Some(axis) = along else { return Vec::new() };
     let share = machine.tool_direction[axis.index()].abs();
     let limit_um = machine.limits.max_um[axis.index()];
+    let parts = error_bounds::elongation_bounds(machine)
+        .into_iter()
+        .filter(|part| part.key != "spindle.sensor");
     let parts =
-        extent::of_elongation(machine).into_iter().filter(|part| part.key != "spindle.sensor");
-    let parts = parts.map(|part| Part { largest_um: part.largest_um.map(|um| um * share), ..part });
-    parts.filter_map(|part| beyond(machine, &part, axis, limit_um)).collect()
+        parts.map(|part| ErrorBound { largest_um: part.largest_um.map(|um| um * share), ..part });
+    parts.filter_map(|part| limit_exceeded_warning(machine, &part, axis, limit_um)).collect()
 }
 
-fn beyond(machine: &Machine, part: &Part, axis: LinearAxis, limit_um: f64) -> Option<Warning> {
+fn limit_exceeded_warning(
+    machine: &Machine,
+    part: &ErrorBound,
+    axis: LinearAxis,
+    limit_um: f64,
+) -> Option<Warning> {
     let um = part.largest_um.filter(|um| *um > limit_um)?;
     let heat = if part.key.ends_with("thermal") || part.key.ends_with("temperature") {
-        format!(" within {ROOM_C} K")
+        format!(" within {MAX_TEMPERATURE_DEVIATION_K} K")
     } else {
         String::new()
     };
@@ -117,5 +127,5 @@ fn beyond(machine: &Machine, part: &Part, axis: LinearAxis, limit_um: f64) -> Op
     let help = format!(
         "a larger limits.max_um.{axis}, or a smaller correction; beyond the limit the offset stands still"
     );
-    Some(Warning::at(machine, &format!("limits.max_um.{axis}"), &what, help))
+    Some(Warning::for_key(machine, &format!("limits.max_um.{axis}"), &what, help))
 }

@@ -9,24 +9,24 @@
 //! A value that is impossible is refused by every command that would use it or write it, unless the user
 //! accepts its key; one that is unlikely is a warning that names the likely slip.
 
-mod reach;
-mod table;
-mod values;
+mod input_range;
+mod numeric_values;
+mod plausible_ranges;
 
 use super::warning::Warning;
 use crate::{
-    effect::OnBoard,
-    file::{LinearAxis, Machine, Pitch},
+    effect::BoardTerm,
+    file::{LinearAxis, Machine, PitchErrorTable},
     location::BadInput,
 };
-use table::REVERSED_OR_DIRECTION;
+use plausible_ranges::REVERSED_SIGN_HINT;
 
-pub(crate) use table::RANGES;
-pub use table::Range;
+pub(crate) use plausible_ranges::PLAUSIBLE_RANGES;
+use plausible_ranges::PlausibleRange;
 
 /// How far a value is from what a machine has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Grade {
+pub enum Plausibility {
     /// It can be, and hardly ever is.
     Unlikely,
     /// It cannot be.
@@ -39,7 +39,7 @@ pub struct Finding {
     /// The key of the machine file, or the column of the run: what `--accept` takes.
     pub key: String,
     /// How far off it is.
-    pub grade: Grade,
+    pub grade: Plausibility,
     /// The warning about it.
     pub warning: Warning,
 }
@@ -48,15 +48,15 @@ impl Finding {
     /// Returns whether it is refused, unless its key is among those that the user accepts.
     #[must_use]
     pub fn is_refused(&self, accepted: &[String]) -> bool {
-        self.grade == Grade::Impossible && !accepted.contains(&self.key)
+        self.grade == Plausibility::Impossible && !accepted.contains(&self.key)
     }
 }
 
 /// Returns all that is refused of these as one error; `None` where nothing is.
 #[must_use]
-pub fn refusal(findings: &[Finding], accepted: &[String]) -> Option<BadInput> {
+pub fn combine_refused(findings: &[Finding], accepted: &[String]) -> Option<BadInput> {
     let refused = findings.iter().filter(|finding| finding.is_refused(accepted));
-    BadInput::gathered(refused.map(|Finding { key, warning, .. }| {
+    BadInput::combine(refused.map(|Finding { key, warning, .. }| {
         let Warning { place, what, help } = warning;
         let help = format!("{help}; if it is meant, add --accept {key}");
         BadInput::new(place.clone(), what.clone()).with_help(help)
@@ -65,63 +65,70 @@ pub fn refusal(findings: &[Finding], accepted: &[String]) -> Option<BadInput> {
 
 /// Returns the values of a machine file that are unlikely or impossible.
 #[must_use]
-pub fn of_machine(machine: &Machine) -> Vec<Finding> {
-    let entries = values::entries(machine).into_iter();
+pub(crate) fn machine_findings(machine: &Machine) -> Vec<Finding> {
+    let entries = numeric_values::numeric_entries(machine).into_iter();
     let mut findings: Vec<Finding> = entries
         .filter_map(|entry| {
-            let range = range_of(&entry.row)?;
-            let (grade, value) = worst(range, &entry.values)?;
-            Some(finding(machine, entry.key, range, grade, value))
+            let range = find_range(&entry.row)?;
+            let (grade, value) = find_worst_value(range, &entry.values)?;
+            Some(new_finding(machine, entry.key, range, grade, value))
         })
         .collect();
     for axis in LinearAxis::ALL {
-        findings.extend(negative_backlash(machine, axis));
-        findings.extend(shrinking_table(machine, axis));
+        findings.extend(find_negative_backlash(machine, axis));
+        findings.extend(find_decreasing_thermal_table(machine, axis));
     }
-    findings.extend(reach::findings(machine));
+    findings.extend(input_range::findings(machine));
     findings
 }
 
 /// Returns the row of the table for a key.
-fn range_of(key: &str) -> Option<&'static Range> {
-    RANGES.iter().find(|range| matches(range.keys, key))
+fn find_range(key: &str) -> Option<&'static PlausibleRange> {
+    PLAUSIBLE_RANGES.iter().find(|range| matches_pattern(range.keys, key))
 }
 
 /// Returns whether `key` is of the form of `pattern`, in which `*` stands for any text.
-fn matches(pattern: &str, key: &str) -> bool {
+fn matches_pattern(pattern: &str, key: &str) -> bool {
     match pattern.split_once('*') {
         None => pattern == key,
         Some((before, rest)) => key.strip_prefix(before).is_some_and(|key| {
             rest.is_empty()
-                || (0..=key.len()).any(|at| key.is_char_boundary(at) && matches(rest, &key[at..]))
+                || (0..=key.len())
+                    .any(|at| key.is_char_boundary(at) && matches_pattern(rest, &key[at..]))
         }),
     }
 }
 
 /// Returns the value that is farthest outside, and how far that is.
-fn worst(range: &Range, values: &[f64]) -> Option<(Grade, f64)> {
+fn find_worst_value(range: &PlausibleRange, values: &[f64]) -> Option<(Plausibility, f64)> {
     let beyond = |[low, high]: [f64; 2]| {
         let outside = values.iter().copied().filter(move |value| !(low..=high).contains(value));
         outside.max_by(|a, b| a.abs().total_cmp(&b.abs()))
     };
-    let impossible = beyond(range.hard).map(|value| (Grade::Impossible, value));
-    impossible.or_else(|| beyond(range.likely).map(|value| (Grade::Unlikely, value)))
+    let impossible = beyond(range.hard).map(|value| (Plausibility::Impossible, value));
+    impossible.or_else(|| beyond(range.likely).map(|value| (Plausibility::Unlikely, value)))
 }
 
-fn finding(machine: &Machine, key: String, range: &Range, grade: Grade, value: f64) -> Finding {
-    let Range { unit, hard, likely, usual, source, below, above, .. } = range;
+fn new_finding(
+    machine: &Machine,
+    key: String,
+    range: &PlausibleRange,
+    grade: Plausibility,
+    value: f64,
+) -> Finding {
+    let PlausibleRange { unit, hard, likely, usual, source, below, above, .. } = range;
     let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
     let is_negative = value < 0.0 && likely[0] >= -0.5;
-    let value_of = shown(value);
+    let value_of = format_value(value);
     let slip = if value < likely[0] { below } else { above };
     let what = match grade {
-        Grade::Impossible => {
+        Plausibility::Impossible => {
             format!("{value_of}{unit} is impossible (possible: {} to {}): {slip}", hard[0], hard[1])
         }
-        Grade::Unlikely if is_negative => {
+        Plausibility::Unlikely if is_negative => {
             format!("{value_of}{unit} is negative: {slip}")
         }
-        Grade::Unlikely => {
+        Plausibility::Unlikely => {
             format!("{value_of}{unit} is unlikely (usual: {} to {}): {slip}", usual[0], usual[1])
         }
     };
@@ -131,15 +138,15 @@ fn finding(machine: &Machine, key: String, range: &Range, grade: Grade, value: f
         }
         false => format!("write the value in the unit of its key; {source}"),
     };
-    let warning = Warning::at(machine, &key, &what, help);
+    let warning = Warning::for_key(machine, &key, &what, help);
     Finding { key, grade, warning }
 }
 
 /// Returns a value as it stands in a file, or to five digits where it has more than a user would write.
-fn shown(value: f64) -> String {
-    const DIGITS: usize = 8;
+fn format_value(value: f64) -> String {
+    const MAX_UNROUNDED_CHARS: usize = 8;
     let whole = format!("{value}");
-    if whole.len() <= DIGITS {
+    if whole.len() <= MAX_UNROUNDED_CHARS {
         return whole;
     }
     let rounded: f64 = format!("{value:.4e}").parse().unwrap_or(value);
@@ -147,11 +154,11 @@ fn shown(value: f64) -> String {
 }
 
 /// Backlash of an axis by all that the file says of it: a term adds to a section.
-fn negative_backlash(machine: &Machine, axis: LinearAxis) -> Option<Finding> {
+fn find_negative_backlash(machine: &Machine, axis: LinearAxis) -> Option<Finding> {
     let model = &machine.axes[axis.index()];
     let mut total_um = 0.0;
     let mut last = None;
-    if let Some(um) = model.pitch.as_ref().and_then(mean_width_um) {
+    if let Some(um) = model.pitch.as_ref().and_then(mean_reversal_um) {
         total_um += um;
         last = Some(format!("axis.{}.pitch.reverse_um", axis.name()));
     }
@@ -159,32 +166,33 @@ fn negative_backlash(machine: &Machine, axis: LinearAxis) -> Option<Finding> {
     let of_axis =
         machine.terms.iter().enumerate().filter(|(_, it)| it.quantity.axis() == Some(axis));
     for (index, term) in of_axis {
-        let forms = term.effect.on_board();
+        let forms = term.effect.board_terms();
         let widths = forms.iter().filter_map(|form| match form {
-            OnBoard::Reversed { width_um, .. } => Some(*width_um),
-            OnBoard::Table(pitch) => mean_width_um(pitch),
+            BoardTerm::Reversed { width_um, .. } => Some(*width_um),
+            BoardTerm::Table(pitch) => mean_reversal_um(pitch),
             _ => None,
         });
         for um in widths.filter(|um| *um != 0.0) {
             total_um += um;
             let width = format!("term[{index}].width_um");
-            let key = if machine.places.has(&width) { width } else { format!("term[{index}]") };
+            let key =
+                if machine.places.contains(&width) { width } else { format!("term[{index}]") };
             last = Some(key);
         }
     }
     // A section alone is judged by its own row.
     let key = last?;
-    let row = range_of("axis.x.backlash.width_um")?;
+    let row = find_range("axis.x.backlash.width_um")?;
     (total_um < row.likely[0]).then(|| {
-        let what = format!("makes a backlash of {total_um:.2} µm, which is negative: {REVERSED_OR_DIRECTION}");
+        let what = format!("makes a backlash of {total_um:.2} µm, which is negative: {REVERSED_SIGN_HINT}");
         let help = "look at one reversal: approached in the negative direction the axis is left behind, and the error is larger";
-        let warning = Warning::at(machine, &key, &what, help);
-        Finding { key, grade: Grade::Unlikely, warning }
+        let warning = Warning::for_key(machine, &key, &what, help);
+        Finding { key, grade: Plausibility::Unlikely, warning }
     })
 }
 
 /// Returns the mean of a reverse table less that of the forward one.
-fn mean_width_um(pitch: &Pitch) -> Option<f64> {
+fn mean_reversal_um(pitch: &PitchErrorTable) -> Option<f64> {
     let reverse_um = pitch.reverse_um.as_ref()?;
     let widths =
         reverse_um.iter().zip(&pitch.forward_um).map(|(reverse, forward)| reverse - forward);
@@ -192,19 +200,19 @@ fn mean_width_um(pitch: &Pitch) -> Option<f64> {
 }
 
 /// Returns a table of an axis's heat whose slope falls as it becomes warmer.
-fn shrinking_table(machine: &Machine, axis: LinearAxis) -> Option<Finding> {
+fn find_decreasing_thermal_table(machine: &Machine, axis: LinearAxis) -> Option<Finding> {
     let thermal = machine.axes[axis.index()].thermal.as_ref()?;
     let rows = thermal.table.as_ref().filter(|_| thermal.mode.has_position())?;
     let (first, last) = (rows.first()?, rows.last()?);
     let by_c =
         (last.slope_um_per_m - first.slope_um_per_m) / (last.temperature_c - first.temperature_c);
-    let row = range_of("axis.x.thermal.slope_um_per_m_per_c")?;
+    let row = find_range("axis.x.thermal.slope_um_per_m_per_c")?;
     let key = format!("axis.{}.thermal.table", axis.name());
-    let (grade, value) = worst(row, &[by_c])?;
+    let (grade, value) = find_worst_value(row, &[by_c])?;
     // Of a table the size of a slope is known to what its ends are.
-    let is_told = grade == Grade::Impossible || value < -0.1;
+    let is_told = grade == Plausibility::Impossible || value < -0.1;
     is_told.then(|| {
-        let Finding { warning, .. } = finding(machine, key.clone(), row, grade, value);
+        let Finding { warning, .. } = new_finding(machine, key.clone(), row, grade, value);
         Finding { key, grade, warning }
     })
 }

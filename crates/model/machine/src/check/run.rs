@@ -2,9 +2,9 @@
 //! sign of what was measured.
 
 use super::{
-    place,
-    range::{self, Finding, Grade},
-    sensor::{FULL_COUNTS, S7_COUNTS},
+    geometry,
+    range::{self, Finding, Plausibility},
+    sensor::{FULL_SCALE_COUNTS, S7_FULL_SCALE_COUNTS},
     warning::Warning,
 };
 use crate::{
@@ -15,130 +15,136 @@ use crate::{
 
 /// Measured and predicted are in units a thousand (or a million) apart where the line through both has a
 /// slope within a factor of two of it …
-const FACTOR_OF_TWO: f64 = 2.0;
+const MAX_SLOPE_RATIO: f64 = 2.0;
 /// … and explains more than half of what was measured: noise does not follow a prediction.
-const HALF: f64 = 0.5;
+const MIN_EXPLAINED_SHARE: f64 = 0.5;
 
 /// Rows that a statement about a whole column needs: of three values in the wrong unit none is in the right
 /// one by chance.
 const MIN_ROWS: usize = 3;
 
 /// This many rows are held against the model: a long run need not be predicted whole to know its unit.
-const LOOKED_AT: usize = 10_000;
+const MAX_CHECKED_ROWS: usize = 10_000;
 
 /// Largest output of a sensor, in V: 10 V, and a tenth more where it overruns.
-const MAX_VOLTS: f64 = 11.0;
+const MAX_SENSOR_VOLTS: f64 = 11.0;
 
 pub(super) fn warnings(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning> {
     let mut warnings = Vec::new();
     if let Some(column) = run.columns().iter().find(|column| column.name == "sensor_counts") {
-        warnings.extend(machine.and_then(|machine| ends_at_s7(run, column, machine)));
+        warnings.extend(machine.and_then(|machine| s7_full_scale_warning(run, column, machine)));
     }
     if let Some(machine) = machine {
-        warnings.extend(outside_travel(run, machine));
+        warnings.extend(outside_travel_warnings(run, machine));
         warnings.extend(
-            compared(run, machine).into_iter().filter(|it| !it.is_unit).map(|it| it.warning),
+            compare_with_model(run, machine)
+                .into_iter()
+                .filter(|it| !it.is_unit)
+                .map(|it| it.warning),
         );
     }
     warnings
 }
 
 /// Returns the columns that look like another unit next to the machine file.
-pub(super) fn slips(run: &RunFile, machine: Option<&Machine>) -> Vec<Finding> {
+pub(super) fn column_findings(run: &RunFile, machine: Option<&Machine>) -> Vec<Finding> {
     let of_sensor = run.columns().iter().find(|column| column.name == "sensor_counts");
-    let volts = of_sensor.and_then(|column| Some(("sensor_counts".into(), volts(run, column)?)));
+    let volts =
+        of_sensor.and_then(|column| Some(("sensor_counts".into(), voltage_warning(run, column)?)));
     // A file that no machine has says nothing of the run's units.
     let is_sound = |machine: &&Machine| {
-        range::of_machine(machine).iter().all(|finding| finding.grade != Grade::Impossible)
+        range::machine_findings(machine)
+            .iter()
+            .all(|finding| finding.grade != Plausibility::Impossible)
     };
     let of_machine = machine.filter(is_sound).into_iter().flat_map(|machine| {
-        let units = compared(run, machine).into_iter().filter(|it| it.is_unit);
-        units.map(|it| (it.column, it.warning)).chain(positions(run, machine))
+        let units = compare_with_model(run, machine).into_iter().filter(|it| it.is_unit);
+        units.map(|it| (it.column, it.warning)).chain(position_unit_warnings(run, machine))
     });
-    let finding = |(key, warning)| Finding { key, grade: Grade::Unlikely, warning };
+    let finding = |(key, warning)| Finding { key, grade: Plausibility::Unlikely, warning };
     volts.into_iter().chain(of_machine).map(finding).collect()
 }
 
-fn values(column: &Column) -> impl Iterator<Item = f64> {
+fn known_values(column: &Column) -> impl Iterator<Item = f64> {
     column.values.iter().copied().filter(|value| !value.is_nan())
 }
 
 /// Returns the least and the most of a column with values enough.
-fn range(column: &Column) -> Option<[f64; 2]> {
+fn value_range(column: &Column) -> Option<[f64; 2]> {
     let (mut range, mut rows) = ([f64::INFINITY, f64::NEG_INFINITY], 0);
-    for value in values(column) {
+    for value in known_values(column) {
         range = [range[0].min(value), range[1].max(value)];
         rows += 1;
     }
     (rows >= MIN_ROWS).then_some(range)
 }
 
-fn at(run: &RunFile, column: &str, what: &str, help: impl Into<String>) -> Warning {
+fn column_warning(run: &RunFile, column: &str, what: &str, help: impl Into<String>) -> Warning {
     let row = run.column(column).and_then(|values| values.iter().position(|it| !it.is_nan()));
-    let place = run.place(row.unwrap_or(0), column);
+    let place = run.value_location(row.unwrap_or(0), column);
     Warning { place, what: format!("{column} {what}"), help: help.into() }
 }
 
-fn volts(run: &RunFile, column: &Column) -> Option<Warning> {
-    let [least, most] = range(column)?;
-    let has_fraction = values(column).any(|value| value.fract() != 0.0);
-    (has_fraction && least >= 0.0 && most <= MAX_VOLTS && most > 0.0).then(|| {
+fn voltage_warning(run: &RunFile, column: &Column) -> Option<Warning> {
+    let [least, most] = value_range(column)?;
+    let has_fraction = known_values(column).any(|value| value.fract() != 0.0);
+    (has_fraction && least >= 0.0 && most <= MAX_SENSOR_VOLTS && most > 0.0).then(|| {
         let what = format!("is from {least} to {most}: that looks like volts, not counts");
         let help = "counts = V · counts_full_scale / volts_full_scale of [inputs] sensor";
-        at(run, &column.name, &what, help)
+        column_warning(run, &column.name, &what, help)
     })
 }
 
 /// Readings that pile up at 27648 where the file's full scale is 32768: the input ends there.
-fn ends_at_s7(run: &RunFile, column: &Column, machine: &Machine) -> Option<Warning> {
+fn s7_full_scale_warning(run: &RunFile, column: &Column, machine: &Machine) -> Option<Warning> {
     let input = machine.inputs.as_ref()?.sensor?;
-    let [_, most] = range(column)?;
-    let at_end = values(column).filter(|&value| value == S7_COUNTS).count();
-    (input.counts_full_scale == FULL_COUNTS && most == S7_COUNTS && at_end >= MIN_ROWS).then(|| {
+    let [_, most] = value_range(column)?;
+    let at_end = known_values(column).filter(|&value| value == S7_FULL_SCALE_COUNTS).count();
+    (input.counts_full_scale == FULL_SCALE_COUNTS && most == S7_FULL_SCALE_COUNTS && at_end >= MIN_ROWS).then(|| {
         let what = format!(
-            "ends at {S7_COUNTS} in {at_end} rows, and the machine file's counts_full_scale is {FULL_COUNTS}"
+            "ends at {S7_FULL_SCALE_COUNTS} in {at_end} rows, and the machine file's counts_full_scale is {FULL_SCALE_COUNTS}"
         );
         let help = "a SIMATIC S7 input reaches 10 V at 27648 counts: write counts_full_scale = 27648";
-        at(run, &column.name, &what, help)
+        column_warning(run, &column.name, &what, help)
     })
 }
 
 /// Returns the positions of each axis that the machine file has a travel of: their column, range and travel.
-fn travels(run: &RunFile, machine: &Machine) -> Vec<(String, [f64; 2], [f64; 2])> {
+fn axis_travels(run: &RunFile, machine: &Machine) -> Vec<(String, [f64; 2], [f64; 2])> {
     let axes = LinearAxis::ALL.into_iter().filter_map(|axis| {
         let travel_mm = machine.axes[axis.index()].travel_mm?;
         let name = format!("{}_mm", axis.name());
         let column = run.columns().iter().find(|column| column.name == name)?;
-        Some((name, range(column)?, travel_mm))
+        Some((name, value_range(column)?, travel_mm))
     });
     axes.collect()
 }
 
 /// Positions in another unit.
-fn positions(run: &RunFile, machine: &Machine) -> Vec<(String, Warning)> {
-    let axes = travels(run, machine).into_iter().filter_map(|(name, [least, most], [low, high])| {
-        let unit = unit_of_positions([least, most], [low, high])?;
+fn position_unit_warnings(run: &RunFile, machine: &Machine) -> Vec<(String, Warning)> {
+    let axes = axis_travels(run, machine).into_iter().filter_map(|(name, [least, most], [low, high])| {
+        let unit = position_unit([least, most], [low, high])?;
         let what = format!(
             "is from {least} to {most}, and the travel_mm of the machine file {low} to {high}: it looks like {unit}, not mm"
         );
-        let warning = at(run, &name, &what, "positions are in mm");
+        let warning = column_warning(run, &name, &what, "positions are in mm");
         Some((name, warning))
     });
     axes.collect()
 }
 
 /// Positions that the axis cannot have.
-fn outside_travel(run: &RunFile, machine: &Machine) -> Vec<Warning> {
-    let axes = travels(run, machine).into_iter().filter_map(|(name, [least, most], [low, high])| {
-        let spare_mm = place::OVERHANG * (high - low);
-        if unit_of_positions([least, most], [low, high]).is_some() {
+fn outside_travel_warnings(run: &RunFile, machine: &Machine) -> Vec<Warning> {
+    let axes = axis_travels(run, machine).into_iter().filter_map(|(name, [least, most], [low, high])| {
+        let spare_mm = geometry::OVERTRAVEL_SHARE * (high - low);
+        if position_unit([least, most], [low, high]).is_some() {
             return None;
         }
         (least < low - spare_mm || most > high + spare_mm).then(|| {
             let what = format!(
                 "is from {least} to {most} mm, outside the travel_mm of the machine file, {low} to {high}"
             );
-            at(run, &name, &what, "positions are those of the machine's own coordinates, in mm")
+            column_warning(run, &name, &what, "positions are those of the machine's own coordinates, in mm")
         })
     });
     axes.collect()
@@ -146,22 +152,23 @@ fn outside_travel(run: &RunFile, machine: &Machine) -> Vec<Warning> {
 
 /// Returns the unit in which positions go from one end of the travel to the other; `None` where that is mm, or they do
 /// not.
-fn unit_of_positions(range: [f64; 2], travel_mm: [f64; 2]) -> Option<&'static str> {
-    const WHOLE: std::ops::RangeInclusive<f64> = 0.8..=1.02;
+fn position_unit(range: [f64; 2], travel_mm: [f64; 2]) -> Option<&'static str> {
+    const FULL_TRAVEL_SHARE: std::ops::RangeInclusive<f64> = 0.8..=1.02;
     let length = |[low, high]: [f64; 2]| high - low;
     let share = |mm_per_unit: f64| length(range) * mm_per_unit / length(travel_mm);
     let is_within = |mm_per_unit: f64| {
-        let spare_mm = place::OVERHANG * length(travel_mm);
+        let spare_mm = geometry::OVERTRAVEL_SHARE * length(travel_mm);
         range[0] * mm_per_unit >= travel_mm[0] - spare_mm
             && range[1] * mm_per_unit <= travel_mm[1] + spare_mm
     };
     let units = [(1e3, "m"), (25.4, "inches"), (1e-3, "µm")].into_iter();
-    let mut whole = units.filter(|(mm, _)| WHOLE.contains(&share(*mm)) && is_within(*mm));
+    let mut whole =
+        units.filter(|(mm, _)| FULL_TRAVEL_SHARE.contains(&share(*mm)) && is_within(*mm));
     whole.next().map(|(_, unit)| unit)
 }
 
 /// A column that is the predicted one times a factor.
-struct Compared {
+struct ModelComparison {
     column: String,
     warning: Warning,
     /// The factor is that of a unit, not of a sign.
@@ -170,7 +177,7 @@ struct Compared {
 
 /// Returns what was measured compared with what the model says: the same curve, a thousand times as large or as small,
 /// or minus it.
-fn compared(run: &RunFile, machine: &Machine) -> Vec<Compared> {
+fn compare_with_model(run: &RunFile, machine: &Machine) -> Vec<ModelComparison> {
     let names = Quantity::ALL.map(|quantity| format!("measured_{}_um", quantity.name()));
     if names.iter().all(|name| run.column(name).is_none()) {
         return Vec::new();
@@ -179,23 +186,24 @@ fn compared(run: &RunFile, machine: &Machine) -> Vec<Compared> {
     if run.column("quality").is_some() {
         return Vec::new();
     }
-    let first = run.altered(LOOKED_AT, |_, _| {});
+    let first = run.with_altered_values(MAX_CHECKED_ROWS, |_, _| {});
     let Ok(predictor) = Predictor::new(machine, &first) else { return Vec::new() };
-    let predicted: Vec<[f64; 4]> = predictor.model().map(|values| values.all()).collect();
+    let predicted: Vec<[f64; 4]> =
+        predictor.model_values().map(|values| values.to_array()).collect();
     let units = names.iter().enumerate().filter_map(|(number, name)| {
         let measured = run.column(name)?;
         let pairs = predicted.iter().zip(measured).map(|(row, um)| (row[number], *um));
-        let slope = shared_slope(pairs.filter(|(a, b)| !a.is_nan() && !b.is_nan()))?;
-        if (-FACTOR_OF_TWO..=-1.0 / FACTOR_OF_TWO).contains(&slope) {
+        let slope = regression_slope(pairs.filter(|(a, b)| !a.is_nan() && !b.is_nan()))?;
+        if (-MAX_SLOPE_RATIO..=-1.0 / MAX_SLOPE_RATIO).contains(&slope) {
             let what = "is minus what the machine file predicts: the sign is that of an error measured the other \
                         way round (errors are actual minus commanded)";
             let help = "look at one reading: where the machine goes too far, the error must be positive; an \
                         elongation is positive where the tool comes out of the spindle";
-            let warning = at(run, name, what, help);
-            return Some(Compared { column: name.clone(), warning, is_unit: false });
+            let warning = column_warning(run, name, what, help);
+            return Some(ModelComparison { column: name.clone(), warning, is_unit: false });
         }
         let is_near =
-            |factor: f64| (factor / FACTOR_OF_TWO..=factor * FACTOR_OF_TWO).contains(&slope);
+            |factor: f64| (factor / MAX_SLOPE_RATIO..=factor * MAX_SLOPE_RATIO).contains(&slope);
         let (unit, how) = [
             (1e-3, ("mm", "a thousandth")),
             (1e-6, ("m", "a millionth")),
@@ -208,14 +216,14 @@ fn compared(run: &RunFile, machine: &Machine) -> Vec<Compared> {
         let what =
             format!("is {how} of what the machine file predicts: it looks like {unit}, not µm");
         let help = "write it in µm, or look for the unit in the machine file";
-        Some(Compared { column: name.clone(), warning: at(run, name, &what, help), is_unit: true })
+        Some(ModelComparison { column: name.clone(), warning: column_warning(run, name, &what, help), is_unit: true })
     });
     units.collect()
 }
 
 /// Returns the slope of the line through pairs (predicted, measured), where it explains more than half of the
 /// latter; `None` where there is nothing to compare.
-fn shared_slope(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
+fn regression_slope(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
     let pairs: Vec<(f64, f64)> = pairs.collect();
     if pairs.len() < MIN_ROWS {
         return None;
@@ -229,5 +237,5 @@ fn shared_slope(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
         xy += x * y;
         yy += y * y;
     }
-    (xx > 0.0 && yy > 0.0 && xy * xy > HALF * xx * yy).then(|| xy / xx)
+    (xx > 0.0 && yy > 0.0 && xy * xy > MIN_EXPLAINED_SHARE * xx * yy).then(|| xy / xx)
 }

@@ -8,31 +8,31 @@ use crate::{
 
 /// A SIMATIC S7's analogue input gives this many counts at 10 V (its manual); the paper's controller, and
 /// with it many examples, 32768.
-pub(super) const S7_COUNTS: f64 = 27_648.0;
+pub(super) const S7_FULL_SCALE_COUNTS: f64 = 27_648.0;
 /// Counts of a signed 16-bit input at full scale.
-pub(super) const FULL_COUNTS: f64 = 32_768.0;
+pub(super) const FULL_SCALE_COUNTS: f64 = 32_768.0;
 
 /// The shortest and the longest measuring range of a displacement sensor in µm: capacitive ones begin at
 /// 10 µm, and what measures more than 10 mm (eddy current, triangulation) does not fit a spindle nose.
-const RANGE_UM: [f64; 2] = [10.0, 10_000.0];
+const MEASURING_RANGE_UM: [f64; 2] = [10.0, 10_000.0];
 
 pub(super) fn warnings(machine: &Machine) -> Vec<Warning> {
     let Some(model) = &machine.spindle.sensor else { return Vec::new() };
     let input = machine.inputs.as_ref().and_then(|inputs| inputs.sensor);
     let of_input = input.map(|input| {
         [
-            zero_beyond_full_scale(machine, model, &input),
-            counts_of_another_input(machine, model, &input),
-            range_of_no_sensor(machine, model, &input),
+            zero_beyond_full_scale_warning(machine, model, &input),
+            count_scale_warning(machine, model, &input),
+            implausible_range_warning(machine, model, &input),
         ]
     });
-    negative_gain(machine, model)
+    negative_gain_warning(machine, model)
         .into_iter()
         .chain(of_input.into_iter().flatten().flatten())
         .collect()
 }
 
-fn zero_beyond_full_scale(
+fn zero_beyond_full_scale_warning(
     machine: &Machine,
     model: &SensorModel,
     input: &SensorInput,
@@ -42,7 +42,7 @@ fn zero_beyond_full_scale(
         return None;
     }
     let full = input.counts_full_scale;
-    Some(Warning::at(
+    Some(Warning::for_key(
         machine,
         "spindle.sensor.zero_counts",
         &format!("{zero_counts} is beyond full scale: the input gives 0 to {full} counts"),
@@ -50,9 +50,9 @@ fn zero_beyond_full_scale(
     ))
 }
 
-fn negative_gain(machine: &Machine, model: &SensorModel) -> Option<Warning> {
+fn negative_gain_warning(machine: &Machine, model: &SensorModel) -> Option<Warning> {
     (model.um_per_count < 0.0).then(|| {
-        Warning::at(
+        Warning::for_key(
             machine,
             "spindle.sensor.um_per_count",
             &format!(
@@ -66,22 +66,22 @@ fn negative_gain(machine: &Machine, model: &SensorModel) -> Option<Warning> {
 
 /// 500 µm over 27648 counts next to a full scale of 32768, or the other way round: the range of the sensor
 /// is a round number by one of the two inputs, and not by the one that the file names.
-fn counts_of_another_input(
+fn count_scale_warning(
     machine: &Machine,
     model: &SensorModel,
     input: &SensorInput,
 ) -> Option<Warning> {
     let other = match input.counts_full_scale {
-        FULL_COUNTS => S7_COUNTS,
-        S7_COUNTS => FULL_COUNTS,
+        FULL_SCALE_COUNTS => S7_FULL_SCALE_COUNTS,
+        S7_FULL_SCALE_COUNTS => FULL_SCALE_COUNTS,
         _ => return None,
     };
     let range_um = |counts: f64| model.um_per_count.abs() * counts;
     let (here_um, there_um) = (range_um(input.counts_full_scale), range_um(other));
-    if is_round(here_um) || !is_round(there_um) {
+    if is_data_sheet_range(here_um) || !is_data_sheet_range(there_um) {
         return None;
     }
-    Some(Warning::at(
+    Some(Warning::for_key(
         machine,
         "inputs.sensor.counts_full_scale",
         &format!(
@@ -95,23 +95,23 @@ fn counts_of_another_input(
 
 /// Returns whether a measuring range is one that stands on a data sheet: a multiple of 50 µm, to a part in 10 000.
 /// One in a hundred ranges that are none is so by chance.
-fn is_round(range_um: f64) -> bool {
-    const STEP_UM: f64 = 50.0;
-    let nearest = (range_um / STEP_UM).round() * STEP_UM;
+fn is_data_sheet_range(range_um: f64) -> bool {
+    const RANGE_STEP_UM: f64 = 50.0;
+    let nearest = (range_um / RANGE_STEP_UM).round() * RANGE_STEP_UM;
     nearest > 0.0 && (range_um - nearest).abs() <= 1e-4 * range_um
 }
 
-fn range_of_no_sensor(
+fn implausible_range_warning(
     machine: &Machine,
     model: &SensorModel,
     input: &SensorInput,
 ) -> Option<Warning> {
     let range_um = model.um_per_count.abs() * input.counts_full_scale;
-    let [least, most] = RANGE_UM;
+    let [least, most] = MEASURING_RANGE_UM;
     if (least..=most).contains(&range_um) {
         return None;
     }
-    Some(Warning::at(
+    Some(Warning::for_key(
         machine,
         "spindle.sensor.um_per_count",
         &format!(

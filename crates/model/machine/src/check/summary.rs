@@ -1,14 +1,14 @@
 //! The effects of a machine file: how far each axis may be moved and by what, how fast, how finely the
 //! sensor is read, and how much of the board's memory it takes.
 
-use trueup_store::calibration::MAX_SIZE;
+use trueup_store::calibration::MAX_BLOB_SIZE;
 
 use super::{
-    extent::{Part, along, of_axis, of_elongation},
-    limits::unnoticed_um_per_s,
+    error_bounds::{ErrorBound, axis_error_bounds, elongation_bounds, elongation_share},
+    limits::max_unnoticed_slew_um_per_s,
 };
 use crate::{
-    compile::{SHOWN_INPUT, compile},
+    compile::{DECOMPILED_INPUT, compile},
     file::{LinearAxis, Machine},
     location::BadInput,
 };
@@ -38,7 +38,7 @@ pub struct AxisSummary {
     /// Which.
     pub axis: LinearAxis,
     /// The parts of the correction, each with its largest error.
-    pub parts: Vec<Part>,
+    pub parts: Vec<ErrorBound>,
     /// The largest offset on X, Y or Z that the board gives, in µm.
     pub limit_um: f64,
 }
@@ -62,7 +62,7 @@ impl AxisSummary {
     /// Returns the largest error of all parts together, in µm: what they make if all are at their largest and of
     /// one sign. `None` where one of them grows with a travel that is not known.
     #[must_use]
-    pub fn largest_um(&self) -> Option<f64> {
+    pub fn max_total_error_um(&self) -> Option<f64> {
         // Not `sum`, for which nothing at all is −0.
         self.parts.iter().try_fold(0.0, |sum, part| Some(sum + part.largest_um?))
     }
@@ -71,47 +71,51 @@ impl AxisSummary {
 impl Summary {
     /// Of a machine.
     #[must_use]
-    pub fn of(machine: &Machine) -> Self {
+    pub fn from_machine(machine: &Machine) -> Self {
         let compiled = compile(machine);
         let slew_um_per_s = machine.limits.slew_um_per_s;
         Self {
             axes: LinearAxis::ALL.map(|axis| AxisSummary {
                 axis,
-                parts: parts(machine, axis),
+                parts: axis_error_bounds_with_elongation(machine, axis),
                 limit_um: machine.limits.max_um[axis.index()],
             }),
             slew_um_per_s,
-            slowest_rapid_mm_per_min: slew_um_per_s / unnoticed_um_per_s(1.0),
+            slowest_rapid_mm_per_min: slew_um_per_s / max_unnoticed_slew_um_per_s(1.0),
             jumps_pass: LinearAxis::ALL
                 .into_iter()
                 .filter(|axis| machine.axes[axis.index()].rapid_mm_per_min.is_none())
                 .collect(),
-            sensor: sensor(machine),
+            sensor: sensor_summary(machine),
             bytes: compiled.map(|compiled| compiled.blob().len()),
-            most_bytes: MAX_SIZE,
+            most_bytes: MAX_BLOB_SIZE,
         }
     }
 }
 
 /// Returns the parts of an axis, and the share of the growth that comes to lie along it: all of it where a head
 /// can turn the tool there.
-fn parts(machine: &Machine, axis: LinearAxis) -> Vec<Part> {
-    let share = along(machine, axis);
+fn axis_error_bounds_with_elongation(machine: &Machine, axis: LinearAxis) -> Vec<ErrorBound> {
+    let share = elongation_share(machine, axis);
     let source = machine.spindle.source.map(|source| format!("spindle.{}", source.name()));
     let growth =
-        of_elongation(machine).into_iter().filter(|part| Some(&part.key) == source.as_ref());
+        elongation_bounds(machine).into_iter().filter(|part| Some(&part.key) == source.as_ref());
     let growth =
-        growth.map(|part| Part { largest_um: part.largest_um.map(|um| um * share), ..part });
-    growth.filter(|part| part.largest_um != Some(0.0)).chain(of_axis(machine, axis)).collect()
+        growth.map(|part| ErrorBound { largest_um: part.largest_um.map(|um| um * share), ..part });
+    growth
+        .filter(|part| part.largest_um != Some(0.0))
+        .chain(axis_error_bounds(machine, axis))
+        .collect()
 }
 
-fn sensor(machine: &Machine) -> Option<SensorSummary> {
+fn sensor_summary(machine: &Machine) -> Option<SensorSummary> {
     let model = machine.spindle.sensor.as_ref()?;
     let input = machine.inputs.as_ref()?.sensor?;
     let um_per_count = model.um_per_count.abs();
     Some(SensorSummary {
         um_per_count,
-        um_per_code: um_per_count * input.counts_from_codes(SHOWN_INPUT.codes_from_counts(1.0)),
+        um_per_code: um_per_count
+            * input.counts_from_codes(DECOMPILED_INPUT.codes_from_counts(1.0)),
         range_um: um_per_count * input.counts_full_scale,
         volts_full_scale: input.volts_full_scale,
         counts_full_scale: input.counts_full_scale,

@@ -260,20 +260,25 @@ fn written(pairs: &[(&str, &str)]) -> String {
 fn each_rule_has_a_file_that_breaks_it_and_one_beside_it_that_does_not() {
     for Rule { name, wrong, line, says, near } in RULES {
         let text = written(wrong);
-        let warnings = super::machine(&parse(&text));
+        let warnings = super::machine_warnings(&parse(&text));
         assert_eq!(warnings.len(), 1, "{name}: {warnings:#?}");
         let there = text.lines().nth(warnings[0].place.line - 1).expect("a line of the file");
         assert!(there.starts_with(line), "{name}: {there}: {warnings:?}");
         assert!(warnings[0].what.contains(says), "{name}: {warnings:?}");
         assert!(!warnings[0].help.is_empty(), "{name}: {warnings:?}");
-        assert_eq!(super::machine(&parse(&written(near))), [], "{name}, as near as it may come");
+        assert_eq!(
+            super::machine_warnings(&parse(&written(near))),
+            [],
+            "{name}, as near as it may come"
+        );
     }
 }
 
 #[test]
 fn a_file_that_corrects_nothing() {
     let head = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
-    let told = |text: &str| corrects_nothing(&parse(&format!("{head}{text}"))).map(|it| it.what);
+    let told =
+        |text: &str| no_correction_warning(&parse(&format!("{head}{text}"))).map(|it| it.what);
     assert!(told("").expect("nothing").contains("every offset at 0"));
     let sensor = "[spindle.sensor]\nk0_um = 0.0\nzero_counts = 1.0\num_per_count = 0.1\n";
     assert!(told(sensor).expect("nothing").contains("no source"));
@@ -292,7 +297,7 @@ fn growth_with_a_speed_that_the_file_does_not_say_is_not_called_0() {
             "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"warmup\"\n\
              [spindle.warmup]\nlag_s = 60\nwarm_s = 5400\nmax_um = 30\nexponent = 4\n{rated}{growth}"
         );
-        Summary::of(&parse(&text)).axes[2].largest_um()
+        Summary::from_machine(&parse(&text)).axes[2].max_total_error_um()
     };
     let rated = "rated_rpm = 10000\n";
     let tools = "[spindle.tools]\ndefault = { um_per_krpm2 = 0.02 }\n3 = { um_per_krpm2 = 0.1 }\n";
@@ -309,7 +314,10 @@ fn growth_with_a_speed_that_the_file_does_not_say_is_not_called_0() {
 
 fn told_of_run(text: &str, machine: Option<&Machine>) -> Vec<String> {
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
-    super::run(&run, machine).into_iter().map(|it| format!("{}: {}", it.place, it.what)).collect()
+    super::run_warnings(&run, machine)
+        .into_iter()
+        .map(|it| format!("{}: {}", it.place, it.what))
+        .collect()
 }
 
 /// A warning of the run, and none of `right`.
@@ -398,13 +406,13 @@ fn a_column_in_another_unit_is_told_by_its_name() {
 
 #[test]
 fn a_summary_has_the_largest_of_each_part_and_the_room_on_the_board() {
-    let summary = Summary::of(&parse(RIGHT));
+    let summary = Summary::from_machine(&parse(RIGHT));
     let [x, y, z] = &summary.axes;
-    assert_eq!(y.largest_um().map(f64::to_bits), Some(0), "not −0, which JSON would show");
+    assert_eq!(y.max_total_error_um().map(f64::to_bits), Some(0), "not −0, which JSON would show");
     // 10 K at 1 m: 10 + 115; the table 4; backlash 3 and the term's 1.
-    assert_eq!(x.largest_um(), Some(125.0 + 4.0 + 3.0 + 1.0));
+    assert_eq!(x.max_total_error_um(), Some(125.0 + 4.0 + 3.0 + 1.0));
     // 20 of the growth, 15 of the axis, 5 of the curve, 5 of the squareness.
-    assert_eq!(z.largest_um(), Some(45.0));
+    assert_eq!(z.max_total_error_um(), Some(45.0));
     assert!(summary.bytes.is_ok_and(|bytes| bytes > 500 && bytes < summary.most_bytes));
     // 20 µm/s are 1 % of 2 mm/s.
     assert!((summary.slowest_rapid_mm_per_min - 120.0).abs() < 1e-9);

@@ -18,8 +18,13 @@ pub struct Warning {
 
 impl Warning {
     /// Of the key of a machine file; `what` goes on after the key: "40000 is beyond …".
-    pub(super) fn at(machine: &Machine, key: &str, what: &str, help: impl Into<String>) -> Self {
-        let BadInput { place, rule, .. } = machine.places.bad(key, what);
+    pub(super) fn for_key(
+        machine: &Machine,
+        key: &str,
+        what: &str,
+        help: impl Into<String>,
+    ) -> Self {
+        let BadInput { place, rule, .. } = machine.places.key_error(key, what);
         Self { place, what: rule, help: help.into() }
     }
 }

@@ -19,12 +19,12 @@
 
 use trueup_core::{
     curve::{Curve, MAX_KNOTS_IN_BUCKET, Segment},
-    units::{Fine, Position},
+    units::{FineNanometres, Position},
 };
 
 use crate::{
     file::BSpline,
-    stored::{FINE_PER_UM, UNITS_PER_MM, rounded, written},
+    unit_conversion::{FINE_UNITS_PER_UM, POSITION_UNITS_PER_MM, round_to_i32, to_user_value},
 };
 
 /// A curve whose tables are owned.
@@ -40,7 +40,7 @@ pub(super) struct OwnedCurve {
 
 impl OwnedCurve {
     /// No curve.
-    pub(super) const NONE: Self = Self {
+    pub(super) const EMPTY: Self = Self {
         segments: Vec::new(),
         index: Vec::new(),
         first: Position(0),
@@ -56,20 +56,20 @@ impl OwnedCurve {
 
 /// One piece of a curve: from `start` to `end` in position units it is `value`, in fine units of a
 /// place in position units, and a cubic at most.
-pub(super) struct Piece<'f> {
+pub(super) struct CurvePiece<'f> {
     pub(super) start: i32,
     pub(super) end: i32,
     pub(super) value: Box<dyn Fn(f64) -> f64 + 'f>,
 }
 
 /// Why a curve cannot be made: goes on after its name.
-pub(super) type Reason = String;
+pub(super) type ErrorMessage = String;
 
 /// Returns the pieces of a B-spline between its distinct knots.
 ///
 /// # Errors
 /// A knot is outside the board's positions, or two are not a position unit apart.
-pub(super) fn pieces_of(spline: &BSpline) -> Result<Vec<Piece<'_>>, Reason> {
+pub(super) fn spline_pieces(spline: &BSpline) -> Result<Vec<CurvePiece<'_>>, ErrorMessage> {
     let BSpline { order, knots_mm, .. } = spline;
     let mut pieces = Vec::new();
     for span in order - 1..knots_mm.len() - order {
@@ -77,23 +77,25 @@ pub(super) fn pieces_of(spline: &BSpline) -> Result<Vec<Piece<'_>>, Reason> {
         if low == high {
             continue;
         }
-        let (start, end) = (units(low)?, units(high)?);
+        let (start, end) = (mm_to_units(low)?, mm_to_units(high)?);
         if start >= end {
             return Err(format!("has knots at {low} and {high} mm, closer than the board's 10 nm"));
         }
-        let value = move |place: f64| in_span(spline, span, place / UNITS_PER_MM) * FINE_PER_UM;
-        pieces.push(Piece { start, end, value: Box::new(value) });
+        let value = move |place: f64| {
+            evaluate_span(spline, span, place / POSITION_UNITS_PER_MM) * FINE_UNITS_PER_UM
+        };
+        pieces.push(CurvePiece { start, end, value: Box::new(value) });
     }
     Ok(pieces)
 }
 
-fn units(mm: f64) -> Result<i32, Reason> {
-    rounded(mm * UNITS_PER_MM)
+fn mm_to_units(mm: f64) -> Result<i32, ErrorMessage> {
+    round_to_i32(mm * POSITION_UNITS_PER_MM)
         .ok_or_else(|| format!("reaches {mm} mm, beyond the board's ±21474 mm"))
 }
 
 /// Returns the polynomial of one knot span by de Boor's recurrence, also beyond the span's ends.
-fn in_span(spline: &BSpline, span: usize, x: f64) -> f64 {
+fn evaluate_span(spline: &BSpline, span: usize, x: f64) -> f64 {
     let degree = spline.order - 1;
     let knots = &spline.knots_mm;
     let mut points: Vec<f64> = spline.control_um[span - degree..=span].to_vec();
@@ -112,9 +114,9 @@ fn in_span(spline: &BSpline, span: usize, x: f64) -> f64 {
 ///
 /// # Errors
 /// A coefficient does not fit, or the knots lie too irregularly for the index.
-pub(super) fn build(pieces: &[Piece<'_>]) -> Result<OwnedCurve, Reason> {
+pub(super) fn build_curve(pieces: &[CurvePiece<'_>]) -> Result<OwnedCurve, ErrorMessage> {
     let Some(first) = pieces.first() else {
-        return Ok(OwnedCurve::NONE);
+        return Ok(OwnedCurve::EMPTY);
     };
     let mut segments = Vec::new();
     for piece in pieces {
@@ -122,7 +124,7 @@ pub(super) fn build(pieces: &[Piece<'_>]) -> Result<OwnedCurve, Reason> {
     }
     let ends: Vec<i64> =
         segments.iter().map(|it| i64::from(it.end.0) - i64::from(first.start)).collect();
-    let (bucket_shift, index) = index(&ends)?;
+    let (bucket_shift, index) = build_bucket_index(&ends)?;
     let mut curve = OwnedCurve {
         segments: segments.iter().map(Segment::to_bytes).collect(),
         index,
@@ -130,7 +132,7 @@ pub(super) fn build(pieces: &[Piece<'_>]) -> Result<OwnedCurve, Reason> {
         bucket_shift,
         largest_difference_nm: 0.0,
     };
-    curve.largest_difference_nm = largest_difference_nm(&curve.view(), pieces);
+    curve.largest_difference_nm = max_difference_nm(&curve.view(), pieces);
     Ok(curve)
 }
 
@@ -138,10 +140,10 @@ pub(super) fn build(pieces: &[Piece<'_>]) -> Result<OwnedCurve, Reason> {
 /// halves. The knots stay where they are.
 fn add_segments(
     segments: &mut Vec<Segment>,
-    piece: &Piece<'_>,
+    piece: &CurvePiece<'_>,
     start: i32,
     end: i32,
-) -> Result<(), Reason> {
+) -> Result<(), ErrorMessage> {
     let length = end.abs_diff(start);
     // The knot at its start belongs to the segment before, except at the first.
     let reach = if segments.is_empty() { length } else { length.saturating_sub(1) };
@@ -152,9 +154,9 @@ fn add_segments(
     // Four places inside the piece, in the segment's own variable.
     let width = 2.0 * f64::from(length) / dyadic;
     let t: [f64; 4] = std::array::from_fn(|n| -1.0 + width * n as f64 / 3.0);
-    let c = cubic_through(t, t.map(|t| (piece.value)(place(t))));
+    let c = interpolating_cubic(t, t.map(|t| (piece.value)(place(t))));
     // A high word halves: what meets it twice is stored twice as large, and so on.
-    let stored = [c[0], c[1], c[2] * 2.0, c[3] * 4.0].map(rounded);
+    let stored = [c[0], c[1], c[2] * 2.0, c[3] * 4.0].map(round_to_i32);
     if let [Some(c0), Some(c1), Some(c2), Some(c3)] = stored {
         let segment = Segment::new(Position(end), shift, [c0, c1, c2, c3]);
         if segment.is_sound(reach) {
@@ -165,8 +167,8 @@ fn add_segments(
     if length < 2 {
         return Err(format!(
             "is {:.0} µm at {} mm, beyond the board's ±8388 µm",
-            (piece.value)(f64::from(start)) / FINE_PER_UM,
-            f64::from(start) / UNITS_PER_MM
+            (piece.value)(f64::from(start)) / FINE_UNITS_PER_UM,
+            f64::from(start) / POSITION_UNITS_PER_MM
         ));
     }
     let middle = start.midpoint(end);
@@ -176,7 +178,7 @@ fn add_segments(
 
 /// Returns the coefficients, constant first, of the cubic through four points (Newton's divided
 /// differences, multiplied out).
-fn cubic_through(x: [f64; 4], y: [f64; 4]) -> [f64; 4] {
+fn interpolating_cubic(x: [f64; 4], y: [f64; 4]) -> [f64; 4] {
     let mut d = y;
     for level in 1..4 {
         for n in (level..4).rev() {
@@ -196,10 +198,10 @@ fn cubic_through(x: [f64; 4], y: [f64; 4]) -> [f64; 4] {
 
 /// Returns the bucket index over ends of segments, counted from the first knot: as few buckets as keep the
 /// search short. A bucket names the segment of its first position.
-fn index(ends: &[i64]) -> Result<(u8, Vec<[u8; 2]>), Reason> {
+fn build_bucket_index(ends: &[i64]) -> Result<(u8, Vec<[u8; 2]>), ErrorMessage> {
     /// Entries that every curve may have for a segment: 4 bytes.
-    const ENTRIES_PER_SEGMENT: i64 = 2;
-    const MAX_ENTRIES: i64 = 4_096;
+    const INDEX_ENTRIES_PER_SEGMENT: i64 = 2;
+    const MAX_INDEX_ENTRIES: i64 = 4_096;
     let length = ends.last().copied().unwrap_or_default();
     let entries = |shift: u8| (length >> shift) + 1;
     let named = |place: i64| ends.partition_point(|&end| end < place);
@@ -213,8 +215,8 @@ fn index(ends: &[i64]) -> Result<(u8, Vec<[u8; 2]>), Reason> {
             .max()
             .unwrap_or(0)
     };
-    let share = (ENTRIES_PER_SEGMENT * ends.len() as i64).max(4);
-    let shifts = || (1..=32_u8).rev().filter(|&shift| entries(shift) <= MAX_ENTRIES);
+    let share = (INDEX_ENTRIES_PER_SEGMENT * ends.len() as i64).max(4);
+    let shifts = || (1..=32_u8).rev().filter(|&shift| entries(shift) <= MAX_INDEX_ENTRIES);
     let within_share = || shifts().filter(|&shift| entries(shift) <= share);
     let shift = within_share()
         .find(|&shift| steps(shift) <= 1)
@@ -222,7 +224,7 @@ fn index(ends: &[i64]) -> Result<(u8, Vec<[u8; 2]>), Reason> {
         .or_else(|| shifts().find(|&shift| steps(shift) <= MAX_KNOTS_IN_BUCKET))
         .ok_or_else(|| {
             format!(
-                "has more than {MAX_KNOTS_IN_BUCKET} knots within a {MAX_ENTRIES}th of its length"
+                "has more than {MAX_KNOTS_IN_BUCKET} knots within a {MAX_INDEX_ENTRIES}th of its length"
             )
         })?;
     let index = (0..entries(shift)).map(|bucket| {
@@ -233,40 +235,40 @@ fn index(ends: &[i64]) -> Result<(u8, Vec<[u8; 2]>), Reason> {
 }
 
 /// At every end of a segment and at places between.
-fn largest_difference_nm(curve: &Curve<'_>, pieces: &[Piece<'_>]) -> f64 {
-    const PLACES: i64 = 48;
+fn max_difference_nm(curve: &Curve<'_>, pieces: &[CurvePiece<'_>]) -> f64 {
+    const SAMPLES_PER_PIECE: i64 = 48;
     let mut worst: f64 = 0.0;
     for (number, piece) in pieces.iter().enumerate() {
         let length = i64::from(piece.end) - i64::from(piece.start);
-        for n in 0..=PLACES {
-            let place = i64::from(piece.start) + length * n / PLACES;
+        for n in 0..=SAMPLES_PER_PIECE {
+            let place = i64::from(piece.start) + length * n / SAMPLES_PER_PIECE;
             // The knot at a start belongs to the piece before.
             if n == 0 && number > 0 {
                 continue;
             }
             let place = i32::try_from(place).expect("between two of i32");
-            let board = f64::from(curve.at(Position(place)).0.0);
+            let board = f64::from(curve.evaluate(Position(place)).0.0);
             let difference = board - (piece.value)(f64::from(place));
-            worst = worst.max(difference.abs() / f64::from(Fine::PER_NANOMETRE));
+            worst = worst.max(difference.abs() / f64::from(FineNanometres::PER_NANOMETRE));
         }
     }
     worst
 }
 
 /// Returns the steepest slope of a curve in µm per mm, and where it is in mm.
-pub(super) fn steepest(pieces: &[Piece<'_>]) -> (f64, f64) {
+pub(super) fn steepest_slope(pieces: &[CurvePiece<'_>]) -> (f64, f64) {
     let mut worst = (0.0, 0.0);
     for piece in pieces {
         let (start, end) = (f64::from(piece.start), f64::from(piece.end));
         // The slope of a cubic is a parabola; by differences it is right at the middle of each.
-        const PLACES: u32 = 64;
-        let step = (end - start) / f64::from(PLACES);
-        for n in 0..PLACES {
+        const SAMPLES_PER_PIECE: u32 = 64;
+        let step = (end - start) / f64::from(SAMPLES_PER_PIECE);
+        for n in 0..SAMPLES_PER_PIECE {
             let low = start + step * f64::from(n);
             let rise = (piece.value)(low + step) - (piece.value)(low);
-            let slope = rise / FINE_PER_UM / (step / UNITS_PER_MM);
+            let slope = rise / FINE_UNITS_PER_UM / (step / POSITION_UNITS_PER_MM);
             if slope.abs() > f64::abs(worst.0) {
-                worst = (slope, low / UNITS_PER_MM);
+                worst = (slope, low / POSITION_UNITS_PER_MM);
             }
         }
     }
@@ -275,16 +277,16 @@ pub(super) fn steepest(pieces: &[Piece<'_>]) -> (f64, f64) {
 
 /// Returns a spline, and its largest difference from the model in nm.
 pub(super) fn compile_curve(spline: &BSpline) -> Result<(OwnedCurve, f64), String> {
-    let pieces = pieces_of(spline)?;
-    let curve = build(&pieces)?;
+    let pieces = spline_pieces(spline)?;
+    let curve = build_curve(&pieces)?;
     let difference_nm = curve.largest_difference_nm;
     Ok((curve, difference_nm))
 }
 
 /// Returns the curve as a user writes it: each knot three times.
-pub(super) fn inverse(curve: &Curve<'_>) -> BSpline {
-    let mm = |place: i32| written(place, UNITS_PER_MM);
-    let mut start = curve.first().0;
+pub(super) fn decompile(curve: &Curve<'_>) -> BSpline {
+    let mm = |place: i32| to_user_value(place, POSITION_UNITS_PER_MM);
+    let mut start = curve.first_knot().0;
     let mut knots_mm = vec![mm(start); 4];
     let mut control: Vec<f64> = Vec::new();
     for bytes in curve.segments() {
@@ -301,20 +303,20 @@ pub(super) fn inverse(curve: &Curve<'_>) -> BSpline {
     }
     knots_mm.push(mm(start));
     // 1e-8 µm is 1/390 of the board's unit.
-    let um = control.iter().map(|fine| (fine / FINE_PER_UM * 1e8).round() / 1e8 + 0.0);
+    let um = control.iter().map(|fine| (fine / FINE_UNITS_PER_UM * 1e8).round() / 1e8 + 0.0);
     BSpline { order: 4, knots_mm, control_um: um.collect() }
 }
 
 /// Returns an angle, stored as its error at the board's lever of `lever_m`, in µrad.
-pub(super) fn inverse_angle(curve: &Curve<'_>, lever_m: f64) -> BSpline {
-    let mut spline = inverse(curve);
+pub(super) fn decompile_angle(curve: &Curve<'_>, lever_m: f64) -> BSpline {
+    let mut spline = decompile(curve);
     // As fine as the µm are there.
     let urad = |um: &mut f64| *um = (*um / lever_m * 1e8).round() / 1e8 + 0.0;
     spline.control_um.iter_mut().for_each(urad);
     spline
 }
 
-/// Returns the Bézier points of a segment that begins at `start`, in [`Fine`] units.
+/// Returns the Bézier points of a segment that begins at `start`, in [`FineNanometres`] units.
 fn bezier_points(segment: &Segment, start: i32) -> [f64; 4] {
     let [c0, c1, c2, c3] = segment.coefficients.map(f64::from);
     let span = 2_f64.powi(32 - i32::from(segment.shift));

@@ -3,43 +3,45 @@
 use std::collections::BTreeMap;
 
 use trueup_core::{
-    calibration::{Guards, Mains},
-    dimensions::CHANNELS,
-    term::{Effect, OnOff, Term, Terms},
-    thermal_rate::MAX_TENTHS,
+    calibration::{InputSettings, MainsFrequency},
+    dimensions::CHANNEL_COUNT,
+    term::{ConditionLevels, Effect, Term, Terms},
+    thermal_rate::MAX_RATE_DECIKELVIN_PER_MIN,
     thermometer::Thermometer,
 };
 
 use crate::{
-    effect::OnBoard,
+    effect::BoardTerm,
     file::{Machine, is_temperature_column},
     inputs::{
-        ConditionInput, CountScale, Inputs, LAST_CHANNEL, LinearInput, SensorInput,
+        ConditionInput, CountScale, Inputs, LinearInput, MAX_CHANNEL, SensorInput,
         TemperatureInput, TemperatureKind,
     },
     location::BadInput,
     model::required_columns,
-    stored::{PER_KELVIN, fewest_decimals, rounded, written},
+    unit_conversion::{
+        TEMPERATURE_UNITS_PER_KELVIN, round_to_i32, shortest_decimal, to_user_value,
+    },
 };
 
 /// The board stores a rate in tenths of a kelvin a minute.
-const TENTHS: f64 = 10.0;
+const RATE_UNITS_PER_KELVIN_PER_MIN: f64 = 10.0;
 
 /// A linear chain delivers this many parts of a count.
-const DELIVERED_PER_COUNT: f64 = 256.0;
+const SUBCOUNTS_PER_COUNT: f64 = 256.0;
 
 /// The inputs of a machine that comes from a calibration: one count is one ADC code, exactly.
-pub(crate) const SHOWN_INPUT: SensorInput =
+pub(crate) const DECOMPILED_INPUT: SensorInput =
     SensorInput { volts_full_scale: 10.0, counts_full_scale: 4096.0, divider: 0.33 };
 
 /// Returns the channel of a temperature column that the section `key` uses.
-pub(super) fn channel(machine: &Machine, key: &str, column: &str) -> Result<u8, BadInput> {
+pub(super) fn find_channel(machine: &Machine, key: &str, column: &str) -> Result<u8, BadInput> {
     let input = machine.inputs.as_ref().and_then(|inputs| inputs.temperatures.get(column));
     input.map(|input| input.channel).ok_or_else(|| {
         let rule = format!(
             "is \"{column}\", which [inputs] does not describe: the board must know its channel"
         );
-        machine.places.bad(&format!("{key}.sensor"), rule)
+        machine.places.key_error(&format!("{key}.sensor"), rule)
     })
 }
 
@@ -56,12 +58,13 @@ pub fn missing_inputs(machine: &Machine) -> Vec<String> {
     let is_free = |channel: &u8| {
         connected.is_none_or(|there| there.values().all(|input| input.channel != *channel))
     };
-    let mut free = (0..=LAST_CHANNEL).filter(is_free);
+    let mut free = (0..=MAX_CHANNEL).filter(is_free);
     let line = |name: String| match free.next() {
         Some(channel) => format!("{name} = {{ channel = {channel}, kind = \"pt100\" }}"),
         None => format!("# {name}: no channel is free"),
     };
-    let missing = required_columns(&machine.compensated()).into_iter().filter(is_missing);
+    let missing =
+        required_columns(&machine.with_compensated_terms()).into_iter().filter(is_missing);
     let mut lines: Vec<String> = missing.map(line).collect();
     lines.extend(missing_conditions(machine));
     if !lines.is_empty() && machine.inputs.is_none() {
@@ -74,11 +77,11 @@ pub fn missing_inputs(machine: &Machine) -> Vec<String> {
 fn missing_conditions(machine: &Machine) -> Vec<String> {
     let mut inputs = machine.inputs.clone().unwrap_or_default();
     let mut lines = Vec::new();
-    for column in conditions(machine) {
+    for column in board_conditions(machine) {
         if !inputs.conditions.contains_key(&column) {
-            let line = declaration(Some(&inputs), &column);
+            let line = condition_declaration(Some(&inputs), &column);
             lines.push(line);
-            let bit = free_bit(&inputs);
+            let bit = first_free_bit(&inputs);
             inputs
                 .conditions
                 .extend(bit.map(|bit| (column, ConditionInput { bit, default: false })));
@@ -88,8 +91,8 @@ fn missing_conditions(machine: &Machine) -> Vec<String> {
 }
 
 /// Returns the line of `[inputs]` for a condition, with the first bit that is free.
-pub(super) fn declaration(inputs: Option<&Inputs>, column: &str) -> String {
-    match inputs.map_or(Some(0), free_bit) {
+pub(super) fn condition_declaration(inputs: Option<&Inputs>, column: &str) -> String {
+    match inputs.map_or(Some(0), first_free_bit) {
         Some(bit) => format!("{column} = {{ kind = \"condition\", bit = {bit} }}"),
         None => format!("# {column}: no bit is free"),
     }
@@ -101,17 +104,17 @@ pub(super) fn condition_column(bit: u8) -> String {
 }
 
 /// Returns the first bit that no condition has.
-pub(crate) fn free_bit(inputs: &Inputs) -> Option<u8> {
+pub(crate) fn first_free_bit(inputs: &Inputs) -> Option<u8> {
     let taken = |bit: &u8| inputs.conditions.values().any(|it| it.bit == *bit);
-    (0..trueup_core::dimensions::CONDITIONS).find(|bit| !taken(bit))
+    (0..trueup_core::dimensions::CONDITION_COUNT).find(|bit| !taken(bit))
 }
 
 /// Returns the columns of the conditions that the board follows.
-pub(crate) fn conditions(machine: &Machine) -> Vec<String> {
-    let forms = machine.terms.iter().flat_map(|term| term.effect.on_board());
+pub(crate) fn board_conditions(machine: &Machine) -> Vec<String> {
+    let forms = machine.terms.iter().flat_map(|term| term.effect.board_terms());
     let mut columns: Vec<String> = forms
         .filter_map(|form| match form {
-            OnBoard::Condition { column, .. } => Some(column),
+            BoardTerm::Condition { column, .. } => Some(column),
             _ => None,
         })
         .collect();
@@ -120,43 +123,47 @@ pub(crate) fn conditions(machine: &Machine) -> Vec<String> {
     columns
 }
 
-pub(super) fn thermometers(machine: &Machine) -> Result<[Option<Thermometer>; CHANNELS], BadInput> {
-    let mut thermometers = [None; CHANNELS];
+pub(super) fn compile_thermometers(
+    machine: &Machine,
+) -> Result<[Option<Thermometer>; CHANNEL_COUNT], BadInput> {
+    let mut thermometers = [None; CHANNEL_COUNT];
     for (name, input) in machine.inputs.iter().flat_map(|inputs| &inputs.temperatures) {
         let key = format!("inputs.{name}");
         let thermometer = match input.kind {
             TemperatureKind::Pt100 => Some(Thermometer::Pt100),
             TemperatureKind::Linear(line) => {
-                let (zero_codes, codes_per_c) = line.in_codes();
-                linear_thermometer(zero_codes, codes_per_c)
+                let (zero_codes, codes_per_c) = line.linear_coefficients_in_codes();
+                compile_linear_thermometer(zero_codes, codes_per_c)
             }
         };
         let Some(thermometer) = thermometer else {
             let rule = "is a line that the board cannot store: one °C must be from 0.01 to 10000 codes either way \
                         (a code is 2.46 mV at an input with the divider 0.328), 0 °C within ±8388607 codes";
-            return Err(machine.places.bad(&key, rule));
+            return Err(machine.places.key_error(&key, rule));
         };
         let place = thermometers.get_mut(usize::from(input.channel));
         *place.ok_or_else(|| {
-            machine.places.bad(&format!("{key}.channel"), "must be from 0 to 7")
+            machine.places.key_error(&format!("{key}.channel"), "must be from 0 to 7")
         })? = Some(thermometer);
     }
     Ok(thermometers)
 }
 
 /// Returns the fastest changes of the channels, in tenths of a kelvin a minute.
-pub(super) fn guards(machine: &Machine) -> Result<Guards, BadInput> {
+pub(super) fn compile_input_settings(machine: &Machine) -> Result<InputSettings, BadInput> {
     let inputs = machine.inputs.as_ref();
     let service_switch = inputs.is_some_and(|inputs| inputs.service_switch);
     let mains = inputs.map(|inputs| inputs.mains).unwrap_or_default();
-    let mut guards = Guards { service_switch, mains, ..Guards::default() };
+    let mut guards = InputSettings { service_switch, mains, ..InputSettings::default() };
     for (name, input) in machine.inputs.iter().flat_map(|inputs| &inputs.temperatures) {
         let Some(rate) = input.max_c_per_min else { continue };
-        let tenths = rounded(rate * TENTHS).and_then(|tenths| u16::try_from(tenths).ok());
-        let tenths =
-            tenths.filter(|tenths| (1..=MAX_TENTHS).contains(tenths)).ok_or_else(|| {
+        let tenths = round_to_i32(rate * RATE_UNITS_PER_KELVIN_PER_MIN)
+            .and_then(|tenths| u16::try_from(tenths).ok());
+        let tenths = tenths
+            .filter(|tenths| (1..=MAX_RATE_DECIKELVIN_PER_MIN).contains(tenths))
+            .ok_or_else(|| {
                 let rule = format!("{rate} K/min is not within 0.1 to 600");
-                machine.places.bad(&format!("inputs.{name}.max_c_per_min"), rule)
+                machine.places.key_error(&format!("inputs.{name}.max_c_per_min"), rule)
             })?;
         if let Some(place) = guards.max_rates.get_mut(usize::from(input.channel)) {
             *place = tenths;
@@ -167,27 +174,30 @@ pub(super) fn guards(machine: &Machine) -> Result<Guards, BadInput> {
 
 /// Counts are delivered in 1/256; the slope has as many binary places as fit. `None` outside the
 /// range that the rule names: what would still fit beyond it is a slip of the pen.
-pub(super) fn linear_thermometer(zero_counts: f64, counts_per_c: f64) -> Option<Thermometer> {
+pub(super) fn compile_linear_thermometer(
+    zero_counts: f64,
+    counts_per_c: f64,
+) -> Option<Thermometer> {
     if !(0.01..=10_000.0).contains(&counts_per_c.abs()) {
         return None;
     }
-    let units = PER_KELVIN / (counts_per_c * DELIVERED_PER_COUNT);
-    let slope_at = |shift: u8| rounded(units * 2_f64.powi(shift.into()));
+    let units = TEMPERATURE_UNITS_PER_KELVIN / (counts_per_c * SUBCOUNTS_PER_COUNT);
+    let slope_at = |shift: u8| round_to_i32(units * 2_f64.powi(shift.into()));
     let shift = (0..=Thermometer::MAX_SHIFT).rev().find(|&shift| slope_at(shift).is_some())?;
     let slope = slope_at(shift)?;
-    let zero = rounded(zero_counts * DELIVERED_PER_COUNT)?;
+    let zero = round_to_i32(zero_counts * SUBCOUNTS_PER_COUNT)?;
     Some(Thermometer::Linear { zero, slope, shift })
 }
 
 /// Returns the inputs that a calibration knows; `None` where nothing is connected.
-pub(super) fn inverse(
+pub(super) fn decompile(
     has_sensor: bool,
-    thermometers: &[Option<Thermometer>; CHANNELS],
-    guards: &Guards,
+    thermometers: &[Option<Thermometer>; CHANNEL_COUNT],
+    guards: &InputSettings,
     terms: &Terms<'_>,
 ) -> Option<Inputs> {
     let of_term = |term: &Term<'_>| match term.effect {
-        Effect::Condition(OnOff { bit, default, .. }) => {
+        Effect::Condition(ConditionLevels { bit, default, .. }) => {
             Some((condition_column(bit), ConditionInput { bit, default }))
         }
         _ => None,
@@ -200,32 +210,33 @@ pub(super) fn inverse(
             Some(Thermometer::Pt100) => TemperatureKind::Pt100,
             Some(Thermometer::Linear { zero, slope, shift }) => {
                 TemperatureKind::Linear(LinearInput {
-                    zero_counts: written(zero, DELIVERED_PER_COUNT),
-                    counts_per_c: written_counts_per_c(slope, shift),
+                    zero_counts: to_user_value(zero, SUBCOUNTS_PER_COUNT),
+                    counts_per_c: decompile_counts_per_c(slope, shift),
                     scale: CountScale::Code,
                 })
             }
         };
-        let max_c_per_min = (tenths > 0).then(|| f64::from(tenths) / TENTHS);
-        temperatures.insert(column(channel), TemperatureInput { channel, kind, max_c_per_min });
+        let max_c_per_min = (tenths > 0).then(|| f64::from(tenths) / RATE_UNITS_PER_KELVIN_PER_MIN);
+        temperatures
+            .insert(temperature_column(channel), TemperatureInput { channel, kind, max_c_per_min });
     }
-    let sensor = has_sensor.then_some(SHOWN_INPUT);
+    let sensor = has_sensor.then_some(DECOMPILED_INPUT);
     let (service_switch, mains) = (guards.service_switch, guards.mains);
     let is_connected = has_sensor || !temperatures.is_empty() || service_switch;
-    let is_connected = is_connected || mains != Mains::default();
+    let is_connected = is_connected || mains != MainsFrequency::default();
     let is_connected = is_connected || !conditions.is_empty();
     is_connected.then_some(Inputs { sensor, temperatures, conditions, service_switch, mains })
 }
 
 /// A calibration holds channels, not the names of columns.
-pub(super) fn column(channel: u8) -> String {
+pub(super) fn temperature_column(channel: u8) -> String {
     format!("temp_ch{channel}_c")
 }
 
-fn written_counts_per_c(slope: i32, shift: u8) -> f64 {
+fn decompile_counts_per_c(slope: i32, shift: u8) -> f64 {
     // slope = this / (counts per °C)
-    let reciprocal = PER_KELVIN / DELIVERED_PER_COUNT * 2_f64.powi(shift.into());
+    let reciprocal = TEMPERATURE_UNITS_PER_KELVIN / SUBCOUNTS_PER_COUNT * 2_f64.powi(shift.into());
     let slope = f64::from(slope);
     let same = |counts: f64| (reciprocal / counts - slope).abs() < 0.49;
-    fewest_decimals(reciprocal / slope, same)
+    shortest_decimal(reciprocal / slope, same)
 }

@@ -2,24 +2,24 @@
 
 use trueup_core::{
     kinematics::{self, Kinematics},
-    tool::Direction,
+    tool_direction::Direction,
 };
 
 use crate::{
-    file::{Kind, RotaryAxis},
-    stored::rounded,
+    file::{MachineKind, RotaryAxis},
+    unit_conversion::round_to_i32,
 };
 
 /// Returns the tool's direction and the axes that turn it, on the board.
 pub(super) fn compile(tool_direction: [f64; 3], head_axes: &[RotaryAxis]) -> Kinematics {
     Kinematics {
         zero: compile_direction(tool_direction),
-        axes: std::array::from_fn(|n| head_axes.get(n).map(|axis| rotary(*axis))),
+        axes: std::array::from_fn(|n| head_axes.get(n).map(|axis| rotary_axis_to_board(*axis))),
     }
 }
 
 /// Returns the axis on the board.
-pub(super) fn rotary(axis: RotaryAxis) -> kinematics::RotaryAxis {
+pub(super) fn rotary_axis_to_board(axis: RotaryAxis) -> kinematics::RotaryAxis {
     match axis {
         RotaryAxis::A => kinematics::RotaryAxis::A,
         RotaryAxis::B => kinematics::RotaryAxis::B,
@@ -28,7 +28,7 @@ pub(super) fn rotary(axis: RotaryAxis) -> kinematics::RotaryAxis {
 }
 
 /// Returns the board's axis in the machine file.
-pub(super) fn rotary_inverse(axis: kinematics::RotaryAxis) -> RotaryAxis {
+pub(super) fn rotary_axis_from_board(axis: kinematics::RotaryAxis) -> RotaryAxis {
     match axis {
         kinematics::RotaryAxis::A => RotaryAxis::A,
         kinematics::RotaryAxis::B => RotaryAxis::B,
@@ -37,31 +37,31 @@ pub(super) fn rotary_inverse(axis: kinematics::RotaryAxis) -> RotaryAxis {
 }
 
 fn compile_direction(tool_direction: [f64; 3]) -> Direction {
-    let stored = |component: f64| rounded(component * f64::from(Direction::ONE));
+    let stored = |component: f64| round_to_i32(component * f64::from(Direction::ONE));
     // A component is at most 1 in magnitude, give or take the last bit of an f64: it always fits.
     Direction(tool_direction.map(|component| stored(component).expect("a length of 1")))
 }
 
 /// Returns what a user writes: the kind of machine, its axes and the direction in the fewest decimals,
 /// which is not of length 1.
-pub(super) fn inverse(
+pub(super) fn decompile(
     kinematics: &Kinematics,
     turns_workpiece: bool,
-) -> (Kind, Vec<RotaryAxis>, [f64; 3]) {
+) -> (MachineKind, Vec<RotaryAxis>, [f64; 3]) {
     let axes: Vec<RotaryAxis> =
-        kinematics.axes.iter().flatten().map(|axis| rotary_inverse(*axis)).collect();
+        kinematics.axes.iter().flatten().map(|axis| rotary_axis_from_board(*axis)).collect();
     let kind = match axes.len() {
-        0 if turns_workpiece => Kind::TableTable,
+        0 if turns_workpiece => MachineKind::TableTable,
         // It may be "table-table" as well: the board runs both alike.
-        0 => Kind::ThreeAxis,
-        1 => Kind::HeadTable,
-        _ => Kind::HeadHead,
+        0 => MachineKind::ThreeAxis,
+        1 => MachineKind::HeadTable,
+        _ => MachineKind::HeadHead,
     };
-    (kind, axes, written_direction(kinematics.zero))
+    (kind, axes, decompile_direction(kinematics.zero))
 }
 
 /// Returns the direction with the fewest decimals that is stored as `stored` again.
-fn written_direction(stored: Direction) -> [f64; 3] {
+fn decompile_direction(stored: Direction) -> [f64; 3] {
     const MAX_DECIMALS: i32 = 12;
     let unit = unit_vector_near(stored);
     (0..=MAX_DECIMALS)
@@ -70,12 +70,12 @@ fn written_direction(stored: Direction) -> [f64; 3] {
             // + 0.0 turns −0 into 0.
             unit.map(|component| (component * scale).round() / scale + 0.0)
         })
-        .find(|&written| is_stored_as(written, stored))
+        .find(|&written| compiles_to(written, stored))
         .unwrap_or(unit)
 }
 
 /// Returns whether the machine file's reader and the compiler make `stored` of `written`.
-fn is_stored_as(written: [f64; 3], stored: Direction) -> bool {
+fn compiles_to(written: [f64; 3], stored: Direction) -> bool {
     let length = written.iter().map(|component| component * component).sum::<f64>().sqrt();
     let one = f64::from(Direction::ONE);
     // Without a length this is NaN, which is equal to nothing.

@@ -1,15 +1,15 @@
 //! First-order lags: a time constant and the share of a step that the board takes every 100 ms.
 
-use trueup_core::{dimensions::STEP_MS, lag::SmoothingFactor};
+use trueup_core::{dimensions::THERMAL_STEP_MS, lag::SmoothingFactor};
 
-use super::curve::Reason;
-use crate::stored::{fewest_decimals, rounded_unsigned};
+use super::curve::ErrorMessage;
+use crate::unit_conversion::{round_to_u32, shortest_decimal};
 
 const SMOOTHING_ONE: f64 = (1_u64 << 32) as f64;
-const STEP_S: f64 = STEP_MS as f64 / 1_000.0;
+const STEP_S: f64 = THERMAL_STEP_MS as f64 / 1_000.0;
 
 /// 1 − e^(−Δt/τ) for the board's step; all of it where there is no lag.
-pub(super) fn smoothing_factor(time_constant_s: f64) -> Result<SmoothingFactor, Reason> {
+pub(super) fn smoothing_factor(time_constant_s: f64) -> Result<SmoothingFactor, ErrorMessage> {
     if time_constant_s == 0.0 {
         return Ok(SmoothingFactor::NO_LAG);
     }
@@ -18,14 +18,14 @@ pub(super) fn smoothing_factor(time_constant_s: f64) -> Result<SmoothingFactor, 
     if factor < 1_000.0 {
         return Err(format!("{time_constant_s} s is longer than the board can follow (5 days)"));
     }
-    Ok(SmoothingFactor(rounded_unsigned(factor).unwrap_or(u32::MAX)))
+    Ok(SmoothingFactor(round_to_u32(factor).unwrap_or(u32::MAX)))
 }
 
 /// Returns the smoothing factors while it rises and while it falls, which is the same unless it is given.
 pub(super) fn smoothing_factors(
     rising_s: f64,
     falling_s: Option<f64>,
-) -> Result<[SmoothingFactor; 2], Reason> {
+) -> Result<[SmoothingFactor; 2], ErrorMessage> {
     Ok([smoothing_factor(rising_s)?, smoothing_factor(falling_s.unwrap_or(rising_s))?])
 }
 
@@ -35,15 +35,15 @@ pub(crate) fn time_constant_s(smoothing: SmoothingFactor) -> f64 {
 }
 
 /// Returns whether a lag of this time constant is stored as `smoothing`.
-pub(super) fn is_smoothing(time_constant_s: f64, smoothing: SmoothingFactor) -> bool {
+pub(super) fn compiles_to(time_constant_s: f64, smoothing: SmoothingFactor) -> bool {
     let stored = -(-STEP_S / time_constant_s).exp_m1() * SMOOTHING_ONE;
     (stored - f64::from(smoothing.0)).abs() < 0.49
 }
 
 /// Returns the time constant that a user writes for `smoothing`; 0: no lag.
-pub(super) fn written_time_constant_s(smoothing: SmoothingFactor) -> f64 {
+pub(super) fn decompile_time_constant_s(smoothing: SmoothingFactor) -> f64 {
     if smoothing == SmoothingFactor::NO_LAG {
         return 0.0;
     }
-    fewest_decimals(time_constant_s(smoothing), |time_s| is_smoothing(time_s, smoothing))
+    shortest_decimal(time_constant_s(smoothing), |time_s| compiles_to(time_s, smoothing))
 }

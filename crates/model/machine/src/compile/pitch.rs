@@ -1,14 +1,17 @@
 //! Position tables.
 
 use trueup_core::{
-    pitch::Pitch,
+    pitch_table::PitchErrorTable,
     travel::{Fraction, Interval},
     units::Position,
 };
 
 use crate::{
     file, model,
-    stored::{FINE_PER_UM, NM_PER_UM, UNITS_PER_MM, rounded, rounded_unsigned, written},
+    unit_conversion::{
+        FINE_UNITS_PER_UM, NM_PER_UM, POSITION_UNITS_PER_MM, round_to_i32, round_to_u32,
+        to_user_value,
+    },
 };
 
 /// The tables of one pitch section.
@@ -20,8 +23,8 @@ pub(super) struct PitchTables {
 }
 
 impl PitchTables {
-    pub(super) fn view(&self) -> Pitch<'_> {
-        Pitch {
+    pub(super) fn view(&self) -> PitchErrorTable<'_> {
+        PitchErrorTable {
             start: self.start,
             step: self.step,
             forward: &self.forward,
@@ -31,17 +34,17 @@ impl PitchTables {
 }
 
 /// Returns a pitch table, and its largest difference from the model in nm.
-pub(super) fn compile_pitch(pitch: &file::Pitch) -> Result<(PitchTables, f64), String> {
-    let start = rounded(pitch.start_mm * UNITS_PER_MM)
+pub(super) fn compile_pitch(pitch: &file::PitchErrorTable) -> Result<(PitchTables, f64), String> {
+    let start = round_to_i32(pitch.start_mm * POSITION_UNITS_PER_MM)
         .map(Position)
         .ok_or_else(|| format!("starts at {} mm, beyond the board's ±21474 mm", pitch.start_mm))?;
-    let step = rounded_unsigned(pitch.step_mm * UNITS_PER_MM).filter(|&step| step > 0);
+    let step = round_to_u32(pitch.step_mm * POSITION_UNITS_PER_MM).filter(|&step| step > 0);
     let step = step.ok_or_else(|| {
         format!("has a step of {} mm; the board's are 10 nm to 42949 mm", pitch.step_mm)
     })?;
     let points = |errors: &[f64]| {
         let stored = errors.iter().map(|&um| {
-            let point = rounded(um * FINE_PER_UM).map(i32::to_le_bytes);
+            let point = round_to_i32(um * FINE_UNITS_PER_UM).map(i32::to_le_bytes);
             point.ok_or_else(|| format!("has {um} µm, beyond the board's ±8388 µm"))
         });
         stored.collect::<Result<Vec<_>, _>>()
@@ -57,15 +60,16 @@ pub(super) fn compile_pitch(pitch: &file::Pitch) -> Result<(PitchTables, f64), S
 }
 
 /// At every point and at places between, from both sides.
-fn pitch_difference_nm(pitch: &file::Pitch, board: &Pitch<'_>) -> f64 {
-    const PLACES: usize = 8;
+fn pitch_difference_nm(pitch: &file::PitchErrorTable, board: &PitchErrorTable<'_>) -> f64 {
+    const SAMPLES_PER_INTERVAL: usize = 8;
     let mut worst: f64 = 0.0;
-    for place in 0..=(pitch.forward_um.len() - 1) * PLACES {
-        let mm = pitch.start_mm + pitch.step_mm * place as f64 / PLACES as f64;
-        let Some(units) = rounded(mm * UNITS_PER_MM) else { continue };
-        let mm = f64::from(units) / UNITS_PER_MM;
+    for place in 0..=(pitch.forward_um.len() - 1) * SAMPLES_PER_INTERVAL {
+        let mm = pitch.start_mm + pitch.step_mm * place as f64 / SAMPLES_PER_INTERVAL as f64;
+        let Some(units) = round_to_i32(mm * POSITION_UNITS_PER_MM) else { continue };
+        let mm = f64::from(units) / POSITION_UNITS_PER_MM;
         for (direction, blend) in [(1.0, Fraction::ZERO), (-1.0, Fraction::ONE)] {
-            let stored = f64::from(board.at(Position(units), blend).0.0) / FINE_PER_UM * NM_PER_UM;
+            let stored = f64::from(board.error_at(Position(units), blend).0.0) / FINE_UNITS_PER_UM
+                * NM_PER_UM;
             worst = worst.max((stored - model::pitch_um(pitch, mm, direction) * NM_PER_UM).abs());
         }
     }
@@ -73,13 +77,16 @@ fn pitch_difference_nm(pitch: &file::Pitch, board: &Pitch<'_>) -> f64 {
 }
 
 /// Returns the table as a user writes it.
-pub(super) fn inverse(pitch: &Pitch<'_>) -> file::Pitch {
+pub(super) fn decompile(pitch: &PitchErrorTable<'_>) -> file::PitchErrorTable {
     let errors = |points: &[[u8; 4]]| -> Vec<f64> {
-        points.iter().map(|point| written(i32::from_le_bytes(*point), FINE_PER_UM)).collect()
+        points
+            .iter()
+            .map(|point| to_user_value(i32::from_le_bytes(*point), FINE_UNITS_PER_UM))
+            .collect()
     };
-    file::Pitch {
-        start_mm: written(pitch.start.0, UNITS_PER_MM),
-        step_mm: written(pitch.step.length(), UNITS_PER_MM),
+    file::PitchErrorTable {
+        start_mm: to_user_value(pitch.start.0, POSITION_UNITS_PER_MM),
+        step_mm: to_user_value(pitch.step.length(), POSITION_UNITS_PER_MM),
         forward_um: errors(pitch.forward),
         reverse_um: pitch.reverse.map(errors),
     }

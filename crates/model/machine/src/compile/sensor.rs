@@ -9,7 +9,7 @@
 //!
 //! The stored law is linear, as the model is, so the largest difference between the two over the
 //! input range is at one of its ends. It is measured at both for every calibration and refused
-//! above [`LARGEST_DIFFERENCE_NM`]. Measured: 0 nm for the paper's sensor, whose constants are
+//! above [`MAX_DIFFERENCE_NM`]. Measured: 0 nm for the paper's sensor, whose constants are
 //! exact here, and at most 0.506 nm over 200 000 random sensors with the zero reading in range, of
 //! which 0.5 nm is K's rounding (`the_stored_law_is_within_0_51_nm_…`). When the board
 //! runs the law, it adds the rounding of the reading (half a unit, 0.06 nm for the paper's sensor) and of
@@ -17,27 +17,27 @@
 
 use trueup_core::{
     sensor::{SensorLaw, Slope},
-    units::{Nanometres, READINGS_PER_CODE, Reading},
+    units::{Nanometres, READING_UNITS_PER_CODE, Reading},
 };
 
-use super::account::LARGEST_DIFFERENCE_NM;
+use super::part_differences::MAX_DIFFERENCE_NM;
 use crate::{
     file::{Machine, SensorModel},
     inputs::SensorInput,
     location::BadInput,
     model,
-    stored::{NM_PER_UM, rounded},
+    unit_conversion::{NM_PER_UM, round_to_i32},
 };
 
 const SLOPE_ONE: f64 = (1_u64 << Slope::FRACTION_BITS) as f64;
 
 /// A slope that the board's integers hold as 0; a machine file must not state 0 itself.
-pub(crate) const UM_PER_COUNT_OF_NO_SLOPE: f64 = 1e-12;
+pub(crate) const ZERO_SLOPE_UM_PER_COUNT: f64 = 1e-12;
 
 /// Returns the elongation in nm that `law` gives at full resolution: before the board rounds the reading
 /// and the result.
 #[must_use]
-pub(crate) fn stored_law_nm(law: &SensorLaw, reading: f64) -> f64 {
+pub(crate) fn exact_elongation_nm(law: &SensorLaw, reading: f64) -> f64 {
     let slope_nm = f64::from(law.slope.0) / SLOPE_ONE;
     f64::from(law.k0.0) + (reading - f64::from(law.zero.0)) * slope_nm
 }
@@ -49,71 +49,71 @@ pub(super) fn compile(
 ) -> Result<(SensorLaw, f64), BadInput> {
     let Some(input) = machine.inputs.as_ref().and_then(|inputs| inputs.sensor) else {
         let rule = "is missing: the board must know how the sensor's counts reach it";
-        return Err(machine.places.bad("inputs.sensor", rule));
+        return Err(machine.places.key_error("inputs.sensor", rule));
     };
     let readings_per_count = input.exact_reading_from_counts(1.0);
     let slope_nm = model.um_per_count * NM_PER_UM / readings_per_count;
     let zero_reading = input.exact_reading_from_counts(model.zero_counts);
 
-    let slope = rounded(slope_nm * SLOPE_ONE).ok_or_else(|| {
+    let slope = round_to_i32(slope_nm * SLOPE_ONE).ok_or_else(|| {
         let rule = format!(
             "{} is {slope_nm:.3} nm for one of the board's reading units, which must be below 8: \
              at most {} µm a count with this input",
             model.um_per_count,
             8.0 * readings_per_count / NM_PER_UM
         );
-        machine.places.bad("spindle.sensor.um_per_count", rule)
+        machine.places.key_error("spindle.sensor.um_per_count", rule)
     })?;
-    let zero = rounded(zero_reading).ok_or_else(|| {
+    let zero = round_to_i32(zero_reading).ok_or_else(|| {
         let rule = format!("{} is outside what the board can store", model.zero_counts);
-        machine.places.bad("spindle.sensor.zero_counts", rule)
+        machine.places.key_error("spindle.sensor.zero_counts", rule)
     })?;
     let moved_by_zero = (f64::from(zero) - zero_reading) * (f64::from(slope) / SLOPE_ONE);
-    let k0 = rounded(model.k0_um * NM_PER_UM + moved_by_zero).ok_or_else(|| {
+    let k0 = round_to_i32(model.k0_um * NM_PER_UM + moved_by_zero).ok_or_else(|| {
         let rule = format!("{} is beyond the board's ±2147483 µm", model.k0_um);
-        machine.places.bad("spindle.sensor.k0_um", rule)
+        machine.places.key_error("spindle.sensor.k0_um", rule)
     })?;
     let law = SensorLaw { k0: Nanometres(k0), zero: Reading(zero), slope: Slope(slope) };
 
-    let largest_difference_nm = largest_difference_nm(&law, model, &input);
-    if largest_difference_nm > LARGEST_DIFFERENCE_NM {
+    let largest_difference_nm = max_difference_nm(&law, model, &input);
+    if largest_difference_nm > MAX_DIFFERENCE_NM {
         let rule = format!(
             "{} is so far outside the input range that the board's law would be \
-             {largest_difference_nm:.1} nm off, more than {LARGEST_DIFFERENCE_NM} nm",
+             {largest_difference_nm:.1} nm off, more than {MAX_DIFFERENCE_NM} nm",
             model.zero_counts
         );
-        return Err(machine.places.bad("spindle.sensor.zero_counts", rule));
+        return Err(machine.places.key_error("spindle.sensor.zero_counts", rule));
     }
     for counts in [0.0, input.counts_full_scale] {
         let elongation_um = model::elongation_um(model, counts);
-        if rounded(elongation_um * NM_PER_UM).is_none() {
+        if round_to_i32(elongation_um * NM_PER_UM).is_none() {
             let rule = format!(
                 "gives {elongation_um} µm at {counts} counts, beyond the board's ±2147483 µm"
             );
-            return Err(machine.places.bad("spindle.sensor", rule));
+            return Err(machine.places.key_error("spindle.sensor", rule));
         }
     }
     Ok((law, largest_difference_nm))
 }
 
 /// At the ends of the input range, where a linear function is largest.
-fn largest_difference_nm(law: &SensorLaw, model: &SensorModel, input: &SensorInput) -> f64 {
+fn max_difference_nm(law: &SensorLaw, model: &SensorModel, input: &SensorInput) -> f64 {
     let difference = |counts: f64| {
-        let stored = stored_law_nm(law, input.exact_reading_from_counts(counts));
+        let stored = exact_elongation_nm(law, input.exact_reading_from_counts(counts));
         (stored - model::elongation_um(model, counts) * NM_PER_UM).abs()
     };
     difference(0.0).max(difference(input.counts_full_scale))
 }
 
 /// Returns the law in counts that are codes.
-pub(super) fn inverse(law: &SensorLaw) -> SensorModel {
-    let readings_per_count = f64::from(READINGS_PER_CODE);
+pub(super) fn decompile(law: &SensorLaw) -> SensorModel {
+    let readings_per_count = f64::from(READING_UNITS_PER_CODE);
     let slope_nm = f64::from(law.slope.0) / SLOPE_ONE;
     SensorModel {
         k0_um: f64::from(law.k0.0) / NM_PER_UM,
         zero_counts: f64::from(law.zero.0) / readings_per_count,
         um_per_count: match law.slope.0 {
-            0 => UM_PER_COUNT_OF_NO_SLOPE,
+            0 => ZERO_SLOPE_UM_PER_COUNT,
             _ => slope_nm * readings_per_count / NM_PER_UM,
         },
         temperature: None,

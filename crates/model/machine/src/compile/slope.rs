@@ -13,16 +13,16 @@
 
 use std::f64::consts::TAU;
 
-use super::curve::{pieces_of, steepest};
+use super::curve::{spline_pieces, steepest_slope};
 use crate::{
-    effect::{Angle, Effect, OnBoard, Times},
-    file::{BSpline, Limits, LinearAxis, Machine, Pitch},
+    effect::{Angle, BoardTerm, Effect, Multiplier},
+    file::{BSpline, Limits, LinearAxis, Machine, PitchErrorTable},
     location::BadInput,
 };
 
 /// The slowest feed at which a correction is followed, in mm/s: 30 mm/min, about the slowest that anything
 /// is finished at (a cutter of 1 mm: 2 teeth of 3 µm at 5000 r/min).
-pub(crate) const SLOWEST_FEED_MM_PER_S: f64 = 0.5;
+pub(crate) const MIN_FEED_MM_PER_S: f64 = 0.5;
 
 /// A slope over an axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -35,7 +35,7 @@ pub struct Slope {
 
 impl Slope {
     /// Returns the steeper one, whatever their signs are.
-    fn or(self, other: Self) -> Self {
+    fn steeper(self, other: Self) -> Self {
         if other.um_per_mm.abs() > self.um_per_mm.abs() { other } else { self }
     }
 }
@@ -43,19 +43,19 @@ impl Slope {
 /// Returns the steepest slope that a board with these limits follows, in µm per mm, above 0.
 ///
 /// ```
-/// use trueup_machine::{compile::steepest_um_per_mm, file::Limits};
-/// assert_eq!(steepest_um_per_mm(&Limits::default()), 40.0);
+/// use trueup_machine::{compile::max_slope_um_per_mm, file::Limits};
+/// assert_eq!(max_slope_um_per_mm(&Limits::default()), 40.0);
 /// ```
 #[must_use]
-pub fn steepest_um_per_mm(limits: &Limits) -> f64 {
-    limits.slew_um_per_s / SLOWEST_FEED_MM_PER_S
+pub fn max_slope_um_per_mm(limits: &Limits) -> f64 {
+    limits.slew_um_per_s / MIN_FEED_MM_PER_S
 }
 
 /// Returns the rule that a slope breaks on a board with these limits; none that it keeps.
 #[must_use]
-pub fn too_steep(slope: Slope, limits: &Limits) -> Option<String> {
+pub(crate) fn slope_violation(slope: Slope, limits: &Limits) -> Option<String> {
     let Slope { um_per_mm, at_mm } = slope;
-    let most = steepest_um_per_mm(limits);
+    let most = max_slope_um_per_mm(limits);
     (um_per_mm.abs() > most).then(|| {
         format!(
             "rises by {um_per_mm:.1} µm per mm at {at_mm} mm, more than {most}: at a slew of {} µm/s \
@@ -67,7 +67,7 @@ pub fn too_steep(slope: Slope, limits: &Limits) -> Option<String> {
 
 /// Returns the steepest slope of a table.
 #[must_use]
-pub fn of_table(pitch: &Pitch) -> Slope {
+pub(crate) fn max_table_slope(pitch: &PitchErrorTable) -> Slope {
     let tables = [Some(&pitch.forward_um), pitch.reverse_um.as_ref()].into_iter().flatten();
     let slopes = tables.flat_map(|um| {
         um.windows(2).enumerate().map(|(number, pair)| Slope {
@@ -75,58 +75,59 @@ pub fn of_table(pitch: &Pitch) -> Slope {
             at_mm: pitch.start_mm + pitch.step_mm * number as f64,
         })
     });
-    slopes.fold(Slope::default(), Slope::or)
+    slopes.fold(Slope::default(), Slope::steeper)
 }
 
 /// Returns the steepest slope of a curve; none of one that the board cannot have at all.
 #[must_use]
-pub fn of_curve(spline: &BSpline) -> Slope {
-    let (um_per_mm, at_mm) = pieces_of(spline).map_or((0.0, 0.0), |pieces| steepest(&pieces));
+pub(crate) fn max_curve_slope(spline: &BSpline) -> Slope {
+    let (um_per_mm, at_mm) =
+        spline_pieces(spline).map_or((0.0, 0.0), |pieces| steepest_slope(&pieces));
     Slope { um_per_mm, at_mm }
 }
 
 /// Returns the steepest slope of a cause with its values over any axis, at a lever of 1 m where it tilts.
 #[must_use]
-pub(crate) fn of_effect(effect: &Effect) -> Slope {
-    effect.on_board().iter().map(of_form).fold(Slope::default(), Slope::or)
+pub(crate) fn max_effect_slope(effect: &Effect) -> Slope {
+    effect.board_terms().iter().map(max_term_slope).fold(Slope::default(), Slope::steeper)
 }
 
-fn of_form(form: &OnBoard) -> Slope {
+fn max_term_slope(form: &BoardTerm) -> Slope {
     let even = |um_per_mm| Slope { um_per_mm, at_mm: 0.0 };
     match form {
-        OnBoard::Table(pitch) => of_table(pitch),
-        OnBoard::Curve(_, spline) => of_curve(spline),
-        OnBoard::Tilt(tilt) => of_angle(&tilt.angle),
-        &OnBoard::Wave { period_mm, harmonic, amplitude_um, .. } => {
+        BoardTerm::Table(pitch) => max_table_slope(pitch),
+        BoardTerm::Curve(_, spline) => max_curve_slope(spline),
+        BoardTerm::Tilt(tilt) => max_angle_slope(&tilt.angle),
+        &BoardTerm::Wave { period_mm, harmonic, amplitude_um, .. } => {
             even(amplitude_um * TAU * f64::from(harmonic) / period_mm)
         }
-        OnBoard::OwnPosition(um_per_m)
-        | OnBoard::Position { um_per_m, .. }
-        | OnBoard::Reversed { um_per_m, .. } => even(um_per_m / 1000.0),
-        OnBoard::Tool { times, .. } | OnBoard::Condition { times, .. } => match times {
-            Times::Position => even(form.largest_level() / 1000.0),
+        BoardTerm::OwnPosition(um_per_m)
+        | BoardTerm::Position { um_per_m, .. }
+        | BoardTerm::Reversed { um_per_m, .. } => even(um_per_m / 1000.0),
+        BoardTerm::Tool { times, .. } | BoardTerm::Condition { times, .. } => match times {
+            Multiplier::Position => even(form.max_amplitude() / 1000.0),
             _ => even(0.0),
         },
-        OnBoard::Offset(_)
-        | OnBoard::Gain(_)
-        | OnBoard::Curvature(_)
-        | OnBoard::Saturation(_)
-        | OnBoard::Heat(_)
-        | OnBoard::HeatSlope(_)
-        | OnBoard::SpeedHeat(_)
-        | OnBoard::Time { .. }
-        | OnBoard::Speed(_)
-        | OnBoard::Load(_)
-        | OnBoard::Thermal(_) => even(0.0),
+        BoardTerm::Offset(_)
+        | BoardTerm::Gain(_)
+        | BoardTerm::Curvature(_)
+        | BoardTerm::Saturation(_)
+        | BoardTerm::Heat(_)
+        | BoardTerm::HeatSlope(_)
+        | BoardTerm::SpeedHeat(_)
+        | BoardTerm::Time { .. }
+        | BoardTerm::Speed(_)
+        | BoardTerm::Load(_)
+        | BoardTerm::Thermal(_) => even(0.0),
     }
 }
 
 /// Returns the steepest slope of what an angle makes at a lever of 1 m.
-fn of_angle(angle: &Angle) -> Slope {
+fn max_angle_slope(angle: &Angle) -> Slope {
     match angle {
         Angle::Line(urad_per_m) => Slope { um_per_mm: urad_per_m / 1000.0, at_mm: 0.0 },
         // Of a curve in µrad the value there is the same number in µm.
-        Angle::Curve(spline) => of_curve(spline),
+        Angle::Curve(spline) => max_curve_slope(spline),
     }
 }
 
@@ -143,22 +144,26 @@ pub fn check_slopes(machine: &Machine) -> Result<(), BadInput> {
             (axis.dual.as_ref().map(|dual| &dual.pitch), "dual.pitch"),
         ];
         for (pitch, key) in tables {
-            parts.extend(pitch.map(|it| (format!("axis.{}.{key}", name.name()), of_table(it))));
+            parts.extend(
+                pitch.map(|it| (format!("axis.{}.{key}", name.name()), max_table_slope(it))),
+            );
         }
     }
     let curves = machine.straightness.iter();
-    parts.extend(curves.map(|it| (format!("straightness.{}", it.name()), of_curve(&it.spline))));
+    parts.extend(
+        curves.map(|it| (format!("straightness.{}", it.name()), max_curve_slope(&it.spline))),
+    );
     let lines = machine.squareness.iter();
     parts.extend(lines.map(|it| {
         let slope = Slope { um_per_mm: it.um_per_m / 1000.0, at_mm: 0.0 };
         (format!("squareness.{}", it.name()), slope)
     }));
     let angles = machine.volume.angular.iter();
-    parts.extend(angles.map(|it| (format!("angular.{}", it.name()), of_angle(&it.angle))));
+    parts.extend(angles.map(|it| (format!("angular.{}", it.name()), max_angle_slope(&it.angle))));
     let terms = machine.terms.iter().enumerate();
-    parts.extend(terms.map(|(index, it)| (format!("term[{index}]"), of_effect(&it.effect))));
-    match parts.iter().find_map(|(key, it)| Some((key, too_steep(*it, &machine.limits)?))) {
-        Some((key, rule)) => Err(machine.places.bad(key, rule)),
+    parts.extend(terms.map(|(index, it)| (format!("term[{index}]"), max_effect_slope(&it.effect))));
+    match parts.iter().find_map(|(key, it)| Some((key, slope_violation(*it, &machine.limits)?))) {
+        Some((key, rule)) => Err(machine.places.key_error(key, rule)),
         None => Ok(()),
     }
 }

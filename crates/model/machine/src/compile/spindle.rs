@@ -1,13 +1,17 @@
 //! How the spindle grows: its source, and what the board falls back to.
 
-use trueup_core::{calibration, lag::SmoothingFactor, sensor::SensorLaw, thermal::Law, warmup};
+use trueup_core::{
+    calibration, lag::SmoothingFactor, sensor::SensorLaw, thermal::ThermalExpansionLaw, warmup,
+};
 
 use super::{
-    account::Account,
     curve::OwnedCurve,
-    heat::{self, Pieces},
-    inputs::channel,
-    lag, sensor, warmup as warm_up,
+    inputs::find_channel,
+    lag,
+    part_differences::PartDifferences,
+    sensor,
+    thermal::{self, LawPieces},
+    warmup as warm_up,
 };
 use crate::{
     file::{self, Machine, Spindle},
@@ -18,34 +22,34 @@ use crate::{
 pub(super) struct SpindleTables {
     sensor: SensorLaw,
     /// With the smoothing factors of its lag, rising and falling.
-    temperature: Option<(Pieces, [SmoothingFactor; 2])>,
-    warmup: Option<(warmup::Warmup, OwnedCurve)>,
+    temperature: Option<(LawPieces, [SmoothingFactor; 2])>,
+    warmup: Option<(warmup::WarmupModel, OwnedCurve)>,
 }
 
 impl SpindleTables {
-    pub(super) fn of(
+    pub(super) fn compile(
         machine: &Machine,
         falling_s: Option<f64>,
-        account: &mut Account<'_>,
+        account: &mut PartDifferences<'_>,
     ) -> Result<Self, BadInput> {
         let spindle = &machine.spindle;
         let mut law = SensorLaw::default();
-        if let Some(model) = machine.sensor_on_board() {
+        if let Some(model) = machine.board_sensor_model() {
             let difference_nm;
             (law, difference_nm) = sensor::compile(machine, model)?;
             account.parts.push(("spindle.sensor".into(), difference_nm));
         }
         let temperature = spindle.temperature.as_ref().map(|model| {
             let key = "spindle.temperature";
-            let law = heat::spindle_law(model.k_um_per_c, model.reference_c);
-            let law = account.take(key, law.map(|law| (law, 0.0)))?;
+            let law = thermal::compile_spindle_law(model.k_um_per_c, model.reference_c);
+            let law = account.check_and_record(key, law.map(|law| (law, 0.0)))?;
             let factors =
                 lag::smoothing_factors(model.lag_s, falling_s).map(|factors| (factors, 0.0));
-            Ok((law, account.take(&format!("{key}.lag_s"), factors)?))
+            Ok((law, account.check_and_record(&format!("{key}.lag_s"), factors)?))
         });
         let warmup = spindle.warmup.as_ref().map(|model| {
             let made = warm_up::compile(model);
-            account.take("spindle.warmup", made.map(|made| (made, 0.0)))
+            account.check_and_record("spindle.warmup", made.map(|made| (made, 0.0)))
         });
         Ok(Self { sensor: law, temperature: temperature.transpose()?, warmup: warmup.transpose()? })
     }
@@ -58,9 +62,9 @@ impl SpindleTables {
         let spindle = &machine.spindle;
         let temperature = match (&self.temperature, &spindle.temperature) {
             (Some((law, [smoothing, smoothing_falling])), Some(model)) => {
-                let law = Law { pieces: law };
-                match channel(machine, "spindle.temperature", &model.sensor) {
-                    Ok(channel) => Some(calibration::SpindleTemperature {
+                let law = ThermalExpansionLaw { pieces: law };
+                match find_channel(machine, "spindle.temperature", &model.sensor) {
+                    Ok(channel) => Some(calibration::SpindleTemperatureModel {
                         channel,
                         smoothing: *smoothing,
                         smoothing_falling: *smoothing_falling,
@@ -76,7 +80,7 @@ impl SpindleTables {
         let warmup = self
             .warmup
             .as_ref()
-            .map(|(law, power)| calibration::SpindleWarmup { law: *law, power: power.view() });
+            .map(|(law, power)| calibration::SpindleWarmupModel { law: *law, power: power.view() });
         let board = |source| match source {
             file::ElongationSource::Sensor => calibration::ElongationSource::Sensor,
             file::ElongationSource::Temperature => calibration::ElongationSource::Temperature,
@@ -111,7 +115,7 @@ pub(super) fn has_sensor(spindle: &calibration::SpindleModel<'_>) -> bool {
 }
 
 /// Returns the spindle as a user writes it.
-pub(super) fn inverse(spindle: &calibration::SpindleModel<'_>) -> Spindle {
+pub(super) fn decompile(spindle: &calibration::SpindleModel<'_>) -> Spindle {
     let source = |source: calibration::ElongationSource| match source {
         calibration::ElongationSource::Sensor => file::ElongationSource::Sensor,
         calibration::ElongationSource::Temperature => file::ElongationSource::Temperature,
@@ -119,9 +123,9 @@ pub(super) fn inverse(spindle: &calibration::SpindleModel<'_>) -> Spindle {
     };
     Spindle {
         source: spindle.chain[0].map(source),
-        sensor: has_sensor(spindle).then(|| sensor::inverse(&spindle.sensor)),
-        warmup: spindle.warmup.as_ref().map(warm_up::inverse),
-        temperature: spindle.temperature.as_ref().map(heat::inverse_of_spindle),
+        sensor: has_sensor(spindle).then(|| sensor::decompile(&spindle.sensor)),
+        warmup: spindle.warmup.as_ref().map(warm_up::decompile),
+        temperature: spindle.temperature.as_ref().map(thermal::decompile_spindle_temperature),
         // Among the terms until they are known.
         tools: None,
     }

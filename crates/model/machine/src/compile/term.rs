@@ -1,57 +1,62 @@
 //! The terms of a diagnosis for the board.
 //!
 //! Those that correct a constant of the model are in the machine already
-//! ([`corrected`](crate::model::corrected)); those that only explain stay behind. The others become
-//! one or two terms of the board each, in the order in which they act ([`in_order`]), because p changes
+//! ([`apply_constant_terms`](crate::model::apply_constant_terms)); those that only explain stay behind. The others become
+//! one or two terms of the board each, in the order in which they act ([`sorted_by_stage`]), because p changes
 //! from one to the next. A constant is among what is added: that of a factor, a bend or a limit goes to
 //! the last of these.
 
 pub(super) mod category;
-mod inverse;
+mod decompile;
 
 use std::borrow::Cow;
 
 use trueup_core::{
     dimensions::MAX_TERMS,
-    fixed::Scaled,
+    fixed_point::ScaledCoefficient,
     gradient::Gradient,
-    pitch::Pitch,
+    pitch_table::PitchErrorTable,
     term::{self, Effect, HEAT_SLOPE_BITS, Target, Term, UNIT_STEP},
-    units::{Fine, Position, Temperature},
+    units::{FineNanometres, Position, Temperature},
 };
 
 use super::{
-    account::Account,
     curve::{OwnedCurve, compile_curve},
-    heat,
-    inputs::channel,
+    inputs::find_channel,
     lag,
+    part_differences::PartDifferences,
     pitch::{PitchTables, compile_pitch},
-    squareness::{compile_squareness, linear},
+    squareness::{compile_squareness, linear_axis_to_board},
+    thermal,
 };
 use crate::{
-    effect::{Angle, Heat, OnBoard, SpeedHeat, Stage, Tilt, Wave, heating},
-    file::{self, BSpline, Machine, in_order},
+    effect::{
+        Angle, BoardTerm, PredictionStage, SpeedHeatResponse, TemperatureResponse, Tilt, Wave,
+        relative_heat_input,
+    },
+    file::{self, BSpline, Machine, sorted_by_stage},
     location::BadInput,
-    stored::{FINE_PER_UM, NM_PER_UM, UNITS_PER_MM, rounded, rounded_unsigned},
+    unit_conversion::{
+        FINE_UNITS_PER_UM, NM_PER_UM, POSITION_UNITS_PER_MM, round_to_i32, round_to_u32,
+    },
 };
 
-pub(super) use inverse::inverse;
+pub(super) use decompile::decompile;
 
 /// Sensors and spindles are held against the model up to this elongation.
-const CHECKED_UM: f64 = 1_000.0;
+const MAX_CHECKED_ELONGATION_UM: f64 = 1_000.0;
 /// And temperatures up to so far from the reference.
-const CHECKED_K: f64 = 60.0;
+const MAX_CHECKED_DEVIATION_K: f64 = 60.0;
 /// And speeds and loads up to these.
-const CHECKED_RPM: f64 = 60_000.0;
-const CHECKED_N: f64 = 32_767.0;
+const MAX_CHECKED_SPEED_RPM: f64 = 60_000.0;
+const MAX_CHECKED_LOAD_N: f64 = 32_767.0;
 /// The board's loads are this many parts of a newton.
-pub(crate) const PARTS_OF_N: f64 = 256.0;
+pub(crate) const LOAD_UNITS_PER_NEWTON: f64 = 256.0;
 
 /// A term with tables of its own.
-pub(super) struct Owned {
+pub(super) struct OwnedTerm {
     target: Target,
-    constant: Fine,
+    constant: FineNanometres,
     effect: OwnedEffect,
 }
 
@@ -60,16 +65,16 @@ enum OwnedEffect {
     Table(PitchTables),
     Curve(file::LinearAxis, OwnedCurve),
     Tilt(term::Tilt<OwnedCurve>),
-    Tools(category::OwnedTools),
+    Tools(category::OwnedToolTable),
 }
 
-impl Owned {
+impl OwnedTerm {
     fn view(&self) -> Term<'_> {
         let effect = match &self.effect {
             OwnedEffect::Plain(effect) => *effect,
-            OwnedEffect::Table(tables) => Effect::Table(Pitch { ..tables.view() }),
+            OwnedEffect::Table(tables) => Effect::Table(PitchErrorTable { ..tables.view() }),
             OwnedEffect::Curve(axis, curve) => {
-                Effect::Curve { axis: linear(*axis), curve: curve.view() }
+                Effect::Curve { axis: linear_axis_to_board(*axis), curve: curve.view() }
             }
             OwnedEffect::Tools(tools) => Effect::Tool(tools.view()),
             OwnedEffect::Tilt(tilt) => {
@@ -82,16 +87,19 @@ impl Owned {
 }
 
 /// Returns what the calibration holds.
-pub(super) fn views(owned: &[Owned]) -> [Option<Term<'_>>; MAX_TERMS] {
-    std::array::from_fn(|index| owned.get(index).map(Owned::view))
+pub(super) fn term_views(owned: &[OwnedTerm]) -> [Option<Term<'_>>; MAX_TERMS] {
+    std::array::from_fn(|index| owned.get(index).map(OwnedTerm::view))
 }
 
 /// Returns the terms of `machine`, which has none that only explain.
-pub(super) fn terms(machine: &Machine, account: &mut Account<'_>) -> Result<Vec<Owned>, BadInput> {
+pub(super) fn compile_terms(
+    machine: &Machine,
+    account: &mut PartDifferences<'_>,
+) -> Result<Vec<OwnedTerm>, BadInput> {
     let mut owned = Vec::new();
-    let ordered = in_order(&machine.terms);
+    let ordered = sorted_by_stage(&machine.terms);
     // Of a quantity's terms the last that is no summand, and with it the constants of all of them.
-    let acts_before_sums = |term: &file::Term| term.effect.stage() < Stage::Sum;
+    let acts_before_sums = |term: &file::Term| term.effect.stage() < PredictionStage::Sum;
     let last_before_sums = |quantity| {
         let mut latest = ordered.iter().rev();
         latest.find(|(_, term)| term.quantity == quantity && acts_before_sums(term))
@@ -112,33 +120,36 @@ pub(super) fn terms(machine: &Machine, account: &mut Account<'_>) -> Result<Vec<
         let key = if is_list { "spindle.tools".into() } else { format!("term[{index}]") };
         let target = match term.quantity.axis() {
             None => Target::Elongation,
-            Some(axis) => Target::Axis(linear(axis)),
+            Some(axis) => Target::Axis(linear_axis_to_board(axis)),
         };
-        let forms = term.effect.on_board();
+        let forms = term.effect.board_terms();
         let offset_um: f64 =
-            forms.iter().map(|form| if let OnBoard::Offset(um) = form { *um } else { 0.0 }).sum();
-        let constant = account.take(&key, fine(constant_um(index, term) + offset_um))?;
+            forms.iter().map(|form| if let BoardTerm::Offset(um) = form { *um } else { 0.0 }).sum();
+        let constant =
+            account.check_and_record(&key, compile_length(constant_um(index, term) + offset_um))?;
         let before = owned.len();
         for form in &forms {
-            let Some(effect) = effect(machine, &key, term, form, account)? else { continue };
+            let Some(effect) = compile_effect(machine, &key, term, form, account)? else {
+                continue;
+            };
             // The constant comes once.
-            let constant = if owned.len() == before { constant } else { Fine::ZERO };
-            owned.push(Owned { target, constant, effect });
+            let constant = if owned.len() == before { constant } else { FineNanometres::ZERO };
+            owned.push(OwnedTerm { target, constant, effect });
         }
-        if owned.len() == before && constant != Fine::ZERO {
+        if owned.len() == before && constant != FineNanometres::ZERO {
             let effect = OwnedEffect::Plain(Effect::Offset);
-            owned.push(Owned { target, constant, effect });
+            owned.push(OwnedTerm { target, constant, effect });
         }
         if owned.len() > MAX_TERMS {
             let rule = format!("is too much: the board runs {} terms and waves", MAX_TERMS);
-            return Err(machine.places.bad(&key, rule));
+            return Err(machine.places.key_error(&key, rule));
         }
     }
     Ok(owned)
 }
 
 /// Number and largest difference from the model in nm, or why the board cannot.
-type Made<T> = Result<(T, f64), String>;
+type CompileResult<T> = Result<(T, f64), String>;
 
 /// Returns the machine with the thermal laws that terms bring to axes that have none.
 pub(super) fn with_thermal_laws(machine: Cow<'_, Machine>) -> Result<Cow<'_, Machine>, BadInput> {
@@ -146,11 +157,11 @@ pub(super) fn with_thermal_laws(machine: Cow<'_, Machine>) -> Result<Cow<'_, Mac
     for index in 0..with.terms.len() {
         let term = &with.terms[index];
         let Some(axis) = term.quantity.axis() else { continue };
-        for form in term.effect.on_board() {
-            let OnBoard::Thermal(thermal) = form else { continue };
+        for form in term.effect.board_terms() {
+            let BoardTerm::Thermal(thermal) = form else { continue };
             if with.axes[axis.index()].thermal.is_some() {
                 let rule = "is too much: the board runs one thermal law for an axis";
-                return Err(with.places.bad(&format!("term[{index}]"), rule));
+                return Err(with.places.key_error(&format!("term[{index}]"), rule));
             }
             with.to_mut().axes[axis.index()].thermal = Some(thermal);
         }
@@ -159,195 +170,220 @@ pub(super) fn with_thermal_laws(machine: Cow<'_, Machine>) -> Result<Cow<'_, Mac
 }
 
 /// Returns a form as the board runs it; none: the constant alone.
-fn effect(
+fn compile_effect(
     machine: &Machine,
     key: &str,
     term: &file::Term,
-    form: &OnBoard,
-    account: &mut Account<'_>,
+    form: &BoardTerm,
+    account: &mut PartDifferences<'_>,
 ) -> Result<Option<OwnedEffect>, BadInput> {
-    let made: Made<Effect<'static>> = match form {
+    let made: CompileResult<Effect<'static>> = match form {
         // The law is the axis's own by now.
-        OnBoard::Offset(_) | OnBoard::Thermal(_) => return Ok(None),
-        OnBoard::Gain(gain) => {
-            scaled(gain - 1.0, CHECKED_UM * FINE_PER_UM).map(|(m, nm)| (Effect::Gain(m), nm))
+        BoardTerm::Offset(_) | BoardTerm::Thermal(_) => return Ok(None),
+        BoardTerm::Gain(gain) => {
+            scale_coefficient(gain - 1.0, MAX_CHECKED_ELONGATION_UM * FINE_UNITS_PER_UM)
+                .map(|(m, nm)| (Effect::Gain(m), nm))
         }
-        OnBoard::Curvature(per_um) => {
-            let square = (CHECKED_UM * FINE_PER_UM).powi(2) / TWO_24;
-            scaled(per_um / FINE_PER_UM * TWO_24, square).map(|(m, nm)| (Effect::Curvature(m), nm))
+        BoardTerm::Curvature(per_um) => {
+            let square = (MAX_CHECKED_ELONGATION_UM * FINE_UNITS_PER_UM).powi(2) / Q24_ONE;
+            scale_coefficient(per_um / FINE_UNITS_PER_UM * Q24_ONE, square)
+                .map(|(m, nm)| (Effect::Curvature(m), nm))
         }
-        OnBoard::Saturation(limit_um) => {
-            fine(*limit_um).map(|(limit, nm)| (Effect::Saturation(limit), nm))
+        BoardTerm::Saturation(limit_um) => {
+            compile_length(*limit_um).map(|(limit, nm)| (Effect::Saturation(limit), nm))
         }
-        OnBoard::Heat(it) => heat(channel(machine, key, &it.column)?, it),
-        OnBoard::HeatSlope(it) => heat_slope(channel(machine, key, &it.column)?, it),
-        OnBoard::SpeedHeat(it) => speed_heat(it),
-        OnBoard::Time { amplitude_um, time_constant_s, .. } => {
+        BoardTerm::Heat(it) => compile_heat_effect(find_channel(machine, key, &it.column)?, it),
+        BoardTerm::HeatSlope(it) => compile_heat_slope(find_channel(machine, key, &it.column)?, it),
+        BoardTerm::SpeedHeat(it) => compile_speed_heat(it),
+        BoardTerm::Time { amplitude_um, time_constant_s, .. } => {
             let one = f64::from(UNIT_STEP);
-            scaled(amplitude_um * FINE_PER_UM / one, one).and_then(|(amplitude, nm)| {
-                Ok((
-                    Effect::Time { smoothing: lag::smoothing_factor(*time_constant_s)?, amplitude },
-                    nm,
-                ))
+            scale_coefficient(amplitude_um * FINE_UNITS_PER_UM / one, one).and_then(
+                |(amplitude, nm)| {
+                    Ok((
+                        Effect::Time {
+                            smoothing: lag::smoothing_factor(*time_constant_s)?,
+                            amplitude,
+                        },
+                        nm,
+                    ))
+                },
+            )
+        }
+        BoardTerm::Speed(um_per_krpm2) => scale_coefficient(
+            um_per_krpm2 * FINE_UNITS_PER_UM / 1e6,
+            MAX_CHECKED_SPEED_RPM * MAX_CHECKED_SPEED_RPM,
+        )
+        .map(|(m, nm)| (Effect::Speed(m), nm)),
+        BoardTerm::Load(um_per_n) => scale_coefficient(
+            um_per_n * FINE_UNITS_PER_UM / LOAD_UNITS_PER_NEWTON,
+            MAX_CHECKED_LOAD_N * LOAD_UNITS_PER_NEWTON,
+        )
+        .map(|(m, nm)| (Effect::Load(m), nm)),
+        BoardTerm::OwnPosition(um_per_m) => {
+            let own = term.quantity.axis().ok_or("belongs to dx, dy or dz");
+            own.map_err(String::from).and_then(|own| compile_position(own, *um_per_m))
+        }
+        BoardTerm::Position { axis, um_per_m } => compile_position(*axis, *um_per_m),
+        BoardTerm::Reversed { width_um, um_per_m: 0.0 } => compile_length(*width_um)
+            .map(|(width, nm)| (Effect::Reversed { width, gradient: Gradient::ZERO }, nm)),
+        BoardTerm::Reversed { width_um, um_per_m } => {
+            compile_length(*width_um).and_then(|(width, nm)| {
+                let (gradient, more_nm) = compile_squareness(*um_per_m)?;
+                Ok((Effect::Reversed { width, gradient }, nm + more_nm))
             })
         }
-        OnBoard::Speed(um_per_krpm2) => {
-            scaled(um_per_krpm2 * FINE_PER_UM / 1e6, CHECKED_RPM * CHECKED_RPM)
-                .map(|(m, nm)| (Effect::Speed(m), nm))
+        BoardTerm::Table(pitch) => {
+            return Ok(Some(OwnedEffect::Table(
+                account.check_and_record(key, compile_pitch(pitch))?,
+            )));
         }
-        OnBoard::Load(um_per_n) => {
-            scaled(um_per_n * FINE_PER_UM / PARTS_OF_N, CHECKED_N * PARTS_OF_N)
-                .map(|(m, nm)| (Effect::Load(m), nm))
-        }
-        OnBoard::OwnPosition(um_per_m) => {
-            let own = term.quantity.axis().ok_or("belongs to dx, dy or dz");
-            own.map_err(String::from).and_then(|own| position(own, *um_per_m))
-        }
-        OnBoard::Position { axis, um_per_m } => position(*axis, *um_per_m),
-        OnBoard::Reversed { width_um, um_per_m: 0.0 } => fine(*width_um)
-            .map(|(width, nm)| (Effect::Reversed { width, gradient: Gradient::ZERO }, nm)),
-        OnBoard::Reversed { width_um, um_per_m } => fine(*width_um).and_then(|(width, nm)| {
-            let (gradient, more_nm) = compile_squareness(*um_per_m)?;
-            Ok((Effect::Reversed { width, gradient }, nm + more_nm))
-        }),
-        OnBoard::Table(pitch) => {
-            return Ok(Some(OwnedEffect::Table(account.take(key, compile_pitch(pitch))?)));
-        }
-        OnBoard::Curve(along, spline) => {
-            let curve = account.take(key, compile_curve(spline))?;
+        BoardTerm::Curve(along, spline) => {
+            let curve = account.check_and_record(key, compile_curve(spline))?;
             return Ok(Some(OwnedEffect::Curve(*along, curve)));
         }
-        OnBoard::Tilt(it) => {
+        BoardTerm::Tilt(it) => {
             let own = term.quantity.axis();
-            return Ok(Some(account.take(key, tilt(own, it))?));
+            return Ok(Some(account.check_and_record(key, compile_tilt(own, it))?));
         }
-        OnBoard::Tool { tools, other, times } => {
-            let made = category::tools(tools, *other, times);
-            return Ok(Some(account.take(key, made)?));
+        BoardTerm::Tool { tools, other, times } => {
+            let made = category::compile_tools(tools, *other, times);
+            return Ok(Some(account.check_and_record(key, made)?));
         }
-        OnBoard::Condition { column, off, on, lag_s, times } => {
+        BoardTerm::Condition { column, off, on, lag_s, times } => {
             let inputs = machine.inputs.as_ref();
-            category::condition(inputs, column, [*off, *on], *lag_s, times)
+            category::compile_condition(inputs, column, [*off, *on], *lag_s, times)
                 .map(|(it, nm)| (Effect::Condition(it), nm))
         }
-        &OnBoard::Wave { period_mm, harmonic, amplitude_um, phase_deg } => {
-            wave(period_mm, Wave { harmonic, amplitude_um, phase_deg })
+        &BoardTerm::Wave { period_mm, harmonic, amplitude_um, phase_deg } => {
+            compile_wave(period_mm, Wave { harmonic, amplitude_um, phase_deg })
         }
     };
-    Ok(Some(OwnedEffect::Plain(account.take(key, made)?)))
+    Ok(Some(OwnedEffect::Plain(account.check_and_record(key, made)?)))
 }
 
-fn heat(channel: u8, it: &Heat) -> Made<Effect<'static>> {
-    let (per_temperature, reference, nm) = by_heat(it, 1.0)?;
+fn compile_heat_effect(channel: u8, it: &TemperatureResponse) -> CompileResult<Effect<'static>> {
+    let (per_temperature, reference, nm) = compile_heat_coefficient(it, 1.0)?;
     let smoothing = lag::smoothing_factor(it.time_constant_s)?;
     Ok((Effect::Heat { channel, smoothing, reference, per_temperature }, nm))
 }
 
 /// Returns a slope by heat.
-fn heat_slope(channel: u8, it: &Heat) -> Made<Effect<'static>> {
-    let most = f64::from(i32::MAX) / FINE_PER_UM / HEAT_SLOPE_M / CHECKED_K;
+fn compile_heat_slope(channel: u8, it: &TemperatureResponse) -> CompileResult<Effect<'static>> {
+    let most =
+        f64::from(i32::MAX) / FINE_UNITS_PER_UM / HEAT_SLOPE_REFERENCE_M / MAX_CHECKED_DEVIATION_K;
     if it.um_per_c.abs() > most {
         return Err(format!("{} µm/(m·K) is beyond the board's ±{most:.0}", it.um_per_c));
     }
-    let (per_temperature, reference, nm) = by_heat(it, HEAT_SLOPE_M)?;
+    let (per_temperature, reference, nm) = compile_heat_coefficient(it, HEAT_SLOPE_REFERENCE_M)?;
     let smoothing = lag::smoothing_factor(it.time_constant_s)?;
     Ok((Effect::HeatSlope { channel, smoothing, reference, per_temperature }, nm))
 }
 
 /// Returns coefficient and reference of heat, of which `units` act at once, and the largest difference in nm.
-fn by_heat(it: &Heat, units: f64) -> Result<(Scaled, Temperature, f64), String> {
-    let (per_temperature, nm) = scaled(
-        it.um_per_c * units * FINE_PER_UM / f64::from(Temperature::PER_KELVIN),
-        CHECKED_K * f64::from(Temperature::PER_KELVIN),
+fn compile_heat_coefficient(
+    it: &TemperatureResponse,
+    units: f64,
+) -> Result<(ScaledCoefficient, Temperature, f64), String> {
+    let (per_temperature, nm) = scale_coefficient(
+        it.um_per_c * units * FINE_UNITS_PER_UM / f64::from(Temperature::PER_KELVIN),
+        MAX_CHECKED_DEVIATION_K * f64::from(Temperature::PER_KELVIN),
     )?;
     let reference_c = it.reference_c;
-    let reference = heat::temperature(reference_c)
+    let reference = thermal::temperature_from_celsius(reference_c)
         .ok_or_else(|| format!("{reference_c} °C is beyond the board's ±524 °C"))?;
     Ok((per_temperature, reference, nm))
 }
 
-fn speed_heat(it: &SpeedHeat) -> Made<Effect<'static>> {
-    let &SpeedHeat { power, um_per_unit, time_constant_s } = it;
-    let units_per_heating = power.units() / heating(power, 1.0);
-    let largest = heating(power, CHECKED_RPM) * units_per_heating;
-    let (per_unit, nm) = scaled(um_per_unit * FINE_PER_UM / units_per_heating, largest)?;
+fn compile_speed_heat(it: &SpeedHeatResponse) -> CompileResult<Effect<'static>> {
+    let &SpeedHeatResponse { power, um_per_unit, time_constant_s } = it;
+    let units_per_heating = power.input_units() / relative_heat_input(power, 1.0);
+    let largest = relative_heat_input(power, MAX_CHECKED_SPEED_RPM) * units_per_heating;
+    let (per_unit, nm) =
+        scale_coefficient(um_per_unit * FINE_UNITS_PER_UM / units_per_heating, largest)?;
     let smoothing = lag::smoothing_factor(time_constant_s)?;
     Ok((Effect::SpeedHeat { power, smoothing, per_unit }, nm))
 }
 
 /// The position in m at which a slope by heat is its coefficient.
-const HEAT_SLOPE_M: f64 = (1_u64 << HEAT_SLOPE_BITS) as f64 / UNITS_PER_MM / 1_000.0;
-pub(crate) const TWO_24: f64 = (1_u64 << 24) as f64;
+const HEAT_SLOPE_REFERENCE_M: f64 =
+    (1_u64 << HEAT_SLOPE_BITS) as f64 / POSITION_UNITS_PER_MM / 1_000.0;
+pub(crate) const Q24_ONE: f64 = (1_u64 << 24) as f64;
 
 /// Returns a length, and its rounding in nm.
-pub(super) fn fine(um: f64) -> Made<Fine> {
-    let exact = um * FINE_PER_UM;
-    let stored = rounded(exact).ok_or_else(|| format!("{um} µm is beyond the board's ±8388 µm"))?;
-    Ok((Fine(stored), (f64::from(stored) - exact).abs() / FINE_PER_UM * NM_PER_UM))
+pub(super) fn compile_length(um: f64) -> CompileResult<FineNanometres> {
+    let exact = um * FINE_UNITS_PER_UM;
+    let stored =
+        round_to_i32(exact).ok_or_else(|| format!("{um} µm is beyond the board's ±8388 µm"))?;
+    Ok((FineNanometres(stored), (f64::from(stored) - exact).abs() / FINE_UNITS_PER_UM * NM_PER_UM))
 }
 
 /// Returns a coefficient, and what its rounding makes in nm at `largest`, what it multiplies.
-pub(crate) fn scaled(value: f64, largest: f64) -> Made<Scaled> {
-    const MAX: f64 = (1_u64 << 30) as f64;
+pub(crate) fn scale_coefficient(value: f64, largest: f64) -> CompileResult<ScaledCoefficient> {
+    const MANTISSA_LIMIT: f64 = (1_u64 << 30) as f64;
     let mantissa = |shift: u8| (value * 2_f64.powi(shift.into())).round();
-    let fits = |shift: &u8| mantissa(*shift).abs() < MAX;
+    let fits = |shift: &u8| mantissa(*shift).abs() < MANTISSA_LIMIT;
     let shift = (0..=62_u8)
         .rev()
         .find(fits)
         .ok_or_else(|| format!("has a coefficient of {value:e} units, beyond the board's 2³⁰"))?;
-    let stored = Scaled { mantissa: rounded(mantissa(shift)).expect("held below 2³⁰"), shift };
+    let stored = ScaledCoefficient {
+        mantissa: round_to_i32(mantissa(shift)).expect("held below 2³⁰"),
+        shift,
+    };
     let off = f64::from(stored.mantissa) / 2_f64.powi(shift.into()) - value;
-    Ok((stored, off.abs() * largest / FINE_PER_UM * NM_PER_UM))
+    Ok((stored, off.abs() * largest / FINE_UNITS_PER_UM * NM_PER_UM))
 }
 
-fn position(axis: file::LinearAxis, um_per_m: f64) -> Made<Effect<'static>> {
+fn compile_position(axis: file::LinearAxis, um_per_m: f64) -> CompileResult<Effect<'static>> {
     compile_squareness(um_per_m)
-        .map(|(gradient, nm)| (Effect::Position { axis: linear(axis), gradient }, nm))
+        .map(|(gradient, nm)| (Effect::Position { axis: linear_axis_to_board(axis), gradient }, nm))
 }
 
 /// The board's lever in m: an angle of 1 µrad is this many µm there.
-pub(crate) const LEVER_M: f64 = term::LEVER.0 as f64 / UNITS_PER_MM / 1000.0;
+pub(crate) const REFERENCE_LEVER_M: f64 =
+    term::REFERENCE_LEVER.0 as f64 / POSITION_UNITS_PER_MM / 1000.0;
 /// Levers are held against the model up to 15 m: this many of the board's.
-pub(crate) const MAX_LEVERS: f64 = 15.0 / LEVER_M;
+pub(crate) const MAX_LEVER_RATIO: f64 = 15.0 / REFERENCE_LEVER_M;
 
 /// Returns a tilt of the own axis or another.
-fn tilt(own: Option<file::LinearAxis>, it: &Tilt) -> Made<OwnedEffect> {
+fn compile_tilt(own: Option<file::LinearAxis>, it: &Tilt) -> CompileResult<OwnedEffect> {
     let Tilt { along, lever, origin_mm, ref angle } = *it;
-    let along = linear(along.or(own).ok_or("belongs to dx, dy or dz")?);
-    let lever = linear(lever);
-    let origin = rounded(origin_mm * UNITS_PER_MM)
+    let along = linear_axis_to_board(along.or(own).ok_or("belongs to dx, dy or dz")?);
+    let lever = linear_axis_to_board(lever);
+    let origin = round_to_i32(origin_mm * POSITION_UNITS_PER_MM)
         .ok_or_else(|| format!("{origin_mm} mm is beyond the board's ±21474 mm"))?;
     let origin = Position(origin);
     let (effect, nm) = match angle {
         &Angle::Line(urad_per_m) => {
-            let (angle, nm) = compile_squareness(urad_per_m * LEVER_M)
+            let (angle, nm) = compile_squareness(urad_per_m * REFERENCE_LEVER_M)
                 .map_err(|_| format!("{urad_per_m} is beyond the board's ±2328 µrad/m"))?;
             let tilt = term::Tilt { along, lever, origin, angle };
             (OwnedEffect::Plain(Effect::TiltLine(tilt)), nm)
         }
         Angle::Curve(spline) => {
-            let control_um = spline.control_um.iter().map(|urad| urad * LEVER_M).collect();
+            let control_um =
+                spline.control_um.iter().map(|urad| urad * REFERENCE_LEVER_M).collect();
             let (angle, nm) = compile_curve(&BSpline { control_um, ..spline.clone() })?;
             (OwnedEffect::Tilt(term::Tilt { along, lever, origin, angle }), nm)
         }
     };
-    Ok((effect, nm * MAX_LEVERS))
+    Ok((effect, nm * MAX_LEVER_RATIO))
 }
 
 /// Returns one wave, and its largest difference from the model over the board's ±21 m, in nm.
-fn wave(period_mm: f64, wave: Wave) -> Made<Effect<'static>> {
-    let turns_per_unit = f64::from(wave.harmonic) / (period_mm * UNITS_PER_MM);
+fn compile_wave(period_mm: f64, wave: Wave) -> CompileResult<Effect<'static>> {
+    let turns_per_unit = f64::from(wave.harmonic) / (period_mm * POSITION_UNITS_PER_MM);
     // f64 holds 53 bits of the 64: 21 m of 10 nm are 31, so that 2⁻²² turns are left.
     let turns = (turns_per_unit * 2_f64.powi(64)).round();
     if !(1.0..2_f64.powi(63)).contains(&turns) {
         return Err(format!("has a period of {period_mm} mm, which the board cannot run"));
     }
-    let (amplitude, rounding_nm) = fine(wave.amplitude_um)?;
+    let (amplitude, rounding_nm) = compile_length(wave.amplitude_um)?;
     let phase = (wave.phase_deg / 360.0).rem_euclid(1.0) * 2_f64.powi(32);
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "held to 1…2⁶³")]
     let turns = turns as u64;
     // A whole turn, 2³², is none.
-    let phase = rounded_unsigned(phase).unwrap_or(0);
+    let phase = round_to_u32(phase).unwrap_or(0);
     let effect = Effect::Wave { turns, phase, amplitude };
     let turn_error = 2_f64.powi(-52) * turns_per_unit * f64::from(i32::MAX) + 2_f64.powi(-32);
     let phase_nm = wave.amplitude_um.abs() * std::f64::consts::TAU * turn_error * NM_PER_UM;

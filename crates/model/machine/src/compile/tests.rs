@@ -1,16 +1,16 @@
 use std::path::Path;
 
 use trueup_core::{
-    calibration::{self, AXIS_PAIRS},
+    calibration::{self, STRAIGHTNESS_AXIS_PAIRS},
     kinematics::RotaryAxis,
-    learned::Caps,
+    learned::LearnedLimits,
     sensor::{SensorLaw, Slope},
-    tool::Direction,
+    tool_direction::Direction,
     units::{Nanometres, Position, Reading, Temperature},
 };
 
-use super::{inputs::linear_thermometer, *};
-use crate::{MachineFile, file::SensorModel, inputs::SensorInput, stored::NM_PER_UM};
+use super::{inputs::compile_linear_thermometer, *};
+use crate::{MachineFile, file::SensorModel, inputs::SensorInput, unit_conversion::NM_PER_UM};
 
 /// Returns the paper's machine file with `from` replaced by `to`, behind a divider that takes its 10 V to the
 /// converter's 3.3: a code is 8 counts there, and all numbers are whole.
@@ -105,7 +105,7 @@ fn a_law_of_the_sensor_is_on_the_board_as_the_source_or_where_a_sensor_is_connec
         (paper_but(&format!("[inputs]\n{input}"), ""), true),
         (paper_but(source, ""), false),
     ] {
-        assert_eq!(machine.sensor_on_board().is_some(), is_on_board);
+        assert_eq!(machine.board_sensor_model().is_some(), is_on_board);
         // Without an input the board cannot run it as the source, and says so.
         let Ok(compiled) = compile(&machine) else { continue };
         let law = compiled.calibration().spindle.sensor;
@@ -119,7 +119,7 @@ fn a_sensor_whose_growth_lowers_the_reading_has_a_negative_slope() {
     let law = compile(&machine).expect("fits").calibration().spindle.sensor;
     assert_eq!(law.slope, Slope(-32_000_000));
     let reading = 128.0 * (5048.0 - 1000.0);
-    assert!((stored_law_nm(&law, reading) - 15_258.789_062_5).abs() < 1e-9);
+    assert!((exact_elongation_nm(&law, reading) - 15_258.789_062_5).abs() < 1e-9);
 }
 
 /// Any calibration that the zero reading in range and a slope within the format allow.
@@ -161,7 +161,7 @@ fn the_difference_at_the_ends_is_the_largest_in_between() {
     let law = &compiled.calibration().spindle.sensor;
     for counts in 0..=32_768 {
         let counts = f64::from(counts);
-        let stored = stored_law_nm(law, input.exact_reading_from_counts(counts));
+        let stored = exact_elongation_nm(law, input.exact_reading_from_counts(counts));
         let difference = (stored - machine.elongation_um(counts) * NM_PER_UM).abs();
         assert!(difference <= compiled.largest_difference_nm + 1e-9);
     }
@@ -241,13 +241,13 @@ fn every_section_reaches_the_board_and_is_accounted_for() {
     let calibration = compiled.calibration();
     let [x, y, z] = calibration.axes;
     assert_eq!(x, calibration::AxisModel::default());
-    assert_eq!(y.backlash, Nanometres(4_000).fine());
+    assert_eq!(y.backlash, Nanometres(4_000).to_fine());
     assert_eq!((y.travel.hysteresis, y.travel.ramp.length()), (100, 5_000));
     // 250 µm in a millisecond.
     assert_eq!((y.rapid, z.rapid), (25_000, 0));
     let points = [0, 256_000].map(i32::to_le_bytes);
     assert_eq!(z.pitch.map(|pitch| (pitch.start, pitch.forward)), Some((Position(0), &points[..])));
-    let places = AXIS_PAIRS.map(|(error, along)| (error as usize, along as usize));
+    let places = STRAIGHTNESS_AXIS_PAIRS.map(|(error, along)| (error as usize, along as usize));
     for (place, pair) in places.into_iter().enumerate() {
         assert_eq!(calibration.straightness[place].is_empty(), pair != (2, 0), "{pair:?}");
         // 1 µm/m is 10⁻⁵ nm per position unit, Q36.
@@ -280,23 +280,26 @@ fn the_blob_is_what_the_board_reads() {
 
 #[test]
 fn counts_of_a_linear_thermometer_are_read_to_a_tenth_of_a_millikelvin() {
-    use trueup_core::thermometer::Raw;
+    use trueup_core::thermometer::RawReading;
     for (zero, per_c) in [(4000.0, 16.0), (-300.5, -27.3), (0.0, 0.011), (12.25, 9_999.0)] {
-        let thermometer = linear_thermometer(zero, per_c).expect("within the rule");
+        let thermometer = compile_linear_thermometer(zero, per_c).expect("within the rule");
         for step in 0..=100 {
             let celsius = f64::from(step) - 20.0;
             let raw = ((zero + celsius * per_c) * 256.0).round();
             let exact_c = (raw / 256.0 - zero) / per_c;
-            let Ok(read) = thermometer.read(Raw(raw as i32)) else { continue };
+            let Ok(read) = thermometer.convert(RawReading(raw as i32)) else { continue };
             let off_mk = f64::from(read.0) / f64::from(4_096) - exact_c * 1_000.0;
             assert!(off_mk.abs() < 0.1, "{zero} {per_c}: {off_mk} mK at {celsius} °C");
         }
     }
     for (zero, per_c) in [(8_388_607.0, 0.01), (-8_388_607.0, -10_000.0)] {
-        assert!(linear_thermometer(zero, per_c).is_some(), "{zero} {per_c} is within the rule");
+        assert!(
+            compile_linear_thermometer(zero, per_c).is_some(),
+            "{zero} {per_c} is within the rule"
+        );
     }
     for (zero, per_c) in [(0.0, 0.009), (0.0, -10_001.0), (0.0, 0.0), (8_388_608.0, 16.0)] {
-        assert_eq!(linear_thermometer(zero, per_c), None, "{zero} {per_c}");
+        assert_eq!(compile_linear_thermometer(zero, per_c), None, "{zero} {per_c}");
     }
 }
 
@@ -311,9 +314,9 @@ fn the_widest_limits_of_the_board_fit() {
     let calibration = compiled.calibration();
     assert_eq!(calibration.limits.max[0], Nanometres(4_000_000));
     assert_eq!(calibration.limits.rejoin_nm_per_s, 1_000);
-    assert_eq!(calibration.limits.learned, Caps { growth: 250, axes: 73, zero: 200 });
+    assert_eq!(calibration.limits.learned, LearnedLimits { growth: 250, axes: 73, zero: 200 });
     let without = compile(&paper_but("", "")).expect("fits").calibration().limits.learned;
-    assert_eq!(without, Caps::default(), "who writes nothing lets nothing be changed");
+    assert_eq!(without, LearnedLimits::default(), "who writes nothing lets nothing be changed");
     assert_eq!(calibration.cold_within, Temperature(5 * Temperature::PER_KELVIN));
 }
 
@@ -326,7 +329,7 @@ fn a_calibration_names_its_machine_and_its_board() {
     let names = compiled.calibration().names;
     assert_eq!((names.machine, names.serial), (named.name.as_bytes(), &b"17 / 4"[..]));
     assert_eq!(names.board, [0x00FF_0001, 0x89AB_CDEF, 0x0123_4567]);
-    let again = inverse(&compiled.calibration());
+    let again = decompile(&compiled.calibration());
     assert_eq!(
         (&again.name, &again.serial, again.board),
         (&named.name, &named.serial, named.board)

@@ -20,26 +20,29 @@
 
 use super::{
     cause_spec::{
-        Angle, CauseSpec, Definition, Entry, Host, Input, Nonlinear, OnBoard, Parameter, Target,
-        Tilt, Value, axis, number,
+        Angle, BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec,
+        Input, Law, NonlinearParameter, Parameter, Target, TermContext, TermEntry, Tilt, Value,
+        required_axis, required_number,
     },
-    data_view::{DataView, StartValues, even_knots, spread, targets},
+    data_view::{DataView, StartValues, peak_to_peak, target_positions, uniform_knots},
 };
-use crate::file::keys::term::{ALONG, CONTROL_URAD, KNOTS_MM, LEVER, ORDER, ORIGIN_MM, URAD_PER_M};
+use crate::file::schema::term::{
+    ALONG, CONTROL_URAD, KNOTS_MM, LEVER, ORDER, ORIGIN_MM, URAD_PER_M,
+};
 use crate::{
     file::axis::LinearAxis,
-    file::read::Section,
+    file::reader::Section,
     file::straightness::{BSpline, SplineKeys, read_spline, spline_entries},
     location::BadInput,
-    model::straightness::spline_weights,
+    model::straightness::spline_basis_values,
 };
 
-/// An angle that goes with the position of an axis, times a lever.
+/// An angle that depends on the position of an axis, times a lever.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AngularError(Tilt);
 
 /// The keys of an angle as a spline.
-const CURVE: SplineKeys = [ORDER, KNOTS_MM, CONTROL_URAD];
+const SPLINE_KEYS: SplineKeys = [ORDER, KNOTS_MM, CONTROL_URAD];
 
 impl AngularError {
     fn neutral(along: Option<LinearAxis>, lever: LinearAxis, angle: Angle) -> Self {
@@ -47,8 +50,38 @@ impl AngularError {
     }
 }
 
-impl CauseSpec for AngularError {
-    fn entries(&self) -> Vec<Entry> {
+impl FileRepresentation for AngularError {
+    const NAME: &'static str = "angular-error";
+
+    fn keys(section: &Section<'_>) -> &'static [&'static str] {
+        if has_key(section, URAD_PER_M.name) {
+            &[ALONG.name, LEVER.name, ORIGIN_MM.name, URAD_PER_M.name]
+        } else {
+            &[
+                ALONG.name,
+                LEVER.name,
+                ORIGIN_MM.name,
+                ORDER.name,
+                KNOTS_MM.name,
+                CONTROL_URAD.name,
+                URAD_PER_M.name,
+            ]
+        }
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        let along =
+            has_key(section, ALONG.name).then(|| required_axis(section, ALONG)).transpose()?;
+        let angle = if has_key(section, CONTROL_URAD.name) {
+            Angle::Curve(read_spline(section, &SPLINE_KEYS)?)
+        } else {
+            Angle::Line(required_number(section, URAD_PER_M)?)
+        };
+        let origin_mm = section.number(ORIGIN_MM.name)?.unwrap_or(0.0);
+        Ok(Self(Tilt { along, lever: required_axis(section, LEVER)?, origin_mm, angle }))
+    }
+
+    fn entries(&self) -> Vec<TermEntry> {
         let Tilt { along, lever, origin_mm, angle } = &self.0;
         let mut entries = Vec::new();
         entries.extend(along.map(|axis| (ALONG.name, Value::Text(axis.name().into()))));
@@ -56,16 +89,18 @@ impl CauseSpec for AngularError {
         entries.push((ORIGIN_MM.name, Value::Number(*origin_mm)));
         match angle {
             Angle::Line(urad_per_m) => entries.push((URAD_PER_M.name, Value::Number(*urad_per_m))),
-            Angle::Curve(spline) => entries.extend(spline_entries(spline, &CURVE)),
+            Angle::Curve(spline) => entries.extend(spline_entries(spline, &SPLINE_KEYS)),
         }
         entries
     }
+}
 
-    fn home(&self) -> Target {
+impl Law for AngularError {
+    fn target(&self) -> Target {
         Target::Axis
     }
 
-    fn refusal(&self, host: &Host<'_>) -> Option<String> {
+    fn refusal(&self, host: &TermContext<'_>) -> Option<String> {
         let own = host.quantity.axis()?;
         let Tilt { along, lever, .. } = self.0;
         if lever == own {
@@ -80,28 +115,50 @@ impl CauseSpec for AngularError {
         }
     }
 
-    fn tier(&self) -> u8 {
-        1
-    }
-
     fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
         let tilts = self.0.along.map_or(Input::OwnPosition, Input::Position);
         vec![Input::Position(self.0.lever), tilts]
     }
 
-    fn nonlinear(&self) -> &'static [Nonlinear] {
-        &[Nonlinear::Origin]
-    }
-
-    fn amplitudes(&self) -> usize {
+    fn add_unit_effects(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
+        // µrad times mm are nm.
+        let lever_m = (x[0] - nonlinear[0]) / 1000.0;
         match &self.0.angle {
-            Angle::Line(_) => 1,
-            Angle::Curve(spline) => spline.control_um.len(),
+            Angle::Line(_) => add(0, x[1] / 1000.0 * lever_m),
+            Angle::Curve(spline) => {
+                let (first, weights) = spline_basis_values(spline, x[1]);
+                for (number, weight) in weights.into_iter().take(spline.order).enumerate() {
+                    add(first + number, weight * lever_m);
+                }
+            }
         }
     }
+}
 
-    fn list_length(&self) -> Option<usize> {
-        matches!(self.0.angle, Angle::Curve(_)).then(|| self.amplitudes())
+impl BoardRepresentation for AngularError {
+    fn board_terms(&self) -> Vec<BoardTerm> {
+        vec![BoardTerm::Tilt(self.0.clone())]
+    }
+
+    fn from_board(_: Option<LinearAxis>, form: &BoardTerm, _: &mut f64) -> Option<Self> {
+        if let BoardTerm::Tilt(tilt) = form { Some(Self(tilt.clone())) } else { None }
+    }
+}
+
+impl Candidate for AngularError {
+    fn fit_spec(&self) -> FitSpec {
+        let list_length = match &self.0.angle {
+            Angle::Line(_) => None,
+            Angle::Curve(spline) => Some(spline.control_um.len()),
+        };
+        let amplitudes = list_length.unwrap_or(1);
+        FitSpec {
+            tier: 1,
+            nonlinear: &[NonlinearParameter::Origin],
+            amplitudes,
+            list_length,
+            ..FitSpec::DEFAULT
+        }
     }
 
     fn values(&self) -> Vec<f64> {
@@ -112,7 +169,7 @@ impl CauseSpec for AngularError {
         }
     }
 
-    fn set(&mut self, values: &[f64]) {
+    fn set_values(&mut self, values: &[f64]) {
         self.0.origin_mm = values[0];
         match &mut self.0.angle {
             Angle::Line(urad_per_m) => *urad_per_m = values[1],
@@ -120,11 +177,36 @@ impl CauseSpec for AngularError {
         }
     }
 
-    fn on_board(&self) -> Vec<OnBoard> {
-        vec![OnBoard::Tilt(self.0.clone())]
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
+        let others = survey.other_moving_axes();
+        for &lever in &others {
+            let of = |axis: LinearAxis| survey.column(&format!("{}_mm", axis.name()));
+            let lever_mm = of(lever).unwrap_or(&[]);
+            let own = survey.own_position().filter(|mm| peak_to_peak(mm) > 0.0);
+            let across = others.iter().filter(|&&axis| axis != lever);
+            let across = across.map(|&axis| (Some(axis), of(axis).unwrap_or(&[])));
+            for (along, mm) in own.map(|mm| (None, mm)).into_iter().chain(across) {
+                // Of two axes across, c·P·L is the same whichever of them tilts.
+                if along.is_none_or(|axis| axis < lever) {
+                    let angle = Angle::Line(0.0);
+                    with(Self::neutral(along, lever, angle), lever_zero_candidates(lever_mm));
+                }
+                let at = target_positions(mm, 1e-3);
+                for controls in [5, 8, 12] {
+                    if at.len() >= controls + 2 && survey.group_count() >= 5 * controls {
+                        let control_um = vec![0.0; controls];
+                        let knots_mm = uniform_knots(&at, controls);
+                        let angle = Angle::Curve(BSpline { order: 4, knots_mm, control_um });
+                        with(Self::neutral(along, lever, angle), lever_zero_candidates(lever_mm));
+                    }
+                }
+            }
+        }
     }
+}
 
-    fn sentence(&self, values: &[f64]) -> String {
+impl Explanation for AngularError {
+    fn describe(&self, values: &[f64]) -> String {
         let tilts = self
             .0
             .along
@@ -154,8 +236,8 @@ impl CauseSpec for AngularError {
             Angle::Line(_) => vec![Parameter::Fitted("urad_per_m", 1, 0.0)],
             Angle::Curve(_) => {
                 let mut fitted = self.clone();
-                fitted.set(values);
-                let of_spline = |name: &str| CURVE.iter().any(|key| key.name == name);
+                fitted.set_values(values);
+                let of_spline = |name: &str| SPLINE_KEYS.iter().any(|key| key.name == name);
                 let entries = fitted.entries().into_iter().filter(|(name, _)| of_spline(name));
                 let spline = entries.map(|(key, value)| (key, Some(value))).collect();
                 vec![Parameter::Record("spline", spline)]
@@ -171,90 +253,14 @@ impl CauseSpec for AngularError {
     }
 }
 
-impl Definition for AngularError {
-    const NAME: &'static str = "angular-error";
-
-    fn keys(section: &Section<'_>) -> &'static [&'static str] {
-        if has(section, URAD_PER_M.name) {
-            &[ALONG.name, LEVER.name, ORIGIN_MM.name, URAD_PER_M.name]
-        } else {
-            &[
-                ALONG.name,
-                LEVER.name,
-                ORIGIN_MM.name,
-                ORDER.name,
-                KNOTS_MM.name,
-                CONTROL_URAD.name,
-                URAD_PER_M.name,
-            ]
-        }
-    }
-
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        let along = has(section, ALONG.name).then(|| axis(section, ALONG)).transpose()?;
-        let angle = if has(section, CONTROL_URAD.name) {
-            Angle::Curve(read_spline(section, &CURVE)?)
-        } else {
-            Angle::Line(number(section, URAD_PER_M)?)
-        };
-        let origin_mm = section.number(ORIGIN_MM.name)?.unwrap_or(0.0);
-        Ok(Self(Tilt { along, lever: axis(section, LEVER)?, origin_mm, angle }))
-    }
-
-    fn law(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
-        // µrad times mm are nm.
-        let lever_m = (x[0] - nonlinear[0]) / 1000.0;
-        match &self.0.angle {
-            Angle::Line(_) => add(0, x[1] / 1000.0 * lever_m),
-            Angle::Curve(spline) => {
-                let (first, weights) = spline_weights(spline, x[1]);
-                for (number, weight) in weights.into_iter().take(spline.order).enumerate() {
-                    add(first + number, weight * lever_m);
-                }
-            }
-        }
-    }
-
-    fn from_board(_: Option<LinearAxis>, form: &OnBoard, _: &mut f64) -> Option<Self> {
-        if let OnBoard::Tilt(tilt) = form { Some(Self(tilt.clone())) } else { None }
-    }
-
-    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
-        let others = survey.other_axes();
-        for &lever in &others {
-            let of = |axis: LinearAxis| survey.column(&format!("{}_mm", axis.name()));
-            let lever_mm = of(lever).unwrap_or(&[]);
-            let own = survey.own_position().filter(|mm| spread(mm) > 0.0);
-            let across = others.iter().filter(|&&axis| axis != lever);
-            let across = across.map(|&axis| (Some(axis), of(axis).unwrap_or(&[])));
-            for (along, mm) in own.map(|mm| (None, mm)).into_iter().chain(across) {
-                // Of two axes across, c·P·L is the same whichever of them tilts.
-                if along.is_none_or(|axis| axis < lever) {
-                    let angle = Angle::Line(0.0);
-                    with(Self::neutral(along, lever, angle), zeros(lever_mm));
-                }
-                let at = targets(mm, 1e-3);
-                for controls in [5, 8, 12] {
-                    if at.len() >= controls + 2 && survey.groups() >= 5 * controls {
-                        let control_um = vec![0.0; controls];
-                        let knots_mm = even_knots(&at, controls);
-                        let angle = Angle::Curve(BSpline { order: 4, knots_mm, control_um });
-                        with(Self::neutral(along, lever, angle), zeros(lever_mm));
-                    }
-                }
-            }
-        }
-    }
-}
-
-fn has(section: &Section<'_>, key: &str) -> bool {
+fn has_key(section: &Section<'_>, key: &str) -> bool {
     section.keys().contains(&key)
 }
 
 /// Where the lever may have its zero, to begin from: the machine's own, the ends and the middle.
-fn zeros(lever_mm: &[f64]) -> StartValues {
+fn lever_zero_candidates(lever_mm: &[f64]) -> StartValues {
     let finite = lever_mm.iter().copied().filter(|mm| mm.is_finite());
     let low = finite.fold(f64::INFINITY, f64::min);
-    let length = spread(lever_mm);
-    StartValues::at([0.0, low, low + 0.5 * length, low + length])
+    let length = peak_to_peak(lever_mm);
+    StartValues::from_values([0.0, low, low + 0.5 * length, low + length])
 }

@@ -16,17 +16,17 @@
 
 use super::{
     cause_spec::{
-        CauseSpec, Definition, Entry, Host, Input, Nonlinear, OnBoard, Parameter, Target, Value,
-        minutes,
+        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
+        Law, NonlinearParameter, Parameter, Target, TermContext, TermEntry, Value, format_duration,
     },
-    data_view::{DataView, StartValues, TIME_CONSTANTS},
+    data_view::{DataView, StartValues, TIME_CONSTANT_COUNT},
     heat,
 };
-use crate::file::keys::term::{COLUMN, ORIGIN_MM, REFERENCE_C, TIME_CONSTANT_S, UM_PER_M_PER_C};
+use crate::file::schema::term::{COLUMN, ORIGIN_MM, REFERENCE_C, TIME_CONSTANT_S, UM_PER_M_PER_C};
 use crate::file::table::{Table, entries, table};
 use crate::{
-    file::axis::{Thermal, ThermalMode},
-    file::read::Section,
+    file::axis::{ThermalLaw, ThermalMode},
+    file::reader::Section,
     location::BadInput,
 };
 
@@ -35,15 +35,15 @@ table! {
     #[derive(Clone, Debug, PartialEq)]
     pub struct AxisExpansion {
         /// The column of T, `temp_<name>_c`.
-        column: String = COLUMN.of(Column).required();
+        column: String = COLUMN.with_form(Column).required();
         /// c, in µm/(m·K); positive where the warm axis goes too far.
         um_per_m_per_c: f64 = UM_PER_M_PER_C.required();
         /// τ in s; 0: no lag.
-        time_constant_s: f64 = TIME_CONSTANT_S.or("0.0");
+        time_constant_s: f64 = TIME_CONSTANT_S.with_default("0.0");
         /// T_ref in °C.
         reference_c: f64 = REFERENCE_C.required();
         /// P₀ in mm.
-        origin_mm: f64 = ORIGIN_MM.or("0.0");
+        origin_mm: f64 = ORIGIN_MM.with_default("0.0");
     }
 }
 
@@ -53,28 +53,35 @@ impl AxisExpansion {
     }
 
     /// c, a and b of these values.
-    fn amplitudes_of(values: &[f64]) -> [f64; 3] {
+    fn last_amplitudes(values: &[f64]) -> [f64; 3] {
         let first = values.len() - 3;
         [values[first], values[first + 1], values[first + 2]]
     }
 }
 
-impl CauseSpec for AxisExpansion {
-    fn entries(&self) -> Vec<Entry> {
-        entries(self)
+impl FileRepresentation for AxisExpansion {
+    const NAME: &'static str = "axis-expansion";
+
+    fn keys(_: &Section<'_>) -> &'static [&'static str] {
+        Self::NAMES
     }
 
-    fn home(&self) -> Target {
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        Table::read(section)
+    }
+
+    fn entries(&self) -> Vec<TermEntry> {
+        entries(self)
+    }
+}
+
+impl Law for AxisExpansion {
+    fn target(&self) -> Target {
         Target::Axis
     }
 
-    fn refusal(&self, host: &Host<'_>) -> Option<String> {
+    fn refusal(&self, host: &TermContext<'_>) -> Option<String> {
         host.thermal.map(|_| "belongs to an axis without [axis.*.thermal], its law is there".into())
-    }
-
-    // A scale that is off is nearer: an expansion has room for it, and must do more.
-    fn tier(&self) -> u8 {
-        1
     }
 
     fn inputs(&self, nonlinear: &[f64]) -> Vec<Input<'_>> {
@@ -82,39 +89,22 @@ impl CauseSpec for AxisExpansion {
         vec![Input::Temperature { column: &self.column, lag_s }, Input::OwnPosition]
     }
 
-    fn nonlinear(&self) -> &'static [Nonlinear] {
-        if self.has_lag() { &[Nonlinear::TimeConstant] } else { &[] }
-    }
-
-    fn amplitudes(&self) -> usize {
-        3
-    }
-
-    fn values(&self) -> Vec<f64> {
-        let lag_s = self.has_lag().then_some(self.time_constant_s);
-        lag_s.into_iter().chain([self.um_per_m_per_c, 0.0, 0.0]).collect()
-    }
-
-    fn set(&mut self, values: &[f64]) {
-        if self.has_lag() {
-            self.time_constant_s = values[0];
-        }
-        let [c, a, b] = Self::amplitudes_of(values);
-        self.um_per_m_per_c = c;
-        // Without a growth it has no references.
-        if c != 0.0 {
-            self.reference_c -= a / c;
-            self.origin_mm -= 1000.0 * b / c;
-        }
+    fn add_unit_effects(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
+        let (above_c, way_m) = (x[0] - self.reference_c, (x[1] - self.origin_mm) / 1000.0);
+        add(0, above_c * way_m);
+        add(1, way_m);
+        add(2, above_c);
     }
 
     fn constant_um(&self, values: &[f64]) -> f64 {
-        let [c, a, b] = Self::amplitudes_of(values);
+        let [c, a, b] = Self::last_amplitudes(values);
         if c == 0.0 { 0.0 } else { -a * b / c }
     }
+}
 
-    fn on_board(&self) -> Vec<OnBoard> {
-        vec![OnBoard::Thermal(Thermal {
+impl BoardRepresentation for AxisExpansion {
+    fn board_terms(&self) -> Vec<BoardTerm> {
+        vec![BoardTerm::Thermal(ThermalLaw {
             mode: ThermalMode::Position,
             sensor: self.column.clone(),
             reference_c: self.reference_c,
@@ -125,15 +115,66 @@ impl CauseSpec for AxisExpansion {
             table: None,
         })]
     }
+}
 
-    fn has_reference(&self) -> bool {
-        true
+impl Candidate for AxisExpansion {
+    fn fit_spec(&self) -> FitSpec {
+        FitSpec {
+            // A scale that is off is nearer: an expansion has room for it, and must do more.
+            tier: 1,
+            nonlinear: if self.has_lag() { &[NonlinearParameter::TimeConstant] } else { &[] },
+            amplitudes: 3,
+            has_reference: true,
+            ..FitSpec::DEFAULT
+        }
     }
 
-    fn sentence(&self, values: &[f64]) -> String {
-        let [c, ..] = Self::amplitudes_of(values);
+    fn values(&self) -> Vec<f64> {
+        let lag_s = self.has_lag().then_some(self.time_constant_s);
+        lag_s.into_iter().chain([self.um_per_m_per_c, 0.0, 0.0]).collect()
+    }
+
+    fn set_values(&mut self, values: &[f64]) {
+        if self.has_lag() {
+            self.time_constant_s = values[0];
+        }
+        let [c, a, b] = Self::last_amplitudes(values);
+        self.um_per_m_per_c = c;
+        // Without a growth it has no references.
+        if c != 0.0 {
+            self.reference_c -= a / c;
+            self.origin_mm -= 1000.0 * b / c;
+        }
+    }
+
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
+        let is_open = survey.thermal_law().is_none()
+            && !survey.has_cause(Self::NAME)
+            && survey.own_axis_moves();
+        let Some(position_mm) = survey.own_position().filter(|_| is_open) else { return };
+        let there = position_mm.iter().copied().filter(|mm| mm.is_finite());
+        let [low, high] = there.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], mm| {
+            [low.min(mm), high.max(mm)]
+        });
+        for (column, _) in heat::candidate_columns(survey) {
+            let neutral = |time_constant_s: f64| Self {
+                column: column.into(),
+                um_per_m_per_c: 0.0,
+                time_constant_s,
+                reference_c: survey.reference_c(column),
+                origin_mm: (low + high) / 2.0,
+            };
+            with(neutral(0.0), StartValues::empty());
+            with(neutral(1.0), survey.time_constant_start_values(TIME_CONSTANT_COUNT));
+        }
+    }
+}
+
+impl Explanation for AxisExpansion {
+    fn describe(&self, values: &[f64]) -> String {
+        let [c, ..] = Self::last_amplitudes(values);
         let behind = if self.has_lag() {
-            format!(", behind a time constant of {}", minutes(values[0]))
+            format!(", behind a time constant of {}", format_duration(values[0]))
         } else {
             String::new()
         };
@@ -148,9 +189,19 @@ impl CauseSpec for AxisExpansion {
         "Measure the axis at both ends, cold and after a warm-up of at least 5 K."
     }
 
+    fn distinguishing_test(rival: &str) -> Option<&'static str> {
+        match rival {
+            "pitch-scale" | "extra-heat-path" => Some(
+                "Measure the axis at both ends, cold and warm: a scale stays as it is, heat by \
+                 another path moves both ends alike, an expansion moves them apart.",
+            ),
+            _ => None,
+        }
+    }
+
     fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
         let mut fitted = self.clone();
-        fitted.set(values);
+        fitted.set_values(values);
         let time_constant = if self.has_lag() {
             Parameter::Fitted("time_constant_s", 0, 0.0)
         } else {
@@ -162,54 +213,5 @@ impl CauseSpec for AxisExpansion {
             Parameter::Said("reference_c", Value::Number(fitted.reference_c)),
             Parameter::Said("origin_mm", Value::Number(fitted.origin_mm)),
         ]
-    }
-}
-
-impl Definition for AxisExpansion {
-    const NAME: &'static str = "axis-expansion";
-
-    fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        Self::NAMES
-    }
-
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        Table::read(section)
-    }
-
-    fn law(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
-        let (above_c, way_m) = (x[0] - self.reference_c, (x[1] - self.origin_mm) / 1000.0);
-        add(0, above_c * way_m);
-        add(1, way_m);
-        add(2, above_c);
-    }
-
-    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
-        let is_open = survey.thermal().is_none() && !survey.has(Self::NAME) && survey.moves();
-        let Some(position_mm) = survey.own_position().filter(|_| is_open) else { return };
-        let there = position_mm.iter().copied().filter(|mm| mm.is_finite());
-        let [low, high] = there.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], mm| {
-            [low.min(mm), high.max(mm)]
-        });
-        for (column, _) in heat::columns(survey) {
-            let neutral = |time_constant_s: f64| Self {
-                column: column.into(),
-                um_per_m_per_c: 0.0,
-                time_constant_s,
-                reference_c: survey.reference_c(column),
-                origin_mm: (low + high) / 2.0,
-            };
-            with(neutral(0.0), StartValues::none());
-            with(neutral(1.0), survey.time_constants(TIME_CONSTANTS));
-        }
-    }
-
-    fn against(rival: &str) -> Option<&'static str> {
-        match rival {
-            "pitch-scale" | "extra-heat-path" => Some(
-                "Measure the axis at both ends, cold and warm: a scale stays as it is, heat by \
-                 another path moves both ends alike, an expansion moves them apart.",
-            ),
-            _ => None,
-        }
     }
 }

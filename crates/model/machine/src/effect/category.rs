@@ -1,11 +1,11 @@
 //! How large a form by tool or condition is, and where.
 
-use super::cause_spec::OnBoard;
+use super::cause_spec::BoardTerm;
 
-impl OnBoard {
+impl BoardTerm {
     /// Returns the largest a of a form by tool or condition, without its sign; 0 of all others.
     #[must_use]
-    pub(crate) fn largest_level(&self) -> f64 {
+    pub(crate) fn max_amplitude(&self) -> f64 {
         match self {
             Self::Tool { tools, other, .. } => {
                 tools.iter().fold(other.abs(), |largest, (_, a)| largest.max(a.abs()))
@@ -17,7 +17,7 @@ impl OnBoard {
 
     /// Returns the value of the category at which a form by tool or condition does most.
     #[must_use]
-    pub fn at_largest(&self) -> Option<f64> {
+    pub(crate) fn dominant_category(&self) -> Option<f64> {
         match self {
             Self::Tool { tools, .. } => {
                 let largest = tools.iter().max_by(|(_, a), (_, b)| a.abs().total_cmp(&b.abs()));

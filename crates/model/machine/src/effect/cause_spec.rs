@@ -1,4 +1,12 @@
-//! The interface of a cause's page, and the types that it uses.
+//! The interface of a cause's page, a trait for each of its readers, and the types that it uses.
+//!
+//! | trait | is read by |
+//! |---|---|
+//! | [`FileRepresentation`] | reader and writer of files |
+//! | [`Law`] | the model: where a cause acts, and what it adds |
+//! | [`BoardRepresentation`] | compiler, export, and their inverse |
+//! | [`Candidate`] | the search |
+//! | [`Explanation`] | the report |
 //!
 //! ```text
 //! machine file ─► read ─► a cause with its numbers ─► inputs, law ─► what it adds to the prediction
@@ -8,28 +16,30 @@
 //! ```
 //!
 //! A diagnosis works with the neutral value of a cause, which changes nothing, and with a list of
-//! numbers next to it: first the [nonlinear](CauseSpec::nonlinear) ones (a time constant, a period), then
-//! amplitudes, which are 0 where there is no effect. [`CauseSpec::set`] puts the two together.
+//! numbers next to it: first the [nonlinear](Shape::nonlinear_count) ones (a time constant, a period), then
+//! amplitudes, which are 0 where there is no effect. [`Candidate::set_values`] puts the two together.
 
-use trueup_core::term::SpeedPower;
+use trueup_core::term::SpeedExponent;
 
 use super::data_view::{DataView, StartValues};
 use crate::{
-    file::read::Section,
+    file::reader::Section,
     file::{
-        axis::{LinearAxis, Pitch, Thermal},
+        axis::{LinearAxis, PitchErrorTable, ThermalLaw},
         key::Key,
         spindle::Spindle,
-        straightness::BSpline,
-        table::value,
+        table::read_or_default,
     },
     location::BadInput,
 };
 
-pub use super::forms::{Angle, Heat, Late, LateForm, SpeedHeat, Tilt, Times};
-pub use super::nonlinear::Nonlinear;
+pub use super::board_term::{
+    Angle, BoardTerm, DelayKind, Multiplier, SpeedHeatResponse, TemperatureResponse,
+    ThermometerDelay, Tilt,
+};
+pub use super::nonlinear::NonlinearParameter;
 pub use super::quantity::Quantity;
-pub use crate::file::write::section::Value;
+pub use crate::file::writer::section::Value;
 
 /// A column that a law reads, one number a row. A missing one is NaN, and so is what follows.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -56,7 +66,7 @@ pub enum Input<'a> {
     /// A power of the spindle's speed in 1000 r/min, behind a first-order lag that starts at 0.
     SpeedHeat {
         /// Which power.
-        power: SpeedPower,
+        power: SpeedExponent,
         /// The lag's time constant, in s; at least 0.
         lag_s: f64,
     },
@@ -83,11 +93,11 @@ pub enum Input<'a> {
 
 /// When a cause acts, in the order in which a prediction is made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Stage {
+pub enum PredictionStage {
     /// It corrects a constant of the machine's own law.
     Constant,
     /// It gives a lag of the machine's own law another time constant while it falls.
-    Falling,
+    FallingTimeConstants,
     /// It multiplies the prediction.
     Factor,
     /// It bends the prediction.
@@ -116,7 +126,7 @@ pub enum Target {
 }
 
 /// A key of a `[[term]]` and what it is.
-pub type Entry = (&'static str, Value);
+pub type TermEntry = (&'static str, Value);
 
 /// A value of a finding, by its name in the table of causes.
 #[derive(Clone, Debug, PartialEq)]
@@ -132,98 +142,9 @@ pub enum Parameter {
     /// All fitted values together.
     Record(&'static str, Vec<(&'static str, Option<Value>)>),
     /// A list that has no interval.
-    Records(&'static str, Vec<Vec<Entry>>),
+    Records(&'static str, Vec<Vec<TermEntry>>),
     /// A value that has no interval.
     Said(&'static str, Value),
-}
-
-/// The board's forms in the user's units: what a term is compiled to.
-#[derive(Clone, Debug, PartialEq)]
-pub enum OnBoard {
-    /// + µm.
-    Offset(f64),
-    /// g·p.
-    Gain(f64),
-    /// + c·p², c in 1/µm.
-    Curvature(f64),
-    /// At most this many µm.
-    Saturation(f64),
-    /// + c·(lag_τ(T) − T_ref).
-    Heat(Heat),
-    /// + c·(lag_τ(T) − T_ref)·P/1000, P of the own axis, c in µm/(m·K).
-    HeatSlope(Heat),
-    /// + c·lag_τ((n/1000)^power).
-    SpeedHeat(SpeedHeat),
-    /// + a·(1 − e^(−(t − start)/τ)); 0 before the start.
-    Time {
-        /// a.
-        amplitude_um: f64,
-        /// τ, above 0.
-        time_constant_s: f64,
-        /// In the run's `time_s`; the board's own start where it runs.
-        start_s: f64,
-    },
-    /// + c·(n/1000)², c in µm.
-    Speed(f64),
-    /// + c·load, c in µm/N.
-    Load(f64),
-    /// + c·P/1000, P of the own axis, c in µm/m.
-    OwnPosition(f64),
-    /// + c·P/1000, P of another axis.
-    Position {
-        /// Of P.
-        axis: LinearAxis,
-        /// c.
-        um_per_m: f64,
-    },
-    /// + w + c·P/1000 after an approach in the negative direction, P of the own axis.
-    Reversed {
-        /// w.
-        width_um: f64,
-        /// c.
-        um_per_m: f64,
-    },
-    /// A table of the own axis.
-    Table(Pitch),
-    /// A spline over an axis.
-    Curve(LinearAxis, BSpline),
-    /// The thermal law of the own axis, where it has none.
-    Thermal(Thermal),
-    /// + θ(P)·(L − L₀)/1000.
-    Tilt(Tilt),
-    /// + a·sin(2π·h·P/L + φ), P of the own axis.
-    Wave {
-        /// L, above 0.
-        period_mm: f64,
-        /// h, at least 1.
-        harmonic: u32,
-        /// a.
-        amplitude_um: f64,
-        /// φ.
-        phase_deg: f64,
-    },
-    /// + a·f, a by the number of the tool.
-    Tool {
-        /// The tools with their a, no number twice.
-        tools: Vec<(u16, f64)>,
-        /// a of every other tool.
-        other: f64,
-        /// f.
-        times: Times,
-    },
-    /// + a·f, a by a condition.
-    Condition {
-        /// The column of the condition.
-        column: String,
-        /// a while it does not hold.
-        off: f64,
-        /// a while it holds.
-        on: f64,
-        /// The time constant by which it acts, in s.
-        lag_s: f64,
-        /// f.
-        times: Times,
-    },
 }
 
 /// Heat that arrives by a path of its own.
@@ -239,27 +160,27 @@ pub struct HeatPath<'a> {
 
 /// The constants of the machine's own laws that a term may correct.
 #[derive(Debug)]
-pub struct Constants<'a> {
+pub struct ModelConstants<'a> {
     /// Of the tool's growth.
     pub spindle: Option<&'a mut Spindle>,
     /// Of the axis.
-    pub thermal: Option<&'a mut Thermal>,
+    pub thermal: Option<&'a mut ThermalLaw>,
     /// The time constant of the lag while it falls; `None`: as while it rises.
     pub falling_s: &'a mut Option<f64>,
 }
 
 /// The part of the machine's model that a term applies to.
 #[derive(Clone, Copy, Debug)]
-pub struct Host<'a> {
+pub struct TermContext<'a> {
     /// The quantity that the term changes.
     pub quantity: Quantity,
     /// How the spindle grows.
     pub spindle: &'a Spindle,
     /// How the quantity's axis grows.
-    pub thermal: Option<&'a Thermal>,
+    pub thermal: Option<&'a ThermalLaw>,
 }
 
-impl Host<'_> {
+impl TermContext<'_> {
     /// Returns whether the quantity follows a thermometer of its own.
     pub(crate) fn has_thermometer(&self) -> bool {
         match self.quantity.axis() {
@@ -271,7 +192,7 @@ impl Host<'_> {
     }
 
     /// Why no constant of the axis's thermal law can be corrected, if none can.
-    pub(crate) fn refuses_thermal_constant(&self) -> Option<String> {
+    pub(crate) fn thermal_constant_refusal(&self) -> Option<String> {
         match self.thermal {
             None => Some("needs [axis.*.thermal] of the quantity's axis".into()),
             Some(thermal) if thermal.table.is_some() => {
@@ -282,143 +203,43 @@ impl Host<'_> {
     }
 }
 
-/// The properties of a cause with its numbers.
-pub trait CauseSpec {
-    /// Its keys in a `[[term]]`.
-    fn entries(&self) -> Vec<Entry>;
-
-    /// Whose error it can be.
-    fn home(&self) -> Target;
-
-    /// Why it cannot be a cause there, if it cannot: the rule, to be read after its name.
-    fn refusal(&self, _host: &Host<'_>) -> Option<String> {
-        None
-    }
-
-    /// When it acts.
-    fn stage(&self) -> Stage {
-        Stage::Sum
-    }
-
-    /// Returns whether the board corrects it; what happened once, or is the reference instrument's, is only explained.
-    fn is_compensated(&self) -> bool {
-        true
-    }
-
-    /// Returns how far away it is: 0 a constant of the model; 1 something else that was recorded; 2 time alone, the
-    /// instrument.
-    fn tier(&self) -> u8 {
-        0
-    }
-
-    /// Returns the columns that its law reads, in its order.
-    fn inputs<'a>(&'a self, _nonlinear: &[f64]) -> Vec<Input<'a>> {
-        Vec::new()
-    }
-
+/// What the search and the fit may do with a cause.
+#[derive(Clone, Copy, Debug)]
+pub struct FitSpec {
+    /// How far away it is: 0 a constant of the model; 1 something else that was recorded; 2 time alone, the instrument.
+    pub tier: u8,
     /// Its nonlinear values.
-    fn nonlinear(&self) -> &'static [Nonlinear] {
-        &[]
-    }
-
+    pub nonlinear: &'static [NonlinearParameter],
     /// Range of its only nonlinear value, where the page itself knows it.
-    fn nonlinear_limits(&self) -> Option<[f64; 2]> {
-        None
-    }
-
-    /// Returns how many amplitudes it has. A law without one adds its column as it is.
-    fn amplitudes(&self) -> usize {
-        1
-    }
-
-    /// Returns what an amplitude may be; beyond that it is another machine's.
-    fn amplitude_limits(&self) -> Option<[f64; 2]> {
-        None
-    }
-
-    /// Returns how many neighbours are in each of the lists that its values are, if they are.
-    fn list_length(&self) -> Option<usize> {
-        None
-    }
-
-    /// Its values: nonlinear ones, then amplitudes. [`CauseSpec::set`] with them changes nothing.
-    fn values(&self) -> Vec<f64>;
-
-    /// Puts values, as many as there are, into the neutral one.
-    fn set(&mut self, values: &[f64]);
-
-    /// Returns what these values add everywhere and [`set`](Self::set) has no key for, in µm.
-    fn constant_um(&self, _values: &[f64]) -> f64 {
-        0.0
-    }
-
-    /// Corrects the constants of the machine's own laws.
-    fn correct(&self, _constants: &mut Constants<'_>) {}
-
-    /// By how much the measurement comes later than the prediction, in s.
-    fn shift_s(&self) -> f64 {
-        0.0
-    }
-
-    /// Returns how late the thermometer of the machine's own law is.
-    fn late(&self) -> Option<Late> {
-        None
-    }
-
-    /// Returns what it is on the board, one form after the other; none where it corrects a constant of a law, or
-    /// is not corrected.
-    fn on_board(&self) -> Vec<OnBoard> {
-        Vec::new()
-    }
-
-    /// Returns whether its reference (a temperature, a start) is its own, and with it a constant.
-    fn has_reference(&self) -> bool {
-        false
-    }
-
-    /// Its temperature's part in the prediction, with the reference.
-    fn heat_mut(&mut self) -> Option<&mut Heat> {
-        None
-    }
-
-    /// Returns the path by which it brings heat.
-    fn heat_path(&self) -> Option<HeatPath<'_>> {
-        None
-    }
-
-    /// Returns the table of its own axis that it is.
-    fn table(&self) -> Option<&Pitch> {
-        None
-    }
-
-    /// Returns whether it is the error of the reference instrument.
-    fn is_of_instrument(&self) -> bool {
-        false
-    }
-
-    /// Returns what it means for a person at the machine, in a sentence.
-    fn sentence(&self, values: &[f64]) -> String;
-
-    /// Returns the measurement that would settle it.
-    fn next_test(&self) -> &'static str;
-
-    /// Returns what at the machine may be repaired in place of being corrected.
-    fn repair(&self) -> Option<&'static str> {
-        None
-    }
-
-    /// Returns the cause that would look the same where the position only grows with the time: of one over the position
-    /// one over the time, and the other way round.
-    fn same_in_one_pass(&self) -> Option<&'static str> {
-        None
-    }
-
-    /// Its values as a finding names them.
-    fn parameters(&self, values: &[f64]) -> Vec<Parameter>;
+    pub nonlinear_limits: Option<[f64; 2]>,
+    /// How many amplitudes it has. A law without one adds its column unscaled.
+    pub amplitudes: usize,
+    /// What an amplitude may be; beyond that it is another machine's.
+    pub amplitude_limits: Option<[f64; 2]>,
+    /// How many neighbours are in each of the lists that its values are, if they are.
+    pub list_length: Option<usize>,
+    /// Whether its reference (a temperature, a start) is its own, and with it a constant.
+    pub has_reference: bool,
+    /// Whether it is the error of the reference instrument.
+    pub is_of_instrument: bool,
 }
 
-/// The properties of a cause as such.
-pub(crate) trait Definition: CauseSpec + Sized {
+impl FitSpec {
+    /// One amplitude, no nonlinear value.
+    pub(crate) const DEFAULT: Self = Self {
+        tier: 0,
+        nonlinear: &[],
+        nonlinear_limits: None,
+        amplitudes: 1,
+        amplitude_limits: None,
+        list_length: None,
+        has_reference: false,
+        is_of_instrument: false,
+    };
+}
+
+/// A cause in a machine file: what the reader and the writer of files use.
+pub(crate) trait FileRepresentation: Sized {
     /// Its name in files: `thermal-lag`.
     const NAME: &'static str;
 
@@ -428,44 +249,211 @@ pub(crate) trait Definition: CauseSpec + Sized {
     /// Returns what stands in `section`, whose keys are known.
     fn read(section: &Section<'_>) -> Result<Self, BadInput>;
 
+    /// Its keys in a `[[term]]`.
+    fn entries(&self) -> Vec<TermEntry>;
+}
+
+/// The physics of a cause: what prediction and fit use.
+pub trait Law {
+    /// Whose error it can be.
+    fn target(&self) -> Target;
+
+    /// Why it cannot be a cause there, if it cannot: the rule, to be read after its name.
+    fn refusal(&self, _host: &TermContext<'_>) -> Option<String> {
+        None
+    }
+
+    /// When it acts.
+    fn stage(&self) -> PredictionStage {
+        PredictionStage::Sum
+    }
+
+    /// Returns the columns that its law reads, in its order.
+    fn inputs<'a>(&'a self, _nonlinear: &[f64]) -> Vec<Input<'a>> {
+        Vec::new()
+    }
+
     /// The law: calls `add` with what each amplitude of 1 adds, in µm, where the inputs are `x`.
-    fn law(&self, _nonlinear: &[f64], _x: &[f64], _add: &mut impl FnMut(usize, f64)) {}
+    fn add_unit_effects(&self, _nonlinear: &[f64], _x: &[f64], _add: &mut impl FnMut(usize, f64))
+    where
+        Self: Sized,
+    {
+    }
+
+    /// Returns what these values add everywhere and [`set_values`](Candidate::set_values) has no key for, in µm.
+    fn constant_um(&self, _values: &[f64]) -> f64 {
+        0.0
+    }
+
+    /// Corrects the constants of the machine's own laws.
+    fn correct_constants(&self, _constants: &mut ModelConstants<'_>) {}
+
+    /// By how much the measurement comes later than the prediction, in s.
+    fn time_shift_s(&self) -> f64 {
+        0.0
+    }
+
+    /// Returns how late the thermometer of the machine's own law is.
+    fn thermometer_delay(&self) -> Option<ThermometerDelay> {
+        None
+    }
+
+    /// Returns the table of its own axis that it is.
+    fn pitch_table(&self) -> Option<&PitchErrorTable> {
+        None
+    }
+}
+
+/// A cause in the numbers of the board: what the compiler and its inverse use.
+pub trait BoardRepresentation {
+    /// Returns whether the board corrects it; what happened once, or is the reference instrument's, is only explained.
+    fn is_compensated(&self) -> bool {
+        true
+    }
+
+    /// Returns what it is on the board, one form after the other; none where it corrects a constant of a law, or
+    /// is not corrected.
+    fn board_terms(&self) -> Vec<BoardTerm> {
+        Vec::new()
+    }
+
+    /// Its temperature's part in the prediction, with the reference.
+    fn heat_mut(&mut self) -> Option<&mut TemperatureResponse> {
+        None
+    }
 
     /// Returns the cause that a form on the board is shown as, if it is this one; it may take the constant
     /// that comes with it.
     fn from_board(
         _own: Option<LinearAxis>,
-        _form: &OnBoard,
+        _form: &BoardTerm,
         _constant_um: &mut f64,
-    ) -> Option<Self> {
+    ) -> Option<Self>
+    where
+        Self: Sized,
+    {
+        None
+    }
+}
+
+/// A cause as a candidate: what the search uses.
+pub trait Candidate {
+    /// Returns what the search and the fit may do with it.
+    fn fit_spec(&self) -> FitSpec {
+        FitSpec::DEFAULT
+    }
+
+    /// Its values: nonlinear ones, then amplitudes. [`Candidate::set_values`] with them changes nothing.
+    fn values(&self) -> Vec<f64>;
+
+    /// Puts values, as many as there are, into the neutral one.
+    fn set_values(&mut self, values: &[f64]);
+
+    /// Returns the path by which it brings heat.
+    fn heat_path(&self) -> Option<HeatPath<'_>> {
         None
     }
 
     /// Proposes what of it the data allow, neutral, with values to begin from.
-    fn propose(_survey: &dyn DataView, _with: &mut dyn FnMut(Self, StartValues)) {}
-
-    /// Returns the measurement that would distinguish it from `rival`, a cause's name.
-    fn against(_rival: &str) -> Option<&'static str> {
-        None
+    fn propose(_survey: &dyn DataView, _with: &mut dyn FnMut(Self, StartValues))
+    where
+        Self: Sized,
+    {
     }
 }
 
+/// A cause in words: what a report uses.
+pub trait Explanation {
+    /// Returns what it means for a person at the machine, in a sentence.
+    fn describe(&self, values: &[f64]) -> String;
+
+    /// Returns the measurement that would settle it.
+    fn next_test(&self) -> &'static str;
+
+    /// Returns the measurement that would distinguish it from `rival`, a cause's name.
+    fn distinguishing_test(_rival: &str) -> Option<&'static str>
+    where
+        Self: Sized,
+    {
+        None
+    }
+
+    /// Returns what at the machine may be repaired in place of being corrected.
+    fn repair_advice(&self) -> Option<&'static str> {
+        None
+    }
+
+    /// Returns the cause that would look the same where the position only grows with the time: of one over the position
+    /// one over the time, and the other way round.
+    fn confounded_in_one_pass(&self) -> Option<&'static str> {
+        None
+    }
+
+    /// Its values as a finding names them.
+    fn parameters(&self, values: &[f64]) -> Vec<Parameter>;
+}
+
+/// A cause with its numbers, as all of its readers see it.
+pub trait CauseSpec: Law + BoardRepresentation + Candidate + Explanation {
+    /// Returns [`FitSpec::tier`].
+    fn tier(&self) -> u8 {
+        self.fit_spec().tier
+    }
+
+    /// Returns [`FitSpec::nonlinear`].
+    fn nonlinear_parameters(&self) -> &'static [NonlinearParameter] {
+        self.fit_spec().nonlinear
+    }
+
+    /// Returns [`FitSpec::nonlinear_limits`].
+    fn nonlinear_limits(&self) -> Option<[f64; 2]> {
+        self.fit_spec().nonlinear_limits
+    }
+
+    /// Returns [`FitSpec::amplitudes`].
+    fn amplitude_count(&self) -> usize {
+        self.fit_spec().amplitudes
+    }
+
+    /// Returns [`FitSpec::amplitude_limits`].
+    fn amplitude_limits(&self) -> Option<[f64; 2]> {
+        self.fit_spec().amplitude_limits
+    }
+
+    /// Returns [`FitSpec::list_length`].
+    fn list_length(&self) -> Option<usize> {
+        self.fit_spec().list_length
+    }
+
+    /// Returns [`FitSpec::has_reference`].
+    fn has_reference(&self) -> bool {
+        self.fit_spec().has_reference
+    }
+
+    /// Returns [`FitSpec::is_of_instrument`].
+    fn is_instrument_error(&self) -> bool {
+        self.fit_spec().is_of_instrument
+    }
+}
+
+impl<T: Law + BoardRepresentation + Candidate + Explanation> CauseSpec for T {}
+
 /// Returns a number that must be there.
-pub(crate) fn number(section: &Section<'_>, key: Key) -> Result<f64, BadInput> {
+pub(crate) fn required_number(section: &Section<'_>, key: Key) -> Result<f64, BadInput> {
     section.required(key.name, section.number(key.name)?)
 }
 
 /// Returns a number above 0 that must be there.
-pub(crate) fn positive(section: &Section<'_>, key: Key) -> Result<f64, BadInput> {
+pub(crate) fn required_positive(section: &Section<'_>, key: Key) -> Result<f64, BadInput> {
     section.required(key.name, section.positive(key.name)?)
 }
 
 /// Returns an axis that must be there.
-pub(crate) fn axis(section: &Section<'_>, key: Key) -> Result<LinearAxis, BadInput> {
-    value(section, &key.required())
+pub(crate) fn required_axis(section: &Section<'_>, key: Key) -> Result<LinearAxis, BadInput> {
+    read_or_default(section, &key.required())
 }
 
 /// Returns a time for people: 95 s, 12.3 min.
-pub(crate) fn minutes(seconds: f64) -> String {
+pub(crate) fn format_duration(seconds: f64) -> String {
     if seconds < 120.0 { format!("{seconds:.0} s") } else { format!("{:.1} min", seconds / 60.0) }
 }

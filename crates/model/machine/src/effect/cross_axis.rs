@@ -5,12 +5,15 @@
 //! ```
 
 use super::{
-    cause_spec::{CauseSpec, Definition, Entry, Host, Input, OnBoard, Parameter, Target, Value},
+    cause_spec::{
+        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
+        Law, Parameter, Target, TermContext, TermEntry, Value,
+    },
     data_view::{DataView, StartValues},
 };
-use crate::file::keys::term::{AXIS, UM_PER_M};
+use crate::file::schema::term::{AXIS, UM_PER_M};
 use crate::file::table::{Table, entries, table};
-use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
+use crate::{file::axis::LinearAxis, file::reader::Section, location::BadInput};
 
 table! {
     /// A slope along another axis.
@@ -23,41 +26,76 @@ table! {
     }
 }
 
-impl CauseSpec for CrossAxis {
-    fn entries(&self) -> Vec<Entry> {
-        entries(self)
+impl FileRepresentation for CrossAxis {
+    const NAME: &'static str = "cross-axis";
+
+    fn keys(_: &Section<'_>) -> &'static [&'static str] {
+        &[UM_PER_M.name, AXIS.name]
     }
 
-    fn home(&self) -> Target {
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        Table::read(section)
+    }
+
+    fn entries(&self) -> Vec<TermEntry> {
+        entries(self)
+    }
+}
+
+impl Law for CrossAxis {
+    fn target(&self) -> Target {
         Target::Axis
     }
 
-    fn refusal(&self, host: &Host<'_>) -> Option<String> {
+    fn refusal(&self, host: &TermContext<'_>) -> Option<String> {
         (host.quantity.axis() == Some(self.axis))
             .then(|| "is the error of another axis than the one that moves".into())
-    }
-
-    fn tier(&self) -> u8 {
-        1
     }
 
     fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
         vec![Input::Position(self.axis)]
     }
 
+    fn add_unit_effects(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
+        add(0, x[0] / 1000.0);
+    }
+}
+
+impl BoardRepresentation for CrossAxis {
+    fn board_terms(&self) -> Vec<BoardTerm> {
+        vec![BoardTerm::Position { axis: self.axis, um_per_m: self.um_per_m }]
+    }
+
+    fn from_board(_: Option<LinearAxis>, form: &BoardTerm, _: &mut f64) -> Option<Self> {
+        match *form {
+            BoardTerm::Position { axis, um_per_m } => Some(Self { axis, um_per_m }),
+            _ => None,
+        }
+    }
+}
+
+impl Candidate for CrossAxis {
+    fn fit_spec(&self) -> FitSpec {
+        FitSpec { tier: 1, ..FitSpec::DEFAULT }
+    }
+
     fn values(&self) -> Vec<f64> {
         vec![self.um_per_m]
     }
 
-    fn set(&mut self, values: &[f64]) {
+    fn set_values(&mut self, values: &[f64]) {
         self.um_per_m = values[0];
     }
 
-    fn on_board(&self) -> Vec<OnBoard> {
-        vec![OnBoard::Position { axis: self.axis, um_per_m: self.um_per_m }]
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
+        for axis in survey.other_moving_axes() {
+            with(Self { axis, um_per_m: 0.0 }, StartValues::empty());
+        }
     }
+}
 
-    fn sentence(&self, values: &[f64]) -> String {
+impl Explanation for CrossAxis {
+    fn describe(&self, values: &[f64]) -> String {
         let axis = self.axis.name().to_uppercase();
         format!("The axis moves by {:+.2} µm for each metre of {axis}.", values[0])
     }
@@ -69,34 +107,5 @@ impl CauseSpec for CrossAxis {
     fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
         let axis = Value::Text(self.axis.name().into());
         vec![Parameter::Fitted("um_per_m", 0, 0.0), Parameter::Said("axis", axis)]
-    }
-}
-
-impl Definition for CrossAxis {
-    const NAME: &'static str = "cross-axis";
-
-    fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        &[UM_PER_M.name, AXIS.name]
-    }
-
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        Table::read(section)
-    }
-
-    fn law(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
-        add(0, x[0] / 1000.0);
-    }
-
-    fn from_board(_: Option<LinearAxis>, form: &OnBoard, _: &mut f64) -> Option<Self> {
-        match *form {
-            OnBoard::Position { axis, um_per_m } => Some(Self { axis, um_per_m }),
-            _ => None,
-        }
-    }
-
-    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
-        for axis in survey.other_axes() {
-            with(Self { axis, um_per_m: 0.0 }, StartValues::none());
-        }
     }
 }

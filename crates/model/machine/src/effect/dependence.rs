@@ -12,40 +12,40 @@
 //!
 //! The column is one that no other cause reads: a pressure, a flow, a switch, a tool number; of a hinge, a curve or a
 //! difference also a temperature. The CNC sends a board the tool and its switches: levels of these are compensated
-//! ([`Form::Level`]), and so is a difference, as heat of two thermometers. All else explains and is not compensated.
+//! ([`DependenceForm::Level`]), and so is a difference, as heat of two thermometers. All else explains and is not compensated.
 
 use super::{
     cause_spec::{
-        CauseSpec, Definition, Entry, Input, Nonlinear, OnBoard, Parameter, Target, Times, Value,
-        minutes,
+        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
+        Law, Multiplier, NonlinearParameter, Parameter, Target, TermEntry, Value, format_duration,
     },
     data_view::{DataView, StartValues},
 };
-use crate::file::keys::term::{
+use crate::file::schema::term::{
     AT, COLUMN, CURVE_UM, FORM, FROM, LAG_S, LEVEL_DEFAULT, LEVELS, MINUS, REFERENCE, TIMES,
     TIMES_REFERENCE,
 };
 use crate::{
-    file::read::{Section, is_temperature_column},
+    file::reader::{Section, is_temperature_column},
     file::{axis::LinearAxis, tools::Tools},
     location::BadInput,
     tool::TOOL_COLUMN,
 };
-use propose::propose;
-use read::read;
-use times::LOAD;
-pub(super) use times::SPEED;
-use values::SWITCH;
+use column_values::SWITCH_LEVELS;
+use multiplier::LOAD_COLUMN;
+pub(super) use multiplier::SPEED_COLUMN;
+use proposal::propose;
+use reader::read;
 
-mod board;
-mod propose;
-mod read;
-mod times;
-mod values;
+mod board_terms;
+mod column_values;
+mod multiplier;
+mod proposal;
+mod reader;
 
 /// How the error depends on the column.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Form {
+pub enum DependenceForm {
     /// A value for each level; where f is 1 the first level adds nothing.
     Level {
         /// Values of the column.
@@ -71,7 +71,7 @@ pub enum Form {
         /// Range of `from` in a search.
         range: [f64; 2],
     },
-    /// The same everywhere, in a range of the column ([`Within`](crate::effect::Within)).
+    /// The same everywhere, in a range of the column ([`RangeLimited`](crate::effect::RangeLimited)).
     Constant {
         /// a, in µm.
         added: f64,
@@ -95,33 +95,33 @@ pub struct Dependence {
     /// Time constant in s by which it acts; 0: at once.
     pub lag_s: f64,
     /// How the error depends on it.
-    pub form: Form,
+    pub form: DependenceForm,
     /// The factor that the dependence is multiplied by.
-    pub times: Times,
+    pub times: Multiplier,
 }
 
 impl Dependence {
     /// Returns a line over a column that adds nothing.
-    pub(super) fn of(column: &str) -> Self {
-        let form = Form::Line { slope: 0.0, reference: 0.0 };
-        Self { column: column.into(), minus: None, lag_s: 0.0, form, times: Times::One }
+    pub(super) fn from_column(column: &str) -> Self {
+        let form = DependenceForm::Line { slope: 0.0, reference: 0.0 };
+        Self { column: column.into(), minus: None, lag_s: 0.0, form, times: Multiplier::One }
     }
 
     /// Returns the name of the form in files.
     #[must_use]
     pub fn form_name(&self) -> &'static str {
         match self.form {
-            Form::Level { .. } | Form::Constant { .. } => "level",
-            Form::Line { .. } => "line",
-            Form::Hinge { .. } => "hinge",
-            Form::Curve { .. } => "curve",
+            DependenceForm::Level { .. } | DependenceForm::Constant { .. } => "level",
+            DependenceForm::Line { .. } => "line",
+            DependenceForm::Hinge { .. } => "hinge",
+            DependenceForm::Curve { .. } => "curve",
         }
     }
 
     /// Returns whether it takes two inputs together, or bends or lags behind one so that it imitates other laws.
-    pub(super) fn is_composed(&self) -> bool {
-        let has_laws = self.column == SPEED || is_temperature_column(&self.column);
-        let is_late_line = self.has_lag() && matches!(self.form, Form::Line { .. });
+    pub(super) fn is_composite(&self) -> bool {
+        let has_laws = self.column == SPEED_COLUMN || is_temperature_column(&self.column);
+        let is_late_line = self.has_lag() && matches!(self.form, DependenceForm::Line { .. });
         self.minus.is_some() || has_laws || is_late_line
     }
 
@@ -130,18 +130,22 @@ impl Dependence {
     }
 
     /// Returns its nonlinear value, but for that of a hinge.
-    fn first_value(&self) -> Option<f64> {
+    fn nonlinear_value(&self) -> Option<f64> {
         match self.times {
-            Times::Column { reference, .. } if self.times.open_range().is_some() => Some(reference),
+            Multiplier::Column { reference, .. }
+                if self.times.fitted_reference_range().is_some() =>
+            {
+                Some(reference)
+            }
             _ => self.has_lag().then_some(self.lag_s),
         }
     }
 
     /// Returns what is read of a column that it depends on.
-    fn subject<'a>(&self, column: &'a str, lag_s: f64) -> Input<'a> {
+    fn input_of_column<'a>(&self, column: &'a str, lag_s: f64) -> Input<'a> {
         match (column, lag_s) {
-            (SPEED, _) => Input::Speed,
-            (LOAD, _) => Input::Load,
+            (SPEED_COLUMN, _) => Input::Speed,
+            (LOAD_COLUMN, _) => Input::Load,
             _ if is_temperature_column(column) => Input::Temperature { column, lag_s },
             (_, 0.0) => Input::Column(column),
             _ => Input::Lagged { column, lag_s },
@@ -150,25 +154,25 @@ impl Dependence {
 
     /// Puts the numbers of `[spindle.tools]` in the place of labels: a term that was found before its label had a number
     /// holds for that tool from then on.
-    pub(crate) fn number_labels(&mut self, tools: &Tools) {
-        let Form::Level { levels, .. } = &mut self.form else { return };
+    pub(crate) fn resolve_tool_labels(&mut self, tools: &Tools) {
+        let DependenceForm::Level { levels, .. } = &mut self.form else { return };
         for level in levels.iter_mut().filter(|_| self.column == TOOL_COLUMN) {
-            let numbered = tools.codes().find(|(code, _)| code == level);
+            let numbered = tools.label_codes().find(|(code, _)| code == level);
             *level = numbered.map_or(*level, |(_, number)| number.into());
         }
     }
 
     /// Returns how many levels, from the first on, have no amplitude: a constant could not be distinguished from theirs.
-    fn without_amplitude(&self) -> usize {
-        usize::from(self.times == Times::One)
+    fn reference_level_count(&self) -> usize {
+        usize::from(self.times == Multiplier::One)
     }
 
-    fn factor(&self, nonlinear: &[f64], x: Option<&f64>) -> f64 {
+    fn multiplier_value(&self, nonlinear: &[f64], x: Option<&f64>) -> f64 {
         match (&self.times, x) {
-            (Times::Speed2, Some(rpm)) => (rpm / 1000.0).powi(2),
-            (Times::Position, Some(mm)) => mm / 1000.0,
-            (Times::Growth, Some(um)) => *um,
-            (Times::Column { reference, range, .. }, Some(value)) => {
+            (Multiplier::Speed2, Some(rpm)) => (rpm / 1000.0).powi(2),
+            (Multiplier::Position, Some(mm)) => mm / 1000.0,
+            (Multiplier::Growth, Some(um)) => *um,
+            (Multiplier::Column { reference, range, .. }, Some(value)) => {
                 let fitted = nonlinear.first().filter(|_| range[0] < range[1]);
                 value - fitted.unwrap_or(reference)
             }
@@ -177,8 +181,18 @@ impl Dependence {
     }
 }
 
-impl CauseSpec for Dependence {
-    fn entries(&self) -> Vec<Entry> {
+impl FileRepresentation for Dependence {
+    const NAME: &'static str = "dependence";
+
+    fn keys(_: &Section<'_>) -> &'static [&'static str] {
+        reader::KEYS
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        read(section)
+    }
+
+    fn entries(&self) -> Vec<TermEntry> {
         let [slope_key, level_key] = self.times.keys();
         let mut entries = vec![
             (COLUMN.name, Value::Text(self.column.clone())),
@@ -186,28 +200,28 @@ impl CauseSpec for Dependence {
         ];
         entries.extend(self.minus.clone().map(|column| (MINUS.name, Value::Text(column))));
         entries.extend(self.times.name().map(|name| (TIMES.name, Value::Text(name.into()))));
-        if let Times::Column { reference, .. } = self.times {
+        if let Multiplier::Column { reference, .. } = self.times {
             entries.push((TIMES_REFERENCE.name, Value::Number(reference)));
         }
         match &self.form {
-            Form::Level { levels, added, otherwise } => {
+            DependenceForm::Level { levels, added, otherwise } => {
                 entries.push((LEVELS.name, Value::Numbers(levels.clone())));
                 entries.push((level_key.name, Value::Numbers(added.clone())));
                 let other = (LEVEL_DEFAULT.name, Value::Number(*otherwise));
                 entries.extend((*otherwise != 0.0).then_some(other));
             }
-            Form::Line { slope, reference } => {
+            DependenceForm::Line { slope, reference } => {
                 entries.push((slope_key.name, Value::Number(*slope)));
                 entries.push((REFERENCE.name, Value::Number(*reference)));
             }
-            Form::Hinge { slope, from, .. } => {
+            DependenceForm::Hinge { slope, from, .. } => {
                 entries.push((slope_key.name, Value::Number(*slope)));
                 entries.push((FROM.name, Value::Number(*from)));
             }
-            Form::Constant { added } => {
+            DependenceForm::Constant { added } => {
                 entries.push((level_key.name, Value::Numbers(vec![*added])))
             }
-            Form::Curve { at, added } => {
+            DependenceForm::Curve { at, added } => {
                 entries.push((AT.name, Value::Numbers(at.clone())));
                 entries.push((CURVE_UM.name, Value::Numbers(added.clone())));
             }
@@ -215,25 +229,15 @@ impl CauseSpec for Dependence {
         entries.extend(self.has_lag().then_some((LAG_S.name, Value::Number(self.lag_s))));
         entries
     }
+}
 
-    fn home(&self) -> Target {
+impl Law for Dependence {
+    fn target(&self) -> Target {
         match self.times {
-            Times::Growth => Target::Elongation,
-            Times::Position => Target::Axis,
-            Times::One | Times::Speed2 | Times::Column { .. } => Target::Any,
+            Multiplier::Growth => Target::Elongation,
+            Multiplier::Position => Target::Axis,
+            Multiplier::One | Multiplier::Speed2 | Multiplier::Column { .. } => Target::Any,
         }
-    }
-
-    fn is_compensated(&self) -> bool {
-        !self.on_board().is_empty()
-    }
-
-    fn on_board(&self) -> Vec<OnBoard> {
-        self.by_category().into_iter().chain(self.by_heat()).collect()
-    }
-
-    fn tier(&self) -> u8 {
-        1
     }
 
     fn inputs(&self, nonlinear: &[f64]) -> Vec<Input<'_>> {
@@ -242,55 +246,131 @@ impl CauseSpec for Dependence {
             _ => 0.0,
         };
         let columns = [Some(&self.column), self.minus.as_ref()];
-        let mut inputs: Vec<Input<'_>> =
-            columns.into_iter().flatten().map(|column| self.subject(column, lag_s)).collect();
+        let mut inputs: Vec<Input<'_>> = columns
+            .into_iter()
+            .flatten()
+            .map(|column| self.input_of_column(column, lag_s))
+            .collect();
         inputs.extend(self.times.input());
         inputs
     }
 
-    fn nonlinear(&self) -> &'static [Nonlinear] {
-        match self.form {
-            Form::Hinge { .. } => &[Nonlinear::Bend],
-            _ if self.times.open_range().is_some() => &[Nonlinear::Bend],
-            _ if self.has_lag() => &[Nonlinear::TimeConstant],
-            _ => &[],
-        }
-    }
-
-    fn nonlinear_limits(&self) -> Option<[f64; 2]> {
-        match self.form {
-            Form::Hinge { range, .. } => Some(range),
-            _ => self.times.open_range(),
-        }
-    }
-
-    fn amplitudes(&self) -> usize {
+    fn add_unit_effects(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
+        let (x, factor) = match self.minus {
+            Some(_) => (x[0] - x[1], self.multiplier_value(nonlinear, x.get(2))),
+            None => (x[0], self.multiplier_value(nonlinear, x.get(1))),
+        };
         match &self.form {
-            Form::Level { levels, .. } => levels.len() - self.without_amplitude(),
-            Form::Line { .. } | Form::Hinge { .. } | Form::Constant { .. } => 1,
-            Form::Curve { at, .. } => at.len() - 1,
+            DependenceForm::Level { levels, otherwise, .. } => {
+                // Which level a missing value is, is not known.
+                if x.is_nan() {
+                    add(0, f64::NAN);
+                }
+                let first = self.reference_level_count();
+                if self.has_lag() {
+                    // On its way from off to on.
+                    for (number, level) in levels.iter().enumerate().skip(first) {
+                        let share = if *level == 0.0 { 1.0 - x } else { x };
+                        add(number - first, share * factor);
+                    }
+                    return;
+                }
+                match levels.iter().position(|level| *level == x) {
+                    Some(number) if number >= first => add(number - first, factor),
+                    // What is no amplitude is added unscaled.
+                    None if *otherwise != 0.0 => add(usize::MAX, otherwise * factor),
+                    _ => {}
+                }
+            }
+            DependenceForm::Line { reference, .. } => add(0, (x - reference) * factor),
+            DependenceForm::Hinge { from, .. } => {
+                let from = nonlinear.first().copied().unwrap_or(*from);
+                let above = x - from;
+                // A missing value stays one.
+                add(0, if above < 0.0 { 0.0 } else { above } * factor);
+            }
+            DependenceForm::Constant { .. } => add(0, if x.is_nan() { x } else { 1.0 }),
+            DependenceForm::Curve { at, .. } => {
+                let above = at.partition_point(|place| *place <= x).clamp(1, at.len() - 1);
+                let [low, high] = [at[above - 1], at[above]];
+                let share = ((x - low) / (high - low)).clamp(0.0, 1.0);
+                if above > 1 {
+                    add(above - 2, 1.0 - share);
+                }
+                add(above - 1, share);
+            }
+        }
+    }
+}
+
+impl BoardRepresentation for Dependence {
+    fn is_compensated(&self) -> bool {
+        !self.board_terms().is_empty()
+    }
+
+    fn board_terms(&self) -> Vec<BoardTerm> {
+        self.category_term().into_iter().chain(self.heat_terms()).collect()
+    }
+
+    fn from_board(_: Option<LinearAxis>, form: &BoardTerm, _: &mut f64) -> Option<Self> {
+        Self::from_board_term(form)
+    }
+}
+
+impl Candidate for Dependence {
+    fn fit_spec(&self) -> FitSpec {
+        FitSpec {
+            tier: 1,
+            nonlinear: match self.form {
+                DependenceForm::Hinge { .. } => &[NonlinearParameter::Bend],
+                _ if self.times.fitted_reference_range().is_some() => &[NonlinearParameter::Bend],
+                _ if self.has_lag() => &[NonlinearParameter::TimeConstant],
+                _ => &[],
+            },
+            nonlinear_limits: match self.form {
+                DependenceForm::Hinge { range, .. } => Some(range),
+                _ => self.times.fitted_reference_range(),
+            },
+            amplitudes: match &self.form {
+                DependenceForm::Level { levels, .. } => levels.len() - self.reference_level_count(),
+                DependenceForm::Line { .. }
+                | DependenceForm::Hinge { .. }
+                | DependenceForm::Constant { .. } => 1,
+                DependenceForm::Curve { at, .. } => at.len() - 1,
+            },
+            // The zero of a line, or of a category, is arbitrary: of a pressure or of a tool it is not known where it
+            // adds nothing. A switch that is off adds nothing, and a hinge nothing below its bend.
+            has_reference: {
+                let is_arbitrary = match &self.form {
+                    DependenceForm::Level { levels, .. } => *levels != SWITCH_LEVELS,
+                    DependenceForm::Line { .. } | DependenceForm::Curve { .. } => true,
+                    DependenceForm::Hinge { .. } | DependenceForm::Constant { .. } => false,
+                };
+                is_arbitrary && self.times == Multiplier::One
+            },
+            ..FitSpec::DEFAULT
         }
     }
 
     fn values(&self) -> Vec<f64> {
         let amplitudes = match &self.form {
-            Form::Level { added, .. } => added[self.without_amplitude()..].to_vec(),
-            Form::Line { slope, .. } => vec![*slope],
-            Form::Hinge { slope, from, .. } => vec![*from, *slope],
-            Form::Constant { added } => vec![*added],
-            Form::Curve { added, .. } => added[1..].to_vec(),
+            DependenceForm::Level { added, .. } => added[self.reference_level_count()..].to_vec(),
+            DependenceForm::Line { slope, .. } => vec![*slope],
+            DependenceForm::Hinge { slope, from, .. } => vec![*from, *slope],
+            DependenceForm::Constant { added } => vec![*added],
+            DependenceForm::Curve { added, .. } => added[1..].to_vec(),
         };
-        self.first_value().into_iter().chain(amplitudes).collect()
+        self.nonlinear_value().into_iter().chain(amplitudes).collect()
     }
 
-    fn set(&mut self, values: &[f64]) {
-        let first = self.without_amplitude();
-        let amplitudes = values.len().saturating_sub(self.amplitudes());
+    fn set_values(&mut self, values: &[f64]) {
+        let first = self.reference_level_count();
+        let amplitudes = values.len().saturating_sub(self.fit_spec().amplitudes);
         let values = match self.form {
-            Form::Hinge { .. } => values,
+            DependenceForm::Hinge { .. } => values,
             _ => {
                 match (&mut self.times, &values[..amplitudes]) {
-                    (Times::Column { reference, range, .. }, [value, ..])
+                    (Multiplier::Column { reference, range, .. }, [value, ..])
                         if range[0] < range[1] =>
                     {
                         *reference = *value;
@@ -302,15 +382,15 @@ impl CauseSpec for Dependence {
             }
         };
         match &mut self.form {
-            Form::Curve { added, .. } => {
+            DependenceForm::Curve { added, .. } => {
                 added.iter_mut().skip(1).zip(values).for_each(|(added, value)| *added = *value);
             }
-            Form::Level { added, .. } => {
+            DependenceForm::Level { added, .. } => {
                 added.iter_mut().skip(first).zip(values).for_each(|(added, value)| *added = *value);
             }
-            Form::Line { slope, .. } => *slope = values[0],
-            Form::Constant { added } => *added = values[0],
-            Form::Hinge { slope, from, .. } => {
+            DependenceForm::Line { slope, .. } => *slope = values[0],
+            DependenceForm::Constant { added } => *added = values[0],
+            DependenceForm::Hinge { slope, from, .. } => {
                 if let [at, value] = *values {
                     (*from, *slope) = (at, value);
                 } else {
@@ -320,43 +400,40 @@ impl CauseSpec for Dependence {
         }
     }
 
-    /// The zero of a line, or of a category, is arbitrary: of a pressure or of a tool it is not known where it
-    /// adds nothing. A switch that is off adds nothing, and a hinge nothing below its bend.
-    fn has_reference(&self) -> bool {
-        let is_arbitrary = match &self.form {
-            Form::Level { levels, .. } => *levels != SWITCH,
-            Form::Line { .. } | Form::Curve { .. } => true,
-            Form::Hinge { .. } | Form::Constant { .. } => false,
-        };
-        is_arbitrary && self.times == Times::One
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
+        propose(survey, with);
     }
+}
 
-    fn sentence(&self, values: &[f64]) -> String {
+impl Explanation for Dependence {
+    fn describe(&self, values: &[f64]) -> String {
         let mut found = self.clone();
-        found.set(values);
+        found.set_values(values);
         let unit = self.times.unit();
         let column = match &self.minus {
             Some(minus) => &format!("{} − {minus}", self.column),
             None => &self.column,
         };
         let how = match &found.form {
-            Form::Level { levels, added, .. } => {
-                let each = levels.iter().zip(added).skip(self.without_amplitude());
+            DependenceForm::Level { levels, added, .. } => {
+                let each = levels.iter().zip(added).skip(self.reference_level_count());
                 let each: Vec<String> = each
                     .map(|(level, added)| format!("{added:+.3}{unit} at {column} = {level}"))
                     .collect();
                 let against = match self.times {
-                    Times::One => format!(", compared with {}", levels[0]),
+                    Multiplier::One => format!(", compared with {}", levels[0]),
                     _ => String::new(),
                 };
                 each.join(", ") + &against
             }
-            Form::Line { slope, .. } => format!("{slope:+.4}{unit} for each unit of {column}"),
-            Form::Hinge { slope, from, .. } => {
+            DependenceForm::Line { slope, .. } => {
+                format!("{slope:+.4}{unit} for each unit of {column}")
+            }
+            DependenceForm::Hinge { slope, from, .. } => {
                 format!("{slope:+.4}{unit} for each unit of {column} above {from:.4}")
             }
-            Form::Constant { added } => format!("{added:+.3}{unit}"),
-            Form::Curve { at, added } => {
+            DependenceForm::Constant { added } => format!("{added:+.3}{unit}"),
+            DependenceForm::Curve { at, added } => {
                 let each = at.iter().zip(added);
                 let each: Vec<String> =
                     each.map(|(at, added)| format!("{added:+.2}{unit} at {at:.4}")).collect();
@@ -364,7 +441,7 @@ impl CauseSpec for Dependence {
             }
         };
         let behind = if self.has_lag() {
-            format!(", behind a time constant of {}", minutes(found.lag_s))
+            format!(", behind a time constant of {}", format_duration(found.lag_s))
         } else {
             String::new()
         };
@@ -377,7 +454,7 @@ impl CauseSpec for Dependence {
 
     fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
         let [slope_key, level_key] = self.times.keys().map(|key| key.name);
-        let late = self.nonlinear().len();
+        let late = self.fit_spec().nonlinear.len();
         let list = |key, places, at: &Vec<f64>, without| {
             let mut added = vec![0.0; without];
             added.extend_from_slice(&values[late..]);
@@ -388,90 +465,23 @@ impl CauseSpec for Dependence {
             vec![Parameter::Record(key, record)]
         };
         let mut all = match &self.form {
-            Form::Level { levels, .. } => {
-                list(level_key, "levels", levels, self.without_amplitude())
+            DependenceForm::Level { levels, .. } => {
+                list(level_key, "levels", levels, self.reference_level_count())
             }
-            Form::Curve { at, .. } => list("curve_um", "at", at, 1),
-            Form::Constant { .. } => vec![Parameter::Fitted(level_key, 0, 0.0)],
-            Form::Line { reference, .. } => vec![
+            DependenceForm::Curve { at, .. } => list("curve_um", "at", at, 1),
+            DependenceForm::Constant { .. } => vec![Parameter::Fitted(level_key, 0, 0.0)],
+            DependenceForm::Line { reference, .. } => vec![
                 Parameter::Fitted(slope_key, late, 0.0),
                 Parameter::Fixed("reference", *reference),
             ],
-            Form::Hinge { .. } => {
+            DependenceForm::Hinge { .. } => {
                 vec![Parameter::Fitted(slope_key, 1, 0.0), Parameter::Fitted("from", 0, 0.0)]
             }
         };
         all.extend(self.has_lag().then_some(Parameter::Fitted("lag_s", 0, 0.0)));
         let reference = Parameter::Fitted("times_reference", 0, 0.0);
-        all.extend(self.times.open_range().map(|_| reference));
+        all.extend(self.times.fitted_reference_range().map(|_| reference));
         all
-    }
-}
-
-impl Definition for Dependence {
-    const NAME: &'static str = "dependence";
-
-    fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        read::KEYS
-    }
-
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        read(section)
-    }
-
-    fn law(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
-        let (x, factor) = match self.minus {
-            Some(_) => (x[0] - x[1], self.factor(nonlinear, x.get(2))),
-            None => (x[0], self.factor(nonlinear, x.get(1))),
-        };
-        match &self.form {
-            Form::Level { levels, otherwise, .. } => {
-                // Which level a missing value is, is not known.
-                if x.is_nan() {
-                    add(0, f64::NAN);
-                }
-                let first = self.without_amplitude();
-                if self.has_lag() {
-                    // On its way from off to on.
-                    for (number, level) in levels.iter().enumerate().skip(first) {
-                        let share = if *level == 0.0 { 1.0 - x } else { x };
-                        add(number - first, share * factor);
-                    }
-                    return;
-                }
-                match levels.iter().position(|level| *level == x) {
-                    Some(number) if number >= first => add(number - first, factor),
-                    // What is no amplitude is added as it is.
-                    None if *otherwise != 0.0 => add(usize::MAX, otherwise * factor),
-                    _ => {}
-                }
-            }
-            Form::Line { reference, .. } => add(0, (x - reference) * factor),
-            Form::Hinge { from, .. } => {
-                let from = nonlinear.first().copied().unwrap_or(*from);
-                let above = x - from;
-                // A missing value stays one.
-                add(0, if above < 0.0 { 0.0 } else { above } * factor);
-            }
-            Form::Constant { .. } => add(0, if x.is_nan() { x } else { 1.0 }),
-            Form::Curve { at, .. } => {
-                let above = at.partition_point(|place| *place <= x).clamp(1, at.len() - 1);
-                let [low, high] = [at[above - 1], at[above]];
-                let share = ((x - low) / (high - low)).clamp(0.0, 1.0);
-                if above > 1 {
-                    add(above - 2, 1.0 - share);
-                }
-                add(above - 1, share);
-            }
-        }
-    }
-
-    fn from_board(_: Option<LinearAxis>, form: &OnBoard, _: &mut f64) -> Option<Self> {
-        Self::of_form(form)
-    }
-
-    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
-        propose(survey, with);
     }
 }
 

@@ -8,11 +8,14 @@
 //! middle of them and not before the first.
 
 use super::{
-    cause_spec::{CauseSpec, Definition, Entry, Input, Parameter, Target, Value, number},
-    data_view::{DataView, StartValues, targets},
+    cause_spec::{
+        BoardRepresentation, Candidate, Explanation, FileRepresentation, FitSpec, Input, Law,
+        Parameter, Target, TermEntry, Value, required_number,
+    },
+    data_view::{DataView, StartValues, target_positions},
 };
-use crate::file::keys::term::{REFERENCE_RUN, UM_PER_H, UM_PER_RUN};
-use crate::{file::read::Section, location::BadInput};
+use crate::file::schema::term::{REFERENCE_RUN, UM_PER_H, UM_PER_RUN};
+use crate::{file::reader::Section, location::BadInput};
 
 /// A slope of the time, or from run to run.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,7 +38,7 @@ pub enum Drift {
 const MIN_RUNS: usize = 3;
 
 impl Drift {
-    fn rate(&self) -> (&'static str, f64) {
+    fn rate_entry(&self) -> (&'static str, f64) {
         match *self {
             Self::InTime { um_per_h } => (UM_PER_H.name, um_per_h),
             Self::ByRun { um_per_run, .. } => (UM_PER_RUN.name, um_per_run),
@@ -43,9 +46,29 @@ impl Drift {
     }
 }
 
-impl CauseSpec for Drift {
-    fn entries(&self) -> Vec<Entry> {
-        let (name, rate) = self.rate();
+impl FileRepresentation for Drift {
+    const NAME: &'static str = "drift";
+
+    fn keys(section: &Section<'_>) -> &'static [&'static str] {
+        if section.keys().contains(&UM_PER_RUN.name) {
+            &[UM_PER_RUN.name, REFERENCE_RUN.name]
+        } else {
+            &[UM_PER_H.name]
+        }
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        Ok(match section.number(UM_PER_RUN.name)? {
+            Some(um_per_run) => {
+                let reference_run = section.number(REFERENCE_RUN.name)?.unwrap_or(0.0);
+                Self::ByRun { um_per_run, reference_run }
+            }
+            None => Self::InTime { um_per_h: required_number(section, UM_PER_H)? },
+        })
+    }
+
+    fn entries(&self) -> Vec<TermEntry> {
+        let (name, rate) = self.rate_entry();
         let mut entries = vec![(name, Value::Number(rate))];
         if let Self::ByRun { reference_run, .. } = *self
             && reference_run != 0.0
@@ -54,13 +77,11 @@ impl CauseSpec for Drift {
         }
         entries
     }
+}
 
-    fn home(&self) -> Target {
+impl Law for Drift {
+    fn target(&self) -> Target {
         Target::Any
-    }
-
-    fn tier(&self) -> u8 {
-        2
     }
 
     fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
@@ -70,22 +91,56 @@ impl CauseSpec for Drift {
         }]
     }
 
+    fn add_unit_effects(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
+        add(
+            0,
+            match self {
+                Self::InTime { .. } => x[0] / 3600.0,
+                // A record that is of no run is of the middle one.
+                Self::ByRun { .. } if x[0].is_nan() => 0.0,
+                Self::ByRun { reference_run, .. } => x[0] - reference_run,
+            },
+        );
+    }
+}
+
+impl BoardRepresentation for Drift {
     fn is_compensated(&self) -> bool {
         false
     }
+}
 
-    fn values(&self) -> Vec<f64> {
-        vec![self.rate().1]
+impl Candidate for Drift {
+    fn fit_spec(&self) -> FitSpec {
+        FitSpec { tier: 2, ..FitSpec::DEFAULT }
     }
 
-    fn set(&mut self, values: &[f64]) {
+    fn values(&self) -> Vec<f64> {
+        vec![self.rate_entry().1]
+    }
+
+    fn set_values(&mut self, values: &[f64]) {
         match self {
             Self::InTime { um_per_h } => *um_per_h = values[0],
             Self::ByRun { um_per_run, .. } => *um_per_run = values[0],
         }
     }
 
-    fn sentence(&self, values: &[f64]) -> String {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
+        if survey.time_range_s().is_some() {
+            with(Self::InTime { um_per_h: 0.0 }, StartValues::empty());
+        } else if let Some(run) =
+            survey.column("run").filter(|run| target_positions(run, 1e-3).len() >= MIN_RUNS)
+        {
+            let known = || run.iter().filter(|run| run.is_finite());
+            let reference_run = known().sum::<f64>() / known().count() as f64;
+            with(Self::ByRun { um_per_run: 0.0, reference_run }, StartValues::empty());
+        }
+    }
+}
+
+impl Explanation for Drift {
+    fn describe(&self, values: &[f64]) -> String {
         match self {
             Self::InTime { .. } => format!("It wanders by {:+.3} µm an hour.", values[0]),
             Self::ByRun { .. } => {
@@ -106,60 +161,14 @@ impl CauseSpec for Drift {
         }
     }
 
-    fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
-        vec![Parameter::Fitted(self.rate().0, 0, 0.0)]
-    }
-}
-
-impl Definition for Drift {
-    const NAME: &'static str = "drift";
-
-    fn keys(section: &Section<'_>) -> &'static [&'static str] {
-        if section.keys().contains(&UM_PER_RUN.name) {
-            &[UM_PER_RUN.name, REFERENCE_RUN.name]
-        } else {
-            &[UM_PER_H.name]
-        }
-    }
-
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        Ok(match section.number(UM_PER_RUN.name)? {
-            Some(um_per_run) => {
-                let reference_run = section.number(REFERENCE_RUN.name)?.unwrap_or(0.0);
-                Self::ByRun { um_per_run, reference_run }
-            }
-            None => Self::InTime { um_per_h: number(section, UM_PER_H)? },
-        })
-    }
-
-    fn law(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
-        add(
-            0,
-            match self {
-                Self::InTime { .. } => x[0] / 3600.0,
-                // A record that is of no run is of the middle one.
-                Self::ByRun { .. } if x[0].is_nan() => 0.0,
-                Self::ByRun { reference_run, .. } => x[0] - reference_run,
-            },
-        );
-    }
-
-    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
-        if survey.time_s().is_some() {
-            with(Self::InTime { um_per_h: 0.0 }, StartValues::none());
-        } else if let Some(run) =
-            survey.column("run").filter(|run| targets(run, 1e-3).len() >= MIN_RUNS)
-        {
-            let known = || run.iter().filter(|run| run.is_finite());
-            let reference_run = known().sum::<f64>() / known().count() as f64;
-            with(Self::ByRun { um_per_run: 0.0, reference_run }, StartValues::none());
-        }
-    }
-
-    fn against(_: &str) -> Option<&'static str> {
+    fn distinguishing_test(_: &str) -> Option<&'static str> {
         Some(
             "Repeat the run on another day and in another order: a drift follows the clock, a cause \
              follows its input.",
         )
+    }
+
+    fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
+        vec![Parameter::Fitted(self.rate_entry().0, 0, 0.0)]
     }
 }

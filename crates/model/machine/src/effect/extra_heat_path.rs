@@ -5,43 +5,44 @@
 //! p + c·lag_τ((n/1000)^a)           n the spindle's speed, a 1 or 2, cold (0) at the start
 //! ```
 
-use trueup_core::term::SpeedPower;
+use trueup_core::term::SpeedExponent;
 
 use super::{
     cause_spec::{
-        CauseSpec, Definition, Entry, Heat, HeatPath, Input, Nonlinear, OnBoard, Parameter,
-        SpeedHeat, Target, Value, minutes,
+        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec,
+        HeatPath, Input, Law, NonlinearParameter, Parameter, SpeedHeatResponse, Target,
+        TemperatureResponse, TermEntry, Value, format_duration,
     },
-    data_view::{DataView, StartValues, TIME_CONSTANTS},
-    dependence::SPEED,
+    data_view::{DataView, StartValues, TIME_CONSTANT_COUNT},
+    dependence::SPEED_COLUMN,
     heat,
 };
 use crate::file::key::Key;
-use crate::file::keys::term::{
+use crate::file::schema::term::{
     COLUMN, INPUT, REFERENCE_C, TIME_CONSTANT_S, UM_PER_C, UM_PER_KRPM, UM_PER_KRPM2,
 };
-use crate::file::table::{Table, entries, value};
+use crate::file::table::{Table, entries, read_or_default};
 use crate::{
     file::axis::LinearAxis,
-    file::{read::Section, spindle::ElongationSource},
+    file::{reader::Section, spindle::ElongationSource},
     location::BadInput,
 };
 
 /// The powers of the speed: the value of `input`, and the key of c.
-const POWERS: [(SpeedPower, &str, Key); 2] =
-    [(SpeedPower::Second, "speed2", UM_PER_KRPM2), (SpeedPower::First, "speed", UM_PER_KRPM)];
+const SPEED_POWERS: [(SpeedExponent, &str, Key); 2] =
+    [(SpeedExponent::Second, "speed2", UM_PER_KRPM2), (SpeedExponent::First, "speed", UM_PER_KRPM)];
 
 /// Shortest time constant of heat of the speed in a search, in s: 0.2 m of cast iron settle in L²/(π²·a). A faster
 /// effect is no heat, but any law of the speed.
-const FASTEST_S: f64 = 300.0;
+const MIN_TIME_CONSTANT_S: f64 = 300.0;
 
 /// Heat by a path of its own.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ExtraHeatPath {
     /// Of a thermometer.
-    OfTemperature(Heat),
+    OfTemperature(TemperatureResponse),
     /// Of the spindle's speed.
-    OfSpeed(SpeedHeat),
+    OfSpeed(SpeedHeatResponse),
 }
 
 impl ExtraHeatPath {
@@ -59,52 +60,86 @@ impl ExtraHeatPath {
     fn column(&self) -> &str {
         match self {
             Self::OfTemperature(heat) => &heat.column,
-            Self::OfSpeed(_) => SPEED,
+            Self::OfSpeed(_) => SPEED_COLUMN,
         }
     }
 
     fn amplitude_key(&self) -> &'static str {
         match self {
             Self::OfTemperature(_) => UM_PER_C.name,
-            Self::OfSpeed(heat) => names(heat.power)[1],
+            Self::OfSpeed(heat) => input_and_key(heat.power)[1],
         }
     }
 }
 
 /// Returns the value of `input` and the key of c.
-fn names(power: SpeedPower) -> [&'static str; 2] {
-    let of_it = POWERS.into_iter().filter(|(there, ..)| *there == power);
+fn input_and_key(power: SpeedExponent) -> [&'static str; 2] {
+    let of_it = SPEED_POWERS.into_iter().filter(|(there, ..)| *there == power);
     of_it.fold([""; 2], |_, (_, input, key)| [input, key.name])
 }
 
 /// Returns the power of the speed that `section` is about: by `input`, else by the key of c.
-fn power_of(section: &Section<'_>) -> SpeedPower {
+fn speed_power(section: &Section<'_>) -> SpeedExponent {
     let input = section.text(INPUT.name).ok().flatten();
     let keys = section.keys();
-    let is_it = |(_, name, key): &(SpeedPower, &str, Key)| match input {
+    let is_it = |(_, name, key): &(SpeedExponent, &str, Key)| match input {
         Some(input) => input == *name,
         None => keys.contains(&key.name),
     };
-    POWERS.into_iter().find(is_it).map_or(SpeedPower::Second, |(power, ..)| power)
+    SPEED_POWERS.into_iter().find(is_it).map_or(SpeedExponent::Second, |(power, ..)| power)
 }
 
 /// Returns whether `section` is about the speed.
-fn is_of_speed(section: &Section<'_>) -> bool {
+fn is_speed_driven(section: &Section<'_>) -> bool {
     let keys = section.keys();
     let is_own = |key: &&str| {
-        *key == INPUT.name || POWERS.iter().any(|(.., amplitude)| *key == amplitude.name)
+        *key == INPUT.name || SPEED_POWERS.iter().any(|(.., amplitude)| *key == amplitude.name)
     };
-    keys.iter().any(is_own) || section.text(COLUMN.name).is_ok_and(|column| column == Some(SPEED))
+    keys.iter().any(is_own)
+        || section.text(COLUMN.name).is_ok_and(|column| column == Some(SPEED_COLUMN))
 }
 
-impl CauseSpec for ExtraHeatPath {
-    fn entries(&self) -> Vec<Entry> {
+impl FileRepresentation for ExtraHeatPath {
+    const NAME: &'static str = "extra-heat-path";
+
+    fn keys(section: &Section<'_>) -> &'static [&'static str] {
+        match (is_speed_driven(section), speed_power(section)) {
+            (false, _) => &[COLUMN.name, UM_PER_C.name, TIME_CONSTANT_S.name, REFERENCE_C.name],
+            (_, SpeedExponent::First) => {
+                &[COLUMN.name, INPUT.name, UM_PER_KRPM.name, TIME_CONSTANT_S.name]
+            }
+            (_, SpeedExponent::Second) => {
+                &[COLUMN.name, INPUT.name, UM_PER_KRPM2.name, TIME_CONSTANT_S.name]
+            }
+        }
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        if !is_speed_driven(section) {
+            return TemperatureResponse::read(section).map(Self::OfTemperature);
+        }
+        if section.required(COLUMN.name, section.text(COLUMN.name)?)? != SPEED_COLUMN {
+            return Err(
+                section.key_error(COLUMN.name, "must be \"spindle_rpm\" where the speed heats")
+            );
+        }
+        let choices = SPEED_POWERS.map(|(power, input, _)| (input, power));
+        let power = section.choice(INPUT.name, &choices)?.unwrap_or(speed_power(section));
+        let [_, key] = input_and_key(power);
+        Ok(Self::OfSpeed(SpeedHeatResponse {
+            power,
+            um_per_unit: section.required(key, section.number(key)?)?,
+            time_constant_s: read_or_default(section, &TIME_CONSTANT_S.required())?,
+        }))
+    }
+
+    fn entries(&self) -> Vec<TermEntry> {
         match self {
             Self::OfTemperature(heat) => entries(heat),
             Self::OfSpeed(heat) => {
-                let [input, key] = names(heat.power);
+                let [input, key] = input_and_key(heat.power);
                 vec![
-                    (COLUMN.name, Value::Text(SPEED.into())),
+                    (COLUMN.name, Value::Text(SPEED_COLUMN.into())),
                     (INPUT.name, Value::Text(input.into())),
                     (key, Value::Number(heat.um_per_unit)),
                     (TIME_CONSTANT_S.name, Value::Number(heat.time_constant_s)),
@@ -112,30 +147,68 @@ impl CauseSpec for ExtraHeatPath {
             }
         }
     }
+}
 
-    fn home(&self) -> Target {
+impl Law for ExtraHeatPath {
+    fn target(&self) -> Target {
         Target::Heat
-    }
-
-    fn tier(&self) -> u8 {
-        1
     }
 
     fn inputs(&self, nonlinear: &[f64]) -> Vec<Input<'_>> {
         let lag_s = nonlinear.first().copied().unwrap_or(0.0);
         match self {
-            Self::OfTemperature(heat) => heat::inputs(heat, lag_s),
+            Self::OfTemperature(heat) => heat::temperature_inputs(heat, lag_s),
             Self::OfSpeed(heat) => vec![Input::SpeedHeat { power: heat.power, lag_s }],
         }
     }
 
-    fn nonlinear(&self) -> &'static [Nonlinear] {
-        if self.has_lag() { &[Nonlinear::TimeConstant] } else { &[] }
+    fn add_unit_effects(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
+        add(
+            0,
+            match self {
+                Self::OfTemperature(heat) => x[0] - heat.reference_c,
+                Self::OfSpeed(_) => x[0],
+            },
+        );
+    }
+}
+
+impl BoardRepresentation for ExtraHeatPath {
+    fn board_terms(&self) -> Vec<BoardTerm> {
+        vec![match self {
+            Self::OfTemperature(heat) => BoardTerm::Heat(heat.clone()),
+            Self::OfSpeed(heat) => BoardTerm::SpeedHeat(*heat),
+        }]
     }
 
-    fn nonlinear_limits(&self) -> Option<[f64; 2]> {
-        let is_slow = matches!(self, Self::OfSpeed(_)) && self.has_lag();
-        is_slow.then_some([FASTEST_S, f64::INFINITY])
+    fn heat_mut(&mut self) -> Option<&mut TemperatureResponse> {
+        match self {
+            Self::OfTemperature(heat) => Some(heat),
+            Self::OfSpeed(_) => None,
+        }
+    }
+
+    fn from_board(_: Option<LinearAxis>, form: &BoardTerm, _: &mut f64) -> Option<Self> {
+        match form {
+            BoardTerm::Heat(heat) => Some(Self::OfTemperature(heat.clone())),
+            BoardTerm::SpeedHeat(heat) => Some(Self::OfSpeed(*heat)),
+            _ => None,
+        }
+    }
+}
+
+impl Candidate for ExtraHeatPath {
+    fn fit_spec(&self) -> FitSpec {
+        FitSpec {
+            tier: 1,
+            nonlinear: if self.has_lag() { &[NonlinearParameter::TimeConstant] } else { &[] },
+            nonlinear_limits: {
+                let is_slow = matches!(self, Self::OfSpeed(_)) && self.has_lag();
+                is_slow.then_some([MIN_TIME_CONSTANT_S, f64::INFINITY])
+            },
+            has_reference: true,
+            ..FitSpec::DEFAULT
+        }
     }
 
     fn values(&self) -> Vec<f64> {
@@ -147,7 +220,7 @@ impl CauseSpec for ExtraHeatPath {
         lag_s.into_iter().chain([amplitude]).collect()
     }
 
-    fn set(&mut self, values: &[f64]) {
+    fn set_values(&mut self, values: &[f64]) {
         let (time_constant_s, amplitude) = match self {
             Self::OfTemperature(heat) => (&mut heat.time_constant_s, &mut heat.um_per_c),
             Self::OfSpeed(heat) => (&mut heat.time_constant_s, &mut heat.um_per_unit),
@@ -158,44 +231,49 @@ impl CauseSpec for ExtraHeatPath {
         *amplitude = values[values.len() - 1];
     }
 
-    fn on_board(&self) -> Vec<OnBoard> {
-        vec![match self {
-            Self::OfTemperature(heat) => OnBoard::Heat(heat.clone()),
-            Self::OfSpeed(heat) => OnBoard::SpeedHeat(*heat),
-        }]
-    }
-
-    fn has_reference(&self) -> bool {
-        true
-    }
-
-    fn heat_mut(&mut self) -> Option<&mut Heat> {
-        match self {
-            Self::OfTemperature(heat) => Some(heat),
-            Self::OfSpeed(_) => None,
-        }
-    }
-
     fn heat_path(&self) -> Option<HeatPath<'_>> {
         let (column, has_lag) = (self.column(), self.has_lag());
         Some(HeatPath { column, is_second: false, has_lag })
     }
 
-    fn sentence(&self, values: &[f64]) -> String {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
+        for (column, _) in
+            heat::candidate_columns(survey).into_iter().filter(|(_, is_in_use)| !is_in_use)
+        {
+            let of = |has_lag| Self::OfTemperature(heat::neutral(survey, column, has_lag));
+            with(of(false), StartValues::empty());
+            with(of(true), survey.time_constant_start_values(TIME_CONSTANT_COUNT));
+        }
+        // Heat by the speed is what the warm-up model is: what is wrong with it has names of its own.
+        let is_model =
+            survey.has_elongation() && survey.elongation_source() == Some(ElongationSource::Warmup);
+        if survey.varies(SPEED_COLUMN) && !survey.is_in_use(SPEED_COLUMN) && !is_model {
+            let mut slow = survey.time_constant_start_values(TIME_CONSTANT_COUNT);
+            slow.starts.retain(|start| start[0] >= MIN_TIME_CONSTANT_S);
+            for (power, ..) in SPEED_POWERS {
+                let neutral = SpeedHeatResponse { power, um_per_unit: 0.0, time_constant_s: 1.0 };
+                with(Self::OfSpeed(neutral), slow.clone());
+            }
+        }
+    }
+}
+
+impl Explanation for ExtraHeatPath {
+    fn describe(&self, values: &[f64]) -> String {
         let amplitude = values[values.len() - 1];
         let behind = if self.has_lag() {
-            format!(", behind a time constant of {}", minutes(values[0]))
+            format!(", behind a time constant of {}", format_duration(values[0]))
         } else {
             String::new()
         };
         let how = match self {
-            Self::OfTemperature(Heat { column, .. }) => {
+            Self::OfTemperature(TemperatureResponse { column, .. }) => {
                 format!("{amplitude:+.3} µm for each kelvin of {column}")
             }
-            Self::OfSpeed(SpeedHeat { power: SpeedPower::First, .. }) => {
+            Self::OfSpeed(SpeedHeatResponse { power: SpeedExponent::First, .. }) => {
                 format!("{amplitude:+.3} µm for each 1000 r/min of the spindle")
             }
-            Self::OfSpeed(SpeedHeat { power: SpeedPower::Second, .. }) => {
+            Self::OfSpeed(SpeedHeatResponse { power: SpeedExponent::Second, .. }) => {
                 format!("{amplitude:+.3} µm for each (1000 r/min)² of the spindle")
             }
         };
@@ -215,6 +293,13 @@ impl CauseSpec for ExtraHeatPath {
         }
     }
 
+    fn distinguishing_test(rival: &str) -> Option<&'static str> {
+        (rival == Self::NAME).then_some(
+            "Warm the two places one after the other, not together; where one is the spindle's speed, \
+             warm the other one with the spindle at rest.",
+        )
+    }
+
     fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
         let amplitude = Parameter::Fitted(self.amplitude_key(), values.len() - 1, 0.0);
         let time_constant = if self.has_lag() {
@@ -224,84 +309,8 @@ impl CauseSpec for ExtraHeatPath {
         };
         let mut all = vec![amplitude, time_constant];
         if let Self::OfSpeed(heat) = self {
-            all.push(Parameter::Said("input", Value::Text(names(heat.power)[0].into())));
+            all.push(Parameter::Said("input", Value::Text(input_and_key(heat.power)[0].into())));
         }
         all
-    }
-}
-
-impl Definition for ExtraHeatPath {
-    const NAME: &'static str = "extra-heat-path";
-
-    fn keys(section: &Section<'_>) -> &'static [&'static str] {
-        match (is_of_speed(section), power_of(section)) {
-            (false, _) => &[COLUMN.name, UM_PER_C.name, TIME_CONSTANT_S.name, REFERENCE_C.name],
-            (_, SpeedPower::First) => {
-                &[COLUMN.name, INPUT.name, UM_PER_KRPM.name, TIME_CONSTANT_S.name]
-            }
-            (_, SpeedPower::Second) => {
-                &[COLUMN.name, INPUT.name, UM_PER_KRPM2.name, TIME_CONSTANT_S.name]
-            }
-        }
-    }
-
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        if !is_of_speed(section) {
-            return Heat::read(section).map(Self::OfTemperature);
-        }
-        if section.required(COLUMN.name, section.text(COLUMN.name)?)? != SPEED {
-            return Err(section.bad(COLUMN.name, "must be \"spindle_rpm\" where the speed heats"));
-        }
-        let choices = POWERS.map(|(power, input, _)| (input, power));
-        let power = section.choice(INPUT.name, &choices)?.unwrap_or(power_of(section));
-        let [_, key] = names(power);
-        Ok(Self::OfSpeed(SpeedHeat {
-            power,
-            um_per_unit: section.required(key, section.number(key)?)?,
-            time_constant_s: value(section, &TIME_CONSTANT_S.required())?,
-        }))
-    }
-
-    fn law(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
-        add(
-            0,
-            match self {
-                Self::OfTemperature(heat) => x[0] - heat.reference_c,
-                Self::OfSpeed(_) => x[0],
-            },
-        );
-    }
-
-    fn from_board(_: Option<LinearAxis>, form: &OnBoard, _: &mut f64) -> Option<Self> {
-        match form {
-            OnBoard::Heat(heat) => Some(Self::OfTemperature(heat.clone())),
-            OnBoard::SpeedHeat(heat) => Some(Self::OfSpeed(*heat)),
-            _ => None,
-        }
-    }
-
-    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
-        for (column, _) in heat::columns(survey).into_iter().filter(|(_, is_in_use)| !is_in_use) {
-            let of = |has_lag| Self::OfTemperature(heat::neutral(survey, column, has_lag));
-            with(of(false), StartValues::none());
-            with(of(true), survey.time_constants(TIME_CONSTANTS));
-        }
-        // Heat by the speed is what the warm-up model is: what is wrong with it has names of its own.
-        let is_model = survey.elongates() && survey.source() == Some(ElongationSource::Warmup);
-        if survey.varies(SPEED) && !survey.is_in_use(SPEED) && !is_model {
-            let mut slow = survey.time_constants(TIME_CONSTANTS);
-            slow.starts.retain(|start| start[0] >= FASTEST_S);
-            for (power, ..) in POWERS {
-                let neutral = SpeedHeat { power, um_per_unit: 0.0, time_constant_s: 1.0 };
-                with(Self::OfSpeed(neutral), slow.clone());
-            }
-        }
-    }
-
-    fn against(rival: &str) -> Option<&'static str> {
-        (rival == Self::NAME).then_some(
-            "Warm the two places one after the other, not together; where one is the spindle's speed, \
-             warm the other one with the spindle at rest.",
-        )
     }
 }

@@ -1,4 +1,4 @@
-//! `feed-dependent-backlash`: how far the axis is left behind on reversal goes with the feed.
+//! `feed-dependent-backlash`: how far the axis is left behind on reversal depends on the feed.
 //!
 //! ```text
 //! p + w(F) where the axis was approached in the negative direction
@@ -11,17 +11,20 @@
 //! is predicted as well.
 
 use super::{
-    cause_spec::{CauseSpec, Definition, Entry, Input, OnBoard, Parameter, Target, Value},
+    cause_spec::{
+        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
+        Law, Parameter, Target, TermEntry, Value,
+    },
     data_view::{DataView, StartValues},
 };
-use crate::file::keys::term::{AT_FEED_MM_PER_MIN, FEEDS_MM_PER_MIN, WIDTH_UM};
-use crate::{file::read::Section, location::BadInput, model::pitch::is_reverse};
+use crate::file::schema::term::{AT_FEED_MM_PER_MIN, FEEDS_MM_PER_MIN, WIDTH_UM};
+use crate::{file::reader::Section, location::BadInput, model::pitch::is_reverse};
 
 /// The column of the feed, in mm/min.
-pub(crate) const FEED: &str = "feed_mm_per_min";
+pub(crate) const FEED_COLUMN: &str = "feed_mm_per_min";
 
 /// Feeds that differ by less are one: the share by which an override knob steps.
-const SAME_FEED: f64 = 0.01;
+const FEED_TOLERANCE_SHARE: f64 = 0.01;
 
 /// More feeds than a person would set are a feed that varies; it is followed at this many.
 const MAX_FEEDS: usize = 6;
@@ -46,7 +49,7 @@ impl FeedDependentBacklash {
     }
 
     /// Returns the two feeds around one, by their places, and how far it is from the first to the second.
-    fn around(&self, feed_mm_per_min: f64) -> (usize, usize, f64) {
+    fn bracketing_feeds(&self, feed_mm_per_min: f64) -> (usize, usize, f64) {
         let feeds = &self.feeds_mm_per_min;
         let above = feeds.partition_point(|feed| *feed <= feed_mm_per_min);
         let above = above.clamp(1, feeds.len() - 1);
@@ -55,22 +58,48 @@ impl FeedDependentBacklash {
     }
 
     /// Returns the width of the one feed that is corrected, in µm.
-    fn corrected_um(&self) -> f64 {
-        let (low, high, share) = self.around(self.at_feed_mm_per_min);
+    fn corrected_width_um(&self) -> f64 {
+        let (low, high, share) = self.bracketing_feeds(self.at_feed_mm_per_min);
         (1.0 - share) * self.width_um[low] + share * self.width_um[high]
     }
 }
 
-impl CauseSpec for FeedDependentBacklash {
-    fn entries(&self) -> Vec<Entry> {
+impl FileRepresentation for FeedDependentBacklash {
+    const NAME: &'static str = "feed-dependent-backlash";
+
+    fn keys(_: &Section<'_>) -> &'static [&'static str] {
+        &[FEEDS_MM_PER_MIN.name, WIDTH_UM.name, AT_FEED_MM_PER_MIN.name]
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        let key = FEEDS_MM_PER_MIN.name;
+        let feeds_mm_per_min = section.required(key, section.numbers(key)?)?;
+        let is_rising = feeds_mm_per_min.windows(2).all(|pair| pair[0] < pair[1]);
+        if feeds_mm_per_min.len() < 2 || !is_rising || feeds_mm_per_min[0] <= 0.0 {
+            return Err(section.key_error(key, "takes at least two feeds above 0, rising"));
+        }
+        let width_um = section.required(WIDTH_UM.name, section.numbers(WIDTH_UM.name)?)?;
+        if width_um.len() != feeds_mm_per_min.len() {
+            return Err(
+                section.key_error(WIDTH_UM.name, "takes a width for each of feeds_mm_per_min")
+            );
+        }
+        let at_feed_mm_per_min = section.positive(AT_FEED_MM_PER_MIN.name)?;
+        let at_feed_mm_per_min = at_feed_mm_per_min.unwrap_or(feeds_mm_per_min[0]);
+        Ok(Self { feeds_mm_per_min, width_um, at_feed_mm_per_min })
+    }
+
+    fn entries(&self) -> Vec<TermEntry> {
         vec![
             (FEEDS_MM_PER_MIN.name, Value::Numbers(self.feeds_mm_per_min.clone())),
             (WIDTH_UM.name, Value::Numbers(self.width_um.clone())),
             (AT_FEED_MM_PER_MIN.name, Value::Number(self.at_feed_mm_per_min)),
         ]
     }
+}
 
-    fn home(&self) -> Target {
+impl Law for FeedDependentBacklash {
+    fn target(&self) -> Target {
         Target::Axis
     }
 
@@ -78,27 +107,58 @@ impl CauseSpec for FeedDependentBacklash {
         vec![Input::Feed, Input::OwnDirection]
     }
 
-    fn amplitudes(&self) -> usize {
-        self.feeds_mm_per_min.len()
+    fn add_unit_effects(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
+        if is_reverse(x[1]) {
+            let feed = if x[0].is_finite() { x[0] } else { self.at_feed_mm_per_min };
+            let (low, high, share) = self.bracketing_feeds(feed);
+            add(low, 1.0 - share);
+            add(high, share);
+        }
+    }
+}
+
+impl BoardRepresentation for FeedDependentBacklash {
+    fn board_terms(&self) -> Vec<BoardTerm> {
+        vec![BoardTerm::Reversed { width_um: self.corrected_width_um(), um_per_m: 0.0 }]
+    }
+}
+
+impl Candidate for FeedDependentBacklash {
+    fn fit_spec(&self) -> FitSpec {
+        FitSpec { amplitudes: self.feeds_mm_per_min.len(), ..FitSpec::DEFAULT }
     }
 
     fn values(&self) -> Vec<f64> {
         self.width_um.clone()
     }
 
-    fn set(&mut self, values: &[f64]) {
+    fn set_values(&mut self, values: &[f64]) {
         self.width_um = values.to_vec();
     }
 
-    fn on_board(&self) -> Vec<OnBoard> {
-        vec![OnBoard::Reversed { width_um: self.corrected_um(), um_per_m: 0.0 }]
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
+        // It has room for a backlash, so that the two are never both there.
+        let is_open =
+            survey.own_axis_moves() && survey.is_bidirectional() && survey.has_screw_feedback();
+        if !is_open
+            || survey.has_added_cause(super::Backlash::NAME)
+            || survey.has_added_cause(Self::NAME)
+        {
+            return;
+        }
+        let feeds = survey.column(FEED_COLUMN).map(find_feeds).unwrap_or_default();
+        if feeds.len() >= 2 {
+            with(Self::neutral(feeds), StartValues::empty());
+        }
     }
+}
 
-    fn sentence(&self, values: &[f64]) -> String {
+impl Explanation for FeedDependentBacklash {
+    fn describe(&self, values: &[f64]) -> String {
         let mut found = self.clone();
-        found.set(values);
+        found.set_values(values);
         let at = found.at_feed_mm_per_min;
-        let corrected_um = found.corrected_um();
+        let corrected_um = found.corrected_width_um();
         let pairs = || found.feeds_mm_per_min.iter().zip(values);
         let each: Vec<String> =
             pairs().map(|(feed, um)| format!("{um:+.2} µm at {feed:.0} mm/min")).collect();
@@ -119,73 +179,28 @@ impl CauseSpec for FeedDependentBacklash {
          feed into feed_mm_per_min."
     }
 
+    fn distinguishing_test(rival: &str) -> Option<&'static str> {
+        (rival == super::Backlash::NAME).then_some(
+            "Approach one position seven times from each side at a slow and at a fast feed, by turns.",
+        )
+    }
+
     fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
         let mut found = self.clone();
-        found.set(values);
+        found.set_values(values);
         let record = found.entries().into_iter().map(|(key, value)| (key, Some(value)));
         vec![Parameter::Record("width_um", record.collect())]
     }
 }
 
-impl Definition for FeedDependentBacklash {
-    const NAME: &'static str = "feed-dependent-backlash";
-
-    fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        &[FEEDS_MM_PER_MIN.name, WIDTH_UM.name, AT_FEED_MM_PER_MIN.name]
-    }
-
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        let key = FEEDS_MM_PER_MIN.name;
-        let feeds_mm_per_min = section.required(key, section.numbers(key)?)?;
-        let is_rising = feeds_mm_per_min.windows(2).all(|pair| pair[0] < pair[1]);
-        if feeds_mm_per_min.len() < 2 || !is_rising || feeds_mm_per_min[0] <= 0.0 {
-            return Err(section.bad(key, "takes at least two feeds above 0, rising"));
-        }
-        let width_um = section.required(WIDTH_UM.name, section.numbers(WIDTH_UM.name)?)?;
-        if width_um.len() != feeds_mm_per_min.len() {
-            return Err(section.bad(WIDTH_UM.name, "takes a width for each of feeds_mm_per_min"));
-        }
-        let at_feed_mm_per_min = section.positive(AT_FEED_MM_PER_MIN.name)?;
-        let at_feed_mm_per_min = at_feed_mm_per_min.unwrap_or(feeds_mm_per_min[0]);
-        Ok(Self { feeds_mm_per_min, width_um, at_feed_mm_per_min })
-    }
-
-    fn law(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
-        if is_reverse(x[1]) {
-            let feed = if x[0].is_finite() { x[0] } else { self.at_feed_mm_per_min };
-            let (low, high, share) = self.around(feed);
-            add(low, 1.0 - share);
-            add(high, share);
-        }
-    }
-
-    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
-        // It has room for a backlash, so that the two are never both there.
-        let is_open = survey.moves() && survey.turns() && survey.has_screw();
-        if !is_open || survey.adds(super::Backlash::NAME) || survey.adds(Self::NAME) {
-            return;
-        }
-        let feeds = survey.column(FEED).map(feeds).unwrap_or_default();
-        if feeds.len() >= 2 {
-            with(Self::neutral(feeds), StartValues::none());
-        }
-    }
-
-    fn against(rival: &str) -> Option<&'static str> {
-        (rival == super::Backlash::NAME).then_some(
-            "Approach one position seven times from each side at a slow and at a fast feed, by turns.",
-        )
-    }
-}
-
 /// Returns the feeds of a run in mm/min, rising: each that was set, or some of a feed that varies.
-fn feeds(column: &[f64]) -> Vec<f64> {
+fn find_feeds(column: &[f64]) -> Vec<f64> {
     let mut sorted: Vec<f64> = column.iter().copied().filter(|feed| *feed > 0.0).collect();
     sorted.retain(|feed| feed.is_finite());
     sorted.sort_by(f64::total_cmp);
     let mut set: Vec<f64> = Vec::new();
     for &feed in &sorted {
-        if set.last().is_none_or(|last| feed / last - 1.0 > SAME_FEED) {
+        if set.last().is_none_or(|last| feed / last - 1.0 > FEED_TOLERANCE_SHARE) {
             set.push(feed);
         }
     }
@@ -194,7 +209,7 @@ fn feeds(column: &[f64]) -> Vec<f64> {
     }
     let at = |n: usize| sorted[n * (sorted.len() - 1) / (MAX_FEEDS - 1)];
     let mut some: Vec<f64> = (0..MAX_FEEDS).map(at).collect();
-    some.dedup_by(|b, a| *b / *a - 1.0 <= SAME_FEED);
+    some.dedup_by(|b, a| *b / *a - 1.0 <= FEED_TOLERANCE_SHARE);
     some
 }
 
@@ -204,9 +219,9 @@ mod tests {
 
     #[test]
     fn a_feed_that_was_set_is_one_and_a_feed_that_varies_is_followed_at_some() {
-        assert_eq!(feeds(&[1000.0, f64::NAN, 100.0, 1002.0, 0.0, 100.0]), [100.0, 1000.0]);
+        assert_eq!(find_feeds(&[1000.0, f64::NAN, 100.0, 1002.0, 0.0, 100.0]), [100.0, 1000.0]);
         let varying: Vec<f64> = (0..100).map(|n| 100.0 + 10.0 * f64::from(n)).collect();
-        assert_eq!(feeds(&varying).len(), MAX_FEEDS);
+        assert_eq!(find_feeds(&varying).len(), MAX_FEEDS);
     }
 
     #[test]
@@ -219,15 +234,15 @@ mod tests {
         let um = |feed: f64, direction: f64| {
             let mut um = 0.0;
             let mut add = |number: usize, share: f64| um += page.width_um[number] * share;
-            page.law(&[], &[feed, direction], &mut add);
+            page.add_unit_effects(&[], &[feed, direction], &mut add);
             um
         };
         assert_eq!([um(100.0, -1.0), um(600.0, -1.0), um(1100.0, -1.0)], [6.0, 8.5, 11.0]);
         assert_eq!([um(10.0, -1.0), um(9000.0, -1.0), um(600.0, 1.0)], [6.0, 11.0, 0.0]);
         // A run that does not say its feed is taken at the feed that is corrected, as the board does.
         assert_eq!(um(f64::NAN, -1.0), 6.0);
-        assert_eq!(page.on_board(), [OnBoard::Reversed { width_um: 6.0, um_per_m: 0.0 }]);
-        let told = page.sentence(&page.width_um);
+        assert_eq!(page.board_terms(), [BoardTerm::Reversed { width_um: 6.0, um_per_m: 0.0 }]);
+        let told = page.describe(&page.width_um);
         assert!(told.contains("corrects +6.00 µm, that of 100 mm/min"), "{told}");
         assert!(told.contains("+5.00 µm at 1100 mm/min stay"), "{told}");
     }

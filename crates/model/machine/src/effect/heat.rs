@@ -1,18 +1,18 @@
 //! Shared parts of the causes that follow a temperature, c·(lag_τ(T) − T_ref).
 
 use super::{
-    cause_spec::{Heat, Input},
+    cause_spec::{Input, TemperatureResponse},
     data_view::DataView,
 };
 use crate::file::spindle::ElongationSource;
 
-pub(crate) fn inputs(heat: &Heat, lag_s: f64) -> Vec<Input<'_>> {
+pub(crate) fn temperature_inputs(heat: &TemperatureResponse, lag_s: f64) -> Vec<Input<'_>> {
     vec![Input::Temperature { column: &heat.column, lag_s }]
 }
 
 /// No heat of `column` yet. A time constant of 1 s says that it has one.
-pub(crate) fn neutral(survey: &dyn DataView, column: &str, has_lag: bool) -> Heat {
-    Heat {
+pub(crate) fn neutral(survey: &dyn DataView, column: &str, has_lag: bool) -> TemperatureResponse {
+    TemperatureResponse {
         column: column.into(),
         um_per_c: 0.0,
         time_constant_s: if has_lag { 1.0 } else { 0.0 },
@@ -21,15 +21,18 @@ pub(crate) fn neutral(survey: &dyn DataView, column: &str, has_lag: bool) -> Hea
 }
 
 /// Returns the column of the sensor's own temperature, where the sensor is what is predicted by.
-pub(crate) fn of_sensor(survey: &dyn DataView) -> Option<&str> {
+pub(crate) fn sensor_temperature_column(survey: &dyn DataView) -> Option<&str> {
     let sensor = survey.spindle().sensor.as_ref()?;
-    sensor.temperature.as_deref().filter(|_| survey.source() == Some(ElongationSource::Sensor))
+    sensor
+        .temperature
+        .as_deref()
+        .filter(|_| survey.elongation_source() == Some(ElongationSource::Sensor))
 }
 
 /// Returns the temperatures that may move what is measured, and whether the model goes by them already.
 /// Heat is looked for where something grows: in a spindle, or in an axis.
-pub(crate) fn columns(survey: &dyn DataView) -> Vec<(&str, bool)> {
-    let of_sensor = of_sensor(survey);
+pub(crate) fn candidate_columns(survey: &dyn DataView) -> Vec<(&str, bool)> {
+    let of_sensor = sensor_temperature_column(survey);
     let columns = survey.temperatures().into_iter();
     columns
         .filter(|column| survey.varies(column) && of_sensor != Some(column))

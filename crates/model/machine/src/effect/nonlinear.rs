@@ -2,7 +2,7 @@
 
 /// The kind of a nonlinear value, and with that how it may be varied.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Nonlinear {
+pub enum NonlinearParameter {
     /// In s, above 0: between the spacing of the rows and three times the longest record.
     TimeConstant,
     /// The same while it falls: also within a factor of five of the one while it rises.
@@ -18,16 +18,16 @@ pub enum Nonlinear {
     /// In s: up to a tenth of the longest record; below 0 only with a second clock.
     Shift,
     /// In s, above 0: how late a thermometer is, up to a tenth of the longest record.
-    Late,
+    ThermometerDelay,
     /// In µm, inside the range of the prediction.
     Limit,
     /// A time in s. It is searched, not fitted.
     Instant,
-    /// The value of a column from which a line begins, within [`CauseSpec::nonlinear_limits`](super::CauseSpec::nonlinear_limits).
+    /// The value of a column from which a line begins, within [`FitSpec::nonlinear_limits`](super::FitSpec::nonlinear_limits).
     Bend,
 }
 
-impl Nonlinear {
+impl NonlinearParameter {
     /// Returns whether it is varied by ratios.
     #[must_use]
     pub fn is_logarithmic(self) -> bool {
@@ -35,7 +35,7 @@ impl Nonlinear {
             self,
             Self::TimeConstant
                 | Self::FallingTimeConstant
-                | Self::Late
+                | Self::ThermometerDelay
                 | Self::Period
                 | Self::TimePeriod
                 | Self::ReadingPeriod

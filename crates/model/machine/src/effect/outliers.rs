@@ -1,12 +1,15 @@
-//! `outliers`: some readings are no readings. The prediction stays; such rows are set aside.
+//! `outliers`: some readings are no readings. The prediction stays; such rows are excluded.
 
-use super::cause_spec::{CauseSpec, Definition, Entry, Input, Parameter, Target};
-use crate::file::keys::term::FRACTION;
+use super::cause_spec::{
+    BoardRepresentation, Candidate, Explanation, FileRepresentation, FitSpec, Input, Law,
+    Parameter, Target, TermEntry,
+};
+use crate::file::schema::term::FRACTION;
 use crate::file::table::{Table, entries, table};
-use crate::{file::read::Section, location::BadInput};
+use crate::{file::reader::Section, location::BadInput};
 
 table! {
-    /// Rows that were set aside.
+    /// Rows that were excluded as outliers.
     #[derive(Clone, Debug, Default, PartialEq)]
     pub struct Outliers {
         /// Their share of all rows; at least 0.
@@ -14,38 +17,52 @@ table! {
     }
 }
 
-impl CauseSpec for Outliers {
-    fn entries(&self) -> Vec<Entry> {
+impl FileRepresentation for Outliers {
+    const NAME: &'static str = "outliers";
+
+    fn keys(_: &Section<'_>) -> &'static [&'static str] {
+        Self::NAMES
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        Table::read(section)
+    }
+
+    fn entries(&self) -> Vec<TermEntry> {
         entries(self)
     }
+}
 
-    fn home(&self) -> Target {
+impl Law for Outliers {
+    fn target(&self) -> Target {
         Target::Any
-    }
-
-    fn is_compensated(&self) -> bool {
-        false
-    }
-
-    fn tier(&self) -> u8 {
-        2
     }
 
     fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
         Vec::new()
     }
+}
 
-    fn amplitudes(&self) -> usize {
-        0
+impl BoardRepresentation for Outliers {
+    fn is_compensated(&self) -> bool {
+        false
+    }
+}
+
+impl Candidate for Outliers {
+    fn fit_spec(&self) -> FitSpec {
+        FitSpec { tier: 2, amplitudes: 0, ..FitSpec::DEFAULT }
     }
 
     fn values(&self) -> Vec<f64> {
         Vec::new()
     }
 
-    fn set(&mut self, _: &[f64]) {}
+    fn set_values(&mut self, _: &[f64]) {}
+}
 
-    fn sentence(&self, _: &[f64]) -> String {
+impl Explanation for Outliers {
+    fn describe(&self, _: &[f64]) -> String {
         "Some readings are no readings: they stand alone, far from the rest.".into()
     }
 
@@ -55,17 +72,5 @@ impl CauseSpec for Outliers {
 
     fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
         Vec::new()
-    }
-}
-
-impl Definition for Outliers {
-    const NAME: &'static str = "outliers";
-
-    fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        Self::NAMES
-    }
-
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        Table::read(section)
     }
 }

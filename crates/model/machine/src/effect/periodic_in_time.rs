@@ -1,4 +1,4 @@
-//! `periodic-in-time`: it comes and goes with the clock: a chiller that switches, a lubrication pulse, a
+//! `periodic-in-time`: it comes and goes at fixed intervals: a chiller that switches, a lubrication pulse, a
 //! hall that is heated at intervals.
 //!
 //! ```text
@@ -11,16 +11,18 @@ use std::f64::consts::TAU;
 
 use super::{
     cause_spec::{
-        CauseSpec, Definition, Entry, Input, Nonlinear, Parameter, Target, Value, number, positive,
+        BoardRepresentation, Candidate, Explanation, FileRepresentation, FitSpec, Input, Law,
+        NonlinearParameter, Parameter, Target, TermEntry, Value, required_number,
+        required_positive,
     },
-    data_view::{DataView, Reading, StartValues},
+    data_view::{DataView, SpectrumVariable, StartValues},
     wave::{self, Wave},
 };
-use crate::file::keys::term::{AMPLITUDE_UM, PERIOD_S, PHASE_DEG, START_S};
-use crate::{file::read::Section, location::BadInput};
+use crate::file::schema::term::{AMPLITUDE_UM, PERIOD_S, PHASE_DEG, START_S};
+use crate::{file::reader::Section, location::BadInput};
 
 /// Readings in a turn, at least: what alternates from reading to reading is the way in which they are taken.
-pub const MIN_GROUPS: f64 = 10.0;
+pub const MIN_READINGS_PER_PERIOD: f64 = 10.0;
 
 /// One wave over the time.
 #[derive(Clone, Debug, PartialEq)]
@@ -39,8 +41,26 @@ impl PeriodicInTime {
     }
 }
 
-impl CauseSpec for PeriodicInTime {
-    fn entries(&self) -> Vec<Entry> {
+impl FileRepresentation for PeriodicInTime {
+    const NAME: &'static str = "periodic-in-time";
+
+    fn keys(_: &Section<'_>) -> &'static [&'static str] {
+        &[PERIOD_S.name, AMPLITUDE_UM.name, PHASE_DEG.name, START_S.name]
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        Ok(Self {
+            period_s: required_positive(section, PERIOD_S)?,
+            start_s: section.number(START_S.name)?.unwrap_or(0.0),
+            wave: Wave {
+                harmonic: 1,
+                amplitude_um: required_number(section, AMPLITUDE_UM)?,
+                phase_deg: section.number(PHASE_DEG.name)?.unwrap_or(0.0),
+            },
+        })
+    }
+
+    fn entries(&self) -> Vec<TermEntry> {
         vec![
             (PERIOD_S.name, Value::Number(self.period_s)),
             (AMPLITUDE_UM.name, Value::Number(self.wave.amplitude_um)),
@@ -48,41 +68,71 @@ impl CauseSpec for PeriodicInTime {
             (START_S.name, Value::Number(self.start_s)),
         ]
     }
+}
 
-    fn home(&self) -> Target {
+impl Law for PeriodicInTime {
+    fn target(&self) -> Target {
         Target::Any
-    }
-
-    fn tier(&self) -> u8 {
-        2
     }
 
     fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
         vec![Input::Time]
     }
 
+    fn add_unit_effects(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
+        let (sin, cos) = (TAU / nonlinear[0] * (x[0] - self.start_s)).sin_cos();
+        add(0, sin);
+        add(1, cos);
+    }
+}
+
+impl BoardRepresentation for PeriodicInTime {
     fn is_compensated(&self) -> bool {
         false
     }
+}
 
-    fn nonlinear(&self) -> &'static [Nonlinear] {
-        &[Nonlinear::TimePeriod]
-    }
-
-    fn amplitudes(&self) -> usize {
-        2
+impl Candidate for PeriodicInTime {
+    fn fit_spec(&self) -> FitSpec {
+        FitSpec {
+            tier: 2,
+            nonlinear: &[NonlinearParameter::TimePeriod],
+            amplitudes: 2,
+            ..FitSpec::DEFAULT
+        }
     }
 
     fn values(&self) -> Vec<f64> {
-        [self.period_s].into_iter().chain(self.wave.values()).collect()
+        [self.period_s].into_iter().chain(self.wave.sin_cos_amplitudes()).collect()
     }
 
-    fn set(&mut self, values: &[f64]) {
+    fn set_values(&mut self, values: &[f64]) {
         self.period_s = values[0];
-        wave::set(std::slice::from_mut(&mut self.wave), &values[1..]);
+        wave::set_amplitudes(std::slice::from_mut(&mut self.wave), &values[1..]);
     }
 
-    fn sentence(&self, values: &[f64]) -> String {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
+        const FREQUENCY_COUNT: usize = 8000;
+        /// A wave of fewer turns is a slow law of something else.
+        const MIN_CYCLES: f64 = 3.0;
+        const MIN_GROUPS_FITTED: usize = 40;
+        let Some([first_s, last_s]) = survey.time_range_s() else { return };
+        if survey.group_count() < MIN_GROUPS_FITTED || survey.file_count() > 1 {
+            return;
+        }
+        let shortest_s = MIN_READINGS_PER_PERIOD * (last_s - first_s) / survey.group_count() as f64;
+        if let Some(peak) =
+            survey.spectrum_peak(SpectrumVariable::Time, MIN_CYCLES, FREQUENCY_COUNT)
+            && peak.starts[0][0] >= shortest_s
+            && !correlates_with_input(survey, peak.starts[0][0])
+        {
+            with(Self::neutral(survey.time_origin_s()), peak);
+        }
+    }
+}
+
+impl Explanation for PeriodicInTime {
+    fn describe(&self, values: &[f64]) -> String {
         let size = values[1].hypot(values[2]);
         let period = match values[0] {
             s if s < 180.0 => format!("{s:.1} s"),
@@ -97,7 +147,14 @@ impl CauseSpec for PeriodicInTime {
          as a column."
     }
 
-    fn same_in_one_pass(&self) -> Option<&'static str> {
+    fn distinguishing_test(_: &str) -> Option<&'static str> {
+        Some(
+            "Repeat the run there and back, at another feed: what goes with the clock does not come back with \
+             the place.",
+        )
+    }
+
+    fn confounded_in_one_pass(&self) -> Option<&'static str> {
         Some(super::PitchPeriodic::NAME)
     }
 
@@ -106,78 +163,28 @@ impl CauseSpec for PeriodicInTime {
     }
 }
 
-impl Definition for PeriodicInTime {
-    const NAME: &'static str = "periodic-in-time";
-
-    fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        &[PERIOD_S.name, AMPLITUDE_UM.name, PHASE_DEG.name, START_S.name]
-    }
-
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        Ok(Self {
-            period_s: positive(section, PERIOD_S)?,
-            start_s: section.number(START_S.name)?.unwrap_or(0.0),
-            wave: Wave {
-                harmonic: 1,
-                amplitude_um: number(section, AMPLITUDE_UM)?,
-                phase_deg: section.number(PHASE_DEG.name)?.unwrap_or(0.0),
-            },
-        })
-    }
-
-    fn law(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
-        let (sin, cos) = (TAU / nonlinear[0] * (x[0] - self.start_s)).sin_cos();
-        add(0, sin);
-        add(1, cos);
-    }
-
-    fn against(_: &str) -> Option<&'static str> {
-        Some(
-            "Repeat the run there and back, at another feed: what goes with the clock does not come back with \
-             the place.",
-        )
-    }
-
-    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
-        const FREQUENCIES: usize = 8000;
-        /// A wave of fewer turns is a slow law of something else.
-        const MIN_TURNS: f64 = 3.0;
-        const MIN_GROUPS_FITTED: usize = 40;
-        let Some([first_s, last_s]) = survey.time_s() else { return };
-        if survey.groups() < MIN_GROUPS_FITTED || survey.files() > 1 {
-            return;
-        }
-        let shortest_s = MIN_GROUPS * (last_s - first_s) / survey.groups() as f64;
-        if let Some(peak) = survey.peak(Reading::Time, MIN_TURNS, FREQUENCIES)
-            && peak.starts[0][0] >= shortest_s
-            && !goes_with_an_input(survey, peak.starts[0][0])
-        {
-            with(Self::neutral(survey.start_s()), peak);
-        }
-    }
-}
-
-/// Returns true where something that was recorded comes and goes with this period too, or with one that the record hardly
+/// Returns true where something that was recorded has this period too, or with one that the record hardly
 /// shows apart: a law of that input that changes in the record has such periods next to the input's own.
-fn goes_with_an_input(survey: &dyn DataView, period_s: f64) -> bool {
+fn correlates_with_input(survey: &dyn DataView, period_s: f64) -> bool {
     /// Share of an input's squares that is of this period.
-    const SHARE: f64 = 0.25;
+    const MIN_VARIANCE_SHARE: f64 = 0.25;
     /// Turns in the record, more and fewer.
-    const TURNS: [f64; 7] = [-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5];
-    let (Some(time_s), Some([first_s, last_s])) = (survey.column("time_s"), survey.time_s()) else {
+    const CYCLE_OFFSETS: [f64; 7] = [-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5];
+    let (Some(time_s), Some([first_s, last_s])) = (survey.column("time_s"), survey.time_range_s())
+    else {
         return false;
     };
     let near = |turns: f64| 1.0 / (1.0 / period_s + turns / (last_s - first_s));
-    let periods: Vec<f64> = TURNS.map(near).into_iter().filter(|s| *s > 0.0).collect();
+    let periods: Vec<f64> = CYCLE_OFFSETS.map(near).into_iter().filter(|s| *s > 0.0).collect();
     let known = ["spindle_rpm", "load_n", "x_mm", "y_mm", "z_mm"];
-    let names = survey.temperatures().into_iter().chain(survey.others()).chain(known);
-    names
-        .filter_map(|name| survey.column(name))
-        .any(|values| periods.iter().any(|s| share_of_wave(time_s, values, *s) > SHARE))
+    let names = survey.temperatures().into_iter().chain(survey.unknown_columns()).chain(known);
+    names.filter_map(|name| survey.column(name)).any(|values| {
+        periods.iter().any(|s| periodic_variance_share(time_s, values, *s) > MIN_VARIANCE_SHARE)
+    })
 }
 
 /// Returns the share of the squares of `values` about their mean that a wave of this period has, 0…1.
-fn share_of_wave(time_s: &[f64], values: &[f64], period_s: f64) -> f64 {
+fn periodic_variance_share(time_s: &[f64], values: &[f64], period_s: f64) -> f64 {
     let rows = || time_s.iter().zip(values).filter(|(t, v)| t.is_finite() && v.is_finite());
     let count = rows().count() as f64;
     let mean = rows().map(|(_, value)| value).sum::<f64>() / count;
@@ -204,8 +211,8 @@ mod tests {
         let wave = |period: f64| -> Vec<f64> {
             time_s.iter().map(|t| 20.0 + (TAU * (t - 1.7e9) / period + 0.7).sin()).collect()
         };
-        let share = |period: f64| share_of_wave(&time_s, &wave(period), 600.0);
+        let share = |period: f64| periodic_variance_share(&time_s, &wave(period), 600.0);
         assert!((share(600.0) - 1.0).abs() < 1e-6 && share(300.0) < 1e-6, "{}", share(600.0));
-        assert_eq!(share_of_wave(&time_s, &vec![3.0; 600], 600.0), 0.0);
+        assert_eq!(periodic_variance_share(&time_s, &vec![3.0; 600], 600.0), 0.0);
     }
 }

@@ -5,12 +5,15 @@
 //! ```
 
 use super::{
-    cause_spec::{CauseSpec, Definition, Entry, Input, OnBoard, Parameter, Target},
-    data_view::{DataView, StartValues, spread, targets},
+    cause_spec::{
+        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
+        Law, Parameter, Target, TermEntry,
+    },
+    data_view::{DataView, StartValues, peak_to_peak, target_positions},
 };
 use crate::{
-    file::axis::{LinearAxis, Pitch},
-    file::read::Section,
+    file::axis::{LinearAxis, PitchErrorTable},
+    file::reader::Section,
     file::table::{Table, entries},
     location::BadInput,
     model::pitch::is_reverse,
@@ -18,20 +21,33 @@ use crate::{
 
 /// A table.
 #[derive(Clone, Debug, PartialEq)]
-pub struct PitchError(pub Pitch);
+pub struct PitchError(pub PitchErrorTable);
 
 impl PitchError {
-    fn points(&self) -> usize {
+    fn point_count(&self) -> usize {
         self.0.forward_um.len()
     }
 }
 
-impl CauseSpec for PitchError {
-    fn entries(&self) -> Vec<Entry> {
-        entries(&self.0)
+impl FileRepresentation for PitchError {
+    const NAME: &'static str = "pitch-error";
+
+    fn keys(_: &Section<'_>) -> &'static [&'static str] {
+        PitchErrorTable::NAMES
     }
 
-    fn home(&self) -> Target {
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        // The table's keys are those of [axis.x.pitch], next to the common ones.
+        Ok(Self(PitchErrorTable::read(section)?))
+    }
+
+    fn entries(&self) -> Vec<TermEntry> {
+        entries(&self.0)
+    }
+}
+
+impl Law for PitchError {
+    fn target(&self) -> Target {
         Target::Axis
     }
 
@@ -40,80 +56,8 @@ impl CauseSpec for PitchError {
         [Input::OwnPosition].into_iter().chain(direction).collect()
     }
 
-    fn amplitudes(&self) -> usize {
-        self.points() * if self.0.reverse_um.is_some() { 2 } else { 1 }
-    }
-
-    fn list_length(&self) -> Option<usize> {
-        Some(self.points())
-    }
-
-    fn values(&self) -> Vec<f64> {
-        let reverse_um = self.0.reverse_um.iter().flatten();
-        self.0.forward_um.iter().chain(reverse_um).copied().collect()
-    }
-
-    fn set(&mut self, values: &[f64]) {
-        let (forward_um, reverse_um) = values.split_at(self.points());
-        self.0.forward_um = forward_um.to_vec();
-        if let Some(there) = &mut self.0.reverse_um {
-            *there = reverse_um.to_vec();
-        }
-    }
-
-    fn on_board(&self) -> Vec<OnBoard> {
-        vec![OnBoard::Table(self.0.clone())]
-    }
-
-    fn table(&self) -> Option<&Pitch> {
-        Some(&self.0)
-    }
-
-    fn sentence(&self, _: &[f64]) -> String {
-        format!(
-            "The scale or the screw is uneven: a table of {} points{} says by how much.",
-            self.points(),
-            if self.0.reverse_um.is_some() { " for each direction" } else { "" }
-        )
-    }
-
-    fn next_test(&self) -> &'static str {
-        "Measure once more by ISO 230-2 at targets that are no multiples of the screw's pitch."
-    }
-
-    fn repair(&self) -> Option<&'static str> {
-        Some(
-            "If the error has a kink, look at the pretension of the screw between its two bearings; if it has a bow, at \
-             whether screw and scale are parallel to the guide.",
-        )
-    }
-
-    fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
-        let mut table = self.clone();
-        table.set(values);
-        let mut record: Vec<_> =
-            table.entries().into_iter().map(|(key, value)| (key, Some(value))).collect();
-        if self.0.reverse_um.is_none() {
-            record.push(("reverse_um", None));
-        }
-        vec![Parameter::Record("table", record)]
-    }
-}
-
-impl Definition for PitchError {
-    const NAME: &'static str = "pitch-error";
-
-    fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        Pitch::NAMES
-    }
-
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        // The table's keys are those of [axis.x.pitch], next to the common ones.
-        Ok(Self(Pitch::read(section)?))
-    }
-
-    fn law(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
-        let Pitch { start_mm, step_mm, forward_um, .. } = &self.0;
+    fn add_unit_effects(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
+        let PitchErrorTable { start_mm, step_mm, forward_um, .. } = &self.0;
         let points = forward_um.len();
         let at = ((x[0] - start_mm) / step_mm).clamp(0.0, (points - 1) as f64);
         // A missing position is at no point, and what follows is missing as well.
@@ -127,26 +71,59 @@ impl Definition for PitchError {
         }
     }
 
-    fn from_board(_: Option<LinearAxis>, form: &OnBoard, _: &mut f64) -> Option<Self> {
+    fn pitch_table(&self) -> Option<&PitchErrorTable> {
+        Some(&self.0)
+    }
+}
+
+impl BoardRepresentation for PitchError {
+    fn board_terms(&self) -> Vec<BoardTerm> {
+        vec![BoardTerm::Table(self.0.clone())]
+    }
+
+    fn from_board(_: Option<LinearAxis>, form: &BoardTerm, _: &mut f64) -> Option<Self> {
         match form {
-            OnBoard::Table(pitch) => Some(Self(pitch.clone())),
+            BoardTerm::Table(pitch) => Some(Self(pitch.clone())),
             _ => None,
+        }
+    }
+}
+
+impl Candidate for PitchError {
+    fn fit_spec(&self) -> FitSpec {
+        FitSpec {
+            amplitudes: self.point_count() * if self.0.reverse_um.is_some() { 2 } else { 1 },
+            list_length: Some(self.point_count()),
+            ..FitSpec::DEFAULT
+        }
+    }
+
+    fn values(&self) -> Vec<f64> {
+        let reverse_um = self.0.reverse_um.iter().flatten();
+        self.0.forward_um.iter().chain(reverse_um).copied().collect()
+    }
+
+    fn set_values(&mut self, values: &[f64]) {
+        let (forward_um, reverse_um) = values.split_at(self.point_count());
+        self.0.forward_um = forward_um.to_vec();
+        if let Some(there) = &mut self.0.reverse_um {
+            *there = reverse_um.to_vec();
         }
     }
 
     fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
-        let Some(own) = survey.own_position().filter(|own| spread(own) > 0.0) else { return };
-        if survey.has(Self::NAME) {
+        let Some(own) = survey.own_position().filter(|own| peak_to_peak(own) > 0.0) else { return };
+        if survey.has_cause(Self::NAME) {
             return;
         }
-        for (start_mm, step_mm, points) in tables(own, survey.groups()) {
+        for (start_mm, step_mm, points) in candidate_tables(own, survey.group_count()) {
             for both_ways in [false, true] {
-                if (!both_ways || survey.turns()) && points >= 3 {
+                if (!both_ways || survey.is_bidirectional()) && points >= 3 {
                     let forward_um = vec![0.0; points];
                     let reverse_um = both_ways.then(|| forward_um.clone());
                     with(
-                        Self(Pitch { start_mm, step_mm, forward_um, reverse_um }),
-                        StartValues::none(),
+                        Self(PitchErrorTable { start_mm, step_mm, forward_um, reverse_um }),
+                        StartValues::empty(),
                     );
                 }
             }
@@ -154,10 +131,42 @@ impl Definition for PitchError {
     }
 }
 
+impl Explanation for PitchError {
+    fn describe(&self, _: &[f64]) -> String {
+        format!(
+            "The scale or the screw is uneven: a table of {} points{} says by how much.",
+            self.point_count(),
+            if self.0.reverse_um.is_some() { " for each direction" } else { "" }
+        )
+    }
+
+    fn next_test(&self) -> &'static str {
+        "Measure once more by ISO 230-2 at targets that are no multiples of the screw's pitch."
+    }
+
+    fn repair_advice(&self) -> Option<&'static str> {
+        Some(
+            "If the error has a kink, look at the pretension of the screw between its two bearings; if it has a bow, at \
+             whether screw and scale are parallel to the guide.",
+        )
+    }
+
+    fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
+        let mut table = self.clone();
+        table.set_values(values);
+        let mut record: Vec<_> =
+            table.entries().into_iter().map(|(key, value)| (key, Some(value))).collect();
+        if self.0.reverse_um.is_none() {
+            record.push(("reverse_um", None));
+        }
+        vec![Parameter::Record("table", record)]
+    }
+}
+
 /// Tables (start, step, points) that the positions allow: at the targets where these are few and
 /// evenly spaced, else even ones of growing fineness.
-fn tables(own: &[f64], groups: usize) -> Vec<(f64, f64, usize)> {
-    let at = targets(own, 2e-3);
+fn candidate_tables(own: &[f64], groups: usize) -> Vec<(f64, f64, usize)> {
+    let at = target_positions(own, 2e-3);
     let (Some(&first), Some(&last)) = (at.first(), at.last()) else { return Vec::new() };
     let even = (last - first) / (at.len() as f64 - 1.0);
     let is_even = at.windows(2).all(|pair| ((pair[1] - pair[0]) - even).abs() < 0.05 * even.abs());

@@ -8,13 +8,14 @@ use std::f64::consts::TAU;
 
 use super::{
     cause_spec::{
-        CauseSpec, Definition, Entry, Input, Nonlinear, OnBoard, Parameter, Target, Value, positive,
+        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
+        Law, NonlinearParameter, Parameter, Target, TermEntry, Value, required_positive,
     },
-    data_view::{DataView, Reading, StartValues, targets},
+    data_view::{DataView, SpectrumVariable, StartValues, target_positions},
     wave::{self, Wave},
 };
-use crate::file::keys::term::{AMPLITUDE_UM, HARMONIC, PERIOD_MM, PHASE_DEG};
-use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
+use crate::file::schema::term::{AMPLITUDE_UM, HARMONIC, PERIOD_MM, PHASE_DEG};
+use crate::{file::axis::LinearAxis, file::reader::Section, location::BadInput};
 
 /// Waves of one period.
 #[derive(Clone, Debug, PartialEq)]
@@ -31,13 +32,28 @@ impl PitchPeriodic {
     }
 }
 
-impl CauseSpec for PitchPeriodic {
-    fn entries(&self) -> Vec<Entry> {
+impl FileRepresentation for PitchPeriodic {
+    const NAME: &'static str = "pitch-periodic";
+
+    fn keys(_: &Section<'_>) -> &'static [&'static str] {
+        &[PERIOD_MM.name, HARMONIC.name, AMPLITUDE_UM.name, PHASE_DEG.name]
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        Ok(Self {
+            period_mm: required_positive(section, PERIOD_MM)?,
+            waves: section.required(AMPLITUDE_UM.name, wave::read(section)?)?,
+        })
+    }
+
+    fn entries(&self) -> Vec<TermEntry> {
         let period_mm = (PERIOD_MM.name, Value::Number(self.period_mm));
         [period_mm].into_iter().chain(wave::entries(&self.waves)).collect()
     }
+}
 
-    fn home(&self) -> Target {
+impl Law for PitchPeriodic {
+    fn target(&self) -> Target {
         Target::Axis
     }
 
@@ -45,28 +61,22 @@ impl CauseSpec for PitchPeriodic {
         vec![Input::OwnPosition]
     }
 
-    fn nonlinear(&self) -> &'static [Nonlinear] {
-        &[Nonlinear::Period]
+    fn add_unit_effects(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
+        for (number, wave) in self.waves.iter().enumerate() {
+            let turn = TAU * f64::from(wave.harmonic) / nonlinear[0];
+            let (sin, cos) = (turn * x[0]).sin_cos();
+            add(2 * number, sin);
+            add(2 * number + 1, cos);
+        }
     }
+}
 
-    fn amplitudes(&self) -> usize {
-        2 * self.waves.len()
-    }
-
-    fn values(&self) -> Vec<f64> {
-        [self.period_mm].into_iter().chain(self.waves.iter().flat_map(Wave::values)).collect()
-    }
-
-    fn set(&mut self, values: &[f64]) {
-        self.period_mm = values[0];
-        wave::set(&mut self.waves, &values[1..]);
-    }
-
-    fn on_board(&self) -> Vec<OnBoard> {
+impl BoardRepresentation for PitchPeriodic {
+    fn board_terms(&self) -> Vec<BoardTerm> {
         let period_mm = self.period_mm;
         let waves = self.waves.iter();
         waves
-            .map(|&Wave { harmonic, amplitude_um, phase_deg }| OnBoard::Wave {
+            .map(|&Wave { harmonic, amplitude_um, phase_deg }| BoardTerm::Wave {
                 period_mm,
                 harmonic,
                 amplitude_um,
@@ -75,7 +85,74 @@ impl CauseSpec for PitchPeriodic {
             .collect()
     }
 
-    fn sentence(&self, values: &[f64]) -> String {
+    fn from_board(_: Option<LinearAxis>, form: &BoardTerm, _: &mut f64) -> Option<Self> {
+        match *form {
+            BoardTerm::Wave { period_mm, harmonic, amplitude_um, phase_deg } => {
+                Some(Self { period_mm, waves: vec![Wave { harmonic, amplitude_um, phase_deg }] })
+            }
+            _ => None,
+        }
+    }
+}
+
+impl Candidate for PitchPeriodic {
+    fn fit_spec(&self) -> FitSpec {
+        FitSpec {
+            nonlinear: &[NonlinearParameter::Period],
+            amplitudes: 2 * self.waves.len(),
+            ..FitSpec::DEFAULT
+        }
+    }
+
+    fn values(&self) -> Vec<f64> {
+        [self.period_mm]
+            .into_iter()
+            .chain(self.waves.iter().flat_map(Wave::sin_cos_amplitudes))
+            .collect()
+    }
+
+    fn set_values(&mut self, values: &[f64]) {
+        self.period_mm = values[0];
+        wave::set_amplitudes(&mut self.waves, &values[1..]);
+    }
+
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
+        const FREQUENCY_COUNT: usize = 8000;
+        // At the targets of a test, the same again and again, a short wave looks like many longer ones.
+        const MIN_PLACES: usize = 40;
+        // Where the instrument has waves of its own, what is periodic may be its as well.
+        if survey.quantity().axis().is_none() || survey.has_instrument_error() {
+            return;
+        }
+        let places = target_positions(survey.own_position().unwrap_or(&[]), 1e-3);
+        if places.len() < MIN_PLACES {
+            return;
+        }
+        let Some(peak) = survey.spectrum_peak(SpectrumVariable::Position, 2.0, FREQUENCY_COUNT)
+        else {
+            return;
+        };
+        // Whatever turns once in two, three or four of these periods is the same screw.
+        if survey.has_cause(Self::NAME) {
+            with(Self::neutral([1, 2]), peak);
+            return;
+        }
+        for harmonics in 1..=3 {
+            with(Self::neutral(1..=harmonics), peak.clone());
+        }
+        // The peak may be a harmonic of a turn that has all of them.
+        let period_mm = peak.starts[0][0];
+        let longest_mm = survey.longest_period_mm();
+        let turns = (1..=6).map(|turns| f64::from(turns) * period_mm);
+        let starts: Vec<_> = turns.filter(|mm| *mm <= longest_mm).map(|mm| vec![mm]).collect();
+        if survey.group_count() > 600 {
+            with(Self::neutral(1..=12), StartValues { starts, ..peak });
+        }
+    }
+}
+
+impl Explanation for PitchPeriodic {
+    fn describe(&self, values: &[f64]) -> String {
         let (harmonic, size) = self
             .waves
             .iter()
@@ -91,7 +168,7 @@ impl CauseSpec for PitchPeriodic {
          elsewhere: it must repeat with the same phase."
     }
 
-    fn same_in_one_pass(&self) -> Option<&'static str> {
+    fn confounded_in_one_pass(&self) -> Option<&'static str> {
         Some(super::PeriodicInTime::NAME)
     }
 
@@ -100,75 +177,11 @@ impl CauseSpec for PitchPeriodic {
         let mut parameters = vec![Parameter::Waves("period_mm", harmonics)];
         if self.waves.len() > 1 {
             let mut fitted = self.clone();
-            fitted.set(values);
-            let records = fitted.waves.iter().map(Wave::record).collect();
+            fitted.set_values(values);
+            let records = fitted.waves.iter().copied().map(Wave::to_entries).collect();
             parameters.push(Parameter::Records("harmonics", records));
             parameters.push(Parameter::Said("turn_mm", Value::Number(values[0])));
         }
         parameters
-    }
-}
-
-impl Definition for PitchPeriodic {
-    const NAME: &'static str = "pitch-periodic";
-
-    fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        &[PERIOD_MM.name, HARMONIC.name, AMPLITUDE_UM.name, PHASE_DEG.name]
-    }
-
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        Ok(Self {
-            period_mm: positive(section, PERIOD_MM)?,
-            waves: section.required(AMPLITUDE_UM.name, wave::read(section)?)?,
-        })
-    }
-
-    fn law(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
-        for (number, wave) in self.waves.iter().enumerate() {
-            let turn = TAU * f64::from(wave.harmonic) / nonlinear[0];
-            let (sin, cos) = (turn * x[0]).sin_cos();
-            add(2 * number, sin);
-            add(2 * number + 1, cos);
-        }
-    }
-
-    fn from_board(_: Option<LinearAxis>, form: &OnBoard, _: &mut f64) -> Option<Self> {
-        match *form {
-            OnBoard::Wave { period_mm, harmonic, amplitude_um, phase_deg } => {
-                Some(Self { period_mm, waves: vec![Wave { harmonic, amplitude_um, phase_deg }] })
-            }
-            _ => None,
-        }
-    }
-
-    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
-        const FREQUENCIES: usize = 8000;
-        // At the targets of a test, the same again and again, a short wave looks like many longer ones.
-        const MIN_PLACES: usize = 40;
-        // Where the instrument has waves of its own, what is periodic may be its as well.
-        if survey.quantity().axis().is_none() || survey.has_instrument() {
-            return;
-        }
-        let places = targets(survey.own_position().unwrap_or(&[]), 1e-3);
-        if places.len() < MIN_PLACES {
-            return;
-        }
-        let Some(peak) = survey.peak(Reading::Position, 2.0, FREQUENCIES) else { return };
-        // Whatever turns once in two, three or four of these periods is the same screw.
-        if survey.has(Self::NAME) {
-            with(Self::neutral([1, 2]), peak);
-            return;
-        }
-        for harmonics in 1..=3 {
-            with(Self::neutral(1..=harmonics), peak.clone());
-        }
-        // The peak may be a harmonic of a turn that has all of them.
-        let period_mm = peak.starts[0][0];
-        let longest_mm = survey.longest_period_mm();
-        let turns = (1..=6).map(|turns| f64::from(turns) * period_mm);
-        let starts: Vec<_> = turns.filter(|mm| *mm <= longest_mm).map(|mm| vec![mm]).collect();
-        if survey.groups() > 600 {
-            with(Self::neutral(1..=12), StartValues { starts, ..peak });
-        }
     }
 }

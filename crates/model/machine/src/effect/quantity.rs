@@ -16,7 +16,7 @@ pub enum Quantity {
 }
 
 impl Quantity {
-    /// All of them, in the order of [`Values::all`](crate::model::Values::all).
+    /// All of them, in the order of [`ErrorValues::to_array`](crate::model::ErrorValues::to_array).
     pub const ALL: [Self; 4] = [Self::Elongation, Self::Dx, Self::Dy, Self::Dz];
 
     /// Its name: `elongation`, `dx`, `dy`, `dz`.
@@ -43,7 +43,7 @@ impl Quantity {
 
     /// Returns the error of this axis.
     #[must_use]
-    pub fn of_axis(axis: LinearAxis) -> Self {
+    pub fn from_axis(axis: LinearAxis) -> Self {
         [Self::Dx, Self::Dy, Self::Dz][axis.index()]
     }
 }

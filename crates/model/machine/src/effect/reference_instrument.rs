@@ -12,18 +12,21 @@
 use std::f64::consts::TAU;
 
 use super::{
-    cause_spec::{CauseSpec, Definition, Entry, Input, Nonlinear, Parameter, Target, Value},
-    data_view::{DataView, Reading, StartValues},
+    cause_spec::{
+        BoardRepresentation, Candidate, Explanation, FileRepresentation, FitSpec, Input, Law,
+        NonlinearParameter, Parameter, Target, TermEntry, Value,
+    },
+    data_view::{DataView, SpectrumVariable, StartValues},
     wave::{self, Wave},
 };
-use crate::file::keys::term::{
+use crate::file::schema::term::{
     AMPLITUDE_UM, DESCRIPTION, HARMONIC, ORIGIN_MM, PERIOD_MM, PHASE_DEG,
 };
-use crate::{file::read::Section, location::BadInput};
+use crate::{file::reader::Section, location::BadInput};
 
 /// The variable of a wave.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Read {
+pub enum WaveVariable {
     /// The position of the own axis.
     Position,
     /// The elongation. The prediction is near the reading; the reading itself has its own
@@ -46,11 +49,11 @@ pub struct ReferenceInstrument {
     /// The waves; may be empty.
     pub waves: Vec<Wave>,
     /// P.
-    pub read: Read,
+    pub read: WaveVariable,
 }
 
 impl ReferenceInstrument {
-    fn neutral(is_angled: bool, read: Read) -> Self {
+    fn neutral(is_angled: bool, read: WaveVariable) -> Self {
         Self {
             description: String::new(),
             period_mm: 1.0,
@@ -61,8 +64,8 @@ impl ReferenceInstrument {
     }
 
     /// Returns what is wrong with it, for people.
-    fn described(&self, values: &[f64]) -> String {
-        let start = self.nonlinear().len();
+    fn describe_error(&self, values: &[f64]) -> String {
+        let start = self.fit_spec().nonlinear.len();
         let amplitude = values[start].hypot(values[start + 1]);
         if self.origin_mm.is_some() {
             format!(
@@ -79,89 +82,7 @@ impl ReferenceInstrument {
     }
 }
 
-impl CauseSpec for ReferenceInstrument {
-    fn entries(&self) -> Vec<Entry> {
-        let mut entries = vec![(DESCRIPTION.name, Value::Text(self.description.clone()))];
-        if !self.waves.is_empty() {
-            entries.push((PERIOD_MM.name, Value::Number(self.period_mm)));
-            entries.extend(self.origin_mm.map(|mm| (ORIGIN_MM.name, Value::Number(mm))));
-            entries.extend(wave::entries(&self.waves));
-        }
-        entries
-    }
-
-    fn home(&self) -> Target {
-        Target::Any
-    }
-
-    fn is_compensated(&self) -> bool {
-        false
-    }
-
-    fn is_of_instrument(&self) -> bool {
-        true
-    }
-
-    fn tier(&self) -> u8 {
-        2
-    }
-
-    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
-        match &self.read {
-            _ if self.waves.is_empty() => Vec::new(),
-            Read::Position => vec![Input::OwnPosition],
-            Read::Elongation => vec![Input::Believed],
-            Read::Column(column) => vec![Input::Column(column)],
-        }
-    }
-
-    fn nonlinear(&self) -> &'static [Nonlinear] {
-        if self.origin_mm.is_some() {
-            &[Nonlinear::ReadingPeriod, Nonlinear::Origin]
-        } else {
-            &[Nonlinear::ReadingPeriod]
-        }
-    }
-
-    fn amplitudes(&self) -> usize {
-        2 * self.waves.len()
-    }
-
-    fn values(&self) -> Vec<f64> {
-        let nonlinear = [self.period_mm].into_iter().chain(self.origin_mm);
-        nonlinear.chain(self.waves.iter().flat_map(Wave::values)).collect()
-    }
-
-    fn set(&mut self, values: &[f64]) {
-        let start = self.nonlinear().len();
-        self.description = self.described(values);
-        self.period_mm = values[0];
-        if self.read == Read::Position {
-            self.origin_mm = self.origin_mm.map(|_| values[1]);
-            wave::set(&mut self.waves, &values[start..]);
-        } else {
-            self.origin_mm = None;
-            self.waves.clear();
-        }
-    }
-
-    fn sentence(&self, values: &[f64]) -> String {
-        let text = self.described(values);
-        format!("It is {text}. The machine is not to be compensated for it.")
-    }
-
-    fn next_test(&self) -> &'static str {
-        "Measure again with another instrument, or with this one shifted by a third of its period: \
-         what shifts with it is its own."
-    }
-
-    fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
-        let description = Value::Text(self.described(values));
-        vec![Parameter::Waves("period_mm", vec![1]), Parameter::Said("description", description)]
-    }
-}
-
-impl Definition for ReferenceInstrument {
+impl FileRepresentation for ReferenceInstrument {
     const NAME: &'static str = "reference-instrument";
 
     fn keys(_: &Section<'_>) -> &'static [&'static str] {
@@ -187,11 +108,36 @@ impl Definition for ReferenceInstrument {
             },
             origin_mm: section.number(ORIGIN_MM.name)?,
             waves,
-            read: Read::Position,
+            read: WaveVariable::Position,
         })
     }
 
-    fn law(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
+    fn entries(&self) -> Vec<TermEntry> {
+        let mut entries = vec![(DESCRIPTION.name, Value::Text(self.description.clone()))];
+        if !self.waves.is_empty() {
+            entries.push((PERIOD_MM.name, Value::Number(self.period_mm)));
+            entries.extend(self.origin_mm.map(|mm| (ORIGIN_MM.name, Value::Number(mm))));
+            entries.extend(wave::entries(&self.waves));
+        }
+        entries
+    }
+}
+
+impl Law for ReferenceInstrument {
+    fn target(&self) -> Target {
+        Target::Any
+    }
+
+    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
+        match &self.read {
+            _ if self.waves.is_empty() => Vec::new(),
+            WaveVariable::Position => vec![Input::OwnPosition],
+            WaveVariable::Elongation => vec![Input::Believed],
+            WaveVariable::Column(column) => vec![Input::Column(column)],
+        }
+    }
+
+    fn add_unit_effects(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
         for (number, wave) in self.waves.iter().enumerate() {
             let turns = match *nonlinear {
                 [constant, origin] => constant / (x[0] + origin),
@@ -203,27 +149,86 @@ impl Definition for ReferenceInstrument {
             add(2 * number + 1, cos);
         }
     }
+}
+
+impl BoardRepresentation for ReferenceInstrument {
+    fn is_compensated(&self) -> bool {
+        false
+    }
+}
+
+impl Candidate for ReferenceInstrument {
+    fn fit_spec(&self) -> FitSpec {
+        FitSpec {
+            tier: 2,
+            nonlinear: if self.origin_mm.is_some() {
+                &[NonlinearParameter::ReadingPeriod, NonlinearParameter::Origin]
+            } else {
+                &[NonlinearParameter::ReadingPeriod]
+            },
+            amplitudes: 2 * self.waves.len(),
+            is_of_instrument: true,
+            ..FitSpec::DEFAULT
+        }
+    }
+
+    fn values(&self) -> Vec<f64> {
+        let nonlinear = [self.period_mm].into_iter().chain(self.origin_mm);
+        nonlinear.chain(self.waves.iter().flat_map(Wave::sin_cos_amplitudes)).collect()
+    }
+
+    fn set_values(&mut self, values: &[f64]) {
+        let start = self.fit_spec().nonlinear.len();
+        self.description = self.describe_error(values);
+        self.period_mm = values[0];
+        if self.read == WaveVariable::Position {
+            self.origin_mm = self.origin_mm.map(|_| values[1]);
+            wave::set_amplitudes(&mut self.waves, &values[start..]);
+        } else {
+            self.origin_mm = None;
+            self.waves.clear();
+        }
+    }
 
     fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
-        const FREQUENCIES: usize = 2000;
+        const FREQUENCY_COUNT: usize = 2000;
         if survey.quantity().axis().is_none() {
             // Less than three turns are a curve, and may be the sensor's.
-            if let Some(peak) = survey.peak(Reading::Elongation, 3.0, FREQUENCIES) {
-                with(Self::neutral(false, Read::Elongation), peak);
+            if let Some(peak) =
+                survey.spectrum_peak(SpectrumVariable::Elongation, 3.0, FREQUENCY_COUNT)
+            {
+                with(Self::neutral(false, WaveVariable::Elongation), peak);
             }
             return;
         }
-        if survey.own_position().is_none() || survey.has(Self::NAME) {
+        if survey.own_position().is_none() || survey.has_cause(Self::NAME) {
             return;
         }
-        let mut angled = |reading: Reading<'_>, read: Read| {
-            if let Some(peak) = survey.angled_peak(reading) {
+        let mut angled = |reading: SpectrumVariable<'_>, read: WaveVariable| {
+            if let Some(peak) = survey.angled_spectrum_peak(reading) {
                 with(Self::neutral(true, read), peak);
             }
         };
-        angled(Reading::Position, Read::Position);
-        for column in survey.others().into_iter().filter(|name| name.ends_with("_mm")) {
-            angled(Reading::Column(column), Read::Column(column.into()));
+        angled(SpectrumVariable::Position, WaveVariable::Position);
+        for column in survey.unknown_columns().into_iter().filter(|name| name.ends_with("_mm")) {
+            angled(SpectrumVariable::Column(column), WaveVariable::Column(column.into()));
         }
+    }
+}
+
+impl Explanation for ReferenceInstrument {
+    fn describe(&self, values: &[f64]) -> String {
+        let text = self.describe_error(values);
+        format!("It is {text}. The machine is not to be compensated for it.")
+    }
+
+    fn next_test(&self) -> &'static str {
+        "Measure again with another instrument, or with this one shifted by a third of its period: \
+         what shifts with it is its own."
+    }
+
+    fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
+        let description = Value::Text(self.describe_error(values));
+        vec![Parameter::Waves("period_mm", vec![1]), Parameter::Said("description", description)]
     }
 }

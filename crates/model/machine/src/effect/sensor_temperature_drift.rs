@@ -5,52 +5,85 @@
 //! ```
 
 use super::{
-    cause_spec::{CauseSpec, Definition, Entry, Heat, Input, OnBoard, Parameter, Target},
-    data_view::{DataView, StartValues, spread},
+    cause_spec::{
+        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
+        Law, Parameter, Target, TemperatureResponse, TermEntry,
+    },
+    data_view::{DataView, StartValues, peak_to_peak},
     heat,
 };
-use crate::file::keys::term::{COLUMN, REFERENCE_C, TIME_CONSTANT_S, UM_PER_C};
+use crate::file::schema::term::{COLUMN, REFERENCE_C, TIME_CONSTANT_S, UM_PER_C};
 use crate::file::table::{Table, entries};
-use crate::{file::read::Section, location::BadInput};
+use crate::{file::reader::Section, location::BadInput};
 
 /// Heat without a lag.
 #[derive(Clone, Debug, PartialEq)]
-pub struct SensorTemperatureDrift(pub Heat);
+pub struct SensorTemperatureDrift(pub TemperatureResponse);
 
-impl CauseSpec for SensorTemperatureDrift {
-    fn entries(&self) -> Vec<Entry> {
-        entries(&self.0).into_iter().filter(|(key, _)| *key != TIME_CONSTANT_S.name).collect()
+impl FileRepresentation for SensorTemperatureDrift {
+    const NAME: &'static str = "sensor-temperature-drift";
+
+    fn keys(_: &Section<'_>) -> &'static [&'static str] {
+        &[COLUMN.name, UM_PER_C.name, REFERENCE_C.name]
     }
 
-    fn home(&self) -> Target {
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        // Without a time constant, which is no key of it.
+        TemperatureResponse::read(section).map(Self)
+    }
+
+    fn entries(&self) -> Vec<TermEntry> {
+        entries(&self.0).into_iter().filter(|(key, _)| *key != TIME_CONSTANT_S.name).collect()
+    }
+}
+
+impl Law for SensorTemperatureDrift {
+    fn target(&self) -> Target {
         Target::Elongation
     }
 
     fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
-        heat::inputs(&self.0, 0.0)
+        heat::temperature_inputs(&self.0, 0.0)
+    }
+
+    fn add_unit_effects(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
+        add(0, x[0] - self.0.reference_c);
+    }
+}
+
+impl BoardRepresentation for SensorTemperatureDrift {
+    fn board_terms(&self) -> Vec<BoardTerm> {
+        vec![BoardTerm::Heat(self.0.clone())]
+    }
+
+    fn heat_mut(&mut self) -> Option<&mut TemperatureResponse> {
+        Some(&mut self.0)
+    }
+}
+
+impl Candidate for SensorTemperatureDrift {
+    fn fit_spec(&self) -> FitSpec {
+        FitSpec { has_reference: true, ..FitSpec::DEFAULT }
     }
 
     fn values(&self) -> Vec<f64> {
         vec![self.0.um_per_c]
     }
 
-    fn set(&mut self, values: &[f64]) {
+    fn set_values(&mut self, values: &[f64]) {
         self.0.um_per_c = values[0];
     }
 
-    fn on_board(&self) -> Vec<OnBoard> {
-        vec![OnBoard::Heat(self.0.clone())]
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
+        let Some(column) = heat::sensor_temperature_column(survey) else { return };
+        if peak_to_peak(survey.source_elongation_um()) > 0.0 && survey.varies(column) {
+            with(Self(heat::neutral(survey, column, false)), StartValues::empty());
+        }
     }
+}
 
-    fn has_reference(&self) -> bool {
-        true
-    }
-
-    fn heat_mut(&mut self) -> Option<&mut Heat> {
-        Some(&mut self.0)
-    }
-
-    fn sentence(&self, values: &[f64]) -> String {
+impl Explanation for SensorTemperatureDrift {
+    fn describe(&self, values: &[f64]) -> String {
         let (um_per_c, column) = (-values[0], &self.0.column);
         format!("The sensor shows {um_per_c:+.3} µm for each kelvin of its own {column}.")
     }
@@ -61,29 +94,5 @@ impl CauseSpec for SensorTemperatureDrift {
 
     fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
         vec![Parameter::Fitted("um_per_c", 0, 0.0)]
-    }
-}
-
-impl Definition for SensorTemperatureDrift {
-    const NAME: &'static str = "sensor-temperature-drift";
-
-    fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        &[COLUMN.name, UM_PER_C.name, REFERENCE_C.name]
-    }
-
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        // Without a time constant, which is no key of it.
-        Heat::read(section).map(Self)
-    }
-
-    fn law(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
-        add(0, x[0] - self.0.reference_c);
-    }
-
-    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
-        let Some(column) = heat::of_sensor(survey) else { return };
-        if spread(survey.law()) > 0.0 && survey.varies(column) {
-            with(Self(heat::neutral(survey, column, false)), StartValues::none());
-        }
     }
 }

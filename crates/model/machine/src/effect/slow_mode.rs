@@ -7,23 +7,24 @@
 
 use super::{
     cause_spec::{
-        CauseSpec, Definition, Entry, Heat, HeatPath, Input, Nonlinear, OnBoard, Parameter, Target,
-        minutes,
+        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec,
+        HeatPath, Input, Law, NonlinearParameter, Parameter, Target, TemperatureResponse,
+        TermEntry, format_duration,
     },
-    data_view::{DataView, StartValues, TIME_CONSTANTS},
+    data_view::{DataView, StartValues, TIME_CONSTANT_COUNT},
     heat,
 };
-use crate::file::keys::term::{
+use crate::file::schema::term::{
     AMPLITUDE_UM, COLUMN, REFERENCE_C, START_S, TIME_CONSTANT_S, UM_PER_C,
 };
 use crate::file::table::{Table, entries, table};
-use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
+use crate::{file::axis::LinearAxis, file::reader::Section, location::BadInput};
 
 /// A slow part, by the time or by a temperature.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SlowMode {
     /// By the time.
-    InTime {
+    TimeDriven {
         /// a, in µm.
         amplitude_um: f64,
         /// τ, in s; above 0.
@@ -32,117 +33,181 @@ pub enum SlowMode {
         start_s: f64,
     },
     /// By a temperature; τ above 0.
-    OfColumn(Heat),
+    ColumnDriven(TemperatureResponse),
 }
 
 table! {
     /// The keys of one by the time.
-    struct InTime {
-        amplitude_um: f64 = AMPLITUDE_UM.of(Number).required();
-        time_constant_s: f64 = TIME_CONSTANT_S.of(Positive).required();
-        start_s: f64 = START_S.or("0.0");
+    struct TimeDriven {
+        amplitude_um: f64 = AMPLITUDE_UM.with_form(Number).required();
+        time_constant_s: f64 = TIME_CONSTANT_S.with_form(Positive).required();
+        start_s: f64 = START_S.with_default("0.0");
     }
 }
 
 table! {
     /// The keys of one by a temperature: those of [`Heat`], with a lag.
-    struct OfColumn {
-        column: String = COLUMN.of(Column).required();
+    struct ColumnDriven {
+        column: String = COLUMN.with_form(Column).required();
         um_per_c: f64 = UM_PER_C.required();
-        time_constant_s: f64 = TIME_CONSTANT_S.of(Positive).required();
+        time_constant_s: f64 = TIME_CONSTANT_S.with_form(Positive).required();
         reference_c: f64 = REFERENCE_C.required();
     }
 }
 
-impl CauseSpec for SlowMode {
-    fn entries(&self) -> Vec<Entry> {
+impl FileRepresentation for SlowMode {
+    const NAME: &'static str = "slow-mode";
+
+    fn keys(section: &Section<'_>) -> &'static [&'static str] {
+        if section.keys().contains(&COLUMN.name) { ColumnDriven::NAMES } else { TimeDriven::NAMES }
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        if section.text(COLUMN.name)?.is_none() {
+            let TimeDriven { amplitude_um, time_constant_s, start_s } = TimeDriven::read(section)?;
+            return Ok(Self::TimeDriven { amplitude_um, time_constant_s, start_s });
+        }
+        let ColumnDriven { column, um_per_c, time_constant_s, reference_c } =
+            ColumnDriven::read(section)?;
+        Ok(Self::ColumnDriven(TemperatureResponse {
+            column,
+            um_per_c,
+            time_constant_s,
+            reference_c,
+        }))
+    }
+
+    fn entries(&self) -> Vec<TermEntry> {
         match self {
-            Self::InTime { amplitude_um, time_constant_s, start_s } => entries(&InTime {
+            Self::TimeDriven { amplitude_um, time_constant_s, start_s } => entries(&TimeDriven {
                 amplitude_um: *amplitude_um,
                 time_constant_s: *time_constant_s,
                 start_s: *start_s,
             }),
-            Self::OfColumn(heat) => entries(heat),
+            Self::ColumnDriven(heat) => entries(heat),
         }
     }
+}
 
-    fn home(&self) -> Target {
+impl Law for SlowMode {
+    fn target(&self) -> Target {
         Target::Heat
-    }
-
-    fn tier(&self) -> u8 {
-        1
     }
 
     fn inputs(&self, nonlinear: &[f64]) -> Vec<Input<'_>> {
         match self {
-            Self::InTime { .. } => vec![Input::Time],
-            Self::OfColumn(heat) => heat::inputs(heat, nonlinear[0]),
+            Self::TimeDriven { .. } => vec![Input::Time],
+            Self::ColumnDriven(heat) => heat::temperature_inputs(heat, nonlinear[0]),
         }
     }
 
-    fn nonlinear(&self) -> &'static [Nonlinear] {
-        &[Nonlinear::TimeConstant]
+    fn add_unit_effects(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
+        add(
+            0,
+            match self {
+                Self::TimeDriven { start_s, .. } => {
+                    // NaN stays NaN, which max() would lose.
+                    let since_s = x[0] - start_s;
+                    let since_s = if since_s < 0.0 { 0.0 } else { since_s };
+                    -(-since_s / nonlinear[0]).exp_m1()
+                }
+                Self::ColumnDriven(heat) => x[0] - heat.reference_c,
+            },
+        );
+    }
+}
+
+impl BoardRepresentation for SlowMode {
+    fn board_terms(&self) -> Vec<BoardTerm> {
+        vec![match *self {
+            Self::TimeDriven { amplitude_um, time_constant_s, start_s } => {
+                BoardTerm::Time { amplitude_um, time_constant_s, start_s }
+            }
+            Self::ColumnDriven(ref heat) => BoardTerm::Heat(heat.clone()),
+        }]
+    }
+
+    fn heat_mut(&mut self) -> Option<&mut TemperatureResponse> {
+        match self {
+            Self::TimeDriven { .. } => None,
+            Self::ColumnDriven(heat) => Some(heat),
+        }
+    }
+
+    fn from_board(_: Option<LinearAxis>, form: &BoardTerm, _: &mut f64) -> Option<Self> {
+        match *form {
+            BoardTerm::Time { amplitude_um, time_constant_s, start_s } => {
+                Some(Self::TimeDriven { amplitude_um, time_constant_s, start_s })
+            }
+            _ => None,
+        }
+    }
+}
+
+impl Candidate for SlowMode {
+    fn fit_spec(&self) -> FitSpec {
+        FitSpec {
+            tier: 1,
+            nonlinear: &[NonlinearParameter::TimeConstant],
+            has_reference: true,
+            ..FitSpec::DEFAULT
+        }
     }
 
     fn values(&self) -> Vec<f64> {
         match self {
-            Self::InTime { amplitude_um, time_constant_s, .. } => {
+            Self::TimeDriven { amplitude_um, time_constant_s, .. } => {
                 vec![*time_constant_s, *amplitude_um]
             }
-            Self::OfColumn(heat) => vec![heat.time_constant_s, heat.um_per_c],
+            Self::ColumnDriven(heat) => vec![heat.time_constant_s, heat.um_per_c],
         }
     }
 
-    fn set(&mut self, values: &[f64]) {
+    fn set_values(&mut self, values: &[f64]) {
         match self {
-            Self::InTime { amplitude_um, time_constant_s, .. } => {
+            Self::TimeDriven { amplitude_um, time_constant_s, .. } => {
                 (*time_constant_s, *amplitude_um) = (values[0], values[1]);
             }
-            Self::OfColumn(heat) => {
+            Self::ColumnDriven(heat) => {
                 (heat.time_constant_s, heat.um_per_c) = (values[0], values[1]);
             }
         }
     }
 
-    fn on_board(&self) -> Vec<OnBoard> {
-        vec![match *self {
-            Self::InTime { amplitude_um, time_constant_s, start_s } => {
-                OnBoard::Time { amplitude_um, time_constant_s, start_s }
-            }
-            Self::OfColumn(ref heat) => OnBoard::Heat(heat.clone()),
-        }]
-    }
-
-    fn has_reference(&self) -> bool {
-        true
-    }
-
-    fn heat_mut(&mut self) -> Option<&mut Heat> {
-        match self {
-            Self::InTime { .. } => None,
-            Self::OfColumn(heat) => Some(heat),
-        }
-    }
-
     fn heat_path(&self) -> Option<HeatPath<'_>> {
         match self {
-            Self::InTime { .. } => None,
-            Self::OfColumn(heat) => {
+            Self::TimeDriven { .. } => None,
+            Self::ColumnDriven(heat) => {
                 Some(HeatPath { column: &heat.column, is_second: true, has_lag: true })
             }
         }
     }
 
-    fn sentence(&self, values: &[f64]) -> String {
-        let behind = minutes(values[0]);
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
+        for (column, _) in
+            heat::candidate_columns(survey).into_iter().filter(|(_, is_in_use)| *is_in_use)
+        {
+            let time_constants = survey.time_constant_start_values(TIME_CONSTANT_COUNT);
+            with(Self::ColumnDriven(heat::neutral(survey, column, true)), time_constants);
+        }
+        if survey.quantity().axis().is_none() && survey.time_range_s().is_some() {
+            let start_s = survey.time_origin_s();
+            let neutral = Self::TimeDriven { amplitude_um: 0.0, time_constant_s: 1.0, start_s };
+            with(neutral, survey.time_constant_start_values(TIME_CONSTANT_COUNT));
+        }
+    }
+}
+
+impl Explanation for SlowMode {
+    fn describe(&self, values: &[f64]) -> String {
+        let behind = format_duration(values[0]);
         match self {
-            Self::InTime { .. } => format!(
+            Self::TimeDriven { .. } => format!(
                 "Beside what the model knows something grows by {:+.2} µm, with a time constant of \
                  {behind}.",
                 values[1]
             ),
-            Self::OfColumn(Heat { column, .. }) => format!(
+            Self::ColumnDriven(TemperatureResponse { column, .. }) => format!(
                 "A second, slower path goes with {column}: {:+.3} µm/K behind {behind}.",
                 values[1]
             ),
@@ -154,71 +219,18 @@ impl CauseSpec for SlowMode {
          another day: it must be predicted without a new fit."
     }
 
-    fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
-        let amplitude = match self {
-            Self::InTime { .. } => "amplitude_um",
-            Self::OfColumn(_) => "um_per_c",
-        };
-        vec![Parameter::Fitted(amplitude, 1, 0.0), Parameter::Fitted("time_constant_s", 0, 0.0)]
-    }
-}
-
-impl Definition for SlowMode {
-    const NAME: &'static str = "slow-mode";
-
-    fn keys(section: &Section<'_>) -> &'static [&'static str] {
-        if section.keys().contains(&COLUMN.name) { OfColumn::NAMES } else { InTime::NAMES }
-    }
-
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        if section.text(COLUMN.name)?.is_none() {
-            let InTime { amplitude_um, time_constant_s, start_s } = InTime::read(section)?;
-            return Ok(Self::InTime { amplitude_um, time_constant_s, start_s });
-        }
-        let OfColumn { column, um_per_c, time_constant_s, reference_c } = OfColumn::read(section)?;
-        Ok(Self::OfColumn(Heat { column, um_per_c, time_constant_s, reference_c }))
-    }
-
-    fn law(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
-        add(
-            0,
-            match self {
-                Self::InTime { start_s, .. } => {
-                    // NaN stays NaN, which max() would lose.
-                    let since_s = x[0] - start_s;
-                    let since_s = if since_s < 0.0 { 0.0 } else { since_s };
-                    -(-since_s / nonlinear[0]).exp_m1()
-                }
-                Self::OfColumn(heat) => x[0] - heat.reference_c,
-            },
-        );
-    }
-
-    fn from_board(_: Option<LinearAxis>, form: &OnBoard, _: &mut f64) -> Option<Self> {
-        match *form {
-            OnBoard::Time { amplitude_um, time_constant_s, start_s } => {
-                Some(Self::InTime { amplitude_um, time_constant_s, start_s })
-            }
-            _ => None,
-        }
-    }
-
-    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
-        for (column, _) in heat::columns(survey).into_iter().filter(|(_, is_in_use)| *is_in_use) {
-            let time_constants = survey.time_constants(TIME_CONSTANTS);
-            with(Self::OfColumn(heat::neutral(survey, column, true)), time_constants);
-        }
-        if survey.quantity().axis().is_none() && survey.time_s().is_some() {
-            let start_s = survey.start_s();
-            let neutral = Self::InTime { amplitude_um: 0.0, time_constant_s: 1.0, start_s };
-            with(neutral, survey.time_constants(TIME_CONSTANTS));
-        }
-    }
-
-    fn against(_: &str) -> Option<&'static str> {
+    fn distinguishing_test(_: &str) -> Option<&'static str> {
         Some(
             "Record a run with two heatings and a long cool-down in between, until nothing moves: \
              only then do two slow paths part.",
         )
+    }
+
+    fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
+        let amplitude = match self {
+            Self::TimeDriven { .. } => "amplitude_um",
+            Self::ColumnDriven(_) => "um_per_c",
+        };
+        vec![Parameter::Fitted(amplitude, 1, 0.0), Parameter::Fitted("time_constant_s", 0, 0.0)]
     }
 }

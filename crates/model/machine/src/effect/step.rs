@@ -5,12 +5,15 @@
 //! ```
 
 use super::{
-    cause_spec::{CauseSpec, Definition, Entry, Input, Nonlinear, Parameter, Target},
+    cause_spec::{
+        BoardRepresentation, Candidate, Explanation, FileRepresentation, FitSpec, Input, Law,
+        NonlinearParameter, Parameter, Target, TermEntry,
+    },
     data_view::{DataView, StartValues},
 };
-use crate::file::keys::term::{AT_S, SIZE_UM};
+use crate::file::schema::term::{AT_S, SIZE_UM};
 use crate::file::table::{Table, entries, table};
-use crate::{file::read::Section, location::BadInput};
+use crate::{file::reader::Section, location::BadInput};
 
 table! {
     /// A jump.
@@ -23,53 +26,7 @@ table! {
     }
 }
 
-impl CauseSpec for Step {
-    fn entries(&self) -> Vec<Entry> {
-        entries(self)
-    }
-
-    fn home(&self) -> Target {
-        Target::Any
-    }
-
-    fn is_compensated(&self) -> bool {
-        false
-    }
-
-    fn tier(&self) -> u8 {
-        2
-    }
-
-    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
-        vec![Input::Time]
-    }
-
-    fn nonlinear(&self) -> &'static [Nonlinear] {
-        &[Nonlinear::Instant]
-    }
-
-    fn values(&self) -> Vec<f64> {
-        vec![self.at_s, self.size_um]
-    }
-
-    fn set(&mut self, values: &[f64]) {
-        (self.at_s, self.size_um) = (values[0], values[1]);
-    }
-
-    fn sentence(&self, values: &[f64]) -> String {
-        format!("At {:.0} s something slipped by {:+.2} µm, once.", values[0], values[1])
-    }
-
-    fn next_test(&self) -> &'static str {
-        "Find what happened at that time, and repeat the run."
-    }
-
-    fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
-        vec![Parameter::Fitted("size_um", 1, 0.0), Parameter::Instant("at_s", 0)]
-    }
-}
-
-impl Definition for Step {
+impl FileRepresentation for Step {
     const NAME: &'static str = "step";
 
     fn keys(_: &Section<'_>) -> &'static [&'static str] {
@@ -80,7 +37,21 @@ impl Definition for Step {
         Table::read(section)
     }
 
-    fn law(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
+    fn entries(&self) -> Vec<TermEntry> {
+        entries(self)
+    }
+}
+
+impl Law for Step {
+    fn target(&self) -> Target {
+        Target::Any
+    }
+
+    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
+        vec![Input::Time]
+    }
+
+    fn add_unit_effects(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
         add(
             0,
             match x[0] {
@@ -90,17 +61,51 @@ impl Definition for Step {
             },
         );
     }
+}
+
+impl BoardRepresentation for Step {
+    fn is_compensated(&self) -> bool {
+        false
+    }
+}
+
+impl Candidate for Step {
+    fn fit_spec(&self) -> FitSpec {
+        FitSpec { tier: 2, nonlinear: &[NonlinearParameter::Instant], ..FitSpec::DEFAULT }
+    }
+
+    fn values(&self) -> Vec<f64> {
+        vec![self.at_s, self.size_um]
+    }
+
+    fn set_values(&mut self, values: &[f64]) {
+        (self.at_s, self.size_um) = (values[0], values[1]);
+    }
 
     fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
-        let Some([start_s, _]) = survey.time_s() else { return };
-        if survey.files() == 1 && !survey.has(Self::NAME) {
-            let groups = survey.groups();
+        let Some([start_s, _]) = survey.time_range_s() else { return };
+        if survey.file_count() == 1 && !survey.has_cause(Self::NAME) {
+            let groups = survey.group_count();
             let every = (groups / 50).max(1);
             let at = (every..groups.saturating_sub(3))
                 .step_by(every)
-                .map(|group| survey.time_of_group(group))
+                .map(|group| survey.group_time_s(group))
                 .filter(|at_s| *at_s > start_s);
-            with(Self::default(), StartValues::at(at));
+            with(Self::default(), StartValues::from_values(at));
         }
+    }
+}
+
+impl Explanation for Step {
+    fn describe(&self, values: &[f64]) -> String {
+        format!("At {:.0} s something slipped by {:+.2} µm, once.", values[0], values[1])
+    }
+
+    fn next_test(&self) -> &'static str {
+        "Find what happened at that time, and repeat the run."
+    }
+
+    fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
+        vec![Parameter::Fitted("size_um", 1, 0.0), Parameter::Instant("at_s", 0)]
     }
 }

@@ -1,4 +1,4 @@
-//! `thermometer-lag`: the thermometer is warm later than the part whose growth it foretells.
+//! `thermometer-lag`: the thermometer is warm later than the part whose growth it predicts.
 //!
 //! ```text
 //! p from the part's temperature, where the column T is that temperature
@@ -17,13 +17,14 @@
 
 use super::{
     cause_spec::{
-        CauseSpec, Definition, Entry, Host, Input, Late, LateForm, Nonlinear, Parameter, Stage,
-        Target, Value, minutes, positive,
+        BoardRepresentation, Candidate, DelayKind, Explanation, FileRepresentation, FitSpec, Input,
+        Law, NonlinearParameter, Parameter, PredictionStage, Target, TermContext, TermEntry,
+        ThermometerDelay, Value, format_duration, required_positive,
     },
     data_view::{DataView, StartValues},
 };
-use crate::file::keys::term::{FORM, SLOPE_OVER, TIME_CONSTANT_S};
-use crate::{file::read::Section, location::BadInput};
+use crate::file::schema::term::{FORM, SLOPE_OVER, TIME_CONSTANT_S};
+use crate::{file::reader::Section, location::BadInput};
 
 /// A thermometer that is late.
 #[derive(Clone, Debug, PartialEq)]
@@ -31,57 +32,53 @@ pub struct ThermometerLag {
     /// τ in s; above 0.
     pub time_constant_s: f64,
     /// In which way it is late.
-    pub form: LateForm,
+    pub form: DelayKind,
 }
 
 /// The shares of τ that w is tried at: from row to row, which undoes a lag exactly; all of τ, over which the
 /// noise counts √3 times; and three tenths, half way by ratio between that and a tenth.
-const SLOPES_OVER: [f64; 3] = [0.0, 0.3, 1.0];
+const SLOPE_WIDTH_SHARES: [f64; 3] = [0.0, 0.3, 1.0];
 
 impl ThermometerLag {
-    fn form_entries(&self) -> Vec<Entry> {
+    fn form_entries(&self) -> Vec<TermEntry> {
         let form = |name: &str| (FORM.name, Value::Text(name.into()));
         match self.form {
-            LateForm::Delay => vec![form("delay")],
-            LateForm::Lag { slope_over } => {
+            DelayKind::Delay => vec![form("delay")],
+            DelayKind::Lag { slope_over } => {
                 vec![form("lag"), (SLOPE_OVER.name, Value::Number(slope_over))]
             }
         }
     }
 }
 
-impl CauseSpec for ThermometerLag {
-    fn entries(&self) -> Vec<Entry> {
+impl FileRepresentation for ThermometerLag {
+    const NAME: &'static str = "thermometer-lag";
+
+    fn keys(_: &Section<'_>) -> &'static [&'static str] {
+        &[TIME_CONSTANT_S.name, FORM.name, SLOPE_OVER.name]
+    }
+
+    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
+        let slope_over = section.non_negative(SLOPE_OVER.name)?.unwrap_or(0.0).min(1.0);
+        let lag = DelayKind::Lag { slope_over };
+        let form = section.choice(FORM.name, &[("lag", lag), ("delay", DelayKind::Delay)])?;
+        let time_constant_s = required_positive(section, TIME_CONSTANT_S)?;
+        Ok(Self { time_constant_s, form: form.unwrap_or(lag) })
+    }
+
+    fn entries(&self) -> Vec<TermEntry> {
         let mut entries = vec![(TIME_CONSTANT_S.name, Value::Number(self.time_constant_s))];
         entries.extend(self.form_entries());
         entries
     }
+}
 
-    fn home(&self) -> Target {
+impl Law for ThermometerLag {
+    fn target(&self) -> Target {
         Target::OwnThermometer
     }
 
-    fn stage(&self) -> Stage {
-        Stage::Constant
-    }
-
-    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
-        vec![Input::Time]
-    }
-
-    fn is_compensated(&self) -> bool {
-        false
-    }
-
-    fn nonlinear(&self) -> &'static [Nonlinear] {
-        &[Nonlinear::Late]
-    }
-
-    fn amplitudes(&self) -> usize {
-        0
-    }
-
-    fn refusal(&self, host: &Host<'_>) -> Option<String> {
+    fn refusal(&self, host: &TermContext<'_>) -> Option<String> {
         (!host.has_thermometer()).then(|| {
             format!(
                 "needs a thermometer that {} follows: [spindle] source = \"temperature\", or \
@@ -91,26 +88,60 @@ impl CauseSpec for ThermometerLag {
         })
     }
 
-    fn late(&self) -> Option<Late> {
-        Some(Late { by_s: self.time_constant_s, form: self.form })
+    fn stage(&self) -> PredictionStage {
+        PredictionStage::Constant
+    }
+
+    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
+        vec![Input::Time]
+    }
+
+    fn thermometer_delay(&self) -> Option<ThermometerDelay> {
+        Some(ThermometerDelay { by_s: self.time_constant_s, form: self.form })
+    }
+}
+
+impl BoardRepresentation for ThermometerLag {
+    fn is_compensated(&self) -> bool {
+        false
+    }
+}
+
+impl Candidate for ThermometerLag {
+    fn fit_spec(&self) -> FitSpec {
+        FitSpec {
+            nonlinear: &[NonlinearParameter::ThermometerDelay],
+            amplitudes: 0,
+            // What is late is so at the first row too, whose reading people take for the part's.
+            has_reference: true,
+            ..FitSpec::DEFAULT
+        }
     }
 
     fn values(&self) -> Vec<f64> {
         vec![self.time_constant_s]
     }
 
-    fn set(&mut self, values: &[f64]) {
+    fn set_values(&mut self, values: &[f64]) {
         self.time_constant_s = values[0];
     }
 
-    // What is late is so at the first row too, whose reading people take for the part's.
-    fn has_reference(&self) -> bool {
-        true
+    // Next to a lag of the law that is longer, a thermometer that lags is the same as a shorter law.
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
+        let Some(believed_s) = survey.modelled_lag_s() else { return };
+        if believed_s == 0.0 && !survey.has_cause(Self::NAME) {
+            let lags = SLOPE_WIDTH_SHARES.map(|slope_over| DelayKind::Lag { slope_over });
+            for form in lags.into_iter().chain([DelayKind::Delay]) {
+                with(Self { time_constant_s: 0.0, form }, survey.delay_start_values());
+            }
+        }
     }
+}
 
-    fn sentence(&self, values: &[f64]) -> String {
-        let late = minutes(values[0]);
-        if self.form == LateForm::Delay {
+impl Explanation for ThermometerLag {
+    fn describe(&self, values: &[f64]) -> String {
+        let late = format_duration(values[0]);
+        if self.form == DelayKind::Delay {
             return format!("The thermometer shows how warm the part was {late} ago.");
         }
         format!("The thermometer warms later than the part does, by a time constant of {late}.")
@@ -125,32 +156,5 @@ impl CauseSpec for ThermometerLag {
         let said =
             self.form_entries().into_iter().map(|(name, value)| Parameter::Said(name, value));
         [Parameter::Fitted("time_constant_s", 0, 0.0)].into_iter().chain(said).collect()
-    }
-}
-
-impl Definition for ThermometerLag {
-    const NAME: &'static str = "thermometer-lag";
-
-    fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        &[TIME_CONSTANT_S.name, FORM.name, SLOPE_OVER.name]
-    }
-
-    fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        let slope_over = section.not_negative(SLOPE_OVER.name)?.unwrap_or(0.0).min(1.0);
-        let lag = LateForm::Lag { slope_over };
-        let form = section.choice(FORM.name, &[("lag", lag), ("delay", LateForm::Delay)])?;
-        let time_constant_s = positive(section, TIME_CONSTANT_S)?;
-        Ok(Self { time_constant_s, form: form.unwrap_or(lag) })
-    }
-
-    // Next to a lag of the law that is longer, a thermometer that lags is the same as a shorter law.
-    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
-        let Some(believed_s) = survey.believed_lag_s() else { return };
-        if believed_s == 0.0 && !survey.has(Self::NAME) {
-            let lags = SLOPES_OVER.map(|slope_over| LateForm::Lag { slope_over });
-            for form in lags.into_iter().chain([LateForm::Delay]) {
-                with(Self { time_constant_s: 0.0, form }, survey.lates());
-            }
-        }
     }
 }

@@ -1,8 +1,8 @@
 //! Waves of a periodic error: what the causes have in common that have some.
 
-use super::cause_spec::{Entry, Value};
-use crate::file::keys::term::{AMPLITUDE_UM, HARMONIC, PHASE_DEG};
-use crate::{file::read::Section, location::BadInput};
+use super::cause_spec::{TermEntry, Value};
+use crate::file::schema::term::{AMPLITUDE_UM, HARMONIC, PHASE_DEG};
+use crate::{file::reader::Section, location::BadInput};
 
 /// One wave of a periodic error.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,12 +22,12 @@ impl Wave {
     }
 
     /// Its sine's and its cosine's amplitude.
-    pub(crate) fn values(&self) -> [f64; 2] {
+    pub(crate) fn sin_cos_amplitudes(&self) -> [f64; 2] {
         let (sin, cos) = self.phase_deg.to_radians().sin_cos();
         [self.amplitude_um * cos, self.amplitude_um * sin]
     }
 
-    pub(crate) fn record(&self) -> Vec<Entry> {
+    pub(crate) fn to_entries(self) -> Vec<TermEntry> {
         vec![
             (HARMONIC.name, Value::Whole(self.harmonic)),
             (AMPLITUDE_UM.name, Value::Number(self.amplitude_um)),
@@ -37,14 +37,14 @@ impl Wave {
 }
 
 /// Puts a·sin + b·cos in, two values a wave.
-pub(crate) fn set(waves: &mut [Wave], values: &[f64]) {
+pub(crate) fn set_amplitudes(waves: &mut [Wave], values: &[f64]) {
     for (wave, pair) in waves.iter_mut().zip(values.chunks(2)) {
         wave.amplitude_um = pair[0].hypot(pair[1]);
         wave.phase_deg = pair[1].atan2(pair[0]).to_degrees();
     }
 }
 
-pub(crate) fn entries(waves: &[Wave]) -> [Entry; 3] {
+pub(crate) fn entries(waves: &[Wave]) -> [TermEntry; 3] {
     let list = |of: fn(&Wave) -> f64| Value::Numbers(waves.iter().map(of).collect());
     [
         (HARMONIC.name, Value::Wholes(waves.iter().map(|wave| wave.harmonic).collect())),
@@ -67,7 +67,7 @@ pub(crate) fn read(section: &Section<'_>) -> Result<Option<Vec<Wave>>, BadInput>
             values.len(),
             amplitudes.len()
         );
-        Err(section.bad(key, rule))
+        Err(section.key_error(key, rule))
     };
     let harmonics = alike(HARMONIC.name, |index| (index + 1) as f64)?;
     let phases = alike(PHASE_DEG.name, |_| 0.0)?;
@@ -75,7 +75,7 @@ pub(crate) fn read(section: &Section<'_>) -> Result<Option<Vec<Wave>>, BadInput>
     for ((&harmonic, &amplitude_um), &phase_deg) in harmonics.iter().zip(&amplitudes).zip(&phases) {
         if harmonic.fract() != 0.0 || !(1.0..=1000.0).contains(&harmonic) {
             let rule = format!("must be whole numbers from 1 to 1000, not {harmonic}");
-            return Err(section.bad(HARMONIC.name, rule));
+            return Err(section.key_error(HARMONIC.name, rule));
         }
         // Held to 1000 above.
         waves.push(Wave { harmonic: harmonic as u32, amplitude_um, phase_deg });

@@ -2,9 +2,9 @@
 
 use super::{
     key::{Key, section},
-    read::Section,
+    reader::Section,
     table::{KeyValue, Table, choice, table},
-    write::section::{NewSection, Value},
+    writer::section::{NewSection, Value},
 };
 use crate::location::BadInput;
 
@@ -54,14 +54,14 @@ table! {
     /// The model of one linear axis.
     #[derive(Clone, Debug, Default, PartialEq)]
     pub struct AxisModel {
-        feedback: Feedback = key(Choice(Feedback::NAMES), "", "where the position is measured; backlash belongs to a screw").or("\"screw\"").quiet();
+        feedback: Feedback = key(Choice(Feedback::NAMES), "", "where the position is measured; backlash belongs to a screw").with_default("\"screw\"").omit_default();
         /// In mm of machine coordinates.
-        travel_mm: Option<[f64; 2]> = key(Numbers, "mm", "the two ends of the travel, the lower one first; for `trueup program` and `check`, no correction depends on it").as_in("[0.0, 1000.0]");
-        rapid_mm_per_min: Option<f64> = key(Positive, "mm/min", "the rapid traverse: `trueup check` holds the slew limit against 1 % of it, and the board does not believe a position that the axis cannot have reached by it").as_in("15000.0");
-        thermal: Option<Thermal> = key(Table(Thermal::KEYS), "", "how the axis grows with a temperature");
-        pitch: Option<Pitch> = key(Table(Pitch::KEYS), "", "position errors at points of equal distance, linear between them; of the first of two drives where there is `dual`");
+        travel_mm: Option<[f64; 2]> = key(Numbers, "mm", "the two ends of the travel, the lower one first; for `trueup program` and `check`, no correction depends on it").with_example_value("[0.0, 1000.0]");
+        rapid_mm_per_min: Option<f64> = key(Positive, "mm/min", "the rapid traverse: `trueup check` holds the slew limit against 1 % of it, and the board does not believe a position that the axis cannot have reached by it").with_example_value("15000.0");
+        thermal: Option<ThermalLaw> = key(Table(ThermalLaw::KEYS), "", "how the axis grows with a temperature");
+        pitch: Option<PitchErrorTable> = key(Table(PitchErrorTable::KEYS), "", "position errors at points of equal distance, linear between them; of the first of two drives where there is `dual`");
         backlash: Option<Backlash> = key(Table(Backlash::KEYS), "", "what a reversal leaves behind; not together with `reverse_um`");
-        dual: Option<Dual> = key(Table(Dual::KEYS), "", "a gantry driven at both ends: the second drive");
+        dual: Option<SecondDrive> = key(Table(SecondDrive::KEYS), "", "a gantry driven at both ends: the second drive");
     }
 }
 
@@ -80,43 +80,43 @@ choice! {
 table! {
     /// How an axis grows with a temperature: ΔK(T) = K₀(T) + tanβ(T)·(P − P₀).
     #[derive(Clone, Debug, PartialEq)]
-    pub struct Thermal {
-        mode: ThermalMode = key(Choice(ThermalMode::NAMES), "", "which part there is: the same everywhere, in proportion to the position, both").required().as_in("\"position\"");
+    pub struct ThermalLaw {
+        mode: ThermalMode = key(Choice(ThermalMode::NAMES), "", "which part there is: the same everywhere, in proportion to the position, both").required().with_example_value("\"position\"");
         /// The run-file column of T, `temp_<name>_c`.
-        sensor: String = key(Column, "", "the column of the temperature").required().as_in("\"temp_screw_c\"");
+        sensor: String = key(Column, "", "the column of the temperature").required().with_example_value("\"temp_screw_c\"");
         /// T₀. Not used, and 0 where it is not written, next to a table.
-        reference_c: f64 = key(Number, "°C", "where the axis is right; needed without a `table`").as_in("20.0");
+        reference_c: f64 = key(Number, "°C", "where the axis is right; needed without a `table`").with_example_value("20.0");
         /// K₀ = this · (T − T₀). Not used next to a table.
-        constant_um_per_c: f64 = key(Number, "µm/K", "the same at every position").or("0.0");
+        constant_um_per_c: f64 = key(Number, "µm/K", "the same at every position").with_default("0.0");
         /// tanβ = this · (T − T₀). Not used next to a table.
-        slope_um_per_m_per_c: f64 = key(Number, "µm/(m·K)", "in proportion to the distance from `origin_mm`; steel 11.5").or("0.0");
+        slope_um_per_m_per_c: f64 = key(Number, "µm/(m·K)", "in proportion to the distance from `origin_mm`; steel 11.5").with_default("0.0");
         /// P₀.
-        origin_mm: f64 = key(Number, "mm", "where the proportional part is 0").or("0.0");
+        origin_mm: f64 = key(Number, "mm", "where the proportional part is 0").with_default("0.0");
         /// 0: no lag.
-        lag_s: f64 = key(NotNegative, "s", "time constant by which the axis follows the temperature; the board adds 1 s").or("0.0");
+        lag_s: f64 = key(NotNegative, "s", "time constant by which the axis follows the temperature; the board adds 1 s").with_default("0.0");
         /// K₀ and tanβ over T; at least one row.
-        table: Option<Vec<ThermalRow>> = key(Rows, "°C, µm, µm/m", "rows of temperature, constant and slope in the place of the two constants; linear between, temperatures rising").as_in("[[20.0, 0.0, 0.0], [40.0, 21.0, 230.0]]");
+        table: Option<Vec<ThermalRow>> = key(Rows, "°C, µm, µm/m", "rows of temperature, constant and slope in the place of the two constants; linear between, temperatures rising").with_example_value("[[20.0, 0.0, 0.0], [40.0, 21.0, 230.0]]");
     }
-    checked by has_reference
+    checked by require_reference
 }
 
-impl Thermal {
+impl ThermalLaw {
     /// The same law at a temperature that is higher by `shift_c`: ΔK(T) becomes ΔK(T − shift). A
     /// table moves as a whole.
     ///
     /// ```
-    /// use trueup_machine::file::{Thermal, ThermalMode, ThermalRow};
-    /// use trueup_machine::model::thermal_law;
+    /// use trueup_machine::file::{ThermalLaw, ThermalMode, ThermalRow};
+    /// use trueup_machine::model::thermal_coefficients;
     /// let row = |temperature_c, slope_um_per_m| {
     ///     ThermalRow { temperature_c, constant_um: 0.0, slope_um_per_m }
     /// };
-    /// let mut axis = Thermal {
+    /// let mut axis = ThermalLaw {
     ///     mode: ThermalMode::Position, sensor: "temp_screw_c".into(), reference_c: 20.0,
     ///     constant_um_per_c: 0.0, slope_um_per_m_per_c: 0.0, origin_mm: 0.0, lag_s: 0.0,
     ///     table: Some(vec![row(20.0, 0.0), row(30.0, 100.0)]),
     /// };
     /// axis.shift_reference(2.0);
-    /// assert_eq!(thermal_law(&axis, 27.0), (0.0, 50.0)); // as at 25 °C before
+    /// assert_eq!(thermal_coefficients(&axis, 27.0), (0.0, 50.0)); // as at 25 °C before
     /// ```
     pub fn shift_reference(&mut self, shift_c: f64) {
         self.reference_c += shift_c;
@@ -168,14 +168,14 @@ table! {
     /// Position errors at points of equal distance: actual minus commanded, linear between the points,
     /// the end values held outside.
     #[derive(Clone, Debug, PartialEq)]
-    pub struct Pitch {
-        start_mm: f64 = key(Number, "mm", "the first point").required().as_in("0.0");
-        step_mm: f64 = key(Positive, "mm", "from point to point").required().as_in("100.0");
-        forward_um: Vec<f64> = key(Numbers, "µm", "errors at the points, actual minus commanded; of an approach in the positive direction where there is `reverse_um`").required().as_in("[0.0, 1.5, 2.0]");
+    pub struct PitchErrorTable {
+        start_mm: f64 = key(Number, "mm", "the first point").required().with_example_value("0.0");
+        step_mm: f64 = key(Positive, "mm", "from point to point").required().with_example_value("100.0");
+        forward_um: Vec<f64> = key(Numbers, "µm", "errors at the points, actual minus commanded; of an approach in the positive direction where there is `reverse_um`").required().with_example_value("[0.0, 1.5, 2.0]");
         /// `None`: the forward table serves both directions.
-        reverse_um: Option<Vec<f64>> = key(Numbers, "µm", "the same of an approach in the negative direction, as many; it contains the backlash").as_in("[0.5, 2.0, 2.5]");
+        reverse_um: Option<Vec<f64>> = key(Numbers, "µm", "the same of an approach in the negative direction, as many; it contains the backlash").with_example_value("[0.5, 2.0, 2.5]");
     }
-    checked by has_pairs
+    checked by check_table_lengths
 }
 
 table! {
@@ -183,30 +183,30 @@ table! {
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub struct Backlash {
         /// Negative for a CNC that over-compensates.
-        width_um: f64 = key(Number, "µm", "error after a move in the negative direction").required().as_in("4.0");
-        ramp_mm: f64 = key(NotNegative, "mm", "on the board: a ramp over this travel instead of a step").or("0.0");
-        hysteresis_um: f64 = key(NotNegative, "µm", "on the board: how far a reversal must go to count").or("0.0");
+        width_um: f64 = key(Number, "µm", "error after a move in the negative direction").required().with_example_value("4.0");
+        ramp_mm: f64 = key(NotNegative, "mm", "on the board: a ramp over this travel instead of a step").with_default("0.0");
+        hysteresis_um: f64 = key(NotNegative, "µm", "on the board: how far a reversal must go to count").with_default("0.0");
     }
 }
 
 table! {
     /// The second drive of a gantry that is driven at both ends.
     #[derive(Clone, Debug, PartialEq)]
-    pub struct Dual {
+    pub struct SecondDrive {
         /// Not the driven axis itself.
-        across: LinearAxis = key(Choice(LinearAxis::NAMES), "", "the axis along the beam, from drive to drive").required().as_in("\"y\"");
+        across: LinearAxis = key(Choice(LinearAxis::NAMES), "", "the axis along the beam, from drive to drive").required().with_example_value("\"y\"");
         /// The axis's own `pitch` is true there.
-        first_mm: f64 = key(Number, "mm", "where on it the first drive is").required().as_in("0.0");
+        first_mm: f64 = key(Number, "mm", "where on it the first drive is").required().with_example_value("0.0");
         /// Not `first_mm`.
-        second_mm: f64 = key(Number, "mm", "where on it the second drive is").required().as_in("3000.0");
-        pitch: Pitch = key(Table(Pitch::KEYS), "", "the second drive's table").required();
+        second_mm: f64 = key(Number, "mm", "where on it the second drive is").required().with_example_value("3000.0");
+        pitch: PitchErrorTable = key(Table(PitchErrorTable::KEYS), "", "the second drive's table").required();
     }
 }
 
-impl Pitch {
+impl PitchErrorTable {
     /// Returns the section of this table of `axis`.
     #[must_use]
-    pub fn section(&self, axis: LinearAxis) -> NewSection {
+    pub fn to_section(&self, axis: LinearAxis) -> NewSection {
         self.write(NewSection::new(format!("axis.{}.pitch", axis.name())))
     }
 }
@@ -214,15 +214,15 @@ impl Pitch {
 impl Backlash {
     /// Returns the section of a backlash of `axis` whose width alone is known: all else stays as the user has it.
     #[must_use]
-    pub fn section(axis: LinearAxis, width_um: f64) -> NewSection {
-        const OTHERS: [&str; 2] = [Backlash::KEYS[1].name, Backlash::KEYS[2].name];
+    pub fn width_section(axis: LinearAxis, width_um: f64) -> NewSection {
+        const BACKLASH_SHAPE_KEYS: [&str; 2] = [Backlash::KEYS[1].name, Backlash::KEYS[2].name];
         NewSection::new(format!("axis.{}.backlash", axis.name()))
-            .number(Self::KEYS[0].name, width_um)
-            .keeping(&OTHERS)
+            .with_number(Self::KEYS[0].name, width_um)
+            .with_preserved_keys(&BACKLASH_SHAPE_KEYS)
     }
 }
 
-pub(super) const SECTIONS: &[Key] = &[
+pub(super) const AXIS_SECTIONS: &[Key] = &[
     section("x", AxisModel::KEYS, "the X axis"),
     section("y", AxisModel::KEYS, "the Y axis"),
     section("z", AxisModel::KEYS, "the Z axis"),
@@ -233,73 +233,77 @@ pub(super) fn read(section: &Section<'_>) -> Result<[AxisModel; 3], BadInput> {
     for (axis, of) in axes.iter_mut().zip(LinearAxis::ALL) {
         if let Some(section) = section.section(of.name())? {
             *axis = AxisModel::read(&section)?;
-            check(&section, axis, of)?;
+            check_axis(&section, axis, of)?;
         }
     }
     Ok(axes)
 }
 
-fn check(section: &Section<'_>, axis: &AxisModel, of: LinearAxis) -> Result<(), BadInput> {
+fn check_axis(section: &Section<'_>, axis: &AxisModel, of: LinearAxis) -> Result<(), BadInput> {
     if let (Some(dual), Some(section)) = (&axis.dual, section.section("dual")?) {
-        check_dual(&section, dual, of)?;
+        check_second_drive(&section, dual, of)?;
     }
     if axis.dual.is_some() && axis.pitch.is_none() {
         let rule = format!(
             "needs [axis.{}.pitch], the first drive's table: the error is shared between the two",
             of.name()
         );
-        return Err(section.bad("dual", rule));
+        return Err(section.key_error("dual", rule));
     }
     if axis.backlash.is_some() {
         if axis.feedback == Feedback::Scale {
             let rule = "belongs to feedback = \"screw\": a scale on the axis sees the backlash, \
                         and the CNC's own loop takes it out";
-            return Err(section.bad("backlash", rule));
+            return Err(section.key_error("backlash", rule));
         }
         let second = axis.dual.as_ref().map(|dual| &dual.pitch);
         if axis.pitch.iter().chain(second).any(|pitch| pitch.reverse_um.is_some()) {
             let rule = "cannot stand beside a reverse_um table on the same axis, which contains \
                         the backlash already";
-            return Err(section.bad("backlash", rule));
+            return Err(section.key_error("backlash", rule));
         }
     }
     Ok(())
 }
 
-fn check_dual(section: &Section<'_>, dual: &Dual, driven: LinearAxis) -> Result<(), BadInput> {
+fn check_second_drive(
+    section: &Section<'_>,
+    dual: &SecondDrive,
+    driven: LinearAxis,
+) -> Result<(), BadInput> {
     if dual.across == driven {
         let rule = format!(
             "must be another axis than \"{}\": the drives stand apart across the driven axis",
             driven.name()
         );
-        return Err(section.bad("across", rule));
+        return Err(section.key_error("across", rule));
     }
     if dual.first_mm == dual.second_mm {
         let rule = format!("must not be first_mm = {}: the drives stand apart", dual.first_mm);
-        return Err(section.bad("second_mm", rule));
+        return Err(section.key_error("second_mm", rule));
     }
     Ok(())
 }
 
 /// The two ends of a travel.
 impl KeyValue for [f64; 2] {
-    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
         let Some(ends) = section.numbers(key.name)? else { return Ok(None) };
         match ends[..] {
             [low, high] if low < high => Ok(Some([low, high])),
             _ => {
                 let rule = "must be the two ends of the travel, the lower one first: [0.0, 1000.0]";
-                Err(section.bad(key.name, rule))
+                Err(section.key_error(key.name, rule))
             }
         }
     }
 
-    fn written(&self, _: &Key) -> Option<Value> {
+    fn to_value(&self, _: &Key) -> Option<Value> {
         Some(Value::Numbers(self.to_vec()))
     }
 }
 
-fn has_reference(section: &Section<'_>, thermal: Thermal) -> Result<Thermal, BadInput> {
+fn require_reference(section: &Section<'_>, thermal: ThermalLaw) -> Result<ThermalLaw, BadInput> {
     if thermal.table.is_none() {
         section.required("reference_c", section.number("reference_c")?)?;
     }
@@ -307,7 +311,7 @@ fn has_reference(section: &Section<'_>, thermal: Thermal) -> Result<Thermal, Bad
 }
 
 impl KeyValue for Vec<ThermalRow> {
-    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
         let Some(rows) = section.rows(key.name)? else { return Ok(None) };
         for (row, pair) in rows.windows(2).enumerate() {
             if let [[before, ..], [after, ..]] = pair
@@ -315,7 +319,7 @@ impl KeyValue for Vec<ThermalRow> {
             {
                 let rule =
                     format!("{after} is not above {before}: T must rise from each row to the next");
-                return Err(section.bad(&format!("{}[{}][0]", key.name, row + 1), rule));
+                return Err(section.key_error(&format!("{}[{}][0]", key.name, row + 1), rule));
             }
         }
         let row = |[temperature_c, constant_um, slope_um_per_m]: [f64; 3]| ThermalRow {
@@ -326,13 +330,16 @@ impl KeyValue for Vec<ThermalRow> {
         Ok(Some(rows.into_iter().map(row).collect()))
     }
 
-    fn written(&self, _: &Key) -> Option<Value> {
+    fn to_value(&self, _: &Key) -> Option<Value> {
         let row = |row: &ThermalRow| [row.temperature_c, row.constant_um, row.slope_um_per_m];
         Some(Value::Rows(self.iter().map(row).collect()))
     }
 }
 
-fn has_pairs(section: &Section<'_>, pitch: Pitch) -> Result<Pitch, BadInput> {
+fn check_table_lengths(
+    section: &Section<'_>,
+    pitch: PitchErrorTable,
+) -> Result<PitchErrorTable, BadInput> {
     match &pitch.reverse_um {
         Some(reverse_um) if reverse_um.len() != pitch.forward_um.len() => {
             let rule = format!(
@@ -340,7 +347,7 @@ fn has_pairs(section: &Section<'_>, pitch: Pitch) -> Result<Pitch, BadInput> {
                 reverse_um.len(),
                 pitch.forward_um.len()
             );
-            Err(section.bad("reverse_um", rule))
+            Err(section.key_error("reverse_um", rule))
         }
         _ => Ok(pitch),
     }
@@ -362,13 +369,13 @@ pub(super) fn write(axis: &AxisModel, of: LinearAxis) -> Vec<NewSection> {
     sections
 }
 
-fn write_thermal(section: NewSection, thermal: &Thermal) -> NewSection {
+fn write_thermal(section: NewSection, thermal: &ThermalLaw) -> NewSection {
     let section = thermal.write(section);
     let section = match thermal.table {
         Some(_) => section
-            .without(&["reference_c", "constant_um_per_c", "slope_um_per_m_per_c"])
-            .note("table", "T in °C, K0 in µm, slope in µm/m"),
+            .without_keys(&["reference_c", "constant_um_per_c", "slope_um_per_m_per_c"])
+            .with_key_comment("table", "T in °C, K0 in µm, slope in µm/m"),
         None => section,
     };
-    section.last("origin_mm").last("lag_s")
+    section.with_key_last("origin_mm").with_key_last("lag_s")
 }

@@ -27,7 +27,7 @@ pub struct Chain {
 impl Chain {
     /// Returns the rotary axes in the order of the CNC's angles: those of the tool, then those of the workpiece.
     #[must_use]
-    pub fn rotary(&self) -> Vec<RotaryAxis> {
+    pub fn rotary_axes(&self) -> Vec<RotaryAxis> {
         self.head.iter().chain(&self.table).copied().collect()
     }
 
@@ -40,7 +40,7 @@ impl Chain {
     /// Returns the axes whose positions are part of the lever of `axis`: those between it and the tool, and its own
     /// where it moves the workpiece.
     #[must_use]
-    pub fn in_lever(&self, axis: LinearAxis) -> &[LinearAxis] {
+    pub fn lever_axes(&self, axis: LinearAxis) -> &[LinearAxis] {
         let own = self.linear.iter().position(|it| *it == axis).unwrap_or(0);
         let first = if self.moves_workpiece(axis) { own } else { own + 1 };
         self.linear.get(first..).unwrap_or_default()
@@ -51,7 +51,7 @@ impl Chain {
     /// # Errors
     /// The rule that is broken; it goes on after the key.
     pub(super) fn parse(text: &str) -> Result<Self, String> {
-        let links = links(text)?;
+        let links = parse_links(text)?;
         let at = |letter: char| links.iter().position(|link| link.letter == letter);
         let (Some(0), Some(bed), Some(last)) = (at('w'), at('b'), at('t')) else {
             return Err("must begin with w (workpiece), pass b (bed) and end with t (tool)".into());
@@ -75,24 +75,25 @@ impl Chain {
             let letter = link.letter;
             return Err(format!("has {letter}' between b and t: it moves the tool, {letter}"));
         }
-        let linear: Vec<LinearAxis> = links.iter().filter_map(Link::linear).collect();
+        let linear: Vec<LinearAxis> = links.iter().filter_map(ChainLink::linear_axis).collect();
         let linear = <[LinearAxis; 3]>::try_from(linear).map_err(|found| {
             let missing = LinearAxis::ALL.into_iter().find(|axis| !found.contains(axis));
             format!("lacks {}", missing.map_or("an axis", LinearAxis::name).to_uppercase())
         })?;
-        let table: Vec<RotaryAxis> = workpiece.iter().rev().filter_map(Link::rotary).collect();
-        let head: Vec<RotaryAxis> = tool.iter().filter_map(Link::rotary).collect();
+        let table: Vec<RotaryAxis> =
+            workpiece.iter().rev().filter_map(ChainLink::rotary_axis).collect();
+        let head: Vec<RotaryAxis> = tool.iter().filter_map(ChainLink::rotary_axis).collect();
         // Where no rotary axis carries them, positions are along the machine's own axes.
-        let is_turned = |from_bed: Vec<&Link>| {
+        let is_turned = |from_bed: Vec<&ChainLink>| {
             let mut pairs = from_bed.windows(2);
-            pairs.any(|pair| pair[0].rotary().is_some() && pair[1].linear().is_some())
+            pairs.any(|pair| pair[0].rotary_axis().is_some() && pair[1].linear_axis().is_some())
         };
         if is_turned(workpiece.iter().rev().collect()) || is_turned(tool.iter().collect()) {
             return Err("has a linear axis on a rotary one: X, Y and Z must be next to the bed, where they keep \
                         their directions"
                 .into());
         }
-        let on_workpiece = workpiece.iter().filter_map(Link::linear).count();
+        let on_workpiece = workpiece.iter().filter_map(ChainLink::linear_axis).count();
         Ok(Self { linear, on_workpiece, head, table })
     }
 }
@@ -121,25 +122,25 @@ impl fmt::Display for Chain {
 }
 
 /// A letter, and whether it has a '.
-struct Link {
+struct ChainLink {
     letter: char,
     is_primed: bool,
 }
 
-impl Link {
-    fn linear(&self) -> Option<LinearAxis> {
+impl ChainLink {
+    fn linear_axis(&self) -> Option<LinearAxis> {
         let name = self.letter.to_ascii_lowercase().to_string();
         LinearAxis::ALL.into_iter().find(|axis| self.letter.is_uppercase() && axis.name() == name)
     }
 
-    fn rotary(&self) -> Option<RotaryAxis> {
+    fn rotary_axis(&self) -> Option<RotaryAxis> {
         let name = self.letter.to_ascii_lowercase().to_string();
         RotaryAxis::ALL.into_iter().find(|axis| self.letter.is_uppercase() && axis.name() == name)
     }
 }
 
-fn links(text: &str) -> Result<Vec<Link>, String> {
-    let mut links: Vec<Link> = Vec::new();
+fn parse_links(text: &str) -> Result<Vec<ChainLink>, String> {
+    let mut links: Vec<ChainLink> = Vec::new();
     let mut letters = text.chars();
     while let Some(letter) = letters.next() {
         match letter {
@@ -157,7 +158,7 @@ fn links(text: &str) -> Result<Vec<Link>, String> {
                 _ => return Err("has ' without an axis before it".into()),
             },
             'w' | 'b' | 't' | 'X' | 'Y' | 'Z' | 'A' | 'B' | 'C' => {
-                links.push(Link { letter, is_primed: false });
+                links.push(ChainLink { letter, is_primed: false });
             }
             other => {
                 return Err(format!(

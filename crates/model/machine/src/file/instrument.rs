@@ -5,6 +5,6 @@ use super::table::table;
 table! {
     /// The properties of the measuring instrument.
     pub(super) struct Instrument {
-        uncertainty_um: f64 = key(Positive, "µm", "what the measuring instrument is worth, 95 %; for `trueup diagnose`").required().as_in("0.5");
+        uncertainty_um: f64 = key(Positive, "µm", "what the measuring instrument is worth, 95 %; for `trueup diagnose`").required().with_example_value("0.5");
     }
 }

@@ -6,9 +6,9 @@ pub struct Key {
     /// Its name; `<name>` stands for any word.
     pub name: &'static str,
     /// The form of its value.
-    pub form: Form,
+    pub form: ValueType,
     /// Whether it must.
-    pub need: Need,
+    pub need: Requirement,
     /// Its unit; empty where there is none.
     pub unit: &'static str,
     /// Its meaning, a sentence without its full stop.
@@ -23,7 +23,7 @@ pub struct Key {
 
 /// The form of a key's value.
 #[derive(Clone, Copy, Debug)]
-pub enum Form {
+pub enum ValueType {
     /// Any string.
     Text,
     /// `true` or `false`.
@@ -58,7 +58,7 @@ pub enum Form {
 
 /// Whether a key must be there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Need {
+pub enum Requirement {
     /// It must.
     Required,
     /// Without it there is none.
@@ -69,14 +69,14 @@ pub enum Need {
 
 pub(crate) const fn key(
     name: &'static str,
-    form: Form,
+    form: ValueType,
     unit: &'static str,
     meaning: &'static str,
 ) -> Key {
     Key {
         name,
         form,
-        need: Need::Optional,
+        need: Requirement::Optional,
         unit,
         meaning,
         example: "",
@@ -90,29 +90,29 @@ pub(crate) const fn section(
     keys: &'static [Key],
     meaning: &'static str,
 ) -> Key {
-    key(name, Form::Table(keys), "", meaning)
+    key(name, ValueType::Table(keys), "", meaning)
 }
 
 impl Key {
     /// Returns it with a narrower form.
-    pub(crate) const fn of(self, form: Form) -> Self {
+    pub(crate) const fn with_form(self, form: ValueType) -> Self {
         Self { form, ..self }
     }
 
     pub(crate) const fn required(self) -> Self {
-        Self { need: Need::Required, ..self }
+        Self { need: Requirement::Required, ..self }
     }
 
-    pub(crate) const fn or(self, default: &'static str) -> Self {
-        Self { need: Need::Default(default), example: default, ..self }
+    pub(crate) const fn with_default(self, default: &'static str) -> Self {
+        Self { need: Requirement::Default(default), example: default, ..self }
     }
 
-    pub(crate) const fn as_in(self, example: &'static str) -> Self {
+    pub(crate) const fn with_example_value(self, example: &'static str) -> Self {
         Self { example, ..self }
     }
 
     /// Returns it as one that is not written where it has its default.
-    pub(crate) const fn quiet(self) -> Self {
+    pub(crate) const fn omit_default(self) -> Self {
         Self { is_quiet: true, ..self }
     }
 

@@ -1,15 +1,15 @@
 //! `[machine]`: which machine it is, and where its tool points.
 
 use super::{
-    AxisModel, Limits, RotaryAxis, Spindle, Squareness, Straightness, Term, Volume,
+    AxisModel, Limits, RotaryAxis, Spindle, Squareness, Straightness, Term, VolumetricModel,
     chain::Chain,
-    read::Section,
+    reader::Section,
     table::{Table, choice, table},
-    write::section::NewSection,
+    writer::section::NewSection,
 };
 use crate::{
     inputs::Inputs,
-    location::{BadInput, Locations, shortened},
+    location::{BadInput, Locations, truncate_text},
 };
 
 /// The user's model of the machine.
@@ -22,9 +22,9 @@ pub struct Machine {
     /// The number of the board's chip, 96 bits, the lowest word first, where the calibration is for that board alone.
     pub board: Option<[u32; 3]>,
     /// Which axes turn the tool or the table.
-    pub kind: Kind,
+    pub kind: MachineKind,
     /// The rotary axes that carry the spindle, from the frame to the tool; as many as
-    /// [`Kind::head_axes`] says, and no axis twice.
+    /// `MachineKind::head_axis_count` says, and no axis twice.
     pub head_axes: Vec<RotaryAxis>,
     /// From the spindle nose to the tool tip with all angles at zero, of length 1.
     pub tool_direction: [f64; 3],
@@ -39,7 +39,7 @@ pub struct Machine {
     /// The angles between the axes as they are written; no pair of axes twice.
     pub squareness: Vec<Squareness>,
     /// The chain of the axes, their angular and location errors, and where the tool tip is.
-    pub volume: Volume,
+    pub volume: VolumetricModel,
     /// How far and how fast an offset may go, and how long silence is tolerated.
     pub limits: Limits,
     /// Thermometers that agree within this in °C belong to a machine that has no heat of its own; 0…5.
@@ -56,7 +56,7 @@ pub struct Machine {
 choice! {
     /// Which axes turn the tool or the table.
     #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-    pub enum Kind {
+    pub enum MachineKind {
         /// X, Y and Z only: the tool direction never changes.
         ThreeAxis = "3-axis",
         /// Two rotary axes carry the spindle.
@@ -71,10 +71,10 @@ choice! {
     }
 }
 
-impl Kind {
+impl MachineKind {
     /// Returns how many rotary axes carry the spindle.
     #[must_use]
-    pub fn head_axes(self) -> usize {
+    pub(crate) fn head_axis_count(self) -> usize {
         match self {
             Self::ThreeAxis | Self::TableTable | Self::Lathe => 0,
             Self::HeadTable => 1,
@@ -85,59 +85,60 @@ impl Kind {
 
 table! {
     /// The keys of `[machine]` as they are written.
-    pub(super) struct Keys {
-        name: String = key(Text, "", "the machine's name; a board asks before it runs the calibration of a machine with another one").required().as_in("\"mill\"");
-        serial: Option<String> = key(Text, "", "its serial number, which tells it from another one of that name").as_in("\"4711\"");
-        board: Option<String> = key(Text, "", "the board that the calibration is for: the 24 hexadecimal digits of its chip's number, as `trueup bridge info` prints them").as_in("\"003b00213032470e39363634\"");
-        kind: Kind = key(Choice(Kind::NAMES), "", "which rotary axes carry the tool (head) and which the workpiece (table); of a lathe the spindle carries the workpiece, and X is a radius").required().as_in("\"3-axis\"");
-        head_axes: Vec<String> = key(Choices(RotaryAxis::NAMES), "", "the rotary axes that carry the spindle, from the frame to the tool: two for head-head, one for head-table").or("[]").quiet();
-        tool_direction: [f64; 3] = key(Vector, "", "from the spindle nose to the tip with all angles at zero, of a lathe from the turret to the chuck; of any length but 0").or("[0.0, 0.0, -1.0]");
-        chain: Option<String> = key(Text, "", "which axis carries what, in the letters of ISO 10791-6: from the workpiece (w) over the bed (b) to the tool (t), with ' what moves the workpiece; X, Y and Z once each, next to the bed, the rotary axes of `head_axes` before t. Needed by `[angular]` and `[rotary]`").as_in("\"w X' b Y Z t\"");
+    pub(super) struct MachineKeys {
+        name: String = key(Text, "", "the machine's name; a board asks before it runs the calibration of a machine with another one").required().with_example_value("\"mill\"");
+        serial: Option<String> = key(Text, "", "its serial number, which tells it from another one of that name").with_example_value("\"4711\"");
+        board: Option<String> = key(Text, "", "the board that the calibration is for: the 24 hexadecimal digits of its chip's number, as `trueup bridge info` prints them").with_example_value("\"003b00213032470e39363634\"");
+        kind: MachineKind = key(Choice(MachineKind::NAMES), "", "which rotary axes carry the tool (head) and which the workpiece (table); of a lathe the spindle carries the workpiece, and X is a radius").required().with_example_value("\"3-axis\"");
+        head_axes: Vec<String> = key(Choices(RotaryAxis::NAMES), "", "the rotary axes that carry the spindle, from the frame to the tool: two for head-head, one for head-table").with_default("[]").omit_default();
+        tool_direction: [f64; 3] = key(Vector, "", "from the spindle nose to the tip with all angles at zero, of a lathe from the turret to the chuck; of any length but 0").with_default("[0.0, 0.0, -1.0]");
+        chain: Option<String> = key(Text, "", "which axis carries what, in the letters of ISO 10791-6: from the workpiece (w) over the bed (b) to the tool (t), with ' what moves the workpiece; X, Y and Z once each, next to the bed, the rotary axes of `head_axes` before t. Needed by `[angular]` and `[rotary]`").with_example_value("\"w X' b Y Z t\"");
     }
 }
 
 /// The contents of `[machine]`.
-pub(super) struct Identity {
+pub(super) struct MachineSection {
     pub name: String,
     pub serial: Option<String>,
     pub board: Option<[u32; 3]>,
-    pub kind: Kind,
+    pub kind: MachineKind,
     pub head_axes: Vec<RotaryAxis>,
     pub tool_direction: [f64; 3],
     pub chain: Option<Chain>,
 }
 
-pub(super) fn read(section: &Section<'_>) -> Result<Identity, BadInput> {
-    let Keys { name, serial, board, kind, head_axes, tool_direction, chain } = Keys::read(section)?;
+pub(super) fn read(section: &Section<'_>) -> Result<MachineSection, BadInput> {
+    let MachineKeys { name, serial, board, kind, head_axes, tool_direction, chain } =
+        MachineKeys::read(section)?;
     for (key, text) in [("name", Some(&name)), ("serial", serial.as_ref())] {
         if text.is_some_and(|text| text.trim().is_empty()) {
-            return Err(section.bad(key, "must not be empty"));
+            return Err(section.key_error(key, "must not be empty"));
         }
     }
     let chip = |written: String| {
         let rule =
             "must be the 24 hexadecimal digits of the board's chip, as `bridge info` prints them";
-        read_board(&written).ok_or_else(|| section.bad("board", rule))
+        parse_board_id(&written).ok_or_else(|| section.key_error("board", rule))
     };
     let board = board.map(chip).transpose()?;
     let head_axes = read_head_axes(section, kind, &head_axes)?;
-    let tool_direction = normalised(tool_direction).ok_or_else(|| {
-        section.bad("tool_direction", "has no length: it must point from the nose to the tip")
+    let tool_direction = normalise(tool_direction).ok_or_else(|| {
+        section.key_error("tool_direction", "has no length: it must point from the nose to the tip")
     })?;
     let chain = chain.map(|written| {
         let chain = Chain::parse(&written)?;
         check_chain(&chain, kind, &head_axes).map(|()| chain)
     });
     let chain =
-        chain.transpose().map_err(|rule| section.bad("chain", rule).with_help(CHAIN_HELP))?;
-    Ok(Identity { name, serial, board, kind, head_axes, tool_direction, chain })
+        chain.transpose().map_err(|rule| section.key_error("chain", rule).with_help(CHAIN_HELP))?;
+    Ok(MachineSection { name, serial, board, kind, head_axes, tool_direction, chain })
 }
 
 const CHAIN_HELP: &str = "the axes from the workpiece (w) over the bed (b) to the tool (t), those that move the \
                           workpiece with ', as in chain = \"w C' A' X' b Y Z t\"";
 
 /// Returns the number of a chip, the lowest word first; never 0, which is no chip's.
-fn read_board(written: &str) -> Option<[u32; 3]> {
+fn parse_board_id(written: &str) -> Option<[u32; 3]> {
     let is_hex = written.len() == 24 && written.bytes().all(|digit| digit.is_ascii_hexdigit());
     let number = u128::from_str_radix(written, 16).ok().filter(|number| is_hex && *number != 0)?;
     Some([0, 32, 64].map(|bits| (number >> bits & u128::from(u32::MAX)) as u32))
@@ -145,38 +146,39 @@ fn read_board(written: &str) -> Option<[u32; 3]> {
 
 /// Returns a chip's number as it is written: 24 hexadecimal digits, the highest first.
 #[must_use]
-fn board_text([low, middle, high]: [u32; 3]) -> String {
+fn format_board_id([low, middle, high]: [u32; 3]) -> String {
     format!("{high:08x}{middle:08x}{low:08x}")
 }
 
 fn read_head_axes(
     section: &Section<'_>,
-    kind: Kind,
+    kind: MachineKind,
     names: &[String],
 ) -> Result<Vec<RotaryAxis>, BadInput> {
     let mut axes = Vec::new();
     for (index, name) in names.iter().enumerate() {
         let axis =
             RotaryAxis::ALL.into_iter().find(|axis| axis.name() == name).ok_or_else(|| {
-                let rule = format!("must be \"a\" or \"b\" or \"c\", not \"{}\"", shortened(name));
-                section.bad(&format!("head_axes[{index}]"), rule)
+                let rule =
+                    format!("must be \"a\" or \"b\" or \"c\", not \"{}\"", truncate_text(name));
+                section.key_error(&format!("head_axes[{index}]"), rule)
             })?;
         axes.push(axis);
     }
     let wanted = match kind {
-        Kind::ThreeAxis => "must be [], because no rotary axis carries the spindle",
-        Kind::Lathe => "must be [], because the spindle carries the workpiece",
-        Kind::TableTable => "must be [], because both rotary axes carry the workpiece",
-        Kind::HeadTable => "must name exactly one axis, the one that carries the spindle",
-        Kind::HeadHead => "must name exactly two different axes, from the frame to the tool",
+        MachineKind::ThreeAxis => "must be [], because no rotary axis carries the spindle",
+        MachineKind::Lathe => "must be [], because the spindle carries the workpiece",
+        MachineKind::TableTable => "must be [], because both rotary axes carry the workpiece",
+        MachineKind::HeadTable => "must name exactly one axis, the one that carries the spindle",
+        MachineKind::HeadHead => "must name exactly two different axes, from the frame to the tool",
     };
     let repeated = axes.len() == 2 && axes.first() == axes.last();
-    if axes.len() != kind.head_axes() || repeated {
+    if axes.len() != kind.head_axis_count() || repeated {
         // At most four of what may be a very long list.
         let there = axes.iter().take(4).map(|axis| format!("\"{}\"", axis.name()));
         let there = there.collect::<Vec<_>>().join(", ");
         let rule = format!("{wanted} (kind = \"{}\"), not [{there}]", kind.name());
-        return Err(section.bad("head_axes", rule));
+        return Err(section.key_error("head_axes", rule));
     }
     Ok(axes)
 }
@@ -185,8 +187,8 @@ fn read_head_axes(
 ///
 /// # Errors
 /// The rule that is broken; it goes on after the key.
-fn check_chain(chain: &Chain, kind: Kind, head_axes: &[RotaryAxis]) -> Result<(), String> {
-    if kind == Kind::Lathe {
+fn check_chain(chain: &Chain, kind: MachineKind, head_axes: &[RotaryAxis]) -> Result<(), String> {
+    if kind == MachineKind::Lathe {
         return Err(
             "is not known for kind = \"lathe\": its workpiece turns with the spindle".into()
         );
@@ -203,9 +205,9 @@ fn check_chain(chain: &Chain, kind: Kind, head_axes: &[RotaryAxis]) -> Result<()
         ));
     }
     let of_kind = match kind {
-        Kind::HeadTable => 0..=1,
-        Kind::TableTable => 1..=2,
-        Kind::ThreeAxis | Kind::HeadHead | Kind::Lathe => 0..=0,
+        MachineKind::HeadTable => 0..=1,
+        MachineKind::TableTable => 1..=2,
+        MachineKind::ThreeAxis | MachineKind::HeadHead | MachineKind::Lathe => 0..=0,
     };
     if !of_kind.contains(&chain.table.len()) {
         return Err(format!(
@@ -218,7 +220,7 @@ fn check_chain(chain: &Chain, kind: Kind, head_axes: &[RotaryAxis]) -> Result<()
 }
 
 /// `vector` at length 1, or `None` if it has no direction.
-fn normalised(vector: [f64; 3]) -> Option<[f64; 3]> {
+fn normalise(vector: [f64; 3]) -> Option<[f64; 3]> {
     // By the largest component first: the squares of very long or short ones leave the range.
     let largest = vector.iter().fold(0.0_f64, |largest, component| largest.max(component.abs()));
     if largest == 0.0 {
@@ -230,16 +232,16 @@ fn normalised(vector: [f64; 3]) -> Option<[f64; 3]> {
 }
 
 pub(super) fn write(machine: &Machine) -> NewSection {
-    let keys = Keys {
+    let keys = MachineKeys {
         name: machine.name.clone(),
         serial: machine.serial.clone(),
-        board: machine.board.map(board_text),
+        board: machine.board.map(format_board_id),
         kind: machine.kind,
         head_axes: machine.head_axes.iter().map(|axis| axis.name().to_string()).collect(),
         tool_direction: machine.tool_direction,
         chain: machine.volume.chain.as_ref().map(Chain::to_string),
     };
-    keys.write(NewSection::new("machine")).last("tool_direction")
+    keys.write(NewSection::new("machine")).with_key_last("tool_direction")
 }
 
 impl Machine {
@@ -248,7 +250,7 @@ impl Machine {
     #[must_use]
     pub fn angle_axes(&self) -> Vec<RotaryAxis> {
         match &self.volume.chain {
-            Some(chain) => chain.rotary(),
+            Some(chain) => chain.rotary_axes(),
             None => self.head_axes.clone(),
         }
     }

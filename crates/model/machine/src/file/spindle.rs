@@ -3,11 +3,11 @@
 //! A model that is not the source is kept: it is what the board falls back to.
 
 use super::{
-    key::{Form, Key, key, section},
-    read::Section,
-    table::{KeyValue, Table, choice, table, value, written},
+    key::{Key, ValueType, key, section},
+    reader::Section,
+    table::{KeyValue, Table, choice, read_or_default, table, write_key},
     tools::{self, Tools},
-    write::section::NewSection,
+    writer::section::NewSection,
 };
 use crate::{inputs::SensorInput, location::BadInput};
 
@@ -26,28 +26,29 @@ pub struct Spindle {
     pub tools: Option<Tools>,
 }
 
-pub(super) const SPINDLE: &[Key] = &[SOURCE, SENSOR, WARMUP, TEMPERATURE, TOOLS];
+pub(super) const SPINDLE_KEYS: &[Key] =
+    &[SOURCE_KEY, SENSOR_KEY, WARMUP_KEY, TEMPERATURE_KEY, TOOLS_KEY];
 
-const SOURCE: Key = key("source", Form::Choice(ElongationSource::NAMES), "", "the model of the growth in use; the others that are there are what the board falls back to. Without it nothing grows")
-    .as_in("\"sensor\"");
-const SENSOR: Key = section(
+const SOURCE_KEY: Key = key("source", ValueType::Choice(ElongationSource::NAMES), "", "the model of the growth in use; the others that are there are what the board falls back to. Without it nothing grows")
+    .with_example_value("\"sensor\"");
+const SENSOR_KEY: Key = section(
     ElongationSource::Sensor.name(),
     SensorKeys::KEYS,
     "growth by a displacement sensor: `k0_um` + (reading − zero) · slope",
 );
-const WARMUP: Key = section(
+const WARMUP_KEY: Key = section(
     ElongationSource::Warmup.name(),
     Warmup::KEYS,
     "growth over the time that the spindle has run",
 );
-const TEMPERATURE: Key = section(
+const TEMPERATURE_KEY: Key = section(
     ElongationSource::Temperature.name(),
     TemperatureModel::KEYS,
     "growth by a temperature: `k_um_per_c` · (T − `reference_c`)",
 );
-const TOOLS: Key = section(
+const TOOLS_KEY: Key = section(
     "tools",
-    tools::TOOLS,
+    tools::TOOL_LIST_KEYS,
     "growth with speed by tool, added to the model in use: `um_per_krpm2` · (n/1000)²",
 );
 
@@ -80,12 +81,12 @@ pub struct SensorModel {
 table! {
     /// The sensor's law as it is written: in counts, or in volts.
     struct SensorKeys {
-        k0_um: f64 = key(Number, "µm", "the growth at the zero reading").required().as_in("0.0");
-        zero_counts: Option<f64> = key(Number, "counts", "the reading when the machine is cold; or `zero_v`").as_in("5048.0");
-        um_per_count: Option<f64> = key(Number, "µm", "growth for one count, not 0; or `um_per_v`").as_in("0.0152587890625");
-        zero_v: Option<f64> = key(Number, "V", "the reading when the machine is cold, as a voltmeter shows it, in the place of `zero_counts`; needs `[inputs] sensor`").as_in("1.54");
-        um_per_v: Option<f64> = key(Number, "µm/V", "growth for one volt, as the sensor's data sheet says it, in the place of `um_per_count`; needs `[inputs] sensor`").as_in("50.0");
-        temperature: Option<String> = key(Column, "", "the column with the sensor's own temperature").as_in("\"temp_coil_c\"");
+        k0_um: f64 = key(Number, "µm", "the growth at the zero reading").required().with_example_value("0.0");
+        zero_counts: Option<f64> = key(Number, "counts", "the reading when the machine is cold; or `zero_v`").with_example_value("5048.0");
+        um_per_count: Option<f64> = key(Number, "µm", "growth for one count, not 0; or `um_per_v`").with_example_value("0.0152587890625");
+        zero_v: Option<f64> = key(Number, "V", "the reading when the machine is cold, as a voltmeter shows it, in the place of `zero_counts`; needs `[inputs] sensor`").with_example_value("1.54");
+        um_per_v: Option<f64> = key(Number, "µm/V", "growth for one volt, as the sensor's data sheet says it, in the place of `um_per_count`; needs `[inputs] sensor`").with_example_value("50.0");
+        temperature: Option<String> = key(Column, "", "the column with the sensor's own temperature").with_example_value("\"temp_coil_c\"");
     }
 }
 
@@ -94,21 +95,21 @@ table! {
     #[derive(Clone, Debug, PartialEq)]
     pub struct Warmup {
         /// t₁.
-        lag_s: f64 = key(NotNegative, "s", "from the start of the spindle until growth begins").required().as_in("60.0");
+        lag_s: f64 = key(NotNegative, "s", "from the start of the spindle until growth begins").required().with_example_value("60.0");
         /// t₂.
-        warm_s: f64 = key(Positive, "s", "from the start until it ends; above `lag_s`").required().as_in("5400.0");
+        warm_s: f64 = key(Positive, "s", "from the start until it ends; above `lag_s`").required().with_example_value("5400.0");
         /// Smax.
-        max_um: f64 = key(Number, "µm", "the growth in the end").required().as_in("80.0");
+        max_um: f64 = key(Number, "µm", "the growth in the end").required().with_example_value("80.0");
         /// k.
-        exponent: f64 = key(Positive, "", "how fast it rises; larger is faster at first").required().as_in("4.0");
+        exponent: f64 = key(Positive, "", "how fast it rises; larger is faster at first").required().with_example_value("4.0");
         /// `None`: the time constant of heating, [`Self::time_constant_s`].
-        cool_s: Option<f64> = key(Positive, "s", "time constant while the spindle stands; without it (`warm_s` − `lag_s`)/`exponent`").as_in("1335.0");
+        cool_s: Option<f64> = key(Positive, "s", "time constant while the spindle stands; without it (`warm_s` − `lag_s`)/`exponent`").with_example_value("1335.0");
         /// Always there if `speed_exponent` is not 0.
-        rated_rpm: Option<f64> = key(Positive, "r/min", "the speed at which `max_um` was recorded").as_in("24000.0");
-        /// p: the heat goes with (n/n_rated)^p.
-        speed_exponent: f64 = key(NotNegative, "", "growth goes with (n/`rated_rpm`) to this; 0: any speed heats fully").or("0.0");
+        rated_rpm: Option<f64> = key(Positive, "r/min", "the speed at which `max_um` was recorded").with_example_value("24000.0");
+        /// p: the heat is proportional to (n/n_rated)^p.
+        speed_exponent: f64 = key(NotNegative, "", "growth goes with (n/`rated_rpm`) to this; 0: any speed heats fully").with_default("0.0");
     }
-    checked by is_consistent
+    checked by check_consistency
 }
 
 impl Warmup {
@@ -130,27 +131,27 @@ table! {
     #[derive(Clone, Debug, PartialEq)]
     pub struct TemperatureModel {
         /// The run-file column of T, `temp_<name>_c`.
-        sensor: String = key(Column, "", "the column of the temperature").required().as_in("\"temp_front_c\"");
+        sensor: String = key(Column, "", "the column of the temperature").required().with_example_value("\"temp_front_c\"");
         /// T₀.
-        reference_c: f64 = key(Number, "°C", "the temperature at which nothing has grown").required().as_in("20.0");
+        reference_c: f64 = key(Number, "°C", "the temperature at which nothing has grown").required().with_example_value("20.0");
         /// k.
-        k_um_per_c: f64 = key(Number, "µm/K", "growth for one kelvin").required().as_in("2.0");
+        k_um_per_c: f64 = key(Number, "µm/K", "growth for one kelvin").required().with_example_value("2.0");
         /// 0: no lag.
-        lag_s: f64 = key(NotNegative, "s", "time constant by which growth follows the temperature").or("0.0");
+        lag_s: f64 = key(NotNegative, "s", "time constant by which growth follows the temperature").with_default("0.0");
     }
 }
 
 /// Returns the section; `input` is what `[inputs]` says of the displacement sensor.
 pub(super) fn read(section: &Section<'_>, input: Option<SensorInput>) -> Result<Spindle, BadInput> {
     let spindle = Spindle {
-        source: ElongationSource::at(section, &SOURCE)?,
+        source: ElongationSource::read_value(section, &SOURCE_KEY)?,
         sensor: section
-            .section(SENSOR.name)?
+            .section(SENSOR_KEY.name)?
             .map(|model| read_sensor(&model, input))
             .transpose()?,
-        warmup: value(section, &WARMUP)?,
-        temperature: value(section, &TEMPERATURE)?,
-        tools: section.section(TOOLS.name)?.map(|list| tools::read(&list)).transpose()?,
+        warmup: read_or_default(section, &WARMUP_KEY)?,
+        temperature: read_or_default(section, &TEMPERATURE_KEY)?,
+        tools: section.section(TOOLS_KEY.name)?.map(|list| tools::read(&list)).transpose()?,
     };
     let missing = spindle.source.filter(|source| match source {
         ElongationSource::Sensor => spindle.sensor.is_none(),
@@ -159,7 +160,7 @@ pub(super) fn read(section: &Section<'_>, input: Option<SensorInput>) -> Result<
     });
     if let Some(name) = missing.map(ElongationSource::name) {
         let rule = format!("is \"{name}\", but [spindle.{name}] is missing");
-        return Err(section.bad(SOURCE.name, rule));
+        return Err(section.key_error(SOURCE_KEY.name, rule));
     }
     Ok(spindle)
 }
@@ -167,20 +168,19 @@ pub(super) fn read(section: &Section<'_>, input: Option<SensorInput>) -> Result<
 fn read_sensor(section: &Section<'_>, input: Option<SensorInput>) -> Result<SensorModel, BadInput> {
     let keys = SensorKeys::read(section)?;
     let counts_per_v = input.map(|input| input.counts_full_scale / input.volts_full_scale);
-    let either =
-        |(counts, in_counts): (&str, Option<f64>),
-         (volts, in_volts): (&str, Option<f64>),
-         convert: fn(f64, f64) -> f64| match (in_counts, in_volts) {
-            (Some(_), Some(_)) => {
-                Err(section.bad(volts, format!("stands beside {counts}: write one of the two")))
-            }
-            (None, Some(value)) => match counts_per_v {
-                Some(counts_per_v) => Ok(rounded(convert(value, counts_per_v))),
-                None => Err(section
-                    .bad(volts, "needs [inputs] sensor, which says how many counts a volt is")),
-            },
-            (value, None) => section.required(counts, value),
-        };
+    let either = |(counts, in_counts): (&str, Option<f64>),
+                  (volts, in_volts): (&str, Option<f64>),
+                  convert: fn(f64, f64) -> f64| match (in_counts, in_volts) {
+        (Some(_), Some(_)) => {
+            Err(section.key_error(volts, format!("stands beside {counts}: write one of the two")))
+        }
+        (None, Some(value)) => match counts_per_v {
+            Some(counts_per_v) => Ok(round_to_significant_digits(convert(value, counts_per_v))),
+            None => Err(section
+                .key_error(volts, "needs [inputs] sensor, which says how many counts a volt is")),
+        },
+        (value, None) => section.required(counts, value),
+    };
     let zero = ("zero_counts", keys.zero_counts);
     let zero_counts = either(zero, ("zero_v", keys.zero_v), |v, counts_per_v| v * counts_per_v)?;
     let slope = ("um_per_count", keys.um_per_count);
@@ -189,22 +189,22 @@ fn read_sensor(section: &Section<'_>, input: Option<SensorInput>) -> Result<Sens
     })?;
     if um_per_count == 0.0 {
         let key = if keys.um_per_v.is_some() { "um_per_v" } else { "um_per_count" };
-        return Err(section.bad(key, "must not be 0"));
+        return Err(section.key_error(key, "must not be 0"));
     }
     Ok(SensorModel { k0_um: keys.k0_um, zero_counts, um_per_count, temperature: keys.temperature })
 }
 
-fn is_consistent(section: &Section<'_>, warmup: Warmup) -> Result<Warmup, BadInput> {
+fn check_consistency(section: &Section<'_>, warmup: Warmup) -> Result<Warmup, BadInput> {
     if warmup.warm_s <= warmup.lag_s {
         let rule = format!(
             "must be above lag_s = {}, not {}: the spindle warms up in between",
             warmup.lag_s, warmup.warm_s
         );
-        return Err(section.bad("warm_s", rule));
+        return Err(section.key_error("warm_s", rule));
     }
     if warmup.speed_exponent != 0.0 && warmup.rated_rpm.is_none() {
         let rule = "needs rated_rpm: the heat goes with (n/rated_rpm)^speed_exponent";
-        return Err(section.bad("speed_exponent", rule));
+        return Err(section.key_error("speed_exponent", rule));
     }
     Ok(warmup)
 }
@@ -213,25 +213,25 @@ pub(super) fn write(spindle: &Spindle) -> Vec<NewSection> {
     let inner = |key: Key| NewSection::new(format!("spindle.{}", key.name));
     let mut sections = Vec::new();
     if let Some(source) = spindle.source {
-        sections.push(written(NewSection::new("spindle"), &SOURCE, &source));
+        sections.push(write_key(NewSection::new("spindle"), &SOURCE_KEY, &source));
     }
     sections.extend(spindle.sensor.clone().map(|it| {
         let SensorModel { k0_um, zero_counts, um_per_count, temperature } = it;
         let (zero_counts, um_per_count) = (Some(zero_counts), Some(um_per_count));
         let (zero_v, um_per_v) = (None, None);
         SensorKeys { k0_um, zero_counts, um_per_count, zero_v, um_per_v, temperature }
-            .write(inner(SENSOR))
+            .write(inner(SENSOR_KEY))
     }));
-    sections.extend(spindle.temperature.as_ref().map(|it| it.write(inner(TEMPERATURE))));
+    sections.extend(spindle.temperature.as_ref().map(|it| it.write(inner(TEMPERATURE_KEY))));
     sections.extend(spindle.warmup.as_ref().map(|it| {
-        let section = it.write(inner(WARMUP));
-        if it.rated_rpm.is_some() { section } else { section.without(&["speed_exponent"]) }
+        let section = it.write(inner(WARMUP_KEY));
+        if it.rated_rpm.is_some() { section } else { section.without_keys(&["speed_exponent"]) }
     }));
-    sections.extend(spindle.tools.as_ref().map(|it| tools::write(inner(TOOLS), it)));
+    sections.extend(spindle.tools.as_ref().map(|it| tools::write(inner(TOOLS_KEY), it)));
     sections
 }
 
 /// Returns a converted number without the rounding of `f64` in its last digits: 2.1 V of 3276.8 counts are 6881.28.
-fn rounded(value: f64) -> f64 {
+fn round_to_significant_digits(value: f64) -> f64 {
     format!("{value:.13e}").parse().unwrap_or(value)
 }

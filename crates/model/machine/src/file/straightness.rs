@@ -3,11 +3,12 @@
 use super::{
     axis::LinearAxis::{self, X, Y, Z},
     key::{
-        Form::{Number, Numbers, Whole},
-        Key, key, section,
+        Key,
+        ValueType::{Number, Numbers, Whole},
+        key, section,
     },
-    read::{MAX_ELEMENTS, Section},
-    write::section::{NewSection, Value},
+    reader::{MAX_ARRAY_LENGTH, Section},
+    writer::section::{NewSection, Value},
 };
 use crate::location::BadInput;
 
@@ -24,13 +25,13 @@ pub struct Straightness {
 
 impl Straightness {
     /// The six pairs (error, along), in the order of the format's description.
-    pub const PAIRS: [(LinearAxis, LinearAxis); 6] =
+    pub const AXIS_PAIRS: [(LinearAxis, LinearAxis); 6] =
         [(Y, X), (Z, X), (Z, Y), (X, Y), (X, Z), (Y, Z)];
 
     /// Returns the name of its section under `[straightness]`: `z_of_x`.
     #[must_use]
     pub fn name(&self) -> String {
-        key_of(STRAIGHTNESS, (self.error, self.along)).map_or("", |key| key.name).to_string()
+        pair_key(STRAIGHTNESS_KEYS, (self.error, self.along)).map_or("", |key| key.name).to_string()
     }
 }
 
@@ -50,18 +51,18 @@ impl Squareness {
     /// Its key under `[squareness]`: `x_of_y_um_per_m`.
     #[must_use]
     pub fn name(&self) -> String {
-        key_of(SQUARENESS, (self.error, self.along)).map_or("", |key| key.name).to_string()
+        pair_key(SQUARENESS_KEYS, (self.error, self.along)).map_or("", |key| key.name).to_string()
     }
 }
 
 /// Returns the key of a pair; `None` where it is no pair of two axes.
-fn key_of(keys: &'static [Key], pair: (LinearAxis, LinearAxis)) -> Option<&'static Key> {
-    Straightness::PAIRS.iter().zip(keys).find(|(it, _)| **it == pair).map(|(_, key)| key)
+fn pair_key(keys: &'static [Key], pair: (LinearAxis, LinearAxis)) -> Option<&'static Key> {
+    Straightness::AXIS_PAIRS.iter().zip(keys).find(|(it, _)| **it == pair).map(|(_, key)| key)
 }
 
 /// A clamped B-spline: µm over mm.
 ///
-/// Whatever is read from a machine file passes [`Self::check`].
+/// Whatever is read from a machine file passes [`Self::validate`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct BSpline {
     /// The degree plus one: 2, 3 or 4.
@@ -75,7 +76,7 @@ pub struct BSpline {
 
 /// A rule that a spline breaks.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct SplineFault {
+pub struct SplineError {
     /// The field at fault, with the index of the element where one is: `knots_mm[3]`.
     pub key: String,
     /// The rule that is broken; it goes on after the key.
@@ -87,8 +88,8 @@ impl BSpline {
     ///
     /// # Errors
     /// The first rule that is broken, of those that the fields state.
-    pub fn check(&self) -> Result<(), SplineFault> {
-        let fault = |key: &str, rule: String| SplineFault { key: key.to_string(), rule };
+    pub fn validate(&self) -> Result<(), SplineError> {
+        let fault = |key: &str, rule: String| SplineError { key: key.to_string(), rule };
         let Self { order, knots_mm: knots, control_um: control } = self;
         let order = *order;
         if !(2..=4).contains(&order) {
@@ -153,47 +154,51 @@ impl BSpline {
 /// Keys of a spline: its order, its knots, its control points.
 pub(crate) type SplineKeys = [Key; 3];
 
-const CURVE: SplineKeys = [
-    key("order", Whole(2, 4), "", "degree plus one; 4 is cubic").required().as_in("4"),
-    KNOTS.required(),
+const SPLINE_KEYS: SplineKeys = [
+    key("order", Whole(2, 4), "", "degree plus one; 4 is cubic").required().with_example_value("4"),
+    KNOTS_KEY.required(),
     key("control_um", Numbers, "µm", "the control points")
         .required()
-        .as_in("[0.0, 3.0, -2.0, 4.0, 0.0]"),
+        .with_example_value("[0.0, 3.0, -2.0, 4.0, 0.0]"),
 ];
 
 /// The knots of a spline.
-pub(super) const KNOTS: Key = key("knots_mm", Numbers, "mm", "as many as control points and `order` together, not falling; the first and the last stand there `order` times")
-    .as_in("[0.0, 0.0, 0.0, 0.0, 500.0, 1000.0, 1000.0, 1000.0, 1000.0]");
+pub(super) const KNOTS_KEY: Key = key("knots_mm", Numbers, "mm", "as many as control points and `order` together, not falling; the first and the last stand there `order` times")
+    .with_example_value("[0.0, 0.0, 0.0, 0.0, 500.0, 1000.0, 1000.0, 1000.0, 1000.0]");
 
-/// In the order of [`Straightness::PAIRS`].
-pub(super) const STRAIGHTNESS: &[Key] = &[
-    section("y_of_x", &CURVE, "the B-spline of Y's deviation while X moves"),
-    section("z_of_x", &CURVE, "of Z while X moves"),
-    section("z_of_y", &CURVE, "of Z while Y moves"),
-    section("x_of_y", &CURVE, "of X while Y moves"),
-    section("x_of_z", &CURVE, "of X while Z moves"),
-    section("y_of_z", &CURVE, "of Y while Z moves"),
+/// In the order of [`Straightness::AXIS_PAIRS`].
+pub(super) const STRAIGHTNESS_KEYS: &[Key] = &[
+    section("y_of_x", &SPLINE_KEYS, "the B-spline of Y's deviation while X moves"),
+    section("z_of_x", &SPLINE_KEYS, "of Z while X moves"),
+    section("z_of_y", &SPLINE_KEYS, "of Z while Y moves"),
+    section("x_of_y", &SPLINE_KEYS, "of X while Y moves"),
+    section("x_of_z", &SPLINE_KEYS, "of X while Z moves"),
+    section("y_of_z", &SPLINE_KEYS, "of Y while Z moves"),
 ];
 
-const fn line(name: &'static str, meaning: &'static str) -> Key {
-    key(name, Number, "µm/m", meaning).as_in("3.5")
+const fn squareness_key(name: &'static str, meaning: &'static str) -> Key {
+    key(name, Number, "µm/m", meaning).with_example_value("3.5")
 }
 
-/// In the order of [`Straightness::PAIRS`].
-pub(super) const SQUARENESS: &[Key] = &[
-    line("y_of_x_um_per_m", "error of Y for each metre of X"),
-    line("z_of_x_um_per_m", "of Z for each metre of X"),
-    line("z_of_y_um_per_m", "of Z for each metre of Y"),
-    line("x_of_y_um_per_m", "of X for each metre of Y"),
-    line("x_of_z_um_per_m", "of X for each metre of Z"),
-    line("y_of_z_um_per_m", "of Y for each metre of Z"),
+/// In the order of [`Straightness::AXIS_PAIRS`].
+pub(super) const SQUARENESS_KEYS: &[Key] = &[
+    squareness_key("y_of_x_um_per_m", "error of Y for each metre of X"),
+    squareness_key("z_of_x_um_per_m", "of Z for each metre of X"),
+    squareness_key("z_of_y_um_per_m", "of Z for each metre of Y"),
+    squareness_key("x_of_y_um_per_m", "of X for each metre of Y"),
+    squareness_key("x_of_z_um_per_m", "of X for each metre of Z"),
+    squareness_key("y_of_z_um_per_m", "of Y for each metre of Z"),
 ];
 
 pub(super) fn read_straightness(section: &Section<'_>) -> Result<Vec<Straightness>, BadInput> {
     let mut curves = Vec::new();
-    for ((error, along), key) in Straightness::PAIRS.into_iter().zip(STRAIGHTNESS) {
+    for ((error, along), key) in Straightness::AXIS_PAIRS.into_iter().zip(STRAIGHTNESS_KEYS) {
         if let Some(section) = section.section(key.name)? {
-            curves.push(Straightness { error, along, spline: read_spline(&section, &CURVE)? });
+            curves.push(Straightness {
+                error,
+                along,
+                spline: read_spline(&section, &SPLINE_KEYS)?,
+            });
         }
     }
     Ok(curves)
@@ -202,22 +207,22 @@ pub(super) fn read_straightness(section: &Section<'_>) -> Result<Vec<Straightnes
 /// Returns a spline among the keys of `section`, which may have others.
 pub(crate) fn read_spline(section: &Section<'_>, keys: &SplineKeys) -> Result<BSpline, BadInput> {
     let [order, knots, control] = keys.map(|key| key.name);
-    let order = section.required(order, section.whole(order, 0, u32::MAX)?)?;
+    let order = section.required(order, section.integer(order, 0, u32::MAX)?)?;
     let knots_mm = section.required(knots, section.numbers(knots)?)?;
     let control_um = section.required(control, section.numbers(control)?)?;
     // An order beyond every array is as wrong as any other that is not 2, 3 or 4.
-    let order = usize::try_from(order).unwrap_or(MAX_ELEMENTS);
+    let order = usize::try_from(order).unwrap_or(MAX_ARRAY_LENGTH);
     let spline = BSpline { order, knots_mm, control_um };
-    spline.check().map_err(|fault| {
-        let named = |text: String| text.replace(CURVE[2].name, control);
-        section.bad(&named(fault.key), named(fault.rule))
+    spline.validate().map_err(|fault| {
+        let named = |text: String| text.replace(SPLINE_KEYS[2].name, control);
+        section.key_error(&named(fault.key), named(fault.rule))
     })?;
     Ok(spline)
 }
 
 pub(super) fn read_squareness(section: &Section<'_>) -> Result<Vec<Squareness>, BadInput> {
     let mut angles = Vec::new();
-    for ((error, along), key) in Straightness::PAIRS.into_iter().zip(SQUARENESS) {
+    for ((error, along), key) in Straightness::AXIS_PAIRS.into_iter().zip(SQUARENESS_KEYS) {
         if let Some(um_per_m) = section.number(key.name)? {
             angles.push(Squareness { error, along, um_per_m });
         }
@@ -227,12 +232,12 @@ pub(super) fn read_squareness(section: &Section<'_>) -> Result<Vec<Squareness>, 
 
 pub(super) fn write_straightness(curve: &Straightness) -> NewSection {
     let section = NewSection::new(format!("straightness.{}", curve.name()));
-    write_spline(section, &curve.spline, &CURVE)
+    write_spline(section, &curve.spline, &SPLINE_KEYS)
 }
 
 /// Returns `section` with a spline after the keys that it has.
 pub(super) fn write_spline(section: NewSection, spline: &BSpline, keys: &SplineKeys) -> NewSection {
-    let with = |section: NewSection, (key, value)| section.with(key, value);
+    let with = |section: NewSection, (key, value)| section.with_value(key, value);
     spline_entries(spline, keys).into_iter().fold(section, with)
 }
 
@@ -251,6 +256,6 @@ pub(crate) fn spline_entries(spline: &BSpline, keys: &SplineKeys) -> [(&'static 
 pub(super) fn write_squareness(angles: &[Squareness]) -> Option<NewSection> {
     let section = NewSection::new("squareness");
     let with =
-        |section: NewSection, angle: &Squareness| section.number(angle.name(), angle.um_per_m);
+        |section: NewSection, angle: &Squareness| section.with_number(angle.name(), angle.um_per_m);
     (!angles.is_empty()).then(|| angles.iter().fold(section, with))
 }

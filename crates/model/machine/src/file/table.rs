@@ -6,9 +6,9 @@
 use std::path::Path;
 
 use super::{
-    key::{Form, Key, Need},
-    read::{Document, Section},
-    write::section::{NewSection, Value},
+    key::{Key, Requirement, ValueType},
+    reader::{Document, Section},
+    writer::section::{NewSection, Value},
 };
 use crate::location::BadInput;
 
@@ -52,7 +52,7 @@ macro_rules! table {
         impl $crate::file::table::Table for $Name {
             const KEYS: &'static [$crate::file::key::Key] = {
                 #[allow(unused_imports, reason = "a table whose keys all stand elsewhere, as those of causes, names no form")]
-                use $crate::file::key::{Form::*, key};
+                use $crate::file::key::{ValueType::*, key};
                 &[$($key $((stringify!($field), $form, $unit, $meaning))?
                     $(.$property($($argument),*))*),*]
             };
@@ -60,22 +60,22 @@ macro_rules! table {
             const NAMES: &'static [&'static str] = &[$(stringify!($field)),*];
 
             fn read(
-                section: &$crate::file::read::Section<'_>,
+                section: &$crate::file::reader::Section<'_>,
             ) -> Result<Self, $crate::location::BadInput> {
                 let mut keys = Self::KEYS.iter();
                 let mut next = || keys.next().expect("one for each field");
-                let table = Self { $($field: $crate::file::table::value(section, next())?),* };
+                let table = Self { $($field: $crate::file::table::read_or_default(section, next())?),* };
                 $(let table = $rules(section, table)?;)?
                 Ok(table)
             }
 
             fn write(
                 &self,
-                section: $crate::file::write::section::NewSection,
-            ) -> $crate::file::write::section::NewSection {
+                section: $crate::file::writer::section::NewSection,
+            ) -> $crate::file::writer::section::NewSection {
                 let mut keys = Self::KEYS.iter();
                 let mut next = || keys.next().expect("one for each field");
-                $(let section = $crate::file::table::written(section, next(), &self.$field);)*
+                $(let section = $crate::file::table::write_key(section, next(), &self.$field);)*
                 section
             }
         }
@@ -110,18 +110,18 @@ macro_rules! choice {
         }
 
         impl $crate::file::table::KeyValue for $Name {
-            fn at(
-                section: &$crate::file::read::Section<'_>,
+            fn read_value(
+                section: &$crate::file::reader::Section<'_>,
                 key: &$crate::file::key::Key,
             ) -> Result<Option<Self>, $crate::location::BadInput> {
                 section.choice(key.name, &Self::ALL.map(|choice| (choice.name(), choice)))
             }
 
-            fn written(
+            fn to_value(
                 &self,
                 _: &$crate::file::key::Key,
-            ) -> Option<$crate::file::write::section::Value> {
-                Some($crate::file::write::section::Value::Text(self.name().into()))
+            ) -> Option<$crate::file::writer::section::Value> {
+                Some($crate::file::writer::section::Value::Text(self.name().into()))
             }
         }
     };
@@ -147,49 +147,52 @@ pub(crate) trait Table: Sized {
 /// A value of a key.
 pub(crate) trait KeyValue: Sized {
     /// Returns what stands at `key`, if it is there.
-    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput>;
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput>;
 
     /// Returns it as it is written; `None` where it is not, or in a section of its own.
-    fn written(&self, key: &Key) -> Option<Value>;
+    fn to_value(&self, key: &Key) -> Option<Value>;
 
     /// Returns the value of an optional key that is not there.
-    fn absent(_: &Key) -> Option<Self> {
+    fn default_value(_: &Key) -> Option<Self> {
         None
     }
 }
 
 /// Returns the value of `key`: what stands there, or what holds without it.
-pub(crate) fn value<T: KeyValue>(section: &Section<'_>, key: &Key) -> Result<T, BadInput> {
-    let there = T::at(section, key)?;
-    section.required(key.name, there.or_else(|| without(key)))
+pub(crate) fn read_or_default<T: KeyValue>(
+    section: &Section<'_>,
+    key: &Key,
+) -> Result<T, BadInput> {
+    let there = T::read_value(section, key)?;
+    section.required(key.name, there.or_else(|| resolve_default(key)))
 }
 
 /// Returns what holds without `key`; `None` where it must be there.
-fn without<T: KeyValue>(key: &Key) -> Option<T> {
+fn resolve_default<T: KeyValue>(key: &Key) -> Option<T> {
     match key.need {
-        Need::Required => None,
-        Need::Optional => T::absent(key),
-        Need::Default(default) => {
+        Requirement::Required => None,
+        Requirement::Optional => T::default_value(key),
+        Requirement::Default(default) => {
             let text = format!("{} = {default}", key.name);
             let document = Document::parse(&text, Path::new("")).ok()?;
-            T::at(&document.root(), key).ok().flatten()
+            T::read_value(&document.root(), key).ok().flatten()
         }
     }
 }
 
 /// Returns a table of which no key is there; `None` where one must be.
-pub(crate) fn empty<T: Table>() -> Option<T> {
+pub(crate) fn default_table<T: Table>() -> Option<T> {
     let document = Document::parse("", Path::new("")).ok()?;
     T::read(&document.root()).ok()
 }
 
 /// Returns `section` with this key.
-pub(crate) fn written<T: KeyValue>(section: NewSection, key: &Key, value: &T) -> NewSection {
-    let written = value.written(key);
+pub(crate) fn write_key<T: KeyValue>(section: NewSection, key: &Key, value: &T) -> NewSection {
+    let written = value.to_value(key);
     let is_left_out =
-        key.is_quiet && without::<T>(key).is_some_and(|it| it.written(key) == written);
+        key.is_quiet && resolve_default::<T>(key).is_some_and(|it| it.to_value(key) == written);
     match written {
-        Some(value) if !is_left_out => section.with(key.name, value),
+        Some(value) if !is_left_out => section.with_value(key.name, value),
         _ => section,
     }
 }
@@ -202,157 +205,161 @@ pub(crate) fn entries<T: Table>(table: &T) -> Vec<(&'static str, Value)> {
 }
 
 /// Returns a table as it is written on one line.
-pub(crate) fn on_one_line(table: &impl Table) -> Value {
-    inline(entries(table))
+pub(crate) fn to_inline_table(table: &impl Table) -> Value {
+    build_inline_table(entries(table))
 }
 
 /// Returns keys as they are written on one line.
-pub(crate) fn inline(entries: Vec<(&str, Value)>) -> Value {
+pub(crate) fn build_inline_table(entries: Vec<(&str, Value)>) -> Value {
     let entry = |(name, value): (&str, Value)| (name.to_string(), value);
     Value::Inline(entries.into_iter().map(entry).collect())
 }
 
 impl<T: Table> KeyValue for T {
-    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
         section.section(key.name)?.map(|inner| T::read(&inner)).transpose()
     }
 
-    fn written(&self, key: &Key) -> Option<Value> {
-        key.is_inline.then(|| on_one_line(self))
+    fn to_value(&self, key: &Key) -> Option<Value> {
+        key.is_inline.then(|| to_inline_table(self))
     }
 
-    fn absent(_: &Key) -> Option<Self> {
-        empty()
+    fn default_value(_: &Key) -> Option<Self> {
+        default_table()
     }
 }
 
 impl<T: KeyValue> KeyValue for Option<T> {
-    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
-        Ok(T::at(section, key)?.map(Some))
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+        Ok(T::read_value(section, key)?.map(Some))
     }
 
-    fn written(&self, key: &Key) -> Option<Value> {
-        self.as_ref()?.written(key)
+    fn to_value(&self, key: &Key) -> Option<Value> {
+        self.as_ref()?.to_value(key)
     }
 
-    fn absent(_: &Key) -> Option<Self> {
+    fn default_value(_: &Key) -> Option<Self> {
         Some(None)
     }
 }
 
 impl KeyValue for f64 {
-    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
         match key.form {
-            Form::Positive => section.positive(key.name),
-            Form::NotNegative => section.not_negative(key.name),
+            ValueType::Positive => section.positive(key.name),
+            ValueType::NotNegative => section.non_negative(key.name),
             _ => section.number(key.name),
         }
     }
 
-    fn written(&self, _: &Key) -> Option<Value> {
+    fn to_value(&self, _: &Key) -> Option<Value> {
         Some(Value::Number(*self))
     }
 
-    fn absent(_: &Key) -> Option<Self> {
+    fn default_value(_: &Key) -> Option<Self> {
         Some(0.0)
     }
 }
 
 impl KeyValue for u32 {
-    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
-        let Form::Whole(least, most) = key.form else { return Ok(None) };
-        section.whole(key.name, least, most)
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+        let ValueType::Whole(least, most) = key.form else { return Ok(None) };
+        section.integer(key.name, least, most)
     }
 
-    fn written(&self, _: &Key) -> Option<Value> {
+    fn to_value(&self, _: &Key) -> Option<Value> {
         Some(Value::Whole(*self))
     }
 }
 
 impl KeyValue for u8 {
-    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
-        let whole = u32::at(section, key)?;
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+        let whole = u32::read_value(section, key)?;
         Ok(whole.map(|it| u8::try_from(it).expect("the key's range is within that of u8")))
     }
 
-    fn written(&self, _: &Key) -> Option<Value> {
+    fn to_value(&self, _: &Key) -> Option<Value> {
         Some(Value::Whole((*self).into()))
     }
 }
 
 impl KeyValue for u16 {
-    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
-        let whole = u32::at(section, key)?;
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+        let whole = u32::read_value(section, key)?;
         Ok(whole.map(|it| u16::try_from(it).expect("the key's range is within that of u16")))
     }
 
-    fn written(&self, _: &Key) -> Option<Value> {
+    fn to_value(&self, _: &Key) -> Option<Value> {
         Some(Value::Whole((*self).into()))
     }
 }
 
 impl KeyValue for bool {
-    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
         match key.form {
-            Form::Whole(..) => Ok(u32::at(section, key)?.map(|whole| whole != 0)),
+            ValueType::Whole(..) => Ok(u32::read_value(section, key)?.map(|whole| whole != 0)),
             _ => section.boolean(key.name),
         }
     }
 
-    fn written(&self, key: &Key) -> Option<Value> {
+    fn to_value(&self, key: &Key) -> Option<Value> {
         Some(match key.form {
-            Form::Whole(..) => Value::Whole((*self).into()),
+            ValueType::Whole(..) => Value::Whole((*self).into()),
             _ => Value::Boolean(*self),
         })
     }
 }
 
 impl KeyValue for String {
-    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
         let text = match key.form {
-            Form::Column => section.temperature_column(key.name)?,
+            ValueType::Column => section.temperature_column(key.name)?,
             _ => section.text(key.name)?,
         };
         Ok(text.map(str::to_string))
     }
 
-    fn written(&self, _: &Key) -> Option<Value> {
+    fn to_value(&self, _: &Key) -> Option<Value> {
         Some(Value::Text(self.clone()))
     }
 }
 
 impl KeyValue for Vec<String> {
-    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
-        let texts = section.texts(key.name)?;
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+        let texts = section.strings(key.name)?;
         Ok(texts.map(|texts| texts.into_iter().map(str::to_string).collect()))
     }
 
-    fn written(&self, _: &Key) -> Option<Value> {
+    fn to_value(&self, _: &Key) -> Option<Value> {
         Some(Value::Texts(self.clone()))
     }
 }
 
 impl KeyValue for Vec<f64> {
-    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
         section.numbers(key.name)
     }
 
-    fn written(&self, _: &Key) -> Option<Value> {
+    fn to_value(&self, _: &Key) -> Option<Value> {
         Some(Value::Numbers(self.clone()))
     }
 }
 
 /// Three numbers: an array, or a table with three keys.
 impl KeyValue for [f64; 3] {
-    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
-        let Form::Table([x, y, z]) = key.form else { return section.vector(key.name) };
+    fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+        let ValueType::Table([x, y, z]) = key.form else { return section.vector(key.name) };
         let Some(inner) = section.section(key.name)? else { return Ok(None) };
-        Ok(Some([value(&inner, x)?, value(&inner, y)?, value(&inner, z)?]))
+        Ok(Some([
+            read_or_default(&inner, x)?,
+            read_or_default(&inner, y)?,
+            read_or_default(&inner, z)?,
+        ]))
     }
 
-    fn written(&self, key: &Key) -> Option<Value> {
+    fn to_value(&self, key: &Key) -> Option<Value> {
         Some(match key.form {
-            Form::Table(keys) => {
+            ValueType::Table(keys) => {
                 let entry = |(key, value): (&Key, &f64)| (key.name.into(), Value::Number(*value));
                 Value::Inline(keys.iter().zip(self).map(entry).collect())
             }
@@ -360,8 +367,8 @@ impl KeyValue for [f64; 3] {
         })
     }
 
-    fn absent(key: &Key) -> Option<Self> {
-        let Form::Table([x, y, z]) = key.form else { return None };
-        Some([without(x)?, without(y)?, without(z)?])
+    fn default_value(key: &Key) -> Option<Self> {
+        let ValueType::Table([x, y, z]) = key.form else { return None };
+        Some([resolve_default(x)?, resolve_default(y)?, resolve_default(z)?])
     }
 }

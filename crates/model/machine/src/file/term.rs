@@ -1,15 +1,15 @@
 //! `[[term]]`: what a diagnosis has added to the model, one cause a table.
 //!
 //! A term changes the prediction p of one quantity. Its keys, and what they do, are on the
-//! page of its [cause](crate::effect). Terms act in the order of their stages ([`in_order`]).
+//! page of its [cause](crate::effect). Terms act in the order of their stages ([`sorted_by_stage`]).
 //!
 //! `constant_um` is added by any of them: the reference of a measurement is arbitrary. It is among
 //! what is added, whatever the term is.
 
-use super::{AxisModel, Spindle, read::Section, write::section::NewSection};
+use super::{AxisModel, Spindle, reader::Section, writer::section::NewSection};
 use crate::{
-    effect::{Cause, Effect, Host, Quantity, Within},
-    location::{BadInput, did_you_mean, shortened},
+    effect::{Cause, Effect, Quantity, RangeLimited, TermContext},
+    location::{BadInput, did_you_mean, truncate_text},
 };
 
 /// One `[[term]]`.
@@ -24,29 +24,29 @@ pub struct Term {
 }
 
 /// Returns the terms in the order in which they act, each with its number in the file, from 0: by their
-/// [stages](crate::effect::Stage), of one stage as they stand in the file.
+/// [stages](crate::compile_effect::PredictionStage), of one stage as they stand in the file.
 #[must_use]
-pub fn in_order(terms: &[Term]) -> Vec<(usize, &Term)> {
+pub(crate) fn sorted_by_stage(terms: &[Term]) -> Vec<(usize, &Term)> {
     let mut ordered: Vec<(usize, &Term)> = terms.iter().enumerate().collect();
     ordered.sort_by_key(|(_, term)| term.effect.stage());
     ordered
 }
 
 /// Keys that every term may have.
-const COMMON: [&str; 6] =
+const COMMON_KEYS: [&str; 6] =
     ["cause", "quantity", "constant_um", "where_column", "where_above", "where_below"];
 
 pub(super) fn read(section: &Section<'_>) -> Result<Term, BadInput> {
     let name = section.required("cause", section.text("cause")?)?;
-    let cause = Cause::named(name).ok_or_else(|| {
+    let cause = Cause::from_name(name).ok_or_else(|| {
         let near = did_you_mean(name, Cause::ALL.iter().map(|cause| cause.name()));
-        section.bad("cause", format!("\"{}\" is not known{near}", shortened(name)))
+        section.key_error("cause", format!("\"{}\" is not known{near}", truncate_text(name)))
     })?;
-    section.allow_only(&[&COMMON[..], cause.keys(section)].concat())?;
+    section.reject_unknown_keys(&[&COMMON_KEYS[..], cause.keys(section)].concat())?;
     let quantities = Quantity::ALL.map(|quantity| (quantity.name(), quantity));
     let quantity = section.required("quantity", section.choice("quantity", &quantities)?)?;
     let constant_um = section.number("constant_um")?.unwrap_or(0.0);
-    let effect = Within::read(section, cause.read(section)?)?;
+    let effect = RangeLimited::read(section, cause.read(section)?)?;
     Ok(Term { quantity, constant_um, effect })
 }
 
@@ -59,13 +59,13 @@ pub(super) fn check(
     axes: &[AxisModel; 3],
 ) -> Result<(), BadInput> {
     let axis = term.quantity.axis().map(|axis| &axes[axis.index()]);
-    let host = Host {
+    let host = TermContext {
         quantity: term.quantity,
         spindle,
         thermal: axis.and_then(|axis| axis.thermal.as_ref()),
     };
-    match term.effect.refused(&host) {
-        Some(rule) => Err(section.bad("cause", rule)),
+    match term.effect.refusal_reason(&host) {
+        Some(rule) => Err(section.key_error("cause", rule)),
         None => Ok(()),
     }
 }
@@ -75,26 +75,26 @@ impl Term {
     ///
     /// ```
     /// use trueup_machine::effect::{Effect, Quantity, SensorGain};
-    /// use trueup_machine::file::{Term, write::Edit};
+    /// use trueup_machine::file::{Term, writer::Edit};
     /// let term = Term {
     ///     quantity: Quantity::Elongation,
     ///     constant_um: 0.0,
     ///     effect: Effect::SensorGain(SensorGain { gain: 1.2975 }),
     /// };
-    /// let edit = Edit { appended: vec![term.section()], ..Edit::default() };
+    /// let edit = Edit { appended: vec![term.to_section()], ..Edit::default() };
     /// let text = "[[term]]\ncause = \"sensor-gain\"\nquantity = \"elongation\"\ngain = 1.2975\n";
     /// assert_eq!(edit.to_toml(), text);
     /// ```
     #[must_use]
-    pub fn section(&self) -> NewSection {
+    pub fn to_section(&self) -> NewSection {
         let section = NewSection::new("term")
-            .text("cause", self.effect.name())
-            .text("quantity", self.quantity.name());
+            .with_text("cause", self.effect.name())
+            .with_text("quantity", self.quantity.name());
         let entries = self.effect.entries().into_iter();
-        let section = entries.fold(section, |section, (key, value)| section.with(key, value));
+        let section = entries.fold(section, |section, (key, value)| section.with_value(key, value));
         match self.constant_um {
             0.0 => section,
-            constant_um => section.number("constant_um", constant_um),
+            constant_um => section.with_number("constant_um", constant_um),
         }
     }
 }

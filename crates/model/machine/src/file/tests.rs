@@ -1,5 +1,5 @@
 use super::*;
-use trueup_core::calibration::Mains;
+use trueup_core::calibration::MainsFrequency;
 
 use crate::inputs::{CountScale, LinearInput, TemperatureInput, TemperatureKind};
 
@@ -13,7 +13,7 @@ const SHORTEST: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n";
 fn what_is_left_out_has_the_documented_defaults() {
     let machine = parse(SHORTEST);
     assert_eq!(machine.name, "mill");
-    assert_eq!(machine.kind, Kind::ThreeAxis);
+    assert_eq!(machine.kind, MachineKind::ThreeAxis);
     assert_eq!(machine.tool_direction, [0.0, 0.0, -1.0]);
     assert_eq!(machine.inputs, None);
     assert_eq!(machine.spindle, Spindle::default());
@@ -123,9 +123,9 @@ fn the_tool_direction_is_normalised_however_long_it_is_written() {
 fn a_key_keeps_its_place_for_rules_found_broken_later() {
     let text = format!("{SHORTEST}[limits]\nmax_um = {{ x = 1.0 }}\n");
     let machine = parse(&text);
-    let place = machine.places.of("limits.max_um.x");
+    let place = machine.places.locate("limits.max_um.x");
     assert_eq!((place.line, place.column), (5, 16));
-    let place = machine.places.of("limits.hold_ms");
+    let place = machine.places.locate("limits.hold_ms");
     assert_eq!((place.line, place.column), (4, 2));
 }
 
@@ -170,7 +170,7 @@ fn what_the_instrument_is_worth_is_read_written_and_above_zero() {
 #[test]
 fn mains_have_50_or_60_hz_and_nothing_between() {
     let inputs = |hz: &str| format!("{SHORTEST}[inputs]\nmains_hz = {hz}\n");
-    for (hz, mains) in [("50", Mains::Hz50), ("60", Mains::Hz60)] {
+    for (hz, mains) in [("50", MainsFrequency::Hz50), ("60", MainsFrequency::Hz60)] {
         let machine = parse(&inputs(hz));
         assert_eq!(machine.inputs.as_ref().map(|inputs| inputs.mains), Some(mains));
         // It comes back from the file that is written.
@@ -185,25 +185,26 @@ fn mains_have_50_or_60_hz_and_nothing_between() {
 
 #[test]
 fn the_keys_of_pairs_of_axes_stand_in_the_order_of_the_pairs() {
-    for (error, along) in Straightness::PAIRS {
+    for (error, along) in Straightness::AXIS_PAIRS {
         let pair = format!("{}_of_{}", error.name(), along.name());
         let spline = BSpline { order: 2, knots_mm: Vec::new(), control_um: Vec::new() };
         assert_eq!(Straightness { error, along, spline }.name(), pair);
         let squareness = Squareness { error, along, um_per_m: 0.0 };
         assert_eq!(squareness.name(), format!("{pair}_um_per_m"));
     }
-    for (about, along) in Angular::all() {
-        let angular = Angular { about, along, angle: Angle::Line(0.0) };
+    for (about, along) in AngularErrorMotion::all_axis_pairs() {
+        let angular = AngularErrorMotion { about, along, angle: Angle::Line(0.0) };
         assert_eq!(angular.name(), format!("e{}{}", about.name(), along.name()));
     }
 }
 
 #[test]
 fn the_keys_of_a_rotary_axis_are_its_shifts_and_tilts_in_order() {
-    let rotary = keys::FILE.iter().find(|key| key.name == "rotary").expect("it is there");
-    let keys::Form::Table(lines) = rotary.form else { panic!("{:?}", rotary.form) };
+    let rotary =
+        schema::MACHINE_FILE_KEYS.iter().find(|key| key.name == "rotary").expect("it is there");
+    let schema::ValueType::Table(lines) = rotary.form else { panic!("{:?}", rotary.form) };
     for (axis, line) in RotaryAxis::ALL.into_iter().zip(lines) {
-        let keys::Form::Table(keys) = line.form else { panic!("{:?}", line.form) };
+        let schema::ValueType::Table(keys) = line.form else { panic!("{:?}", line.form) };
         let across = LinearAxis::ALL.into_iter().filter(|along| along.index() != axis.index());
         let shifts = across.map(|along| format!("e{}o{}_um", along.name(), axis.name()));
         let tilts = RotaryAxis::ALL.map(|about| format!("e{}o{}_urad", about.name(), axis.name()));

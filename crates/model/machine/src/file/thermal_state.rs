@@ -6,7 +6,7 @@ table! {
     /// The state of a cold machine.
     #[derive(PartialEq)]
     pub(super) struct ThermalState {
-        cold_within_c: f64 = key(NotNegative, "K", "after a power cut the machine counts as cold if at least two thermometers agree within this; a board takes at most 5").required().as_in("0.5");
+        cold_within_c: f64 = key(NotNegative, "K", "after a power cut the machine counts as cold if at least two thermometers agree within this; a board takes at most 5").required().with_example_value("0.5");
     }
 }
 

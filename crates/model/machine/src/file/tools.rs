@@ -4,43 +4,44 @@
 //! that is added is `um_per_krpm2`·(n/1000)²; a tool that is not in the list has that of `default`.
 
 use super::{
-    key::{Form, Key, key, section},
-    read::Section,
-    table::{Table, entries, inline, on_one_line, table},
-    write::section::NewSection,
+    key::{Key, ValueType, key, section},
+    reader::Section,
+    table::{Table, build_inline_table, entries, table, to_inline_table},
+    writer::section::NewSection,
 };
 use crate::{
-    location::{BadInput, shortened},
+    location::{BadInput, truncate_text},
     tool::label_code,
 };
 
 /// The key of every tool that is not in the list.
-const DEFAULT: &str = "default";
+const DEFAULT_TOOL_KEY: &str = "default";
 
 table! {
     /// The growth of every tool that is not in the list.
-    struct DefaultKeys {
-        um_per_krpm2: f64 = GROWTH;
+    struct DefaultToolKeys {
+        um_per_krpm2: f64 = GROWTH_KEY;
     }
 }
 
 table! {
     /// A tool as it is written.
     struct ToolKeys {
-        um_per_krpm2: f64 = GROWTH;
-        number: Option<u16> = key(Whole(0, 65_535), "", "of a key that is a label: the number that the CNC sends; `compile` refuses a label without one").as_in("7");
-        label: Option<String> = key(Text, "", "of a key that is a number: what the column `tool` of a run file calls it").as_in("\"drill\"");
+        um_per_krpm2: f64 = GROWTH_KEY;
+        number: Option<u16> = key(Whole(0, 65_535), "", "of a key that is a label: the number that the CNC sends; `compile` refuses a label without one").with_example_value("7");
+        label: Option<String> = key(Text, "", "of a key that is a number: what the column `tool` of a run file calls it").with_example_value("\"drill\"");
     }
 }
 
-const GROWTH: Key = key("um_per_krpm2", Form::Number, "µm", "growth with speed, for (1000 r/min)²")
-    .required()
-    .as_in("0.021");
+const GROWTH_KEY: Key =
+    key("um_per_krpm2", ValueType::Number, "µm", "growth with speed, for (1000 r/min)²")
+        .required()
+        .with_example_value("0.021");
 
-pub(super) const TOOLS: &[Key] = &[
+pub(super) const TOOL_LIST_KEYS: &[Key] = &[
     section(
-        DEFAULT,
-        DefaultKeys::KEYS,
+        DEFAULT_TOOL_KEY,
+        DefaultToolKeys::KEYS,
         "every tool that is not in the list, and while no tool is known",
     )
     .required(),
@@ -80,61 +81,57 @@ impl Tool {
 }
 
 impl Tools {
-    /// Returns the number of the tool with this label.
-    #[must_use]
-    pub fn number(&self, label: &str) -> Option<u16> {
-        self.tools.iter().find(|tool| tool.label.as_deref() == Some(label))?.number
-    }
-
     /// Returns what each label that has a number is in a run, with that number.
-    pub fn codes(&self) -> impl Iterator<Item = (f64, u16)> {
+    pub(crate) fn label_codes(&self) -> impl Iterator<Item = (f64, u16)> {
         let code = |tool: &Tool| Some((label_code(tool.label.as_deref()?), tool.number?));
         self.tools.iter().filter_map(code)
     }
 
     /// Returns the first label that has no number.
     #[must_use]
-    pub fn without_number(&self) -> Option<&str> {
+    pub(crate) fn first_unnumbered_label(&self) -> Option<&str> {
         self.tools.iter().find(|tool| tool.number.is_none())?.label.as_deref()
     }
 }
 
 pub(super) fn read(section: &Section<'_>) -> Result<Tools, BadInput> {
-    let default = section.required(DEFAULT, section.section(DEFAULT)?)?;
+    let default = section.required(DEFAULT_TOOL_KEY, section.section(DEFAULT_TOOL_KEY)?)?;
     let mut tools: Vec<Tool> = Vec::new();
-    for key in section.keys().into_iter().filter(|key| *key != DEFAULT) {
+    for key in section.keys().into_iter().filter(|key| *key != DEFAULT_TOOL_KEY) {
         let Some(of) = section.section(key)? else { continue };
         let ToolKeys { um_per_krpm2, number: stated, label } = ToolKeys::read(&of)?;
         let (number, label) = match key.parse::<f64>() {
             Err(_) if label.is_some() => {
-                return Err(
-                    of.bad("label", "belongs to a key that is a number: this key is the label")
-                );
+                return Err(of.key_error(
+                    "label",
+                    "belongs to a key that is a number: this key is the label",
+                ));
             }
             Err(_) => (stated, Some(key.to_string())),
             Ok(_) if stated.is_some() => {
-                return Err(
-                    of.bad("number", "belongs to a key that is a label: this key is the number")
-                );
+                return Err(of.key_error(
+                    "number",
+                    "belongs to a key that is a label: this key is the number",
+                ));
             }
             Ok(_) => {
                 let number = key.parse().map_err(|_| {
                     let rule = "is no number of a tool: it must be a whole number from 0 to 65535, or a label";
-                    section.bad(key, rule)
+                    section.key_error(key, rule)
                 })?;
                 (Some(number), label)
             }
         };
         let label = label.map(|it| it.trim().to_string());
         if label.as_deref().is_some_and(|label| label.is_empty() || label.parse::<f64>().is_ok()) {
-            return Err(of.bad("label", "must be a word, not empty and no number"));
+            return Err(of.key_error("label", "must be a word, not empty and no number"));
         }
         let is_same = |tool: &&Tool| {
             number.is_some() && tool.number == number || label.is_some() && tool.label == label
         };
         if let Some(other) = tools.iter().find(is_same) {
-            let rule = format!("is the tool of {} as well", shortened(&other.key()));
-            return Err(section.bad(key, rule));
+            let rule = format!("is the tool of {} as well", truncate_text(&other.key()));
+            return Err(section.key_error(key, rule));
         }
         tools.push(Tool { number, label, um_per_krpm2 });
     }
@@ -144,10 +141,10 @@ pub(super) fn read(section: &Section<'_>) -> Result<Tools, BadInput> {
         let rule = format!(
             "is too much: a board knows {most} tools; leave those to `default` that grow like it"
         );
-        return Err(section.bad(&last, rule));
+        return Err(section.key_error(&last, rule));
     }
     tools.sort_by_key(|tool| tool.number.map_or(u32::MAX, u32::from));
-    let DefaultKeys { um_per_krpm2 } = DefaultKeys::read(&default)?;
+    let DefaultToolKeys { um_per_krpm2 } = DefaultToolKeys::read(&default)?;
     Ok(Tools { default_um_per_krpm2: um_per_krpm2, tools })
 }
 
@@ -159,8 +156,8 @@ pub(super) fn write(section: NewSection, tools: &Tools) -> NewSection {
         let keys = ToolKeys { um_per_krpm2: tool.um_per_krpm2, number: None, label };
         let mut entries = entries(&keys);
         entries.rotate_left(1);
-        section.with(tool.key(), inline(entries))
+        section.with_value(tool.key(), build_inline_table(entries))
     });
-    let default = DefaultKeys { um_per_krpm2: tools.default_um_per_krpm2 };
-    section.with(DEFAULT, on_one_line(&default))
+    let default = DefaultToolKeys { um_per_krpm2: tools.default_um_per_krpm2 };
+    section.with_value(DEFAULT_TOOL_KEY, to_inline_table(&default))
 }

@@ -11,49 +11,50 @@ use super::{
     },
     chain::Chain,
     key::{
-        Form::{Number, Numbers, Vector, Whole},
-        Key, key, section,
+        Key,
+        ValueType::{Number, Numbers, Vector, Whole},
+        key, section,
     },
-    read::Section,
-    straightness::{KNOTS, SplineKeys, read_spline, write_spline},
-    table::{Table, table, value, written},
-    write::section::NewSection,
+    reader::Section,
+    straightness::{KNOTS_KEY, SplineKeys, read_spline, write_spline},
+    table::{Table, read_or_default, table, write_key},
+    writer::section::NewSection,
 };
 use crate::{effect::Angle, location::BadInput};
 
 /// The model of the whole volume. Where the chain is not known, nothing else is.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Volume {
+pub struct VolumetricModel {
     /// Which axis carries what.
     pub chain: Option<Chain>,
     /// The angular errors of the linear axes; no pair of axes twice.
-    pub angular: Vec<Angular>,
+    pub angular: Vec<AngularErrorMotion>,
     /// Where pitch and straightness of X, Y and Z are stated, in mm of machine coordinates: the angles do
     /// nothing there.
     pub point_mm: [[f64; 3]; 3],
     /// The location errors of the rotary axes; no axis twice, each in the chain.
-    pub rotary: Vec<RotaryLocation>,
+    pub rotary: Vec<RotaryLocationErrors>,
     /// Where the tool tip is.
-    pub tool: ToolTip,
+    pub tool: ToolGeometry,
 }
 
-impl Volume {
+impl VolumetricModel {
     /// Returns whether anything in it makes an error.
     #[must_use]
     pub fn has_errors(&self) -> bool {
-        !self.angular.is_empty() || self.rotary.iter().any(|it| !it.is_right())
+        !self.angular.is_empty() || self.rotary.iter().any(|it| !it.is_error_free())
     }
 
     /// Returns where the line of a rotary axis should be, in mm.
     #[must_use]
-    pub fn line_mm(&self, axis: RotaryAxis) -> [f64; 3] {
+    pub fn axis_line_point_mm(&self, axis: RotaryAxis) -> [f64; 3] {
         self.rotary.iter().find(|it| it.axis == axis).map_or([0.0; 3], |it| it.point_mm)
     }
 }
 
 /// An angular error of a linear axis: EAX has `about` A and `along` X.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Angular {
+pub struct AngularErrorMotion {
     /// The axis that the moving part turns about, right-handed.
     pub about: RotaryAxis,
     /// The axis that moves.
@@ -62,17 +63,17 @@ pub struct Angular {
     pub angle: Angle,
 }
 
-impl Angular {
+impl AngularErrorMotion {
     /// Returns the nine (about, along), in the order of ISO 230-1.
     #[must_use]
-    pub fn all() -> [(RotaryAxis, LinearAxis); 9] {
+    pub fn all_axis_pairs() -> [(RotaryAxis, LinearAxis); 9] {
         [(A, X), (B, X), (C, X), (A, Y), (B, Y), (C, Y), (A, Z), (B, Z), (C, Z)]
     }
 
     /// Returns its name in ISO 230-1, in lower case, which is its key under `[angular]`: `eax`.
     #[must_use]
     pub fn name(&self) -> String {
-        let all = Self::all().into_iter().zip(ANGLES);
+        let all = Self::all_axis_pairs().into_iter().zip(ANGULAR_ERROR_KEYS);
         let key = all.filter(|(it, _)| *it == (self.about, self.along)).map(|(_, key)| key.name);
         key.collect()
     }
@@ -80,7 +81,7 @@ impl Angular {
 
 /// How far the line of a rotary axis is from where it should be.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RotaryLocation {
+pub struct RotaryLocationErrors {
     /// The axis.
     pub axis: RotaryAxis,
     /// A point of the line, with all axes at 0: of an axis that turns the workpiece in machine coordinates, of one
@@ -92,10 +93,10 @@ pub struct RotaryLocation {
     pub tilt_urad: [f64; 3],
 }
 
-impl RotaryLocation {
+impl RotaryLocationErrors {
     /// Returns whether its line is where it should be.
     #[must_use]
-    pub fn is_right(&self) -> bool {
+    pub fn is_error_free(&self) -> bool {
         self.shift_um == [0.0; 3] && self.tilt_urad == [0.0; 3]
     }
 }
@@ -104,23 +105,23 @@ table! {
     /// Where the tool tip is with all angles at 0, in mm: `offset_mm` from the spindle nose, and from there
     /// `length_mm` in the tool direction.
     #[derive(Clone, Copy, Debug, Default, PartialEq)]
-    pub struct ToolTip {
-        length_mm: f64 = key(NotNegative, "mm", "from where the tool begins to its tip, in `tool_direction`").or("0.0");
+    pub struct ToolGeometry {
+        length_mm: f64 = key(NotNegative, "mm", "from where the tool begins to its tip, in `tool_direction`").with_default("0.0");
         /// In machine coordinates.
-        offset_mm: [f64; 3] = key(Vector, "mm", "where the tool begins, from the spindle nose with all angles at 0").or("[0.0, 0.0, 0.0]");
+        offset_mm: [f64; 3] = key(Vector, "mm", "where the tool begins, from the spindle nose with all angles at 0").with_default("[0.0, 0.0, 0.0]");
     }
 }
 
-impl ToolTip {
+impl ToolGeometry {
     /// Returns the same with this length, where one is given.
     #[must_use]
-    pub fn of_length(self, length_mm: Option<f64>) -> Self {
+    pub fn with_length(self, length_mm: Option<f64>) -> Self {
         Self { length_mm: length_mm.unwrap_or(self.length_mm), ..self }
     }
 
     /// Returns the way from the spindle nose to the tip, with all angles at 0.
     #[must_use]
-    pub fn tip_mm(&self, direction: [f64; 3]) -> [f64; 3] {
+    pub fn tip_offset_mm(&self, direction: [f64; 3]) -> [f64; 3] {
         // A length that is not known is missing along the tool alone.
         let along =
             |n: usize| if direction[n] == 0.0 { 0.0 } else { self.length_mm * direction[n] };
@@ -128,135 +129,143 @@ impl ToolTip {
     }
 }
 
-const fn point(name: &'static str, meaning: &'static str) -> Key {
-    key(name, Vector, "mm", meaning).or("[0.0, 0.0, 0.0]")
+const fn point_key(name: &'static str, meaning: &'static str) -> Key {
+    key(name, Vector, "mm", meaning).with_default("[0.0, 0.0, 0.0]")
 }
 
 /// An angle for each metre.
-const LINE: Key = key(
+const ANGLE_GRADIENT_KEY: Key = key(
     "urad_per_m",
     Number,
     "µrad/m",
     "the angle for each metre from machine zero; or a B-spline",
 )
-.as_in("4.0");
+.with_example_value("4.0");
 /// An angle as a B-spline.
-const CURVE: SplineKeys = [
-    key("order", Whole(2, 4), "", "of a B-spline: degree plus one; 4 is cubic").as_in("4"),
-    KNOTS,
-    key("control_urad", Numbers, "µrad", "the control points").as_in("[0.0, 3.0, -2.0, 4.0, 0.0]"),
+const SPLINE_KEYS: SplineKeys = [
+    key("order", Whole(2, 4), "", "of a B-spline: degree plus one; 4 is cubic")
+        .with_example_value("4"),
+    KNOTS_KEY,
+    key("control_urad", Numbers, "µrad", "the control points")
+        .with_example_value("[0.0, 3.0, -2.0, 4.0, 0.0]"),
 ];
 /// An angle over a position.
-const ANGLE: &[Key] = &[LINE, CURVE[0], CURVE[1], CURVE[2]];
+const ANGLE_KEYS: &[Key] = &[ANGLE_GRADIENT_KEY, SPLINE_KEYS[0], SPLINE_KEYS[1], SPLINE_KEYS[2]];
 
 /// Of X, Y and Z.
-const POINTS: [Key; 3] = [
-    point(
+const POINT_KEYS: [Key; 3] = [
+    point_key(
         "point_x_mm",
         "where pitch and straightness of X are stated: its angles do nothing there. Machine coordinates of the tool tip, of an axis that moves the workpiece on that part",
     ),
-    point("point_y_mm", "the same of Y"),
-    point("point_z_mm", "the same of Z"),
+    point_key("point_y_mm", "the same of Y"),
+    point_key("point_z_mm", "the same of Z"),
 ];
 
-/// In the order of [`Angular::all`].
-const ANGLES: [Key; 9] = [
-    section("eax", ANGLE, "the angle about +X, right-handed, of the part that X moves (roll)"),
-    section("ebx", ANGLE, "about +Y while X moves"),
-    section("ecx", ANGLE, "about +Z while X moves"),
-    section("eay", ANGLE, "about +X while Y moves"),
-    section("eby", ANGLE, "about +Y while Y moves (roll)"),
-    section("ecy", ANGLE, "about +Z while Y moves"),
-    section("eaz", ANGLE, "about +X while Z moves"),
-    section("ebz", ANGLE, "about +Y while Z moves"),
-    section("ecz", ANGLE, "about +Z while Z moves (roll)"),
+/// In the order of [`AngularErrorMotion::all_axis_pairs`].
+const ANGULAR_ERROR_KEYS: [Key; 9] = [
+    section("eax", ANGLE_KEYS, "the angle about +X, right-handed, of the part that X moves (roll)"),
+    section("ebx", ANGLE_KEYS, "about +Y while X moves"),
+    section("ecx", ANGLE_KEYS, "about +Z while X moves"),
+    section("eay", ANGLE_KEYS, "about +X while Y moves"),
+    section("eby", ANGLE_KEYS, "about +Y while Y moves (roll)"),
+    section("ecy", ANGLE_KEYS, "about +Z while Y moves"),
+    section("eaz", ANGLE_KEYS, "about +X while Z moves"),
+    section("ebz", ANGLE_KEYS, "about +Y while Z moves"),
+    section("ecz", ANGLE_KEYS, "about +Z while Z moves (roll)"),
 ];
 
 /// The points, then the angles.
-pub(super) const ANGULAR: &[Key] = &{
-    let mut keys = [POINTS[0]; POINTS.len() + ANGLES.len()];
+pub(super) const ANGULAR_KEYS: &[Key] = &{
+    let mut keys = [POINT_KEYS[0]; POINT_KEYS.len() + ANGULAR_ERROR_KEYS.len()];
     let mut n = 0;
     while n < keys.len() {
-        keys[n] = if n < POINTS.len() { POINTS[n] } else { ANGLES[n - POINTS.len()] };
+        keys[n] = if n < POINT_KEYS.len() {
+            POINT_KEYS[n]
+        } else {
+            ANGULAR_ERROR_KEYS[n - POINT_KEYS.len()]
+        };
         n += 1;
     }
     keys
 };
 
-const fn shift(name: &'static str, meaning: &'static str) -> Key {
-    key(name, Number, "µm", meaning).or("0.0").quiet()
+const fn shift_key(name: &'static str, meaning: &'static str) -> Key {
+    key(name, Number, "µm", meaning).with_default("0.0").omit_default()
 }
 
-const fn tilt(name: &'static str, meaning: &'static str) -> Key {
-    key(name, Number, "µrad", meaning).or("0.0").quiet()
+const fn tilt_key(name: &'static str, meaning: &'static str) -> Key {
+    key(name, Number, "µrad", meaning).with_default("0.0").omit_default()
 }
 
-const POINT: Key = point(
+const POINT_KEY: Key = point_key(
     "point_mm",
     "a point of its line with all axes at 0: of an axis that turns the workpiece in machine coordinates, of one that turns the tool from the spindle nose",
 );
 
 /// Of A, B and C: the point; the shifts along X, Y and Z without that along the line; the tilts about A, B and C.
-static LINES: [[Key; 6]; 3] = [
+static AXIS_LINE_KEYS: [[Key; 6]; 3] = [
     [
-        POINT,
-        shift("eyoa_um", "how far the line is off along +Y"),
-        shift("ezoa_um", "along +Z"),
-        tilt("eaoa_urad", "zero of the angle: about +X, right-handed"),
-        tilt("eboa_urad", "how far the line is turned about +Y, right-handed"),
-        tilt("ecoa_urad", "about +Z"),
+        POINT_KEY,
+        shift_key("eyoa_um", "how far the line is off along +Y"),
+        shift_key("ezoa_um", "along +Z"),
+        tilt_key("eaoa_urad", "zero of the angle: about +X, right-handed"),
+        tilt_key("eboa_urad", "how far the line is turned about +Y, right-handed"),
+        tilt_key("ecoa_urad", "about +Z"),
     ],
     [
-        POINT,
-        shift("exob_um", "how far the line is off along +X"),
-        shift("ezob_um", "along +Z"),
-        tilt("eaob_urad", "how far the line is turned about +X, right-handed"),
-        tilt("ebob_urad", "zero of the angle: about +Y, right-handed"),
-        tilt("ecob_urad", "about +Z"),
+        POINT_KEY,
+        shift_key("exob_um", "how far the line is off along +X"),
+        shift_key("ezob_um", "along +Z"),
+        tilt_key("eaob_urad", "how far the line is turned about +X, right-handed"),
+        tilt_key("ebob_urad", "zero of the angle: about +Y, right-handed"),
+        tilt_key("ecob_urad", "about +Z"),
     ],
     [
-        POINT,
-        shift("exoc_um", "how far the line is off along +X"),
-        shift("eyoc_um", "along +Y"),
-        tilt("eaoc_urad", "how far the line is turned about +X, right-handed"),
-        tilt("eboc_urad", "about +Y"),
-        tilt("ecoc_urad", "zero of the angle: about +Z, right-handed"),
+        POINT_KEY,
+        shift_key("exoc_um", "how far the line is off along +X"),
+        shift_key("eyoc_um", "along +Y"),
+        tilt_key("eaoc_urad", "how far the line is turned about +X, right-handed"),
+        tilt_key("eboc_urad", "about +Y"),
+        tilt_key("ecoc_urad", "zero of the angle: about +Z, right-handed"),
     ],
 ];
 
-pub(super) const ROTARY: &[Key] = &[
-    section(A.name(), &LINES[0], "the line about which A turns"),
-    section(B.name(), &LINES[1], "the line about which B turns"),
-    section(C.name(), &LINES[2], "the line about which C turns"),
+pub(super) const ROTARY_KEYS: &[Key] = &[
+    section(A.name(), &AXIS_LINE_KEYS[0], "the line about which A turns"),
+    section(B.name(), &AXIS_LINE_KEYS[1], "the line about which B turns"),
+    section(C.name(), &AXIS_LINE_KEYS[2], "the line about which C turns"),
 ];
 
 pub(super) fn read_angular(
     section: &Section<'_>,
-) -> Result<(Vec<Angular>, [[f64; 3]; 3]), BadInput> {
+) -> Result<(Vec<AngularErrorMotion>, [[f64; 3]; 3]), BadInput> {
     let mut point_mm = [[0.0; 3]; 3];
-    for (point, key) in point_mm.iter_mut().zip(&POINTS) {
-        *point = value(section, key)?;
+    for (point, key) in point_mm.iter_mut().zip(&POINT_KEYS) {
+        *point = read_or_default(section, key)?;
     }
     let mut angular = Vec::new();
-    for ((about, along), key) in Angular::all().into_iter().zip(ANGLES) {
+    for ((about, along), key) in
+        AngularErrorMotion::all_axis_pairs().into_iter().zip(ANGULAR_ERROR_KEYS)
+    {
         if let Some(section) = section.section(key.name)? {
-            angular.push(Angular { about, along, angle: read_angle(&section)? });
+            angular.push(AngularErrorMotion { about, along, angle: read_angle(&section)? });
         }
     }
     Ok((angular, point_mm))
 }
 
 fn read_angle(section: &Section<'_>) -> Result<Angle, BadInput> {
-    let of_curve = section.first_of(&CURVE.map(|key| key.name)).map(str::to_string);
-    match (section.number(LINE.name)?, of_curve) {
+    let of_curve = section.first_present_key(&SPLINE_KEYS.map(|key| key.name)).map(str::to_string);
+    match (section.number(ANGLE_GRADIENT_KEY.name)?, of_curve) {
         (None, None) => {
             let rule = "is missing: an angle is urad_per_m, or order, knots_mm and control_urad";
-            Err(section.bad(LINE.name, rule))
+            Err(section.key_error(ANGLE_GRADIENT_KEY.name, rule))
         }
-        (None, Some(_)) => Ok(Angle::Curve(read_spline(section, &CURVE)?)),
+        (None, Some(_)) => Ok(Angle::Curve(read_spline(section, &SPLINE_KEYS)?)),
         (Some(_), Some(key)) => {
             let rule = "must not stand next to urad_per_m: an angle is one or the other";
-            Err(section.bad(&key, rule))
+            Err(section.key_error(&key, rule))
         }
         (Some(urad_per_m), None) => Ok(Angle::Line(urad_per_m)),
     }
@@ -264,8 +273,10 @@ fn read_angle(section: &Section<'_>) -> Result<Angle, BadInput> {
 
 /// Returns the keys of the line of a rotary axis: of its point, of its shifts along X, Y and Z, of its tilts about A, B and
 /// C. The shift along the line itself has none.
-fn line_keys(axis: RotaryAxis) -> (&'static Key, [Option<&'static Key>; 3], [&'static Key; 3]) {
-    let [point, first, second, tilts @ ..] = &LINES[axis.index()];
+fn axis_line_keys(
+    axis: RotaryAxis,
+) -> (&'static Key, [Option<&'static Key>; 3], [&'static Key; 3]) {
+    let [point, first, second, tilts @ ..] = &AXIS_LINE_KEYS[axis.index()];
     let shifts = match axis {
         A => [None, Some(first), Some(second)],
         B => [Some(first), None, Some(second)],
@@ -274,22 +285,22 @@ fn line_keys(axis: RotaryAxis) -> (&'static Key, [Option<&'static Key>; 3], [&'s
     (point, shifts, tilts.each_ref())
 }
 
-pub(super) fn read_rotary(section: &Section<'_>) -> Result<Vec<RotaryLocation>, BadInput> {
+pub(super) fn read_rotary(section: &Section<'_>) -> Result<Vec<RotaryLocationErrors>, BadInput> {
     let mut all = Vec::new();
     for axis in RotaryAxis::ALL {
         let Some(section) = section.section(axis.name())? else { continue };
-        let (point, shifts, tilts) = line_keys(axis);
-        let mut location = RotaryLocation {
+        let (point, shifts, tilts) = axis_line_keys(axis);
+        let mut location = RotaryLocationErrors {
             axis,
-            point_mm: value(&section, point)?,
+            point_mm: read_or_default(&section, point)?,
             shift_um: [0.0; 3],
             tilt_urad: [0.0; 3],
         };
         for n in 0..3 {
             if let Some(key) = shifts[n] {
-                location.shift_um[n] = value(&section, key)?;
+                location.shift_um[n] = read_or_default(&section, key)?;
             }
-            location.tilt_urad[n] = value(&section, tilts[n])?;
+            location.tilt_urad[n] = read_or_default(&section, tilts[n])?;
         }
         all.push(location);
     }
@@ -297,7 +308,7 @@ pub(super) fn read_rotary(section: &Section<'_>) -> Result<Vec<RotaryLocation>, 
 }
 
 /// Refuses angular and location errors that the chain does not place.
-pub(super) fn check(root: &Section<'_>, volume: &Volume) -> Result<(), BadInput> {
+pub(super) fn check(root: &Section<'_>, volume: &VolumetricModel) -> Result<(), BadInput> {
     let first = ["angular", "rotary"].into_iter().find(|name| root.keys().contains(name));
     let (Some(first), chain) = (first, &volume.chain) else { return Ok(()) };
     let Some(chain) = chain else {
@@ -305,42 +316,42 @@ pub(super) fn check(root: &Section<'_>, volume: &Volume) -> Result<(), BadInput>
                     depend on it";
         let help = "write the axes into [machine] from the workpiece over the bed to the tool, those that move \
                     the workpiece with ': chain = \"w X' b Y Z t\"";
-        return Err(root.bad(first, rule).with_help(help));
+        return Err(root.key_error(first, rule).with_help(help));
     };
-    let rotary = chain.rotary();
+    let rotary = chain.rotary_axes();
     let outside = volume.rotary.iter().find(|it| !rotary.contains(&it.axis));
     outside.map_or(Ok(()), |it| {
         let rule =
             format!("is not in machine.chain, \"{chain}\": write where it stands, or take it out");
-        Err(root.bad(&format!("rotary.{}", it.axis.name()), rule))
+        Err(root.key_error(&format!("rotary.{}", it.axis.name()), rule))
     })
 }
 
 /// Returns the sections of the file.
-pub(super) fn write(volume: &Volume) -> Vec<NewSection> {
+pub(super) fn write(volume: &VolumetricModel) -> Vec<NewSection> {
     let mut sections = Vec::new();
-    let points = POINTS.iter().zip(&volume.point_mm).filter(|(_, point)| **point != [0.0; 3]);
+    let points = POINT_KEYS.iter().zip(&volume.point_mm).filter(|(_, point)| **point != [0.0; 3]);
     let points = points
-        .fold(NewSection::new("angular"), |section, (key, point)| written(section, key, point));
-    if points.values().next().is_some() {
+        .fold(NewSection::new("angular"), |section, (key, point)| write_key(section, key, point));
+    if points.key_values().next().is_some() {
         sections.push(points);
     }
     for angular in &volume.angular {
         let section = NewSection::new(format!("angular.{}", angular.name()));
         sections.push(match &angular.angle {
-            Angle::Line(urad_per_m) => written(section, &LINE, urad_per_m),
-            Angle::Curve(spline) => write_spline(section, spline, &CURVE),
+            Angle::Line(urad_per_m) => write_key(section, &ANGLE_GRADIENT_KEY, urad_per_m),
+            Angle::Curve(spline) => write_spline(section, spline, &SPLINE_KEYS),
         });
     }
     for it in &volume.rotary {
-        let (point, shifts, tilts) = line_keys(it.axis);
+        let (point, shifts, tilts) = axis_line_keys(it.axis);
         let section = NewSection::new(format!("rotary.{}", it.axis.name()));
-        let section = written(section, point, &it.point_mm);
+        let section = write_key(section, point, &it.point_mm);
         let shifts = shifts.into_iter().zip(&it.shift_um).filter_map(|(key, um)| Some((key?, um)));
         let all = shifts.chain(tilts.into_iter().zip(&it.tilt_urad));
-        sections.push(all.fold(section, |section, (key, value)| written(section, key, value)));
+        sections.push(all.fold(section, |section, (key, value)| write_key(section, key, value)));
     }
-    if volume.tool != ToolTip::default() {
+    if volume.tool != ToolGeometry::default() {
         sections.push(volume.tool.write(NewSection::new("tool")));
     }
     sections

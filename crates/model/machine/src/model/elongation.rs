@@ -29,7 +29,7 @@
 //!
 //! By a temperature: s = k·(T − T₀).
 
-use super::lag::Clock;
+use super::lag::RowTimer;
 use crate::file::{SensorModel, TemperatureModel, Warmup};
 
 /// Returns the elongation in µm that the sensor's law gives for `sensor_counts`; NaN for a missing count.
@@ -53,15 +53,15 @@ pub fn elongation_um(sensor: &SensorModel, sensor_counts: f64) -> f64 {
 /// diagnosis looks at, and no part of the law.
 ///
 /// ```
-/// use trueup_machine::{file::SensorModel, model::sensor_counts};
+/// use trueup_machine::{file::SensorModel, model::sensor_counts_from_elongation};
 /// let paper = SensorModel {
 ///     k0_um: 3.0, zero_counts: 5048.0, um_per_count: 500.0 / 32768.0, temperature: None,
 /// };
 /// // 5048 + (65.80517578125 − 3)/0.0152587890625 = 5048 + 4116
-/// assert_eq!(sensor_counts(&paper, 65.80517578125), 9164.0);
+/// assert_eq!(sensor_counts_from_elongation(&paper, 65.80517578125), 9164.0);
 /// ```
 #[must_use]
-pub fn sensor_counts(sensor: &SensorModel, elongation_um: f64) -> f64 {
+pub fn sensor_counts_from_elongation(sensor: &SensorModel, elongation_um: f64) -> f64 {
     sensor.zero_counts + (elongation_um - sensor.k0_um) / sensor.um_per_count
 }
 
@@ -84,39 +84,41 @@ pub fn temperature_elongation_um(model: &TemperatureModel, temperature_c: f64) -
 /// speed for which `max_um` holds.
 ///
 /// ```
-/// use trueup_machine::{file::Warmup, model::warmup_um};
+/// use trueup_machine::{file::Warmup, model::warmup_elongation_um};
 /// let model = Warmup {
 ///     lag_s: 60.0, warm_s: 5460.0, max_um: 80.0, exponent: 2.0 * 2_f64.ln(),
 ///     cool_s: None, rated_rpm: None, speed_exponent: 0.0,
 /// };
-/// assert_eq!(warmup_um(&model, 60.0), 0.0);
+/// assert_eq!(warmup_elongation_um(&model, 60.0), 0.0);
 /// // Half the way in time, e^(−k/2) = 1/2 and e^(−k) = 1/4: 80 · (1/2)/(3/4)
-/// assert!((warmup_um(&model, 2760.0) - 53.333_333).abs() < 1e-6);
-/// assert_eq!(warmup_um(&model, 5460.0), 80.0);
+/// assert!((warmup_elongation_um(&model, 2760.0) - 53.333_333).abs() < 1e-6);
+/// assert_eq!(warmup_elongation_um(&model, 5460.0), 80.0);
 /// ```
 #[must_use]
-pub fn warmup_um(model: &Warmup, time_s: f64) -> f64 {
+pub fn warmup_elongation_um(model: &Warmup, time_s: f64) -> f64 {
     let share = (time_s - model.lag_s) / (model.warm_s - model.lag_s);
-    model.max_um * (growth(model, share.clamp(0.0, 1.0)) / growth(model, 1.0))
+    model.max_um
+        * (saturating_exponential(model, share.clamp(0.0, 1.0))
+            / saturating_exponential(model, 1.0))
 }
 
 /// 1 − e^(−k·share), without the loss of digits that the subtraction would cost at a small k.
-fn growth(model: &Warmup, share: f64) -> f64 {
+fn saturating_exponential(model: &Warmup, share: f64) -> f64 {
     -(-model.exponent * share).exp_m1()
 }
 
 /// Returns the input of the warm-up's state while heat reaches the spindle: (n/n_rated)^p, 1 at p = 0.
 ///
 /// ```
-/// use trueup_machine::{file::Warmup, model::heating};
+/// use trueup_machine::{file::Warmup, model::heat_input};
 /// let model = Warmup {
 ///     lag_s: 60.0, warm_s: 5400.0, max_um: 80.0, exponent: 4.0,
 ///     cool_s: None, rated_rpm: Some(24_000.0), speed_exponent: 2.0,
 /// };
-/// assert_eq!(heating(&model, -12_000.0), 0.25);
+/// assert_eq!(heat_input(&model, -12_000.0), 0.25);
 /// ```
 #[must_use]
-pub fn heating(model: &Warmup, spindle_rpm: f64) -> f64 {
+pub fn heat_input(model: &Warmup, spindle_rpm: f64) -> f64 {
     match model.rated_rpm {
         Some(rated_rpm) if model.speed_exponent != 0.0 => {
             (spindle_rpm.abs() / rated_rpm).powf(model.speed_exponent)
@@ -132,7 +134,7 @@ pub struct WarmupState {
     heat: f64,
     /// How long it has run without a break, in s.
     running_s: f64,
-    clock: Clock,
+    clock: RowTimer,
 }
 
 impl WarmupState {
@@ -151,13 +153,13 @@ impl WarmupState {
             // What is left of t₁ at the start of the interval: no heat arrives until then.
             let unheated_s = (model.lag_s - self.running_s).clamp(0.0, elapsed_s);
             self.cool(model, unheated_s);
-            let input = heating(model, spindle_rpm);
+            let input = heat_input(model, spindle_rpm);
             let heated_s = elapsed_s - unheated_s;
             // h + (i − h)·(1 − e^(−Δt/τ))
             self.heat -= (input - self.heat) * (-heated_s / model.time_constant_s()).exp_m1();
             self.running_s += elapsed_s;
         }
-        model.max_um * (self.heat / growth(model, 1.0)).min(1.0)
+        model.max_um * (self.heat / saturating_exponential(model, 1.0)).min(1.0)
     }
 
     fn cool(&mut self, model: &Warmup, seconds: f64) {
@@ -224,36 +226,36 @@ mod tests {
         let mut worst: f64 = 0.0;
         for sensor in [paper(), falling] {
             for counts in (0..=32_768).map(f64::from) {
-                let back = sensor_counts(&sensor, elongation_um(&sensor, counts));
+                let back = sensor_counts_from_elongation(&sensor, elongation_um(&sensor, counts));
                 worst = worst.max((back - counts).abs());
             }
         }
         println!("worst: {worst:e} counts");
         assert!(worst < 1e-9, "{worst:e} counts");
-        assert_eq!(sensor_counts(&paper(), -0.976_562_5), 5048.0 - 64.0);
-        assert!(sensor_counts(&paper(), f64::NAN).is_nan());
+        assert_eq!(sensor_counts_from_elongation(&paper(), -0.976_562_5), 5048.0 - 64.0);
+        assert!(sensor_counts_from_elongation(&paper(), f64::NAN).is_nan());
     }
 
     #[test]
     fn the_closed_form_is_continuous_at_both_ends() {
         let model = warmup();
         for time_s in [-1e9, 0.0, 59.999, 60.0] {
-            assert_eq!(warmup_um(&model, time_s), 0.0, "{time_s} s");
+            assert_eq!(warmup_elongation_um(&model, time_s), 0.0, "{time_s} s");
         }
-        assert!((0.0..1e-9).contains(&warmup_um(&model, 60.0 + 1e-9)));
+        assert!((0.0..1e-9).contains(&warmup_elongation_um(&model, 60.0 + 1e-9)));
         for time_s in [5400.0, 5401.0, 1e9] {
-            assert_eq!(warmup_um(&model, time_s), 80.0, "{time_s} s");
+            assert_eq!(warmup_elongation_um(&model, time_s), 80.0, "{time_s} s");
         }
-        assert!((80.0 - 1e-9..80.0).contains(&warmup_um(&model, 5400.0 - 1e-7)));
+        assert!((80.0 - 1e-9..80.0).contains(&warmup_elongation_um(&model, 5400.0 - 1e-7)));
     }
 
     #[test]
     fn a_larger_exponent_rises_faster() {
         let quick = Warmup { exponent: 6.0, ..warmup() };
-        assert!(warmup_um(&quick, 1000.0) > warmup_um(&warmup(), 1000.0));
+        assert!(warmup_elongation_um(&quick, 1000.0) > warmup_elongation_um(&warmup(), 1000.0));
         // As k → 0 it is a straight line: half way in time is half the growth.
         let straight = Warmup { exponent: 1e-9, ..warmup() };
-        assert!((warmup_um(&straight, 2730.0) - 40.0).abs() < 1e-6);
+        assert!((warmup_elongation_um(&straight, 2730.0) - 40.0).abs() < 1e-6);
     }
 
     /// Whatever the row spacing, also where t₁ and t₂ pass inside an interval.
@@ -266,7 +268,7 @@ mod tests {
             for row in 0..(12_000.0 / spacing_s) as u32 {
                 let since_start_s = f64::from(row) * spacing_s;
                 let stepped = state.step(&model, 300.0 + since_start_s, 18_000.0);
-                worst = worst.max((stepped - warmup_um(&model, since_start_s)).abs());
+                worst = worst.max((stepped - warmup_elongation_um(&model, since_start_s)).abs());
             }
         }
         println!("state against closed form: {worst:e} µm");
@@ -304,7 +306,7 @@ mod tests {
             let settled = state.step(&model, 1e6, rpm);
             assert!((settled - most).abs() < 1e-6, "{rpm} r/min: {settled}");
         }
-        assert_eq!(heating(&warmup(), 3.0), 1.0);
+        assert_eq!(heat_input(&warmup(), 3.0), 1.0);
     }
 
     #[test]

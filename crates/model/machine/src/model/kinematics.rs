@@ -12,13 +12,13 @@ use crate::file::RotaryAxis;
 /// `vector` turned about the axis of `axis` by `angle_deg`, by the right hand.
 ///
 /// ```
-/// use trueup_machine::{file::RotaryAxis, model::rotated};
+/// use trueup_machine::{file::RotaryAxis, model::rotate_about_axis};
 /// // C = +90° takes +X to +Y.
-/// let [x, y, z] = rotated([1.0, 0.0, 0.0], RotaryAxis::C, 90.0);
+/// let [x, y, z] = rotate_about_axis([1.0, 0.0, 0.0], RotaryAxis::C, 90.0);
 /// assert!(x.abs() < 1e-15 && y == 1.0 && z == 0.0);
 /// ```
 #[must_use]
-pub fn rotated(vector: [f64; 3], axis: RotaryAxis, angle_deg: f64) -> [f64; 3] {
+pub fn rotate_about_axis(vector: [f64; 3], axis: RotaryAxis, angle_deg: f64) -> [f64; 3] {
     let (sin, cos) = angle_deg.to_radians().sin_cos();
     let [x, y, z] = vector;
     match axis {
@@ -47,21 +47,21 @@ pub fn tool_direction(
     head_axes
         .iter()
         .rev()
-        .fold(at_zero, |vector, &axis| rotated(vector, axis, angle_deg[axis.index()]))
+        .fold(at_zero, |vector, &axis| rotate_about_axis(vector, axis, angle_deg[axis.index()]))
 }
 
 /// Returns the error on X, Y and Z in µm of a tool that has grown by `elongation_um` along the unit vector
 /// `tool_direction`. A component of 0 takes nothing of a growth that is not known (NaN).
 #[must_use]
-pub fn error_um(elongation_um: f64, tool_direction: [f64; 3]) -> [f64; 3] {
+pub fn elongation_error_um(elongation_um: f64, tool_direction: [f64; 3]) -> [f64; 3] {
     // + 0.0 turns −0 into 0, which is what a table should show.
     tool_direction.map(|v| if v == 0.0 { 0.0 } else { elongation_um * v + 0.0 })
 }
 
-/// Returns what the CNC must add to its command on X, Y and Z, in µm: the opposite of [`error_um`].
+/// Returns what the CNC must add to its command on X, Y and Z, in µm: the opposite of [`elongation_error_um`].
 #[must_use]
-pub fn offset_um(elongation_um: f64, tool_direction: [f64; 3]) -> [f64; 3] {
-    error_um(-elongation_um, tool_direction)
+pub fn compensation_offset_um(elongation_um: f64, tool_direction: [f64; 3]) -> [f64; 3] {
+    elongation_error_um(-elongation_um, tool_direction)
 }
 
 #[cfg(test)]
@@ -79,32 +79,32 @@ mod tests {
 
     #[test]
     fn growth_lifts_the_tool() {
-        assert_eq!(error_um(62.8, DOWN), [0.0, 0.0, -62.8]);
-        assert_eq!(offset_um(62.8, DOWN), [0.0, 0.0, 62.8]);
+        assert_eq!(elongation_error_um(62.8, DOWN), [0.0, 0.0, -62.8]);
+        assert_eq!(compensation_offset_um(62.8, DOWN), [0.0, 0.0, 62.8]);
     }
 
     #[test]
     fn shrinking_lowers_the_tool() {
-        assert_eq!(offset_um(-5.0, DOWN), [0.0, 0.0, -5.0]);
+        assert_eq!(compensation_offset_um(-5.0, DOWN), [0.0, 0.0, -5.0]);
     }
 
     #[test]
     fn half_a_millimetre_at_a_30_degrees_is_the_papers_250_and_433_um() {
         let swung = tool_direction(DOWN, &[A], [30.0, 0.0, 0.0]);
         let cos = 0.75_f64.sqrt();
-        assert_near(error_um(500.0, swung), [0.0, 250.0, -500.0 * cos]);
-        assert_near(offset_um(500.0, swung), [0.0, -250.0, 500.0 * cos]);
+        assert_near(elongation_error_um(500.0, swung), [0.0, 250.0, -500.0 * cos]);
+        assert_near(compensation_offset_um(500.0, swung), [0.0, -250.0, 500.0 * cos]);
         assert!((500.0 * cos - 433.0).abs() < 0.02);
     }
 
     #[test]
     fn every_rotary_axis_turns_by_the_right_hand() {
         let (x, y, z) = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]);
-        assert_near(rotated(y, A, 90.0), z);
-        assert_near(rotated(z, B, 90.0), x);
-        assert_near(rotated(x, C, 90.0), y);
+        assert_near(rotate_about_axis(y, A, 90.0), z);
+        assert_near(rotate_about_axis(z, B, 90.0), x);
+        assert_near(rotate_about_axis(x, C, 90.0), y);
         for (axis, own) in [(A, x), (B, y), (C, z)] {
-            assert_eq!(rotated(own, axis, 33.0), own);
+            assert_eq!(rotate_about_axis(own, axis, 33.0), own);
         }
         // B = +90° swings a tool that points down to −X.
         assert_near(tool_direction(DOWN, &[B], [0.0, 90.0, 0.0]), [-1.0, 0.0, 0.0]);
@@ -137,14 +137,16 @@ mod tests {
 
     #[test]
     fn no_component_is_minus_zero() {
-        for component in offset_um(1.0, DOWN).into_iter().chain(error_um(1.0, DOWN)) {
+        for component in
+            compensation_offset_um(1.0, DOWN).into_iter().chain(elongation_error_um(1.0, DOWN))
+        {
             assert!(component != 0.0 || component.is_sign_positive());
         }
     }
 
     #[test]
     fn an_unknown_growth_is_unknown_only_where_the_tool_points() {
-        let [x, y, z] = error_um(f64::NAN, DOWN);
+        let [x, y, z] = elongation_error_um(f64::NAN, DOWN);
         assert_eq!((x, y), (0.0, 0.0));
         assert!(z.is_nan());
     }

@@ -9,11 +9,11 @@
 
 /// The time since the row before.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Clock {
+pub(super) struct RowTimer {
     before_s: Option<f64>,
 }
 
-impl Clock {
+impl RowTimer {
     /// From the last call to this one, in s; 0 at the first, and where time runs back.
     pub(super) fn elapsed_s(&mut self, time_s: f64) -> f64 {
         let before_s = self.before_s.replace(time_s).unwrap_or(time_s);
@@ -26,7 +26,7 @@ impl Clock {
 pub struct Lag {
     /// y; `None` before the first row.
     settled: Option<f64>,
-    clock: Clock,
+    clock: RowTimer,
 }
 
 impl Lag {
@@ -43,7 +43,7 @@ impl Lag {
     /// assert!((lag.step(100.0, 100.0, 30.0) - 26.321_205_588).abs() < 1e-9);
     /// ```
     pub fn step(&mut self, lag_s: f64, time_s: f64, value: f64) -> f64 {
-        self.step_either_way([lag_s; 2], time_s, value)
+        self.step_asymmetric([lag_s; 2], time_s, value)
     }
 
     /// Steps a lag that starts at 0 in place of its first value: what was cold before it was heated.
@@ -60,7 +60,7 @@ impl Lag {
     }
 
     /// Returns the same with two time constants, in s: while y rises, and while it falls.
-    pub(crate) fn step_either_way(
+    pub(crate) fn step_asymmetric(
         &mut self,
         rise_fall_s: [f64; 2],
         time_s: f64,

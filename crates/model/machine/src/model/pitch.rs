@@ -12,7 +12,7 @@
 //! Backlash is an error of the approach in the negative direction only, which leaves the table
 //! behind: B there, 0 in the positive direction.
 
-use crate::file::axis::{Backlash, Dual, Pitch};
+use crate::file::axis::{Backlash, PitchErrorTable, SecondDrive};
 
 /// Returns whether an approach is in the negative direction. A direction that is missing (NaN) is positive.
 #[must_use]
@@ -24,16 +24,16 @@ pub fn is_reverse(direction: f64) -> bool {
 /// missing position.
 ///
 /// ```
-/// use trueup_machine::{file::Pitch, model::pitch_um};
+/// use trueup_machine::{file::PitchErrorTable, model::pitch_um};
 /// // 10 mm commanded, 9 mm moved: the error is −1 mm, and compensation adds +1 mm.
-/// let pitch = Pitch {
+/// let pitch = PitchErrorTable {
 ///     start_mm: 0.0, step_mm: 10.0, forward_um: vec![0.0, -1000.0], reverse_um: None,
 /// };
 /// assert_eq!(pitch_um(&pitch, 10.0, 1.0), -1000.0);
 /// assert_eq!(pitch_um(&pitch, 2.5, -1.0), -250.0);
 /// ```
 #[must_use]
-pub fn pitch_um(pitch: &Pitch, position_mm: f64, direction: f64) -> f64 {
+pub fn pitch_um(pitch: &PitchErrorTable, position_mm: f64, direction: f64) -> f64 {
     let table = match &pitch.reverse_um {
         Some(reverse_um) if is_reverse(direction) => reverse_um,
         _ => &pitch.forward_um,
@@ -58,9 +58,9 @@ pub fn pitch_um(pitch: &Pitch, position_mm: f64, direction: f64) -> f64 {
 /// second one's by where `across_mm` is on the beam.
 ///
 /// ```
-/// use trueup_machine::{file::{Dual, LinearAxis, Pitch}, model::dual_pitch_um};
-/// let table = |um| Pitch { start_mm: 0.0, step_mm: 1.0, forward_um: vec![um], reverse_um: None };
-/// let dual = Dual {
+/// use trueup_machine::{file::{SecondDrive, LinearAxis, PitchErrorTable}, model::dual_pitch_um};
+/// let table = |um| PitchErrorTable { start_mm: 0.0, step_mm: 1.0, forward_um: vec![um], reverse_um: None };
+/// let dual = SecondDrive {
 ///     across: LinearAxis::Y, first_mm: 0.0, second_mm: 3000.0, pitch: table(8.0),
 /// };
 /// // A quarter of the way: 3/4 · 4 + 1/4 · 8
@@ -68,8 +68,8 @@ pub fn pitch_um(pitch: &Pitch, position_mm: f64, direction: f64) -> f64 {
 /// ```
 #[must_use]
 pub fn dual_pitch_um(
-    pitch: &Pitch,
-    dual: &Dual,
+    pitch: &PitchErrorTable,
+    dual: &SecondDrive,
     position_mm: f64,
     across_mm: f64,
     direction: f64,
@@ -98,8 +98,8 @@ mod tests {
     use super::*;
     use crate::file::LinearAxis;
 
-    fn both_ways() -> Pitch {
-        Pitch {
+    fn both_ways() -> PitchErrorTable {
+        PitchErrorTable {
             start_mm: -100.0,
             step_mm: 100.0,
             forward_um: vec![0.0, 1.5, 2.0],
@@ -134,7 +134,7 @@ mod tests {
 
     #[test]
     fn a_single_point_holds_everywhere() {
-        let one = Pitch { forward_um: vec![7.0], reverse_um: None, ..both_ways() };
+        let one = PitchErrorTable { forward_um: vec![7.0], reverse_um: None, ..both_ways() };
         for position_mm in [-1e6, -100.0, 0.0, 1e6] {
             assert_eq!(pitch_um(&one, position_mm, -1.0), 7.0);
         }
@@ -142,16 +142,24 @@ mod tests {
 
     #[test]
     fn ten_millimetres_commanded_and_eleven_moved_are_an_error_of_plus_one() {
-        let far =
-            Pitch { start_mm: 0.0, step_mm: 10.0, forward_um: vec![0.0, 1000.0], ..both_ways() };
+        let far = PitchErrorTable {
+            start_mm: 0.0,
+            step_mm: 10.0,
+            forward_um: vec![0.0, 1000.0],
+            ..both_ways()
+        };
         assert_eq!(pitch_um(&far, 10.0, 1.0), 1000.0);
     }
 
     #[test]
     fn beyond_the_drives_the_nearer_one_holds() {
-        let table = |um| Pitch { forward_um: vec![um], reverse_um: None, ..both_ways() };
-        let dual =
-            Dual { across: LinearAxis::Y, first_mm: 3000.0, second_mm: 0.0, pitch: table(8.0) };
+        let table = |um| PitchErrorTable { forward_um: vec![um], reverse_um: None, ..both_ways() };
+        let dual = SecondDrive {
+            across: LinearAxis::Y,
+            first_mm: 3000.0,
+            second_mm: 0.0,
+            pitch: table(8.0),
+        };
         let at = |across_mm| dual_pitch_um(&table(4.0), &dual, 0.0, across_mm, 1.0);
         assert_eq!((at(4000.0), at(3000.0)), (4.0, 4.0));
         assert_eq!((at(0.0), at(-1.0)), (8.0, 8.0));

@@ -7,38 +7,38 @@
 
 use crate::{
     Machine,
-    effect::OnBoard,
-    file::{LinearAxis, Pitch},
+    effect::BoardTerm,
+    file::{LinearAxis, PitchErrorTable},
 };
 
 /// Travel that a backlash which grows with the position is reckoned for, in m: the wire's.
-const LARGEST_TRAVEL_M: f64 = 21.5;
+const MAX_TRAVEL_M: f64 = 21.5;
 
 /// Returns the most by which the offset of `axis` goes against a reversal, in µm, 0 where it never does: the
 /// sum of the largest of each part, so that the truth is at most as much.
 ///
 /// ```
 /// use std::path::Path;
-/// use trueup_machine::{MachineFile, file::LinearAxis, model::over_compensation_um};
+/// use trueup_machine::{MachineFile, file::LinearAxis, model::max_over_compensation_um};
 /// let text = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[axis.x.backlash]\nwidth_um = -25.0\n\
 ///             [axis.y.backlash]\nwidth_um = 6.0\n";
 /// let machine = MachineFile::parse(text, Path::new("m.toml")).unwrap();
-/// assert_eq!(over_compensation_um(&machine, LinearAxis::X), 25.0);
-/// assert_eq!(over_compensation_um(&machine, LinearAxis::Y), 0.0);
+/// assert_eq!(max_over_compensation_um(&machine, LinearAxis::X), 25.0);
+/// assert_eq!(max_over_compensation_um(&machine, LinearAxis::Y), 0.0);
 /// ```
 #[must_use]
-pub fn over_compensation_um(machine: &Machine, axis: LinearAxis) -> f64 {
+pub fn max_over_compensation_um(machine: &Machine, axis: LinearAxis) -> f64 {
     let own = &machine.axes[axis.index()];
     let pitches = own.pitch.iter().chain(own.dual.as_ref().map(|dual| &dual.pitch));
-    let tables = pitches.map(table_um).fold(0.0, f64::max);
+    let tables = pitches.map(max_table_reversal_um).fold(0.0, f64::max);
     let backlash = own.backlash.as_ref().map_or(0.0, |backlash| -backlash.width_um).max(0.0);
     let of_axis = machine.terms.iter().filter(|term| term.quantity.axis() == Some(axis));
-    let forms = of_axis.flat_map(|term| term.effect.on_board());
+    let forms = of_axis.flat_map(|term| term.effect.board_terms());
     let terms: f64 = forms
         .map(|form| match form {
-            OnBoard::Table(pitch) => table_um(&pitch),
-            OnBoard::Reversed { width_um, um_per_m } => {
-                (-width_um).max(0.0) + um_per_m.abs() * LARGEST_TRAVEL_M
+            BoardTerm::Table(pitch) => max_table_reversal_um(&pitch),
+            BoardTerm::Reversed { width_um, um_per_m } => {
+                (-width_um).max(0.0) + um_per_m.abs() * MAX_TRAVEL_M
             }
             _ => 0.0,
         })
@@ -47,7 +47,7 @@ pub fn over_compensation_um(machine: &Machine, axis: LinearAxis) -> f64 {
 }
 
 /// Returns the most by which the reverse table is below the forward one.
-fn table_um(pitch: &Pitch) -> f64 {
+fn max_table_reversal_um(pitch: &PitchErrorTable) -> f64 {
     let Some(reverse_um) = &pitch.reverse_um else { return 0.0 };
     let steps = pitch.forward_um.iter().zip(reverse_um);
     steps.map(|(forward, reverse)| forward - reverse).fold(0.0, f64::max)
@@ -66,7 +66,7 @@ mod tests {
                     step_mm = 100.0\nforward_um = [0.0, 3.0, 5.0]\nreverse_um = [4.0, 1.0, 5.0]\n\
                     [[term]]\ncause = \"backlash\"\nquantity = \"dx\"\nwidth_um = -7.0\n";
         let machine = MachineFile::parse(text, Path::new("m.toml")).expect("a machine file");
-        assert_eq!(over_compensation_um(&machine, LinearAxis::X), 9.0);
-        assert_eq!(over_compensation_um(&machine, LinearAxis::Z), 0.0);
+        assert_eq!(max_over_compensation_um(&machine, LinearAxis::X), 9.0);
+        assert_eq!(max_over_compensation_um(&machine, LinearAxis::Z), 0.0);
     }
 }

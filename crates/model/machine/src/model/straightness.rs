@@ -20,7 +20,7 @@
 use crate::file::straightness::{BSpline, Squareness};
 
 /// Returns the spline at `position_mm`, in µm; NaN for a missing position, and for a spline that breaks
-/// the rules of [`BSpline::check`].
+/// the rules of [`BSpline::validate`].
 ///
 /// ```
 /// use trueup_machine::{file::BSpline, model::spline_um};
@@ -35,7 +35,7 @@ use crate::file::straightness::{BSpline, Squareness};
 /// ```
 #[must_use]
 pub fn spline_um(spline: &BSpline, position_mm: f64) -> f64 {
-    let Some(at) = Segment::of(spline, position_mm) else { return f64::NAN };
+    let Some(at) = KnotSpan::find(spline, position_mm) else { return f64::NAN };
     let mut d = [0.0; 4];
     d[..spline.order].copy_from_slice(&spline.control_um[at.first..at.first + spline.order]);
     at.de_boor(spline, d)
@@ -44,8 +44,8 @@ pub fn spline_um(spline: &BSpline, position_mm: f64) -> f64 {
 /// Returns how much each control point weighs at `position_mm`: the number of the first of as many as the
 /// order says, and their weights, which add up to 1. All NaN where [`spline_um`] is.
 #[must_use]
-pub(crate) fn spline_weights(spline: &BSpline, position_mm: f64) -> (usize, [f64; 4]) {
-    let Some(at) = Segment::of(spline, position_mm) else { return (0, [f64::NAN; 4]) };
+pub(crate) fn spline_basis_values(spline: &BSpline, position_mm: f64) -> (usize, [f64; 4]) {
+    let Some(at) = KnotSpan::find(spline, position_mm) else { return (0, [f64::NAN; 4]) };
     let weight = |number: usize| {
         let mut d = [0.0; 4];
         d[number] = 1.0;
@@ -57,15 +57,15 @@ pub(crate) fn spline_weights(spline: &BSpline, position_mm: f64) -> (usize, [f64
 }
 
 /// The knot span that holds a position.
-struct Segment {
+struct KnotSpan {
     /// The position, inside the knots.
     t: f64,
     /// s − p: the first control point that weighs there.
     first: usize,
 }
 
-impl Segment {
-    fn of(spline: &BSpline, position_mm: f64) -> Option<Self> {
+impl KnotSpan {
+    fn find(spline: &BSpline, position_mm: f64) -> Option<Self> {
         let BSpline { order, knots_mm: knots, control_um: control } = spline;
         let (order, count) = (*order, control.len());
         let is_sound = (2..=4).contains(&order) && count >= order && knots.len() == count + order;
@@ -153,7 +153,7 @@ mod tests {
         };
         let mut worst: f64 = 0.0;
         for spline in [example(), uneven, quadratic] {
-            assert_eq!(spline.check(), Ok(()));
+            assert_eq!(spline.validate(), Ok(()));
             let knots = &spline.knots_mm;
             let (first, last) = (knots[0], knots[knots.len() - 1]);
             for step in 0..1000 {
@@ -218,7 +218,7 @@ mod tests {
         let falling = BSpline { knots_mm: (0..9).rev().map(f64::from).collect(), ..example() };
         for spline in [short, empty, falling] {
             assert!(spline_um(&spline, 0.5).is_nan());
-            assert!(spline.check().is_err());
+            assert!(spline.validate().is_err());
         }
     }
 }

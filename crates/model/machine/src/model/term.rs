@@ -8,15 +8,15 @@
 
 use std::borrow::Cow;
 
-use super::{Lag, Situation, by_tool::growth_by_tool};
+use super::{Lag, RowInputs, tool_growth::tool_growth_term};
 use crate::{
-    effect::{Constants, Input, Quantity, Stage, heating},
-    file::{LinearAxis, Machine, Term, in_order},
+    effect::{Input, ModelConstants, PredictionStage, Quantity, relative_heat_input},
+    file::{LinearAxis, Machine, Term, sorted_by_stage},
 };
 
 /// The time constants of lags while what they follow falls; `None`: the same as while it rises.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Falling {
+pub struct FallingTimeConstants {
     /// Of `[spindle.temperature]`, in s.
     pub spindle_s: Option<f64>,
     /// Of `[axis.*.thermal]`, in s.
@@ -27,33 +27,38 @@ pub struct Falling {
 ///
 /// A warm-up's `cool_s` that is not written follows its rate of heating, corrected or not.
 #[must_use]
-pub fn corrected(machine: Cow<'_, Machine>) -> (Cow<'_, Machine>, Falling) {
+pub fn apply_constant_terms(machine: Cow<'_, Machine>) -> (Cow<'_, Machine>, FallingTimeConstants) {
     let mut corrected = machine;
     // How the tools grow is a term like any other; it is here already where this is called again.
-    let by_tool = corrected.spindle.tools.as_ref().map(growth_by_tool);
+    let by_tool = corrected.spindle.tools.as_ref().map(tool_growth_term);
     if let Some(term) = by_tool.filter(|term| corrected.terms.last() != Some(term)) {
         corrected.to_mut().terms.push(term);
     }
-    let mut falling = Falling::default();
-    let corrects = |term: &Term| matches!(term.effect.stage(), Stage::Constant | Stage::Falling);
-    let ordered = in_order(&corrected.terms).into_iter();
+    let mut falling = FallingTimeConstants::default();
+    let corrects = |term: &Term| {
+        matches!(
+            term.effect.stage(),
+            PredictionStage::Constant | PredictionStage::FallingTimeConstants
+        )
+    };
+    let ordered = sorted_by_stage(&corrected.terms).into_iter();
     let correcting: Vec<Term> =
         ordered.map(|(_, term)| term).filter(|term| corrects(term)).cloned().collect();
     for Term { quantity, effect, .. } in correcting {
         let Machine { spindle, axes, .. } = corrected.to_mut();
         let mut constants = match quantity.axis().map(LinearAxis::index) {
-            None => Constants {
+            None => ModelConstants {
                 spindle: Some(spindle),
                 thermal: None,
                 falling_s: &mut falling.spindle_s,
             },
-            Some(axis) => Constants {
+            Some(axis) => ModelConstants {
                 spindle: None,
                 thermal: axes[axis].thermal.as_mut(),
                 falling_s: &mut falling.axes_s[axis],
             },
         };
-        effect.correct(&mut constants);
+        effect.correct_constants(&mut constants);
     }
     (corrected, falling)
 }
@@ -70,16 +75,16 @@ impl TermLags {
         terms: &[Term],
         quantity: Quantity,
         time_s: f64,
-        situation: &Situation<'_>,
+        situation: &RowInputs<'_>,
         mut p_um: f64,
     ) -> f64 {
         self.0.resize_with(terms.len(), Default::default);
         let law_um = p_um;
         let mut constant_um = 0.0;
         for (term, lags) in terms.iter().zip(&mut self.0) {
-            lags.resize_with(term.effect.reads().len(), Lag::default);
+            lags.resize_with(term.effect.required_inputs().len(), Lag::default);
             if term.quantity == quantity {
-                p_um = changed(term, lags, time_s, situation, [law_um, p_um]);
+                p_um = apply_term(term, lags, time_s, situation, [law_um, p_um]);
                 constant_um += term.constant_um;
             }
         }
@@ -88,15 +93,18 @@ impl TermLags {
 }
 
 /// Returns the prediction with `term`, from that of the law alone and that so far.
-fn changed(
+fn apply_term(
     term: &Term,
     lags: &mut [Lag],
     time_s: f64,
-    situation: &Situation<'_>,
+    situation: &RowInputs<'_>,
     [law_um, p_um]: [f64; 2],
 ) -> f64 {
     let Term { effect, quantity, .. } = term;
-    if matches!(effect.stage(), Stage::Constant | Stage::Falling | Stage::Shift) {
+    if matches!(
+        effect.stage(),
+        PredictionStage::Constant | PredictionStage::FallingTimeConstants | PredictionStage::Shift
+    ) {
         return p_um;
     }
     let of = |axis: LinearAxis| situation.position_mm[axis.index()];
@@ -112,7 +120,7 @@ fn changed(
         Input::Speed => situation.spindle_rpm.unwrap_or(f64::NAN),
         Input::SpeedHeat { power, lag_s } => {
             let rpm = situation.spindle_rpm.unwrap_or(f64::NAN);
-            lag.step_from_zero(lag_s, time_s, heating(power, rpm))
+            lag.step_from_zero(lag_s, time_s, relative_heat_input(power, rpm))
         }
         Input::Load => situation.load_n.unwrap_or(f64::NAN),
         Input::Feed => situation.feed_mm_per_min,
@@ -121,32 +129,32 @@ fn changed(
             quantity.axis().map_or(1.0, |axis| situation.direction[axis.index()])
         }
         Input::Position(axis) => of(axis),
-        Input::Column(column) => situation.other(column),
-        Input::Lagged { column, lag_s } => lag.step(lag_s, time_s, situation.other(column)),
+        Input::Column(column) => situation.other_value(column),
+        Input::Lagged { column, lag_s } => lag.step(lag_s, time_s, situation.other_value(column)),
         // Only a diagnosis reads it, to find the error of an instrument.
         Input::Believed => f64::NAN,
     };
-    let x: Vec<f64> = effect.reads().iter().zip(lags).map(read).collect();
-    p_um + effect.at_row(&values, &x)
+    let x: Vec<f64> = effect.required_inputs().iter().zip(lags).map(read).collect();
+    p_um + effect.evaluate_at(&values, &x)
 }
 
 /// Returns the shift in s of the predictions of `quantity`: the sum of its terms'.
 #[must_use]
 pub fn time_shift_s(terms: &[Term], quantity: Quantity) -> f64 {
     let of_quantity = terms.iter().filter(|term| term.quantity == quantity);
-    of_quantity.map(|term| term.effect.shift_s()).sum()
+    of_quantity.map(|term| term.effect.time_shift_s()).sum()
 }
 
 /// Returns a series at t − shift for each of its own times: linear between the rows that have both, the
 /// end values held. Where time runs back, a new run begins. NaN where the time is missing.
 ///
 /// ```
-/// use trueup_machine::model::shifted;
-/// let p = shifted(&[0.0, 10.0, 20.0], &[1.0, 2.0, 4.0], 5.0);
+/// use trueup_machine::model::shift_series;
+/// let p = shift_series(&[0.0, 10.0, 20.0], &[1.0, 2.0, 4.0], 5.0);
 /// assert_eq!(p, [1.0, 1.5, 3.0]);
 /// ```
 #[must_use]
-pub fn shifted(time_s: &[f64], values: &[f64], shift_s: f64) -> Vec<f64> {
+pub fn shift_series(time_s: &[f64], values: &[f64], shift_s: f64) -> Vec<f64> {
     if shift_s == 0.0 {
         return values.to_vec();
     }
@@ -185,14 +193,19 @@ pub fn shifted(time_s: &[f64], values: &[f64], shift_s: f64) -> Vec<f64> {
 /// is looked at.
 ///
 /// ```
-/// use trueup_machine::model::shifted_at;
-/// assert_eq!(shifted_at(&[0.0, 10.0, 20.0], &[1.0, 2.0, 4.0], 5.0, &[0, 2]), [1.0, 3.0]);
+/// use trueup_machine::model::shift_series_at_rows;
+/// assert_eq!(shift_series_at_rows(&[0.0, 10.0, 20.0], &[1.0, 2.0, 4.0], 5.0, &[0, 2]), [1.0, 3.0]);
 /// ```
 #[must_use]
-pub fn shifted_at(time_s: &[f64], values: &[f64], shift_s: f64, rows: &[usize]) -> Vec<f64> {
+pub fn shift_series_at_rows(
+    time_s: &[f64],
+    values: &[f64],
+    shift_s: f64,
+    rows: &[usize],
+) -> Vec<f64> {
     let is_whole = !(time_s.iter().sum::<f64>() + values.iter().sum::<f64>()).is_nan();
     if shift_s == 0.0 || !is_whole || !time_s.is_sorted() {
-        let all = shifted(time_s, values, shift_s);
+        let all = shift_series(time_s, values, shift_s);
         return rows.iter().map(|&row| all[row]).collect();
     }
     let of = |&row: &usize| {
@@ -208,8 +221,8 @@ pub fn shifted_at(time_s: &[f64], values: &[f64], shift_s: f64, rows: &[usize]) 
 }
 
 /// Returns the columns that the terms need and that may be missing in a run.
-pub(super) fn columns(terms: &[Term]) -> Vec<String> {
-    terms.iter().flat_map(|term| term.effect.needed_columns(term.quantity)).collect()
+pub(super) fn required_term_columns(terms: &[Term]) -> Vec<String> {
+    terms.iter().flat_map(|term| term.effect.required_columns(term.quantity)).collect()
 }
 
 #[cfg(test)]
@@ -234,8 +247,8 @@ mod tests {
             [(&late, &values), (&twice, &values), (&late, &missing), (&pairs, &values)]
         {
             for shift_s in [0.0, 0.3, 3.0, 17.0, -5.5, 1e4, -1e4] {
-                let all = shifted(time_s, values, shift_s);
-                let some = shifted_at(time_s, values, shift_s, &rows);
+                let all = shift_series(time_s, values, shift_s);
+                let some = shift_series_at_rows(time_s, values, shift_s, &rows);
                 for (row, some) in rows.iter().zip(&some) {
                     let is_same =
                         (some - all[*row]).abs() < 1e-12 || some.is_nan() && all[*row].is_nan();

@@ -4,33 +4,33 @@
 //! ΔK(T) = K₀(T) + tanβ(T)·(P − P₀)
 //! ```
 //!
-//! P is the axis's position, P₀ its origin; tanβ is in µm/m. K₀ and tanβ go with T − T₀, or are
+//! P is the axis's position, P₀ its origin; tanβ is in µm/m. K₀ and tanβ are proportional to T − T₀, or are
 //! tables over T, linear between the rows and held at the ends. ΔK is the axis's error (actual
 //! minus commanded): it is positive where the axis has gone too far in the positive direction, and
 //! the offset moves it in the negative one.
 
-use crate::file::{Thermal, ThermalRow};
+use crate::file::{ThermalLaw, ThermalRow};
 
 /// K₀(T) in µm and tanβ(T) in µm/m, at a temperature that has passed the axis's lag already;
 /// whether they count is the mode's business.
 ///
 /// ```
-/// use trueup_machine::{file::{Thermal, ThermalMode, ThermalRow}, model::thermal_law};
+/// use trueup_machine::{file::{ThermalLaw, ThermalMode, ThermalRow}, model::thermal_coefficients};
 /// let row = |temperature_c, constant_um, slope_um_per_m| {
 ///     ThermalRow { temperature_c, constant_um, slope_um_per_m }
 /// };
-/// let axis = Thermal {
+/// let axis = ThermalLaw {
 ///     mode: ThermalMode::Both, sensor: "temp_screw_c".into(), reference_c: 0.0,
 ///     constant_um_per_c: 0.0, slope_um_per_m_per_c: 0.0, origin_mm: 0.0, lag_s: 0.0,
 ///     table: Some(vec![row(20.0, 1.0, 0.0), row(30.0, 3.0, 50.0)]),
 /// };
-/// assert_eq!(thermal_law(&axis, 22.5), (1.5, 12.5)); // a quarter of the way
-/// assert_eq!(thermal_law(&axis, 99.0), (3.0, 50.0)); // held
+/// assert_eq!(thermal_coefficients(&axis, 22.5), (1.5, 12.5)); // a quarter of the way
+/// assert_eq!(thermal_coefficients(&axis, 99.0), (3.0, 50.0)); // held
 /// ```
 #[must_use]
-pub fn thermal_law(axis: &Thermal, temperature_c: f64) -> (f64, f64) {
+pub fn thermal_coefficients(axis: &ThermalLaw, temperature_c: f64) -> (f64, f64) {
     match &axis.table {
-        Some(table) => interpolated(table, temperature_c),
+        Some(table) => interpolate_table(table, temperature_c),
         None => {
             let above_c = temperature_c - axis.reference_c;
             (axis.constant_um_per_c * above_c, axis.slope_um_per_m_per_c * above_c)
@@ -39,7 +39,7 @@ pub fn thermal_law(axis: &Thermal, temperature_c: f64) -> (f64, f64) {
 }
 
 /// Linear between the rows, the end rows held outside; NaN without rows or without a temperature.
-fn interpolated(table: &[ThermalRow], temperature_c: f64) -> (f64, f64) {
+fn interpolate_table(table: &[ThermalRow], temperature_c: f64) -> (f64, f64) {
     let (Some(first), Some(last)) = (table.first(), table.last()) else {
         return (f64::NAN, f64::NAN);
     };
@@ -63,8 +63,8 @@ fn interpolated(table: &[ThermalRow], temperature_c: f64) -> (f64, f64) {
 /// temperature or a position that counts is missing.
 ///
 /// ```
-/// use trueup_machine::{file::{Thermal, ThermalMode}, model::thermal_um};
-/// let axis = Thermal {
+/// use trueup_machine::{file::{ThermalLaw, ThermalMode}, model::thermal_um};
+/// let axis = ThermalLaw {
 ///     mode: ThermalMode::Position, sensor: "temp_screw_c".into(), reference_c: 23.0,
 ///     constant_um_per_c: 0.0, slope_um_per_m_per_c: 14.21, origin_mm: 0.0, lag_s: 0.0,
 ///     table: None,
@@ -73,8 +73,8 @@ fn interpolated(table: &[ThermalRow], temperature_c: f64) -> (f64, f64) {
 /// assert!((thermal_um(&axis, 42.0, 1000.0) - 269.99).abs() < 1e-9);
 /// ```
 #[must_use]
-pub fn thermal_um(axis: &Thermal, temperature_c: f64, position_mm: f64) -> f64 {
-    let (constant_um, slope_um_per_m) = thermal_law(axis, temperature_c);
+pub fn thermal_um(axis: &ThermalLaw, temperature_c: f64, position_mm: f64) -> f64 {
+    let (constant_um, slope_um_per_m) = thermal_coefficients(axis, temperature_c);
     let mut error_um = 0.0;
     if axis.mode.has_constant() {
         error_um += constant_um;
@@ -91,8 +91,8 @@ mod tests {
     use crate::file::ThermalMode;
 
     /// Returns the paper's axis: 23 °C to 42 °C is 270 µm/m.
-    fn paper() -> Thermal {
-        Thermal {
+    fn paper() -> ThermalLaw {
+        ThermalLaw {
             mode: ThermalMode::Position,
             sensor: "temp_screw_c".into(),
             reference_c: 23.0,
@@ -114,14 +114,14 @@ mod tests {
 
     #[test]
     fn five_metres_of_steel_grow_50_um_for_one_kelvin() {
-        let steel = Thermal { reference_c: 20.0, slope_um_per_m_per_c: 10.0, ..paper() };
+        let steel = ThermalLaw { reference_c: 20.0, slope_um_per_m_per_c: 10.0, ..paper() };
         assert_eq!(thermal_um(&steel, 21.0, 5000.0), 50.0);
     }
 
     #[test]
     fn the_mode_chooses_the_terms() {
-        let axis = Thermal { constant_um_per_c: 2.0, slope_um_per_m_per_c: 10.0, ..paper() };
-        let at = |mode| thermal_um(&Thermal { mode, ..axis.clone() }, 26.0, 500.0);
+        let axis = ThermalLaw { constant_um_per_c: 2.0, slope_um_per_m_per_c: 10.0, ..paper() };
+        let at = |mode| thermal_um(&ThermalLaw { mode, ..axis.clone() }, 26.0, 500.0);
         assert_eq!(at(ThermalMode::Constant), 6.0);
         assert_eq!(at(ThermalMode::Position), 15.0);
         assert_eq!(at(ThermalMode::Both), 21.0);
@@ -129,14 +129,14 @@ mod tests {
 
     #[test]
     fn nothing_of_the_second_term_is_left_at_its_origin() {
-        let axis = Thermal { origin_mm: 250.0, ..paper() };
+        let axis = ThermalLaw { origin_mm: 250.0, ..paper() };
         assert_eq!(thermal_um(&axis, 42.0, 250.0), 0.0);
         assert!((thermal_um(&axis, 33.0, 1250.0) - 142.1).abs() < 1e-9);
     }
 
     #[test]
     fn a_position_that_does_not_count_may_be_missing() {
-        let axis = Thermal { mode: ThermalMode::Constant, constant_um_per_c: 2.0, ..paper() };
+        let axis = ThermalLaw { mode: ThermalMode::Constant, constant_um_per_c: 2.0, ..paper() };
         assert_eq!(thermal_um(&axis, 24.0, f64::NAN), 2.0);
         assert!(thermal_um(&paper(), 24.0, f64::NAN).is_nan());
         assert!(thermal_um(&axis, f64::NAN, 0.0).is_nan());
@@ -150,7 +150,7 @@ mod tests {
             slope_um_per_m,
         };
         let rows = vec![row(23.0, 0.0, 0.0), row(33.0, 5.0, 100.0), row(42.0, -4.0, 270.0)];
-        let axis = Thermal { table: Some(rows), ..paper() };
+        let axis = ThermalLaw { table: Some(rows), ..paper() };
         for (temperature_c, expected) in [
             (-40.0, (0.0, 0.0)),
             (23.0, (0.0, 0.0)),
@@ -160,9 +160,9 @@ mod tests {
             (42.0, (-4.0, 270.0)),
             (300.0, (-4.0, 270.0)),
         ] {
-            assert_eq!(thermal_law(&axis, temperature_c), expected, "{temperature_c} °C");
+            assert_eq!(thermal_coefficients(&axis, temperature_c), expected, "{temperature_c} °C");
         }
-        assert!(thermal_law(&axis, f64::NAN).0.is_nan());
+        assert!(thermal_coefficients(&axis, f64::NAN).0.is_nan());
         assert_eq!(thermal_um(&axis, 42.0, 1000.0), 270.0);
     }
 }

@@ -3,52 +3,52 @@
 use trueup_core::{
     calibration::Calibration,
     cnc::Conditions,
-    dimensions::{CHANNELS, STEP_MS},
-    heat::{FIRST_TERM, Heat},
+    dimensions::{CHANNEL_COUNT, THERMAL_STEP_MS},
     lag::SmoothingFactor,
-    place::Place,
+    machine_position::MachinePosition,
     term::{self, OperatingPoint},
-    tip::{self, UNLIMITED},
-    travel::Travel,
+    thermal_state::{FIRST_TERM_ITEM, MachineThermalState},
+    tip_error::{self, UNLIMITED},
+    travel::ReversalTracker,
     units::{MicroDegrees, Nanometres, Position, Rpm, Temperature},
 };
 
 use crate::{
-    compile::{Compiled, compile, conditions, free_bit, term::PARTS_OF_N},
-    effect::OnBoard,
-    file::{ElongationSource, Machine, TOOL_COLUMN, Tools},
-    inputs::{
-        ConditionInput, Inputs, LAST_CHANNEL, SensorInput, TemperatureInput, TemperatureKind,
+    compile::{
+        CompiledCalibration, board_conditions, compile, first_free_bit, term::LOAD_UNITS_PER_NEWTON,
     },
-    model::{Situation, Values},
-    stored::{NM_PER_UM, UNITS_PER_MM},
+    effect::BoardTerm,
+    file::{ElongationSource, Machine, TOOL_COLUMN, Tools},
+    inputs::{ConditionInput, Inputs, MAX_CHANNEL, SensorInput, TemperatureInput, TemperatureKind},
+    model::{ErrorValues, RowInputs},
+    unit_conversion::{NM_PER_UM, POSITION_UNITS_PER_MM},
 };
 
 /// The board's side.
 #[derive(Clone, Debug)]
-pub(super) struct Bridge {
+pub(super) struct SimulatedBridge {
     /// `None` if no law needs a reading.
     pub(super) input: Option<SensorInput>,
     /// The temperature column of each channel.
-    channels: [Option<String>; CHANNELS],
+    channels: [Option<String>; CHANNEL_COUNT],
     /// The column of each condition, with its bit.
     conditions: Vec<(String, u8)>,
-    pub(super) compiled: Compiled,
+    pub(super) compiled: CompiledCalibration,
 }
 
-impl Bridge {
+impl SimulatedBridge {
     /// Returns the bridge of a machine. The error says why there is none; a prediction needs none.
-    pub(super) fn of(machine: &Machine) -> Result<Self, String> {
+    pub(super) fn from_machine(machine: &Machine) -> Result<Self, String> {
         let input = machine.inputs.as_ref().and_then(|inputs| inputs.sensor);
         if machine.spindle.source == Some(ElongationSource::Sensor) && input.is_none() {
             return Err("without [inputs] sensor".into());
         }
-        let wired = with_all_temperatures(machine);
+        let wired = with_temperature_channels(machine);
         let compiled = match compile(&wired) {
             Ok(compiled) => compiled,
             Err(error) => return Err(error.to_string()),
         };
-        let mut channels = [const { None }; CHANNELS];
+        let mut channels = [const { None }; CHANNEL_COUNT];
         for (name, temperature) in wired.inputs.iter().flat_map(|inputs| &inputs.temperatures) {
             if let Some(channel) = channels.get_mut(usize::from(temperature.channel)) {
                 *channel = Some(name.clone());
@@ -62,18 +62,18 @@ impl Bridge {
 
 /// Returns the machine with a channel for every temperature that its model uses: a prediction does not
 /// need to know how they are connected.
-fn with_all_temperatures(machine: &Machine) -> Machine {
+fn with_temperature_channels(machine: &Machine) -> Machine {
     let mut wired = machine.clone();
     let axes = machine.axes.iter().filter_map(|axis| axis.thermal.as_ref());
     let spindle = machine.spindle.temperature.iter().map(|model| &model.sensor);
-    let of_terms = machine.terms.iter().filter_map(|term| term.effect.temperature());
+    let of_terms = machine.terms.iter().filter_map(|term| term.effect.temperature_column());
     let used: Vec<String> =
         axes.map(|thermal| &thermal.sensor).chain(spindle).cloned().chain(of_terms).collect();
-    let of_conditions = conditions(&wired);
+    let of_conditions = board_conditions(&wired);
     let inputs = wired.inputs.get_or_insert_with(Inputs::default);
     for name in of_conditions {
         if !inputs.conditions.contains_key(&name)
-            && let Some(bit) = free_bit(inputs)
+            && let Some(bit) = first_free_bit(inputs)
         {
             inputs.conditions.insert(name, ConditionInput { bit, default: false });
         }
@@ -81,7 +81,7 @@ fn with_all_temperatures(machine: &Machine) -> Machine {
     for name in used {
         let taken = |channel: &u8| inputs.temperatures.values().any(|it| it.channel == *channel);
         if !inputs.temperatures.contains_key(&name)
-            && let Some(channel) = (0..=LAST_CHANNEL).find(|channel| !taken(channel))
+            && let Some(channel) = (0..=MAX_CHANNEL).find(|channel| !taken(channel))
         {
             let input =
                 TemperatureInput { channel, kind: TemperatureKind::Pt100, max_c_per_min: None };
@@ -93,7 +93,7 @@ fn with_all_temperatures(machine: &Machine) -> Machine {
 
 /// The board's side on its way through a run.
 pub(super) struct BridgeRun<'b> {
-    bridge: &'b Bridge,
+    bridge: &'b SimulatedBridge,
     calibration: Calibration<'b>,
     /// In the order in which the CNC sends them, each the place of its angle among A, B and C.
     angle_axes: Vec<usize>,
@@ -102,57 +102,59 @@ pub(super) struct BridgeRun<'b> {
     codes: Vec<(f64, u16)>,
     /// When each of the terms over time starts, in the run's time.
     starts_s: Vec<f64>,
-    heat: Heat,
+    heat: MachineThermalState,
     /// The time of the first row, and the steps taken since.
     clock: Option<(f64, u64)>,
     last_s: f64,
 }
 
 impl<'b> BridgeRun<'b> {
-    pub(super) fn new(machine: &Machine, bridge: &'b Bridge) -> Self {
+    pub(super) fn new(machine: &Machine, bridge: &'b SimulatedBridge) -> Self {
         let rated = machine.spindle.warmup.as_ref().and_then(|warmup| warmup.rated_rpm);
         Self {
             bridge,
             calibration: bridge.compiled.calibration(),
             angle_axes: machine.angle_axes().iter().map(|axis| axis.index()).collect(),
-            rated: rpm(rated.unwrap_or(1.0)),
-            codes: machine.spindle.tools.iter().flat_map(Tools::codes).collect(),
+            rated: to_board_rpm(rated.unwrap_or(1.0)),
+            codes: machine.spindle.tools.iter().flat_map(Tools::label_codes).collect(),
             starts_s: machine
                 .terms
                 .iter()
-                .flat_map(|term| term.effect.on_board())
+                .flat_map(|term| term.effect.board_terms())
                 .filter_map(|form| match form {
-                    OnBoard::Time { start_s, .. } => Some(start_s),
+                    BoardTerm::Time { start_s, .. } => Some(start_s),
                     _ => None,
                 })
                 .collect(),
-            heat: Heat::default(),
+            heat: MachineThermalState::default(),
             clock: None,
             last_s: f64::NAN,
         }
     }
 
-    pub(super) fn step(&mut self, situation: &Situation<'_>) -> Values {
-        self.take_conditions(situation);
+    pub(super) fn step(&mut self, situation: &RowInputs<'_>) -> ErrorValues {
+        self.apply_conditions(situation);
         self.step_thermal(situation);
-        self.take_conditions(situation);
+        self.apply_conditions(situation);
         let calibration = &self.calibration;
         let reading = self.bridge.input.map(|it| it.reading_from_counts(situation.sensor_counts));
         let by_sensor = calibration.spindle.sensor.elongation(reading.unwrap_or_default());
         let source = calibration.spindle.chain[0];
-        let plain = tip::elongation_by(source, by_sensor, &self.heat).fine();
+        let plain = tip_error::source_elongation(source, by_sensor, &self.heat).to_fine();
         let operating = OperatingPoint {
-            speed: situation.spindle_rpm.map(rpm),
+            speed: situation.spindle_rpm.map(to_board_rpm),
             // A cast from f64 saturates.
-            load: (situation.load_n.unwrap_or(0.0) * PARTS_OF_N).round() as i32,
+            load: (situation.load_n.unwrap_or(0.0) * LOAD_UNITS_PER_NEWTON).round() as i32,
         };
         let terms = &calibration.terms;
-        let elongation = term::elongation(terms, plain, self.heat.terms(), operating).rounded();
-        let mut place = Place::default();
+        let elongation =
+            term::apply_elongation_terms(terms, plain, self.heat.terms(), operating).rounded();
+        let mut place = MachinePosition::default();
         for (n, axis) in calibration.axes.iter().enumerate() {
             // A cast from f64 saturates and takes NaN to 0; what depends on it is not shown.
-            place.position[n] = Position((situation.position_mm[n] * UNITS_PER_MM).round() as i32);
-            place.travel[n] = Travel::new();
+            place.position[n] =
+                Position((situation.position_mm[n] * POSITION_UNITS_PER_MM).round() as i32);
+            place.travel[n] = ReversalTracker::new();
             let direction = if situation.direction[n] < 0.0 { -1 } else { 1 };
             place.travel[n].update(&axis.travel, place.position[n], direction);
         }
@@ -161,34 +163,37 @@ impl<'b> BridgeRun<'b> {
             MicroDegrees((degrees * f64::from(MicroDegrees::PER_DEGREE)).round() as i32)
         };
         place.angles = [angle(0), angle(1)];
-        let direction = calibration.kinematics.direction(place.angles);
-        // Without limits: what the tick would clamp is shown as it is.
-        let axes = calibration.errors(&self.heat, &place).sums(UNLIMITED).sums;
-        let (error, _) = tip::error_at_tip(elongation, direction, axes, UNLIMITED);
+        let direction = calibration.kinematics.tool_direction(place.angles);
+        // Without limits: what the tick would clamp is shown unclamped.
+        let axes = calibration.axis_errors(&self.heat, &place).clamped_sums(UNLIMITED).sums;
+        let (error, _) = tip_error::compute_tip_error(elongation, direction, axes, UNLIMITED);
         let um = |length: Nanometres| f64::from(length.0) / NM_PER_UM;
-        Values { elongation_um: um(elongation), error_um: error.map(|error| um(error.rounded())) }
+        ErrorValues {
+            elongation_um: um(elongation),
+            error_um: error.map(|error| um(error.rounded())),
+        }
     }
 
     /// Takes tool, conditions and speed of the row. One that is missing counts as off; what depends on it is not shown.
-    fn take_conditions(&mut self, situation: &Situation<'_>) {
-        let holds = |(name, _): &&(String, u8)| situation.other(name) == 1.0;
+    fn apply_conditions(&mut self, situation: &RowInputs<'_>) {
+        let holds = |(name, _): &&(String, u8)| situation.other_value(name) == 1.0;
         let on = self.bridge.conditions.iter().filter(holds);
         let bits = on.fold(0, |bits, (_, bit)| bits | 1_u16.wrapping_shl((*bit).into()));
-        let value = situation.other(TOOL_COLUMN);
+        let value = situation.other_value(TOOL_COLUMN);
         let of_label = self.codes.iter().find(|(code, _)| *code == value).map(|(_, it)| *it);
         // A cast from f64 saturates: a label that is not known is tool 0.
         let tool = of_label.unwrap_or(value as u16);
-        self.heat.select(&self.calibration, Some(Conditions { tool, bits }));
-        let speed = situation.spindle_rpm.map_or(self.rated, rpm);
-        self.heat.turn(&self.calibration, speed);
+        self.heat.set_conditions(&self.calibration, Some(Conditions { tool, bits }));
+        let speed = situation.spindle_rpm.map_or(self.rated, to_board_rpm);
+        self.heat.update_speed(&self.calibration, speed);
     }
 
     /// Steps the heat up to the row, as often as the board would; a row that lacks something leaves
     /// it to the next.
-    fn step_thermal(&mut self, situation: &Situation<'_>) {
+    fn step_thermal(&mut self, situation: &RowInputs<'_>) {
         /// More steps than that (eleven days) leave no lag unsettled that the board can follow.
         const MAX_STEPS: u64 = 10_000_000;
-        let temperatures: [Option<Temperature>; CHANNELS] = std::array::from_fn(|channel| {
+        let temperatures: [Option<Temperature>; CHANNEL_COUNT] = std::array::from_fn(|channel| {
             let name = self.bridge.channels[channel].as_ref()?;
             let units = situation.temperature_c(name) * f64::from(Temperature::PER_KELVIN);
             (!units.is_nan()).then_some(Temperature(units.round() as i32))
@@ -196,22 +201,22 @@ impl<'b> BridgeRun<'b> {
         let speed = match situation.spindle_rpm {
             None => Some(self.rated),
             Some(speed) if speed.is_nan() => return,
-            Some(speed) => Some(rpm(speed)),
+            Some(speed) => Some(to_board_rpm(speed)),
         };
         if situation.time_s.is_some_and(f64::is_nan) {
             return;
         }
         let time_s = situation.time_s.unwrap_or(0.0);
         if time_s < self.last_s {
-            (self.heat, self.clock) = (Heat::default(), None);
+            (self.heat, self.clock) = (MachineThermalState::default(), None);
         }
         self.last_s = time_s;
         let is_first = self.clock.is_none();
         if is_first {
-            self.run_ahead(time_s);
+            self.advance_time_terms(time_s);
         }
         let (start_s, done) = self.clock.get_or_insert((time_s, 0));
-        let due = ((time_s - *start_s) * 1_000.0 / f64::from(STEP_MS)).round() as u64;
+        let due = ((time_s - *start_s) * 1_000.0 / f64::from(THERMAL_STEP_MS)).round() as u64;
         let steps = due.saturating_sub(*done).min(MAX_STEPS);
         *done = due;
         for _ in 0..steps {
@@ -232,7 +237,7 @@ impl<'b> BridgeRun<'b> {
             term::Effect::Condition(it) => Some(it.smoothing),
             _ => None,
         });
-        let factors = (0..).zip(axes.chain([spindle])).chain((FIRST_TERM..).zip(terms));
+        let factors = (0..).zip(axes.chain([spindle])).chain((FIRST_TERM_ITEM..).zip(terms));
         for (item, smoothing) in factors {
             if smoothing.is_some_and(follows) {
                 self.heat.step_item(&self.calibration, item, &temperatures, speed);
@@ -241,23 +246,23 @@ impl<'b> BridgeRun<'b> {
     }
 
     /// Terms over time go on from where they are at the first row.
-    fn run_ahead(&mut self, time_s: f64) {
+    fn advance_time_terms(&mut self, time_s: f64) {
         let is_timed = |term: &&Option<term::Term<'_>>| {
             term.is_some_and(|term| matches!(term.effect, term::Effect::Time { .. }))
         };
         let terms = self.calibration.terms.iter().enumerate();
         let timed = terms.filter(|(_, term)| is_timed(term)).map(|(index, _)| index);
         for (index, start_s) in timed.zip(&self.starts_s) {
-            let steps = (time_s - start_s) * 1_000.0 / f64::from(STEP_MS);
+            let steps = (time_s - start_s) * 1_000.0 / f64::from(THERMAL_STEP_MS);
             // A cast from f64 saturates at both ends; ten million steps settle every lag.
             let steps = (steps.round() as u32).min(10_000_000);
-            self.heat.run_ahead(&self.calibration, index, steps);
+            self.heat.advance_time_terms(&self.calibration, index, steps);
         }
     }
 }
 
 /// Returns a speed as the board knows it.
-fn rpm(speed: f64) -> Rpm {
+fn to_board_rpm(speed: f64) -> Rpm {
     // Slower than half a turn a minute is still a spindle that runs.
     let rounded = if speed == 0.0 { 0.0 } else { speed.abs().round().max(1.0) };
     Rpm(rounded.min(f64::from(u16::MAX)) as u16)

@@ -3,7 +3,7 @@
 use crate::{
     effect::Input,
     file::{LinearAxis, Machine, RotaryAxis, TOOL_COLUMN, is_temperature_column},
-    model::Situation,
+    model::RowInputs,
     run_file::RunFile,
 };
 
@@ -26,13 +26,13 @@ pub(super) struct Columns<'a> {
 }
 
 impl<'a> Columns<'a> {
-    pub(super) fn of(machine: &Machine, run: &'a RunFile) -> Self {
+    pub(super) fn new(machine: &Machine, run: &'a RunFile) -> Self {
         let linear =
             |name: fn(&str) -> String| LinearAxis::ALL.map(|axis| run.column(&name(axis.name())));
         let temperatures =
             run.columns().iter().filter(|column| is_temperature_column(&column.name));
         let by_tool = machine.spindle.tools.as_ref().map(|_| TOOL_COLUMN);
-        let reads = machine.terms.iter().flat_map(|term| term.effect.reads());
+        let reads = machine.terms.iter().flat_map(|term| term.effect.required_inputs());
         let names: Vec<&str> = reads
             .filter_map(|input| match input {
                 Input::Column(column) | Input::Lagged { column, .. } => Some(column),
@@ -59,41 +59,41 @@ impl<'a> Columns<'a> {
         }
     }
 
-    pub(super) fn temperatures(&self, row: usize) -> Vec<(&'a str, f64)> {
-        in_row(&self.temperatures_c, row)
+    pub(super) fn temperatures_in_row(&self, row: usize) -> Vec<(&'a str, f64)> {
+        values_in_row(&self.temperatures_c, row)
     }
 
-    pub(super) fn others(&self, row: usize) -> Vec<(&'a str, f64)> {
-        in_row(&self.others, row)
+    pub(super) fn others_in_row(&self, row: usize) -> Vec<(&'a str, f64)> {
+        values_in_row(&self.others, row)
     }
 
-    pub(super) fn situation<'t>(
+    pub(super) fn row_inputs<'t>(
         &self,
         row: usize,
         temperatures_c: &'t [(&'a str, f64)],
         others: &'t [(&'a str, f64)],
-    ) -> Situation<'t> {
-        Situation {
-            time_s: self.time_s.map(|times| at(Some(times), row)),
-            run: self.run.map(|runs| at(Some(runs), row)),
-            sensor_counts: at(self.sensor_counts, row),
-            spindle_rpm: self.spindle_rpm.map(|speeds| at(Some(speeds), row)),
-            load_n: self.load_n.map(|loads| at(Some(loads), row)),
-            feed_mm_per_min: at(self.feed_mm_per_min, row),
+    ) -> RowInputs<'t> {
+        RowInputs {
+            time_s: self.time_s.map(|times| value_at_row(Some(times), row)),
+            run: self.run.map(|runs| value_at_row(Some(runs), row)),
+            sensor_counts: value_at_row(self.sensor_counts, row),
+            spindle_rpm: self.spindle_rpm.map(|speeds| value_at_row(Some(speeds), row)),
+            load_n: self.load_n.map(|loads| value_at_row(Some(loads), row)),
+            feed_mm_per_min: value_at_row(self.feed_mm_per_min, row),
             temperatures_c,
             others,
-            position_mm: self.position_mm.map(|values| at(values, row)),
-            angle_deg: self.angle_deg.map(|values| at(values, row)),
-            direction: self.direction.map(|values| at(values, row)),
-            tool_length_mm: self.tool_length_mm.map(|lengths| at(Some(lengths), row)),
+            position_mm: self.position_mm.map(|values| value_at_row(values, row)),
+            angle_deg: self.angle_deg.map(|values| value_at_row(values, row)),
+            direction: self.direction.map(|values| value_at_row(values, row)),
+            tool_length_mm: self.tool_length_mm.map(|lengths| value_at_row(Some(lengths), row)),
         }
     }
 }
 
-fn in_row<'a>(columns: &[(&'a str, &'a [f64])], row: usize) -> Vec<(&'a str, f64)> {
-    columns.iter().map(|(name, values)| (*name, at(Some(values), row))).collect()
+fn values_in_row<'a>(columns: &[(&'a str, &'a [f64])], row: usize) -> Vec<(&'a str, f64)> {
+    columns.iter().map(|(name, values)| (*name, value_at_row(Some(values), row))).collect()
 }
 
-pub(super) fn at(column: Option<&[f64]>, row: usize) -> f64 {
+pub(super) fn value_at_row(column: Option<&[f64]>, row: usize) -> f64 {
     column.and_then(|values| values.get(row)).copied().unwrap_or(f64::NAN)
 }

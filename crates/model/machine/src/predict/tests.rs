@@ -15,11 +15,11 @@ fn run(text: &str) -> RunFile {
 }
 
 /// Returns what is written, and the account of it.
-fn written(machine_text: &str, run_text: &str) -> (String, Written) {
+fn written(machine_text: &str, run_text: &str) -> (String, PredictionSummary) {
     let (machine, run) = (machine(machine_text), run(run_text));
     let predictor = Predictor::new(&machine, &run).expect("can be predicted");
     let (mut out, mut rows) = (Vec::new(), 0);
-    let account = predictor.write(&mut out, || rows += 1).expect("a Vec can be written");
+    let account = predictor.write_csv(&mut out, || rows += 1).expect("a Vec can be written");
     assert_eq!(rows, account.rows);
     (String::from_utf8(out).expect("CSV is text"), account)
 }
@@ -27,7 +27,7 @@ fn written(machine_text: &str, run_text: &str) -> (String, Written) {
 #[test]
 fn both_sides_stand_beside_what_was_read() {
     let (csv, account) = written(PAPER, "sensor_counts,mystery\n9164,-1e-3\n5048,\n");
-    let header = format!("sensor_counts,mystery,{}\n", COLUMNS.join(","));
+    let header = format!("sensor_counts,mystery,{}\n", PREDICTION_COLUMNS.join(","));
     // 62.80517578125 µm: the board rounds it to a nanometre, and the error once more.
     let grown = "9164,-0.001,62.805176,62.805000,0.000000,0.000000,0.000000,0.000000,\
                  -62.805176,-62.805000\n";
@@ -88,7 +88,7 @@ fn what_was_written_is_a_run_file_with_the_same_values() {
     let text = "\"load; \"\"z\"\", n\",sensor_counts,time_s\n1e-7,5048.5,\n-2e300,0.1,3\n";
     let (csv, _) = written(PAPER, text);
     let (before, after) = (run(text), run(&csv));
-    assert_eq!(after.columns().len(), 3 + COLUMNS.len());
+    assert_eq!(after.columns().len(), 3 + PREDICTION_COLUMNS.len());
     for (before, after) in before.columns().iter().zip(after.columns()) {
         assert_eq!(before.name, after.name);
         for (before, after) in before.values.iter().zip(after.values.iter()) {
@@ -109,9 +109,9 @@ fn what_the_board_could_not_run_is_predicted_all_the_same() {
     let steep = machine(&PAPER.replace("0.0152587890625", "2.0"));
     let run = run("sensor_counts\n5049\n");
     let predictor = Predictor::new(&steep, &run).expect("the model needs no board");
-    let why = predictor.why_no_bridge().expect("the board cannot");
+    let why = predictor.bridge_error().expect("the board cannot");
     assert!(why.starts_with("m.toml:16:16: spindle.sensor.um_per_count 2 is"), "{why}");
-    assert_eq!(predictor.rows().next().map(|row| row.model.elongation_um), Some(2.0));
+    assert_eq!(predictor.predictions().next().map(|row| row.model.elongation_um), Some(2.0));
 }
 
 #[test]
@@ -136,7 +136,7 @@ fn a_row_that_the_boards_numbers_cannot_hold_breaks_the_promise_and_one_between_
         let text = format!("time_s,x_mm,temp_a_c\n{rows}");
         let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
         let predictor = Predictor::new(&machine, &run).expect("it can be predicted");
-        predictor.write(Vec::new(), || {}).expect("a Vec can be written")
+        predictor.write_csv(Vec::new(), || {}).expect("a Vec can be written")
     };
     // 8.4 m beyond what a sum of errors may be: 303 mm of growth.
     let (row, nm) = written("0,0,20\n600,30000,900\n").broken_promise.expect("it is broken");
@@ -144,7 +144,7 @@ fn a_row_that_the_boards_numbers_cannot_hold_breaks_the_promise_and_one_between_
     assert_eq!(written("0,0,20\n600,9000,30\n1200,9000,25\n").broken_promise, None);
     // 50 ms after a step of the board, while the temperature runs away.
     let between = written("0,9000,20\n10,9000,20\n10.25,9000,40\n");
-    assert!(between.largest_difference_nm.expect("a bridge") > WIRE_STEP_NM, "{between:?}");
+    assert!(between.largest_difference_nm.expect("a bridge") > WIRE_RESOLUTION_NM, "{between:?}");
     assert_eq!(between.broken_promise, None);
 }
 
@@ -157,14 +157,14 @@ fn a_tool_of_another_length_errs_by_its_own_lever_and_the_board_knows_that_of_th
     let rows = "x_mm,y_mm,z_mm,tool_length_mm\n1000,500,200,100\n1000,500,200,300\n1000,500,200,\n";
     let (machine, rows) = (machine(text), run(rows));
     let predictor = Predictor::new(&machine, &rows).expect("can be predicted");
-    let all: Vec<Prediction> = predictor.rows().collect();
+    let all: Vec<Prediction> = predictor.predictions().collect();
     assert_eq!(all[0].model.error_um, [0.0, -1.0, 5.0]);
     assert_eq!(all[1].model.error_um, [0.0, 1.0, 5.0]);
     assert!(all[2].model.error_um[1].is_nan(), "{:?}", all[2]);
     assert_eq!(all[2].model.error_um[2].to_bits(), 5.0_f64.to_bits());
     assert!(all.iter().take(2).all(|it| it.compensated.error_um == [0.0, -1.0, 5.0]));
-    assert!(all[1].arithmetic_nm().expect("a board") < 1.0);
-    assert_eq!(predictor.not_run(), ["tool_length_mm"]);
+    assert!(all[1].arithmetic_error_nm().expect("a board") < 1.0);
+    assert_eq!(predictor.unsupported_features(), ["tool_length_mm"]);
     let (_, account) = written(text, "x_mm,y_mm,z_mm,tool_length_mm\n1000,500,200,300\n");
     assert_eq!(account.broken_promise, None);
 }

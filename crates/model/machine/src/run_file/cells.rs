@@ -1,53 +1,58 @@
 //! A field of a run file as a number: written as one, or as a time of day.
 
-use super::clock::{Clock, looks_like_date, may_hold_times};
-use crate::location::shortened;
+use super::clock::{TimeOrigin, can_hold_timestamps, looks_like_date};
+use crate::location::truncate_text;
 
 /// The clock and the form of each column, by the fields read so far.
-pub(super) struct Cells {
-    clock: Clock,
+pub(super) struct ColumnFormats {
+    clock: TimeOrigin,
     /// By column; `None` before its first value.
-    form: Vec<Option<Form>>,
+    form: Vec<Option<CellFormat>>,
 }
 
 #[derive(Clone, Copy, PartialEq)]
-enum Form {
+enum CellFormat {
     Number,
     Time,
 }
 
-impl Cells {
+impl ColumnFormats {
     pub(super) fn new(columns: usize) -> Self {
-        Self { clock: Clock::default(), form: vec![None; columns] }
+        Self { clock: TimeOrigin::default(), form: vec![None; columns] }
     }
 
     /// Returns whether the values of a column were written as times of day.
-    pub(super) fn holds_times(&self, column: usize) -> bool {
-        self.form.get(column) == Some(&Some(Form::Time))
+    pub(super) fn has_timestamps(&self, column: usize) -> bool {
+        self.form.get(column) == Some(&Some(CellFormat::Time))
     }
 
     /// Returns the first time of the file in s from 1970, where a column of times is counted from it.
     pub(super) fn epoch_s(&self, column: usize) -> Option<f64> {
-        self.clock.first_s().filter(|_| self.holds_times(column))
+        self.clock.first_timestamp_s().filter(|_| self.has_timestamps(column))
     }
 
     /// Takes note of a row of numbers, NaN where one is missing; false if a column has held times of day: one
     /// of its fields breaks a rule.
-    pub(super) fn take_numbers(&mut self, row: &[(f64, usize)]) -> bool {
+    pub(super) fn record_numbers(&mut self, row: &[(f64, usize)]) -> bool {
         self.form.iter_mut().zip(row).all(|(form, (value, _))| {
-            value.is_nan() || *form.get_or_insert(Form::Number) == Form::Number
+            value.is_nan() || *form.get_or_insert(CellFormat::Number) == CellFormat::Number
         })
     }
 
     /// Returns the value of a field of this column, NaN if it is missing; else the rule it breaks. A time of
     /// day is in seconds from the first one of the file.
-    pub(super) fn read(&mut self, column: usize, name: &str, text: &str) -> Result<f64, String> {
+    pub(super) fn parse_cell(
+        &mut self,
+        column: usize,
+        name: &str,
+        text: &str,
+    ) -> Result<f64, String> {
         let is_time = looks_like_date(text) && text.parse::<f64>().is_err();
-        let (value, form) = if is_time && may_hold_times(name) {
-            let seconds = self.clock.seconds(text);
-            (seconds.map_err(|rule| format!("{} {rule}", shortened(text)))?, Form::Time)
+        let (value, form) = if is_time && can_hold_timestamps(name) {
+            let seconds = self.clock.seconds_since_first(text);
+            (seconds.map_err(|rule| format!("{} {rule}", truncate_text(text)))?, CellFormat::Time)
         } else {
-            (read_number(text, is_time)?, Form::Number)
+            (parse_number(text, is_time)?, CellFormat::Number)
         };
         if value.is_nan() {
             return Ok(value);
@@ -56,11 +61,11 @@ impl Cells {
             && *known.get_or_insert(form) != form
         {
             return Err(match form {
-                Form::Number => {
-                    format!("{} is a number, the first value a time of day", shortened(text))
+                CellFormat::Number => {
+                    format!("{} is a number, the first value a time of day", truncate_text(text))
                 }
-                Form::Time => {
-                    format!("{} is a time of day, the first value a number", shortened(text))
+                CellFormat::Time => {
+                    format!("{} is a time of day, the first value a number", truncate_text(text))
                 }
             });
         }
@@ -69,21 +74,21 @@ impl Cells {
 }
 
 /// Returns the value of a field, NaN if it is missing; else the rule it breaks.
-fn read_number(text: &str, is_time: bool) -> Result<f64, String> {
+fn parse_number(text: &str, is_time: bool) -> Result<f64, String> {
     if text.is_empty() {
         return Ok(f64::NAN);
     }
     match text.parse::<f64>() {
-        Ok(value) if value.is_infinite() => Err(format!("{} is infinite", shortened(text))),
+        Ok(value) if value.is_infinite() => Err(format!("{} is infinite", truncate_text(text))),
         Ok(value) => Ok(value),
         Err(_) if has_decimal_comma(text) => Err(format!(
             "{} has a decimal comma: decimals are written with a point",
-            shortened(text)
+            truncate_text(text)
         )),
         Err(_) => {
             let hint =
                 if is_time { ": a time of day stands in a column time or time_s" } else { "" };
-            Err(format!("\"{}\" is not a number{hint}", shortened(text)))
+            Err(format!("\"{}\" is not a number{hint}", truncate_text(text)))
         }
     }
 }

@@ -6,28 +6,28 @@
 use time::{OffsetDateTime, PrimitiveDateTime, UtcOffset, format_description::well_known::Iso8601};
 
 /// Names, in small letters, under which loggers write such a time.
-const NAMES: [&str; 4] = ["time", "timestamp", "datetime", "date_time"];
+const TIME_COLUMN_NAMES: [&str; 4] = ["time", "timestamp", "datetime", "date_time"];
 
 /// Returns whether a column of this name may hold times of day.
-pub(super) fn may_hold_times(name: &str) -> bool {
-    is_of_logger(name) || name == "time_s" || name.ends_with("_time_s")
+pub(super) fn can_hold_timestamps(name: &str) -> bool {
+    is_logger_time_column(name) || name == "time_s" || name.ends_with("_time_s")
 }
 
 /// Returns whether loggers call their time so; its values are seconds only where it says so in its name.
-pub(super) fn is_of_logger(name: &str) -> bool {
-    NAMES.contains(&name.to_lowercase().as_str())
+pub(super) fn is_logger_time_column(name: &str) -> bool {
+    TIME_COLUMN_NAMES.contains(&name.to_lowercase().as_str())
 }
 
 /// Returns whether these can only be seconds of Unix: of the years 2001 to 2096, and never running back.
 pub(super) fn are_unix_seconds(values: &[f64]) -> bool {
-    const YEARS: std::ops::Range<f64> = 1e9..4e9;
+    const UNIX_SECONDS_RANGE: std::ops::Range<f64> = 1e9..4e9;
     let mut there = values.iter().copied().filter(|value| !value.is_nan()).peekable();
     let mut before = f64::NEG_INFINITY;
     there.peek().is_some()
         && there.all(|value| {
             let is_next = value >= before;
             before = value;
-            is_next && YEARS.contains(&value)
+            is_next && UNIX_SECONDS_RANGE.contains(&value)
         })
 }
 
@@ -39,23 +39,23 @@ pub(super) fn looks_like_date(text: &str) -> bool {
 
 /// The first time of a file, from which all others are counted.
 #[derive(Default)]
-pub(super) struct Clock {
-    first: Option<First>,
+pub(super) struct TimeOrigin {
+    first: Option<FirstTimestamp>,
 }
 
 /// In nanoseconds from 1970, and whether it has a zone.
-struct First {
+struct FirstTimestamp {
     ns: i128,
     has_zone: bool,
 }
 
-impl Clock {
+impl TimeOrigin {
     /// `text` in seconds from the first time; else the rule it breaks.
-    pub(super) fn seconds(&mut self, text: &str) -> Result<f64, String> {
-        let (ns, has_zone) = instant(text).ok_or_else(|| {
+    pub(super) fn seconds_since_first(&mut self, text: &str) -> Result<f64, String> {
+        let (ns, has_zone) = parse_timestamp(text).ok_or_else(|| {
             "is no time that is known: write seconds, or ISO 8601, 2026-11-22T08:00:00Z".to_string()
         })?;
-        let first = self.first.get_or_insert(First { ns, has_zone });
+        let first = self.first.get_or_insert(FirstTimestamp { ns, has_zone });
         if first.has_zone != has_zone {
             let [this, before] = if has_zone { ["a", "no"] } else { ["no", "a"] };
             return Err(format!(
@@ -66,12 +66,12 @@ impl Clock {
     }
 
     /// Returns the first time of the file in s from 1970; one without a zone counts as UTC.
-    pub(super) fn first_s(&self) -> Option<f64> {
+    pub(super) fn first_timestamp_s(&self) -> Option<f64> {
         self.first.as_ref().map(|first| first.ns as f64 * 1e-9)
     }
 }
 
-fn instant(text: &str) -> Option<(i128, bool)> {
+fn parse_timestamp(text: &str) -> Option<(i128, bool)> {
     let text = text.replacen(' ', "T", 1);
     if let Ok(time) = OffsetDateTime::parse(&text, &Iso8601::DEFAULT) {
         return Some((time.unix_timestamp_nanos(), true));

@@ -6,7 +6,7 @@
 use std::borrow::Cow;
 
 /// Returns the separator of a file by its header: the more frequent of `,` and `;`.
-pub(super) fn separator_of(header: &str) -> char {
+pub(super) fn detect_separator(header: &str) -> char {
     let mut quoted = false;
     let (mut commas, mut semicolons) = (0, 0);
     for c in header.chars() {
@@ -21,7 +21,7 @@ pub(super) fn separator_of(header: &str) -> char {
 }
 
 /// Returns the separator that a line `sep=;` before the header states, as Excel writes it.
-pub(super) fn separator_line(line: &str) -> Option<char> {
+pub(super) fn parse_separator_line(line: &str) -> Option<char> {
     let stated = line.trim_start_matches('\u{feff}').trim().trim_matches('"');
     match stated.strip_prefix("sep=")?.chars().collect::<Vec<char>>()[..] {
         [separator @ (',' | ';')] => Some(separator),
@@ -54,12 +54,12 @@ pub(super) struct Fields<'l> {
 }
 
 impl<'l> Fields<'l> {
-    pub(super) fn of(line: &'l str, separator: char) -> Self {
+    pub(super) fn new(line: &'l str, separator: char) -> Self {
         Self { rest: Some(line), separator, column: 1 }
     }
 
     /// `length` bytes of `rest` are this field's; the separator after them, if any, is passed over.
-    fn pass(&mut self, rest: &'l str, length: usize) -> &'l str {
+    fn take_field(&mut self, rest: &'l str, length: usize) -> &'l str {
         let (field, after) = rest.split_at(length);
         self.rest = after.strip_prefix(self.separator);
         self.column += field.chars().count() + 1;
@@ -79,10 +79,10 @@ impl<'l> Iterator for Fields<'l> {
             let length = rest.find(self.separator).unwrap_or(rest.len());
             // A field of blanks alone has no content to point at.
             let column = if blanks < length { column } else { self.column };
-            let text = Cow::Borrowed(self.pass(rest, length).trim());
+            let text = Cow::Borrowed(self.take_field(rest, length).trim());
             return Some(Ok(Field { text, column }));
         };
-        let Some(end) = end_of_quoted(quoted) else {
+        let Some(end) = find_closing_quote(quoted) else {
             return Some(Err(BadQuote { column, rule: "a quoted field must end on its own line" }));
         };
         let text = &quoted[..end];
@@ -93,7 +93,7 @@ impl<'l> Iterator for Fields<'l> {
             let rule = "a quoted field must be followed by a separator or the end of the line";
             return Some(Err(BadQuote { column, rule }));
         }
-        self.pass(rest, length);
+        self.take_field(rest, length);
         let text =
             if text.contains('"') { Cow::Owned(text.replace("\"\"", "\"")) } else { text.into() };
         Some(Ok(Field { text, column }))
@@ -102,7 +102,7 @@ impl<'l> Iterator for Fields<'l> {
 
 /// Where the quote stands that ends a field whose opening quote is already passed; a doubled quote
 /// is a quote of the text.
-fn end_of_quoted(text: &str) -> Option<usize> {
+fn find_closing_quote(text: &str) -> Option<usize> {
     let mut from = 0;
     loop {
         let at = from + text[from..].find('"')?;

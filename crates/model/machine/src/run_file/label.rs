@@ -6,15 +6,15 @@
 use crate::tool::{TOOL_COLUMN, label_code};
 
 /// The longest label, in characters.
-const MAX_CHARACTERS: usize = 64;
+const MAX_LABEL_CHARACTERS: usize = 64;
 
 /// Returns whether cells of this column may be labels.
-pub(super) fn has_labels(column: &str) -> bool {
+pub(super) fn can_have_labels(column: &str) -> bool {
     column == TOOL_COLUMN
 }
 
 /// Reads a cell of the column: the number of a tool, or a label.
-pub(super) fn read(cell: &str, number: Result<f64, String>) -> Result<f64, String> {
+pub(super) fn parse(cell: &str, number: Result<f64, String>) -> Result<f64, String> {
     match number {
         Ok(value) if value.is_nan() => Ok(value),
         Ok(value) if value.fract() == 0.0 && (0.0..=65535.0).contains(&value) => Ok(value),
@@ -29,7 +29,7 @@ pub(super) fn read(cell: &str, number: Result<f64, String>) -> Result<f64, Strin
 /// Returns whether it is a word: it has a letter, and no comma, which would be that of a decimal.
 fn is_label(cell: &str) -> bool {
     cell.contains(char::is_alphabetic)
-        && cell.chars().count() <= MAX_CHARACTERS
+        && cell.chars().count() <= MAX_LABEL_CHARACTERS
         && !cell.chars().any(|it| it.is_control() || it == ',')
         && cell.parse::<f64>().is_err()
 }

@@ -6,23 +6,23 @@ use std::{
 };
 
 use crate::{
-    bounded::at_most,
+    bounded_read::size_limit_text,
     location::{BadInput, Location},
 };
 
 /// The longest line that is read, in bytes, its end included: the bytes of ten times as many
 /// columns as a file may have.
-const MAX_BYTES_OF_A_LINE: usize = 1 << 20;
+const MAX_LINE_BYTES: usize = 1 << 20;
 
 /// The lines that a fault keeps from being read.
-pub(super) enum Unread {
+pub(super) enum LineReadError {
     /// This line; the next one can be.
     Line(BadInput),
     /// This line and all after it.
     Rest(BadInput),
 }
 
-impl Unread {
+impl LineReadError {
     pub(super) fn into_error(self) -> BadInput {
         let (Self::Line(error) | Self::Rest(error)) = self;
         error
@@ -39,12 +39,12 @@ pub(super) struct Line {
 
 impl Line {
     /// Returns whether there is anything to be read in it: it is neither empty nor a comment.
-    pub(super) fn is_content(&self) -> bool {
+    pub(super) fn has_content(&self) -> bool {
         let text = self.text.trim_start();
         !text.is_empty() && !text.starts_with('#')
     }
 
-    pub(super) fn place(&self, path: &Path, column: usize) -> Location {
+    pub(super) fn location(&self, path: &Path, column: usize) -> Location {
         Location { file: path.to_path_buf(), line: self.number, column }
     }
 }
@@ -69,24 +69,29 @@ impl<'p, S: BufRead> Lines<'p, S> {
     }
 
     /// Returns the next line; none at the end.
-    pub(super) fn read(&mut self) -> Result<Option<Line>, Unread> {
+    pub(super) fn read_line(&mut self) -> Result<Option<Line>, LineReadError> {
         self.bytes.clear();
         self.number += 1;
-        let most = MAX_BYTES_OF_A_LINE as u64 + 1;
+        let most = MAX_LINE_BYTES as u64 + 1;
         let read = self.source.by_ref().take(most).read_until(b'\n', &mut self.bytes).map_err(
-            |error| Unread::Rest(BadInput::new(self.place(1), format!("cannot be read: {error}"))),
+            |error| {
+                LineReadError::Rest(BadInput::new(
+                    self.location(1),
+                    format!("cannot be read: {error}"),
+                ))
+            },
         )?;
-        if read > MAX_BYTES_OF_A_LINE {
+        if read > MAX_LINE_BYTES {
             let rule = format!(
-                "the line is longer than {MAX_BYTES_OF_A_LINE} bytes: a run file has one \
+                "the line is longer than {MAX_LINE_BYTES} bytes: a run file has one \
                  observation a line"
             );
-            return Err(Unread::Rest(BadInput::new(self.place(1), rule)));
+            return Err(LineReadError::Rest(BadInput::new(self.location(1), rule)));
         }
         self.file_bytes += read as u64;
         if self.file_bytes > self.most_bytes {
-            let rule = format!("the file goes on here, {}", at_most(self.most_bytes));
-            return Err(Unread::Rest(BadInput::new(self.place(1), rule)));
+            let rule = format!("the file goes on here, {}", size_limit_text(self.most_bytes));
+            return Err(LineReadError::Rest(BadInput::new(self.location(1), rule)));
         }
         let mut bytes = self.bytes.strip_suffix(b"\n").unwrap_or(&self.bytes);
         bytes = bytes.strip_suffix(b"\r").unwrap_or(bytes);
@@ -95,20 +100,20 @@ impl<'p, S: BufRead> Lines<'p, S> {
         }
         let text = str::from_utf8(bytes).map_err(|error| {
             let column = String::from_utf8_lossy(&bytes[..error.valid_up_to()]).chars().count() + 1;
-            Unread::Line(
-                BadInput::new(self.place(column), "is not UTF-8 text")
+            LineReadError::Line(
+                BadInput::new(self.location(column), "is not UTF-8 text")
                     .with_help("save the file as UTF-8; µ and ° of another encoding are not read"),
             )
         })?;
         if let Some(at) = text.find('\r') {
             let column = text[..at].chars().count() + 1;
             let rule = "a carriage return alone does not end a line: use LF or CRLF";
-            return Err(Unread::Line(BadInput::new(self.place(column), rule)));
+            return Err(LineReadError::Line(BadInput::new(self.location(column), rule)));
         }
         Ok((read > 0).then(|| Line { text: text.into(), number: self.number }))
     }
 
-    fn place(&self, column: usize) -> Location {
+    fn location(&self, column: usize) -> Location {
         Location { file: self.path.to_path_buf(), line: self.number, column }
     }
 }

@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use super::places::Places;
+use super::field_positions::FieldPositions;
 
 /// The longest run file that is read, in bytes: a million rows of fifty numbers of twenty digits.
-pub const MAX_BYTES: u64 = 1 << 30;
+pub(crate) const MAX_BYTES: u64 = 1 << 30;
 
 /// The most columns that a run file may have.
 pub const MAX_COLUMNS: usize = 4096;
@@ -21,7 +21,7 @@ pub struct Column {
     /// Its value in each row; NaN where it is missing. Shared with who goes on with it: a run may be large.
     pub values: Arc<[f64]>,
     /// The character column at which each value stands in its line, from 1; shared too.
-    pub(super) starts: Arc<Places>,
+    pub(super) starts: Arc<FieldPositions>,
 }
 
 /// A column that is not known, and the known one that was probably meant.
@@ -35,13 +35,13 @@ pub(super) struct ColumnTypo {
 
 /// How much a run file may hold.
 #[derive(Clone, Copy)]
-pub(super) struct Bounds {
+pub(super) struct SizeLimits {
     pub(super) bytes: u64,
     pub(super) values: usize,
 }
 
 /// A run as it was read.
-pub(super) struct Table {
+pub(super) struct RunTable {
     pub(super) columns: Vec<Column>,
     pub(super) header_line: usize,
     /// The line of each row, from 1: empty lines and comments are no rows.

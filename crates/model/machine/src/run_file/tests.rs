@@ -12,7 +12,7 @@ fn some(values: &[f64]) -> Vec<Option<f64>> {
 #[test]
 fn columns_arrive_by_name_with_missing_values_as_nan() {
     let run = parse("time_s,temp_a_c,mystery\n0,21.5,-1e-3\n1,,nan\n2,NaN,+4.\n");
-    assert_eq!(run.rows(), 3);
+    assert_eq!(run.row_count(), 3);
     assert_eq!(run.column("time_s").expect("named above"), [0.0, 1.0, 2.0]);
     assert_eq!(some(run.column("temp_a_c").expect("named above")), [Some(21.5), None, None]);
     let mystery = some(run.column("mystery").expect("unknown columns are kept"));
@@ -47,7 +47,7 @@ fn every_accepted_form_gives_the_same_values() {
 fn comments_are_no_rows_and_count_as_lines() {
     let run = parse("# made by a logger\n#\na_um,b_um\n1,2\n  # a pause; 3\n3,4\n# end\n");
     assert_eq!(run.column("a_um").expect("named above"), [1.0, 3.0]);
-    assert_eq!(run.place(1, "b_um").line, 6);
+    assert_eq!(run.value_location(1, "b_um").line, 6);
 }
 
 #[test]
@@ -63,7 +63,7 @@ fn times_of_day_are_seconds_from_the_first() {
             assert_eq!(time_s[..1], [Some(0.0)], "{name} {times:?}");
             assert!((time_s[1].expect("a time") - 1.5).abs() < 1e-9, "{times:?}");
             assert_eq!(time_s[2..], [None, Some(2.0)], "{times:?}");
-            assert_eq!((run.columns().len(), run.slips().count()), (2, 0));
+            assert_eq!((run.columns().len(), run.column_typos().count()), (2, 0));
         }
     }
     let epoch_s = |text: &str| parse(text).epoch_s();
@@ -81,7 +81,7 @@ fn times_of_day_are_seconds_from_the_first() {
 #[test]
 fn a_column_that_looks_like_a_known_one_is_told() {
     let run = parse("time_s,X (mm),measured_dz_mm,flow\n0,1,2,3\n");
-    let warnings: Vec<String> = run.slips().map(|slip| slip.to_string()).collect();
+    let warnings: Vec<String> = run.column_typos().map(|slip| slip.to_string()).collect();
     assert_eq!(
         warnings,
         [
@@ -89,13 +89,13 @@ fn a_column_that_looks_like_a_known_one_is_told() {
             "r.csv:1:15: measured_dz_mm is no column that is known; did you mean measured_dz_um?"
         ]
     );
-    let bad = run.require("measured_dz_um").expect_err("it is missing").to_string();
+    let bad = run.require_column("measured_dz_um").expect_err("it is missing").to_string();
     assert!(
         bad.starts_with("r.csv:1:15: column measured_dz_um is missing; measured_dz_mm"),
         "{bad}"
     );
     // Where the known one is there as well, it is something else.
-    assert_eq!(parse("x_mm,x_um\n1,1000\n").slips().count(), 0);
+    assert_eq!(parse("x_mm,x_um\n1,1000\n").column_typos().count(), 0);
 }
 
 #[test]
@@ -107,14 +107,14 @@ fn a_name_may_contain_the_separator_and_quotes_if_it_is_quoted() {
 #[test]
 fn time_may_start_again_with_the_next_run() {
     let run = parse("run,time_s\n1,0\n1,5\n2,0\n2,\n2,0\n,0\n");
-    assert_eq!(run.rows(), 6);
+    assert_eq!(run.row_count(), 6);
 }
 
 #[test]
 fn a_value_is_placed_by_line_and_character_for_rules_found_broken_later() {
     let run = parse("\u{feff}\"µ\";sensor_counts\r\n\r\n1.5;  40000\r\n\"2\"; \"7\"\r\n;\r\n");
     let at = |row, column| {
-        let place = run.place(row, column);
+        let place = run.value_location(row, column);
         (place.line, place.column)
     };
     assert_eq!(at(0, "sensor_counts"), (3, 7));
@@ -123,13 +123,14 @@ fn a_value_is_placed_by_line_and_character_for_rules_found_broken_later() {
     assert_eq!(at(2, "sensor_counts"), (5, 2));
     assert_eq!(at(1, "no such column"), (4, 1));
     assert_eq!(at(99, "µ"), (1, 1));
-    let bad = run.bad(0, "sensor_counts", "40000 is outside 0…32768");
+    let bad = run.value_error(0, "sensor_counts", "40000 is outside 0…32768");
     assert_eq!(bad.to_string(), "r.csv:3:7: sensor_counts 40000 is outside 0…32768");
 }
 
 #[test]
 fn a_missing_column_is_reported_with_those_that_are_there() {
-    let error = parse("time_s,sensor_conuts\n0,1\n").require("sensor_counts").expect_err("typo");
+    let error =
+        parse("time_s,sensor_conuts\n0,1\n").require_column("sensor_counts").expect_err("typo");
     assert_eq!(
         error.to_string(),
         "r.csv:1:8: column sensor_counts is missing; sensor_conuts is no column that is known: if it was \
@@ -144,14 +145,14 @@ fn a_run_of_200_000_rows_is_read_whole() {
         text.push_str(&format!("{row},{}\n", row % 32768));
     }
     let run = parse(&text);
-    assert_eq!(run.rows(), 200_000);
-    assert_eq!(run.place(199_999, "sensor_counts").line, 200_001);
+    assert_eq!(run.row_count(), 200_000);
+    assert_eq!(run.value_location(199_999, "sensor_counts").line, 200_001);
 }
 
 /// Returns what is said of `text` where a file may have 40 bytes and 4 values.
 fn out_of_bounds(text: &str) -> String {
-    let bounds = Bounds { bytes: 40, values: 4 };
-    let read = RunFile::within(bounds, text.as_bytes(), Path::new("r.csv"));
+    let bounds = SizeLimits { bytes: 40, values: 4 };
+    let read = RunFile::read_within_bounds(bounds, text.as_bytes(), Path::new("r.csv"));
     read.map(|_| ()).expect_err("out of bounds").to_string()
 }
 
@@ -165,20 +166,20 @@ fn a_file_that_goes_on_beyond_its_bounds_is_refused_there() {
     // Of a pipe nobody knows how long it will be.
     let blank = format!("{most}{}\n", " ".repeat(30));
     assert!(out_of_bounds(&blank).starts_with("r.csv:4:1: the file goes on here, more than"));
-    let bounds = Bounds { bytes: 40, values: 4 };
-    let run = RunFile::within(bounds, most.as_bytes(), Path::new("r.csv"));
-    assert_eq!(run.expect("just within").rows(), 2);
+    let bounds = SizeLimits { bytes: 40, values: 4 };
+    let run = RunFile::read_within_bounds(bounds, most.as_bytes(), Path::new("r.csv"));
+    assert_eq!(run.expect("just within").row_count(), 2);
 }
 
 #[test]
 fn unix_seconds_of_a_logger_are_the_time_and_other_numbers_are_not() {
     let run = parse("timestamp,x_mm\n1774000000,1\n1774000300,2\n");
     assert_eq!(run.column("time_s").expect("it is the time"), [1_774_000_000.0, 1_774_000_300.0]);
-    assert_eq!(run.slips().count(), 0);
+    assert_eq!(run.column_typos().count(), 0);
     // Milliseconds, and hours of operation: nothing says that these are seconds.
     for text in ["timestamp,x_mm\n1774000000000,1\n", "timestamp,x_mm\n12,1\n"] {
         let run = parse(text);
-        assert!(run.column("time_s").is_none() && run.slips().count() == 1, "{text}");
+        assert!(run.column("time_s").is_none() && run.column_typos().count() == 1, "{text}");
     }
 }
 
@@ -191,7 +192,7 @@ fn a_line_that_states_the_separator_is_no_header() {
     ] {
         let run = parse(text);
         assert_eq!(run.column("b_um").expect("the second column"), [2.0], "{text}");
-        assert_eq!(run.place(0, "a_um").line, 3);
+        assert_eq!(run.value_location(0, "a_um").line, 3);
     }
 }
 
@@ -200,7 +201,7 @@ fn diameters_are_read_as_radii_and_never_beside_radii() {
     let run = parse("time_s,x_dia_mm\n0,80\n1,50.5\n");
     assert_eq!(run.column("x_mm"), Some(&[40.0, 25.25][..]));
     assert!(run.column("x_dia_mm").is_none());
-    assert_eq!(run.slips().count(), 0);
+    assert_eq!(run.column_typos().count(), 0);
     for header in ["x_mm,x_dia_mm", "x_dia_mm,x_mm", "x_dia_mm,x_dia_mm"] {
         let text = format!("{header}\n1,2\n");
         let error = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect_err(header);

@@ -21,7 +21,7 @@ fn error_of(text: &str) -> BadInput {
 /// errors is that; a text that is cut short has others.
 fn assert_refused(before: &str, cases: &[(&str, &str, &str)]) {
     for (text, place, phrase) in cases {
-        let errors = error_of(&format!("{before}{text}")).one_by_one();
+        let errors = error_of(&format!("{before}{text}")).into_single_faults();
         let lines: Vec<String> = errors.map(|error| error.to_string()).collect();
         let place = format!("bad.toml:{place}: ");
         let is_it = |line: &&String| line.starts_with(&place) && line.contains(phrase);
@@ -414,7 +414,7 @@ fn each_term_tells_all_that_is_wrong_with_it() {
                  [[term]]\ncause = \"backlsh\"\nquantity = \"dq\"\ncolour = 1\n\
                  [[term]]\ncause = \"pitch-error\"\nquantity = \"dx\"\nstart_mm = 0\nstep_mm = 0\n";
     let error = error_of(&format!("{MACHINE}{terms}"));
-    let told: Vec<String> = error.one_by_one().map(|it| it.to_string()).collect();
+    let told: Vec<String> = error.into_single_faults().map(|it| it.to_string()).collect();
     let wanted = [
         "7:8: term[0].at_s must be a number",
         "8:11: term[0].size_um must be a number",

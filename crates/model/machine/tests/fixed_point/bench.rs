@@ -2,16 +2,16 @@
 
 use trueup_core::{
     calibration::Calibration,
-    dimensions::CHANNELS,
-    heat::Heat,
-    place::Place,
-    travel::Travel,
-    units::{Fine, MicroDegrees, Nanometres, Position, Reading, Rpm, Temperature},
+    dimensions::CHANNEL_COUNT,
+    machine_position::MachinePosition,
+    thermal_state::MachineThermalState,
+    travel::ReversalTracker,
+    units::{FineNanometres, MicroDegrees, Nanometres, Position, Reading, Rpm, Temperature},
 };
 use trueup_machine::{
-    Compiled, Machine,
+    CompiledCalibration, Machine,
     file::ElongationSource,
-    model::{ReferenceModel, Situation},
+    model::{ReferenceModel, RowInputs},
 };
 
 use crate::gantry::*;
@@ -24,13 +24,13 @@ pub struct Moment {
     time_s: f64,
     reading: Reading,
     rpm: u16,
-    temperatures: [Option<Temperature>; CHANNELS],
+    temperatures: [Option<Temperature>; CHANNEL_COUNT],
     angles: [MicroDegrees; 2],
 }
 
 impl Moment {
     pub fn random(random: &mut Random, time_s: f64) -> Self {
-        let mut temperatures = [None; CHANNELS];
+        let mut temperatures = [None; CHANNEL_COUNT];
         for temperature in temperatures.iter_mut().take(COLUMNS.len()) {
             let celsius = random.uniform(5.0, 50.0);
             *temperature = Some(Temperature((celsius * UNITS_PER_C).round() as i32));
@@ -52,7 +52,7 @@ pub struct Bench<'m> {
     pub machine: &'m Machine,
     pub calibration: Calibration<'m>,
     pub reference: ReferenceModel<'m>,
-    pub heat: Heat,
+    pub heat: MachineThermalState,
     pub worst: Worst,
 }
 
@@ -70,9 +70,9 @@ impl Worst {
 }
 
 impl<'m> Bench<'m> {
-    pub fn new(machine: &'m Machine, compiled: &'m Compiled) -> Self {
+    pub fn new(machine: &'m Machine, compiled: &'m CompiledCalibration) -> Self {
         let calibration = compiled.calibration();
-        let (reference, heat) = (ReferenceModel::new(machine), Heat::default());
+        let (reference, heat) = (ReferenceModel::new(machine), MachineThermalState::default());
         Self { machine, calibration, reference, heat, worst: Worst::default() }
     }
 
@@ -83,7 +83,7 @@ impl<'m> Bench<'m> {
     /// Goes on to another moment: lags settle there, the warm-up takes its `steps` of 100 ms.
     pub fn go_to(&mut self, moment: &Moment, steps: u32) {
         if !self.warms_up() {
-            self.heat = Heat::default();
+            self.heat = MachineThermalState::default();
             self.reference = ReferenceModel::new(self.machine);
         }
         for _ in 0..steps {
@@ -92,28 +92,39 @@ impl<'m> Bench<'m> {
     }
 
     pub fn board_nm(&self, moment: &Moment, position: [i32; 3], reverse: [bool; 3]) -> [i32; 3] {
-        let mut place = Place::default();
+        let mut place = MachinePosition::default();
         for axis in 0..3 {
             place.position[axis] = Position(position[axis]);
             let direction = if reverse[axis] { -1 } else { 1 };
             let config = &self.calibration.axes[axis].travel;
-            place.travel[axis] = Travel::new();
+            place.travel[axis] = ReversalTracker::new();
             place.travel[axis].update(config, Position(position[axis]), direction);
         }
         let elongation = match self.machine.spindle.source {
             Some(ElongationSource::Sensor) => {
                 self.calibration.spindle.sensor.elongation(moment.reading)
             }
-            Some(ElongationSource::Temperature) => self.heat.by_temperature(),
-            Some(ElongationSource::Warmup) => self.heat.by_running_time(),
+            Some(ElongationSource::Temperature) => self.heat.temperature_elongation(),
+            Some(ElongationSource::Warmup) => self.heat.warmup_elongation(),
             None => Nanometres::ZERO,
         };
-        let tool = self.calibration.kinematics.direction(moment.angles).fine_error(elongation);
-        let errors = self.calibration.errors(&self.heat, &place);
+        let tool = self
+            .calibration
+            .kinematics
+            .tool_direction(moment.angles)
+            .project_elongation_fine(elongation);
+        let errors = self.calibration.axis_errors(&self.heat, &place);
         std::array::from_fn(|axis| {
             let parts = errors.axes[axis];
-            let sum = parts.thermal.plus(parts.positioning).plus(parts.guides).plus(tool[axis]);
-            assert!(sum != Fine(i32::MAX) && sum != Fine(i32::MIN), "the test leaves the range");
+            let sum = parts
+                .thermal
+                .saturating_add(parts.positioning)
+                .saturating_add(parts.guides)
+                .saturating_add(tool[axis]);
+            assert!(
+                sum != FineNanometres(i32::MAX) && sum != FineNanometres(i32::MIN),
+                "the test leaves the range"
+            );
             sum.rounded().0
         })
     }
@@ -130,7 +141,7 @@ impl<'m> Bench<'m> {
         let temperatures: [(&str, f64); 4] =
             std::array::from_fn(|channel| (COLUMNS[channel], celsius(channel)));
         let [c, a] = moment.angles.map(|angle| f64::from(angle.0) / 1e6);
-        let situation = Situation {
+        let situation = RowInputs {
             time_s: Some(moment.time_s),
             run: None,
             // A count of the paper's chain is an eighth of a code, 128 reading units.

@@ -3,11 +3,11 @@
 use std::{fmt::Write, path::Path};
 
 use trueup_core::{
-    calibration::AXIS_PAIRS,
+    calibration::STRAIGHTNESS_AXIS_PAIRS,
     cnc::LinearAxis,
     units::{Position, Temperature},
 };
-use trueup_machine::{Compiled, Machine, MachineFile, compile};
+use trueup_machine::{CompiledCalibration, Machine, MachineFile, compile};
 
 /// X, Y and Z of the paper's gantry.
 pub const TRAVEL_MM: [f64; 3] = [14_300.0, 3_000.0, 2_500.0];
@@ -142,7 +142,7 @@ pub fn whole_machine(seed: u64) -> String {
 
 /// Writes the six curves, each of 64 segments.
 fn write_straightness(text: &mut String, r: &mut Random) {
-    for (error, along) in AXIS_PAIRS {
+    for (error, along) in STRAIGHTNESS_AXIS_PAIRS {
         let name = |axis: LinearAxis| ["x", "y", "z"][axis as usize];
         let travel = TRAVEL_MM[along as usize];
         // 64 segments, the widest up to ten times as wide as the narrowest.
@@ -174,7 +174,7 @@ pub fn parse(text: &str) -> Machine {
     MachineFile::parse(text, Path::new("m.toml")).unwrap_or_else(|error| panic!("{error}\n{text}"))
 }
 
-pub fn compiled(text: &str) -> (Machine, Compiled) {
+pub fn compiled(text: &str) -> (Machine, CompiledCalibration) {
     let machine = parse(text);
     let compiled = compile(&machine).unwrap_or_else(|error| panic!("{error}"));
     (machine, compiled)

@@ -3,15 +3,15 @@
 use std::path::Path;
 
 use trueup_core::{
-    heat::Heat,
-    place::Place,
+    machine_position::MachinePosition,
+    thermal_state::MachineThermalState,
     units::{Position, Reading, Rpm, Temperature},
 };
 use trueup_machine::{
     RunFile, compile,
-    model::{ReferenceModel, Situation},
+    model::{ReferenceModel, RowInputs},
 };
-use trueup_numerics::line::{Summary, fit_line};
+use trueup_numerics::line::{ErrorStatistics, fit_line};
 
 use crate::{gantry::*, rig::*};
 
@@ -19,8 +19,8 @@ use crate::{gantry::*, rig::*};
 fn neither_32768_nor_27648_counts_explain_table_1_and_a_fitted_line_does() {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../data");
     let run = RunFile::read(&data.join("spindle_paper_table1.csv")).expect("the project's own");
-    let counts = run.require("sensor_counts").expect("a column of the file");
-    let dial_um = run.require("measured_elongation_um").expect("a column of the file");
+    let counts = run.require_column("sensor_counts").expect("a column of the file");
+    let dial_um = run.require_column("measured_elongation_um").expect("a column of the file");
     let sensor = |k0: f64, um_per_count: f64| {
         let constants =
             format!("k0_um = {k0:?}\nzero_counts = 5048.0\num_per_count = {um_per_count:?}\n");
@@ -39,7 +39,12 @@ fn neither_32768_nor_27648_counts_explain_table_1_and_a_fitted_line_does() {
         let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let through_zero = product(&board_um, dial_um) / product(&board_um, &board_um);
         let line = fit_line(&board_um, dial_um).expect("15 rows with spread");
-        (through_zero, line, Summary::of(&left).expect("15 rows").rms, law.slope.0)
+        (
+            through_zero,
+            line,
+            ErrorStatistics::from_residuals(&left).expect("15 rows").rms,
+            law.slope.0,
+        )
     };
     let near = |value: f64, expected: f64, tolerance: f64| {
         assert!((value - expected).abs() <= tolerance, "{value} is not {expected}");
@@ -161,7 +166,8 @@ fn any_speed_heats_within_1_nm_of_80_um() {
             let mut here = (0.0, 0);
             for rpm in 1..=u16::MAX {
                 let exact = (f64::from(rpm) / rated_rpm).powf(p);
-                let drive = f64::from(warmup.drive(Some(Rpm(rpm)))) / f64::from(1 << 28);
+                let drive =
+                    f64::from(warmup.relative_heat_input(Some(Rpm(rpm)))) / f64::from(1 << 28);
                 if exact > 4.0 {
                     // Held: far beyond full growth on both sides.
                     assert!((3.99..4.000_001).contains(&drive), "{rpm} r/min: {drive}");
@@ -194,9 +200,11 @@ fn a_lagging_axis_is_within_5_nm_over_a_two_hour_ramp() {
                     reference_c = 20\nslope_um_per_m_per_c = 14.21\nlag_s = 1630\n";
     let (machine, compiled) = compiled(&machine_of("\"3-axis\"", sections));
     let calibration = compiled.calibration();
-    let (mut heat, mut reference) = (Heat::default(), ReferenceModel::new(&machine));
-    let place =
-        Place { position: [Position(500_000_000), Position(0), Position(0)], ..Place::default() };
+    let (mut heat, mut reference) = (MachineThermalState::default(), ReferenceModel::new(&machine));
+    let place = MachinePosition {
+        position: [Position(500_000_000), Position(0), Position(0)],
+        ..MachinePosition::default()
+    };
     let mut worst = (0.0, 0);
     for row in 0..=120 {
         let temperature = Temperature(((20.0 + f64::from(row) / 6.0) * UNITS_PER_C).round() as i32);
@@ -206,13 +214,13 @@ fn a_lagging_axis_is_within_5_nm_over_a_two_hour_ramp() {
             heat.step(&calibration, &temperatures, None);
         }
         let celsius = [("temp_x_c", f64::from(temperature.0) / UNITS_PER_C)];
-        let situation = Situation {
+        let situation = RowInputs {
             time_s: Some(f64::from(row * ROW_S)),
             temperatures_c: &celsius,
             ..at([5_000.0, 0.0, 0.0])
         };
         let [model_um, ..] = reference.step(&situation).error_um();
-        let board = calibration.errors(&heat, &place).axes[0].thermal;
+        let board = calibration.axis_errors(&heat, &place).axes[0].thermal;
         let nm = (f64::from(board.0) / 256.0 - model_um * 1_000.0).abs();
         if nm > worst.0 {
             worst = (nm, row);

@@ -2,14 +2,14 @@
 
 use trueup_core::{
     bridge::{Bridge, Input, State},
-    cnc::{AxisPosition, Command, Control, Heading, LinearAxis, Quality, Rotary},
-    dimensions::{CHANNELS, CODES_PER_TICK},
-    thermometer::Raw,
-    units::{Code, MicroDegrees, Millis, Position, Rpm},
+    cnc::{AxisPosition, Command, Control, LinearAxis, Quality, Rotary, TravelDirection},
+    dimensions::{CHANNEL_COUNT, CODES_PER_TICK},
+    thermometer::RawReading,
+    units::{AdcCode, MicroDegrees, Position, Rpm, TimestampMs},
 };
 use trueup_machine::{
-    Compiled, Machine,
-    model::{ReferenceModel, Situation},
+    CompiledCalibration, Machine,
+    model::{ReferenceModel, RowInputs},
 };
 
 use crate::gantry::*;
@@ -19,9 +19,9 @@ pub struct Rig<'c> {
     pub bridge: Bridge<'c>,
     pub state: State,
     pub ms: u32,
-    pub raw: [Raw; CHANNELS],
+    pub raw: [RawReading; CHANNEL_COUNT],
     pub position_mm: [f64; 3],
-    pub heading: [Heading; 3],
+    pub heading: [TravelDirection; 3],
     pub angles_deg: [f64; 2],
     /// Counts of the paper's chain, whole codes.
     pub counts: u16,
@@ -29,17 +29,18 @@ pub struct Rig<'c> {
 }
 
 impl<'c> Rig<'c> {
-    pub fn new(compiled: &'c Compiled) -> Self {
+    pub fn new(compiled: &'c CompiledCalibration) -> Self {
         let mut calibration = compiled.calibration();
         // Where an offset goes is asked here, not how fast.
         calibration.limits.slew_nm_per_s = u32::MAX;
+        let bridge = Bridge::new(calibration);
         Self {
-            bridge: Bridge::new(calibration),
-            state: State::default(),
+            state: bridge.initial_state(),
+            bridge,
             ms: 0,
-            raw: [Raw::NONE; CHANNELS],
+            raw: [RawReading::NONE; CHANNEL_COUNT],
             position_mm: [0.0; 3],
-            heading: [Heading::Positive; 3],
+            heading: [TravelDirection::Positive; 3],
             angles_deg: [0.0; 2],
             counts: 5_048,
             rpm: 24_000,
@@ -64,17 +65,17 @@ impl<'c> Rig<'c> {
                 self.angles_deg.map(|degrees| MicroDegrees((degrees * 1e6).round() as i32));
             bridge.receive(state, Command::Rotary(Rotary { angles }));
             let code = self.counts / 8;
-            let codes: [Code; CODES_PER_TICK] = std::array::from_fn(|n| match n % 4 {
-                0 => Code(code - 1),
-                2 => Code(code + 1),
-                _ => Code(code),
+            let codes: [AdcCode; CODES_PER_TICK] = std::array::from_fn(|n| match n % 4 {
+                0 => AdcCode(code - 1),
+                2 => AdcCode(code + 1),
+                _ => AdcCode(code),
             });
             let input = Input {
                 codes: Some(&codes),
                 speed: Some(Rpm(self.rpm)),
                 temperatures: Some(&self.raw),
             };
-            last = Some(bridge.tick(state, Millis(self.ms), input));
+            last = Some(bridge.tick(state, TimestampMs(self.ms), input));
         }
         let output = last.expect("at least a millisecond");
         assert_eq!(output.quality, Quality::Live, "{:?}", output.flags);
@@ -84,7 +85,7 @@ impl<'c> Rig<'c> {
     /// Paper 2's chain, 16 counts a kelvin above 4000.
     pub fn heat_to(&mut self, channel: usize, celsius: f64) {
         // With this divider 32768 counts are 4096 codes, of which 256ths are delivered.
-        self.raw[channel] = Raw(((4_000.0 + 16.0 * celsius) / 8.0 * 256.0).round() as i32);
+        self.raw[channel] = RawReading(((4_000.0 + 16.0 * celsius) / 8.0 * 256.0).round() as i32);
     }
 }
 
@@ -106,7 +107,7 @@ pub fn assert_signs(
     machine: &Machine,
     rig: &mut Rig<'_>,
     ms: u32,
-    situation: &Situation<'_>,
+    situation: &RowInputs<'_>,
     error_nm: [f64; 3],
 ) {
     let model = ReferenceModel::new(machine).step(situation).error_um();
@@ -121,6 +122,6 @@ pub fn assert_signs(
     }
 }
 
-pub fn at(position_mm: [f64; 3]) -> Situation<'static> {
-    Situation { position_mm, direction: [1.0; 3], angle_deg: [0.0; 3], ..Situation::UNKNOWN }
+pub fn at(position_mm: [f64; 3]) -> RowInputs<'static> {
+    RowInputs { position_mm, direction: [1.0; 3], angle_deg: [0.0; 3], ..RowInputs::UNKNOWN }
 }

@@ -3,10 +3,10 @@
 use std::fmt::Write;
 
 use trueup_core::{
-    cnc::Heading,
+    cnc::TravelDirection,
     units::{MicroDegrees, Nanometres, Reading},
 };
-use trueup_machine::model::{ReferenceModel, Situation};
+use trueup_machine::model::{ReferenceModel, RowInputs};
 
 use crate::{gantry::*, rig::*};
 
@@ -16,7 +16,7 @@ fn growth_seen_by_the_sensor_is_an_error_downwards_and_an_offset_upwards() {
     let mut rig = Rig::new(&compiled);
     // 4096 counts above zero: 62.5 µm of growth.
     rig.counts = 9_144;
-    let situation = Situation { sensor_counts: 9_144.0, ..at([0.0; 3]) };
+    let situation = RowInputs { sensor_counts: 9_144.0, ..at([0.0; 3]) };
     assert_signs(&machine, &mut rig, 500, &situation, [0.0, 0.0, -62_500.0]);
     let law = compiled.calibration().spindle.sensor;
     assert_eq!(law.elongation(Reading(9_144 * 128)), Nanometres(62_500));
@@ -29,7 +29,7 @@ fn a_spindle_warmer_than_its_reference_is_lifted() {
     let (machine, compiled) = compiled(&machine_of("\"3-axis\"", sections));
     let mut rig = Rig::new(&compiled);
     rig.heat_to(2, 25.5);
-    let situation = Situation { temperatures_c: &[("temp_x_c", 25.5)], ..at([0.0; 3]) };
+    let situation = RowInputs { temperatures_c: &[("temp_x_c", 25.5)], ..at([0.0; 3]) };
     assert_signs(&machine, &mut rig, 500, &situation, [0.0, 0.0, -11_000.0]);
 }
 
@@ -42,7 +42,7 @@ fn a_spindle_that_has_run_warm_is_lifted() {
     let (machine, compiled) = compiled(&format!("{alone}{sections}"));
     let mut rig = Rig::new(&compiled);
     let mut reference = ReferenceModel::new(&machine);
-    let row = |time_s| Situation { time_s: Some(time_s), ..at([0.0; 3]) };
+    let row = |time_s| RowInputs { time_s: Some(time_s), ..at([0.0; 3]) };
     assert_eq!(reference.step(&row(0.0)).error_um(), [0.0; 3]);
     assert_eq!(reference.step(&row(6.0)).error_um(), [0.0, 0.0, -80.0]);
     assert_eq!(rig.offset_nm(800), [0; 3]);
@@ -63,7 +63,7 @@ fn the_papers_axis_has_gone_270_um_too_far_and_is_taken_back() {
         rig.position_mm[0] = metres * 1_000.0;
         let temperatures = [("temp_x_c", celsius)];
         let situation =
-            Situation { temperatures_c: &temperatures, ..at([metres * 1_000.0, 0.0, 0.0]) };
+            RowInputs { temperatures_c: &temperatures, ..at([metres * 1_000.0, 0.0, 0.0]) };
         assert_signs(&machine, &mut rig, 800, &situation, [nm, 0.0, 0.0]);
     }
 }
@@ -82,8 +82,9 @@ fn an_axis_that_falls_short_is_sent_further() {
         (-4.0, -1.0, 3_000.0),
     ] {
         rig.position_mm[1] = mm;
-        rig.heading[1] = if direction < 0.0 { Heading::Negative } else { Heading::Positive };
-        let situation = Situation { direction: [1.0, direction, 1.0], ..at([0.0, mm, 0.0]) };
+        rig.heading[1] =
+            if direction < 0.0 { TravelDirection::Negative } else { TravelDirection::Positive };
+        let situation = RowInputs { direction: [1.0, direction, 1.0], ..at([0.0, mm, 0.0]) };
         assert_signs(&machine, &mut rig, 10, &situation, [0.0, nm, 0.0]);
     }
 }
@@ -96,9 +97,10 @@ fn backlash_is_an_error_of_the_negative_approach_alone() {
         let mut rig = Rig::new(&compiled);
         for (mm, direction) in [(0.0, 1.0), (-1.0, -1.0), (5.0, 1.0), (4.0, -1.0)] {
             rig.position_mm[0] = mm;
-            rig.heading[0] = if direction < 0.0 { Heading::Negative } else { Heading::Positive };
+            rig.heading[0] =
+                if direction < 0.0 { TravelDirection::Negative } else { TravelDirection::Positive };
             let error = if direction < 0.0 { width_um * 1_000.0 } else { 0.0 };
-            let situation = Situation { direction: [direction, 1.0, 1.0], ..at([mm, 0.0, 0.0]) };
+            let situation = RowInputs { direction: [direction, 1.0, 1.0], ..at([mm, 0.0, 0.0]) };
             assert_signs(&machine, &mut rig, 10, &situation, [error, 0.0, 0.0]);
         }
     }
@@ -115,7 +117,8 @@ fn on_a_reversal_the_axis_moves_by_the_backlash_further_and_the_table_arrives() 
     let mut before = (0.0, 1.0);
     for (mm, direction) in [(10.0, 1.0), (4.0, -1.0), (1.0, -1.0), (3.0, 1.0), (-2.0, -1.0)] {
         rig.position_mm[0] = mm;
-        rig.heading[0] = if direction < 0.0 { Heading::Negative } else { Heading::Positive };
+        rig.heading[0] =
+            if direction < 0.0 { TravelDirection::Negative } else { TravelDirection::Positive };
         let command_um = 1_000.0 * mm;
         let sent_um = command_um + f64::from(rig.offset_nm(10)[0]) / 1_000.0;
         let further_um = if direction == before.1 { 0.0 } else { PLAY_UM };
@@ -191,10 +194,11 @@ fn a_tilted_head_takes_half_a_millimetre_to_y_and_z() {
     ] {
         rig.angles_deg = [c, a];
         let situation =
-            Situation { sensor_counts: 5_048.0, angle_deg: [a, f64::NAN, c], ..at([0.0; 3]) };
+            RowInputs { sensor_counts: 5_048.0, angle_deg: [a, f64::NAN, c], ..at([0.0; 3]) };
         assert_signs(&machine, &mut rig, 800, &situation, error_nm);
         let angles = [c, a].map(|degrees| MicroDegrees((degrees * 1e6) as i32));
-        let error = calibration.kinematics.direction(angles).error(Nanometres(500_000));
+        let error =
+            calibration.kinematics.tool_direction(angles).project_elongation(Nanometres(500_000));
         assert_eq!(error.map(|nm| f64::from(nm.0)), error_nm.map(f64::round));
     }
 }

@@ -4,14 +4,14 @@
 use std::fmt::Write;
 
 use trueup_core::{
-    heat::Heat,
-    place::Place,
-    tip::UNLIMITED,
+    machine_position::MachinePosition,
+    thermal_state::MachineThermalState,
+    tip_error::UNLIMITED,
     units::{MicroDegrees, Position},
 };
 use trueup_machine::{
-    model::volume_um,
-    show::{changes, show},
+    decompile::{changes, decompile_to_toml},
+    model::volumetric_error_um,
 };
 
 use crate::{gantry::*, rig::*};
@@ -79,7 +79,7 @@ fn the_board_is_within_1_nm_of_every_drawn_volume() {
         let calibration = compiled.calibration();
         let turning = machine.angle_axes();
         for _ in 0..POSES {
-            let mut place = Place::default();
+            let mut place = MachinePosition::default();
             let mut position_mm = [0.0; 3];
             for (units, mm) in place.position.iter_mut().zip(&mut position_mm) {
                 *units = Position((random.uniform(-2_100.0, 2_100.0) * UNITS_PER_MM) as i32);
@@ -90,8 +90,11 @@ fn the_board_is_within_1_nm_of_every_drawn_volume() {
                 *angle = MicroDegrees((random.uniform(-180.0, 180.0) * 1e6) as i32);
                 angle_deg[axis.index()] = f64::from(angle.0) / 1e6;
             }
-            let sums = calibration.errors(&Heat::default(), &place).sums(UNLIMITED).sums;
-            let model = volume_um(&machine, machine.volume.tool, position_mm, angle_deg);
+            let sums = calibration
+                .axis_errors(&MachineThermalState::default(), &place)
+                .clamped_sums(UNLIMITED)
+                .sums;
+            let model = volumetric_error_um(&machine, machine.volume.tool, position_mm, angle_deg);
             for (board, model) in sums.into_iter().zip(model) {
                 worst = worst.max((f64::from(board.0) / 256.0 - model * 1_000.0).abs());
             }
@@ -105,17 +108,18 @@ fn the_board_is_within_1_nm_of_every_drawn_volume() {
 fn a_drawn_volume_is_shown_as_a_file_that_compiles_to_it_again() {
     for (seed, chain) in (20..).zip(CHAINS) {
         let (machine, compiled) = compiled(&drawn(chain, &mut Random(seed)));
-        let shown = show(&compiled.calibration());
+        let shown = decompile_to_toml(&compiled.calibration());
         let nm = shown.largest_difference_nm.unwrap_or_else(|it| panic!("{it}\n{}", shown.toml));
         assert!(nm < 2.0, "{nm} nm");
         let (again, compiled_again) = self::compiled(&shown.toml);
         assert_eq!(again.volume.chain, machine.volume.chain, "{}", shown.toml);
         // Length and offset are one tip on the board, to its 10 nm.
-        let tips = [&again, &machine].map(|it| it.volume.tool.tip_mm(it.tool_direction));
+        let tips = [&again, &machine].map(|it| it.volume.tool.tip_offset_mm(it.tool_direction));
         let off_mm = tips[0].iter().zip(tips[1]).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         assert!(off_mm < 1e-5, "{tips:?}");
         assert_eq!(again.kind, machine.kind);
-        let told = changes::changes(&compiled.calibration(), &compiled_again.calibration());
+        let told =
+            changes::describe_changes(&compiled.calibration(), &compiled_again.calibration());
         let of_volume = told.iter().all(|it| it.starts_with("angular") && it.contains("0.00 µm"));
         assert!(of_volume, "{told:?}");
     }

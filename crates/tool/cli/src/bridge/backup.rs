@@ -18,23 +18,23 @@ use serde_json::json;
 use trueup_client::{
     load,
     port::Port as Line,
-    reference::{BridgeReference, micrometres_text},
-    saved::{Owner, SavedBoard},
+    reference::{BridgeReference, format_reference},
+    saved_board::{BoardIdentity, SavedBoard},
     session::Session,
 };
 use trueup_store::calibration::decode;
 
 use super::{
-    Port,
-    load::{LoadMode, Loaded, agreed, put},
+    PortArgs,
+    load::{LoadMode, LoadOutcome, confirm_with_user, load_calibration},
 };
 use crate::{Outcome, UserError, files, output, report};
 
 /// No save file has more: a calibration of 16 KiB, twice in hexadecimal digits, and a log.
-const MAX_BYTES: u64 = 1 << 20;
+const MAX_BACKUP_BYTES: u64 = 1 << 20;
 
 #[derive(Args)]
-pub struct Save {
+pub struct SaveArgs {
     /// The file to write.
     #[arg(value_name = "FILE")]
     file: PathBuf,
@@ -42,37 +42,37 @@ pub struct Save {
     #[arg(long)]
     overwrite: bool,
     #[command(flatten)]
-    port: Port,
+    port: PortArgs,
 }
 
 #[derive(Args)]
-pub struct Restore {
+pub struct RestoreArgs {
     /// The file that `save` wrote.
     #[arg(value_name = "FILE")]
     file: PathBuf,
     #[command(flatten)]
-    port: Port,
+    port: PortArgs,
     #[command(flatten)]
     how: LoadMode,
 }
 
 /// Writes all that the bridge holds to a file.
-pub fn save(args: &Save, as_json: bool) -> Result<Outcome> {
+pub fn save(args: &SaveArgs, as_json: bool) -> Result<Outcome> {
     let mut session = Session::open(&Line::parse(&args.port.port)?)?;
-    let saved = saved(&mut session, &args.file, args.overwrite, as_json);
+    let saved = save_backup(&mut session, &args.file, args.overwrite, as_json);
     session.close();
     let saved = saved?;
-    let crc = saved.crc();
+    let crc = saved.calibration_crc();
     if as_json {
         output::print(
             json!({ "output": args.file.to_string_lossy(), "crc": format!("{crc:08x}") }),
         )?;
     } else {
-        let owner = saved.owner();
+        let owner = saved.board_identity();
         output::print(format_args!(
             "{}: calibration {crc:08x} of {}, {} bytes",
             args.file.display(),
-            owner.text(),
+            owner.to_text(),
             saved.calibration.len()
         ))?;
     }
@@ -80,75 +80,81 @@ pub fn save(args: &Save, as_json: bool) -> Result<Outcome> {
 }
 
 /// Saves a bridge to a file. A file that holds anything else than its backup is not replaced without a yes.
-pub fn saved(
+pub fn save_backup(
     session: &mut Session,
     file: &Path,
     overwrite: bool,
     as_json: bool,
 ) -> Result<SavedBoard> {
-    if !overwrite && let Some(there) = other_content(file, &Owner::ask(session)?) {
+    if !overwrite && let Some(there) = foreign_content(file, &BoardIdentity::read(session)?) {
         let rule = format!("{}: {there}", file.display());
         if as_json || !stdin().is_terminal() {
             bail!(UserError(format!("{rule}. Give another file, or --overwrite to replace it")));
         }
-        if !agreed(&format!("{rule}. Replace it? [y/N] "))? {
+        if !confirm_with_user(&format!("{rule}. Replace it? [y/N] "))? {
             bail!(UserError("not saved: you have not said yes".into()));
         }
     }
-    let bar = super::who::bar("reading the calibration", 0);
-    let saved = SavedBoard::ask(session, |got, of| {
+    let bar = super::comparison::byte_progress_bar("reading the calibration", 0);
+    let saved = SavedBoard::read(session, |got, of| {
         bar.set_length(of.unwrap_or_default().into());
         bar.set_position(got as u64);
     });
     bar.finish_and_clear();
     let saved = saved?;
     let text = saved.to_text()?;
-    output::write_whole(file, &[], |out| out.write_all(text.as_bytes()))?;
+    output::write_atomically(file, &[], |out| out.write_all(text.as_bytes()))?;
     Ok(saved)
 }
 
 /// Returns what the file holds, unless it is nothing, or a backup of the same owner.
-fn other_content(file: &Path, owner: &Owner) -> Option<String> {
+fn foreign_content(file: &Path, owner: &BoardIdentity) -> Option<String> {
     if output::is_standard_output(file) || !fs::metadata(file).is_ok_and(|it| it.is_file()) {
         return None;
     }
-    let text = files::text(file, MAX_BYTES).unwrap_or_else(|_| "?".into());
+    let text = files::read_text(file, MAX_BACKUP_BYTES).unwrap_or_else(|_| "?".into());
     if text.is_empty() {
         return None;
     }
-    match SavedBoard::parse(&text).map(|saved| saved.owner()) {
-        Ok(there) if there.is_same(owner) => None,
-        Ok(there) => {
-            Some(format!("is the backup of {}; this bridge is of {}", there.text(), owner.text()))
-        }
+    match SavedBoard::parse(&text).map(|saved| saved.board_identity()) {
+        Ok(there) if there.is_consistent_with(owner) => None,
+        Ok(there) => Some(format!(
+            "is the backup of {}; this bridge is of {}",
+            there.to_text(),
+            owner.to_text()
+        )),
         Err(_) => Some("is there already, and is no backup of a bridge that can be read".into()),
     }
 }
 
 /// The result of a restore.
-pub struct Restored {
+pub struct RestoreOutcome {
     /// Of its calibration.
-    pub loaded: Loaded,
+    pub loaded: LoadOutcome,
     /// Of its reference; `None`: it has none.
     pub reference: Option<Result<BridgeReference, String>>,
 }
 
-impl Restored {
-    fn is_met(&self, how: LoadMode) -> bool {
-        self.loaded.is_met(how) && !matches!(self.reference, Some(Err(_)))
+impl RestoreOutcome {
+    fn is_successful(&self, how: LoadMode) -> bool {
+        self.loaded.is_successful(how) && !matches!(self.reference, Some(Err(_)))
     }
 }
 
 /// Reads a file that `save` wrote.
-pub fn read(file: &Path) -> Result<SavedBoard, UserError> {
+pub fn read_backup(file: &Path) -> Result<SavedBoard, UserError> {
     let bad = |rule: String| UserError(format!("{}: {rule}", file.display()));
-    let text = files::text(file, MAX_BYTES)?;
+    let text = files::read_text(file, MAX_BACKUP_BYTES)?;
     SavedBoard::parse(&text).map_err(bad)
 }
 
 /// Loads the calibration, and offers the reference.
-pub fn put_back(session: &mut Session, saved: &SavedBoard, how: LoadMode) -> Result<Restored> {
-    let mut loaded = put(session, &saved.calibration, how)?;
+pub fn restore_board(
+    session: &mut Session,
+    saved: &SavedBoard,
+    how: LoadMode,
+) -> Result<RestoreOutcome> {
+    let mut loaded = load_calibration(session, &saved.calibration, how)?;
     let runs = !how.keep_running && loaded.running == loaded.crc;
     // It belongs to the calibration that it was taken with.
     let reference = saved.reference.map(|nm| match runs {
@@ -156,30 +162,30 @@ pub fn put_back(session: &mut Session, saved: &SavedBoard, how: LoadMode) -> Res
         false => Err("the board does not run on this calibration yet".into()),
     });
     if runs {
-        loaded.asks = super::asks::Asks::of(session)?;
+        loaded.asks = super::operator_questions::OpenQuestions::read(session)?;
     }
-    Ok(Restored { loaded, reference })
+    Ok(RestoreOutcome { loaded, reference })
 }
 
 /// Gives a bridge what `save` has kept of another one.
-pub fn restore(args: &Restore, as_json: bool) -> Result<Outcome> {
+pub fn restore(args: &RestoreArgs, as_json: bool) -> Result<Outcome> {
     // What counts is what becomes of the board.
-    trueup_output::best_effort();
-    let saved = read(&args.file)?;
+    trueup_output::enable_best_effort();
+    let saved = read_backup(&args.file)?;
     let is_bound = decode(&saved.calibration).is_ok_and(|it| it.names.board != [0; 3]);
-    if !saved.is_protected() && saved.reference.is_some() {
+    if !saved.has_checksum() && saved.reference.is_some() {
         report::warn(format_args!(
             "{}: has no checksum (version 0.2 wrote it): look at the reference before you confirm it",
             args.file.display()
         ));
     }
-    args.how.can_ask(as_json)?;
+    args.how.check_can_confirm(as_json)?;
     let mut session = Session::open(&Line::parse(&args.port.port)?)?;
-    let restored = put_back(&mut session, &saved, args.how);
+    let restored = restore_board(&mut session, &saved, args.how);
     session.close();
     let restored = restored?;
-    let is_met = restored.is_met(args.how);
-    let Restored { loaded, reference } = restored;
+    let is_met = restored.is_successful(args.how);
+    let RestoreOutcome { loaded, reference } = restored;
     let mut notes = Vec::new();
     if is_bound {
         notes.push(
@@ -190,13 +196,13 @@ pub fn restore(args: &Restore, as_json: bool) -> Result<Outcome> {
         (Some(_), Some(Ok(now))) => notes.push(format!(
             "the reference that Zero had taken: {}. This board's converter is another one: touch off a tool before \
              anything is cut",
-            now.text()
+            now.to_text()
         )),
         (Some(nm), Some(Err(why))) => report::warn(format_args!(
             "the reference that Zero had taken is NOT on this board ({}): {why}. Its offsets count from the \
              calibration's own zero. Before anything is cut: bring the machine into the state in which tools \
              are touched off, home it, and let the CNC set Zero again (LinuxCNC: pin trueup.zero)",
-            micrometres_text(nm)
+            format_reference(nm)
         )),
         _ => {}
     }
@@ -206,7 +212,7 @@ pub fn restore(args: &Restore, as_json: bool) -> Result<Outcome> {
             "crc": format!("{crc:08x}"),
             "running_crc": format!("{:08x}", loaded.running),
             "reference": reference.as_ref().map(Result::is_ok),
-            "asks": loaded.asks.words(),
+            "asks": loaded.asks.keywords(),
             "notes": notes,
         }))?;
     } else {

@@ -4,81 +4,81 @@ use anyhow::Result;
 use clap::Args;
 use serde_json::json;
 use trueup_client::{
-    disengage::{Disengaged, disengage},
+    disengage::{DisengageOutcome, disengage},
     port::Port as Line,
     session::Session,
-    words::quality_word,
+    state_text::quality_name,
 };
 
-use super::Port;
+use super::PortArgs;
 use crate::{Outcome, output, report};
 
 /// Nanometres in a micrometre.
 const NM_PER_UM: f64 = 1_000.0;
 
 #[derive(Args)]
-pub struct Disengage {
+pub struct DisengageArgs {
     #[command(flatten)]
-    port: Port,
+    port: PortArgs,
 }
 
 /// Takes them back, and waits until they are 0.
-pub fn run(args: &Disengage, as_json: bool) -> Result<Outcome> {
-    trueup_output::best_effort();
+pub fn run(args: &DisengageArgs, as_json: bool) -> Result<Outcome> {
+    trueup_output::enable_best_effort();
     let mut session = Session::open(&Line::parse(&args.port.port)?)?;
     let mut is_said = false;
     let done = disengage(&mut session, &mut |now_nm| {
         if !is_said {
             is_said = true;
-            trueup_output::diagnostic(format_args!(
+            trueup_output::write_diagnostic(format_args!(
                 "the offset, {}, goes to 0 at the slew limit of the calibration",
-                text(now_nm)
+                format_offsets(now_nm)
             ));
         }
     });
     session.close();
     let done = done?;
     let (word, nm) = match done {
-        Disengaged::AtRest(_) => ("nothing", [Some(0); 3]),
-        Disengaged::Done { from_nm, .. } => ("disengaged", from_nm),
-        Disengaged::CncCommands(nm) => ("refused", nm),
-        Disengaged::Stands(nm) => ("stands", nm),
+        DisengageOutcome::AtRest(_) => ("nothing", [Some(0); 3]),
+        DisengageOutcome::Done { from_nm, .. } => ("disengaged", from_nm),
+        DisengageOutcome::CncCommands(nm) => ("refused", nm),
+        DisengageOutcome::Stands(nm) => ("stands", nm),
     };
     if as_json {
         let um = nm.map(|nm| nm.map(|nm| f64::from(nm) / NM_PER_UM));
         output::print(json!({ "done": word, "offset_um": um }))?;
     } else {
         match done {
-            Disengaged::AtRest(quality) => output::print(format_args!(
+            DisengageOutcome::AtRest(quality) => output::print(format_args!(
                 "nothing is engaged: the bridge is {}, no offset is given",
-                quality_word(quality)
+                quality_name(quality)
             ))?,
-            Disengaged::Done { from_nm, took } => output::print(format_args!(
+            DisengageOutcome::Done { from_nm, took } => output::print(format_args!(
                 "disengaged: the offset went from {} to 0 in {:.1} s. A CNC that comes back engages by its own Engage",
-                text(from_nm),
+                format_offsets(from_nm),
                 took.as_secs_f64()
             ))?,
-            Disengaged::CncCommands(_) | Disengaged::Stands(_) => {}
+            DisengageOutcome::CncCommands(_) | DisengageOutcome::Stands(_) => {}
         }
     }
     match done {
-        Disengaged::AtRest(_) | Disengaged::Done { .. } => return Ok(Outcome::Done),
-        Disengaged::CncCommands(nm) => report::warn(format_args!(
+        DisengageOutcome::AtRest(_) | DisengageOutcome::Done { .. } => return Ok(Outcome::Done),
+        DisengageOutcome::CncCommands(nm) => report::warn(format_args!(
             "a CNC commands this bridge and follows its offset, {}: nothing was sent, for it may be cutting. \
              Disengage there. LinuxCNC: halcmd setp trueup.0.enable 0 (or the signal on that pin); SINUMERIK: the input \
              ENABLE of the block; Modbus: bit 0 of Control; trueup virtual: type disengage where it runs",
-            text(nm)
+            format_offsets(nm)
         )),
-        Disengaged::Stands(nm) => report::warn(format_args!(
+        DisengageOutcome::Stands(nm) => report::warn(format_args!(
             "the offset, {}, does not go to 0: another line commands the bridge; disengage there",
-            text(nm)
+            format_offsets(nm)
         )),
     }
     Ok(Outcome::NotMet)
 }
 
 /// Returns the offsets in µm.
-fn text(nm: [Option<i32>; 3]) -> String {
+fn format_offsets(nm: [Option<i32>; 3]) -> String {
     let axes = ["x", "y", "z"].into_iter().zip(nm);
     let all = axes.map(|(axis, nm)| match nm {
         Some(nm) => format!("{axis} {:+.2}", f64::from(nm) / NM_PER_UM),

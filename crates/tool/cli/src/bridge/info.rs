@@ -11,51 +11,53 @@ use clap::Args;
 use serde_json::{Value, json};
 use trueup_client::{
     build::Build,
-    firmware_slots::SlotsState,
+    firmware_slots::FirmwareSlots,
     object,
     port::Port,
     reference::BridgeReference,
     session::Session,
-    words::{fault_words, output_json, output_text, state_word, state_words, waits_for},
-    writes,
+    state_text::{
+        fault_names, format_output, nmt_state_name, output_to_json, pending_action, state_names,
+    },
+    write_log,
 };
 use trueup_core::cnc::Output;
-use trueup_learn::live;
+use trueup_learn::live_update;
 use trueup_link::{
-    frames::{self, State},
+    frames::{self, NmtState},
     receiver::OffsetReceiver,
     slcan::Event,
     status::{ResetReason, StateBits},
 };
 use trueup_machine::compile;
-use trueup_store::writes::Write;
+use trueup_store::write_log::WriteRecord;
 
-use super::{asks::Asks, who};
+use super::{comparison, operator_questions::OpenQuestions};
 use crate::{Outcome, files, output};
 
 #[derive(Args)]
-pub struct Ask {
+pub struct InfoArgs {
     #[command(flatten)]
-    port: super::Port,
+    port: super::PortArgs,
     /// Say whether the bridge runs on what this machine file makes, and what differs.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
 }
 
 /// How long answers, a heartbeat and offsets are waited for: 20 heartbeats.
-const PATIENCE: Duration = Duration::from_secs(2);
+const RESPONSE_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Messages received from a bridge.
 #[derive(Default)]
-struct Info {
+struct BridgeInfo {
     version: Option<String>,
     serial: Option<String>,
-    heartbeat: Option<State>,
+    heartbeat: Option<NmtState>,
     output: Option<Output>,
     offsets: OffsetReceiver,
 }
 
-impl Info {
+impl BridgeInfo {
     fn receive(&mut self, event: &Event) {
         match event {
             Event::Other(line) => {
@@ -69,7 +71,7 @@ impl Info {
             Event::Frame(frame) => {
                 let state = frames::decode_heartbeat(frame).ok();
                 // Boot-up is not a state yet; the next heartbeat has one.
-                let state = state.filter(|state| *state != frames::State::BootUp);
+                let state = state.filter(|state| *state != frames::NmtState::BootUp);
                 self.heartbeat = state.or(self.heartbeat);
                 self.output = self.offsets.accept(frame).ok().flatten().or(self.output);
             }
@@ -86,12 +88,12 @@ impl Info {
 }
 
 /// Objects of the bridge, read by SDO.
-struct Objects {
+struct BridgeObjects {
     device: String,
     hardware: String,
     software: Build,
     /// `None`: the board has no firmware slots.
-    slots: Option<SlotsState>,
+    slots: Option<FirmwareSlots>,
     /// 0: it has no valid one.
     calibration: u32,
     /// The one for the next start; 0: none was loaded.
@@ -101,7 +103,7 @@ struct Objects {
     /// Serial number of that machine.
     serial: String,
     /// Who has written to the board, the last at the end.
-    writes: Vec<Write>,
+    writes: Vec<WriteRecord>,
     reference: BridgeReference,
     /// The learned values as they are applied, in words; `None`: none.
     learned: Option<String>,
@@ -109,7 +111,7 @@ struct Objects {
     conditions: Option<String>,
     faults: Vec<&'static str>,
     state: Vec<&'static str>,
-    asks: Asks,
+    asks: OpenQuestions,
     reset: ResetReason,
     /// The traces of its last stop, in words; empty: none.
     stop: String,
@@ -117,33 +119,33 @@ struct Objects {
     resets: Vec<(&'static str, u32)>,
 }
 
-impl Objects {
-    fn ask(session: &mut Session) -> Result<Self> {
+impl BridgeObjects {
+    fn read(session: &mut Session) -> Result<Self> {
         Ok(Self {
-            device: object::text(session, object::NAME)?,
-            hardware: object::text(session, object::HARDWARE)?,
-            software: who::compare_builds(session)?,
-            slots: SlotsState::ask(session)?,
-            calibration: object::number(session, object::RUNNING_CRC)?,
-            new_calibration: object::number(session, object::NEW_CRC)?,
+            device: object::read_text(session, object::DEVICE_NAME)?,
+            hardware: object::read_text(session, object::HARDWARE_VERSION)?,
+            software: comparison::compare_builds(session)?,
+            slots: FirmwareSlots::read(session)?,
+            calibration: object::read_number(session, object::RUNNING_CRC)?,
+            new_calibration: object::read_number(session, object::PENDING_CRC)?,
             // An empty one is refused.
-            machine: object::text(session, object::MACHINE_NAME).unwrap_or_default(),
-            serial: object::text(session, object::MACHINE_SERIAL).unwrap_or_default(),
-            writes: writes::writes(
-                &object::read(session, object::WRITES, |_, _| ()).unwrap_or_default(),
+            machine: object::read_text(session, object::MACHINE_NAME).unwrap_or_default(),
+            serial: object::read_text(session, object::MACHINE_SERIAL).unwrap_or_default(),
+            writes: write_log::decode_write_records(
+                &object::read(session, object::WRITE_LOG, |_, _| ()).unwrap_or_default(),
             ),
-            reference: BridgeReference::ask(session)?,
-            learned: learned(session),
-            conditions: conditions(session),
-            faults: fault_words(object::faults(session)?),
-            state: state_words(StateBits(object::number(session, object::STATE_BITS)?)),
-            asks: Asks::of(session)?,
-            reset: u16::try_from(object::number(session, object::RESET_REASON)?)
+            reference: BridgeReference::read(session)?,
+            learned: learned_values_text(session),
+            conditions: conditions_text(session),
+            faults: fault_names(object::read_faults(session)?),
+            state: state_names(StateBits(object::read_number(session, object::STATE_BITS)?)),
+            asks: OpenQuestions::read(session)?,
+            reset: u16::try_from(object::read_number(session, object::RESET_REASON)?)
                 .ok()
                 .and_then(ResetReason::from_wire)
                 .unwrap_or_default(),
-            stop: stop(session)?,
-            resets: resets(session)?,
+            stop: crash_location_text(session)?,
+            resets: read_reset_counts(session)?,
         })
     }
 
@@ -171,7 +173,7 @@ impl Objects {
 }
 
 /// Prints the firmware slots of a board, the one that runs first.
-fn print_slots(slots: &SlotsState) -> Result<()> {
+fn print_slots(slots: &FirmwareSlots) -> Result<()> {
     let (running, spare) = (slots.running, slots.running.other());
     output::print(format_args!(
         "firmware     slot {} runs: {}",
@@ -187,22 +189,22 @@ fn print_slots(slots: &SlotsState) -> Result<()> {
     output::print(format_args!(
         "firmware     slot {} was chosen: {}{by}",
         running.name(),
-        slots.choice()
+        slots.choice_reason()
     ))?;
     output::print(format_args!("firmware     oldest version that may start: {}", slots.floor))
 }
 
 /// Returns the learned values in words; none of a bridge whose firmware is older than they are.
-fn learned(session: &mut Session) -> Option<String> {
-    let amounts =
-        object::LEARNED.map(|at| object::number(session, at).unwrap_or_default().cast_signed());
-    live::text(&amounts)
+fn learned_values_text(session: &mut Session) -> Option<String> {
+    let amounts = object::LEARNED_VALUES
+        .map(|at| object::read_number(session, at).unwrap_or_default().cast_signed());
+    live_update::describe_amounts(&amounts)
 }
 
 /// Returns tool and conditions in words; none of a bridge whose firmware is older than the frame `Conditions`.
-fn conditions(session: &mut Session) -> Option<String> {
+fn conditions_text(session: &mut Session) -> Option<String> {
     let [tool, bits, origin] =
-        object::CONDITIONS.map(|at| object::number(session, at).unwrap_or_default());
+        object::CONDITIONS.map(|at| object::read_number(session, at).unwrap_or_default());
     let held: Vec<String> =
         (0..16).filter(|bit| bits & 1 << bit != 0).map(|bit| bit.to_string()).collect();
     let held = if held.is_empty() { "none".into() } else { format!("bit {}", held.join(", ")) };
@@ -214,15 +216,15 @@ fn conditions(session: &mut Session) -> Option<String> {
 }
 
 /// Where the last start stopped, in words that follow its reason; empty: nothing is known of it.
-fn stop(session: &mut Session) -> Result<String> {
+fn crash_location_text(session: &mut Session) -> Result<String> {
     let mut numbers = [0; 5];
-    for (number, at) in numbers.iter_mut().zip(object::STOP) {
-        *number = object::number(session, at)?;
+    for (number, at) in numbers.iter_mut().zip(object::CRASH_REGISTERS) {
+        *number = object::read_number(session, at)?;
     }
     let [pc, lr, status, address, line] = numbers;
     let mut words = String::new();
     if line != 0 {
-        words += &format!(" at {}:{line}", object::text(session, object::STOP_FILE)?);
+        words += &format!(" at {}:{line}", object::read_text(session, object::CRASH_FILE)?);
     }
     if pc != 0 || status != 0 {
         words += &format!(" at pc {pc:#010x}, lr {lr:#010x}, CFSR {status:#010x}");
@@ -230,27 +232,27 @@ fn stop(session: &mut Session) -> Result<String> {
     if address != 0 {
         words += &format!(", address {address:#010x}");
     }
-    let task = usize::try_from(object::number(session, object::STOP_TASK)?)?;
-    if let Some(task) = task.checked_sub(1).and_then(|at| object::TASKS.get(at)) {
+    let task = usize::try_from(object::read_number(session, object::CRASH_TASK)?)?;
+    if let Some(task) = task.checked_sub(1).and_then(|at| object::TASK_NAMES.get(at)) {
         words += &format!(", in task {task}");
     }
     Ok(words)
 }
 
 /// Returns the reasons for which the board has started since power-on, and how often.
-fn resets(session: &mut Session) -> Result<Vec<(&'static str, u32)>> {
-    let (index, first) = object::RESETS;
+fn read_reset_counts(session: &mut Session) -> Result<Vec<(&'static str, u32)>> {
+    let (index, first) = object::RESET_COUNT;
     let mut all = Vec::new();
     for (number, subindex) in (0..).zip(first..).take(ResetReason::COUNT) {
-        let count = object::number(session, (index, subindex))?;
-        let word = ResetReason::from_wire(number).unwrap_or_default().word();
+        let count = object::read_number(session, (index, subindex))?;
+        let word = ResetReason::from_wire(number).unwrap_or_default().as_str();
         all.extend((count > 0).then_some((word, count)));
     }
     Ok(all)
 }
 
 /// The comparison of the bridge's calibration with the machine file.
-enum Comparison {
+enum CalibrationComparison {
     /// No file was given, or the bridge did not answer.
     None,
     /// It runs on nothing that can be compared.
@@ -259,18 +261,18 @@ enum Comparison {
     Differences(Vec<String>),
 }
 
-/// Asks the bridge and prints what it says.
-pub fn run(args: &Ask, as_json: bool) -> Result<Outcome> {
+/// Reads the state of the bridge and prints it.
+pub fn run(args: &InfoArgs, as_json: bool) -> Result<Outcome> {
     let port = Port::parse(&args.port.port)?;
     let wanted = match &args.machine {
-        Some(path) => Some(compile(&files::machine(path)?)?),
+        Some(path) => Some(compile(&files::read_machine(path)?)?),
         None => None,
     };
     let has_adapter = port.has_adapter();
     let mut session = Session::open(&port)?;
     session.write(b"V\rN\r")?;
-    let deadline = Instant::now() + PATIENCE;
-    let mut info = Info::default();
+    let deadline = Instant::now() + RESPONSE_TIMEOUT;
+    let mut info = BridgeInfo::default();
     while !info.is_complete(has_adapter) {
         let Some(event) = session.next_event(deadline)? else { break };
         info.receive(&event);
@@ -281,27 +283,29 @@ pub fn run(args: &Ask, as_json: bool) -> Result<Outcome> {
         bail!(
             "no frame of a bridge came in {} s, and no version or serial number; is it a bridge, and has an adapter in \
              between the right bit rate (1 Mbit/s)?",
-            PATIENCE.as_secs()
+            RESPONSE_TIMEOUT.as_secs()
         );
     }
     // A bridge that sends no frame answers none.
     let objects = match info.heartbeat {
-        Some(_) => Some(Objects::ask(&mut session)?),
+        Some(_) => Some(BridgeObjects::read(&mut session)?),
         None => None,
     };
-    let mut comparison = Comparison::None;
+    let mut comparison = CalibrationComparison::None;
     if let (Some(it), Some(wanted)) = (&objects, &wanted) {
-        comparison = match who::differences(&mut session, wanted.blob())? {
+        comparison = match comparison::calibration_differences(&mut session, wanted.blob())? {
             // What the board computes is the same; the bytes may have been written by another version.
-            Some(all) => Comparison::Differences(all),
-            None if it.calibration == wanted.crc() => Comparison::Differences(Vec::new()),
-            None => Comparison::Nothing,
+            Some(all) => CalibrationComparison::Differences(all),
+            None if it.calibration == wanted.crc() => {
+                CalibrationComparison::Differences(Vec::new())
+            }
+            None => CalibrationComparison::Nothing,
         };
     }
     session.close();
     if as_json {
-        let mut all = info.json(objects.as_ref());
-        if let Comparison::Differences(differences) = &comparison {
+        let mut all = info.to_json(objects.as_ref());
+        if let CalibrationComparison::Differences(differences) = &comparison {
             all["differs_from_machine"] = json!(differences);
         }
         output::print(all)?;
@@ -310,15 +314,15 @@ pub fn run(args: &Ask, as_json: bool) -> Result<Outcome> {
         comparison.print(args.machine.as_deref())?;
     }
     let is_other = match &comparison {
-        Comparison::None => false,
-        Comparison::Nothing => true,
-        Comparison::Differences(all) => !all.is_empty(),
+        CalibrationComparison::None => false,
+        CalibrationComparison::Nothing => true,
+        CalibrationComparison::Differences(all) => !all.is_empty(),
     };
     let is_met = objects.is_some() && info.is_complete(false) && !is_other;
     Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
 }
 
-impl Comparison {
+impl CalibrationComparison {
     fn print(&self, machine: Option<&Path>) -> Result<()> {
         let file = machine.map(|path| path.display().to_string()).unwrap_or_default();
         match self {
@@ -337,33 +341,34 @@ impl Comparison {
     }
 }
 
-impl Info {
-    fn json(&self, objects: Option<&Objects>) -> Value {
+impl BridgeInfo {
+    fn to_json(&self, objects: Option<&BridgeObjects>) -> Value {
         let crc = |crc: u32| (crc != 0).then(|| format!("{crc:08x}"));
-        let mut all = output_json(self.output.as_ref());
-        all["waiting_for"] = json!(self.waits_for(objects));
+        let mut all = output_to_json(self.output.as_ref());
+        all["waiting_for"] = json!(self.waiting_reason(objects));
         all["version"] = json!(self.version);
         all["serial"] = json!(self.serial);
-        all["heartbeat"] = json!(self.heartbeat.map(state_word));
+        all["heartbeat"] = json!(self.heartbeat.map(nmt_state_name));
         all["device"] = json!(objects.map(|it| &it.device));
         all["hardware"] = json!(objects.map(|it| &it.hardware));
         all["software"] = json!(objects.map(|it| it.software.to_string()));
-        all["firmware_slots"] = json!(objects.and_then(|it| it.slots).map(|it| it.json()));
+        all["firmware_slots"] = json!(objects.and_then(|it| it.slots).map(|it| it.to_json()));
         all["calibration_crc"] = json!(objects.and_then(|it| crc(it.calibration)));
         all["new_calibration_crc"] = json!(objects.and_then(|it| crc(it.new_calibration)));
         let named = |text: &str| (!text.is_empty()).then(|| text.to_owned());
         all["machine"] = json!(objects.and_then(|it| named(&it.machine)));
         all["machine_serial"] = json!(objects.and_then(|it| named(&it.serial)));
-        all["writes"] =
-            json!(objects.map(|it| it.writes.iter().map(writes::json).collect::<Vec<_>>()));
+        all["writes"] = json!(
+            objects.map(|it| it.writes.iter().map(write_log::record_to_json).collect::<Vec<_>>())
+        );
         all["has_reference"] = json!(objects.map(|it| it.reference.in_force.is_some()));
-        all["reference"] = json!(objects.map(|it| it.reference.json()));
-        all["asks"] = json!(objects.map(|it| it.asks.words()));
+        all["reference"] = json!(objects.map(|it| it.reference.to_json()));
+        all["asks"] = json!(objects.map(|it| it.asks.keywords()));
         all["learned"] = json!(objects.and_then(|it| it.learned.as_ref()));
         all["conditions"] = json!(objects.and_then(|it| it.conditions.as_ref()));
         all["faults"] = json!(objects.map(|it| &it.faults));
         all["state"] = json!(objects.map(|it| &it.state));
-        all["reset_reason"] = json!(objects.map(|it| it.reset.word()));
+        all["reset_reason"] = json!(objects.map(|it| it.reset.as_str()));
         all["reset_at"] = json!(objects.map(|it| &it.stop).filter(|stop| !stop.is_empty()));
         all["resets"] =
             json!(objects.map(|it| it.resets.iter().copied().collect::<BTreeMap<_, _>>()));
@@ -371,13 +376,17 @@ impl Info {
     }
 
     /// For whom the bridge waits that gives no offset.
-    fn waits_for(&self, objects: Option<&Objects>) -> Option<&'static str> {
+    fn waiting_reason(&self, objects: Option<&BridgeObjects>) -> Option<&'static str> {
         let objects = objects?;
-        waits_for(self.output.as_ref()?.quality, objects.asks.state(), Some(objects.calibration))
+        pending_action(
+            self.output.as_ref()?.quality,
+            objects.asks.state_bits(),
+            Some(objects.calibration),
+        )
     }
 
-    fn print(&self, objects: Option<&Objects>) -> Result<()> {
-        let missing = format!("none in {} s", PATIENCE.as_secs());
+    fn print(&self, objects: Option<&BridgeObjects>) -> Result<()> {
+        let missing = format!("none in {} s", RESPONSE_TIMEOUT.as_secs());
         if let (Some(version), Some(serial)) = (&self.version, &self.serial) {
             output::print(format_args!("version      {version}"))?;
             output::print(format_args!("serial       {serial}"))?;
@@ -385,20 +394,20 @@ impl Info {
         // Of CANopen's words: no sign of a fault, as long as a heartbeat comes.
         let heartbeat = match self.heartbeat {
             None => missing.clone(),
-            Some(State::Stopped) => "alive; no offsets are available (CANopen: stopped)".into(),
-            Some(state) => format!("alive (CANopen: {})", state_word(state)),
+            Some(NmtState::Stopped) => "alive; no offsets are available (CANopen: stopped)".into(),
+            Some(state) => format!("alive (CANopen: {})", nmt_state_name(state)),
         };
         output::print(format_args!("heartbeat    {heartbeat}"))?;
-        let offsets = self.output.as_ref().map_or_else(|| missing.clone(), output_text);
-        let waits = self.waits_for(objects).map(|what| format!("waiting for {what}: "));
+        let offsets = self.output.as_ref().map_or_else(|| missing.clone(), format_output);
+        let waits = self.waiting_reason(objects).map(|what| format!("waiting for {what}: "));
         output::print(format_args!("offsets      {}{offsets}", waits.unwrap_or_default()))?;
         let Some(it) = objects else { return Ok(()) };
-        let Objects { device, hardware, software, .. } = it;
+        let BridgeObjects { device, hardware, software, .. } = it;
         output::print(format_args!("device       {device} {software} on {hardware}"))?;
         it.slots.as_ref().map_or(Ok(()), print_slots)?;
         output::print(format_args!("calibration  {}", it.calibration_text()))?;
         output::print(format_args!("machine      {}", it.machine_text()))?;
-        output::print(format_args!("reference    {}", it.reference.text()))?;
+        output::print(format_args!("reference    {}", it.reference.to_text()))?;
         let learned = it.learned.as_deref().unwrap_or("nothing beside the calibration");
         output::print(format_args!("learned      {learned}"))?;
         if let Some(conditions) = &it.conditions {
@@ -409,7 +418,7 @@ impl Info {
         let state = if it.state.is_empty() { "all well".into() } else { it.state.join(" ") };
         output::print(format_args!("state        {state}"))?;
         it.asks.print()?;
-        output::print(format_args!("last reset   {}{}", it.reset.word(), it.stop))?;
+        output::print(format_args!("last reset   {}{}", it.reset.as_str(), it.stop))?;
         let resets: Vec<String> =
             it.resets.iter().map(|(word, count)| format!("{word} {count}")).collect();
         let resets = if resets.is_empty() {
@@ -422,7 +431,7 @@ impl Info {
             output::print("written      to the board, the last first, #number in its log:")?;
         }
         it.writes.iter().rev().try_for_each(|write| {
-            output::print(format_args!("written      {}", writes::text(write)))
+            output::print(format_args!("written      {}", write_log::format_record(write)))
         })
     }
 }

@@ -1,4 +1,4 @@
-//! `trueup bridge load`: a calibration to the board, shown against what it runs on, asked for, read back and
+//! `trueup bridge load`: a calibration to the board, compared with what it runs on, confirmed by the user, read back and
 //! put to use.
 
 use std::{
@@ -11,28 +11,28 @@ use clap::Args;
 use indicatif::ProgressBar;
 use serde_json::json;
 use trueup_client::{
-    load::{self, Step},
-    object::{self, NEW_CRC, QUALITY, RUNNING_CRC},
+    load::{self, StoreStep},
+    object::{self, PENDING_CRC, QUALITY, RUNNING_CRC},
     port::Port as Line,
-    previous::PreviousCalibration,
+    previous_calibration::PreviousCalibration,
     reference::BridgeReference,
     session::Session,
-    words::quality_word,
+    state_text::quality_name,
 };
 use trueup_core::cnc::Quality;
 use trueup_machine::{
     BadInput,
-    check::{corrects_nothing, ranges},
-    compile::inverse,
+    check::{no_correction_warning, range_findings},
+    compile::decompile,
     envelope,
 };
-use trueup_store::calibration::{decode, identity, whole};
+use trueup_store::calibration::{calibration_crc, decode, validate_blob};
 
-use super::{Port, asks::Asks, who};
-use crate::{Outcome, UserError, files, output, report, show::MAX_BYTES};
+use super::{PortArgs, comparison, operator_questions::OpenQuestions};
+use crate::{Outcome, UserError, files, output, report, show::MAX_CALIBRATION_FILE_BYTES};
 
 #[derive(Args)]
-pub struct Load {
+pub struct LoadArgs {
     /// The calibration, as `compile` writes it.
     #[arg(value_name = "CAL.bin", required_unless_present = "previous")]
     calibration: Option<PathBuf>,
@@ -40,7 +40,7 @@ pub struct Load {
     #[arg(long, conflicts_with = "calibration")]
     previous: bool,
     #[command(flatten)]
-    port: Port,
+    port: PortArgs,
     #[command(flatten)]
     how: LoadMode,
 }
@@ -57,8 +57,8 @@ pub struct LoadMode {
 }
 
 impl LoadMode {
-    /// Checks that the user can be asked, or need not be.
-    pub fn can_ask(self, as_json: bool) -> Result<(), UserError> {
+    /// Checks that the user can confirm, or need not.
+    pub fn check_can_confirm(self, as_json: bool) -> Result<(), UserError> {
         if self.yes || !as_json && stdin().is_terminal() {
             return Ok(());
         }
@@ -69,7 +69,7 @@ impl LoadMode {
 }
 
 /// The result of a load.
-pub struct Loaded {
+pub struct LoadOutcome {
     /// CRC of the calibration that was loaded.
     pub crc: u32,
     /// CRC of the one that the bridge runs on now.
@@ -79,32 +79,32 @@ pub struct Loaded {
     /// The reference before and after.
     pub references: [BridgeReference; 2],
     /// The questions of the bridge to its operator now.
-    pub asks: Asks,
+    pub asks: OpenQuestions,
 }
 
-impl Loaded {
+impl LoadOutcome {
     /// The board runs on it, or is not to yet, and works for its machine.
-    pub fn is_met(&self, how: LoadMode) -> bool {
-        how.keep_running || self.running == self.crc && !self.asks.is_foreign()
+    pub fn is_successful(&self, how: LoadMode) -> bool {
+        how.keep_running || self.running == self.crc && !self.asks.is_foreign_calibration()
     }
 }
 
 /// Loads the calibration of a file.
-pub fn run(args: &Load, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &LoadArgs, as_json: bool) -> Result<Outcome> {
     // What counts is what becomes of the board.
-    trueup_output::best_effort();
-    let named = args.calibration.as_deref().map(read).transpose()?;
-    args.how.can_ask(as_json)?;
+    trueup_output::enable_best_effort();
+    let named = args.calibration.as_deref().map(read_calibration).transpose()?;
+    args.how.check_can_confirm(as_json)?;
     let mut session = Session::open(&Line::parse(&args.port.port)?)?;
     let blob = match named {
         Some(blob) => Ok(blob),
-        None => previous(&mut session).and_then(|path| read(&path)),
+        None => previous_calibration_file(&mut session).and_then(|path| read_calibration(&path)),
     };
-    let loaded = blob.and_then(|blob| Ok((put(&mut session, &blob, args.how)?, blob)));
+    let loaded = blob.and_then(|blob| Ok((load_calibration(&mut session, &blob, args.how)?, blob)));
     session.close();
     let (loaded, blob) = loaded?;
-    let is_met = loaded.is_met(args.how);
-    let Loaded { crc, running, differences, references: [before, after], asks } = loaded;
+    let is_met = loaded.is_successful(args.how);
+    let LoadOutcome { crc, running, differences, references: [before, after], asks } = loaded;
     let keep_running = args.how.keep_running;
     if as_json {
         output::print(json!({
@@ -114,9 +114,9 @@ pub fn run(args: &Load, as_json: bool) -> Result<Outcome> {
             "read_back_is_equal": true,
             "restarted": !keep_running,
             "running_crc": format!("{running:08x}"),
-            "reference_before": before.json(),
-            "reference": after.json(),
-            "asks": asks.words(),
+            "reference_before": before.to_json(),
+            "reference": after.to_json(),
+            "asks": asks.keywords(),
         }))?;
     } else {
         output::print(format_args!(
@@ -127,14 +127,14 @@ pub fn run(args: &Load, as_json: bool) -> Result<Outcome> {
             (true, _) => format!(
                 "used from the next start (trueup bridge pending --cancel drops it); now the bridge runs on {running:08x}"
             ),
-            (false, true) if asks.is_empty() => "the bridge has restarted and uses it".into(),
+            (false, true) if asks.is_unblocked() => "the bridge has restarted and uses it".into(),
             (false, true) => {
                 "the bridge has restarted on it, and engages nothing until it is confirmed".into()
             }
             (false, false) => format!("the bridge has restarted, but uses {running:08x}"),
         })?;
         if !keep_running {
-            output::print(format_args!("reference: {}", after.text()))?;
+            output::print(format_args!("reference: {}", after.to_text()))?;
             asks.print()?;
         }
     }
@@ -142,27 +142,27 @@ pub fn run(args: &Load, as_json: bool) -> Result<Outcome> {
 }
 
 /// Reads the calibration in a file, without what follows it.
-fn read(path: &Path) -> Result<Vec<u8>> {
+fn read_calibration(path: &Path) -> Result<Vec<u8>> {
     let bad = |rule: String| UserError(format!("{}: {rule}", path.display()));
-    let bytes = files::bytes(path, MAX_BYTES)?;
+    let bytes = files::read_bytes(path, MAX_CALIBRATION_FILE_BYTES)?;
     let calibration = decode(&bytes).map_err(|error| bad(error.to_string()))?;
-    let machine = inverse(&calibration);
-    files::refuse_or_warn(&path.display().to_string(), &ranges(&machine))?;
-    envelope::refuse(&machine).map_err(|BadInput { rule, .. }| bad(rule))?;
-    if corrects_nothing(&machine).is_some() {
+    let machine = decompile(&calibration);
+    files::check_findings(&path.display().to_string(), &range_findings(&machine))?;
+    envelope::check_envelope(&machine).map_err(|BadInput { rule, .. }| bad(rule))?;
+    if no_correction_warning(&machine).is_some() {
         report::warn(format_args!(
             "{}: corrects nothing: a board with it leaves every offset at 0",
             path.display()
         ));
     }
-    Ok(whole(&bytes).map_err(|error| bad(error.to_string()))?.to_vec())
+    Ok(validate_blob(&bytes).map_err(|error| bad(error.to_string()))?.to_vec())
 }
 
 /// Returns the file with the calibration that the bridge ran on before the present one.
-fn previous(session: &mut Session) -> Result<PathBuf> {
-    let running = object::number(session, RUNNING_CRC)?;
-    let board = object::number(session, object::SERIAL_NUMBER)?;
-    let place = PreviousCalibration::of(board);
+fn previous_calibration_file(session: &mut Session) -> Result<PathBuf> {
+    let running = object::read_number(session, RUNNING_CRC)?;
+    let board = object::read_number(session, object::SERIAL_NUMBER)?;
+    let place = PreviousCalibration::for_board(board);
     if let Some(path) = place.as_ref().and_then(|place| place.find(running)) {
         return Ok(path);
     }
@@ -175,10 +175,10 @@ fn previous(session: &mut Session) -> Result<PathBuf> {
 }
 
 /// Keeps the calibration that was replaced. That it cannot be kept is no fault of the load.
-fn keep_previous(session: &mut Session, replaced: &[u8], by: u32) {
-    let Ok(board) = object::number(session, object::SERIAL_NUMBER) else { return };
-    let Some(place) = PreviousCalibration::of(board) else { return };
-    if let Err(error) = place.keep(replaced, by) {
+fn store_previous_calibration(session: &mut Session, replaced: &[u8], by: u32) {
+    let Ok(board) = object::read_number(session, object::SERIAL_NUMBER) else { return };
+    let Some(place) = PreviousCalibration::for_board(board) else { return };
+    if let Err(error) = place.save(replaced, by) {
         report::warn(format_args!(
             "the calibration before is not kept for --previous: {}: {error}",
             place.folder().display()
@@ -186,30 +186,31 @@ fn keep_previous(session: &mut Session, replaced: &[u8], by: u32) {
     }
 }
 
-/// Shows what `blob` changes, asks, and loads it; unless `keep_running`, the board then restarts with it.
-pub fn put(session: &mut Session, blob: &[u8], how: LoadMode) -> Result<Loaded> {
-    let crc = identity(blob);
-    check_at_rest(session)?;
-    who::compare_builds(session)?;
-    let waiting = object::number(session, NEW_CRC)?;
-    if waiting != 0 && waiting != crc && waiting != object::number(session, RUNNING_CRC)? {
+/// Shows what `blob` changes, requires confirmation, and loads it; unless `keep_running`, the board then restarts with it.
+pub fn load_calibration(session: &mut Session, blob: &[u8], how: LoadMode) -> Result<LoadOutcome> {
+    let crc = calibration_crc(blob);
+    check_disengaged(session)?;
+    comparison::compare_builds(session)?;
+    let waiting = object::read_number(session, PENDING_CRC)?;
+    if waiting != 0 && waiting != crc && waiting != object::read_number(session, RUNNING_CRC)? {
         report::warn(format_args!(
             "the calibration {waiting:08x} was loaded before and never used; this one takes its place"
         ));
     }
-    let (replaced, differences) = who::replaced(session, blob)?;
-    let before = BridgeReference::ask(session)?;
+    let (replaced, differences) = comparison::compare_with_running(session, blob)?;
+    let before = BridgeReference::read(session)?;
     match &differences {
-        None => trueup_output::diagnostic("the bridge has no calibration to compare with"),
+        None => trueup_output::write_diagnostic("the bridge has no calibration to compare with"),
         Some(all) if all.is_empty() => {
-            trueup_output::diagnostic("the bridge runs on the same laws already")
+            trueup_output::write_diagnostic("the bridge runs on the same laws already")
         }
         Some(all) => {
-            trueup_output::diagnostic("what changes:");
-            all.iter().for_each(|change| trueup_output::diagnostic(format_args!("  {change}")));
+            trueup_output::write_diagnostic("what changes:");
+            all.iter()
+                .for_each(|change| trueup_output::write_diagnostic(format_args!("  {change}")));
         }
     }
-    if let Some(nm) = before.value() {
+    if let Some(nm) = before.effective_value() {
         let largest = nm.into_iter().map(i32::unsigned_abs).max().unwrap_or_default();
         let moves = match before.offered {
             None => format!(
@@ -218,67 +219,69 @@ pub fn put(session: &mut Session, blob: &[u8], how: LoadMode) -> Result<Loaded> 
             ),
             Some(_) => "it was offered, and is not any more".into(),
         };
-        trueup_output::diagnostic(format_args!(
+        trueup_output::write_diagnostic(format_args!(
             "the reference is dropped, for a calibration that is loaded starts without one:\n  {}\n  {moves}. If this \
              calibration had one of its own, the bridge offers that one",
-            before.text()
+            before.to_text()
         ));
     }
-    if !how.yes && !agreed("Load it? [y/N] ")? {
+    if !how.yes && !confirm_with_user("Load it? [y/N] ")? {
         bail!(UserError("not loaded: you have not said yes".into()));
     }
-    store(session, blob, crc)?;
+    store_calibration(session, blob, crc)?;
     if let Some(replaced) = replaced {
-        keep_previous(session, &replaced, crc);
+        store_previous_calibration(session, &replaced, crc);
     }
     let running = match how.keep_running {
-        true => object::number(session, RUNNING_CRC)?,
+        true => object::read_number(session, RUNNING_CRC)?,
         false => match load::restart(session, crc) {
             Ok(running) if running != crc => {
-                let waits = object::number(session, NEW_CRC)? == crc;
+                let waits = object::read_number(session, PENDING_CRC)? == crc;
                 if waits {
                     let failed = anyhow!("the bridge has not restarted");
-                    return Err(load::drop_after(session, failed));
+                    return Err(load::discard_failed_load(session, failed));
                 }
                 running
             }
-            other => other.map_err(|error| load::drop_after(session, error))?,
+            other => other.map_err(|error| load::discard_failed_load(session, error))?,
         },
     };
-    let after = BridgeReference::ask(session)?;
-    let asks = Asks::of(session)?;
-    Ok(Loaded { crc, running, differences, references: [before, after], asks })
+    let after = BridgeReference::read(session)?;
+    let asks = OpenQuestions::read(session)?;
+    Ok(LoadOutcome { crc, running, differences, references: [before, after], asks })
 }
 
 /// Checks that no offset is being followed.
-pub fn check_at_rest(session: &mut Session) -> Result<()> {
-    let quality = object::number(session, QUALITY)?;
+pub fn check_disengaged(session: &mut Session) -> Result<()> {
+    let quality = object::read_number(session, QUALITY)?;
     let quality = u8::try_from(quality).ok().and_then(Quality::from_wire);
     let quality = quality.context("the bridge sends an unknown quality")?;
     if !matches!(quality, Quality::Off | Quality::Fault) {
         bail!(
             "nothing is loaded while offsets are being followed (the bridge is {}): let the CNC \
              disengage first",
-            quality_word(quality)
+            quality_name(quality)
         );
     }
     Ok(())
 }
 
-/// Asks for a yes.
-pub fn agreed(question: &str) -> Result<bool> {
-    trueup_output::prompt(question);
+/// Requires a yes from the user.
+pub fn confirm_with_user(question: &str) -> Result<bool> {
+    trueup_output::write_prompt(question);
     let mut answer = String::new();
     stdin().read_line(&mut answer)?;
     Ok(matches!(answer.trim().to_ascii_lowercase().as_str(), "y" | "yes"))
 }
 
-fn store(session: &mut Session, blob: &[u8], crc: u32) -> Result<()> {
-    let mut bar: Option<(Step, ProgressBar)> = None;
-    let stored = load::store(session, blob, crc, &mut |step, bytes| {
+fn store_calibration(session: &mut Session, blob: &[u8], crc: u32) -> Result<()> {
+    let mut bar: Option<(StoreStep, ProgressBar)> = None;
+    let stored = load::store_calibration(session, blob, crc, &mut |step, bytes| {
         if bar.as_ref().is_none_or(|(of, _)| *of != step) {
-            let what = if step == Step::Sending { "loading" } else { "reading back" };
-            if let Some((_, before)) = bar.replace((step, who::bar(what, blob.len()))) {
+            let what = if step == StoreStep::Sending { "loading" } else { "reading back" };
+            if let Some((_, before)) =
+                bar.replace((step, comparison::byte_progress_bar(what, blob.len())))
+            {
                 before.finish_and_clear();
             }
         }

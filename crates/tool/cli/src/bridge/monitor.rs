@@ -10,20 +10,20 @@ use anyhow::Result;
 use clap::{Args, ValueEnum};
 use trueup_machine::file::Quantity;
 use trueup_screen::{
-    indicator::{Indicator, Unit},
+    indicator::{IndicatorConfig, IndicatorUnit},
     live,
 };
 
-use super::{Port, plain, who};
+use super::{PortArgs, comparison, text_monitor};
 use crate::Outcome;
 
 /// Seconds until a picture is drawn, without --count.
-const PICTURE_S: u64 = 5;
+const SNAPSHOT_DELAY_S: u64 = 5;
 
 #[derive(Args)]
-pub struct Monitor {
+pub struct MonitorArgs {
     #[command(flatten)]
-    port: Port,
+    port: PortArgs,
     /// The machine file: shares of the causes, volts, names of temperatures. Without it the screen reads
     /// the board's own calibration.
     #[arg(long, value_name = "M.toml")]
@@ -36,15 +36,15 @@ pub struct Monitor {
     #[arg(long, requires = "machine", requires = "record")]
     strict: bool,
     /// The quantity that the gauge measures: the growth of the tool, or the error of an axis.
-    #[arg(long, value_name = "QUANTITY", value_enum, default_value_t = Gauge::Elongation)]
-    gauge: Gauge,
+    #[arg(long, value_name = "QUANTITY", value_enum, default_value_t = GaugeQuantity::Elongation)]
+    gauge: GaugeQuantity,
     /// A gauge that sends its readings: a serial device or tcp:HOST:PORT; Mitutoyo Digimatic
     /// (01A+00012.345) or a value a line.
     #[arg(long, value_name = "PORT", requires = "indicator_unit")]
     indicator: Option<String>,
     /// The unit of its values.
     #[arg(long, value_name = "UNIT", value_enum)]
-    indicator_unit: Option<IndicatorUnit>,
+    indicator_unit: Option<IndicatorUnitArg>,
     /// Its speed on a serial line, in Bd.
     #[arg(long, value_name = "BD", default_value_t = 9_600)]
     indicator_baud: u32,
@@ -60,7 +60,7 @@ pub struct Monitor {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum Gauge {
+enum GaugeQuantity {
     Elongation,
     Dx,
     Dy,
@@ -68,38 +68,38 @@ enum Gauge {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum IndicatorUnit {
+enum IndicatorUnitArg {
     Mm,
     Um,
     Inch,
 }
 
 /// Shows the bridge, or prints a line a second.
-pub fn run(args: &Monitor, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &MonitorArgs, as_json: bool) -> Result<Outcome> {
     let is_screen = trueup_output::is_output_terminal() && stdin().is_terminal();
     let is_picture = args.picture.is_some();
     if !is_picture && (as_json || args.plain || args.count.is_some() || !is_screen) {
         let record = args.record.as_deref().map(|record| (record, args.machine.as_deref()));
-        return plain::run(&args.port.port, args.count, record, args.strict, as_json);
+        return text_monitor::run(&args.port.port, args.count, record, args.strict, as_json);
     }
     let unit = match args.indicator_unit {
-        Some(IndicatorUnit::Um) => Unit::Micrometre,
-        Some(IndicatorUnit::Inch) => Unit::Inch,
-        Some(IndicatorUnit::Mm) | None => Unit::Millimetre,
+        Some(IndicatorUnitArg::Um) => IndicatorUnit::Micrometre,
+        Some(IndicatorUnitArg::Inch) => IndicatorUnit::Inch,
+        Some(IndicatorUnitArg::Mm) | None => IndicatorUnit::Millimetre,
     };
-    let is_sound = live::run(live::Options {
+    let is_sound = live::run(live::ScreenOptions {
         port: args.port.port.clone(),
-        tool: who::tool(),
+        tool: comparison::tool_build(),
         machine: args.machine.clone(),
         record: args.record.clone(),
         is_strict: args.strict,
         quantity: match args.gauge {
-            Gauge::Elongation => Quantity::Elongation,
-            Gauge::Dx => Quantity::Dx,
-            Gauge::Dy => Quantity::Dy,
-            Gauge::Dz => Quantity::Dz,
+            GaugeQuantity::Elongation => Quantity::Elongation,
+            GaugeQuantity::Dx => Quantity::Dx,
+            GaugeQuantity::Dy => Quantity::Dy,
+            GaugeQuantity::Dz => Quantity::Dz,
         },
-        indicator: args.indicator.clone().map(|port| Indicator {
+        indicator: args.indicator.clone().map(|port| IndicatorConfig {
             port,
             baud: args.indicator_baud,
             unit,
@@ -107,7 +107,7 @@ pub fn run(args: &Monitor, as_json: bool) -> Result<Outcome> {
         picture: args
             .picture
             .clone()
-            .map(|path| (path, Duration::from_secs(args.count.unwrap_or(PICTURE_S)))),
+            .map(|path| (path, Duration::from_secs(args.count.unwrap_or(SNAPSHOT_DELAY_S)))),
     })?;
     Ok(if is_sound { Outcome::Done } else { Outcome::NotMet })
 }

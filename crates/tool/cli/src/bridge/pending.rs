@@ -5,19 +5,19 @@ use clap::Args;
 use serde_json::json;
 use trueup_client::{
     load,
-    object::{self, NEW, NEW_CRC, QUALITY, RUNNING_CRC},
+    object::{self, PENDING_CALIBRATION, PENDING_CRC, QUALITY, RUNNING_CRC},
     port::Port as Line,
     session::Session,
 };
 use trueup_core::cnc::Quality;
 
-use super::{Port, asks::Asks, who};
+use super::{PortArgs, comparison, operator_questions::OpenQuestions};
 use crate::{Outcome, output};
 
 #[derive(Args)]
-pub struct Pending {
+pub struct PendingArgs {
     #[command(flatten)]
-    port: Port,
+    port: PortArgs,
     /// Restart the board with it now.
     #[arg(long = "use", conflicts_with = "cancel")]
     takes: bool,
@@ -27,16 +27,16 @@ pub struct Pending {
 }
 
 /// Shows what waits; with `--use` or `--cancel` nothing does any more.
-pub fn run(args: &Pending, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &PendingArgs, as_json: bool) -> Result<Outcome> {
     let mut session = Session::open(&Line::parse(&args.port.port)?)?;
-    let done = settle(args, &mut session, as_json);
+    let done = resolve_pending(args, &mut session, as_json);
     session.close();
     done
 }
 
-fn settle(args: &Pending, session: &mut Session, as_json: bool) -> Result<Outcome> {
-    let pending = object::number(session, NEW_CRC)?;
-    let mut running = object::number(session, RUNNING_CRC)?;
+fn resolve_pending(args: &PendingArgs, session: &mut Session, as_json: bool) -> Result<Outcome> {
+    let pending = object::read_number(session, PENDING_CRC)?;
+    let mut running = object::read_number(session, RUNNING_CRC)?;
     let crc = |crc: u32| (crc != 0).then(|| format!("{crc:08x}"));
     let mut outcome = Outcome::Done;
     let (mut changes, mut asks) = (None, None);
@@ -46,21 +46,21 @@ fn settle(args: &Pending, session: &mut Session, as_json: bool) -> Result<Outcom
         load::drop_pending(session)?;
         "cancelled"
     } else if args.takes {
-        let quality = u8::try_from(object::number(session, QUALITY)?).ok();
+        let quality = u8::try_from(object::read_number(session, QUALITY)?).ok();
         let quality = quality.and_then(Quality::from_wire);
         if !matches!(quality, Some(Quality::Off | Quality::Fault)) {
             bail!("nothing changes while offsets are being followed: let the CNC disengage first");
         }
-        running = load::restart_allowed(session, pending)?;
-        let after = Asks::of(session)?;
-        if running != pending || after.is_foreign() {
+        running = load::restart_with_permission(session, pending)?;
+        let after = OpenQuestions::read(session)?;
+        if running != pending || after.is_foreign_calibration() {
             outcome = Outcome::NotMet;
         }
         asks = Some(after);
         "used"
     } else {
-        let blob = object::read(session, NEW, |_, _| ())?;
-        changes = who::differences(session, &blob)?;
+        let blob = object::read(session, PENDING_CALIBRATION, |_, _| ())?;
+        changes = comparison::calibration_differences(session, &blob)?;
         "waits"
     };
     if as_json {
@@ -69,7 +69,7 @@ fn settle(args: &Pending, session: &mut Session, as_json: bool) -> Result<Outcom
             "running_crc": crc(running),
             "done": done,
             "differences": changes,
-            "asks": asks.as_ref().map(Asks::words),
+            "asks": asks.as_ref().map(OpenQuestions::keywords),
         }))?;
         return Ok(outcome);
     }

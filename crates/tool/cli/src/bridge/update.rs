@@ -1,5 +1,5 @@
-//! `trueup bridge update`: a new firmware to the slot that does not run, checked before the board is touched, shown
-//! against what it runs, asked for, sent, and started on trial.
+//! `trueup bridge update`: a new firmware to the slot that does not run, checked before the board is touched, compared
+//! with what it runs, confirmed by the user, sent, and started on trial.
 
 use std::{
     path::{Path, PathBuf},
@@ -9,30 +9,29 @@ use std::{
 use anyhow::{Context as _, Result, anyhow, bail};
 use clap::Args;
 use serde_json::json;
-use trueup_boot::{layout::Slot, record::Status, refusal::Refusal};
+use trueup_boot::{boot_state::ImageStatus, flash_layout::Slot, refusal::RefusalReason};
 use trueup_client::{
-    firmware::{self, Refused, Stored},
-    firmware_file::{FirmwareFile, MAX_BYTES, SlotFirmware},
-    firmware_slots::{SlotsState, StartChoice, Unsuitable},
+    firmware::{self, FirmwareRefused, TransferReport},
+    firmware_file::{FirmwareFile, MAX_FIRMWARE_FILE_BYTES, SlotFirmware},
+    firmware_slots::{FirmwareSlots, SlotChoiceReason, UnsuitableFirmware},
     port::Port as Line,
     session::Session,
 };
 
 use super::{
-    Port,
-    asks::Asks,
-    load::{LoadMode, agreed, check_at_rest},
-    who,
+    PortArgs, comparison,
+    load::{LoadMode, check_disengaged, confirm_with_user},
+    operator_questions::OpenQuestions,
 };
 use crate::{Outcome, UserError, files, output};
 
 #[derive(Args)]
-pub struct Update {
+pub struct UpdateArgs {
     /// The firmware, signed for both slots, as a release has it.
     #[arg(value_name = "FILE")]
     file: PathBuf,
     #[command(flatten)]
-    port: Port,
+    port: PortArgs,
     /// Update without asking: for scripts.
     #[arg(long)]
     yes: bool,
@@ -45,32 +44,32 @@ pub struct Update {
 static IS_INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
 /// The result of an update.
-struct Updated {
-    stored: Stored,
+struct UpdateOutcome {
+    stored: TransferReport,
     /// The slots before, and now.
-    slots: [SlotsState; 2],
+    slots: [FirmwareSlots; 2],
     /// The questions of the bridge to its operator now.
-    asks: Asks,
+    asks: OpenQuestions,
 }
 
 /// Updates the board with the firmware of a file.
-pub fn run(args: &Update, as_json: bool) -> Result<Outcome> {
+pub fn run(args: &UpdateArgs, as_json: bool) -> Result<Outcome> {
     // What counts is what becomes of the board.
-    trueup_output::best_effort();
-    let file = read(&args.file)?;
+    trueup_output::enable_best_effort();
+    let file = read_firmware_file(&args.file)?;
     let how = LoadMode { yes: args.yes, keep_running: args.keep_running };
-    how.can_ask(as_json)?;
+    how.check_can_confirm(as_json)?;
     let port = Line::parse(&args.port.port)?;
     ctrlc::set_handler(|| IS_INTERRUPTED.store(true, Ordering::Relaxed))
         .context("signal handler")?;
     let mut session = Session::open(&port)?;
-    let updated = update(&mut session, &file, how);
+    let updated = update_firmware(&mut session, &file, how);
     session.close();
-    let (firmware, updated) = updated.map_err(in_words)?;
+    let (firmware, updated) = updated.map_err(to_user_error)?;
     let slot = firmware.image.header.slot;
     let is_met = how.keep_running || updated.slots[1].running == slot;
     if as_json {
-        output::print(updated.json(firmware, how))?;
+        output::print(updated.to_json(firmware, how))?;
     } else {
         updated.print(firmware, how)?;
     }
@@ -78,46 +77,46 @@ pub fn run(args: &Update, as_json: bool) -> Result<Outcome> {
 }
 
 /// Reads and checks a file.
-fn read(path: &Path) -> Result<FirmwareFile, UserError> {
-    let bytes = files::bytes(path, MAX_BYTES)?;
+fn read_firmware_file(path: &Path) -> Result<FirmwareFile, UserError> {
+    let bytes = files::read_bytes(path, MAX_FIRMWARE_FILE_BYTES)?;
     FirmwareFile::parse(&bytes).map_err(|error| UserError(format!("{}: {error}", path.display())))
 }
 
 /// An error that another file mends is one of the user's.
-fn in_words(error: anyhow::Error) -> anyhow::Error {
-    if let Some(unsuitable) = error.downcast_ref::<Unsuitable>() {
+fn to_user_error(error: anyhow::Error) -> anyhow::Error {
+    if let Some(unsuitable) = error.downcast_ref::<UnsuitableFirmware>() {
         return UserError(format!("nothing is erased: {unsuitable}")).into();
     }
-    match error.downcast_ref::<Refused>() {
-        Some(refused) if refused.is_of_the_file() => {
+    match error.downcast_ref::<FirmwareRefused>() {
+        Some(refused) if refused.is_file_defect() => {
             UserError(format!("{refused}. What runs is as before")).into()
         }
         _ => error,
     }
 }
 
-/// Shows what goes where, asks, and updates.
-fn update<'f>(
+/// Shows what goes where, requires confirmation, and updates.
+fn update_firmware<'f>(
     session: &mut Session,
     file: &'f FirmwareFile,
     how: LoadMode,
-) -> Result<(&'f SlotFirmware, Updated)> {
-    firmware::clear(session)?;
-    check_at_rest(session)?;
-    let Some(before) = SlotsState::ask(session)? else {
+) -> Result<(&'f SlotFirmware, UpdateOutcome)> {
+    firmware::abort_open_transfer(session)?;
+    check_disengaged(session)?;
+    let Some(before) = FirmwareSlots::read(session)? else {
         bail!(UserError(format!(
             "nothing is erased: {}. trueup firmware writes the images that this tool carries",
-            Refusal::NoSlots
+            RefusalReason::NoSlots
         )));
     };
-    let firmware = before.part_of(file)?;
+    let firmware = before.part_for_spare_slot(file)?;
     let header = firmware.image.header;
-    for slot in Slot::BOTH {
+    for slot in Slot::ALL {
         let runs = if slot == before.running { " (runs)" } else { "" };
         let content = before.content(slot);
-        trueup_output::diagnostic(format_args!("slot {}: {content}{runs}", slot.name()));
+        trueup_output::write_diagnostic(format_args!("slot {}: {content}{runs}", slot.name()));
     }
-    trueup_output::diagnostic(format_args!(
+    trueup_output::write_diagnostic(format_args!(
         "{} ({} bytes) goes to slot {}, which is erased; slot {} stays as it is, to go back to",
         header.version,
         header.length,
@@ -125,16 +124,16 @@ fn update<'f>(
         before.running.name()
     ));
     if header.floor > before.floor {
-        trueup_output::diagnostic(format_args!(
+        trueup_output::write_diagnostic(format_args!(
             "once it is confirmed, no version below {} may start any more",
             header.floor
         ));
     }
-    if !how.yes && !agreed("Update it? [y/N] ")? {
+    if !how.yes && !confirm_with_user("Update it? [y/N] ")? {
         bail!(UserError("not updated: you have not said yes".into()));
     }
-    let bar = who::bar("updating", header.length as usize);
-    let stored = firmware::store(session, firmware, &mut |bytes| {
+    let bar = comparison::byte_progress_bar("updating", header.length as usize);
+    let stored = firmware::store_firmware(session, firmware, &mut |bytes| {
         bar.set_position(bytes.into());
         match IS_INTERRUPTED.load(Ordering::Relaxed) {
             true => Err(anyhow!("you have stopped it")),
@@ -144,16 +143,16 @@ fn update<'f>(
     bar.finish_and_clear();
     let stored = stored?;
     let now = match how.keep_running {
-        true => SlotsState::ask(session)?.unwrap_or(before),
+        true => FirmwareSlots::read(session)?.unwrap_or(before),
         false => firmware::restart(session, header.slot)
             .context("the firmware is on the board, and starts next")?,
     };
-    let asks = Asks::of(session)?;
-    Ok((firmware, Updated { stored, slots: [before, now], asks }))
+    let asks = OpenQuestions::read(session)?;
+    Ok((firmware, UpdateOutcome { stored, slots: [before, now], asks }))
 }
 
-impl Updated {
-    fn json(&self, firmware: &SlotFirmware, how: LoadMode) -> serde_json::Value {
+impl UpdateOutcome {
+    fn to_json(&self, firmware: &SlotFirmware, how: LoadMode) -> serde_json::Value {
         let header = firmware.image.header;
         let [before, now] = &self.slots;
         json!({
@@ -163,9 +162,9 @@ impl Updated {
             "resumed_from": self.stored.resumed_from,
             "restarted": !how.keep_running,
             "runs": now.running == header.slot,
-            "slots_before": before.json(),
-            "slots": now.json(),
-            "asks": self.asks.words(),
+            "slots_before": before.to_json(),
+            "slots": now.to_json(),
+            "asks": self.asks.keywords(),
         })
     }
 
@@ -187,11 +186,13 @@ impl Updated {
             (true, _) => format!(
                 "{version} is used from the next start; now the bridge runs from slot {running}: {content}"
             ),
-            (false, true) => self.started(),
+            (false, true) => self.confirmation_instructions(),
             (false, false) => {
                 let why = match target.status {
-                    Some(Status::Rejected) => "it crashed, hung, or reset the board at its start",
-                    Some(Status::Verified) => {
+                    Some(ImageStatus::Rejected) => {
+                        "it crashed, hung, or reset the board at its start"
+                    }
+                    Some(ImageStatus::Verified) => {
                         "it did not hold at the start, or the board has not restarted"
                     }
                     _ => "the boot program has passed it over",
@@ -206,14 +207,14 @@ impl Updated {
     }
 
     /// Returns what to do with a firmware that has started.
-    fn started(&self) -> String {
+    fn confirmation_instructions(&self) -> String {
         let [_, now] = &self.slots;
         let (slot, other) = (now.running, now.running.other());
         let (content, back) = (now.content(slot), now.content(other));
         let begin =
             format!("the bridge has restarted, and runs from slot {}: {content}", slot.name());
-        match now.choice() {
-            StartChoice::Trial(_) => format!(
+        match now.choice_reason() {
+            SlotChoiceReason::Trial(_) => format!(
                 "{begin}\nengage, and let it give offsets for a minute: that confirms it. Until then a crash or a hang goes \
                  back to slot {}: {back}",
                 other.name()

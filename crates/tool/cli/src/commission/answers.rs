@@ -12,23 +12,23 @@ use std::{
 
 use anyhow::{Result, bail};
 
-use super::before::{Interrupted, check_interrupt};
+use super::board_backup::{Interrupted, check_interrupt};
 use crate::UserError;
 
 /// How often Ctrl-C is looked for.
-const LOOK: Duration = Duration::from_millis(100);
+const INTERRUPT_POLL_PERIOD: Duration = Duration::from_millis(100);
 /// The character of the key Esc.
 const ESCAPE: char = '\u{1b}';
 
 /// The answers.
-pub struct Answers {
+pub struct AnswerSource {
     /// `None`: they are typed.
     written: Option<VecDeque<String>>,
 }
 
-impl Answers {
+impl AnswerSource {
     /// From the file, without its empty lines and comments (`#`); typed without one.
-    pub fn of(file: Option<&Path>) -> Result<Self> {
+    pub fn from_file(file: Option<&Path>) -> Result<Self> {
         let Some(path) = file else { return Ok(Self { written: None }) };
         let text = fs::read_to_string(path)
             .map_err(|error| UserError(format!("{}: cannot be read: {error}", path.display())))?;
@@ -38,15 +38,15 @@ impl Answers {
     }
 
     /// Returns the answer to a question; `None`: there is none yet.
-    pub fn ask(&mut self, question: &str) -> Result<Option<String>> {
-        trueup_output::prompt(format_args!("{question}: "));
+    pub fn prompt(&mut self, question: &str) -> Result<Option<String>> {
+        trueup_output::write_prompt(format_args!("{question}: "));
         if let Some(written) = &mut self.written {
             let answer = written.pop_front();
-            trueup_output::diagnostic(answer.as_deref().unwrap_or("no answer is written"));
+            trueup_output::write_diagnostic(answer.as_deref().unwrap_or("no answer is written"));
             return Ok(answer);
         }
         if !stdin().is_terminal() {
-            trueup_output::diagnostic("nobody is at the terminal; --readings FILE answers");
+            trueup_output::write_diagnostic("nobody is at the terminal; --readings FILE answers");
             return Ok(None);
         }
         // Of its own thread, so that Ctrl-C is seen meanwhile.
@@ -57,7 +57,7 @@ impl Answers {
         });
         let answer = loop {
             check_interrupt()?;
-            match receiver.recv_timeout(LOOK) {
+            match receiver.recv_timeout(INTERRUPT_POLL_PERIOD) {
                 Ok(answer) => break answer?,
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => bail!("the terminal cannot be read"),

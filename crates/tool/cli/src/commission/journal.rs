@@ -9,7 +9,7 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use serde_json::{Value, json};
-use trueup_client::writes::utc_text;
+use trueup_client::write_log::format_utc;
 
 use crate::{UserError, output};
 
@@ -38,7 +38,7 @@ impl Step {
         Self::Done,
     ];
 
-    fn word(self) -> &'static str {
+    fn name(self) -> &'static str {
         match self {
             Self::Sign => "sign",
             Self::Program => "program",
@@ -87,7 +87,7 @@ impl Journal {
         let (next, before) = (Step::Sign, None);
         let mut journal = Self { folder: folder.into(), subject, next, before, round: 1 };
         let Ok(text) = fs::read_to_string(&path) else {
-            journal.keep()?;
+            journal.save()?;
             return Ok(journal);
         };
         let damaged = || UserError(format!("{}: is not what commission writes", path.display()));
@@ -101,47 +101,47 @@ impl Journal {
         let round = all["round"].as_u64().and_then(|it| u32::try_from(it).ok());
         journal.round = round.filter(|round| *round > 0).ok_or_else(damaged)?;
         journal.before = all["before"].as_str().map(str::to_owned);
-        let step = Step::ALL.into_iter().find(|step| all["next"] == step.word());
+        let step = Step::ALL.into_iter().find(|step| all["next"] == step.name());
         journal.next = step.ok_or_else(damaged)?;
         Ok(journal)
     }
 
     /// The step is done; this one comes next.
-    pub fn proceed(&mut self, next: Step) -> Result<()> {
+    pub fn advance_to(&mut self, next: Step) -> Result<()> {
         self.next = next;
-        self.keep()
+        self.save()
     }
 
     /// It was not accepted: what is fitted now is measured anew.
-    pub fn next_round(&mut self) -> Result<()> {
+    pub fn start_next_round(&mut self) -> Result<()> {
         self.round += 1;
         self.log("not accepted; the next round measures and fits again")?;
-        self.proceed(Step::Off)
+        self.advance_to(Step::Off)
     }
 
-    fn keep(&self) -> Result<()> {
+    fn save(&self) -> Result<()> {
         let all = json!({
             "of": self.subject,
-            "next": self.next.word(),
+            "next": self.next.name(),
             "round": self.round,
             "before": self.before,
         });
         let text = serde_json::to_string_pretty(&all)? + "\n";
         let path = self.folder.join("commission.json");
-        output::write_whole(&path, &[], |out| out.write_all(text.as_bytes()))
+        output::write_atomically(&path, &[], |out| out.write_all(text.as_bytes()))
     }
 
     /// Writes a line down, with the time, and shows it.
     pub fn log(&self, line: &str) -> Result<()> {
-        self.write(line)?;
-        trueup_output::diagnostic(line);
+        self.append(line)?;
+        trueup_output::write_diagnostic(line);
         Ok(())
     }
 
     /// Writes a line down, with the time.
-    pub fn write(&self, line: &str) -> Result<()> {
+    pub fn append(&self, line: &str) -> Result<()> {
         let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        let now = utc_text(u32::try_from(since.as_secs()).unwrap_or(u32::MAX));
+        let now = format_utc(u32::try_from(since.as_secs()).unwrap_or(u32::MAX));
         let path = self.folder.join("log.txt");
         let during = || format!("while writing {}", path.display());
         let mut log =
@@ -160,10 +160,10 @@ mod tests {
         let mut journal = Journal::open(folder.path(), "warmup").expect("a new one");
         assert_eq!((journal.next, journal.round), (Step::Sign, 1));
         for step in Step::ALL {
-            journal.proceed(step).expect("it is written");
+            journal.advance_to(step).expect("it is written");
             assert_eq!(Journal::open(folder.path(), "warmup").expect("right").next, step);
         }
-        journal.next_round().expect("it is written");
+        journal.start_next_round().expect("it is written");
         let again = Journal::open(folder.path(), "warmup").expect("right");
         assert_eq!((again.next, again.round), (Step::Off, 2));
         assert!(Journal::open(folder.path(), "pitch x").is_err(), "another subject");

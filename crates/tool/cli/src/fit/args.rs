@@ -12,11 +12,11 @@ use trueup_fit::straightness;
 #[derive(Args)]
 pub struct Fit {
     #[command(subcommand)]
-    pub kind: Kind,
+    pub kind: FitKind,
 }
 
 #[derive(Subcommand)]
-pub enum Kind {
+pub enum FitKind {
     /// [straightness.z_of_x]: how an axis errs while another moves.
     Straightness(Straightness),
     /// [axis.x.pitch], and [axis.x.backlash] where it gains: an axis's position errors. The figures of ISO 230-2
@@ -40,9 +40,9 @@ pub enum Kind {
     Table1(Table1),
 }
 
-impl Kind {
+impl FitKind {
     /// Returns the fits of positions, whose figures are those of ISO 230-2: their name, and which readings.
-    pub fn positions(&self) -> Option<(&'static str, &Positions)> {
+    pub fn position_args(&self) -> Option<(&'static str, &PositionArgs)> {
         match self {
             Self::Pitch(args) => Some(("pitch", &args.positions)),
             Self::Backlash(args) => Some(("backlash", &args.positions)),
@@ -53,7 +53,7 @@ impl Kind {
 
 /// The runs, and the machine file.
 #[derive(Args)]
-pub struct Measured {
+pub struct FitInputArgs {
     /// A run file.
     #[arg(long, value_name = "RUN.csv", required = true)]
     pub run: Vec<PathBuf>,
@@ -64,9 +64,9 @@ pub struct Measured {
 }
 
 #[derive(Args)]
-pub struct Common {
+pub struct CommonArgs {
     #[command(flatten)]
-    pub measured: Measured,
+    pub measured: FitInputArgs,
     /// Where to write the machine file or the section.
     #[arg(long, value_name = "OUT.toml")]
     pub output: PathBuf,
@@ -74,7 +74,7 @@ pub struct Common {
 
 /// Which error of an axis.
 #[derive(Args)]
-pub struct Error {
+pub struct AxisErrorArgs {
     /// The error: dx, dy or dz; may be left out where each run measures one only.
     #[arg(long, value_name = "dx|dy|dz")]
     quantity: Option<String>,
@@ -83,7 +83,7 @@ pub struct Error {
     axis: Option<String>,
 }
 
-impl Error {
+impl AxisErrorArgs {
     /// Returns the quantity, or that of the axis.
     pub fn quantity(&self) -> Option<String> {
         self.axis.as_ref().map(|axis| format!("d{axis}")).or_else(|| self.quantity.clone())
@@ -92,9 +92,9 @@ impl Error {
 
 /// Options of a curve of straightness.
 #[derive(Args)]
-pub struct Curve {
+pub struct CurveArgs {
     #[command(flatten)]
-    pub error: Error,
+    pub error: AxisErrorArgs,
     /// Take as many coefficients as it needs to keep every residual within this; left out, as many
     /// as the noise allows.
     #[arg(long, value_name = "UM")]
@@ -104,11 +104,11 @@ pub struct Curve {
     pub reference: ReferenceLine,
 }
 
-impl Curve {
-    pub fn options(&self) -> straightness::Options {
+impl CurveArgs {
+    pub fn to_options(&self) -> straightness::Options {
         straightness::Options {
             tolerance_um: self.tolerance_um,
-            reference: self.reference.of_fit(),
+            reference: self.reference.to_reference_line(),
             ..straightness::Options::default()
         }
     }
@@ -116,9 +116,9 @@ impl Curve {
 
 /// Which readings of an axis's positions.
 #[derive(Args)]
-pub struct Positions {
+pub struct PositionArgs {
     #[command(flatten)]
-    pub error: Error,
+    pub error: AxisErrorArgs,
     /// Only the repeats with these numbers in the column run.
     #[arg(long, value_name = "1,2,3", value_delimiter = ',')]
     pub repeats: Option<Vec<f64>>,
@@ -134,7 +134,7 @@ pub struct Positions {
 #[command(mut_arg("run", |run| run.help("A run file; may be given several times: both directions, up to three planes")))]
 pub struct Circle {
     #[command(flatten)]
-    pub common: Common,
+    pub common: CommonArgs,
     /// The folder for report.html and circle.json; left out, the page is OUT.html.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
@@ -159,22 +159,22 @@ pub struct Volume {
     #[arg(short, long, value_name = "OUT.toml")]
     pub output: PathBuf,
     /// Standard uncertainty of a reading; left out, half of what the machine file states for the instrument, else by the readings alone.
-    #[arg(long, value_name = "UM", value_parser = crate::diagnose::above_zero)]
+    #[arg(long, value_name = "UM", value_parser = crate::diagnose::parse_positive)]
     pub instrument_um: Option<f64>,
     /// Standard uncertainty of the scale of artefact and laser; left out, the mean scale of the axes is not known.
-    #[arg(long, value_name = "UM/M", value_parser = crate::diagnose::above_zero)]
+    #[arg(long, value_name = "UM/M", value_parser = crate::diagnose::parse_positive)]
     pub scale_um_per_m: Option<f64>,
     /// Standard uncertainty of a point of the artefact; left out, balls are right and a straight edge is not known.
-    #[arg(long, value_name = "UM", value_parser = crate::diagnose::above_zero)]
+    #[arg(long, value_name = "UM", value_parser = crate::diagnose::parse_positive)]
     pub artefact_um: Option<f64>,
 }
 
 #[derive(Args)]
 pub struct Straightness {
     #[command(flatten)]
-    pub common: Common,
+    pub common: CommonArgs,
     #[command(flatten)]
-    pub curve: Curve,
+    pub curve: CurveArgs,
     /// How the curve is found.
     #[arg(long, default_value = "least-squares")]
     pub method: Method,
@@ -189,14 +189,14 @@ pub struct Straightness {
 #[command(mut_arg("run", |run| run.help("A run file, one for each curve and each diagonal")))]
 pub struct Table1 {
     #[command(flatten)]
-    pub measured: Measured,
+    pub measured: FitInputArgs,
     #[command(flatten)]
-    pub curve: Curve,
+    pub curve: CurveArgs,
     /// The feed along the way, in mm/min.
-    #[arg(long, value_name = "MM/MIN", default_value_t = 1000.0, value_parser = crate::diagnose::above_zero)]
+    #[arg(long, value_name = "MM/MIN", default_value_t = 1000.0, value_parser = crate::diagnose::parse_positive)]
     pub feed: f64,
     /// How often the control gives its axes a new target, in ms.
-    #[arg(long, value_name = "MS", default_value_t = 1.0, value_parser = crate::diagnose::above_zero)]
+    #[arg(long, value_name = "MS", default_value_t = 1.0, value_parser = crate::diagnose::parse_positive)]
     pub cycle_ms: f64,
     /// The page with the table and the speeds, drawn.
     #[arg(short, long, value_name = "TABLE.html")]
@@ -214,7 +214,7 @@ pub enum ReferenceLine {
 }
 
 impl ReferenceLine {
-    fn of_fit(self) -> straightness::ReferenceLine {
+    fn to_reference_line(self) -> straightness::ReferenceLine {
         match self {
             Self::AsMeasured => straightness::ReferenceLine::AsMeasured,
             Self::EndPoints => straightness::ReferenceLine::EndPoints,
@@ -235,9 +235,9 @@ pub enum Method {
 #[command(mut_arg("run", |run| run.help("A run file; of a gantry axis one for each drive")))]
 pub struct Pitch {
     #[command(flatten)]
-    pub common: Common,
+    pub common: CommonArgs,
     #[command(flatten)]
-    pub positions: Positions,
+    pub positions: PositionArgs,
     /// The step of the table; left out, that of the positions measured.
     #[arg(long, value_name = "MM")]
     pub step_mm: Option<f64>,
@@ -259,9 +259,9 @@ pub enum TableMode {
 #[derive(Args)]
 pub struct Backlash {
     #[command(flatten)]
-    pub common: Common,
+    pub common: CommonArgs,
     #[command(flatten)]
-    pub positions: Positions,
+    pub positions: PositionArgs,
     /// The feed that parts are cut at, where the run has several and backlash depends on it; left out,
     /// the slowest.
     #[arg(long, value_name = "MM/MIN")]
@@ -272,17 +272,17 @@ pub struct Backlash {
 #[command(mut_arg("run", |run| run.help("A run file; may be given several times")))]
 pub struct Elongation {
     #[command(flatten)]
-    pub common: Common,
+    pub common: CommonArgs,
     /// By which the growth is known; left out, the machine file's source, else the run's columns.
     #[arg(long)]
-    pub source: Option<WarmupSource>,
+    pub source: Option<ElongationSourceArg>,
     /// The temperature that explains it.
     #[arg(long, value_name = "temp_<name>_c")]
     pub temperature: Option<String>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-pub enum WarmupSource {
+pub enum ElongationSourceArg {
     /// The displacement sensor.
     Sensor,
     /// A temperature of the run.
@@ -293,19 +293,19 @@ pub enum WarmupSource {
 #[command(mut_arg("run", |run| run.help("A run file, one for each speed")))]
 pub struct Warmup {
     #[command(flatten)]
-    pub common: Common,
+    pub common: CommonArgs,
 }
 
 #[derive(Args)]
 #[command(mut_arg("run", |run| run.help("A run file; may be given several times")))]
 pub struct Thermal {
     #[command(flatten)]
-    pub common: Common,
+    pub common: CommonArgs,
     #[command(flatten)]
-    pub error: Error,
+    pub error: AxisErrorArgs,
     /// Which terms; left out, the machine file's, else what the run shows.
     #[arg(long)]
-    pub mode: Option<Mode>,
+    pub mode: Option<ThermalModeArg>,
     /// The temperature that explains it.
     #[arg(long, value_name = "temp_<name>_c")]
     pub temperature: Option<String>,
@@ -315,7 +315,7 @@ pub struct Thermal {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-pub enum Mode {
+pub enum ThermalModeArg {
     /// The same at every position.
     Constant,
     /// In proportion to the position.

@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use serde_json::{Map, Value, json};
 use trueup_fit::{
-    Spread,
-    circle::{self, CircleReport, CircleResult, Figures, Finding, Verdict, page::title},
+    ResidualStatistics,
+    circle::{self, CircleReport, CircleResult, CircularDeviations, Finding, Verdict, page::title},
 };
 use trueup_machine::{Machine, MachineFile};
 
-use super::{args::Circle, report, warn_of_text};
+use super::{args::Circle, check_output_text, report};
 use crate::{Outcome, files, origin, output};
 
 /// Fits, writes and prints.
@@ -20,52 +20,52 @@ pub fn run(args: &Circle, as_json: bool) -> Result<Outcome> {
         None => None,
         Some(path) => {
             let text = MachineFile::read_text(path)?;
-            let machine = files::parsed(&text, path)?;
+            let machine = files::parse_machine(&text, path)?;
             Some((path.clone(), text, machine))
         }
     };
     let of_file = machine.as_ref().map(|(_, _, machine)| machine);
-    let runs = files::runs_to_fit(&measured.run, of_file)?;
-    let report = circle::fit(&runs, of_file)?;
+    let runs = files::read_runs_for_fit(&measured.run, of_file)?;
+    let report = circle::fit_circles(&runs, of_file)?;
     report.warnings.iter().for_each(crate::report::warn);
 
     let inputs: Vec<&Path> =
         measured.run.iter().chain(&measured.machine).map(PathBuf::as_path).collect();
-    let page = circle::page(&report, &origin::of(&inputs)?).html();
+    let page = circle::build_page(&report, &origin::from_files(&inputs)?).to_html();
     let output = &args.common.output;
     let is_written = !report.edit.is_empty();
-    let json = json_of(&report, is_written.then_some(output));
+    let json = report_json(&report, is_written.then_some(output));
     // The machine file itself may be written over: that is what a user means who names it twice.
     let runs: Vec<&Path> = measured.run.iter().map(PathBuf::as_path).collect();
-    let mut set = output::FileSet::new(&runs);
+    let mut set = output::FileTransaction::new(&runs);
     if is_written {
         let text = match &machine {
             Some((path, source, _)) => report.edit.apply(source, path)?,
             None => report.edit.to_toml(),
         };
-        warn_of_text(of_file, &text, output)?;
-        set.text(output, &text)?;
+        check_output_text(of_file, &text, output)?;
+        set.add_text(output, &text)?;
     }
     match &args.out {
         Some(folder) => {
             std::fs::create_dir_all(folder)?;
-            set.text(&folder.join("report.html"), &page)?;
-            set.text(&folder.join("circle.json"), &format!("{json:#}\n"))?;
+            set.add_text(&folder.join("report.html"), &page)?;
+            set.add_text(&folder.join("circle.json"), &format!("{json:#}\n"))?;
         }
         None if output::is_standard_output(output) => {}
-        None => set.text(&output.with_extension("html"), &page)?,
+        None => set.add_text(&output.with_extension("html"), &page)?,
     }
     set.commit()?;
     if as_json {
         output::print(json)?;
     } else {
-        output::print(text_of(&report, output))?;
+        output::print(circle_text(&report, output))?;
     }
     let is_met = report.verdict != Verdict::Unexplained;
     Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
 }
 
-fn text_of(report: &CircleReport, output: &Path) -> String {
+fn circle_text(report: &CircleReport, output: &Path) -> String {
     let mut lines = vec![format!("circle: {}", report.verdict.name())];
     for it in &report.circles {
         let record = &it.record;
@@ -76,7 +76,7 @@ fn text_of(report: &CircleReport, output: &Path) -> String {
             record.radius_mm,
             record.rows.len()
         ));
-        lines.push(format!("  {}", figures_text(&it.figures)));
+        lines.push(format!("  {}", deviations_text(&it.figures)));
         for finding in &it.findings {
             let state = match (finding.claimed, finding.compensated) {
                 (true, true) => "written",
@@ -94,21 +94,21 @@ fn text_of(report: &CircleReport, output: &Path) -> String {
                 lines.push(format!("    next: {}", finding.next_test));
             }
         }
-        let Spread { rms_um, max_um } = it.before;
+        let ResidualStatistics { rms_um, max_um } = it.before;
         lines.push(format!("  about the centre: {rms_um:.3} µm RMS, at most {max_um:.3} µm"));
-        let Spread { rms_um, max_um } = it.after;
+        let ResidualStatistics { rms_um, max_um } = it.after;
         lines.push(format!("  without the causes: {rms_um:.3} µm RMS, at most {max_um:.3} µm"));
         if let Some(um) = it.structure_um {
             lines.push(format!("  structure is left: {um:.2} µm RMS that no cause explains"));
         }
-        lines.extend(report::listed(&it.set_aside));
+        lines.extend(report::excluded_row_lines(&it.set_aside));
     }
     lines.extend(report.written.iter().map(|written| format!("  {written}")));
-    lines.push(report::end(!report.edit.is_empty(), output));
+    lines.push(report::output_summary(!report.edit.is_empty(), output));
     lines.join("\n")
 }
 
-fn figures_text(figures: &Figures) -> String {
+fn deviations_text(figures: &CircularDeviations) -> String {
     let mut said = Vec::new();
     let mut add = |name: &str, um: Option<f64>| {
         said.extend(um.map(|um| format!("{name} {um:.2}")));
@@ -125,7 +125,7 @@ fn figures_text(figures: &Figures) -> String {
     format!("ISO 230-4, µm: {}", said.join(", "))
 }
 
-fn json_of(report: &CircleReport, output: Option<&PathBuf>) -> Value {
+fn report_json(report: &CircleReport, output: Option<&PathBuf>) -> Value {
     let findings = report.circles.iter().flat_map(|circle| &circle.findings).map(finding_json);
     json!({
         "schema": 1,
@@ -161,7 +161,7 @@ fn finding_json(it: &Finding) -> Value {
 }
 
 fn circle_json(it: &CircleResult) -> Value {
-    let spread = |it: Spread| json!({"rms_um": it.rms_um, "max_um": it.max_um});
+    let spread = |it: ResidualStatistics| json!({"rms_um": it.rms_um, "max_um": it.max_um});
     let both = |[ccw, cw]: [Option<f64>; 2]| json!({"ccw": ccw, "cw": cw});
     let record = &it.record;
     let figures = &it.figures;
@@ -184,12 +184,6 @@ fn circle_json(it: &CircleResult) -> Value {
             "d_um": figures.d_um,
         },
         "causes": it.findings.iter().filter(|it| it.claimed).map(title).collect::<Vec<_>>(),
-        "set_aside": it.set_aside.iter().map(|row| json!({
-            "file": row.place.file.to_string_lossy(),
-            "line": row.place.line,
-            "column": row.place.column,
-            "measured_um": row.measured_um,
-            "reason": row.reason,
-        })).collect::<Vec<_>>(),
+        "set_aside": report::excluded_rows_json(&it.set_aside),
     })
 }

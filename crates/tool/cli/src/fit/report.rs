@@ -4,29 +4,29 @@ use std::path::Path;
 
 use anyhow::Result;
 use serde_json::{Map, Value, json};
-use trueup_fit::{Report, SetAside, Spread, Verdict, report::FactValue};
+use trueup_fit::{ExcludedRow, FitVerdict, Report, ResidualStatistics, report::FactValue};
 
-use super::args::Common;
+use super::args::CommonArgs;
 use crate::output;
 
-/// Rows that are set aside and printed one by one; all of them are in the JSON.
-const LISTED_ROWS: usize = 20;
+/// Excluded rows that are printed one by one; all of them are in the JSON.
+const MAX_LISTED_ROWS: usize = 20;
 
 /// Prints what was found: warnings on standard error, the rest as text or JSON.
-pub fn print(report: &Report, common: &Common, written: bool, as_json: bool) -> Result<()> {
+pub fn print(report: &Report, common: &CommonArgs, written: bool, as_json: bool) -> Result<()> {
     for warning in &report.warnings {
         crate::report::warn(warning);
     }
     if as_json {
-        return output::print(json_of(report, common, written));
+        return output::print(report_json(report, common, written));
     }
     let mut lines = vec![match &report.verdict {
-        Verdict::Fitted => format!("{} of {}: fitted", report.kind, report.column),
-        Verdict::DoNotCompensate(_) => {
+        FitVerdict::Fitted => format!("{} of {}: fitted", report.kind, report.column),
+        FitVerdict::DoNotCompensate(_) => {
             format!("{} of {}: do not compensate", report.kind, report.column)
         }
     }];
-    if let Verdict::DoNotCompensate(reasons) = &report.verdict {
+    if let FitVerdict::DoNotCompensate(reasons) = &report.verdict {
         lines.extend(reasons.iter().map(|reason| format!("  {reason}")));
     }
     lines.extend(report.unmet.iter().map(|unmet| format!("  not reached: {unmet}")));
@@ -42,15 +42,15 @@ pub fn print(report: &Report, common: &Common, written: bool, as_json: bool) -> 
         let value = match &fact.value {
             FactValue::Number(number) => format!("{number:.4}"),
             FactValue::Text(text) => text.clone(),
-            FactValue::Numbers(numbers) if numbers.len() <= LISTED_ROWS => {
+            FactValue::Numbers(numbers) if numbers.len() <= MAX_LISTED_ROWS => {
                 numbers.iter().map(|number| format!("{number:.3}")).collect::<Vec<_>>().join(" ")
             }
             FactValue::Numbers(numbers) => format!("{} values (--json has them)", numbers.len()),
         };
         lines.push(format!("  {}: {value}", fact.name));
     }
-    let mut spread = |name: &str, spread: Option<Spread>| {
-        if let Some(Spread { rms_um, max_um }) = spread {
+    let mut spread = |name: &str, spread: Option<ResidualStatistics>| {
+        if let Some(ResidualStatistics { rms_um, max_um }) = spread {
             lines.push(format!("{name}: {rms_um:.3} µm RMS, at most {max_um:.3} µm"));
         }
     };
@@ -63,32 +63,48 @@ pub fn print(report: &Report, common: &Common, written: bool, as_json: bool) -> 
         report.rows_incomplete,
         report.set_aside.len()
     ));
-    lines.extend(listed(&report.set_aside));
-    lines.push(end(written, &common.output));
+    lines.extend(excluded_row_lines(&report.set_aside));
+    lines.push(output_summary(written, &common.output));
     output::print(lines.join("\n"))
 }
 
-/// Returns a line for each of the first rows that are set aside, and how many there are more.
-pub fn listed(set_aside: &[SetAside]) -> Vec<String> {
+/// Returns a line for each of the first excluded rows, and how many there are more.
+pub fn excluded_row_lines(set_aside: &[ExcludedRow]) -> Vec<String> {
     let mut lines: Vec<String> =
-        set_aside.iter().take(LISTED_ROWS).map(|row| format!("  {row}")).collect();
-    if set_aside.len() > LISTED_ROWS {
-        lines.push(format!("  and {} more (--json lists them)", set_aside.len() - LISTED_ROWS));
+        set_aside.iter().take(MAX_LISTED_ROWS).map(|row| format!("  {row}")).collect();
+    if set_aside.len() > MAX_LISTED_ROWS {
+        lines.push(format!("  and {} more (--json lists them)", set_aside.len() - MAX_LISTED_ROWS));
     }
     lines
 }
 
 /// Returns the last line: where it is written.
-pub fn end(is_written: bool, output: &Path) -> String {
+pub fn output_summary(is_written: bool, output: &Path) -> String {
     match is_written {
         true => format!("written to {}", output.display()),
         false => "nothing is written".into(),
     }
 }
 
-fn json_of(report: &Report, common: &Common, written: bool) -> Value {
-    let spread = |spread: Option<Spread>| match spread {
-        Some(Spread { rms_um, max_um }) => json!({"rms_um": rms_um, "max_um": max_um}),
+/// Returns the rows as they stand in JSON.
+pub fn excluded_rows_json(set_aside: &[ExcludedRow]) -> Vec<Value> {
+    set_aside
+        .iter()
+        .map(|row| {
+            json!({
+                "file": row.place.file.to_string_lossy(),
+                "line": row.place.line,
+                "column": row.place.column,
+                "measured_um": row.measured_um,
+                "reason": row.reason,
+            })
+        })
+        .collect()
+}
+
+fn report_json(report: &Report, common: &CommonArgs, written: bool) -> Value {
+    let spread = |spread: Option<ResidualStatistics>| match spread {
+        Some(ResidualStatistics { rms_um, max_um }) => json!({"rms_um": rms_um, "max_um": max_um}),
         None => Value::Null,
     };
     let parameters: Map<String, Value> = report
@@ -111,22 +127,9 @@ fn json_of(report: &Report, common: &Common, written: bool) -> Value {
             (fact.name.clone(), value)
         })
         .collect();
-    let set_aside: Vec<Value> = report
-        .set_aside
-        .iter()
-        .map(|row| {
-            json!({
-                "file": row.place.file.to_string_lossy(),
-                "line": row.place.line,
-                "column": row.place.column,
-                "measured_um": row.measured_um,
-                "reason": row.reason,
-            })
-        })
-        .collect();
     let (verdict, reasons) = match &report.verdict {
-        Verdict::Fitted => ("fitted", [].as_slice()),
-        Verdict::DoNotCompensate(reasons) => ("do-not-compensate", reasons.as_slice()),
+        FitVerdict::Fitted => ("fitted", [].as_slice()),
+        FitVerdict::DoNotCompensate(reasons) => ("do-not-compensate", reasons.as_slice()),
     };
     json!({
         "kind": report.kind,
@@ -142,7 +145,7 @@ fn json_of(report: &Report, common: &Common, written: bool) -> Value {
         "left_out_by": report.left_out_by,
         "rows_used": report.rows_used,
         "rows_incomplete": report.rows_incomplete,
-        "set_aside": set_aside,
+        "set_aside": excluded_rows_json(&report.set_aside),
         "warnings": report.warnings,
         "output": if written { json!(common.output.to_string_lossy()) } else { Value::Null },
     })

@@ -4,28 +4,30 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use serde_json::{Value, json};
-use trueup_fit::straightness::table1::{Asked, Entry, Left, Row, Table1, table1};
+use trueup_fit::straightness::method_table::{
+    MethodResult, MethodTable, MethodTableOptions, ResidualError, TableEntry, build_method_table,
+};
 
-use super::{Input, args};
+use super::{FitInput, args};
 use crate::{Outcome, origin, output};
 
 /// Makes the table, prints it, and writes the page.
 pub fn run(args: &args::Table1, as_json: bool) -> Result<Outcome> {
-    let args::Measured { run, machine } = &args.measured;
-    let input = Input::read(&args.measured)?;
+    let args::FitInputArgs { run, machine } = &args.measured;
+    let input = FitInput::read(&args.measured)?;
     let quantity = args.curve.error.quantity();
-    let asked = Asked {
+    let asked = MethodTableOptions {
         quantity: quantity.as_deref(),
-        options: args.curve.options(),
+        options: args.curve.to_options(),
         feed_mm_per_min: args.feed,
         cycle_ms: args.cycle_ms,
     };
-    let table = table1(&input.runs, &asked)?;
+    let table = build_method_table(&input.runs, &asked)?;
     let inputs: Vec<&Path> = run.iter().chain(machine).map(PathBuf::as_path).collect();
-    let html = table.html(&origin::of(&inputs)?);
-    output::write_whole(&args.output, &inputs, |out| out.write_all(html.as_bytes()))?;
+    let html = table.to_html(&origin::from_files(&inputs)?);
+    output::write_atomically(&args.output, &inputs, |out| out.write_all(html.as_bytes()))?;
     if as_json {
-        output::print(json_of(&table, &args.output))?;
+        output::print(table1_json(&table, &args.output))?;
     } else {
         for entry in &table.entries {
             print(entry)?;
@@ -40,20 +42,22 @@ pub fn run(args: &args::Table1, as_json: bool) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-fn print(entry: &Entry) -> Result<()> {
+fn print(entry: &TableEntry) -> Result<()> {
     output::print(format_args!("{}, {} positions", entry.name, entry.positions))?;
-    output::print(format_args!("  without: {}", said(&entry.without)))?;
+    output::print(format_args!("  without: {}", format_residuals(&entry.without)))?;
     for row in &entry.rows {
-        let Row { way, jump_mm_per_s, acceleration_mm_per_s2, .. } = row;
+        let MethodResult { way, jump_mm_per_s, acceleration_mm_per_s2, .. } = row;
         output::print(format_args!(
             "  {way}: {}; jumps of {jump_mm_per_s:.6} mm/s, asks {acceleration_mm_per_s2:.4} mm/s2",
-            said(&row.left)
+            format_residuals(&row.left)
         ))?;
     }
     Ok(())
 }
 
-fn said(Left { residual, over_a_metre_um, step_um }: &Left) -> String {
+fn format_residuals(
+    ResidualError { residual, over_a_metre_um, step_um }: &ResidualError,
+) -> String {
     // + 0.0 turns -0 into 0.
     let mean_um = (residual.mean_um * 100.0).round() / 100.0 + 0.0;
     format!(
@@ -63,22 +67,22 @@ fn said(Left { residual, over_a_metre_um, step_um }: &Left) -> String {
     )
 }
 
-fn json_of(table: &Table1, page: &Path) -> Value {
-    let left = |Left { residual, over_a_metre_um, step_um }: &Left| {
+fn table1_json(table: &MethodTable, page: &Path) -> Value {
+    let left = |ResidualError { residual, over_a_metre_um, step_um }: &ResidualError| {
         json!({
             "range_um": residual.range_um, "mean_um": residual.mean_um,
             "mean_square_um2": residual.mean_square_um2, "largest_um": residual.largest_um,
             "over_a_metre_um": over_a_metre_um, "step_um": step_um,
         })
     };
-    let row = |row: &Row| {
+    let row = |row: &MethodResult| {
         json!({
             "way": row.way.to_string(), "coefficients": row.coefficients, "left": left(&row.left),
             "jump_mm_per_s": row.jump_mm_per_s,
             "acceleration_mm_per_s2": row.acceleration_mm_per_s2,
         })
     };
-    let entry = |entry: &Entry| {
+    let entry = |entry: &TableEntry| {
         json!({
             "name": entry.name, "positions": entry.positions, "without": left(&entry.without),
             "ways": entry.rows.iter().map(row).collect::<Vec<_>>(),

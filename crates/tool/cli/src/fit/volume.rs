@@ -4,17 +4,19 @@ use std::path::Path;
 
 use anyhow::Result;
 use serde_json::{Value, json};
-use trueup_fit::volume::{self, Options, VolumeReport, judge::Known, reading::Kind};
+use trueup_fit::volume::{
+    self, Options, VolumeReport, identifiability::ErrorAssessment, reading::ReadingKind,
+};
 use trueup_machine::{MachineFile, compile::compile};
 
-use super::{args::Volume, report, warn_of_text};
+use super::{args::Volume, check_output_text, report};
 use crate::{Outcome, files, origin, output};
 
 /// Fits, writes and prints.
 pub fn run(args: &Volume, as_json: bool) -> Result<Outcome> {
     let text = MachineFile::read_text(&args.machine)?;
-    let machine = files::parsed(&text, &args.machine)?;
-    let runs = files::runs_to_fit(&args.run, Some(&machine))?;
+    let machine = files::parse_machine(&text, &args.machine)?;
+    let runs = files::read_runs_for_fit(&args.run, Some(&machine))?;
     let options = Options {
         instrument_um: args.instrument_um,
         scale_um_per_m: args.scale_um_per_m,
@@ -25,47 +27,47 @@ pub fn run(args: &Volume, as_json: bool) -> Result<Outcome> {
     let is_written = !report.edit.is_empty();
     let inputs: Vec<&Path> =
         args.run.iter().chain([&args.machine]).map(std::path::PathBuf::as_path).collect();
-    let page = volume::page(&report, &origin::of(&inputs)?).html();
+    let page = volume::build_page(&report, &origin::from_files(&inputs)?).to_html();
     // The machine file itself may be written over: that is what a user means who names it twice.
     let runs: Vec<&Path> = args.run.iter().map(std::path::PathBuf::as_path).collect();
-    let mut set = output::FileSet::new(&runs);
+    let mut set = output::FileTransaction::new(&runs);
     if is_written {
         let text = report.edit.apply(&text, &args.machine)?;
-        warn_of_text(Some(&machine), &text, &args.output)?;
-        warn_of_board(&text, &args.output);
-        set.text(&args.output, &text)?;
+        check_output_text(Some(&machine), &text, &args.output)?;
+        warn_unsupported_by_board(&text, &args.output);
+        set.add_text(&args.output, &text)?;
     }
     if !output::is_standard_output(&args.output) {
-        set.text(&args.output.with_extension("html"), &page)?;
+        set.add_text(&args.output.with_extension("html"), &page)?;
     }
     set.commit()?;
     if as_json {
-        output::print(json_of(&report, is_written.then_some(args.output.as_path())))?;
+        output::print(volume_json(&report, is_written.then_some(args.output.as_path())))?;
     } else {
-        output::print(text_of(&report, &args.output))?;
+        output::print(volume_text(&report, &args.output))?;
     }
     Ok(if is_written { Outcome::Done } else { Outcome::NotMet })
 }
 
 /// Says that no board takes the file, where that is so: the file is right all the same.
-fn warn_of_board(text: &str, path: &Path) {
+fn warn_unsupported_by_board(text: &str, path: &Path) {
     let compiled = MachineFile::parse(text, path).map(|machine| compile(&machine).map(drop));
     if let Ok(Err(error)) = compiled {
         crate::report::warn(format_args!("trueup compile will refuse {}: {error}", path.display()));
     }
 }
 
-fn text_of(report: &VolumeReport, output: &Path) -> String {
+fn volume_text(report: &VolumeReport, output: &Path) -> String {
     let known = report.known.iter().filter(|it| it.is_known).count();
     let acting = report.known.iter().filter(|it| it.acts).count();
     let mut lines = vec![format!("volume: {known} of {acting} errors are known")];
-    for kind in Kind::ALL {
+    for kind in ReadingKind::ALL {
         if let Some(um) = report.noise_um[kind.index()] {
             let count = report.readings[kind.index()];
             lines.push(format!("  {count} readings, {}: noise {um:.2} µm", kind.name()));
         }
     }
-    lines.extend(report.known.iter().map(line_of));
+    lines.extend(report.known.iter().map(error_line));
     let held_out = report.held_out;
     if held_out.readings > 0 {
         lines.push(format!(
@@ -73,17 +75,17 @@ fn text_of(report: &VolumeReport, output: &Path) -> String {
             held_out.before_um, held_out.after_um
         ));
     }
-    lines.extend(report::listed(&report.set_aside));
+    lines.extend(report::excluded_row_lines(&report.set_aside));
     if report.edit.is_empty() {
-        lines.push(why_not(report).into());
+        lines.push(rejection_reason(report).into());
     }
-    lines.push(report::end(!report.edit.is_empty(), output));
+    lines.push(report::output_summary(!report.edit.is_empty(), output));
     lines.join("\n")
 }
 
 /// Returns why nothing is written.
-fn why_not(report: &VolumeReport) -> &'static str {
-    match (report.held_out.readings, report.is_better()) {
+fn rejection_reason(report: &VolumeReport) -> &'static str {
+    match (report.held_out.readings, report.is_improvement()) {
         (0, _) => {
             "no reading could be held out: each set-up has fewer than 12. Measure more places in one set-up"
         }
@@ -94,13 +96,13 @@ fn why_not(report: &VolumeReport) -> &'static str {
     }
 }
 
-fn line_of(it: &Known) -> String {
+fn error_line(it: &ErrorAssessment) -> String {
     let unit = it.error.unit();
     let mut line = format!("  {:<5}", it.error.to_string());
     if !it.acts {
         return line + "does not move the tip here";
     }
-    let what = if it.error.along().is_some() { "range " } else { "" };
+    let what = if it.error.motion_axis().is_some() { "range " } else { "" };
     line += &format!("{what}{:.2} ± {:.2} {unit}", it.size, it.half_width);
     if !it.is_known {
         line += "; not known by itself";
@@ -112,13 +114,13 @@ fn line_of(it: &Known) -> String {
     line
 }
 
-fn json_of(report: &VolumeReport, output: Option<&Path>) -> Value {
-    let error = |it: &Known| {
+fn volume_json(report: &VolumeReport, output: Option<&Path>) -> Value {
+    let error = |it: &ErrorAssessment| {
         json!({
             "error": it.error.to_string(),
-            "key": it.error.key(),
+            "key": it.error.machine_file_key(),
             "unit": it.error.unit(),
-            "along": it.error.along().map(|axis| axis.name()),
+            "along": it.error.motion_axis().map(|axis| axis.name()),
             "acts": it.acts,
             "known": it.is_known,
             "claimed": it.is_known && it.is_there,
@@ -130,7 +132,7 @@ fn json_of(report: &VolumeReport, output: Option<&Path>) -> Value {
             "next_test": it.next_test,
         })
     };
-    let kinds = Kind::ALL.iter().filter_map(|kind| {
+    let kinds = ReadingKind::ALL.iter().filter_map(|kind| {
         let um = report.noise_um[kind.index()]?;
         let readings = report.readings[kind.index()];
         Some(json!({"kind": kind.name(), "readings": readings, "noise_um": um}))
@@ -145,13 +147,7 @@ fn json_of(report: &VolumeReport, output: Option<&Path>) -> Value {
             "before_um": report.held_out.before_um,
             "after_um": report.held_out.after_um,
         },
-        "set_aside": report.set_aside.iter().map(|row| json!({
-            "file": row.place.file.to_string_lossy(),
-            "line": row.place.line,
-            "column": row.place.column,
-            "measured_um": row.measured_um,
-            "reason": row.reason,
-        })).collect::<Vec<_>>(),
+        "set_aside": report::excluded_rows_json(&report.set_aside),
         "warnings": report.warnings,
         "output": output.map(Path::to_string_lossy),
     })

@@ -10,9 +10,9 @@ use anyhow::Result;
 use clap::Args;
 use serde_json::{Value, json};
 use trueup_fleet::nats::records;
-use trueup_serve::sparkplug::object;
+use trueup_serve::sparkplug::payload_to_json;
 
-use super::place::access;
+use super::location::server_access;
 use crate::{Outcome, UserError, output, report};
 
 /// Prints the records and events that bridges have published to the server, the oldest first, each once: a line of JSON
@@ -20,7 +20,7 @@ use crate::{Outcome, UserError, output, report};
 ///
 /// `trueup serve --mqtt` publishes them, `trueup fleet server --mqtt` keeps them. It ends with the newest one.
 #[derive(Args)]
-pub struct Records {
+pub struct RecordsArgs {
     /// The NATS server, nats://HOST:PORT or tls://HOST:PORT. Name and password: TRUEUP_NATS_USER and
     /// TRUEUP_NATS_PASSWORD.
     #[arg(long, value_name = "URL")]
@@ -30,16 +30,16 @@ pub struct Records {
     nats_ca: Option<PathBuf>,
 }
 
-pub fn run(args: &Records) -> Result<Outcome> {
-    let access = access(&args.nats, args.nats_ca.as_deref())?;
-    let (mut known, mut foreign) = (Known::default(), 0_u64);
+pub fn run(args: &RecordsArgs) -> Result<Outcome> {
+    let access = server_access(&args.nats, args.nats_ca.as_deref())?;
+    let (mut known, mut foreign) = (PrintedRecords::default(), 0_u64);
     let mut failed = None;
     let read = records::read(&access, &mut |topic: &str, payload: &[u8]| {
-        let Some(mut record) = object(payload) else {
+        let Some(mut record) = payload_to_json(payload) else {
             foreign += 1;
             return Ok(());
         };
-        if identifier(&record).is_some_and(|(file, number)| !known.insert(file, number)) {
+        if record_id(&record).is_some_and(|(file, number)| !known.insert(file, number)) {
             return Ok(());
         }
         record["topic"] = json!(topic);
@@ -69,9 +69,9 @@ pub fn run(args: &Records) -> Result<Outcome> {
 /// The records that were printed: by file of a spool the first and the last number of each row of them. Millions take little
 /// memory, since the numbers of a file come in order.
 #[derive(Default)]
-struct Known(HashMap<u64, BTreeMap<u64, u64>>);
+struct PrintedRecords(HashMap<u64, BTreeMap<u64, u64>>);
 
-impl Known {
+impl PrintedRecords {
     /// Returns whether this record is a new one.
     fn insert(&mut self, file: u64, number: u64) -> bool {
         let rows = self.0.entry(file).or_default();
@@ -88,7 +88,7 @@ impl Known {
 }
 
 /// Returns the two numbers of the identifier of a record.
-fn identifier(record: &Value) -> Option<(u64, u64)> {
+fn record_id(record: &Value) -> Option<(u64, u64)> {
     let (file, number) = record["id"].as_str()?.split_once('-')?;
     Some((u64::from_str_radix(file, 16).ok()?, number.parse().ok()?))
 }
@@ -99,7 +99,7 @@ mod tests {
 
     #[test]
     fn each_record_is_new_once_in_whatever_order() {
-        let mut known = Known::default();
+        let mut known = PrintedRecords::default();
         let numbers = [1, 2, 5, 4, 3, 2, 6, 1, u64::MAX, 7, 5, u64::MAX, 0];
         let is_new = numbers.map(|it| known.insert(255, it));
         let expected = [1, 1, 1, 1, 1, 0, 1, 0, 1, 1, 0, 0, 1].map(|it| it == 1);
@@ -110,7 +110,7 @@ mod tests {
 
     #[test]
     fn a_record_that_came_twice_has_one_identifier() {
-        let id = |text: &str| identifier(&json!({ "id": text }));
+        let id = |text: &str| record_id(&json!({ "id": text }));
         assert_eq!(id("00000000000000ff-12"), Some((255, 12)));
         assert_ne!(id("00000000000000ff-12"), id("00000000000000fe-12"));
         assert_eq!(id("of another program"), None);

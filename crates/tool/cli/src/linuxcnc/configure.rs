@@ -7,15 +7,15 @@ use clap::{Args, Subcommand, ValueEnum};
 use serde_json::{Value, json};
 use trueup_client::port::Port;
 use trueup_linuxcnc::configuration::{
-    Entry,
-    check::{self, Report},
-    finding::{Demand, Finding, Severity},
+    OffsetEntryPoint,
+    boardless::BoardlessConfig,
+    check::{self, CheckReport},
+    finding::{Finding, OffsetRequirements, Severity},
     hal_files::HalFiles,
     ini_lines::{IniLines, expand_home},
-    install::{self, Change},
-    installed::{self, Bridge, Installed},
+    install::{self, FileChange},
+    installed::{self, BridgeSettings, InstalledSetup},
     joints,
-    no_board::NoBoard,
 };
 use trueup_linuxcnc::{
     joint::{JointSettings, MAX_JOINTS},
@@ -24,9 +24,9 @@ use trueup_linuxcnc::{
 use trueup_machine::{Machine, check::Warning};
 
 use super::{
-    component::{self, Component},
-    keep::{self, Keep},
-    running,
+    component::{self, ComponentArgs},
+    hal_pins,
+    keep::{self, KeepArgs},
 };
 use crate::{Outcome, UserError, files, output, report};
 
@@ -44,7 +44,7 @@ pub enum OffsetEntry {
     Joint,
 }
 
-impl From<OffsetEntry> for Entry {
+impl From<OffsetEntry> for OffsetEntryPoint {
     fn from(by: OffsetEntry) -> Self {
         match by {
             OffsetEntry::Eoffset => Self::Eoffset,
@@ -59,30 +59,30 @@ pub enum Command {
     /// Checks a LinuxCNC configuration: what stands in the way of offsets, what they cost, how fast they are.
     ///
     /// Exit 3: something stands in the way. Exit 2: a file cannot be read.
-    Check(Check),
+    Check(CheckArgs),
     /// Puts offsets into a LinuxCNC configuration, or takes them out. Nothing is changed if the check finds an error.
     ///
     /// Written are two HAL files next to the INI file, and lines between marks in the INI file. A copy of each changed
     /// file is kept (FILE.trueup-backup). Exit 2: the check has found an error.
-    Setup(Setup),
+    Setup(SetupArgs),
     /// Builds and installs the realtime component of a bridge without a board, trueup_node.
     ///
     /// Needs Debian's linuxcnc-uspace-dev, and the library trueup_servo, which comes with trueup. Without --install the
     /// component is left in the folder of --out.
-    Component(Component),
+    Component(ComponentArgs),
     /// Keeps the heat of a machine without a board over a restart: copies it from the servo thread to a file.
     ///
     /// LinuxCNC starts it by the HAL file of setup; it ends by itself after LinuxCNC.
-    Keep(Keep),
+    Keep(KeepArgs),
     /// Says what setup has written, and, while LinuxCNC runs, what the offsets do.
     ///
     /// Exit 3: not set up, not up to date, or without live offsets.
-    Status(Status),
+    Status(StatusArgs),
 }
 
 /// The configuration to be checked.
 #[derive(Args)]
-pub struct Check {
+pub struct CheckArgs {
     /// LinuxCNC's INI file.
     #[arg(value_name = "INI")]
     ini: PathBuf,
@@ -99,7 +99,7 @@ pub struct Check {
 
 /// The configuration to be set up.
 #[derive(Args)]
-pub struct Setup {
+pub struct SetupArgs {
     /// LinuxCNC's INI file.
     #[arg(value_name = "INI")]
     ini: PathBuf,
@@ -126,7 +126,7 @@ pub struct Setup {
 
 /// The configuration to be looked at.
 #[derive(Args)]
-pub struct Status {
+pub struct StatusArgs {
     /// LinuxCNC's INI file.
     #[arg(value_name = "INI")]
     ini: PathBuf,
@@ -136,65 +136,69 @@ pub struct Status {
 struct Configuration {
     ini: IniLines,
     hal: HalFiles,
-    installed: Option<Installed>,
+    installed: Option<InstalledSetup>,
 }
 
 impl Configuration {
     fn read(path: &Path) -> Result<Self> {
         let ini = IniLines::read(path)?;
         let hal = HalFiles::read(&ini)?;
-        let installed = Installed::of(&ini);
+        let installed = InstalledSetup::from_ini(&ini);
         Ok(Self { ini, hal, installed })
     }
 
     /// Where offsets enter, if the user does not say.
-    fn entry(&self, by: Option<OffsetEntry>) -> Entry {
+    fn offset_entry(&self, by: Option<OffsetEntry>) -> OffsetEntryPoint {
         let here = self.installed.as_ref().map(|it| it.entry);
-        let by_hand = || installed::by_hand(&self.ini, &self.hal).map(|it| it.1);
-        by.map(Entry::from).or(here).or_else(by_hand).unwrap_or(Entry::Joint)
+        let by_hand = || installed::find_manual_setup(&self.ini, &self.hal).map(|it| it.1);
+        by.map(OffsetEntryPoint::from).or(here).or_else(by_hand).unwrap_or(OffsetEntryPoint::Joint)
     }
 
-    /// Returns what is asked of the offsets: without a board if the user says so, or if it is set up so.
-    fn demand(
+    /// Returns what is required of the offsets: without a board if the user says so, or if it is set up so.
+    fn requirements(
         &self,
         by: Option<OffsetEntry>,
         no_board: bool,
         machine: Option<&(String, Machine)>,
-    ) -> Result<Demand> {
+    ) -> Result<OffsetRequirements> {
         let is_here = self.installed.as_ref().is_some_and(|it| it.bridge.port.is_none());
-        demand(self.entry(by), no_board || is_here, machine)
+        offset_requirements(self.offset_entry(by), no_board || is_here, machine)
     }
 
     /// Returns the machine file as the INI file names it, else as the user does.
-    fn machine(&self, given: Option<&Path>) -> Result<Option<(String, Machine)>> {
+    fn read_machine(&self, given: Option<&Path>) -> Result<Option<(String, Machine)>> {
         let here = || self.installed.as_ref().and_then(|it| it.bridge.machine.clone());
         let (name, path) = match (given, here()) {
-            (Some(path), _) => (named(path, self.ini.folder()), path.to_path_buf()),
+            (Some(path), _) => (relative_path_name(path, self.ini.folder()), path.to_path_buf()),
             (None, Some(name)) => {
                 let path = self.ini.folder().join(expand_home(&name));
                 (name, path)
             }
             (None, None) => return Ok(None),
         };
-        Ok(Some((name, files::machine(&path)?)))
+        Ok(Some((name, files::read_machine(&path)?)))
     }
 }
 
-/// Returns what is asked of the offsets. Without a board the machine file is compiled here.
-fn demand(entry: Entry, no_board: bool, machine: Option<&(String, Machine)>) -> Result<Demand> {
+/// Returns what is required of the offsets. Without a board the machine file is compiled here.
+fn offset_requirements(
+    entry: OffsetEntryPoint,
+    no_board: bool,
+    machine: Option<&(String, Machine)>,
+) -> Result<OffsetRequirements> {
     let machine = machine.map(|it| &it.1);
-    let of_file = Demand::of(entry, machine);
+    let of_file = OffsetRequirements::from_machine(entry, machine);
     if !no_board {
         return Ok(of_file);
     }
     let Some(machine) = machine else {
         return Err(UserError("--no-board needs the machine file: --machine M.toml".into()).into());
     };
-    Ok(Demand { no_board: Some(NoBoard::of(machine)?), ..of_file })
+    Ok(OffsetRequirements { no_board: Some(BoardlessConfig::from_machine(machine)?), ..of_file })
 }
 
 /// LinuxCNC runs in the folder of the INI file: a file in it goes by its name, any other by its whole path.
-fn named(path: &Path, folder: &Path) -> String {
+fn relative_path_name(path: &Path, folder: &Path) -> String {
     let whole = |path: &Path| std::fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
     let (path, folder) = (whole(path), whole(folder));
     path.strip_prefix(&folder).unwrap_or(&path).to_string_lossy().into_owned()
@@ -208,47 +212,47 @@ pub fn joint_settings(
     let no_ini = || UserError("--by joint needs LinuxCNC's INI file: --ini FILE".into());
     let ini = IniLines::read(ini.ok_or_else(no_ini)?)?;
     let mm_per_unit = super::read_ini(ini.path())?.mm_per_unit;
-    Ok(joints::settings(&ini, mm_per_unit, slew_um_per_s / UM_PER_MM)?)
+    Ok(joints::build_joint_settings(&ini, mm_per_unit, slew_um_per_s / UM_PER_MM)?)
 }
 
 /// Returns where offsets at the joints lead beyond their limits, a sentence each.
-pub fn beyond_limits(ini: Option<&Path>, machine: Option<&Machine>) -> Result<Vec<String>> {
+pub fn limit_violations(ini: Option<&Path>, machine: Option<&Machine>) -> Result<Vec<String>> {
     let Some(ini) = ini else { return Ok(Vec::new()) };
-    let demand = Demand::of(Entry::Joint, machine);
-    let found = check::at_start(&IniLines::read(ini)?, &demand)?;
+    let demand = OffsetRequirements::from_machine(OffsetEntryPoint::Joint, machine);
+    let found = check::check_joint_limits(&IniLines::read(ini)?, &demand)?;
     Ok(found.iter().map(|it| format!("{}: {}; {}", it.place, it.what, it.help)).collect())
 }
 
-/// Does what the user asks for.
+/// Executes what the user requests.
 pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
     match command {
-        Command::Check(args) => checked(args, as_json),
-        Command::Setup(args) if args.remove => removed(args, as_json),
-        Command::Setup(args) => set_up(args, as_json),
+        Command::Check(args) => run_check(args, as_json),
+        Command::Setup(args) if args.remove => run_removal(args, as_json),
+        Command::Setup(args) => run_setup(args, as_json),
         Command::Component(args) => component::run(args, as_json),
         Command::Keep(args) => keep::run(args),
-        Command::Status(args) => status(args, as_json),
+        Command::Status(args) => run_status(args, as_json),
     }
 }
 
-fn checked(args: &Check, as_json: bool) -> Result<Outcome> {
+fn run_check(args: &CheckArgs, as_json: bool) -> Result<Outcome> {
     let configuration = Configuration::read(&args.ini)?;
-    let machine = configuration.machine(args.machine.as_deref())?;
-    let demand = configuration.demand(args.by, args.no_board, machine.as_ref())?;
+    let machine = configuration.read_machine(args.machine.as_deref())?;
+    let demand = configuration.requirements(args.by, args.no_board, machine.as_ref())?;
     let found = check::check(&configuration.ini, &configuration.hal, &demand);
     print_report(&found, &demand, as_json)?;
     Ok(if found.is_usable() { Outcome::Done } else { Outcome::NotMet })
 }
 
 /// Facts on standard output, findings as errors and warnings.
-fn print_report(found: &Report, demand: &Demand, as_json: bool) -> Result<()> {
+fn print_report(found: &CheckReport, demand: &OffsetRequirements, as_json: bool) -> Result<()> {
     if as_json {
         let object = |it: &Finding| {
             let severity = match it.severity {
                 Severity::Error => "error",
                 Severity::Warning => "warning",
             };
-            report::object(severity, &it.what, Some(&it.place), Some(&it.help))
+            report::message_json(severity, &it.what, Some(&it.place), Some(&it.help))
         };
         let findings: Vec<Value> = found.findings.iter().map(object).collect();
         return output::print(json!({
@@ -269,26 +273,32 @@ fn print_report(found: &Report, demand: &Demand, as_json: bool) -> Result<()> {
     })
 }
 
-fn print_findings(found: &Report) {
+fn print_findings(found: &CheckReport) {
     for Finding { severity, place, what, help } in &found.findings {
         let (place, what, help) = (place.clone(), what.clone(), help.clone());
         match severity {
-            Severity::Warning => report::warning(&Warning { place, what, help }),
+            Severity::Warning => report::warn_at(&Warning { place, what, help }),
             Severity::Error => {
                 let error = trueup_machine::BadInput::new(place, what);
-                report::bad_input(if help.is_empty() { error } else { error.with_help(help) });
+                report::report_bad_input(if help.is_empty() {
+                    error
+                } else {
+                    error.with_help(help)
+                });
             }
         }
     }
 }
 
-fn set_up(args: &Setup, as_json: bool) -> Result<Outcome> {
+fn run_setup(args: &SetupArgs, as_json: bool) -> Result<Outcome> {
     let configuration = Configuration::read(&args.ini)?;
-    let machine = configuration.machine(args.machine.as_deref())?;
+    let machine = configuration.read_machine(args.machine.as_deref())?;
     let demand = match args.port {
         // A board takes the place of none.
-        Some(_) => demand(configuration.entry(args.by), false, machine.as_ref())?,
-        None => configuration.demand(args.by, args.no_board, machine.as_ref())?,
+        Some(_) => {
+            offset_requirements(configuration.offset_entry(args.by), false, machine.as_ref())?
+        }
+        None => configuration.requirements(args.by, args.no_board, machine.as_ref())?,
     };
     let before = configuration.installed.as_ref().map(|it| &it.bridge);
     let has_board = demand.no_board.is_none();
@@ -304,13 +314,13 @@ fn set_up(args: &Setup, as_json: bool) -> Result<Outcome> {
     }
     port.as_deref().map(Port::parse).transpose()?;
     let period = args.position_period_ms.or(before.map(|it| it.position_period_ms));
-    let bridge = Bridge {
+    let bridge = BridgeSettings {
         port,
         machine: machine.map(|it| it.0),
         position_period_ms: period.unwrap_or(POSITION_PERIOD_MS),
     };
     let Configuration { ini, hal, .. } = &configuration;
-    let (found, changes) = install::setup(ini, hal, &demand, &bridge)?;
+    let (found, changes) = install::prepare_setup(ini, hal, &demand, &bridge)?;
     if !found.is_usable() {
         print_findings(&found);
         found.by_hand.iter().try_for_each(output::print)?;
@@ -321,39 +331,39 @@ fn set_up(args: &Setup, as_json: bool) -> Result<Outcome> {
         .into());
     }
     if as_json {
-        write(&changes)?;
+        write_changes(&changes)?;
         output::print(
-            json!({"by": demand.entry.name(), "changed": names(&changes), "facts": found.facts}),
+            json!({"by": demand.entry.name(), "changed": changed_paths(&changes), "facts": found.facts}),
         )?;
         return Ok(Outcome::Done);
     }
     // Before lines are added: a finding shows its line of the file.
     print_findings(&found);
-    write(&changes)?;
+    write_changes(&changes)?;
     found.facts.iter().try_for_each(output::print)?;
     print_changes(&changes, "set up already; nothing was changed")?;
     output::print(format!("then: linuxcnc {}", args.ini.display()))?;
     Ok(Outcome::Done)
 }
 
-fn removed(args: &Setup, as_json: bool) -> Result<Outcome> {
+fn run_removal(args: &SetupArgs, as_json: bool) -> Result<Outcome> {
     // HAL files may be gone meanwhile: they are not needed to take lines out.
-    let changes = install::remove(&IniLines::read(&args.ini)?)?;
-    write(&changes)?;
+    let changes = install::prepare_removal(&IniLines::read(&args.ini)?)?;
+    write_changes(&changes)?;
     if as_json {
-        output::print(json!({"changed": names(&changes)}))?;
+        output::print(json!({"changed": changed_paths(&changes)}))?;
     } else {
         print_changes(&changes, "nothing of setup is in it; nothing was changed")?;
     }
     Ok(Outcome::Done)
 }
 
-fn names(changes: &[Change]) -> Vec<String> {
+fn changed_paths(changes: &[FileChange]) -> Vec<String> {
     changes.iter().map(|change| change.path.display().to_string()).collect()
 }
 
-fn print_changes(changes: &[Change], nothing: &str) -> Result<()> {
-    for Change { path, content } in changes {
+fn print_changes(changes: &[FileChange], nothing: &str) -> Result<()> {
+    for FileChange { path, content } in changes {
         let done = if content.is_some() { "written" } else { "removed" };
         output::print(format!("{done}: {}", path.display()))?;
     }
@@ -361,9 +371,9 @@ fn print_changes(changes: &[Change], nothing: &str) -> Result<()> {
 }
 
 /// Writes all of them or none.
-fn write(changes: &[Change]) -> Result<()> {
-    let mut set = output::FileSet::new(&[]);
-    for Change { path, content } in changes {
+fn write_changes(changes: &[FileChange]) -> Result<()> {
+    let mut set = output::FileTransaction::new(&[]);
+    for FileChange { path, content } in changes {
         match content {
             Some(content) => set.add(path, |out| out.write_all(content))?,
             None => set.remove(path)?,
@@ -372,29 +382,31 @@ fn write(changes: &[Change]) -> Result<()> {
     set.commit()
 }
 
-fn status(args: &Status, as_json: bool) -> Result<Outcome> {
+fn run_status(args: &StatusArgs, as_json: bool) -> Result<Outcome> {
     let configuration = Configuration::read(&args.ini)?;
     let Configuration { ini, hal, installed } = &configuration;
     let mut lines = Vec::new();
     let mut is_well = true;
     match installed {
-        Some(Installed { entry, bridge }) => {
+        Some(InstalledSetup { entry, bridge }) => {
             let machine = bridge.machine.as_deref().unwrap_or("no machine file");
             let at = bridge
                 .port
                 .as_ref()
                 .map_or("without a board".into(), |it| format!("bridge at {it}"));
             lines.push(format!("set up by {}: {at}, {machine}", entry.name()));
-            let machine = configuration.machine(None)?;
-            let demand = demand(*entry, bridge.port.is_none(), machine.as_ref())?;
-            let (found, changes) = install::setup(ini, hal, &demand, bridge)?;
+            let machine = configuration.read_machine(None)?;
+            let demand = offset_requirements(*entry, bridge.port.is_none(), machine.as_ref())?;
+            let (found, changes) = install::prepare_setup(ini, hal, &demand, bridge)?;
             print_findings(&found);
             if !found.is_usable() || !changes.is_empty() {
                 is_well = false;
                 lines.push("the configuration has changed since: run setup again".into());
             }
         }
-        None if installed::by_hand(ini, hal).is_some() => lines.push("connected by hand".into()),
+        None if installed::find_manual_setup(ini, hal).is_some() => {
+            lines.push("connected by hand".into())
+        }
         None => {
             is_well = false;
             lines.push(format!(
@@ -403,11 +415,11 @@ fn status(args: &Status, as_json: bool) -> Result<Outcome> {
             ));
         }
     }
-    let now = running::pins()?;
+    let now = hal_pins::read_pins()?;
     match &now {
         None => lines.push("LinuxCNC does not run".into()),
         Some(pins) => {
-            let (text, is_live) = status::in_words(pins);
+            let (text, is_live) = status::describe_status(pins);
             lines.push(text);
             is_well &= is_live;
         }

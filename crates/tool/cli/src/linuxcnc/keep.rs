@@ -18,20 +18,20 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use clap::Args;
-use trueup_store::retained::{self, Copies, SIZE};
+use trueup_store::retained::{self, COPY_SIZE, RetainedCopies};
 
 use crate::{Outcome, output};
 
 /// Time between two looks at the memory.
-const LOOK: Duration = Duration::from_secs(1);
+const POLL_INTERVAL: Duration = Duration::from_secs(1);
 /// Time between two writes of the file: the most heat that a crash of the computer loses.
-const WRITE: Duration = Duration::from_secs(10);
+const WRITE_PERIOD: Duration = Duration::from_secs(10);
 /// After this time without a new copy the servo thread counts as gone.
-const GONE: Duration = Duration::from_secs(60);
+const COPY_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// From where to where.
 #[derive(Args)]
-pub struct Keep {
+pub struct KeepArgs {
     /// The file on the disk.
     #[arg(long, value_name = "FILE")]
     file: PathBuf,
@@ -41,7 +41,7 @@ pub struct Keep {
 }
 
 /// Copies until the component is gone, or it is ended.
-pub fn run(args: &Keep) -> Result<Outcome> {
+pub fn run(args: &KeepArgs) -> Result<Outcome> {
     let memory = &args.memory;
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
@@ -49,22 +49,25 @@ pub fn run(args: &Keep) -> Result<Outcome> {
     let (mut last, mut on_disk) = (None, None);
     let (mut changed, mut written) = (Instant::now(), Instant::now());
     loop {
-        let now = whole(memory)?;
+        let now = read_valid_copies(memory)?;
         let is_gone = now.is_none() && last.is_some() && !memory.exists();
         if now.is_some() && now != last {
             (last, changed) = (now, Instant::now());
         }
-        let ends = is_gone || stop.load(Ordering::Relaxed) || changed.elapsed() > GONE;
-        let is_due = on_disk.is_none() || written.elapsed() >= WRITE || ends;
+        let ends = is_gone || stop.load(Ordering::Relaxed) || changed.elapsed() > COPY_TIMEOUT;
+        let is_due = on_disk.is_none() || written.elapsed() >= WRITE_PERIOD || ends;
         if let Some(copies) = last.filter(|_| is_due && last != on_disk) {
-            let done =
-                output::write_whole(&args.file, &[], |out| out.write_all(copies.as_flattened()));
+            let done = output::write_atomically(&args.file, &[], |out| {
+                out.write_all(copies.as_flattened())
+            });
             written = Instant::now();
             match done {
                 Ok(()) => on_disk = last,
                 // A disk that is full for a while costs the heat of that while.
                 Err(error) if on_disk.is_some() && !ends => {
-                    trueup_output::diagnostic(format_args!("the heat is written later: {error:#}"));
+                    trueup_output::write_diagnostic(format_args!(
+                        "the heat is written later: {error:#}"
+                    ));
                 }
                 Err(error) => return Err(error),
             }
@@ -72,18 +75,18 @@ pub fn run(args: &Keep) -> Result<Outcome> {
         if ends {
             return Ok(Outcome::Done);
         }
-        thread::sleep(LOOK);
+        thread::sleep(POLL_INTERVAL);
     }
 }
 
 /// Returns the copies if one of them is whole; a component that has just started has none.
-fn whole(memory: &Path) -> Result<Option<Copies>> {
+fn read_valid_copies(memory: &Path) -> Result<Option<RetainedCopies>> {
     let bytes = match fs::read(memory) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
         bytes => bytes.with_context(|| format!("{} cannot be read", memory.display()))?,
     };
-    let mut copies = [[0; SIZE]; 2];
-    if bytes.len() != 2 * SIZE {
+    let mut copies = [[0; COPY_SIZE]; 2];
+    if bytes.len() != 2 * COPY_SIZE {
         return Ok(None);
     }
     copies.as_flattened_mut().copy_from_slice(&bytes);

@@ -2,14 +2,14 @@
 
 use clap::Args;
 use trueup_machine::file::{LinearAxis, RotaryAxis};
-use trueup_program::Options;
+use trueup_program::MeasurementOptions;
 
 use super::motion;
 use crate::UserError;
 
 /// Place, size and stylus.
 #[derive(Args)]
-pub struct Artefact {
+pub struct ArtefactArgs {
     /// Where it is, in mm of the machine. circle: the centre (left out, the middle of the ranges), and where the axis stands that
     /// is not moved. sphere, plate: where the axes would stand with the stylus ball in the centre of the ball, of a plate of
     /// its first one. square: the corner, and the height of the touches.
@@ -42,13 +42,13 @@ pub struct Artefact {
     angle: Vec<String>,
 }
 
-impl Artefact {
+impl ArtefactArgs {
     /// Puts them into the options of a plan.
-    pub fn put(&self, options: &mut Options) -> Result<(), UserError> {
+    pub fn apply_to(&self, options: &mut MeasurementOptions) -> Result<(), UserError> {
         for entry in &self.at {
             let named = entry
                 .split_once('=')
-                .and_then(|(name, mm)| Some((motion::axis(name)?, mm.trim().parse().ok()?)));
+                .and_then(|(name, mm)| Some((motion::parse_axis(name)?, mm.trim().parse().ok()?)));
             let (axis, mm): (LinearAxis, f64) = named
                 .ok_or_else(|| UserError(format!("--at {entry}: must be like x=400,y=300")))?;
             if options.at_mm[axis.index()].replace(mm).is_some() {
@@ -56,7 +56,7 @@ impl Artefact {
             }
         }
         for entry in &self.angle {
-            let (axis, angles) = angles(entry)
+            let (axis, angles) = parse_angles(entry)
                 .ok_or_else(|| UserError(format!("--angle {entry}: must be like c=-60,0,60")))?;
             if !std::mem::replace(&mut options.angles_deg[axis.index()], angles).is_empty() {
                 return Err(UserError(format!("--angle {} is given twice", axis.name())));
@@ -81,7 +81,7 @@ impl Artefact {
 }
 
 /// `c=-60,0,60`.
-fn angles(text: &str) -> Option<(RotaryAxis, Vec<f64>)> {
+fn parse_angles(text: &str) -> Option<(RotaryAxis, Vec<f64>)> {
     let (name, list) = text.split_once('=')?;
     let axis = RotaryAxis::ALL.into_iter().find(|axis| axis.name() == name.trim())?;
     let angles: Option<Vec<f64>> = list.split(',').map(|deg| deg.trim().parse().ok()).collect();

@@ -3,13 +3,13 @@
 
 use clap::Args;
 use trueup_machine::file::LinearAxis;
-use trueup_program::Options;
+use trueup_program::MeasurementOptions;
 
 use crate::UserError;
 
 /// Range, clearance, approach and margin.
 #[derive(Args, Clone)]
-pub struct Motion {
+pub struct MotionArgs {
     /// Where an axis may move, in mm of the machine: inside travel_mm, or in its place where the machine file has
     /// none. A vertical or tool axis moves only in a range that is given.
     #[arg(
@@ -26,25 +26,26 @@ pub struct Motion {
     clearance: Option<String>,
     /// The feed of every move before the measurement, in mm/min.
     #[arg(long, value_name = "MM_PER_MIN", allow_hyphen_values = true,
-          default_value_t = Options::default().approach_mm_per_min)]
+          default_value_t = MeasurementOptions::default().approach_mm_per_min)]
     approach: f64,
     /// How far each axis stays away from the ends of its travel, in mm.
     #[arg(long, value_name = "MM", allow_hyphen_values = true,
-          default_value_t = Options::default().margin_mm)]
+          default_value_t = MeasurementOptions::default().margin_mm)]
     margin: f64,
 }
 
-impl Motion {
+impl MotionArgs {
     /// Returns the options of a plan.
-    pub fn options(&self) -> Result<Options, UserError> {
-        let mut options = Options {
+    pub fn to_options(&self) -> Result<MeasurementOptions, UserError> {
+        let mut options = MeasurementOptions {
             approach_mm_per_min: self.approach,
             margin_mm: self.margin,
-            ..Options::default()
+            ..MeasurementOptions::default()
         };
         for entry in &self.range {
-            let named =
-                entry.split_once('=').and_then(|(name, range)| Some((axis(name)?, ends(range)?)));
+            let named = entry
+                .split_once('=')
+                .and_then(|(name, range)| Some((parse_axis(name)?, parse_range(range)?)));
             let (axis, ends) = named.ok_or_else(|| {
                 UserError(format!("--range {entry}: must be like z=-120:-20, the smaller first"))
             })?;
@@ -56,7 +57,7 @@ impl Motion {
         let clearance = self.clearance.as_ref().map(|entry| {
             let named = entry
                 .split_once('=')
-                .and_then(|(name, mm)| Some((axis(name)?, mm.trim().parse().ok()?)));
+                .and_then(|(name, mm)| Some((parse_axis(name)?, mm.trim().parse().ok()?)));
             named.ok_or_else(|| UserError(format!("--clearance {entry}: must be like y=50")))
         });
         options.clearance_mm = clearance.transpose()?;
@@ -64,11 +65,11 @@ impl Motion {
     }
 
     /// Returns the words that give these options to a command of this tool.
-    pub fn words(&self) -> Vec<String> {
+    pub fn command_words(&self) -> Vec<String> {
         let mut words: Vec<String> =
             self.range.iter().flat_map(|range| ["--range".to_string(), range.clone()]).collect();
         words.extend(self.clearance.iter().flat_map(|it| ["--clearance".into(), it.clone()]));
-        let default = Options::default();
+        let default = MeasurementOptions::default();
         if self.approach != default.approach_mm_per_min {
             words.extend(["--approach".into(), self.approach.to_string()]);
         }
@@ -80,12 +81,12 @@ impl Motion {
 }
 
 /// `x`, `y` or `z`.
-pub fn axis(name: &str) -> Option<LinearAxis> {
+pub fn parse_axis(name: &str) -> Option<LinearAxis> {
     LinearAxis::ALL.into_iter().find(|axis| axis.name() == name.trim())
 }
 
 /// `0:1000`, the smaller first.
-pub fn ends(text: &str) -> Option<[f64; 2]> {
+pub fn parse_range(text: &str) -> Option<[f64; 2]> {
     let (low, high) = text.split_once(':')?;
     let ends: [f64; 2] = [low.trim().parse().ok()?, high.trim().parse().ok()?];
     (ends.iter().all(|end| end.is_finite()) && ends[0] < ends[1]).then_some(ends)

@@ -13,7 +13,7 @@ use crate::pretended::{
 };
 use crate::wire::ReceivedBytes;
 use trueup_machine::{RunFile, compile};
-use trueup_store::calibration::identity;
+use trueup_store::calibration::calibration_crc;
 
 /// Returns a run that needs no files, and must end with `code`.
 fn said(line: &str, code: i32) -> (String, String) {
@@ -107,7 +107,7 @@ fn info_tells_version_serial_number_and_state() {
         ),
         "{out}"
     );
-    let crc = format!("{:08x}", identity(paper().blob()));
+    let crc = format!("{:08x}", calibration_crc(paper().blob()));
     for line in [
         "\noffsets      x ",
         "\ndevice       trueup bridge 0.",
@@ -199,7 +199,7 @@ fn other() -> (Desk, u32) {
     let desk = Desk::new(&[]);
     // Bytes after the blob are not part of it.
     desk.write("cal.bin", [compiled.blob(), b"more"].concat());
-    (desk, identity(compiled.blob()))
+    (desk, calibration_crc(compiled.blob()))
 }
 
 #[test]
@@ -214,7 +214,7 @@ fn a_calibration_is_loaded_read_back_and_put_to_use() {
 
     let (port, _) = bridge_many(Fault::None, false);
     let (out, _) = desk.said(&format!("bridge load cal.bin --yes --port {port} --keep-running"), 0);
-    let running = format!("{:08x}", identity(paper().blob()));
+    let running = format!("{:08x}", calibration_crc(paper().blob()));
     assert!(out.contains(&format!("stored and read back the same, CRC {crc}\n")), "{out}");
     assert!(out.ends_with(&format!("now the bridge runs on {running}\n")), "{out}");
     // Who has loaded it is reported, and so is what waits when another one is loaded.
@@ -236,7 +236,7 @@ fn a_calibration_is_loaded_read_back_and_put_to_use() {
 fn the_calibration_that_a_load_has_replaced_is_loaded_again() {
     let (desk, crc) = other();
     let (port, _) = bridge_many(Fault::None, false);
-    let before = identity(paper().blob());
+    let before = calibration_crc(paper().blob());
     let running = |out: &str| json_lines(out)[0]["running_crc"].clone();
     // Nothing was loaded from here yet.
     let (_, err) = desk.said(&format!("bridge load --previous --yes --port {port}"), 2);
@@ -334,7 +334,7 @@ fn a_recording_is_a_log_of_every_frame_and_a_run_file() {
     assert!(log.lines().filter(|line| line.contains(" can0 381#")).count() > 5);
 
     let run = RunFile::read(&desk.path("here/bridge.csv")).expect("a run file");
-    assert_eq!(run.rows(), number(" rows in "), "{err}");
+    assert_eq!(run.row_count(), number(" rows in "), "{err}");
     let time_s = run.column("time_s").expect("times");
     assert!(time_s.windows(2).all(|pair| (pair[1] - pair[0] - 0.1).abs() < 0.0501), "{time_s:?}");
     let last = |name: &str| *run.column(name).expect(name).last().expect("a row");
@@ -345,7 +345,7 @@ fn a_recording_is_a_log_of_every_frame_and_a_run_file() {
     let um = sensor.k0_um + (last("sensor_counts") - sensor.zero_counts) * sensor.um_per_count;
     assert!((um - last("offset_z_um")).abs() < 0.02, "{um}");
     assert!(last("x_mm").is_nan(), "no CNC is heard on this line");
-    assert_eq!(last("calibration_crc"), f64::from(identity(paper().blob())));
+    assert_eq!(last("calibration_crc"), f64::from(calibration_crc(paper().blob())));
 
     // A recording is not written over.
     let (_, err) = record("1 --record here", 2);
@@ -390,7 +390,7 @@ fn a_recording_goes_on_when_the_line_comes_back() {
     let run = RunFile::read(&desk.path("run.csv")).expect("a run file");
     let time_s = run.column("time_s").expect("times");
     // Twice a second of rows, and the time of the gap between them.
-    assert!(run.rows() > 12, "{} rows", run.rows());
+    assert!(run.row_count() > 12, "{} rows", run.row_count());
     assert!(time_s.windows(2).all(|pair| pair[1] > pair[0]), "{time_s:?}");
     let gap_s = time_s.windows(2).map(|pair| pair[1] - pair[0]).fold(0.0, f64::max);
     assert!((0.15..3.0).contains(&gap_s), "{gap_s} s");

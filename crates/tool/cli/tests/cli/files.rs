@@ -7,7 +7,7 @@ use std::{fs, path::Path};
 use crate::desk::Desk;
 use trueup_core::units::Nanometres;
 use trueup_machine::RunFile;
-use trueup_store::calibration::{MAX_SIZE, decode, encode};
+use trueup_store::calibration::{MAX_BLOB_SIZE, decode, encode};
 
 const PAPER: &str = include_str!("../../../../../data/paper_spindle.toml");
 const TABLE: &str = include_str!("../../../../../data/spindle_paper_table1.csv");
@@ -290,7 +290,7 @@ fn a_calibration_that_no_machine_file_gives_is_shown_and_ends_with_3() {
     let blob = desk.read("cal.bin");
     let mut calibration = decode(&blob).expect("just compiled");
     calibration.limits.slew_nm_per_s = 0;
-    desk.write("stuck.bin", encode(&calibration, &mut [0; MAX_SIZE]).expect("it fits"));
+    desk.write("stuck.bin", encode(&calibration, &mut [0; MAX_BLOB_SIZE]).expect("it fits"));
     let shown = desk.printed("show stuck.bin", 3);
     assert!(shown.contains("\nslew_um_per_s = 0.0\n"), "{shown}");
     let told = json(&desk.printed("show stuck.bin --json", 3));

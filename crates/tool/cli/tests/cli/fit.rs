@@ -5,7 +5,7 @@ use std::{fmt::Write as _, fs};
 
 use crate::desk::Desk;
 use trueup_machine::{Machine, MachineFile, RunFile};
-use trueup_measured_data::file as measured;
+use trueup_measured_data::find_file as measured;
 
 const MACHINE: &str = "# mine\n[machine]\nname = \"mill\" # the old one\nkind = \"3-axis\"\n";
 
@@ -22,8 +22,8 @@ impl Desk {
     fn predicted_rms(&self, machine: &str, run: &str, quantity: &str) -> f64 {
         self.said(&format!("predict --machine {machine} --run {run} -o predicted.csv"), 0);
         let run = RunFile::read(&self.path("predicted.csv")).expect("just written");
-        let measured = run.require(&format!("measured_{quantity}_um")).expect("measured");
-        let predicted = run.require(&format!("predicted_{quantity}_um")).expect("predicted");
+        let measured = run.require_column(&format!("measured_{quantity}_um")).expect("measured");
+        let predicted = run.require_column(&format!("predicted_{quantity}_um")).expect("predicted");
         let left: Vec<f64> = measured
             .iter()
             .zip(predicted)

@@ -4,7 +4,7 @@
 use serde_json::Value;
 use trueup_twin::{
     axes::{Axes, AxesConfig, AxisConfig, AxisName, Straightness},
-    bodies::{Body, Drive},
+    bodies::{Body, MovingAxis},
     cubic_spline::CubicSpline,
 };
 
@@ -223,7 +223,7 @@ fn is_at(tip: [f64; 3], ball: [f64; 3], apart_mm: f64) -> bool {
 }
 
 /// A body of the machine that is right.
-fn body(axis: Drive, workpiece: bool) -> Body {
+fn body(axis: MovingAxis, workpiece: bool) -> Body {
     Body {
         axis,
         workpiece,
@@ -244,10 +244,10 @@ fn a_sphere_at_many_angles_finds_the_line_of_the_table() {
     let line = "program sphere --machine m.toml --for linuxcnc --range z=-290:-10 --at x=360,y=240,z=-200 --ball 20 --stylus 6 \
                 --angle c=-120,-60,0,60,120,180 --tool-length 100,200 -o s";
     desk.said(line, 0);
-    let mut table = body(Drive::C, true);
+    let mut table = body(MovingAxis::C, true);
     (table.at_mm, table.tilt_urad) = ([300.0, 200.0, -400.0], [40.0, -25.0, 0.0]);
     let mut bodies = vec![table];
-    bodies.extend([Drive::X, Drive::Y, Drive::Z].map(|axis| body(axis, false)));
+    bodies.extend([MovingAxis::X, MovingAxis::Y, MovingAxis::Z].map(|axis| body(axis, false)));
     let truth = Truth { axes: axes(0.0, 0.0, 0.0), bodies };
     let arm = [60.0, 40.0];
     let text = run(&desk.text("s/sphere_xyz.ngc"), &truth, 100.0, |tip, deg| {
@@ -274,7 +274,7 @@ fn a_sphere_at_many_angles_finds_the_line_of_the_table() {
 #[test]
 fn a_ball_plate_in_two_heights_with_two_styli_finds_a_roll() {
     let desk = Desk::new(&[("m.toml", MACHINE)]);
-    let mut x = body(Drive::X, false);
+    let mut x = body(MovingAxis::X, false);
     // Straight where the plate was in the middle: else its slope there would be a squareness.
     x.at_mm[2] = -300.0;
     // X rolls by 60 µrad over 600 mm, as an S.
@@ -282,8 +282,8 @@ fn a_ball_plate_in_two_heights_with_two_styli_finds_a_roll() {
         let s = f64::from(n) / 6.0 - 1.0;
         [50.0 * f64::from(n), 30.0 * s + 20.0 * (s * s * s - s)]
     });
-    x.turn_x = CubicSpline::through(roll.collect()).expect("they rise");
-    let bodies = vec![x, body(Drive::Y, false), body(Drive::Z, false)];
+    x.turn_x = CubicSpline::from_points(roll.collect()).expect("they rise");
+    let bodies = vec![x, body(MovingAxis::Y, false), body(MovingAxis::Z, false)];
     let truth = Truth { axes: axes(50.0, -60.0, 0.0), bodies };
     let mut runs = String::new();
     for (name, z) in [("low", -250.0), ("high", -150.0)] {

@@ -55,7 +55,7 @@ fn openssl_makes_and_checks_the_same_signatures() {
     };
     let Ok(signed) = openssl("pkeyutl -sign -inkey shop.pem -rawin -in a.bin -out theirs.sig")
     else {
-        trueup_output::diagnostic("skipped: openssl is not on this computer");
+        trueup_output::write_diagnostic("skipped: openssl is not on this computer");
         return;
     };
     assert!(signed.status.success(), "{}", String::from_utf8_lossy(&signed.stderr));

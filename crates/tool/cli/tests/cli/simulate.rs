@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::desk::Desk;
-use trueup_campaigns::hidden::{Hidden, TestCase, draw};
+use trueup_campaigns::hidden_effects::{HiddenCause, TestCase, draw};
 use trueup_machine::{MachineFile, RunFile, predict::Predictor};
 
 const WARMUP: &str = include_str!("../../../../../data/scenario-warmup.toml");
@@ -23,7 +23,7 @@ fn simulate_writes_a_run_file_that_repeats_by_its_seed() {
         let (printed, _) = desk.said(line, 0);
         assert!(printed.starts_with(&format!("a.csv: {rows} rows of time_s, run, ")), "{printed}");
         let run = RunFile::read(&desk.path("a.csv")).expect("it is a run file");
-        assert_eq!(run.rows(), rows);
+        assert_eq!(run.row_count(), rows);
         assert!(run.column(named).is_some_and(|column| column.iter().any(|um| um.abs() > 1.0)));
 
         let first = desk.read("a.csv");
@@ -78,7 +78,7 @@ fn largest_difference_um(challenge: &TestCase) -> f64 {
             .unwrap_or_else(|bad| panic!("{bad}"));
         let predictor = Predictor::new(&machine, &run).expect("all that it needs is there");
         assert_eq!(predictor.missing_columns(), [] as [String; 0]);
-        predictor.rows().map(|row| row.model.all()[quantity]).collect::<Vec<f64>>()
+        predictor.predictions().map(|row| row.model.to_array()[quantity]).collect::<Vec<f64>>()
     };
     let training: Vec<f64> = challenge.runs.iter().flat_map(&predicted).collect();
     let holdout = predicted(&challenge.holdout);
@@ -95,7 +95,7 @@ fn largest_difference_um(challenge: &TestCase) -> f64 {
 #[test]
 fn what_the_twin_believes_is_what_the_model_predicts_in_every_challenge() {
     let (mut worst, mut drawn) = (0.0_f64, 0);
-    for &cause in Hidden::ALL {
+    for &cause in HiddenCause::ALL {
         for seed in 0..4 {
             let apart_um = largest_difference_um(&draw(cause, 3.0, seed));
             assert!(apart_um < 1e-9, "{} seed {seed}: {apart_um} µm", cause.name());

@@ -8,7 +8,7 @@ use std::{
 };
 
 use serde_json::Value;
-use trueup_boot::layout::{SLOT_SIZE, Slot};
+use trueup_boot::flash_layout::{SLOT_SIZE, Slot};
 use trueup_signature::PrivateKey;
 
 use crate::{
@@ -198,7 +198,7 @@ fn a_file_that_is_not_for_this_board_is_refused_before_anything_is_erased() {
 #[test]
 fn a_foreign_signature_is_refused_by_the_board_in_words() {
     let desk = Desk::new(&[]);
-    desk.write("foreign.update", part(Slot::B, 3, &PrivateKey::random().expect("random bytes")));
+    desk.write("foreign.update", part(Slot::B, 3, &PrivateKey::generate().expect("random bytes")));
     let (port, _) = board(Setup::default());
     let (out, err) = desk.said(&format!("bridge update foreign.update --yes --port {port}"), 2);
     assert_eq!(out, "", "{err}");

@@ -14,17 +14,20 @@ use std::{collections::BTreeMap, fmt::Write as _};
 
 use trueup_machine::{Machine, file::LinearAxis};
 
-use super::{AxisTables, MAGNIFICATIONS, MAX_STEP, Planned, SPACING_MM, compare_axis};
+use super::{
+    AxisCompensation, AxisTables, MAGNIFICATIONS, MAX_COMPENSATION_VALUE, SPACING_INCREMENT_MM,
+    compare_axis,
+};
 use crate::{
-    Export, File, Options, Report,
-    course::{Cross, Drive, crosses},
-    text::number,
+    Export, ExportedFile, Options, Report,
+    axis_errors::{CrossAxisError, DriveError, collect_cross_axis_errors},
+    number_format::format_number,
 };
 
-const FILE: &str = "SERIES-0.TXT";
+const FILE_NAME: &str = "SERIES-0.TXT";
 
 /// Returns the parameters of an axis: that of its reference point, and that of its spacing.
-fn numbers(axis: LinearAxis) -> Option<(u32, u32)> {
+fn parameter_numbers(axis: LinearAxis) -> Option<(u32, u32)> {
     match axis {
         LinearAxis::X => Some((1000, 756)),
         LinearAxis::Z => Some((2000, 757)),
@@ -33,69 +36,80 @@ fn numbers(axis: LinearAxis) -> Option<(u32, u32)> {
 }
 
 /// Why the control cannot hold a drive, if it cannot.
-pub(super) fn refuses(drive: &Drive<'_>) -> Option<String> {
-    if numbers(drive.axis).is_none() || drive.is_second {
+pub(super) fn unsupported_reason(drive: &DriveError<'_>) -> Option<String> {
+    if parameter_numbers(drive.axis).is_none() || drive.is_second {
         return Some("Series 0 has numbers for X and Z with one drive each".into());
     }
-    drive.is_two_way().then(|| {
+    drive.is_bidirectional().then(|| {
         "Series 0 has one table an axis: fit one table and a backlash (fit pitch --ways one)".into()
     })
 }
 
-/// All curves are left out.
-pub(super) fn without_straightness<'m>(
+/// All curves are omitted.
+pub(super) fn omit_straightness<'m>(
     machine: &'m Machine,
     report: &mut Report,
-) -> Vec<Cross<'m>> {
-    for cross in crosses(machine) {
-        report.leave_out(cross.section(), "Series 0 has no straightness compensation");
+) -> Vec<CrossAxisError<'m>> {
+    for cross in collect_cross_axis_errors(machine) {
+        report.add_omitted_section(
+            cross.source_sections(),
+            "Series 0 has no straightness compensation",
+        );
     }
     Vec::new()
 }
 
-pub(super) fn write(mut planned: Vec<Planned<'_>>, options: &Options, export: &mut Export) {
+pub(super) fn write_sheet(
+    mut planned: Vec<AxisCompensation<'_>>,
+    options: &Options,
+    export: &mut Export,
+) {
     // PML1 and PML2 hold for both axes; a coarser step always suffices where a finer one did.
     let common = planned.iter().map(|plan| plan.magnification).max().unwrap_or(1);
     for plan in &mut planned {
         plan.magnification = common;
-        if !plan.fill(options) {
-            let section = plan.drive.as_ref().map_or(String::new(), Drive::section);
+        if !plan.compute_tables(options) {
+            let section = plan.drive.as_ref().map_or(String::new(), DriveError::source_sections);
             let rule = format!("magnification {common}, which the other axis needs, is too coarse");
-            export.report.leave_out(section, rule);
+            export.report.add_omitted_section(section, rule);
             plan.tables.clear();
         }
     }
     planned.retain(|plan| !plan.tables.is_empty());
-    let text = sheet(&planned, common);
+    let text = format_parameter_sheet(&planned, common);
     let report = &mut export.report;
-    report.note("key it in by hand: MDI mode, PWE = 1; alarm 1000 comes: CAN and RESET together");
-    report.note("at the end PWE = 0, then switch the power off and on, and reference");
-    report.note(format!("detection unit {} µm", number(options.unit_um, 4)));
+    report
+        .add_note("key it in by hand: MDI mode, PWE = 1; alarm 1000 comes: CAN and RESET together");
+    report.add_note("at the end PWE = 0, then switch the power off and on, and reference");
+    report.add_note(format!("detection unit {} µm", format_number(options.unit_um, 4)));
     for plan in &planned {
         let Some(drive) = &plan.drive else { continue };
         let backlash = (drive.backlash_um() / options.unit_um).round() as i64;
         if backlash != 0 {
-            export.report.note(format!(
+            export.report.add_note(format!(
                 "{}: set the backlash to {backlash} units in its own parameter, too",
                 drive.name()
             ));
         }
-        match read(&text, drive.axis) {
+        match parse_series_0_sheet(&text, drive.axis) {
             Ok((negative, spacing_mm, values)) => {
-                let back = AxisTables::one(negative, spacing_mm, values, backlash);
+                let back = AxisTables::from_single_table(negative, spacing_mm, values, backlash);
                 let axis = drive.axis.index() + 1;
-                compare_axis(plan, drive, &back, (axis, FILE), options, export);
+                compare_axis(plan, drive, &back, (axis, FILE_NAME), options, export);
             }
             Err(rule) => {
-                export.report.leave_out(drive.section(), format!("it reads back wrong: {rule}"));
+                export.report.add_omitted_section(
+                    drive.source_sections(),
+                    format!("it reads back wrong: {rule}"),
+                );
             }
         }
     }
-    export.files.push(File { name: FILE.into(), text });
+    export.files.push(ExportedFile { name: FILE_NAME.into(), text });
 }
 
 /// Returns what is keyed in, a line each: the number, the value, and what it is.
-fn sheet(planned: &[Planned<'_>], magnification: u8) -> String {
+fn format_parameter_sheet(planned: &[AxisCompensation<'_>], magnification: u8) -> String {
     let bits = MAGNIFICATIONS.iter().position(|it| *it == magnification).unwrap_or(0);
     let mut text = format!(
         "FANUC SERIES 0, STORED PITCH ERROR COMPENSATION\n\
@@ -105,10 +119,10 @@ fn sheet(planned: &[Planned<'_>], magnification: u8) -> String {
         bits % 2
     );
     for plan in planned {
-        let Some((reference, spacing)) = numbers(plan.axis) else { continue };
+        let Some((reference, spacing)) = parameter_numbers(plan.axis) else { continue };
         let axis = plan.axis.name().to_uppercase();
         let at = plan.points.negative;
-        let step = (plan.points.spacing_mm / SPACING_MM).round();
+        let step = (plan.points.spacing_mm / SPACING_INCREMENT_MM).round();
         let last = at + plan.points.positive;
         // Writing to a string cannot fail.
         let _ = writeln!(
@@ -128,8 +142,11 @@ fn sheet(planned: &[Planned<'_>], magnification: u8) -> String {
 ///
 /// # Errors
 /// A line is missing, or a value is outside −7 … +7.
-pub fn read(sheet: &str, axis: LinearAxis) -> Result<(usize, f64, Vec<i64>), String> {
-    let (reference, spacing) = numbers(axis).ok_or("Series 0 has X and Z")?;
+pub fn parse_series_0_sheet(
+    sheet: &str,
+    axis: LinearAxis,
+) -> Result<(usize, f64, Vec<i64>), String> {
+    let (reference, spacing) = parameter_numbers(axis).ok_or("Series 0 has X and Z")?;
     let mut values: BTreeMap<u32, i64> = BTreeMap::new();
     let mut magnification = None;
     for line in sheet.lines() {
@@ -153,10 +170,10 @@ pub fn read(sheet: &str, axis: LinearAxis) -> Result<(usize, f64, Vec<i64>), Str
     let of = |number: u32| values.get(&number).copied().ok_or(format!("{number:04} is missing"));
     let scale = i64::from(magnification.ok_or("0011 is missing")?);
     let negative = usize::try_from(of(reference)?).map_err(|_| "a point is below 0")?;
-    let spacing_mm = of(spacing)? as f64 * SPACING_MM;
+    let spacing_mm = of(spacing)? as f64 * SPACING_INCREMENT_MM;
     // Point 0 is 1001: the first section's is the next.
     let points = values.range(reference + 2..=reference + 128).map(|(number, value)| {
-        if value.abs() > MAX_STEP {
+        if value.abs() > MAX_COMPENSATION_VALUE {
             return Err(format!("{number} is {value}: a value is from -7 to 7"));
         }
         Ok(value * scale)

@@ -4,10 +4,10 @@ use std::fmt::Write as _;
 
 use trueup_machine::Machine;
 
-use super::{Lookup, Part, Plan, Variables, machine_axis};
+use super::{LookupTable, ModelPart, PlannedTable, Variables, machine_axis_name};
 use crate::{
     Export, ExportedTable, Options,
-    grid::{Grid, largest_difference, probes_mm},
+    grid::{Grid, comparison_positions_mm, find_largest_residual},
     report::{Approach, Difference},
 };
 
@@ -17,19 +17,19 @@ pub(super) type ReadBack = [Result<Variables, String>; 3];
 pub(super) fn compare(
     machine: &Machine,
     options: &Options,
-    plan: &Plan<'_>,
+    plan: &PlannedTable<'_>,
     read: &ReadBack,
     export: &mut Export,
 ) {
     let section = match &plan.part {
-        Part::Drive(drive) => drive.section(),
-        Part::Cross(cross) => cross.section(),
+        ModelPart::Drive(drive) => drive.source_sections(),
+        ModelPart::CrossAxisError(cross) => cross.source_sections(),
     };
-    match compared(machine, options, plan, read) {
+    match compare_table(machine, options, plan, read) {
         Ok((file, name, largest)) => {
             let lost = plan.was_thinned && largest.um > options.tolerance_um;
             let loss = lost.then(|| format!("thinned to {} equidistant points", plan.grid.points));
-            let (Grid { start_mm, step_mm, points }, last_mm) = (plan.grid, plan.grid.last_mm());
+            let (Grid { start_mm, step_mm, points }, last_mm) = (plan.grid, plan.grid.end_mm());
             export.report.tables.push(ExportedTable {
                 file,
                 name,
@@ -42,35 +42,40 @@ pub(super) fn compare(
                 loss,
             });
         }
-        Err(rule) => export.report.leave_out(section, format!("it reads back wrong: {rule}")),
+        Err(rule) => {
+            export.report.add_omitted_section(section, format!("it reads back wrong: {rule}"))
+        }
     }
 }
 
-fn compared(
+fn compare_table(
     machine: &Machine,
     options: &Options,
-    plan: &Plan<'_>,
+    plan: &PlannedTable<'_>,
     read: &ReadBack,
 ) -> Result<(String, String, Difference), String> {
     let [eec, cec, data] = read.each_ref().map(|read| read.as_ref().map_err(Clone::clone));
-    let unit_mm = options.units.mm();
+    let unit_mm = options.units.mm_per_unit();
     let um = 1000.0 * unit_mm;
-    let tables: Vec<Lookup> =
-        plan.cec.iter().map(|&t| Lookup::cec(cec.clone()?, t)).collect::<Result<_, String>>()?;
+    let tables: Vec<LookupTable> = plan
+        .cec
+        .iter()
+        .map(|&t| LookupTable::from_cec_variables(cec.clone()?, t))
+        .collect::<Result<_, String>>()?;
     let mut name = String::new();
     for (t, lookup) in plan.cec.iter().zip(&tables) {
         let direction = ["-1", "0", "1"][(lookup.direction + 1.0) as usize];
         let _ = write!(name, "$AN_CEC[{t}] direction {direction} ");
     }
     let grid = plan.grid;
-    let range = (grid.start_mm, grid.last_mm());
+    let range = (grid.start_mm, grid.end_mm());
     match &plan.part {
-        Part::Drive(drive) => {
-            let axis = machine_axis(machine, drive.axis, drive.is_second);
-            let own = match (drive.is_two_way(), drive.has_table()) {
+        ModelPart::Drive(drive) => {
+            let axis = machine_axis_name(machine, drive.axis, drive.is_second);
+            let own = match (drive.is_bidirectional(), drive.has_table()) {
                 (false, true) => {
                     let _ = write!(name, "$AA_ENC_COMP of {axis} ");
-                    Some(Lookup::eec(eec?, &axis)?)
+                    Some(LookupTable::from_eec_variables(eec?, &axis)?)
                 }
                 _ => None,
             };
@@ -89,25 +94,26 @@ fn compared(
                 -(from_tables + lash) * um
             };
             let error_um = |mm, approach| drive.error_um(mm, approach) - plan.constant_um;
-            let mut special = drive.points_mm();
+            let mut special = drive.breakpoints_mm();
             special.extend(grid.positions_mm());
-            let probes = probes_mm(range, &special, drive.is_held());
-            let file = match (drive.is_two_way(), drive.has_table()) {
+            let probes =
+                comparison_positions_mm(range, &special, drive.has_constant_extrapolation());
+            let file = match (drive.is_bidirectional(), drive.has_table()) {
                 (true, _) => "NC_CEC.INI",
                 (false, true) => "AX_EEC.INI",
                 (false, false) => "ENABLE.INI",
             };
-            let largest = largest_difference(&probes, error_um, correction_um);
+            let largest = find_largest_residual(&probes, error_um, correction_um);
             Ok((file.to_string(), name.trim_end().to_string(), largest))
         }
-        Part::Cross(cross) => {
+        ModelPart::CrossAxisError(cross) => {
             let _ = write!(name, "from {} to {}", cross.along.name(), cross.error.name());
-            let probes = probes_mm(
+            let probes = comparison_positions_mm(
                 range,
-                &[cross.kinks_mm(), grid.positions_mm()].concat(),
-                cross.is_held(),
+                &[cross.knot_positions_mm(), grid.positions_mm()].concat(),
+                cross.has_constant_extrapolation(),
             );
-            let largest = largest_difference(
+            let largest = find_largest_residual(
                 &probes,
                 |mm, _| cross.error_um(mm) - plan.constant_um,
                 |mm, approach| {

@@ -10,27 +10,27 @@ use async_nats::jetstream::object_store::GetErrorKind;
 use serde::{Deserialize, Serialize};
 use tokio::io::AsyncReadExt as _;
 
-use super::{Remote, is_id};
-use crate::{job::Job, result::Done, store::Store};
+use super::{RemoteFleet, is_job_id};
+use crate::{job::Job, result::JobResult, store::Store};
 
 /// A result on the server.
 #[derive(Serialize, Deserialize)]
-struct Attempt {
+struct AttemptResult {
     /// Where its files are: `results/ID/ATTEMPT`.
     attempt: String,
-    result: Done,
+    result: JobResult,
 }
 
-impl Remote {
+impl RemoteFleet {
     fn send(&self, name: &str, path: &Path) -> io::Result<()> {
         let bytes = fs::read(path)?;
-        self.wait(name, self.files.put(name, &mut bytes.as_slice())).map(|_| ())
+        self.wait_for_response(name, self.files.put(name, &mut bytes.as_slice())).map(|_| ())
     }
 
     fn fetch(&self, name: &str, path: &Path) -> io::Result<()> {
-        // A file that is missing or damaged stays so: unlike a server that does not answer it is not asked for again.
-        let lost = |error: &dyn Display| damaged(&format!("{name}: {error}"));
-        let bytes = self.wait(name, async {
+        // A file that is missing or damaged stays so: unlike a server that does not answer it is not requested again.
+        let lost = |error: &dyn Display| invalid_data(&format!("{name}: {error}"));
+        let bytes = self.wait_for_response(name, async {
             let mut object = match self.files.get(name).await {
                 Err(error) if error.kind() == GetErrorKind::NotFound => {
                     return Ok::<_, String>(Err(lost(&error)));
@@ -49,7 +49,7 @@ impl Remote {
 
     /// Sends the files of a job.
     pub(super) fn send_job(&self, store: &Store, id: &str, job: &Job) -> io::Result<()> {
-        let folder = store.job(id);
+        let folder = store.job_folder(id);
         job.files().try_for_each(|file| {
             self.send(&format!("jobs/{id}/{}", file.stored), &folder.join(&file.stored))
         })
@@ -57,62 +57,66 @@ impl Remote {
 
     /// Fetches a job into a folder.
     pub(super) fn fetch_job(&self, store: &Store, id: &str) -> io::Result<()> {
-        let text = self.text(&self.jobs, id)?;
-        let text = text.ok_or_else(|| damaged("the job is not on the server"))?;
-        let job: Job = serde_json::from_str(&text).map_err(|error| damaged(&error.to_string()))?;
-        let staged = store.staging(&format!("job-{id}-"))?;
+        let text = self.read_text(&self.jobs, id)?;
+        let text = text.ok_or_else(|| invalid_data("the job is not on the server"))?;
+        let job: Job =
+            serde_json::from_str(&text).map_err(|error| invalid_data(&error.to_string()))?;
+        let staged = store.create_staging_folder(&format!("job-{id}-"))?;
         for file in job.files() {
-            let name = plain(&file.stored)?;
+            let name = validate_file_name(&file.stored)?;
             self.fetch(&format!("jobs/{id}/{name}"), &staged.path().join(name))?;
         }
         // Last: no file of the job takes its place.
         fs::write(staged.path().join("job.json"), &text)?;
-        store.publish(staged, &store.job(id)).map(|_| ())
+        store.publish(staged, &store.job_folder(id)).map(|_| ())
     }
 
     /// Sends the result of a job, unless it has one. Returns whether it was the first.
     pub(super) fn send_result(&self, store: &Store, id: &str, attempt: &str) -> io::Result<bool> {
-        let folder = store.result(id);
-        let result: Done = serde_json::from_str(&fs::read_to_string(folder.join("result.json"))?)?;
+        let folder = store.result_folder(id);
+        let result: JobResult =
+            serde_json::from_str(&fs::read_to_string(folder.join("result.json"))?)?;
         let object = |name: &str| format!("results/{id}/{attempt}/{name}");
         for file in &result.files {
             self.send(&object(&file.name), &folder.join("out").join(&file.name))?;
         }
         let names: Vec<String> = result.files.iter().map(|file| object(&file.name)).collect();
-        let text = serde_json::to_string(&Attempt { attempt: attempt.into(), result })?;
-        let is_first = self.is_first(&self.results, id, text)?;
+        let text = serde_json::to_string(&AttemptResult { attempt: attempt.into(), result })?;
+        let is_first = self.put_if_absent(&self.results, id, text)?;
         if !is_first {
-            names.iter().try_for_each(|name| self.wait(name, self.files.delete(name)))?;
+            names
+                .iter()
+                .try_for_each(|name| self.wait_for_response(name, self.files.delete(name)))?;
         }
         Ok(is_first)
     }
 
     /// Fetches the result of a job into a folder. Returns whether there is one.
     pub(super) fn fetch_result(&self, store: &Store, id: &str) -> io::Result<bool> {
-        let Some(text) = self.text(&self.results, id)? else { return Ok(false) };
-        let of: Attempt =
-            serde_json::from_str(&text).map_err(|error| damaged(&error.to_string()))?;
-        let staged = store.staging(&format!("result-{id}-"))?;
+        let Some(text) = self.read_text(&self.results, id)? else { return Ok(false) };
+        let of: AttemptResult =
+            serde_json::from_str(&text).map_err(|error| invalid_data(&error.to_string()))?;
+        let staged = store.create_staging_folder(&format!("result-{id}-"))?;
         let out = staged.path().join("out");
         fs::create_dir(&out)?;
         for file in &of.result.files {
-            let name = plain(&file.name)?;
+            let name = validate_file_name(&file.name)?;
             self.fetch(&format!("results/{id}/{}/{name}", of.attempt), &out.join(name))?;
         }
         let text = serde_json::to_string_pretty(&of.result)? + "\n";
         fs::write(staged.path().join("result.json"), text)?;
-        store.publish(staged, &store.result(id)).map(|_| true)
+        store.publish(staged, &store.result_folder(id)).map(|_| true)
     }
 
     /// Marks a folder as the copy of this fleet, by the moment at which its queue was made.
-    fn claim_copy(&self, store: &Store) -> io::Result<()> {
+    fn mark_as_copy(&self, store: &Store) -> io::Result<()> {
         let created = self.queue.cached_info().created.unix_timestamp_nanos();
         let own = format!("the fleet whose queue was made at {created} ns since 1970\n");
-        let file = store.copy_of();
+        let file = store.copy_source_path();
         match fs::read_to_string(&file) {
             Ok(text) if text == own => Ok(()),
             Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-            Err(_) if store.ids()?.is_empty() => store.publish_file(&file, &own),
+            Err(_) if store.job_ids()?.is_empty() => store.publish_file(&file, &own),
             _ => {
                 let rule = "holds the jobs of another fleet: give another --out, or remove it";
                 let folder = file.parent().unwrap_or(&file).display();
@@ -127,11 +131,11 @@ impl Remote {
     /// # Errors
     /// The server does not answer, the folder cannot be written, or it holds the jobs of another fleet.
     pub fn fetch_results(&self, store: &Store) -> io::Result<Vec<String>> {
-        self.claim_copy(store)?;
+        self.mark_as_copy(store)?;
         let mut damaged = Vec::new();
         for id in self.keys(&self.results)? {
             // Neither a job nor its result ever changes.
-            if store.result(&id).exists() {
+            if store.result_folder(&id).exists() {
                 continue;
             }
             let fetched = self.fetch_job(store, &id).and_then(|()| self.fetch_result(store, &id));
@@ -146,21 +150,21 @@ impl Remote {
     }
 }
 
-fn damaged(why: &str) -> io::Error {
+fn invalid_data(why: &str) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, why)
 }
 
 /// Returns a name that leads nowhere but into the folder.
-fn plain(name: &str) -> io::Result<&str> {
+fn validate_file_name(name: &str) -> io::Result<&str> {
     let mut parts = Path::new(name).components();
     let is_plain = matches!((parts.next(), parts.next()), (Some(Component::Normal(_)), None));
     let is_plain = is_plain && !name.contains(['/', '\\']);
-    is_plain.then_some(name).ok_or_else(|| damaged(&format!("{name:?} is no name of a file")))
+    is_plain.then_some(name).ok_or_else(|| invalid_data(&format!("{name:?} is no name of a file")))
 }
 
 /// Returns the identifier in a subject of the queue.
-pub(super) fn id_of(subject: &str) -> Option<&str> {
-    subject.rsplit('.').next().filter(|id| is_id(id))
+pub(super) fn parse_job_id(subject: &str) -> Option<&str> {
+    subject.rsplit('.').next().filter(|id| is_job_id(id))
 }
 
 #[cfg(test)]
@@ -170,10 +174,10 @@ mod tests {
     #[test]
     fn no_name_leads_out_of_the_folder() {
         for name in ["", ".", "..", "../x", "/x", "a/b", "a\\b"] {
-            assert!(plain(name).is_err(), "{name}");
+            assert!(validate_file_name(name).is_err(), "{name}");
         }
-        assert_eq!(plain("run-1.csv").expect("a name"), "run-1.csv");
-        assert_eq!(id_of("trueup.queue.0123456789abcdef"), Some("0123456789abcdef"));
-        assert_eq!(id_of("trueup.queue.*"), None);
+        assert_eq!(validate_file_name("run-1.csv").expect("a name"), "run-1.csv");
+        assert_eq!(parse_job_id("trueup.queue.0123456789abcdef"), Some("0123456789abcdef"));
+        assert_eq!(parse_job_id("trueup.queue.*"), None);
     }
 }

@@ -20,40 +20,43 @@ use async_nats::jetstream::{
 use futures_util::StreamExt as _;
 use tokio::time::timeout;
 
-use super::{Access, LONGEST, TIMEOUT, context, runtime};
+use super::{
+    ConnectionSettings, MULTIPART_RESPONSE_TIMEOUT, REQUEST_TIMEOUT, connect_jetstream,
+    create_runtime,
+};
 
-const MESSAGES: &str = "$MQTT_msgs";
-const RETAINED: &str = "$MQTT_rmsgs";
-/// In front of the subject of a message in [`MESSAGES`].
-const PREFIX: &str = "$MQTT.msgs.";
+const MESSAGE_STREAM: &str = "$MQTT_msgs";
+const RETAINED_STREAM: &str = "$MQTT_rmsgs";
+/// In front of the subject of a message in [`MESSAGE_STREAM`].
+const SUBJECT_PREFIX: &str = "$MQTT.msgs.";
 /// How long the reader of an output may pause.
-const PATIENCE: Duration = Duration::from_secs(3_600);
+const CONSUMER_INACTIVE_THRESHOLD: Duration = Duration::from_secs(3_600);
 /// Nothing is sent a second time to a consumer that acknowledges nothing.
-const BROKEN: &str = "the connection broke; begin again";
-/// Messages that are asked for at once.
-const BATCH: usize = 500;
+const CONNECTION_BROKEN: &str = "the connection broke; begin again";
+/// Messages that are requested at once.
+const BATCH_SIZE: usize = 500;
 
 /// Makes the streams of the listener for MQTT, or gives them this limit.
 ///
 /// # Errors
 /// The server does not answer, or has no room for these bytes.
-pub fn prepare(access: &Access, max_bytes: i64) -> io::Result<()> {
+pub fn create_streams(access: &ConnectionSettings, max_bytes: i64) -> io::Result<()> {
     let failed = |stream: &str, error: &dyn fmt::Display| {
         io::Error::other(format!("{}: the stream {stream} cannot be made: {error}", access.url))
     };
-    runtime()?.block_on(async {
-        let context = context(access).await?;
-        let made = context.create_or_update_stream(messages(max_bytes)).await;
-        made.map_err(|error| failed(MESSAGES, &error))?;
-        let made = context.get_or_create_stream(retained()).await;
-        made.map(|_| ()).map_err(|error| failed(RETAINED, &error))
+    create_runtime()?.block_on(async {
+        let context = connect_jetstream(access).await?;
+        let made = context.create_or_update_stream(message_stream_config(max_bytes)).await;
+        made.map_err(|error| failed(MESSAGE_STREAM, &error))?;
+        let made = context.get_or_create_stream(retained_stream_config()).await;
+        made.map(|_| ()).map_err(|error| failed(RETAINED_STREAM, &error))
     })
 }
 
-fn messages(max_bytes: i64) -> Config {
+fn message_stream_config(max_bytes: i64) -> Config {
     Config {
-        name: MESSAGES.into(),
-        subjects: vec![format!("{PREFIX}>")],
+        name: MESSAGE_STREAM.into(),
+        subjects: vec![format!("{SUBJECT_PREFIX}>")],
         storage: StorageType::File,
         retention: RetentionPolicy::Limits,
         discard: DiscardPolicy::Old,
@@ -65,9 +68,9 @@ fn messages(max_bytes: i64) -> Config {
 
 /// As the listener makes it, but not synchronised: a state that changes each second need not be waited for. It is not in memory,
 /// since such a stream would be gone when the listener's server starts. Servers before 2.12 do synchronise it.
-fn retained() -> Config {
+fn retained_stream_config() -> Config {
     Config {
-        name: RETAINED.into(),
+        name: RETAINED_STREAM.into(),
         subjects: vec!["$MQTT.rmsgs.>".into()],
         storage: StorageType::File,
         persist_mode: Some(PersistenceMode::Async),
@@ -84,15 +87,15 @@ fn retained() -> Config {
 /// # Errors
 /// The server does not answer, keeps no records, or the connection breaks; or an error of the function.
 pub fn read(
-    access: &Access,
+    access: &ConnectionSettings,
     receive: &mut dyn FnMut(&str, &[u8]) -> io::Result<()>,
 ) -> io::Result<u64> {
     let failed = |error: &dyn fmt::Display| {
         io::Error::other(format!("{}: the records cannot be read: {error}", access.url))
     };
-    runtime()?.block_on(async {
-        let context = context(access).await?;
-        let stream = context.get_stream(MESSAGES).await.map_err(|error| {
+    create_runtime()?.block_on(async {
+        let context = connect_jetstream(access).await?;
+        let stream = context.get_stream(MESSAGE_STREAM).await.map_err(|error| {
             let why = format!(
                 "{}: no records: {error}; trueup fleet server --mqtt HOST:PORT keeps them",
                 access.url
@@ -101,9 +104,9 @@ pub fn read(
         })?;
         let removed = stream.cached_info().state.first_sequence.saturating_sub(1);
         let config = pull::Config {
-            filter_subject: format!("{PREFIX}trueup.>"),
+            filter_subject: format!("{SUBJECT_PREFIX}trueup.>"),
             ack_policy: AckPolicy::None,
-            inactive_threshold: PATIENCE,
+            inactive_threshold: CONSUMER_INACTIVE_THRESHOLD,
             memory_storage: true,
             ..Default::default()
         };
@@ -111,32 +114,32 @@ pub fn read(
         let mut left = consumer.cached_info().num_pending;
         let mut next = 1;
         while left > 0 {
-            let count = usize::try_from(left).unwrap_or(BATCH).min(BATCH);
-            let asked = consumer.fetch().max_messages(count).expires(TIMEOUT).messages();
-            let mut batch = timeout(LONGEST, asked)
+            let count = usize::try_from(left).unwrap_or(BATCH_SIZE).min(BATCH_SIZE);
+            let asked = consumer.fetch().max_messages(count).expires(REQUEST_TIMEOUT).messages();
+            let mut batch = timeout(MULTIPART_RESPONSE_TIMEOUT, asked)
                 .await
                 .map_err(|it| failed(&it))?
                 .map_err(|it| failed(&it))?;
             // All of it before any is handed on: a function that waits for a reader would let the rest time out.
             let mut messages = Vec::with_capacity(count);
             while let Some(message) =
-                timeout(LONGEST, batch.next()).await.map_err(|it| failed(&it))?
+                timeout(MULTIPART_RESPONSE_TIMEOUT, batch.next()).await.map_err(|it| failed(&it))?
             {
                 let message = message.map_err(|it| failed(&it))?;
                 let number = message.info().map_err(|it| failed(&it))?.consumer_sequence;
                 if number != next {
-                    return Err(failed(&BROKEN));
+                    return Err(failed(&CONNECTION_BROKEN));
                 }
                 next += 1;
                 messages.push(message);
             }
             for message in &messages {
-                receive(&topic(&message.subject), &message.payload)?;
+                receive(&mqtt_topic(&message.subject), &message.payload)?;
             }
             left = left.saturating_sub(messages.len() as u64);
             let info = consumer.get_info().await.map_err(|it| failed(&it))?;
             if info.delivered.consumer_sequence + 1 != next || messages.is_empty() {
-                return Err(failed(&BROKEN));
+                return Err(failed(&CONNECTION_BROKEN));
             }
             // The oldest may have given way meanwhile.
             if info.num_pending == 0 {
@@ -148,8 +151,8 @@ pub fn read(
 }
 
 /// Returns the topic of MQTT that the server has made this subject of.
-fn topic(subject: &str) -> String {
-    let own = subject.strip_prefix(PREFIX).unwrap_or(subject);
+fn mqtt_topic(subject: &str) -> String {
+    let own = subject.strip_prefix(SUBJECT_PREFIX).unwrap_or(subject);
     let parts: Vec<String> = own.split("//").map(|part| part.replace('.', "/")).collect();
     parts.join(".")
 }
@@ -161,20 +164,20 @@ mod tests {
     #[test]
     fn a_subject_is_the_topic_that_it_was_made_of() {
         assert_eq!(
-            topic("$MQTT.msgs.trueup.mill-7.0000002a.record"),
+            mqtt_topic("$MQTT.msgs.trueup.mill-7.0000002a.record"),
             "trueup/mill-7/0000002a/record"
         );
         // The server writes a full stop as two strokes.
-        assert_eq!(topic("$MQTT.msgs.trueup.mill//7.event"), "trueup/mill.7/event");
+        assert_eq!(mqtt_topic("$MQTT.msgs.trueup.mill//7.event"), "trueup/mill.7/event");
     }
 
     #[test]
     fn records_are_kept_by_limits_and_states_wait_for_no_disk() {
-        let records = messages(1 << 30);
+        let records = message_stream_config(1 << 30);
         assert_eq!(records.retention, RetentionPolicy::Limits);
         assert_eq!((records.storage, records.max_bytes), (StorageType::File, 1 << 30));
         assert_eq!(records.persist_mode, None);
-        let states = retained();
+        let states = retained_stream_config();
         assert_eq!(
             (states.storage, states.persist_mode),
             (StorageType::File, Some(PersistenceMode::Async))

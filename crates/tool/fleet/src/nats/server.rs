@@ -16,16 +16,16 @@ use std::{
 use fs4::{FileExt, TryLockError};
 
 /// The oldest server that can synchronise always.
-pub(crate) const OLDEST: (u32, u32) = (2, 10);
+pub(crate) const MIN_SERVER_VERSION: (u32, u32) = (2, 10);
 
-/// The address of a server, its folder, and the login that it asks for.
+/// The address of a server, its folder, and the login that it requires.
 #[derive(Clone)]
-pub struct Config {
+pub struct ServerConfig {
     /// The address for workers.
     pub listen: SocketAddr,
     /// The folder of all that it keeps.
     pub folder: PathBuf,
-    /// Name and password that it asks for.
+    /// Name and password that it requires.
     pub login: Option<(String, String)>,
     /// Its certificate and private key, in PEM.
     pub certificate: Option<(PathBuf, PathBuf)>,
@@ -33,33 +33,36 @@ pub struct Config {
     pub mqtt: Option<SocketAddr>,
 }
 
-impl Config {
+impl ServerConfig {
     /// Returns the folder of its store.
     #[must_use]
-    pub fn store(&self) -> PathBuf {
+    pub fn store_folder(&self) -> PathBuf {
         self.folder.join("jetstream")
     }
 
     /// Returns the configuration as the server reads it.
     #[must_use]
-    pub fn text(&self) -> String {
+    pub fn to_text(&self) -> String {
         let mut text = format!(
             "# Written by trueup fleet server; a change is lost at its next start.\n\
              listen: {}\nserver_name: trueup\njetstream {{\n  store_dir: {}\n  sync_interval: always\n}}\n",
-            quoted(self.listen.to_string()),
-            quoted(self.store()),
+            quote_config_string(self.listen.to_string()),
+            quote_config_string(self.store_folder()),
         );
         if let Some((user, password)) = &self.login {
-            let (user, password) = (quoted(user), quoted(password));
+            let (user, password) = (quote_config_string(user), quote_config_string(password));
             text += &format!("authorization {{\n  user: {user}\n  password: {password}\n}}\n");
         }
         let tls = self.certificate.as_ref().map(|(certificate, key)| {
-            let (certificate, key) = (quoted(certificate), quoted(key));
+            let (certificate, key) = (quote_config_string(certificate), quote_config_string(key));
             format!("tls {{\n  cert_file: {certificate}\n  key_file: {key}\n}}\n")
         });
         let tls = tls.unwrap_or_default();
         if let Some(address) = self.mqtt {
-            text += &format!("mqtt {{\n  listen: {}\n{tls}}}\n", quoted(address.to_string()));
+            text += &format!(
+                "mqtt {{\n  listen: {}\n{tls}}}\n",
+                quote_config_string(address.to_string())
+            );
         }
         text + &tls
     }
@@ -71,7 +74,7 @@ impl Config {
 ///
 /// # Errors
 /// Another server has the folder, or it cannot be written.
-pub fn lock(folder: &Path) -> io::Result<File> {
+pub fn lock_folder(folder: &Path) -> io::Result<File> {
     let failed =
         |kind, why: &dyn fmt::Display| io::Error::new(kind, format!("{}: {why}", folder.display()));
     fs::create_dir_all(folder).map_err(|error| failed(error.kind(), &error))?;
@@ -97,7 +100,7 @@ pub fn lock(folder: &Path) -> io::Result<File> {
 }
 
 /// Returns a text in the quotation marks of the server's configuration.
-fn quoted(text: impl AsRef<OsStr>) -> String {
+fn quote_config_string(text: impl AsRef<OsStr>) -> String {
     let text = text.as_ref().to_string_lossy();
     let escaped: String = text
         .chars()
@@ -114,8 +117,8 @@ fn quoted(text: impl AsRef<OsStr>) -> String {
 ///
 /// # Errors
 /// It does not start, or is too old.
-pub fn version(server: &Path) -> io::Result<(u32, u32)> {
-    let (major, minor) = OLDEST;
+pub fn check_version(server: &Path) -> io::Result<(u32, u32)> {
+    let (major, minor) = MIN_SERVER_VERSION;
     let refused = |kind, said: &dyn fmt::Display| {
         let why = format!(
             "{}: {said}; nats-server {major}.{minor} or newer is needed, which synchronises what it acknowledges (the \
@@ -127,12 +130,12 @@ pub fn version(server: &Path) -> io::Result<(u32, u32)> {
     let output = Command::new(server).arg("--version").output();
     let output = output.map_err(|error| refused(error.kind(), &error))?;
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
-    let version = parsed(&said).filter(|version| *version >= OLDEST);
+    let version = parse_version(&said).filter(|version| *version >= MIN_SERVER_VERSION);
     version
         .ok_or_else(|| refused(io::ErrorKind::Unsupported, &format_args!("says {:?}", said.trim())))
 }
 
-fn parsed(said: &str) -> Option<(u32, u32)> {
+fn parse_version(said: &str) -> Option<(u32, u32)> {
     let (_, numbers) = said.trim().split_once(": v")?;
     let mut numbers = numbers.split('.').map(|it| it.parse().ok());
     Some((numbers.next()??, numbers.next()??))
@@ -144,36 +147,36 @@ mod tests {
 
     #[test]
     fn an_old_server_is_not_taken_for_a_new_one() {
-        assert_eq!(parsed("nats-server: v2.15.1\n"), Some((2, 15)));
-        assert!(parsed("nats-server: v2.9.10").is_some_and(|it| it < OLDEST));
-        assert_eq!(parsed("nats-server: v2.12.0-preview.1"), Some((2, 12)));
-        assert_eq!(parsed("no server"), None);
+        assert_eq!(parse_version("nats-server: v2.15.1\n"), Some((2, 15)));
+        assert!(parse_version("nats-server: v2.9.10").is_some_and(|it| it < MIN_SERVER_VERSION));
+        assert_eq!(parse_version("nats-server: v2.12.0-preview.1"), Some((2, 12)));
+        assert_eq!(parse_version("no server"), None);
     }
 
     #[test]
     fn a_folder_has_one_server() {
         let folder = tempfile::tempdir().expect("a folder");
-        let first = lock(folder.path()).expect("it is free");
+        let first = lock_folder(folder.path()).expect("it is free");
         // A server that was started with the file has it too.
         let server = first.try_clone().expect("a file");
         drop(first);
-        let error = lock(folder.path()).expect_err("it is taken");
+        let error = lock_folder(folder.path()).expect_err("it is taken");
         let phrase = format!("a nats-server has this folder (process {})", process::id());
         assert!(error.to_string().contains(&phrase), "{error}");
         drop(server);
-        lock(folder.path()).expect("it is free again");
+        lock_folder(folder.path()).expect("it is free again");
     }
 
     #[test]
     fn a_word_of_the_user_is_one_word_of_the_configuration() {
-        let config = Config {
+        let config = ServerConfig {
             listen: "127.0.0.1:4222".parse().expect("an address"),
             folder: "a \"b\"".into(),
             login: Some(("u".into(), "p\\\"\n}".into())),
             certificate: Some(("c.pem".into(), "k.pem".into())),
             mqtt: Some("127.0.0.1:1883".parse().expect("an address")),
         };
-        let text = config.text();
+        let text = config.to_text();
         assert!(text.contains("sync_interval: always"), "{text}");
         assert!(text.contains(r#"store_dir: "a \"b\"/jetstream""#), "{text}");
         assert!(text.contains(r#"password: "p\\\"\n}""#), "{text}");

@@ -18,51 +18,52 @@ use async_nats::jetstream::{
 use futures_util::StreamExt as _;
 use serde_json::json;
 
-use super::{Remote, files::id_of};
+use super::{RemoteFleet, files::parse_job_id};
 use crate::{
     store::Store,
-    worker::{self, BEATS, Diagnose, Options, Tally},
+    worker::{self, DiagnoseFn, JobCounts, RENEWALS_PER_LEASE, WorkerOptions},
 };
 
-const CONSUMER: &str = "workers";
+const CONSUMER_NAME: &str = "workers";
 /// How long one question for a job waits.
-const ASKED: Duration = Duration::from_secs(1);
+const FETCH_TIMEOUT: Duration = Duration::from_secs(1);
 /// How long a server may be away before workers that are to end give up.
-const AWAY: Duration = Duration::from_secs(60);
+const SERVER_LOSS_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// Reports something to people.
-pub type Report<'r> = dyn Fn(&str) + Sync + 'r;
+pub type Reporter<'r> = dyn Fn(&str) + Sync + 'r;
 
-impl Remote {
+impl RemoteFleet {
     /// Works until every job has ended, or for ever. A server that goes away is reported and waited for.
     ///
     /// # Errors
     /// The diagnosis says that this worker cannot go on; or the server is away for a minute and the workers are to end.
-    pub fn work(
+    pub fn run_workers(
         &self,
-        options: Options,
-        diagnose: &Diagnose<'_>,
-        report: &Report<'_>,
-    ) -> io::Result<Tally> {
-        let consumer = self.consumer(options.lease, report)?;
+        options: WorkerOptions,
+        diagnose: &DiagnoseFn<'_>,
+        report: &Reporter<'_>,
+    ) -> io::Result<JobCounts> {
+        let consumer = self.open_consumer(options.lease, report)?;
         let is_away = AtomicBool::new(false);
         let tally = Mutex::default();
-        let team = Team { remote: self, consumer, options, diagnose, report, is_away, tally };
+        let team =
+            WorkerThreads { remote: self, consumer, options, diagnose, report, is_away, tally };
         worker::run_threads(options.threads, |_| team.run())?;
         Ok(team.tally.into_inner().unwrap_or_else(PoisonError::into_inner))
     }
 
     /// Returns the consumer of the queue. Its lease is one for all workers: it is set while none of them has a job, else
     /// the one that is there stays.
-    fn consumer(&self, lease: Duration, report: &Report<'_>) -> io::Result<PullConsumer> {
+    fn open_consumer(&self, lease: Duration, report: &Reporter<'_>) -> io::Result<PullConsumer> {
         let config = pull::Config {
-            durable_name: Some(CONSUMER.into()),
+            durable_name: Some(CONSUMER_NAME.into()),
             ack_policy: AckPolicy::Explicit,
             ack_wait: lease,
             ..Default::default()
         };
-        let there = self.queue.get_or_create_consumer(CONSUMER, config.clone());
-        let there = self.wait("the queue", there)?;
+        let there = self.queue.get_or_create_consumer(CONSUMER_NAME, config.clone());
+        let there = self.wait_for_response("the queue", there)?;
         let info = there.cached_info();
         let (set, is_used) = (info.config.ack_wait, info.num_ack_pending > 0);
         if set == lease {
@@ -76,41 +77,41 @@ impl Remote {
             ));
             return Ok(there);
         }
-        self.wait("the queue", self.queue.create_consumer(config))
+        self.wait_for_response("the queue", self.queue.create_consumer(config))
     }
 }
 
 /// The threads of one process.
-struct Team<'t> {
-    remote: &'t Remote,
+struct WorkerThreads<'t> {
+    remote: &'t RemoteFleet,
     consumer: PullConsumer,
-    options: Options,
-    diagnose: &'t Diagnose<'t>,
-    report: &'t Report<'t>,
+    options: WorkerOptions,
+    diagnose: &'t DiagnoseFn<'t>,
+    report: &'t Reporter<'t>,
     /// It was reported that the server does not answer.
     is_away: AtomicBool,
-    tally: Mutex<Tally>,
+    tally: Mutex<JobCounts>,
 }
 
 /// Why a job was not ended.
-enum Broken {
+enum AttemptError {
     /// The server did not answer: it is tried again.
     Server(io::Error),
     /// This worker cannot go on.
     Worker(io::Error),
 }
 
-impl Team<'_> {
+impl WorkerThreads<'_> {
     fn run(&self) -> io::Result<()> {
         let mut answered = Instant::now();
         loop {
-            let broken = match self.next() {
-                Ok(Some(message)) => self.process(&message),
-                Ok(None) => match self.remote.open_jobs() {
+            let broken = match self.fetch_next() {
+                Ok(Some(message)) => self.handle_message(&message),
+                Ok(None) => match self.remote.open_job_count() {
                     Ok(0) if self.options.until_empty => return Ok(()),
-                    other => other.map(|_| ()).map_err(Broken::Server),
+                    other => other.map(|_| ()).map_err(AttemptError::Server),
                 },
-                Err(error) => Err(Broken::Server(error)),
+                Err(error) => Err(AttemptError::Server(error)),
             };
             match broken {
                 Ok(()) => {
@@ -119,39 +120,41 @@ impl Team<'_> {
                         (self.report)("the server answers again");
                     }
                 }
-                Err(Broken::Worker(error)) => return Err(error),
-                Err(Broken::Server(error))
-                    if self.options.until_empty && answered.elapsed() > AWAY =>
+                Err(AttemptError::Worker(error)) => return Err(error),
+                Err(AttemptError::Server(error))
+                    if self.options.until_empty && answered.elapsed() > SERVER_LOSS_TIMEOUT =>
                 {
                     return Err(error);
                 }
-                Err(Broken::Server(error)) => {
+                Err(AttemptError::Server(error)) => {
                     if !self.is_away.swap(true, Ordering::Relaxed) {
                         (self.report)(&format!("{error}; it is tried again until it answers"));
                     }
-                    thread::sleep(ASKED);
+                    thread::sleep(FETCH_TIMEOUT);
                 }
             }
         }
     }
 
     /// Takes the next job that waits.
-    fn next(&self) -> io::Result<Option<Message>> {
-        let asked = self.consumer.fetch().max_messages(1).expires(ASKED);
-        // All of it within the runtime: its end tells the server so.
-        self.remote.wait("the queue", async {
+    fn fetch_next(&self) -> io::Result<Option<Message>> {
+        let asked = self.consumer.fetch().max_messages(1).expires(FETCH_TIMEOUT);
+        // All of it within the runtime: its drop notifies the server.
+        self.remote.wait_for_response("the queue", async {
             let mut messages = asked.messages().await.map_err(|error| error.to_string())?;
             messages.next().await.transpose().map_err(|error| error.to_string())
         })
     }
 
-    fn process(&self, message: &Message) -> Result<(), Broken> {
-        let Some(id) = id_of(&message.subject) else {
+    fn handle_message(&self, message: &Message) -> Result<(), AttemptError> {
+        let Some(id) = parse_job_id(&message.subject) else {
             // No subject of a job: it was put there by another program.
             return self.acknowledge(message);
         };
         let remote = self.remote;
-        let has = |bucket| remote.text(bucket, id).map(|it| it.is_some()).map_err(Broken::Server);
+        let has = |bucket| {
+            remote.read_text(bucket, id).map(|it| it.is_some()).map_err(AttemptError::Server)
+        };
         if has(&remote.results)? {
             return self.acknowledge(message);
         }
@@ -159,8 +162,10 @@ impl Team<'_> {
             return self.acknowledge_failed(message, id);
         }
         // Another worker may have set it since. If it does so at this very moment, a job may be done twice, with one result.
-        let info = remote.wait("the queue", self.consumer.get_info()).map_err(Broken::Server)?;
-        let renewed = info.config.ack_wait / BEATS;
+        let info = remote
+            .wait_for_response("the queue", self.consumer.get_info())
+            .map_err(AttemptError::Server)?;
+        let renewed = info.config.ack_wait / RENEWALS_PER_LEASE;
         let (ended, end) = channel::<()>();
         thread::scope(|scope| {
             scope.spawn(move || {
@@ -169,7 +174,7 @@ impl Team<'_> {
                     self.report_progress(message, id);
                 }
             });
-            let done = self.attempt(message, id);
+            let done = self.run_job(message, id);
             drop(ended);
             done
         })
@@ -183,32 +188,32 @@ impl Team<'_> {
         let _ = runtime.block_on(self.remote.leases.put(id, taken.to_string().into()));
     }
 
-    fn attempt(&self, message: &Message, id: &str) -> Result<(), Broken> {
+    fn run_job(&self, message: &Message, id: &str) -> Result<(), AttemptError> {
         let remote = self.remote;
-        let folder = tempfile::tempdir().map_err(Broken::Worker)?;
-        let store = Store::create(folder.path()).map_err(Broken::Worker)?;
+        let folder = tempfile::tempdir().map_err(AttemptError::Worker)?;
+        let store = Store::create(folder.path()).map_err(AttemptError::Worker)?;
         let failed = |reason: String| json!({"schema": 1, "id": id, "reason": reason}).to_string();
         let failure = match remote.fetch_job(&store, id) {
             Err(error) if error.kind() == io::ErrorKind::InvalidData => {
                 Some(failed(error.to_string()))
             }
-            Err(error) => return Err(Broken::Server(error)),
+            Err(error) => return Err(AttemptError::Server(error)),
             Ok(()) => {
-                let alone = Options { threads: 1, until_empty: true, ..self.options };
-                let done = worker::work(&store, alone, self.diagnose);
+                let alone = WorkerOptions { threads: 1, until_empty: true, ..self.options };
+                let done = worker::run_workers(&store, alone, self.diagnose);
                 done.map_err(|error| {
                     let _ = remote.runtime.block_on(message.ack_with(AckKind::Nak(None)));
-                    Broken::Worker(error)
+                    AttemptError::Worker(error)
                 })?;
-                fs::read_to_string(store.failed(id)).ok()
+                fs::read_to_string(store.failure_path(id)).ok()
             }
         };
         let is_failed = failure.is_some();
         let is_first = match failure {
-            Some(text) => remote.is_first(&remote.failed, id, text),
-            None => remote.send_result(&store, id, &attempt_of(message)),
+            Some(text) => remote.put_if_absent(&remote.failed, id, text),
+            None => remote.send_result(&store, id, &attempt_id(message)),
         };
-        if is_first.map_err(Broken::Server)? {
+        if is_first.map_err(AttemptError::Server)? {
             let mut tally = self.tally.lock().unwrap_or_else(PoisonError::into_inner);
             if is_failed { tally.failed += 1 } else { tally.done += 1 }
         }
@@ -222,25 +227,27 @@ impl Team<'_> {
     }
 
     /// Removes a job from the queue, and waits until the server says so.
-    fn acknowledge(&self, message: &Message) -> Result<(), Broken> {
-        self.remote.wait("the queue", message.double_ack()).map_err(Broken::Server)
+    fn acknowledge(&self, message: &Message) -> Result<(), AttemptError> {
+        self.remote
+            .wait_for_response("the queue", message.double_ack())
+            .map_err(AttemptError::Server)
     }
 
     /// Removes a job that has failed from the queue. If it was submitted again a moment before, the queue did not take it
     /// a second time: it is put back.
-    fn acknowledge_failed(&self, message: &Message, id: &str) -> Result<(), Broken> {
+    fn acknowledge_failed(&self, message: &Message, id: &str) -> Result<(), AttemptError> {
         self.acknowledge(message)?;
         let remote = self.remote;
-        match remote.text(&remote.failed, id).map_err(Broken::Server)? {
+        match remote.read_text(&remote.failed, id).map_err(AttemptError::Server)? {
             Some(_) => Ok(()),
-            None => remote.queue(id).map_err(Broken::Server),
+            None => remote.enqueue(id).map_err(AttemptError::Server),
         }
     }
 }
 
 /// Returns a name that no other attempt at any job has. A server that was killed counts deliveries anew: by their number
 /// alone two workers had one name, and the second removed the files of the first as its own.
-fn attempt_of(message: &Message) -> String {
+fn attempt_id(message: &Message) -> String {
     let unique = message.context.client().new_inbox();
     let unique = unique.rsplit('.').next().unwrap_or(&unique);
     match message.info() {

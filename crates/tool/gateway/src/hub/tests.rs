@@ -1,12 +1,12 @@
 //! The hub between a bridge and masters that say what the test says.
 
 use super::*;
-use trueup_client::pinned::Rule;
+use trueup_client::pinned_calibration::CalibrationPolicy;
 use trueup_core::{cnc::Command, units::Nanometres};
 use trueup_link::{
-    frames::{offset_xy, offset_z},
+    frames::{encode_offset_xy, encode_offset_z},
     receiver::Receiver,
-    status::{Reason, Status, encode},
+    status::{FrameRejectReason, Status, encode},
 };
 
 fn ms(ms: u64) -> Duration {
@@ -15,25 +15,25 @@ fn ms(ms: u64) -> Duration {
 
 /// Returns a hub that engages whatever calibration the bridge runs on.
 fn hub() -> Hub {
-    Hub::new(Pinned::new(Rule::Any))
+    Hub::new(PinnedCalibration::new(CalibrationPolicy::Any))
 }
 
 fn transmit(hub: &mut Hub, now: u64, offset: Option<i32>) {
     let quality = if offset.is_some() { Quality::Live } else { Quality::Fault };
     let offset = offset.map(|nm| [nm, -nm, nm].map(Nanometres));
     let output = Output { offset, quality, age_ms: 2, ..Output::default() };
-    let counter = hub.said().counter.wrapping_add(1) as u8;
-    for frame in [offset_xy(&output, counter), offset_z(&output, counter)] {
+    let counter = hub.current_input().counter.wrapping_add(1) as u8;
+    for frame in [encode_offset_xy(&output, counter), encode_offset_z(&output, counter)] {
         hub.receive(ms(now), &Event::Frame(frame));
     }
-    hub.refresh(ms(now));
+    hub.refresh_input_block(ms(now));
 }
 
-fn read(hub: &Hub) -> Input {
-    Input::decode(&hub.input()).expect("a block is whole")
+fn read(hub: &Hub) -> InputBlock {
+    InputBlock::decode(&hub.input_registers()).expect("a block is whole")
 }
 
-fn z_nm(input: &Input) -> Option<i32> {
+fn z_nm(input: &InputBlock) -> Option<i32> {
     input.output.offset.map(|[_, _, z]| z.0)
 }
 
@@ -50,7 +50,7 @@ fn the_counter_moves_with_each_pair_and_stands_without() {
     let first = read(&hub);
     assert_eq!((z_nm(&first), first.age_ms), (Some(1_000), 2));
     for now in 2..=101 {
-        hub.refresh(ms(now));
+        hub.refresh_input_block(ms(now));
         assert_eq!(read(&hub), first, "an old offset gets no new counter");
     }
     transmit(&mut hub, 102, Some(1_010));
@@ -64,7 +64,7 @@ fn a_silent_bridge_is_told_by_a_gateway_that_lives() {
     transmit(&mut hub, 1, Some(1_000));
     let mut last = read(&hub).counter;
     for now in 102..110 {
-        hub.refresh(ms(now));
+        hub.refresh_input_block(ms(now));
         let input = read(&hub);
         assert_eq!((z_nm(&input), input.output.quality), (None, Quality::Fault));
         assert_eq!(input.counter, last.wrapping_add(1));
@@ -79,13 +79,13 @@ fn half_a_pair_changes_nothing_and_a_damaged_one_is_counted() {
     transmit(&mut hub, 1, Some(1_000));
     let before = read(&hub);
     let output = Output { offset: Some([Nanometres(9); 3]), ..Output::default() };
-    let counter = hub.said().counter.wrapping_add(1) as u8;
-    hub.receive(ms(2), &Event::Frame(offset_xy(&output, counter)));
-    let whole = offset_z(&output, counter);
+    let counter = hub.current_input().counter.wrapping_add(1) as u8;
+    hub.receive(ms(2), &Event::Frame(encode_offset_xy(&output, counter)));
+    let whole = encode_offset_z(&output, counter);
     let mut data = *whole.data();
     data[7] ^= 1;
     hub.receive(ms(2), &Event::Frame(Frame::new(whole.id(), &data).expect("eight bytes")));
-    hub.refresh(ms(2));
+    hub.refresh_input_block(ms(2));
     assert_eq!(read(&hub), before);
     assert_eq!(hub.counters().crc_errors, 1);
 }
@@ -99,7 +99,7 @@ fn status_is_told_until_it_is_too_old() {
         Item::Calibration(7),
     ];
     for (counter, item) in (0..).zip(items) {
-        let status = Status { last_refused: Reason::None, item };
+        let status = Status { last_refused: FrameRejectReason::None, item };
         hub.receive(ms(0), &Event::Frame(encode(&status, counter)));
     }
     transmit(&mut hub, 3_400, Some(0));
@@ -117,13 +117,13 @@ fn constant_and_slope_are_said_while_all_three_are_fresh() {
     let send = |hub: &mut Hub, at: u64, axes: std::ops::Range<u8>, counter: u8| {
         for axis in axes {
             let item = Item::Slope { axis, constant: Some(-120), slope: -270 };
-            let status = Status { last_refused: Reason::None, item };
+            let status = Status { last_refused: FrameRejectReason::None, item };
             hub.receive(ms(at), &Event::Frame(encode(&status, counter + axis)));
         }
     };
     // Layout 2; K₀ of X in 0.01 µm; its slope in 0.1 µm/m.
     let read = |hub: &Hub| {
-        let block = hub.input_with_slopes();
+        let block = hub.input_registers_with_slopes();
         let k0 = i32::from(block[2].cast_signed()) << 16 | i32::from(block[3]);
         (block[0], k0, block[28].cast_signed())
     };
@@ -134,91 +134,91 @@ fn constant_and_slope_are_said_while_all_three_are_fresh() {
     send(&mut hub, 0, 2..3, 0);
     transmit(&mut hub, 1, Some(0));
     assert_eq!(read(&hub), (2, -1_200, -270));
-    assert_eq!(hub.news(), [""; 0]);
+    assert_eq!(hub.take_messages(), [""; 0]);
     transmit(&mut hub, 4_601, Some(0));
     assert_eq!(read(&hub), NONE, "too old");
     transmit(&mut hub, 9_300, Some(0));
-    assert!(hub.news()[0].contains("sends no slopes"));
+    assert!(hub.take_messages()[0].contains("sends no slopes"));
     transmit(&mut hub, 19_300, Some(0));
-    assert_eq!(hub.news(), [""; 0], "reported once");
+    assert_eq!(hub.take_messages(), [""; 0], "reported once");
 }
 
-fn engaged() -> Cnc {
-    Cnc { control: Control::ENGAGED, ..Cnc::default() }
+fn engaged() -> CncData {
+    CncData { control: Control::ENGAGED, ..CncData::default() }
 }
 
 #[test]
 fn only_a_new_block_of_the_one_master_becomes_a_frame() {
     let mut hub = hub();
-    assert_eq!(hub.take(ms(0), 1, &engaged().encode(5)), Ok(BlockOutcome::Used));
-    assert_eq!(hub.frames().len(), 1);
+    assert_eq!(hub.accept_block(ms(0), 1, &engaged().encode(5)), Ok(BlockOutcome::Used));
+    assert_eq!(hub.take_due_frames().len(), 1);
     let bad = {
         let mut block = engaged().encode(6);
         block[1] ^= 1;
         block
     };
     for (block, why) in [
-        (engaged().encode(5), Refused::Repeated),
-        (bad, Refused::Damaged),
-        (engaged().encode(99), Refused::WrongSequence),
+        (engaged().encode(5), BlockRejectReason::Repeated),
+        (bad, BlockRejectReason::Damaged),
+        (engaged().encode(99), BlockRejectReason::WrongSequence),
     ] {
-        assert_eq!(hub.take(ms(40), 1, &block), Ok(BlockOutcome::Refused(why)));
-        assert!(hub.frames().is_empty() && hub.holding()[0] == 5);
+        assert_eq!(hub.accept_block(ms(40), 1, &block), Ok(BlockOutcome::Refused(why)));
+        assert!(hub.take_due_frames().is_empty() && hub.holding_registers()[0] == 5);
     }
     transmit(&mut hub, 50, Some(0));
     assert_eq!((read(&hub).last_refused, read(&hub).refused), (4, 3));
-    assert_eq!(hub.take(ms(60), 1, &engaged().encode(100)), Ok(BlockOutcome::Used));
+    assert_eq!(hub.accept_block(ms(60), 1, &engaged().encode(100)), Ok(BlockOutcome::Used));
     // Another one: kept out and told, until the first is silent or gone.
     let other = engaged().encode(7_000);
-    assert_eq!(hub.take(ms(70), 2, &other), Err(Busy));
+    assert_eq!(hub.accept_block(ms(70), 2, &other), Err(Busy));
     transmit(&mut hub, 71, Some(0));
     assert_eq!(read(&hub).state, StateBits::SECOND_MASTER.0);
-    assert_eq!(hub.take(ms(560), 2, &other), Err(Busy));
+    assert_eq!(hub.accept_block(ms(560), 2, &other), Err(Busy));
     assert_eq!(hub.control(ms(560)), Some(Control::ENGAGED));
     assert_eq!(hub.control(ms(561)), None);
-    assert_eq!(hub.take(ms(561), 2, &other), Ok(BlockOutcome::Used));
-    assert_eq!(hub.take(ms(570), 1, &engaged().encode(101)), Err(Busy));
-    hub.leave(1);
-    assert_eq!(hub.take(ms(571), 1, &engaged().encode(101)), Err(Busy));
-    hub.leave(2);
-    assert_eq!(hub.take(ms(572), 1, &engaged().encode(3)), Ok(BlockOutcome::Used));
-    hub.frames();
-    assert!(hub.frames().is_empty(), "nothing is repeated by itself");
+    assert_eq!(hub.accept_block(ms(561), 2, &other), Ok(BlockOutcome::Used));
+    assert_eq!(hub.accept_block(ms(570), 1, &engaged().encode(101)), Err(Busy));
+    hub.release_master(1);
+    assert_eq!(hub.accept_block(ms(571), 1, &engaged().encode(101)), Err(Busy));
+    hub.release_master(2);
+    assert_eq!(hub.accept_block(ms(572), 1, &engaged().encode(3)), Ok(BlockOutcome::Used));
+    hub.take_due_frames();
+    assert!(hub.take_due_frames().is_empty(), "nothing is repeated by itself");
 }
 
 #[test]
 fn a_block_that_may_have_waited_in_a_stalled_line_is_not_used() {
     // In step, 5 s of nothing, then all that had waited, then in step again.
     let mut hub = hub();
-    hub.join(ms(0), 1);
+    hub.register_master(ms(0), 1);
     let times = (20..=1_000).step_by(20).chain([6_000; 100]).chain((6_040..7_000).step_by(20));
     let mut used = Vec::new();
     for (counter, now) in (0..).zip(times) {
-        let taken = hub.take(ms(now), 1, &engaged().encode(counter));
+        let taken = hub.accept_block(ms(now), 1, &engaged().encode(counter));
         if taken == Ok(BlockOutcome::Used) {
             used.push(now);
         }
     }
-    hub.refresh(ms(7_000));
+    hub.refresh_input_block(ms(7_000));
     assert_eq!(used.iter().filter(|now| **now <= 1_000).count(), 50);
     assert!(used.iter().all(|now| *now != 6_000), "nothing of the backlog");
     assert_eq!(used.iter().find(|now| **now > 1_000), Some(&6_040));
-    assert_eq!((read(&hub).last_refused, read(&hub).refused), (MAY_BE_OLD, 100));
+    assert_eq!((read(&hub).last_refused, read(&hub).refused), (REFUSED_STALE, 100));
     // What comes long after its connection was made, alike.
-    hub.leave(1);
-    hub.join(ms(8_000), 2);
-    assert_eq!(hub.take(ms(9_000), 2, &engaged().encode(0)), Ok(BlockOutcome::MayBeOld));
-    assert_eq!(hub.take(ms(9_100), 2, &engaged().encode(1)), Ok(BlockOutcome::Used));
+    hub.release_master(1);
+    hub.register_master(ms(8_000), 2);
+    assert_eq!(hub.accept_block(ms(9_000), 2, &engaged().encode(0)), Ok(BlockOutcome::MayBeOld));
+    assert_eq!(hub.accept_block(ms(9_100), 2, &engaged().encode(1)), Ok(BlockOutcome::Used));
 }
 
 #[test]
 fn a_slow_plc_and_a_fast_one_are_used_at_their_pace() {
     for (period, unused) in [(1_000, 1), (1, 0), (499, 0)] {
         let mut hub = hub();
-        hub.join(ms(0), 1);
+        hub.register_master(ms(0), 1);
         let of = |counter: u16| ms(u64::from(counter + 1) * period);
         let used = (0..50).filter(|counter| {
-            hub.take(of(*counter), 1, &engaged().encode(*counter)) == Ok(BlockOutcome::Used)
+            hub.accept_block(of(*counter), 1, &engaged().encode(*counter)) == Ok(BlockOutcome::Used)
         });
         assert_eq!(used.count(), 50 - unused, "{period} ms");
     }
@@ -226,20 +226,24 @@ fn a_slow_plc_and_a_fast_one_are_used_at_their_pace() {
 
 /// Lets the bridge report its calibration at this time.
 fn runs_on(hub: &mut Hub, now: u64, counter: u8, crc: u32) {
-    let status = Status { last_refused: Reason::None, item: Item::Calibration(crc) };
+    let status = Status { last_refused: FrameRejectReason::None, item: Item::Calibration(crc) };
     hub.receive(ms(now), &Event::Frame(encode(&status, counter)));
 }
 
 #[test]
 fn only_a_bridge_on_the_pinned_calibration_is_engaged() {
-    let mut hub = Hub::new(Pinned::new(Rule::Machine { crc: 7, path: "m.toml".into() }));
+    let mut hub = Hub::new(PinnedCalibration::new(CalibrationPolicy::Machine {
+        crc: 7,
+        path: "m.toml".into(),
+    }));
     let mut receiver = Receiver::new();
     let mut counter = 0;
     let mut says = |hub: &mut Hub, now: u64| {
         counter += 1;
-        let said = Cnc { control: Control { zero: true, ..Control::ENGAGED }, ..Cnc::default() };
-        assert_eq!(hub.take(ms(now), 1, &said.encode(counter)), Ok(BlockOutcome::Used));
-        let frames = hub.frames();
+        let said =
+            CncData { control: Control { zero: true, ..Control::ENGAGED }, ..CncData::default() };
+        assert_eq!(hub.accept_block(ms(now), 1, &said.encode(counter)), Ok(BlockOutcome::Used));
+        let frames = hub.take_due_frames();
         match receiver.accept(frames.first().expect("a Control")) {
             Ok(Some(Command::Control(control))) => (control.engage, control.zero),
             other => panic!("{other:?}"),
@@ -251,8 +255,8 @@ fn only_a_bridge_on_the_pinned_calibration_is_engaged() {
     transmit(&mut hub, 20, Some(0));
     assert_eq!(says(&mut hub, 40), (false, false), "another");
     transmit(&mut hub, 41, Some(0));
-    assert_eq!(read(&hub).last_refused, OTHER_CALIBRATION);
-    let told = hub.news();
+    assert_eq!(read(&hub).last_refused, REFUSED_CALIBRATION);
+    let told = hub.take_messages();
     assert!(told.len() == 1 && told[0].contains("00000008"), "{told:?}");
     runs_on(&mut hub, 60, 1, 7);
     transmit(&mut hub, 60, Some(0));
@@ -265,9 +269,9 @@ fn only_a_bridge_on_the_pinned_calibration_is_engaged() {
     transmit(&mut hub, 110, Some(0));
     assert_eq!(says(&mut hub, 130), (true, true));
     // It is away for long.
-    hub.refresh(ms(2_200));
+    hub.refresh_input_block(ms(2_200));
     transmit(&mut hub, 2_210, Some(0));
-    hub.leave(1);
-    hub.join(ms(2_211), 1);
+    hub.release_master(1);
+    hub.register_master(ms(2_211), 1);
     assert_eq!(says(&mut hub, 2_220), (false, false));
 }

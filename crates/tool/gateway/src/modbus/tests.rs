@@ -2,25 +2,25 @@
 
 use super::*;
 use std::sync::atomic::AtomicBool;
-use trueup_client::pinned::{Pinned, Rule};
+use trueup_client::pinned_calibration::{CalibrationPolicy, PinnedCalibration};
 use trueup_core::{
     cnc::{Control, Output, Quality},
     units::Nanometres,
 };
 use trueup_link::{
-    frames::{offset_xy, offset_z},
+    frames::{encode_offset_xy, encode_offset_z},
     slcan::Event,
 };
 use trueup_modbus::{
-    cnc::{Cnc, written},
-    input::Input,
-    table::INPUT_LEN,
+    holding::{CncData, registers_to_write},
+    input::InputBlock,
+    register_map::INPUT_LEN,
 };
 
 /// A served hub; everything ends with it.
 struct World {
-    shared: Shared,
-    masters: Masters,
+    shared: SharedState,
+    masters: MasterCounters,
     stop: Arc<AtomicBool>,
     address: std::net::SocketAddr,
 }
@@ -28,7 +28,7 @@ struct World {
 impl World {
     fn new() -> Self {
         let stop = Arc::new(AtomicBool::new(false));
-        let shared = Shared::new(stop.clone(), Pinned::new(Rule::Any));
+        let shared = SharedState::new(stop.clone(), PinnedCalibration::new(CalibrationPolicy::Any));
         let listener = TcpListener::bind("127.0.0.1:0").expect("loopback");
         let address = listener.local_addr().expect("bound");
         let masters = serve(shared.clone(), listener, 1).expect("serves");
@@ -47,7 +47,7 @@ impl World {
         let shared = self.shared.clone();
         thread::spawn(move || {
             for n in 0_i32.. {
-                if shared.has_ended() {
+                if shared.is_stop_requested() {
                     return;
                 }
                 let nm = n % 50_000 * 10;
@@ -56,11 +56,12 @@ impl World {
                     quality: Quality::Live,
                     ..Output::default()
                 };
-                let mut hub = shared.hub();
-                for frame in [offset_xy(&output, n as u8), offset_z(&output, n as u8)] {
+                let mut hub = shared.lock_hub();
+                for frame in [encode_offset_xy(&output, n as u8), encode_offset_z(&output, n as u8)]
+                {
                     hub.receive(shared.now(), &Event::Frame(frame));
                 }
-                hub.refresh(shared.now());
+                hub.refresh_input_block(shared.now());
                 drop(hub);
                 thread::sleep(Duration::from_millis(1));
             }
@@ -102,7 +103,9 @@ fn write(block: &[u16]) -> Vec<u8> {
 }
 
 fn engaged(counter: u16) -> Vec<u8> {
-    write(written(&Cnc { control: Control::ENGAGED, ..Cnc::default() }.encode(counter)))
+    write(registers_to_write(
+        &CncData { control: Control::ENGAGED, ..CncData::default() }.encode(counter),
+    ))
 }
 
 /// Reads so often while the bridge changes its mind; how many blocks were new.
@@ -112,7 +115,7 @@ fn polls(count: u32) -> u32 {
     let mut master = world.connect();
     let (mut last, mut new) = (None, 0);
     for _ in 0..count {
-        let input = Input::decode(&read_input(&mut master)).expect("never half old");
+        let input = InputBlock::decode(&read_input(&mut master)).expect("never half old");
         if let Some([x, y, z]) = input.output.offset {
             assert_eq!((y.0, z.0), (-x.0, x.0 + 1_000));
         }
@@ -181,13 +184,17 @@ fn there_are_only_so_many_masters_and_places_become_free_again() {
     let world = World::new();
     let wait = |wanted: usize| {
         let start = Instant::now();
-        while world.masters.connected() != wanted {
-            assert!(start.elapsed() < Duration::from_secs(5), "{}", world.masters.connected());
+        while world.masters.connection_count() != wanted {
+            assert!(
+                start.elapsed() < Duration::from_secs(5),
+                "{}",
+                world.masters.connection_count()
+            );
             thread::sleep(Duration::from_millis(5));
         }
     };
-    let all: Vec<TcpStream> = (0..MAX).map(|_| world.connect()).collect();
-    wait(MAX);
+    let all: Vec<TcpStream> = (0..MAX_MASTERS).map(|_| world.connect()).collect();
+    wait(MAX_MASTERS);
     assert!(matches!(world.connect().read(&mut [0]), Ok(0) | Err(_)), "one too many");
     drop(all);
     wait(0);

@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use trueup_import::{Refused, import};
+use trueup_import::{ImportError, import};
 
 use crate::{Topic, answers, column, unit};
 
@@ -205,7 +205,7 @@ fn each_file_is_read_as_it_is_with_one_answer_or_refused_in_three_lines() {
                 read += 1;
             }
             OneAnswer(answer, start) => {
-                let Err(Refused::Open(questions)) = import(&[]) else {
+                let Err(ImportError::Open(questions)) = import(&[]) else {
                     panic!("{name}: {:?}", import(&[]))
                 };
                 assert_eq!(questions.len(), 1, "{name}: {questions:?}");
@@ -216,7 +216,7 @@ fn each_file_is_read_as_it_is_with_one_answer_or_refused_in_three_lines() {
                 asked += 1;
             }
             RefusedBy(form) => {
-                let Err(Refused::Bad(error)) = import(&[]) else { panic!("{name}") };
+                let Err(ImportError::Bad(error)) = import(&[]) else { panic!("{name}") };
                 let text = format!("{error}\n{}", error.help.clone().unwrap_or_default());
                 assert!(text.contains(form) && text.lines().count() <= 3, "{name}: {text}");
                 refused += 1;

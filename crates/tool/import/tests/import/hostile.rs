@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use trueup_import::{Answers, Refused, import, is_foreign};
+use trueup_import::{Answers, ImportError, import, is_foreign_format};
 use trueup_machine::RunFile;
 
 #[test]
@@ -54,29 +54,29 @@ fn no_change_of_bytes_makes_it_panic_or_write_what_is_no_run_file() {
             }
         }
         let path = Path::new(name);
-        foreign += usize::from(is_foreign(&bytes, path));
+        foreign += usize::from(is_foreign_format(&bytes, path));
         let mut answers = Answers::default();
         for _ in 0..6 {
             match import(&bytes, path, &answers) {
                 Ok(imported) => {
                     let run = RunFile::from_reader(imported.run.as_bytes(), path);
-                    assert_eq!(run.expect("a run file").rows(), imported.rows);
+                    assert_eq!(run.expect("a run file").row_count(), imported.rows);
                     read += 1;
                     break;
                 }
-                Err(Refused::Bad(error)) => {
+                Err(ImportError::Bad(error)) => {
                     assert!(
                         error.place.line >= 1 && error.place.column >= 1 && !error.rule.is_empty()
                     );
                     bad += 1;
                     break;
                 }
-                Err(Refused::Open(questions)) => {
+                Err(ImportError::Open(questions)) => {
                     assert!(!questions.is_empty());
                     open += 1;
                     for question in questions {
                         let value = question.choices.first().map_or("3", String::as_str);
-                        answers.answer(&question.topic, value).expect("its own choice");
+                        answers.record_answer(&question.topic, value).expect("its own choice");
                     }
                 }
             }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use trueup_import::{Answers, Circle, Refused, import};
+use trueup_import::{Answers, Circle, ImportError, import};
 
 use crate::{Topic, answers, bad, column, open, read_as, unit, values};
 
@@ -32,7 +32,7 @@ fn a_compensation_file_of_linuxcnc_is_errors_there_and_back() {
     for text in ["0 0 0\nhead\n1 0 0\n", "0 0 0\n0 1 1\n", "1 2\n"] {
         assert!(matches!(
             import(text.as_bytes(), Path::new("x.comp"), &answers(&[])),
-            Err(Refused::Bad(_))
+            Err(ImportError::Bad(_))
         ));
     }
 }
@@ -117,7 +117,7 @@ fn height_maps_are_errors_of_z_and_points_without_a_probe_are_left_out() {
         (reprap.replace("X,Y,", "X,Z,"), "3:1: the map is not over X and Y"),
     ] {
         let refused = import(text.as_bytes(), Path::new("heightmap.csv"), &answers(&[]));
-        let Err(Refused::Bad(error)) = refused else { panic!("{text}: {refused:?}") };
+        let Err(ImportError::Bad(error)) = refused else { panic!("{text}: {refused:?}") };
         assert!(error.to_string().contains(phrase), "{error}");
     }
 }
@@ -145,14 +145,15 @@ fn target_data_of_a_laser_is_runs_with_directions_and_its_units_are_asked() {
     let text = target_data(["3  2.5", "2  1.5", "1  1.1"]);
     let imported = read_as("x.rtl", text.as_bytes(), &given);
     assert_eq!(imported.run, format!("{expected}2,100,-1,2.5\n2,50,-1,1.5\n2,0,-1,1.1\n"));
-    let Err(Refused::Open(questions)) = import(text.as_bytes(), Path::new("x.rtl"), &answers(&[]))
+    let Err(ImportError::Open(questions)) =
+        import(text.as_bytes(), Path::new("x.rtl"), &answers(&[]))
     else {
         panic!("it has no units")
     };
     assert_eq!(questions.len(), 2, "{questions:?}");
     // Runs that are all written in one order.
     let text = target_data(["1  1.1", "2  1.5", "3  2.5"]);
-    let Err(Refused::Open(questions)) =
+    let Err(ImportError::Open(questions)) =
         import(text.as_bytes(), Path::new("x.rtl"), &answers(&given))
     else {
         panic!("the way back is not said")
@@ -171,7 +172,7 @@ fn target_data_of_a_laser_is_runs_with_directions_and_its_units_are_asked() {
     ] {
         let text = target_data(["1  1.1", "2  1.5", "3  2.5"]).replace(from, to);
         let refused = import(text.as_bytes(), Path::new("x.rtl"), &answers(&given));
-        let Err(Refused::Bad(error)) = refused else { panic!("{from}: {refused:?}") };
+        let Err(ImportError::Bad(error)) = refused else { panic!("{from}: {refused:?}") };
         assert!(error.to_string().contains(phrase), "{error}");
     }
 }
@@ -227,7 +228,7 @@ fn what_no_source_describes_is_refused_in_a_line_with_what_would_do() {
         ("log.txt", b"MEASURING LOG PROBING CYCLE 418\nNOMINAL VALUE X : 100.0\n", "FN16"),
     ] {
         let refused = import(content, Path::new(name), &answers(&[])).expect_err(name);
-        let Refused::Bad(error) = refused else { panic!("{name} leaves a question open") };
+        let ImportError::Bad(error) = refused else { panic!("{name} leaves a question open") };
         let line = format!("{error}. {}", error.help.as_deref().unwrap_or_default());
         assert!(line.contains(phrase) && line.lines().count() == 1, "{name}: {line}");
     }
@@ -260,7 +261,7 @@ fn a_table_of_angles_becomes_positions_on_the_circle_that_is_named() {
     let german = "Winkel [°];Abweichung [mm]\n0,0;0,0015\n90,0;-0,002\n";
     let imported = import(german, Some(true)).expect("a German one");
     assert_eq!(imported.run, "z_mm,x_mm,dir,measured_dr_um\n350,-40,-1,1.5\n250,60,-1,-2\n");
-    let Err(Refused::Bad(error)) = import("x_mm,dr_um\n1,2\n2,3\n", None) else {
+    let Err(ImportError::Bad(error)) = import("x_mm,dr_um\n1,2\n2,3\n", None) else {
         panic!("a table without angles")
     };
     assert!(error.rule.contains("--column 1=angle_deg"), "{error}");

@@ -11,14 +11,14 @@ mod workbooks;
 
 use std::path::Path;
 
-use trueup_import::{Answers, Imported, Refused, Topic, import};
+use trueup_import::{Answers, ImportError, ImportedRun, Topic, import};
 use trueup_machine::RunFile;
 
 /// Returns what the user has said.
 fn answers(given: &[(Topic, &str)]) -> Answers {
     let mut answers = Answers::default();
     for (topic, value) in given {
-        answers.answer(topic, value).expect("an answer");
+        answers.record_answer(topic, value).expect("an answer");
     }
     answers
 }
@@ -32,18 +32,18 @@ fn unit(name: &str) -> Topic {
 }
 
 /// Returns the file, read with what the user has said.
-fn read(text: impl AsRef<[u8]>, given: &[(Topic, &str)]) -> Imported {
+fn read(text: impl AsRef<[u8]>, given: &[(Topic, &str)]) -> ImportedRun {
     read_as("table.csv", text.as_ref(), given)
 }
 
-fn read_as(name: &str, bytes: &[u8], given: &[(Topic, &str)]) -> Imported {
+fn read_as(name: &str, bytes: &[u8], given: &[(Topic, &str)]) -> ImportedRun {
     import(bytes, Path::new(name), &answers(given)).unwrap_or_else(|refused| panic!("{refused:?}"))
 }
 
 /// Returns the topics that are open.
 fn open(text: impl AsRef<[u8]>, given: &[(Topic, &str)]) -> Vec<Topic> {
     match import(text.as_ref(), Path::new("table.csv"), &answers(given)) {
-        Err(Refused::Open(questions)) => questions.into_iter().map(|it| it.topic).collect(),
+        Err(ImportError::Open(questions)) => questions.into_iter().map(|it| it.topic).collect(),
         other => panic!("{other:?}"),
     }
 }
@@ -51,13 +51,15 @@ fn open(text: impl AsRef<[u8]>, given: &[(Topic, &str)]) -> Vec<Topic> {
 /// Returns what is wrong with the file: `line:column: rule`.
 fn bad(text: impl AsRef<[u8]>, given: &[(Topic, &str)]) -> String {
     match import(text.as_ref(), Path::new("table.csv"), &answers(given)) {
-        Err(Refused::Bad(error)) => error.to_string().trim_start_matches("table.csv:").to_string(),
+        Err(ImportError::Bad(error)) => {
+            error.to_string().trim_start_matches("table.csv:").to_string()
+        }
         other => panic!("{other:?}"),
     }
 }
 
 /// Returns the values of a column of the run file.
-fn values(imported: &Imported, name: &str) -> Vec<f64> {
+fn values(imported: &ImportedRun, name: &str) -> Vec<f64> {
     let run = RunFile::from_reader(imported.run.as_bytes(), Path::new("run.csv"));
     let run = run.unwrap_or_else(|error| panic!("{error}: {}", imported.run));
     run.column(name).unwrap_or_else(|| panic!("no {name}: {}", imported.run)).to_vec()

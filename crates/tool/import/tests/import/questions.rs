@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use trueup_import::{Answers, Refused, import, is_foreign};
+use trueup_import::{Answers, ImportError, import, is_foreign_format};
 
 use crate::{Topic, bad, column, open, read, unit, values};
 
@@ -71,13 +71,13 @@ fn each_question_names_its_flag_and_any_answer_to_it_is_taken() {
     for text in texts {
         let mut answers = Answers::default();
         let mut asked = 0;
-        while let Err(Refused::Open(questions)) =
+        while let Err(ImportError::Open(questions)) =
             import(text.as_bytes(), Path::new("t.csv"), &answers)
         {
             for question in questions {
                 assert!(question.flag().starts_with("--"), "{question:?}");
                 let value = question.choices.first().map_or("3", String::as_str);
-                answers.answer(&question.topic, value).expect("its own choice");
+                answers.record_answer(&question.topic, value).expect("its own choice");
                 asked += 1;
             }
             assert!(asked < 10, "{text}");
@@ -92,7 +92,7 @@ fn each_question_names_its_flag_and_any_answer_to_it_is_taken() {
 
 #[test]
 fn a_run_file_with_a_fault_is_no_table_to_import() {
-    let is = |text: &str| is_foreign(text.as_bytes(), Path::new("t.csv"));
+    let is = |text: &str| is_foreign_format(text.as_bytes(), Path::new("t.csv"));
     assert!(is("Zeit [s];Weg X [mm]\n0;1,5\n1;2,5\n"));
     assert!(is("Position;Messuhr\n0;1,5\n1;2,5\n"));
     assert!(!is("time_s;x_mm\n0;1,5\n1;2,5\n"));

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use trueup_import::{Refused, import};
+use trueup_import::{ImportError, import};
 
 use crate::{Topic, answers, column, read_as, values};
 
@@ -156,7 +156,8 @@ fn the_only_sheet_with_a_table_is_taken_and_of_two_one_is_asked_for() {
     let imported = read_as("r.xlsx", &xlsx(&[("Notes", notes), ("Data", table())]), &given);
     assert_eq!(imported.rows, 3);
     let two = xlsx(&[("Monday", table()), ("Tuesday", table())]);
-    let Err(Refused::Open(questions)) = import(&two, Path::new("r.xlsx"), &answers(&given)) else {
+    let Err(ImportError::Open(questions)) = import(&two, Path::new("r.xlsx"), &answers(&given))
+    else {
         panic!("two tables")
     };
     assert_eq!((&questions[0].topic, questions[0].choices.len()), (&Topic::Sheet, 2));
@@ -208,7 +209,7 @@ fn what_is_no_workbook_is_refused() {
         b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1rest".to_vec(),
     ] {
         let refused = import(&bytes, Path::new("r.xlsx"), &answers(&[]));
-        let Err(Refused::Bad(error)) = refused else { panic!("{refused:?}") };
+        let Err(ImportError::Bad(error)) = refused else { panic!("{refused:?}") };
         assert!(error.rule.contains("no workbook that can be read"), "{error}");
     }
     // An archive that states more than a machine's memory.
@@ -216,5 +217,7 @@ fn what_is_no_workbook_is_refused() {
     let entry = bomb.windows(4).position(|it| it == b"PK\x01\x02").expect("a directory");
     bomb[entry + 24..entry + 28].copy_from_slice(&u32::MAX.to_le_bytes());
     let refused = import(&bomb, Path::new("r.xlsx"), &answers(&[]));
-    assert!(matches!(refused, Err(Refused::Bad(error)) if error.rule.contains("unpacks to more")));
+    assert!(
+        matches!(refused, Err(ImportError::Bad(error)) if error.rule.contains("unpacks to more"))
+    );
 }

@@ -9,7 +9,7 @@ const JOINT: JointSettings =
 struct World {
     offsets: JointOffsets,
     reading: JointReading,
-    applied: Applied,
+    applied: AppliedOffsets,
     goal: JointGoal,
     ms: u64,
     /// `moveoff` covers this share of the way to its goal in a step.
@@ -20,7 +20,7 @@ impl World {
     fn new() -> Self {
         let (offsets, goal) = (JointOffsets::default(), JointGoal::default());
         let reading = JointReading::default();
-        Self { offsets, reading, applied: Applied::NOTHING, goal, ms: 0, share: 1.0 }
+        Self { offsets, reading, applied: AppliedOffsets::ZERO, goal, ms: 0, share: 1.0 }
     }
 
     fn step(&mut self, ready: bool, z_nm: Option<i32>) -> f64 {
@@ -30,7 +30,7 @@ impl World {
         self.ms += 1;
         let now = Duration::from_millis(self.ms);
         let goal_nm = z_nm.map(|z| [7, 8, z]);
-        let step = Step { now, ready, goal_nm, max_nm: [0, 0, 100_000] };
+        let step = StepInputs { now, ready, goal_nm, max_nm: [0, 0, 100_000] };
         let (goals, applied) = self.offsets.step(&step, &joints, &readings);
         (self.goal, self.applied) = (goals[3], applied);
         self.reading.now_nm += self.share * (goals[3].offset_nm - self.reading.now_nm);
@@ -93,7 +93,7 @@ fn a_component_that_starts_again_goes_on_where_moveoff_stands() {
         JointGoal { offset_nm: 80_000.0, min_nm: -60_000.0, max_nm: 140_000.0, reference_nm: -5e6 };
     world.offsets.resume(3, left);
     // Its pins are connected one after the other.
-    world.reading = JointReading::not_wired();
+    world.reading = JointReading::unconnected();
     assert_eq!(world.step(true, Some(0)), 80_000.0);
     assert!(!world.applied.at_zero && !world.applied.arrived, "nobody knows what acts");
     world.reading =
@@ -128,7 +128,7 @@ fn a_joint_that_was_homed_while_no_component_was_there_has_its_base() {
     world.offsets = JointOffsets::default();
     world.offsets.resume(3, left);
     let there = world.reading;
-    world.reading = JointReading::not_wired();
+    world.reading = JointReading::unconnected();
     world.step(true, Some(40_000));
     assert_eq!(world.goal.reference_nm, -5e6, "kept until the wires are there");
     world.reading = JointReading { reference_nm: -5.04e6, ..there };
@@ -195,7 +195,7 @@ fn moveoff_reaches_a_goal_above_it_from_rest_also_while_the_offset_is_held() {
             least = least.min(moveoff.now_nm);
         }
         assert!(
-            (moveoff.now_nm - f64::from(goal)).abs() <= 2.0 * KICK_NM,
+            (moveoff.now_nm - f64::from(goal)).abs() <= 2.0 * DITHER_NM,
             "{goal} {}",
             moveoff.now_nm
         );

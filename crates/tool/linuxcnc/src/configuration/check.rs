@@ -3,31 +3,34 @@
 use trueup_machine::BadInput;
 
 use super::{
-    Entry,
-    finding::{Demand, Finding, Severity},
+    OffsetEntryPoint,
+    finding::{Finding, OffsetRequirements, Severity},
     hal_files::HalFiles,
     ini_lines::IniLines,
-    input_wires,
-    installed::by_hand,
-    joints::{ASSUMED, Headroom, Joint, REVERSAL_UM, SMALL, joints, ratio, reversal_s},
+    input_signals,
+    installed::find_manual_setup,
+    joints::{
+        DEFAULT_HEADROOM_RATIO, Headroom, Joint, LOW_HEADROOM_WARNING_RATIO, REFERENCE_REVERSAL_UM,
+        compute_offset_av_ratio, read_joints, rest_to_rest_time_s,
+    },
     wiring,
 };
 use crate::ini::Ini;
 
 /// Servo periods that are supported, in ns.
-const PERIODS_NS: std::ops::RangeInclusive<f64> = 0.5e6..=4e6;
+const SUPPORTED_PERIODS_NS: std::ops::RangeInclusive<f64> = 0.5e6..=4e6;
 /// Without a board a servo period may differ by this from one that is supported, in ns.
-const ROUNDED_NS: f64 = 1e3;
+const PERIOD_TOLERANCE_NS: f64 = 1e3;
 /// `OFFSET_AV_RATIO` may be so large.
-const MAX_RATIO: f64 = 0.9;
-const AXES: [&str; 3] = ["X", "Y", "Z"];
+const MAX_OFFSET_AV_RATIO: f64 = 0.9;
+const AXIS_NAMES: [&str; 3] = ["X", "Y", "Z"];
 const PERCENT: f64 = 100.0;
-const MS: f64 = 1e3;
+const MS_PER_S: f64 = 1e3;
 const UM_PER_MM: f64 = 1e3;
 
 /// Result of a check.
 #[derive(Clone, Debug, Default)]
-pub struct Report {
+pub struct CheckReport {
     /// Errors and warnings in the order of the checks.
     pub findings: Vec<Finding>,
     /// Statements about what the offsets will do, a line each.
@@ -36,7 +39,7 @@ pub struct Report {
     pub by_hand: Option<String>,
 }
 
-impl Report {
+impl CheckReport {
     /// Returns true if nothing stands in the way.
     #[must_use]
     pub fn is_usable(&self) -> bool {
@@ -46,15 +49,15 @@ impl Report {
 
 /// Checks a configuration.
 #[must_use]
-pub fn check(ini: &IniLines, hal: &HalFiles, demand: &Demand) -> Report {
-    let mut report = Report::default();
+pub fn check(ini: &IniLines, hal: &HalFiles, demand: &OffsetRequirements) -> CheckReport {
+    let mut report = CheckReport::default();
     for section in ["HAL", "TRUEUP", "KINS", "TRAJ", "EMCMOT"] {
-        second_section(ini, section, &mut report);
+        check_duplicate_section(ini, section, &mut report);
     }
-    hal_style(ini, hal, &mut report);
+    check_hal_files(ini, hal, &mut report);
     let is_closed = !report.is_usable();
-    let Some(base) = base(ini, &mut report) else { return report };
-    let joints = match joints(ini) {
+    let Some(base) = check_base_settings(ini, &mut report) else { return report };
+    let joints = match read_joints(ini) {
         Ok(joints) => joints,
         Err(error) => {
             report.findings.push(error.into());
@@ -62,31 +65,35 @@ pub fn check(ini: &IniLines, hal: &HalFiles, demand: &Demand) -> Report {
         }
     };
     if is_closed {
-        report.by_hand = Some(wiring::by_hand(ini, hal, &joints, demand));
+        report.by_hand = Some(wiring::generate_manual_lines(ini, hal, &joints, demand));
     }
     report.facts.push(format!(
         "offsets enter {}, up to {} um/s; servo period {} ms",
         match demand.entry {
-            Entry::Eoffset => "as external offsets of the axes",
-            Entry::Joint => "between the joints and their drives",
+            OffsetEntryPoint::Eoffset => "as external offsets of the axes",
+            OffsetEntryPoint::Joint => "between the joints and their drives",
         },
         demand.slew_um_per_s,
-        base.cycle_s * MS
+        base.cycle_s * MS_PER_S
     ));
     for joint in &joints {
-        for section in [joint.section(), format!("AXIS_{}", AXES[joint.axis])] {
-            second_section(ini, &section, &mut report);
+        for section in [joint.section_name(), format!("AXIS_{}", AXIS_NAMES[joint.axis])] {
+            check_duplicate_section(ini, &section, &mut report);
         }
-        double_compensation(ini, joint, demand, &mut report);
+        check_double_compensation(ini, joint, demand, &mut report);
     }
     match demand.entry {
-        Entry::Joint => joints.iter().for_each(|joint| at_joint(joint, &base, demand, &mut report)),
-        Entry::Eoffset => at_axes(ini, &joints, &base, demand, &mut report),
+        OffsetEntryPoint::Joint => {
+            joints.iter().for_each(|joint| check_joint_headroom(joint, &base, demand, &mut report))
+        }
+        OffsetEntryPoint::Eoffset => {
+            check_external_offsets(ini, &joints, &base, demand, &mut report)
+        }
     }
-    soft_limits(ini, &joints, &base, demand, &mut report);
+    check_soft_limits(ini, &joints, &base, demand, &mut report);
     if let Some(no_board) = &demand.no_board {
-        servo_period(ini, &base, &mut report);
-        if no_board.has_heat && !hal.names("trueup-confirm") {
+        check_servo_period(ini, &base, &mut report);
+        if no_board.has_heat && !hal.has_signal("trueup-confirm") {
             report.facts.push(
                 "the machine file has models by heat: at the first start, and without what was kept of the last one, offsets wait until \
                  the thermometers agree or you confirm that the machine is cold (signal trueup-confirm; or halcmd setp \
@@ -95,17 +102,19 @@ pub fn check(ini: &IniLines, hal: &HalFiles, demand: &Demand) -> Report {
             );
         }
     }
-    report.findings.extend(input_wires::missing(demand, ini, hal));
+    report.findings.extend(input_signals::find_missing_inputs(demand, ini, hal));
     // What is connected by hand occupies the pins that setup would take.
-    if report.is_usable() && by_hand(ini, hal).is_none() {
-        report.findings.extend(wiring::wiring(ini, hal, &joints, demand).err().unwrap_or_default());
+    if report.is_usable() && find_manual_setup(ini, hal).is_none() {
+        report.findings.extend(
+            wiring::generate_hal_files(ini, hal, &joints, demand).err().unwrap_or_default(),
+        );
     }
     report
 }
 
 /// LinuxCNC reads the first section of a name alone: lines of a second one have no effect.
-fn second_section(ini: &IniLines, section: &str, report: &mut Report) {
-    if let Some(place) = ini.second_header_of(section) {
+fn check_duplicate_section(ini: &IniLines, section: &str, report: &mut CheckReport) {
+    if let Some(place) = ini.duplicate_header(section) {
         report.findings.push(Finding::warning(
             place,
             format!("a second [{section}]: LinuxCNC reads the first one alone"),
@@ -115,7 +124,7 @@ fn second_section(ini: &IniLines, section: &str, report: &mut Report) {
 }
 
 /// HAL files that cannot be followed.
-fn hal_style(ini: &IniLines, hal: &HalFiles, report: &mut Report) {
+fn check_hal_files(ini: &IniLines, hal: &HalFiles, report: &mut CheckReport) {
     let by_hand = "setup cannot change it; add the lines by hand that are printed with this check";
     if let Some(value) = ini.value("HAL", "TWOPASS") {
         let what =
@@ -129,21 +138,21 @@ fn hal_style(ini: &IniLines, hal: &HalFiles, report: &mut Report) {
 }
 
 /// Units and servo period.
-fn base(ini: &IniLines, report: &mut Report) -> Option<Ini> {
-    let base = match Ini::parse(&ini.text()) {
+fn check_base_settings(ini: &IniLines, report: &mut CheckReport) -> Option<Ini> {
+    let base = match Ini::parse(&ini.to_text()) {
         Ok(base) => base,
         Err(error) => {
-            let place = ini.place_of_line(error.place.0, error.place.1);
+            let place = ini.line_location(error.place.0, error.place.1);
             report.findings.push(Finding::error(place, error.rule, ""));
             return None;
         }
     };
     let period_ns = base.cycle_s * 1e9;
     // A billionth of rounding.
-    if !PERIODS_NS.contains(&period_ns.round()) {
+    if !SUPPORTED_PERIODS_NS.contains(&period_ns.round()) {
         let place = ini.value("EMCMOT", "SERVO_PERIOD").map(|it| it.place);
         report.findings.push(Finding::error(
-            place.unwrap_or_else(|| ini.place_of_section("EMCMOT")),
+            place.unwrap_or_else(|| ini.section_location("EMCMOT")),
             format!("[EMCMOT]SERVO_PERIOD = {} ns: 0.5 to 4 ms are supported", period_ns.round()),
             "set it between 500000 and 4000000",
         ));
@@ -152,12 +161,12 @@ fn base(ini: &IniLines, report: &mut Report) -> Option<Ini> {
 }
 
 /// The node's tick is a millisecond, and a servo period is half of one or some.
-fn servo_period(ini: &IniLines, base: &Ini, report: &mut Report) {
+fn check_servo_period(ini: &IniLines, base: &Ini, report: &mut CheckReport) {
     let us = (base.cycle_s * 1e6).round();
     if ![500.0, 1_000.0, 2_000.0, 4_000.0].contains(&us) {
         let place = ini.value("EMCMOT", "SERVO_PERIOD").map(|it| it.place);
         report.findings.push(Finding::error(
-            place.unwrap_or_else(|| ini.place_of_section("EMCMOT")),
+            place.unwrap_or_else(|| ini.section_location("EMCMOT")),
             format!(
                 "[EMCMOT]SERVO_PERIOD = {} ns: without a board it is 0.5, 1, 2 or 4 ms",
                 us * 1e3
@@ -169,7 +178,7 @@ fn servo_period(ini: &IniLines, base: &Ini, report: &mut Report) {
     let Some((thread_ns, place)) = thread.filter(|(ns, _)| *ns > 0.0) else { return };
     let period_ns = base.cycle_s * 1e9;
     let made_ns = (period_ns / thread_ns).round().max(1.0) * thread_ns;
-    if (made_ns - period_ns).abs() > ROUNDED_NS {
+    if (made_ns - period_ns).abs() > PERIOD_TOLERANCE_NS {
         report.findings.push(Finding::warning(
             place,
             format!(
@@ -182,8 +191,13 @@ fn servo_period(ini: &IniLines, base: &Ini, report: &mut Report) {
 }
 
 /// LinuxCNC's own compensation of the screw, together with ours.
-fn double_compensation(ini: &IniLines, joint: &Joint, demand: &Demand, report: &mut Report) {
-    let (section, axis) = (joint.section(), AXES[joint.axis]);
+fn check_double_compensation(
+    ini: &IniLines,
+    joint: &Joint,
+    demand: &OffsetRequirements,
+    report: &mut CheckReport,
+) {
+    let (section, axis) = (joint.section_name(), AXIS_NAMES[joint.axis]);
     let ours = demand.corrects_screw.map(|corrects| corrects[joint.axis]);
     let comp_file = ini.value(&section, "COMP_FILE").filter(|it| !it.text.is_empty());
     let backlash = match ini.number(&section, "BACKLASH") {
@@ -216,29 +230,40 @@ fn double_compensation(ini: &IniLines, joint: &Joint, demand: &Demand, report: &
 }
 
 /// Headroom of a joint.
-fn at_joint(joint: &Joint, base: &Ini, demand: &Demand, report: &mut Report) {
-    let section = joint.section();
+fn check_joint_headroom(
+    joint: &Joint,
+    base: &Ini,
+    demand: &OffsetRequirements,
+    report: &mut CheckReport,
+) {
+    let section = joint.section_name();
     let acceleration = &joint.acceleration;
-    let share = acceleration.share() * PERCENT;
+    let share = acceleration.relative_headroom() * PERCENT;
     let slew_mm_per_s = demand.slew_um_per_s / UM_PER_MM;
-    let mm_per_s = joint.offset_mm_per_s(slew_mm_per_s, base.mm_per_unit);
-    let time_s =
-        reversal_s(REVERSAL_UM / UM_PER_MM, mm_per_s, acceleration.left() * base.mm_per_unit);
+    let mm_per_s = joint.max_offset_mm_per_s(slew_mm_per_s, base.mm_per_unit);
+    let time_s = rest_to_rest_time_s(
+        REFERENCE_REVERSAL_UM / UM_PER_MM,
+        mm_per_s,
+        acceleration.available() * base.mm_per_unit,
+    );
     let line = |key: &str, headroom: &Headroom| {
-        format!("[{section}]{key} = {}", round(headroom.planner * (1.0 + ASSUMED)))
+        format!(
+            "[{section}]{key} = {}",
+            round_to_millionth(headroom.planner * (1.0 + DEFAULT_HEADROOM_RATIO))
+        )
     };
     let mend = format!(
         "if the drive has more, state it: {}; if not, lower MAX_ACCELERATION of joint and axis",
         line("STEPGEN_MAXACCEL", acceleration)
     );
-    if acceleration.stated.is_some() && acceleration.left() <= 0.0 {
+    if acceleration.stated.is_some() && acceleration.available() <= 0.0 {
         let what = format!(
             "[{section}]STEPGEN_MAXACCEL leaves nothing above MAX_ACCELERATION: an offset cannot move"
         );
         report.findings.push(Finding::error(joint.place.clone(), what, mend));
         return;
     }
-    if joint.velocity.stated.is_some() && joint.velocity.left() <= 0.0 {
+    if joint.velocity.stated.is_some() && joint.velocity.available() <= 0.0 {
         let what = format!(
             "[{section}]STEPGEN_MAXVEL leaves nothing above MAX_VELOCITY: an offset cannot move"
         );
@@ -247,10 +272,10 @@ fn at_joint(joint: &Joint, base: &Ini, demand: &Demand, report: &mut Report) {
         report.findings.push(Finding::error(joint.place.clone(), what, mend));
         return;
     }
-    if share < SMALL * PERCENT {
+    if share < LOW_HEADROOM_WARNING_RATIO * PERCENT {
         let what = format!(
-            "[{section}]: the drive has {share:.1} % of acceleration above the planner's: a reversal of {REVERSAL_UM} um takes {:.1} ms",
-            time_s * MS
+            "[{section}]: the drive has {share:.1} % of acceleration above the planner's: a reversal of {REFERENCE_REVERSAL_UM} um takes {:.1} ms",
+            time_s * MS_PER_S
         );
         report.findings.push(Finding::warning(joint.place.clone(), what, mend));
     }
@@ -271,16 +296,22 @@ fn at_joint(joint: &Joint, base: &Ini, demand: &Demand, report: &mut Report) {
         None => format!(" (assumed: state it by {})", line("STEPGEN_MAXACCEL", acceleration)),
     };
     report.facts.push(format!(
-        "joint {} ({}): headroom {share:.0} % of acceleration{assumed}; a reversal of {REVERSAL_UM} um takes {:.1} ms",
+        "joint {} ({}): headroom {share:.0} % of acceleration{assumed}; a reversal of {REFERENCE_REVERSAL_UM} um takes {:.1} ms",
         joint.number,
-        AXES[joint.axis],
-        time_s * MS
+        AXIS_NAMES[joint.axis],
+        time_s * MS_PER_S
     ));
 }
 
 /// Cost and speed of external offsets.
-fn at_axes(ini: &IniLines, joints: &[Joint], base: &Ini, demand: &Demand, report: &mut Report) {
-    for (axis, name) in AXES.iter().enumerate() {
+fn check_external_offsets(
+    ini: &IniLines,
+    joints: &[Joint],
+    base: &Ini,
+    demand: &OffsetRequirements,
+    report: &mut CheckReport,
+) {
+    for (axis, name) in AXIS_NAMES.iter().enumerate() {
         if joints.iter().all(|joint| joint.axis != axis) {
             continue;
         }
@@ -288,15 +319,16 @@ fn at_axes(ini: &IniLines, joints: &[Joint], base: &Ini, demand: &Demand, report
         let motion = &base.axes[axis];
         let stated = ini.value(&section, "OFFSET_AV_RATIO");
         let place =
-            stated.as_ref().map_or_else(|| ini.place_of_section(&section), |it| it.place.clone());
-        let Some(proper) = ratio(motion.velocity_mm_per_s, demand.slew_um_per_s) else {
+            stated.as_ref().map_or_else(|| ini.section_location(&section), |it| it.place.clone());
+        let Some(proper) = compute_offset_av_ratio(motion.velocity_mm_per_s, demand.slew_um_per_s)
+        else {
             let what = format!(
                 "[{section}]MAX_VELOCITY is missing: an external offset gets a share of it"
             );
             report.findings.push(Finding::error(place, what, "state it"));
             continue;
         };
-        if ini.header_of(&section).is_none() {
+        if ini.section_header(&section).is_none() {
             let what = format!("[{section}] is missing: OFFSET_AV_RATIO belongs there");
             report.findings.push(Finding::error(
                 place,
@@ -306,13 +338,13 @@ fn at_axes(ini: &IniLines, joints: &[Joint], base: &Ini, demand: &Demand, report
             continue;
         }
         let ratio = if stated.is_some() { motion.ratio } else { proper };
-        if !(0.0..=MAX_RATIO).contains(&ratio) || ratio == 0.0 {
+        if !(0.0..=MAX_OFFSET_AV_RATIO).contains(&ratio) || ratio == 0.0 {
             let what =
                 format!("[{section}]OFFSET_AV_RATIO = {ratio}: LinuxCNC moves no offset of {name}");
             report.findings.push(Finding::error(
                 place,
                 what,
-                format!("above 0 and at most {MAX_RATIO}; {proper:.6} would do"),
+                format!("above 0 and at most {MAX_OFFSET_AV_RATIO}; {proper:.6} would do"),
             ));
             continue;
         }
@@ -328,10 +360,10 @@ fn at_axes(ini: &IniLines, joints: &[Joint], base: &Ini, demand: &Demand, report
         }
         let slew = velocity.min(demand.slew_um_per_s / UM_PER_MM);
         report.facts.push(format!(
-            "axis {name}: OFFSET_AV_RATIO = {ratio:.6}{}: programs lose {:.3} % of speed and acceleration; a reversal of {REVERSAL_UM} um takes {:.0} ms",
+            "axis {name}: OFFSET_AV_RATIO = {ratio:.6}{}: programs lose {:.3} % of speed and acceleration; a reversal of {REFERENCE_REVERSAL_UM} um takes {:.0} ms",
             if stated.is_some() { "" } else { " (setup adds it)" },
             ratio * PERCENT,
-            reversal_s(REVERSAL_UM / UM_PER_MM, slew, acceleration) * MS
+            rest_to_rest_time_s(REFERENCE_REVERSAL_UM / UM_PER_MM, slew, acceleration) * MS_PER_S
         ));
     }
 }
@@ -340,18 +372,27 @@ fn at_axes(ini: &IniLines, joints: &[Joint], base: &Ini, demand: &Demand, report
 ///
 /// # Errors
 /// The configuration cannot be followed.
-pub fn at_start(ini: &IniLines, demand: &Demand) -> Result<Vec<Finding>, BadInput> {
-    let (mut report, joints) = (Report::default(), joints(ini)?);
-    if let Some(base) = base(ini, &mut report) {
-        soft_limits(ini, &joints, &base, demand, &mut report);
+pub fn check_joint_limits(
+    ini: &IniLines,
+    demand: &OffsetRequirements,
+) -> Result<Vec<Finding>, BadInput> {
+    let (mut report, joints) = (CheckReport::default(), read_joints(ini)?);
+    if let Some(base) = check_base_settings(ini, &mut report) {
+        check_soft_limits(ini, &joints, &base, demand, &mut report);
     }
     Ok(report.findings)
 }
 
 /// Room between the ranges of programs and the joints' limits.
-fn soft_limits(ini: &IniLines, joints: &[Joint], base: &Ini, demand: &Demand, report: &mut Report) {
+fn check_soft_limits(
+    ini: &IniLines,
+    joints: &[Joint],
+    base: &Ini,
+    demand: &OffsetRequirements,
+    report: &mut CheckReport,
+) {
     for joint in joints {
-        let (axis, max_um) = (AXES[joint.axis], demand.max_um[joint.axis]);
+        let (axis, max_um) = (AXIS_NAMES[joint.axis], demand.max_um[joint.axis]);
         let section = format!("AXIS_{axis}");
         let max = max_um / UM_PER_MM / base.mm_per_unit;
         let limits = ["MIN_LIMIT", "MAX_LIMIT"].map(|key| ini.number(&section, key));
@@ -386,14 +427,14 @@ fn soft_limits(ini: &IniLines, joints: &[Joint], base: &Ini, demand: &Demand, re
                 let what = format!(
                     "[{section}]{key} = {of_axis} and an offset of {max_um} um are {}, beyond [{}]{key} = {of_joint}: \
                      close to it the offset stands back",
-                    round(reaches),
-                    joint.section()
+                    round_to_millionth(reaches),
+                    joint.section_name()
                 );
                 let mend = format!(
                     "leave room for it: [{section}]{key} = {}, or [{}]{key} = {} if the machine can go there",
-                    round(of_joint - sign * max),
-                    joint.section(),
-                    round(reaches)
+                    round_to_millionth(of_joint - sign * max),
+                    joint.section_name(),
+                    round_to_millionth(reaches)
                 );
                 report.findings.push(Finding::warning(place.clone(), what, mend));
             }
@@ -402,6 +443,6 @@ fn soft_limits(ini: &IniLines, joints: &[Joint], base: &Ini, demand: &Demand, re
 }
 
 /// Rounds to a millionth, which is arithmetic.
-fn round(value: f64) -> f64 {
+fn round_to_millionth(value: f64) -> f64 {
     (value * 1e6).round() / 1e6
 }

@@ -3,9 +3,9 @@
 use trueup_machine::{BadInput, Location, Machine};
 
 use super::{
-    Entry,
+    OffsetEntryPoint,
+    boardless::BoardlessConfig,
     inputs::{self, NamedInput},
-    no_board::NoBoard,
 };
 
 /// How much a finding matters.
@@ -53,9 +53,9 @@ impl From<BadInput> for Finding {
 
 /// Requirements on the offsets.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Demand {
+pub struct OffsetRequirements {
     /// Where they enter.
-    pub entry: Entry,
+    pub entry: OffsetEntryPoint,
     /// Largest offset of X, Y and Z, in µm.
     pub max_um: [f64; 3],
     /// Fastest change, in µm/s.
@@ -67,13 +67,13 @@ pub struct Demand {
     /// How many angles of rotary axes the machine file has.
     pub angles: usize,
     /// The bridge runs in the servo thread; `None`: on a board.
-    pub no_board: Option<NoBoard>,
+    pub no_board: Option<BoardlessConfig>,
 }
 
-impl Demand {
-    /// Returns what a machine file asks for; without one, the limits that the component then uses.
+impl OffsetRequirements {
+    /// Returns what a machine file requires; without one, the limits that the component then uses.
     #[must_use]
-    pub fn of(entry: Entry, machine: Option<&Machine>) -> Self {
+    pub fn from_machine(entry: OffsetEntryPoint, machine: Option<&Machine>) -> Self {
         let limits = machine.map(|it| it.limits).unwrap_or_default();
         let corrects_screw = machine.map(|machine| {
             machine
@@ -87,7 +87,7 @@ impl Demand {
             max_um: limits.max_um,
             slew_um_per_s,
             corrects_screw,
-            inputs: machine.map(inputs::of_control).unwrap_or_default(),
+            inputs: machine.map(inputs::required_inputs).unwrap_or_default(),
             angles: machine.map_or(0, |it| it.angle_axes().len()),
             no_board: None,
         }

@@ -5,16 +5,16 @@
 
 use std::{collections::BTreeMap, path::PathBuf};
 
-use trueup_machine::{BadInput, Location, bounded, file::MAX_BYTES};
+use trueup_machine::{BadInput, Location, bounded_read, file::MAX_FILE_BYTES};
 
-use super::ini_lines::{IniLines, Value, expand_home, is_file};
+use super::ini_lines::{IniLines, IniValue, expand_home, is_file};
 
 /// Where LinuxCNC keeps HAL files of its own, unless `HALLIB_DIR` says otherwise.
-const LIBRARY: &str = "/usr/share/linuxcnc/hallib";
+const HAL_LIBRARY_DIR: &str = "/usr/share/linuxcnc/hallib";
 /// `source` may call files that call files, so deep.
-const MAX_DEPTH: usize = 8;
+const MAX_SOURCE_DEPTH: usize = 8;
 /// Between the pins of a `net`.
-const ARROWS: [&str; 3] = ["=>", "<=", "<=>"];
+const NET_ARROWS: [&str; 3] = ["=>", "<=", "<=>"];
 
 /// A command of a HAL file.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -44,7 +44,7 @@ pub struct HalFiles {
     /// The last `HALFILE` line that is the user's.
     pub last_line: Option<Location>,
     /// `HALFILE` lines that name a Tcl file.
-    pub tcl: Vec<Value>,
+    pub tcl: Vec<IniValue>,
 }
 
 impl HalFiles {
@@ -62,23 +62,23 @@ impl HalFiles {
                 all.tcl.push(value);
                 continue;
             }
-            let path = find(ini, name).ok_or_else(|| {
+            let path = find_hal_file(ini, name).ok_or_else(|| {
                 BadInput::new(
                     value.place.clone(),
                     format!("HALFILE = {name}: there is no such file"),
                 )
                 .with_help("LinuxCNC looks next to the INI file and in its library")
             })?;
-            read_into(&mut all.commands, ini, &path, 0)?;
+            append_commands(&mut all.commands, ini, &path, 0)?;
         }
         for value in users("HALCMD") {
-            all.late.extend(command(ini, &value.text, &value.place));
+            all.late.extend(parse_command(ini, &value.text, &value.place));
         }
         for value in users("POSTGUI_HALFILE") {
             let name = value.text.split_whitespace().next().unwrap_or_default();
             // A screen that is not installed leaves its file away.
-            if let Some(path) = find(ini, name).filter(|_| !name.ends_with(".tcl")) {
-                read_into(&mut all.late, ini, &path, 0)?;
+            if let Some(path) = find_hal_file(ini, name).filter(|_| !name.ends_with(".tcl")) {
+                append_commands(&mut all.late, ini, &path, 0)?;
             }
         }
         Ok(all)
@@ -86,32 +86,32 @@ impl HalFiles {
 
     /// Returns the signal that a pin is on after the HAL files.
     #[must_use]
-    pub(crate) fn link(&self, pin: &str) -> Option<Link> {
-        links(&self.commands).remove(pin)
+    pub(crate) fn find_link(&self, pin: &str) -> Option<Link> {
+        collect_links(&self.commands).remove(pin)
     }
 
     /// Returns the signal that a pin is on after the HAL files or after what comes later.
     #[must_use]
-    pub(crate) fn link_at_last(&self, pin: &str) -> Option<Link> {
-        self.link(pin).or_else(|| links(&self.late).remove(pin))
+    pub(crate) fn final_link(&self, pin: &str) -> Option<Link> {
+        self.find_link(pin).or_else(|| collect_links(&self.late).remove(pin))
     }
 
     /// Returns the line that names a pin after the HAL files.
     #[must_use]
-    pub(crate) fn late_use(&self, pin: &str) -> Option<Location> {
+    pub(crate) fn late_reference(&self, pin: &str) -> Option<Location> {
         let names = |command: &&HalCommand| command.words.iter().skip(1).any(|word| word == pin);
         self.late.iter().find(names).map(|command| command.place.clone())
     }
 
     /// Returns true if a command of the HAL files names this signal.
     #[must_use]
-    pub fn names(&self, signal: &str) -> bool {
+    pub(crate) fn has_signal(&self, signal: &str) -> bool {
         self.commands.iter().any(|it| it.words.iter().skip(1).any(|word| word == signal))
     }
 
     /// Returns the first command that loads this realtime module.
     #[must_use]
-    pub fn loads(&self, module: &str) -> Option<&HalCommand> {
+    pub(crate) fn find_loadrt(&self, module: &str) -> Option<&HalCommand> {
         let all = self.commands.iter().chain(&self.late);
         all.into_iter().find(|it| {
             it.words[0] == "loadrt" && it.words.get(1).is_some_and(|word| word == module)
@@ -122,11 +122,13 @@ impl HalFiles {
     ///
     /// # Errors
     /// No thread runs it, or a position is beyond the functions that are there.
-    pub fn thread(&self) -> Result<(String, Vec<String>), BadThread> {
+    pub(crate) fn motion_thread(&self) -> Result<(String, Vec<String>), ThreadOrderError> {
         let controller = self.commands.iter().find(|it| {
-            it.words[0] == "addf" && it.words[1..].first().is_some_and(|word| word == CONTROLLER)
+            it.words[0] == "addf"
+                && it.words[1..].first().is_some_and(|word| word == MOTION_CONTROLLER_FUNCTION)
         });
-        let thread = controller.and_then(|it| it.words.get(2)).ok_or(BadThread(None))?.clone();
+        let thread =
+            controller.and_then(|it| it.words.get(2)).ok_or(ThreadOrderError(None))?.clone();
         let mut functions: Vec<String> = Vec::new();
         for command in &self.commands {
             match &command.words.iter().map(String::as_str).collect::<Vec<_>>()[..] {
@@ -144,7 +146,7 @@ impl HalFiles {
                         _ => usize::MAX,
                     };
                     if index > functions.len() {
-                        return Err(BadThread(Some(command.place.clone())));
+                        return Err(ThreadOrderError(Some(command.place.clone())));
                     }
                     functions.insert(index, (*function).to_owned());
                 }
@@ -157,31 +159,31 @@ impl HalFiles {
 }
 
 /// The function of LinuxCNC's motion controller.
-pub(crate) const CONTROLLER: &str = "motion-controller";
+pub(crate) const MOTION_CONTROLLER_FUNCTION: &str = "motion-controller";
 
 /// A thread whose order is not known: no `addf` of the motion controller, or a bad position, with its line.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct BadThread(pub Option<Location>);
+pub(crate) struct ThreadOrderError(pub Option<Location>);
 
 /// Looks for a HAL file as the script `linuxcnc` does.
-fn find(ini: &IniLines, name: &str) -> Option<PathBuf> {
-    let library =
-        std::env::var_os("HALLIB_DIR").map_or_else(|| PathBuf::from(LIBRARY), PathBuf::from);
+fn find_hal_file(ini: &IniLines, name: &str) -> Option<PathBuf> {
+    let library = std::env::var_os("HALLIB_DIR")
+        .map_or_else(|| PathBuf::from(HAL_LIBRARY_DIR), PathBuf::from);
     let places = match name.strip_prefix("LIB:") {
         Some(name) => vec![library.join(name)],
-        // An absolute path stays as it is.
+        // An absolute path stays unchanged.
         None => vec![ini.folder().join(expand_home(name)), library.join(name)],
     };
     places.into_iter().find(|path| is_file(path))
 }
 
-fn read_into(
+fn append_commands(
     commands: &mut Vec<HalCommand>,
     ini: &IniLines,
     path: &std::path::Path,
     depth: usize,
 ) -> Result<(), BadInput> {
-    let text = bounded::read_text(path, MAX_BYTES)?;
+    let text = bounded_read::read_text(path, MAX_FILE_BYTES)?;
     let mut lines = text.lines().enumerate();
     while let Some((index, line)) = lines.next() {
         let mut whole = line.trim_end().to_owned();
@@ -192,14 +194,14 @@ fn read_into(
             whole.push_str(next.trim_end());
         }
         let place = Location { file: path.to_path_buf(), line: index + 1, column: 1 };
-        let Some(command) = command(ini, &whole, &place) else { continue };
+        let Some(command) = parse_command(ini, &whole, &place) else { continue };
         if let ["source", name] = &command.words.iter().map(String::as_str).collect::<Vec<_>>()[..]
         {
-            let found = find(ini, name).filter(|_| depth < MAX_DEPTH);
+            let found = find_hal_file(ini, name).filter(|_| depth < MAX_SOURCE_DEPTH);
             let found = found.ok_or_else(|| {
                 BadInput::new(place, format!("source {name}: there is no such file"))
             })?;
-            read_into(commands, ini, &found, depth + 1)?;
+            append_commands(commands, ini, &found, depth + 1)?;
         } else {
             commands.push(command);
         }
@@ -208,9 +210,9 @@ fn read_into(
 }
 
 /// Returns the command of a line; `None` for a comment or an empty line.
-fn command(ini: &IniLines, line: &str, place: &Location) -> Option<HalCommand> {
+fn parse_command(ini: &IniLines, line: &str, place: &Location) -> Option<HalCommand> {
     let line = line.split('#').next().unwrap_or_default();
-    let replaced = line.split_whitespace().map(|word| with_values(ini, word));
+    let replaced = line.split_whitespace().map(|word| substitute_ini_values(ini, word));
     // A value may be several words: `loadrt [KINS]KINEMATICS`.
     let words: Vec<String> = replaced
         .flat_map(|word| word.split_whitespace().map(str::to_owned).collect::<Vec<_>>())
@@ -219,7 +221,7 @@ fn command(ini: &IniLines, line: &str, place: &Location) -> Option<HalCommand> {
 }
 
 /// Replaces `[SECTION]KEY` and `[SECTION](KEY)` in a word.
-fn with_values(ini: &IniLines, word: &str) -> String {
+fn substitute_ini_values(ini: &IniLines, word: &str) -> String {
     let Some((before, rest)) = word.split_once('[') else { return word.to_owned() };
     let Some((section, rest)) = rest.split_once(']') else { return word.to_owned() };
     let (key, after) = match rest.strip_prefix('(').and_then(|rest| rest.split_once(')')) {
@@ -232,18 +234,18 @@ fn with_values(ini: &IniLines, word: &str) -> String {
         }
     };
     match ini.value(section, key) {
-        Some(value) => format!("{before}{}{}", value.text, with_values(ini, after)),
+        Some(value) => format!("{before}{}{}", value.text, substitute_ini_values(ini, after)),
         None => word.to_owned(),
     }
 }
 
 /// Returns each pin's signal after these commands.
-fn links(commands: &[HalCommand]) -> BTreeMap<String, Link> {
+fn collect_links(commands: &[HalCommand]) -> BTreeMap<String, Link> {
     let mut links: BTreeMap<String, Link> = BTreeMap::new();
     for HalCommand { words, place } in commands {
         let link = |signal: &str| Link { signal: signal.to_owned(), place: place.clone() };
         let words: Vec<&str> =
-            words.iter().map(String::as_str).filter(|word| !ARROWS.contains(word)).collect();
+            words.iter().map(String::as_str).filter(|word| !NET_ARROWS.contains(word)).collect();
         match &words[..] {
             ["net", signal, pins @ ..] => {
                 links.extend(pins.iter().map(|pin| ((*pin).to_owned(), link(signal))));
@@ -296,7 +298,7 @@ pub(crate) mod tests {
             ("more.hal", "net [W](NAME)-x p9\n"),
         ]);
         let hal = hal.expect("reads");
-        let on = |pin: &str| hal.link(pin).map(|it| it.signal);
+        let on = |pin: &str| hal.find_link(pin).map(|it| it.signal);
         let expected =
             [("p2", Some("a")), ("p3", None), ("p4", None), ("p7", Some("p6")), ("p8", Some("a"))];
         for (pin, signal) in expected {
@@ -304,9 +306,9 @@ pub(crate) mod tests {
         }
         // A HALCMD line runs after all HAL files, and so after those of setup.
         assert_eq!(on("p10"), None);
-        assert_eq!(hal.link_at_last("p10").map(|it| it.signal).as_deref(), Some("c"));
-        assert_eq!(hal.late_use("p10").map(|it| it.line), Some(3));
-        assert_eq!(hal.link("p2").expect("linked").place.line, 1);
+        assert_eq!(hal.final_link("p10").map(|it| it.signal).as_deref(), Some("c"));
+        assert_eq!(hal.late_reference("p10").map(|it| it.line), Some(3));
+        assert_eq!(hal.find_link("p2").expect("linked").place.line, 1);
         assert!(on("p9").is_some(), "a sourced file counts");
     }
 
@@ -316,14 +318,14 @@ pub(crate) mod tests {
                    addf other base-thread\naddf before-last servo-thread -2\naddf gone servo-thread\ndelf gone servo-thread\n";
         let (_folder, _, hal) =
             configuration(&[("m.ini", "[HAL]\nHALFILE = m.hal\n"), ("m.hal", hal)]);
-        let (thread, functions) = hal.expect("reads").thread().expect("one");
+        let (thread, functions) = hal.expect("reads").motion_thread().expect("one");
         assert_eq!(thread, "servo-thread");
         assert_eq!(functions, ["first", "motion-controller", "before-last", "late"]);
         let (_folder, _, hal) = configuration(&[
             ("m.ini", "[HAL]\nHALFILE = m.hal\n"),
             ("m.hal", "addf x servo-thread\n"),
         ]);
-        assert_eq!(hal.expect("reads").thread(), Err(BadThread(None)));
+        assert_eq!(hal.expect("reads").motion_thread(), Err(ThreadOrderError(None)));
     }
 
     #[test]

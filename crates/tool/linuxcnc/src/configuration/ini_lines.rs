@@ -4,20 +4,21 @@
 //! line of a key wins, except for keys that may repeat (`HALFILE`); `#INCLUDE file` at the beginning of a line of the
 //! INI file itself is replaced by that file, whose own `#INCLUDE` lines are comments.
 //!
-//! Lines between `BEGIN` and [`END`] are those of `trueup linuxcnc setup`.
+//! Lines between `SETUP_BLOCK_BEGIN` and `SETUP_BLOCK_END` are those of `trueup linuxcnc setup`.
 
 use std::{
     fs,
     path::{Path, PathBuf},
 };
 
-use trueup_machine::{BadInput, Location, bounded, file::MAX_BYTES};
+use trueup_machine::{BadInput, Location, bounded_read, file::MAX_FILE_BYTES};
 
 /// The first line of what setup has added.
-pub(crate) const BEGIN: &str = "# >>> trueup linuxcnc setup; --remove takes these lines out";
+pub(crate) const SETUP_BLOCK_BEGIN: &str =
+    "# >>> trueup linuxcnc setup; --remove takes these lines out";
 /// The last line of what setup has added.
-pub const END: &str = "# <<< trueup linuxcnc setup";
-const INCLUDE: &str = "#INCLUDE";
+pub(crate) const SETUP_BLOCK_END: &str = "# <<< trueup linuxcnc setup";
+const INCLUDE_DIRECTIVE: &str = "#INCLUDE";
 
 /// A line of an INI file.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -29,7 +30,7 @@ struct Line {
 
 /// A value with its place.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Value {
+pub struct IniValue {
     /// Text without surrounding blanks.
     pub text: String,
     /// Place of the value.
@@ -38,7 +39,7 @@ pub struct Value {
     pub is_ours: bool,
 }
 
-impl Value {
+impl IniValue {
     /// Returns the words before a comment.
     #[must_use]
     pub(crate) fn without_comment(&self) -> &str {
@@ -60,8 +61,8 @@ impl IniLines {
     /// A file cannot be read, or a line of setup's block is missing.
     pub fn read(path: &Path) -> Result<Self, BadInput> {
         let mut lines = Vec::new();
-        for line in lines_of(path)? {
-            let Some(rest) = line.text.strip_prefix(INCLUDE) else {
+        for line in read_lines(path)? {
+            let Some(rest) = line.text.strip_prefix(INCLUDE_DIRECTIVE) else {
                 lines.push(line);
                 continue;
             };
@@ -69,8 +70,8 @@ impl IniLines {
             if name.is_empty() {
                 return Err(BadInput::new(line.place, "#INCLUDE names no file"));
             }
-            let included = folder_of(path).join(expand_home(name));
-            let read = lines_of(&included).map_err(|error| {
+            let included = parent_folder(path).join(expand_home(name));
+            let read = read_lines(&included).map_err(|error| {
                 BadInput::new(line.place.clone(), format!("#INCLUDE {name}: {}", error.rule))
                     .with_help("give the path of the file, or take the line out")
             })?;
@@ -88,41 +89,41 @@ impl IniLines {
     /// Returns the folder of the INI file, where LinuxCNC runs.
     #[must_use]
     pub fn folder(&self) -> &Path {
-        folder_of(&self.path)
+        parent_folder(&self.path)
     }
 
     /// Returns the whole text, with included files in their places.
     #[must_use]
-    pub fn text(&self) -> String {
+    pub fn to_text(&self) -> String {
         self.lines.iter().flat_map(|line| [line.text.as_str(), "\n"]).collect()
     }
 
-    /// Returns the place of a line of [`IniLines::text`], counted from 1, with this column.
+    /// Returns the place of a line of [`IniLines::to_text`], counted from 1, with this column.
     #[must_use]
-    pub fn place_of_line(&self, line: usize, column: usize) -> Location {
+    pub fn line_location(&self, line: usize, column: usize) -> Location {
         let place = line.checked_sub(1).and_then(|index| self.lines.get(index));
-        let start = || Location::start_of(&self.path);
+        let start = || Location::start_of_file(&self.path);
         place.map_or_else(start, |line| Location { column, ..line.place.clone() })
     }
 
     /// Returns the lines of the first section of this name, without its header.
-    fn section(&self, section: &str) -> impl Iterator<Item = &Line> {
-        let is_header = |line: &&Line| header(&line.text).is_some();
-        let is_this = move |line: &&Line| header(&line.text) == Some(section);
+    fn section_lines(&self, section: &str) -> impl Iterator<Item = &Line> {
+        let is_header = |line: &&Line| parse_section_header(&line.text).is_some();
+        let is_this = move |line: &&Line| parse_section_header(&line.text) == Some(section);
         let start = self.lines.iter().position(|line| is_this(&line)).map(|index| index + 1);
         let start = start.unwrap_or(self.lines.len());
         self.lines[start..].iter().take_while(move |line| !is_header(line))
     }
 
     /// Returns every value of a key that may repeat.
-    pub fn values(&self, section: &str, key: &str) -> Vec<Value> {
-        self.section(section).filter_map(|line| value(line, key)).collect()
+    pub fn values(&self, section: &str, key: &str) -> Vec<IniValue> {
+        self.section_lines(section).filter_map(|line| parse_value(line, key)).collect()
     }
 
     /// Returns the value of a key.
     #[must_use]
-    pub fn value(&self, section: &str, key: &str) -> Option<Value> {
-        self.section(section).find_map(|line| value(line, key))
+    pub fn value(&self, section: &str, key: &str) -> Option<IniValue> {
+        self.section_lines(section).find_map(|line| parse_value(line, key))
     }
 
     /// Returns the number of a key.
@@ -142,21 +143,22 @@ impl IniLines {
 
     /// Returns the place of a section's header; the start of the file if there is none.
     #[must_use]
-    pub(crate) fn place_of_section(&self, section: &str) -> Location {
-        self.header_of(section).unwrap_or_else(|| Location::start_of(&self.path))
+    pub(crate) fn section_location(&self, section: &str) -> Location {
+        self.section_header(section).unwrap_or_else(|| Location::start_of_file(&self.path))
     }
 
     /// Returns the place of a section's header.
     #[must_use]
-    pub(crate) fn header_of(&self, section: &str) -> Option<Location> {
-        let line = self.lines.iter().find(|line| header(&line.text) == Some(section));
+    pub(crate) fn section_header(&self, section: &str) -> Option<Location> {
+        let line = self.lines.iter().find(|line| parse_section_header(&line.text) == Some(section));
         line.map(|line| line.place.clone())
     }
 
     /// Returns a second section of a name whose first one counts alone.
     #[must_use]
-    pub(crate) fn second_header_of(&self, section: &str) -> Option<Location> {
-        let same = self.lines.iter().filter(|line| header(&line.text) == Some(section));
+    pub(crate) fn duplicate_header(&self, section: &str) -> Option<Location> {
+        let same =
+            self.lines.iter().filter(|line| parse_section_header(&line.text) == Some(section));
         same.skip(1).map(|line| line.place.clone()).next()
     }
 
@@ -175,7 +177,7 @@ impl IniLines {
 
 /// Returns the folder of a file, `.` for a bare name.
 #[must_use]
-pub(crate) fn folder_of(path: &Path) -> &Path {
+pub(crate) fn parent_folder(path: &Path) -> &Path {
     match path.parent() {
         Some(folder) if folder != Path::new("") => folder,
         _ => Path::new("."),
@@ -198,33 +200,33 @@ pub fn is_file(path: &Path) -> bool {
     fs::metadata(path).is_ok_and(|it| it.is_file())
 }
 
-fn lines_of(path: &Path) -> Result<Vec<Line>, BadInput> {
-    let text = bounded::read_text(path, MAX_BYTES)?;
+fn read_lines(path: &Path) -> Result<Vec<Line>, BadInput> {
+    let text = bounded_read::read_text(path, MAX_FILE_BYTES)?;
     let mut lines = Vec::new();
     let mut begun: Option<Location> = None;
     for (index, text) in text.lines().enumerate() {
         let place = Location { file: path.to_path_buf(), line: index + 1, column: 1 };
-        if text.trim_end() == BEGIN {
+        if text.trim_end() == SETUP_BLOCK_BEGIN {
             begun = Some(place.clone());
         }
         lines.push(Line { place, text: text.to_owned(), is_ours: begun.is_some() });
-        if text.trim_end() == END {
+        if text.trim_end() == SETUP_BLOCK_END {
             begun = None;
         }
     }
     match begun {
-        Some(place) => Err(BadInput::new(place, format!("the line \"{END}\" is missing after this one"))
+        Some(place) => Err(BadInput::new(place, format!("the line \"{SETUP_BLOCK_END}\" is missing after this one"))
             .with_help("put it after the lines that setup has added, or restore the file from its backup, FILE.trueup-backup")),
         None => Ok(lines),
     }
 }
 
 /// Returns the name of a section, if the line is its header.
-fn header(line: &str) -> Option<&str> {
+fn parse_section_header(line: &str) -> Option<&str> {
     line.trim_start().strip_prefix('[')?.split(']').next().map(str::trim)
 }
 
-fn value(line: &Line, key: &str) -> Option<Value> {
+fn parse_value(line: &Line, key: &str) -> Option<IniValue> {
     if line.text.trim_start().starts_with(['#', ';']) {
         return None;
     }
@@ -235,7 +237,7 @@ fn value(line: &Line, key: &str) -> Option<Value> {
     let blanks = value.chars().take_while(|it| it.is_whitespace()).count();
     let column = name.chars().count() + 2 + blanks;
     let place = Location { column, ..line.place.clone() };
-    Some(Value { text: value.trim().to_owned(), place, is_ours: line.is_ours })
+    Some(IniValue { text: value.trim().to_owned(), place, is_ours: line.is_ours })
 }
 
 #[cfg(test)]
@@ -261,14 +263,15 @@ mod tests {
         assert_eq!((z.place.line, z.place.file.ends_with("b.inc")), (1, true));
         let k = ini.value("B", "K").expect("included");
         assert_eq!((k.text.as_str(), k.place.line, k.place.column), ("v w", 3, 7));
-        assert!(ini.second_header_of("A").is_some() && ini.second_header_of("B").is_none());
+        assert!(ini.duplicate_header("A").is_some() && ini.duplicate_header("B").is_none());
     }
 
     #[test]
     fn a_missing_include_and_an_unfinished_block_are_refused_with_their_place() {
         let error = read(&[("m.ini", "[A]\n#INCLUDE none.inc\n")]).expect_err("not there");
         assert!((error.place.line, error.rule.contains("none.inc")) == (2, true), "{error}");
-        let error = read(&[("m.ini", &format!("[A]\n{BEGIN}\nX = 1\n"))]).expect_err("no end");
+        let error =
+            read(&[("m.ini", &format!("[A]\n{SETUP_BLOCK_BEGIN}\nX = 1\n"))]).expect_err("no end");
         assert_eq!(error.place.line, 2);
         let error = read(&[("m.ini", "[A]\nX = much\n")]).expect("reads").1.number("A", "X");
         assert_eq!(error.expect_err("no number").place.column, 5);

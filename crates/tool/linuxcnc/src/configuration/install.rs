@@ -1,6 +1,6 @@
 //! Puts offsets into a configuration, and takes them out again.
 //!
-//! Setup adds whole lines between `BEGIN` and [`END`] and two HAL files; everything else stays as it is to the byte,
+//! Setup adds whole lines between `SETUP_BLOCK_BEGIN` and `SETUP_BLOCK_END` and two HAL files; everything else stays identical to the byte,
 //! also a last line without an end, and line ends of DOS. So taking them out needs no copy, and edits that were made
 //! meanwhile survive. A copy of each file as it was before the first setup is kept all the same.
 
@@ -9,28 +9,28 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use trueup_machine::{BadInput, Location, bounded, file::MAX_BYTES};
-use trueup_store::calibration::whole;
+use trueup_machine::{BadInput, Location, bounded_read, file::MAX_FILE_BYTES};
+use trueup_store::calibration::validate_blob;
 
 use super::{
-    Entry,
-    check::{Report, check},
-    finding::{Demand, Finding},
+    OffsetEntryPoint,
+    boardless::{CALIBRATION_FILE, THERMAL_STATE_FILE},
+    check::{CheckReport, check},
+    finding::{Finding, OffsetRequirements},
     hal_files::HalFiles,
-    ini_lines::{BEGIN, END, IniLines, is_file},
-    installed::{Bridge, SECTION, by_hand},
-    joints::{joints, ratio},
-    no_board::{CALIBRATION, HEAT},
-    wiring::{self, COMPONENT, REALTIME, WRITTEN},
+    ini_lines::{IniLines, SETUP_BLOCK_BEGIN, SETUP_BLOCK_END, is_file},
+    installed::{BridgeSettings, INI_SECTION, find_manual_setup},
+    joints::{compute_offset_av_ratio, read_joints},
+    wiring::{self, COMPONENT_HAL_FILE, GENERATED_FILE_HEADER, REALTIME_HAL_FILE},
 };
 use crate::ini::Ini;
 
 /// Added to the name of a file for its copy.
-const BACKUP: &str = ".trueup-backup";
+const BACKUP_SUFFIX: &str = ".trueup-backup";
 
 /// A file that changes.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Change {
+pub struct FileChange {
     /// Its path.
     pub path: PathBuf,
     /// Its new content; `None`: it is removed.
@@ -42,14 +42,14 @@ pub struct Change {
 ///
 /// # Errors
 /// A file cannot be read.
-pub fn setup(
+pub fn prepare_setup(
     ini: &IniLines,
     hal: &HalFiles,
-    demand: &Demand,
-    bridge: &Bridge,
-) -> Result<(Report, Vec<Change>), BadInput> {
+    demand: &OffsetRequirements,
+    bridge: &BridgeSettings,
+) -> Result<(CheckReport, Vec<FileChange>), BadInput> {
     let mut report = check(ini, hal, demand);
-    if let Some((place, _)) = by_hand(ini, hal) {
+    if let Some((place, _)) = find_manual_setup(ini, hal) {
         report.findings.push(Finding::error(
             place,
             "the component is connected by hand already",
@@ -57,7 +57,7 @@ pub fn setup(
         ));
     }
     let has_file = demand.no_board.is_some();
-    let calibration = has_file.then(|| whole_path(ini, CALIBRATION).display().to_string());
+    let calibration = has_file.then(|| absolute_path(ini, CALIBRATION_FILE).display().to_string());
     for (what, text) in [
         ("port", bridge.port.as_ref()),
         ("path", bridge.machine.as_ref()),
@@ -65,17 +65,17 @@ pub fn setup(
     ] {
         if let Some(text) = text.filter(|text| text.contains(char::is_whitespace)) {
             report.findings.push(Finding::error(
-                Location::start_of(ini.path()),
+                Location::start_of_file(ini.path()),
                 format!("the {what} \"{text}\" has a blank, at which a HAL file would cut it"),
                 "use one without blanks: rename it, or make a link to it",
             ));
         }
     }
-    for name in [REALTIME, COMPONENT] {
+    for name in [REALTIME_HAL_FILE, COMPONENT_HAL_FILE] {
         let path = ini.folder().join(name);
         if is_file(&path) && !is_written_by_setup(&path)? {
             report.findings.push(Finding::error(
-                Location::start_of(&path),
+                Location::start_of_file(&path),
                 "this file was not written by setup, which needs its name",
                 "move or rename it",
             ));
@@ -85,34 +85,36 @@ pub fn setup(
         return Ok((report, Vec::new()));
     }
     // Usable: both are there.
-    let joints = joints(ini)?;
-    let wiring =
-        wiring::wiring(ini, hal, &joints, demand).map_err(|findings| refusal(ini, &findings))?;
-    let mut blocks = Blocks::default();
+    let joints = read_joints(ini)?;
+    let wiring = wiring::generate_hal_files(ini, hal, &joints, demand)
+        .map_err(|findings| first_finding_error(ini, &findings))?;
+    let mut blocks = InsertedBlocks::default();
     if let Some(line) = &hal.last_line {
-        let lines = [REALTIME, COMPONENT].map(|name| format!("HALFILE = {name}"));
-        blocks.after(line, lines.to_vec());
+        let lines = [REALTIME_HAL_FILE, COMPONENT_HAL_FILE].map(|name| format!("HALFILE = {name}"));
+        blocks.insert_after(line, lines.to_vec());
     }
-    if demand.entry == Entry::Eoffset {
-        ratios(ini, demand, &mut blocks)?;
+    if demand.entry == OffsetEntryPoint::Eoffset {
+        add_default_ratios(ini, demand, &mut blocks)?;
     }
-    let mut section = vec![format!("[{SECTION}]"), format!("BY = {}", demand.entry.name())];
+    let mut section = vec![format!("[{INI_SECTION}]"), format!("BY = {}", demand.entry.name())];
     section.extend(bridge.port.iter().map(|port| format!("PORT = {port}")));
     section.extend(bridge.machine.iter().map(|machine| format!("MACHINE = {machine}")));
     match demand.no_board {
         // LinuxCNC may be started from anywhere.
         Some(_) => section.extend([
-            format!("CALIBRATION = {}", whole_path(ini, CALIBRATION).display()),
-            format!("HEAT = {}", whole_path(ini, HEAT).display()),
+            format!("CALIBRATION = {}", absolute_path(ini, CALIBRATION_FILE).display()),
+            format!("HEAT = {}", absolute_path(ini, THERMAL_STATE_FILE).display()),
         ]),
         None => section.push(format!("POSITION_PERIOD_MS = {}", bridge.position_period_ms)),
     }
     blocks.at_end.insert(ini.path().to_path_buf(), section);
-    let mut changes = blocks.changes(ini)?;
-    for (name, text) in [(REALTIME, wiring.realtime), (COMPONENT, wiring.component)] {
+    let mut changes = blocks.compute_changes(ini)?;
+    for (name, text) in
+        [(REALTIME_HAL_FILE, wiring.realtime), (COMPONENT_HAL_FILE, wiring.component)]
+    {
         let path = ini.folder().join(name);
-        if !is_file(&path) || bounded::read_text(&path, MAX_BYTES)? != text {
-            changes.push(Change { path, content: Some(text.into_bytes()) });
+        if !is_file(&path) || bounded_read::read_text(&path, MAX_FILE_BYTES)? != text {
+            changes.push(FileChange { path, content: Some(text.into_bytes()) });
         }
     }
     changes.extend(calibration_change(ini, demand.no_board.as_ref().map(|it| &it.blob))?);
@@ -123,63 +125,74 @@ pub fn setup(
 ///
 /// # Errors
 /// A file cannot be read.
-pub fn remove(ini: &IniLines) -> Result<Vec<Change>, BadInput> {
-    let mut changes = Blocks::default().changes(ini)?;
-    for name in [REALTIME, COMPONENT] {
+pub fn prepare_removal(ini: &IniLines) -> Result<Vec<FileChange>, BadInput> {
+    let mut changes = InsertedBlocks::default().compute_changes(ini)?;
+    for name in [REALTIME_HAL_FILE, COMPONENT_HAL_FILE] {
         let path = ini.folder().join(name);
         if is_file(&path) && is_written_by_setup(&path)? {
-            changes.push(Change { path, content: None });
+            changes.push(FileChange { path, content: None });
         }
     }
     changes.extend(calibration_change(ini, None)?);
-    let heat = whole_path(ini, HEAT);
+    let heat = absolute_path(ini, THERMAL_STATE_FILE);
     if is_file(&heat) {
-        changes.push(Change { path: heat, content: None });
+        changes.push(FileChange { path: heat, content: None });
     }
     Ok(changes)
 }
 
 /// Returns the whole path of a file next to the INI file.
-fn whole_path(ini: &IniLines, name: &str) -> PathBuf {
+fn absolute_path(ini: &IniLines, name: &str) -> PathBuf {
     let folder = ini.folder();
     std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_path_buf()).join(name)
 }
 
 /// Returns the change of the calibration's file, if it has to change. A file that is no calibration is not ours.
-fn calibration_change(ini: &IniLines, blob: Option<&Vec<u8>>) -> Result<Option<Change>, BadInput> {
-    let path = whole_path(ini, CALIBRATION);
-    let before = if is_file(&path) { Some(bounded::read(&path, MAX_BYTES)?) } else { None };
-    if before.as_ref() == blob || before.as_ref().is_some_and(|it| whole(it).is_err()) {
+fn calibration_change(
+    ini: &IniLines,
+    blob: Option<&Vec<u8>>,
+) -> Result<Option<FileChange>, BadInput> {
+    let path = absolute_path(ini, CALIBRATION_FILE);
+    let before =
+        if is_file(&path) { Some(bounded_read::read(&path, MAX_FILE_BYTES)?) } else { None };
+    if before.as_ref() == blob || before.as_ref().is_some_and(|it| validate_blob(it).is_err()) {
         return Ok(None);
     }
-    Ok(Some(Change { path, content: blob.cloned() }))
+    Ok(Some(FileChange { path, content: blob.cloned() }))
 }
 
-fn refusal(ini: &IniLines, findings: &[Finding]) -> BadInput {
+fn first_finding_error(ini: &IniLines, findings: &[Finding]) -> BadInput {
     let first = findings.first().cloned();
     let first = first.map(|it| BadInput::new(it.place, it.what).with_help(it.help));
-    first.unwrap_or_else(|| BadInput::new(Location::start_of(ini.path()), "it cannot be set up"))
+    first.unwrap_or_else(|| {
+        BadInput::new(Location::start_of_file(ini.path()), "it cannot be set up")
+    })
 }
 
 fn is_written_by_setup(path: &Path) -> Result<bool, BadInput> {
-    Ok(bounded::read_text(path, MAX_BYTES)?.lines().next() == Some(WRITTEN))
+    Ok(bounded_read::read_text(path, MAX_FILE_BYTES)?.lines().next() == Some(GENERATED_FILE_HEADER))
 }
 
 /// `OFFSET_AV_RATIO` of each axis that states none.
-fn ratios(ini: &IniLines, demand: &Demand, blocks: &mut Blocks) -> Result<(), BadInput> {
-    let base = Ini::parse(&ini.text()).map_err(|error| {
-        BadInput::new(ini.place_of_line(error.place.0, error.place.1), error.rule)
+fn add_default_ratios(
+    ini: &IniLines,
+    demand: &OffsetRequirements,
+    blocks: &mut InsertedBlocks,
+) -> Result<(), BadInput> {
+    let base = Ini::parse(&ini.to_text()).map_err(|error| {
+        BadInput::new(ini.line_location(error.place.0, error.place.1), error.rule)
     })?;
-    let joints = joints(ini)?;
+    let joints = read_joints(ini)?;
     for (axis, motion) in base.axes.iter().enumerate() {
         let section = format!("AXIS_{}", ["X", "Y", "Z"][axis]);
         let stated = ini.value(&section, "OFFSET_AV_RATIO").is_some_and(|value| !value.is_ours);
-        let header = ini.header_of(&section);
+        let header = ini.section_header(&section);
         let is_there = joints.iter().any(|joint| joint.axis == axis);
         if let (true, false, Some(header)) = (is_there, stated, header)
-            && let Some(ratio) = ratio(motion.velocity_mm_per_s, demand.slew_um_per_s)
+            && let Some(ratio) =
+                compute_offset_av_ratio(motion.velocity_mm_per_s, demand.slew_um_per_s)
         {
-            blocks.after(&header, vec![format!("OFFSET_AV_RATIO = {ratio:.6}")]);
+            blocks.insert_after(&header, vec![format!("OFFSET_AV_RATIO = {ratio:.6}")]);
         }
     }
     Ok(())
@@ -187,40 +200,40 @@ fn ratios(ini: &IniLines, demand: &Demand, blocks: &mut Blocks) -> Result<(), Ba
 
 /// Lines to be added to files.
 #[derive(Debug, Default)]
-struct Blocks {
+struct InsertedBlocks {
     after: BTreeMap<PathBuf, BTreeMap<usize, Vec<String>>>,
     at_end: BTreeMap<PathBuf, Vec<String>>,
 }
 
-impl Blocks {
-    fn after(&mut self, place: &Location, lines: Vec<String>) {
+impl InsertedBlocks {
+    fn insert_after(&mut self, place: &Location, lines: Vec<String>) {
         self.after.entry(place.file.clone()).or_default().insert(place.line, lines);
     }
 
     /// Returns the files that change: what setup had added goes, and these blocks come.
-    fn changes(&self, ini: &IniLines) -> Result<Vec<Change>, BadInput> {
+    fn compute_changes(&self, ini: &IniLines) -> Result<Vec<FileChange>, BadInput> {
         let mut changes = Vec::new();
         for path in ini.files() {
-            let before = bounded::read_text(&path, MAX_BYTES)?;
+            let before = bounded_read::read_text(&path, MAX_FILE_BYTES)?;
             let none = BTreeMap::new();
             let after = self.after.get(&path).unwrap_or(&none);
-            let text = with_blocks(&before, after, self.at_end.get(&path));
+            let text = replace_blocks(&before, after, self.at_end.get(&path));
             if text == before {
                 continue;
             }
             let mut copy = path.clone().into_os_string();
-            copy.push(BACKUP);
-            if !before.contains(BEGIN) {
-                changes.push(Change { path: copy.into(), content: Some(before.into_bytes()) });
+            copy.push(BACKUP_SUFFIX);
+            if !before.contains(SETUP_BLOCK_BEGIN) {
+                changes.push(FileChange { path: copy.into(), content: Some(before.into_bytes()) });
             }
-            changes.push(Change { path, content: Some(text.into_bytes()) });
+            changes.push(FileChange { path, content: Some(text.into_bytes()) });
         }
         Ok(changes)
     }
 }
 
 /// Returns the text without what setup had added and with these blocks after the lines with these numbers.
-fn with_blocks(
+fn replace_blocks(
     text: &str,
     after: &BTreeMap<usize, Vec<String>>,
     at_end: Option<&Vec<String>>,
@@ -228,12 +241,14 @@ fn with_blocks(
     let end_of_line = if text.contains("\r\n") { "\r\n" } else { "\n" };
     let mut new = String::with_capacity(text.len());
     let block = |new: &mut String, lines: &[String]| {
-        let all = std::iter::once(BEGIN).chain(lines.iter().map(String::as_str)).chain([END]);
+        let all = std::iter::once(SETUP_BLOCK_BEGIN)
+            .chain(lines.iter().map(String::as_str))
+            .chain([SETUP_BLOCK_END]);
         all.for_each(|line| new.extend([line, end_of_line]));
     };
     let mut is_ours = false;
     for (index, line) in text.split_inclusive('\n').enumerate() {
-        is_ours |= line.trim_end() == BEGIN;
+        is_ours |= line.trim_end() == SETUP_BLOCK_BEGIN;
         if !is_ours {
             new.push_str(line);
             if !line.ends_with('\n') {
@@ -243,7 +258,7 @@ fn with_blocks(
                 block(&mut new, lines);
             }
         }
-        is_ours &= line.trim_end() != END;
+        is_ours &= line.trim_end() != SETUP_BLOCK_END;
     }
     if let Some(lines) = at_end {
         block(&mut new, lines);
@@ -274,17 +289,17 @@ mod tests {
             let after: BTreeMap<usize, Vec<String>> =
                 [(1, block(&["one", "two"])), (2, block(&["three"]))].into();
             let end = block(&["[END]"]);
-            let with = with_blocks(text, &after, Some(&end));
+            let with = replace_blocks(text, &after, Some(&end));
             assert!(with.contains("two") && with.contains("[END]"), "{with}");
-            assert_eq!(with_blocks(&with, &BTreeMap::new(), None), text);
+            assert_eq!(replace_blocks(&with, &BTreeMap::new(), None), text);
             assert_eq!(with.ends_with('\n'), text.ends_with('\n'));
         }
     }
 
     #[test]
     fn edits_beside_the_blocks_survive() {
-        let with = with_blocks("[A]\nX = 1\n", &[(2, block(&["ours"]))].into(), None);
+        let with = replace_blocks("[A]\nX = 1\n", &[(2, block(&["ours"]))].into(), None);
         let edited = format!("# new\n{with}Y = 2\n");
-        assert_eq!(with_blocks(&edited, &BTreeMap::new(), None), "# new\n[A]\nX = 1\nY = 2\n");
+        assert_eq!(replace_blocks(&edited, &BTreeMap::new(), None), "# new\n[A]\nX = 1\nY = 2\n");
     }
 }

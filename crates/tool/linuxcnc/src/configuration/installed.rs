@@ -3,17 +3,17 @@
 use trueup_machine::Location;
 
 use super::{
-    Entry,
+    OffsetEntryPoint,
     hal_files::{HalCommand, HalFiles},
     ini_lines::IniLines,
 };
 
 /// The section of the INI file.
-pub(crate) const SECTION: &str = "TRUEUP";
+pub(crate) const INI_SECTION: &str = "TRUEUP";
 
 /// Where the bridge is, and what it was loaded with.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Bridge {
+pub struct BridgeSettings {
     /// Port of the component; `None`: there is no board.
     pub port: Option<String>,
     /// Machine file, as the INI file names it.
@@ -24,24 +24,24 @@ pub struct Bridge {
 
 /// Lines that setup has written before.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Installed {
+pub struct InstalledSetup {
     /// Where offsets enter.
-    pub entry: Entry,
+    pub entry: OffsetEntryPoint,
     /// The bridge.
-    pub bridge: Bridge,
+    pub bridge: BridgeSettings,
 }
 
-impl Installed {
+impl InstalledSetup {
     /// Returns what setup has written; `None` if nothing.
     #[must_use]
-    pub fn of(ini: &IniLines) -> Option<Self> {
+    pub fn from_ini(ini: &IniLines) -> Option<Self> {
         let ours =
-            |key| ini.value(SECTION, key).filter(|value| value.is_ours).map(|value| value.text);
+            |key| ini.value(INI_SECTION, key).filter(|value| value.is_ours).map(|value| value.text);
         // Either a board at a port, or none.
         ours("PORT").or_else(|| ours("CALIBRATION"))?;
         Some(Self {
-            entry: Entry::parse(&ours("BY")?)?,
-            bridge: Bridge {
+            entry: OffsetEntryPoint::parse(&ours("BY")?)?,
+            bridge: BridgeSettings {
                 port: ours("PORT"),
                 machine: ours("MACHINE"),
                 position_period_ms: ours("POSITION_PERIOD_MS")
@@ -53,7 +53,7 @@ impl Installed {
 
 /// Returns where the user has connected the component by hand, and where offsets enter there.
 #[must_use]
-pub fn by_hand(ini: &IniLines, hal: &HalFiles) -> Option<(Location, Entry)> {
+pub fn find_manual_setup(ini: &IniLines, hal: &HalFiles) -> Option<(Location, OffsetEntryPoint)> {
     let is_component = |command: &&HalCommand| {
         command.words[0] == "loadusr"
             && command
@@ -66,13 +66,13 @@ pub fn by_hand(ini: &IniLines, hal: &HalFiles) -> Option<(Location, Entry)> {
         let joined = |word: &String| word.strip_prefix("--by=").map(String::from);
         let by = command.words.windows(2).find_map(next);
         let by = by.or_else(|| command.words.iter().find_map(joined));
-        by.and_then(|by| Entry::parse(&by)).unwrap_or_default()
+        by.and_then(|by| OffsetEntryPoint::parse(&by)).unwrap_or_default()
     };
     let command = hal.commands.iter().chain(&hal.late).find(is_component);
-    let value = || ini.value(SECTION, "PORT").filter(|value| !value.is_ours);
+    let value = || ini.value(INI_SECTION, "PORT").filter(|value| !value.is_ours);
     command
         .map(|it| (it.place.clone(), entry(it)))
-        .or_else(|| value().map(|value| (value.place, Entry::default())))
+        .or_else(|| value().map(|value| (value.place, OffsetEntryPoint::default())))
 }
 
 #[cfg(test)]
@@ -82,15 +82,15 @@ mod tests {
     #[test]
     fn both_ways_to_write_an_option_say_where_offsets_enter_by_hand() {
         for (option, entry) in [
-            ("--by joint", Entry::Joint),
-            ("--by=joint", Entry::Joint),
-            ("--by=eoffset", Entry::Eoffset),
-            ("", Entry::Eoffset),
+            ("--by joint", OffsetEntryPoint::Joint),
+            ("--by=joint", OffsetEntryPoint::Joint),
+            ("--by=eoffset", OffsetEntryPoint::Eoffset),
+            ("", OffsetEntryPoint::Eoffset),
         ] {
             let hal = format!("loadusr -W /opt/trueup linuxcnc {option} --port x\n");
             let (_folder, ini, hal) =
                 configuration(&[("m.ini", "[HAL]\nHALFILE = m.hal\n"), ("m.hal", &hal)]);
-            let found = by_hand(&ini, &hal.expect("reads"));
+            let found = find_manual_setup(&ini, &hal.expect("reads"));
             assert_eq!(found.map(|it| it.1), Some(entry), "{option}");
         }
     }

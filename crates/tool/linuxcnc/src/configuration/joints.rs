@@ -2,26 +2,26 @@
 //!
 //! An offset at the joint is added to what the planner commands. The planner uses `MAX_VELOCITY` and `MAX_ACCELERATION`
 //! of the joint to the full, so the offset may use only what the drive has above them: its headroom, which the INI file
-//! states as `STEPGEN_MAXVEL` and `STEPGEN_MAXACCEL`. Where one is missing or 0, `ASSUMED` is assumed.
+//! states as `STEPGEN_MAXVEL` and `STEPGEN_MAXACCEL`. Where one is missing or 0, `DEFAULT_HEADROOM_RATIO` is assumed.
 
 use trueup_machine::{BadInput, Location};
 
-use super::ini_lines::{IniLines, Value};
+use super::ini_lines::{IniLines, IniValue};
 use crate::{
     NANOMETRES_PER_MILLIMETRE,
     joint::{JointSettings, MAX_JOINTS},
 };
 
 /// Headroom of a drive whose INI file states none, as a share of what the planner uses.
-pub(crate) const ASSUMED: f64 = 0.2;
+pub(crate) const DEFAULT_HEADROOM_RATIO: f64 = 0.2;
 /// Below this share of headroom an offset is slow enough for a warning.
-pub const SMALL: f64 = 0.05;
+pub(crate) const LOW_HEADROOM_WARNING_RATIO: f64 = 0.05;
 /// A reversal of this length measures how fast an offset is.
-pub(crate) const REVERSAL_UM: f64 = 6.0;
+pub(crate) const REFERENCE_REVERSAL_UM: f64 = 6.0;
 /// Joints move by this where the INI file states no `MAX_VELOCITY` or `MAX_ACCELERATION`, in machine units.
-const LINUXCNC_DEFAULT: f64 = 1.0;
+const DEFAULT_JOINT_LIMIT: f64 = 1.0;
 const MICROMETRES_PER_MILLIMETRE: f64 = 1e3;
-const LETTERS: &str = "XYZABCUVW";
+const AXIS_LETTERS: &str = "XYZABCUVW";
 
 /// The headroom of a drive above the planner's use.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,14 +35,14 @@ pub struct Headroom {
 impl Headroom {
     /// Returns the headroom as a share of the planner's value; negative if the drive has less than the planner uses.
     #[must_use]
-    pub fn share(&self) -> f64 {
-        self.stated.map_or(ASSUMED, |drive| drive / self.planner - 1.0)
+    pub(crate) fn relative_headroom(&self) -> f64 {
+        self.stated.map_or(DEFAULT_HEADROOM_RATIO, |drive| drive / self.planner - 1.0)
     }
 
     /// Returns what an offset may use, in machine units per second (squared); at least 0.
     #[must_use]
-    pub fn left(&self) -> f64 {
-        (self.share() * self.planner).max(0.0)
+    pub(crate) fn available(&self) -> f64 {
+        (self.relative_headroom() * self.planner).max(0.0)
     }
 }
 
@@ -66,20 +66,20 @@ pub struct Joint {
 impl Joint {
     /// Returns the name of the joint's section.
     #[must_use]
-    pub fn section(&self) -> String {
+    pub(crate) fn section_name(&self) -> String {
         format!("JOINT_{}", self.number)
     }
 
     /// Returns the fastest change of an offset in mm/s, not above `slew_mm_per_s`.
     #[must_use]
-    pub(crate) fn offset_mm_per_s(&self, slew_mm_per_s: f64, mm_per_unit: f64) -> f64 {
-        slew_mm_per_s.min(self.velocity.left() * mm_per_unit)
+    pub(crate) fn max_offset_mm_per_s(&self, slew_mm_per_s: f64, mm_per_unit: f64) -> f64 {
+        slew_mm_per_s.min(self.velocity.available() * mm_per_unit)
     }
 }
 
 /// Returns the time of a jump of an offset from rest to rest, in seconds; infinite where it cannot move.
 #[must_use]
-pub(crate) fn reversal_s(way_mm: f64, mm_per_s: f64, mm_per_s2: f64) -> f64 {
+pub(crate) fn rest_to_rest_time_s(way_mm: f64, mm_per_s: f64, mm_per_s2: f64) -> f64 {
     if mm_per_s <= 0.0 || mm_per_s2 <= 0.0 {
         return f64::INFINITY;
     }
@@ -92,7 +92,10 @@ pub(crate) fn reversal_s(way_mm: f64, mm_per_s: f64, mm_per_s2: f64) -> f64 {
 
 /// Returns the `OFFSET_AV_RATIO` that lets an offset change by the slew limit and no faster.
 #[must_use]
-pub fn ratio(velocity_mm_per_s: Option<f64>, slew_um_per_s: f64) -> Option<f64> {
+pub(crate) fn compute_offset_av_ratio(
+    velocity_mm_per_s: Option<f64>,
+    slew_um_per_s: f64,
+) -> Option<f64> {
     let velocity = velocity_mm_per_s.filter(|velocity| *velocity > 0.0)?;
     let exact = slew_um_per_s / MICROMETRES_PER_MILLIMETRE / velocity;
     // Down, so that LinuxCNC keeps the limit, but not to 0, which moves nothing.
@@ -103,8 +106,8 @@ pub fn ratio(velocity_mm_per_s: Option<f64>, slew_um_per_s: f64) -> Option<f64> 
 ///
 /// # Errors
 /// Kinematics other than `trivkins`, joints that do not fit them, or a value that is not a number.
-pub fn joints(ini: &IniLines) -> Result<Vec<Joint>, BadInput> {
-    let letters = letters(ini)?;
+pub(crate) fn read_joints(ini: &IniLines) -> Result<Vec<Joint>, BadInput> {
+    let letters = joint_axis_letters(ini)?;
     let mut joints = Vec::new();
     for (number, letter) in letters.chars().enumerate() {
         let Some(axis) = "XYZ".find(letter) else { continue };
@@ -113,7 +116,7 @@ pub fn joints(ini: &IniLines) -> Result<Vec<Joint>, BadInput> {
             Ok(ini.number(&section, key)?.filter(|(value, _)| *value > 0.0))
         };
         let headroom = |planner: &str, drive: &str| -> Result<Headroom, BadInput> {
-            let planner = positive(planner)?.map_or(LINUXCNC_DEFAULT, |it| it.0);
+            let planner = positive(planner)?.map_or(DEFAULT_JOINT_LIMIT, |it| it.0);
             Ok(Headroom { planner, stated: positive(drive)?.map(|it| it.0) })
         };
         let limit = |key: &str| Ok(ini.number(&section, key)?.map(|it| it.0));
@@ -126,13 +129,13 @@ pub fn joints(ini: &IniLines) -> Result<Vec<Joint>, BadInput> {
             velocity: headroom("MAX_VELOCITY", "STEPGEN_MAXVEL")?,
             acceleration: headroom("MAX_ACCELERATION", "STEPGEN_MAXACCEL")?,
             limits: [limit("MIN_LIMIT")?, limit("MAX_LIMIT")?],
-            place: stated.map_or_else(|| ini.place_of_section(&section), |it| it.place),
+            place: stated.map_or_else(|| ini.section_location(&section), |it| it.place),
         });
     }
     if joints.len() > MAX_JOINTS {
         let rule =
             format!("{} joints move X, Y and Z, and `moveoff` has {MAX_JOINTS}", joints.len());
-        return Err(BadInput::new(ini.place_of_section("KINS"), rule));
+        return Err(BadInput::new(ini.section_location("KINS"), rule));
     }
     Ok(joints)
 }
@@ -140,17 +143,17 @@ pub fn joints(ini: &IniLines) -> Result<Vec<Joint>, BadInput> {
 /// Returns how the component moves the joints, by the channels of `moveoff`.
 ///
 /// # Errors
-/// As [`joints`], and a joint whose drive leaves nothing for an offset.
-pub fn settings(
+/// As `read_joints`, and a joint whose drive leaves nothing for an offset.
+pub fn build_joint_settings(
     ini: &IniLines,
     mm_per_unit: f64,
     slew_mm_per_s: f64,
 ) -> Result<[Option<JointSettings>; MAX_JOINTS], BadInput> {
     let mut all = [None; MAX_JOINTS];
-    for (settings, joint) in all.iter_mut().zip(joints(ini)?) {
+    for (settings, joint) in all.iter_mut().zip(read_joints(ini)?) {
         let nm = |units: f64| units * mm_per_unit * NANOMETRES_PER_MILLIMETRE;
-        let mm_per_s = joint.offset_mm_per_s(slew_mm_per_s, mm_per_unit);
-        let mm_per_s2 = joint.acceleration.left() * mm_per_unit;
+        let mm_per_s = joint.max_offset_mm_per_s(slew_mm_per_s, mm_per_unit);
+        let mm_per_s2 = joint.acceleration.available() * mm_per_unit;
         if mm_per_s <= 0.0 || mm_per_s2 <= 0.0 {
             let rule = format!(
                 "joint {}: nothing is left for an offset ({mm_per_s} mm/s, {mm_per_s2} mm/s²)",
@@ -175,9 +178,9 @@ pub fn settings(
 }
 
 /// Returns the axis letter of each joint.
-fn letters(ini: &IniLines) -> Result<String, BadInput> {
+fn joint_axis_letters(ini: &IniLines) -> Result<String, BadInput> {
     let Some(kinematics) = ini.value("KINS", "KINEMATICS") else {
-        return Err(BadInput::new(ini.place_of_section("KINS"), "[KINS]KINEMATICS is missing")
+        return Err(BadInput::new(ini.section_location("KINS"), "[KINS]KINEMATICS is missing")
             .with_help("an offset needs to know which joint moves which axis: KINEMATICS = trivkins coordinates=XYZ"));
     };
     let mut words = kinematics.without_comment().split_whitespace();
@@ -191,14 +194,14 @@ fn letters(ini: &IniLines) -> Result<String, BadInput> {
     }
     let coordinates = words.find_map(|word| word.strip_prefix("coordinates="));
     let letters: String = coordinates
-        .unwrap_or(LETTERS)
+        .unwrap_or(AXIS_LETTERS)
         .to_ascii_uppercase()
         .chars()
-        .filter(|it| LETTERS.contains(*it))
+        .filter(|it| AXIS_LETTERS.contains(*it))
         .collect();
     let joints = ini.number("KINS", "JOINTS")?;
     let Some((joints, place)) = joints else {
-        return Err(BadInput::new(ini.place_of_section("KINS"), "[KINS]JOINTS is missing")
+        return Err(BadInput::new(ini.section_location("KINS"), "[KINS]JOINTS is missing")
             .with_help(format!("state the number of joints: JOINTS = {}", letters.len())));
     };
     let too_many = joints > letters.len() as f64 || joints < 1.0;
@@ -219,9 +222,9 @@ fn letters(ini: &IniLines) -> Result<String, BadInput> {
 }
 
 /// `[TRAJ]COORDINATES` names no axis without a joint.
-fn check_coordinates(letters: &str, traj: &Value) -> Result<(), BadInput> {
+fn check_coordinates(letters: &str, traj: &IniValue) -> Result<(), BadInput> {
     let axes = traj.without_comment().to_ascii_uppercase();
-    match axes.chars().find(|it| LETTERS.contains(*it) && !letters.contains(*it)) {
+    match axes.chars().find(|it| AXIS_LETTERS.contains(*it) && !letters.contains(*it)) {
         Some(axis) => Err(BadInput::new(
             traj.place.clone(),
             format!(
@@ -246,7 +249,7 @@ mod tests {
     }
 
     fn joints_of(text: &str) -> Result<Vec<Joint>, BadInput> {
-        super::joints(&configuration(&[("m.ini", text)]).1)
+        super::read_joints(&configuration(&[("m.ini", text)]).1)
     }
 
     fn axes(joints: &[Joint]) -> Vec<(usize, usize)> {
@@ -289,11 +292,14 @@ mod tests {
                     [JOINT_1]\nMAX_ACCELERATION = 400\nSTEPGEN_MAXACCEL = 0\nSTEPGEN_MAXVEL = 31\nMAX_VELOCITY = 30\n\
                     [JOINT_2]\nMAX_ACCELERATION = 400\nSTEPGEN_MAXACCEL = 300\n";
         let joints = of("KINEMATICS = trivkins\nJOINTS = 3", text).expect("reads");
-        let left: Vec<f64> = joints.iter().map(|it| it.acceleration.left()).collect();
+        let left: Vec<f64> = joints.iter().map(|it| it.acceleration.available()).collect();
         assert_eq!(left, [250.0, 80.0, 0.0]);
-        assert!((joints[1].velocity.left() - 1.0).abs() < 1e-9 && joints[0].velocity.left() == 6.0);
-        assert!(joints[2].acceleration.share() < 0.0);
-        assert_eq!(joints[1].offset_mm_per_s(0.5, 25.4), 0.5);
+        assert!(
+            (joints[1].velocity.available() - 1.0).abs() < 1e-9
+                && joints[0].velocity.available() == 6.0
+        );
+        assert!(joints[2].acceleration.relative_headroom() < 0.0);
+        assert_eq!(joints[1].max_offset_mm_per_s(0.5, 25.4), 0.5);
     }
 
     #[test]
@@ -304,7 +310,7 @@ mod tests {
             let text = format!(
                 "[KINS]\nKINEMATICS = trivkins\nJOINTS = 1\n[JOINT_0]\nMAX_ACCELERATION = 1000\n{drive}\nMAX_VELOCITY = 30\n"
             );
-            let settings = settings(&configuration(&[("m.ini", &text)]).1, 1.0, 0.5);
+            let settings = build_joint_settings(&configuration(&[("m.ini", &text)]).1, 1.0, 0.5);
             let error = settings.err();
             assert_eq!(error.as_ref().map(|it| it.place.line), line, "{drive}: {error:?}");
         }
@@ -313,8 +319,8 @@ mod tests {
     #[test]
     fn a_reversal_takes_two_ramps_or_ramps_and_a_steady_part() {
         // 2·√(0.006/200) s; and 0.1/1.2 + 1.2/200 s.
-        assert!((reversal_s(0.006, 1.2, 200.0) - 0.010_954).abs() < 1e-6);
-        assert!((reversal_s(0.1, 1.2, 200.0) - (0.1 / 1.2 + 0.006)).abs() < 1e-12);
-        assert_eq!(reversal_s(0.006, 0.0, 200.0), f64::INFINITY);
+        assert!((rest_to_rest_time_s(0.006, 1.2, 200.0) - 0.010_954).abs() < 1e-6);
+        assert!((rest_to_rest_time_s(0.1, 1.2, 200.0) - (0.1 / 1.2 + 0.006)).abs() < 1e-12);
+        assert_eq!(rest_to_rest_time_s(0.006, 0.0, 200.0), f64::INFINITY);
     }
 }

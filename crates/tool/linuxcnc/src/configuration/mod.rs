@@ -6,25 +6,25 @@
 //! ```
 //!
 //! [`ini_lines`] and [`hal_files`] read, [`joints`] says which joint moves which axis and how fast, [`check`] judges,
-//! [`wiring`] writes HAL files, [`inputs`] knows what the user's HAL files have to bring, [`no_board`] what a bridge without a board needs,
+//! [`wiring`] writes HAL files, [`inputs`] knows what the user's HAL files have to bring, [`boardless`] what a bridge without a board needs,
 //! [`installed`] finds what is there already, [`install`] puts them into the configuration and takes them out.
 
+pub mod boardless;
 pub mod check;
 pub mod finding;
 pub mod hal_files;
 pub mod ini_lines;
-mod input_wires;
+mod input_signals;
 pub mod inputs;
 pub mod install;
 pub mod installed;
 pub mod joints;
-pub mod no_board;
 mod servo_lines;
 pub mod wiring;
 
 /// Where offsets enter LinuxCNC.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Entry {
+pub enum OffsetEntryPoint {
     /// As an external offset of the axis: LinuxCNC's planner knows it and pays for it.
     #[default]
     Eoffset,
@@ -32,7 +32,7 @@ pub enum Entry {
     Joint,
 }
 
-impl Entry {
+impl OffsetEntryPoint {
     /// Returns the word of command lines and INI files.
     #[must_use]
     pub fn name(self) -> &'static str {

@@ -14,53 +14,54 @@
 use std::fmt::Write as _;
 
 use super::{
-    Entry,
-    finding::Demand,
+    OffsetEntryPoint,
+    boardless::BoardlessConfig,
+    finding::OffsetRequirements,
     ini_lines::IniLines,
-    joints::{Joint, ratio},
-    no_board::NoBoard,
+    joints::{Joint, compute_offset_av_ratio},
 };
 use crate::ini::Ini;
 
 /// The realtime component.
-pub const MODULE: &str = "trueup_node";
+pub(crate) const REALTIME_COMPONENT: &str = "trueup_node";
 /// Its function.
-pub(crate) const FUNCTION: &str = "trueup.0";
+pub(crate) const SERVO_FUNCTION: &str = "trueup.0";
 /// After this time without a heartbeat the temperatures of a program count as missing.
 pub(super) const TEMPERATURE_TIMEOUT_MS: u32 = 2_000;
 const UM_PER_MM: f64 = 1e3;
 
 /// Returns the lines that load the component and set it; `sends_angles`: those of the rotary axes are connected.
-pub(super) fn load(
-    no_board: &NoBoard,
+pub(super) fn format_load_lines(
+    no_board: &BoardlessConfig,
     ini: &IniLines,
     joints: &[Joint],
-    demand: &Demand,
+    demand: &OffsetRequirements,
     sends_angles: bool,
 ) -> String {
-    let mut text = format!("\nloadrt {MODULE} file=[TRUEUP](CALIBRATION) heat=[TRUEUP](HEAT)");
-    if demand.entry == Entry::Joint {
-        let _ = write!(text, " joints={}", letters(joints));
+    let mut text =
+        format!("\nloadrt {REALTIME_COMPONENT} file=[TRUEUP](CALIBRATION) heat=[TRUEUP](HEAT)");
+    if demand.entry == OffsetEntryPoint::Joint {
+        let _ = write!(text, " joints={}", joint_axis_letters(joints));
     }
     if sends_angles {
         text.push_str(" rotary=1");
     }
     text.push('\n');
     let mut set = |pin: &str, value: f64| {
-        let _ = writeln!(text, "setp {FUNCTION}.{pin} {}", rounded(value));
+        let _ = writeln!(text, "setp {SERVO_FUNCTION}.{pin} {}", round_for_output(value));
     };
-    let base = Ini::parse(&ini.text()).unwrap_or_default();
+    let base = Ini::parse(&ini.to_text()).unwrap_or_default();
     set("mm-per-unit", base.mm_per_unit);
     if let Some(codes) = no_board.codes_per_v {
         set("sensor-codes-per-v", codes);
     }
     for (axis, letter) in ["x", "y", "z"].iter().enumerate() {
         set(&format!("{letter}-against-um"), no_board.against_um[axis]);
-        if demand.entry == Entry::Eoffset {
+        if demand.entry == OffsetEntryPoint::Eoffset {
             let motion = &base.axes[axis];
             let section = format!("AXIS_{}", letter.to_ascii_uppercase());
             let stated = ini.value(&section, "OFFSET_AV_RATIO").is_some_and(|it| !it.is_ours);
-            let proper = ratio(motion.velocity_mm_per_s, demand.slew_um_per_s);
+            let proper = compute_offset_av_ratio(motion.velocity_mm_per_s, demand.slew_um_per_s);
             let ratio = if stated { motion.ratio } else { proper.unwrap_or_default() };
             let acceleration = motion.acceleration_mm_per_s2.unwrap_or_default() * ratio;
             set(&format!("{letter}-accel"), acceleration / base.mm_per_unit);
@@ -69,7 +70,7 @@ pub(super) fn load(
             set(&format!("{letter}-keeps-slew"), f64::from(u8::from(keeps)));
         }
     }
-    if demand.entry == Entry::Joint {
+    if demand.entry == OffsetEntryPoint::Joint {
         for joint in joints {
             for (limit, end) in joint.limits.iter().zip(["min", "max"]) {
                 if let Some(limit) = limit {
@@ -82,12 +83,12 @@ pub(super) fn load(
 }
 
 /// Rounds to 10⁻⁹: what is beyond is arithmetic.
-pub(super) fn rounded(value: f64) -> f64 {
+pub(super) fn round_for_output(value: f64) -> f64 {
     (value * 1e9).round() / 1e9
 }
 
 /// Returns a letter for each joint, in the order of their numbers; a dot for one without an offset.
-fn letters(joints: &[Joint]) -> String {
+fn joint_axis_letters(joints: &[Joint]) -> String {
     let last = joints.iter().map(|joint| joint.number).max().unwrap_or_default();
     let letter = |number: usize| {
         let joint = joints.iter().find(|joint| joint.number == number);

@@ -24,44 +24,44 @@
 
 use std::fmt::Write as _;
 
-mod guard;
+mod watchdog;
 
-use self::guard::ALIVE;
+use self::watchdog::ALIVE_ONESHOT;
 use super::{
-    Entry,
-    finding::{Demand, Finding},
-    hal_files::{BadThread, CONTROLLER, HalFiles},
+    OffsetEntryPoint,
+    boardless::{CALIBRATION_FILE, THERMAL_STATE_FILE},
+    finding::{Finding, OffsetRequirements},
+    hal_files::{HalFiles, MOTION_CONTROLLER_FUNCTION, ThreadOrderError},
     ini_lines::IniLines,
-    input_wires,
+    input_signals,
     joints::Joint,
-    no_board::{CALIBRATION, HEAT},
-    servo_lines::{self, FUNCTION, MODULE, rounded},
+    servo_lines::{self, REALTIME_COMPONENT, SERVO_FUNCTION, round_for_output},
 };
 use crate::ini::Ini;
 
 /// The HAL file that is loaded once.
-pub(crate) const REALTIME: &str = "trueup_realtime.hal";
+pub(crate) const REALTIME_HAL_FILE: &str = "trueup_realtime.hal";
 /// The HAL file that may be loaded again when the component has ended.
-pub(crate) const COMPONENT: &str = "trueup.hal";
+pub(crate) const COMPONENT_HAL_FILE: &str = "trueup.hal";
 /// First line of both.
-pub(crate) const WRITTEN: &str =
+pub(crate) const GENERATED_FILE_HEADER: &str =
     "# Written by trueup linuxcnc setup; --remove takes it out. Changes are lost.";
 const MICROMETRES_PER_MILLIMETRE: f64 = 1e3;
-const LOWER: [&str; 3] = ["x", "y", "z"];
+const AXIS_NAMES: [&str; 3] = ["x", "y", "z"];
 /// The instance of `moveoff`; its channels are the joints of X, Y and Z in the order of their numbers.
-pub(crate) const LIMITER: &str = "trueup-mv";
+pub(crate) const LIMITER_INSTANCE: &str = "trueup-mv";
 
 /// Returns the pin that keeps a joint's reference while the component is gone: an input that is never selected.
-pub(crate) fn kept_at(joint: usize) -> String {
+pub(crate) fn reference_hold_pin(joint: usize) -> String {
     format!("trueup-j{joint}-go.in7")
 }
 
 /// The text of the two HAL files.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Wiring {
-    /// Text of `REALTIME`.
+pub(crate) struct Wiring {
+    /// Text of `REALTIME_HAL_FILE`.
     pub realtime: String,
-    /// Text of `COMPONENT`.
+    /// Text of `COMPONENT_HAL_FILE`.
     pub component: String,
 }
 
@@ -69,15 +69,15 @@ pub struct Wiring {
 ///
 /// # Errors
 /// Something is in the way, each with its place.
-pub fn wiring(
+pub(crate) fn generate_hal_files(
     ini: &IniLines,
     hal: &HalFiles,
     joints: &[Joint],
-    demand: &Demand,
+    demand: &OffsetRequirements,
 ) -> Result<Wiring, Vec<Finding>> {
-    let mut writer = Writer { ini, hal, findings: Vec::new() };
-    let realtime = writer.realtime(joints, demand);
-    let component = writer.component(joints, demand);
+    let mut writer = HalWriter { ini, hal, findings: Vec::new() };
+    let realtime = writer.generate_realtime_file(joints, demand);
+    let component = writer.generate_component_file(joints, demand);
     if writer.findings.is_empty() {
         Ok(Wiring { realtime, component })
     } else {
@@ -88,78 +88,90 @@ pub fn wiring(
 /// Returns the lines for a configuration that setup cannot change; `SIGNAL-OF-…` stands for a signal that only the
 /// user knows.
 #[must_use]
-pub fn by_hand(ini: &IniLines, hal: &HalFiles, joints: &[Joint], demand: &Demand) -> String {
+pub(crate) fn generate_manual_lines(
+    ini: &IniLines,
+    hal: &HalFiles,
+    joints: &[Joint],
+    demand: &OffsetRequirements,
+) -> String {
     // What would be refused is in the user's hands.
-    let mut writer = Writer { ini, hal, findings: Vec::new() };
-    let realtime = writer.realtime(joints, demand);
-    let component = writer.component(joints, demand);
+    let mut writer = HalWriter { ini, hal, findings: Vec::new() };
+    let realtime = writer.generate_realtime_file(joints, demand);
+    let component = writer.generate_component_file(joints, demand);
     let machine = match demand.corrects_screw {
         Some(_) => "MACHINE = machine.toml\n",
         None => "",
     };
     let bridge = match demand.no_board {
-        Some(_) => format!("CALIBRATION = /FOLDER/{CALIBRATION}\nHEAT = /FOLDER/{HEAT}\n"),
+        Some(_) => {
+            format!(
+                "CALIBRATION = /FOLDER/{CALIBRATION_FILE}\nHEAT = /FOLDER/{THERMAL_STATE_FILE}\n"
+            )
+        }
         None => "PORT = /dev/ttyUSB0\nPOSITION_PERIOD_MS = 2\n".into(),
     };
     format!(
-        "# In the INI file, after your own HALFILE lines:\n[HAL]\nHALFILE = {REALTIME}\nHALFILE = {COMPONENT}\n\
+        "# In the INI file, after your own HALFILE lines:\n[HAL]\nHALFILE = {REALTIME_HAL_FILE}\nHALFILE = {COMPONENT_HAL_FILE}\n\
          [TRUEUP]\n{machine}{bridge}\n\
-         # {REALTIME}; compare the positions of addf with `halcmd show thread`:\n{}\n# {COMPONENT}:\n{}",
-        realtime.trim_start_matches(WRITTEN),
-        component.trim_start_matches(WRITTEN)
+         # {REALTIME_HAL_FILE}; compare the positions of addf with `halcmd show thread`:\n{}\n# {COMPONENT_HAL_FILE}:\n{}",
+        realtime.trim_start_matches(GENERATED_FILE_HEADER),
+        component.trim_start_matches(GENERATED_FILE_HEADER)
     )
 }
 
-struct Writer<'a> {
+struct HalWriter<'a> {
     ini: &'a IniLines,
     hal: &'a HalFiles,
     findings: Vec<Finding>,
 }
 
-impl Writer<'_> {
-    fn realtime(&mut self, joints: &[Joint], demand: &Demand) -> String {
-        let mut text = format!("{WRITTEN}\n# Loaded once, after the machine's own files.\n");
-        let (thread, functions) = self.hal.thread().unwrap_or_else(|BadThread(place)| {
-            let place = place.unwrap_or_else(|| self.ini.place_of_section("HAL"));
+impl HalWriter<'_> {
+    fn generate_realtime_file(&mut self, joints: &[Joint], demand: &OffsetRequirements) -> String {
+        let mut text =
+            format!("{GENERATED_FILE_HEADER}\n# Loaded once, after the machine's own files.\n");
+        let (thread, functions) = self.hal.motion_thread().unwrap_or_else(|ThreadOrderError(place)| {
+            let place = place.unwrap_or_else(|| self.ini.section_location("HAL"));
             self.findings.push(Finding::error(
                 place,
                 "the servo thread cannot be followed: no `addf motion-controller THREAD`, or a position beyond its functions",
                 "connect the offsets by hand (docs/book/src/linuxcnc.md)",
             ));
-            ("servo-thread".into(), vec!["motion-command-handler".into(), CONTROLLER.into()])
+            ("servo-thread".into(), vec!["motion-command-handler".into(), MOTION_CONTROLLER_FUNCTION.into()])
         });
         if let Some(no_board) = &demand.no_board {
-            text += &servo_lines::load(
+            text += &servo_lines::format_load_lines(
                 no_board,
                 self.ini,
                 joints,
                 demand,
-                input_wires::sends_angles(demand, self.hal),
+                input_signals::has_all_angle_signals(demand, self.hal),
             );
         }
         match demand.entry {
-            Entry::Joint => self.at_joints(&mut text, joints, demand, &thread, &functions),
-            // The counts are read by the motion controller of the next period.
-            Entry::Eoffset if demand.no_board.is_some() => {
-                let _ = writeln!(text, "addf {FUNCTION} {thread}");
+            OffsetEntryPoint::Joint => {
+                self.add_joint_offsets(&mut text, joints, demand, &thread, &functions)
             }
-            Entry::Eoffset => {}
+            // The counts are read by the motion controller of the next period.
+            OffsetEntryPoint::Eoffset if demand.no_board.is_some() => {
+                let _ = writeln!(text, "addf {SERVO_FUNCTION} {thread}");
+            }
+            OffsetEntryPoint::Eoffset => {}
         }
-        self.watchdog(&mut text, &thread);
-        self.messages(&mut text, &thread, demand);
+        self.write_watchdog(&mut text, &thread);
+        self.write_operator_messages(&mut text, &thread, demand);
         text
     }
 
     /// The limiter, and what adds the offset and takes it off.
-    fn at_joints(
+    fn add_joint_offsets(
         &mut self,
         text: &mut String,
         joints: &[Joint],
-        demand: &Demand,
+        demand: &OffsetRequirements,
         thread: &str,
         functions: &[String],
     ) {
-        if let Some(loaded) = self.hal.loads("moveoff") {
+        if let Some(loaded) = self.hal.find_loadrt("moveoff") {
             self.findings.push(Finding::error(
                 loaded.place.clone(),
                 "moveoff is loaded here, and two of it share their variables",
@@ -168,11 +180,17 @@ impl Writer<'_> {
         }
         let names: Vec<String> =
             joints.iter().map(|joint| format!("trueup-j{}", joint.number)).collect();
-        let _ = writeln!(text, "\nloadrt moveoff names={LIMITER} personality={}", joints.len());
-        self.load(text, "offset", &names);
-        let stops = self.load_stops(text, &names);
+        let _ = writeln!(
+            text,
+            "\nloadrt moveoff names={LIMITER_INSTANCE} personality={}",
+            joints.len()
+        );
+        self.load_module(text, "offset", &names);
+        let stops = self.load_speed_ramps(text, &names);
         // The feedback just before the motion controller, the command just after it.
-        let controller = functions.iter().position(|it| it == CONTROLLER).unwrap_or_default() + 1;
+        let controller =
+            functions.iter().position(|it| it == MOTION_CONTROLLER_FUNCTION).unwrap_or_default()
+                + 1;
         let mut position = controller;
         let mut add = |function: String| {
             let _ = writeln!(text, "addf {function} {thread} {position}");
@@ -186,11 +204,11 @@ impl Writer<'_> {
             position += 1;
         };
         if demand.no_board.is_some() {
-            add(FUNCTION.into());
+            add(SERVO_FUNCTION.into());
         }
         stops.into_iter().for_each(&mut add);
         for function in ["read-inputs", "write-outputs"] {
-            add(format!("{LIMITER}.{function}"));
+            add(format!("{LIMITER_INSTANCE}.{function}"));
         }
         names.iter().for_each(|name| add(format!("{name}.update-output")));
         text.push_str("\n# Always enabled: an offset is held when the machine goes off, and taken back by the component.\n");
@@ -203,12 +221,12 @@ impl Writer<'_> {
             ("waypoint-threshold", "1e9"),
             ("epsilon", "0.0001"),
         ] {
-            let _ = writeln!(text, "setp {LIMITER}.{pin} {value}");
+            let _ = writeln!(text, "setp {LIMITER_INSTANCE}.{pin} {value}");
         }
-        let mm_per_unit = Ini::parse(&self.ini.text()).unwrap_or_default().mm_per_unit;
+        let mm_per_unit = Ini::parse(&self.ini.to_text()).unwrap_or_default().mm_per_unit;
         for (channel, (joint, name)) in joints.iter().zip(&names).enumerate() {
             let number = joint.number;
-            let [command, feedback] = ["cmd", "fb"].map(|end| self.signal_of_joint(joint, end));
+            let [command, feedback] = ["cmd", "fb"].map(|end| self.joint_signal(joint, end));
             let _ = write!(
                 text,
                 "\n# Joint {number}: {command} and {feedback} are the drive's from here on.\n\
@@ -216,30 +234,30 @@ impl Writer<'_> {
                  unlinkp joint.{number}.motor-pos-fb\n\
                  net {name}-cmd joint.{number}.motor-pos-cmd => {name}.in\n\
                  net {name}-fb {name}.fb-out => joint.{number}.motor-pos-fb\n\
-                 net {name}-now {LIMITER}.offset-current-{channel} => {name}.offset\n\
+                 net {name}-now {LIMITER_INSTANCE}.offset-current-{channel} => {name}.offset\n\
                  net {command} {name}.out\n\
                  net {feedback} => {name}.fb-in\n"
             );
-            Self::stop(text, name, channel);
+            Self::connect_speed_ramp(text, name, channel);
             if demand.no_board.is_some() {
                 let slew_mm_per_s = demand.slew_um_per_s / MICROMETRES_PER_MILLIMETRE;
-                let speed = joint.offset_mm_per_s(slew_mm_per_s, mm_per_unit) / mm_per_unit;
+                let speed = joint.max_offset_mm_per_s(slew_mm_per_s, mm_per_unit) / mm_per_unit;
                 let _ = write!(
                     text,
                     "setp {name}-go.in1 {speed}\n\
                      setp {name}-speed.maxv {acceleration}\n\
-                     setp {LIMITER}.offset-accel-{channel} {acceleration}\n",
-                    speed = rounded(speed),
-                    acceleration = rounded(joint.acceleration.left())
+                     setp {LIMITER_INSTANCE}.offset-accel-{channel} {acceleration}\n",
+                    speed = round_for_output(speed),
+                    acceleration = round_for_output(joint.acceleration.available())
                 );
             }
         }
     }
 
     /// Returns the signal on the command or the feedback of a joint.
-    fn signal_of_joint(&mut self, joint: &Joint, end: &str) -> String {
+    fn joint_signal(&mut self, joint: &Joint, end: &str) -> String {
         let pin = format!("joint.{}.motor-pos-{end}", joint.number);
-        if let Some(place) = self.hal.late_use(&pin) {
+        if let Some(place) = self.hal.late_reference(&pin) {
             self.findings.push(Finding::error(
                 place,
                 format!(
@@ -248,10 +266,10 @@ impl Writer<'_> {
                 "connect it in a HALFILE",
             ));
         }
-        let link = self.hal.link(&pin);
+        let link = self.hal.find_link(&pin);
         if link.is_none() {
             self.findings.push(Finding::error(
-                self.ini.place_of_section(&joint.section()),
+                self.ini.section_location(&joint.section_name()),
                 format!("{pin} is on no signal of the HAL files"),
                 format!("connect it: net SIGNAL {pin}"),
             ));
@@ -260,8 +278,8 @@ impl Writer<'_> {
     }
 
     /// Loads a module with these instances, unless the user's own line names them already.
-    fn load(&mut self, text: &mut String, module: &str, names: &[String]) {
-        let Some(loaded) = self.hal.loads(module) else {
+    fn load_module(&mut self, text: &mut String, module: &str, names: &[String]) {
+        let Some(loaded) = self.hal.find_loadrt(module) else {
             let _ = writeln!(text, "loadrt {module} names={}", names.join(","));
             return;
         };
@@ -285,40 +303,41 @@ impl Writer<'_> {
     }
 
     /// Returns the component and its wires.
-    fn component(&mut self, joints: &[Joint], demand: &Demand) -> String {
+    fn generate_component_file(&mut self, joints: &[Joint], demand: &OffsetRequirements) -> String {
         let entry = demand.entry;
         let machine = match demand.corrects_screw {
             // A probed point contains an external offset, and none at the joint: nothing can be learned from it there.
-            Some(_) if entry == Entry::Eoffset => {
+            Some(_) if entry == OffsetEntryPoint::Eoffset => {
                 " --machine [TRUEUP](MACHINE) --record trueup_record.csv"
             }
             Some(_) => " --machine [TRUEUP](MACHINE)",
             None => "",
         };
-        let angles = if input_wires::sends_angles(demand, self.hal) { " --rotary" } else { "" };
+        let angles =
+            if input_signals::has_all_angle_signals(demand, self.hal) { " --rotary" } else { "" };
         let mut text = if demand.no_board.is_some() {
             format!(
-                "{WRITTEN}\n# What keeps the heat over a restart, and the wires of {MODULE}.\n\n\
+                "{GENERATED_FILE_HEADER}\n# What keeps the heat over a restart, and the wires of {REALTIME_COMPONENT}.\n\n\
                  loadusr trueup linuxcnc keep --file [TRUEUP](HEAT)\n\n"
             )
         } else {
             format!(
-                "{WRITTEN}\n# If the component alone has ended: halcmd -i YOUR.ini -f {COMPONENT}\n\n\
+                "{GENERATED_FILE_HEADER}\n# If the component alone has ended: halcmd -i YOUR.ini -f {COMPONENT_HAL_FILE}\n\n\
              loadusr -W trueup linuxcnc --by {} --port [TRUEUP](PORT) --position-period-ms [TRUEUP](POSITION_PERIOD_MS){angles}{machine} --log trueup.log\n\n",
                 entry.name()
             )
         };
-        text += &input_wires::wires(demand, self.hal);
-        self.from(&mut text, "motion.motion-enabled", "trueup-on", &["machine-on".into()]);
-        self.from(&mut text, "motion.is-all-homed", "trueup-homed", &["homed".into()]);
-        self.from(&mut text, "spindle.0.speed-out", "trueup-rpm", &["spindle-rpm".into()]);
-        let axes: Vec<&str> = (0..LOWER.len())
+        text += &input_signals::format_input_nets(demand, self.hal);
+        self.connect_pin(&mut text, "motion.motion-enabled", "trueup-on", &["machine-on".into()]);
+        self.connect_pin(&mut text, "motion.is-all-homed", "trueup-homed", &["homed".into()]);
+        self.connect_pin(&mut text, "spindle.0.speed-out", "trueup-rpm", &["spindle-rpm".into()]);
+        let axes: Vec<&str> = (0..AXIS_NAMES.len())
             .filter(|axis| joints.iter().any(|joint| joint.axis == *axis))
-            .map(|axis| LOWER[axis])
+            .map(|axis| AXIS_NAMES[axis])
             .collect();
         for axis in &axes {
             let signal = format!("trueup-{axis}-cmd");
-            self.from(
+            self.connect_pin(
                 &mut text,
                 &format!("axis.{axis}.pos-cmd"),
                 &signal,
@@ -326,15 +345,14 @@ impl Writer<'_> {
             );
         }
         match entry {
-            Entry::Joint => joints
-                .iter()
-                .enumerate()
-                .for_each(|(channel, joint)| self.joint_wires(&mut text, channel, joint, demand)),
-            Entry::Eoffset => self.eoffset_wires(&mut text, &axes),
+            OffsetEntryPoint::Joint => joints.iter().enumerate().for_each(|(channel, joint)| {
+                self.write_joint_nets(&mut text, channel, joint, demand)
+            }),
+            OffsetEntryPoint::Eoffset => self.write_eoffset_nets(&mut text, &axes),
         }
         let _ = write!(
             text,
-            "\nnet trueup-heartbeat trueup.0.heartbeat => {ALIVE}.in\nsetp trueup.0.enable 1\n\n"
+            "\nnet trueup-heartbeat trueup.0.heartbeat => {ALIVE_ONESHOT}.in\nsetp trueup.0.enable 1\n\n"
         );
         for (signal, pin) in [
             ("applied", "applied"),
@@ -349,16 +367,22 @@ impl Writer<'_> {
         text
     }
 
-    fn joint_wires(&mut self, text: &mut String, channel: usize, joint: &Joint, demand: &Demand) {
+    fn write_joint_nets(
+        &mut self,
+        text: &mut String,
+        channel: usize,
+        joint: &Joint,
+        demand: &OffsetRequirements,
+    ) {
         let n = joint.number;
-        let limiter = |pin: &str| format!("{LIMITER}.offset-{pin}-{channel}");
+        let limiter = |pin: &str| format!("{LIMITER_INSTANCE}.offset-{pin}-{channel}");
         let mut pins =
             vec![("offset", limiter("in")), ("min", limiter("min")), ("max", limiter("max"))];
         // Speed and acceleration are set once without a board.
         if demand.no_board.is_none() {
             pins.push(("vel", format!("trueup-j{n}-go.in1")));
             pins.push(("accel", format!("{} trueup-j{n}-speed.maxv", limiter("accel"))));
-            pins.push(("kept", kept_at(n)));
+            pins.push(("kept", reference_hold_pin(n)));
         }
         for (pin, to) in pins {
             let _ = writeln!(text, "net trueup-j{n}-{pin} trueup.0.joint-{n}-{pin} => {to}");
@@ -367,15 +391,20 @@ impl Writer<'_> {
         for (pin, ours) in [("motor-offset", "reference"), ("homing", "homing"), ("pos-cmd", "cmd")]
         {
             let signal = format!("trueup-j{n}-{ours}-in");
-            self.from(text, &format!("joint.{n}.{pin}"), &signal, &[format!("joint-{n}-{ours}")]);
+            self.connect_pin(
+                text,
+                &format!("joint.{n}.{pin}"),
+                &signal,
+                &[format!("joint-{n}-{ours}")],
+            );
         }
     }
 
-    fn eoffset_wires(&mut self, text: &mut String, axes: &[&str]) {
+    fn write_eoffset_nets(&mut self, text: &mut String, axes: &[&str]) {
         for axis in axes {
             for pin in ["scale", "enable", "counts"] {
                 let pin = format!("axis.{axis}.eoffset-{pin}");
-                if let Some(link) = self.hal.link_at_last(&pin) {
+                if let Some(link) = self.hal.final_link(&pin) {
                     self.findings.push(Finding::error(
                         link.place,
                         format!("{pin} is on the signal {} already", link.signal),
@@ -383,13 +412,13 @@ impl Writer<'_> {
                     ));
                 }
             }
-            self.from(
+            self.connect_pin(
                 text,
                 &format!("axis.{axis}.eoffset-request"),
                 &format!("trueup-{axis}-req"),
                 &[format!("{axis}-request")],
             );
-            self.from(
+            self.connect_pin(
                 text,
                 &format!("axis.{axis}.eoffset"),
                 &format!("trueup-{axis}-eoff"),
@@ -411,8 +440,8 @@ impl Writer<'_> {
     }
 
     /// Connects a pin of LinuxCNC to pins of the component, by the user's signal where there is one.
-    fn from(&self, text: &mut String, pin: &str, signal: &str, to: &[String]) {
-        let link = self.hal.link_at_last(pin);
+    fn connect_pin(&self, text: &mut String, pin: &str, signal: &str, to: &[String]) {
+        let link = self.hal.final_link(pin);
         let signal = link.as_ref().map_or(signal, |it| it.signal.as_str());
         let to: Vec<String> = to.iter().map(|pin| format!("trueup.0.{pin}")).collect();
         let _ = writeln!(text, "net {signal} {pin} => {}", to.join(" "));

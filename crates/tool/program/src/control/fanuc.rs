@@ -6,18 +6,20 @@
 //! The variables are read while that axis stands, so reading ahead does no harm. Increments would be turned or
 //! scaled by a mode that an earlier program left: such a mode is an alarm before anything moves.
 
-use super::dialect::{AXES, Around, Dialect, Ends, number, plain, wrapped};
+use super::dialect::{
+    AXIS_LETTERS, ArcBlocks, Dialect, MoveTargets, format_mm, sanitise_text, wrap_lines,
+};
 use crate::plan::Plan;
 
 /// The number of the main program; subprograms follow. From 8000 on programs are often locked.
-const MAIN: usize = 7100;
+const MAIN_PROGRAM_NUMBER: usize = 7100;
 
 /// A comment's width: the screen of the control.
-const WIDTH: usize = 60;
+const MAX_COMMENT_LENGTH: usize = 60;
 /// The variable with the machine position of X; those of Y and Z follow.
-const MACHINE_POSITION: usize = 5021;
+const MACHINE_POSITION_VARIABLE: usize = 5021;
 /// Modes that turn or scale an increment: the variable of each group, and the alarm (26 characters at most).
-const ALARMS: [(&str, &str); 5] = [
+const MODAL_ALARMS: [(&str, &str); 5] = [
     ("#4007 NE 40", "CANCEL G41 G42 FIRST"),
     ("FIX[#4011] EQ 51", "CANCEL SCALING G51 FIRST"),
     ("FIX[#4016] EQ 68", "CANCEL ROTATION G68 FIRST"),
@@ -37,7 +39,7 @@ struct Program {
 }
 
 #[derive(Default)]
-pub(super) struct Text {
+pub(super) struct ProgramWriter {
     name: String,
     /// Whether an axis moves, and not the spindle alone.
     moves: bool,
@@ -45,15 +47,15 @@ pub(super) struct Text {
     closed: Vec<Program>,
 }
 
-impl Text {
-    fn push(&mut self, block: String) {
+impl ProgramWriter {
+    fn push_block(&mut self, block: String) {
         if let Some(program) = self.open.last_mut() {
             program.blocks.push(block);
         }
     }
 
     /// Words in increments, with what of `G91 G01 F` does not hold already.
-    fn increments(&mut self, words: &str, feed: f64) {
+    fn push_incremental_move(&mut self, words: &str, feed: f64) {
         let Some(program) = self.open.last_mut() else { return };
         let held = program.feed.replace(feed);
         let before = if held.is_none() { "G91 G01 " } else { "" };
@@ -61,13 +63,13 @@ impl Text {
         program.blocks.push(format!("{before}{words}{after}"));
     }
 
-    fn forget(&mut self) {
+    fn reset_modal_feed(&mut self) {
         if let Some(program) = self.open.last_mut() {
             program.feed = None;
         }
     }
 
-    fn text_of(program: &Program, name: &str) -> String {
+    fn format_program(program: &Program, name: &str) -> String {
         let mut text = format!("O{}({})\n", program.number, name.to_uppercase());
         for (n, block) in program.blocks.iter().enumerate() {
             let is_comment = block.starts_with('(');
@@ -78,112 +80,114 @@ impl Text {
     }
 }
 
-impl Dialect for Text {
-    fn head(&mut self, plan: &Plan) {
+impl Dialect for ProgramWriter {
+    fn write_header(&mut self, plan: &Plan) {
         self.name = plan.name.clone();
-        self.open.push(Program { number: MAIN, ..Program::default() });
+        self.open.push(Program { number: MAIN_PROGRAM_NUMBER, ..Program::default() });
         for note in &plan.notes {
-            self.note(note);
+            self.write_comment(note);
         }
         self.moves = plan.extent_mm() != [None; 3];
         if self.moves {
-            self.note("For a machine in millimetres. Needs custom macro B.");
+            self.write_comment("For a machine in millimetres. Needs custom macro B.");
         }
-        self.push("M05".into());
+        self.push_block("M05".into());
     }
 
-    fn modes(&mut self, _: &Plan) {
-        let alarms = if self.moves { &ALARMS[..] } else { &[] };
+    fn write_modes(&mut self, _: &Plan) {
+        let alarms = if self.moves { &MODAL_ALARMS[..] } else { &[] };
         for (n, (test, what)) in alarms.iter().enumerate() {
-            self.push(format!("IF [{test}] THEN #3000={}({what})", n + 1));
+            self.push_block(format!("IF [{test}] THEN #3000={}({what})", n + 1));
         }
-        self.push("G17 G21 G40 G80 G94".into());
+        self.push_block("G17 G21 G40 G80 G94".into());
     }
 
-    fn note(&mut self, text: &str) {
-        for line in wrapped(&comment(text), WIDTH) {
-            self.push(format!("({line})"));
+    fn write_comment(&mut self, text: &str) {
+        for line in wrap_lines(&sanitise_comment(text), MAX_COMMENT_LENGTH) {
+            self.push_block(format!("({line})"));
         }
     }
 
-    fn stop(&mut self, text: &[String]) {
-        text.iter().for_each(|sentence| self.note(sentence));
-        self.push("M00".into());
+    fn write_stop(&mut self, text: &[String]) {
+        text.iter().for_each(|sentence| self.write_comment(sentence));
+        self.push_block("M00".into());
     }
 
-    fn line(&mut self, to: &Ends, feed: f64) {
+    fn write_linear_move(&mut self, to: &MoveTargets, feed: f64) {
         let word = |(axis, from, to): &(usize, Option<i64>, i64)| {
-            let name = AXES[*axis];
+            let name = AXIS_LETTERS[*axis];
             match from {
-                Some(from) => format!("{name}{}", decimal(to - from)),
-                None => format!("{name}[{}-#{}]", decimal(*to), MACHINE_POSITION + axis),
+                Some(from) => format!("{name}{}", format_decimal(to - from)),
+                None => {
+                    format!("{name}[{}-#{}]", format_decimal(*to), MACHINE_POSITION_VARIABLE + axis)
+                }
             }
         };
         let words: Vec<String> = to.axes.iter().map(word).collect();
-        self.increments(&words.join(" "), feed);
+        self.push_incremental_move(&words.join(" "), feed);
     }
 
-    fn around(&mut self, around: &Around) {
-        self.push(format!("{} G64", around.plane()));
-        let word = |letter, um| format!("{letter}{}", decimal(um));
-        for (is_ccw, words) in around.words(word, word) {
+    fn write_arc(&mut self, around: &ArcBlocks) {
+        self.push_block(format!("{} G64", around.plane_code()));
+        let word = |letter, um| format!("{letter}{}", format_decimal(um));
+        for (is_ccw, words) in around.format_words(word, word) {
             let turn = if is_ccw { "G03" } else { "G02" };
-            self.push(format!("G91 {turn}{words} F{}", around.feed));
+            self.push_block(format!("G91 {turn}{words} F{}", around.feed));
         }
-        self.push("G17".into());
+        self.push_block("G17".into());
         // G01 does not hold any more.
-        self.forget();
+        self.reset_modal_feed();
     }
 
-    fn spindle(&mut self, rpm: f64) {
-        self.push(if rpm == 0.0 { "M05".into() } else { format!("M03 S{rpm}") });
+    fn write_spindle_command(&mut self, rpm: f64) {
+        self.push_block(if rpm == 0.0 { "M05".into() } else { format!("M03 S{rpm}") });
     }
 
-    fn dwell(&mut self, s: f64, _: bool) {
+    fn write_dwell(&mut self, s: f64, _: bool) {
         let text = s.to_string();
         let point = if text.contains('.') { "" } else { "." };
-        self.push(format!("G04 X{text}{point}"));
+        self.push_block(format!("G04 X{text}{point}"));
     }
 
-    fn repeat(&mut self, times: u32) {
+    fn begin_repeat(&mut self, times: u32) {
         self.open.push(Program { times, ..Program::default() });
     }
 
-    fn repeated(&mut self) {
-        self.push("M99".into());
+    fn end_repeat(&mut self) {
+        self.push_block("M99".into());
         let Some(mut done) = self.open.pop() else { return };
         // In increments a cycle is the same at each place.
         let same = self.closed.iter().find(|it| it.blocks == done.blocks).map(|it| it.number);
-        let number = same.unwrap_or(MAIN + 1 + self.closed.len());
-        self.push(format!("M98 P{number} L{}", done.times));
+        let number = same.unwrap_or(MAIN_PROGRAM_NUMBER + 1 + self.closed.len());
+        self.push_block(format!("M98 P{number} L{}", done.times));
         if same.is_none() {
             done.number = number;
             self.closed.push(done);
         }
         // The subprogram has left another feed.
-        self.forget();
+        self.reset_modal_feed();
     }
 
-    fn end(&mut self) -> String {
+    fn finish(&mut self) -> String {
         // A program after this one must not find increments.
-        self.push("G90".into());
-        self.push("M30".into());
+        self.push_block("G90".into());
+        self.push_block("M30".into());
         self.closed.extend(self.open.pop());
         self.closed.sort_by_key(|program| program.number);
         let programs: String =
-            self.closed.iter().map(|program| Self::text_of(program, &self.name)).collect();
+            self.closed.iter().map(|program| Self::format_program(program, &self.name)).collect();
         format!("%\n{programs}%\n")
     }
 }
 
 /// Returns the characters of a comment that every FANUC takes: a colon is another letter O, a semicolon ends the block.
-fn comment(text: &str) -> String {
-    let text = plain(text).to_uppercase().replace(':', " -").replace(';', ",");
+fn sanitise_comment(text: &str) -> String {
+    let text = sanitise_text(text).to_uppercase().replace(':', " -").replace(';', ",");
     text.chars().filter(|c| !"<>'\"%&!^`{}|~_".contains(*c)).collect()
 }
 
 /// `50.`: without its point a number may count in micrometres.
-fn decimal(um: i64) -> String {
-    let text = number(um);
+fn format_decimal(um: i64) -> String {
+    let text = format_mm(um);
     if text.contains('.') { text } else { text + "." }
 }

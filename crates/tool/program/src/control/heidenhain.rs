@@ -1,13 +1,13 @@
 //! HEIDENHAIN Klartext.
 
-use super::dialect::{AXES, Dialect, Ends, number, plain, wrapped};
+use super::dialect::{AXIS_LETTERS, Dialect, MoveTargets, format_mm, sanitise_text, wrap_lines};
 use crate::plan::Plan;
 
 /// A comment's width: the screen of the control.
-const WIDTH: usize = 70;
+const MAX_COMMENT_LENGTH: usize = 70;
 
 #[derive(Default)]
-pub(super) struct Text {
+pub(super) struct ProgramWriter {
     name: String,
     lines: Vec<String>,
     /// Label and turns of what is open.
@@ -15,84 +15,87 @@ pub(super) struct Text {
     labels: usize,
 }
 
-impl Text {
-    fn push(&mut self, line: String) {
+impl ProgramWriter {
+    fn push_line(&mut self, line: String) {
         self.lines.push(line);
     }
 }
 
-impl Dialect for Text {
-    fn head(&mut self, plan: &Plan) {
+impl Dialect for ProgramWriter {
+    fn write_header(&mut self, plan: &Plan) {
         self.name = plan.name.replace('-', "_").to_uppercase();
-        self.push(format!("BEGIN PGM {} MM", self.name));
-        plan.notes.iter().for_each(|note| self.note(note));
-        self.note("In machine coordinates (M91).");
-        self.push("M5".into());
+        self.push_line(format!("BEGIN PGM {} MM", self.name));
+        plan.notes.iter().for_each(|note| self.write_comment(note));
+        self.write_comment("In machine coordinates (M91).");
+        self.push_line("M5".into());
     }
 
     // A program in MM and blocks with M91 and R0 rely on no mode.
-    fn modes(&mut self, _: &Plan) {}
+    fn write_modes(&mut self, _: &Plan) {}
 
-    fn note(&mut self, text: &str) {
-        for line in wrapped(&plain(text), WIDTH) {
-            self.push(format!("; {line}"));
+    fn write_comment(&mut self, text: &str) {
+        for line in wrap_lines(&sanitise_text(text), MAX_COMMENT_LENGTH) {
+            self.push_line(format!("; {line}"));
         }
     }
 
-    fn stop(&mut self, text: &[String]) {
-        text.iter().for_each(|sentence| self.note(sentence));
-        self.push("STOP".into());
+    fn write_stop(&mut self, text: &[String]) {
+        text.iter().for_each(|sentence| self.write_comment(sentence));
+        self.push_line("STOP".into());
     }
 
-    fn line(&mut self, to: &Ends, feed: f64) {
-        self.push(format!("L{} R0 F{feed} M91", words(to)));
+    fn write_linear_move(&mut self, to: &MoveTargets, feed: f64) {
+        self.push_line(format!("L{} R0 F{feed} M91", format_targets(to)));
     }
 
-    fn spindle(&mut self, rpm: f64) {
+    fn write_spindle_command(&mut self, rpm: f64) {
         if rpm == 0.0 {
-            self.push("M5".into());
+            self.push_line("M5".into());
         } else {
-            self.push(format!("TOOL CALL Z S{rpm}"));
-            self.push("M3".into());
+            self.push_line(format!("TOOL CALL Z S{rpm}"));
+            self.push_line("M3".into());
         }
     }
 
-    fn dwell(&mut self, s: f64, is_reading: bool) {
+    fn write_dwell(&mut self, s: f64, is_reading: bool) {
         if is_reading {
-            self.note("read");
+            self.write_comment("read");
         }
-        self.push("CYCL DEF 9.0 DWELL TIME".into());
-        self.push(format!("CYCL DEF 9.1 DWELL {s}"));
+        self.push_line("CYCL DEF 9.0 DWELL TIME".into());
+        self.push_line(format!("CYCL DEF 9.1 DWELL {s}"));
     }
 
-    fn repeat(&mut self, times: u32) {
+    fn begin_repeat(&mut self, times: u32) {
         self.labels += 1;
-        self.push(format!("LBL {}", self.labels));
+        self.push_line(format!("LBL {}", self.labels));
         self.open.push((self.labels, times));
     }
 
-    fn repeated(&mut self) {
+    fn end_repeat(&mut self) {
         // It has run once when it gets here.
         if let Some((label, times)) = self.open.pop()
             && times > 1
         {
-            self.push(format!("CALL LBL {label} REP {}", times - 1));
+            self.push_line(format!("CALL LBL {label} REP {}", times - 1));
         }
     }
 
-    fn end(&mut self) -> String {
-        self.push("M30".into());
-        self.push(format!("END PGM {} MM", self.name));
+    fn finish(&mut self) -> String {
+        self.push_line("M30".into());
+        self.push_line(format!("END PGM {} MM", self.name));
         let numbered = |(n, line): (usize, &String)| format!("{n} {line}\n");
         self.lines.iter().enumerate().map(numbered).collect()
     }
 }
 
-fn words(to: &Ends) -> String {
-    to.axes.iter().map(|(axis, _, to)| format!(" {}{}", AXES[*axis], signed(*to))).collect()
+fn format_targets(to: &MoveTargets) -> String {
+    to.axes
+        .iter()
+        .map(|(axis, _, to)| format!(" {}{}", AXIS_LETTERS[*axis], format_signed(*to)))
+        .collect()
 }
 
-fn signed(um: i64) -> String {
+fn format_signed(um: i64) -> String {
     let sign = if um < 0 { "" } else { "+" };
-    format!("{sign}{}", number(um))
+    format!("{sign}{}", format_mm(um))
 }

@@ -8,13 +8,13 @@
 
 use trueup_machine::file::LinearAxis;
 
-use super::probing::{Probing, needed};
+use super::probing::{ProbeSetup, require_option};
 use crate::{
-    options::Options,
+    options::MeasurementOptions,
     plan::{Column, Step},
-    probe::{Found, Mean},
-    refused::Refused,
-    travel::micrometres,
+    probe::{ProbedPoint, TouchMean},
+    refused::ProgramError,
+    travel::round_to_micrometres,
 };
 
 /// A ball by its diameter and that of the stylus.
@@ -25,7 +25,7 @@ pub(super) struct Ball {
 
 /// A place where a ball is touched.
 #[derive(Clone, Copy)]
-pub(super) struct Place {
+pub(super) struct BallPosition {
     pub run: u32,
     /// Where the axes would stand with the tip in the centre of the ball.
     pub at_mm: [f64; 3],
@@ -35,12 +35,12 @@ pub(super) struct Place {
 }
 
 impl Ball {
-    pub fn of(probing: &Probing, options: &Options) -> Result<Self, Refused> {
-        let ball_mm = needed(options.ball_mm, "--ball", "the diameter of the ball")?;
+    pub fn new(probing: &ProbeSetup, options: &MeasurementOptions) -> Result<Self, ProgramError> {
+        let ball_mm = require_option(options.ball_mm, "--ball", "the diameter of the ball")?;
         let apart_mm = (ball_mm + probing.stylus_mm) / 2.0;
         // A touch that looks further would pass the ball on its other side.
         if probing.search_mm > apart_mm / 2.0 {
-            return Err(Refused(format!(
+            return Err(ProgramError(format!(
                 "--search {} is too far for a ball of {ball_mm} mm: at most {} mm",
                 probing.search_mm,
                 apart_mm / 2.0
@@ -50,60 +50,64 @@ impl Ball {
     }
 
     /// Returns how far from the centre of a ball the tip is where it does not touch, in mm.
-    pub(crate) fn clear_mm(&self, probing: &Probing) -> f64 {
+    pub(crate) fn clearance_radius_mm(&self, probing: &ProbeSetup) -> f64 {
         self.apart_mm + probing.search_mm
     }
 
     /// Checks that a place can be reached.
-    pub fn check(&self, probing: &Probing, at_mm: [f64; 3]) -> Result<(), Refused> {
-        let clear = self.clear_mm(probing);
+    pub fn check(&self, probing: &ProbeSetup, at_mm: [f64; 3]) -> Result<(), ProgramError> {
+        let clear = self.clearance_radius_mm(probing);
         for axis in probing.sides {
-            probing.check(axis, &[at_mm[axis] - clear, at_mm[axis] + clear])?;
+            probing.check_travel(axis, &[at_mm[axis] - clear, at_mm[axis] + clear])?;
         }
         let above = at_mm[probing.tool] + probing.retract * clear;
-        probing.check(probing.tool, &[at_mm[probing.tool], above])
+        probing.check_travel(probing.tool, &[at_mm[probing.tool], above])
     }
 
     /// Returns the steps from above any ball, or retracted, to above this one, touched, and its reading.
-    pub fn steps(&self, probing: &Probing, place: &Place) -> Vec<Step> {
-        let (tool, up, clear) = (probing.tool, probing.retract, self.clear_mm(probing));
+    pub fn steps(&self, probing: &ProbeSetup, place: &BallPosition) -> Vec<Step> {
+        let (tool, up, clear) = (probing.tool, probing.retract, self.clearance_radius_mm(probing));
         let centre = place.at_mm;
         let above = centre[tool] + up * clear;
         let top = centre[tool] + up * self.apart_mm;
-        let mut steps = probing.sides.map(|axis| probing.guarded(axis, centre[axis])).to_vec();
-        steps.extend([probing.guarded(tool, above), probing.touch(tool, top, -up, 5)]);
+        let mut steps = probing.sides.map(|axis| probing.guarded_move(axis, centre[axis])).to_vec();
+        steps.extend([probing.guarded_move(tool, above), probing.touch(tool, top, -up, 5)]);
         let mut number = 0;
         for axis in probing.sides {
             for side in [-1.0, 1.0] {
                 number += 1;
                 steps.extend([
-                    probing.guarded(axis, centre[axis] + side * clear),
-                    probing.guarded(tool, centre[tool]),
+                    probing.guarded_move(axis, centre[axis] + side * clear),
+                    probing.guarded_move(tool, centre[tool]),
                     probing.touch(axis, centre[axis] + side * self.apart_mm, -side, number),
-                    probing.guarded(tool, above),
-                    probing.guarded(axis, centre[axis]),
+                    probing.guarded_move(tool, above),
+                    probing.guarded_move(axis, centre[axis]),
                 ]);
             }
         }
         let mut by = [None; 3];
         for (n, axis) in probing.sides.into_iter().enumerate() {
             let touches = [2 * n + 1, 2 * n + 2];
-            by[axis] = Some(Mean { touches, expected_mm: centre[axis] });
+            by[axis] = Some(TouchMean { touches, expected_mm: centre[axis] });
         }
-        by[tool] = Some(Mean { touches: [5, 5], expected_mm: micrometres(top) });
-        let Place { run, at_mm, angle_deg, tool_length_mm, point } = *place;
-        steps.push(Step::Found(Found { run, at_mm, angle_deg, tool_length_mm, point, by }));
+        by[tool] = Some(TouchMean { touches: [5, 5], expected_mm: round_to_micrometres(top) });
+        let BallPosition { run, at_mm, angle_deg, tool_length_mm, point } = *place;
+        steps.push(Step::Found(ProbedPoint { run, at_mm, angle_deg, tool_length_mm, point, by }));
         steps
     }
 }
 
 /// Returns the columns of balls; `rotary` axes have one each.
-pub(super) fn columns(probing: &Probing, rotary: &[usize], has_points: bool) -> Vec<Column> {
+pub(super) fn ball_columns(
+    probing: &ProbeSetup,
+    rotary: &[usize],
+    has_points: bool,
+) -> Vec<Column> {
     let mut columns = vec![Column::Run, Column::Constant("setup", 1.0)];
     columns.extend(has_points.then_some(Column::Point));
     columns.extend(LinearAxis::ALL.map(|axis| Column::Position(axis.index())));
     columns.extend(rotary.iter().map(|axis| Column::Angle(*axis)));
     columns.extend(probing.tool_lengths_mm[0].map(|_| Column::ToolLength));
-    columns.extend(LinearAxis::ALL.map(|axis| Column::Empty(super::measured(axis))));
+    columns.extend(LinearAxis::ALL.map(|axis| Column::Empty(super::measured_column(axis))));
     columns
 }

@@ -10,70 +10,59 @@
 
 use trueup_machine::{
     Machine,
-    file::{Kind, LinearAxis},
+    file::{LinearAxis, MachineKind},
 };
 
-use super::{Plans, WITHOUT_CORRECTION, capital, head_at_zero, without_clearance};
+use super::{
+    COMPENSATION_OFF_PRECAUTION, Plans, head_zero_precaution, plan_each_pair,
+    unused_clearance_note, uppercase_name,
+};
 use crate::{
     arc::Arc,
-    options::Options,
+    options::MeasurementOptions,
     plan::{Column, Plan, Step},
-    refused::Refused,
-    travel::{Travel, micrometres, travels},
+    refused::ProgramError,
+    travel::{AxisTravel, resolve_travels, round_to_micrometres},
 };
 
 /// Usual lengths of ball bars in mm.
-const BARS_MM: [f64; 4] = [300.0, 150.0, 100.0, 50.0];
+const BALL_BAR_LENGTHS_MM: [f64; 4] = [300.0, 150.0, 100.0, 50.0];
 /// A turn takes 38 s: an instrument that reads ten times a second has a reading each degree …
-const RADII_A_MIN: f64 = 10.0;
-/// … but no feed is higher unless it is asked for, in mm/min.
+const FEED_RADII_PER_MIN: f64 = 10.0;
+/// … but no feed is higher unless it is requested, in mm/min.
 const MAX_FEED_MM_PER_MIN: f64 = 1000.0;
 /// How far a part of a circle goes below the pivot, in degrees, so that both reversals are in it.
-const BELOW_DEG: f64 = 20.0;
+const ANGLE_BELOW_PIVOT_DEG: f64 = 20.0;
 /// An axis with more than this share of the tool direction leads along the tool.
-const ALONG_TOOL: f64 = 0.01;
+const MIN_TOOL_DIRECTION_COMPONENT: f64 = 0.01;
 /// The most by which a circle through whole micrometres is larger, in mm.
-const ROUNDING_MM: f64 = 0.001;
+const MAX_ROUNDING_MM: f64 = 0.001;
 /// The radius within which a control takes the rounding of both ends for a circle, in mm.
 const MIN_RADIUS_MM: f64 = 1.0;
 
-pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refused> {
-    if machine.kind == Kind::Lathe {
-        return Err(Refused(
+pub(crate) fn create_plans(
+    machine: &Machine,
+    options: &MeasurementOptions,
+) -> Result<Plans, ProgramError> {
+    if machine.kind == MachineKind::Lathe {
+        return Err(ProgramError(
             "a circle around the axis of a lathe has no far side: X and Z of a turret reach half of it at best".into(),
         ));
     }
-    let (travels, mut notes) = travels(machine, options)?;
-    let mut plans = Vec::new();
-    for (n, first) in travels.iter().enumerate() {
-        for second in &travels[n + 1..] {
-            match plan(machine, [first, second], options) {
-                Ok(plan) => plans.push(plan),
-                Err(why) => notes.push(why.0),
-            }
-        }
-    }
-    if let [one] = &travels[..] {
-        let name = one.axis.name();
-        notes.insert(
-            0,
-            format!("a circle needs two axes, and only {name} may move or is asked for"),
-        );
-    }
-    if plans.is_empty() {
-        return Err(Refused(notes.join("; ")));
-    }
+    let (travels, notes) = resolve_travels(machine, options)?;
+    let (mut plans, mut notes) =
+        plan_each_pair(&travels, notes, "circle", |pair| create_plan(machine, pair, options))?;
     // All planes are measured first: together they say which axis is in error.
     let runs: Vec<String> = plans.iter().map(|plan| format!("--run {}.csv", plan.name)).collect();
     if let Some(last) = plans.last_mut() {
         last.then = vec![format!("trueup fit circle {}", runs.join(" "))];
     }
-    notes.extend(without_clearance(options));
+    notes.extend(unused_clearance_note(options));
     Ok((plans, notes))
 }
 
 /// The way around the centre, for a radius of 1.
-struct Way {
+struct UnitArc {
     /// Where the first direction starts, in degrees from the first axis of the plane.
     start_deg: f64,
     turn_deg: f64,
@@ -82,12 +71,12 @@ struct Way {
     extent: [[f64; 2]; 2],
 }
 
-impl Way {
+impl UnitArc {
     /// Returns the way in the plane of both axes: whole turns, or the retracted half where one is along the tool.
-    fn of(machine: &Machine, pair: [&Travel; 2]) -> Self {
+    fn for_plane(machine: &Machine, pair: [&AxisTravel; 2]) -> Self {
         let along = pair.map(|travel| machine.tool_direction[travel.axis.index()]);
         let most = usize::from(along[1].abs() > along[0].abs());
-        if along[most].abs() <= ALONG_TOOL {
+        if along[most].abs() <= MIN_TOOL_DIRECTION_COMPONENT {
             return Self {
                 start_deg: 0.0,
                 turn_deg: 720.0,
@@ -96,18 +85,18 @@ impl Way {
             };
         }
         let retracted = if along[most] < 0.0 { 1.0 } else { -1.0 };
-        let below = BELOW_DEG.to_radians().sin();
+        let below = ANGLE_BELOW_PIVOT_DEG.to_radians().sin();
         let mut extent = [[-1.0, 1.0]; 2];
         extent[most] = if retracted > 0.0 { [-below, 1.0] } else { [-1.0, below] };
         let top_deg = 90.0 * most as f64 + if retracted > 0.0 { 0.0 } else { 180.0 };
-        let half = 90.0 + BELOW_DEG;
+        let half = 90.0 + ANGLE_BELOW_PIVOT_DEG;
         let turn_deg = 2.0 * half;
         Self { start_deg: top_deg - half, turn_deg, read_deg: [2, turn_deg as u32 - 2], extent }
     }
 }
 
 /// Returns both axes in the order of the plane: X to Y, Y to Z, Z to X.
-fn in_order([first, second]: [&Travel; 2]) -> [&Travel; 2] {
+fn order_by_plane([first, second]: [&AxisTravel; 2]) -> [&AxisTravel; 2] {
     match (first.axis, second.axis) {
         (LinearAxis::X, LinearAxis::Z) => [second, first],
         _ => [first, second],
@@ -115,49 +104,61 @@ fn in_order([first, second]: [&Travel; 2]) -> [&Travel; 2] {
 }
 
 /// Returns the radius, and the centre of both axes; each place is in its range.
-fn circle(pair: [&Travel; 2], way: &Way, options: &Options) -> Result<(f64, [f64; 2]), Refused> {
+fn place_circle(
+    pair: [&AxisTravel; 2],
+    way: &UnitArc,
+    options: &MeasurementOptions,
+) -> Result<(f64, [f64; 2]), ProgramError> {
     let room = |n: usize, radius: f64| -> [f64; 2] {
         let [low, high] = way.extent[n];
-        [pair[n].low_mm - low * radius + ROUNDING_MM, pair[n].high_mm - high * radius - ROUNDING_MM]
+        [
+            pair[n].low_mm - low * radius + MAX_ROUNDING_MM,
+            pair[n].high_mm - high * radius - MAX_ROUNDING_MM,
+        ]
     };
     let centre = |n: usize, radius: f64| {
         let [low, high] = room(n, radius);
-        options.at_mm[pair[n].axis.index()].unwrap_or(micrometres((low + high) / 2.0))
+        options.at_mm[pair[n].axis.index()].unwrap_or(round_to_micrometres((low + high) / 2.0))
     };
     let fits = |n: usize, radius: f64| {
         let [low, high] = room(n, radius);
         (low..=high).contains(&centre(n, radius))
     };
     let found = match options.radius_mm {
-        Some(radius) => Some(micrometres(radius)),
-        None => BARS_MM.into_iter().find(|radius| (0..2).all(|n| fits(n, *radius))),
+        Some(radius) => Some(round_to_micrometres(radius)),
+        None => BALL_BAR_LENGTHS_MM.into_iter().find(|radius| (0..2).all(|n| fits(n, *radius))),
     };
-    let radius = found.unwrap_or(BARS_MM[BARS_MM.len() - 1]);
+    let radius = found.unwrap_or(BALL_BAR_LENGTHS_MM[BALL_BAR_LENGTHS_MM.len() - 1]);
     if let Some(n) = (0..2).find(|n| !fits(*n, radius)) {
         let name = pair[n].axis.name();
-        let [low, high] = way.extent[n].map(|it| micrometres(centre(n, radius) + it * radius));
-        return Err(Refused(format!(
+        let [low, high] =
+            way.extent[n].map(|it| round_to_micrometres(centre(n, radius) + it * radius));
+        return Err(ProgramError(format!(
             "a circle of {radius} mm would send {name} from {low} to {high} mm, and it may move from {} to {} mm: give a smaller \
              --radius, another centre by --at, or a longer --range {name}=LOW:HIGH",
             pair[n].low_mm, pair[n].high_mm
         )));
     }
     if radius < MIN_RADIUS_MM {
-        return Err(Refused(format!("--radius {radius}: at least {MIN_RADIUS_MM} mm")));
+        return Err(ProgramError(format!("--radius {radius}: at least {MIN_RADIUS_MM} mm")));
     }
     Ok((radius, [0, 1].map(|n| centre(n, radius))))
 }
 
-fn plan(machine: &Machine, pair: [&Travel; 2], options: &Options) -> Result<Plan, Refused> {
-    let pair = in_order(pair);
+fn create_plan(
+    machine: &Machine,
+    pair: [&AxisTravel; 2],
+    options: &MeasurementOptions,
+) -> Result<Plan, ProgramError> {
+    let pair = order_by_plane(pair);
     let axes = pair.map(|travel| travel.axis.index());
-    let way = Way::of(machine, pair);
-    let (radius, centre_mm) = circle(pair, &way, options)?;
+    let way = UnitArc::for_plane(machine, pair);
+    let (radius, centre_mm) = place_circle(pair, &way, options)?;
     let still = LinearAxis::ALL[3 - axes[0] - axes[1]];
     let (sin, cos) = way.start_deg.to_radians().sin_cos();
     let start_mm = [cos, sin].map(|it| it * radius);
-    let start_mm = [0, 1].map(|n| micrometres(centre_mm[n] + start_mm[n]));
-    let own_feed = (RADII_A_MIN * radius).min(MAX_FEED_MM_PER_MIN);
+    let start_mm = [0, 1].map(|n| round_to_micrometres(centre_mm[n] + start_mm[n]));
+    let own_feed = (FEED_RADII_PER_MIN * radius).min(MAX_FEED_MM_PER_MIN);
     let feed = options.feeds_mm_per_min.first().copied().unwrap_or(own_feed);
     let read_deg = way.read_deg;
     let arc = |turn_deg| Arc { axes, centre_mm, turn_deg, read_deg, feed_mm_per_min: feed };
@@ -167,18 +168,18 @@ fn plan(machine: &Machine, pair: [&Travel; 2], options: &Options) -> Result<Plan
         let [low, high] = extent_mm[n];
         pair[n].retract.map(|way| if way > 0.0 { high } else { low })
     };
-    let retract = || (0..2).filter_map(|n| Some(pair[n].approach(retracted(n)?)));
+    let retract = || (0..2).filter_map(|n| Some(pair[n].approach_step(retracted(n)?)));
     // Last of all it goes to its place.
     let mut order = [0, 1];
     order.sort_by_key(|n| pair[*n].retract.is_some());
-    let to = |mm: [f64; 2]| order.map(|n| pair[n].approach(mm[n]));
+    let to = |mm: [f64; 2]| order.map(|n| pair[n].approach_step(mm[n]));
     let mut steps: Vec<Step> = retract().collect();
     steps.extend(to(centre_mm));
-    steps.push(Step::Stop(at_centre(pair, still, machine)));
+    steps.push(Step::Stop(centre_instructions(pair, still, machine)));
     steps.extend(retract());
     steps.extend(to(start_mm));
-    steps.push(Step::Stop(at_start(pair, radius, &way, feed)));
-    // Should somebody have jogged, the circle begins at the right place all the same.
+    steps.push(Step::Stop(start_instructions(pair, radius, &way, feed)));
+    // If the axes were jogged, the circle begins at the right place all the same.
     steps.extend(to(start_mm));
     let both = [arc(way.turn_deg), arc(-way.turn_deg)].map(Step::Arc);
     let [there, back] = both;
@@ -192,13 +193,13 @@ fn plan(machine: &Machine, pair: [&Travel; 2], options: &Options) -> Result<Plan
     let length_mm = options.tool_lengths_mm.first();
     columns.extend(length_mm.map(|mm| Column::Constant("tool_length_mm", *mm)));
     columns.extend([Column::Sense, Column::Feed, Column::Empty("measured_dr_um".into())]);
-    let mut precautions: Vec<String> = head_at_zero(machine).into_iter().collect();
+    let mut precautions: Vec<String> = head_zero_precaution(machine).into_iter().collect();
     if let Some(mm) = options.at_mm[still.index()] {
-        precautions.push(format!("{} stands at {mm} mm.", capital(still)));
+        precautions.push(format!("{} stands at {mm} mm.", uppercase_name(still)));
     }
     precautions.push("No ball bar yet: the program stops for it.".into());
     Ok(Plan {
-        notes: notes(&name, radius, centre_mm, still, options),
+        notes: collect_notes(&name, radius, centre_mm, still, options),
         name: format!("circle-{name}"),
         precautions,
         approach_mm_per_min: options.approach_mm_per_min,
@@ -210,16 +211,16 @@ fn plan(machine: &Machine, pair: [&Travel; 2], options: &Options) -> Result<Plan
     })
 }
 
-fn notes(
+fn collect_notes(
     plane: &str,
     radius: f64,
     centre_mm: [f64; 2],
     still: LinearAxis,
-    options: &Options,
+    options: &MeasurementOptions,
 ) -> Vec<String> {
     let [u, v] = centre_mm;
     let mut notes = vec![
-        WITHOUT_CORRECTION.to_string(),
+        COMPENSATION_OFF_PRECAUTION.to_string(),
         "A reading is the radius, actual minus nominal, plus outward; a row for each degree."
             .into(),
         format!(
@@ -231,26 +232,32 @@ fn notes(
     if options.at_mm[still.index()].is_none() {
         notes.push(format!(
             "trueup fit volume needs to know where {0} stands, which trueup fit circle does not: --at {name}=MM.",
-            capital(still)
+            uppercase_name(still)
         ));
     }
     notes
 }
 
 /// Returns the instructions for the operator at the centre.
-fn at_centre(pair: [&Travel; 2], still: LinearAxis, machine: &Machine) -> Vec<String> {
-    let [u, v] = pair.map(|travel| capital(travel.axis));
+fn centre_instructions(
+    pair: [&AxisTravel; 2],
+    still: LinearAxis,
+    machine: &Machine,
+) -> Vec<String> {
+    let [u, v] = pair.map(|travel| uppercase_name(travel.axis));
     let mut text = vec![
         format!(
             "Here is the centre. Jog {0} alone: set the pivot of the bar, or the zero of the instrument, under the tool.",
-            capital(still)
+            uppercase_name(still)
         ),
         format!(
             "Fix it, and jog {0} clear of it. {u} and {v} go to the start next.",
-            capital(still)
+            uppercase_name(still)
         ),
     ];
-    if pair.iter().any(|travel| machine.tool_direction[travel.axis.index()].abs() > ALONG_TOOL) {
+    if pair.iter().any(|travel| {
+        machine.tool_direction[travel.axis.index()].abs() > MIN_TOOL_DIRECTION_COMPONENT
+    }) {
         text[1] =
             format!("Fix it, and take the tool ball out of it. {u} and {v} go to the start next.");
     }
@@ -258,8 +265,13 @@ fn at_centre(pair: [&Travel; 2], still: LinearAxis, machine: &Machine) -> Vec<St
 }
 
 /// Returns the instructions for the operator at the start.
-fn at_start(pair: [&Travel; 2], radius: f64, way: &Way, feed: f64) -> Vec<String> {
-    let [u, v] = pair.map(|travel| capital(travel.axis));
+fn start_instructions(
+    pair: [&AxisTravel; 2],
+    radius: f64,
+    way: &UnitArc,
+    feed: f64,
+) -> Vec<String> {
+    let [u, v] = pair.map(|travel| uppercase_name(travel.axis));
     let what = match way.turn_deg > 360.0 {
         true => "two turns counter-clockwise, then two clockwise",
         false => "220 degrees counter-clockwise, then back",

@@ -3,88 +3,81 @@
 
 use trueup_machine::{
     Machine,
-    file::{Kind, LinearAxis},
+    file::{LinearAxis, MachineKind},
 };
 
-use super::{Plans, capital, head_at_zero, measured, without_clearance};
+use super::{
+    Plans, head_zero_precaution, measured_column, plan_each_pair, unused_clearance_note,
+    uppercase_name,
+};
 use crate::{
-    options::Options,
+    options::MeasurementOptions,
     plan::{Column, Plan, Step},
-    refused::Refused,
-    travel::{Travel, even, micrometres, travels},
+    refused::ProgramError,
+    travel::{AxisTravel, evenly_spaced, resolve_travels, round_to_micrometres},
 };
 
 /// There and back so often.
-const REPEATS: u32 = 3;
+const DEFAULT_REPEATS: u32 = 3;
 /// From target to target along the diagonal, in mm: the length of the paper's slide.
-const STEP_MM: f64 = 240.0;
+const MAX_TARGET_STEP_MM: f64 = 240.0;
 /// This many steps on a short one, at least.
-const STEPS: f64 = 12.0;
+const MIN_STEPS: f64 = 12.0;
 
-pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refused> {
-    if machine.kind == Kind::Lathe {
-        return Err(Refused(
+pub(crate) fn create_plans(
+    machine: &Machine,
+    options: &MeasurementOptions,
+) -> Result<Plans, ProgramError> {
+    if machine.kind == MachineKind::Lathe {
+        return Err(ProgramError(
             "a diagonal is measured across a third axis, which a lathe has not".into(),
         ));
     }
-    let (travels, mut notes) = travels(machine, options)?;
-    let mut plans = Vec::new();
-    for (n, first) in travels.iter().enumerate() {
-        for second in &travels[n + 1..] {
-            match plan(machine, [first, second], options) {
-                Ok(plan) => plans.push(plan),
-                Err(why) => notes.push(why.0),
-            }
-        }
-    }
-    if let [one] = &travels[..] {
-        let name = one.axis.name();
-        notes.insert(
-            0,
-            format!("a diagonal needs two axes, and only {name} may move or is asked for"),
-        );
-    }
-    if plans.is_empty() {
-        return Err(Refused(notes.join("; ")));
-    }
+    let (travels, notes) = resolve_travels(machine, options)?;
+    let (plans, mut notes) =
+        plan_each_pair(&travels, notes, "diagonal", |pair| create_plan(machine, pair, options))?;
     if travels.len() == 2 {
         notes.push("one plane only: the third axis may not move or is not asked for".into());
     }
-    notes.extend(without_clearance(options));
+    notes.extend(unused_clearance_note(options));
     Ok((plans, notes))
 }
 
 /// Returns the ends of both axes, where the diagonal begins and where it ends. A tool axis begins where it is
 /// retracted; an axis that may begin at either end begins at the same one as the other, so that both rise.
-fn corners(pair: [&Travel; 2], ends_mm: impl Fn(&Travel) -> [f64; 2]) -> [[f64; 2]; 2] {
-    let starts_high = |n: usize| match pair[n].retract {
-        Some(_) => pair[n].starts_high(),
-        None => pair[1 - n].starts_high(),
+fn corners(pair: [&AxisTravel; 2], ends_mm: impl Fn(&AxisTravel) -> [f64; 2]) -> [[f64; 2]; 2] {
+    let starts_at_upper_end = |n: usize| match pair[n].retract {
+        Some(_) => pair[n].starts_at_upper_end(),
+        None => pair[1 - n].starts_at_upper_end(),
     };
     let [first, second] = [0, 1].map(|n| {
         let [low, high] = ends_mm(pair[n]);
-        if starts_high(n) { [high, low] } else { [low, high] }
+        if starts_at_upper_end(n) { [high, low] } else { [low, high] }
     });
     [[first[0], second[0]], [first[1], second[1]]]
 }
 
-fn plan(machine: &Machine, pair: [&Travel; 2], options: &Options) -> Result<Plan, Refused> {
+fn create_plan(
+    machine: &Machine,
+    pair: [&AxisTravel; 2],
+    options: &MeasurementOptions,
+) -> Result<Plan, ProgramError> {
     let [first, second] = pair;
-    let feed = options.feed();
+    let feed = options.first_feed_mm_per_min();
     let to = |mm: [f64; 2]| {
         let mut to = [None; 3];
         for (travel, mm) in pair.into_iter().zip(mm) {
-            to[travel.axis.index()] = Some(micrometres(mm));
+            to[travel.axis.index()] = Some(round_to_micrometres(mm));
         }
         to
     };
     let [near, far] = corners(pair, |travel| [travel.low_mm, travel.high_mm]);
-    let [from, until] = corners(pair, Travel::inside_mm);
+    let [from, until] = corners(pair, AxisTravel::target_range_mm);
     let at = |share: f64| [0, 1].map(|n| from[n] + share * (until[n] - from[n]));
     let length = (until[0] - from[0]).hypot(until[1] - from[1]);
-    let step = options.step_mm.unwrap_or(STEP_MM.min(length / STEPS));
-    let shares: Vec<f64> = even(0.0, length, step)
-        .ok_or_else(|| Refused(format!("--step-mm {step} does not fit into {length:.0} mm")))?
+    let step = options.step_mm.unwrap_or(MAX_TARGET_STEP_MM.min(length / MIN_STEPS));
+    let shares: Vec<f64> = evenly_spaced(0.0, length, step)
+        .ok_or_else(|| ProgramError(format!("--step-mm {step} does not fit into {length:.0} mm")))?
         .into_iter()
         // A length that is rounded to whole micrometres is not 1.
         .map(|mm| (mm / length).min(1.0))
@@ -95,11 +88,11 @@ fn plan(machine: &Machine, pair: [&Travel; 2], options: &Options) -> Result<Plan
     run.push(go(far));
     run.extend(shares.iter().rev().flat_map(read));
     run.push(go(near));
-    let times = options.repeats.unwrap_or(REPEATS);
+    let times = options.repeats.unwrap_or(DEFAULT_REPEATS);
     // The tool is retracted before the other axis moves.
     let mut order = [0, 1];
     order.sort_by_key(|n| pair[*n].retract.is_none());
-    let mut steps = order.map(|n| pair[n].approach(near[n])).to_vec();
+    let mut steps = order.map(|n| pair[n].approach_step(near[n])).to_vec();
     steps.push(Step::Repeat { times, steps: run });
     let across = LinearAxis::ALL
         .into_iter()
@@ -108,16 +101,16 @@ fn plan(machine: &Machine, pair: [&Travel; 2], options: &Options) -> Result<Plan
     let mut columns = vec![Column::Run];
     columns.extend([first, second].map(|travel| Column::Position(travel.axis.index())));
     columns.extend([first, second].map(|travel| Column::Direction(travel.axis.index())));
-    columns.push(Column::Empty(measured(across)));
+    columns.push(Column::Empty(measured_column(across)));
     let name = format!("diagonal-{}{}", first.axis.name(), second.axis.name());
     Ok(Plan {
         notes: vec![format!(
             "{} and {} go together across the plane; {} is measured. Run it without compensation and with.",
-            capital(first.axis),
-            capital(second.axis),
-            capital(across)
+            uppercase_name(first.axis),
+            uppercase_name(second.axis),
+            uppercase_name(across)
         )],
-        precautions: head_at_zero(machine).into_iter().collect(),
+        precautions: head_zero_precaution(machine).into_iter().collect(),
         approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,

@@ -19,10 +19,10 @@ pub(crate) mod warmup;
 use trueup_machine::{Machine, file::LinearAxis};
 
 use crate::{
-    options::Options,
+    options::MeasurementOptions,
     plan::{Plan, Step},
-    refused::Refused,
-    travel::Travel,
+    refused::ProgramError,
+    travel::AxisTravel,
 };
 
 /// The plans of a kind, and notes of what has none.
@@ -32,11 +32,11 @@ type Plans = (Vec<Plan>, Vec<String>);
 ///
 /// # Errors
 /// None fits.
-fn all_that_fit(
-    travels: &[Travel],
+fn plan_each_axis(
+    travels: &[AxisTravel],
     mut notes: Vec<String>,
-    plan: impl Fn(&Travel) -> Result<Plan, Refused>,
-) -> Result<Plans, Refused> {
+    plan: impl Fn(&AxisTravel) -> Result<Plan, ProgramError>,
+) -> Result<Plans, ProgramError> {
     let mut plans = Vec::new();
     for travel in travels {
         match plan(travel) {
@@ -44,75 +44,108 @@ fn all_that_fit(
             Err(why) => notes.push(format!("no program for {}: {why}", travel.axis.name())),
         }
     }
-    if plans.is_empty() { Err(Refused(notes.join("; "))) } else { Ok((plans, notes)) }
+    if plans.is_empty() { Err(ProgramError(notes.join("; "))) } else { Ok((plans, notes)) }
+}
+
+/// Returns the plan of each pair of axes, and a note for one that does not fit, or that there is no pair for the `name`.
+///
+/// # Errors
+/// None fits.
+fn plan_each_pair(
+    travels: &[AxisTravel],
+    mut notes: Vec<String>,
+    name: &str,
+    plan: impl Fn([&AxisTravel; 2]) -> Result<Plan, ProgramError>,
+) -> Result<Plans, ProgramError> {
+    let mut plans = Vec::new();
+    for (n, first) in travels.iter().enumerate() {
+        for second in &travels[n + 1..] {
+            match plan([first, second]) {
+                Ok(plan) => plans.push(plan),
+                Err(why) => notes.push(why.0),
+            }
+        }
+    }
+    if let [one] = travels {
+        let only = one.axis.name();
+        let note = format!("a {name} needs two axes, and only {only} may move or is asked for");
+        notes.insert(0, note);
+    }
+    if plans.is_empty() { Err(ProgramError(notes.join("; "))) } else { Ok((plans, notes)) }
 }
 
 /// Returns a move of one axis at a feed.
-fn go(travel: &Travel, mm: f64, feed_mm_per_min: f64) -> Step {
-    Step::Move { to_mm: travel.at(mm), feed_mm_per_min }
+fn linear_move(travel: &AxisTravel, mm: f64, feed_mm_per_min: f64) -> Step {
+    Step::Move { to_mm: travel.target_position(mm), feed_mm_per_min }
 }
 
 /// Returns the steps from one end of the range to the other and back, `times` times, with a reading at each of the
 /// rising `targets` from either side; the over-travels lie beyond the last ones. The retracted end comes first.
-fn there_and_back(travel: &Travel, targets: Vec<f64>, times: u32, options: &Options) -> Vec<Step> {
-    let feed = options.feed();
-    let targets = travel.ordered(targets);
-    let [start, far] = travel.start_and_far_mm();
-    let read = |mm: &f64| [go(travel, *mm, feed), Step::Read(options.dwell_s)];
+fn bidirectional_passes(
+    travel: &AxisTravel,
+    targets: Vec<f64>,
+    times: u32,
+    options: &MeasurementOptions,
+) -> Vec<Step> {
+    let feed = options.first_feed_mm_per_min();
+    let targets = travel.in_approach_order(targets);
+    let [start, far] = travel.ordered_ends_mm();
+    let read = |mm: &f64| [linear_move(travel, *mm, feed), Step::Read(options.dwell_s)];
     let mut run: Vec<Step> = targets.iter().flat_map(read).collect();
-    run.push(go(travel, far, feed));
+    run.push(linear_move(travel, far, feed));
     run.extend(targets.iter().rev().flat_map(read));
-    run.push(go(travel, start, feed));
-    vec![travel.approach(start), Step::Repeat { times, steps: run }]
+    run.push(linear_move(travel, start, feed));
+    vec![travel.approach_step(start), Step::Repeat { times, steps: run }]
 }
 
 /// Returns the note that a clearance was given in vain.
-fn without_clearance(options: &Options) -> Option<String> {
+fn unused_clearance_note(options: &MeasurementOptions) -> Option<String> {
     let (axis, _) = options.clearance_mm?;
     Some(format!("--clearance {}: only backlash with a dial makes room; not used", axis.name()))
 }
 
 /// Precaution of a machine whose head turns: the directions hold with all angles at zero.
-fn head_at_zero(machine: &Machine) -> Option<String> {
+fn head_zero_precaution(machine: &Machine) -> Option<String> {
     let axes: Vec<String> =
         machine.head_axes.iter().map(|axis| axis.name().to_uppercase()).collect();
     (!axes.is_empty()).then(|| format!("Head axes {} must stand at 0.", axes.join(", ")))
 }
 
-/// Targets as far apart as asked for, else this many steps, but none longer than `longest_mm`.
-fn even_targets_mm(
-    travel: &Travel,
-    options: &Options,
+/// Targets as far apart as requested, else this many steps, but none longer than `longest_mm`.
+fn evenly_spaced_targets_mm(
+    travel: &AxisTravel,
+    options: &MeasurementOptions,
     steps: f64,
     longest_mm: f64,
-) -> Result<Vec<f64>, Refused> {
-    let [low, high] = travel.inside_mm();
-    travel.even_targets_mm(options.step_mm.unwrap_or(((high - low) / steps).min(longest_mm)))
+) -> Result<Vec<f64>, ProgramError> {
+    let [low, high] = travel.target_range_mm();
+    travel
+        .evenly_spaced_targets_mm(options.step_mm.unwrap_or(((high - low) / steps).min(longest_mm)))
 }
 
 /// `x` of the axis as the operator calls it: `X`.
-fn capital(axis: LinearAxis) -> String {
+fn uppercase_name(axis: LinearAxis) -> String {
     axis.name().to_uppercase()
 }
 
 /// Returns the column of the measured error of an axis.
-fn measured(axis: LinearAxis) -> String {
+fn measured_column(axis: LinearAxis) -> String {
     format!("measured_d{}_um", axis.name())
 }
 
 /// Returns the column of the temperature that an axis's law goes by.
-fn temperature(machine: &Machine, axis: LinearAxis) -> String {
+fn temperature_column(machine: &Machine, axis: LinearAxis) -> String {
     let thermal = machine.axes[axis.index()].thermal.as_ref();
     thermal
         .map_or_else(|| format!("temp_screw_{}_c", axis.name()), |thermal| thermal.sensor.clone())
 }
 
 /// How a spindle is read while it turns.
-const NON_CONTACT: &str =
+const NON_CONTACT_PRECAUTION: &str =
     "Non-contact gauge only, eddy current, capacitive or laser: nothing may touch what turns.";
 
 /// That all corrections of the control must be off.
-const WITHOUT_CORRECTION: &str =
+const COMPENSATION_OFF_PRECAUTION: &str =
     "Switch the control's own compensation off first: what is measured is the bare machine.";
 /// That `fit volume` needs the chain.
-const NO_CHAIN: &str = "machine.chain is missing: trueup fit volume needs it, for example chain = \"w X' b Y Z t\"; measuring does not";
+const MISSING_CHAIN_NOTE: &str = "machine.chain is missing: trueup fit volume needs it, for example chain = \"w X' b Y Z t\"; measuring does not";

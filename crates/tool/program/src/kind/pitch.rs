@@ -7,37 +7,41 @@
 use trueup_machine::Machine;
 
 use super::{
-    Plans, WITHOUT_CORRECTION, all_that_fit, even_targets_mm, head_at_zero, measured,
-    there_and_back, without_clearance,
+    COMPENSATION_OFF_PRECAUTION, Plans, bidirectional_passes, evenly_spaced_targets_mm,
+    head_zero_precaution, measured_column, plan_each_axis, unused_clearance_note,
 };
 use crate::{
-    options::Options,
+    options::MeasurementOptions,
     plan::{Column, Plan},
-    refused::Refused,
-    travel::{Travel, micrometres, travels},
+    refused::ProgramError,
+    travel::{AxisTravel, resolve_travels, round_to_micrometres},
 };
 
 /// Runs in each direction (ISO 230-2).
-const REPEATS: u32 = 5;
+const DEFAULT_REPEATS: u32 = 5;
 /// This many steps on an axis, at least (ISO 230-2 has 5 a metre; a table wants more).
-const STEPS: f64 = 20.0;
+const MIN_STEPS: f64 = 20.0;
 /// And at most so far from target to target, in mm (ISO 230-2, axes above 2 m).
-const LONGEST_STEP_MM: f64 = 250.0;
+const MAX_TARGET_STEP_MM: f64 = 250.0;
 /// How far a target may be moved on, as a share of the step.
-const UNEVEN: f64 = 0.25;
+const MAX_TARGET_SHIFT_RATIO: f64 = 0.25;
 /// The golden ratio less 1.
-const GOLDEN: f64 = 0.618_033_988_749_895;
+const INVERSE_GOLDEN_RATIO: f64 = 0.618_033_988_749_895;
 
-pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refused> {
-    let (travels, mut notes) = travels(machine, options)?;
-    notes.extend(without_clearance(options));
-    let (plans, notes) = all_that_fit(&travels, notes, |travel| plan(machine, travel, options))?;
-    Ok((plans.into_iter().flat_map(|plan| of_each_drive(machine, plan)).collect(), notes))
+pub(crate) fn create_plans(
+    machine: &Machine,
+    options: &MeasurementOptions,
+) -> Result<Plans, ProgramError> {
+    let (travels, mut notes) = resolve_travels(machine, options)?;
+    notes.extend(unused_clearance_note(options));
+    let (plans, notes) =
+        plan_each_axis(&travels, notes, |travel| create_plan(machine, travel, options))?;
+    Ok((plans.into_iter().flat_map(|plan| plan_per_drive(machine, plan)).collect(), notes))
 }
 
 /// Returns the plan, or of an axis with two drives one for each: the beam's axis stands where the other drive does not
 /// count. The program does not move it; the operator jogs it there.
-fn of_each_drive(machine: &Machine, plan: Plan) -> Vec<Plan> {
+fn plan_per_drive(machine: &Machine, plan: Plan) -> Vec<Plan> {
     let moved = plan.columns.iter().find_map(|column| match column {
         Column::Position(axis) => Some(*axis),
         _ => None,
@@ -64,16 +68,20 @@ fn of_each_drive(machine: &Machine, plan: Plan) -> Vec<Plan> {
         .collect()
 }
 
-fn plan(machine: &Machine, travel: &Travel, options: &Options) -> Result<Plan, Refused> {
+fn create_plan(
+    machine: &Machine,
+    travel: &AxisTravel,
+    options: &MeasurementOptions,
+) -> Result<Plan, ProgramError> {
     let axis = travel.axis;
-    let times = options.repeats.unwrap_or(REPEATS);
-    let steps = there_and_back(travel, targets(travel, options)?, times, options);
+    let times = options.repeats.unwrap_or(DEFAULT_REPEATS);
+    let steps = bidirectional_passes(travel, compute_targets(travel, options)?, times, options);
     let mut columns = vec![Column::Run, Column::Position(axis.index())];
-    columns.extend([Column::Direction(axis.index()), Column::Empty(measured(axis))]);
+    columns.extend([Column::Direction(axis.index()), Column::Empty(measured_column(axis))]);
     Ok(Plan {
         name: format!("pitch-{}", axis.name()),
-        notes: vec![WITHOUT_CORRECTION.to_string()],
-        precautions: head_at_zero(machine).into_iter().collect(),
+        notes: vec![COMPENSATION_OFF_PRECAUTION.to_string()],
+        precautions: head_zero_precaution(machine).into_iter().collect(),
         approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,
@@ -83,14 +91,17 @@ fn plan(machine: &Machine, travel: &Travel, options: &Options) -> Result<Plan, R
     })
 }
 
-fn targets(travel: &Travel, options: &Options) -> Result<Vec<f64>, Refused> {
-    let mut targets = even_targets_mm(travel, options, STEPS, LONGEST_STEP_MM)?;
+fn compute_targets(
+    travel: &AxisTravel,
+    options: &MeasurementOptions,
+) -> Result<Vec<f64>, ProgramError> {
+    let mut targets = evenly_spaced_targets_mm(travel, options, MIN_STEPS, MAX_TARGET_STEP_MM)?;
     let apart = targets[1] - targets[0];
     // The last one stays: beyond it is only the over-travel.
     let last = targets.len() - 1;
     for (n, target) in targets.iter_mut().enumerate().take(last) {
-        let share = (n as f64 * GOLDEN).fract();
-        *target = micrometres(*target + UNEVEN * apart * share);
+        let share = (n as f64 * INVERSE_GOLDEN_RATIO).fract();
+        *target = round_to_micrometres(*target + MAX_TARGET_SHIFT_RATIO * apart * share);
     }
     Ok(targets)
 }

@@ -1,14 +1,14 @@
 //! Speeds of the spindle one after the other, from cold, read all the while: a run planned by the caller.
 
-use super::NON_CONTACT;
+use super::NON_CONTACT_PRECAUTION;
 use crate::{
-    options::APPROACH_MM_PER_MIN,
+    options::APPROACH_FEED_MM_PER_MIN,
     plan::{Column, Plan, Step},
 };
 
 /// A part of the run.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stretch {
+pub struct SpeedSegment {
     /// The spindle's speed in r/min; 0: it stands.
     pub rpm: f64,
     /// How long, in minutes, above 0.
@@ -23,7 +23,12 @@ const DWELL_S: f64 = 5.0;
 /// Returns the plan of `stretches`, read every `every_s` seconds (above 0); `inputs` are the columns to be filled in
 /// next to the growth, and `why` is what it is run for, a sentence.
 #[must_use]
-pub fn speeds(stretches: &[Stretch], every_s: f64, inputs: &[String], why: &str) -> Plan {
+pub fn plan_speed_run(
+    stretches: &[SpeedSegment],
+    every_s: f64,
+    inputs: &[String],
+    why: &str,
+) -> Plan {
     let dwell_s = DWELL_S.min(0.5 * every_s);
     let mut steps = vec![Step::Read(dwell_s)];
     for stretch in stretches {
@@ -48,8 +53,8 @@ pub fn speeds(stretches: &[Stretch], every_s: f64, inputs: &[String], why: &str)
     Plan {
         name: "next".into(),
         notes: notes.map(String::from).into(),
-        precautions: vec![NON_CONTACT.into()],
-        approach_mm_per_min: APPROACH_MM_PER_MIN,
+        precautions: vec![NON_CONTACT_PRECAUTION.into()],
+        approach_mm_per_min: APPROACH_FEED_MM_PER_MIN,
         steps,
         columns,
         then: vec!["trueup diagnose --run next.csv".into()],
@@ -64,10 +69,10 @@ mod tests {
 
     #[test]
     fn speeds_come_in_their_order_and_are_read_from_cold_to_the_end() {
-        let stretch = |rpm, minutes, load_n| Stretch { rpm, minutes, load_n };
+        let stretch = |rpm, minutes, load_n| SpeedSegment { rpm, minutes, load_n };
         let stretches =
             [stretch(6000.0, 12.0, 0.0), stretch(6000.0, 2.0, 300.0), stretch(0.0, 8.0, 0.0)];
-        let plan = speeds(&stretches, 60.0, &["temp_front_c".into()], "to tell a from b");
+        let plan = plan_speed_run(&stretches, 60.0, &["temp_front_c".into()], "to tell a from b");
         let readings = plan.readings();
         let speeds: Vec<f64> = readings.iter().map(|reading| reading.spindle_rpm).collect();
         assert_eq!(readings.len(), 1 + 12 + 2 + 8);

@@ -7,47 +7,50 @@
 use trueup_machine::{
     Machine,
     file::{Chain, RotaryAxis},
-    model::rotated,
+    model::rotate_about_axis,
 };
 
 use super::{
-    Plans, WITHOUT_CORRECTION,
-    ball::{Ball, Place, columns},
-    head_at_zero,
-    probing::{LOGGED, PROBE, Probing, then},
-    without_clearance,
+    COMPENSATION_OFF_PRECAUTION, Plans,
+    ball::{Ball, BallPosition, ball_columns},
+    head_zero_precaution,
+    probing::{LINUXCNC_LOG_NOTE, PROBE_PRECAUTION, ProbeSetup, fit_command},
+    unused_clearance_note,
 };
 use crate::{
-    options::Options,
+    options::MeasurementOptions,
     plan::{Plan, Step},
-    refused::Refused,
-    travel::micrometres,
+    refused::ProgramError,
+    travel::round_to_micrometres,
 };
 
 /// Touched so often at each place and angle.
-const REPEATS: u32 = 2;
+const DEFAULT_REPEATS: u32 = 2;
 /// The most poses of a program: each needs a hand.
 const MAX_POSES: usize = 200;
 
 /// Angles of A, B and C.
-type Angles = [Option<f64>; 3];
+type RotaryAngles = [Option<f64>; 3];
 
-pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refused> {
-    let (probing, mut notes) = Probing::of(machine, options, "a sphere")?;
-    let ball = Ball::of(&probing, options)?;
-    notes.extend(without_clearance(options));
-    let poses = poses(machine, options)?;
+pub(crate) fn create_plans(
+    machine: &Machine,
+    options: &MeasurementOptions,
+) -> Result<Plans, ProgramError> {
+    let (probing, mut notes) = ProbeSetup::new(machine, options, "a sphere")?;
+    let ball = Ball::new(&probing, options)?;
+    notes.extend(unused_clearance_note(options));
+    let poses = enumerate_poses(machine, options)?;
     let mut steps = Vec::new();
     let (mut first_refused, mut left_out, mut written) = (None, 0, 0);
     let mut stands = Some(poses[0]);
     for (n, &length_mm) in probing.tool_lengths_mm.iter().enumerate() {
         if let Some(length_mm) = length_mm.filter(|_| n > 0) {
-            steps.push(probing.change(length_mm));
+            steps.push(probing.change_stylus(length_mm));
         }
-        steps.extend(probing.retract());
+        steps.extend(probing.retract_steps());
         for &angle_deg in &poses {
-            let at_mm = turned(machine, &probing, angle_deg);
-            let at_mm = probing.with_tool(at_mm, length_mm);
+            let at_mm = rotated_centre_mm(machine, &probing, angle_deg);
+            let at_mm = probing.adjust_for_stylus(at_mm, length_mm);
             if let Err(why) = ball.check(&probing, at_mm) {
                 left_out += 1;
                 first_refused.get_or_insert(why);
@@ -55,15 +58,16 @@ pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refus
             }
             written += 1;
             if stands != Some(angle_deg) {
-                steps.push(turn(angle_deg));
-                steps.extend(probing.retract());
+                steps.push(turn_table_step(angle_deg));
+                steps.extend(probing.retract_steps());
                 stands = Some(angle_deg);
             }
-            for run in 1..=options.repeats.unwrap_or(REPEATS) {
-                let place = Place { run, at_mm, angle_deg, tool_length_mm: length_mm, point: None };
+            for run in 1..=options.repeats.unwrap_or(DEFAULT_REPEATS) {
+                let place =
+                    BallPosition { run, at_mm, angle_deg, tool_length_mm: length_mm, point: None };
                 steps.extend(ball.steps(&probing, &place));
             }
-            steps.push(probing.guarded(probing.tool, probing.retracted_mm()));
+            steps.push(probing.guarded_move(probing.tool, probing.retracted_position_mm()));
         }
     }
     if let Some(why) = first_refused {
@@ -76,25 +80,25 @@ pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refus
         ));
     }
     if machine.volume.chain.is_none() {
-        notes.push(super::NO_CHAIN.into());
+        notes.push(super::MISSING_CHAIN_NOTE.into());
     }
     let rotary: Vec<usize> = (0..3).filter(|n| poses[0][*n].is_some()).collect();
-    let mut precautions: Vec<String> = head_at_zero(machine).into_iter().collect();
-    precautions.extend(said(poses[0]).map(|said| format!("{said} now.")));
-    precautions.push(PROBE.into());
+    let mut precautions: Vec<String> = head_zero_precaution(machine).into_iter().collect();
+    precautions.extend(describe_angles(poses[0]).map(|said| format!("{said} now.")));
+    precautions.push(PROBE_PRECAUTION.into());
     let plan = Plan {
         name: "sphere-xyz".into(),
         notes: vec![
-            WITHOUT_CORRECTION.to_string(),
-            LOGGED.into(),
+            COMPENSATION_OFF_PRECAUTION.to_string(),
+            LINUXCNC_LOG_NOTE.into(),
             "Readings are the place of the ball minus where it was found. The same with the ball at other places, each by a program \
              of its own, and all run files together, say most."
                 .into(),
         ],
         precautions,
         approach_mm_per_min: options.approach_mm_per_min,
-        columns: columns(&probing, &rotary, false),
-        then: then("sphere-xyz", &steps),
+        columns: ball_columns(&probing, &rotary, false),
+        then: fit_command("sphere-xyz", &steps),
         steps,
         is_lathe: false,
         records: Vec::new(),
@@ -102,8 +106,11 @@ pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refus
     Ok((vec![plan], notes))
 }
 
-/// Returns all combinations of the angles that are asked for; one without an angle where none is.
-fn poses(machine: &Machine, options: &Options) -> Result<Vec<Angles>, Refused> {
+/// Returns all combinations of the angles that are requested; one without an angle where none is.
+fn enumerate_poses(
+    machine: &Machine,
+    options: &MeasurementOptions,
+) -> Result<Vec<RotaryAngles>, ProgramError> {
     let table = machine.volume.chain.as_ref().map(|chain: &Chain| chain.table.clone());
     let table = table.unwrap_or_default();
     let mut poses = vec![[None; 3]];
@@ -113,7 +120,7 @@ fn poses(machine: &Machine, options: &Options) -> Result<Vec<Angles>, Refused> {
             continue;
         }
         if !table.contains(&axis) {
-            return Err(Refused(format!(
+            return Err(ProgramError(format!(
                 "--angle {0}: the chain of the machine file has no {1} under the workpiece, and a head that is turned cannot touch a \
                  ball from above",
                 axis.name(),
@@ -122,7 +129,7 @@ fn poses(machine: &Machine, options: &Options) -> Result<Vec<Angles>, Refused> {
         }
         poses = poses
             .into_iter()
-            .flat_map(|pose: Angles| {
+            .flat_map(|pose: RotaryAngles| {
                 angles.iter().map(move |deg| {
                     let mut pose = pose;
                     pose[axis.index()] = Some(*deg);
@@ -132,31 +139,34 @@ fn poses(machine: &Machine, options: &Options) -> Result<Vec<Angles>, Refused> {
             .collect();
     }
     if poses.len() > MAX_POSES {
-        return Err(Refused(format!("--angle: {} poses, and at most {MAX_POSES}", poses.len())));
+        return Err(ProgramError(format!(
+            "--angle: {} poses, and at most {MAX_POSES}",
+            poses.len()
+        )));
     }
     Ok(poses)
 }
 
 /// Returns where the axes stand with the tip in the centre of the ball, whose place is stated with all angles at 0.
-fn turned(machine: &Machine, probing: &Probing, angle_deg: Angles) -> [f64; 3] {
+fn rotated_centre_mm(machine: &Machine, probing: &ProbeSetup, angle_deg: RotaryAngles) -> [f64; 3] {
     let at_mm = probing.at_mm;
     let Some(chain) = &machine.volume.chain else { return at_mm };
     let mut tool = machine.volume.tool;
     tool.length_mm = probing.tool_lengths_mm[0].unwrap_or(tool.length_mm);
-    let tip_mm = tool.tip_mm(machine.tool_direction);
+    let tip_mm = tool.tip_offset_mm(machine.tool_direction);
     let mut place = [0, 1, 2].map(|n| at_mm[n] + tip_mm[n]);
     // As the workpiece turns: the axis on the bed last.
     for &axis in chain.table.iter().rev() {
-        let point = machine.volume.line_mm(axis);
+        let point = machine.volume.axis_line_point_mm(axis);
         let arm = [0, 1, 2].map(|n| place[n] - point[n]);
-        let arm = rotated(arm, axis, -angle_deg[axis.index()].unwrap_or(0.0));
+        let arm = rotate_about_axis(arm, axis, -angle_deg[axis.index()].unwrap_or(0.0));
         place = [0, 1, 2].map(|n| point[n] + arm[n]);
     }
-    [0, 1, 2].map(|n| micrometres(place[n] - tip_mm[n]))
+    [0, 1, 2].map(|n| round_to_micrometres(place[n] - tip_mm[n]))
 }
 
-/// Returns `C stands at 30 deg and A stands at 0 deg`; `None` where no angle is asked for.
-fn said(angle_deg: Angles) -> Option<String> {
+/// Returns `C stands at 30 deg and A stands at 0 deg`; `None` where no angle is requested.
+fn describe_angles(angle_deg: RotaryAngles) -> Option<String> {
     let each = RotaryAxis::ALL.into_iter().filter_map(|axis| {
         let name = axis.name().to_uppercase();
         Some(format!("{name} stands at {} deg", angle_deg[axis.index()]?))
@@ -166,8 +176,8 @@ fn said(angle_deg: Angles) -> Option<String> {
 }
 
 /// The operator turns the table.
-fn turn(angle_deg: Angles) -> Step {
-    let said = said(angle_deg).unwrap_or_default();
+fn turn_table_step(angle_deg: RotaryAngles) -> Step {
+    let said = describe_angles(angle_deg).unwrap_or_default();
     Step::Stop(vec![
         format!("Turn the table so that {said}, and see that nothing is in its way."),
         "The tool is retracted, and goes over the ball next.".into(),

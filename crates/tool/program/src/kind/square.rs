@@ -14,80 +14,84 @@
 use trueup_machine::{Machine, file::LinearAxis};
 
 use super::{
-    Plans, WITHOUT_CORRECTION, head_at_zero,
-    probing::{LOGGED, PROBE, Probing, needed, then},
-    without_clearance,
+    COMPENSATION_OFF_PRECAUTION, Plans, head_zero_precaution,
+    probing::{LINUXCNC_LOG_NOTE, PROBE_PRECAUTION, ProbeSetup, fit_command, require_option},
+    unused_clearance_note,
 };
 use crate::{
-    options::Options,
+    options::MeasurementOptions,
     plan::{Column, Plan, Step},
-    probe::{Found, Mean},
-    refused::Refused,
-    travel::{even, micrometres},
+    probe::{ProbedPoint, TouchMean},
+    refused::ProgramError,
+    travel::{evenly_spaced, round_to_micrometres},
 };
 
 /// Rounds around both faces.
-const REPEATS: u32 = 2;
+const DEFAULT_REPEATS: u32 = 2;
 /// Steps along a face.
-const STEPS: f64 = 10.0;
+const STEPS_PER_FACE: f64 = 10.0;
 /// How far from its ends a face is touched, in styli.
-const INSET: f64 = 1.0;
+const FACE_INSET_STYLI: f64 = 1.0;
 
-pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refused> {
-    let (probing, mut notes) = Probing::of(machine, options, "a square")?;
-    let size_mm = needed(options.size_mm, "--size", "the length of both faces of the square")?;
-    notes.extend(without_clearance(options));
-    let plan = plan(machine, &probing, size_mm, options)?;
+pub(crate) fn create_plans(
+    machine: &Machine,
+    options: &MeasurementOptions,
+) -> Result<Plans, ProgramError> {
+    let (probing, mut notes) = ProbeSetup::new(machine, options, "a square")?;
+    let size_mm =
+        require_option(options.size_mm, "--size", "the length of both faces of the square")?;
+    notes.extend(unused_clearance_note(options));
+    let plan = create_plan(machine, &probing, size_mm, options)?;
     Ok((vec![plan], notes))
 }
 
-fn plan(
+fn create_plan(
     machine: &Machine,
-    probing: &Probing,
+    probing: &ProbeSetup,
     size_mm: f64,
-    options: &Options,
-) -> Result<Plan, Refused> {
-    let inset = INSET * probing.stylus_mm;
+    options: &MeasurementOptions,
+) -> Result<Plan, ProgramError> {
+    let inset = FACE_INSET_STYLI * probing.stylus_mm;
     let long_mm = size_mm - 2.0 * inset;
-    let step_mm = options.step_mm.unwrap_or(long_mm / STEPS);
-    let along = even(inset, inset + long_mm, step_mm).ok_or_else(|| {
-        Refused(format!("--step-mm {step_mm} does not fit on faces of {size_mm} mm"))
+    let step_mm = options.step_mm.unwrap_or(long_mm / STEPS_PER_FACE);
+    let along = evenly_spaced(inset, inset + long_mm, step_mm).ok_or_else(|| {
+        ProgramError(format!("--step-mm {step_mm} does not fit on faces of {size_mm} mm"))
     })?;
     let [first, second] = probing.sides;
     let radius = probing.stylus_mm / 2.0;
     let mut steps = Vec::new();
     for (n, &length_mm) in probing.tool_lengths_mm.iter().enumerate() {
-        let corner = probing.with_tool(probing.at_mm, length_mm);
+        let corner = probing.adjust_for_stylus(probing.at_mm, length_mm);
         let before = |axis: usize| corner[axis] - radius - probing.search_mm;
         let behind = |axis: usize| corner[axis] - radius + probing.search_mm;
         for (axis, other) in [(first, second), (second, first)] {
             let last = corner[axis] + along[along.len() - 1];
-            probing.check(axis, &[before(axis), last])?;
-            probing.check(other, &[before(other), behind(other)])?;
+            probing.check_travel(axis, &[before(axis), last])?;
+            probing.check_travel(other, &[before(other), behind(other)])?;
         }
-        probing.check(probing.tool, &[corner[probing.tool]])?;
+        probing.check_travel(probing.tool, &[corner[probing.tool]])?;
         if let Some(length_mm) = length_mm.filter(|_| n > 0) {
-            steps.push(probing.change(length_mm));
+            steps.push(probing.change_stylus(length_mm));
         }
-        steps.extend(probing.retract());
-        // Down beside the corner, outside of both faces.
-        steps.extend([first, second].map(|axis| probing.guarded(axis, before(axis))));
-        steps.push(probing.guarded(probing.tool, corner[probing.tool]));
-        for run in 1..=options.repeats.unwrap_or(REPEATS) {
+        steps.extend(probing.retract_steps());
+        // Down next to the corner, outside of both faces.
+        steps.extend([first, second].map(|axis| probing.guarded_move(axis, before(axis))));
+        steps.push(probing.guarded_move(probing.tool, corner[probing.tool]));
+        for run in 1..=options.repeats.unwrap_or(DEFAULT_REPEATS) {
             for [moved, touched] in [[first, second], [second, first]] {
                 let surface = corner[touched] - radius;
                 for (point, mm) in (1..).zip(&along) {
                     let mut at_mm = corner;
                     (at_mm[moved], at_mm[touched]) =
-                        (micrometres(corner[moved] + mm), micrometres(surface));
+                        (round_to_micrometres(corner[moved] + mm), round_to_micrometres(surface));
                     let mut by = [None; 3];
-                    by[touched] = Some(Mean { touches: [1, 1], expected_mm: at_mm[touched] });
+                    by[touched] = Some(TouchMean { touches: [1, 1], expected_mm: at_mm[touched] });
                     let angle_deg = [None; 3];
                     let point = Some(point);
                     steps.extend([
-                        probing.guarded(moved, at_mm[moved]),
+                        probing.guarded_move(moved, at_mm[moved]),
                         probing.touch(touched, surface, 1.0, 1),
-                        Step::Found(Found {
+                        Step::Found(ProbedPoint {
                             run,
                             at_mm,
                             angle_deg,
@@ -98,10 +102,10 @@ fn plan(
                     ]);
                 }
                 // Back to the corner, along the face.
-                steps.push(probing.guarded(moved, before(moved)));
+                steps.push(probing.guarded_move(moved, before(moved)));
             }
         }
-        steps.push(probing.guarded(probing.tool, probing.retracted_mm()));
+        steps.push(probing.guarded_move(probing.tool, probing.retracted_position_mm()));
     }
     let mut columns =
         vec![Column::Run, Column::Constant("setup", 1.0), Column::Constant("square", 1.0)];
@@ -112,27 +116,27 @@ fn plan(
     }
     let mut touched = probing.sides;
     touched.sort_unstable();
-    columns.extend(touched.map(|n| Column::Empty(super::measured(LinearAxis::ALL[n]))));
-    let mut precautions: Vec<String> = head_at_zero(machine).into_iter().collect();
-    let [u, v] = touched.map(|n| super::capital(LinearAxis::ALL[n]));
+    columns.extend(touched.map(|n| Column::Empty(super::measured_column(LinearAxis::ALL[n]))));
+    let mut precautions: Vec<String> = head_zero_precaution(machine).into_iter().collect();
+    let [u, v] = touched.map(|n| super::uppercase_name(LinearAxis::ALL[n]));
     precautions.extend([
         format!(
             "The square lies with its corner towards {u}- and {v}-, its faces along {u} and {v}."
         ),
-        PROBE.into(),
+        PROBE_PRECAUTION.into(),
     ]);
     Ok(Plan {
         name: "square-xyz".into(),
         notes: vec![
-            WITHOUT_CORRECTION.to_string(),
-            LOGGED.into(),
+            COMPENSATION_OFF_PRECAUTION.to_string(),
+            LINUXCNC_LOG_NOTE.into(),
             "The angle of the square counts as 90 degrees: take what its certificate says off the readings of one face.".into(),
             "A reading is the place of the face minus where it was found; one of both columns in each row.".into(),
         ],
         precautions,
         approach_mm_per_min: options.approach_mm_per_min,
         columns,
-        then: then("square-xyz", &steps),
+        then: fit_command("square-xyz", &steps),
         steps,
         is_lathe: false,
         records: Vec::new(),

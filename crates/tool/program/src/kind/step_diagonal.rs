@@ -13,40 +13,43 @@
 
 use trueup_machine::{
     Machine,
-    file::{Kind, LinearAxis},
+    file::{LinearAxis, MachineKind},
 };
 
-use super::{Plans, WITHOUT_CORRECTION, head_at_zero, without_clearance};
+use super::{COMPENSATION_OFF_PRECAUTION, Plans, head_zero_precaution, unused_clearance_note};
 use crate::{
-    options::Options,
+    options::MeasurementOptions,
     plan::{Column, Plan, Step},
-    refused::Refused,
-    travel::{Travel, even, micrometres, travels},
+    refused::ProgramError,
+    travel::{AxisTravel, evenly_spaced, resolve_travels, round_to_micrometres},
 };
 
 /// Repeats of a diagonal.
-const REPEATS: u32 = 2;
+const DEFAULT_REPEATS: u32 = 2;
 /// Steps of each axis.
-const STEPS: f64 = 10.0;
+const STEPS_PER_AXIS: f64 = 10.0;
 
-pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refused> {
-    if machine.kind == Kind::Lathe {
-        return Err(Refused("a body diagonal needs X, Y and Z, and a lathe has no Y".into()));
+pub(crate) fn create_plans(
+    machine: &Machine,
+    options: &MeasurementOptions,
+) -> Result<Plans, ProgramError> {
+    if machine.kind == MachineKind::Lathe {
+        return Err(ProgramError("a body diagonal needs X, Y and Z, and a lathe has no Y".into()));
     }
-    let (travels, mut notes) = travels(machine, options)?;
-    let mut travels = <[Travel; 3]>::try_from(travels).map_err(|travels| {
+    let (travels, mut notes) = resolve_travels(machine, options)?;
+    let mut travels = <[AxisTravel; 3]>::try_from(travels).map_err(|travels| {
         let names: Vec<&str> = travels.iter().map(|travel| travel.axis.name()).collect();
         let why = format!(
             "a body diagonal needs three axes, and only {} may move or is asked for",
             names.join(", ")
         );
-        Refused([vec![why], notes.clone()].concat().join("; "))
+        ProgramError([vec![why], notes.clone()].concat().join("; "))
     })?;
     // The tool is retracted before other axes move, and comes last.
     travels.sort_by_key(|travel| travel.retract.is_some());
     // Each further axis that begins where it is retracted halves them.
     let count = 4 >> travels[..2].iter().filter(|travel| travel.retract.is_some()).count();
-    let all = (0..count).map(|number| plan(machine, &travels, options, [number, count]));
+    let all = (0..count).map(|number| create_plan(machine, &travels, options, [number, count]));
     let plans = all.collect::<Result<Vec<_>, _>>()?;
     if count < 4 {
         notes.push(format!(
@@ -54,39 +57,43 @@ pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refus
              circles as well: trueup fit volume says what stays open"
         ));
     }
-    notes.extend(without_clearance(options));
+    notes.extend(unused_clearance_note(options));
     if machine.volume.chain.is_none() {
-        notes.push(super::NO_CHAIN.into());
+        notes.push(super::MISSING_CHAIN_NOTE.into());
     }
     Ok((plans, notes))
 }
 
-fn plan(
+fn create_plan(
     machine: &Machine,
-    travels: &[Travel; 3],
-    options: &Options,
+    travels: &[AxisTravel; 3],
+    options: &MeasurementOptions,
     [number, count]: [usize; 2],
-) -> Result<Plan, Refused> {
-    let feed = options.feed();
+) -> Result<Plan, ProgramError> {
+    let feed = options.first_feed_mm_per_min();
     // Each diagonal is one of four corners of the first two axes; the third begins where the tool is retracted.
-    let starts_high = [number & 1 == 1, number & 2 == 2, false];
-    let ordered = |n: usize, ends: [f64; 2]| match (travels[n].retract, starts_high[n]) {
-        (Some(_), _) => travels[n].ordered(ends),
+    let starts_at_upper_end = [number & 1 == 1, number & 2 == 2, false];
+    let ordered = |n: usize, ends: [f64; 2]| match (travels[n].retract, starts_at_upper_end[n]) {
+        (Some(_), _) => travels[n].in_approach_order(ends),
         (None, true) => [ends[1], ends[0]],
         (None, false) => ends,
     };
     let near = [0, 1, 2].map(|n| ordered(n, [travels[n].low_mm, travels[n].high_mm])[0]);
-    let [from, until] =
-        [0, 1].map(|end: usize| [0, 1, 2].map(|n: usize| ordered(n, travels[n].inside_mm())[end]));
+    let [from, until] = [0, 1]
+        .map(|end: usize| [0, 1, 2].map(|n: usize| ordered(n, travels[n].target_range_mm())[end]));
     let length = (0..3).map(|n| (until[n] - from[n]).powi(2)).sum::<f64>().sqrt();
-    let step_mm = options.step_mm.unwrap_or(length / STEPS);
-    let shares = even(0.0, length, step_mm)
-        .ok_or_else(|| Refused(format!("--step-mm {step_mm} does not fit into {length:.0} mm")))?;
+    let step_mm = options.step_mm.unwrap_or(length / STEPS_PER_AXIS);
+    let shares = evenly_spaced(0.0, length, step_mm).ok_or_else(|| {
+        ProgramError(format!("--step-mm {step_mm} does not fit into {length:.0} mm"))
+    })?;
     let mm = |n: usize, step: usize| {
         // A length that is rounded to whole micrometres is not 1.
-        micrometres(from[n] + (shares[step] / length).min(1.0) * (until[n] - from[n]))
+        round_to_micrometres(from[n] + (shares[step] / length).min(1.0) * (until[n] - from[n]))
     };
-    let go = |n: usize, mm: f64| Step::Move { to_mm: travels[n].at(mm), feed_mm_per_min: feed };
+    let go = |n: usize, mm: f64| Step::Move {
+        to_mm: travels[n].target_position(mm),
+        feed_mm_per_min: feed,
+    };
     let mut run: Vec<Step> = (0..3).map(|n| go(n, mm(n, 0))).collect();
     run.push(Step::Read(options.dwell_s));
     for step in 1..shares.len() {
@@ -98,8 +105,8 @@ fn plan(
         run.extend((0..3).rev().map(|n| go(n, mm(n, step))));
     }
     run.extend((0..3).rev().map(|n| go(n, near[n])));
-    let times = options.repeats.unwrap_or(REPEATS);
-    let mut steps: Vec<Step> = (0..3).rev().map(|n| travels[n].approach(near[n])).collect();
+    let times = options.repeats.unwrap_or(DEFAULT_REPEATS);
+    let mut steps: Vec<Step> = (0..3).rev().map(|n| travels[n].approach_step(near[n])).collect();
     steps.push(Step::Repeat { times, steps: run });
     let mut columns = vec![Column::Run];
     columns.extend(LinearAxis::ALL.map(|axis| Column::Position(axis.index())));
@@ -109,13 +116,13 @@ fn plan(
     Ok(Plan {
         name: format!("step-diagonal-{}-xyz", number + 1),
         notes: vec![
-            WITHOUT_CORRECTION.to_string(),
+            COMPENSATION_OFF_PRECAUTION.to_string(),
             "Lay the beam along the line from the first to the last position; a mirror that is wide enough stays in it while one \
              axis steps."
                 .into(),
             "The reading is the way along that line, actual minus commanded, plus where it is too long.".into(),
         ],
-        precautions: head_at_zero(machine).into_iter().collect(),
+        precautions: head_zero_precaution(machine).into_iter().collect(),
         approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,

@@ -2,52 +2,61 @@
 
 use trueup_machine::{
     Machine,
-    file::{Kind, LinearAxis},
+    file::{LinearAxis, MachineKind},
 };
 
 use super::{
-    Plans, WITHOUT_CORRECTION, all_that_fit, even_targets_mm, head_at_zero, measured,
-    there_and_back, without_clearance,
+    COMPENSATION_OFF_PRECAUTION, Plans, bidirectional_passes, evenly_spaced_targets_mm,
+    head_zero_precaution, measured_column, plan_each_axis, unused_clearance_note,
 };
 use crate::{
-    options::Options,
+    options::MeasurementOptions,
     plan::{Column, Plan},
-    refused::Refused,
-    travel::{Travel, travels},
+    refused::ProgramError,
+    travel::{AxisTravel, resolve_travels},
 };
 
 /// There and back so often: the scatter of three shows what a curve is worth.
-const REPEATS: u32 = 3;
+const DEFAULT_REPEATS: u32 = 3;
 /// This many steps on an axis, at least: three for each of the paper's first ten control points, less the
 /// two ends.
-const STEPS: f64 = 24.0;
+const MIN_STEPS: f64 = 24.0;
 /// And at most so far from target to target, in mm: the length of the paper's slide.
-const LONGEST_STEP_MM: f64 = 240.0;
+const MAX_TARGET_STEP_MM: f64 = 240.0;
 
-pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refused> {
-    let (travels, mut notes) = travels(machine, options)?;
-    notes.extend(without_clearance(options));
-    all_that_fit(&travels, notes, |travel| plan(machine, travel, options))
+pub(crate) fn create_plans(
+    machine: &Machine,
+    options: &MeasurementOptions,
+) -> Result<Plans, ProgramError> {
+    let (travels, mut notes) = resolve_travels(machine, options)?;
+    notes.extend(unused_clearance_note(options));
+    plan_each_axis(&travels, notes, |travel| create_plan(machine, travel, options))
 }
 
-fn plan(machine: &Machine, travel: &Travel, options: &Options) -> Result<Plan, Refused> {
+fn create_plan(
+    machine: &Machine,
+    travel: &AxisTravel,
+    options: &MeasurementOptions,
+) -> Result<Plan, ProgramError> {
     let axis = travel.axis;
-    let targets = even_targets_mm(travel, options, STEPS, LONGEST_STEP_MM)?;
-    let times = options.repeats.unwrap_or(REPEATS);
-    let steps = there_and_back(travel, targets, times, options);
+    let targets = evenly_spaced_targets_mm(travel, options, MIN_STEPS, MAX_TARGET_STEP_MM)?;
+    let times = options.repeats.unwrap_or(DEFAULT_REPEATS);
+    let steps = bidirectional_passes(travel, targets, times, options);
     let others: Vec<LinearAxis> = LinearAxis::ALL
         .into_iter()
-        .filter(|other| *other != axis && (machine.kind != Kind::Lathe || *other != LinearAxis::Y))
+        .filter(|other| {
+            *other != axis && (machine.kind != MachineKind::Lathe || *other != LinearAxis::Y)
+        })
         .collect();
     let mut columns = vec![Column::Run, Column::Position(axis.index())];
     columns.push(Column::Direction(axis.index()));
-    columns.extend(others.iter().map(|other| Column::Empty(measured(*other))));
+    columns.extend(others.iter().map(|other| Column::Empty(measured_column(*other))));
     let note = "Read the deviation of both other axes, or run it once for each; a column that you do \
                 not fill in, delete.";
     Ok(Plan {
         name: format!("straightness-{}", axis.name()),
-        notes: vec![WITHOUT_CORRECTION.to_string(), note.to_string()],
-        precautions: head_at_zero(machine).into_iter().collect(),
+        notes: vec![COMPENSATION_OFF_PRECAUTION.to_string(), note.to_string()],
+        precautions: head_zero_precaution(machine).into_iter().collect(),
         approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,

@@ -2,20 +2,20 @@
 
 use trueup_machine::{
     Machine,
-    file::{Kind, LinearAxis},
+    file::{LinearAxis, MachineKind},
 };
 
-use super::{WITHOUT_CORRECTION, go, head_at_zero, measured};
+use super::{COMPENSATION_OFF_PRECAUTION, head_zero_precaution, linear_move, measured_column};
 use crate::{
-    options::Options,
+    options::MeasurementOptions,
     plan::{Column, Plan, Step},
-    refused::Refused,
-    travel::{Travel, micrometres, retract, travel},
+    refused::ProgramError,
+    travel::{AxisTravel, resolve_travel, retract_direction, round_to_micrometres},
 };
 
 /// Parameters of the run.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Targets {
+pub struct TargetRun {
     /// Which axis.
     pub axis: LinearAxis,
     /// Where it is read, rising, in mm; at least 2.
@@ -42,7 +42,7 @@ pub struct Targets {
 const MAX_STROKES: f64 = 9999.0;
 
 /// The shortest over-travel that is left next to the margin, in mm: it still takes up the play of a worn axis.
-const MIN_OVER_MM: f64 = 0.1;
+const MIN_OVER_TRAVEL_MM: f64 = 0.1;
 
 /// Returns the plan; `inputs` are the columns to be filled in with the error, and `why` is what it is run for, a
 /// sentence. Range, margin and approach are those of `options`; an axis that is neither vertical nor along the
@@ -50,34 +50,35 @@ const MIN_OVER_MM: f64 = 0.1;
 ///
 /// # Errors
 /// The axis is vertical or along the tool and has no range, or the run does not fit.
-pub fn targets(
-    run: &Targets,
+pub fn plan_target_run(
+    run: &TargetRun,
     machine: &Machine,
-    options: &Options,
+    options: &MeasurementOptions,
     inputs: &[String],
     why: &str,
-) -> Result<Plan, Refused> {
+) -> Result<Plan, ProgramError> {
     options.check()?;
     let axis = run.axis;
     let index = axis.index();
     let last = run.targets_mm.len() - 1;
     let ends_mm = [run.targets_mm[0], run.targets_mm[last]];
-    let [low_mm, high_mm] = [ends_mm[0] - run.over_mm, ends_mm[1] + run.over_mm].map(micrometres);
+    let [low_mm, high_mm] =
+        [ends_mm[0] - run.over_mm, ends_mm[1] + run.over_mm].map(round_to_micrometres);
     let is_limited = options.range_mm[index].is_some() || machine.axes[index].travel_mm.is_some();
-    let retract = retract(machine, axis);
-    let limits = if is_limited || retract.is_some() || machine.kind == Kind::Lathe {
-        travel(machine, options, axis)?.map_err(Refused)?
+    let retract = retract_direction(machine, axis);
+    let limits = if is_limited || retract.is_some() || machine.kind == MachineKind::Lathe {
+        resolve_travel(machine, options, axis)?.map_err(ProgramError)?
     } else {
-        Travel { axis, low_mm, high_mm, retract }
+        AxisTravel { axis, low_mm, high_mm, retract }
     };
-    let way = Travel {
+    let way = AxisTravel {
         low_mm: low_mm.max(limits.low_mm),
         high_mm: high_mm.min(limits.high_mm),
         ..limits
     };
-    let over_mm = run.over_mm.min(MIN_OVER_MM);
+    let over_mm = run.over_mm.min(MIN_OVER_TRAVEL_MM);
     if ends_mm[0] - over_mm < way.low_mm || ends_mm[1] + over_mm > way.high_mm {
-        return Err(Refused(format!(
+        return Err(ProgramError(format!(
             "the next run reads {name} from {} to {} mm, and {name} may move from {} to {} mm only: give a \
              longer --range {name}=LOW:HIGH, or a smaller --margin",
             ends_mm[0],
@@ -87,18 +88,18 @@ pub fn targets(
             name = axis.name()
         )));
     }
-    let [start, far] = way.start_and_far_mm();
-    let ordered = way.ordered(run.targets_mm.clone());
+    let [start, far] = way.ordered_ends_mm();
+    let ordered = way.in_approach_order(run.targets_mm.clone());
     let measure = |feed: f64| {
-        let read = |mm: &f64| [go(&way, *mm, feed), Step::Read(run.dwell_s)];
+        let read = |mm: &f64| [linear_move(&way, *mm, feed), Step::Read(run.dwell_s)];
         let mut once: Vec<Step> = ordered.iter().flat_map(read).collect();
-        once.push(go(&way, far, feed));
+        once.push(linear_move(&way, far, feed));
         once.extend(ordered.iter().rev().flat_map(read));
-        once.push(go(&way, start, feed));
+        once.push(linear_move(&way, start, feed));
         Step::Repeat { times: run.times, steps: once }
     };
     let all = || run.feeds_mm_per_min.iter().map(|feed| measure(*feed));
-    let mut steps = vec![way.approach(start)];
+    let mut steps = vec![way.approach_step(start)];
     if run.cold {
         steps.extend(all());
     }
@@ -107,7 +108,7 @@ pub fn targets(
         let strokes = run.heat_min * feed / (2.0 * way.length_mm());
         let strokes = strokes.ceil().clamp(1.0, MAX_STROKES);
         // A number of strokes is whole and in range.
-        let stroke = vec![go(&way, far, feed), go(&way, start, feed)];
+        let stroke = vec![linear_move(&way, far, feed), linear_move(&way, start, feed)];
         steps.push(Step::Note(format!("run warm for {:.0} minutes", run.heat_min)));
         steps.push(Step::Repeat { times: strokes as u32, steps: stroke });
     }
@@ -119,22 +120,22 @@ pub fn targets(
     let mut columns = vec![Column::Position(index), Column::Direction(index), Column::Feed];
     let filled = inputs.iter().filter(other).cloned();
     columns.extend(std::iter::once("time_s".to_string()).chain(filled).map(Column::Empty));
-    columns.push(Column::Empty(measured(run.axis)));
+    columns.push(Column::Empty(measured_column(run.axis)));
     let notes = [
         why,
-        WITHOUT_CORRECTION,
+        COMPENSATION_OFF_PRECAUTION,
         "Begin with a machine that has stood still over night.",
         "Set the gauge and its zero as in the runs before; write the time down at each reading.",
     ];
     Ok(Plan {
         name: "next".into(),
         notes: notes.map(String::from).into(),
-        precautions: head_at_zero(machine).into_iter().collect(),
+        precautions: head_zero_precaution(machine).into_iter().collect(),
         approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,
         then: vec!["trueup diagnose --run next.csv".into()],
-        is_lathe: machine.kind == Kind::Lathe,
+        is_lathe: machine.kind == MachineKind::Lathe,
         records: Vec::new(),
     })
 }
@@ -154,7 +155,7 @@ mod tests {
 
     #[test]
     fn an_axis_is_read_from_both_sides_cold_and_warm_and_warmed_for_as_long_as_is_asked() {
-        let run = Targets {
+        let run = TargetRun {
             axis: LinearAxis::Y,
             targets_mm: vec![50.0, 400.0, 950.0],
             over_mm: 50.0,
@@ -167,8 +168,14 @@ mod tests {
             warm: true,
         };
         let inputs = ["temp_screw_c".into()];
-        let plan = targets(&run, &machine(""), &Options::default(), &inputs, "To tell a from b.")
-            .expect("the runs were there");
+        let plan = plan_target_run(
+            &run,
+            &machine(""),
+            &MeasurementOptions::default(),
+            &inputs,
+            "To tell a from b.",
+        )
+        .expect("the runs were there");
         let readings = plan.readings();
         let places: Vec<(Option<f64>, i8)> =
             readings[..6].iter().map(|it| (it.position_mm[1], it.direction[1])).collect();
@@ -178,25 +185,28 @@ mod tests {
         assert_eq!(readings.len(), 2 * 2 * 6);
         assert_eq!(plan.extent_mm()[1], Some([0.0, 1000.0]));
         // 24 readings of 5 s, four times there and back over a metre at 1 m/min, and ten minutes.
-        let minutes = plan.least_seconds() / 60.0;
+        let minutes = plan.min_duration_s() / 60.0;
         assert!((minutes - (2.0 + 8.0 + 10.0)).abs() < 0.21, "{minutes}");
-        let text = &crate::template::templates(&plan)[0].1;
+        let text = &crate::template::run_file_templates(&plan)[0].1;
         let header = "y_mm,dir_y,feed_mm_per_min,time_s,temp_screw_c,measured_dy_um\n";
         assert!(text.contains(header), "{text}");
         // A margin is kept to the ends of travel; Z moves only where it is said, its upper end first.
-        let said = |run: &Targets, travel: &str, options: &Options| {
-            targets(run, &machine(travel), options, &inputs, "")
+        let said = |run: &TargetRun, travel: &str, options: &MeasurementOptions| {
+            plan_target_run(run, &machine(travel), options, &inputs, "")
         };
         let y = "[axis.y]\ntravel_mm = [0.0, 1000.0]\n";
-        let plan = said(&run, y, &Options::default()).expect("it fits");
+        let plan = said(&run, y, &MeasurementOptions::default()).expect("it fits");
         assert_eq!(plan.extent_mm()[1], Some([2.0, 998.0]));
-        let short = said(&run, "[axis.y]\ntravel_mm = [0.0, 952.0]\n", &Options::default());
+        let short =
+            said(&run, "[axis.y]\ntravel_mm = [0.0, 952.0]\n", &MeasurementOptions::default());
         assert!(short.is_err_and(|why| why.0.contains("from 2 to 950 mm only")));
-        let z = Targets { axis: LinearAxis::Z, ..run };
-        let why = said(&z, "", &Options::default()).expect_err("it would plunge").0;
+        let z = TargetRun { axis: LinearAxis::Z, ..run };
+        let why = said(&z, "", &MeasurementOptions::default()).expect_err("it would plunge").0;
         assert!(why.contains("--range z=LOW:HIGH"), "{why}");
-        let options =
-            Options { range_mm: [None, None, Some([-2.0, 1002.0])], ..Options::default() };
+        let options = MeasurementOptions {
+            range_mm: [None, None, Some([-2.0, 1002.0])],
+            ..MeasurementOptions::default()
+        };
         let plan = said(&z, "", &options).expect("it is said");
         assert_eq!(plan.steps[0], Step::Approach { axis: 2, to_mm: 1000.0 });
         assert_eq!(plan.readings()[0].position_mm[2], Some(950.0));

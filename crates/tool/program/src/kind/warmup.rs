@@ -8,41 +8,50 @@
 
 use trueup_machine::{
     Machine,
-    file::{ElongationSource, Kind},
+    file::{ElongationSource, MachineKind},
 };
 
-use super::{NON_CONTACT, Plans, without_clearance};
+use super::{NON_CONTACT_PRECAUTION, Plans, unused_clearance_note};
 use crate::{
-    options::{Gauge, Options},
+    options::{MeasurementOptions, MeasuringInstrument},
     plan::{Column, Plan, Step},
-    refused::Refused,
+    refused::ProgramError,
 };
 
 /// Two hours at full speed (paper 0).
-const HEAT_S: f64 = 7200.0;
+const HEATING_DURATION_S: f64 = 7200.0;
 /// From reading to reading, in s.
-const EVERY_S: f64 = 60.0;
+const READING_INTERVAL_S: f64 = 60.0;
 /// The same where the spindle stops for each, in s: rarely enough that it hardly cools.
-const EVERY_TOUCH_S: f64 = 600.0;
+const TOUCH_READING_INTERVAL_S: f64 = 600.0;
 /// How long the spindle runs down before the operator is called, in s.
-const RUN_DOWN_S: f64 = 20.0;
+const SPINDLE_RUN_DOWN_S: f64 = 20.0;
 
-pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refused> {
+pub(crate) fn create_plans(
+    machine: &Machine,
+    options: &MeasurementOptions,
+) -> Result<Plans, ProgramError> {
     let rated = machine.spindle.warmup.as_ref().and_then(|warmup| warmup.rated_rpm);
     let rpm = options.spindle_rpm.or(rated).ok_or_else(|| {
-        Refused("the speed is not known: give --rpm, or rated_rpm under [spindle.warmup]".into())
+        ProgramError(
+            "the speed is not known: give --rpm, or rated_rpm under [spindle.warmup]".into(),
+        )
     })?;
-    let is_touching = options.gauge == Some(Gauge::Dial);
-    let every_s = options.every_s.unwrap_or(if is_touching { EVERY_TOUCH_S } else { EVERY_S });
+    let is_touching = options.gauge == Some(MeasuringInstrument::Dial);
+    let every_s = options.every_s.unwrap_or(if is_touching {
+        TOUCH_READING_INTERVAL_S
+    } else {
+        READING_INTERVAL_S
+    });
     if every_s <= options.dwell_s {
-        return Err(Refused(format!(
+        return Err(ProgramError(format!(
             "--every-s {every_s} must be above --dwell-s {}: a reading takes that long",
             options.dwell_s
         )));
     }
-    let times = (options.heat_s.unwrap_or(HEAT_S) / every_s).round();
+    let times = (options.heat_s.unwrap_or(HEATING_DURATION_S) / every_s).round();
     if !(1.0..=9999.0).contains(&times) {
-        return Err(Refused(format!(
+        return Err(ProgramError(format!(
             "--heat-s must be 1 to 9999 times --every-s ({every_s}), not {times}"
         )));
     }
@@ -66,10 +75,10 @@ pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refus
     let how = if is_touching {
         "The spindle stops before each reading: touch nothing that turns."
     } else {
-        NON_CONTACT
+        NON_CONTACT_PRECAUTION
     };
     let place = match machine.kind {
-        Kind::Lathe => {
+        MachineKind::Lathe => {
             "Set the gauge between turret and chuck: in the turret, along Z against the face of a bar in the chuck, to zero."
         }
         _ => {
@@ -77,7 +86,7 @@ pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refus
         }
     };
     let sign = match machine.kind {
-        Kind::Lathe => {
+        MachineKind::Lathe => {
             "Growth of the bar out of the chuck is positive. Delete columns that you have no values for."
         }
         _ => "Growth out of the spindle is positive. Delete columns that you have no values for.",
@@ -99,7 +108,7 @@ pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refus
         precautions: vec![how.into()],
         approach_mm_per_min: options.approach_mm_per_min,
         steps: if is_touching {
-            touched(rpm, every_s, times)
+            contact_gauge_steps(rpm, every_s, times)
         } else {
             let (wait_s, read_s) = (every_s - options.dwell_s, options.dwell_s);
             let steps = vec![Step::Dwell(wait_s), Step::Read(read_s)];
@@ -113,11 +122,11 @@ pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refus
         is_lathe: false,
         records: vec!["off", "on"],
     };
-    Ok((vec![plan], without_clearance(options).into_iter().collect()))
+    Ok((vec![plan], unused_clearance_note(options).into_iter().collect()))
 }
 
 /// Returns the steps of a gauge that touches: the spindle stands at each reading, and the operator is called.
-fn touched(rpm: f64, every_s: f64, times: u32) -> Vec<Step> {
+fn contact_gauge_steps(rpm: f64, every_s: f64, times: u32) -> Vec<Step> {
     let call = [
         "Wait until the spindle stands. Then touch the bar, read, and write down the time.",
         "Take the gauge away: the spindle turns again after this stop.",
@@ -126,7 +135,7 @@ fn touched(rpm: f64, every_s: f64, times: u32) -> Vec<Step> {
         Step::Spindle(rpm),
         Step::Dwell(every_s),
         Step::Spindle(0.0),
-        Step::Read(RUN_DOWN_S),
+        Step::Read(SPINDLE_RUN_DOWN_S),
         Step::Stop(call.map(String::from).into()),
     ];
     vec![Step::Repeat { times, steps }]

@@ -3,14 +3,14 @@
 use std::path::Path;
 
 use trueup_machine::{Machine, MachineFile, file::LinearAxis};
-use trueup_program::{Gauge, Kind, Options, Plan};
+use trueup_program::{MeasurementKind, MeasurementOptions, MeasuringInstrument, Plan};
 
 /// A machine and what is asked for.
 #[derive(Debug)]
 pub struct Draw {
     pub number: u64,
     pub machine: Machine,
-    pub options: Options,
+    pub options: MeasurementOptions,
 }
 
 /// A tool axis by its share of a way; below, no range is asked for.
@@ -22,7 +22,7 @@ impl Draw {
         let text =
             "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[axis.x]\ntravel_mm = [0.0, 800.0]\n";
         let machine = MachineFile::parse(text, Path::new("m.toml")).expect("a machine file");
-        Self { number: 0, machine, options: Options::default() }
+        Self { number: 0, machine, options: MeasurementOptions::default() }
     }
 
     /// Returns which way retracts a vertical or tool axis.
@@ -73,8 +73,14 @@ impl Draw {
     }
 
     /// Nothing is left out that could be written, and what is left out is said.
-    pub fn is_named_what_is_not_written(&self, kind: Kind, plans: &[Plan], notes: &str) {
-        if matches!(kind, Kind::Warmup | Kind::Diagonal | Kind::StepDiagonal | Kind::Circle) {
+    pub fn is_named_what_is_not_written(&self, kind: MeasurementKind, plans: &[Plan], notes: &str) {
+        if matches!(
+            kind,
+            MeasurementKind::Warmup
+                | MeasurementKind::Diagonal
+                | MeasurementKind::StepDiagonal
+                | MeasurementKind::Circle
+        ) {
             return;
         }
         for axis in LinearAxis::ALL {
@@ -92,23 +98,26 @@ impl Draw {
     }
 
     /// A refusal has its reason in the draw.
-    pub fn is_right_to_refuse(&self, kind: Kind, why: &str) {
+    pub fn is_right_to_refuse(&self, kind: MeasurementKind, why: &str) {
         let asked: Vec<LinearAxis> = LinearAxis::ALL
             .into_iter()
             .filter(|axis| self.options.axes.is_empty() || self.options.axes.contains(axis))
             .collect();
         let with_room = asked.iter().filter(|axis| self.has_room(**axis)).count();
         let needed = match kind {
-            Kind::Diagonal | Kind::Circle => 2,
-            Kind::StepDiagonal => 3,
+            MeasurementKind::Diagonal | MeasurementKind::Circle => 2,
+            MeasurementKind::StepDiagonal => 3,
             _ => 1,
         };
         if why.contains("strokes from") || why.contains("a circle of 50 mm would send") {
             return;
         }
-        let clearance = why.contains("--clearance") && kind == Kind::Backlash;
+        let clearance = why.contains("--clearance") && kind == MeasurementKind::Backlash;
         assert!(with_room < needed || clearance, "{kind:?} {self:?}: needlessly {why}");
-        let needs_more = matches!(kind, Kind::Diagonal | Kind::StepDiagonal | Kind::Circle);
+        let needs_more = matches!(
+            kind,
+            MeasurementKind::Diagonal | MeasurementKind::StepDiagonal | MeasurementKind::Circle
+        );
         let is_alone = needs_more && why.contains("only");
         assert!(why.contains("--range") || clearance || is_alone, "{why}");
     }
@@ -216,7 +225,7 @@ impl Iterator for Draws {
             true => vec![self.one_of(&LinearAxis::ALL)],
             false => Vec::new(),
         };
-        let options = Options {
+        let options = MeasurementOptions {
             axes,
             range_mm,
             clearance_mm,
@@ -225,10 +234,14 @@ impl Iterator for Draws {
             feeds_mm_per_min: self.one_of(&[&[1000.0][..], &[2000.0, 100.0]]).to_vec(),
             dwell_s: self.one_of(&[5.0, 2.5]),
             repeats: self.one_of(&[None, Some(1), Some(2)]),
-            gauge: self.one_of(&[None, Some(Gauge::Dial), Some(Gauge::Laser)]),
+            gauge: self.one_of(&[
+                None,
+                Some(MeasuringInstrument::Dial),
+                Some(MeasuringInstrument::Laser),
+            ]),
             heat_s: Some(self.between(1200.0, 1500.0)),
             heat_feed_mm_per_min: self.one_of(&[3000.0, 300.0]),
-            ..Options::default()
+            ..MeasurementOptions::default()
         };
         Some(Draw { number: self.number, machine, options })
     }

@@ -19,19 +19,20 @@ use draw::{Draw, Draws};
 use event::Event;
 use trueup_machine::file::LinearAxis;
 use trueup_program::{
-    Control, Kind, Plan, Stretch, Targets, control::program, plan::Step, plans, speeds, targets,
+    Control, MeasurementKind, Plan, SpeedSegment, TargetRun, control::generate_program,
+    create_plans, plan::Step, plan_speed_run, plan_target_run,
 };
 use walk::{Limits, walk};
 
-const KINDS: [Kind; 8] = [
-    Kind::Backlash,
-    Kind::Pitch,
-    Kind::Straightness,
-    Kind::Warmup,
-    Kind::AxisHeat,
-    Kind::Diagonal,
-    Kind::StepDiagonal,
-    Kind::Circle,
+const KINDS: [MeasurementKind; 8] = [
+    MeasurementKind::Backlash,
+    MeasurementKind::Pitch,
+    MeasurementKind::Straightness,
+    MeasurementKind::Warmup,
+    MeasurementKind::AxisHeat,
+    MeasurementKind::Diagonal,
+    MeasurementKind::StepDiagonal,
+    MeasurementKind::Circle,
 ];
 /// How many machines, each with a range and options of its own.
 const DRAWS: u64 = 240;
@@ -56,11 +57,11 @@ fn check(plan: &Plan, axes: &[LinearAxis], draw: &Draw) {
             _ => has(|step| matches!(step, Step::Touch(_))),
         };
         if has_no_words {
-            let why = program(plan, control).expect_err("it has no words for it").0;
+            let why = generate_program(plan, control).expect_err("it has no words for it").0;
             assert!(why.contains("fill in its run file"), "{why}");
             continue;
         }
-        let (name, text) = program(plan, control).expect("it is written");
+        let (name, text) = generate_program(plan, control).expect("it is written");
         let limits = Limits::of(draw, axes);
         let walked = read(control, &text).and_then(|events| walk(&events, &limits, plan));
         if let Err(danger) = walked {
@@ -84,20 +85,25 @@ fn no_program_of_any_control_and_kind_is_a_danger() {
     for draw in Draws::new(DRAWS) {
         for kind in KINDS {
             // A circle is looked at degree by degree.
-            if kind == Kind::Circle && draw.number % 3 != 0 {
+            if kind == MeasurementKind::Circle && draw.number % 3 != 0 {
                 continue;
             }
             let mut options = draw.options.clone();
             options.spindle_rpm = Some(12_000.0);
-            if kind == Kind::AxisHeat {
+            if kind == MeasurementKind::AxisHeat {
                 options.heat_s = options.heat_s.map(|s| 0.1 * s);
             }
-            match plans(kind, &draw.machine, &options) {
+            match create_plans(kind, &draw.machine, &options) {
                 Ok((plans, notes)) => {
                     for plan in &plans {
                         let mut axes = named(plan);
-                        assert_eq!(axes.is_empty(), kind == Kind::Warmup, "{}", plan.name);
-                        if kind == Kind::Backlash {
+                        assert_eq!(
+                            axes.is_empty(),
+                            kind == MeasurementKind::Warmup,
+                            "{}",
+                            plan.name
+                        );
+                        if kind == MeasurementKind::Backlash {
                             axes.extend(options.clearance_mm.map(|(axis, _)| axis));
                         }
                         check(plan, &axes, &draw);
@@ -121,7 +127,7 @@ fn no_program_of_a_probe_is_a_danger() {
         let ends = LinearAxis::ALL.map(|axis| draw.allowed_mm(axis));
         let middle = ends.map(|[low, high]| (low + high) / 2.0);
         let has_places = middle.iter().all(|mm| mm.is_finite());
-        let options = trueup_program::Options {
+        let options = trueup_program::MeasurementOptions {
             at_mm: if has_places { middle.map(Some) } else { [Some(0.0); 3] },
             feeds_mm_per_min: Vec::new(),
             ball_mm: Some(12.0),
@@ -133,8 +139,8 @@ fn no_program_of_a_probe_is_a_danger() {
             tool_lengths_mm: if draw.number % 2 == 0 { vec![50.0, 70.0] } else { Vec::new() },
             ..draw.options.clone()
         };
-        for kind in [Kind::Square, Kind::Sphere, Kind::Plate] {
-            match plans(kind, &draw.machine, &options) {
+        for kind in [MeasurementKind::Square, MeasurementKind::Sphere, MeasurementKind::Plate] {
+            match create_plans(kind, &draw.machine, &options) {
                 Ok((plans, _)) => {
                     check(&plans[0], &LinearAxis::ALL, &draw);
                     written += 1;
@@ -159,7 +165,7 @@ fn no_next_run_is_a_danger() {
     for draw in Draws::new(DRAWS) {
         let axis = draw.axis();
         let [low, high] = draw.seen_mm(axis);
-        let run = Targets {
+        let run = TargetRun {
             axis,
             targets_mm: vec![low + 0.1 * (high - low), high - 0.1 * (high - low)],
             over_mm: 0.05 * (high - low),
@@ -172,7 +178,7 @@ fn no_next_run_is_a_danger() {
             warm: true,
         };
         let is_guarded = draw.is_guarded(axis);
-        match targets(&run, &draw.machine, &draw.options, &[], "To separate a from b.") {
+        match plan_target_run(&run, &draw.machine, &draw.options, &[], "To separate a from b.") {
             Ok(plan) => {
                 assert!(!is_guarded || draw.options.range_mm[axis.index()].is_some());
                 check(&plan, &[axis], &draw);
@@ -180,25 +186,35 @@ fn no_next_run_is_a_danger() {
             }
             Err(why) => assert!(why.0.contains(axis.name()), "{why}"),
         }
-        let stretches = [6000.0, 0.0].map(|rpm| Stretch { rpm, minutes: 2.0, load_n: 0.0 });
-        check(&speeds(&stretches, 20.0, &[], "To separate a from b."), &[], &draw);
+        let stretches = [6000.0, 0.0].map(|rpm| SpeedSegment { rpm, minutes: 2.0, load_n: 0.0 });
+        check(&plan_speed_run(&stretches, 20.0, &[], "To separate a from b."), &[], &draw);
     }
     assert!(written > DRAWS / 4, "{written}");
+}
+
+/// The programs of the controls are no danger, and each of these changes to one is seen.
+fn assert_each_is_seen(plan: &Plan, limits: &Limits, dangers: &[(Control, &str, &str)]) {
+    let walked =
+        |control, text: &str| read(control, text).and_then(|events| walk(&events, limits, plan));
+    for (control, from, to) in dangers {
+        let right = generate_program(plan, *control).expect("it is written").1;
+        walked(*control, &right).expect("it is no danger");
+        assert!(right.contains(from), "{from}: {right}");
+        let wrong = right.replacen(from, to, 1);
+        let walked = walked(*control, &wrong);
+        assert!(walked.is_err(), "{control:?}: {from} became {to:?} and nothing was seen");
+    }
 }
 
 /// A danger of each sort is seen: the walk is not blind.
 #[test]
 fn the_walk_sees_each_danger() {
     let draw = Draw::plain();
-    let options = trueup_program::Options { repeats: Some(1), ..draw.options.clone() };
-    let plan = &plans(Kind::Pitch, &draw.machine, &options).expect("it fits").0[0];
+    let options = trueup_program::MeasurementOptions { repeats: Some(1), ..draw.options.clone() };
+    let plan =
+        &create_plans(MeasurementKind::Pitch, &draw.machine, &options).expect("it fits").0[0];
     let limits = Limits::of(&draw, &[LinearAxis::X]);
-    let right = |control| program(plan, control).expect("it is written").1;
-    for control in [Control::LinuxCnc, Control::Fanuc, Control::Siemens, Control::Heidenhain] {
-        let events = read(control, &right(control)).expect("it is read");
-        walk(&events, &limits, plan).expect("it is no danger");
-    }
-    let dangers: [(Control, &str, &str); 14] = [
+    let dangers = [
         (Control::LinuxCnc, "M0\n", ""),
         (Control::LinuxCnc, "G53 G1 X2 F500", "G53 G0 X2"),
         (Control::LinuxCnc, "G53 G1 X2 F500", "G1 X2 F500"),
@@ -214,13 +230,7 @@ fn the_walk_sees_each_danger() {
         (Control::Heidenhain, "R0 F500 M91", "R0 FMAX M91"),
         (Control::Heidenhain, "R0 F500 M91", "R0 F500"),
     ];
-    for (control, from, to) in dangers {
-        let text = right(control);
-        assert!(text.contains(from), "{from}: {text}");
-        let wrong = text.replacen(from, to, 1);
-        let walked = read(control, &wrong).and_then(|events| walk(&events, &limits, plan));
-        assert!(walked.is_err(), "{control:?}: {from} became {to:?} and nothing was seen");
-    }
+    assert_each_is_seen(plan, &limits, &dangers);
 }
 
 /// A danger of a circle is seen as well.
@@ -228,14 +238,10 @@ fn the_walk_sees_each_danger() {
 fn the_walk_sees_each_danger_of_a_circle() {
     let mut draw = Draw::plain();
     draw.options.range_mm = [None, Some([0.0, 800.0]), None];
-    let plan = &plans(Kind::Circle, &draw.machine, &draw.options).expect("it fits").0[0];
+    let plan =
+        &create_plans(MeasurementKind::Circle, &draw.machine, &draw.options).expect("it fits").0[0];
     let limits = Limits::of(&draw, &[LinearAxis::X, LinearAxis::Y]);
-    let right = |control| program(plan, control).expect("it is written").1;
-    for control in [Control::LinuxCnc, Control::Fanuc, Control::Siemens] {
-        let events = read(control, &right(control)).expect("it is read");
-        walk(&events, &limits, plan).expect("it is no danger");
-    }
-    let dangers: [(Control, &str, &str); 13] = [
+    let dangers = [
         (Control::LinuxCnc, "G3 X0 Y0 I-300 J0", "G3 X0 Y0 I300 J0"),
         (Control::LinuxCnc, "G3 X0 Y0 I-300 J0", "G3 X0 Y0 I-150 J0"),
         (Control::LinuxCnc, "G3 X0 Y0", "G3 X10 Y0"),
@@ -250,13 +256,7 @@ fn the_walk_sees_each_danger_of_a_circle() {
         (Control::Fanuc, "G91 G03 X0.", "G90 G03 X0."),
         (Control::Fanuc, "I-300. J0.", "I-300 J0."),
     ];
-    for (control, from, to) in dangers {
-        let text = right(control);
-        assert!(text.contains(from), "{from}: {text}");
-        let wrong = text.replacen(from, to, 1);
-        let walked = read(control, &wrong).and_then(|events| walk(&events, &limits, plan));
-        assert!(walked.is_err(), "{control:?}: {from} became {to:?} and nothing was seen");
-    }
+    assert_each_is_seen(plan, &limits, &dangers);
 }
 
 /// A danger of a probe is seen as well.
@@ -264,20 +264,17 @@ fn the_walk_sees_each_danger_of_a_circle() {
 fn the_walk_sees_each_danger_of_a_probe() {
     let mut draw = Draw::plain();
     draw.options.range_mm = [None, Some([0.0, 800.0]), Some([-300.0, 0.0])];
-    let options = trueup_program::Options {
+    let options = trueup_program::MeasurementOptions {
         at_mm: [Some(400.0), Some(300.0), Some(-200.0)],
         ball_mm: Some(20.0),
         stylus_mm: Some(5.0),
         repeats: Some(1),
         ..draw.options.clone()
     };
-    let plan = &plans(Kind::Sphere, &draw.machine, &options).expect("it fits").0[0];
+    let plan =
+        &create_plans(MeasurementKind::Sphere, &draw.machine, &options).expect("it fits").0[0];
     let limits = Limits::of(&draw, &LinearAxis::ALL);
-    let right = program(plan, Control::LinuxCnc).expect("it is written").1;
-    let walked =
-        |text: &str| read(Control::LinuxCnc, text).and_then(|events| walk(&events, &limits, plan));
-    walked(&right).expect("it is no danger");
-    for (from, to) in [
+    let dangers = [
         ("G38.3 X[400-#<shift_x>] F500", "G53 G1 X400 F500"),
         ("G38.3 X[400-#<shift_x>] F500", "G38.3 X[400] F500"),
         ("G38.3 X[400-#<shift_x>] F500", "G38.3 X[400-#<shift_y>] F500"),
@@ -292,9 +289,7 @@ fn the_walk_sees_each_danger_of_a_probe() {
         ("#<shift_z> = [#<_abs_z> - #<_z>]", "#<shift_z> = [#<_abs_z> - #<_x>]"),
         (" G49 ", " "),
         ("(LOG,1,1,400,300,-200,", "(LOG,1,1,400,300,-210,"),
-    ] {
-        assert!(right.contains(from), "{from}: {right}");
-        let wrong = right.replacen(from, to, 1);
-        assert!(walked(&wrong).is_err(), "{from} became {to:?} and nothing was seen");
-    }
+    ]
+    .map(|(from, to)| (Control::LinuxCnc, from, to));
+    assert_each_is_seen(plan, &limits, &dangers);
 }

@@ -323,7 +323,7 @@ impl State {
 
     /// The rows that the control writes are those of the run file, with the measured ones in the empty cells.
     fn are_rows_of(&self, plan: &Plan) -> Result<(), String> {
-        let text = trueup_program::template::templates(plan).remove(0).1;
+        let text = trueup_program::template::run_file_templates(plan).remove(0).1;
         let mut lines = text.lines().skip_while(|line| line.starts_with('#'));
         let names: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
         let rows: Vec<&str> = lines.collect();

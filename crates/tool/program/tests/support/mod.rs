@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use trueup_machine::{Machine, MachineFile};
-use trueup_program::Options;
+use trueup_program::MeasurementOptions;
 
 /// 1 m of X, 600 mm of Y, 400 mm of Z within the margins, and a spindle of 24 000 r/min.
 pub fn machine() -> Machine {
@@ -18,8 +18,11 @@ pub fn machine() -> Machine {
 }
 
 /// Z may move over all of its travel.
-pub fn with_z() -> Options {
-    Options { range_mm: [None, None, Some([-402.0, 2.0])], ..Options::default() }
+pub fn with_z() -> MeasurementOptions {
+    MeasurementOptions {
+        range_mm: [None, None, Some([-402.0, 2.0])],
+        ..MeasurementOptions::default()
+    }
 }
 
 pub fn parse(text: &str) -> Machine {

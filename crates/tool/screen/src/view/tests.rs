@@ -4,18 +4,21 @@ use ratatui::{Terminal, backend::TestBackend, style::Color};
 use trueup_core::{
     bridge::Input,
     cnc::Control,
-    dimensions::{CHANNELS, CODES_PER_TICK},
-    thermometer::Raw,
-    units::{Code, Rpm},
+    dimensions::{CHANNEL_COUNT, CODES_PER_TICK},
+    thermometer::RawReading,
+    units::{AdcCode, Rpm},
 };
 use trueup_link::frames;
 use trueup_machine::{MachineFile, compile, file::Quantity};
-use trueup_node::node::{Interface as NodeLine, Node};
+use trueup_node::{
+    configuration::Configuration,
+    node::{Interface as NodeLine, Node},
+};
 
 use super::*;
 use crate::{
-    laws::Laws,
-    state::{Action, Key, Source},
+    compensation_model::CompensationModel,
+    state::{Action, Key, ModelSource},
 };
 
 /// A spindle whose sensor has a thermometer of its own, and which heats X.
@@ -30,20 +33,20 @@ const MACHINE: &str = "[machine]\nname = \"lathe 7\"\nkind = \"3-axis\"\n\
 fn watched(ms: u32, code: u16, engage: bool) -> State {
     let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("right");
     let compiled = compile(&machine).expect("it fits");
-    let mut node = Node::new(Some(compiled.calibration()), false);
-    node.set_blob(compiled.blob());
+    let blob = compiled.blob();
+    let mut node = Node::new(Configuration { blob, ..compiled.calibration().into() });
     let mut state = State::new("tcp:bridge:3333", Quantity::Elongation, false);
-    state.link = Link::Up;
-    state.laws = Some(Laws::of(machine));
-    state.source = Source::File("m.toml".into());
-    let codes: [Code; CODES_PER_TICK] = std::array::from_fn(|n| Code(code + (n % 2) as u16));
-    let mut temperatures = [Raw::NONE; CHANNELS];
+    state.link = LinkState::Up;
+    state.laws = Some(CompensationModel::from_machine(machine));
+    state.source = ModelSource::File("m.toml".into());
+    let codes: [AdcCode; CODES_PER_TICK] = std::array::from_fn(|n| AdcCode(code + (n % 2) as u16));
+    let mut temperatures = [RawReading::NONE; CHANNEL_COUNT];
     // A PT100 at 30 °C: 100·(1 + 3.9083·10⁻³·30 − 5.775·10⁻⁷·30²) Ω.
-    temperatures[0] = Raw(111_672_925);
+    temperatures[0] = RawReading(111_672_925);
     for now in 0..ms {
         if now % 20 == 0 {
             let control = Control { engage: engage && now >= 60, ..Control::REFERENCED };
-            let control = frames::control(control, (now / 20) as u8);
+            let control = frames::encode_control(control, (now / 20) as u8);
             node.receive(NodeLine::Can, &control).expect("in order");
         }
         let input = Input {
@@ -55,7 +58,7 @@ fn watched(ms: u32, code: u16, engage: bool) -> State {
             state.receive(&frame, f64::from(now) / 1_000.0);
         }
         if now % 200 == 199 {
-            state.sample(f64::from(now) / 1_000.0);
+            state.record_trend_sample(f64::from(now) / 1_000.0);
         }
     }
     state
@@ -140,8 +143,8 @@ fn a_fault_stands_there_with_its_remedy_at_every_size_and_without_colour() {
 #[test]
 fn silence_is_told_and_not_shown_as_the_last_offset() {
     let mut state = watched(4_000, 731, true);
-    state.link = Link::Down("the bridge has closed the line".into());
-    state.sample(6.0);
+    state.link = LinkState::Down("the bridge has closed the line".into());
+    state.record_trend_sample(6.0);
     let (text, _) = screen(&state, (80, 24), false);
     has(&text, &["NO OFFSETS COME for 2 s", "line down, trying again: the bridge has closed"]);
     // The last ones stand there as what they are.
@@ -155,7 +158,7 @@ fn silence_is_told_and_not_shown_as_the_last_offset() {
 #[test]
 fn what_is_old_is_grey_and_has_its_age() {
     let mut state = watched(4_000, 731, true);
-    state.sample(15.0);
+    state.record_trend_sample(15.0);
     let old = [
         "NO OFFSETS COME for 11 s",
         "Growth    +12.27 µm (1",
@@ -181,7 +184,7 @@ fn what_is_old_is_grey_and_has_its_age() {
     }
     assert!(screen(&state, (80, 24), false).0.contains("axis heat                 ?"));
     let mut fault = watched(4_000, 0, true);
-    fault.sample(15.0);
+    fault.record_trend_sample(15.0);
     has(&screen(&fault, (80, 24), false).0, &["As it was 1", "sensor: out of range or stuck"]);
     // The trend does not go on with it.
     let growth = state.trend.series(0);
@@ -204,7 +207,7 @@ fn a_bridge_that_waits_for_engage_has_no_fault() {
 fn at_60_by_20_nothing_essential_is_cut() {
     let mut state = watched(4_000, 731, true);
     state.recording = Some("bridge-20261126T060000".into());
-    state.recorded(2, 12_345);
+    state.set_recording_counts(2, 12_345);
     state.gauge.latest = Some((14.0, 4.0));
     state.gauge.trouble = None;
     let (text, _) = screen(&state, (60, 20), false);
@@ -238,8 +241,8 @@ fn volts_of_a_boards_own_calibration_are_marked_as_nominal() {
     let mut state = watched(4_000, 731, true);
     assert!(!screen(&state, (80, 24), false).0.contains("nominal"));
     let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("right");
-    state.laws = Laws::of_board(compile(&machine).expect("it fits").blob());
-    state.source = Source::Board;
+    state.laws = CompensationModel::from_board_blob(compile(&machine).expect("it fits").blob());
+    state.source = ModelSource::Board;
     for size in [(80, 24), (60, 20)] {
         has(&screen(&state, size, false).0, &[" V nominal    731.50 codes  noise 0."]);
     }
@@ -248,27 +251,27 @@ fn volts_of_a_boards_own_calibration_are_marked_as_nominal() {
 #[test]
 fn readings_stand_in_the_trend_and_the_last_is_undone() {
     let mut state = watched(4_000, 731, true);
-    assert_eq!(state.key(Key::Char('u')), None);
+    assert_eq!(state.handle_key(Key::Char('u')), None);
     has(&screen(&state, (80, 24), false).0, &["no reading of the gauge is in the recording"]);
     state.recording = Some("bridge-1".into());
     for um in [14.0, 15.0] {
         state.gauge.latest = Some((um, 4.0));
-        state.mark(um);
+        state.record_gauge_reading(um);
     }
-    state.recorded(2, 40);
-    state.sample(4.2);
+    state.set_recording_counts(2, 40);
+    state.record_trend_sample(4.2);
     let (text, _) = screen(&state, (80, 30), false);
     // 4 s of record: the axis is 10 s long.
     has(&text, &["growth, µm, the last 10 s; • gauge", "-10 s", "-5 s", "now", "•", "+15.00"]);
-    assert_eq!(state.key(Key::Char('u')), Some(Action::Unmark));
-    state.unmark();
-    state.recorded(1, 40);
+    assert_eq!(state.handle_key(Key::Char('u')), Some(Action::Unmark));
+    state.undo_gauge_reading();
+    state.set_recording_counts(1, 40);
     let (text, _) = screen(&state, (80, 30), false);
     assert!(!text.contains("+15.00 ┤") && text.contains("1 reading"), "{text}");
     // The last of the series: gauge minus bridge, 15 − 12.27.
     (0..8).find(|_| {
-        state.key(Key::Char('t'));
-        state.series == crate::trend::DIFFERENCE
+        state.handle_key(Key::Char('t'));
+        state.series == crate::trend::DIFFERENCE_SERIES_INDEX
     });
     has(
         &screen(&state, (80, 30), false).0,
@@ -281,61 +284,67 @@ fn another_calibration_than_the_files_is_told() {
     let mut state = watched(4_000, 731, true);
     has(&screen(&state, (80, 24), false).0, &[" of m.toml"]);
     let other = MACHINE.replace("k0_um = 0.0", "k0_um = 1.0");
-    state.laws = Some(Laws::of(MachineFile::parse(&other, Path::new("m.toml")).expect("right")));
+    state.laws = Some(CompensationModel::from_machine(
+        MachineFile::parse(&other, Path::new("m.toml")).expect("right"),
+    ));
     has(&screen(&state, (80, 24), false).0, &[" NOT of m.toml"]);
 }
 
 #[test]
 fn keys_record_mark_turn_the_trend_and_help() {
     let mut state = watched(4_000, 731, true);
-    assert_eq!(state.key(Key::Char('g')), None);
+    assert_eq!(state.handle_key(Key::Char('g')), None);
     has(&screen(&state, (80, 24), false).0, &["press r first"]);
-    assert_eq!(state.key(Key::Char('r')), Some(Action::Record));
+    assert_eq!(state.handle_key(Key::Char('r')), Some(Action::Record));
     state.recording = Some("bridge-1".into());
-    assert_eq!(state.key(Key::Char('g')), None);
+    assert_eq!(state.handle_key(Key::Char('g')), None);
     // In half of Europe the point is a comma.
     for key in ['-', '3', ',', '5', 'x', '1'] {
-        assert_eq!(state.key(Key::Char(key)), None);
+        assert_eq!(state.handle_key(Key::Char(key)), None);
     }
     has(&screen(&state, (80, 24), false).0, &["measured elongation in µm: -3.51_"]);
-    assert_eq!(state.key(Key::Backspace), None);
-    assert_eq!(state.key(Key::Enter), Some(Action::Mark(-3.5)));
+    assert_eq!(state.handle_key(Key::Backspace), None);
+    assert_eq!(state.handle_key(Key::Enter), Some(Action::Mark(-3.5)));
     // q is not quit while a number is typed.
-    state.key(Key::Char('g'));
-    assert_eq!(state.key(Key::Char('q')), None);
-    assert_eq!(state.key(Key::Enter), None, "nothing was typed");
+    state.handle_key(Key::Char('g'));
+    assert_eq!(state.handle_key(Key::Char('q')), None);
+    assert_eq!(state.handle_key(Key::Enter), None, "nothing was typed");
     has(&screen(&state, (80, 24), false).0, &["in µm: _   type the reading in µm, such as -3.5"]);
-    assert_eq!(state.key(Key::Escape), None);
-    assert_eq!(state.key(Key::Char('r')), Some(Action::EndRecording));
+    assert_eq!(state.handle_key(Key::Escape), None);
+    assert_eq!(state.handle_key(Key::Char('r')), Some(Action::EndRecording));
 
     has(&screen(&state, (80, 24), false).0, &["growth, µm, the last"]);
-    state.key(Key::Char('t'));
+    state.handle_key(Key::Char('t'));
     has(&screen(&state, (80, 24), false).0, &["offset of X, µm, the last"]);
-    (0..3).for_each(|_| _ = state.key(Key::Char('t')));
+    (0..3).for_each(|_| _ = state.handle_key(Key::Char('t')));
     has(&screen(&state, (80, 24), false).0, &["coil, °C, the last"]);
-    state.key(Key::Char('t'));
+    state.handle_key(Key::Char('t'));
     has(&screen(&state, (80, 24), false).0, &["growth, µm, the last"]);
 
-    state.key(Key::Char('?'));
+    state.handle_key(Key::Char('?'));
     has(&screen(&state, (60, 15), false).0, &["quit; the bridge goes on as it was"]);
-    assert_eq!(state.key(Key::Escape), None, "it closes the help");
-    assert_eq!(state.key(Key::Escape), None, "nor does it end a recording, once too often pressed");
-    assert_eq!(state.key(Key::Char('q')), Some(Action::Quit));
-    assert_eq!(state.key(Key::Interrupt), Some(Action::Quit));
+    assert_eq!(state.handle_key(Key::Escape), None, "it closes the help");
+    assert_eq!(
+        state.handle_key(Key::Escape),
+        None,
+        "nor does it end a recording, once too often pressed"
+    );
+    assert_eq!(state.handle_key(Key::Char('q')), Some(Action::Quit));
+    assert_eq!(state.handle_key(Key::Interrupt), Some(Action::Quit));
 }
 
 #[test]
 fn a_gauge_that_speaks_is_written_down_at_once_and_an_old_reading_never() {
     let mut state = watched(4_000, 731, true);
     (state.gauge.is_live, state.recording) = (true, Some("there".into()));
-    assert_eq!(state.gauged(Ok(-2.5), 4.0), None);
-    assert_eq!(state.key(Key::Char('g')), Some(Action::Mark(-2.5)));
+    assert_eq!(state.handle_gauge_reading(Ok(-2.5), 4.0), None);
+    assert_eq!(state.handle_key(Key::Char('g')), Some(Action::Mark(-2.5)));
     has(&screen(&state, (80, 24), false).0, &["gauge elongation -2.50 µm"]);
-    state.sample(9.0);
-    assert_eq!(state.key(Key::Char('g')), None, "it is five seconds old");
+    state.record_trend_sample(9.0);
+    assert_eq!(state.handle_key(Key::Char('g')), None, "it is five seconds old");
     has(&screen(&state, (80, 24), false).0, &["or press its button", "(5 s ago)"]);
-    assert_eq!(state.gauged(Ok(-2.75), 10.0), Some(Action::Mark(-2.75)));
-    assert_eq!(state.gauged(Err("indicator: gone".into()), 11.0), None);
+    assert_eq!(state.handle_gauge_reading(Ok(-2.75), 10.0), Some(Action::Mark(-2.75)));
+    assert_eq!(state.handle_gauge_reading(Err("indicator: gone".into()), 11.0), None);
     has(&screen(&state, (80, 24), false).0, &["indicator: gone"]);
 }
 

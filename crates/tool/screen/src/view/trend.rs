@@ -13,25 +13,25 @@ use trueup_machine::file::Quantity;
 
 use super::Theme;
 use crate::{
-    laws::Laws,
+    compensation_model::CompensationModel,
     state::State,
-    trend::{DIFFERENCE, WINDOW_S},
+    trend::{DIFFERENCE_SERIES_INDEX, TREND_WINDOW_S},
 };
 
 /// The least height of the drawn range: below it there is only noise, in µm or °C.
-const MIN_SPAN: f64 = 0.5;
+const MIN_VALUE_RANGE: f64 = 0.5;
 /// The least height with a row for the ticks of the time.
-const MIN_TICKS: u16 = 5;
+const MIN_HEIGHT_FOR_TICKS: u16 = 5;
 /// The least length of the drawn time, in s.
-const MIN_S: f64 = 10.0;
+const MIN_TIME_RANGE_S: f64 = 10.0;
 
 /// Draws it.
 pub fn draw(frame: &mut Frame<'_>, area: Rect, state: &State, theme: Theme) {
     let points = state.trend.series(state.series);
     // The readings of the gauge stand on the curve that they are to be compared with.
-    let marks = match marked_series(state.gauge.quantity) {
+    let marks = match gauge_series(state.gauge.quantity) {
         (series, sign) if series == state.series => {
-            let marks = state.trend.marks().into_iter();
+            let marks = state.trend.gauge_readings().into_iter();
             marks.map(|(at_s, um)| (at_s, sign * um)).collect()
         }
         _ => Vec::new(),
@@ -41,12 +41,12 @@ pub fn draw(frame: &mut Frame<'_>, area: Rect, state: &State, theme: Theme) {
         values().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), it| (a.min(it), b.max(it)));
     let (least, most) =
         if points.is_empty() && marks.is_empty() { (0.0, 0.0) } else { (least, most) };
-    let spare = ((MIN_SPAN - (most - least)) / 2.0).max(0.0);
+    let spare = ((MIN_VALUE_RANGE - (most - least)) / 2.0).max(0.0);
     let bounds = [least - spare, most + spare];
-    let begin = points.first().map_or(0.0, |(at, _)| -*at).clamp(MIN_S, WINDOW_S);
-    let (name, unit) = name(state);
-    let mut title = format!("{name}, {unit}, the last {}", length(begin));
-    if state.series == DIFFERENCE
+    let begin = points.first().map_or(0.0, |(at, _)| -*at).clamp(MIN_TIME_RANGE_S, TREND_WINDOW_S);
+    let (name, unit) = series_label(state);
+    let mut title = format!("{name}, {unit}, the last {}", format_duration(begin));
+    if state.series == DIFFERENCE_SERIES_INDEX
         && let Some((_, last)) = points.last()
     {
         title += &format!(": {last:+.2}");
@@ -57,18 +57,18 @@ pub fn draw(frame: &mut Frame<'_>, area: Rect, state: &State, theme: Theme) {
     let data = Dataset::default()
         .marker(Marker::Braille)
         .graph_type(GraphType::Line)
-        .style(theme.good())
+        .style(theme.ok_style())
         .data(&points);
     let y = Axis::default().bounds(bounds).labels(bounds.map(|it| Line::raw(format!("{it:+8.2}"))));
     let readings = Dataset::default()
         .marker(Marker::Dot)
         .graph_type(GraphType::Scatter)
-        .style(theme.number())
+        .style(theme.value_style())
         .data(&marks);
-    let ticks = [-begin, -begin / 2.0, 0.0].map(|at_s| Line::raw(tick(at_s)));
+    let ticks = [-begin, -begin / 2.0, 0.0].map(|at_s| Line::raw(format_tick(at_s)));
     // A row for the ticks, if the curve keeps some.
     let x = Axis::default().bounds([-begin, 0.0]);
-    let x = if area.height > MIN_TICKS { x.labels(ticks) } else { x };
+    let x = if area.height > MIN_HEIGHT_FOR_TICKS { x.labels(ticks) } else { x };
     let chart = Chart::new(vec![data, readings])
         .block(Block::new().borders(Borders::TOP).title(title).style(Style::new()))
         .x_axis(x)
@@ -77,12 +77,12 @@ pub fn draw(frame: &mut Frame<'_>, area: Rect, state: &State, theme: Theme) {
     frame.render_widget(chart, area);
 }
 
-fn length(seconds: f64) -> String {
+fn format_duration(seconds: f64) -> String {
     if seconds < 60.0 { format!("{seconds:.0} s") } else { format!("{:.1} min", seconds / 60.0) }
 }
 
 /// Returns a moment before now.
-fn tick(at_s: f64) -> String {
+fn format_tick(at_s: f64) -> String {
     match at_s {
         0.0 => "now".into(),
         _ if at_s > -60.0 => format!("{at_s:.0} s"),
@@ -92,7 +92,7 @@ fn tick(at_s: f64) -> String {
 
 /// Returns the series that a gauge of this quantity is compared with, and the sign of its readings there: an offset is
 /// what takes an error away.
-const fn marked_series(quantity: Quantity) -> (usize, f64) {
+const fn gauge_series(quantity: Quantity) -> (usize, f64) {
     match quantity {
         Quantity::Elongation => (0, 1.0),
         Quantity::Dx => (1, -1.0),
@@ -101,14 +101,17 @@ const fn marked_series(quantity: Quantity) -> (usize, f64) {
     }
 }
 
-fn name(state: &State) -> (String, &'static str) {
+fn series_label(state: &State) -> (String, &'static str) {
     match state.series {
         0 => ("growth".into(), "µm"),
-        DIFFERENCE => (format!("gauge {} minus bridge", state.gauge.quantity.name()), "µm"),
+        DIFFERENCE_SERIES_INDEX => {
+            (format!("gauge {} minus bridge", state.gauge.quantity.name()), "µm")
+        }
         which @ 1..=3 => (format!("offset of {}", ["X", "Y", "Z"][which - 1]), "µm"),
         which => {
             let channel = u8::try_from(which - 4).unwrap_or(u8::MAX);
-            let names = state.laws.as_ref().map(Laws::temperatures).unwrap_or_default();
+            let names =
+                state.laws.as_ref().map(CompensationModel::temperature_names).unwrap_or_default();
             let name = names.get(&channel).map(|it| (*it).to_owned());
             (name.unwrap_or_else(|| format!("T{channel}")), "°C")
         }

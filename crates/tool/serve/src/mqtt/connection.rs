@@ -10,21 +10,21 @@ use std::{
 
 use rumqttc::{Client, Event, LastWill, MqttOptions, Outgoing, Packet, Publish, QoS};
 
-use crate::{broker::Broker, sparkplug::node::Message, spool::segment::Record};
+use crate::{broker::BrokerConfig, sparkplug::node::Message, spool::segment::Record};
 
 /// A broker that is silent for one and a half of these is given up, and gives this publisher up.
 const KEEP_ALIVE: Duration = Duration::from_secs(5);
 /// A broker may take so long to accept a connection, or what is sent, in s.
-const SLOW_S: u64 = 15;
+const NETWORK_TIMEOUT_S: u64 = 15;
 /// Requests that the library takes before it has sent them.
-const REQUESTS: usize = 8_192;
+const REQUEST_QUEUE_CAPACITY: usize = 8_192;
 /// Messages at least once that the library has on their way at most.
 const MAX_INFLIGHT: u16 = 256;
 /// Maximum bytes of a message that comes, and of one that goes.
-const MAX_PACKETS: [usize; 2] = [64 << 10, 2 << 20];
+const MAX_PACKET_SIZES: [usize; 2] = [64 << 10, 2 << 20];
 
 /// An event of the connection.
-pub enum Happened {
+pub enum ConnectionEvent {
     /// The broker has accepted it.
     Accepted,
     /// A record was sent under this packet identifier.
@@ -52,19 +52,19 @@ pub(crate) struct Connection {
 
 impl Connection {
     /// Begins a connection.
-    pub fn open(broker: &Broker, id: &str, will: &Message) -> Self {
+    pub fn open(broker: &BrokerConfig, id: &str, will: &Message) -> Self {
         let mut options = MqttOptions::new(id, broker.host.as_str(), broker.port);
         options.set_keep_alive(KEEP_ALIVE).set_clean_session(true).set_inflight(MAX_INFLIGHT);
         options.set_transport(broker.transport());
-        let [incoming, outgoing] = MAX_PACKETS;
+        let [incoming, outgoing] = MAX_PACKET_SIZES;
         options.set_max_packet_size(incoming, outgoing);
         let payload = will.payload.clone();
         options.set_last_will(LastWill::new(&will.topic, payload, QoS::AtLeastOnce, false));
         if let Some((user, password)) = &broker.login {
             options.set_credentials(user, password);
         }
-        let (client, mut connection) = Client::new(options, REQUESTS);
-        connection.eventloop.network_options.set_connection_timeout(SLOW_S);
+        let (client, mut connection) = Client::new(options, REQUEST_QUEUE_CAPACITY);
+        connection.eventloop.network_options.set_connection_timeout(NETWORK_TIMEOUT_S);
         let (sender, events) = mpsc::channel();
         thread::spawn(move || {
             for event in connection.iter() {
@@ -79,31 +79,35 @@ impl Connection {
     }
 
     /// Returns what has happened, after this time at the latest.
-    pub fn wait(&mut self, time: Duration) -> Vec<Happened> {
+    pub(crate) fn wait_for_events(&mut self, time: Duration) -> Vec<ConnectionEvent> {
         let first = match self.events.recv_timeout(time) {
             Ok(first) => first,
             Err(RecvTimeoutError::Timeout) => return Vec::new(),
-            Err(RecvTimeoutError::Disconnected) => return vec![Happened::Ended("it ended".into())],
+            Err(RecvTimeoutError::Disconnected) => {
+                return vec![ConnectionEvent::Ended("it ended".into())];
+            }
         };
         let events: Vec<_> = std::iter::once(first).chain(self.events.try_iter()).collect();
-        events.into_iter().filter_map(|event| self.happened(event)).collect()
+        events.into_iter().filter_map(|event| self.handle_event(event)).collect()
     }
 
-    fn happened(&mut self, event: Result<Event, String>) -> Option<Happened> {
+    fn handle_event(&mut self, event: Result<Event, String>) -> Option<ConnectionEvent> {
         match event {
-            Err(why) => Some(Happened::Ended(why)),
-            Ok(Event::Incoming(Packet::ConnAck(_))) => Some(Happened::Accepted),
-            Ok(Event::Incoming(Packet::PubAck(ack))) => Some(Happened::Acknowledged(ack.pkid)),
-            Ok(Event::Incoming(Packet::Publish(message))) => Some(Happened::Came(message)),
+            Err(why) => Some(ConnectionEvent::Ended(why)),
+            Ok(Event::Incoming(Packet::ConnAck(_))) => Some(ConnectionEvent::Accepted),
+            Ok(Event::Incoming(Packet::PubAck(ack))) => {
+                Some(ConnectionEvent::Acknowledged(ack.pkid))
+            }
+            Ok(Event::Incoming(Packet::Publish(message))) => Some(ConnectionEvent::Came(message)),
             Ok(Event::Outgoing(Outgoing::Publish(id))) => {
                 let number = self.requested.pop_front().flatten()?;
-                Some(Happened::Sent { id, number })
+                Some(ConnectionEvent::Sent { id, number })
             }
             Ok(_) => None,
         }
     }
 
-    /// Publishes at most once. A message that finds no place is left out: the next one says something newer.
+    /// Publishes at most once. A message that finds no place is dropped: the next one says something newer.
     pub fn publish(&mut self, topic: &str, payload: Vec<u8>, is_retained: bool) {
         if self.client.try_publish(topic, QoS::AtMostOnce, is_retained, payload).is_ok() {
             self.requested.push_back(None);
@@ -121,7 +125,7 @@ impl Connection {
     }
 
     /// Returns how many requests the library has not sent.
-    pub fn waiting(&self) -> usize {
+    pub(crate) fn unsent_count(&self) -> usize {
         self.requested.len()
     }
 
@@ -132,11 +136,11 @@ impl Connection {
     }
 
     /// Ends the connection in order: the broker does not publish the will.
-    pub fn end(&mut self, within: Duration) {
+    pub(crate) fn disconnect(&mut self, within: Duration) {
         self.client.try_disconnect().ok();
         let until = Instant::now() + within;
         while let Some(left) = until.checked_duration_since(Instant::now()) {
-            if self.wait(left).iter().any(|it| matches!(it, Happened::Ended(_))) {
+            if self.wait_for_events(left).iter().any(|it| matches!(it, ConnectionEvent::Ended(_))) {
                 return;
             }
         }

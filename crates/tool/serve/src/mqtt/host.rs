@@ -21,7 +21,7 @@ impl PrimaryHost {
     }
 
     /// Takes its state message; `None`: it is none. One that is older than the last one changes nothing.
-    pub fn take(&mut self, payload: &[u8]) -> Option<()> {
+    pub(crate) fn update_state(&mut self, payload: &[u8]) -> Option<()> {
         let state: Value = serde_json::from_slice(payload).ok()?;
         let (online, at_ms) = (state["online"].as_bool()?, state["timestamp"].as_u64()?);
         if at_ms >= self.at_ms {
@@ -39,14 +39,14 @@ mod tests {
     fn the_newest_message_counts_and_what_is_none_changes_nothing() {
         let mut host = PrimaryHost::new();
         assert!(!host.is_online());
-        assert_eq!(host.take(br#"{"online":true,"timestamp":20}"#), Some(()));
+        assert_eq!(host.update_state(br#"{"online":true,"timestamp":20}"#), Some(()));
         assert!(host.is_online());
-        assert_eq!(host.take(br#"{"online":false,"timestamp":10}"#), Some(()));
+        assert_eq!(host.update_state(br#"{"online":false,"timestamp":10}"#), Some(()));
         assert!(host.is_online(), "the will of an older connection");
         for none in [&b"OFFLINE"[..], b"{}", b"{\"online\":1,\"timestamp\":99}", b"\xFF"] {
-            assert_eq!(host.take(none), None);
+            assert_eq!(host.update_state(none), None);
         }
-        assert_eq!(host.take(br#"{"online":false,"timestamp":20}"#), Some(()));
+        assert_eq!(host.update_state(br#"{"online":false,"timestamp":20}"#), Some(()));
         assert!(!host.is_online());
     }
 }

@@ -13,33 +13,33 @@ use std::{
     time::Duration,
 };
 
-use super::shdr::Lines;
+use super::shdr::ShdrEncoder;
 use crate::{
     clock,
-    shared::Shared,
+    shared::SharedState,
     snapshot::{Event, Snapshot},
 };
 
 /// Agents at a time; one more is closed at once.
 const MAX_AGENTS: usize = 16;
 /// Changes that may wait for an agent: of about three seconds.
-const MAX_WAITING: usize = 64;
-/// An agent asks at least this often whether the adapter lives, in ms.
+const MAX_QUEUED_CHANGES: usize = 64;
+/// An agent checks at least this often whether the adapter lives, in ms.
 const HEARTBEAT_MS: u32 = 10_000;
 /// How long an agent may take to take a line.
-const DEAF: Duration = Duration::from_secs(5);
+const AGENT_WRITE_TIMEOUT: Duration = Duration::from_secs(5);
 /// The longest line of an agent, in bytes.
-const MAX_LINE: u64 = 1_024;
+const MAX_LINE_BYTES: u64 = 1_024;
 /// From one look for a new agent to the next.
-const LOOK: Duration = Duration::from_millis(50);
+const ACCEPT_POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// All agents.
 #[derive(Clone, Default)]
-pub struct Adapter(Arc<Mutex<State>>);
+pub struct Adapter(Arc<Mutex<AdapterState>>);
 
 #[derive(Default)]
-struct State {
-    lines: Lines,
+struct AdapterState {
+    lines: ShdrEncoder,
     agents: Vec<Agent>,
 }
 
@@ -50,14 +50,14 @@ struct Agent {
 }
 
 impl Adapter {
-    fn state(&self) -> MutexGuard<'_, State> {
+    fn lock_state(&self) -> MutexGuard<'_, AdapterState> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Sends what has changed to every agent.
     pub fn update(&self, bridges: &[Snapshot], events: &[(usize, Event)], time_ms: u64) {
-        let mut state = self.state();
-        let changes = state.lines.update(bridges, events, time_ms);
+        let mut state = self.lock_state();
+        let changes = state.lines.encode_changes(bridges, events, time_ms);
         if !changes.is_empty() {
             let changes: Arc<str> = changes.into();
             state.agents.retain(|agent| {
@@ -72,32 +72,32 @@ impl Adapter {
     }
 
     /// Lets an agent have all that is known, and from then on each change.
-    fn join(&self, stream: Arc<TcpStream>) -> (SyncSender<Arc<str>>, Receiver<Arc<str>>) {
-        let (sender, receiver) = mpsc::sync_channel(MAX_WAITING);
-        let mut state = self.state();
+    fn register_agent(&self, stream: Arc<TcpStream>) -> (SyncSender<Arc<str>>, Receiver<Arc<str>>) {
+        let (sender, receiver) = mpsc::sync_channel(MAX_QUEUED_CHANGES);
+        let mut state = self.lock_state();
         // Under one lock with the changes, so that none is missed between them.
-        sender.try_send(state.lines.all(clock::now_ms()).into()).ok();
+        sender.try_send(state.lines.encode_all(clock::now_ms()).into()).ok();
         state.agents.push(Agent { queue: sender.clone(), stream });
         (sender, receiver)
     }
 
     /// Forgets an agent that has left.
-    fn leave(&self, stream: &Arc<TcpStream>) {
-        self.state().agents.retain(|agent| !Arc::ptr_eq(&agent.stream, stream));
+    fn remove_agent(&self, stream: &Arc<TcpStream>) {
+        self.lock_state().agents.retain(|agent| !Arc::ptr_eq(&agent.stream, stream));
     }
 
     /// Serves agents in threads of its own, until the end.
     ///
     /// # Errors
     /// The listener cannot be used.
-    pub fn serve(&self, shared: Shared, listener: TcpListener) -> io::Result<SocketAddr> {
+    pub fn serve(&self, shared: SharedState, listener: TcpListener) -> io::Result<SocketAddr> {
         listener.set_nonblocking(true)?;
         let (adapter, count) = (self.clone(), Arc::new(AtomicUsize::new(0)));
         let address = listener.local_addr()?;
         thread::spawn(move || {
-            while !shared.has_ended() {
+            while !shared.is_stop_requested() {
                 let Ok((stream, _)) = listener.accept() else {
-                    thread::sleep(LOOK);
+                    thread::sleep(ACCEPT_POLL_INTERVAL);
                     continue;
                 };
                 if count.fetch_add(1, Ordering::Relaxed) >= MAX_AGENTS {
@@ -107,7 +107,7 @@ impl Adapter {
                 let (adapter, count) = (adapter.clone(), count.clone());
                 thread::spawn(move || {
                     // An agent that leaves comes again.
-                    talk(&adapter, stream).ok();
+                    serve_agent(&adapter, stream).ok();
                     count.fetch_sub(1, Ordering::Relaxed);
                 });
             }
@@ -117,12 +117,12 @@ impl Adapter {
 }
 
 /// Talks with an agent until either leaves.
-fn talk(adapter: &Adapter, stream: TcpStream) -> io::Result<()> {
+fn serve_agent(adapter: &Adapter, stream: TcpStream) -> io::Result<()> {
     stream.set_nonblocking(false)?;
     stream.set_nodelay(true)?;
-    stream.set_write_timeout(Some(DEAF))?;
+    stream.set_write_timeout(Some(AGENT_WRITE_TIMEOUT))?;
     let stream = Arc::new(stream);
-    let (answers, lines) = adapter.join(stream.clone());
+    let (answers, lines) = adapter.register_agent(stream.clone());
     let written = stream.clone();
     let writes = thread::spawn(move || {
         let mut writer = &*written;
@@ -134,27 +134,27 @@ fn talk(adapter: &Adapter, stream: TcpStream) -> io::Result<()> {
         // Whether it was too slow or has gone: the reader ends too.
         written.shutdown(Shutdown::Both).ok();
     });
-    let answers = Answers(answers);
-    answers.until_the_end(&stream);
+    let answers = PingResponder(answers);
+    answers.answer_pings(&stream);
     stream.shutdown(Shutdown::Both).ok();
     // The writer may wait for a change: without a sender it ends.
-    adapter.leave(&stream);
+    adapter.remove_agent(&stream);
     drop(answers);
     writes.join().ok();
     Ok(())
 }
 
 /// The queue of an agent, for the answers to its questions.
-struct Answers(SyncSender<Arc<str>>);
+struct PingResponder(SyncSender<Arc<str>>);
 
-impl Answers {
+impl PingResponder {
     /// Answers each `* PING`.
-    fn until_the_end(&self, stream: &TcpStream) {
+    fn answer_pings(&self, stream: &TcpStream) {
         let mut reader = BufReader::new(stream);
         let mut line = Vec::new();
         loop {
             line.clear();
-            let read = reader.by_ref().take(MAX_LINE).read_until(b'\n', &mut line);
+            let read = reader.by_ref().take(MAX_LINE_BYTES).read_until(b'\n', &mut line);
             if !read.is_ok_and(|length| length > 0) || line.last() != Some(&b'\n') {
                 return;
             }

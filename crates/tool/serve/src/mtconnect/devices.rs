@@ -1,18 +1,18 @@
-//! `Devices.xml`: what an agent must know of the data items of `shdr`.
+//! `Devices.devices_xml`: what an agent must know of the data items of `shdr`.
 
 use std::fmt::Write as _;
 
-use trueup_core::dimensions::CHANNELS;
+use trueup_core::dimensions::CHANNEL_COUNT;
 
-use crate::snapshot::Identity;
+use crate::snapshot::BridgeIdentity;
 
 /// Returns the description of these bridges of an edge node.
 #[must_use]
-pub(crate) fn xml(name: &str, bridges: &[Identity], time: &str) -> String {
+pub(crate) fn devices_xml(name: &str, bridges: &[BridgeIdentity], time: &str) -> String {
     let devices: String = bridges
         .iter()
         .zip(1..)
-        .map(|(bridge, number)| device(name, bridge, number, bridges.len()))
+        .map(|(bridge, number)| device_xml(name, bridge, number, bridges.len()))
         .collect();
     format!(
         r#"<?xml version="1.0" encoding="UTF-8"?>
@@ -26,33 +26,33 @@ pub(crate) fn xml(name: &str, bridges: &[Identity], time: &str) -> String {
 }
 
 /// Returns a data item; `rest` are the attributes after its type.
-fn item(indent: usize, id: &str, category: &str, kind: &str, rest: &str) -> String {
+fn data_item_xml(indent: usize, id: &str, category: &str, kind: &str, rest: &str) -> String {
     let space = " ".repeat(indent);
     format!(
         "{space}<DataItem id=\"{id}\" name=\"{id}\" category=\"{category}\" type=\"{kind}\"{rest}/>\n"
     )
 }
 
-fn device(name: &str, bridge: &Identity, number: usize, count: usize) -> String {
+fn device_xml(name: &str, bridge: &BridgeIdentity, number: usize, count: usize) -> String {
     let id = format!("b{number}");
     let uuid = bridge.serial.map_or_else(
-        || format!("trueup-{}-{number}", escaped(name)),
+        || format!("trueup-{}-{number}", escape_xml(name)),
         |serial| format!("trueup-{serial:08x}"),
     );
     let name = if count > 1 { format!("{name}-{number}") } else { name.to_owned() };
-    let model = bridge.machine.as_deref().map(escaped).unwrap_or_default();
+    let model = bridge.machine.as_deref().map(escape_xml).unwrap_or_default();
     let serial = bridge.serial.map(|serial| format!("{serial:08x}")).unwrap_or_default();
     let mut text = format!(
         "    <Device id=\"{id}\" name=\"{}\" uuid=\"{uuid}\">\n      \
          <Description manufacturer=\"trueup\" serialNumber=\"{serial}\">Bridge of {model}</Description>\n      \
          <DataItems>\n",
-        escaped(&name)
+        escape_xml(&name)
     );
-    text += &item(8, &format!("{id}_avail"), "EVENT", "AVAILABILITY", "");
-    text += &item(8, &format!("{id}_message"), "EVENT", "MESSAGE", "");
+    text += &data_item_xml(8, &format!("{id}_avail"), "EVENT", "AVAILABILITY", "");
+    text += &data_item_xml(8, &format!("{id}_message"), "EVENT", "MESSAGE", "");
     for (condition, kind) in [("faults", "SYSTEM"), ("state", "SYSTEM"), ("line", "COMMUNICATIONS")]
     {
-        text += &item(8, &format!("{id}_{condition}"), "CONDITION", kind, "");
+        text += &data_item_xml(8, &format!("{id}_{condition}"), "CONDITION", kind, "");
     }
     write!(
         text,
@@ -62,31 +62,37 @@ fn device(name: &str, bridge: &Identity, number: usize, count: usize) -> String 
     let mm = " units=\"MILLIMETER\"";
     for axis in ["x", "y", "z"] {
         let commanded = format!(" subType=\"COMMANDED\"{mm}");
-        let items = item(16, &format!("{id}_offset_{axis}"), "SAMPLE", "DISPLACEMENT", mm)
-            + &item(16, &format!("{id}_position_{axis}"), "SAMPLE", "POSITION", &commanded);
-        text += &component("Linear", 12, &format!("{id}_{axis}"), &axis.to_uppercase(), &items);
+        let items = data_item_xml(16, &format!("{id}_offset_{axis}"), "SAMPLE", "DISPLACEMENT", mm)
+            + &data_item_xml(
+                16,
+                &format!("{id}_position_{axis}"),
+                "SAMPLE",
+                "POSITION",
+                &commanded,
+            );
+        text += &component_xml("Linear", 12, &format!("{id}_{axis}"), &axis.to_uppercase(), &items);
     }
-    let items = item(16, &format!("{id}_elongation"), "SAMPLE", "DISPLACEMENT", mm);
-    text += &component("Rotary", 12, &format!("{id}_s"), "S", &items);
+    let items = data_item_xml(16, &format!("{id}_elongation"), "SAMPLE", "DISPLACEMENT", mm);
+    text += &component_xml("Rotary", 12, &format!("{id}_s"), "S", &items);
     text += "          </Components>\n        </Axes>\n";
-    let items: String = (0..CHANNELS)
+    let items: String = (0..CHANNEL_COUNT)
         .map(|channel| {
             let id = format!("{id}_temperature_{channel}");
-            item(12, &id, "SAMPLE", "TEMPERATURE", " units=\"CELSIUS\"")
+            data_item_xml(12, &id, "SAMPLE", "TEMPERATURE", " units=\"CELSIUS\"")
         })
         .collect();
-    text += &component("Sensor", 8, &format!("{id}_sensor"), "temperatures", &items);
+    text += &component_xml("Sensor", 8, &format!("{id}_sensor"), "temperatures", &items);
     text + "      </Components>\n    </Device>\n"
 }
 
-fn component(kind: &str, indent: usize, id: &str, name: &str, items: &str) -> String {
+fn component_xml(kind: &str, indent: usize, id: &str, name: &str, items: &str) -> String {
     let space = " ".repeat(indent);
     format!(
         "{space}<{kind} id=\"{id}\" name=\"{name}\">\n{space}  <DataItems>\n{items}{space}  </DataItems>\n{space}</{kind}>\n"
     )
 }
 
-fn escaped(text: &str) -> String {
+fn escape_xml(text: &str) -> String {
     let mut escaped = String::new();
     for c in text.chars() {
         match c {
@@ -104,14 +110,14 @@ fn escaped(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{mtconnect::shdr::Lines, snapshot::Snapshot};
+    use crate::{mtconnect::shdr::ShdrEncoder, snapshot::Snapshot};
 
     #[test]
     fn each_key_of_a_line_is_a_data_item_and_each_data_item_is_sent() {
         let both = [Snapshot::default(), Snapshot::default()];
-        let mut lines = Lines::default();
-        lines.update(&both, &[], 0);
-        let text = lines.all(0);
+        let mut lines = ShdrEncoder::default();
+        lines.encode_changes(&both, &[], 0);
+        let text = lines.encode_all(0);
         let mut sent: Vec<&str> = text
             .split(['|', '\n'])
             .filter(|it| it.starts_with("b1_") || it.starts_with("b2_"))
@@ -119,7 +125,11 @@ mod tests {
         // Messages are sent when there is something to say.
         sent.extend(["b1_message", "b2_message"]);
         sent.sort_unstable();
-        let xml = xml("n", &[Identity::default(), Identity::default()], "2026-01-01T00:00:00Z");
+        let xml = devices_xml(
+            "n",
+            &[BridgeIdentity::default(), BridgeIdentity::default()],
+            "2026-01-01T00:00:00Z",
+        );
         let mut described: Vec<&str> = xml
             .split("<DataItem id=\"")
             .skip(1)
@@ -132,8 +142,8 @@ mod tests {
     #[test]
     fn a_name_that_is_no_xml_is_escaped() {
         let machine = Some("<a> & \"b\"\u{1}".to_owned());
-        let bridge = Identity { serial: Some(0xAB), machine, firmware: None };
-        let xml = xml("n", &[bridge], "2026-01-01T00:00:00Z");
+        let bridge = BridgeIdentity { serial: Some(0xAB), machine, firmware: None };
+        let xml = devices_xml("n", &[bridge], "2026-01-01T00:00:00Z");
         assert!(xml.contains("Bridge of &lt;a&gt; &amp; &quot;b&quot; <"), "{xml}");
         assert!(xml.contains("uuid=\"trueup-000000ab\""), "{xml}");
     }

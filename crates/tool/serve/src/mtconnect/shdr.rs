@@ -2,22 +2,22 @@
 
 use std::fmt::Write as _;
 
-use trueup_client::remedy::remedies;
-use trueup_output::escape::one_line;
+use trueup_client::remedy::find_remedies;
+use trueup_output::escape::escape_line;
 
 use crate::{
-    clock::utc_text,
-    snapshot::{Event, SILENT, Snapshot},
+    clock::format_utc,
+    snapshot::{Event, NO_OFFSETS_REASON, Snapshot},
 };
 
 /// Stands for a value that is not known.
 const UNAVAILABLE: &str = "UNAVAILABLE";
 /// The longest text of a line, in characters.
-const MAX_TEXT: usize = 200;
+const MAX_TEXT_LENGTH: usize = 200;
 
 /// The knowledge of an agent about a bridge: the values of its data items, and the codes of its conditions.
 #[derive(Clone, Debug, Default, PartialEq)]
-struct Known {
+struct PublishedState {
     values: Vec<(String, String)>,
     conditions: Vec<Condition>,
 }
@@ -32,32 +32,33 @@ struct Condition {
 
 /// The lines of some bridges.
 #[derive(Debug, Default)]
-pub(crate) struct Lines {
-    known: Vec<Known>,
+pub(crate) struct ShdrEncoder {
+    known: Vec<PublishedState>,
 }
 
-impl Lines {
+impl ShdrEncoder {
     /// Returns the lines of what has changed since the last call, and of what has happened.
-    pub fn update(
+    pub(crate) fn encode_changes(
         &mut self,
         bridges: &[Snapshot],
         events: &[(usize, Event)],
         time_ms: u64,
     ) -> String {
-        let stamp = utc_text(time_ms);
+        let stamp = format_utc(time_ms);
         let mut lines = String::new();
-        let now: Vec<Known> =
-            bridges.iter().zip(1..).map(|(it, number)| known(it, number)).collect();
-        self.known.resize_with(now.len(), Known::default);
+        let now: Vec<PublishedState> =
+            bridges.iter().zip(1..).map(|(it, number)| published_state(it, number)).collect();
+        self.known.resize_with(now.len(), PublishedState::default);
         for (before, now) in self.known.iter().zip(&now) {
-            lines += &values(&stamp, now.values.iter().filter(|it| !before.values.contains(it)));
+            lines +=
+                &encode_values(&stamp, now.values.iter().filter(|it| !before.values.contains(it)));
             for condition in &now.conditions {
                 let old = before.conditions.iter().find(|it| it.key == condition.key);
-                lines += &changes(&stamp, old, condition);
+                lines += &encode_condition_change(&stamp, old, condition);
             }
         }
         for (place, event) in events {
-            let (code, about) = (event.code, clean(&event.about));
+            let (code, about) = (event.code, sanitise(&event.about));
             let about = if about.is_empty() { code.to_owned() } else { about };
             writeln!(lines, "{stamp}|b{}_message|{code}|{about}", place + 1).ok();
         }
@@ -67,24 +68,25 @@ impl Lines {
 
     /// Returns the lines of all that is known.
     #[must_use]
-    pub fn all(&self, time_ms: u64) -> String {
-        let stamp = utc_text(time_ms);
+    pub(crate) fn encode_all(&self, time_ms: u64) -> String {
+        let stamp = format_utc(time_ms);
         let all = self.known.iter().map(|known| {
-            let conditions = known.conditions.iter().map(|it| changes(&stamp, None, it));
-            values(&stamp, known.values.iter()) + &conditions.collect::<String>()
+            let conditions =
+                known.conditions.iter().map(|it| encode_condition_change(&stamp, None, it));
+            encode_values(&stamp, known.values.iter()) + &conditions.collect::<String>()
         });
         all.collect()
     }
 }
 
 /// Returns one line of these values; none has none.
-fn values<'a>(stamp: &str, values: impl Iterator<Item = &'a (String, String)>) -> String {
+fn encode_values<'a>(stamp: &str, values: impl Iterator<Item = &'a (String, String)>) -> String {
     let pairs: String = values.map(|(key, value)| format!("|{key}|{value}")).collect();
     if pairs.is_empty() { pairs } else { format!("{stamp}{pairs}\n") }
 }
 
 /// Returns the lines that bring a condition from `before` to `now`.
-fn changes(stamp: &str, before: Option<&Condition>, now: &Condition) -> String {
+fn encode_condition_change(stamp: &str, before: Option<&Condition>, now: &Condition) -> String {
     if before == Some(now) {
         return String::new();
     }
@@ -105,7 +107,7 @@ fn changes(stamp: &str, before: Option<&Condition>, now: &Condition) -> String {
     }
 }
 
-fn known(of: &Snapshot, number: usize) -> Known {
+fn published_state(of: &Snapshot, number: usize) -> PublishedState {
     let key = |name: &str| format!("b{number}_{name}");
     let shown = |value: Option<f64>, decimals: usize| {
         value.map_or(UNAVAILABLE.into(), |value| format!("{value:.decimals$}"))
@@ -123,26 +125,26 @@ fn known(of: &Snapshot, number: usize) -> Known {
     }
     let words = |words: &[&'static str]| {
         let coded = |word: &&'static str| {
-            let text = remedies(&[*word]).first().map_or(*word, |(_, text)| *text);
-            ((*word).to_owned(), clean(text))
+            let text = find_remedies(&[*word]).first().map_or(*word, |(_, text)| *text);
+            ((*word).to_owned(), sanitise(text))
         };
         of.has_status.then(|| words.iter().map(coded).collect())
     };
-    let why = of.why.as_deref().unwrap_or(SILENT);
-    let line = if of.is_up { Vec::new() } else { vec![("bridge-down".into(), clean(why))] };
+    let why = of.why.as_deref().unwrap_or(NO_OFFSETS_REASON);
+    let line = if of.is_up { Vec::new() } else { vec![("bridge-down".into(), sanitise(why))] };
     let condition = |name, level, codes| Condition { key: key(name), level, codes };
     let conditions = vec![
         condition("faults", "FAULT", words(&of.faults)),
         condition("state", "WARNING", words(&of.state)),
         condition("line", "FAULT", Some(line)),
     ];
-    Known { values, conditions }
+    PublishedState { values, conditions }
 }
 
 /// Returns a text that cannot be taken for the next field or line.
-fn clean(text: &str) -> String {
-    let text = one_line(text).replace('|', "/");
-    text.chars().take(MAX_TEXT).collect()
+fn sanitise(text: &str) -> String {
+    let text = escape_line(text).replace('|', "/");
+    text.chars().take(MAX_TEXT_LENGTH).collect()
 }
 
 #[cfg(test)]
@@ -161,34 +163,34 @@ mod tests {
 
     #[test]
     fn an_agent_that_comes_gets_all_and_then_only_changes() {
-        let mut lines = Lines::default();
-        let first = lines.update(&[up()], &[], 0);
-        assert_eq!(lines.all(0), first);
+        let mut lines = ShdrEncoder::default();
+        let first = lines.encode_changes(&[up()], &[], 0);
+        assert_eq!(lines.encode_all(0), first);
         assert!(first.starts_with(
             "1970-01-01T00:00:00.000Z|b1_avail|AVAILABLE|b1_offset_x|0.001250|b1_position_x|UNAVAILABLE|"
         ));
         assert!(
             first.contains("|b1_faults|FAULT|store|||") && first.contains("|b1_state|NORMAL||||\n")
         );
-        assert_eq!(lines.update(&[up()], &[], 1), "");
+        assert_eq!(lines.encode_changes(&[up()], &[], 1), "");
         let cleared = Snapshot { faults: vec!["cnc-lost"], ..up() };
         let line = "1970-01-01T00:00:00.002Z|b1_faults|NORMAL|store|||\n";
-        assert_eq!(lines.update(&[cleared], &[], 2), line);
+        assert_eq!(lines.encode_changes(&[cleared], &[], 2), line);
         let unknown = Snapshot { has_status: false, ..up() };
-        let mut others = Lines::default();
-        let first = others.update(&[unknown], &[], 2);
+        let mut others = ShdrEncoder::default();
+        let first = others.encode_changes(&[unknown], &[], 2);
         assert!(first.contains("|b1_faults|UNAVAILABLE||||\n"), "{first}");
         let none = Snapshot { faults: Vec::new(), ..up() };
         let line = "1970-01-01T00:00:00.003Z|b1_faults|NORMAL||||\n";
-        assert_eq!(lines.update(&[none], &[], 3), line);
+        assert_eq!(lines.encode_changes(&[none], &[], 3), line);
     }
 
     #[test]
     fn a_bridge_that_is_lost_is_unavailable_throughout_and_says_why_in_one_field() {
-        let mut lines = Lines::default();
-        lines.update(&[up()], &[], 0);
+        let mut lines = ShdrEncoder::default();
+        lines.encode_changes(&[up()], &[], 0);
         let down = Snapshot { why: Some("a|b\nc".into()), ..Snapshot::default() };
-        let changes = lines.update(&[down], &[(0, Event::new("bridge-down", "a|b\nc"))], 1);
+        let changes = lines.encode_changes(&[down], &[(0, Event::new("bridge-down", "a|b\nc"))], 1);
         assert!(changes.contains("|b1_avail|UNAVAILABLE|b1_offset_x|UNAVAILABLE"), "{changes}");
         assert!(changes.contains("|b1_faults|UNAVAILABLE||||\n"), "{changes}");
         assert!(changes.contains("|b1_line|FAULT|bridge-down|||a/b"), "{changes}");

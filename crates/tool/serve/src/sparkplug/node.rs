@@ -1,8 +1,8 @@
-//! An edge node with its devices: which messages are due, in the order and with the numbers that Sparkplug asks for.
+//! An edge node with its devices: which messages are due, in the order and with the numbers that Sparkplug requires.
 //!
 //! | what happens | goes out |
 //! |---|---|
-//! | the broker has accepted the connection, a host asks for it | NBIRTH (seq 0), DBIRTH of each device that is there |
+//! | the broker has accepted the connection, a host requests it | NBIRTH (seq 0), DBIRTH of each device that is there |
 //! | a bridge is found | DBIRTH |
 //! | values have changed | DDATA of these; of the node NDATA |
 //! | a bridge is lost, or exchanged | DDEATH |
@@ -12,18 +12,21 @@
 
 use srad_types::payload::{self, DataType, metric};
 
-use super::{REBIRTH, born, device_id, encode, named, own_topic, topic};
+use super::{
+    REBIRTH_METRIC, birth_metric, device_id, encode_payload, named_metric, non_sparkplug_topic,
+    topic,
+};
 use crate::{
-    metrics::{FLAGS, Metric, Value, metrics},
+    metrics::{FLAGS_METRIC, Metric, MetricValue, bridge_metrics},
     snapshot::Snapshot,
 };
 
-/// Each device has so many aliases; the node has the first of them.
-const ALIASES: u64 = 1_000;
+/// Number of aliases of each device; the node has the first of them.
+const ALIASES_PER_DEVICE: u64 = 1_000;
 /// The metric of the number of a connection.
-const BD_SEQ: &str = "bdSeq";
+const BD_SEQ_METRIC: &str = "bdSeq";
 /// The metric by which a publisher knows its own births.
-pub(crate) const PUBLISHER: &str = "Properties/Publisher";
+pub(crate) const PUBLISHER_METRIC: &str = "Properties/Publisher";
 
 /// A message to be published.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -37,7 +40,7 @@ pub struct Message {
 }
 
 /// An edge node.
-pub struct Node {
+pub struct EdgeNode {
     name: String,
     publisher: String,
     version: &'static str,
@@ -59,9 +62,9 @@ struct Device {
 
 /// The metrics of the node itself.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Own {
+pub struct NodeStatistics {
     /// Records and events on the disk since the publisher began: it changes with each row, so that a host that comes
-    /// late is sent something, and asks for the births.
+    /// late is sent something, and requests the births.
     pub recorded: u64,
     /// Records and events that the broker does not have.
     pub waiting: u64,
@@ -69,7 +72,7 @@ pub struct Own {
     pub lost: u64,
 }
 
-impl Node {
+impl EdgeNode {
     /// Returns the edge node of this name. `publisher` differs from that of any other publisher.
     #[must_use]
     pub fn new(name: &str, publisher: &str, version: &'static str, bd_seq: u8) -> Self {
@@ -80,35 +83,35 @@ impl Node {
     /// Counts a new connection; returns its number.
     pub(crate) fn begin_connection(&mut self) -> u8 {
         self.bd_seq = self.bd_seq.wrapping_add(1);
-        self.forget();
+        self.reset_births();
         self.bd_seq
     }
 
     /// Everything is to be born again.
-    fn forget(&mut self) {
+    fn reset_births(&mut self) {
         self.own = None;
         self.devices.clear();
     }
 
-    fn numbered_connection(&self, time_ms: u64) -> payload::Metric {
+    fn bd_seq_metric(&self, time_ms: u64) -> payload::Metric {
         let mut number = payload::Metric::new();
-        number.set_name(BD_SEQ.into()).set_datatype(DataType::Int64).set_timestamp(time_ms);
+        number.set_name(BD_SEQ_METRIC.into()).set_datatype(DataType::Int64).set_timestamp(time_ms);
         number.set_value(metric::Value::LongValue(self.bd_seq.into()));
         number
     }
 
     /// Returns the will of the connection, and what is said before it is ended on purpose.
     #[must_use]
-    pub fn death(&self, time_ms: u64) -> Message {
-        let metrics = vec![self.numbered_connection(time_ms)];
-        self.message("NDEATH", None, encode(metrics, time_ms, None, None))
+    pub(crate) fn death_message(&self, time_ms: u64) -> Message {
+        let metrics = vec![self.bd_seq_metric(time_ms)];
+        self.message("NDEATH", None, encode_payload(metrics, time_ms, None, None))
     }
 
     fn message(&self, kind: &str, device: Option<&str>, payload: Vec<u8>) -> Message {
         Message { topic: topic(kind, &self.name, device), payload, is_retained: false }
     }
 
-    fn numbered(
+    fn sequenced_message(
         &mut self,
         kind: &str,
         device: Option<&str>,
@@ -117,96 +120,117 @@ impl Node {
     ) -> Message {
         let seq = self.seq;
         self.seq = self.seq.wrapping_add(1);
-        self.message(kind, device, encode(metrics, time_ms, Some(seq), None))
+        self.message(kind, device, encode_payload(metrics, time_ms, Some(seq), None))
     }
 
-    /// Returns all births: after the broker has accepted the connection, and when a host asks for them.
-    pub(crate) fn rebirth(&mut self, own: Own, bridges: &[Snapshot], time_ms: u64) -> Vec<Message> {
-        self.forget();
+    /// Returns all births: after the broker has accepted the connection, and when a host requests them.
+    pub(crate) fn rebirth(
+        &mut self,
+        own: NodeStatistics,
+        bridges: &[Snapshot],
+        time_ms: u64,
+    ) -> Vec<Message> {
+        self.reset_births();
         self.update(own, bridges, time_ms)
     }
 
     /// Returns what has changed since the last call.
-    pub fn update(&mut self, own: Own, bridges: &[Snapshot], time_ms: u64) -> Vec<Message> {
+    pub fn update(
+        &mut self,
+        own: NodeStatistics,
+        bridges: &[Snapshot],
+        time_ms: u64,
+    ) -> Vec<Message> {
         let mut messages = Vec::new();
-        let metrics = self.own_metrics(own);
+        let metrics = self.node_metrics(own);
         match self.own.take() {
-            None => messages.push(self.birth(&metrics, time_ms)),
+            None => messages.push(self.birth_message(&metrics, time_ms)),
             Some(said) => {
-                let changed = changed(&said, &metrics, 1, time_ms);
+                let changed = changed_metrics(&said, &metrics, 1, time_ms);
                 if !changed.is_empty() {
-                    messages.push(self.numbered("NDATA", None, changed, time_ms));
+                    messages.push(self.sequenced_message("NDATA", None, changed, time_ms));
                 }
             }
         }
         self.own = Some(metrics);
         self.devices.resize_with(bridges.len(), Device::default);
         for (place, bridge) in bridges.iter().enumerate() {
-            self.device(place, bridge, time_ms, &mut messages);
+            self.update_device(place, bridge, time_ms, &mut messages);
         }
         messages
     }
 
     /// Returns whether anything but numbers, counts and flags of offsets differs from what was last said.
     #[must_use]
-    pub(crate) fn has_other_words(&self, bridges: &[Snapshot]) -> bool {
+    pub(crate) fn has_state_change(&self, bridges: &[Snapshot]) -> bool {
         let known = self.devices.iter().map(|it| &it.said);
         bridges.len() != self.devices.len()
             || known.zip(bridges).any(|(said, of)| {
                 let is_word = |it: &&Metric| {
-                    matches!(it.value, Value::Text(_) | Value::Flag(_)) && it.name != FLAGS
+                    matches!(it.value, MetricValue::Text(_) | MetricValue::Flag(_))
+                        && it.name != FLAGS_METRIC
                 };
-                let now = metrics(of);
+                let now = bridge_metrics(of);
                 !said.iter().filter(is_word).eq(now.iter().filter(is_word))
             })
     }
 
-    fn own_metrics(&self, own: Own) -> Vec<Metric> {
-        let text =
-            |name, text: &str| Metric { name, unit: "", value: Value::Text(Some(text.to_owned())) };
-        let count = |name, count| Metric { name, unit: "", value: Value::Count(count) };
+    fn node_metrics(&self, own: NodeStatistics) -> Vec<Metric> {
+        let text = |name, text: &str| Metric {
+            name,
+            unit: "",
+            value: MetricValue::Text(Some(text.to_owned())),
+        };
+        let count = |name, count| Metric { name, unit: "", value: MetricValue::Count(count) };
         vec![
-            Metric { name: REBIRTH, unit: "", value: Value::Flag(false) },
+            Metric { name: REBIRTH_METRIC, unit: "", value: MetricValue::Flag(false) },
             text("Properties/Version", self.version),
-            text(PUBLISHER, &self.publisher),
+            text(PUBLISHER_METRIC, &self.publisher),
             count("Spool/Recorded", own.recorded),
             count("Spool/Waiting", own.waiting),
             count("Spool/Lost", own.lost),
         ]
     }
 
-    fn birth(&mut self, metrics: &[Metric], time_ms: u64) -> Message {
+    fn birth_message(&mut self, metrics: &[Metric], time_ms: u64) -> Message {
         self.seq = 0;
-        let mut all = vec![self.numbered_connection(time_ms)];
+        let mut all = vec![self.bd_seq_metric(time_ms)];
         all.extend(metrics.iter().zip(1..).map(|(it, alias)| {
-            let mut metric = born(it, alias, time_ms);
-            // Sparkplug has a host ask for it by its name.
-            metric.alias = metric.alias.filter(|_| it.name != REBIRTH);
+            let mut metric = birth_metric(it, alias, time_ms);
+            // In Sparkplug a host requests it by its name.
+            metric.alias = metric.alias.filter(|_| it.name != REBIRTH_METRIC);
             metric
         }));
-        self.numbered("NBIRTH", None, all, time_ms)
+        self.sequenced_message("NBIRTH", None, all, time_ms)
     }
 
-    fn device(&mut self, place: usize, of: &Snapshot, time_ms: u64, messages: &mut Vec<Message>) {
+    fn update_device(
+        &mut self,
+        place: usize,
+        of: &Snapshot,
+        time_ms: u64,
+        messages: &mut Vec<Message>,
+    ) {
         let Some(known) = self.devices.get_mut(place) else { return };
         let Device { id: old, said } = std::mem::take(known);
         let id = of.identity.serial.filter(|_| of.is_up).map(device_id);
-        let first = ALIASES * (place as u64 + 1);
-        let now = metrics(of);
+        let first = ALIASES_PER_DEVICE * (place as u64 + 1);
+        let now = bridge_metrics(of);
         if old.is_some() && old != id {
-            messages.push(self.numbered("DDEATH", old.as_deref(), Vec::new(), time_ms));
-            messages.extend(old.as_deref().map(|it| self.retained(it, &now, time_ms)));
+            messages.push(self.sequenced_message("DDEATH", old.as_deref(), Vec::new(), time_ms));
+            messages
+                .extend(old.as_deref().map(|it| self.retained_state_message(it, &now, time_ms)));
         }
         if let Some(id) = &id {
             let (kind, metrics) = if old.as_ref() == Some(id) {
-                ("DDATA", changed(&said, &now, first, time_ms))
+                ("DDATA", changed_metrics(&said, &now, first, time_ms))
             } else {
                 let all = now.iter().zip(first..);
-                ("DBIRTH", all.map(|(it, alias)| born(it, alias, time_ms)).collect())
+                ("DBIRTH", all.map(|(it, alias)| birth_metric(it, alias, time_ms)).collect())
             };
             if !metrics.is_empty() {
-                messages.push(self.numbered(kind, Some(id), metrics, time_ms));
-                messages.push(self.retained(id, &now, time_ms));
+                messages.push(self.sequenced_message(kind, Some(id), metrics, time_ms));
+                messages.push(self.retained_state_message(id, &now, time_ms));
             }
         }
         if let Some(known) = self.devices.get_mut(place) {
@@ -215,20 +239,25 @@ impl Node {
     }
 
     /// Returns the whole state of a device, for those who subscribe later and are no Sparkplug host.
-    fn retained(&self, id: &str, metrics: &[Metric], time_ms: u64) -> Message {
-        let metrics = metrics.iter().map(|it| named(it.name, &it.value, time_ms)).collect();
-        let topic = own_topic(&self.name, Some(id), "state");
-        Message { topic, payload: encode(metrics, time_ms, None, None), is_retained: true }
+    fn retained_state_message(&self, id: &str, metrics: &[Metric], time_ms: u64) -> Message {
+        let metrics = metrics.iter().map(|it| named_metric(it.name, &it.value, time_ms)).collect();
+        let topic = non_sparkplug_topic(&self.name, Some(id), "state");
+        Message { topic, payload: encode_payload(metrics, time_ms, None, None), is_retained: true }
     }
 }
 
 /// Returns the metrics that have another value now, by their aliases.
-fn changed(said: &[Metric], now: &[Metric], first: u64, time_ms: u64) -> Vec<payload::Metric> {
+fn changed_metrics(
+    said: &[Metric],
+    now: &[Metric],
+    first: u64,
+    time_ms: u64,
+) -> Vec<payload::Metric> {
     let pairs = said.iter().zip(now).zip(first..);
     pairs
         .filter(|((said, now), _)| said.value != now.value)
         .map(|((_, now), alias)| {
-            let mut metric = named(now.name, &now.value, time_ms);
+            let mut metric = named_metric(now.name, &now.value, time_ms);
             (metric.name, metric.datatype) = (None, None);
             metric.set_alias(alias);
             metric

@@ -6,10 +6,10 @@ use std::{
 };
 
 use super::{
-    DAMAGED,
-    segment::{Entry, Gap},
+    DAMAGED_FOLDER,
+    segment::{DamagedRange, IndexEntry},
 };
-use crate::clock::utc_text;
+use crate::clock::format_utc;
 
 /// Records that are damaged, or gave way.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -61,7 +61,12 @@ pub enum Report {
 }
 
 impl Report {
-    pub(super) fn damage(file: &Path, gap: &Gap, first_of_file: u64, copy: PathBuf) -> Self {
+    pub(super) fn damaged(
+        file: &Path,
+        gap: &DamagedRange,
+        first_of_file: u64,
+        copy: PathBuf,
+    ) -> Self {
         Self::Damaged {
             file: file.into(),
             at: gap.at,
@@ -73,23 +78,23 @@ impl Report {
         }
     }
 
-    pub(super) fn unreadable(file: &Path, entry: Entry, why: Option<&io::Error>) -> Self {
-        let Entry { number, time_ms, .. } = entry;
+    pub(super) fn unreadable(file: &Path, entry: IndexEntry, why: Option<&io::Error>) -> Self {
+        let IndexEntry { number, time_ms, .. } = entry;
         Self::Unreadable { file: file.into(), number, time_ms, why: why.map(io::Error::to_string) }
     }
 
-    pub(super) fn unread(file: &Path, why: &io::Error) -> Self {
+    pub(super) fn file_unreadable(file: &Path, why: &io::Error) -> Self {
         Self::Unread { file: file.into(), why: why.to_string() }
     }
 
-    pub(super) fn overrun(first: Entry, last: Entry, count: usize) -> Self {
+    pub(super) fn overrun(first: IndexEntry, last: IndexEntry, count: usize) -> Self {
         let [numbers, times_ms] = [[first.number, last.number], [first.time_ms, last.time_ms]];
         Self::Overrun { count, numbers, times_ms }
     }
 
     /// Returns how many records are lost, as far as that is known.
     #[must_use]
-    pub fn count(&self) -> u64 {
+    pub(crate) fn lost_record_count(&self) -> u64 {
         match self {
             Self::Damaged { first, last: Some(last), .. } => last.saturating_sub(*first) + 1,
             Self::Damaged { .. } | Self::Unreadable { .. } => 1,
@@ -100,7 +105,7 @@ impl Report {
 
     /// Returns the code of the event that is made of it.
     #[must_use]
-    pub fn code(&self) -> &'static str {
+    pub(crate) fn event_code(&self) -> &'static str {
         match self {
             Self::Damaged { .. } | Self::Unreadable { .. } => "spool-damaged",
             Self::Unread { .. } => "spool-unread",
@@ -121,20 +126,20 @@ impl fmt::Display for Report {
                 }
                 for (word, time_ms) in ["after", "before"].into_iter().zip(between_ms) {
                     if let Some(time_ms) = time_ms {
-                        write!(f, ", {word} {}", utc_text(*time_ms))?;
+                        write!(f, ", {word} {}", format_utc(*time_ms))?;
                     }
                 }
                 write!(f, "; copied to {}, all others are sent", copy.display())
             }
             Self::Unreadable { file, number, time_ms, why } => {
-                write!(f, "{}: record {number} of {} ", file.display(), utc_text(*time_ms))?;
+                write!(f, "{}: record {number} of {} ", file.display(), format_utc(*time_ms))?;
                 match why {
                     Some(why) => write!(f, "cannot be read: {why}")?,
                     None => write!(f, "was damaged after it was written")?,
                 }
                 write!(
                     f,
-                    "; all others are sent, and its file is kept in {DAMAGED}; check the disk"
+                    "; all others are sent, and its file is kept in {DAMAGED_FOLDER}; check the disk"
                 )
             }
             Self::Unread { file, why } => write!(
@@ -147,8 +152,8 @@ impl fmt::Display for Report {
                 "the spool is full: {count} records that the broker never had gave way to new ones, \
                  numbers {first} to {last}, {} to {}; let it have more with --spool-mb, or bring the \
                  broker back",
-                utc_text(*from),
-                utc_text(*to)
+                format_utc(*from),
+                format_utc(*to)
             ),
         }
     }

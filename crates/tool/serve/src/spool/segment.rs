@@ -3,7 +3,7 @@
 //!
 //! | bytes | are |
 //! |---|---|
-//! | 4 | `MARK` |
+//! | 4 | `RECORD_MAGIC` |
 //! | 4 | length of topic and payload with the 2 bytes before them, little-endian as all numbers |
 //! | 8 | number, rising by 1 |
 //! | 8 | time, ms since 1970 (UTC) |
@@ -16,17 +16,17 @@
 use crc::{CRC_32_ISO_HDLC, Crc};
 
 /// Begins a record: where one is damaged, the next one is searched for by it.
-pub(crate) const MARK: [u8; 4] = *b"tqR1";
+pub(crate) const RECORD_MAGIC: [u8; 4] = *b"tqR1";
 /// Bytes before the topic's length.
-const HEAD: usize = 24;
+const HEADER_BYTES: usize = 24;
 /// Bytes around topic and payload.
-const AROUND: usize = HEAD + 2 + 4;
+const RECORD_OVERHEAD_BYTES: usize = HEADER_BYTES + 2 + 4;
 /// Maximum bytes of topic and payload: a length above it is a damaged one.
-const MAX_BODY: usize = 1 << 20;
+const MAX_BODY_BYTES: usize = 1 << 20;
 /// The checksum of all that a spool keeps.
 pub(super) const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
-/// A record as it is sent.
+/// A record that is sent.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Record {
     /// Its number, which orders all records of a spool.
@@ -41,7 +41,7 @@ pub struct Record {
 
 /// Where a whole record is in its file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Entry {
+pub struct IndexEntry {
     /// Its number.
     pub number: u64,
     /// When it was made, in ms since 1970 (UTC).
@@ -54,15 +54,15 @@ pub struct Entry {
 
 /// Bytes of a file that are no whole record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Gap {
+pub struct DamagedRange {
     /// The first of them.
     pub at: usize,
     /// How many there are.
     pub length: usize,
     /// The whole record before them.
-    pub before: Option<Entry>,
+    pub before: Option<IndexEntry>,
     /// The whole record after them.
-    pub after: Option<Entry>,
+    pub after: Option<IndexEntry>,
 }
 
 /// Returns the bytes of a record in the file with this identifier; `None`: it is too long.
@@ -70,9 +70,9 @@ pub struct Gap {
 pub fn encode(file: u64, record: &Record) -> Option<Vec<u8>> {
     let body = record.topic.len() + record.payload.len();
     let topic = u16::try_from(record.topic.len()).ok()?;
-    let length = u32::try_from(body + 2).ok().filter(|_| body <= MAX_BODY)?;
-    let mut bytes = Vec::with_capacity(AROUND + body);
-    bytes.extend(MARK);
+    let length = u32::try_from(body + 2).ok().filter(|_| body <= MAX_BODY_BYTES)?;
+    let mut bytes = Vec::with_capacity(RECORD_OVERHEAD_BYTES + body);
+    bytes.extend(RECORD_MAGIC);
     bytes.extend(length.to_le_bytes());
     bytes.extend(record.number.to_le_bytes());
     bytes.extend(record.time_ms.to_le_bytes());
@@ -86,11 +86,11 @@ pub fn encode(file: u64, record: &Record) -> Option<Vec<u8>> {
 /// Returns the record that begins with the first of these bytes, and its length; `None`: no whole one does.
 #[must_use]
 pub fn decode(file: u64, bytes: &[u8]) -> Option<(Record, usize)> {
-    let rest = bytes.strip_prefix(&MARK)?;
+    let rest = bytes.strip_prefix(&RECORD_MAGIC)?;
     let (length, rest) = rest.split_first_chunk()?;
     let length = usize::try_from(u32::from_le_bytes(*length)).ok()?;
-    let whole = HEAD + length.checked_add(4)?;
-    if !(2..=MAX_BODY + 2).contains(&length) || bytes.len() < whole {
+    let whole = HEADER_BYTES + length.checked_add(4)?;
+    if !(2..=MAX_BODY_BYTES + 2).contains(&length) || bytes.len() < whole {
         return None;
     }
     let (number, rest) = rest.split_first_chunk()?;
@@ -113,8 +113,8 @@ pub fn decode(file: u64, bytes: &[u8]) -> Option<(Record, usize)> {
 
 /// Returns where the whole records are in a file, by rising number, and what lies between them.
 #[must_use]
-pub fn scan(file: u64, bytes: &[u8]) -> (Vec<Entry>, Vec<Gap>) {
-    let (mut entries, mut gaps) = (Vec::<Entry>::new(), Vec::new());
+pub fn scan(file: u64, bytes: &[u8]) -> (Vec<IndexEntry>, Vec<DamagedRange>) {
+    let (mut entries, mut gaps) = (Vec::<IndexEntry>::new(), Vec::new());
     let (mut at, mut gap_at) = (0, 0);
     while at < bytes.len() {
         let last = entries.last().copied();
@@ -124,9 +124,15 @@ pub fn scan(file: u64, bytes: &[u8]) -> (Vec<Entry>, Vec<Gap>) {
             at += 1;
             continue;
         };
-        let entry = Entry { number: record.number, time_ms: record.time_ms, at: at as u64, length };
+        let entry =
+            IndexEntry { number: record.number, time_ms: record.time_ms, at: at as u64, length };
         if gap_at < at {
-            gaps.push(Gap { at: gap_at, length: at - gap_at, before: last, after: Some(entry) });
+            gaps.push(DamagedRange {
+                at: gap_at,
+                length: at - gap_at,
+                before: last,
+                after: Some(entry),
+            });
         }
         entries.push(entry);
         at += length;
@@ -134,7 +140,7 @@ pub fn scan(file: u64, bytes: &[u8]) -> (Vec<Entry>, Vec<Gap>) {
     }
     if gap_at < bytes.len() {
         let before = entries.last().copied();
-        gaps.push(Gap { at: gap_at, length: bytes.len() - gap_at, before, after: None });
+        gaps.push(DamagedRange { at: gap_at, length: bytes.len() - gap_at, before, after: None });
     }
     (entries, gaps)
 }
@@ -172,7 +178,7 @@ mod tests {
         }
         assert_eq!(entries.len(), 4);
         assert_eq!(scan(FILE + 1, &bytes).0, [], "of another file");
-        let long = Record { payload: vec![0; MAX_BODY + 1], ..record(1) };
+        let long = Record { payload: vec![0; MAX_BODY_BYTES + 1], ..record(1) };
         assert_eq!(encode(FILE, &long), None);
     }
 
@@ -186,12 +192,15 @@ mod tests {
             let (left, gaps) = scan(FILE, &damaged);
             let hit = entries.iter().position(|it| bit / 8 < it.at as usize + it.length);
             let hit = hit.expect("within the file");
-            let expected: Vec<Entry> =
+            let expected: Vec<IndexEntry> =
                 entries.iter().enumerate().filter(|(n, _)| *n != hit).map(|(_, it)| *it).collect();
             assert_eq!(left, expected, "bit {bit}");
             let before = hit.checked_sub(1).map(|n| entries[n]);
             let (at, length) = (entries[hit].at as usize, entries[hit].length);
-            assert_eq!(gaps, [Gap { at, length, before, after: entries.get(hit + 1).copied() }]);
+            assert_eq!(
+                gaps,
+                [DamagedRange { at, length, before, after: entries.get(hit + 1).copied() }]
+            );
         }
     }
 

@@ -2,10 +2,10 @@ use super::*;
 
 const LIMIT: u64 = 64 << 20;
 
-fn draft(text: &str) -> Draft {
+fn draft(text: &str) -> NewRecord {
     let text = text.to_owned();
     let payload = move |id: &str| format!("{id} {text}").into_bytes();
-    Draft { time_ms: 1_000, topic: "t".into(), payload: Box::new(payload) }
+    NewRecord { time_ms: 1_000, topic: "t".into(), payload: Box::new(payload) }
 }
 
 fn folder() -> tempfile::TempDir {
@@ -36,7 +36,7 @@ fn numbers_of(texts: &[String]) -> Vec<u32> {
 fn files(folder: &tempfile::TempDir) -> Vec<PathBuf> {
     let all = fs::read_dir(folder.path()).expect("a folder").flatten().map(|it| it.path());
     let mut all: Vec<_> =
-        all.filter(|it| it.extension().is_some_and(|it| it == EXTENSION)).collect();
+        all.filter(|it| it.extension().is_some_and(|it| it == SEGMENT_EXTENSION)).collect();
     all.sort();
     all
 }
@@ -51,13 +51,13 @@ fn what_was_not_settled_comes_again_with_the_same_identifier_after_a_restart() {
     for number in 1..=6 {
         spool.acknowledge(number, Instant::now());
     }
-    assert_eq!(spool.waiting(), 4);
+    assert_eq!(spool.unacknowledged_count(), 4);
     spool.rewind();
     assert_eq!(texts(&mut spool), first, "the broker may have died with what it acknowledged");
     for number in 1..=6 {
         spool.acknowledge(number, Instant::now());
     }
-    spool.settle(Instant::now() + RESEND);
+    spool.settle(Instant::now() + RETENTION_TIME);
     drop(spool);
     let mut spool = open(&folder);
     assert_eq!(texts(&mut spool), first[6..]);
@@ -75,11 +75,11 @@ fn acknowledgements_in_another_order_settle_nothing_that_is_open() {
     for number in [4, 3, 1] {
         spool.acknowledge(number, Instant::now());
     }
-    spool.settle(Instant::now() + RESEND);
-    assert_eq!((spool.settled, spool.waiting()), (1, 1));
+    spool.settle(Instant::now() + RETENTION_TIME);
+    assert_eq!((spool.settled, spool.unacknowledged_count()), (1, 1));
     spool.acknowledge(2, Instant::now());
-    spool.settle(Instant::now() + RESEND);
-    assert_eq!((spool.settled, spool.waiting()), (4, 0));
+    spool.settle(Instant::now() + RETENTION_TIME);
+    assert_eq!((spool.settled, spool.unacknowledged_count()), (4, 0));
     // The numbers go on, though every file of before is gone.
     drop(spool);
     let mut spool = open(&folder);
@@ -95,9 +95,9 @@ fn a_damaged_number_of_what_is_settled_costs_no_record() {
     fill(&mut spool, 0..3);
     texts(&mut spool);
     spool.acknowledge(1, Instant::now());
-    spool.settle(Instant::now() + RESEND);
+    spool.settle(Instant::now() + RETENTION_TIME);
     drop(spool);
-    let path = folder.path().join(SETTLED);
+    let path = folder.path().join(SETTLED_FILE_NAME);
     let text = fs::read_to_string(&path).expect("the file");
     assert_eq!(numbers_of(&texts(&mut open(&folder))), [1, 2]);
     fs::write(&path, text.replacen('1', "9", 1)).expect("the file");
@@ -116,7 +116,7 @@ fn a_flipped_bit_is_reported_with_number_and_time_and_all_others_are_sent() {
     bytes[at + 30] ^= 4;
     fs::write(&path, bytes).expect("the file");
     let mut spool = open(&folder);
-    let reports = spool.reports();
+    let reports = spool.take_reports();
     assert_eq!(reports.len(), 1);
     let text = reports[0].to_string();
     let phrase = "number 3, after 1970-01-01T00:00:01.000Z, before 1970-01-01T00:00:01.000Z";
@@ -125,7 +125,7 @@ fn a_flipped_bit_is_reported_with_number_and_time_and_all_others_are_sent() {
     assert_eq!(fs::read_dir(folder.path().join("damaged")).expect("a folder").count(), 1);
     // It is reported once.
     drop(spool);
-    assert_eq!(open(&folder).reports(), []);
+    assert_eq!(open(&folder).take_reports(), []);
 }
 
 #[test]
@@ -139,7 +139,7 @@ fn a_file_that_was_cut_loses_its_end_alone_and_its_number_is_not_given_again() {
     let file = OpenOptions::new().write(true).open(&path).expect("the file");
     file.set_len(end).expect("cut");
     let mut spool = open(&folder);
-    let text = spool.reports()[0].to_string();
+    let text = spool.take_reports()[0].to_string();
     assert!(text.contains("number 5, where the file ends"), "{text}");
     let before = texts(&mut spool);
     assert_eq!(numbers_of(&before), [0, 1, 2, 3]);
@@ -161,7 +161,7 @@ fn a_bit_that_flips_while_the_spool_is_open_costs_one_record() {
     bytes[at + 9] ^= 1;
     fs::write(&path, bytes).expect("the file");
     assert_eq!(numbers_of(&texts(&mut spool)), [0, 2]);
-    assert!(spool.reports()[0].to_string().contains("record 2 of 1970-01-01"));
+    assert!(spool.take_reports()[0].to_string().contains("record 2 of 1970-01-01"));
 }
 
 /// A folder in the place of the file is an error of the system for every user, root among them.
@@ -184,9 +184,9 @@ fn a_file_that_cannot_be_read_for_a_moment_costs_no_record() {
     let now = Instant::now();
     hide();
     assert_eq!(spool.next_to_send(now), None);
-    assert_eq!(spool.next_to_send(now + READ_AGAIN / 2), None);
-    let reports = spool.reports();
-    assert_eq!((reports.len(), reports[0].count()), (1, 0), "{reports:?}");
+    assert_eq!(spool.next_to_send(now + READ_RETRY_TIME / 2), None);
+    let reports = spool.take_reports();
+    assert_eq!((reports.len(), reports[0].lost_record_count()), (1, 0), "{reports:?}");
     assert!(reports[0].to_string().contains("it is tried again"), "{}", reports[0]);
     show();
     assert_eq!(numbers_of(&texts(&mut spool)), [0, 1, 2]);
@@ -194,31 +194,31 @@ fn a_file_that_cannot_be_read_for_a_moment_costs_no_record() {
     spool.rewind();
     hide();
     assert_eq!(spool.next_to_send(now), None);
-    assert_eq!(spool.next_to_send(now + READ_AGAIN), None);
-    let lost: u64 = spool.reports().iter().map(Report::count).sum();
-    assert_eq!((lost, spool.waiting()), (3, 0));
+    assert_eq!(spool.next_to_send(now + READ_RETRY_TIME), None);
+    let lost: u64 = spool.take_reports().iter().map(Report::lost_record_count).sum();
+    assert_eq!((lost, spool.unacknowledged_count()), (3, 0));
     show();
     // Its bytes stay for people.
     fill(&mut spool, 3..4);
     assert_eq!(numbers_of(&texts(&mut spool)), [3]);
     drop(spool.active.take());
     spool.acknowledge(4, now);
-    spool.settle(now + READ_AGAIN + RESEND);
+    spool.settle(now + READ_RETRY_TIME + RETENTION_TIME);
     assert!(files(&folder).is_empty());
-    let kept = fs::read(folder.path().join(DAMAGED).join(path.file_name().expect("a name")));
+    let kept = fs::read(folder.path().join(DAMAGED_FOLDER).join(path.file_name().expect("a name")));
     assert!(kept.is_ok_and(|it| !it.is_empty()));
 }
 
 #[test]
 fn the_oldest_files_give_way_and_the_report_says_which_records() {
     let folder = folder();
-    let mut spool = Spool::open(folder.path(), 3 * FILE_BYTES).expect("it opens");
+    let mut spool = Spool::open(folder.path(), 3 * MAX_SEGMENT_BYTES).expect("it opens");
     let long = "x".repeat(1_000);
-    let drafts: Vec<Draft> = (0..500).map(|_| draft(&long)).collect();
+    let drafts: Vec<NewRecord> = (0..500).map(|_| draft(&long)).collect();
     for _ in 0..12 {
         spool.append(&drafts).expect("there is room");
     }
-    let reports = spool.reports();
+    let reports = spool.take_reports();
     assert!(!reports.is_empty());
     let Report::Overrun { count, numbers: [first, last], .. } = &reports[0] else {
         panic!("{reports:?}")
@@ -235,7 +235,7 @@ fn the_oldest_files_give_way_and_the_report_says_which_records() {
     assert_eq!(gone + texts(&mut spool).len(), 12 * 500);
     let bytes: u64 =
         files(&folder).iter().map(|it| fs::metadata(it).expect("it is there").len()).sum();
-    assert!(bytes <= 3 * FILE_BYTES, "{bytes}");
+    assert!(bytes <= 3 * MAX_SEGMENT_BYTES, "{bytes}");
 }
 
 #[test]
@@ -266,5 +266,5 @@ fn what_a_full_disk_takes_not_is_an_error_and_the_rest_goes_on() {
     assert_eq!(numbers_of(&texts(&mut spool)), [0, 1, 3]);
     drop(spool);
     let mut spool = open(&folder);
-    assert_eq!((numbers_of(&texts(&mut spool)), spool.reports()), (vec![0, 1, 3], Vec::new()));
+    assert_eq!((numbers_of(&texts(&mut spool)), spool.take_reports()), (vec![0, 1, 3], Vec::new()));
 }

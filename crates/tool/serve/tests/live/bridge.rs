@@ -15,13 +15,16 @@ use std::{
 
 use trueup_core::{
     bridge::Input,
-    cnc::{AxisPosition, Control, Heading, LinearAxis},
+    cnc::{AxisPosition, Control, LinearAxis, TravelDirection},
     dimensions::CODES_PER_TICK,
-    units::{Code, Position, Rpm},
+    units::{AdcCode, Position, Rpm},
 };
 use trueup_link::{frame::Frame, frames, layout::SDO_REQUEST_ID, slcan::Port};
 use trueup_machine::{MachineFile, compile};
-use trueup_node::node::{Interface, Node};
+use trueup_node::{
+    configuration::Configuration,
+    node::{Interface, Node},
+};
 use trueup_store::calibration::decode;
 
 const MACHINE: &str = include_str!("../../../../../data/paper_spindle.toml");
@@ -51,10 +54,10 @@ pub fn start(switches: Switches) -> String {
 fn live(listener: &TcpListener, switches: &Switches) {
     let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("the project's own");
     let blob: &'static [u8] = Box::leak(compile(&machine).expect("it fits").blob().into());
-    let mut node = Node::new(Some(decode(blob).expect("a calibration")), false);
-    node.set_blob(blob);
+    let calibration = decode(blob).expect("a calibration");
+    let mut node = Node::new(Configuration { blob, ..calibration.into() });
     let mut port = Port::new(1);
-    let codes: [Code; CODES_PER_TICK] = std::array::from_fn(|n| Code(727 + (n % 2) as u16));
+    let codes: [AdcCode; CODES_PER_TICK] = std::array::from_fn(|n| AdcCode(727 + (n % 2) as u16));
     let (start, mut control, mut client) = (Instant::now(), 0_u32, None::<TcpStream>);
     for ms in 0_u32.. {
         let due = Duration::from_millis(ms.into());
@@ -88,10 +91,15 @@ fn live(listener: &TcpListener, switches: &Switches) {
         if ms % 20 == 0 {
             let wants = control >= 3 && !switches.is_disengaged.load(Ordering::Relaxed);
             let said = Control { engage: wants, ..Control::REFERENCED };
-            node.receive(Interface::Can, &frames::control(said, control as u8)).expect("in order");
+            node.receive(Interface::Can, &frames::encode_control(said, control as u8))
+                .expect("in order");
             for axis in LinearAxis::ALL {
-                let at = AxisPosition { axis, position: Position(0), direction: Heading::Positive };
-                node.receive(Interface::Can, &frames::position(at, control as u8))
+                let at = AxisPosition {
+                    axis,
+                    position: Position(0),
+                    direction: TravelDirection::Positive,
+                };
+                node.receive(Interface::Can, &frames::encode_position(at, control as u8))
                     .expect("in order");
             }
             control += 1;

@@ -21,8 +21,8 @@ use crate::{
 
 /// Returns what an agent knows each second, for this many seconds.
 fn agent(start: &Start, port: u16, seconds: u32) -> Result<Vec<Value>> {
-    let output = Command::new(setup::python()?)
-        .arg(setup::root().join("host-tests/python/mtconnect_agent.py"))
+    let output = Command::new(setup::ensure_python()?)
+        .arg(setup::project_root().join("host-tests/python/mtconnect_agent.py"))
         .arg(start.spool.join("Devices.xml"))
         .args([port.to_string(), seconds.to_string()])
         .stderr(Stdio::piped())

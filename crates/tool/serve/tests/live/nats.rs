@@ -13,8 +13,8 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 use rumqttc::{Client, Event, MqttOptions, Outgoing, Packet, QoS};
 use serde_json::Value;
-use trueup_emulator::{programs, setup};
-use trueup_serve::sparkplug::encode;
+use trueup_emulator::{host_programs, setup};
+use trueup_serve::sparkplug::encode_payload;
 
 use crate::{
     kills::{Draw, schedules},
@@ -36,7 +36,8 @@ impl Nats {
         let folder = folder.join("server");
         fs::create_dir_all(&folder)?;
         let ports = [free_port(), free_port()];
-        let mut server = Self { process: None, trueup: programs::trueup()?, folder, ports };
+        let mut server =
+            Self { process: None, trueup: host_programs::build_trueup()?, folder, ports };
         server.restart()?;
         Ok(server)
     }
@@ -45,7 +46,7 @@ impl Nats {
         let path = self.folder.join("log");
         let log = fs::OpenOptions::new().create(true).append(true).open(&path)?;
         let [listen, mqtt] = self.ports.map(|port| format!("127.0.0.1:{port}"));
-        let program = setup::python()?.with_file_name("nats-server");
+        let program = setup::ensure_python()?.with_file_name("nats-server");
         let mut command = Command::new(&self.trueup);
         command.args([
             "fleet",
@@ -103,7 +104,7 @@ fn acknowledged(port: u16, run: u64) -> BTreeSet<String> {
     let (client, mut connection) = Client::new(options, 64);
     thread::spawn(move || {
         for number in 0.. {
-            let payload = encode(Vec::new(), number, None, Some(&id(number)));
+            let payload = encode_payload(Vec::new(), number, None, Some(&id(number)));
             let topic = "trueup/n/0000002a/record";
             if client.publish(topic, QoS::AtLeastOnce, false, payload).is_err() {
                 return;

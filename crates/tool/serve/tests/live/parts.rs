@@ -17,8 +17,8 @@ use serde_json::{Value, json};
 use trueup_client::port::Port;
 use trueup_emulator::setup;
 use trueup_serve::{
-    broker::{self, Files},
-    run::{self, Options},
+    broker::{self, TlsFiles},
+    publisher::{self, PublisherOptions},
 };
 
 /// How long anything may take on a busy computer.
@@ -110,7 +110,7 @@ impl Mosquitto {
             }
         }
         fs::write(folder.join("mosquitto.conf"), text)?;
-        let program = setup::mosquitto()?;
+        let program = setup::ensure_mosquitto()?;
         let mut broker = Self { process: None, program, folder, port };
         broker.restart()?;
         Ok(broker)
@@ -138,8 +138,8 @@ pub struct Host {
 
 impl Host {
     pub fn start(port: u16) -> Result<Self> {
-        let mut child = Command::new(setup::python()?)
-            .arg(setup::root().join("host-tests/python/sparkplug_host.py"))
+        let mut child = Command::new(setup::ensure_python()?)
+            .arg(setup::project_root().join("host-tests/python/sparkplug_host.py"))
             .arg(port.to_string())
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
@@ -256,13 +256,17 @@ fn publisher() -> Result<()> {
     let path = |value: &Value| word(value).map(PathBuf::from);
     let (ca, cert, key) = (path(&more["ca"]), path(&more["cert"]), path(&more["key"]));
     let login = word(&more["user"]).zip(word(&more["password"]));
-    let files = Files { ca: ca.as_deref(), own: cert.as_deref().zip(key.as_deref()) };
+    let files = TlsFiles { ca: ca.as_deref(), own: cert.as_deref().zip(key.as_deref()) };
     let url = word(&start["url"]).unwrap_or_default();
-    let broker = if url.is_empty() { None } else { Some(broker::Broker::new(&url, login, files)?) };
+    let broker = if url.is_empty() {
+        None
+    } else {
+        Some(broker::BrokerConfig::from_url(&url, login, files)?)
+    };
     let mtconnect = word(&more["mtconnect"]).map(|it| it.parse()).transpose()?;
     let bridges = word(&start["bridge"]).context("a bridge")?;
     let ports: Result<Vec<Port>, _> = bridges.split(',').map(Port::parse).collect();
-    let options = Options {
+    let options = PublisherOptions {
         ports: ports?,
         name: word(&start["name"]).context("a name")?,
         spool: path(&start["spool"]).context("a spool")?,
@@ -279,6 +283,6 @@ fn publisher() -> Result<()> {
         let mut stderr = fs::OpenOptions::new().append(true).open("/dev/stderr").ok();
         stderr.as_mut().and_then(|it| writeln!(it, "{text}").ok());
     };
-    run::run(options, Arc::new(AtomicBool::new(false)), report)?;
+    publisher::run(options, Arc::new(AtomicBool::new(false)), report)?;
     Ok(())
 }

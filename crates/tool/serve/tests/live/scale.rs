@@ -15,7 +15,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, ensure};
-use trueup_client::line::LineEvent;
+use trueup_client::connection::ConnectionEvent;
 use trueup_core::{
     cnc::{Output, Quality},
     units::Nanometres,
@@ -23,19 +23,19 @@ use trueup_core::{
 use trueup_link::{
     frame::Frame,
     frames,
-    layout::SDO_ANSWER_ID,
+    layout::SDO_RESPONSE_ID,
     slcan::Event,
     status::{Item, StateBits, Status, encode},
 };
 use trueup_serve::{
-    bridge::Bridge,
-    broker::{self, Files},
+    bridge::BridgeMonitor,
+    broker::{self, TlsFiles},
     clock,
-    mqtt::{self, Publisher},
+    mqtt::{self, PublisherConfig},
     mtconnect::adapter::Adapter,
-    record::Recorder,
-    shared::Shared,
-    sparkplug::node::Node,
+    recorder::Recorder,
+    shared::SharedState,
+    sparkplug::node::EdgeNode,
     spool::Spool,
 };
 
@@ -53,16 +53,16 @@ const MEASURED: Duration = Duration::from_secs(30);
 const SAID: Duration = Duration::from_millis(250);
 
 /// Lets a bridge say its offset and a part of its status, and answer what it was asked.
-fn speak(bridge: &mut Bridge, place: usize, turn: usize, now: Instant) {
-    let said = |bridge: &mut Bridge, frame: Frame| {
-        bridge.receive(LineEvent::Received(Event::Frame(frame)), now);
+fn speak(bridge: &mut BridgeMonitor, place: usize, turn: usize, now: Instant) {
+    let said = |bridge: &mut BridgeMonitor, frame: Frame| {
+        bridge.receive(ConnectionEvent::Received(Event::Frame(frame)), now);
     };
     let nm = ((place + turn) % 1_000) as i32 * 10;
     let offset = Some([nm, -nm, 2 * nm].map(Nanometres));
     let output = Output { offset, quality: Quality::Live, ..Output::default() };
     let counter = turn as u8;
-    said(bridge, frames::offset_xy(&output, counter));
-    said(bridge, frames::offset_z(&output, counter));
+    said(bridge, frames::encode_offset_xy(&output, counter));
+    said(bridge, frames::encode_offset_z(&output, counter));
     let centi_c = [Some(2_000 + ((place + turn) % 100) as i16), Some(2_100)];
     let item = match turn % 3 {
         0 => Item::State(StateBits::default()),
@@ -70,13 +70,13 @@ fn speak(bridge: &mut Bridge, place: usize, turn: usize, now: Instant) {
         _ => Item::Calibration(7),
     };
     said(bridge, encode(&Status { last_refused: Default::default(), item }, counter));
-    if let Some(request) = bridge.due(now) {
+    if let Some(request) = bridge.take_due_request(now) {
         let [_, low, high, sub, ..] = *request.data();
         let serial = (place as u32 + 1).to_le_bytes();
         let is_serial = (low, high, sub) == (0x18, 0x10, 4);
         let kind = if is_serial { 0x43 } else { 0x80 };
         let answer = [kind, low, high, sub, serial[0], serial[1], serial[2], serial[3]];
-        said(bridge, Frame::new(SDO_ANSWER_ID, &answer).expect("eight bytes"));
+        said(bridge, Frame::new(SDO_RESPONSE_ID, &answer).expect("eight bytes"));
     }
 }
 
@@ -122,27 +122,27 @@ pub fn a_thousand(folder: &Path, broker: &dyn Broker) -> Result<()> {
     let url = format!("mqtt://127.0.0.1:{}", broker.port());
     let stop = Arc::new(AtomicBool::new(false));
     let now = Instant::now();
-    let mut bridges: Vec<Bridge> = (0..BRIDGES).map(|_| Bridge::new(now)).collect();
-    bridges.iter_mut().for_each(|it| _ = it.receive(LineEvent::Up, now));
+    let mut bridges: Vec<BridgeMonitor> = (0..BRIDGES).map(|_| BridgeMonitor::new(now)).collect();
+    bridges.iter_mut().for_each(|it| _ = it.receive(ConnectionEvent::Up, now));
     let spool = Spool::open(&folder.join("spool"), 512 << 20)?;
-    let shared = Shared::new(bridges, spool, stop.clone());
+    let shared = SharedState::new(bridges, spool, stop.clone());
     let feeding = shared.clone();
     let feed = thread::spawn(move || {
         for turn in 0.. {
             let began = Instant::now();
             for place in 0..BRIDGES {
-                if let Some(mut bridge) = feeding.bridge(place) {
+                if let Some(mut bridge) = feeding.lock_bridge(place) {
                     speak(&mut bridge, place, turn, Instant::now());
                 }
             }
-            if feeding.has_ended() {
+            if feeding.is_stop_requested() {
                 return;
             }
             thread::sleep(SAID.saturating_sub(began.elapsed()));
         }
     });
-    let publisher = Publisher {
-        broker: broker::Broker::new(&url, None, Files::default())?,
+    let publisher = PublisherConfig {
+        broker: broker::BrokerConfig::from_url(&url, None, TlsFiles::default())?,
         name: "shop".into(),
         id: "trueup-shop".into(),
         primary_host: None,
@@ -151,7 +151,7 @@ pub fn a_thousand(folder: &Path, broker: &dyn Broker) -> Result<()> {
     };
     let publishing = shared.clone();
     let mqtt = thread::spawn(move || {
-        let mut node = Node::new("shop", "me", "0.0.0", 0);
+        let mut node = EdgeNode::new("shop", "me", "0.0.0", 0);
         mqtt::run(&publishing, &publisher, &mut node);
     });
     let adapter = Adapter::default();
@@ -164,8 +164,8 @@ pub fn a_thousand(folder: &Path, broker: &dyn Broker) -> Result<()> {
             begun = Some((at, cost("self")?, cost(&broker.process())?, acknowledged));
         }
         let snapshots = shared.snapshots();
-        let events =
-            recorder.turn(&shared, &snapshots, (at, clock::now_ms()), &|it| println!("{it}"));
+        let events = recorder
+            .record_snapshots(&shared, &snapshots, (at, clock::now_ms()), &|it| println!("{it}"));
         adapter.update(&snapshots, &events, clock::now_ms());
         longest = longest.max(at.elapsed());
         thread::sleep(Duration::from_millis(50));
@@ -178,7 +178,7 @@ pub fn a_thousand(folder: &Path, broker: &dyn Broker) -> Result<()> {
     let counts = shared.counts();
     let sent = counts.acknowledged.load(Ordering::Relaxed) - acknowledged;
     let recorded = counts.recorded.load(Ordering::Relaxed);
-    let waiting = shared.spool().waiting();
+    let waiting = shared.lock_spool().unacknowledged_count();
     println!(
         "{BRIDGES} bridges: {peak_mb:.0} MB at most, {:.0} % of a core, {:.0} records a second acknowledged, \
          {recorded} recorded of {} bytes each, {waiting} waiting, the longest turn {longest:?}; \

@@ -14,21 +14,21 @@ use std::{
 use trueup_link::slcan::{BELL, CR};
 
 /// Time for which the answer is awaited.
-const ANSWER: Duration = Duration::from_secs(1);
+const RESPONSE_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Counts lines to the board and its answers. While the board's time stands still, it says one end of a
 /// line for each line that it takes, and nothing else.
 #[derive(Default)]
-pub(crate) struct Opening {
+pub(crate) struct OpeningHandshake {
     lines: AtomicU32,
     answers: AtomicU32,
     /// The number of the line with the first `O`, and its time.
     asked: OnceLock<(u32, Instant)>,
 }
 
-impl Opening {
+impl OpeningHandshake {
     /// Takes a line to the board, before it is written.
-    pub(crate) fn take_line(&self, opens: bool) {
+    pub(crate) fn count_line(&self, opens: bool) {
         let line = self.lines.fetch_add(1, Ordering::SeqCst) + 1;
         if opens {
             self.asked.get_or_init(|| (line, Instant::now()));
@@ -36,21 +36,21 @@ impl Opening {
     }
 
     /// Takes what the board says.
-    pub(crate) fn take_answers(&self, said: &[u8]) {
-        let ends = said.iter().filter(|&&byte| is_end(byte)).count();
+    pub(crate) fn count_responses(&self, said: &[u8]) {
+        let ends = said.iter().filter(|&&byte| is_response_end(byte)).count();
         self.answers.fetch_add(u32::try_from(ends).unwrap_or(0), Ordering::SeqCst);
     }
 
     /// Whether the board has answered, or has had the time for it.
-    pub fn is_over(&self) -> bool {
+    pub fn is_complete(&self) -> bool {
         self.asked.get().is_some_and(|&(line, at)| {
-            self.answers.load(Ordering::SeqCst) >= line || at.elapsed() > ANSWER
+            self.answers.load(Ordering::SeqCst) >= line || at.elapsed() > RESPONSE_TIMEOUT
         })
     }
 }
 
 /// Whether this byte ends what the board says.
-pub const fn is_end(byte: u8) -> bool {
+pub(crate) const fn is_response_end(byte: u8) -> bool {
     matches!(byte, CR | BELL)
 }
 
@@ -60,21 +60,21 @@ mod tests {
 
     #[test]
     fn the_answer_to_an_earlier_line_does_not_open() {
-        let opening = Opening::default();
-        opening.take_line(false);
-        opening.take_line(true);
-        assert!(!opening.is_over(), "nothing was answered");
-        opening.take_answers(b"\r");
-        assert!(!opening.is_over(), "that was the first line's");
-        opening.take_answers(b"\x07");
-        assert!(opening.is_over());
+        let opening = OpeningHandshake::default();
+        opening.count_line(false);
+        opening.count_line(true);
+        assert!(!opening.is_complete(), "nothing was answered");
+        opening.count_responses(b"\r");
+        assert!(!opening.is_complete(), "that was the first line's");
+        opening.count_responses(b"\x07");
+        assert!(opening.is_complete());
     }
 
     #[test]
     fn an_answer_alone_does_not_open() {
-        let opening = Opening::default();
-        opening.take_line(false);
-        opening.take_answers(b"V1013\r");
-        assert!(!opening.is_over());
+        let opening = OpeningHandshake::default();
+        opening.count_line(false);
+        opening.count_responses(b"V1013\r");
+        assert!(!opening.is_complete());
     }
 }

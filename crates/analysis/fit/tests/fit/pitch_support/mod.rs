@@ -4,13 +4,13 @@ use std::{borrow::Cow, fmt::Write as _, path::Path};
 
 use trueup_machine::{
     Machine, MachineFile, RunFile,
-    applied::Uncompensated,
-    file::write::Edit,
-    model::{ReferenceModel, Situation},
+    applied_offsets::UncompensatedRun,
+    file::writer::Edit,
+    model::{ReferenceModel, RowInputs},
 };
 
 /// Returns the run file with this content.
-pub fn run_of(text: &str) -> Uncompensated<'static> {
+pub fn run_of(text: &str) -> UncompensatedRun<'static> {
     unaided(
         RunFile::from_reader(text.as_bytes(), Path::new("r.csv"))
             .expect("the test's own text is a run file"),
@@ -18,8 +18,8 @@ pub fn run_of(text: &str) -> Uncompensated<'static> {
 }
 
 /// Returns a run that no bridge had a part in.
-pub fn unaided(run: RunFile) -> Uncompensated<'static> {
-    Uncompensated::of(Cow::Owned(run), None, None).expect("no bridge").0
+pub fn unaided(run: RunFile) -> UncompensatedRun<'static> {
+    UncompensatedRun::from_run(Cow::Owned(run), None, None).expect("no bridge").0
 }
 
 /// Returns a run of sweeps up and down over `targets`: `error` in µm of run, position and direction.
@@ -55,13 +55,13 @@ pub fn left_by_model(run: &RunFile, edit: &Edit, runs: &[f64]) -> Vec<f64> {
     let mut model = ReferenceModel::new(&machine);
     let column = |name| run.column(name).expect("the run has it");
     let (x, dir, um) = (column("x_mm"), column("dir_x"), column("measured_dx_um"));
-    (0..run.rows())
+    (0..run.row_count())
         .filter(|&row| runs.contains(&column("run")[row]))
         .map(|row| {
             let position_mm = [x[row], f64::NAN, f64::NAN];
             let direction = [dir[row], f64::NAN, f64::NAN];
-            let there = Situation { position_mm, direction, ..Situation::UNKNOWN };
-            um[row] - model.step(&there).values().error_um[0]
+            let there = RowInputs { position_mm, direction, ..RowInputs::UNKNOWN };
+            um[row] - model.step(&there).to_error_values().error_um[0]
         })
         .collect()
 }

@@ -8,7 +8,9 @@ use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 use trueup_fit::Report;
-use trueup_machine::{Machine, MachineFile, RunFile, applied::Uncompensated, predict::Predictor};
+use trueup_machine::{
+    Machine, MachineFile, RunFile, applied_offsets::UncompensatedRun, predict::Predictor,
+};
 
 /// The shortest machine file.
 pub const MACHINE: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n";
@@ -27,7 +29,7 @@ impl Noise {
 }
 
 /// Returns a run of these columns, under the name `run.csv`.
-pub fn run(columns: &[(&str, &[f64])]) -> Uncompensated<'static> {
+pub fn run(columns: &[(&str, &[f64])]) -> UncompensatedRun<'static> {
     let names: Vec<&str> = columns.iter().map(|(name, _)| *name).collect();
     let mut text = names.join(",");
     text.push('\n');
@@ -46,11 +48,11 @@ pub fn run(columns: &[(&str, &[f64])]) -> Uncompensated<'static> {
 }
 
 /// Returns a run that no bridge had a part in.
-pub fn unaided(run: RunFile) -> Uncompensated<'static> {
-    Uncompensated::of(Cow::Owned(run), None, None).expect("no bridge").0
+pub fn unaided(run: RunFile) -> UncompensatedRun<'static> {
+    UncompensatedRun::from_run(Cow::Owned(run), None, None).expect("no bridge").0
 }
 
-pub fn parse(text: &str) -> Uncompensated<'static> {
+pub fn parse(text: &str) -> UncompensatedRun<'static> {
     let run = RunFile::from_reader(text.as_bytes(), Path::new("run.csv"));
     unaided(run.expect("the test's own text"))
 }
@@ -77,8 +79,8 @@ pub fn predicted_rms(
     let measured = run.column(column[quantity]).expect("the run has it");
     let predictor = Predictor::new(machine, run).expect("it can be predicted");
     let (mut squares, mut rows) = (0.0, 0);
-    for (row, prediction) in predictor.rows().enumerate() {
-        let left = measured[row] - prediction.model.all()[quantity];
+    for (row, prediction) in predictor.predictions().enumerate() {
+        let left = measured[row] - prediction.model.to_array()[quantity];
         if !left.is_nan() && keep(row) {
             squares += left * left;
             rows += 1;
@@ -91,7 +93,7 @@ pub fn predicted_rms(
 pub fn assert_round_trip(report: &Report, text: &str, run: &RunFile, quantity: usize) {
     let aside: Vec<usize> = report.set_aside.iter().map(|row| row.place.line).collect();
     let column = run.columns()[0].name.clone();
-    let is_kept = |row: usize| !aside.contains(&run.place(row, &column).line);
+    let is_kept = |row: usize| !aside.contains(&run.value_location(row, &column).line);
     let rms = predicted_rms(&applied(report, text), run, quantity, is_kept);
     let claimed = report.in_sample.expect("a fit has residuals").rms_um;
     assert!((rms - claimed).abs() < 1e-9 * (1.0 + claimed), "predicted {rms}, claimed {claimed}");

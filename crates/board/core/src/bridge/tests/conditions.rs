@@ -3,20 +3,27 @@
 use super::*;
 use crate::{
     cnc::Conditions,
-    term::{Effect, Factor, OnOff, Target, Term, ToolTable},
+    term::{ConditionLevels, Effect, Factor, Target, Term, ToolTable},
 };
 
 /// Tool 7 grows by 15 nm at N, every other by half of it; X moves by 6 µm while bit 2 is on, or not known.
 static LEVELS: [[u8; 8]; 1] = [[7, 0, 0, 0, 0, 0, 0, 0x20]];
 
 fn machine() -> Calibration<'static> {
-    let mut machine = plain();
+    let mut machine = minimal_calibration();
     let tools = ToolTable { levels: &LEVELS, other: 1 << 28, shift: 37, times: Factor::Speed2 };
     let smoothing = SmoothingFactor::NO_LAG;
     let on = 6_000 * 256;
-    let clamp =
-        OnOff { bit: 2, default: true, off: 0, on, shift: 0, smoothing, times: Factor::One };
-    let term = |target, effect| Some(Term { target, constant: Fine::ZERO, effect });
+    let clamp = ConditionLevels {
+        bit: 2,
+        default: true,
+        off: 0,
+        on,
+        shift: 0,
+        smoothing,
+        times: Factor::One,
+    };
+    let term = |target, effect| Some(Term { target, constant: FineNanometres::ZERO, effect });
     machine.terms[0] = term(Target::Elongation, Effect::Tool(tools));
     machine.terms[1] = term(Target::Axis(LinearAxis::X), Effect::Condition(clamp));
     machine.limits.slew_nm_per_s = 20_000;

@@ -3,7 +3,7 @@
 use super::sources::{TEN_UM_PER_K, chain, hold};
 use super::*;
 use crate::{
-    heat_memory::HeatMemory,
+    retained_lags::RetainedLags,
     term::{Effect, Target, Term},
 };
 
@@ -26,7 +26,7 @@ pub(super) fn by_term(
     machine.axes[0].thermal = None;
     machine.terms[0] = Some(Term {
         target: Target::Axis(LinearAxis::X),
-        constant: Fine(256_000),
+        constant: FineNanometres(256_000),
         effect: Effect::Heat {
             channel: 3,
             smoothing,
@@ -46,12 +46,12 @@ fn live(rig: &mut Rig, ms: u32, screw: i32, other: i32) -> Output {
             Command::Position(AxisPosition {
                 axis: LinearAxis::X,
                 position: Position(1_000 * Position::PER_MILLIMETRE),
-                direction: Heading::Positive,
+                direction: TravelDirection::Positive,
             }),
         );
-        let mut raw = [Raw::NONE; CHANNELS];
-        (raw[3], raw[5]) = (Raw(screw * 256), Raw(other * 256));
-        rig.now = rig.now.after(1);
+        let mut raw = [RawReading::NONE; CHANNEL_COUNT];
+        (raw[3], raw[5]) = (RawReading(screw * 256), RawReading(other * 256));
+        rig.now = rig.now.wrapping_add_ms(1);
         let input = Input { temperatures: Some(&raw), speed: Some(Rpm(0)), codes: None };
         rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
     }
@@ -73,10 +73,10 @@ fn warming() -> Rig {
 #[test]
 fn a_reset_keeps_the_heat_and_the_offset_is_as_without_it() {
     let mut without = warming();
-    let memory = without.bridge.heat_memory(&without.state);
+    let memory = without.bridge.retained_heat(&without.state);
     let mut with = Rig::new(lagging());
-    with.bridge.resume_heat(&mut with.state, &memory, 0);
-    assert!(!with.state.heat_is_unknown());
+    with.bridge.restore_heat(&mut with.state, &memory, 0);
+    assert!(!with.state.is_heat_unknown());
     for seconds in [1, 10, 30] {
         let (a, b) = (
             x_nm(&live(&mut without, seconds * 1_000, 21, 20)),
@@ -91,15 +91,15 @@ fn a_reset_keeps_the_heat_and_the_offset_is_as_without_it() {
 fn over_a_power_cut_the_heat_goes_on_as_at_the_temperature_that_is_seen_again() {
     for off_s in [1, 20, 90, 3_600] {
         let mut without = warming();
-        let memory = without.bridge.heat_memory(&without.state);
+        let memory = without.bridge.retained_heat(&without.state);
         // The screw stays at 21 °C, and the machine is seen again at once.
         let mut with = Rig::new(lagging());
-        with.bridge.resume_heat(&mut with.state, &memory, off_s * 10);
-        assert!(!with.state.heat_is_unknown());
+        with.bridge.restore_heat(&mut with.state, &memory, off_s * 10);
+        assert!(!with.state.is_heat_unknown());
         // A cut before any thermometer is received: what was missed stays missed.
-        let memory = with.bridge.heat_memory(&with.state);
+        let memory = with.bridge.retained_heat(&with.state);
         let mut again = Rig::new(lagging());
-        again.bridge.resume_heat(&mut again.state, &memory, 0);
+        again.bridge.restore_heat(&mut again.state, &memory, 0);
         live(&mut without, off_s.min(300) * 1_000, 21, 20);
         let expected = x_nm(&live(&mut without, 1_000, 21, 20));
         for rig in [&mut with, &mut again] {
@@ -113,9 +113,9 @@ fn over_a_power_cut_the_heat_goes_on_as_at_the_temperature_that_is_seen_again() 
 #[test]
 fn after_a_power_cut_a_machine_that_has_cooled_is_as_a_lag_of_what_is_seen_makes_it() {
     let rig = warming();
-    let memory = rig.bridge.heat_memory(&rig.state);
+    let memory = rig.bridge.retained_heat(&rig.state);
     let mut rig = Rig::new(lagging());
-    rig.bridge.resume_heat(&mut rig.state, &memory, 400);
+    rig.bridge.restore_heat(&mut rig.state, &memory, 400);
     let output = live(&mut rig, 1_000, 20, 20);
     // 100 µm/K · (1 − e^(−20/40)) · e^(−41/40): a second is seen.
     let expected = -100_000.0 * -(-20.0_f64 / 40.0).exp_m1() * (-41.0_f64 / 40.0).exp();
@@ -125,13 +125,13 @@ fn after_a_power_cut_a_machine_that_has_cooled_is_as_a_lag_of_what_is_seen_makes
 #[test]
 fn without_its_heat_a_machine_whose_thermometers_differ_gives_nothing_until_it_no_longer_matters() {
     let mut rig = Rig::new(lagging());
-    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
+    rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
     let output = live(&mut rig, 1_000, 21, 20);
     assert_eq!((output.quality, output.offset), (Quality::Fault, None));
-    assert!(rig.state.heat_is_unknown());
+    assert!(rig.state.is_heat_unknown());
     // 400 µm are 1 µm after nine half-lives of 27.7 s: 250 s.
     live(&mut rig, 247_000, 21, 20);
-    assert!(rig.state.heat_is_unknown());
+    assert!(rig.state.is_heat_unknown());
     let output = live(&mut rig, 4_000, 21, 20);
     assert_eq!((output.quality, x_nm(&output)), (Quality::Live, -100_000));
 }
@@ -139,14 +139,14 @@ fn without_its_heat_a_machine_whose_thermometers_differ_gives_nothing_until_it_n
 #[test]
 fn a_machine_whose_thermometers_agree_is_cold_and_so_is_one_that_the_operator_calls_so() {
     let mut rig = Rig::new(lagging());
-    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
+    rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
     let output = live(&mut rig, 1_000, 21, 21);
     assert_eq!(output.quality, Quality::Live);
 
     let mut rig = Rig::new(lagging());
-    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
+    rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
     live(&mut rig, 1_000, 21, 20);
-    assert!(rig.state.heat_is_unknown());
+    assert!(rig.state.is_heat_unknown());
     rig.bridge.confirm_cold(&mut rig.state);
     assert_eq!(live(&mut rig, 1_000, 21, 20).quality, Quality::Live);
 }
@@ -156,29 +156,29 @@ fn a_lone_thermometer_never_agrees_with_itself_and_one_that_is_broken_with_none(
     let mut machine = lagging();
     machine.thermometers[5] = None;
     let mut rig = Rig::new(machine);
-    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
+    rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
     live(&mut rig, 2_000, 21, 21);
-    assert!(rig.state.heat_is_unknown());
+    assert!(rig.state.is_heat_unknown());
 
     let mut rig = Rig::new(lagging());
-    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
+    rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
     warm(&mut rig, 2_000, Some(21), 1_000);
-    assert!(rig.state.heat_is_unknown(), "channel 5 says nothing");
+    assert!(rig.state.is_heat_unknown(), "channel 5 says nothing");
 }
 
 #[test]
 fn a_machine_without_a_law_that_remembers_needs_no_heat() {
     for machine in [expanding(), calibration()] {
         let mut rig = Rig::new(machine);
-        rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
-        assert!(!rig.state.heat_is_unknown());
+        rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
+        assert!(!rig.state.is_heat_unknown());
     }
 }
 
 #[test]
 fn heat_is_known_again_by_channel_and_time_constant_alone() {
     let rig = warming();
-    let memory = rig.bridge.heat_memory(&rig.state);
+    let memory = rig.bridge.retained_heat(&rig.state);
     for (change, is_known) in [(0, true), (1, false), (2, false)] {
         let mut other = lagging();
         other.limits.hold_ms = 77;
@@ -189,8 +189,8 @@ fn heat_is_known_again_by_channel_and_time_constant_alone() {
             _ => thermal.smoothing.0 += 1,
         }
         let mut rig = Rig::new(other);
-        rig.bridge.resume_heat(&mut rig.state, &memory, 0);
-        assert_eq!(!rig.state.heat_is_unknown(), is_known, "{change}");
+        rig.bridge.restore_heat(&mut rig.state, &memory, 0);
+        assert_eq!(!rig.state.is_heat_unknown(), is_known, "{change}");
     }
 }
 
@@ -199,11 +199,11 @@ fn lagging_spindle() -> Calibration<'static> {
     let mut machine = lagging();
     let thermal = machine.axes[0].thermal.take().expect("it has one");
     machine.spindle.chain[0] = Some(ElongationSource::Temperature);
-    machine.spindle.temperature = Some(crate::calibration::SpindleTemperature {
+    machine.spindle.temperature = Some(crate::calibration::SpindleTemperatureModel {
         channel: 3,
         smoothing: thermal.smoothing,
         smoothing_falling: thermal.smoothing_falling,
-        law: Law { pieces: &TEN_UM_PER_K },
+        law: ThermalExpansionLaw { pieces: &TEN_UM_PER_K },
     });
     machine
 }
@@ -226,7 +226,7 @@ fn a_term_of_a_temperature_is_known_where_the_heat_is() {
     let output = live(&mut rig, 1_000, 21, 20);
     assert_eq!((output.quality, x_nm(&output)), (Quality::Live, -1_000));
     let mut rig = Rig::new(machine);
-    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
+    rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
     let output = live(&mut rig, 1_000, 21, 20);
     assert_eq!((output.quality, output.offset), (Quality::Fault, None));
 }
@@ -234,7 +234,7 @@ fn a_term_of_a_temperature_is_known_where_the_heat_is() {
 #[test]
 fn the_growth_of_a_spindle_that_lags_is_not_known_where_its_heat_is_not() {
     let mut rig = Rig::new(lagging_spindle());
-    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
+    rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
     let output = live(&mut rig, 1_000, 21, 20);
     assert_eq!((output.quality, output.offset), (Quality::Fault, None));
     // One that does not lag grows with its thermometer, whatever was before.
@@ -243,7 +243,7 @@ fn the_growth_of_a_spindle_that_lags_is_not_known_where_its_heat_is_not() {
     (growth.smoothing, growth.smoothing_falling) =
         (SmoothingFactor::NO_LAG, SmoothingFactor::NO_LAG);
     let mut rig = Rig::new(machine);
-    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
+    rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
     assert_eq!(live(&mut rig, 1_000, 21, 20).quality, Quality::Live);
 }
 
@@ -261,34 +261,34 @@ fn a_fall_back_that_remembers_is_dead_as_long_as_its_heat_is_not_known() {
     for machine in [by_temperature, by_time] {
         let mut rig = Rig::new(machine);
         hold(&mut rig, 1_300, 1_050, Some(22));
-        assert!(!rig.bridge.fall_back_is_dead(&rig.state), "known from the start");
+        assert!(!rig.bridge.has_fallback_failed(&rig.state), "known from the start");
         let mut rig = Rig::new(machine);
-        rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
+        rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
         hold(&mut rig, 1_300, 1_050, Some(22));
-        assert!(rig.state.heat_is_unknown() && rig.bridge.fall_back_is_dead(&rig.state));
+        assert!(rig.state.is_heat_unknown() && rig.bridge.has_fallback_failed(&rig.state));
         rig.bridge.confirm_cold(&mut rig.state);
         hold(&mut rig, 500, 1_050, Some(22));
-        assert!(!rig.bridge.fall_back_is_dead(&rig.state), "called cold");
+        assert!(!rig.bridge.has_fallback_failed(&rig.state), "called cold");
     }
 }
 
 #[test]
 fn a_term_over_time_that_has_run_ahead_is_where_waiting_would_have_brought_it() {
-    use crate::fixed::Scaled;
+    use crate::fixed_point::ScaledCoefficient;
     let mut machine = lagging();
     machine.axes[0].thermal = None;
     machine.terms[0] = Some(Term {
         target: Target::Axis(LinearAxis::X),
-        constant: Fine::ZERO,
+        constant: FineNanometres::ZERO,
         // 10 µm with 40 s.
         effect: Effect::Time {
             smoothing: SmoothingFactor(10_724_000),
-            amplitude: Scaled { mantissa: 2_560_000, shift: 30 },
+            amplitude: ScaledCoefficient { mantissa: 2_560_000, shift: 30 },
         },
     });
     let [mut waits, mut ahead] = [machine; 2].map(Rig::new);
     live(&mut waits, 30_000, 21, 20);
-    ahead.state.heat.run_ahead(&machine, 0, 300);
+    ahead.state.heat.advance_time_terms(&machine, 0, 300);
     let [waits, ahead] = [&mut waits, &mut ahead].map(|rig| x_nm(&live(rig, 10_000, 21, 20)));
     // 10 µm·(1 − 1/e), to a step of the heat.
     assert!((waits + 6_321).abs() <= 10, "{waits}");
@@ -303,26 +303,26 @@ fn a_term_without_a_lag_has_nothing_to_keep_and_needs_nothing_that_was_kept() {
         machine.thermometers[5] = machine.thermometers[3];
         let mut rig = Rig::new(machine);
         live(&mut rig, 1_000, 21, 21);
-        let memory = rig.bridge.heat_memory(&rig.state);
+        let memory = rig.bridge.retained_heat(&rig.state);
         assert_eq!(memory.lags.iter().any(Option::is_some), is_kept);
         let mut rig = Rig::new(machine);
-        rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
-        assert_eq!(rig.state.heat_is_unknown(), is_kept);
+        rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
+        assert_eq!(rig.state.is_heat_unknown(), is_kept);
     }
 }
 
 #[test]
 fn a_term_over_time_is_kept_over_a_reset() {
-    use crate::fixed::Scaled;
-    let amplitude = Scaled { mantissa: 2_560_000, shift: 30 };
+    use crate::fixed_point::ScaledCoefficient;
+    let amplitude = ScaledCoefficient { mantissa: 2_560_000, shift: 30 };
     let mut machine = by_term(expanding(), SmoothingFactor::NO_LAG);
     let term = machine.terms[0].as_mut().expect("it has one");
     term.effect = Effect::Time { smoothing: SmoothingFactor(10_724_000), amplitude };
     let mut rig = Rig::new(machine);
     let before = x_nm(&live(&mut rig, 20_000, 21, 21));
-    let memory = rig.bridge.heat_memory(&rig.state);
+    let memory = rig.bridge.retained_heat(&rig.state);
     let mut rig = Rig::new(machine);
-    rig.bridge.resume_heat(&mut rig.state, &memory, 0);
+    rig.bridge.restore_heat(&mut rig.state, &memory, 0);
     let after = x_nm(&live(&mut rig, 200, 21, 21));
     assert!((after - before).abs() <= 50 && before < -4_000, "{before}, then {after}");
 }
@@ -331,15 +331,15 @@ fn a_term_over_time_is_kept_over_a_reset() {
 /// without what was kept.
 #[test]
 fn heat_by_the_speed_is_kept_over_a_reset_and_cools_while_the_power_is_gone() {
-    use crate::{cnc::Spindle, fixed::Scaled, term::SpeedPower};
+    use crate::{cnc::Spindle, fixed_point::ScaledCoefficient, term::SpeedExponent};
     let mut machine = by_term(expanding(), SmoothingFactor::NO_LAG);
     machine.axes[0].thermal = None;
     machine.thermometers[5] = machine.thermometers[3];
     let term = machine.terms[0].as_mut().expect("it has one");
     // 10 µm at 10 000 r/min.
-    let per_unit = Scaled { mantissa: 3_435_974, shift: 26 };
-    let (power, smoothing) = (SpeedPower::Second, SmoothingFactor(10_724_000));
-    term.constant = Fine::ZERO;
+    let per_unit = ScaledCoefficient { mantissa: 3_435_974, shift: 26 };
+    let (power, smoothing) = (SpeedExponent::Second, SmoothingFactor(10_724_000));
+    term.constant = FineNanometres::ZERO;
     term.effect = Effect::SpeedHeat { power, smoothing, per_unit };
     let run = |rig: &mut Rig, rpm: u16, ms: u32| {
         let mut last = None;
@@ -360,23 +360,23 @@ fn heat_by_the_speed_is_kept_over_a_reset_and_cools_while_the_power_is_gone() {
     run(&mut rig, 10_000, 20_000);
     let warm = 1.0 - (-0.5_f64).exp();
     near(&run(&mut rig, 10_000, 200), warm + 0.003);
-    let memory = rig.bridge.heat_memory(&rig.state);
+    let memory = rig.bridge.retained_heat(&rig.state);
     // A reset; 40 s without power.
     for (steps, share) in [(0, warm), (400, warm * (-1.0_f64).exp())] {
         let mut rig = Rig::new(machine);
-        rig.bridge.resume_heat(&mut rig.state, &memory, steps);
-        assert!(!rig.state.heat_is_unknown());
+        rig.bridge.restore_heat(&mut rig.state, &memory, steps);
+        assert!(!rig.state.is_heat_unknown());
         near(&run(&mut rig, 0, 200), share);
     }
     // Nor is it followed once nobody says how fast the spindle turns.
     assert_ne!(live(&mut rig, 2_000, 21, 21).quality, Quality::Live);
     let mut rig = Rig::new(machine);
-    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
-    assert!(rig.state.heat_is_unknown());
+    rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
+    assert!(rig.state.is_heat_unknown());
     // Another power is another heat.
     let term = machine.terms[0].as_mut().expect("it has one");
-    term.effect = Effect::SpeedHeat { power: SpeedPower::First, smoothing, per_unit };
+    term.effect = Effect::SpeedHeat { power: SpeedExponent::First, smoothing, per_unit };
     let mut rig = Rig::new(machine);
-    rig.bridge.resume_heat(&mut rig.state, &memory, 0);
-    assert!(rig.state.heat_is_unknown());
+    rig.bridge.restore_heat(&mut rig.state, &memory, 0);
+    assert!(rig.state.is_heat_unknown());
 }

@@ -1,7 +1,7 @@
 //! A position that its axis cannot have reached: reported, not believed, and believed once others follow from it.
 
 use super::*;
-use crate::testing::random;
+use crate::testing::next_random;
 
 /// 30 m/min: half a millimetre in a millisecond.
 const RAPID: u32 = 50_000;
@@ -11,9 +11,9 @@ const MM: i32 = Position::PER_MILLIMETRE;
 fn machine(rapid: u32) -> Calibration<'static> {
     /// 1 µm on 1 m.
     static POINTS: [[u8; 4]; 2] = [[0; 4], 256_000_i32.to_le_bytes()];
-    let mut machine = plain();
+    let mut machine = minimal_calibration();
     machine.axes[0].rapid = rapid;
-    machine.axes[0].pitch = Some(crate::pitch::Pitch {
+    machine.axes[0].pitch = Some(crate::pitch_table::PitchErrorTable {
         start: Position(0),
         step: crate::travel::Interval::new(1_000 * MM.unsigned_abs()),
         forward: &POINTS,
@@ -27,7 +27,7 @@ impl Rig {
         let received = AxisPosition {
             axis: LinearAxis::X,
             position: Position(at),
-            direction: Heading::Positive,
+            direction: TravelDirection::Positive,
         };
         self.bridge.receive(&mut self.state, Command::Position(received));
     }
@@ -52,13 +52,13 @@ fn is_believed(rapid: u32, way: i32, after_ms: u32) -> bool {
     rig.position(100 * MM);
     rig.wait(after_ms);
     rig.position(100 * MM + way);
-    assert_eq!(rig.state.position_has_jumped(), rig.x() != 100 * MM + way);
+    assert_eq!(rig.state.has_position_jumped(), rig.x() != 100 * MM + way);
     rig.x() == 100 * MM + way
 }
 
 #[test]
 fn the_figures_are_those_of_the_manual() {
-    assert_eq!((POSITION_JITTER_MS, JUMP_TOLD_MS), (20, 100));
+    assert_eq!((POSITION_JITTER_MS, JUMP_REPORT_MS), (20, 100));
 }
 
 #[test]
@@ -82,7 +82,7 @@ fn the_first_position_is_believed_wherever_it_is() {
     for at in [i32::MIN, 0, i32::MAX] {
         let mut rig = Rig::new(machine(1));
         rig.position(at);
-        assert_eq!((rig.x(), rig.state.position_has_jumped()), (at, false));
+        assert_eq!((rig.x(), rig.state.has_position_jumped()), (at, false));
     }
 }
 
@@ -97,7 +97,7 @@ fn a_jump_moves_no_offset_is_told_and_is_believed_once_three_more_follow_from_it
     // On its way at 30 m/min, 100 mm further; the last that is believed is 10 ms old.
     for n in 0..3 {
         rig.position(200 * MM + n * 4 * RAPID.cast_signed());
-        assert!(rig.state.position_has_jumped() && rig.x() == 100 * MM, "message {n}");
+        assert!(rig.state.has_position_jumped() && rig.x() == 100 * MM, "message {n}");
         rig.wait(4);
         assert_eq!((rig.last.offset, rig.last.quality), (before, Quality::Live));
         // What it rests on is as old as that, standing or not.
@@ -106,11 +106,11 @@ fn a_jump_moves_no_offset_is_told_and_is_believed_once_three_more_follow_from_it
     rig.position(206 * MM);
     assert_eq!(rig.x(), 206 * MM);
     for ms in 5..=101 {
-        assert!(rig.state.position_has_jumped(), "told for {ms} ms");
+        assert!(rig.state.has_position_jumped(), "told for {ms} ms");
         rig.position(206 * MM);
         rig.wait(1);
     }
-    assert!(!rig.state.position_has_jumped());
+    assert!(!rig.state.has_position_jumped());
     assert_eq!(rig.last.age_ms, 0);
 }
 
@@ -145,7 +145,7 @@ fn positions_that_never_follow_from_each_other_are_a_cnc_that_is_lost() {
 #[test]
 fn three_thousand_jumps_are_found_by_their_first_message() {
     let mut seed = 3;
-    let mut below = |end: i32| (random(&mut seed) % end.cast_unsigned()).cast_signed();
+    let mut below = |end: i32| (next_random(&mut seed) % end.cast_unsigned()).cast_signed();
     for _ in 0..3_000 {
         // 1 to 120 m/min, a message every 1 to 100 ms; from just out of reach to 2 m.
         let rapid = 1_667 + below(200_000);
@@ -161,20 +161,20 @@ fn three_thousand_jumps_are_found_by_their_first_message() {
 fn an_axis_at_its_rapid_traverse_never_jumps_however_its_messages_are_lost_and_late() {
     let mut seed = 4;
     for draw in 0..100 {
-        let period_ms = 2 + random(&mut seed) % 30;
+        let period_ms = 2 + next_random(&mut seed) % 30;
         // A position is sent at a multiple of its period, and comes up to 20 ms late, but in order.
         let (mut rig, mut last) = (Rig::new(machine(RAPID)), 0);
         let at = |ms: u32| (ms.min(4_000) * RAPID).cast_signed();
         for ms in 1..4_100_u32 {
             rig.wait(1);
-            let late_ms = random(&mut seed) % 21;
+            let late_ms = next_random(&mut seed) % 21;
             let sent = ms.saturating_sub(late_ms) / period_ms * period_ms;
             // Half of them are lost, and now and then all for 300 ms.
-            let is_lost = random(&mut seed).is_multiple_of(2) || ms / 300 % 5 == 4;
+            let is_lost = next_random(&mut seed).is_multiple_of(2) || ms / 300 % 5 == 4;
             if sent > last && ms - sent <= 20 && !is_lost {
                 last = sent;
                 rig.position(at(sent));
-                assert!(!rig.state.position_has_jumped(), "draw {draw}, {ms} ms");
+                assert!(!rig.state.has_position_jumped(), "draw {draw}, {ms} ms");
             }
         }
     }

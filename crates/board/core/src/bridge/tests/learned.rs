@@ -2,14 +2,17 @@
 
 use super::*;
 use crate::{
-    heat_memory::HeatMemory,
-    learned::{Caps, Change},
+    learned::{ChangeRequest, LearnedLimits},
+    retained_lags::RetainedLags,
 };
 
-const CAPS: Caps = Caps { growth: 250, axes: 250, zero: 200 };
+const LEARNED_LIMITS: LearnedLimits = LearnedLimits { growth: 250, axes: 250, zero: 200 };
 
 fn asks(rig: &mut Rig, part: u8, amount: i16) {
-    assert!(rig.bridge.learn(&mut rig.state, Change { part, amount, calibration: 0 }));
+    assert!(
+        rig.bridge
+            .apply_learned_change(&mut rig.state, ChangeRequest { part, amount, calibration: 0 })
+    );
 }
 
 /// Engaged for so long; the largest step of an offset in a tick, in nm.
@@ -29,7 +32,7 @@ fn largest_step(rig: &mut Rig, ms: u32, code: u16) -> i32 {
 #[test]
 fn two_percent_more_of_the_growth_lift_it_by_two_percent_and_no_tick_steps() {
     let mut calibration = calibration();
-    calibration.limits.learned = CAPS;
+    calibration.limits.learned = LEARNED_LIMITS;
     let mut rig = Rig::new(calibration);
     rig.run_engaged(300, 1050);
     assert_eq!(rig.z_nm(), 51_200);
@@ -52,7 +55,7 @@ fn two_percent_more_of_the_growth_lift_it_by_two_percent_and_no_tick_steps() {
 #[test]
 fn the_slew_limit_holds_however_slow_it_is() {
     let mut calibration = calibration();
-    calibration.limits.learned = CAPS;
+    calibration.limits.learned = LEARNED_LIMITS;
     let mut rig = Rig::new(calibration);
     rig.run_engaged(300, 1050);
     // 1 nm/s: slower than what was learned would have it.
@@ -67,7 +70,7 @@ fn the_slew_limit_holds_however_slow_it_is() {
 #[test]
 fn an_axis_expands_by_its_share_more_wherever_it_stands() {
     let mut calibration = expanding();
-    calibration.limits.learned = CAPS;
+    calibration.limits.learned = LEARNED_LIMITS;
     let mut rig = Rig::new(calibration);
     // 1 K and 1 m are 100 µm, against the axis; 1 % more of it is 1 µm.
     warm(&mut rig, 300, Some(21), 1_000);
@@ -85,7 +88,7 @@ fn an_axis_expands_by_its_share_more_wherever_it_stands() {
 #[test]
 fn a_fall_back_is_as_its_own_model_says() {
     let mut calibration = sources::chain();
-    calibration.limits.learned = CAPS;
+    calibration.limits.learned = LEARNED_LIMITS;
     let mut rig = Rig::new(calibration);
     sources::hold(&mut rig, 300, 1_010, Some(20));
     asks(&mut rig, 1, 1_000);
@@ -104,13 +107,13 @@ fn a_fall_back_is_as_its_own_model_says() {
 #[test]
 fn a_machine_that_is_called_cold_keeps_what_was_learned() {
     let mut calibration = heat::lagging();
-    calibration.limits.learned = CAPS;
+    calibration.limits.learned = LEARNED_LIMITS;
     let mut rig = Rig::new(calibration);
-    rig.bridge.resume_heat(&mut rig.state, &HeatMemory::default(), 0);
+    rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
     asks(&mut rig, 2, 5);
     warm(&mut rig, 1_000, Some(21), 1_000);
-    assert!(rig.state.heat_is_unknown() && rig.state.learned().now()[1] == 5);
+    assert!(rig.state.is_heat_unknown() && rig.state.learned().current()[1] == 5);
     rig.bridge.confirm_cold(&mut rig.state);
-    assert!(!rig.state.heat_is_unknown());
-    assert_eq!(rig.state.learned().now(), [0, 5, 0, 0, 0]);
+    assert!(!rig.state.is_heat_unknown());
+    assert_eq!(rig.state.learned().current(), [0, 5, 0, 0, 0]);
 }

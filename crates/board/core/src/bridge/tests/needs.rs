@@ -2,11 +2,11 @@
 
 use super::*;
 use crate::{
-    calibration::{AXIS_PAIRS, Dual},
+    calibration::{DualDrive, STRAIGHTNESS_AXIS_PAIRS},
     curve::{Curve, SEGMENT_SIZE, Segment},
-    fixed::Scaled,
+    fixed_point::ScaledCoefficient,
     gradient::Gradient,
-    pitch::{Beam, Pitch},
+    pitch_table::{Beam, PitchErrorTable},
     term::{Effect, Target, Term, Tilt},
     travel::Interval,
 };
@@ -16,7 +16,8 @@ extern crate std;
 fn at(rig: &mut Rig, axes: impl Iterator<Item = LinearAxis>) -> Output {
     rig.control(ENGAGED);
     for axis in axes {
-        let received = AxisPosition { axis, position: Position(0), direction: Heading::Positive };
+        let received =
+            AxisPosition { axis, position: Position(0), direction: TravelDirection::Positive };
         rig.bridge.receive(&mut rig.state, Command::Position(received));
     }
     rig.tick(None)
@@ -26,8 +27,8 @@ fn at(rig: &mut Rig, axes: impl Iterator<Item = LinearAxis>) -> Output {
 fn a_guide_needs_the_position_of_the_axis_that_it_guides_whether_it_is_bent_or_not_square() {
     let segments: &'static [[u8; SEGMENT_SIZE]] =
         std::vec![Segment::new(Position(100_000), 16, [256, 0, 0, 0]).to_bytes()].leak();
-    for (pair, (_, over)) in AXIS_PAIRS.into_iter().enumerate() {
-        let [mut bent, mut not_square] = [plain(); 2];
+    for (pair, (_, over)) in STRAIGHTNESS_AXIS_PAIRS.into_iter().enumerate() {
+        let [mut bent, mut not_square] = [minimal_calibration(); 2];
         bent.straightness[pair] = Curve::new(Position(0), segments, &[[0, 0]], 17);
         not_square.squareness[pair] = Gradient(6_871_948);
         for machine in [bent, not_square] {
@@ -62,13 +63,14 @@ fn lives(rig: &mut Rig, ms: u32, zero: bool, [sensor, thermometer, position]: [b
         if position {
             let position = Position(1_000 * Position::PER_MILLIMETRE);
             let axis = LinearAxis::X;
-            let received = AxisPosition { axis, position, direction: Heading::Positive };
+            let received = AxisPosition { axis, position, direction: TravelDirection::Positive };
             rig.bridge.receive(&mut rig.state, Command::Position(received));
         }
-        let codes = core::array::from_fn(|n| Code(if sensor { 1_049 + n as u16 % 3 } else { 0 }));
-        let mut raw = [Raw::NONE; CHANNELS];
-        raw[3] = if thermometer { Raw(21 * 256) } else { Raw::NONE };
-        rig.now = rig.now.after(1);
+        let codes =
+            core::array::from_fn(|n| AdcCode(if sensor { 1_049 + n as u16 % 3 } else { 0 }));
+        let mut raw = [RawReading::NONE; CHANNEL_COUNT];
+        raw[3] = if thermometer { RawReading(21 * 256) } else { RawReading::NONE };
+        rig.now = rig.now.wrapping_add_ms(1);
         let speed = Some(Rpm(24_000));
         let input = Input { temperatures: Some(&raw), speed, codes: Some(&codes) };
         rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
@@ -123,10 +125,10 @@ fn heat_that_only_a_fall_back_needs_is_no_fault_while_the_sensor_is_there() {
     let warmup = machine.spindle.warmup.as_mut().expect("it has one");
     warmup.law.smoothing_cooling = SmoothingFactor(10_724_000);
     let mut rig = Rig::new(machine);
-    let memory = crate::heat_memory::HeatMemory::default();
-    rig.bridge.resume_heat(&mut rig.state, &memory, 0);
+    let memory = crate::retained_lags::RetainedLags::default();
+    rig.bridge.restore_heat(&mut rig.state, &memory, 0);
     let output = rig.run(1_000, 1_050);
-    assert!(rig.state.heat_is_unknown());
+    assert!(rig.state.is_heat_unknown());
     assert_eq!((output.quality, output.offset), (Quality::Off, Some([Nanometres(0); 3])));
 }
 
@@ -149,8 +151,8 @@ fn the_offset_follows_the_head_from_angle_to_angle() {
 
 /// X with a term of this effect.
 fn with_term(target: Target, effect: Effect<'static>) -> Calibration<'static> {
-    let mut machine = plain();
-    machine.terms[0] = Some(Term { target, constant: Fine(0), effect });
+    let mut machine = minimal_calibration();
+    machine.terms[0] = Some(Term { target, constant: FineNanometres(0), effect });
     machine
 }
 
@@ -158,27 +160,31 @@ fn with_term(target: Target, effect: Effect<'static>) -> Calibration<'static> {
 fn each_table_and_term_needs_the_positions_that_it_is_over_and_no_other() {
     use LinearAxis::{X, Y, Z};
     let points: &'static [[u8; 4]] = &[[0; 4]; 2];
-    let pitch =
-        Pitch { start: Position(0), step: Interval::new(100), forward: points, reverse: None };
+    let pitch = PitchErrorTable {
+        start: Position(0),
+        step: Interval::new(100),
+        forward: points,
+        reverse: None,
+    };
     let gradient = Gradient(6_871_948);
     let curve = Curve::default();
     let (of, origin) = (Target::Axis(X), Position(0));
     let tilted = Tilt { along: X, lever: Z, origin, angle: gradient };
     let bent = Tilt { along: Y, lever: Z, origin, angle: curve };
-    let [mut screw, mut gantry, mut backlash] = [plain(); 3];
+    let [mut screw, mut gantry, mut backlash] = [minimal_calibration(); 3];
     screw.axes[1].pitch = Some(pitch);
-    gantry.axes[0].dual = Some(Dual { across: Y, beam: Beam::default(), pitch });
-    backlash.axes[2].backlash = Fine(256);
-    let wave = Effect::Wave { turns: 1, phase: 0, amplitude: Fine(256) };
+    gantry.axes[0].dual = Some(DualDrive { across: Y, beam: Beam::default(), pitch });
+    backlash.axes[2].backlash = FineNanometres(256);
+    let wave = Effect::Wave { turns: 1, phase: 0, amplitude: FineNanometres(256) };
     let machines: [(Calibration<'static>, &[LinearAxis]); 13] = [
-        (plain(), &[]),
+        (minimal_calibration(), &[]),
         (screw, &[Y]),
         (gantry, &[X, Y]),
         (backlash, &[Z]),
         (with_term(of, Effect::Offset), &[]),
         (with_term(of, Effect::Position { axis: Y, gradient }), &[Y]),
         (with_term(of, Effect::Curve { axis: Z, curve }), &[Z]),
-        (with_term(of, Effect::Reversed { width: Fine(256), gradient }), &[X]),
+        (with_term(of, Effect::Reversed { width: FineNanometres(256), gradient }), &[X]),
         (with_term(Target::Axis(Y), Effect::Table(pitch)), &[Y]),
         (with_term(Target::Axis(Z), wave), &[Z]),
         (with_term(of, Effect::TiltLine(tilted)), &[X, Z]),
@@ -198,15 +204,15 @@ fn each_table_and_term_needs_the_positions_that_it_is_over_and_no_other() {
 
 #[test]
 fn speed_and_load_are_needed_where_a_term_is_over_them_and_the_angles_where_a_head_turns_growth() {
-    let scaled = Scaled { mantissa: 1, shift: 0 };
+    let scaled = ScaledCoefficient { mantissa: 1, shift: 0 };
     let spindle = Command::Spindle(Spindle { speed: Rpm(1_000), load_n: 0 });
     let angles = Command::Rotary(Rotary { angles: [MicroDegrees(0); 2] });
     let elongation = Target::Elongation;
-    let [mut head, mut growing] = [plain(), with_term(elongation, Effect::Offset)];
+    let [mut head, mut growing] = [minimal_calibration(), with_term(elongation, Effect::Offset)];
     head.kinematics.axes[1] = Some(kinematics::RotaryAxis::C);
     growing.kinematics = head.kinematics;
     for (machine, needed) in [
-        (plain(), None),
+        (minimal_calibration(), None),
         (with_term(elongation, Effect::Offset), None),
         (with_term(elongation, Effect::Speed(scaled)), Some(spindle)),
         (with_term(elongation, Effect::Load(scaled)), Some(spindle)),
@@ -228,13 +234,14 @@ fn a_single_message_of_a_position_moves_the_offset() {
     let mut rig = Rig::new(expanding());
     warm(&mut rig, 300, Some(21), 1_000);
     let position = Position(1_500 * Position::PER_MILLIMETRE);
-    let received = AxisPosition { axis: LinearAxis::X, position, direction: Heading::Positive };
+    let received =
+        AxisPosition { axis: LinearAxis::X, position, direction: TravelDirection::Positive };
     rig.bridge.receive(&mut rig.state, Command::Position(received));
-    let mut raw = [Raw::NONE; CHANNELS];
-    raw[3] = Raw(21 * 256);
+    let mut raw = [RawReading::NONE; CHANNEL_COUNT];
+    raw[3] = RawReading(21 * 256);
     for _ in 0..60 {
         rig.control(ENGAGED);
-        rig.now = rig.now.after(1);
+        rig.now = rig.now.wrapping_add_ms(1);
         let input = Input { temperatures: Some(&raw), speed: Some(Rpm(0)), codes: None };
         rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
     }

@@ -1,7 +1,7 @@
 //! One source of the elongation takes over from another, and what the CNC gets meanwhile.
 
 use super::*;
-use crate::calibration::{SpindleTemperature, SpindleWarmup};
+use crate::calibration::{SpindleTemperatureModel, SpindleWarmupModel};
 
 /// K₀ grows by 10 µm a kelvin above 20 °C.
 pub(super) const TEN_UM_PER_K: [[u8; 20]; 1] = [{
@@ -24,20 +24,20 @@ pub(super) fn chain() -> Calibration<'static> {
             .map(Some);
     machine.thermometers[3] = Some(Thermometer::Linear { zero: 0, slope: 16_000, shift: 0 });
     // A kelvin a reading and more: these tests are of the sources.
-    machine.guards.max_rates[3] = crate::thermal_rate::MAX_TENTHS;
-    machine.spindle.temperature = Some(SpindleTemperature {
+    machine.guards.max_rates[3] = crate::thermal_rate::MAX_RATE_DECIKELVIN_PER_MIN;
+    machine.spindle.temperature = Some(SpindleTemperatureModel {
         channel: 3,
         smoothing: SmoothingFactor::NO_LAG,
         smoothing_falling: SmoothingFactor::NO_LAG,
-        law: Law { pieces: &TEN_UM_PER_K },
+        law: ThermalExpansionLaw { pieces: &TEN_UM_PER_K },
     });
-    machine.spindle.warmup = Some(SpindleWarmup {
-        law: crate::warmup::Warmup {
+    machine.spindle.warmup = Some(SpindleWarmupModel {
+        law: crate::warmup::WarmupModel {
             lag_ms: 0,
-            max: Nanometres(30_000).fine(),
+            max: Nanometres(30_000).to_fine(),
             smoothing_heating: SmoothingFactor::NO_LAG,
             smoothing_cooling: SmoothingFactor::NO_LAG,
-            full: 1 << crate::warmup::Warmup::FULL_FRACTION_BITS,
+            full: 1 << crate::warmup::WarmupModel::FULL_FRACTION_BITS,
         },
         power: Default::default(),
     });
@@ -48,11 +48,11 @@ pub(super) fn chain() -> Calibration<'static> {
 pub(super) fn hold(rig: &mut Rig, ms: u32, code: u16, kelvin: Option<i32>) -> Output {
     for n in 0..ms {
         rig.control(ENGAGED);
-        let codes = core::array::from_fn(|n| Code((code + (n % 4) as u16).saturating_sub(1)));
-        let codes = if code == 0 { [Code(0); CODES_PER_TICK] } else { codes };
-        let mut raw = [Raw::NONE; CHANNELS];
-        raw[3] = kelvin.map_or(Raw::NONE, |kelvin| Raw(kelvin * 256));
-        rig.now = rig.now.after(1);
+        let codes = core::array::from_fn(|n| AdcCode((code + (n % 4) as u16).saturating_sub(1)));
+        let codes = if code == 0 { [AdcCode(0); CODES_PER_TICK] } else { codes };
+        let mut raw = [RawReading::NONE; CHANNEL_COUNT];
+        raw[3] = kelvin.map_or(RawReading::NONE, |kelvin| RawReading(kelvin * 256));
+        rig.now = rig.now.wrapping_add_ms(1);
         let input =
             Input { temperatures: Some(&raw), speed: Some(Rpm(24_000)), codes: Some(&codes) };
         let before = rig.last.offset;
@@ -115,27 +115,28 @@ fn a_fall_back_whose_zero_is_not_known_is_not_used() {
     hold(&mut rig, 2_000, 0, Some(22));
     assert_eq!((rig.last.quality, rig.last.offset), (Quality::Fault, None));
     // It has outlasted the reset: it goes on.
-    let kept = RetainedJoint { source: ElongationSource::Temperature, shift: Nanometres(41_000) };
+    let kept =
+        RetainedTransfer { source: ElongationSource::Temperature, shift: Nanometres(41_000) };
     let mut rig = Rig::new(chain());
     rig.state.set_reference(reference);
-    rig.state.resume_joint(kept);
+    rig.state.restore_transfer(kept);
     hold(&mut rig, 2_000, 0, Some(22));
     assert_eq!((rig.last.quality, rig.z_nm()), (Quality::TemperatureModel, 1_000));
-    assert_eq!(rig.state.retained_joint(), Some(kept));
+    assert_eq!(rig.state.retained_transfer(), Some(kept));
 }
 
 #[test]
 fn a_fall_back_that_is_dead_is_told_while_it_is_not_needed() {
     let mut rig = Rig::new(chain());
     hold(&mut rig, 1_300, 1_050, Some(22));
-    assert!(!rig.bridge.fall_back_is_dead(&rig.state));
+    assert!(!rig.bridge.has_fallback_failed(&rig.state));
     let output = hold(&mut rig, 1_000, 1_050, None);
     assert_eq!(output.quality, Quality::Live);
     assert!(output.flags.contains(Flags::SENSOR_FAULT));
-    assert!(rig.bridge.fall_back_is_dead(&rig.state));
+    assert!(rig.bridge.has_fallback_failed(&rig.state));
     let output = hold(&mut rig, 500, 1_050, Some(22));
     assert_eq!(output.flags, Flags::NONE);
-    assert!(!rig.bridge.fall_back_is_dead(&rig.state));
+    assert!(!rig.bridge.has_fallback_failed(&rig.state));
 }
 
 #[test]
@@ -155,10 +156,10 @@ fn the_age_is_that_of_the_oldest_position_of_an_axis_that_moves() {
         warm(&mut rig, 1, Some(21), 1_000 + n);
     }
     assert!(rig.last.age_ms <= 1);
-    let temperatures = [Raw::NONE; CHANNELS];
+    let temperatures = [RawReading::NONE; CHANNEL_COUNT];
     for n in 1..=200_u8 {
         rig.control(ENGAGED);
-        rig.now = rig.now.after(1);
+        rig.now = rig.now.wrapping_add_ms(1);
         let input = Input { temperatures: Some(&temperatures), speed: None, codes: None };
         rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
         assert_eq!(rig.last.age_ms, n + 1, "it was on its way when it was last heard");
@@ -186,12 +187,16 @@ fn sources_that_grow_apart_for_a_minute_no_longer_fit_and_those_that_differ_by_l
         let mut rig = Rig::new(machine);
         hold(&mut rig, 1_300, 1_000, Some(20));
         hold(&mut rig, 59_000, 1_000 + codes, Some(kelvin));
-        assert!(!rig.bridge.is_unfit(&rig.state), "not before a minute");
+        assert!(!rig.bridge.has_source_disagreement(&rig.state), "not before a minute");
         hold(&mut rig, 2_000, 1_000 + codes, Some(kelvin));
-        assert_eq!(rig.bridge.is_unfit(&rig.state), is_unfit, "{codes} codes, {kelvin} °C");
+        assert_eq!(
+            rig.bridge.has_source_disagreement(&rig.state),
+            is_unfit,
+            "{codes} codes, {kelvin} °C"
+        );
         // Where they agree again it fits again.
         hold(&mut rig, 1_000, 1_000, Some(20));
-        assert!(!rig.bridge.is_unfit(&rig.state));
+        assert!(!rig.bridge.has_source_disagreement(&rig.state));
     }
 }
 
@@ -242,12 +247,12 @@ fn a_source_that_returns_tells_what_grew_while_the_thermometer_in_use_said_nothi
 fn is_believed_frozen_at(speed: Option<Rpm>) -> bool {
     let mut rig = Rig::new(calibration());
     for ms in 0..1_200 {
-        let mut codes = [Code(1050); CODES_PER_TICK];
+        let mut codes = [AdcCode(1050); CODES_PER_TICK];
         // Too few changes to tell it lively.
         if ms < 700 {
-            codes[0] = Code(1049);
+            codes[0] = AdcCode(1049);
         }
-        rig.now = rig.now.after(1);
+        rig.now = rig.now.wrapping_add_ms(1);
         let input = Input { codes: Some(&codes), speed, temperatures: None };
         rig.bridge.tick(&mut rig.state, rig.now, input);
         assert!(rig.state.believable || ms >= 700, "{speed:?} at {ms} ms");
@@ -266,8 +271,9 @@ fn a_quiet_sensor_that_stands_still_is_a_fault_where_run_out_must_show_and_only_
 #[test]
 fn the_first_source_counts_from_its_own_zero_where_another_one_was_used_before_the_reset() {
     let mut rig = Rig::new(chain());
-    let kept = RetainedJoint { source: ElongationSource::Temperature, shift: Nanometres(41_000) };
-    rig.state.resume_joint(kept);
+    let kept =
+        RetainedTransfer { source: ElongationSource::Temperature, shift: Nanometres(41_000) };
+    rig.state.restore_transfer(kept);
     hold(&mut rig, 1_000, 1_050, Some(22));
     assert_eq!(rig.last.quality, Quality::Live);
     assert!((rig.z_nm() - 51_700).abs() < 600, "{}", rig.z_nm());
@@ -308,18 +314,18 @@ fn what_was_never_followed_leaves_nothing_for_after_a_reset_unless_the_first_sou
         [([0, 0], None), ([1_050, 1_050], Some(Sensor)), ([1_050, 0], Some(Temperature))]
     {
         let mut rig = Rig::new(chain());
-        let mut raw = [Raw::NONE; CHANNELS];
-        raw[3] = Raw(22 * 256);
+        let mut raw = [RawReading::NONE; CHANNEL_COUNT];
+        raw[3] = RawReading(22 * 256);
         for ms in 0..2_000 {
             let code = seconds[ms / 1_000];
             let codes =
-                core::array::from_fn(|n| Code(if code == 0 { 0 } else { code + n as u16 % 3 }));
-            rig.now = rig.now.after(1);
+                core::array::from_fn(|n| AdcCode(if code == 0 { 0 } else { code + n as u16 % 3 }));
+            rig.now = rig.now.wrapping_add_ms(1);
             let (speed, temperatures) = (Some(Rpm(24_000)), Some(&raw));
             let input = Input { temperatures, speed, codes: Some(&codes) };
             rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
         }
-        assert_eq!(rig.state.retained_joint().map(|kept| kept.source), kept);
+        assert_eq!(rig.state.retained_transfer().map(|kept| kept.source), kept);
     }
 }
 
@@ -341,9 +347,9 @@ fn what_is_taken_back_is_as_the_rate_says_to_the_nanometre() {
 #[test]
 fn a_term_of_the_elongation_is_there_without_a_source_as_well() {
     use crate::term::{Effect, Target, Term};
-    let mut machine = plain();
+    let mut machine = minimal_calibration();
     let (target, effect) = (Target::Elongation, Effect::Offset);
-    machine.terms[0] = Some(Term { target, constant: Nanometres(7_000).fine(), effect });
+    machine.terms[0] = Some(Term { target, constant: Nanometres(7_000).to_fine(), effect });
     let mut rig = Rig::new(machine);
     for _ in 0..100 {
         rig.control(ENGAGED);
@@ -406,8 +412,8 @@ fn a_source_whose_zero_is_not_known_is_not_used_in_the_place_of_the_one_before_t
     (machine.spindle.chain[2], machine.spindle.warmup) = (None, None);
     let mut rig = Rig::new(machine);
     rig.state.set_reference(reference);
-    let kept = RetainedJoint { source: ElongationSource::Warmup, shift: Nanometres(41_000) };
-    rig.state.resume_joint(kept);
+    let kept = RetainedTransfer { source: ElongationSource::Warmup, shift: Nanometres(41_000) };
+    rig.state.restore_transfer(kept);
     hold(&mut rig, 2_000, 0, Some(22));
     assert_eq!((rig.last.quality, rig.last.offset), (Quality::Fault, None));
 }

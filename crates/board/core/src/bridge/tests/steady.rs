@@ -3,7 +3,7 @@
 use super::heat::by_term;
 use super::*;
 extern crate std;
-use crate::{fixed::Scaled, pt100, term::Effect, testing::random};
+use crate::{fixed_point::ScaledCoefficient, pt100, term::Effect, testing::next_random};
 use std::vec::Vec;
 
 /// Returns the machine with a PT100 at a MAX31865.
@@ -17,20 +17,23 @@ fn offsets_nm(machine: Calibration<'static>) -> Vec<i32> {
     let mut rig = Rig::new(machine);
     let mut seed = 1;
     let mut step = || {
-        let mut raw = [Raw::NONE; CHANNELS];
-        let steps = 20 * 32 + 5 + (random(&mut seed) & 1).cast_signed();
-        raw[3] = Raw(pt100::resistance(Temperature(steps * (Temperature::PER_KELVIN / 32))).0);
-        for _ in 0..STEP_MS {
+        let mut raw = [RawReading::NONE; CHANNEL_COUNT];
+        let steps = 20 * 32 + 5 + (next_random(&mut seed) & 1).cast_signed();
+        raw[3] = RawReading(
+            pt100::resistance_from_temperature(Temperature(steps * (Temperature::PER_KELVIN / 32)))
+                .0,
+        );
+        for _ in 0..THERMAL_STEP_MS {
             rig.control(ENGAGED);
             rig.bridge.receive(
                 &mut rig.state,
                 Command::Position(AxisPosition {
                     axis: LinearAxis::X,
                     position: Position(2_000 * Position::PER_MILLIMETRE),
-                    direction: Heading::Positive,
+                    direction: TravelDirection::Positive,
                 }),
             );
-            rig.now = rig.now.after(1);
+            rig.now = rig.now.wrapping_add_ms(1);
             let input = Input { temperatures: Some(&raw), speed: Some(Rpm(0)), codes: None };
             rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
         }
@@ -50,7 +53,8 @@ fn an_axis_does_not_go_to_and_fro_with_the_step_of_a_converter() {
     if let Some(it) = &mut term.terms[0]
         && let Effect::Heat { per_temperature, .. } = &mut it.effect
     {
-        *per_temperature = Scaled { mantissa: (by_kelvin * 2_f64.powi(24)) as i32, shift: 24 };
+        *per_temperature =
+            ScaledCoefficient { mantissa: (by_kelvin * 2_f64.powi(24)) as i32, shift: 24 };
     }
     for (machine, step_nm) in [(with_steps(expanding()), 6_250), (with_steps(term), 312)] {
         let all = offsets_nm(machine);

@@ -5,8 +5,8 @@ use super::*;
 
 #[test]
 fn the_figures_are_those_of_the_manual() {
-    assert_eq!((SAMPLES_TIMEOUT_MS, STARVED_MS, TEMPERATURE_TIMEOUT_MS), (20, 100, 1_000));
-    assert_eq!(RETURN_MS, 1_000);
+    assert_eq!((SAMPLES_TIMEOUT_MS, STALE_AFTER_LOSS_MS, TEMPERATURE_TIMEOUT_MS), (20, 100, 1_000));
+    assert_eq!(SOURCE_RETURN_MS, 1_000);
 }
 
 #[test]
@@ -27,21 +27,21 @@ fn twenty_milliseconds_without_samples_are_put_up_with_and_one_more_is_not() {
 /// Returns an axis with a law over temperature, which arrives every 100 ms for a second and then no more:
 /// after how many milliseconds it is not followed any longer.
 fn followed_without_a_temperature_ms() -> u32 {
-    let mut machine = plain();
+    let mut machine = minimal_calibration();
     machine.thermometers[2] = Some(Thermometer::Linear { zero: 0, slope: 16_000, shift: 0 });
-    machine.axes[0].thermal = Some(AxisThermal {
+    machine.axes[0].thermal = Some(AxisThermalModel {
         channel: 2,
         smoothing: SmoothingFactor(u32::MAX),
         smoothing_falling: SmoothingFactor(u32::MAX),
         origin: Position(0),
-        law: Law { pieces: &[] },
+        law: ThermalExpansionLaw { pieces: &[] },
     });
     let mut rig = Rig::new(machine);
-    let mut raw = [Raw::NONE; CHANNELS];
-    raw[2] = Raw(21 * 256);
+    let mut raw = [RawReading::NONE; CHANNEL_COUNT];
+    raw[2] = RawReading(21 * 256);
     for ms in 0..3_000_u32 {
         rig.control(ENGAGED);
-        rig.now = rig.now.after(1);
+        rig.now = rig.now.wrapping_add_ms(1);
         let is_there = ms <= 1_000 && ms % 100 == 0;
         let temperatures = is_there.then_some(&raw);
         let input = Input { codes: None, speed: Some(Rpm(0)), temperatures };
@@ -64,11 +64,11 @@ fn a_second_without_a_temperature_is_put_up_with_and_little_more() {
 fn what_is_barred_goes_to_0_and_is_not_available_from_then_on() {
     let mut rig = Rig::new(calibration());
     rig.run_engaged(200, 1_050);
-    rig.state.inhibit(true);
+    rig.state.set_inhibited(true);
     assert_eq!(rig.run_engaged(1, 1_050).quality, Quality::RampingOut);
     let output = rig.run_engaged(60, 1_050);
     assert_eq!((output.quality, output.offset), (Quality::Fault, None));
-    rig.state.inhibit(false);
+    rig.state.set_inhibited(false);
     rig.run_engaged(60, 1_050);
     assert_eq!((rig.last.quality, rig.z_nm()), (Quality::Live, 51_200));
 }
@@ -77,8 +77,8 @@ fn what_is_barred_goes_to_0_and_is_not_available_from_then_on() {
 fn after_missing_blocks_the_sensor_is_believed_again_in_a_tenth_of_a_second() {
     let mut rig = Rig::new(calibration());
     rig.run_engaged(200, 1_050);
-    rig.state.starve();
-    for ms in 1..=STARVED_MS {
+    rig.state.mark_samples_lost();
+    for ms in 1..=STALE_AFTER_LOSS_MS {
         let output = rig.run_engaged(1, 1_050);
         assert_eq!(output.quality, Quality::Hold, "after {ms} ms");
         assert!(output.flags.contains(Flags::SAMPLES_MISSING), "after {ms} ms");
@@ -89,18 +89,18 @@ fn after_missing_blocks_the_sensor_is_believed_again_in_a_tenth_of_a_second() {
 
 #[test]
 fn what_is_measured_by_a_supply_that_is_not_believed_is_not_and_one_that_has_moved_is_corrected() {
-    use crate::supply::{Level, Supply};
+    use crate::supply::{SupplyLevel, SupplyMonitor};
     let mut rig = Rig::new(calibration());
     rig.run_engaged(200, 1_050);
-    rig.state.set_supply(None);
+    rig.state.set_supply_scale(None);
     let output = rig.run_engaged(30, 1_050);
     assert!(output.flags.contains(Flags::SENSOR_FAULT));
     assert_eq!(rig.state.elongation(), None);
     // All codes are 2 % too high by it: 1 071 are 1 050.
-    let mut supply = Supply::default();
-    supply.set_basis(Level(1_500 * 16));
-    (0..2_000).for_each(|_| supply.receive(Code(1_530)));
-    rig.state.set_supply(Some(supply.scale()));
+    let mut supply = SupplyMonitor::default();
+    supply.set_reference_level(SupplyLevel(1_500 * 16));
+    (0..2_000).for_each(|_| supply.receive(AdcCode(1_530)));
+    rig.state.set_supply_scale(Some(supply.scale()));
     rig.run_engaged(200, 1_071);
     assert_eq!(rig.last.quality, Quality::Live);
     assert!((rig.z_nm() - 51_200).abs() <= 100, "{}", rig.z_nm());

@@ -3,12 +3,13 @@
 use super::*;
 use crate::{
     cnc::LinearAxis,
-    place::Place,
+    machine_position::MachinePosition,
     term::{
-        Effect, OperatingPoint, Target, Term, TermStates, Terms, axis_errors, elongation, walked,
+        Effect, OperatingPoint, Target, Term, TermStates, Terms, apply_elongation_terms,
+        compute_axis_errors, elongation_term_count,
     },
-    testing::random,
-    units::{Fine, Position, Rpm},
+    testing::next_random,
+    units::{FineNanometres, Position, Rpm},
 };
 extern crate std;
 
@@ -23,13 +24,13 @@ fn levels() -> [[u8; 8]; 3] {
 
 fn of(target: Target, effect: Effect<'_>) -> Terms<'_> {
     let mut terms = Terms::default();
-    terms[0] = Some(Term { target, constant: Fine::ZERO, effect });
+    terms[0] = Some(Term { target, constant: FineNanometres::ZERO, effect });
     terms
 }
 
-fn on_off(times: Factor) -> OnOff {
+fn on_off(times: Factor) -> ConditionLevels {
     let smoothing = SmoothingFactor::NO_LAG;
-    OnOff { bit: 3, default: false, off: 0, on: 1 << 29, shift: 20, smoothing, times }
+    ConditionLevels { bit: 3, default: false, off: 0, on: 1 << 29, shift: 20, smoothing, times }
 }
 
 #[test]
@@ -46,10 +47,12 @@ fn each_tool_has_its_level_and_every_other_and_none_that_of_the_rest() {
 #[test]
 fn a_condition_is_its_own_bit_and_its_default_where_the_cnc_does_not_say() {
     for bit in 0..16 {
-        let it = OnOff { bit, ..on_off(Factor::One) };
+        let it = ConditionLevels { bit, ..on_off(Factor::One) };
         let is_on = |bits| it.input(Some(Conditions { tool: 7, bits })) == UNIT_STEP;
         assert!(is_on(1 << bit) && !is_on(!(1 << bit)), "{bit}");
-        assert!(it.input(None) == 0 && OnOff { default: true, ..it }.input(None) == UNIT_STEP);
+        assert!(
+            it.input(None) == 0 && ConditionLevels { default: true, ..it }.input(None) == UNIT_STEP
+        );
     }
 }
 
@@ -59,18 +62,18 @@ fn levels_times_any_factor_are_right_to_the_bound_of_the_page() {
     let mut seed = 5;
     let mut worst: f64 = 0.0;
     for _ in 0..100_000 {
-        let shift = u8::try_from(random(&mut seed) % 63).expect("below 63");
-        let exact = (f64::from(random(&mut seed)) / 2_f64.powi(31) - 1.0) * 2_f64.powi(30);
+        let shift = u8::try_from(next_random(&mut seed) % 63).expect("below 63");
+        let exact = (f64::from(next_random(&mut seed)) / 2_f64.powi(31) - 1.0) * 2_f64.powi(30);
         let level = exact.round() as i32;
-        let x = match random(&mut seed) % 3 {
+        let x = match next_random(&mut seed) % 3 {
             0 => 1,
-            1 => squared(random(&mut seed) as u16),
-            _ => i64::from(random(&mut seed) as i32),
+            1 => speed_squared(next_random(&mut seed) as u16),
+            _ => i64::from(next_random(&mut seed) as i32),
         };
         let place = 2_f64.powi(-i32::from(shift)) * x.abs() as f64;
         let wanted = exact * 2_f64.powi(-i32::from(shift)) * x as f64;
         if wanted.abs() < 2e9 {
-            let off = (f64::from(times(level, shift, x)) - wanted).abs();
+            let off = (f64::from(scale_level(level, shift, x)) - wanted).abs();
             worst = worst.max(off / (0.5 * place + 0.5));
         }
     }
@@ -82,10 +85,10 @@ fn levels_times_any_factor_are_right_to_the_bound_of_the_page() {
 fn on_its_way_a_level_is_right_to_a_place_and_ends_exactly() {
     let mut seed = 9;
     for _ in 0..10_000 {
-        let any = |seed: &mut u64| (random(seed) as i32) >> 1;
-        let it = OnOff { off: any(&mut seed), on: any(&mut seed), ..on_off(Factor::One) };
+        let any = |seed: &mut u64| (next_random(seed) as i32) >> 1;
+        let it = ConditionLevels { off: any(&mut seed), on: any(&mut seed), ..on_off(Factor::One) };
         assert_eq!([it.level(0), it.level(UNIT_STEP)], [it.off, it.on]);
-        let s = (random(&mut seed) >> 2) as i32;
+        let s = (next_random(&mut seed) >> 2) as i32;
         let share = f64::from(s) / f64::from(UNIT_STEP);
         let wanted = f64::from(it.off) + (f64::from(it.on) - f64::from(it.off)) * share;
         assert!((f64::from(it.level(s)) - wanted).abs() <= 0.5 + 1e-6, "{it:?} at {s}");
@@ -95,54 +98,55 @@ fn on_its_way_a_level_is_right_to_a_place_and_ends_exactly() {
 #[test]
 fn what_a_level_is_multiplied_by() {
     let operating = OperatingPoint::default();
-    let grown = Fine(10 * 256_000);
+    let grown = FineNanometres(10 * 256_000);
     let mut states = TermStates::default();
-    states.turn(&Terms::default(), Rpm(20_000));
+    states.update_speed(&Terms::default(), Rpm(20_000));
     // 2²⁹ in 2⁻²⁰ are 512 units.
     let mut of_growth = |times| {
         let terms = of(Target::Elongation, Effect::Condition(on_off(times)));
-        states.select(&terms, Some(Conditions { tool: 0, bits: 1 << 3 }));
-        elongation(&terms, grown, &states, operating).0 - grown.0
+        states.set_conditions(&terms, Some(Conditions { tool: 0, bits: 1 << 3 }));
+        apply_elongation_terms(&terms, grown, &states, operating).0 - grown.0
     };
     assert_eq!(of_growth(Factor::One), 512);
     assert_eq!(of_growth(Factor::Growth), 512 * grown.0);
     let terms = of(Target::Axis(LinearAxis::Y), Effect::Condition(on_off(Factor::Position)));
-    let mut place = Place::default();
+    let mut place = MachinePosition::default();
     place.position[1] = Position(-1_000);
-    states.select(&terms, Some(Conditions { tool: 0, bits: 1 << 3 }));
-    assert_eq!(axis_errors(&terms, &states, &place).0[1], Fine(-512_000));
-    states.select(&terms, Some(Conditions { tool: 0, bits: !(1 << 3) }));
-    assert_eq!(axis_errors(&terms, &states, &place).0[1], Fine::ZERO);
+    states.set_conditions(&terms, Some(Conditions { tool: 0, bits: 1 << 3 }));
+    assert_eq!(compute_axis_errors(&terms, &states, &place).0[1], FineNanometres(-512_000));
+    states.set_conditions(&terms, Some(Conditions { tool: 0, bits: !(1 << 3) }));
+    assert_eq!(compute_axis_errors(&terms, &states, &place).0[1], FineNanometres::ZERO);
     // 20 000² · 512/2³⁰ units of an axis by its speed.
-    let by_speed = OnOff { shift: 50, ..on_off(Factor::Speed2) };
+    let by_speed = ConditionLevels { shift: 50, ..on_off(Factor::Speed2) };
     let terms = of(Target::Axis(LinearAxis::Y), Effect::Condition(by_speed));
-    states.select(&terms, Some(Conditions { tool: 0, bits: 1 << 3 }));
-    assert_eq!(axis_errors(&terms, &states, &place).0[1], Fine(191));
+    states.set_conditions(&terms, Some(Conditions { tool: 0, bits: 1 << 3 }));
+    assert_eq!(compute_axis_errors(&terms, &states, &place).0[1], FineNanometres(191));
 }
 
 #[test]
 fn a_condition_behind_a_lag_begins_settled_and_follows_from_there() {
-    let lagged = OnOff { smoothing: SmoothingFactor(1 << 30), ..on_off(Factor::One) };
+    let lagged = ConditionLevels { smoothing: SmoothingFactor(1 << 30), ..on_off(Factor::One) };
     let terms = of(Target::Elongation, Effect::Condition(lagged));
     let mut states = TermStates::default();
-    let added =
-        |states: &TermStates| elongation(&terms, Fine::ZERO, states, OperatingPoint::default()).0;
+    let added = |states: &TermStates| {
+        apply_elongation_terms(&terms, FineNanometres::ZERO, states, OperatingPoint::default()).0
+    };
     let step = |states: &mut TermStates| states.step(&terms, 0, &[None; 8], None, true);
     step(&mut states);
     assert_eq!(added(&states), 0, "nothing is known yet");
-    states.select(&terms, Some(Conditions { tool: 0, bits: 1 << 3 }));
+    states.set_conditions(&terms, Some(Conditions { tool: 0, bits: 1 << 3 }));
     step(&mut states);
     assert_eq!(added(&states), 512, "it was on at the first step");
-    states.select(&terms, Some(Conditions::default()));
+    states.set_conditions(&terms, Some(Conditions::default()));
     for wanted in [384, 288, 216, 162] {
         step(&mut states);
         assert_eq!(added(&states), wanted, "a quarter less in each step");
     }
-    let mut memory = crate::heat_memory::HeatMemory::default();
-    states.keep(&terms, &mut memory);
+    let mut memory = crate::retained_lags::RetainedLags::default();
+    states.store_lags(&terms, &mut memory);
     let mut resumed = TermStates::default();
-    resumed.resume(&terms, |key| memory.find(key));
-    resumed.select(&terms, Some(Conditions::default()));
+    resumed.restore_lags(&terms, |key| memory.find(key));
+    resumed.set_conditions(&terms, Some(Conditions::default()));
     step(&mut resumed);
     step(&mut states);
     assert_eq!(added(&resumed), added(&states), "a reset changes nothing");
@@ -152,14 +156,15 @@ fn a_condition_behind_a_lag_begins_settled_and_follows_from_there() {
 #[test]
 fn terms_by_category_add_to_what_all_others_have_made() {
     let term = |constant, effect| {
-        Some(Term { target: Target::Elongation, constant: Fine(constant), effect })
+        Some(Term { target: Target::Elongation, constant: FineNanometres(constant), effect })
     };
-    let double = Effect::Gain(crate::fixed::Scaled { mantissa: 1 << 29, shift: 29 });
+    let double =
+        Effect::Gain(crate::fixed_point::ScaledCoefficient { mantissa: 1 << 29, shift: 29 });
     let levels = levels();
     let tools = ToolTable { levels: &levels, other: 1 << 29, shift: 50, times: Factor::Speed2 };
     let all = [
         term(10, Effect::Condition(on_off(Factor::One))),
-        term(20, Effect::Condition(OnOff { shift: 30, ..on_off(Factor::Growth) })),
+        term(20, Effect::Condition(ConditionLevels { shift: 30, ..on_off(Factor::Growth) })),
         term(3, double),
         term(40, Effect::Tool(tools)),
     ];
@@ -167,12 +172,19 @@ fn terms_by_category_add_to_what_all_others_have_made() {
         let mut terms = Terms::default();
         terms.iter_mut().zip(places).for_each(|(place, from)| *place = all[from]);
         let mut states = TermStates::default();
-        states.select(&terms, Some(Conditions { tool: 9, bits: 1 << 3 }));
-        assert!(states.turn(&terms, Rpm(20_000)) && !states.turn(&terms, Rpm(20_000)));
+        states.set_conditions(&terms, Some(Conditions { tool: 9, bits: 1 << 3 }));
+        assert!(
+            states.update_speed(&terms, Rpm(20_000)) && !states.update_speed(&terms, Rpm(20_000))
+        );
         let sum = |terms: &[Option<Term<'_>>]| {
-            elongation(terms, Fine(1_000), &states, OperatingPoint::default()).0
+            apply_elongation_terms(terms, FineNanometres(1_000), &states, OperatingPoint::default())
+                .0
         };
-        assert_eq!(sum(&terms), sum(&terms[..walked(&terms)]), "the rest need not be walked");
+        assert_eq!(
+            sum(&terms),
+            sum(&terms[..elongation_term_count(&terms)]),
+            "the rest need not be walked"
+        );
         sum(&terms)
     };
     // 2·1000 + 3, then 512 + 10, 20 000²·2²⁹⁻⁵⁰ + 40, 1000/2 + 20.

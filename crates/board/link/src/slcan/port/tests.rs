@@ -1,7 +1,7 @@
 //! The port before a program that speaks SLCAN.
 
 use super::*;
-use crate::slcan::{MAX_FRAME_LINE, encode_line};
+use crate::slcan::{MAX_FRAME_LINE_LEN, encode_line};
 use proptest::prelude::*;
 use std::{vec, vec::Vec};
 
@@ -197,14 +197,14 @@ fn answers_that_find_no_room_are_dropped_whole_and_counted() {
         port.receive(b'V');
         port.receive(CR);
     }
-    let fitting = TX_CAPACITY / VERSION.len();
-    assert_eq!(drain(&mut port), VERSION.repeat(fitting));
+    let fitting = TX_CAPACITY / VERSION_REPLY.len();
+    assert_eq!(drain(&mut port), VERSION_REPLY.repeat(fitting));
     assert_eq!(port.counters().dropped, 100 - u32::try_from(fitting).unwrap());
 }
 
 #[test]
 fn the_longest_line_of_a_standard_frame_is_as_stated() {
-    assert_eq!(encode_line(&frame(8)).len(), MAX_FRAME_LINE);
+    assert_eq!(encode_line(&frame(8)).len(), MAX_FRAME_LINE_LEN);
 }
 
 proptest! {
@@ -250,7 +250,7 @@ fn pieces_of_any_size_are_the_same_bytes_in_their_order() {
         assert!(port.send_all(&frames));
         let (mut received, mut piece) = (Vec::new(), vec![0; size]);
         loop {
-            let count = port.take(&mut piece);
+            let count = port.drain_into(&mut piece);
             received.extend_from_slice(&piece[..count]);
             if count < size {
                 break;
@@ -262,10 +262,10 @@ fn pieces_of_any_size_are_the_same_bytes_in_their_order() {
 
 #[test]
 fn frames_may_take_all_but_the_room_for_answers_to_the_last_byte() {
-    let all_but_answers = TX_CAPACITY - ANSWER_RESERVE;
+    let all_but_answers = TX_CAPACITY - REPLY_RESERVE_BYTES;
     let mut frames = vec![frame(8); 9];
     frames.extend([frame(7), frame(0)]);
-    let bytes: usize = frames.iter().map(len_of_line).sum();
+    let bytes: usize = frames.iter().map(line_length).sum();
     assert_eq!(bytes, all_but_answers);
     let mut port = opened();
     assert!(port.send_all(&frames));

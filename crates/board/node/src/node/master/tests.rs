@@ -10,8 +10,9 @@ const CONFIRM: Control = Control { confirm: true, ..Control::REFERENCED };
 /// Returns a master that has sent this many frames without a bit that means something.
 fn steady() -> Master {
     let mut master = Master::default();
-    for _ in 0..STEADY {
-        let received = master.take(Interface::Can, Control::REFERENCED).expect("it is alone");
+    for _ in 0..MIN_CONSECUTIVE_FRAMES {
+        let received =
+            master.accept_control(Interface::Can, Control::REFERENCED).expect("it is alone");
         assert!(!received.zero && !received.confirm);
     }
     master
@@ -19,7 +20,7 @@ fn steady() -> Master {
 
 /// Returns what comes of each of this many frames: `Zero` believed, `Zero` asked for, `Confirm`.
 fn says(master: &mut Master, control: Control, count: usize) -> Vec<(bool, bool, bool)> {
-    let mut one = || master.take(Interface::Can, control).expect("it is alone");
+    let mut one = || master.accept_control(Interface::Can, control).expect("it is alone");
     let three = |received: ControlEvent| (received.control.zero, received.zero, received.confirm);
     (0..count).map(|_| three(one())).collect()
 }
@@ -39,7 +40,7 @@ fn the_third_frame_of_a_bit_is_its_edge_and_there_is_none_while_it_stays() {
 fn a_bit_that_was_never_seen_as_0_by_a_steady_master_has_no_edge() {
     assert_eq!(says(&mut Master::default(), ZERO, 10), [NO; 10]);
     let mut unsteady = steady();
-    unsteady.refuse(false);
+    unsteady.reject_control(false);
     assert_eq!(says(&mut unsteady, Control::REFERENCED, 1), [NO]);
     assert_eq!(says(&mut unsteady, CONFIRM, 10), [NO; 10], "0 in one frame alone");
 }
@@ -49,13 +50,13 @@ fn a_zero_that_a_refused_frame_cuts_short_is_told_once_and_what_was_not_begun_is
     for (frames, told) in [(0, NO), (1, TOO_SHORT), (2, TOO_SHORT), (3, NO)] {
         let mut master = steady();
         says(&mut master, ZERO, frames);
-        master.refuse(false);
-        master.refuse(false);
+        master.reject_control(false);
+        master.reject_control(false);
         assert_eq!(says(&mut master, Control::REFERENCED, 2), [told, NO], "{frames} frames");
     }
     let mut master = steady();
     says(&mut master, CONFIRM, 2);
-    master.refuse(false);
+    master.reject_control(false);
     assert_eq!(says(&mut master, CONFIRM, 5), [NO; 5], "its first two frames count no more");
 }
 
@@ -63,7 +64,7 @@ fn a_zero_that_a_refused_frame_cuts_short_is_told_once_and_what_was_not_begun_is
 fn confirm_answers_a_question_and_is_nothing_that_the_bridge_hears() {
     let mut master = steady();
     for _ in 0..5 {
-        let received = master.take(Interface::Can, CONFIRM).expect("it is alone");
+        let received = master.accept_control(Interface::Can, CONFIRM).expect("it is alone");
         assert_eq!(received.control, Control::REFERENCED);
     }
 }
@@ -73,11 +74,14 @@ fn a_line_is_the_masters_up_to_the_timeout_of_the_link_and_anybodys_after_it() {
     for (step_ms, steps) in [(1, TIMEOUT_MS), (TIMEOUT_MS, 1)] {
         let mut master = steady();
         (0..steps).for_each(|_| master.tick(step_ms, TIMEOUT_MS));
-        assert!(master.admits(Interface::Can) && !master.admits(Interface::Serial));
-        assert_eq!(master.authority(), Authority::NoService);
+        assert!(
+            master.accepts_interface(Interface::Can)
+                && !master.accepts_interface(Interface::Serial)
+        );
+        assert_eq!(master.write_authority(), WriteAuthority::NoService);
         master.tick(step_ms, TIMEOUT_MS);
-        assert!(master.admits(Interface::Serial));
-        assert_eq!(master.authority(), Authority::NoMaster);
+        assert!(master.accepts_interface(Interface::Serial));
+        assert_eq!(master.write_authority(), WriteAuthority::NoMaster);
     }
 }
 
@@ -88,13 +92,13 @@ fn a_second_master_is_told_for_two_to_four_seconds_after_the_last_frame_out_of_s
         [(2, false, 0, 0), (3, true, 2_200, 2_400), (100, true, 3_000, 3_200)]
     {
         let mut master = steady();
-        (0..strange).for_each(|_| master.refuse(true));
-        assert_eq!(master.is_second(), is_doubtful, "{strange} frames");
-        let believed = master.take(Interface::Can, Control::REFERENCED).is_some();
+        (0..strange).for_each(|_| master.reject_control(true));
+        assert_eq!(master.has_second_sender(), is_doubtful, "{strange} frames");
+        let believed = master.accept_control(Interface::Can, Control::REFERENCED).is_some();
         assert_eq!(believed, !is_doubtful, "{strange} frames");
         // Nobody else sends: one frame follows from nothing.
         let told_ms = (0..100_000).take_while(|_| {
-            let is_told = master.is_second();
+            let is_told = master.has_second_sender();
             master.tick(1, TIMEOUT_MS);
             is_told
         });
@@ -103,8 +107,8 @@ fn a_second_master_is_told_for_two_to_four_seconds_after_the_last_frame_out_of_s
     }
     // What came damaged is noise.
     let mut master = steady();
-    (0..100).for_each(|_| master.refuse(false));
-    assert!(!master.is_second());
+    (0..100).for_each(|_| master.reject_control(false));
+    assert!(!master.has_second_sender());
 }
 
 /// Returns a CNC that sends every this many milliseconds from `phase_ms` on, and a stranger with counters of its own that
@@ -116,9 +120,9 @@ fn contest(period_ms: u32, burst: u32, every_ms: u32, bursts: u32, ms: u32) -> (
     let mut believed = |master: &mut Master, is_cnc: bool| {
         let follows = is_cnc == core::mem::replace(&mut last_is_cnc, is_cnc);
         if !follows {
-            master.refuse(true);
+            master.reject_control(true);
         }
-        follows && master.take(Interface::Can, Control::REFERENCED).is_some()
+        follows && master.accept_control(Interface::Can, Control::REFERENCED).is_some()
     };
     let mut is_back = false;
     let last = every_ms * bursts;
@@ -157,11 +161,11 @@ fn a_stranger_does_not_become_the_master_of_a_cnc_that_sends_four_times_in_its_t
 #[test]
 fn another_line_is_told_for_two_and_four_tenths_of_a_second_after_it_was_last_heard() {
     let mut master = steady();
-    master.receive_other();
+    master.record_other_interface();
     (0..2_000).for_each(|_| master.tick(1, TIMEOUT_MS));
-    master.receive_other();
+    master.record_other_interface();
     for ms in 0..3_000 {
-        assert_eq!(master.is_second(), ms < 2_400, "after {ms} ms");
+        assert_eq!(master.has_second_sender(), ms < 2_400, "after {ms} ms");
         master.tick(1, TIMEOUT_MS);
     }
 }

@@ -1,7 +1,7 @@
 //! Terms by tool and by condition in a blob, and a slope by heat.
 
 use super::*;
-use trueup_core::term::{Factor, OnOff, ToolTable};
+use trueup_core::term::{ConditionLevels, Factor, ToolTable};
 
 /// Tools 1 and 7.
 static LEVELS: [[u8; 8]; 2] = [[1, 0, 0, 0, 9, 0, 0, 0], [7, 0, 0, 0, 0xFF, 0xFF, 0xFF, 0xFF]];
@@ -9,9 +9,10 @@ static LEVELS: [[u8; 8]; 2] = [[1, 0, 0, 0, 9, 0, 0, 0], [7, 0, 0, 0, 0xFF, 0xFF
 fn blob_of(effects: [Effect<'static>; 2]) -> Vec<u8> {
     with_smallest(|mut calibration| {
         for (place, effect) in calibration.terms.iter_mut().zip(effects) {
-            *place = Some(Term { target: Target::Elongation, constant: Fine(-6), effect });
+            *place =
+                Some(Term { target: Target::Elongation, constant: FineNanometres(-6), effect });
         }
-        let mut bytes = [0; MAX_SIZE];
+        let mut bytes = [0; MAX_BLOB_SIZE];
         let blob = encode(&calibration, &mut bytes).expect("it is small").to_vec();
         assert_eq!(decode(&blob), Ok(calibration));
         blob
@@ -21,7 +22,7 @@ fn blob_of(effects: [Effect<'static>; 2]) -> Vec<u8> {
 #[test]
 fn tools_and_conditions_come_back_and_one_without_a_meaning_is_refused() {
     let tools = ToolTable { levels: &LEVELS, other: -5, shift: 41, times: Factor::Speed2 };
-    let condition = OnOff {
+    let condition = ConditionLevels {
         bit: 15,
         default: true,
         off: -3,
@@ -64,8 +65,8 @@ fn as_many_tools_as_the_board_knows_come_back_and_one_more_is_refused() {
         with_smallest(|mut calibration| {
             let effect = Effect::Tool(ToolTable { levels: &levels[..count], ..Default::default() });
             let target = Target::Elongation;
-            calibration.terms[0] = Some(Term { target, constant: Fine::ZERO, effect });
-            let mut bytes = [0; MAX_SIZE];
+            calibration.terms[0] = Some(Term { target, constant: FineNanometres::ZERO, effect });
+            let mut bytes = [0; MAX_BLOB_SIZE];
             let read = decode(encode(&calibration, &mut bytes).expect("it is small"));
             assert_eq!(read == Ok(calibration), is_taken, "{count} tools");
         });
@@ -78,7 +79,7 @@ fn a_slope_by_heat_comes_back_and_one_of_a_ninth_channel_is_refused() {
         channel: 6,
         smoothing: SmoothingFactor(23),
         reference: Temperature(-22),
-        per_temperature: Scaled { mantissa: -7, shift: 11 },
+        per_temperature: ScaledCoefficient { mantissa: -7, shift: 11 },
     };
     let blob = blob_of([slope, Effect::Offset]);
     let terms = usize::from(u16::from_le_bytes([blob[572], blob[573]]));

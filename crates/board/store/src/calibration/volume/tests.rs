@@ -20,20 +20,20 @@ fn with_volume<T>(mut calibration: Calibration<'_>, check: impl FnOnce(Calibrati
     let slope = Gradient(-31);
     let mut guides = [AngularErrors::default(); 3];
     guides[0].point = [1, -2, i32::MAX].map(Position);
-    guides[0].about[1] = Angle { slope, curve: Curve::default() };
-    guides[2].about[2] = Angle { slope: Gradient::ZERO, curve };
+    guides[0].about[1] = AngularErrorCurve { slope, curve: Curve::default() };
+    guides[2].about[2] = AngularErrorCurve { slope: Gradient::ZERO, curve };
     let order = [LinearAxis::Y, LinearAxis::X, LinearAxis::Z];
     let line = RotaryLocation {
         axis: RotaryAxis::C,
         moves_workpiece: true,
-        point: [5, -6, MAX_ARM].map(Position),
-        shift: [7, -8, 9].map(Fine),
-        tilt: [-1, 2, i32::MIN].map(Fine),
+        point: [5, -6, MAX_LEVER_ARM].map(Position),
+        shift: [7, -8, 9].map(FineNanometres),
+        tilt: [-1, 2, i32::MIN].map(FineNanometres),
     };
-    calibration.volume = Some(Volume {
-        chain: Chain::new(order, 1).expect("each once"),
+    calibration.volume = Some(VolumetricErrorModel {
+        chain: KinematicChain::new(order, 1).expect("each once"),
         guides,
-        tool: [1, 2, -MAX_ARM].map(Position),
+        tool: [1, 2, -MAX_LEVER_ARM].map(Position),
         rotary: [Some(line), None],
     });
     check(calibration)
@@ -43,14 +43,18 @@ fn with_volume<T>(mut calibration: Calibration<'_>, check: impl FnOnce(Calibrati
 fn record(blob: &[u8]) -> usize {
     let word = |at: usize| usize::from(u16::from_le_bytes([blob[at], blob[at + 1]]));
     let last = word(572) + 24 * (word(574) - 1);
-    assert_eq!(blob[last], KIND);
+    assert_eq!(blob[last], TERM_KIND);
     word(last + 8)
 }
 
 #[test]
 fn a_volume_comes_back_alone_and_after_all_terms_there_can_be() {
     let full = |mut calibration: Calibration<'_>| {
-        let term = Term { target: Target::Elongation, constant: Fine(1), effect: Effect::Offset };
+        let term = Term {
+            target: Target::Elongation,
+            constant: FineNanometres(1),
+            effect: Effect::Offset,
+        };
         calibration.terms = [Some(term); MAX_TERMS];
         with_volume(calibration, |it| assert_eq!(decode(&blob(&it)), Ok(it)));
     };
@@ -65,7 +69,7 @@ fn a_volume_adds_its_records_and_changes_nothing_before_them() {
         let without = blob(&calibration);
         with_volume(calibration, |with| {
             let with = blob(&with);
-            assert_eq!(with.len(), without.len() + 24 + Volume::SIZE);
+            assert_eq!(with.len(), without.len() + 24 + VolumetricErrorModel::SIZE);
             // Length, reference to the terms, CRC.
             let same = |at: usize| !(6..8).contains(&at) && !(572..576).contains(&at);
             let fixed = (0..without.len() - 4).filter(|at| same(*at));

@@ -3,22 +3,22 @@ use std::path::Path;
 use super::*;
 use crate::{
     MachineFile,
-    file::keys::{FILE, Form, Key, TERM, TERM_KEYS},
+    file::schema::{Key, MACHINE_FILE_KEYS, TERM, TERM_KEYS, ValueType},
 };
 
 const HEAD: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
 const HEAT: &str =
     "[axis.x.thermal]\nmode = \"position\"\nsensor = \"temp_a_c\"\nreference_c = 20.0\n";
 
-fn findings(text: &str) -> Vec<(String, Grade, String)> {
+fn findings(text: &str) -> Vec<(String, Plausibility, String)> {
     let text = format!("{HEAD}{text}");
     let machine = MachineFile::parse(&text, Path::new("m.toml")).expect("the test's own file");
-    let found = of_machine(&machine).into_iter();
+    let found = machine_findings(&machine).into_iter();
     found.map(|it| (it.key, it.grade, it.warning.what)).collect()
 }
 
 /// Returns the only finding: its key, grade, and what it says.
-fn only(text: &str) -> (String, Grade, String) {
+fn only(text: &str) -> (String, Plausibility, String) {
     let mut found = findings(text);
     assert_eq!(found.len(), 1, "{text}: {found:?}");
     found.remove(0)
@@ -28,8 +28,12 @@ fn numeric<'k>(keys: &'k [Key], path: &str, with: &mut dyn FnMut(String, &'k Key
     for key in keys {
         let name = format!("{path}{}", key.name);
         match key.form {
-            Form::Table(inner) => numeric(inner, &format!("{name}."), with),
-            Form::Text | Form::Choice(_) | Form::Column | Form::Choices(_) | Form::Terms => {}
+            ValueType::Table(inner) => numeric(inner, &format!("{name}."), with),
+            ValueType::Text
+            | ValueType::Choice(_)
+            | ValueType::Column
+            | ValueType::Choices(_)
+            | ValueType::Terms => {}
             _ => with(name, key),
         }
     }
@@ -40,9 +44,9 @@ fn every_number_of_a_machine_file_has_a_range_that_its_example_keeps() {
     let mut asked = 0;
     let mut ask = |name: String, key: &Key| {
         // Some keys are of one cause alone.
-        let of_one = || range_of(&name.replace("term.any.", "term.dependence."));
+        let of_one = || find_range(&name.replace("term.any.", "term.dependence."));
         let range =
-            range_of(&name).or_else(of_one).unwrap_or_else(|| panic!("no range for {name}"));
+            find_range(&name).or_else(of_one).unwrap_or_else(|| panic!("no range for {name}"));
         let nested = |[inner, outer]: [[f64; 2]; 2]| outer[0] <= inner[0] && inner[1] <= outer[1];
         assert!(
             nested([range.usual, range.likely]) && nested([range.likely, range.hard]),
@@ -50,10 +54,15 @@ fn every_number_of_a_machine_file_has_a_range_that_its_example_keeps() {
         );
         assert!(!range.source.is_empty() && !range.below.is_empty() && !range.above.is_empty());
         let numbers = key.example.split(['[', ']', ',', ' ']).filter_map(|it| it.parse().ok());
-        assert_eq!(worst(range, &numbers.collect::<Vec<f64>>()), None, "{name} = {}", key.example);
+        assert_eq!(
+            find_worst_value(range, &numbers.collect::<Vec<f64>>()),
+            None,
+            "{name} = {}",
+            key.example
+        );
         asked += 1;
     };
-    numeric(FILE, "", &mut ask);
+    numeric(MACHINE_FILE_KEYS, "", &mut ask);
     for keys in [TERM, TERM_KEYS] {
         numeric(keys, "term.any.", &mut ask);
     }
@@ -98,7 +107,7 @@ fn a_reversed_error_is_unlikely_and_says_so() {
         ),
     ] {
         let (found, grade, what) = only(&text);
-        assert_eq!((found.as_str(), grade), (key, Grade::Unlikely), "{text}");
+        assert_eq!((found.as_str(), grade), (key, Plausibility::Unlikely), "{text}");
         assert!(what.contains("the sign is that of an error measured the other way round"), "{what}");
     }
     // A correction that makes a backlash smaller is none of a reversed error; nor is noise about 0.
@@ -116,16 +125,16 @@ fn a_reversed_error_is_unlikely_and_says_so() {
 fn what_no_machine_has_is_refused_until_its_key_is_accepted() {
     let text = format!("{HEAD}{HEAT}slope_um_per_m_per_c = 11500.0\n");
     let machine = MachineFile::parse(&text, Path::new("m.toml")).expect("the test's own file");
-    let found = of_machine(&machine);
-    let bad = refusal(&found, &[]).expect("refused");
+    let found = machine_findings(&machine);
+    let bad = combine_refused(&found, &[]).expect("refused");
     assert_eq!((bad.place.line, bad.place.column), (8, 24), "{bad}");
     assert!(
         bad.rule.starts_with("axis.x.thermal.slope_um_per_m_per_c 11500 µm/(m·K) is impossible")
     );
     let help = bad.help.expect("what to do");
     assert!(help.ends_with("add --accept axis.x.thermal.slope_um_per_m_per_c"), "{help}");
-    assert_eq!(refusal(&found, &["axis.x.thermal.slope_um_per_m_per_c".into()]), None);
-    assert!(refusal(&found, &["axis.y.thermal.slope_um_per_m_per_c".into()]).is_some());
+    assert_eq!(combine_refused(&found, &["axis.x.thermal.slope_um_per_m_per_c".into()]), None);
+    assert!(combine_refused(&found, &["axis.y.thermal.slope_um_per_m_per_c".into()]).is_some());
 }
 
 #[test]
@@ -138,6 +147,6 @@ fn a_pattern_stands_for_any_text() {
         ("spindle.sensor.*", "spindle.sensor.µ", true),
         ("*.table", "axis.x.thermal.table", true),
     ] {
-        assert_eq!(matches(pattern, key), is_one, "{pattern} {key}");
+        assert_eq!(matches_pattern(pattern, key), is_one, "{pattern} {key}");
     }
 }

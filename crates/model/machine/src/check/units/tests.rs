@@ -21,7 +21,10 @@ fn spindle(every_s: f64, rows: usize) -> Vec<[f64; 4]> {
 }
 
 /// Returns what is found in these rows once `change` has written them in another unit.
-fn found(rows: &[[f64; 4]], change: impl Fn([f64; 4]) -> [f64; 4]) -> Vec<(String, Grade, String)> {
+fn found(
+    rows: &[[f64; 4]],
+    change: impl Fn([f64; 4]) -> [f64; 4],
+) -> Vec<(String, Plausibility, String)> {
     let mut text = String::from("time_s,temp_nose_c,spindle_rpm,measured_elongation_um\n");
     for row in rows {
         let [time_s, nose, rpm, um] = change(*row);
@@ -36,11 +39,11 @@ fn found(rows: &[[f64; 4]], change: impl Fn([f64; 4]) -> [f64; 4]) -> Vec<(Strin
 
 #[test]
 fn each_slip_of_a_unit_is_told_with_the_unit() {
-    use Grade::{Impossible, Unlikely};
+    use Plausibility::{Impossible, Unlikely};
     let rows = spindle(30.0, 400);
     assert_eq!(found(&rows, |row| row), []);
     type Slip = fn([f64; 4]) -> [f64; 4];
-    let slips: [(&str, Grade, &str, Slip); 9] = [
+    let slips: [(&str, Plausibility, &str, Slip); 9] = [
         ("temp_nose_c", Unlikely, "°F", |[s, c, n, um]| [s, 32.0 + 1.8 * c, n, um]),
         ("temp_nose_c", Impossible, "kelvin", |[s, c, n, um]| [s, c + 273.15, n, um]),
         ("temp_nose_c", Impossible, "tenths", |[s, c, n, um]| [s, (10.0 * c).round(), n, um]),
@@ -55,8 +58,9 @@ fn each_slip_of_a_unit_is_told_with_the_unit() {
     ];
     for (column, grade, unit, slip) in slips {
         let found = found(&rows, slip);
-        let is_it =
-            |it: &&(String, Grade, String)| it.0 == column && it.1 == grade && it.2.contains(unit);
+        let is_it = |it: &&(String, Plausibility, String)| {
+            it.0 == column && it.1 == grade && it.2.contains(unit)
+        };
         assert_eq!(found.iter().filter(is_it).count(), 1, "{column} {unit}: {found:?}");
         assert_eq!(found.len(), 1, "and nothing else: {found:?}");
     }
@@ -69,7 +73,7 @@ fn what_is_rare_and_right_is_not_refused() {
             RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own run");
         let machine =
             MachineFile::parse(MACHINE, Path::new("m.toml")).expect("the test's own file");
-        findings(&run, Some(&machine), &[]).iter().any(|it| it.grade == Grade::Impossible)
+        findings(&run, Some(&machine), &[]).iter().any(|it| it.grade == Plausibility::Impossible)
     };
     let rows = |row: &dyn Fn(usize) -> String| (0..300).map(row).collect::<String>();
     // A furnace next to the machine.

@@ -6,35 +6,39 @@
 
 use trueup_core::{
     lag::SmoothingFactor,
-    term::{Factor, OnOff, ToolTable},
+    term::{ConditionLevels, Factor, ToolTable},
 };
 
-use super::{CHECKED_RPM, CHECKED_UM, Made, OwnedEffect, scaled};
+use super::{
+    CompileResult, MAX_CHECKED_ELONGATION_UM, MAX_CHECKED_SPEED_RPM, OwnedEffect, scale_coefficient,
+};
 use crate::{
     compile::{
-        inputs::{condition_column, declaration},
+        inputs::{condition_column, condition_declaration},
         lag,
     },
-    effect::{Effect, Form, OnBoard, Quantity, Times},
+    effect::{BoardTerm, DependenceForm, Effect, Multiplier, Quantity},
     file::{Machine, TOOL_COLUMN, Term, Tool, Tools},
     inputs::Inputs,
     location::BadInput,
-    stored::{FINE_PER_UM, NM_PER_UM, UNITS_PER_MM, fewest_decimals, rounded},
+    unit_conversion::{
+        FINE_UNITS_PER_UM, NM_PER_UM, POSITION_UNITS_PER_MM, round_to_i32, shortest_decimal,
+    },
 };
 
 /// Positions are held against the model up to this.
-const CHECKED_MM: f64 = 15_000.0;
+const MAX_CHECKED_DISTANCE_MM: f64 = 15_000.0;
 
 /// The table of a tool, with its levels.
 #[derive(Clone, Debug)]
-pub(super) struct OwnedTools {
+pub(super) struct OwnedToolTable {
     levels: Vec<[u8; 8]>,
     other: i32,
     shift: u8,
     times: Factor,
 }
 
-impl OwnedTools {
+impl OwnedToolTable {
     pub(super) fn view(&self) -> ToolTable<'_> {
         let Self { other, shift, times, .. } = *self;
         ToolTable { levels: &self.levels, other, shift, times }
@@ -42,41 +46,47 @@ impl OwnedTools {
 }
 
 /// Returns the factor on the board, how many of the board's units are one of the user's, and up to what it is checked.
-fn factor(times: &Times) -> Result<(Factor, f64, f64), String> {
+fn compile_factor(times: &Multiplier) -> Result<(Factor, f64, f64), String> {
     Ok(match times {
-        Times::One => (Factor::One, FINE_PER_UM, 1.0),
-        Times::Speed2 => (Factor::Speed2, FINE_PER_UM / 1e6, CHECKED_RPM * CHECKED_RPM),
-        Times::Growth => (Factor::Growth, 1.0, CHECKED_UM * FINE_PER_UM),
-        Times::Position => {
-            let reach = CHECKED_MM * UNITS_PER_MM;
-            (Factor::Position, FINE_PER_UM / (1000.0 * UNITS_PER_MM), reach)
+        Multiplier::One => (Factor::One, FINE_UNITS_PER_UM, 1.0),
+        Multiplier::Speed2 => {
+            (Factor::Speed2, FINE_UNITS_PER_UM / 1e6, MAX_CHECKED_SPEED_RPM * MAX_CHECKED_SPEED_RPM)
         }
-        Times::Column { column, .. } => {
+        Multiplier::Growth => (Factor::Growth, 1.0, MAX_CHECKED_ELONGATION_UM * FINE_UNITS_PER_UM),
+        Multiplier::Position => {
+            let reach = MAX_CHECKED_DISTANCE_MM * POSITION_UNITS_PER_MM;
+            (Factor::Position, FINE_UNITS_PER_UM / (1000.0 * POSITION_UNITS_PER_MM), reach)
+        }
+        Multiplier::Column { column, .. } => {
             return Err(format!("is multiplied by {column}, which no board does"));
         }
     })
 }
 
 /// Levels with one binary point, the binary places, and the largest rounding in nm.
-fn levels(values: &[f64], unit: f64, largest: f64) -> Made<(Vec<i32>, u8)> {
+fn compile_levels(values: &[f64], unit: f64, largest: f64) -> CompileResult<(Vec<i32>, u8)> {
     let exact: Vec<f64> = values.iter().map(|value| value * unit).collect();
     let most = exact.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
-    let (stored, _) = scaled(most, 0.0)?;
+    let (stored, _) = scale_coefficient(most, 0.0)?;
     let power = 2_f64.powi(stored.shift.into());
     let mantissas: Option<Vec<i32>> =
-        exact.iter().map(|it| rounded((it * power).round())).collect();
+        exact.iter().map(|it| round_to_i32((it * power).round())).collect();
     let mantissas = mantissas.ok_or("has levels beyond the board's 2³⁰")?;
     let off = exact.iter().zip(&mantissas).map(|(it, m)| (it - f64::from(*m) / power).abs());
-    let nm = off.fold(0.0, f64::max) * largest / FINE_PER_UM * NM_PER_UM;
+    let nm = off.fold(0.0, f64::max) * largest / FINE_UNITS_PER_UM * NM_PER_UM;
     Ok(((mantissas, stored.shift), nm))
 }
 
-pub(super) fn tools(tools: &[(u16, f64)], other: f64, times: &Times) -> Made<OwnedEffect> {
-    let (times, unit, largest) = factor(times)?;
+pub(super) fn compile_tools(
+    tools: &[(u16, f64)],
+    other: f64,
+    times: &Multiplier,
+) -> CompileResult<OwnedEffect> {
+    let (times, unit, largest) = compile_factor(times)?;
     let mut sorted = tools.to_vec();
     sorted.sort_by_key(|(number, _)| *number);
     let values: Vec<f64> = sorted.iter().map(|(_, a)| *a).chain([other]).collect();
-    let ((mut stored, shift), nm) = levels(&values, unit, largest)?;
+    let ((mut stored, shift), nm) = compile_levels(&values, unit, largest)?;
     let other = stored.pop().unwrap_or_default();
     let record = |((number, _), level): (&(u16, f64), i32)| {
         let [a, b, c, d] = u32::from(*number).to_le_bytes();
@@ -84,107 +94,116 @@ pub(super) fn tools(tools: &[(u16, f64)], other: f64, times: &Times) -> Made<Own
         [a, b, c, d, e, f, g, h]
     };
     let levels = sorted.iter().zip(stored).map(record).collect();
-    Ok((OwnedEffect::Tools(OwnedTools { levels, other, shift, times }), nm))
+    Ok((OwnedEffect::Tools(OwnedToolTable { levels, other, shift, times }), nm))
 }
 
 /// Returns the condition of a form, with the default that `[inputs]` states for its bit.
-pub(super) fn condition(
+pub(super) fn compile_condition(
     inputs: Option<&Inputs>,
     column: &str,
     [off, on]: [f64; 2],
     lag_s: f64,
-    times: &Times,
-) -> Made<OnOff> {
+    times: &Multiplier,
+) -> CompileResult<ConditionLevels> {
     let input = inputs.and_then(|inputs| inputs.conditions.get(column)).ok_or_else(|| {
         format!(
             "needs {column}, which [inputs] does not describe: the board must know its bit; add `{}`",
-            declaration(inputs, column)
+            condition_declaration(inputs, column)
         )
     })?;
-    let (times, unit, largest) = factor(times)?;
-    let ((stored, shift), nm) = levels(&[off, on], unit, largest)?;
+    let (times, unit, largest) = compile_factor(times)?;
+    let ((stored, shift), nm) = compile_levels(&[off, on], unit, largest)?;
     let [off, on] = [stored[0], stored[1]];
     let smoothing = lag::smoothing_factor(lag_s)?;
     // On its way a level is rounded once more.
-    let place = 2_f64.powi(-i32::from(shift)) * largest / FINE_PER_UM * NM_PER_UM;
+    let place = 2_f64.powi(-i32::from(shift)) * largest / FINE_UNITS_PER_UM * NM_PER_UM;
     let on_its_way = if smoothing == SmoothingFactor::NO_LAG { 0.0 } else { place };
-    let made = OnOff { bit: input.bit, default: input.default, off, on, shift, smoothing, times };
+    let made = ConditionLevels {
+        bit: input.bit,
+        default: input.default,
+        off,
+        on,
+        shift,
+        smoothing,
+        times,
+    };
     Ok((made, nm + on_its_way))
 }
 
 /// Refuses a tool that has a label and no number, which the CNC cannot send.
-pub(in crate::compile) fn refuse_labels(machine: &Machine) -> Result<(), BadInput> {
-    match machine.spindle.tools.as_ref().and_then(Tools::without_number) {
+pub(in crate::compile) fn reject_unnumbered_tools(machine: &Machine) -> Result<(), BadInput> {
+    match machine.spindle.tools.as_ref().and_then(Tools::first_unnumbered_label) {
         None => Ok(()),
         Some(label) => {
             let rule =
                 "has no number: the CNC sends numbers, and the board could not tell the tool";
             let help = "add `number = N` to it, N as the control calls the tool";
-            Err(machine.places.bad(&format!("spindle.tools.{label}"), rule).with_help(help))
+            Err(machine.places.key_error(&format!("spindle.tools.{label}"), rule).with_help(help))
         }
     }
 }
 
 /// Returns what a user writes for levels that share a binary point.
-fn written(stored: &[i32], shift: u8, unit: f64) -> Vec<f64> {
+fn decompile_levels(stored: &[i32], shift: u8, unit: f64) -> Vec<f64> {
     let power = 2_f64.powi(shift.into());
     let most = stored.iter().map(|m| m.unsigned_abs()).max().unwrap_or(0);
     let of = |m: &i32| {
         let is_same = |value: f64| {
             let shares_point = m.unsigned_abs() < most
-                || scaled(value.abs() * unit, 0.0).is_ok_and(|(it, _)| it.shift == shift);
-            rounded((value * unit * power).round()) == Some(*m) && shares_point
+                || scale_coefficient(value.abs() * unit, 0.0)
+                    .is_ok_and(|(it, _)| it.shift == shift);
+            round_to_i32((value * unit * power).round()) == Some(*m) && shares_point
         };
-        fewest_decimals(f64::from(*m) / power / unit, is_same)
+        shortest_decimal(f64::from(*m) / power / unit, is_same)
     };
     stored.iter().map(of).collect()
 }
 
-fn times_of(factor: Factor) -> (Times, f64) {
+fn decompile_factor(factor: Factor) -> (Multiplier, f64) {
     let times = match factor {
-        Factor::One => Times::One,
-        Factor::Speed2 => Times::Speed2,
-        Factor::Growth => Times::Growth,
-        Factor::Position => Times::Position,
+        Factor::One => Multiplier::One,
+        Factor::Speed2 => Multiplier::Speed2,
+        Factor::Growth => Multiplier::Growth,
+        Factor::Position => Multiplier::Position,
     };
-    let unit = self::factor(&times).map_or(1.0, |(_, unit, _)| unit);
+    let unit = self::compile_factor(&times).map_or(1.0, |(_, unit, _)| unit);
     (times, unit)
 }
 
-pub(super) fn tools_inverse(table: &ToolTable<'_>) -> OnBoard {
-    let (times, unit) = times_of(table.times);
+pub(super) fn decompile_tool_table(table: &ToolTable<'_>) -> BoardTerm {
+    let (times, unit) = decompile_factor(table.times);
     let stored: Vec<i32> = table.tools().map(|(_, m)| m).chain([table.other]).collect();
-    let mut values = written(&stored, table.shift, unit);
+    let mut values = decompile_levels(&stored, table.shift, unit);
     let other = values.pop().unwrap_or_default();
     let number = |number: u32| u16::try_from(number).expect("a blob with another one is refused");
     let tools = table.tools().map(|(it, _)| number(it)).zip(values).collect();
-    OnBoard::Tool { tools, other, times }
+    BoardTerm::Tool { tools, other, times }
 }
 
-pub(super) fn condition_inverse(it: &OnOff) -> OnBoard {
-    let (times, unit) = times_of(it.times);
-    let values = written(&[it.off, it.on], it.shift, unit);
-    OnBoard::Condition {
+pub(super) fn decompile_condition(it: &ConditionLevels) -> BoardTerm {
+    let (times, unit) = decompile_factor(it.times);
+    let values = decompile_levels(&[it.off, it.on], it.shift, unit);
+    BoardTerm::Condition {
         column: condition_column(it.bit),
         off: values[0],
         on: values[1],
-        lag_s: lag::written_time_constant_s(it.smoothing),
+        lag_s: lag::decompile_time_constant_s(it.smoothing),
         times,
     }
 }
 
 /// Returns the list of `[spindle.tools]` that a term is, if it is one.
-pub(in crate::compile) fn list_of(term: &Term) -> Option<Tools> {
+pub(in crate::compile) fn as_tool_list(term: &Term) -> Option<Tools> {
     let Effect::Dependence(it) = &term.effect else { return None };
-    let Form::Level { levels, added, otherwise } = &it.form else { return None };
+    let DependenceForm::Level { levels, added, otherwise } = &it.form else { return None };
     let is_list = it.column == TOOL_COLUMN
         && it.lag_s == 0.0
-        && it.times == Times::Speed2
+        && it.times == Multiplier::Speed2
         && term.constant_um == 0.0;
     if !is_list || term.quantity != Quantity::Elongation {
         return None;
     }
-    let number = |level: f64| rounded(level).and_then(|it| u16::try_from(it).ok());
+    let number = |level: f64| round_to_i32(level).and_then(|it| u16::try_from(it).ok());
     let tool = |(level, um): (&f64, &f64)| {
         Some(Tool { number: Some(number(*level)?), label: None, um_per_krpm2: *um })
     };

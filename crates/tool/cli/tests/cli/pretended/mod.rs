@@ -12,17 +12,20 @@ use std::{
 
 use trueup_core::{
     bridge::{Input, Reference},
-    cnc::{AxisPosition, Control, Heading, LinearAxis},
+    cnc::{AxisPosition, Control, LinearAxis, TravelDirection},
     dimensions::CODES_PER_TICK,
-    units::{Code, Nanometres, Position, Rpm},
+    units::{AdcCode, Nanometres, Position, Rpm},
 };
-use trueup_link::{frame::Frame, frames, layout::SDO_ANSWER_ID, slcan::Port};
-use trueup_machine::{Compiled, Machine, MachineFile, compile};
-use trueup_node::node::{Interface, Node};
+use trueup_link::{frame::Frame, frames, layout::SDO_RESPONSE_ID, slcan::Port};
+use trueup_machine::{CompiledCalibration, Machine, MachineFile, compile};
+use trueup_node::{
+    configuration::Configuration,
+    node::{Interface, Node},
+};
 use trueup_store::{
-    calibration::{MAX_SIZE, decode, identity},
-    load::Outcome,
-    reference::Standing,
+    calibration::{MAX_BLOB_SIZE, calibration_crc, decode},
+    load::LoadOutcome,
+    reference::ReferenceStatus,
 };
 
 use crate::wire::{ReceivedBytes, Tools, damaged, write_all};
@@ -107,15 +110,20 @@ pub fn paper_machine() -> Machine {
     MachineFile::parse(PAPER, Path::new("m.toml")).expect("the project's own file")
 }
 
-pub fn paper() -> Compiled {
+pub fn paper() -> CompiledCalibration {
     compile(&paper_machine()).expect("the paper's sensor fits")
 }
 
 /// Returns a node that runs on this blob, as after a start.
 pub fn started(blob: &'static [u8]) -> (Node<'static>, Port) {
-    let mut node = Node::new(Some(decode(blob).expect("a calibration")), false);
-    node.set_blob(blob);
-    node.set_buffer(Box::leak(vec![0; MAX_SIZE].into()));
+    of_commit(blob, 0)
+}
+
+/// The same of an image from this commit.
+fn of_commit(blob: &'static [u8], commit: u32) -> (Node<'static>, Port) {
+    let calibration = decode(blob).expect("a calibration");
+    let buffer = Some(Box::leak(vec![0; MAX_BLOB_SIZE].into()));
+    let node = Node::new(Configuration { blob, buffer, commit, ..calibration.into() });
     (node, Port::new(0x00A1))
 }
 
@@ -124,11 +132,14 @@ fn speak_as_cnc(node: &mut Node<'_>, control: u32, engage: bool) {
     // As after every start: three times not engaged.
     let engaged =
         Control { engage: engage && control >= 3, service: !engage, ..Control::REFERENCED };
-    node.receive(Interface::Can, &frames::control(engaged, control as u8)).expect("in order");
+    node.receive(Interface::Can, &frames::encode_control(engaged, control as u8))
+        .expect("in order");
     // Its axes stand.
     for axis in LinearAxis::ALL {
-        let stands = AxisPosition { axis, position: Position(0), direction: Heading::Positive };
-        node.receive(Interface::Can, &frames::position(stands, control as u8)).expect("in order");
+        let stands =
+            AxisPosition { axis, position: Position(0), direction: TravelDirection::Positive };
+        node.receive(Interface::Can, &frames::encode_position(stands, control as u8))
+            .expect("in order");
     }
 }
 
@@ -140,15 +151,32 @@ fn is_opened_again(received: &Mutex<ReceivedBytes>) -> bool {
 
 /// Takes a calibration that has arrived.
 fn take_load(node: &mut Node<'_>, fault: Fault, stored: &mut Option<Vec<u8>>) {
-    if let Some(mut load) = node.take_load() {
-        let mut outcome = Outcome::Stored;
-        match load.check() {
-            Err(_) => outcome = Outcome::Refused,
-            Ok(_) if fault == Fault::Full => outcome = Outcome::NotStored,
+    if let Some(mut load) = node.take_received_calibration() {
+        let mut outcome = LoadOutcome::Stored;
+        match load.validate() {
+            Err(_) => outcome = LoadOutcome::Refused,
+            Ok(_) if fault == Fault::Full => outcome = LoadOutcome::NotStored,
             Ok(blob) => *stored = Some(blob.to_vec()),
         }
-        node.end_load(load, outcome);
+        node.finish_load(load, outcome);
     }
+}
+
+/// Returns the node after a restart with what was loaded, or with the calibration that it has; the reference of that
+/// calibration is in force again.
+fn restarted(
+    node: &Node<'_>,
+    loaded: Option<Vec<u8>>,
+    standings: &BTreeMap<u32, ReferenceStatus>,
+) -> (Node<'static>, Port) {
+    let is_loaded = loaded.is_some();
+    let blob = loaded.unwrap_or_else(|| node.calibration_blob().to_vec());
+    let (mut node, port) = started(Box::leak(blob.into()));
+    if let Some(mut standing) = standings.get(&calibration_crc(node.calibration_blob())).copied() {
+        standing.is_offered |= is_loaded && standing.reference != Reference::default();
+        node.restore_reference_status(standing, None);
+    }
+    (node, port)
 }
 
 /// Returns whether the line damages this frame.
@@ -156,7 +184,7 @@ fn is_damaged(fault: Fault, frame: &Frame, ms: u32) -> bool {
     match fault {
         Fault::Noise => ms % 100 == 99,
         // A segment that is read: the first byte says which.
-        Fault::Forgetful => frame.id() == SDO_ANSWER_ID && frame.data()[0] == 0x10,
+        Fault::Forgetful => frame.id() == SDO_RESPONSE_ID && frame.data()[0] == 0x10,
         _ => false,
     }
 }
@@ -168,23 +196,21 @@ pub fn live(
     received: &Mutex<ReceivedBytes>,
 ) {
     let compiled = paper();
-    let (mut node, mut port) = started(Box::leak(compiled.blob().into()));
-    if fault == Fault::OtherSource {
-        node.note_commit(7);
-    }
+    let commit = if fault == Fault::OtherSource { 7 } else { 0 };
+    let (mut node, mut port) = of_commit(Box::leak(compiled.blob().into()), commit);
     let mut stored: Option<Vec<u8>> = None;
     // By the CRC of their calibrations.
     let mut standings = BTreeMap::new();
     if fault == Fault::Zeroed {
         let elongation = Nanometres(2_500);
-        let standing = Standing::in_force(Reference { elongation, ..Reference::default() });
-        node.set_standing(standing, None);
-        standings.insert(identity(node.blob()), standing);
+        let standing = ReferenceStatus::in_force(Reference { elongation, ..Reference::default() });
+        node.restore_reference_status(standing, None);
+        standings.insert(calibration_crc(node.calibration_blob()), standing);
     }
     let mut control = 0_u32;
     // The paper's zero is 5048 of its 32768 counts at 10 V: 627.2 codes behind the divider. 100 codes
     // above it, 805.4 counts, are 12.3 µm, which the slew limit reaches in 0.6 s.
-    let codes: [Code; CODES_PER_TICK] = std::array::from_fn(|n| Code(727 + (n % 2) as u16));
+    let codes: [AdcCode; CODES_PER_TICK] = std::array::from_fn(|n| AdcCode(727 + (n % 2) as u16));
     let start = Instant::now();
     let mut bytes = [0; 256];
     for ms in 0_u32.. {
@@ -204,7 +230,7 @@ pub fn live(
                     let is_new = matches!(frame.data(), [0x23, 0x10, 0x20, ..]);
                     if fault == Fault::Older && is_new {
                         let read_only = [0x80, 0x10, 0x20, frame.data()[3], 2, 0, 1, 6];
-                        let answer = Frame::new(SDO_ANSWER_ID, &read_only).expect("eight bytes");
+                        let answer = Frame::new(SDO_RESPONSE_ID, &read_only).expect("eight bytes");
                         port.send(&answer);
                         continue;
                     }
@@ -213,32 +239,29 @@ pub fn live(
                     }
                     // A tool that speaks where a CNC has spoken counts from 0.
                     let refused = node.receive(Interface::Serial, &frame).err();
-                    assert!(refused.is_none_or(|it| it.is_sound()), "no tool sends damaged frames");
+                    assert!(
+                        refused.is_none_or(|it| it.is_sequence_error()),
+                        "no tool sends damaged frames"
+                    );
                 }
             }
             Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
             Err(_) => return,
         }
         take_load(&mut node, fault, &mut stored);
-        if node.take_drop() {
+        if node.take_calibration_drop() {
             stored = None;
-            node.end_drop(true);
+            node.finish_calibration_drop(true);
         }
-        if let Some(standing) = node.take_standing() {
-            standings.insert(identity(node.blob()), standing);
+        if let Some(standing) = node.take_reference_status() {
+            standings.insert(calibration_crc(node.calibration_blob()), standing);
         }
-        while let Some(write) = node.take_write() {
-            node.end_write(&write, Some(trueup_store::writes::Write { sequence: 7, ..write }));
+        while let Some(write) = node.take_pending_write() {
+            let stored = trueup_store::write_log::WriteRecord { sequence: 7, ..write };
+            node.finish_write(&write, Some(stored));
         }
-        if node.take_restart() {
-            let loaded = stored.take();
-            let is_loaded = loaded.is_some();
-            let blob = loaded.unwrap_or_else(|| node.blob().to_vec());
-            (node, port) = started(Box::leak(blob.into()));
-            if let Some(mut standing) = standings.get(&identity(node.blob())).copied() {
-                standing.is_offered |= is_loaded && standing.reference != Reference::default();
-                node.set_standing(standing, None);
-            }
+        if node.take_restart_request() {
+            (node, port) = restarted(&node, stored.take(), &standings);
             control = 0;
         }
         let is_gone = fault == Fault::CncLeaves && is_opened_again(received);

@@ -12,21 +12,21 @@ use std::{
 };
 
 use trueup_boot::{
-    handover::Choice,
+    flash_layout::{SLOT_SIZE, Slot},
+    handover::StartInfo,
     header::Version,
     journal::Journal,
-    key::PublicKey,
-    layout::{SLOT_SIZE, Slot},
-    refusal::Refusal,
-    start::{Clock, Ending, Start, choose},
+    public_key::PublicKey,
+    refusal::RefusalReason,
+    start::{ClockSpeed, StartOutcome, StartSelection, select_image},
     update::{self, Update},
 };
 use trueup_core::{bridge::Input, cnc::Control};
-use trueup_emulator::slots::sign;
-use trueup_link::{frames, layout::SDO_ANSWER_ID, slcan::Port};
+use trueup_emulator::slots::sign_update;
+use trueup_link::{frames, layout::SDO_RESPONSE_ID, slcan::Port};
 use trueup_node::node::{
     Interface, Node,
-    firmware::{Piece, Slots, Step},
+    firmware::{FirmwareChunk, SlotStates, UpdateStep},
 };
 use trueup_signature::PrivateKey;
 use trueup_store::strict_flash::StrictFlash;
@@ -58,7 +58,7 @@ pub fn maker() -> PrivateKey {
 /// Returns the file for one slot.
 pub fn part(slot: Slot, minor: u8, key: &PrivateKey) -> Vec<u8> {
     let body: Vec<u8> = (0..BODY).map(|at| (at % 251) as u8 ^ minor ^ slot.number()).collect();
-    sign(&body, slot, version(minor), version(0), key)
+    sign_update(&body, slot, version(minor), version(0), key)
 }
 
 /// Returns the file for both.
@@ -119,58 +119,60 @@ struct Board {
     journal: Journal<Records>,
     slots: SlotFlash,
     key: PublicKey,
-    running: Start,
+    running: StartSelection,
     update: Option<Update>,
 }
 
 impl Board {
     fn new(setup: Setup) -> Self {
-        let key = PublicKey::new(&maker().public().to_bytes()).expect("a key");
+        let key = PublicKey::new(&maker().public_key().to_bytes()).expect("a key");
         let mut journal = Journal::open(Records::erased());
         let mut slots = SlotFlash::erased();
         slots.bytes[..PART].copy_from_slice(&part(Slot::A, 1, &maker()));
-        let mut running = boot(&mut journal, &mut slots, &key, Ending::PowerCycle);
+        let mut running = boot(&mut journal, &mut slots, &key, StartOutcome::PowerCycle);
         update::confirm(&mut journal, &running.image).expect("room");
-        running = boot(&mut journal, &mut slots, &key, Ending::PowerCycle);
+        running = boot(&mut journal, &mut slots, &key, StartOutcome::PowerCycle);
         if setup.is_on_trial {
             let start = SLOT_SIZE as usize;
             slots.bytes[start..start + PART].copy_from_slice(&part(Slot::B, 2, &maker()));
-            running = boot(&mut journal, &mut slots, &key, Ending::PowerCycle);
+            running = boot(&mut journal, &mut slots, &key, StartOutcome::PowerCycle);
             assert_eq!(running.image.header.slot, Slot::B);
         }
         let (node, port) = started(Box::leak(paper().blob().into()));
         let mut board = Self { setup, node, port, journal, slots, key, running, update: None };
-        board.note_slots();
+        board.set_slots();
         board
     }
 
-    fn note_slots(&mut self) {
+    fn set_slots(&mut self) {
         if self.setup.has_no_slots {
             return;
         }
         let state = self.journal.state();
-        let images = Slot::BOTH
-            .map(|slot| trueup_boot::inspect::read_header(&mut self.slots, slot, state.floor).ok());
-        let status = Slot::BOTH
-            .map(|slot| state.status(slot, slot.of(&images).map_or(0, |image| image.tag)).encode());
+        let images = Slot::ALL.map(|slot| {
+            trueup_boot::image_check::read_header(&mut self.slots, slot, state.floor).ok()
+        });
+        let status = Slot::ALL.map(|slot| {
+            state.status(slot, slot.element_of(&images).map_or(0, |image| image.tag)).encode()
+        });
         let versions = images.map(|image| image.map_or(0, |it| it.header.version.0));
         let running = self.running.image.header.slot.number();
-        let choice = Choice::from(&self.running).encode();
-        self.node.note_slots(Slots { running, versions, status, floor: state.floor.0, choice });
+        let choice = StartInfo::from(&self.running).encode();
+        self.node.set_slots(SlotStates { running, versions, status, floor: state.floor.0, choice });
     }
 
-    fn take(&mut self, step: Step, piece: &Piece) -> Result<(), Refusal> {
+    fn take(&mut self, step: UpdateStep, piece: &FirmwareChunk) -> Result<(), RefusalReason> {
         let Self { journal, slots, .. } = self;
         match step {
-            Step::Begin => {
+            UpdateStep::Begin => {
                 self.update = None;
                 let header = piece.first_chunk().expect("512 bytes");
                 self.update = Some(Update::begin(journal, slots, &self.running.image, header)?);
             }
-            Step::Write => {
+            UpdateStep::Write => {
                 self.update.as_mut().expect("under way").append(slots, piece)?;
             }
-            Step::Finish => {
+            UpdateStep::Finish => {
                 let update = self.update.take().expect("under way");
                 update.finish(journal, slots, &self.key, || ())?;
             }
@@ -179,17 +181,17 @@ impl Board {
     }
 
     fn restart(&mut self) {
-        update::announce(&mut self.journal, &self.running.image).expect("room");
+        update::announce_reset(&mut self.journal, &self.running.image).expect("room");
         let before = self.running.image.header.slot;
         let boot = |board: &mut Self, ending| {
             boot(&mut board.journal, &mut board.slots, &board.key, ending)
         };
-        self.running = boot(self, Ending::Reset);
+        self.running = boot(self, StartOutcome::Reset);
         if self.setup.crashes && self.running.image.header.slot != before {
-            self.running = boot(self, Ending::Reset);
+            self.running = boot(self, StartOutcome::Reset);
         }
-        (self.node, self.port) = started(Box::leak(self.node.blob().into()));
-        self.note_slots();
+        (self.node, self.port) = started(Box::leak(self.node.calibration_blob().into()));
+        self.set_slots();
     }
 
     fn live(mut self, mut tools: Tools, seen: &Mutex<Seen>) {
@@ -203,12 +205,12 @@ impl Board {
                 Err(_) => tools.stream = None,
             }
             if self.setup.has_cnc && ms % 20 == 0 {
-                let control = frames::control(Control::REFERENCED, (ms / 20) as u8);
+                let control = frames::encode_control(Control::REFERENCED, (ms / 20) as u8);
                 self.node.receive(Interface::Can, &control).expect("in order");
             }
-            let mut piece = Piece::new();
-            while let Some(step) = self.node.take_firmware(&mut piece) {
-                let is_begin = step == Step::Begin;
+            let mut piece = FirmwareChunk::new();
+            while let Some(step) = self.node.take_firmware_step(&mut piece) {
+                let is_begin = step == UpdateStep::Begin;
                 let outcome = self.take(step, &piece);
                 if is_begin && outcome.is_ok() {
                     seen.lock().expect("no holder panics").erases += 1;
@@ -216,21 +218,21 @@ impl Board {
                     while tools.read(&mut bytes).is_ok_and(|length| length > 0) {}
                 }
                 received = match (step, &outcome) {
-                    (Step::Begin, Ok(())) => 512,
-                    (Step::Write, Ok(())) => received + piece.len() as u32,
-                    (Step::Finish, Ok(())) => received,
+                    (UpdateStep::Begin, Ok(())) => 512,
+                    (UpdateStep::Write, Ok(())) => received + piece.len() as u32,
+                    (UpdateStep::Finish, Ok(())) => received,
                     (_, Err(_)) => 0,
                 };
-                self.note_slots();
-                self.node.end_firmware(step, outcome.map_err(Refusal::number));
+                self.set_slots();
+                self.node.finish_firmware_step(step, outcome.map_err(RefusalReason::number));
                 let mut seen = seen.lock().expect("no holder panics");
-                if step == Step::Write {
+                if step == UpdateStep::Write {
                     seen.written += piece.len();
                 }
                 seen.received = received;
                 seen.flash.clone_from(&self.slots.bytes);
             }
-            if self.node.take_restart() {
+            if self.node.take_restart_request() {
                 self.restart();
             }
             if self.setup.cut_at.is_some_and(|at| received >= at) {
@@ -239,7 +241,7 @@ impl Board {
             let offsets = self.node.tick(1, Input::default());
             for frame in offsets.into_iter().chain(self.node.service()).collect::<Vec<_>>() {
                 let is_answer =
-                    frame.id() == SDO_ANSWER_ID && matches!(frame.data()[0], 0xA1 | 0xA2);
+                    frame.id() == SDO_RESPONSE_ID && matches!(frame.data()[0], 0xA1 | 0xA2);
                 if is_answer && self.setup.lost_answer_at.is_some_and(|at| received >= at) {
                     self.setup.lost_answer_at = None;
                     continue;
@@ -267,7 +269,7 @@ fn boot(
     journal: &mut Journal<Records>,
     slots: &mut SlotFlash,
     key: &PublicKey,
-    ending: Ending,
-) -> Start {
-    choose(journal, slots, key, ending, Clock::Full, || ()).expect("an image holds")
+    ending: StartOutcome,
+) -> StartSelection {
+    select_image(journal, slots, key, ending, ClockSpeed::Full, || ()).expect("an image holds")
 }

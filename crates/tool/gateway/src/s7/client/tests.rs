@@ -21,7 +21,7 @@ pub(in crate::s7) fn set_up(reference: u16, pdu: u8) -> Vec<u8> {
 }
 
 /// Returns a CPU that answers each request by the next of these, some bytes at a time, then goes.
-pub(in crate::s7) fn cpu(answers: Vec<Vec<u8>>, at_a_time: usize) -> Place {
+pub(in crate::s7) fn cpu(answers: Vec<Vec<u8>>, at_a_time: usize) -> CpuAddress {
     let listener = TcpListener::bind("127.0.0.1:0").expect("loopback");
     let address = listener.local_addr().expect("bound").to_string();
     thread::spawn(move || {
@@ -44,7 +44,7 @@ pub(in crate::s7) fn cpu(answers: Vec<Vec<u8>>, at_a_time: usize) -> Place {
             }
         }
     });
-    Place { address, rack: 0, slot: 2 }
+    CpuAddress { address, rack: 0, slot: 2 }
 }
 
 #[test]
@@ -75,7 +75,7 @@ fn it_reads_and_writes_however_the_network_cuts_the_answers() {
 fn what_is_asked_is_what_the_protocol_says() {
     // DB 100, from byte 64, two bytes: 512 bits on.
     let expected = [5, 1, 0x12, 0x0A, 0x10, 2, 0, 2, 0, 100, 0x84, 0, 2, 0];
-    assert_eq!(item(WRITE, 100, 64, 2).expect("fits"), expected);
+    assert_eq!(encode_item(FUNCTION_WRITE, 100, 64, 2).expect("fits"), expected);
 }
 
 #[test]
@@ -119,7 +119,7 @@ fn what_is_no_answer_is_no_panic_and_told() {
 
 #[test]
 fn an_address_may_name_its_port() {
-    let nobody = connect("127.0.0.1:1").expect_err("nobody listens there");
+    let nobody = connect_tcp("127.0.0.1:1").expect_err("nobody listens there");
     assert_eq!(nobody.kind(), io::ErrorKind::ConnectionRefused);
-    assert!(connect("no such host").is_err());
+    assert!(connect_tcp("no such host").is_err());
 }

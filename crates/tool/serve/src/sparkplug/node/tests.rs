@@ -1,5 +1,5 @@
 use super::*;
-use crate::sparkplug::decode;
+use crate::sparkplug::decode_metrics;
 use srad_types::payload::{Message as _, Payload};
 
 fn bridge(serial: u32, x_um: f64) -> Snapshot {
@@ -9,8 +9,8 @@ fn bridge(serial: u32, x_um: f64) -> Snapshot {
     bridge
 }
 
-fn node() -> Node {
-    Node::new("n", "me", "1.0", 254)
+fn node() -> EdgeNode {
+    EdgeNode::new("n", "me", "1.0", 254)
 }
 
 /// Returns the topics without those of the retained state, shortened, with their sequence numbers.
@@ -31,7 +31,7 @@ fn expected(all: &[(&str, u64)]) -> Vec<(String, Option<u64>)> {
 fn births_come_in_order_and_then_only_what_has_changed() {
     let mut node = node();
     node.begin_connection();
-    let own = Own::default();
+    let own = NodeStatistics::default();
     let bridges = [bridge(0xAB, 1.0), Snapshot::default()];
     let births = node.update(own, &bridges, 1);
     assert_eq!(numbered(&births), expected(&[("NBIRTH/n", 0), ("DBIRTH/n/000000ab", 1)]));
@@ -41,17 +41,17 @@ fn births_come_in_order_and_then_only_what_has_changed() {
     let messages = node.update(own, &bridges, 3);
     let all = [("DDATA/n/000000ab", 2), ("DBIRTH/n/000000cd", 3)];
     assert_eq!(numbered(&messages), expected(&all));
-    let changed = decode(&messages[0].payload).expect("a payload");
+    let changed = decode_metrics(&messages[0].payload).expect("a payload");
     assert_eq!(changed.len(), 1);
     assert_eq!(changed[0].value, Some(metric::Value::DoubleValue(2.0)));
-    let birth = decode(&births[1].payload).expect("a payload");
+    let birth = decode_metrics(&births[1].payload).expect("a payload");
     let named = birth.iter().find(|it| it.alias == changed[0].alias).expect("its alias");
     assert_eq!(named.name.as_deref(), Some("Offset/X"));
-    let node_birth = decode(&births[0].payload).expect("a payload");
-    let rebirth = node_birth.iter().find(|it| it.name.as_deref() == Some(REBIRTH));
+    let node_birth = decode_metrics(&births[0].payload).expect("a payload");
+    let rebirth = node_birth.iter().find(|it| it.name.as_deref() == Some(REBIRTH_METRIC));
     assert_eq!(rebirth.expect("it can be asked for").alias, None, "hosts name it");
 
-    let waiting = Own { waiting: 3, ..own };
+    let waiting = NodeStatistics { waiting: 3, ..own };
     assert_eq!(numbered(&node.update(waiting, &bridges, 4)), expected(&[("NDATA/n", 4)]));
 }
 
@@ -59,33 +59,36 @@ fn births_come_in_order_and_then_only_what_has_changed() {
 fn a_bridge_that_is_lost_or_exchanged_dies() {
     let mut node = node();
     node.begin_connection();
-    node.update(Own::default(), &[bridge(1, 0.0)], 1);
-    let exchanged = node.update(Own::default(), &[bridge(2, 0.0)], 2);
+    node.update(NodeStatistics::default(), &[bridge(1, 0.0)], 1);
+    let exchanged = node.update(NodeStatistics::default(), &[bridge(2, 0.0)], 2);
     let all = [("DDEATH/n/00000001", 2), ("DBIRTH/n/00000002", 3)];
     assert_eq!(numbered(&exchanged), expected(&all));
     let lost = Snapshot { is_up: false, ..bridge(2, 0.0) };
-    let messages = node.update(Own::default(), std::slice::from_ref(&lost), 3);
+    let messages = node.update(NodeStatistics::default(), std::slice::from_ref(&lost), 3);
     assert_eq!(numbered(&messages), expected(&[("DDEATH/n/00000002", 4)]));
     let retained =
         messages.iter().find(|it| it.is_retained).expect("the state of those that come later");
     assert_eq!(retained.topic, "trueup/n/00000002/state");
-    let up = decode(&retained.payload).expect("a payload");
+    let up = decode_metrics(&retained.payload).expect("a payload");
     assert_eq!(up[0].value, Some(metric::Value::BooleanValue(false)));
-    assert_eq!(node.update(Own::default(), &[lost], 4), []);
+    assert_eq!(node.update(NodeStatistics::default(), &[lost], 4), []);
 }
 
 #[test]
 fn the_number_of_the_connection_ties_a_death_to_its_birth_and_comes_round() {
     let mut node = node();
     let number = |message: &Message| {
-        let metrics = decode(&message.payload).expect("a payload");
-        metrics.iter().find(|it| it.name.as_deref() == Some(BD_SEQ)).and_then(|it| it.value.clone())
+        let metrics = decode_metrics(&message.payload).expect("a payload");
+        metrics
+            .iter()
+            .find(|it| it.name.as_deref() == Some(BD_SEQ_METRIC))
+            .and_then(|it| it.value.clone())
     };
     for expected in [255, 0, 1] {
         assert_eq!(node.begin_connection(), expected);
-        let birth = node.update(Own::default(), &[], 1);
+        let birth = node.update(NodeStatistics::default(), &[], 1);
         let value = Some(metric::Value::LongValue(expected.into()));
-        assert_eq!((number(&node.death(1)), number(&birth[0])), (value.clone(), value));
+        assert_eq!((number(&node.death_message(1)), number(&birth[0])), (value.clone(), value));
     }
 }
 
@@ -93,12 +96,12 @@ fn the_number_of_the_connection_ties_a_death_to_its_birth_and_comes_round() {
 fn a_rebirth_says_everything_again_from_sequence_0_and_sequences_come_round() {
     let mut node = node();
     node.begin_connection();
-    node.update(Own::default(), &[bridge(1, 0.0)], 1);
+    node.update(NodeStatistics::default(), &[bridge(1, 0.0)], 1);
     for n in 0..300_u32 {
-        let messages = node.update(Own::default(), &[bridge(1, 1.0 + f64::from(n))], 2);
+        let messages = node.update(NodeStatistics::default(), &[bridge(1, 1.0 + f64::from(n))], 2);
         let expected = u64::from((n + 2) % 256);
         assert_eq!(numbered(&messages)[0].1, Some(expected));
     }
-    let births = node.rebirth(Own::default(), &[bridge(1, 5.0)], 3);
+    let births = node.rebirth(NodeStatistics::default(), &[bridge(1, 5.0)], 3);
     assert_eq!(numbered(&births), expected(&[("NBIRTH/n", 0), ("DBIRTH/n/00000001", 1)]));
 }

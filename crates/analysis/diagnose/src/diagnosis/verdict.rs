@@ -1,0 +1,284 @@
+//! The verdict, and why.
+
+use std::fmt;
+
+use trueup_page::format_micrometres;
+
+use crate::{
+    diagnosis::{
+        final_model::MAX_MACHINE_TIER, power::DetectionPower, report::Verdict,
+        shortfall::Shortfall, slow_drift::SlowDrift, transfer::HoldOutEvaluation,
+        unexplained_residual::UnexplainedResidual,
+    },
+    judgement::Judgement,
+    repeats::{MAX_REPEATABILITY_UM, RepeatStatistics},
+    search::{
+        SearchOutcome,
+        lack_of_fit::{CurveInputs, LackOfFit},
+    },
+};
+
+/// A slow drift is structure where it is larger than what differs from reading to reading by more than this factor: it
+/// remembers more than three readings.
+const MIN_DRIFT_RATIO: f64 = 2.0;
+
+/// Why a verdict is as it is.
+#[derive(Clone, Debug)]
+pub(crate) enum VerdictReason {
+    LackOfFit(LackOfFit),
+    /// A term stands for a law that no cause has.
+    OtherLaw(CurveInputs),
+    /// Scatter at equal positions, and what repeats.
+    DoesNotRepeat(RepeatStatistics),
+    /// A table holds at its points, and is doubted between them.
+    BetweenPoints,
+    /// A finding is not claimed.
+    Open,
+    /// The terms were chosen for what they predict.
+    Predicted,
+    OnlyNoise,
+    /// The residual is as small as the uncertainty of the instrument.
+    OfInstrument,
+    /// A term that is periodic in time is driven by something that was not recorded.
+    ByTheClock,
+    /// No error of a size that matters could have been distinguished from noise.
+    TooLittle(DetectionPower),
+    Wanders(SlowDrift),
+    /// What is left may be the machine as well as the gauge.
+    UnexplainedResidual(UnexplainedResidual),
+    /// The CNC applies the offsets otherwise than once.
+    OffsetApplication,
+    /// It may do so: the bridge was engaged in all rows.
+    Engaged,
+    NothingFires,
+    /// The hold-out is worse with the model as it was found: RMS before and after, in µm.
+    Harm {
+        before_um: f64,
+        after_um: f64,
+    },
+    /// Where it is worse.
+    WorseAt(String),
+    /// The hold-out gains less than was promised: the floor, and the most that it can have gained.
+    FallsShort {
+        floor: f64,
+        came: f64,
+        most: f64,
+    },
+    /// A difference of the hold-out from the runs.
+    DiffersIn(String),
+    /// The hold-out is a little worse.
+    NoGainUnseen {
+        before_um: f64,
+        after_um: f64,
+    },
+}
+
+impl fmt::Display for VerdictReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::LackOfFit(lack) => lack.fmt(f),
+            Self::OtherLaw(inputs) => {
+                write!(f, "what is wrong goes with {inputs}, and no cause does so")
+            }
+            Self::DoesNotRepeat(repeats) => write!(
+                f,
+                "at equal positions the readings scatter by {}, more than the {} that repeat: what \
+                 is corrected today is wrong tomorrow",
+                format_micrometres(repeats.scatter_um),
+                format_micrometres(repeats.systematic_um)
+            ),
+            Self::BetweenPoints => f.write_str(
+                "a table holds at its points; what it is worth between them these points cannot show",
+            ),
+            Self::Open => {
+                f.write_str("two causes cannot be told apart, or a parameter is not yet identified")
+            }
+            Self::Predicted => f.write_str(
+                "the written terms were chosen for what they foresee: other names may foresee as well",
+            ),
+            Self::OnlyNoise => f.write_str("nothing is left but noise: the model stays"),
+            Self::Harm { before_um, after_um } => write!(
+                f,
+                "what explains the runs makes the hold-out worse: {} RMS before, {} with all of it",
+                format_micrometres(*before_um),
+                format_micrometres(*after_um)
+            ),
+            Self::WorseAt(place) | Self::DiffersIn(place) => f.write_str(place),
+            Self::FallsShort { floor, came, most } => write!(
+                f,
+                "at least {:.0} % less was promised; the hold-out has {:.0} % less, at most {:.0} %",
+                100.0 * floor,
+                100.0 * came,
+                100.0 * most
+            ),
+            Self::NoGainUnseen { before_um, after_um } => write!(
+                f,
+                "the hold-out gains nothing: {} RMS before, {} after",
+                format_micrometres(*before_um),
+                format_micrometres(*after_um)
+            ),
+            Self::OfInstrument => f.write_str(
+                "what is left is as small as what the instrument is worth: the model stays",
+            ),
+            Self::TooLittle(DetectionPower { rows, matters_um, needed, .. }) => write!(
+                f,
+                "{rows} rows cannot tell an error of {} RMS from noise: {needed}",
+                format_micrometres(*matters_um)
+            ),
+            Self::Wanders(wandering) => wandering.fmt(f),
+            Self::UnexplainedResidual(rest) => rest.fmt(f),
+            Self::OffsetApplication => f.write_str(
+                "the CNC applies the offset otherwise than once: the machine file stays until that is put right",
+            ),
+            Self::Engaged => f.write_str(
+                "the bridge was engaged, and how the CNC applies the offset is not known: what is wrong may be the \
+                 CNC or the machine file, so nothing is written",
+            ),
+            Self::ByTheClock => f.write_str(
+                "what comes and goes with the clock has a cause that was not recorded; the next record has \
+                 another phase",
+            ),
+            Self::NothingFires => f.write_str("no test of structure fires on what is left"),
+        }
+    }
+}
+
+/// Evidence for a verdict.
+pub(super) struct VerdictEvidence<'g> {
+    pub found: &'g SearchOutcome,
+    pub judged: &'g [Judgement],
+    /// Whether some readings were excluded as outliers.
+    pub has_outliers: bool,
+    pub repeats: Option<&'g RepeatStatistics>,
+    pub power: &'g DetectionPower,
+    pub wandering: Option<&'g SlowDrift>,
+    /// What is left, where nothing shows that it is the gauge's.
+    pub unknown_rest: Option<UnexplainedResidual>,
+    /// Scatter from one reading to the next, as a standard deviation of each, in µm.
+    pub between_neighbours_um: f64,
+    /// The expanded uncertainty of the instrument (95 %), in µm, where that is known.
+    pub instrument_um: Option<f64>,
+    /// The result of the answer on a hold-out.
+    pub transfer: Option<&'g HoldOutEvaluation>,
+    /// How the hold-out falls short of the promise, if it does.
+    pub shortfall: Option<&'g Shortfall>,
+    /// Whether the written terms were chosen for prediction.
+    pub is_predicted: bool,
+    /// Whether a term is not written because the record does not separate it from another one.
+    pub is_withheld: bool,
+}
+
+/// Returns the verdict on an answer, and why.
+pub(super) fn decide_verdict(grounds: &VerdictEvidence<'_>) -> (Verdict, Vec<VerdictReason>) {
+    let (verdict, mut reasons) = decide_run_verdict(grounds);
+    reasons.extend(grounds.wandering.cloned().map(VerdictReason::Wanders));
+    let Some(transfer) = grounds.transfer else { return (verdict, reasons) };
+    let (before_um, after_um) = (transfer.before_um, transfer.found_um);
+    if !transfer.dropped.is_empty() {
+        let mut harm = vec![VerdictReason::Harm { before_um, after_um }];
+        harm.extend(transfer.places.iter().cloned().map(VerdictReason::WorseAt));
+        harm.extend(reasons.into_iter().filter(|it| !matches!(it, VerdictReason::NothingFires)));
+        return (Verdict::DoesNotTransfer, harm);
+    }
+    let comes_first = matches!(verdict, Verdict::TooLittleData | Verdict::DoNotCompensate);
+    let shortfall = grounds.shortfall.filter(|it| it.is_certain() && !comes_first);
+    if let Some(Shortfall { floor, came, most, places, .. }) = shortfall {
+        let mut short = vec![VerdictReason::FallsShort { floor: *floor, came: *came, most: *most }];
+        short.extend(places.iter().cloned().map(VerdictReason::DiffersIn));
+        short.extend(reasons.into_iter().filter(|it| !matches!(it, VerdictReason::NothingFires)));
+        return (Verdict::FallsShort, short);
+    }
+    if transfer.is_worse() && verdict.is_resolved() {
+        return (
+            Verdict::PartlyExplained,
+            vec![VerdictReason::NoGainUnseen { before_um, after_um }],
+        );
+    }
+    (verdict, reasons)
+}
+
+/// Returns the verdict by the runs alone.
+fn decide_run_verdict(grounds: &VerdictEvidence<'_>) -> (Verdict, Vec<VerdictReason>) {
+    let VerdictEvidence { found, judged, .. } = *grounds;
+    let mut reasons: Vec<VerdictReason> =
+        found.lack_of_fit.iter().cloned().map(VerdictReason::LackOfFit).collect();
+    let mut laws: Vec<&CurveInputs> = Vec::new();
+    for law in judged.iter().filter_map(Judgement::other_law) {
+        if !laws.contains(&law) {
+            laws.push(law);
+        }
+    }
+    reasons.extend(laws.into_iter().cloned().map(VerdictReason::OtherLaw));
+    if grounds.is_predicted {
+        reasons.push(VerdictReason::Predicted);
+    }
+    if judged.is_empty() && !grounds.is_predicted {
+        return verdict_without_cause(grounds, reasons);
+    }
+    let is_doubted = |it: &Judgement| !it.doubts.is_empty() && it.other_law().is_none();
+    if grounds.is_withheld || judged.iter().any(is_doubted) {
+        reasons.push(VerdictReason::Open);
+    }
+    if judged.iter().any(|it| it.cause().is_clock_periodic()) {
+        reasons.push(VerdictReason::ByTheClock);
+    }
+    reasons.extend(grounds.unknown_rest.map(VerdictReason::UnexplainedResidual));
+    if judged
+        .iter()
+        .any(|it| it.between.as_ref().is_some_and(|it| it.found.is_interpolation_doubtful()))
+    {
+        reasons.push(VerdictReason::BetweenPoints);
+    }
+    // A drift or a jump says of what wanders only that it does.
+    let is_of_time = judged.iter().all(|it| it.cause().tier() > MAX_MACHINE_TIER);
+    let wanders =
+        grounds.has_drift_above_uncertainty() || is_of_time && grounds.has_drift_above_noise();
+    if reasons.is_empty() && !wanders {
+        (Verdict::Explained, vec![VerdictReason::NothingFires])
+    } else {
+        (Verdict::PartlyExplained, reasons)
+    }
+}
+
+/// Returns the verdict where no cause was found.
+fn verdict_without_cause(
+    grounds: &VerdictEvidence<'_>,
+    mut reasons: Vec<VerdictReason>,
+) -> (Verdict, Vec<VerdictReason>) {
+    let power = grounds.power;
+    let does_not_repeat = |it: &&RepeatStatistics| {
+        it.scatter_um > it.systematic_um && it.scatter_um > MAX_REPEATABILITY_UM
+    };
+    if let Some(repeats) = grounds.repeats.filter(does_not_repeat) {
+        reasons.push(VerdictReason::DoesNotRepeat(*repeats));
+        return (Verdict::DoNotCompensate, reasons);
+    }
+    if !reasons.is_empty()
+        || grounds.has_drift_above_uncertainty()
+        || grounds.has_drift_above_noise()
+    {
+        return (Verdict::Unexplained, reasons);
+    }
+    if !power.is_enough {
+        return (Verdict::TooLittleData, vec![VerdictReason::TooLittle(power.clone())]);
+    }
+    let reason =
+        if power.is_of_instrument { VerdictReason::OfInstrument } else { VerdictReason::OnlyNoise };
+    (if grounds.has_outliers { Verdict::Explained } else { Verdict::Clean }, vec![reason])
+}
+
+impl VerdictEvidence<'_> {
+    /// Returns whether what wanders is larger than what differs from reading to reading, where the instrument's
+    /// uncertainty is not known: the noise of an instrument is that between neighbours, and what is slower is
+    /// structure.
+    fn has_drift_above_noise(&self) -> bool {
+        let wandering = self.wandering.map_or(0.0, |wandering| wandering.rms_um);
+        self.instrument_um.is_none() && wandering > MIN_DRIFT_RATIO * self.between_neighbours_um
+    }
+
+    /// Returns whether what wanders is larger than what the instrument is worth: then it is the machine that does.
+    fn has_drift_above_uncertainty(&self) -> bool {
+        let wandering = self.wandering.map_or(0.0, |wandering| wandering.rms_um);
+        self.instrument_um.is_some_and(|instrument_um| wandering > instrument_um)
+    }
+}

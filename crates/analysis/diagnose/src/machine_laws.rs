@@ -1,0 +1,258 @@
+//! The machine's own laws with the constants that the parts of a model correct, in columns: what
+//! `trueup predict` steps row by row.
+
+use std::{borrow::Cow, sync::Arc};
+
+use trueup_machine::{
+    effect::{ModelConstants, ThermometerDelay},
+    file::{ElongationSource, Spindle, TemperatureModel, ThermalLaw, Warmup},
+    model::{WarmupState, thermal_um},
+};
+
+use crate::{
+    data::{DataTable, RowPredictions, forward_fill},
+    term_kind::{ModelPart, own_axis_thermal},
+};
+
+/// The machine's own laws; none where nothing is corrected.
+#[derive(Debug, Default)]
+pub(crate) struct MachineLaws {
+    spindle: Option<Spindle>,
+    spindle_falling_s: Option<f64>,
+    spindle_late: Option<ThermometerDelay>,
+    thermal: Option<ThermalLaw>,
+    thermal_falling_s: Option<f64>,
+    thermal_late: Option<ThermometerDelay>,
+}
+
+/// A growth that is a factor times a temperature.
+pub(crate) struct ThermalGrowth<'l> {
+    pub model: &'l TemperatureModel,
+    /// How late its thermometer is, and the lags behind the part's temperature, in s.
+    pub late: Option<ThermometerDelay>,
+    pub lags_s: [f64; 2],
+}
+
+impl ThermalGrowth<'_> {
+    /// Returns the temperature behind the lags, in each row.
+    pub(crate) fn lagged_temperature_c(&self, data: &DataTable) -> Arc<Vec<f64>> {
+        data.lagged_part_temperature(&self.model.sensor, self.late, self.lags_s)
+    }
+}
+
+impl MachineLaws {
+    /// Returns the laws of the machine file with what `parts` correct.
+    pub(crate) fn with_corrections(data: &DataTable, parts: &[ModelPart]) -> Self {
+        let mut laws = Self::default();
+        for part in parts.iter().filter(|part| part.kind.corrects_constants()) {
+            let Some(cause) = part.cause() else { continue };
+            let is_of_elongation = part.kind.affects_elongation(data);
+            if let Some(late) = cause.thermometer_delay() {
+                let own =
+                    if is_of_elongation { &mut laws.spindle_late } else { &mut laws.thermal_late };
+                *own = Some(late);
+            }
+            cause.correct_constants(&mut if is_of_elongation {
+                let spindle =
+                    laws.spindle.get_or_insert_with(|| data.setting.machine.spindle.clone());
+                ModelConstants {
+                    spindle: Some(spindle),
+                    thermal: None,
+                    falling_s: &mut laws.spindle_falling_s,
+                }
+            } else {
+                laws.thermal = laws.thermal.take().or_else(|| own_axis_thermal(data).cloned());
+                ModelConstants {
+                    spindle: None,
+                    thermal: laws.thermal.as_mut(),
+                    falling_s: &mut laws.thermal_falling_s,
+                }
+            });
+        }
+        laws
+    }
+
+    /// Returns the laws of the machine file.
+    fn from_machine(data: &DataTable) -> Self {
+        let spindle = &data.setting.machine.spindle;
+        let is_thermal = spindle.source == Some(ElongationSource::Temperature);
+        Self {
+            spindle: is_thermal.then(|| spindle.clone()),
+            thermal: own_axis_thermal(data).cloned(),
+            ..Self::default()
+        }
+    }
+
+    /// Returns the columns of their thermometers.
+    fn sensor_columns(&self) -> impl Iterator<Item = &str> {
+        let of_spindle = self.spindle.as_ref().and_then(|it| it.temperature.as_ref());
+        let columns = [self.thermal.as_ref().map(|it| &it.sensor), of_spindle.map(|it| &it.sensor)];
+        columns.into_iter().flatten().map(String::as_str)
+    }
+
+    /// `data` as if the thermometers of the machine's own laws, and that of `column`, were smoothed over
+    /// `width_s`, without being late.
+    pub(crate) fn with_smoothed_thermometers(
+        data: &DataTable,
+        column: Option<&str>,
+        width_s: f64,
+    ) -> DataTable {
+        let own = Self::from_machine(data);
+        let others = column.filter(|column| !own.sensor_columns().any(|own| own == *column));
+        let columns: Vec<&str> = own.sensor_columns().chain(others).collect();
+        Self::with_changed_thermometers(data, &columns, &|data, column| {
+            data.smooth_temperature(column, width_s)
+        })
+    }
+
+    /// `data` as if a term's temperature of `column`, or (none) those of the machine's own laws, came behind a
+    /// lag of `late_s`.
+    pub(crate) fn with_thermometer_lag(
+        data: &DataTable,
+        column: Option<&str>,
+        late_s: f64,
+    ) -> DataTable {
+        let delay_temperature =
+            |data: &mut DataTable, column: &str| data.delay_temperature(column, late_s);
+        match (column, &data.whole) {
+            (None, _) => {
+                let own = Self::from_machine(data);
+                Self::with_changed_thermometers(
+                    data,
+                    &own.sensor_columns().collect::<Vec<_>>(),
+                    &delay_temperature,
+                )
+            }
+            (Some(_), Some(whole)) => {
+                data.select_same_rows(Self::with_thermometer_lag(&whole.data, column, late_s))
+            }
+            (Some(column), None) => {
+                let mut late = data.clone();
+                delay_temperature(&mut late, column);
+                late
+            }
+        }
+    }
+
+    /// `data` with the thermometers of `columns` changed, and the machine's own laws with them.
+    fn with_changed_thermometers(
+        data: &DataTable,
+        columns: &[&str],
+        change: &dyn Fn(&mut DataTable, &str),
+    ) -> DataTable {
+        if let Some(whole) = &data.whole {
+            return data.select_same_rows(Self::with_changed_thermometers(
+                &whole.data,
+                columns,
+                change,
+            ));
+        }
+        let mut changed = data.clone();
+        columns.iter().for_each(|column| change(&mut changed, column));
+        let laws = Self::from_machine(data);
+        if laws.sensor_columns().any(|own| columns.contains(&own)) {
+            let axis: Arc<[f64]> = laws.axis_error(&changed).into();
+            let law: Arc<[f64]> = laws.elongation(&changed).into();
+            let before = &data.predicted;
+            let moved = |um: &[f64], new: &[f64], old: &[f64]| {
+                um.iter()
+                    .zip(new.iter().zip(old))
+                    .map(|(um, (new, old))| um + (new - old))
+                    .collect()
+            };
+            changed.predicted = RowPredictions {
+                thermal: moved(&before.thermal, &axis, &before.axis),
+                elongation: moved(&before.elongation, &law, &before.law),
+                along: before.along.clone(),
+                axis,
+                law,
+            };
+        }
+        changed
+    }
+
+    /// Returns the time constant with which the model's own heat rises.
+    pub(crate) fn rise_time_constant_s(&self, data: &DataTable) -> Option<f64> {
+        let spindle = self.spindle.as_ref().unwrap_or(&data.setting.machine.spindle);
+        let rise_s = match (self.thermal.as_ref().or(own_axis_thermal(data)), spindle.source) {
+            (Some(thermal), _) => Some(thermal.lag_s),
+            (None, Some(ElongationSource::Temperature)) => {
+                spindle.temperature.as_ref().map(|it| it.lag_s)
+            }
+            (None, Some(ElongationSource::Warmup)) => {
+                spindle.warmup.as_ref().map(Warmup::time_constant_s)
+            }
+            _ => None,
+        };
+        rise_s.filter(|rise_s| *rise_s > 0.0)
+    }
+
+    /// Returns the law of the elongation, where it is corrected and the axis's is not, and it is a factor times a
+    /// temperature.
+    pub(crate) fn growth(&self, data: &DataTable) -> Option<ThermalGrowth<'_>> {
+        let spindle = self.spindle.as_ref().filter(|_| self.thermal.is_none())?;
+        self.spindle_growth(spindle, data)
+    }
+
+    fn spindle_growth<'l>(
+        &self,
+        spindle: &'l Spindle,
+        data: &DataTable,
+    ) -> Option<ThermalGrowth<'l>> {
+        let is_thermal = spindle.source == Some(ElongationSource::Temperature);
+        let model = spindle.temperature.as_ref().filter(|_| is_thermal)?;
+        data.temperature(&model.sensor)?;
+        let fall_s = self.spindle_falling_s.unwrap_or(model.lag_s);
+        Some(ThermalGrowth { model, late: self.spindle_late, lags_s: [model.lag_s, fall_s] })
+    }
+
+    /// Returns the elongation of each row.
+    pub(crate) fn elongation<'d>(&self, data: &'d DataTable) -> Cow<'d, [f64]> {
+        let Some(spindle) = &self.spindle else { return Cow::Borrowed(&data.predicted.law) };
+        if let Some(growth) = self.spindle_growth(spindle, data) {
+            let ThermalGrowth { model, .. } = growth;
+            let grown = |c: &f64| model.k_um_per_c * (c - model.reference_c);
+            return growth.lagged_temperature_c(data).iter().map(grown).collect();
+        }
+        match (spindle.source, &spindle.warmup) {
+            (Some(ElongationSource::Warmup), Some(model)) => {
+                if let Some(whole) = &data.whole {
+                    return whole.select_rows(&self.elongation(&whole.data)).into();
+                }
+                let Some(time_s) = data.time_s() else { return Cow::Borrowed(&data.predicted.law) };
+                let rated_rpm = model.rated_rpm.unwrap_or(1.0);
+                let mut state = WarmupState::default();
+                let grown: Vec<f64> = (0..data.rows)
+                    .map(|row| {
+                        if data.places.restart[row] {
+                            state = WarmupState::default();
+                        }
+                        let rpm = data.spindle_rpm().map_or(rated_rpm, |rpm| rpm[row]);
+                        state.step(model, time_s[row], rpm)
+                    })
+                    .collect();
+                forward_fill(&grown).into()
+            }
+            _ => Cow::Borrowed(&data.predicted.law),
+        }
+    }
+
+    /// Returns the axis's error of each row.
+    pub(crate) fn axis_error<'d>(&self, data: &'d DataTable) -> Cow<'d, [f64]> {
+        let thermal = self.thermal.as_ref();
+        let Some(thermal) = thermal.filter(|it| data.temperature(&it.sensor).is_some()) else {
+            return Cow::Borrowed(&data.predicted.axis);
+        };
+        let fall_s = self.thermal_falling_s.unwrap_or(thermal.lag_s);
+        let lags_s = [thermal.lag_s, fall_s];
+        let lagged = data.lagged_part_temperature(&thermal.sensor, self.thermal_late, lags_s);
+        let position = data.own_position();
+        (0..data.rows)
+            .map(|row| {
+                let mm = position.map_or(f64::NAN, |mm| mm[row]);
+                data.predicted.axis[row] - data.predicted.thermal[row]
+                    + thermal_um(thermal, lagged[row], mm)
+            })
+            .collect()
+    }
+}

@@ -1,0 +1,34 @@
+//! Sentences for the user about what was learned from a record.
+
+use crate::{filter_bank::DECISION_ODDS, limits::Limits, replay::FilterHistory};
+
+/// Returns which of the two is believed, in a sentence.
+pub(crate) fn describe_belief(believed: &FilterHistory) -> String {
+    let bank = &believed.bank;
+    let (count, file_um, own_um) = bank.mean_absolute_errors();
+    let figures = match count {
+        0 => "no reading has been used yet".into(),
+        _ => format!(
+            "of the last {count} readings that were used the current machine file missed each by {file_um:.2} µm on \
+             average, what was learned by {own_um:.2} µm, before they were used"
+        ),
+    };
+    let odds = bank.odds();
+    match bank.learned_values() {
+        Some(_) => format!("What was learned is applied: {figures}."),
+        None => format!(
+            "The current machine file stays: {figures}; they are {odds:.0} times likelier by what was learned, and \
+             {DECISION_ODDS:.0} times would be enough."
+        ),
+    }
+}
+
+/// Returns the advice to measure again where a bound was reached.
+pub(crate) fn describe_reached_bound(limits: &Limits) -> String {
+    format!(
+        "A bound was reached ({:.0} % of a constant, or {} µm together): the machine is no longer the one \
+         that was measured. Measure it again: trueup fit, or trueup diagnose.",
+        100.0 * limits.share,
+        limits.total_um
+    )
+}

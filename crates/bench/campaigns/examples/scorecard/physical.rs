@@ -1,0 +1,120 @@
+//! `scorecard physical`: machines with one to five physical faults ([`trueup_campaigns::physical`]), and
+//! machines without one; what names a fault stands in `docs/physical-faults.md`.
+
+use std::{collections::BTreeMap, ops::Range, process::ExitCode};
+
+use crate::{
+    compare::{DrawScore, DrawScores},
+    machines::{Case, Judged},
+    map_seeds_in_parallel,
+    options::TierOptions,
+};
+
+/// The least share of draws in which all is named, of those whose faults can be distinguished from each other.
+const MIN_NAMED_SHARE: f64 = 0.95;
+/// The largest share of draws with a wrong name.
+const MAX_WRONG_SHARE: f64 = 0.01;
+/// A healthy machine for this many with faults.
+const FAULTY_PER_HEALTHY: u64 = 5;
+
+/// Counts over draws.
+#[derive(Default)]
+struct DrawCounts {
+    draws: usize,
+    named: usize,
+    wrong: usize,
+    harmed: usize,
+    /// Draws whose faults can be distinguished from each other, and those of them in which all are named.
+    can_be_told: usize,
+    told: usize,
+    /// By fault: draws, named, claimed.
+    by_fault: BTreeMap<&'static str, [usize; 3]>,
+}
+
+impl DrawCounts {
+    fn add(&mut self, judged: &Judged) {
+        let is_named = judged.told.missed.is_empty();
+        self.draws += 1;
+        self.named += usize::from(is_named);
+        self.wrong += usize::from(!judged.told.wrong.is_empty());
+        self.harmed += usize::from(judged.is_harmed());
+        self.can_be_told += usize::from(judged.can_be_told());
+        self.told += usize::from(judged.can_be_told() && is_named);
+        for ((fault, ..), (is_named, is_claimed)) in judged.faults.iter().zip(&judged.told.needed) {
+            let counts = self.by_fault.entry(fault.name()).or_default();
+            counts[0] += 1;
+            counts[1] += usize::from(*is_named);
+            counts[2] += usize::from(*is_claimed);
+        }
+    }
+
+    fn print(&self, name: &str) {
+        let percent = |count: usize, of: usize| 100.0 * count as f64 / of.max(1) as f64;
+        println!(
+            "{name}: {} draws, all named in {:.1} %, a wrong name in {:.1} %, harm in {}; of the {} whose \
+             faults can be told from each other all named in {:.1} %",
+            self.draws,
+            percent(self.named, self.draws),
+            percent(self.wrong, self.draws),
+            self.harmed,
+            self.can_be_told,
+            percent(self.told, self.can_be_told),
+        );
+    }
+
+    fn is_target_met(&self) -> bool {
+        self.told as f64 >= MIN_NAMED_SHARE * self.can_be_told as f64
+            && self.wrong as f64 <= MAX_WRONG_SHARE * self.draws as f64
+            && self.harmed == 0
+    }
+}
+
+/// Machines that are counted together.
+struct MachineGroup {
+    name: &'static str,
+    seeds: Range<u64>,
+    draw: fn(u64) -> Case,
+}
+
+/// `physical [--seeds 300] [--first 0] [--each] [--tsv FILE] [faults|healthy]`.
+pub fn run(words: &[String]) -> ExitCode {
+    let asked = match TierOptions::parse(words, 300) {
+        Ok(asked) => asked,
+        Err(complaint) => return complaint,
+    };
+    let seeds = asked.seeds();
+    let healthy = seeds.start..seeds.start + (seeds.end - seeds.start).div_ceil(FAULTY_PER_HEALTHY);
+    let rows = [
+        MachineGroup { name: "faults", seeds, draw: Case::draw },
+        MachineGroup { name: "healthy", seeds: healthy, draw: Case::healthy },
+    ];
+    let (mut draws, mut is_met) = (DrawScores::default(), true);
+    for MachineGroup { name, seeds, draw } in
+        rows.into_iter().filter(|row| asked.is_selected(row.name))
+    {
+        let mut sum = DrawCounts::default();
+        let judged = map_seeds_in_parallel(seeds.clone(), &|seed| {
+            let judged = draw(seed).judged();
+            if asked.each || !judged.told.is_right() || judged.is_harmed() {
+                println!("    seed {seed}: {judged}");
+            }
+            judged
+        });
+        for (seed, judged) in seeds.zip(&judged) {
+            sum.add(judged);
+            let told = &judged.told;
+            let (is_right, is_wrong) = (told.missed.is_empty(), !told.wrong.is_empty());
+            let gain = 1.0 - judged.after_um / judged.before_um;
+            let draw = DrawScore::without_intervals(is_right, is_wrong, gain);
+            let cell = if name == "healthy" { name } else { judged.kind.name() };
+            draws.insert("physical", cell, seed, draw);
+        }
+        for (fault, [count, named, claimed]) in &sum.by_fault {
+            println!("{fault:<24} n {count:>3} named {named:>3} claimed {claimed:>3}");
+        }
+        sum.print(name);
+        is_met &= sum.is_target_met();
+        asked.write_tsv(&draws);
+    }
+    ExitCode::from(u8::from(!is_met))
+}

@@ -1,0 +1,337 @@
+//! A machine with hidden faults, drawn by a seed: one to three physical faults of the virtual machine
+//! tool, each at least three times the noise, and each separable from every rival law by the record it makes.
+//!
+//! Nothing here knows the diagnosis. Whether faults can be separated is computed from what they really do to
+//! the record ([`crate::alternatives`]); which causes name a fault is read from `docs/physical-faults.md`.
+
+use std::path::Path;
+
+use anyhow::Result;
+use trueup_campaigns::physical::{MachineKind, PhysicalFault, Plant};
+use trueup_machine::{MachineFile, RunFile, predict::Predictor};
+use trueup_twin::{
+    noise::{RandomStream, rms},
+    path::build_legs,
+    scenario::Scenario,
+    simulate,
+};
+
+use crate::{
+    alternatives::{BicDifferences, Record, compute_bic_differences},
+    run_table::{parse_run, with_columns, without_readings},
+};
+
+/// The smallest fault that is hidden, as a multiple of the RMS of the noise: one that a record of this length shows.
+pub(crate) const MIN_FAULT_NOISE_RATIO: f64 = 3.0;
+/// Faults are drawn from a little above that to this multiple of the noise.
+const FAULT_NOISE_RATIO_RANGE: [f64; 2] = [1.1 * MIN_FAULT_NOISE_RATIO, 10.0];
+/// A fault that must be larger than this to be seen is none of this machine: as in
+/// `docs/physical-faults.md`, a room that swings by more, in K, is no room.
+const MAX_FAULT_SIZE: f64 = 8.0;
+/// Minimum difference of BIC from each rival law: Kass and Raftery (1995) call it
+/// strong; the rule of a diagnosis as well.
+pub(crate) const MIN_BIC_DIFFERENCE: f64 = 6.0;
+/// A bridge's monitor writes down all the time what the bridge knows: a row at least so often, in s, also
+/// while an axis works and no gauge is read. A scale that follows its air for hours has done so between
+/// the measurements too.
+const MONITOR_INTERVAL_S: f64 = 60.0;
+/// Maximum number of machines drawn for a seed until one can be separated.
+const MAX_DRAWS: u64 = 200;
+
+/// A fault that is drawn.
+#[derive(Clone, Debug)]
+pub struct SampledFault {
+    /// The fault.
+    pub fault: PhysicalFault,
+    /// How much of it ([`PhysicalFault`]).
+    pub size: f64,
+    /// RMS of what it does to the record, over that of the noise.
+    pub ratio: f64,
+    /// Its effect in each row of the first day, in µm, read or not.
+    pub um: Vec<f64>,
+}
+
+/// A machine with hidden faults.
+#[derive(Clone, Debug)]
+pub struct FaultyMachine {
+    /// The seed of its draws.
+    pub seed: u64,
+    /// The machine.
+    pub plant: Plant,
+    /// Its faults.
+    pub faults: Vec<SampledFault>,
+    /// RMS in µm of what the file leaves of the machine without a fault.
+    pub noise_um: f64,
+    /// By how much the nearest answer is worse in which a fault is not named, as a difference of BIC.
+    pub gap: f64,
+}
+
+/// Returns the causes that name `fault`: one or two, from the table of `docs/physical-faults.md`.
+#[must_use]
+pub(crate) fn expected_causes(fault: PhysicalFault) -> Vec<&'static str> {
+    const FAULT_TABLE: &str = include_str!("../../../../docs/physical-faults.md");
+    let begins = format!("| `{}` |", fault.name());
+    let row = FAULT_TABLE.lines().find_map(|line| line.strip_prefix(&begins));
+    let cell = row.and_then(|row| row.split('|').next()).unwrap_or_default();
+    cell.split('`').skip(1).step_by(2).collect()
+}
+
+impl FaultyMachine {
+    /// Returns the machine of `seed`.
+    ///
+    /// # Errors
+    /// The faults of no drawn machine can be separated.
+    pub fn draw(seed: u64) -> Result<Self> {
+        let machine = |stream: &mut RandomStream| {
+            let count = stream.uniform_integer(1, 3);
+            let kinds: Vec<MachineKind> = MachineKind::SAMPLED_KINDS
+                .into_iter()
+                .filter(|kind| machine_faults(*kind).len() >= count)
+                .collect();
+            (stream.choose(&kinds), count)
+        };
+        Self::draw_until_separable(seed, "hidden fault", machine, None)
+    }
+
+    /// Returns the machine of `seed` that changes its tools, of which each grows with the speed in its own way; another
+    /// fault may be hidden together with that.
+    ///
+    /// # Errors
+    /// The faults of no drawn machine can be separated.
+    pub fn draw_with_tools(seed: u64) -> Result<Self> {
+        let machine =
+            |stream: &mut RandomStream| (MachineKind::ToolSpindle, stream.uniform_integer(1, 2));
+        Self::draw_until_separable(seed, "hidden tools", machine, Some(PhysicalFault::ToolGrowth))
+    }
+
+    /// Draws kind and number of faults by `machine`, until its faults, `first` among them, can be separated.
+    fn draw_until_separable(
+        seed: u64,
+        purpose: &str,
+        machine: impl Fn(&mut RandomStream) -> (MachineKind, usize),
+        first: Option<PhysicalFault>,
+    ) -> Result<Self> {
+        for attempt in 0..MAX_DRAWS {
+            let mut stream = RandomStream::new(seed, &format!("{purpose} {attempt}"));
+            let (kind, count) = machine(&mut stream);
+            // Far from the seeds of other draws.
+            let plant = Plant::draw(kind, seed.wrapping_mul(MAX_DRAWS).wrapping_add(attempt));
+            let mut hidden = Self { seed, plant, faults: Vec::new(), noise_um: 0.0, gap: 0.0 };
+            hidden.noise_um = hidden
+                .rms_of_read_rows(&hidden.residuals_um(&hidden.plant.scenario_for_day(0, &[]), 0)?);
+            let mut choice = machine_faults(kind);
+            for number in 0..count {
+                if choice.is_empty() {
+                    break;
+                }
+                let wanted = first.filter(|_| number == 0);
+                let place = wanted.and_then(|first| choice.iter().position(|it| *it == first));
+                let place = place.unwrap_or_else(|| stream.uniform_integer(0, choice.len() - 1));
+                let fault = choice.swap_remove(place);
+                // Each fault has to be named by a finding of its own.
+                let own = expected_causes(fault);
+                choice.retain(|other| {
+                    expected_causes(*other).iter().all(|cause| !own.contains(cause))
+                });
+                let target =
+                    stream.log_uniform(FAULT_NOISE_RATIO_RANGE[0], FAULT_NOISE_RATIO_RANGE[1]);
+                hidden.faults.extend(hidden.fault_at_ratio(fault, target)?);
+            }
+            if hidden.faults.len() == count {
+                let gaps = hidden.bic_differences()?;
+                hidden.gap = gaps.instead;
+                // A law of no fault next to the right ones must not better them.
+                if hidden.gap >= MIN_BIC_DIFFERENCE && gaps.beside >= 0.0 {
+                    return Ok(hidden);
+                }
+            }
+        }
+        anyhow::bail!("seed {seed}: none of {MAX_DRAWS} machines has faults that can be told apart")
+    }
+
+    /// Returns all faults with their sizes.
+    #[must_use]
+    pub fn fault_sizes(&self) -> Vec<(PhysicalFault, f64)> {
+        self.faults.iter().map(|drawn| (drawn.fault, drawn.size)).collect()
+    }
+
+    /// Returns the log of the bridge's monitor over a day, together with the readings of the gauge, as a run
+    /// file; `is_true`: by a gauge without an error.
+    ///
+    /// # Errors
+    /// None that is known.
+    pub fn record_day(&self, day: u64, is_true: bool) -> Result<RunFile> {
+        let mut scenario = self.plant.scenario_for_day(day, &self.fault_sizes());
+        if is_true {
+            scenario.instrument.noise_um = 0.0;
+            scenario.instrument.quantum_um = 0.0;
+        }
+        let run = self.monitor_record(&scenario, day)?;
+        let is_read = self.gauge_read_rows(&scenario, day);
+        let run = without_readings(&run, &self.measured_column(), |row| !is_read[row])?;
+        // What lies between two measurements is of the next one.
+        let Some(runs) = run.column("run") else { return Ok(run) };
+        let mut runs = runs.to_vec();
+        for row in (0..runs.len().saturating_sub(1)).rev().filter(|row| !is_read[*row]) {
+            runs[row] = runs[row + 1];
+        }
+        with_columns(&run, &[("run".into(), runs)])
+    }
+
+    /// `run` with 0 in the place of each reading.
+    ///
+    /// # Errors
+    /// There is no gauge.
+    pub(crate) fn with_zeroed_gauge(&self, run: &RunFile) -> Result<RunFile> {
+        let nothing =
+            run.require_column(&self.measured_column())?.iter().map(|um| 0.0 * um).collect();
+        with_columns(run, &[(self.measured_column(), nothing)])
+    }
+
+    /// Returns the rows of a day, the gauge read in all of them.
+    fn monitor_record(&self, scenario: &Scenario, day: u64) -> Result<RunFile> {
+        let mut scenario = scenario.clone();
+        scenario.interval_s = MONITOR_INTERVAL_S;
+        let csv = simulate(&scenario, self.plant.day_seed(day), || {}).to_csv();
+        let run = parse_run(&csv, "run.csv")?;
+        // The first row has what comes next, and of a machine that has not begun: it stands still.
+        let still = ["spindle_rpm", "load_n"].into_iter().filter_map(|name| {
+            let mut values = run.column(name)?.to_vec();
+            *values.first_mut()? = 0.0;
+            Some((name.to_string(), values))
+        });
+        with_columns(&run, &still.collect::<Vec<(String, Vec<f64>)>>())
+    }
+
+    /// In which of these rows the gauge is read: an axis is measured where it stands at a target, a spindle
+    /// always.
+    fn gauge_read_rows(&self, scenario: &Scenario, day: u64) -> Vec<bool> {
+        let Scenario { segment, repeat, start_mm, .. } = scenario;
+        let legs =
+            build_legs(segment, *repeat, *start_mm, MONITOR_INTERVAL_S, self.plant.day_seed(day));
+        let is_axis = self.is_axis();
+        let mut at_mm = *start_mm;
+        let mut is_read = Vec::new();
+        for leg in legs {
+            let stands = at_mm == leg.to_mm;
+            at_mm = leg.to_mm;
+            if leg.row_of_run.is_some() {
+                is_read.push(!is_axis || stands);
+            }
+        }
+        is_read
+    }
+
+    fn is_axis(&self) -> bool {
+        self.plant.quantity != "elongation"
+    }
+
+    /// RMS over the rows of the first day that are read.
+    fn rms_of_read_rows(&self, um: &[f64]) -> f64 {
+        let is_read = self.gauge_read_rows(&self.plant.scenario_for_day(0, &[]), 0);
+        rms(&um
+            .iter()
+            .zip(is_read)
+            .filter(|(_, read)| *read)
+            .map(|(um, _)| *um)
+            .collect::<Vec<f64>>())
+    }
+
+    /// `fault` at a size at which it does `target` times the noise; none where this machine does not
+    /// show it so large.
+    fn fault_at_ratio(&self, fault: PhysicalFault, target: f64) -> Result<Option<SampledFault>> {
+        let mut drawn = self.fault_at_size(fault, 1.0)?;
+        for _ in 0..8 {
+            if (drawn.ratio / target - 1.0).abs() < 0.05 {
+                break;
+            }
+            // What a fault does is nearly in proportion to its size.
+            let size = (drawn.size * target / drawn.ratio).min(2.0 * MAX_FAULT_SIZE);
+            drawn = self.fault_at_size(fault, size)?;
+        }
+        Ok((drawn.size <= MAX_FAULT_SIZE && drawn.ratio >= MIN_FAULT_NOISE_RATIO).then_some(drawn))
+    }
+
+    fn fault_at_size(&self, fault: PhysicalFault, size: f64) -> Result<SampledFault> {
+        let with = self.residuals_um(&self.plant.scenario_for_day(0, &[(fault, size)]), 0)?;
+        let without = self.residuals_um(&self.plant.scenario_without_fault(0, fault, size), 0)?;
+        let um: Vec<f64> = with.iter().zip(without).map(|(with, other)| with - other).collect();
+        Ok(SampledFault { fault, size, ratio: self.rms_of_read_rows(&um) / self.noise_um, um })
+    }
+
+    /// Measured minus predicted by the file in every row, in µm; the zero of an axis's gauge does not count.
+    fn residuals_um(&self, scenario: &Scenario, day: u64) -> Result<Vec<f64>> {
+        let run = self.monitor_record(scenario, day)?;
+        let predicted = self.predict_um(&run)?;
+        let measured = run.require_column(&self.measured_column())?;
+        let mut left: Vec<f64> = measured.iter().zip(predicted).map(|(m, p)| m - p).collect();
+        if self.is_axis() {
+            let is_read = self.gauge_read_rows(scenario, day);
+            let read = || left.iter().zip(&is_read).filter(|(_, read)| **read).map(|(um, _)| um);
+            let mean = read().sum::<f64>() / read().count() as f64;
+            left.iter_mut().for_each(|um| *um -= mean);
+        }
+        Ok(left)
+    }
+
+    /// Returns the column of the gauge.
+    #[must_use]
+    pub(crate) fn measured_column(&self) -> String {
+        format!("measured_{}_um", self.plant.quantity)
+    }
+
+    /// Computes the prediction of the user's file, in µm.
+    fn predict_um(&self, run: &RunFile) -> Result<Vec<f64>> {
+        let machine = MachineFile::parse(&self.plant.machine, Path::new("machine.toml"))?;
+        let predictor = Predictor::new(&machine, run)?;
+        let place = usize::from(self.is_axis());
+        Ok(predictor.predictions().map(|row| row.model.to_array()[place]).collect())
+    }
+
+    /// Returns how far the right answer is from others.
+    fn bic_differences(&self) -> Result<BicDifferences> {
+        let run = self.record_day(0, false)?;
+        let record = Record {
+            predicted_um: self.predict_um(&run)?,
+            is_read: &self.gauge_read_rows(&self.plant.scenario_for_day(0, &self.fault_sizes()), 0),
+            is_axis: self.is_axis(),
+            run: &run,
+        };
+        let signatures: Vec<(PhysicalFault, &[f64])> =
+            self.faults.iter().map(|drawn| (drawn.fault, drawn.um.as_slice())).collect();
+        Ok(compute_bic_differences(&record, &signatures, self.noise_um))
+    }
+}
+
+/// Returns the faults of the machine itself: the gauge is none of its parts.
+fn machine_faults(kind: MachineKind) -> Vec<PhysicalFault> {
+    kind.possible_faults()
+        .iter()
+        .copied()
+        .filter(|fault| *fault != PhysicalFault::GaugeDrift)
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_fault_has_its_causes_in_the_document() {
+        for &fault in PhysicalFault::ALL {
+            assert!((1..=2).contains(&expected_causes(fault).len()), "{}", fault.name());
+        }
+    }
+
+    #[test]
+    fn what_is_drawn_is_seen_and_can_be_told_and_a_seed_repeats_it() {
+        for seed in 0..4 {
+            let hidden = FaultyMachine::draw(seed).expect("can be told");
+            assert!((1..=3).contains(&hidden.faults.len()));
+            assert!(hidden.gap >= MIN_BIC_DIFFERENCE, "{}", hidden.gap);
+            assert!(hidden.faults.iter().all(|drawn| drawn.ratio >= MIN_FAULT_NOISE_RATIO));
+            let again = FaultyMachine::draw(seed).expect("can be told");
+            assert_eq!(again.fault_sizes(), hidden.fault_sizes());
+        }
+    }
+}

@@ -1,0 +1,90 @@
+//! The errors of the axes: computed whole once before the first tick, kept from message to message, and added up when
+//! they are requested.
+
+use super::{Bridge, state::State};
+use crate::{
+    axis_errors::{CachedErrors, ErrorSums},
+    cnc::LinearAxis,
+    machine_position::MachinePosition,
+    thermal_state::MachineThermalState,
+};
+
+impl Bridge<'_> {
+    /// Returns the state of a bridge that has just been switched on.
+    #[must_use]
+    pub fn initial_state(&self) -> State {
+        let errors = CachedErrors::from_place(
+            &self.calibration,
+            &MachineThermalState::default(),
+            &MachinePosition::default(),
+        );
+        State::with_errors(errors)
+    }
+
+    /// Computes all errors. No tick and no message does: it takes as long as all the messages that change a part.
+    pub fn compute_errors(&self, state: &mut State) {
+        state.errors = CachedErrors::from_place(&self.calibration, &state.heat, &state.place);
+        state.error_sums = None;
+    }
+
+    /// Returns the errors of the axes at the present place.
+    #[inline]
+    pub(super) fn axis_errors(&self, state: &mut State) -> ErrorSums {
+        match state.error_sums {
+            Some(sums) => sums,
+            None => self.sum_errors(state),
+        }
+    }
+
+    #[inline(never)]
+    fn sum_errors(&self, state: &mut State) -> ErrorSums {
+        let sums = self.compute_sums(&mut state.errors, &state.place);
+        *state.error_sums.insert(sums)
+    }
+
+    fn compute_sums(&self, errors: &mut CachedErrors, place: &MachinePosition) -> ErrorSums {
+        errors.sum_parts(&self.calibration, place);
+        errors.errors().clamped_sums(self.largest)
+    }
+
+    /// Applies a change in an input of the errors to the cached ones.
+    ///
+    /// Those of a volume are added up by the tick that asks for them, once however many messages came before it;
+    /// without one that is done here, and the tick has none of it.
+    #[inline]
+    pub(super) fn update_errors(
+        &self,
+        state: &mut State,
+        change: impl FnOnce(&mut CachedErrors, &MachineThermalState, &MachinePosition),
+    ) {
+        change(&mut state.errors, &state.heat, &state.place);
+        state.error_sums = match &self.calibration.volume {
+            None => Some(self.compute_sums(&mut state.errors, &state.place)),
+            Some(_) => None,
+        };
+    }
+
+    /// An axis has moved or turned round.
+    pub(super) fn update_axis_position(&self, state: &mut State, axis: LinearAxis) {
+        let calibration = &self.calibration;
+        self.update_errors(state, |errors, heat, place| {
+            errors.update_axis_position(calibration, heat, place, axis)
+        });
+    }
+
+    /// The heat of an axis has been stepped.
+    pub(super) fn update_axis_heat(&self, state: &mut State, axis: LinearAxis) {
+        let calibration = &self.calibration;
+        self.update_errors(state, |errors, heat, place| {
+            errors.update_axis_heat(calibration, heat, place, axis)
+        });
+    }
+
+    /// A term over temperature or time has been stepped.
+    pub(super) fn update_term_heat(&self, state: &mut State) {
+        let calibration = &self.calibration;
+        self.update_errors(state, |errors, heat, place| {
+            errors.update_terms(calibration, heat, place)
+        });
+    }
+}

@@ -1,0 +1,41 @@
+//! `trueup bridge forget-reference`: declines the reference that is offered, or drops the one in force.
+
+use anyhow::Result;
+use clap::Args;
+use serde_json::json;
+use trueup_client::{load, port::Port as Line, reference::BridgeReference, session::Session};
+
+use super::{PortArgs, operator_questions::OpenQuestions};
+use crate::{Outcome, output};
+
+#[derive(Args)]
+pub struct ForgetReferenceArgs {
+    #[command(flatten)]
+    port: PortArgs,
+}
+
+/// Drops the reference; errors then count from the calibration's own zero.
+pub fn run(args: &ForgetReferenceArgs, as_json: bool) -> Result<Outcome> {
+    let mut session = Session::open(&Line::parse(&args.port.port)?)?;
+    let done = BridgeReference::read(&mut session).and_then(|before| {
+        load::forget_reference(&mut session)?;
+        Ok((before, OpenQuestions::read(&mut session)?))
+    });
+    session.close();
+    let (before, asks) = done?;
+    if as_json {
+        output::print(json!({ "forgotten": before.to_json(), "asks": asks.keywords() }))?;
+        return Ok(Outcome::Done);
+    }
+    match before.effective_value() {
+        None => output::print("there was no reference; what was learned is dropped")?,
+        Some(_) => {
+            output::print(format_args!("dropped: {}", before.to_text()))?;
+            output::print(
+                "errors count from the calibration's own zero now: touch off a tool, or set Zero, before anything is cut",
+            )?;
+        }
+    }
+    asks.print()?;
+    Ok(Outcome::Done)
+}

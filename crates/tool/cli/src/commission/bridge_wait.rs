@@ -1,0 +1,51 @@
+//! Waits for what the person at the CNC does: the bridge says when it is done.
+
+use std::time::{Duration, Instant};
+
+use anyhow::{Result, bail};
+use trueup_client::{port::Port, session::Session};
+use trueup_core::cnc::{Output, Quality};
+use trueup_link::{receiver::OffsetReceiver, slcan::Event};
+
+use super::board_backup::check_interrupt;
+
+/// Time to walk to the machine, set a gauge and come back.
+const WAIT_TIMEOUT: Duration = Duration::from_secs(600);
+
+/// How often Ctrl-C is looked for.
+const INTERRUPT_POLL_PERIOD: Duration = Duration::from_millis(200);
+
+/// Until the bridge's offsets are as required.
+pub fn wait_for_output(port: &str, is_wanted: impl Fn(&Output) -> bool) -> Result<()> {
+    let mut session = Session::open(&Port::parse(port)?)?;
+    let deadline = Instant::now() + WAIT_TIMEOUT;
+    let mut offsets = OffsetReceiver::new();
+    while Instant::now() < deadline {
+        check_interrupt()?;
+        let event = session.next_event(Instant::now() + INTERRUPT_POLL_PERIOD)?;
+        let Some(Event::Frame(frame)) = event else { continue };
+        if let Ok(Some(output)) = offsets.accept(&frame)
+            && is_wanted(&output)
+        {
+            session.close();
+            return Ok(());
+        }
+    }
+    session.close();
+    bail!(
+        "the bridge does not come to it in {} min; the same command goes on",
+        WAIT_TIMEOUT.as_secs() / 60
+    )
+}
+
+/// Until nothing is followed; `tell` once, if it has to be waited for.
+pub fn wait_until_disengaged(port: &str, tell: impl Fn()) -> Result<()> {
+    let is_told = std::cell::Cell::new(false);
+    wait_for_output(port, |output| {
+        let is_off = matches!(output.quality, Quality::Off | Quality::Fault);
+        if !is_off && !is_told.replace(true) {
+            tell();
+        }
+        is_off
+    })
+}
