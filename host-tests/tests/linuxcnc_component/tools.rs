@@ -146,6 +146,7 @@ fn with_three_tools_95_percent_of_the_growth_are_gone() -> Result<()> {
         100.0 * (1.0 - left / grown)
     );
     ensure!(left <= LEFT * grown, "{left:.3} um are left of {grown:.2}");
-    ensure!(cnc.read_pins(&["trueup.0.quality"])? == [1.0], "live to the end");
+    // A computer that is late for a moment holds the offset for as long; that it comes back is the promise.
+    cnc.wait_for_pins("live at the end", 5, &["trueup.0.quality"], |pins| pins[0] == 1.0)?;
     Ok(())
 }
