@@ -18,7 +18,7 @@ mod source;
 mod thresholds;
 mod undeclared_modules;
 
-use std::{fmt::Write as _, fs, path::Path};
+use std::{collections::BTreeMap, fmt::Write as _, fs, path::Path};
 
 use anyhow::{Result, ensure};
 
@@ -180,14 +180,38 @@ pub fn check(root: &Path) -> Result<String> {
             writeln!(text, "    {place}")?;
         }
     }
-    let lines: usize = sources.iter().map(SourceFile::code_line_count).sum();
-    writeln!(
-        text,
-        "lines of code without tests, comments and blank lines: {lines} (target: {TARGET_CODE_LINES})"
-    )?;
+    write_lines_by_crate(&mut text, &sources)?;
     over.extend(write_language(&mut text, &language)?);
     ensure!(over.is_empty(), "{text}above the limit: {}", over.join(", "));
     Ok(text)
+}
+
+/// Writes how many lines are code, in all, by room (a folder of `crates`) and by crate.
+fn write_lines_by_crate(text: &mut String, sources: &[SourceFile]) -> Result<()> {
+    let mut crates = BTreeMap::<(&str, &str), usize>::new();
+    for source in sources {
+        let parts: Vec<&str> = source.path.splitn(4, '/').collect();
+        let place = match parts[..] {
+            ["crates", room, name, _] => (room, name),
+            _ => ("root", parts[0]),
+        };
+        *crates.entry(place).or_default() += source.code_line_count();
+    }
+    let all: usize = crates.values().sum();
+    writeln!(
+        text,
+        "lines of code without tests, comments and blank lines: {all} (target: {TARGET_CODE_LINES})"
+    )?;
+    writeln!(text, "lines of code by crate:")?;
+    let crates: Vec<_> = crates.into_iter().filter(|&(_, lines)| lines > 0).collect();
+    for room in crates.chunk_by(|(a, _), (b, _)| a.0 == b.0) {
+        let in_room: usize = room.iter().map(|(_, lines)| lines).sum();
+        writeln!(text, "    {in_room:6}  {}", room[0].0.0)?;
+        for ((_, name), lines) in room {
+            writeln!(text, "    {lines:6}      {name}")?;
+        }
+    }
+    Ok(())
 }
 
 /// Writes how frequent the counted words are, and where most of them stand. Returns which of them are beyond their limit.
@@ -215,4 +239,27 @@ fn write_language(text: &mut String, language: &LanguageReport) -> Result<Vec<St
         writeln!(text, "    {count:5}  {file}")?;
     }
     Ok(over)
+}
+
+#[cfg(test)]
+mod tests {
+    use anyhow::Context as _;
+
+    use super::*;
+
+    #[test]
+    fn lines_are_counted_by_room_and_crate() -> Result<()> {
+        let sources = [
+            SourceFile::new("crates/base/output/src/lib.rs", "fn a() {}\n\nfn b() {}\n"),
+            SourceFile::new("crates/base/output/tests/a.rs", "fn c() {}\n"),
+            SourceFile::new("crates/base/numerics/src/lib.rs", "// d\nfn d() {}\n"),
+            SourceFile::new("src/main.rs", "fn main() {}\n"),
+        ];
+        let mut text = String::new();
+        write_lines_by_crate(&mut text, &sources)?;
+        let (_, table) = text.split_once("by crate:\n").context("no table")?;
+        let words: Vec<&str> = table.split_whitespace().collect();
+        assert_eq!(words, ["3", "base", "1", "numerics", "2", "output", "1", "root", "1", "src"]);
+        Ok(())
+    }
 }
