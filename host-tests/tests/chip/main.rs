@@ -328,7 +328,7 @@ fn a_supply_that_sags_is_corrected_up_to_3_percent_and_told_beyond() {
 }
 
 #[test]
-fn a_supply_that_is_not_the_factorys_is_a_remark_in_the_log() {
+fn a_supply_other_than_at_the_factory_is_a_remark_in_the_log() {
     for (volts, remarked) in [("3.30", false), ("3.15", false), ("3.12", true), ("3.48", true)] {
         let Some(report) = run(&["--bor", "--ms", "150", "--supply", volts]) else { return };
         is_clean(&report);

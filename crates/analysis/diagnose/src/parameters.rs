@@ -48,11 +48,11 @@ pub(crate) fn estimate_parameters(
     let nonlinear = part.kind.nonlinear_parameters();
     // Of one value, as it is fitted.
     let interval = |value: usize| -> [f64; 2] {
-        let (center, sd) = (part.values[value], quantile * sd(value));
+        let (centre, sd) = (part.values[value], quantile * sd(value));
         if part.kind.is_logarithmic(value) {
-            [center * (-sd).exp(), center * sd.exp()]
+            [centre * (-sd).exp(), centre * sd.exp()]
         } else {
-            [center - sd, center + sd]
+            [centre - sd, centre + sd]
         }
     };
     let intervals: Vec<[f64; 2]> = (0..part.values.len()).map(&interval).collect();

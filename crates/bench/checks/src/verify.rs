@@ -8,7 +8,10 @@
 //! `cargo verify --all` is both. Longer campaigns (`#[ignore = "campaign: …"]`, named `campaign_…`) are
 //! in neither; their texts have their commands.
 
-use std::time::{Duration, Instant};
+use std::{
+    process::Command,
+    time::{Duration, Instant},
+};
 
 use anyhow::{Result, bail};
 use trueup_emulator::{
@@ -108,6 +111,7 @@ fn run_quick_checks(checks: &mut Verification) {
         trueup_output::write_line(structure::check(&setup::project_root())?.trim_end());
         Ok(Tally::with_passed(1))
     });
+    checks.run_step("spelling", check_spelling);
     checks.run_step("format", || run_check(cargo::cargo_command("fmt").args(["--all", "--check"])));
     checks.run_step("clippy, host", || {
         let every = ["--all-targets", "--all-features", "--", "-D", "warnings"];
@@ -187,8 +191,19 @@ fn run_long_checks(checks: &mut Verification, programs: &[TestProgram]) {
     checks.run_step("crates of others", supply_chain::check_crates);
 }
 
+/// Checks the spelling of all files, and the words that `_typos.toml` replaces.
+fn check_spelling() -> Result<Tally> {
+    run_check(typos_command()?.arg("."))
+}
+
+fn typos_command() -> Result<Command> {
+    let mut typos = Command::new(setup::ensure_python()?.with_file_name("typos"));
+    typos.args(["--config", "_typos.toml", "--format", "brief"]).current_dir(setup::project_root());
+    Ok(typos)
+}
+
 /// Runs a command that passes or fails as a whole.
-fn run_check(command: &mut std::process::Command) -> Result<Tally> {
+fn run_check(command: &mut Command) -> Result<Tally> {
     process::run(command)?;
     Ok(Tally::with_passed(1))
 }
@@ -239,4 +254,26 @@ pub fn run_scorecard(seeds: u32) -> Result<()> {
     process::run(
         cargo::locked_command("run").args(example).args(draws).arg(docs.join("scorecard.md")),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{io::Write as _, process::Stdio};
+
+    use super::*;
+
+    fn has_right_spelling(text: &str) -> bool {
+        let mut typos = typos_command().expect("it is installed");
+        let typos = typos.arg("-").stdin(Stdio::piped()).stdout(Stdio::null());
+        let mut typos = typos.spawn().expect("it starts");
+        typos.stdin.take().expect("piped").write_all(text.as_bytes()).expect("it reads");
+        typos.wait().expect("it ends").success()
+    }
+
+    #[test]
+    fn an_american_spelling_fails_and_a_british_one_passes() {
+        assert!(has_right_spelling("the colour of a metre\n"));
+        assert!(!has_right_spelling("the color of a metre\n"));
+        assert!(!has_right_spelling("let center_um = 0;\n"));
+    }
 }

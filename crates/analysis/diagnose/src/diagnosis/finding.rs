@@ -402,10 +402,10 @@ pub(crate) fn build_outlier_finding(data: &DataTable, after: &[f64], aside: &[bo
     let mut parameters = Map::new();
     // Of this many rows that are or are not, by Wilson's interval.
     let (n, z) = (with.len() as f64, 1.96_f64);
-    let center = (share + z * z / (2.0 * n)) / (1.0 + z * z / n);
+    let centre = (share + z * z / (2.0 * n)) / (1.0 + z * z / n);
     let half = z / (1.0 + z * z / n) * (share * (1.0 - share) / n + z * z / (4.0 * n * n)).sqrt();
     parameters
-        .insert("fraction".into(), json!({"value": share, "ci95": [center - half, center + half]}));
+        .insert("fraction".into(), json!({"value": share, "ci95": [centre - half, centre + half]}));
     let (before, after) = (rms(&with), rms(&without));
     let sentence = match count {
         1 => "One reading is no reading: it stands alone, far from the rest.".into(),

@@ -56,9 +56,9 @@ pub(crate) fn largest_half_difference(
         if difference.abs() > limit
             && most.is_none_or(|(ratio, _)| difference.abs() / limit > ratio)
         {
-            let center = fitted.model.parts[part].values[value];
+            let centre = fitted.model.parts[part].values[value];
             let of = |change: f64| {
-                if kind.is_logarithmic(value) { center * change.exp() } else { center + change }
+                if kind.is_logarithmic(value) { centre * change.exp() } else { centre + change }
             };
             let halves = [of(-share * difference), of((1.0 - share) * difference)];
             most = Some((difference.abs() / limit, halves));

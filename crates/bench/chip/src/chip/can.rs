@@ -263,7 +263,7 @@ impl Chip {
             FMR_OFFSET => self.can.fmr = v & FMR_WRITE_MASK | FMR_RESERVED,
             FM1R_OFFSET | FS1R_OFFSET | FFA1R_OFFSET if self.can.fmr & FMR_FINIT == 0 => self
                 .report_violation(format!(
-                    "CAN: filter register {off:#x} written outside filter initialization"
+                    "CAN: filter register {off:#x} written outside filter initialisation"
                 )),
             FM1R_OFFSET => self.can.fm1r = v,
             FS1R_OFFSET => self.can.fs1r = v,
@@ -273,7 +273,7 @@ impl Chip {
                 let bank = (off as usize - F0R1_OFFSET as usize) / FILTER_STRIDE;
                 if self.can.fmr & FMR_FINIT == 0 && self.can.fa1r >> bank & 1 != 0 {
                     return self.report_violation(format!(
-                        "CAN: filter bank {bank} written while active and outside initialization"
+                        "CAN: filter bank {bank} written while active and outside initialisation"
                     ));
                 }
                 self.can.filters[bank][(off as usize - F0R1_OFFSET as usize) % FILTER_STRIDE / 4] =
@@ -326,7 +326,7 @@ impl Chip {
     /// Writes CAN_BTR, and says which bit timing that is.
     fn can_write_btr(&mut self, v: u32) {
         if !self.can.inak {
-            return self.report_violation("CAN_BTR written outside initialization".into());
+            return self.report_violation("CAN_BTR written outside initialisation".into());
         }
         self.can.btr = self.apply_write_mask("CAN_BTR", self.can.btr, v, BTR_WRITE_MASK);
         let (brp, t1, t2) = self.can.bit_timing_quanta();

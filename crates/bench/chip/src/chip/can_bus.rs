@@ -22,11 +22,11 @@ impl Chip {
         }
         if self.can.boff && !init {
             (self.can.boff, self.can.tec, self.can.rec) = (false, 0, 0);
-            let by = if self.can.inak { "through initialization" } else { "by itself (ABOM)" };
+            let by = if self.can.inak { "through initialisation" } else { "by itself (ABOM)" };
             self.record_finding(Severity::Fact, format!("CAN: back from bus-off {by}"));
         }
         if !init && self.can.inak && !listening {
-            self.report_violation("CAN: leaves initialization without a receive pin on AF9: it never sees 11 recessive bits".into());
+            self.report_violation("CAN: leaves initialisation without a receive pin on AF9: it never sees 11 recessive bits".into());
             return;
         }
         self.can.inak = init;

@@ -246,7 +246,7 @@ fn bus_off_is_left_after_128_times_11_recessive_bits_initialisation_or_not() {
 fn the_filter_and_the_timing_of_can_are_locked_outside_initialisation() {
     let bench = clocked();
     bench.write(CAN1 + 0x1c, 2);
-    assert_eq!(bench.violations("CAN_BTR written outside initialization"), 1);
+    assert_eq!(bench.violations("CAN_BTR written outside initialisation"), 1);
     bench.write(CAN1 + 0x200, 0x2a1c_0e00);
     bench.write(CAN1 + 0x20c, 1);
     assert_eq!(bench.violations("filter register"), 1);

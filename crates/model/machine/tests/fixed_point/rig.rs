@@ -84,7 +84,7 @@ impl<'c> Rig<'c> {
 
     /// Paper 2's chain, 16 counts a kelvin above 4000.
     pub fn heat_to(&mut self, channel: usize, celsius: f64) {
-        // With this divider 32768 counts are 4096 codes, of which 256ths are delivered.
+        // With this divider 32768 counts are 4096 codes, delivered in 1/256.
         self.raw[channel] = RawReading(((4_000.0 + 16.0 * celsius) / 8.0 * 256.0).round() as i32);
     }
 }
