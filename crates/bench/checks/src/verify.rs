@@ -273,7 +273,7 @@ mod tests {
     #[test]
     fn an_american_spelling_fails_and_a_british_one_passes() {
         assert!(has_right_spelling("the colour of a metre\n"));
-        assert!(!has_right_spelling("the color of a metre\n"));
-        assert!(!has_right_spelling("let center_um = 0;\n"));
+        assert!(!has_right_spelling("the color of a metre\n")); // misspelt
+        assert!(!has_right_spelling("let center_um = 0;\n")); // misspelt
     }
 }
