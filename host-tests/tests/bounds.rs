@@ -58,8 +58,8 @@ fn responses_are_below_their_deadlines_where_it_is_shown() {
     let bounds = bounded();
     println!("{}", bounds.format_table(|_| None));
     let late = bounds.unschedulable_tasks();
-    let in_time = bounds.all.iter().map(|it| format!("{} {}", it.clock, it.task));
-    let in_time: Vec<String> = in_time.filter(|it| !late.contains(it)).collect();
+    let in_time = bounds.all.iter().map(|bound| format!("{} {}", bound.clock, bound.task));
+    let in_time: Vec<String> = in_time.filter(|task| !late.contains(task)).collect();
     assert_eq!(in_time, SHOWN);
 }
 
@@ -81,7 +81,7 @@ fn the_functions_of_a_path_take_the_time_of_its_task() {
 #[test]
 fn a_function_with_a_rate_within_another_one_is_counted_and_each_task_has_a_path() {
     let bounds = bounded();
-    for it in bounds.all.iter().filter(|it| it.clock.starts_with("168")) {
+    for it in bounds.all.iter().filter(|bound| bound.clock.starts_with("168")) {
         let path = bounds::format_longest_path(&it.task, 168, false).unwrap();
         let apart = path.lines().filter(|line| line.starts_with("apart: ")).count();
         // A piece of the serial line is taken from the port, and a full one leaves bytes in it.
@@ -92,9 +92,9 @@ fn a_function_with_a_rate_within_another_one_is_counted_and_each_task_has_a_path
 #[test]
 fn words_in_the_log_are_as_long_as_their_bound() {
     let declared =
-        FIRMWARE_DECLARATIONS.copies.iter().find(|it| it.at.function == LOG_STRING_FUNCTION);
+        FIRMWARE_DECLARATIONS.copies.iter().find(|copy| copy.at.function == LOG_STRING_FUNCTION);
     let longest = WriteKind::ALL.map(|what| what.as_str().len()).into_iter().max();
-    assert_eq!(declared.map(|it| it.bytes as usize), longest);
+    assert_eq!(declared.map(|declared| declared.bytes as usize), longest);
 }
 
 #[test]
@@ -126,7 +126,8 @@ fn disassembled() -> Option<BTreeMap<u32, (String, Option<u32>)>> {
                 || mnemonic.starts_with("cb");
         let target = text.split_once("0x").filter(|_| is_branch);
         let target = target.and_then(|(_, hex)| {
-            let end = hex.find(|it: char| !it.is_ascii_hexdigit()).unwrap_or(hex.len());
+            let end =
+                hex.find(|character: char| !character.is_ascii_hexdigit()).unwrap_or(hex.len());
             u32::from_str_radix(&hex[..end], 16).ok()
         });
         all.insert(at, (mnemonic, target));

@@ -236,13 +236,15 @@ fn found(believed: &str, run: &RunFile, cause: &str, parameter: &str) -> Known {
         diagnose_with_options(&machine, std::slice::from_ref(run), &[], options, &mut |_, _| {})
             .expect("comparable")
             .report;
-    let all: Vec<_> = report.findings.iter().map(|it| (&it.cause, &it.column)).collect();
+    let all: Vec<_> =
+        report.findings.iter().map(|finding| (&finding.cause, &finding.column)).collect();
     println!("{:?} {all:?} {:?}", report.verdict, report.notes);
-    let finding = report.findings.iter().find(|it| it.cause == cause);
+    let finding = report.findings.iter().find(|finding| finding.cause == cause);
     let finding = finding.unwrap_or_else(|| panic!("no {cause} in {all:?}"));
     assert!(finding.claimed, "{cause} is not claimed");
     assert!(
-        all.iter().all(|(_, column)| column.as_ref().is_none_or(|it| it.starts_with("temp_"))),
+        all.iter()
+            .all(|(_, column)| column.as_ref().is_none_or(|column| column.starts_with("temp_"))),
         "what the bridge says of itself explains nothing: {all:?}"
     );
     let it = &finding.parameters[parameter];
@@ -254,7 +256,7 @@ const ALL: [Engaged; 3] = [Engaged::Never, Engaged::Always, Engaged::InTheMiddle
 
 #[test]
 fn a_spindles_gain_is_the_same_with_the_bridge_off_on_and_switched() {
-    let records = ALL.map(|it| (it, record(SPINDLE, SPINDLE_BELIEVED, it, false)));
+    let records = ALL.map(|engaged| (engaged, record(SPINDLE, SPINDLE_BELIEVED, engaged, false)));
     let gains = records
         .each_ref()
         .map(|(engaged, run)| (*engaged, found(SPINDLE_BELIEVED, run, "sensor-gain", "gain")));
@@ -279,14 +281,14 @@ fn a_spindles_gain_is_the_same_with_the_bridge_off_on_and_switched() {
     agree("um_per_count", 1.25 * 500.0 / 32768.0, &fitted);
     // The bridge was engaged where the test says so.
     let qualities = records.each_ref().map(|(_, run)| run.column("quality").expect("written"));
-    assert!(qualities[0].iter().all(|it| *it == 0.0));
-    assert!(qualities[1].iter().skip(1).all(|it| *it == 1.0), "{:?}", qualities[1]);
-    assert!([0.0, 1.0].iter().all(|it| qualities[2].contains(it)));
+    assert!(qualities[0].iter().all(|quality| *quality == 0.0));
+    assert!(qualities[1].iter().skip(1).all(|quality| *quality == 1.0), "{:?}", qualities[1]);
+    assert!([0.0, 1.0].iter().all(|value| qualities[2].contains(value)));
 }
 
 #[test]
 fn an_axiss_expansion_is_the_same_with_the_bridge_off_on_and_switched() {
-    let records = ALL.map(|it| (it, record(AXIS, AXIS_BELIEVED, it, true)));
+    let records = ALL.map(|engaged| (engaged, record(AXIS, AXIS_BELIEVED, engaged, true)));
     let slopes = records.each_ref().map(|(engaged, run)| {
         (*engaged, found(AXIS_BELIEVED, run, "expansion-slope", "um_per_m_per_c"))
     });
@@ -351,7 +353,8 @@ fn answered(believed: &str, records: &[RunFile]) -> (Report, bool) {
         diagnose(&machine, records, &[], None, &mut |_, _| {}).expect("the runs are comparable");
     let stays = answer.render_extended_toml(believed, Path::new("m.toml")).expect("a machine file")
         == believed;
-    let all: Vec<_> = answer.report.findings.iter().map(|it| (&it.cause, it.claimed)).collect();
+    let all: Vec<_> =
+        answer.report.findings.iter().map(|finding| (&finding.cause, finding.claimed)).collect();
     println!("{:?} {all:?} stays {stays}", answer.report.verdict);
     (answer.report, stays)
 }
@@ -375,7 +378,7 @@ fn a_cnc_that_applies_the_offset_otherwise_is_named_and_no_constant_is_changed()
             let (report, stays) = answered(&believed, &records);
             let first = &report.findings[0];
             assert!(first.cause == "applied-factor" && first.claimed && stays, "{factor}");
-            assert!(!report.findings.iter().any(|it| it.compensated), "{factor}");
+            assert!(!report.findings.iter().any(|finding| finding.compensated), "{factor}");
             let ci95 = [0, 1].map(|end| first.parameters["factor"]["ci95"][end].as_f64());
             let [low, high] = ci95.map(|end| end.expect("a number"));
             assert!(low < factor && factor < high && high - low < 0.2, "{factor}: {ci95:?}");
@@ -393,12 +396,15 @@ fn an_engaged_record_alone_does_not_tell_a_cnc_from_a_constant() {
             let record = record_of(&truth, &believed, Engaged::Always, is_axis, factor);
             let (report, stays) = answered(&believed, &[record]);
             assert!(stays && !report.verdict.is_resolved(), "{factor}: {:?}", report.verdict);
-            let rival = |it: &trueup_diagnose::report::Finding| {
-                it.rivals.iter().any(|rival| rival.cause == "applied-factor")
+            let rival = |finding: &trueup_diagnose::report::Finding| {
+                finding.rivals.iter().any(|rival| rival.cause == "applied-factor")
             };
-            let open: Vec<_> = report.findings.iter().filter(|it| rival(it)).collect();
+            let open: Vec<_> = report.findings.iter().filter(|finding| rival(finding)).collect();
             assert!(!open.is_empty(), "{factor}");
-            assert!(open.iter().all(|it| !it.claimed && it.next_test.contains("disengaged")));
+            assert!(
+                open.iter()
+                    .all(|finding| !finding.claimed && finding.next_test.contains("disengaged"))
+            );
         }
         // A machine and a CNC that are right stay so.
         let record = record_of(&truth, &believed, Engaged::Always, is_axis, 1.0);

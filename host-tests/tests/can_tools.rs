@@ -93,11 +93,13 @@ fn item(item: Item) -> (u8, Values) {
         Item::Temperatures { pair, centi_c } => {
             let values = (0..).zip(centi_c).map(|(n, centi_c): (u8, _)| {
                 let name = format!("Temperature{}", 2 * pair + n);
-                (name, centi_c.map(|it| f64::from(it) / 100.0))
+                (name, centi_c.map(|centi_c| f64::from(centi_c) / 100.0))
             });
             (pair, values.collect())
         }
-        Item::Elongation(it) => (4, vec![("Elongation".into(), it.map(|it| um(it.0)))]),
+        Item::Elongation(it) => {
+            (4, vec![("Elongation".into(), it.map(|elongation| um(elongation.0)))])
+        }
         Item::Refused { damaged, out_of_sequence } => (
             5,
             vec![one("Damaged", number(damaged)), one("OutOfSequence", number(out_of_sequence))],
@@ -117,7 +119,7 @@ fn item(item: Item) -> (u8, Values) {
         Item::Calibration(crc) => (10, vec![one("CalibrationCrc", crc.into())]),
         Item::Slope { axis, constant, slope } => {
             let name = ["X", "Y", "Z"][usize::from(axis)];
-            let constant = constant.map(|it| f64::from(it) / 10.0);
+            let constant = constant.map(|constant| f64::from(constant) / 10.0);
             let slope = one(&format!("OffsetSlope{name}"), f64::from(slope) / 10.0);
             (11 + axis, vec![(format!("OffsetConstant{name}"), constant), slope])
         }
@@ -132,7 +134,8 @@ fn ours(frame: &Frame) -> Result<(Frame, Values), DecodeError> {
             let read = frames::decode_offset_xy(frame)?;
             let offset = read.offset.map(|[x, y]| [x, y, Default::default()]);
             let values = ["OffsetX", "OffsetY"].into_iter().enumerate();
-            let values = values.map(|(n, name)| (name.into(), read.offset.map(|it| um(it[n].0))));
+            let values =
+                values.map(|(n, name)| (name.into(), read.offset.map(|offset| um(offset[n].0))));
             let output = trueup_core::cnc::Output { offset, ..Default::default() };
             (frames::encode_offset_xy(&output, counter), values.collect())
         }
@@ -177,7 +180,7 @@ fn ours(frame: &Frame) -> Result<(Frame, Values), DecodeError> {
         ROTARY_ID => {
             let read = frames::decode_rotary(frame)?;
             let degrees =
-                read.angles.map(|it| f64::from(it.0) / f64::from(MicroDegrees::PER_DEGREE));
+                read.angles.map(|angles| f64::from(angles.0) / f64::from(MicroDegrees::PER_DEGREE));
             let values = vec![one("Angle1", degrees[0]), one("Angle2", degrees[1])];
             (frames::encode_rotary(read, counter), values)
         }

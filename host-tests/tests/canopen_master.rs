@@ -97,10 +97,13 @@ fn pypi_canopen_reads_every_object_loads_a_calibration_and_gets_each_abort_code(
         .as_array()
         .into_iter()
         .flatten()
-        .filter_map(|it| it[0].as_u64())
+        .filter_map(|entry| entry[0].as_u64())
         .collect();
     for code in [0x8100, 0x8130] {
-        let at = codes.iter().position(|it| *it == code).with_context(|| format!("{code:#x}"))?;
+        let at = codes
+            .iter()
+            .position(|candidate| *candidate == code)
+            .with_context(|| format!("{code:#x}"))?;
         assert!(codes[at..].contains(&0), "it was told when that had gone: {codes:x?}");
     }
     assert!(saw["history"].as_array().is_some_and(|all| all.contains(&json!(0x0004_8130))));

@@ -39,10 +39,11 @@ fn the_finder_says_what_the_paper_got_wrong_and_the_board_shows_what_that_brings
     assert!(calibrated.loo_rms_um <= 0.95 && calibrated.loo_max_um <= 1.9, "{calibrated:?}");
     assert!((calibrated.gain.expect("a line") - 1.30).abs() < 0.01, "{calibrated:?}");
     assert!((calibrated.offset_um.expect("a line") + 4.0).abs() < 0.1, "{calibrated:?}");
-    let mut causes: Vec<&str> = summary.findings.iter().map(|it| it.cause.as_str()).collect();
+    let mut causes: Vec<&str> =
+        summary.findings.iter().map(|finding| finding.cause.as_str()).collect();
     causes.sort_unstable();
     assert_eq!(causes, ["sensor-gain", "sensor-offset"]);
-    assert!(summary.hints.iter().any(|it| it.contains("27648")), "{:?}", summary.hints);
+    assert!(summary.hints.iter().any(|hint| hint.contains("27648")), "{:?}", summary.hints);
 
     let page = page::render_page(&one, None);
     assert_eq!(page.matches("<svg").count(), 2);

@@ -134,7 +134,7 @@ fn results(folder: &Path) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
     for job in fs::read_dir(folder.join("results"))? {
         for file in fs::read_dir(job?.path().join("out"))? {
             let path = file?.path();
-            if path.extension().is_none_or(|it| it != "html") {
+            if path.extension().is_none_or(|extension| extension != "html") {
                 let bytes = fs::read(&path)?;
                 files.insert(path.strip_prefix(folder)?.to_path_buf(), bytes);
             }
@@ -219,7 +219,7 @@ fn schedule(seed: u64, jobs: u64, alone: &BTreeMap<PathBuf, Vec<u8>>) -> Result<
     let told = || -> Result<String> {
         let status = fleet(desk.path(), &format!("status {place}"))?;
         let said = [&said.stdout, &said.stderr, &status.stdout, &status.stderr]
-            .map(|it| String::from_utf8_lossy(it));
+            .map(|bytes| String::from_utf8_lossy(bytes));
         Ok(said.join("\n"))
     };
     ensure!(lost.is_empty(), "seed {seed}: lost {lost:?}\n{}", told()?);
@@ -241,7 +241,7 @@ fn alone(jobs: u64) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
 #[ignore = "long: a NATS server"]
 fn whatever_is_killed_each_job_has_the_result_of_one_computer() {
     let schedules =
-        env::var("TRUEUP_SCHEDULES").ok().and_then(|it| it.parse().ok()).unwrap_or(3_u64);
+        env::var("TRUEUP_SCHEDULES").ok().and_then(|text| text.parse().ok()).unwrap_or(3_u64);
     let jobs = 8;
     let alone = alone(jobs).expect("the jobs in a folder");
     assert!(alone.len() >= 2 * jobs as usize, "{:?}", alone.keys());
@@ -381,7 +381,7 @@ fn a_worker_with_another_lease_takes_no_job_from_one_that_works() {
     let work = |lease_ms| {
         let lease = Duration::from_millis(lease_ms);
         let options = WorkerOptions { threads: 1, lease, until_empty: true };
-        RemoteFleet::open(&access).and_then(|it| it.run_workers(options, &slow, &report))
+        RemoteFleet::open(&access).and_then(|fleet| fleet.run_workers(options, &slow, &report))
     };
     thread::scope(|scope| {
         let first = scope.spawn(|| work(2_000));
@@ -418,7 +418,7 @@ fn a_worker_says_when_the_server_is_away_and_goes_on() {
             thread::sleep(Duration::from_millis(50));
         }
     };
-    let says = |words: &str| fs::read_to_string(&log).is_ok_and(|it| it.contains(words));
+    let says = |words: &str| fs::read_to_string(&log).is_ok_and(|text| text.contains(words));
     let has_ended = |jobs: u64| {
         let output = fleet(desk.path(), &format!("status --json {place}")).expect("it starts");
         let status: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap_or_default();
@@ -470,7 +470,7 @@ fn duration(desk: &Path, place: &str, jobs: u64, workers: usize) -> Result<Durat
 #[test]
 #[ignore = "campaign: cargo test -p trueup-host-tests --features emulator --test fleet_nats campaign_two -- --ignored --nocapture"]
 fn campaign_two_workers_take_little_more_than_half_the_time_of_one() -> Result<()> {
-    let jobs = env::var("TRUEUP_JOBS").map_or(Ok(1_000), |it| it.parse())?;
+    let jobs = env::var("TRUEUP_JOBS").map_or(Ok(1_000), |text| text.parse())?;
     let desk = desk(0)?;
     let folder = desk.path();
     (0..jobs).try_for_each(|job| fs::write(folder.join(format!("r{job}.csv")), long_run(job)))?;
@@ -481,7 +481,7 @@ fn campaign_two_workers_take_little_more_than_half_the_time_of_one() -> Result<(
             let name = format!("shop-{is_remote}-{workers}");
             let server = is_remote.then(|| Server::start(&folder.join(&name), None, false, &[]));
             let server = server.transpose()?;
-            let remote = server.as_ref().map(|it| format!("--nats {}", it.url()));
+            let remote = server.as_ref().map(|server| format!("--nats {}", server.url()));
             let place = remote.unwrap_or_else(|| format!("--dir {name}"));
             *time_s = duration(folder, &place, jobs, workers)?.as_secs_f64();
         }

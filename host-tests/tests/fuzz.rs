@@ -193,7 +193,7 @@ fn any_bytes_in_the_flash_can_be_started_on_and_stored_over() {
         bytes.resize(4 * SLOT_SIZE as usize, 0xFF);
         let (mut slots, found) =
             CalibrationStore::open(Memory(bytes.clone()), None, &mut [0; MAX_BLOB_SIZE]);
-        assert!(found.newest.is_none_or(|it| it.length <= MAX_BLOB_SIZE));
+        assert!(found.newest.is_none_or(|newest| newest.length <= MAX_BLOB_SIZE));
         let _ = slots.erase_spare_half(|| ());
         let _ = slots.store(&[7; 700], || ());
         let (mut references, _) = ReferenceStore::open(Memory(bytes.clone()), 7);

@@ -131,7 +131,9 @@ fn tell_the_time(mut stream: TcpStream, stop: &AtomicBool) -> std::io::Result<()
         let due = start.elapsed().as_millis();
         while cycles < due {
             cycles += 1;
-            let clock = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |it| it.as_millis());
+            let clock = SystemTime::now()
+                .duration_since(UNIX_EPOCH)
+                .map_or(0, |elapsed| elapsed.as_millis());
             let z = i32::try_from(clock % CLOCK_MS).unwrap_or(0) * 10;
             let output = Output {
                 offset: Some([-z, z, z].map(Nanometres)),
@@ -154,7 +156,7 @@ fn processor_s(id: u32) -> Result<f64> {
     const TICKS_PER_SECOND: f64 = 100.0;
     let stat = fs::read_to_string(format!("/proc/{id}/stat"))?;
     let (_, rest) = stat.rsplit_once(") ").context("a name in brackets")?;
-    let ticks: Vec<f64> = rest.split(' ').filter_map(|it| it.parse().ok()).collect();
+    let ticks: Vec<f64> = rest.split(' ').filter_map(|part| part.parse().ok()).collect();
     // State first (no number), so utime and stime are the 11th and 12th numbers.
     Ok((ticks[10] + ticks[11]) / TICKS_PER_SECOND)
 }
@@ -261,14 +263,14 @@ fn by_modbus_rtu_data_reach_the_plc_within_30_ms_and_none_is_half_old() -> Resul
 #[test]
 #[ignore = "campaign: cargo xtask soak"]
 fn campaign_data_reach_plcs_of_three_languages_within_30_ms_for_ten_minutes() -> Result<()> {
-    let asked = std::env::var("TRUEUP_SOAK_PLC_S").ok().and_then(|it| it.parse().ok());
+    let asked = std::env::var("TRUEUP_SOAK_PLC_S").ok().and_then(|text| text.parse().ok());
     let how_long = Duration::from_secs(asked.unwrap_or(CAMPAIGN_S));
     trueup()?;
     thread::scope(|scope| {
         let all = [Language::S7, Language::Tcp, Language::Rtu]
             .map(|language| scope.spawn(move || watched(language, how_long)?.in_time()));
         // Each is reported, whatever came of the one before.
-        let all = all.map(|it| it.join().expect("it does not panic"));
+        let all = all.map(|thread| thread.join().expect("it does not panic"));
         for said in &all {
             println!("{}", said.as_ref().map_or_else(|error| format!("{error:#}"), Clone::clone));
         }

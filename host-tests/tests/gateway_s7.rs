@@ -157,9 +157,11 @@ fn held_then_taken_back(plc: &Plc) -> Result<()> {
     let held = plc.until("it is taken back and told", is_taken_back)?;
     // The last hold: a busy computer can be late for a moment before.
     let end = held.iter().position(is_taken_back).context("taken back")?;
-    let begin = held[..end].iter().rposition(|cycle| !is_held(cycle)).map_or(0, |it| it + 1);
+    let begin =
+        held[..end].iter().rposition(|cycle| !is_held(cycle)).map_or(0, |position| position + 1);
     let held: Vec<&Value> = held[begin..end].iter().collect();
-    let span = |it: &[&Value]| Some(number(&it.last()?["t_s"]) - number(&it.first()?["t_s"]));
+    let span =
+        |values: &[&Value]| Some(number(&values.last()?["t_s"]) - number(&values.first()?["t_s"]));
     let seconds = span(&held).context("held")?;
     ensure!((1.5..2.6).contains(&seconds), "held for {seconds} s");
     let z: Vec<f64> = held.iter().map(|cycle| nck_um(cycle)[2]).collect();
@@ -339,7 +341,7 @@ fn the_papers_printed_listing_hands_over_the_counts_and_its_formula_the_temperat
     let counts = [4000, 4376, 4368, 4672, 4007];
     assert_eq!(saw["counts"], json!(counts));
     // Tenths of a degree: 0, 23.5, 23, 42 and 0.4375 °C.
-    assert_eq!(saw["right"], json!(counts.map(|it| (it - 4000) * 10 / 16)));
+    assert_eq!(saw["right"], json!(counts.map(|counts| (counts - 4000) * 10 / 16)));
     // The sum is never stored: neither the words as printed nor those that are meant give a temperature.
     assert_eq!((&saw["printed"], &saw["meant"]), (&json!(counts), &json!(counts)));
     assert_eq!(saw["takes_printed_zero"], false, "B#16#4000 is no byte");
@@ -380,7 +382,7 @@ fn once_says_how_both_ends_are() -> Result<()> {
         command.args(["gateway", "s7", "--once", "--db", db, "--plc", host]);
         let output = command.args(["--port", &format!("tcp:{}", bridge.address())]).output()?;
         let [out, told] =
-            [output.stdout, output.stderr].map(|it| String::from_utf8_lossy(&it).into());
+            [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into());
         Ok((output.status.code(), out, told))
     };
     let host = format!("127.0.0.1:{}", plc.port);

@@ -142,7 +142,7 @@ impl Plc {
         let Some(input) = InputBlock::decode(registers) else { return false };
         let is_new = self.seen.replace(input.counter) != Some(input.counter);
         let Some(offset) = input.output.offset.filter(|_| is_new) else { return false };
-        self.target = offset.map(|it| it.0);
+        self.target = offset.map(|offset| offset.0);
         self.fresh_ms = now;
         true
     }
@@ -205,7 +205,7 @@ impl World<'_> {
                 self.now
             );
         }
-        self.said.push_front(after.map(|all| all.map(|it| it.0)));
+        self.said.push_front(after.map(|all| all.map(|offset| offset.0)));
         self.said.truncate(MOMENTS);
         let hears_no_plc = matches!(self.cut, Cut::Plc | Cut::Bridge);
         let is_away = hears_no_plc && self.now.saturating_sub(self.since) > LOST_MS;
@@ -230,8 +230,11 @@ impl World<'_> {
         }
         if self.now.is_multiple_of(TURN_MS) {
             hub.refresh_input_block(now);
-            let lines: Vec<u8> =
-                hub.take_due_frames().iter().flat_map(|it| encode_line(it).into_bytes()).collect();
+            let lines: Vec<u8> = hub
+                .take_due_frames()
+                .iter()
+                .flat_map(|frame| encode_line(frame).into_bytes())
+                .collect();
             let goes = if self.cut == Cut::Bridge { 0 } else { lines.len() };
             for received in lines[..goes].iter().filter_map(|byte| port.receive(*byte)) {
                 self.node.receive(Interface::Serial, &received).ok();
@@ -282,7 +285,7 @@ impl World<'_> {
         let head = if matches!(self.path, Path::Gateway { .. }) { 9 } else { 3 };
         if let Some(answer) = self.ask(&read_request_pdu()) {
             let (words, _) = answer.get(head..head + 56).context("the block")?.as_chunks::<2>();
-            let words: Vec<u16> = words.iter().map(|it| u16::from_be_bytes(*it)).collect();
+            let words: Vec<u16> = words.iter().map(|word| u16::from_be_bytes(*word)).collect();
             if self.plc.take(self.now, &words.try_into().ok().context("28 registers")?) {
                 self.told.used += 1;
                 let away = self.now.saturating_sub(self.since);
@@ -294,7 +297,7 @@ impl World<'_> {
                 let on_wire = |nm: i32| (nm.abs() + 5) / 10 * 10 * nm.signum();
                 let said = self.said.iter().flatten();
                 ensure!(
-                    said.map(|it| it.map(on_wire)).any(|it| it == self.plc.target),
+                    said.map(|values| values.map(on_wire)).any(|words| words == self.plc.target),
                     "{:?} was not said in the last moments, at {} ms",
                     self.plc.target,
                     self.now
@@ -385,7 +388,9 @@ fn cuts(path: Path, count: u32, seed: u64) -> Result<Counts> {
     }
     let needed = world.node.last_output();
     let is_there = needed.offset.is_some_and(|all| {
-        all.iter().zip(world.plc.applied).all(|(is, it)| (f64::from(is.0) - it).abs() < 500.0)
+        all.iter()
+            .zip(world.plc.applied)
+            .all(|(is, applied)| (f64::from(is.0) - applied).abs() < 500.0)
     });
     ensure!(
         needed.quality == Quality::Live && is_there && world.plc.applied[2].abs() > 1_000.0,

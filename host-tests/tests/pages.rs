@@ -200,8 +200,8 @@ fn sheets(browser: &Path, folder: &Path, html: &str) -> usize {
     assert!(output.expect("it starts").status.success(), "it prints");
     let pdf = fs::read(&print).expect("a print");
     let text = String::from_utf8_lossy(&pdf);
-    let count = text.split("/Type /Pages").nth(1).and_then(|it| it.split("/Count ").nth(1));
-    let count = count.and_then(|it| it.split_whitespace().next()?.parse().ok());
+    let count = text.split("/Type /Pages").nth(1).and_then(|part| part.split("/Count ").nth(1));
+    let count = count.and_then(|text| text.split_whitespace().next()?.parse().ok());
     count.expect("a PDF states its number of pages")
 }
 
@@ -282,7 +282,7 @@ fn no_page_is_cut_or_wrong_in_a_browser() {
             println!("{name} at {width} px: {said}");
             assert_eq!(said["wide"], width, "the window is as wide as asked");
             assert!(
-                said["scroll"].as_u64().is_some_and(|it| it <= u64::from(width)),
+                said["scroll"].as_u64().is_some_and(|value| value <= u64::from(width)),
                 "{name}: {said}"
             );
             assert_eq!(said["cut"], serde_json::json!([]), "{name} at {width} px");

@@ -80,8 +80,8 @@ fn values_slopes_and_curvatures_are_scipys() -> Result<()> {
         .collect();
     let asked: Vec<Value> = splines
         .iter()
-        .map(|(it, x)| {
-            json!({"order": it.order, "knots": it.knots_mm, "control": it.control_um, "x": x})
+        .map(|(spline, x)| {
+            json!({"order": spline.order, "knots": spline.knots_mm, "control": spline.control_um, "x": x})
         })
         .collect();
     let theirs = scipy(&json!({"splines": asked, "fits": [], "curves": []}))?;

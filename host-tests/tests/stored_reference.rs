@@ -95,7 +95,10 @@ fn a_restarted_board_goes_on_from_the_stored_reference_and_an_old_one_is_offered
     assert!(bench.faults.contains(&Fault::ReferenceOffered), "{:?}", bench.faults);
     // Nor after the next start.
     let mut bench = bench.restart(&ours);
-    assert_eq!(bench.live(400, 30.0, |_| ON).last().map(|it| it.quality), Some(Quality::Fault));
+    assert_eq!(
+        bench.live(400, 30.0, |_| ON).last().map(|output| output.quality),
+        Some(Quality::Fault)
+    );
     bench.live(800, 30.0, confirming);
     assert!((last_z_um(&bench.live(800, 30.0, |_| ON)) + 10.0).abs() < 0.1);
 

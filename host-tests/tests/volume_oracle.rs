@@ -116,7 +116,7 @@ fn shifts(random: &mut ChaCha8Rng, text: &mut String) -> Map<String, Value> {
         .expect("a string");
         let law = json!([{"start": start_mm, "step": step_mm, "values": table}]);
         shifts.insert(format!("e{axis}{axis}"), law);
-        for across in AXES.into_iter().filter(|it| *it != axis) {
+        for across in AXES.into_iter().filter(|other| *other != axis) {
             let (control, um_per_m) = (curve(random, 15.0), random.random_range(-20.0..20.0));
             let spline = format!("order = 4, knots_mm = {KNOTS_MM:?}, control_um = {control:?}");
             writeln!(text, "straightness.{across}_of_{axis} = {{ {spline} }}").expect("a string");
@@ -174,7 +174,8 @@ fn drawn(random: &mut ChaCha8Rng, number: usize) -> (Machine, Value) {
     }
     let shifts = shifts(random, &mut text);
     for axis in table.iter().chain(head) {
-        let own = ["A", "B", "C"].iter().position(|it| it == axis).expect("one of them");
+        let own =
+            ["A", "B", "C"].iter().position(|candidate| candidate == axis).expect("one of them");
         let axis = axis.to_lowercase();
         let (point, mut shift, tilt) =
             (vector(random, 250.0), vector(random, 20.0), vector(random, 15.0));
@@ -249,7 +250,7 @@ fn of_board_nm(calibration: &Calibration<'_>, place: &MachinePosition) -> [f64; 
         .axis_errors(&MachineThermalState::default(), place)
         .clamped_sums(UNLIMITED)
         .sums;
-    sums.map(|it| f64::from(it.0) / 256.0)
+    sums.map(|sum| f64::from(sum.0) / 256.0)
 }
 
 /// Draws poses that a board can be sent, in its own units, and the same in mm and degrees.
@@ -286,7 +287,7 @@ fn offsets_um(machine: &Machine, places: &[MachinePosition]) -> Result<Vec<[f64;
 
 /// Returns the longest of the errors, in µm.
 fn longest_um(errors_um: &[[f64; 3]]) -> f64 {
-    let lengths = errors_um.iter().map(|it| it.iter().map(|um| um * um).sum::<f64>().sqrt());
+    let lengths = errors_um.iter().map(|error| error.iter().map(|um| um * um).sum::<f64>().sqrt());
     lengths.fold(0.0, f64::max)
 }
 
@@ -318,7 +319,12 @@ fn with_the_offsets_of_the_board_the_tip_is_right_on_the_workpiece() -> Result<(
             // Lines of rotary axes alone, those of the table: their errors depend on the place on it.
             let of_table = chain.table.clone();
             machine.volume.angular.clear();
-            for line in machine.volume.rotary.iter_mut().filter(|it| !of_table.contains(&it.axis)) {
+            for line in machine
+                .volume
+                .rotary
+                .iter_mut()
+                .filter(|location| !of_table.contains(&location.axis))
+            {
                 (line.shift_um, line.tilt_urad) = ([0.0; 3], [0.0; 3]);
             }
             (machine.straightness, machine.squareness) = (Vec::new(), Vec::new());
@@ -350,7 +356,7 @@ fn with_the_offsets_of_the_board_the_tip_is_right_on_the_workpiece() -> Result<(
 #[test]
 #[ignore = "campaign: cargo xtask volume-board"]
 fn campaign_the_board_is_within_20_nm_of_homogeneous_transforms() -> Result<()> {
-    let wanted = std::env::var("TRUEUP_POSES").ok().and_then(|it| it.parse().ok());
+    let wanted = std::env::var("TRUEUP_POSES").ok().and_then(|text| text.parse().ok());
     let each = wanted.unwrap_or(1_000_000_usize).div_ceil(MACHINES);
     let mut random = ChaCha8Rng::seed_from_u64(48);
     let mut transforms = Transforms::new()?;
@@ -406,8 +412,8 @@ fn bodies(machine: &Machine) -> Vec<Body> {
     };
     let linear = chain.linear.iter().map(|axis| {
         let turn = |about: usize| {
-            let of = |it: &&trueup_machine::file::AngularErrorMotion| {
-                it.along == *axis && it.about.index() == about
+            let of = |motion: &&trueup_machine::file::AngularErrorMotion| {
+                motion.along == *axis && motion.about.index() == about
             };
             let angle = &volume.angular.iter().find(of).expect("all nine are drawn").angle;
             let Angle::Line(urad_per_m) = angle else { panic!("a curve") };
@@ -423,7 +429,8 @@ fn bodies(machine: &Machine) -> Vec<Body> {
         }
     });
     let rotary = |axis: &trueup_machine::file::RotaryAxis, workpiece: bool| {
-        let known = volume.rotary.iter().find(|it| it.axis == *axis).expect("all are drawn");
+        let known =
+            volume.rotary.iter().find(|location| location.axis == *axis).expect("all are drawn");
         Body {
             shift_um: known.shift_um,
             tilt_urad: known.tilt_urad,

@@ -87,18 +87,20 @@ fn main() {
 
 /// Returns whether all images are there and none is older than what it is built from.
 fn is_up_to_date(root: &Path, folder: &Path, with_commit: &[PathBuf]) -> bool {
-    let changed = |path: &Path| fs::metadata(path).and_then(|it| it.modified()).ok();
+    let changed = |path: &Path| fs::metadata(path).and_then(|metadata| metadata.modified()).ok();
     let images = IMAGE_NAMES.map(|name| changed(&folder.join(name)));
     let sources = IMAGE_SOURCES.iter().map(|source| root.join(source));
-    let newest =
-        sources.chain(with_commit.iter().cloned()).filter_map(|it| latest_modification(&it)).max();
+    let newest = sources
+        .chain(with_commit.iter().cloned())
+        .filter_map(|source| latest_modification(&source))
+        .max();
     images.into_iter().min().flatten() > newest
 }
 
 /// When something in a folder, or a file, was last changed.
 fn latest_modification(path: &Path) -> Option<SystemTime> {
     let Ok(entries) = fs::read_dir(path) else {
-        return fs::metadata(path).and_then(|it| it.modified()).ok();
+        return fs::metadata(path).and_then(|metadata| metadata.modified()).ok();
     };
     entries.flatten().filter_map(|entry| latest_modification(&entry.path())).max()
 }
@@ -113,7 +115,7 @@ fn build_images(root: &Path) {
     for (name, _) in env::vars_os() {
         let name = name.to_string_lossy().into_owned();
         let is_ours = ["CARGO_CFG_", "CARGO_FEATURE_", "CARGO_PKG_", "DEP_", "CARGO_MANIFEST_"];
-        if is_ours.iter().any(|it| name.starts_with(it))
+        if is_ours.iter().any(|prefix| name.starts_with(prefix))
             || ["CARGO_ENCODED_RUSTFLAGS", "OUT_DIR", "TARGET", "HOST", "PROFILE"]
                 .contains(&name.as_str())
         {

@@ -54,19 +54,19 @@ fn cut_twice(seed: u64) -> Result<Run, String> {
     };
     let script = cut(0) + &cut(2_500);
     let mut lines = board.live(9_000, &script, &[]);
-    let cuts = lines.iter().filter(|(_, it)| it.contains("power")).count();
-    lines.retain(|(_, it)| it != "c" && it != "u");
+    let cuts = lines.iter().filter(|(_, line)| line.contains("power")).count();
+    lines.retain(|(_, line)| line != "c" && line != "u");
     // After each reset an image speaks, in time.
     let silence_ms = longest_silence(&lines);
     if silence_ms > ANSWER_MS {
         return Err(format!("silent for {silence_ms} ms after a reset: {lines:?}"));
     }
-    let last = lines.last().map(|(_, it)| it.as_str());
+    let last = lines.last().map(|(_, line)| line.as_str());
     let is_right = match is_good {
         true => last == Some("B") && board.slot(Slot::B)[..new.len()] == new,
         // One that resets is given up for the old one, which loads it again and again.
         false => {
-            let said: Vec<&str> = lines.iter().map(|(_, it)| it.as_str()).collect();
+            let said: Vec<&str> = lines.iter().map(|(_, line)| line.as_str()).collect();
             said.contains(&"B") && goes_back(&said) && board.slot(Slot::A)[..old.len()] == old
         }
     };
@@ -77,9 +77,9 @@ fn cut_twice(seed: u64) -> Result<Run, String> {
 /// Returns whether the old image spoke between any two starts of the new one; a power cut alone keeps a trial.
 fn goes_back(said: &[&str]) -> bool {
     let mut has_reset = false;
-    said.iter().all(|it| {
-        let is_second = has_reset && *it == "B";
-        has_reset = *it == "B" || has_reset && *it != "A" && !it.contains("power");
+    said.iter().all(|line| {
+        let is_second = has_reset && *line == "B";
+        has_reset = *line == "B" || has_reset && *line != "A" && !line.contains("power");
         !is_second
     })
 }
@@ -110,7 +110,7 @@ fn draw(cuts: u32, first: u64) {
     };
     let failures: Vec<String> = thread::scope(|scope| {
         let threads: Vec<_> = (0..THREADS).map(|_| scope.spawn(run)).collect();
-        threads.into_iter().flat_map(|it| it.join().expect("it does not panic")).collect()
+        threads.into_iter().flat_map(|thread| thread.join().expect("it does not panic")).collect()
     });
     let (runs, took) = (next.into_inner() - first, began.elapsed().as_secs());
     let cuts = done.into_inner();

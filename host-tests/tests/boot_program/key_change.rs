@@ -71,7 +71,7 @@ fn after_a_key_change_with_a_dead_pll_only_images_of_the_new_key_start() {
             let lines = board.live(5_500, "", &DEAD);
             let silence = longest_silence(&lines);
             println!("an update of the new key: {silence:.0} ms");
-            let said: Vec<&str> = lines.iter().map(|(_, it)| it.as_str()).collect();
+            let said: Vec<&str> = lines.iter().map(|(_, line)| line.as_str()).collect();
             let [a, c, u, reset, b, d, ..] = said[..] else { panic!("{lines:?}") };
             assert_eq!([a, c, u, b, d], ["A", "c", "u", "B", "c"], "{lines:?}");
             assert!(reset.starts_with("reset") && silence <= ANSWER_MS, "{lines:?}");
@@ -85,7 +85,10 @@ fn after_a_key_change_with_a_dead_pll_only_images_of_the_new_key_start() {
             let silence = longest_silence(&lines);
             println!("an update of the old key, and a power cut: {silence:.0} ms");
             assert!(!has(&lines, "u") && !has(&lines, "B"), "{lines:?}");
-            assert!(lines.last().is_some_and(|(at, it)| it == "A" && *at > 4_650.0), "{lines:?}");
+            assert!(
+                lines.last().is_some_and(|(at, line)| line == "A" && *at > 4_650.0),
+                "{lines:?}"
+            );
             assert!(silence <= ANSWER_MS, "{lines:?}");
         });
         // An image that was built for the old key, in either slot.
@@ -112,11 +115,18 @@ fn a_power_cut_in_an_update_after_a_key_change_with_a_dead_pll_leaves_a_signed_i
                     let silence = longest_silence(&lines);
                     let is_new = std::ptr::eq(signed_with, &new.key);
                     println!("{}, new key {is_new}: {silence:.0} ms", cut.trim());
-                    assert!(lines.iter().any(|(_, it)| it.starts_with("reset power")), "{lines:?}");
+                    assert!(
+                        lines.iter().any(|(_, line)| line.starts_with("reset power")),
+                        "{lines:?}"
+                    );
                     assert!(silence <= ANSWER_MS, "{lines:?}");
                     assert_eq!(has(&lines, "B"), is_new, "{lines:?}");
                     let last = if is_new { "B" } else { "A" };
-                    assert_eq!(lines.last().map(|(_, it)| it.as_str()), Some(last), "{lines:?}");
+                    assert_eq!(
+                        lines.last().map(|(_, line)| line.as_str()),
+                        Some(last),
+                        "{lines:?}"
+                    );
                 });
             }
         }

@@ -70,7 +70,10 @@ fn a_new_image_that_hangs_or_resets_gives_way_within_two_seconds_on_any_watchdog
                     let at = first(&lines, "A");
                     println!("behaviour {behaviour}, LSI {lsi} Hz: A speaks at {at:.0} ms");
                     assert!(at <= ANSWER_MS, "{at} ms, {lines:?}");
-                    assert_eq!(lines.iter().filter(|(_, it)| it.starts_with("reset")).count(), 1);
+                    assert_eq!(
+                        lines.iter().filter(|(_, line)| line.starts_with("reset")).count(),
+                        1
+                    );
                     // It stays with it after a power cycle.
                     let lines = board.live(300, "", &["--lsi", lsi]);
                     assert!(has(&lines, "A") && !has(&lines, "B"), "{lines:?}");
@@ -128,5 +131,8 @@ fn with_a_dead_pll_an_image_of_a_probe_is_verified_slowly_and_starts() {
 fn without_an_image_it_looks_again_and_again() {
     let Some(_) = boot() else { return };
     let lines = Board::with(&[], &[]).expect("it is there").live(3_000, "", &[]);
-    assert!(lines.len() >= 2 && lines.iter().all(|(_, it)| it.starts_with("reset")), "{lines:?}");
+    assert!(
+        lines.len() >= 2 && lines.iter().all(|(_, line)| line.starts_with("reset")),
+        "{lines:?}"
+    );
 }

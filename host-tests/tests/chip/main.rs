@@ -334,7 +334,8 @@ fn a_supply_other_than_at_the_factory_is_a_remark_in_the_log() {
         is_clean(&report);
         let said = report.log.iter().find_map(|line| line.split("supply: ").nth(1));
         let said = said.expect("it says what the supply is");
-        let millivolts: f64 = said.split(' ').next().and_then(|it| it.parse().ok()).expect("mV");
+        let millivolts: f64 =
+            said.split(' ').next().and_then(|part| part.parse().ok()).expect("mV");
         // A code of 1502, and the rounding of the factory's value.
         let volts: f64 = volts.parse().expect("volts");
         assert!((millivolts / 1e3 - volts).abs() < 0.005, "{volts} V: {said}");

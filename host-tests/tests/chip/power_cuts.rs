@@ -70,7 +70,7 @@ fn life(off_s: u32, faults: &str, options: &[&str]) -> Option<RunReport> {
 fn end(report: &RunReport) -> (f64, u8) {
     let line = crate::line(report, &["OffsetZ at", "(last)"]).expect("an offset");
     let quality = line.split("quality ").nth(1).and_then(|rest| rest.split(',').next());
-    let quality = quality.and_then(|it| it.trim().parse().ok()).expect("a quality");
+    let quality = quality.and_then(|text| text.trim().parse().ok()).expect("a quality");
     (offsets_z(report, 0.0).last().expect("an offset").1, quality)
 }
 
@@ -108,7 +108,7 @@ fn with_battery_and_crystal_the_heat_goes_on_over_the_time_that_has_passed() {
                 logs(&report, "the clock that outlasts a power cut is set");
                 let told =
                     report.log.iter().find_map(|line| line.split("power was gone for ").nth(1));
-                let told = told.and_then(|it| it.split(' ').next()?.parse::<u32>().ok());
+                let told = told.and_then(|text| text.split(' ').next()?.parse::<u32>().ok());
                 // Since it was kept, up to a second before the cut; a crystal is good to 20 ppm.
                 let told = told.expect("it says for how long");
                 assert!((off_s..=off_s + 2 + off_s / 50_000).contains(&told), "{told}");

@@ -100,7 +100,7 @@ fn no_task_waits_for_half_its_deadline_nor_at_16_mhz_for_two_thirds() {
         let started = STARTED.map(|(name, task, deadline)| (&pending, name.into(), task, deadline));
         for (waits, name, task, deadline) in lines.into_iter().chain(started) {
             let name = format!("{name}: ");
-            let wait = waits.iter().find_map(|it| it.strip_prefix(&name)?.strip_suffix(" µs"));
+            let wait = waits.iter().find_map(|line| line.strip_prefix(&name)?.strip_suffix(" µs"));
             // Without a crystal there is no CAN; half a ring of bytes in a row need not come; the supervisor may never
             // have waited.
             let Some(wait) = wait else {

@@ -147,7 +147,7 @@ fn the_same_codes_give_the_same_offsets_on_the_chip_the_host_and_the_virtual_boa
     ensure!(differ.is_none(), "block {differ:?} differs on the virtual board");
     let (least, most) = on_the_chip
         .iter()
-        .fold((i32::MAX, i32::MIN), |(least, most), it| (least.min(*it), most.max(*it)));
+        .fold((i32::MAX, i32::MIN), |(least, most), value| (least.min(*value), most.max(*value)));
     println!(
         "{PERIOD} offsets of {least}…{most} × 10 nm are the same on chip, host and virtual board"
     );

@@ -58,9 +58,9 @@ fn xtask_chip_shows_the_log_and_serves_any_slcan_client_with_a_dead_crystal() ->
             .spawn()?,
     );
     let mut lines = BufReader::new(terminal.0.stdout.take().context("asked for")?).lines();
-    let line = lines.find(|line| line.as_ref().is_ok_and(|it| it.starts_with("serial: ")));
+    let line = lines.find(|line| line.as_ref().is_ok_and(|line| line.starts_with("serial: ")));
     let line = line.context("it says where its line is")??;
-    let port: u16 = line.rsplit(':').next().and_then(|it| it.parse().ok()).context(line)?;
+    let port: u16 = line.rsplit(':').next().and_then(|part| part.parse().ok()).context(line)?;
     // Whoever does not read holds it up.
     let said = std::thread::spawn(move || lines.map_while(Result::ok).collect::<Vec<_>>());
 

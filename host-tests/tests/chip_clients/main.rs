@@ -85,7 +85,7 @@ fn bridge_info_names_what_ended_the_last_start_and_where() -> Result<()> {
     thread::scope(|scope| {
         let ends_as = &ends_as;
         let all = cases.map(|(number, words)| scope.spawn(move || ends_as(number, words)));
-        all.into_iter().try_for_each(|it| it.join().expect("it does not panic"))
+        all.into_iter().try_for_each(|thread| thread.join().expect("it does not panic"))
     })
 }
 

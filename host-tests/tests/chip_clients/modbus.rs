@@ -70,7 +70,7 @@ fn polled(until_ms: u32) -> Result<Option<usize>> {
     let mut latest_ms = 0.0_f64;
     for (at, bytes) in answers.filter(|(_, bytes)| bytes.get(1) == Some(&4)) {
         let words: Vec<u16> =
-            bytes[3..59].as_chunks().0.iter().map(|it| u16::from_be_bytes(*it)).collect();
+            bytes[3..59].as_chunks().0.iter().map(|bytes| u16::from_be_bytes(*bytes)).collect();
         let block =
             InputBlock::decode(&words.try_into().expect("28 registers")).context("half old")?;
         reads += 1;

@@ -143,7 +143,7 @@ impl Answers {
     fn input(&self, from: u32, to: u32) -> Result<InputBlock> {
         let [answer] = self.between(from, to)[..] else { anyhow::bail!("no answer, or several") };
         let (words, _) = answer.get(3..59).context("the whole block")?.as_chunks::<2>();
-        let words: Vec<u16> = words.iter().map(|it| u16::from_be_bytes(*it)).collect();
+        let words: Vec<u16> = words.iter().map(|word| u16::from_be_bytes(*word)).collect();
         InputBlock::decode(&words.try_into().ok().context("28 registers")?).context("half old")
     }
 }
@@ -220,7 +220,7 @@ fn what_a_master_does_wrong_gets_the_exception_of_the_standard_or_silence_and_mo
         let alive = answers.between(*lives, *from);
         ensure!(alive == [&written[..]], "before {}: {alive:02x?}", fault.name);
         let told = answers.between(*from, *next);
-        let expected: Vec<&[u8]> = fault.answer.iter().map(|it| &it[..]).collect();
+        let expected: Vec<&[u8]> = fault.answer.iter().map(|bytes| &bytes[..]).collect();
         ensure!(told == expected, "{}: {told:02x?} for {expected:02x?}", fault.name);
     }
     for at in [acknowledged, acknowledged + 10] {

@@ -85,17 +85,19 @@ impl Case {
         let offsets = || seen.offsets.iter().filter(|(time, _)| within(time));
         if let Some(quality) = self.quality {
             want(
-                offsets().any(|(_, (it, _))| *it == quality as u8),
+                offsets().any(|(_, (shown, _))| *shown == quality as u8),
                 format!("quality {quality:?}"),
             );
         } else {
             // The offsets go on, and are as good as before.
-            let before = seen.offsets.iter().rfind(|(time, _)| *time < from).map(|(_, it)| it.0);
-            let same = offsets().count() > 0 && offsets().all(|(_, it)| Some(it.0) == before);
+            let before =
+                seen.offsets.iter().rfind(|(time, _)| *time < from).map(|(_, offset)| offset.0);
+            let same =
+                offsets().count() > 0 && offsets().all(|(_, offset)| Some(offset.0) == before);
             want(same, format!("quality as before, {before:?}"));
         }
         if let Some((flag, name)) = self.flag {
-            want(offsets().any(|(_, (_, it))| it.contains(flag)), format!("flag {name}"));
+            want(offsets().any(|(_, (_, flags))| flags.contains(flag)), format!("flag {name}"));
         }
         if let Some(fault) = self.emergency {
             // As CiA 301 packs it: the code, and the manufacturer's half above it.
@@ -103,8 +105,10 @@ impl Case {
             let is_kept = seen.objects.iter().any(|(time, ((index, _), value))| {
                 within(time) && *index == HISTORY && *value == entry
             });
-            let is_told =
-                seen.emergencies.iter().any(|(time, it)| within(time) && *it == fault as u8);
+            let is_told = seen
+                .emergencies
+                .iter()
+                .any(|(time, emergency)| within(time) && *emergency == fault as u8);
             want(if self.is_history { is_kept } else { is_told }, format!("emergency {fault:?}"));
         }
         let mut object =
@@ -119,29 +123,37 @@ impl Case {
             object(0x2001, 6, &is_set, format!("state bits {:#x}", state.0));
         }
         if let Some(reason) = self.restart {
-            object(0x2001, 7, &|it| it == reason as u32, format!("reason {}", reason.as_str()));
+            object(
+                0x2001,
+                7,
+                &|number| number == reason as u32,
+                format!("reason {}", reason.as_str()),
+            );
         }
         if let Some(task) = self.task {
-            let number = TASK_NAMES.iter().position(|it| *it == task).expect("a task") + 1;
-            object(0x2002, 7, &|it| it as usize == number, format!("task {task}"));
+            let number = TASK_NAMES.iter().position(|name| *name == task).expect("a task") + 1;
+            object(0x2002, 7, &|kind| kind as usize == number, format!("task {task}"));
         }
         missing
     }
 
     /// Its line in the page.
     pub fn line(&self, how: &str) -> String {
-        let quality = self.quality.map_or("as before".into(), |it| format!("{} {it:?}", it as u8));
+        let quality = self
+            .quality
+            .map_or("as before".into(), |quality| format!("{} {quality:?}", quality as u8));
         let flag = self.flag.map_or("", |(_, name)| name);
-        let state = self.state.map_or(String::new(), |it| {
-            let words = StateBits::NAMES.into_iter().filter(|(bit, _)| it.contains(*bit));
+        let state = self.state.map_or(String::new(), |state| {
+            let words = StateBits::NAMES.into_iter().filter(|(bit, _)| state.contains(*bit));
             words.map(|(_, word)| format!("`{word}`")).collect::<Vec<_>>().join(", ")
         });
-        let emergency =
-            self.emergency.map_or(String::new(), |it| format!("{:04X} {it:?}", it.code()));
+        let emergency = self
+            .emergency
+            .map_or(String::new(), |emergency| format!("{:04X} {emergency:?}", emergency.code()));
         let emergency = if self.is_history { emergency + ", in 0x1003" } else { emergency };
-        let restart = self.restart.map_or(String::new(), |it| match self.task {
-            Some(task) => format!("`{}`, in task `{task}`", it.as_str()),
-            None => format!("`{}`", it.as_str()),
+        let restart = self.restart.map_or(String::new(), |restart| match self.task {
+            Some(task) => format!("`{}`, in task `{task}`", restart.as_str()),
+            None => format!("`{}`", restart.as_str()),
         });
         let Self { fault, within, .. } = self;
         format!(
@@ -176,7 +188,7 @@ impl Seen {
         let mut seen = Self::default();
         for event in events {
             let mut words = event.split(' ');
-            let time: f64 = words.next().and_then(|it| it.parse().ok()).expect("a time");
+            let time: f64 = words.next().and_then(|word| word.parse().ok()).expect("a time");
             let (id, hex) = match (words.next(), words.next(), words.next()) {
                 (Some("reset"), ..) => {
                     seen.resets.push(time);
@@ -192,7 +204,8 @@ impl Seen {
             let digits = |at: usize| hex.get(2 * at..2 * at + 2);
             let mut data = [0; 8];
             for (at, byte) in data.iter_mut().enumerate() {
-                *byte = digits(at).and_then(|it| u8::from_str_radix(it, 16).ok()).unwrap_or(0);
+                *byte =
+                    digits(at).and_then(|digits| u8::from_str_radix(digits, 16).ok()).unwrap_or(0);
             }
             seen.take(time, id, data);
         }

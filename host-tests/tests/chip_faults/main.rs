@@ -115,7 +115,7 @@ fn play(parts: &Parts, run: &Run) -> Vec<String> {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("script");
     fs::write(&file, script(run, key)).expect("it is written");
-    let mut options: Vec<String> = run.options.iter().map(|it| (*it).into()).collect();
+    let mut options: Vec<String> = run.options.iter().map(|option| (*option).into()).collect();
     options.extend(["--ms".into(), run.ms.to_string(), "--script".into()]);
     options.push(file.to_str().expect("a plain name").into());
     let report = chip::run(&parts.model, image, &options).expect("the model runs");

@@ -31,7 +31,7 @@ impl Received {
         let mut told = Self::default();
         for event in events {
             let mut words = event.split(' ');
-            let time: f64 = words.next().and_then(|it| it.parse().ok()).expect("a time");
+            let time: f64 = words.next().and_then(|word| word.parse().ok()).expect("a time");
             match (words.next(), words.next(), words.next()) {
                 (Some("reset"), ..) => told.resets.push(time),
                 (Some("can"), Some("281"), Some(hex)) => {
@@ -70,6 +70,8 @@ impl Received {
 
 fn bytes(hex: &str) -> [u8; 8] {
     std::array::from_fn(|n| {
-        hex.get(2 * n..2 * n + 2).and_then(|it| u8::from_str_radix(it, 16).ok()).unwrap_or(0)
+        hex.get(2 * n..2 * n + 2)
+            .and_then(|digits| u8::from_str_radix(digits, 16).ok())
+            .unwrap_or(0)
     })
 }

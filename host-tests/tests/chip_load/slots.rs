@@ -71,7 +71,7 @@ fn flash(damaged: [Part; 2]) -> Vec<u8> {
     }
     for (calibration, part) in loaded.iter().zip(damaged) {
         let blob = calibration.blob();
-        let at = flash.windows(blob.len()).position(|it| it == blob).expect("it is there");
+        let at = flash.windows(blob.len()).position(|window| window == blob).expect("it is there");
         match part {
             Part::Nothing => {}
             Part::Blob => flash[at + blob.len() / 2] ^= 0x10,
@@ -128,7 +128,8 @@ fn of_damaged_slots_the_other_counts_and_of_both_the_images_own_and_the_operator
         ("the heads of both are", [Head, Head], 1.0, true),
     ];
     all(&cases.map(|(what, ..)| what.to_owned()), |what| {
-        let (_, damaged, gain, asks) = cases.iter().find(|it| it.0 == what).expect("one of them");
+        let (_, damaged, gain, asks) =
+            cases.iter().find(|case| case.0 == what).expect("one of them");
         start(*damaged, *gain, *asks)
     });
 }

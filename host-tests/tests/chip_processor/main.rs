@@ -68,7 +68,7 @@ fn the_models_processor_does_what_qemus_does_instruction_by_instruction() {
             .spawn()
             .expect("QEMU starts");
         let end = Instant::now() + Duration::from_secs(60);
-        let size = || fs::metadata(&theirs).map_or(0, |it| it.len()) as usize;
+        let size = || fs::metadata(&theirs).map_or(0, |metadata| metadata.len()) as usize;
         while size() < length && Instant::now() < end {
             sleep(Duration::from_millis(20));
         }

@@ -129,7 +129,7 @@ fn with_three_tools_95_percent_of_the_growth_are_gone() -> Result<()> {
         cnc.wait_for_pins("the tool", 10, &["iocontrol.0.tool-number"], is_there)?;
         cnc.send_command("mdi", "text", format!("S{RPM} M3"))?;
         let part = live(&mut cnc, &bridge, &mut metal, COMES)?;
-        let of = |n: usize| rms(&part.iter().map(|it| it[n]).collect::<Vec<f64>>());
+        let of = |n: usize| rms(&part.iter().map(|sample| sample[n]).collect::<Vec<f64>>());
         println!("tool {tool}: grown {:.2} um, left {:.3} um", of(0), of(1));
         ensure!(
             of(1) < LEFT * of(0).max(10.0),
@@ -139,7 +139,7 @@ fn with_three_tools_95_percent_of_the_growth_are_gone() -> Result<()> {
         );
         seen.extend(part);
     }
-    let of = |n: usize| rms(&seen.iter().map(|it| it[n]).collect::<Vec<f64>>());
+    let of = |n: usize| rms(&seen.iter().map(|sample| sample[n]).collect::<Vec<f64>>());
     let (grown, left) = (of(0), of(1));
     println!(
         "RMS {grown:.2} um without, {left:.3} um with: {:.1} % gone",

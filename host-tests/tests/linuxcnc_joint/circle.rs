@@ -163,7 +163,7 @@ fn cut(cnc: &mut HeadlessLinuxCnc, with_bridge: bool) -> Result<Vec<[f64; 2]>> {
         while lines.read_line(&mut line)? > 0 && line.ends_with('\n') {
             ensure!(!line.contains("overrun"), "the recorder was overrun");
             let words: Vec<f64> =
-                line.split_whitespace().filter_map(|it| it.parse().ok()).collect();
+                line.split_whitespace().filter_map(|word| word.parse().ok()).collect();
             let [_, x_mm, y_mm] = words[..] else { bail!("a line of the recorder is {line:?}") };
             cycles.push([x_mm, y_mm]);
             line.clear();
@@ -222,7 +222,10 @@ fn measure(rows: &str, tips: &[[f64; 2]], scenario: &Scenario) -> Result<(String
     let mut lines = rows.lines().skip_while(|line| line.starts_with('#'));
     let header = lines.next().context("a header")?;
     let column = |name: &str| {
-        header.split(',').position(|it| it == name).with_context(|| format!("no column {name}"))
+        header
+            .split(',')
+            .position(|column| column == name)
+            .with_context(|| format!("no column {name}"))
     };
     let [at_x, at_y, at_direction] = [column("x_mm")?, column("y_mm")?, column("dir")?];
     ensure!(header.ends_with("measured_dr_um"), "the reading is not last: {header}");
@@ -364,10 +367,10 @@ fn campaign_the_same_circle_is_rounder_with_the_bridge() -> Result<()> {
         ("G clockwise", "/g_um/cw"),
         ("G(b), both directions", "/g_both_um"),
     ] {
-        let [before, after] = [&before, &after].map(|it| figure(it, pointer));
+        let [before, after] = [&before, &after].map(|report| figure(report, pointer));
         rounder = show(name, before.context(name)?, after.context(name)?);
     }
-    let widths = [&readings_before, &readings_after].map(|it| backlash_um(it));
+    let widths = [&readings_before, &readings_after].map(|readings| backlash_um(readings));
     let of_x = show("backlash of X on the circle", widths[0][0], widths[1][0]);
     let of_y = show("backlash of Y on the circle", widths[0][1], widths[1][1]);
     println!("Run files, machine files and pages with the polar plots: target/linuxcnc-circle");

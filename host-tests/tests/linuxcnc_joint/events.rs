@@ -24,7 +24,8 @@ pub(crate) fn reversals(rig: &mut Rig) -> Result<()> {
         let cycles: Vec<Cycle> = rig.cycles().into_iter().flatten().collect();
         let asked = cycles.windows(2).position(|two| (two[1].goal - two[0].goal).abs() > 0.005);
         let asked = asked.context("the offset was asked for")?;
-        let there = cycles[asked..].iter().position(|it| (it.offset[0] * 1e3 - x).abs() < 0.05);
+        let there =
+            cycles[asked..].iter().position(|cycle| (cycle.offset[0] * 1e3 - x).abs() < 0.05);
         let took = there.context("the offset is there")?;
         println!("reversal of 6 um: {took} ms");
         assert!(took <= 13, "{took} ms");

@@ -138,7 +138,7 @@ fn record(cnc: &mut HeadlessLinuxCnc, joint: usize) -> Result<(Sampler, Receiver
     thread::spawn(move || {
         for line in BufReader::new(lines).lines().map_while(Result::ok) {
             let words: Vec<f64> =
-                line.split_whitespace().filter_map(|it| it.parse().ok()).collect();
+                line.split_whitespace().filter_map(|word| word.parse().ok()).collect();
             let [_, place_mm, goal, now, ..] = words[..] else { continue };
             if sender.send(Cycle { place_mm, goal_um: goal * 1e3, now_um: now * 1e3 }).is_err() {
                 return;
@@ -179,7 +179,7 @@ fn without_a_board_the_servo_thread_corrects_a_stock_configuration_in_time() -> 
         cnc.send_command("mdi", "text", format!("G53 G1 F1500 X{x}"))?;
     }
     let cycles: Vec<Cycle> = cycles.try_iter().collect();
-    let (goal, act) = (lag(&cycles, |it| it.goal_um), lag(&cycles, |it| it.now_um));
+    let (goal, act) = (lag(&cycles, |cycle| cycle.goal_um), lag(&cycles, |cycle| cycle.now_um));
     println!(
         "{} cycles; asked for {goal:?} and acting {act:?} (periods, um RMS) after the position",
         cycles.len()
@@ -205,7 +205,7 @@ fn reversals(cycles: &[Cycle]) -> Vec<usize> {
     while at < cycles.len() {
         let from_um = cycles[at - 1].goal_um;
         if (cycles[at].goal_um - from_um).abs() > NEAR_UM {
-            let is_off = |it: &Cycle| ((it.now_um - from_um).abs() - 6.0).abs() > NEAR_UM;
+            let is_off = |cycle: &Cycle| ((cycle.now_um - from_um).abs() - 6.0).abs() > NEAR_UM;
             let next = &cycles[at..cycles.len().min(at + WITHIN)];
             took.push(next.iter().rposition(is_off).map_or(0, |last| last + 1));
             at += WITHIN;
@@ -239,11 +239,12 @@ fn without_a_board_a_reversal_is_over_in_13_ms_and_longer_periods_correct_as_wel
         }
         thread::sleep(std::time::Duration::from_millis(300));
         let took = reversals(&cycles.try_iter().collect::<Vec<_>>());
-        let ms: Vec<f64> = took.iter().map(|it| *it as f64 * f64::from(period_us) / 1e3).collect();
+        let ms: Vec<f64> =
+            took.iter().map(|cycles| *cycles as f64 * f64::from(period_us) / 1e3).collect();
         println!("servo period {period_us} us: reversals of 6 um take {ms:?} ms");
         // The target at 1 ms; speed and goal change once a period.
         let limit = 9.0 + 4.0 * f64::from(period_us) / 1e3;
-        ensure!(ms.len() >= 2 && ms.iter().all(|it| *it <= limit), "{period_us}: {ms:?}");
+        ensure!(ms.len() >= 2 && ms.iter().all(|delay| *delay <= limit), "{period_us}: {ms:?}");
         cnc.close()?;
     }
     Ok(())

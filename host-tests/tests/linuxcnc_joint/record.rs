@@ -125,14 +125,14 @@ impl Seen {
                 &mut self.feedback,
                 third.feedback[axis] - (second.drive[axis] - second.offset[axis]),
             );
-            largest(&mut self.offset_speed, speed(|it| &it.offset));
-            largest(&mut self.offset_acceleration, acceleration(|it| &it.offset));
+            largest(&mut self.offset_speed, speed(|cycle| &cycle.offset));
+            largest(&mut self.offset_acceleration, acceleration(|cycle| &cycle.offset));
             largest(&mut self.offset, third.offset[axis]);
             if is_on {
-                largest(&mut self.drive_speed, speed(|it| &it.drive));
-                largest(&mut self.drive_acceleration, acceleration(|it| &it.drive));
-                largest(&mut self.planner_speed, speed(|it| &it.planner));
-                largest(&mut self.planner_acceleration, acceleration(|it| &it.planner));
+                largest(&mut self.drive_speed, speed(|cycle| &cycle.drive));
+                largest(&mut self.drive_acceleration, acceleration(|cycle| &cycle.drive));
+                largest(&mut self.planner_speed, speed(|cycle| &cycle.planner));
+                largest(&mut self.planner_acceleration, acceleration(|cycle| &cycle.planner));
             }
         }
         self.cycles += 1;

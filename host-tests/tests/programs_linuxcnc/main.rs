@@ -321,7 +321,7 @@ fn pitch_and_backlash_are_got_back_from_their_program() -> Result<()> {
     let off: Vec<f64> = plan
         .readings()
         .iter()
-        .filter_map(|it| it.position_mm[1])
+        .filter_map(|reading| reading.position_mm[1])
         .map(|mm| pitch_um(&table, mm, 1.0) - truth(mm))
         .collect();
     // A point of the table rests on ten readings; four standard errors of one.

@@ -139,8 +139,8 @@ pub fn start(
         can::start(device.CAN1, gpiob.pb9, gpiob.pb8, source, &mut rcc);
     let selects =
         (gpioc.pc0, gpioc.pc1, gpioc.pc2, gpioc.pc3, gpioc.pc4, gpioc.pc5, gpioc.pc6, gpioc.pc7);
-    let known = stored.calibration.as_ref().map(|it| it.thermometers).unwrap_or_default();
-    let mains = stored.calibration.as_ref().map(|it| it.guards.mains).unwrap_or_default();
+    let known = stored.calibration.as_ref().map(|stored| stored.thermometers).unwrap_or_default();
+    let mains = stored.calibration.as_ref().map(|stored| stored.guards.mains).unwrap_or_default();
     let plan = sampling::SamplingTiming::from_bus_clock(rcc.clocks.pclk2().raw());
     let bus = (gpiob.pb13, gpiob.pb14, gpiob.pb15);
     let mut thermometers = thermometers::start(device.SPI2, bus, selects, known, mains, &mut rcc);
@@ -154,7 +154,7 @@ pub fn start(
     watchdog.set_run_timeout();
     let samples = sampling::start(chain, gpioa.pa0, &device.ADC_COMMON, &mut rcc);
     // After the first converter's, because a reset is for all of them.
-    if known.iter().flatten().any(|it| matches!(it, Thermometer::Linear { .. })) {
+    if known.iter().flatten().any(|thermometer| matches!(thermometer, Thermometer::Linear { .. })) {
         let pins = (
             gpioa.pa1, gpioa.pa2, gpioa.pa3, gpioa.pa4, gpioa.pa5, gpioa.pa6, gpioa.pa7, gpiob.pb0,
         );
@@ -248,7 +248,7 @@ fn describe_start(reset: ResetCause) -> ResetInfo {
 #[allow(unsafe_code, reason = "registers of the core")]
 fn trap_divisions_by_zero(scb: &SCB) {
     // SAFETY: no other bit changes, and no code here divides by zero on purpose.
-    unsafe { scb.ccr.modify(|it| it | 1 << 4) };
+    unsafe { scb.ccr.modify(|bits| bits | 1 << 4) };
 }
 
 /// SysTick raises its interrupt a hundred times a second, whichever clock the core runs from.

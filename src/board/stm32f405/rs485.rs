@@ -54,7 +54,7 @@ pub fn start(usart: USART3, timer: TIM5, pins: Pins, rcc: &mut Rcc) -> PlcInterf
         pins.address.3.into_pull_up_input().erase(),
     ];
     cortex_m::asm::delay(PULL_UP_SETTLE_CYCLES);
-    let unit = 1 + address.iter().rev().fold(0, |sum, it| sum << 1 | u8::from(it.is_low()));
+    let unit = 1 + address.iter().rev().fold(0, |sum, pin| sum << 1 | u8::from(pin.is_low()));
     let baud = if rate.is_low() { 115_200 } else { 19_200 };
     let has_parity = parity.is_high();
 

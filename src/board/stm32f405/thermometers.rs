@@ -139,10 +139,10 @@ impl Thermometers {
 
     fn log_responding_channels(&self) {
         let bits = |is_so: fn(&Channel) -> bool| {
-            self.channels.iter().rev().fold(0, |bits, it| bits << 1 | u8::from(is_so(it)))
+            self.channels.iter().rev().fold(0, |bits, channel| bits << 1 | u8::from(is_so(channel)))
         };
-        let answering = bits(|it| it.converter.reading() != Reading::Missing);
-        let wanted = bits(|it| it.thermometer.is_some() && !it.is_linear());
+        let answering = bits(|channel| channel.converter.reading() != Reading::Missing);
+        let wanted = bits(|channel| channel.thermometer.is_some() && !channel.is_linear());
         defmt::info!(
             "temperature converters that answer: {=u8:#010b}, in the machine file: {=u8:#010b}",
             answering,

@@ -95,7 +95,7 @@ pub(crate) fn advise(
         let Some((_, to)) = shown.iter().copied().find(|(other, _)| *other == key) else {
             continue;
         };
-        let ci95 = report.parameter(key).and_then(|it| it.ci95);
+        let ci95 = report.parameter(key).and_then(|change| change.ci95);
         if (to - from).abs() > MIN_RELATIVE_CHANGE * from.abs().max(to.abs()) {
             let key = format!("{section}.{key}");
             advice.sentences.push(describe_change(&key, from, to, ci95));
@@ -200,37 +200,36 @@ fn section_constants(section: &str, machine: &Machine) -> Vec<(&'static str, f64
     let spindle = &machine.spindle;
     let of_axis = |axis: &LinearAxis| section == format!("axis.{}.thermal", axis.name());
     match section {
-        "spindle.warmup" => spindle.warmup.as_ref().map_or(Vec::new(), |it| {
+        "spindle.warmup" => spindle.warmup.as_ref().map_or(Vec::new(), |warmup| {
             let own = [
-                ("lag_s", it.lag_s),
-                ("warm_s", it.warm_s),
-                ("max_um", it.max_um),
-                ("exponent", it.exponent),
+                ("lag_s", warmup.lag_s),
+                ("warm_s", warmup.warm_s),
+                ("max_um", warmup.max_um),
+                ("exponent", warmup.exponent),
             ];
             // Where the file does not state it, it follows from the others.
-            own.into_iter().chain(it.cool_s.map(|cool_s| ("cool_s", cool_s))).collect()
+            own.into_iter().chain(warmup.cool_s.map(|cool_s| ("cool_s", cool_s))).collect()
         }),
-        "spindle.sensor" => spindle
-            .sensor
-            .as_ref()
-            .map_or(Vec::new(), |it| vec![("k0_um", it.k0_um), ("um_per_count", it.um_per_count)]),
-        "spindle.temperature" => spindle.temperature.as_ref().map_or(Vec::new(), |it| {
+        "spindle.sensor" => spindle.sensor.as_ref().map_or(Vec::new(), |sensor| {
+            vec![("k0_um", sensor.k0_um), ("um_per_count", sensor.um_per_count)]
+        }),
+        "spindle.temperature" => spindle.temperature.as_ref().map_or(Vec::new(), |temperature| {
             vec![
-                ("k_um_per_c", it.k_um_per_c),
-                ("reference_c", it.reference_c),
-                ("lag_s", it.lag_s),
+                ("k_um_per_c", temperature.k_um_per_c),
+                ("reference_c", temperature.reference_c),
+                ("lag_s", temperature.lag_s),
             ]
         }),
         _ => LinearAxis::ALL
             .into_iter()
             .find(of_axis)
             .and_then(|axis| machine.axes[axis.index()].thermal.as_ref())
-            .map_or(Vec::new(), |it| {
+            .map_or(Vec::new(), |law| {
                 vec![
-                    ("constant_um_per_c", it.constant_um_per_c),
-                    ("slope_um_per_m_per_c", it.slope_um_per_m_per_c),
-                    ("reference_c", it.reference_c),
-                    ("lag_s", it.lag_s),
+                    ("constant_um_per_c", law.constant_um_per_c),
+                    ("slope_um_per_m_per_c", law.slope_um_per_m_per_c),
+                    ("reference_c", law.reference_c),
+                    ("lag_s", law.lag_s),
                 ]
             }),
     }

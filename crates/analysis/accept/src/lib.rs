@@ -51,7 +51,7 @@ impl ErrorSummary {
     fn from_errors(um: &[f64]) -> Self {
         ErrorStatistics::from_residuals(um).map_or(
             Self { rms_um: f64::NAN, max_um: f64::NAN },
-            |it| Self { rms_um: it.rms, max_um: it.max_abs },
+            |statistics| Self { rms_um: statistics.rms, max_um: statistics.max_abs },
         )
     }
 }

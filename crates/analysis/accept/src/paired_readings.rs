@@ -97,7 +97,7 @@ fn find_repeat_outliers(run: &RunFile, name: &str, um: &[f64]) -> Vec<usize> {
         let mut alone: Vec<usize> = alone.collect();
         alone.sort_unstable();
         // One after the other at different places: it lasts.
-        let lasts = |row: &usize| alone.iter().any(|it| it.abs_diff(*row) == 1);
+        let lasts = |row: &usize| alone.iter().any(|neighbour| neighbour.abs_diff(*row) == 1);
         return alone.iter().filter(|row| !lasts(row)).copied().collect();
     }
     let cycles = cycle_numbers(&stops);
@@ -125,7 +125,7 @@ impl RunSeries {
         let unaided =
             |machine| UncompensatedRun::from_run(Cow::Borrowed(run), machine, Some(quantity)).ok();
         // Another calibration is compared all the same: without the file the tool points down.
-        let unaided = machine.and_then(|it| unaided(Some(it))).or_else(|| unaided(None));
+        let unaided = machine.and_then(|machine| unaided(Some(machine))).or_else(|| unaided(None));
         let offset_um = match unaided {
             Some((unaided, _)) => unaided
                 .applied_offset_um(quantity)

@@ -66,7 +66,12 @@ fn another_factor_than_1_fails_names_the_places_and_changes_no_constant() {
                 assert!(it.adjusted_machine_file().is_none(), "{what}");
                 let [low, high] = found.ci95;
                 assert!(low < factor && factor < high && high - low < 0.3, "{what}");
-                assert!(it.unmet.iter().any(|it| it.starts_with("For 1 µm of offset")), "{what}");
+                assert!(
+                    it.unmet
+                        .iter()
+                        .any(|requirement| requirement.starts_with("For 1 µm of offset")),
+                    "{what}"
+                );
                 let said = it.advice.sentences.join(" ");
                 assert!(!said.contains("Change ") && said.contains("eoffset-scale"), "{said}");
             }
@@ -104,7 +109,7 @@ fn a_cnc_that_applies_the_offset_once_is_judged_as_before() {
 fn what_the_runs_cannot_tell_is_said_and_fails_nothing() {
     let it = judged("dz", 1.0, 1.0, 60.0, true);
     assert!(it.notes.iter().any(|note| note.contains("cannot be told from these runs")));
-    assert!(!it.unmet.iter().any(|it| it.contains("For 1 µm")), "{:?}", it.unmet);
+    assert!(!it.unmet.iter().any(|requirement| requirement.contains("For 1 µm")), "{:?}", it.unmet);
     let plain = |um: f64| {
         let rows: String = (0..20).map(|row| format!("{}\n", um * f64::from(row))).collect();
         let text = format!("measured_dz_um\n{rows}");
@@ -114,7 +119,7 @@ fn what_the_runs_cannot_tell_is_said_and_fails_nothing() {
         evaluate_acceptance(&plain(1.0), &plain(-1.0), None, None, AcceptanceCriteria::default())
             .expect("comparable");
     assert!(
-        it.applied_factor.is_none() && it.notes.iter().all(|it| !it.contains("1 µm of offset"))
+        it.applied_factor.is_none() && it.notes.iter().all(|note| !note.contains("1 µm of offset"))
     );
 }
 
@@ -167,7 +172,7 @@ fn a_bad_reading_is_excluded_by_its_line_and_what_lasts_counts() {
         let it = judged(&spoiled(&off, 30..31), &spoiled(&on, 70..71));
         assert!(it.passed, "{quantity}: {:?} {:?}", it.unmet, it.notes);
         let listed: Vec<&String> =
-            it.notes.iter().filter(|it| it.starts_with("Excluded as outliers")).collect();
+            it.notes.iter().filter(|note| note.starts_with("Excluded as outliers")).collect();
         assert!(listed.len() == 2 && listed[0].contains("line 32 (+"), "{listed:?}");
         assert!(listed[1].contains("line 72 (+"), "{listed:?}");
         // Three readings in a row are what the machine does.

@@ -143,7 +143,7 @@ pub fn compare_runs(
     let mean = |um: &[f64]| um.iter().sum::<f64>() / um.len() as f64;
     let (mut squares, mut freedom) = (0.0, 0);
     for um in cells.iter().flatten().filter(|um| um.len() > 1) {
-        squares += um.iter().map(|it| (it - mean(um)).powi(2)).sum::<f64>();
+        squares += um.iter().map(|value| (value - mean(um)).powi(2)).sum::<f64>();
         freedom += um.len() - 1;
     }
     let variance = (freedom > 0).then(|| squares / freedom as f64);
@@ -175,9 +175,9 @@ pub fn compare_runs(
         return Err(BadInput::new(Location::start_of_file(b.path()), rule));
     }
     let mut comparison = summarise_differences(quantity, over, found, unmatched, variance, t);
-    let said = |it: &ExcludedReading| {
-        let path = [a, b][it.file].path().display();
-        format!("{path}:{} ({:+.1} µm)", it.line, it.measured_um)
+    let said = |reading: &ExcludedReading| {
+        let path = [a, b][reading.file].path().display();
+        format!("{path}:{} ({:+.1} µm)", reading.line, reading.measured_um)
     };
     if !outliers.is_empty() {
         let all: Vec<String> = outliers.iter().map(said).collect();
@@ -216,12 +216,12 @@ fn summarise_differences(
     t: f64,
 ) -> Comparison {
     let count = places.len() as f64;
-    let shift_um = places.iter().map(|it| it.difference_um).sum::<f64>() / count;
+    let shift_um = places.iter().map(|place| place.difference_um).sum::<f64>() / count;
     let shares: f64 =
-        places.iter().map(|it| it.readings.map(|n| 1.0 / n as f64).iter().sum::<f64>()).sum();
+        places.iter().map(|place| place.readings.map(|n| 1.0 / n as f64).iter().sum::<f64>()).sum();
     let shift_half_width_um = variance.map(|variance| t * (variance * shares).sqrt() / count);
-    places.iter_mut().for_each(|it| it.difference_um -= shift_um);
-    let um: Vec<f64> = places.iter().map(|it| it.difference_um).collect();
+    places.iter_mut().for_each(|place| place.difference_um -= shift_um);
+    let um: Vec<f64> = places.iter().map(|place| place.difference_um).collect();
     let rms_um = (um.iter().map(|um| um * um).sum::<f64>() / count).sqrt();
     let max_um = um.iter().fold(0.0_f64, |most, um| most.max(um.abs()));
     let along =
@@ -274,14 +274,16 @@ struct DifferenceModel {
 
 impl DifferenceModel {
     fn fit_all(places: &[PositionDifference], along: bool, variance: Option<f64>) -> Vec<Self> {
-        let both = [-1, 1].iter().all(|way| places.iter().any(|it| it.direction == *way));
+        let both = [-1, 1].iter().all(|way| places.iter().any(|place| place.direction == *way));
         let backlash = if both { Some(0) } else { None };
         let slope = Some(1);
         let slope_name = if along { "pitch-scale" } else { "cross-axis" };
         let curve_name = if along { "pitch-error" } else { "straightness" };
         let mut laws = vec![Self::fit_linear(places, variance, slope_name, &[])];
-        laws.extend(backlash.map(|it| Self::fit_linear(places, variance, slope_name, &[it])));
-        laws.extend(slope.map(|it| Self::fit_linear(places, variance, slope_name, &[it])));
+        laws.extend(
+            backlash.map(|backlash| Self::fit_linear(places, variance, slope_name, &[backlash])),
+        );
+        laws.extend(slope.map(|slope| Self::fit_linear(places, variance, slope_name, &[slope])));
         if both {
             laws.push(Self::fit_linear(places, variance, slope_name, &[0, 1]));
         }
@@ -289,12 +291,12 @@ impl DifferenceModel {
             let largest = places
                 .iter()
                 .max_by(|a, b| a.difference_um.abs().total_cmp(&b.difference_um.abs()));
-            let sentence = largest.map_or(String::new(), |it| {
+            let sentence = largest.map_or(String::new(), |largest| {
                 format!(
                     "They differ by a curve: most at {} mm, by {:+.2} µm{}.",
-                    it.at_mm,
-                    it.difference_um,
-                    it.half_width_um.map_or(String::new(), |half| format!(" ± {half:.2}"))
+                    largest.at_mm,
+                    largest.difference_um,
+                    largest.half_width_um.map_or(String::new(), |half| format!(" ± {half:.2}"))
                 )
             });
             laws.push(Self {
@@ -315,16 +317,19 @@ impl DifferenceModel {
         slope_name: &'static str,
         columns: &[usize],
     ) -> Self {
-        let middle = places.iter().map(|it| it.at_mm).sum::<f64>() / places.len() as f64;
-        let row = |it: &PositionDifference| {
-            let all = [f64::from(u8::from(it.direction < 0)), (it.at_mm - middle) / 1000.0];
+        let middle = places.iter().map(|place| place.at_mm).sum::<f64>() / places.len() as f64;
+        let row = |difference: &PositionDifference| {
+            let all = [
+                f64::from(u8::from(difference.direction < 0)),
+                (difference.at_mm - middle) / 1000.0,
+            ];
             let mut x = vec![1.0];
             x.extend(columns.iter().map(|column| all[*column]));
             x
         };
         // Weighted by what each place rests on.
-        let weight = |it: &PositionDifference| {
-            (1.0 / it.readings.map(|n| 1.0 / n as f64).iter().sum::<f64>()).sqrt()
+        let weight = |difference: &PositionDifference| {
+            (1.0 / difference.readings.map(|n| 1.0 / n as f64).iter().sum::<f64>()).sqrt()
         };
         let mut triangle = GivensQr::new(1 + columns.len());
         for it in places {
@@ -343,7 +348,7 @@ impl DifferenceModel {
         let Ok(fit) = triangle.solve() else { return none };
         let squares: f64 = places
             .iter()
-            .map(|it| (weight(it) * (it.difference_um - fit.predict(&row(it)))).powi(2))
+            .map(|place| (weight(place) * (place.difference_um - fit.predict(&row(place)))).powi(2))
             .sum();
         let count = places.len() as f64;
         let fitted = match variance {
@@ -376,7 +381,13 @@ impl DifferenceModel {
             });
         let sentences = sentences.collect();
         let bic = fitted + constants as f64 * count.ln();
-        Self { cause: changes.first().map(|it| it.cause), constants, bic, changes, sentences }
+        Self {
+            cause: changes.first().map(|change| change.cause),
+            constants,
+            bic,
+            changes,
+            sentences,
+        }
     }
 }
 
@@ -392,7 +403,9 @@ fn common_quantity(
             .and(b.require_column(&column(quantity)))
             .map(|_| quantity);
     }
-    let both = |it: &Quantity| a.column(&column(*it)).is_some() && b.column(&column(*it)).is_some();
+    let both = |quantity: &Quantity| {
+        a.column(&column(*quantity)).is_some() && b.column(&column(*quantity)).is_some()
+    };
     let all: Vec<Quantity> = Quantity::ALL.into_iter().filter(both).collect();
     match all[..] {
         [quantity] => Ok(quantity),

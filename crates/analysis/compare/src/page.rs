@@ -62,23 +62,28 @@ pub fn build_comparison_page(it: &Comparison, [a, b]: [&str; 2], origin: &Origin
 #[must_use]
 pub fn build_trends_page(trends: &[Trend], folder: &str, origin: &Origin) -> String {
     let mut page = Page::new(&format!("What changes in {folder}"));
-    let say = |it: &Trend| format!("{}: {}", it.name, it.sentence);
+    let say = |trend: &Trend| format!("{}: {}", trend.name, trend.sentence);
     page.add_card("open", "Constants over time", &trends.iter().map(say).collect::<Vec<_>>());
-    let picture = |it: &Trend| {
+    let picture = |trend: &Trend| {
         let points: Vec<[f64; 2]> =
-            it.points.iter().map(|point| [point.days, point.value]).collect();
+            trend.points.iter().map(|point| [point.days, point.value]).collect();
         let mut series = vec![Series::dots("measured", Colour::Measured, points)];
-        if let ([first, .., last], Some([rate, _])) = (&it.points[..], it.per_year) {
+        if let ([first, .., last], Some([rate, _])) = (&trend.points[..], trend.per_year) {
             // The line of least squares passes through the means.
-            let count = it.points.len() as f64;
-            let days = it.points.iter().map(|point| point.days).sum::<f64>() / count;
-            let value = it.points.iter().map(|point| point.value).sum::<f64>() / count;
+            let count = trend.points.len() as f64;
+            let days = trend.points.iter().map(|point| point.days).sum::<f64>() / count;
+            let value = trend.points.iter().map(|point| point.value).sum::<f64>() / count;
             let at = |day: f64| [day, value + rate * (day - days) / 365.25];
             series.push(Series::line("line", Colour::After, vec![at(first.days), at(last.days)]));
         }
-        let from = it.points.first().map_or("", |point| &point.date);
-        Chart { title: it.name.clone(), x: format!("days from {from}"), y: it.name.clone(), series }
-            .to_figure()
+        let from = trend.points.first().map_or("", |point| &point.date);
+        Chart {
+            title: trend.name.clone(),
+            x: format!("days from {from}"),
+            y: trend.name.clone(),
+            series,
+        }
+        .to_figure()
     };
     page.add_charts(&trends.iter().map(picture).collect::<Vec<_>>());
     let mut table = Table::new(&["constant", "day", "value", "95 %"]);

@@ -81,9 +81,10 @@ fn fit_step_change(
     let bic = |squares: f64, constants: f64| {
         count * (squares.max(least) / count).ln() + constants * count.ln()
     };
-    let mean = |all: &[TrendPoint]| all.iter().map(|it| it.value).sum::<f64>() / all.len() as f64;
+    let mean =
+        |all: &[TrendPoint]| all.iter().map(|point| point.value).sum::<f64>() / all.len() as f64;
     let left =
-        |all: &[TrendPoint]| all.iter().map(|it| (it.value - mean(all)).powi(2)).sum::<f64>();
+        |all: &[TrendPoint]| all.iter().map(|point| (point.value - mean(all)).powi(2)).sum::<f64>();
     // A level of one day may be a bad measurement.
     let cuts =
         (2..points.len().saturating_sub(1)).filter(|cut| points[*cut].days > points[*cut - 1].days);
@@ -120,8 +121,8 @@ pub fn fit_trends(
     }
     let of = |name: &&str| {
         let of_day = |(day, constants): &&(EpochDay, Vec<ConstantEstimate>)| {
-            let mine = constants.iter().filter(|it| it.name == *name);
-            mine.map(|it| (*day, it.clone())).collect::<Vec<_>>()
+            let mine = constants.iter().filter(|constant| constant.name == *name);
+            mine.map(|constant| (*day, constant.clone())).collect::<Vec<_>>()
         };
         fit_trend(name, &days.iter().flat_map(of_day).collect::<Vec<_>>(), limit, today)
     };

@@ -53,10 +53,10 @@ fn bad_readings_are_excluded_by_their_lines_and_make_no_difference() {
     let text = |seed, spoiled: &[(usize, f64)]| {
         let run = run("dx", seed, |x, _| pitch(x));
         let columns =
-            ["run", "x_mm", "dir_x", "measured_dx_um"].map(|it| run.column(it).expect("there"));
+            ["run", "x_mm", "dir_x", "measured_dx_um"].map(|name| run.column(name).expect("there"));
         let mut text = "run,x_mm,dir_x,measured_dx_um\n".to_string();
         for row in 0..run.row_count() {
-            let off = spoiled.iter().find(|it| it.0 == row).map_or(0.0, |it| it.1);
+            let off = spoiled.iter().find(|entry| entry.0 == row).map_or(0.0, |entry| entry.1);
             let [number, x, dir, um] = columns.map(|all| all[row]);
             writeln!(text, "{number},{x},{dir},{}", um + off).expect("a string takes all");
         }
@@ -64,10 +64,15 @@ fn bad_readings_are_excluded_by_their_lines_and_make_no_difference() {
     };
     let (a, b) = (text(1, &[(20, 40.0)]), text(2, &[(3, -60.0), (90, 25.0)]));
     let it = compare_runs(&a, &b, None).expect("they have places in common");
-    let found: Vec<(usize, usize)> = it.outliers.iter().map(|it| (it.file, it.line)).collect();
+    let found: Vec<(usize, usize)> =
+        it.outliers.iter().map(|outlier| (outlier.file, outlier.line)).collect();
     assert_eq!(found, [(0, 22), (1, 5), (1, 92)]);
     assert!(!it.differs && it.repeatability_um.is_some_and(|um| um < 0.4), "{it:?}");
-    assert!(it.sentences.iter().any(|it| it.contains("r.csv:92 (+")), "{:?}", it.sentences);
+    assert!(
+        it.sentences.iter().any(|sentence| sentence.contains("r.csv:92 (+")),
+        "{:?}",
+        it.sentences
+    );
 }
 
 #[test]
@@ -132,14 +137,17 @@ fn wear_is_a_line_with_an_interval_and_a_date() {
         })
         .collect();
     let found = fit_trends(&days, Some(2.0), None);
-    let wear = found.iter().find(|it| it.name == "axis.x.backlash.width_um").expect("it is there");
+    let wear = found
+        .iter()
+        .find(|constant| constant.name == "axis.x.backlash.width_um")
+        .expect("it is there");
     let [rate, half] = wear.per_year.expect("five days");
     println!("{wear:?}");
     assert!(wear.changes && (rate - 1.5).abs() <= half && half < 0.5, "{wear:?}");
     // 2 µm at 1.5 µm a year are 16 months, less where the rate may be faster.
     let by = wear.measure_again_by.as_deref().expect("a day");
     assert!(("2026-10-01".."2027-05-12").contains(&by), "{by}");
-    let slope = found.iter().find(|it| it.name.contains("slope")).expect("it is there");
+    let slope = found.iter().find(|constant| constant.name.contains("slope")).expect("it is there");
     assert!(
         !slope.changes || slope.per_year.is_some_and(|[rate, _]| rate.abs() < 0.3),
         "{slope:?}"
@@ -187,7 +195,7 @@ fn a_warmer_run_is_no_difference_where_the_machine_file_knows_the_expansion() {
     let slope = estimate_run_constants(&warm)
         .constants
         .into_iter()
-        .find(|it| it.name.contains("slope"))
+        .find(|constant| constant.name.contains("slope"))
         .expect("a slope");
     assert!(slope.value.abs() < 1.0, "{slope:?}");
 }
@@ -203,7 +211,7 @@ fn one_bad_reading_moves_no_backlash_of_a_dated_run() {
     }
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
     let RunConstants { constants, outliers } = estimate_run_constants(&run);
-    let width = constants.iter().find(|it| it.name.contains("width")).expect("a width");
+    let width = constants.iter().find(|constant| constant.name.contains("width")).expect("a width");
     assert!((width.value - 6.0).abs() < 0.3, "{width:?}");
     assert!(outliers.len() == 1 && outliers[0].1 > 10.0, "{outliers:?}");
 }

@@ -136,7 +136,8 @@ pub fn fit_circles(runs: &[RunFile], machine: Option<&Machine>) -> Result<Circle
     let (edit, written) = machine_sections::write_sections(&mut circles, machine, &mut warnings);
     let all = || circles.iter().flat_map(|circle| &circle.findings);
     let is_left = circles.iter().any(|circle| circle.structure_um.is_some());
-    let (claimed, open) = (all().any(|it| it.claimed), all().any(|it| !it.claimed));
+    let (claimed, open) =
+        (all().any(|finding| finding.claimed), all().any(|finding| !finding.claimed));
     let verdict = match (claimed, open || is_left) {
         (false, false) => Verdict::Clean,
         (true, false) => Verdict::Explained,

@@ -305,10 +305,10 @@ pub(crate) fn judge_fit(report: &mut Report, y: &[f64], groups: Option<&[usize]>
     let mut reasons: Vec<String> = report
         .parameters
         .iter()
-        .filter(|it| it.includes_zero())
-        .map(|it| {
+        .filter(|parameter| parameter.includes_zero())
+        .map(|parameter| {
             format!(
-                "{it}: 0 is within the interval, so the effect may be none; measure over a larger \
+                "{parameter}: 0 is within the interval, so the effect may be none; measure over a larger \
                  range of the input, or more readings"
             )
         })

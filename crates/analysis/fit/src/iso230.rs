@@ -158,14 +158,16 @@ impl Iso230Results {
     pub fn from_targets(targets: &[TargetReadings]) -> Result<Self, Iso230Error> {
         let targets: Vec<TargetResults> =
             targets.iter().map(TargetResults::from_readings).collect::<Result<_, _>>()?;
-        let approaches = || targets.iter().flat_map(|it| [it.forward, it.reverse]).flatten();
-        let fewest_runs = approaches().map(|it| it.runs).min().ok_or(Iso230Error::Empty)?;
+        let approaches =
+            || targets.iter().flat_map(|target| [target.forward, target.reverse]).flatten();
+        let fewest_runs =
+            approaches().map(|statistics| statistics.runs).min().ok_or(Iso230Error::Empty)?;
         Ok(Self {
             forward: UnidirectionalResults::from_approaches(
-                targets.iter().filter_map(|it| it.forward),
+                targets.iter().filter_map(|target| target.forward),
             ),
             reverse: UnidirectionalResults::from_approaches(
-                targets.iter().filter_map(|it| it.reverse),
+                targets.iter().filter_map(|target| target.reverse),
             ),
             both: BidirectionalResults::from_targets(&targets),
             targets,
@@ -223,8 +225,8 @@ impl UnidirectionalResults {
             return None;
         }
         Some(Self {
-            repeatability_um: maximum(approaches.iter().map(|it| it.repeatability_um)),
-            systematic_um: range(approaches.iter().map(|it| [it.mean_um; 2])),
+            repeatability_um: maximum(approaches.iter().map(|approach| approach.repeatability_um)),
+            systematic_um: range(approaches.iter().map(|approach| [approach.mean_um; 2])),
             accuracy_um: range(approaches.iter().map(ApproachStatistics::two_sigma_limits)),
         })
     }
@@ -241,20 +243,20 @@ impl BidirectionalResults {
     fn from_targets(targets: &[TargetResults]) -> Option<Self> {
         let both: Vec<(ApproachStatistics, ApproachStatistics, BidirectionalStatistics)> = targets
             .iter()
-            .filter_map(|it| it.forward.zip(it.reverse).zip(it.both))
+            .filter_map(|target| target.forward.zip(target.reverse).zip(target.both))
             .map(|((up, down), both)| (up, down, both))
             .collect();
         if both.is_empty() {
             return None;
         }
         let approaches = || both.iter().flat_map(|(up, down, _)| [up, down]);
-        let reversals = || both.iter().map(|(_, _, it)| it.reversal_um);
+        let reversals = || both.iter().map(|(_, _, both)| both.reversal_um);
         Some(Self {
             reversal_um: maximum(reversals().map(f64::abs)),
             mean_reversal_um: reversals().sum::<f64>() / both.len() as f64,
-            repeatability_um: maximum(both.iter().map(|(_, _, it)| it.repeatability_um)),
-            systematic_um: range(approaches().map(|it| [it.mean_um; 2])),
-            mean_error_um: range(both.iter().map(|(_, _, it)| [it.mean_um; 2])),
+            repeatability_um: maximum(both.iter().map(|(_, _, both)| both.repeatability_um)),
+            systematic_um: range(approaches().map(|approach| [approach.mean_um; 2])),
+            mean_error_um: range(both.iter().map(|(_, _, both)| [both.mean_um; 2])),
             accuracy_um: range(approaches().map(ApproachStatistics::two_sigma_limits)),
         })
     }
@@ -286,19 +288,20 @@ impl fmt::Display for Iso230Results {
         }
         writeln!(f)?;
         for (index, it) in self.targets.iter().enumerate() {
-            let runs = [it.forward, it.reverse].iter().flatten().map(|it| it.runs).min();
+            let runs =
+                [it.forward, it.reverse].iter().flatten().map(|statistics| statistics.runs).min();
             write!(f, "{:>4} {:>11} {:>4}", index + 1, it.position_mm, runs.unwrap_or(0))?;
             let (up, down, both) = (it.forward, it.reverse, it.both);
             for value in [
-                up.map(|it| it.mean_um),
-                down.map(|it| it.mean_um),
-                both.map(|it| it.mean_um),
-                both.map(|it| it.reversal_um),
-                up.map(|it| it.estimator_um),
-                down.map(|it| it.estimator_um),
-                up.map(|it| it.repeatability_um),
-                down.map(|it| it.repeatability_um),
-                both.map(|it| it.repeatability_um),
+                up.map(|up| up.mean_um),
+                down.map(|down| down.mean_um),
+                both.map(|both| both.mean_um),
+                both.map(|both| both.reversal_um),
+                up.map(|up| up.estimator_um),
+                down.map(|down| down.estimator_um),
+                up.map(|up| up.repeatability_um),
+                down.map(|down| down.repeatability_um),
+                both.map(|both| both.repeatability_um),
             ] {
                 write!(f, " {:>9}", cell(value))?;
             }
@@ -310,26 +313,26 @@ impl fmt::Display for Iso230Results {
         };
         writeln!(f, "{:<46} {:>9} {:>9} {:>9}", "the axis", "↑", "↓", "both")?;
         let (up, down, both) = (self.forward, self.reverse, self.both);
-        line(f, "reversal error", "B", [None, None, both.map(|it| it.reversal_um)])?;
-        line(f, "mean reversal error", "B̄", [None, None, both.map(|it| it.mean_reversal_um)])?;
+        line(f, "reversal error", "B", [None, None, both.map(|both| both.reversal_um)])?;
+        line(f, "mean reversal error", "B̄", [None, None, both.map(|both| both.mean_reversal_um)])?;
         let repeatability = [
-            up.map(|it| it.repeatability_um),
-            down.map(|it| it.repeatability_um),
-            both.map(|it| it.repeatability_um),
+            up.map(|up| up.repeatability_um),
+            down.map(|down| down.repeatability_um),
+            both.map(|both| both.repeatability_um),
         ];
         line(f, "positioning repeatability", "R", repeatability)?;
         let systematic = [
-            up.map(|it| it.systematic_um),
-            down.map(|it| it.systematic_um),
-            both.map(|it| it.systematic_um),
+            up.map(|up| up.systematic_um),
+            down.map(|down| down.systematic_um),
+            both.map(|both| both.systematic_um),
         ];
         line(f, "systematic positioning error", "E", systematic)?;
-        let mean = [None, None, both.map(|it| it.mean_error_um)];
+        let mean = [None, None, both.map(|both| both.mean_error_um)];
         line(f, "mean bi-directional positioning error", "M", mean)?;
         let accuracy = [
-            up.map(|it| it.accuracy_um),
-            down.map(|it| it.accuracy_um),
-            both.map(|it| it.accuracy_um),
+            up.map(|up| up.accuracy_um),
+            down.map(|down| down.accuracy_um),
+            both.map(|both| both.accuracy_um),
         ];
         line(f, "positioning accuracy", "A", accuracy)
     }
@@ -359,7 +362,8 @@ mod tests {
     #[test]
     fn the_figures_of_a_target_are_those_worked_by_hand() {
         let axis = by_hand();
-        let figures: Vec<_> = axis.targets.iter().map(|it| it.both.expect("both ways")).collect();
+        let figures: Vec<_> =
+            axis.targets.iter().map(|target| target.both.expect("both ways")).collect();
         let of = |mean_um, reversal_um, repeatability_um| BidirectionalStatistics {
             mean_um,
             reversal_um,
@@ -409,7 +413,7 @@ mod tests {
         ])
         .expect("both ways");
         let both = axis.both.expect("both ways");
-        assert_eq!(axis.forward.map(|it| it.accuracy_um), Some(0.0));
+        assert_eq!(axis.forward.map(|forward| forward.accuracy_um), Some(0.0));
         assert_eq!((both.systematic_um, both.accuracy_um, both.mean_error_um), (10.0, 10.0, 0.0));
         assert_eq!(both.repeatability_um, 10.0);
     }

@@ -151,7 +151,7 @@ pub(crate) fn is_model_input(machine: &Machine, name: &str) -> bool {
     let usual = ["time_s", "run", "spindle_rpm", "sensor_counts", "feed_mm_per_min", "tool"];
     usual.contains(&name)
         || is_temperature_column(name)
-        || !is_pose && required_columns(machine).iter().any(|it| it == name)
+        || !is_pose && required_columns(machine).iter().any(|column| column == name)
 }
 
 fn has_elongation_model(machine: &Machine) -> bool {

@@ -175,7 +175,7 @@ pub fn fit(
     report.table = iso230.as_ref().map(ToString::to_string).unwrap_or_default();
     let best = judged
         .iter()
-        .filter(|it| it.law > CorrectionModel::Constant)
+        .filter(|score| score.law > CorrectionModel::Constant)
         .min_by(|a, b| a.rms_um().total_cmp(&b.rms_um()));
     let is_one_pass = is_single_pass(&readings, &decision);
     let taken = if is_one_pass {
@@ -192,7 +192,9 @@ pub fn fit(
         return Ok(PitchFit { report, pitch: None, backlash: None, iso230 });
     };
     let fitted = sums.fit(&readings.targets_mm, &grid, law);
-    let residual = |it: &Reading| it.um - fitted.evaluate(readings.targets_mm[it.target], it.way);
+    let residual = |reading: &Reading| {
+        reading.um - fitted.evaluate(readings.targets_mm[reading.target], reading.way)
+    };
     // A table of one pass goes through each of its readings: that nothing is left says nothing.
     report.in_sample =
         ResidualStatistics::from_residuals(&readings.list.iter().map(residual).collect::<Vec<_>>())

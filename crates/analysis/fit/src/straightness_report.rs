@@ -167,8 +167,12 @@ mod tests {
         let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
         let (run, _) = UncompensatedRun::from_run(Cow::Owned(run), None, None).expect("no bridge");
         let report = fit_curve(&run, None, |_| Ok(None), &Options::default()).expect("a curve");
-        let names: Vec<&str> =
-            report.table.lines().filter_map(|line| line.split_once(": ")).map(|it| it.0).collect();
+        let names: Vec<&str> = report
+            .table
+            .lines()
+            .filter_map(|line| line.split_once(": "))
+            .map(|parts| parts.0)
+            .collect();
         let ways = [
             "paper's way",
             "paper's points, least squares",

@@ -151,7 +151,7 @@ pub fn fit(
     // The file states an expanded uncertainty.
     let of_file = machine.instrument_um.map(|um| 0.5 * um);
     let noise_um = options.instrument_um.or(of_file).unwrap_or(DEFAULT_NOISE_UM);
-    let poses: Vec<Pose> = readings.iter().map(|it| it.pose).collect();
+    let poses: Vec<Pose> = readings.iter().map(|reading| reading.pose).collect();
     let points_mm = reference_points(machine, &ForwardKinematics::new(machine, chain), &poses);
     let mut own = machine.clone();
     if let Some(points_mm) = points_mm {
@@ -184,7 +184,7 @@ pub fn fit(
         &mut known,
     );
     if options.scale_um_per_m.is_none()
-        && known.iter().any(|it| it.error.unit() == "µm" && !it.is_known)
+        && known.iter().any(|assessment| assessment.error.unit() == "µm" && !assessment.is_known)
     {
         warnings.push(
             "the scale of the artefact is not stated, so that the mean scale of the axes is not known: --scale-um-per-m"
@@ -199,7 +199,7 @@ pub fn fit(
         }
         false => (Edit::default(), Vec::new()),
     };
-    let kinds = |kind: ReadingKind| used.iter().filter(|it| it.kind == kind).count();
+    let kinds = |kind: ReadingKind| used.iter().filter(|reading| reading.kind == kind).count();
     let readings_of = ReadingKind::ALL.map(kinds);
     Ok(VolumeReport {
         known,
@@ -245,7 +245,7 @@ fn reference_points(
 /// Warns where the line of a rotary axis is not stated.
 fn warn_missing_rotary_lines(machine: &Machine, warnings: &mut Vec<String>) {
     for axis in machine.volume.chain.iter().flat_map(trueup_machine::file::Chain::rotary_axes) {
-        if !machine.volume.rotary.iter().any(|it| it.axis == axis) {
+        if !machine.volume.rotary.iter().any(|location| location.axis == axis) {
             warnings.push(format!(
                 "rotary.{}.point_mm is not stated: its line is taken to go through machine zero",
                 axis.name()

@@ -63,7 +63,7 @@ impl LearnableConstant {
         if self.term.is_empty() || other.term.is_empty() {
             return self.key == other.key;
         }
-        let name = |it: &Self| it.key.rsplit('.').next().map(str::to_string);
+        let name = |constant: &Self| constant.key.rsplit('.').next().map(str::to_string);
         self.term == other.term && name(self) == name(other)
     }
 }
@@ -125,7 +125,7 @@ pub(crate) fn learnable_constants(
     }
     if let Some(axis) = quantity.axis() {
         let (model, name) = (&machine.axes[axis.index()], axis.name());
-        if let Some(thermal) = model.thermal.as_ref().filter(|it| it.table.is_none()) {
+        if let Some(thermal) = model.thermal.as_ref().filter(|thermal| thermal.table.is_none()) {
             if thermal.mode.has_constant() {
                 add(format!("axis.{name}.thermal.constant_um_per_c"), thermal.constant_um_per_c);
             }
@@ -156,8 +156,9 @@ pub(crate) fn learnable_constants(
         });
         let named = [term.effect.name().to_string(), term.quantity.name().to_string()];
         let mut name = named.into_iter().chain(texts).collect::<Vec<_>>().join(" ");
-        let same =
-            all.iter().filter(|it: &&LearnableConstant| it.term.split('#').next() == Some(&name));
+        let same = all
+            .iter()
+            .filter(|constant: &&LearnableConstant| constant.term.split('#').next() == Some(&name));
         if let count @ 1.. = same.count() {
             name += &format!("#{count}");
         }
@@ -229,7 +230,7 @@ fn counts_per_v(document: &DocumentMut) -> Option<f64> {
     let sensor = document.get("inputs")?.get("sensor")?.as_table_like()?;
     let number = |key: &str| {
         let value = sensor.get(key)?.as_value()?;
-        value.as_float().or_else(|| value.as_integer().map(|it| it as f64))
+        value.as_float().or_else(|| value.as_integer().map(|value| value as f64))
     };
     Some(number("counts_full_scale")? / number("volts_full_scale")?)
 }
@@ -287,7 +288,8 @@ impl Sensitivity {
     ) -> Result<Self, BadInput> {
         let predicted = |text: &str| -> Result<Vec<f64>, BadInput> {
             let machine = MachineFile::parse(text, run.path())?;
-            let index = Quantity::ALL.iter().position(|it| *it == quantity).unwrap_or(0);
+            let index =
+                Quantity::ALL.iter().position(|candidate| *candidate == quantity).unwrap_or(0);
             let rows = Predictor::new(&machine, run)?;
             let um: Vec<f64> = rows.model_values().map(|values| values.to_array()[index]).collect();
             Ok(um)
@@ -312,15 +314,17 @@ impl Sensitivity {
         let is_one = |name: &str| name.starts_with("temp_") && name.ends_with("_c");
         let names = run.columns().iter().map(|column| column.name.clone());
         let machine = MachineFile::parse(source, run.path())?;
-        let index = Quantity::ALL.iter().position(|it| *it == quantity).unwrap_or(0);
+        let index = Quantity::ALL.iter().position(|candidate| *candidate == quantity).unwrap_or(0);
         // By the file and not by the rows: a record that grows has the same ones.
         let is_used = |name: &String| is_one(name) && source.contains(&format!("\"{name}\""));
         for name in names.filter(is_used) {
             let air_c: Vec<f64> = (0..run.row_count())
                 .map(|row| {
-                    let others =
-                        run.columns().iter().filter(|it| is_one(&it.name) && it.name != name);
-                    let there = others.map(|it| it.values[row]).filter(|c| c.is_finite());
+                    let others = run
+                        .columns()
+                        .iter()
+                        .filter(|column| is_one(&column.name) && column.name != name);
+                    let there = others.map(|change| change.values[row]).filter(|c| c.is_finite());
                     there.reduce(f64::min).unwrap_or(DEFAULT_AIR_C)
                 })
                 .collect();

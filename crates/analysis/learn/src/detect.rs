@@ -160,7 +160,8 @@ pub(crate) fn find_best_explanation(
             .collect();
         let is_moved = matches!(alternative, Alternative::Thermometer(_));
         let fitted = fit_alternative(alternative, &e, &h, sigma);
-        let Some(fitted) = fitted.filter(|it| !is_moved || it.size > MIN_THERMOMETER_SHARE) else {
+        let Some(fitted) = fitted.filter(|fitted| !is_moved || fitted.size > MIN_THERMOMETER_SHARE)
+        else {
             continue;
         };
         fits.push(fitted);
@@ -172,8 +173,8 @@ pub(crate) fn find_best_explanation(
     }
     // A change that a bad reading hides in looks like a scatter at first.
     let is_hidden =
-        |by: &FittedAlternative| fits.iter().any(|it| it.gain > RETRACTION_LOG_ODDS.max(by.gain));
-    if let Some(fitted) = fit_scatter(&e, sigma).filter(|it| !is_hidden(it)) {
+        |by: &FittedAlternative| fits.iter().any(|fit| fit.gain > RETRACTION_LOG_ODDS.max(by.gain));
+    if let Some(fitted) = fit_scatter(&e, sigma).filter(|fitted| !is_hidden(fitted)) {
         all.push((fitted, Vec::new()));
     }
     let best = (0..all.len()).max_by(|a, b| all[*a].0.gain.total_cmp(&all[*b].0.gain))?;
@@ -390,10 +391,10 @@ mod tests {
         // Not where some bad ones follow each other,
         let bad = |n: usize, _: f64| if n % 3 == 1 { [5.0, -5.0][n % 2] } else { 0.0 };
         let bad = found(bad, &[40.0; 15]);
-        assert!(bad.is_none_or(|it| it.best.alternative != Alternative::Scatter));
+        assert!(bad.is_none_or(|finding| finding.best.alternative != Alternative::Scatter));
         // nor where the readings before the last ones did not.
         let last = found(|n, _| if n < 6 { 0.0 } else { 1.5 * wide[n] }, &levels);
-        assert!(last.is_none_or(|it| it.best.alternative != Alternative::Scatter));
+        assert!(last.is_none_or(|finding| finding.best.alternative != Alternative::Scatter));
     }
 
     #[test]
@@ -410,7 +411,8 @@ mod tests {
                 unknown_um: vec![0.2; rows.len()],
             };
             let found = find_best_explanation(&rows, &before, false)?;
-            Some(found.best.alternative).filter(|it| *it == Alternative::Thermometer(0))
+            Some(found.best.alternative)
+                .filter(|alternative| *alternative == Alternative::Thermometer(0))
         };
         // It shows 1/1.4 of its rise; 1/(1 − 1.2) would be the opposite, five times.
         assert!(share(0.4).is_some() && share(-1.2).is_none());

@@ -116,8 +116,9 @@ impl Event {
         if alternatives.is_empty() {
             return kind.check_instruction().into();
         }
-        let all =
-            alternatives.iter().map(|it| format!("{}: {}", it.name(), it.check_instruction()));
+        let all = alternatives.iter().map(|alternative| {
+            format!("{}: {}", alternative.name(), alternative.check_instruction())
+        });
         let all: Vec<String> = all.collect();
         format!("{} {}", kind.check_instruction(), all.join(" "))
     }
@@ -126,7 +127,8 @@ impl Event {
     #[must_use]
     pub fn describe(&self) -> String {
         let of = self.constant.as_ref().map_or(String::new(), |of| format!(" of {of}"));
-        let names: Vec<&str> = self.alternatives.iter().map(|it| it.name()).collect();
+        let names: Vec<&str> =
+            self.alternatives.iter().map(|alternative| alternative.name()).collect();
         let names =
             if names.is_empty() { String::new() } else { format!(" ({})", names.join(" or ")) };
         let at = self.at.map_or(String::new(), |at| format!(" at {}", format_clock(at)));

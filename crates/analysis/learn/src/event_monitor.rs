@@ -99,13 +99,18 @@ fn detect_next_event(memory: &mut LearnerState, believed: &mut FilterHistory, fr
         .filter_map(|index| Some((index, believed.explain_readings(memory, [index, end], None)?)))
         .filter(|(index, _)| !believed.is_bad_reading_artefact(memory, *index))
         .collect();
-    let is_scatter = |it: &Finding| it.best.alternative == Alternative::Scatter;
+    let is_scatter = |finding: &Finding| finding.best.alternative == Alternative::Scatter;
     // Readings before and after a step scatter as well.
-    let certain = all.iter().filter(|(_, it)| !is_scatter(it)).map(|(_, it)| it.best.gain);
+    let certain = all
+        .iter()
+        .filter(|(_, finding)| !is_scatter(finding))
+        .map(|(_, finding)| finding.best.gain);
     let step = certain.fold(f64::NEG_INFINITY, f64::max);
     let found = all
         .into_iter()
-        .filter(|(_, it)| !is_scatter(it) || it.best.gain > step + RETRACTION_LOG_ODDS)
+        .filter(|(_, finding)| {
+            !is_scatter(finding) || finding.best.gain > step + RETRACTION_LOG_ODDS
+        })
         .max_by(|a, b| a.1.best.gain.total_cmp(&b.1.best.gain));
     let Some((index, finding)) = found else { return };
     let event = event_from_finding(memory, &finding, index, finding.scatter_um);
@@ -136,7 +141,7 @@ fn event_from_finding(
         }
     }
     let zero = std::iter::once(best).chain(&finding.others);
-    let zero = zero.clone().find(|it| it.alternative == Alternative::Zero);
+    let zero = zero.clone().find(|fitted| fitted.alternative == Alternative::Zero);
     let acting = zero.filter(|zero| zero.gain + ZERO_STEP_BONUS > best.gain).unwrap_or(best);
     let is_named = kinds.len() == 1;
     let alternatives = if is_named { Vec::new() } else { kinds };
@@ -148,12 +153,12 @@ fn event_from_finding(
     };
     let event = if is_named { event } else { EventKind::Unknown };
     let half = 1.96 * best.error;
-    let [size, low, high] = [best.size, best.size - half, best.size + half].map(|it| {
+    let [size, low, high] = [best.size, best.size - half, best.size + half].map(|size| {
         // A thermometer that shows a share m of its rise misses 1/m − 1 of what it shows.
         if matches!(best.alternative, Alternative::Thermometer(_)) {
-            100.0 * (1.0 / (1.0 + it) - 1.0)
+            100.0 * (1.0 / (1.0 + size) - 1.0)
         } else {
-            it * scale
+            size * scale
         }
     });
     let (low, high) = (low.min(high), low.max(high));
@@ -202,16 +207,17 @@ fn values_affected_by_air(memory: &LearnerState, own: Option<usize>) -> Vec<(usi
     };
     let zero = memory.zero.map(|_| (0, 0.0, DIFFUSE_ZERO_UM));
     let constants = memory.constants.iter().enumerate();
-    let constants = constants.filter(|(_, it)| TemperatureRise::parse_key(&it.key).is_none());
-    let constants = constants.map(|(index, it)| (index + 1, 0.0, deviation(it)));
-    zero.into_iter().chain(constants.filter(|it| Some(it.0) != own)).collect()
+    let constants =
+        constants.filter(|(_, constant)| TemperatureRise::parse_key(&constant.key).is_none());
+    let constants = constants.map(|(index, constant)| (index + 1, 0.0, deviation(constant)));
+    zero.into_iter().chain(constants.filter(|entry| Some(entry.0) != own)).collect()
 }
 
 /// Returns the place among the constants of the rise that a thermometer shows, where there is one.
 fn rise_index(memory: &LearnerState, thermometer: usize) -> Option<usize> {
     let name = memory.thermometers.get(thermometer)?;
-    let is_of = |it: &LearnableConstant| {
-        TemperatureRise::parse_key(&it.key).is_some_and(|it| it.thermometer == name)
+    let is_of = |constant: &LearnableConstant| {
+        TemperatureRise::parse_key(&constant.key).is_some_and(|rise| rise.thermometer == name)
     };
     memory.constants.iter().position(is_of)
 }
@@ -219,7 +225,9 @@ fn rise_index(memory: &LearnerState, thermometer: usize) -> Option<usize> {
 /// Returns what an alternative does to the estimate. A constant changes as it was fitted to all readings after the event,
 /// which bad ones among the first do not move; half of it the readings may still give to others.
 fn event_action(memory: &LearnerState, acting: &FittedAlternative, finding: &Finding) -> Action {
-    let is_constant = |it: &&FittedAlternative| matches!(it.alternative, Alternative::Constant(_));
+    let is_constant = |alternative: &&FittedAlternative| {
+        matches!(alternative.alternative, Alternative::Constant(_))
+    };
     let constants = finding.all.iter().filter(is_constant);
     let best = constants.max_by(|a, b| a.gain.total_cmp(&b.gain));
     match acting.alternative {
@@ -232,9 +240,11 @@ fn event_action(memory: &LearnerState, acting: &FittedAlternative, finding: &Fin
             let is_other = |other: &usize| *other != index && !memory.constants[*other].is_held();
             let others = (0..memory.constants.len()).filter(is_other);
             // Where its thermometer may as well have moved, a part of it may be the rise that this shows.
-            let may_be =
-                finding.all.iter().filter(|it| it.gain > acting.gain - RETRACTION_LOG_ODDS);
-            let rises = may_be.filter_map(|it| match it.alternative {
+            let may_be = finding
+                .all
+                .iter()
+                .filter(|alternative| alternative.gain > acting.gain - RETRACTION_LOG_ODDS);
+            let rises = may_be.filter_map(|alternative| match alternative.alternative {
                 Alternative::Thermometer(index) => rise_index(memory, index),
                 _ => None,
             });
@@ -247,11 +257,11 @@ fn event_action(memory: &LearnerState, acting: &FittedAlternative, finding: &Fin
                 return Action::Shift(vec![(place + 1, acting.size, deviation)]);
             }
             // The constant that stands in best for it, roughly.
-            let stands_in = best.and_then(|it| match it.alternative {
-                Alternative::Constant(index) => Some((index + 1, it.size, it.size.abs() / 2.0)),
+            let stands_in = best.and_then(|best| match best.alternative {
+                Alternative::Constant(index) => Some((index + 1, best.size, best.size.abs() / 2.0)),
                 _ => None,
             });
-            let of_air = values_affected_by_air(memory, stands_in.map(|it| it.0));
+            let of_air = values_affected_by_air(memory, stands_in.map(|entry| entry.0));
             Action::Shift(stands_in.into_iter().chain(of_air).collect())
         }
         Alternative::Scatter => Action::Scatter(acting.size),
@@ -275,7 +285,7 @@ mod tests {
             reconcile_state(None, &machine, (quantity, None), &mut Vec::new()).expect("a state");
         values_affected_by_air(&memory, Some(1))
             .iter()
-            .map(|it| memory.value_key(it.0).to_string())
+            .map(|entry| memory.value_key(entry.0).to_string())
             .collect()
     }
 

@@ -19,7 +19,8 @@ pub(crate) fn applied_values(
     let zero = match constants::zero_location(machine, quantity) {
         Some((_, from, per_um)) if memory.applied[0].abs() > 0.01 => {
             // A growth of k·(1 + x) moves its reference by as much less.
-            let grown = memory.constants.iter().position(|it| it.key.ends_with("k_um_per_c"));
+            let grown =
+                memory.constants.iter().position(|constant| constant.key.ends_with("k_um_per_c"));
             let grown = grown.map_or(1.0, |index| 1.0 + memory.applied[index + 1]);
             let per_um = if per_um < 0.0 { per_um / grown } else { per_um };
             round_to_six_digits(from + per_um * memory.applied[0])
@@ -48,7 +49,7 @@ fn slope_growth_factor(memory: &LearnerState, constant: &LearnableConstant) -> f
         return 1.0;
     };
     let slope = format!("{axis}slope_um_per_m_per_c");
-    let place = memory.constants.iter().position(|it| it.key == slope);
+    let place = memory.constants.iter().position(|constant| constant.key == slope);
     place.map_or(1.0, |index| 1.0 + memory.applied[index + 1])
 }
 

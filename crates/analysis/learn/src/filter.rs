@@ -153,7 +153,7 @@ impl Filter {
     /// the median on. It is known twice as well as the median.
     fn noise_std_um(&self) -> f64 {
         const EM_ITERATIONS: usize = 4;
-        let off_um = || self.taken.iter().map(|it| it[0]);
+        let off_um = || self.taken.iter().map(|reading| reading[0]);
         // The median of the magnitude of normal noise is 1/1.4826 of its standard deviation.
         let mut um = (1.4826 * median(&mut off_um().collect::<Vec<_>>())).max(MIN_NOISE_UM);
         for _ in 0..EM_ITERATIONS {
@@ -212,7 +212,8 @@ impl Filter {
         let is_fixed = self.prior.iter().all(|variance| *variance == 0.0);
         self.prior = prior.iter().map(|sd| if is_fixed { 0.0 } else { sd * sd }).collect();
         // A new value begins as it did before the first reading: one that was held is held again.
-        let is_weather = |place: &Option<usize>| place.is_some_and(|it| self.weather.contains(&it));
+        let is_weather =
+            |place: &Option<usize>| place.is_some_and(|place| self.weather.contains(&place));
         self.weather = (0..from.len()).filter(|place| is_weather(&from[*place])).collect();
         self.reset_covariance();
         let n = places.len();
@@ -269,11 +270,11 @@ impl Filter {
             self.update(g, y_um);
             return FilterOutcome::ReadingOutcome;
         }
-        let on_this_side = |it: &&(i8, Vec<f64>, f64)| it.0 == side;
+        let on_this_side = |entry: &&(i8, Vec<f64>, f64)| entry.0 == side;
         if self.last.iter().filter(on_this_side).count() < MIN_CHANGE_READINGS {
             return FilterOutcome::Refused { off_um, deviations: deviations.abs() };
         }
-        let again: Vec<_> = self.last.drain(..).filter(|it| it.0 == side).collect();
+        let again: Vec<_> = self.last.drain(..).filter(|entry| entry.0 == side).collect();
         self.reset_covariance();
         again.iter().for_each(|(_, g, y_um)| self.update(g, *y_um));
         FilterOutcome::Changed
@@ -312,7 +313,7 @@ impl Filter {
             self.taken.remove(0);
         }
         if self.taken.len() >= MIN_SCATTER_READINGS {
-            let mut unknown: Vec<f64> = self.taken.iter().map(|it| it[1]).collect();
+            let mut unknown: Vec<f64> = self.taken.iter().map(|reading| reading[1]).collect();
             let scatter = self.noise_std_um().powi(2);
             let own = scatter - median(&mut unknown);
             self.noise_um = own.max(scatter / 4.0).sqrt().max(MIN_NOISE_UM);

@@ -59,9 +59,9 @@ impl FilterBank {
         let nothing = vec![0.0; prior.len()];
         let right =
             CORRELATION_TIMES_S.map(|memory_s| Filter::new([1.0, memory_s], &nothing, noise_um));
-        let every = FORGETTING_TIMES_S
-            .iter()
-            .flat_map(|horizon_s| CORRELATION_TIMES_S.map(|it| [*horizon_s, it]));
+        let every = FORGETTING_TIMES_S.iter().flat_map(|horizon_s| {
+            CORRELATION_TIMES_S.map(|correlation_time_s| [*horizon_s, correlation_time_s])
+        });
         let changing = every.map(|times_s| Filter::new(times_s, prior, noise_um));
         Self {
             file: FilterMixture::new(right.into()),

@@ -153,12 +153,13 @@ pub fn learn(
     }
     notes.extend(probe_checks::overdue_check_note(&memory));
     let is_news = |event: &&Event| {
-        !old.iter().any(|it| it.sequence == event.sequence && it.event == event.event)
+        !old.iter().any(|other| other.sequence == event.sequence && other.event == event.event)
     };
     let news = memory.events.iter().filter(is_news).cloned().collect();
     let half = believed.bank.confidence_half_widths();
     let half_widths = memory.constants.iter().zip(&half[1..]);
-    let half_widths = half_widths.map(|(it, half)| (it.believed * half).abs()).collect();
+    let half_widths =
+        half_widths.map(|(constant, half)| (constant.believed * half).abs()).collect();
     Ok(LearningResult {
         machine: after,
         memory,
@@ -183,22 +184,24 @@ fn filter_unseen_readings(
     notes: &mut Vec<String>,
 ) -> Result<(Vec<Reading>, usize), BadInput> {
     let (seen, before) = (memory.seen_hashes(), memory.legacy_seen_hashes());
-    let is_seen = |it: &Reading| {
-        let may_be = match (it.time_s, memory.last_s) {
+    let is_seen = |reading: &Reading| {
+        let may_be = match (reading.time_s, memory.last_s) {
             (Some(time_s), Some(last_s)) => time_s <= last_s,
             _ => true,
         };
         let is_in = |all: &HashSet<&str>, hash: u64| all.contains(hash_digits(hash).as_str());
-        may_be && (is_in(&seen, it.identity) || is_in(&before, it.identity_before))
+        may_be && (is_in(&seen, reading.identity) || is_in(&before, reading.identity_before))
     };
-    let new: Vec<Reading> = record.iter().filter(|it| !is_seen(it)).copied().collect();
+    let new: Vec<Reading> = record.iter().filter(|reading| !is_seen(reading)).copied().collect();
     let known = record.len() - new.len();
     if known > 0 {
         let all = record.len();
         notes.push(format!("{known} of {all} readings were learned from before and are skipped"));
     }
     let Some(last_s) = memory.last_s else { return Ok((new, known)) };
-    let early = new.iter().find_map(|it| Some((it, it.time_s.filter(|time_s| *time_s <= last_s)?)));
+    let early = new
+        .iter()
+        .find_map(|reading| Some((reading, reading.time_s.filter(|time_s| *time_s <= last_s)?)));
     if let Some((early, early_s)) = early {
         // Clocks of two records that each begin with the record.
         if known > 0 || last_s >= MAX_RELATIVE_START_S {
@@ -223,7 +226,7 @@ fn filter_unseen_readings(
 /// Returns the place in the state's thermometers of each one of the record; new ones are added.
 fn map_thermometer_columns(memory: &mut LearnerState, sensitivity: &Sensitivity) -> Vec<usize> {
     let places = sensitivity.thermometers.iter().map(|name| {
-        let place = memory.thermometers.iter().position(|it| it == name);
+        let place = memory.thermometers.iter().position(|thermometer| thermometer == name);
         place.unwrap_or_else(|| {
             memory.thermometers.push(name.clone());
             memory.thermometers.len() - 1
@@ -411,7 +414,7 @@ impl Learner<'_> {
                 continue;
             }
             let beats = |value: usize| {
-                let others = self.extremes.iter().map(|it| all[*it][value]);
+                let others = self.extremes.iter().map(|extreme| all[*extreme][value]);
                 let (low, high) = others
                     .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), g| {
                         (low.min(g), high.max(g))
@@ -433,7 +436,7 @@ fn supporting_reading_count(memory: &LearnerState, before: &[Event]) -> u64 {
     let name = |event: &Event| (event.sequence, event.event, event.constant.clone());
     let acts = |event: &&Event| matches!(event.action, Action::Zero(_) | Action::Shift(_));
     let new = memory.events.iter().filter(acts);
-    let new = new.filter(|event| !before.iter().any(|it| name(it) == name(event)));
+    let new = new.filter(|event| !before.iter().any(|other| name(other) == name(event)));
     new.map(|event| memory.next_sequence().saturating_sub(event.sequence)).max().unwrap_or(1).max(1)
 }
 
@@ -470,7 +473,8 @@ fn record_change(
     let today = memory.changes.pop_if(|change| is_today(change));
     let began = |place: usize| {
         let values = today.as_ref().map(|change| &change.values);
-        let value = values.and_then(|values| values.iter().find(|(it, ..)| *it == place));
+        let value =
+            values.and_then(|values| values.iter().find(|(candidate, ..)| *candidate == place));
         value.map_or(from[place], |(_, from, _)| *from)
     };
     let values: Vec<(usize, f64, f64)> = (0..to.len())

@@ -61,7 +61,8 @@ impl MachineIdentity {
     /// Returns the machine in words.
     #[must_use]
     pub fn description(&self) -> String {
-        let serial = self.serial.as_ref().map_or(String::new(), |it| format!(" (serial {it})"));
+        let serial =
+            self.serial.as_ref().map_or(String::new(), |serial| format!(" (serial {serial})"));
         format!("machine {}{serial}", self.name)
     }
 }
@@ -177,7 +178,7 @@ impl LearnerState {
         };
         let values = memory.constants.len() + 1;
         let is_whole = memory.applied.len() == values
-            && memory.proven.as_ref().is_none_or(|it| it.len() == values)
+            && memory.proven.as_ref().is_none_or(|proven| proven.len() == values)
             && memory.checkpoint.is_consistent(values)
             && memory.seen.is_ascii()
             && memory.seen_before.is_ascii()
@@ -187,7 +188,7 @@ impl LearnerState {
                     && change.values.iter().all(|(place, ..)| *place < values)
             })
             && memory.events.iter().all(|event| match &event.action {
-                crate::event::Action::Shift(all) => all.iter().all(|it| it.0 < values),
+                crate::event::Action::Shift(all) => all.iter().all(|entry| entry.0 < values),
                 _ => true,
             });
         if is_whole {
@@ -221,7 +222,7 @@ impl LearnerState {
     pub fn value_key(&self, place: usize) -> &str {
         match place.checked_sub(1) {
             None => "zero",
-            Some(index) => self.constants.get(index).map_or("", |it| it.key.as_str()),
+            Some(index) => self.constants.get(index).map_or("", |constant| constant.key.as_str()),
         }
     }
 

@@ -61,7 +61,9 @@ impl LiveUpdate {
         told.limits.learned = learned.limits.learned;
         let [told, learned] = [compile(&told)?, compile(learned)?];
         let differences = describe_changes(&told.calibration(), &learned.calibration());
-        live.rest.extend(differences.into_iter().map(|it| format!("{it}: only by the new file")));
+        live.rest.extend(
+            differences.into_iter().map(|difference| format!("{difference}: only by the new file")),
+        );
         Ok(live)
     }
 

@@ -50,7 +50,7 @@ pub(crate) fn collect_readings(
     let all: Vec<Reading> = rows
         .filter_map(|(row, &um)| {
             let um = Some(um).filter(|um| um.is_finite());
-            let check_um = checks.map(|it| it[row]).filter(|um| um.is_finite());
+            let check_um = checks.map(|check| check[row]).filter(|um| um.is_finite());
             (um.is_some() || check_um.is_some()).then_some((row, um, check_um))
         })
         .map(|(row, um, check_um)| {

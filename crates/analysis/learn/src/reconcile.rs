@@ -25,7 +25,7 @@ const DEFAULT_NOISE_UM: f64 = 1.0;
 
 /// Returns the standard deviations before the first reading: of the zero in µm, of the share of each constant.
 fn prior_standard_deviations(constants: &[LearnableConstant]) -> Vec<f64> {
-    let share = |it: &LearnableConstant| match it {
+    let share = |constant: &LearnableConstant| match constant {
         it if it.is_held() => 0.0,
         it if it.key.ends_with("width_um") => BACKLASH_PRIOR_RELATIVE_STD,
         _ => PRIOR_RELATIVE_STD,
@@ -43,7 +43,7 @@ pub(crate) fn reconcile_state(
     (quantity, air): (Quantity, Option<String>),
     notes: &mut Vec<String>,
 ) -> Result<(LearnerState, bool), String> {
-    let air = memory.as_ref().and_then(|it| it.air.clone()).or(air);
+    let air = memory.as_ref().and_then(|memory| memory.air.clone()).or(air);
     let all = constants::learnable_constants(machine, quantity, air.as_deref());
     let zero = constants::zero_location(machine, quantity).map(|(_, number, _)| number);
     if all.is_empty() {
@@ -131,7 +131,7 @@ fn restart_changed_constants(
     notes: &mut Vec<String>,
 ) -> Result<bool, String> {
     let place = |constant: &LearnableConstant| {
-        memory.constants.iter().position(|it| it.is_same_as(constant))
+        memory.constants.iter().position(|candidate| candidate.is_same_as(constant))
     };
     let places: Vec<Option<usize>> = all.iter().map(place).collect();
     if places.iter().all(Option::is_none) {
@@ -179,14 +179,14 @@ fn restart_changed_constants(
         }
     }
     let is_all = from.len() == memory.constants.len() + 1
-        && from.iter().enumerate().all(|(index, it)| *it == Some(index));
+        && from.iter().enumerate().all(|(index, source)| *source == Some(index));
     if !is_all {
         memory.checkpoint = FilterHistory::from_state(memory).bank;
         memory.checkpoint.remap_values(&from, &prior_standard_deviations(&all));
         memory.checkpoint_s = memory.window.last().and_then(|kept| kept.t).or(memory.checkpoint_s);
         memory.first = memory.next_sequence();
         memory.window.clear();
-        let applied = from.iter().map(|it| it.map_or(0.0, |it| memory.applied[it]));
+        let applied = from.iter().map(|source| source.map_or(0.0, |index| memory.applied[index]));
         memory.applied = applied.collect();
         memory.proven = None;
         // A width that was changed by hand wears from there on; with it the others.
@@ -200,7 +200,7 @@ fn restart_changed_constants(
         for change in &mut memory.changes {
             change.before = None;
             change.values.retain_mut(|(place, ..)| {
-                let new = from.iter().position(|it| *it == Some(*place));
+                let new = from.iter().position(|source| *source == Some(*place));
                 *place = new.unwrap_or(*place);
                 new.is_some()
             });

@@ -122,7 +122,8 @@ fn window_rows<'a>(
         })
         .collect();
     let constants = memory.constants.iter().enumerate();
-    let constants = constants.filter(|(_, it)| !it.is_held()).map(|(index, _)| index).collect();
+    let constants =
+        constants.filter(|(_, constant)| !constant.is_held()).map(|(index, _)| index).collect();
     let before = PriorBelief {
         x: bank.persistent_values(),
         constants,
@@ -135,12 +136,13 @@ fn window_rows<'a>(
 /// Advances `bank` by reading `index` of the window.
 fn advance_filters(memory: &LearnerState, index: usize, bank: &mut FilterBank) -> FilterOutcome {
     let kept = &memory.window[index];
-    let before_s = index.checked_sub(1).map_or(memory.checkpoint_s, |it| memory.window[it].t);
+    let before_s =
+        index.checked_sub(1).map_or(memory.checkpoint_s, |previous| memory.window[previous].t);
     let sequence = memory.first + index as u64;
     bank.advance_time(readings::elapsed_s(before_s, kept.t));
     for event in memory.events.iter().filter(|event| event.sequence == sequence) {
         match &event.action {
-            Action::Shift(all) => all.iter().for_each(|it| bank.shift_value(*it)),
+            Action::Shift(all) => all.iter().for_each(|shift| bank.shift_value(*shift)),
             Action::Scatter(times) => bank.scale_noise(*times),
             Action::Zero(_) | Action::Nothing => {}
         }
@@ -156,9 +158,12 @@ pub(crate) fn corrected_reading(
     sequence: u64,
     own: Option<u64>,
 ) -> f64 {
-    let steps =
-        memory.events.iter().filter(|it| it.sequence <= sequence && Some(it.sequence) != own);
-    let zero: f64 = steps.map(|it| if let Action::Zero(um) = it.action { um } else { 0.0 }).sum();
+    let steps = memory
+        .events
+        .iter()
+        .filter(|event| event.sequence <= sequence && Some(event.sequence) != own);
+    let zero: f64 =
+        steps.map(|event| if let Action::Zero(um) = event.action { um } else { 0.0 }).sum();
     kept.y - zero - probe_error_um(&memory.checks, kept.t)
 }
 

@@ -32,7 +32,8 @@ pub(crate) fn air_column(run: &RunFile) -> Option<String> {
 
 /// Returns the keys of the rises over `air_column` by which a quantity may go.
 pub(crate) fn rise_keys(machine: &Machine, quantity: Quantity, air: &str) -> Vec<String> {
-    let has_air = machine.inputs.as_ref().is_none_or(|it| it.temperatures.contains_key(air));
+    let has_air =
+        machine.inputs.as_ref().is_none_or(|inputs| inputs.temperatures.contains_key(air));
     let on_board: usize = machine.terms.iter().map(|term| term.effect.board_terms().len()).sum();
     let has_room = on_board + MAX_RISE_TERMS <= MAX_TERMS;
     if !has_air || !has_room {
@@ -86,7 +87,9 @@ impl<'k> TemperatureRise<'k> {
         let law = find_section(own.as_item_mut(), self.section)?.as_table_like_mut()?;
         let number = |key: &str| {
             let value = law.get(key).and_then(Item::as_value);
-            value.and_then(|it| it.as_float().or_else(|| it.as_integer().map(|it| it as f64)))
+            value.and_then(|value| {
+                value.as_float().or_else(|| value.as_integer().map(|integer| integer as f64))
+            })
         };
         let (lag_s, mut amounts) = (number("lag_s").unwrap_or(0.0), Vec::new());
         let quantity =
@@ -106,7 +109,7 @@ impl<'k> TemperatureRise<'k> {
                     format!("d{axis}")
                 }
             };
-        for (times, amount) in amounts.into_iter().filter(|it| it.1 != 0.0) {
+        for (times, amount) in amounts.into_iter().filter(|entry| entry.1 != 0.0) {
             let key = if times.is_some() { "um_per_unit_per_m" } else { "um_per_unit" };
             let texts = [
                 ("cause", Some("dependence")),
@@ -118,8 +121,9 @@ impl<'k> TemperatureRise<'k> {
             ];
             let numbers = [(key, amount * more), ("reference", 0.0), ("lag_s", lag_s)];
             let texts = texts.into_iter().filter_map(|(key, text)| Some((key, text?.into())));
-            let numbers = numbers.into_iter().filter(|(key, it)| *key != "lag_s" || *it != 0.0);
-            let all = texts.chain(numbers.map(|(key, it)| (key, Value::from(it))));
+            let numbers =
+                numbers.into_iter().filter(|(key, number)| *key != "lag_s" || *number != 0.0);
+            let all = texts.chain(numbers.map(|(key, number)| (key, Value::from(number))));
             append_term(document, all.collect())?;
         }
         Some(())
@@ -173,7 +177,7 @@ mod tests {
         let predicted = |text: &str| {
             let machine = machine(text);
             let rows = Predictor::new(&machine, &run).expect("a prediction");
-            rows.model_values().map(|it| it.to_array()[1]).next().expect("a row")
+            rows.model_values().map(|values| values.to_array()[1]).next().expect("a row")
         };
         let learned =
             replace_constants(&text, &[(keys[0].clone(), 1.3)]).expect("the law is there");

@@ -43,7 +43,7 @@ pub(crate) fn backlash_observations(
     scatter_um: f64,
 ) -> Vec<f64> {
     let held_um = missed_um.clamp(-CLIPPING_SIGMAS * scatter_um, CLIPPING_SIGMAS * scatter_um);
-    let worn = constants.iter().enumerate().filter(|(_, it)| is_subject_to_wear(it));
+    let worn = constants.iter().enumerate().filter(|(_, constant)| is_subject_to_wear(constant));
     worn.enumerate()
         .map(|(number, (index, _))| {
             let width_um = g[index + 1];
@@ -73,14 +73,15 @@ fn add_readings(
     rows: std::ops::Range<usize>,
     worn: &mut Vec<RegressionSums>,
 ) {
-    let all = memory.constants.iter().enumerate().filter(|(_, it)| is_subject_to_wear(it));
+    let all =
+        memory.constants.iter().enumerate().filter(|(_, constant)| is_subject_to_wear(constant));
     for (number, (index, _)) in all.enumerate() {
         if worn.len() <= number {
             worn.push(RegressionSums::default());
         }
         // Where the width has become another one by an event it begins anew.
         let is_new = |event: &&Event| match &event.action {
-            Action::Shift(all) => all.iter().any(|it| it.0 == index + 1 && it.1 != 0.0),
+            Action::Shift(all) => all.iter().any(|entry| entry.0 == index + 1 && entry.1 != 0.0),
             _ => false,
         };
         let since = memory.events.iter().filter(is_new).map(|event| event.sequence).max();
@@ -122,7 +123,7 @@ pub(crate) fn detect_wear(memory: &mut LearnerState, scatter_um: f64) {
             continue;
         }
         let [size, half] = [slope * width_um, 1.96 * (error * width_um).abs()]
-            .map(|it| it * t_s / SECONDS_PER_YEAR);
+            .map(|rate| rate * t_s / SECONDS_PER_YEAR);
         let [size, low, high] = [size, size - half, size + half].map(round_to_three_digits);
         if let Some(place) = known.filter(|_| slope.abs() <= 1.96 * error) {
             memory.events.remove(place);

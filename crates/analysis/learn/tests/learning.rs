@@ -48,7 +48,7 @@ fn a_constant_that_has_changed_is_followed_and_the_comment_stays() {
     let change = learned.memory.changes.last().expect("it is logged");
     let mut keys = change.values.iter().map(|(place, ..)| learned.memory.value_key(*place));
     assert!(keys.any(|key| key == "spindle.temperature.k_um_per_c"), "{change:?}");
-    assert!(learned.notes.iter().any(|it| it.starts_with("What was learned is applied")));
+    assert!(learned.notes.iter().any(|note| note.starts_with("What was learned is applied")));
 }
 
 #[test]
@@ -101,7 +101,8 @@ fn what_is_known_outlives_the_program_and_a_constant_changed_by_hand_restarts() 
     let text = first.memory.to_json().expect("it can be written");
     let memory = LearnerState::from_json(&text).expect("what was written");
     let next = record(2e5, 12, grown);
-    let both = [first.memory, memory].map(|it| taught(&next, Some(it), &Limits::default()).machine);
+    let both = [first.memory, memory]
+        .map(|memory| taught(&next, Some(memory), &Limits::default()).machine);
     assert_eq!(both[0], both[1]);
     let memory = LearnerState::from_json(&text).expect("what was written");
     let edited = MACHINE.replace("2.0 #", "2.6 #");
@@ -119,7 +120,9 @@ fn a_row_without_a_temperature_teaches_nothing_and_says_so() {
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
     let learned = taught(&run, None, &Limits::default());
     assert!(!learned.readings[1].used);
-    assert!(learned.readings[1].reason.as_deref().is_some_and(|it| it.contains("temperature")));
+    assert!(
+        learned.readings[1].reason.as_deref().is_some_and(|reason| reason.contains("temperature"))
+    );
 }
 
 #[test]
@@ -149,7 +152,7 @@ fn a_record_that_grows_counts_each_reading_once() {
     for rows in [5, 10, 25, 40] {
         let learned =
             taught(&whole.with_altered_values(rows, |_, _| {}), memory.take(), &Limits::default());
-        let before = [5, 10, 25, 40].into_iter().filter(|it| *it < rows).max().unwrap_or(0);
+        let before = [5, 10, 25, 40].into_iter().filter(|count| *count < rows).max().unwrap_or(0);
         assert_eq!(learned.readings.len(), rows - before);
         memory = Some(learned.memory);
     }
@@ -171,7 +174,7 @@ fn a_record_of_an_earlier_date_is_refused_and_a_clock_that_begins_anew_is_told()
     let first = taught(&record(0.0, 20, grown), None, &Limits::default()).memory;
     let other = record(60.0, 20, grown);
     let learned = taught(&other, Some(first), &Limits::default());
-    assert!(learned.notes.iter().any(|it| it.contains("taken as a later day")));
+    assert!(learned.notes.iter().any(|note| note.contains("taken as a later day")));
 }
 
 /// Readings of a bridge that corrects 2 µm/K; `factor`: of the CNC, `on`: whether it is engaged.
@@ -254,7 +257,7 @@ fn a_state_of_the_form_before_is_read_and_its_readings_are_known() {
     assert_eq!(memory.applied, first.memory.applied);
     let learned = taught(&record(2e5, 12, grown), Some(memory), &Limits::default());
     assert!((k(&learned.machine) - 2.6).abs() < 0.1, "{}", learned.machine);
-    assert!(learned.notes.iter().any(|it| it.contains("an earlier version")));
+    assert!(learned.notes.iter().any(|note| note.contains("an earlier version")));
 }
 
 #[test]
@@ -268,7 +271,7 @@ fn every_decision_comes_from_the_readings_so_far() {
     let at_once = taught(&whole, None, &Limits::default());
     let mut memory: Option<LearnerState> = None;
     for rows in (1..=120).rev().step_by(3).collect::<Vec<_>>().into_iter().rev() {
-        let text = memory.take().map(|it: LearnerState| it.to_json().expect("JSON"));
+        let text = memory.take().map(|state: LearnerState| state.to_json().expect("JSON"));
         let memory_now = text.map(|text| LearnerState::from_json(&text).expect("what was written"));
         let learned =
             taught(&whole.with_altered_values(rows, |_, _| {}), memory_now, &Limits::default());
@@ -341,9 +344,9 @@ fn the_growth_of_each_tool_is_taken_off_before_a_constant_is_learned() {
         });
         let mut text = "time_s,temp_a_c,measured_elongation_um,spindle_rpm,tool\n".to_string();
         let cells = ["time_s", "temp_a_c", "measured_elongation_um"]
-            .map(|it| plain.column(it).expect("there"));
+            .map(|name| plain.column(name).expect("there"));
         for n in 0..60 {
-            let [time, celsius, um] = [0, 1, 2].map(|it| cells[it][n]);
+            let [time, celsius, um] = [0, 1, 2].map(|column| cells[column][n]);
             text += &format!("{time},{celsius},{um},20000,{}\n", ["7", "drill", "99"][n % 3]);
         }
         let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
@@ -354,7 +357,7 @@ fn the_growth_of_each_tool_is_taken_off_before_a_constant_is_learned() {
     };
     let quiet = probed(2.0);
     assert_eq!(quiet.machine, machine, "the file is right");
-    assert!(quiet.readings.iter().all(|it| it.used));
+    assert!(quiet.readings.iter().all(|reading| reading.used));
     let changed = probed(2.6);
     assert!((k(&changed.machine) - 2.6).abs() < 0.1, "{}", changed.machine);
     let tools = |text: &str| text.split("[spindle.tools]").nth(1).map(str::to_string);
@@ -367,7 +370,8 @@ fn the_growth_of_each_tool_is_taken_off_before_a_constant_is_learned() {
 fn the_air_is_missed_only_where_a_rise_over_it_is_applied() {
     let drawn = simulate_year(7, MachineKind::Axis, YearSchedule::default());
     let csv = &drawn.days[0].csv;
-    let place = csv.lines().next().expect("a head").split(',').position(|it| it == "temp_air_c");
+    let place =
+        csv.lines().next().expect("a head").split(',').position(|column| column == "temp_air_c");
     let place = place.expect("it is there");
     let dead = csv.lines().enumerate().map(|(row, line)| {
         let mut cells: Vec<&str> = line.split(',').collect();
@@ -380,7 +384,7 @@ fn the_air_is_missed_only_where_a_rise_over_it_is_applied() {
     let path = Path::new("m.toml");
     let learned = learn(&drawn.machine, path, &run.expect("a run"), None, None, &Limits::default());
     let readings = learned.expect("it can learn").readings;
-    assert!(!readings.is_empty() && readings.iter().all(|it| it.used), "{readings:?}");
+    assert!(!readings.is_empty() && readings.iter().all(|reading| reading.used), "{readings:?}");
 }
 
 /// Half a year of an axis whose thermometer shows 70 % of its rise over the air from June on.
@@ -411,7 +415,9 @@ fn a_moved_thermometer_is_followed_by_a_term_over_the_air() {
             let path = Path::new("m.toml");
             let after = learn(&drawn.machine, path, &run, None, memory, &Limits::default());
             let after = after.expect("it is read");
-            assert!(!after.readings.is_empty() && after.readings.iter().all(|it| !it.used));
+            assert!(
+                !after.readings.is_empty() && after.readings.iter().all(|reading| !reading.used)
+            );
             break;
         }
         let path = Path::new("m.toml");

@@ -186,7 +186,8 @@ pub(crate) fn caption(title: &str, series: &[Series]) -> String {
 fn legend(all: &[Series]) -> Vec<&Series> {
     let mut legend: Vec<&Series> = Vec::new();
     for series in all {
-        if !legend.iter().any(|it| (&it.name, it.colour) == (&series.name, series.colour)) {
+        if !legend.iter().any(|other| (&other.name, other.colour) == (&series.name, series.colour))
+        {
             legend.push(series);
         }
     }

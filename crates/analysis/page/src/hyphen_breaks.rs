@@ -19,9 +19,9 @@ pub(crate) fn prevent_hyphen_breaks(html: &str) -> String {
         out.push_str(tag);
         let name = |tag: &str| {
             let name = tag.trim_start_matches(['<', '/']);
-            SKIPPED_ELEMENTS
-                .into_iter()
-                .find(|it| name.strip_prefix(it).is_some_and(|it| it.starts_with([' ', '>'])))
+            SKIPPED_ELEMENTS.into_iter().find(|element| {
+                name.strip_prefix(element).is_some_and(|rest| rest.starts_with([' ', '>']))
+            })
         };
         match inside {
             Some(of) if tag.starts_with("</") && name(tag) == Some(of) => inside = None,
@@ -56,7 +56,9 @@ fn push_text(text: &str, as_it_is: bool, out: &mut String) {
 /// Returns whether a hyphen stands between two letters or digits.
 fn has_inner_hyphen(word: &str) -> bool {
     let letters: Vec<char> = word.chars().collect();
-    letters.windows(3).any(|it| it[0].is_alphanumeric() && it[1] == '-' && it[2].is_alphanumeric())
+    letters.windows(3).any(|window| {
+        window[0].is_alphanumeric() && window[1] == '-' && window[2].is_alphanumeric()
+    })
 }
 
 #[cfg(test)]

@@ -38,7 +38,8 @@ fn compare(kind: &str) -> [[usize; 2]; 2] {
         let mut y: Vec<f64> = (0..ROWS).map(|row| left(kind, row) + generator.normal()).collect();
         let wrong: Vec<usize> = (0..5).map(|n| 80 * n + 30).collect();
         wrong.iter().for_each(|&row| y[row] += 40.0);
-        let by_series: Vec<usize> = series_outliers(&time, &y).iter().map(|it| it.row).collect();
+        let by_series: Vec<usize> =
+            series_outliers(&time, &y).iter().map(|outlier| outlier.row).collect();
         let by_residual: Vec<usize> = residual_outliers(&y, &series, 0.0)
             .into_iter()
             .enumerate()

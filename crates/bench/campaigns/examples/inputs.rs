@@ -16,7 +16,8 @@ use trueup_campaigns::input_dependence::{DEPENDENCE_KINDS, DependenceKind};
 use trueup_numerics::parallel::parallel_map;
 
 fn main() {
-    let mut numbers = std::env::args().skip(1).map(|it| it.parse::<u64>().expect("whole numbers"));
+    let mut numbers =
+        std::env::args().skip(1).map(|argument| argument.parse::<u64>().expect("whole numbers"));
     let (draws, first) = (numbers.next().unwrap_or(40), numbers.next().unwrap_or(1000));
     let controls = numbers.next().unwrap_or(300);
     let of = |kind: DependenceKind, count: u64| -> Vec<Worth> {
@@ -27,22 +28,24 @@ fn main() {
     let mut sums = [0; 4];
     for kind in &DEPENDENCE_KINDS[1..] {
         let all = of(*kind, draws);
-        let count = |is: fn(&Worth) -> bool| all.iter().filter(|it| is(it)).count();
+        let count = |is: fn(&Worth) -> bool| all.iter().filter(|worth| is(worth)).count();
         let counts = [
             all.len(),
-            count(|it| it.is_named),
-            count(|it| it.is_foreign),
-            count(|it| it.gone >= 0.85),
+            count(|worth| worth.is_named),
+            count(|worth| worth.is_foreign),
+            count(|worth| worth.gone >= 0.85),
         ];
         let [n, named, foreign, gone] = counts;
         println!("{:<25} {n:>5} {named:>5} {foreign:>7} {gone:>4}", kind.name);
-        for (seed, it) in (first..).zip(&all).filter(|(_, it)| !it.is_named || it.is_foreign) {
+        for (seed, it) in
+            (first..).zip(&all).filter(|(_, worth)| !worth.is_named || worth.is_foreign)
+        {
             println!("    {seed}: {}", it.told);
         }
         sums.iter_mut().zip(counts).for_each(|(sum, count)| *sum += count);
     }
     let [n, named, foreign, gone] = sums;
     println!("{:<25} {n:>5} {named:>5} {foreign:>7} {gone:>4}", "all");
-    let idle = of(DEPENDENCE_KINDS[0], controls).iter().filter(|it| it.is_foreign).count();
+    let idle = of(DEPENDENCE_KINDS[0], controls).iter().filter(|worth| worth.is_foreign).count();
     println!("{:<25} {controls:>5}       {idle:>7}", DEPENDENCE_KINDS[0].name);
 }

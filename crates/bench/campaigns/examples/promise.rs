@@ -77,14 +77,16 @@ fn holdout_reduction(report: &Report) -> f64 {
 }
 
 fn format_summary(of: &[PromiseOutcome]) -> String {
-    let count = |is: &dyn Fn(&PromiseOutcome) -> bool| of.iter().filter(|it| is(it)).count();
-    let mut below: Vec<f64> = of.iter().map(|it| it.came - it.floor.max(0.0)).collect();
+    let count =
+        |is: &dyn Fn(&PromiseOutcome) -> bool| of.iter().filter(|outcome| is(outcome)).count();
+    let mut below: Vec<f64> =
+        of.iter().map(|outcome| outcome.came - outcome.floor.max(0.0)).collect();
     let below = if below.is_empty() { 0.0 } else { median(&mut below) };
     format!(
         "{:4} promises, {:4} kept, {below:+.3} below at the median, {:3} too good, {:3} falls-short",
         of.len(),
-        count(&|it| it.came >= it.floor),
-        count(&|it| it.expected > it.came + MAX_REDUCTION_SHORTFALL),
-        count(&|it| it.falls_short)
+        count(&|outcome| outcome.came >= outcome.floor),
+        count(&|outcome| outcome.expected > outcome.came + MAX_REDUCTION_SHORTFALL),
+        count(&|outcome| outcome.falls_short)
     )
 }

@@ -60,7 +60,7 @@ fn find_alarms(machine: &Machine, then: &RunFile, lines: &[String]) -> (usize, V
 }
 
 fn main() {
-    let mut numbers = env::args().skip(1).filter_map(|it| it.parse::<u64>().ok());
+    let mut numbers = env::args().skip(1).filter_map(|argument| argument.parse::<u64>().ok());
     let (count, first) = (numbers.next().unwrap_or(5), numbers.next().unwrap_or(600));
     for bad in [0.0, 0.01, 0.05] {
         let (mut readings, mut raised, mut hours) = (0, 0, 0.0);

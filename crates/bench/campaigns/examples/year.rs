@@ -116,7 +116,7 @@ fn compute_rms_floor(year: &Year, has_air: bool) -> Vec<f64> {
     });
     let days: Vec<Vec<(Vec<f64>, f64)>> = days.collect();
     let of_day = |day: usize| {
-        let event = year.events.iter().map(|it| starts.partition_point(|s| *s < it.at_s));
+        let event = year.events.iter().map(|event| starts.partition_point(|s| *s < event.at_s));
         let since = event.filter(|first| *first < day).max().unwrap_or(0);
         let values = others.len() + usize::from(has_air);
         let mut triangle = GivensQr::new(values);
@@ -124,7 +124,7 @@ fn compute_rms_floor(year: &Year, has_air: bool) -> Vec<f64> {
             .iter()
             .flatten()
             .for_each(|(g, um)| triangle.add_row(g, *um));
-        let fitted = triangle.solve().map_or(vec![0.0; values], |it| it.coefficients);
+        let fitted = triangle.solve().map_or(vec![0.0; values], |solution| solution.coefficients);
         let left = |(g, um): &(Vec<f64>, f64)| {
             (um - g.iter().zip(&fitted).map(|(g, x)| g * x).sum::<f64>()).powi(2)
         };
@@ -145,7 +145,7 @@ fn simulate_learning(year: &Year) -> YearResult {
         let run = RunFile::from_reader(day.csv.as_bytes(), Path::new("day.csv")).expect("a run");
         days.push(
             [&year.machine, &machine]
-                .map(|it| prediction_error_rms_um(it, &run, &day.truth_um, index)),
+                .map(|machine| prediction_error_rms_um(machine, &run, &day.truth_um, index)),
         );
         let (path, limits) = (Path::new("m.toml"), Limits::default());
         let learned = learn(&year.machine, path, &run, None, memory.take(), &limits)
@@ -172,7 +172,11 @@ fn simulate_learning(year: &Year) -> YearResult {
                 it.reported.get_or_insert(after[place]);
                 it.names = match event.alternatives.is_empty() {
                     true => vec![event.event.name().to_string()],
-                    false => event.alternatives.iter().map(|it| it.name().to_string()).collect(),
+                    false => event
+                        .alternatives
+                        .iter()
+                        .map(|alternative| alternative.name().to_string())
+                        .collect(),
                 };
                 if it.names.iter().any(|name| name == planted.name) {
                     it.named.get_or_insert(after[place]);
@@ -204,7 +208,7 @@ fn print_days(drawn: &Year, it: &YearResult) {
     });
     let parts: Vec<String> = parts.collect();
     println!("    95 % of days by quarter: {}", parts.join(" "));
-    let at = drawn.events.iter().map(|it| (it.at_s / DAY_S / 7.0 * 5.0) as usize);
+    let at = drawn.events.iter().map(|event| (event.at_s / DAY_S / 7.0 * 5.0) as usize);
     println!("    events on days {:?}", at.collect::<Vec<_>>());
     let bad = it.days.iter().enumerate().filter(|(_, d)| d[1] > 3.0);
     let bad: Vec<String> = bad.map(|(n, d)| format!("{n}:{:.0}", d[1])).collect();
@@ -216,9 +220,9 @@ fn print_days(drawn: &Year, it: &YearResult) {
 }
 
 fn main() {
-    let mut numbers = env::args().skip(1).filter_map(|it| it.parse::<u64>().ok());
+    let mut numbers = env::args().skip(1).filter_map(|argument| argument.parse::<u64>().ok());
     let (count, first) = (numbers.next().unwrap_or(5), numbers.next().unwrap_or(0));
-    let is_loud = env::args().any(|it| it == "-v");
+    let is_loud = env::args().any(|argument| argument == "-v");
     let (mut days, mut worse) = (Vec::<[f64; 2]>::new(), 0);
     let mut floors = [Vec::new(), Vec::new()];
     let mut air_floors = [Vec::new(), Vec::new()];

@@ -268,7 +268,7 @@ mod tests {
         for kind in DEPENDENCE_KINDS {
             let days = draw(*kind, 1);
             let head = days.first.lines().next().unwrap_or_default();
-            assert!(kind.columns.iter().all(|column| head.split(',').any(|it| it == *column)));
+            assert!(kind.columns.iter().all(|column| head.split(',').any(|name| name == *column)));
         }
     }
 }

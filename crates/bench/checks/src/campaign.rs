@@ -177,7 +177,7 @@ pub fn run_mutation_campaign(draw: usize, seed: u64) -> Result<()> {
     let listed: Value =
         serde_json::from_str(&process::capture_stdout(call().args(["--list", "--json"]))?)?;
     let names = listed.as_array().context("a list of mutants")?.iter();
-    let mut names: Vec<&str> = names.filter_map(|it| it["name"].as_str()).collect();
+    let mut names: Vec<&str> = names.filter_map(|name| name["name"].as_str()).collect();
     names.sort_unstable();
     let drawn = draw_sample(names, draw, seed);
     let by_unit = run_mutants(call(), "unit-tests", &drawn, &["--cargo-test-arg=--lib"])?;
@@ -253,7 +253,7 @@ impl MutantOutcomes {
         for (name, list) in self.outcome_lists_mut() {
             fs::write(
                 folder.join(name),
-                list.iter().map(|it| format!("{it}\n")).collect::<String>(),
+                list.iter().map(|name| format!("{name}\n")).collect::<String>(),
             )?;
         }
         Ok(())
@@ -280,7 +280,7 @@ fn run_mutants(
         outcome.outcome_lists_mut().into_iter().flat_map(|(_, list)| list.clone()).collect();
     let mut config = String::from("examine_re = [\n");
     let mut left = 0;
-    for name in names.iter().filter(|name| !tried.iter().any(|it| it == *name)) {
+    for name in names.iter().filter(|name| !tried.iter().any(|other| other == *name)) {
         let escaped: String = name.chars().flat_map(escape_regex_char).collect();
         writeln!(config, "  '''^{escaped}$''',")?;
         left += 1;
@@ -330,7 +330,7 @@ mod tests {
 
     #[test]
     fn what_was_tried_counts_once_and_only_where_it_is_asked_for() {
-        let names = |all: &[&str]| all.iter().map(|it| (*it).to_string()).collect::<Vec<_>>();
+        let names = |all: &[&str]| all.iter().map(|name| (*name).to_string()).collect::<Vec<_>>();
         let mut outcome = MutantOutcomes::default();
         let first = MutantOutcomes {
             caught: names(&["a", "of another draw"]),

@@ -65,7 +65,8 @@ fn build_package(target: &[&str]) -> Result<PathBuf> {
     process::run(make.current_dir(&root))?;
     let packages = fs::read_dir(root.join("target/debian"))?.flatten().map(|entry| entry.path());
     let packages = packages.filter(|path| path.extension().is_some_and(|kind| kind == "deb"));
-    let newest = packages.max_by_key(|path| fs::metadata(path).and_then(|it| it.modified()).ok());
+    let newest = packages
+        .max_by_key(|path| fs::metadata(path).and_then(|metadata| metadata.modified()).ok());
     newest.context("cargo-deb has left no package")
 }
 

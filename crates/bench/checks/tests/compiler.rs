@@ -19,10 +19,12 @@ fn rust_version(manifest: &str) -> String {
 fn named_versions(page: &str) -> Vec<String> {
     let text = project_file(page);
     let versions = text.split("Rust ").skip(1).map(|rest| {
-        let end = rest.find(|it: char| !it.is_ascii_digit() && it != '.').unwrap_or(rest.len());
+        let end = rest
+            .find(|character: char| !character.is_ascii_digit() && character != '.')
+            .unwrap_or(rest.len());
         rest[..end].trim_end_matches('.').to_owned()
     });
-    versions.filter(|it| it.starts_with("1.")).collect()
+    versions.filter(|version| version.starts_with("1.")).collect()
 }
 
 #[test]

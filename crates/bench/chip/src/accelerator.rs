@@ -92,8 +92,8 @@ mod tests {
     #[test]
     fn without_the_cache_each_new_line_of_16_bytes_waits() {
         let mut it = FlashAccelerator::default();
-        let waits = |it: &mut FlashAccelerator, acr| {
-            (0..32).map(|n| it.fetch_wait_cycles(2 * n, acr)).sum::<u64>()
+        let waits = |accelerator: &mut FlashAccelerator, acr| {
+            (0..32).map(|n| accelerator.fetch_wait_cycles(2 * n, acr)).sum::<u64>()
         };
         assert_eq!(waits(&mut it, 5), 4 * 5);
         assert_eq!(waits(&mut it, 5), 4 * 5, "and again");
@@ -105,8 +105,8 @@ mod tests {
     fn the_cache_holds_64_lines_and_drops_the_one_that_was_not_used_for_longest() {
         let mut it = FlashAccelerator::default();
         let acr = 5 | INSTRUCTION_CACHE_ENABLE;
-        let all = |it: &mut FlashAccelerator, lines: u32| {
-            (0..lines).map(|n| it.fetch_wait_cycles(n << LINE_SHIFT, acr)).sum::<u64>()
+        let all = |accelerator: &mut FlashAccelerator, lines: u32| {
+            (0..lines).map(|n| accelerator.fetch_wait_cycles(n << LINE_SHIFT, acr)).sum::<u64>()
         };
         assert_eq!(all(&mut it, 64), 64 * 5);
         assert_eq!(all(&mut it, 64), 0);

@@ -247,7 +247,7 @@ impl Board {
             self.stall_for_flash();
             if self.watch.masked {
                 let (exception, pc) = (self.processor.active_exception(), self.processor.pc());
-                let is_active = |it| self.processor.is_active(it);
+                let is_active = |exception| self.processor.is_active(exception);
                 self.turns.record_step(exception, pc, self.now - began, self.now, is_active);
             }
             if self.now >= self.shared.next.load(Relaxed) {

@@ -457,7 +457,7 @@ mod tests {
         let memories = Memories::new();
         let put = |at: u64, bytes: &[u8]| memories.flash.write_at(at, bytes).expect("within");
         let words =
-            |halves: &[u16]| halves.iter().flat_map(|it| it.to_le_bytes()).collect::<Vec<_>>();
+            |halves: &[u16]| halves.iter().flat_map(|half| half.to_le_bytes()).collect::<Vec<_>>();
         put(0, &0x2000_1000_u32.to_le_bytes());
         put(4, &0x101_u32.to_le_bytes());
         put(15 * 4, &0x141_u32.to_le_bytes());

@@ -219,14 +219,15 @@ fn assign_folds(run: &RunFile, measured: &[f64]) -> Vec<usize> {
         return (0..rows).collect();
     }
     let numbers = run.column("run").map(|numbers| {
-        let mut kinds: Vec<f64> = numbers.iter().copied().filter(|it| it.is_finite()).collect();
+        let mut kinds: Vec<f64> =
+            numbers.iter().copied().filter(|number| number.is_finite()).collect();
         kinds.sort_by(f64::total_cmp);
         kinds.dedup();
         (numbers, kinds)
     });
     if let Some((numbers, kinds)) = numbers.filter(|(_, kinds)| kinds.len() >= 3) {
         let parts = CROSS_VALIDATION_FOLDS.min(kinds.len());
-        let place = |number: &f64| kinds.iter().position(|it| it == number).unwrap_or(0);
+        let place = |number: &f64| kinds.iter().position(|kind| kind == number).unwrap_or(0);
         return numbers.iter().map(|number| place(number) * parts / kinds.len()).collect();
     }
     (0..rows).map(|row| row * CROSS_VALIDATION_FOLDS / rows).collect()

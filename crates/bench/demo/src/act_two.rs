@@ -221,10 +221,10 @@ fn finite_rms(um: &[f64]) -> f64 {
 fn hidden_fault_causes(hidden: &FaultyMachine) -> Vec<FaultCauses> {
     let faults = hidden.faults.iter();
     faults
-        .map(|it| FaultCauses {
-            fault: it.fault.name(),
-            causes: expected_causes(it.fault),
-            ratio: it.ratio,
+        .map(|fault| FaultCauses {
+            fault: fault.fault.name(),
+            causes: expected_causes(fault.fault),
+            ratio: fault.ratio,
         })
         .collect()
 }
@@ -236,13 +236,16 @@ fn score_findings(
 ) -> (Vec<&'static str>, Vec<String>) {
     let names = |fault: &FaultCauses, cause: &str| fault.causes.contains(&cause);
     let is_named = |fault: &&FaultCauses| {
-        let partners = |it: &Finding| it.together_with.iter().any(|it| names(fault, &it.cause));
-        findings.iter().any(|it| names(fault, &it.cause) || partners(it))
+        let partners = |finding: &Finding| {
+            finding.together_with.iter().any(|partner| names(fault, &partner.cause))
+        };
+        findings.iter().any(|finding| names(fault, &finding.cause) || partners(finding))
     };
     let missed = faults.iter().filter(|fault| !is_named(fault)).map(|fault| fault.fault).collect();
-    let is_false =
-        |it: &&Finding| it.claimed && !faults.iter().any(|fault| names(fault, &it.cause));
-    (missed, findings.iter().filter(is_false).map(|it| it.cause.clone()).collect())
+    let is_false = |finding: &&Finding| {
+        finding.claimed && !faults.iter().any(|fault| names(fault, &finding.cause))
+    };
+    (missed, findings.iter().filter(is_false).map(|finding| finding.cause.clone()).collect())
 }
 
 /// Returns what the faults really do to each row of the first day, and what the new terms say of it.
@@ -264,8 +267,9 @@ fn true_and_predicted_effect(
     };
     let (old, new) = (predicted(source)?, predicted(extended)?);
     let mut found: Vec<f64> = new.iter().zip(old).map(|(new, old)| new - old).collect();
-    let mut truth: Vec<f64> =
-        (0..run.row_count()).map(|row| hidden.faults.iter().map(|it| it.um[row]).sum()).collect();
+    let mut truth: Vec<f64> = (0..run.row_count())
+        .map(|row| hidden.faults.iter().map(|fault| fault.um[row]).sum())
+        .collect();
     if quantity.axis().is_some() {
         // The zero of an axis's gauge is arbitrary.
         for um in [&mut found, &mut truth] {
@@ -371,7 +375,10 @@ impl BenchDay<'_> {
             let of = |offset: &Option<[f64; 3]>| offset.map_or(f64::NAN, |um| um[axis]);
             more.push((name.into(), played.offset_um.iter().map(of).collect()));
         }
-        more.push(("quality".into(), played.quality.iter().map(|it| f64::from(*it)).collect()));
+        more.push((
+            "quality".into(),
+            played.quality.iter().map(|quality| f64::from(*quality)).collect(),
+        ));
         with_columns(run, &more)
     }
 }

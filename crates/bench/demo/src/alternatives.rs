@@ -205,7 +205,8 @@ impl NormalEquations {
                 let done: f64 = row.iter().zip(&lower[n]).map(|(a, b)| a * b).sum();
                 row.push((self.products[column][*other] - done) / lower[n][n]);
             }
-            let own = self.products[column][column] - row.iter().map(|it| it * it).sum::<f64>();
+            let own =
+                self.products[column][column] - row.iter().map(|value| value * value).sum::<f64>();
             if own < MIN_SQUARED_RESIDUAL_NORM {
                 continue;
             }
@@ -215,7 +216,7 @@ impl NormalEquations {
             lower.push(row);
             used.push(column);
         }
-        let left = (self.total - solved.iter().map(|it| it * it).sum::<f64>()).max(0.0);
+        let left = (self.total - solved.iter().map(|value| value * value).sum::<f64>()).max(0.0);
         self.rows * ((left + self.noise) / self.rows).ln()
             + self.parameter_count(set) as f64 * self.rows.ln()
     }

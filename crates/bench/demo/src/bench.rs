@@ -140,7 +140,7 @@ mod tests {
         let times: Vec<String> =
             term.iter().map(|(key, value)| format!("{key} {value:?}")).collect();
         assert!(
-            times.iter().any(|it| it.contains("time_constant_s") && it.contains("5.0")),
+            times.iter().any(|text| text.contains("time_constant_s") && text.contains("5.0")),
             "{times:?}"
         );
         assert_eq!(machine.limits.link_timeout_ms, 500);

@@ -36,15 +36,20 @@ impl Campaign {
     /// Returns the figures.
     #[must_use]
     pub fn format_summary(&self) -> String {
-        let count =
-            |is: &dyn Fn(&Outcome) -> bool| self.outcomes.iter().filter(|it| is(it)).count();
+        let count = |is: &dyn Fn(&Outcome) -> bool| {
+            self.outcomes.iter().filter(|outcome| is(outcome)).count()
+        };
         let machines = self.outcomes.len();
         let percent = |part: usize, of: usize| 100.0 * part as f64 / of.max(1) as f64;
-        let claimed: usize =
-            self.outcomes.iter().map(|it| it.findings.iter().filter(|it| it.claimed).count()).sum();
-        let wrong: usize = self.outcomes.iter().map(|it| it.wrong.len()).sum();
-        let (right, kept) = (count(&|it| it.all_right), count(&Outcome::is_within_tolerance));
-        let harm = count(&|it| it.tool_rms_after_um > 1.05 * it.tool_rms_before_um);
+        let claimed: usize = self
+            .outcomes
+            .iter()
+            .map(|outcome| outcome.findings.iter().filter(|finding| finding.claimed).count())
+            .sum();
+        let wrong: usize = self.outcomes.iter().map(|outcome| outcome.wrong.len()).sum();
+        let (right, kept) =
+            (count(&|outcome| outcome.all_right), count(&Outcome::is_within_tolerance));
+        let harm = count(&|outcome| outcome.tool_rms_after_um > 1.05 * outcome.tool_rms_before_um);
         format!(
             "{machines} machines: all right in {right} ({:.1} %); {wrong} wrong names of {claimed} claimed \
              ({:.1} %); the reduction at the tool within {REDUCTION_TOLERANCE} of the promise in {kept} ({:.1} %); made \
@@ -67,10 +72,10 @@ impl Outcome {
     #[must_use]
     pub fn format_row(&self) -> String {
         let faults: Vec<String> =
-            self.faults.iter().map(|it| format!("{} {:.1}", it.fault, it.ratio)).collect();
-        let found = self.findings.iter().map(|it| {
-            let open = if it.claimed { "" } else { "?" };
-            format!("{open}{}", it.cause)
+            self.faults.iter().map(|fault| format!("{} {:.1}", fault.fault, fault.ratio)).collect();
+        let found = self.findings.iter().map(|finding| {
+            let open = if finding.claimed { "" } else { "?" };
+            format!("{open}{}", finding.cause)
         });
         let mut line = format!(
             "seed {} {} [{}] gap {:.0}: {} {} [{}], tool {:.2} -> {:.2} um, reduction {:.3}, promised {:.3}",

@@ -125,7 +125,8 @@ impl FaultyMachine {
                     break;
                 }
                 let wanted = first.filter(|_| number == 0);
-                let place = wanted.and_then(|first| choice.iter().position(|it| *it == first));
+                let place = wanted
+                    .and_then(|first| choice.iter().position(|candidate| *candidate == first));
                 let place = place.unwrap_or_else(|| stream.uniform_integer(0, choice.len() - 1));
                 let fault = choice.swap_remove(place);
                 // Each fault has to be named by a finding of its own.

@@ -60,18 +60,23 @@ fn add_act_two(page: &mut Page, two: &ActTwoResult) {
     for fault in &it.faults {
         let mut cells =
             vec![fault.fault.to_string(), format!("{:.1}", fault.ratio), fault.causes.join(" or ")];
-        let finding = it.findings.iter().find(|it| fault.causes.contains(&it.cause.as_str()));
+        let finding =
+            it.findings.iter().find(|finding| fault.causes.contains(&finding.cause.as_str()));
         cells.extend(match finding {
             None => ["not found".to_string(), "–".into(), "–".into()],
             Some(finding) => {
-                let first = finding.parameters.iter().find(|(_, it)| it["ci95"][0].is_number());
+                let first = finding
+                    .parameters
+                    .iter()
+                    .find(|(_, parameter)| parameter["ci95"][0].is_number());
                 let number = |value: &serde_json::Value| {
                     value.as_f64().map_or("–".into(), format_significant)
                 };
-                let (value, interval) = first.map_or(("–".into(), "–".into()), |(name, it)| {
-                    let ends = [0, 1].map(|end| number(&it["ci95"][end]));
-                    (format!("{name} {}", number(&it["value"])), ends.join(" … "))
-                });
+                let (value, interval) =
+                    first.map_or(("–".into(), "–".into()), |(name, parameter)| {
+                        let ends = [0, 1].map(|end| number(&parameter["ci95"][end]));
+                        (format!("{name} {}", number(&parameter["value"])), ends.join(" … "))
+                    });
                 [console_text::finding_name(finding), value, interval]
             }
         });
@@ -170,7 +175,7 @@ pub(crate) fn add_verdict(page: &mut Page, diagnosis: &Diagnosis) {
         Verdict::DoNotCompensate | Verdict::DoesNotTransfer | Verdict::FallsShort => "bad",
     };
     let mut sentences = vec![diagnosis.sentence()];
-    sentences.extend(report.findings.iter().map(|it| it.sentence.clone()));
+    sentences.extend(report.findings.iter().map(|finding| finding.sentence.clone()));
     sentences.extend(report.hints.iter().cloned());
     let mut heading = report.verdict.name().replace('-', " ");
     heading[..1].make_ascii_uppercase();
@@ -231,7 +236,8 @@ pub(crate) fn add_findings(page: &mut Page, findings: &[Finding]) {
             .rivals
             .iter()
             .map(|rival| {
-                let column = rival.column.as_ref().map_or(String::new(), |it| format!(" {it}"));
+                let column =
+                    rival.column.as_ref().map_or(String::new(), |column| format!(" {column}"));
                 (format!("{}{column}", rival.cause), rival.score_gap)
             })
             .collect();

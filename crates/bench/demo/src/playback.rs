@@ -316,7 +316,8 @@ fn interpolate_temperatures(
 }
 
 fn mean_output(outputs: &[Output]) -> Option<(Option<[f64; 3]>, Quality)> {
-    let quality = outputs.iter().map(|output| output.quality).max_by_key(|it| *it as u8)?;
+    let quality =
+        outputs.iter().map(|output| output.quality).max_by_key(|quality| *quality as u8)?;
     let mut sum_nm = [0.0; 3];
     for output in outputs {
         let Some(offset) = output.offset else { return Some((None, quality)) };

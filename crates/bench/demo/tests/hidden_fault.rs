@@ -32,7 +32,7 @@ fn a_hidden_growth_by_tool_is_named_and_runs_on_the_board() {
     let it = &two.outcome;
     println!("{}", it.format_row());
     assert!(it.all_right && it.board_s <= 600.0, "{}", it.format_row());
-    let by_tool = it.findings.iter().find(|it| it.column.as_deref() == Some("tool"));
+    let by_tool = it.findings.iter().find(|finding| finding.column.as_deref() == Some("tool"));
     let by_tool = by_tool.unwrap_or_else(|| panic!("{}", it.format_row()));
     assert_eq!((by_tool.form, by_tool.times.as_deref()), (Some("level"), Some("speed2")));
     assert!(by_tool.claimed && by_tool.compensated, "{}", it.format_row());
@@ -42,7 +42,7 @@ fn a_hidden_growth_by_tool_is_named_and_runs_on_the_board() {
 #[test]
 #[ignore = "campaign: cargo test -p trueup-demo --test hidden_fault campaign -- --ignored --show-output"]
 fn campaign_of_fixed_seeds() {
-    let seeds: u64 = std::env::var("SEEDS").ok().and_then(|it| it.parse().ok()).unwrap_or(200);
+    let seeds: u64 = std::env::var("SEEDS").ok().and_then(|text| text.parse().ok()).unwrap_or(200);
     let mut campaign = Campaign::default();
     for seed in 0..seeds {
         println!("{}", {
@@ -51,6 +51,6 @@ fn campaign_of_fixed_seeds() {
         });
     }
     println!("{}", campaign.format_summary());
-    let right = campaign.outcomes.iter().filter(|it| it.all_right).count();
+    let right = campaign.outcomes.iter().filter(|outcome| outcome.all_right).count();
     assert!(right > 0, "nothing was found");
 }

@@ -40,7 +40,7 @@ fn shown(dial: impl Fn(f64) -> f64) -> ActOneResult {
 }
 
 fn causes(one: &ActOneResult) -> Vec<&str> {
-    one.diagnosis.report.findings.iter().map(|it| it.cause.as_str()).collect()
+    one.diagnosis.report.findings.iter().map(|finding| finding.cause.as_str()).collect()
 }
 
 #[test]

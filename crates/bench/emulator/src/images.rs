@@ -41,7 +41,7 @@ pub fn build_bundled_images() -> Result<PathBuf> {
         }
     }
     // Images of an older version.
-    for other in fs::read_dir(&folder)?.flatten().filter(|it| !copies.contains(&it.path())) {
+    for other in fs::read_dir(&folder)?.flatten().filter(|entry| !copies.contains(&entry.path())) {
         fs::remove_file(other.path())?;
     }
     Ok(folder)

@@ -63,7 +63,7 @@ impl RefusalReason {
     /// Returns the reason of a number; `None`: 0, or one of a later version.
     #[must_use]
     pub fn from_number(number: u8) -> Option<Self> {
-        Self::ALL.into_iter().find(|it| it.number() == number)
+        Self::ALL.into_iter().find(|candidate| candidate.number() == number)
     }
 }
 

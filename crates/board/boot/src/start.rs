@@ -87,21 +87,24 @@ pub fn select_image<R: NorFlash, S: ReadNorFlash, K: VerifyingKey>(
     let state = evaluate_trial(journal.state(), &headers, ending);
     journal.commit(state).ok();
     let candidates = order_candidates(&state, &headers);
-    let mut holds = |it: &Candidate, is_trusted: bool| {
-        let key = if is_trusted && it.status.is_verified() { None } else { Some(key) };
-        check_image(slots, &it.image, key, &mut between).is_ok()
+    let mut holds = |candidate: &Candidate, is_trusted: bool| {
+        let key = if is_trusted && candidate.status.is_verified() { None } else { Some(key) };
+        check_image(slots, &candidate.image, key, &mut between).is_ok()
     };
     let is_slow = clock == ClockSpeed::Slow;
     let all = || candidates.iter().flatten();
     // On a slow clock first those whose signature is known to hold; a slow start is better than none.
-    let known = |it: &&Candidate| it.status.is_eligible() && (!is_slow || it.status.is_verified());
-    let chosen = all().filter(known).find(|it| holds(it, is_slow));
-    let chosen = chosen.or_else(|| all().find(|it| holds(it, is_slow)))?;
-    let other = all().find(|it| it.image != chosen.image);
-    let is_newest = other.is_none_or(|it| it.image.header.version <= chosen.image.header.version);
-    let start = |it: &Candidate, reason| {
-        let other = all().find(|other| other.image != it.image).map(|other| other.status);
-        Some(StartSelection { image: it.image, reason, other })
+    let known = |candidate: &&Candidate| {
+        candidate.status.is_eligible() && (!is_slow || candidate.status.is_verified())
+    };
+    let chosen = all().filter(known).find(|candidate| holds(candidate, is_slow));
+    let chosen = chosen.or_else(|| all().find(|candidate| holds(candidate, is_slow)))?;
+    let other = all().find(|candidate| candidate.image != chosen.image);
+    let is_newest =
+        other.is_none_or(|other| other.image.header.version <= chosen.image.header.version);
+    let start = |candidate: &Candidate, reason| {
+        let other = all().find(|other| other.image != candidate.image).map(|other| other.status);
+        Some(StartSelection { image: candidate.image, reason, other })
     };
     let starts = match chosen.status {
         ImageStatus::New | ImageStatus::Verified => 1,
@@ -113,7 +116,9 @@ pub fn select_image<R: NorFlash, S: ReadNorFlash, K: VerifyingKey>(
         }
     };
     // The other one is only to be there: its signature is verified when it starts.
-    let Some(back) = other.filter(|it| it.status.is_eligible() && holds(it, true)) else {
+    let Some(back) =
+        other.filter(|candidate| candidate.status.is_eligible() && holds(candidate, true))
+    else {
         return start(chosen, StartReason::Alone);
     };
     let image = &chosen.image;
@@ -157,8 +162,8 @@ fn order_candidates(
         let image = (*slot.element_of(headers)).ok()?;
         Some(Candidate { image, status: state.status(slot, image.tag) })
     });
-    let rank = |it: Option<Candidate>| {
-        it.map(|Candidate { image, status }| {
+    let rank = |candidate: Option<Candidate>| {
+        candidate.map(|Candidate { image, status }| {
             (status.is_eligible(), image.header.version, status == ImageStatus::Confirmed)
         })
     };

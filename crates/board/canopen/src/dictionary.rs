@@ -383,7 +383,7 @@ mod tests {
         for (index, subindex) in [(0x1000, 0), (0x1001, 0), (0x1017, 0), (0x1018, 1)] {
             assert!(find_object(index).and_then(|object| object.entry(subindex)).is_some());
         }
-        let device = find_object(0x1000).and_then(|it| it.entry(0)).expect("mandatory");
+        let device = find_object(0x1000).and_then(|object| object.entry(0)).expect("mandatory");
         assert_eq!(device.what, EntryContent::Fixed(404), "the number of the profile");
     }
 }

@@ -83,7 +83,7 @@ pub fn decode(frame: &Frame) -> Result<Emergency, DecodeError> {
         register: frames::extract_byte(EMERGENCY_REGISTER, data),
         fault: Fault::ALL
             .into_iter()
-            .find(|it| *it as u8 == fault)
+            .find(|candidate| *candidate as u8 == fault)
             .ok_or(DecodeError::Value { signal: "Fault", raw: fault.into() })?,
         flags: Flags(frames::extract_byte(EMERGENCY_FLAGS, data)),
         quality: Quality::from_wire(quality)

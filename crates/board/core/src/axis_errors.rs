@@ -350,7 +350,7 @@ mod tests {
     #[test]
     fn a_gantry_errs_by_both_drives_where_it_is_crossed_and_another_axis_by_its_backlash() {
         let [first, second] =
-            [[100, 300], [1_100, 1_700]].map(|it: [i32; 2]| it.map(i32::to_le_bytes));
+            [[100, 300], [1_100, 1_700]].map(|range: [i32; 2]| range.map(i32::to_le_bytes));
         let mut calibration: Calibration<'_> = crate::testing::minimal_calibration();
         gantry(&mut calibration, [&first, &second]);
         let heat = MachineThermalState::default();

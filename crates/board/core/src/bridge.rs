@@ -332,7 +332,7 @@ impl<'a> Bridge<'a> {
         // As many items have no term as there are parts: one a millisecond.
         state.heat.learned.step(item);
         let temperatures = if thermal_state::is_axis_item(&self.calibration, item) {
-            state.steady.map(|it| it.temperature())
+            state.steady.map(|steady| steady.temperature())
         } else {
             state.channels.temperatures()
         };

@@ -54,7 +54,7 @@ impl DeadBandFilter {
     /// Returns the temperature; `None` before the first reading and while the thermometer is lost.
     #[must_use]
     pub fn temperature(&self) -> Option<Temperature> {
-        self.known.map(|it| it.held)
+        self.known.map(|state| state.held)
     }
 }
 

@@ -156,8 +156,9 @@ mod tests {
         let mut behind_ms = |tick: u32, speed: u16| {
             let codes = core::array::from_fn(|n| AdcCode((4 * tick + n as u32 / 5) as u16));
             let reading = filter.tick(&codes, Some(Rpm(speed)));
-            reading
-                .map(|it| f64::from(tick) - f64::from(it.0) / f64::from(4 * READING_UNITS_PER_CODE))
+            reading.map(|reading| {
+                f64::from(tick) - f64::from(reading.0) / f64::from(4 * READING_UNITS_PER_CODE)
+            })
         };
         let before = (1..600).filter_map(|tick| behind_ms(tick, 12_000)).last();
         let after = (600..900).map(|tick| behind_ms(tick, 0).expect("it goes on"));

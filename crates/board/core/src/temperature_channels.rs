@@ -60,8 +60,8 @@ impl TemperatureChannel {
         const MAX_BAD_READINGS_TO_ACCEPT: u8 = 2;
         let before = core::mem::replace(&mut self.before, reading);
         let is_new = self.agreed < FAULT_AFTER_READINGS;
-        let near = |it: Temperature, now: Temperature| {
-            it.0.abs_diff(now.0) <= MAX_CHANGE_PER_READING.0.unsigned_abs()
+        let near = |temperature: Temperature, now: Temperature| {
+            temperature.0.abs_diff(now.0) <= MAX_CHANGE_PER_READING.0.unsigned_abs()
         };
         let follows = match reading {
             None => {
@@ -73,7 +73,9 @@ impl TemperatureChannel {
                 true
             }
             Some(now) if limit.is_enabled() => self.rate.check_reading(now, limit, agrees),
-            Some(now) => self.temperature.or(before).is_some_and(|it| near(it, now)),
+            Some(now) => {
+                self.temperature.or(before).is_some_and(|temperature| near(temperature, now))
+            }
         };
         // A doubt holds the last believed value, where a loss gives it up.
         let is_held = reading.is_some() && limit.is_enabled() && !self.rate.has_timed_out();
@@ -87,7 +89,7 @@ impl TemperatureChannel {
             }
             Some(now) => {
                 if is_new {
-                    let agrees = self.temperature.is_some_and(|it| near(it, now));
+                    let agrees = self.temperature.is_some_and(|temperature| near(temperature, now));
                     self.agreed = if agrees { self.agreed.saturating_add(1) } else { 0 };
                 }
                 (self.temperature, self.bad) = (reading, 0);
@@ -173,8 +175,9 @@ impl TemperatureChannels {
     fn has_agreeing_partner(&self, partners: IndexSet, now: Temperature) -> bool {
         partners != IndexSet::default()
             && self.channels.iter().enumerate().any(|(number, partner)| {
-                let near =
-                    |it: Temperature| it.0.abs_diff(now.0) <= MAX_DISAGREEMENT.0.unsigned_abs();
+                let near = |temperature: Temperature| {
+                    temperature.0.abs_diff(now.0) <= MAX_DISAGREEMENT.0.unsigned_abs()
+                };
                 partners.contains(number) && partner.before.is_some_and(near)
             })
     }
@@ -220,7 +223,7 @@ impl TemperatureChannels {
     pub fn is_current(&self, channel: u8) -> bool {
         self.channels
             .get(usize::from(channel))
-            .is_some_and(|it| it.temperature.is_some() && it.bad == 0)
+            .is_some_and(|channel| channel.temperature.is_some() && channel.bad == 0)
     }
 
     /// Returns whether a channel is faulty; one that does not exist is.

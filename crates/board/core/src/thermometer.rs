@@ -228,9 +228,10 @@ mod tests {
 
         // "L IW200, L IW252, -I": neither is MW200 or MW252, where the reading and the zero were put. And the sum of "L MW160,
         // L MW200, +I" is lost: "L MW200, T DB103.DBD220" hands over MW200, into which nothing but the counts was put.
-        let memory =
-            |word: usize| [(200, 4376), (250, 16), (252, 0x4000)].iter().find(|it| it.0 == word);
-        assert_eq!(memory(200).map(|it| it.1), Some(4376), "437.6 °C for 23.5 °C");
+        let memory = |word: usize| {
+            [(200, 4376), (250, 16), (252, 0x4000)].iter().find(|pair| pair.0 == word)
+        };
+        assert_eq!(memory(200).map(|word| word.1), Some(4376), "437.6 °C for 23.5 °C");
 
         // "L B#16#4000", commented "zero = 4000", loads 16384: 774 K too cold, and a fault here.
         let listing = Thermometer::Linear { zero: 0x4000 * 256, slope: 1000, shift: 0 };

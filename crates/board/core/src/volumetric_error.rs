@@ -188,7 +188,7 @@ impl RotaryLocation {
     }
 
     fn location_error(&self, lever: Vector) -> Vector {
-        add_vectors(self.shift.map(|it| it.0), cross(self.tilt, lever))
+        add_vectors(self.shift.map(|shift| shift.0), cross(self.tilt, lever))
     }
 }
 
@@ -211,12 +211,12 @@ impl VolumetricErrorModel<'_> {
     #[must_use]
     pub fn depends_on_rotary_angles(&self) -> bool {
         let [first, second] = self.rotary;
-        let turns_tool = first.is_some_and(|it| !it.moves_workpiece);
-        let has_errors = self.rotary.iter().flatten().any(|it| !it.is_nominal())
-            || self.guides.iter().flat_map(|it| &it.about).any(|angle| !angle.is_zero());
+        let turns_tool = first.is_some_and(|first| !first.moves_workpiece);
+        let has_errors = self.rotary.iter().flatten().any(|location| !location.is_nominal())
+            || self.guides.iter().flat_map(|guide| &guide.about).any(|angle| !angle.is_zero());
         // The first axis under the workpiece turns what is wrong with the second.
-        let turns_table =
-            !turns_tool && second.is_some_and(|it| it.moves_workpiece && !it.is_nominal());
+        let turns_table = !turns_tool
+            && second.is_some_and(|second| second.moves_workpiece && !second.is_nominal());
         turns_tool && has_errors || turns_table
     }
 
@@ -230,9 +230,9 @@ impl VolumetricErrorModel<'_> {
                 !angle.is_zero() && (guide == axis || is_lever && about != axis as usize)
             })
         };
-        let of_table = |it: &RotaryLocation| {
-            let tilted = it.tilt.iter().filter(|tilt| **tilt != FineNanometres::ZERO).count();
-            it.moves_workpiece && tilted > 0
+        let of_table = |location: &RotaryLocation| {
+            let tilted = location.tilt.iter().filter(|tilt| **tilt != FineNanometres::ZERO).count();
+            location.moves_workpiece && tilted > 0
         };
         LinearAxis::ALL.into_iter().any(of_guide) || self.rotary.iter().flatten().any(of_table)
     }
@@ -243,7 +243,9 @@ impl VolumetricErrorModel<'_> {
         let ([first, second], [of_first, of_second]) = (&self.rotary, place.angles);
         // From the tool to the frame. A `zip` that is reversed could panic, for all that the compiler knows.
         for (rotary, angle) in [(second, of_second), (first, of_first)] {
-            let Some(rotary) = rotary.as_ref().filter(|it| !it.moves_workpiece) else { continue };
+            let Some(rotary) = rotary.as_ref().filter(|location| !location.moves_workpiece) else {
+                continue;
+            };
             let turn = sine_cosine(angle);
             let lever =
                 rotate_vector(rotary.axis, turn, subtract_vectors(tip, to_vector(rotary.point)));
@@ -262,17 +264,18 @@ impl VolumetricErrorModel<'_> {
     /// Both axes together are δ₁ + ε₁ × (q − c₁) + R·(δ₂ + ε₂ × (R⁻¹·(q − c₁) + c₁ − c₂)), with R the turn of the first one
     /// and q the tip. As R·(a × b) is (R·a) × (R·b), the tilts add up to ε = ε₁ + R·ε₂, and q is multiplied once.
     fn compute_workpiece_error(&self, place: &MachinePosition) -> (Vector, [FineNanometres; 3]) {
-        let mut of_workpiece = self.rotary.iter().flatten().filter(|it| it.moves_workpiece);
+        let mut of_workpiece =
+            self.rotary.iter().flatten().filter(|location| location.moves_workpiece);
         let Some(first) = of_workpiece.next() else { return Default::default() };
-        let (mut shift, mut tilt) = (first.shift.map(|it| it.0), first.tilt);
-        if let Some(second) = of_workpiece.next().filter(|it| !it.is_nominal()) {
+        let (mut shift, mut tilt) = (first.shift.map(|shift| shift.0), first.tilt);
+        if let Some(second) = of_workpiece.next().filter(|location| !location.is_nominal()) {
             let [angle, _] = place.angles;
             let (sine, cosine) = sine_cosine(angle);
             let back = |vector| rotate_vector(first.axis, (sine.saturating_neg(), cosine), vector);
             let between = subtract_vectors(to_vector(first.point), to_vector(second.point));
             shift = add_vectors(shift, back(second.location_error(between)));
-            let of_second = back(second.tilt.map(|it| it.0));
-            tilt = add_vectors(tilt.map(|it| it.0), of_second).map(FineNanometres);
+            let of_second = back(second.tilt.map(|tilt| tilt.0));
+            tilt = add_vectors(tilt.map(|tilt| tilt.0), of_second).map(FineNanometres);
         }
         (subtract_vectors(shift, cross(tilt, to_vector(first.point))), tilt)
     }
@@ -381,7 +384,7 @@ fn cross([a, b, c]: [FineNanometres; 3], [x, y, z]: Vector) -> Vector {
 }
 
 fn to_vector(positions: [Position; 3]) -> Vector {
-    positions.map(|it| it.0)
+    positions.map(|position| position.0)
 }
 
 fn add_vectors(a: Vector, b: Vector) -> Vector {

@@ -156,7 +156,7 @@ mod tests {
     fn two_threads_lose_and_swap_nothing() {
         let mut queue = ByteQueue::<16>::new();
         let (mut writer, mut reader) = queue.split();
-        let sent: Vec<u8> = (0..20_000_u32).map(|it| (it % 251) as u8).collect();
+        let sent: Vec<u8> = (0..20_000_u32).map(|index| (index % 251) as u8).collect();
         let mut got = Vec::new();
         thread::scope(|scope| {
             scope.spawn(|| {

@@ -334,7 +334,8 @@ pub fn decode_position(axis: LinearAxis, frame: &Frame) -> Result<AxisPosition, 
 /// [`DecodeError`] for another identifier or length.
 pub fn decode_rotary(frame: &Frame) -> Result<Rotary, DecodeError> {
     let data = frame_data(frame, ROTARY_ID, 8)?;
-    let angle = |it: Signal| MicroDegrees(it.extract(data).saturating_mul(MICRO_DEGREES_PER_BIT));
+    let angle =
+        |signal: Signal| MicroDegrees(signal.extract(data).saturating_mul(MICRO_DEGREES_PER_BIT));
     Ok(Rotary { angles: [angle(ANGLE_1), angle(ANGLE_2)] })
 }
 

@@ -319,7 +319,8 @@ pub fn encode(status: &Status, counter: u8) -> Frame {
             pair.min(3)
         }
         Item::Elongation(elongation) => {
-            ELONGATION.insert(&mut data, elongation.map_or(NO_ELONGATION_RAW, |it| it.0));
+            ELONGATION
+                .insert(&mut data, elongation.map_or(NO_ELONGATION_RAW, |elongation| elongation.0));
             4
         }
         Item::Refused { damaged, out_of_sequence } => {

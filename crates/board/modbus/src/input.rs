@@ -64,7 +64,7 @@ impl InputBlock {
         write_u16(&mut block, REFUSED, self.refused);
         write_u32(&mut block, STATE, self.state);
         write_u32(&mut block, CALIBRATION, self.calibration);
-        let elongation = self.elongation.map_or(NOT_AVAILABLE, |it| it.0);
+        let elongation = self.elongation.map_or(NOT_AVAILABLE, |elongation| elongation.0);
         write_u32(&mut block, ELONGATION, elongation.cast_unsigned());
         for (place, centi_c) in (TEMPERATURE_0..).zip(self.centi_c) {
             write_u16(

@@ -228,9 +228,9 @@ mod tests {
             lines.map(|(_, at)| at.split(';').next().unwrap_or_default().into()).collect()
         };
         let places = |blocks: &[&[Register]], first: usize| -> Vec<String> {
-            let place = |it: &Register| {
-                let width = if it.form.register_count() == 1 { 'W' } else { 'D' };
-                format!("{width} {}", first + 2 * it.address)
+            let place = |register: &Register| {
+                let width = if register.form.register_count() == 1 { 'W' } else { 'D' };
+                format!("{width} {}", first + 2 * register.address)
             };
             blocks.iter().copied().flatten().map(place).collect()
         };

@@ -36,7 +36,8 @@ impl DisplayValues {
         Self {
             offset_um: offset_um.map(|all| all.map(|um| round_to_fraction(um, 100.0))),
             length_um: round_to_fraction(sqrt(x * x + y * y + z * z), 100.0),
-            elongation_um: elongation.map(|it| round_to_fraction(to_micrometres(it), 100.0)),
+            elongation_um: elongation
+                .map(|elongation| round_to_fraction(to_micrometres(elongation), 100.0)),
             noise_codes: round_to_fraction(sqrt(variance), 1_000.0),
         }
     }

@@ -371,8 +371,10 @@ impl<'a> Node<'a> {
         // A fault of a single tick is not overlooked.
         let flags = core::mem::take(&mut self.flags_since);
         self.consumer.tick(elapsed_ms);
-        let link_timeout_ms =
-            self.bridge.as_ref().map_or(u32::MAX, |it| it.calibration().limits.link_timeout_ms);
+        let link_timeout_ms = self
+            .bridge
+            .as_ref()
+            .map_or(u32::MAX, |bridge| bridge.calibration().limits.link_timeout_ms);
         self.master.tick(elapsed_ms, link_timeout_ms);
         self.questions = self
             .questions

@@ -233,11 +233,11 @@ fn no_one_to_three_flipped_bits_of_forty_lines_make_another_command() {
     println!(
         "{} damaged forms of {LINES} lines: none is taken for another command; {} are the same frame in \
          another case, {} have an identifier without protection",
-        sum(|it| it.forms),
-        sum(|it| it.same),
-        sum(|it| it.elsewhere),
+        sum(|outcome| outcome.forms),
+        sum(|outcome| outcome.same),
+        sum(|outcome| outcome.elsewhere),
     );
-    assert_eq!(sum(|it| it.forms), 40 * (176 + 176 * 175 / 2 + 176 * 175 * 174 / 6));
+    assert_eq!(sum(|outcome| outcome.forms), 40 * (176 + 176 * 175 / 2 + 176 * 175 * 174 / 6));
 }
 
 /// The line is followed by others: which of the frames are received.
@@ -268,7 +268,8 @@ fn a_byte_lost_doubled_inserted_or_swapped_costs_at_most_two_frames_and_makes_no
             // Where the end of the line is hit the next one goes with it; from then on all are received.
             let lost = if at + 1 >= LENGTH { 2 } else { 1 };
             let rest = &all[number + lost..];
-            let tail: Vec<Frame> = got.iter().rev().take(rest.len()).rev().map(|it| it.0).collect();
+            let tail: Vec<Frame> =
+                got.iter().rev().take(rest.len()).rev().map(|received| received.0).collect();
             assert_eq!(tail, rest, "byte {at} of {}", bytes[..2 * LENGTH].escape_ascii());
         };
         for at in 0..LENGTH {
@@ -310,13 +311,19 @@ fn frames_lost_doubled_inserted_or_swapped_are_heard_once_in_their_order() {
         }
         let bytes: Vec<u8> = stream.iter().flat_map(line).collect();
         let got = heard(&mut Receiver::new(), &bytes);
-        let own: Vec<&Frame> = got.iter().map(|it| &it.0).filter(|it| **it != foreign).collect();
+        let own: Vec<&Frame> = got
+            .iter()
+            .map(|received| &received.0)
+            .filter(|received| **received != foreign)
+            .collect();
         assert!(own.len() > 400, "seed {seed}: {} heard", own.len());
         for id in [0x201, 0x301, 0x401, 0x501, 0x202, 0x302] {
             let places: Vec<usize> = own
                 .iter()
                 .filter(|frame| frame.id() == id)
-                .map(|frame| all.iter().position(|it| it == *frame).expect("it was sent"))
+                .map(|frame| {
+                    all.iter().position(|candidate| candidate == *frame).expect("it was sent")
+                })
                 .collect();
             assert!(places.is_sorted_by(|a, b| a < b), "seed {seed}, {id:#x}: {places:?}");
         }

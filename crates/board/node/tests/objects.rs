@@ -198,7 +198,7 @@ fn the_status_tells_temperatures_to_the_nearest_hundredth_of_a_degree() {
     for _ in 0..2_000 {
         run_at(&mut node, 1, THERE);
         let status = node.service().and_then(|frame| status::decode(&frame).ok());
-        if let Some(Item::Temperatures { pair, centi_c }) = status.map(|it| it.item) {
+        if let Some(Item::Temperatures { pair, centi_c }) = status.map(|status| status.item) {
             let first = 2 * usize::from(pair);
             told[first..first + 2].copy_from_slice(&centi_c);
         }

@@ -146,7 +146,7 @@ fn campaign_every_planted_fault_is_found_by_the_simulator() {
     let whole = fs::read_to_string(root.join("Cargo.toml")).expect("the workspace");
     // The workspace without the rest of it.
     let deps =
-        whole.split("[workspace.package]").nth(1).and_then(|it| it.split("[package]").next());
+        whole.split("[workspace.package]").nth(1).and_then(|part| part.split("[package]").next());
     let members = CRATES.map(|name| format!("\"{ROOM}/{name}\"")).join(", ");
     let own = format!(
         "[workspace]\nresolver = \"3\"\nmembers = [{members}]\n[workspace.package]{}\n\

@@ -71,7 +71,7 @@ fn download(node: &mut Node<'_>, at: ObjectAddress, data: &[u8]) -> Result<(), C
 fn numbers_texts_and_domains_go_both_ways() {
     let mut node = node();
     assert_eq!(upload(&mut node, (0x1000, 0)), Ok(404_u32.to_le_bytes().to_vec()));
-    assert_eq!(upload(&mut node, (0x1001, 0)).map(|it| it.len()), Ok(1));
+    assert_eq!(upload(&mut node, (0x1001, 0)).map(|bytes| bytes.len()), Ok(1));
     assert_eq!(upload(&mut node, (0x1008, 0)), Ok(b"trueup bridge".to_vec()));
     assert_eq!(download(&mut node, (0x1017, 0), &[44, 1]), Ok(()));
     assert_eq!(upload(&mut node, (0x1017, 0)), Ok(vec![44, 1]));

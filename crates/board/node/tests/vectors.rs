@@ -37,7 +37,7 @@ fn lengths(faults: bool) -> ([u32; 4], Reference) {
         run.receive();
         let frames = run.tick();
         run.update_checksum(&frames);
-        let seen = seen(&run).map(|it| u32::from(it && ms >= BEGUN));
+        let seen = seen(&run).map(|seen| u32::from(seen && ms >= BEGUN));
         lengths.iter_mut().zip(seen).for_each(|(length, seen)| *length += seen);
     }
     (lengths, run.node().reference())

@@ -405,7 +405,7 @@ mod tests {
                 speed: speed.map(Rpm),
                 service_switch,
                 temperatures: temperatures.map(RawReading),
-                frames: frames.map(|it| it.map(|(id, data)| frame(id, &data))),
+                frames: frames.map(|slot| slot.map(|(id, data)| frame(id, &data))),
             };
             prop_assert_eq!(Block::decode(&block.encode().unwrap()), Ok(block));
         }

@@ -95,7 +95,8 @@ impl<'a> LoadSlot<'a> {
         };
         match self {
             Self::Open(load) => {
-                let fits = |size| usize::try_from(size).is_ok_and(|it| it <= load.buffer.len());
+                let fits =
+                    |size| usize::try_from(size).is_ok_and(|length| length <= load.buffer.len());
                 size.is_none_or(fits).then_some(()).ok_or(LoadError::TooLong)
             }
             Self::None => Err(LoadError::NotStored),

@@ -296,10 +296,10 @@ mod tests {
             let before = copies;
             save(&mut copies, &kept(number), None);
             let is_same = [0, 1].map(|n| copies[n] == before[n]);
-            assert_eq!(is_same.iter().filter(|it| **it).count(), 1, "number {number}");
+            assert_eq!(is_same.iter().filter(|is_same| **is_same).count(), 1, "number {number}");
             if number > 0 {
                 let left = [0, 1].into_iter().find(|n| is_same[*n]).expect("one is as it was");
-                assert_eq!(decode(&copies[left]).map(|it| it.2), Some(kept(number - 1)));
+                assert_eq!(decode(&copies[left]).map(|decoded| decoded.2), Some(kept(number - 1)));
             }
         }
     }

@@ -151,8 +151,8 @@ impl WriteRecord {
         };
         let [sequence, calibration, about, at_ms, utc_s] =
             [sequence, calibration, about, at_ms, utc_s].map(u32::from_le_bytes);
-        let what = WriteKind::ALL.into_iter().find(|it| *it as u8 == what)?;
-        let origin = WriteOrigin::ALL.into_iter().find(|it| *it as u8 == origin)?;
+        let what = WriteKind::ALL.into_iter().find(|kind| *kind as u8 == what)?;
+        let origin = WriteOrigin::ALL.into_iter().find(|candidate| *candidate as u8 == origin)?;
         let is_unattended = unattended & 1 != 0;
         Some(Self { sequence, calibration, about, at_ms, utc_s, what, origin, is_unattended })
     }

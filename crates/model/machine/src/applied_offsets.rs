@@ -358,7 +358,7 @@ impl BridgeRecord<'_> {
     /// Returns the angles of a rotary axis that turns the tool. A record that was made without a machine file
     /// numbers them in the order of the head.
     fn angle(&self, axis: RotaryAxis) -> Option<&[f64]> {
-        let number = self.head_axes().iter().position(|it| *it == axis)? + 1;
+        let number = self.head_axes().iter().position(|candidate| *candidate == axis)? + 1;
         let by_name = self.run.column(&format!("{}_deg", axis.name()));
         by_name.or_else(|| self.run.column(&format!("angle{number}_deg")))
     }

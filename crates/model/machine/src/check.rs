@@ -50,7 +50,7 @@ pub use warning::Warning;
 #[must_use]
 pub fn range_findings(machine: &Machine) -> Vec<Finding> {
     let mut findings = range::machine_findings(machine);
-    findings.sort_by_key(|it| (it.warning.place.line, it.warning.place.column));
+    findings.sort_by_key(|finding| (finding.warning.place.line, finding.warning.place.column));
     findings
 }
 
@@ -69,9 +69,10 @@ pub fn machine_warnings(machine: &Machine) -> Vec<Warning> {
     let mut warnings: Vec<Warning> = rules.iter().flat_map(|rule| rule(machine)).collect();
     // A rule knows more of its key than the table does.
     let of_table = range::machine_findings(machine).into_iter().map(|finding| finding.warning);
-    let is_new =
-        |warnings: &[Warning], it: &Warning| warnings.iter().all(|other| other.place != it.place);
-    let new: Vec<Warning> = of_table.filter(|it| is_new(&warnings, it)).collect();
+    let is_new = |warnings: &[Warning], warning: &Warning| {
+        warnings.iter().all(|other| other.place != warning.place)
+    };
+    let new: Vec<Warning> = of_table.filter(|warning| is_new(&warnings, warning)).collect();
     warnings.extend(new);
     sorted_by_location(warnings.into_iter())
 }
@@ -114,7 +115,7 @@ pub fn column_findings(
     let mut slips = units::findings(run, machine, others);
     // Where both know something, the machine file says in which unit it would be right.
     for finding in run::column_findings(run, machine) {
-        match slips.iter_mut().find(|it| it.key == finding.key) {
+        match slips.iter_mut().find(|slip| slip.key == finding.key) {
             Some(other) => other.warning = finding.warning,
             None => slips.push(finding),
         }

@@ -177,8 +177,8 @@ pub(crate) const DEFAULT_MACHINE_NAME: &str = "shown";
 pub fn decompile(calibration: &Calibration<'_>) -> Machine {
     let has_sensor = spindle::has_sensor(&calibration.spindle);
     let volume = calibration.volume.as_ref();
-    let mut rotary = volume.iter().flat_map(|it| it.rotary.iter().flatten());
-    let turns_workpiece = rotary.any(|it| it.moves_workpiece);
+    let mut rotary = volume.iter().flat_map(|volume| volume.rotary.iter().flatten());
+    let turns_workpiece = rotary.any(|location| location.moves_workpiece);
     let (kind, head_axes, tool_direction) =
         kinematics::decompile(&calibration.kinematics, turns_workpiece);
     let curves = squareness::axis_pairs().into_iter().zip(&calibration.straightness);

@@ -39,7 +39,11 @@ pub struct DecompiledCalibration {
 pub fn decompile_to_toml(calibration: &Calibration<'_>) -> DecompiledCalibration {
     let machine = decompile(calibration);
     let toml = Edit {
-        sections: machine.sections().into_iter().map(|it| add_comments(it, &machine)).collect(),
+        sections: machine
+            .sections()
+            .into_iter()
+            .map(|section| add_comments(section, &machine))
+            .collect(),
         appended: machine.terms.iter().map(Term::to_section).collect(),
         ..Edit::default()
     }

@@ -183,7 +183,7 @@ fn category_values(machine: &Machine, end: usize) -> Vec<(&str, f64)> {
         };
         let largest = term.effect.board_terms().first().and_then(BoardTerm::dominant_category);
         if values.iter().all(|(name, _)| *name != column) {
-            values.extend(largest.map(|it| (column, if end == 0 { 0.0 } else { it })));
+            values.extend(largest.map(|largest| (column, if end == 0 { 0.0 } else { largest })));
         }
     }
     values
@@ -214,10 +214,11 @@ fn enumerate_corners(count: usize, is_each_alone: bool) -> Vec<Vec<usize>> {
 
 /// Returns the times after a start at which it is looked, in s: on the ramp, and until all has settled.
 fn evaluation_times_s(machine: &Machine, change_s: f64) -> Vec<f64> {
-    let of_axes = machine.axes.iter().filter_map(|axis| axis.thermal.as_ref()).map(|it| it.lag_s);
+    let of_axes =
+        machine.axes.iter().filter_map(|axis| axis.thermal.as_ref()).map(|thermal| thermal.lag_s);
     let spindle = &machine.spindle;
-    let of_spindle = spindle.temperature.iter().map(|it| it.lag_s);
-    let of_warmup = spindle.warmup.iter().map(|it| it.warm_s);
+    let of_spindle = spindle.temperature.iter().map(|temperature| temperature.lag_s);
+    let of_warmup = spindle.warmup.iter().map(|warmup| warmup.warm_s);
     let of_terms = machine.terms.iter().flat_map(|term| term.effect.board_terms()).filter_map(
         |form| match form {
             BoardTerm::Heat(heat) | BoardTerm::HeatSlope(heat) => Some(heat.time_constant_s),
@@ -346,7 +347,7 @@ pub fn find_cancelling_terms(machine: &Machine) -> Option<CancellingTermPair> {
     let last = *settled.last()?;
     let pairs = (0..alone.len()).flat_map(|b| (0..b).map(move |a| [a, b]));
     let of_axes =
-        LinearAxis::ALL.into_iter().flat_map(|axis| pairs.clone().map(move |it| (axis, it)));
+        LinearAxis::ALL.into_iter().flat_map(|axis| pairs.clone().map(move |pair| (axis, pair)));
     of_axes.into_iter().find_map(|(axis, pair)| {
         let at = |state: usize| pair.map(|term| alone[term][state][1 + axis.index()]);
         let is_taken_back = settled.iter().all(|&state| {

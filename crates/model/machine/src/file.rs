@@ -96,28 +96,32 @@ impl MachineFile {
         // Each section can be read by itself once its keys are right.
         let mut faults = validation::find_key_faults(&root, schema::MACHINE_FILE_KEYS);
         let terms = || root.sections("term").into_iter().flatten();
-        faults.extend(terms().flat_map(|it| validation::find_term_faults(&it)));
+        faults.extend(terms().flat_map(|term| validation::find_term_faults(&term)));
         if let Some(error) = BadInput::combine(faults) {
             return Err(error);
         }
         let section = |name: &str| root.section(name).ok().flatten();
         let mut faults = ErrorCollector::default();
-        let identity = faults.collect(section("machine").map(|it| machine::read(&it)));
-        let inputs = faults.collect(section("inputs").map(|it| inputs::read(&it)));
+        let identity = faults.collect(section("machine").map(|section| machine::read(&section)));
+        let inputs = faults.collect(section("inputs").map(|section| inputs::read(&section)));
         let connected = inputs.as_ref().and_then(|inputs| inputs.sensor);
-        let spindle = faults.collect(section("spindle").map(|it| spindle::read(&it, connected)));
-        let axes = faults.collect(section("axis").map(|it| axis::read(&it)));
-        let curves =
-            faults.collect(section("straightness").map(|it| straightness::read_straightness(&it)));
-        let angles =
-            faults.collect(section("squareness").map(|it| straightness::read_squareness(&it)));
-        let angular = faults.collect(section("angular").map(|it| volume::read_angular(&it)));
-        let rotary = faults.collect(section("rotary").map(|it| volume::read_rotary(&it)));
-        let tool = faults.collect(section("tool").map(|it| ToolGeometry::read(&it)));
-        let limits = faults.collect(section("limits").map(|it| Limits::read(&it)));
+        let spindle =
+            faults.collect(section("spindle").map(|section| spindle::read(&section, connected)));
+        let axes = faults.collect(section("axis").map(|section| axis::read(&section)));
+        let curves = faults.collect(
+            section("straightness").map(|section| straightness::read_straightness(&section)),
+        );
+        let angles = faults
+            .collect(section("squareness").map(|section| straightness::read_squareness(&section)));
+        let angular =
+            faults.collect(section("angular").map(|section| volume::read_angular(&section)));
+        let rotary = faults.collect(section("rotary").map(|section| volume::read_rotary(&section)));
+        let tool = faults.collect(section("tool").map(|section| ToolGeometry::read(&section)));
+        let limits = faults.collect(section("limits").map(|section| Limits::read(&section)));
         let thermal_state =
-            faults.collect(section("thermal_state").map(|it| ThermalState::read(&it)));
-        let instrument = faults.collect(section("instrument").map(|it| Instrument::read(&it)));
+            faults.collect(section("thermal_state").map(|section| ThermalState::read(&section)));
+        let instrument =
+            faults.collect(section("instrument").map(|section| Instrument::read(&section)));
         let (spindle, axes) = (spindle.unwrap_or_default(), axes.unwrap_or_default());
         let read = terms().map(|section| Ok((term::read(&section)?, section)));
         let read: Vec<(Term, Section<'_>)> = read.collect::<Result<_, BadInput>>()?;
@@ -164,7 +168,7 @@ impl MachineFile {
             volume,
             limits: limits.unwrap_or_default(),
             cold_within_c: thermal_state.unwrap_or_default().cold_within_c,
-            instrument_um: instrument.map(|it| it.uncertainty_um),
+            instrument_um: instrument.map(|instrument| instrument.uncertainty_um),
             terms,
             places: document.into_locations(),
         })

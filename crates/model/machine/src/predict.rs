@@ -204,8 +204,9 @@ impl<'a> Predictor<'a> {
             let situation = self.columns.row_inputs(row, &temperatures, &others);
             let model = model.next().expect("one for each row");
             let on_board = RowInputs { tool_length_mm: None, ..situation };
-            let compensated =
-                compensated.as_mut().map_or(model, |it| it.step(&on_board).to_error_values());
+            let compensated = compensated
+                .as_mut()
+                .map_or(model, |compensated| compensated.step(&on_board).to_error_values());
             let bridge = bridge.as_mut().map(|bridge| {
                 let bridge = bridge.step(&situation);
                 // What the model cannot know the board does not know either.
@@ -231,7 +232,7 @@ impl<'a> Predictor<'a> {
             let others = self.columns.others_in_row(row);
             reference.step(&self.columns.row_inputs(row, &temperatures, &others)).to_error_values()
         });
-        let shifts_s = Quantity::ALL.map(|it| time_shift_s(&self.machine.terms, it));
+        let shifts_s = Quantity::ALL.map(|quantity| time_shift_s(&self.machine.terms, quantity));
         if shifts_s == [0.0; 4] {
             return Box::new(in_time);
         }

@@ -167,7 +167,7 @@ fn depends_on_approach(machine: &Machine, axis: LinearAxis) -> bool {
         || machine
             .terms
             .iter()
-            .any(|it| it.quantity.axis() == Some(axis) && it.effect.depends_on_direction())
+            .any(|term| term.quantity.axis() == Some(axis) && term.effect.depends_on_direction())
 }
 
 /// Positions that go there and back.

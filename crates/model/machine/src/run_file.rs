@@ -193,8 +193,11 @@ impl RunFile {
 
     /// Adds a column of values that the file does not have; each has the place of the value of `beside`.
     pub(crate) fn add_column(&mut self, name: &str, beside: &str, values: Vec<f64>) {
-        let starts =
-            self.columns.iter().find(|column| column.name == beside).map(|it| it.starts.clone());
+        let starts = self
+            .columns
+            .iter()
+            .find(|column| column.name == beside)
+            .map(|column| column.starts.clone());
         if let Some(starts) = starts {
             self.columns.push(Column { name: name.into(), values: values.into(), starts });
         }

@@ -35,7 +35,7 @@ pub fn machine_file_schema() -> Value {
 /// Returns the columns of a run that are known, each with its unit and meaning.
 #[must_use]
 pub fn run_columns_json() -> Value {
-    let column = |it: &crate::run_file::KnownColumn| json!({"name": it.name, "unit": it.unit, "description": strip_markdown(it.meaning)});
+    let column = |column: &crate::run_file::KnownColumn| json!({"name": column.name, "unit": column.unit, "description": strip_markdown(column.meaning)});
     KNOWN_COLUMNS.iter().map(column).collect()
 }
 

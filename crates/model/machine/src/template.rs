@@ -109,7 +109,7 @@ impl Template {
         writeln!(out, "kind = \"{}\"", self.kind.name())?;
         if !self.head_axes.is_empty() {
             let names: Vec<String> =
-                self.head_axes.iter().map(|it| format!("\"{}\"", it.name())).collect();
+                self.head_axes.iter().map(|axis| format!("\"{}\"", axis.name())).collect();
             writeln!(
                 out,
                 "head_axes = [{}] # they carry the spindle, from the frame to the tool",

@@ -172,7 +172,7 @@ impl ThermometerChannel {
         let steps = rows.windows(2).zip(values.windows(2)).map(|(rows, values)| {
             // Over a cell that is missing it may be two rows.
             let is_near = rows[1] - rows[0] <= 2;
-            let is_next = is_near && follows[rows[0] + 1..=rows[1]].iter().all(|it| *it);
+            let is_next = is_near && follows[rows[0] + 1..=rows[1]].iter().all(|follows| *follows);
             if is_next { values[1] - values[0] } else { 0.0 }
         });
         Self { steps: steps.collect(), rows, values }
@@ -217,14 +217,14 @@ impl ThermometerChannel {
             values.iter().all(|value| *value == values[0]) && (values.len() > 1 || is_spike)
         };
         let (standing, moving): (Vec<_>, Vec<_>) =
-            stretches.iter().enumerate().partition(|it| stands(it));
+            stretches.iter().enumerate().partition(|stretch| stands(stretch));
         let rest: Vec<f64> = moving
             .iter()
             .flat_map(|(_, stretch)| self.values[(*stretch).clone()].iter().copied())
             .collect();
         let (low, high) =
-            rest.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &it| {
-                (low.min(it), high.max(it))
+            rest.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &value| {
+                (low.min(value), high.max(value))
             });
         // Nothing moves: it is set, and not measured.
         if low >= high {

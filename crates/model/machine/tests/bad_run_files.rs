@@ -161,7 +161,10 @@ fn a_column_too_many_is_refused_at_its_name() {
 fn places_of(text: &str) -> (Vec<(usize, usize)>, usize) {
     let error = error_of(text.as_bytes());
     let unlisted = error.unlisted;
-    (error.into_single_faults().map(|it| (it.place.line, it.place.column)).collect(), unlisted)
+    (
+        error.into_single_faults().map(|fault| (fault.place.line, fault.place.column)).collect(),
+        unlisted,
+    )
 }
 
 #[test]
@@ -185,7 +188,7 @@ fn all_that_is_wrong_with_a_file_is_told_at_once_in_its_order() {
         assert!(error.help.is_some(), "{error}");
     }
     let latin_1 = error_of(b"a,b\n1,x\n\xb5,2\n3,y\n");
-    let places: Vec<usize> = latin_1.into_single_faults().map(|it| it.place.line).collect();
+    let places: Vec<usize> = latin_1.into_single_faults().map(|fault| fault.place.line).collect();
     assert_eq!(places, [2, 3, 4]);
 }
 

@@ -24,7 +24,8 @@ fn machine(text: &str) -> Machine {
 }
 
 fn run(csv: &str) -> RunFile {
-    RunFile::from_reader(csv.as_bytes(), Path::new("r.csv")).unwrap_or_else(|it| panic!("{it}"))
+    RunFile::from_reader(csv.as_bytes(), Path::new("r.csv"))
+        .unwrap_or_else(|error| panic!("{error}"))
 }
 
 /// Returns the model's elongations, each within a nanometre of the board's.
@@ -134,7 +135,8 @@ fn a_condition_that_is_not_declared_is_asked_for_by_its_line() {
     let error = compile(&undeclared).expect_err("no bit");
     assert!(error.rule.contains(line), "{error}");
     let compiled = compile(&machine(&format!("{DECLARED}{COOLANT}"))).expect("declared");
-    let Some(Effect::Condition(it)) = compiled.calibration().terms[0].map(|it| it.effect) else {
+    let Some(Effect::Condition(it)) = compiled.calibration().terms[0].map(|term| term.effect)
+    else {
         panic!("no condition");
     };
     assert_eq!((it.bit, it.default, it.off), (4, true, 0));

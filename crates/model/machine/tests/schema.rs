@@ -66,8 +66,8 @@ fn check(schema: &Value, value: &Value, at: &str) -> Result<(), String> {
         let (before, after) =
             pattern.trim_matches(['^', '$']).split_once(".+").expect("known form");
         name.strip_prefix(before)
-            .and_then(|it| it.strip_suffix(after))
-            .is_some_and(|it| !it.is_empty())
+            .and_then(|rest| rest.strip_suffix(after))
+            .is_some_and(|middle| !middle.is_empty())
     };
     for (keyword, rule) in schema.as_object().expect("a schema") {
         match keyword.as_str() {
@@ -132,8 +132,11 @@ fn check(schema: &Value, value: &Value, at: &str) -> Result<(), String> {
         let at = format!("{at}.{name}");
         let own = schema["properties"].get(name);
         let patterns = schema["patternProperties"].as_object();
-        let by_pattern =
-            patterns.into_iter().flatten().find(|(it, _)| pattern(it, name)).map(|it| it.1);
+        let by_pattern = patterns
+            .into_iter()
+            .flatten()
+            .find(|(candidate, _)| pattern(candidate, name))
+            .map(|pattern| pattern.1);
         match own.or(by_pattern) {
             Some(rule) => check(rule, field, &at)?,
             None if schema["additionalProperties"] == false => {
@@ -248,7 +251,7 @@ fn file_with(name: &str, keys: &[Key], more: &[(&str, &str)]) -> String {
     let mut more = more.to_vec();
     let mut beside = |section: &str, key: &'static str, value: &'static str, without: &[&str]| {
         // Of the kind that was asked for there are none of them.
-        if name == section && !has(key) && !without.iter().any(|it| has(it)) {
+        if name == section && !has(key) && !without.iter().any(|key| has(key)) {
             more.push((key, value));
         }
     };
@@ -264,7 +267,7 @@ fn file_with(name: &str, keys: &[Key], more: &[(&str, &str)]) -> String {
     beside("inputs.temp_<name>_c", "zero_counts", "1", &["kind", "zero_v", "c_per_v"]);
     beside("inputs.temp_<name>_c", "counts_per_c", "1", &["kind", "zero_v", "c_per_v"]);
     beside("inputs.temp_<name>_c", "counts_full_scale", "1", &["kind", "zero_v", "c_per_v"]);
-    for key in in_volts.into_iter().filter(|_| in_volts.iter().any(|it| has(it))) {
+    for key in in_volts.into_iter().filter(|_| in_volts.iter().any(|key| has(key))) {
         beside("inputs.temp_<name>_c", key, "1", &["kind"]);
     }
     if name == "spindle" {
@@ -273,7 +276,7 @@ fn file_with(name: &str, keys: &[Key], more: &[(&str, &str)]) -> String {
     if name == "axis.x.pitch" {
         more.iter_mut()
             .filter(|(key, _)| *key == "reverse_um")
-            .for_each(|it| it.1 = "[0.5, 2.0, 2.5]");
+            .for_each(|entry| entry.1 = "[0.5, 2.0, 2.5]");
     }
     if name == "machine" && has("head_axes") {
         more.push(("kind", "\"3-axis\""));
@@ -375,7 +378,7 @@ fn all_that_is_wrong_in_a_file_is_told_at_once_in_the_order_of_its_lines() {
     let text = "[machine]\nname = \"m\"\nkind = \"4-axis\"\n\n[limits]\nslew_um_per_s = -1.0\nhold_ms = 2.5\n\
                 slow = 3\n\n[axis.x.backlash]\nramp_mm = 0.1\n\n[[term]]\ncause = \"backlsh\"\nquantity = \"dx\"\n";
     let error = parse(text).expect_err("six things are wrong");
-    let told: Vec<String> = error.into_single_faults().map(|it| it.to_string()).collect();
+    let told: Vec<String> = error.into_single_faults().map(|fault| fault.to_string()).collect();
     let wanted = [
         "m.toml:3:8: machine.kind must be",
         "m.toml:6:17: limits.slew_um_per_s must be above 0, not -1",

@@ -48,7 +48,7 @@ fn predicted(sections: &str, terms: &str, quantity: Quantity, csv: &str) -> Vec<
     let machine = machine(sections, terms);
     let run = RunFile::from_reader(csv.as_bytes(), Path::new("r.csv")).expect("a run");
     let predictor = Predictor::new(&machine, &run).unwrap_or_else(|error| panic!("{error}"));
-    let index = Quantity::ALL.iter().position(|it| *it == quantity).expect("one of all");
+    let index = Quantity::ALL.iter().position(|other| *other == quantity).expect("one of all");
     predictor.predictions().map(|row| row.model.to_array()[index]).collect()
 }
 
@@ -258,7 +258,7 @@ fn what_only_explains_is_predicted_and_not_for_the_board() {
         let run = RunFile::from_reader(csv.as_bytes(), Path::new("r.csv")).expect("a run");
         let predictor = Predictor::new(&machine, &run).expect("all columns are there");
         let board: Vec<f64> =
-            predictor.predictions().map(|it| it.compensated.elongation_um).collect();
+            predictor.predictions().map(|row| row.compensated.elongation_um).collect();
         assert_near(&board, &[0.0, 10.0, 20.0]);
     }
 }

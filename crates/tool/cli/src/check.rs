@@ -77,11 +77,16 @@ pub fn run(args: &CheckArgs, as_json: bool) -> Result<Outcome> {
         // Said once, as an error.
         let listed: Vec<BadInput> =
             refused.iter().cloned().flat_map(BadInput::into_single_faults).collect();
-        warnings.retain(|it| listed.iter().all(|error| error.place != it.place));
+        warnings.retain(|warning| listed.iter().all(|error| error.place != warning.place));
         doubts += warnings.len();
         if as_json {
-            let object = |it: &Warning| {
-                report::message_json("warning", &it.what, Some(&it.place), Some(&it.help))
+            let object = |warning: &Warning| {
+                report::message_json(
+                    "warning",
+                    &warning.what,
+                    Some(&warning.place),
+                    Some(&warning.help),
+                )
             };
             let warnings: Vec<Value> = warnings.iter().map(object).collect();
             told.push(json!({
@@ -130,7 +135,8 @@ fn check_machine(path: &Path, machine: &Machine, as_json: bool) -> Result<(Vec<W
 
 fn summary_json(machine: &Machine, summary: &Summary) -> Value {
     let axis = |axis: &AxisSummary| {
-        let parts = axis.parts.iter().map(|it| json!({"key": it.key, "largest_um": it.largest_um}));
+        let parts =
+            axis.parts.iter().map(|part| json!({"key": part.key, "largest_um": part.largest_um}));
         let parts: Vec<Value> = parts.collect();
         json!({
             "axis": axis.axis.name(),
@@ -173,7 +179,9 @@ fn check_run(
     }
     let suggestions = check::suggest_conditions(run, machine);
     if !as_json {
-        suggestions.iter().try_for_each(|it| output::print(format_args!("  {it}")))?;
+        suggestions
+            .iter()
+            .try_for_each(|suggestion| output::print(format_args!("  {suggestion}")))?;
     }
     let does = json!({
         "rows": run.row_count(), "known_columns": known, "other_columns": others,

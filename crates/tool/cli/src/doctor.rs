@@ -57,7 +57,7 @@ pub fn run(args: &DoctorArgs, as_json: bool) -> Result<Outcome> {
             .collect();
         output::print(json!({
             "version": VERSION, "programs": programs, "ports": ports_json(&ports),
-            "bridge": answer.as_ref().map(|it| match it { Ok(text) | Err(text) => text }),
+            "bridge": answer.as_ref().map(|answer| match answer { Ok(text) | Err(text) => text }),
         }))?;
     } else {
         output::print(format_args!("trueup           {VERSION}"))?;
@@ -94,7 +94,8 @@ pub fn print_ports(ports: &[FoundPort]) -> Result<()> {
 
 /// Returns the same as JSON.
 pub fn ports_json(ports: &[FoundPort]) -> Value {
-    let port = |it: &FoundPort| json!({"port": it.name, "what": it.what, "obstacle": it.obstacle});
+    let port =
+        |port: &FoundPort| json!({"port": port.name, "what": port.what, "obstacle": port.obstacle});
     ports.iter().map(port).collect()
 }
 
@@ -116,7 +117,7 @@ fn find_on_path(name: &str) -> Option<PathBuf> {
     let ending = env::consts::EXE_SUFFIX;
     env::split_paths(&folders)
         .map(|folder| folder.join(format!("{name}{ending}")))
-        .find(|it| it.is_file())
+        .find(|path| path.is_file())
 }
 
 /// Returns what answers at a port, or why nothing does.

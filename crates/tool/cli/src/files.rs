@@ -69,8 +69,8 @@ pub fn check_before_write(
 ) -> anyhow::Result<Machine> {
     let machine = MachineFile::parse(text, path)?;
     let known = before.map(check::range_findings).unwrap_or_default();
-    let is_new = |it: &Finding| {
-        known.iter().all(|old| old.key != it.key || old.warning.what != it.warning.what)
+    let is_new = |finding: &Finding| {
+        known.iter().all(|old| old.key != finding.key || old.warning.what != finding.warning.what)
     };
     let found: Vec<Finding> = check::range_findings(&machine).into_iter().filter(is_new).collect();
     check_findings(&path.display().to_string(), &found)?;

@@ -217,7 +217,7 @@ fn write_iso230_page(
     }
     let (run, axis, options) = self::position_fit_inputs(input, args)?;
     // Of readings without repeats at targets, or at several feeds, the standard knows no figures.
-    let Some(iso230) = pitch::fit(run, axis, &options).ok().and_then(|it| it.iso230) else {
+    let Some(iso230) = pitch::fit(run, axis, &options).ok().and_then(|fit| fit.iso230) else {
         return Ok(());
     };
     let measured = &common.measured;

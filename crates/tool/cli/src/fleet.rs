@@ -166,9 +166,9 @@ fn run_worker(args: &WorkerArgs, as_json: bool) -> Result<Outcome> {
 }
 
 fn print_failed_jobs(failed: &[JobStatus]) -> Result<()> {
-    failed.iter().try_for_each(|it| {
-        let reason = it.reason.as_deref().unwrap_or("no reason is stored");
-        output::print(format_args!("  failed {} {}: {reason}", it.id, it.machine))
+    failed.iter().try_for_each(|status| {
+        let reason = status.reason.as_deref().unwrap_or("no reason is stored");
+        output::print(format_args!("  failed {} {}: {reason}", status.id, status.machine))
     })
 }
 
@@ -189,7 +189,7 @@ fn print_status(args: &StatusArgs, as_json: bool) -> Result<Outcome> {
     for (state, entries) in [("waiting", &status.waiting), ("running", &status.running)] {
         for JobStatus { id, machine, taken, .. } in entries {
             let taken = taken.filter(|taken| *taken > 1);
-            let taken = taken.map_or(String::new(), |it| format!(", taken {it} times"));
+            let taken = taken.map_or(String::new(), |count| format!(", taken {count} times"));
             output::print(format_args!("  {state} {id} {machine}{taken}"))?;
         }
     }
@@ -252,7 +252,9 @@ fn diagnose(args: &DiagnoseArgs, as_json: bool) -> Result<Outcome> {
     let json = serde_json::to_string_pretty(&series)?;
     let read: Vec<(&str, &[u8])> = whole
         .iter()
-        .filter_map(|it| Some((it.done.id.as_str(), it.files.get(job::DIAGNOSIS_FILE)?.as_slice())))
+        .filter_map(|result| {
+            Some((result.done.id.as_str(), result.files.get(job::DIAGNOSIS_FILE)?.as_slice()))
+        })
         .collect();
     let html =
         html_page::render_html(&series, &args.place.to_string(), &origin::from_contents(&read));
@@ -271,7 +273,7 @@ fn diagnose(args: &DiagnoseArgs, as_json: bool) -> Result<Outcome> {
         for it in &conspicuous {
             output::print(it)?;
         }
-        for it in series.constants.iter().filter(|it| it.machines > 1) {
+        for it in series.constants.iter().filter(|constant| constant.machines > 1) {
             let [value, low, high] = trueup_page::format_with_interval(it.mean.value, it.mean.ci95);
             output::print(format_args!(
                 "{}: {value} ({low} to {high}) on {} machines",

@@ -302,7 +302,7 @@ fn report_status(
     while !shared.is_stop_requested() && !line.is_finished() {
         // Not with the hub held: the reader of the messages may be slow.
         let messages = shared.lock_hub().take_messages();
-        let allowed = messages.iter().filter(|it| journal.is_allowed(shared.now(), it));
+        let allowed = messages.iter().filter(|message| journal.is_allowed(shared.now(), message));
         allowed.for_each(trueup_output::write_diagnostic);
         let now = shared.now();
         if journal.is_due(now, &health::build_status_line(shared, &look())) {

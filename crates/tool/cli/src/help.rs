@@ -199,7 +199,7 @@ fn grouped_commands(tool: &Command) -> String {
         let there = names.iter().filter_map(|name| tool.find_subcommand(name));
         text += &format!("{group}:\n{}\n", there.map(line).collect::<String>());
     }
-    let others = tool.get_subcommands().filter(|it| !is_grouped(it.get_name()));
+    let others = tool.get_subcommands().filter(|subcommand| !is_grouped(subcommand.get_name()));
     let others: String = others.map(line).collect();
     if !others.is_empty() {
         text += &format!("{OTHER_GROUP_HEADING}:\n{others}\n");
@@ -209,7 +209,7 @@ fn grouped_commands(tool: &Command) -> String {
 
 fn with_help_examples(command: Command, path: &str) -> Command {
     let shorts: Vec<_> =
-        command.get_arguments().filter_map(|it| short_option(&command, it)).collect();
+        command.get_arguments().filter_map(|argument| short_option(&command, argument)).collect();
     let command = command.mut_args(|option| with_short_option(option, &shorts));
     let example = EXAMPLES.iter().find(|(name, _)| *name == path);
     let command = match example {
@@ -226,7 +226,8 @@ fn with_help_examples(command: Command, path: &str) -> Command {
 
 /// Returns the name and the letter of an option; a folder next to a file of its own has none.
 fn short_option(command: &Command, option: &Arg) -> Option<&'static (&'static str, char)> {
-    let has = |name: &str| command.get_arguments().any(|it| it.get_long() == Some(name));
+    let has =
+        |name: &str| command.get_arguments().any(|argument| argument.get_long() == Some(name));
     let long = option.get_long()?;
     SHORT_OPTIONS.iter().find(|(name, _)| *name == long && !(long == "out" && has("output")))
 }

@@ -106,13 +106,13 @@ impl CircleTableArgs {
             radius_mm: self.radius?,
             centre_mm: self.centre,
             axes: [axis(), axis()],
-            is_clockwise: self.direction.as_ref().map(|it| it == "cw"),
+            is_clockwise: self.direction.as_ref().map(|direction| direction == "cw"),
         })
     }
 }
 
 fn parse_centre(text: &str) -> Result<[f64; 2], String> {
-    let numbers: Vec<f64> = text.split(',').filter_map(|it| it.trim().parse().ok()).collect();
+    let numbers: Vec<f64> = text.split(',').filter_map(|part| part.trim().parse().ok()).collect();
     match numbers[..] {
         [u, v] if u.is_finite() && v.is_finite() => Ok([u, v]),
         _ => Err("must be two numbers in mm, as in 250,180".into()),
@@ -208,7 +208,8 @@ fn prompt_for_answer(question: &Question) -> Result<String> {
     const OTHER_CHOICE: &str = "another one";
     let prompt = format!("line {}: {}", question.place.line, escape_line(&question.text));
     let is_column = matches!(question.topic, Topic::Column(_));
-    let mut items: Vec<String> = question.choices.iter().map(|it| escape_line(it)).collect();
+    let mut items: Vec<String> =
+        question.choices.iter().map(|choice| escape_line(choice)).collect();
     if is_column && !question.choices.iter().any(|choice| choice == "-") {
         items.push("- (leave it out)".into());
     }
@@ -302,10 +303,10 @@ fn print(args: &ImportArgs, imported: &ImportedRun, as_json: bool) -> Result<()>
     if as_json {
         let columns: Vec<_> = columns
             .iter()
-            .map(|it| {
+            .map(|column| {
                 json!({
-                    "header": it.header, "name": it.name, "unit_before": it.unit_before,
-                    "unit_after": it.unit_after, "samples": it.samples,
+                    "header": column.header, "name": column.name, "unit_before": column.unit_before,
+                    "unit_after": column.unit_after, "samples": column.samples,
                 })
             })
             .collect();
@@ -315,22 +316,28 @@ fn print(args: &ImportArgs, imported: &ImportedRun, as_json: bool) -> Result<()>
         }));
     }
     output::print(format_args!("{}: {}, {rows} rows", args.file.display(), form.join(", ")))?;
-    let unit =
-        |it: &trueup_import::ColumnPreview| match (it.unit_before.as_str(), it.unit_after.as_str())
-        {
-            ("", "") => "no unit".to_string(),
-            ("", after) => after.to_string(),
-            (before, after) if before == after => after.to_string(),
-            (before, after) => format!("{before} → {after}"),
-        };
+    let unit = |preview: &trueup_import::ColumnPreview| match (
+        preview.unit_before.as_str(),
+        preview.unit_after.as_str(),
+    ) {
+        ("", "") => "no unit".to_string(),
+        ("", after) => after.to_string(),
+        (before, after) if before == after => after.to_string(),
+        (before, after) => format!("{before} → {after}"),
+    };
     let table: Vec<[String; 4]> = columns
         .iter()
-        .map(|it| {
-            let samples = it.samples.iter().map(|[before, after]| match before == after {
+        .map(|column| {
+            let samples = column.samples.iter().map(|[before, after]| match before == after {
                 true => before.clone(),
                 false => format!("{before} → {after}"),
             });
-            [it.header.clone(), it.name.clone(), unit(it), samples.collect::<Vec<_>>().join("; ")]
+            [
+                column.header.clone(),
+                column.name.clone(),
+                unit(column),
+                samples.collect::<Vec<_>>().join("; "),
+            ]
         })
         .collect();
     let head = ["in the file", "in the run file", "unit", "first values"].map(String::from);

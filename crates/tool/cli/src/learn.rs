@@ -150,7 +150,8 @@ pub fn run(args: &LearnArgs, as_json: bool) -> Result<Outcome> {
             print(path, learned)?;
             print_live_corrections(live.ok())?;
         }
-        let is_refused = !learned.readings.iter().any(|it| it.used) && !learned.readings.is_empty();
+        let is_refused =
+            !learned.readings.iter().any(|reading| reading.used) && !learned.readings.is_empty();
         if is_refused || learned.is_held || !learned.news.is_empty() {
             outcome = Outcome::NotMet;
         }
@@ -267,7 +268,7 @@ fn current_constants(learned: &LearningResult) -> Vec<LearnedConstant<'_>> {
 fn learning_json(learned: &LearningResult, live: Option<&LiveUpdate>) -> Value {
     let constants: Vec<Value> = current_constants(learned)
         .iter()
-        .map(|it| json!({"key": it.key, "file": it.file, "learned": it.learned, "half_width": it.half_width}))
+        .map(|constant| json!({"key": constant.key, "file": constant.file, "learned": constant.learned, "half_width": constant.half_width}))
         .collect();
     // Not what was known before: that is for --undo.
     let memory = &learned.memory;
@@ -279,7 +280,7 @@ fn learning_json(learned: &LearningResult, live: Option<&LiveUpdate>) -> Value {
     };
     let changes: Vec<Value> = memory.changes.iter().map(listed).collect();
     json!({
-        "used": learned.readings.iter().filter(|it| it.used).count(),
+        "used": learned.readings.iter().filter(|reading| reading.used).count(),
         "readings": learned.readings,
         "constants": constants,
         "changes": changes,
@@ -287,7 +288,7 @@ fn learning_json(learned: &LearningResult, live: Option<&LiveUpdate>) -> Value {
         "new_events": learned.news,
         "seen": learned.seen,
         "notes": learned.notes,
-        "live": live.map(|it| json!({"told": live_update::describe_amounts(&it.amounts.map(i32::from)), "by_new_file": it.rest})),
+        "live": live.map(|change| json!({"told": live_update::describe_amounts(&change.amounts.map(i32::from)), "by_new_file": change.rest})),
     })
 }
 
@@ -297,11 +298,11 @@ fn print_live_corrections(live: Option<LiveUpdate>) -> Result<()> {
     if let Some(text) = live_update::describe_amounts(&amounts.map(i32::from)) {
         output::print(format_args!("  trueup linuxcnc --learned tells the bridge: {text}"))?;
     }
-    rest.iter().try_for_each(|it| output::print(format_args!("  {it}")))
+    rest.iter().try_for_each(|line| output::print(format_args!("  {line}")))
 }
 
 fn print(path: &Path, learned: &LearningResult) -> Result<()> {
-    let used = learned.readings.iter().filter(|it| it.used).count();
+    let used = learned.readings.iter().filter(|reading| reading.used).count();
     let all = learned.readings.len();
     output::print(format_args!("{}: {used} of {all} readings used", path.display()))?;
     for it in learned.readings.iter() {

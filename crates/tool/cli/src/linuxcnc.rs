@@ -182,7 +182,7 @@ pub fn run(args: &LinuxCncArgs, as_json: bool) -> Result<Outcome> {
             None
         })
     };
-    let calibration = compiled.map(|it| it.crc());
+    let calibration = compiled.map(|compiled| compiled.crc());
     let state = || {
         let folder = args.ini.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
         args.state.clone().unwrap_or_else(|| folder.join(format!("{}.calibration", args.name)))
@@ -246,7 +246,7 @@ pub fn run(args: &LinuxCncArgs, as_json: bool) -> Result<Outcome> {
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
     let learned =
         args.learned.clone().zip(machine).map(|(path, machine)| watch_learned_file(path, machine));
-    let news = learned.map(|it| move || it.try_recv().ok());
+    let news = learned.map(|receiver| move || receiver.try_recv().ok());
     let ended =
         run::run(&settings, move || port.open(), &stop, record, news, |text| log.write(text));
     log.finish();

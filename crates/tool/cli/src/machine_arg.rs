@@ -76,7 +76,8 @@ pub fn with_machine_option(tool: &Command, words: Vec<OsString>) -> Vec<OsString
 /// Returns the files that a command requires as words of its own: `import FILE`.
 fn required_file_args(command: &Command) -> impl Iterator<Item = &Arg> {
     let positionals = command.get_positionals();
-    positionals.filter(|it| it.is_required_set() && it.get_possible_values().is_empty())
+    positionals
+        .filter(|argument| argument.is_required_set() && argument.get_possible_values().is_empty())
 }
 
 fn is_machine_option(option: &str) -> bool {

@@ -308,7 +308,7 @@ mod tests {
             assert!(
                 taken.is_ok(),
                 "{line}: {}",
-                taken.err().map(|it| it.to_string()).unwrap_or_default()
+                taken.err().map(|error| error.to_string()).unwrap_or_default()
             );
         }
     }

@@ -116,7 +116,9 @@ pub enum ControlArg {
 
 fn parse_travel(text: &str) -> Result<(LinearAxis, [f64; 2]), String> {
     let (axis, range) = text.split_once('=').ok_or("must be an axis and its ends: x=0:600")?;
-    let axis = LinearAxis::ALL.into_iter().find(|it| it.name() == axis.trim().to_lowercase());
+    let axis = LinearAxis::ALL
+        .into_iter()
+        .find(|candidate| candidate.name() == axis.trim().to_lowercase());
     Ok((axis.ok_or("the axis must be x, y or z")?, questions::parse_travel(range)?))
 }
 
@@ -203,7 +205,8 @@ fn template_from_flags(args: &NewArgs) -> Result<Template, UserError> {
     if kind == MachineKind::Lathe && axes.iter().any(|(axis, _)| *axis == LinearAxis::Y) {
         return Err(UserError("--travel y: a lathe is asked for X (radius) and Z; write [axis.y] yourself if it has one".into()));
     }
-    let twice = |name: &&String| args.thermometer.iter().filter(|it| it == name).count() > 1;
+    let twice =
+        |name: &&String| args.thermometer.iter().filter(|candidate| candidate == name).count() > 1;
     if let Some(name) = args.thermometer.iter().find(twice) {
         return Err(UserError(format!("--thermometer {name} is given twice")));
     }

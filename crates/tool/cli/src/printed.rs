@@ -20,10 +20,10 @@ fn collect_files(folder: &Path, extension: &str, found: &mut Vec<std::path::Path
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let path = entry.path();
         let is_left_out =
-            ["target", "tests", "examples", "book.out"].iter().any(|it| path.ends_with(it));
+            ["target", "tests", "examples", "book.out"].iter().any(|folder| path.ends_with(folder));
         if path.is_dir() && !is_left_out {
             collect_files(&path, extension, found);
-        } else if path.extension().is_some_and(|it| it == extension) {
+        } else if path.extension().is_some_and(|actual| actual == extension) {
             found.push(path);
         }
     }
@@ -45,7 +45,7 @@ fn extract_commands(place: &str, text: &str) -> Vec<DocumentedCommand> {
             is_whole,
         };
         if !is_code {
-            all.extend(inline_code_spans(line).map(|it| printed(it, false)));
+            all.extend(inline_code_spans(line).map(|span| printed(span, false)));
             continue;
         }
         // A line goes on behind a backslash.
@@ -63,7 +63,7 @@ fn extract_commands(place: &str, text: &str) -> Vec<DocumentedCommand> {
 }
 
 fn inline_code_spans(text: &str) -> impl Iterator<Item = &str> {
-    text.split('`').skip(1).step_by(2).filter(|it| it.starts_with("trueup "))
+    text.split('`').skip(1).step_by(2).filter(|part| part.starts_with("trueup "))
 }
 
 /// Returns the words of a line without what is said about it: a comment, a redirection, what follows two spaces.
@@ -86,7 +86,8 @@ fn rejection_reason(it: &DocumentedCommand) -> Option<String> {
     words.retain(|word| !word.contains('…') && word != "...");
     let error = Cli::parse_command_line(&words).err()?;
     let stands_for_others = |word: &String| {
-        word.len() > 1 && word.chars().all(|it| it.is_ascii_uppercase() || it == '_')
+        word.len() > 1
+            && word.chars().all(|character| character.is_ascii_uppercase() || character == '_')
     };
     let is_taken = match error.kind() {
         ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => true,
@@ -123,15 +124,15 @@ fn every_command_that_is_printed_is_one_that_the_tool_takes() {
     for path in &sources {
         // What stands in the text of a message; a `{}` is filled in when it is printed.
         for line in read(path).lines() {
-            let found = inline_code_spans(line).filter(|it| !it.contains('{'));
-            all.extend(found.map(|it| DocumentedCommand {
+            let found = inline_code_spans(line).filter(|span| !span.contains('{'));
+            all.extend(found.map(|line| DocumentedCommand {
                 place: name(path),
-                line: it.into(),
+                line: line.into(),
                 is_whole: false,
             }));
         }
     }
-    let whole = all.iter().filter(|it| it.is_whole).count();
+    let whole = all.iter().filter(|command| command.is_whole).count();
     assert!(
         of_pages > 150 && whole > 20 && all.len() > of_pages + 20,
         "{of_pages}, {whole}, {}",
@@ -139,7 +140,9 @@ fn every_command_that_is_printed_is_one_that_the_tool_takes() {
     );
     let refused: Vec<String> = all
         .iter()
-        .filter_map(|it| Some(format!("{}: {}: {}", it.place, it.line, rejection_reason(it)?)))
+        .filter_map(|command| {
+            Some(format!("{}: {}: {}", command.place, command.line, rejection_reason(command)?))
+        })
         .collect();
     assert!(refused.is_empty(), "{}", refused.join("\n"));
 }

@@ -226,9 +226,9 @@ fn complete_commands(then: &[String], args: &ProgramArgs) -> Vec<String> {
     let mut machine = args.machine.clone();
     let mut lines = Vec::new();
     for line in then {
-        let words = line.split(' ').map(|it| match it.ends_with(".csv") {
-            true => word(&args.out.join(it)),
-            false => it.to_string(),
+        let words = line.split(' ').map(|part| match part.ends_with(".csv") {
+            true => word(&args.out.join(part)),
+            false => part.to_string(),
         });
         let words: Vec<String> = words.collect();
         let with = format!("{} --machine {}", words.join(" "), word(&machine));

@@ -366,7 +366,7 @@ fn prompt_optional<T>(
     let read = |text: &str| match text.trim() {
         "" => Ok(PromptAnswer::Given(None)),
         BACK_INPUT => Ok(PromptAnswer::Back),
-        text => read(text).map(|it| PromptAnswer::Given(Some(it))),
+        text => read(text).map(|answer| PromptAnswer::Given(Some(answer))),
     };
     let text: String = Input::new()
         .with_prompt(format!("{prompt} (empty: {what})"))

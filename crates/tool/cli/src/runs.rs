@@ -22,9 +22,9 @@ pub fn read(path: &Path) -> Result<RunFile, BadInput> {
         Ok(run) if is_run(&run) => Ok(run),
         // A pipe has been read.
         other
-            if !path
-                .metadata()
-                .is_ok_and(|it| it.is_file() && it.len() <= MAX_IMPORT_PROBE_BYTES) =>
+            if !path.metadata().is_ok_and(|metadata| {
+                metadata.is_file() && metadata.len() <= MAX_IMPORT_PROBE_BYTES
+            }) =>
         {
             other
         }

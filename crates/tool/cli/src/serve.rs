@@ -88,7 +88,7 @@ fn parse_node_name(text: &str) -> Result<String, String> {
 
 /// Parses the time from one row to the next.
 fn parse_row_period_s(text: &str) -> Result<f64, String> {
-    let seconds = text.parse().ok().filter(|it| (0.1..=3_600.0).contains(it));
+    let seconds = text.parse().ok().filter(|value| (0.1..=3_600.0).contains(value));
     seconds.ok_or_else(|| "has 0.1 to 3600 s".into())
 }
 
@@ -105,7 +105,7 @@ pub fn run(args: &ServeArgs) -> Result<Outcome> {
 }
 
 fn options_from_args(args: &ServeArgs) -> Result<PublisherOptions> {
-    let ports: Result<Vec<Port>, _> = args.ports.iter().map(|it| Port::parse(it)).collect();
+    let ports: Result<Vec<Port>, _> = args.ports.iter().map(|port| Port::parse(port)).collect();
     let broker = args.mqtt.as_deref().map(|url| broker_from_args(args, url)).transpose()?;
     let mtconnect =
         args.mtconnect.as_deref().map(resolve_listen_addresses).transpose()?.unwrap_or_default();
@@ -138,7 +138,7 @@ fn broker_from_args(args: &ServeArgs, url: &str) -> Result<BrokerConfig> {
 fn read_password(path: &Path) -> Result<String, UserError> {
     let place = path.display();
     let text = fs::read_to_string(path).map_err(|error| UserError(format!("{place}: {error}")))?;
-    let first = text.lines().next().filter(|it| !it.is_empty());
+    let first = text.lines().next().filter(|line| !line.is_empty());
     first.map(str::to_owned).ok_or_else(|| UserError(format!("{place}: its first line is empty")))
 }
 

@@ -56,8 +56,10 @@ fn unused_inputs(machine: &Machine) -> Vec<String> {
     let Some(inputs) = &machine.inputs else { return Vec::new() };
     let sensor = inputs.sensor.is_some().then_some(("sensor", "sensor_counts"));
     let names = inputs.temperatures.keys().map(|name| (name.as_str(), name.as_str()));
-    let unused =
-        sensor.into_iter().chain(names).filter(|(_, column)| !used.iter().any(|it| it == column));
+    let unused = sensor
+        .into_iter()
+        .chain(names)
+        .filter(|(_, column)| !used.iter().any(|other| other == column));
     unused.map(|(name, _)| name.to_string()).collect()
 }
 

@@ -94,7 +94,9 @@ impl CncState {
     /// Returns the cells of a row at this time of the bridge, empty where nothing is known.
     pub(crate) fn cells(&self, now_ms: u64) -> impl Iterator<Item = String> {
         DECIMALS.into_iter().enumerate().map(move |(column, decimals)| {
-            self.value(column, now_ms).map(|it| format!("{it:.decimals$}")).unwrap_or_default()
+            self.value(column, now_ms)
+                .map(|value| format!("{value:.decimals$}"))
+                .unwrap_or_default()
         })
     }
 }
@@ -126,7 +128,8 @@ mod tests {
         assert_eq!(at(1_501), ",,,,-123.45678,,,-1,-90.0000,1.2345");
         assert_eq!(at(1_801), ",,,,,,,,,");
         assert_eq!(cnc.position_mm(1_700), [None, None, Some(-123.456_78)]);
-        let [first, second] = cnc.rotary_angles_deg(1_800).map(|it| it.expect("heard"));
+        let [first, second] =
+            cnc.rotary_angles_deg(1_800).map(|angle_deg| angle_deg.expect("heard"));
         // The wire has 0.0001°.
         assert!(first == -90.0 && (second - 1.234_567).abs() < 1e-4, "{first} {second}");
         assert_eq!((cnc.spindle_rpm(1_500), cnc.load_n(1_501)), (Some(12_000.0), None));

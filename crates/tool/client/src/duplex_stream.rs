@@ -25,5 +25,7 @@ pub fn is_timeout(error: &io::Error) -> bool {
 #[must_use]
 pub fn is_busy(error: &io::Error) -> bool {
     error.kind() == io::ErrorKind::ResourceBusy
-        || ["exclusive lock", "resource busy"].iter().any(|it| error.to_string().contains(it))
+        || ["exclusive lock", "resource busy"]
+            .iter()
+            .any(|phrase| error.to_string().contains(phrase))
 }

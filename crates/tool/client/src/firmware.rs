@@ -212,7 +212,7 @@ pub fn restart(session: &mut Session, slot: Slot) -> Result<FirmwareSlots> {
     require_service(session)?;
     restart_until(
         session,
-        |it| FirmwareSlots::read(it)?.context("the board has no firmware slots any more"),
+        |client| FirmwareSlots::read(client)?.context("the board has no firmware slots any more"),
         |now| now.running == slot || now.content(slot).status == Some(ImageStatus::Rejected),
     )
 }

@@ -140,8 +140,8 @@ impl FirmwareFile {
 /// Reads the part at the beginning of these bytes.
 fn read_part(bytes: &[u8]) -> Result<SlotFirmware, FormatViolation> {
     let header: &[u8; HEADER_SIZE] = bytes.first_chunk().ok_or(FormatViolation::ShortHeader)?;
-    let (_, decoded) =
-        Header::decode(header).map_err(|it| FormatViolation::Defect(ImageDefect::Header(it)))?;
+    let (_, decoded) = Header::decode(header)
+        .map_err(|error| FormatViolation::Defect(ImageDefect::Header(error)))?;
     // Which version may start is the board's to know.
     let image = check_header(header, decoded.slot, SLOT_SIZE, Version(0))
         .map_err(FormatViolation::Defect)?;
@@ -233,7 +233,7 @@ mod tests {
             let read = FirmwareFile::parse(&file).expect("an update");
             assert_eq!(read.version(), Version::new(1, 2, 0, 0));
             for (slot, bytes, has) in [(Slot::A, &a, has[0]), (Slot::B, &b, has[1])] {
-                assert_eq!(read.part(slot).map(|it| &it.bytes), has.then_some(bytes));
+                assert_eq!(read.part(slot).map(|part| &part.bytes), has.then_some(bytes));
             }
         }
     }
@@ -265,7 +265,7 @@ mod tests {
         let newer = [&a[..], &part(Slot::B, 3)].concat();
         let (first, second) = (Version::new(1, 2, 0, 0), Version::new(1, 3, 0, 0));
         assert_eq!(refused(&newer), (PART, FormatViolation::OtherVersion { first, second }));
-        let other_floor = signed(Slot::B, 2, |it| it.floor = Version(1));
+        let other_floor = signed(Slot::B, 2, |header| header.floor = Version(1));
         let rule = FormatViolation::OtherVersion { first, second: first };
         assert_eq!(refused(&[&a[..], &other_floor].concat()), (PART, rule));
         assert_eq!(
@@ -284,15 +284,21 @@ mod tests {
     fn what_a_header_must_not_say_is_refused_though_nothing_is_damaged() {
         let defect = |change: fn(&mut Header)| refused(&signed(Slot::A, 2, change)).1;
         assert_eq!(
-            defect(|it| it.floor = Version(u32::MAX)),
+            defect(|header| header.floor = Version(u32::MAX)),
             FormatViolation::Defect(ImageDefect::OwnFloor)
         );
-        assert_eq!(defect(|it| it.length += 1), FormatViolation::Defect(ImageDefect::Length));
         assert_eq!(
-            defect(|it| it.length = SLOT_SIZE + 4),
+            defect(|header| header.length += 1),
             FormatViolation::Defect(ImageDefect::Length)
         );
-        assert_eq!(defect(|it| it.crc ^= 1), FormatViolation::Defect(ImageDefect::Crc));
-        assert_eq!(defect(|it| it.digest[7] ^= 1), FormatViolation::Defect(ImageDefect::Digest));
+        assert_eq!(
+            defect(|header| header.length = SLOT_SIZE + 4),
+            FormatViolation::Defect(ImageDefect::Length)
+        );
+        assert_eq!(defect(|header| header.crc ^= 1), FormatViolation::Defect(ImageDefect::Crc));
+        assert_eq!(
+            defect(|header| header.digest[7] ^= 1),
+            FormatViolation::Defect(ImageDefect::Digest)
+        );
     }
 }

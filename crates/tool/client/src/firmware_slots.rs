@@ -145,7 +145,7 @@ impl SlotContent {
 
     fn to_json(self) -> Value {
         json!({
-            "version": self.version.map(|it| it.to_string()),
+            "version": self.version.map(|version| version.to_string()),
             "status": self.status_name(),
             "starts": self.trial_starts(),
         })
@@ -310,7 +310,7 @@ impl FirmwareSlots {
             return Err(UnsuitableFirmware::BelowFloor { file: version, floor });
         }
         // One whose status is not known is the board's to refuse.
-        let is_confirmed = ours.status.is_none_or(|it| it == ImageStatus::Confirmed);
+        let is_confirmed = ours.status.is_none_or(|status| status == ImageStatus::Confirmed);
         if !is_confirmed && self.content(spare).is_eligible() {
             return Err(UnsuitableFirmware::OnTrial);
         }

@@ -186,7 +186,7 @@ impl LatencyMonitor {
     /// Returns whether no adapter answers here.
     fn is_adapter_missing(&self, now: Instant) -> bool {
         let heard_for = self.first_byte.map(|first| now.saturating_duration_since(first));
-        self.fastest.is_none() && heard_for.is_some_and(|it| it > FIRST_RESPONSE_TIMEOUT)
+        self.fastest.is_none() && heard_for.is_some_and(|elapsed| elapsed > FIRST_RESPONSE_TIMEOUT)
     }
 }
 

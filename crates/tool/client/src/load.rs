@@ -205,7 +205,11 @@ pub fn restart_with_permission(session: &mut Session, wanted: u32) -> Result<u32
 /// # Errors
 /// The bridge does not come back.
 pub fn restart(session: &mut Session, wanted: u32) -> Result<u32> {
-    restart_until(session, |it| object::read_number(it, RUNNING_CRC), |running| *running == wanted)
+    restart_until(
+        session,
+        |client| object::read_number(client, RUNNING_CRC),
+        |running| *running == wanted,
+    )
 }
 
 /// Lets the bridge restart, and asks it until the answer is the expected one, or until another one has lasted for
@@ -244,7 +248,7 @@ pub(crate) fn require_service(session: &mut Session) -> Result<()> {
     let begin = Instant::now();
     let [none, given, open] =
         [WriteAuthority::NoMaster, WriteAuthority::Service, WriteAuthority::SwitchOpen]
-            .map(|it| it as u32);
+            .map(|authority| authority as u32);
     // Its own, which an earlier step has begun.
     let mut says = session.is_sending_service();
     let accepted = object::read_number(session, ACCEPTED_FRAMES)?;
@@ -290,7 +294,8 @@ pub(crate) fn require_service(session: &mut Session) -> Result<()> {
 pub(crate) fn read_link_timeout(session: &mut Session) -> Result<Duration> {
     let blob = read_running_calibration(session, |_, _| ())?.unwrap_or_default();
     // Without one that can be read: the largest.
-    let ms = decode(&blob).map_or(MAX_LINK_TIMEOUT_MS, |it| it.limits.link_timeout_ms);
+    let ms =
+        decode(&blob).map_or(MAX_LINK_TIMEOUT_MS, |calibration| calibration.limits.link_timeout_ms);
     Ok(Duration::from_millis(ms.into()))
 }
 

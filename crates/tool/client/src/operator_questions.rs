@@ -22,7 +22,8 @@ pub const CONFIRM_INSTRUCTIONS: &str = "an edge of Confirm at the CNC answers on
 #[must_use]
 pub fn open_questions(state: StateBits) -> Vec<(&'static str, &'static str)> {
     let open = QUESTION_ORDER.into_iter().filter(|question| state.contains(*question));
-    let words = open.filter_map(|bit| StateBits::NAMES.into_iter().find(|(it, _)| *it == bit));
+    let words = open
+        .filter_map(|bit| StateBits::NAMES.into_iter().find(|(candidate, _)| *candidate == bit));
     words.flat_map(|(_, word)| find_remedies(&[word])).collect()
 }
 

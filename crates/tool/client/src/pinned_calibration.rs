@@ -129,7 +129,9 @@ pub fn default_state_path(port: &str, variable: impl Fn(&str) -> Option<OsString
 /// Returns the folder that systemd, the desktop or the user's home has for states; `None`: none of them has one.
 pub(crate) fn state_folder(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
     let of = |name: &str, below: &str| {
-        variable(name).filter(|it| !it.is_empty()).map(|it| PathBuf::from(it).join(below))
+        variable(name)
+            .filter(|value| !value.is_empty())
+            .map(|value| PathBuf::from(value).join(below))
     };
     of("STATE_DIRECTORY", "")
         .or_else(|| of("XDG_STATE_HOME", "trueup"))

@@ -133,7 +133,7 @@ mod tests {
         let start = Instant::now();
         let period = Duration::from_millis(200);
         let mut poll = ObjectPoller::new(AT, period, start);
-        assert!(poll.take_due_request(start).is_some_and(|it| it.id() == SDO_REQUEST_ID));
+        assert!(poll.take_due_request(start).is_some_and(|frame| frame.id() == SDO_REQUEST_ID));
         assert_eq!(poll.take_due_request(start + period), None, "the answer has not come");
         let value = own_answer(0x43, [1, 2, 3, 4]);
         assert_eq!(poll.receive(&value, start), PollOutcome::Bytes(vec![1, 2, 3, 4]));

@@ -86,10 +86,15 @@ mod tests {
         }
         let mut found = list_can_interfaces(folder.path());
         found.sort_by(|a, b| a.name.cmp(&b.name));
-        let names: Vec<&str> = found.iter().map(|it| it.name.as_str()).collect();
+        let names: Vec<&str> = found.iter().map(|port| port.name.as_str()).collect();
         assert_eq!(names, ["can0", "can1"]);
         assert_eq!(found[0].obstacle, None);
-        assert!(found[1].obstacle.as_ref().is_some_and(|it| it.contains("ip link set can1 up")));
+        assert!(
+            found[1]
+                .obstacle
+                .as_ref()
+                .is_some_and(|obstacle| obstacle.contains("ip link set can1 up"))
+        );
     }
 
     #[test]

@@ -22,7 +22,11 @@ pub fn port_holder(port: &Port) -> Option<String> {
     let targets: Vec<PathBuf> = match port {
         Port::Serial(device) => vec![fs::canonicalize(device).ok()?],
         Port::Tcp(address) => {
-            let server = address.to_socket_addrs().ok()?.find(|it| it.ip().is_loopback())?.port();
+            let server = address
+                .to_socket_addrs()
+                .ok()?
+                .find(|endpoint| endpoint.ip().is_loopback())?
+                .port();
             let tables = ["/proc/net/tcp", "/proc/net/tcp6"];
             let tables = tables.iter().filter_map(|path| fs::read_to_string(path).ok());
             tables.flat_map(|table| client_sockets(&table, server)).collect()
@@ -57,7 +61,7 @@ fn has_open_file(process: u32, targets: &[PathBuf]) -> bool {
     files
         .flatten()
         .filter_map(|file| fs::read_link(file.path()).ok())
-        .any(|it| targets.contains(&it))
+        .any(|target| targets.contains(&target))
 }
 
 /// Returns the sockets of the clients of a server, as the files of a process are called, in a table like

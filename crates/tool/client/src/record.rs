@@ -102,7 +102,8 @@ impl Recorder {
             Some(machine) => Columns::from_machine(&MachineFile::read(machine)?),
             None => Columns::with_default_names(),
         };
-        let is_file = path.extension().is_some_and(|it| it == "log" || it == "csv");
+        let is_file =
+            path.extension().is_some_and(|extension| extension == "log" || extension == "csv");
         let log = if is_file {
             path.with_extension("log")
         } else {
@@ -241,14 +242,16 @@ impl Recorder {
         });
         cells.extend(self.columns.temperatures.iter().map(|(channel, _)| {
             let centi_c = self.board.centi_c.get(usize::from(*channel)).copied().flatten();
-            format_decimals(centi_c.map(|it| f64::from(it) / 100.0), 2)
+            format_decimals(centi_c.map(|centi_c| f64::from(centi_c) / 100.0), 2)
         }));
         cells.extend(self.cnc.cells(self.clock.ms));
         let conditions = self.cnc.conditions(self.clock.ms);
-        let cell = |value: Option<u16>| value.map(|it| it.to_string()).unwrap_or_default();
-        cells.push(cell(conditions.map(|it| it.tool)));
+        let cell = |value: Option<u16>| value.map(|value| value.to_string()).unwrap_or_default();
+        cells.push(cell(conditions.map(|conditions| conditions.tool)));
         let bits = self.columns.conditions.iter();
-        cells.extend(bits.map(|(bit, _)| cell(conditions.map(|it| it.is_set(*bit).into()))));
+        cells.extend(
+            bits.map(|(bit, _)| cell(conditions.map(|conditions| conditions.is_set(*bit).into()))),
+        );
         cells.join(",")
     }
 }
@@ -271,7 +274,8 @@ impl Columns {
             *name = format!("{}_deg", axis.name());
         }
         let conditions = machine.inputs.iter().flat_map(|inputs| &inputs.conditions);
-        let conditions = conditions.map(|(name, it)| (it.bit, name.clone())).collect();
+        let conditions =
+            conditions.map(|(name, conditions)| (conditions.bit, name.clone())).collect();
         Self { temperatures, sensor: machine.board_sensor_model().cloned(), angles, conditions }
     }
 

@@ -52,8 +52,8 @@ impl BridgeReference {
         let origin = optional(session, object::REFERENCE_ORIGIN);
         all.origin = origin.and_then(|number| {
             let [what, origin, ..] = number.to_le_bytes();
-            let what = WriteKind::ALL.into_iter().find(|it| *it as u8 == what)?;
-            Some((what, WriteOrigin::ALL.into_iter().find(|it| *it as u8 == origin)?))
+            let what = WriteKind::ALL.into_iter().find(|kind| *kind as u8 == what)?;
+            Some((what, WriteOrigin::ALL.into_iter().find(|candidate| *candidate as u8 == origin)?))
         });
         all.utc_s = optional(session, object::REFERENCE_UTC).filter(|utc_s| *utc_s != 0);
         all.age_s = optional(session, object::REFERENCE_AGE).filter(|age_s| *age_s != UNKNOWN_AGE);

@@ -118,10 +118,11 @@ impl BoardStatus {
     /// Returns the temperatures that are known, the faults, and what the board has refused, if anything.
     #[must_use]
     pub fn to_text(&self) -> String {
-        let known =
-            (0..).zip(self.centi_c).filter_map(|(channel, it): (u8, _)| Some((channel, it?)));
+        let known = (0..)
+            .zip(self.centi_c)
+            .filter_map(|(channel, centi_c): (u8, _)| Some((channel, centi_c?)));
         let mut text: String = known
-            .map(|(channel, it)| format!("  T{channel} {:.2} °C", f64::from(it) / 100.0))
+            .map(|(channel, centi_c)| format!("  T{channel} {:.2} °C", f64::from(centi_c) / 100.0))
             .collect();
         let refused = [
             ("damaged", self.damaged),
@@ -148,7 +149,7 @@ impl BoardStatus {
     #[must_use]
     pub fn to_json(&self) -> Value {
         json!({
-            "temps_c": self.centi_c.map(|it| it.map(|centi_c| f64::from(centi_c) / 100.0)),
+            "temps_c": self.centi_c.map(|channel| channel.map(|centi_c| f64::from(centi_c) / 100.0)),
             "elongation_um": self.elongation_um(),
             "noise_codes": self.rms_noise_codes(),
             "faults": fault_names(Faults::from_words(self.faults.into(), 0)),

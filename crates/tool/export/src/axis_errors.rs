@@ -238,11 +238,12 @@ pub(crate) fn unsupported_volume_terms(machine: &Machine, format: Format) -> Vec
     const ROTARY_AXIS_REASON: &str = "where the line of a rotary axis is stands in the control's own kinematics (swivel or \
                         transformation data); the bridge corrects it";
     let angles = machine.volume.angular.iter();
-    left_out.extend(angles.map(|it| (format!("angular.{}", it.name()), by_lever.to_string())));
-    let lines = machine.volume.rotary.iter().filter(|it| !it.is_error_free());
-    left_out.extend(
-        lines.map(|it| (format!("rotary.{}", it.axis.name()), ROTARY_AXIS_REASON.to_string())),
-    );
+    left_out
+        .extend(angles.map(|motion| (format!("angular.{}", motion.name()), by_lever.to_string())));
+    let lines = machine.volume.rotary.iter().filter(|location| !location.is_error_free());
+    left_out.extend(lines.map(|location| {
+        (format!("rotary.{}", location.axis.name()), ROTARY_AXIS_REASON.to_string())
+    }));
     left_out
 }
 

@@ -100,7 +100,7 @@ impl CompensationFile {
     #[must_use]
     pub fn value(&self, name: &str, position_mm: f64) -> Option<f64> {
         self.blocks.iter().find_map(|(names, rows)| {
-            let column = names.iter().position(|it| it == name)?;
+            let column = names.iter().position(|candidate| candidate == name)?;
             let above = rows.partition_point(|row| row[0] <= position_mm);
             let around = above.saturating_sub(1)..(above + 1).min(rows.len());
             let points: Vec<(f64, f64)> =
@@ -127,13 +127,13 @@ impl ComponentErrors<'_> {
         let mut um = [0.0; 3];
         // The format has no direction: the mean of both.
         um[self.axis.index()] += self.drive.map_or(0.0, |drive| {
-            Approach::BOTH.iter().map(|it| drive.error_um(mm, *it)).sum::<f64>() / 2.0
+            Approach::BOTH.iter().map(|approach| drive.error_um(mm, *approach)).sum::<f64>() / 2.0
         });
         for cross in &self.cross_axis_errors {
             um[cross.error.index()] += cross.error_um(mm);
         }
         let mut urad = [0.0; 3];
-        for angular in self.machine.volume.angular.iter().filter(|it| it.along == self.axis) {
+        for angular in self.machine.volume.angular.iter().filter(|error| error.along == self.axis) {
             urad[angular.about.index()] = match &angular.angle {
                 Angle::Line(urad_per_m) => urad_per_m * mm / 1000.0,
                 Angle::Curve(spline) => spline_um(spline, mm),
@@ -147,10 +147,10 @@ impl ComponentErrors<'_> {
 
     /// Returns the sections of the machine file that it comes from.
     fn source_sections(&self) -> String {
-        let angles = self.machine.volume.angular.iter().filter(|it| it.along == self.axis);
+        let angles = self.machine.volume.angular.iter().filter(|error| error.along == self.axis);
         let drive = self.drive.map(DriveError::source_sections);
-        let cross_axis_errors = self.cross_axis_errors.iter().map(|it| it.source_sections());
-        let angles = angles.map(|it| format!("angular.{}", it.name()));
+        let cross_axis_errors = self.cross_axis_errors.iter().map(|error| error.source_sections());
+        let angles = angles.map(|motion| format!("angular.{}", motion.name()));
         drive.into_iter().chain(cross_axis_errors).chain(angles).collect::<Vec<_>>().join(" + ")
     }
 
@@ -158,9 +158,9 @@ impl ComponentErrors<'_> {
     fn candidate_positions_mm(&self, (first, last): (f64, f64)) -> Vec<f64> {
         let part = |n: u32| first + (last - first) * f64::from(n) / f64::from(CANDIDATE_COUNT);
         let mut all: Vec<f64> = (0..=CANDIDATE_COUNT).map(part).collect();
-        all.extend(self.drive.iter().flat_map(|it| it.breakpoints_mm()));
-        all.extend(self.cross_axis_errors.iter().flat_map(|it| it.knot_positions_mm()));
-        for angular in self.machine.volume.angular.iter().filter(|it| it.along == self.axis) {
+        all.extend(self.drive.iter().flat_map(|error| error.breakpoints_mm()));
+        all.extend(self.cross_axis_errors.iter().flat_map(|error| error.knot_positions_mm()));
+        for angular in self.machine.volume.angular.iter().filter(|error| error.along == self.axis) {
             if let Angle::Curve(spline) = &angular.angle {
                 all.extend(&spline.knots_mm);
             }
@@ -186,8 +186,8 @@ pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) 
     );
     let mut blocks = 0;
     for axis in LinearAxis::ALL {
-        let drive = all_drives.iter().find(|it| it.axis == axis && !it.is_second);
-        let cross_axis_errors = all_crosses.iter().filter(|it| it.along == axis).collect();
+        let drive = all_drives.iter().find(|drive| drive.axis == axis && !drive.is_second);
+        let cross_axis_errors = all_crosses.iter().filter(|error| error.along == axis).collect();
         let component = ComponentErrors { axis, machine, drive, cross_axis_errors };
         let section = component.source_sections();
         if section.is_empty() {
@@ -245,8 +245,8 @@ pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) 
 fn axis_travel_mm(machine: &Machine, options: &Options, axis: LinearAxis) -> Option<(f64, f64)> {
     let own = machine.axes[axis.index()].travel_mm.map(|[first, last]| (first, last));
     let known = options.travel_mm[axis.index()].or(own);
-    let angles = machine.volume.angular.iter().filter(|it| it.along == axis);
-    let knots = angles.filter_map(|it| match &it.angle {
+    let angles = machine.volume.angular.iter().filter(|error| error.along == axis);
+    let knots = angles.filter_map(|motion| match &motion.angle {
         Angle::Curve(spline) => Some((*spline.knots_mm.first()?, *spline.knots_mm.last()?)),
         Angle::Line(_) => None,
     });
@@ -334,7 +334,11 @@ fn add_rotary_axis_lines(
         for (along, mm) in ["X", "Y", "Z"].iter().zip(machine.volume.axis_line_point_mm(axis)) {
             entries.push((format!("P{along}{letter}"), format_number(mm, POSITION_DECIMALS)));
         }
-        let off = machine.volume.rotary.iter().find(|it| it.axis == axis && !it.is_error_free());
+        let off = machine
+            .volume
+            .rotary
+            .iter()
+            .find(|location| location.axis == axis && !location.is_error_free());
         let Some(off) = off else { continue };
         if chain.table.contains(&axis) {
             let reason = "TwinCAT's description does not say which sign the errors of an axis have that turns the \

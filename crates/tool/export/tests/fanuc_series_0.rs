@@ -36,7 +36,7 @@ fn the_sheet_has_the_papers_numbers() {
         "1003 2 (X: POINT 2)",
         "1004 -5 (X: POINT 3)",
     ] {
-        assert!(sheet.lines().any(|it| it == line), "{line}: {sheet}");
+        assert!(sheet.lines().any(|other| other == line), "{line}: {sheet}");
     }
     assert_eq!(parse_series_0_sheet(sheet, LinearAxis::X), Ok((1, 100.0, vec![4, 2, -5])));
 }

@@ -98,7 +98,8 @@ fn a_row_is_what_the_hand_writes() {
                 angular.ebx.urad_per_m = 100.0";
     let export = exported(text).expect("a pitch and an angle");
     let csv = file(&export, "volcomp.csv");
-    let (comments, rows): (Vec<&str>, Vec<&str>) = csv.lines().partition(|it| it.starts_with("//"));
+    let (comments, rows): (Vec<&str>, Vec<&str>) =
+        csv.lines().partition(|line| line.starts_with("//"));
     // The sign is an assumption: file and report say so, and how to try it.
     for said in [comments.join(" "), export.report.to_string()] {
         assert!(said.contains("a wrong sign doubles the errors"), "{said}");
@@ -120,7 +121,7 @@ fn a_row_is_what_the_hand_writes() {
     for line in
         ["chain XYZ", "workpiece_axes 0", "X 1", "file[0] volcomp.csv", "file_format[0] ISG_CSV"]
     {
-        assert!(list.lines().any(|it| it == line), "{line} in {list}");
+        assert!(list.lines().any(|other| other == line), "{line} in {list}");
     }
 }
 
@@ -141,7 +142,8 @@ fn what_turns_the_tool_is_written_and_what_moves_the_workpiece_is_left_out_with_
         list.starts_with("chain CXYZB\\nworkpiece_axes 2\\n".replace("\\n", "\n").as_str()),
         "{list}"
     );
-    let left_out: Vec<&str> = export.report.left_out.iter().map(|it| it.section.as_str()).collect();
+    let left_out: Vec<&str> =
+        export.report.left_out.iter().map(|omission| omission.section.as_str()).collect();
     assert_eq!(left_out, ["angular.eax", "rotary.c"]);
 }
 
@@ -153,7 +155,7 @@ fn without_a_chain_nothing_is_written_and_other_controls_refuse_angles_with_the_
     assert!(rule.contains("TwinCAT wants the chain of the axes"), "{rule}");
     let text = "machine = { name = 'm', kind = '3-axis', chain = 'w b X Y Z t' }
                 angular.eax.urad_per_m = 10.0";
-    for format in Format::ALL.into_iter().filter(|it| *it != Format::Isg) {
+    for format in Format::ALL.into_iter().filter(|format| *format != Format::Isg) {
         let refused = export(&machine(text), format, &Options::default()).expect_err("an angle");
         let rule = refused.to_string();
         assert!(

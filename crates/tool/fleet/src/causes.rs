@@ -47,17 +47,17 @@ pub(crate) fn summarise_causes(records: &[Record]) -> Vec<Cause> {
 }
 
 fn add_effect_sizes<'r>(of: &mut CauseOccurrences<'r>, machine: &'r str, found: &'r Finding) {
-    of.sizes.extend(found.constants.iter().filter_map(|it| {
-        let value = it.estimate.value - neutral_value(&it.parameter)?;
-        let size = Estimate { value, se: it.estimate.se };
-        Some((machine, it.parameter.as_str(), size, found.claimed))
+    of.sizes.extend(found.constants.iter().filter_map(|constant| {
+        let value = constant.estimate.value - neutral_value(&constant.parameter)?;
+        let size = Estimate { value, se: constant.estimate.se };
+        Some((machine, constant.parameter.as_str(), size, found.claimed))
     }));
 }
 
 /// Returns the side on which machines together exclude that a parameter does nothing: −1 or 1; none where they do not.
 fn significant_sign(sizes: &[&EffectSize<'_>], parameter: &str) -> Option<f64> {
-    let of_parameter = sizes.iter().filter(|it| it.1 == parameter);
-    let estimates: Vec<Estimate> = of_parameter.map(|it| it.2).collect();
+    let of_parameter = sizes.iter().filter(|size| size.1 == parameter);
+    let estimates: Vec<Estimate> = of_parameter.map(|size| size.2).collect();
     let mean = pool_estimates(&estimates)?.mean;
     let [low, high] = mean.ci95();
     (low > 0.0 || high < 0.0).then(|| mean.value.signum())
@@ -65,7 +65,7 @@ fn significant_sign(sizes: &[&EffectSize<'_>], parameter: &str) -> Option<f64> {
 
 /// Returns whether other machines than the one that claims it have a cause too.
 fn is_confirmed(of: &CauseOccurrences<'_>) -> bool {
-    let is_claim = |it: &&EffectSize<'_>| of.claimed.contains(it.0);
+    let is_claim = |size: &&EffectSize<'_>| of.claimed.contains(size.0);
     let (claims, others): (Vec<&EffectSize<'_>>, Vec<&EffectSize<'_>>) =
         of.sizes.iter().partition(is_claim);
     let is_same = |claim: &&EffectSize<'_>| {
@@ -79,14 +79,14 @@ fn is_supported(of: &CauseOccurrences<'_>) -> bool {
     let all: Vec<&EffectSize<'_>> = of.sizes.iter().collect();
     of.claimed.is_empty()
         && of.found.len() >= MIN_MACHINES
-        && all.iter().any(|it| significant_sign(&all, it.1).is_some())
+        && all.iter().any(|size| significant_sign(&all, size.1).is_some())
 }
 
 fn summarise_cause(name: &str, of: &CauseOccurrences<'_>) -> Cause {
     let list = |names: &BTreeSet<&str>| names.iter().map(ToString::to_string).collect::<Vec<_>>();
     let confirmed = is_confirmed(of);
-    let measured: BTreeSet<&str> = of.sizes.iter().map(|it| it.0).collect();
-    let others = measured.iter().filter(|it| !of.claimed.contains(*it)).count();
+    let measured: BTreeSet<&str> = of.sizes.iter().map(|size| size.0).collect();
+    let others = measured.iter().filter(|name| !of.claimed.contains(*name)).count();
     let machines =
         |count: usize| format!("{count} {}", if count == 1 { "machine" } else { "machines" });
     let sentence = match (of.claimed.len(), confirmed) {

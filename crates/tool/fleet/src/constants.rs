@@ -100,10 +100,12 @@ fn parse_finding(quantity: &str, finding: &Value) -> Vec<Finding> {
     let gain = |key: &str| finding["gain"][key].as_f64().unwrap_or(f64::NAN);
     let explained = gain("rms_before_um").powi(2) - gain("rms_after_um").powi(2);
     let rivals = finding["rivals"].as_array();
-    let is_open =
-        |rival: &&Value| rival["score_gap"].as_f64().is_some_and(|it| it < MIN_BIC_DIFFERENCE);
+    let is_open = |rival: &&Value| {
+        rival["score_gap"].as_f64().is_some_and(|value| value < MIN_BIC_DIFFERENCE)
+    };
     let alternatives = rivals.into_iter().flatten().filter(is_open);
-    let alternatives: Vec<String> = alternatives.map(|it| finding_name(quantity, it)).collect();
+    let alternatives: Vec<String> =
+        alternatives.map(|alternative| finding_name(quantity, alternative)).collect();
     let one = |of: &Value, alternatives: Vec<String>| Finding {
         name: finding_name(quantity, of),
         identity: parse_identity(of),
@@ -114,7 +116,7 @@ fn parse_finding(quantity: &str, finding: &Value) -> Vec<Finding> {
     };
     let partners = finding["together_with"].as_array();
     let partners: Vec<Finding> =
-        partners.into_iter().flatten().map(|it| one(it, Vec::new())).collect();
+        partners.into_iter().flatten().map(|partner| one(partner, Vec::new())).collect();
     let mut all = vec![one(finding, alternatives)];
     all.extend(partners);
     all
@@ -212,7 +214,7 @@ mod tests {
         assert_eq!((it.name.as_str(), it.claimed), ("dz heat temp_bed_c", false));
         assert_eq!(it.alternatives, ["dz slow temp_bed_c"]);
         assert!((it.explains_um - 4.0).abs() < 1e-12);
-        let of = |name: &str| it.constants.iter().find(|it| it.parameter == name);
+        let of = |name: &str| it.constants.iter().find(|constant| constant.parameter == name);
         let heat = of("um_per_c").expect("it has an interval").estimate;
         assert!((heat.value - 2.0).abs() < 1e-12 && (heat.se - 0.5).abs() < 1e-12);
         let time = of("time_constant_s").expect("it has an interval").estimate;
@@ -228,7 +230,7 @@ mod tests {
         one["together_with"] = json!([{"cause": "slow", "parameters": partner}]);
         let found = parse_findings(&json!({"quantity": "dz", "findings": [one]}));
         assert_eq!(
-            found.iter().map(|it| it.name.as_str()).collect::<Vec<_>>(),
+            found.iter().map(|finding| finding.name.as_str()).collect::<Vec<_>>(),
             ["dz heat temp_bed_c", "dz slow"]
         );
     }

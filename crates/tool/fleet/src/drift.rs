@@ -32,22 +32,25 @@ pub struct Drift {
 pub(crate) fn estimate_drift(days: &[(EpochDay, Estimate)], constants: usize) -> Option<Drift> {
     let first = days.iter().map(|(day, _)| *day).min()?;
     let at = |day: EpochDay| (day - first) as f64 / DAYS_PER_YEAR;
-    let weight = |it: &Estimate| it.se.powi(-2);
-    let sum: f64 = days.iter().map(|(_, it)| weight(it)).sum();
+    let weight = |estimate: &Estimate| estimate.se.powi(-2);
+    let sum: f64 = days.iter().map(|(_, estimate)| weight(estimate)).sum();
     let mean = |of: &dyn Fn(&(EpochDay, Estimate)) -> f64| {
-        days.iter().map(|it| weight(&it.1) * of(it)).sum::<f64>() / sum
+        days.iter().map(|day| weight(&day.1) * of(day)).sum::<f64>() / sum
     };
-    let (mean_t, mean_v) = (mean(&|it| at(it.0)), mean(&|it| it.1.value));
-    let spread: f64 = days.iter().map(|(day, it)| weight(it) * (at(*day) - mean_t).powi(2)).sum();
+    let (mean_t, mean_v) = (mean(&|day| at(day.0)), mean(&|day| day.1.value));
+    let spread: f64 =
+        days.iter().map(|(day, estimate)| weight(estimate) * (at(*day) - mean_t).powi(2)).sum();
     if spread <= 0.0 {
         return None;
     }
-    let products =
-        days.iter().map(|(day, it)| weight(it) * (at(*day) - mean_t) * (it.value - mean_v));
+    let products = days
+        .iter()
+        .map(|(day, estimate)| weight(estimate) * (at(*day) - mean_t) * (estimate.value - mean_v));
     let per_year = products.sum::<f64>() / spread;
-    let residual =
-        |(day, it): &(EpochDay, Estimate)| it.value - mean_v - per_year * (at(*day) - mean_t);
-    let squares: f64 = days.iter().map(|it| weight(&it.1) * residual(it).powi(2)).sum();
+    let residual = |(day, estimate): &(EpochDay, Estimate)| {
+        estimate.value - mean_v - per_year * (at(*day) - mean_t)
+    };
+    let squares: f64 = days.iter().map(|day| weight(&day.1) * residual(day).powi(2)).sum();
     let freedom = days.len() as f64 - 2.0;
     let scatters = freedom > 0.0 && squares > chi_squared_quantile_95(freedom);
     let birge = if scatters { squares / freedom } else { 1.0 };
@@ -77,13 +80,15 @@ pub(crate) fn current_estimate(
     days: &[(Option<EpochDay>, Estimate)],
     drift: Option<Drift>,
 ) -> Option<Estimate> {
-    let newest = days.iter().max_by_key(|(day, _)| *day).map(|(_, it)| *it)?;
-    if drift.is_some_and(|it| it.is_certain) {
+    let newest = days.iter().max_by_key(|(day, _)| *day).map(|(_, estimate)| *estimate)?;
+    if drift.is_some_and(|drift| drift.is_certain) {
         return Some(newest);
     }
-    let sum: f64 = days.iter().map(|(_, it)| it.se.powi(-2)).sum();
-    let value = days.iter().map(|(_, it)| it.value / it.se.powi(2)).sum::<f64>() / sum;
-    let squares: f64 = days.iter().map(|(_, it)| ((it.value - value) / it.se).powi(2)).sum();
+    let sum: f64 = days.iter().map(|(_, estimate)| estimate.se.powi(-2)).sum();
+    let value =
+        days.iter().map(|(_, estimate)| estimate.value / estimate.se.powi(2)).sum::<f64>() / sum;
+    let squares: f64 =
+        days.iter().map(|(_, estimate)| ((estimate.value - value) / estimate.se).powi(2)).sum();
     let birge = (squares / (days.len() as f64 - 1.0).max(1.0)).max(1.0);
     Some(Estimate { value, se: (birge / sum).sqrt() })
 }

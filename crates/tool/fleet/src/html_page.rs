@@ -20,7 +20,8 @@ pub fn render_html(series: &SeriesReport, folder: &str, origin: &Origin) -> Stri
         }
         false => page.add_card("bad", "These machines need a look", &conspicuous),
     }
-    let next: Vec<&str> = series.next.iter().map(|it| it.sentence.as_str()).collect();
+    let next: Vec<&str> =
+        series.next.iter().map(|measurement| measurement.sentence.as_str()).collect();
     if !next.is_empty() {
         page.add_card("open", "Measure next", &next);
     }
@@ -32,10 +33,10 @@ pub fn render_html(series: &SeriesReport, folder: &str, origin: &Origin) -> Stri
          of 95 %.",
     );
     let mut shown: Vec<&SeriesConstant> =
-        series.constants.iter().filter(|it| it.machines > 1).collect();
-    shown.sort_by_key(|it| std::cmp::Reverse(it.machines));
+        series.constants.iter().filter(|constant| constant.machines > 1).collect();
+    shown.sort_by_key(|constant| std::cmp::Reverse(constant.machines));
     let pictures: Vec<String> =
-        shown.iter().take(MAX_FIGURES).map(|it| forest_plot(it).to_figure()).collect();
+        shown.iter().take(MAX_FIGURES).map(|constant| forest_plot(constant).to_figure()).collect();
     page.add_raw_html(&pictures.concat());
     if shown.is_empty() {
         page.add_paragraph("No constant has been measured on more than one machine.");
@@ -70,11 +71,12 @@ pub fn anomaly_sentences(series: &SeriesReport) -> Vec<String> {
             all.extend(anomaly_sentence(series, &machine.machine, name));
         }
         for name in &machine.drifting {
-            let own = |it: &&crate::report::DriftingConstant| {
-                it.machine == machine.machine && it.constant == *name
+            let own = |constant: &&crate::report::DriftingConstant| {
+                constant.machine == machine.machine && constant.constant == *name
             };
-            all.extend(series.drifts.iter().find(own).map(|it| {
-                let [rate, low, high] = format_with_interval(it.drift.per_year, it.drift.ci95);
+            all.extend(series.drifts.iter().find(own).map(|drift| {
+                let [rate, low, high] =
+                    format_with_interval(drift.drift.per_year, drift.drift.ci95);
                 format!(
                     "{} drifts: {name} changes by {rate} ({low} to {high}) a year.",
                     machine.machine
@@ -86,8 +88,8 @@ pub fn anomaly_sentences(series: &SeriesReport) -> Vec<String> {
 }
 
 fn anomaly_sentence(series: &SeriesReport, machine: &str, name: &str) -> Option<String> {
-    let constant = series.constants.iter().find(|it| it.name == *name)?;
-    let member = constant.values.iter().find(|it| it.machine == machine)?;
+    let constant = series.constants.iter().find(|constant| constant.name == *name)?;
+    let member = constant.values.iter().find(|value| value.machine == machine)?;
     let compared = member.compared?;
     let [value, low, high] = format_with_interval(member.own.value, member.own.ci95);
     let [predicted, ..] = format_with_interval(compared.predicted, member.own.ci95);
@@ -101,8 +103,10 @@ fn anomaly_sentence(series: &SeriesReport, machine: &str, name: &str) -> Option<
 }
 
 fn no_anomaly_sentences(series: &SeriesReport) -> Vec<String> {
-    let compared =
-        series.constants.iter().filter(|it| it.values.iter().any(|it| it.compared.is_some()));
+    let compared = series
+        .constants
+        .iter()
+        .filter(|constant| constant.values.iter().any(|value| value.compared.is_some()));
     let count = compared.count();
     vec![match count {
         0 => "No constant has been measured on four machines: there is nothing to compare yet."
@@ -138,12 +142,16 @@ fn constant_table(constants: &[&SeriesConstant]) -> Table {
 }
 
 fn forest_plot(constant: &SeriesConstant) -> ForestPlot {
-    let row = |it: &crate::report::MemberConstant| {
-        let is_odd = it.compared.is_some_and(|it| it.odd);
+    let row = |constant: &crate::report::MemberConstant| {
+        let is_odd = constant.compared.is_some_and(|comparison| comparison.odd);
         ForestRow {
-            name: if is_odd { format!("odd: {}", it.machine) } else { it.machine.clone() },
-            own: (it.own.value, it.own.ci95),
-            shared: Some((it.shrunk.value, it.shrunk.ci95)),
+            name: if is_odd {
+                format!("odd: {}", constant.machine)
+            } else {
+                constant.machine.clone()
+            },
+            own: (constant.own.value, constant.own.ci95),
+            shared: Some((constant.shrunk.value, constant.shrunk.ci95)),
         }
     };
     ForestPlot {

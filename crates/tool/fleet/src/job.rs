@@ -205,7 +205,7 @@ impl Job {
 
     /// Returns what the identifier is made of.
     fn identifying_content(&self) -> (&str, &Request, Vec<(&str, &str)>) {
-        let files = self.files().map(|it| (it.stored.as_str(), it.crc64.as_str()));
+        let files = self.files().map(|file| (file.stored.as_str(), file.crc64.as_str()));
         (&self.machine, &self.request, files.collect())
     }
 

@@ -56,7 +56,8 @@ pub(crate) fn suggest_measurements(
     all.sort_by(|a, b| b.0.total_cmp(&a.0));
     let mut listed: Vec<NextMeasurement> = Vec::new();
     for (_, next) in all {
-        if listed.len() < MAX_LISTED_MACHINES && listed.iter().all(|it| it.machine != next.machine)
+        if listed.len() < MAX_LISTED_MACHINES
+            && listed.iter().all(|measurement| measurement.machine != next.machine)
         {
             listed.push(next);
         }
@@ -70,9 +71,13 @@ pub(crate) fn suggest_measurements(
 /// Where no constant is in doubt, the machine whose newest record is the oldest.
 fn least_recently_measured(records: &[Record]) -> Option<NextMeasurement> {
     let newest_of = |machine: &str| {
-        records.iter().filter(|it| it.machine == machine).filter_map(|it| it.day).max()
+        records
+            .iter()
+            .filter(|record| record.machine == machine)
+            .filter_map(|record| record.day)
+            .max()
     };
-    let record = records.iter().min_by_key(|it| newest_of(&it.machine))?;
+    let record = records.iter().min_by_key(|record| newest_of(&record.machine))?;
     Some(NextMeasurement {
         machine: record.machine.clone(),
         constant: String::new(),

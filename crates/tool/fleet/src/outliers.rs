@@ -91,9 +91,10 @@ fn find_outliers(machines: &[Estimate]) -> Vec<usize> {
 
 fn run_predictive_test(machine: Estimate, others: &[Estimate]) -> PredictiveTestResult {
     let variance = paule_mandel_variance(others);
-    let weight = |it: &Estimate| (it.se.powi(2) + variance).recip();
+    let weight = |estimate: &Estimate| (estimate.se.powi(2) + variance).recip();
     let sum: f64 = others.iter().map(weight).sum();
-    let predicted = others.iter().map(|it| weight(it) * it.value).sum::<f64>() / sum;
+    let predicted =
+        others.iter().map(|estimate| weight(estimate) * estimate.value).sum::<f64>() / sum;
     let sd = (variance + machine.se.powi(2) + sum.recip()).sqrt();
     let t = (machine.value - predicted) / sd;
     let p = 2.0 * t_cdf(-t.abs(), others.len() as f64 - 1.0);
@@ -105,17 +106,22 @@ fn run_predictive_test(machine: Estimate, others: &[Estimate]) -> PredictiveTest
 pub(crate) fn paule_mandel_variance(machines: &[Estimate]) -> f64 {
     let freedom = machines.len() as f64 - 1.0;
     let excess = |variance: f64| {
-        let weight = |it: &Estimate| (it.se.powi(2) + variance).recip();
+        let weight = |estimate: &Estimate| (estimate.se.powi(2) + variance).recip();
         let sum: f64 = machines.iter().map(weight).sum();
-        let mean = machines.iter().map(|it| weight(it) * it.value).sum::<f64>() / sum;
-        machines.iter().map(|it| weight(it) * (it.value - mean).powi(2)).sum::<f64>() - freedom
+        let mean =
+            machines.iter().map(|estimate| weight(estimate) * estimate.value).sum::<f64>() / sum;
+        machines
+            .iter()
+            .map(|estimate| weight(estimate) * (estimate.value - mean).powi(2))
+            .sum::<f64>()
+            - freedom
     };
     if freedom < 1.0 || excess(0.0) <= 0.0 {
         return 0.0;
     }
-    let mean = machines.iter().map(|it| it.value).sum::<f64>() / machines.len() as f64;
+    let mean = machines.iter().map(|estimate| estimate.value).sum::<f64>() / machines.len() as f64;
     // Squares over their number are as large as the largest square at most.
-    let mut high = machines.iter().map(|it| (it.value - mean).powi(2)).sum::<f64>();
+    let mut high = machines.iter().map(|estimate| (estimate.value - mean).powi(2)).sum::<f64>();
     let mut low = 0.0;
     for _ in 0..100 {
         let middle = 0.5 * (low + high);

@@ -67,9 +67,10 @@ pub fn pool_estimates(machines: &[Estimate]) -> Option<PooledEstimate> {
     if count == 0 {
         return None;
     }
-    let typical = (count as f64 / machines.iter().map(|it| it.se.powi(-2)).sum::<f64>()).sqrt();
-    let ends = machines.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], it| {
-        [low.min(it.value), high.max(it.value)]
+    let typical =
+        (count as f64 / machines.iter().map(|estimate| estimate.se.powi(-2)).sum::<f64>()).sqrt();
+    let ends = machines.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], estimate| {
+        [low.min(estimate.value), high.max(estimate.value)]
     });
     let widest = 30.0 * (1.0 + (ends[1] - ends[0]) / typical);
     let decades = (widest / MIN_TAU_RATIO).log10();
@@ -101,20 +102,24 @@ pub fn pool_estimates(machines: &[Estimate]) -> Option<PooledEstimate> {
         });
     }
     let caution = ((count as f64 - 3.0) / FULL_WEIGHT_MACHINES).min(1.0);
-    let part =
-        |it: &Estimate, at: &GridPoint| caution * it.se.powi(2) / (it.se.powi(2) + at.tau.powi(2));
-    let shrunk = |it: &Estimate| {
-        mixed(&|at| part(it, at) * at.mean + (1.0 - part(it, at)) * it.value, &|at| {
-            let b = part(it, at);
-            let of_mean = at.tau.powi(2) + at.mean_variance;
-            (1.0 - b).powi(2) * it.se.powi(2) + b.powi(2) * of_mean
-        })
+    let part = |estimate: &Estimate, at: &GridPoint| {
+        caution * estimate.se.powi(2) / (estimate.se.powi(2) + at.tau.powi(2))
+    };
+    let shrunk = |estimate: &Estimate| {
+        mixed(
+            &|at| part(estimate, at) * at.mean + (1.0 - part(estimate, at)) * estimate.value,
+            &|at| {
+                let b = part(estimate, at);
+                let of_mean = at.tau.powi(2) + at.mean_variance;
+                (1.0 - b).powi(2) * estimate.se.powi(2) + b.powi(2) * of_mean
+            },
+        )
     };
     Some(PooledEstimate {
         mean,
         spread,
         shrunk: machines.iter().map(shrunk).collect(),
-        weight: machines.iter().map(|it| mean_of(&|at| part(it, at))).collect(),
+        weight: machines.iter().map(|estimate| mean_of(&|at| part(estimate, at))).collect(),
     })
 }
 
@@ -133,11 +138,13 @@ struct GridPoint {
 impl GridPoint {
     fn new(machines: &[Estimate], ratio: f64, typical: f64) -> Self {
         let tau = ratio * typical;
-        let variance = |it: &Estimate| it.se.powi(2) + tau.powi(2);
-        let sum: f64 = machines.iter().map(|it| variance(it).recip()).sum();
-        let mean = machines.iter().map(|it| it.value / variance(it)).sum::<f64>() / sum;
-        let of_machine =
-            |it: &Estimate| variance(it).ln() + (it.value - mean).powi(2) / variance(it);
+        let variance = |estimate: &Estimate| estimate.se.powi(2) + tau.powi(2);
+        let sum: f64 = machines.iter().map(|estimate| variance(estimate).recip()).sum();
+        let mean =
+            machines.iter().map(|estimate| estimate.value / variance(estimate)).sum::<f64>() / sum;
+        let of_machine = |estimate: &Estimate| {
+            variance(estimate).ln() + (estimate.value - mean).powi(2) / variance(estimate)
+        };
         let restricted = -0.5 * (machines.iter().map(of_machine).sum::<f64>() + sum.ln());
         let prior = ratio.ln() - 2.0 * (1.0 + ratio * ratio).ln();
         Self { tau, mean, mean_variance: sum.recip(), log_weight: restricted + prior + ratio.ln() }

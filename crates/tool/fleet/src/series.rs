@@ -50,7 +50,7 @@ struct MachineConstant<'r> {
 #[must_use]
 pub fn evaluate_series(records: &[Record], notes: Vec<String>) -> SeriesReport {
     let constants = group_by_constant(records);
-    let beliefs: BTreeSet<&str> = records.iter().map(|it| it.belief.as_str()).collect();
+    let beliefs: BTreeSet<&str> = records.iter().map(|record| record.belief.as_str()).collect();
     let mut compared_on: BTreeMap<&str, usize> = BTreeMap::new();
     let mut known_on: BTreeMap<&str, usize> = BTreeMap::new();
     for machines in constants.values() {
@@ -64,7 +64,7 @@ pub fn evaluate_series(records: &[Record], notes: Vec<String>) -> SeriesReport {
     let mut drifts = Vec::new();
     let mut pooled = Vec::new();
     for ((belief, finding, parameter), machines) in &constants {
-        let number = beliefs.iter().position(|it| it == belief).unwrap_or(0) + 1;
+        let number = beliefs.iter().position(|candidate| candidate == belief).unwrap_or(0) + 1;
         let group =
             if beliefs.len() > 1 { format!(" (machine files {number})") } else { String::new() };
         let name = format!("{finding} {parameter}{group}");
@@ -74,16 +74,16 @@ pub fn evaluate_series(records: &[Record], notes: Vec<String>) -> SeriesReport {
                 evaluate_machine_constant(machine, readings, known_on[*machine])
             })
             .collect();
-        drifts.extend(members.iter().filter_map(|it| {
-            let (days, drift) = it.drift?;
+        drifts.extend(members.iter().filter_map(|member| {
+            let (days, drift) = member.drift?;
             Some(DriftingConstant {
-                machine: it.machine.into(),
+                machine: member.machine.into(),
                 constant: name.clone(),
                 days,
                 drift,
             })
         }));
-        let most = members.iter().filter_map(|it| compared_on.get(it.machine)).max();
+        let most = members.iter().filter_map(|member| compared_on.get(member.machine)).max();
         let (constant, open) =
             evaluate_constant(&name, parameter, &members, most.copied().unwrap_or(1));
         all.push(constant);
@@ -106,7 +106,7 @@ pub fn evaluate_series(records: &[Record], notes: Vec<String>) -> SeriesReport {
             beliefs.len()
         ));
     }
-    let undated = records.iter().filter(|it| it.day.is_none()).count();
+    let undated = records.iter().filter(|record| record.day.is_none()).count();
     if undated > 0 {
         series.notes.push(format!(
             "{undated} of {} records have no date: they say nothing of drift. Give --date, or a date like 2026-11-22 \
@@ -124,8 +124,8 @@ fn group_by_constant(
 ) -> BTreeMap<ConstantKey<'_>, BTreeMap<&str, Vec<RecordEstimate>>> {
     let mut all: BTreeMap<ConstantKey<'_>, BTreeMap<&str, Vec<RecordEstimate>>> = BTreeMap::new();
     for record in records {
-        let own = record.found.iter().map(|it| (it, false));
-        let fitted = record.fitted.iter().map(|it| (it, true));
+        let own = record.found.iter().map(|finding| (finding, false));
+        let fitted = record.fitted.iter().map(|finding| (finding, true));
         for (found, is_fitted) in own.chain(fitted) {
             for constant in &found.constants {
                 let key =
@@ -150,18 +150,18 @@ fn evaluate_machine_constant<'r>(
     constants: usize,
 ) -> Option<MachineConstant<'r>> {
     let dated: Vec<(EpochDay, Estimate)> =
-        readings.iter().filter_map(|it| Some((it.day?, it.estimate))).collect();
+        readings.iter().filter_map(|reading| Some((reading.day?, reading.estimate))).collect();
     let days: BTreeSet<EpochDay> = dated.iter().map(|(day, _)| *day).collect();
     let drift = estimate_drift(&dated, constants);
     let all: Vec<(Option<EpochDay>, Estimate)> =
-        readings.iter().map(|it| (it.day, it.estimate)).collect();
+        readings.iter().map(|reading| (reading.day, reading.estimate)).collect();
     Some(MachineConstant {
         machine,
         current_estimate: current_estimate(&all, drift)?,
-        drift: drift.map(|it| (days.len(), it)),
-        last: *readings.iter().max_by_key(|it| it.day)?,
-        claimed: readings.iter().any(|it| it.claimed),
-        is_fitted: readings.iter().all(|it| it.is_fitted),
+        drift: drift.map(|drift| (days.len(), drift)),
+        last: *readings.iter().max_by_key(|reading| reading.day)?,
+        claimed: readings.iter().any(|reading| reading.claimed),
+        is_fitted: readings.iter().all(|reading| reading.is_fitted),
     })
 }
 
@@ -172,7 +172,7 @@ fn evaluate_constant<'r>(
     members: &[MachineConstant<'r>],
     constants: usize,
 ) -> (SeriesConstant, Vec<UncertainConstant<'r>>) {
-    let values: Vec<Estimate> = members.iter().map(|it| it.current_estimate).collect();
+    let values: Vec<Estimate> = members.iter().map(|member| member.current_estimate).collect();
     let compared = compare_machines(&values, constants);
     let is_odd = |index: usize| compared.as_ref().is_some_and(|all| all[index].is_odd);
     let healthy: Vec<usize> = (0..values.len()).filter(|index| !is_odd(*index)).collect();
@@ -181,8 +181,8 @@ fn evaluate_constant<'r>(
         .or_else(|| pool_estimates(&values))
         .expect("a constant has a machine");
     let by_ratios = is_log_scaled(parameter);
-    let interval = |it: Estimate| {
-        let [value, low, high] = [it.value, it.ci95()[0], it.ci95()[1]]
+    let interval = |estimate: Estimate| {
+        let [value, low, high] = [estimate.value, estimate.ci95()[0], estimate.ci95()[1]]
             .map(|value| if by_ratios { value.exp() } else { value });
         IntervalEstimate { value, ci95: [low, high] }
     };
@@ -217,7 +217,7 @@ fn evaluate_constant<'r>(
         });
     }
     let spread = together.spread;
-    let ratio = |it: f64| if by_ratios { it.exp() } else { it };
+    let ratio = |value: f64| if by_ratios { value.exp() } else { value };
     let ends = [(spread.value - Z95 * spread.se).max(0.0), spread.value + Z95 * spread.se];
     let constant = SeriesConstant {
         name: name.into(),
@@ -235,10 +235,10 @@ fn evaluate_constant<'r>(
 fn correct_multiple_testing(constants: &mut [SeriesConstant]) {
     let mut all: Vec<&mut MachineComparison> = constants
         .iter_mut()
-        .flat_map(|it| it.values.iter_mut().filter_map(|it| it.compared.as_mut()))
+        .flat_map(|constant| constant.values.iter_mut().filter_map(|value| value.compared.as_mut()))
         .collect();
-    let p: Vec<f64> = all.iter().map(|it| it.p).collect();
-    all.iter_mut().zip(holm_adjust(&p)).for_each(|(it, p)| it.p_series = p);
+    let p: Vec<f64> = all.iter().map(|comparison| comparison.p).collect();
+    all.iter_mut().zip(holm_adjust(&p)).for_each(|(comparison, p)| comparison.p_series = p);
 }
 
 fn summarise_machines(
@@ -246,22 +246,22 @@ fn summarise_machines(
     constants: &[SeriesConstant],
     drifts: &[DriftingConstant],
 ) -> Vec<Machine> {
-    let names: BTreeSet<&str> = records.iter().map(|it| it.machine.as_str()).collect();
+    let names: BTreeSet<&str> = records.iter().map(|record| record.machine.as_str()).collect();
     let of = |name: &str| {
-        let own: Vec<&Record> = records.iter().filter(|it| it.machine == name).collect();
-        let newest = own.iter().max_by_key(|it| it.day);
-        let is_odd = |it: &&SeriesConstant| {
-            let mut members = it.values.iter().filter(|it| it.machine == name);
-            members.any(|it| it.compared.is_some_and(|it| it.odd))
+        let own: Vec<&Record> = records.iter().filter(|record| record.machine == name).collect();
+        let newest = own.iter().max_by_key(|estimate| estimate.day);
+        let is_odd = |constant: &&SeriesConstant| {
+            let mut members = constant.values.iter().filter(|value| value.machine == name);
+            members.any(|member| member.compared.is_some_and(|comparison| comparison.odd))
         };
-        let changes = drifts.iter().filter(|it| it.machine == name && it.drift.is_certain);
+        let changes = drifts.iter().filter(|drift| drift.machine == name && drift.drift.is_certain);
         Machine {
             machine: name.into(),
             results: own.len(),
-            newest: newest.and_then(|it| it.day).map(format_day),
-            verdict: newest.map(|it| it.verdict.clone()).unwrap_or_default(),
-            odd: constants.iter().filter(is_odd).map(|it| it.name.clone()).collect(),
-            drifting: changes.map(|it| it.constant.clone()).collect(),
+            newest: newest.and_then(|newest| newest.day).map(format_day),
+            verdict: newest.map(|newest| newest.verdict.clone()).unwrap_or_default(),
+            odd: constants.iter().filter(is_odd).map(|constant| constant.name.clone()).collect(),
+            drifting: changes.map(|change| change.constant.clone()).collect(),
         }
     };
     names.into_iter().map(of).collect()
@@ -311,9 +311,12 @@ mod tests {
     fn machines_whose_files_differ_are_not_put_together() {
         let mut records: Vec<Record> =
             (0..6).map(|n| record(&format!("m{n}"), 2.0, true)).collect();
-        records[..3].iter_mut().for_each(|it| it.belief = "other".into());
+        records[..3].iter_mut().for_each(|record| record.belief = "other".into());
         let series = evaluate_series(&records, Vec::new());
-        assert_eq!(series.constants.iter().map(|it| it.machines).collect::<Vec<_>>(), [3, 3]);
+        assert_eq!(
+            series.constants.iter().map(|constant| constant.machines).collect::<Vec<_>>(),
+            [3, 3]
+        );
         assert!(series.notes[0].contains("2 different things"), "{:?}", series.notes);
     }
 

@@ -47,12 +47,12 @@ pub fn select_causes_to_fit(records: &[Record]) -> Vec<Option<FitRequest>> {
 }
 
 fn select_causes_for_record(record: &Record, records: &[Record]) -> Option<FitRequest> {
-    let alike = || records.iter().filter(|it| it.quantity == record.quantity);
-    let machines: BTreeSet<&str> = alike().map(|it| it.machine.as_str()).collect();
+    let alike = || records.iter().filter(|other| other.quantity == record.quantity);
+    let machines: BTreeSet<&str> = alike().map(|record| record.machine.as_str()).collect();
     let mut found_on: BTreeMap<&CauseIdentity, BTreeSet<&str>> = BTreeMap::new();
     let mut claimed: BTreeSet<&CauseIdentity> = BTreeSet::new();
     for other in alike() {
-        for found in other.found.iter().filter(|it| !it.constants.is_empty()) {
+        for found in other.found.iter().filter(|finding| !finding.constants.is_empty()) {
             let Some(identity) = &found.identity else { continue };
             found_on.entry(identity).or_default().insert(&other.machine);
             if found.claimed && other.machine != record.machine {
@@ -66,19 +66,20 @@ fn select_causes_for_record(record: &Record, records: &[Record]) -> Option<FitRe
     let is_common = |identity: &CauseIdentity| count(identity) >= least;
     // Another name for what more machines call otherwise.
     let is_replaced = |own: &Finding| {
-        let common = found_on.keys().filter(|it| is_common(it));
-        let mut names = common.filter(|it| own.alternatives.contains(&it.name(&record.quantity)));
+        let common = found_on.keys().filter(|key| is_common(key));
+        let mut names = common.filter(|key| own.alternatives.contains(&key.name(&record.quantity)));
         !own.claimed
-            && own.identity.as_ref().is_some_and(|own| names.any(|it| count(it) > count(own)))
+            && own.identity.as_ref().is_some_and(|own| names.any(|name| count(name) > count(own)))
     };
-    let own = record.found.iter().filter(|it| !is_replaced(it));
-    let mut together: Vec<CauseIdentity> = own.filter_map(|it| it.identity.clone()).collect();
+    let own = record.found.iter().filter(|finding| !is_replaced(finding));
+    let mut together: Vec<CauseIdentity> =
+        own.filter_map(|finding| finding.identity.clone()).collect();
     let before = together.len();
-    let missing = found_on.keys().filter(|it| is_common(it) && !together.contains(**it));
-    let missing: Vec<CauseIdentity> = missing.map(|it| (*it).clone()).collect();
+    let missing = found_on.keys().filter(|key| is_common(key) && !together.contains(**key));
+    let missing: Vec<CauseIdentity> = missing.map(|key| (*key).clone()).collect();
     together.extend(missing);
     let is_whole = together.len() == before && before == record.found.len();
-    let alone = claimed.into_iter().filter(|it| !together.contains(*it));
+    let alone = claimed.into_iter().filter(|key| !together.contains(*key));
     let alone: Vec<CauseIdentity> = alone.cloned().collect();
     (!is_whole || !alone.is_empty()).then_some(FitRequest { together, alone })
 }
@@ -89,12 +90,12 @@ impl Record {
         let fitted: Vec<Finding> = answered.together.into_iter().flatten().collect();
         for own in &mut self.found {
             // What another cause stands for, and what is more than a name, says nothing to the series.
-            own.constants = match fitted.iter().find(|it| it.name == own.name) {
+            own.constants = match fitted.iter().find(|other| other.name == own.name) {
                 Some(fit) => fit.constants.clone(),
                 None => Vec::new(),
             };
         }
-        let is_new = |it: &Finding| self.found.iter().all(|own| own.name != it.name);
+        let is_new = |finding: &Finding| self.found.iter().all(|own| own.name != finding.name);
         let new: Vec<Finding> = fitted.into_iter().filter(is_new).collect();
         self.fitted = new;
         self.fitted.extend(answered.alone.into_iter().flatten());
@@ -129,7 +130,7 @@ mod tests {
     }
 
     fn names(of: &[CauseIdentity]) -> Vec<&str> {
-        of.iter().map(|it| it.cause.as_str()).collect()
+        of.iter().map(|cause| cause.cause.as_str()).collect()
     }
 
     #[test]

@@ -123,10 +123,10 @@ pub(crate) fn run_threads(
     let ended: Vec<thread::Result<io::Result<()>>> = thread::scope(|scope| {
         let start = |number| scope.spawn(move || run(number));
         let threads: Vec<_> = (0..count.max(1)).map(start).collect();
-        threads.into_iter().map(|it| it.join()).collect()
+        threads.into_iter().map(|thread| thread.join()).collect()
     });
-    ended.into_iter().try_for_each(|it| {
-        it.unwrap_or_else(|_| Err(io::Error::other("a thread of the worker has panicked")))
+    ended.into_iter().try_for_each(|result| {
+        result.unwrap_or_else(|_| Err(io::Error::other("a thread of the worker has panicked")))
     })
 }
 

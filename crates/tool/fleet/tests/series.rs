@@ -88,7 +88,7 @@ fn found_and_accused(machines: usize, error: f64, off: &dyn Fn(&mut Generator) -
         measured[0].value = off(&mut generator) + error * generator.normal();
         let compared = compare_machines(&measured, 1).expect("there are four");
         found += usize::from(compared[0].is_odd);
-        let wrong = compared[1..].iter().filter(|it| it.is_odd).count();
+        let wrong = compared[1..].iter().filter(|result| result.is_odd).count();
         accused += wrong;
         series += usize::from(wrong > 0);
     }
@@ -102,7 +102,7 @@ fn a_machine_five_spreads_off_is_found_and_a_healthy_one_is_left_alone() {
         let [found, accused, series] = found_and_accused(30, error, &|_| 5.0);
         println!("error {error}: found {found:.3}, accused {accused:.4}, series {series:.3}");
         assert!(found >= 0.95 && accused <= 0.01, "error {error}: {found} {accused}");
-        let [found, accused, _] = found_and_accused(30, error, &|it| 5.0 + it.normal());
+        let [found, accused, _] = found_and_accused(30, error, &|random| 5.0 + random.normal());
         println!("error {error}, on top of its own: found {found:.3}, accused {accused:.4}");
         assert!(found >= 0.94 && accused <= 0.01, "error {error}: {found} {accused}");
     }
@@ -126,9 +126,9 @@ fn three_odd_machines_do_not_hide_each_other() {
     for _ in 0..100 {
         let mut measured: Vec<Estimate> =
             (0..30).map(|_| Estimate { value: generator.normal(), se: 0.1 }).collect();
-        measured[..3].iter_mut().for_each(|it| it.value = 6.0 + 0.3 * it.value);
+        measured[..3].iter_mut().for_each(|estimate| estimate.value = 6.0 + 0.3 * estimate.value);
         let compared = compare_machines(&measured, 1).expect("there are four");
-        found += compared[..3].iter().filter(|it| it.is_odd).count();
+        found += compared[..3].iter().filter(|result| result.is_odd).count();
     }
     println!("{found} of 300");
     assert!(found >= 285, "{found}");

@@ -74,9 +74,9 @@ fn a_job_that_fails_or_panics_has_a_reason_and_the_others_are_done() {
     });
     assert_eq!(tally.expect("it is written"), JobCounts { done: 4, failed: 2 });
     let failed = read_status(&store).expect("it is read").failed;
-    let reasons: Vec<&str> = failed.iter().filter_map(|it| it.reason.as_deref()).collect();
+    let reasons: Vec<&str> = failed.iter().filter_map(|status| status.reason.as_deref()).collect();
     assert!(reasons.contains(&"there is nothing in it"), "{reasons:?}");
-    assert!(reasons.iter().any(|it| it.contains("the program has failed")), "{reasons:?}");
+    assert!(reasons.iter().any(|reason| reason.contains("the program has failed")), "{reasons:?}");
     // Submitted again, it is tried again.
     assert!(!submission("1").submit(&store).expect("it is there").is_new);
     let tally = run_workers(&store, OPTIONS, twice()).expect("it is written");

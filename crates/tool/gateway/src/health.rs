@@ -121,6 +121,6 @@ fn refusal_text(number: u16) -> Option<String> {
         BlockRejectReason::WrongSequence,
     ]
     .into_iter()
-    .find(|it| *it as u16 == number)
-    .map(|it| it.to_string())
+    .find(|reason| *reason as u16 == number)
+    .map(|reason| reason.to_string())
 }

@@ -241,7 +241,7 @@ impl Hub {
         self.input.state = state.with_if(second, StateBits::SECOND_MASTER).0;
         self.input.calibration = self.board.calibration.filter(|_| knows).unwrap_or(0);
         self.input.elongation = self.board.elongation.filter(|_| knows);
-        self.input.centi_c = self.board.centi_c.map(|it| it.filter(|_| knows));
+        self.input.centi_c = self.board.centi_c.map(|centi_c| centi_c.filter(|_| knows));
         self.registers = self.input.encode();
         let slopes = self.fresh_slopes(now);
         self.with_slopes = input_with_slopes::encode(&self.input, slopes);
@@ -415,7 +415,7 @@ impl Hub {
 
     /// A master has gone: another need not wait.
     pub fn release_master(&mut self, master: MasterId) {
-        if self.master.is_some_and(|(it, _)| it == master) {
+        if self.master.is_some_and(|(current, _)| current == master) {
             self.master = None;
         }
     }

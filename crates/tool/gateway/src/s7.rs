@@ -188,7 +188,8 @@ mod tests {
     fn a_data_block_of_before_is_read_as_far_as_it_goes() {
         let block = |counter| {
             let registers = CncData::default().encode(counter);
-            let bytes: Vec<u8> = registers.iter().flat_map(|it| it.to_be_bytes()).collect();
+            let bytes: Vec<u8> =
+                registers.iter().flat_map(|register| register.to_be_bytes()).collect();
             [&[0xFF, 4, 1, 16][..], &bytes[..SHORT_HOLDING_BYTES]].concat()
         };
         let mut answers = vec![tpkt(CONFIRM), set_up(1, 240)];

@@ -60,7 +60,8 @@ fn bridge(start: Instant, received: Arc<Mutex<Vec<(i32, i32)>>>) -> u16 {
                     Ok(length) => {
                         for byte in &bytes[..length] {
                             let frame = port.receive(*byte);
-                            let command = frame.and_then(|it| receiver.accept(&it).ok().flatten());
+                            let command =
+                                frame.and_then(|frame| receiver.accept(&frame).ok().flatten());
                             if let Some(Command::Position(at)) = command {
                                 received.lock().expect("whole").push((at.position.0, ms(start)));
                             }
@@ -171,7 +172,7 @@ fn stalls_for(stall: Duration) {
 
     let received = received.lock().expect("whole");
     let begins = i64::try_from(begins.as_millis()).expect("short");
-    let late: Vec<_> = received.iter().filter(|&&it| age(it) > OLDEST_MS).collect();
+    let late: Vec<_> = received.iter().filter(|&&arrival| age(arrival) > OLDEST_MS).collect();
     println!("{stall:?}: {} of {} positions came late", late.len(), received.len());
     for (said, came) in &late {
         let after = i64::from(*said) - begins;

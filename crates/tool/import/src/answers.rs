@@ -186,7 +186,8 @@ impl Answers {
             Topic::Column(column) => self.columns.push((column.clone(), value.into())),
             Topic::Sheet => self.sheet = Some(value.into()),
             Topic::CountsPerV => {
-                let number = value.parse().ok().filter(|it: &f64| it.is_finite() && *it > 0.0);
+                let number =
+                    value.parse().ok().filter(|value: &f64| value.is_finite() && *value > 0.0);
                 self.counts_per_v = Some(number.ok_or_else(|| wrong("a number above 0"))?);
             }
             Topic::SummerTime => match value {

@@ -67,8 +67,11 @@ pub(crate) fn convert_to_positions(
 
     let of_angle = columns.remove(angle);
     let is_deg = of_angle.name.ends_with("_deg");
-    let angles: Vec<f64> =
-        of_angle.values.iter().map(|it| if is_deg { it.to_radians() } else { *it }).collect();
+    let angles: Vec<f64> = of_angle
+        .values
+        .iter()
+        .map(|value| if is_deg { value.to_radians() } else { *value })
+        .collect();
     let part = |axis: usize| Column {
         source: of_angle.source,
         name: format!("{}_mm", circle.axes[axis]),

@@ -202,7 +202,7 @@ fn thermometer_location(words: &[String]) -> String {
 
 /// Returns a name with the suffix of its unit.
 fn with_unit_suffix(name: &str, dimension: Option<Dimension>) -> String {
-    dimension.map_or_else(|| name.into(), |it| format!("{name}_{}", it.suffix()))
+    dimension.map_or_else(|| name.into(), |dimension| format!("{name}_{}", dimension.suffix()))
 }
 
 /// Returns whether a word belongs to a number of rows.
@@ -256,7 +256,7 @@ pub(crate) fn classify_column(header: &str, name: &str, unit: Option<Unit>) -> C
         return ColumnMeaning::Date;
     }
     let speed_words =
-        words.iter().any(|it| !is_spindle(it) && vocabulary::contains_word(SPEED_WORDS, it));
+        words.iter().any(|word| !is_spindle(word) && vocabulary::contains_word(SPEED_WORDS, word));
     let is_in_speed_units = dimension == Some(Dimension::Speed) && has(SPEED_WORDS);
     if is_in_speed_units || (dimension.is_none() && speed_words) {
         return known("spindle_rpm");

@@ -54,8 +54,9 @@ pub(crate) fn convert(
         .filter(|at| matches!(plans[*at].role, ColumnRole::DateOf | ColumnRole::Moments { .. }))
         .collect();
     let order = clock::detect_date_order(&layout.rows, &dates, answers.date, path)?;
-    let runs =
-        plans.iter().position(|plan| target_column(&plan.role).is_some_and(|it| it.name == "run"));
+    let runs = plans
+        .iter()
+        .position(|plan| target_column(&plan.role).is_some_and(|column| column.name == "run"));
     let runs = runs.map(|at| table.parse_numbers(at, None)).transpose()?;
     let mut open = Vec::new();
     for (at, plan) in plans.iter().enumerate() {

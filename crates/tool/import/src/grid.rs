@@ -159,7 +159,7 @@ fn detect_separator(text: &str) -> char {
         lines.iter().filter(|line| split_fields(line, *separator).len() > 1).count() * 2
             > lines.len()
     };
-    if let Some(separator) = ['\t', ';', '|'].iter().find(|it| is_in_most(it)) {
+    if let Some(separator) = ['\t', ';', '|'].iter().find(|separator| is_in_most(separator)) {
         return *separator;
     }
     let mut best = (';', 0.0);

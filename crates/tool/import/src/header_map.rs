@@ -55,10 +55,11 @@ pub fn parse(text: &str, path: &Path) -> Result<Answers, BadInput> {
                 Ok(())
             }
             "counts_per_v" => {
-                let number = item.as_float().or_else(|| item.as_integer().map(|it| it as f64));
+                let number =
+                    item.as_float().or_else(|| item.as_integer().map(|value| value as f64));
                 answers.record_answer(
                     &Topic::CountsPerV,
-                    &number.map(|it| it.to_string()).unwrap_or_default(),
+                    &number.map(|number| number.to_string()).unwrap_or_default(),
                 )
             }
             "columns" => {
@@ -134,8 +135,9 @@ pub fn merge_answers(text: &str, answers: &Answers) -> Result<String, String> {
         });
         if let Some(columns) = columns.as_table_like_mut() {
             let column = columns.entry(header).or_insert_with(|| Item::Table(Table::new()));
-            let lacks =
-                column.as_table_like().is_some_and(|it: &dyn TableLike| !it.contains_key(key));
+            let lacks = column
+                .as_table_like()
+                .is_some_and(|table: &dyn TableLike| !table.contains_key(key));
             if let Some(column) = column.as_table_like_mut().filter(|_| lacks) {
                 column.insert(key, value(to));
             }

@@ -97,7 +97,7 @@ pub(crate) fn map_columns(
     let position = |drafts: &[ColumnDraft<'_>], axis: char| {
         let name = format!("{axis}_mm");
         drafts.iter().position(
-            |it| matches!(&it.meaning, ColumnMeaning::Known(target) if target.name == name),
+            |draft| matches!(&draft.meaning, ColumnMeaning::Known(target) if target.name == name),
         )
     };
     let has_time = drafts.iter().any(|draft| {

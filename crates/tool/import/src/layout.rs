@@ -275,7 +275,7 @@ fn find_headers(
     });
     let columns: Vec<SourceColumn> = columns.collect();
     for (at, column) in columns.iter().enumerate() {
-        if let Some(before) = columns[..at].iter().position(|it| it.header == column.header) {
+        if let Some(before) = columns[..at].iter().position(|other| other.header == column.header) {
             let rule =
                 format!("two columns are called {}: {} and {}", column.header, before + 1, at + 1);
             return Err(

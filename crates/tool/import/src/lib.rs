@@ -132,7 +132,7 @@ pub fn import(bytes: &[u8], path: &Path, answers: &Answers) -> Result<ImportedRu
             return Err(error.into());
         }
         let headers: Vec<&str> =
-            layout.columns.iter().take(5).map(|it| it.header.as_str()).collect();
+            layout.columns.iter().take(5).map(|column| column.header.as_str()).collect();
         let rule = format!("no column is one that a run file knows: {}", headers.join(", "));
         let error = BadInput::new(layout.columns[0].place.clone(), rule);
         return Err(error.with_help("Name one, by its header or number: --column 1=x_mm").into());

@@ -59,7 +59,7 @@ const REVERSE_WORDS: &str = "rueckfahrt rueckweg ruecklauf rueckwaertslauf - -1 
 
 /// Returns true if `list` has the word.
 pub(crate) fn contains_word(list: &str, word: &str) -> bool {
-    list.split_whitespace().any(|it| it == word)
+    list.split_whitespace().any(|other| other == word)
 }
 
 /// Returns the direction that a word of a table says.

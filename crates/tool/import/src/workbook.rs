@@ -34,7 +34,7 @@ pub(crate) fn read(bytes: &[u8], name: Option<&str>, path: &Path) -> Result<Grid
     })?;
     let names = book.sheet_names();
     if let Some(name) = name {
-        let known = names.iter().find(|it| it.to_lowercase() == name.to_lowercase());
+        let known = names.iter().find(|candidate| candidate.to_lowercase() == name.to_lowercase());
         let Some(known) = known else {
             let rule = format!("there is no sheet {name}");
             return Err(bad(rule).with_help(format!("there are: {}", names.join(", "))).into());

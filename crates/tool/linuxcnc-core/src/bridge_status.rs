@@ -35,8 +35,8 @@ impl BridgeStatus {
                 }
             }
             Item::Elongation(elongation) => {
-                self.elongation_um =
-                    elongation.map(|it| (now, f64::from(it.0) / NANOMETRES_PER_MICROMETRE));
+                self.elongation_um = elongation
+                    .map(|elongation| (now, f64::from(elongation.0) / NANOMETRES_PER_MICROMETRE));
             }
             Item::State(state) => self.state = state,
             Item::Calibration(crc) => self.calibration = Some(crc),

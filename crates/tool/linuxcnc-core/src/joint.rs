@@ -149,7 +149,8 @@ impl JointOffsets {
     pub fn resume(&mut self, joint: usize, left: JointGoal) {
         let base_nm = f64::midpoint(left.min_nm, left.max_nm);
         if let Some(state) = self.states.get_mut(joint) {
-            let reference_nm = Some(left.reference_nm).filter(|it| it.is_finite());
+            let reference_nm =
+                Some(left.reference_nm).filter(|reference_nm| reference_nm.is_finite());
             *state = JointState {
                 base_nm,
                 offset_nm: left.offset_nm,

@@ -433,8 +433,7 @@ mod tests {
                 ..Command::default()
             };
             let received = said(&mut sender, ms(0), &command);
-            let is_y =
-                |it: &Received| matches!(it, Received::Position(at) if at.axis == LinearAxis::Y);
+            let is_y = |received: &Received| matches!(received, Received::Position(at) if at.axis == LinearAxis::Y);
             assert_eq!(received.len(), 2, "Control and Y alone: {received:?}");
             assert!(received.iter().any(is_y));
         }

@@ -99,7 +99,8 @@ impl Ini {
             };
         }
         let letters = found("TRAJ", "COORDINATES").map(|(_, letters)| letters.to_ascii_uppercase());
-        let has = ['X', 'Y', 'Z'].map(|axis| letters.as_ref().is_none_or(|it| it.contains(axis)));
+        let has = ['X', 'Y', 'Z']
+            .map(|axis| letters.as_ref().is_none_or(|letters| letters.contains(axis)));
         Ok(Self { cycle_s: period_ns * 1e-9, mm_per_unit, axes, has })
     }
 

@@ -57,8 +57,8 @@ impl Record {
         // A machine that goes by neither keeps the columns that it has had.
         let conditions = machine.inputs.iter().flat_map(|inputs| &inputs.conditions);
         let conditions: Vec<(u8, String)> =
-            conditions.map(|(name, it)| (it.bit, name.clone())).collect();
-        let has_tool = required_columns(machine).iter().any(|it| it == TOOL_COLUMN);
+            conditions.map(|(name, conditions)| (conditions.bit, name.clone())).collect();
+        let has_tool = required_columns(machine).iter().any(|column| column == TOOL_COLUMN);
         let of_conditions = conditions.iter().map(|(_, name)| name.as_str());
         let header = first.into_iter().chain(counts).chain(names);
         let header = header.chain(has_tool.then_some(TOOL_COLUMN)).chain(of_conditions);
@@ -134,9 +134,11 @@ impl Record {
         }
         let said = inputs.conditions;
         let whole = |value: Option<u16>| cell(value.map_or(unknown, f64::from), 0);
-        cells.extend(self.has_tool.then(|| whole(said.map(|it| it.tool))));
+        cells.extend(self.has_tool.then(|| whole(said.map(|conditions| conditions.tool))));
         let bits = self.conditions.iter();
-        cells.extend(bits.map(|(bit, _)| whole(said.map(|it| it.is_set(*bit).into()))));
+        cells.extend(
+            bits.map(|(bit, _)| whole(said.map(|conditions| conditions.is_set(*bit).into()))),
+        );
         cells.join(",")
     }
 

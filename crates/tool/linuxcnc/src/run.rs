@@ -110,8 +110,9 @@ pub fn run(
         // The watchdog of the heartbeat holds the feed, as if the component were gone.
         outputs.heartbeat &= cut.is_none();
         pins.write(&outputs);
-        let recorded =
-            record.as_mut().map(|it| it.write_row_if_due(SystemTime::now(), &inputs, &outputs));
+        let recorded = record
+            .as_mut()
+            .map(|record| record.write_row_if_due(SystemTime::now(), &inputs, &outputs));
         if let Some(Err(why)) = recorded {
             // The learner finds it too old, and says so.
             tell(&format!("the record cannot be written, and is given up: {why}"));

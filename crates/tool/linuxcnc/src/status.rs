@@ -88,7 +88,7 @@ mod tests {
         ended.wait().expect("ends");
         let all = |pid: &str| {
             let mut pins: BTreeMap<String, String> =
-                ["connected", "applied"].map(|it| (it.into(), "TRUE".into())).into();
+                ["connected", "applied"].map(|pin| (pin.into(), "TRUE".into())).into();
             pins.insert("pid".into(), pid.into());
             describe_status(&pins)
         };

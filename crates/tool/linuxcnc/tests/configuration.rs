@@ -112,7 +112,7 @@ impl Case {
         let mut all: Vec<(String, String)> = fs::read_dir(self.folder.path())
             .expect("a folder")
             .map(|entry| entry.expect("an entry").path())
-            .filter(|path| path.extension().is_none_or(|it| it != "trueup-backup"))
+            .filter(|path| path.extension().is_none_or(|extension| extension != "trueup-backup"))
             .map(|path| (name(&path), fs::read_to_string(&path).expect("reads")))
             .collect();
         all.sort();
@@ -185,7 +185,7 @@ fn each_obstacle_is_found_at_its_line() {
         let found: Vec<_> = report
             .findings
             .iter()
-            .map(|it| (it.severity, it.place.line, it.what.as_str()))
+            .map(|finding| (finding.severity, finding.place.line, finding.what.as_str()))
             .collect();
         assert_eq!(found.len(), 1, "{new}: {found:#?}");
         assert_eq!((found[0].0, found[0].1), (severity, line), "{new}: {found:?}");
@@ -236,7 +236,10 @@ fn hal_files_that_leave_no_place_are_refused_at_their_line() {
         let case = Case::new(&whole(), &format!("{HAL}{more}"));
         let report = case.check(&DEMAND);
         assert!(
-            report.findings.iter().any(|it| it.what.contains(phrase) && !it.help.is_empty()),
+            report
+                .findings
+                .iter()
+                .any(|finding| finding.what.contains(phrase) && !finding.help.is_empty()),
             "{more}: {report:#?}"
         );
         let (_, changes) = case.set_up(&DEMAND).expect("reads");
@@ -253,7 +256,7 @@ fn setup_puts_the_offset_between_command_and_drive_in_the_order_of_the_thread() 
     let (_, changes) = case.set_up(&DEMAND).expect("reads");
     Case::write(&changes);
     let files = case.files();
-    let realtime = &files.iter().find(|it| it.0 == "trueup_realtime.hal").expect("written").1;
+    let realtime = &files.iter().find(|file| file.0 == "trueup_realtime.hal").expect("written").1;
     for line in [
         "loadrt moveoff names=trueup-mv personality=3",
         // read, motion-command-handler, and then the feedback before motion-controller.
@@ -279,16 +282,16 @@ fn setup_puts_the_offset_between_command_and_drive_in_the_order_of_the_thread() 
         "setp trueup-mv.waypoint-sample-secs 1e9",
         "setp trueup-mv.power-on 1",
     ] {
-        assert!(realtime.lines().any(|it| it == line), "{line}\n{realtime}");
+        assert!(realtime.lines().any(|other| other == line), "{line}\n{realtime}");
     }
-    let ini = &files.iter().find(|it| it.0 == "machine.ini").expect("there").1;
+    let ini = &files.iter().find(|file| file.0 == "machine.ini").expect("there").1;
     let halfiles: Vec<&str> = ini.lines().filter(|line| line.starts_with("HALFILE")).collect();
     assert_eq!(
         halfiles,
         ["HALFILE = machine.hal", "HALFILE = trueup_realtime.hal", "HALFILE = trueup.hal"]
     );
     assert_eq!(
-        InstalledSetup::from_ini(&case.read().0).map(|it| it.entry),
+        InstalledSetup::from_ini(&case.read().0).map(|setup| setup.entry),
         Some(OffsetEntryPoint::Joint)
     );
 }
@@ -303,8 +306,11 @@ fn inputs_of_the_machine_file_come_in_by_their_names_with_a_board_too() {
     let demand = |entry| OffsetRequirements::from_machine(entry, Some(&machine));
     // Nothing brings them: each is named, with a pin that may give it.
     let report = Case::new(&whole(), HAL).check(&demand(OffsetEntryPoint::Joint));
-    let said: Vec<String> =
-        report.findings.iter().map(|it| format!("{} {}", it.what, it.help)).collect();
+    let said: Vec<String> = report
+        .findings
+        .iter()
+        .map(|finding| format!("{} {}", finding.what, finding.help))
+        .collect();
     for (signal, pin) in [
         ("trueup-condition-03", "iocontrol.0.coolant-flood"),
         ("trueup-tool", "iocontrol.0.tool-number"),
@@ -312,7 +318,7 @@ fn inputs_of_the_machine_file_come_in_by_their_names_with_a_board_too() {
         ("trueup-angle-2", "axis.a.pos-cmd"),
     ] {
         assert!(
-            said.iter().any(|it| it.contains(signal) && it.contains(pin)),
+            said.iter().any(|sentence| sentence.contains(signal) && sentence.contains(pin)),
             "{signal}: {said:?}"
         );
     }
@@ -323,7 +329,7 @@ fn inputs_of_the_machine_file_come_in_by_their_names_with_a_board_too() {
         let case = Case::new(&whole(), &format!("{HAL}{own}"));
         Case::write(&case.set_up(&demand(OffsetEntryPoint::Joint)).expect("reads").1);
         let files = case.files();
-        let text = &files.iter().find(|it| it.0 == "trueup.hal").expect("written").1;
+        let text = &files.iter().find(|file| file.0 == "trueup.hal").expect("written").1;
         assert!(!text.contains("--rotary"), "{text}");
     }
     let own = "net trueup-condition-03 drive.flood\nnet trueup-tool iocontrol.0.tool-number\n\
@@ -333,7 +339,7 @@ fn inputs_of_the_machine_file_come_in_by_their_names_with_a_board_too() {
         assert_eq!(case.check(&demand(entry)).findings, []);
         Case::write(&case.set_up(&demand(entry)).expect("reads").1);
         let files = case.files();
-        let text = &files.iter().find(|it| it.0 == "trueup.hal").expect("written").1;
+        let text = &files.iter().find(|file| file.0 == "trueup.hal").expect("written").1;
         for line in [
             "net trueup-condition-03 => trueup.0.condition-03\n",
             "net trueup-tool => trueup.0.tool\n",
@@ -349,8 +355,8 @@ fn inputs_of_the_machine_file_come_in_by_their_names_with_a_board_too() {
 /// Returns the text of a file that setup writes.
 fn written(demand: &OffsetRequirements, file: &str) -> String {
     let (_, changes) = Case::new(&whole(), HAL).set_up(demand).expect("reads");
-    let change = changes.into_iter().find(|it| name(&it.path) == file);
-    String::from_utf8(change.and_then(|it| it.content).expect("written")).expect("a text")
+    let change = changes.into_iter().find(|change| name(&change.path) == file);
+    String::from_utf8(change.and_then(|change| change.content).expect("written")).expect("a text")
 }
 
 #[test]
@@ -392,7 +398,7 @@ fn a_name_with_a_blank_is_refused_with_the_reason() {
     ] {
         let case = Case::new(&whole(), HAL);
         let (report, changes) = case.set_up_with(&DEMAND, port, machine).expect("reads");
-        assert!(report.findings.iter().any(|it| it.what.contains(phrase)), "{report:#?}");
+        assert!(report.findings.iter().any(|finding| finding.what.contains(phrase)), "{report:#?}");
         assert_eq!(changes, []);
     }
 }
@@ -401,8 +407,8 @@ fn a_name_with_a_blank_is_refused_with_the_reason() {
 fn a_halcmd_line_that_connects_a_joint_comes_too_late() {
     let text = whole().replace("[HAL]\n", "[HAL]\nHALCMD = net x-pos => joint.0.motor-pos-cmd\n");
     let report = Case::new(&text, HAL).check(&DEMAND);
-    let found = report.findings.iter().find(|it| it.what.contains("after the HAL files"));
-    assert_eq!(found.map(|it| it.place.line), Some(4), "{report:#?}");
+    let found = report.findings.iter().find(|finding| finding.what.contains("after the HAL files"));
+    assert_eq!(found.map(|finding| finding.place.line), Some(4), "{report:#?}");
 }
 
 #[test]
@@ -445,13 +451,16 @@ fn setup_leaves_what_the_user_has_connected_or_written() {
     let by_hand = format!("{HAL}loadusr -W trueup linuxcnc --port x\n");
     let case = Case::new(&whole(), &by_hand);
     let (report, changes) = case.set_up(&DEMAND).expect("reads");
-    assert!(report.findings.iter().any(|it| it.what.contains("by hand")) && changes.is_empty());
+    assert!(
+        report.findings.iter().any(|finding| finding.what.contains("by hand"))
+            && changes.is_empty()
+    );
     assert_eq!(case.check(&DEMAND).findings, [], "check looks at it all the same");
     let case = Case::new(&whole(), HAL);
     fs::write(case.folder.path().join("trueup.hal"), "# mine\n").expect("writes");
     let (report, changes) = case.set_up(&DEMAND).expect("reads");
     assert!(
-        report.findings.iter().any(|it| it.what.contains("not written by setup"))
+        report.findings.iter().any(|finding| finding.what.contains("not written by setup"))
             && changes.is_empty()
     );
     Case::write(&install::prepare_removal(&case.read().0).expect("reads"));

@@ -91,7 +91,7 @@ fn a_machine_file_with_heat_says_how_the_first_start_is_confirmed() {
             ..OffsetRequirements::from_machine(OffsetEntryPoint::Joint, Some(&machine))
         };
         let facts = check(&ini, &HalFiles::read(&ini).expect("reads"), &demand).facts;
-        facts.iter().any(|it| it.contains("halcmd setp trueup.0.confirm 1"))
+        facts.iter().any(|fact| fact.contains("halcmd setp trueup.0.confirm 1"))
     };
     assert!(facts(WARM_UP, "") && !facts(WARM_UP, "net trueup-confirm panel.cold\n"));
     assert!(!facts(MACHINE, ""), "without heat there is nothing to confirm");
@@ -109,9 +109,14 @@ fn written(ini_text: &str, entry: OffsetEntryPoint, file: &str) -> (Vec<String>,
         BridgeSettings { port: None, machine: Some("m.toml".into()), position_period_ms: 0 };
     let (report, changes) =
         install::prepare_setup(&read(), &hal, &demand(entry), &bridge).expect("reads");
-    let said = report.findings.iter().map(|it| format!("{} {}", it.what, it.help)).collect();
+    let said = report
+        .findings
+        .iter()
+        .map(|finding| format!("{} {}", finding.what, finding.help))
+        .collect();
     let of = |change: &&FileChange| change.path.ends_with(file);
-    let content = changes.iter().find(of).and_then(|it| it.content.clone()).unwrap_or_default();
+    let content =
+        changes.iter().find(of).and_then(|change| change.content.clone()).unwrap_or_default();
     if report.is_usable() {
         for change in &changes {
             fs::write(&change.path, change.content.as_ref().expect("new")).expect("writes");
@@ -178,10 +183,11 @@ fn inputs_are_connected_by_their_names_and_those_that_are_missing_are_named() {
             && !text.contains("joint-3-vel")
     );
     assert!(
-        said.iter().any(|it| it.contains("trueup-temp-05") && it.contains("temp_bed_c")),
+        said.iter()
+            .any(|sentence| sentence.contains("trueup-temp-05") && sentence.contains("temp_bed_c")),
         "{said:?}"
     );
-    assert!(!said.iter().any(|it| it.contains("trueup-temp-02")), "{said:?}");
+    assert!(!said.iter().any(|sentence| sentence.contains("trueup-temp-02")), "{said:?}");
 }
 
 #[test]
@@ -205,13 +211,14 @@ fn the_calibration_is_that_of_compile_and_an_odd_servo_period_is_refused() {
     let odd = ini().replace("= 1000000", "= 1500000");
     let (said, blob) = written(&odd, OffsetEntryPoint::Joint, "trueup_calibration.bin");
     assert!(
-        blob.is_empty() && said.iter().any(|it| it.contains("without a board it is 0.5")),
+        blob.is_empty()
+            && said.iter().any(|sentence| sentence.contains("without a board it is 0.5")),
         "{said:?}"
     );
     for (thread, is_said) in [("30000", true), ("25000", false), ("0", false)] {
         let with = ini().replace("= 1000000", &format!("= 1000000\nBASE_PERIOD = {thread}"));
         let (said, _) = written(&with, OffsetEntryPoint::Joint, "trueup_calibration.bin");
-        assert_eq!(said.iter().any(|it| it.contains("990000 ns")), is_said, "{said:?}");
+        assert_eq!(said.iter().any(|sentence| sentence.contains("990000 ns")), is_said, "{said:?}");
     }
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("machine.ini");
@@ -220,6 +227,6 @@ fn the_calibration_is_that_of_compile_and_an_odd_servo_period_is_refused() {
     let read = IniLines::read(&path).expect("reads");
     let with_board = OffsetRequirements { no_board: None, ..demand(OffsetEntryPoint::Joint) };
     let report = check(&read, &HalFiles::read(&read).expect("reads"), &with_board);
-    let errors = report.findings.iter().filter(|it| it.severity == Severity::Error);
+    let errors = report.findings.iter().filter(|finding| finding.severity == Severity::Error);
     assert_eq!(errors.count(), 0, "a board may: {:?}", report.findings);
 }

@@ -94,7 +94,7 @@ impl Arc {
         let at = self.position_mm(start_mm, turned_deg - DIRECTION_STEP_DEG);
         let [u, v] = [0, 1].map(|n| at[n] - self.centre_mm[n]);
         [-v * self.rotation_sign(), u * self.rotation_sign()]
-            .map(|it| if it < 0.0 { -1 } else { 1 })
+            .map(|component| if component < 0.0 { -1 } else { 1 })
     }
 }
 

@@ -193,7 +193,10 @@ fn build_row(plan: &Plan, found: &ProbedPoint) -> Vec<Cell> {
     let cell = |column: &Column| {
         let name = template::column_name(column);
         let measured = ["measured_dx_um", "measured_dy_um", "measured_dz_um"];
-        let mean = measured.iter().position(|it| *it == name).and_then(|axis| found.by[axis]);
+        let mean = measured
+            .iter()
+            .position(|candidate| *candidate == name)
+            .and_then(|axis| found.by[axis]);
         mean.map_or_else(|| Cell::Text(template::cell_text(column, &reading)), Cell::Found)
     };
     plan.columns.iter().map(cell).collect()

@@ -200,8 +200,8 @@ fn a_long_axis_has_targets_at_most_a_quarter_of_a_metre_apart() {
     let text = include_str!("../../../../data/gantry.toml");
     let (made, _) = create_plans(MeasurementKind::Pitch, &parse(text), &only_x()).expect("it fits");
     let readings = made[0].readings();
-    let targets: Vec<f64> =
-        readings.iter().take(readings.len() / 10).filter_map(|it| it.position_mm[0]).collect();
+    let tenth = &readings[..readings.len() / 10];
+    let targets: Vec<f64> = tenth.iter().filter_map(|reading| reading.position_mm[0]).collect();
     // 14 200 mm within the over-travel, in 57 steps; a target moves on by a quarter of one at most.
     assert_eq!(targets.len(), 58);
     assert!(targets.windows(2).all(|pair| pair[1] - pair[0] < 1.25 * 250.0));
@@ -214,7 +214,8 @@ fn an_axis_is_heated_between_500_and_1500_mm_for_twenty_minutes() {
     let (made, _) =
         create_plans(MeasurementKind::AxisHeat, &parse(text), &only_x()).expect("it fits");
     let plan = &made[0];
-    let at: Vec<f64> = plan.readings()[..11].iter().filter_map(|it| it.position_mm[0]).collect();
+    let at: Vec<f64> =
+        plan.readings()[..11].iter().filter_map(|reading| reading.position_mm[0]).collect();
     let every_100: Vec<f64> = (5..=15).map(|n| 100.0 * f64::from(n)).collect();
     assert_eq!(at, every_100);
     assert_eq!(plan.readings().len(), 7 * 11);
@@ -236,7 +237,7 @@ fn an_axis_is_heated_between_500_and_1500_mm_for_twenty_minutes() {
 fn a_warm_up_is_read_once_a_minute_for_two_hours_off_and_on() {
     let plan = &of(MeasurementKind::Warmup, &MeasurementOptions::default())[0];
     let names: Vec<String> =
-        template::run_file_templates(plan).into_iter().map(|it| it.0).collect();
+        template::run_file_templates(plan).into_iter().map(|template| template.0).collect();
     assert_eq!(names, ["warmup-off.csv", "warmup-on.csv"]);
     let readings = plan.readings();
     assert_eq!(readings.len(), 120);
@@ -292,8 +293,8 @@ fn a_step_diagonal_moves_one_axis_at_a_time_between_opposite_corners() {
     for plan in &made {
         let readings = plan.readings();
         let there = &readings[..readings.len() / 2];
-        let [first, last] =
-            [there[0], there[there.len() - 1]].map(|it| it.position_mm.map(Option::unwrap));
+        let [first, last] = [there[0], there[there.len() - 1]]
+            .map(|reading| reading.position_mm.map(Option::unwrap));
         // The tool comes in last, and goes out first.
         assert!(first[2] > last[2], "{}", plan.name);
         ways.insert([0, 1].map(|n| last[n] > first[n]));
@@ -326,7 +327,7 @@ fn a_horizontal_spindle_has_two_step_diagonals_and_the_notes_say_so() {
     assert_eq!(made.len(), 2);
     assert_ne!(x_mm(&made[0]), x_mm(&made[1]));
     assert!(made[1].then[0].ends_with("step-diagonal-2-xyz.csv"), "{:?}", made[1].then);
-    assert!(notes.iter().any(|it| it.contains("2 of the four body diagonals")), "{notes:?}");
+    assert!(notes.iter().any(|note| note.contains("2 of the four body diagonals")), "{notes:?}");
 }
 
 #[test]
@@ -393,7 +394,7 @@ fn a_plate_is_touched_ball_by_ball_with_each_stylus_at_its_height() {
 #[test]
 fn no_program_leaves_the_travel_and_every_cycle_ends_where_it_began() {
     let gauges = [None, Some(MeasuringInstrument::Dial), Some(MeasuringInstrument::Laser)];
-    for (kind, gauge) in KINDS.into_iter().flat_map(|it| gauges.map(|gauge| (it, gauge))) {
+    for (kind, gauge) in KINDS.into_iter().flat_map(|kind| gauges.map(|gauge| (kind, gauge))) {
         for plan in of(kind, &MeasurementOptions { gauge, ..with_z() }) {
             let travel = [[0.0, 1000.0], [-300.0, 300.0], [-400.0, 0.0]]; // The margins are out of it.
             for (extent, [low, high]) in plan.extent_mm().into_iter().zip(travel) {

@@ -47,7 +47,7 @@ fn calls(program: &str) -> Option<Vec<String>> {
 
 /// Returns the numbers of a call.
 fn numbers(call: &str) -> Vec<f64> {
-    let inside = call.split_once('(').and_then(|it| it.1.split_once(')')).unwrap_or_default();
+    let inside = call.split_once('(').and_then(|parts| parts.1.split_once(')')).unwrap_or_default();
     inside.0.split(", ").map(|number| number.parse::<f64>().expect("a number")).collect()
 }
 

@@ -131,10 +131,11 @@ impl CompensationModel {
     pub fn conditions(&self, cnc: &CncState, now_ms: u64) -> Vec<(String, f64)> {
         let said = cnc.conditions(now_ms);
         let inputs = self.machine.inputs.iter().flat_map(|inputs| &inputs.conditions);
-        let value = |it: Option<u16>| it.map_or(f64::NAN, f64::from);
-        let tool = (TOOL_COLUMN.to_string(), value(said.map(|it| it.tool)));
-        let conditions = inputs
-            .map(|(name, it)| (name.clone(), value(said.map(|all| all.is_set(it.bit).into()))));
+        let value = |value: Option<u16>| value.map_or(f64::NAN, f64::from);
+        let tool = (TOOL_COLUMN.to_string(), value(said.map(|conditions| conditions.tool)));
+        let conditions = inputs.map(|(name, condition)| {
+            (name.clone(), value(said.map(|all| all.is_set(condition.bit).into())))
+        });
         let needed = required_columns(&self.machine);
         std::iter::once(tool).chain(conditions).filter(|(name, _)| needed.contains(name)).collect()
     }
@@ -148,11 +149,13 @@ impl CompensationModel {
         let temperatures_c: Vec<(String, f64)> = channels
             .map(|(name, input)| {
                 let centi_c = moment.centi_c.get(usize::from(input.channel)).copied().flatten();
-                (name.clone(), centi_c.map_or(f64::NAN, |it| f64::from(it) / 100.0))
+                (name.clone(), centi_c.map_or(f64::NAN, |centi_c| f64::from(centi_c) / 100.0))
             })
             .collect();
-        let temperatures_c: Vec<(&str, f64)> =
-            temperatures_c.iter().map(|(name, it)| (name.as_str(), *it)).collect();
+        let temperatures_c: Vec<(&str, f64)> = temperatures_c
+            .iter()
+            .map(|(name, temperature)| (name.as_str(), *temperature))
+            .collect();
         // The CNC's frames are stamped with the same clock.
         let now_ms = (moment.time_s * 1_000.0) as u64;
         let known = |value: Option<f64>| value.unwrap_or(f64::NAN);
@@ -165,7 +168,7 @@ impl CompensationModel {
         let sensor = self.machine.board_sensor_model();
         let conditions = self.conditions(moment.cnc, now_ms);
         let others: Vec<(&str, f64)> =
-            conditions.iter().map(|(name, it)| (name.as_str(), *it)).collect();
+            conditions.iter().map(|(name, condition)| (name.as_str(), *condition)).collect();
         let parts = self.model.step(&RowInputs {
             time_s: Some(moment.time_s),
             sensor_counts: match (sensor, moment.growth_um) {
@@ -269,10 +272,10 @@ mod tests {
              levels = [0.0, 1.0]\nlevel_um = [0.0, 3.0]\n";
         let (mut laws, mut cnc) = (laws(text), CncState::default());
         let names = |laws: &CompensationModel, cnc: &CncState| laws.conditions(cnc, 1_000);
-        assert!(names(&laws, &cnc).iter().all(|(_, it)| it.is_nan()), "nobody has said them");
+        assert!(names(&laws, &cnc).iter().all(|(_, value)| value.is_nan()), "nobody has said them");
         let sum = |laws: &mut CompensationModel, cnc: &CncState| -> [f64; 3] {
             let shares = laws.offset_contributions(&moment(None, cnc));
-            let sum = |axis: usize| shares.iter().map(|it| it.offset_um[axis]).sum::<f64>();
+            let sum = |axis: usize| shares.iter().map(|share| share.offset_um[axis]).sum::<f64>();
             [0, 1, 2].map(|axis| (sum(axis) * 1e6).round() / 1e6)
         };
         let unknown = sum(&mut laws, &cnc);
@@ -287,7 +290,8 @@ mod tests {
     fn what_needs_a_position_that_nobody_hears_is_not_known() {
         let cnc = CncState::default();
         let shares = laws(GANTRY).offset_contributions(&moment(None, &cnc));
-        let straight = shares.iter().find(|it| it.name == "straightness").expect("it has curves");
+        let straight =
+            shares.iter().find(|share| share.name == "straightness").expect("it has curves");
         assert!(straight.offset_um.iter().any(|um| um.is_nan()), "{straight:?}");
     }
 }

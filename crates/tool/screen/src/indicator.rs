@@ -166,7 +166,7 @@ pub(crate) fn parse_reading(line: &str, unit: IndicatorUnit) -> Option<Indicator
     // Digimatic: two digits of the channel, and A before the value.
     let value = match line.split_once('A') {
         Some((channel, value))
-            if channel.len() == 2 && channel.bytes().all(|it| it.is_ascii_digit()) =>
+            if channel.len() == 2 && channel.bytes().all(|byte| byte.is_ascii_digit()) =>
         {
             value
         }
@@ -175,7 +175,7 @@ pub(crate) fn parse_reading(line: &str, unit: IndicatorUnit) -> Option<Indicator
     if value.contains(',') {
         return refused("a decimal point, not a comma");
     }
-    let end = value.find(|it: char| !matches!(it, '0'..='9' | '+' | '-' | '.' | ' '));
+    let end = value.find(|character: char| !matches!(character, '0'..='9' | '+' | '-' | '.' | ' '));
     let (number, name) = value.split_at(end.unwrap_or(value.len()));
     let unit = match name.trim() {
         "" => unit,
@@ -184,7 +184,7 @@ pub(crate) fn parse_reading(line: &str, unit: IndicatorUnit) -> Option<Indicator
             None => return refused("not a reading"),
         },
     };
-    let number: String = number.chars().filter(|it| *it != ' ').collect();
+    let number: String = number.chars().filter(|character| *character != ' ').collect();
     match number.parse::<f64>() {
         Ok(number) => Some(Ok(number * unit.micrometres_per_unit())),
         Err(_) => refused("not a reading"),

@@ -83,7 +83,8 @@ pub fn run(options: ScreenOptions) -> Result<bool> {
         state.source = ModelSource::File(name.to_string_lossy().into_owned());
         state.laws = Some(laws);
     }
-    let theme = Theme { has_colour: std::env::var_os("NO_COLOR").is_none_or(|it| it.is_empty()) };
+    let theme =
+        Theme { has_colour: std::env::var_os("NO_COLOR").is_none_or(|var_os| var_os.is_empty()) };
     let interface = port.interface_name().to_owned();
     let kept = port.clone();
     let line = Connection::spawn(move || kept.open());
@@ -146,7 +147,7 @@ impl EventLoop {
             for heard in line.take_events() {
                 self.handle_line_event(heard, line)?;
             }
-            for heard in indicator.iter().flat_map(|it| it.try_iter()) {
+            for heard in indicator.iter().flat_map(|indicator| indicator.try_iter()) {
                 let action = self.state.handle_gauge_reading(heard, self.now_s());
                 self.perform_action(action)?;
             }
@@ -201,7 +202,7 @@ impl EventLoop {
             ConnectionEvent::Up => self.state.link = LinkState::Up,
             ConnectionEvent::Down(why) => {
                 let other = port_holder(&self.port);
-                let other = other.map(|it| format!("; {it} has the line: end it first"));
+                let other = other.map(|holder| format!("; {holder} has the line: end it first"));
                 self.state.link = LinkState::Down(why + &other.unwrap_or_default());
             }
             ConnectionEvent::Received(Event::Frame(frame)) => self.handle_frame(&frame, line)?,
@@ -262,8 +263,9 @@ impl EventLoop {
             PollOutcome::Ask(request) => line.try_send(request),
             PollOutcome::Bytes(bytes) => {
                 let thousandths = bytes.first_chunk().copied().map(i32::from_le_bytes);
-                let thousandths = thousandths.filter(|it| *it != object::NOT_AVAILABLE);
-                let growth_um = thousandths.map(|it| f64::from(it) / 1_000.0);
+                let thousandths =
+                    thousandths.filter(|thousandths| *thousandths != object::NOT_AVAILABLE);
+                let growth_um = thousandths.map(|thousandths| f64::from(thousandths) / 1_000.0);
                 self.state.set_sensor_growth(growth_um, self.now_s());
             }
             PollOutcome::Refused | PollOutcome::Nothing => {}

@@ -257,7 +257,7 @@ impl State {
         values[0] = growth_um.unwrap_or(f64::NAN);
         values[1..4].copy_from_slice(&self.offset_um().unwrap_or([f64::NAN; 3]));
         for (value, centi_c) in values[4..].iter_mut().zip(centi_c) {
-            *value = centi_c.map_or(f64::NAN, |it| f64::from(it) / 100.0);
+            *value = centi_c.map_or(f64::NAN, |centi_c| f64::from(centi_c) / 100.0);
         }
         values[DIFFERENCE_SERIES_INDEX] = self.difference_um().unwrap_or(f64::NAN);
         self.trend.push(now_s, values);

@@ -118,7 +118,7 @@ fn message_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>
     let (text, style) = if let Some(typed) = &state.prompt {
         let or_live = if state.gauge.is_live { " (or press its button)" } else { "" };
         let asked = format!("measured {quantity} in µm{or_live}: {typed}_");
-        let said = state.message().map(|it| format!("   {it}")).unwrap_or_default();
+        let said = state.message().map(|message| format!("   {message}")).unwrap_or_default();
         (asked + &said, theme.heading_style())
     } else if let Some(message) = state.message() {
         (message.to_owned(), theme.heading_style())

@@ -120,7 +120,7 @@ impl BridgeMonitor {
             PollOutcome::Bytes(bytes) => {
                 let text = || {
                     let text = String::from_utf8_lossy(&bytes[..bytes.len().min(MAX_NAME_LENGTH)]);
-                    Some(escape_line(text.trim_end_matches('\0'))).filter(|it| !it.is_empty())
+                    Some(escape_line(text.trim_end_matches('\0'))).filter(|text| !text.is_empty())
                 };
                 match running {
                     0 => {
@@ -177,13 +177,14 @@ impl BridgeMonitor {
         snapshot.quality = Some(output.quality);
         snapshot.flags = flag_names(output.flags);
         if output.quality != Quality::Fault {
-            snapshot.offset_um = offset_um(output).map_or([None; 3], |it| it.map(Some));
+            snapshot.offset_um =
+                offset_um(output).map_or([None; 3], |offset_um| offset_um.map(Some));
         }
         let ms = now.saturating_duration_since(self.start).as_millis();
         snapshot.position_mm = self.cnc.position_mm(u64::try_from(ms).unwrap_or(u64::MAX));
         if self.status_at.is_some_and(|at| is_fresh(at, MAX_STATUS_AGE)) {
             let celsius = |centi_c: i16| f64::from(centi_c) / 100.0;
-            snapshot.temperature_c = self.board.centi_c.map(|it| it.map(celsius));
+            snapshot.temperature_c = self.board.centi_c.map(|centi_c| centi_c.map(celsius));
             snapshot.elongation_um = self.board.elongation_um();
             snapshot.has_status = true;
             snapshot.faults = self.board.fault_names();

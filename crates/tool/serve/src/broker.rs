@@ -93,7 +93,7 @@ impl BrokerConfig {
     #[must_use]
     pub(crate) fn transport(&self) -> Transport {
         let tls = self.tls.clone();
-        tls.map_or(Transport::Tcp, |it| Transport::Tls(TlsConfiguration::Rustls(it)))
+        tls.map_or(Transport::Tcp, |tls| Transport::Tls(TlsConfiguration::Rustls(tls)))
     }
 
     /// Returns whether what is published can be read on a network.
@@ -107,7 +107,7 @@ impl BrokerConfig {
 #[must_use]
 pub fn is_loopback(host: &str) -> bool {
     let bare = host.trim_start_matches('[').trim_end_matches(']');
-    host == "localhost" || bare.parse().is_ok_and(|it: IpAddr| it.is_loopback())
+    host == "localhost" || bare.parse().is_ok_and(|address: IpAddr| address.is_loopback())
 }
 
 fn load_certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>> {

@@ -61,7 +61,7 @@ pub(crate) fn bridge_metrics(of: &Snapshot) -> Vec<Metric> {
     let count =
         |name, count: u32| Metric { name, unit: "", value: MetricValue::Count(count.into()) };
     let mut all = vec![Metric { name: "Bridge/Up", unit: "", value: MetricValue::Flag(of.is_up) }];
-    all.push(text("Bridge/Quality", of.quality.map(|it| quality_name(it).to_owned())));
+    all.push(text("Bridge/Quality", of.quality.map(|quality| quality_name(quality).to_owned())));
     all.push(words(FLAGS_METRIC, of.is_up, &of.flags));
     all.push(words("Bridge/Faults", of.has_status, &of.faults));
     all.push(words("Bridge/State", of.has_status, &of.state));
@@ -95,18 +95,21 @@ mod tests {
         };
         let silent = Snapshot { has_status: false, ..known.clone() };
         let (known, unknown) = (bridge_metrics(&known), bridge_metrics(&Snapshot::default()));
-        let names = |all: &[Metric]| all.iter().map(|it| it.name).collect::<Vec<_>>();
+        let names = |all: &[Metric]| all.iter().map(|metric| metric.name).collect::<Vec<_>>();
         assert_eq!(names(&known), names(&unknown));
         let mut different = names(&known);
         different.sort_unstable();
         different.dedup();
         assert_eq!(different.len(), known.len(), "each name once");
-        let of = |name| known.iter().find(|it| it.name == name).map(|it| it.value.clone());
+        let of = |name| {
+            known.iter().find(|metric| metric.name == name).map(|metric| metric.value.clone())
+        };
         assert_eq!(of("Offset/X"), Some(MetricValue::Number(Some(1.5))));
         assert_eq!(of("Calibration/CRC"), Some(MetricValue::Text(Some("000000ab".into()))));
         assert_eq!(of("Bridge/Faults"), Some(MetricValue::Text(Some(String::new()))));
         let silent = bridge_metrics(&silent);
-        let faults = silent.iter().find(|it| it.name == "Bridge/Faults").map(|it| &it.value);
+        let faults =
+            silent.iter().find(|metric| metric.name == "Bridge/Faults").map(|metric| &metric.value);
         assert_eq!(
             faults,
             Some(&MetricValue::Text(None)),

@@ -136,7 +136,7 @@ fn run_connection(
                 ConnectionEvent::Ended(why) => return why,
             }
         }
-        let is_lost = link.host.as_ref().is_some_and(|it| !it.is_online()) && link.is_born;
+        let is_lost = link.host.as_ref().is_some_and(|host| !host.is_online()) && link.is_born;
         if is_lost || shared.is_stop_requested() {
             let death = node.death_message(clock::now_ms());
             connection.publish(&death.topic, death.payload, false);
@@ -214,7 +214,7 @@ impl BrokerSession<'_> {
 
     fn receive_birth(&mut self, topic: &str, payload: &[u8]) {
         let is_own = self.sent.contains(&self.hasher.hash_one((topic, payload)));
-        let is_reported = self.others.iter().any(|it| it == topic);
+        let is_reported = self.others.iter().any(|other| other == topic);
         if is_own || is_reported || self.others.len() >= MAX_REPORTED_TOPICS {
             return;
         }

@@ -166,7 +166,7 @@ impl MainLoop<'_> {
             return;
         }
         let identities: Vec<BridgeIdentity> =
-            bridges.iter().map(|it| it.identity.clone()).collect();
+            bridges.iter().map(|bridge| bridge.identity.clone()).collect();
         if self.described.as_ref() == Some(&identities) {
             return;
         }
@@ -185,7 +185,8 @@ impl MainLoop<'_> {
     /// Returns whether every bridge is there, and the broker if there is one.
     fn is_fully_connected(&self, bridges: &[Snapshot]) -> bool {
         let is_online = self.shared.counts().is_online.load(Ordering::Relaxed);
-        let are_there = bridges.iter().all(|it| it.is_up && it.identity.serial.is_some());
+        let are_there =
+            bridges.iter().all(|bridge| bridge.is_up && bridge.identity.serial.is_some());
         are_there && (self.options.broker.is_none() || is_online)
     }
 }
@@ -208,6 +209,6 @@ fn counts_json(shared: &SharedState) -> Value {
         "waiting": shared.lock_spool().unacknowledged_count(),
         "lost": of(&counts.lost),
         "ignored_messages": of(&counts.hostile),
-        "lost_frames": shared.snapshots().iter().map(|it| it.lost_frames).sum::<u32>(),
+        "lost_frames": shared.snapshots().iter().map(|snapshot| snapshot.lost_frames).sum::<u32>(),
     })
 }

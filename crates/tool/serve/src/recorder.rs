@@ -89,7 +89,8 @@ impl Recorder {
             }
             if now >= self.row_due {
                 self.row_due = (self.row_due + self.row).max(now);
-                for (place, bridge) in bridges.iter().enumerate().filter(|(_, it)| it.is_up) {
+                for (place, bridge) in bridges.iter().enumerate().filter(|(_, bridge)| bridge.is_up)
+                {
                     let device = device(place);
                     self.pending.push_back(snapshot_record(
                         &self.node,

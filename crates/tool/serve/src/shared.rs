@@ -64,7 +64,10 @@ impl SharedState {
     #[must_use]
     pub fn snapshots(&self) -> Vec<Snapshot> {
         let now = Instant::now();
-        (0..).map_while(|place| self.lock_bridge(place)).map(|it| it.snapshot(now)).collect()
+        (0..)
+            .map_while(|place| self.lock_bridge(place))
+            .map(|monitor| monitor.snapshot(now))
+            .collect()
     }
 
     /// Returns the spool, for a moment.

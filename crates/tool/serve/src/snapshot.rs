@@ -124,7 +124,7 @@ mod tests {
     use super::*;
 
     fn codes(before: &Snapshot, now: &Snapshot) -> Vec<(&'static str, String)> {
-        detect_events(before, now).into_iter().map(|it| (it.code, it.about)).collect()
+        detect_events(before, now).into_iter().map(|event| (event.code, event.about)).collect()
     }
 
     #[test]

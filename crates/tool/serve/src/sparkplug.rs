@@ -28,7 +28,7 @@ const UNIT_PROPERTY: &str = "engUnit";
 /// Returns the topic of a message of this type of an edge node, or of a device of it.
 #[must_use]
 pub fn topic(kind: &str, node: &str, device: Option<&str>) -> String {
-    let device = device.map(|it| format!("/{it}")).unwrap_or_default();
+    let device = device.map(|device| format!("/{device}")).unwrap_or_default();
     format!("spBv1.0/{GROUP_ID}/{kind}/{node}{device}")
 }
 
@@ -41,7 +41,7 @@ pub(crate) fn state_topic(host: &str) -> String {
 /// Returns the topic outside Sparkplug's name space of what is recorded, or of the retained state.
 #[must_use]
 pub(crate) fn non_sparkplug_topic(node: &str, device: Option<&str>, kind: &str) -> String {
-    let device = device.map(|it| format!("/{it}")).unwrap_or_default();
+    let device = device.map(|device| format!("/{device}")).unwrap_or_default();
     format!("{GROUP_ID}/{node}{device}/{kind}")
 }
 
@@ -111,7 +111,7 @@ pub fn encode_payload(
 /// Returns the metrics of what came over a topic; `None`: it is no payload.
 #[must_use]
 pub(crate) fn decode_metrics(bytes: &[u8]) -> Option<Vec<payload::Metric>> {
-    Payload::decode(bytes).ok().map(|it| it.metrics)
+    Payload::decode(bytes).ok().map(|payload| payload.metrics)
 }
 
 /// Returns a record or an event that was published as an object: its identifier, its time, its metrics by name; `None`: it
@@ -130,8 +130,9 @@ pub fn payload_to_json(bytes: &[u8]) -> Option<serde_json::Value> {
         // None of a bridge's.
         _ => Json::Null,
     };
-    let named =
-        metrics.into_iter().filter_map(|it| Some((it.name?, it.value.map_or(Json::Null, value))));
+    let named = metrics
+        .into_iter()
+        .filter_map(|metric| Some((metric.name?, metric.value.map_or(Json::Null, value))));
     let named: serde_json::Map<String, Json> = named.collect();
     Some(json!({ "id": uuid, "time": timestamp.map(format_utc), "metrics": named }))
 }
@@ -139,9 +140,9 @@ pub fn payload_to_json(bytes: &[u8]) -> Option<serde_json::Value> {
 /// Returns whether a command requests all births again; `None`: it is no payload.
 #[must_use]
 pub(crate) fn is_rebirth_command(bytes: &[u8]) -> Option<bool> {
-    let asks = |it: &payload::Metric| {
-        it.name.as_deref() == Some(REBIRTH_METRIC)
-            && it.value == Some(metric::Value::BooleanValue(true))
+    let asks = |command: &payload::Metric| {
+        command.name.as_deref() == Some(REBIRTH_METRIC)
+            && command.value == Some(metric::Value::BooleanValue(true))
     };
     Some(decode_metrics(bytes)?.iter().any(asks))
 }
@@ -174,9 +175,12 @@ pub(crate) fn snapshot_record(
     time_ms: u64,
 ) -> NewRecord {
     let mut known = bridge_metrics(of);
-    known.retain(|it| !matches!(it.value, MetricValue::Number(None) | MetricValue::Text(None)));
+    known.retain(|metric| {
+        !matches!(metric.value, MetricValue::Number(None) | MetricValue::Text(None))
+    });
     let payload = move |id: &str| {
-        let metrics = known.iter().map(|it| named_metric(it.name, &it.value, time_ms)).collect();
+        let metrics =
+            known.iter().map(|metric| named_metric(metric.name, &metric.value, time_ms)).collect();
         encode_payload(metrics, time_ms, None, Some(id))
     };
     let topic = non_sparkplug_topic(node, device, "record");

@@ -102,7 +102,7 @@ impl Segment {
 
     /// Returns the records with a higher number.
     fn entries_after(&self, number: u64) -> &[IndexEntry] {
-        &self.entries[self.entries.partition_point(|it| it.number <= number)..]
+        &self.entries[self.entries.partition_point(|entry| entry.number <= number)..]
     }
 }
 
@@ -144,7 +144,9 @@ impl Spool {
     fn load_segments(&mut self) -> io::Result<()> {
         let mut names: Vec<PathBuf> =
             fs::read_dir(&self.folder)?.flatten().map(|entry| entry.path()).collect();
-        names.retain(|path| path.extension().is_some_and(|it| it == SEGMENT_EXTENSION));
+        names.retain(|path| {
+            path.extension().is_some_and(|extension| extension == SEGMENT_EXTENSION)
+        });
         names.sort();
         for path in names {
             let Some((first, id)) = parse_file_name(&path) else { continue };
@@ -180,7 +182,7 @@ impl Spool {
             return Ok(());
         }
         if self.active.is_none()
-            || self.segments.back().is_none_or(|it| it.bytes >= MAX_SEGMENT_BYTES)
+            || self.segments.back().is_none_or(|segment| segment.bytes >= MAX_SEGMENT_BYTES)
         {
             self.create_segment()?;
         }
@@ -215,9 +217,9 @@ impl Spool {
 
     fn create_segment(&mut self) -> io::Result<()> {
         self.active = None;
-        if self.segments.back().is_some_and(|it| it.entries.is_empty()) {
+        if self.segments.back().is_some_and(|segment| segment.entries.is_empty()) {
             // It could not be written; it may hold half a record.
-            self.segments.pop_back().map(|it| fs::remove_file(it.path));
+            self.segments.pop_back().map(|segment| fs::remove_file(segment.path));
         }
         let id = RandomState::new().hash_one(self.next);
         let path = self.folder.join(format!("{:020}-{id:016x}.{SEGMENT_EXTENSION}", self.next));
@@ -233,18 +235,18 @@ impl Spool {
 
     /// Removes the oldest files while there are more bytes than the limit.
     fn enforce_size_limit(&mut self) {
-        let mut bytes: u64 = self.segments.iter().map(|it| it.bytes).sum();
+        let mut bytes: u64 = self.segments.iter().map(|segment| segment.bytes).sum();
         while bytes > self.limit && self.segments.len() > 1 {
             let Some(oldest) = self.segments.pop_front() else { return };
             bytes -= oldest.bytes;
-            let lost = |it: &&IndexEntry| {
-                it.number > self.settled && !self.acknowledged.contains_key(&it.number)
+            let lost = |entry: &&IndexEntry| {
+                entry.number > self.settled && !self.acknowledged.contains_key(&entry.number)
             };
             let lost: Vec<IndexEntry> = oldest.entries.iter().filter(lost).copied().collect();
             if let (Some(first), Some(last)) = (lost.first(), lost.last()) {
                 self.reports.push(Report::overrun(*first, *last, lost.len()));
             }
-            let last = oldest.entries.last().map_or(0, |it| it.number);
+            let last = oldest.entries.last().map_or(0, |entry| entry.number);
             self.settled = self.settled.max(last);
             self.sent = self.sent.max(self.settled);
             oldest.remove();
@@ -257,8 +259,11 @@ impl Spool {
     pub fn next_to_send(&mut self, now: Instant) -> Option<Record> {
         loop {
             let sent = self.sent;
-            let first = |it: &Segment| it.entries_after(sent).first().copied();
-            let mut found = self.segments.iter_mut().filter_map(|it| first(it).map(|of| (it, of)));
+            let first = |segment: &Segment| segment.entries_after(sent).first().copied();
+            let mut found = self
+                .segments
+                .iter_mut()
+                .filter_map(|segment| first(segment).map(|of| (segment, of)));
             let (segment, entry) = found.next()?;
             let why = match read_record(segment, entry) {
                 Ok(Some(record)) => {
@@ -310,9 +315,9 @@ impl Spool {
         let before = self.settled;
         let old = |at: &Instant| now.saturating_duration_since(*at) >= RETENTION_TIME;
         // One that is open keeps all after it, in whatever order the acknowledgements came.
-        let open = self.segments.iter().flat_map(|it| it.entries_after(before));
-        let done = open.take_while(|it| self.acknowledged.get(&it.number).is_some_and(old));
-        self.settled = done.last().map_or(before, |it| it.number);
+        let open = self.segments.iter().flat_map(|segment| segment.entries_after(before));
+        let done = open.take_while(|entry| self.acknowledged.get(&entry.number).is_some_and(old));
+        self.settled = done.last().map_or(before, |entry| entry.number);
         if self.settled != before {
             self.prune_acknowledged();
             self.remove_settled();
@@ -327,7 +332,7 @@ impl Spool {
         let is_written = usize::from(self.active.is_some());
         while self.segments.len() > is_written
             && let Some(oldest) = self.segments.front()
-            && oldest.entries.last().is_none_or(|it| it.number <= self.settled)
+            && oldest.entries.last().is_none_or(|entry| entry.number <= self.settled)
         {
             oldest.remove();
             self.segments.pop_front();
@@ -342,7 +347,8 @@ impl Spool {
     /// Returns how many records the broker has not acknowledged.
     #[must_use]
     pub fn unacknowledged_count(&self) -> usize {
-        let open: usize = self.segments.iter().map(|it| it.entries_after(self.settled).len()).sum();
+        let open: usize =
+            self.segments.iter().map(|segment| segment.entries_after(self.settled).len()).sum();
         open.saturating_sub(self.acknowledged.len())
     }
 
@@ -377,7 +383,7 @@ fn parse_file_name(path: &Path) -> Option<(u64, u64)> {
 
 fn read_settled(folder: &Path) -> u64 {
     let text = fs::read_to_string(folder.join(SETTLED_FILE_NAME)).unwrap_or_default();
-    let number = text.split(' ').next().and_then(|it| it.parse().ok());
+    let number = text.split(' ').next().and_then(|part| part.parse().ok());
     // A number that is too high by a flipped bit would remove records that were never sent.
     number.filter(|number| text == format_settled(*number)).unwrap_or(0)
 }

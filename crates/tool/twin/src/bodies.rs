@@ -71,7 +71,7 @@ pub(crate) fn check(bodies: &[Body], head: &[head::RotaryAxis]) -> Result<(), Ru
             return Err(RuleViolation::new("axis", "moves two bodies".into()).in_section(&section));
         }
         let turns_tool = !body.workpiece && body.rotation_axis().is_some();
-        if turns_tool && !head.iter().any(|it| Some(*it as usize) == body.rotation_axis()) {
+        if turns_tool && !head.iter().any(|axis| Some(*axis as usize) == body.rotation_axis()) {
             return Err(RuleViolation::new("axis", "turns the tool, and is not in head".into())
                 .in_section(&section));
         }

@@ -88,7 +88,7 @@ impl Machine {
             direction: straight,
             command: Command {
                 position_mm: scenario.start_mm,
-                tool: scenario.segment.first().and_then(|it| it.tool).unwrap_or(0),
+                tool: scenario.segment.first().and_then(|segment| segment.tool).unwrap_or(0),
                 ..Command::default()
             },
         };
@@ -124,7 +124,8 @@ impl Machine {
     /// Returns the counts that the displacement sensor shows now: NaN where one is missing, `None` without
     /// a sensor. Each call is a reading of its own, with noise of its own.
     pub fn sensor_counts(&mut self) -> Option<f64> {
-        let coil_c = self.spindle.as_ref().map_or(f64::NAN, |it| it.temperatures().coil_c);
+        let coil_c =
+            self.spindle.as_ref().map_or(f64::NAN, |spindle| spindle.temperatures().coil_c);
         let turns = self.command.spindle_rpm != 0.0;
         self.sensor.as_mut().map(|sensor| sensor.read(coil_c, turns))
     }
@@ -212,7 +213,7 @@ impl Machine {
                 Spot::ScaleZ => self.axes.scale_temperature_c(AxisName::Z),
                 // A scenario with a thermometer on a spindle has one.
                 on_spindle => {
-                    spindle.map_or(f64::NAN, |it| spindle_temperature_at(&it, on_spindle))
+                    spindle.map_or(f64::NAN, |spindle| spindle_temperature_at(&spindle, on_spindle))
                 }
             };
             thermometer.step(dt_s, spot_c);

@@ -24,7 +24,8 @@ use crate::{
 /// Returns the scenario as a JSON schema (draft 2020-12).
 #[must_use]
 pub fn scenario_schema() -> Value {
-    let settings = SchemaSettings::draft2020_12().with(|it| it.inline_subschemas = true);
+    let settings =
+        SchemaSettings::draft2020_12().with(|settings| settings.inline_subschemas = true);
     let mut schema: Schema = settings.into_generator().into_root_schema_for::<Scenario>();
     schema.insert("title".into(), "Scenario of trueup".into());
     schema.insert(
@@ -48,7 +49,7 @@ pub fn scenario_markdown_table() -> String {
 /// The keys of a table, then the tables in it, in the order of the code.
 fn append_table_rows(schema: &Value, name: &str, rows: &mut String) {
     let is_needed = |key: &str| {
-        schema["required"].as_array().is_some_and(|needed| needed.iter().any(|it| it == key))
+        schema["required"].as_array().is_some_and(|needed| needed.iter().any(|other| other == key))
     };
     let all = table_keys(name).iter().map(|key| (*key, &schema["properties"][*key]));
     for (key, value) in all.clone().filter(|(_, value)| table_schema(value).is_none()) {
@@ -139,13 +140,13 @@ enum TableMultiplicity {
 /// Returns the schema of a table that `value` is, or holds.
 fn table_schema(value: &Value) -> Option<(&Value, TableMultiplicity)> {
     let whole = value["anyOf"].as_array().and_then(|any| any.first()).unwrap_or(value);
-    let is_table = |it: &Value| it["properties"].is_object();
+    let is_table = |schema: &Value| schema["properties"].is_object();
     let named = || {
         let patterns = whole["patternProperties"].as_object().and_then(|all| all.values().next());
         [Some(&whole["additionalProperties"]), patterns]
             .into_iter()
             .flatten()
-            .find(|it| is_table(it))
+            .find(|schema| is_table(schema))
     };
     if is_table(whole) {
         return Some((whole, TableMultiplicity::One));
@@ -163,8 +164,9 @@ fn describe_value_type(value: &Value) -> String {
     }
     let choices = value["enum"].as_array().or(value["oneOf"].as_array());
     if let Some(choices) = choices {
-        let name =
-            |it: &Value| it["const"].as_str().or(it.as_str()).map(|it| format!("`\"{it}\"`"));
+        let name = |schema: &Value| {
+            schema["const"].as_str().or(schema.as_str()).map(|text| format!("`\"{text}\"`"))
+        };
         return choices.iter().filter_map(name).collect::<Vec<_>>().join(", ");
     }
     let name = match &value["type"] {

@@ -50,9 +50,15 @@ impl<'s> Simulation<'s> {
         Self {
             scenario,
             machine: Machine::new(scenario, seed),
-            has_positions: scenario.measure.iter().any(|it| *it != Quantity::Elongation)
-                || scenario.segment.iter().any(|it| it.to_mm.is_some() || it.axis.is_some()),
-            has_tools: scenario.segment.iter().any(|it| it.tool.is_some()),
+            has_positions: scenario
+                .measure
+                .iter()
+                .any(|quantity| *quantity != Quantity::Elongation)
+                || scenario
+                    .segment
+                    .iter()
+                    .any(|segment| segment.to_mm.is_some() || segment.axis.is_some()),
+            has_tools: scenario.segment.iter().any(|segment| segment.tool.is_some()),
             instruments: instruments.collect(),
         }
     }

@@ -52,7 +52,7 @@ pub(crate) fn check(tools: &[ToolConfig], segments: &[Segment]) -> Result<(), Ru
         }
     }
     for (index, segment) in segments.iter().enumerate() {
-        if let Some(number) = segment.tool.filter(|it| *it != 0 && !numbers.contains(it)) {
+        if let Some(number) = segment.tool.filter(|tool| *tool != 0 && !numbers.contains(tool)) {
             let rule = format!("is {number}, which no [[tool]] has");
             return Err(RuleViolation::new(&format!("segment[{index}].tool"), rule));
         }

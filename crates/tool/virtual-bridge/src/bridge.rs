@@ -109,7 +109,8 @@ pub fn run(
         "the CNC's line is at tcp:{} (SLCAN)",
         listener.local_addr()?
     ));
-    let divider = inputs.and_then(|inputs| inputs.sensor.as_ref()).map_or(0.0, |it| it.divider);
+    let divider =
+        inputs.and_then(|inputs| inputs.sensor.as_ref()).map_or(0.0, |sensor| sensor.divider);
     let front_end = FrontEnd::new(divider, options.seed);
     let gauge = Gauge::new(machine);
     if let Some(address) = &options.gauge {

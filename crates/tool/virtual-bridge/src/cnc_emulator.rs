@@ -149,7 +149,7 @@ mod tests {
         let mut count = |received: &ReceivedFrames| {
             let frames = (0..1_000).flat_map(|_| stand_in.next_frames(&now, received)).flatten();
             let received = frames.map(|frame| receiver.accept(&frame).expect("in order"));
-            received.filter(|it| *it == Some(Command::Conditions(said))).count()
+            received.filter(|command| *command == Some(Command::Conditions(said))).count()
         };
         assert_eq!(count(&received), 20);
         received.record_line(b"t40280000000000000000");

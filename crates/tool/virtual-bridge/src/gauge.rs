@@ -55,7 +55,7 @@ impl Gauge {
         };
         let moved_um = match output.map(PlantResponse::from) {
             // No frame has come: the axis stands where it stood.
-            None => shown.map_or(0.0, |it| it.moved_um),
+            None => shown.map_or(0.0, |components| components.moved_um),
             Some(PlantResponse { offset_um, .. }) => {
                 let along = offset_um.iter().zip(self.tool_direction);
                 along.map(|(offset, direction)| offset.unwrap_or(0.0) * direction).sum()
@@ -70,7 +70,7 @@ impl Gauge {
 
     /// Returns what is left at the tool, in µm.
     fn residual_um(&self) -> Option<f64> {
-        self.reading_components().map(|it| it.growth_um + it.moved_um)
+        self.reading_components().map(|components| components.growth_um + components.moved_um)
     }
 
     /// Returns both readings in words.
@@ -168,7 +168,7 @@ mod tests {
     #[test]
     fn it_says_a_value_a_line() {
         let gauge = Gauge::new(&machine("lathe"));
-        let free = TcpListener::bind("127.0.0.1:0").and_then(|it| it.local_addr());
+        let free = TcpListener::bind("127.0.0.1:0").and_then(|listener| listener.local_addr());
         let address = free.expect("a free port").to_string();
         gauge.listen(&address).expect("it was free");
         gauge.update(Some(7.125), Some(&lifted(5_000)));

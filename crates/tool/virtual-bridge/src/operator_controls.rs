@@ -181,8 +181,8 @@ mod tests {
         hand.handle_command("engage");
         assert_eq!(hand.next_control(), Some(Control::ENGAGED), "it was up");
         hand.handle_command("confirm");
-        let pressed =
-            (0..=CONFIRM_CYCLE_MS).filter(|_| hand.next_control().is_some_and(|it| it.confirm));
+        let pressed = (0..=CONFIRM_CYCLE_MS)
+            .filter(|_| hand.next_control().is_some_and(|control| control.confirm));
         assert_eq!(pressed.count() as u32, CONFIRM_PRESS_MS);
         hand.handle_command("again");
         assert_eq!((hand.take_restart_request(), hand.take_restart_request()), (true, false));

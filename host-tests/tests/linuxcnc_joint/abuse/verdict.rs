@@ -43,7 +43,7 @@ impl Outcome {
     fn acceleration(&self) -> Option<f64> {
         let moves = (1..).zip(&self.events).filter(|(_, kind)| **kind == Kind::Program);
         let reached = moves.filter_map(|(number, _)| self.judge.acceleration.get(&number));
-        reached.map(|it| it / self.full_acceleration).reduce(f64::min)
+        reached.map(|reached| reached / self.full_acceleration).reduce(f64::min)
     }
 
     /// Returns in how many cycles these rules were broken by us.
@@ -128,32 +128,42 @@ pub(crate) fn text(outcomes: &[Outcome], version: &str) -> String {
         let values: Vec<String> = outcomes.iter().map(value).collect();
         text += &format!("| {name} | {required} | {} |\n", values.join(" | "));
     };
-    row("", "required", &|it| it.way.name().into());
+    row("", "required", &|outcome| outcome.way.name().into());
     row("---", "---", &|_| "---".into());
-    row("servo cycles", "", &|it| it.judge.cycles.to_string());
-    row("servo cycles that the recorder missed", "≤ 0.1 %", &|it| it.judge.missing.to_string());
-    row("events", "", &|it| it.events.len().to_string());
-    row("drive's command beyond its limits by trueup, cycles", "0", &|it| {
-        it.own(&DRIVE).to_string()
+    row("servo cycles", "", &|outcome| outcome.judge.cycles.to_string());
+    row("servo cycles that the recorder missed", "≤ 0.1 %", &|outcome| {
+        outcome.judge.missing.to_string()
     });
-    row("largest speed and acceleration of a drive's command, mm/s, mm/s²", "", &|it| {
-        format!("{:.2}, {:.0}", it.judge.seen.drive_speed, it.judge.seen.drive_acceleration)
+    row("events", "", &|outcome| outcome.events.len().to_string());
+    row("drive's command beyond its limits by trueup, cycles", "0", &|outcome| {
+        outcome.own(&DRIVE).to_string()
     });
-    row("offset beyond its own limits, cycles", "0", &|it| it.own(&OFFSET).to_string());
-    row("largest speed and acceleration of an offset, mm/s, mm/s²", "", &|it| {
-        format!("{:.3}, {:.1}", it.judge.seen.offset_speed, it.judge.seen.offset_acceleration)
+    row("largest speed and acceleration of a drive's command, mm/s, mm/s²", "", &|outcome| {
+        format!(
+            "{:.2}, {:.0}",
+            outcome.judge.seen.drive_speed, outcome.judge.seen.drive_acceleration
+        )
     });
-    row("largest offset, µm", "", &|it| format!("{:.1}", 1e3 * it.judge.size));
-    row("acceleration of a program, least", "≥ 99 %", &|it| percent(it.acceleration()));
-    row("probed position off, most", "≤ 0.1 µm", &|it| um(it.probed_um).replace("um", "µm"));
-    row("drive beyond the soft limit at rest, most", "≤ 0.02 µm", &|it| {
-        um(it.beyond_limit_um).replace("um", "µm")
+    row("offset beyond its own limits, cycles", "0", &|outcome| outcome.own(&OFFSET).to_string());
+    row("largest speed and acceleration of an offset, mm/s, mm/s²", "", &|outcome| {
+        format!(
+            "{:.3}, {:.1}",
+            outcome.judge.seen.offset_speed, outcome.judge.seen.offset_acceleration
+        )
     });
-    row("drive off at rest after an event, most, X, Y, Z, µm", "", &|it| {
-        it.off_um.map(|off| format!("{off:.3}")).join(", ")
+    row("largest offset, µm", "", &|outcome| format!("{:.1}", 1e3 * outcome.judge.size));
+    row("acceleration of a program, least", "≥ 99 %", &|outcome| percent(outcome.acceleration()));
+    row("probed position off, most", "≤ 0.1 µm", &|outcome| {
+        um(outcome.probed_um).replace("um", "µm")
     });
-    row("offset lost after an event", "0", &|it| it.lost.len().to_string());
-    row("minutes", "", &|it| format!("{:.1}", it.seconds / 60.0));
+    row("drive beyond the soft limit at rest, most", "≤ 0.02 µm", &|outcome| {
+        um(outcome.beyond_limit_um).replace("um", "µm")
+    });
+    row("drive off at rest after an event, most, X, Y, Z, µm", "", &|outcome| {
+        outcome.off_um.map(|off| format!("{off:.3}")).join(", ")
+    });
+    row("offset lost after an event", "0", &|outcome| outcome.lost.len().to_string());
+    row("minutes", "", &|outcome| format!("{:.1}", outcome.seconds / 60.0));
     text += &kinds(outcomes);
     text += &broken(outcomes, By::LinuxCnc, &format!("By LinuxCNC {version} itself"));
     text += &broken(outcomes, By::Trueup, "By trueup");
@@ -241,14 +251,14 @@ mod tests {
             outcome.failures().join("\n")
         };
         for (change, named) in [
-            (outcome(|it| it.judge.acceleration = [(2, 980.0)].into()), "98.0 %"),
-            (outcome(|it| it.events = vec![Kind::Abort]), "none of their acceleration"),
-            (outcome(|it| it.probed_um = Some(0.11)), "off by 0.110 um"),
-            (outcome(|it| it.probed_um = None), "off by none"),
-            (outcome(|it| it.beyond_limit_um = Some(1.0)), "beyond the soft limit"),
-            (outcome(|it| it.judge.missing = 1), "1 cycles are missing"),
-            (outcome(|it| it.lost.push("event 3, abort".into())), "event 3, abort"),
-            (outcome(|it| it.ended = Some("the end".into())), "the end"),
+            (outcome(|outcome| outcome.judge.acceleration = [(2, 980.0)].into()), "98.0 %"),
+            (outcome(|outcome| outcome.events = vec![Kind::Abort]), "none of their acceleration"),
+            (outcome(|outcome| outcome.probed_um = Some(0.11)), "off by 0.110 um"),
+            (outcome(|outcome| outcome.probed_um = None), "off by none"),
+            (outcome(|outcome| outcome.beyond_limit_um = Some(1.0)), "beyond the soft limit"),
+            (outcome(|outcome| outcome.judge.missing = 1), "1 cycles are missing"),
+            (outcome(|outcome| outcome.lost.push("event 3, abort".into())), "event 3, abort"),
+            (outcome(|outcome| outcome.ended = Some("the end".into())), "the end"),
         ] {
             assert!(change.contains(named) && change.lines().count() == 1, "{named}: {change}");
         }

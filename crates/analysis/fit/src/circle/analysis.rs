@@ -39,8 +39,8 @@ pub(crate) fn analyse_circle(record: Record) -> CircleResult {
         .rows
         .iter()
         .map(|row| {
-            let of_setup = chosen.terms.iter().filter(|it| it.unit == TermGroup::Setup);
-            of_setup.map(|it| it.um * it.term.evaluate(row, &used)).sum()
+            let of_setup = chosen.terms.iter().filter(|term| term.unit == TermGroup::Setup);
+            of_setup.map(|term| term.um * term.term.evaluate(row, &used)).sum()
         })
         .collect();
     let before: Vec<f64> = used.rows.iter().zip(&setup).map(|(row, set)| row.um - set).collect();
@@ -92,7 +92,9 @@ fn systematic_rms_um(record: &Record, left: &[f64]) -> Option<f64> {
         let own = &left[at..at + pass.len()];
         at += pass.len();
         differences.extend(own.windows(2).map(|pair| pair[1] - pair[0]));
-        means.extend(own.chunks_exact(together).map(|it| it.iter().sum::<f64>() / it.len() as f64));
+        means.extend(
+            own.chunks_exact(together).map(|chunk| chunk.iter().sum::<f64>() / chunk.len() as f64),
+        );
     }
     let noise = rms(&differences) / std::f64::consts::SQRT_2;
     let expected = noise * noise / together as f64;

@@ -43,7 +43,7 @@ impl CircularDeviations {
     pub(crate) fn from_record(record: &Record) -> Self {
         let is_whole = record.covered_arc_rad() >= 350.0 / 360.0 * TAU;
         let senses = [1.0, -1.0].map(|sense| record.without_rows(|row| row.sense * sense < 0.0));
-        let both = senses.iter().all(|it| !it.rows.is_empty());
+        let both = senses.iter().all(|sense| !sense.rows.is_empty());
         let mut it = Self::default();
         for (index, of_sense) in senses.iter().enumerate() {
             if of_sense.rows.is_empty() {

@@ -58,7 +58,7 @@ pub(super) fn rotation_directions(
     let sense = |at: usize| {
         let (sin, cos) = angles[at].sin_cos();
         let stated = |of: Option<&[f64]>, velocity: f64| {
-            of.map(|all| all[rows[at]] * velocity.signum()).filter(|it| !it.is_nan())
+            of.map(|all| all[rows[at]] * velocity.signum()).filter(|value| !value.is_nan())
         };
         // The axis that moves faster.
         let fast = if sin.abs() > cos.abs() { stated(of_u, -sin) } else { stated(of_v, cos) };

@@ -131,9 +131,9 @@ pub(crate) fn build_findings(record: &Record, chosen: &SelectedModel) -> Vec<Fin
         if tried.unit == TermGroup::OddSines && odd_to.is_some() {
             continue;
         }
-        let is_own = |it: &&FittedTerm| {
-            it.unit == tried.unit
-                || it.unit == TermGroup::OddSines
+        let is_own = |term: &&FittedTerm| {
+            term.unit == tried.unit
+                || term.unit == TermGroup::OddSines
                     && odd_to.is_some_and(|to| TermGroup::Even(to) == tried.unit)
         };
         let terms: Vec<FittedTerm> = chosen.terms.iter().filter(is_own).cloned().collect();
@@ -146,16 +146,20 @@ pub(crate) fn build_findings(record: &Record, chosen: &SelectedModel) -> Vec<Fin
 
 /// Doubts a squareness that is no more than the line from which a form that is there counts.
 fn flag_doubtful_squareness(all: &mut [Finding]) {
-    let forms = || all.iter().filter(|it| it.cause == Cause::Straightness).flat_map(|it| &it.terms);
+    let forms = || {
+        all.iter()
+            .filter(|finding| finding.cause == Cause::Straightness)
+            .flat_map(|finding| &finding.terms)
+    };
     let size = |is_one: fn(&CircleTerm) -> bool| {
-        let own = forms().filter(|it| is_one(&it.term)).map(|it| it.um.abs());
+        let own = forms().filter(|term| is_one(&term.term)).map(|term| term.um.abs());
         own.fold(0.0, f64::max)
     };
     let odd = size(|term| matches!(term, CircleTerm::Form(4 | 6, _)));
     let even = size(|term| matches!(term, CircleTerm::Form(3 | 5 | 7, _)));
     let of_line_um =
         (MIN_SQUARENESS_ODD_HARMONIC_RATIO * odd).max(MIN_SQUARENESS_EVEN_HARMONIC_RATIO * even);
-    for it in all.iter_mut().filter(|it| it.cause == Cause::Squareness) {
+    for it in all.iter_mut().filter(|finding| finding.cause == Cause::Squareness) {
         if it.terms.iter().all(|term| term.um.abs() < of_line_um) {
             it.claimed = false;
             it.alternatives.push(Cause::Straightness.name().into());
@@ -205,7 +209,8 @@ fn build_finding(record: &Record, tried: &CrossValidatedTerm, terms: Vec<FittedT
         terms,
     };
     if cause == Cause::ReversalSpike {
-        let heights = it.parameters.iter().filter_map(|it| Some((it.value, it.ci95?)));
+        let heights =
+            it.parameters.iter().filter_map(|parameter| Some((parameter.value, parameter.ci95?)));
         let size = |(um, [low, high]): (f64, [f64; 2])| {
             (um / (high - low) * 2.0 * NORMAL_QUANTILE_975).abs()
         };
@@ -213,7 +218,7 @@ fn build_finding(record: &Record, tried: &CrossValidatedTerm, terms: Vec<FittedT
         sizes.sort_unstable_by(|a, b| b.total_cmp(a));
         let second = sizes.get(1).copied().unwrap_or_default();
         it.claimed = second > MIN_SPIKE_T_VALUES[0]
-            || sizes.first().is_some_and(|it| *it > MIN_SPIKE_T_VALUES[1]);
+            || sizes.first().is_some_and(|size| *size > MIN_SPIKE_T_VALUES[1]);
     }
     add_ambiguities(record, &mut it);
     it.claimed &= it.alternatives.is_empty();
@@ -298,11 +303,11 @@ fn cause_name(record: &Record, unit: &TermGroup) -> String {
 /// Returns the constants of a cause.
 fn build_parameters(record: &Record, cause: Cause, terms: &[FittedTerm]) -> Vec<Parameter> {
     let Some(first) = terms.first() else { return Vec::new() };
-    let scaled = |name: &str, it: &FittedTerm, factor: f64| {
+    let scaled = |name: &str, term: &FittedTerm, factor: f64| {
         Parameter::amplitude(
             name,
-            factor * it.um,
-            NORMAL_QUANTILE_975 * (factor * it.standard_error_um).abs(),
+            factor * term.um,
+            NORMAL_QUANTILE_975 * (factor * term.standard_error_um).abs(),
         )
     };
     match cause {
@@ -323,17 +328,17 @@ fn build_parameters(record: &Record, cause: Cause, terms: &[FittedTerm]) -> Vec<
         Cause::ReversalSpike => build_spike_parameters(record, terms),
         Cause::CyclicError => build_cyclic_parameters(record, terms),
         Cause::Straightness | Cause::PositionForm => {
-            let largest = terms.iter().map(|it| it.um.abs()).fold(0.0, f64::max);
-            let error = terms.iter().map(|it| it.standard_error_um.powi(2)).sum::<f64>().sqrt();
+            let largest = terms.iter().map(|term| term.um.abs()).fold(0.0, f64::max);
+            let error = terms.iter().map(|term| term.standard_error_um.powi(2)).sum::<f64>().sqrt();
             let range = straightness_range_um(terms);
             let mut all = vec![Parameter::fitted(
                 "range_um",
                 range,
                 NORMAL_QUANTILE_975 * error * range / largest.max(f64::MIN_POSITIVE),
             )];
-            all.extend(terms.iter().filter_map(|it| match it.term {
+            all.extend(terms.iter().filter_map(|term| match term.term {
                 CircleTerm::Form(number, _) => {
-                    Some(scaled(&format!("harmonic_{number}_um"), it, 1.0))
+                    Some(scaled(&format!("harmonic_{number}_um"), term, 1.0))
                 }
                 _ => None,
             }));
@@ -350,12 +355,14 @@ fn build_spike_parameters(record: &Record, terms: &[FittedTerm]) -> Vec<Paramete
     let mut all = Vec::new();
     let (mut highest, mut width_rad) = (0.0, 0.0);
     for (is_positive, sense) in [(true, 1.0), (true, -1.0), (false, 1.0), (false, -1.0)] {
-        let own = |it: &&FittedTerm| matches!(it.term, CircleTerm::Spike { is_positive: end, sense: way, .. } if end == is_positive && way == sense);
+        let own = |term: &&FittedTerm| matches!(term.term, CircleTerm::Spike { is_positive: end, sense: way, .. } if end == is_positive && way == sense);
         let own: Vec<&FittedTerm> = terms.iter().filter(own).collect();
         let at = |step: i32| {
             let since = f64::from(step).to_radians() / 20.0;
-            let of = |it: &&FittedTerm| match it.term {
-                CircleTerm::Spike { shape, width, .. } => it.um * shape.evaluate(since, width),
+            let of = |fitted_term: &&FittedTerm| match fitted_term.term {
+                CircleTerm::Spike { shape, width, .. } => {
+                    fitted_term.um * shape.evaluate(since, width)
+                }
                 _ => 0.0,
             };
             own.iter().map(of).sum::<f64>()
@@ -367,7 +374,10 @@ fn build_spike_parameters(record: &Record, terms: &[FittedTerm]) -> Vec<Paramete
         if own.is_empty() {
             continue;
         }
-        let error = own.iter().map(|it| it.standard_error_um).fold(f64::INFINITY, f64::min);
+        let error = own
+            .iter()
+            .map(|fitted_term| fitted_term.standard_error_um)
+            .fold(f64::INFINITY, f64::min);
         let end = if is_positive { "positive" } else { "negative" };
         let way = if sense > 0.0 { "ccw" } else { "cw" };
         all.push(Parameter::amplitude(
@@ -390,7 +400,7 @@ fn build_cyclic_parameters(record: &Record, terms: &[FittedTerm]) -> Vec<Paramet
     let of = |wave: WavePhase| {
         terms
             .iter()
-            .find(|it| matches!(it.term, CircleTerm::Cyclic { wave: own, .. } if own == wave))
+            .find(|term| matches!(term.term, CircleTerm::Cyclic { wave: own, .. } if own == wave))
     };
     let (Some(sine), Some(cosine)) = (of(WavePhase::Sine), of(WavePhase::Cosine)) else {
         return Vec::new();
@@ -420,15 +430,15 @@ fn build_drift_parameters(record: &Record, terms: &[FittedTerm]) -> Vec<Paramete
     } else {
         ("um_over_record", 1.0)
     };
-    let parameter = |it: &FittedTerm| {
-        let CircleTerm::Drift(of) = it.term else { return None };
+    let parameter = |term: &FittedTerm| {
+        let CircleTerm::Drift(of) = term.term else { return None };
         let name = match of {
             DriftParameter::Radius => format!("radius_{unit}"),
             DriftParameter::CentreU => format!("{u}_{unit}"),
             DriftParameter::CentreV => format!("{v}_{unit}"),
         };
-        let half = NORMAL_QUANTILE_975 * (factor * it.standard_error_um).abs();
-        Some(Parameter::amplitude(name, factor * it.um, half))
+        let half = NORMAL_QUANTILE_975 * (factor * term.standard_error_um).abs();
+        Some(Parameter::amplitude(name, factor * term.um, half))
     };
     terms.iter().filter_map(parameter).collect()
 }
@@ -439,12 +449,13 @@ fn build_drift_parameters(record: &Record, terms: &[FittedTerm]) -> Vec<Paramete
 /// along the second φ is counted from the other axis: cos 3φ ↦ −U₂, sin 4φ ↦ −U₃, cos 5φ ↦ U₄, sin 6φ ↦ U₅, cos 7φ ↦ −U₆.
 #[must_use]
 pub(crate) fn straightness_um(terms: &[FittedTerm], share: f64) -> f64 {
-    let is_first =
-        terms.iter().any(|it| matches!(it.term, CircleTerm::Form(3 | 5 | 7, WavePhase::Cosine)));
-    let of = |it: &FittedTerm| {
-        let CircleTerm::Form(number, _) = it.term else { return 0.0 };
+    let is_first = terms
+        .iter()
+        .any(|term| matches!(term.term, CircleTerm::Form(3 | 5 | 7, WavePhase::Cosine)));
+    let of = |term: &FittedTerm| {
+        let CircleTerm::Form(number, _) = term.term else { return 0.0 };
         let sign = if is_first && matches!(number, 3 | 4 | 7) { -1.0 } else { 1.0 };
-        sign * it.um * chebyshev_second_kind(number - 1, share)
+        sign * term.um * chebyshev_second_kind(number - 1, share)
     };
     terms.iter().map(of).sum()
 }

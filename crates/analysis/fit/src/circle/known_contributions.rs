@@ -66,7 +66,7 @@ pub(crate) fn subtract_prediction(
             continue;
         }
         let positions =
-            |name: &str| LinearAxis::ALL.iter().any(|it| name == format!("{}_mm", it.name()));
+            |name: &str| LinearAxis::ALL.iter().any(|axis| name == format!("{}_mm", axis.name()));
         let (used, missing) =
             restrict_to_columns(&own, |name| positions(name) || run.column(name).is_some());
         if !missing.is_empty() {

@@ -55,17 +55,23 @@ fn claimed_findings(circles: &[CircleResult], cause: Cause) -> Vec<(usize, usize
     for (circle, result) in circles.iter().enumerate() {
         let own = result.findings.iter().enumerate();
         // A slope of which is open whether it is a form's line is the slope of the plane all the same.
-        let is_line = |it: &Finding| {
-            it.cause == Cause::Squareness && it.alternatives == [Cause::Straightness.name()]
+        let is_line = |finding: &Finding| {
+            finding.cause == Cause::Squareness
+                && finding.alternatives == [Cause::Straightness.name()]
         };
-        let own = own.filter(|(_, it)| it.cause == cause && (it.claimed || is_line(it)));
+        let own = own
+            .filter(|(_, finding)| finding.cause == cause && (finding.claimed || is_line(finding)));
         found.extend(own.map(|(at, _)| (circle, at)));
     }
     found
 }
 
 fn parameter_value(finding: &Finding, name: &str) -> f64 {
-    finding.parameters.iter().find(|it| it.name == name).map_or(0.0, |it| it.value)
+    finding
+        .parameters
+        .iter()
+        .find(|parameter| parameter.name == name)
+        .map_or(0.0, |parameter| parameter.value)
 }
 
 impl SectionWriter<'_> {
@@ -78,8 +84,8 @@ impl SectionWriter<'_> {
         // Several circles in a plane show one angle: each adds its share of the mean.
         let shares: Vec<f64> = found
             .iter()
-            .map(|it| {
-                let same = found.iter().filter(|other| plane_of(other.0) == plane_of(it.0));
+            .map(|entry| {
+                let same = found.iter().filter(|other| plane_of(other.0) == plane_of(entry.0));
                 (same.count() as f64).recip()
             })
             .collect();
@@ -87,12 +93,16 @@ impl SectionWriter<'_> {
             let [u, v] = circles[circle].record.plane.axes();
             // The axis that comes first in the alphabet is the one in error, unless the file has it the other way round.
             let (error, along) = if u < v { (u, v) } else { (v, u) };
-            let is_own = |it: &Squareness, error, along| (it.error, it.along) == (error, along);
-            let has_other = angles.iter().any(|it| is_own(it, along, error) && it.um_per_m != 0.0)
-                && !angles.iter().any(|it| is_own(it, error, along) && it.um_per_m != 0.0);
+            let is_own = |squareness: &Squareness, error, along| {
+                (squareness.error, squareness.along) == (error, along)
+            };
+            let has_other = angles
+                .iter()
+                .any(|angle| is_own(angle, along, error) && angle.um_per_m != 0.0)
+                && !angles.iter().any(|angle| is_own(angle, error, along) && angle.um_per_m != 0.0);
             let (error, along) = if has_other { (along, error) } else { (error, along) };
             let um_per_m = share * parameter_value(&circles[circle].findings[at], "um_per_m");
-            match angles.iter_mut().find(|it| is_own(it, error, along)) {
+            match angles.iter_mut().find(|angle| is_own(angle, error, along)) {
                 Some(angle) => {
                     angle.um_per_m =
                         round_to_decimals(angle.um_per_m + um_per_m, COEFFICIENT_DECIMALS)
@@ -161,7 +171,8 @@ impl SectionWriter<'_> {
                     });
                 }
                 (Some(width_um), None) => {
-                    let there = own.and_then(|own| own.backlash).map_or(0.0, |it| it.width_um);
+                    let there =
+                        own.and_then(|own| own.backlash).map_or(0.0, |backlash| backlash.width_um);
                     let section = Backlash::width_section(
                         axis,
                         round_to_decimals(there + width_um, COEFFICIENT_DECIMALS),
@@ -172,7 +183,7 @@ impl SectionWriter<'_> {
                 (None, _) => {}
             }
             if let Some(pitch) =
-                pitch.filter(|it| own.and_then(|own| own.pitch.as_ref()) != Some(it))
+                pitch.filter(|pitch| own.and_then(|own| own.pitch.as_ref()) != Some(pitch))
             {
                 self.edit.sections.push(pitch.to_section(axis).with_header_comment(
                     "From circles: trueup fit circle. Beyond their range the ends are held.",
@@ -205,7 +216,7 @@ impl SectionWriter<'_> {
             return None;
         }
         let mean = widths.iter().sum::<f64>() / widths.len() as f64;
-        let apart = widths.iter().map(|it| (it - mean).abs()).fold(0.0, f64::max);
+        let apart = widths.iter().map(|width| (width - mean).abs()).fold(0.0, f64::max);
         if apart > (0.25 * mean.abs()).max(1.0) {
             self.warnings.push(format!(
                 "backlash of {name} differs from circle to circle by {:.2} µm: the mean is written. It depends on the position or \
@@ -224,7 +235,7 @@ impl SectionWriter<'_> {
             let finding = &circles[circle].findings[at];
             let (Some(error), Some(along)) = (finding.axis, finding.along) else { continue };
             let name = format!("straightness.{}_of_{}", error.name(), along.name());
-            if self.edit.sections.iter().any(|it| it.name() == name) {
+            if self.edit.sections.iter().any(|section| section.name() == name) {
                 self.warnings.push(format!(
                     "[{name}] is written from the first circle that shows it: fit the others again with the file that is written"
                 ));
@@ -233,14 +244,18 @@ impl SectionWriter<'_> {
             let index = usize::from(record.plane.axes()[1] == along);
             let [centre, radius] = [record.centre_mm[index], record.radius_mm];
             let there = self.machine.and_then(|machine| {
-                machine.straightness.iter().find(|it| (it.error, it.along) == (error, along))
+                machine
+                    .straightness
+                    .iter()
+                    .find(|curve| (curve.error, curve.along) == (error, along))
             });
             let at_mm = |mm: f64| {
                 let share = ((mm - centre) / radius).clamp(-1.0, 1.0);
                 straightness_um(&finding.terms, share)
                     + there.map_or(0.0, |there| spline_um(&there.spline, mm))
             };
-            let Some(spline) = fit_spline(centre, radius, there.map(|it| &it.spline), at_mm) else {
+            let Some(spline) = fit_spline(centre, radius, there.map(|curve| &curve.spline), at_mm)
+            else {
                 continue;
             };
             self.written.push(format!(
@@ -292,10 +307,12 @@ fn mean_cyclic_errors(circles: &[CircleResult], axis: LinearAxis) -> Vec<CyclicE
                 wave[2] = period_mm;
             }
         }
-        match all.iter_mut().find(|(it, _)| (it[2] / wave[2] - 1.0).abs() < 0.02) {
+        match all.iter_mut().find(|(known, _)| (known[2] / wave[2] - 1.0).abs() < 0.02) {
             Some((it, count)) => {
                 *count += 1.0;
-                it.iter_mut().zip(wave).for_each(|(it, wave)| *it += (wave - *it) / *count);
+                it.iter_mut()
+                    .zip(wave)
+                    .for_each(|(value, wave)| *value += (wave - *value) / *count);
             }
             None => all.push((wave, 1.0)),
         }
@@ -312,7 +329,7 @@ fn build_pitch_table(
     waves: &[CyclicError],
 ) -> PitchErrorTable {
     let ends = circles.iter().filter_map(|circle| {
-        let index = circle.record.plane.axes().iter().position(|it| *it == axis)?;
+        let index = circle.record.plane.axes().iter().position(|candidate| *candidate == axis)?;
         let [centre, radius] = [circle.record.centre_mm[index], circle.record.radius_mm];
         Some([centre - radius, centre + radius])
     });
@@ -365,7 +382,7 @@ fn fit_spline(
     let part =
         |n: u32| centre - radius + 2.0 * radius * f64::from(n) / f64::from(SPLINE_SPAN_COUNT);
     let mut knots: Vec<f64> = (0..=SPLINE_SPAN_COUNT).map(part).collect();
-    knots.extend(there.iter().flat_map(|it| it.knots_mm.iter().copied()));
+    knots.extend(there.iter().flat_map(|curve| curve.knots_mm.iter().copied()));
     knots.iter_mut().for_each(|mm| *mm = round_to_decimals(*mm, COEFFICIENT_DECIMALS));
     knots.sort_unstable_by(f64::total_cmp);
     knots.dedup_by(|a, b| (*a - *b).abs() < 1e-3 * radius);

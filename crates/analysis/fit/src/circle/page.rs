@@ -41,7 +41,7 @@ pub fn build_page(report: &CircleReport, origin: &Origin) -> Page {
 #[must_use]
 pub(crate) fn summarise(circle: &CircleResult) -> String {
     let named = |is_claimed: bool| -> Vec<String> {
-        let own = circle.findings.iter().filter(|it| it.claimed == is_claimed);
+        let own = circle.findings.iter().filter(|finding| finding.claimed == is_claimed);
         own.map(title).collect()
     };
     let (claimed, open) = (named(true), named(false));
@@ -132,7 +132,8 @@ fn polar_plot(circle: &CircleResult, axes: [String; 2]) -> String {
             series.push(Series::line("the causes", Colour::Truth, points));
         }
     }
-    let causes: Vec<String> = circle.findings.iter().filter(|it| it.claimed).map(title).collect();
+    let causes: Vec<String> =
+        circle.findings.iter().filter(|finding| finding.claimed).map(title).collect();
     let causes = if causes.is_empty() { "no cause".into() } else { causes.join(", ") };
     PolarPlot { title: format!("Deviation of the radius, enlarged: {causes}."), axes, series }
         .to_figure()

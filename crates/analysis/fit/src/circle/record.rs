@@ -130,8 +130,12 @@ impl Record {
     /// Returns the middle feed, in mm/min: that of the column, else of positions and time.
     #[must_use]
     pub fn feed_mm_per_min(&self) -> Option<f64> {
-        let mut feeds: Vec<f64> =
-            self.rows.iter().map(|row| row.feed_mm_per_min).filter(|it| *it > 0.0).collect();
+        let mut feeds: Vec<f64> = self
+            .rows
+            .iter()
+            .map(|row| row.feed_mm_per_min)
+            .filter(|feed_mm_per_min| *feed_mm_per_min > 0.0)
+            .collect();
         if feeds.is_empty() && self.has_time {
             let steps = self.rows.windows(2).filter(|pair| pair[0].pass == pair[1].pass);
             feeds = steps
@@ -139,7 +143,7 @@ impl Record {
                     let way = self.radius_mm * angle_difference(pair[0].angle, pair[1].angle).abs();
                     60.0 * way / (pair[1].clock - pair[0].clock)
                 })
-                .filter(|it| it.is_finite() && *it > 0.0)
+                .filter(|feed_mm_per_min| feed_mm_per_min.is_finite() && *feed_mm_per_min > 0.0)
                 .collect();
         }
         (!feeds.is_empty()).then(|| robust::median(&mut feeds))

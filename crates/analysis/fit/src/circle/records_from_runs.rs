@@ -94,7 +94,7 @@ fn group_rows(run: &RunFile) -> Result<Vec<RowGroup>, BadInput> {
         if readings[row].is_nan() || there.into_iter().any(|values| values[row].is_nan()) {
             continue;
         }
-        match keys.iter().position(|it| *it == key(row)) {
+        match keys.iter().position(|candidate| *candidate == key(row)) {
             Some(known) => of_keys[known].push(row),
             None => {
                 keys.push(key(row));
@@ -122,7 +122,7 @@ fn split_by_plane(run: &RunFile, rows: Vec<usize>) -> Result<Vec<RowGroup>, BadI
     let most = ranges.into_iter().fold(0.0, f64::max);
     let still: Vec<LinearAxis> = LinearAxis::ALL
         .into_iter()
-        .filter(|it| ranges[it.index()] <= STATIONARY_TRAVEL_RATIO * most)
+        .filter(|axis| ranges[axis.index()] <= STATIONARY_TRAVEL_RATIO * most)
         .collect();
     match still[..] {
         [axis] => return Ok(vec![RowGroup { plane: Plane::perpendicular_to(axis), rows }]),
@@ -235,7 +235,7 @@ fn add_to_record(
             continue;
         }
         let is_gap = |before: &Row| angle_difference(before.angle, angle).abs() > 0.5;
-        if before.is_some_and(|it| it.sense != sense || is_gap(&it)) {
+        if before.is_some_and(|before| before.sense != sense || is_gap(&before)) {
             pass += 1;
         }
         let clock = if has_time { number("time_s", row) } else { row as f64 };
@@ -269,7 +269,7 @@ fn exclude_gross_readings(record: &mut Record, runs: &[RunFile]) {
         if values.len() < 3 { rows[at].um } else { robust::median(&mut values) }
     };
     let away: Vec<f64> = (0..rows.len()).map(|at| rows[at].um - near(at)).collect();
-    let mut sizes: Vec<f64> = away.iter().map(|it| it.abs()).collect();
+    let mut sizes: Vec<f64> = away.iter().map(|deviation| deviation.abs()).collect();
     let scatter = (1.4826 * robust::median(&mut sizes)).max(0.02);
     let is_gross = |at: usize| {
         let row = &rows[at];

@@ -62,16 +62,24 @@ pub(crate) fn search_nonlinear_terms(record: &Record) -> Vec<TermColumn> {
         }
         // Each again, now that the others are known.
         for at in 0..found.len() {
-            let others: Vec<&Candidate> =
-                found.iter().enumerate().filter(|(other, _)| *other != at).map(|it| it.1).collect();
+            let others: Vec<&Candidate> = found
+                .iter()
+                .enumerate()
+                .filter(|(other, _)| *other != at)
+                .map(|entry| entry.1)
+                .collect();
             let basis = OrthogonalBasis::from_candidates(record, &others);
             let again = refine_candidate(&basis, record, &found[at]);
             // The shape of a spike was chosen next to others that have changed.
-            let is_own =
-                |it: &Candidate| it.unit == again.unit && matches!(it.unit, TermGroup::Spikes(_));
-            let other = best_candidate(&basis, candidates.iter().filter(|(it, _)| is_own(it)));
-            let other = other.map(|(_, it)| refine_candidate(&basis, record, it));
-            let gain = |it: &Candidate| basis.gain(&it.term_columns(record));
+            let is_own = |candidate: &Candidate| {
+                candidate.unit == again.unit && matches!(candidate.unit, TermGroup::Spikes(_))
+            };
+            let other = best_candidate(
+                &basis,
+                candidates.iter().filter(|(candidate, _)| is_own(candidate)),
+            );
+            let other = other.map(|(_, candidate)| refine_candidate(&basis, record, candidate));
+            let gain = |candidate: &Candidate| basis.gain(&candidate.term_columns(record));
             found[at] = match other {
                 Some(other) if gain(&other) > gain(&again) => other,
                 _ => again,
@@ -99,7 +107,8 @@ fn add_best_candidates(
 ) {
     let mut basis = OrthogonalBasis::from_candidates(record, &found.iter().collect::<Vec<_>>());
     while found.len() < MAX_SELECTED_CANDIDATES {
-        let free = candidates.iter().filter(|(it, _)| !is_already_found(record, found, it));
+        let free =
+            candidates.iter().filter(|(candidate, _)| !is_already_found(record, found, candidate));
         let Some((gain, candidate)) = best_candidate(&basis, free) else { return };
         let count = candidate.terms.len() as f64;
         if gain < (MIN_GAIN_VARIANCES + 2.0 * (count - 2.0)) * basis.residual_variance() {
@@ -116,22 +125,26 @@ fn best_candidate<'c>(
     basis: &OrthogonalBasis,
     candidates: impl Iterator<Item = &'c CandidateColumns>,
 ) -> Option<(f64, &'c Candidate)> {
-    let mut rough: Vec<_> = candidates.map(|it| (basis.approximate_gain(&it.1), it)).collect();
+    let mut rough: Vec<_> =
+        candidates.map(|candidate| (basis.approximate_gain(&candidate.1), candidate)).collect();
     rough.sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
-    let close = rough.iter().take(MAX_REFINED_CANDIDATES).map(|(_, it)| (basis.gain(&it.1), &it.0));
+    let close = rough
+        .iter()
+        .take(MAX_REFINED_CANDIDATES)
+        .map(|(_, candidate)| (basis.gain(&candidate.1), &candidate.0));
     close.max_by(|a, b| a.0.total_cmp(&b.0))
 }
 
 /// Returns whether a period next to this one is found already, or as many shapes of the spikes of this axis as may be: their
 /// sum is the shape.
 fn is_already_found(record: &Record, found: &[Candidate], candidate: &Candidate) -> bool {
-    let of_unit = found.iter().filter(|it| it.unit == candidate.unit);
+    let of_unit = found.iter().filter(|other| other.unit == candidate.unit);
     if matches!(candidate.unit, TermGroup::Spikes(_)) && of_unit.count() >= MAX_SPIKE_SHAPES {
         return true;
     }
-    found.iter().any(|it| match (&it.unit, &candidate.unit) {
+    found.iter().any(|other| match (&other.unit, &candidate.unit) {
         (TermGroup::Cyclic(a, _), TermGroup::Cyclic(b, _)) if a == b => {
-            let [there, here] = [&it.terms[0], &candidate.terms[0]].map(cyclic_period_mm);
+            let [there, here] = [&other.terms[0], &candidate.terms[0]].map(cyclic_period_mm);
             // Less than a period more in the diameter.
             (1.0 / there - 1.0 / here).abs() * 2.0 * record.radius_mm < 1.0
         }
@@ -179,10 +192,11 @@ fn cyclic_candidates(record: &Record, axis: usize) -> Vec<Candidate> {
 /// Returns the spikes of an axis, at both ends and in both directions.
 fn spike_candidates(record: &Record, axis: usize) -> Vec<Candidate> {
     let step = record.covered_arc_rad() / record.rows.len() as f64 * pass_count(record);
-    let senses: Vec<f64> = [1.0, -1.0].into_iter().filter(|it| record.has_direction(*it)).collect();
+    let senses: Vec<f64> =
+        [1.0, -1.0].into_iter().filter(|direction| record.has_direction(*direction)).collect();
     let of = |(shape, width): (SpikeShape, f64)| {
         let ends =
-            [true, false].into_iter().flat_map(|end| senses.iter().map(move |it| (end, *it)));
+            [true, false].into_iter().flat_map(|end| senses.iter().map(move |sense| (end, *sense)));
         let terms = ends.map(|(is_positive, sense)| CircleTerm::Spike {
             axis,
             is_positive,
@@ -202,9 +216,10 @@ fn spike_candidates(record: &Record, axis: usize) -> Vec<Candidate> {
         let terms = terms.filter(is_seen).collect();
         Candidate { unit: TermGroup::Spikes(axis), terms }
     };
-    let widths = SPIKE_WIDTHS_DEG.into_iter().map(f64::to_radians).filter(|it| *it > 1.2 * step);
+    let widths =
+        SPIKE_WIDTHS_DEG.into_iter().map(f64::to_radians).filter(|width| *width > 1.2 * step);
     let all = widths.flat_map(|width| SpikeShape::ALL.map(|shape| (shape, width)));
-    all.map(of).filter(|it| !it.terms.is_empty()).collect()
+    all.map(of).filter(|candidate| !candidate.terms.is_empty()).collect()
 }
 
 /// Returns the number of passes.
@@ -263,7 +278,7 @@ impl OrthogonalBasis {
         }
         found
             .iter()
-            .flat_map(|it| it.term_columns(record))
+            .flat_map(|candidate| candidate.term_columns(record))
             .for_each(|column| basis.add_column(column));
         basis
     }
@@ -282,7 +297,7 @@ impl OrthogonalBasis {
         let left = dot(&rest, &rest);
         (left > 1e-6 * length && left > 0.0).then(|| {
             let scale = left.sqrt().recip();
-            rest.iter_mut().for_each(|it| *it *= scale);
+            rest.iter_mut().for_each(|value| *value *= scale);
             rest
         })
     }
@@ -310,8 +325,13 @@ impl OrthogonalBasis {
 
     /// Returns the squares that the columns remove.
     fn gain(&self, columns: &[Vec<f64>]) -> f64 {
-        let apart: Vec<Vec<f64>> = columns.iter().filter_map(|it| self.orthogonalise(it)).collect();
+        let apart: Vec<Vec<f64>> =
+            columns.iter().filter_map(|column| self.orthogonalise(column)).collect();
         let solution = solve(&apart, &self.left, None, 0.0);
-        apart.iter().zip(&solution.coefficients).map(|(it, um)| um * dot(it, &self.left)).sum()
+        apart
+            .iter()
+            .zip(&solution.coefficients)
+            .map(|(column, um)| um * dot(column, &self.left))
+            .sum()
     }
 }

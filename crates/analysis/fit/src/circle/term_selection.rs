@@ -171,7 +171,7 @@ pub(crate) fn linear_columns(record: &Record) -> Vec<TermColumn> {
     }
     let moving = [DriftParameter::Radius, DriftParameter::CentreU, DriftParameter::CentreV];
     columns.extend(
-        moving.map(|it| TermColumn { unit: TermGroup::Drift, term: CircleTerm::Drift(it) }),
+        moving.map(|drift| TermColumn { unit: TermGroup::Drift, term: CircleTerm::Drift(drift) }),
     );
     columns
 }
@@ -190,7 +190,8 @@ struct WhitenedFit<'r> {
 
 impl<'r> WhitenedFit<'r> {
     fn new(record: &'r Record, columns: Vec<TermColumn>) -> Self {
-        let raw: Vec<Vec<f64>> = columns.iter().map(|it| it.term.basis_column(record)).collect();
+        let raw: Vec<Vec<f64>> =
+            columns.iter().map(|column| column.term.basis_column(record)).collect();
         let y = record.rows.iter().map(|row| row.um).collect();
         let mut before = None;
         let steps = record.rows.iter().map(|row| {
@@ -275,9 +276,9 @@ impl<'r> WhitenedFit<'r> {
                 .min_by(|a, b| a.1.total_cmp(&b.1));
             let Some((at, _)) = worst else { return };
             let column = self.columns[at].clone();
-            self.remove_columns(|it| {
-                it.unit == column.unit
-                    && (!column.unit.has_removable_terms() || it.term == column.term)
+            self.remove_columns(|other| {
+                other.unit == column.unit
+                    && (!column.unit.has_removable_terms() || other.term == column.term)
             });
         }
     }
@@ -381,10 +382,11 @@ fn cross_validate(
     unit: TermGroup,
     coefficients: &[f64],
 ) -> CrossValidatedTerm {
-    let without: Vec<Vec<f64>> = filter_columns(fit, |it| it.unit != unit);
+    let without: Vec<Vec<f64>> = filter_columns(fit, |column| column.unit != unit);
     let blocks = arc_indices(fit.record);
     // An arc that is held out takes its own spikes with it: no other arc predicts their heights.
-    let is_local = |it: &TermColumn| matches!(it.unit, TermGroup::Spikes(_)) && it.unit != unit;
+    let is_local =
+        |column: &TermColumn| matches!(column.unit, TermGroup::Spikes(_)) && column.unit != unit;
     let mut y = fit.y.clone();
     for ((column, white), um) in fit.columns.iter().zip(&fit.white).zip(coefficients) {
         if is_local(column) {
@@ -392,8 +394,8 @@ fn cross_validate(
         }
     }
     let models = [
-        filter_columns(fit, |it| it.unit != unit && !is_local(it)),
-        filter_columns(fit, |it| !is_local(it)),
+        filter_columns(fit, |column| column.unit != unit && !is_local(column)),
+        filter_columns(fit, |column| !is_local(column)),
     ];
     let [before, after] = models.map(|columns| {
         if matches!(unit, TermGroup::Spikes(_)) {
@@ -408,7 +410,7 @@ fn cross_validate(
     }
     let gain: f64 = gains.iter().sum();
     let mean = gain / count as f64;
-    let scatter: f64 = gains.iter().map(|it| (it - mean).powi(2)).sum();
+    let scatter: f64 = gains.iter().map(|gain| (gain - mean).powi(2)).sum();
     let error = (count as f64 / (count as f64 - 1.0).max(1.0) * scatter).sqrt();
     let alternatives = find_alternatives(fit, &unit, &without);
     let rms_um = fit.contribution_rms_um(&unit, coefficients);
@@ -434,7 +436,7 @@ fn find_alternatives(
     without: &[Vec<f64>],
 ) -> Vec<TermGroup> {
     let here = fit.term_groups();
-    let own = fit.columns.iter().filter(|it| it.unit == *unit).count() as f64;
+    let own = fit.columns.iter().filter(|column| column.unit == *unit).count() as f64;
     let rows = fit.y.len() as f64;
     let squares = |columns: &[Vec<f64>]| {
         let left = residual(columns, &fit.y, &solve(columns, &fit.y, None, 0.0).coefficients);
@@ -485,7 +487,7 @@ fn held_out_residuals(columns: &[Vec<f64>], y: &[f64], blocks: &[usize]) -> Vec<
     let count = blocks.iter().max().map_or(0, |last| last + 1);
     let mut left = y.to_vec();
     for block in 0..count {
-        let mask: Vec<bool> = blocks.iter().map(|it| *it != block).collect();
+        let mask: Vec<bool> = blocks.iter().map(|other| *other != block).collect();
         let solution = solve(columns, y, Some(&mask), 0.0);
         for (row, left) in left.iter_mut().enumerate().filter(|(row, _)| !mask[*row]) {
             let parts = columns.iter().zip(&solution.coefficients);

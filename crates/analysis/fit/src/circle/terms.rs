@@ -178,6 +178,6 @@ pub(crate) fn angle_since_reversal(row: &Row, axis: usize, is_positive: bool) ->
 #[must_use]
 pub(crate) fn travel_since_reversal(row: &Row, axis: usize, radius_mm: f64, step: f64) -> f64 {
     let since = [true, false].map(|end| angle_since_reversal(row, axis, end)).into_iter();
-    let last = since.filter(|it| *it >= -step).fold(f64::INFINITY, f64::min);
+    let last = since.filter(|angle| *angle >= -step).fold(f64::INFINITY, f64::min);
     radius_mm * (1.0 - (last - step).max(0.0).cos())
 }

@@ -120,8 +120,8 @@ pub fn fit_backlash(
         feed.add_to_report(&mut report, width_um);
     }
     let other = |rule| backlash_width(means.iter().map(|mean| mean.1), rule);
-    report.facts.push(Fact::numbers("position_mm", means.iter().map(|it| it.0).collect()));
-    report.facts.push(Fact::numbers("reversal_um", means.iter().map(|it| it.1).collect()));
+    report.facts.push(Fact::numbers("position_mm", means.iter().map(|mean| mean.0).collect()));
+    report.facts.push(Fact::numbers("reversal_um", means.iter().map(|mean| mean.1).collect()));
     report.facts.push(Fact::number("largest_um", other(WidthRule::Largest)));
     report.facts.push(Fact::number("mean_um", other(WidthRule::Mean)));
     let depends_on_position = p.is_some_and(|p| p < SIGNIFICANCE_LEVEL);
@@ -204,7 +204,7 @@ fn build_report(
     width_um: f64,
 ) -> Report {
     let mut report = Report::new("backlash", measured_column(axis));
-    let um: Vec<f64> = reversal_differences.iter().map(|it| it.um).collect();
+    let um: Vec<f64> = reversal_differences.iter().map(|difference| difference.um).collect();
     report.before = ResidualStatistics::from_residuals(&um);
     report.in_sample =
         ResidualStatistics::from_residuals(&um.iter().map(|um| um - width_um).collect::<Vec<_>>());
@@ -216,14 +216,20 @@ fn build_report(
         if rule == WidthRule::Largest { "the largest mean" } else { "the mean of all positions" },
     ));
     let blocks = fold_count(readings.runs);
-    let block = |it: &ReversalDifference| fold_index(it.run, readings.runs);
+    let block = |difference: &ReversalDifference| fold_index(difference.run, readings.runs);
     let mut left_out = Vec::new();
     let (mut gains, mut own) = (Vec::new(), Vec::new());
     for out in 0..blocks {
-        let kept: Vec<ReversalDifference> =
-            reversal_differences.iter().filter(|it| block(it) != out).copied().collect();
-        let test: Vec<f64> =
-            reversal_differences.iter().filter(|it| block(it) == out).map(|it| it.um).collect();
+        let kept: Vec<ReversalDifference> = reversal_differences
+            .iter()
+            .filter(|difference| block(difference) != out)
+            .copied()
+            .collect();
+        let test: Vec<f64> = reversal_differences
+            .iter()
+            .filter(|difference| block(difference) == out)
+            .map(|difference| difference.um)
+            .collect();
         if kept.is_empty() || test.is_empty() {
             continue;
         }
@@ -242,7 +248,7 @@ fn build_report(
         size(a).total_cmp(&size(b))
     });
     let sample = match (rule, at_largest) {
-        (WidthRule::Largest, Some(group)) => group.iter().map(|it| it.um).collect(),
+        (WidthRule::Largest, Some(group)) => group.iter().map(|difference| difference.um).collect(),
         _ => own.clone(),
     };
     report.parameters.push(match confidence_half_width(&sample) {
@@ -260,7 +266,8 @@ fn build_report(
     report.left_out = ResidualStatistics::from_residuals(&left_out);
     report.left_out_by = describe_folds(readings.runs);
     if !is_significant_gain(&gains) {
-        let rms = |spread: Option<ResidualStatistics>| spread.map_or(f64::NAN, |it| it.rms_um);
+        let rms =
+            |spread: Option<ResidualStatistics>| spread.map_or(f64::NAN, |spread| spread.rms_um);
         let each: Vec<String> = own.iter().map(|um| format!("{um:.1}")).collect();
         report.verdict = FitVerdict::DoNotCompensate(vec![format!(
             "on runs left out the difference between the directions is {:.1} µm rms without a \
@@ -279,6 +286,6 @@ fn target_means(reversal_differences: &[ReversalDifference]) -> Vec<f64> {
     // Sorted by target already.
     reversal_differences
         .chunk_by(|a, b| a.target == b.target)
-        .map(|group| group.iter().map(|it| it.um).sum::<f64>() / group.len() as f64)
+        .map(|group| group.iter().map(|difference| difference.um).sum::<f64>() / group.len() as f64)
         .collect()
 }

@@ -79,7 +79,8 @@ impl FittedCorrection {
     /// has it.
     pub(super) fn evaluate(&self, position_mm: f64, way: usize) -> f64 {
         let direction = if way == 0 { 1.0 } else { -1.0 };
-        let table = self.pitch.as_ref().map_or(0.0, |it| pitch_um(it, position_mm, direction));
+        let table =
+            self.pitch.as_ref().map_or(0.0, |pitch| pitch_um(pitch, position_mm, direction));
         let width = if is_reverse(direction) { self.width_um.unwrap_or(0.0) } else { 0.0 };
         self.constant_um + table + width
     }
@@ -222,7 +223,7 @@ fn mean_lower_bound(values: &[f64]) -> Option<f64> {
     }
     let count = values.len() as f64;
     let mean = values.iter().sum::<f64>() / count;
-    let variance = values.iter().map(|it| (it - mean).powi(2)).sum::<f64>() / (count - 1.0);
+    let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (count - 1.0);
     let t = student_t_quantile(values.len() - 1, 0.95)?;
     Some(mean - t * (variance / count).sqrt())
 }

@@ -61,8 +61,11 @@ pub(super) fn separate_by_feed(
         return Ok(None);
     }
     let widths = feeds.iter().enumerate().map(|(number, &feed)| {
-        let um: Vec<f64> =
-            differences.iter().filter(|it| it.feed == number).map(|it| it.um).collect();
+        let um: Vec<f64> = differences
+            .iter()
+            .filter(|difference| difference.feed == number)
+            .map(|difference| difference.um)
+            .collect();
         (feed, um.iter().sum::<f64>() / um.len() as f64, confidence_half_width(&um))
     });
     let widths: Vec<_> = widths.collect();
@@ -81,8 +84,10 @@ impl BacklashByFeed {
         let chosen = self.widths[self.chosen].0;
         report.facts.push(Fact::number("at_feed_mm_per_min", chosen));
         let there = || self.widths.iter().filter(|(_, um, _)| !um.is_nan());
-        report.facts.push(Fact::numbers(FEED_COLUMN, there().map(|it| it.0).collect()));
-        report.facts.push(Fact::numbers("reversal_at_feed_um", there().map(|it| it.1).collect()));
+        report.facts.push(Fact::numbers(FEED_COLUMN, there().map(|point| point.0).collect()));
+        report
+            .facts
+            .push(Fact::numbers("reversal_at_feed_um", there().map(|point| point.1).collect()));
         let each: Vec<String> = there()
             .map(|(feed, um, half)| {
                 let half = half.map_or(String::new(), |half| format!(" ± {half:.1}"));
@@ -111,28 +116,32 @@ impl BacklashByFeed {
 /// Returns how likely chance alone makes the feeds differ so; `None` without repeats.
 fn p_value(differences: &[ReversalDifference], targets: usize) -> Option<f64> {
     let mean = |of: &dyn Fn(&&ReversalDifference) -> bool| {
-        let um: Vec<f64> = differences.iter().filter(of).map(|it| it.um).collect();
+        let um: Vec<f64> = differences.iter().filter(of).map(|difference| difference.um).collect();
         (um.iter().sum::<f64>() / um.len() as f64, um.len() as f64)
     };
-    let feeds = differences.iter().map(|it| it.feed).max()? + 1;
-    let of_target: Vec<f64> = (0..targets).map(|t| mean(&|it| it.target == t).0).collect();
+    let feeds = differences.iter().map(|difference| difference.feed).max()? + 1;
+    let of_target: Vec<f64> =
+        (0..targets).map(|t| mean(&|difference| difference.target == t).0).collect();
     let mut cells = 0;
     let (mut within, mut between, mut groups) = (0.0, 0.0, 0);
     for feed in 0..feeds {
         let own: Vec<&ReversalDifference> =
-            differences.iter().filter(|it| it.feed == feed).collect();
+            differences.iter().filter(|difference| difference.feed == feed).collect();
         if own.is_empty() {
             continue;
         }
         groups += 1;
-        let off = own.iter().map(|it| it.um - of_target[it.target]).sum::<f64>() / own.len() as f64;
+        let off =
+            own.iter().map(|difference| difference.um - of_target[difference.target]).sum::<f64>()
+                / own.len() as f64;
         between += own.len() as f64 * off * off;
         for target in 0..targets {
-            let (cell, count) = mean(&|it| it.feed == feed && it.target == target);
+            let (cell, count) =
+                mean(&|difference| difference.feed == feed && difference.target == target);
             if count > 0.0 {
                 cells += 1;
-                let here = own.iter().filter(|it| it.target == target);
-                within += here.map(|it| (it.um - cell).powi(2)).sum::<f64>();
+                let here = own.iter().filter(|difference| difference.target == target);
+                within += here.map(|difference| (difference.um - cell).powi(2)).sum::<f64>();
             }
         }
     }

@@ -76,17 +76,22 @@ fn render_deviation_chart(name: &str, iso230: &Iso230Results) -> String {
     let of = |direction: fn(&TargetResults) -> Option<ApproachStatistics>,
               spread: f64|
      -> Vec<[f64; 2]> {
-        let there = iso230.targets.iter().filter_map(|it| Some((it.position_mm, direction(it)?)));
-        there.map(|(mm, it)| [mm, it.mean_um + spread * it.estimator_um]).collect()
+        let there = iso230
+            .targets
+            .iter()
+            .filter_map(|target| Some((target.position_mm, direction(target)?)));
+        there
+            .map(|(mm, statistics)| [mm, statistics.mean_um + spread * statistics.estimator_um])
+            .collect()
     };
     let mut series = Vec::new();
     for (arrow, colour, direction) in [
         (
             "forward",
             Colour::After,
-            (|it| it.forward) as fn(&TargetResults) -> Option<ApproachStatistics>,
+            (|target| target.forward) as fn(&TargetResults) -> Option<ApproachStatistics>,
         ),
-        ("reverse", Colour::Before, |it| it.reverse),
+        ("reverse", Colour::Before, |target| target.reverse),
     ] {
         let limits = [of(direction, 2.0), of(direction, -2.0)].concat();
         series.push(Series::dots(&format!("{arrow} ± 2s"), colour, limits));
@@ -111,30 +116,30 @@ fn axis_table(iso230: &Iso230Results) -> Table {
         (
             "A, accuracy",
             [
-                forward.map(|it| it.accuracy_um),
-                reverse.map(|it| it.accuracy_um),
-                both.map(|it| it.accuracy_um),
+                forward.map(|forward| forward.accuracy_um),
+                reverse.map(|reverse| reverse.accuracy_um),
+                both.map(|both| both.accuracy_um),
             ],
         ),
         (
             "R, repeatability",
             [
-                forward.map(|it| it.repeatability_um),
-                reverse.map(|it| it.repeatability_um),
-                both.map(|it| it.repeatability_um),
+                forward.map(|forward| forward.repeatability_um),
+                reverse.map(|reverse| reverse.repeatability_um),
+                both.map(|both| both.repeatability_um),
             ],
         ),
         (
             "E, systematic error",
             [
-                forward.map(|it| it.systematic_um),
-                reverse.map(|it| it.systematic_um),
-                both.map(|it| it.systematic_um),
+                forward.map(|forward| forward.systematic_um),
+                reverse.map(|reverse| reverse.systematic_um),
+                both.map(|both| both.systematic_um),
             ],
         ),
-        ("M, mean bi-directional error", [None, None, both.map(|it| it.mean_error_um)]),
-        ("B, reversal error", [None, None, both.map(|it| it.reversal_um)]),
-        ("B̄, mean reversal error", [None, None, both.map(|it| it.mean_reversal_um)]),
+        ("M, mean bi-directional error", [None, None, both.map(|both| both.mean_error_um)]),
+        ("B, reversal error", [None, None, both.map(|both| both.reversal_um)]),
+        ("B̄, mean reversal error", [None, None, both.map(|both| both.mean_reversal_um)]),
     ];
     for (name, values) in rows {
         let [forward, reverse, both] = values.map(cell);
@@ -157,7 +162,9 @@ fn target_table(iso230: &Iso230Results) -> Table {
         let mut cells = vec![target.position_mm.to_string()];
         cells.extend(three(target.forward));
         cells.extend(three(target.reverse));
-        cells.push(target.both.map_or_else(|| "–".into(), |it| format_micrometres(it.reversal_um)));
+        cells.push(
+            target.both.map_or_else(|| "–".into(), |both| format_micrometres(both.reversal_um)),
+        );
         table.add_row(&cells);
     }
     table

@@ -47,7 +47,7 @@ fn visible_amplitude_ratio(targets_mm: &[f64], pitch_mm: f64) -> f64 {
     let (sin, cos) = targets_mm
         .iter()
         .map(|x| (TAU * (x / pitch_mm).fract()).sin_cos())
-        .fold((0.0, 0.0), |sum, it| (sum.0 + it.0, sum.1 + it.1));
+        .fold((0.0, 0.0), |sum, sin_cos| (sum.0 + sin_cos.0, sum.1 + sin_cos.1));
     let mean = sin.hypot(cos) / count;
     (1.0 - mean * mean).max(0.0).sqrt()
 }

@@ -166,17 +166,17 @@ impl Readings {
             return Vec::new();
         }
         // Readings at different feeds are no repeats of each other.
-        let of_feed = |(it, reading): (repeats::Reading, &Reading)| repeats::Reading {
-            place: it.place + reading.feed * self.targets_mm.len(),
-            ..it
+        let of_feed = |(repeat, reading): (repeats::Reading, &Reading)| repeats::Reading {
+            place: repeat.place + reading.feed * self.targets_mm.len(),
+            ..repeat
         };
         let by_feed: Vec<_> =
             self.to_repeat_readings().into_iter().zip(&self.list).map(of_feed).collect();
         let found = find_gross_errors(&by_feed);
         let measured = measured_column(axis);
-        let aside = |(it, _): (&Reading, &bool)| ExcludedRow {
-            place: file.value_location(it.row, &measured),
-            measured_um: it.um,
+        let aside = |(reading, _): (&Reading, &bool)| ExcludedRow {
+            place: file.value_location(reading.row, &measured),
+            measured_um: reading.um,
             reason: "far from the other readings at its target".into(),
         };
         let set_aside =
@@ -188,11 +188,11 @@ impl Readings {
 
     /// Returns the readings for a decision by their repeats.
     pub(super) fn to_repeat_readings(&self) -> Vec<repeats::Reading> {
-        let of = |it: &Reading| repeats::Reading {
-            place: it.target,
-            side: it.way,
-            cycle: it.run,
-            value: it.um,
+        let of = |reading: &Reading| repeats::Reading {
+            place: reading.target,
+            side: reading.way,
+            cycle: reading.run,
+            value: reading.um,
         };
         self.list.iter().map(of).collect()
     }
@@ -436,7 +436,7 @@ fn check_position_order(
     let mut out_of_order: [Option<(&RawRow, &RawRow)>; 2] = [None; 2];
     for (raw, &target) in rows.iter().zip(target_of_row) {
         let is_new = seen.insert((target, raw.way), ()).is_none();
-        if let Some(before) = before.filter(|it| it.way == raw.way) {
+        if let Some(before) = before.filter(|before| before.way == raw.way) {
             let back = -signed_step(raw.way, raw.position_mm - before.position_mm);
             let same_sweep =
                 if is_numbered { before.run == raw.run } else { is_new && back < half };

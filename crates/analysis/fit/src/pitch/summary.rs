@@ -140,7 +140,7 @@ pub(super) fn write_pitch_section(
     report.facts.push(Fact::number("table_points", grid.points as f64));
     let name = format!("axis.{}", axis.name());
     let rms = |spread: Option<ResidualStatistics>| {
-        spread.map_or("?".into(), |it| format!("{:.2}", it.rms_um))
+        spread.map_or("?".into(), |spread| format!("{:.2}", spread.rms_um))
     };
     report.edit = Edit::from_section(pitch.to_section(axis).with_header_comment(format!(
         "From {} readings of {} runs; rms µm before {}, fitted {}, left out {}.",
@@ -178,8 +178,8 @@ fn backlash_half_width_um(readings: &Readings, sums: &DirectionSums) -> Option<f
         let blocks = fold_count(runs);
         (0..blocks)
             .filter_map(|block| {
-                let own = |it: &&super::Reading| {
-                    super::cross_validation::fold_index(it.run, runs) == block
+                let own = |reading: &&super::Reading| {
+                    super::cross_validation::fold_index(reading.run, runs) == block
                 };
                 let own = readings.list.iter().filter(own);
                 let widths = DirectionSums::from_readings(readings.targets_mm.len(), own)
@@ -199,7 +199,7 @@ pub(super) fn confidence_half_width(values: &[f64]) -> Option<f64> {
     }
     let count = values.len() as f64;
     let mean = values.iter().sum::<f64>() / count;
-    let variance = values.iter().map(|it| (it - mean).powi(2)).sum::<f64>() / (count - 1.0);
+    let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (count - 1.0);
     Some(student_t_quantile(values.len() - 1, 0.975)? * (variance / count).sqrt())
 }
 

@@ -156,7 +156,8 @@ impl<'s> SelectionPath<'s> {
         let free = count + inner.len();
         let share = 1.0 - free as f64 / rows;
         let criterion = sum_of_squares.max(floor) / (share * share);
-        let is_best = share > 0.0 && self.best.as_ref().is_none_or(|it| criterion < it.criterion);
+        let is_best =
+            share > 0.0 && self.best.as_ref().is_none_or(|best| criterion < best.criterion);
 
         if order == 2 {
             self.line = Some((sum_of_squares, fit.spline.clone()));

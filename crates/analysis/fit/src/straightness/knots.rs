@@ -122,7 +122,8 @@ impl<'s> KnotSearch<'s> {
         let count = from.inner.len();
         let share = |n: usize| n as f64 / (count + 1) as f64;
         let even: Vec<f64> = (1..=count).map(|n| first + share(n) * (last - first)).collect();
-        let mut tried: Vec<Vec<f64>> = self.evaluate(even).map(|it| it.inner).into_iter().collect();
+        let mut tried: Vec<Vec<f64>> =
+            self.evaluate(even).map(|knots| knots.inner).into_iter().collect();
         let mut weighted = self.sites.clone();
         let mut at = from.inner.clone();
         for _ in 0..LAWSON_ITERATIONS {

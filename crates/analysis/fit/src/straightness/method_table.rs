@@ -195,8 +195,8 @@ impl Diagonal<'_> {
             .axes
             .iter()
             .map(|axis| {
-                let is_it = |it: &&ModelledCurve<'_>| {
-                    it.curve.error == self.error && it.curve.along == *axis
+                let is_it = |curve: &&ModelledCurve<'_>| {
+                    curve.curve.error == self.error && curve.curve.along == *axis
                 };
                 curves.iter().find(is_it).ok_or_else(|| {
                     bad(format!(
@@ -212,7 +212,7 @@ impl Diagonal<'_> {
         for way in CurveMethod::ALL {
             let mut shares = Vec::new();
             for (n, curve) in its.iter().enumerate() {
-                let own = curve.models.iter().filter(|it| it.0 == way);
+                let own = curve.models.iter().filter(|model| model.0 == way);
                 shares.extend(own.map(|(_, model)| CurveContribution {
                     model,
                     start_mm: starts_mm[n],
@@ -240,19 +240,25 @@ impl Diagonal<'_> {
             .map(|axis| self.run.require_column(&format!("{}_mm", axis.name())))
             .collect::<Result<_, _>>()?;
         let there: Vec<usize> = (0..errors.len())
-            .filter(|&row| !errors[row].is_nan() && positions.iter().all(|it| !it[row].is_nan()))
+            .filter(|&row| {
+                !errors[row].is_nan() && positions.iter().all(|position| !position[row].is_nan())
+            })
             .collect();
         let by_first = |a: &&usize, b: &&usize| positions[0][**a].total_cmp(&positions[0][**b]);
         let ends = there.iter().min_by(by_first).zip(there.iter().max_by(by_first));
         let (&low, &high) = ends.ok_or_else(|| bad("has no row with all positions".into()))?;
-        let starts_mm: Vec<f64> = positions.iter().map(|it| it[low]).collect();
-        let ways: Vec<f64> = positions.iter().map(|it| it[high] - it[low]).collect();
+        let starts_mm: Vec<f64> = positions.iter().map(|position| position[low]).collect();
+        let ways: Vec<f64> =
+            positions.iter().map(|position| position[high] - position[low]).collect();
         let length = ways.iter().map(|way| way * way).sum::<f64>().sqrt();
         let cosines: Vec<f64> = ways.iter().map(|way| way / length).collect();
         let mut along = Vec::new();
         for &row in &there {
-            let from: Vec<f64> =
-                positions.iter().zip(&starts_mm).map(|(it, start)| it[row] - start).collect();
+            let from: Vec<f64> = positions
+                .iter()
+                .zip(&starts_mm)
+                .map(|(position, start)| position[row] - start)
+                .collect();
             let d = from.iter().zip(&cosines).map(|(from, cosine)| from * cosine).sum::<f64>();
             let off = from.iter().zip(&cosines).map(|(from, cosine)| (from - d * cosine).abs());
             let off = off.fold(0.0, f64::max);

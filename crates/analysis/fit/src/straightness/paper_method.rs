@@ -50,7 +50,7 @@ pub(super) fn fit(sites: &Sites, tolerance_um: f64, control: ControlValueRule) -
     }
     // A cubic has four control points at least.
     let mut most_even = (1..last).step_by((last / 3).max(1));
-    while is_chosen.iter().filter(|&&it| it).count() < CUBIC_ORDER {
+    while is_chosen.iter().filter(|&&chosen| chosen).count() < CUBIC_ORDER {
         let free = (1..last).find(|&site| !is_chosen[site]);
         let Some(site) = most_even.next().or(free) else { break };
         is_chosen[site] = true;

@@ -33,8 +33,10 @@ impl DesignMatrix {
         let chain = machine.volume.chain.as_ref().expect("was checked");
         let frame = ForwardKinematics::new(machine, chain);
         let centres = SetupCentres::from_readings(readings, &frame);
-        let of_rows: Vec<Vec<(NuisanceParameter, f64)>> =
-            readings.iter().map(|it| nuisance_sensitivities(it, &frame, &centres)).collect();
+        let of_rows: Vec<Vec<(NuisanceParameter, f64)>> = readings
+            .iter()
+            .map(|reading| nuisance_sensitivities(reading, &frame, &centres))
+            .collect();
         let mut numbers: BTreeMap<NuisanceParameter, usize> = BTreeMap::new();
         for (nuisance, _) in of_rows.iter().flatten() {
             numbers.insert(*nuisance, 0);

@@ -162,7 +162,8 @@ impl ErrorParameters {
     /// Returns the errors, each once.
     #[must_use]
     pub(crate) fn distinct_errors(&self) -> Vec<GeometricError> {
-        let mut errors: Vec<GeometricError> = self.all.iter().map(|it| it.error).collect();
+        let mut errors: Vec<GeometricError> =
+            self.all.iter().map(|parameter| parameter.error).collect();
         errors.dedup();
         errors
     }
@@ -214,9 +215,10 @@ impl ErrorParameters {
                 }
                 GeometricError::Angle(..)
                 | GeometricError::Shift(..)
-                | GeometricError::Tilt(..) => {
-                    units.iter().find(|(it, _)| *it == error).map_or([0.0; 3], |(_, um)| *um)
-                }
+                | GeometricError::Tilt(..) => units
+                    .iter()
+                    .find(|(candidate, _)| *candidate == error)
+                    .map_or([0.0; 3], |(_, um)| *um),
             }
         };
         let each = self.all.iter().map(|constant| {
@@ -247,7 +249,7 @@ fn possible_errors(machine: &Machine, modes: &[Option<Modes>; 3]) -> Vec<Geometr
         _ => error.motion_axis().is_none_or(moves),
     });
     for axis in machine.volume.chain.iter().flat_map(trueup_machine::file::Chain::rotary_axes) {
-        let shifts = LinearAxis::ALL.into_iter().filter(|it| it.index() != axis.index());
+        let shifts = LinearAxis::ALL.into_iter().filter(|other| other.index() != axis.index());
         errors.extend(shifts.map(|along| GeometricError::Shift(along, axis)));
         errors.extend(RotaryAxis::ALL.map(|about| GeometricError::Tilt(about, axis)));
     }
@@ -264,7 +266,7 @@ fn unit_error_machine(machine: &Machine, error: GeometricError) -> Option<Machin
     }
     let mut location = |axis: RotaryAxis, shift_um, tilt_urad| {
         let point_mm = volume.axis_line_point_mm(axis);
-        volume.rotary.retain(|it| it.axis != axis);
+        volume.rotary.retain(|location| location.axis != axis);
         volume.rotary.push(RotaryLocationErrors { axis, point_mm, shift_um, tilt_urad });
     };
     let one = |n: usize| {

@@ -112,7 +112,8 @@ impl Variances {
             (size * VarianceFamily::from_constant(*constant).typical_std()).powi(2)
                 * variance_fraction(design, *constant)
         };
-        let of_nuisance = design.nuisances.iter().map(|it| it.prior_std(uncertainty).powi(2));
+        let of_nuisance =
+            design.nuisances.iter().map(|nuisance| nuisance.prior_std(uncertainty).powi(2));
         let of_column = design.constants.all.iter().map(of).chain(of_nuisance).collect();
         Self { noise_um, of_column }
     }
@@ -170,7 +171,8 @@ pub(crate) fn compute_posterior(
     variances: &Variances,
 ) -> Posterior {
     let count = variances.of_column.len();
-    let scale = DVector::from_iterator(count, variances.of_column.iter().map(|it| it.sqrt()));
+    let scale =
+        DVector::from_iterator(count, variances.of_column.iter().map(|variance| variance.sqrt()));
     let (mut squares, mut products) = (DMatrix::zeros(count, count), DVector::zeros(count));
     for (normal, noise_um) in normals.iter().zip(variances.noise_um) {
         if normal.count > 0 {
@@ -241,7 +243,7 @@ fn update_variances(design: &DesignMatrix, found: &Posterior, variances: &mut Va
     for (at, constant) in all.iter().enumerate() {
         let family = VarianceFamily::from_constant(*constant);
         let error = family.is_form().then_some(constant.error);
-        match groups.iter_mut().find(|it| (it.0, it.1) == (family, error)) {
+        match groups.iter_mut().find(|group| (group.0, group.1) == (family, error)) {
             Some(group) => group.2.push(at),
             None => groups.push((family, error, vec![at])),
         }
@@ -255,8 +257,8 @@ fn update_variances(design: &DesignMatrix, found: &Posterior, variances: &mut Va
         let usual = family.typical_std().powi(2);
         let (sum, count) = of_families
             .iter()
-            .filter(|it| it.0 == *family)
-            .fold((0.0, 0.0), |(sum, count), it| (sum + it.1, count + it.2));
+            .filter(|entry| entry.0 == *family)
+            .fold((0.0, 0.0), |(sum, count), entry| (sum + entry.1, count + entry.2));
         let of_family = (sum + PRIOR_WEIGHT * usual) / (count + PRIOR_WEIGHT);
         let size = if family.is_form() {
             (mean(group) + FAMILY_WEIGHT * of_family) / (group.len() as f64 + FAMILY_WEIGHT)
@@ -274,5 +276,5 @@ fn is_converged(before: &Variances, after: &Variances) -> bool {
     let sizes = before.of_column.iter().zip(&after.of_column).filter(|(a, _)| **a > 0.0);
     let sizes = sizes.map(|(a, b)| (b / a).ln().abs());
     // The noise is a standard deviation.
-    noise.map(|it| 2.0 * it).chain(sizes).all(|it| it < CONVERGENCE_TOLERANCE)
+    noise.map(|noise| 2.0 * noise).chain(sizes).all(|size| size < CONVERGENCE_TOLERANCE)
 }

@@ -8,8 +8,9 @@ use super::{VolumeReport, identifiability::ErrorAssessment, reading::ReadingKind
 #[must_use]
 pub fn build_page(report: &VolumeReport, origin: &Origin) -> Page {
     let mut page = Page::new("The errors of the volume, ISO 230-1 and 230-7");
-    let acting: Vec<&ErrorAssessment> = report.known.iter().filter(|it| it.acts).collect();
-    let known = acting.iter().filter(|it| it.is_known).count();
+    let acting: Vec<&ErrorAssessment> =
+        report.known.iter().filter(|assessment| assessment.acts).collect();
+    let known = acting.iter().filter(|assessment| assessment.is_known).count();
     let (state, heading) = match (report.is_improvement(), known == acting.len()) {
         _ if report.held_out.readings == 0 => {
             ("bad", "Not written: no set-up has enough readings to hold some out")
@@ -40,8 +41,11 @@ pub fn build_page(report: &VolumeReport, origin: &Origin) -> Page {
     page.add_heading("Readings");
     page.add_table(&readings_table(report));
     page.add_heading("Curves");
-    let charts: Vec<String> =
-        acting.iter().filter(|it| !it.curve.is_empty()).map(|it| error_chart(it)).collect();
+    let charts: Vec<String> = acting
+        .iter()
+        .filter(|assessment| !assessment.curve.is_empty())
+        .map(|assessment| error_chart(assessment))
+        .collect();
     page.add_charts(&charts);
     page.add_list(&report.warnings);
     page.add_note(
@@ -77,7 +81,7 @@ fn errors_table(report: &VolumeReport) -> Table {
 
 fn list_next_tests(acting: &[&ErrorAssessment]) -> Vec<String> {
     let mut tests: Vec<(&str, Vec<String>)> = Vec::new();
-    for it in acting.iter().filter(|it| !it.is_known) {
+    for it in acting.iter().filter(|assessment| !assessment.is_known) {
         match tests.iter_mut().find(|(test, _)| *test == it.next_test) {
             Some((_, names)) => names.push(it.error.to_string()),
             None => tests.push((&it.next_test, vec![it.error.to_string()])),

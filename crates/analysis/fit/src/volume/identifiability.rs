@@ -140,9 +140,9 @@ pub(crate) fn assess_errors(
         let is_known = acts && open <= MAX_KNOWN_STD_RATIO;
         let at: Vec<[f64; 2]> =
             evaluation_rows(design, error).iter().map(|row| found.predict(row)).collect();
-        let most = |sign: f64| at.iter().map(|it| sign * it[0]).fold(f64::MIN, f64::max);
+        let most = |sign: f64| at.iter().map(|mode| sign * mode[0]).fold(f64::MIN, f64::max);
         let size = if at.len() == 1 { at[0][0] } else { most(1.0) + most(-1.0) };
-        let square = at.iter().map(|it| it[1] * it[1]).sum::<f64>() / at.len() as f64;
+        let square = at.iter().map(|mode| mode[1] * mode[1]).sum::<f64>() / at.len() as f64;
         let ends =
             error.motion_axis().and_then(|along| design.constants.modes[along.index()].as_ref());
         let curve = ends.map_or_else(Vec::new, |modes| {
@@ -201,7 +201,7 @@ fn acting_constants(design: &DesignMatrix, readings: &[Reading]) -> Vec<bool> {
 /// Returns the names of what would settle an error if it were known, the best first.
 fn find_confounders(design: &DesignMatrix, error: GeometricError, seen: &Posterior) -> Vec<String> {
     let mut blocks: BTreeMap<String, Vec<usize>> = BTreeMap::new();
-    for other in design.constants.distinct_errors().into_iter().filter(|it| *it != error) {
+    for other in design.constants.distinct_errors().into_iter().filter(|other| *other != error) {
         blocks.insert(other.to_string(), design.constants.indices_of_error(other));
     }
     let constants = design.constants.all.len();
@@ -273,8 +273,10 @@ pub fn cross_validate(
         for n in (0..readings.len()).filter(|n| is_in(*n) && !is_of_block(*n)) {
             *left.entry(readings[n].setup).or_default() += 1;
         }
-        let has_zero =
-            |n: usize| left.get(&readings[n].setup).is_some_and(|it| *it >= MIN_REMAINING_READINGS);
+        let has_zero = |n: usize| {
+            left.get(&readings[n].setup)
+                .is_some_and(|remaining| *remaining >= MIN_REMAINING_READINGS)
+        };
         let is_out = |n: usize| is_of_block(n) && has_zero(n);
         let out = normal_equations(design, readings, is_out);
         let mut rest = all.clone();
@@ -293,9 +295,9 @@ pub fn cross_validate(
             squares = [squares[0] + before, squares[1] + after];
             *gains.entry(places[n]).or_default() += before - after;
         }
-        count += out.iter().map(|it| it.count).sum::<usize>();
+        count += out.iter().map(|entry| entry.count).sum::<usize>();
     }
-    let [before_um, after_um] = squares.map(|it: f64| (it / count.max(1) as f64).sqrt());
+    let [before_um, after_um] = squares.map(|sum: f64| (sum / count.max(1) as f64).sqrt());
     // Without a gain the sum has this standard deviation.
     let error = gains.values().map(|gain| gain * gain).sum::<f64>().sqrt();
     let is_better = gains.values().sum::<f64>() > error;

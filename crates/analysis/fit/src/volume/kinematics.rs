@@ -51,13 +51,17 @@ impl<'m> ForwardKinematics<'m> {
     #[must_use]
     pub fn workpiece_to_machine(&self, vector: [f64; 3], pose: &Pose) -> [f64; 3] {
         let table = self.chain.table.iter().rev();
-        table.fold(vector, |it, &axis| rotate_about_axis(it, axis, -pose.angle_deg[axis.index()]))
+        table.fold(vector, |vector, &axis| {
+            rotate_about_axis(vector, axis, -pose.angle_deg[axis.index()])
+        })
     }
 
     /// Returns a direction of the tool along the machine's axes.
     #[must_use]
     pub fn tool_to_machine(&self, vector: [f64; 3], pose: &Pose) -> [f64; 3] {
         let head = self.chain.head.iter().rev();
-        head.fold(vector, |it, &axis| rotate_about_axis(it, axis, pose.angle_deg[axis.index()]))
+        head.fold(vector, |vector, &axis| {
+            rotate_about_axis(vector, axis, pose.angle_deg[axis.index()])
+        })
     }
 }

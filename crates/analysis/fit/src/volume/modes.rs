@@ -57,10 +57,12 @@ impl Modes {
         let points = SPLINE_SPANS * QUADRATURE_POINTS;
         for point in 0..points {
             let mm = first + (last - first) * (point as f64 + 0.5) / points as f64;
-            let at = basis.iter().map(|it| evaluate_with_derivatives(it, mm)).collect::<Vec<_>>();
-            let value = DVector::from_iterator(count, at.iter().map(|it| it[0]));
+            let at =
+                basis.iter().map(|mode| evaluate_with_derivatives(mode, mm)).collect::<Vec<_>>();
+            let value = DVector::from_iterator(count, at.iter().map(|mode| mode[0]));
             let length = last - first;
-            let bend = DVector::from_iterator(count, at.iter().map(|it| it[2] * length * length));
+            let bend =
+                DVector::from_iterator(count, at.iter().map(|mode| mode[2] * length * length));
             mass += &value * value.transpose() / points as f64;
             rough += &bend * bend.transpose() / points as f64;
         }
@@ -158,7 +160,8 @@ mod tests {
         let amounts: Vec<f64> = (0..9_u8).map(|n| 3.0 - f64::from(n)).collect();
         let spline = modes.to_spline(&amounts, 20.0);
         for mm in [0.0, 13.0, 200.0, 371.0, 400.0] {
-            let forms: f64 = modes.evaluate(mm).iter().zip(&amounts).map(|(at, it)| at * it).sum();
+            let forms: f64 =
+                modes.evaluate(mm).iter().zip(&amounts).map(|(at, amount)| at * amount).sum();
             let expected = forms + 20.0 * (mm - 200.0) / 1000.0;
             assert!((spline_um(&spline, mm) - expected).abs() < 1e-9, "at {mm}");
         }

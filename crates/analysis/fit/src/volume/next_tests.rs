@@ -35,20 +35,29 @@ pub(crate) fn propose_next_tests(
     noise_um: [f64; 4],
     known: &mut [ErrorAssessment],
 ) {
-    if known.iter().all(|it| it.is_known) {
+    if known.iter().all(|assessment| assessment.is_known) {
         return;
     }
-    let mut best: Vec<(f64, String)> = known.iter().map(|it| (it.open, String::new())).collect();
+    let mut best: Vec<(f64, String)> =
+        known.iter().map(|assessment| (assessment.open, String::new())).collect();
     for candidate in candidate_tests(machine, constants, readings) {
-        if known.iter().zip(&best).all(|(it, best)| it.is_known || best.0 <= MAX_KNOWN_STD_RATIO) {
+        if known
+            .iter()
+            .zip(&best)
+            .all(|(assessment, best)| assessment.is_known || best.0 <= MAX_KNOWN_STD_RATIO)
+        {
             break;
         }
         let mut all = readings.to_vec();
-        let first = readings.iter().map(|it| it.setup.max(it.aligned) + 1).max().unwrap_or(0);
-        all.extend(candidate.readings.iter().map(|it| Reading {
-            setup: it.setup + first,
-            aligned: it.aligned + first,
-            ..*it
+        let first = readings
+            .iter()
+            .map(|reading| reading.setup.max(reading.aligned) + 1)
+            .max()
+            .unwrap_or(0);
+        all.extend(candidate.readings.iter().map(|reading| Reading {
+            setup: reading.setup + first,
+            aligned: reading.aligned + first,
+            ..*reading
         }));
         let design = DesignMatrix::new(machine, constants.clone(), &all);
         let normal_equations = normal_equations(&design, &all, |_| true);
@@ -80,18 +89,19 @@ fn candidate_tests(
     readings: &[Reading],
 ) -> Vec<CandidateTest> {
     let ends = [0, 1, 2].map(|n| {
-        let at = || readings.iter().map(|it| it.pose.position_mm[n]);
+        let at = || readings.iter().map(|reading| reading.pose.position_mm[n]);
         [at().fold(f64::INFINITY, f64::min), at().fold(f64::MIN, f64::max)]
     });
-    let tool_mm = readings.iter().map(|it| it.pose.tool_mm).fold(f64::INFINITY, f64::min);
+    let tool_mm = readings.iter().map(|reading| reading.pose.tool_mm).fold(f64::INFINITY, f64::min);
     let place = |shares: [f64; 3], angle_deg, tool_mm| Pose {
         position_mm: [0, 1, 2].map(|n| ends[n][0] + shares[n] * (ends[n][1] - ends[n][0])),
         angle_deg,
         tool_mm,
     };
-    let longer = readings.iter().map(|it| {
-        let pose = Pose { tool_mm: it.pose.tool_mm + TOOL_LENGTH_DIFFERENCE_MM, ..it.pose };
-        Reading { pose, ..*it }
+    let longer = readings.iter().map(|reading| {
+        let pose =
+            Pose { tool_mm: reading.pose.tool_mm + TOOL_LENGTH_DIFFERENCE_MM, ..reading.pose };
+        Reading { pose, ..*reading }
     });
     let mut all = vec![CandidateTest {
         text: format!(

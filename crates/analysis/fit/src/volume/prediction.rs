@@ -44,7 +44,7 @@ pub(crate) fn predict_errors_um(
             missing.join(", ")
         ));
     }
-    let mut lengths: Vec<f64> = stated.iter().map(|it| it.pose.tool_mm).collect();
+    let mut lengths: Vec<f64> = stated.iter().map(|approach| approach.pose.tool_mm).collect();
     lengths.sort_unstable_by(f64::total_cmp);
     lengths.dedup();
     let text = format_poses_as_run(run, &used, stated);

@@ -47,14 +47,20 @@ pub fn read(
     let mut readings: Vec<Reading> = Vec::new();
     for (file, run) in runs.iter().enumerate() {
         let own = read_rows(run, file, machine, is_certified, warnings)?;
-        let first = readings.iter().map(|it| it.setup.max(it.aligned) + 1).max().unwrap_or(0);
+        let first = readings
+            .iter()
+            .map(|reading| reading.setup.max(reading.aligned) + 1)
+            .max()
+            .unwrap_or(0);
         // Edges of another file are other ones.
-        let edge = readings.iter().filter_map(|it| it.on_edge).map(|it| it.edge + 1).max();
-        readings.extend(own.into_iter().map(|it| Reading {
-            setup: it.setup + first,
-            aligned: it.aligned + first,
-            on_edge: it.on_edge.map(|on| EdgePosition { edge: on.edge + edge.unwrap_or(0), ..on }),
-            ..it
+        let edge =
+            readings.iter().filter_map(|reading| reading.on_edge).map(|edge| edge.edge + 1).max();
+        readings.extend(own.into_iter().map(|reading| Reading {
+            setup: reading.setup + first,
+            aligned: reading.aligned + first,
+            on_edge:
+                reading.on_edge.map(|on| EdgePosition { edge: on.edge + edge.unwrap_or(0), ..on }),
+            ..reading
         }));
     }
     let start = runs.first().map_or_else(|| "".as_ref(), RunFile::path);
@@ -137,7 +143,7 @@ impl<'r> RunColumns<'r> {
 
 fn is_finite_pose(pose: &Pose) -> bool {
     let Pose { position_mm, angle_deg, tool_mm } = pose;
-    position_mm.iter().chain(angle_deg).chain([tool_mm]).all(|it| it.is_finite())
+    position_mm.iter().chain(angle_deg).chain([tool_mm]).all(|coordinate| coordinate.is_finite())
 }
 
 /// Numbers of zeros, by what distinguishes them.
@@ -146,7 +152,7 @@ struct SetupIndex(Vec<[u64; 4]>);
 
 impl SetupIndex {
     fn index_or_insert(&mut self, key: [u64; 4]) -> usize {
-        self.0.iter().position(|it| *it == key).unwrap_or_else(|| {
+        self.0.iter().position(|candidate| *candidate == key).unwrap_or_else(|| {
             self.0.push(key);
             self.0.len() - 1
         })
@@ -170,11 +176,14 @@ fn read_rows(
             readings.push(reading);
         }
     };
-    let directions = |row: usize| columns.direction.map(|it| it.map_or(1.0, |it| it[row]));
-    read_components(run, (file, is_certified), &columns, &mut setups, |it| {
-        add(it, directions(it.source[1]));
+    let directions =
+        |row: usize| columns.direction.map(|direction| direction.map_or(1.0, |values| values[row]));
+    read_components(run, (file, is_certified), &columns, &mut setups, |component| {
+        add(component, directions(component.source[1]));
     });
-    read_diagonals(run, file, &columns, &mut setups, &mut |it| add(it, directions(it.source[1])))?;
+    read_diagonals(run, file, &columns, &mut setups, &mut |component| {
+        add(component, directions(component.source[1]))
+    })?;
     read_circles(run, file, machine, &columns, &mut setups, &mut add)?;
     if readings.is_empty() {
         run.require_column(COMPONENT_COLUMNS[0])?;
@@ -206,14 +215,14 @@ fn read_components(
         };
         let kind = if is_edge { ReadingKind::Edge } else { ReadingKind::Ball };
         let setup = columns.setup.map_or(0, |values| values[row].to_bits());
-        let point = columns.point.map(|values| values[row]).filter(|it| it.is_finite());
+        let point = columns.point.map(|values| values[row]).filter(|value| value.is_finite());
         for n in &there {
             let mut toward = [0.0; 3];
             toward[*n] = 1.0;
             // An edge is another artefact for each direction; its points have numbers below 0.
             let key = if kind == ReadingKind::Edge { *n as u64 } else { 3 };
             let number = setups.index_or_insert([kind as u64, key, setup, 0]);
-            let square = columns.square.map(|values| values[row]).filter(|it| it.is_finite());
+            let square = columns.square.map(|values| values[row]).filter(|value| value.is_finite());
             let aligned = match square.filter(|_| kind == ReadingKind::Edge) {
                 Some(square) => setups.index_or_insert([
                     kind as u64,
@@ -227,9 +236,9 @@ fn read_components(
                 (ReadingKind::Edge, false) => edge_position(columns, run, row, [*n, number]),
                 _ => None,
             };
-            let point = point.map(|it| match kind {
-                ReadingKind::Edge => -1 - it.abs() as i64,
-                _ => it.abs() as i64,
+            let point = point.map(|point| match kind {
+                ReadingKind::Edge => -1 - point.abs() as i64,
+                _ => point.abs() as i64,
             });
             let reading = columns.applied_correction_um(row, toward);
             let value = measured[*n].map_or(f64::NAN, |values| values[row]);
@@ -260,7 +269,7 @@ fn edge_position(
     [axis, setup]: [usize; 2],
 ) -> Option<EdgePosition> {
     let share = |values: &dyn Fn(usize) -> f64, rows: &[usize]| {
-        let at = || rows.iter().map(|row| values(*row)).filter(|it| it.is_finite());
+        let at = || rows.iter().map(|row| values(*row)).filter(|value| value.is_finite());
         let [low, high] = [at().fold(f64::MAX, f64::min), at().fold(f64::MIN, f64::max)];
         (high > low).then(|| (values(row) - low) / (high - low))
     };
@@ -269,7 +278,8 @@ fn edge_position(
         return Some(EdgePosition { edge: axis, share: share(&|row| point[row], &all)? });
     }
     let (rows, range) = setup_rows(columns, run, row);
-    let along = (0..3).max_by(|a, b| range[*a].total_cmp(&range[*b])).filter(|it| *it != axis)?;
+    let along =
+        (0..3).max_by(|a, b| range[*a].total_cmp(&range[*b])).filter(|other| *other != axis)?;
     // Numbers below 3 are those of edges with points.
     let share = share(&|row| columns.position_mm[along][row], &rows)?;
     Some(EdgePosition { edge: 3 + setup, share })
@@ -282,7 +292,7 @@ fn setup_rows(columns: &RunColumns<'_>, run: &RunFile, row: usize) -> (Vec<usize
     };
     let rows: Vec<usize> = (0..run.row_count()).filter(is_same).collect();
     let range = columns.position_mm.map(|values| {
-        let at = || rows.iter().map(|row| values[*row]).filter(|it| !it.is_nan());
+        let at = || rows.iter().map(|row| values[*row]).filter(|value| !value.is_nan());
         at().fold(f64::MIN, f64::max) - at().fold(f64::MAX, f64::min)
     });
     (rows, range)
@@ -291,8 +301,8 @@ fn setup_rows(columns: &RunColumns<'_>, run: &RunFile, row: usize) -> (Vec<usize
 /// Returns the axis that moves in the set-up of a row, where no other one does.
 fn sole_moving_axis(columns: &RunColumns<'_>, run: &RunFile, row: usize) -> Option<usize> {
     let (_, range) = setup_rows(columns, run, row);
-    let is_still = |it: usize, along: usize| it == along || range[it] < 0.01 * range[along];
-    (0..3).find(|along| (0..3).all(|it| is_still(it, *along)))
+    let is_still = |axis: usize, along: usize| axis == along || range[axis] < 0.01 * range[along];
+    (0..3).find(|along| (0..3).all(|axis| is_still(axis, *along)))
 }
 
 fn read_diagonals(

@@ -56,12 +56,13 @@ pub(crate) fn build_edit(
         let section = NewSection::new("angular").with_header_comment(
             "Where the straightness below is stated: the middle of the measured volume.",
         );
-        let section = LinearAxis::ALL.into_iter().zip(points_mm).fold(section, |it, (axis, mm)| {
-            it.with_numbers(
-                format!("point_{}_mm", axis.name()),
-                mm.map(|mm| round_to_decimals(mm, MACHINE_FILE_DECIMALS)),
-            )
-        });
+        let section =
+            LinearAxis::ALL.into_iter().zip(points_mm).fold(section, |section, (axis, mm)| {
+                section.with_numbers(
+                    format!("point_{}_mm", axis.name()),
+                    mm.map(|mm| round_to_decimals(mm, MACHINE_FILE_DECIMALS)),
+                )
+            });
         out.sections.push(section);
     }
     out.write_angles(warnings);
@@ -82,7 +83,7 @@ struct SectionWriter<'a> {
 impl SectionWriter<'_> {
     /// Returns line and forms of an error; `None` where they are not worth a section.
     fn line_and_modes(&self, error: GeometricError) -> Option<(f64, Vec<f64>)> {
-        let known = self.known.iter().find(|it| it.error == error)?;
+        let known = self.known.iter().find(|assessment| assessment.error == error)?;
         if !known.acts || known.size.abs() < MIN_WRITTEN_ERROR {
             return None;
         }
@@ -103,7 +104,8 @@ impl SectionWriter<'_> {
     }
 
     fn section_comment(&self, error: GeometricError) -> String {
-        let known = self.known.iter().find(|it| it.error == error && it.is_known);
+        let known =
+            self.known.iter().find(|assessment| assessment.error == error && assessment.is_known);
         match known {
             Some(it) => {
                 format!(
@@ -142,8 +144,8 @@ impl SectionWriter<'_> {
             let GeometricError::Straightness(axis, along) = error else { continue };
             let Some(curve) = self.error_spline(error) else { continue };
             let there = self.machine.straightness.iter();
-            let mut there = there.filter(|it| (it.error, it.along) == (axis, along));
-            let sum = sum_splines(curve, there.next().map(|it| &it.spline), None);
+            let mut there = there.filter(|curve| (curve.error, curve.along) == (axis, along));
+            let sum = sum_splines(curve, there.next().map(|curve| &curve.spline), None);
             self.push_spline(NewSection::new(error.machine_file_key()), error, sum, "control_um");
         }
     }
@@ -156,7 +158,10 @@ impl SectionWriter<'_> {
         control: &str,
     ) {
         let round = |values: Vec<f64>| -> Vec<f64> {
-            values.into_iter().map(|it| round_to_decimals(it, MACHINE_FILE_DECIMALS)).collect()
+            values
+                .into_iter()
+                .map(|value| round_to_decimals(value, MACHINE_FILE_DECIMALS))
+                .collect()
         };
         let section = section
             .with_header_comment(self.section_comment(error))
@@ -173,7 +178,7 @@ impl SectionWriter<'_> {
         for error in self.constants.distinct_errors() {
             let GeometricError::Squareness(axis, along) = error else { continue };
             let Some((um_per_m, _)) = self.line_and_modes(error) else { continue };
-            match angles.iter_mut().find(|it| (it.error, it.along) == (axis, along)) {
+            match angles.iter_mut().find(|angle| (angle.error, angle.along) == (axis, along)) {
                 Some(angle) => {
                     angle.um_per_m =
                         round_to_decimals(angle.um_per_m + um_per_m, MACHINE_FILE_DECIMALS)
@@ -192,7 +197,7 @@ impl SectionWriter<'_> {
                 .fold(NewSection::new("squareness"), NewSection::with_header_comment);
             let section = angles
                 .iter()
-                .fold(section, |it, angle| it.with_number(angle.name(), angle.um_per_m));
+                .fold(section, |section, angle| section.with_number(angle.name(), angle.um_per_m));
             self.sections.push(section);
         }
     }
@@ -202,8 +207,8 @@ impl SectionWriter<'_> {
             let GeometricError::Angle(about, along) = error else { continue };
             let Some(curve) = self.error_spline(error) else { continue };
             let there = self.machine.volume.angular.iter();
-            let mut there = there.filter(|it| (it.about, it.along) == (about, along));
-            let sum = match there.next().map(|it| &it.angle) {
+            let mut there = there.filter(|motion| (motion.about, motion.along) == (about, along));
+            let sum = match there.next().map(|motion| &motion.angle) {
                 None => curve,
                 Some(Angle::Curve(spline)) => sum_splines(curve, Some(spline), None),
                 Some(&Angle::Line(per_m)) => {
@@ -225,15 +230,15 @@ impl SectionWriter<'_> {
 
     fn write_rotary(&mut self) {
         for axis in RotaryAxis::ALL {
-            let there = self.machine.volume.rotary.iter().find(|it| it.axis == axis);
+            let there = self.machine.volume.rotary.iter().find(|location| location.axis == axis);
             let (mut numbers, mut remarks) = (Vec::new(), Vec::new());
             for error in self.constants.distinct_errors() {
                 let (of, before) = match error {
                     GeometricError::Shift(along, of) => {
-                        (of, there.map_or(0.0, |it| it.shift_um[along.index()]))
+                        (of, there.map_or(0.0, |location| location.shift_um[along.index()]))
                     }
                     GeometricError::Tilt(about, of) => {
-                        (of, there.map_or(0.0, |it| it.tilt_urad[about.index()]))
+                        (of, there.map_or(0.0, |location| location.tilt_urad[about.index()]))
                     }
                     _ => continue,
                 };
@@ -258,7 +263,9 @@ impl SectionWriter<'_> {
                 .with_preserved_keys(&["point_mm"]);
             let section = remarks.into_iter().fold(section, NewSection::with_header_comment);
             self.sections.push(
-                numbers.into_iter().fold(section, |it, (key, value)| it.with_number(key, value)),
+                numbers
+                    .into_iter()
+                    .fold(section, |section, (key, value)| section.with_number(key, value)),
             );
         }
     }
@@ -307,22 +314,23 @@ fn ends_mm(spline: &BSpline) -> [f64; 2] {
 /// each spline is held beyond it, so that the sum has a bend there.
 fn sum_splines(curve: BSpline, there: Option<&BSpline>, line: Option<StatedLine>) -> BSpline {
     let mut knots: Vec<f64> = curve.knots_mm.clone();
-    knots.extend(there.iter().flat_map(|it| it.knots_mm.iter().copied()));
-    knots.extend(line.and_then(|it| it.travel_mm).into_iter().flatten());
+    knots.extend(there.iter().flat_map(|curve| curve.knots_mm.iter().copied()));
+    knots.extend(line.and_then(|line| line.travel_mm).into_iter().flatten());
     knots.sort_unstable_by(f64::total_cmp);
     let (first, last) = (knots[0], knots[knots.len() - 1]);
     knots.dedup_by(|a, b| (*a - *b).abs() < 1e-3 * (last - first));
     // At a knot that stands there three times the slope may jump: at the end of a spline, and where a spline has such a knot.
     let times = |knot: f64| {
-        let near = |it: &&f64| (**it - knot).abs() < 1e-3 * (last - first);
-        let own = |it: &BSpline| it.knots_mm.iter().filter(near).count();
+        let near = |value: &&f64| (**value - knot).abs() < 1e-3 * (last - first);
+        let own = |spline: &BSpline| spline.knots_mm.iter().filter(near).count();
         [Some(&curve), there].into_iter().flatten().map(own).max().unwrap_or(0).clamp(1, 3)
     };
     let inner = knots[1..knots.len() - 1].iter();
-    let inner: Vec<f64> = inner.flat_map(|&it| vec![it; times(it)]).collect();
-    let of_line = |mm: f64| line.map_or(0.0, |it| it.per_m * mm / 1000.0);
-    let at_mm =
-        |mm: f64| spline_um(&curve, mm) + there.map_or(0.0, |it| spline_um(it, mm)) + of_line(mm);
+    let inner: Vec<f64> = inner.flat_map(|&knot| vec![knot; times(knot)]).collect();
+    let of_line = |mm: f64| line.map_or(0.0, |line| line.per_m * mm / 1000.0);
+    let at_mm = |mm: f64| {
+        spline_um(&curve, mm) + there.map_or(0.0, |spline| spline_um(spline, mm)) + of_line(mm)
+    };
     let mut at: Vec<f64> = (0..=SPLINE_SAMPLES)
         .map(|n| first + (last - first) * f64::from(n) / f64::from(SPLINE_SAMPLES))
         .collect();
@@ -333,7 +341,7 @@ fn sum_splines(curve: BSpline, there: Option<&BSpline>, line: Option<StatedLine>
     let points = at.iter().map(|mm| (*mm, at_mm(*mm), 1.0));
     let fitted =
         bspline::fit_least_squares(bspline::clamped_knots(4, first, &inner, last), 4, points);
-    fitted.map_or(curve.clone(), |it| it.spline)
+    fitted.map_or(curve.clone(), |fitted| fitted.spline)
 }
 
 #[cfg(test)]
@@ -370,8 +378,8 @@ mod tests {
             for n in 0..=220 {
                 let mm = first + (last - first) * f64::from(n) / 220.0;
                 let whole = spline_um(&curve, mm)
-                    + there.map_or(0.0, |it| spline_um(it, mm))
-                    + line.map_or(0.0, |it| it.per_m * mm / 1000.0);
+                    + there.map_or(0.0, |spline| spline_um(spline, mm))
+                    + line.map_or(0.0, |line| line.per_m * mm / 1000.0);
                 let um = spline_um(&sum, mm);
                 assert!((um - whole).abs() < 1e-6, "at {mm} mm: {um}, and it is {whole}");
             }

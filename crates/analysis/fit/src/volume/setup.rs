@@ -74,7 +74,7 @@ impl NuisanceParameter {
             Self::Circle(_, component) if component < 3 => PRIOR_TIP_STD_UM,
             Self::Circle(..) => PRIOR_DIRECTION_STD_UM,
             Self::Edge(_, form) => {
-                PRIOR_EDGE_STD_UM * edge_modes().shares.get(form).map_or(0.0, |it| it.sqrt())
+                PRIOR_EDGE_STD_UM * edge_modes().shares.get(form).map_or(0.0, |share| share.sqrt())
             }
             Self::Point(..) => uncertainty.artefact_um,
         }
@@ -147,8 +147,11 @@ pub(crate) fn nuisance_sensitivities(
                 sin * cos,
             ];
             let columns = [1.0, cos, sin].into_iter();
-            let columns = columns.chain(of_direction.map(|it| it * on.sense));
-            columns.enumerate().map(|(n, it)| (NuisanceParameter::Circle(own, n), it)).collect()
+            let columns = columns.chain(of_direction.map(|amount| amount * on.sense));
+            columns
+                .enumerate()
+                .map(|(n, column)| (NuisanceParameter::Circle(own, n), column))
+                .collect()
         }
         (ReadingKind::Diagonal, _) => {
             let along = dot(arm_mm, reading.toward);
@@ -199,6 +202,6 @@ fn perpendicular_directions(toward: [f64; 3]) -> [[f64; 3]; 2] {
     other[least] = 1.0;
     let first = cross(toward, other);
     let length = dot(first, first).sqrt();
-    let first = first.map(|it| it / length);
+    let first = first.map(|component| component / length);
     [first, cross(toward, first)]
 }

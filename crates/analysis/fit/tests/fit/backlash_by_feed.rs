@@ -57,7 +57,8 @@ fn feeds_that_do_not_differ_are_one_measurement_but_for_one_in_a_hundred() {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     for _ in 0..200 {
         let fit = fitted(&run(&[(1000.0, 6.0), (200.0, 6.0)], rng.random()), None);
-        let warned = fit.report.warnings.iter().any(|it| it.contains("depends on the feed"));
+        let warned =
+            fit.report.warnings.iter().any(|warning| warning.contains("depends on the feed"));
         told += usize::from(warned);
         assert_eq!(fit.report.rows_used, if warned { 42 } else { 84 });
     }
@@ -83,7 +84,7 @@ fn one_bad_reading_of_seven_is_excluded_by_its_line_and_the_width_stays() {
     let all = run(&[(1000.0, 6.0)], 5);
     let one_place: String = all
         .lines()
-        .filter(|it| !it.contains(",50,") && !it.contains(",950,"))
+        .filter(|line| !line.contains(",50,") && !line.contains(",950,"))
         .fold(String::new(), |text, line| text + line + "\n");
     for (text, bad_row) in [(&all, 3), (&all, 22), (&all, 41), (&one_place, 4), (&one_place, 13)] {
         for off_um in [25.0, -60.0] {

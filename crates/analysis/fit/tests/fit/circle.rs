@@ -25,7 +25,11 @@ fn machine(report: &CircleReport) -> Machine {
 }
 
 fn value(finding: &Finding, name: &str) -> f64 {
-    finding.parameters.iter().find(|it| it.name == name).map_or(f64::NAN, |it| it.value)
+    finding
+        .parameters
+        .iter()
+        .find(|parameter| parameter.name == name)
+        .map_or(f64::NAN, |parameter| parameter.value)
 }
 
 fn only(report: &CircleReport) -> &Finding {
@@ -37,11 +41,11 @@ fn only(report: &CircleReport) -> &Finding {
 
 /// Returns the names of the causes that are claimed, with the axis in error.
 fn named(report: &CircleReport) -> BTreeSet<String> {
-    let name = |it: &Finding| {
-        let axis = it.axis.map_or(String::new(), |axis| format!(" {}", axis.name()));
-        format!("{}{axis}", it.cause.name())
+    let name = |finding: &Finding| {
+        let axis = finding.axis.map_or(String::new(), |axis| format!(" {}", axis.name()));
+        format!("{}{axis}", finding.cause.name())
     };
-    report.circles[0].findings.iter().filter(|it| it.claimed).map(name).collect()
+    report.circles[0].findings.iter().filter(|finding| finding.claimed).map(name).collect()
 }
 
 #[test]
@@ -129,7 +133,8 @@ fn a_straightness_is_written_by_its_form_for_either_axis() {
             .collect();
         let x: Vec<f64> = angles.iter().map(mm).collect();
         let line = trueup_numerics::line::fit_line(&x, &left).expect("a line");
-        let worst = line.residuals.iter().fold(0.0, |worst: f64, it| worst.max(it.abs()));
+        let worst =
+            line.residuals.iter().fold(0.0, |worst: f64, residual| worst.max(residual.abs()));
         assert!(worst < 0.15, "{worst} µm");
     }
 }
@@ -145,7 +150,7 @@ fn spikes_and_drift_are_reported_and_not_written() {
     let expected: BTreeSet<String> = drawn.faults.iter().map(Fault::name).collect();
     assert_eq!(named(&report), expected);
     assert!(report.edit.is_empty(), "{:?}", report.written);
-    let is_spike = |it: &&Finding| it.cause == Cause::ReversalSpike;
+    let is_spike = |finding: &&Finding| finding.cause == Cause::ReversalSpike;
     let spike = report.circles[0].findings.iter().find(is_spike).expect("named");
     // The peak of the drawn shape is 0.72 of its height, 0.24 decays behind the reversal.
     let height = value(spike, "height_positive_end_ccw_um");
@@ -203,7 +208,8 @@ fn a_bridge_that_was_on_is_taken_out_along_the_radius() {
             with += &format!("{line},offset_x_um,offset_y_um,quality\n");
             continue;
         }
-        let mut cells: Vec<f64> = line.split(',').map(|it| it.parse().expect("a number")).collect();
+        let mut cells: Vec<f64> =
+            line.split(',').map(|cell| cell.parse().expect("a number")).collect();
         // The bridge takes the whole error off: the ball bar sees a perfect circle.
         let [x, y] = [cells[1] - 20.0, cells[2] + 35.0];
         let offset = -100.0 * cells[2] / 1e3;
@@ -226,8 +232,9 @@ fn two_files_in_two_planes_share_one_backlash_and_their_scales() {
     assert_eq!(report.circles.len(), 2);
     let axes = machine(&report).axes;
     assert!((axes[0].backlash.expect("of X").width_um - 6.0).abs() < 0.05, "{:?}", axes[0]);
-    let end =
-        |axis: usize| axes[axis].pitch.as_ref().map(|it| *it.forward_um.last().expect("ends"));
+    let end = |axis: usize| {
+        axes[axis].pitch.as_ref().map(|pitch| *pitch.forward_um.last().expect("ends"))
+    };
     // X is 80 µm/m longer than Y and than Z: their mean stays, X +53.3, Y and Z −26.7 µm/m.
     let [x, y, z] = [0, 1, 2].map(|axis| end(axis).expect("a table"));
     assert!((y + 2.67).abs() < 0.1 && (z + 2.67).abs() < 0.1 && x > 5.0, "{x} {y} {z}");
@@ -271,7 +278,7 @@ fn drawn_circles_are_wholly_named_and_sound_ones_have_no_name() {
 #[test]
 #[ignore = "campaign: cargo xtask circles"]
 fn campaign_300_drawn_circles_and_100_sound_ones() {
-    let count = std::env::var("TRUEUP_CIRCLES").ok().and_then(|it| it.parse().ok());
+    let count = std::env::var("TRUEUP_CIRCLES").ok().and_then(|text| text.parse().ok());
     let count: u64 = count.unwrap_or(300);
     let [named, wrong] = trial(0..count, false);
     let sound_count = count.div_ceil(3);

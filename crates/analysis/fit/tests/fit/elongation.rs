@@ -153,7 +153,7 @@ fn a_range_in_which_the_sensor_is_another_is_no_gross_error() {
     assert_eq!(report.set_aside.len(), 1, "{:?}", report.set_aside);
     assert!(report.set_aside[0].place.to_string().contains(":12:"), "{:?}", report.set_aside);
     assert!(
-        report.warnings.iter().any(|it| it.contains("follow a curve")),
+        report.warnings.iter().any(|warning| warning.contains("follow a curve")),
         "{:?}",
         report.warnings
     );

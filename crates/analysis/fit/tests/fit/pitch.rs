@@ -56,8 +56,8 @@ fn one_table_and_the_backlash_are_found_from_uneven_targets() {
     let off: Vec<f64> = predictor
         .predictions()
         .zip(truth)
-        .map(|(it, (&x, &dir))| {
-            it.model.error_um[0] - shape(x) - if dir < 0.0 { -6.0 } else { 0.0 }
+        .map(|(prediction, (&x, &dir))| {
+            prediction.model.error_um[0] - shape(x) - if dir < 0.0 { -6.0 } else { 0.0 }
         })
         .collect();
     println!("predicted minus true {:.3} µm rms", rms(&off));
@@ -212,7 +212,7 @@ fn one_pass_is_taken_over_with_its_repeatability_unknown() {
         assert!(fit.pitch.is_some(), "{:?}", fit.report.verdict);
         let only = format!("only the {way} direction was measured");
         assert!(
-            fit.report.warnings.iter().any(|it| it.contains(&only)),
+            fit.report.warnings.iter().any(|warning| warning.contains(&only)),
             "{:?}",
             fit.report.warnings
         );

@@ -331,5 +331,5 @@ fn a_bad_reading_among_three_passes_is_excluded_by_its_line_and_bends_no_curve()
     let report = report.expect("a curve");
     let [excluded] = &report.set_aside[..] else { panic!("{:?}", report.set_aside) };
     assert_eq!((excluded.place.line, report.rows_used, report.rows_incomplete), (32, 62, 0));
-    assert!(report.in_sample.is_some_and(|it| it.max_um < 1.5), "{report:?}");
+    assert!(report.in_sample.is_some_and(|statistics| statistics.max_um < 1.5), "{report:?}");
 }

@@ -49,7 +49,7 @@ fn diagonal(set: u64, error: &str, pair: [usize; 2]) -> UncompensatedRun<'static
     let mut text = format!("{}_mm,{}_mm,measured_d{error}_um\n", names[0], names[1]);
     for n in 0..=places {
         let share = f64::from(n) / f64::from(places);
-        let [a, b] = [0, 1].map(|it: usize| share * ways[it].travel_mm);
+        let [a, b] = [0, 1].map(|axis: usize| share * ways[axis].travel_mm);
         let _ = writeln!(text, "{a},{b},{}", ways[0].at(a) + ways[1].at(b));
     }
     run(&text)

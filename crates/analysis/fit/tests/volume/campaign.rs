@@ -133,9 +133,9 @@ fn volumetric_um(machine: &Drawn, poses: &[At], errors: &[[f64; 3]]) -> f64 {
     let mut left: Vec<f64> = errors.iter().flatten().copied().collect();
     for column in &columns {
         let share: f64 = column.iter().zip(&left).map(|(a, b)| a * b).sum();
-        left.iter_mut().zip(column).for_each(|(left, it)| *left -= share * it);
+        left.iter_mut().zip(column).for_each(|(left, value)| *left -= share * value);
     }
-    (left.iter().map(|it| it * it).sum::<f64>() / poses.len() as f64).sqrt()
+    (left.iter().map(|value| value * value).sum::<f64>() / poses.len() as f64).sqrt()
 }
 
 /// Measures a machine, and fits.
@@ -173,8 +173,8 @@ fn outcome(seed: u64, plan: Plan, law: Law) -> Outcome {
         let from = drawn.pose(None);
         let to = At { mm: drawn.pose(None).mm, ..from };
         let way = [0, 1, 2].map(|n| to.mm[n] - from.mm[n]);
-        let length = way.iter().map(|it| it * it).sum::<f64>().sqrt();
-        let toward = way.map(|it| it / length);
+        let length = way.iter().map(|value| value * value).sum::<f64>().sqrt();
+        let toward = way.map(|component| component / length);
         let [start, end] = [&from, &to].map(|at| drawn.error_um(at));
         let truth: f64 = (0..3).map(|n| toward[n] * (end[n] - start[n])).sum();
         let pose = |at: &At| Pose { position_mm: at.mm, angle_deg: at.deg, tool_mm: at.tool_mm };
@@ -182,7 +182,8 @@ fn outcome(seed: u64, plan: Plan, law: Law) -> Outcome {
         covered[0] += usize::from((um - truth).abs() <= NORMAL_QUANTILE_975 * sd);
         covered[1] += 1;
     }
-    let [before_um, after_um] = [&errors, &left].map(|it| volumetric_um(&drawn, &poses, it));
+    let [before_um, after_um] =
+        [&errors, &left].map(|errors| volumetric_um(&drawn, &poses, errors));
     let outcome = Outcome { before_um, after_um, covered, was_better: report.is_improvement() };
     if std::env::var_os("TRUEUP_VOLUMES_EACH").is_some() {
         println!(
@@ -203,7 +204,7 @@ fn outcome(seed: u64, plan: Plan, law: Law) -> Outcome {
                 it.next_test
             );
         }
-        report.warnings.iter().for_each(|it| println!("  {it}"));
+        report.warnings.iter().for_each(|warning| println!("  {warning}"));
     }
     outcome
 }
@@ -213,7 +214,7 @@ fn figures(plan: Plan, seeds: &[u64], law: Law) -> [f64; 3] {
     let outcomes =
         trueup_numerics::parallel::parallel_map(seeds, true, |seed| outcome(*seed, plan, law));
     let mut gone: Vec<f64> = outcomes.iter().map(Outcome::gone).collect();
-    let sum = |n: usize| outcomes.iter().map(|it| it.covered[n]).sum::<usize>() as f64;
+    let sum = |n: usize| outcomes.iter().map(|outcome| outcome.covered[n]).sum::<usize>() as f64;
     let worst = gone.iter().copied().fold(f64::INFINITY, f64::min);
     let figures = [trueup_numerics::robust::median(&mut gone), worst, sum(0) / sum(1)];
     let mean =
@@ -221,12 +222,12 @@ fn figures(plan: Plan, seeds: &[u64], law: Law) -> [f64; 3] {
     println!(
         "{plan:?}, {law:?}: {} machines, {:.2} µm RMS before, {:.2} after; gone: median {:.3}, worst {:.3}; intervals hold {:.3}; not written {}",
         outcomes.len(),
-        mean(|it| it.before_um),
-        mean(|it| it.after_um),
+        mean(|outcome| outcome.before_um),
+        mean(|outcome| outcome.after_um),
         figures[0],
         figures[1],
         figures[2],
-        outcomes.iter().filter(|it| !it.was_better).count()
+        outcomes.iter().filter(|outcome| !outcome.was_better).count()
     );
     figures
 }
@@ -247,10 +248,10 @@ fn sound(seed: u64, plan: Plan) -> Sound {
     let machine = corrected(&report, &drawn.file);
     let poses: Vec<At> = (0..HELD_OUT).map(|_| drawn.pose(None)).collect();
     let made: Vec<[f64; 3]> = poses.iter().map(|at| predicted_um(&machine, at)).collect();
-    let known = || report.known.iter().filter(|it| it.is_known);
+    let known = || report.known.iter().filter(|assessment| assessment.is_known);
     Sound {
         known: known().count(),
-        claimed: known().filter(|it| it.is_there).count(),
+        claimed: known().filter(|assessment| assessment.is_there).count(),
         is_written: !report.edit.is_empty(),
         made_um: volumetric_um(&drawn, &poses, &made),
     }
@@ -259,23 +260,23 @@ fn sound(seed: u64, plan: Plan) -> Sound {
 /// Prints the figures of machines without any error, and returns the share of known errors that are claimed.
 fn false_claims(plan: Plan, seeds: &[u64]) -> f64 {
     let all = trueup_numerics::parallel::parallel_map(seeds, true, |seed| sound(*seed, plan));
-    let known: usize = all.iter().map(|it| it.known).sum();
-    let claimed: usize = all.iter().map(|it| it.claimed).sum();
+    let known: usize = all.iter().map(|sound| sound.known).sum();
+    let claimed: usize = all.iter().map(|sound| sound.claimed).sum();
     let share = claimed as f64 / known as f64;
     println!(
         "{plan:?}, no error: {} machines; {claimed} of {known} known errors claimed ({:.2} %), on {} machines; written on {}, which makes at most {:.2} µm RMS",
         all.len(),
         100.0 * share,
-        all.iter().filter(|it| it.claimed > 0).count(),
-        all.iter().filter(|it| it.is_written).count(),
-        all.iter().map(|it| it.made_um).fold(0.0, f64::max)
+        all.iter().filter(|sound| sound.claimed > 0).count(),
+        all.iter().filter(|sound| sound.is_written).count(),
+        all.iter().map(|sound| sound.made_um).fold(0.0, f64::max)
     );
     share
 }
 
 /// Returns a number that the environment states.
 fn stated(name: &str) -> Option<u64> {
-    std::env::var(name).ok().and_then(|it| it.parse().ok())
+    std::env::var(name).ok().and_then(|text| text.parse().ok())
 }
 
 const PLANS: [Plan; 2] = [Plan::Plate, Plan::Sphere];

@@ -203,12 +203,12 @@ impl Drawn {
 
     /// Returns a direction of the workpiece along the machine's axes.
     pub fn workpiece_to_machine(&self, vector: [f64; 3], at: &At) -> [f64; 3] {
-        self.table().iter().fold(vector, |it, &n| turned(it, n, -at.deg[n]))
+        self.table().iter().fold(vector, |vector, &n| turned(vector, n, -at.deg[n]))
     }
 
     /// Returns a direction of the tool along the machine's axes.
     pub fn tool_to_machine(&self, vector: [f64; 3], at: &At) -> [f64; 3] {
-        self.head().iter().rev().fold(vector, |it, &n| turned(it, n, at.deg[n]))
+        self.head().iter().rev().fold(vector, |vector, &n| turned(vector, n, at.deg[n]))
     }
 
     /// Returns whether the axes can go there.

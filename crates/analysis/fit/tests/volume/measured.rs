@@ -58,7 +58,7 @@ impl Balls {
         assert!(machine.is_within(at), "{at:?}");
         let own = machine.on_workpiece_mm(at);
         let Artefact { zero_um, turn_urad, scale_um_per_m, number } = &self.artefact;
-        let turned = cross(*turn_urad, own).map(|it| it / 1000.0);
+        let turned = cross(*turn_urad, own).map(|component| component / 1000.0);
         let lies = [0, 1, 2].map(|n| zero_um[n] + turned[n] + scale_um_per_m * own[n] / 1000.0);
         let lies = machine.workpiece_to_machine(lies, at);
         let tip = usize::from(at.tool_mm != machine.tools_mm[0]);
@@ -131,8 +131,8 @@ pub fn diagonals(machine: &mut Drawn) -> String {
             share * machine.travel_mm[n]
         };
         let way = [0, 1, 2].map(|n| mm(n, STEPS) - mm(n, 0));
-        let length = way.iter().map(|it| it * it).sum::<f64>().sqrt();
-        let toward = way.map(|it| it / length);
+        let length = way.iter().map(|component| component * component).sum::<f64>().sqrt();
+        let toward = way.map(|component| component / length);
         let mut rows: Vec<[f64; 3]> = Vec::new();
         for step in 0..STEPS {
             for moved in 0..3 {

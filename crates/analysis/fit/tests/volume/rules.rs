@@ -26,7 +26,7 @@ pub fn fit(text: &str, machine: &Machine, options: &Options) -> VolumeReport {
 }
 
 pub fn of<'r>(report: &'r VolumeReport, name: &str) -> &'r ErrorAssessment {
-    let found = report.known.iter().find(|it| it.error.to_string() == name);
+    let found = report.known.iter().find(|assessment| assessment.error.to_string() == name);
     found.unwrap_or_else(|| panic!("no {name}"))
 }
 
@@ -74,7 +74,7 @@ fn a_sound_machine_stays_as_it_is_or_gets_less_than_the_noise() {
     let text = plates(&mut machine, 2);
     let report = fit(&text, &file(&machine.file), &STATED);
     assert!(report.is_improvement() != report.edit.is_empty(), "{:?}", report.held_out);
-    for it in report.known.iter().filter(|it| it.is_known) {
+    for it in report.known.iter().filter(|assessment| assessment.is_known) {
         assert!(it.size.abs() < 3.0 * it.half_width.max(0.5), "{it:?}");
     }
 }
@@ -86,7 +86,7 @@ fn the_mean_scale_is_open_where_the_scale_of_the_artefact_is_not_stated() {
     let believed = file(&machine.file);
     let report = fit(&text, &believed, &Options { scale_um_per_m: None, ..STATED });
     assert!(!of(&report, "EXX").is_known);
-    assert!(report.warnings.iter().any(|it| it.contains("--scale-um-per-m")));
+    assert!(report.warnings.iter().any(|warning| warning.contains("--scale-um-per-m")));
     assert!(of(&fit(&text, &believed, &STATED), "EXX").is_known);
 }
 
@@ -118,7 +118,7 @@ fn a_second_fit_of_the_same_readings_finds_nothing_more() {
     let first = fit(&text, &file(&machine.file), &STATED);
     let corrected = first.edit.apply(&machine.file, Path::new("m.toml")).expect("sections");
     let second = fit(&text, &file(&corrected), &STATED);
-    let [before, after] = [&first, &second].map(|it| it.held_out.before_um);
+    let [before, after] = [&first, &second].map(|report| report.held_out.before_um);
     assert!(after < 0.15 * before, "{before} µm, then {after} µm");
     // What is found a second time is added to what is there: still the same machine.
     assert!(of(&second, "EYX").size.abs() < 0.2 * of(&first, "EYX").size.abs());
@@ -154,7 +154,7 @@ fn straightness_of_an_unknown_edge_is_not_claimed_and_its_angle_is() {
     let report = fit(&text, &believed, &options);
     let straightness = of(&report, "EZX");
     assert!(!straightness.is_known, "{straightness:?}");
-    assert!(straightness.confused_with.iter().any(|it| it.contains("form of the artefact")));
+    assert!(straightness.confused_with.iter().any(|name| name.contains("form of the artefact")));
     // The same points at two levers: their difference has no form of the edge. Its slope is how the edge was put down.
     let angle = of(&report, "EAX");
     assert!(angle.open < 0.5 && angle.is_there, "{angle:?}");
@@ -199,10 +199,10 @@ fn an_angle_that_was_a_line_goes_on_beyond_what_was_measured() {
     let (at_end, _) = roll_um(&with_travel, 450.0);
     let (beyond, warnings) = roll_um(&with_travel, 600.0);
     assert!((beyond - at_end - 4.05).abs() < 0.02, "{at_end} µm, {beyond} µm beyond");
-    assert!(!warnings.iter().any(|it| it.contains("was a line")), "{warnings:?}");
+    assert!(!warnings.iter().any(|warning| warning.contains("was a line")), "{warnings:?}");
     let (_, warnings) = roll_um(&text(""), 600.0);
     let said = "angular.eax was a line and is a curve now: below x 150 mm and above 450 mm";
-    assert!(warnings.iter().any(|it| it.contains(said)), "{warnings:?}");
+    assert!(warnings.iter().any(|warning| warning.contains(said)), "{warnings:?}");
 }
 
 #[test]

@@ -48,7 +48,7 @@ pub(super) fn recommend_next_measurement(
     let um: Vec<f64> =
         apart.apart_um[since..].iter().map(|um| um.clamp(middle - held, middle + held)).collect();
     let column = |name: &str| run.column(name).map(|values| values[since..].to_vec());
-    let squared = |values: Vec<f64>| values.into_iter().map(|it| it * it).collect();
+    let squared = |values: Vec<f64>| values.into_iter().map(|value| value * value).collect();
     let mut all = vec![
         (ExplanatoryVariable::Growth, Some(apart.predicted_um[since..].to_vec())),
         (ExplanatoryVariable::Speed, column("spindle_rpm").map(squared)),
@@ -61,8 +61,9 @@ pub(super) fn recommend_next_measurement(
         let with = correlation(&um, &values?).abs();
         (with >= MIN_CORRELATION).then_some((cause, with))
     });
-    let cause =
-        with.max_by(|a, b| a.1.total_cmp(&b.1)).map_or(ExplanatoryVariable::Nothing, |it| it.0);
+    let cause = with
+        .max_by(|a, b| a.1.total_cmp(&b.1))
+        .map_or(ExplanatoryVariable::Nothing, |entry| entry.0);
     let on = match cause {
         ExplanatoryVariable::Nothing => "It is the same whatever the machine does",
         ExplanatoryVariable::Growth => "It goes with the growth",
@@ -131,7 +132,7 @@ fn recommend_axis_measurement(
 ) -> String {
     let thermal = machine.axes[axis.index()].thermal.as_ref();
     let sits = thermal
-        .map(|it| format!(" See that the thermometer {} sits where it sat.", it.sensor))
+        .map(|thermal| format!(" See that the thermometer {} sits where it sat.", thermal.sensor))
         .unwrap_or_default();
     match cause {
         ExplanatoryVariable::Nothing | ExplanatoryVariable::Speed => {
@@ -157,7 +158,7 @@ fn correlation(a: &[f64], b: &[f64]) -> f64 {
         a.iter().copied().zip(b.iter().copied()).filter(|(a, b)| (a + b).is_finite()).collect();
     let count = pairs.len() as f64;
     let mean = |of: fn(&(f64, f64)) -> f64| pairs.iter().map(of).sum::<f64>() / count;
-    let (mean_a, mean_b) = (mean(|it| it.0), mean(|it| it.1));
+    let (mean_a, mean_b) = (mean(|pair| pair.0), mean(|pair| pair.1));
     let sum = |of: &dyn Fn(f64, f64) -> f64| {
         pairs.iter().map(|(a, b)| of(a - mean_a, b - mean_b)).sum::<f64>()
     };

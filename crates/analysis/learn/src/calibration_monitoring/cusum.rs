@@ -61,7 +61,7 @@ pub(super) fn design_cusum(
         (CusumDesign { bound, height }, delay)
     });
     let best = plans.min_by(|a, b| a.1.total_cmp(&b.1));
-    best.map_or(CusumDesign { bound: 2.0 * k, height: 10.0 * k }, |it| it.0)
+    best.map_or(CusumDesign { bound: 2.0 * k, height: 10.0 * k }, |best| best.0)
 }
 
 /// Returns h of one sum that runs for this many rows on average. No two readings reach it.

@@ -114,7 +114,7 @@ impl BaselineNoise {
 
     /// Returns the same where each reading is this many rows after the one before it.
     fn with_gaps(rows: &[(f64, f64)], row_s: f64) -> Result<Self, String> {
-        let there: Vec<f64> = rows.iter().map(|it| it.1).filter(|um| um.is_finite()).collect();
+        let there: Vec<f64> = rows.iter().map(|row| row.1).filter(|um| um.is_finite()).collect();
         let count = there.len();
         if count < MIN_READINGS {
             return Err(format!(
@@ -141,7 +141,7 @@ impl BaselineNoise {
         let is_sound = |um: f64| (um - mean_um).abs() <= GROSS_ERROR_SIGMAS * sigma_um;
         let pairs = rows.windows(2).filter(|pair| {
             pair[1].0 <= MAX_CONSECUTIVE_GAP
-                && pair.iter().all(|it| it.1.is_finite() && is_sound(it.1))
+                && pair.iter().all(|reading| reading.1.is_finite() && is_sound(reading.1))
         });
         let (mut products, mut squares, mut in_a_row) = (0.0, 0.0, 0.0);
         for pair in pairs {
@@ -284,14 +284,15 @@ fn prediction_residuals(
     let by = |source: Option<ElongationSource>, quantity: Quantity| {
         let mut machine = machine.clone();
         machine.spindle.source = source;
-        let index = Quantity::ALL.iter().position(|it| *it == quantity).unwrap_or(0);
+        let index = Quantity::ALL.iter().position(|candidate| *candidate == quantity).unwrap_or(0);
         let rows = Predictor::new(&machine, run)?;
         let um: Vec<f64> = rows.model_values().map(|values| values.to_array()[index]).collect();
         Ok::<_, BadInput>(um)
     };
     let spindle = &machine.spindle;
-    let is_measured =
-        Quantity::ALL.iter().any(|it| run.column(&format!("measured_{}_um", it.name())).is_some());
+    let is_measured = Quantity::ALL
+        .iter()
+        .any(|quantity| run.column(&format!("measured_{}_um", quantity.name())).is_some());
     let model = match spindle.source {
         Some(ElongationSource::Sensor) | None => {
             let by_temperature =
@@ -320,7 +321,8 @@ fn prediction_residuals(
         let measured_um = run.require_column(&name)?.to_vec();
         (compared, name, measured_um, by(spindle.source, quantity)?)
     };
-    let apart_um = measured_um.iter().zip(&predicted_um).map(|(it, said)| it - said).collect();
+    let apart_um =
+        measured_um.iter().zip(&predicted_um).map(|(measured, said)| measured - said).collect();
     Ok(Residuals { compared, column, apart_um, predicted_um })
 }
 

@@ -42,13 +42,15 @@ pub fn max_point_variance(at: &[f64], start: f64, step: f64, points: usize) -> f
     };
     let mut forward = vec![0.0; points];
     for n in 0..points {
-        forward[n] =
-            pivot(n, n.checked_sub(1).map(|m| (forward[m], coupling(m))).filter(|it| it.1 > 0.0));
+        forward[n] = pivot(
+            n,
+            n.checked_sub(1).map(|m| (forward[m], coupling(m))).filter(|pair| pair.1 > 0.0),
+        );
     }
     let mut backward = vec![0.0; points];
     for n in (0..points).rev() {
         let after = (n + 1 < points).then(|| (backward[n + 1], coupling(n)));
-        backward[n] = pivot(n, after.filter(|it| it.1 > 0.0));
+        backward[n] = pivot(n, after.filter(|after| after.1 > 0.0));
     }
     (0..points)
         .filter(|&n| !is_open(n))

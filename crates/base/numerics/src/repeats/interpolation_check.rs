@@ -63,7 +63,8 @@ pub fn check_interpolation(
 ) -> Option<InterpolationCheck> {
     let used = || {
         let all = readings.iter().zip(aside);
-        all.filter(|(it, aside)| !**aside && it.value.is_finite()).map(|(it, _)| it)
+        all.filter(|(reading, aside)| !**aside && reading.value.is_finite())
+            .map(|(reading, _)| reading)
     };
     let table = Table::fit(law, at.len(), used());
     let mut counts = [vec![0.0; at.len()], vec![0.0; at.len()]];
@@ -106,7 +107,7 @@ pub fn check_interpolation(
         return None;
     }
     let chance = FisherSnedecor::new(SATTERTHWAITE_RATIO * count, freedom)
-        .map_or(1.0, |it| it.sf(line / by_scatter));
+        .map_or(1.0, |distribution| distribution.sf(line / by_scatter));
     Some(InterpolationCheck {
         inner: inner.iter().filter(|inner| **inner).count(),
         line: (line / count).sqrt(),

@@ -76,7 +76,8 @@ impl LawTest {
     #[must_use]
     pub fn rms(&self) -> f64 {
         let squares = self.left_out.iter().filter(|left| !left.is_nan()).map(|left| left * left);
-        let (sum, count) = squares.fold((0.0, 0.0), |(sum, count), it| (sum + it, count + 1.0));
+        let (sum, count) =
+            squares.fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0));
         (sum / count).sqrt()
     }
 }
@@ -127,13 +128,13 @@ pub fn select_table(
     let used: Vec<(usize, Reading)> = readings
         .iter()
         .enumerate()
-        .filter(|&(row, it)| !aside[row] && it.value.is_finite())
-        .map(|(row, it)| (row, *it))
+        .filter(|&(row, reading)| !aside[row] && reading.value.is_finite())
+        .map(|(row, reading)| (row, *reading))
         .collect();
     let (block_of, blocks, by_side) = assign_blocks(&used);
     let scatter = pooled_std(&used, places);
     let mut seen = vec![false; places];
-    used.iter().for_each(|(_, it)| seen[it.place] = true);
+    used.iter().for_each(|(_, reading)| seen[reading.place] = true);
     let seen = seen.into_iter().filter(|seen| *seen).count();
     let mut decision = TableSelection {
         taken: Err(TableRejection::TooFew),
@@ -162,9 +163,11 @@ pub fn select_table(
 
 /// Returns what a law leaves of all readings: squares and degrees of freedom.
 fn residual_sum_of_squares(law: TableLaw, used: &[(usize, Reading)], places: usize) -> (f64, f64) {
-    let table = Table::fit(law, places, used.iter().map(|(_, it)| it));
-    let left =
-        used.iter().map(|(_, it)| (it.value - table.value_at(it.place, it.side)).powi(2)).sum();
+    let table = Table::fit(law, places, used.iter().map(|(_, reading)| reading));
+    let left = used
+        .iter()
+        .map(|(_, reading)| (reading.value - table.value_at(reading.place, reading.side)).powi(2))
+        .sum();
     (left, used.len() as f64 - table.constants as f64)
 }
 
@@ -176,32 +179,38 @@ fn is_significant_step(table: (f64, f64), step: (f64, f64)) -> bool {
     }
     let f = more * freedom / step.0;
     step.0 <= ROUNDING_TOLERANCE * table.0
-        || FisherSnedecor::new(1.0, freedom).is_ok_and(|it| it.sf(f) < SIGNIFICANCE_LEVEL)
+        || FisherSnedecor::new(1.0, freedom)
+            .is_ok_and(|distribution| distribution.sf(f) < SIGNIFICANCE_LEVEL)
 }
 
 /// Returns the block of each reading, how many there are, and whether they are sides.
 fn assign_blocks(used: &[(usize, Reading)]) -> (Vec<usize>, usize, bool) {
-    let mut cycles: Vec<usize> = used.iter().map(|(_, it)| it.cycle).collect();
+    let mut cycles: Vec<usize> = used.iter().map(|(_, reading)| reading.cycle).collect();
     cycles.sort_unstable();
     cycles.dedup();
     if cycles.len() < 2 {
-        let of: Vec<usize> = used.iter().map(|(_, it)| it.side).collect();
+        let of: Vec<usize> = used.iter().map(|(_, reading)| reading.side).collect();
         let both = [0, 1].iter().all(|side| of.contains(side));
         return (of, 1 + usize::from(both), true);
     }
     let count = cycles.len().min(MAX_BLOCKS);
-    let of =
-        |it: &Reading| cycles.partition_point(|&cycle| cycle < it.cycle) * count / cycles.len();
-    (used.iter().map(|(_, it)| of(it)).collect(), count, false)
+    let of = |reading: &Reading| {
+        cycles.partition_point(|&cycle| cycle < reading.cycle) * count / cycles.len()
+    };
+    (used.iter().map(|(_, reading)| of(reading)).collect(), count, false)
 }
 
 /// Returns the pooled standard deviation of repeats: at one place from one side, else at one place.
 fn pooled_std(used: &[(usize, Reading)], places: usize) -> Option<f64> {
     [TableLaw::EachSide, TableLaw::Table].into_iter().find_map(|law| {
-        let table = Table::fit(law, places, used.iter().map(|(_, it)| it));
+        let table = Table::fit(law, places, used.iter().map(|(_, reading)| reading));
         let freedom = used.len().checked_sub(table.constants).filter(|freedom| *freedom > 0)?;
-        let squares: f64 =
-            used.iter().map(|(_, it)| (it.value - table.value_at(it.place, it.side)).powi(2)).sum();
+        let squares: f64 = used
+            .iter()
+            .map(|(_, reading)| {
+                (reading.value - table.value_at(reading.place, reading.side)).powi(2)
+            })
+            .sum();
         Some((squares / freedom as f64).sqrt())
     })
 }
@@ -215,15 +224,16 @@ fn test_law(
     blocks: usize,
     rows: usize,
 ) -> Option<LawTest> {
-    let table = Table::fit(law, places, used.iter().map(|(_, it)| it));
+    let table = Table::fit(law, places, used.iter().map(|(_, reading)| reading));
     let freedom = used.len().checked_sub(table.constants).filter(|freedom| *freedom > 0)? as f64;
     let more = table.constants.checked_sub(1).filter(|more| *more > 0)? as f64;
-    let mean = mean(used.iter().map(|(_, it)| it.value));
+    let mean = mean(used.iter().map(|(_, reading)| reading.value));
     let about = |of: &dyn Fn(&Reading) -> f64| -> f64 {
-        used.iter().map(|(_, it)| (it.value - of(it)).powi(2)).sum()
+        used.iter().map(|(_, reading)| (reading.value - of(reading)).powi(2)).sum()
     };
-    let (all, left) = (about(&|_| mean), about(&|it| table.value_at(it.place, it.side)));
-    let size: f64 = used.iter().map(|(_, it)| it.value * it.value).sum();
+    let (all, left) =
+        (about(&|_| mean), about(&|reading| table.value_at(reading.place, reading.side)));
+    let size: f64 = used.iter().map(|(_, reading)| reading.value * reading.value).sum();
     // Rounding must not make a finding, nor an exact table a division by nothing.
     let (f, chance) = if all - left <= ROUNDING_TOLERANCE * size {
         (0.0, 1.0)
@@ -231,7 +241,7 @@ fn test_law(
         (f64::INFINITY, 0.0)
     } else {
         let f = ((all - left) / more) / (left / freedom);
-        (f, FisherSnedecor::new(more, freedom).map_or(1.0, |it| it.sf(f)))
+        (f, FisherSnedecor::new(more, freedom).map_or(1.0, |distribution| distribution.sf(f)))
     };
     let mut left_out = vec![f64::NAN; rows];
     let (mut before, mut after) = (Vec::new(), Vec::new());
@@ -239,7 +249,7 @@ fn test_law(
         let is_in = |n: &usize| block_of[*n] == block;
         let kept = || (0..used.len()).filter(|n| !is_in(n)).map(|n| &used[n].1);
         let table = Table::fit(law, places, kept());
-        let mean = self::mean(kept().map(|it| it.value));
+        let mean = self::mean(kept().map(|reading| reading.value));
         let (mut squares, mut count) = ([0.0; 2], 0.0);
         for (row, it) in (0..used.len()).filter(is_in).map(|n| &used[n]) {
             let said = table.value_at(it.place, it.side);
@@ -292,11 +302,11 @@ pub fn is_worse(own: &[f64], other: &[f64]) -> bool {
         .collect();
     let count = more.len() as f64;
     let mean = mean(more.iter().copied());
-    let variance = more.iter().map(|it| (it - mean).powi(2)).sum::<f64>() / (count - 1.0);
+    let variance = more.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (count - 1.0);
     mean > (variance / count).sqrt()
 }
 
 fn mean(values: impl Iterator<Item = f64>) -> f64 {
-    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), it| (sum + it, count + 1.0));
+    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), value| (sum + value, count + 1.0));
     sum / count
 }

@@ -48,7 +48,7 @@ fn two_bad_readings_of_fifteen_are_found_where_three_cycles_went_one_way() {
     let mut noise = noise(4);
     for at in 0..14 {
         let mut readings = cycles_of(5, 3, |place, _, _| 10.0 * place as f64 + noise());
-        readings.retain(|it| it.side == 0);
+        readings.retain(|reading| reading.side == 0);
         readings[at].value += 40.0;
         readings[at + 1].value += 90.0;
         let found: Vec<usize> = (0..15).filter(|&row| find_gross_errors(&readings)[row]).collect();
@@ -145,7 +145,8 @@ fn one_cycle_is_judged_by_its_two_sides_and_one_way_alone_not_at_all() {
     let decision = decided(&both, 7);
     assert_eq!((decision.taken, decision.by_side), (Ok(TableLaw::Table), true));
     // The same with a number for each way in the place of a cycle.
-    let ways: Vec<Reading> = both.iter().map(|it| Reading { cycle: it.side, ..*it }).collect();
+    let ways: Vec<Reading> =
+        both.iter().map(|reading| Reading { cycle: reading.side, ..*reading }).collect();
     assert_eq!(decided(&ways, 7).taken, Ok(TableLaw::Table));
     // A step is seen at every place.
     let step = cycles_of(7, 1, |place, side, _| shape[place] - 4.0 * side as f64 + noise());

@@ -37,7 +37,8 @@ mod tests {
             let of = |&row: &usize| Outlier { row, distance: 9.0, scales: 9.0 };
             rows.iter().map(of).collect()
         };
-        let rows = |found: Vec<Outlier>| found.iter().map(|it| it.row).collect::<Vec<_>>();
+        let rows =
+            |found: Vec<Outlier>| found.iter().map(|outlier| outlier.row).collect::<Vec<_>>();
         assert_eq!(rows(isolated_outliers(found(&[2, 15, 16, 17, 18, 19]), &x, &y)), [2]);
         assert_eq!(rows(isolated_outliers(found(&[4, 5, 11]), &x, &y)), [4, 5, 11]);
     }

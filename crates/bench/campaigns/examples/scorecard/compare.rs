@@ -58,7 +58,7 @@ impl DrawScores {
     pub fn add_row(&mut self, ratio: f64, hidden: &str, first: u64, row: &Row) {
         let cell = self.cells.entry((ratio.to_string(), hidden.to_string())).or_default();
         for (seed, score) in (first..).zip(&row.scores) {
-            let inside = score.intervals.iter().filter(|it| it.is_inside(1.0)).count();
+            let inside = score.intervals.iter().filter(|interval| interval.is_inside(1.0)).count();
             let draw = DrawScore {
                 is_right: score.is_right,
                 is_wrong: score.is_wrong,
@@ -83,7 +83,7 @@ impl DrawScores {
                 let DrawScore { is_right, is_wrong, within: (inside, intervals), gain, is_harmed } =
                     draw;
                 let (right, wrong) = (u8::from(*is_right), u8::from(*is_wrong));
-                let harm = is_harmed.map_or("-", |it| if it { "1" } else { "0" });
+                let harm = is_harmed.map_or("-", |is_harmed| if is_harmed { "1" } else { "0" });
                 text += &format!(
                     "{ratio}\t{hidden}\t{seed}\t{right}\t{wrong}\t{inside}\t{intervals}\t{gain:.4}\t{harm}\n"
                 );
@@ -147,8 +147,9 @@ fn parse_text_line(line: &str) -> Option<(u64, &str, DrawScore)> {
     let answer = parts.first()?;
     let claimed = parts.iter().find_map(|part| part.strip_prefix("claimed "))?;
     // A cause that was given its name later is right by that name, in an older card too.
-    let renamed =
-        HiddenCause::ALL.iter().find(|it| it.name() == hidden && it.expected_name() != hidden);
+    let renamed = HiddenCause::ALL
+        .iter()
+        .find(|cause| cause.name() == hidden && cause.expected_name() != hidden);
     let is_right = match renamed {
         Some(cause) => claimed.split('+').any(|name| name == cause.expected_name()),
         None => answer.starts_with("right"),
@@ -242,7 +243,9 @@ pub fn run(words: &[String]) -> ExitCode {
             ),
             (
                 "without harm",
-                DiscordantDraws::from_comparison(old, new, |draw| draw.is_harmed.map(|it| !it)),
+                DiscordantDraws::from_comparison(old, new, |draw| {
+                    draw.is_harmed.map(|is_harmed| !is_harmed)
+                }),
             ),
         ];
         for (what, change) in changes {

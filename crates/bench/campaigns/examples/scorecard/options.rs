@@ -54,7 +54,7 @@ impl TierOptions {
 
     /// Returns whether what has this name is requested.
     pub fn is_selected(&self, name: &str) -> bool {
-        self.names.is_empty() || self.names.iter().any(|it| it == name)
+        self.names.is_empty() || self.names.iter().any(|other| other == name)
     }
 
     /// Writes `draws` to where `--tsv` says.

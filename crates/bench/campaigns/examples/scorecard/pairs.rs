@@ -22,12 +22,12 @@ pub fn run(words: &[String]) -> ExitCode {
         let judged = map_seeds_in_parallel(asked.seeds(), &|seed| pair.judged(seed));
         let told: Vec<(u64, Judged)> =
             asked.seeds().zip(judged).filter_map(|(seed, judged)| Some((seed, judged?))).collect();
-        let count = |of: &dyn Fn(&Judged) -> bool| told.iter().filter(|(_, it)| of(it)).count();
+        let count = |of: &dyn Fn(&Judged) -> bool| told.iter().filter(|(_, draw)| of(draw)).count();
         let counts = [
             told.len(),
-            count(&|it| it.is_right),
-            count(&|it| it.score.is_wrong),
-            count(&|it| !faults(&it.score).is_empty()),
+            count(&|draw| draw.is_right),
+            count(&|draw| draw.score.is_wrong),
+            count(&|draw| !faults(&draw.score).is_empty()),
         ];
         let [n, right, wrong, off] = counts;
         println!("{:<52} n {n:>3} right {right:>3} wrong {wrong:>3} off {off:>3}", pair.name());

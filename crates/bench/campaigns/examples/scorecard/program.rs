@@ -26,7 +26,7 @@ pub fn run(words: &[String]) -> ExitCode {
         return ExitCode::from(2);
     };
     let is_wanted =
-        |name: &str| asked.wanted.is_empty() || asked.wanted.iter().any(|it| it == name);
+        |name: &str| asked.wanted.is_empty() || asked.wanted.iter().any(|other| other == name);
     let seeds = asked.first..asked.first + asked.seeds;
     let (mut draws, mut are_all_answered) = (DrawScores::default(), true);
     let mut of_cell = |ratio: f64, name: &str, drawn: &(dyn Fn(u64) -> TestCase + Sync)| {
@@ -87,7 +87,7 @@ pub fn run(words: &[String]) -> ExitCode {
 fn finding_columns(finding: &Value) -> Vec<String> {
     let both = finding["columns"].as_array().into_iter().flatten();
     let all = both.chain([&finding["column"], &finding["where"]["column"]]);
-    all.filter_map(|it| it.as_str().map(String::from)).collect()
+    all.filter_map(|value| value.as_str().map(String::from)).collect()
 }
 
 /// Returns what `program` says of the files of `challenge`.
@@ -113,7 +113,10 @@ fn run_diagnosis(program: &Path, challenge: &TestCase) -> Result<Answered, Strin
         cause: text(&finding["cause"]),
         columns: finding_columns(&finding),
         is_claimed: finding["claimed"] == true,
-        partners: each(&finding["together_with"]).iter().map(|it| text(&it["cause"])).collect(),
+        partners: each(&finding["together_with"])
+            .iter()
+            .map(|partner| text(&partner["cause"]))
+            .collect(),
     });
     Ok(Answered { verdict: text(&said["verdict"]), findings: findings.collect() })
 }

@@ -21,7 +21,7 @@ pub fn run(words: &[String]) -> ExitCode {
     };
     let mut draws = DrawScores::default();
     let mut is_met = true;
-    for shipped in shipped::ALL.iter().filter(|it| asked.is_selected(it.name)) {
+    for shipped in shipped::ALL.iter().filter(|scenario| asked.is_selected(scenario.name)) {
         let told = map_seeds_in_parallel(asked.seeds(), &|seed| {
             (shipped.key)().of(&shipped.diagnosed(seed).report)
         });

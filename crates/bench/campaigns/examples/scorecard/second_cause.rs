@@ -111,7 +111,7 @@ pub fn run(words: &[String]) -> ExitCode {
         }
     }
     let is_wanted = |known: &str, name: &str| {
-        wanted.is_empty() || wanted.iter().any(|it| it == known || it == name)
+        wanted.is_empty() || wanted.iter().any(|other| other == known || other == name)
     };
     let seeds = first..first + seeds;
     let told = |sum: &mut RowCounts, name: String, row: Result<Row, String>| match row {

@@ -73,7 +73,10 @@ impl HiddenCause {
         let shares_base = self.base_models().iter().any(|base| other.base_models().contains(base));
         // Its column is there for it alone, and any other cause is correlated with it: what one does says all. So it is with
         // what only the clock shows.
-        if [self, other].iter().any(|it| [Self::Dependence, Self::PeriodicInTime].contains(it)) {
+        if [self, other]
+            .iter()
+            .any(|cause| [Self::Dependence, Self::PeriodicInTime].contains(cause))
+        {
             return false;
         }
         if self == other || !shares_base || !has_name(self) || !has_name(other) {
@@ -83,9 +86,9 @@ impl HiddenCause {
             one(self) && another.contains(&other) || one(other) && another.contains(&self)
         };
         let is_one_law = GROWTH_LAW_CAUSES.contains(&self) && GROWTH_LAW_CAUSES.contains(&other)
-            || either(|it| it == Self::SensorSaturation, &SENSOR_SIGNAL_CAUSES)
+            || either(|cause| cause == Self::SensorSaturation, &SENSOR_SIGNAL_CAUSES)
             || either(
-                |it| it == Self::ReferenceTemperature,
+                |cause| cause == Self::ReferenceTemperature,
                 &[Self::ExpansionSlope, Self::ExpansionConstant],
             );
         let is_of_a_sensor = |cause: Self| cause.base_models().contains(&super::BaseModel::Sensor);
@@ -95,7 +98,7 @@ impl HiddenCause {
             || other == Self::ReferenceInstrument && is_of_a_sensor(self);
         let across = [Self::Backlash, Self::Step, Self::Drift, Self::Outliers];
         let is_across = [self, other].contains(&Self::Straightness)
-            && !either(|it| it == Self::Straightness, &across);
+            && !either(|cause| cause == Self::Straightness, &across);
         let one_path = match (required_path(self), required_path(other)) {
             (Some(one), Some(another)) => one == another,
             _ => true,

@@ -69,7 +69,10 @@ pub(super) fn build_test_case(
             }
         }
     }
-    let expected = causes.iter().map(|cause| cause.expected_diagnosis()).max_by_key(|it| *it as u8);
+    let expected = causes
+        .iter()
+        .map(|cause| cause.expected_diagnosis())
+        .max_by_key(|diagnosis| *diagnosis as u8);
     let mut truth = GroundTruth {
         effects,
         expected: expected.unwrap_or(ExpectedDiagnosis::Clean),

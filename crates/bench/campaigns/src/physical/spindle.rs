@@ -101,7 +101,7 @@ fn warmup_machine_file(head: &str, spindle: &SpindleConfig, um_per_c: f64) -> St
 
 /// A shift: speeds one after the other, a stop among them, and cuts.
 pub(super) fn add_day_programme(scenario: &mut Scenario, stream: &mut RandomStream) {
-    let max_rpm = scenario.spindle.as_ref().map_or(0.0, |it| it.max_rpm);
+    let max_rpm = scenario.spindle.as_ref().map_or(0.0, |spindle| spindle.max_rpm);
     let piece = |spindle_rpm: f64, load_n: f64, duration_s: f64| Segment {
         spindle_rpm,
         load_n,
@@ -111,7 +111,7 @@ pub(super) fn add_day_programme(scenario: &mut Scenario, stream: &mut RandomStre
     let (mut passed_s, mut share_before) = (0.0, 0.0);
     while passed_s < SHIFT_DURATION_S {
         let shares: Vec<f64> =
-            [0.0, 0.3, 0.5, 0.7, 1.0].into_iter().filter(|it| *it != share_before).collect();
+            [0.0, 0.3, 0.5, 0.7, 1.0].into_iter().filter(|share| *share != share_before).collect();
         let share = stream.choose(&shares);
         let minutes = stream.log_uniform(15.0, 60.0).round();
         let load_n = (stream.uniform(2.0, 15.0)).round() * 100.0;

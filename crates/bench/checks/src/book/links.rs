@@ -144,7 +144,7 @@ pub(crate) fn find_broken_links(root: &Path, document: &Path) -> Result<Vec<Stri
         if !file.exists() {
             broken.push(format!("{shown}:{}: there is no {}", link.line, link.target));
         } else if !anchor.is_empty()
-            && file.extension().is_some_and(|it| it == "md")
+            && file.extension().is_some_and(|extension| extension == "md")
             && !has_anchor()?
         {
             broken.push(format!("{shown}:{}: there is no heading for {}", link.line, link.target));
@@ -164,8 +164,11 @@ fn heading_anchors(text: &str) -> Vec<String> {
             continue;
         }
         let kept = heading.trim().to_lowercase();
-        let kept = kept.chars().filter(|it| it.is_alphanumeric() || [' ', '-', '_'].contains(it));
-        anchors.push(kept.map(|it| if it == ' ' { '-' } else { it }).collect());
+        let kept = kept
+            .chars()
+            .filter(|character| character.is_alphanumeric() || [' ', '-', '_'].contains(character));
+        anchors
+            .push(kept.map(|character| if character == ' ' { '-' } else { character }).collect());
     }
     anchors
 }

@@ -113,7 +113,7 @@ pub fn render() -> Result<PathBuf> {
     for entry in fs::read_dir(root.join(BOOK_SOURCE_FOLDER))? {
         let path = entry?.path();
         if let (Some("svg"), Some(name)) =
-            (path.extension().and_then(|it| it.to_str()), path.file_name())
+            (path.extension().and_then(|extension| extension.to_str()), path.file_name())
         {
             fs::copy(&path, source.join(name))?;
         }

@@ -143,8 +143,8 @@ pub fn build_release_files() -> Result<()> {
     copy_files(&images::build_bundled_images()?, &folder)?;
     let built: Vec<&Platform> = PLATFORMS
         .iter()
-        .filter(|it| {
-            missing_requirement(it, has_standard_library, |program| {
+        .filter(|platform| {
+            missing_requirement(platform, has_standard_library, |program| {
                 process::find_on_path(program).is_some()
             })
             .is_none()
@@ -153,7 +153,7 @@ pub fn build_release_files() -> Result<()> {
     built.iter().try_for_each(|platform| package_platform(platform, &root, &folder))?;
     let mut packages = vec![debian::build_host_package()?];
     for Platform { target, .. } in
-        built.iter().filter(|it| !it.is_windows && !is_host_target(it.target))
+        built.iter().filter(|platform| !platform.is_windows && !is_host_target(platform.target))
     {
         packages.push(debian::build_package_for_target(target)?);
     }
@@ -195,7 +195,7 @@ fn is_native_target(target: &str, architecture: &str, system: &str) -> bool {
         "windows" => "pc-windows-gnu",
         _ => return false,
     };
-    target.strip_prefix(architecture).and_then(|it| it.strip_prefix('-')) == Some(rest)
+    target.strip_prefix(architecture).and_then(|rest| rest.strip_prefix('-')) == Some(rest)
 }
 
 /// Returns whether a build without `--target` on this computer is for `target`.
@@ -283,7 +283,7 @@ mod tests {
 
     #[test]
     fn only_the_platform_of_the_computer_is_built_without_its_name() {
-        let [x86, arm, windows] = PLATFORMS.each_ref().map(|it| it.target);
+        let [x86, arm, windows] = PLATFORMS.each_ref().map(|platform| platform.target);
         for (architecture, system, own) in [
             ("x86_64", "linux", Some(x86)),
             ("aarch64", "linux", Some(arm)),

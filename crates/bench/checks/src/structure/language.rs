@@ -236,7 +236,7 @@ fn strip_code(text: &str) -> String {
 }
 
 fn count_whole_words(text: &str, form: &str) -> usize {
-    let is_letter = |it: Option<char>| it.is_some_and(char::is_alphanumeric);
+    let is_letter = |character: Option<char>| character.is_some_and(char::is_alphanumeric);
     let matches = text.match_indices(form);
     matches
         .filter(|(at, _)| {
@@ -324,14 +324,14 @@ fn find_replaced_phrases(name: &str, text: &str) -> Vec<String> {
 fn find_missing_files(name: &str, text: &str, sources: &[SourceFile]) -> Vec<String> {
     let mut found = Vec::new();
     for (index, line) in text.lines().enumerate() {
-        for quoted in line.split('`').skip(1).step_by(2).filter(|it| it.ends_with(".rs")) {
+        for quoted in line.split('`').skip(1).step_by(2).filter(|part| part.ends_with(".rs")) {
             let is_path =
-                quoted.bytes().all(|it| it.is_ascii_alphanumeric() || b"._-/".contains(&it));
+                quoted.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"._-/".contains(&byte));
             let is_there = |source: &SourceFile| {
                 source
                     .path
                     .strip_suffix(quoted)
-                    .is_some_and(|it| it.is_empty() || it.ends_with('/'))
+                    .is_some_and(|rest| rest.is_empty() || rest.ends_with('/'))
             };
             if is_path && !sources.iter().any(is_there) {
                 found.push(format!("{name}:{}: {quoted}", index + 1));
@@ -350,7 +350,8 @@ fn find_headerless_table_rows(text: &str) -> Vec<usize> {
         is_code ^= line.starts_with("```");
         let is_first = !index.checked_sub(1).is_some_and(|before| lines[before].starts_with('|'));
         let next = lines.get(index + 1).copied().unwrap_or_default();
-        let has_head = next.starts_with('|') && next.chars().all(|it| "|-: ".contains(it));
+        let has_head =
+            next.starts_with('|') && next.chars().all(|character| "|-: ".contains(character));
         if line.starts_with('|') && is_first && !has_head && !is_code {
             found.push(index + 1);
         }

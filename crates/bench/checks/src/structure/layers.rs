@@ -67,7 +67,9 @@ pub(crate) fn find_upward_dependencies(root: &Path) -> Result<Vec<String>> {
 pub(crate) fn crates_without_layer(root: &Path) -> Result<Vec<String>> {
     let crates = root.join("crates");
     let mut found = Vec::new();
-    for folder in [crates.clone()].into_iter().chain(LAYERS.iter().map(|(it, _)| crates.join(it))) {
+    for folder in
+        [crates.clone()].into_iter().chain(LAYERS.iter().map(|(layer, _)| crates.join(layer)))
+    {
         if !folder.is_dir() {
             continue;
         }

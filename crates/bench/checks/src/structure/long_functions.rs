@@ -27,8 +27,10 @@ fn long_functions_of_file(source: &SourceFile) -> Vec<LongFunction> {
     for (at, _) in code.match_indices("fn ") {
         let follows_a_name =
             at.checked_sub(1).is_some_and(|before| is_identifier_byte(bytes[before]));
-        let name: String =
-            code[at + 3..].chars().take_while(|it| it.is_alphanumeric() || *it == '_').collect();
+        let name: String = code[at + 3..]
+            .chars()
+            .take_while(|character| character.is_alphanumeric() || *character == '_')
+            .collect();
         if follows_a_name || name.is_empty() {
             continue;
         }
@@ -77,8 +79,10 @@ mod tests {
             body(98)
         );
         let found = find_long_functions(&[SourceFile::new("x.rs", &text)]);
-        let found: Vec<_> =
-            found.iter().map(|it| (it.lines, it.name.as_str(), it.place.as_str())).collect();
+        let found: Vec<_> = found
+            .iter()
+            .map(|function| (function.lines, function.name.as_str(), function.place.as_str()))
+            .collect();
         assert_eq!(found, [(101, "long", "x.rs:104")]);
     }
 }

@@ -36,8 +36,10 @@ fn declared_names(source: &SourceFile) -> Vec<DeclaredName> {
             _ if std::mem::take(&mut is_of_a_test) => continue,
             _ => {}
         }
-        let words: Vec<&str> =
-            text.split(|it: char| !is_identifier_char(it)).filter(|it| !it.is_empty()).collect();
+        let words: Vec<&str> = text
+            .split(|character: char| !is_identifier_char(character))
+            .filter(|identifier| !identifier.is_empty())
+            .collect();
         let declared = words.windows(2).find_map(|pair| {
             let kind = ITEM_KEYWORDS.into_iter().find(|kind| *kind == pair[0])?;
             // `const fn`, and `_`.
@@ -98,7 +100,7 @@ mod tests {
                     const _: () = ();\n#[test]\nfn it_is() {}\n    pub fn step(&self) {}\nstatic TABLE: [u8; 2] = [0; 2];\n";
         let found: Vec<_> = declared_names(&SourceFile::new("x.rs", text))
             .into_iter()
-            .map(|it| (it.kind, it.name, it.place))
+            .map(|name| (name.kind, name.name, name.place))
             .collect();
         let expected = [
             ("fn", "lag", "x.rs:1"),
@@ -117,7 +119,7 @@ mod tests {
         let (first, of) = draw_names(root, 60, 7).expect("there are 60 names");
         assert_eq!(draw_names(root, 60, 7).expect("the same").0, first);
         assert_ne!(draw_names(root, 60, 8).expect("others").0, first);
-        let mut names: Vec<_> = first.iter().map(|it| &it.name).collect();
+        let mut names: Vec<_> = first.iter().map(|name| &name.name).collect();
         names.sort();
         names.dedup();
         assert!(names.len() == 60 && of > 60);

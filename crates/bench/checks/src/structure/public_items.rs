@@ -96,25 +96,30 @@ fn parse_package(folder: &str, manifest: &str, is_for_others: bool) -> Option<Pa
 pub(crate) fn find_unused_items(sources: &[SourceFile], packages: &[Package]) -> PublicItemReport {
     let mut own: BTreeMap<&str, Vec<&SourceFile>> = BTreeMap::new();
     for source in sources {
-        let holds =
-            |it: &&Package| it.folder.is_empty() || is_inside_folder(&source.path, &it.folder);
-        if let Some(package) = packages.iter().filter(holds).max_by_key(|it| it.folder.len()) {
+        let holds = |package: &&Package| {
+            package.folder.is_empty() || is_inside_folder(&source.path, &package.folder)
+        };
+        if let Some(package) =
+            packages.iter().filter(holds).max_by_key(|package| package.folder.len())
+        {
             own.entry(&package.name).or_default().push(source);
         }
     }
     let words: BTreeMap<&str, BTreeSet<String>> = own
         .iter()
         .map(|(name, files)| {
-            let words =
-                files.iter().flat_map(|it| extract_identifiers(&it.code_with_tests())).collect();
+            let words = files
+                .iter()
+                .flat_map(|file| extract_identifiers(&file.code_with_tests()))
+                .collect();
             (*name, words)
         })
         .collect();
     let mut found = PublicItemReport { all: 0, unused: Vec::new() };
     for package in packages {
         let library = format!("{}/src/lib.rs", package.folder);
-        let files = own.get(package.name.as_str()).map_or(&[][..], |it| it.as_slice());
-        if package.is_for_others || !files.iter().any(|it| it.path == library) {
+        let files = own.get(package.name.as_str()).map_or(&[][..], |files| files.as_slice());
+        if package.is_for_others || !files.iter().any(|file| file.path == library) {
             continue;
         }
         let mut used: BTreeSet<String> = BTreeSet::new();
@@ -122,12 +127,15 @@ pub(crate) fn find_unused_items(sources: &[SourceFile], packages: &[Package]) ->
             used.extend(words.get(user).into_iter().flatten().cloned());
         }
         let (library, others): (Vec<&SourceFile>, Vec<&SourceFile>) =
-            files.iter().copied().partition(|it| is_library_source(&it.path, &package.folder));
-        used.extend(others.iter().flat_map(|it| extract_identifiers(&it.code_with_tests())));
-        used.extend(library.iter().flat_map(|it| names_used_externally(it)));
-        used.extend(library.iter().flat_map(|it| macro_declared_names(it)));
-        let items =
-            library.iter().filter(|it| !it.is_test()).flat_map(|it| public_items(it)).collect();
+            files.iter().copied().partition(|file| is_library_source(&file.path, &package.folder));
+        used.extend(others.iter().flat_map(|file| extract_identifiers(&file.code_with_tests())));
+        used.extend(library.iter().flat_map(|file| names_used_externally(file)));
+        used.extend(library.iter().flat_map(|file| macro_declared_names(file)));
+        let items = library
+            .iter()
+            .filter(|file| !file.is_test())
+            .flat_map(|file| public_items(file))
+            .collect();
         count_unused(items, used, &mut found);
     }
     found.unused.sort();
@@ -149,7 +157,7 @@ fn transitive_dependants<'a>(name: &'a str, packages: &'a [Package]) -> BTreeSet
     loop {
         let before = found.len();
         for package in packages {
-            if package.needs.iter().any(|it| found.contains(it.as_str())) {
+            if package.needs.iter().any(|need| found.contains(need.as_str())) {
                 found.insert(&package.name);
             }
         }
@@ -161,8 +169,10 @@ fn transitive_dependants<'a>(name: &'a str, packages: &'a [Package]) -> BTreeSet
 }
 
 fn extract_identifiers(code: &str) -> Vec<String> {
-    let is_part = |it: char| it.is_alphanumeric() || it == '_';
-    let words = code.split(move |it| !is_part(it)).filter(|it| !it.is_empty());
+    let is_part = |character: char| character.is_alphanumeric() || character == '_';
+    let words = code
+        .split(move |character| !is_part(character))
+        .filter(|identifier| !identifier.is_empty());
     words.map(str::to_owned).collect()
 }
 
@@ -229,15 +239,15 @@ fn public_items(source: &SourceFile) -> Vec<PublicItem> {
     for (at, _) in code.match_indices("pub ") {
         let is_end_of_name =
             at.checked_sub(1).is_some_and(|before| is_identifier_byte(code.as_bytes()[before]));
-        if is_end_of_name || private.iter().any(|it| it.contains(&at)) {
+        if is_end_of_name || private.iter().any(|range| range.contains(&at)) {
             continue;
         }
         // `pub const unsafe fn` is a function, `pub const A` a constant.
         let mut rest = code[at + 4..].trim_start();
         let mut kind = None;
         loop {
-            let end = rest.bytes().take_while(|&it| is_identifier_byte(it)).count();
-            let known = ITEM_KINDS.iter().find(|(it, _)| *it == &rest[..end]);
+            let end = rest.bytes().take_while(|&byte| is_identifier_byte(byte)).count();
+            let known = ITEM_KINDS.iter().find(|(kind, _)| *kind == &rest[..end]);
             if known.is_none() && !matches!(&rest[..end], "async" | "unsafe" | "mut") {
                 break;
             }
@@ -245,7 +255,7 @@ fn public_items(source: &SourceFile) -> Vec<PublicItem> {
             rest = rest[end..].trim_start();
         }
         let name: String =
-            rest.bytes().take_while(|&it| is_identifier_byte(it)).map(char::from).collect();
+            rest.bytes().take_while(|&byte| is_identifier_byte(byte)).map(char::from).collect();
         if let Some(&(kind, is_type)) = kind
             && !name.is_empty()
         {
@@ -267,7 +277,7 @@ fn public_items(source: &SourceFile) -> Vec<PublicItem> {
 /// Returns where the modules are that a file has in itself and for itself.
 fn private_modules(code: &str) -> Vec<Range<usize>> {
     let is_private =
-        |at: usize| code[..at].rsplit('\n').next().is_some_and(|it| it.trim().is_empty());
+        |at: usize| code[..at].rsplit('\n').next().is_some_and(|part| part.trim().is_empty());
     let starts = code.match_indices("mod ").map(|(at, _)| at).filter(|at| is_private(*at));
     starts.map(|at| at..find_item_end(code.as_bytes(), at)).collect()
 }
@@ -276,8 +286,8 @@ fn private_modules(code: &str) -> Vec<Range<usize>> {
 fn extract_signature(kind: &str, rest: &str) -> String {
     let is_open = matches!(kind, "struct" | "enum" | "union" | "trait");
     let mut nested = 0usize;
-    let end = rest.find(|it| {
-        match it {
+    let end = rest.find(|character| {
+        match character {
             '(' | '[' => nested += 1,
             ')' | ']' => nested = nested.saturating_sub(1),
             '{' if is_open => nested += 1,
@@ -295,21 +305,26 @@ fn extract_signature(kind: &str, rest: &str) -> String {
     match kind {
         "mod" => String::new(),
         // Private fields are not seen.
-        "struct" => {
-            all.split("pub ").skip(1).flat_map(|it| it.lines().next()).collect::<Vec<_>>().join(" ")
-        }
+        "struct" => all
+            .split("pub ")
+            .skip(1)
+            .flat_map(|part| part.lines().next())
+            .collect::<Vec<_>>()
+            .join(" "),
         _ => all.to_owned(),
     }
 }
 
 fn count_unused(items: Vec<PublicItem>, mut used: BTreeSet<String>, found: &mut PublicItemReport) {
     let types: BTreeSet<&String> =
-        items.iter().filter(|it| it.is_type).map(|it| &it.name).collect();
+        items.iter().filter(|item| item.is_type).map(|item| &item.name).collect();
     loop {
         let before = used.len();
         for item in &items {
             if used.contains(&item.name) {
-                used.extend(item.signature.iter().filter(|it| types.contains(it)).cloned());
+                used.extend(
+                    item.signature.iter().filter(|type_name| types.contains(type_name)).cloned(),
+                );
             }
         }
         if used.len() == before {
@@ -317,8 +332,8 @@ fn count_unused(items: Vec<PublicItem>, mut used: BTreeSet<String>, found: &mut 
         }
     }
     found.all += items.len();
-    let unused = items.iter().filter(|it| !used.contains(&it.name));
-    found.unused.extend(unused.map(|it| format!("{} {}", it.place, it.name)));
+    let unused = items.iter().filter(|item| !used.contains(&item.name));
+    found.unused.extend(unused.map(|item| format!("{} {}", item.place, item.name)));
 }
 
 #[cfg(test)]
@@ -344,7 +359,7 @@ mod tests {
         let sources: Vec<SourceFile> =
             sources.iter().map(|(path, text)| SourceFile::new(*path, text)).collect();
         let found = find_unused_items(&sources, &packages).unused;
-        let name = |it: &String| it.split(' ').next_back().unwrap_or_default().to_owned();
+        let name = |text: &String| text.split(' ').next_back().unwrap_or_default().to_owned();
         let mut names: Vec<String> = found.iter().map(name).collect();
         names.sort();
         names

@@ -24,7 +24,7 @@ pub(crate) struct Thresholds {
 
 /// Counts the named numbers of `sources` that the `table` names, and the others.
 pub(crate) fn count_thresholds(sources: &[SourceFile], table: &str) -> Thresholds {
-    let is_finder = |it: &&SourceFile| it.path.starts_with(DIAGNOSE_SOURCE) && !it.is_test();
+    let is_finder = |file: &&SourceFile| file.path.starts_with(DIAGNOSE_SOURCE) && !file.is_test();
     let finder: Vec<&SourceFile> = sources.iter().filter(is_finder).collect();
     let mut found = Thresholds { decide: BTreeSet::new(), others: 0, stale: Vec::new() };
     let mut file = String::new();
@@ -32,20 +32,21 @@ pub(crate) fn count_thresholds(sources: &[SourceFile], table: &str) -> Threshold
         let Some(cell) = row.split('|').nth(LOCATION_COLUMN) else { continue };
         for (name, path) in parse_named_constants(cell, &mut file) {
             let end = format!("/{path}");
-            let own = finder.iter().filter(|it| it.path.ends_with(&end));
+            let own = finder.iter().filter(|file| file.path.ends_with(&end));
             let (with, without): (Vec<&&SourceFile>, Vec<&&SourceFile>) =
-                own.partition(|it| declared_constants(it).any(|it| it == name));
-            found.decide.extend(with.iter().map(|it| format!("{}:{name}", it.path)));
+                own.partition(|file| declared_constants(file).any(|constant| constant == name));
+            found.decide.extend(with.iter().map(|file| format!("{}:{name}", file.path)));
             // A file of this name may be in another crate as well.
-            let elsewhere = sources
-                .iter()
-                .any(|it| it.path.ends_with(&end) && declared_constants(it).any(|it| it == name));
+            let elsewhere = sources.iter().any(|source| {
+                source.path.ends_with(&end)
+                    && declared_constants(source).any(|constant| constant == name)
+            });
             if with.is_empty() && !without.is_empty() && !elsewhere {
                 found.stale.push(format!("docs/thresholds.md:{} {name}", number + 1));
             }
         }
     }
-    let all: usize = finder.iter().map(|it| declared_constants(it).count()).sum();
+    let all: usize = finder.iter().map(|file| declared_constants(file).count()).sum();
     found.others = all.saturating_sub(found.decide.len());
     found
 }
@@ -71,8 +72,10 @@ fn parse_named_constants(cell: &str, file: &mut String) -> Vec<(String, String)>
 }
 
 fn is_constant_name(word: &str) -> bool {
-    let of_name = |it: char| it.is_ascii_uppercase() || it.is_ascii_digit() || it == '_';
-    word.starts_with(|it: char| it.is_ascii_uppercase()) && word.chars().all(of_name)
+    let of_name = |character: char| {
+        character.is_ascii_uppercase() || character.is_ascii_digit() || character == '_'
+    };
+    word.starts_with(|character: char| character.is_ascii_uppercase()) && word.chars().all(of_name)
 }
 
 /// Returns the names of the numbers and lists of numbers that a file declares.

@@ -217,7 +217,7 @@ impl Bridge {
             }
             Board::Servo { listener, client, front_end, .. } => {
                 if client.is_none() {
-                    *client = listener.accept().ok().map(|it| it.0);
+                    *client = listener.accept().ok().map(|connection| connection.0);
                 }
                 let Some(to) = client else { return Ok(()) };
                 let named = self.wiring.temperatures.keys().filter_map(|name| celsius.get(name));

@@ -325,7 +325,7 @@ impl Figures {
             checks,
             arc_radial_um: [radial_error_range(&arc_before), radial_error_range(&arc_after)],
             arc_z_um: [&arc_before, &arc_after]
-                .map(|part| peak_to_peak(part.iter().map(|it| it.with_um[2]))),
+                .map(|part| peak_to_peak(part.iter().map(|cycle| cycle.with_um[2]))),
             stairs,
             growth_um,
             ignored_against_cut_um: max_uncompensated_difference_um(&before, &after),

@@ -68,7 +68,7 @@ fn reduction_percent(
     let mut errors: Vec<[f64; 2]> = Vec::with_capacity(path.z_mm.len());
     for &z_mm in &path.z_mm {
         let celsius = with.temperatures_c().into_iter();
-        let celsius = celsius.map(|(name, it)| (name.to_owned(), it)).collect();
+        let celsius = celsius.map(|(name, celsius)| (name.to_owned(), celsius)).collect();
         let volts = with.sensor_volts().context("the machine has a sensor")?;
         let offset = bridge.step([0.0, 0.0, z_mm], volts, &celsius);
         offset_mm = offset.map_or(offset_mm, |[_, _, z_mm]| z_mm);
@@ -85,8 +85,12 @@ fn reduction_percent(
     };
     let largest = |of: usize| {
         let width = |z_mm: f64| {
-            let at =
-                |up| of_last.iter().find(|it| it.0 == z_mm && it.1 == up).map(|it| mean(it.2, of));
+            let at = |up| {
+                of_last
+                    .iter()
+                    .find(|entry| entry.0 == z_mm && entry.1 == up)
+                    .map(|entry| mean(entry.2, of))
+            };
             at(true).zip(at(false)).map_or(f64::NAN, |(below, above)| (above - below).abs())
         };
         STAIRCASE_HEIGHTS_MM.into_iter().map(width).fold(0.0, f64::max)

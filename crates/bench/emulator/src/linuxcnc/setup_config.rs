@@ -41,7 +41,9 @@ pub fn start(
             let out = path("trueup_node");
             let words = ["linuxcnc", "component", "--install", "--out"];
             let library: &Path = library;
-            run_trueup(&folder, |it| it.args(words).arg(&out).arg("--library").arg(library))?;
+            run_trueup(&folder, |command| {
+                command.args(words).arg(&out).arg("--library").arg(library)
+            })?;
             hal += &inputs_hal(channels, &here, plant.address());
             (measured.accelerated_machine(TIME_COMPRESSION)?, vec!["--no-board"])
         }
@@ -61,8 +63,9 @@ pub fn start(
         OffsetEntry::Eoffset => "eoffset",
         OffsetEntry::Joint => "joint",
     };
-    run_trueup(&folder, |it| {
-        it.args(["linuxcnc", "setup", "--by", by])
+    run_trueup(&folder, |command| {
+        command
+            .args(["linuxcnc", "setup", "--by", by])
             .arg(path("loop.ini"))
             .arg("--machine")
             .arg(path("machine.toml"))

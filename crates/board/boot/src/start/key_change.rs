@@ -92,7 +92,7 @@ fn with_a_dead_pll_the_image_of_the_new_key_starts_and_one_of_the_old_key_does_n
     for b in [Vec::new(), image_signed_by(OLD_KEY, Slot::B, 2, 0)] {
         let mut board = Board::with_images(&new_image_a(), &b, 1);
         for _ in 0..2 {
-            assert_eq!(board.start().map(|it| it.0), Some(Slot::A));
+            assert_eq!(board.start().map(|started| started.0), Some(Slot::A));
         }
     }
     // The image was not signed anew: nothing may start.
@@ -118,7 +118,7 @@ fn with_a_dead_pll_an_update_of_the_new_key_starts_on_trial_and_one_of_the_old_k
     );
     assert_eq!(refused, Err(UpdateError::Defect(ImageDefect::Signature)));
     for _ in 0..3 {
-        assert_eq!(board.start().map(|it| it.0), Some(Slot::A));
+        assert_eq!(board.start().map(|started| started.0), Some(Slot::A));
     }
 }
 
@@ -162,8 +162,11 @@ fn an_image_of_the_old_key_that_stays_starts_with_a_dead_pll_unless_the_records_
         let verified = journal.state().with_status(Slot::B, tag, ImageStatus::Verified);
         journal.commit(verified).expect("powered");
     });
-    assert_eq!(board.clone().start_with_clock(ClockSpeed::Full).map(|it| it.0), Some(Slot::A));
-    assert_eq!(board.clone().start().map(|it| it.0), Some(Slot::B), "the record counts");
+    assert_eq!(
+        board.clone().start_with_clock(ClockSpeed::Full).map(|started| started.0),
+        Some(Slot::A)
+    );
+    assert_eq!(board.clone().start().map(|started| started.0), Some(Slot::B), "the record counts");
     board.records = StrictFlash::erased();
-    assert_eq!(board.start().map(|it| it.0), Some(Slot::A));
+    assert_eq!(board.start().map(|start| start.0), Some(Slot::A));
 }

@@ -204,7 +204,7 @@ fn with_a_slow_clock_a_recorded_signature_is_enough_and_an_unknown_one_comes_las
     assert_eq!(slow([&a(1), &b(2)], unknown), Some((Slot::A, StartReason::WentBack)));
     // With nothing else it is verified after all.
     let unknown = [ImageStatus::New, ImageStatus::New];
-    assert_eq!(slow([&a(1), &foreign], unknown).map(|it| it.0), Some(Slot::A));
+    assert_eq!(slow([&a(1), &foreign], unknown).map(|started| started.0), Some(Slot::A));
     assert_eq!(slow([&[], &foreign], unknown), None);
     // The CRC is checked in any case.
     let mut damaged = b(2);

@@ -227,8 +227,11 @@ mod tests {
     #[test]
     fn every_entry_of_an_object_on_the_page_has_its_row() {
         for rows in [reference_rows(), calibration_rows(), firmware_rows()] {
-            let described: Vec<ObjectAddress> =
-                rows.iter().flat_map(|row| &row.contents).map(|it| find_address(*it)).collect();
+            let described: Vec<ObjectAddress> = rows
+                .iter()
+                .flat_map(|row| &row.contents)
+                .map(|address| find_address(*address))
+                .collect();
             let mut objects: Vec<_> = described.iter().map(|(index, _)| *index).collect();
             objects.dedup();
             let entries: Vec<_> = objects

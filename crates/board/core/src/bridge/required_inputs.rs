@@ -54,7 +54,7 @@ impl RequiredInputs {
         let chain = calibration.spindle.chain;
         let terms = || calibration.terms.iter().flatten();
         let of_elongation = terms().any(|term| term.target == Target::Elongation);
-        let by_speed = terms().any(|it| category_factor(&it.effect) == Some(Factor::Speed2));
+        let by_speed = terms().any(|term| category_factor(&term.effect) == Some(Factor::Speed2));
         let volume_angles =
             calibration.volume.is_some_and(|volume| volume.depends_on_rotary_angles());
         let turns_growth = calibration.kinematics.axes.iter().any(Option::is_some)
@@ -66,11 +66,11 @@ impl RequiredInputs {
                 .limits
                 .link_timeout_ms
                 .saturating_mul(CONDITIONS_TIMEOUT_FACTOR),
-            conditions: terms().any(|it| category_factor(&it.effect).is_some()),
+            conditions: terms().any(|term| category_factor(&term.effect).is_some()),
             category_speed: by_speed,
             operating_point: by_speed
-                || terms().any(|it| {
-                    let effect = &it.effect;
+                || terms().any(|term| {
+                    let effect = &term.effect;
                     matches!(effect, Effect::Speed(_) | Effect::SpeedHeat { .. } | Effect::Load(_))
                 }),
             heat_terms: term::heat_terms(&calibration.terms),
@@ -203,7 +203,7 @@ fn partner_channels(calibration: &Calibration<'_>, channel: usize) -> IndexSet {
             _ => None,
         });
         let mut all = IndexSet::default();
-        first.into_iter().chain(of_axis).chain(of_terms).for_each(|it| all.insert(it.into()));
+        first.into_iter().chain(of_axis).chain(of_terms).for_each(|input| all.insert(input.into()));
         if all.contains(channel) {
             partners = partners.union(all);
         }

@@ -137,8 +137,9 @@ impl Bridge<'_> {
     /// A step of the heat: on the first source the shift is taken back.
     pub(super) fn decay_source_shift(&self, state: &mut State) {
         if let SelectedSource::Source(source) = state.joint.selected {
-            let raw = ElongationSource::ALL
-                .map(|it| self.is_fresh(state, it).then(|| self.raw_elongation(state, it)));
+            let raw = ElongationSource::ALL.map(|source| {
+                self.is_fresh(state, source).then(|| self.raw_elongation(state, source))
+            });
             let now = PastElongation { elongation: self.elongation(state), raw };
             // A thermometer that says nothing new may be about to be given up: the next source
             // is to show what the spindle grows meanwhile.
@@ -258,7 +259,7 @@ impl Bridge<'_> {
     fn is_available(&self, state: &State, source: ElongationSource) -> bool {
         let temperature = &self.calibration.spindle.temperature;
         source != ElongationSource::Temperature
-            || temperature.is_none_or(|it| state.channels.is_current(it.channel))
+            || temperature.is_none_or(|temperature| state.channels.is_current(temperature.channel))
     }
 
     /// Returns whether a source has failed and gives nothing. A source that has only not come yet is not dead.
@@ -270,8 +271,9 @@ impl Bridge<'_> {
                     || !state.believable
                     || !state.starved_age.is_older_than(STALE_AFTER_LOSS_MS)
             }
-            ElongationSource::Temperature => spindle.temperature.is_none_or(|it| {
-                state.channels.is_faulty(it.channel) || (state.heat.is_unknown() && it.has_memory())
+            ElongationSource::Temperature => spindle.temperature.is_none_or(|temperature| {
+                state.channels.is_faulty(temperature.channel)
+                    || (state.heat.is_unknown() && temperature.has_memory())
             }),
             ElongationSource::Warmup => spindle.warmup.is_none() || state.heat.is_unknown(),
         }
@@ -281,8 +283,9 @@ impl Bridge<'_> {
     pub(super) fn have_all_sources_failed(&self, state: &State) -> bool {
         let mut sources = self.calibration.spindle.chain.into_iter().flatten().peekable();
         sources.peek().is_some()
-            && sources
-                .all(|it| self.has_source_failed(state, it) || !self.has_common_zero(state, it))
+            && sources.all(|source| {
+                self.has_source_failed(state, source) || !self.has_common_zero(state, source)
+            })
     }
 
     /// Returns whether a fall-back could not take over if it were needed: it is watched before it is.

@@ -44,7 +44,7 @@ fn a_sensor_at_the_rail_that_noise_takes_off_at_times_is_a_fault() {
         let codes = core::array::from_fn(|n| AdcCode(pattern[n % pattern.len()]));
         let blind =
             (0..20).map(|_| health.check(&codes, false).is_none()).collect::<std::vec::Vec<_>>();
-        assert!(blind[2..].iter().all(|it| *it), "{pattern:?}: {blind:?}");
+        assert!(blind[2..].iter().all(|is_blind| *is_blind), "{pattern:?}: {blind:?}");
     }
     // A spike in twenty codes is none.
     let mut health = SensorHealth::default();

@@ -104,7 +104,11 @@ impl ConditionLevels {
     /// Returns s in parts of [`UNIT_STEP`] while the CNC says this.
     #[must_use]
     pub fn input(&self, conditions: Option<Conditions>) -> i32 {
-        if conditions.map_or(self.default, |it| it.is_set(self.bit)) { UNIT_STEP } else { 0 }
+        if conditions.map_or(self.default, |conditions| conditions.is_set(self.bit)) {
+            UNIT_STEP
+        } else {
+            0
+        }
     }
 
     /// Returns m where s, behind its lag, is `input`.

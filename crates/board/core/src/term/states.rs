@@ -162,7 +162,7 @@ impl TermStates {
         let mut by_growth = [ScaledCoefficient::default(); MAX_TERMS];
         let mut places = by_growth.iter_mut();
         for ((index, term), level) in terms.iter().enumerate().zip(self.levels) {
-            let Some(term) = term.as_ref().filter(|it| it.target == Target::Elongation) else {
+            let Some(term) = term.as_ref().filter(|term| term.target == Target::Elongation) else {
                 continue;
             };
             match category_factor(&term.effect) {

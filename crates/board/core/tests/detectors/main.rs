@@ -141,7 +141,7 @@ const NOISES: [f64; 4] = [0.05, 0.3, 1.0, 3.0];
 
 /// Returns how many hours to try, by `TRUEUP_SOAK_HOURS` or else `default`.
 fn hours(default: f64) -> f64 {
-    env::var("TRUEUP_SOAK_HOURS").map_or(default, |it| it.parse().expect("a number"))
+    env::var("TRUEUP_SOAK_HOURS").map_or(default, |text| text.parse().expect("a number"))
 }
 
 fn sound_sensors(hours: f64) {
@@ -152,7 +152,7 @@ fn sound_sensors(hours: f64) {
             alarms
         })
     });
-    assert_eq!(tries.map(|it| it.join().expect("no panic")), [0; 4]);
+    assert_eq!(tries.map(|thread| thread.join().expect("no panic")), [0; 4]);
 }
 
 #[test]
@@ -205,7 +205,7 @@ const DETECTORS: [Detector; 6] = [
     Detector {
         name: "slew in range",
         found_within_ms: 1,
-        bend: |code, it| AdcCode(code.0.saturating_add_signed(it.by)),
+        bend: |code, fault| AdcCode(code.0.saturating_add_signed(fault.by)),
         needs_life: false,
         is_told: SensorHealth::has_jumped,
     },
@@ -213,9 +213,9 @@ const DETECTORS: [Detector; 6] = [
         // Even ones over the whole range, as of a converter that is lost.
         name: "wild",
         found_within_ms: 2,
-        bend: |_, it| {
-            it.number = it.number.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            AdcCode(9 + (((it.number >> 16) * 4_078) >> 16) as u16)
+        bend: |_, fault| {
+            fault.number = fault.number.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            AdcCode(9 + (((fault.number >> 16) * 4_078) >> 16) as u16)
         },
         needs_life: false,
         is_told: BY_ITS_CODES,
@@ -234,7 +234,7 @@ const DETECTORS: [Detector; 6] = [
     Detector {
         name: "stuck",
         found_within_ms: 202,
-        bend: |_, it| it.stuck,
+        bend: |_, fault| fault.stuck,
         needs_life: true,
         is_told: BY_ITS_CODES,
     },
@@ -297,8 +297,8 @@ fn found_spikes(draws: u32, seed: u64) -> u32 {
             *code = AdcCode(code.0.saturating_add_signed(by as i16));
         }
         let passed = health.check(&block, sensor.turns).copied();
-        let is_mended = passed.is_some_and(|it| {
-            it.iter().zip(&whole).all(|(a, b)| a.0.abs_diff(b.0) <= 32) && !health.has_jumped()
+        let is_mended = passed.is_some_and(|passed| {
+            passed.iter().zip(&whole).all(|(a, b)| a.0.abs_diff(b.0) <= 32) && !health.has_jumped()
         });
         found += u32::from(is_mended);
     }

@@ -73,7 +73,7 @@ fn three_thousand_thermometers_that_jump_are_found_at_the_fourth_reading_and_sou
             channel.is_faulty()
         };
         assert_eq!((1..=10).find(&mut received), Some(4), "{by} K");
-        assert_eq!((5..=10).find(|it| !received(it)), Some(7), "{by} K");
+        assert_eq!((5..=10).find(|count| !received(count)), Some(7), "{by} K");
         // Any that do not agree are no temperature.
         let mut wild = TemperatureChannel::default();
         (0..10).for_each(|_| wild.receive(step(40.0)));
@@ -101,7 +101,7 @@ fn a_thermometer_whose_first_results_are_none_or_unsettled_is_believed_at_the_fi
     for first in [&[][..], &[None], &[None, None, None], &[None, step(-40)], &[step(300), step(90)]]
     {
         let mut channel = TemperatureChannel::default();
-        first.iter().for_each(|it| channel.receive(*it));
+        first.iter().for_each(|reading| channel.receive(*reading));
         channel.receive(step(20));
         assert!(!channel.is_faulty() && channel.temperature() == step(20), "after {first:?}");
     }
@@ -157,7 +157,7 @@ const STEP_C: f64 = 0.031_25;
 impl Thermometers {
     fn new(noise: f64, seed: u64) -> Self {
         let mut random = Random::new(seed);
-        let celsius = [20.0, 20.0, 20.0].map(|it| it + STEP_C * random.uniform());
+        let celsius = [20.0, 20.0, 20.0].map(|celsius| celsius + STEP_C * random.uniform());
         Self { random, noise, celsius, target: celsius }
     }
 

@@ -93,7 +93,8 @@ fn write_names(out: &mut impl fmt::Write, frame: &FrameSpec) -> fmt::Result {
     let is_late =
         |signal: &SignalSpec| signal.multiplexing != Multiplexing::None && signal.names.len() == 1;
     for late in [false, true] {
-        for signal in frame.signals().filter(|it| !it.names.is_empty() && is_late(it) == late) {
+        for signal in frame.signals().filter(|spec| !spec.names.is_empty() && is_late(spec) == late)
+        {
             write!(out, "VAL_ {} {}", frame.id, signal.name)?;
             for (raw, name) in signal.names {
                 write!(out, " {raw} \"{name}\"")?;

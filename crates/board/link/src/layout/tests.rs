@@ -90,7 +90,7 @@ fn the_dbc_names_every_value_as_the_code_does() {
         ($numbers:expr, $enum:ident) => {
             $numbers
                 .filter_map($enum::from_wire)
-                .map(|it| (it as i64, format!("{it:?}")))
+                .map(|value| (value as i64, format!("{value:?}")))
                 .collect::<Vec<_>>()
         };
     }
@@ -151,8 +151,9 @@ fn every_frame_as_often_as_permitted_fills_56_percent_of_the_bus_at_worst_stuffi
     const BITS_PER_SECOND: u64 = 1_000_000;
     assert_eq!([bits(8), bits(1)], [[111, 135], [55, 65]]);
     let load = |stuffing: usize| -> u64 {
-        let of = |it: &FrameSpec| bits(it.len.into())[stuffing] * 1_000 / u64::from(it.period_ms);
-        FRAMES.iter().filter(|it| it.period_ms > 0).map(of).sum()
+        let of =
+            |spec: &FrameSpec| bits(spec.len.into())[stuffing] * 1_000 / u64::from(spec.period_ms);
+        FRAMES.iter().filter(|frame| frame.period_ms > 0).map(of).sum()
     };
     assert_eq!([load(0), load(1)], [458_980, 558_200]);
     assert!(load(1) * 100 < BITS_PER_SECOND * 60);

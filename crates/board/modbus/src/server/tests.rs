@@ -104,7 +104,7 @@ fn the_whole_holding_block_is_written_and_read_back() {
         for count in [17, 20] {
             let [Some(read), _] = ask(&mut bridge, 1, &[3, 0, 0, 0, count]) else { panic!() };
             let (words, _) = read[2..].as_chunks::<2>();
-            let words: List<u16> = words.iter().map(|it| u16::from_be_bytes(*it)).collect();
+            let words: List<u16> = words.iter().map(|word| u16::from_be_bytes(*word)).collect();
             assert_eq!(words, block[..usize::from(count)]);
         }
         bridge.taken.clear();

@@ -54,9 +54,13 @@ impl Rig {
             core::array::from_fn(|n| AdcCode(700 + u16::from(n % 2 == 1)));
         for _ in 0..20 {
             self.node.tick(1, Input { codes: Some(&codes), ..Input::default() });
-            let told =
-                self.node.service().and_then(|it| trueup_canopen::emergency::decode(&it).ok());
-            self.emergencies.extend(told.filter(|it| it.code != 0).map(|it| it.fault));
+            let told = self
+                .node
+                .service()
+                .and_then(|frame| trueup_canopen::emergency::decode(&frame).ok());
+            self.emergencies.extend(
+                told.filter(|emergency| emergency.code != 0).map(|emergency| emergency.fault),
+            );
         }
     }
 

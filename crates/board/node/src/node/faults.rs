@@ -27,11 +27,13 @@ impl Node<'_> {
             .with_if(self.state.has_position_jumped(), Fault::PositionJump)
             .with_if(self.state.is_sensor_anomalous(), Fault::SensorOdd)
             .with_if(
-                self.bridge.as_ref().is_some_and(|it| it.has_fallback_failed(&self.state)),
+                self.bridge.as_ref().is_some_and(|bridge| bridge.has_fallback_failed(&self.state)),
                 Fault::SourceDead,
             )
             .with_if(
-                self.bridge.as_ref().is_some_and(|it| it.has_source_disagreement(&self.state)),
+                self.bridge
+                    .as_ref()
+                    .is_some_and(|bridge| bridge.has_source_disagreement(&self.state)),
                 Fault::CalibrationUnfit,
             )
             .union(self.questions)
@@ -40,7 +42,8 @@ impl Node<'_> {
     /// Returns the lost inputs, with the flags of an output. A flag without a source that is lost by now was a
     /// short loss of the sensor or of `Control`, and is not overlooked.
     fn lost_inputs(&self, flags: Flags) -> Faults {
-        let lost = self.bridge.as_ref().map(|it| it.lost_inputs(&self.state)).unwrap_or_default();
+        let lost =
+            self.bridge.as_ref().map(|bridge| bridge.lost_inputs(&self.state)).unwrap_or_default();
         let has_thermometers = lost.thermometers != IndexSet::default();
         let sensor = lost.sensor || (flags.contains(Flags::SENSOR_FAULT) && !has_thermometers);
         let sources = Faults::default()

@@ -128,7 +128,7 @@ impl Node<'_> {
         }
         self.slot.clear();
         if step == UpdateStep::Begin {
-            self.firmware.tag = piece.last_chunk().map_or(0, |it| u32::from_le_bytes(*it));
+            self.firmware.tag = piece.last_chunk().map_or(0, |bytes| u32::from_le_bytes(*bytes));
         }
         self.firmware.is_away = true;
         Some(step)

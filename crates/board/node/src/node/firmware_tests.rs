@@ -71,9 +71,9 @@ fn drain(node: &mut Node<'_>, flash: &mut Vec<u8>) {
 fn a_firmware_comes_in_two_transfers_and_each_byte_reaches_the_board_once() {
     let mut buffer = [0; 1_024];
     let mut node = node_in_service(&mut buffer);
-    assert_eq!([O::FirmwareReceived, O::FirmwareTag].map(|it| number(&node, it)), [0; 2]);
+    assert_eq!([O::FirmwareReceived, O::FirmwareTag].map(|object| number(&node, object)), [0; 2]);
     begin(&mut node);
-    let tag = header().last_chunk().map(|it| u32::from_le_bytes(*it));
+    let tag = header().last_chunk().map(|bytes| u32::from_le_bytes(*bytes));
     assert_eq!(
         (number(&node, O::FirmwareReceived), Some(number(&node, O::FirmwareTag))),
         (512, tag)
@@ -125,7 +125,10 @@ fn a_refusal_of_the_board_has_its_number_and_ends_the_firmware() {
     let (step, _) = take(&mut node).expect("a step");
     node.finish_firmware_step(step, Err(11));
     assert_eq!(node.append(O::FirmwareImage, &[1; 7]), Err(AbortCode::Value));
-    assert_eq!([O::FirmwareReceived, O::FirmwareRefused].map(|it| number(&node, it)), [0, 11]);
+    assert_eq!(
+        [O::FirmwareReceived, O::FirmwareRefused].map(|object| number(&node, object)),
+        [0, 11]
+    );
 }
 
 #[test]

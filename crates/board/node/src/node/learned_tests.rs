@@ -242,7 +242,10 @@ fn a_master_reads_each_part_at_its_place_in_the_dictionary() {
     let places = find_object(0x2011).expect("it is there");
     let told = [1, 2, 3, 4, 5]
         .map(|place| rig.node.read(places.entry(place).expect("a part").what).expect("readable"));
-    assert_eq!(told, [-1, 2, -3, 4, -5].map(|it: i32| ObjectValue::Number(it.cast_unsigned())));
+    assert_eq!(
+        told,
+        [-1, 2, -3, 4, -5].map(|value: i32| ObjectValue::Number(value.cast_unsigned()))
+    );
 }
 
 #[test]

@@ -124,10 +124,10 @@ impl Node<'_> {
             EntryContent::InputStatus(number) => self.process_value(number).is_none().into(),
             EntryContent::OfferedElongation => {
                 let offered = self.offer.reference();
-                offered.map_or(signed(NOT_AVAILABLE), |it| nanometres(it.elongation))
+                offered.map_or(signed(NOT_AVAILABLE), |offer| nanometres(offer.elongation))
             }
             EntryContent::Offered(axis) => {
-                let axes = self.offer.reference().map(|it| it.axes);
+                let axes = self.offer.reference().map(|reference| reference.axes);
                 let axis = axes.and_then(|axes| axes.get(usize::from(axis)).copied());
                 axis.map_or(signed(NOT_AVAILABLE), |axis| nanometres(axis.rounded()))
             }
@@ -199,7 +199,7 @@ impl Node<'_> {
         let rounded =
             temperature.saturating_add(UNITS_PER_CENTIKELVIN / 2).div_euclid(UNITS_PER_CENTIKELVIN);
         // The ends are beyond what a thermometer reads.
-        i16::try_from(rounded).ok().filter(|it| i32::from(*it) != NO_TEMPERATURE_RAW)
+        i16::try_from(rounded).ok().filter(|centi_c| i32::from(*centi_c) != NO_TEMPERATURE_RAW)
     }
 }
 

@@ -81,7 +81,7 @@ fn a_plc_engages_by_the_sequence_and_a_plc_that_falls_silent_is_a_lost_cnc() {
     course.dedup();
     assert_eq!(course[..2], [Quality::Live, Quality::Hold], "{course:?}");
     // The link timeout of 500 ms, of which 20 had passed before.
-    assert_eq!(qualities.iter().filter(|it| **it == Quality::Live).count(), 480);
+    assert_eq!(qualities.iter().filter(|quality| **quality == Quality::Live).count(), 480);
     assert_eq!(course.last(), Some(&Quality::Off));
 }
 
@@ -100,7 +100,7 @@ fn blocks_that_are_damaged_repeated_or_jump_are_counted_and_move_nothing() {
         assert_eq!(node.receive_registers(&bad), Ok(()), "it is acknowledged");
         assert_eq!(node.input_data().last_refused, reason);
         run_for_ms(&mut node, 20, 700);
-        let moved = [node.last_output(), &before].map(|it| it.offset.expect("live")[2].0);
+        let moved = [node.last_output(), &before].map(|output| output.offset.expect("live")[2].0);
         assert!(
             moved[0].abs_diff(moved[1]) < 100,
             "it is off by that if it is followed: {moved:?}"
@@ -233,9 +233,15 @@ fn of_100_000_polls_of_values_that_change_every_millisecond_none_is_half_old() {
             *word = u16::from_be_bytes(*pair);
         }
         let said = input::InputBlock::decode(&words).expect("a whole block");
-        let round = |it: trueup_core::units::Nanometres| (it.0.abs() + 5) / 10 * 10 * it.0.signum();
+        let round = |nanometres: trueup_core::units::Nanometres| {
+            (nanometres.0.abs() + 5) / 10 * 10 * nanometres.0.signum()
+        };
         let wanted = node.last_output().offset.map(|all| all.map(round));
-        assert_eq!(said.output.offset.map(|all| all.map(|it| it.0)), wanted, "poll {n}");
+        assert_eq!(
+            said.output.offset.map(|all| all.map(|nanometres| nanometres.0)),
+            wanted,
+            "poll {n}"
+        );
         assert_eq!(said.counter, (node.now().0 & 0xFFFF) as u16);
         assert_eq!((said.output.quality, said.state), (Quality::Live, 0), "poll {n}");
         changed += u32::from(last.replace(said.elongation) != Some(said.elongation));

@@ -36,7 +36,8 @@ impl Node<'_> {
 
     /// Returns whether the running calibration requires the switch, and it is open.
     fn is_locked(&self) -> bool {
-        let asks = |it: &trueup_core::bridge::Bridge<'_>| it.calibration().guards.service_switch;
+        let asks =
+            |bridge: &trueup_core::bridge::Bridge<'_>| bridge.calibration().guards.service_switch;
         self.bridge.as_ref().is_some_and(asks) && !self.switch.is_closed
     }
 

@@ -64,7 +64,7 @@ impl Rig<'_> {
                 }
             }
             let said = self.node.service().filter(|frame| frame.id() == STATUS_ID);
-            items.extend(said.map(|it| (self.node.now().0, decode(&it).expect("ours").item)));
+            items.extend(said.map(|frame| (self.node.now().0, decode(&frame).expect("ours").item)));
         }
         items
     }
@@ -111,8 +111,9 @@ fn an_axis_is_sent_as_constant_and_slope_about_its_origin() {
     let items = rig.pass(3_500, 249, 0, true);
     assert!((rig.last[0].0 - 9_700).abs() <= 10, "{:?}", rig.last);
     assert_eq!(last_x_slope(&items), (Some(-38), -270));
-    let others = items.iter().filter(|(_, it)| matches!(it, Item::Slope { axis: 1.., .. }));
-    let none = |it: &(u32, Item)| matches!(it.1, Item::Slope { constant: Some(0), slope: 0, .. });
+    let others = items.iter().filter(|(_, item)| matches!(item, Item::Slope { axis: 1.., .. }));
+    let none =
+        |pair: &(u32, Item)| matches!(pair.1, Item::Slope { constant: Some(0), slope: 0, .. });
     assert!(others.clone().count() >= 4 && others.clone().all(none), "Y and Z have none");
     // The state keeps coming at least once a second.
     let items = rig.pass(6_000, 249, 0, true);

@@ -298,8 +298,8 @@ fn the_age_of_a_reference_is_known_in_the_start_that_has_taken_it_or_by_two_time
     let by = u32::from(u16::from_le_bytes([WriteKind::Zeroed as u8, WriteOrigin::Serial as u8]));
     assert_eq!(node.read(O::ReferenceOrigin), Ok(ObjectValue::Number(by)));
     // After a start: by the log alone, if the times are there.
-    let taken =
-        core::iter::from_fn(|| node.take_pending_write()).find(|it| it.what == WriteKind::Zeroed);
+    let taken = core::iter::from_fn(|| node.take_pending_write())
+        .find(|write| write.what == WriteKind::Zeroed);
     let taken = WriteRecord { utc_s: 1_790_000_000, ..taken.expect("it is logged") };
     let mut again = board([500; 3]);
     again.restore_reference_status(ReferenceStatus::in_force(node.reference()), Some(taken));

@@ -188,7 +188,7 @@ fn a_question_bars_the_offset_until_confirm_has_answered_it_and_one_edge_answers
     node.require_confirmation(Fault::ForeignMachine);
     let confirm = Control { confirm: true, ..Control::ENGAGED };
     let plain = Control::ENGAGED;
-    after([plain; 30].map(|it| (Interface::Can, it)), &mut node);
+    after([plain; 30].map(|frame| (Interface::Can, frame)), &mut node);
     assert_eq!((node.last_output().quality, node.last_output().offset), (Quality::Fault, None));
     let both = StateBits::OLDER_CALIBRATION.0 | StateBits::FOREIGN_MACHINE.0;
     assert_eq!(state(&node).0, both);
@@ -199,7 +199,7 @@ fn a_question_bars_the_offset_until_confirm_has_answered_it_and_one_edge_answers
         let heard = std::iter::repeat_n(plain, 3).chain(std::iter::repeat_n(confirm, held));
         // The counters go on where they were.
         node.receiver = Receiver::new();
-        after(heard.map(|it| (Interface::Can, it)), &mut node);
+        after(heard.map(|frame| (Interface::Can, frame)), &mut node);
         assert_eq!(state(&node), left);
         assert_eq!(
             (node.take_confirmed_fault(), node.take_confirmed_fault()),

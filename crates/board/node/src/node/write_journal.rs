@@ -89,7 +89,7 @@ impl Node<'_> {
 
     /// Returns the machine and the board that the running calibration is for.
     pub(super) fn machine_identity(&self) -> MachineIdentity<'_> {
-        self.bridge.as_ref().map(|it| it.calibration().names).unwrap_or_default()
+        self.bridge.as_ref().map(|bridge| bridge.calibration().names).unwrap_or_default()
     }
 
     /// Seconds since 1970; 0: the time was never set.

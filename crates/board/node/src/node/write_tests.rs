@@ -73,7 +73,7 @@ fn a_board_takes_the_first_machine_and_asks_before_it_runs_another_or_another_bo
         assert_eq!(requires_confirmation(&node), is_asked, "{machine} {board:?} {before:?}");
         let write = node.take_pending_write();
         let expected = is_named.then(|| (WriteKind::Named, of(machine, board), WriteOrigin::Board));
-        assert_eq!(write.map(|it| (it.what, it.about, it.origin)), expected);
+        assert_eq!(write.map(|write| (write.what, write.about, write.origin)), expected);
     }
 }
 
@@ -87,8 +87,9 @@ fn another_machine_gives_no_offset_until_confirm_and_is_the_boards_own_from_then
     assert_eq!((node.last_output().quality, requires_confirmation(&node)), (Quality::Fault, true));
     send_controls(&mut node, Control { confirm: true, ..Control::REFERENCED }, 5, &mut counter);
     assert!(!requires_confirmation(&node));
-    let written =
-        [(); 3].map(|()| node.take_pending_write().map(|it| (it.what, it.about, it.origin)));
+    let written = [(); 3].map(|()| {
+        node.take_pending_write().map(|record| (record.what, record.about, record.origin))
+    });
     let question = u32::from(Fault::ForeignMachine as u8);
     assert_eq!(
         written,
@@ -153,8 +154,10 @@ fn every_write_is_told_with_what_when_and_over_which_line_and_a_second_load_hide
     let stored = store(&mut node, 5);
     assert_eq!(drain_writes(&node), stored);
     let crc = calibration_crc(&blob);
-    let seen: Vec<_> =
-        stored.iter().map(|it| (it.sequence, it.what, it.about, it.origin)).collect();
+    let seen: Vec<_> = stored
+        .iter()
+        .map(|record| (record.sequence, record.what, record.about, record.origin))
+        .collect();
     assert_eq!(
         seen,
         [
@@ -256,7 +259,7 @@ fn the_reference_of_the_board_before_is_taken_when_all_of_it_is_there_and_is_sto
     assert_eq!((node.take_reference_status(), node.take_reference_status()), (Some(offered), None));
     assert!(node.questions.contains(Fault::ReferenceOffered));
     assert_eq!(node.read(O::Offered(1)), Ok(ObjectValue::Number(500_000)));
-    let write = node.take_pending_write().map(|it| (it.what, it.about, it.origin));
+    let write = node.take_pending_write().map(|record| (record.what, record.about, record.origin));
     assert_eq!(
         write,
         Some((WriteKind::Offered, (-1_000_i32).cast_unsigned(), WriteOrigin::Serial))
@@ -300,7 +303,7 @@ fn writes_from_before_the_start_are_told_before_those_since() {
         is_unattended: false,
     };
     let mut stored = write_log::WriteLog::default();
-    [1, 2].map(write).iter().for_each(|it| stored.push(it));
+    [1, 2].map(write).iter().for_each(|write| stored.push(write));
     node.log = WriteJournal::from_stored(stored);
     node.finish_write(&write(0), Some(write(3)));
     assert_eq!(drain_writes(&node), [1, 2, 3].map(write));

@@ -134,7 +134,8 @@ fn an_axis_walks_the_way_that_it_says_and_jumps_now_and_then() {
     for _ in 0..FAULT_CYCLE_VECTORS {
         run.draw_vector();
         for (number, axis) in LinearAxis::ALL.into_iter().enumerate() {
-            let received = run.sent.iter().find_map(|it| frames::decode_position(axis, it).ok());
+            let received =
+                run.sent.iter().find_map(|frame| frames::decode_position(axis, frame).ok());
             let Some(received) = received else { continue };
             if let Some(before) = before[number].replace(received.position.0) {
                 let way = received.position.0 - before;

@@ -28,7 +28,7 @@ fn number(rig: &Rig, what: EntryContent) -> u32 {
 /// Returns the bits of faults and state in the objects.
 fn bits(rig: &Rig) -> [u32; 3] {
     [EntryContent::AllFaults, EntryContent::HighFaults, EntryContent::StateBits]
-        .map(|it| number(rig, it))
+        .map(|object| number(rig, object))
 }
 
 /// `Control` from a master of its own line, as often as given.
@@ -119,7 +119,7 @@ fn engaged_on(channel: usize) -> Rig {
 
 /// Returns the channel of a thermometer's fault, and what breaks there.
 fn channel_of(fault: Fault) -> Option<(usize, Kind)> {
-    let of = |faults: [Fault; 8]| faults.into_iter().position(|it| it == fault);
+    let of = |faults: [Fault; 8]| faults.into_iter().position(|candidate| candidate == fault);
     of(Fault::THERMOMETER_FAULTS)
         .map(|channel| (channel, Kind::Off))
         .or(of(Fault::TEMPERATURE_RATE_FAULTS).map(|channel| (channel, Kind::Bias)))

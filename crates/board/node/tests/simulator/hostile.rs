@@ -161,6 +161,7 @@ fn a_hundred_thousand_hostile_blobs_are_refused_or_stay_within_the_caps() {
 #[test]
 #[ignore = "campaign: cargo xtask soak"]
 fn campaign_hostile_blobs() {
-    let blobs = env::var("TRUEUP_SOAK_BLOBS").map_or(10_000_000, |it| it.parse().expect("a count"));
+    let blobs =
+        env::var("TRUEUP_SOAK_BLOBS").map_or(10_000_000, |text| text.parse().expect("a count"));
     attack(blobs, 3);
 }

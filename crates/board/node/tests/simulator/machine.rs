@@ -132,7 +132,8 @@ impl Cnc {
     pub fn live(&mut self) {
         self.silent_ms = self.silent_ms.saturating_add(1);
         self.since_ms = self.since_ms.saturating_add(1);
-        let available = self.received.filter(|_| self.silent_ms <= 100).and_then(|it| it.offset);
+        let available =
+            self.received.filter(|_| self.silent_ms <= 100).and_then(|received| received.offset);
         let goal = match available {
             Some(offset) => Some(offset[2].0),
             None if self.silent_ms <= 2_000 && self.silent_ms > 100 => None,

@@ -39,20 +39,20 @@ fn soak(seeds: impl Iterator<Item = u32>, ticks: u64) -> Vec<Seen> {
     let started = Instant::now();
     let all: Vec<Seen> = seeds.map(|seed| live(seed, ticks)).collect();
     let sum = |of: fn(&Seen) -> u64| all.iter().map(of).sum::<u64>();
-    let count = sum(|it| it.ticks);
+    let count = sum(|seen| seen.ticks);
     println!(
         "{} seeds, {count} ticks, {} restarts ({} power cuts, {} with another table), {} zeros, {:.0} times life; worst \
          live offset {} nm off",
         all.len(),
-        sum(|it| it.restarts.into()),
-        sum(|it| it.power_cuts.into()),
-        sum(|it| it.tables.into()),
-        sum(|it| it.zeros.into()),
+        sum(|seen| seen.restarts.into()),
+        sum(|seen| seen.power_cuts.into()),
+        sum(|seen| seen.tables.into()),
+        sum(|seen| seen.zeros.into()),
         count as f64 / 1e3 / started.elapsed().as_secs_f64(),
-        all.iter().map(|it| it.worst_live_nm).max().unwrap_or(0),
+        all.iter().map(|seen| seen.worst_live_nm).max().unwrap_or(0),
     );
     let qualities: Vec<u64> =
-        (0..7).map(|n| all.iter().map(|it| it.qualities[n]).sum::<u64>()).collect();
+        (0..7).map(|n| all.iter().map(|seen| seen.qualities[n]).sum::<u64>()).collect();
     println!("ticks of each quality: {qualities:?}");
     all
 }
@@ -61,11 +61,11 @@ fn soak(seeds: impl Iterator<Item = u32>, ticks: u64) -> Vec<Seen> {
 fn whatever_fails_the_offset_never_steps_and_is_what_it_says() {
     let all = soak(1..5, TICKS / 2);
     for quality in 0..7 {
-        assert!(all.iter().any(|it| it.qualities[quality] > 0), "{quality} was never there");
+        assert!(all.iter().any(|seen| seen.qualities[quality] > 0), "{quality} was never there");
     }
-    assert!(all.iter().map(|it| it.restarts).sum::<u32>() > 10);
-    assert!(all.iter().map(|it| it.zeros).sum::<u32>() > 10);
-    assert!(all.iter().any(|it| it.worst_live_nm > 0), "something was compared");
+    assert!(all.iter().map(|seen| seen.restarts).sum::<u32>() > 10);
+    assert!(all.iter().map(|seen| seen.zeros).sum::<u32>() > 10);
+    assert!(all.iter().any(|seen| seen.worst_live_nm > 0), "something was compared");
 }
 
 #[test]
@@ -84,7 +84,7 @@ fn ten_million_ticks() {
 #[ignore = "campaign: cargo xtask soak"]
 fn campaign_soak() {
     let asked = |name: &str, or: u64| {
-        env::var(name).map_or(or, |it| it.parse().unwrap_or_else(|_| panic!("{name}={it}")))
+        env::var(name).map_or(or, |text| text.parse().unwrap_or_else(|_| panic!("{name}={text}")))
     };
     let ticks = asked("TRUEUP_SOAK_TICKS", 1_000_000_000);
     let first = u32::try_from(asked("TRUEUP_SOAK_SEED", 1_000)).expect("a seed has 32 bits");

@@ -421,7 +421,7 @@ impl World {
         let output = *self.node.last_output();
         // What the CNC has of it is the same, rounded to a bit of 10 nm.
         if let (Some(received), Some(offset)) =
-            (self.cnc.received.and_then(|it| it.offset), output.offset)
+            (self.cnc.received.and_then(|received| received.offset), output.offset)
         {
             let off = (received[2].0 - offset[2].0).abs();
             assert!(off <= WIRE_NM / 2, "the wire says {}: {}", received[2].0, self.place());

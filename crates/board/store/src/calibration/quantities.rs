@@ -170,7 +170,8 @@ impl<'b> Field<'b> for Direction {
         const ONE_SQUARED: u64 = 1 << (2 * Direction::FRACTION_BITS);
         let offset = from.at;
         let components: [i32; 3] = Field::read(from);
-        let squares = components.map(|it| u64::from(it.unsigned_abs()).saturating_pow(2));
+        let squares =
+            components.map(|component| u64::from(component.unsigned_abs()).saturating_pow(2));
         let length_squared = squares.into_iter().fold(0, u64::saturating_add);
         if length_squared.abs_diff(ONE_SQUARED) > UNIT_LENGTH_TOLERANCE {
             from.reject(BlobError::NotUnit { offset, found: components });

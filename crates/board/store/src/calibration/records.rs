@@ -119,11 +119,11 @@ impl<'b> FixedPart<'b> {
             head_axes: HeadAxesAndLearnedLimits(head_axes, [learned.growth, learned.axes]),
             chain: SourceChain(chain, learned.zero),
             sensor,
-            spindle_channel: Channel(temperature.map(|it| it.channel)),
-            spindle_smoothing: temperature.map_or(none, |it| it.smoothing),
-            spindle_law: temperature.map(|it| it.law).unwrap_or_default(),
-            warmup: warmup.map_or(never, |it| it.law),
-            power: warmup.map(|it| it.power).unwrap_or_default(),
+            spindle_channel: Channel(temperature.map(|temperature| temperature.channel)),
+            spindle_smoothing: temperature.map_or(none, |temperature| temperature.smoothing),
+            spindle_law: temperature.map(|temperature| temperature.law).unwrap_or_default(),
+            warmup: warmup.map_or(never, |warmup| warmup.law),
+            power: warmup.map(|warmup| warmup.power).unwrap_or_default(),
             thermometers: core::array::from_fn(|channel| {
                 let connected = thermometers.get(channel).copied().flatten();
                 ConnectedThermometer(connected, max_rates.get(channel).copied().unwrap_or_default())
@@ -131,7 +131,8 @@ impl<'b> FixedPart<'b> {
             axes: axes.map(AxisRecord::from_axis_model),
             straightness,
             squareness,
-            spindle_smoothing_falling: temperature.map_or(none, |it| it.smoothing_falling),
+            spindle_smoothing_falling: temperature
+                .map_or(none, |temperature| temperature.smoothing_falling),
             terms: TermTable(terms, volume),
             rejoin: RejoinAndSwitches(rejoin_nm_per_s, service_switch, mains),
             cold_within: ColdTolerance(cold_within),
@@ -153,7 +154,7 @@ impl<'b> FixedPart<'b> {
             law: self.spindle_law,
         });
         Calibration {
-            thermometers: self.thermometers.each_ref().map(|it| it.0),
+            thermometers: self.thermometers.each_ref().map(|thermometer| thermometer.0),
             spindle: SpindleModel {
                 chain,
                 sensor: self.sensor,
@@ -176,7 +177,7 @@ impl<'b> FixedPart<'b> {
             },
             cold_within: self.cold_within.0,
             guards: InputSettings {
-                max_rates: self.thermometers.map(|it| it.1),
+                max_rates: self.thermometers.map(|thermometer| thermometer.1),
                 service_switch: self.rejoin.1,
                 mains: self.rejoin.2,
             },
@@ -194,18 +195,18 @@ impl<'b> AxisRecord<'b> {
         let AxisModel { thermal, pitch, dual, backlash, travel, rapid } = axis;
         let none = SmoothingFactor(0);
         Self {
-            channel: Channel(thermal.map(|it| it.channel)),
-            smoothing: thermal.map_or(none, |it| it.smoothing),
-            origin: thermal.map(|it| it.origin).unwrap_or_default(),
-            law: thermal.map(|it| it.law).unwrap_or_default(),
+            channel: Channel(thermal.map(|thermal| thermal.channel)),
+            smoothing: thermal.map_or(none, |thermal| thermal.smoothing),
+            origin: thermal.map(|thermal| thermal.origin).unwrap_or_default(),
+            law: thermal.map(|thermal| thermal.law).unwrap_or_default(),
             pitch,
-            across: dual.map(|it| it.across),
-            drives: dual.map(|it| it.beam.drive_positions()).unwrap_or_default(),
-            second_pitch: dual.map(|it| it.pitch),
+            across: dual.map(|dual| dual.across),
+            drives: dual.map(|dual| dual.beam.drive_positions()).unwrap_or_default(),
+            second_pitch: dual.map(|dual| dual.pitch),
             backlash,
             hysteresis: travel.hysteresis,
             ramp: travel.ramp,
-            smoothing_falling: thermal.map_or(none, |it| it.smoothing_falling),
+            smoothing_falling: thermal.map_or(none, |thermal| thermal.smoothing_falling),
             rapid,
         }
     }

@@ -454,7 +454,11 @@ fn a_warm_up_is_there_where_it_grows_or_is_a_source_and_else_there_is_none() {
             let spindle = SpindleModel { chain, warmup: stored, ..sample.spindle };
             let mut bytes = [0; MAX_BLOB_SIZE];
             let blob = encode(&Calibration { spindle, ..sample }, &mut bytes).expect("small");
-            assert_eq!(decode(blob).map(|it| it.spindle.warmup), Ok(expected), "{chain:?}");
+            assert_eq!(
+                decode(blob).map(|calibration| calibration.spindle.warmup),
+                Ok(expected),
+                "{chain:?}"
+            );
         }
     });
 }

@@ -122,7 +122,9 @@ fn read_lever_arm(from: &mut Reader<'_>) -> [Position; 3] {
     let offset = from.at;
     let arm: [Position; 3] = Field::read(from);
     let most = MAX_LEVER_ARM.unsigned_abs();
-    if let Some(found) = arm.iter().map(|it| it.0.unsigned_abs()).find(|it| *it > most) {
+    if let Some(found) =
+        arm.iter().map(|component| component.0.unsigned_abs()).find(|component| *component > most)
+    {
         from.reject(BlobError::Limit { offset, found, most });
     }
     arm

@@ -181,11 +181,11 @@ fn an_image_with_the_examples_constants_wins_over_nothing() {
         CalibrationStore::open(flash.with_power_restored(), None, &mut vec![0; MAX_BLOB_SIZE])
     };
     let (mut slots, found) = example(&flash);
-    assert_eq!((found.newest.map(|it| it.sequence), found.foreign), (Some(1), 0));
+    assert_eq!((found.newest.map(|newest| newest.sequence), found.foreign), (Some(1), 0));
     // Loaded over the example: counts for every release of it, and for no machine's own image.
     assert_eq!(slots.store(&blob(2), || ()), Ok(2));
     let flash = slots.log.flash;
-    assert_eq!(example(&flash).1.newest.map(|it| it.sequence), Some(2));
+    assert_eq!(example(&flash).1.newest.map(|newest| newest.sequence), Some(2));
     assert_eq!(newest(&flash), Some(blob(1)));
 }
 
@@ -323,13 +323,13 @@ fn what_a_start_has_found_alone_in_its_half_is_there_twice_before_the_other_half
     let flash = store(store(store(Flash::erased(), 1).0, 2).0, 3).0;
     let (mut slots, found) = open(&flash, IMAGE);
     assert_eq!(
-        found.newest.map(|it| (it.sequence, it.address)),
+        found.newest.map(|newest| (newest.sequence, newest.address)),
         Some((3, SECTOR as u32 + HEADER_SIZE))
     );
     assert_eq!(slots.erase_spare_half(|| ()), Ok(true));
     // Its head may have been cut, and be read as none the next time; the copy is newer.
     let mut flash = slots.log.flash;
-    assert_eq!(open(&flash, IMAGE).1.newest.map(|it| it.sequence), Some(4));
+    assert_eq!(open(&flash, IMAGE).1.newest.map(|newest| newest.sequence), Some(4));
     flash.bytes[SECTOR] ^= 1;
     assert_eq!(newest(&flash), Some(blob(3)));
 }

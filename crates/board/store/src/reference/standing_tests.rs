@@ -13,7 +13,7 @@ fn start(
 ) -> (ReferenceStore<Flash>, ReferenceStatus) {
     let (mut log, found) = open(&log.log.flash, calibration);
     log.erase_spare_half().unwrap();
-    (log, found.standing.map(|it| it.1).unwrap_or_default())
+    (log, found.standing.map(|standing| standing.1).unwrap_or_default())
 }
 
 fn write(log: &mut ReferenceStore<Flash>, what: WriteKind, about: u32, is_unattended: bool) {
@@ -152,13 +152,15 @@ fn a_power_cut_at_any_byte_of_the_first_start_after_a_load_changes_no_answer() {
             log.erase_spare_half().unwrap();
             write(&mut log, WriteKind::Loaded, A, true);
         }
-        let expected = open(&log.log.flash, A).1.standing.map(|it| it.1).expect("a change");
+        let expected =
+            open(&log.log.flash, A).1.standing.map(|standing| standing.1).expect("a change");
         assert!(expected.is_changed);
         for fuel in (0..=3 * RECORD_SIZE + HALF as usize).step_by(4) {
             let mut cut = open(&log.log.flash, A).0;
             cut.log.flash.fuel = fuel;
             cut.erase_spare_half().ok();
-            let found = open(&cut.log.flash, A).1.standing.map(|it| it.1).unwrap_or_default();
+            let found =
+                open(&cut.log.flash, A).1.standing.map(|standing| standing.1).unwrap_or_default();
             // What is offered may be lost with a half that was full; it never comes into force.
             let is_kept = found == expected
                 || found == ReferenceStatus { is_changed: true, ..ReferenceStatus::default() };
@@ -179,6 +181,10 @@ fn the_write_that_has_taken_a_reference_is_told_and_moves_with_it() {
         write(&mut log, WriteKind::Confirmed, number, false);
         log = start(&log, A).0;
         let taken = open(&log.log.flash, A).1.taken;
-        assert_eq!(taken.map(|it| (it.what, it.about)), Some((WriteKind::Zeroed, 77)), "{number}");
+        assert_eq!(
+            taken.map(|write| (write.what, write.about)),
+            Some((WriteKind::Zeroed, 77)),
+            "{number}"
+        );
     }
 }

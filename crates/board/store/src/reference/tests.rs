@@ -129,7 +129,7 @@ fn a_reference_of_a_calibration_that_is_back_is_offered_and_not_lost() {
     log = open(&others.log.flash, OURS).0;
     assert_eq!(log.erase_spare_half(), Ok(true));
     let found = open(&log.log.flash, OURS).1;
-    assert_eq!((found.standing.map(|it| it.1), found.is_new), (Some(offered), false));
+    assert_eq!((found.standing.map(|standing| standing.1), found.is_new), (Some(offered), false));
 }
 
 #[test]

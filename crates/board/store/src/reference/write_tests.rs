@@ -25,7 +25,7 @@ fn logged_writes(log: &ReferenceStore<Flash>) -> Vec<(u32, WriteKind, u32)> {
 #[test]
 fn writes_are_told_after_a_power_cut_in_their_order_and_references_stay() {
     let (mut log, _) = open(&Flash::erased(), OURS);
-    assert_eq!(log.append_write(&write(WriteKind::Loaded, 1)).map(|it| it.sequence), Ok(1));
+    assert_eq!(log.append_write(&write(WriteKind::Loaded, 1)).map(|record| record.sequence), Ok(1));
     log.append(held(1)).unwrap();
     log.append_write(&write(WriteKind::Zeroed, 2)).unwrap();
     log.append_write(&write(WriteKind::Confirmed, 3)).unwrap();
@@ -66,7 +66,8 @@ fn names_and_reference_outlast_erases_with_power_cuts_at_any_byte() {
             cut.erase_spare_half().ok();
             let found = open(&cut.log.flash, OURS).1;
             assert_eq!(found.named, Some(77), "{number}, cut at byte {fuel}");
-            let is_same = found.standing.map(|it| it.1) == before.standing.map(|it| it.1);
+            let is_same = found.standing.map(|standing| standing.1)
+                == before.standing.map(|standing| standing.1);
             assert!(is_same && found.standing.is_some(), "{number}, cut at byte {fuel}");
         }
         log = open(&log.log.flash, OURS).0;

@@ -236,10 +236,13 @@ impl CompleteRows {
             Some(machine) => vec![predict_all_runs(machine, &runs, quantity)?],
             None => columns.clone(),
         };
-        let variants = machine.map(|it| model_variants(it, quantity, longest_run_s(&runs)));
+        let variants =
+            machine.map(|machine| model_variants(machine, quantity, longest_run_s(&runs)));
         let variants = variants.iter().flatten();
         columns.extend(
-            variants.filter_map(|it| predict_all_runs(it, &runs, quantity)).filter(is_whole),
+            variants
+                .filter_map(|variant| predict_all_runs(variant, &runs, quantity))
+                .filter(is_whole),
         );
         columns.extend(of_offset.iter().cloned());
         let is_known = |row: &usize| {
@@ -300,9 +303,9 @@ fn model_variants(machine: &Machine, quantity: Quantity, longest_s: f64) -> Vec<
     }
     for share in CANDIDATE_LAG_SHARES.into_iter().filter(|_| longest_s > 0.0) {
         let mut late = machine.clone();
-        let grown = late.spindle.temperature.as_mut().map(|it| &mut it.lag_s);
+        let grown = late.spindle.temperature.as_mut().map(|temperature| &mut temperature.lag_s);
         let expanded = axis.and_then(|axis| late.axes[axis].thermal.as_mut());
-        let lags = grown.into_iter().chain(expanded.map(|it| &mut it.lag_s));
+        let lags = grown.into_iter().chain(expanded.map(|expanded| &mut expanded.lag_s));
         if lags.map(|lag_s| *lag_s += share * longest_s).count() > 0 {
             all.push(late);
         }
@@ -333,7 +336,7 @@ fn predict_all_runs(
 /// lacks a column that the prediction needs.
 #[must_use]
 pub fn predict_um(machine: &Machine, run: &RunFile, quantity: Quantity) -> Option<Vec<f64>> {
-    let index = Quantity::ALL.iter().position(|it| *it == quantity)?;
+    let index = Quantity::ALL.iter().position(|candidate| *candidate == quantity)?;
     let mut run = run.clone();
     run.remove_columns(|name| PREDICTION_COLUMNS.contains(&name));
     let predictor = Predictor::new(machine, &run).ok()?;

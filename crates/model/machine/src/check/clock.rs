@@ -261,10 +261,10 @@ mod tests {
         }
         let run =
             RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own run");
-        let line = |it: Warning| format!("{}: {}", it.place.line, it.what);
+        let line = |warning: Warning| format!("{}: {}", warning.place.line, warning.what);
         let ClockFindings { slips, warnings, remarks } = check_clock(&run);
         (
-            slips.into_iter().map(|it| line(it.warning)).collect(),
+            slips.into_iter().map(|slip| line(slip.warning)).collect(),
             warnings.into_iter().map(line).collect(),
             remarks.into_iter().map(line).collect(),
         )

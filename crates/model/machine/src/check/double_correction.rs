@@ -45,12 +45,13 @@ fn duplicate_backlash(machine: &Machine) -> Vec<Warning> {
     let doubled = terms.filter_map(|(index, term)| {
         let axis = term.quantity.axis()?;
         let model = &machine.axes[axis.index()];
-        let section = model.backlash.map(|it| ("backlash", it.width_um)).or_else(|| {
-            let pitch = model.pitch.as_ref()?;
-            let pairs = pitch.reverse_um.as_ref()?.iter().zip(&pitch.forward_um);
-            let widths: Vec<f64> = pairs.map(|(reverse, forward)| reverse - forward).collect();
-            Some(("pitch.reverse_um", widths.iter().sum::<f64>() / widths.len() as f64))
-        });
+        let section =
+            model.backlash.map(|backlash| ("backlash", backlash.width_um)).or_else(|| {
+                let pitch = model.pitch.as_ref()?;
+                let pairs = pitch.reverse_um.as_ref()?.iter().zip(&pitch.forward_um);
+                let widths: Vec<f64> = pairs.map(|(reverse, forward)| reverse - forward).collect();
+                Some(("pitch.reverse_um", widths.iter().sum::<f64>() / widths.len() as f64))
+            });
         let (name, width_um) = section?;
         let forms = term.effect.board_terms();
         let added_um = forms.iter().find_map(|form| match form {
@@ -107,9 +108,9 @@ fn duplicate_angles(machine: &Machine) -> Vec<Warning> {
         })?;
         let along = tilt.along.unwrap_or(error);
         // A turn moves neither along its own axis nor along its lever.
-        let same = |it: &&crate::file::AngularErrorMotion| {
-            it.along == along
-                && ![error, tilt.lever].iter().any(|axis| axis.index() == it.about.index())
+        let same = |motion: &&crate::file::AngularErrorMotion| {
+            motion.along == along
+                && ![error, tilt.lever].iter().any(|axis| axis.index() == motion.about.index())
         };
         let angular = volume.angular.iter().find(same)?;
         let chain = volume.chain.as_ref()?;
@@ -135,10 +136,10 @@ fn duplicate_thermal_growth(machine: &Machine) -> Option<Warning> {
     let axis =
         axes.filter(|axis| machine.tool_direction[axis.index()].abs() > 0.5).find(|axis| {
             let thermal = machine.axes[axis.index()].thermal.as_ref();
-            let constant = |it: &crate::file::ThermalLaw| {
-                it.mode.has_constant() && it.constant_um_per_c != 0.0
+            let constant = |law: &crate::file::ThermalLaw| {
+                law.mode.has_constant() && law.constant_um_per_c != 0.0
             };
-            thermal.is_some_and(|it| it.sensor == spindle.sensor && constant(it))
+            thermal.is_some_and(|thermal| thermal.sensor == spindle.sensor && constant(thermal))
         })?;
     let what = format!(
         "is {}, which [spindle.temperature] goes by as well: both move the tool along {}",

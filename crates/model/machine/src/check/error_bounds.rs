@@ -154,7 +154,7 @@ fn max_volumetric_errors(machine: &Machine, axis: LinearAxis) -> Vec<(String, Op
         let um = angle_urad.zip(lever_mm).map(|(urad, mm)| urad * mm / 1000.0);
         parts.push((format!("angular.{}", it.name()), um));
     }
-    for it in volume.rotary.iter().filter(|it| !it.is_error_free()) {
+    for it in volume.rotary.iter().filter(|location| !location.is_error_free()) {
         let tilts = it.tilt_urad.iter().any(|urad| *urad != 0.0);
         let is_alone = chain.rotary_axes().len() == 1;
         let um = (!tilts && is_alone).then(|| it.shift_um[axis.index()].abs());
@@ -293,8 +293,9 @@ pub(super) fn elongation_bounds(machine: &Machine) -> Vec<ErrorBound> {
         ErrorBound { key: "spindle.sensor".into(), largest_um }
     });
     let temperature = spindle.temperature.as_ref();
-    let temperature = temperature
-        .map(|it| part("spindle.temperature", it.k_um_per_c * MAX_TEMPERATURE_DEVIATION_K));
-    let warmup = spindle.warmup.as_ref().map(|it| part("spindle.warmup", it.max_um));
+    let temperature = temperature.map(|temperature| {
+        part("spindle.temperature", temperature.k_um_per_c * MAX_TEMPERATURE_DEVIATION_K)
+    });
+    let warmup = spindle.warmup.as_ref().map(|warmup| part("spindle.warmup", warmup.max_um));
     [sensor, temperature, warmup].into_iter().flatten().collect()
 }

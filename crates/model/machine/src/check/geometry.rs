@@ -69,9 +69,10 @@ fn table_range_warnings(machine: &Machine) -> Vec<Warning> {
 
 fn curve_range_warnings(machine: &Machine) -> Vec<Warning> {
     let curves = machine.straightness.iter();
-    let curves = curves.map(|it| (format!("straightness.{}", it.name()), it.along, &it.spline));
-    let angles = machine.volume.angular.iter().filter_map(|it| match &it.angle {
-        Angle::Curve(spline) => Some((format!("angular.{}", it.name()), it.along, spline)),
+    let curves =
+        curves.map(|curve| (format!("straightness.{}", curve.name()), curve.along, &curve.spline));
+    let angles = machine.volume.angular.iter().filter_map(|motion| match &motion.angle {
+        Angle::Curve(spline) => Some((format!("angular.{}", motion.name()), motion.along, spline)),
         Angle::Line(_) => None,
     });
     curves

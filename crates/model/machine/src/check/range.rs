@@ -164,7 +164,7 @@ fn find_negative_backlash(machine: &Machine, axis: LinearAxis) -> Option<Finding
     }
     total_um += model.backlash.map_or(0.0, |backlash| backlash.width_um);
     let of_axis =
-        machine.terms.iter().enumerate().filter(|(_, it)| it.quantity.axis() == Some(axis));
+        machine.terms.iter().enumerate().filter(|(_, term)| term.quantity.axis() == Some(axis));
     for (index, term) in of_axis {
         let forms = term.effect.board_terms();
         let widths = forms.iter().filter_map(|form| match form {

@@ -39,8 +39,8 @@ pub(super) fn warnings(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning>
         warnings.extend(
             compare_with_model(run, machine)
                 .into_iter()
-                .filter(|it| !it.is_unit)
-                .map(|it| it.warning),
+                .filter(|comparison| !comparison.is_unit)
+                .map(|comparison| comparison.warning),
         );
     }
     warnings
@@ -58,8 +58,11 @@ pub(super) fn column_findings(run: &RunFile, machine: Option<&Machine>) -> Vec<F
             .all(|finding| finding.grade != Plausibility::Impossible)
     };
     let of_machine = machine.filter(is_sound).into_iter().flat_map(|machine| {
-        let units = compare_with_model(run, machine).into_iter().filter(|it| it.is_unit);
-        units.map(|it| (it.column, it.warning)).chain(position_unit_warnings(run, machine))
+        let units =
+            compare_with_model(run, machine).into_iter().filter(|comparison| comparison.is_unit);
+        units
+            .map(|comparison| (comparison.column, comparison.warning))
+            .chain(position_unit_warnings(run, machine))
     });
     let finding = |(key, warning)| Finding { key, grade: Plausibility::Unlikely, warning };
     volts.into_iter().chain(of_machine).map(finding).collect()
@@ -80,7 +83,7 @@ fn value_range(column: &Column) -> Option<[f64; 2]> {
 }
 
 fn column_warning(run: &RunFile, column: &str, what: &str, help: impl Into<String>) -> Warning {
-    let row = run.column(column).and_then(|values| values.iter().position(|it| !it.is_nan()));
+    let row = run.column(column).and_then(|values| values.iter().position(|value| !value.is_nan()));
     let place = run.value_location(row.unwrap_or(0), column);
     Warning { place, what: format!("{column} {what}"), help: help.into() }
 }

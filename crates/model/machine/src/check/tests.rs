@@ -277,8 +277,9 @@ fn each_rule_has_a_file_that_breaks_it_and_one_beside_it_that_does_not() {
 #[test]
 fn a_file_that_corrects_nothing() {
     let head = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
-    let told =
-        |text: &str| no_correction_warning(&parse(&format!("{head}{text}"))).map(|it| it.what);
+    let told = |text: &str| {
+        no_correction_warning(&parse(&format!("{head}{text}"))).map(|warning| warning.what)
+    };
     assert!(told("").expect("nothing").contains("every offset at 0"));
     let sensor = "[spindle.sensor]\nk0_um = 0.0\nzero_counts = 1.0\num_per_count = 0.1\n";
     assert!(told(sensor).expect("nothing").contains("no source"));
@@ -316,7 +317,7 @@ fn told_of_run(text: &str, machine: Option<&Machine>) -> Vec<String> {
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
     super::run_warnings(&run, machine)
         .into_iter()
-        .map(|it| format!("{}: {}", it.place, it.what))
+        .map(|warning| format!("{}: {}", warning.place, warning.what))
         .collect()
 }
 

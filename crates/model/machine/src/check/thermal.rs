@@ -52,8 +52,12 @@ fn kelvin_warnings(machine: &Machine, thermal: &ThermalLaw, key: &str) -> Vec<Wa
             .collect(),
         Some(rows) => {
             let rows = rows.iter().enumerate();
-            let warnings = rows.filter_map(|(row, it)| {
-                kelvin_warning(machine, &format!("{key}.table[{row}][0]"), it.temperature_c)
+            let warnings = rows.filter_map(|(row, thermal_row)| {
+                kelvin_warning(
+                    machine,
+                    &format!("{key}.table[{row}][0]"),
+                    thermal_row.temperature_c,
+                )
             });
             warnings.take(1).collect()
         }

@@ -87,8 +87,8 @@ pub(super) fn findings(
         findings.extend(
             run.columns()
                 .iter()
-                .find(|it| it.name == name)
-                .and_then(|it| error_unit_finding(run, it)),
+                .find(|column| column.name == name)
+                .and_then(|columns| error_unit_finding(run, columns)),
         );
     }
     findings.extend(speed_unit_finding(run));
@@ -102,7 +102,7 @@ fn new_finding(
     what: &str,
     help: &str,
 ) -> Finding {
-    let row = run.column(column).and_then(|values| values.iter().position(|it| !it.is_nan()));
+    let row = run.column(column).and_then(|values| values.iter().position(|value| !value.is_nan()));
     let place = run.value_location(row.unwrap_or(0), column);
     let warning = Warning { place, what: format!("{column} {what}"), help: help.into() };
     Finding { key: column.into(), grade, warning }
@@ -243,7 +243,7 @@ fn time_unit_finding(run: &RunFile, thermometers: &[&Column]) -> Option<Finding>
     // A part of a machine that turns: a rod over a flame and a printer's bed are faster.
     run.column("spindle_rpm")?;
     let parts = thermometers.iter().filter(|column| !is_fluid(&column.name));
-    let fastest = parts.filter_map(|it| Some((max_rate_c_per_s(time_s, &it.values)?, it)));
+    let fastest = parts.filter_map(|part| Some((max_rate_c_per_s(time_s, &part.values)?, part)));
     let (c_per_s, column) = fastest.max_by(|a, b| a.0.total_cmp(&b.0))?;
     if c_per_s <= MAX_HEATING_RATE_C_PER_S {
         return None;

@@ -129,7 +129,7 @@ pub(super) fn view<'t>(
     let pitch = tables.pitch.as_ref().map(PitchTables::view);
     let mm_per_min = axis.rapid_mm_per_min.unwrap_or(0.0);
     let rapid = round_to_u32(mm_per_min * SPEED_UNITS_PER_MM_PER_MIN)
-        .filter(|it| (*it > 0) == (mm_per_min > 0.0));
+        .filter(|speed| (*speed > 0) == (mm_per_min > 0.0));
     let rapid = rapid.ok_or_else(|| {
         let rule = format!("{mm_per_min} mm/min is not within the board's 0.6 to 2·10⁹");
         bad(format!("{key}.rapid_mm_per_min"), rule)

@@ -123,7 +123,7 @@ pub(super) fn build_curve(pieces: &[CurvePiece<'_>]) -> Result<OwnedCurve, Error
         add_segments(&mut segments, piece, piece.start, piece.end)?;
     }
     let ends: Vec<i64> =
-        segments.iter().map(|it| i64::from(it.end.0) - i64::from(first.start)).collect();
+        segments.iter().map(|segment| i64::from(segment.end.0) - i64::from(first.start)).collect();
     let (bucket_shift, index) = build_bucket_index(&ends)?;
     let mut curve = OwnedCurve {
         segments: segments.iter().map(Segment::to_bytes).collect(),

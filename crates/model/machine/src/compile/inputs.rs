@@ -105,7 +105,7 @@ pub(super) fn condition_column(bit: u8) -> String {
 
 /// Returns the first bit that no condition has.
 pub(crate) fn first_free_bit(inputs: &Inputs) -> Option<u8> {
-    let taken = |bit: &u8| inputs.conditions.values().any(|it| it.bit == *bit);
+    let taken = |bit: &u8| inputs.conditions.values().any(|condition| condition.bit == *bit);
     (0..trueup_core::dimensions::CONDITION_COUNT).find(|bit| !taken(bit))
 }
 

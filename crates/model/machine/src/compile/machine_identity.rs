@@ -25,11 +25,14 @@ pub(super) fn decompile_name(stored: &[u8]) -> Option<String> {
 pub(super) fn compile_cold_tolerance(machine: &Machine) -> Result<Temperature, BadInput> {
     let within = machine.cold_within_c;
     let stored = round_to_i32(within * UNITS_PER_KELVIN).map(Temperature);
-    stored.filter(|it| (Temperature(0)..=MAX_COLD_TOLERANCE).contains(it)).ok_or_else(|| {
-        let most = decompile_cold_tolerance_c(MAX_COLD_TOLERANCE);
-        let rule = format!("{within} is not within 0 to {most} °C, the most that the board allows");
-        machine.places.key_error("thermal_state.cold_within_c", rule)
-    })
+    stored.filter(|stored| (Temperature(0)..=MAX_COLD_TOLERANCE).contains(stored)).ok_or_else(
+        || {
+            let most = decompile_cold_tolerance_c(MAX_COLD_TOLERANCE);
+            let rule =
+                format!("{within} is not within 0 to {most} °C, the most that the board allows");
+            machine.places.key_error("thermal_state.cold_within_c", rule)
+        },
+    )
 }
 
 /// Returns the same as a user writes it.

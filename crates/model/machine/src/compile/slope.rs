@@ -145,24 +145,33 @@ pub fn check_slopes(machine: &Machine) -> Result<(), BadInput> {
         ];
         for (pitch, key) in tables {
             parts.extend(
-                pitch.map(|it| (format!("axis.{}.{key}", name.name()), max_table_slope(it))),
+                pitch.map(|pitch| (format!("axis.{}.{key}", name.name()), max_table_slope(pitch))),
             );
         }
     }
     let curves = machine.straightness.iter();
     parts.extend(
-        curves.map(|it| (format!("straightness.{}", it.name()), max_curve_slope(&it.spline))),
+        curves.map(|curve| {
+            (format!("straightness.{}", curve.name()), max_curve_slope(&curve.spline))
+        }),
     );
     let lines = machine.squareness.iter();
-    parts.extend(lines.map(|it| {
-        let slope = Slope { um_per_mm: it.um_per_m / 1000.0, at_mm: 0.0 };
-        (format!("squareness.{}", it.name()), slope)
+    parts.extend(lines.map(|squareness| {
+        let slope = Slope { um_per_mm: squareness.um_per_m / 1000.0, at_mm: 0.0 };
+        (format!("squareness.{}", squareness.name()), slope)
     }));
     let angles = machine.volume.angular.iter();
-    parts.extend(angles.map(|it| (format!("angular.{}", it.name()), max_angle_slope(&it.angle))));
+    parts.extend(
+        angles.map(|motion| (format!("angular.{}", motion.name()), max_angle_slope(&motion.angle))),
+    );
     let terms = machine.terms.iter().enumerate();
-    parts.extend(terms.map(|(index, it)| (format!("term[{index}]"), max_effect_slope(&it.effect))));
-    match parts.iter().find_map(|(key, it)| Some((key, slope_violation(*it, &machine.limits)?))) {
+    parts.extend(
+        terms.map(|(index, term)| (format!("term[{index}]"), max_effect_slope(&term.effect))),
+    );
+    match parts
+        .iter()
+        .find_map(|(key, slope)| Some((key, slope_violation(*slope, &machine.limits)?)))
+    {
         Some((key, rule)) => Err(machine.places.key_error(key, rule)),
         None => Ok(()),
     }

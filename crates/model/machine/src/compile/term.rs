@@ -252,7 +252,7 @@ fn compile_effect(
         BoardTerm::Condition { column, off, on, lag_s, times } => {
             let inputs = machine.inputs.as_ref();
             category::compile_condition(inputs, column, [*off, *on], *lag_s, times)
-                .map(|(it, nm)| (Effect::Condition(it), nm))
+                .map(|(condition, nm)| (Effect::Condition(condition), nm))
         }
         &BoardTerm::Wave { period_mm, harmonic, amplitude_um, phase_deg } => {
             compile_wave(period_mm, Wave { harmonic, amplitude_um, phase_deg })

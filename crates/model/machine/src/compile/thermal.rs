@@ -179,8 +179,9 @@ pub(super) fn decompile_spindle_temperature(
 /// Returns the law of an axis as a user writes it.
 pub(super) fn decompile_axis_thermal(thermal: &AxisThermalModel<'_>) -> ThermalLaw {
     let pieces: Vec<LawSegment> = thermal.law.pieces.iter().map(LawSegment::from_bytes).collect();
-    let has_constant =
-        pieces.iter().any(|it| it.constant != FineNanometres::ZERO || it.constant_slope != 0);
+    let has_constant = pieces
+        .iter()
+        .any(|piece| piece.constant != FineNanometres::ZERO || piece.constant_slope != 0);
     let mode = match (has_constant, thermal.law.depends_on_position()) {
         (true, true) => ThermalMode::Both,
         (true, false) => ThermalMode::Constant,

@@ -131,10 +131,11 @@ fn compile_rotary(
     account: &mut PartDifferences<'_>,
 ) -> Result<volumetric_error::RotaryLocation, BadInput> {
     let key = format!("rotary.{}", axis.name());
-    let known = machine.volume.rotary.iter().find(|it| it.axis == axis);
+    let known = machine.volume.rotary.iter().find(|location| location.axis == axis);
     let zero = [0.0; 3];
-    let (point_mm, shift_um, tilt_urad) =
-        known.map_or((zero, zero, zero), |it| (it.point_mm, it.shift_um, it.tilt_urad));
+    let (point_mm, shift_um, tilt_urad) = known.map_or((zero, zero, zero), |location| {
+        (location.point_mm, location.shift_um, location.tilt_urad)
+    });
     let made = compile_positions(point_mm, MAX_LEVER_ARM);
     let point = made.map_err(|rule| machine.places.key_error(&format!("{key}.point_mm"), rule))?;
     let mut along = |um: f64, levers: f64| {
@@ -160,8 +161,9 @@ pub(super) fn decompile(
 ) -> VolumetricModel {
     let Some(it) = volume else { return VolumetricModel::default() };
     let turning = |is_table: bool| {
-        let all = it.rotary.iter().flatten().filter(move |it| it.moves_workpiece == is_table);
-        all.map(|it| rotary_axis_from_board(it.axis)).collect::<Vec<_>>()
+        let all =
+            it.rotary.iter().flatten().filter(move |location| location.moves_workpiece == is_table);
+        all.map(|location| rotary_axis_from_board(location.axis)).collect::<Vec<_>>()
     };
     let chain = Chain {
         linear: it.chain.order().map(linear_axis_from_board),
@@ -183,23 +185,27 @@ pub(super) fn decompile(
         };
         Some(AngularErrorMotion { about, along, angle })
     });
-    let rotary = it.rotary.iter().flatten().map(|it| RotaryLocationErrors {
-        axis: rotary_axis_from_board(it.axis),
-        point_mm: to_millimetres(it.point),
-        shift_um: it.shift.map(|um| to_user_value(um.0, FINE_UNITS_PER_UM)),
-        tilt_urad: it.tilt.map(|um| to_user_value(um.0, FINE_UNITS_PER_UM * REFERENCE_LEVER_M)),
+    let rotary = it.rotary.iter().flatten().map(|location| RotaryLocationErrors {
+        axis: rotary_axis_from_board(location.axis),
+        point_mm: to_millimetres(location.point),
+        shift_um: location.shift.map(|um| to_user_value(um.0, FINE_UNITS_PER_UM)),
+        tilt_urad: location
+            .tilt
+            .map(|um| to_user_value(um.0, FINE_UNITS_PER_UM * REFERENCE_LEVER_M)),
     });
     VolumetricModel {
         chain: Some(chain),
         angular: angular.collect(),
         point_mm: it.guides.each_ref().map(|guide| to_millimetres(guide.point)),
-        rotary: rotary.filter(|it| !it.is_error_free() || it.point_mm != [0.0; 3]).collect(),
+        rotary: rotary
+            .filter(|location| !location.is_error_free() || location.point_mm != [0.0; 3])
+            .collect(),
         tool: decompile_tool_tip(to_millimetres(it.tool), direction),
     }
 }
 
 fn to_millimetres(places: [Position; 3]) -> [f64; 3] {
-    places.map(|it| to_user_value(it.0, POSITION_UNITS_PER_MM))
+    places.map(|place| to_user_value(place.0, POSITION_UNITS_PER_MM))
 }
 
 /// Returns the tool of this tip: its length where it lies along an axis of the machine, else an offset alone.

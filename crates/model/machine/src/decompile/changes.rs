@@ -135,8 +135,9 @@ fn append_axis_changes(
         all.push(format_change(&format!("{axis:?}: {what}"), size, over));
     };
     if a.thermal != b.thermal {
-        let [old, new] =
-            [a, b].map(|it| it.thermal.map_or_else(ThermalExpansionLaw::default, |it| it.law));
+        let [old, new] = [a, b].map(|axis| {
+            axis.thermal.map_or_else(ThermalExpansionLaw::default, |thermal| thermal.law)
+        });
         let size = law_difference_nm(old, new);
         note("heat", Some(size), " over 1 m, from -20 to 100 °C");
     }
@@ -144,7 +145,7 @@ fn append_axis_changes(
         note("pitch", pitch_change_nm(a.pitch.as_ref(), b.pitch.as_ref()), "");
     }
     if a.dual != b.dual {
-        let [old, new] = [a, b].map(|it| it.dual.map(|it| it.pitch));
+        let [old, new] = [a, b].map(|axis| axis.dual.map(|dual| dual.pitch));
         note("second drive", pitch_change_nm(old.as_ref(), new.as_ref()), "");
     }
     if a.backlash != b.backlash {

@@ -213,10 +213,12 @@ pub(super) fn volume_difference_nm(
     a: &VolumetricErrorModel<'_>,
     b: &VolumetricErrorModel<'_>,
 ) -> Option<f64> {
-    let lines = |it: &VolumetricErrorModel<'_>| {
-        it.rotary.map(|it| it.map(|it| (it.axis, it.moves_workpiece, it.point)))
+    let lines = |model: &VolumetricErrorModel<'_>| {
+        model.rotary.map(|rotary| {
+            rotary.map(|location| (location.axis, location.moves_workpiece, location.point))
+        })
     };
-    let points = |it: &VolumetricErrorModel<'_>| it.guides.map(|guide| guide.point);
+    let points = |model: &VolumetricErrorModel<'_>| model.guides.map(|guide| guide.point);
     let is_alike =
         a.chain == b.chain && a.tool == b.tool && lines(a) == lines(b) && points(a) == points(b);
     if !is_alike {

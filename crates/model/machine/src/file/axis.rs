@@ -359,12 +359,12 @@ pub(super) fn write(axis: &AxisModel, of: LinearAxis) -> Vec<NewSection> {
     let inner = |key: &str| NewSection::new(format!("{name}.{key}"));
     let mut sections = Vec::new();
     sections.push(axis.write(NewSection::new(&name)));
-    sections.extend(axis.thermal.as_ref().map(|it| write_thermal(inner("thermal"), it)));
-    sections.extend(axis.pitch.as_ref().map(|it| it.write(inner("pitch"))));
+    sections.extend(axis.thermal.as_ref().map(|thermal| write_thermal(inner("thermal"), thermal)));
+    sections.extend(axis.pitch.as_ref().map(|pitch| pitch.write(inner("pitch"))));
     if let Some(dual) = &axis.dual {
         sections.extend([dual.write(inner("dual")), dual.pitch.write(inner("dual.pitch"))]);
     }
-    sections.extend(axis.backlash.as_ref().map(|it| it.write(inner("backlash"))));
+    sections.extend(axis.backlash.as_ref().map(|backlash| backlash.write(inner("backlash"))));
     sections.retain(|section| !section.is_empty());
     sections
 }

@@ -34,14 +34,14 @@ impl Chain {
     /// Returns whether a linear axis moves the workpiece.
     #[must_use]
     pub fn moves_workpiece(&self, axis: LinearAxis) -> bool {
-        self.linear.iter().take(self.on_workpiece).any(|it| *it == axis)
+        self.linear.iter().take(self.on_workpiece).any(|candidate| *candidate == axis)
     }
 
     /// Returns the axes whose positions are part of the lever of `axis`: those between it and the tool, and its own
     /// where it moves the workpiece.
     #[must_use]
     pub fn lever_axes(&self, axis: LinearAxis) -> &[LinearAxis] {
-        let own = self.linear.iter().position(|it| *it == axis).unwrap_or(0);
+        let own = self.linear.iter().position(|candidate| *candidate == axis).unwrap_or(0);
         let first = if self.moves_workpiece(axis) { own } else { own + 1 };
         self.linear.get(first..).unwrap_or_default()
     }

@@ -110,7 +110,7 @@ pub(super) fn read(section: &Section<'_>) -> Result<Inputs, BadInput> {
             };
         } else if let Some(condition) = section.section(key)?.filter(is_condition) {
             let input = read_condition(&condition, key)?;
-            let is_taken = |(_, it): &(&String, &ConditionInput)| it.bit == input.bit;
+            let is_taken = |(_, other): &(&String, &ConditionInput)| other.bit == input.bit;
             if let Some((other, _)) = inputs.conditions.iter().find(is_taken) {
                 let rule = format!("{} is already that of {other}", input.bit);
                 return Err(condition.key_error("bit", rule));

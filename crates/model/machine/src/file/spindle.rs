@@ -215,19 +215,21 @@ pub(super) fn write(spindle: &Spindle) -> Vec<NewSection> {
     if let Some(source) = spindle.source {
         sections.push(write_key(NewSection::new("spindle"), &SOURCE_KEY, &source));
     }
-    sections.extend(spindle.sensor.clone().map(|it| {
-        let SensorModel { k0_um, zero_counts, um_per_count, temperature } = it;
+    sections.extend(spindle.sensor.clone().map(|sensor| {
+        let SensorModel { k0_um, zero_counts, um_per_count, temperature } = sensor;
         let (zero_counts, um_per_count) = (Some(zero_counts), Some(um_per_count));
         let (zero_v, um_per_v) = (None, None);
         SensorKeys { k0_um, zero_counts, um_per_count, zero_v, um_per_v, temperature }
             .write(inner(SENSOR_KEY))
     }));
-    sections.extend(spindle.temperature.as_ref().map(|it| it.write(inner(TEMPERATURE_KEY))));
-    sections.extend(spindle.warmup.as_ref().map(|it| {
-        let section = it.write(inner(WARMUP_KEY));
-        if it.rated_rpm.is_some() { section } else { section.without_keys(&["speed_exponent"]) }
+    sections.extend(
+        spindle.temperature.as_ref().map(|temperature| temperature.write(inner(TEMPERATURE_KEY))),
+    );
+    sections.extend(spindle.warmup.as_ref().map(|warmup| {
+        let section = warmup.write(inner(WARMUP_KEY));
+        if warmup.rated_rpm.is_some() { section } else { section.without_keys(&["speed_exponent"]) }
     }));
-    sections.extend(spindle.tools.as_ref().map(|it| tools::write(inner(TOOLS_KEY), it)));
+    sections.extend(spindle.tools.as_ref().map(|table| tools::write(inner(TOOLS_KEY), table)));
     sections
 }
 

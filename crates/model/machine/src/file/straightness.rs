@@ -57,7 +57,11 @@ impl Squareness {
 
 /// Returns the key of a pair; `None` where it is no pair of two axes.
 fn pair_key(keys: &'static [Key], pair: (LinearAxis, LinearAxis)) -> Option<&'static Key> {
-    Straightness::AXIS_PAIRS.iter().zip(keys).find(|(it, _)| **it == pair).map(|(_, key)| key)
+    Straightness::AXIS_PAIRS
+        .iter()
+        .zip(keys)
+        .find(|(candidate, _)| **candidate == pair)
+        .map(|(_, key)| key)
 }
 
 /// A clamped B-spline: µm over mm.

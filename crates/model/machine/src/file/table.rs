@@ -189,8 +189,8 @@ pub(crate) fn default_table<T: Table>() -> Option<T> {
 /// Returns `section` with this key.
 pub(crate) fn write_key<T: KeyValue>(section: NewSection, key: &Key, value: &T) -> NewSection {
     let written = value.to_value(key);
-    let is_left_out =
-        key.is_quiet && resolve_default::<T>(key).is_some_and(|it| it.to_value(key) == written);
+    let is_left_out = key.is_quiet
+        && resolve_default::<T>(key).is_some_and(|default| default.to_value(key) == written);
     match written {
         Some(value) if !is_left_out => section.with_value(key.name, value),
         _ => section,
@@ -275,7 +275,8 @@ impl KeyValue for u32 {
 impl KeyValue for u8 {
     fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
         let whole = u32::read_value(section, key)?;
-        Ok(whole.map(|it| u8::try_from(it).expect("the key's range is within that of u8")))
+        Ok(whole
+            .map(|integer| u8::try_from(integer).expect("the key's range is within that of u8")))
     }
 
     fn to_value(&self, _: &Key) -> Option<Value> {
@@ -286,7 +287,8 @@ impl KeyValue for u8 {
 impl KeyValue for u16 {
     fn read_value(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
         let whole = u32::read_value(section, key)?;
-        Ok(whole.map(|it| u16::try_from(it).expect("the key's range is within that of u16")))
+        Ok(whole
+            .map(|integer| u16::try_from(integer).expect("the key's range is within that of u16")))
     }
 
     fn to_value(&self, _: &Key) -> Option<Value> {

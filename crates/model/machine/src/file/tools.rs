@@ -76,7 +76,8 @@ impl Tool {
     /// Returns its key in the file.
     #[must_use]
     pub fn key(&self) -> String {
-        self.number.map_or_else(|| self.label.clone().unwrap_or_default(), |it| it.to_string())
+        self.number
+            .map_or_else(|| self.label.clone().unwrap_or_default(), |number| number.to_string())
     }
 }
 
@@ -122,7 +123,7 @@ pub(super) fn read(section: &Section<'_>) -> Result<Tools, BadInput> {
                 (Some(number), label)
             }
         };
-        let label = label.map(|it| it.trim().to_string());
+        let label = label.map(|label| label.trim().to_string());
         if label.as_deref().is_some_and(|label| label.is_empty() || label.parse::<f64>().is_ok()) {
             return Err(of.key_error("label", "must be a word, not empty and no number"));
         }

@@ -23,7 +23,7 @@ pub(super) fn find_key_faults(section: &Section<'_>, keys: &[Key]) -> Vec<BadInp
     for key in keys.iter().filter(|key| key.need == Requirement::Required) {
         if !there.contains(key.name) {
             faults.extend(
-                section.required::<()>(key.name, None).err().map(|it| add_key_help(it, key)),
+                section.required::<()>(key.name, None).err().map(|fault| add_key_help(fault, key)),
             );
         }
     }
@@ -106,7 +106,9 @@ fn unknown_key_error(section: &Section<'_>, name: &str, names: &[&str]) -> BadIn
 /// tool.
 fn matches_key(section: &Section<'_>, key: &Key, name: &str) -> bool {
     match key.name {
-        "<condition>" => section.section(name).ok().flatten().is_some_and(|it| is_condition(&it)),
+        "<condition>" => {
+            section.section(name).ok().flatten().is_some_and(|section| is_condition(&section))
+        }
         "<tool>" => name != "default",
         pattern if pattern.contains('<') => is_temperature_column(name),
         exact => exact == name,

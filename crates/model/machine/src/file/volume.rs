@@ -42,13 +42,16 @@ impl VolumetricModel {
     /// Returns whether anything in it makes an error.
     #[must_use]
     pub fn has_errors(&self) -> bool {
-        !self.angular.is_empty() || self.rotary.iter().any(|it| !it.is_error_free())
+        !self.angular.is_empty() || self.rotary.iter().any(|location| !location.is_error_free())
     }
 
     /// Returns where the line of a rotary axis should be, in mm.
     #[must_use]
     pub fn axis_line_point_mm(&self, axis: RotaryAxis) -> [f64; 3] {
-        self.rotary.iter().find(|it| it.axis == axis).map_or([0.0; 3], |it| it.point_mm)
+        self.rotary
+            .iter()
+            .find(|location| location.axis == axis)
+            .map_or([0.0; 3], |location| location.point_mm)
     }
 }
 
@@ -74,7 +77,9 @@ impl AngularErrorMotion {
     #[must_use]
     pub fn name(&self) -> String {
         let all = Self::all_axis_pairs().into_iter().zip(ANGULAR_ERROR_KEYS);
-        let key = all.filter(|(it, _)| *it == (self.about, self.along)).map(|(_, key)| key.name);
+        let key = all
+            .filter(|(candidate, _)| *candidate == (self.about, self.along))
+            .map(|(_, key)| key.name);
         key.collect()
     }
 }
@@ -319,11 +324,11 @@ pub(super) fn check(root: &Section<'_>, volume: &VolumetricModel) -> Result<(), 
         return Err(root.key_error(first, rule).with_help(help));
     };
     let rotary = chain.rotary_axes();
-    let outside = volume.rotary.iter().find(|it| !rotary.contains(&it.axis));
-    outside.map_or(Ok(()), |it| {
+    let outside = volume.rotary.iter().find(|location| !rotary.contains(&location.axis));
+    outside.map_or(Ok(()), |location| {
         let rule =
             format!("is not in machine.chain, \"{chain}\": write where it stands, or take it out");
-        Err(root.key_error(&format!("rotary.{}", it.axis.name()), rule))
+        Err(root.key_error(&format!("rotary.{}", location.axis.name()), rule))
     })
 }
 

@@ -52,7 +52,7 @@ pub(crate) fn spline_basis_values(spline: &BSpline, position_mm: f64) -> (usize,
         at.de_boor(spline, d)
     };
     let mut weights = [0.0; 4];
-    weights.iter_mut().enumerate().take(spline.order).for_each(|(n, it)| *it = weight(n));
+    weights.iter_mut().enumerate().take(spline.order).for_each(|(n, value)| *value = weight(n));
     (at.first, weights)
 }
 

@@ -262,7 +262,8 @@ impl DelayedParts {
         sensor: &str,
         situation: &RowInputs<'_>,
     ) -> f64 {
-        let is_late = self.0[Quantity::ALL.iter().position(|it| *it == quantity).unwrap_or(0)];
+        let is_late =
+            self.0[Quantity::ALL.iter().position(|other| *other == quantity).unwrap_or(0)];
         let part = is_late
             .then(|| part_column_name(quantity))
             .and_then(|name| situation.temperatures_c.iter().find(|(there, _)| *there == name));

@@ -12,7 +12,7 @@ pub(crate) fn tool_growth_term(list: &Tools) -> Term {
     let levels = |tool: &Tool| {
         let code = tool.label.as_deref().map(label_code);
         let um = tool.um_per_krpm2;
-        tool.number.map(f64::from).into_iter().chain(code).map(move |it| (it, um))
+        tool.number.map(f64::from).into_iter().chain(code).map(move |number| (number, um))
     };
     let (levels, added) = list.tools.iter().flat_map(levels).unzip();
     let form = DependenceForm::Level { levels, added, otherwise: list.default_um_per_krpm2 };

@@ -106,7 +106,7 @@ fn tip_and_head_error(
         if error_um != [0.0; 3] {
             error_um = rotate_about_axis(error_um, axis, angle);
         }
-        if let Some(location) = volume.rotary.iter().find(|it| it.axis == axis) {
+        if let Some(location) = volume.rotary.iter().find(|location| location.axis == axis) {
             error_um = add_vectors(error_um, location_error_um(location, arm_mm));
         }
         tip_mm = add_vectors(point_mm, arm_mm);
@@ -129,8 +129,8 @@ fn table_axes_error_um(
     let mut sum_um = [0.0; 3];
     for &axis in &chain.table {
         let point_mm = volume.axis_line_point_mm(axis);
-        let location = volume.rotary.iter().find(|it| it.axis == axis);
-        if let Some(location) = location.filter(|it| !it.is_error_free()) {
+        let location = volume.rotary.iter().find(|location| location.axis == axis);
+        if let Some(location) = location.filter(|location| !location.is_error_free()) {
             let own_um = location_error_um(location, subtract_vectors(seen_mm, point_mm));
             let error_um = before.iter().rev().fold(own_um, |um, &turned| {
                 rotate_about_axis(um, turned, -angle_deg[turned.index()])
@@ -188,7 +188,7 @@ impl Machine {
             return Vec::new();
         };
         let is_wrong = |axis: &RotaryAxis| {
-            volume.rotary.iter().any(|it| it.axis == *axis && !it.is_error_free())
+            volume.rotary.iter().any(|location| location.axis == *axis && !location.is_error_free())
         };
         let mut axes = chain.head.clone();
         // What is wrong with the axis next to the workpiece turns with the one under it.
@@ -217,14 +217,15 @@ mod tests {
     }
 
     fn machine(chain: &str, rest: &str) -> Machine {
-        let kind = match chain.chars().filter(|it| "ABC".contains(*it)).count() {
+        let kind = match chain.chars().filter(|character| "ABC".contains(*character)).count() {
             0 => "kind = \"3-axis\"",
             1 if chain.contains("B t") => "kind = \"head-table\", head_axes = [\"b\"]",
             2 if chain.contains("C A t") => "kind = \"head-head\", head_axes = [\"c\", \"a\"]",
             _ => "kind = \"table-table\"",
         };
         let text = format!("machine = {{ name = \"m\", {kind}, chain = \"{chain}\" }}\n{rest}");
-        MachineFile::parse(&text, Path::new("m.toml")).unwrap_or_else(|it| panic!("{it}\n{text}"))
+        MachineFile::parse(&text, Path::new("m.toml"))
+            .unwrap_or_else(|error| panic!("{error}\n{text}"))
     }
 
     #[track_caller]

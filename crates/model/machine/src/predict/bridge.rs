@@ -55,7 +55,8 @@ impl SimulatedBridge {
             }
         }
         let conditions = wired.inputs.iter().flat_map(|inputs| &inputs.conditions);
-        let conditions = conditions.map(|(name, it)| (name.clone(), it.bit)).collect();
+        let conditions =
+            conditions.map(|(name, condition)| (name.clone(), condition.bit)).collect();
         Ok(Self { input, channels, conditions, compiled })
     }
 }
@@ -79,7 +80,9 @@ fn with_temperature_channels(machine: &Machine) -> Machine {
         }
     }
     for name in used {
-        let taken = |channel: &u8| inputs.temperatures.values().any(|it| it.channel == *channel);
+        let taken = |channel: &u8| {
+            inputs.temperatures.values().any(|temperature| temperature.channel == *channel)
+        };
         if !inputs.temperatures.contains_key(&name)
             && let Some(channel) = (0..=MAX_CHANNEL).find(|channel| !taken(channel))
         {
@@ -137,7 +140,8 @@ impl<'b> BridgeRun<'b> {
         self.step_thermal(situation);
         self.apply_conditions(situation);
         let calibration = &self.calibration;
-        let reading = self.bridge.input.map(|it| it.reading_from_counts(situation.sensor_counts));
+        let reading =
+            self.bridge.input.map(|input| input.reading_from_counts(situation.sensor_counts));
         let by_sensor = calibration.spindle.sensor.elongation(reading.unwrap_or_default());
         let source = calibration.spindle.chain[0];
         let plain = tip_error::source_elongation(source, by_sensor, &self.heat).to_fine();
@@ -180,7 +184,7 @@ impl<'b> BridgeRun<'b> {
         let on = self.bridge.conditions.iter().filter(holds);
         let bits = on.fold(0, |bits, (_, bit)| bits | 1_u16.wrapping_shl((*bit).into()));
         let value = situation.other_value(TOOL_COLUMN);
-        let of_label = self.codes.iter().find(|(code, _)| *code == value).map(|(_, it)| *it);
+        let of_label = self.codes.iter().find(|(code, _)| *code == value).map(|(_, code)| *code);
         // A cast from f64 saturates: a label that is not known is tool 0.
         let tool = of_label.unwrap_or(value as u16);
         self.heat.set_conditions(&self.calibration, Some(Conditions { tool, bits }));
@@ -224,8 +228,9 @@ impl<'b> BridgeRun<'b> {
         }
         // Lags start settled; and what has none is not bound to the board's steps.
         let follows = |smoothing: SmoothingFactor| is_first || smoothing == SmoothingFactor::NO_LAG;
-        let axes = self.calibration.axes.iter().map(|axis| axis.thermal.map(|it| it.smoothing));
-        let spindle = self.calibration.spindle.temperature.map(|it| it.smoothing);
+        let axes =
+            self.calibration.axes.iter().map(|axis| axis.thermal.map(|thermal| thermal.smoothing));
+        let spindle = self.calibration.spindle.temperature.map(|temperature| temperature.smoothing);
         let terms = self.calibration.terms.iter().map(|term| match term.as_ref()?.effect {
             term::Effect::Heat { smoothing, .. } | term::Effect::HeatSlope { smoothing, .. } => {
                 Some(smoothing)

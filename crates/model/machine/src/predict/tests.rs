@@ -162,7 +162,9 @@ fn a_tool_of_another_length_errs_by_its_own_lever_and_the_board_knows_that_of_th
     assert_eq!(all[1].model.error_um, [0.0, 1.0, 5.0]);
     assert!(all[2].model.error_um[1].is_nan(), "{:?}", all[2]);
     assert_eq!(all[2].model.error_um[2].to_bits(), 5.0_f64.to_bits());
-    assert!(all.iter().take(2).all(|it| it.compensated.error_um == [0.0, -1.0, 5.0]));
+    assert!(
+        all.iter().take(2).all(|prediction| prediction.compensated.error_um == [0.0, -1.0, 5.0])
+    );
     assert!(all[1].arithmetic_error_nm().expect("a board") < 1.0);
     assert_eq!(predictor.unsupported_features(), ["tool_length_mm"]);
     let (_, account) = written(text, "x_mm,y_mm,z_mm,tool_length_mm\n1000,500,200,300\n");

@@ -26,7 +26,7 @@ fn fault_values_become_missing_ones_and_are_reported_with_count_value_and_line()
     }
     let (cleaned, warnings) = without_fault_values(run(&text));
     let said: Vec<String> =
-        warnings.iter().map(|it| format!("{}: {}", it.place, it.what)).collect();
+        warnings.iter().map(|warning| format!("{}: {}", warning.place, warning.what)).collect();
     assert_eq!(said.len(), 2, "{said:?}");
     assert!(
         said[0].starts_with("r.csv:42:5: temp_a_c shows 988.79 in 3 rows (first in line 42)"),

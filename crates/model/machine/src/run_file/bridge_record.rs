@@ -32,18 +32,20 @@ impl RunFile {
         for channel in 0..=crate::inputs::MAX_CHANNEL {
             let unnamed = format!("temp_channel{channel}_c");
             let Some(values) = self.column(&unnamed) else { continue };
-            let is_empty = values.iter().all(|it| it.is_nan());
+            let is_empty = values.iter().all(|value| value.is_nan());
             let inputs = machine.inputs.iter().flat_map(|inputs| &inputs.temperatures);
-            let name =
-                inputs.into_iter().find(|(_, it)| it.channel == channel).map(|(name, _)| name);
+            let name = inputs
+                .into_iter()
+                .find(|(_, input)| input.channel == channel)
+                .map(|(name, _)| name);
             match name {
                 Some(name) if self.column(name).is_none() => {
                     let values = values.to_vec();
                     self.add_column(name, &unnamed, values);
-                    self.remove_columns(|it| it == unnamed);
+                    self.remove_columns(|name| name == unnamed);
                 }
                 // Nothing is connected there.
-                None if is_empty => self.remove_columns(|it| it == unnamed),
+                None if is_empty => self.remove_columns(|name| name == unnamed),
                 _ => {}
             }
         }
@@ -75,7 +77,7 @@ mod tests {
         assert_eq!(run.column("sensor_counts"), Some(&[5_100.0, 5_200.0][..]));
         assert_eq!(run.column("temp_coil_c"), Some(&[21.5, 22.0][..]));
         // A thermometer that the file does not name stays; a channel without one goes.
-        let names: Vec<_> = run.columns().iter().map(|it| it.name.as_str()).collect();
+        let names: Vec<_> = run.columns().iter().map(|column| column.name.as_str()).collect();
         assert!(names.contains(&"temp_channel3_c"), "{names:?}");
         for gone in ["elongation_um", "temp_channel1_c", "temp_channel2_c"] {
             assert!(!names.contains(&gone), "{names:?}");

@@ -30,6 +30,6 @@ pub(super) fn parse(cell: &str, number: Result<f64, String>) -> Result<f64, Stri
 fn is_label(cell: &str) -> bool {
     cell.contains(char::is_alphabetic)
         && cell.chars().count() <= MAX_LABEL_CHARACTERS
-        && !cell.chars().any(|it| it.is_control() || it == ',')
+        && !cell.chars().any(|character| character.is_control() || character == ',')
         && cell.parse::<f64>().is_err()
 }

@@ -22,7 +22,9 @@ impl RunFile {
         let tools = machine.spindle.tools.as_ref();
         let codes: Vec<(f64, u16)> = tools.into_iter().flat_map(Tools::label_codes).collect();
         let is_listed = |label: &str| {
-            tools.is_some_and(|it| it.tools.iter().any(|it| it.label.as_deref() == Some(label)))
+            tools.is_some_and(|table| {
+                table.tools.iter().any(|tool| tool.label.as_deref() == Some(label))
+            })
         };
         if let Some((code, label)) = self.labels.iter().find(|(_, label)| !is_listed(label)) {
             let values = self.column(TOOL_COLUMN).unwrap_or_default();

@@ -414,7 +414,7 @@ fn each_term_tells_all_that_is_wrong_with_it() {
                  [[term]]\ncause = \"backlsh\"\nquantity = \"dq\"\ncolour = 1\n\
                  [[term]]\ncause = \"pitch-error\"\nquantity = \"dx\"\nstart_mm = 0\nstep_mm = 0\n";
     let error = error_of(&format!("{MACHINE}{terms}"));
-    let told: Vec<String> = error.into_single_faults().map(|it| it.to_string()).collect();
+    let told: Vec<String> = error.into_single_faults().map(|fault| fault.to_string()).collect();
     let wanted = [
         "7:8: term[0].at_s must be a number",
         "8:11: term[0].size_um must be a number",

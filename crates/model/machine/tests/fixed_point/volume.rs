@@ -109,18 +109,22 @@ fn a_drawn_volume_is_shown_as_a_file_that_compiles_to_it_again() {
     for (seed, chain) in (20..).zip(CHAINS) {
         let (machine, compiled) = compiled(&drawn(chain, &mut Random(seed)));
         let shown = decompile_to_toml(&compiled.calibration());
-        let nm = shown.largest_difference_nm.unwrap_or_else(|it| panic!("{it}\n{}", shown.toml));
+        let nm =
+            shown.largest_difference_nm.unwrap_or_else(|error| panic!("{error}\n{}", shown.toml));
         assert!(nm < 2.0, "{nm} nm");
         let (again, compiled_again) = self::compiled(&shown.toml);
         assert_eq!(again.volume.chain, machine.volume.chain, "{}", shown.toml);
         // Length and offset are one tip on the board, to its 10 nm.
-        let tips = [&again, &machine].map(|it| it.volume.tool.tip_offset_mm(it.tool_direction));
+        let tips = [&again, &machine]
+            .map(|machine| machine.volume.tool.tip_offset_mm(machine.tool_direction));
         let off_mm = tips[0].iter().zip(tips[1]).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         assert!(off_mm < 1e-5, "{tips:?}");
         assert_eq!(again.kind, machine.kind);
         let told =
             changes::describe_changes(&compiled.calibration(), &compiled_again.calibration());
-        let of_volume = told.iter().all(|it| it.starts_with("angular") && it.contains("0.00 µm"));
+        let of_volume = told
+            .iter()
+            .all(|warning| warning.starts_with("angular") && warning.contains("0.00 µm"));
         assert!(of_volume, "{told:?}");
     }
 }

@@ -79,7 +79,8 @@ fn what_fits_no_machine_is_refused_with_its_place() {
         let error = MachineFile::parse(&text, Path::new("m.toml")).expect_err(rule).to_string();
         assert!(error.contains(rule), "{error}");
         let first = text.lines().position(|line| line == "[[term]]").expect("it is there") + 1;
-        let line: usize = error.split(':').nth(1).and_then(|it| it.parse().ok()).expect("a line");
+        let line: usize =
+            error.split(':').nth(1).and_then(|part| part.parse().ok()).expect("a line");
         assert!(line >= first, "{error}");
     }
     let text = format!("{HEAD}term = 3\n");

@@ -109,7 +109,9 @@ pub fn save_backup(
 
 /// Returns what the file holds, unless it is nothing, or a backup of the same owner.
 fn foreign_content(file: &Path, owner: &BoardIdentity) -> Option<String> {
-    if output::is_standard_output(file) || !fs::metadata(file).is_ok_and(|it| it.is_file()) {
+    if output::is_standard_output(file)
+        || !fs::metadata(file).is_ok_and(|metadata| metadata.is_file())
+    {
         return None;
     }
     let text = files::read_text(file, MAX_BACKUP_BYTES).unwrap_or_else(|_| "?".into());
@@ -172,7 +174,8 @@ pub fn restore(args: &RestoreArgs, as_json: bool) -> Result<Outcome> {
     // What counts is what becomes of the board.
     trueup_output::enable_best_effort();
     let saved = read_backup(&args.file)?;
-    let is_bound = decode(&saved.calibration).is_ok_and(|it| it.names.board != [0; 3]);
+    let is_bound =
+        decode(&saved.calibration).is_ok_and(|calibration| calibration.names.board != [0; 3]);
     if !saved.has_checksum() && saved.reference.is_some() {
         report::warn(format_args!(
             "{}: has no checksum (version 0.2 wrote it): look at the reference before you confirm it",

@@ -349,29 +349,33 @@ impl BridgeInfo {
         all["version"] = json!(self.version);
         all["serial"] = json!(self.serial);
         all["heartbeat"] = json!(self.heartbeat.map(nmt_state_name));
-        all["device"] = json!(objects.map(|it| &it.device));
-        all["hardware"] = json!(objects.map(|it| &it.hardware));
-        all["software"] = json!(objects.map(|it| it.software.to_string()));
-        all["firmware_slots"] = json!(objects.and_then(|it| it.slots).map(|it| it.to_json()));
-        all["calibration_crc"] = json!(objects.and_then(|it| crc(it.calibration)));
-        all["new_calibration_crc"] = json!(objects.and_then(|it| crc(it.new_calibration)));
+        all["device"] = json!(objects.map(|objects| &objects.device));
+        all["hardware"] = json!(objects.map(|objects| &objects.hardware));
+        all["software"] = json!(objects.map(|objects| objects.software.to_string()));
+        all["firmware_slots"] =
+            json!(objects.and_then(|objects| objects.slots).map(|slots| slots.to_json()));
+        all["calibration_crc"] = json!(objects.and_then(|objects| crc(objects.calibration)));
+        all["new_calibration_crc"] =
+            json!(objects.and_then(|objects| crc(objects.new_calibration)));
         let named = |text: &str| (!text.is_empty()).then(|| text.to_owned());
-        all["machine"] = json!(objects.and_then(|it| named(&it.machine)));
-        all["machine_serial"] = json!(objects.and_then(|it| named(&it.serial)));
-        all["writes"] = json!(
-            objects.map(|it| it.writes.iter().map(write_log::record_to_json).collect::<Vec<_>>())
+        all["machine"] = json!(objects.and_then(|objects| named(&objects.machine)));
+        all["machine_serial"] = json!(objects.and_then(|objects| named(&objects.serial)));
+        all["writes"] = json!(objects.map(|objects| {
+            objects.writes.iter().map(write_log::record_to_json).collect::<Vec<_>>()
+        }));
+        all["has_reference"] = json!(objects.map(|objects| objects.reference.in_force.is_some()));
+        all["reference"] = json!(objects.map(|objects| objects.reference.to_json()));
+        all["asks"] = json!(objects.map(|objects| objects.asks.keywords()));
+        all["learned"] = json!(objects.and_then(|objects| objects.learned.as_ref()));
+        all["conditions"] = json!(objects.and_then(|objects| objects.conditions.as_ref()));
+        all["faults"] = json!(objects.map(|objects| &objects.faults));
+        all["state"] = json!(objects.map(|objects| &objects.state));
+        all["reset_reason"] = json!(objects.map(|objects| objects.reset.as_str()));
+        all["reset_at"] =
+            json!(objects.map(|objects| &objects.stop).filter(|stop| !stop.is_empty()));
+        all["resets"] = json!(
+            objects.map(|objects| objects.resets.iter().copied().collect::<BTreeMap<_, _>>())
         );
-        all["has_reference"] = json!(objects.map(|it| it.reference.in_force.is_some()));
-        all["reference"] = json!(objects.map(|it| it.reference.to_json()));
-        all["asks"] = json!(objects.map(|it| it.asks.keywords()));
-        all["learned"] = json!(objects.and_then(|it| it.learned.as_ref()));
-        all["conditions"] = json!(objects.and_then(|it| it.conditions.as_ref()));
-        all["faults"] = json!(objects.map(|it| &it.faults));
-        all["state"] = json!(objects.map(|it| &it.state));
-        all["reset_reason"] = json!(objects.map(|it| it.reset.as_str()));
-        all["reset_at"] = json!(objects.map(|it| &it.stop).filter(|stop| !stop.is_empty()));
-        all["resets"] =
-            json!(objects.map(|it| it.resets.iter().copied().collect::<BTreeMap<_, _>>()));
         all
     }
 

@@ -166,7 +166,8 @@ fn previous_calibration_file(session: &mut Session) -> Result<PathBuf> {
     if let Some(path) = place.as_ref().and_then(|place| place.find(running)) {
         return Ok(path);
     }
-    let place = place.map_or("no folder for states".into(), |it| it.folder().display().to_string());
+    let place =
+        place.map_or("no folder for states".into(), |place| place.folder().display().to_string());
     bail!(UserError(format!(
         "this computer has no calibration that {running:08x} has replaced on this board ({place}): it was loaded \
          elsewhere, or is the board's first. trueup bridge info lists what was loaded; load its file, or a backup (trueup \

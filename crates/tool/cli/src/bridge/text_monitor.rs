@@ -313,7 +313,8 @@ impl MonitorLine {
         line["lost"] = json!(lost);
         line["unpaired"] = json!(self.unpaired);
         line["refused_statuses"] = json!(self.refused_statuses);
-        let waits = |it: &Output| pending_action(it.quality, board.state, board.calibration);
+        let waits =
+            |output: &Output| pending_action(output.quality, board.state, board.calibration);
         line["waiting_for"] = json!(self.output.as_ref().and_then(waits));
         line["board"] = board.to_json();
         line

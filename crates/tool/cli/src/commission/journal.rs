@@ -98,7 +98,7 @@ impl Journal {
             let rule = format!("{}: was begun for {begun}; give another folder", folder.display());
             return Err(UserError(rule).into());
         }
-        let round = all["round"].as_u64().and_then(|it| u32::try_from(it).ok());
+        let round = all["round"].as_u64().and_then(|value| u32::try_from(value).ok());
         journal.round = round.filter(|round| *round > 0).ok_or_else(damaged)?;
         journal.before = all["before"].as_str().map(str::to_owned);
         let step = Step::ALL.into_iter().find(|step| all["next"] == step.name());

@@ -59,7 +59,7 @@ fn axis_letter(axis: LinearAxis) -> String {
 pub fn error_direction(machine: &Machine, axis: Option<LinearAxis>) -> [f64; 3] {
     match axis {
         None => machine.tool_direction,
-        Some(axis) => LinearAxis::ALL.map(|it| f64::from(u8::from(it == axis))),
+        Some(axis) => LinearAxis::ALL.map(|other| f64::from(u8::from(other == axis))),
     }
 }
 

@@ -43,10 +43,10 @@ fn build_plan(
         };
         return plan_target_run(&run, machine, options, &next.inputs, &why);
     }
-    let stretch = |it: &trueup_diagnose::SpindleSegment| SpeedSegment {
-        rpm: it.rpm,
-        minutes: it.minutes,
-        load_n: it.load_n,
+    let stretch = |segment: &trueup_diagnose::SpindleSegment| SpeedSegment {
+        rpm: segment.rpm,
+        minutes: segment.minutes,
+        load_n: segment.load_n,
     };
     let stretches: Vec<SpeedSegment> = next.stretches.iter().map(stretch).collect();
     Ok(plan_speed_run(&stretches, next.every_s, &next.inputs, &why))
@@ -85,7 +85,7 @@ fn diagnose_command(args: &DiagnoseArgs) -> String {
     if *applied_once {
         line += " --applied-once";
     }
-    if let Some(quantity) = quantity.and_then(|it| it.to_possible_value()) {
+    if let Some(quantity) = quantity.and_then(|quantity| quantity.to_possible_value()) {
         line += &format!(" --quantity {}", quantity.get_name());
     }
     for (flag, um) in [("matters-um", matters_um), ("instrument-um", instrument_um)] {

@@ -143,7 +143,9 @@ fn finding_json(it: &Finding) -> Value {
     let parameters: Map<String, Value> = it
         .parameters
         .iter()
-        .map(|it| (it.name.clone(), json!({"value": it.value, "ci95": it.ci95})))
+        .map(|parameter| {
+            (parameter.name.clone(), json!({"value": parameter.value, "ci95": parameter.ci95}))
+        })
         .collect();
     json!({
         "cause": it.cause.name(),
@@ -161,7 +163,7 @@ fn finding_json(it: &Finding) -> Value {
 }
 
 fn circle_json(it: &CircleResult) -> Value {
-    let spread = |it: ResidualStatistics| json!({"rms_um": it.rms_um, "max_um": it.max_um});
+    let spread = |statistics: ResidualStatistics| json!({"rms_um": statistics.rms_um, "max_um": statistics.max_um});
     let both = |[ccw, cw]: [Option<f64>; 2]| json!({"ccw": ccw, "cw": cw});
     let record = &it.record;
     let figures = &it.figures;
@@ -183,7 +185,7 @@ fn circle_json(it: &CircleResult) -> Value {
             "f_min_um": both(figures.f_min_um),
             "d_um": figures.d_um,
         },
-        "causes": it.findings.iter().filter(|it| it.claimed).map(title).collect::<Vec<_>>(),
+        "causes": it.findings.iter().filter(|finding| finding.claimed).map(title).collect::<Vec<_>>(),
         "set_aside": report::excluded_rows_json(&it.set_aside),
     })
 }

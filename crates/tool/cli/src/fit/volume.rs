@@ -58,8 +58,8 @@ fn warn_unsupported_by_board(text: &str, path: &Path) {
 }
 
 fn volume_text(report: &VolumeReport, output: &Path) -> String {
-    let known = report.known.iter().filter(|it| it.is_known).count();
-    let acting = report.known.iter().filter(|it| it.acts).count();
+    let known = report.known.iter().filter(|assessment| assessment.is_known).count();
+    let acting = report.known.iter().filter(|assessment| assessment.acts).count();
     let mut lines = vec![format!("volume: {known} of {acting} errors are known")];
     for kind in ReadingKind::ALL {
         if let Some(um) = report.noise_um[kind.index()] {
@@ -115,21 +115,21 @@ fn error_line(it: &ErrorAssessment) -> String {
 }
 
 fn volume_json(report: &VolumeReport, output: Option<&Path>) -> Value {
-    let error = |it: &ErrorAssessment| {
+    let error = |assessment: &ErrorAssessment| {
         json!({
-            "error": it.error.to_string(),
-            "key": it.error.machine_file_key(),
-            "unit": it.error.unit(),
-            "along": it.error.motion_axis().map(|axis| axis.name()),
-            "acts": it.acts,
-            "known": it.is_known,
-            "claimed": it.is_known && it.is_there,
-            "compensated": report.written.contains(&it.error),
-            "size": it.size,
-            "half_width95": it.half_width,
-            "open": it.open,
-            "confused_with": it.confused_with,
-            "next_test": it.next_test,
+            "error": assessment.error.to_string(),
+            "key": assessment.error.machine_file_key(),
+            "unit": assessment.error.unit(),
+            "along": assessment.error.motion_axis().map(|axis| axis.name()),
+            "acts": assessment.acts,
+            "known": assessment.is_known,
+            "claimed": assessment.is_known && assessment.is_there,
+            "compensated": report.written.contains(&assessment.error),
+            "size": assessment.size,
+            "half_width95": assessment.half_width,
+            "open": assessment.open,
+            "confused_with": assessment.confused_with,
+            "next_test": assessment.next_test,
         })
     };
     let kinds = ReadingKind::ALL.iter().filter_map(|kind| {

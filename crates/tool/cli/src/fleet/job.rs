@@ -69,7 +69,9 @@ pub fn read_submission(
         holdout: all(&input.holdout)?,
         machine_file: content(&input.machine, source.into_bytes()),
         request: Request {
-            quantity: input.quantity.map(|it| it.to_machine_quantity().name().to_string()),
+            quantity: input
+                .quantity
+                .map(|quantity| quantity.to_machine_quantity().name().to_string()),
             matters_um: input.matters_um,
             instrument_um: input.instrument_um,
             applied_once: input.applied_once,
@@ -183,8 +185,8 @@ fn to_named_cause(it: &CauseIdentity) -> NamedCause<'_> {
 fn parse_quantity(name: &str) -> Option<file::Quantity> {
     QuantityArg::value_variants()
         .iter()
-        .map(|it| it.to_machine_quantity())
-        .find(|it| it.name() == name)
+        .map(|variant| variant.to_machine_quantity())
+        .find(|quantity| quantity.name() == name)
 }
 
 /// Returns what a result says of its machine.

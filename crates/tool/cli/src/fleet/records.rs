@@ -101,8 +101,8 @@ mod tests {
     fn each_record_is_new_once_in_whatever_order() {
         let mut known = PrintedRecords::default();
         let numbers = [1, 2, 5, 4, 3, 2, 6, 1, u64::MAX, 7, 5, u64::MAX, 0];
-        let is_new = numbers.map(|it| known.insert(255, it));
-        let expected = [1, 1, 1, 1, 1, 0, 1, 0, 1, 1, 0, 0, 1].map(|it| it == 1);
+        let is_new = numbers.map(|numbers| known.insert(255, numbers));
+        let expected = [1, 1, 1, 1, 1, 0, 1, 0, 1, 1, 0, 0, 1].map(|bit| bit == 1);
         assert_eq!(is_new, expected);
         assert_eq!(known.0[&255], BTreeMap::from([(0, 7), (u64::MAX, u64::MAX)]));
         assert!(known.insert(254, 1), "of another file");

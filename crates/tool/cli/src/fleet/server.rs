@@ -64,8 +64,10 @@ pub fn run(args: &ServerArgs, as_json: bool) -> Result<Outcome> {
     let (major, minor) =
         server::check_version(program).map_err(|error| UserError(error.to_string()))?;
     let login = credentials_from_env()?;
-    let addresses = [Some(("--listen", args.listen)), args.mqtt.map(|it| ("--mqtt", it))];
-    for (option, address) in addresses.into_iter().flatten().filter(|it| !it.1.ip().is_loopback()) {
+    let addresses = [Some(("--listen", args.listen)), args.mqtt.map(|mqtt| ("--mqtt", mqtt))];
+    for (option, address) in
+        addresses.into_iter().flatten().filter(|address| !address.1.ip().is_loopback())
+    {
         if login.is_none() {
             let rule = "is seen by other computers: set TRUEUP_NATS_USER and TRUEUP_NATS_PASSWORD";
             return Err(UserError(format!("{option} {address}: {rule}")).into());
@@ -88,7 +90,7 @@ pub fn run(args: &ServerArgs, as_json: bool) -> Result<Outcome> {
     let file = folder.join("nats.conf");
     write_private_file(&file, &config.to_text())?;
     let url = format!("{scheme}://{listen}");
-    let mqtt = mqtt.map(|it| format!("mqtt{letter}://{it}"));
+    let mqtt = mqtt.map(|mqtt| format!("mqtt{letter}://{mqtt}"));
     if as_json {
         output::print(serde_json::json!({"url": url, "config": file, "mqtt": mqtt}))?;
     } else {
@@ -120,7 +122,8 @@ fn prepare_streams(
     lock: &File,
 ) -> Result<()> {
     let made = config.store_folder().join(RECORDS_LIMIT_FILE);
-    let there: Option<u32> = fs::read_to_string(&made).ok().and_then(|it| it.trim().parse().ok());
+    let there: Option<u32> =
+        fs::read_to_string(&made).ok().and_then(|text| text.trim().parse().ok());
     let Some(records_gb) = changed_records_limit(records_gb, there) else { return Ok(()) };
     let listen = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
     let alone = ServerConfig { listen, certificate: None, mqtt: None, ..config.clone() };
@@ -173,8 +176,8 @@ fn stop_server(program: &Path, server: &mut Child) {
     let signal = format!("quit={}", server.id());
     let asked = Command::new(program).arg("--signal").arg(signal).output();
     let until = Instant::now() + SERVER_TIMEOUT;
-    while asked.as_ref().is_ok_and(|it| it.status.success()) && Instant::now() < until {
-        if server.try_wait().is_ok_and(|it| it.is_some()) {
+    while asked.as_ref().is_ok_and(|output| output.status.success()) && Instant::now() < until {
+        if server.try_wait().is_ok_and(|status| status.is_some()) {
             return;
         }
         thread::sleep(Duration::from_millis(10));

@@ -149,8 +149,8 @@ impl Configuration {
 
     /// Where offsets enter, if the user does not say.
     fn offset_entry(&self, by: Option<OffsetEntry>) -> OffsetEntryPoint {
-        let here = self.installed.as_ref().map(|it| it.entry);
-        let by_hand = || installed::find_manual_setup(&self.ini, &self.hal).map(|it| it.1);
+        let here = self.installed.as_ref().map(|installed| installed.entry);
+        let by_hand = || installed::find_manual_setup(&self.ini, &self.hal).map(|setup| setup.1);
         by.map(OffsetEntryPoint::from).or(here).or_else(by_hand).unwrap_or(OffsetEntryPoint::Joint)
     }
 
@@ -161,13 +161,15 @@ impl Configuration {
         no_board: bool,
         machine: Option<&(String, Machine)>,
     ) -> Result<OffsetRequirements> {
-        let is_here = self.installed.as_ref().is_some_and(|it| it.bridge.port.is_none());
+        let is_here =
+            self.installed.as_ref().is_some_and(|installed| installed.bridge.port.is_none());
         offset_requirements(self.offset_entry(by), no_board || is_here, machine)
     }
 
     /// Returns the machine file as the INI file names it, else as the user does.
     fn read_machine(&self, given: Option<&Path>) -> Result<Option<(String, Machine)>> {
-        let here = || self.installed.as_ref().and_then(|it| it.bridge.machine.clone());
+        let here =
+            || self.installed.as_ref().and_then(|installed| installed.bridge.machine.clone());
         let (name, path) = match (given, here()) {
             (Some(path), _) => (relative_path_name(path, self.ini.folder()), path.to_path_buf()),
             (None, Some(name)) => {
@@ -186,7 +188,7 @@ fn offset_requirements(
     no_board: bool,
     machine: Option<&(String, Machine)>,
 ) -> Result<OffsetRequirements> {
-    let machine = machine.map(|it| &it.1);
+    let machine = machine.map(|machine| &machine.1);
     let of_file = OffsetRequirements::from_machine(entry, machine);
     if !no_board {
         return Ok(of_file);
@@ -220,7 +222,10 @@ pub fn limit_violations(ini: Option<&Path>, machine: Option<&Machine>) -> Result
     let Some(ini) = ini else { return Ok(Vec::new()) };
     let demand = OffsetRequirements::from_machine(OffsetEntryPoint::Joint, machine);
     let found = check::check_joint_limits(&IniLines::read(ini)?, &demand)?;
-    Ok(found.iter().map(|it| format!("{}: {}; {}", it.place, it.what, it.help)).collect())
+    Ok(found
+        .iter()
+        .map(|finding| format!("{}: {}; {}", finding.place, finding.what, finding.help))
+        .collect())
 }
 
 /// Executes what the user requests.
@@ -247,12 +252,12 @@ fn run_check(args: &CheckArgs, as_json: bool) -> Result<Outcome> {
 /// Facts on standard output, findings as errors and warnings.
 fn print_report(found: &CheckReport, demand: &OffsetRequirements, as_json: bool) -> Result<()> {
     if as_json {
-        let object = |it: &Finding| {
-            let severity = match it.severity {
+        let object = |finding: &Finding| {
+            let severity = match finding.severity {
                 Severity::Error => "error",
                 Severity::Warning => "warning",
             };
-            report::message_json(severity, &it.what, Some(&it.place), Some(&it.help))
+            report::message_json(severity, &finding.what, Some(&finding.place), Some(&finding.help))
         };
         let findings: Vec<Value> = found.findings.iter().map(object).collect();
         return output::print(json!({
@@ -265,7 +270,8 @@ fn print_report(found: &CheckReport, demand: &OffsetRequirements, as_json: bool)
     }
     print_findings(found);
     found.by_hand.iter().try_for_each(output::print)?;
-    let errors = found.findings.iter().filter(|it| it.severity == Severity::Error).count();
+    let errors =
+        found.findings.iter().filter(|finding| finding.severity == Severity::Error).count();
     output::print(match (errors, found.findings.len()) {
         (0, 0) => "nothing stands in the way".to_string(),
         (0, warnings) => format!("nothing stands in the way; {warnings} to know"),
@@ -300,9 +306,9 @@ fn run_setup(args: &SetupArgs, as_json: bool) -> Result<Outcome> {
         }
         None => configuration.requirements(args.by, args.no_board, machine.as_ref())?,
     };
-    let before = configuration.installed.as_ref().map(|it| &it.bridge);
+    let before = configuration.installed.as_ref().map(|installed| &installed.bridge);
     let has_board = demand.no_board.is_none();
-    let port = args.port.clone().or_else(|| before.and_then(|it| it.port.clone()));
+    let port = args.port.clone().or_else(|| before.and_then(|before| before.port.clone()));
     let port = port.filter(|_| has_board);
     if has_board && port.is_none() {
         return Err(UserError(
@@ -313,10 +319,10 @@ fn run_setup(args: &SetupArgs, as_json: bool) -> Result<Outcome> {
         .into());
     }
     port.as_deref().map(Port::parse).transpose()?;
-    let period = args.position_period_ms.or(before.map(|it| it.position_period_ms));
+    let period = args.position_period_ms.or(before.map(|before| before.position_period_ms));
     let bridge = BridgeSettings {
         port,
-        machine: machine.map(|it| it.0),
+        machine: machine.map(|machine| machine.0),
         position_period_ms: period.unwrap_or(POSITION_PERIOD_MS),
     };
     let Configuration { ini, hal, .. } = &configuration;
@@ -393,7 +399,7 @@ fn run_status(args: &StatusArgs, as_json: bool) -> Result<Outcome> {
             let at = bridge
                 .port
                 .as_ref()
-                .map_or("without a board".into(), |it| format!("bridge at {it}"));
+                .map_or("without a board".into(), |port| format!("bridge at {port}"));
             lines.push(format!("set up by {}: {at}, {machine}", entry.name()));
             let machine = configuration.read_machine(None)?;
             let demand = offset_requirements(*entry, bridge.port.is_none(), machine.as_ref())?;

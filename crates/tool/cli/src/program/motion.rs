@@ -68,7 +68,9 @@ impl MotionArgs {
     pub fn command_words(&self) -> Vec<String> {
         let mut words: Vec<String> =
             self.range.iter().flat_map(|range| ["--range".to_string(), range.clone()]).collect();
-        words.extend(self.clearance.iter().flat_map(|it| ["--clearance".into(), it.clone()]));
+        words.extend(
+            self.clearance.iter().flat_map(|clearance| ["--clearance".into(), clearance.clone()]),
+        );
         let default = MeasurementOptions::default();
         if self.approach != default.approach_mm_per_min {
             words.extend(["--approach".into(), self.approach.to_string()]);

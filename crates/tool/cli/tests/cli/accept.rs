@@ -88,7 +88,7 @@ fn runs_that_cannot_be_compared_are_refused_with_their_place() {
         put("on.csv", &with(0.05, cells));
         let (_, _, said) = accept(folder.path(), &["--machine", "m.toml"]);
         assert_eq!(said.contains("not alike"), said_of.is_some(), "{cells}: {said}");
-        assert!(said_of.is_none_or(|it| said.contains(it)), "{cells}: {said}");
+        assert!(said_of.is_none_or(|phrase| said.contains(phrase)), "{cells}: {said}");
     }
 }
 
@@ -125,14 +125,15 @@ fn labels_of_tools_are_the_numbers_of_the_machine_file() {
 fn the_picture_of_both_runs_is_the_one_of_the_readme() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../..");
     let readme = fs::read_to_string(root.join("README.md")).expect("the project's own");
-    let command = readme.split("`trueup ").find(|it| it.contains("--picture docs/acceptance.svg"));
-    let command = command.and_then(|it| it.split('`').next()).expect("it stands there");
+    let command =
+        readme.split("`trueup ").find(|part| part.contains("--picture docs/acceptance.svg"));
+    let command = command.and_then(|command| command.split('`').next()).expect("it stands there");
     let folder = tempfile::tempdir().expect("a folder");
     let picture = folder.path().join("p.svg").display().to_string();
     let line = command.replace("docs/acceptance.svg", &picture).replace('\n', " ");
     let out = folder.path().join("acceptance").display().to_string();
     let words =
-        line.split_whitespace().map(|it| if it == "acceptance" { out.as_str() } else { it });
+        line.split_whitespace().map(|word| if word == "acceptance" { out.as_str() } else { word });
     let output = Command::new(env!("CARGO_BIN_EXE_trueup"))
         .current_dir(&root)
         .args(words)

@@ -162,7 +162,9 @@ fn a_port_that_is_wrong_ends_with_2_and_one_without_a_bridge_with_1() {
         assert!(err.starts_with(phrase), "{err}");
     }
     // Bound and given up again: nobody listens there.
-    let free = TcpListener::bind("127.0.0.1:0").and_then(|it| it.local_addr()).expect("a port");
+    let free = TcpListener::bind("127.0.0.1:0")
+        .and_then(|listener| listener.local_addr())
+        .expect("a port");
     for (port, phrase) in [
         (format!("tcp:{free}"), "error: no connection to tcp:127.0.0.1:"),
         ("/dev/no-such-device".into(), "error: the serial device /dev/no-such-device cannot"),
@@ -327,7 +329,7 @@ fn a_recording_is_a_log_of_every_frame_and_a_run_file() {
     let log = desk.text("here/bridge.log");
     let number = |what: &str| -> usize {
         let before = err.split(what).next().expect("a part");
-        before.split_whitespace().last().and_then(|it| it.parse().ok()).expect("a number")
+        before.split_whitespace().last().and_then(|word| word.parse().ok()).expect("a number")
     };
     assert_eq!(log.lines().count(), number(" frames in "), "{err}");
     assert!(log.lines().filter(|line| line.contains(" can0 181#")).count() > 200);

@@ -69,7 +69,7 @@ fn a_machine_is_commissioned_in_two_sittings() {
     for file in
         ["commission.json", "log.txt", "machine-1.bin", "machine-1.toml", "off-1.csv", "sign.toml"]
     {
-        assert!(files.iter().any(|it| it == file), "{file}: {files:?}");
+        assert!(files.iter().any(|other| other == file), "{file}: {files:?}");
     }
     assert!(!desk.files("all/program").is_empty());
 

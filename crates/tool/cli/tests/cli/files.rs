@@ -157,8 +157,8 @@ fn compile_and_export_take_the_machine_file_as_a_word_or_behind_m_and_not_both()
         let said: Vec<_> = [" m.toml ", " -m m.toml ", " --machine m.toml "]
             .map(|machine| desk.trueup(&line(machine)))
             .into();
-        assert!(said.iter().all(|it| it.status == said[0].status), "{said:?}");
-        assert!(said.iter().all(|it| it.stdout == said[0].stdout), "{said:?}");
+        assert!(said.iter().all(|output| output.status == said[0].status), "{said:?}");
+        assert!(said.iter().all(|output| output.stdout == said[0].stdout), "{said:?}");
         assert!(!said[0].stdout.is_empty(), "{said:?}");
         for machine in [" ", " m.toml -m m.toml "] {
             let (out, err) = desk.said(&line(machine), 2);
@@ -365,9 +365,11 @@ fn the_help_of_a_fit_speaks_of_no_other() {
     for kind in kinds {
         let help = desk.printed(&format!("fit {kind} --help"), 0);
         for other in
-            ["elongation", "warmup", "thermal", "table1"].into_iter().filter(|it| *it != kind)
+            ["elongation", "warmup", "thermal", "table1"].into_iter().filter(|other| *other != kind)
         {
-            let is_word = |word: &str| word.trim_matches(|it: char| !it.is_alphanumeric()) == other;
+            let is_word = |word: &str| {
+                word.trim_matches(|character: char| !character.is_alphanumeric()) == other
+            };
             assert!(!help.split_whitespace().any(is_word), "{kind} speaks of {other}: {help}");
         }
     }

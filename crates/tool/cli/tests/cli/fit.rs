@@ -430,14 +430,16 @@ fn balls_give_the_errors_of_the_volume_and_what_one_tool_does_not_show() {
     assert!(out.contains("written to out.toml"), "{out}");
     assert!(desk.text("out.html").contains("EAX over X"));
     let fitted = desk.machine("out.toml");
-    let squareness = fitted.squareness.iter().find(|it| it.name() == "x_of_y_um_per_m");
+    let squareness =
+        fitted.squareness.iter().find(|squareness| squareness.name() == "x_of_y_um_per_m");
     assert!((squareness.expect("written").um_per_m - 80.0).abs() < 2.0, "{out}");
-    assert!(fitted.volume.angular.iter().any(|it| it.name() == "eax"), "{out}");
+    assert!(fitted.volume.angular.iter().any(|motion| motion.name() == "eax"), "{out}");
     // One tool: what Z turns by looks like its straightness.
     assert!(out.contains("not known by itself") && out.contains("100 mm longer"), "{out}");
     let (json, _) = desk.said(&format!("{line} --json"), 0);
     let json: serde_json::Value = serde_json::from_str(&json).expect("JSON");
-    let eax = json["errors"].as_array().expect("a list").iter().find(|it| it["error"] == "EAX");
+    let eax =
+        json["errors"].as_array().expect("a list").iter().find(|error| error["error"] == "EAX");
     let eax = eax.expect("is there");
     assert_eq!(
         (eax["known"].as_bool(), eax["claimed"].as_bool()),

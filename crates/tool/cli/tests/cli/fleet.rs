@@ -145,12 +145,14 @@ fn the_odd_machine_of_a_series_is_named_though_the_others_are_clean() {
     let series: Value = serde_json::from_str(&desk.text("series/fleet.json")).expect("JSON");
     let list = |of: &'_ Value| of.as_array().cloned().unwrap_or_default();
     let machines = list(&series["machines"]);
-    let odd = machines.iter().filter(|it| it["odd"].as_array().is_some_and(|it| !it.is_empty()));
-    assert_eq!(odd.filter_map(|it| it["machine"].as_str()).collect::<Vec<_>>(), ["M5"]);
+    let odd = machines
+        .iter()
+        .filter(|machine| machine["odd"].as_array().is_some_and(|reasons| !reasons.is_empty()));
+    assert_eq!(odd.filter_map(|machine| machine["machine"].as_str()).collect::<Vec<_>>(), ["M5"]);
     // Its own diagnosis finds nothing on a healthy machine: what the odd one has is fitted there too.
     assert_eq!(machines[0]["verdict"], "clean");
     let constants = list(&series["constants"]);
-    let scale = constants.iter().find(|it| it["name"] == "dx pitch-scale um_per_m");
+    let scale = constants.iter().find(|constant| constant["name"] == "dx pitch-scale um_per_m");
     let values = list(&scale.expect("it is claimed on M5")["values"]);
     assert_eq!(values.len(), 8);
     assert_eq!(

@@ -30,7 +30,7 @@ fn every_shell_gets_completions_and_every_command_a_page() {
     desk.said("man pages", 0);
     let pages = desk.files("pages");
     for page in ["trueup.1", "trueup-diagnose.1", "trueup-bridge-load.1", "trueup-virtual.1"] {
-        assert!(pages.iter().any(|it| it == page), "{pages:?}");
+        assert!(pages.iter().any(|other| other == page), "{pages:?}");
         assert!(desk.text(&format!("pages/{page}")).contains(".TH trueup"), "{page}");
     }
     assert!(desk.text("pages/trueup-diagnose.1").contains("holdout"));

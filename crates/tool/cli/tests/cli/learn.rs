@@ -31,7 +31,7 @@ fn days_are_learned_from_and_the_last_change_is_taken_back() {
     assert!(constant.starts_with("2 µm/K in your file, 2."), "{out}");
     let (_, half_width) = constant.split_once(" µm/K learned, ± ").expect("its interval");
     let half_width = half_width.split(" µm/K").next().and_then(|text| text.parse::<f64>().ok());
-    assert!(half_width.is_some_and(|it| it > 0.0), "{out}");
+    assert!(half_width.is_some_and(|half_width| half_width > 0.0), "{out}");
     let first = desk.text("learned.toml");
     assert!(first.contains("# the maker's") && first != MACHINE, "{first}");
     let (out, _) = desk.said("--json learn --machine m.toml --run 2.csv -o learned.toml", 0);

@@ -103,13 +103,13 @@ fn fill_in(desk: &Desk, folder: &str) {
         let path = format!("{folder}/{name}");
         let text = desk.text(&path);
         let (notes, rows): (Vec<&str>, Vec<&str>) =
-            text.lines().partition(|it| it.starts_with('#'));
+            text.lines().partition(|line| line.starts_with('#'));
         let names: Vec<&str> = rows[0].split(',').collect();
         let mut filled = notes.join("\n") + "\n" + rows[0] + "\n";
         for (number, row) in rows[1..].iter().enumerate() {
             let cells: Vec<&str> = row.split(',').collect();
             let of = |name: &str| -> f64 {
-                let at = names.iter().position(|it| *it == name);
+                let at = names.iter().position(|candidate| *candidate == name);
                 at.and_then(|at| cells[at].parse().ok()).unwrap_or(0.0)
             };
             let noise = f64::from(u32::try_from(number * 7919 % 13).expect("small")) / 130.0;
@@ -139,7 +139,7 @@ fn pages() -> BTreeMap<String, String> {
     for folder in ["docs", "docs/book/src", "integrations/linuxcnc", "integrations/modbus", "."] {
         for entry in fs::read_dir(root.join(folder)).expect("a folder of the project") {
             let path = entry.expect("readable").path();
-            if path.extension().is_some_and(|it| it == "md") {
+            if path.extension().is_some_and(|extension| extension == "md") {
                 let name = path.strip_prefix(&root).unwrap_or(&path).display().to_string();
                 pages.insert(name, fs::read_to_string(&path).expect("text"));
             }
@@ -193,9 +193,12 @@ fn examples_of(desk: &Desk, path: &str, found: &mut Vec<String>) {
             is_list = line == "Commands:";
             is_example = line.starts_with("Example") || line.starts_with("For instance");
         }
-        let word = line.strip_prefix("  ").and_then(|it| it.split(' ').next()).unwrap_or_default();
+        let word =
+            line.strip_prefix("  ").and_then(|rest| rest.split(' ').next()).unwrap_or_default();
         let is_name = !word.is_empty()
-            && word.bytes().all(|it| it.is_ascii_lowercase() || it == b'-' || it.is_ascii_digit());
+            && word
+                .bytes()
+                .all(|byte| byte.is_ascii_lowercase() || byte == b'-' || byte.is_ascii_digit());
         if is_list && is_name && !word.starts_with('-') && word != "help" {
             inner.push(word.to_string());
         }
@@ -268,7 +271,7 @@ fn what_a_program_and_a_fit_say_to_type_next_runs_as_printed() {
             ran += 1;
             // What a fit says; a calibration is loaded elsewhere.
             let next = commands_behind_then(&String::from_utf8_lossy(&done.stdout));
-            for command in next.iter().filter(|it| elsewhere(it).is_none()) {
+            for command in next.iter().filter(|word| elsewhere(word).is_none()) {
                 runs(&desk, command);
                 ran += 1;
             }

@@ -107,7 +107,10 @@ fn a_cnc_that_applies_the_offset_otherwise_is_named_and_nothing_is_made_of_its_r
         let first = &json["findings"][0];
         assert!(first["claimed"] == false && first["compensated"] == false, "{first}");
         assert_eq!(first["rivals"][0]["cause"], "applied-factor", "{first}");
-        assert!(first["next_test"].as_str().is_some_and(|it| it.contains("disengaged")), "{first}");
+        assert!(
+            first["next_test"].as_str().is_some_and(|text| text.contains("disengaged")),
+            "{first}"
+        );
     }
     let known = "diagnose --machine m.toml --run right.csv --applied-once --out e";
     desk.said(known, 0);

@@ -54,7 +54,7 @@ fn circle(
     truth: &AxesConfig,
 ) -> String {
     let (names, rows) = rows(template);
-    let column = |name: &str| names.iter().position(|it| *it == name);
+    let column = |name: &str| names.iter().position(|candidate| *candidate == name);
     let number = |row: &[&str], at: usize| row[at].parse::<f64>().expect("a number");
     let place = |row: &[&str]| {
         let mut mm = [0.0; 3];
@@ -106,7 +106,8 @@ fn a_circle_names_what_the_machine_has() {
     assert_eq!(found["verdict"], "explained", "{found}");
     let of = |cause: &str, name: &str| {
         let findings = found["findings"].as_array().expect("findings");
-        let own = findings.iter().find(|it| it["cause"] == cause && it["claimed"] == true);
+        let own =
+            findings.iter().find(|finding| finding["cause"] == cause && finding["claimed"] == true);
         let own = own.unwrap_or_else(|| panic!("no {cause}: {found}"));
         own["parameters"][name]["value"].as_f64().expect("a number")
     };
@@ -157,13 +158,13 @@ fn a_circle_along_the_tool_is_an_arc_over_its_retracted_half() {
 /// Returns the size of an error of `fit volume`.
 fn size(found: &Value, name: &str) -> f64 {
     let errors = found["errors"].as_array().expect("errors");
-    let own = errors.iter().find(|it| it["error"] == name);
-    own.and_then(|it| it["size"].as_f64()).unwrap_or_else(|| panic!("no {name}: {found}"))
+    let own = errors.iter().find(|error| error["error"] == name);
+    own.and_then(|finding| finding["size"].as_f64()).unwrap_or_else(|| panic!("no {name}: {found}"))
 }
 
 fn is_known(found: &Value, name: &str) -> bool {
     let errors = found["errors"].as_array().expect("errors");
-    errors.iter().any(|it| it["error"] == name && it["known"] == true)
+    errors.iter().any(|error| error["error"] == name && error["known"] == true)
 }
 
 /// Returns a point turned about Z around a place, by an angle in µrad.

@@ -32,9 +32,9 @@ fn at_three_sizes_it_shows_the_growth_and_q_ends_it() {
         let bytes = terminal.bytes.lock().expect("no holder panics").clone();
         let codes = String::from_utf8_lossy(&bytes).into_owned();
         for colour in ["\u{1b}[3", "\u{1b}[9", "\u{1b}[38"] {
-            let is_colour = codes.split(colour).skip(1).any(|it| {
-                it.starts_with(|digit: char| ('0'..='7').contains(&digit))
-                    && it[1..].starts_with('m')
+            let is_colour = codes.split(colour).skip(1).any(|part| {
+                part.starts_with(|digit: char| ('0'..='7').contains(&digit))
+                    && part[1..].starts_with('m')
             });
             assert!(!is_colour, "NO_COLOR is set");
         }
@@ -120,7 +120,7 @@ fn r_records_and_g_writes_readings_typed_and_live() {
     assert!(is_ended(terminal.ended().code()));
 
     let files = desk.files(".");
-    let folder = files.iter().find(|it| it.starts_with("bridge-")).expect("a recording");
+    let folder = files.iter().find(|file| file.starts_with("bridge-")).expect("a recording");
     let run = RunFile::read(&desk.path(folder).join("bridge.csv")).expect("a run file");
     let marked = run.column("measured_elongation_um").expect("the gauge's column").iter();
     assert_eq!(marked.filter(|um| !um.is_nan()).collect::<Vec<_>>(), [&-3.5, &12.5]);

@@ -237,7 +237,8 @@ fn stalled() -> (PipeReader, Stdio) {
 fn a_gateway_whose_output_nobody_reads_serves_its_plc_and_counts_what_it_drops() {
     let desk = desk();
     let (port, _) = bridge_with(Fault::None, true);
-    let listen = TcpListener::bind("127.0.0.1:0").and_then(|it| it.local_addr()).expect("free");
+    let listen =
+        TcpListener::bind("127.0.0.1:0").and_then(|listener| listener.local_addr()).expect("free");
     let ((_out, out), (mut err, err_end)) = (stalled(), stalled());
     let line = format!("gateway modbus --port {port} --listen {listen}");
     let mut gateway = command(&desk, &line).stdout(out).stderr(err_end).spawn().expect("built");

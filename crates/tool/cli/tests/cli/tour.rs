@@ -40,14 +40,15 @@ const BETWEEN: Duration = Duration::from_secs(2);
 /// Returns every page of the book as one text.
 fn book() -> String {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../docs/book/src");
-    let pages = fs::read_dir(folder).expect("the book").map(|it| it.expect("readable").path());
-    let pages = pages.filter(|it| it.extension().is_some_and(|it| it == "md"));
-    pages.map(|it| fs::read_to_string(it).expect("text")).collect()
+    let pages =
+        fs::read_dir(folder).expect("the book").map(|entry| entry.expect("readable").path());
+    let pages = pages.filter(|path| path.extension().is_some_and(|extension| extension == "md"));
+    pages.map(|path| fs::read_to_string(path).expect("text")).collect()
 }
 
 /// Returns whether a page has `line` as a line of a block, or between backticks.
 fn is_in_book(book: &str, line: &str) -> bool {
-    book.lines().any(|it| it.trim() == line) || book.contains(&format!("`{line}`"))
+    book.lines().any(|other| other.trim() == line) || book.contains(&format!("`{line}`"))
 }
 
 /// Three terminals in one folder: where commands are typed, where the bridge runs, where the gauge is recorded.
@@ -85,10 +86,12 @@ impl Shop {
 
     /// Types a line at a terminal, which must stand in the book or have been printed.
     fn type_at(&mut self, which: fn(&mut Self) -> &mut Terminal, line: &str) {
-        let printed: String =
-            [&self.work, &self.bridge, &self.gauge].iter().map(|it| it.printed()).collect();
+        let printed: String = [&self.work, &self.bridge, &self.gauge]
+            .iter()
+            .map(|terminal| terminal.printed())
+            .collect();
         assert!(
-            is_in_book(&self.book, line) || printed.lines().any(|it| it.contains(line)),
+            is_in_book(&self.book, line) || printed.lines().any(|other| other.contains(line)),
             "`{line}` stands in no page and was not printed"
         );
         which(self).press(&format!("{line}\r"));
@@ -98,7 +101,7 @@ impl Shop {
     /// Types a command and waits until it has ended well.
     fn run(&mut self, line: &str) {
         self.work.clear();
-        self.type_at(|it| &mut it.work, line);
+        self.type_at(|shop| &mut shop.work, line);
         let text = self.work.shows(&[PROMPT]);
         assert!(text.contains(&format!("0{PROMPT}")), "{line}: {text}");
     }
@@ -106,22 +109,22 @@ impl Shop {
     /// Types a word at the terminal of the bridge, and returns what was answered.
     fn at_the_bridge(&mut self, word: &str, answer: &str) -> String {
         self.bridge.clear();
-        self.type_at(|it| &mut it.bridge, word);
+        self.type_at(|shop| &mut shop.bridge, word);
         self.bridge.shows(&[answer])
     }
 
     /// Returns how far the housing or turret has moved, as the virtual gauge there shows it.
     fn moved_um(&mut self) -> f64 {
         let text = self.at_the_bridge("gauge", "(+ the way the tool points)");
-        let shown = text.split(" one at the ").nth(1).and_then(|it| it.split(' ').nth(1));
-        shown.and_then(|it| it.parse().ok()).unwrap_or_else(|| panic!("no reading: {text}"))
+        let shown = text.split(" one at the ").nth(1).and_then(|part| part.split(' ').nth(1));
+        shown.and_then(|text| text.parse().ok()).unwrap_or_else(|| panic!("no reading: {text}"))
     }
 
     /// Records a run from cold with as many readings as the page says.
     fn record(&mut self, line: &str) {
         self.at_the_bridge("again", "the run begins again");
         self.gauge.clear();
-        self.type_at(|it| &mut it.gauge, line);
+        self.type_at(|shop| &mut shop.gauge, line);
         self.gauge.shows(&["REC", "gauge elongation"]);
         for number in 1..=READINGS {
             self.gauge.press("g");
@@ -169,7 +172,7 @@ fn correct(name: &str, answers: &[(&str, &str)]) -> String {
     let of = |line: &str| line.replace("mill", name).replace("RPM", rpm);
 
     // The machine file.
-    shop.type_at(|it| &mut it.work, "trueup new");
+    shop.type_at(|shop| &mut shop.work, "trueup new");
     for (asked, answer) in answers.iter().chain(&LAST_ANSWERS) {
         shop.work.shows(&[asked]);
         shop.work.press(answer);
@@ -188,7 +191,7 @@ fn correct(name: &str, answers: &[(&str, &str)]) -> String {
     let line = of(
         "trueup virtual --machine mill.toml --run mill-day.csv --gauge tcp:127.0.0.1:3334 --speed 20",
     );
-    shop.type_at(|it| &mut it.bridge, &line);
+    shop.type_at(|shop| &mut shop.bridge, &line);
     shop.bridge.shows(&["the CNC's line is at tcp:127.0.0.1:3333", "the bridge is up"]);
     shop.at_the_bridge("disengage", "the CNC has disengaged");
     shop.run(&of("trueup bridge info --machine mill.toml --port tcp:127.0.0.1:3333"));
@@ -198,7 +201,7 @@ fn correct(name: &str, answers: &[(&str, &str)]) -> String {
     let line = of(
         "trueup commission --machine mill.toml --port tcp:127.0.0.1:3333 --for linuxcnc --rpm RPM --out mill-work",
     );
-    shop.type_at(|it| &mut it.work, &line);
+    shop.type_at(|shop| &mut shop.work, &line);
     shop.work.shows(&["then engage at the CNC"]);
     let before_um = shop.moved_um();
     shop.at_the_bridge("engage", "the CNC engages");
@@ -214,17 +217,17 @@ fn correct(name: &str, answers: &[(&str, &str)]) -> String {
     shop.work.shows(&["without compensation; the filled-in run file"]);
     shop.record(&of("trueup bridge monitor --machine mill.toml --port tcp:127.0.0.1:3333 --record mill-off --indicator tcp:127.0.0.1:3334 --indicator-unit um"));
     shop.work.clear();
-    shop.type_at(|it| &mut it.work, &of("mill-off/bridge.csv"));
+    shop.type_at(|shop| &mut shop.work, &of("mill-off/bridge.csv"));
 
     // With the fitted constants.
     shop.work.shows(&["engage, run warmup again; the filled-in run file"]);
     shop.at_the_bridge("engage", "the CNC engages");
     shop.record(&of("trueup bridge monitor --machine mill-work/machine-1.toml --port tcp:127.0.0.1:3333 --record mill-on --indicator tcp:127.0.0.1:3334 --indicator-unit um"));
-    shop.type_at(|it| &mut it.work, &of("mill-on/bridge.csv"));
+    shop.type_at(|shop| &mut shop.work, &of("mill-on/bridge.csv"));
     shop.work.shows(&["passed", &of("accepted; all of it is in mill-work"), &format!("0{PROMPT}")]);
 
     let [off_um, on_um] =
-        ["mill-off", "mill-on"].map(|it| shop.rms_um(&of(&format!("{it}/bridge.csv"))));
+        ["mill-off", "mill-on"].map(|folder| shop.rms_um(&of(&format!("{folder}/bridge.csv"))));
     assert!((moved_um + 10.0).abs() < 0.2 && off_um > 3.0 && on_um < 0.1 * off_um);
     for file in ["mill-work/accept-1/report.html", "mill-work/log.txt"] {
         assert!(!shop.desk.text(&of(file)).is_empty(), "{file}");

@@ -27,7 +27,10 @@ fn spindle(shown: impl Fn(usize, f64) -> f64) -> String {
 fn number_after(text: &str, key: &str) -> f64 {
     let rest =
         text.split_once(&format!("{key} = ")).unwrap_or_else(|| panic!("no {key}: {text}")).1;
-    rest.lines().next().and_then(|it| it.parse().ok()).unwrap_or_else(|| panic!("{key}: {text}"))
+    rest.lines()
+        .next()
+        .and_then(|line| line.parse().ok())
+        .unwrap_or_else(|| panic!("{key}: {text}"))
 }
 
 #[test]
@@ -172,7 +175,7 @@ fn directions_that_are_missing_are_derived_and_said() {
             assert_eq!(output.status.code(), Some(expected), "{line}: {err}");
             let out = String::from_utf8(output.stdout).expect("UTF-8").replace(run, "RUN");
             // Places in the file differ by the column.
-            out.lines().filter(|it| !it.contains("RUN:")).map(String::from).collect::<Vec<_>>()
+            out.lines().filter(|line| !line.contains("RUN:")).map(String::from).collect::<Vec<_>>()
         });
         if !command.starts_with("check") {
             assert_eq!(both[0], both[1], "{command}");
@@ -196,7 +199,7 @@ fn a_misspelt_column_is_told_with_the_name_that_was_meant_and_a_free_one_is_not(
 fn a_clock_of_unix_seconds_and_the_first_line_of_a_spreadsheet_are_understood() {
     let desk = Desk::new(&[("m.toml", MACHINE)]);
     let rows: String = (0..40)
-        .map(|it| format!("{};{};{}\n", 1_790_000_000 + 60 * it, 21 + it % 9, it % 9))
+        .map(|row| format!("{};{};{}\n", 1_790_000_000 + 60 * row, 21 + row % 9, row % 9))
         .collect();
     desk.write("r.csv", format!("sep=;\ntimestamp;temp_nose_c;measured_elongation_um\n{rows}"));
     let (out, _) = desk.said("predict -m m.toml -r r.csv -o p.csv", 0);

@@ -76,8 +76,8 @@ fn after_a_line_that_was_cut_the_same_command_goes_on_behind_what_has_come() {
     let line = format!("--json bridge update new.update --yes --port {port}");
     let (out, err) = desk.said(&line, 1);
     assert_eq!(out, "", "{err}");
-    let from = err.split("near byte ").nth(1).and_then(|it| it.split(' ').next());
-    let from: usize = from.and_then(|it| it.parse().ok()).expect("it says near which byte");
+    let from = err.split("near byte ").nth(1).and_then(|part| part.split(' ').next());
+    let from: usize = from.and_then(|text| text.parse().ok()).expect("it says near which byte");
     let first = written(&seen);
     assert!((900..BODY).contains(&first), "{first}");
     let (out, _) = desk.said(&line, 0);

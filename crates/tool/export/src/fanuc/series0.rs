@@ -110,7 +110,7 @@ pub(super) fn write_sheet(
 
 /// Returns what is keyed in, a line each: the number, the value, and what it is.
 fn format_parameter_sheet(planned: &[AxisCompensation<'_>], magnification: u8) -> String {
-    let bits = MAGNIFICATIONS.iter().position(|it| *it == magnification).unwrap_or(0);
+    let bits = MAGNIFICATIONS.iter().position(|candidate| *candidate == magnification).unwrap_or(0);
     let mut text = format!(
         "FANUC SERIES 0, STORED PITCH ERROR COMPENSATION\n\
          MDI MODE, PWE = 1; ALARM 1000 COMES: PRESS CAN AND RESET TOGETHER\n\

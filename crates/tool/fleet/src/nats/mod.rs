@@ -99,15 +99,15 @@ impl RemoteFleet {
                 io::Error::new(io::ErrorKind::NotFound, why)
             };
             let queue = match creates {
-                true => context.get_or_create_stream(queue_config()).await.map_err(|it| lacks("no queue", &it))?,
-                false => context.get_stream(QUEUE_STREAM).await.map_err(|it| lacks("no queue", &it))?,
+                true => context.get_or_create_stream(queue_config()).await.map_err(|error| lacks("no queue", &error))?,
+                false => context.get_stream(QUEUE_STREAM).await.map_err(|error| lacks("no queue", &error))?,
             };
             let files = match context.get_object_store(FILE_BUCKET).await {
                 Err(_) if creates => {
                     let config = object_store::Config { bucket: FILE_BUCKET.into(), ..Default::default() };
-                    context.create_object_store(config).await.map_err(|it| lacks("no store of files", &it))?
+                    context.create_object_store(config).await.map_err(|error| lacks("no store of files", &error))?
                 }
-                got => got.map_err(|it| lacks("no store of files", &it))?,
+                got => got.map_err(|error| lacks("no store of files", &error))?,
             };
             let mut buckets = Vec::new();
             for (name, max_age) in [("jobs", None), ("results", None), ("failed", None), ("leases", Some(LEASE_TTL))] {
@@ -116,9 +116,9 @@ impl RemoteFleet {
                 let store = match context.get_key_value(&bucket).await {
                     Err(_) if creates => {
                         let config = kv::Config { bucket, max_age, ..Default::default() };
-                        context.create_key_value(config).await.map_err(|it| lacks(name, &it))?
+                        context.create_key_value(config).await.map_err(|error| lacks(name, &error))?
                     }
-                    got => got.map_err(|it| lacks(name, &it))?,
+                    got => got.map_err(|error| lacks(name, &error))?,
                 };
                 buckets.push(store);
             }
@@ -150,7 +150,7 @@ impl RemoteFleet {
 
     fn read_text(&self, bucket: &kv::Store, id: &str) -> io::Result<Option<String>> {
         let value = self.wait_for_response(id, bucket.get(id))?;
-        let text = value.map(|it| String::from_utf8(it.to_vec()));
+        let text = value.map(|value| String::from_utf8(value.to_vec()));
         text.transpose().map_err(|_| io::Error::other(format!("{}: {id}: is no text", self.url)))
     }
 
@@ -182,7 +182,7 @@ impl RemoteFleet {
 
 /// Returns whether it is an identifier of a job, which may be a name of a folder.
 fn is_job_id(key: &str) -> bool {
-    key.len() == 16 && key.bytes().all(|it| it.is_ascii_hexdigit())
+    key.len() == 16 && key.bytes().all(|byte| byte.is_ascii_hexdigit())
 }
 
 /// Returns a runtime whose one thread answers the server while the others compute.

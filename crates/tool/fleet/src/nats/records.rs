@@ -110,7 +110,7 @@ pub fn read(
             memory_storage: true,
             ..Default::default()
         };
-        let consumer = stream.create_consumer(config).await.map_err(|it| failed(&it))?;
+        let consumer = stream.create_consumer(config).await.map_err(|error| failed(&error))?;
         let mut left = consumer.cached_info().num_pending;
         let mut next = 1;
         while left > 0 {
@@ -118,15 +118,16 @@ pub fn read(
             let asked = consumer.fetch().max_messages(count).expires(REQUEST_TIMEOUT).messages();
             let mut batch = timeout(MULTIPART_RESPONSE_TIMEOUT, asked)
                 .await
-                .map_err(|it| failed(&it))?
-                .map_err(|it| failed(&it))?;
+                .map_err(|error| failed(&error))?
+                .map_err(|error| failed(&error))?;
             // All of it before any is handed on: a function that waits for a reader would let the rest time out.
             let mut messages = Vec::with_capacity(count);
-            while let Some(message) =
-                timeout(MULTIPART_RESPONSE_TIMEOUT, batch.next()).await.map_err(|it| failed(&it))?
+            while let Some(message) = timeout(MULTIPART_RESPONSE_TIMEOUT, batch.next())
+                .await
+                .map_err(|error| failed(&error))?
             {
-                let message = message.map_err(|it| failed(&it))?;
-                let number = message.info().map_err(|it| failed(&it))?.consumer_sequence;
+                let message = message.map_err(|error| failed(&error))?;
+                let number = message.info().map_err(|error| failed(&error))?.consumer_sequence;
                 if number != next {
                     return Err(failed(&CONNECTION_BROKEN));
                 }
@@ -137,7 +138,7 @@ pub fn read(
                 receive(&mqtt_topic(&message.subject), &message.payload)?;
             }
             left = left.saturating_sub(messages.len() as u64);
-            let info = consumer.get_info().await.map_err(|it| failed(&it))?;
+            let info = consumer.get_info().await.map_err(|error| failed(&error))?;
             if info.delivered.consumer_sequence + 1 != next || messages.is_empty() {
                 return Err(failed(&CONNECTION_BROKEN));
             }

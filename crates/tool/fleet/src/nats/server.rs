@@ -89,7 +89,7 @@ pub fn lock_folder(folder: &Path) -> io::Result<File> {
         }
         Err(TryLockError::Error(error)) => Err(failed(error.kind(), &error)),
         Err(TryLockError::WouldBlock) => {
-            let owner = fs::read_to_string(&path).map(|it| format!(" (process {it})"));
+            let owner = fs::read_to_string(&path).map(|text| format!(" (process {text})"));
             let owner = owner.unwrap_or_default();
             let rule = format!(
                 "a nats-server has this folder{owner}; end it first, or give --dir another folder"
@@ -104,8 +104,8 @@ fn quote_config_string(text: impl AsRef<OsStr>) -> String {
     let text = text.as_ref().to_string_lossy();
     let escaped: String = text
         .chars()
-        .flat_map(|it| match it {
-            '"' | '\\' => vec!['\\', it],
+        .flat_map(|character| match character {
+            '"' | '\\' => vec!['\\', character],
             '\n' => vec!['\\', 'n'],
             it => vec![it],
         })
@@ -137,7 +137,7 @@ pub fn check_version(server: &Path) -> io::Result<(u32, u32)> {
 
 fn parse_version(said: &str) -> Option<(u32, u32)> {
     let (_, numbers) = said.trim().split_once(": v")?;
-    let mut numbers = numbers.split('.').map(|it| it.parse().ok());
+    let mut numbers = numbers.split('.').map(|part| part.parse().ok());
     Some((numbers.next()??, numbers.next()??))
 }
 
@@ -148,7 +148,10 @@ mod tests {
     #[test]
     fn an_old_server_is_not_taken_for_a_new_one() {
         assert_eq!(parse_version("nats-server: v2.15.1\n"), Some((2, 15)));
-        assert!(parse_version("nats-server: v2.9.10").is_some_and(|it| it < MIN_SERVER_VERSION));
+        assert!(
+            parse_version("nats-server: v2.9.10")
+                .is_some_and(|version| version < MIN_SERVER_VERSION)
+        );
         assert_eq!(parse_version("nats-server: v2.12.0-preview.1"), Some((2, 12)));
         assert_eq!(parse_version("no server"), None);
     }

@@ -153,7 +153,7 @@ impl WorkerThreads<'_> {
         };
         let remote = self.remote;
         let has = |bucket| {
-            remote.read_text(bucket, id).map(|it| it.is_some()).map_err(AttemptError::Server)
+            remote.read_text(bucket, id).map(|text| text.is_some()).map_err(AttemptError::Server)
         };
         if has(&remote.results)? {
             return self.acknowledge(message);

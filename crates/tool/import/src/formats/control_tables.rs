@@ -114,8 +114,8 @@ pub(super) fn parse_heidenhain(text: &str, path: &Path) -> Result<SourceTable, B
     let mut lines = text
         .lines()
         .enumerate()
-        .map(|(at, it)| (at + 1, it.trim()))
-        .filter(|(_, it)| !it.is_empty());
+        .map(|(at, line)| (at + 1, line.trim()))
+        .filter(|(_, line)| !line.is_empty());
     let (at, head) = lines.next().unwrap_or_default();
     let unit = match head.to_uppercase().rsplit(' ').next() {
         Some("MM") => "mm",
@@ -129,19 +129,20 @@ pub(super) fn parse_heidenhain(text: &str, path: &Path) -> Result<SourceTable, B
         return Err(BadInput::new(place(head_line), "does not begin with NR AXISPOS"));
     };
     let axes: Vec<(usize, &str)> =
-        columns.iter().copied().enumerate().filter(|(_, it)| *it != "BACKLASH").collect();
-    if let Some((_, other)) = axes.iter().find(|(_, it)| !["X", "Y", "Z"].contains(it)) {
+        columns.iter().copied().enumerate().filter(|(_, column)| *column != "BACKLASH").collect();
+    if let Some((_, other)) = axes.iter().find(|(_, axis)| !["X", "Y", "Z"].contains(axis)) {
         return Err(BadInput::new(
             place(head_line),
             format!("has a column {other}: X, Y and Z are read"),
         ));
     }
-    let backlash = columns.iter().position(|it| *it == "BACKLASH");
+    let backlash = columns.iter().position(|column| *column == "BACKLASH");
     // The axis that moves: the only one, or the one of the file's name.
-    let stem = path.file_stem().map(|it| it.to_string_lossy().to_uppercase()).unwrap_or_default();
+    let stem =
+        path.file_stem().map(|stem| stem.to_string_lossy().to_uppercase()).unwrap_or_default();
     let own = match &axes[..] {
         [(_, only)] => Some(*only),
-        _ => axes.iter().map(|(_, it)| *it).find(|it| stem == **it),
+        _ => axes.iter().map(|(_, axis)| *axis).find(|axis| stem == **axis),
     };
     let mut entries: Vec<(usize, Vec<f64>)> = Vec::new();
     for (at, line) in lines.take_while(|(_, line)| *line != "[END]") {
@@ -164,12 +165,13 @@ pub(super) fn parse_heidenhain(text: &str, path: &Path) -> Result<SourceTable, B
         let cells = [1.0, entry[0], way].into_iter().chain(values).map(number_cell).collect();
         Row { line, cells }
     };
-    let mut rows: Vec<Row> = entries.iter().map(|(at, it)| row(*at, it, 1.0)).collect();
+    let mut rows: Vec<Row> = entries.iter().map(|(at, entry)| row(*at, entry, 1.0)).collect();
     if backlash.is_some() && own.is_some() {
-        rows.extend(entries.iter().rev().map(|(at, it)| row(*at, it, -1.0)));
+        rows.extend(entries.iter().rev().map(|(at, entry)| row(*at, entry, -1.0)));
     }
     let place = place(entries[0].0);
-    let named = |form: &str| own.map(|it| known_meaning(&form.replace('#', &it.to_lowercase())));
+    let named =
+        |form: &str| own.map(|axis| known_meaning(&form.replace('#', &axis.to_lowercase())));
     let mut sources = vec![
         build_source_column("pass", known_meaning("run"), "", &place),
         build_source_column(

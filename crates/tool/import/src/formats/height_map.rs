@@ -54,7 +54,7 @@ pub(super) fn parse_reprap(text: &str, path: &Path) -> Result<SourceTable, BadIn
         let value =
             found.and_then(|column| values.get(column)).and_then(|text| text.parse::<f64>().ok());
         value
-            .filter(|it| it.is_finite())
+            .filter(|value| value.is_finite())
             .ok_or_else(|| bad(at, &format!("{} is missing or no number", keys[0])))
     };
     for (column, name) in names.iter().enumerate() {
@@ -107,7 +107,7 @@ pub(super) fn parse_klipper(text: &str, path: &Path) -> Result<SourceTable, BadI
             (name.trim() == key).then(|| value.trim().parse::<f64>().ok()).flatten()
         });
         found
-            .filter(|it| it.is_finite())
+            .filter(|value| value.is_finite())
             .ok_or_else(|| bad(lines[start].0, format!("{key} is missing or no number")))
     };
     let is_start =
@@ -162,7 +162,7 @@ fn build_surface_table(
             let height_mm: f64 = cell
                 .parse()
                 .ok()
-                .filter(|it: &f64| it.is_finite())
+                .filter(|value: &f64| value.is_finite())
                 .ok_or_else(|| bad(*line, format!("\"{cell}\" is no height in mm")))?;
             let place = |axis: usize, at: usize| {
                 round_significant(grid.min_mm[axis] + at as f64 * grid.step_mm[axis])

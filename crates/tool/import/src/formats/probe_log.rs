@@ -60,7 +60,7 @@ fn non_empty_lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
 fn parse_linuxcnc_line(line: &str) -> Option<[f64; LINUXCNC_FIELD_COUNT]> {
     let words: Option<Vec<f64>> = line
         .split_whitespace()
-        .map(|word| word.parse().ok().filter(|it: &f64| it.is_finite()))
+        .map(|word| word.parse().ok().filter(|value: &f64| value.is_finite()))
         .collect();
     // Whole numbers alone may be any table.
     words.filter(|_| line.contains('.')).and_then(|words| words.try_into().ok())
@@ -82,7 +82,7 @@ fn parse_grbl_line(line: &str) -> Option<Option<[f64; 3]>> {
     let (_, rest) = line.split_once("[PRB:")?;
     let (inside, _) = rest.split_once(']')?;
     let (place, result) = inside.split_once(':').unwrap_or((inside, "1"));
-    let axes: Option<Vec<f64>> = place.split(',').map(|it| it.trim().parse().ok()).collect();
+    let axes: Option<Vec<f64>> = place.split(',').map(|part| part.trim().parse().ok()).collect();
     let position = axes?.first_chunk().copied()?;
     Some((result.trim() == "1").then_some(position))
 }

@@ -137,7 +137,7 @@ fn build_table(
 }
 
 fn parse_numbers(text: &str) -> Option<Vec<f64>> {
-    let number = |word: &str| word.parse::<f64>().ok().filter(|it| it.is_finite());
+    let number = |word: &str| word.parse::<f64>().ok().filter(|value| value.is_finite());
     text.split_whitespace().map(number).collect()
 }
 
@@ -152,8 +152,11 @@ fn determine_run_directions(
     let mut runs: Vec<u32> = readings.iter().map(|reading| reading.run).collect();
     runs.dedup();
     let way_of = |run: u32| {
-        let places: Vec<f64> =
-            readings.iter().filter(|it| it.run == run).map(|it| targets[it.target]).collect();
+        let places: Vec<f64> = readings
+            .iter()
+            .filter(|reading| reading.run == run)
+            .map(|reading| targets[reading.target])
+            .collect();
         match (places.first(), places.last()) {
             (Some(first), Some(last)) if last > first => Some(1.0),
             (Some(first), Some(last)) if last < first => Some(-1.0),
@@ -163,7 +166,7 @@ fn determine_run_directions(
     let by_order: Vec<Option<f64>> = runs.iter().map(|run| way_of(*run)).collect();
     let is_one_order = by_order.windows(2).all(|pair| pair[0] == pair[1]);
     let way = |run: u32| -> Option<f64> {
-        let at = runs.iter().position(|it| *it == run)?;
+        let at = runs.iter().position(|candidate| *candidate == run)?;
         match answers.there_and_back.filter(|_| is_one_order) {
             Some(true) if at % 2 == 1 => by_order[at].map(|way| -way),
             _ => by_order[at],

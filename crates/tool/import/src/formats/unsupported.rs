@@ -17,11 +17,12 @@ const CYCLE_LOG_TITLES: [&str; 2] = ["probing cycle", "antastzyklus"];
 
 /// Returns why `path` with `bytes` is not read, where it is a file of this kind.
 pub(crate) fn unsupported_format_error(bytes: &[u8], path: &Path) -> Option<BadInput> {
-    let ending = path.extension().map(|it| it.to_string_lossy().to_lowercase());
+    let ending = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
     let head = String::from_utf8_lossy(&bytes[..bytes.len().min(4096)]).to_lowercase();
     let is_xml = head.trim_start_matches('\u{feff}').trim_start().starts_with("<?xml");
     let is_profile = head.contains("<profile>") || head.contains("<preferences>");
-    let stem = path.file_stem().map(|it| it.to_string_lossy().to_lowercase()).unwrap_or_default();
+    let stem =
+        path.file_stem().map(|stem| stem.to_string_lossy().to_lowercase()).unwrap_or_default();
     let (rule, help) = match ending.as_deref() {
         Some("b5r" | "b20") => (
             "is a record of a ball-bar, whose form is not published",
@@ -57,7 +58,7 @@ pub(crate) fn unsupported_format_error(bytes: &[u8], path: &Path) -> Option<BadI
 /// such a title is read, so this is called only where none was found.
 pub(crate) fn detect_cycle_log(bytes: &[u8], path: &Path) -> Option<BadInput> {
     let head = String::from_utf8_lossy(&bytes[..bytes.len().min(4096)]).to_lowercase();
-    CYCLE_LOG_TITLES.iter().any(|it| head.contains(it)).then(|| cycle_log_error(path))
+    CYCLE_LOG_TITLES.iter().any(|title| head.contains(title)).then(|| cycle_log_error(path))
 }
 
 fn cycle_log_error(path: &Path) -> BadInput {

@@ -24,7 +24,7 @@ pub(super) fn assign_axes(drafts: &mut [ColumnDraft<'_>], questions: &mut Vec<Qu
         axes.filter(|axis| {
             let name = format!("{axis}_mm");
             drafts.iter().any(
-                |it| matches!(&it.meaning, ColumnMeaning::Known(target) if target.name == name),
+                |draft| matches!(&draft.meaning, ColumnMeaning::Known(target) if target.name == name),
             )
         })
         .collect()

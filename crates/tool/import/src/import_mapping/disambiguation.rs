@@ -27,7 +27,7 @@ pub(super) fn disambiguate_names(
         let Some(stem) = stem else {
             let first = plans[..at]
                 .iter()
-                .find(|plan| target_column(&plan.role).is_some_and(|it| it.name == name));
+                .find(|plan| target_column(&plan.role).is_some_and(|column| column.name == name));
             let first = first.map_or("", |plan| plan.header.as_str());
             let rule = format!("{first} and {} would both be {name}", plans[at].header);
             let flag = shell_quote(&format!("{}=-", plans[at].header));

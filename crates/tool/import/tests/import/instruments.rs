@@ -94,7 +94,7 @@ fn height_maps_are_errors_of_z_and_points_without_a_probe_are_left_out() {
     let expected = "x_mm,y_mm,measured_dz_um\n5,5,-100\n15,5,50\n25,5,0\n15,15,-20\n25,15,-30\n";
     let imported = read_as("heightmap.csv", reprap.as_bytes(), &[]);
     assert_eq!(imported.run, expected);
-    assert!(imported.notes.iter().any(|it| it.contains("1 points were not probed")));
+    assert!(imported.notes.iter().any(|note| note.contains("1 points were not probed")));
     let old = reprap
         .replace(
             "axis0,axis1,min0,max0,min1,max1,radius,spacing0,spacing1,num0,num1",
@@ -188,7 +188,7 @@ fn a_table_of_a_laser_with_a_column_for_each_run_and_way_keeps_the_ways() {
     };
     for (text, first) in [(signs, "Run 1 + (µm)"), (&words, "Run 1 Forward (µm)")] {
         let given = given(first);
-        let given: Vec<_> = given.iter().map(|(at, it)| (at.clone(), it.as_str())).collect();
+        let given: Vec<_> = given.iter().map(|(at, text)| (at.clone(), text.as_str())).collect();
         let imported = read_as("carto.csv", text.as_bytes(), &given);
         assert_eq!(values(&imported, "x_mm")[..6], [0.0, 97.3, 201.9, 201.9, 97.3, 0.0], "{text}");
         assert_eq!(values(&imported, "dir_x")[..6], [1.0, 1.0, 1.0, -1.0, -1.0, -1.0], "{text}");

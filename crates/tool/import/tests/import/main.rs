@@ -43,7 +43,9 @@ fn read_as(name: &str, bytes: &[u8], given: &[(Topic, &str)]) -> ImportedRun {
 /// Returns the topics that are open.
 fn open(text: impl AsRef<[u8]>, given: &[(Topic, &str)]) -> Vec<Topic> {
     match import(text.as_ref(), Path::new("table.csv"), &answers(given)) {
-        Err(ImportError::Open(questions)) => questions.into_iter().map(|it| it.topic).collect(),
+        Err(ImportError::Open(questions)) => {
+            questions.into_iter().map(|question| question.topic).collect()
+        }
         other => panic!("{other:?}"),
     }
 }

@@ -26,7 +26,10 @@ fn an_order_of_dates_is_asked_only_where_it_matters() {
     let table =
         |dates: [&str; 3]| format!("Datum;flow\n{};1\n{};2\n{};3\n", dates[0], dates[1], dates[2]);
     let days = |text: &str, given: &[(Topic, &str)]| {
-        values(&read(text, given), "time_s").iter().map(|it| it / 86_400.0).collect::<Vec<_>>()
+        values(&read(text, given), "time_s")
+            .iter()
+            .map(|value| value / 86_400.0)
+            .collect::<Vec<_>>()
     };
     let text = table(["03.04.2026 08:00", "04.04.2026 08:00", "05.04.2026 08:00"]);
     assert_eq!(open(&text, &[]), [Topic::Date]);

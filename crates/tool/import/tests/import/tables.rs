@@ -25,7 +25,7 @@ fn a_german_table_with_title_units_and_remarks_needs_one_answer() {
         "x_mm,dir_x,measured_dx_um,temp_spindel_c\n0,1,0,20.3\n100,1,1.5,20.4\n\
          200,1,-2.25,20.6\n1000,1,3.5,\n200,-1,4,20.9\n"
     );
-    let names: Vec<&str> = imported.columns.iter().map(|it| it.header.as_str()).collect();
+    let names: Vec<&str> = imported.columns.iter().map(|column| column.header.as_str()).collect();
     assert_eq!(names, ["Position X", "Richtung", "Messuhr", "Temperatur Spindel"]);
     assert_eq!(imported.columns[2].unit_before, "µm");
     assert_eq!(imported.columns[0].samples[1], ["100,000", "100"]);
@@ -76,7 +76,7 @@ fn one_table_in_every_encoding_separator_and_decimal_sign_is_the_same_run() {
     let quoted: String = GERMAN
         .lines()
         .map(|line| {
-            line.split(';').map(|it| format!("\"{it}\"")).collect::<Vec<_>>().join(",") + "\n"
+            line.split(';').map(|part| format!("\"{part}\"")).collect::<Vec<_>>().join(",") + "\n"
         })
         .collect();
     forms.push(("quoted", quoted.into_bytes()));
@@ -181,7 +181,7 @@ fn an_actual_position_is_an_error_once_the_target_is_taken_off() {
     let text = "Soll X [mm],Ist X [mm]\n0,0.0001\n100,100.0023\n200,199.9991\n";
     let imported = read(text, &[]);
     assert_eq!(values(&imported, "measured_dx_um"), [0.1, 2.3, -0.9]);
-    assert!(imported.notes.iter().any(|it| it.contains("Ist X [mm] minus Soll X [mm]")));
+    assert!(imported.notes.iter().any(|note| note.contains("Ist X [mm] minus Soll X [mm]")));
 }
 
 #[test]

@@ -214,7 +214,7 @@ fn what_is_no_workbook_is_refused() {
     }
     // An archive that states more than a machine's memory.
     let mut bomb = xlsx(&[("a", table())]);
-    let entry = bomb.windows(4).position(|it| it == b"PK\x01\x02").expect("a directory");
+    let entry = bomb.windows(4).position(|window| window == b"PK\x01\x02").expect("a directory");
     bomb[entry + 24..entry + 28].copy_from_slice(&u32::MAX.to_le_bytes());
     let refused = import(&bomb, Path::new("r.xlsx"), &answers(&[]));
     assert!(

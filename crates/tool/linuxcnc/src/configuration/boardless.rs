@@ -39,7 +39,7 @@ impl BoardlessConfig {
         let compiled = compile(machine)?;
         let mut inputs = Vec::new();
         let of_file = machine.inputs.as_ref();
-        if of_file.is_some_and(|it| it.sensor.is_some()) {
+        if of_file.is_some_and(|inputs| inputs.sensor.is_some()) {
             inputs.push(NamedInput {
                 signal: "trueup-sensor-v".into(),
                 pin: "sensor-v".into(),
@@ -47,7 +47,7 @@ impl BoardlessConfig {
                 example: "hm2_7i76e.0.7i76.0.0.analogin0, lcec.0.EL3102.ain-0-val".into(),
             });
         }
-        for (name, input) in of_file.iter().flat_map(|it| &it.temperatures) {
+        for (name, input) in of_file.iter().flat_map(|inputs| &inputs.temperatures) {
             inputs.push(NamedInput {
                 signal: format!("trueup-temp-{:02}", input.channel),
                 pin: format!("temp-{:02}-in", input.channel),
@@ -59,8 +59,8 @@ impl BoardlessConfig {
         Ok(Self {
             blob: compiled.blob().to_vec(),
             codes_per_v: of_file
-                .and_then(|it| it.sensor.as_ref())
-                .map(|it| it.divider * codes_per_volt),
+                .and_then(|inputs| inputs.sensor.as_ref())
+                .map(|sensor| sensor.divider * codes_per_volt),
             has_heat: required_columns(machine).iter().any(|column| column == "time_s"),
             against_um: LinearAxis::ALL.map(|axis| max_over_compensation_um(machine, axis)),
             inputs,

@@ -43,7 +43,7 @@ impl CheckReport {
     /// Returns true if nothing stands in the way.
     #[must_use]
     pub fn is_usable(&self) -> bool {
-        self.findings.iter().all(|it| it.severity != Severity::Error)
+        self.findings.iter().all(|finding| finding.severity != Severity::Error)
     }
 }
 
@@ -150,7 +150,7 @@ fn check_base_settings(ini: &IniLines, report: &mut CheckReport) -> Option<Ini> 
     let period_ns = base.cycle_s * 1e9;
     // A billionth of rounding.
     if !SUPPORTED_PERIODS_NS.contains(&period_ns.round()) {
-        let place = ini.value("EMCMOT", "SERVO_PERIOD").map(|it| it.place);
+        let place = ini.value("EMCMOT", "SERVO_PERIOD").map(|value| value.place);
         report.findings.push(Finding::error(
             place.unwrap_or_else(|| ini.section_location("EMCMOT")),
             format!("[EMCMOT]SERVO_PERIOD = {} ns: 0.5 to 4 ms are supported", period_ns.round()),
@@ -164,7 +164,7 @@ fn check_base_settings(ini: &IniLines, report: &mut CheckReport) -> Option<Ini> 
 fn check_servo_period(ini: &IniLines, base: &Ini, report: &mut CheckReport) {
     let us = (base.cycle_s * 1e6).round();
     if ![500.0, 1_000.0, 2_000.0, 4_000.0].contains(&us) {
-        let place = ini.value("EMCMOT", "SERVO_PERIOD").map(|it| it.place);
+        let place = ini.value("EMCMOT", "SERVO_PERIOD").map(|value| value.place);
         report.findings.push(Finding::error(
             place.unwrap_or_else(|| ini.section_location("EMCMOT")),
             format!(
@@ -199,14 +199,16 @@ fn check_double_compensation(
 ) {
     let (section, axis) = (joint.section_name(), AXIS_NAMES[joint.axis]);
     let ours = demand.corrects_screw.map(|corrects| corrects[joint.axis]);
-    let comp_file = ini.value(&section, "COMP_FILE").filter(|it| !it.text.is_empty());
+    let comp_file = ini.value(&section, "COMP_FILE").filter(|value| !value.text.is_empty());
     let backlash = match ini.number(&section, "BACKLASH") {
         Ok(number) => number.filter(|(width, _)| *width != 0.0),
         Err(error) => return report.findings.push(error.into()),
     };
     let found = [
-        comp_file.map(|it| (it.place, format!("[{section}]COMP_FILE"), "take the line out")),
-        backlash.map(|it| (it.1, format!("[{section}]BACKLASH = {}", it.0), "set it to 0")),
+        comp_file.map(|value| (value.place, format!("[{section}]COMP_FILE"), "take the line out")),
+        backlash.map(|backlash| {
+            (backlash.1, format!("[{section}]BACKLASH = {}", backlash.0), "set it to 0")
+        }),
     ];
     for (place, what, mend) in found.into_iter().flatten() {
         report.findings.push(match ours {
@@ -318,8 +320,9 @@ fn check_external_offsets(
         let section = format!("AXIS_{name}");
         let motion = &base.axes[axis];
         let stated = ini.value(&section, "OFFSET_AV_RATIO");
-        let place =
-            stated.as_ref().map_or_else(|| ini.section_location(&section), |it| it.place.clone());
+        let place = stated
+            .as_ref()
+            .map_or_else(|| ini.section_location(&section), |stated| stated.place.clone());
         let Some(proper) = compute_offset_av_ratio(motion.velocity_mm_per_s, demand.slew_um_per_s)
         else {
             let what = format!(

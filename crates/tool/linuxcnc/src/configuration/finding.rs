@@ -74,12 +74,11 @@ impl OffsetRequirements {
     /// Returns what a machine file requires; without one, the limits that the component then uses.
     #[must_use]
     pub fn from_machine(entry: OffsetEntryPoint, machine: Option<&Machine>) -> Self {
-        let limits = machine.map(|it| it.limits).unwrap_or_default();
+        let limits = machine.map(|machine| machine.limits).unwrap_or_default();
         let corrects_screw = machine.map(|machine| {
-            machine
-                .axes
-                .each_ref()
-                .map(|it| it.pitch.is_some() || it.backlash.is_some() || it.dual.is_some())
+            machine.axes.each_ref().map(|model| {
+                model.pitch.is_some() || model.backlash.is_some() || model.dual.is_some()
+            })
         });
         let slew_um_per_s = limits.slew_um_per_s;
         Self {
@@ -88,7 +87,7 @@ impl OffsetRequirements {
             slew_um_per_s,
             corrects_screw,
             inputs: machine.map(inputs::required_inputs).unwrap_or_default(),
-            angles: machine.map_or(0, |it| it.angle_axes().len()),
+            angles: machine.map_or(0, |machine| machine.angle_axes().len()),
             no_board: None,
         }
     }

@@ -106,15 +106,15 @@ impl HalFiles {
     /// Returns true if a command of the HAL files names this signal.
     #[must_use]
     pub(crate) fn has_signal(&self, signal: &str) -> bool {
-        self.commands.iter().any(|it| it.words.iter().skip(1).any(|word| word == signal))
+        self.commands.iter().any(|command| command.words.iter().skip(1).any(|word| word == signal))
     }
 
     /// Returns the first command that loads this realtime module.
     #[must_use]
     pub(crate) fn find_loadrt(&self, module: &str) -> Option<&HalCommand> {
         let all = self.commands.iter().chain(&self.late);
-        all.into_iter().find(|it| {
-            it.words[0] == "loadrt" && it.words.get(1).is_some_and(|word| word == module)
+        all.into_iter().find(|command| {
+            command.words[0] == "loadrt" && command.words.get(1).is_some_and(|word| word == module)
         })
     }
 
@@ -123,17 +123,19 @@ impl HalFiles {
     /// # Errors
     /// No thread runs it, or a position is beyond the functions that are there.
     pub(crate) fn motion_thread(&self) -> Result<(String, Vec<String>), ThreadOrderError> {
-        let controller = self.commands.iter().find(|it| {
-            it.words[0] == "addf"
-                && it.words[1..].first().is_some_and(|word| word == MOTION_CONTROLLER_FUNCTION)
+        let controller = self.commands.iter().find(|command| {
+            command.words[0] == "addf"
+                && command.words[1..].first().is_some_and(|word| word == MOTION_CONTROLLER_FUNCTION)
         });
-        let thread =
-            controller.and_then(|it| it.words.get(2)).ok_or(ThreadOrderError(None))?.clone();
+        let thread = controller
+            .and_then(|controller| controller.words.get(2))
+            .ok_or(ThreadOrderError(None))?
+            .clone();
         let mut functions: Vec<String> = Vec::new();
         for command in &self.commands {
             match &command.words.iter().map(String::as_str).collect::<Vec<_>>()[..] {
                 ["addf", function, of, rest @ ..] if *of == thread => {
-                    let position = rest.first().map_or(Ok(-1), |it| it.parse::<i32>());
+                    let position = rest.first().map_or(Ok(-1), |word| word.parse::<i32>());
                     let index = match position {
                         Ok(from_start @ 1..) => {
                             usize::try_from(from_start - 1).unwrap_or(usize::MAX)
@@ -150,7 +152,9 @@ impl HalFiles {
                     }
                     functions.insert(index, (*function).to_owned());
                 }
-                ["delf", function, of] if *of == thread => functions.retain(|it| it != function),
+                ["delf", function, of] if *of == thread => {
+                    functions.retain(|other| other != function)
+                }
                 _ => {}
             }
         }
@@ -228,7 +232,7 @@ fn substitute_ini_values(ini: &IniLines, word: &str) -> String {
         Some(both) => both,
         None => {
             let end = rest
-                .find(|it: char| !it.is_ascii_alphanumeric() && it != '_')
+                .find(|character: char| !character.is_ascii_alphanumeric() && character != '_')
                 .unwrap_or(rest.len());
             rest.split_at(end)
         }
@@ -255,7 +259,7 @@ fn collect_links(commands: &[HalCommand]) -> BTreeMap<String, Link> {
             }
             ["linkpp", one, other] => {
                 let signal =
-                    links.get(*one).or_else(|| links.get(*other)).map(|it| it.signal.clone());
+                    links.get(*one).or_else(|| links.get(*other)).map(|link| link.signal.clone());
                 // The name that `halcmd` gives.
                 let signal = signal.unwrap_or_else(|| (*one).to_owned());
                 links.extend([one, other].map(|pin| ((*pin).to_owned(), link(&signal))));
@@ -264,7 +268,7 @@ fn collect_links(commands: &[HalCommand]) -> BTreeMap<String, Link> {
                 links.remove(*pin);
             }
             ["delsig", "all"] => links.clear(),
-            ["delsig", signal] => links.retain(|_, it| it.signal != *signal),
+            ["delsig", signal] => links.retain(|_, link| link.signal != *signal),
             _ => {}
         }
     }
@@ -298,7 +302,7 @@ pub(crate) mod tests {
             ("more.hal", "net [W](NAME)-x p9\n"),
         ]);
         let hal = hal.expect("reads");
-        let on = |pin: &str| hal.find_link(pin).map(|it| it.signal);
+        let on = |pin: &str| hal.find_link(pin).map(|link| link.signal);
         let expected =
             [("p2", Some("a")), ("p3", None), ("p4", None), ("p7", Some("p6")), ("p8", Some("a"))];
         for (pin, signal) in expected {
@@ -306,8 +310,8 @@ pub(crate) mod tests {
         }
         // A HALCMD line runs after all HAL files, and so after those of setup.
         assert_eq!(on("p10"), None);
-        assert_eq!(hal.final_link("p10").map(|it| it.signal).as_deref(), Some("c"));
-        assert_eq!(hal.late_reference("p10").map(|it| it.line), Some(3));
+        assert_eq!(hal.final_link("p10").map(|link| link.signal).as_deref(), Some("c"));
+        assert_eq!(hal.late_reference("p10").map(|command| command.line), Some(3));
         assert_eq!(hal.find_link("p2").expect("linked").place.line, 1);
         assert!(on("p9").is_some(), "a sourced file counts");
     }

@@ -197,7 +197,7 @@ pub fn expand_home(name: &str) -> PathBuf {
 /// Returns true if a file is there.
 #[must_use]
 pub fn is_file(path: &Path) -> bool {
-    fs::metadata(path).is_ok_and(|it| it.is_file())
+    fs::metadata(path).is_ok_and(|metadata| metadata.is_file())
 }
 
 fn read_lines(path: &Path) -> Result<Vec<Line>, BadInput> {
@@ -234,7 +234,7 @@ fn parse_value(line: &Line, key: &str) -> Option<IniValue> {
     if name.trim() != key {
         return None;
     }
-    let blanks = value.chars().take_while(|it| it.is_whitespace()).count();
+    let blanks = value.chars().take_while(|character| character.is_whitespace()).count();
     let column = name.chars().count() + 2 + blanks;
     let place = Location { column, ..line.place.clone() };
     Some(IniValue { text: value.trim().to_owned(), place, is_ours: line.is_ours })
@@ -257,7 +257,7 @@ mod tests {
         let main = "[A]\nX = 7 # seven\n#INCLUDE b.inc\n[A]\nY = 1\n";
         let (_folder, ini) =
             read(&[("m.ini", main), ("b.inc", "Z = 3\n[B]\n  K=  v w\n")]).expect("reads");
-        assert_eq!(ini.number("A", "X").expect("a number").map(|it| it.0), Some(7.0));
+        assert_eq!(ini.number("A", "X").expect("a number").map(|number| number.0), Some(7.0));
         assert_eq!(ini.value("A", "Y"), None, "LinuxCNC reads the first [A] alone");
         let z = ini.value("A", "Z").expect("included");
         assert_eq!((z.place.line, z.place.file.ends_with("b.inc")), (1, true));

@@ -59,7 +59,7 @@ pub(super) fn format_input_nets(demand: &OffsetRequirements, hal: &HalFiles) -> 
     let own: &[(&str, &str)] =
         if demand.no_board.is_some() { &BOARDLESS_SIGNALS } else { &BOARD_SIGNALS };
     let mut named: Vec<(&str, &str)> =
-        all_inputs(demand).map(|it| (it.signal.as_str(), it.pin.as_str())).collect();
+        all_inputs(demand).map(|input| (input.signal.as_str(), input.pin.as_str())).collect();
     for optional in OPTIONAL_SIGNALS.iter().chain(own) {
         if !named.contains(optional) {
             named.push(*optional);
@@ -76,5 +76,5 @@ pub(super) fn format_input_nets(demand: &OffsetRequirements, hal: &HalFiles) -> 
 }
 
 fn all_inputs(demand: &OffsetRequirements) -> impl Iterator<Item = &NamedInput> {
-    demand.inputs.iter().chain(demand.no_board.iter().flat_map(|it| &it.inputs))
+    demand.inputs.iter().chain(demand.no_board.iter().flat_map(|boardless| &boardless.inputs))
 }

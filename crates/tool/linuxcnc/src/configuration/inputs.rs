@@ -38,7 +38,7 @@ impl NamedInput {
 /// Returns what the machine file needs from LinuxCNC next to positions and speed.
 pub(super) fn required_inputs(machine: &Machine) -> Vec<NamedInput> {
     let mut inputs = Vec::new();
-    let conditions = machine.inputs.iter().flat_map(|it| &it.conditions);
+    let conditions = machine.inputs.iter().flat_map(|input| &input.conditions);
     for (name, input) in conditions {
         let pin = format!("condition-{:02}", input.bit);
         inputs.push(NamedInput::from_pin(&pin, name, "iocontrol.0.coolant-flood"));

@@ -117,7 +117,10 @@ pub fn prepare_setup(
             changes.push(FileChange { path, content: Some(text.into_bytes()) });
         }
     }
-    changes.extend(calibration_change(ini, demand.no_board.as_ref().map(|it| &it.blob))?);
+    changes.extend(calibration_change(
+        ini,
+        demand.no_board.as_ref().map(|boardless| &boardless.blob),
+    )?);
     Ok((report, changes))
 }
 
@@ -155,7 +158,9 @@ fn calibration_change(
     let path = absolute_path(ini, CALIBRATION_FILE);
     let before =
         if is_file(&path) { Some(bounded_read::read(&path, MAX_FILE_BYTES)?) } else { None };
-    if before.as_ref() == blob || before.as_ref().is_some_and(|it| validate_blob(it).is_err()) {
+    if before.as_ref() == blob
+        || before.as_ref().is_some_and(|before| validate_blob(before).is_err())
+    {
         return Ok(None);
     }
     Ok(Some(FileChange { path, content: blob.cloned() }))
@@ -163,7 +168,8 @@ fn calibration_change(
 
 fn first_finding_error(ini: &IniLines, findings: &[Finding]) -> BadInput {
     let first = findings.first().cloned();
-    let first = first.map(|it| BadInput::new(it.place, it.what).with_help(it.help));
+    let first =
+        first.map(|finding| BadInput::new(finding.place, finding.what).with_help(finding.help));
     first.unwrap_or_else(|| {
         BadInput::new(Location::start_of_file(ini.path()), "it cannot be set up")
     })

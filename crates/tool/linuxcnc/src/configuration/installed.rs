@@ -45,7 +45,7 @@ impl InstalledSetup {
                 port: ours("PORT"),
                 machine: ours("MACHINE"),
                 position_period_ms: ours("POSITION_PERIOD_MS")
-                    .map_or(Some(0), |it| it.parse().ok())?,
+                    .map_or(Some(0), |text| text.parse().ok())?,
             },
         })
     }
@@ -71,7 +71,7 @@ pub fn find_manual_setup(ini: &IniLines, hal: &HalFiles) -> Option<(Location, Of
     let command = hal.commands.iter().chain(&hal.late).find(is_component);
     let value = || ini.value(INI_SECTION, "PORT").filter(|value| !value.is_ours);
     command
-        .map(|it| (it.place.clone(), entry(it)))
+        .map(|command| (command.place.clone(), entry(command)))
         .or_else(|| value().map(|value| (value.place, OffsetEntryPoint::default())))
 }
 
@@ -91,7 +91,7 @@ mod tests {
             let (_folder, ini, hal) =
                 configuration(&[("m.ini", "[HAL]\nHALFILE = m.hal\n"), ("m.hal", &hal)]);
             let found = find_manual_setup(&ini, &hal.expect("reads"));
-            assert_eq!(found.map(|it| it.1), Some(entry), "{option}");
+            assert_eq!(found.map(|entry| entry.1), Some(entry), "{option}");
         }
     }
 }

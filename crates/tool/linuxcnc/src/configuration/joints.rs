@@ -116,10 +116,10 @@ pub(crate) fn read_joints(ini: &IniLines) -> Result<Vec<Joint>, BadInput> {
             Ok(ini.number(&section, key)?.filter(|(value, _)| *value > 0.0))
         };
         let headroom = |planner: &str, drive: &str| -> Result<Headroom, BadInput> {
-            let planner = positive(planner)?.map_or(DEFAULT_JOINT_LIMIT, |it| it.0);
-            Ok(Headroom { planner, stated: positive(drive)?.map(|it| it.0) })
+            let planner = positive(planner)?.map_or(DEFAULT_JOINT_LIMIT, |number| number.0);
+            Ok(Headroom { planner, stated: positive(drive)?.map(|number| number.0) })
         };
-        let limit = |key: &str| Ok(ini.number(&section, key)?.map(|it| it.0));
+        let limit = |key: &str| Ok(ini.number(&section, key)?.map(|number| number.0));
         let stated = ini
             .value(&section, "STEPGEN_MAXACCEL")
             .or_else(|| ini.value(&section, "MAX_ACCELERATION"));
@@ -129,7 +129,7 @@ pub(crate) fn read_joints(ini: &IniLines) -> Result<Vec<Joint>, BadInput> {
             velocity: headroom("MAX_VELOCITY", "STEPGEN_MAXVEL")?,
             acceleration: headroom("MAX_ACCELERATION", "STEPGEN_MAXACCEL")?,
             limits: [limit("MIN_LIMIT")?, limit("MAX_LIMIT")?],
-            place: stated.map_or_else(|| ini.section_location(&section), |it| it.place),
+            place: stated.map_or_else(|| ini.section_location(&section), |stated| stated.place),
         });
     }
     if joints.len() > MAX_JOINTS {
@@ -197,7 +197,7 @@ fn joint_axis_letters(ini: &IniLines) -> Result<String, BadInput> {
         .unwrap_or(AXIS_LETTERS)
         .to_ascii_uppercase()
         .chars()
-        .filter(|it| AXIS_LETTERS.contains(*it))
+        .filter(|character| AXIS_LETTERS.contains(*character))
         .collect();
     let joints = ini.number("KINS", "JOINTS")?;
     let Some((joints, place)) = joints else {
@@ -224,7 +224,10 @@ fn joint_axis_letters(ini: &IniLines) -> Result<String, BadInput> {
 /// `[TRAJ]COORDINATES` names no axis without a joint.
 fn check_coordinates(letters: &str, traj: &IniValue) -> Result<(), BadInput> {
     let axes = traj.without_comment().to_ascii_uppercase();
-    match axes.chars().find(|it| AXIS_LETTERS.contains(*it) && !letters.contains(*it)) {
+    match axes
+        .chars()
+        .find(|character| AXIS_LETTERS.contains(*character) && !letters.contains(*character))
+    {
         Some(axis) => Err(BadInput::new(
             traj.place.clone(),
             format!(
@@ -253,7 +256,7 @@ mod tests {
     }
 
     fn axes(joints: &[Joint]) -> Vec<(usize, usize)> {
-        joints.iter().map(|it| (it.number, it.axis)).collect()
+        joints.iter().map(|joint| (joint.number, joint.axis)).collect()
     }
 
     #[test]
@@ -292,7 +295,7 @@ mod tests {
                     [JOINT_1]\nMAX_ACCELERATION = 400\nSTEPGEN_MAXACCEL = 0\nSTEPGEN_MAXVEL = 31\nMAX_VELOCITY = 30\n\
                     [JOINT_2]\nMAX_ACCELERATION = 400\nSTEPGEN_MAXACCEL = 300\n";
         let joints = of("KINEMATICS = trivkins\nJOINTS = 3", text).expect("reads");
-        let left: Vec<f64> = joints.iter().map(|it| it.acceleration.available()).collect();
+        let left: Vec<f64> = joints.iter().map(|joint| joint.acceleration.available()).collect();
         assert_eq!(left, [250.0, 80.0, 0.0]);
         assert!(
             (joints[1].velocity.available() - 1.0).abs() < 1e-9
@@ -312,7 +315,7 @@ mod tests {
             );
             let settings = build_joint_settings(&configuration(&[("m.ini", &text)]).1, 1.0, 0.5);
             let error = settings.err();
-            assert_eq!(error.as_ref().map(|it| it.place.line), line, "{drive}: {error:?}");
+            assert_eq!(error.as_ref().map(|error| error.place.line), line, "{drive}: {error:?}");
         }
     }
 

@@ -60,7 +60,7 @@ pub(super) fn format_load_lines(
         if demand.entry == OffsetEntryPoint::Eoffset {
             let motion = &base.axes[axis];
             let section = format!("AXIS_{}", letter.to_ascii_uppercase());
-            let stated = ini.value(&section, "OFFSET_AV_RATIO").is_some_and(|it| !it.is_ours);
+            let stated = ini.value(&section, "OFFSET_AV_RATIO").is_some_and(|value| !value.is_ours);
             let proper = compute_offset_av_ratio(motion.velocity_mm_per_s, demand.slew_um_per_s);
             let ratio = if stated { motion.ratio } else { proper.unwrap_or_default() };
             let acceleration = motion.acceleration_mm_per_s2.unwrap_or_default() * ratio;

@@ -188,9 +188,11 @@ impl HalWriter<'_> {
         self.load_module(text, "offset", &names);
         let stops = self.load_speed_ramps(text, &names);
         // The feedback just before the motion controller, the command just after it.
-        let controller =
-            functions.iter().position(|it| it == MOTION_CONTROLLER_FUNCTION).unwrap_or_default()
-                + 1;
+        let controller = functions
+            .iter()
+            .position(|function| function == MOTION_CONTROLLER_FUNCTION)
+            .unwrap_or_default()
+            + 1;
         let mut position = controller;
         let mut add = |function: String| {
             let _ = writeln!(text, "addf {function} {thread} {position}");
@@ -274,7 +276,7 @@ impl HalWriter<'_> {
                 format!("connect it: net SIGNAL {pin}"),
             ));
         }
-        link.map_or_else(|| format!("SIGNAL-OF-{pin}"), |it| it.signal)
+        link.map_or_else(|| format!("SIGNAL-OF-{pin}"), |link| link.signal)
     }
 
     /// Loads a module with these instances, unless the user's own line names them already.
@@ -442,7 +444,7 @@ impl HalWriter<'_> {
     /// Connects a pin of LinuxCNC to pins of the component, by the user's signal where there is one.
     fn connect_pin(&self, text: &mut String, pin: &str, signal: &str, to: &[String]) {
         let link = self.hal.final_link(pin);
-        let signal = link.as_ref().map_or(signal, |it| it.signal.as_str());
+        let signal = link.as_ref().map_or(signal, |link| link.signal.as_str());
         let to: Vec<String> = to.iter().map(|pin| format!("trueup.0.{pin}")).collect();
         let _ = writeln!(text, "net {signal} {pin} => {}", to.join(" "));
     }

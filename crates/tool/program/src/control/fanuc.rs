@@ -157,7 +157,11 @@ impl Dialect for ProgramWriter {
         self.push_block("M99".into());
         let Some(mut done) = self.open.pop() else { return };
         // In increments a cycle is the same at each place.
-        let same = self.closed.iter().find(|it| it.blocks == done.blocks).map(|it| it.number);
+        let same = self
+            .closed
+            .iter()
+            .find(|program| program.blocks == done.blocks)
+            .map(|program| program.number);
         let number = same.unwrap_or(MAIN_PROGRAM_NUMBER + 1 + self.closed.len());
         self.push_block(format!("M98 P{number} L{}", done.times));
         if same.is_none() {

@@ -132,7 +132,7 @@ fn place_circle(
     if let Some(n) = (0..2).find(|n| !fits(*n, radius)) {
         let name = pair[n].axis.name();
         let [low, high] =
-            way.extent[n].map(|it| round_to_micrometres(centre(n, radius) + it * radius));
+            way.extent[n].map(|end| round_to_micrometres(centre(n, radius) + end * radius));
         return Err(ProgramError(format!(
             "a circle of {radius} mm would send {name} from {low} to {high} mm, and it may move from {} to {} mm: give a smaller \
              --radius, another centre by --at, or a longer --range {name}=LOW:HIGH",
@@ -156,7 +156,7 @@ fn create_plan(
     let (radius, centre_mm) = place_circle(pair, &way, options)?;
     let still = LinearAxis::ALL[3 - axes[0] - axes[1]];
     let (sin, cos) = way.start_deg.to_radians().sin_cos();
-    let start_mm = [cos, sin].map(|it| it * radius);
+    let start_mm = [cos, sin].map(|component| component * radius);
     let start_mm = [0, 1].map(|n| round_to_micrometres(centre_mm[n] + start_mm[n]));
     let own_feed = (FEED_RADII_PER_MIN * radius).min(MAX_FEED_MM_PER_MIN);
     let feed = options.feeds_mm_per_min.first().copied().unwrap_or(own_feed);

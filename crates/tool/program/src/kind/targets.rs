@@ -177,8 +177,10 @@ mod tests {
         )
         .expect("the runs were there");
         let readings = plan.readings();
-        let places: Vec<(Option<f64>, i8)> =
-            readings[..6].iter().map(|it| (it.position_mm[1], it.direction[1])).collect();
+        let places: Vec<(Option<f64>, i8)> = readings[..6]
+            .iter()
+            .map(|reading| (reading.position_mm[1], reading.direction[1]))
+            .collect();
         let to = |mm: f64, way: i8| (Some(mm), way);
         assert_eq!(places[..3], [to(50.0, 1), to(400.0, 1), to(950.0, 1)]);
         assert_eq!(places[3..], [to(950.0, -1), to(400.0, -1), to(50.0, -1)]);

@@ -99,7 +99,7 @@ pub fn of_axes(found: &[(char, f64)], letters: &str, axes: [usize; 2]) -> Result
         .iter()
         .filter_map(|(letter, number)| Some((letters.find(*letter)?, *number)))
         .collect();
-    let of = |axis: usize| own.iter().find(|it| it.0 == axis).map(|it| it.1);
+    let of = |axis: usize| own.iter().find(|word| word.0 == axis).map(|word| word.1);
     match (own.len(), of(axes[0]), of(axes[1])) {
         (2, Some(u), Some(v)) => Ok([u, v]),
         _ => Err(format!("not the axes of the plane: {found:?}")),

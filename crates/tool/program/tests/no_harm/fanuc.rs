@@ -54,7 +54,7 @@ fn run(number: u32, programs: &HashMap<u32, Vec<&str>>, state: &mut State) -> Re
         }
         let (_, block) = line.split_once(' ').ok_or(format!("no block number: {line}"))?;
         if let Some((test, alarm)) = block.split_once(" THEN #3000=") {
-            let message = alarm.split_once('(').and_then(|it| it.1.strip_suffix(')'));
+            let message = alarm.split_once('(').and_then(|parts| parts.1.strip_suffix(')'));
             is_legal(message.ok_or(format!("no message: {line}"))?, 26, "")?;
             state.alarms.push(test.into());
             continue;
@@ -66,7 +66,8 @@ fn run(number: u32, programs: &HashMap<u32, Vec<&str>>, state: &mut State) -> Re
 
 /// Returns whether no mode of an earlier program has a part in an increment.
 fn has_modes(state: &State) -> bool {
-    let has_alarms = ALARMS.iter().all(|it| state.alarms.iter().any(|test| test.contains(it)));
+    let has_alarms =
+        ALARMS.iter().all(|alarm| state.alarms.iter().any(|test| test.contains(alarm)));
     has_alarms && [21.0, 40.0, 94.0].iter().all(|mode| state.modes.contains(mode))
 }
 
@@ -79,7 +80,7 @@ fn around(block: &str, state: &mut State) -> Result<(), String> {
     }
     let axes = state.plane.ok_or("no plane")?;
     let (end, centre) = (of_axes(&found, "XYZ", axes)?, of_axes(&found, "IJK", axes)?);
-    let feed = found.iter().find(|it| it.0 == 'F').map(|it| it.1);
+    let feed = found.iter().find(|word| word.0 == 'F').map(|word| word.1);
     (state.distance, state.motion, state.feed) = (Some(91.0), Some(turn), feed);
     let has_modes = has_modes(state);
     state.events.push(Event::Around { axes, is_ccw: turn == 3.0, end, centre, feed, has_modes });

@@ -57,7 +57,7 @@ pub fn read(text: &str) -> Result<Vec<Event>, String> {
             return Err(format!("not in mm: {block}"));
         } else {
             let known = ["BEGIN PGM ", "END PGM ", "LBL ", "CYCL DEF 9.0 DWELL TIME"];
-            let is_known = *block == "M3" || known.iter().any(|it| block.starts_with(it));
+            let is_known = *block == "M3" || known.iter().any(|prefix| block.starts_with(prefix));
             is_known.then_some(()).ok_or(format!("a block that no reader knows: {block}"))?;
         }
         if events.len() > is_read {

@@ -48,7 +48,7 @@ impl Probe {
         if line.starts_with("(LOGOPEN,") || line == "(LOGCLOSE)" {
             return Ok(Some(None));
         }
-        if let Some(row) = line.strip_prefix("(LOG,").and_then(|it| it.strip_suffix(')')) {
+        if let Some(row) = line.strip_prefix("(LOG,").and_then(|rest| rest.strip_suffix(')')) {
             let cells: Vec<String> = row.split(',').map(Into::into).collect();
             return Ok(Some(match &self.columns {
                 None => {
@@ -61,7 +61,8 @@ impl Probe {
         if line.starts_with("#<touch_") || line.starts_with("#<cell_") {
             return Ok(Some(None));
         }
-        let Some((code, rest)) = line.strip_prefix("G38.").and_then(|it| it.split_once(' ')) else {
+        let Some((code, rest)) = line.strip_prefix("G38.").and_then(|rest| rest.split_once(' '))
+        else {
             return Ok(None);
         };
         let sort = match code {
@@ -132,7 +133,7 @@ impl Modes {
 /// Returns a line of a guard without its number and its place; any other line as it is.
 fn without_number(line: &str) -> &str {
     const STOPPED: &str = "(MSG, Stopped: contact on the way";
-    match line.strip_prefix("o1").and_then(|it| it.split_once(' ')) {
+    match line.strip_prefix("o1").and_then(|rest| rest.split_once(' ')) {
         Some((number, rest)) if number.len() == 3 => rest,
         _ if line.starts_with(STOPPED) => STOPPED,
         _ => line,
@@ -149,7 +150,7 @@ fn repeat(
     events: &mut Vec<Event>,
     open: &mut Vec<Open>,
 ) -> Result<(), String> {
-    if let Some(turns) = word.strip_prefix("repeat [").and_then(|it| it.strip_suffix(']')) {
+    if let Some(turns) = word.strip_prefix("repeat [").and_then(|rest| rest.strip_suffix(']')) {
         let turns = turns.parse().map_err(|_| format!("turns: {word}"))?;
         open.push((number.into(), turns, std::mem::take(events)));
         return Ok(());
@@ -195,7 +196,8 @@ pub fn read(text: &str) -> Result<Vec<Event>, String> {
             continue;
         }
         let block = line.strip_suffix(" (read)").unwrap_or(line);
-        if let Some((number, word)) = block.strip_prefix('o').and_then(|it| it.split_once(' ')) {
+        if let Some((number, word)) = block.strip_prefix('o').and_then(|rest| rest.split_once(' '))
+        {
             repeat(number, word, &mut events, &mut open)?;
             continue;
         }

@@ -149,7 +149,7 @@ fn no_program_of_a_probe_is_a_danger() {
                     let reasons =
                         ["would go to", "may move or is asked for", "along none", "--range"];
                     assert!(
-                        reasons.iter().any(|it| why.0.contains(it)),
+                        reasons.iter().any(|reason| why.0.contains(reason)),
                         "{kind:?} {draw:?}: {why}"
                     );
                 }

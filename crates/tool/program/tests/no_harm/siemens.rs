@@ -41,7 +41,7 @@ fn around(ways: &str, axes: [usize; 2], is_ccw: bool, is_safe: bool) -> Result<E
     let plain = ways.replace("=IC(", "").replace(')', "");
     let found = words(&plain)?;
     let (end, centre) = (of_axes(&found, "XYZ", axes)?, of_axes(&found, "IJK", axes)?);
-    let feed = found.iter().find(|it| it.0 == 'F').map(|it| it.1);
+    let feed = found.iter().find(|word| word.0 == 'F').map(|word| word.1);
     let has_modes = is_safe && ends.count() == 2;
     Ok(Event::Around { axes, is_ccw, end, centre, feed, has_modes })
 }
@@ -68,14 +68,14 @@ pub fn read(text: &str) -> Result<Vec<Event>, String> {
         if let Some(message) = block.strip_prefix("MSG(") {
             let message = message.strip_suffix(')').ok_or(format!("an open message: {line}"))?;
             if !message.is_empty() {
-                let inside = message.strip_prefix('"').and_then(|it| it.strip_suffix('"'));
+                let inside = message.strip_prefix('"').and_then(|rest| rest.strip_suffix('"'));
                 is_legal(inside.ok_or(format!("no text: {line}"))?, 124, ":;<>'_?")?;
             }
             said = message.into();
             continue;
         }
         if let Some(turns) = block.strip_prefix("FOR R") {
-            let turns = turns.rsplit(' ').next().and_then(|it| it.parse().ok());
+            let turns = turns.rsplit(' ').next().and_then(|part| part.parse().ok());
             open.push((turns.ok_or(format!("turns: {line}"))?, std::mem::take(&mut events)));
             continue;
         }

@@ -67,7 +67,8 @@ fn recording_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'stati
 
 fn quality_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
     let Some(output) = state.output() else {
-        let age = state.output_age_s().map(|it| format!(" for {it:.0} s")).unwrap_or_default();
+        let age =
+            state.output_age_s().map(|age_s| format!(" for {age_s:.0} s")).unwrap_or_default();
         return vec![Line::styled(format!("NO OFFSETS COME{age}"), theme.error_style())];
     };
     let waits = state.awaited_command();
@@ -157,7 +158,7 @@ fn growth_line(state: &State, theme: Theme) -> Line<'static> {
 /// Returns what is wrong with the gauge.
 fn gauge_error_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
     let trouble = state.gauge.trouble.iter();
-    trouble.flat_map(|it| wrap_text(it, width, theme.error_style())).collect()
+    trouble.flat_map(|alarm| wrap_text(alarm, width, theme.error_style())).collect()
 }
 
 /// Returns an age in words.
@@ -181,10 +182,10 @@ pub(crate) fn offset_lines(state: &State, theme: Theme, with_shares: bool) -> Ve
     )];
     let given = state.offset_um();
     if with_shares {
-        lines.extend(state.shares.iter().map(|it| Line::raw(row(it.name, it.offset_um))));
+        lines.extend(state.shares.iter().map(|share| Line::raw(row(share.name, share.offset_um))));
         if let (Some(given), false) = (given, state.shares.is_empty()) {
             let known = |axis: usize| {
-                let shares = state.shares.iter().map(|it| it.offset_um[axis]);
+                let shares = state.shares.iter().map(|share| share.offset_um[axis]);
                 shares.filter(|um| !um.is_nan()).sum::<f64>()
             };
             let rest = [0, 1, 2].map(|axis| given[axis] - known(axis));
@@ -223,7 +224,7 @@ fn temperature_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'sta
         .map(crate::compensation_model::CompensationModel::temperature_names)
         .unwrap_or_default();
     let items = (0_u8..).zip(state.board.centi_c).filter_map(|(channel, centi_c)| {
-        let name = names.get(&channel).map(|it| (*it).to_owned());
+        let name = names.get(&channel).map(|name| (*name).to_owned());
         let name = match (name, centi_c) {
             (Some(name), _) => name,
             (None, Some(_)) => format!("T{channel}"),
@@ -231,7 +232,7 @@ fn temperature_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'sta
         };
         let age = state
             .stale_temperature_age_s(channel.into())
-            .map(|it| format!(" ({})", format_age(it)));
+            .map(|age_s| format!(" ({})", format_age(age_s)));
         Some(match centi_c {
             Some(it) => {
                 format!("{name} {:.2} °C{}", f64::from(it) / 100.0, age.unwrap_or_default())
@@ -240,8 +241,8 @@ fn temperature_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'sta
         })
     });
     let lines = pack_items("Temperatures  ", items, width);
-    let is_old =
-        (0..state.board.centi_c.len()).any(|it| state.stale_temperature_age_s(it).is_some());
+    let is_old = (0..state.board.centi_c.len())
+        .any(|channel| state.stale_temperature_age_s(channel).is_some());
     if is_old { apply_style(lines, theme.stale_style()) } else { lines }
 }
 

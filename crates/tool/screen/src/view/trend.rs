@@ -37,8 +37,8 @@ pub fn draw(frame: &mut Frame<'_>, area: Rect, state: &State, theme: Theme) {
         _ => Vec::new(),
     };
     let values = || points.iter().chain(&marks).map(|(_, value)| *value);
-    let (least, most) =
-        values().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), it| (a.min(it), b.max(it)));
+    let (least, most) = values()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), value| (a.min(value), b.max(value)));
     let (least, most) =
         if points.is_empty() && marks.is_empty() { (0.0, 0.0) } else { (least, most) };
     let spare = ((MIN_VALUE_RANGE - (most - least)) / 2.0).max(0.0);
@@ -59,7 +59,9 @@ pub fn draw(frame: &mut Frame<'_>, area: Rect, state: &State, theme: Theme) {
         .graph_type(GraphType::Line)
         .style(theme.ok_style())
         .data(&points);
-    let y = Axis::default().bounds(bounds).labels(bounds.map(|it| Line::raw(format!("{it:+8.2}"))));
+    let y = Axis::default()
+        .bounds(bounds)
+        .labels(bounds.map(|bound| Line::raw(format!("{bound:+8.2}"))));
     let readings = Dataset::default()
         .marker(Marker::Dot)
         .graph_type(GraphType::Scatter)
@@ -112,7 +114,7 @@ fn series_label(state: &State) -> (String, &'static str) {
             let channel = u8::try_from(which - 4).unwrap_or(u8::MAX);
             let names =
                 state.laws.as_ref().map(CompensationModel::temperature_names).unwrap_or_default();
-            let name = names.get(&channel).map(|it| (*it).to_owned());
+            let name = names.get(&channel).map(|name| (*name).to_owned());
             (name.unwrap_or_else(|| format!("T{channel}")), "°C")
         }
     }

@@ -140,7 +140,11 @@ impl Connection {
         self.client.try_disconnect().ok();
         let until = Instant::now() + within;
         while let Some(left) = until.checked_duration_since(Instant::now()) {
-            if self.wait_for_events(left).iter().any(|it| matches!(it, ConnectionEvent::Ended(_))) {
+            if self
+                .wait_for_events(left)
+                .iter()
+                .any(|event| matches!(event, ConnectionEvent::Ended(_)))
+            {
                 return;
             }
         }

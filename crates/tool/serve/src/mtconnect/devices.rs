@@ -120,7 +120,7 @@ mod tests {
         let text = lines.encode_all(0);
         let mut sent: Vec<&str> = text
             .split(['|', '\n'])
-            .filter(|it| it.starts_with("b1_") || it.starts_with("b2_"))
+            .filter(|part| part.starts_with("b1_") || part.starts_with("b2_"))
             .collect();
         // Messages are sent when there is something to say.
         sent.extend(["b1_message", "b2_message"]);

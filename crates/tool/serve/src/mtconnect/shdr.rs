@@ -46,14 +46,19 @@ impl ShdrEncoder {
     ) -> String {
         let stamp = format_utc(time_ms);
         let mut lines = String::new();
-        let now: Vec<PublishedState> =
-            bridges.iter().zip(1..).map(|(it, number)| published_state(it, number)).collect();
+        let now: Vec<PublishedState> = bridges
+            .iter()
+            .zip(1..)
+            .map(|(bridge, number)| published_state(bridge, number))
+            .collect();
         self.known.resize_with(now.len(), PublishedState::default);
         for (before, now) in self.known.iter().zip(&now) {
-            lines +=
-                &encode_values(&stamp, now.values.iter().filter(|it| !before.values.contains(it)));
+            lines += &encode_values(
+                &stamp,
+                now.values.iter().filter(|value| !before.values.contains(value)),
+            );
             for condition in &now.conditions {
-                let old = before.conditions.iter().find(|it| it.key == condition.key);
+                let old = before.conditions.iter().find(|other| other.key == condition.key);
                 lines += &encode_condition_change(&stamp, old, condition);
             }
         }
@@ -71,8 +76,10 @@ impl ShdrEncoder {
     pub(crate) fn encode_all(&self, time_ms: u64) -> String {
         let stamp = format_utc(time_ms);
         let all = self.known.iter().map(|known| {
-            let conditions =
-                known.conditions.iter().map(|it| encode_condition_change(&stamp, None, it));
+            let conditions = known
+                .conditions
+                .iter()
+                .map(|condition| encode_condition_change(&stamp, None, condition));
             encode_values(&stamp, known.values.iter()) + &conditions.collect::<String>()
         });
         all.collect()
@@ -97,10 +104,10 @@ fn encode_condition_change(stamp: &str, before: Option<&Condition>, now: &Condit
         // Without a code it clears all of them.
         Some(codes) if codes.is_empty() => format!("{stamp}|{key}|NORMAL||||\n"),
         Some(codes) => {
-            let old = before.and_then(|it| it.codes.as_ref()).unwrap_or(&none);
-            let gone = old.iter().filter(|it| !codes.contains(it));
+            let old = before.and_then(|before| before.codes.as_ref()).unwrap_or(&none);
+            let gone = old.iter().filter(|code| !codes.contains(code));
             let gone = gone.map(|(code, _)| format!("{stamp}|{key}|NORMAL|{code}|||\n"));
-            let new = codes.iter().filter(|it| !old.contains(it));
+            let new = codes.iter().filter(|code| !old.contains(code));
             let new = new.map(|(code, text)| format!("{stamp}|{key}|{level}|{code}|||{text}\n"));
             gone.chain(new).collect()
         }

@@ -163,12 +163,12 @@ impl EdgeNode {
     /// Returns whether anything but numbers, counts and flags of offsets differs from what was last said.
     #[must_use]
     pub(crate) fn has_state_change(&self, bridges: &[Snapshot]) -> bool {
-        let known = self.devices.iter().map(|it| &it.said);
+        let known = self.devices.iter().map(|device| &device.said);
         bridges.len() != self.devices.len()
             || known.zip(bridges).any(|(said, of)| {
-                let is_word = |it: &&Metric| {
-                    matches!(it.value, MetricValue::Text(_) | MetricValue::Flag(_))
-                        && it.name != FLAGS_METRIC
+                let is_word = |metric: &&Metric| {
+                    matches!(metric.value, MetricValue::Text(_) | MetricValue::Flag(_))
+                        && metric.name != FLAGS_METRIC
                 };
                 let now = bridge_metrics(of);
                 !said.iter().filter(is_word).eq(now.iter().filter(is_word))
@@ -195,10 +195,10 @@ impl EdgeNode {
     fn birth_message(&mut self, metrics: &[Metric], time_ms: u64) -> Message {
         self.seq = 0;
         let mut all = vec![self.bd_seq_metric(time_ms)];
-        all.extend(metrics.iter().zip(1..).map(|(it, alias)| {
-            let mut metric = birth_metric(it, alias, time_ms);
+        all.extend(metrics.iter().zip(1..).map(|(declared, alias)| {
+            let mut metric = birth_metric(declared, alias, time_ms);
             // In Sparkplug a host requests it by its name.
-            metric.alias = metric.alias.filter(|_| it.name != REBIRTH_METRIC);
+            metric.alias = metric.alias.filter(|_| declared.name != REBIRTH_METRIC);
             metric
         }));
         self.sequenced_message("NBIRTH", None, all, time_ms)
@@ -218,15 +218,19 @@ impl EdgeNode {
         let now = bridge_metrics(of);
         if old.is_some() && old != id {
             messages.push(self.sequenced_message("DDEATH", old.as_deref(), Vec::new(), time_ms));
-            messages
-                .extend(old.as_deref().map(|it| self.retained_state_message(it, &now, time_ms)));
+            messages.extend(
+                old.as_deref().map(|before| self.retained_state_message(before, &now, time_ms)),
+            );
         }
         if let Some(id) = &id {
             let (kind, metrics) = if old.as_ref() == Some(id) {
                 ("DDATA", changed_metrics(&said, &now, first, time_ms))
             } else {
                 let all = now.iter().zip(first..);
-                ("DBIRTH", all.map(|(it, alias)| birth_metric(it, alias, time_ms)).collect())
+                (
+                    "DBIRTH",
+                    all.map(|(metric, alias)| birth_metric(metric, alias, time_ms)).collect(),
+                )
             };
             if !metrics.is_empty() {
                 messages.push(self.sequenced_message(kind, Some(id), metrics, time_ms));
@@ -240,7 +244,10 @@ impl EdgeNode {
 
     /// Returns the whole state of a device, for those who subscribe later and are no Sparkplug host.
     fn retained_state_message(&self, id: &str, metrics: &[Metric], time_ms: u64) -> Message {
-        let metrics = metrics.iter().map(|it| named_metric(it.name, &it.value, time_ms)).collect();
+        let metrics = metrics
+            .iter()
+            .map(|metric| named_metric(metric.name, &metric.value, time_ms))
+            .collect();
         let topic = non_sparkplug_topic(&self.name, Some(id), "state");
         Message { topic, payload: encode_payload(metrics, time_ms, None, None), is_retained: true }
     }

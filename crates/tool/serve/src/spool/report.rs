@@ -71,9 +71,9 @@ impl Report {
             file: file.into(),
             at: gap.at,
             length: gap.length,
-            first: gap.before.map_or(first_of_file, |it| it.number + 1),
-            last: gap.after.map(|it| it.number.saturating_sub(1)),
-            between_ms: [gap.before, gap.after].map(|it| it.map(|it| it.time_ms)),
+            first: gap.before.map_or(first_of_file, |before| before.number + 1),
+            last: gap.after.map(|after| after.number.saturating_sub(1)),
+            between_ms: [gap.before, gap.after].map(|end| end.map(|entry| entry.time_ms)),
             copy,
         }
     }

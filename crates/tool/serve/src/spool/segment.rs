@@ -190,10 +190,14 @@ mod tests {
             let mut damaged = bytes.clone();
             damaged[bit / 8] ^= 1 << (bit % 8);
             let (left, gaps) = scan(FILE, &damaged);
-            let hit = entries.iter().position(|it| bit / 8 < it.at as usize + it.length);
+            let hit = entries.iter().position(|entry| bit / 8 < entry.at as usize + entry.length);
             let hit = hit.expect("within the file");
-            let expected: Vec<IndexEntry> =
-                entries.iter().enumerate().filter(|(n, _)| *n != hit).map(|(_, it)| *it).collect();
+            let expected: Vec<IndexEntry> = entries
+                .iter()
+                .enumerate()
+                .filter(|(n, _)| *n != hit)
+                .map(|(_, entry)| *entry)
+                .collect();
             assert_eq!(left, expected, "bit {bit}");
             let before = hit.checked_sub(1).map(|n| entries[n]);
             let (at, length) = (entries[hit].at as usize, entries[hit].length);
@@ -210,9 +214,10 @@ mod tests {
         let (entries, _) = scan(FILE, &bytes);
         for end in 0..bytes.len() {
             let (left, gaps) = scan(FILE, &bytes[..end]);
-            let whole = entries.iter().filter(|it| it.at as usize + it.length <= end).count();
+            let whole =
+                entries.iter().filter(|entry| entry.at as usize + entry.length <= end).count();
             assert_eq!(left, entries[..whole]);
-            let begun = entries.get(whole).is_some_and(|it| (it.at as usize) < end);
+            let begun = entries.get(whole).is_some_and(|entry| (entry.at as usize) < end);
             assert_eq!(gaps.len(), usize::from(begun), "cut at {end}");
         }
     }

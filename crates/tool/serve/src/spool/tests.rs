@@ -24,8 +24,9 @@ fn fill(spool: &mut Spool, numbers: std::ops::Range<u32>) {
 
 /// Returns the texts of all that is to be sent.
 fn texts(spool: &mut Spool) -> Vec<String> {
-    let payloads = std::iter::from_fn(|| spool.next_to_send(Instant::now())).map(|it| it.payload);
-    payloads.map(|it| String::from_utf8(it).expect("text")).collect()
+    let payloads =
+        std::iter::from_fn(|| spool.next_to_send(Instant::now())).map(|message| message.payload);
+    payloads.map(|payload| String::from_utf8(payload).expect("text")).collect()
 }
 
 fn numbers_of(texts: &[String]) -> Vec<u32> {
@@ -34,9 +35,10 @@ fn numbers_of(texts: &[String]) -> Vec<u32> {
 }
 
 fn files(folder: &tempfile::TempDir) -> Vec<PathBuf> {
-    let all = fs::read_dir(folder.path()).expect("a folder").flatten().map(|it| it.path());
-    let mut all: Vec<_> =
-        all.filter(|it| it.extension().is_some_and(|it| it == SEGMENT_EXTENSION)).collect();
+    let all = fs::read_dir(folder.path()).expect("a folder").flatten().map(|entry| entry.path());
+    let mut all: Vec<_> = all
+        .filter(|path| path.extension().is_some_and(|extension| extension == SEGMENT_EXTENSION))
+        .collect();
     all.sort();
     all
 }
@@ -206,7 +208,7 @@ fn a_file_that_cannot_be_read_for_a_moment_costs_no_record() {
     spool.settle(now + READ_RETRY_TIME + RETENTION_TIME);
     assert!(files(&folder).is_empty());
     let kept = fs::read(folder.path().join(DAMAGED_FOLDER).join(path.file_name().expect("a name")));
-    assert!(kept.is_ok_and(|it| !it.is_empty()));
+    assert!(kept.is_ok_and(|bytes| !bytes.is_empty()));
 }
 
 #[test]
@@ -227,14 +229,14 @@ fn the_oldest_files_give_way_and_the_report_says_which_records() {
     assert!(reports[0].to_string().contains("--spool-mb"), "{}", reports[0]);
     let gone: usize = reports
         .iter()
-        .map(|it| match it {
+        .map(|report| match report {
             Report::Overrun { count, .. } => *count,
             other => panic!("{other:?}"),
         })
         .sum();
     assert_eq!(gone + texts(&mut spool).len(), 12 * 500);
     let bytes: u64 =
-        files(&folder).iter().map(|it| fs::metadata(it).expect("it is there").len()).sum();
+        files(&folder).iter().map(|file| fs::metadata(file).expect("it is there").len()).sum();
     assert!(bytes <= 3 * MAX_SEGMENT_BYTES, "{bytes}");
 }
 

@@ -72,7 +72,7 @@ fn live(listener: &TcpListener, switches: &Switches) {
             (client, port) = (Some(stream), Port::new(1));
         }
         let mut bytes = [0; 512];
-        let read = client.as_mut().map(|it| it.read(&mut bytes));
+        let read = client.as_mut().map(|client| client.read(&mut bytes));
         match read {
             Some(Ok(0)) => client = None,
             Some(Ok(length)) => {
@@ -110,7 +110,7 @@ fn live(listener: &TcpListener, switches: &Switches) {
             port.send(&frame);
         }
         let waiting: Vec<u8> = std::iter::from_fn(|| port.pop()).collect();
-        if client.as_mut().is_some_and(|it| it.write_all(&waiting).is_err()) {
+        if client.as_mut().is_some_and(|client| client.write_all(&waiting).is_err()) {
             client = None;
         }
     }

@@ -27,7 +27,7 @@ fn a_hostile_payload_is_ignored_and_reported() -> Result<()> {
     let mut host = Host::start(broker.port)?;
     let start = start(folder.path(), &broker);
     let mut publisher = start.spawn()?;
-    host.wait("a birth", |it| it["what"] == "DBIRTH")?;
+    host.wait("a birth", |message| message["what"] == "DBIRTH")?;
     // No payload; groups that nest without end; a metric without a name; nothing.
     for hex in ["ff".into(), "0b".repeat(4_000), "12021a00".into(), String::new()] {
         host.tell(&format!("raw spBv1.0/trueup/NCMD/n {hex}"))?;
@@ -35,12 +35,14 @@ fn a_hostile_payload_is_ignored_and_reported() -> Result<()> {
     start.wait_for_log("is no payload of Sparkplug")?;
     let asked = Instant::now();
     host.tell("rebirth n")?;
-    host.wait_since(asked, "it lives", |it| it["what"] == "NBIRTH" && it["seq"] == 0)?;
+    host.wait_since(asked, "it lives", |message| {
+        message["what"] == "NBIRTH" && message["seq"] == 0
+    })?;
     // One that is longer than any command costs the connection, and the next one goes on.
     let asked = Instant::now();
     host.tell(&format!("raw spBv1.0/trueup/NCMD/n {}", "0a".repeat(100_000)))?;
     start.wait_for_log("payload size limit exceeded")?;
-    host.wait_since(asked, "it is there again", |it| it["what"] == "DBIRTH")?;
+    host.wait_since(asked, "it is there again", |message| message["what"] == "DBIRTH")?;
     ensure!(publisher.0.try_wait()?.is_none(), "{}", start.log());
     Ok(())
 }
@@ -52,7 +54,7 @@ fn a_second_publisher_of_one_name_is_reported_and_one_of_one_spool_is_refused() 
     let first = start(folder.path(), &broker);
     let _publisher = first.spawn()?;
     let host = Host::start(broker.port)?;
-    host.wait("a record", |it| it["what"] == "record")?;
+    host.wait("a record", |message| message["what"] == "record")?;
     let mut same = first.spawn()?;
     ensure!(!same.0.wait()?.success());
     let second = Start { spool: folder.path().join("second"), ..start(folder.path(), &broker) };
@@ -104,7 +106,7 @@ fn tls_with_certificates_is_spoken_and_a_publisher_without_one_is_refused() -> R
         ..start(folder.path(), &broker)
     };
     let _publisher = with.spawn()?;
-    host.wait("a birth over TLS", |it| it["what"] == "DBIRTH")?;
+    host.wait("a birth over TLS", |message| message["what"] == "DBIRTH")?;
     Ok(())
 }
 

@@ -35,9 +35,9 @@ impl Draw {
 
 /// Adds the identifiers of all whole records of a spool, with their payloads.
 fn note(folder: &Path, recorded: &mut BTreeMap<String, Vec<u8>>) -> Result<()> {
-    for path in fs::read_dir(folder)?.flatten().map(|it| it.path()) {
+    for path in fs::read_dir(folder)?.flatten().map(|entry| entry.path()) {
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let Some(id) = name.strip_suffix(".spool").and_then(|it| it.split_once('-')) else {
+        let Some(id) = name.strip_suffix(".spool").and_then(|rest| rest.split_once('-')) else {
             continue;
         };
         let (id, bytes) = (u64::from_str_radix(id.1, 16)?, fs::read(&path)?);
@@ -56,7 +56,8 @@ fn all_come(host: &Host, recorded: &BTreeMap<String, Vec<u8>>, start: &Start) ->
     let end = Instant::now() + PATIENCE;
     loop {
         let said = host.said();
-        let came: BTreeSet<&str> = said.iter().filter_map(|(_, it)| it["id"].as_str()).collect();
+        let came: BTreeSet<&str> =
+            said.iter().filter_map(|(_, message)| message["id"].as_str()).collect();
         let missing: Vec<&String> =
             recorded.keys().filter(|id| !came.contains(id.as_str())).collect();
         if missing.is_empty() {
@@ -122,8 +123,8 @@ pub fn schedules(
             all_come(&host, &recorded, &start)?;
         } else {
             publisher = start.spawn()?;
-            let (at, _) = host.wait_since(restarted, "the state after a restart", |it| {
-                it["what"] == "DBIRTH" && it["metrics"]["Offset/Z"].is_f64()
+            let (at, _) = host.wait_since(restarted, "the state after a restart", |message| {
+                message["what"] == "DBIRTH" && message["metrics"]["Offset/Z"].is_f64()
             })?;
             // After the broker was killed the host itself needs a second to come back.
             if what == 0 {
@@ -175,10 +176,10 @@ fn campaign_nothing_is_lost_in_fifty_schedules_of_kills() -> Result<()> {
 /// Kills a publisher so often, at drawn instants, and starts it again at once; returns the times until its state was right.
 fn restarts(host: &Host, start: &Start, count: u64, mut draw: Draw) -> Result<Vec<Duration>> {
     let wait = |since| {
-        host.wait_since(since, "the state after a restart", |it| {
-            it["what"] == "DBIRTH"
-                && it["node"] == start.name.as_str()
-                && it["metrics"]["Offset/Z"].is_f64()
+        host.wait_since(since, "the state after a restart", |message| {
+            message["what"] == "DBIRTH"
+                && message["node"] == start.name.as_str()
+                && message["metrics"]["Offset/Z"].is_f64()
         })
     };
     let begun = Instant::now();
@@ -200,7 +201,7 @@ fn restarts(host: &Host, start: &Start, count: u64, mut draw: Draw) -> Result<Ve
 #[ignore = "campaign: cargo test -p trueup-serve --test live campaign_the_state -- --ignored --nocapture"]
 fn campaign_the_state_is_right_after_each_of_a_thousand_restarts() -> Result<()> {
     const PUBLISHERS: u64 = 4;
-    let wanted: u64 = env::var("TRUEUP_RESTARTS").map_or(Ok(1_000), |it| it.parse())?;
+    let wanted: u64 = env::var("TRUEUP_RESTARTS").map_or(Ok(1_000), |text| text.parse())?;
     let folder = tempfile::tempdir()?;
     let broker = Mosquitto::start(folder.path(), "")?;
     let host = Host::start(broker.port)?;
@@ -217,12 +218,13 @@ fn campaign_the_state_is_right_after_each_of_a_thousand_restarts() -> Result<()>
     };
     let times: Vec<Result<Vec<Duration>>> = thread::scope(|scope| {
         let one = &one;
-        let threads: Vec<_> = (0..PUBLISHERS).map(|it| scope.spawn(move || one(it))).collect();
-        threads.into_iter().map(|it| it.join().expect("no thread panics")).collect()
+        let threads: Vec<_> =
+            (0..PUBLISHERS).map(|index| scope.spawn(move || one(index))).collect();
+        threads.into_iter().map(|thread| thread.join().expect("no thread panics")).collect()
     });
     let mut times = times.into_iter().collect::<Result<Vec<_>>>()?.concat();
     times.sort();
-    let (count, late) = (times.len(), times.iter().filter(|it| **it > RIGHT).count());
+    let (count, late) = (times.len(), times.iter().filter(|time| **time > RIGHT).count());
     let of = |share: usize| times[(count - 1) * share / 1_000];
     println!(
         "{count} restarts of {PUBLISHERS} publishers: state right after {:?} in the median, {:?} in 99 of 100, \

@@ -91,7 +91,7 @@ impl Broker for Nats {
     }
 
     fn process(&self) -> String {
-        self.process.as_ref().map_or_else(String::new, |it| it.0.id().to_string())
+        self.process.as_ref().map_or_else(String::new, |process| process.0.id().to_string())
     }
 }
 
@@ -130,7 +130,7 @@ fn acknowledged(port: u16, run: u64) -> BTreeSet<String> {
 
 /// `TRUEUP_SCHEDULES` is another number of kills than 50.
 fn count() -> Result<u32> {
-    Ok(env::var("TRUEUP_SCHEDULES").map_or(Ok(50), |it| it.parse())?)
+    Ok(env::var("TRUEUP_SCHEDULES").map_or(Ok(50), |text| text.parse())?)
 }
 
 /// Nothing is sent a second time here, so that an acknowledgement alone stands for a message.

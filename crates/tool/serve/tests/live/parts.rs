@@ -69,7 +69,7 @@ impl Broker for Mosquitto {
     }
 
     fn process(&self) -> String {
-        self.process.as_ref().map_or_else(String::new, |it| it.0.id().to_string())
+        self.process.as_ref().map_or_else(String::new, |process| process.0.id().to_string())
     }
 }
 
@@ -154,7 +154,7 @@ impl Host {
             }
         });
         let host = Self { process: Process(child), said };
-        host.wait("it is connected", |it| it["what"] == "connected")?;
+        host.wait("it is connected", |message| message["what"] == "connected")?;
         Ok(host)
     }
 
@@ -183,7 +183,7 @@ impl Host {
             {
                 let said = self.said.lock().expect("no thread panics with it");
                 let first = said.partition_point(|(at, _)| *at < since);
-                if let Some(found) = said[first..].iter().find(|(_, it)| is_it(it)) {
+                if let Some(found) = said[first..].iter().find(|(_, message)| is_it(message)) {
                     return Ok(found.clone());
                 }
                 let (count, last) = (said.len(), said.last());
@@ -263,7 +263,7 @@ fn publisher() -> Result<()> {
     } else {
         Some(broker::BrokerConfig::from_url(&url, login, files)?)
     };
-    let mtconnect = word(&more["mtconnect"]).map(|it| it.parse()).transpose()?;
+    let mtconnect = word(&more["mtconnect"]).map(|text| text.parse()).transpose()?;
     let bridges = word(&start["bridge"]).context("a bridge")?;
     let ports: Result<Vec<Port>, _> = bridges.split(',').map(Port::parse).collect();
     let options = PublisherOptions {
@@ -281,7 +281,7 @@ fn publisher() -> Result<()> {
     };
     let report = |text: &str| {
         let mut stderr = fs::OpenOptions::new().append(true).open("/dev/stderr").ok();
-        stderr.as_mut().and_then(|it| writeln!(it, "{text}").ok());
+        stderr.as_mut().and_then(|stderr| writeln!(stderr, "{text}").ok());
     };
     publisher::run(options, Arc::new(AtomicBool::new(false)), report)?;
     Ok(())

@@ -96,7 +96,8 @@ fn cost(process: &str) -> Result<Cost> {
     let ticks: f64 = fields[11].parse::<f64>()? + fields[12].parse::<f64>()?;
     let status = fs::read_to_string(format!("/proc/{process}/status"))?;
     let of = |key: &str| -> Result<f64> {
-        let line = status.lines().find_map(|it| it.strip_prefix(key)).context("Linux has it")?;
+        let line =
+            status.lines().find_map(|line| line.strip_prefix(key)).context("Linux has it")?;
         Ok(line.trim_end_matches("kB").trim().parse()?)
     };
     Ok(Cost { cpu_s: ticks / 100.0, peak_mb: of("VmHWM:")? / 1_024.0, threads: of("Threads:")? })
@@ -105,7 +106,7 @@ fn cost(process: &str) -> Result<Cost> {
 /// Returns the bytes of all files in a folder.
 fn bytes(folder: &Path) -> Result<u64> {
     let files = fs::read_dir(folder)?.flatten();
-    files.map(|it| Ok(it.metadata()?.len())).sum()
+    files.map(|entry| Ok(entry.metadata()?.len())).sum()
 }
 
 /// `cargo test -p trueup-serve --test live -- --ignored --nocapture a_thousand_bridges`
@@ -123,7 +124,7 @@ pub fn a_thousand(folder: &Path, broker: &dyn Broker) -> Result<()> {
     let stop = Arc::new(AtomicBool::new(false));
     let now = Instant::now();
     let mut bridges: Vec<BridgeMonitor> = (0..BRIDGES).map(|_| BridgeMonitor::new(now)).collect();
-    bridges.iter_mut().for_each(|it| _ = it.receive(ConnectionEvent::Up, now));
+    bridges.iter_mut().for_each(|bridge| _ = bridge.receive(ConnectionEvent::Up, now));
     let spool = Spool::open(&folder.join("spool"), 512 << 20)?;
     let shared = SharedState::new(bridges, spool, stop.clone());
     let feeding = shared.clone();
@@ -164,8 +165,10 @@ pub fn a_thousand(folder: &Path, broker: &dyn Broker) -> Result<()> {
             begun = Some((at, cost("self")?, cost(&broker.process())?, acknowledged));
         }
         let snapshots = shared.snapshots();
-        let events = recorder
-            .record_snapshots(&shared, &snapshots, (at, clock::now_ms()), &|it| println!("{it}"));
+        let events =
+            recorder.record_snapshots(&shared, &snapshots, (at, clock::now_ms()), &|line| {
+                println!("{line}")
+            });
         adapter.update(&snapshots, &events, clock::now_ms());
         longest = longest.max(at.elapsed());
         thread::sleep(Duration::from_millis(50));
@@ -214,7 +217,7 @@ fn with_lines(count: usize) -> Result<(f64, Cost)> {
     };
     let publisher = start.spawn()?;
     let process = publisher.0.id().to_string();
-    host.wait("a birth", |it| it["what"] == "DBIRTH")?;
+    host.wait("a birth", |message| message["what"] == "DBIRTH")?;
     thread::sleep(SETTLED);
     let (begun, before) = (Instant::now(), cost(&process)?);
     thread::sleep(MEASURED);

@@ -18,7 +18,7 @@ use crate::{
 const GROWN_UM: f64 = 12.3;
 
 fn is(kind: &str) -> impl Fn(&Value) -> bool + '_ {
-    move |it| it["what"] == kind
+    move |message| message["what"] == kind
 }
 
 #[test]
@@ -47,25 +47,26 @@ fn a_host_that_others_wrote_sees_births_data_rebirth_and_deaths() -> Result<()> 
     assert_eq!(units["units"]["Offset/Z"], "µm");
     assert_eq!(units["units"]["Temperature/0"], "°C");
 
-    let near = |it: &Value| it.as_f64().is_some_and(|z| (z - GROWN_UM).abs() < 0.5);
-    host.wait("the offset of the grown spindle", |it| {
-        it["what"] == "DDATA" && near(&it["metrics"]["Offset/Z"])
+    let near = |value: &Value| value.as_f64().is_some_and(|z| (z - GROWN_UM).abs() < 0.5);
+    host.wait("the offset of the grown spindle", |message| {
+        message["what"] == "DDATA" && near(&message["metrics"]["Offset/Z"])
     })?;
-    host.wait("a row of it, recorded", |it| {
-        it["topic"] == format!("trueup/mill-7/{id}/record") && near(&it["metrics"]["Offset/Z"])
+    host.wait("a row of it, recorded", |message| {
+        message["topic"] == format!("trueup/mill-7/{id}/record")
+            && near(&message["metrics"]["Offset/Z"])
     })?;
 
     // A word that has changed does not wait for the second to pass.
     let changed = Instant::now();
     switches.is_disengaged.store(true, Ordering::Relaxed);
-    let (at, _) = host.wait_since(changed, "another quality", |it| {
-        it["what"] == "DDATA" && it["metrics"]["Bridge/Quality"] == "ramping-out"
+    let (at, _) = host.wait_since(changed, "another quality", |message| {
+        message["what"] == "DDATA" && message["metrics"]["Bridge/Quality"] == "ramping-out"
     })?;
     println!("a quality arrives after {} ms", (at - changed).as_millis());
-    host.wait_since(changed, "the event of it", |it| {
-        it["topic"] == format!("trueup/mill-7/{id}/event")
-            && it["metrics"]["Event/Code"] == "quality"
-            && it["metrics"]["Event/About"] == "ramping-out"
+    host.wait_since(changed, "the event of it", |message| {
+        message["topic"] == format!("trueup/mill-7/{id}/event")
+            && message["metrics"]["Event/Code"] == "quality"
+            && message["metrics"]["Event/About"] == "ramping-out"
     })?;
 
     let asked = Instant::now();
@@ -90,7 +91,7 @@ fn a_host_that_others_wrote_sees_births_data_rebirth_and_deaths() -> Result<()> 
     // Each message of the device and of the node has the next number.
     let said = host.said();
     let mut expected = None;
-    for (_, it) in said.iter().filter(|(_, it)| it["seq"].is_u64()) {
+    for (_, it) in said.iter().filter(|(_, message)| message["seq"].is_u64()) {
         let seq = it["seq"].as_u64();
         let is_birth = it["what"] == "NBIRTH";
         assert!(is_birth || seq == expected, "{it} after {expected:?}");
@@ -100,24 +101,30 @@ fn a_host_that_others_wrote_sees_births_data_rebirth_and_deaths() -> Result<()> 
     // It only reads, and while it does the bridge's thousand pairs a second come, each one. What is older than 200 ms is left
     // out on purpose: then this computer has held up the publisher, and the bridge, which is here too.
     assert_eq!(*switches.written.lock().expect("whole"), [], "it writes nothing to the bridge");
-    let lost = said.iter().filter_map(|(_, it)| it["metrics"]["Bridge/Lost frames"].as_u64()).max();
+    let frames = |message: &Value| message["metrics"]["Bridge/Lost frames"].as_u64();
+    let lost = said.iter().filter_map(|(_, message)| frames(message)).max();
     let late_ms = switches.late_ms.load(Ordering::Relaxed);
     println!(
         "{lost:?} of a thousand pairs a second were lost; the bridge was held up for {late_ms} ms"
     );
     let allowed = if late_ms <= 20 { 0 } else { 100 };
-    assert!(lost.is_some_and(|it| it <= allowed), "{lost:?}, held up for {late_ms} ms");
+    assert!(lost.is_some_and(|lost| lost <= allowed), "{lost:?}, held up for {late_ms} ms");
 
     // A new connection has a new number, and who comes late sees the state.
     let restarted = Instant::now();
     let _publisher = start.spawn()?;
     let (_, birth) = host.wait_since(restarted, "a new birth", is("NBIRTH"))?;
-    assert_eq!(birth["metrics"]["bdSeq"].as_u64(), number.as_u64().map(|it| (it + 1) % 256));
+    let next = number.as_u64().map(|sequence| (sequence + 1) % 256);
+    assert_eq!(birth["metrics"]["bdSeq"].as_u64(), next);
     host.wait_since(restarted, "the device", is("DBIRTH"))?;
     thread::sleep(Duration::from_millis(300));
-    let late = Host::start(broker.port)?;
-    let (_, state) = late.wait("the retained state", |it| {
-        it["topic"] == format!("trueup/mill-7/{id}/state") && it["retained"] == true
+    check_retained_state(&Host::start(broker.port)?, &id)
+}
+
+/// Checks that a host which has just subscribed is sent the device's state.
+fn check_retained_state(host: &Host, id: &str) -> Result<()> {
+    let (_, state) = host.wait("the retained state", |message| {
+        message["topic"] == format!("trueup/mill-7/{id}/state") && message["retained"] == true
     })?;
     assert_eq!(state["metrics"]["Bridge/Up"], true);
     Ok(())
@@ -138,18 +145,18 @@ fn without_its_primary_host_nothing_is_published_and_records_wait() -> Result<()
     let _publisher = start.spawn()?;
     thread::sleep(Duration::from_secs(3));
     let all = host.said();
-    assert!(all.iter().all(|(_, it)| it["what"] == "connected"), "{all:?}");
+    assert!(all.iter().all(|(_, message)| message["what"] == "connected"), "{all:?}");
 
     host.tell("online scada")?;
     host.wait("a birth", is("DBIRTH"))?;
-    let first = |it: &Value| it["id"].as_str().is_some_and(|id| id.ends_with("-1"));
+    let first = |message: &Value| message["id"].as_str().is_some_and(|id| id.ends_with("-1"));
     host.wait("the first record, from before", first)?;
     let left = Instant::now();
     host.tell("offline scada")?;
     let (died, _) = host.wait_since(left, "the death of the node", is("NDEATH"))?;
     thread::sleep(Duration::from_secs(2));
     let later = host.said();
-    let later = later.iter().filter(|(at, it)| *at > died && it["what"] != "NDEATH");
+    let later = later.iter().filter(|(at, message)| *at > died && message["what"] != "NDEATH");
     assert_eq!(later.filter(|(at, _)| *at - died > Duration::from_millis(300)).count(), 0);
     host.tell("online scada")?;
     host.wait_since(died, "a new birth", is("NBIRTH"))?;

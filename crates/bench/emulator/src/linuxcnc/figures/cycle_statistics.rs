@@ -121,10 +121,10 @@ pub(super) fn compare_staircases(
 ) -> Result<Vec<StaircaseStep>> {
     let both = [find_dwells(before), find_dwells(after)];
     let found = |dwells: &[(f64, bool, f64)], z_mm: f64, up: bool| -> Result<f64> {
-        let here = |it: &&(f64, bool, f64)| (it.0 - z_mm).abs() < 0.01 && it.1 == up;
-        dwells.iter().find(here).map(|it| it.2).with_context(|| {
+        let here = |entry: &&(f64, bool, f64)| (entry.0 - z_mm).abs() < 0.01 && entry.1 == up;
+        dwells.iter().find(here).map(|dwell| dwell.2).with_context(|| {
             let way = if up { "up" } else { "down" };
-            let all: Vec<f64> = dwells.iter().map(|it| it.0).collect();
+            let all: Vec<f64> = dwells.iter().map(|dwell| dwell.0).collect();
             format!("no dwell at {z_mm} mm on the way {way}; there are dwells at {all:?}")
         })
     };
@@ -305,7 +305,8 @@ mod tests {
     fn a_lag_is_found_and_priced() {
         for late in [0, 7, 40] {
             let cycles = diagonal(late);
-            let asked: Vec<_> = cycles.iter().map(|it| [0.0, -it.without_um[1], 0.0]).collect();
+            let asked: Vec<_> =
+                cycles.iter().map(|cycle| [0.0, -cycle.without_um[1], 0.0]).collect();
             let lag = compute_lag(&cycles.iter().collect::<Vec<_>>(), &asked).expect("long enough");
             assert!((lag.mean_ms - late as f64).abs() < 0.05, "{lag:?}");
             assert!((lag.worst_ms - late as f64).abs() < 0.05, "{lag:?}");

@@ -108,7 +108,9 @@ fn a_block_is_answered_once_there_is_room_for_the_next() {
 #[test]
 fn a_wrong_crc_length_object_or_number_is_refused() {
     let hear = |server: &mut Server, fake: &mut Fake, data| {
-        server.receive(&Frame::from_data(SDO_REQUEST_ID, data), fake).map(|it| *it.data())
+        server
+            .receive(&Frame::from_data(SDO_REQUEST_ID, data), fake)
+            .map(|response| *response.data())
     };
     let aborted = |at, abort: AbortCode| Some(encode_message(ABORT_COMMAND, at, abort.code()));
     for (size, end, abort) in [

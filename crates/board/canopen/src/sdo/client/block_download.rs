@@ -70,11 +70,11 @@ impl<'d> BlockDownload<'d> {
             (0xA0 | 0xA4, State::Starting) => {
                 self.has_crc = command & 4 != 0;
                 self.state = State::Sending;
-                self.begin_block(0, first).map_or(unexpected, |it| Ok(Progress::Ask(it)))
+                self.begin_block(0, first).map_or(unexpected, |request| Ok(Progress::Ask(request)))
             }
-            (0xA2, State::Sending) if taken <= self.sequence => {
-                self.begin_block(taken, wanted).map_or(unexpected, |it| Ok(Progress::Ask(it)))
-            }
+            (0xA2, State::Sending) if taken <= self.sequence => self
+                .begin_block(taken, wanted)
+                .map_or(unexpected, |request| Ok(Progress::Ask(request))),
             (0xA1, State::Ending) => Ok(Progress::Done),
             // The answer to an earlier start of the same, which was given up.
             (0xA0 | 0xA4, State::Sending) if matches_object(answer, self.at) => {

@@ -194,7 +194,7 @@ fn each_table_and_term_needs_the_positions_that_it_is_over_and_no_other() {
     for (number, (machine, needed)) in machines.into_iter().enumerate() {
         for bits in 0..8_u8 {
             let said = || LinearAxis::ALL.into_iter().filter(|axis| bits & 1 << *axis as u8 != 0);
-            let is_enough = needed.iter().all(|axis| said().any(|it| it == *axis));
+            let is_enough = needed.iter().all(|axis| said().any(|reported| reported == *axis));
             let output = at(&mut Rig::new(machine), said());
             assert_eq!(output.quality == Quality::Live, is_enough, "machine {number}, {bits:03b}");
             assert_eq!(output.flags.contains(Flags::CNC_LOST), !is_enough, "machine {number}");

@@ -244,7 +244,7 @@ proptest! {
 #[test]
 fn pieces_of_any_size_are_the_same_bytes_in_their_order() {
     let frames: Vec<Frame> = (0..8).map(frame).collect();
-    let lines: Vec<u8> = frames.iter().flat_map(|it| encode_line(it).into_bytes()).collect();
+    let lines: Vec<u8> = frames.iter().flat_map(|frame| encode_line(frame).into_bytes()).collect();
     for size in 1..=lines.len() + 1 {
         let mut port = opened();
         assert!(port.send_all(&frames));

@@ -26,8 +26,10 @@ impl World {
         // Limits.
         assert!(offset.iter().all(|nm| nm.abs() <= MAX_NM), "beyond its limit: {}", place());
         // No step, whatever comes, goes, or takes over; from "not available" it begins at 0.
-        let before =
-            self.before.and_then(|it| it.offset).map_or([0; 3], |it| it.map(|axis| axis.0));
+        let before = self
+            .before
+            .and_then(|before| before.offset)
+            .map_or([0; 3], |offset| offset.map(|axis| axis.0));
         let most = SLEW_NM_PER_MS * elapsed_ms as i32;
         for (nm, before) in offset.iter().zip(before) {
             assert!((nm - before).abs() <= most, "a step from {before}: {}", place());
@@ -84,14 +86,14 @@ impl World {
     /// sensor that freezes elsewhere has said so for 200 ms, and a `Zero` in the same millisecond sets off for
     /// 0: neither is looked at here.)
     fn joins(&mut self, elapsed_ms: u32, output: &Output, z_nm: i32) {
-        let before = self.before.map(|it| it.quality);
-        let has_changed = before.is_some_and(|it| it != output.quality && is_on(it));
+        let before = self.before.map(|before| before.quality);
+        let has_changed = before.is_some_and(|before| before != output.quality && is_on(before));
         if !is_on(output.quality)
             || self.fault == Fault::SensorStuck
             || self.zero_tick == self.seen.ticks
         {
             self.joined = None;
-        } else if has_changed && self.before.is_some_and(|it| it.flags.0 & 0x03 == 0) {
+        } else if has_changed && self.before.is_some_and(|before| before.flags.0 & 0x03 == 0) {
             self.joined = Some((z_nm, 0));
         }
         if let Some((joined_nm, ms)) = self.joined {

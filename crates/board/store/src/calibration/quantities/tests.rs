@@ -37,8 +37,10 @@ fn a_channel_changes_by_up_to_600_kelvin_a_minute_and_not_by_more() {
 #[test]
 fn each_switch_is_one_bit_that_is_0_in_a_blob_without_it_and_no_other_is_taken() {
     type Set = fn(&mut InputSettings);
-    let switches: [(Set, u8); 2] =
-        [(|it| it.service_switch = true, 1), (|it| it.mains = MainsFrequency::Hz60, 2)];
+    let switches: [(Set, u8); 2] = [
+        (|guards| guards.service_switch = true, 1),
+        (|guards| guards.mains = MainsFrequency::Hz60, 2),
+    ];
     for (set, bit) in switches {
         with_sample(|mut calibration| {
             let (mut before, mut after) = ([0; MAX_BLOB_SIZE], [0; MAX_BLOB_SIZE]);

@@ -22,10 +22,10 @@ fn caps_lie_where_a_blob_from_before_has_0_and_lets_nothing_be_changed() {
 fn each_limit_comes_back_up_to_its_largest_and_one_more_is_refused() {
     type Set = fn(&mut Limits, u32);
     let set: [(Set, u32); 4] = [
-        (|limits, it| limits.slew_nm_per_s = it, MAX_SLEW_NM_PER_S),
-        (|limits, it| limits.link_timeout_ms = it, MAX_LINK_TIMEOUT_MS),
-        (|limits, it| limits.hold_ms = it, MAX_HOLD_MS),
-        (|limits, it| limits.rejoin_nm_per_s = it, MAX_REJOIN_NM_PER_S),
+        (|limits, value| limits.slew_nm_per_s = value, MAX_SLEW_NM_PER_S),
+        (|limits, value| limits.link_timeout_ms = value, MAX_LINK_TIMEOUT_MS),
+        (|limits, value| limits.hold_ms = value, MAX_HOLD_MS),
+        (|limits, value| limits.rejoin_nm_per_s = value, MAX_REJOIN_NM_PER_S),
     ];
     for (set, most) in set {
         for (value, is_taken) in [(most, true), (most + 1, false)] {

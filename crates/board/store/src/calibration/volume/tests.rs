@@ -56,10 +56,16 @@ fn a_volume_comes_back_alone_and_after_all_terms_there_can_be() {
             effect: Effect::Offset,
         };
         calibration.terms = [Some(term); MAX_TERMS];
-        with_volume(calibration, |it| assert_eq!(decode(&blob(&it)), Ok(it)));
+        with_volume(calibration, |calibration| {
+            assert_eq!(decode(&blob(&calibration)), Ok(calibration))
+        });
     };
-    with_smallest(|it| with_volume(it, |it| assert_eq!(decode(&blob(&it)), Ok(it))));
-    with_sample(|it| with_volume(it, |it| assert_eq!(decode(&blob(&it)), Ok(it))));
+    with_smallest(|volume| {
+        with_volume(volume, |calibration| assert_eq!(decode(&blob(&calibration)), Ok(calibration)))
+    });
+    with_sample(|volume| {
+        with_volume(volume, |calibration| assert_eq!(decode(&blob(&calibration)), Ok(calibration)))
+    });
     with_sample(full);
 }
 
@@ -82,7 +88,7 @@ fn a_volume_adds_its_records_and_changes_nothing_before_them() {
 
 #[test]
 fn what_has_no_meaning_in_a_volume_is_refused() {
-    let good = with_smallest(|it| with_volume(it, |it| blob(&it)));
+    let good = with_smallest(|volume| with_volume(volume, |calibration| blob(&calibration)));
     let start = record(&good);
     let of_rotary = start + 4 + 216 + 12;
     for (at, byte) in [

@@ -106,7 +106,7 @@ mod tests {
             MachineFile::parse(&text, Path::new("m.toml")).expect("a file that can be read");
         findings(&machine)
             .into_iter()
-            .map(|it| format!("{}: {}", it.warning.place, it.warning.what))
+            .map(|finding| format!("{}: {}", finding.warning.place, finding.warning.what))
             .collect()
     }
 

@@ -14,7 +14,7 @@ fn findings(text: &str) -> Vec<(String, Plausibility, String)> {
     let text = format!("{HEAD}{text}");
     let machine = MachineFile::parse(&text, Path::new("m.toml")).expect("the test's own file");
     let found = machine_findings(&machine).into_iter();
-    found.map(|it| (it.key, it.grade, it.warning.what)).collect()
+    found.map(|finding| (finding.key, finding.grade, finding.warning.what)).collect()
 }
 
 /// Returns the only finding: its key, grade, and what it says.
@@ -53,7 +53,7 @@ fn every_number_of_a_machine_file_has_a_range_that_its_example_keeps() {
             "{name}"
         );
         assert!(!range.source.is_empty() && !range.below.is_empty() && !range.above.is_empty());
-        let numbers = key.example.split(['[', ']', ',', ' ']).filter_map(|it| it.parse().ok());
+        let numbers = key.example.split(['[', ']', ',', ' ']).filter_map(|part| part.parse().ok());
         assert_eq!(
             find_worst_value(range, &numbers.collect::<Vec<f64>>()),
             None,

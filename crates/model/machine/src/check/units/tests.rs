@@ -34,7 +34,7 @@ fn found(
         RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own run");
     let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("the test's own file");
     let findings = findings(&run, Some(&machine), &[]).into_iter();
-    findings.map(|it| (it.key, it.grade, it.warning.what)).collect()
+    findings.map(|finding| (finding.key, finding.grade, finding.warning.what)).collect()
 }
 
 #[test]
@@ -58,8 +58,8 @@ fn each_slip_of_a_unit_is_told_with_the_unit() {
     ];
     for (column, grade, unit, slip) in slips {
         let found = found(&rows, slip);
-        let is_it = |it: &&(String, Plausibility, String)| {
-            it.0 == column && it.1 == grade && it.2.contains(unit)
+        let is_it = |entry: &&(String, Plausibility, String)| {
+            entry.0 == column && entry.1 == grade && entry.2.contains(unit)
         };
         assert_eq!(found.iter().filter(is_it).count(), 1, "{column} {unit}: {found:?}");
         assert_eq!(found.len(), 1, "and nothing else: {found:?}");
@@ -73,22 +73,25 @@ fn what_is_rare_and_right_is_not_refused() {
             RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own run");
         let machine =
             MachineFile::parse(MACHINE, Path::new("m.toml")).expect("the test's own file");
-        findings(&run, Some(&machine), &[]).iter().any(|it| it.grade == Plausibility::Impossible)
+        findings(&run, Some(&machine), &[])
+            .iter()
+            .any(|finding| finding.grade == Plausibility::Impossible)
     };
     let rows = |row: &dyn Fn(usize) -> String| (0..300).map(row).collect::<String>();
     // A furnace next to the machine.
-    let furnace = rows(&|it| format!("{},{},{}\n", 20 * it, 21.0 + it as f64 * 0.01, 640 + it % 3));
+    let furnace =
+        rows(&|row| format!("{},{},{}\n", 20 * row, 21.0 + row as f64 * 0.01, 640 + row % 3));
     assert!(!is_refused(&format!("time_s,temp_nose_c,temp_furnace_c\n{furnace}")));
     // A spindle that was hot already, and a record of 300 days.
-    let hot = rows(&|it| format!("{},{}\n", 86_400 * it, 74.0 + (it % 7) as f64));
+    let hot = rows(&|row| format!("{},{}\n", 86_400 * row, 74.0 + (row % 7) as f64));
     assert!(!is_refused(&format!("time_s,temp_nose_c\n{hot}")));
     // A gauge that was not set to zero.
-    let gauge = rows(&|it| format!("{},21.5,{}\n", 20 * it, 45_000 + it % 9));
+    let gauge = rows(&|row| format!("{},21.5,{}\n", 20 * row, 45_000 + row % 9));
     assert!(!is_refused(&format!("time_s,temp_nose_c,measured_elongation_um\n{gauge}")));
     // The same day after day for weeks, a row an hour: nothing is even doubted.
-    let day = |it: usize| (it as f64 / 24.0 * std::f64::consts::TAU).sin();
+    let day = |hour: usize| (hour as f64 / 24.0 * std::f64::consts::TAU).sin();
     let weeks =
-        rows(&|it| format!("{},{:.2},{:.2}\n", 3600 * it, 22.0 + 3.0 * day(it), 6.0 * day(it)));
+        rows(&|row| format!("{},{:.2},{:.2}\n", 3600 * row, 22.0 + 3.0 * day(row), 6.0 * day(row)));
     let text = format!("time_s,temp_nose_c,measured_elongation_um\n{weeks}");
     let run =
         RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own run");
@@ -106,7 +109,9 @@ fn what_is_warm_from_the_start_beside_others_is_no_fahrenheit() {
             RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own run");
         let machine =
             MachineFile::parse(MACHINE, Path::new("m.toml")).expect("the test's own file");
-        findings(&run, Some(&machine), &[]).iter().any(|it| it.warning.what.contains("°F"))
+        findings(&run, Some(&machine), &[])
+            .iter()
+            .any(|finding| finding.warning.what.contains("°F"))
     };
     assert!(!told(22.0));
     assert!(told(12.0), "as cold as it would be in °C");
@@ -127,7 +132,7 @@ fn a_run_that_goes_on_where_another_ends_is_in_its_unit() {
     let record = |from_c: f64| record_by(from_c, 0.2);
     let hot = record(52.0);
     let is_asked = |others: &[RunFile]| {
-        findings(&hot, None, others).iter().any(|it| it.warning.what.contains("°F"))
+        findings(&hot, None, others).iter().any(|finding| finding.warning.what.contains("°F"))
     };
     assert!(is_asked(&[]) && is_asked(&[record(52.0)]));
     assert!(!is_asked(&[record(52.0), record(38.0)]), "38 to 49.8 °C, then 52");

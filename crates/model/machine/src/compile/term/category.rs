@@ -70,9 +70,12 @@ fn compile_levels(values: &[f64], unit: f64, largest: f64) -> CompileResult<(Vec
     let (stored, _) = scale_coefficient(most, 0.0)?;
     let power = 2_f64.powi(stored.shift.into());
     let mantissas: Option<Vec<i32>> =
-        exact.iter().map(|it| round_to_i32((it * power).round())).collect();
+        exact.iter().map(|coefficient| round_to_i32((coefficient * power).round())).collect();
     let mantissas = mantissas.ok_or("has levels beyond the board's 2³⁰")?;
-    let off = exact.iter().zip(&mantissas).map(|(it, m)| (it - f64::from(*m) / power).abs());
+    let off = exact
+        .iter()
+        .zip(&mantissas)
+        .map(|(coefficient, m)| (coefficient - f64::from(*m) / power).abs());
     let nm = off.fold(0.0, f64::max) * largest / FINE_UNITS_PER_UM * NM_PER_UM;
     Ok(((mantissas, stored.shift), nm))
 }
@@ -151,7 +154,7 @@ fn decompile_levels(stored: &[i32], shift: u8, unit: f64) -> Vec<f64> {
         let is_same = |value: f64| {
             let shares_point = m.unsigned_abs() < most
                 || scale_coefficient(value.abs() * unit, 0.0)
-                    .is_ok_and(|(it, _)| it.shift == shift);
+                    .is_ok_and(|(coefficient, _)| coefficient.shift == shift);
             round_to_i32((value * unit * power).round()) == Some(*m) && shares_point
         };
         shortest_decimal(f64::from(*m) / power / unit, is_same)
@@ -176,7 +179,7 @@ pub(super) fn decompile_tool_table(table: &ToolTable<'_>) -> BoardTerm {
     let mut values = decompile_levels(&stored, table.shift, unit);
     let other = values.pop().unwrap_or_default();
     let number = |number: u32| u16::try_from(number).expect("a blob with another one is refused");
-    let tools = table.tools().map(|(it, _)| number(it)).zip(values).collect();
+    let tools = table.tools().map(|(tool, _)| number(tool)).zip(values).collect();
     BoardTerm::Tool { tools, other, times }
 }
 
@@ -203,7 +206,7 @@ pub(in crate::compile) fn as_tool_list(term: &Term) -> Option<Tools> {
     if !is_list || term.quantity != Quantity::Elongation {
         return None;
     }
-    let number = |level: f64| round_to_i32(level).and_then(|it| u16::try_from(it).ok());
+    let number = |level: f64| round_to_i32(level).and_then(|level| u16::try_from(level).ok());
     let tool = |(level, um): (&f64, &f64)| {
         Some(Tool { number: Some(number(*level)?), label: None, um_per_krpm2: *um })
     };

@@ -36,11 +36,14 @@ pub(in crate::compile) fn decompile(calibration: &Calibration<'_>) -> Vec<file::
 
 /// Lags that fall at another rate than they rise.
 fn cooling_asymmetry_terms(calibration: &Calibration<'_>) -> Vec<file::Term> {
-    let spindle = calibration.spindle.temperature.map(|it| (it.smoothing, it.smoothing_falling));
+    let spindle = calibration
+        .spindle
+        .temperature
+        .map(|temperature| (temperature.smoothing, temperature.smoothing_falling));
     let axes = calibration
         .axes
         .iter()
-        .map(|axis| axis.thermal.map(|it| (it.smoothing, it.smoothing_falling)));
+        .map(|axis| axis.thermal.map(|thermal| (thermal.smoothing, thermal.smoothing_falling)));
     let mut terms = Vec::new();
     for (quantity, factors) in Quantity::ALL.into_iter().zip([spindle].into_iter().chain(axes)) {
         if let Some((rising, falling)) = factors

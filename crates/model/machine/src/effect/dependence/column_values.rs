@@ -56,7 +56,7 @@ pub(super) fn find_levels(values: &[f64]) -> Option<Vec<f64>> {
 
 /// Returns the numbers of the tools that were used often; of the others nothing is known.
 pub(super) fn frequent_tools(values: &[f64]) -> Option<Vec<f64>> {
-    let rows = |tool: f64| values.iter().filter(|it| **it == tool).count();
+    let rows = |tool: f64| values.iter().filter(|value| **value == tool).count();
     let often: Vec<f64> =
         values.iter().copied().filter(|tool| rows(*tool) >= MIN_LEVEL_ROWS).collect();
     find_levels(&often).filter(|levels| levels.len() > 1)

@@ -51,7 +51,7 @@ pub(super) fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Dependence, St
             let is_amount = *name != TOOL_COLUMN && self::find_levels(values).is_none();
             (levels.is_some() && *n != number || *n > number) && is_amount
         });
-        let second = known.iter().chain(later.map(|(_, it)| it)).map(|(name, values)| {
+        let second = known.iter().chain(later.map(|(_, later)| later)).map(|(name, values)| {
             let reference = column_origin(values);
             Multiplier::Column { column: (*name).into(), reference, range: [reference; 2] }
         });
@@ -131,8 +131,11 @@ fn propose_temperatures(survey: &dyn DataView, with: &mut dyn FnMut(Dependence, 
             with(Dependence { form, ..Dependence::from_column(column) }, hinge_candidates);
         }
         for &(minus, of_minus) in &all[number + 1..] {
-            let reference =
-                values.iter().zip(of_minus).map(|(a, b)| a - b).find(|it| it.is_finite());
+            let reference = values
+                .iter()
+                .zip(of_minus)
+                .map(|(a, b)| a - b)
+                .find(|difference| difference.is_finite());
             let form = DependenceForm::Line { slope: 0.0, reference: reference.unwrap_or(0.0) };
             let minus = Some(minus.to_string());
             let at_once = Dependence { minus, form, ..Dependence::from_column(column) };

@@ -56,7 +56,7 @@ pub(super) fn read(section: &Section<'_>) -> Result<Dependence, BadInput> {
     let minus = section.text(MINUS.name)?.map(String::from);
     if minus
         .as_deref()
-        .is_some_and(|minus| ![&column[..], minus].iter().all(|it| is_temperature_column(it)))
+        .is_some_and(|minus| ![&column[..], minus].iter().all(|name| is_temperature_column(name)))
     {
         return Err(section.key_error(
             MINUS.name,

@@ -81,7 +81,9 @@ impl ScalarCauseDefinition for GrowthRate {
         correct: |time_constant_s, constants| {
             /// So large an exponent makes the warm-up an exponential without an end: 1 − e^(−40) is 1.
             const SATURATED_EXPONENT: f64 = 40.0;
-            if let Some(warmup) = constants.spindle.as_mut().and_then(|it| it.warmup.as_mut()) {
+            if let Some(warmup) =
+                constants.spindle.as_mut().and_then(|spindle| spindle.warmup.as_mut())
+            {
                 warmup.exponent = SATURATED_EXPONENT;
                 warmup.warm_s = warmup.lag_s + SATURATED_EXPONENT * time_constant_s;
             }
@@ -119,7 +121,9 @@ impl ScalarCauseDefinition for CoolingAsymmetry {
         },
         correct: |time_constant_s, constants| {
             *constants.falling_s = Some(time_constant_s);
-            if let Some(warmup) = constants.spindle.as_mut().and_then(|it| it.warmup.as_mut()) {
+            if let Some(warmup) =
+                constants.spindle.as_mut().and_then(|spindle| spindle.warmup.as_mut())
+            {
                 warmup.cool_s = Some(time_constant_s);
             }
         },
@@ -159,7 +163,8 @@ impl ScalarCauseDefinition for ThermalLag {
             })
         },
         correct: |time_constant_s, constants| {
-            let spindle = constants.spindle.as_mut().and_then(|it| it.temperature.as_mut());
+            let spindle =
+                constants.spindle.as_mut().and_then(|spindle| spindle.temperature.as_mut());
             if let Some(model) = spindle {
                 model.lag_s = time_constant_s;
             }

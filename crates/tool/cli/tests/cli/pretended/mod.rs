@@ -240,7 +240,7 @@ pub fn live(
                     // A tool that speaks where a CNC has spoken counts from 0.
                     let refused = node.receive(Interface::Serial, &frame).err();
                     assert!(
-                        refused.is_none_or(|it| it.is_sequence_error()),
+                        refused.is_none_or(|error| error.is_sequence_error()),
                         "no tool sends damaged frames"
                     );
                 }

@@ -155,7 +155,7 @@ impl Board {
         let status = Slot::ALL.map(|slot| {
             state.status(slot, slot.element_of(&images).map_or(0, |image| image.tag)).encode()
         });
-        let versions = images.map(|image| image.map_or(0, |it| it.header.version.0));
+        let versions = images.map(|image| image.map_or(0, |image| image.header.version.0));
         let running = self.running.image.header.slot.number();
         let choice = StartInfo::from(&self.running).encode();
         self.node.set_slots(SlotStates { running, versions, status, floor: state.floor.0, choice });

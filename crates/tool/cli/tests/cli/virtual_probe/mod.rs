@@ -56,7 +56,7 @@ pub fn run(
     let (mut log, mut said, mut met_mm) = (String::new(), String::new(), f64::NAN);
     let mut values: BTreeMap<String, f64> = BTreeMap::new();
     for line in program.lines().map(str::trim) {
-        if let Some(row) = line.strip_prefix("(LOG,").and_then(|it| it.strip_suffix(')')) {
+        if let Some(row) = line.strip_prefix("(LOG,").and_then(|rest| rest.strip_suffix(')')) {
             let cells = row.split(',').map(|cell| match values.get(cell) {
                 Some(value) => format!("{value:.6}"),
                 None => cell.to_string(),
@@ -71,7 +71,7 @@ pub fn run(
             let (axis, mm) = place_of(place);
             state.mm[axis] = mm;
         } else if let Some((code, place)) =
-            line.strip_prefix("G38.").and_then(|it| it.split_once(' '))
+            line.strip_prefix("G38.").and_then(|rest| rest.split_once(' '))
         {
             let (axis, to_mm) = place_of(place);
             match (code, contact(&mut state, truth, axis, to_mm, &mut is_closed)) {
@@ -111,7 +111,7 @@ fn place_of(place: &str) -> (usize, f64) {
 /// The operator changes the stylus, or turns the table.
 fn obey(state: &mut State, said: &str) {
     let number = |text: &str| -> f64 {
-        text.split_whitespace().next().and_then(|it| it.parse().ok()).expect("a number")
+        text.split_whitespace().next().and_then(|word| word.parse().ok()).expect("a number")
     };
     if let Some((_, length)) = said.split_once("Put in the stylus of ") {
         state.tool_mm = number(length);

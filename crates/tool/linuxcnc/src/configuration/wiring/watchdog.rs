@@ -113,13 +113,16 @@ impl HalWriter<'_> {
         let list = |of: fn(&(&'static str, &'static str, &'static str)) -> &'static str| {
             OPERATOR_MESSAGES.iter().map(of).collect::<Vec<_>>().join(",")
         };
-        let mut messages = list(|it| it.2);
+        let mut messages = list(|entry| entry.2);
         if demand.no_board.is_some() {
             // The realtime component has no log of its own.
             messages = messages.replace(LOG_HINT, "");
         }
-        let _ =
-            writeln!(text, "\nloadrt message names={} messages=\"{messages}\"", list(|it| it.0));
+        let _ = writeln!(
+            text,
+            "\nloadrt message names={} messages=\"{messages}\"",
+            list(|entry| entry.0)
+        );
         for (name, signal, _) in OPERATOR_MESSAGES {
             let _ = write!(
                 text,

@@ -15,10 +15,10 @@ fn node() -> EdgeNode {
 
 /// Returns the topics without those of the retained state, shortened, with their sequence numbers.
 fn numbered(messages: &[Message]) -> Vec<(String, Option<u64>)> {
-    let live = messages.iter().filter(|it| !it.is_retained);
-    live.map(|it| {
-        let topic = it.topic.replace("spBv1.0/trueup/", "");
-        (topic, Payload::decode(&it.payload[..]).expect("a payload").seq)
+    let live = messages.iter().filter(|message| !message.is_retained);
+    live.map(|message| {
+        let topic = message.topic.replace("spBv1.0/trueup/", "");
+        (topic, Payload::decode(&message.payload[..]).expect("a payload").seq)
     })
     .collect()
 }
@@ -45,10 +45,10 @@ fn births_come_in_order_and_then_only_what_has_changed() {
     assert_eq!(changed.len(), 1);
     assert_eq!(changed[0].value, Some(metric::Value::DoubleValue(2.0)));
     let birth = decode_metrics(&births[1].payload).expect("a payload");
-    let named = birth.iter().find(|it| it.alias == changed[0].alias).expect("its alias");
+    let named = birth.iter().find(|metric| metric.alias == changed[0].alias).expect("its alias");
     assert_eq!(named.name.as_deref(), Some("Offset/X"));
     let node_birth = decode_metrics(&births[0].payload).expect("a payload");
-    let rebirth = node_birth.iter().find(|it| it.name.as_deref() == Some(REBIRTH_METRIC));
+    let rebirth = node_birth.iter().find(|metric| metric.name.as_deref() == Some(REBIRTH_METRIC));
     assert_eq!(rebirth.expect("it can be asked for").alias, None, "hosts name it");
 
     let waiting = NodeStatistics { waiting: 3, ..own };
@@ -66,8 +66,10 @@ fn a_bridge_that_is_lost_or_exchanged_dies() {
     let lost = Snapshot { is_up: false, ..bridge(2, 0.0) };
     let messages = node.update(NodeStatistics::default(), std::slice::from_ref(&lost), 3);
     assert_eq!(numbered(&messages), expected(&[("DDEATH/n/00000002", 4)]));
-    let retained =
-        messages.iter().find(|it| it.is_retained).expect("the state of those that come later");
+    let retained = messages
+        .iter()
+        .find(|message| message.is_retained)
+        .expect("the state of those that come later");
     assert_eq!(retained.topic, "trueup/n/00000002/state");
     let up = decode_metrics(&retained.payload).expect("a payload");
     assert_eq!(up[0].value, Some(metric::Value::BooleanValue(false)));
@@ -81,8 +83,8 @@ fn the_number_of_the_connection_ties_a_death_to_its_birth_and_comes_round() {
         let metrics = decode_metrics(&message.payload).expect("a payload");
         metrics
             .iter()
-            .find(|it| it.name.as_deref() == Some(BD_SEQ_METRIC))
-            .and_then(|it| it.value.clone())
+            .find(|metric| metric.name.as_deref() == Some(BD_SEQ_METRIC))
+            .and_then(|metric| metric.value.clone())
     };
     for expected in [255, 0, 1] {
         assert_eq!(node.begin_connection(), expected);
