@@ -67,7 +67,7 @@ fn propose_candidates(problem: &FitProblem, model: &Model, residual: &[f64]) -> 
     let held = stated.map(ModelPart::from_stated_term).filter(|ModelPart { kind, .. }| {
         !model.contains(kind)
             && !kind.has_instant()
-            && kind.cause().is_some_and(|it| has_column(problem, it))
+            && kind.cause().is_some_and(|cause| has_column(problem, cause))
     });
     let mut all: Vec<Candidate> = held
         .map(|ModelPart { kind, values }| Candidate { kind, settings: vec![values], searched: 0.0 })

@@ -103,7 +103,11 @@ pub fn diagnose_with_options(
     // Repeats say before any cause is known which readings stand alone.
     let mut answer = search_and_judge(&data, SearchScope::Composed, progress);
     // What takes two inputs together is one of very many: it is the answer where it is claimed, else a simpler one is.
-    if answer.judged.iter().any(|it| it.cause().is_interaction() && !it.doubts.is_empty()) {
+    if answer
+        .judged
+        .iter()
+        .any(|judgement| judgement.cause().is_interaction() && !judgement.doubts.is_empty())
+    {
         answer = search_and_judge(&data, SearchScope::Simple, progress);
     }
     let JudgedSearch { problem, found, aside, judged } = answer;

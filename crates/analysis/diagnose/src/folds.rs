@@ -148,7 +148,8 @@ impl Folds {
         if run(model) == *model {
             return residual.clone();
         }
-        let each: Vec<Vec<f64>> = models.iter().map(|it| problem.residual(&run(it))).collect();
+        let each: Vec<Vec<f64>> =
+            models.iter().map(|model| problem.residual(&run(model))).collect();
         self.of_group.iter().enumerate().map(|(group, &fold)| each[fold][group]).collect()
     }
 

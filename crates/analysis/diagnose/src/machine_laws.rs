@@ -85,8 +85,11 @@ impl MachineLaws {
 
     /// Returns the columns of their thermometers.
     fn sensor_columns(&self) -> impl Iterator<Item = &str> {
-        let of_spindle = self.spindle.as_ref().and_then(|it| it.temperature.as_ref());
-        let columns = [self.thermal.as_ref().map(|it| &it.sensor), of_spindle.map(|it| &it.sensor)];
+        let of_spindle = self.spindle.as_ref().and_then(|spindle| spindle.temperature.as_ref());
+        let columns = [
+            self.thermal.as_ref().map(|thermal| &thermal.sensor),
+            of_spindle.map(|thermal| &thermal.sensor),
+        ];
         columns.into_iter().flatten().map(String::as_str)
     }
 
@@ -177,7 +180,7 @@ impl MachineLaws {
         let rise_s = match (self.thermal.as_ref().or(own_axis_thermal(data)), spindle.source) {
             (Some(thermal), _) => Some(thermal.lag_s),
             (None, Some(ElongationSource::Temperature)) => {
-                spindle.temperature.as_ref().map(|it| it.lag_s)
+                spindle.temperature.as_ref().map(|temperature| temperature.lag_s)
             }
             (None, Some(ElongationSource::Warmup)) => {
                 spindle.warmup.as_ref().map(Warmup::time_constant_s)
@@ -240,7 +243,8 @@ impl MachineLaws {
     /// Returns the axis's error of each row.
     pub(crate) fn axis_error<'d>(&self, data: &'d DataTable) -> Cow<'d, [f64]> {
         let thermal = self.thermal.as_ref();
-        let Some(thermal) = thermal.filter(|it| data.temperature(&it.sensor).is_some()) else {
+        let Some(thermal) = thermal.filter(|thermal| data.temperature(&thermal.sensor).is_some())
+        else {
             return Cow::Borrowed(&data.predicted.axis);
         };
         let fall_s = self.thermal_falling_s.unwrap_or(thermal.lag_s);

@@ -172,13 +172,16 @@ impl NextRun {
     }
 
     fn describe_spindle_run(&self) -> String {
-        let stretch = |it: &SpindleSegment| {
-            let minutes = format!("{:.0} minutes", it.minutes);
-            match (it.rpm > 0.0, it.load_n > 0.0) {
+        let stretch = |segment: &SpindleSegment| {
+            let minutes = format!("{:.0} minutes", segment.minutes);
+            match (segment.rpm > 0.0, segment.load_n > 0.0) {
                 (false, _) => format!("stop for {minutes}"),
-                (true, false) => format!("run at {:.0} r/min for {minutes}", it.rpm),
+                (true, false) => format!("run at {:.0} r/min for {minutes}", segment.rpm),
                 (true, true) => {
-                    format!("cut with {:.0} N at {:.0} r/min for {minutes}", it.load_n, it.rpm)
+                    format!(
+                        "cut with {:.0} N at {:.0} r/min for {minutes}",
+                        segment.load_n, segment.rpm
+                    )
                 }
             }
         };
@@ -215,7 +218,7 @@ pub(crate) fn find_next_run(
     let mut refused = None;
     for (number, question) in questions.iter().enumerate() {
         let gaps: Vec<Separation> =
-            foreseen.iter().map(|it| question.separation(&it.table)).collect();
+            foreseen.iter().map(|run| question.separation(&run.table)).collect();
         let shorter = |a: &usize, b: &usize| {
             let [one, other] = [a, b].map(|n| foreseen[*n].next.minutes);
             one.total_cmp(&other).then(gaps[*b].gap.total_cmp(&gaps[*a].gap))

@@ -96,8 +96,8 @@ pub(crate) fn judge_outliers(
     let by_level =
         chance(&deviation_from_level(data, &rows, aside, &left_um)).max(chance(&left_um));
     let targets = TargetPositions::from_rows(data, rows.iter().copied());
-    let by_place = targets.map_or(1.0, |it| {
-        chance(&it.deviations_from_target_median(&row_residuals(data, &plain), aside))
+    let by_place = targets.map_or(1.0, |targets| {
+        chance(&targets.deviations_from_target_median(&row_residuals(data, &plain), aside))
     });
     if by_level.min(by_place) < FALSE_CLAIM_PROBABILITY {
         OutlierJudgement::Wrong
@@ -117,7 +117,7 @@ fn is_nearer_to_neighbour(data: &DataTable, row: usize, predicted: &[f64]) -> bo
     // The larger part of the way is then what happened between the two.
     let is_nearer = |other: usize| away_um(other) < MAJORITY_SHARE * away_um(row);
     let before = row.checked_sub(1).filter(|_| !data.places.restart[row]);
-    let after = Some(row + 1).filter(|&it| it < data.rows && !data.places.restart[it]);
+    let after = Some(row + 1).filter(|&next| next < data.rows && !data.places.restart[next]);
     before.into_iter().chain(after).any(is_nearer)
 }
 

@@ -107,7 +107,8 @@ pub(crate) fn estimate_parameters(
             Parameter::Records(name, records) => {
                 let entry =
                     |(key, value): &(_, _)| (ToString::to_string(key), value_to_json(value));
-                let record = |it: &Vec<_>| it.iter().map(entry).collect::<Map<String, Value>>();
+                let record =
+                    |values: &Vec<_>| values.iter().map(entry).collect::<Map<String, Value>>();
                 let records: Vec<_> = records.iter().map(record).collect();
                 map.insert((*name).into(), json!({"value": records}));
             }
@@ -199,7 +200,7 @@ fn includes_no_effect(part: &ModelPart, intervals: &[[f64; 2]]) -> bool {
         let shifts = nonlinear.iter().zip(intervals);
         return shifts
             .filter(|(what, _)| **what == NonlinearParameter::Shift)
-            .any(|(_, it)| holds(*it, 0.0));
+            .any(|(_, value)| holds(*value, 0.0));
     }
     sizes.iter().all(|size| holds(*size, 0.0))
 }

@@ -101,7 +101,7 @@ impl TargetPositions {
     /// Returns the readings, each with the value `of` its number among the rows that this was made of and its
     /// row.
     pub(crate) fn readings(&self, of: impl Fn(usize) -> f64) -> Vec<Reading> {
-        let with = |(it, &row): (&Reading, &usize)| Reading { value: of(row), ..*it };
+        let with = |(reading, &row): (&Reading, &usize)| Reading { value: of(row), ..*reading };
         self.readings.iter().zip(&self.rows).map(with).collect()
     }
 
@@ -141,7 +141,7 @@ impl TargetPositions {
 
     /// Returns the tables that may be tried, as [`Law`]s: a step is the screw's, so that a scale has none.
     pub(crate) fn candidate_laws(&self, data: &DataTable) -> Vec<TableLaw> {
-        let has = |side: usize| self.readings.iter().any(|it| it.side == side);
+        let has = |side: usize| self.readings.iter().any(|reading| reading.side == side);
         let mut laws = vec![TableLaw::Table];
         if has(0) && has(1) {
             if data.setting.machine.axes[self.own.index()].feedback == Feedback::Screw {
@@ -196,8 +196,9 @@ impl TargetPositions {
 
     /// Returns the places that were read on one side, in mm, rising.
     fn positions_in_direction(&self, side: usize) -> Vec<f64> {
-        let is_read =
-            |place: usize| self.readings.iter().any(|it| it.place == place && it.side == side);
+        let is_read = |place: usize| {
+            self.readings.iter().any(|reading| reading.place == place && reading.side == side)
+        };
         (0..self.at_mm.len())
             .filter(|&place| is_read(place))
             .map(|place| self.at_mm[place])

@@ -35,7 +35,8 @@ fn answered(sections: &str, csv: &str, quantity: Quantity) -> (Diagnosis, f64) {
     let extended = diagnosis.render_extended_toml(&text, path).expect("a machine file");
     let extended = MachineFile::parse(&extended, path).expect("it can be loaded");
     let predictor = Predictor::new(&extended, &run).expect("it can be predicted");
-    let index = Quantity::ALL.iter().position(|it| *it == quantity).expect("one of all");
+    let index =
+        Quantity::ALL.iter().position(|candidate| *candidate == quantity).expect("one of all");
     let predicted = predictor.predictions().map(|row| row.model.to_array()[index]);
     let apart = predicted.zip(after_um).map(|(p, after)| (p - after).abs()).fold(0.0, f64::max);
     (diagnosis, apart)
@@ -85,7 +86,8 @@ fn a_drift_from_run_to_run_needs_no_clock_but_three_runs() {
         csv
     };
     let (diagnosis, apart_um) = answered("", &csv(5), Quantity::Dx);
-    let found: Vec<_> = diagnosis.report.findings.iter().filter(|it| it.cause == "drift").collect();
+    let found: Vec<_> =
+        diagnosis.report.findings.iter().filter(|finding| finding.cause == "drift").collect();
     assert_eq!(found.len(), 1, "{:?}", names(&diagnosis));
     let um_per_run = found[0].parameters["um_per_run"]["value"].as_f64().expect("a number");
     assert!((um_per_run - 3.0).abs() < 0.15, "{um_per_run}");
@@ -113,8 +115,8 @@ fn two_guides_that_are_not_straight_are_both_found_on_a_map() {
         let findings = &diagnosis.report.findings;
         let mut along: Vec<_> = findings
             .iter()
-            .filter(|it| it.cause == "straightness" && it.claimed)
-            .filter_map(|it| it.column.as_deref())
+            .filter(|finding| finding.cause == "straightness" && finding.claimed)
+            .filter_map(|finding| finding.column.as_deref())
             .collect();
         along.sort_unstable();
         assert_eq!(along, ["x_mm", "y_mm"], "{places} places: {:?}", names(&diagnosis));

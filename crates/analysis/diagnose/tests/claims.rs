@@ -62,7 +62,10 @@ fn a_wave_on_a_grid_is_one_of_many_and_one_on_uneven_places_is_claimed() {
     println!("{}: {:?}", report.verdict.name(), report.findings);
     assert!(!claimed(&diagnosis).contains(&"pitch-periodic"));
     if let Some(wave) = finding(&diagnosis, "pitch-periodic") {
-        assert!(!wave.compensated && wave.evidence.iter().any(|it| it.contains("does as well at")));
+        assert!(
+            !wave.compensated
+                && wave.evidence.iter().any(|sentence| sentence.contains("does as well at"))
+        );
         assert!(wave.next_test.starts_with("Measure at "), "{}", wave.next_test);
     }
     let mut noise = Noise(3);
@@ -108,7 +111,10 @@ fn a_coefficient_that_is_another_one_in_the_second_half_is_told() {
     let diagnosis = diagnosed(HEAD, &heat(2.0, 1.25));
     println!("{:?}", diagnosis.report.findings);
     let path = finding(&diagnosis, "extra-heat-path").expect("it is there");
-    assert!(!path.claimed && path.evidence.iter().any(|it| it.contains("second")), "{path:?}");
+    assert!(
+        !path.claimed && path.evidence.iter().any(|sentence| sentence.contains("second")),
+        "{path:?}"
+    );
 }
 
 #[test]
@@ -180,7 +186,9 @@ fn one_gross_reading_is_told_of_as_one() {
 fn jump(pause_s: i32) -> String {
     let mut noise = Noise(9);
     let mut run = String::from("time_s,temp_a_c,measured_elongation_um\n");
-    for time_s in (0..360).map(|row| 10 * row).filter(|it| !(2010 - pause_s..2010).contains(it)) {
+    for time_s in
+        (0..360).map(|row| 10 * row).filter(|time_s| !(2010 - pause_s..2010).contains(time_s))
+    {
         let um = if time_s >= 2010 { 2.0 } else { 0.0 } + 0.3 * noise.next();
         run += &format!("{time_s},{:.2},{um:.3}\n", 20.0 + 0.05 * noise.next());
     }

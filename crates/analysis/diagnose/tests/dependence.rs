@@ -79,8 +79,10 @@ fn a_switch_is_named_with_its_size_and_what_is_no_input_is_not() {
 fn each_tool_has_its_own_centrifugal_growth() {
     let by_tool = |tool: f64, rpm: f64, _: f64| 0.015 * (tool - 1.0) * (rpm / 1000.0).powi(2);
     let diagnosis = answer(MACHINE, &[&day(3, by_tool)], &[&day(4, by_tool)]);
-    let named: Vec<_> =
-        claimed(&diagnosis).iter().map(|it| (it.column.clone(), it.times.clone())).collect();
+    let named: Vec<_> = claimed(&diagnosis)
+        .iter()
+        .map(|finding| (finding.column.clone(), finding.times.clone()))
+        .collect();
     assert_eq!(
         named,
         [(Some("tool".to_string()), Some("speed2".to_string()))],
@@ -131,8 +133,9 @@ fn what_acts_only_with_some_tools_is_named_with_both_columns() {
     };
     let [first, second] = [5, 6].map(|seed| with_force(&day(seed, |_, _, _| 0.0)));
     let diagnosis = answer(MACHINE, &[&first], &[&second]);
-    let both = claimed(&diagnosis).iter().any(|it| {
-        it.columns == Some(["tool".to_string(), "spray".to_string()]) && it.form == Some("level")
+    let both = claimed(&diagnosis).iter().any(|finding| {
+        finding.columns == Some(["tool".to_string(), "spray".to_string()])
+            && finding.form == Some("level")
     });
     assert!(both, "{:?}", diagnosis.report.findings);
     assert!(diagnosis.report.after.holdout_rms_um < 0.6, "{:?}", diagnosis.report.after);
@@ -157,7 +160,10 @@ fn the_extended_file_predicts_what_the_diagnosis_says() {
     assert!(text.contains("cause = \"dependence\""), "{text}");
     let extended = MachineFile::parse(&text, Path::new("extended.toml")).expect("a machine file");
     let run = read(&challenge.holdout);
-    let index = Quantity::ALL.iter().position(|it| it.name() == challenge.quantity).expect("one");
+    let index = Quantity::ALL
+        .iter()
+        .position(|quantity| quantity.name() == challenge.quantity)
+        .expect("one");
     let measured = run.column(&format!("measured_{}_um", challenge.quantity)).expect("measured");
     let left: Vec<f64> = Predictor::new(&extended, &run)
         .expect("a prediction")

@@ -122,7 +122,7 @@ fn both_causes_of_an_axis_are_found() {
 fn every_cause_is_hidden() {
     let hidden = causes();
     for cause in trueup_machine::effect::Cause::ALL {
-        assert!(hidden.iter().any(|it| it.name() == cause.name()), "{}", cause.name());
+        assert!(hidden.iter().any(|other| other.name() == cause.name()), "{}", cause.name());
     }
     let count = Pair::all().len();
     println!("{count} pairs");

@@ -72,7 +72,7 @@ fn what_the_bridge_corrects_is_the_width_of_one_feed_and_the_others_cost_is_told
     let extended = MachineFile::parse(&text, Path::new("extended.toml")).expect("a machine file");
     let silent = renamed(&challenge.holdout, "feed_mm_per_min", "note");
     let run = RunFile::from_reader(silent.as_bytes(), Path::new("r.csv")).expect("a run file");
-    let index = Quantity::ALL.iter().position(|it| it.name() == challenge.quantity);
+    let index = Quantity::ALL.iter().position(|quantity| quantity.name() == challenge.quantity);
     let index = index.expect("one of all");
     let mut rows = 0;
     for row in Predictor::new(&extended, &run).expect("a prediction").predictions() {

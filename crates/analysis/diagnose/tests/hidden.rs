@@ -128,7 +128,7 @@ fn two_causes_are_both_named() {
 fn of_all_effects_three_times_the_noise_nearly_all_are_named() {
     let is_clean = |cause: &HiddenCause| cause.expected_diagnosis() == ExpectedDiagnosis::Clean;
     let effects: Vec<HiddenCause> =
-        HiddenCause::ALL.iter().copied().filter(|it| !is_clean(it)).collect();
+        HiddenCause::ALL.iter().copied().filter(|cause| !is_clean(cause)).collect();
     let mut all = row(&effects, 3.0, 0..2);
     let pairs = DISTINGUISHABLE_PAIRS.iter().map(|&(a, b)| {
         let challenge = draw_pair(a, b, 3.0, 0).expect("the twin's own pairs can be drawn");

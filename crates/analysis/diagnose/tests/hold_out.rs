@@ -59,7 +59,12 @@ fn what_makes_a_hold_out_worse_is_not_handed_out_and_what_does_not_is() {
     assert_eq!(causes(&diagnosis), ["cutting-load"]);
     assert_eq!(report.left_out.len(), 1);
     assert!(report.findings.iter().all(|finding| !finding.claimed), "judged beside what is not so");
-    assert!(report.findings.iter().any(|it| it.cause == "cutting-load" && it.compensated));
+    assert!(
+        report
+            .findings
+            .iter()
+            .any(|finding| finding.cause == "cutting-load" && finding.compensated)
+    );
     let html = diagnosis.render_html("m", &Origin::default(), &[]);
     assert!(html.contains("verdict bad\"") && html.contains("The hold-out has chosen"));
     assert!(html.contains("extra-heat-path temp_a_c: the hold-out becomes worse by it"));
@@ -172,7 +177,7 @@ fn a_gross_reading_of_a_hold_out_that_gains_less_than_promised_is_named() {
         let report = answer.report;
         println!("{:?} {:?} {:?}", report.verdict, report.after, report.notes);
         assert_eq!(report.verdict, Verdict::Explained);
-        report.notes.into_iter().filter(|it| it.contains("promised")).collect::<Vec<_>>()
+        report.notes.into_iter().filter(|note| note.contains("promised")).collect::<Vec<_>>()
     };
     assert_eq!(notes(0.0), Vec::<String>::new());
     let gross = notes(60.0);

@@ -56,7 +56,8 @@ fn the_sjtu_spindle_lags_behind_its_bearing_and_the_table_moves_it() {
     assert!(causes(&diagnosis).contains(&"thermal-lag"));
     // By itself, or together with another that it cannot be distinguished from.
     let named = report.findings.iter().flat_map(|finding| {
-        let partners = finding.together_with.iter().map(|it| (&it.cause, &it.column));
+        let partners =
+            finding.together_with.iter().map(|partner| (&partner.cause, &partner.column));
         partners.chain([(&finding.cause, &finding.column)])
     });
     let mut paths = named.filter(|(cause, _)| *cause == "extra-heat-path");
@@ -132,7 +133,9 @@ fn a_frame_that_the_bed_warms_is_named_and_gross_errors_are_set_aside() {
     );
     let slow = |finding: &&Finding| {
         let time_constant = finding.parameters.get("time_constant_s");
-        time_constant.and_then(|it| it["value"].as_f64()).is_some_and(|seconds| seconds > 0.0)
+        time_constant
+            .and_then(|time_constant| time_constant["value"].as_f64())
+            .is_some_and(|seconds| seconds > 0.0)
     };
     let mut slow = diagnosis.report.findings.iter().filter(slow).peekable();
     assert!(slow.peek().is_some() && slow.all(|slow| !slow.claimed && !slow.next_test.is_empty()));
@@ -177,7 +180,7 @@ fn diagnosed_of(machine: &Path, runs: &[RunFile], holdout: &[RunFile], of: Quant
 
 fn claimed(diagnosis: &Diagnosis) -> Vec<(&str, Option<&str>)> {
     let claimed = diagnosis.report.findings.iter().filter(|finding| finding.claimed);
-    claimed.map(|it| (it.cause.as_str(), it.column.as_deref())).collect()
+    claimed.map(|finding| (finding.cause.as_str(), finding.column.as_deref())).collect()
 }
 
 /// With every `steps`-th row of a day of a machining centre nothing is claimed that all rows do not claim, and another day is
@@ -192,11 +195,15 @@ fn fewer_rows_say_nothing_else(steps: &[usize]) {
         let answers: Vec<Diagnosis> =
             std::iter::once(1).chain(steps.iter().copied()).map(of).collect();
         let left: Vec<f64> =
-            answers.iter().map(|it| it.report.after.compensated_holdout_rms_um).collect();
+            answers.iter().map(|answer| answer.report.after.compensated_holdout_rms_um).collect();
         println!("{quantity:?}: {left:.2?} µm left of another day");
         let by_all = claimed(&answers[0]);
         for answer in &answers[1..] {
-            assert!(claimed(answer).iter().all(|it| by_all.contains(it)), "{:?}", claimed(answer));
+            assert!(
+                claimed(answer).iter().all(|finding| by_all.contains(finding)),
+                "{:?}",
+                claimed(answer)
+            );
         }
         assert!(left.iter().all(|um| *um <= 1.5 * expert_um), "{left:?}");
     }

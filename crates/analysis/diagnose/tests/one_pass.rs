@@ -101,7 +101,7 @@ fn what_comes_and_goes_with_the_clock_is_named_and_not_called_explained() {
     println!("written: {:?}", diagnosis.terms);
     // A thermometer that goes with it is what is named.
     let diagnosis = diagnosed(&chiller(true));
-    assert!(diagnosis.report.findings.iter().all(|it| it.cause != "periodic-in-time"));
+    assert!(diagnosis.report.findings.iter().all(|finding| finding.cause != "periodic-in-time"));
     assert_eq!(finding(&diagnosis, "extra-heat-path").column.as_deref(), Some("temp_bed_c"));
 }
 

@@ -103,7 +103,10 @@ fn what_was_found_is_not_lost_with_a_few_rows() {
 fn what_may_gain_nothing_is_not_claimed() {
     let judged = Case::draw(266).judged();
     let told = &judged.told;
-    assert!(told.is_right() && told.open.iter().any(|it| it == "cooling-asymmetry"), "{judged}");
+    assert!(
+        told.is_right() && told.open.iter().any(|name| name == "cooling-asymmetry"),
+        "{judged}"
+    );
 }
 
 /// A housing that had not settled when the record began: where it stood is no slow mode of the machine, and what is

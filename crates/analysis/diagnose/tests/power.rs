@@ -143,7 +143,12 @@ fn a_curve_that_was_measured_once_is_not_called_noise() {
         assert_ne!(report.verdict, Verdict::Clean);
         // The second pass shows that it repeats.
         let report = diagnosed(MACHINE, &passes(2, seed)).report;
-        assert!(report.findings.iter().any(|it| it.cause == "pitch-error" && it.compensated));
+        assert!(
+            report
+                .findings
+                .iter()
+                .any(|finding| finding.cause == "pitch-error" && finding.compensated)
+        );
     }
     // Noise that does not go on is noise after one pass as well.
     let mut noise = Generator::new(9);
@@ -225,7 +230,10 @@ fn a_door_that_nobody_recorded_is_told_as_slow_wandering() {
     let wandering = report.wandering.expect("it wanders");
     assert_eq!(report.verdict, Verdict::Unexplained);
     assert!((1.2..3.0).contains(&wandering.rms_um), "{wandering:?}");
-    assert!(wandering.memory_s.is_some_and(|it| (500.0..2000.0).contains(&it)), "{wandering:?}");
+    assert!(
+        wandering.memory_s.is_some_and(|memory_s| (500.0..2000.0).contains(&memory_s)),
+        "{wandering:?}"
+    );
     let told = report.reasons.join(" ");
     assert!(
         told.contains("whether a door or a gate is open") && told.contains("minutes"),

@@ -68,7 +68,11 @@ fn what_is_written_foresees_another_day_whichever_rows_are_shown() {
             (report.before.holdout_rms_um, report.after.compensated_holdout_rms_um);
         assert!(after < 0.06 * before, "every {every}: {before} -> {after}, {:?}", report.reasons);
         // Where no name is distinguished from the others, what is written does not depend on that.
-        open += report.findings.iter().filter(|it| it.compensated && !it.claimed).count();
+        open += report
+            .findings
+            .iter()
+            .filter(|finding| finding.compensated && !finding.claimed)
+            .count();
     }
     assert!(open > 1, "each record has told all names");
 }
@@ -102,7 +106,7 @@ fn noise_with_a_memory_is_not_corrected() {
         let diagnosis = diagnosed(&text, &[]);
         let verdict = diagnosis.report.verdict;
         written += usize::from(diagnosis.has_corrections());
-        assert!(diagnosis.report.findings.iter().all(|it| !it.claimed), "seed {seed}");
+        assert!(diagnosis.report.findings.iter().all(|finding| !finding.claimed), "seed {seed}");
         assert!(
             diagnosis.has_corrections() || matches!(verdict, Verdict::Clean | Verdict::Unexplained),
             "{verdict:?}"

@@ -71,7 +71,8 @@ fn measured_anew(
 ) {
     let header: Vec<String> =
         csv.lines().next().expect("a header").split(',').map(String::from).collect();
-    let at = |name: &str| header.iter().position(|it| it == name).expect("the twin writes it");
+    let at =
+        |name: &str| header.iter().position(|column| column == name).expect("the twin writes it");
     let (speed, measured) = (at("spindle_rpm"), at(&format!("measured_{quantity}_um")));
     let mut text = header.join(",") + "\n";
     for (line, [believed_um, noise_um]) in csv.lines().skip(1).zip(rest) {
@@ -94,7 +95,7 @@ fn gain_beside_growth(seed: u64) -> TestCase {
     let name = format!("measured_{}_um", challenge.quantity);
     let mut row = 0;
     for csv in &mut challenge.runs {
-        let at = csv.lines().next().expect("a header").split(',').position(|it| it == name);
+        let at = csv.lines().next().expect("a header").split(',').position(|column| column == name);
         let at = at.expect("the twin writes it");
         let rest: Vec<[f64; 2]> = csv
             .lines()

@@ -89,8 +89,9 @@ fn between_nine_targets_a_table_is_doubted_and_the_positions_that_decide_are_lis
     has_table(&diagnosis, 5.5);
     let report = &diagnosis.report;
     assert_eq!(report.verdict, Verdict::PartlyExplained);
-    let table = report.findings.iter().find(|it| it.cause == "pitch-error").expect("has_table");
-    assert!(table.evidence.iter().any(|it| it.contains("between them it is doubted")));
+    let table =
+        report.findings.iter().find(|finding| finding.cause == "pitch-error").expect("has_table");
+    assert!(table.evidence.iter().any(|sentence| sentence.contains("between them it is doubted")));
     assert!(table.next_test.contains("x_mm = -"), "{}", table.next_test);
     let Some(diagnosis) = diagnosed(train, Some("strangers/b02_x/continuous.csv")) else { return };
     let report = &diagnosis.report;

@@ -108,7 +108,8 @@ fn are_right(weeks: std::ops::Range<u64>) {
         let (answer, extended) = diagnosed(SHOP, &csv);
         let um = largest_um(&extended);
         assert!(um < 60.0, "week {seed}: a term of {um:.0} µm, {:?}", answer.terms);
-        let [before, after] = [&believed, &extended].map(|it| left_um(it, &csv, &truth_um));
+        let [before, after] =
+            [&believed, &extended].map(|machine| left_um(machine, &csv, &truth_um));
         println!("week {seed}: {zero_um:+.1} µm off, {before:.2} µm before, {after:.2} after");
         assert!(after < 1.1 * before, "week {seed}: {before} {after}");
         needed += u32::from(before > 4.0);
@@ -146,7 +147,8 @@ fn day(scenario: &str, seed: u64) -> RunFile {
 /// Returns what the board leaves of a day: RMS, in µm; of an axis about its zero.
 fn board_leaves_um(machine: &Machine, day: &RunFile, quantity: Quantity) -> f64 {
     let measured = day.column(&format!("measured_{}_um", quantity.name())).expect("measured");
-    let number = Quantity::ALL.iter().position(|it| *it == quantity).expect("one of four");
+    let number =
+        Quantity::ALL.iter().position(|candidate| *candidate == quantity).expect("one of four");
     let predictor = Predictor::new(machine, day).expect("the columns are there");
     let rows = predictor.predictions().zip(measured);
     let left = rows.map(|(row, um)| um - row.bridge.expect("a bridge").to_array()[number]);

@@ -134,7 +134,7 @@ pub(super) fn exclude_channel_faults(data: &mut DataTable, runs: &[&RunFile]) {
         };
         (0..data.rows).filter(is_long).for_each(|row| lost[row] = true);
     }
-    let count = lost.iter().filter(|it| **it).count();
+    let count = lost.iter().filter(|is_lost| **is_lost).count();
     if count > 0 {
         let file = file_name_prefix(data, 0);
         data.notes
@@ -233,7 +233,7 @@ fn file_row_ranges(data: &DataTable) -> Vec<Range<usize>> {
 
 /// Returns whether a row is the usual time after the one before; without time, whether it is of the same run.
 fn follows_previous(data: &DataTable) -> Vec<bool> {
-    let apart = |row: usize| data.time_s().map_or(f64::NAN, |it| it[row] - it[row - 1]);
+    let apart = |row: usize| data.time_s().map_or(f64::NAN, |time_s| time_s[row] - time_s[row - 1]);
     let mut all: Vec<f64> = (1..data.rows).map(apart).filter(|s| *s > 0.0).collect();
     all.sort_unstable_by(f64::total_cmp);
     let usual_s = all.get(all.len() / 2).copied();
@@ -251,7 +251,7 @@ fn follows_previous(data: &DataTable) -> Vec<bool> {
 
 /// Returns whether a row is at most [`MAX_ROW_GAP_S`] after the one before; without time, nothing says that it is not.
 fn near_previous(data: &DataTable) -> Vec<bool> {
-    let apart = |row: usize| data.time_s().map_or(0.0, |it| it[row] - it[row - 1]);
+    let apart = |row: usize| data.time_s().map_or(0.0, |time_s| time_s[row] - time_s[row - 1]);
     (0..data.rows)
         .map(|row| {
             row > 0
@@ -279,7 +279,7 @@ fn has_other_channel_change(
 fn has_slope_change(values: &[f64], row: usize) -> bool {
     let turn = |at: usize| {
         let [before, now, after] = [at.checked_sub(SLOPE_WINDOW_ROWS)?, at, at + SLOPE_WINDOW_ROWS]
-            .map(|it| values.get(it));
+            .map(|row| values.get(row));
         let turn = (after? - now? - (now? - before?)).abs();
         (!turn.is_nan()).then_some(turn)
     };

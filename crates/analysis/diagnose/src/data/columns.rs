@@ -221,9 +221,9 @@ mod tests {
         let text = |values: &[f64]| format!("{values:?}");
         let values_in = |blocks: &RowBlocks| {
             let of = columns.select_blocks(blocks, 4);
-            let known =
-                [KnownColumn::Time, KnownColumn::Run, KnownColumn::Speed].map(|it| of[it].clone());
-            let mut all = known.map(|it| text(&it.expect("each is there"))).to_vec();
+            let known = [KnownColumn::Time, KnownColumn::Run, KnownColumn::Speed]
+                .map(|column| of[column].clone());
+            let mut all = known.map(|column| text(&column.expect("each is there"))).to_vec();
             all.extend(ColumnGroup::ALL.map(|list| text(&of[list][0].1)));
             all
         };

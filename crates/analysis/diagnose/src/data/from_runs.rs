@@ -132,7 +132,11 @@ fn concatenate_column(
     }
     // Of one run it is the run's own.
     if let [run] = runs {
-        return run.columns().iter().find(|it| it.name == name).map(|it| it.values.clone());
+        return run
+            .columns()
+            .iter()
+            .find(|column| column.name == name)
+            .map(|column| column.values.clone());
     }
     let mut all = Vec::with_capacity(rows);
     for run in runs {

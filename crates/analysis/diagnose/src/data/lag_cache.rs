@@ -53,7 +53,7 @@ impl LagCache {
         let mut new = Self::default();
         let Some(time_s) = rows.time_s else { return new };
         let stretches = LagSegments::new(time_s, rows.restart, rows.blocks);
-        new.stretches = stretches.map(|it| (Arc::new(it), Vec::new()));
+        new.stretches = stretches.map(|segments| (Arc::new(segments), Vec::new()));
         let of_means = new.stretches.is_none() && rows.blocks.has_multirow_blocks();
         let clock = if of_means { TimeGrid::new(time_s, rows.restart, rows.blocks) } else { None };
         new.add_columns(rows, clock.map(Arc::new).as_ref(), columns);
@@ -115,7 +115,8 @@ impl LagCache {
         self.memoise(blocks, (column.into(), None, lags_s), || {
             let is_late = lags_s != [0.0; 2];
             let by_means = if is_late { self.segment_means(column, lags_s) } else { None };
-            let by_means = by_means.map(|(it, mean_c)| it.lagged(mean_c, lags_s, start));
+            let by_means =
+                by_means.map(|(segments, mean_c)| segments.lagged(mean_c, lags_s, start));
             by_means.unwrap_or_else(|| blocks.means(&stepped()))
         })
     }
@@ -132,7 +133,7 @@ impl LagCache {
         stepped: impl FnOnce() -> Arc<Vec<f64>>,
     ) -> Arc<Vec<f64>> {
         self.memoise(blocks, (column.into(), Some(late), lags_s), || {
-            let is_told = |(it, _): &(&LagSegments, _)| it.min_lag_s() <= late.by_s;
+            let is_told = |(segments, _): &(&LagSegments, _)| segments.min_lag_s() <= late.by_s;
             let by_means = self.segment_means(column, lags_s).filter(is_told);
             let Some((stretches, mean_c)) = by_means else { return blocks.means(&stepped()) };
             let mut part_c = stretches.part_temperature_c(late, mean_c);

@@ -23,7 +23,7 @@ pub(crate) fn resolve_quantity(
         [only] => Ok(only),
         [] => {
             if let Some(slip) =
-                runs.iter().find_map(|run| run.column_typo(|it| it.starts_with("measured_")))
+                runs.iter().find_map(|run| run.column_typo(|name| name.starts_with("measured_")))
             {
                 return Err(slip);
             }

@@ -19,7 +19,8 @@ pub(super) fn is_single_pass(data: &DataTable) -> bool {
         rows.filter(|(mm, um)| mm.is_finite() && um.is_finite()).map(|(mm, _)| *mm).collect();
     let steps = || places.windows(2).map(|pair| pair[1] - pair[0]);
     let moves = steps().filter(|step| *step != 0.0).count();
-    moves + 1 >= MIN_PASS_POSITIONS && (steps().all(|it| it >= 0.0) || steps().all(|it| it <= 0.0))
+    moves + 1 >= MIN_PASS_POSITIONS
+        && (steps().all(|step| step >= 0.0) || steps().all(|step| step <= 0.0))
 }
 
 /// Excludes the clock of a pass where only the position is correlated with it: it says the same once more, and

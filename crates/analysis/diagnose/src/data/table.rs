@@ -129,7 +129,8 @@ impl ParentTable {
     /// Returns a column of the whole behind a lag, in the drawn rows.
     fn lagged(&self, column: &str, lags_s @ [rise_s, fall_s]: [f64; 2]) -> Arc<Vec<f64>> {
         let (values, start) = self.data.heat_source(column).unzip();
-        let values = (column, values.map(|it| &it[..]), start.unwrap_or(InitialState::Settled));
+        let values =
+            (column, values.map(|values| &values[..]), start.unwrap_or(InitialState::Settled));
         self.lags.lagged(&self.blocks, values, lags_s, || self.data.lagged(column, rise_s, fall_s))
     }
 

@@ -48,7 +48,7 @@ fn describe_separating_positions(own_mm: f64, others_mm: &[f64], [low, high]: [f
 /// and the same for each alias.
 fn describe_separating_times(own_s: f64, others_s: &[f64]) -> String {
     let most = |other_s: &f64| (other_s / own_s).ln() * own_s * other_s / (other_s - own_s);
-    let mut times: Vec<f64> = others_s.iter().map(most).filter(|it| it.is_finite()).collect();
+    let mut times: Vec<f64> = others_s.iter().map(most).filter(|value| value.is_finite()).collect();
     times.sort_unstable_by(f64::total_cmp);
     format!(
         "Change what it goes with at once, hold it, and read {} s later, and once nothing moves any more: \

@@ -131,8 +131,8 @@ impl BridgeOffsets {
             (gap < STRONG_EVIDENCE_BIC || imitates).then_some(gap)
         };
         let model = &found.fitted.model;
-        let one = |(index, it): (usize, &Judgement)| {
-            let gap = open(&without_term(problem, model, it.cause()))?;
+        let one = |(index, judgement): (usize, &Judgement)| {
+            let gap = open(&without_term(problem, model, judgement.cause()))?;
             Some((index, gap))
         };
         let mut terms: Vec<(usize, f64)> = judged.iter().enumerate().filter_map(one).collect();
@@ -161,7 +161,7 @@ fn fit_with_free_factor(
     // A model that is linear leaves a residual that is linear in the factor; else the second step comes near.
     let (mut share, mut width) = (0.0, 1.0);
     for _ in 0..2 {
-        let [here, there] = [at(share), at(share + width)].map(|it| it.residual);
+        let [here, there] = [at(share), at(share + width)].map(|fitted| fitted.residual);
         let way: Vec<f64> = there.iter().zip(&here).map(|(there, here)| there - here).collect();
         let squares: f64 = way.iter().map(|um| um * um).sum();
         if squares == 0.0 {
@@ -183,7 +183,7 @@ impl FactorCaveat {
     /// Marks the findings, one for each judgement, that are not written or not claimed.
     pub(crate) fn mark_findings(&self, findings: &mut [Finding]) {
         if self.forbids_writing() {
-            for finding in findings.iter_mut().filter(|it| it.compensated) {
+            for finding in findings.iter_mut().filter(|finding| finding.compensated) {
                 finding.compensated = false;
                 finding.evidence.push(
                     "It is not written: how the CNC applies the offset has to be settled first."
@@ -243,7 +243,9 @@ impl FactorCaveat {
             }
             (Self::Terms(_), verdict) => verdict,
         };
-        reasons.retain(|it| !matches!(it, VerdictReason::OnlyNoise | VerdictReason::NothingFires));
+        reasons.retain(|reason| {
+            !matches!(reason, VerdictReason::OnlyNoise | VerdictReason::NothingFires)
+        });
         reasons.insert(
             0,
             match self {

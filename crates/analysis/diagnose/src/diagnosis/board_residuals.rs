@@ -36,8 +36,9 @@ fn predict_on_board(data: &DataTable, runs: &[RunFile], machine: &Machine) -> Op
     if runs.iter().map(length_s).sum::<f64>() > MAX_SIMULATED_RECORD_S {
         return None;
     }
-    let number =
-        trueup_machine::file::Quantity::ALL.iter().position(|it| *it == data.setting.quantity)?;
+    let number = trueup_machine::file::Quantity::ALL
+        .iter()
+        .position(|quantity| *quantity == data.setting.quantity)?;
     let mut predicted = Vec::with_capacity(data.rows);
     for run in runs {
         let first = predicted.len();

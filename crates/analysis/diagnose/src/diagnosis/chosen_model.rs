@@ -159,29 +159,32 @@ impl ChosenModel {
     ) -> Vec<Finding> {
         let SearchContext { data, problem, found, judged, .. } = *search;
         let Self { written, choice, transfer, .. } = self;
-        let is_disproved = transfer.as_ref().is_some_and(|it| it.is_disproved);
-        let is_dropped =
-            |cause: &TermKind| transfer.as_ref().is_some_and(|it| it.dropped.contains(cause));
-        let of_judgement = |it: &Judgement| {
-            let mut finding = build_finding(problem, it, found.folds.unit);
+        let is_disproved = transfer.as_ref().is_some_and(|transfer| transfer.is_disproved);
+        let is_dropped = |cause: &TermKind| {
+            transfer.as_ref().is_some_and(|transfer| transfer.dropped.contains(cause))
+        };
+        let of_judgement = |judgement: &Judgement| {
+            let mut finding = build_finding(problem, judgement, found.folds.unit);
             finding.gain.add_within_mean_square(within);
-            step_duration::append_duration_sentence(&mut finding, &it.part, data, after);
-            if is_dropped(it.cause()) {
+            step_duration::append_duration_sentence(&mut finding, &judgement.part, data, after);
+            if is_dropped(judgement.cause()) {
                 finding.mark_excluded();
             }
             if is_disproved && finding.claimed {
                 finding.withdraw_claim();
             }
-            match written.left.iter().find(|(kind, _)| kind == it.cause()) {
+            match written.left.iter().find(|(kind, _)| kind == judgement.cause()) {
                 Some((_, why)) => finding.mark_not_written(why),
-                None => finding.mark_written(written.parameter_estimates(problem, it.cause())),
+                None => {
+                    finding.mark_written(written.parameter_estimates(problem, judgement.cause()))
+                }
             }
             finding
         };
         let mut findings: Vec<Finding> = judged.iter().map(of_judgement).collect();
         // A term may be open only since it could not be written.
         let open_ones = judged.iter().zip(&findings).filter(|(_, finding)| !finding.claimed);
-        let open_ones: Vec<&TermKind> = open_ones.map(|(it, _)| it.cause()).collect();
+        let open_ones: Vec<&TermKind> = open_ones.map(|(judgement, _)| judgement.cause()).collect();
         for (it, finding) in judged.iter().zip(&mut findings) {
             if let Some(open) = open_ones.iter().find(|open| it.cause().may_be_part_of(open)) {
                 finding.mark_dependent_on(open);

@@ -109,7 +109,8 @@ impl ErrorPredictor {
         } else {
             table.clone()
         };
-        let [believed, extended] = [&Model::default(), &self.model].map(|it| it.predict(&data));
+        let [believed, extended] =
+            [&Model::default(), &self.model].map(|model| model.predict(&data));
         let corrected = mean_square(&data, &subtract(&extended, &believed));
         let is_axis = data.setting.quantity.axis().is_some();
         let values = || {
@@ -125,7 +126,7 @@ impl ErrorPredictor {
         let left = values + noise[1] + self.stays;
         let before = corrected + values + noise[0] + self.stays;
         let mut error = ErrorAtTool::new(before.sqrt(), left.sqrt());
-        held_out.into_iter().for_each(|it| error.apply_held_out_bounds(it));
+        held_out.into_iter().for_each(|errors| error.apply_held_out_bounds(errors));
         Ok(error)
     }
 
@@ -147,7 +148,7 @@ impl ErrorPredictor {
             runs.iter().map(|run| run.with_altered_values(most, read)).collect();
         let data = build_evaluation_data(table, &first)?;
         let models = [&Model::default(), &self.model];
-        let as_it_was = models.map(|it| it.predict(&data));
+        let as_it_was = models.map(|model| model.predict(&data));
         let draws = MAX_EVALUATED_ROWS.div_ceil(data.rows);
         let mut noise = [0.0; 2];
         let mut generator = Generator::new(1);
@@ -234,7 +235,9 @@ fn estimate_noise_std(values: &[f64]) -> f64 {
     let there: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
     let mut differences: Vec<f64> = there
         .windows(5)
-        .map(|it| (it[0] - 4.0 * it[1] + 6.0 * it[2] - 4.0 * it[3] + it[4]).abs())
+        .map(|window| {
+            (window[0] - 4.0 * window[1] + 6.0 * window[2] - 4.0 * window[3] + window[4]).abs()
+        })
         .collect();
     if differences.is_empty() {
         return 0.0;

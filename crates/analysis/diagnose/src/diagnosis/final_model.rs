@@ -18,7 +18,8 @@ pub(super) fn final_model(
     judged: &[Judgement],
 ) -> Model {
     let model = &found.fitted.model;
-    let open = judged.iter().filter(|it| !it.is_kept && !it.is_record_specific());
+    let open =
+        judged.iter().filter(|judgement| !judgement.is_kept && !judgement.is_record_specific());
     let mut kept = without_causes(problem, model, open.map(Judgement::cause));
     if !kept.parts.is_empty() && kept.parts.len() < model.parts.len() {
         kept = fit(problem, &kept, None).model;
@@ -32,8 +33,10 @@ pub(super) fn without_record_specific_terms(
     model: Model,
     judged: &[Judgement],
 ) -> Model {
-    let of_record = judged.iter().filter(|it| !it.is_kept && it.is_record_specific());
-    of_record.fold(model, |model, it| without_record_specific_term(problem, &model, it))
+    let of_record =
+        judged.iter().filter(|judgement| !judgement.is_kept && judgement.is_record_specific());
+    of_record
+        .fold(model, |model, judgement| without_record_specific_term(problem, &model, judgement))
 }
 
 /// `model` without a term that another record would show otherwise, and with what of it lasts: where a start

@@ -84,7 +84,9 @@ pub(crate) fn build_finding(problem: &FitProblem, it: &Judgement, left_out: Fold
         cause: cause.name().into(),
         column: cause.column(),
         form: as_dependence(cause).map(Dependence::form_name),
-        times: as_dependence(cause).and_then(|it| it.times.name()).map(String::from),
+        times: as_dependence(cause)
+            .and_then(|dependence| dependence.times.name())
+            .map(String::from),
         columns: as_dependence(cause).and_then(operand_columns),
         within: cause.cause().and_then(Effect::as_range_limited).zip(it.bound).map(column_range),
         claimed: it.doubts.is_empty(),
@@ -223,8 +225,8 @@ fn differs_significantly(own: &Value, written: &Value, ci95: Option<&Value>) -> 
     const STANDARD_ERRORS_PER_CI95: f64 = 3.92;
     match (own, written) {
         (Value::Number(_), Value::Number(_)) => {
-            let [one, other] = [own, written].map(|it| it.as_f64().unwrap_or(f64::NAN));
-            let end = |n: usize| ci95.and_then(|it| it.get(n)).and_then(Value::as_f64);
+            let [one, other] = [own, written].map(|value| value.as_f64().unwrap_or(f64::NAN));
+            let end = |n: usize| ci95.and_then(|interval| interval.get(n)).and_then(Value::as_f64);
             let rounding = 1e-9 * one.abs().max(1.0);
             let error = match (end(0), end(1)) {
                 (Some(low), Some(high)) => (high - low) / STANDARD_ERRORS_PER_CI95,
@@ -235,7 +237,7 @@ fn differs_significantly(own: &Value, written: &Value, ci95: Option<&Value>) -> 
         (Value::Array(one), Value::Array(other)) => {
             one.len() != other.len()
                 || one.iter().zip(other).enumerate().any(|(n, (one, other))| {
-                    differs_significantly(one, other, ci95.and_then(|it| it.get(n)))
+                    differs_significantly(one, other, ci95.and_then(|interval| interval.get(n)))
                 })
         }
         (Value::Object(one), Value::Object(other)) => one.iter().any(|(key, one)| {

@@ -20,7 +20,7 @@ pub(super) fn full_scale_hints(
     law_um: &[f64],
 ) -> Vec<String> {
     let sensor = machine.inputs.as_ref().and_then(|inputs| inputs.sensor.as_ref());
-    let gain = findings.iter().find_map(|it| it.parameters.get("gain"));
+    let gain = findings.iter().find_map(|finding| finding.parameters.get("gain"));
     let (Some(sensor), Some(gain)) = (sensor, gain) else { return Vec::new() };
     let counts = machine.spindle.sensor.as_ref().map(|model| {
         let counts = |um: &f64| model.zero_counts + (um - model.k0_um) / model.um_per_count;
@@ -47,7 +47,8 @@ fn full_scale_hint(
         // Not the one that is believed, within a count.
         .filter(|(counts, _)| (counts - believed).abs() > 1.5)
         .filter(|(counts, _)| {
-            largest_counts.is_none_or(|it| *counts > 30_000.0 || it <= S7_OVERRANGE_COUNTS)
+            largest_counts
+                .is_none_or(|largest| *counts > 30_000.0 || largest <= S7_OVERRANGE_COUNTS)
         })
         .map(|(counts, name)| (counts, name, believed / counts))
         .find(|(.., ratio)| is_all(ratio) || is_part(ratio))?;

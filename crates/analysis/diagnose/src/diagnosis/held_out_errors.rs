@@ -127,7 +127,8 @@ impl HeldOutRecord<'_> {
             column_by_name(&self.problem.data, &name).is_none_or(|values| {
                 let values = self.problem.groups.means(&forward_fill(values));
                 let [of, rest] = [&values[..first], &values[first..]];
-                let [[low, high], [least, most]] = [of, rest].map(|it| min_max(it.iter().copied()));
+                let [[low, high], [least, most]] =
+                    [of, rest].map(|values| min_max(values.iter().copied()));
                 let margin = EXTRAPOLATION_MARGIN * (high - low);
                 least >= low - margin && most <= high + margin
             })
@@ -271,8 +272,8 @@ pub(super) fn describe_unseen_categories(runs: &DataTable, here: &DataTable) -> 
     let sentence = |name: &String, values: &[f64]| {
         let seen = distinct_values(values)?;
         let there = distinct_values(&forward_fill(column_by_name(here, name)?))?;
-        let unseen: Vec<f64> = there.into_iter().filter(|it| !seen.contains(it)).collect();
-        let is_whole = seen.iter().chain(&unseen).all(|it| it.fract() == 0.0);
+        let unseen: Vec<f64> = there.into_iter().filter(|value| !seen.contains(value)).collect();
+        let is_whole = seen.iter().chain(&unseen).all(|value| value.fract() == 0.0);
         (is_whole && !unseen.is_empty()).then(|| {
             format!(
                 "{name} is {} in the hold-out; in the runs it was {}",

@@ -129,8 +129,8 @@ fn capitalise(text: &str) -> String {
 /// Returns what the tool may expect, in a sentence: the noise of the gauge is none of it.
 fn expected_error_sentence(report: &Report) -> String {
     let at_tool = &report.at_tool;
-    let readings = report.held_out.as_ref().map_or(String::new(), |it| {
-        format!("A gauge on another day like these: {}. ", it.sentence())
+    let readings = report.held_out.as_ref().map_or(String::new(), |held_out| {
+        format!("A gauge on another day like these: {}. ", held_out.sentence())
     });
     format!(
         "{readings}At the tool, which has no noise of a gauge: {} RMS with the extended file on the board, in the \
@@ -172,9 +172,11 @@ fn write_verdict(diagnosis: &Diagnosis, next: &[String], out: &mut String) {
         .iter()
         .filter(not_in)
         .map(|finding| {
-            let column = finding.column.as_ref().map_or(String::new(), |it| format!(" {it}"));
-            let dropped =
-                |it: &&OmittedCause| it.cause == finding.cause && it.column == finding.column;
+            let column =
+                finding.column.as_ref().map_or(String::new(), |column| format!(" {column}"));
+            let dropped = |cause: &&OmittedCause| {
+                cause.cause == finding.cause && cause.column == finding.column
+            };
             let why = match (report.left_out.iter().find(dropped), finding.claimed) {
                 (Some(_), _) => "the hold-out becomes worse by it",
                 (None, true) => "a board cannot, or must not, correct it",
@@ -226,7 +228,7 @@ fn write_list(sentences: &[String], out: &mut String) {
 /// Returns the verdict in a sentence.
 pub(crate) fn verdict_sentence(diagnosis: &Diagnosis) -> String {
     let report = &diagnosis.report;
-    let causes: Vec<&str> = report.findings.iter().map(|it| it.cause.as_str()).collect();
+    let causes: Vec<&str> = report.findings.iter().map(|cause| cause.cause.as_str()).collect();
     match report.verdict {
         Verdict::Clean => clean_verdict_sentence(report),
         Verdict::TooLittleData => {
@@ -244,7 +246,7 @@ pub(crate) fn verdict_sentence(diagnosis: &Diagnosis) -> String {
                 .into()
         }
         Verdict::DoesNotTransfer => {
-            let left_out: Vec<&str> = report.left_out.iter().map(|it| it.cause.as_str()).collect();
+            let left_out: Vec<&str> = report.left_out.iter().map(|cause| cause.cause.as_str()).collect();
             format!(
                 "What explains the runs makes the hold-out worse. Left out of extended.toml: {}.",
                 left_out.join(", ")
@@ -285,8 +287,8 @@ fn format_value(value: &serde_json::Value) -> String {
         }
         Value::Object(members) => {
             let known = members.iter().filter(|(_, value)| !value.is_null());
-            let named =
-                known.map(|(name, it)| format!("{}: {}", escape_html(name), format_value(it)));
+            let named = known
+                .map(|(name, value)| format!("{}: {}", escape_html(name), format_value(value)));
             named.collect::<Vec<_>>().join("<br>")
         }
         Value::String(text) => escape_html(text),
@@ -306,7 +308,10 @@ fn write_finding(finding: &Finding, out: &mut String) {
         "<h3>{}</h3>\n<p class=\"soft\">Cause: {}{}; {state}</p>\n",
         escape_html(&finding.sentence),
         finding.cause,
-        finding.column.as_ref().map_or(String::new(), |it| format!(" of {}", escape_html(it)))
+        finding
+            .column
+            .as_ref()
+            .map_or(String::new(), |column| format!(" of {}", escape_html(column)))
     );
     out.push_str("<div class=\"table\"><table>\n");
     for (name, parameter) in &finding.parameters {

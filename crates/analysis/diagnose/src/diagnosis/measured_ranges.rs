@@ -28,7 +28,7 @@ const MIN_EFFECT_UM: f64 = 1.0;
 /// Returns the values of a machine file that no machine can have.
 fn impossible_values(machine: &Machine) -> Vec<Finding> {
     let findings = check::range_findings(machine).into_iter();
-    findings.filter(|it| it.grade == Plausibility::Impossible).collect()
+    findings.filter(|finding| finding.grade == Plausibility::Impossible).collect()
 }
 
 /// The ranges of the measured values and of the inputs.
@@ -68,7 +68,7 @@ impl<'m> MeasuredRanges<'m> {
             largest_um: about(&problem.measured).max(about(&left)).max(MIN_EFFECT_UM),
             range_um,
             is_refused: envelope::find_limit_violation(machine).is_some(),
-            impossible: impossible_values(machine).into_iter().map(|it| it.key).collect(),
+            impossible: impossible_values(machine).into_iter().map(|finding| finding.key).collect(),
         }
     }
 
@@ -94,7 +94,9 @@ impl<'m> MeasuredRanges<'m> {
             return Some((kind, OmissionReason::Refused(excess.rule)));
         }
         let beyond = impossible_values(&machine);
-        if let Some(finding) = beyond.into_iter().find(|it| !self.impossible.contains(&it.key)) {
+        if let Some(finding) =
+            beyond.into_iter().find(|finding| !self.impossible.contains(&finding.key))
+        {
             return Some((kind, OmissionReason::Refused(finding.warning.what)));
         }
         self.range_violation(&machine).map(|why| (kind, why))
@@ -119,14 +121,14 @@ impl<'m> MeasuredRanges<'m> {
         let own = model.parts.iter().find(|part| part.kind == *kind);
         let risen = own
             .filter(|part| part.kind.is_settling_from_start())
-            .map_or(0.0, |it| it.values[1].abs());
+            .map_or(0.0, |part| part.values[1].abs());
         in_rows.max(risen)
     }
 
     /// Returns the state in which the machine is farthest outside what was measured, if beyond the margin, and farther
     /// than the machine file is already.
     fn range_violation(&self, extended: &Machine) -> Option<OmissionReason> {
-        let number = Quantity::ALL.iter().position(|it| *it == self.quantity)?;
+        let number = Quantity::ALL.iter().position(|quantity| *quantity == self.quantity)?;
         let believed = predict_states(self.machine, &self.ranges);
         let [low, high] = believed
             .iter()

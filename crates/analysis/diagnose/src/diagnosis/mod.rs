@@ -133,7 +133,7 @@ pub(crate) fn build_diagnosis(
         chosen.written.clear_terms();
     }
     let ChosenModel { model, written, choice, transfer } = &chosen;
-    let dropped: &[TermKind] = transfer.as_ref().map_or(&[], |it| &it.dropped);
+    let dropped: &[TermKind] = transfer.as_ref().map_or(&[], |transfer| &transfer.dropped);
     let compensated = compensated_model(&written.board);
     let test = asked.hold_out.map(|hold_out| &hold_out.data);
     let unseen = ValidationData { problem, folds: &found.folds, within, test };
@@ -151,10 +151,10 @@ pub(crate) fn build_diagnosis(
     let parts =
         HeldOutRecord { problem: own, folds: &folds, model: &written.board, foreseen, within };
     let held_out = is_corrected.then(|| parts.held_out_errors());
-    let floor = held_out.as_ref().map(|it| it.figures.reduction_floor95);
-    let shortfall = asked
-        .hold_out
-        .and_then(|it| chosen.shortfall(&search, it, &compensated, floor, &folds, within));
+    let floor = held_out.as_ref().map(|held_out| held_out.figures.reduction_floor95);
+    let shortfall = asked.hold_out.and_then(|hold_out| {
+        chosen.shortfall(&search, hold_out, &compensated, floor, &folds, within)
+    });
     let questions = find_open_questions(problem, &found, judged);
     let has_outliers = known == OutlierJudgement::Wrong;
     let notes = with_warnings(asked.notes, &aside, known, shortfall.as_ref());

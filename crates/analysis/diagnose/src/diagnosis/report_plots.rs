@@ -38,7 +38,9 @@ pub(super) fn write_prediction_plot(diagnosis: &Diagnosis, out: &mut String) {
         _ => [Vec::new(), Vec::new()],
     };
     for (error_curves, colour) in dense.iter().zip([Colour::Before, Colour::After]) {
-        lists.extend(error_curves.iter().map(|it| PlotSeries::line(&it.at_mm, &it.um, colour)));
+        lists.extend(
+            error_curves.iter().map(|curve| PlotSeries::line(&curve.at_mm, &curve.um, colour)),
+        );
     }
     let has_curves = lists.len() > 1;
     let series = 1 + rows
@@ -139,8 +141,8 @@ pub(super) fn write_residual_plots(diagnosis: &Diagnosis, out: &mut String) {
     let mut all = String::new();
     let mut draw = |name: &str, x: &[f64]| {
         // Against what stays the same nothing can be seen.
-        let Some(first) = x.iter().find(|it| !it.is_nan()) else { return };
-        if x.iter().all(|it| it.is_nan() || it == first) {
+        let Some(first) = x.iter().find(|value| !value.is_nan()) else { return };
+        if x.iter().all(|value| value.is_nan() || value == first) {
             return;
         }
         let lists = [

@@ -47,7 +47,9 @@ pub(super) fn is_fully_explained(
     judged: &[Judgement],
     wanders: bool,
 ) -> bool {
-    found.lack_of_fit.is_empty() && judged.iter().all(|it| it.doubts.is_empty()) && !wanders
+    found.lack_of_fit.is_empty()
+        && judged.iter().all(|judgement| judgement.doubts.is_empty())
+        && !wanders
 }
 
 impl WrittenTerms {
@@ -67,9 +69,9 @@ impl WrittenTerms {
         // A step is seen by the blocks; a drift goes as what is slow does.
         let is_drift =
             |kind: &TermKind| !kind.is_compensated() && kind.is_additive() && !kind.has_instant();
-        let parts = parts.filter(|it| is_drift(&it.kind)).cloned();
+        let parts = parts.filter(|part| is_drift(&part.kind)).cloned();
         let drift = Model { parts: parts.collect(), constant_um: None };
-        let [with_drift, believed] = [&drift, &Model::default()].map(|it| on.predict(it));
+        let [with_drift, believed] = [&drift, &Model::default()].map(|model| on.predict(model));
         let drift_um: Vec<f64> =
             with_drift.iter().zip(believed).map(|(um, of_file)| um - of_file).collect();
         let folds = Folds::for_prediction(on);
@@ -85,17 +87,18 @@ impl WrittenTerms {
             })
         };
         let original = found.folds.held_out_residuals(on, &initial_model(&on.data));
-        let is_claimed =
-            |kind: &TermKind| judged.iter().any(|it| it.cause() == kind && it.doubts.is_empty());
+        let is_claimed = |kind: &TermKind| {
+            judged.iter().any(|judgement| judgement.cause() == kind && judgement.doubts.is_empty())
+        };
         // An open path of heat is worth no more than another one: it stays where it predicts better, and not at all where
         // it settles more slowly than the record shows. What has a name, or is of the machine's own model, is.
         let is_open_path =
             |kind: &TermKind| !is_claimed(kind) && kind.tier() > 0 && kind.heat_path().is_some();
         let parts = &self.board.parts;
         let has_names = parts.iter().any(|part| !is_open_path(&part.kind));
-        let is_shown = parts
-            .iter()
-            .all(|it| !it.kind.has_time_constant() || on.is_time_constant_short(it.values[0]));
+        let is_shown = parts.iter().all(|part| {
+            !part.kind.has_time_constant() || on.is_time_constant_short(part.values[0])
+        });
         let named = folds.signed_fold_residuals(on, &self.board, Clone::clone);
         let is_rival = |predicted: &[f64]| {
             if has_names {
@@ -105,13 +108,13 @@ impl WrittenTerms {
             }
         };
         let room = MAX_BOARD_TERMS.saturating_sub(problem.data.setting.machine.terms.len());
-        let prediction = select_correction(on, &folds, &drift_um).filter(|it| {
-            it.model.parts.len() <= room
-                && is_better(&original, &it.foreseen.left)
-                && goes_on(&it.foreseen)
-                && !is_rival(&it.foreseen.left)
-                && MeasuredRanges::new(on, runs).first_violation(on, &it.model).is_none()
-                && !is_fit_degraded(on, &it.model)
+        let prediction = select_correction(on, &folds, &drift_um).filter(|correction| {
+            correction.model.parts.len() <= room
+                && is_better(&original, &correction.foreseen.left)
+                && goes_on(&correction.foreseen)
+                && !is_rival(&correction.foreseen.left)
+                && MeasuredRanges::new(on, runs).first_violation(on, &correction.model).is_none()
+                && !is_fit_degraded(on, &correction.model)
         });
         if let Some(prediction) = prediction {
             let named = std::mem::replace(&mut self.board, prediction.model).parts;
@@ -134,7 +137,7 @@ pub(super) fn build_prediction_findings(
     folds: &Folds,
 ) -> Vec<Finding> {
     let on = written.board_problem(problem);
-    let is_named = |kind: &TermKind| judged.iter().any(|it| it.cause() == kind);
+    let is_named = |kind: &TermKind| judged.iter().any(|judgement| judgement.cause() == kind);
     let original = on.residual(&Model::default());
     let after = on.residual(&written.board);
     let gain = Gain::new(
@@ -151,7 +154,7 @@ pub(super) fn build_prediction_findings(
             let partner = CoupledCause {
                 cause: part.kind.name().into(),
                 column: part.kind.column(),
-                parameters: estimates.map(|it| it.named).unwrap_or_default(),
+                parameters: estimates.map(|estimate| estimate.named).unwrap_or_default(),
                 sentence: part.sentence(),
             };
             (&part.kind, partner)

@@ -88,9 +88,9 @@ impl HoldOutEvaluation {
                 })
             });
             // Nor may the runs become worse by what remains.
-            let mends = |it: &ReducedModel| {
-                it.left_um <= MAX_EQUIVALENT_RMS_RATIO * before_um
-                    && rms(&problem.residual(&it.model))
+            let mends = |model: &ReducedModel| {
+                model.left_um <= MAX_EQUIVALENT_RMS_RATIO * before_um
+                    && rms(&problem.residual(&model.model))
                         <= MAX_EQUIVALENT_RMS_RATIO * runs_before_um
             };
             let mended = tried.into_iter().flatten().filter(mends);

@@ -177,15 +177,19 @@ pub(super) fn decide_verdict(grounds: &VerdictEvidence<'_>) -> (Verdict, Vec<Ver
     if !transfer.dropped.is_empty() {
         let mut harm = vec![VerdictReason::Harm { before_um, after_um }];
         harm.extend(transfer.places.iter().cloned().map(VerdictReason::WorseAt));
-        harm.extend(reasons.into_iter().filter(|it| !matches!(it, VerdictReason::NothingFires)));
+        harm.extend(
+            reasons.into_iter().filter(|reason| !matches!(reason, VerdictReason::NothingFires)),
+        );
         return (Verdict::DoesNotTransfer, harm);
     }
     let comes_first = matches!(verdict, Verdict::TooLittleData | Verdict::DoNotCompensate);
-    let shortfall = grounds.shortfall.filter(|it| it.is_certain() && !comes_first);
+    let shortfall = grounds.shortfall.filter(|shortfall| shortfall.is_certain() && !comes_first);
     if let Some(Shortfall { floor, came, most, places, .. }) = shortfall {
         let mut short = vec![VerdictReason::FallsShort { floor: *floor, came: *came, most: *most }];
         short.extend(places.iter().cloned().map(VerdictReason::DiffersIn));
-        short.extend(reasons.into_iter().filter(|it| !matches!(it, VerdictReason::NothingFires)));
+        short.extend(
+            reasons.into_iter().filter(|reason| !matches!(reason, VerdictReason::NothingFires)),
+        );
         return (Verdict::FallsShort, short);
     }
     if transfer.is_worse() && verdict.is_resolved() {
@@ -215,22 +219,22 @@ fn decide_run_verdict(grounds: &VerdictEvidence<'_>) -> (Verdict, Vec<VerdictRea
     if judged.is_empty() && !grounds.is_predicted {
         return verdict_without_cause(grounds, reasons);
     }
-    let is_doubted = |it: &Judgement| !it.doubts.is_empty() && it.other_law().is_none();
+    let is_doubted =
+        |judgement: &Judgement| !judgement.doubts.is_empty() && judgement.other_law().is_none();
     if grounds.is_withheld || judged.iter().any(is_doubted) {
         reasons.push(VerdictReason::Open);
     }
-    if judged.iter().any(|it| it.cause().is_clock_periodic()) {
+    if judged.iter().any(|judgement| judgement.cause().is_clock_periodic()) {
         reasons.push(VerdictReason::ByTheClock);
     }
     reasons.extend(grounds.unknown_rest.map(VerdictReason::UnexplainedResidual));
-    if judged
-        .iter()
-        .any(|it| it.between.as_ref().is_some_and(|it| it.found.is_interpolation_doubtful()))
-    {
+    if judged.iter().any(|judgement| {
+        judgement.between.as_ref().is_some_and(|between| between.found.is_interpolation_doubtful())
+    }) {
         reasons.push(VerdictReason::BetweenPoints);
     }
     // A drift or a jump says of what wanders only that it does.
-    let is_of_time = judged.iter().all(|it| it.cause().tier() > MAX_MACHINE_TIER);
+    let is_of_time = judged.iter().all(|judgement| judgement.cause().tier() > MAX_MACHINE_TIER);
     let wanders =
         grounds.has_drift_above_uncertainty() || is_of_time && grounds.has_drift_above_noise();
     if reasons.is_empty() && !wanders {
@@ -246,8 +250,9 @@ fn verdict_without_cause(
     mut reasons: Vec<VerdictReason>,
 ) -> (Verdict, Vec<VerdictReason>) {
     let power = grounds.power;
-    let does_not_repeat = |it: &&RepeatStatistics| {
-        it.scatter_um > it.systematic_um && it.scatter_um > MAX_REPEATABILITY_UM
+    let does_not_repeat = |statistics: &&RepeatStatistics| {
+        statistics.scatter_um > statistics.systematic_um
+            && statistics.scatter_um > MAX_REPEATABILITY_UM
     };
     if let Some(repeats) = grounds.repeats.filter(does_not_repeat) {
         reasons.push(VerdictReason::DoesNotRepeat(*repeats));

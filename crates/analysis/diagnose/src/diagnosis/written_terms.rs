@@ -116,7 +116,9 @@ impl WrittenTerms {
         let is_handed_out = |kind: &TermKind| joint.contains(kind);
         // What is of this record alone is fitted next to the others, and omitted then.
         let is_of_record = |kind: &TermKind| {
-            judged.iter().any(|it| it.cause() == kind && !it.is_kept && it.is_record_specific())
+            judged.iter().any(|judgement| {
+                judgement.cause() == kind && !judgement.is_kept && judgement.is_record_specific()
+            })
         };
         let leave =
             filter_kinds(&found.fitted.model, |kind| !is_handed_out(kind) && !is_of_record(kind));
@@ -134,8 +136,9 @@ impl WrittenTerms {
         found: &SearchOutcome,
         judged: &[Judgement],
     ) {
-        let is_claimed =
-            |kind: &TermKind| judged.iter().any(|it| it.cause() == kind && it.doubts.is_empty());
+        let is_claimed = |kind: &TermKind| {
+            judged.iter().any(|judgement| judgement.cause() == kind && judgement.doubts.is_empty())
+        };
         loop {
             let on = self.board_problem(problem);
             let fitted = evaluate_model(on, &self.board);
@@ -212,11 +215,13 @@ impl WrittenTerms {
         }
         let on = self.board_problem(problem);
         let foresees = |model: &Model| {
-            let [before, after] =
-                [&initial_model(&on.data), model].map(|it| found.folds.held_out_residuals(on, it));
+            let [before, after] = [&initial_model(&on.data), model]
+                .map(|model| found.folds.held_out_residuals(on, model));
             found.folds.paired_comparison(&before, &after).is_better()
         };
-        let is_claimed = |it: &Judgement| it.doubts.is_empty() && self.board.contains(it.cause());
+        let is_claimed = |judgement: &Judgement| {
+            judgement.doubts.is_empty() && self.board.contains(judgement.cause())
+        };
         let is_certain = judged.iter().any(is_claimed);
         let again = is_fit_degraded(on, &self.board)
             .then(|| board_model(&fit(on, &self.board, None).model));
@@ -232,7 +237,7 @@ impl WrittenTerms {
     /// Returns what of `joint` only explains, fitted to what the board's terms leave.
     fn fit_explanatory_terms(&self, problem: &FitProblem, joint: &Model) -> Model {
         let mut model = Model {
-            parts: joint.parts.iter().filter(|it| !it.kind.is_compensated()).cloned().collect(),
+            parts: joint.parts.iter().filter(|part| !part.kind.is_compensated()).cloned().collect(),
             constant_um: Some(0.0),
         };
         if model.parts.is_empty() {
@@ -244,8 +249,8 @@ impl WrittenTerms {
         if model.parts.is_empty() {
             model.constant_um = None;
         } else {
-            let [own, believed] =
-                [&self.board, &Model::default()].map(|it| self.board_problem(problem).predict(it));
+            let [own, believed] = [&self.board, &Model::default()]
+                .map(|model| self.board_problem(problem).predict(model));
             let rows = problem.measured.iter().zip(own.iter().zip(&believed));
             let rest = rows.map(|(um, (own, believed))| um - own + believed).collect();
             model = fit(&problem.with_measured(rest), &model, None).model;
@@ -297,7 +302,7 @@ impl WrittenTerms {
         }
         let mut whole = model.clone();
         whole.parts.retain(|part| of_machine(&part.kind));
-        let [whole, board] = [&whole, &self.board].map(|it| it.predict(data));
+        let [whole, board] = [&whole, &self.board].map(|model| model.predict(data));
         let rows = (0..data.rows).filter(|&row| data.used[row]);
         let apart: Vec<f64> = rows.map(|row| whole[row] - board[row]).collect();
         rms(&remove_zero_offset(data, apart)).powi(2)

@@ -51,7 +51,9 @@ pub(crate) fn parameter_covariance(
     let substitutes = find_substitutes(&fitted.model, &parameters, &columns, None);
     let known: Vec<bool> = parameters
         .iter()
-        .map(|at| !substitutes.iter().any(|it| *at == Some((it.part, it.value))))
+        .map(|at| {
+            !substitutes.iter().any(|substitute| *at == Some((substitute.part, substitute.value)))
+        })
         .collect();
     retain_by_mask(&mut parameters, &known);
     retain_by_mask(&mut columns, &known);

@@ -405,7 +405,8 @@ mod tests {
             let possible_candidates =
                 simple_candidates(&problem, &Model::default(), &problem.measured);
             let part = |name: &str, value: f64| {
-                let candidate = possible_candidates.iter().find(|it| it.kind.name() == name);
+                let candidate =
+                    possible_candidates.iter().find(|candidate| candidate.kind.name() == name);
                 let kind = candidate.expect("the machine grows").kind.clone();
                 ModelPart { kind, values: vec![value] }
             };

@@ -66,7 +66,10 @@ fn fit_uncached(problem: &FitProblem, model: &Model, mask: Option<&[bool]>) -> F
         let is_fitted = |parameter: &ParameterIndex| {
             parameter.is_none_or(|(part, value)| {
                 let is_step = model.parts[part].kind.has_instant() && value == 0;
-                !is_step && !substitutes.iter().any(|it| (it.part, it.value) == (part, value))
+                !is_step
+                    && !substitutes
+                        .iter()
+                        .any(|substitute| (substitute.part, substitute.value) == (part, value))
             })
         };
         let fitted: Vec<bool> = parameters.iter().map(is_fitted).collect();

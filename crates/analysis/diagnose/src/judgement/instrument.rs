@@ -20,7 +20,8 @@ pub(super) fn insufficient_table(
         return None;
     }
     let parts = case.found.fitted.model.parts.iter();
-    let (points, table) = parts.filter_map(|it| Some((it.kind.list_length()?, &it.kind))).next()?;
+    let (points, table) =
+        parts.filter_map(|part| Some((part.kind.list_length()?, &part.kind))).next()?;
     let data = &case.problem.data;
     let position = data.own_position()?;
     let rows = (0..data.rows).filter(|&row| data.used[row]);

@@ -73,14 +73,14 @@ pub(crate) fn initial_state_law(case: &JudgementContext<'_>, part: &ModelPart) -
         _ => None,
     };
     let is_late = |cause: &TermKind| cause.heat_path().is_some_and(|path| path.has_lag);
-    let is_rival = |it: &Extension| {
-        case.bic_gap(&it.fitted) < STRONG_EVIDENCE_BIC
-            && !case.paired_comparison(&case.held_out_residuals(&it.fitted)).is_better()
+    let is_rival = |extension: &Extension| {
+        case.bic_gap(&extension.fitted) < STRONG_EVIDENCE_BIC
+            && !case.paired_comparison(&case.held_out_residuals(&extension.fitted)).is_better()
     };
     begins(answer).or_else(|| {
         let mut others =
             fit_single_cause_extensions(case.problem, answer, MAX_LAGGED_LAWS, is_late).into_iter();
-        others.find_map(|it| begins(&it.fitted).filter(|_| is_rival(&it)))
+        others.find_map(|extension| begins(&extension.fitted).filter(|_| is_rival(&extension)))
     })
 }
 

@@ -176,16 +176,18 @@ fn equivalent_single_law(case: &JudgementContext<'_>, cause: &TermKind) -> Optio
         return None;
     }
     // Several terms over one column make up a law that has no form here.
-    let mut others = case.found.added.iter().map(|it| &it.cause);
-    if let Some(other) = others.find(|it| *it != cause && it.column() == cause.column()) {
+    let mut others = case.found.added.iter().map(|term| &term.cause);
+    if let Some(other) = others.find(|other| *other != cause && other.column() == cause.column()) {
         return Some(other.clone());
     }
     let alone = single_term_replacements(case.problem, &case.found.fitted, [cause]);
-    let other = alone.into_iter().filter(|it| !case.found.fitted.model.contains(&it.cause));
-    let near = other.filter(|it| {
-        it.cause.name() != cause.name() && case.bic_gap(&it.fitted) < STRONG_EVIDENCE_BIC
+    let other =
+        alone.into_iter().filter(|extension| !case.found.fitted.model.contains(&extension.cause));
+    let near = other.filter(|extension| {
+        extension.cause.name() != cause.name()
+            && case.bic_gap(&extension.fitted) < STRONG_EVIDENCE_BIC
     });
-    near.min_by(|a, b| a.bic.total_cmp(&b.bic)).map(|it| it.cause)
+    near.min_by(|a, b| a.bic.total_cmp(&b.bic)).map(|extension| extension.cause)
 }
 
 /// None where the term is no part of the answer any more.
@@ -224,7 +226,7 @@ fn judge_term(case: &JudgementContext<'_>, added: &AddedTerm) -> Option<Judgemen
     // What may be nothing, or another wave between the places, is corrected only if it is predicted.
     let is_predicted = case.paired_comparison(&left_out_without).is_better();
     let is_alias_of_wave =
-        cause.is_wave() && doubts.iter().any(|it| matches!(it, Caveat::Alias(_)));
+        cause.is_wave() && doubts.iter().any(|doubt| matches!(doubt, Caveat::Alias(_)));
     let is_kept = have_equal_predictions(case, &open)
         && !is_alias_of_wave
         && !doubts.contains(&Caveat::NotRepeated)
@@ -321,7 +323,10 @@ fn half_estimates(case: &JudgementContext<'_>, part: &ModelPart) -> Option<[f64;
 fn withdraw_coupled_terms(case: &JudgementContext<'_>, judged: &mut [Judgement]) {
     let terms: Vec<TermResiduals<'_>> = judged
         .iter()
-        .map(|it| TermResiduals { cause: it.cause(), left_out_without: &it.left_out_without })
+        .map(|judgement| TermResiduals {
+            cause: judgement.cause(),
+            left_out_without: &judgement.left_out_without,
+        })
         .collect();
     for pair in find_coupled_terms(case, &terms) {
         let [first, second] = pair.terms;
@@ -336,10 +341,12 @@ fn withdraw_coupled_terms(case: &JudgementContext<'_>, judged: &mut [Judgement])
 /// Takes back the claims of the machine's own constants next to one whose search ended before its best: the law
 /// that it belongs to is not the machine's, and what else is read into that law is not either.
 fn withdraw_constants_near_bounds(judged: &mut [Judgement]) {
-    let is_own = |it: &Judgement| it.cause().tier() == 0;
-    let open = judged.iter().find(|it| is_own(it) && it.doubts.contains(&Caveat::AtTheEnd));
-    let Some(open) = open.map(|it| it.cause().clone()) else { return };
-    let claimed = |it: &&mut Judgement| is_own(it) && it.doubts.is_empty();
+    let is_own = |judgement: &Judgement| judgement.cause().tier() == 0;
+    let open = judged
+        .iter()
+        .find(|judgement| is_own(judgement) && judgement.doubts.contains(&Caveat::AtTheEnd));
+    let Some(open) = open.map(|judgement| judgement.cause().clone()) else { return };
+    let claimed = |judgement: &&mut Judgement| is_own(judgement) && judgement.doubts.is_empty();
     for it in judged.iter_mut().filter(claimed) {
         it.doubts.push(Caveat::HangsOn(open.clone()));
     }
@@ -347,9 +354,12 @@ fn withdraw_constants_near_bounds(judged: &mut [Judgement]) {
 
 /// Takes back the claims of what may be a part of an open term ([`TermKind::may_be_part_of`]).
 fn withdraw_parts_of_open_terms(judged: &mut [Judgement]) {
-    let open = judged.iter().filter(|it| !it.doubts.is_empty()).map(|it| it.cause().clone());
+    let open = judged
+        .iter()
+        .filter(|judgement| !judgement.doubts.is_empty())
+        .map(|judgement| judgement.cause().clone());
     let open: Vec<TermKind> = open.collect();
-    for it in judged.iter_mut().filter(|it| it.doubts.is_empty()) {
+    for it in judged.iter_mut().filter(|judgement| judgement.doubts.is_empty()) {
         let other = open.iter().find(|open| it.cause().may_be_part_of(open)).cloned();
         it.doubts.extend(other.map(Caveat::HangsOn));
     }
@@ -359,11 +369,11 @@ fn withdraw_parts_of_open_terms(judged: &mut [Judgement]) {
 /// interval includes zero the size is not known there either. The two may be large and take each other back, so
 /// that what is left of them on another day is neither: it is not handed out alone.
 fn drop_record_dependent_terms(judged: &mut [Judgement]) {
-    if judged.iter().any(|it| !it.is_kept && it.is_record_specific()) {
-        let is_unsure = |it: &&mut Judgement| {
-            it.cause().is_compensated() && it.doubts.contains(&Caveat::MayBeNothing)
+    if judged.iter().any(|judgement| !judgement.is_kept && judgement.is_record_specific()) {
+        let is_unsure = |judgement: &&mut Judgement| {
+            judgement.cause().is_compensated() && judgement.doubts.contains(&Caveat::MayBeNothing)
         };
-        judged.iter_mut().filter(is_unsure).for_each(|it| it.is_kept = false);
+        judged.iter_mut().filter(is_unsure).for_each(|judgement| judgement.is_kept = false);
     }
 }
 
@@ -377,7 +387,9 @@ fn withdraw_alternative_dependent_terms(case: &JudgementContext<'_>, judged: &mu
         bic(problem, &without) > bic(problem, &rival.fitted) + STRONG_EVIDENCE_BIC
     };
     let mut doubts: Vec<(usize, TermKind)> = Vec::new();
-    for (index, it) in judged.iter().enumerate().filter(|(_, it)| it.doubts.is_empty()) {
+    for (index, it) in
+        judged.iter().enumerate().filter(|(_, judgement)| judgement.doubts.is_empty())
+    {
         let open = judged.iter().flat_map(|there| {
             let rivals =
                 there.rivals.iter().filter(|rival| rival.is_indistinguishable(there.cause()));
@@ -399,12 +411,14 @@ fn withdraw_alternative_dependent_terms(case: &JudgementContext<'_>, judged: &mu
 fn withdraw_terms_of_substitute_laws(case: &JudgementContext<'_>, judged: &mut [Judgement]) {
     let mut sound = case.found.fitted.model.clone();
     sound.parts.retain(|part| {
-        judged.iter().all(|it| it.other_law().is_none() || *it.cause() != part.kind)
+        judged
+            .iter()
+            .all(|judgement| judgement.other_law().is_none() || *judgement.cause() != part.kind)
     });
     if sound.parts.len() == case.found.fitted.model.parts.len() {
         return;
     }
-    for it in judged.iter_mut().filter(|it| it.doubts.is_empty()) {
+    for it in judged.iter_mut().filter(|judgement| judgement.doubts.is_empty()) {
         let curves = SubstituteCurves::new(case, it.cause());
         let bic = |model: &Model| curves.bic_with_curves(case, &fit(case.problem, model, None));
         let mut without = sound.clone();
@@ -449,7 +463,7 @@ mod tests {
             let unsure = judgement(vec![Caveat::MayBeNothing, Caveat::NotIdentified], true);
             let mut all = vec![slow, unsure, judgement(Vec::new(), true)];
             drop_record_dependent_terms(&mut all);
-            all.iter().map(|it| it.is_kept).collect::<Vec<_>>()
+            all.iter().map(|judgement| judgement.is_kept).collect::<Vec<_>>()
         };
         assert_eq!(kept(false), [false, false, true]);
         assert_eq!(kept(true), [true, true, true]);

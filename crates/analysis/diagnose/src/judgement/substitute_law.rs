@@ -68,7 +68,7 @@ impl SubstituteCurves {
         curves.into_iter().find_map(|curve| {
             let inputs = CurveInputs::from_kind(&curve.cause)?;
             // It is shown that what is left depends on them. Blocks that have a speed alone predict nothing of it.
-            let is_shown = case.found.lack_of_fit.iter().any(|it| it.depends_on(&inputs));
+            let is_shown = case.found.lack_of_fit.iter().any(|fit| fit.depends_on(&inputs));
             let doubt = caveat_from_curve(case, &curve, inputs, without, is_shown)?;
             let combined = with_term(&curve.fitted.model, &case.found.fitted.model, cause);
             let is_left = curve.fitted.sum - fit(case.problem, &combined, None).sum;

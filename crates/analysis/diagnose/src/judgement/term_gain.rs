@@ -69,19 +69,20 @@ pub(crate) fn find_coupled_terms(
 ) -> Vec<CoupledTerms> {
     let mut all = Vec::new();
     let fitted = &case.found.fitted;
-    let effect = |it: &TermResiduals<'_>| centred_effect(case.problem, fitted, it.cause);
+    let effect =
+        |residuals: &TermResiduals<'_>| centred_effect(case.problem, fitted, residuals.cause);
     let effects: Vec<Vec<f64>> = terms.iter().map(effect).collect();
     for first in 0..terms.len() {
         for second in first + 1..terms.len() {
             let pair = [&terms[first], &terms[second]];
-            if pair.iter().any(|it| it.cause.list_length().is_some()) {
+            if pair.iter().any(|residuals| residuals.cause.list_length().is_some()) {
                 continue;
             }
             let is_taken_back = effects_cancel(&effects[first], &effects[second]);
             let neither = residuals_without_both(case, pair[0].cause, pair[1].cause);
             let is_better =
                 |after: &[f64]| case.folds().paired_comparison(&neither, after).is_better();
-            let neither_gains = !pair.iter().any(|it| is_better(it.left_out_without));
+            let neither_gains = !pair.iter().any(|residuals| is_better(residuals.left_out_without));
             if is_taken_back || neither_gains {
                 let is_gain = is_better(&case.left_out);
                 all.push(CoupledTerms { terms: [first, second], is_gain });

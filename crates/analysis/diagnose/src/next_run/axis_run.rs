@@ -178,7 +178,7 @@ impl AxisForecast {
             })
             .collect();
         let temperatures =
-            columns.iter().map(|(name, _)| name).filter(|it| is_temperature_column(it));
+            columns.iter().map(|(name, _)| name).filter(|name| is_temperature_column(name));
         let temperatures: Vec<&String> = temperatures.collect();
         let thermal = machine.axes[axis.index()].thermal.as_ref();
         let is_own = |name: &str| match thermal {

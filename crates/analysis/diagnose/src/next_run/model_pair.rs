@@ -66,11 +66,15 @@ pub(crate) fn find_open_questions(
     found: &SearchOutcome,
     judged: &[Judgement],
 ) -> Vec<ModelPair> {
-    let open = judged.iter().filter(|it| !it.doubts.is_empty()).filter_map(|it| {
-        let rival = it.rivals.iter().find(|rival| rival.is_indistinguishable(it.cause()))?;
-        let causes = [describe_cause(it.cause()), describe_cause(&rival.cause)];
-        Some(ModelPair::new(problem, found, causes, rival.fitted.clone()))
-    });
+    let open =
+        judged.iter().filter(|judgement| !judgement.doubts.is_empty()).filter_map(|judgement| {
+            let rival = judgement
+                .rivals
+                .iter()
+                .find(|rival| rival.is_indistinguishable(judgement.cause()))?;
+            let causes = [describe_cause(judgement.cause()), describe_cause(&rival.cause)];
+            Some(ModelPair::new(problem, found, causes, rival.fitted.clone()))
+        });
     open.collect()
 }
 

@@ -58,7 +58,8 @@ pub(super) fn spindle_candidates(foresight: &SpindleForecast) -> Vec<Vec<Spindle
     }
     all.retain(|run| run.iter().any(|stretch| stretch.rpm > 0.0));
     let all = all.into_iter().map(|run| with_run_in(run, &speeds));
-    all.filter(|run| run.iter().map(|it| it.minutes).sum::<f64>() <= MAX_RUN_DURATION_MIN).collect()
+    all.filter(|run| run.iter().map(|segment| segment.minutes).sum::<f64>() <= MAX_RUN_DURATION_MIN)
+        .collect()
 }
 
 /// Returns `run` with a run-in before each speed that is higher than any before; `speeds` rise.
@@ -88,7 +89,7 @@ mod tests {
         let speeds = [3000.0, 6000.0, 9000.0, 12_000.0];
         let run = vec![stretch(0.0, 5.0), stretch(12_000.0, 8.0), stretch(6000.0, 8.0)];
         let whole = with_run_in(run, &speeds);
-        let rpm: Vec<f64> = whole.iter().map(|it| it.rpm).collect();
+        let rpm: Vec<f64> = whole.iter().map(|segment| segment.rpm).collect();
         assert_eq!(rpm, [0.0, 3000.0, 6000.0, 9000.0, 12_000.0, 6000.0]);
         assert_eq!(whole[1].minutes, RUN_IN_DURATION_MIN);
         let slow = vec![stretch(3000.0, 5.0)];

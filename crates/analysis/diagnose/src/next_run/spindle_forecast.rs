@@ -92,7 +92,8 @@ impl SpindleForecast {
             for row in 0..run.row_count() {
                 let load_n = loads.map_or(0.0, |loads| loads[row]);
                 let step_s = last_s.map_or(0.0, |last_s| f64::max(times[row] - last_s, 0.0));
-                let is_whole = [times[row], speeds[row], load_n].iter().all(|it| it.is_finite());
+                let is_whole =
+                    [times[row], speeds[row], load_n].iter().all(|value| value.is_finite());
                 rows.push(if is_whole {
                     last_s = Some(times[row]);
                     fastest_rpm = fastest_rpm.max(speeds[row]);

@@ -182,7 +182,8 @@ impl SecondMoments {
             self.gram[(columns[row], columns[column])] + own
         });
         let with_y = DVector::from_iterator(columns.len(), columns.iter().map(|&n| self.with_y[n]));
-        gram.cholesky().map_or_else(|| DVector::zeros(columns.len()), |it| it.solve(&with_y))
+        gram.cholesky()
+            .map_or_else(|| DVector::zeros(columns.len()), |factor| factor.solve(&with_y))
     }
 
     /// Returns the squares that amplitudes of these columns leave.
@@ -346,9 +347,11 @@ pub(super) fn select_compact_model(
     let target: Vec<f64> = rows
         .iter()
         .map(|&row| {
-            let mean =
-                samples.iter().map(|it| it.fitted.predict_group(dictionary, row)).sum::<f64>()
-                    / samples.len() as f64;
+            let mean = samples
+                .iter()
+                .map(|sample| sample.fitted.predict_group(dictionary, row))
+                .sum::<f64>()
+                / samples.len() as f64;
             (1.0 - MEAN_WEIGHT) * y[row] + MEAN_WEIGHT * mean
         })
         .collect();

@@ -54,9 +54,9 @@ impl ForwardSelection<'_> {
                 break;
             }
             let pick = self.select_simplest_gain(&gains, best);
-            let is_worth = [best, pick]
-                .iter()
-                .any(|it| it.sum > MIN_IMPROVEMENT_SIGMAS * sum_standard_error(&it.of_blocks));
+            let is_worth = [best, pick].iter().any(|gain| {
+                gain.sum > MIN_IMPROVEMENT_SIGMAS * sum_standard_error(&gain.of_blocks)
+            });
             if self.stops && !is_worth {
                 break;
             }

@@ -93,12 +93,15 @@ pub(crate) fn select_correction(
         let rows: Vec<usize> = all.iter().copied().filter(|&row| parts[row] != part).collect();
         let without = engine.select_model(&rows, HELD_OUT_SUBSAMPLE_PAIRS);
         for row in (0..groups).filter(|&row| parts[row] == part) {
-            left[row] -= without.as_ref().map_or(0.0, |it| it.predict_group(&dictionary, row));
+            left[row] -=
+                without.as_ref().map_or(0.0, |model| model.predict_group(&dictionary, row));
         }
     }
     let later = forecast_origins(groups).into_iter().filter(|first| *first > 0).map(|first| {
         let without = engine.select_model(&all[..first], HELD_OUT_SUBSAMPLE_PAIRS);
-        let of = |row: usize| without.as_ref().map_or(0.0, |it| it.predict_group(&dictionary, row));
+        let of = |row: usize| {
+            without.as_ref().map_or(0.0, |model| model.predict_group(&dictionary, row))
+        };
         (first, (first..groups).map(|row| measured[row] - of(row)).collect())
     });
     Some(SelectedCorrection { model, foreseen: HeldOutResiduals { later: later.collect(), left } })

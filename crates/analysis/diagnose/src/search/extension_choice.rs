@@ -96,17 +96,17 @@ impl<'s> Baseline<'s> {
     ) -> Vec<RejectedCandidate> {
         let others = all.iter().enumerate().filter(|(index, _)| Some(*index) != taken);
         others
-            .map(|(_, it)| RejectedCandidate {
-                cause: it.cause.clone(),
-                rms_um: it.fitted.rms(),
-                left_out_um: Some(it.left_out_um),
-                why_not: if it.is_gain {
+            .map(|(_, extension)| RejectedCandidate {
+                cause: extension.cause.clone(),
+                rms_um: extension.fitted.rms(),
+                left_out_um: Some(extension.left_out_um),
+                why_not: if extension.is_gain {
                     RejectReason::Outperformed
                 } else {
                     RejectReason::NoGain {
                         left_out: self.folds.unit,
                         before_um: rms(&self.left_out),
-                        after_um: it.left_out_um,
+                        after_um: extension.left_out_um,
                     }
                 },
             })
@@ -134,8 +134,11 @@ pub(crate) fn choose_extension(
             baseline.assess(extension)
         })
         .collect();
-    let least_um =
-        all.iter().filter(|it| it.is_gain).map(|it| it.left_out_um).fold(f64::INFINITY, f64::min);
+    let least_um = all
+        .iter()
+        .filter(|extension| extension.is_gain)
+        .map(|extension| extension.left_out_um)
+        .fold(f64::INFINITY, f64::min);
     if let Some(pair) = first_predictive_pair(&baseline, &all, tier, least_um) {
         return SelectionOutcome::Take(pair);
     }
@@ -155,14 +158,20 @@ pub(crate) fn choose_extension(
 
 /// Returns the place of the one to take, where `least_um` is the least that one of them leaves.
 fn best_index(all: &[AssessedExtension], least_um: f64) -> Option<usize> {
-    let predicts = |it: &AssessedExtension| {
-        it.is_gain && it.left_out_um <= MAX_EQUIVALENT_RMS_RATIO * least_um
+    let predicts = |extension: &AssessedExtension| {
+        extension.is_gain && extension.left_out_um <= MAX_EQUIVALENT_RMS_RATIO * least_um
     };
-    let best = all.iter().filter(|it| predicts(it)).map(|it| it.bic).fold(f64::INFINITY, f64::min);
-    let simple = |it: &AssessedExtension| (degrees_of_freedom(&it.fitted.model), it.cause.tier());
+    let best = all
+        .iter()
+        .filter(|extension| predicts(extension))
+        .map(|extension| extension.bic)
+        .fold(f64::INFINITY, f64::min);
+    let simple = |extension: &AssessedExtension| {
+        (degrees_of_freedom(&extension.fitted.model), extension.cause.tier())
+    };
     all.iter()
         .enumerate()
-        .filter(|(_, it)| predicts(it) && it.bic < best + STRONG_EVIDENCE_BIC)
+        .filter(|(_, extension)| predicts(extension) && extension.bic < best + STRONG_EVIDENCE_BIC)
         .min_by(|(_, a), (_, b)| {
             simple(a).cmp(&simple(b)).then(a.left_out_um.total_cmp(&b.left_out_um))
         })
@@ -203,7 +212,7 @@ fn first_predictive_pair(
 fn partner_extensions(problem: &FitProblem, base: &FittedModel, tier: u8) -> Vec<Extension> {
     let own = bic(problem, base);
     let mut better = fit_single_cause_extensions(problem, base, 4, |cause| cause.tier() <= tier);
-    better.retain(|it| it.bic < own - STRONG_EVIDENCE_BIC);
+    better.retain(|extension| extension.bic < own - STRONG_EVIDENCE_BIC);
     better.sort_by(|a, b| a.bic.total_cmp(&b.bic));
     better
 }

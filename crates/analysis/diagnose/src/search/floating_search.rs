@@ -200,7 +200,7 @@ impl Search<'_> {
     fn is_better(&self, one: &ScoredModel, other: &ScoredModel) -> bool {
         let gap = other.score - one.score;
         let paired = self.folds.paired_comparison(&other.left_out, &one.left_out);
-        let [own, others] = [one, other].map(|it| degrees_of_freedom(&it.fitted.model));
+        let [own, others] = [one, other].map(|model| degrees_of_freedom(&model.fitted.model));
         let is_better = if gap >= STRONG_EVIDENCE_BIC {
             let fewer = own < others;
             paired.is_better() || fewer && self.predicts_as_well(&one.fitted, &other.left_out)
@@ -228,7 +228,7 @@ impl Search<'_> {
             cause.tier() < 3 && !is_searched && !cause.is_time_shift() && is_admitted
         };
         let all = fit_single_cause_extensions(self.problem, base, MAX_FITTED_CANDIDATES, is_open);
-        let all = all.into_iter().map(|it| self.with_initial_state(it, way.price));
+        let all = all.into_iter().map(|model| self.with_initial_state(model, way.price));
         all.min_by(|a, b| way.by.evaluate(a).total_cmp(&way.by.evaluate(b)))
     }
 

@@ -36,7 +36,7 @@ pub(crate) fn single_term_replacements<'k>(
         model.parts.retain(|part| !is_of_it(&part.kind));
         let base = fit(problem, &model, None);
         let mut candidates = all_candidates(problem, &base.model, &base.residual);
-        candidates.retain(|it| it.kind.is_interaction() && is_of_it(&it.kind));
+        candidates.retain(|candidate| candidate.kind.is_interaction() && is_of_it(&candidate.kind));
         fit_extensions(problem, &base, &candidates, MAX_SINGLE_REPLACEMENTS)
     });
     alone.collect()
@@ -55,7 +55,7 @@ impl Search<'_> {
     pub(super) fn has_interaction_on_column(&self, cause: &TermKind) -> bool {
         let is_of_it =
             |there: &TermKind| there.is_interaction() && there.column() == cause.column();
-        cause.is_interaction() && self.added.iter().any(|it| is_of_it(&it.cause))
+        cause.is_interaction() && self.added.iter().any(|term| is_of_it(&term.cause))
     }
 
     /// Returns whether an extension takes two inputs together and takes back what another term adds: two that are
@@ -78,7 +78,9 @@ impl Search<'_> {
         let paths: Vec<(TermKind, String)> = self
             .added
             .iter()
-            .filter_map(|it| Some((it.cause.clone(), it.cause.heat_path()?.column.to_owned())))
+            .filter_map(|term| {
+                Some((term.cause.clone(), term.cause.heat_path()?.column.to_owned()))
+            })
             .filter(|(kind, _)| self.fitted.model.contains(kind) && kind.as_stated_term().is_none())
             .collect();
         for (number, (first, one)) in paths.iter().enumerate() {
@@ -91,11 +93,12 @@ impl Search<'_> {
                         < MAX_EQUIVALENT_RMS_RATIO * self.held_out_rms_um(&self.fitted)
                 };
                 if with.bic < self.bic() && is_predicted() {
-                    let Some(index) = self.added.iter().position(|it| it.cause == *first) else {
+                    let Some(index) = self.added.iter().position(|term| term.cause == *first)
+                    else {
                         return;
                     };
                     self.replace(index, with);
-                    self.added.retain(|it| it.cause != *second);
+                    self.added.retain(|term| term.cause != *second);
                     return;
                 }
             }
@@ -121,8 +124,9 @@ impl Search<'_> {
             })
         };
         let all = all_candidates(self.problem, &model, &self.fitted.residual);
-        let of_both = all.into_iter().filter(|it| {
-            it.kind.is_interaction() && columns.iter().all(|column| reads(&it.kind, column))
+        let of_both = all.into_iter().filter(|candidate| {
+            candidate.kind.is_interaction()
+                && columns.iter().all(|column| reads(&candidate.kind, column))
         });
         let fitted = of_both.map(|candidate| {
             let kind = candidate.kind;

@@ -175,11 +175,11 @@ impl Search<'_> {
         let hits: Vec<Hit> = scanned.hits.iter().filter(is_open).cloned().collect();
         let mut options = fit_hits(self.problem, &self.fitted, &hits, MAX_FITTED_CANDIDATES);
         if self.stage == SearchStage::Composed {
-            let causes = self.added.iter().map(|it| &it.cause);
+            let causes = self.added.iter().map(|term| &term.cause);
             let alone = single_term_replacements(self.problem, &self.fitted, causes);
             let bic = self.bic();
-            options.extend(alone.into_iter().filter(|it| it.bic < bic));
-            options.retain(|it| !self.cancels_other_term(it));
+            options.extend(alone.into_iter().filter(|extension| extension.bic < bic));
+            options.retain(|option| !self.cancels_other_term(option));
         }
         match choose_extension(self, options, tier, progress) {
             SelectionOutcome::Take(taken) => {

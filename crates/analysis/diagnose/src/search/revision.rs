@@ -68,7 +68,8 @@ impl Search<'_> {
             Some(path.column.to_string())
         };
         let is_same_path = path(cause).is_some() && path(&other.cause) == path(cause);
-        let [own, other] = [&self.fitted, &other.fitted].map(|it| degrees_of_freedom(&it.model));
+        let [own, other] =
+            [&self.fitted, &other.fitted].map(|fitted| degrees_of_freedom(&fitted.model));
         if other > own && !is_same_path {
             3.0 * STRONG_EVIDENCE_BIC
         } else if other < own {
@@ -103,7 +104,8 @@ impl Search<'_> {
         });
         let best = pairs.into_iter().flatten().min_by(|a, b| a.bic.total_cmp(&b.bic));
         let Some(pair) = best else { return false };
-        let [before, after] = [&self.fitted, &pair.fitted].map(|it| self.held_out_rms_um(it));
+        let [before, after] =
+            [&self.fitted, &pair.fitted].map(|fitted| self.held_out_rms_um(fitted));
         if after >= before {
             return false;
         }
@@ -120,7 +122,7 @@ impl Search<'_> {
     fn best_replacement_pair(&self, index: usize, most: f64) -> Option<ReplacementPair> {
         // Two of what is farther away are no better than one of what is near.
         let tier = self.added[index].cause.tier();
-        let is_near = |it: &Extension| it.cause.tier() <= tier;
+        let is_near = |extension: &Extension| extension.cause.tier() <= tier;
         let mut best: Option<ReplacementPair> = None;
         let places = self.fit_replacements(&self.added[index].cause, 4);
         for first in places.instead.into_iter().filter(is_near) {

@@ -59,7 +59,7 @@ impl Search<'_> {
                     < self.held_out_rms_um(&self.fitted)
             {
                 self.replace(index, with);
-                self.added.retain(|it| it.cause != other);
+                self.added.retain(|term| term.cause != other);
                 return;
             }
         }
@@ -70,7 +70,7 @@ impl Search<'_> {
     fn find_best_lag(&self, plain: &TermKind, late: &TermKind) -> Option<(TermKind, Extension)> {
         let [low, high] = self.problem.bounds.time_constant_s;
         let mut best: Option<(TermKind, Extension)> = None;
-        for other in self.added.iter().map(|it| &it.cause).filter(|other| *other != plain) {
+        for other in self.added.iter().map(|term| &term.cause).filter(|other| *other != plain) {
             for tau in [3.0 * low, (low * high).sqrt()] {
                 let mut model = self.fitted.model.clone();
                 model.parts.retain(|part| part.kind != *other);
@@ -118,9 +118,9 @@ impl Search<'_> {
         let (there, own) = (self.held_out_rms_um(&with.fitted), self.held_out_rms_um(&self.fitted));
         let is_better = with.bic < self.bic() && there < own;
         if is_better || MAX_EQUIVALENT_RMS_RATIO * there < own {
-            let first = self.added.iter().position(|it| is_part(&it.cause)).unwrap_or(0);
+            let first = self.added.iter().position(|term| is_part(&term.cause)).unwrap_or(0);
             self.replace(first, with);
-            self.added.retain(|it| !is_part(&it.cause));
+            self.added.retain(|term| !is_part(&term.cause));
         }
     }
 
@@ -128,7 +128,7 @@ impl Search<'_> {
     /// they are the simpler names.
     fn replace_table_by_laws(&mut self) {
         let is_table = |cause: &TermKind| cause.as_pitch_table().is_some();
-        let is_additive = |cause: &TermKind| self.added.iter().any(|it| it.cause == *cause);
+        let is_additive = |cause: &TermKind| self.added.iter().any(|term| term.cause == *cause);
         let table = self.fitted.model.parts.iter().map(|part| &part.kind);
         let table = table.filter(|cause| is_table(cause)).find(|cause| is_additive(cause)).cloned();
         let Some(table) = table else { return };
@@ -143,15 +143,15 @@ impl Search<'_> {
             return;
         }
         self.fitted = fitted;
-        let Some(index) = self.added.iter().position(|it| it.cause == table) else { return };
+        let Some(index) = self.added.iter().position(|term| term.cause == table) else { return };
         let old = self.added.remove(index);
         let new = causes.into_iter().map(|cause| AddedTerm { cause, ..old.clone() });
         self.added.splice(index..index, new);
         // A wave that gave way to another, or came back as it was.
         let mut seen: Vec<TermKind> = Vec::new();
-        self.added.retain(|it| {
-            let is_new = self.fitted.model.contains(&it.cause) && !seen.contains(&it.cause);
-            seen.push(it.cause.clone());
+        self.added.retain(|term| {
+            let is_new = self.fitted.model.contains(&term.cause) && !seen.contains(&term.cause);
+            seen.push(term.cause.clone());
             is_new
         });
     }
@@ -216,7 +216,7 @@ impl Search<'_> {
         let effects: Vec<Vec<f64>> = self
             .added
             .iter()
-            .map(|it| centred_effect(self.problem, &self.fitted, &it.cause))
+            .map(|term| centred_effect(self.problem, &self.fitted, &term.cause))
             .collect();
         let pairs = (0..effects.len()).flat_map(|b| (0..b).map(move |a| [a, b]));
         let is_stack = |[a, b]: &[usize; 2]| {
@@ -235,22 +235,23 @@ impl Search<'_> {
     /// Of two paths of a column the one that does more is the first, whichever was found before.
     fn order_paths_by_size(&mut self) {
         let size = |cause: &TermKind| rms(&centred_effect(self.problem, &self.fitted, cause));
-        let second = |it: &AddedTerm| it.cause.heat_path().filter(|path| path.is_second).is_some();
-        let renamed = self.added.iter().filter(|it| second(it)).find_map(|it| {
-            let own_path = it.cause.as_separate_path(true)?;
-            let column = it.cause.heat_path()?.column;
+        let second =
+            |term: &AddedTerm| term.cause.heat_path().filter(|path| path.is_second).is_some();
+        let renamed = self.added.iter().filter(|term| second(term)).find_map(|term| {
+            let own_path = term.cause.as_separate_path(true)?;
+            let column = term.cause.heat_path()?.column;
             let first = |there: &&AddedTerm| {
                 let path = there.cause.heat_path().filter(|path| !path.is_second);
                 path.is_some_and(|path| path.column == column && !path.has_lag)
             };
             let first = self.added.iter().find(first)?;
-            (size(&it.cause) > size(&first.cause)).then(|| (it.cause.clone(), own_path))
+            (size(&term.cause) > size(&first.cause)).then(|| (term.cause.clone(), own_path))
         });
         let Some((second, own_path)) = renamed else { return };
         for part in self.fitted.model.parts.iter_mut().filter(|part| part.kind == second) {
             part.kind = own_path.clone();
         }
-        for it in self.added.iter_mut().filter(|it| it.cause == second) {
+        for it in self.added.iter_mut().filter(|term| term.cause == second) {
             it.cause = own_path.clone();
         }
     }
@@ -279,9 +280,9 @@ impl Search<'_> {
             }
             fit(self.problem, &rest, None)
         };
-        let held_up = self.added.iter().position(|it| {
-            (it.cause.is_settling_from_start() || it.cause.has_instant())
-                && is_single_reading_gain(&self.held_out_residuals(&zero(&it.cause)), &with)
+        let held_up = self.added.iter().position(|term| {
+            (term.cause.is_settling_from_start() || term.cause.has_instant())
+                && is_single_reading_gain(&self.held_out_residuals(&zero(&term.cause)), &with)
         });
         if let Some(index) = held_up {
             let without = self.refit_without(&self.added[index].cause);
@@ -324,8 +325,10 @@ impl Search<'_> {
                 .fit_replacements(&self.added[index].cause, 6)
                 .instead
                 .into_iter()
-                .filter(|it| degrees_of_freedom(&it.fitted.model) < own)
-                .map(|it| (bic_gap(self.problem, &self.fitted, &it.fitted), it))
+                .filter(|extension| degrees_of_freedom(&extension.fitted.model) < own)
+                .map(|extension| {
+                    (bic_gap(self.problem, &self.fitted, &extension.fitted), extension)
+                })
                 .min_by(|a, b| a.0.total_cmp(&b.0));
             // What ended where its search ends has the wrong form; how well it fits here says nothing.
             let cause = &self.added[index].cause;

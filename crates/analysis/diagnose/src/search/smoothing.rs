@@ -92,9 +92,9 @@ impl Search<'_> {
         let parts = &self.fitted.model.parts;
         let own = self.bic();
         let mut left_out = None;
-        self.added.iter().enumerate().find_map(|(index, it)| {
-            let part = parts.iter().find(|part| part.kind == it.cause && is_lagged_term(part))?;
-            let without = self.refit_without(&it.cause);
+        self.added.iter().enumerate().find_map(|(index, term)| {
+            let part = parts.iter().find(|part| part.kind == term.cause && is_lagged_term(part))?;
+            let without = self.refit_without(&term.cause);
             let left_out = left_out.get_or_insert_with(|| self.held_out_residuals(&self.fitted));
             let is_as_good = |smooth: &FitProblem| {
                 let fitted = fit(smooth, &without.model, None);

@@ -196,7 +196,7 @@ impl<'p> Search<'p> {
     /// improve another model says nothing of this one.
     pub(crate) fn mark_lookahead_done(&mut self) -> bool {
         let here: Vec<TermKind> =
-            self.fitted.model.parts.iter().map(|it| it.kind.clone()).collect();
+            self.fitted.model.parts.iter().map(|part| part.kind.clone()).collect();
         let is_same = |there: &Vec<TermKind>| {
             there.len() == here.len() && here.iter().all(|kind| there.contains(kind))
         };

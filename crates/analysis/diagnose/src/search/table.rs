@@ -39,7 +39,7 @@ impl Search<'_> {
         model.sort_parts();
         let with = fit(problem, &model, None);
         let [before, own, there] = [&without, &self.fitted, &with]
-            .map(|it| self.folds.held_out_residuals(problem, &it.model));
+            .map(|fitted| self.folds.held_out_residuals(problem, &fitted.model));
         let is_bare = without.model == self.fitted.model;
         let is_simpler = degrees_of_freedom(&with.model) < degrees_of_freedom(&self.fitted.model);
         let is_better = repeats::is_worse(&own, &there)
@@ -50,7 +50,7 @@ impl Search<'_> {
         let reduction = self.folds.rms_reduction(&before, &there);
         let gain = Gain::new([without.rms(), with.rms()], [&before, &there], &reduction);
         self.fitted = with;
-        self.added.retain(|it| !is_own_axis_term(&it.cause));
+        self.added.retain(|term| !is_own_axis_term(&term.cause));
         let added = |term: ModelPart| AddedTerm { cause: term.kind, gain, tried: Vec::new() };
         self.added.extend(terms.into_iter().map(added));
         true
@@ -60,7 +60,8 @@ impl Search<'_> {
 /// Returns whether a cause depends on the axis's own position and direction alone; what the machine file has is
 /// its own.
 pub(crate) fn is_own_axis_term(kind: &TermKind) -> bool {
-    kind.as_stated_term().is_none() && kind.cause().is_some_and(|it| it.depends_on_own_axis_only())
+    kind.as_stated_term().is_none()
+        && kind.cause().is_some_and(|cause| cause.depends_on_own_axis_only())
 }
 
 /// Returns the model without what depends on the axis's own position and direction alone.

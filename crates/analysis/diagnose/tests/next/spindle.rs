@@ -10,7 +10,8 @@ use crate::needed::{Tried, needed};
 
 /// Returns what is recorded of a machine while it does this from cold, on the morning `day`.
 fn recorded(trial: &SpindleTrial, stretches: &[SpindleSegment], day: u64) -> RunFile {
-    let pieces: Vec<(f64, f64)> = stretches.iter().map(|it| (it.rpm, it.minutes)).collect();
+    let pieces: Vec<(f64, f64)> =
+        stretches.iter().map(|stretch| (stretch.rpm, stretch.minutes)).collect();
     let csv = trial.run(&pieces, day);
     RunFile::from_reader(csv.as_bytes(), Path::new("run.csv")).expect("a run file")
 }

@@ -43,15 +43,15 @@ pub fn worth(kind: DependenceKind, seed: u64) -> Worth {
     let report = answer.expect("the days can be compared").report;
     let hidden: BTreeSet<&str> = kind.columns.iter().copied().collect();
     let claimed: Vec<BTreeSet<&str>> =
-        report.findings.iter().filter(|it| it.claimed).map(columns).collect();
+        report.findings.iter().filter(|finding| finding.claimed).map(columns).collect();
     let named: BTreeSet<&str> = claimed.iter().flatten().copied().collect();
-    let is_foreign = claimed.iter().any(|it| it.is_empty() || !it.is_subset(&hidden));
+    let is_foreign = claimed.iter().any(|causes| causes.is_empty() || !causes.is_subset(&hidden));
     // Of the squares the noise stays.
     let effect_um = |rms_um: f64| (rms_um * rms_um - NOISE_UM * NOISE_UM).max(0.0).sqrt();
     let (before, after) = (report.before.holdout_rms_um, report.after.holdout_rms_um);
-    let told = report.findings.iter().map(|it| {
-        let mark = if it.claimed { "" } else { "?" };
-        format!("{mark}{} {:?} {:?}", it.cause, columns(it), it.form)
+    let told = report.findings.iter().map(|finding| {
+        let mark = if finding.claimed { "" } else { "?" };
+        format!("{mark}{} {:?} {:?}", finding.cause, columns(finding), finding.form)
     });
     Worth {
         is_named: hidden.is_subset(&named),

@@ -21,7 +21,7 @@ impl True {
 
     fn is(&self, finding: &Finding) -> bool {
         let holds = |(name, value): (&str, f64)| {
-            let ci95 = finding.parameters.get(name).map(|it| &it["ci95"]);
+            let ci95 = finding.parameters.get(name).map(|parameter| &parameter["ci95"]);
             let bound = |index: usize| ci95.and_then(|ci95| ci95.get(index)?.as_f64());
             matches!((bound(0), bound(1)), (Some(low), Some(high)) if (low..=high).contains(&value))
         };
@@ -61,12 +61,14 @@ impl Key {
             let findings = report.findings.iter().filter(|finding| is_wanted(finding));
             findings.map(|finding| finding.cause.clone()).collect::<Vec<String>>()
         };
-        let is_true = |finding: &Finding| self.allowed.iter().any(|it| it.is(finding));
-        let (claimed, mut open) = (names(&|it| it.claimed), names(&|it| !it.claimed));
+        let is_true = |finding: &Finding| self.allowed.iter().any(|truth| truth.is(finding));
+        let (claimed, mut open) =
+            (names(&|comparison| comparison.claimed), names(&|comparison| !comparison.claimed));
         // Two that are only certain together are one finding, and both are named.
         let partners = report.findings.iter().flat_map(|finding| &finding.together_with);
         open.extend(partners.map(|partner| partner.cause.clone()));
-        let is_in = |list: &[&str], names: &[String]| names.iter().any(|it| list.contains(&&**it));
+        let is_in =
+            |list: &[&str], names: &[String]| names.iter().any(|name| list.contains(&&**name));
         let needed: Vec<(bool, bool)> = self
             .needed
             .iter()
@@ -75,7 +77,7 @@ impl Key {
         let missed = self.needed.iter().zip(&needed).filter(|(_, (is_named, _))| !is_named);
         KeyComparison {
             verdict: report.verdict,
-            wrong: names(&|it| it.claimed && !is_true(it)),
+            wrong: names(&|comparison| comparison.claimed && !is_true(comparison)),
             missed: missed.map(|(list, _)| list[0]).collect(),
             needed,
             claimed,

@@ -147,15 +147,16 @@ impl Answered {
     pub fn is_right(&self, truth: &GroundTruth) -> bool {
         let answers: Vec<&str> =
             truth.effects.iter().map(|effect| effect.cause.expected_name()).collect();
-        let is_claimed =
-            |name: &str| self.findings.iter().any(|it| it.is_claimed && it.cause == name);
+        let is_claimed = |name: &str| {
+            self.findings.iter().any(|finding| finding.is_claimed && finding.cause == name)
+        };
         // Causes that explain the same data are as right, if they are not claimed.
         let rivals = |name: &str| {
             let effect = truth.effects.iter().find(|effect| effect.cause.expected_name() == name);
             effect.is_some_and(|effect| {
                 effect.rivals.iter().any(|rival| {
-                    let mut open = self.findings.iter().filter(|it| !it.is_claimed);
-                    open.any(|it| it.cause == rival.name() || it.cause == name)
+                    let mut open = self.findings.iter().filter(|finding| !finding.is_claimed);
+                    open.any(|finding| finding.cause == rival.name() || finding.cause == name)
                 })
             })
         };
@@ -164,7 +165,9 @@ impl Answered {
             self.findings.iter().any(|finding| {
                 let partners = finding.partners.iter().map(String::as_str);
                 let both: Vec<&str> = partners.chain([finding.cause.as_str()]).collect();
-                both.len() > 1 && both.contains(&name) && both.iter().all(|it| answers.contains(it))
+                both.len() > 1
+                    && both.contains(&name)
+                    && both.iter().all(|answer| answers.contains(answer))
             })
         };
         match truth.expected {
@@ -174,9 +177,10 @@ impl Answered {
                 self.verdict == Verdict::Clean.name() || wanders
             }
             ExpectedDiagnosis::Unnamed => {
-                let is_of_it = |it: &Named| it.is_claimed && Self::is_of_unnamed(it, truth);
+                let is_of_it =
+                    |finding: &Named| finding.is_claimed && Self::is_of_unnamed(finding, truth);
                 let is_open = [Verdict::Unexplained, Verdict::PartlyExplained];
-                is_open.iter().any(|it| it.name() == self.verdict)
+                is_open.iter().any(|cause| cause.name() == self.verdict)
                     || self.findings.iter().any(is_of_it)
             }
             ExpectedDiagnosis::Compensated | ExpectedDiagnosis::Reported => {
@@ -189,8 +193,9 @@ impl Answered {
     pub fn is_wrong(&self, truth: &GroundTruth) -> bool {
         let is_hidden =
             |name: &str| truth.effects.iter().any(|effect| effect.cause.expected_name() == name);
-        let is_true = |it: &Named| is_hidden(&it.cause) || Self::is_of_unnamed(it, truth);
-        self.findings.iter().any(|it| it.is_claimed && !is_true(it))
+        let is_true =
+            |finding: &Named| is_hidden(&finding.cause) || Self::is_of_unnamed(finding, truth);
+        self.findings.iter().any(|finding| finding.is_claimed && !is_true(finding))
     }
 }
 
@@ -230,9 +235,9 @@ pub fn score(challenge: &TestCase, diagnosis: &Diagnosis) -> Score {
         .map(|finding| {
             let evidence = &finding.evidence;
             // Without what it leaves and gains.
-            let said = evidence
-                .iter()
-                .filter(|it| !it.starts_with("Without") && !it.starts_with("On left"));
+            let said = evidence.iter().filter(|sentence| {
+                !sentence.starts_with("Without") && !sentence.starts_with("On left")
+            });
             format!("{}: {}", finding.cause, said.cloned().collect::<Vec<_>>().join(" "))
         })
         .collect();
@@ -325,7 +330,7 @@ impl Row {
             .scores
             .iter()
             .flat_map(|score| &score.intervals)
-            .map(|it| it.is_inside(1.0))
+            .map(|interval| interval.is_inside(1.0))
             .collect();
         let inside = all.iter().filter(|inside| **inside).count();
         (inside as f64 / all.len().max(1) as f64, all.len())

@@ -20,7 +20,7 @@ fn beside(um: &[f64], basis: &[Vec<f64>]) -> Vec<f64> {
     let mut left = um.to_vec();
     for column in basis {
         let share = dot(&left, column) / dot(column, column);
-        left.iter_mut().zip(column).for_each(|(left, it)| *left -= share * it);
+        left.iter_mut().zip(column).for_each(|(left, value)| *left -= share * value);
     }
     left
 }

@@ -47,8 +47,8 @@ pub fn causes() -> Vec<HiddenCause> {
 
 /// Returns what is wrong with the values of an answer: an interval that is far off, a gain that is missing.
 pub fn faults(score: &Score) -> Vec<String> {
-    let far = score.intervals.iter().filter(|it| !it.is_inside(STRETCHED));
-    let mut faults: Vec<String> = far.map(|it| format!("{it:?}")).collect();
+    let far = score.intervals.iter().filter(|interval| !interval.is_inside(STRETCHED));
+    let mut faults: Vec<String> = far.map(|far| format!("{far:?}")).collect();
     if score.share_of_gain < MIN_GAIN {
         faults.push(format!("{:.3} of the possible gain", score.share_of_gain));
     }

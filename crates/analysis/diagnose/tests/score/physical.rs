@@ -138,7 +138,8 @@ impl Case {
     /// Returns the record of a day, as a run file.
     pub fn record(&self, day: u64) -> String {
         // Another day has another gauge: what is corrected is the machine.
-        let own = self.faults.iter().filter(|it| day == 0 || it.fault != PhysicalFault::GaugeDrift);
+        let own =
+            self.faults.iter().filter(|fault| day == 0 || fault.fault != PhysicalFault::GaugeDrift);
         let faults: Vec<(PhysicalFault, f64)> =
             own.map(|drawn| (drawn.fault, drawn.size)).collect();
         simulate(&self.plant.scenario_for_day(day, &faults), self.plant.day_seed(day), || {})
@@ -162,7 +163,7 @@ impl Case {
         let left: Vec<f64> = rows.filter(|left| !left.is_nan()).collect();
         let mean = left.iter().sum::<f64>() / left.len() as f64;
         let zero = if self.plant.quantity == "elongation" { 0.0 } else { mean };
-        left.into_iter().map(|it| it - zero).collect()
+        left.into_iter().map(|um| um - zero).collect()
     }
 
     /// Returns what is right to say.
@@ -186,7 +187,9 @@ impl Case {
         Judged {
             kind: self.plant.kind,
             faults: (0..self.faults.len())
-                .map(|it| (self.faults[it].fault, self.faults[it].ratio, self.own_ratio(it)))
+                .map(|index| {
+                    (self.faults[index].fault, self.faults[index].ratio, self.own_ratio(index))
+                })
                 .collect(),
             told: self.key().of(&diagnosis.report),
             before_um: rms(&self.left(&self.plant.machine, &second, false)),

@@ -15,7 +15,8 @@ fn run(text: &str) -> RunFile {
 }
 
 fn quantity(run: &RunFile) -> Quantity {
-    let is_measured = |it: &Quantity| run.column(&format!("measured_{}_um", it.name())).is_some();
+    let is_measured =
+        |quantity: &Quantity| run.column(&format!("measured_{}_um", quantity.name())).is_some();
     Quantity::ALL.into_iter().find(is_measured).expect("one")
 }
 
@@ -63,8 +64,11 @@ fn no_channel_of_the_score_cards_draws_is_set_aside() {
             let believed = machine(&challenge.machine);
             let runs: Vec<RunFile> = challenge.runs.iter().map(|text| run(text)).collect();
             for runs in [runs, vec![run(&challenge.holdout)]] {
-                let columns =
-                    runs[0].columns().iter().filter(|it| it.name.starts_with("temp_")).count();
+                let columns = runs[0]
+                    .columns()
+                    .iter()
+                    .filter(|column| column.name.starts_with("temp_"))
+                    .count();
                 let (notes, data) = searched(&believed, &runs);
                 assert_eq!(notes, [""; 0], "{} {seed}", cause.name());
                 assert_eq!(data.temperatures().len(), columns);
