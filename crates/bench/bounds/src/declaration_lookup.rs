@@ -43,10 +43,10 @@ impl<'a> Declarations<'a> {
     pub(crate) fn unused_declarations(&self) -> Vec<String> {
         let used = self.used.borrow();
         let kinds: [(&str, Vec<SourceLocation>); 4] = [
-            ("loop", self.table.loops.iter().map(|it| it.at).collect()),
-            ("copy", self.table.copies.iter().map(|it| it.at).collect()),
-            ("call", self.table.calls.iter().map(|it| it.at).collect()),
-            ("excluded", self.table.excluded.iter().map(|it| it.at).collect()),
+            ("loop", self.table.loops.iter().map(|declaration| declaration.at).collect()),
+            ("copy", self.table.copies.iter().map(|declaration| declaration.at).collect()),
+            ("call", self.table.calls.iter().map(|declaration| declaration.at).collect()),
+            ("excluded", self.table.excluded.iter().map(|declaration| declaration.at).collect()),
         ];
         let mut unused = Vec::new();
         for (kind, spots) in kinds {
@@ -62,7 +62,9 @@ impl<'a> Declarations<'a> {
     /// Returns whether a whole function is excluded from a turn.
     pub(crate) fn is_function_excluded(&self, name: &str) -> bool {
         let mut excluded = self.table.excluded.iter().enumerate();
-        let found = excluded.find(|(_, it)| it.at.line.is_empty() && name.contains(it.at.function));
+        let found = excluded.find(|(_, declaration)| {
+            declaration.at.line.is_empty() && name.contains(declaration.at.function)
+        });
         if let Some((number, _)) = found {
             self.used.borrow_mut().insert(("excluded", number));
         }
@@ -71,7 +73,8 @@ impl<'a> Declarations<'a> {
 
     /// Returns whether all of a block that has a place stands for a line that is excluded from a turn, or its call does.
     pub(crate) fn is_block_excluded(&self, block: &BasicBlock, is_within_line: bool) -> bool {
-        let with_line = self.table.excluded.iter().filter(|it| !it.at.line.is_empty());
+        let with_line =
+            self.table.excluded.iter().filter(|declaration| !declaration.at.line.is_empty());
         let of_lines = self.table.lines.iter().filter(|_| is_within_line);
         for excluded in with_line.chain(of_lines) {
             let last = block.last();
@@ -97,7 +100,8 @@ impl<'a> Declarations<'a> {
     }
 
     fn mark_excluded_used(&self, excluded: &ExcludedCode) {
-        let number = self.table.excluded.iter().position(|it| it.at == excluded.at);
+        let number =
+            self.table.excluded.iter().position(|declaration| declaration.at == excluded.at);
         self.used.borrow_mut().extend(number.map(|number| ("excluded", number)));
     }
 
@@ -114,10 +118,10 @@ impl<'a> Declarations<'a> {
     #[must_use]
     pub(crate) fn format_location(&self, at: u32) -> String {
         let places = self.image.source_frames(at);
-        let one = |it: &SourceFrame| {
-            let file = it.file.rsplit('/').next().unwrap_or_default();
-            let line = self.source.line(&it.file, it.line).unwrap_or_default();
-            format!("{} ({file}:{} `{}`)", it.function, it.line, line.trim())
+        let one = |frame: &SourceFrame| {
+            let file = frame.file.rsplit('/').next().unwrap_or_default();
+            let line = self.source.line(&frame.file, frame.line).unwrap_or_default();
+            format!("{} ({file}:{} `{}`)", frame.function, frame.line, line.trim())
         };
         places.iter().map(one).collect::<Vec<_>>().join(" < ")
     }
@@ -135,7 +139,7 @@ impl<'a> Declarations<'a> {
         // The innermost function of the project, and what of libraries stands within it.
         let is_own = |place: &SourceFrame| {
             place.function.contains("trueup_")
-                && !BUSY_WAIT_FUNCTIONS.iter().any(|it| place.function.contains(it))
+                && !BUSY_WAIT_FUNCTIONS.iter().any(|function| place.function.contains(function))
         };
         let own = places.iter().position(is_own);
         places.truncate(own.map_or(places.len(), |own| own + 1));

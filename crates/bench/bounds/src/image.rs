@@ -79,7 +79,8 @@ impl Image {
         }
         let dwarf = gimli::Dwarf::load(|id| -> Result<_> {
             let section = file.section_by_name(id.name());
-            let bytes = section.map(|it| it.uncompressed_data()).transpose()?.unwrap_or_default();
+            let bytes =
+                section.map(|section| section.uncompressed_data()).transpose()?.unwrap_or_default();
             Ok(EndianRcSlice::new(Rc::from(&*bytes), LittleEndian))
         })?;
         Ok(Self { functions, data, segments, symbols, source: Context::from_dwarf(dwarf).ok() })
@@ -172,9 +173,11 @@ impl Image {
         let Ok(mut frames) = source.find_frames(at.into()).skip_all_loads() else { return places };
         while let Ok(Some(frame)) = frames.next() {
             let name = frame.function.as_ref().and_then(|name| name.demangle().ok());
-            let function = name.map(|it| strip_symbol_hash(&it)).unwrap_or_default();
-            let file = frame.location.as_ref().and_then(|it| it.file).unwrap_or_default();
-            let line = frame.location.as_ref().and_then(|it| it.line).unwrap_or_default();
+            let function = name.map(|name| strip_symbol_hash(&name)).unwrap_or_default();
+            let file =
+                frame.location.as_ref().and_then(|location| location.file).unwrap_or_default();
+            let line =
+                frame.location.as_ref().and_then(|location| location.line).unwrap_or_default();
             places.push(SourceFrame { function, file: file.to_owned(), line });
         }
         places

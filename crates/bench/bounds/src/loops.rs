@@ -59,7 +59,8 @@ pub(crate) fn tarjan_components(
         let Some(next) = next else {
             let TarjanNode { index, low, .. } = marks[&block].clone();
             if index == low {
-                let from = open.iter().rposition(|it| *it == block).expect("it is open");
+                let from =
+                    open.iter().rposition(|candidate| *candidate == block).expect("it is open");
                 let component = open.split_off(from);
                 for it in &component {
                     marks.get_mut(it).expect("it was seen").is_open = false;
@@ -364,8 +365,10 @@ pub(crate) fn is_post_tested(graph: &ControlFlowGraph, one: &Loop) -> bool {
 #[must_use]
 pub(crate) fn min_stores_per_iteration(graph: &ControlFlowGraph, one: &Loop) -> u32 {
     let stores = |block: usize| {
-        let stored = graph.blocks[block].instructions.iter().filter_map(|it| {
-            let access = it.access.filter(|access| !access.is_load && it.condition.is_none())?;
+        let stored = graph.blocks[block].instructions.iter().filter_map(|instruction| {
+            let access = instruction
+                .access
+                .filter(|access| !access.is_load && instruction.condition.is_none())?;
             let is_own = matches!(access.at, AddressingMode::Near(FRAME_POINTER | SP, _));
             (!is_own).then_some(access.words)
         });
@@ -387,7 +390,7 @@ pub(crate) fn min_stores_per_iteration(graph: &ControlFlowGraph, one: &Loop) -> 
     }
     let goes_back =
         |block: &usize| graph.blocks[*block].next.iter().any(|edge| edge.to == one.header);
-    fewest.iter().filter(|(block, _)| goes_back(block)).map(|(_, it)| *it).min().unwrap_or(0)
+    fewest.iter().filter(|(block, _)| goes_back(block)).map(|(_, count)| *count).min().unwrap_or(0)
 }
 
 /// Returns the fewest bits by which every round moves a register down; 1: none.
@@ -395,8 +398,10 @@ pub(crate) fn min_stores_per_iteration(graph: &ControlFlowGraph, one: &Loop) -> 
 pub(crate) fn min_shift_per_iteration(graph: &ControlFlowGraph, one: &Loop) -> u32 {
     let passed = one.blocks.iter().filter(|block| is_on_every_iteration(graph, one, **block));
     let instructions = passed.flat_map(|block| &graph.blocks[*block].instructions);
-    let shifts = instructions.filter_map(|it| match it.effect {
-        RegisterEffect::Shift(to, from, by) if to == from && by < 0 && it.condition.is_none() => {
+    let shifts = instructions.filter_map(|instruction| match instruction.effect {
+        RegisterEffect::Shift(to, from, by)
+            if to == from && by < 0 && instruction.condition.is_none() =>
+        {
             Some(u32::from(by.unsigned_abs()))
         }
         _ => None,

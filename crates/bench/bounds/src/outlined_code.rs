@@ -32,7 +32,8 @@ pub(crate) fn inline_outlined(
     for number in 0..blocks.len() {
         let Some(Call::To(all)) = &blocks[number].call else { continue };
         let first = all.first().and_then(|to| image.function_at(*to));
-        let Some(piece) = first.filter(|it| all.len() == 1 && is_outlined(&it.name)) else {
+        let Some(piece) = first.filter(|function| all.len() == 1 && is_outlined(&function.name))
+        else {
             continue;
         };
         ensure!(depth < MAX_OUTLINE_DEPTH, "{} uses itself", piece.name);

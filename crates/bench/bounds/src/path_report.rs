@@ -51,7 +51,7 @@ pub fn longest_path_of_task(
     let entries: Vec<FunctionEntry> =
         all.iter().filter_map(|task| entry_of(&task.interrupt)).collect();
     program.find_ram_arguments(&entries);
-    let found = all.iter().find(|it| it.name == task);
+    let found = all.iter().find(|entry| entry.name == task);
     let found = found.with_context(|| format!("{task}: no such task in src/main.rs"))?;
     let entry = entry_of(&found.interrupt);
     let entry = entry.with_context(|| format!("the image has no {}", found.interrupt))?;
@@ -71,8 +71,11 @@ pub fn longest_path_of_task(
     }
     for (start, (one, cost)) in once {
         writeln!(text, "\napart: {}, {:.1} µs each", function_name(image, start), us(cost)).ok();
-        let others =
-            program.called_once_functions().into_keys().filter(|it| *it != start).collect();
+        let others = program
+            .called_once_functions()
+            .into_keys()
+            .filter(|address| *address != start)
+            .collect();
         let worst = WcetAnalysis::new(&program, clock, waiting).with_zero_cost_functions(others);
         write_shares(&mut text, image, &profile_longest_path(&worst, one), us);
     }

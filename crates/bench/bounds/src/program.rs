@@ -81,7 +81,7 @@ impl<'a> Program<'a> {
     /// Finds the arguments that point into the RAM in every call below these functions: all of them, until a call shows
     /// that one does not.
     pub(crate) fn find_ram_arguments(&self, entries: &[FunctionEntry]) {
-        let functions = self.image.functions().map(|it| (it.start, 0b1111));
+        let functions = self.image.functions().map(|function| (function.start, 0b1111));
         self.ram.replace(functions.collect());
         for entry in entries {
             self.ram.borrow_mut().insert(entry.start, 0);
@@ -121,10 +121,10 @@ impl<'a> Program<'a> {
     pub(crate) fn called_once_functions(&self) -> BTreeMap<u32, CalledOnce> {
         let declared = |name: &str| {
             let mut once = self.declared.table.once.iter();
-            once.find(|it| name.contains(it.function)).copied()
+            once.find(|declaration| name.contains(declaration.function)).copied()
         };
         let all = self.image.functions();
-        all.filter_map(|it| Some((it.start, declared(&it.name)?))).collect()
+        all.filter_map(|function| Some((function.start, declared(&function.name)?))).collect()
     }
 
     /// Returns what was missing so far: loops without a bound, calls with an unknown target.
@@ -144,7 +144,9 @@ impl<'a> Program<'a> {
     pub(crate) fn bound_counts_by_origin(&self) -> [usize; 2] {
         let mut counts = BTreeMap::new();
         for (entry, prepared) in self.prepared.borrow().iter() {
-            for bounded in prepared.iter().flat_map(|it| it.loops.iter().map(move |one| (it, one)))
+            for bounded in prepared
+                .iter()
+                .flat_map(|function| function.loops.iter().map(move |one| (function, one)))
             {
                 let (prepared, bounded) = bounded;
                 let at = prepared.graph.blocks[bounded.one.header].start_address();
@@ -152,7 +154,7 @@ impl<'a> Program<'a> {
             }
         }
         [BoundOrigin::Code, BoundOrigin::Table]
-            .map(|origin| counts.values().filter(|it| **it == origin).count())
+            .map(|origin| counts.values().filter(|count| **count == origin).count())
     }
 
     /// Adds to what is missing.
@@ -169,8 +171,8 @@ impl<'a> Program<'a> {
             return known.clone();
         }
         let function = self.image.function_at(start).ok_or(format!("no function at {start:#x}"));
-        let graph = function.and_then(|it| {
-            ControlFlowGraph::read(self.image, it).map_err(|error| format!("{error:#}"))
+        let graph = function.and_then(|function| {
+            ControlFlowGraph::read(self.image, function).map_err(|error| format!("{error:#}"))
         });
         let graph = Rc::new(graph);
         self.read.borrow_mut().insert(start, graph.clone());
@@ -284,7 +286,7 @@ impl<'a> Program<'a> {
         if !out.contains(&true) {
             return Some(graph);
         }
-        let is_in: Vec<bool> = out.iter().map(|it| !it).collect();
+        let is_in: Vec<bool> = out.iter().map(|value| !value).collect();
         if !is_in[0] {
             self.report_problem(format!("{} is left out from its entry on", graph.name));
             return None;
@@ -319,7 +321,7 @@ impl<'a> Program<'a> {
         let addresses: Vec<u32> = ends.chain([header]).collect();
         let declared = addresses.iter().find_map(|at| {
             let spots: Vec<SourceLocation> =
-                self.declared.table.loops.iter().map(|it| it.at).collect();
+                self.declared.table.loops.iter().map(|declaration| declaration.at).collect();
             let number = self.declared.find_declaration("loop", &spots, *at, &graph.name)?;
             Some(self.declared.table.loops[number].rounds)
         });
@@ -418,7 +420,8 @@ impl<'a> Program<'a> {
     }
 
     fn declared_targets(&self, graph: &ControlFlowGraph, at: u32) -> Vec<u32> {
-        let spots: Vec<SourceLocation> = self.declared.table.calls.iter().map(|it| it.at).collect();
+        let spots: Vec<SourceLocation> =
+            self.declared.table.calls.iter().map(|declaration| declaration.at).collect();
         let Some(number) = self.declared.find_declaration("call", &spots, at, &graph.name) else {
             self.report_problem(format!(
                 "call by register in {}, at {at:#x}: {}",
@@ -429,7 +432,11 @@ impl<'a> Program<'a> {
         };
         let names = self.declared.table.calls[number].functions;
         let is_named = |name: &str| names.iter().any(|part| name.contains(part));
-        self.image.functions().filter(|it| is_named(&it.name)).map(|it| it.start).collect()
+        self.image
+            .functions()
+            .filter(|function| is_named(&function.name))
+            .map(|function| function.start)
+            .collect()
     }
 
     /// Of a copy from and to whole words the addresses change nothing but the direction: two are tried for all, both read
@@ -441,7 +448,8 @@ impl<'a> Program<'a> {
     ) -> impl Iterator<Item = KnownArguments> + use<> {
         const FLASH_SOURCE_ADDRESS: u32 = 0x0800_1000;
         let name = self.function_name(start);
-        let is_aligned = ["cpy4", "cpy8", "move4", "move8"].iter().any(|it| name.ends_with(it));
+        let is_aligned =
+            ["cpy4", "cpy8", "move4", "move8"].iter().any(|suffix| name.ends_with(suffix));
         let tried = [FLASH_SOURCE_ADDRESS + 0x8000, FLASH_SOURCE_ADDRESS + 4].map(|to| {
             if is_aligned {
                 [Some(to), Some(FLASH_SOURCE_ADDRESS), arguments[2], None]
@@ -466,7 +474,7 @@ impl<'a> Program<'a> {
             std::array::from_fn(|register| state.register_value(register as u8).as_constant());
         if arguments[length].is_none() {
             let spots: Vec<SourceLocation> =
-                self.declared.table.copies.iter().map(|it| it.at).collect();
+                self.declared.table.copies.iter().map(|declaration| declaration.at).collect();
             match self.declared.find_declaration("copy", &spots, at, &graph.name) {
                 Some(number) => arguments[length] = Some(self.declared.table.copies[number].bytes),
                 None => self.report_problem(format!(

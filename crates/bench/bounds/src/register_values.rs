@@ -144,8 +144,10 @@ impl RegisterState {
     /// An instruction is done, if its condition holds.
     pub fn step(&mut self, image: &Image, one: &Instruction) {
         let is_in_block = one.condition.is_some() && !matches!(one.flow, ControlFlow::Jump(_));
-        let condition_holds =
-            self.flags.zip(one.condition).and_then(|(flags, it)| flags.evaluate_condition(it));
+        let condition_holds = self
+            .flags
+            .zip(one.condition)
+            .and_then(|(flags, condition)| flags.evaluate_condition(condition));
         match condition_holds.filter(|_| is_in_block) {
             Some(false) => {}
             Some(true) => self.execute(image, &Instruction { condition: None, ..*one }),

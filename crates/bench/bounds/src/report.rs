@@ -74,7 +74,7 @@ pub fn compute(
     let program = Program::new(image, table, source, sizes);
     let all_tasks = tasks::parse_tasks(app)?;
     let functions = all_tasks.iter().filter_map(|task| image.function_by_symbol(&task.interrupt));
-    let entries = functions.map(|it| FunctionEntry::new(it.start));
+    let entries = functions.map(|function| FunctionEntry::new(function.start));
     program.find_ram_arguments(&entries.collect::<Vec<_>>());
     let mut all = Vec::new();
     for clock in CLOCKS {
@@ -124,7 +124,7 @@ pub fn compute(
 fn exception_numbers(image: &Image, tasks: &[Task]) -> Result<Vec<u32>> {
     let number = |task: &Task| {
         let function = image.function_by_symbol(&task.interrupt);
-        let number = function.and_then(|it| image.exception_number(it.start));
+        let number = function.and_then(|function| image.exception_number(function.start));
         number.with_context(|| format!("no vector leads to {}", task.interrupt))
     };
     tasks.iter().map(number).collect()
@@ -214,11 +214,11 @@ fn task_loads(
         // What is a load of its own at this priority or above delays the task as such, wherever it is called.
         let is_counted = |start: &u32| seldom[start].priority >= task.priority;
         let counted: BTreeSet<u32> = sooner.iter().copied().filter(is_counted).collect();
-        let lower = tasks.iter().zip(&entries).filter(|(it, _)| it.priority < task.priority);
+        let lower = tasks.iter().zip(&entries).filter(|(other, _)| other.priority < task.priority);
         let lower: Vec<_> = lower.map(|(_, entry)| *entry).collect();
         let reaching = below(&lower, &counted).into_iter();
-        let reaching =
-            reaching.filter(|section| section.ceiling.is_none_or(|it| it >= task.priority));
+        let reaching = reaching
+            .filter(|section| section.ceiling.is_none_or(|ceiling| ceiling >= task.priority));
         loads[number].blocking = reaching.map(|section| section.cycles).max().unwrap_or(0);
     }
     loads.extend(seldom.into_values());
@@ -229,8 +229,8 @@ impl TimingBounds {
     /// Returns the tasks whose response is not bounded below their deadline, as `clock task`.
     #[must_use]
     pub fn unschedulable_tasks(&self) -> Vec<String> {
-        let late = self.all.iter().filter(|it| it.response_us.is_none());
-        late.map(|it| format!("{} {}", it.clock, it.task)).collect()
+        let late = self.all.iter().filter(|bound| bound.response_us.is_none());
+        late.map(|bound| format!("{} {}", bound.clock, bound.task)).collect()
     }
 
     /// Returns the table; `seen` gives the longest turn of a task on a clock that was seen, of its own and from beginning to
@@ -257,12 +257,15 @@ impl TimingBounds {
                 "deadline"
             )
             .ok();
-            for bound in self.all.iter().filter(|it| it.clock == clock.name) {
+            for bound in self.all.iter().filter(|bound| bound.clock == clock.name) {
                 let seen = seen(bound);
                 let times = seen.map(|[own, _]| format!("{:.1}", bound.turn_us / own));
                 let seen = seen.map(|[own, _]| format!("{own:.1}"));
-                let or_late = |it: Option<f64>| {
-                    it.map_or_else(|| "not below".to_owned(), |it| format!("{it:.1}"))
+                let or_late = |value: Option<f64>| {
+                    value.map_or_else(
+                        || "not below".to_owned(),
+                        |microseconds| format!("{microseconds:.1}"),
+                    )
                 };
                 writeln!(
                     text,

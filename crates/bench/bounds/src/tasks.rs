@@ -119,7 +119,7 @@ fn parse_rows(text: &str) -> Result<BTreeMap<String, TaskRow>> {
         let line = line.trim_end().strip_suffix('|').unwrap_or(line);
         line.split('|').map(|cell| cell.trim().to_owned()).collect::<Vec<_>>()
     });
-    let head = cells.find(|head| head.first().is_some_and(|it| it == "task"));
+    let head = cells.find(|head| head.first().is_some_and(|word| word == "task"));
     let head = head.context("src/main.rs has no table of tasks")?;
     let column = |name: &str| {
         let place = head.iter().position(|cell| cell == name);
@@ -150,7 +150,9 @@ fn parse_rows(text: &str) -> Result<BTreeMap<String, TaskRow>> {
             let whole = if name.starts_with('_') {
                 format!(
                     "{}{name}",
-                    first.trim_end_matches(|it: char| it.is_ascii_digit() || it == '_')
+                    first.trim_end_matches(
+                        |character: char| character.is_ascii_digit() || character == '_'
+                    )
                 )
             } else {
                 name.to_owned()
@@ -188,8 +190,9 @@ fn parse_byte_arrivals(cell: &str) -> Option<ByteArrivals> {
 
 /// The first number with a unit of time.
 fn parse_duration_us(text: &str) -> Option<f64> {
-    let words: Vec<&str> =
-        text.split(|it: char| it.is_whitespace() || "(),;:".contains(it)).collect();
+    let words: Vec<&str> = text
+        .split(|character: char| character.is_whitespace() || "(),;:".contains(character))
+        .collect();
     words.windows(2).find_map(|pair| {
         let factor = match pair[1] {
             "µs" => 1.0,

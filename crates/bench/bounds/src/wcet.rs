@@ -176,7 +176,7 @@ impl<'a> WcetAnalysis<'a> {
     pub(crate) fn function_costs(&self, prepared: &Rc<PreparedFunction>) -> FunctionCosts {
         let count = prepared.graph.blocks.len();
         let of = |is_kept| {
-            (0..count).map(|it| self.compute_block_cycles(prepared, it, is_kept)).collect()
+            (0..count).map(|block| self.compute_block_cycles(prepared, block, is_kept)).collect()
         };
         let blocks: [Vec<u64>; 2] = [of(false), of(true)];
         let fills = prepared.loops.iter().filter_map(|bounded| {
@@ -198,7 +198,7 @@ impl<'a> WcetAnalysis<'a> {
                     0
                 })),
                 IterationBound::Together(_)
-                    if joined.values().any(|it| it.contains(&bounded.one.header)) =>
+                    if joined.values().any(|blocks| blocks.contains(&bounded.one.header)) =>
                 {
                     IterationBound::Times(0)
                 }
@@ -313,7 +313,8 @@ pub(crate) struct FunctionCosts {
 /// The headers of loops within others that are one with them in the source.
 fn find_merged_loops(prepared: &PreparedFunction) -> BTreeMap<usize, BTreeSet<usize>> {
     let mut joined: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
-    let is_one = |it: &&BoundedLoop| matches!(it.rounds, IterationBound::Together(_));
+    let is_one =
+        |bounded_loop: &&BoundedLoop| matches!(bounded_loop.rounds, IterationBound::Together(_));
     for inner in prepared.loops.iter().filter(is_one) {
         let around = prepared.loops.iter().filter(is_one).filter(|outer| {
             outer.one.header != inner.one.header && outer.one.blocks.is_superset(&inner.one.blocks)
@@ -367,12 +368,12 @@ impl CycleCosts for FunctionCosts {
         // One of which only a part is looked at may be entered elsewhere: it turns no more often than the whole.
         own.unwrap_or_else(|| {
             let around = self.prepared.loops.iter();
-            let around = around.filter(|it| it.one.blocks.is_superset(&one.blocks));
-            let all = around.filter_map(|it| self.rounds.get(&it.one.header));
+            let around = around.filter(|outer| outer.one.blocks.is_superset(&one.blocks));
+            let all = around.filter_map(|outer| self.rounds.get(&outer.one.header));
             let all: Vec<LoopIterations> = all.map(|rounds| repeated(*rounds)).collect();
             LoopIterations {
-                times: all.iter().map(|it| it.times).max().unwrap_or(0),
-                wait: all.iter().map(|it| it.wait).max().unwrap_or(0),
+                times: all.iter().map(|iterations| iterations.times).max().unwrap_or(0),
+                wait: all.iter().map(|iterations| iterations.wait).max().unwrap_or(0),
             }
         })
     }

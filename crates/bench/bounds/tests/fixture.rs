@@ -172,7 +172,7 @@ fn a_section_lasts_from_the_raised_mask_to_the_restored_one() {
         let entry = FunctionEntry::new(FLASH);
         let sections = CriticalSections::new(&program, &worst).sections_below(entry);
         assert!(program.problems().is_empty(), "{:?}", program.problems());
-        sections.iter().map(|it| (it.ceiling, it.cycles)).collect::<Vec<_>>()
+        sections.iter().map(|section| (section.ceiling, section.cycles)).collect::<Vec<_>>()
     };
     // The write of the mask, the load, the sum, the store, the number, the write back; 0xC0 is the priority 4.
     assert_eq!(of(LOCKED), [(Some(4), 2 + 3 + 1 + 3 + 1 + 2)]);
