@@ -1,12 +1,13 @@
 //! The structure of the source, counted: circles of files, files and functions that are too long, dependencies on a
 //! higher layer, places that name one cause of error outside its page, public items that nothing needs; and the language
-//! of documents.
+//! of documents and names.
 //!
 //! A file that needs a file that needs the first cannot be read, tried or changed alone; a file of a
 //! thousand lines is not read at all; and a cause that is written in thirty places is added in
 //! twenty-nine. Each is counted here and red above its limit.
 
 mod cause_mentions;
+mod closure_arguments;
 mod dependency_cycles;
 mod ignored_tests;
 mod language;
@@ -55,6 +56,8 @@ struct Limits {
     unseen: usize,
     /// Ignored tests that are of no tier.
     without_tier: usize,
+    /// Closure arguments that do not say what they are.
+    placeholders: usize,
     /// Public items that nothing outside their crate names.
     public: usize,
     /// Places that name the one cause that is named in most.
@@ -77,6 +80,7 @@ const LIMITS: Limits = Limits {
     cut_tables: 0,
     unseen: 0,
     without_tier: 0,
+    placeholders: 0,
     public: 0,
     places: 2,
     thresholds: 64,
@@ -88,6 +92,33 @@ const TARGET_CODE_LINES: usize = 110_000;
 
 /// How many files with the most counted words are named.
 const MAX_LISTED_FILES: usize = 8;
+
+/// What was found, as text, and the counts above their limit.
+#[derive(Default)]
+struct CountReport {
+    text: String,
+    over: Vec<String>,
+}
+
+impl CountReport {
+    /// Writes the heading of a count.
+    fn write_count(&mut self, what: &str, count: usize, limit: usize) -> Result<()> {
+        writeln!(self.text, "{what}: {count} (at most {limit})")?;
+        if count > limit {
+            self.over.push(what.to_owned());
+        }
+        Ok(())
+    }
+
+    /// Writes a count with the places that it counts.
+    fn write_places(&mut self, what: &str, places: &[String], limit: usize) -> Result<()> {
+        self.write_count(what, places.len(), limit)?;
+        for place in places {
+            writeln!(self.text, "    {place}")?;
+        }
+        Ok(())
+    }
+}
 
 /// Counts, and gives what was found as text, one count a heading and what it counts below.
 ///
@@ -104,31 +135,27 @@ pub fn check(root: &Path) -> Result<String> {
         .collect();
     let (cause, places) = cause_mentions::most_mentioned_cause(&sources);
 
-    let mut text = String::new();
-    let mut over = Vec::new();
-    let mut head = |text: &mut String, what: &str, count: usize, limit: usize| {
-        writeln!(text, "{what}: {count} (at most {limit})")?;
-        if count > limit {
-            over.push(what.to_owned());
-        }
-        anyhow::Ok(())
-    };
-    head(&mut text, "circles of files", circles.len(), LIMITS.circles)?;
+    let mut report = CountReport::default();
+    report.write_count("circles of files", circles.len(), LIMITS.circles)?;
     for circle in &circles {
-        writeln!(text, "    {}", circle.files.join(", "))?;
+        writeln!(report.text, "    {}", circle.files.join(", "))?;
         for (from, to, line) in &circle.uses {
-            writeln!(text, "        {from}:{line} -> {to}")?;
+            writeln!(report.text, "        {from}:{line} -> {to}")?;
         }
     }
-    head(&mut text, &format!("files above {MAX_FILE_LINES} lines"), long.len(), LIMITS.long_files)?;
+    report.write_count(
+        &format!("files above {MAX_FILE_LINES} lines"),
+        long.len(),
+        LIMITS.long_files,
+    )?;
     for source in &long {
-        writeln!(text, "    {:5}  {}", source.line_count(), source.path)?;
+        writeln!(report.text, "    {:5}  {}", source.line_count(), source.path)?;
     }
     let long = long_functions::find_long_functions(&sources);
     let what = format!("functions above {} lines", long_functions::MAX_FUNCTION_LINES);
-    head(&mut text, &what, long.len(), LIMITS.long_functions)?;
+    report.write_count(&what, long.len(), LIMITS.long_functions)?;
     for it in &long {
-        writeln!(text, "    {:5}  {} {}", it.lines, it.place, it.name)?;
+        writeln!(report.text, "    {:5}  {} {}", it.lines, it.place, it.name)?;
     }
     let public = public_items::find_unused_items(&sources, &public_items::read_packages(root)?);
     let what = format!("public items that nothing outside their crate names, of {}", public.all);
@@ -148,25 +175,24 @@ pub fn check(root: &Path) -> Result<String> {
             ignored_tests::find_untiered_tests(&sources),
             LIMITS.without_tier,
         ),
+        (
+            "closure arguments named `it`",
+            closure_arguments::find_placeholder_arguments(&sources),
+            LIMITS.placeholders,
+        ),
         (what.as_str(), public.unused, LIMITS.public),
     ] {
-        head(&mut text, what, found.len(), limit)?;
-        for place in &found {
-            writeln!(text, "    {place}")?;
-        }
+        report.write_places(what, &found, limit)?;
     }
     let what = format!("places that name {cause} outside its page, the list, the twin and tests");
-    head(&mut text, &what, places.len(), LIMITS.places)?;
-    for place in &places {
-        writeln!(text, "    {place}")?;
-    }
+    report.write_places(&what, &places, LIMITS.places)?;
     let thresholds = thresholds::count_thresholds(
         &sources,
         &fs::read_to_string(root.join("docs/thresholds.md"))?,
     );
     let what =
         format!("thresholds of the finder (target: 40; and {} other numbers)", thresholds.others);
-    head(&mut text, &what, thresholds.decide.len(), LIMITS.thresholds)?;
+    report.write_count(&what, thresholds.decide.len(), LIMITS.thresholds)?;
     let language = language::count_words(root, &sources)?;
     for (what, found, limit) in [
         ("references that lead nowhere", &language.nowhere, LIMITS.nowhere),
@@ -175,11 +201,9 @@ pub fn check(root: &Path) -> Result<String> {
         ("tables without a head", &language.cut_tables, LIMITS.cut_tables),
         ("thresholds of the finder that are elsewhere", &thresholds.stale, LIMITS.stale),
     ] {
-        head(&mut text, what, found.len(), limit)?;
-        for place in found {
-            writeln!(text, "    {place}")?;
-        }
+        report.write_places(what, found, limit)?;
     }
+    let CountReport { mut text, mut over } = report;
     write_lines_by_crate(&mut text, &sources)?;
     over.extend(write_language(&mut text, &language)?);
     ensure!(over.is_empty(), "{text}above the limit: {}", over.join(", "));
