@@ -299,8 +299,9 @@ fn an_axiss_expansion_is_the_same_with_the_bridge_off_on_and_switched() {
             UncompensatedRun::from_run(Cow::Borrowed(run), Some(&machine), Some(Quantity::Dx))
                 .expect("a record");
         let axis = trueup_machine::file::LinearAxis::X;
-        let report = thermal::fit(&[run], axis, Some(&machine), &thermal::Options::default())
-            .expect("it can be fitted");
+        let report =
+            thermal::fit(&[run], axis, Some(&machine), &thermal::ThermalFitOptions::default())
+                .expect("it can be fitted");
         let it = report.parameter("slope_um_per_m_per_c").expect("fitted");
         (*engaged, (it.value, it.ci95.expect("fitted")))
     });
@@ -325,7 +326,7 @@ fn a_screw_that_was_measured_before_is_corrected_between_its_points_from_where_i
     let run = RunFile::from_reader(text.as_bytes(), Path::new("laser.csv")).expect("a run file");
     let (run, _) = UncompensatedRun::from_run(Cow::Owned(run), None, None).expect("no bridge");
     let axis = trueup_machine::file::LinearAxis::X;
-    let fitted = pitch::fit(&run, axis, &pitch::Options::default());
+    let fitted = pitch::fit(&run, axis, &pitch::PitchFitOptions::default());
     let edit = fitted.expect("the rules are kept").report.edit;
     let before = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n\
                   [limits]\nmax_um = { x = 100, y = 100, z = 100 }\nslew_um_per_s = 10000\n";

@@ -18,7 +18,7 @@ use trueup_emulator::{
     },
     setup::{self, LinuxCnc},
 };
-use trueup_export::{Approach, Export, Format, Options, export, linuxcnc};
+use trueup_export::{Approach, Export, ExportOptions, Format, export, linuxcnc};
 use trueup_machine::{
     MachineFile,
     model::{backlash_um, pitch_um},
@@ -126,7 +126,7 @@ fn the_real_linuxcnc_corrects_the_model_within_the_stated_difference() -> Result
         return Ok(());
     };
     let machine = MachineFile::parse(&machine_text(), Path::new("three-joints.toml"))?;
-    let export = export(&machine, Format::LinuxCnc, &Options::default())?;
+    let export = export(&machine, Format::LinuxCnc, &ExportOptions::default())?;
     println!("{}", export.report);
     assert_eq!(files(&export).len(), 3);
     let lines = |name: usize| export.files[name].text.lines().count();

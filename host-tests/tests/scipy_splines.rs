@@ -21,7 +21,7 @@ use serde_json::{Value, json};
 use trueup_emulator::setup;
 use trueup_fit::{
     bspline::{clamped_knots, evaluate_with_derivatives, fit_least_squares, is_determined},
-    straightness::{Options, fit},
+    straightness::{StraightnessFitOptions, fit},
 };
 use trueup_machine::file::BSpline;
 
@@ -151,7 +151,10 @@ fn one_tolerance_takes_fewer_coefficients_than_fitpack() -> Result<()> {
     for ((x, y, tolerance_um), theirs) in
         curves.iter().zip(theirs["curves"].as_array().context("a list")?)
     {
-        let options = Options { tolerance_um: Some(*tolerance_um), ..Options::default() };
+        let options = StraightnessFitOptions {
+            tolerance_um: Some(*tolerance_um),
+            ..StraightnessFitOptions::default()
+        };
         let started = Instant::now();
         let fit = fit(x, y, &options)?;
         ours_s += started.elapsed().as_secs_f64();

@@ -296,7 +296,7 @@ fn backlash_is_got_back_from_its_program() -> Result<()> {
     let mut rig = start(control)?;
     let plan = made(MeasurementKind::Backlash, &options(&[X]))?.remove(0);
     let run = run_of(&measure(&mut rig, &plan, &scenario("backlash_um = 6.0"), 1.0)?);
-    let fit = pitch::fit_backlash(&run, X, &pitch::Options::default())?;
+    let fit = pitch::fit_backlash(&run, X, &pitch::PitchFitOptions::default())?;
     assert_eq!(fit.report.rows_used, 42);
     holds(&fit.report, "width_um", 6.0);
     rig.end()
@@ -315,7 +315,7 @@ fn pitch_and_backlash_are_got_back_from_their_program() -> Result<()> {
     let machine =
         scenario("[axis.y]\nscrew_heating_c = 0.0\npitch_um_per_m = 5.0\nbacklash_um = 4.0");
     let run = run_of(&measure(&mut rig, &plan, &machine, 1.0)?);
-    let fit = pitch::fit(&run, Y, &pitch::Options::default())?;
+    let fit = pitch::fit(&run, Y, &pitch::PitchFitOptions::default())?;
     holds(&fit.report, "width_um", 4.0);
     let table = fit.pitch.context("a table")?;
     let off: Vec<f64> = plan
@@ -352,7 +352,7 @@ fn straightness_is_got_back_and_holds_on_the_diagonal() -> Result<()> {
     };
     for plan in [there_and_back(X, 400.0)?, there_and_back(Y, 120.0)?].concat() {
         let run = run_of(&measure(&mut rig, &plan, &machine, 1.0)?);
-        let wanted = straightness::Options::default();
+        let wanted = straightness::StraightnessFitOptions::default();
         let report = straightness_report::fit_curve(&run, Some("dz"), |_| Ok(None), &wanted)?;
         let left = report.left_out.context("positions left out")?;
         println!("{}: {:.3} um RMS at positions left out", plan.name, left.rms_um);
@@ -436,7 +436,8 @@ fn the_growth_of_an_axis_is_got_back_from_its_program() -> Result<()> {
         ..machine
     };
     let run = run_of(&measure(&mut rig, &plan, &machine, factor)?);
-    let fit = thermal::fit(std::slice::from_ref(&run), X, None, &thermal::Options::default())?;
+    let fit =
+        thermal::fit(std::slice::from_ref(&run), X, None, &thermal::ThermalFitOptions::default())?;
     println!("{:?} {:?}", fit.parameters, fit.warnings);
     holds(&fit, "slope_um_per_m_per_c", 11.5);
     rig.end()

@@ -185,7 +185,7 @@ fn fit_section_constants(
     if machine.axes[axis.index()].thermal.is_none() {
         return Ok(None);
     }
-    let options = thermal::Options {
+    let options = thermal::ThermalFitOptions {
         mode: None::<ThermalMode>,
         temperature: None,
         table_rows: None,

@@ -124,7 +124,8 @@ fn one_pass_is_taken_over_and_not_believed() {
 fn answers(run: &RunFile, axis: LinearAxis) -> [bool; 2] {
     let (unaided, _) =
         UncompensatedRun::from_run(Cow::Borrowed(run), None, None).expect("no bridge");
-    let fit = pitch::fit(&unaided, axis, &pitch::Options::default()).expect("a table of readings");
+    let fit = pitch::fit(&unaided, axis, &pitch::PitchFitOptions::default())
+        .expect("a table of readings");
     let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("the test's own file");
     let runs = std::slice::from_ref(run);
     let diagnosis = diagnose(&machine, runs, &[], None, &mut |_, _| {}).expect("comparable");

@@ -74,7 +74,7 @@ use crate::{
 
 /// The table that is required.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Options {
+pub struct PitchFitOptions {
     /// One table or two.
     pub ways: TableMode,
     /// Only the runs with these numbers; `None`: all.
@@ -96,7 +96,7 @@ pub struct Options {
     pub feed_mm_per_min: Option<f64>,
 }
 
-impl Default for Options {
+impl Default for PitchFitOptions {
     fn default() -> Self {
         Self {
             ways: TableMode::Automatic,
@@ -146,7 +146,7 @@ pub struct PitchFit {
 pub fn fit(
     run: &UncompensatedRun<'_>,
     axis: LinearAxis,
-    options: &Options,
+    options: &PitchFitOptions,
 ) -> Result<PitchFit, BadInput> {
     let wanted = ReadingSelection {
         axis,
@@ -215,7 +215,7 @@ fn check_coverage(
     run: &UncompensatedRun<'_>,
     axis: LinearAxis,
     readings: &Readings,
-    options: &Options,
+    options: &PitchFitOptions,
 ) -> Result<(), BadInput> {
     if let [only] = readings.targets_mm[..] {
         let rule = format!("{only} is the only position: a table needs at least 2 test points");
@@ -250,7 +250,7 @@ fn check_coverage(
 const MAX_TABLE_POINTS: usize = 4096;
 
 /// Returns the corrections to try, from the simplest on; the first two are none.
-fn candidate_models(readings: &Readings, options: &Options) -> Vec<CorrectionModel> {
+fn candidate_models(readings: &Readings, options: &PitchFitOptions) -> Vec<CorrectionModel> {
     let mut laws = vec![CorrectionModel::Nothing, CorrectionModel::Constant];
     let both = readings.measured_directions() == [true; 2];
     let screw = options.feedback == Feedback::Screw;

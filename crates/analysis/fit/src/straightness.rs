@@ -67,7 +67,7 @@ pub(crate) const MAX_COEFFICIENTS: usize = 128;
 
 /// Tolerance, method and limits of the fit.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Options {
+pub struct StraightnessFitOptions {
     /// The largest residual allowed, in µm, above 0. `None`: down to the noise.
     pub tolerance_um: Option<f64>,
     /// How the curve is found.
@@ -78,7 +78,7 @@ pub struct Options {
     pub most_coefficients: usize,
 }
 
-impl Default for Options {
+impl Default for StraightnessFitOptions {
     /// Least squares down to the noise, of the readings as they are.
     fn default() -> Self {
         Self {
@@ -131,7 +131,7 @@ pub enum StopReason {
     Noise,
     /// There are no points left to place a further knot by.
     Points,
-    /// [`Options::most_coefficients`] is reached.
+    /// [`StraightnessFitOptions::most_coefficients`] is reached.
     Coefficients,
 }
 
@@ -250,7 +250,7 @@ pub enum FitError {
 pub fn fit(
     along_mm: &[f64],
     error_um: &[f64],
-    options: &Options,
+    options: &StraightnessFitOptions,
 ) -> Result<StraightnessFit, FitError> {
     if let Some(um) = options.tolerance_um
         && !(um > 0.0 && um.is_finite())

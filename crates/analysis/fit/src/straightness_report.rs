@@ -13,7 +13,7 @@ use trueup_numerics::repeats;
 use crate::{
     elongation::section_comment,
     report::{ExcludedRow, Fact, FitVerdict, Parameter, Report, ResidualStatistics},
-    straightness::{self, CurveMethod, Options, ReferenceLine, StraightnessCurve},
+    straightness::{self, CurveMethod, ReferenceLine, StraightnessCurve, StraightnessFitOptions},
 };
 
 /// Digits after the point of coefficients in µm: 0.1 nm, the board's own step is 1 nm.
@@ -28,7 +28,7 @@ pub fn fit_curve(
     run: &UncompensatedRun<'_>,
     quantity: Option<&str>,
     known_um: impl FnOnce(&StraightnessCurve) -> Result<Option<Vec<f64>>, BadInput>,
-    options: &Options,
+    options: &StraightnessFitOptions,
 ) -> Result<Report, BadInput> {
     let mut curve = straightness::fit_run(run, quantity, options)?;
     let column = format!("measured_d{}_um", curve.error.name());
@@ -166,7 +166,8 @@ mod tests {
         }
         let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
         let (run, _) = UncompensatedRun::from_run(Cow::Owned(run), None, None).expect("no bridge");
-        let report = fit_curve(&run, None, |_| Ok(None), &Options::default()).expect("a curve");
+        let report = fit_curve(&run, None, |_| Ok(None), &StraightnessFitOptions::default())
+            .expect("a curve");
         let names: Vec<&str> = report
             .table
             .lines()

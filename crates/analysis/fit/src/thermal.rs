@@ -4,7 +4,7 @@
 //! Δ = K₀(T) + tanβ(T)·(P − P₀),   K₀ = a·(T − T₀),   tanβ = b·(T − T₀)
 //! ```
 //!
-//! T is behind its sensor by a lag, which is searched ([`Options`], and only kept where rows that
+//! T is behind its sensor by a lag, which is searched ([`ThermalFitOptions`], and only kept where rows that
 //! were held out are better with it). Each of K₀ and tanβ is fitted as a line over T; where it
 //! crosses zero is T₀. If both modes count and the two lines cross zero at different temperatures,
 //! beyond what chance does, one T₀ cannot serve both, and a table of the same two lines is written
@@ -54,7 +54,7 @@ const CONFIDENCE_LEVEL: f64 = 0.999;
 
 /// The terms, the column and the form of the fit.
 #[derive(Clone, Debug, Default)]
-pub struct Options {
+pub struct ThermalFitOptions {
     /// Which terms; `None`: the machine file's, else what held-out rows favour.
     pub mode: Option<ThermalMode>,
     /// The column of the temperature; `None`: the machine file's, else the run's only one.
@@ -90,7 +90,7 @@ pub fn fit(
     runs: &[UncompensatedRun<'_>],
     axis: LinearAxis,
     machine: Option<&Machine>,
-    options: &Options,
+    options: &ThermalFitOptions,
 ) -> Result<Report, BadInput> {
     let rows = PooledRows::new(runs)?;
     let old = machine.and_then(|machine| machine.axes[axis.index()].thermal.as_ref());
@@ -191,7 +191,7 @@ impl ThermalData {
         rows: &PooledRows<'_>,
         axis: LinearAxis,
         old: Option<&ThermalLaw>,
-        options: &Options,
+        options: &ThermalFitOptions,
     ) -> Result<(Self, Report), BadInput> {
         let measured = format!("measured_d{}_um", axis.name());
         let mut y = rows.required_column(&measured)?;

@@ -66,7 +66,7 @@ const DEFAULT_NOISE_UM: f64 = 1.0;
 
 /// The stated uncertainties of the instrument.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Options {
+pub struct VolumeFitOptions {
     /// Standard uncertainty of a reading in µm; `None`: that of the machine file, else by the readings alone.
     pub instrument_um: Option<f64>,
     /// Standard uncertainty of the scale of artefact and laser in µm/m; `None`: the scale is not known.
@@ -131,7 +131,7 @@ impl VolumetricModel {
 pub fn fit(
     runs: &[RunFile],
     machine: &Machine,
-    options: &Options,
+    options: &VolumeFitOptions,
 ) -> Result<VolumeReport, BadInput> {
     let Some(chain) = &machine.volume.chain else {
         let rule = "machine.chain is missing: the sign and the lever of an error depend on what each axis carries";

@@ -2,7 +2,7 @@
 
 mod options;
 
-use options::{Options, parse_options, usage};
+use options::{CommandLineOptions, parse_options, usage};
 use std::{
     collections::BTreeMap,
     fs,
@@ -96,7 +96,7 @@ fn play_from_stdin(board: &mut Board, live_until: &mut impl FnMut(&mut Board, u6
 }
 
 /// Returns the board that the options ask for, before its first instruction.
-fn build_board(options: &Options, image: &[u8]) -> Board {
+fn build_board(options: &CommandLineOptions, image: &[u8]) -> Board {
     let memories = Memories::new();
     if let Some(flash) = options.flash.as_ref().and_then(|file| fs::read(file).ok()) {
         memories.flash.write_at(0, &flash).expect("a megabyte of flash");
@@ -155,7 +155,7 @@ fn build_board(options: &Options, image: &[u8]) -> Board {
 }
 
 /// Writes the files that the options ask for.
-fn write_output_files(options: &Options, board: &Board) {
+fn write_output_files(options: &CommandLineOptions, board: &Board) {
     if let Some(file) = &options.flash {
         let mut all = vec![0; FLASH_SIZE as usize];
         board.memories().flash.read_at(0, &mut all).expect("all of it");

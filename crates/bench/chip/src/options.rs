@@ -10,7 +10,7 @@ use trueup_chip::{
 };
 
 /// Options of the command line.
-pub struct Options {
+pub struct CommandLineOptions {
     /// The file of the image.
     pub image: String,
     /// For how long it runs, in ticks.
@@ -72,7 +72,7 @@ pub struct Options {
 }
 
 /// Reads the command line, and ends the program if it is wrong.
-pub fn parse_options() -> Options {
+pub fn parse_options() -> CommandLineOptions {
     let mut o = default_options();
     let mut args = std::env::args().skip(1);
     let number = |v: Option<String>, what: &str| -> u64 {
@@ -166,8 +166,8 @@ pub fn parse_options() -> Options {
 }
 
 /// Returns a sound board that runs for two seconds.
-fn default_options() -> Options {
-    Options {
+fn default_options() -> CommandLineOptions {
+    CommandLineOptions {
         image: String::new(),
         run: ms_to_ticks(2000),
         faults: InjectedFaults::default(),

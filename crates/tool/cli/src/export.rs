@@ -10,7 +10,7 @@ use anyhow::Result;
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
 use trueup_export::{
-    ExportedTable, Format, LengthUnit, OmittedSection, Options, Report, export, fanuc::Series,
+    ExportOptions, ExportedTable, Format, LengthUnit, OmittedSection, Report, export, fanuc::Series,
 };
 
 use crate::{
@@ -129,8 +129,8 @@ pub fn run(args: &ExportArgs, as_json: bool) -> Result<Outcome> {
     Ok(if export.report.is_complete() { Outcome::Done } else { Outcome::NotMet })
 }
 
-fn parse_options(args: &ExportArgs) -> Result<Options, UserError> {
-    let mut options = Options {
+fn parse_options(args: &ExportArgs) -> Result<ExportOptions, UserError> {
+    let mut options = ExportOptions {
         units: match args.units {
             LengthUnitArg::Mm => LengthUnit::Millimetres,
             LengthUnitArg::Inch => LengthUnit::Inches,
@@ -140,7 +140,7 @@ fn parse_options(args: &ExportArgs) -> Result<Options, UserError> {
         fanuc: if args.series == "0" { Series::Zero } else { Series::I },
         most_points: args.max_points,
         elongation_um: require_finite("--elongation-um", args.elongation_um)?,
-        ..Options::default()
+        ..ExportOptions::default()
     };
     if args.max_points.is_some_and(|points| points < 2) {
         return Err(UserError("--max-points must be at least 2: a table has two ends".to_string()));

@@ -156,7 +156,7 @@ impl FitInput {
 }
 
 fn run_straightness_fit(input: &FitInput, args: &Straightness) -> Result<Report> {
-    let options = straightness::Options {
+    let options = straightness::StraightnessFitOptions {
         method: match args.method {
             Method::LeastSquares => straightness::FitMethod::LeastSquares,
             Method::Paper => straightness::FitMethod::Paper,
@@ -184,11 +184,11 @@ fn run_pitch_fit(input: &FitInput, args: &Pitch) -> Result<Report> {
         TableMode::One => pitch::TableMode::One,
         TableMode::Both => pitch::TableMode::Both,
     };
-    let of = |options| pitch::Options { ways, step_mm: args.step_mm, ..options };
+    let of = |options| pitch::PitchFitOptions { ways, step_mm: args.step_mm, ..options };
     let axis = measured_axis(&input.runs, args.positions.error.quantity().as_deref())?;
     if let Some(dual) = input.machine().and_then(|machine| machine.axes[axis.index()].dual.clone())
     {
-        let options = |run: &UncompensatedRun<'_>| -> Result<pitch::Options> {
+        let options = |run: &UncompensatedRun<'_>| -> Result<pitch::PitchFitOptions> {
             Ok(of(position_options(input, &args.positions, run, axis)?))
         };
         return pitch::fit_both_drives(&input.runs, axis, &dual, options);
@@ -199,7 +199,7 @@ fn run_pitch_fit(input: &FitInput, args: &Pitch) -> Result<Report> {
 
 fn run_backlash_fit(input: &FitInput, args: &Backlash) -> Result<Report> {
     let (run, axis, options) = position_fit_inputs(input, &args.positions)?;
-    let options = pitch::Options { feed_mm_per_min: args.feed, ..options };
+    let options = pitch::PitchFitOptions { feed_mm_per_min: args.feed, ..options };
     Ok(pitch::fit_backlash(run, axis, &options)?.report)
 }
 
@@ -234,7 +234,7 @@ fn write_iso230_page(
 fn position_fit_inputs<'a>(
     input: &'a FitInput,
     args: &PositionArgs,
-) -> Result<(&'a UncompensatedRun<'a>, LinearAxis, pitch::Options)> {
+) -> Result<(&'a UncompensatedRun<'a>, LinearAxis, pitch::PitchFitOptions)> {
     let run = input.single_run()?;
     let axis = measured_axis(&input.runs, args.error.quantity().as_deref())?;
     Ok((run, axis, position_options(input, args, run, axis)?))
@@ -246,13 +246,13 @@ fn position_options(
     args: &PositionArgs,
     run: &UncompensatedRun<'_>,
     axis: LinearAxis,
-) -> Result<pitch::Options> {
+) -> Result<pitch::PitchFitOptions> {
     let feedback = input.machine().map(|machine| machine.axes[axis.index()].feedback);
-    Ok(pitch::Options {
+    Ok(pitch::PitchFitOptions {
         runs: args.repeats.clone(),
         feedback: feedback.unwrap_or_default(),
         known_um: input.known_errors_um(run, ExcludedSection::Position(axis))?,
-        ..pitch::Options::default()
+        ..pitch::PitchFitOptions::default()
     })
 }
 
@@ -265,7 +265,7 @@ fn run_thermal_fit(input: &FitInput, args: &Thermal) -> Result<Report> {
             None => known_um.extend(vec![0.0; run.row_count()]),
         }
     }
-    let options = thermal::Options {
+    let options = thermal::ThermalFitOptions {
         mode: args.mode.map(|mode| match mode {
             ThermalModeArg::Constant => ThermalMode::Constant,
             ThermalModeArg::Position => ThermalMode::Position,

@@ -228,7 +228,7 @@ pub fn run(args: &LinuxCncArgs, as_json: bool) -> Result<Outcome> {
         calibration,
         pinned,
         turn: Duration::from_secs_f64(ini.cycle_s / POLLS_PER_CYCLE),
-        options: trueup_linuxcnc::Options {
+        options: trueup_linuxcnc::ComponentOptions {
             limits: offsets::OffsetLimits {
                 max_nm: limits.max_um.map(|um| um_to_nm(args.max_um.unwrap_or(um))),
                 stale: Duration::from_millis(args.stale_ms),

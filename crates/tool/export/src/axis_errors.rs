@@ -14,7 +14,7 @@ use trueup_machine::{
     model::{backlash_um, pitch_um, spline_um, squareness_um},
 };
 
-use crate::{Format, Options, report::Approach};
+use crate::{ExportOptions, Format, report::Approach};
 
 /// A period of a periodic error is looked at in this many parts.
 const SAMPLES_PER_PERIOD: f64 = 32.0;
@@ -184,7 +184,10 @@ fn needs_travel(effect: &Effect) -> bool {
 
 /// Returns the terms that no table of a control holds, each with the reason. The constants that a term
 /// corrects are none of them: they are in the machine already.
-pub(crate) fn unsupported_terms(machine: &Machine, options: &Options) -> Vec<(String, String)> {
+pub(crate) fn unsupported_terms(
+    machine: &Machine,
+    options: &ExportOptions,
+) -> Vec<(String, String)> {
     let mut left_out = Vec::new();
     for (index, term) in machine.terms.iter().enumerate() {
         let axis = term.quantity.axis();
@@ -299,7 +302,7 @@ impl<'m> CrossAxisError<'m> {
 
     /// From where to where it must be exported: over the knots, and an angle over the travel;
     /// `None`: an angle, and no travel is known.
-    pub fn range_mm(&self, machine: &Machine, options: &Options) -> Option<(f64, f64)> {
+    pub fn range_mm(&self, machine: &Machine, options: &ExportOptions) -> Option<(f64, f64)> {
         let travel = if self.has_constant_extrapolation() {
             None
         } else {
@@ -347,7 +350,7 @@ impl<'m> CrossAxisError<'m> {
 /// Returns every drive that has an error, X before Y before Z and the first before the second.
 pub(crate) fn collect_drive_errors<'m>(
     machine: &'m Machine,
-    options: &Options,
+    options: &ExportOptions,
 ) -> Vec<DriveError<'m>> {
     let mut drives = Vec::new();
     for axis in LinearAxis::ALL {
@@ -432,7 +435,7 @@ fn find_or_insert_pair<'c, 'm>(
 /// Returns the travel of `axis`: as given, else as far as tables and knots reach.
 pub(crate) fn travel_mm(
     machine: &Machine,
-    options: &Options,
+    options: &ExportOptions,
     axis: LinearAxis,
 ) -> Option<(f64, f64)> {
     if let Some(travel) = options.travel_mm[axis.index()] {

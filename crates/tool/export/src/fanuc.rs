@@ -45,7 +45,7 @@ pub use read_back::{AxisTables, CompensationData};
 pub use series0::parse_series_0_sheet;
 
 use crate::{
-    Export, ExportedFile, ExportedTable, Options,
+    Export, ExportOptions, ExportedFile, ExportedTable,
     axis_errors::{CrossAxisError, DriveError, collect_drive_errors},
     grid::{comparison_positions_mm, find_largest_residual},
     linuxcnc::omit_thermal_terms,
@@ -125,7 +125,7 @@ struct AxisCompensation<'m> {
     was_thinned: bool,
 }
 
-pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) {
+pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Export) {
     let chosen = match options.fanuc {
         Series::I => straightness::select_pairs(machine, options, &mut export.report),
         Series::Zero => series0::omit_straightness(machine, &mut export.report),
@@ -176,7 +176,7 @@ pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) 
 
 fn plan_axis<'m>(
     machine: &Machine,
-    options: &Options,
+    options: &ExportOptions,
     (axis, is_second): (LinearAxis, bool),
     drive: Option<DriveError<'m>>,
     cross_axis_errors: Vec<CrossAxisError<'m>>,
@@ -242,7 +242,7 @@ fn plan_axis<'m>(
 
 impl AxisCompensation<'_> {
     /// Rounds the sums and takes their differences; `false` if one of them is above 7.
-    fn compute_tables(&mut self, options: &Options) -> bool {
+    fn compute_tables(&mut self, options: &ExportOptions) -> bool {
         let Some(drive) = self.drive.as_ref().filter(|drive| drive.has_table()) else {
             self.tables = vec![vec![0; self.points.section_count()]];
             return true;
@@ -273,7 +273,7 @@ impl AxisCompensation<'_> {
     }
 }
 
-fn write_files(planned: &[AxisCompensation<'_>], options: &Options, export: &mut Export) {
+fn write_files(planned: &[AxisCompensation<'_>], options: &ExportOptions, export: &mut Export) {
     // Parameter number → axis number → value.
     let mut parameters: Vec<(u32, usize, i64)> = Vec::new();
     let mut pitch = String::from("%\n");
@@ -372,7 +372,7 @@ fn compare(
     plan: &AxisCompensation<'_>,
     axis: usize,
     control: &CompensationData,
-    options: &Options,
+    options: &ExportOptions,
     export: &mut Export,
 ) {
     let Some(drive) = &plan.drive else { return };
@@ -392,7 +392,7 @@ fn compare_axis(
     drive: &DriveError<'_>,
     back: &AxisTables,
     (axis, file): (usize, &str),
-    options: &Options,
+    options: &ExportOptions,
     export: &mut Export,
 ) {
     let CompensationPoints { reference_mm, spacing_mm, .. } = plan.points;

@@ -21,7 +21,7 @@ use std::fmt::Write as _;
 use trueup_machine::{Machine, file::LinearAxis};
 
 use crate::{
-    Export, ExportedFile, ExportedTable, Options,
+    Export, ExportOptions, ExportedFile, ExportedTable,
     axis_errors::{CrossAxisError, DriveError, collect_cross_axis_errors, collect_drive_errors},
     grid::{
         comparison_positions_mm, find_largest_residual, interpolate_linear, select_breakpoints,
@@ -109,7 +109,7 @@ struct MovingAxis<'m> {
     cross_axis_errors: Vec<CrossAxisError<'m>>,
 }
 
-pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) {
+pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Export) {
     let mut moving: Vec<MovingAxis<'_>> = Vec::new();
     let all_drives = collect_drive_errors(machine, options);
     for axis in LinearAxis::ALL {
@@ -171,7 +171,7 @@ pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) 
 
 fn export_moving_axis(
     machine: &Machine,
-    options: &Options,
+    options: &ExportOptions,
     of: &MovingAxis<'_>,
     export: &mut Export,
 ) {
@@ -267,7 +267,11 @@ fn export_moving_axis(
 /// Returns the positions among which the entries are chosen: every point of the axis's table, and the
 /// curves in small parts with all their knots. Rounded as they are written, so that the value is
 /// taken where the control puts it.
-fn candidate_positions_mm(machine: &Machine, options: &Options, of: &MovingAxis<'_>) -> Vec<f64> {
+fn candidate_positions_mm(
+    machine: &Machine,
+    options: &ExportOptions,
+    of: &MovingAxis<'_>,
+) -> Vec<f64> {
     let mut positions_mm = of.drive.as_ref().map_or_else(Vec::new, DriveError::breakpoints_mm);
     for cross in &of.cross_axis_errors {
         let Some((first, last)) = cross.range_mm(machine, options) else { continue };

@@ -24,7 +24,7 @@ use trueup_machine::{
 };
 
 use crate::{
-    Export, ExportedFile, ExportedTable, Options,
+    Export, ExportOptions, ExportedFile, ExportedTable,
     axis_errors::{
         CrossAxisError, DriveError, collect_cross_axis_errors, collect_drive_errors, travel_mm,
     },
@@ -172,7 +172,7 @@ impl ComponentErrors<'_> {
     }
 }
 
-pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) {
+pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Export) {
     let Some(chain) = &machine.volume.chain else {
         let reason = "TwinCAT wants the chain of the axes: write chain = \"w X' b Y Z t\" with yours into [machine]";
         export.report.add_omitted_section("machine", reason);
@@ -242,7 +242,11 @@ pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) 
 }
 
 /// Returns the travel, else as far as angles and curves reach.
-fn axis_travel_mm(machine: &Machine, options: &Options, axis: LinearAxis) -> Option<(f64, f64)> {
+fn axis_travel_mm(
+    machine: &Machine,
+    options: &ExportOptions,
+    axis: LinearAxis,
+) -> Option<(f64, f64)> {
     let own = machine.axes[axis.index()].travel_mm.map(|[first, last]| (first, last));
     let known = options.travel_mm[axis.index()].or(own);
     let angles = machine.volume.angular.iter().filter(|error| error.along == axis);

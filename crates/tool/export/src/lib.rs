@@ -106,7 +106,7 @@ impl LengthUnit {
 
 /// Settings that a control needs and the machine file does not state.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Options {
+pub struct ExportOptions {
     /// The control's unit of length (Siemens, LinuxCNC; FANUC and HEIDENHAIN are written in mm).
     pub units: LengthUnit,
     /// The reference points of X, Y and Z, in mm: where Siemens and FANUC want a value of 0.
@@ -128,7 +128,7 @@ pub struct Options {
     pub elongation_um: f64,
 }
 
-impl Default for Options {
+impl Default for ExportOptions {
     fn default() -> Self {
         Self {
             units: LengthUnit::Millimetres,
@@ -190,7 +190,11 @@ impl Error for ExportError {}
 ///
 /// # Errors
 /// Nothing of the model can be held.
-pub fn export(machine: &Machine, format: Format, options: &Options) -> Result<Export, ExportError> {
+pub fn export(
+    machine: &Machine,
+    format: Format,
+    options: &ExportOptions,
+) -> Result<Export, ExportError> {
     // Some terms of a diagnosis say which constants of the model are right.
     let (machine, _) = apply_constant_terms(Cow::Borrowed(machine));
     let mut machine = machine.into_owned();

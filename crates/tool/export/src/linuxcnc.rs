@@ -19,7 +19,7 @@ use std::fmt::Write as _;
 use trueup_machine::{Machine, file::LinearAxis};
 
 use crate::{
-    Export, ExportedFile, ExportedTable, Options, Report,
+    Export, ExportOptions, ExportedFile, ExportedTable, Report,
     axis_errors::{DriveError, collect_cross_axis_errors, collect_drive_errors},
     grid::{
         comparison_positions_mm, find_largest_residual, interpolate_linear, select_breakpoints,
@@ -79,7 +79,7 @@ impl CompensationTable {
     }
 }
 
-pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) {
+pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Export) {
     for drive in collect_drive_errors(machine, options) {
         export_drive(&drive, options, export);
     }
@@ -96,7 +96,7 @@ pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) 
     }
 }
 
-fn export_drive(drive: &DriveError<'_>, options: &Options, export: &mut Export) {
+fn export_drive(drive: &DriveError<'_>, options: &ExportOptions, export: &mut Export) {
     if drive.is_constant() && drive.error_um(0.0, Approach::Positive) == 0.0 {
         return;
     }

@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Display};
 
-use crate::{Format, Options, number_format::format_number};
+use crate::{ExportOptions, Format, number_format::format_number};
 
 /// The direction in which a position is approached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -91,7 +91,7 @@ pub struct Report {
     /// The machine's name.
     pub machine: String,
     /// The export's options.
-    pub options: Options,
+    pub options: ExportOptions,
     /// One entry a table.
     pub tables: Vec<ExportedTable>,
     /// Sections that the control cannot hold.
@@ -101,7 +101,7 @@ pub struct Report {
 }
 
 impl Report {
-    pub(crate) fn new(format: Format, machine: &str, options: &Options) -> Self {
+    pub(crate) fn new(format: Format, machine: &str, options: &ExportOptions) -> Self {
         Self {
             format,
             machine: machine.to_string(),

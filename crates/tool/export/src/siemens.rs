@@ -33,7 +33,7 @@ use trueup_machine::{Machine, file::LinearAxis};
 pub use read_back::{LookupTable, Variables};
 
 use crate::{
-    Export, ExportedFile, LengthUnit, Options,
+    Export, ExportOptions, ExportedFile, LengthUnit,
     axis_errors::{CrossAxisError, DriveError, collect_cross_axis_errors, collect_drive_errors},
     grid::Grid,
     number_format::format_number,
@@ -78,7 +78,7 @@ struct FileContents {
     cec_sum_um: BTreeMap<String, f64>,
 }
 
-pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) {
+pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Export) {
     let mut files = FileContents::default();
     let mut planned = Vec::new();
     for drive in collect_drive_errors(machine, options) {
@@ -148,7 +148,7 @@ enum ModelPart<'m> {
 
 fn write_drive_table<'m>(
     machine: &'m Machine,
-    options: &Options,
+    options: &ExportOptions,
     drive: &DriveError<'m>,
     files: &mut FileContents,
 ) -> PlannedTable<'m> {
@@ -211,7 +211,7 @@ fn write_drive_table<'m>(
 
 fn write_cross_axis_table<'m>(
     machine: &'m Machine,
-    options: &Options,
+    options: &ExportOptions,
     cross: &CrossAxisError<'m>,
     files: &mut FileContents,
 ) -> Option<PlannedTable<'m>> {
@@ -259,7 +259,7 @@ fn push_line(text: &mut String, line: &str) {
 impl FileContents {
     fn write_eec(
         &mut self,
-        options: &Options,
+        options: &ExportOptions,
         axis: &str,
         grid: Grid,
         error_um: impl Fn(f64) -> f64,
@@ -280,7 +280,7 @@ impl FileContents {
     /// Gives the table's index.
     fn write_cec(
         &mut self,
-        options: &Options,
+        options: &ExportOptions,
         table: &CecTable<'_>,
         error_um: impl Fn(f64) -> f64,
     ) -> usize {
@@ -321,7 +321,11 @@ struct FormattedTable {
     values: Vec<String>,
 }
 
-fn format_table(options: &Options, grid: Grid, error_um: impl Fn(f64) -> f64) -> FormattedTable {
+fn format_table(
+    options: &ExportOptions,
+    grid: Grid,
+    error_um: impl Fn(f64) -> f64,
+) -> FormattedTable {
     let (unit_mm, decimals) = (options.units.mm_per_unit(), decimal_places(options.units));
     let mm = |mm: f64| format_number(mm / unit_mm, decimals + 3);
     let value = |mm: f64| format_number(error_um(mm) / 1000.0 / unit_mm, decimals);
@@ -333,7 +337,7 @@ fn format_table(options: &Options, grid: Grid, error_um: impl Fn(f64) -> f64) ->
     }
 }
 
-fn write_files(options: &Options, mut files: FileContents, export: &mut Export) {
+fn write_files(options: &ExportOptions, mut files: FileContents, export: &mut Export) {
     for (name, um) in &files.cec_sum_um {
         // Rounded up to a whole µm: above MD32720 the control raises an alarm.
         let mm = format_number(

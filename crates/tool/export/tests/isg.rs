@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use trueup_export::{
-    Export, ExportError, Format, Options, export,
+    Export, ExportError, ExportOptions, Format, export,
     isg::{CompensationFile, parse},
 };
 use trueup_machine::{
@@ -16,7 +16,7 @@ fn machine(text: &str) -> Machine {
 }
 
 fn exported(text: &str) -> Result<Export, ExportError> {
-    export(&machine(text), Format::Isg, &Options::default())
+    export(&machine(text), Format::Isg, &ExportOptions::default())
 }
 
 fn file<'e>(export: &'e Export, name: &str) -> &'e str {
@@ -156,7 +156,8 @@ fn without_a_chain_nothing_is_written_and_other_controls_refuse_angles_with_the_
     let text = "machine = { name = 'm', kind = '3-axis', chain = 'w b X Y Z t' }
                 angular.eax.urad_per_m = 10.0";
     for format in Format::ALL.into_iter().filter(|format| *format != Format::Isg) {
-        let refused = export(&machine(text), format, &Options::default()).expect_err("an angle");
+        let refused =
+            export(&machine(text), format, &ExportOptions::default()).expect_err("an angle");
         let rule = refused.to_string();
         assert!(
             rule.contains("angular.eax: an angle acts by its lever along other axes"),

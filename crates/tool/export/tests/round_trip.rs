@@ -7,7 +7,7 @@
 use std::{fmt::Write as _, path::Path};
 
 use trueup_export::{
-    Approach, Export, ExportedTable, Format, LengthUnit, Options, export, fanuc, heidenhain,
+    Approach, Export, ExportOptions, ExportedTable, Format, LengthUnit, export, fanuc, heidenhain,
     linuxcnc,
     siemens::{LookupTable, Variables},
 };
@@ -190,7 +190,7 @@ fn linuxcnc_corrects_every_drive_exactly() {
     for seed in 0..MACHINES {
         let machine = Random(seed).machine();
         for units in [LengthUnit::Millimetres, LengthUnit::Inches] {
-            let options = Options { units, ..Options::default() };
+            let options = ExportOptions { units, ..ExportOptions::default() };
             let export = export(&machine, Format::LinuxCnc, &options).expect("it has tables");
             for (name, axis, pitch) in drives(&machine) {
                 let file = format!("{name}.comp");
@@ -215,7 +215,8 @@ fn siemens_corrects_every_drive_and_every_pair_within_the_tolerance() {
     for seed in 0..MACHINES {
         let machine = Random(seed).machine();
         let units = if seed % 2 == 0 { LengthUnit::Millimetres } else { LengthUnit::Inches };
-        let options = Options { units, reference_mm: [10.0, 0.0, -20.0], ..Options::default() };
+        let options =
+            ExportOptions { units, reference_mm: [10.0, 0.0, -20.0], ..ExportOptions::default() };
         let export = export(&machine, Format::Siemens840d, &options).expect("it has tables");
         let variables = |name| Variables::parse(text(&export, name)).expect("it reads back");
         let (eec, cec, data) =
@@ -291,7 +292,7 @@ fn siemens_corrects_every_drive_and_every_pair_within_the_tolerance() {
         "siemens-840d: {MACHINES} machines, largest difference {worst:.4} µm, heat {heat:.4} µm; {thinned} \
          tables at the limit of points"
     );
-    assert!(worst <= Options::default().tolerance_um, "{worst} µm");
+    assert!(worst <= ExportOptions::default().tolerance_um, "{worst} µm");
     assert!(heat < 0.01, "{heat} µm");
 }
 
@@ -300,7 +301,8 @@ fn heidenhain_corrects_every_drive_and_every_pair_within_tolerance_and_rounding(
     let mut worst = 0.0_f64;
     for seed in 0..MACHINES {
         let machine = Random(seed).machine();
-        let export = export(&machine, Format::Heidenhain, &Options::default()).expect("it fits");
+        let export =
+            export(&machine, Format::Heidenhain, &ExportOptions::default()).expect("it fits");
         let read =
             |key: &str| heidenhain::parse(text(&export, &format!("{key}.com"))).expect("it loads");
         for (name, axis, pitch) in drives(&machine) {
@@ -343,7 +345,8 @@ fn fanuc_sums_stay_within_half_a_step_of_the_magnification_at_every_point() {
     let (mut worst, mut exported) = (0.0_f64, 0);
     for seed in 0..MACHINES {
         let machine = Random(seed).machine();
-        let options = Options { unit_um: [1.0, 0.5][seed as usize % 2], ..Options::default() };
+        let options =
+            ExportOptions { unit_um: [1.0, 0.5][seed as usize % 2], ..ExportOptions::default() };
         let export = export(&machine, Format::Fanuc, &options).expect("it has tables");
         let control = fanuc::CompensationData::parse(
             text(&export, "CNC-PARA.TXT"),
@@ -406,9 +409,9 @@ fn a_table_above_the_limit_is_thinned_to_it_with_the_loss_stated() {
         (Format::Siemens840d, 200),
         (Format::Fanuc, 128),
     ] {
-        let options = Options {
+        let options = ExportOptions {
             most_points: (format == Format::Siemens840d).then_some(200),
-            ..Options::default()
+            ..ExportOptions::default()
         };
         let export = export(&machine, format, &options).expect("it can be thinned");
         let [table] = &export.report.tables[..] else { panic!("{}", export.report) };
@@ -432,6 +435,7 @@ fn a_fanuc_axis_that_is_too_steep_is_left_out_with_the_reason() {
     let source = "[machine]\nname = \"steep\"\nkind = \"3-axis\"\n[axis.x.pitch]\nstart_mm = 0.0\n\
                   step_mm = 1.0\nforward_um = [0.0, 9000.0]\n";
     let machine = MachineFile::parse(source, Path::new("steep.toml")).expect("it is correct");
-    let refused = export(&machine, Format::Fanuc, &Options::default()).expect_err("too steep");
+    let refused =
+        export(&machine, Format::Fanuc, &ExportOptions::default()).expect_err("too steep");
     assert!(refused.to_string().contains("more than 7 times 8 units"), "{refused}");
 }

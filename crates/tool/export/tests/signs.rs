@@ -7,7 +7,7 @@
 
 use std::path::Path;
 
-use trueup_export::{Approach, Export, Format, LengthUnit, Options, export};
+use trueup_export::{Approach, Export, ExportOptions, Format, LengthUnit, export};
 use trueup_machine::{Machine, MachineFile};
 
 const MACHINE: &str = r#"
@@ -48,7 +48,7 @@ fn machine() -> Machine {
     MachineFile::parse(MACHINE, Path::new("hand.toml")).expect("it is correct")
 }
 
-fn exported(format: Format, options: &Options) -> Export {
+fn exported(format: Format, options: &ExportOptions) -> Export {
     export(&machine(), format, options).expect("it can be held")
 }
 
@@ -65,7 +65,7 @@ fn assert_lines(text: &str, lines: &[&str]) {
 
 #[test]
 fn linuxcnc_trims_are_the_opposite_of_the_error_with_the_backlash_in_the_reverse_column() {
-    let export = exported(Format::LinuxCnc, &Options::default());
+    let export = exported(Format::LinuxCnc, &ExportOptions::default());
     assert_eq!(file(&export, "x.comp"), "0 0 -0.005\n100 -0.002 -0.007\n200 0.003 -0.002\n");
     assert_eq!(file(&export, "y.comp"), "-100 -0.001 -0.006\n0 -0.003 -0.007\n100 -0.004 -0.009\n");
     let left: Vec<&str> = export.report.left_out.iter().map(|left| left.section.as_str()).collect();
@@ -75,7 +75,7 @@ fn linuxcnc_trims_are_the_opposite_of_the_error_with_the_backlash_in_the_reverse
 
 #[test]
 fn linuxcnc_in_inches_has_the_same_positions_and_trims() {
-    let options = Options { units: LengthUnit::Inches, ..Options::default() };
+    let options = ExportOptions { units: LengthUnit::Inches, ..ExportOptions::default() };
     let export = exported(Format::LinuxCnc, &options);
     assert_lines(file(&export, "x.comp"), &["3.93700787 -0.00007874 -0.00027559"]);
     assert!(export.report.max_difference_um() < 0.001, "{}", export.report);
@@ -83,7 +83,7 @@ fn linuxcnc_in_inches_has_the_same_positions_and_trims() {
 
 #[test]
 fn siemens_values_are_the_error_because_a_positive_one_moves_the_axis_negative() {
-    let mut options = Options { elongation_um: 60.0, ..Options::default() };
+    let mut options = ExportOptions { elongation_um: 60.0, ..ExportOptions::default() };
     options.temperatures_c.insert("temp_x_c".into(), 30.0);
     let export = exported(Format::Siemens840d, &options);
     assert_eq!(
@@ -148,7 +148,7 @@ fn siemens_values_are_the_error_because_a_positive_one_moves_the_axis_negative()
 
 #[test]
 fn siemens_in_inches_is_25_4_times_smaller() {
-    let options = Options { units: LengthUnit::Inches, ..Options::default() };
+    let options = ExportOptions { units: LengthUnit::Inches, ..ExportOptions::default() };
     let export = exported(Format::Siemens840d, &options);
     assert_lines(
         file(&export, "AX_EEC.INI"),
@@ -160,7 +160,7 @@ fn siemens_in_inches_is_25_4_times_smaller() {
 
 #[test]
 fn fanuc_values_are_the_steps_of_the_correction_and_positive_moves_positive() {
-    let export = exported(Format::Fanuc, &Options::default());
+    let export = exported(Format::Fanuc, &ExportOptions::default());
     // X in sections of 50 mm, because its straightness needs four points: the correction is 0, −1,
     // −2, +0.5 (rounded to 1), +3. Y from 128, the reference in its middle, 3 µm taken out: +2, 0,
     // −1, and −3, −4, −6 in the negative direction.
@@ -189,7 +189,7 @@ fn fanuc_values_are_the_steps_of_the_correction_and_positive_moves_positive() {
 
 #[test]
 fn heidenhain_values_are_the_error_and_the_cma_names_the_moving_axis() {
-    let export = exported(Format::Heidenhain, &Options::default());
+    let export = exported(Format::Heidenhain, &ExportOptions::default());
     assert_eq!(
         file(&export, "X.com"),
         "BEGIN X.com MM\nNR AXISPOS BACKLASH X Z\n0 +0 +0.005 +0 +0\n\
@@ -207,7 +207,7 @@ fn heidenhain_values_are_the_error_and_the_cma_names_the_moving_axis() {
 #[test]
 fn a_wrong_sign_anywhere_would_show() {
     // The readers give the correction; with the model's error it must vanish, not double.
-    let export = exported(Format::LinuxCnc, &Options::default());
+    let export = exported(Format::LinuxCnc, &ExportOptions::default());
     let read = trueup_export::linuxcnc::parse(file(&export, "x.comp")).expect("it is correct");
     assert_eq!(read.trim(200.0, Approach::Positive), 0.003);
     assert_eq!(read.trim(200.0, Approach::Negative), -0.002);
@@ -220,12 +220,13 @@ fn a_machine_that_cannot_be_held_is_refused_with_every_reason() {
                   k_um_per_c = 2.0\n[squareness]\nx_of_y_um_per_m = 10.0\n";
     let machine = MachineFile::parse(source, Path::new("hot.toml")).expect("it is correct");
     for format in [Format::LinuxCnc, Format::Fanuc, Format::Heidenhain] {
-        let refused = export(&machine, format, &Options::default()).expect_err("nothing fits");
+        let refused =
+            export(&machine, format, &ExportOptions::default()).expect_err("nothing fits");
         assert_eq!(refused.left_out.len(), 2, "{refused}");
         assert!(refused.to_string().contains("spindle.temperature: "), "{refused}");
     }
     // With the travel, the angle can be held where there are cross tables.
-    let mut options = Options::default();
+    let mut options = ExportOptions::default();
     options.travel_mm[1] = Some((0.0, 1000.0));
     let export = export(&machine, Format::Siemens840d, &options).expect("the angle fits");
     assert_lines(file(&export, "NC_CEC.INI"), &["$AN_CEC[0,0]=0", "$AN_CEC[0,1]=0.01"]);
@@ -245,7 +246,7 @@ fn what_a_diagnosis_has_added_along_and_across_an_axis_is_exported_with_it() {
                   [[term]]\ncause = \"extra-heat-path\"\nquantity = \"dx\"\ncolumn = \"spindle_rpm\"\n\
                   um_per_krpm2 = 0.1\ntime_constant_s = 60.0\n";
     let machine = MachineFile::parse(source, Path::new("extended.toml")).expect("it is correct");
-    let mut options = Options::default();
+    let mut options = ExportOptions::default();
     options.travel_mm[0] = Some((0.0, 1000.0));
     let of = |format| export(&machine, format, &options).expect("it fits");
     let linuxcnc = of(Format::LinuxCnc);
@@ -266,7 +267,7 @@ fn what_a_diagnosis_has_added_along_and_across_an_axis_is_exported_with_it() {
     }
     // Without the travel a scale cannot be a table, and that is said.
     let export =
-        export(&machine, Format::LinuxCnc, &Options::default()).expect("the backlash fits");
+        export(&machine, Format::LinuxCnc, &ExportOptions::default()).expect("the backlash fits");
     assert_eq!(file(&export, "x.comp"), "0 0 -0.002\n");
     assert!(export.report.to_string().contains("term[0] (pitch-scale): it needs the travel"));
 }
@@ -277,7 +278,7 @@ fn a_periodic_error_gets_points_where_it_bends() {
                   [[term]]\ncause = \"pitch-periodic\"\nquantity = \"dy\"\nperiod_mm = 10.0\n\
                   amplitude_um = 3.0\nphase_deg = 40.0\n";
     let machine = MachineFile::parse(source, Path::new("periodic.toml")).expect("it is correct");
-    let mut options = Options::default();
+    let mut options = ExportOptions::default();
     options.travel_mm[1] = Some((-50.0, 50.0));
     for format in [Format::LinuxCnc, Format::Heidenhain, Format::Siemens840d] {
         let export = export(&machine, format, &options).expect("it fits");
@@ -297,7 +298,8 @@ fn what_depends_on_the_tool_or_a_condition_is_left_out_by_name_with_the_reason()
     );
     let with = MachineFile::parse(&source, Path::new("hand.toml")).expect("it is correct");
     for format in [Format::LinuxCnc, Format::Siemens840d, Format::Heidenhain, Format::Fanuc] {
-        let of = |machine| export(machine, format, &Options::default()).expect("it can be held");
+        let of =
+            |machine| export(machine, format, &ExportOptions::default()).expect("it can be held");
         let (with, without) = (of(&with), of(&machine()));
         for (section, column) in [("spindle.tools", "tool"), ("term[0] (dependence)", "door_open")]
         {

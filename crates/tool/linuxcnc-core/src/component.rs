@@ -32,7 +32,7 @@ const HEARTBEAT_HALF_PERIOD: Duration = Duration::from_millis(50);
 
 /// How the component is set.
 #[derive(Clone, Copy, Debug)]
-pub struct Options {
+pub struct ComponentOptions {
     /// How long silence is tolerated, and how large an offset may be.
     pub limits: OffsetLimits,
     /// How fast the offset of each axis may change.
@@ -126,7 +126,7 @@ pub struct Outputs {
 /// The component: from the pins and the bridge's frames to the new pins, once a turn of the loop.
 #[derive(Debug)]
 pub struct Component {
-    options: Options,
+    options: ComponentOptions,
     offsets: ReceivedOffsets,
     followers: [OffsetFollower; 3],
     /// At the joints, if any gets an offset.
@@ -141,7 +141,7 @@ pub struct Component {
 impl Component {
     /// Returns a component that begins now.
     #[must_use]
-    pub fn new(now: Duration, options: Options) -> Self {
+    pub fn new(now: Duration, options: ComponentOptions) -> Self {
         Self {
             options,
             offsets: ReceivedOffsets::new(now),
@@ -321,7 +321,7 @@ pub(crate) mod tests {
             hold: Duration::from_millis(2_000),
         };
         let position_period = Duration::from_millis(2);
-        let options = Options {
+        let options = ComponentOptions {
             limits,
             pace: [pace; 3],
             position_period,

@@ -27,7 +27,7 @@ pub mod offsets;
 mod rounding;
 pub mod sender;
 
-pub use component::{Component, Inputs, Options, Outputs};
+pub use component::{Component, ComponentOptions, Inputs, Outputs};
 
 use trueup_core::units;
 

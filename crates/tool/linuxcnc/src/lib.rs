@@ -35,7 +35,8 @@ pub mod run;
 pub mod status;
 
 pub use trueup_linuxcnc_core::{
-    Component, Inputs, Options, Outputs, component, engage, follower, joint, offsets, sender,
+    Component, ComponentOptions, Inputs, Outputs, component, engage, follower, joint, offsets,
+    sender,
 };
 
 pub use record::Record;

@@ -17,7 +17,7 @@ use trueup_core::{cnc::Quality, learned::PART_COUNT};
 use trueup_link::status::StateBits;
 
 use crate::{
-    component::{Component, Options, Outputs},
+    component::{Component, ComponentOptions, Outputs},
     hal::{Hal, HalError},
     pins::{Pins, pid_pin_name},
     record::Record,
@@ -42,7 +42,7 @@ pub struct Settings {
     /// From one turn of the loop to the next.
     pub turn: Duration,
     /// How it decides.
-    pub options: Options,
+    pub options: ComponentOptions,
 }
 
 /// Corrections learned since the bridge's calibration was made.
@@ -272,7 +272,7 @@ mod tests {
             stale: Duration::from_millis(100),
             hold: Duration::from_millis(2_000),
         };
-        let options = Options {
+        let options = ComponentOptions {
             limits,
             pace: [pace; 3],
             position_period: Duration::from_millis(2),

@@ -27,7 +27,7 @@ use trueup_core::{
 use trueup_link::slcan::Event;
 use trueup_linuxcnc_core::{
     NANOMETRES_PER_MILLIMETRE,
-    component::{self, Component, Options},
+    component::{self, Component, ComponentOptions},
     follower::{AxisReading, RateLimits},
     joint::{JointReading, JointSettings, MAX_JOINTS},
     offsets,
@@ -225,7 +225,7 @@ impl Servo {
                 mm_per_s2: 0.0,
             });
         }
-        let options = Options {
+        let options = ComponentOptions {
             limits: offsets::OffsetLimits {
                 max_nm: limits.max.map(|max| max.0),
                 stale: STALE_TIMEOUT,

@@ -19,7 +19,7 @@ use trueup_core::{
 };
 use trueup_link::{frame::Frame, slcan};
 use trueup_linuxcnc_core::{
-    component::{Component, Inputs, Options, Outputs},
+    component::{Component, ComponentOptions, Inputs, Outputs},
     follower::{AxisReading, RateLimits},
     joint::{JointReading, JointSettings, MAX_JOINTS},
     offsets::OffsetLimits,
@@ -239,7 +239,7 @@ impl<'a> Host<'a> {
             stale: Duration::from_millis(100),
             hold: Duration::from_millis(law.limits.hold_ms.into()),
         };
-        let options = Options {
+        let options = ComponentOptions {
             limits,
             pace: [pace; 3],
             position_period: Duration::from_millis(1),

@@ -21,7 +21,7 @@ use trueup_machine::{
 };
 
 use super::{
-    Options,
+    PitchFitOptions,
     cross_validation::{fold_count, fold_index, is_significant_gain},
     feed_dependence,
     readings::{FEED_COLUMN, ReadingSelection, Readings, measured_column},
@@ -70,7 +70,7 @@ pub struct BacklashFit {
 pub fn fit_backlash(
     run: &UncompensatedRun<'_>,
     axis: LinearAxis,
-    options: &Options,
+    options: &PitchFitOptions,
 ) -> Result<BacklashFit, BadInput> {
     let wanted = ReadingSelection {
         axis,

@@ -8,7 +8,7 @@
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 use super::{
-    Options,
+    PitchFitOptions,
     readings::{FEED_COLUMN, FEED_RELATIVE_TOLERANCE, Readings},
     reversal_difference::ReversalDifference,
     summary::confidence_half_width,
@@ -34,7 +34,7 @@ pub(super) struct BacklashByFeed {
 pub(super) fn separate_by_feed(
     readings: &Readings,
     differences: &[ReversalDifference],
-    options: &Options,
+    options: &PitchFitOptions,
 ) -> Result<Option<BacklashByFeed>, String> {
     let feeds = &readings.feeds_mm_per_min;
     let is_known = feeds.iter().any(|feed| *feed > 0.0);

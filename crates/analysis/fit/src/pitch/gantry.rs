@@ -10,7 +10,7 @@ use trueup_machine::{
     file::{Feedback, LinearAxis, SecondDrive},
 };
 
-use super::{Options, PitchFit, TableMode, fit};
+use super::{PitchFit, PitchFitOptions, TableMode, fit};
 use crate::report::{Fact, FitVerdict, Report};
 
 /// How far from a drive a reading may be, as a share of the beam: the other drive then counts for as much.
@@ -66,7 +66,7 @@ pub fn fit_both_drives<E: From<BadInput>>(
     runs: &[UncompensatedRun<'_>],
     axis: LinearAxis,
     dual: &SecondDrive,
-    mut options: impl FnMut(&UncompensatedRun<'_>) -> Result<Options, E>,
+    mut options: impl FnMut(&UncompensatedRun<'_>) -> Result<PitchFitOptions, E>,
 ) -> Result<Report, E> {
     let mut of = [None, None];
     for run in runs {
@@ -134,14 +134,14 @@ fn second_drive_options(
     run: &UncompensatedRun<'_>,
     axis: LinearAxis,
     first: Option<&PitchFit>,
-    options: Options,
-) -> Options {
+    options: PitchFitOptions,
+) -> PitchFitOptions {
     let Some(first) = first else {
         // Without the first there is nothing that says how the axis reverses.
-        return Options { ways: TableMode::One, feedback: Feedback::Scale, ..options };
+        return PitchFitOptions { ways: TableMode::One, feedback: Feedback::Scale, ..options };
     };
     if first.pitch.as_ref().is_some_and(|pitch| pitch.reverse_um.is_some()) {
-        return Options { ways: TableMode::Both, ..options };
+        return PitchFitOptions { ways: TableMode::Both, ..options };
     }
     let width_um = first.backlash.map_or(0.0, |backlash| backlash.width_um);
     let mut known_um = options.known_um.unwrap_or_else(|| vec![0.0; run.row_count()]);
@@ -150,7 +150,12 @@ fn second_drive_options(
             *known += if *way < 0.0 { width_um } else { 0.0 };
         }
     }
-    Options { ways: TableMode::One, feedback: Feedback::Scale, known_um: Some(known_um), ..options }
+    PitchFitOptions {
+        ways: TableMode::One,
+        feedback: Feedback::Scale,
+        known_um: Some(known_um),
+        ..options
+    }
 }
 
 /// Returns the report of the second drive's own table.

@@ -8,7 +8,7 @@
 use trueup_machine::model::pitch_um;
 
 use super::{
-    Options,
+    PitchFitOptions,
     cross_validation::DirectionSums,
     readings::Readings,
     scatter::Scatter,
@@ -27,7 +27,7 @@ const MAX_SHAPE_LOSS: f64 = 0.01;
 pub(super) fn choose_grid(
     readings: &Readings,
     sums: &DirectionSums,
-    options: &Options,
+    options: &PitchFitOptions,
     report: &mut Report,
 ) -> Grid {
     let targets = &readings.targets_mm;

@@ -5,7 +5,8 @@ use statrs::distribution::{ContinuousCDF as _, FisherSnedecor};
 use trueup_machine::file::BSpline;
 
 use super::{
-    FitMethod, MAX_COEFFICIENTS, MAX_KNOTS_WITHOUT_GAIN, Options, ResidualSummary, StopReason,
+    FitMethod, MAX_COEFFICIENTS, MAX_KNOTS_WITHOUT_GAIN, ResidualSummary, StopReason,
+    StraightnessFitOptions,
     knots::{CUBIC_ORDER, KnotSearch, RequiredSites},
     paper_method,
     sites::Sites,
@@ -23,7 +24,7 @@ pub(super) struct SelectedSpline {
 }
 
 impl SelectedSpline {
-    pub(super) fn select(sites: &Sites, options: &Options) -> Self {
+    pub(super) fn select(sites: &Sites, options: &StraightnessFitOptions) -> Self {
         match options.method {
             FitMethod::LeastSquares => Self::least_squares(sites, options),
             FitMethod::Paper => {
@@ -41,7 +42,7 @@ impl SelectedSpline {
         }
     }
 
-    fn least_squares(sites: &Sites, options: &Options) -> Self {
+    fn least_squares(sites: &Sites, options: &StraightnessFitOptions) -> Self {
         let cells = sites.merge_neighbours(MAX_KNOT_SEARCH_SITES);
         let found = Self::with_required_sites(sites, &cells, options, RequiredSites::EverySecond);
         let is_short_of_points =
@@ -56,7 +57,7 @@ impl SelectedSpline {
     fn with_required_sites(
         sites: &Sites,
         cells: &Sites,
-        options: &Options,
+        options: &StraightnessFitOptions,
         support: RequiredSites,
     ) -> Self {
         let mut path = SelectionPath::new(sites, cells, options);
@@ -94,7 +95,7 @@ impl SelectedSpline {
 struct SelectionPath<'s> {
     sites: &'s Sites,
     cells: &'s Sites,
-    options: &'s Options,
+    options: &'s StraightnessFitOptions,
     /// The straight line's sum of squares.
     line: Option<(f64, BSpline)>,
     best: Option<BestFit>,
@@ -120,7 +121,7 @@ struct BestFit {
 }
 
 impl<'s> SelectionPath<'s> {
-    fn new(sites: &'s Sites, cells: &'s Sites, options: &'s Options) -> Self {
+    fn new(sites: &'s Sites, cells: &'s Sites, options: &'s StraightnessFitOptions) -> Self {
         Self {
             sites,
             cells,

@@ -6,7 +6,7 @@
 use std::fmt;
 
 use super::{
-    FitMethod, Options, StraightnessFit,
+    FitMethod, StraightnessFit, StraightnessFitOptions,
     knot_selection::{MAX_KNOT_SEARCH_SITES, SelectedSpline},
     model::{CurveModel, Polynomial},
     paper_method,
@@ -163,7 +163,7 @@ fn paper_tolerance_um(fit: &StraightnessFit) -> f64 {
 }
 
 fn fit_model(fit: &StraightnessFit, way: CurveMethod, sites: &Sites) -> CurveModel {
-    let options = Options {
+    let options = StraightnessFitOptions {
         tolerance_um: fit.tolerance_um,
         method: FitMethod::LeastSquares,
         reference: fit.reference,
@@ -202,7 +202,8 @@ mod tests {
         assert!((lines.max_slope_jump() - 0.02).abs() < 1e-12);
         let x: Vec<f64> = (0..60).map(|k| 10.0 * f64::from(k)).collect();
         let y: Vec<f64> = x.iter().map(|x| 5.0 * (x / 40.0).sin()).collect();
-        let fit = super::super::fit(&x, &y, &Options::default()).expect("sound data");
+        let fit =
+            super::super::fit(&x, &y, &StraightnessFitOptions::default()).expect("sound data");
         for row in fit.compare_methods() {
             assert_eq!(row.corner_um_per_mm > 0.0, row.way == CurveMethod::Lines, "{row}");
         }

@@ -12,7 +12,8 @@ use trueup_machine::{BadInput, applied_offsets::UncompensatedRun, file::LinearAx
 use trueup_page::Origin;
 
 use super::{
-    CurveMethod, FitError, Options, ResidualSummary, StraightnessCurve, StraightnessFit, fit_run,
+    CurveMethod, FitError, ResidualSummary, StraightnessCurve, StraightnessFit,
+    StraightnessFitOptions, fit_run,
     method_comparison::{fit_models, paper_residual_steps},
     model::CurveModel,
     run_fit::{error_axis, error_column, moving_axes},
@@ -32,7 +33,7 @@ pub struct MethodTableOptions<'q> {
     /// `dx`, `dy`, `dz` where a run measures several errors.
     pub quantity: Option<&'q str>,
     /// How the curves are fitted.
-    pub options: Options,
+    pub options: StraightnessFitOptions,
     /// Along the way, in mm/min, above 0.
     pub feed_mm_per_min: f64,
     /// How often the control gives its axes a new target, in ms, above 0.

@@ -6,7 +6,7 @@ use trueup_machine::{
     file::{LinearAxis, Straightness},
 };
 
-use super::{FitError, Options, StraightnessFit, fit};
+use super::{FitError, StraightnessFit, StraightnessFitOptions, fit};
 
 /// A curve from a run, with its place in the machine file.
 #[derive(Clone, Debug)]
@@ -44,7 +44,7 @@ impl StraightnessCurve {
 pub fn fit_run(
     run: &UncompensatedRun<'_>,
     quantity: Option<&str>,
-    options: &Options,
+    options: &StraightnessFitOptions,
 ) -> Result<StraightnessCurve, BadInput> {
     let error = error_axis(run, quantity)?;
     let column = error_column(error);

@@ -6,7 +6,7 @@ use crate::pitch_support::run_of;
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, Normal};
-use trueup_fit::pitch::{BacklashFit, Options, fit_backlash};
+use trueup_fit::pitch::{BacklashFit, PitchFitOptions, fit_backlash};
 use trueup_machine::file::LinearAxis;
 
 /// Three places, seven times, at each feed with its width; noise of 0.3 µm.
@@ -27,7 +27,7 @@ fn run(widths: &[(f64, f64)], seed: u64) -> String {
 }
 
 fn fitted(text: &str, feed_mm_per_min: Option<f64>) -> BacklashFit {
-    let options = Options { feed_mm_per_min, ..Options::default() };
+    let options = PitchFitOptions { feed_mm_per_min, ..PitchFitOptions::default() };
     fit_backlash(&run_of(text), LinearAxis::X, &options).expect("it keeps the rules")
 }
 
@@ -69,7 +69,8 @@ fn feeds_that_do_not_differ_are_one_measurement_but_for_one_in_a_hundred() {
 
 #[test]
 fn a_feed_that_was_not_measured_is_refused_with_those_that_were() {
-    let options = |feed| Options { feed_mm_per_min: Some(feed), ..Options::default() };
+    let options =
+        |feed| PitchFitOptions { feed_mm_per_min: Some(feed), ..PitchFitOptions::default() };
     let text = run(&[(1000.0, 6.0), (200.0, 11.0)], 1);
     let said = fit_backlash(&run_of(&text), LinearAxis::X, &options(500.0)).expect_err("not there");
     assert!(said.rule.contains("but 200, 1000"), "{said}");

@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, Normal};
 use trueup_fit::{
     FitVerdict,
-    pitch::{Options, PitchFit, TableMode, WidthRule, fit, fit_backlash},
+    pitch::{PitchFit, PitchFitOptions, TableMode, WidthRule, fit, fit_backlash},
     report::FactValue,
 };
 use trueup_machine::{
@@ -25,7 +25,7 @@ fn shape(x: f64) -> f64 {
     15.0 * (x / 90.0).sin() + 0.02 * x
 }
 
-fn fitted(run: &UncompensatedRun<'_>, options: &Options) -> PitchFit {
+fn fitted(run: &UncompensatedRun<'_>, options: &PitchFitOptions) -> PitchFit {
     fit(run, X, options).expect("the test's own run keeps the rules")
 }
 
@@ -42,7 +42,7 @@ fn one_table_and_the_backlash_are_found_from_uneven_targets() {
     let run = run_of(&sweeps(5, &UNEVEN, |_, x, dir| {
         shape(x) + if dir < 0.0 { -6.0 } else { 0.0 } + noise()
     }));
-    let fit = fitted(&run, &Options::default());
+    let fit = fitted(&run, &PitchFitOptions::default());
     let width = fit.report.parameter("width_um").expect("a backlash was fitted").clone();
     let [low, high] = width.ci95.expect("from five runs");
     println!("{width}; {:?}; facts {:?}", fit.pitch, fit.report.facts);
@@ -73,7 +73,7 @@ fn a_table_for_each_direction_is_taken_only_where_it_gains() {
         let run = run_of(&sweeps(5, &UNEVEN, |_, x, dir| {
             shape(x) + if dir < 0.0 { -6.0 } else { 0.0 } + noise()
         }));
-        let fit = fitted(&run, &Options::default());
+        let fit = fitted(&run, &PitchFitOptions::default());
         both += usize::from(fit.pitch.expect("it repeats").reverse_um.is_some());
     }
     println!("two tables where one and a backlash are true: {both} of 40");
@@ -82,7 +82,7 @@ fn a_table_for_each_direction_is_taken_only_where_it_gains() {
     let run = run_of(&sweeps(5, &UNEVEN, |_, x, dir| {
         shape(x) + if dir < 0.0 { 0.02 * x } else { 0.0 } + noise()
     }));
-    let fit = fitted(&run, &Options::default());
+    let fit = fitted(&run, &PitchFitOptions::default());
     assert!(fit.pitch.expect("it repeats").reverse_um.is_some());
     assert!(fit.backlash.is_none());
     assert_eq!(fit.report.edit.removed, ["axis.x.backlash"]);
@@ -92,7 +92,7 @@ fn a_table_for_each_direction_is_taken_only_where_it_gains() {
 fn a_scale_on_the_axis_gets_no_backlash() {
     let run =
         run_of(&sweeps(5, &UNEVEN, |run, x, dir| shape(x) + 3.0 * dir + (run % 2) as f64 * 0.1));
-    let options = Options { feedback: Feedback::Scale, ..Options::default() };
+    let options = PitchFitOptions { feedback: Feedback::Scale, ..PitchFitOptions::default() };
     let fit = fitted(&run, &options);
     assert!(fit.backlash.is_none() && fit.pitch.expect("it repeats").reverse_um.is_some());
     let lash = fit_backlash(&run, X, &options).expect("it can be read");
@@ -105,7 +105,8 @@ fn scatter_alone_is_not_compensated() {
     for seed in 0..100 {
         let mut noise = noise(seed, 10.0);
         let run = run_of(&sweeps(5, &UNEVEN, |_, _, _| noise()));
-        accepted += usize::from(fitted(&run, &Options::default()).report.verdict.is_fitted());
+        accepted +=
+            usize::from(fitted(&run, &PitchFitOptions::default()).report.verdict.is_fitted());
     }
     println!("noise alone compensated: {accepted} of 100");
     assert!(accepted <= 3);
@@ -115,7 +116,8 @@ fn scatter_alone_is_not_compensated() {
 fn a_constant_alone_is_no_position_error() {
     let mut noise = noise(3, 0.5);
     let run = run_of(&sweeps(5, &UNEVEN, |_, _, _| 12.0 + noise()));
-    let FitVerdict::DoNotCompensate(reasons) = fitted(&run, &Options::default()).report.verdict
+    let FitVerdict::DoNotCompensate(reasons) =
+        fitted(&run, &PitchFitOptions::default()).report.verdict
     else {
         panic!("a constant was compensated")
     };
@@ -127,7 +129,8 @@ fn a_constant_alone_is_no_position_error() {
 fn a_shape_that_repeats_under_shifts_from_run_to_run_is_told() {
     let shifts = [-60.0, 45.0, 10.0, -25.0, 70.0];
     let run = run_of(&sweeps(5, &UNEVEN, |run, x, _| shape(x) + shifts[run - 1]));
-    let FitVerdict::DoNotCompensate(reasons) = fitted(&run, &Options::default()).report.verdict
+    let FitVerdict::DoNotCompensate(reasons) =
+        fitted(&run, &PitchFitOptions::default()).report.verdict
     else {
         panic!("the shifts are larger than the shape")
     };
@@ -143,9 +146,10 @@ fn without_a_run_column_the_order_of_rows_gives_the_same_fit() {
         .lines()
         .map(|line| format!("{}\n", line.split_once(',').expect("4 columns").1))
         .collect();
-    for options in
-        [Options::default(), Options { runs: Some(vec![2.0, 3.0]), ..Options::default() }]
-    {
+    for options in [
+        PitchFitOptions::default(),
+        PitchFitOptions { runs: Some(vec![2.0, 3.0]), ..PitchFitOptions::default() },
+    ] {
         let (with, without) = (fitted(&run_of(&text), &options), fitted(&run_of(&bare), &options));
         assert_eq!(with.pitch, without.pitch);
         assert_eq!(with.report.left_out, without.report.left_out);
@@ -157,7 +161,8 @@ fn what_other_sections_say_is_taken_off_first() {
     let text = sweeps(3, &UNEVEN, |run, x, _| shape(x) + 0.01 * run as f64);
     let run = run_of(&text);
     let known = run.column("x_mm").expect("written above").iter().map(|x| 0.05 * x).collect();
-    let fit = fitted(&run, &Options { known_um: Some(known), ..Options::default() });
+    let fit =
+        fitted(&run, &PitchFitOptions { known_um: Some(known), ..PitchFitOptions::default() });
     let pitch = fit.pitch.expect("it repeats");
     let last = pitch.forward_um[pitch.forward_um.len() - 1];
     assert!((last - (shape(400.0) + 0.02 - 20.0)).abs() < 0.1, "{last}");
@@ -166,8 +171,9 @@ fn what_other_sections_say_is_taken_off_first() {
 #[test]
 fn a_step_that_loses_more_than_the_scatter_is_warned_of() {
     let run = run_of(&sweeps(5, &UNEVEN, |run, x, _| shape(x) + 0.05 * (run % 3) as f64));
-    let fine = fitted(&run, &Options::default());
-    let coarse = fitted(&run, &Options { step_mm: Some(200.0), ..Options::default() });
+    let fine = fitted(&run, &PitchFitOptions::default());
+    let coarse =
+        fitted(&run, &PitchFitOptions { step_mm: Some(200.0), ..PitchFitOptions::default() });
     let loss = |fit: &PitchFit| {
         let fact = fit.report.facts.iter().find(|fact| fact.name == "resampling_loss_um");
         match fact.expect("uneven targets are resampled").value {
@@ -188,7 +194,7 @@ fn a_step_that_loses_more_than_the_scatter_is_warned_of() {
 fn one_pass_is_taken_over_with_its_repeatability_unknown() {
     let targets: Vec<f64> = (0..6).map(|n| 17.0 * f64::from(n)).collect();
     let run = run_of(&sweeps(1, &targets, |_, x, dir| shape(x) - 2.0 + 2.0 * dir));
-    let fit = fitted(&run, &Options::default());
+    let fit = fitted(&run, &PitchFitOptions::default());
     assert_eq!(fit.backlash.expect("both directions").width_um, -4.0);
     let pitch = fit.pitch.expect("fitted");
     assert!((pitch.forward_um[3] - shape(51.0)).abs() < 1e-3);
@@ -196,7 +202,7 @@ fn one_pass_is_taken_over_with_its_repeatability_unknown() {
     assert!(fit.iso230.is_none() && fit.report.left_out.is_none());
     let one_way = sweeps(1, &targets, |_, x, _| shape(x));
     let forward: Vec<&str> = one_way.lines().filter(|line| !line.contains(",-1,")).collect();
-    let fit = fitted(&run_of(&(forward.join("\n") + "\n")), &Options::default());
+    let fit = fitted(&run_of(&(forward.join("\n") + "\n")), &PitchFitOptions::default());
     let pitch = fit.pitch.expect("taken over");
     assert!(pitch.reverse_um.is_none() && fit.backlash.is_none());
     for (value, x) in pitch.forward_um.iter().zip(&targets) {
@@ -208,7 +214,7 @@ fn one_pass_is_taken_over_with_its_repeatability_unknown() {
     // The order of one pass says its direction; of positions that come back it must be stated.
     let no_way = |rows: &str| run_of(&format!("x_mm,measured_dx_um\n{rows}"));
     for (rows, way) in [("0,3\n10,1\n20,-2\n", "positive"), ("20,3\n10,1\n0,-2\n", "negative")] {
-        let fit = fitted(&no_way(rows), &Options::default());
+        let fit = fitted(&no_way(rows), &PitchFitOptions::default());
         assert!(fit.pitch.is_some(), "{:?}", fit.report.verdict);
         let only = format!("only the {way} direction was measured");
         assert!(
@@ -218,12 +224,12 @@ fn one_pass_is_taken_over_with_its_repeatability_unknown() {
         );
     }
     let back = no_way("0,3\n10,1\n20,-2\n10,2\n0,3\n");
-    let refused = trueup_fit::pitch::fit(&back, LinearAxis::X, &Options::default())
+    let refused = trueup_fit::pitch::fit(&back, LinearAxis::X, &PitchFitOptions::default())
         .expect_err("dir_x is missing");
     assert!(refused.rule.contains("from which side"), "{refused}");
     // Two places always lie on a line.
     let two = "x_mm,dir_x,measured_dx_um\n0,1,3\n100,1,-2\n";
-    let fit = fitted(&run_of(two), &Options::default());
+    let fit = fitted(&run_of(two), &PitchFitOptions::default());
     let FitVerdict::DoNotCompensate(reasons) = fit.report.verdict else { panic!("it was fitted") };
     assert!(reasons[0].contains("too few targets"), "{reasons:?}");
     assert!(fit.report.edit.is_empty());
@@ -237,7 +243,7 @@ fn two_bad_readings_of_thirty_are_set_aside_with_their_places() {
         let bad = if run == 1 && dir < 0.0 && x < 15.0 { 60.0 + 3.0 * x } else { 0.0 };
         shape(9.0 * x) * dir + bad + noise()
     }));
-    let fit = fitted(&run, &Options::default());
+    let fit = fitted(&run, &PitchFitOptions::default());
     assert_eq!(fit.report.set_aside.len(), 2);
     println!("{}", fit.report.set_aside[0]);
     assert!(fit.report.set_aside[0].place.to_string().starts_with("r.csv:10:"));
@@ -256,7 +262,7 @@ fn one_direction_gives_one_table_and_says_so() {
         .filter(|line| !line.contains(",-1,"))
         .map(|line| format!("{line}\n"))
         .collect();
-    let fit = fitted(&run_of(&forward), &Options::default());
+    let fit = fitted(&run_of(&forward), &PitchFitOptions::default());
     assert!(fit.pitch.is_some_and(|pitch| pitch.reverse_um.is_none()));
     assert!(fit.report.warnings.iter().any(|warning| warning.contains("positive direction")));
 }
@@ -265,7 +271,7 @@ fn one_direction_gives_one_table_and_says_so() {
 fn targets_on_multiples_of_a_pitch_hide_its_error_and_are_warned_of() {
     let even: Vec<f64> = (0..11).map(|n| 20.0 * f64::from(n)).collect();
     let run = run_of(&sweeps(5, &even, |run, x, _| shape(x) + 0.1 * (run % 2) as f64));
-    let warnings = fitted(&run, &Options::default()).report.warnings.join("\n");
+    let warnings = fitted(&run, &PitchFitOptions::default()).report.warnings.join("\n");
     assert!(warnings.contains("1, 2, 2.5, 4, 5, 10, 20 mm"), "{warnings}");
 }
 
@@ -281,12 +287,12 @@ fn seven_readings_at_the_middle_and_the_ends_give_the_largest_mean_with_its_sign
             }
         }
         let run = run_of(&text);
-        let fit = fit_backlash(&run, X, &Options::default()).expect("it keeps the rules");
+        let fit = fit_backlash(&run, X, &PitchFitOptions::default()).expect("it keeps the rules");
         println!("{} {:?}", fit.report.parameters[0], fit.by_position);
         let width_um = fit.backlash.expect("it repeats").width_um;
         assert!((width_um - sign * 5.0).abs() < 0.3, "{width_um}");
         assert!(fit.depends_on_position);
-        let mean = Options { width: WidthRule::Mean, ..Options::default() };
+        let mean = PitchFitOptions { width: WidthRule::Mean, ..PitchFitOptions::default() };
         let fit = fit_backlash(&run, X, &mean).expect("it keeps the rules");
         assert!((fit.backlash.expect("it repeats").width_um - sign * 4.4).abs() < 0.3);
     }
@@ -298,7 +304,7 @@ fn an_even_backlash_is_not_called_dependent_on_position() {
     for seed in 0..100 {
         let mut noise = noise(seed, 0.5);
         let run = run_of(&sweeps(5, &UNEVEN, |_, x, dir| shape(x) - 2.0 * dir + noise()));
-        let fit = fit_backlash(&run, X, &Options::default()).expect("it keeps the rules");
+        let fit = fit_backlash(&run, X, &PitchFitOptions::default()).expect("it keeps the rules");
         called += usize::from(fit.depends_on_position);
     }
     println!("called dependent on position: {called} of 100 (5 expected)");
@@ -322,7 +328,7 @@ fn record(count: usize) -> UncompensatedRun<'static> {
 }
 
 fn check_record(run: &UncompensatedRun<'_>) {
-    let fit = fitted(run, &Options::default());
+    let fit = fitted(run, &PitchFitOptions::default());
     let pitch = fit.pitch.expect("it repeats");
     let width_um = fit.backlash.expect("a backlash is in it").width_um;
     let off: Vec<f64> = pitch
@@ -354,7 +360,8 @@ fn campaign_a_million_rows_are_fitted() {
     check_record(&record(1_000_000));
     let targets: Vec<f64> = (0..500).map(|n| f64::from(n) * 0.8).collect();
     let run = run_of(&sweeps(1000, &targets, |run, x, dir| shape(x) - dir + (run % 7) as f64));
-    let fit = fitted(&run, &Options { ways: TableMode::Automatic, ..Options::default() });
+    let fit =
+        fitted(&run, &PitchFitOptions { ways: TableMode::Automatic, ..PitchFitOptions::default() });
     println!("{} rows of {} targets: {:?}", run.row_count(), targets.len(), fit.report.left_out);
     assert!((fit.backlash.expect("it repeats").width_um - 2.0).abs() < 1e-3);
 }

@@ -7,7 +7,7 @@
 use crate::pitch_support::{left_by_model, rms, unaided};
 use trueup_fit::{
     FitVerdict,
-    pitch::{Options, TableMode, fit, fit_backlash},
+    pitch::{PitchFitOptions, TableMode, fit, fit_backlash},
 };
 use trueup_machine::{
     RunFile,
@@ -21,8 +21,8 @@ fn measured(name: &str) -> Option<UncompensatedRun<'static>> {
     Some(unaided(RunFile::read(&path).expect("the data are a run file")))
 }
 
-fn first_three(ways: TableMode) -> Options {
-    Options { ways, runs: Some(vec![1.0, 2.0, 3.0]), ..Options::default() }
+fn first_three(ways: TableMode) -> PitchFitOptions {
+    PitchFitOptions { ways, runs: Some(vec![1.0, 2.0, 3.0]), ..PitchFitOptions::default() }
 }
 
 /// Returns the rms on runs 4 and 5 after a fit on 1 to 3.
@@ -58,7 +58,7 @@ fn runs_that_were_not_fitted_are_corrected_to_the_repeatability_of_the_axis() {
 #[test]
 fn an_axis_that_does_not_repeat_is_refused_with_its_figures() {
     let Some(run) = measured("muts_x.csv") else { return };
-    for options in [first_three(TableMode::Automatic), Options::default()] {
+    for options in [first_three(TableMode::Automatic), PitchFitOptions::default()] {
         let fit = fit(&run, LinearAxis::X, &options).expect("the run can be read");
         let FitVerdict::DoNotCompensate(reasons) = &fit.report.verdict else {
             panic!("compensated: {:?}", fit.report)
@@ -77,7 +77,8 @@ fn an_axis_that_does_not_repeat_is_refused_with_its_figures() {
 #[test]
 fn a_control_that_over_compensates_has_a_negative_backlash() {
     let Some(run) = measured("x.csv") else { return };
-    let fit = fit_backlash(&run, LinearAxis::X, &Options::default()).expect("it can be read");
+    let fit =
+        fit_backlash(&run, LinearAxis::X, &PitchFitOptions::default()).expect("it can be read");
     let width_um = fit.backlash.expect("it repeats").width_um;
     let facts: Vec<_> = fit.report.facts.iter().map(|fact| (&fact.name, &fact.value)).collect();
     println!("x: {:?} {:?} {facts:?}", fit.report.parameters, fit.report.left_out);
@@ -85,7 +86,8 @@ fn a_control_that_over_compensates_has_a_negative_backlash() {
     assert!((width_um + 25.0).abs() < 1.0, "{width_um}");
     assert!(fit.depends_on_position);
     let Some(run) = measured("z.csv") else { return };
-    let fit = fit_backlash(&run, LinearAxis::X, &Options::default()).expect("it can be read");
+    let fit =
+        fit_backlash(&run, LinearAxis::X, &PitchFitOptions::default()).expect("it can be read");
     println!("z: {:?} depends on position: {}", fit.report.parameters, fit.depends_on_position);
     assert!(fit.backlash.expect("it repeats").width_um < 0.0);
 }
@@ -94,7 +96,7 @@ fn a_control_that_over_compensates_has_a_negative_backlash() {
 fn the_figures_of_the_standard_are_printed() {
     for name in ["x.csv", "z.csv", "muts_x.csv"] {
         let Some(run) = measured(name) else { return };
-        let fit = fit(&run, LinearAxis::X, &Options::default()).expect("it can be read");
+        let fit = fit(&run, LinearAxis::X, &PitchFitOptions::default()).expect("it can be read");
         let iso230 = fit.iso230.expect("five runs both ways");
         println!(
             "{name}\n{iso230}\n{}\n{}",

@@ -1,11 +1,11 @@
 //! The rules that a run must keep to be fitted: every broken rule is named with its line and column.
 
 use crate::pitch_support::run_of;
-use trueup_fit::pitch::{Options, TableMode, fit, fit_backlash};
+use trueup_fit::pitch::{PitchFitOptions, TableMode, fit, fit_backlash};
 use trueup_machine::file::LinearAxis;
 
 fn error(text: &str, ways: TableMode) -> String {
-    let options = Options { ways, ..Options::default() };
+    let options = PitchFitOptions { ways, ..PitchFitOptions::default() };
     fit(&run_of(text), LinearAxis::X, &options).expect_err("a rule is broken").to_string()
 }
 
@@ -43,7 +43,7 @@ fn a_direction_that_is_asked_for_must_be_measured() {
     let text = "x_mm,dir_x,measured_dx_um\n0,1,1\n5,1,2\n0,1,1\n5,1,2\n";
     let error = error(text, TableMode::Both);
     assert!(error.starts_with("r.csv:2:3:") && error.contains("dir_x is never -1"), "{error}");
-    let error = fit_backlash(&run_of(text), LinearAxis::X, &Options::default())
+    let error = fit_backlash(&run_of(text), LinearAxis::X, &PitchFitOptions::default())
         .expect_err("one side only")
         .to_string();
     assert!(error.contains("dir_x is never -1: backlash needs"), "{error}");
@@ -62,14 +62,15 @@ fn swapped_rows_without_run_numbers_are_found() {
 fn rows_of_another_axis_are_passed_over() {
     let text = "run,x_mm,y_mm,dir_x,measured_dx_um,measured_dy_um\n\
                 1,0,0,1,1,\n1,5,0,1,2,\n1,,7,,,3\n2,0,0,1,1,\n2,5,0,1,2,\n2,,7,,,3\n";
-    let report = fit(&run_of(text), LinearAxis::X, &Options::default()).expect("x is whole").report;
+    let report =
+        fit(&run_of(text), LinearAxis::X, &PitchFitOptions::default()).expect("x is whole").report;
     assert_eq!((report.rows_used, report.rows_incomplete), (4, 2));
 }
 
 #[test]
 fn a_list_that_is_sorted_by_position_is_read() {
     let text = "x_mm,dir_x,measured_dx_um\n0,1,1\n5,1,9\n9,1,-4\n0,-1,1.1\n5,-1,9.1\n9,-1,-4.2\n";
-    let fit = fit(&run_of(text), LinearAxis::X, &Options::default()).expect("readable");
+    let fit = fit(&run_of(text), LinearAxis::X, &PitchFitOptions::default()).expect("readable");
     assert!(fit.pitch.is_some());
 }
 
@@ -77,14 +78,15 @@ fn a_list_that_is_sorted_by_position_is_read() {
 fn a_row_with_an_empty_cell_is_left_out_and_counted() {
     let text = "run,x_mm,dir_x,measured_dx_um\n1,0,1,1\n1,5,1,\n1,,1,2\n1,10,1,2\n1,15,nan,2\n,20,1,2\n\
                 2,0,1,1\n2,5,1,4\n2,10,1,2\n";
-    let report = fit(&run_of(text), LinearAxis::X, &Options::default()).expect("readable").report;
+    let report =
+        fit(&run_of(text), LinearAxis::X, &PitchFitOptions::default()).expect("readable").report;
     assert_eq!((report.rows_used, report.rows_incomplete), (5, 4));
 }
 
 #[test]
 fn runs_that_are_not_there_cannot_be_wanted() {
     let text = "run,x_mm,dir_x,measured_dx_um\n1,0,1,1\n1,5,1,2\n";
-    let options = Options { runs: Some(vec![7.0]), ..Options::default() };
+    let options = PitchFitOptions { runs: Some(vec![7.0]), ..PitchFitOptions::default() };
     let error = fit(&run_of(text), LinearAxis::X, &options).expect_err("no run 7").to_string();
     assert!(error.contains("no row of the wanted runs"), "{error}");
 }

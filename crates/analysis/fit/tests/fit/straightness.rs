@@ -8,8 +8,8 @@ use rand_distr::{Distribution as _, Normal};
 use trueup_fit::{
     bspline::clamped_knots,
     straightness::{
-        FitError, FitMethod, Options, ReferenceLine, StopReason, StraightnessCurve,
-        StraightnessFit, fit, fit_run,
+        FitError, FitMethod, ReferenceLine, StopReason, StraightnessCurve, StraightnessFit,
+        StraightnessFitOptions, fit, fit_run,
     },
 };
 use trueup_machine::{RunFile, applied_offsets::UncompensatedRun, file::BSpline, model::spline_um};
@@ -24,19 +24,23 @@ fn noise(count: usize, um: f64, seed: u64) -> Vec<f64> {
     (0..count).map(|_| normal.sample(&mut random)).collect()
 }
 
-fn of(x: &[f64], error_um: impl Fn(f64) -> f64, options: &Options) -> StraightnessFit {
+fn of(
+    x: &[f64],
+    error_um: impl Fn(f64) -> f64,
+    options: &StraightnessFitOptions,
+) -> StraightnessFit {
     let y: Vec<f64> = x.iter().map(|&x| error_um(x)).collect();
     fit(x, &y, options).expect("sound data")
 }
 
-fn tolerance(um: f64) -> Options {
-    Options { tolerance_um: Some(um), ..Options::default() }
+fn tolerance(um: f64) -> StraightnessFitOptions {
+    StraightnessFitOptions { tolerance_um: Some(um), ..StraightnessFitOptions::default() }
 }
 
 #[test]
 fn a_cubic_is_reproduced_with_4_coefficients() {
     let cubic = |x: f64| 3.0 - 0.02 * x + 5e-5 * x * x - 3e-8 * x * x * x;
-    for options in [Options::default(), tolerance(1e-6)] {
+    for options in [StraightnessFitOptions::default(), tolerance(1e-6)] {
         let found = of(&every(50.0, 1_000.0), cubic, &options);
         assert_eq!((found.spline.order, found.spline.control_um.len()), (4, 4));
         for x in every(1.0, 1_000.0) {
@@ -49,10 +53,10 @@ fn a_cubic_is_reproduced_with_4_coefficients() {
 #[test]
 fn lines_and_parabolas_take_2_and_3_coefficients() {
     let x = every(10.0, 300.0);
-    let line = of(&x, |x| 4.0 - 0.1 * x, &Options::default());
+    let line = of(&x, |x| 4.0 - 0.1 * x, &StraightnessFitOptions::default());
     assert_eq!((line.spline.order, line.spline.control_um.len()), (2, 2));
     assert!((line.slope_um_per_mm - 0.1).abs() < 1e-12);
-    let parabola = of(&x, |x| 1e-3 * x * x, &Options::default());
+    let parabola = of(&x, |x| 1e-3 * x * x, &StraightnessFitOptions::default());
     assert_eq!((parabola.spline.order, parabola.spline.control_um.len()), (3, 3));
     assert!((parabola.curvature_um_per_mm2 - 2e-3).abs() < 1e-12);
 }
@@ -82,7 +86,10 @@ fn noise_alone_is_no_curve() {
     for seed in 0..TRIES {
         let count = [20, 60, 150][seed as usize % 3];
         let x = every(10.0, 10.0 * (count - 1) as f64);
-        let options = Options { reference: ReferenceLine::LeastSquares, ..Options::default() };
+        let options = StraightnessFitOptions {
+            reference: ReferenceLine::LeastSquares,
+            ..StraightnessFitOptions::default()
+        };
         let found = fit(&x, &noise(count, 2.0, seed), &options).expect("sound data");
         if found.spline.control_um.len() == 2 {
             // The line was taken away: what is left of it is rounding.
@@ -140,7 +147,7 @@ fn repeats_give_the_noise_and_their_means_the_curve() {
         .zip(noise(x.len(), 0.5, 7))
         .map(|(&x, n)| 20.0 * (TAU * x / 1_500.0).sin() + n)
         .collect();
-    let found = fit(&x, &y, &Options::default()).expect("sound data");
+    let found = fit(&x, &y, &StraightnessFitOptions::default()).expect("sound data");
     assert_eq!((found.rows, found.positions), (93, 31));
     let noise = found.noise.expect("repeats");
     assert!(noise.from_repeats && noise.freedom == 62);
@@ -151,7 +158,9 @@ fn repeats_give_the_noise_and_their_means_the_curve() {
 fn the_reference_line_is_taken_away_and_given() {
     let x = every(10.0, 400.0);
     let bowed = |x: f64| 7.0 + 0.03 * x + 1e-4 * x * (400.0 - x);
-    let with = |reference| of(&x, bowed, &Options { reference, ..Options::default() });
+    let with = |reference| {
+        of(&x, bowed, &StraightnessFitOptions { reference, ..StraightnessFitOptions::default() })
+    };
     let ends = with(ReferenceLine::EndPoints);
     assert!(
         (ends.line.evaluate(0.0) - 7.0).abs() < 1e-12
@@ -193,7 +202,11 @@ fn a_million_readings_take_seconds() {
     let truth = |x: f64| 80.0 * (TAU * x / 14_300.0).sin() + 10.0 * (TAU * x / 4_000.0).cos();
     let y: Vec<f64> = x.iter().zip(noise(COUNT, 1.0, 3)).map(|(&x, n)| truth(x) + n).collect();
     let started = std::time::Instant::now();
-    let found = fit(&x, &y, &Options { most_coefficients: 10, ..Options::default() });
+    let found = fit(
+        &x,
+        &y,
+        &StraightnessFitOptions { most_coefficients: 10, ..StraightnessFitOptions::default() },
+    );
     let found = found.expect("sound data");
     let worst = every(10.0, 14_290.0)
         .into_iter()
@@ -211,7 +224,7 @@ fn a_million_readings_take_seconds() {
 
 #[test]
 fn what_is_no_curve_is_refused_by_name() {
-    let options = Options::default();
+    let options = StraightnessFitOptions::default();
     let x = [0.0, 1.0, 2.0, 3.0];
     let nan = f64::NAN;
     assert!(matches!(
@@ -308,7 +321,7 @@ fn positions_that_look_like_metres_are_told() {
 
 #[test]
 fn the_papers_way_alone_is_a_machine_files_spline_too() {
-    let options = Options { method: FitMethod::Paper, ..tolerance(2.0) };
+    let options = StraightnessFitOptions { method: FitMethod::Paper, ..tolerance(2.0) };
     let found = of(&every(50.0, 3_000.0), |x| 30.0 * (x / 400.0).sin(), &options);
     assert_eq!(found.spline.validate(), Ok(()));
     assert!(found.is_within_tolerance && found.residual.largest_um <= 2.0);
@@ -326,8 +339,12 @@ fn a_bad_reading_among_three_passes_is_excluded_by_its_line_and_bends_no_curve()
     }
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
     let (run, _) = UncompensatedRun::from_run(Cow::Owned(run), None, None).expect("no bridge");
-    let report =
-        trueup_fit::straightness_report::fit_curve(&run, None, |_| Ok(None), &Options::default());
+    let report = trueup_fit::straightness_report::fit_curve(
+        &run,
+        None,
+        |_| Ok(None),
+        &StraightnessFitOptions::default(),
+    );
     let report = report.expect("a curve");
     let [excluded] = &report.set_aside[..] else { panic!("{:?}", report.set_aside) };
     assert_eq!((excluded.place.line, report.rows_used, report.rows_incomplete), (32, 62, 0));

@@ -2,7 +2,7 @@
 //! fitted at the even points, tested at the odd ones. Figures:
 //! `cargo test -p trueup-fit --test fit straightness_bed -- --show-output`.
 
-use trueup_fit::straightness::{Options, StopReason, StraightnessFit, fit};
+use trueup_fit::straightness::{StopReason, StraightnessFit, StraightnessFitOptions, fit};
 use trueup_machine::model::spline_um;
 
 /// Positions in mm; heights in µm of the mean over the rows, and of each row.
@@ -25,7 +25,7 @@ fn every_second(values: &[f64], from: usize) -> Vec<f64> {
 }
 
 /// Returns the fit at the even points, and its RMS error at the odd ones.
-fn even_and_odd(x: &[f64], y: &[f64], options: &Options) -> (StraightnessFit, f64) {
+fn even_and_odd(x: &[f64], y: &[f64], options: &StraightnessFitOptions) -> (StraightnessFit, f64) {
     let fit = fit(&every_second(x, 0), &every_second(y, 0), options).expect("sound data");
     let odd = every_second(x, 1).into_iter().zip(every_second(y, 1));
     let squares: Vec<f64> = odd.map(|(x, y)| (y - spline_um(&fit.spline, x)).powi(2)).collect();
@@ -38,7 +38,7 @@ fn the_mean_profile_is_predicted_within_0_62_um_by_at_most_12_coefficients() {
     let Some((x, y, _)) = mesh() else { return };
     println!("tolerance  coefficients  even RMS  even largest  odd RMS");
     for tolerance_um in [None, Some(4.0), Some(2.5), Some(1.5), Some(1.0), Some(0.5)] {
-        let options = Options { tolerance_um, ..Options::default() };
+        let options = StraightnessFitOptions { tolerance_um, ..StraightnessFitOptions::default() };
         let (fit, odd_um) = even_and_odd(&x, &y, &options);
         let tolerance = tolerance_um.map_or("none".into(), |um: f64| um.to_string());
         println!(
@@ -60,7 +60,7 @@ fn one_row_is_followed_down_to_its_noise_and_no_further() {
     // One row's readings scatter by 1.46 µm about a smooth curve.
     let mut odd: Vec<f64> = Vec::new();
     for row in rows.iter().step_by(10) {
-        let (fit, odd_um) = even_and_odd(&x, row, &Options::default());
+        let (fit, odd_um) = even_and_odd(&x, row, &StraightnessFitOptions::default());
         println!(
             "{} coefficients, even {:.2} µm, odd {odd_um:.2} µm",
             fit.spline.control_um.len(),

@@ -6,7 +6,7 @@
 
 use crate::support::guideway::{CURVES, Guideway};
 use trueup_fit::straightness::{
-    FitMethod, MethodComparison, Options, StopReason, StraightnessFit, fit,
+    FitMethod, MethodComparison, StopReason, StraightnessFit, StraightnessFitOptions, fit,
 };
 use trueup_machine::model::spline_um;
 
@@ -32,7 +32,10 @@ fn print(table: &[MethodComparison]) {
 }
 
 fn within(tolerance_um: f64, x: &[f64], y: &[f64]) -> StraightnessFit {
-    let options = Options { tolerance_um: Some(tolerance_um), ..Options::default() };
+    let options = StraightnessFitOptions {
+        tolerance_um: Some(tolerance_um),
+        ..StraightnessFitOptions::default()
+    };
     fit(x, y, &options).expect("sound data")
 }
 
@@ -88,10 +91,10 @@ fn the_papers_way_says_whether_it_has_reached_its_tolerance() {
     for set in SETS {
         for (curve, (name, .., tolerance_um)) in CURVES.into_iter().enumerate() {
             let (_, x, y) = guideway(set, curve);
-            let options = Options {
+            let options = StraightnessFitOptions {
                 method: FitMethod::Paper,
                 tolerance_um: Some(tolerance_um),
-                ..Options::default()
+                ..StraightnessFitOptions::default()
             };
             let fit = fit(&x, &y, &options).expect("sound data");
             let is_within = fit.residual.largest_um <= tolerance_um;

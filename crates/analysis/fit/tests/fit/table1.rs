@@ -6,7 +6,7 @@ use std::{borrow::Cow, fmt::Write as _, path::Path};
 
 use crate::support::guideway::{CURVES, Guideway};
 use trueup_fit::straightness::{
-    CurveMethod, Options,
+    CurveMethod, StraightnessFitOptions,
     method_table::{
         MethodResult, MethodTable, MethodTableOptions, ResidualError, TableEntry,
         build_method_table,
@@ -65,7 +65,10 @@ fn table(set: u64, error: &str, pair: [usize; 2]) -> (MethodTable, f64) {
 }
 
 fn asked(tolerance_um: f64) -> MethodTableOptions<'static> {
-    let options = Options { tolerance_um: Some(tolerance_um), ..Options::default() };
+    let options = StraightnessFitOptions {
+        tolerance_um: Some(tolerance_um),
+        ..StraightnessFitOptions::default()
+    };
     MethodTableOptions {
         quantity: None,
         options,

@@ -11,7 +11,7 @@ use trueup_machine::{
 };
 use trueup_measured_data::find_file as measured;
 
-fn fit(run: &UncompensatedRun<'_>, options: &thermal::Options) -> Report {
+fn fit(run: &UncompensatedRun<'_>, options: &thermal::ThermalFitOptions) -> Report {
     thermal::fit(std::slice::from_ref(run), LinearAxis::X, None, options).expect("a fit")
 }
 
@@ -52,7 +52,7 @@ fn scanned(law: impl Fn(f64, f64) -> f64, lag_s: f64, noise_um: f64) -> Uncompen
 #[test]
 fn a_screw_that_grows_is_found_with_its_slope_reference_and_lag() {
     let run = scanned(|t, x| 14.21 * (t - 23.0) * x / 1000.0, 400.0, 0.5);
-    let report = fit(&run, &thermal::Options::default());
+    let report = fit(&run, &thermal::ThermalFitOptions::default());
     report.parameters.iter().for_each(|parameter| println!("{parameter}"));
     assert_holds(&report, "slope_um_per_m_per_c", 14.21);
     assert_holds(&report, "reference_c", 23.0);
@@ -68,7 +68,7 @@ fn a_screw_that_grows_is_found_with_its_slope_reference_and_lag() {
 #[test]
 fn a_lag_that_is_not_there_is_not_found() {
     let run = scanned(|t, x| 14.21 * (t - 23.0) * x / 1000.0, 0.0, 0.5);
-    let report = fit(&run, &thermal::Options::default());
+    let report = fit(&run, &thermal::ThermalFitOptions::default());
     assert_eq!(report.parameter("lag_s").expect("set").value, 0.0);
     assert_holds(&report, "slope_um_per_m_per_c", 14.21);
 }
@@ -77,7 +77,7 @@ fn a_lag_that_is_not_there_is_not_found() {
 fn a_constant_and_a_slope_share_their_reference() {
     let law = |t: f64, x: f64| (t - 22.0) * (1.7 + 9.0 * x / 1000.0);
     let run = scanned(law, 300.0, 0.4);
-    let report = fit(&run, &thermal::Options::default());
+    let report = fit(&run, &thermal::ThermalFitOptions::default());
     report.parameters.iter().for_each(|parameter| println!("{parameter}"));
     assert_holds(&report, "constant_um_per_c", 1.7);
     assert_holds(&report, "slope_um_per_m_per_c", 9.0);
@@ -92,7 +92,7 @@ fn a_constant_and_a_slope_share_their_reference() {
 fn two_references_are_written_as_a_table() {
     let law = |t: f64, x: f64| 1.7 * (t - 18.0) + 9.0 * (t - 26.0) * x / 1000.0;
     let run = scanned(law, 0.0, 0.4);
-    let report = fit(&run, &thermal::Options::default());
+    let report = fit(&run, &thermal::ThermalFitOptions::default());
     let x = applied(&report, MACHINE).axes[0].thermal.clone().expect("written");
     let table = x.table.expect("two references");
     assert_eq!(table.len(), 2);
@@ -123,7 +123,7 @@ fn runs_at_several_temperatures_give_a_table_where_a_line_does_not_do() {
     let columns: [(&str, &[f64]); 4] =
         [("run", &number), ("x_mm", &x), ("temp_screw_c", &warm), ("measured_dx_um", &y)];
     let run = run(&columns);
-    let report = fit(&run, &thermal::Options::default());
+    let report = fit(&run, &thermal::ThermalFitOptions::default());
     let axis = applied(&report, MACHINE).axes[0].thermal.clone().expect("written");
     let table = axis.table.expect("the law is curved");
     println!("{table:?}");
@@ -142,12 +142,13 @@ fn runs_at_several_temperatures_give_a_table_where_a_line_does_not_do() {
     let columns: [(&str, &[f64]); 4] =
         [("run", &number), ("x_mm", &x), ("temp_screw_c", &warm), ("measured_dx_um", &y)];
     let straight = crate::support::run(&columns);
-    let report = fit(&straight, &thermal::Options::default());
+    let report = fit(&straight, &thermal::ThermalFitOptions::default());
     let axis = applied(&report, MACHINE).axes[0].thermal.clone().expect("written");
     assert_eq!((axis.mode, axis.table), (ThermalMode::Position, None));
     assert_holds(&report, "slope_um_per_m_per_c", 11.0);
     // Unless it is asked for.
-    let options = thermal::Options { table_rows: Some(3), ..thermal::Options::default() };
+    let options =
+        thermal::ThermalFitOptions { table_rows: Some(3), ..thermal::ThermalFitOptions::default() };
     let report = fit(&straight, &options);
     let axis = applied(&report, MACHINE).axes[0].thermal.clone().expect("written");
     assert_eq!(axis.table.expect("asked for").len(), 3);
@@ -158,9 +159,9 @@ fn runs_at_several_temperatures_give_a_table_where_a_line_does_not_do() {
 fn the_eleven_missed_homings_of_the_voron_are_found_and_listed() {
     let Some(path) = measured("voron_frame_expansion/run1.csv") else { return };
     let run = unaided(RunFile::read(&path).expect("a run file"));
-    let options = thermal::Options {
+    let options = thermal::ThermalFitOptions {
         temperature: Some("temp_frame_c".into()),
-        ..thermal::Options::default()
+        ..thermal::ThermalFitOptions::default()
     };
     let report = thermal::fit(&[run], LinearAxis::Z, None, &options).expect("a fit");
     report.set_aside.iter().for_each(|row| println!("{row}"));
@@ -174,9 +175,9 @@ fn the_other_runs_of_the_voron_lose_no_row() {
     for name in ["run3", "run4"] {
         let Some(path) = measured(&format!("voron_frame_expansion/{name}.csv")) else { return };
         let run = unaided(RunFile::read(&path).expect("a run file"));
-        let options = thermal::Options {
+        let options = thermal::ThermalFitOptions {
             temperature: Some("temp_frame_c".into()),
-            ..thermal::Options::default()
+            ..thermal::ThermalFitOptions::default()
         };
         let report = thermal::fit(&[run], LinearAxis::Z, None, &options).expect("a fit");
         println!("{name}: {:?}, left out {:?}", report.in_sample, report.left_out);
@@ -188,17 +189,19 @@ fn the_other_runs_of_the_voron_lose_no_row() {
 #[test]
 fn scatter_is_not_compensated() {
     let run = scanned(|_, _| 0.0, 0.0, 5.0);
-    let report = fit(&run, &thermal::Options::default());
+    let report = fit(&run, &thermal::ThermalFitOptions::default());
     assert!(matches!(report.verdict, FitVerdict::DoNotCompensate(_)), "{report:?}");
 }
 
 #[test]
 fn bad_input_is_named_with_its_place_and_rule() {
-    let error = |text: &str, options: &thermal::Options| {
+    let error = |text: &str, options: &thermal::ThermalFitOptions| {
         thermal::fit(&[parse(text)], LinearAxis::X, None, options).expect_err(text).to_string()
     };
-    let position =
-        thermal::Options { mode: Some(ThermalMode::Position), ..thermal::Options::default() };
+    let position = thermal::ThermalFitOptions {
+        mode: Some(ThermalMode::Position),
+        ..thermal::ThermalFitOptions::default()
+    };
     for (text, options, expected) in [
         (
             "temp_a_c,measured_dx_um\n20,1\n21,2\n22,3\n23,4\n",
@@ -230,7 +233,10 @@ fn bad_input_is_named_with_its_place_and_rule() {
     ] {
         assert_eq!(error(text, options), expected);
     }
-    let table = thermal::Options { table_rows: Some(40), ..thermal::Options::default() };
+    let table = thermal::ThermalFitOptions {
+        table_rows: Some(40),
+        ..thermal::ThermalFitOptions::default()
+    };
     let few = "temp_a_c,measured_dx_um\n20,1\n21,2\n22,3\n23,4\n24,5\n";
     assert_eq!(
         error(few, &table),
@@ -250,7 +256,7 @@ fn what_the_machine_file_had_is_compared() {
         std::slice::from_ref(&run),
         LinearAxis::X,
         Some(&machine(&text)),
-        &thermal::Options::default(),
+        &thermal::ThermalFitOptions::default(),
     );
     let report = report.expect("a fit");
     assert!(report.facts.iter().any(|fact| fact.name == "machine_file_rms_um"));
@@ -273,7 +279,7 @@ fn campaign_a_million_rows_are_fitted() {
         [("time_s", &time), ("x_mm", &x), ("temp_screw_c", &warm), ("measured_dx_um", &y)];
     let run = run(&columns);
     let since = std::time::Instant::now();
-    let report = fit(&run, &thermal::Options::default());
+    let report = fit(&run, &thermal::ThermalFitOptions::default());
     println!("{rows} rows of an axis: {:.1} s", since.elapsed().as_secs_f64());
     assert_holds(&report, "slope_um_per_m_per_c", 11.0);
 }
@@ -295,7 +301,8 @@ fn a_cold_regime_is_a_bend_and_no_gross_error() {
             text += &format!("{},{t:.3},{x},{um:.2}\n", 600 * sweep + 10 * stop);
         }
     }
-    let report = thermal::fit(&[parse(&text)], LinearAxis::X, None, &thermal::Options::default());
+    let report =
+        thermal::fit(&[parse(&text)], LinearAxis::X, None, &thermal::ThermalFitOptions::default());
     let report = report.expect("a fit");
     let aside: Vec<String> = report.set_aside.iter().map(ToString::to_string).collect();
     assert!(aside.len() == 1 && aside[0].contains(":47:"), "{aside:?}");
@@ -317,7 +324,12 @@ fn a_kink_over_the_temperature_is_found_and_a_line_stays_a_line() {
             let um = slope * (t - 18.0) + 0.8 * noise.next();
             text += &format!("{},{t:.3},{um:.2}\n", 60 * row);
         }
-        let fit = thermal::fit(&[parse(&text)], LinearAxis::Z, None, &thermal::Options::default());
+        let fit = thermal::fit(
+            &[parse(&text)],
+            LinearAxis::Z,
+            None,
+            &thermal::ThermalFitOptions::default(),
+        );
         let report = fit.expect("a fit");
         let left_um = report.left_out.expect("blocks").rms_um;
         println!("{below}: {left_um}");

@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use trueup_fit::volume::{self, NORMAL_QUANTILE_975, Options, VolumeReport, reading::Pose};
+use trueup_fit::volume::{
+    self, NORMAL_QUANTILE_975, VolumeFitOptions, VolumeReport, reading::Pose,
+};
 use trueup_machine::{Machine, MachineFile, RunFile};
 
 use crate::{
@@ -145,7 +147,7 @@ fn fit(drawn: &mut Drawn, plan: Plan) -> VolumeReport {
         .map(|text| RunFile::from_reader(text.as_bytes(), Path::new("run.csv")).expect("a run"))
         .collect();
     let file = MachineFile::parse(&drawn.file, Path::new("drawn.toml")).expect("a machine");
-    let options = Options {
+    let options = VolumeFitOptions {
         instrument_um: Some(NOISE_UM),
         scale_um_per_m: Some(SCALE_UM_PER_M),
         artefact_um: None,

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use trueup_fit::volume::{self, Options, VolumeReport, identifiability::ErrorAssessment};
+use trueup_fit::volume::{self, VolumeFitOptions, VolumeReport, identifiability::ErrorAssessment};
 use trueup_machine::{BadInput, Machine, MachineFile, RunFile};
 
 use crate::{
@@ -10,8 +10,8 @@ use crate::{
     measured::Balls,
 };
 
-const STATED: Options =
-    Options { instrument_um: Some(1.0), scale_um_per_m: Some(1.0), artefact_um: None };
+const STATED: VolumeFitOptions =
+    VolumeFitOptions { instrument_um: Some(1.0), scale_um_per_m: Some(1.0), artefact_um: None };
 
 fn run(text: &str) -> RunFile {
     RunFile::from_reader(text.as_bytes(), Path::new("run.csv")).expect("a run")
@@ -21,7 +21,7 @@ pub fn file(text: &str) -> Machine {
     MachineFile::parse(text, Path::new("m.toml")).unwrap_or_else(|error| panic!("{error}\n{text}"))
 }
 
-pub fn fit(text: &str, machine: &Machine, options: &Options) -> VolumeReport {
+pub fn fit(text: &str, machine: &Machine, options: &VolumeFitOptions) -> VolumeReport {
     volume::fit(&[run(text)], machine, options).expect("a fit")
 }
 
@@ -84,7 +84,7 @@ fn the_mean_scale_is_open_where_the_scale_of_the_artefact_is_not_stated() {
     let mut machine = Drawn::of_size(0, 1.0);
     let text = plates(&mut machine, 2);
     let believed = file(&machine.file);
-    let report = fit(&text, &believed, &Options { scale_um_per_m: None, ..STATED });
+    let report = fit(&text, &believed, &VolumeFitOptions { scale_um_per_m: None, ..STATED });
     assert!(!of(&report, "EXX").is_known);
     assert!(report.warnings.iter().any(|warning| warning.contains("--scale-um-per-m")));
     assert!(of(&fit(&text, &believed, &STATED), "EXX").is_known);
@@ -149,7 +149,7 @@ pub fn edge(bow_um: f64, roll_urad: f64, has_points: bool) -> String {
 #[test]
 fn straightness_of_an_unknown_edge_is_not_claimed_and_its_angle_is() {
     let believed = file("[machine]\nname = \"m\"\nkind = \"3-axis\"\nchain = \"w b X Y Z t\"\n");
-    let options = Options { instrument_um: Some(0.1), ..Options::default() };
+    let options = VolumeFitOptions { instrument_um: Some(0.1), ..VolumeFitOptions::default() };
     let text = edge(6.0, 40.0, true);
     let report = fit(&text, &believed, &options);
     let straightness = of(&report, "EZX");
@@ -158,7 +158,7 @@ fn straightness_of_an_unknown_edge_is_not_claimed_and_its_angle_is() {
     // The same points at two levers: their difference has no form of the edge. Its slope is how the edge was put down.
     let angle = of(&report, "EAX");
     assert!(angle.open < 0.5 && angle.is_there, "{angle:?}");
-    let certified = Options { artefact_um: Some(0.2), ..options };
+    let certified = VolumeFitOptions { artefact_um: Some(0.2), ..options };
     assert!(of(&fit(&text, &believed, &certified), "EZX").is_known);
     // Without the numbers of the points it may be another edge each time.
     let apart = fit(&edge(6.0, 40.0, false), &believed, &options);
@@ -185,7 +185,7 @@ fn an_angle_that_was_a_line_goes_on_beyond_what_was_measured() {
             run += &format!("{x},{y},{z},{dy:.4},{dz:.4}\n");
         }
     }
-    let options = Options { instrument_um: Some(0.1), ..STATED };
+    let options = VolumeFitOptions { instrument_um: Some(0.1), ..STATED };
     let roll_um = |text: &str, x: f64| {
         let report = fit(&run, &file(text), &options);
         let path = Path::new("m.toml");
@@ -208,7 +208,7 @@ fn an_angle_that_was_a_line_goes_on_beyond_what_was_measured() {
 #[test]
 fn two_gauges_on_one_edge_claim_no_straightness_of_its_form() {
     let believed = file("[machine]\nname = \"m\"\nkind = \"3-axis\"\nchain = \"w b X Y Z t\"\n");
-    let options = Options { instrument_um: Some(0.1), ..Options::default() };
+    let options = VolumeFitOptions { instrument_um: Some(0.1), ..VolumeFitOptions::default() };
     let text: String = edge(6.0, 0.0, false)
         .lines()
         .map(|line| match line.rsplit_once(',') {

@@ -3,13 +3,13 @@
 
 use std::fmt::Write as _;
 
-use trueup_fit::volume::{Options, reading::Pose};
+use trueup_fit::volume::{VolumeFitOptions, reading::Pose};
 
 use crate::rules::{edge, file, fit, of};
 
 const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\nchain = \"w b X Y Z t\"\n";
-const STATED: Options =
-    Options { instrument_um: Some(0.1), scale_um_per_m: Some(0.1), artefact_um: None };
+const STATED: VolumeFitOptions =
+    VolumeFitOptions { instrument_um: Some(0.1), scale_um_per_m: Some(0.1), artefact_um: None };
 /// Each axis goes too far by this.
 const TOO_LONG_UM_PER_MM: f64 = 0.06;
 
@@ -103,7 +103,7 @@ fn x_that_leans_with_y_is_a_positive_squareness_by_a_circle() {
 
 #[test]
 fn a_roll_of_x_that_lifts_the_tip_on_the_side_of_plus_y_is_positive_by_a_gauge() {
-    let options = Options { scale_um_per_m: None, ..STATED };
+    let options = VolumeFitOptions { scale_um_per_m: None, ..STATED };
     let report = fit(&edge(6.0, 40.0, true), &file(MACHINE), &options);
     let curve = &of(&report, "EAX").curve;
     let at = |place: usize| curve[place][1];

@@ -105,11 +105,11 @@ pub struct CurveArgs {
 }
 
 impl CurveArgs {
-    pub fn to_options(&self) -> straightness::Options {
-        straightness::Options {
+    pub fn to_options(&self) -> straightness::StraightnessFitOptions {
+        straightness::StraightnessFitOptions {
             tolerance_um: self.tolerance_um,
             reference: self.reference.to_reference_line(),
-            ..straightness::Options::default()
+            ..straightness::StraightnessFitOptions::default()
         }
     }
 }

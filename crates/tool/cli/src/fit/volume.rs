@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::Result;
 use serde_json::{Value, json};
 use trueup_fit::volume::{
-    self, Options, VolumeReport, identifiability::ErrorAssessment, reading::ReadingKind,
+    self, VolumeFitOptions, VolumeReport, identifiability::ErrorAssessment, reading::ReadingKind,
 };
 use trueup_machine::{MachineFile, compile::compile};
 
@@ -17,7 +17,7 @@ pub fn run(args: &Volume, as_json: bool) -> Result<Outcome> {
     let text = MachineFile::read_text(&args.machine)?;
     let machine = files::parse_machine(&text, &args.machine)?;
     let runs = files::read_runs_for_fit(&args.run, Some(&machine))?;
-    let options = Options {
+    let options = VolumeFitOptions {
         instrument_um: args.instrument_um,
         scale_um_per_m: args.scale_um_per_m,
         artefact_um: args.artefact_um,

@@ -19,7 +19,7 @@ use super::{
     compare_axis,
 };
 use crate::{
-    Export, ExportedFile, Options, Report,
+    Export, ExportOptions, ExportedFile, Report,
     axis_errors::{CrossAxisError, DriveError, collect_cross_axis_errors},
     number_format::format_number,
 };
@@ -61,7 +61,7 @@ pub(super) fn omit_straightness<'m>(
 
 pub(super) fn write_sheet(
     mut planned: Vec<AxisCompensation<'_>>,
-    options: &Options,
+    options: &ExportOptions,
     export: &mut Export,
 ) {
     // PML1 and PML2 hold for both axes; a coarser step always suffices where a finer one did.

@@ -10,7 +10,7 @@ use trueup_machine::Machine;
 
 use super::{AxisCompensation, CompensationData};
 use crate::{
-    Export, ExportedTable, Options, Report,
+    Export, ExportOptions, ExportedTable, Report,
     axis_errors::{CrossAxisError, collect_cross_axis_errors},
     grid::{
         comparison_positions_mm, find_largest_residual, interpolate_linear, select_breakpoints,
@@ -25,7 +25,7 @@ const POINTS_PER_PAIR: usize = 4;
 /// Returns the pairs that are exported: the three that reach furthest.
 pub(super) fn select_pairs<'m>(
     machine: &'m Machine,
-    options: &Options,
+    options: &ExportOptions,
     report: &mut Report,
 ) -> Vec<CrossAxisError<'m>> {
     let mut with_span = Vec::new();
@@ -95,7 +95,7 @@ impl AxisPair<'_> {
 
 pub(super) fn plan_pairs<'m>(
     planned: &[AxisCompensation<'m>],
-    options: &Options,
+    options: &ExportOptions,
     number_of: impl Fn(&AxisCompensation<'m>) -> usize,
     report: &mut Report,
 ) -> Vec<AxisPair<'m>> {
@@ -161,7 +161,7 @@ pub(super) fn plan_pairs<'m>(
 pub(super) fn compare_pairs(
     pairs: &[AxisPair<'_>],
     control: &CompensationData,
-    options: &Options,
+    options: &ExportOptions,
     export: &mut Export,
 ) {
     for pair in pairs {
@@ -178,7 +178,7 @@ pub(super) fn compare_pairs(
 fn compare_pair(
     pair: &AxisPair<'_>,
     control: &CompensationData,
-    options: &Options,
+    options: &ExportOptions,
 ) -> Result<ExportedTable, String> {
     let of = |number: u32| control.parameter(number + pair.order, 0);
     let (moving, corrected) = (of(5711)?, of(5721)?);

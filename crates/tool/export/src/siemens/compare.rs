@@ -6,7 +6,7 @@ use trueup_machine::Machine;
 
 use super::{LookupTable, ModelPart, PlannedTable, Variables, machine_axis_name};
 use crate::{
-    Export, ExportedTable, Options,
+    Export, ExportOptions, ExportedTable,
     grid::{Grid, comparison_positions_mm, find_largest_residual},
     report::{Approach, Difference},
 };
@@ -16,7 +16,7 @@ pub(super) type ReadBack = [Result<Variables, String>; 3];
 
 pub(super) fn compare(
     machine: &Machine,
-    options: &Options,
+    options: &ExportOptions,
     plan: &PlannedTable<'_>,
     read: &ReadBack,
     export: &mut Export,
@@ -50,7 +50,7 @@ pub(super) fn compare(
 
 fn compare_table(
     machine: &Machine,
-    options: &Options,
+    options: &ExportOptions,
     plan: &PlannedTable<'_>,
     read: &ReadBack,
 ) -> Result<(String, String, Difference), String> {

@@ -16,8 +16,8 @@ use trueup_machine::{
 
 use super::{Variables, build_file, decimal_places, machine_axis_name};
 use crate::{
-    Export, ExportedFile, ExportedTable, Options, axis_errors::travel_mm, grid::interpolate_linear,
-    number_format::format_number, report::Difference,
+    Export, ExportOptions, ExportedFile, ExportedTable, axis_errors::travel_mm,
+    grid::interpolate_linear, number_format::format_number, report::Difference,
 };
 
 /// A law that goes on for ever is written so far to both sides of its reference, in °C.
@@ -27,7 +27,7 @@ const MAX_TOOL_COMPONENT_MM: f64 = 1.0;
 /// A slope has no unit: 1e-9 is 1 nm over a metre.
 const SLOPE_DECIMALS: usize = 12;
 
-pub(super) fn export(machine: &Machine, options: &Options, export: &mut Export) {
+pub(super) fn export(machine: &Machine, options: &ExportOptions, export: &mut Export) {
     let mut settings = String::new();
     let mut csv =
         "axis,temperature_c,SD43900_abs_value,SD43910_slope,SD43920_ref_position\n".to_string();
@@ -124,7 +124,7 @@ fn zero_error_temperature_c(thermal: &ThermalLaw) -> f64 {
 fn format_coefficients(
     thermal: &ThermalLaw,
     temperature_c: f64,
-    options: &Options,
+    options: &ExportOptions,
 ) -> (String, String) {
     let (constant_um, slope_um_per_m) = thermal_coefficients(thermal, temperature_c);
     let constant_um = if thermal.mode.has_constant() { constant_um } else { 0.0 };
@@ -139,7 +139,7 @@ fn format_coefficients(
 fn write_thermal_compensation(
     name: &str,
     thermal: &ThermalLaw,
-    options: &Options,
+    options: &ExportOptions,
     settings: &mut String,
     csv: &mut String,
 ) {
@@ -165,7 +165,7 @@ fn write_thermal_compensation(
 
 struct AxisTables<'m> {
     machine: &'m Machine,
-    options: &'m Options,
+    options: &'m ExportOptions,
     axis: LinearAxis,
     thermal: &'m ThermalLaw,
 }
@@ -239,7 +239,7 @@ impl AxisTables<'_> {
 
 fn export_tool_compensation(
     machine: &Machine,
-    options: &Options,
+    options: &ExportOptions,
     settings: Result<Variables, String>,
     export: &mut Export,
 ) {
@@ -281,7 +281,7 @@ fn export_tool_compensation(
 /// Returns the vector at angle 0, turned by the head's axes as the transformation does, against the model.
 fn compare_tool_compensation(
     machine: &Machine,
-    options: &Options,
+    options: &ExportOptions,
     settings: &Variables,
     csv: &str,
 ) -> Result<Difference, String> {
