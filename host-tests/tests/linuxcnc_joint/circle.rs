@@ -210,14 +210,18 @@ fn tips(cycles: &[[f64; 2]], scenario: &Scenario) -> Vec<[f64; 2]> {
 }
 
 /// A reading of the ball bar: degree of the circle, direction, radial deviation in µm.
-struct Reading {
+struct CircleReading {
     degree: usize,
     direction: f64,
     dr_um: f64,
 }
 
 /// Reads the ball bar as the rows of a run file ask for it; returns the filled run file as well.
-fn measure(rows: &str, tips: &[[f64; 2]], scenario: &Scenario) -> Result<(String, Vec<Reading>)> {
+fn measure(
+    rows: &str,
+    tips: &[[f64; 2]],
+    scenario: &Scenario,
+) -> Result<(String, Vec<CircleReading>)> {
     let mut bar = Instrument::new(&scenario.instrument, "measured_dr_um", 1);
     let mut lines = rows.lines().skip_while(|line| line.starts_with('#'));
     let header = lines.next().context("a header")?;
@@ -256,14 +260,14 @@ fn measure(rows: &str, tips: &[[f64; 2]], scenario: &Scenario) -> Result<(String
         let dr_um = bar.read(next as f64 * CYCLE_S, dr_um, 0.0);
         filled += &format!("{line}{dr_um:.3}\n");
         let degree = angle(place).to_degrees().round().rem_euclid(360.0) as usize;
-        readings.push(Reading { degree, direction, dr_um });
+        readings.push(CircleReading { degree, direction, dr_um });
     }
     Ok((filled, readings))
 }
 
 /// Returns the error of X and of Y behind a reversal, in µm, by least squares of the difference of both directions:
 /// B_x·sgn(sin φ)·cos φ − B_y·sgn(cos φ)·sin φ. A reading behind a reversal while the gap closes is one of 360.
-fn backlash_um(readings: &[Reading]) -> [f64; 2] {
+fn backlash_um(readings: &[CircleReading]) -> [f64; 2] {
     let mut sums = vec![[(0.0, 0.0); 2]; 360];
     for it in readings {
         let of_direction = &mut sums[it.degree][usize::from(it.direction > 0.0)];

@@ -27,7 +27,7 @@ use trueup_core::{
     temperature_channels::RawTemperatures,
     thermometer::{RawReading, Thermometer},
 };
-use trueup_max31865::{Converter, MIN_POLL_PERIOD_MS, Reading};
+use trueup_max31865::{Converter, ConverterReading, MIN_POLL_PERIOD_MS};
 
 use super::{super::TEMPERATURE_CHANNEL_COUNT, linear_inputs::LinearInputs, poll_until};
 
@@ -141,7 +141,7 @@ impl Thermometers {
         let bits = |is_so: fn(&Channel) -> bool| {
             self.channels.iter().rev().fold(0, |bits, channel| bits << 1 | u8::from(is_so(channel)))
         };
-        let answering = bits(|channel| channel.converter.reading() != Reading::Missing);
+        let answering = bits(|channel| channel.converter.reading() != ConverterReading::Missing);
         let wanted = bits(|channel| channel.thermometer.is_some() && !channel.is_linear());
         defmt::info!(
             "temperature converters that answer: {=u8:#010b}, in the machine file: {=u8:#010b}",
@@ -172,14 +172,14 @@ impl Channel {
     }
 }
 
-fn log_reading(channel: usize, reading: Reading) {
+fn log_reading(channel: usize, reading: ConverterReading) {
     match reading {
-        Reading::Missing => defmt::warn!("temperature channel {}: no answer", channel),
-        Reading::Starting => defmt::info!("temperature channel {}: answers", channel),
-        Reading::Good(ohms) => {
+        ConverterReading::Missing => defmt::warn!("temperature channel {}: no answer", channel),
+        ConverterReading::Starting => defmt::info!("temperature channel {}: answers", channel),
+        ConverterReading::Good(ohms) => {
             defmt::info!("temperature channel {}: {=i32} micro-ohms", channel, ohms.0);
         }
-        Reading::Faulty(faults) => {
+        ConverterReading::Faulty(faults) => {
             defmt::warn!("temperature channel {}: fault {=u8:#010b}", channel, faults.0);
         }
     }

@@ -102,7 +102,7 @@ fn find_repeat_outliers(run: &RunFile, name: &str, um: &[f64]) -> Vec<usize> {
     }
     let cycles = cycle_numbers(&stops);
     let readings = rows.iter().zip(stops).zip(cycles).map(|((row, (place, side)), cycle)| {
-        repeats::Reading { place, side, cycle, value: um[*row] }
+        repeats::RepeatReading { place, side, cycle, value: um[*row] }
     });
     let found = find_gross_errors(&readings.collect::<Vec<_>>());
     rows.into_iter().zip(found).filter(|(_, found)| *found).map(|(row, _)| row).collect()

@@ -198,7 +198,7 @@ fn flag_outliers(rows: &[PositionReading], targets: &[usize]) -> Vec<bool> {
     let stops: Vec<(usize, usize)> = stops.collect();
     let cycles = cycle_numbers(&stops);
     let readings = rows.iter().zip(&stops).zip(cycles);
-    let readings = readings.map(|((row, (place, side)), cycle)| repeats::Reading {
+    let readings = readings.map(|((row, (place, side)), cycle)| repeats::RepeatReading {
         place: *place,
         side: *side,
         cycle,

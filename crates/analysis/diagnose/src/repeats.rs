@@ -13,8 +13,8 @@ use trueup_machine::{
 };
 use trueup_numerics::{
     repeats::{
-        Reading, SAME_PLACE_TOLERANCE, TableLaw, cycle_numbers, find_gross_errors, group_positions,
-        max_point_variance,
+        RepeatReading, SAME_PLACE_TOLERANCE, TableLaw, cycle_numbers, find_gross_errors,
+        group_positions, max_point_variance,
     },
     robust::median,
 };
@@ -41,7 +41,7 @@ pub(crate) struct TargetPositions {
     /// Rising.
     pub at_mm: Vec<f64>,
     /// Readings in the order of the rows, their values still 0.
-    readings: Vec<Reading>,
+    readings: Vec<RepeatReading>,
     /// The row of each reading.
     rows: Vec<usize>,
 }
@@ -90,18 +90,19 @@ impl TargetPositions {
                 cycle_numbers(&stops)
             }
         };
-        let readings = rows
-            .iter()
-            .zip(&place_of)
-            .zip(cycle_of)
-            .map(|((&row, &place), cycle)| Reading { place, side: side(row), cycle, value: 0.0 });
+        let readings = rows.iter().zip(&place_of).zip(cycle_of).map(|((&row, &place), cycle)| {
+            RepeatReading { place, side: side(row), cycle, value: 0.0 }
+        });
         Some(Self { own, readings: readings.collect(), at_mm, rows })
     }
 
     /// Returns the readings, each with the value `of` its number among the rows that this was made of and its
     /// row.
-    pub(crate) fn readings(&self, of: impl Fn(usize) -> f64) -> Vec<Reading> {
-        let with = |(reading, &row): (&Reading, &usize)| Reading { value: of(row), ..*reading };
+    pub(crate) fn readings(&self, of: impl Fn(usize) -> f64) -> Vec<RepeatReading> {
+        let with = |(reading, &row): (&RepeatReading, &usize)| RepeatReading {
+            value: of(row),
+            ..*reading
+        };
         self.readings.iter().zip(&self.rows).map(with).collect()
     }
 

@@ -60,7 +60,7 @@ use trueup_numerics::repeats::{self, TableSelection};
 use self::{
     cross_validation::{CorrectionModel, DirectionSums, cross_validate},
     grid_selection::choose_grid,
-    readings::{Reading, ReadingSelection, Readings, measured_column},
+    readings::{PitchReading, ReadingSelection, Readings, measured_column},
     summary::{
         add_statistics, add_warnings, interpolation_caveat, rejection_reasons, suggest_measurement,
         write_pitch_section,
@@ -192,7 +192,7 @@ pub fn fit(
         return Ok(PitchFit { report, pitch: None, backlash: None, iso230 });
     };
     let fitted = sums.fit(&readings.targets_mm, &grid, law);
-    let residual = |reading: &Reading| {
+    let residual = |reading: &PitchReading| {
         reading.um - fitted.evaluate(readings.targets_mm[reading.target], reading.way)
     };
     // A table of one pass goes through each of its readings: that nothing is left says nothing.

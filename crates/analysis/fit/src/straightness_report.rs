@@ -71,7 +71,7 @@ fn find_outlier_rows(positions: &[f64], direction: Option<&[f64]>, y: &[f64]) ->
         rows.iter().zip(place_of).map(|(row, place)| (place, side(*row))).collect();
     let cycles = repeats::cycle_numbers(&stops);
     let readings = rows.iter().zip(stops).zip(cycles).map(|((row, (place, side)), cycle)| {
-        repeats::Reading { place, side, cycle, value: y[*row] }
+        repeats::RepeatReading { place, side, cycle, value: y[*row] }
     });
     let found = repeats::find_gross_errors(&readings.collect::<Vec<_>>());
     rows.into_iter().zip(found).filter(|(_, found)| *found).map(|(row, _)| row).collect()

@@ -48,7 +48,7 @@ use self::{
     estimate::{Posterior, Variances, estimate_variances},
     identifiability::{ErrorAssessment, HeldOutResult},
     kinematics::ForwardKinematics,
-    reading::{Pose, Reading, ReadingKind, dot},
+    reading::{Pose, ReadingKind, VolumeReading, dot},
     setup::SetupUncertainty,
 };
 use crate::report::ExcludedRow;
@@ -173,7 +173,7 @@ pub fn fit(
     let observability =
         identifiability::assess_observability(&design, &all, &uncertainty, variances.noise_um);
     let mut known = identifiability::assess_errors(&design, &found, &observability, &readings);
-    let used: Vec<Reading> =
+    let used: Vec<VolumeReading> =
         (0..readings.len()).filter(|n| is_in(*n)).map(|n| readings[n]).collect();
     next_tests::propose_next_tests(
         &own,
@@ -257,7 +257,7 @@ fn warn_missing_rotary_lines(machine: &Machine, warnings: &mut Vec<String>) {
 /// Returns for each reading whether it is a gross error.
 fn find_gross_errors(
     design: &DesignMatrix,
-    readings: &[Reading],
+    readings: &[VolumeReading],
     variances: &Variances,
     found: &Posterior,
 ) -> Vec<bool> {
@@ -284,7 +284,11 @@ fn find_gross_errors(
     readings.iter().zip(left).map(|(reading, left)| left.abs() > limits[&reading.kind]).collect()
 }
 
-fn list_excluded_rows(runs: &[RunFile], readings: &[Reading], gross: &[bool]) -> Vec<ExcludedRow> {
+fn list_excluded_rows(
+    runs: &[RunFile],
+    readings: &[VolumeReading],
+    gross: &[bool],
+) -> Vec<ExcludedRow> {
     let found = readings.iter().zip(gross).filter(|(_, is_gross)| **is_gross);
     found
         .map(|(reading, _)| ExcludedRow {

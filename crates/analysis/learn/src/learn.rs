@@ -22,7 +22,7 @@ use crate::{
     learner_state::{DailyChange, LearnerState, StoredReading, hash_digits},
     limits::{Limits, prediction_change_um},
     probe_checks,
-    readings::{self, MAX_RELATIVE_START_S, Reading},
+    readings::{self, GaugeReading, MAX_RELATIVE_START_S},
     reconcile::reconcile_state,
     replay::{self, FilterHistory},
     temperature_rise, wear,
@@ -178,13 +178,13 @@ pub fn learn(
 /// # Errors
 /// One that was not lies at or before the last clock.
 fn filter_unseen_readings(
-    record: &[Reading],
+    record: &[GaugeReading],
     memory: &LearnerState,
     run: &RunFile,
     notes: &mut Vec<String>,
-) -> Result<(Vec<Reading>, usize), BadInput> {
+) -> Result<(Vec<GaugeReading>, usize), BadInput> {
     let (seen, before) = (memory.seen_hashes(), memory.legacy_seen_hashes());
-    let is_seen = |reading: &Reading| {
+    let is_seen = |reading: &GaugeReading| {
         let may_be = match (reading.time_s, memory.last_s) {
             (Some(time_s), Some(last_s)) => time_s <= last_s,
             _ => true,
@@ -192,7 +192,8 @@ fn filter_unseen_readings(
         let is_in = |all: &HashSet<&str>, hash: u64| all.contains(hash_digits(hash).as_str());
         may_be && (is_in(&seen, reading.identity) || is_in(&before, reading.identity_before))
     };
-    let new: Vec<Reading> = record.iter().filter(|reading| !is_seen(reading)).copied().collect();
+    let new: Vec<GaugeReading> =
+        record.iter().filter(|reading| !is_seen(reading)).copied().collect();
     let known = record.len() - new.len();
     if known > 0 {
         let all = record.len();
@@ -307,7 +308,7 @@ impl Learner<'_> {
     /// Takes one reading: what became of it, and what held it.
     fn learn_reading(
         &mut self,
-        reading: &Reading,
+        reading: &GaugeReading,
         um: f64,
         is_factor_known: bool,
     ) -> (ReadingOutcome, HoldReasons) {

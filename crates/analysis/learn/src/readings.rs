@@ -12,7 +12,7 @@ const MIN_UNIX_TIME_S: f64 = 1e9;
 
 /// One reading.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Reading {
+pub(crate) struct GaugeReading {
     /// The row in the record, from 0.
     pub row: usize,
     /// The reading in µm, where the row has one.
@@ -35,7 +35,7 @@ pub(crate) struct Reading {
 pub(crate) fn collect_readings(
     run: &RunFile,
     quantity: Quantity,
-) -> Result<Vec<Reading>, BadInput> {
+) -> Result<Vec<GaugeReading>, BadInput> {
     let name = format!("measured_{}_um", quantity.name());
     let (times, checks) = (run.column("time_s"), run.column("check_um"));
     let whole = |row: usize, time_s: Option<f64>| {
@@ -47,7 +47,7 @@ pub(crate) fn collect_readings(
         fnv1a_64(number.to_le_bytes().into_iter().chain(columns))
     };
     let rows = run.require_column(&name)?.iter().enumerate();
-    let all: Vec<Reading> = rows
+    let all: Vec<GaugeReading> = rows
         .filter_map(|(row, &um)| {
             let um = Some(um).filter(|um| um.is_finite());
             let check_um = checks.map(|check| check[row]).filter(|um| um.is_finite());
@@ -68,7 +68,7 @@ pub(crate) fn collect_readings(
                 }
                 None => identity_before,
             };
-            Reading { row, um, check_um, time_s, identity, identity_before }
+            GaugeReading { row, um, check_um, time_s, identity, identity_before }
         })
         .collect();
     if all.is_empty() {

@@ -117,7 +117,7 @@ impl Faults {
 
 /// The result of reading a converter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Reading {
+pub enum ConverterReading {
     /// No converter answers.
     #[default]
     Missing,
@@ -129,7 +129,7 @@ pub enum Reading {
     Good(MicroOhms),
 }
 
-impl Reading {
+impl ConverterReading {
     /// As a thermometer's delivery.
     #[must_use]
     pub fn to_raw_reading(self) -> RawReading {
@@ -158,7 +158,7 @@ enum Step {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Converter {
     step: Step,
-    reading: Reading,
+    reading: ConverterReading,
     mains: MainsFrequency,
 }
 
@@ -171,14 +171,14 @@ impl Converter {
 
     /// Returns what it said last.
     #[must_use]
-    pub fn reading(&self) -> Reading {
+    pub fn reading(&self) -> ConverterReading {
         self.reading
     }
 
     /// Takes one turn, of at most two selections of 9 bytes together 11.
     ///
     /// The last good reading, or the last fault, stands while the cables are checked: four turns.
-    pub fn poll(&mut self, spi: &mut impl SpiDevice) -> Reading {
+    pub fn poll(&mut self, spi: &mut impl SpiDevice) -> ConverterReading {
         let mut transfer = |bytes: &mut [u8]| spi.transfer_in_place(bytes).is_ok();
         let ready =
             BIAS_ON_3_WIRE | if self.mains == MainsFrequency::Hz50 { FILTER_50_HZ } else { 0 };
@@ -188,27 +188,27 @@ impl Converter {
                 let [a, b, c, d] = FAULT_THRESHOLDS;
                 let sent = configure(CLEAR_FAULTS)
                     && transfer(&mut [WRITE_BIT | THRESHOLD_REGISTER, a, b, c, d]);
-                if sent { Step::StartCheck } else { self.record_failure(Reading::Missing) }
+                if sent { Step::StartCheck } else { self.record_failure(ConverterReading::Missing) }
             }
             Step::StartCheck => match configure(RUN_FAULT_DETECTION) {
                 true => Step::EndCheck,
-                false => self.record_failure(Reading::Missing),
+                false => self.record_failure(ConverterReading::Missing),
             },
             Step::EndCheck => match Registers::read(ready, &mut transfer) {
                 Err(failure) => self.record_failure(failure),
                 Ok(_) if transfer(&mut [WRITE_BIT, ready | AUTO_CONVERSION]) => Step::Settle,
-                Ok(_) => self.record_failure(Reading::Missing),
+                Ok(_) => self.record_failure(ConverterReading::Missing),
             },
             Step::Settle => {
-                if self.reading == Reading::Missing {
-                    self.reading = Reading::Starting;
+                if self.reading == ConverterReading::Missing {
+                    self.reading = ConverterReading::Starting;
                 }
                 Step::Read { left: READINGS_PER_FAULT_CHECK }
             }
             Step::Read { left } => match Registers::read(ready | AUTO_CONVERSION, &mut transfer) {
                 Err(failure) => self.record_failure(failure),
                 Ok(registers) => {
-                    self.reading = Reading::Good(registers.resistance());
+                    self.reading = ConverterReading::Good(registers.resistance());
                     match left.saturating_sub(1) {
                         0 => Step::Clear,
                         left => Step::Read { left },
@@ -219,7 +219,7 @@ impl Converter {
         self.reading
     }
 
-    fn record_failure(&mut self, reading: Reading) -> Step {
+    fn record_failure(&mut self, reading: ConverterReading) -> Step {
         self.reading = reading;
         Step::Clear
     }
@@ -231,15 +231,18 @@ struct Registers([u8; REGISTER_COUNT]);
 impl Registers {
     /// Reads them. A converter whose configuration or thresholds are not as they were set is not
     /// there.
-    fn read(configuration: u8, transfer: impl FnOnce(&mut [u8]) -> bool) -> Result<Self, Reading> {
+    fn read(
+        configuration: u8,
+        transfer: impl FnOnce(&mut [u8]) -> bool,
+    ) -> Result<Self, ConverterReading> {
         let mut bytes = [0; REGISTER_COUNT + 1];
         let answered = transfer(&mut bytes);
         let [_, registers @ ..] = bytes;
         let [found, _, low, limits @ .., faults] = registers;
         if !answered || found != configuration || limits != FAULT_THRESHOLDS {
-            Err(Reading::Missing)
+            Err(ConverterReading::Missing)
         } else if faults != 0 || low & 1 != 0 && configuration & AUTO_CONVERSION != 0 {
-            Err(Reading::Faulty(Faults(faults)))
+            Err(ConverterReading::Faulty(Faults(faults)))
         } else {
             Ok(Self(registers))
         }

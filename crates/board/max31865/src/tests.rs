@@ -103,17 +103,17 @@ impl SpiDevice for Stuck {
     }
 }
 
-fn turn(converter: &mut Converter, chip: &mut Chip) -> Reading {
+fn turn(converter: &mut Converter, chip: &mut Chip) -> ConverterReading {
     chip.live();
     converter.poll(chip)
 }
 
-fn turns(converter: &mut Converter, chip: &mut Chip, count: u32) -> Reading {
+fn turns(converter: &mut Converter, chip: &mut Chip, count: u32) -> ConverterReading {
     (0..count).map(|_| turn(converter, chip)).last().expect("at least one")
 }
 
-fn good(reading: Reading) -> i64 {
-    let Reading::Good(MicroOhms(micro)) = reading else { panic!("{reading:?}") };
+fn good(reading: ConverterReading) -> i64 {
+    let ConverterReading::Good(MicroOhms(micro)) = reading else { panic!("{reading:?}") };
     micro.into()
 }
 
@@ -139,7 +139,9 @@ fn the_filter_is_that_of_the_mains_in_every_configuration_that_is_written() {
             let mut spi = Recorder { chip: &mut chip, written: &mut all };
             converter.poll(&mut spi);
         }
-        let Reading::Good(_) = converter.reading() else { panic!("{:?}", converter.reading()) };
+        let ConverterReading::Good(_) = converter.reading() else {
+            panic!("{:?}", converter.reading())
+        };
         assert_eq!(all[..3], written);
         assert!(all.iter().all(|bits| written.contains(bits)), "{all:02x?}");
     }
@@ -199,7 +201,10 @@ fn a_line_stuck_at_0_or_at_1_or_a_bus_that_hangs_is_a_missing_converter() {
         let mut converter = Converter::default();
         for _ in 0..50 {
             let reading = converter.poll(&mut Stuck { level, error });
-            assert_eq!((reading, reading.to_raw_reading()), (Reading::Missing, RawReading::NONE));
+            assert_eq!(
+                (reading, reading.to_raw_reading()),
+                (ConverterReading::Missing, RawReading::NONE)
+            );
         }
     }
 }
@@ -208,11 +213,11 @@ fn a_line_stuck_at_0_or_at_1_or_a_bus_that_hangs_is_a_missing_converter() {
 fn one_that_dies_is_missing_with_the_next_reading_and_one_that_comes_back_is_read() {
     let (mut converter, mut chip) = (Converter::default(), Chip::new(PLAIN));
     good(turns(&mut converter, &mut chip, 7));
-    assert_eq!(converter.poll(&mut Stuck { level: 0xFF, error: None }), Reading::Missing);
+    assert_eq!(converter.poll(&mut Stuck { level: 0xFF, error: None }), ConverterReading::Missing);
     // A dip of its supply: all registers as after power-on.
     good(turns(&mut converter, &mut chip, 5));
     chip = Chip::new(PLAIN);
-    assert_eq!(turn(&mut converter, &mut chip), Reading::Missing);
+    assert_eq!(turn(&mut converter, &mut chip), ConverterReading::Missing);
     good(turns(&mut converter, &mut chip, 5));
 }
 
@@ -246,7 +251,7 @@ fn a_cable_fault_that_the_ratio_does_not_show_is_found_by_the_check() {
         chip.cable = cable;
         let found =
             (0..READINGS_PER_FAULT_CHECK + 4).find_map(|_| match turn(&mut converter, &mut chip) {
-                Reading::Faulty(faults) => Some(faults),
+                ConverterReading::Faulty(faults) => Some(faults),
                 _ => None,
             });
         let found = found.expect("within one round of checks");
@@ -264,7 +269,7 @@ fn a_fault_of_a_moment_is_seen_though_it_is_over_when_it_is_read() {
     chip.micro_ohms = PLAIN;
     assert_eq!(
         turn(&mut converter, &mut chip),
-        Reading::Faulty(Faults(Faults::ABOVE_HIGH_THRESHOLD))
+        ConverterReading::Faulty(Faults(Faults::ABOVE_HIGH_THRESHOLD))
     );
     good(turns(&mut converter, &mut chip, 5));
 }
@@ -299,5 +304,8 @@ fn the_first_reading_takes_these_bytes_and_no_others() {
     let mut converter = Converter::default();
     let readings: Vec<_> = (0..5).map(|_| converter.poll(&mut spi)).collect();
     spi.done();
-    assert_eq!(readings[3..], [Reading::Starting, Reading::Good(MicroOhms(215_000_000))]);
+    assert_eq!(
+        readings[3..],
+        [ConverterReading::Starting, ConverterReading::Good(MicroOhms(215_000_000))]
+    );
 }

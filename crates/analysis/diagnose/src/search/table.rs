@@ -3,7 +3,7 @@
 
 use trueup_numerics::{
     blocks::rms,
-    repeats::{self, Reading},
+    repeats::{self, RepeatReading},
 };
 
 use crate::{
@@ -90,7 +90,7 @@ pub(crate) fn residual_readings(
     targets: &TargetPositions,
     problem: &FitProblem,
     model: &Model,
-) -> Vec<Reading> {
+) -> Vec<RepeatReading> {
     let mut residual = vec![f64::NAN; problem.data.rows];
     let rows = problem.groups.first_row.iter();
     rows.zip(problem.residual(model)).for_each(|(&row, um)| residual[row] = um);

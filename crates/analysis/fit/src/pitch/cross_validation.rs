@@ -23,7 +23,7 @@ use trueup_machine::{
 use trueup_numerics::repeats;
 
 use super::{
-    readings::{Reading, Readings},
+    readings::{PitchReading, Readings},
     table::{DirectionMeans, Grid, TABLE_DECIMALS},
 };
 
@@ -96,7 +96,7 @@ pub(super) struct DirectionSums {
 impl DirectionSums {
     pub(super) fn from_readings<'r>(
         targets: usize,
-        readings: impl Iterator<Item = &'r Reading>,
+        readings: impl Iterator<Item = &'r PitchReading>,
     ) -> Self {
         let mut sums = Self {
             sum: [vec![0.0; targets], vec![0.0; targets]],
@@ -252,7 +252,7 @@ pub(super) fn cross_validate(
 ) -> Vec<CrossValidationScore> {
     let (runs, targets) = (readings.runs, readings.targets_mm.len());
     let folds = fold_count(runs);
-    let fold = |reading: &Reading| fold_index(reading.run, runs);
+    let fold = |reading: &PitchReading| fold_index(reading.run, runs);
     let mut judged: Vec<CrossValidationScore> = laws
         .iter()
         .map(|&law| CrossValidationScore {

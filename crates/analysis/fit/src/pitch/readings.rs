@@ -26,7 +26,7 @@ pub(super) const MAX_TARGETS: usize = 2048;
 
 /// One measured value.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Reading {
+pub(super) struct PitchReading {
     /// Its row in the file, from 0.
     pub row: usize,
     /// Its target, from 0.
@@ -49,7 +49,7 @@ pub(super) struct Readings {
     /// Feeds of the approach, rising; one, 0, where they are not asked for or not known.
     pub feeds_mm_per_min: Vec<f64>,
     /// In the order of the rows.
-    pub list: Vec<Reading>,
+    pub list: Vec<PitchReading>,
     /// Runs that have a reading.
     pub runs: usize,
     /// Rows that lack a value, or are about another quantity.
@@ -136,7 +136,7 @@ impl Readings {
         let mut feeds: Vec<f64> = rows.iter().map(|raw| raw.feed).collect();
         feeds.sort_by(f64::total_cmp);
         feeds.dedup_by(|b, a| *b <= *a * (1.0 + FEED_RELATIVE_TOLERANCE));
-        let list = rows.iter().zip(&target_of_row).map(|(raw, &target)| Reading {
+        let list = rows.iter().zip(&target_of_row).map(|(raw, &target)| PitchReading {
             row: raw.row,
             target,
             way: raw.way,
@@ -166,15 +166,16 @@ impl Readings {
             return Vec::new();
         }
         // Readings at different feeds are no repeats of each other.
-        let of_feed = |(repeat, reading): (repeats::Reading, &Reading)| repeats::Reading {
-            place: repeat.place + reading.feed * self.targets_mm.len(),
-            ..repeat
-        };
+        let of_feed =
+            |(repeat, reading): (repeats::RepeatReading, &PitchReading)| repeats::RepeatReading {
+                place: repeat.place + reading.feed * self.targets_mm.len(),
+                ..repeat
+            };
         let by_feed: Vec<_> =
             self.to_repeat_readings().into_iter().zip(&self.list).map(of_feed).collect();
         let found = find_gross_errors(&by_feed);
         let measured = measured_column(axis);
-        let aside = |(reading, _): (&Reading, &bool)| ExcludedRow {
+        let aside = |(reading, _): (&PitchReading, &bool)| ExcludedRow {
             place: file.value_location(reading.row, &measured),
             measured_um: reading.um,
             reason: "far from the other readings at its target".into(),
@@ -187,8 +188,8 @@ impl Readings {
     }
 
     /// Returns the readings for a decision by their repeats.
-    pub(super) fn to_repeat_readings(&self) -> Vec<repeats::Reading> {
-        let of = |reading: &Reading| repeats::Reading {
+    pub(super) fn to_repeat_readings(&self) -> Vec<repeats::RepeatReading> {
+        let of = |reading: &PitchReading| repeats::RepeatReading {
             place: reading.target,
             side: reading.way,
             cycle: reading.run,

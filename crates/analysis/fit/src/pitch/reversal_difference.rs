@@ -1,6 +1,6 @@
 //! The effect of a reversal: the reading from the negative side minus that from the positive one.
 
-use super::readings::{Reading, Readings};
+use super::readings::{PitchReading, Readings};
 
 /// One difference: a position approached from both sides in one run.
 #[derive(Clone, Copy)]
@@ -16,7 +16,7 @@ pub(super) fn reversal_differences(readings: &Readings) -> Vec<ReversalDifferenc
     let mut order: Vec<_> = readings.list.iter().collect();
     order.sort_by_key(|reading| (reading.target, reading.feed, reading.run, reading.way));
     // Of a record with several readings in a cell, the neighbours.
-    let pair = |pair: &[&Reading]| match pair {
+    let pair = |pair: &[&PitchReading]| match pair {
         [a, b] if (a.target, a.run, a.feed) == (b.target, b.run, b.feed) && a.way < b.way => {
             Some(ReversalDifference { target: a.target, run: a.run, feed: a.feed, um: b.um - a.um })
         }

@@ -178,7 +178,7 @@ fn backlash_half_width_um(readings: &Readings, sums: &DirectionSums) -> Option<f
         let blocks = fold_count(runs);
         (0..blocks)
             .filter_map(|block| {
-                let own = |reading: &&super::Reading| {
+                let own = |reading: &&super::PitchReading| {
                     super::cross_validation::fold_index(reading.run, runs) == block
                 };
                 let own = readings.list.iter().filter(own);

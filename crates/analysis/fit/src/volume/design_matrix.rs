@@ -8,7 +8,7 @@ use trueup_machine::Machine;
 use super::{
     error_parameters::ErrorParameters,
     kinematics::ForwardKinematics,
-    reading::{Reading, ReadingKind, dot},
+    reading::{ReadingKind, VolumeReading, dot},
     setup::{NuisanceParameter, SetupCentres, nuisance_sensitivities},
 };
 
@@ -29,7 +29,7 @@ impl DesignMatrix {
     /// # Panics
     /// The machine has no chain.
     #[must_use]
-    pub fn new(machine: &Machine, constants: ErrorParameters, readings: &[Reading]) -> Self {
+    pub fn new(machine: &Machine, constants: ErrorParameters, readings: &[VolumeReading]) -> Self {
         let chain = machine.volume.chain.as_ref().expect("was checked");
         let frame = ForwardKinematics::new(machine, chain);
         let centres = SetupCentres::from_readings(readings, &frame);
@@ -83,7 +83,7 @@ pub type NormalEquationsByKind = [NormalEquations; 4];
 #[must_use]
 pub(crate) fn normal_equations(
     design: &DesignMatrix,
-    readings: &[Reading],
+    readings: &[VolumeReading],
     is_in: impl Fn(usize) -> bool,
 ) -> NormalEquationsByKind {
     let columns = design.column_count();

@@ -12,7 +12,7 @@ use super::{
     design_matrix::{DesignMatrix, NormalEquationsByKind, normal_equations},
     error_parameters::{ErrorPart, GeometricError},
     estimate::{Posterior, Variances, compute_posterior},
-    reading::{CirclePosition, Pose, Reading},
+    reading::{CirclePosition, Pose, VolumeReading},
     setup::SetupUncertainty,
 };
 
@@ -130,7 +130,7 @@ pub(crate) fn assess_errors(
     design: &DesignMatrix,
     found: &Posterior,
     observability: &(Variances, Posterior),
-    readings: &[Reading],
+    readings: &[VolumeReading],
 ) -> Vec<ErrorAssessment> {
     let acting = acting_constants(design, readings);
     let judged = design.constants.distinct_errors().into_iter().map(|error| {
@@ -184,7 +184,7 @@ fn is_significant(found: &Posterior, own: &[usize]) -> bool {
 }
 
 /// Returns which constants move the tip where it was read, with those tools or a longer one.
-fn acting_constants(design: &DesignMatrix, readings: &[Reading]) -> Vec<bool> {
+fn acting_constants(design: &DesignMatrix, readings: &[VolumeReading]) -> Vec<bool> {
     let constants = design.constants.clone();
     let mut acting = vec![false; constants.all.len()];
     for reading in readings {
@@ -251,7 +251,7 @@ pub struct HeldOutResult {
 #[must_use]
 pub fn cross_validate(
     design: &DesignMatrix,
-    readings: &[Reading],
+    readings: &[VolumeReading],
     is_in: impl Fn(usize) -> bool,
     all: &NormalEquationsByKind,
     variances: &Variances,
@@ -305,7 +305,7 @@ pub fn cross_validate(
 }
 
 /// Returns the place of a reading, the same for repeats and components.
-fn location_key(reading: &Reading) -> [i64; 5] {
+fn location_key(reading: &VolumeReading) -> [i64; 5] {
     let setup = reading.setup as i64;
     match reading.on_circle {
         Some(CirclePosition { angle, .. }) => {

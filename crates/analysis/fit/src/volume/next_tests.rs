@@ -13,7 +13,7 @@ use super::{
         remaining_std_ratio,
     },
     kinematics::ForwardKinematics,
-    reading::{CirclePosition, Pose, Reading, ReadingKind, dot},
+    reading::{CirclePosition, Pose, ReadingKind, VolumeReading, dot},
     setup::SetupUncertainty,
 };
 
@@ -23,14 +23,14 @@ const MAX_REMAINING_RATIO: f64 = 0.7;
 /// A measurement that could be made.
 struct CandidateTest {
     text: String,
-    readings: Vec<Reading>,
+    readings: Vec<VolumeReading>,
 }
 
 /// Fills in the next test of each error that acts and is not known.
 pub(crate) fn propose_next_tests(
     machine: &Machine,
     constants: &ErrorParameters,
-    readings: &[Reading],
+    readings: &[VolumeReading],
     uncertainty: &SetupUncertainty,
     noise_um: [f64; 4],
     known: &mut [ErrorAssessment],
@@ -54,7 +54,7 @@ pub(crate) fn propose_next_tests(
             .map(|reading| reading.setup.max(reading.aligned) + 1)
             .max()
             .unwrap_or(0);
-        all.extend(candidate.readings.iter().map(|reading| Reading {
+        all.extend(candidate.readings.iter().map(|reading| VolumeReading {
             setup: reading.setup + first,
             aligned: reading.aligned + first,
             ..*reading
@@ -86,7 +86,7 @@ pub(crate) fn propose_next_tests(
 fn candidate_tests(
     machine: &Machine,
     constants: &ErrorParameters,
-    readings: &[Reading],
+    readings: &[VolumeReading],
 ) -> Vec<CandidateTest> {
     let ends = [0, 1, 2].map(|n| {
         let at = || readings.iter().map(|reading| reading.pose.position_mm[n]);
@@ -101,7 +101,7 @@ fn candidate_tests(
     let longer = readings.iter().map(|reading| {
         let pose =
             Pose { tool_mm: reading.pose.tool_mm + TOOL_LENGTH_DIFFERENCE_MM, ..reading.pose };
-        Reading { pose, ..*reading }
+        VolumeReading { pose, ..*reading }
     });
     let mut all = vec![CandidateTest {
         text: format!(
@@ -139,16 +139,16 @@ fn candidate_tests(
     all
 }
 
-fn push_ball_readings(into: &mut Vec<Reading>, setup: usize, pose: Pose) {
+fn push_ball_readings(into: &mut Vec<VolumeReading>, setup: usize, pose: Pose) {
     for n in 0..3 {
         let mut toward = [0.0; 3];
         toward[n] = 1.0;
-        into.push(Reading { toward, ..blank_reading(ReadingKind::Ball, setup, pose) });
+        into.push(VolumeReading { toward, ..blank_reading(ReadingKind::Ball, setup, pose) });
     }
 }
 
-fn blank_reading(kind: ReadingKind, setup: usize, pose: Pose) -> Reading {
-    Reading {
+fn blank_reading(kind: ReadingKind, setup: usize, pose: Pose) -> VolumeReading {
+    VolumeReading {
         kind,
         pose,
         toward: [0.0; 3],
@@ -165,7 +165,7 @@ fn blank_reading(kind: ReadingKind, setup: usize, pose: Pose) -> Reading {
 }
 
 fn push_circle_readings(
-    into: &mut Vec<Reading>,
+    into: &mut Vec<VolumeReading>,
     setup: usize,
     still: usize,
     share: f64,
@@ -186,7 +186,7 @@ fn push_circle_readings(
             (toward[u], toward[v]) = (cos, sin);
             let pose = Pose { position_mm, angle_deg: [0.0; 3], tool_mm };
             let on_circle = Some(CirclePosition { angle, sense });
-            into.push(Reading {
+            into.push(VolumeReading {
                 toward,
                 on_circle,
                 ..blank_reading(ReadingKind::Circle, setup, pose)
@@ -198,7 +198,7 @@ fn push_circle_readings(
 fn diagonal_readings(
     place: &dyn Fn([f64; 3], [f64; 3], f64) -> Pose,
     tool_mm: f64,
-) -> Vec<Reading> {
+) -> Vec<VolumeReading> {
     const DIAGONAL_STEPS: usize = 6;
     let mut readings = Vec::new();
     for setup in 0..4_usize {
@@ -217,13 +217,13 @@ fn diagonal_readings(
         let toward = way.map(|mm| mm / length);
         for step in 0..DIAGONAL_STEPS {
             for moved in 0..3 {
-                readings.push(Reading {
+                readings.push(VolumeReading {
                     toward,
                     ..blank_reading(ReadingKind::Diagonal, setup, at(step, moved))
                 });
             }
         }
-        readings.push(Reading {
+        readings.push(VolumeReading {
             toward,
             ..blank_reading(ReadingKind::Diagonal, setup, at(DIAGONAL_STEPS, 0))
         });
@@ -231,7 +231,10 @@ fn diagonal_readings(
     readings
 }
 
-fn plate_readings(place: &dyn Fn([f64; 3], [f64; 3], f64) -> Pose, tool_mm: f64) -> Vec<Reading> {
+fn plate_readings(
+    place: &dyn Fn([f64; 3], [f64; 3], f64) -> Pose,
+    tool_mm: f64,
+) -> Vec<VolumeReading> {
     const TRAVEL_FRACTIONS: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
     let mut readings = Vec::new();
     for one in TRAVEL_FRACTIONS {
@@ -255,7 +258,7 @@ fn sphere_readings(
     frame: &ForwardKinematics<'_>,
     rotary: &[RotaryAxis],
     middle: &Pose,
-) -> Vec<Reading> {
+) -> Vec<VolumeReading> {
     const ANGLES_DEG: [f64; 6] = [-90.0, -45.0, 0.0, 30.0, 60.0, 90.0];
     let own = frame.tip_on_workpiece_mm(middle);
     let mut readings = Vec::new();

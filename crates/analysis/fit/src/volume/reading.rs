@@ -61,7 +61,7 @@ pub struct EdgePosition {
 
 /// One number that an instrument has shown.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reading {
+pub struct VolumeReading {
     /// Its kind.
     pub kind: ReadingKind,
     /// Where.

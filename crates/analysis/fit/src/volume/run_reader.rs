@@ -18,7 +18,7 @@ use trueup_machine::{
 
 use super::{
     prediction::{PoseWithApproach, predict_errors_um},
-    reading::{CirclePosition, EdgePosition, Pose, Reading, ReadingKind, dot},
+    reading::{CirclePosition, EdgePosition, Pose, ReadingKind, VolumeReading, dot},
 };
 use crate::circle::{self, record::READING_COLUMN as RADIAL};
 
@@ -43,8 +43,8 @@ pub fn read(
     machine: &Machine,
     is_certified: bool,
     warnings: &mut Vec<String>,
-) -> Result<Vec<Reading>, BadInput> {
-    let mut readings: Vec<Reading> = Vec::new();
+) -> Result<Vec<VolumeReading>, BadInput> {
+    let mut readings: Vec<VolumeReading> = Vec::new();
     for (file, run) in runs.iter().enumerate() {
         let own = read_rows(run, file, machine, is_certified, warnings)?;
         let first = readings
@@ -55,7 +55,7 @@ pub fn read(
         // Edges of another file are other ones.
         let edge =
             readings.iter().filter_map(|reading| reading.on_edge).map(|edge| edge.edge + 1).max();
-        readings.extend(own.into_iter().map(|reading| Reading {
+        readings.extend(own.into_iter().map(|reading| VolumeReading {
             setup: reading.setup + first,
             aligned: reading.aligned + first,
             on_edge:
@@ -165,13 +165,13 @@ fn read_rows(
     machine: &Machine,
     is_certified: bool,
     warnings: &mut Vec<String>,
-) -> Result<Vec<Reading>, BadInput> {
+) -> Result<Vec<VolumeReading>, BadInput> {
     let columns = RunColumns::from_run(run, machine, warnings)?;
     let mut setups = SetupIndex::default();
     let (mut readings, mut stated) = (Vec::new(), Vec::new());
-    let mut add = |reading: Reading, direction: [f64; 3]| {
+    let mut add = |reading: VolumeReading, direction: [f64; 3]| {
         if is_finite_pose(&reading.pose) && reading.measured_um.is_finite() {
-            let Reading { pose, source: [_, row], .. } = reading;
+            let VolumeReading { pose, source: [_, row], .. } = reading;
             stated.push(PoseWithApproach { row, pose, direction });
             readings.push(reading);
         }
@@ -202,7 +202,7 @@ fn read_components(
     (file, is_certified): (usize, bool),
     columns: &RunColumns<'_>,
     setups: &mut SetupIndex,
-    mut add: impl FnMut(Reading),
+    mut add: impl FnMut(VolumeReading),
 ) {
     let measured = COMPONENT_COLUMNS.map(|name| run.column(name));
     for row in 0..run.row_count() {
@@ -242,7 +242,7 @@ fn read_components(
             });
             let reading = columns.applied_correction_um(row, toward);
             let value = measured[*n].map_or(f64::NAN, |values| values[row]);
-            add(Reading {
+            add(VolumeReading {
                 kind,
                 pose: columns.pose(row),
                 toward,
@@ -310,7 +310,7 @@ fn read_diagonals(
     file: usize,
     columns: &RunColumns<'_>,
     setups: &mut SetupIndex,
-    add: &mut dyn FnMut(Reading),
+    add: &mut dyn FnMut(VolumeReading),
 ) -> Result<(), BadInput> {
     let Some(values) = run.column(DIAGONAL_COLUMN) else { return Ok(()) };
     let key = |row: usize| columns.setup.map_or(0, |setup| setup[row].to_bits());
@@ -329,7 +329,7 @@ fn read_diagonals(
         }
         let toward = way.map(|mm| mm / length);
         let setup = setups.index_or_insert([ReadingKind::Diagonal as u64, 0, key(row), 0]);
-        add(Reading {
+        add(VolumeReading {
             kind: ReadingKind::Diagonal,
             pose: columns.pose(row),
             toward,
@@ -353,7 +353,7 @@ fn read_circles(
     machine: &Machine,
     columns: &RunColumns<'_>,
     setups: &mut SetupIndex,
-    add: &mut dyn FnMut(Reading, [f64; 3]),
+    add: &mut dyn FnMut(VolumeReading, [f64; 3]),
 ) -> Result<(), BadInput> {
     if run.column(RADIAL).is_none() {
         return Ok(());
@@ -380,7 +380,7 @@ fn read_circles(
                     still_mm.to_bits() ^ pose.tool_mm.to_bits().rotate_left(1),
                 ];
                 let setup = setups.index_or_insert(key);
-                let reading = Reading {
+                let reading = VolumeReading {
                     kind: ReadingKind::Circle,
                     pose,
                     toward,

@@ -16,7 +16,7 @@ use std::{collections::BTreeMap, sync::LazyLock};
 use super::{
     kinematics::ForwardKinematics,
     modes::Modes,
-    reading::{EdgePosition, Pose, Reading, ReadingKind, cross, dot},
+    reading::{EdgePosition, Pose, ReadingKind, VolumeReading, cross, dot},
 };
 
 /// An unknown of a set-up; `usize` is a number of a set-up, and which of its components.
@@ -102,7 +102,7 @@ pub(crate) struct SetupCentres(BTreeMap<usize, ([f64; 3], f64)>);
 impl SetupCentres {
     /// Returns the centres of the set-ups of `readings`.
     #[must_use]
-    pub(crate) fn from_readings(readings: &[Reading], frame: &ForwardKinematics<'_>) -> Self {
+    pub(crate) fn from_readings(readings: &[VolumeReading], frame: &ForwardKinematics<'_>) -> Self {
         let mut sums: BTreeMap<usize, ([f64; 3], f64)> = BTreeMap::new();
         for reading in readings {
             let place = measured_point_mm(reading, frame);
@@ -113,14 +113,14 @@ impl SetupCentres {
         Self(sums)
     }
 
-    fn lever_arm_mm(&self, reading: &Reading, frame: &ForwardKinematics<'_>) -> [f64; 3] {
+    fn lever_arm_mm(&self, reading: &VolumeReading, frame: &ForwardKinematics<'_>) -> [f64; 3] {
         let place = measured_point_mm(reading, frame);
         let (sum, count) = self.0.get(&reading.setup).copied().unwrap_or(([0.0; 3], 1.0));
         [0, 1, 2].map(|n| place[n] - sum[n] / count)
     }
 }
 
-fn measured_point_mm(reading: &Reading, frame: &ForwardKinematics<'_>) -> [f64; 3] {
+fn measured_point_mm(reading: &VolumeReading, frame: &ForwardKinematics<'_>) -> [f64; 3] {
     match reading.kind {
         ReadingKind::Ball | ReadingKind::Edge => frame.tip_on_workpiece_mm(&reading.pose),
         ReadingKind::Diagonal | ReadingKind::Circle => reading.pose.position_mm,
@@ -130,7 +130,7 @@ fn measured_point_mm(reading: &Reading, frame: &ForwardKinematics<'_>) -> [f64; 
 /// Returns the unknowns of a reading, each with what a unit of it adds.
 #[must_use]
 pub(crate) fn nuisance_sensitivities(
-    reading: &Reading,
+    reading: &VolumeReading,
     frame: &ForwardKinematics<'_>,
     centres: &SetupCentres,
 ) -> Vec<(NuisanceParameter, f64)> {
@@ -170,7 +170,7 @@ pub(crate) fn nuisance_sensitivities(
 }
 
 fn workpiece_nuisance_sensitivities(
-    reading: &Reading,
+    reading: &VolumeReading,
     frame: &ForwardKinematics<'_>,
     arm_mm: [f64; 3],
 ) -> Vec<(NuisanceParameter, f64)> {

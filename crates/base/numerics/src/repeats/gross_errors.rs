@@ -14,7 +14,7 @@
 //! ([`outlier_cutoff`]), and as far from what its neighbours in the same cycle, before it and after it, are from
 //! theirs: a cycle, or a part of one, that was warmer than the others is no row of gross errors.
 
-use super::reading::Reading;
+use super::reading::RepeatReading;
 use crate::robust::{MIN_CUTOFF_SCALES, median, outlier_cutoff};
 
 /// Two repeats do not say which of them is wrong.
@@ -33,7 +33,7 @@ const MAX_OUTLIER_FRACTION: f64 = 0.1;
 
 /// Returns whether each reading is gross; `readings` in the order in which they were taken.
 #[must_use]
-pub fn find_gross_errors(readings: &[Reading]) -> Vec<bool> {
+pub fn find_gross_errors(readings: &[RepeatReading]) -> Vec<bool> {
     let none = vec![false; readings.len()];
     let groups = group_by_stop(readings);
     let Some(scale) = repeatability_scale(readings, &groups) else { return none };
@@ -56,7 +56,7 @@ pub fn find_gross_errors(readings: &[Reading]) -> Vec<bool> {
 }
 
 /// Returns the rows of each place and side.
-fn group_by_stop(readings: &[Reading]) -> Vec<Vec<usize>> {
+fn group_by_stop(readings: &[RepeatReading]) -> Vec<Vec<usize>> {
     let mut order: Vec<usize> = (0..readings.len()).collect();
     order.sort_by_key(|&row| (readings[row].place, readings[row].side, row));
     let same = |a: &usize, b: &usize| {
@@ -67,7 +67,7 @@ fn group_by_stop(readings: &[Reading]) -> Vec<Vec<usize>> {
 }
 
 /// Returns the scatter of one reading among its repeats; none where nothing scatters or nothing repeats.
-fn repeatability_scale(readings: &[Reading], groups: &[Vec<usize>]) -> Option<f64> {
+fn repeatability_scale(readings: &[RepeatReading], groups: &[Vec<usize>]) -> Option<f64> {
     /// Pairs of the first this many repeats of a place are enough of them.
     const MAX_PAIRED_REPEATS: usize = 30;
     let mut pairs = Vec::new();
@@ -86,7 +86,7 @@ fn repeatability_scale(readings: &[Reading], groups: &[Vec<usize>]) -> Option<f6
 /// Of the neighbours before and of those after `row` in its cycle, what the one that is nearest to its
 /// median is from it: only where all of a side have moved has more moved than one reading. NaN where
 /// there is one neighbour or none.
-fn neighbour_deviation(readings: &[Reading], deviation: &[f64], row: usize) -> [f64; 2] {
+fn neighbour_deviation(readings: &[RepeatReading], deviation: &[f64], row: usize) -> [f64; 2] {
     let is_near = |&other: &usize| {
         readings[other].cycle == readings[row].cycle && deviation[other].is_finite()
     };

@@ -4,7 +4,7 @@
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 use super::{
-    reading::Reading,
+    reading::RepeatReading,
     table::{Table, TableLaw},
     table_selection::SIGNIFICANCE_LEVEL,
 };
@@ -57,7 +57,7 @@ impl InterpolationCheck {
 #[must_use]
 pub fn check_interpolation(
     at: &[f64],
-    readings: &[Reading],
+    readings: &[RepeatReading],
     aside: &[bool],
     law: TableLaw,
 ) -> Option<InterpolationCheck> {

@@ -2,7 +2,7 @@
 
 /// One reading. All numbers count from 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reading {
+pub struct RepeatReading {
     /// The place that is meant to be the same.
     pub place: usize,
     /// From which side the place was approached: 0 or 1.

@@ -1,6 +1,6 @@
 //! A value for each place, and for the second side a step or a value of its own: least squares.
 
-use super::reading::Reading;
+use super::reading::RepeatReading;
 
 /// The relation between the two sides of a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -32,7 +32,7 @@ impl Table {
     pub fn fit<'r>(
         law: TableLaw,
         places: usize,
-        readings: impl Iterator<Item = &'r Reading>,
+        readings: impl Iterator<Item = &'r RepeatReading>,
     ) -> Self {
         let mut sum = [vec![0.0; places], vec![0.0; places]];
         let mut count = [vec![0.0; places], vec![0.0; places]];

@@ -19,7 +19,7 @@
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 use super::{
-    reading::Reading,
+    reading::RepeatReading,
     table::{Table, TableLaw},
 };
 
@@ -120,12 +120,12 @@ impl TableSelection {
 /// Decides among `laws` over `places` places; `aside`: readings that do not count.
 #[must_use]
 pub fn select_table(
-    readings: &[Reading],
+    readings: &[RepeatReading],
     aside: &[bool],
     places: usize,
     laws: &[TableLaw],
 ) -> TableSelection {
-    let used: Vec<(usize, Reading)> = readings
+    let used: Vec<(usize, RepeatReading)> = readings
         .iter()
         .enumerate()
         .filter(|&(row, reading)| !aside[row] && reading.value.is_finite())
@@ -162,7 +162,11 @@ pub fn select_table(
 }
 
 /// Returns what a law leaves of all readings: squares and degrees of freedom.
-fn residual_sum_of_squares(law: TableLaw, used: &[(usize, Reading)], places: usize) -> (f64, f64) {
+fn residual_sum_of_squares(
+    law: TableLaw,
+    used: &[(usize, RepeatReading)],
+    places: usize,
+) -> (f64, f64) {
     let table = Table::fit(law, places, used.iter().map(|(_, reading)| reading));
     let left = used
         .iter()
@@ -184,7 +188,7 @@ fn is_significant_step(table: (f64, f64), step: (f64, f64)) -> bool {
 }
 
 /// Returns the block of each reading, how many there are, and whether they are sides.
-fn assign_blocks(used: &[(usize, Reading)]) -> (Vec<usize>, usize, bool) {
+fn assign_blocks(used: &[(usize, RepeatReading)]) -> (Vec<usize>, usize, bool) {
     let mut cycles: Vec<usize> = used.iter().map(|(_, reading)| reading.cycle).collect();
     cycles.sort_unstable();
     cycles.dedup();
@@ -194,14 +198,14 @@ fn assign_blocks(used: &[(usize, Reading)]) -> (Vec<usize>, usize, bool) {
         return (of, 1 + usize::from(both), true);
     }
     let count = cycles.len().min(MAX_BLOCKS);
-    let of = |reading: &Reading| {
+    let of = |reading: &RepeatReading| {
         cycles.partition_point(|&cycle| cycle < reading.cycle) * count / cycles.len()
     };
     (used.iter().map(|(_, reading)| of(reading)).collect(), count, false)
 }
 
 /// Returns the pooled standard deviation of repeats: at one place from one side, else at one place.
-fn pooled_std(used: &[(usize, Reading)], places: usize) -> Option<f64> {
+fn pooled_std(used: &[(usize, RepeatReading)], places: usize) -> Option<f64> {
     [TableLaw::EachSide, TableLaw::Table].into_iter().find_map(|law| {
         let table = Table::fit(law, places, used.iter().map(|(_, reading)| reading));
         let freedom = used.len().checked_sub(table.constants).filter(|freedom| *freedom > 0)?;
@@ -218,7 +222,7 @@ fn pooled_std(used: &[(usize, Reading)], places: usize) -> Option<f64> {
 /// Returns a law on trial; none where it has as many values as there are readings.
 fn test_law(
     law: TableLaw,
-    used: &[(usize, Reading)],
+    used: &[(usize, RepeatReading)],
     places: usize,
     block_of: &[usize],
     blocks: usize,
@@ -228,7 +232,7 @@ fn test_law(
     let freedom = used.len().checked_sub(table.constants).filter(|freedom| *freedom > 0)? as f64;
     let more = table.constants.checked_sub(1).filter(|more| *more > 0)? as f64;
     let mean = mean(used.iter().map(|(_, reading)| reading.value));
-    let about = |of: &dyn Fn(&Reading) -> f64| -> f64 {
+    let about = |of: &dyn Fn(&RepeatReading) -> f64| -> f64 {
         used.iter().map(|(_, reading)| (reading.value - of(reading)).powi(2)).sum()
     };
     let (all, left) =

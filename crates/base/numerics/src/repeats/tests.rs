@@ -6,13 +6,13 @@ fn cycles_of(
     places: usize,
     cycles: usize,
     mut of: impl FnMut(usize, usize, usize) -> f64,
-) -> Vec<Reading> {
+) -> Vec<RepeatReading> {
     let mut all = Vec::new();
     for cycle in 0..cycles {
         for side in [0, 1] {
             for n in 0..places {
                 let place = if side == 0 { n } else { places - 1 - n };
-                all.push(Reading { place, side, cycle, value: of(place, side, cycle) });
+                all.push(RepeatReading { place, side, cycle, value: of(place, side, cycle) });
             }
         }
     }
@@ -27,7 +27,7 @@ fn noise(seed: u64) -> impl FnMut() -> f64 {
 
 const ALL: [TableLaw; 3] = [TableLaw::Table, TableLaw::TableAndStep, TableLaw::EachSide];
 
-fn decided(readings: &[Reading], places: usize) -> TableSelection {
+fn decided(readings: &[RepeatReading], places: usize) -> TableSelection {
     select_table(readings, &find_gross_errors(readings), places, &ALL)
 }
 
@@ -86,8 +86,9 @@ fn f_is_that_of_an_analysis_of_variance() {
     // Three places with two readings each: 1, 3 | 5, 7 | 9, 11. Between 64/2, within 6/3: F = 16;
     // of (2, 3) degrees of freedom the upper tail is (1 + 2·16/3)^(−3/2) = 0.025 094.
     let values = [1.0, 5.0, 9.0, 3.0, 7.0, 11.0];
-    let readings: Vec<Reading> =
-        (0..6).map(|n| Reading { place: n % 3, side: 0, cycle: n / 3, value: values[n] }).collect();
+    let readings: Vec<RepeatReading> = (0..6)
+        .map(|n| RepeatReading { place: n % 3, side: 0, cycle: n / 3, value: values[n] })
+        .collect();
     let decision = select_table(&readings, &[false; 6], 3, &[TableLaw::Table]);
     let trial = &decision.trials[0];
     assert!((trial.f - 16.0).abs() < 1e-12, "{}", trial.f);
@@ -100,8 +101,8 @@ fn f_is_that_of_an_analysis_of_variance() {
 fn left_out_cycles_are_foreseen_by_the_others() {
     // One place more than two differ: each cycle by the mean of the two others.
     let values = [[0.0, 1.0, 2.0], [10.0, 11.0, 12.0], [30.0, 31.0, 32.0]];
-    let readings: Vec<Reading> = (0..9)
-        .map(|n| Reading { place: n % 3, side: 0, cycle: n / 3, value: values[n % 3][n / 3] })
+    let readings: Vec<RepeatReading> = (0..9)
+        .map(|n| RepeatReading { place: n % 3, side: 0, cycle: n / 3, value: values[n % 3][n / 3] })
         .collect();
     let decision = select_table(&readings, &[false; 9], 3, &[TableLaw::Table]);
     let left: Vec<f64> = decision.trials[0].left_out.clone();
@@ -145,8 +146,8 @@ fn one_cycle_is_judged_by_its_two_sides_and_one_way_alone_not_at_all() {
     let decision = decided(&both, 7);
     assert_eq!((decision.taken, decision.by_side), (Ok(TableLaw::Table), true));
     // The same with a number for each way in the place of a cycle.
-    let ways: Vec<Reading> =
-        both.iter().map(|reading| Reading { cycle: reading.side, ..*reading }).collect();
+    let ways: Vec<RepeatReading> =
+        both.iter().map(|reading| RepeatReading { cycle: reading.side, ..*reading }).collect();
     assert_eq!(decided(&ways, 7).taken, Ok(TableLaw::Table));
     // A step is seen at every place.
     let step = cycles_of(7, 1, |place, side, _| shape[place] - 4.0 * side as f64 + noise());
@@ -208,9 +209,9 @@ fn the_power_is_that_of_drawn_tables() {
         let error = |place: usize| if place.is_multiple_of(2) { size } else { -size };
         let found = (0..2000)
             .filter(|_| {
-                let readings: Vec<Reading> = (0..10 * cycles)
+                let readings: Vec<RepeatReading> = (0..10 * cycles)
                     .map(|n| (n % 10, n / 10))
-                    .map(|(place, cycle)| Reading {
+                    .map(|(place, cycle)| RepeatReading {
                         place,
                         side: 0,
                         cycle,

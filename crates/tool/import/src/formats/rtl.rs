@@ -22,7 +22,7 @@ pub(super) fn matches_format(text: &str) -> bool {
     text.contains("Run Target Data") && text.contains("Targets")
 }
 
-struct Reading {
+struct RtlReading {
     line: usize,
     run: u32,
     target: usize,
@@ -83,7 +83,7 @@ pub(super) fn parse(
                 if !is_there || run < 1.0 || run.fract() != 0.0 {
                     return Err(bad(at, format!("there is no target {target} in run {run}")));
                 }
-                readings.push(Reading {
+                readings.push(RtlReading {
                     line: at,
                     run: run as u32,
                     target: target as usize - 1,
@@ -113,7 +113,7 @@ pub(super) fn parse(
 /// Returns the readings as a table, with a column of directions where there are any. `places` are those of the targets
 /// and of the deviations.
 fn build_table(
-    readings: &[Reading],
+    readings: &[RtlReading],
     targets: &[f64],
     run_directions: &[Option<f64>],
     [at_targets, at_readings]: &[Location; 2],
@@ -144,7 +144,7 @@ fn parse_numbers(text: &str) -> Option<Vec<f64>> {
 /// Returns the direction of each run: by the order of its targets. Where all runs are written in one order, only the
 /// user knows whether every second one went back.
 fn determine_run_directions(
-    readings: &[Reading],
+    readings: &[RtlReading],
     targets: &[f64],
     answers: &Answers,
     place: &Location,
