@@ -31,7 +31,7 @@ use trueup_machine::{
 use trueup_node::node::{Interface, Node};
 use trueup_twin::{
     Scenario,
-    machine::{Command, Machine as Truth},
+    machine::{DriveCommand, Machine as Truth},
 };
 
 /// Of the machine file: the counts at 10 V go to 0.33 of the ADC's range.
@@ -178,7 +178,10 @@ fn record_of(truth: &str, believed: &str, engaged: Engaged, is_axis: bool, facto
             let x_mm = if step == 29 { x_mm } else { on_way };
             let spindle_rpm = if works { 18_000.0 } else { 0.0 };
             let position_mm = [x_mm, 0.0, 0.0];
-            truth.step(ROW_S / 30.0, &Command { position_mm, spindle_rpm, ..Command::default() });
+            truth.step(
+                ROW_S / 30.0,
+                &DriveCommand { position_mm, spindle_rpm, ..DriveCommand::default() },
+            );
         }
         let volts = truth.sensor_volts().unwrap_or(0.0);
         let screw_c = truth.temperatures_c()[0].1;

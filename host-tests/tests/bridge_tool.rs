@@ -10,7 +10,7 @@ use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
 use support::{Bridge, FAST_MACHINE, GROWN_UM, file, trueup};
 use tempfile::TempDir;
-use trueup_core::cnc::{Command as CncCommand, Control, Output, Quality};
+use trueup_core::cnc::{CncMessage as CncCommand, Control, Output, Quality};
 use trueup_emulator::{cnc::CncClient, setup};
 use trueup_machine::{MachineFile, RunFile, compile};
 use trueup_store::calibration::calibration_crc;

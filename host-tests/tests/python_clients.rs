@@ -15,7 +15,7 @@ use std::{
 use anyhow::{Context as _, Result, bail, ensure};
 use serde_json::{Value, json};
 use support::{Bridge, FAST_MACHINE, GROWN_UM, PATIENCE, file, wait_until_stuck};
-use trueup_core::cnc::{Command as CncCommand, Control, Flags, Quality};
+use trueup_core::cnc::{CncMessage as CncCommand, Control, Flags, Quality};
 use trueup_emulator::{cnc::CncClient, setup};
 use trueup_link::e2e;
 

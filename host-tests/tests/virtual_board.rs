@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use trueup_core::{
     bridge::Input,
-    cnc::{Command, Control, Quality, Spindle},
+    cnc::{CncMessage, Control, Quality, Spindle},
     units::{AdcCode, Rpm, TimestampMs},
 };
 use trueup_emulator::{
@@ -157,7 +157,7 @@ fn the_serial_line_says_what_the_bus_says_and_growth_lifts_the_tool() {
         CncClient::open(board.buffered_serial().expect("a line")).expect("an open channel");
     for _ in 0..20 {
         let control = Control::ENGAGED;
-        cnc.send(Command::Control(control)).expect("accepted");
+        cnc.send(CncMessage::Control(control)).expect("accepted");
         let blocks: Vec<Block> = (0..20)
             .map(|_| Block {
                 codes: front_end.convert_block(|_| SETTLED_VOLTS),

@@ -14,7 +14,7 @@ use trueup_emulator::{linuxcnc::headless::HeadlessLinuxCnc, setup};
 use trueup_machine::MachineFile;
 use trueup_twin::{
     Scenario,
-    machine::{Command, Machine as Twin},
+    machine::{DriveCommand, Machine as Twin},
     noise::rms,
 };
 
@@ -93,7 +93,8 @@ fn live(
             cnc.read_pins(&["iocontrol.0.tool-number", "spindle.0.speed-out", "axis.z.eoffset"])?;
         let dt_s = before.elapsed().as_secs_f64() * HURRIED;
         before = Instant::now();
-        let command = Command { tool: pins[0] as u16, spindle_rpm: pins[1], ..Command::default() };
+        let command =
+            DriveCommand { tool: pins[0] as u16, spindle_rpm: pins[1], ..DriveCommand::default() };
         metal.step(dt_s, &command);
         let counts = metal.sensor_counts().unwrap_or(f64::NAN);
         bridge.grow_to((counts - 5_048.0) * 500.0 / 32_768.0);

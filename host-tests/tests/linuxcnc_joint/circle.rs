@@ -29,7 +29,7 @@ use trueup_emulator::{
 use trueup_twin::{
     Scenario,
     instrument::Instrument,
-    machine::{Command, Machine},
+    machine::{DriveCommand, Machine},
 };
 
 use super::{
@@ -202,7 +202,8 @@ fn cut(cnc: &mut HeadlessLinuxCnc, with_bridge: bool) -> Result<Vec<[f64; 2]>> {
 fn tips(cycles: &[[f64; 2]], scenario: &Scenario) -> Vec<[f64; 2]> {
     let mut machine = Machine::new(scenario, 1);
     let tip = |&[x, y]: &[f64; 2]| {
-        machine.step(CYCLE_S, &Command { position_mm: [x, y, 0.0], ..Command::default() });
+        machine
+            .step(CYCLE_S, &DriveCommand { position_mm: [x, y, 0.0], ..DriveCommand::default() });
         let [dx, dy, _] = machine.tip_error_um();
         [x + dx * 1e-3, y + dy * 1e-3]
     };

@@ -46,7 +46,7 @@ use trueup_program::{
 use trueup_twin::{
     Scenario,
     instrument::Instrument,
-    machine::{Command, Machine},
+    machine::{DriveCommand, Machine},
 };
 
 /// Recorder of its commands in each servo cycle.
@@ -141,7 +141,7 @@ fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Resu
     loop {
         let [x, y, z, speed] = cycles.next()?;
         let position_mm = [x, y, z];
-        let command = Command { position_mm, spindle_rpm: speed, ..Command::default() };
+        let command = DriveCommand { position_mm, spindle_rpm: speed, ..DriveCommand::default() };
         machine.step(0.001 * factor, &command);
         if speed > 0.0 && began_s.is_none() {
             began_s = Some(machine.time_s());

@@ -8,7 +8,7 @@ use std::path::Path;
 
 use trueup_twin::{
     instrument::Instrument,
-    machine::{Command, Machine},
+    machine::{DriveCommand, Machine},
     noise::RandomStream,
     scenario::Scenario,
     table::RunTable,
@@ -141,7 +141,7 @@ impl AxisTrial {
                 let share = f64::from(step) / steps;
                 let x_mm = at_mm + share * (to_mm - at_mm);
                 let position_mm = [x_mm, 0.0, 0.0];
-                let command = Command { position_mm, ..Command::default() };
+                let command = DriveCommand { position_mm, ..DriveCommand::default() };
                 machine.step((seconds / steps).max(1e-3), &command);
             }
             at_mm = to_mm;

@@ -6,7 +6,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, bail};
-use trueup_core::cnc::{Command, Control, LinearAxis, Output};
+use trueup_core::cnc::{CncMessage, Control, LinearAxis, Output};
 use trueup_link::{
     frames,
     receiver::OffsetReceiver,
@@ -89,21 +89,21 @@ impl<S: Read + Write> CncClient<S> {
     ///
     /// # Errors
     /// The line breaks, or the board refuses.
-    pub fn send(&mut self, command: Command) -> Result<()> {
-        if matches!(command, Command::Control(control) if control.engage) && !self.has_begun {
+    pub fn send(&mut self, command: CncMessage) -> Result<()> {
+        if matches!(command, CncMessage::Control(control) if control.engage) && !self.has_begun {
             self.has_begun = true;
             for _ in frames::release_sequence() {
-                self.send(Command::Control(Control::REFERENCED))?;
+                self.send(CncMessage::Control(Control::REFERENCED))?;
             }
         }
         let (frame, counter) = match command {
-            Command::Control(control) => {
+            CncMessage::Control(control) => {
                 (frames::encode_control(control, self.control_counter), &mut self.control_counter)
             }
-            Command::Spindle(spindle) => {
+            CncMessage::Spindle(spindle) => {
                 (frames::encode_spindle(spindle, self.spindle_counter), &mut self.spindle_counter)
             }
-            Command::Position(position) => {
+            CncMessage::Position(position) => {
                 let [x, y, z] = &mut self.position_counters;
                 let counter = match position.axis {
                     LinearAxis::X => x,
@@ -112,10 +112,10 @@ impl<S: Read + Write> CncClient<S> {
                 };
                 (frames::encode_position(position, *counter), counter)
             }
-            Command::Rotary(rotary) => {
+            CncMessage::Rotary(rotary) => {
                 (frames::encode_rotary(rotary, self.rotary_counter), &mut self.rotary_counter)
             }
-            Command::Conditions(conditions) => (
+            CncMessage::Conditions(conditions) => (
                 frames::encode_conditions(conditions, self.conditions_counter),
                 &mut self.conditions_counter,
             ),
@@ -131,7 +131,7 @@ impl<S: Read + Write> CncClient<S> {
     pub fn confirm(&mut self) -> Result<()> {
         for confirm in [false, true, false] {
             for _ in 0..frames::release_sequence().len() {
-                self.send(Command::Control(Control { confirm, ..Control::REFERENCED }))?;
+                self.send(CncMessage::Control(Control { confirm, ..Control::REFERENCED }))?;
             }
         }
         Ok(())
@@ -234,9 +234,9 @@ mod tests {
             for axis in LinearAxis::ALL {
                 let direction = TravelDirection::Positive;
                 let there = AxisPosition { axis, position: Position(5), direction };
-                cnc.send(Command::Position(there)).expect("accepted");
+                cnc.send(CncMessage::Position(there)).expect("accepted");
             }
-            cnc.send(Command::Rotary(Rotary::default())).expect("accepted");
+            cnc.send(CncMessage::Rotary(Rotary::default())).expect("accepted");
         }
         let mut receiver = Receiver::new();
         let mut client = Client::new();

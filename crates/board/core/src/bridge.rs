@@ -74,7 +74,7 @@ pub use self::state::{
 use crate::{
     axis_errors::ErrorSums,
     calibration::{Calibration, ElongationSource},
-    cnc::{Command, Control, Flags, LinearAxis, Output, Quality, Rotary},
+    cnc::{CncMessage, Control, Flags, LinearAxis, Output, Quality, Rotary},
     dimensions::{CHANNEL_COUNT, CODES_PER_TICK, THERMAL_STEP_MS},
     index_set::IndexSet,
     learned::ChangeRequest,
@@ -131,9 +131,9 @@ impl<'a> Bridge<'a> {
     /// The effects of a message are computed here and not in every tick: the errors of the axes that
     /// depend on this position, the tool direction. A CNC that stands still sends the same again,
     /// and that costs nothing.
-    pub fn receive(&self, state: &mut State, command: Command) {
+    pub fn receive(&self, state: &mut State, command: CncMessage) {
         match command {
-            Command::Control(control) => self.receive_control(state, control),
+            CncMessage::Control(control) => self.receive_control(state, control),
             value => self.receive_command(state, value),
         }
     }
@@ -152,10 +152,10 @@ impl<'a> Bridge<'a> {
 
     /// Takes any other command than `Control`, which it ignores.
     // Apart from it, because a `Zero` takes long and no value does: a test bounds the time of each (host-tests, `bounds`).
-    pub fn receive_command(&self, state: &mut State, value: Command) {
+    pub fn receive_command(&self, state: &mut State, value: CncMessage) {
         match value {
-            Command::Control(_) => {}
-            Command::Spindle(spindle) => {
+            CncMessage::Control(_) => {}
+            CncMessage::Spindle(spindle) => {
                 state.spindle.receive(spindle);
                 if self.needs.category_speed
                     && state.heat.update_speed(&self.calibration, spindle.speed)
@@ -163,9 +163,9 @@ impl<'a> Bridge<'a> {
                     self.update_term_heat(state);
                 }
             }
-            Command::Conditions(conditions) => self.receive_conditions(state, conditions),
-            Command::Rotary(Rotary { angles }) => self.receive_angles(state, angles),
-            Command::Position(heard) => {
+            CncMessage::Conditions(conditions) => self.receive_conditions(state, conditions),
+            CncMessage::Rotary(Rotary { angles }) => self.receive_angles(state, angles),
+            CncMessage::Position(heard) => {
                 if let Some(axis) = self.calibration.axes.get(heard.axis as usize)
                     && state.receive_position(heard, axis)
                 {

@@ -7,7 +7,7 @@ use crate::{
 
 /// A valid message from the CNC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Command {
+pub enum CncMessage {
     /// The CNC's sign of life, and what it allows the bridge to do.
     Control(Control),
     /// Speed and load of the spindle.

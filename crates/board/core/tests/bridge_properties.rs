@@ -10,7 +10,7 @@ use trueup_core::{
     axis_errors::CachedErrors,
     bridge::{Bridge, Input, State},
     cnc::{
-        AxisPosition, Command, Control, Flags, LinearAxis, Output, Quality, Rotary, Spindle,
+        AxisPosition, CncMessage, Control, Flags, LinearAxis, Output, Quality, Rotary, Spindle,
         TravelDirection,
     },
     dimensions::{CHANNEL_COUNT, CODES_PER_TICK},
@@ -24,37 +24,41 @@ use trueup_core::{
 
 use self::drawn::{Machine, number, numbers, size};
 
-fn command() -> impl Strategy<Value = Command> {
+fn command() -> impl Strategy<Value = CncMessage> {
     let heading =
         select(&[TravelDirection::Negative, TravelDirection::Standing, TravelDirection::Positive]);
     let often = || prop::bool::weighted(0.95);
     prop_oneof![
         3 => (often(), often(), prop::bool::weighted(0.1)).prop_map(|(engage, referenced, zero)| {
-            Command::Control(Control { engage, referenced, zero, ..Control::default() })
+            CncMessage::Control(Control { engage, referenced, zero, ..Control::default() })
         }),
         1 => (any::<u16>(), any::<i16>()).prop_map(|(speed, load_n)| {
-            Command::Spindle(Spindle { speed: Rpm(speed), load_n })
+            CncMessage::Spindle(Spindle { speed: Rpm(speed), load_n })
         }),
         1 => numbers().prop_map(|angles| {
-            Command::Rotary(Rotary { angles: angles.map(MicroDegrees) })
+            CncMessage::Rotary(Rotary { angles: angles.map(MicroDegrees) })
         }),
         3 => (select(&LinearAxis::ALL), number(), heading).prop_map(|(axis, to, direction)| {
-            Command::Position(AxisPosition { axis, position: Position(to), direction })
+            CncMessage::Position(AxisPosition { axis, position: Position(to), direction })
         }),
     ]
 }
 
 /// Returns all that a calibration can ask of a CNC.
-fn greeting() -> impl Strategy<Value = Vec<Command>> {
+fn greeting() -> impl Strategy<Value = Vec<CncMessage>> {
     (numbers::<3>(), numbers()).prop_map(|(positions, angles)| {
         let positions = LinearAxis::ALL.into_iter().zip(positions).map(|(axis, to)| {
             let position = Position(to);
-            Command::Position(AxisPosition { axis, position, direction: TravelDirection::Positive })
+            CncMessage::Position(AxisPosition {
+                axis,
+                position,
+                direction: TravelDirection::Positive,
+            })
         });
         let control = Control::ENGAGED;
         let others = [
-            Command::Rotary(Rotary { angles: angles.map(MicroDegrees) }),
-            Command::Control(control),
+            CncMessage::Rotary(Rotary { angles: angles.map(MicroDegrees) }),
+            CncMessage::Control(control),
         ];
         positions.chain(others).collect()
     })
@@ -65,7 +69,7 @@ fn greeting() -> impl Strategy<Value = Vec<Command>> {
 struct Phase {
     ticks: u32,
     elapsed_ms: u32,
-    heard: Vec<Command>,
+    heard: Vec<CncMessage>,
     codes: Option<[u16; CODES_PER_TICK]>,
     speed: Option<u16>,
     temperatures: Option<[i32; CHANNEL_COUNT]>,

@@ -4,7 +4,7 @@
 //! [`Receiver`] is the board's ear for the CNC; [`OffsetReceiver`] and [`StatusReceiver`] are the
 //! CNC's, or a monitor's, ears for the board.
 
-use trueup_core::cnc::{Command, LinearAxis, Output};
+use trueup_core::cnc::{CncMessage, LinearAxis, Output};
 
 use crate::{
     e2e::E2eError,
@@ -111,33 +111,33 @@ impl Receiver {
     ///
     /// # Errors
     /// A frame for the bridge that must not be used. It is counted.
-    pub fn accept(&mut self, frame: &Frame) -> Result<Option<Command>, ReceiveError> {
+    pub fn accept(&mut self, frame: &Frame) -> Result<Option<CncMessage>, ReceiveError> {
         let counters = &mut self.counters;
         let mut position = |axis: LinearAxis, stream: &mut Stream| {
             counters
                 .verify_and_decode(stream, frame, |frame| frames::decode_position(axis, frame))
-                .map(Command::Position)
+                .map(CncMessage::Position)
         };
         Ok(Some(match frame.id() {
             POSITION_X_ID => position(LinearAxis::X, &mut self.position_x)?,
             POSITION_Y_ID => position(LinearAxis::Y, &mut self.position_y)?,
             POSITION_Z_ID => position(LinearAxis::Z, &mut self.position_z)?,
-            ROTARY_ID => Command::Rotary(self.counters.verify_and_decode(
+            ROTARY_ID => CncMessage::Rotary(self.counters.verify_and_decode(
                 &mut self.rotary,
                 frame,
                 frames::decode_rotary,
             )?),
-            SPINDLE_ID => Command::Spindle(self.counters.verify_and_decode(
+            SPINDLE_ID => CncMessage::Spindle(self.counters.verify_and_decode(
                 &mut self.spindle,
                 frame,
                 frames::decode_spindle,
             )?),
-            CONTROL_ID => Command::Control(self.counters.verify_and_decode(
+            CONTROL_ID => CncMessage::Control(self.counters.verify_and_decode(
                 &mut self.control,
                 frame,
                 frames::decode_control,
             )?),
-            CONDITIONS_ID => Command::Conditions(self.counters.verify_and_decode(
+            CONDITIONS_ID => CncMessage::Conditions(self.counters.verify_and_decode(
                 &mut self.conditions,
                 frame,
                 frames::decode_conditions,

@@ -7,7 +7,7 @@
 
 use trueup_core::{
     cnc::{
-        AxisPosition, Command, Conditions, Control, LinearAxis, Rotary, Spindle, TravelDirection,
+        AxisPosition, CncMessage, Conditions, Control, LinearAxis, Rotary, Spindle, TravelDirection,
     },
     units::{MicroDegrees, Position, Rpm},
 };
@@ -220,12 +220,12 @@ impl Block {
     }
 
     /// Returns the commands that it holds next to `Control`, at most six, in the order of their registers.
-    pub fn commands(&self) -> impl Iterator<Item = Command> + use<> {
+    pub fn commands(&self) -> impl Iterator<Item = CncMessage> + use<> {
         let said = self.said.unwrap_or_default();
-        let positions = said.positions.into_iter().flatten().map(Command::Position);
-        let rotary = said.rotary.map(Command::Rotary);
-        let spindle = said.spindle.map(Command::Spindle);
-        let conditions = said.conditions.map(Command::Conditions);
+        let positions = said.positions.into_iter().flatten().map(CncMessage::Position);
+        let rotary = said.rotary.map(CncMessage::Rotary);
+        let spindle = said.spindle.map(CncMessage::Spindle);
+        let conditions = said.conditions.map(CncMessage::Conditions);
         positions.chain(rotary).chain(spindle).chain(conditions)
     }
 }

@@ -14,7 +14,7 @@ use trueup_canopen::{
 };
 use trueup_core::{
     bridge::{self, Bridge, Input},
-    cnc::{Command, Control, Flags, Output, Quality},
+    cnc::{CncMessage, Control, Flags, Output, Quality},
     sensor_health::Noise,
     supply::SupplyMonitor,
     units::TimestampMs,
@@ -272,7 +272,7 @@ impl<'a> Node<'a> {
         &mut self,
         line: Interface,
         frame: &Frame,
-    ) -> Result<Option<Command>, ReceiveError> {
+    ) -> Result<Option<CncMessage>, ReceiveError> {
         if frame.id() == SDO_REQUEST_ID {
             self.log.set_sender(line);
             // Taken out, because what it reads and writes is the rest of this node.
@@ -301,7 +301,7 @@ impl<'a> Node<'a> {
         }
         let command = heard?;
         match (command, &self.bridge) {
-            (Some(Command::Control(control)), _) => self.receive_control(line, control),
+            (Some(CncMessage::Control(control)), _) => self.receive_control(line, control),
             (Some(value), Some(bridge)) => bridge.receive_command(&mut self.state, value),
             _ => {}
         }

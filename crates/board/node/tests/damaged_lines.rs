@@ -11,7 +11,7 @@ use std::thread;
 
 use trueup_core::{
     cnc::{
-        AxisPosition, Command, Control, LinearAxis, Output, Quality, Rotary, Spindle,
+        AxisPosition, CncMessage, Control, LinearAxis, Output, Quality, Rotary, Spindle,
         TravelDirection,
     },
     units::{MicroDegrees, Nanometres, Position, Rpm},
@@ -241,7 +241,7 @@ fn no_one_to_three_flipped_bits_of_forty_lines_make_another_command() {
 }
 
 /// The line is followed by others: which of the frames are received.
-fn heard(receiver: &mut Receiver, bytes: &[u8]) -> Vec<(Frame, Command)> {
+fn heard(receiver: &mut Receiver, bytes: &[u8]) -> Vec<(Frame, CncMessage)> {
     let mut heard = Vec::new();
     frames_in(bytes, |frame| {
         if let Ok(Some(command)) = receiver.accept(&frame) {

@@ -2,7 +2,7 @@
 //! serial line.
 
 use trueup_core::{
-    cnc::{Command, Conditions},
+    cnc::{CncMessage, Conditions},
     units::{MicroDegrees, Position},
 };
 use trueup_link::{frame::Frame, receiver::Receiver};
@@ -30,18 +30,18 @@ impl CncState {
         let Ok(Some(command)) = self.receiver.accept(frame) else { return };
         let mut note = |column: usize, value: f64| self.values[column] = Some((value, now_ms));
         match command {
-            Command::Control(_) => {}
-            Command::Conditions(it) => self.conditions = Some((it, now_ms)),
-            Command::Spindle(spindle) => {
+            CncMessage::Control(_) => {}
+            CncMessage::Conditions(it) => self.conditions = Some((it, now_ms)),
+            CncMessage::Spindle(spindle) => {
                 note(0, spindle.speed.0.into());
                 note(1, spindle.load_n.into());
             }
-            Command::Position(it) => {
+            CncMessage::Position(it) => {
                 let mm = f64::from(it.position.0) / f64::from(Position::PER_MILLIMETRE);
                 note(2 + it.axis as usize, mm);
                 note(5 + it.axis as usize, f64::from(it.direction as i8));
             }
-            Command::Rotary(it) => {
+            CncMessage::Rotary(it) => {
                 for (column, angle) in (8..).zip(it.angles) {
                     note(column, f64::from(angle.0) / f64::from(MicroDegrees::PER_DEGREE));
                 }

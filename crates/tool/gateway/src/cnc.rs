@@ -90,7 +90,7 @@ impl CncTransmitter {
 mod tests {
     use super::*;
     use trueup_core::{
-        cnc::{AxisPosition, Command, Conditions, Spindle, TravelDirection},
+        cnc::{AxisPosition, CncMessage, Conditions, Spindle, TravelDirection},
         units::{Position, Rpm},
     };
     use trueup_link::receiver::Receiver;
@@ -117,9 +117,9 @@ mod tests {
             speaker.queue_frames(Duration::from_millis(ms), &said);
             for frame in speaker.take_frames() {
                 match receiver.accept(&frame).expect("in order") {
-                    Some(Command::Control(control)) => controls.push((ms, control.engage)),
-                    Some(Command::Position(_)) => positions += 1,
-                    Some(Command::Conditions(it)) => tools.push((ms, it.tool, it.bits)),
+                    Some(CncMessage::Control(control)) => controls.push((ms, control.engage)),
+                    Some(CncMessage::Position(_)) => positions += 1,
+                    Some(CncMessage::Conditions(it)) => tools.push((ms, it.tool, it.bits)),
                     _ => others += 1,
                 }
             }

@@ -15,7 +15,7 @@ use std::{
 
 use trueup_client::duplex_stream::DuplexStream;
 use trueup_core::{
-    cnc::{AxisPosition, Command, Control, LinearAxis, Output, Quality, TravelDirection},
+    cnc::{AxisPosition, CncMessage, Control, LinearAxis, Output, Quality, TravelDirection},
     units::{Nanometres, Position},
 };
 use trueup_gateway::{
@@ -62,7 +62,7 @@ fn bridge(start: Instant, received: Arc<Mutex<Vec<(i32, i32)>>>) -> u16 {
                             let frame = port.receive(*byte);
                             let command =
                                 frame.and_then(|frame| receiver.accept(&frame).ok().flatten());
-                            if let Some(Command::Position(at)) = command {
+                            if let Some(CncMessage::Position(at)) = command {
                                 received.lock().expect("whole").push((at.position.0, ms(start)));
                             }
                         }

@@ -18,7 +18,7 @@ use crate::{
         StepInputs,
     },
     offsets::{OffsetLimits, OffsetTarget, ReceivedOffsets},
-    sender::{Command, Frames, Sender},
+    sender::{CommandValues, Frames, Sender},
 };
 
 /// LinuxCNC has applied an offset when it is within this of it, in nanometres: the planner stops a
@@ -246,7 +246,7 @@ impl Component {
             confirm: inputs.confirm,
             ..Control::default()
         };
-        let command = Command {
+        let command = CommandValues {
             control,
             position_mm: inputs.position_mm,
             offset_mm: applied_nm.map(|nm| nm / NANOMETRES_PER_MILLIMETRE),
@@ -297,7 +297,7 @@ pub(crate) mod tests {
     use super::*;
     use std::vec::Vec;
     use trueup_core::{
-        cnc::{Command as Received, Output},
+        cnc::{CncMessage as Received, Output},
         units::Nanometres,
     };
     use trueup_link::{

@@ -43,7 +43,7 @@ const ZERO_HOLD_TIME: Duration = Duration::from_millis(100);
 
 /// Values to send.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Command {
+pub struct CommandValues {
     /// The CNC's permissions and requests, for `Control`.
     pub control: Control,
     /// Commanded positions of X, Y and Z in mm, without the external offset.
@@ -205,7 +205,7 @@ impl Sender {
     }
 
     /// Returns the frames that are due.
-    pub(crate) fn due_frames(&mut self, now: Duration, command: &Command) -> Frames {
+    pub(crate) fn due_frames(&mut self, now: Duration, command: &CommandValues) -> Frames {
         let mut due = Frames::new();
         let control =
             Control { zero: self.stretch_zero_pulse(now, command.control.zero), ..command.control };
@@ -292,14 +292,14 @@ fn to_spindle(rpm: f64, load_n: f64) -> Spindle {
 mod tests {
     use super::*;
     use std::vec::Vec;
-    use trueup_core::cnc::Command as Received;
+    use trueup_core::cnc::CncMessage as Received;
     use trueup_link::receiver::Receiver;
 
     fn ms(ms: u64) -> Duration {
         Duration::from_millis(ms)
     }
 
-    fn said(sender: &mut Sender, now: Duration, command: &Command) -> Vec<Received> {
+    fn said(sender: &mut Sender, now: Duration, command: &CommandValues) -> Vec<Received> {
         let mut receiver = Receiver::new();
         let frames = sender.due_frames(now, command);
         frames.iter().filter_map(|frame| receiver.accept(frame).expect("protected")).collect()
@@ -311,7 +311,8 @@ mod tests {
         let mut receiver = Receiver::new();
         let mut count = [0; 2];
         for now in 0..1_000 {
-            let command = Command { position_mm: [now as f64, 7.0, 0.0], ..Command::default() };
+            let command =
+                CommandValues { position_mm: [now as f64, 7.0, 0.0], ..CommandValues::default() };
             for frame in sender.due_frames(ms(now), &command) {
                 match receiver.accept(&frame).expect("in order") {
                     Some(Received::Position(there)) if there.axis == LinearAxis::X => count[0] += 1,
@@ -343,8 +344,11 @@ mod tests {
         let mut sender = Sender::new(ms(2), false, [Some(0.0); 3]);
         let mut z = |now, offset_mm| {
             let there = [0.0, 0.0, offset_mm];
-            let command =
-                Command { position_mm: [0.0, 0.0, 7.0], offset_mm: there, ..Command::default() };
+            let command = CommandValues {
+                position_mm: [0.0, 0.0, 7.0],
+                offset_mm: there,
+                ..CommandValues::default()
+            };
             said(&mut sender, ms(now), &command).into_iter().find_map(|received| match received {
                 Received::Position(at) if at.axis == LinearAxis::Z => {
                     Some((at.position.0, at.direction))
@@ -384,7 +388,7 @@ mod tests {
     #[test]
     fn a_pulse_on_zero_is_stretched_and_control_says_it_at_once() {
         let mut sender = Sender::new(ms(2), false, [Some(0.0); 3]);
-        let mut command = Command::default();
+        let mut command = CommandValues::default();
         let zero = |said: Vec<Received>| {
             said.into_iter().find_map(|received| match received {
                 Received::Control(control) => Some(control.zero),
@@ -404,7 +408,7 @@ mod tests {
     fn each_part_of_what_was_learned_comes_once_in_five_frames_and_nothing_while_there_is_none() {
         let mut sender = Sender::new(ms(2), false, [Some(0.0); 3]);
         let learned = |sender: &mut Sender, now| {
-            let said = said(sender, ms(now), &Command::default());
+            let said = said(sender, ms(now), &CommandValues::default());
             said.into_iter().find_map(|received| match received {
                 Received::Control(control) => Some(control.learned),
                 _ => None,
@@ -426,11 +430,11 @@ mod tests {
     fn what_is_not_a_number_is_not_sent() {
         for wrong in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             let mut sender = Sender::new(ms(2), true, [Some(0.0); 3]);
-            let command = Command {
+            let command = CommandValues {
                 position_mm: [wrong, 1.0, wrong],
                 angles_deg: [0.0, wrong],
                 load_n: wrong,
-                ..Command::default()
+                ..CommandValues::default()
             };
             let received = said(&mut sender, ms(0), &command);
             let is_y = |received: &Received| matches!(received, Received::Position(at) if at.axis == LinearAxis::Y);
@@ -446,7 +450,7 @@ mod tests {
         assert_eq!(to_position(1e30), Position(i32::MAX));
         assert_eq!(to_spindle(-24_000.0, 1e9), Spindle { speed: Rpm(24_000), load_n: i16::MAX });
         let mut sender = Sender::new(ms(2), true, [Some(0.0); 3]);
-        let command = Command { angles_deg: [725.0, -30.0], ..Command::default() };
+        let command = CommandValues { angles_deg: [725.0, -30.0], ..CommandValues::default() };
         let received = said(&mut sender, ms(0), &command);
         let angles = [5_000_000, -30_000_000].map(MicroDegrees);
         assert!(received.contains(&Received::Rotary(Rotary { angles })));

@@ -249,7 +249,7 @@ mod tests {
     use std::cell::Cell;
     use trueup_client::pinned_calibration::CalibrationPolicy;
     use trueup_core::{
-        cnc::Command,
+        cnc::CncMessage,
         learned::{ChangeRequest, calibration_id},
     };
     use trueup_link::{
@@ -297,7 +297,7 @@ mod tests {
             lessons.send_learned_corrections(&mut component, &mut |_: &str| ());
             let (_, frames) = component.step(Duration::from_millis(20 * turn), &Inputs::default());
             for frame in &frames {
-                if let Some(Command::Control(it)) = receiver.accept(frame).expect("in order") {
+                if let Some(CncMessage::Control(it)) = receiver.accept(frame).expect("in order") {
                     let ChangeRequest { part, amount, calibration } = it.learned;
                     assert!(
                         part == 0 || calibration == calibration_id(RUNNING),

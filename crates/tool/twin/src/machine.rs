@@ -25,7 +25,7 @@ use crate::{
 
 /// The command to the drives for one step: where it ends, and what holds during it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Command {
+pub struct DriveCommand {
     /// Where X, Y and Z are driven to, in mm.
     pub position_mm: [f64; 3],
     /// Where the rotary axes of the head are turned to, in degrees, in the scenario's order.
@@ -55,7 +55,7 @@ pub struct Machine {
     /// From the spindle nose to the tool tip, a unit vector; at all angles 0, and now.
     straight: [f64; 3],
     direction: [f64; 3],
-    command: Command,
+    command: DriveCommand,
 }
 
 impl Machine {
@@ -86,10 +86,10 @@ impl Machine {
             head: scenario.head.clone(),
             straight,
             direction: straight,
-            command: Command {
+            command: DriveCommand {
                 position_mm: scenario.start_mm,
                 tool: scenario.segment.first().and_then(|segment| segment.tool).unwrap_or(0),
-                ..Command::default()
+                ..DriveCommand::default()
             },
         };
         machine.update_sensors(0.0);
@@ -97,7 +97,7 @@ impl Machine {
     }
 
     /// Steps on by `dt_s`, above 0.
-    pub fn step(&mut self, dt_s: f64, command: &Command) {
+    pub fn step(&mut self, dt_s: f64, command: &DriveCommand) {
         let is_changed = self.command.tool != command.tool;
         self.command = *command;
         let ambient_c = self.ambient.step(dt_s);
@@ -106,7 +106,7 @@ impl Machine {
             if is_changed {
                 spindle.load_cold_tool(ambient_c);
             }
-            let Command { spindle_rpm, load_n, .. } = *command;
+            let DriveCommand { spindle_rpm, load_n, .. } = *command;
             spindle.step(dt_s, &OperatingConditions { spindle_rpm, load_n, ambient_c, coolant_c });
         }
         self.axes.step(dt_s, command.position_mm, ambient_c);
@@ -188,7 +188,7 @@ impl Machine {
 
     fn growth(&self) -> Growth {
         let Some(spindle) = &self.spindle else { return Growth::default() };
-        let Command { tool, spindle_rpm, .. } = self.command;
+        let DriveCommand { tool, spindle_rpm, .. } = self.command;
         Growth { tool_um: growth_um(&self.tools, tool, spindle_rpm), ..spindle.growth() }
     }
 

@@ -8,7 +8,7 @@
 use crate::{
     axes::AXIS_NAMES,
     instrument::Instrument,
-    machine::{Command, Machine},
+    machine::{DriveCommand, Machine},
     path::{Leg, build_legs},
     scenario::{Quantity, Scenario},
     table::RunTable,
@@ -75,7 +75,8 @@ impl<'s> Simulation<'s> {
             // Its end exactly: a last digit that the next leg takes back would be a reversal.
             let position_mm = if part < parts { [0, 1, 2].map(on_way) } else { leg.to_mm };
             let Leg { spindle_rpm, load_n, tool, .. } = *leg;
-            let command = Command { position_mm, spindle_rpm, load_n, tool, ..Command::default() };
+            let command =
+                DriveCommand { position_mm, spindle_rpm, load_n, tool, ..DriveCommand::default() };
             self.machine.step(leg.seconds / parts, &command);
         }
     }

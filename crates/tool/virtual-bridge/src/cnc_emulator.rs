@@ -101,7 +101,7 @@ impl CncEmulator {
 mod tests {
     use super::*;
     use trueup_core::{
-        cnc::{AxisPosition, Command, Conditions, Control, LinearAxis, Rotary, TravelDirection},
+        cnc::{AxisPosition, CncMessage, Conditions, Control, LinearAxis, Rotary, TravelDirection},
         units::Position,
     };
     use trueup_link::receiver::Receiver;
@@ -149,7 +149,7 @@ mod tests {
         let mut count = |received: &ReceivedFrames| {
             let frames = (0..1_000).flat_map(|_| stand_in.next_frames(&now, received)).flatten();
             let received = frames.map(|frame| receiver.accept(&frame).expect("in order"));
-            received.filter(|command| *command == Some(Command::Conditions(said))).count()
+            received.filter(|command| *command == Some(CncMessage::Conditions(said))).count()
         };
         assert_eq!(count(&received), 20);
         received.record_line(b"t40280000000000000000");
@@ -166,7 +166,7 @@ mod tests {
             received.record_line(b"t30280000000000000000");
             for frame in stand_in.next_frames(&now, &received).into_iter().flatten() {
                 let told = receiver.accept(&frame).expect("in order");
-                assert_eq!(told, Some(Command::Control(Control::ENGAGED)), "{frame:?}");
+                assert_eq!(told, Some(CncMessage::Control(Control::ENGAGED)), "{frame:?}");
                 at_ms.push(ms);
             }
         }

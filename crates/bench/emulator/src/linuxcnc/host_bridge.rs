@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use anyhow::{Context as _, Result};
 use trueup_core::{
     bridge::{Bridge, Input, State},
-    cnc::{AxisPosition, Command, Control, LinearAxis, Rotary, TravelDirection},
+    cnc::{AxisPosition, CncMessage, Control, LinearAxis, Rotary, TravelDirection},
     units::{MicroDegrees, Position, Rpm, TimestampMs},
 };
 use trueup_machine::{CompiledCalibration, Machine, inputs::TemperatureInput};
@@ -58,8 +58,8 @@ impl<'a> HostBridge<'a> {
         celsius: &BTreeMap<String, f64>,
     ) -> Option<[f64; 3]> {
         let Self { bridge, state, .. } = self;
-        bridge.receive(state, Command::Control(Control::ENGAGED));
-        bridge.receive(state, Command::Rotary(Rotary { angles: [MicroDegrees(0); 2] }));
+        bridge.receive(state, CncMessage::Control(Control::ENGAGED));
+        bridge.receive(state, CncMessage::Rotary(Rotary { angles: [MicroDegrees(0); 2] }));
         let both = position_mm.into_iter().zip(&mut self.before_mm);
         for (axis, (mm, before_mm)) in LinearAxis::ALL.into_iter().zip(both) {
             let position = Position((mm * f64::from(Position::PER_MILLIMETRE)).round() as i32);
@@ -68,7 +68,7 @@ impl<'a> HostBridge<'a> {
                 way if way < 0.0 => TravelDirection::Negative,
                 _ => TravelDirection::Standing,
             };
-            bridge.receive(state, Command::Position(AxisPosition { axis, position, direction }));
+            bridge.receive(state, CncMessage::Position(AxisPosition { axis, position, direction }));
         }
         let temperatures = replay::raw_temperatures(self.temperatures, celsius);
         let codes = self.front_end.convert_block(|_| volts);

@@ -28,7 +28,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, anyhow, bail};
-use trueup_twin::machine::{Command, Machine};
+use trueup_twin::machine::{DriveCommand, Machine};
 
 use super::bridge::Bridge;
 use crate::board::MAX_BATCH_BLOCKS;
@@ -426,12 +426,12 @@ impl SimulationLoop {
             let most = SPINDLE_ACCELERATION_RPM_PER_S * dt_s;
             self.spindle_rpm += (cycle.spindle_rpm - self.spindle_rpm).clamp(-most, most);
             cycle.spindle_rpm = self.spindle_rpm;
-            let command = |position_mm: [f64; 3]| Command {
+            let command = |position_mm: [f64; 3]| DriveCommand {
                 position_mm,
                 head_deg: cycle.head_deg,
                 spindle_rpm: cycle.spindle_rpm,
                 load_n: sample.load_n(),
-                ..Command::default()
+                ..DriveCommand::default()
             };
             self.with.step(dt_s, &command(cycle.motor_mm));
             self.without.step(dt_s, &command(cycle.commanded_mm()));

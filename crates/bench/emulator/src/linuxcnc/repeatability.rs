@@ -73,7 +73,7 @@ fn reduction_percent(
         let offset = bridge.step([0.0, 0.0, z_mm], volts, &celsius);
         offset_mm = offset.map_or(offset_mm, |[_, _, z_mm]| z_mm);
         let driven =
-            |z_mm| machine::Command { position_mm: [0.0, 0.0, z_mm], ..Default::default() };
+            |z_mm| machine::DriveCommand { position_mm: [0.0, 0.0, z_mm], ..Default::default() };
         with.step(SERVO_PERIOD_S, &driven(z_mm + offset_mm));
         without.step(SERVO_PERIOD_S, &driven(z_mm));
         errors.push([without.tip_error_um()[2], with.tip_error_um()[2] + offset_mm * 1e3]);

@@ -48,7 +48,7 @@ impl Rig {
     }
 
     fn control(&mut self, control: Control) {
-        self.bridge.receive(&mut self.state, Command::Control(control));
+        self.bridge.receive(&mut self.state, CncMessage::Control(control));
     }
 
     fn tick(&mut self, codes: Option<[AdcCode; CODES_PER_TICK]>) -> Output {
@@ -267,7 +267,7 @@ fn without_a_speed_the_window_is_200_ms_and_it_says_so() {
 fn the_speed_of_the_cnc_wins_while_it_is_fresh() {
     let mut rig = Rig::new(calibration());
     let spindle = Spindle { speed: Rpm(60_000), load_n: 0 };
-    rig.bridge.receive(&mut rig.state, Command::Spindle(spindle));
+    rig.bridge.receive(&mut rig.state, CncMessage::Spindle(spindle));
     for ms in 1..=3 {
         let codes = core::array::from_fn(|n| AdcCode(1000 + (n % 2) as u16));
         rig.bridge.tick(
@@ -315,7 +315,7 @@ fn warm(rig: &mut Rig, ms: u32, kelvin: Option<i32>, x_mm: i32) -> Output {
         rig.control(ENGAGED);
         rig.bridge.receive(
             &mut rig.state,
-            Command::Position(AxisPosition {
+            CncMessage::Position(AxisPosition {
                 axis: LinearAxis::X,
                 position: Position(x_mm * Position::PER_MILLIMETRE),
                 direction: TravelDirection::Positive,
@@ -408,7 +408,7 @@ fn an_axis_that_is_not_square_errs_along_the_other_where_it_goes() {
                 position,
                 direction: TravelDirection::Positive,
             };
-            rig.bridge.receive(&mut rig.state, Command::Position(received));
+            rig.bridge.receive(&mut rig.state, CncMessage::Position(received));
             rig.tick(None);
         }
         assert_eq!(rig.last.offset, Some([Nanometres(x_nm), Nanometres(0), Nanometres(0)]));
@@ -424,7 +424,7 @@ fn a_tilted_head_takes_growth_to_both_axes() {
     assert_eq!(rig.run_engaged(200, 1050).quality, Quality::Off);
     for _ in 0..300 {
         let angles = [MicroDegrees(30_000_000), MicroDegrees(0)];
-        rig.bridge.receive(&mut rig.state, Command::Rotary(Rotary { angles }));
+        rig.bridge.receive(&mut rig.state, CncMessage::Rotary(Rotary { angles }));
         rig.run_engaged(1, 1100);
     }
     // 102.4 µm along (0, 0.5, −0.866): error (0, 51.2, −88.681), offset its opposite.

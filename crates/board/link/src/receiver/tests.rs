@@ -43,9 +43,9 @@ fn commands_are_told_apart_and_each_has_its_own_sequence() {
     let mut receiver = Receiver::new();
     for counter in 0..=u8::MAX {
         let frame = encode_control(ENGAGED, counter);
-        assert_eq!(receiver.accept(&frame), Ok(Some(Command::Control(ENGAGED))));
+        assert_eq!(receiver.accept(&frame), Ok(Some(CncMessage::Control(ENGAGED))));
         let frame = encode_spindle(TURNING, counter.wrapping_mul(3));
-        assert_eq!(receiver.accept(&frame), Ok(Some(Command::Spindle(TURNING))));
+        assert_eq!(receiver.accept(&frame), Ok(Some(CncMessage::Spindle(TURNING))));
     }
     let expected = Counters { accepted: 512, lost: 255 * 2, ..Counters::default() };
     assert_eq!(receiver.counters(), expected);
@@ -63,10 +63,10 @@ fn each_axis_and_the_rotary_pair_has_its_own_sequence() {
         for (axis, stride) in LinearAxis::ALL.into_iter().zip([1, 3, 5]) {
             let there = at(axis, i32::from(step) * 1_000 - 64_000);
             let frame = encode_position(there, step.wrapping_mul(stride));
-            assert_eq!(receiver.accept(&frame), Ok(Some(Command::Position(there))));
+            assert_eq!(receiver.accept(&frame), Ok(Some(CncMessage::Position(there))));
         }
         let frame = encode_rotary(turned, step.wrapping_mul(7));
-        assert_eq!(receiver.accept(&frame), Ok(Some(Command::Rotary(turned))));
+        assert_eq!(receiver.accept(&frame), Ok(Some(CncMessage::Rotary(turned))));
     }
     let lost = 255 * (2 + 4 + 6);
     let expected = Counters { accepted: 4 * 256, lost, ..Counters::default() };
@@ -145,7 +145,7 @@ fn a_restarted_cnc_is_heard_again_with_its_second_frame() {
     let refused = receiver.accept(&encode_control(ENGAGED, counter)).unwrap_err();
     assert_eq!(refused, ReceiveError::E2e(E2eError::WrongSequence { last, counter }));
     let received = receiver.accept(&encode_control(ENGAGED, 1));
-    assert_eq!(received, Ok(Some(Command::Control(ENGAGED))));
+    assert_eq!(received, Ok(Some(CncMessage::Control(ENGAGED))));
 }
 
 #[test]

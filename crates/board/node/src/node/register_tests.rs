@@ -4,7 +4,7 @@ use std::{vec, vec::Vec};
 use trueup_core::{
     bridge::Input,
     cnc::{
-        AxisPosition, Command, Conditions, Control, Flags, LinearAxis, Quality, Rotary, Spindle,
+        AxisPosition, CncMessage, Conditions, Control, Flags, LinearAxis, Quality, Rotary, Spindle,
         TravelDirection,
     },
     units::{AdcCode, MicroDegrees, Position, Rpm},
@@ -162,7 +162,7 @@ fn a_block_taken_in_steps_ends_where_one_taken_at_once_does() {
         run_for_ms(&mut at_once, 10, 700);
         let block = Block::from_registers(&registers);
         assert_eq!(in_steps.receive_block(&block), Ok(true));
-        let values: Vec<Command> = block.commands().collect();
+        let values: Vec<CncMessage> = block.commands().collect();
         assert_eq!(values.len(), 6, "all are there: {values:?}");
         for value in values {
             // A tick of the offset comes in between.

@@ -1,7 +1,7 @@
 //! The bridge in registers: what a PLC reads and writes over the RS-485 line, by the rules that hold for a CNC
 //! on CAN. One block says all that CAN has in six frames, so there is one counter and one check for it.
 
-use trueup_core::cnc::Command;
+use trueup_core::cnc::CncMessage;
 use trueup_modbus::{
     holding::{self, Block, BlockRejectReason, Checker},
     input::InputBlock,
@@ -82,7 +82,7 @@ impl Node<'_> {
     /// Takes one of the values of a block that was taken. It has no effect once another line has the master.
     // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
     #[inline(never)]
-    pub fn receive_command(&mut self, value: Command) {
+    pub fn receive_command(&mut self, value: CncMessage) {
         if !self.master.accepts_interface(Interface::Modbus) {
             return;
         }

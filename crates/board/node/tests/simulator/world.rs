@@ -6,7 +6,7 @@
 
 use trueup_core::{
     bridge::{Input, Reference},
-    cnc::{Command, Control, Output, Quality},
+    cnc::{CncMessage, Control, Output, Quality},
     dimensions::{CHANNEL_COUNT, CODES_PER_TICK},
     temperature_channels::RawTemperatures,
     thermometer::RawReading,
@@ -304,7 +304,7 @@ impl World {
 
     /// Follows the engage sequence of any sender: a stranger on the same line cannot be distinguished from the
     /// CNC by one frame.
-    fn note_control(&mut self, received: &Result<Option<Command>, ReceiveError>, engage: bool) {
+    fn note_control(&mut self, received: &Result<Option<CncMessage>, ReceiveError>, engage: bool) {
         match received {
             Ok(None) => return,
             Ok(Some(_)) if !engage => self.released += 1,

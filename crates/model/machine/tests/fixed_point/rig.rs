@@ -2,7 +2,7 @@
 
 use trueup_core::{
     bridge::{Bridge, Input, State},
-    cnc::{AxisPosition, Command, Control, LinearAxis, Quality, Rotary, TravelDirection},
+    cnc::{AxisPosition, CncMessage, Control, LinearAxis, Quality, Rotary, TravelDirection},
     dimensions::{CHANNEL_COUNT, CODES_PER_TICK},
     thermometer::RawReading,
     units::{AdcCode, MicroDegrees, Position, Rpm, TimestampMs},
@@ -54,16 +54,16 @@ impl<'c> Rig<'c> {
             self.ms += 1;
             let (bridge, state) = (&self.bridge, &mut self.state);
             let control = Control::ENGAGED;
-            bridge.receive(state, Command::Control(control));
+            bridge.receive(state, CncMessage::Control(control));
             for axis in LinearAxis::ALL {
                 let position = (self.position_mm[axis as usize] * UNITS_PER_MM).round() as i32;
                 let direction = self.heading[axis as usize];
                 let received = AxisPosition { axis, position: Position(position), direction };
-                bridge.receive(state, Command::Position(received));
+                bridge.receive(state, CncMessage::Position(received));
             }
             let angles =
                 self.angles_deg.map(|degrees| MicroDegrees((degrees * 1e6).round() as i32));
-            bridge.receive(state, Command::Rotary(Rotary { angles }));
+            bridge.receive(state, CncMessage::Rotary(Rotary { angles }));
             let code = self.counts / 8;
             let codes: [AdcCode; CODES_PER_TICK] = std::array::from_fn(|n| match n % 4 {
                 0 => AdcCode(code - 1),

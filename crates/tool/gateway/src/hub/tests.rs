@@ -2,7 +2,7 @@
 
 use super::*;
 use trueup_client::pinned_calibration::CalibrationPolicy;
-use trueup_core::{cnc::Command, units::Nanometres};
+use trueup_core::{cnc::CncMessage, units::Nanometres};
 use trueup_link::{
     frames::{encode_offset_xy, encode_offset_z},
     receiver::Receiver,
@@ -245,7 +245,7 @@ fn only_a_bridge_on_the_pinned_calibration_is_engaged() {
         assert_eq!(hub.accept_block(ms(now), 1, &said.encode(counter)), Ok(BlockOutcome::Used));
         let frames = hub.take_due_frames();
         match receiver.accept(frames.first().expect("a Control")) {
-            Ok(Some(Command::Control(control))) => (control.engage, control.zero),
+            Ok(Some(CncMessage::Control(control))) => (control.engage, control.zero),
             other => panic!("{other:?}"),
         }
     };

@@ -49,11 +49,11 @@ impl Said {
             let before = self.rig.last.offset;
             if self.ms.is_multiple_of(20) {
                 self.rig.control(ENGAGED);
-                let spindle = Command::Spindle(Spindle { speed: Rpm(N), load_n: 0 });
+                let spindle = CncMessage::Spindle(Spindle { speed: Rpm(N), load_n: 0 });
                 self.rig.bridge.receive(&mut self.rig.state, spindle);
             }
             if let Some(conditions) = conditions.filter(|_| self.ms.is_multiple_of(50)) {
-                self.rig.bridge.receive(&mut self.rig.state, Command::Conditions(conditions));
+                self.rig.bridge.receive(&mut self.rig.state, CncMessage::Conditions(conditions));
             }
             self.ms += 1;
             let output = self.rig.tick(None);

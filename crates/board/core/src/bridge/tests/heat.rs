@@ -43,7 +43,7 @@ fn live(rig: &mut Rig, ms: u32, screw: i32, other: i32) -> Output {
         rig.control(ENGAGED);
         rig.bridge.receive(
             &mut rig.state,
-            Command::Position(AxisPosition {
+            CncMessage::Position(AxisPosition {
                 axis: LinearAxis::X,
                 position: Position(1_000 * Position::PER_MILLIMETRE),
                 direction: TravelDirection::Positive,
@@ -345,7 +345,7 @@ fn heat_by_the_speed_is_kept_over_a_reset_and_cools_while_the_power_is_gone() {
         let mut last = None;
         for _ in 0..ms {
             let spindle = Spindle { speed: Rpm(rpm), load_n: 0 };
-            rig.bridge.receive(&mut rig.state, Command::Spindle(spindle));
+            rig.bridge.receive(&mut rig.state, CncMessage::Spindle(spindle));
             last = Some(live(rig, 1, 21, 21));
         }
         last.expect("it ran")

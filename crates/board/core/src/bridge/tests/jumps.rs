@@ -29,7 +29,7 @@ impl Rig {
             position: Position(at),
             direction: TravelDirection::Positive,
         };
-        self.bridge.receive(&mut self.state, Command::Position(received));
+        self.bridge.receive(&mut self.state, CncMessage::Position(received));
     }
 
     /// This many milliseconds with a `Control` in each and no position.

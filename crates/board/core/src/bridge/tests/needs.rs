@@ -18,7 +18,7 @@ fn at(rig: &mut Rig, axes: impl Iterator<Item = LinearAxis>) -> Output {
     for axis in axes {
         let received =
             AxisPosition { axis, position: Position(0), direction: TravelDirection::Positive };
-        rig.bridge.receive(&mut rig.state, Command::Position(received));
+        rig.bridge.receive(&mut rig.state, CncMessage::Position(received));
     }
     rig.tick(None)
 }
@@ -64,7 +64,7 @@ fn lives(rig: &mut Rig, ms: u32, zero: bool, [sensor, thermometer, position]: [b
             let position = Position(1_000 * Position::PER_MILLIMETRE);
             let axis = LinearAxis::X;
             let received = AxisPosition { axis, position, direction: TravelDirection::Positive };
-            rig.bridge.receive(&mut rig.state, Command::Position(received));
+            rig.bridge.receive(&mut rig.state, CncMessage::Position(received));
         }
         let codes =
             core::array::from_fn(|n| AdcCode(if sensor { 1_049 + n as u16 % 3 } else { 0 }));
@@ -143,7 +143,7 @@ fn the_offset_follows_the_head_from_angle_to_angle() {
     {
         // Said once, which is enough.
         let angles = [MicroDegrees(degrees * 1_000_000), MicroDegrees(0)];
-        rig.bridge.receive(&mut rig.state, Command::Rotary(Rotary { angles }));
+        rig.bridge.receive(&mut rig.state, CncMessage::Rotary(Rotary { angles }));
         rig.run_engaged(300, 1_100);
         assert_eq!(rig.last.offset, Some([0, y_nm, z_nm].map(Nanometres)), "{degrees} degrees");
     }
@@ -205,8 +205,8 @@ fn each_table_and_term_needs_the_positions_that_it_is_over_and_no_other() {
 #[test]
 fn speed_and_load_are_needed_where_a_term_is_over_them_and_the_angles_where_a_head_turns_growth() {
     let scaled = ScaledCoefficient { mantissa: 1, shift: 0 };
-    let spindle = Command::Spindle(Spindle { speed: Rpm(1_000), load_n: 0 });
-    let angles = Command::Rotary(Rotary { angles: [MicroDegrees(0); 2] });
+    let spindle = CncMessage::Spindle(Spindle { speed: Rpm(1_000), load_n: 0 });
+    let angles = CncMessage::Rotary(Rotary { angles: [MicroDegrees(0); 2] });
     let elongation = Target::Elongation;
     let [mut head, mut growing] = [minimal_calibration(), with_term(elongation, Effect::Offset)];
     head.kinematics.axes[1] = Some(kinematics::RotaryAxis::C);
@@ -219,7 +219,7 @@ fn speed_and_load_are_needed_where_a_term_is_over_them_and_the_angles_where_a_he
         (head, None),
         (growing, Some(angles)),
     ] {
-        let is_live = |received: Option<Command>| {
+        let is_live = |received: Option<CncMessage>| {
             let mut rig = Rig::new(machine);
             received.into_iter().for_each(|command| rig.bridge.receive(&mut rig.state, command));
             at(&mut rig, [].into_iter()).quality == Quality::Live
@@ -236,7 +236,7 @@ fn a_single_message_of_a_position_moves_the_offset() {
     let position = Position(1_500 * Position::PER_MILLIMETRE);
     let received =
         AxisPosition { axis: LinearAxis::X, position, direction: TravelDirection::Positive };
-    rig.bridge.receive(&mut rig.state, Command::Position(received));
+    rig.bridge.receive(&mut rig.state, CncMessage::Position(received));
     let mut raw = [RawReading::NONE; CHANNEL_COUNT];
     raw[3] = RawReading(21 * 256);
     for _ in 0..60 {

@@ -394,7 +394,7 @@ fn the_age_is_that_of_the_angles_while_the_head_turns() {
     let mut rig = Rig::new(machine);
     for (degrees, is_turning) in [(10, false), (20, true), (30, true), (30, false)] {
         let angles = [MicroDegrees(degrees * 1_000_000), MicroDegrees(0)];
-        rig.bridge.receive(&mut rig.state, Command::Rotary(Rotary { angles }));
+        rig.bridge.receive(&mut rig.state, CncMessage::Rotary(Rotary { angles }));
         for ms in 1..=100_u8 {
             let age_ms = rig.run_engaged(1, 1_100).age_ms;
             if rig.now.0 > 100 {

@@ -27,7 +27,7 @@ fn offsets_nm(machine: Calibration<'static>) -> Vec<i32> {
             rig.control(ENGAGED);
             rig.bridge.receive(
                 &mut rig.state,
-                Command::Position(AxisPosition {
+                CncMessage::Position(AxisPosition {
                     axis: LinearAxis::X,
                     position: Position(2_000 * Position::PER_MILLIMETRE),
                     direction: TravelDirection::Positive,
