@@ -24,7 +24,7 @@ use trueup_emulator::{
 use trueup_fleet::{
     constants::{Constant, Finding},
     pool::Estimate,
-    record::Record,
+    record::MachineRecord,
 };
 use trueup_machine::{MachineFile, RunFile};
 use trueup_page::format_micrometres;
@@ -172,7 +172,7 @@ fn fleet() -> String {
             constants: vec![constant],
             alternatives: Vec::new(),
         };
-        Record {
+        MachineRecord {
             machine: format!("M-{number:04}"),
             day: None,
             verdict: "explained".into(),
@@ -182,7 +182,7 @@ fn fleet() -> String {
             fitted: Vec::new(),
         }
     };
-    let records: Vec<Record> = (1..=12).map(record).collect();
+    let records: Vec<MachineRecord> = (1..=12).map(record).collect();
     let series = trueup_fleet::series::evaluate_series(&records, vec!["a note".into()]);
     trueup_fleet::html_page::render_html(&series, "shop", &trueup_page::Origin::default())
 }

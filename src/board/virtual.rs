@@ -45,7 +45,7 @@ use trueup_core::{
 use trueup_link::frame::Frame;
 use trueup_modbus::rtu::FrameTiming;
 use trueup_node::reset_info::ResetInfo;
-use trueup_pipe::{self as pipe, Record};
+use trueup_pipe::{self as pipe, BoardRecord};
 use trueup_store::calibration;
 
 use crate::liveness::{self, Task};
@@ -69,7 +69,7 @@ static RECEIVED_BLOCK: Mutex<RefCell<Option<Block>>> = Mutex::new(RefCell::new(N
 static CAN_RX_QUEUE: Mutex<RefCell<Deque<Frame, 8>>> = Mutex::new(RefCell::new(Deque::new()));
 const _: () = assert!(pipe::FRAMES_PER_BLOCK <= 8);
 /// Frames on their way to the host: what one batch of 255 blocks can send, and its end mark.
-static CAN_TX_QUEUE: Mutex<RefCell<Vec<Record, 1024>>> = Mutex::new(RefCell::new(Vec::new()));
+static CAN_TX_QUEUE: Mutex<RefCell<Vec<BoardRecord, 1024>>> = Mutex::new(RefCell::new(Vec::new()));
 
 /// The service switch is closed, by the last block.
 static SWITCH_IS_CLOSED: AtomicBool = AtomicBool::new(false);
@@ -289,7 +289,7 @@ impl CanOut {
 
     pub fn send(&mut self, frame: &Frame) {
         let time = TimestampMs(NOW_MS.load(Ordering::Relaxed));
-        let record = Record::Frame { time, frame: *frame };
+        let record = BoardRecord::Frame { time, frame: *frame };
         // A full buffer means a board that sends more than any batch can cause; the host sees the
         // gap in the counters.
         cortex_m::interrupt::free(|cs| CAN_TX_QUEUE.borrow(cs).borrow_mut().push(record).ok());
@@ -417,9 +417,10 @@ impl Idle {
         let records = cortex_m::interrupt::free(|cs| CAN_TX_QUEUE.borrow(cs).take());
         let time = TimestampMs(NOW_MS.load(Ordering::Relaxed));
         let restart = RESTART_REQUESTED.load(Ordering::Relaxed);
-        let end = if restart { Record::Restart { time } } else { Record::EndOfBatch { time } };
+        let end =
+            if restart { BoardRecord::Restart { time } } else { BoardRecord::EndOfBatch { time } };
         let mut bytes: Vec<u8, 4096> = Vec::new();
-        for record in records.iter().chain([&end]).map(Record::encode) {
+        for record in records.iter().chain([&end]).map(BoardRecord::encode) {
             if bytes.extend_from_slice(&record).is_err() {
                 self.write_frames(&bytes);
                 bytes.clear();

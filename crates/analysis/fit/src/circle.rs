@@ -57,7 +57,7 @@ pub use self::{
     circular_deviations::CircularDeviations,
     findings::{Cause, Finding},
     page::build_page,
-    record::{Plane, Record},
+    record::{CircleRecord, Plane},
 };
 use crate::report::{ExcludedRow, ResidualStatistics};
 
@@ -80,7 +80,7 @@ pub struct CircleReport {
 #[derive(Clone, Debug)]
 pub struct CircleResult {
     /// The readings that were used.
-    pub record: Record,
+    pub record: CircleRecord,
     /// The figures of ISO 230-4.
     pub figures: CircularDeviations,
     /// The causes, the largest first.

@@ -29,7 +29,7 @@ const CANDIDATE_LAGS_S: [f64; 13] = [
 const MAX_LAWS: usize = 3;
 
 /// A record, and what the file says of it.
-pub struct Record<'r> {
+pub struct PredictedRecord<'r> {
     /// Its columns.
     pub run: &'r RunFile,
     /// Rows in which the gauge was read.
@@ -62,7 +62,7 @@ pub(crate) struct BicDifferences {
 /// Of hidden faults, each with what it does to every row, under noise of this RMS in µm.
 #[must_use]
 pub(crate) fn compute_bic_differences(
-    record: &Record<'_>,
+    record: &PredictedRecord<'_>,
     faults: &[(PhysicalFault, &[f64])],
     noise_um: f64,
 ) -> BicDifferences {
@@ -223,12 +223,12 @@ impl NormalEquations {
 }
 
 /// Laws of a spindle's growth.
-fn spindle_laws(record: &Record<'_>) -> Vec<CandidateLaw> {
+fn spindle_laws(record: &PredictedRecord<'_>) -> Vec<CandidateLaw> {
     use PhysicalFault::{
         AxialStiffness, CoilTemperature, ColdTool, LostCooling, Room, SensorGain, SpeedGrowth,
         ToolGrowth, UnseenHolder,
     };
-    let Record { run, predicted_um, .. } = record;
+    let PredictedRecord { run, predicted_um, .. } = record;
     let time_s = run.column("time_s").unwrap_or_default();
     let law =
         |own: &[PhysicalFault], more, columns| CandidateLaw { own: own.to_vec(), columns, more };
@@ -276,7 +276,7 @@ fn spindle_laws(record: &Record<'_>) -> Vec<CandidateLaw> {
 }
 
 /// Laws of an axis's error.
-fn axis_laws(record: &Record<'_>) -> Vec<CandidateLaw> {
+fn axis_laws(record: &PredictedRecord<'_>) -> Vec<CandidateLaw> {
     use PhysicalFault::{MisplacedThermometer, Mounting, Room, ScrewHeating, Wear};
     let run = record.run;
     let column = |name: &str| run.column(name).unwrap_or_default().to_vec();
@@ -379,7 +379,8 @@ mod tests {
         let run = parse_run(&csv, "r.csv").expect("a run");
         let um: Vec<f64> = run.column("load_n").expect("there").iter().map(|n| n / 200.0).collect();
         let predicted_um = (0..200).map(|row| f64::from(row).sqrt()).collect();
-        let record = Record { run: &run, is_read: &[true; 200], predicted_um, is_axis: false };
+        let record =
+            PredictedRecord { run: &run, is_read: &[true; 200], predicted_um, is_axis: false };
         compute_bic_differences(&record, &[(PhysicalFault::AxialStiffness, &um)], noise_um).instead
     }
 

@@ -17,7 +17,7 @@ use trueup_twin::{
 };
 
 use crate::{
-    alternatives::{BicDifferences, Record, compute_bic_differences},
+    alternatives::{BicDifferences, PredictedRecord, compute_bic_differences},
     run_table::{parse_run, with_columns, without_readings},
 };
 
@@ -292,7 +292,7 @@ impl FaultyMachine {
     /// Returns how far the right answer is from others.
     fn bic_differences(&self) -> Result<BicDifferences> {
         let run = self.record_day(0, false)?;
-        let record = Record {
+        let record = PredictedRecord {
             predicted_um: self.predict_um(&run)?,
             is_read: &self.gauge_read_rows(&self.plant.scenario_for_day(0, &self.fault_sizes()), 0),
             is_axis: self.is_axis(),

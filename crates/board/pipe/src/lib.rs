@@ -218,7 +218,7 @@ pub enum BlockError {
 
 /// A record that the board sends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Record {
+pub enum BoardRecord {
     /// It sends a frame to the CNC.
     Frame {
         /// When, on the sample clock.
@@ -238,7 +238,7 @@ pub enum Record {
     },
 }
 
-impl Record {
+impl BoardRecord {
     /// Returns the bytes of this record.
     #[must_use]
     pub fn encode(&self) -> [u8; RECORD_SIZE] {
@@ -336,11 +336,11 @@ mod tests {
     #[test]
     fn every_field_of_a_record_lies_where_the_table_says() {
         let time = TimestampMs(0x0102_0304);
-        let record = Record::Frame { time, frame: frame(0x701, &[5]) };
+        let record = BoardRecord::Frame { time, frame: frame(0x701, &[5]) };
         let expected = [4, 3, 2, 1, 0x01, 0x07, 1, 0, 5, 0, 0, 0, 0, 0, 0, 0];
         assert_eq!(record.encode(), expected);
         let expected = [4, 3, 2, 1, 0xFF, 0xFF, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
-        assert_eq!(Record::EndOfBatch { time }.encode(), expected);
+        assert_eq!(BoardRecord::EndOfBatch { time }.encode(), expected);
     }
 
     #[test]
@@ -379,7 +379,7 @@ mod tests {
 
     #[test]
     fn a_record_that_is_out_of_step_is_refused_with_what_was_found() {
-        let good = Record::EndOfBatch { time: TimestampMs(1) }.encode();
+        let good = BoardRecord::EndOfBatch { time: TimestampMs(1) }.encode();
         for (at, value, error) in [
             (5, 0x08, RecordError::Identifier(0x8FF)),
             (6, 1, RecordError::Length(1)),
@@ -389,7 +389,7 @@ mod tests {
         ] {
             let mut bad = good;
             bad[at] = value;
-            assert_eq!(Record::decode(&bad), Err(error), "byte {at}");
+            assert_eq!(BoardRecord::decode(&bad), Err(error), "byte {at}");
         }
     }
 
@@ -416,11 +416,11 @@ mod tests {
         ) {
             let time = TimestampMs(time);
             for record in [
-                Record::Frame { time, frame: frame(id, &payload) },
-                Record::EndOfBatch { time },
-                Record::Restart { time },
+                BoardRecord::Frame { time, frame: frame(id, &payload) },
+                BoardRecord::EndOfBatch { time },
+                BoardRecord::Restart { time },
             ] {
-                prop_assert_eq!(Record::decode(&record.encode()), Ok(record));
+                prop_assert_eq!(BoardRecord::decode(&record.encode()), Ok(record));
             }
         }
 
@@ -440,7 +440,7 @@ mod tests {
             if let Ok(read) = Block::decode(&bytes) {
                 prop_assert_eq!(read.encode(), Ok(bytes));
             }
-            if let Ok(read) = Record::decode(&record) {
+            if let Ok(read) = BoardRecord::decode(&record) {
                 prop_assert_eq!(read.encode(), record);
             }
         }

@@ -68,14 +68,14 @@ impl ReferenceStatus {
 
 /// One record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Record {
+struct ReferenceRecord {
     sequence: u32,
     calibration: u32,
     standing: ReferenceStatus,
     supply: SupplyLevel,
 }
 
-impl Record {
+impl ReferenceRecord {
     fn encode(&self) -> RecordBytes {
         let ReferenceStatus { reference, is_offered, is_changed } = self.standing;
         let Reference { elongation, axes: [x, y, z] } = reference;
@@ -253,7 +253,7 @@ impl<F: NorFlash> ReferenceStore<F> {
                 insert_by_sequence(&mut oldest_first, write);
                 return Some(write.sequence);
             }
-            let Some(record) = is_read.then(|| Record::decode(&bytes)).flatten() else {
+            let Some(record) = is_read.then(|| ReferenceRecord::decode(&bytes)).flatten() else {
                 found.damaged = found.damaged.saturating_add(1);
                 return None;
             };
@@ -343,7 +343,7 @@ impl<F: NorFlash> ReferenceStore<F> {
             write_and_verify(
                 flash,
                 slot.address,
-                &Record { sequence, calibration, standing, supply }.encode(),
+                &ReferenceRecord { sequence, calibration, standing, supply }.encode(),
             )
         })?;
         self.current = Some((standing, Some(slot.half)));

@@ -25,7 +25,7 @@ use trueup_client::{
 use trueup_core::units::NANOMETRES_PER_MICROMETRE;
 use trueup_learn::{LiveUpdate, live_update};
 use trueup_linuxcnc::{
-    Record,
+    RecordFile,
     component::TEMPERATURE_COUNT,
     configuration::ini_lines::IniLines,
     ini::Ini,
@@ -169,7 +169,7 @@ pub fn run(args: &LinuxCncArgs, as_json: bool) -> Result<Outcome> {
         .map(|axis| machine.as_ref().map(|machine| max_over_compensation_um(machine, axis)));
     // A machine is corrected although nothing can be learned.
     let record = args.record.as_ref().zip(machine.as_ref()).and_then(|(path, machine)| {
-        let opened = Record::open(path, machine);
+        let opened = RecordFile::open(path, machine);
         opened.map_err(|why| log.write(&format!("no record: {}: {why}", path.display()))).ok()
     });
     let compiled = machine.as_ref().map(compile).transpose();

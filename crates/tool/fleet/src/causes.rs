@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use crate::{
     constants::{Finding, neutral_value},
     pool::{Estimate, MIN_MACHINES, pool_estimates},
-    record::Record,
+    record::MachineRecord,
     report::Cause,
 };
 
@@ -26,7 +26,7 @@ struct CauseOccurrences<'r> {
 type EffectSize<'r> = (&'r str, &'r str, Estimate, bool);
 
 /// Returns the causes of all records.
-pub(crate) fn summarise_causes(records: &[Record]) -> Vec<Cause> {
+pub(crate) fn summarise_causes(records: &[MachineRecord]) -> Vec<Cause> {
     let mut all: BTreeMap<&str, CauseOccurrences<'_>> = BTreeMap::new();
     for record in records {
         let machine = record.machine.as_str();

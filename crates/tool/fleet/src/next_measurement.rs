@@ -9,7 +9,7 @@ use trueup_page::format_micrometres;
 use crate::{
     constants::is_log_scaled,
     pool::Estimate,
-    record::{PooledConstant, Record, UncertainConstant},
+    record::{MachineRecord, PooledConstant, UncertainConstant},
     report::NextMeasurement,
 };
 
@@ -19,7 +19,7 @@ const MAX_LISTED_MACHINES: usize = 5;
 /// Returns the measurements that would say most, the best first, one a machine.
 pub(crate) fn suggest_measurements(
     constants: &[PooledConstant<'_>],
-    records: &[Record],
+    records: &[MachineRecord],
 ) -> Vec<NextMeasurement> {
     let mut all: Vec<(f64, NextMeasurement)> = Vec::new();
     for constant in constants {
@@ -69,7 +69,7 @@ pub(crate) fn suggest_measurements(
 }
 
 /// Where no constant is in doubt, the machine whose newest record is the oldest.
-fn least_recently_measured(records: &[Record]) -> Option<NextMeasurement> {
+fn least_recently_measured(records: &[MachineRecord]) -> Option<NextMeasurement> {
     let newest_of = |machine: &str| {
         records
             .iter()

@@ -6,7 +6,7 @@ use crate::{constants::Finding, pool::Estimate};
 
 /// A result of one machine.
 #[derive(Clone, Debug)]
-pub struct Record {
+pub struct MachineRecord {
     /// The machine.
     pub machine: String,
     /// The day of the record.

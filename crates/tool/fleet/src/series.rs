@@ -16,7 +16,7 @@ use crate::{
     next_measurement,
     outliers::{self, compare_machines, holm_adjust},
     pool::{Estimate, Z95, pool_estimates},
-    record::{PooledConstant, Record, UncertainConstant},
+    record::{MachineRecord, PooledConstant, UncertainConstant},
     report::{
         DriftingConstant, IntervalEstimate, Machine, MachineComparison, MemberConstant,
         SeriesConstant, SeriesReport,
@@ -48,7 +48,7 @@ struct MachineConstant<'r> {
 
 /// Returns what the records say together; `notes`: what is known of them already.
 #[must_use]
-pub fn evaluate_series(records: &[Record], notes: Vec<String>) -> SeriesReport {
+pub fn evaluate_series(records: &[MachineRecord], notes: Vec<String>) -> SeriesReport {
     let constants = group_by_constant(records);
     let beliefs: BTreeSet<&str> = records.iter().map(|record| record.belief.as_str()).collect();
     let mut compared_on: BTreeMap<&str, usize> = BTreeMap::new();
@@ -120,7 +120,7 @@ pub fn evaluate_series(records: &[Record], notes: Vec<String>) -> SeriesReport {
 /// Returns each constant with its readings on each machine. A fit for the series counts where the machine's own diagnoses
 /// did not find the cause.
 fn group_by_constant(
-    records: &[Record],
+    records: &[MachineRecord],
 ) -> BTreeMap<ConstantKey<'_>, BTreeMap<&str, Vec<RecordEstimate>>> {
     let mut all: BTreeMap<ConstantKey<'_>, BTreeMap<&str, Vec<RecordEstimate>>> = BTreeMap::new();
     for record in records {
@@ -242,13 +242,14 @@ fn correct_multiple_testing(constants: &mut [SeriesConstant]) {
 }
 
 fn summarise_machines(
-    records: &[Record],
+    records: &[MachineRecord],
     constants: &[SeriesConstant],
     drifts: &[DriftingConstant],
 ) -> Vec<Machine> {
     let names: BTreeSet<&str> = records.iter().map(|record| record.machine.as_str()).collect();
     let of = |name: &str| {
-        let own: Vec<&Record> = records.iter().filter(|record| record.machine == name).collect();
+        let own: Vec<&MachineRecord> =
+            records.iter().filter(|record| record.machine == name).collect();
         let newest = own.iter().max_by_key(|estimate| estimate.day);
         let is_odd = |constant: &&SeriesConstant| {
             let mut members = constant.values.iter().filter(|value| value.machine == name);
@@ -275,14 +276,14 @@ mod tests {
     use crate::constants;
 
     /// A record with one finding, a value with an error of 0.1.
-    fn record(machine: &str, value: f64, claimed: bool) -> Record {
+    fn record(machine: &str, value: f64, claimed: bool) -> MachineRecord {
         let ends = [value - 0.196, value + 0.196];
         let diagnosis = json!({"quantity": "dz", "findings": [{
             "cause": "heat", "column": "temp_bed_c", "claimed": claimed,
             "parameters": {"um_per_c": {"value": value, "ci95": ends}},
             "gain": {"rms_before_um": 5.0, "rms_after_um": 3.0},
         }]});
-        Record {
+        MachineRecord {
             machine: machine.into(),
             day: None,
             verdict: "explained".into(),
@@ -309,7 +310,7 @@ mod tests {
 
     #[test]
     fn machines_whose_files_differ_are_not_put_together() {
-        let mut records: Vec<Record> =
+        let mut records: Vec<MachineRecord> =
             (0..6).map(|n| record(&format!("m{n}"), 2.0, true)).collect();
         records[..3].iter_mut().for_each(|record| record.belief = "other".into());
         let series = evaluate_series(&records, Vec::new());
@@ -322,7 +323,7 @@ mod tests {
 
     #[test]
     fn the_machine_in_most_doubt_is_measured_next() {
-        let mut records: Vec<Record> =
+        let mut records: Vec<MachineRecord> =
             (0..6).map(|n| record(&format!("m{n}"), 2.0 + 0.3 * f64::from(n), true)).collect();
         records[3].found[0].constants[0].estimate.se = 0.5;
         let series = evaluate_series(&records, Vec::new());

@@ -14,7 +14,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use crate::{
     constants::{CauseIdentity, Finding},
-    record::Record,
+    record::MachineRecord,
 };
 
 /// The share of machines on which a common cause is found.
@@ -42,11 +42,14 @@ pub struct FittedConstants {
 
 /// Returns what is to be fitted to each record; none where its own diagnosis has all that the series has.
 #[must_use]
-pub fn select_causes_to_fit(records: &[Record]) -> Vec<Option<FitRequest>> {
+pub fn select_causes_to_fit(records: &[MachineRecord]) -> Vec<Option<FitRequest>> {
     records.iter().map(|record| select_causes_for_record(record, records)).collect()
 }
 
-fn select_causes_for_record(record: &Record, records: &[Record]) -> Option<FitRequest> {
+fn select_causes_for_record(
+    record: &MachineRecord,
+    records: &[MachineRecord],
+) -> Option<FitRequest> {
     let alike = || records.iter().filter(|other| other.quantity == record.quantity);
     let machines: BTreeSet<&str> = alike().map(|record| record.machine.as_str()).collect();
     let mut found_on: BTreeMap<&CauseIdentity, BTreeSet<&str>> = BTreeMap::new();
@@ -84,7 +87,7 @@ fn select_causes_for_record(record: &Record, records: &[Record]) -> Option<FitRe
     (!is_whole || !alone.is_empty()).then_some(FitRequest { together, alone })
 }
 
-impl Record {
+impl MachineRecord {
     /// Takes the constants of the model of the series in the place of its own.
     pub fn replace_constants(&mut self, answered: FittedConstants) {
         let fitted: Vec<Finding> = answered.together.into_iter().flatten().collect();
@@ -109,7 +112,7 @@ mod tests {
     use super::*;
     use crate::constants;
 
-    fn record(machine: &str, causes: &[(&str, bool)]) -> Record {
+    fn record(machine: &str, causes: &[(&str, bool)]) -> MachineRecord {
         let finding = |(cause, claimed): &(&str, bool)| -> Value {
             json!({
                 "cause": cause, "claimed": claimed,
@@ -118,7 +121,7 @@ mod tests {
             })
         };
         let findings: Vec<Value> = causes.iter().map(finding).collect();
-        Record {
+        MachineRecord {
             machine: machine.into(),
             day: None,
             verdict: "explained".into(),

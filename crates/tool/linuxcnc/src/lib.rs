@@ -39,7 +39,7 @@ pub use trueup_linuxcnc_core::{
     sender,
 };
 
-pub use record::Record;
+pub use record::RecordFile;
 pub use run::run;
 
 use trueup_linuxcnc_core::{NANOMETRES_PER_MICROMETRE, NANOMETRES_PER_MILLIMETRE};

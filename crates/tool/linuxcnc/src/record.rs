@@ -31,7 +31,7 @@ const MIN_RETAINED_ROWS: usize = 12 * 3600 / ROW_PERIOD_S as usize;
 
 /// The record.
 #[derive(Debug)]
-pub struct Record {
+pub struct RecordFile {
     path: PathBuf,
     header: String,
     temperatures: Vec<(u8, String)>,
@@ -43,7 +43,7 @@ pub struct Record {
     last_s: Option<u64>,
 }
 
-impl Record {
+impl RecordFile {
     /// Goes on with what stands at `path`, if that has the same columns, or begins anew.
     ///
     /// # Errors
@@ -167,12 +167,12 @@ mod tests {
                            [spindle]\nsource = \"sensor\"\n[spindle.sensor]\nk0_um = 0.0\n\
                            zero_counts = 5000.0\num_per_count = 0.01\n";
 
-    fn record(path: &Path) -> Record {
+    fn record(path: &Path) -> RecordFile {
         let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("a machine file");
-        Record::open(path, &machine).expect("it can be written")
+        RecordFile::open(path, &machine).expect("it can be written")
     }
 
-    fn at(record: &mut Record, now_s: u64) {
+    fn at(record: &mut RecordFile, now_s: u64) {
         let inputs = Inputs {
             spindle_rpm: 12_000.0,
             position_mm: [1.5, f64::NAN, -3.0],

@@ -20,7 +20,7 @@ use crate::{
     component::{Component, ComponentOptions, Outputs},
     hal::{Hal, HalError},
     pins::{Pins, pid_pin_name},
-    record::Record,
+    record::RecordFile,
 };
 
 /// How often adopted pins, and the wires, are looked after.
@@ -64,7 +64,7 @@ pub fn run(
     settings: &Settings,
     open: impl FnMut() -> io::Result<DuplexStream> + Send + 'static,
     stop: &AtomicBool,
-    mut record: Option<Record>,
+    mut record: Option<RecordFile>,
     learned: Option<impl Fn() -> Option<LearnedUpdate>>,
     mut tell: impl FnMut(&str),
 ) -> Result<(), HalError> {

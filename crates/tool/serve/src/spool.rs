@@ -31,7 +31,7 @@ use anyhow::{Context as _, Result};
 use fs4::FileExt;
 
 pub use self::report::Report;
-use self::segment::{CRC, IndexEntry, Record, decode, encode, scan};
+use self::segment::{CRC, IndexEntry, SpoolRecord, decode, encode, scan};
 
 /// A record is kept for this long after its acknowledgement.
 pub(crate) const RETENTION_TIME: Duration = Duration::from_secs(60);
@@ -193,7 +193,7 @@ impl Spool {
         for (draft, number) in drafts.iter().zip(self.next..) {
             let payload = (draft.payload)(&format!("{:016x}-{number}", segment.id));
             let (time_ms, topic) = (draft.time_ms, draft.topic.clone());
-            let record = Record { number, time_ms, topic, payload };
+            let record = SpoolRecord { number, time_ms, topic, payload };
             let encoded = encode(segment.id, &record)
                 .ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "a record too long"))?;
             let at = segment.bytes + bytes.len() as u64;
@@ -256,7 +256,7 @@ impl Spool {
 
     /// Returns the next record that was not sent since the last [`Self::rewind`]; `None`: there is none, or its file cannot
     /// be read now.
-    pub fn next_to_send(&mut self, now: Instant) -> Option<Record> {
+    pub fn next_to_send(&mut self, now: Instant) -> Option<SpoolRecord> {
         loop {
             let sent = self.sent;
             let first = |segment: &Segment| segment.entries_after(sent).first().copied();
@@ -362,7 +362,7 @@ impl Spool {
 ///
 /// # Errors
 /// The file cannot be read.
-fn read_record(segment: &Segment, entry: IndexEntry) -> io::Result<Option<Record>> {
+fn read_record(segment: &Segment, entry: IndexEntry) -> io::Result<Option<SpoolRecord>> {
     let mut bytes = vec![0; entry.length];
     let mut file = File::open(&segment.path)?;
     file.seek(SeekFrom::Start(entry.at))?;

@@ -25,7 +25,7 @@ use rustix::{
 };
 use trueup_core::units::TimestampMs;
 use trueup_link::frame::Frame;
-use trueup_pipe::{Block, RECORD_SIZE, Record};
+use trueup_pipe::{Block, BoardRecord, RECORD_SIZE};
 
 use crate::{
     log::LogDecoder,
@@ -144,10 +144,10 @@ impl VirtualBoard {
             if self.frames.read_exact(&mut bytes).is_err() {
                 return Err(self.qemu.channel_error("the board no longer sends frames"));
             }
-            match Record::decode(&bytes).context("the board sent a broken record")? {
-                Record::Frame { time, frame } => sent.push((time, frame)),
-                Record::EndOfBatch { .. } => return Ok(sent),
-                Record::Restart { .. } => {
+            match BoardRecord::decode(&bytes).context("the board sent a broken record")? {
+                BoardRecord::Frame { time, frame } => sent.push((time, frame)),
+                BoardRecord::EndOfBatch { .. } => return Ok(sent),
+                BoardRecord::Restart { .. } => {
                     self.wait_until_up()?;
                     return Ok(sent);
                 }

@@ -5,7 +5,7 @@ use trueup_numerics::blocks::rms;
 use super::{
     CircleResult, CircularDeviations,
     findings::build_findings,
-    record::Record,
+    record::CircleRecord,
     search::search_nonlinear_terms,
     term_selection::{SelectedModel, TermGroup, select_terms},
     terms::{CircleTerm, travel_since_reversal},
@@ -24,7 +24,7 @@ const MIN_STRUCTURE_TO_NOISE_RATIO: f64 = 0.5;
 const MIN_SYSTEMATIC_RMS_UM: f64 = 0.2;
 
 /// Explains a circle.
-pub(crate) fn analyse_circle(record: Record) -> CircleResult {
+pub(crate) fn analyse_circle(record: CircleRecord) -> CircleResult {
     let figures = CircularDeviations::from_record(&record);
     let mut used = without_backlash_rows(&record, record.play_um);
     let mut chosen = select_terms(&used, &search_nonlinear_terms(&used));
@@ -59,7 +59,7 @@ pub(crate) fn analyse_circle(record: Record) -> CircleResult {
 }
 
 /// Returns the play of both axes: of the machine file, and that was found.
-fn total_backlash_um(record: &Record, chosen: &SelectedModel) -> [f64; 2] {
+fn total_backlash_um(record: &CircleRecord, chosen: &SelectedModel) -> [f64; 2] {
     let mut play_um = record.play_um;
     for it in &chosen.terms {
         if let CircleTerm::Backlash(axis) = it.term {
@@ -70,7 +70,7 @@ fn total_backlash_um(record: &Record, chosen: &SelectedModel) -> [f64; 2] {
 }
 
 /// Returns the record without the rows in which an axis takes up this play.
-fn without_backlash_rows(record: &Record, play_um: [f64; 2]) -> Record {
+fn without_backlash_rows(record: &CircleRecord, play_um: [f64; 2]) -> CircleRecord {
     let passes = record.rows.chunk_by(|a, b| a.pass == b.pass).count() as f64;
     let step = record.covered_arc_rad() * passes / record.rows.len() as f64;
     record.without_rows(|row| {
@@ -82,7 +82,7 @@ fn without_backlash_rows(record: &Record, play_um: [f64; 2]) -> Record {
 }
 
 /// Returns RMS of what is left and no noise: means over arcs that vary by more than single rows let them.
-fn systematic_rms_um(record: &Record, left: &[f64]) -> Option<f64> {
+fn systematic_rms_um(record: &CircleRecord, left: &[f64]) -> Option<f64> {
     let (mut differences, mut means) = (Vec::new(), Vec::new());
     let mut at = 0;
     let per_deg = 57.3 * record.rows.chunk_by(|a, b| a.pass == b.pass).count() as f64;

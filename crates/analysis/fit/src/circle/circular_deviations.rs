@@ -15,7 +15,7 @@ use std::f64::consts::TAU;
 
 use trueup_numerics::least_squares::normal::solve;
 
-use super::{record::Record, term_selection::setup_columns, terms::CircleTerm};
+use super::{record::CircleRecord, term_selection::setup_columns, terms::CircleTerm};
 
 /// Angles at which both directions are compared.
 const ANGLE_COUNT: usize = 360;
@@ -40,7 +40,7 @@ pub struct CircularDeviations {
 impl CircularDeviations {
     /// Returns the figures of a record.
     #[must_use]
-    pub(crate) fn from_record(record: &Record) -> Self {
+    pub(crate) fn from_record(record: &CircleRecord) -> Self {
         let is_whole = record.covered_arc_rad() >= 350.0 / 360.0 * TAU;
         let senses = [1.0, -1.0].map(|sense| record.without_rows(|row| row.sense * sense < 0.0));
         let both = senses.iter().all(|sense| !sense.rows.is_empty());
@@ -68,12 +68,12 @@ impl CircularDeviations {
     }
 }
 
-fn measured_um(record: &Record) -> Vec<f64> {
+fn measured_um(record: &CircleRecord) -> Vec<f64> {
     record.rows.iter().map(|row| row.measured_um).collect()
 }
 
 /// Returns the deviations about the centre of least squares, and the mean radius minus the nominal one.
-fn remove_centre_offset(record: &Record) -> (Vec<f64>, f64) {
+fn remove_centre_offset(record: &CircleRecord) -> (Vec<f64>, f64) {
     let terms: Vec<CircleTerm> = setup_columns(record).iter().map(|column| column.term).collect();
     let columns: Vec<Vec<f64>> = terms.iter().map(|term| term.basis_column(record)).collect();
     let mut um = measured_um(record);
@@ -95,7 +95,7 @@ fn min_max(um: &[f64]) -> [f64; 2] {
 }
 
 /// Returns the largest difference of the mean radii of both directions at an angle.
-fn circular_hysteresis(record: &Record, um: &[f64]) -> Option<f64> {
+fn circular_hysteresis(record: &CircleRecord, um: &[f64]) -> Option<f64> {
     let mut sums = [vec![[0.0, 0.0]; ANGLE_COUNT], vec![[0.0, 0.0]; ANGLE_COUNT]];
     for (row, um) in record.rows.iter().zip(um) {
         let at = (row.angle.rem_euclid(TAU) / TAU * ANGLE_COUNT as f64) as usize % ANGLE_COUNT;

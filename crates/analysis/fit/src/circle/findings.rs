@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use trueup_machine::file::LinearAxis;
 
 use super::{
-    record::{Plane, Record},
+    record::{CircleRecord, Plane},
     term_selection::{CrossValidatedTerm, FittedTerm, SelectedModel, TermGroup},
     terms::{CircleTerm, DriftParameter, WavePhase},
 };
@@ -113,7 +113,7 @@ pub struct Finding {
 
 /// Returns the causes of a circle, the largest first.
 #[must_use]
-pub(crate) fn build_findings(record: &Record, chosen: &SelectedModel) -> Vec<Finding> {
+pub(crate) fn build_findings(record: &CircleRecord, chosen: &SelectedModel) -> Vec<Finding> {
     let has = |unit: &TermGroup| chosen.tried.iter().any(|tried| tried.unit == *unit);
     // Forms whose axis a circle does not show are listed with the larger straightness that it does show.
     let rms_um = |wave: WavePhase| {
@@ -170,7 +170,11 @@ fn flag_doubtful_squareness(all: &mut [Finding]) {
     }
 }
 
-fn build_finding(record: &Record, tried: &CrossValidatedTerm, terms: Vec<FittedTerm>) -> Finding {
+fn build_finding(
+    record: &CircleRecord,
+    tried: &CrossValidatedTerm,
+    terms: Vec<FittedTerm>,
+) -> Finding {
     let axes = record.plane.axes();
     let [u, v] = axes;
     let (cause, axis, along) = match &tried.unit {
@@ -231,7 +235,7 @@ fn build_finding(record: &Record, tried: &CrossValidatedTerm, terms: Vec<FittedT
 }
 
 /// Adds what one plane or one direction cannot distinguish, and the test that does.
-fn add_ambiguities(record: &Record, it: &mut Finding) {
+fn add_ambiguities(record: &CircleRecord, it: &mut Finding) {
     let [u, v] = record.plane.axes().map(LinearAxis::name);
     let one_way = !(record.has_direction(1.0) && record.has_direction(-1.0));
     let plane = record.plane.name();
@@ -280,7 +284,7 @@ fn add_ambiguities(record: &Record, it: &mut Finding) {
 }
 
 /// Returns the name of a cause that was not chosen.
-fn cause_name(record: &Record, unit: &TermGroup) -> String {
+fn cause_name(record: &CircleRecord, unit: &TermGroup) -> String {
     let axes = record.plane.axes().map(LinearAxis::name);
     match unit {
         TermGroup::Single(CircleTerm::Backlash(of)) => {
@@ -301,7 +305,7 @@ fn cause_name(record: &Record, unit: &TermGroup) -> String {
 }
 
 /// Returns the constants of a cause.
-fn build_parameters(record: &Record, cause: Cause, terms: &[FittedTerm]) -> Vec<Parameter> {
+fn build_parameters(record: &CircleRecord, cause: Cause, terms: &[FittedTerm]) -> Vec<Parameter> {
     let Some(first) = terms.first() else { return Vec::new() };
     let scaled = |name: &str, term: &FittedTerm, factor: f64| {
         Parameter::amplitude(
@@ -349,7 +353,7 @@ fn build_parameters(record: &Record, cause: Cause, terms: &[FittedTerm]) -> Vec<
 }
 
 /// Returns the height of each spike, the peak of its shapes' sum, and the width of the highest.
-fn build_spike_parameters(record: &Record, terms: &[FittedTerm]) -> Vec<Parameter> {
+fn build_spike_parameters(record: &CircleRecord, terms: &[FittedTerm]) -> Vec<Parameter> {
     /// Steps of an angle.
     const ANGLE_STEPS: i32 = 600;
     let mut all = Vec::new();
@@ -396,7 +400,7 @@ fn build_spike_parameters(record: &Record, terms: &[FittedTerm]) -> Vec<Paramete
     all
 }
 
-fn build_cyclic_parameters(record: &Record, terms: &[FittedTerm]) -> Vec<Parameter> {
+fn build_cyclic_parameters(record: &CircleRecord, terms: &[FittedTerm]) -> Vec<Parameter> {
     let of = |wave: WavePhase| {
         terms
             .iter()
@@ -422,7 +426,7 @@ fn build_cyclic_parameters(record: &Record, terms: &[FittedTerm]) -> Vec<Paramet
     ]
 }
 
-fn build_drift_parameters(record: &Record, terms: &[FittedTerm]) -> Vec<Parameter> {
+fn build_drift_parameters(record: &CircleRecord, terms: &[FittedTerm]) -> Vec<Parameter> {
     let [u, v] = record.plane.axes().map(LinearAxis::name);
     let [first, last] = record.clock;
     let (unit, factor) = if record.has_time && last > first {

@@ -7,7 +7,7 @@ use trueup_machine::{
     predict::Predictor,
 };
 
-use super::record::{READING_COLUMN, Record};
+use super::record::{CircleRecord, READING_COLUMN};
 use crate::partial_prediction::{is_model_input, restrict_to_columns};
 
 /// Radial readings, and the offsets that a bridge had applied.
@@ -49,7 +49,7 @@ pub(crate) fn remove_applied_offsets(
 
 /// Takes the prediction of `machine` off the readings. Laws whose columns the run lacks are omitted, with a warning.
 pub(crate) fn subtract_prediction(
-    record: &mut Record,
+    record: &mut CircleRecord,
     runs: &[RunFile],
     machine: &Machine,
     warnings: &mut Vec<String>,
@@ -109,7 +109,7 @@ fn restrict_to_plane(machine: &Machine, axes: [LinearAxis; 2]) -> Machine {
 
 /// Returns these rows as a run with the direction of each axis, and 0 for a position that stands still and is not stated.
 fn with_directions(
-    record: &Record,
+    record: &CircleRecord,
     run: &RunFile,
     machine: &Machine,
     rows: &[usize],

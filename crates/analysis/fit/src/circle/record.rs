@@ -80,7 +80,7 @@ pub struct Row {
 
 /// The readings of one circle.
 #[derive(Clone, Debug)]
-pub struct Record {
+pub struct CircleRecord {
     /// The plane.
     pub plane: Plane,
     /// The commanded centre.
@@ -101,7 +101,7 @@ pub struct Record {
     pub set_aside: Vec<ExcludedRow>,
 }
 
-impl Record {
+impl CircleRecord {
     /// Returns the share of the time at a row, −½…½.
     #[must_use]
     pub(crate) fn relative_time(&self, row: &Row) -> f64 {

@@ -12,7 +12,7 @@ use trueup_numerics::robust;
 use super::{
     circular_path::{angle_difference, fit_circle, rotation_directions},
     known_contributions,
-    record::{Plane, READING_COLUMN, Record, Row},
+    record::{CircleRecord, Plane, READING_COLUMN, Row},
     terms::angle_since_reversal,
 };
 use crate::report::ExcludedRow;
@@ -47,8 +47,8 @@ struct RowGroup {
 pub(crate) fn read_records(
     runs: &[RunFile],
     machine: Option<&Machine>,
-) -> Result<(Vec<Record>, Vec<String>), BadInput> {
-    let mut records: Vec<Record> = Vec::new();
+) -> Result<(Vec<CircleRecord>, Vec<String>), BadInput> {
+    let mut records: Vec<CircleRecord> = Vec::new();
     let mut warnings = Vec::new();
     for (file, run) in runs.iter().enumerate() {
         let measured = known_contributions::remove_applied_offsets(run, machine, &mut warnings)?;
@@ -157,7 +157,7 @@ fn split_by_plane(run: &RunFile, rows: Vec<usize>) -> Result<Vec<RowGroup>, BadI
 
 /// Adds the rows of a group to the record of its circle.
 fn add_to_record(
-    records: &mut Vec<Record>,
+    records: &mut Vec<CircleRecord>,
     run: &RunFile,
     file: usize,
     group: &RowGroup,
@@ -190,14 +190,14 @@ fn add_to_record(
         )));
     }
     let is_near = |one: f64, other: f64| (one - other).abs() < CIRCLE_MATCH_TOLERANCE_MM;
-    let is_same = |record: &Record| {
+    let is_same = |record: &CircleRecord| {
         record.plane == group.plane
             && is_near(record.radius_mm, radius)
             && record.centre_mm.iter().zip(centre).all(|(one, other)| is_near(*one, other))
     };
     let has_time = run.column("time_s").is_some();
     let index = records.iter().position(is_same).unwrap_or_else(|| {
-        records.push(Record {
+        records.push(CircleRecord {
             plane: group.plane,
             centre_mm: centre,
             radius_mm: radius,
@@ -258,7 +258,7 @@ fn add_to_record(
 }
 
 /// Takes single readings out that stand far from their neighbours on both sides.
-fn exclude_gross_readings(record: &mut Record, runs: &[RunFile]) {
+fn exclude_gross_readings(record: &mut CircleRecord, runs: &[RunFile]) {
     let rows = &record.rows;
     let near = |at: usize| {
         let all = at.saturating_sub(3)..(at + 4).min(rows.len());
@@ -291,7 +291,7 @@ fn exclude_gross_readings(record: &mut Record, runs: &[RunFile]) {
     record.rows.retain(|_| !gross.next().unwrap_or(false));
 }
 
-fn check_record(record: &Record, runs: &[RunFile]) -> Result<(), BadInput> {
+fn check_record(record: &CircleRecord, runs: &[RunFile]) -> Result<(), BadInput> {
     let place = record.rows.first().map_or_else(
         || Location::start_of_file(runs[0].path()),
         |row| runs[row.source[0]].value_location(row.source[1], READING_COLUMN),
@@ -314,7 +314,7 @@ fn check_record(record: &Record, runs: &[RunFile]) -> Result<(), BadInput> {
 }
 
 /// Replaces neighbours by their means until there are few enough rows.
-fn average_neighbours(record: &mut Record) {
+fn average_neighbours(record: &mut CircleRecord) {
     let together = record.rows.len().div_ceil(MAX_ROWS);
     if together < 2 {
         return;

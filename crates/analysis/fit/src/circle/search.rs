@@ -7,7 +7,7 @@
 use trueup_numerics::least_squares::normal::{dot, solve};
 
 use super::{
-    record::Record,
+    record::CircleRecord,
     term_selection::{TermColumn, TermGroup, linear_columns, setup_columns},
     terms::{CircleTerm, SpikeShape, WavePhase, angle_since_reversal},
 };
@@ -43,7 +43,7 @@ type CandidateColumns = (Candidate, Vec<Vec<f64>>);
 
 /// Returns the columns of the cyclic errors and spikes that the record seems to have.
 #[must_use]
-pub(crate) fn search_nonlinear_terms(record: &Record) -> Vec<TermColumn> {
+pub(crate) fn search_nonlinear_terms(record: &CircleRecord) -> Vec<TermColumn> {
     let candidates = (0..2).flat_map(|axis| {
         [cyclic_candidates(record, axis), spike_candidates(record, axis)].concat()
     });
@@ -101,7 +101,7 @@ pub(crate) fn search_nonlinear_terms(record: &Record) -> Vec<TermColumn> {
 
 /// Adds the candidate that removes most, until none removes enough.
 fn add_best_candidates(
-    record: &Record,
+    record: &CircleRecord,
     candidates: &[CandidateColumns],
     found: &mut Vec<Candidate>,
 ) {
@@ -137,7 +137,7 @@ fn best_candidate<'c>(
 
 /// Returns whether a period next to this one is found already, or as many shapes of the spikes of this axis as may be: their
 /// sum is the shape.
-fn is_already_found(record: &Record, found: &[Candidate], candidate: &Candidate) -> bool {
+fn is_already_found(record: &CircleRecord, found: &[Candidate], candidate: &Candidate) -> bool {
     let of_unit = found.iter().filter(|other| other.unit == candidate.unit);
     if matches!(candidate.unit, TermGroup::Spikes(_)) && of_unit.count() >= MAX_SPIKE_SHAPES {
         return true;
@@ -153,7 +153,7 @@ fn is_already_found(record: &Record, found: &[Candidate], candidate: &Candidate)
 }
 
 impl Candidate {
-    fn term_columns(&self, record: &Record) -> Vec<Vec<f64>> {
+    fn term_columns(&self, record: &CircleRecord) -> Vec<Vec<f64>> {
         self.terms.iter().map(|term| term.basis_column(record)).collect()
     }
 }
@@ -172,7 +172,7 @@ fn cyclic_candidate(axis: usize, period_mm: f64) -> Candidate {
 }
 
 /// Returns the waves of an axis that the record can show.
-fn cyclic_candidates(record: &Record, axis: usize) -> Vec<Candidate> {
+fn cyclic_candidates(record: &CircleRecord, axis: usize) -> Vec<Candidate> {
     let diameter = 2.0 * record.radius_mm;
     let steps = record.rows.windows(2).filter(|pair| pair[0].pass == pair[1].pass);
     let mut ways: Vec<f64> =
@@ -190,7 +190,7 @@ fn cyclic_candidates(record: &Record, axis: usize) -> Vec<Candidate> {
 }
 
 /// Returns the spikes of an axis, at both ends and in both directions.
-fn spike_candidates(record: &Record, axis: usize) -> Vec<Candidate> {
+fn spike_candidates(record: &CircleRecord, axis: usize) -> Vec<Candidate> {
     let step = record.covered_arc_rad() / record.rows.len() as f64 * pass_count(record);
     let senses: Vec<f64> =
         [1.0, -1.0].into_iter().filter(|direction| record.has_direction(*direction)).collect();
@@ -223,12 +223,16 @@ fn spike_candidates(record: &Record, axis: usize) -> Vec<Candidate> {
 }
 
 /// Returns the number of passes.
-fn pass_count(record: &Record) -> f64 {
+fn pass_count(record: &CircleRecord) -> f64 {
     record.rows.chunk_by(|a, b| a.pass == b.pass).count() as f64
 }
 
 /// Returns the candidate with the period or the width that removes most.
-fn refine_candidate(basis: &OrthogonalBasis, record: &Record, candidate: &Candidate) -> Candidate {
+fn refine_candidate(
+    basis: &OrthogonalBasis,
+    record: &CircleRecord,
+    candidate: &Candidate,
+) -> Candidate {
     let gain = |candidate: &Candidate| basis.gain(&candidate.term_columns(record));
     let scaled = |candidate: &Candidate, factor: f64| {
         let mut other = candidate.clone();
@@ -270,7 +274,7 @@ struct OrthogonalBasis {
 
 impl OrthogonalBasis {
     /// Of the set-up, the linear causes and `found`.
-    fn from_candidates(record: &Record, found: &[&Candidate]) -> Self {
+    fn from_candidates(record: &CircleRecord, found: &[&Candidate]) -> Self {
         let left = record.rows.iter().map(|row| row.um).collect();
         let mut basis = Self { columns: Vec::new(), left };
         for column in setup_columns(record).iter().chain(&linear_columns(record)) {

@@ -12,7 +12,7 @@ use trueup_numerics::{
 };
 
 use super::{
-    record::Record,
+    record::CircleRecord,
     terms::{CircleTerm, DriftParameter, WavePhase},
 };
 
@@ -126,7 +126,7 @@ pub struct CrossValidatedTerm {
 
 /// Returns the columns of the set-up.
 #[must_use]
-pub(crate) fn setup_columns(record: &Record) -> Vec<TermColumn> {
+pub(crate) fn setup_columns(record: &CircleRecord) -> Vec<TermColumn> {
     let of = |setup| {
         [CircleTerm::Radius(setup), CircleTerm::Centre(setup, 0), CircleTerm::Centre(setup, 1)]
     };
@@ -138,7 +138,7 @@ pub(crate) fn setup_columns(record: &Record) -> Vec<TermColumn> {
 
 /// Returns the columns of all causes that are linear: those of one direction alone are omitted where there is one only.
 #[must_use]
-pub(crate) fn linear_columns(record: &Record) -> Vec<TermColumn> {
+pub(crate) fn linear_columns(record: &CircleRecord) -> Vec<TermColumn> {
     let single = |term| TermColumn { unit: TermGroup::Single(term), term };
     let mut columns: Vec<TermColumn> = [
         CircleTerm::Squareness,
@@ -178,7 +178,7 @@ pub(crate) fn linear_columns(record: &Record) -> Vec<TermColumn> {
 
 /// The rows of a record as they are fitted: whitened.
 struct WhitenedFit<'r> {
-    record: &'r Record,
+    record: &'r CircleRecord,
     raw: Vec<Vec<f64>>,
     columns: Vec<TermColumn>,
     white: Vec<Vec<f64>>,
@@ -189,7 +189,7 @@ struct WhitenedFit<'r> {
 }
 
 impl<'r> WhitenedFit<'r> {
-    fn new(record: &'r Record, columns: Vec<TermColumn>) -> Self {
+    fn new(record: &'r CircleRecord, columns: Vec<TermColumn>) -> Self {
         let raw: Vec<Vec<f64>> =
             columns.iter().map(|column| column.term.basis_column(record)).collect();
         let y = record.rows.iter().map(|row| row.um).collect();
@@ -331,7 +331,7 @@ fn residual(columns: &[Vec<f64>], y: &[f64], coefficients: &[f64]) -> Vec<f64> {
 
 /// Chooses among the set-up, the linear causes and `found`, which were searched for.
 #[must_use]
-pub fn select_terms(record: &Record, found: &[TermColumn]) -> SelectedModel {
+pub fn select_terms(record: &CircleRecord, found: &[TermColumn]) -> SelectedModel {
     let all = [setup_columns(record), linear_columns(record), found.to_vec()].concat();
     let mut fit = WhitenedFit::new(record, all);
     fit.whiten();
@@ -471,7 +471,7 @@ fn find_alternatives(
 }
 
 /// Returns the arc of each row: a part of a pass.
-fn arc_indices(record: &Record) -> Vec<usize> {
+fn arc_indices(record: &CircleRecord) -> Vec<usize> {
     let mut first = 0;
     let mut arcs = Vec::with_capacity(record.rows.len());
     for pass in record.rows.chunk_by(|a, b| a.pass == b.pass) {

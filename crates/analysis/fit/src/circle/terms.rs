@@ -2,7 +2,7 @@
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
-use super::record::{Record, Row};
+use super::record::{CircleRecord, Row};
 
 /// Half widths of a Gaussian: √(2·ln 2).
 const GAUSSIAN_HWHM_PER_STD: f64 = 1.177_410_022_515_474_6;
@@ -116,7 +116,7 @@ pub enum CircleTerm {
 impl CircleTerm {
     /// Returns the value of its column in a row.
     #[must_use]
-    pub fn evaluate(self, row: &Row, record: &Record) -> f64 {
+    pub fn evaluate(self, row: &Row, record: &CircleRecord) -> f64 {
         let (sin, cos) = row.angle.sin_cos();
         let along = |axis: usize| if axis == 0 { cos } else { sin };
         match self {
@@ -154,7 +154,7 @@ impl CircleTerm {
 
     /// Returns its column.
     #[must_use]
-    pub(crate) fn basis_column(self, record: &Record) -> Vec<f64> {
+    pub(crate) fn basis_column(self, record: &CircleRecord) -> Vec<f64> {
         record.rows.iter().map(|row| self.evaluate(row, record)).collect()
     }
 }

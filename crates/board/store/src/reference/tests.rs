@@ -34,7 +34,7 @@ fn loaded(flash: &Flash) -> Option<Reference> {
 
 #[test]
 fn the_bytes_of_a_record_are_as_the_table_says() {
-    let record = Record {
+    let record = ReferenceRecord {
         sequence: 2,
         calibration: 0x1122_3344,
         standing: ReferenceStatus {
@@ -55,9 +55,9 @@ fn the_bytes_of_a_record_are_as_the_table_says() {
             0, 0, 1, 0, 0, 1, 2, 0xE0, 0x5D
         ]
     );
-    assert_eq!(Record::decode(&bytes), Some(record));
+    assert_eq!(ReferenceRecord::decode(&bytes), Some(record));
     assert_eq!(
-        (Record::decode(&[0xFF; RECORD_SIZE]), Record::decode(&[0; RECORD_SIZE])),
+        (ReferenceRecord::decode(&[0xFF; RECORD_SIZE]), ReferenceRecord::decode(&[0; RECORD_SIZE])),
         (None, None)
     );
 }

@@ -14,7 +14,7 @@ use trueup_diagnose::{
 use trueup_fleet::{
     constants::{self, CauseIdentity},
     job::{Job, JobFile, Request, Submission, SubmittedFile},
-    record::Record,
+    record::MachineRecord,
     result::StoredResult,
     store::{Store, compute_checksum},
     structure::{FitRequest, FittedConstants},
@@ -190,7 +190,7 @@ fn parse_quantity(name: &str) -> Option<file::Quantity> {
 }
 
 /// Returns what a result says of its machine.
-pub fn build_record(store: &Store, stored: &StoredResult) -> Result<Record, String> {
+pub fn build_record(store: &Store, stored: &StoredResult) -> Result<MachineRecord, String> {
     let done = &stored.done;
     let bytes = stored.files.get(DIAGNOSIS_FILE).ok_or("has no diagnosis.json")?;
     let diagnosis: serde_json::Value =
@@ -202,7 +202,7 @@ pub fn build_record(store: &Store, stored: &StoredResult) -> Result<Record, Stri
     let source = String::from_utf8_lossy(&source);
     let machine = MachineFile::parse(&source, Path::new(&job.machine_file.path))
         .map_err(|error| error.rule)?;
-    Ok(Record {
+    Ok(MachineRecord {
         machine: done.machine.clone(),
         day: done.date.as_deref().and_then(dated::parse_day),
         verdict: diagnosis["verdict"].as_str().unwrap_or_default().into(),

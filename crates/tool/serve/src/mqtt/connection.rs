@@ -10,7 +10,7 @@ use std::{
 
 use rumqttc::{Client, Event, LastWill, MqttOptions, Outgoing, Packet, Publish, QoS};
 
-use crate::{broker::BrokerConfig, sparkplug::node::Message, spool::segment::Record};
+use crate::{broker::BrokerConfig, sparkplug::node::Message, spool::segment::SpoolRecord};
 
 /// A broker that is silent for one and a half of these is given up, and gives this publisher up.
 const KEEP_ALIVE: Duration = Duration::from_secs(5);
@@ -115,8 +115,8 @@ impl Connection {
     }
 
     /// Publishes at least once; false: there is no place.
-    pub(crate) fn publish_record(&mut self, record: Record) -> bool {
-        let Record { topic, payload, number, .. } = record;
+    pub(crate) fn publish_record(&mut self, record: SpoolRecord) -> bool {
+        let SpoolRecord { topic, payload, number, .. } = record;
         let is_taken = self.client.try_publish(topic, QoS::AtLeastOnce, false, payload).is_ok();
         if is_taken {
             self.requested.push_back(Some(number));

@@ -28,7 +28,7 @@ pub(super) const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
 /// A record that is sent.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Record {
+pub struct SpoolRecord {
     /// Its number, which orders all records of a spool.
     pub number: u64,
     /// When it was made, in ms since 1970 (UTC).
@@ -67,7 +67,7 @@ pub struct DamagedRange {
 
 /// Returns the bytes of a record in the file with this identifier; `None`: it is too long.
 #[must_use]
-pub fn encode(file: u64, record: &Record) -> Option<Vec<u8>> {
+pub fn encode(file: u64, record: &SpoolRecord) -> Option<Vec<u8>> {
     let body = record.topic.len() + record.payload.len();
     let topic = u16::try_from(record.topic.len()).ok()?;
     let length = u32::try_from(body + 2).ok().filter(|_| body <= MAX_BODY_BYTES)?;
@@ -85,7 +85,7 @@ pub fn encode(file: u64, record: &Record) -> Option<Vec<u8>> {
 
 /// Returns the record that begins with the first of these bytes, and its length; `None`: no whole one does.
 #[must_use]
-pub fn decode(file: u64, bytes: &[u8]) -> Option<(Record, usize)> {
+pub fn decode(file: u64, bytes: &[u8]) -> Option<(SpoolRecord, usize)> {
     let rest = bytes.strip_prefix(&RECORD_MAGIC)?;
     let (length, rest) = rest.split_first_chunk()?;
     let length = usize::try_from(u32::from_le_bytes(*length)).ok()?;
@@ -102,7 +102,7 @@ pub fn decode(file: u64, bytes: &[u8]) -> Option<(Record, usize)> {
     }
     let body = rest.get(..length - 2)?;
     let (topic, payload) = body.split_at_checked(u16::from_le_bytes(*topic_length).into())?;
-    let record = Record {
+    let record = SpoolRecord {
         number: u64::from_le_bytes(*number),
         time_ms: u64::from_le_bytes(*time_ms),
         topic: String::from_utf8(topic.to_vec()).ok()?,
@@ -158,9 +158,14 @@ mod tests {
 
     const FILE: u64 = 0x0123_4567_89AB_CDEF;
 
-    fn record(number: u64) -> Record {
+    fn record(number: u64) -> SpoolRecord {
         let payload = (0..20 + number as u8).collect();
-        Record { number, time_ms: 1_000 * number, topic: format!("trueup/n/{number}"), payload }
+        SpoolRecord {
+            number,
+            time_ms: 1_000 * number,
+            topic: format!("trueup/n/{number}"),
+            payload,
+        }
     }
 
     fn file(numbers: std::ops::Range<u64>) -> Vec<u8> {
@@ -178,7 +183,7 @@ mod tests {
         }
         assert_eq!(entries.len(), 4);
         assert_eq!(scan(FILE + 1, &bytes).0, [], "of another file");
-        let long = Record { payload: vec![0; MAX_BODY_BYTES + 1], ..record(1) };
+        let long = SpoolRecord { payload: vec![0; MAX_BODY_BYTES + 1], ..record(1) };
         assert_eq!(encode(FILE, &long), None);
     }
 
