@@ -22,7 +22,7 @@ use trueup_emulator::{
     process, setup,
 };
 use trueup_fleet::{
-    constants::{Constant, Finding},
+    constants::{Constant, NamedFinding},
     pool::Estimate,
     record::MachineRecord,
 };
@@ -164,7 +164,7 @@ fn fleet() -> String {
         let value = if number == 7 { 19.0 } else { 7.0 + 0.5 * f64::from(number % 3) };
         let estimate = Estimate { value, se: 0.4 };
         let constant = Constant { parameter: "offset_um".into(), estimate };
-        let found = Finding {
+        let found = NamedFinding {
             name: "elongation sensor-offset".into(),
             identity: None,
             claimed: true,

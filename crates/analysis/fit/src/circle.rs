@@ -55,7 +55,7 @@ use trueup_machine::{BadInput, Machine, RunFile, file::writer::Edit};
 pub(crate) use self::records_from_runs::read_records as records;
 pub use self::{
     circular_deviations::CircularDeviations,
-    findings::{Cause, Finding},
+    findings::{Cause, CircleFinding},
     page::build_page,
     record::{CircleRecord, Plane},
 };
@@ -84,7 +84,7 @@ pub struct CircleResult {
     /// The figures of ISO 230-4.
     pub figures: CircularDeviations,
     /// The causes, the largest first.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<CircleFinding>,
     /// Readings without centre and radius of the set-up.
     pub before: ResidualStatistics,
     /// The same without the causes.

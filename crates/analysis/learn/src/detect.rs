@@ -120,7 +120,7 @@ impl FittedAlternative {
 
 /// The best explanation of the readings from an instant on.
 #[derive(Clone, Debug)]
-pub(crate) struct Finding {
+pub(crate) struct DetectedChange {
     pub best: FittedAlternative,
     /// Others that these readings do not distinguish from it.
     pub others: Vec<FittedAlternative>,
@@ -135,7 +135,7 @@ pub(crate) fn find_best_explanation(
     rows: &[Row<'_>],
     before: &PriorBelief,
     is_certain: bool,
-) -> Option<Finding> {
+) -> Option<DetectedChange> {
     if rows.len() < MIN_EVENT_READINGS {
         return None;
     }
@@ -190,7 +190,7 @@ pub(crate) fn find_best_explanation(
                 < MIN_SEPARATION_SIGMAS
     });
     let others = others.map(|(_, (fitted, _))| *fitted).collect();
-    Some(Finding { best: *best_fit, others, all: fits, scatter_um: before.scatter_um[0] })
+    Some(DetectedChange { best: *best_fit, others, all: fits, scatter_um: before.scatter_um[0] })
 }
 
 /// Returns true if nothing has happened since an earlier instant than that of `rows`, whose belief `before` is.
@@ -349,7 +349,7 @@ fn separation_sigmas(
 mod tests {
     use super::*;
 
-    fn found(um: impl Fn(usize, f64) -> f64, levels: &[f64]) -> Option<Finding> {
+    fn found(um: impl Fn(usize, f64) -> f64, levels: &[f64]) -> Option<DetectedChange> {
         let noise = [1.1, -0.7, 0.4, -1.3, 0.2, 0.9, -0.5];
         let g: Vec<[f64; 2]> = levels.iter().map(|growth| [1.0, *growth]).collect();
         let rows: Vec<Row<'_>> = g

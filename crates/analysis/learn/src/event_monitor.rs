@@ -7,7 +7,9 @@
 
 use crate::{
     constants::{LearnableConstant, unit},
-    detect::{Alternative, Finding, FittedAlternative, RETRACTION_LOG_ODDS, min_zero_step_um},
+    detect::{
+        Alternative, DetectedChange, FittedAlternative, RETRACTION_LOG_ODDS, min_zero_step_um,
+    },
     event::{Action, Event, EventKind, round_to_three_digits},
     learner_state::LearnerState,
     replay::FilterHistory,
@@ -94,12 +96,12 @@ fn detect_next_event(memory: &mut LearnerState, believed: &mut FilterHistory, fr
     let end = memory.window.len();
     let first =
         (from.saturating_sub(memory.first) as usize).max(end.saturating_sub(LOOKBACK_READINGS));
-    let all: Vec<(usize, Finding)> = (first..=end.saturating_sub(MIN_EVENT_READINGS))
+    let all: Vec<(usize, DetectedChange)> = (first..=end.saturating_sub(MIN_EVENT_READINGS))
         .filter(|index| can_start_event(memory.first + *index as u64))
         .filter_map(|index| Some((index, believed.explain_readings(memory, [index, end], None)?)))
         .filter(|(index, _)| !believed.is_bad_reading_artefact(memory, *index))
         .collect();
-    let is_scatter = |finding: &Finding| finding.best.alternative == Alternative::Scatter;
+    let is_scatter = |finding: &DetectedChange| finding.best.alternative == Alternative::Scatter;
     // Readings before and after a step scatter as well.
     let certain = all
         .iter()
@@ -127,7 +129,7 @@ fn can_start_event(sequence: u64) -> bool {
 /// Returns the event that a finding is.
 fn event_from_finding(
     memory: &LearnerState,
-    finding: &Finding,
+    finding: &DetectedChange,
     index: usize,
     scatter_um: f64,
 ) -> Event {
@@ -224,7 +226,11 @@ fn rise_index(memory: &LearnerState, thermometer: usize) -> Option<usize> {
 
 /// Returns what an alternative does to the estimate. A constant changes as it was fitted to all readings after the event,
 /// which bad ones among the first do not move; half of it the readings may still give to others.
-fn event_action(memory: &LearnerState, acting: &FittedAlternative, finding: &Finding) -> Action {
+fn event_action(
+    memory: &LearnerState,
+    acting: &FittedAlternative,
+    finding: &DetectedChange,
+) -> Action {
     let is_constant = |alternative: &&FittedAlternative| {
         matches!(alternative.alternative, Alternative::Constant(_))
     };

@@ -1,7 +1,7 @@
 //! The present belief: the checkpoint, advanced by the readings of the window and the events among them.
 
 use crate::{
-    detect::{self, Finding, PriorBelief, Row},
+    detect::{self, DetectedChange, PriorBelief, Row},
     event::Action,
     filter::FilterOutcome,
     filter_bank::FilterBank,
@@ -84,7 +84,7 @@ impl FilterHistory {
         memory: &LearnerState,
         [index, end]: [usize; 2],
         own: Option<u64>,
-    ) -> Option<Finding> {
+    ) -> Option<DetectedChange> {
         let place = (index + self.tail.len()).checked_sub(memory.window.len())?;
         let (rows, before) = window_rows(memory, [index, end], own, self.tail.get(place)?)?;
         detect::find_best_explanation(&rows, &before, own.is_some())

@@ -42,13 +42,13 @@ use crate::{file::Machine, run_file::RunFile};
 
 pub use conditions::suggest_conditions;
 pub use no_correction::no_correction_warning;
-pub use range::{Finding, Plausibility, combine_refused};
+pub use range::{ImplausibleValue, Plausibility, combine_refused};
 pub use summary::{AxisSummary, Summary};
 pub use warning::Warning;
 
 /// Returns the values of the machine file that are outside the ranges of machines, in the order of its lines.
 #[must_use]
-pub fn range_findings(machine: &Machine) -> Vec<Finding> {
+pub fn range_findings(machine: &Machine) -> Vec<ImplausibleValue> {
     let mut findings = range::machine_findings(machine);
     findings.sort_by_key(|finding| (finding.warning.place.line, finding.warning.place.column));
     findings
@@ -111,7 +111,7 @@ pub fn column_findings(
     run: &RunFile,
     machine: Option<&Machine>,
     others: &[RunFile],
-) -> Vec<Finding> {
+) -> Vec<ImplausibleValue> {
     let mut slips = units::findings(run, machine, others);
     // Where both know something, the machine file says in which unit it would be right.
     for finding in run::column_findings(run, machine) {

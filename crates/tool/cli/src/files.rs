@@ -9,7 +9,7 @@ use std::{
 
 use trueup_machine::{
     BadInput, Machine, MachineFile, RunFile, bounded_read,
-    check::{self, Finding, Plausibility, Summary},
+    check::{self, ImplausibleValue, Plausibility, Summary},
     preprocessing::{preprocess_run, with_directions, without_fault_values},
 };
 
@@ -69,16 +69,17 @@ pub fn check_before_write(
 ) -> anyhow::Result<Machine> {
     let machine = MachineFile::parse(text, path)?;
     let known = before.map(check::range_findings).unwrap_or_default();
-    let is_new = |finding: &Finding| {
+    let is_new = |finding: &ImplausibleValue| {
         known.iter().all(|old| old.key != finding.key || old.warning.what != finding.warning.what)
     };
-    let found: Vec<Finding> = check::range_findings(&machine).into_iter().filter(is_new).collect();
+    let found: Vec<ImplausibleValue> =
+        check::range_findings(&machine).into_iter().filter(is_new).collect();
     check_findings(&path.display().to_string(), &found)?;
     Ok(machine)
 }
 
 /// The same for values without a line of a file: of a calibration, or of a file that is not there yet.
-pub fn check_findings(name: &str, found: &[Finding]) -> Result<(), UserError> {
+pub fn check_findings(name: &str, found: &[ImplausibleValue]) -> Result<(), UserError> {
     if let Some(refused) = check::combine_refused(found, &accepted_keys()) {
         let each = refused.into_single_faults().map(|BadInput { rule, help, .. }| match help {
             Some(help) => format!("{rule}. {help}"),
@@ -87,7 +88,7 @@ pub fn check_findings(name: &str, found: &[Finding]) -> Result<(), UserError> {
         let all = each.collect::<Vec<_>>().join("; ");
         return Err(UserError(format!("{name}: not written or used: {all}")));
     }
-    for Finding { warning, grade, .. } in found {
+    for ImplausibleValue { warning, grade, .. } in found {
         let accepted = if *grade == Plausibility::Impossible { " (accepted)" } else { "" };
         report::warn(format_args!("{name}: {}{accepted}. {}", warning.what, warning.help));
     }
@@ -146,8 +147,9 @@ fn reject_column_typos(
     others: &[RunFile],
 ) -> Result<(), BadInput> {
     let found = check::column_findings(run, machine, others).into_iter();
-    let refused: Vec<Finding> =
-        found.map(|finding| Finding { grade: Plausibility::Impossible, ..finding }).collect();
+    let refused: Vec<ImplausibleValue> = found
+        .map(|finding| ImplausibleValue { grade: Plausibility::Impossible, ..finding })
+        .collect();
     check::combine_refused(&refused, &accepted_keys()).map_or(Ok(()), Err)
 }
 

@@ -7,7 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::{
-    constants::{Finding, neutral_value},
+    constants::{NamedFinding, neutral_value},
     pool::{Estimate, MIN_MACHINES, pool_estimates},
     record::MachineRecord,
     report::Cause,
@@ -46,7 +46,7 @@ pub(crate) fn summarise_causes(records: &[MachineRecord]) -> Vec<Cause> {
     all.into_iter().map(|(name, of)| summarise_cause(name, &of)).collect()
 }
 
-fn add_effect_sizes<'r>(of: &mut CauseOccurrences<'r>, machine: &'r str, found: &'r Finding) {
+fn add_effect_sizes<'r>(of: &mut CauseOccurrences<'r>, machine: &'r str, found: &'r NamedFinding) {
     of.sizes.extend(found.constants.iter().filter_map(|constant| {
         let value = constant.estimate.value - neutral_value(&constant.parameter)?;
         let size = Estimate { value, se: constant.estimate.se };

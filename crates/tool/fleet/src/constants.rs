@@ -51,7 +51,7 @@ impl CauseIdentity {
 
 /// A finding of a diagnosis.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Finding {
+pub struct NamedFinding {
     /// Quantity, cause, and what else distinguishes it from another finding: `dz extra-heat-path temp_bed_c`.
     pub name: String,
     /// What names it to the diagnosis of another machine; none where it is more than that: a range, or two columns.
@@ -87,7 +87,7 @@ pub(crate) fn neutral_value(parameter: &str) -> Option<f64> {
 
 /// Returns the findings of a diagnosis.
 #[must_use]
-pub fn parse_findings(diagnosis: &Value) -> Vec<Finding> {
+pub fn parse_findings(diagnosis: &Value) -> Vec<NamedFinding> {
     let quantity = diagnosis["quantity"].as_str().unwrap_or_default();
     let findings = diagnosis["findings"].as_array();
     let findings = findings.into_iter().flatten();
@@ -95,7 +95,7 @@ pub fn parse_findings(diagnosis: &Value) -> Vec<Finding> {
 }
 
 /// A finding, and those that are only certain together with it.
-fn parse_finding(quantity: &str, finding: &Value) -> Vec<Finding> {
+fn parse_finding(quantity: &str, finding: &Value) -> Vec<NamedFinding> {
     let claimed = finding["claimed"].as_bool().unwrap_or(false);
     let gain = |key: &str| finding["gain"][key].as_f64().unwrap_or(f64::NAN);
     let explained = gain("rms_before_um").powi(2) - gain("rms_after_um").powi(2);
@@ -106,7 +106,7 @@ fn parse_finding(quantity: &str, finding: &Value) -> Vec<Finding> {
     let alternatives = rivals.into_iter().flatten().filter(is_open);
     let alternatives: Vec<String> =
         alternatives.map(|alternative| finding_name(quantity, alternative)).collect();
-    let one = |of: &Value, alternatives: Vec<String>| Finding {
+    let one = |of: &Value, alternatives: Vec<String>| NamedFinding {
         name: finding_name(quantity, of),
         identity: parse_identity(of),
         claimed,
@@ -115,7 +115,7 @@ fn parse_finding(quantity: &str, finding: &Value) -> Vec<Finding> {
         alternatives,
     };
     let partners = finding["together_with"].as_array();
-    let partners: Vec<Finding> =
+    let partners: Vec<NamedFinding> =
         partners.into_iter().flatten().map(|partner| one(partner, Vec::new())).collect();
     let mut all = vec![one(finding, alternatives)];
     all.extend(partners);

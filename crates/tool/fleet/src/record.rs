@@ -2,7 +2,7 @@
 
 use trueup_compare::dated::EpochDay;
 
-use crate::{constants::Finding, pool::Estimate};
+use crate::{constants::NamedFinding, pool::Estimate};
 
 /// A result of one machine.
 #[derive(Clone, Debug)]
@@ -19,9 +19,9 @@ pub struct MachineRecord {
     /// where it is the same.
     pub belief: String,
     /// The findings of the diagnosis.
-    pub found: Vec<Finding>,
+    pub found: Vec<NamedFinding>,
     /// Causes of other machines, fitted to this record.
-    pub fitted: Vec<Finding>,
+    pub fitted: Vec<NamedFinding>,
 }
 
 /// A constant on all machines, with what the next measurement would change.

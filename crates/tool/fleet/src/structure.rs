@@ -13,7 +13,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::{
-    constants::{CauseIdentity, Finding},
+    constants::{CauseIdentity, NamedFinding},
     record::MachineRecord,
 };
 
@@ -35,9 +35,9 @@ pub struct FitRequest {
 #[derive(Clone, Debug, Default)]
 pub struct FittedConstants {
     /// Of the causes of the model.
-    pub together: Vec<Option<Finding>>,
+    pub together: Vec<Option<NamedFinding>>,
     /// Of those next to it.
-    pub alone: Vec<Option<Finding>>,
+    pub alone: Vec<Option<NamedFinding>>,
 }
 
 /// Returns what is to be fitted to each record; none where its own diagnosis has all that the series has.
@@ -68,7 +68,7 @@ fn select_causes_for_record(
         ((MIN_COMMON_FRACTION * machines.len() as f64).ceil() as usize).max(MIN_COMMON_MACHINES);
     let is_common = |identity: &CauseIdentity| count(identity) >= least;
     // Another name for what more machines call otherwise.
-    let is_replaced = |own: &Finding| {
+    let is_replaced = |own: &NamedFinding| {
         let common = found_on.keys().filter(|key| is_common(key));
         let mut names = common.filter(|key| own.alternatives.contains(&key.name(&record.quantity)));
         !own.claimed
@@ -90,7 +90,7 @@ fn select_causes_for_record(
 impl MachineRecord {
     /// Takes the constants of the model of the series in the place of its own.
     pub fn replace_constants(&mut self, answered: FittedConstants) {
-        let fitted: Vec<Finding> = answered.together.into_iter().flatten().collect();
+        let fitted: Vec<NamedFinding> = answered.together.into_iter().flatten().collect();
         for own in &mut self.found {
             // What another cause stands for, and what is more than a name, says nothing to the series.
             own.constants = match fitted.iter().find(|other| other.name == own.name) {
@@ -98,8 +98,8 @@ impl MachineRecord {
                 None => Vec::new(),
             };
         }
-        let is_new = |finding: &Finding| self.found.iter().all(|own| own.name != finding.name);
-        let new: Vec<Finding> = fitted.into_iter().filter(is_new).collect();
+        let is_new = |finding: &NamedFinding| self.found.iter().all(|own| own.name != finding.name);
+        let new: Vec<NamedFinding> = fitted.into_iter().filter(is_new).collect();
         self.fitted = new;
         self.fitted.extend(answered.alone.into_iter().flatten());
     }

@@ -5,7 +5,7 @@
 
 use trueup_machine::{
     Machine, RunFile,
-    check::{self, Finding, Plausibility},
+    check::{self, ImplausibleValue, Plausibility},
     effect::PredictionStage,
     envelope::{self, InputRanges, predict_states},
     file::Quantity,
@@ -26,7 +26,7 @@ use crate::{
 const MIN_EFFECT_UM: f64 = 1.0;
 
 /// Returns the values of a machine file that no machine can have.
-fn impossible_values(machine: &Machine) -> Vec<Finding> {
+fn impossible_values(machine: &Machine) -> Vec<ImplausibleValue> {
     let findings = check::range_findings(machine).into_iter();
     findings.filter(|finding| finding.grade == Plausibility::Impossible).collect()
 }

@@ -84,7 +84,7 @@ impl Cause {
 
 /// A cause that the record shows.
 #[derive(Clone, Debug)]
-pub struct Finding {
+pub struct CircleFinding {
     /// The cause.
     pub cause: Cause,
     /// The plane of the circle.
@@ -113,7 +113,7 @@ pub struct Finding {
 
 /// Returns the causes of a circle, the largest first.
 #[must_use]
-pub(crate) fn build_findings(record: &CircleRecord, chosen: &SelectedModel) -> Vec<Finding> {
+pub(crate) fn build_findings(record: &CircleRecord, chosen: &SelectedModel) -> Vec<CircleFinding> {
     let has = |unit: &TermGroup| chosen.tried.iter().any(|tried| tried.unit == *unit);
     // Forms whose axis a circle does not show are listed with the larger straightness that it does show.
     let rms_um = |wave: WavePhase| {
@@ -145,7 +145,7 @@ pub(crate) fn build_findings(record: &CircleRecord, chosen: &SelectedModel) -> V
 }
 
 /// Doubts a squareness that is no more than the line from which a form that is there counts.
-fn flag_doubtful_squareness(all: &mut [Finding]) {
+fn flag_doubtful_squareness(all: &mut [CircleFinding]) {
     let forms = || {
         all.iter()
             .filter(|finding| finding.cause == Cause::Straightness)
@@ -174,7 +174,7 @@ fn build_finding(
     record: &CircleRecord,
     tried: &CrossValidatedTerm,
     terms: Vec<FittedTerm>,
-) -> Finding {
+) -> CircleFinding {
     let axes = record.plane.axes();
     let [u, v] = axes;
     let (cause, axis, along) = match &tried.unit {
@@ -193,7 +193,7 @@ fn build_finding(
         TermGroup::Spikes(of) => (Cause::ReversalSpike, Some(axes[*of]), Some(axes[*of])),
         TermGroup::Cyclic(of, _) => (Cause::CyclicError, Some(axes[*of]), None),
     };
-    let mut it = Finding {
+    let mut it = CircleFinding {
         cause,
         plane: record.plane,
         axis,
@@ -235,7 +235,7 @@ fn build_finding(
 }
 
 /// Adds what one plane or one direction cannot distinguish, and the test that does.
-fn add_ambiguities(record: &CircleRecord, it: &mut Finding) {
+fn add_ambiguities(record: &CircleRecord, it: &mut CircleFinding) {
     let [u, v] = record.plane.axes().map(LinearAxis::name);
     let one_way = !(record.has_direction(1.0) && record.has_direction(-1.0));
     let plane = record.plane.name();

@@ -15,7 +15,7 @@ use trueup_machine::{
 
 use super::{
     CircleResult,
-    findings::{Cause, Finding, straightness_um},
+    findings::{Cause, CircleFinding, straightness_um},
     terms::{CircleTerm, WavePhase},
 };
 use crate::bspline;
@@ -55,7 +55,7 @@ fn claimed_findings(circles: &[CircleResult], cause: Cause) -> Vec<(usize, usize
     for (circle, result) in circles.iter().enumerate() {
         let own = result.findings.iter().enumerate();
         // A slope of which is open whether it is a form's line is the slope of the plane all the same.
-        let is_line = |finding: &Finding| {
+        let is_line = |finding: &CircleFinding| {
             finding.cause == Cause::Squareness
                 && finding.alternatives == [Cause::Straightness.name()]
         };
@@ -66,7 +66,7 @@ fn claimed_findings(circles: &[CircleResult], cause: Cause) -> Vec<(usize, usize
     found
 }
 
-fn parameter_value(finding: &Finding, name: &str) -> f64 {
+fn parameter_value(finding: &CircleFinding, name: &str) -> f64 {
     finding
         .parameters
         .iter()

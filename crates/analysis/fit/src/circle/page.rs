@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use trueup_machine::file::LinearAxis;
 use trueup_page::{Colour, Origin, Page, PolarPlot, Series, Table, format_micrometres};
 
-use super::{CircleReport, CircleResult, Finding, Verdict};
+use super::{CircleFinding, CircleReport, CircleResult, Verdict};
 
 /// Returns the page of a report.
 #[must_use]
@@ -58,7 +58,7 @@ pub(crate) fn summarise(circle: &CircleResult) -> String {
 
 /// Returns a cause with its axis: `backlash of x`.
 #[must_use]
-pub fn title(finding: &Finding) -> String {
+pub fn title(finding: &CircleFinding) -> String {
     let name = finding.cause.name();
     match (finding.axis.map(LinearAxis::name), finding.along.map(LinearAxis::name)) {
         (Some(axis), Some(along)) => format!("{name} of {axis} along {along}"),

@@ -4,7 +4,7 @@
 
 use std::{collections::BTreeSet, path::Path};
 
-use trueup_fit::circle::{Cause, CircleReport, Finding, Verdict, fit_circles};
+use trueup_fit::circle::{Cause, CircleFinding, CircleReport, Verdict, fit_circles};
 use trueup_machine::{Machine, MachineFile, RunFile, file::LinearAxis};
 
 use crate::circle_drawn::{Drawn, Fault};
@@ -24,7 +24,7 @@ fn machine(report: &CircleReport) -> Machine {
     MachineFile::parse(&text, Path::new("m.toml")).unwrap_or_else(|error| panic!("{error}: {text}"))
 }
 
-fn value(finding: &Finding, name: &str) -> f64 {
+fn value(finding: &CircleFinding, name: &str) -> f64 {
     finding
         .parameters
         .iter()
@@ -32,7 +32,7 @@ fn value(finding: &Finding, name: &str) -> f64 {
         .map_or(f64::NAN, |parameter| parameter.value)
 }
 
-fn only(report: &CircleReport) -> &Finding {
+fn only(report: &CircleReport) -> &CircleFinding {
     let findings = &report.circles[0].findings;
     assert_eq!(findings.len(), 1, "{findings:?}");
     assert!(findings[0].claimed, "{findings:?}");
@@ -41,7 +41,7 @@ fn only(report: &CircleReport) -> &Finding {
 
 /// Returns the names of the causes that are claimed, with the axis in error.
 fn named(report: &CircleReport) -> BTreeSet<String> {
-    let name = |finding: &Finding| {
+    let name = |finding: &CircleFinding| {
         let axis = finding.axis.map_or(String::new(), |axis| format!(" {}", axis.name()));
         format!("{}{axis}", finding.cause.name())
     };
@@ -150,7 +150,7 @@ fn spikes_and_drift_are_reported_and_not_written() {
     let expected: BTreeSet<String> = drawn.faults.iter().map(Fault::name).collect();
     assert_eq!(named(&report), expected);
     assert!(report.edit.is_empty(), "{:?}", report.written);
-    let is_spike = |finding: &&Finding| finding.cause == Cause::ReversalSpike;
+    let is_spike = |finding: &&CircleFinding| finding.cause == Cause::ReversalSpike;
     let spike = report.circles[0].findings.iter().find(is_spike).expect("named");
     // The peak of the drawn shape is 0.72 of its height, 0.24 decays behind the reversal.
     let height = value(spike, "height_positive_end_ccw_um");

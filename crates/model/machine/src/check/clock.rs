@@ -11,7 +11,7 @@
 //! A clock that runs back within a run is refused where the run is read.
 
 use super::{
-    range::{Finding, Plausibility},
+    range::{ImplausibleValue, Plausibility},
     warning::Warning,
 };
 use crate::{file::is_temperature_column, run_file::RunFile};
@@ -40,7 +40,7 @@ const MAX_SLOPE_RATIO: f64 = 2.5;
 #[derive(Default)]
 pub(super) struct ClockFindings {
     /// Slips: constants that are fitted to this time are wrong.
-    pub(super) slips: Vec<Finding>,
+    pub(super) slips: Vec<ImplausibleValue>,
     /// An hour that may be a slip.
     pub(super) warnings: Vec<Warning>,
     /// Pauses.
@@ -88,7 +88,11 @@ pub(super) fn check_clock(run: &RunFile) -> ClockFindings {
             line(step)
         );
         let warning = at(step, what, help);
-        clock.slips.push(Finding { key: "time_s".into(), grade: Plausibility::Unlikely, warning });
+        clock.slips.push(ImplausibleValue {
+            key: "time_s".into(),
+            grade: Plausibility::Unlikely,
+            warning,
+        });
     }
     let hour = steps.iter().find(|step| step.is_hour && step.is_clock_error.is_none());
     clock.warnings.extend(hour.map(|step| {

@@ -35,7 +35,7 @@ pub enum Plausibility {
 
 /// A value that is doubted or refused.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Finding {
+pub struct ImplausibleValue {
     /// The key of the machine file, or the column of the run: what `--accept` takes.
     pub key: String,
     /// How far off it is.
@@ -44,7 +44,7 @@ pub struct Finding {
     pub warning: Warning,
 }
 
-impl Finding {
+impl ImplausibleValue {
     /// Returns whether it is refused, unless its key is among those that the user accepts.
     #[must_use]
     pub fn is_refused(&self, accepted: &[String]) -> bool {
@@ -54,9 +54,9 @@ impl Finding {
 
 /// Returns all that is refused of these as one error; `None` where nothing is.
 #[must_use]
-pub fn combine_refused(findings: &[Finding], accepted: &[String]) -> Option<BadInput> {
+pub fn combine_refused(findings: &[ImplausibleValue], accepted: &[String]) -> Option<BadInput> {
     let refused = findings.iter().filter(|finding| finding.is_refused(accepted));
-    BadInput::combine(refused.map(|Finding { key, warning, .. }| {
+    BadInput::combine(refused.map(|ImplausibleValue { key, warning, .. }| {
         let Warning { place, what, help } = warning;
         let help = format!("{help}; if it is meant, add --accept {key}");
         BadInput::new(place.clone(), what.clone()).with_help(help)
@@ -65,9 +65,9 @@ pub fn combine_refused(findings: &[Finding], accepted: &[String]) -> Option<BadI
 
 /// Returns the values of a machine file that are unlikely or impossible.
 #[must_use]
-pub(crate) fn machine_findings(machine: &Machine) -> Vec<Finding> {
+pub(crate) fn machine_findings(machine: &Machine) -> Vec<ImplausibleValue> {
     let entries = numeric_values::numeric_entries(machine).into_iter();
-    let mut findings: Vec<Finding> = entries
+    let mut findings: Vec<ImplausibleValue> = entries
         .filter_map(|entry| {
             let range = find_range(&entry.row)?;
             let (grade, value) = find_worst_value(range, &entry.values)?;
@@ -115,7 +115,7 @@ fn new_finding(
     range: &PlausibleRange,
     grade: Plausibility,
     value: f64,
-) -> Finding {
+) -> ImplausibleValue {
     let PlausibleRange { unit, hard, likely, usual, source, below, above, .. } = range;
     let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
     let is_negative = value < 0.0 && likely[0] >= -0.5;
@@ -139,7 +139,7 @@ fn new_finding(
         false => format!("write the value in the unit of its key; {source}"),
     };
     let warning = Warning::for_key(machine, &key, &what, help);
-    Finding { key, grade, warning }
+    ImplausibleValue { key, grade, warning }
 }
 
 /// Returns a value as it stands in a file, or to five digits where it has more than a user would write.
@@ -154,7 +154,7 @@ fn format_value(value: f64) -> String {
 }
 
 /// Backlash of an axis by all that the file says of it: a term adds to a section.
-fn find_negative_backlash(machine: &Machine, axis: LinearAxis) -> Option<Finding> {
+fn find_negative_backlash(machine: &Machine, axis: LinearAxis) -> Option<ImplausibleValue> {
     let model = &machine.axes[axis.index()];
     let mut total_um = 0.0;
     let mut last = None;
@@ -187,7 +187,7 @@ fn find_negative_backlash(machine: &Machine, axis: LinearAxis) -> Option<Finding
         let what = format!("makes a backlash of {total_um:.2} µm, which is negative: {REVERSED_SIGN_HINT}");
         let help = "look at one reversal: approached in the negative direction the axis is left behind, and the error is larger";
         let warning = Warning::for_key(machine, &key, &what, help);
-        Finding { key, grade: Plausibility::Unlikely, warning }
+        ImplausibleValue { key, grade: Plausibility::Unlikely, warning }
     })
 }
 
@@ -200,7 +200,7 @@ fn mean_reversal_um(pitch: &PitchErrorTable) -> Option<f64> {
 }
 
 /// Returns a table of an axis's heat whose slope falls as it becomes warmer.
-fn find_decreasing_thermal_table(machine: &Machine, axis: LinearAxis) -> Option<Finding> {
+fn find_decreasing_thermal_table(machine: &Machine, axis: LinearAxis) -> Option<ImplausibleValue> {
     let thermal = machine.axes[axis.index()].thermal.as_ref()?;
     let rows = thermal.table.as_ref().filter(|_| thermal.mode.has_position())?;
     let (first, last) = (rows.first()?, rows.last()?);
@@ -212,8 +212,8 @@ fn find_decreasing_thermal_table(machine: &Machine, axis: LinearAxis) -> Option<
     // Of a table the size of a slope is known to what its ends are.
     let is_told = grade == Plausibility::Impossible || value < -0.1;
     is_told.then(|| {
-        let Finding { warning, .. } = new_finding(machine, key.clone(), row, grade, value);
-        Finding { key, grade, warning }
+        let ImplausibleValue { warning, .. } = new_finding(machine, key.clone(), row, grade, value);
+        ImplausibleValue { key, grade, warning }
     })
 }
 

@@ -3,7 +3,7 @@
 
 use super::{
     geometry,
-    range::{self, Finding, Plausibility},
+    range::{self, ImplausibleValue, Plausibility},
     sensor::{FULL_SCALE_COUNTS, S7_FULL_SCALE_COUNTS},
     warning::Warning,
 };
@@ -47,7 +47,7 @@ pub(super) fn warnings(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning>
 }
 
 /// Returns the columns that look like another unit next to the machine file.
-pub(super) fn column_findings(run: &RunFile, machine: Option<&Machine>) -> Vec<Finding> {
+pub(super) fn column_findings(run: &RunFile, machine: Option<&Machine>) -> Vec<ImplausibleValue> {
     let of_sensor = run.columns().iter().find(|column| column.name == "sensor_counts");
     let volts =
         of_sensor.and_then(|column| Some(("sensor_counts".into(), voltage_warning(run, column)?)));
@@ -64,7 +64,7 @@ pub(super) fn column_findings(run: &RunFile, machine: Option<&Machine>) -> Vec<F
             .map(|comparison| (comparison.column, comparison.warning))
             .chain(position_unit_warnings(run, machine))
     });
-    let finding = |(key, warning)| Finding { key, grade: Plausibility::Unlikely, warning };
+    let finding = |(key, warning)| ImplausibleValue { key, grade: Plausibility::Unlikely, warning };
     volts.into_iter().chain(of_machine).map(finding).collect()
 }
 

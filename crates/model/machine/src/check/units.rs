@@ -12,7 +12,7 @@
 //! shows is never refused.
 
 use super::{
-    range::{Finding, Plausibility},
+    range::{ImplausibleValue, Plausibility},
     thermal::looks_like_kelvin,
     warning::Warning,
 };
@@ -63,7 +63,7 @@ pub(super) fn findings(
     run: &RunFile,
     machine: Option<&Machine>,
     others: &[RunFile],
-) -> Vec<Finding> {
+) -> Vec<ImplausibleValue> {
     let of_laws: Vec<String> = machine.map(required_columns).unwrap_or_default();
     let thermometers: Vec<&Column> =
         run.columns().iter().filter(|column| is_temperature_column(&column.name)).collect();
@@ -79,7 +79,9 @@ pub(super) fn findings(
     // What is no temperature says nothing of the clock.
     let sound: Vec<&Column> = thermometers
         .into_iter()
-        .filter(|column| findings.iter().all(|finding: &Finding| finding.key != column.name))
+        .filter(|column| {
+            findings.iter().all(|finding: &ImplausibleValue| finding.key != column.name)
+        })
         .collect();
     findings.extend(time_unit_finding(run, &sound));
     for quantity in Quantity::ALL {
@@ -101,11 +103,11 @@ fn new_finding(
     grade: Plausibility,
     what: &str,
     help: &str,
-) -> Finding {
+) -> ImplausibleValue {
     let row = run.column(column).and_then(|values| values.iter().position(|value| !value.is_nan()));
     let place = run.value_location(row.unwrap_or(0), column);
     let warning = Warning { place, what: format!("{column} {what}"), help: help.into() };
-    Finding { key: column.into(), grade, warning }
+    ImplausibleValue { key: column.into(), grade, warning }
 }
 
 /// Returns the least and the most of a column with values enough.
@@ -124,7 +126,7 @@ fn temperature_unit_finding(
     column: &Column,
     is_law: bool,
     [is_asked, may_be_f]: [bool; 2],
-) -> Option<Finding> {
+) -> Option<ImplausibleValue> {
     let [least, most] = value_range(&column.values)?;
     let is_tenths = is_machine_temperature(least / 10.0)
         && is_machine_temperature(most / 10.0)
@@ -203,7 +205,7 @@ fn is_machine_temperature(temperature_c: f64) -> bool {
     (coldest..=hottest).contains(&temperature_c)
 }
 
-fn time_unit_finding(run: &RunFile, thermometers: &[&Column]) -> Option<Finding> {
+fn time_unit_finding(run: &RunFile, thermometers: &[&Column]) -> Option<ImplausibleValue> {
     let time_s = run.column("time_s")?;
     let [_, last_s] = value_range(time_s)?;
     let ms = "times are in s: divide each by 1000";
@@ -316,7 +318,7 @@ fn max_rate_c_per_s(time_s: &[f64], values: &[f64]) -> Option<f64> {
     rates.reduce(f64::max)
 }
 
-fn error_unit_finding(run: &RunFile, column: &Column) -> Option<Finding> {
+fn error_unit_finding(run: &RunFile, column: &Column) -> Option<ImplausibleValue> {
     let [least, most] = value_range(&column.values)?;
     let largest = least.abs().max(most.abs());
     if most - least > MAX_ERROR_RANGE_UM {
@@ -340,7 +342,7 @@ fn error_unit_finding(run: &RunFile, column: &Column) -> Option<Finding> {
     })
 }
 
-fn speed_unit_finding(run: &RunFile) -> Option<Finding> {
+fn speed_unit_finding(run: &RunFile) -> Option<ImplausibleValue> {
     let [_, most] = value_range(run.column("spindle_rpm")?)?;
     (most > 0.0 && most <= MAX_KRPM).then(|| {
         let what = format!("is {most} at the most: that looks like 1000 r/min, not r/min");

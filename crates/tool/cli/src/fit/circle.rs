@@ -6,7 +6,9 @@ use anyhow::Result;
 use serde_json::{Map, Value, json};
 use trueup_fit::{
     ResidualStatistics,
-    circle::{self, CircleReport, CircleResult, CircularDeviations, Finding, Verdict, page::title},
+    circle::{
+        self, CircleFinding, CircleReport, CircleResult, CircularDeviations, Verdict, page::title,
+    },
 };
 use trueup_machine::{Machine, MachineFile};
 
@@ -139,7 +141,7 @@ fn report_json(report: &CircleReport, output: Option<&PathBuf>) -> Value {
     })
 }
 
-fn finding_json(it: &Finding) -> Value {
+fn finding_json(it: &CircleFinding) -> Value {
     let parameters: Map<String, Value> = it
         .parameters
         .iter()

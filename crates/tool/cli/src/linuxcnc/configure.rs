@@ -10,7 +10,7 @@ use trueup_linuxcnc::configuration::{
     OffsetEntryPoint,
     boardless::BoardlessConfig,
     check::{self, CheckReport},
-    finding::{Finding, OffsetRequirements, Severity},
+    finding::{ConfigurationFinding, OffsetRequirements, Severity},
     hal_files::HalFiles,
     ini_lines::{IniLines, expand_home},
     install::{self, FileChange},
@@ -252,7 +252,7 @@ fn run_check(args: &CheckArgs, as_json: bool) -> Result<Outcome> {
 /// Facts on standard output, findings as errors and warnings.
 fn print_report(found: &CheckReport, demand: &OffsetRequirements, as_json: bool) -> Result<()> {
     if as_json {
-        let object = |finding: &Finding| {
+        let object = |finding: &ConfigurationFinding| {
             let severity = match finding.severity {
                 Severity::Error => "error",
                 Severity::Warning => "warning",
@@ -280,7 +280,7 @@ fn print_report(found: &CheckReport, demand: &OffsetRequirements, as_json: bool)
 }
 
 fn print_findings(found: &CheckReport) {
-    for Finding { severity, place, what, help } in &found.findings {
+    for ConfigurationFinding { severity, place, what, help } in &found.findings {
         let (place, what, help) = (place.clone(), what.clone(), help.clone());
         match severity {
             Severity::Warning => report::warn_at(&Warning { place, what, help }),

@@ -4,7 +4,7 @@ use trueup_machine::BadInput;
 
 use super::{
     OffsetEntryPoint,
-    finding::{Finding, OffsetRequirements, Severity},
+    finding::{ConfigurationFinding, OffsetRequirements, Severity},
     hal_files::HalFiles,
     ini_lines::IniLines,
     input_signals,
@@ -32,7 +32,7 @@ const UM_PER_MM: f64 = 1e3;
 #[derive(Clone, Debug, Default)]
 pub struct CheckReport {
     /// Errors and warnings in the order of the checks.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<ConfigurationFinding>,
     /// Statements about what the offsets will do, a line each.
     pub facts: Vec<String>,
     /// The lines to be added by hand, where setup cannot change the configuration.
@@ -115,7 +115,7 @@ pub fn check(ini: &IniLines, hal: &HalFiles, demand: &OffsetRequirements) -> Che
 /// LinuxCNC reads the first section of a name alone: lines of a second one have no effect.
 fn check_duplicate_section(ini: &IniLines, section: &str, report: &mut CheckReport) {
     if let Some(place) = ini.duplicate_header(section) {
-        report.findings.push(Finding::warning(
+        report.findings.push(ConfigurationFinding::warning(
             place,
             format!("a second [{section}]: LinuxCNC reads the first one alone"),
             "move its lines into the first one",
@@ -129,11 +129,11 @@ fn check_hal_files(ini: &IniLines, hal: &HalFiles, report: &mut CheckReport) {
     if let Some(value) = ini.value("HAL", "TWOPASS") {
         let what =
             "[HAL]TWOPASS: LinuxCNC collects loadrt lines of all files before it runs the rest";
-        report.findings.push(Finding::error(value.place, what, by_hand));
+        report.findings.push(ConfigurationFinding::error(value.place, what, by_hand));
     }
     for value in &hal.tcl {
         let what = format!("HALFILE = {}: a Tcl file may connect anything", value.text);
-        report.findings.push(Finding::error(value.place.clone(), what, by_hand));
+        report.findings.push(ConfigurationFinding::error(value.place.clone(), what, by_hand));
     }
 }
 
@@ -143,7 +143,7 @@ fn check_base_settings(ini: &IniLines, report: &mut CheckReport) -> Option<Ini> 
         Ok(base) => base,
         Err(error) => {
             let place = ini.line_location(error.place.0, error.place.1);
-            report.findings.push(Finding::error(place, error.rule, ""));
+            report.findings.push(ConfigurationFinding::error(place, error.rule, ""));
             return None;
         }
     };
@@ -151,7 +151,7 @@ fn check_base_settings(ini: &IniLines, report: &mut CheckReport) -> Option<Ini> 
     // A billionth of rounding.
     if !SUPPORTED_PERIODS_NS.contains(&period_ns.round()) {
         let place = ini.value("EMCMOT", "SERVO_PERIOD").map(|value| value.place);
-        report.findings.push(Finding::error(
+        report.findings.push(ConfigurationFinding::error(
             place.unwrap_or_else(|| ini.section_location("EMCMOT")),
             format!("[EMCMOT]SERVO_PERIOD = {} ns: 0.5 to 4 ms are supported", period_ns.round()),
             "set it between 500000 and 4000000",
@@ -165,7 +165,7 @@ fn check_servo_period(ini: &IniLines, base: &Ini, report: &mut CheckReport) {
     let us = (base.cycle_s * 1e6).round();
     if ![500.0, 1_000.0, 2_000.0, 4_000.0].contains(&us) {
         let place = ini.value("EMCMOT", "SERVO_PERIOD").map(|value| value.place);
-        report.findings.push(Finding::error(
+        report.findings.push(ConfigurationFinding::error(
             place.unwrap_or_else(|| ini.section_location("EMCMOT")),
             format!(
                 "[EMCMOT]SERVO_PERIOD = {} ns: without a board it is 0.5, 1, 2 or 4 ms",
@@ -179,7 +179,7 @@ fn check_servo_period(ini: &IniLines, base: &Ini, report: &mut CheckReport) {
     let period_ns = base.cycle_s * 1e9;
     let made_ns = (period_ns / thread_ns).round().max(1.0) * thread_ns;
     if (made_ns - period_ns).abs() > PERIOD_TOLERANCE_NS {
-        report.findings.push(Finding::warning(
+        report.findings.push(ConfigurationFinding::warning(
             place,
             format!(
                 "[EMCMOT]BASE_PERIOD = {thread_ns} ns: with a base thread LinuxCNC makes the servo period a multiple of it, \
@@ -212,17 +212,17 @@ fn check_double_compensation(
     ];
     for (place, what, mend) in found.into_iter().flatten() {
         report.findings.push(match ours {
-            Some(true) => Finding::error(
+            Some(true) => ConfigurationFinding::error(
                 place,
                 format!("{what}: LinuxCNC and the machine file would both correct {axis}"),
                 format!("{mend}, or take pitch and backlash of {axis} out of the machine file"),
             ),
-            None => Finding::error(
+            None => ConfigurationFinding::error(
                 place,
                 format!("{what}: without a machine file it is not known whether {axis} would be corrected twice"),
                 format!("{mend}, or give --machine with a file that corrects neither pitch nor backlash of {axis}"),
             ),
-            Some(false) => Finding::warning(
+            Some(false) => ConfigurationFinding::warning(
                 place,
                 format!("{what}: LinuxCNC's own compensation may take speed and acceleration to 150 % of the limits"),
                 format!("let the machine file correct {axis}, and {mend}"),
@@ -262,7 +262,7 @@ fn check_joint_headroom(
         let what = format!(
             "[{section}]STEPGEN_MAXACCEL leaves nothing above MAX_ACCELERATION: an offset cannot move"
         );
-        report.findings.push(Finding::error(joint.place.clone(), what, mend));
+        report.findings.push(ConfigurationFinding::error(joint.place.clone(), what, mend));
         return;
     }
     if joint.velocity.stated.is_some() && joint.velocity.available() <= 0.0 {
@@ -271,7 +271,7 @@ fn check_joint_headroom(
         );
         let mend =
             format!("if the drive has more, state it: {}", line("STEPGEN_MAXVEL", &joint.velocity));
-        report.findings.push(Finding::error(joint.place.clone(), what, mend));
+        report.findings.push(ConfigurationFinding::error(joint.place.clone(), what, mend));
         return;
     }
     if share < LOW_HEADROOM_WARNING_RATIO * PERCENT {
@@ -279,7 +279,7 @@ fn check_joint_headroom(
             "[{section}]: the drive has {share:.1} % of acceleration above the planner's: a reversal of {REFERENCE_REVERSAL_UM} um takes {:.1} ms",
             time_s * MS_PER_S
         );
-        report.findings.push(Finding::warning(joint.place.clone(), what, mend));
+        report.findings.push(ConfigurationFinding::warning(joint.place.clone(), what, mend));
     }
     if mm_per_s < slew_mm_per_s {
         let what = format!(
@@ -291,7 +291,7 @@ fn check_joint_headroom(
             "the smaller one holds; if the drive has more, state it: {}",
             line("STEPGEN_MAXVEL", &joint.velocity)
         );
-        report.findings.push(Finding::warning(joint.place.clone(), what, mend));
+        report.findings.push(ConfigurationFinding::warning(joint.place.clone(), what, mend));
     }
     let assumed = match acceleration.stated {
         Some(_) => String::new(),
@@ -328,12 +328,12 @@ fn check_external_offsets(
             let what = format!(
                 "[{section}]MAX_VELOCITY is missing: an external offset gets a share of it"
             );
-            report.findings.push(Finding::error(place, what, "state it"));
+            report.findings.push(ConfigurationFinding::error(place, what, "state it"));
             continue;
         };
         if ini.section_header(&section).is_none() {
             let what = format!("[{section}] is missing: OFFSET_AV_RATIO belongs there");
-            report.findings.push(Finding::error(
+            report.findings.push(ConfigurationFinding::error(
                 place,
                 what,
                 format!("add [{section}] with MAX_VELOCITY"),
@@ -344,7 +344,7 @@ fn check_external_offsets(
         if !(0.0..=MAX_OFFSET_AV_RATIO).contains(&ratio) || ratio == 0.0 {
             let what =
                 format!("[{section}]OFFSET_AV_RATIO = {ratio}: LinuxCNC moves no offset of {name}");
-            report.findings.push(Finding::error(
+            report.findings.push(ConfigurationFinding::error(
                 place,
                 what,
                 format!("above 0 and at most {MAX_OFFSET_AV_RATIO}; {proper:.6} would do"),
@@ -359,7 +359,11 @@ fn check_external_offsets(
                 velocity * UM_PER_MM,
                 demand.slew_um_per_s
             );
-            report.findings.push(Finding::warning(place, what, format!("{proper:.6} would do")));
+            report.findings.push(ConfigurationFinding::warning(
+                place,
+                what,
+                format!("{proper:.6} would do"),
+            ));
         }
         let slew = velocity.min(demand.slew_um_per_s / UM_PER_MM);
         report.facts.push(format!(
@@ -378,7 +382,7 @@ fn check_external_offsets(
 pub fn check_joint_limits(
     ini: &IniLines,
     demand: &OffsetRequirements,
-) -> Result<Vec<Finding>, BadInput> {
+) -> Result<Vec<ConfigurationFinding>, BadInput> {
     let (mut report, joints) = (CheckReport::default(), read_joints(ini)?);
     if let Some(base) = check_base_settings(ini, &mut report) {
         check_soft_limits(ini, &joints, &base, demand, &mut report);
@@ -413,7 +417,7 @@ fn check_soft_limits(
                 "[{section}]: {} to {} leaves no room for offsets of {max_um} um",
                 low.0, high.0
             );
-            report.findings.push(Finding::error(
+            report.findings.push(ConfigurationFinding::error(
                 low.1.clone(),
                 what,
                 "make limits.max_um of the machine file smaller",
@@ -439,7 +443,7 @@ fn check_soft_limits(
                     joint.section_name(),
                     round_to_millionth(reaches)
                 );
-                report.findings.push(Finding::warning(place.clone(), what, mend));
+                report.findings.push(ConfigurationFinding::warning(place.clone(), what, mend));
             }
         }
     }

@@ -19,7 +19,7 @@ pub enum Severity {
 
 /// Something in the configuration.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Finding {
+pub struct ConfigurationFinding {
     /// How much it matters.
     pub severity: Severity,
     /// Where it is.
@@ -30,7 +30,7 @@ pub struct Finding {
     pub help: String,
 }
 
-impl Finding {
+impl ConfigurationFinding {
     pub(super) fn error(place: Location, what: impl Into<String>, help: impl Into<String>) -> Self {
         Self { severity: Severity::Error, place, what: what.into(), help: help.into() }
     }
@@ -45,7 +45,7 @@ impl Finding {
 }
 
 /// A file that cannot be read is an error of the configuration too.
-impl From<BadInput> for Finding {
+impl From<BadInput> for ConfigurationFinding {
     fn from(BadInput { place, rule, help, .. }: BadInput) -> Self {
         Self::error(place, rule, help.unwrap_or_default())
     }

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::{
-    finding::{Finding, OffsetRequirements},
+    finding::{ConfigurationFinding, OffsetRequirements},
     hal_files::HalFiles,
     ini_lines::IniLines,
     inputs::NamedInput,
@@ -31,10 +31,10 @@ pub(super) fn find_missing_inputs(
     demand: &OffsetRequirements,
     ini: &IniLines,
     hal: &HalFiles,
-) -> Vec<Finding> {
+) -> Vec<ConfigurationFinding> {
     let missing = all_inputs(demand).filter(|input| !hal.has_signal(&input.signal));
     let finding = |NamedInput { signal, name, example, .. }: &NamedInput| {
-        Finding::warning(
+        ConfigurationFinding::warning(
             ini.section_location("HAL"),
             format!(
                 "no HAL file has the signal {signal}, by which \"{name}\" of the machine file comes in"

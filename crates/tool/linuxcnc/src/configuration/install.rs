@@ -16,7 +16,7 @@ use super::{
     OffsetEntryPoint,
     boardless::{CALIBRATION_FILE, THERMAL_STATE_FILE},
     check::{CheckReport, check},
-    finding::{Finding, OffsetRequirements},
+    finding::{ConfigurationFinding, OffsetRequirements},
     hal_files::HalFiles,
     ini_lines::{IniLines, SETUP_BLOCK_BEGIN, SETUP_BLOCK_END, is_file},
     installed::{BridgeSettings, INI_SECTION, find_manual_setup},
@@ -50,7 +50,7 @@ pub fn prepare_setup(
 ) -> Result<(CheckReport, Vec<FileChange>), BadInput> {
     let mut report = check(ini, hal, demand);
     if let Some((place, _)) = find_manual_setup(ini, hal) {
-        report.findings.push(Finding::error(
+        report.findings.push(ConfigurationFinding::error(
             place,
             "the component is connected by hand already",
             "take [TRUEUP] and its HALFILE lines out first, or go on by hand",
@@ -64,7 +64,7 @@ pub fn prepare_setup(
         ("path", calibration.as_ref()),
     ] {
         if let Some(text) = text.filter(|text| text.contains(char::is_whitespace)) {
-            report.findings.push(Finding::error(
+            report.findings.push(ConfigurationFinding::error(
                 Location::start_of_file(ini.path()),
                 format!("the {what} \"{text}\" has a blank, at which a HAL file would cut it"),
                 "use one without blanks: rename it, or make a link to it",
@@ -74,7 +74,7 @@ pub fn prepare_setup(
     for name in [REALTIME_HAL_FILE, COMPONENT_HAL_FILE] {
         let path = ini.folder().join(name);
         if is_file(&path) && !is_written_by_setup(&path)? {
-            report.findings.push(Finding::error(
+            report.findings.push(ConfigurationFinding::error(
                 Location::start_of_file(&path),
                 "this file was not written by setup, which needs its name",
                 "move or rename it",
@@ -166,7 +166,7 @@ fn calibration_change(
     Ok(Some(FileChange { path, content: blob.cloned() }))
 }
 
-fn first_finding_error(ini: &IniLines, findings: &[Finding]) -> BadInput {
+fn first_finding_error(ini: &IniLines, findings: &[ConfigurationFinding]) -> BadInput {
     let first = findings.first().cloned();
     let first =
         first.map(|finding| BadInput::new(finding.place, finding.what).with_help(finding.help));

@@ -30,7 +30,7 @@ use self::watchdog::ALIVE_ONESHOT;
 use super::{
     OffsetEntryPoint,
     boardless::{CALIBRATION_FILE, THERMAL_STATE_FILE},
-    finding::{Finding, OffsetRequirements},
+    finding::{ConfigurationFinding, OffsetRequirements},
     hal_files::{HalFiles, MOTION_CONTROLLER_FUNCTION, ThreadOrderError},
     ini_lines::IniLines,
     input_signals,
@@ -74,7 +74,7 @@ pub(crate) fn generate_hal_files(
     hal: &HalFiles,
     joints: &[Joint],
     demand: &OffsetRequirements,
-) -> Result<Wiring, Vec<Finding>> {
+) -> Result<Wiring, Vec<ConfigurationFinding>> {
     let mut writer = HalWriter { ini, hal, findings: Vec::new() };
     let realtime = writer.generate_realtime_file(joints, demand);
     let component = writer.generate_component_file(joints, demand);
@@ -122,7 +122,7 @@ pub(crate) fn generate_manual_lines(
 struct HalWriter<'a> {
     ini: &'a IniLines,
     hal: &'a HalFiles,
-    findings: Vec<Finding>,
+    findings: Vec<ConfigurationFinding>,
 }
 
 impl HalWriter<'_> {
@@ -131,7 +131,7 @@ impl HalWriter<'_> {
             format!("{GENERATED_FILE_HEADER}\n# Loaded once, after the machine's own files.\n");
         let (thread, functions) = self.hal.motion_thread().unwrap_or_else(|ThreadOrderError(place)| {
             let place = place.unwrap_or_else(|| self.ini.section_location("HAL"));
-            self.findings.push(Finding::error(
+            self.findings.push(ConfigurationFinding::error(
                 place,
                 "the servo thread cannot be followed: no `addf motion-controller THREAD`, or a position beyond its functions",
                 "connect the offsets by hand (docs/book/src/linuxcnc.md)",
@@ -172,7 +172,7 @@ impl HalWriter<'_> {
         functions: &[String],
     ) {
         if let Some(loaded) = self.hal.find_loadrt("moveoff") {
-            self.findings.push(Finding::error(
+            self.findings.push(ConfigurationFinding::error(
                 loaded.place.clone(),
                 "moveoff is loaded here, and two of it share their variables",
                 "take it out, or enter offsets by eoffset (--by eoffset)",
@@ -260,7 +260,7 @@ impl HalWriter<'_> {
     fn joint_signal(&mut self, joint: &Joint, end: &str) -> String {
         let pin = format!("joint.{}.motor-pos-{end}", joint.number);
         if let Some(place) = self.hal.late_reference(&pin) {
-            self.findings.push(Finding::error(
+            self.findings.push(ConfigurationFinding::error(
                 place,
                 format!(
                     "{pin} is connected after the HAL files, and belongs to the offset by then"
@@ -270,7 +270,7 @@ impl HalWriter<'_> {
         }
         let link = self.hal.find_link(&pin);
         if link.is_none() {
-            self.findings.push(Finding::error(
+            self.findings.push(ConfigurationFinding::error(
                 self.ini.section_location(&joint.section_name()),
                 format!("{pin} is on no signal of the HAL files"),
                 format!("connect it: net SIGNAL {pin}"),
@@ -293,7 +293,7 @@ impl HalWriter<'_> {
             .split(',')
             .collect();
         if !names.iter().all(|name| there.contains(&name.as_str())) {
-            self.findings.push(Finding::error(
+            self.findings.push(ConfigurationFinding::error(
                 loaded.place.clone(),
                 format!("{module} is loaded here, and LinuxCNC loads a module once"),
                 format!(
@@ -407,7 +407,7 @@ impl HalWriter<'_> {
             for pin in ["scale", "enable", "counts"] {
                 let pin = format!("axis.{axis}.eoffset-{pin}");
                 if let Some(link) = self.hal.final_link(&pin) {
-                    self.findings.push(Finding::error(
+                    self.findings.push(ConfigurationFinding::error(
                         link.place,
                         format!("{pin} is on the signal {} already", link.signal),
                         "take your own external offset out, or enter offsets at the joint (--by joint)",

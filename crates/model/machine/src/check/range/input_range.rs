@@ -5,7 +5,7 @@
 
 use trueup_core::sensor_health::{HIGH_RAIL, LOW_RAIL};
 
-use super::{Finding, Plausibility};
+use super::{ImplausibleValue, Plausibility};
 use crate::{
     check::warning::Warning,
     file::Machine,
@@ -20,7 +20,7 @@ const WORKSHOP_RANGE_C: [f64; 2] = [5.0, 45.0];
 const MIN_COVERED_RANGE_K: f64 = 10.0;
 
 /// Returns the linear inputs that cannot give the temperatures of a machine, or not the reference of a law that reads them.
-pub(super) fn findings(machine: &Machine) -> Vec<Finding> {
+pub(super) fn findings(machine: &Machine) -> Vec<ImplausibleValue> {
     let inputs = machine.inputs.iter().flat_map(|inputs| &inputs.temperatures);
     let mut found = Vec::new();
     for (name, input) in inputs {
@@ -42,7 +42,7 @@ pub(super) fn findings(machine: &Machine) -> Vec<Finding> {
             continue;
         };
         let warning = Warning::for_key(machine, &key, &what, scale_help(&line));
-        found.push(Finding { key, grade: Plausibility::Impossible, warning });
+        found.push(ImplausibleValue { key, grade: Plausibility::Impossible, warning });
     }
     found
 }

@@ -13,7 +13,7 @@
 use std::fmt::Write as _;
 
 use super::{HalWriter, LIMITER_INSTANCE};
-use crate::configuration::finding::{Finding, OffsetRequirements};
+use crate::configuration::finding::{ConfigurationFinding, OffsetRequirements};
 
 /// Falls when the heartbeat has stood for 0.3 s.
 pub(super) const ALIVE_ONESHOT: &str = "trueup-alive";
@@ -85,7 +85,7 @@ impl HalWriter<'_> {
             );
         }
         if let Some(link) = self.hal.final_link("motion.feed-inhibit") {
-            self.findings.push(Finding::error(
+            self.findings.push(ConfigurationFinding::error(
                 link.place,
                 format!("motion.feed-inhibit is on the signal {} already", link.signal),
                 format!(
