@@ -27,7 +27,7 @@ const BEHIND_MS: u32 = 8;
 const STANDS: u32 = 10;
 
 /// Something that a PLC should not send.
-struct Fault {
+struct RequestFault {
     name: &'static str,
     bytes: Vec<u8>,
     /// Fault of its first byte at the UART, by the model's name for it; empty: none.
@@ -38,7 +38,7 @@ struct Fault {
     answer: Option<Vec<u8>>,
 }
 
-impl Fault {
+impl RequestFault {
     fn told(name: &'static str, pdu: &[u8], exception: u8) -> Self {
         let answer = encode_frame(UNIT_ID, &[pdu[0] | 0x80, exception]);
         Self { answer: Some(answer), ..Self::silent(name, encode_frame(UNIT_ID, pdu)) }
@@ -50,7 +50,7 @@ impl Fault {
 }
 
 /// Returns all of them; wherever a block is written it would release the offset, and its counter is the next one.
-fn faults(counter: u16) -> Vec<Fault> {
+fn faults(counter: u16) -> Vec<RequestFault> {
     let release = write_request_pdu(Control::REFERENCED, counter);
     let changed = |place: usize, value: u8| {
         let mut pdu = release.clone();
@@ -68,34 +68,37 @@ fn faults(counter: u16) -> Vec<Fault> {
         (0..length).map(byte).collect()
     };
     vec![
-        Fault::told("read coils", &[1, 0, 0, 0, 8], 1),
-        Fault::told("read discrete inputs", &[2, 0, 0, 0, 8], 1),
-        Fault::told("write a coil", &[5, 0, 0, 0xFF, 0], 1),
-        Fault::told("write one register", &[6, 0, 1, 0, 2], 1),
-        Fault::told("diagnostics", &[8, 0, 0, 0, 0], 1),
-        Fault::told("read and write", &[23, 0, 0, 0, 1, 0, 1, 0, 1, 2, 0, 2], 1),
-        Fault::told("read behind the end", &[4, 0, 27, 0, 2], 2),
-        Fault::told("read elsewhere", &[4, 0xFF, 0xFF, 0, 1], 2),
-        Fault::told("read holding behind the end", &[3, 0, 20, 0, 1], 2),
-        Fault::told("read nothing", &[4, 0, 0, 0, 0], 3),
-        Fault::told("read more than may be", &[4, 0, 0, 0, 126], 3),
-        Fault::told("a byte is missing", &[4, 0, 0, 0], 3),
-        Fault::told("a byte too many", &[&release[..], &[0]].concat(), 3),
-        Fault::told("write a part", &[&[16, 0, 0, 0, 5, 10], &release[6..16]].concat(), 2),
-        Fault::told("write elsewhere", &changed(2, 1), 2),
-        Fault::told("write nothing", &[16, 0, 0, 0, 0, 0], 3),
-        Fault::told("another length than is said", &changed(5, 32), 3),
-        Fault::silent("to everybody", encode_frame(0, &release)),
-        Fault::silent("to another unit", encode_frame(7, &release)),
-        Fault::silent("to unit 255", encode_frame(255, &release)),
-        Fault::silent("a wrong checksum", damaged),
-        Fault::silent("half a request", whole[..20].to_vec()),
-        Fault::silent("noise", noise(37)),
-        Fault::silent("more than a frame holds", [&whole[..], &noise(257)].concat()),
-        Fault { pause_at: Some(20), ..Fault::silent("a pause within", whole.clone()) },
-        Fault { line: "parity", ..Fault::silent("a wrong parity", whole.clone()) },
-        Fault { line: "framing", ..Fault::silent("no stop bit", whole.clone()) },
-        Fault { line: "break", ..Fault::silent("a break", whole.clone()) },
+        RequestFault::told("read coils", &[1, 0, 0, 0, 8], 1),
+        RequestFault::told("read discrete inputs", &[2, 0, 0, 0, 8], 1),
+        RequestFault::told("write a coil", &[5, 0, 0, 0xFF, 0], 1),
+        RequestFault::told("write one register", &[6, 0, 1, 0, 2], 1),
+        RequestFault::told("diagnostics", &[8, 0, 0, 0, 0], 1),
+        RequestFault::told("read and write", &[23, 0, 0, 0, 1, 0, 1, 0, 1, 2, 0, 2], 1),
+        RequestFault::told("read behind the end", &[4, 0, 27, 0, 2], 2),
+        RequestFault::told("read elsewhere", &[4, 0xFF, 0xFF, 0, 1], 2),
+        RequestFault::told("read holding behind the end", &[3, 0, 20, 0, 1], 2),
+        RequestFault::told("read nothing", &[4, 0, 0, 0, 0], 3),
+        RequestFault::told("read more than may be", &[4, 0, 0, 0, 126], 3),
+        RequestFault::told("a byte is missing", &[4, 0, 0, 0], 3),
+        RequestFault::told("a byte too many", &[&release[..], &[0]].concat(), 3),
+        RequestFault::told("write a part", &[&[16, 0, 0, 0, 5, 10], &release[6..16]].concat(), 2),
+        RequestFault::told("write elsewhere", &changed(2, 1), 2),
+        RequestFault::told("write nothing", &[16, 0, 0, 0, 0, 0], 3),
+        RequestFault::told("another length than is said", &changed(5, 32), 3),
+        RequestFault::silent("to everybody", encode_frame(0, &release)),
+        RequestFault::silent("to another unit", encode_frame(7, &release)),
+        RequestFault::silent("to unit 255", encode_frame(255, &release)),
+        RequestFault::silent("a wrong checksum", damaged),
+        RequestFault::silent("half a request", whole[..20].to_vec()),
+        RequestFault::silent("noise", noise(37)),
+        RequestFault::silent("more than a frame holds", [&whole[..], &noise(257)].concat()),
+        RequestFault {
+            pause_at: Some(20),
+            ..RequestFault::silent("a pause within", whole.clone())
+        },
+        RequestFault { line: "parity", ..RequestFault::silent("a wrong parity", whole.clone()) },
+        RequestFault { line: "framing", ..RequestFault::silent("no stop bit", whole.clone()) },
+        RequestFault { line: "break", ..RequestFault::silent("a break", whole.clone()) },
     ]
 }
 

@@ -7,7 +7,7 @@ use std::{collections::BTreeSet, path::Path};
 use trueup_fit::circle::{Cause, CircleFinding, CircleReport, Verdict, fit_circles};
 use trueup_machine::{Machine, MachineFile, RunFile, file::LinearAxis};
 
-use crate::circle_drawn::{Drawn, Fault};
+use crate::circle_drawn::{CircleFault, Drawn};
 
 const HEAD: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
 
@@ -51,7 +51,7 @@ fn named(report: &CircleReport) -> BTreeSet<String> {
 #[test]
 fn a_table_that_leans_to_plus_x_is_x_of_y_above_zero() {
     // At y = +100 mm x is 10 µm too large: at 45° the radius is 10·sin 45°·cos 45° = 5 µm too large.
-    let report = report(&Drawn::ideal(vec![Fault::Squareness(100.0)], 100.0));
+    let report = report(&Drawn::ideal(vec![CircleFault::Squareness(100.0)], 100.0));
     let found = only(&report);
     assert_eq!(found.cause, Cause::Squareness);
     assert!((value(found, "amplitude_um") - 5.0).abs() < 0.02, "{found:?}");
@@ -63,7 +63,7 @@ fn a_table_that_leans_to_plus_x_is_x_of_y_above_zero() {
 #[test]
 fn a_table_that_is_left_behind_has_backlash_above_zero() {
     for width_um in [8.0, -8.0] {
-        let report = report(&Drawn::ideal(vec![Fault::Play(1, width_um)], 100.0));
+        let report = report(&Drawn::ideal(vec![CircleFault::Play(1, width_um)], 100.0));
         let found = only(&report);
         assert_eq!((found.cause, found.axis), (Cause::Backlash, Some(LinearAxis::Y)));
         let backlash = machine(&report).axes[1].backlash.expect("a backlash");
@@ -74,7 +74,7 @@ fn a_table_that_is_left_behind_has_backlash_above_zero() {
 #[test]
 fn an_x_axis_that_moves_too_far_gets_half_of_the_mismatch_above_zero() {
     // 60 µm/m at ±100 mm: ±6 µm; the circle shows the difference of the axes, half of it is written to each.
-    let report = report(&Drawn::ideal(vec![Fault::Scale(60.0)], 100.0));
+    let report = report(&Drawn::ideal(vec![CircleFault::Scale(60.0)], 100.0));
     assert!((value(only(&report), "um_per_m") - 60.0).abs() < 0.3);
     let axes = machine(&report).axes;
     let ends = [0, 1].map(|axis: usize| {
@@ -87,7 +87,7 @@ fn an_x_axis_that_moves_too_far_gets_half_of_the_mismatch_above_zero() {
 
 #[test]
 fn an_x_axis_that_lags_more_is_a_positive_lag_that_no_table_corrects() {
-    let report = report(&Drawn::ideal(vec![Fault::Servo(0.5)], 100.0));
+    let report = report(&Drawn::ideal(vec![CircleFault::Servo(0.5)], 100.0));
     let found = only(&report);
     assert_eq!((found.cause, found.compensated), (Cause::ServoMismatch, false));
     assert!((value(found, "lag_difference_ms") - 0.5).abs() < 0.01, "{found:?}");
@@ -96,7 +96,7 @@ fn an_x_axis_that_lags_more_is_a_positive_lag_that_no_table_corrects() {
 
 #[test]
 fn a_cyclic_error_is_written_in_phase_with_the_machine_s_position() {
-    let report = report(&Drawn::ideal(vec![Fault::Cyclic(0, 3.0, 10.0, 0.7)], 100.0));
+    let report = report(&Drawn::ideal(vec![CircleFault::Cyclic(0, 3.0, 10.0, 0.7)], 100.0));
     let found = only(&report);
     assert!((value(found, "period_mm") - 10.0).abs() < 0.01, "{found:?}");
     let axes = machine(&report).axes;
@@ -111,7 +111,7 @@ fn a_cyclic_error_is_written_in_phase_with_the_machine_s_position() {
 #[test]
 fn a_straightness_is_written_by_its_form_for_either_axis() {
     for axis in [0, 1] {
-        let drawn = Drawn::ideal(vec![Fault::Straightness(axis, [6.0, 4.0, 0.4])], 100.0);
+        let drawn = Drawn::ideal(vec![CircleFault::Straightness(axis, [6.0, 4.0, 0.4])], 100.0);
         let report = report(&drawn);
         assert_eq!(named(&report).len(), 1, "{:?}", named(&report));
         let machine = machine(&report);
@@ -141,13 +141,13 @@ fn a_straightness_is_written_by_its_form_for_either_axis() {
 
 #[test]
 fn spikes_and_drift_are_reported_and_not_written() {
-    let spikes = Fault::Spikes(0, [8.0, 6.0, 7.0, 9.0], 3.0);
+    let spikes = CircleFault::Spikes(0, [8.0, 6.0, 7.0, 9.0], 3.0);
     let drawn = Drawn {
         noise_um: 0.2,
-        ..Drawn::ideal(vec![spikes, Fault::Drift([0.0, 6.0, -4.0])], 100.0)
+        ..Drawn::ideal(vec![spikes, CircleFault::Drift([0.0, 6.0, -4.0])], 100.0)
     };
     let report = report(&drawn);
-    let expected: BTreeSet<String> = drawn.faults.iter().map(Fault::name).collect();
+    let expected: BTreeSet<String> = drawn.faults.iter().map(CircleFault::name).collect();
     assert_eq!(named(&report), expected);
     assert!(report.edit.is_empty(), "{:?}", report.written);
     let is_spike = |finding: &&CircleFinding| finding.cause == Cause::ReversalSpike;
@@ -160,8 +160,11 @@ fn spikes_and_drift_are_reported_and_not_written() {
 
 #[test]
 fn what_is_written_leaves_a_clean_circle() {
-    let faults =
-        vec![Fault::Squareness(-70.0), Fault::Play(0, 6.0), Fault::Cyclic(1, 2.0, 8.0, 1.0)];
+    let faults = vec![
+        CircleFault::Squareness(-70.0),
+        CircleFault::Play(0, 6.0),
+        CircleFault::Cyclic(1, 2.0, 8.0, 1.0),
+    ];
     let drawn = Drawn { noise_um: 0.3, setup_um: [5.0, -9.0, 3.0], ..Drawn::ideal(faults, 100.0) };
     let before = report(&drawn);
     let machine = machine(&before);
@@ -172,7 +175,7 @@ fn what_is_written_leaves_a_clean_circle() {
 
 #[test]
 fn one_direction_claims_neither_squareness_nor_servo_mismatch() {
-    for fault in [Fault::Squareness(80.0), Fault::Servo(0.4)] {
+    for fault in [CircleFault::Squareness(80.0), CircleFault::Servo(0.4)] {
         let drawn = Drawn { senses: vec![1.0], ..Drawn::ideal(vec![fault], 100.0) };
         let report = report(&drawn);
         let found = &report.circles[0].findings[0];
@@ -186,12 +189,13 @@ fn one_direction_claims_neither_squareness_nor_servo_mismatch() {
 #[test]
 fn the_figures_of_iso_230_4_are_those_by_hand() {
     // sin 2φ of 5 µm: G and G(b) 10 µm, no hysteresis; play of 8 µm in Y: a step of 8 µm between the directions.
-    let square = report(&Drawn::ideal(vec![Fault::Squareness(100.0)], 100.0)).circles[0].figures;
+    let square =
+        report(&Drawn::ideal(vec![CircleFault::Squareness(100.0)], 100.0)).circles[0].figures;
     for um in [square.g_um[0], square.g_um[1], square.g_both_um] {
         assert!((um.expect("a whole circle") - 10.0).abs() < 0.2, "{square:?}");
     }
     assert!(square.h_um.expect("both directions") < 0.1, "{square:?}");
-    let play = report(&Drawn::ideal(vec![Fault::Play(1, 8.0)], 100.0)).circles[0].figures;
+    let play = report(&Drawn::ideal(vec![CircleFault::Play(1, 8.0)], 100.0)).circles[0].figures;
     assert!((play.h_um.expect("both directions") - 8.0).abs() < 0.2, "{play:?}");
     let large = Drawn { setup_um: [4.0, 0.0, 0.0], ..Drawn::ideal(Vec::new(), 100.0) };
     let large = report(&large).circles[0].figures;
@@ -201,7 +205,7 @@ fn the_figures_of_iso_230_4_are_those_by_hand() {
 
 #[test]
 fn a_bridge_that_was_on_is_taken_out_along_the_radius() {
-    let drawn = Drawn::ideal(vec![Fault::Squareness(100.0)], 100.0);
+    let drawn = Drawn::ideal(vec![CircleFault::Squareness(100.0)], 100.0);
     let mut with = String::new();
     for (number, line) in drawn.csv().lines().enumerate() {
         if number == 0 {
@@ -223,10 +227,10 @@ fn a_bridge_that_was_on_is_taken_out_along_the_radius() {
 
 #[test]
 fn two_files_in_two_planes_share_one_backlash_and_their_scales() {
-    let drawn = Drawn::ideal(vec![Fault::Play(0, 6.0), Fault::Scale(80.0)], 100.0);
+    let drawn = Drawn::ideal(vec![CircleFault::Play(0, 6.0), CircleFault::Scale(80.0)], 100.0);
     let xy = drawn.csv();
     // The same circle with X as the second axis of ZX: Z is the first, and does not err.
-    let zx = Drawn::ideal(vec![Fault::Play(1, 6.0), Fault::Scale(-80.0)], 100.0).csv();
+    let zx = Drawn::ideal(vec![CircleFault::Play(1, 6.0), CircleFault::Scale(-80.0)], 100.0).csv();
     let zx = zx.replacen("x_mm,y_mm", "z_mm,x_mm", 1);
     let report = fit_circles(&[run(&xy), run(&zx)], None).expect("circles");
     assert_eq!(report.circles.len(), 2);
@@ -242,7 +246,10 @@ fn two_files_in_two_planes_share_one_backlash_and_their_scales() {
 
 #[test]
 fn two_circles_in_one_plane_write_their_squareness_once() {
-    let at = |centre_mm| Drawn { centre_mm, ..Drawn::ideal(vec![Fault::Squareness(100.0)], 100.0) };
+    let at = |centre_mm| Drawn {
+        centre_mm,
+        ..Drawn::ideal(vec![CircleFault::Squareness(100.0)], 100.0)
+    };
     let runs = [at([20.0, -35.0]), at([320.0, 65.0])].map(|drawn| run(&drawn.csv()));
     let report = fit_circles(&runs, None).expect("circles");
     assert_eq!(report.circles.len(), 2);
@@ -256,7 +263,7 @@ fn trial(seeds: std::ops::Range<u64>, is_sound: bool) -> [usize; 2] {
     for seed in seeds {
         let drawn = Drawn::new(seed, is_sound);
         let report = report(&drawn);
-        let expected: BTreeSet<String> = drawn.faults.iter().map(Fault::name).collect();
+        let expected: BTreeSet<String> = drawn.faults.iter().map(CircleFault::name).collect();
         let named = named(&report);
         counts[0] += usize::from(named == expected);
         counts[1] += usize::from(!named.is_subset(&expected));

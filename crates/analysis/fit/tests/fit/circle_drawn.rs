@@ -12,7 +12,7 @@ use rand_distr::StandardNormal;
 
 /// A fault and its size; an axis is 0 or 1.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Fault {
+pub enum CircleFault {
     /// µm/m of the second axis.
     Squareness(f64),
     /// µm/m of the first axis.
@@ -31,7 +31,7 @@ pub enum Fault {
     Drift([f64; 3]),
 }
 
-impl Fault {
+impl CircleFault {
     /// Returns the name that the fit has for it, with the axis in error.
     pub fn name(&self) -> String {
         let axis = |at: usize| ["x", "y"][at];
@@ -51,7 +51,7 @@ impl Fault {
 /// A circle in XY, measured in both directions with overlap.
 #[derive(Clone, Debug)]
 pub struct Drawn {
-    pub faults: Vec<Fault>,
+    pub faults: Vec<CircleFault>,
     pub radius_mm: f64,
     pub centre_mm: [f64; 2],
     pub feed_mm_per_min: f64,
@@ -67,7 +67,7 @@ pub struct Drawn {
 
 impl Drawn {
     /// Returns a sound machine of this radius without noise and set-up.
-    pub fn ideal(faults: Vec<Fault>, radius_mm: f64) -> Self {
+    pub fn ideal(faults: Vec<CircleFault>, radius_mm: f64) -> Self {
         Self {
             faults,
             radius_mm,
@@ -155,32 +155,32 @@ impl Drawn {
         let mut errors = vec![[0.0; 2]; at.len()];
         for fault in &self.faults {
             match *fault {
-                Fault::Squareness(c) => {
+                CircleFault::Squareness(c) => {
                     errors.iter_mut().zip(&at).for_each(|(e, at)| e[0] += c * at[1] / 1e3);
                 }
-                Fault::Scale(k) => {
+                CircleFault::Scale(k) => {
                     errors.iter_mut().zip(&at).for_each(|(e, at)| e[0] += k * at[0] / 1e3);
                 }
-                Fault::Play(axis, width) => {
+                CircleFault::Play(axis, width) => {
                     let positions: Vec<f64> = at.iter().map(|at| at[axis]).collect();
                     let left_behind = left_behind(&positions, width);
                     errors.iter_mut().zip(left_behind).for_each(|(e, um)| e[axis] += um);
                 }
-                Fault::Servo(ms) => {
+                CircleFault::Servo(ms) => {
                     let um_per_ms = self.feed_mm_per_min / 60.0;
                     let lag = |angle: &f64| sense * um_per_ms * angle.sin() * ms;
                     errors.iter_mut().zip(angles).for_each(|(e, angle)| e[0] += lag(angle));
                 }
-                Fault::Cyclic(axis, um, period, phase) => {
+                CircleFault::Cyclic(axis, um, period, phase) => {
                     let of = |mm: f64| um * (TAU * mm / period + phase).sin();
                     errors.iter_mut().zip(&at).for_each(|(e, at)| e[axis] += of(at[axis]));
                 }
-                Fault::Straightness(axis, form) => {
+                CircleFault::Straightness(axis, form) => {
                     let share = |at: &[f64; 2]| (at[axis] - self.centre_mm[axis]) / self.radius_mm;
                     let of = without_line(form);
                     errors.iter_mut().zip(&at).for_each(|(e, at)| e[1 - axis] += of(share(at)));
                 }
-                Fault::Spikes(..) | Fault::Drift(_) => {}
+                CircleFault::Spikes(..) | CircleFault::Drift(_) => {}
             }
         }
         errors
@@ -188,8 +188,8 @@ impl Drawn {
 
     /// Returns what shows along the radius alone.
     fn along_radius(&self, angle: f64, sense: f64, share_of_time: f64) -> f64 {
-        let of = |fault: &Fault| match fault {
-            Fault::Spikes(axis, heights, decay_deg) => {
+        let of = |fault: &CircleFault| match fault {
+            CircleFault::Spikes(axis, heights, decay_deg) => {
                 let of_end = |(index, height): (usize, &f64)| {
                     let [is_negative, is_back] = [index / 2 == 1, index % 2 == 1];
                     let end = FRAC_PI_2 * *axis as f64 + if is_negative { PI } else { 0.0 };
@@ -202,7 +202,7 @@ impl Drawn {
                 };
                 heights.iter().enumerate().map(of_end).sum()
             }
-            Fault::Drift([radius, u, v]) => {
+            CircleFault::Drift([radius, u, v]) => {
                 share_of_time * (radius + u * angle.cos() + v * angle.sin())
             }
             _ => 0.0,
@@ -211,23 +211,23 @@ impl Drawn {
     }
 }
 
-fn fault(kind: usize, radius_mm: f64, feed: f64, random: &mut ChaCha8Rng) -> Fault {
+fn fault(kind: usize, radius_mm: f64, feed: f64, random: &mut ChaCha8Rng) -> CircleFault {
     let sign = if random.random() { 1.0 } else { -1.0 };
     let mut size = |low: f64, high: f64| sign * random.random_range(low..high);
     // An amplitude at the radius, as µm/m.
     let per_m = 2e3 / radius_mm;
     match kind {
-        0 => Fault::Squareness(per_m * size(1.0, 8.0)),
-        1 => Fault::Scale(per_m * size(1.0, 8.0)),
-        2 | 3 => Fault::Play(kind - 2, size(2.0, 15.0)),
-        4 => Fault::Servo(size(2.0, 10.0) * 2.0 / (feed / 60.0)),
+        0 => CircleFault::Squareness(per_m * size(1.0, 8.0)),
+        1 => CircleFault::Scale(per_m * size(1.0, 8.0)),
+        2 | 3 => CircleFault::Play(kind - 2, size(2.0, 15.0)),
+        4 => CircleFault::Servo(size(2.0, 10.0) * 2.0 / (feed / 60.0)),
         5 | 6 => {
             let heights = [0; 4].map(|_| size(3.0, 12.0));
-            Fault::Spikes(kind - 5, heights, random.random_range(1.5..6.0))
+            CircleFault::Spikes(kind - 5, heights, random.random_range(1.5..6.0))
         }
         7 | 8 => {
             let period = *[4.0, 5.0, 8.0, 10.0, 16.0, 20.0].choose(random).expect("six");
-            Fault::Cyclic(
+            CircleFault::Cyclic(
                 kind - 7,
                 random.random_range(1.0..5.0),
                 period,
@@ -236,12 +236,12 @@ fn fault(kind: usize, radius_mm: f64, feed: f64, random: &mut ChaCha8Rng) -> Fau
         }
         9 | 10 => {
             let bow = size(3.0, 12.0);
-            Fault::Straightness(
+            CircleFault::Straightness(
                 kind - 9,
                 [bow, random.random_range(-3.0..3.0), random.random_range(0.0..PI)],
             )
         }
-        _ => Fault::Drift([0; 3].map(|_| 4.0 * random.sample::<f64, _>(StandardNormal))),
+        _ => CircleFault::Drift([0; 3].map(|_| 4.0 * random.sample::<f64, _>(StandardNormal))),
     }
 }
 

@@ -170,7 +170,7 @@ fn campaign_a_sound_sensor_is_believed_for_hundreds_of_hours() {
 struct Detector {
     name: &'static str,
     found_within_ms: u32,
-    bend: fn(AdcCode, &mut Fault) -> AdcCode,
+    bend: fn(AdcCode, &mut SampleFault) -> AdcCode,
     /// Whether the spindle has to turn for it to be judged, where noise is below 0.3 codes.
     needs_life: bool,
     is_told: fn(&SensorHealth) -> bool,
@@ -180,7 +180,7 @@ struct Detector {
 const BY_ITS_CODES: fn(&SensorHealth) -> bool = |_| false;
 
 /// The state of a fault.
-struct Fault {
+struct SampleFault {
     stuck: AdcCode,
     number: u32,
     /// Of a jump, in codes.
@@ -256,7 +256,7 @@ fn found(detector: &Detector, draws: u32, seed: u64) -> u32 {
         // More than twelve times what noise of three codes makes of second differences, by either way.
         let by =
             if random.bits().is_multiple_of(2) { 100.0 } else { -100.0 } * random.between(1.0, 5.0);
-        let mut fault = Fault { stuck: AdcCode(0), number: draw, by: by as i16 };
+        let mut fault = SampleFault { stuck: AdcCode(0), number: draw, by: by as i16 };
         // Not beyond a rail.
         sensor.level = sensor.level.clamp(650.0, 3_400.0);
         sensor.target = sensor.level;

@@ -31,7 +31,7 @@ use crate::machine::{
 
 /// A fault that lasts for a while.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Fault {
+pub enum WorldFault {
     None,
     SensorOpen,
     SensorShort,
@@ -51,24 +51,24 @@ pub enum Fault {
     OtherLine,
 }
 
-const FAULTS: [Fault; 17] = [
-    Fault::None,
-    Fault::SensorOpen,
-    Fault::SensorShort,
-    Fault::SensorStuck,
-    Fault::SensorRail,
-    Fault::Spikes,
-    Fault::NoBlocks,
-    Fault::FewBlocks,
-    Fault::ThermometerOpen,
-    Fault::BothOpen,
-    Fault::PositionsStop,
-    Fault::CncSilent,
-    Fault::CncLetsGo,
-    Fault::DamagedFrames,
-    Fault::LostFrames,
-    Fault::SecondMaster,
-    Fault::OtherLine,
+const FAULTS: [WorldFault; 17] = [
+    WorldFault::None,
+    WorldFault::SensorOpen,
+    WorldFault::SensorShort,
+    WorldFault::SensorStuck,
+    WorldFault::SensorRail,
+    WorldFault::Spikes,
+    WorldFault::NoBlocks,
+    WorldFault::FewBlocks,
+    WorldFault::ThermometerOpen,
+    WorldFault::BothOpen,
+    WorldFault::PositionsStop,
+    WorldFault::CncSilent,
+    WorldFault::CncLetsGo,
+    WorldFault::DamagedFrames,
+    WorldFault::LostFrames,
+    WorldFault::SecondMaster,
+    WorldFault::OtherLine,
 ];
 
 /// Record of a run, so that it can be judged by what it has been through.
@@ -115,7 +115,7 @@ pub struct World {
     /// Milliseconds without a block that the node was not given yet: its clock is this much behind.
     untold_ms: u32,
     cnc: Cnc,
-    fault: Fault,
+    fault: WorldFault,
     fault_ms: u32,
     /// The tick in which the fault came.
     began: u64,
@@ -155,7 +155,7 @@ impl World {
             control_ms: 0,
             untold_ms: 0,
             cnc: Cnc::new(),
-            fault: Fault::None,
+            fault: WorldFault::None,
             fault_ms: 5_000,
             began: 0,
             before: None,
@@ -186,12 +186,12 @@ impl World {
             let noise = f64::from(random.next_symmetric(1_000)) / 1_000.0;
             let code = (level + noise).round().clamp(0.0, 4_095.0) as u16;
             AdcCode(match fault {
-                Fault::SensorOpen | Fault::BothOpen => 0,
-                Fault::SensorShort => 4_095,
-                Fault::SensorStuck => 777,
-                Fault::SensorRail if n % 4 != 3 => 0,
-                Fault::SensorRail => 20,
-                Fault::Spikes if n == spike => 4_095,
+                WorldFault::SensorOpen | WorldFault::BothOpen => 0,
+                WorldFault::SensorShort => 4_095,
+                WorldFault::SensorStuck => 777,
+                WorldFault::SensorRail if n % 4 != 3 => 0,
+                WorldFault::SensorRail => 20,
+                WorldFault::Spikes if n == spike => 4_095,
                 _ => code,
             })
         })
@@ -203,7 +203,7 @@ impl World {
         // The housing follows at once; its own law has the lag.
         let front = self.room_c + if self.spindle.runs { 15.0 } else { 0.0 };
         raw[4] = counts(self.room_c);
-        if !matches!(self.fault, Fault::ThermometerOpen | Fault::BothOpen) {
+        if !matches!(self.fault, WorldFault::ThermometerOpen | WorldFault::BothOpen) {
             raw[2] = counts(front);
         }
         raw
@@ -214,15 +214,15 @@ impl World {
         if self.fault_ms > 0 {
             return;
         }
-        let is_well = self.fault == Fault::None;
+        let is_well = self.fault == WorldFault::None;
         let drawn = self.random.next_below(FAULTS.len() as u32) as usize;
-        self.fault = if is_well { FAULTS[drawn] } else { Fault::None };
+        self.fault = if is_well { FAULTS[drawn] } else { WorldFault::None };
         self.fault_ms = 200 + self.random.next_below(if is_well { 6_000 } else { 9_000 });
         self.began = self.seen.ticks;
         self.spindle.runs = !self.chance(4);
         let drawn = self.random.next() >> 8;
         self.axis.turn(drawn);
-        self.cnc.wants = self.fault != Fault::CncLetsGo;
+        self.cnc.wants = self.fault != WorldFault::CncLetsGo;
     }
 
     fn restart(&mut self) {
@@ -260,7 +260,7 @@ impl World {
 
     /// Sends the frames of the CNC and of strangers in this millisecond.
     fn speak(&mut self) {
-        if self.fault == Fault::CncSilent {
+        if self.fault == WorldFault::CncSilent {
             return;
         }
         self.speak_of_the_axis();
@@ -283,8 +283,8 @@ impl World {
             self.node.receive(Interface::Can, &spindle).ok();
         }
         let stranger = match self.fault {
-            Fault::SecondMaster => Interface::Can,
-            Fault::OtherLine => Interface::Serial,
+            WorldFault::SecondMaster => Interface::Can,
+            WorldFault::OtherLine => Interface::Serial,
             _ => return,
         };
         let engage = self.chance(2);
@@ -327,7 +327,7 @@ impl World {
             (self.joined, self.zero_tick) = (None, self.seen.ticks);
             // What was just broken may still be in the filter.
             let is_live = self.node.last_output().quality == Quality::Live
-                && self.fault == Fault::None
+                && self.fault == WorldFault::None
                 && self.lasts_ms() > 500;
             let truth_nm = || Some([self.spindle.grown_nm(), self.axis.error_nm(self.table)?]);
             let truth_nm = is_live.then(truth_nm).flatten();
@@ -339,8 +339,8 @@ impl World {
     fn carry(&mut self, frame: Frame) -> Option<Frame> {
         let is_hit = self.chance(3);
         match self.fault {
-            Fault::LostFrames if is_hit => None,
-            Fault::DamagedFrames if is_hit => {
+            WorldFault::LostFrames if is_hit => None,
+            WorldFault::DamagedFrames if is_hit => {
                 let mut data = *frame.data();
                 data[self.random.next_below(8) as usize] ^= 1 << self.random.next_below(8);
                 Some(Frame::new(frame.id(), &data).expect("8 bytes"))
@@ -351,7 +351,7 @@ impl World {
 
     fn speak_of_the_axis(&mut self) {
         if let Some(frame) = self.axis.speak(self.seen.ticks)
-            && self.fault != Fault::PositionsStop
+            && self.fault != WorldFault::PositionsStop
             && let Some(frame) = self.carry(frame)
             && self.node.receive(Interface::Can, &frame).is_ok_and(|received| received.is_some())
         {
@@ -376,12 +376,12 @@ impl World {
         let (codes, raw) = (self.codes(), self.raw());
         let phase = self.seen.ticks % 10;
         let has_block = match self.fault {
-            Fault::NoBlocks => false,
-            Fault::FewBlocks => phase == 0,
+            WorldFault::NoBlocks => false,
+            WorldFault::FewBlocks => phase == 0,
             _ => true,
         };
         if has_block {
-            let temperatures = phase == 5 || self.fault == Fault::FewBlocks;
+            let temperatures = phase == 5 || self.fault == WorldFault::FewBlocks;
             let temperatures = temperatures.then_some(&raw);
             self.one(1, Input { codes: Some(&codes), speed: None, temperatures });
         } else {

@@ -9,7 +9,7 @@ use std::{
 
 use crate::desk::Desk;
 use crate::pretended::{
-    Fault, PAPER, Tty, bridge, bridge_many, bridge_with, live, paper, paper_machine,
+    PAPER, PretendedFault, Tty, bridge, bridge_many, bridge_with, live, paper, paper_machine,
 };
 use crate::wire::ReceivedBytes;
 use trueup_machine::{RunFile, compile};
@@ -30,7 +30,7 @@ fn json_lines(text: &str) -> Vec<serde_json::Value> {
 
 #[test]
 fn the_monitor_tells_the_offsets_once_a_second_and_sends_no_frame() {
-    let (port, received) = bridge(Fault::None);
+    let (port, received) = bridge(PretendedFault::None);
     let (out, _) = monitor(&port, "2 --json", 0);
     let lines = json_lines(&out);
     assert_eq!(lines.len(), 2);
@@ -59,7 +59,7 @@ fn the_monitor_tells_the_offsets_once_a_second_and_sends_no_frame() {
 
 #[test]
 fn the_monitor_prints_one_line_of_text_a_second() {
-    let (port, _) = bridge(Fault::None);
+    let (port, _) = bridge(PretendedFault::None);
     let (out, _) = monitor(&port, "1", 0);
     assert_eq!(out.lines().count(), 1, "{out}");
     for phrase in ["x +0.00  y +0.00  z +", " µm  live", "  age ", " frames/s", "crc 0, sequence 0"]
@@ -70,7 +70,7 @@ fn the_monitor_prints_one_line_of_text_a_second() {
 
 #[test]
 fn damaged_frames_are_counted_and_end_with_3() {
-    let (port, _) = bridge(Fault::Noise);
+    let (port, _) = bridge(PretendedFault::Noise);
     let (out, _) = monitor(&port, "1 --json", 3);
     let line = &json_lines(&out)[0];
     assert!(line["crc_errors"].as_u64().expect("a number") >= 2, "{line}");
@@ -78,7 +78,7 @@ fn damaged_frames_are_counted_and_end_with_3() {
 
 #[test]
 fn a_bridge_without_offsets_is_told_after_three_lines() {
-    let (port, _) = bridge(Fault::NoFrames);
+    let (port, _) = bridge(PretendedFault::NoFrames);
     let (out, err) = monitor(&port, "9", 1);
     assert_eq!(out.lines().count(), 3, "{out}");
     assert!(out.starts_with("no offsets came  0 frames/s"), "{out}");
@@ -87,19 +87,19 @@ fn a_bridge_without_offsets_is_told_after_three_lines() {
 
 #[test]
 fn a_line_that_is_silent_or_breaks_is_told() {
-    let (port, _) = bridge(Fault::Silent);
+    let (port, _) = bridge(PretendedFault::Silent);
     let (out, err) = monitor(&port, "1", 1);
     assert_eq!(out, "");
     assert!(err.starts_with("error: the bridge has answered 0 of 5 lines in 3 s"), "{err}");
 
-    let (port, _) = bridge(Fault::Leaves);
+    let (port, _) = bridge(PretendedFault::Leaves);
     let (_, err) = monitor(&port, "9", 1);
     assert!(err.contains("error: the bridge has closed the line"), "{err}");
 }
 
 #[test]
 fn info_tells_version_serial_number_and_state() {
-    let (port, received) = bridge(Fault::None);
+    let (port, received) = bridge(PretendedFault::None);
     let (out, _) = said(&format!("bridge info --port {port}"), 0);
     assert!(
         out.starts_with(
@@ -120,7 +120,7 @@ fn info_tells_version_serial_number_and_state() {
     }
     assert!(received.lock().expect("no holder panics").frames > 8, "it has asked");
 
-    let (port, _) = bridge(Fault::None);
+    let (port, _) = bridge(PretendedFault::None);
     let (out, _) = said(&format!("--json bridge info --port {port}"), 0);
     let told = &json_lines(&out)[0];
     assert_eq!(told["serial"], "N00A1");
@@ -134,7 +134,7 @@ fn a_request_that_is_lost_on_the_line_is_asked_for_again() {
     // A start, and a segment of the calibration.
     for lost in [1, 20] {
         let desk = Desk::new(&[]);
-        let (port, received) = bridge_with(Fault::Loses(lost), false);
+        let (port, received) = bridge_with(PretendedFault::Loses(lost), false);
         desk.said(&format!("bridge save saved.json --port {port}"), 0);
         assert!(received.lock().expect("no holder panics").frames > lost);
         let saved: serde_json::Value =
@@ -146,7 +146,7 @@ fn a_request_that_is_lost_on_the_line_is_asked_for_again() {
 
 #[test]
 fn info_of_a_bridge_that_only_answers_ends_with_3() {
-    let (port, _) = bridge(Fault::NoFrames);
+    let (port, _) = bridge(PretendedFault::NoFrames);
     let (out, _) = said(&format!("bridge info --port {port}"), 3);
     assert!(out.contains("heartbeat    none in 2 s\n"), "{out}");
 }
@@ -187,7 +187,7 @@ fn a_serial_device_is_monitored_like_a_port() {
     drop(theirs);
     let received = Arc::new(Mutex::new(ReceivedBytes::default()));
     let told = received.clone();
-    thread::spawn(move || live(Tty(ours), Fault::None, || true, &told));
+    thread::spawn(move || live(Tty(ours), PretendedFault::None, || true, &told));
     let (out, _) = monitor(&device, "1 --json", 0);
     assert_eq!(json_lines(&out)[0]["quality_word"], "live");
     assert_eq!(received.lock().expect("no holder panics").frames, 0);
@@ -207,14 +207,14 @@ fn other() -> (Desk, u32) {
 #[test]
 fn a_calibration_is_loaded_read_back_and_put_to_use() {
     let (desk, crc) = other();
-    let (port, _) = bridge_with(Fault::None, false);
+    let (port, _) = bridge_with(PretendedFault::None, false);
     let (out, _) = desk.said(&format!("bridge load cal.bin --yes --port {port} --json"), 0);
     let told = &json_lines(&out)[0];
     let crc = format!("{crc:08x}");
     assert_eq!((&told["crc"], &told["running_crc"]), (&crc.clone().into(), &crc.clone().into()));
     assert_eq!((&told["read_back_is_equal"], &told["restarted"]), (&true.into(), &true.into()));
 
-    let (port, _) = bridge_many(Fault::None, false);
+    let (port, _) = bridge_many(PretendedFault::None, false);
     let (out, _) = desk.said(&format!("bridge load cal.bin --yes --port {port} --keep-running"), 0);
     let running = format!("{:08x}", calibration_crc(paper().blob()));
     assert!(out.contains(&format!("stored and read back the same, CRC {crc}\n")), "{out}");
@@ -237,7 +237,7 @@ fn a_calibration_is_loaded_read_back_and_put_to_use() {
 #[test]
 fn the_calibration_that_a_load_has_replaced_is_loaded_again() {
     let (desk, crc) = other();
-    let (port, _) = bridge_many(Fault::None, false);
+    let (port, _) = bridge_many(PretendedFault::None, false);
     let before = calibration_crc(paper().blob());
     let running = |out: &str| json_lines(out)[0]["running_crc"].clone();
     // Nothing was loaded from here yet.
@@ -256,7 +256,7 @@ fn the_calibration_that_a_load_has_replaced_is_loaded_again() {
 #[test]
 fn offsets_are_taken_back_where_no_cnc_commands_and_only_there() {
     // A CNC that is engaged, on its own line.
-    let (port, received) = bridge_many(Fault::None, true);
+    let (port, received) = bridge_many(PretendedFault::None, true);
     monitor(&port, "1", 0);
     let before = received.lock().expect("no holder panics").bytes.len();
     let (out, err) = said(&format!("bridge disengage --port {port}"), 3);
@@ -267,7 +267,7 @@ fn offsets_are_taken_back_where_no_cnc_commands_and_only_there() {
     assert!(!control, "it must not speak as a CNC: {}", sent.escape_ascii());
 
     // It has gone: its offset would be held for 2 s. It goes back at 20 µm/s, and never faster.
-    let (port, _) = bridge_many(Fault::CncLeaves, true);
+    let (port, _) = bridge_many(PretendedFault::CncLeaves, true);
     monitor(&port, "1", 0);
     let (out, err) = said(&format!("bridge disengage --port {port}"), 0);
     assert!(out.starts_with("disengaged: the offset went from x +0.00, y +0.00, z +12.3"), "{out}");
@@ -284,15 +284,23 @@ fn what_must_not_or_cannot_be_loaded_is_told_and_nothing_changes() {
     let (desk, _) = other();
     for (fault, engage, phrases) in [
         // Which of them depends on when the bridge has gone live.
-        (Fault::None, true, &["offsets are being followed", "with Engage off, and try again"][..]),
-        (Fault::Forgetful, false, &["error: what the bridge has stored is not what was sent"]),
         (
-            Fault::Full,
+            PretendedFault::None,
+            true,
+            &["offsets are being followed", "with Engage off, and try again"][..],
+        ),
+        (
+            PretendedFault::Forgetful,
+            false,
+            &["error: what the bridge has stored is not what was sent"],
+        ),
+        (
+            PretendedFault::Full,
             false,
             &["error: the calibration is not loaded: object 2100:2: the board cannot store it \
                (abort code 08000020)"],
         ),
-        (Fault::NoFrames, false, &["error: object 2001:1: no answer in 5 s"]),
+        (PretendedFault::NoFrames, false, &["error: object 2001:1: no answer in 5 s"]),
     ] {
         let (port, _) = bridge_with(fault, engage);
         let (out, err) = desk.said(&format!("bridge load cal.bin --yes --port {port}"), 1);
@@ -304,7 +312,7 @@ fn what_must_not_or_cannot_be_loaded_is_told_and_nothing_changes() {
     let mut bytes = paper().blob().to_vec();
     bytes[100] ^= 1;
     desk.write("damaged.bin", bytes);
-    let (port, received) = bridge_with(Fault::None, false);
+    let (port, received) = bridge_with(PretendedFault::None, false);
     for (file, phrase) in [
         ("garbage.bin", "garbage.bin: "),
         ("damaged.bin", "damaged.bin: "),
@@ -321,7 +329,7 @@ fn what_must_not_or_cannot_be_loaded_is_told_and_nothing_changes() {
 fn a_recording_is_a_log_of_every_frame_and_a_run_file() {
     let desk = Desk::new(&[("m.toml", PAPER)]);
     let record = |count_and_more: &str, code| {
-        let (port, _) = bridge(Fault::None);
+        let (port, _) = bridge(PretendedFault::None);
         desk.said(&format!("bridge monitor --port {port} --count {count_and_more}"), code)
     };
     let (_, err) = record("2 --record here --machine m.toml", 0);
@@ -380,7 +388,7 @@ fn a_recording_goes_on_when_the_line_comes_back() {
         for stream in listener.incoming().flatten().take(2) {
             stream.set_nonblocking(true).expect("a plain socket");
             stream.set_nodelay(true).expect("a plain socket");
-            live(stream, Fault::Leaves, || true, &Arc::default());
+            live(stream, PretendedFault::Leaves, || true, &Arc::default());
         }
     });
     let line = format!("bridge monitor --port {port} --count 4 --record run.csv");

@@ -4,7 +4,7 @@
 use std::{io::Write as _, net::TcpListener, thread, time::Duration};
 
 use crate::desk::Desk;
-use crate::pretended::{Fault, PAPER, bridge_many};
+use crate::pretended::{PAPER, PretendedFault, bridge_many};
 use crate::terminal::Terminal;
 use trueup_machine::RunFile;
 
@@ -12,7 +12,7 @@ use trueup_machine::RunFile;
 fn at_three_sizes_it_shows_the_growth_and_q_ends_it() {
     let desk = Desk::new(&[("m.toml", PAPER)]);
     for size in [(80, 24), (120, 40), (60, 15)] {
-        let (port, _) = bridge_many(Fault::None, true);
+        let (port, _) = bridge_many(PretendedFault::None, true);
         let line = format!("bridge monitor --port {port} --machine m.toml");
         let mut terminal = Terminal::start(&desk, &line, size, true);
         // 100.3 codes above the paper's zero.
@@ -54,7 +54,7 @@ fn is_ended(code: Option<i32>) -> bool {
 #[test]
 fn without_a_machine_file_it_reads_the_boards_own_calibration() {
     let desk = Desk::new(&[]);
-    let (port, received) = bridge_many(Fault::None, true);
+    let (port, received) = bridge_many(PretendedFault::None, true);
     let mut terminal =
         Terminal::start(&desk, &format!("bridge monitor --port {port}"), (80, 24), false);
     terminal.shows(&["paper, calibration ", "727.50 codes", "spindle growth"]);
@@ -66,7 +66,7 @@ fn without_a_machine_file_it_reads_the_boards_own_calibration() {
 #[test]
 fn the_screen_is_written_as_a_picture_without_a_terminal() {
     let desk = Desk::new(&[("m.toml", PAPER)]);
-    let (port, _) = bridge_many(Fault::None, true);
+    let (port, _) = bridge_many(PretendedFault::None, true);
     let line = format!("bridge monitor --port {port} --machine m.toml --picture s.svg --count 3");
     assert!(is_ended(desk.trueup(&line).status.code()));
     let picture = desk.text("s.svg");
@@ -85,7 +85,7 @@ fn the_screen_is_written_as_a_picture_without_a_terminal() {
 #[test]
 fn r_records_and_g_writes_readings_typed_and_live() {
     let desk = Desk::new(&[("m.toml", PAPER)]);
-    let (port, _) = bridge_many(Fault::None, true);
+    let (port, _) = bridge_many(PretendedFault::None, true);
     let gauge = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let at = gauge.local_addr().expect("bound above");
     let line = format!(
@@ -131,7 +131,7 @@ fn r_records_and_g_writes_readings_typed_and_live() {
 fn a_fault_is_told_with_its_remedy_and_a_line_that_breaks_is_tried_again() {
     let desk = Desk::new(&[]);
     // It closes the line 1.3 s after it was opened.
-    let (port, _) = crate::pretended::bridge(Fault::Leaves);
+    let (port, _) = crate::pretended::bridge(PretendedFault::Leaves);
     let mut terminal =
         Terminal::start(&desk, &format!("bridge monitor --port {port}"), (80, 24), true);
     terminal.shows(&["GROWTH".to_lowercase().as_str(), "LIVE"]);
@@ -139,7 +139,7 @@ fn a_fault_is_told_with_its_remedy_and_a_line_that_breaks_is_tried_again() {
     terminal.press("q");
     terminal.ended();
 
-    let (port, _) = bridge_many(Fault::None, false);
+    let (port, _) = bridge_many(PretendedFault::None, false);
     let mut terminal =
         Terminal::start(&desk, &format!("bridge monitor --port {port}"), (60, 15), true);
     terminal.shows(&["restarted: engage anew"]);

@@ -13,7 +13,7 @@ use std::{
 
 use crate::{
     desk::Desk,
-    pretended::{Fault, bridge_with},
+    pretended::{PretendedFault, bridge_with},
 };
 
 const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[inputs]\n\
@@ -106,7 +106,7 @@ fn ended(desk: &Desk, line: &str, out: Stream, err: Stream) -> (Option<i32>, Str
     }
     let mut line = line.replace("NONE", "tcp:127.0.0.1:1");
     if line.contains("PORT") {
-        line = line.replace("PORT", &bridge_with(Fault::None, false).0);
+        line = line.replace("PORT", &bridge_with(PretendedFault::None, false).0);
     }
     let child = command(desk, &line)
         .stdout(stdio(out, Stdio::piped))
@@ -219,7 +219,7 @@ fn a_result_that_is_the_product_is_missed_on_a_full_disk() {
 #[test]
 fn a_monitor_whose_reader_leaves_ends_with_its_verdict() {
     let desk = desk();
-    let (port, _) = bridge_with(Fault::Noise, true);
+    let (port, _) = bridge_with(PretendedFault::Noise, true);
     let (code, text) =
         ended(&desk, &format!("bridge monitor --port {port}"), Stream::Left, Stream::Whole);
     assert_eq!(code, Some(3), "{text}");
@@ -236,7 +236,7 @@ fn stalled() -> (PipeReader, Stdio) {
 #[test]
 fn a_gateway_whose_output_nobody_reads_serves_its_plc_and_counts_what_it_drops() {
     let desk = desk();
-    let (port, _) = bridge_with(Fault::None, true);
+    let (port, _) = bridge_with(PretendedFault::None, true);
     let listen =
         TcpListener::bind("127.0.0.1:0").and_then(|listener| listener.local_addr()).expect("free");
     let ((_out, out), (mut err, err_end)) = (stalled(), stalled());

@@ -5,7 +5,7 @@
 use std::sync::{Arc, Mutex};
 
 use crate::desk::Desk;
-use crate::pretended::{Fault, PAPER, bridge_many, bridge_with, paper};
+use crate::pretended::{PAPER, PretendedFault, bridge_many, bridge_with, paper};
 use crate::terminal::Terminal;
 
 /// Returns the paper's machine, and the same with another gain and slew limit.
@@ -22,7 +22,7 @@ fn desk() -> Desk {
 #[test]
 fn info_says_whether_the_bridge_runs_on_the_machine_file() {
     let desk = desk();
-    let (port, _) = bridge_many(Fault::None, true);
+    let (port, _) = bridge_many(PretendedFault::None, true);
     let (out, _) = desk.said(&format!("bridge info --machine m.toml --port {port}"), 0);
     assert!(out.ends_with("m.toml: the bridge runs on it\n"), "{out}");
     let (out, _) = desk.said(&format!("bridge info --machine other.toml --port {port}"), 3);
@@ -49,10 +49,10 @@ fn a_firmware_of_another_commit_is_told_on_connecting() {
         env!("CARGO_PKG_VERSION")
     );
     let is_known = env!("TRUEUP_COMMIT") != "unknown";
-    let (port, _) = bridge_with(Fault::OtherSource, false);
+    let (port, _) = bridge_with(PretendedFault::OtherSource, false);
     let (_, err) = desk.said(&format!("bridge info --port {port}"), 0);
     assert_eq!(err.contains(&told), is_known, "{err}");
-    let (port, _) = bridge_with(Fault::OtherSource, false);
+    let (port, _) = bridge_with(PretendedFault::OtherSource, false);
     let mut terminal =
         Terminal::start(&desk, &format!("bridge monitor --port {port}"), (200, 30), true);
     if is_known {
@@ -61,7 +61,7 @@ fn a_firmware_of_another_commit_is_told_on_connecting() {
     terminal.press("q");
     terminal.ended();
     // One that does not know its own is not doubted.
-    let (port, _) = bridge_with(Fault::None, false);
+    let (port, _) = bridge_with(PretendedFault::None, false);
     let (_, err) = desk.said(&format!("bridge info --port {port}"), 0);
     assert!(!err.contains("firmware"), "{err}");
 }
@@ -71,7 +71,7 @@ fn a_calibration_that_corrects_nothing_is_told_before_it_is_loaded() {
     let desk = desk();
     desk.write("nothing.toml", "[machine]\nname = \"m\"\nkind = \"3-axis\"\n");
     desk.said("compile nothing.toml -o nothing.bin", 0);
-    let (port, _) = bridge_many(Fault::None, false);
+    let (port, _) = bridge_many(PretendedFault::None, false);
     // Nobody is there to be asked.
     for (file, is_told) in [("nothing.bin", true), ("other.bin", false)] {
         let (_, err) = desk.said(&format!("bridge load {file} --port {port}"), 2);
@@ -84,7 +84,7 @@ fn a_calibration_that_corrects_nothing_is_told_before_it_is_loaded() {
 fn load_tells_what_changes_and_asks() {
     let desk = desk();
     // Without a terminal nobody can be asked, and nothing reaches the bridge.
-    let (port, received) = bridge_many(Fault::None, false);
+    let (port, received) = bridge_many(PretendedFault::None, false);
     let (out, err) = desk.said(&format!("bridge load other.bin --port {port}"), 2);
     assert!(out.is_empty() && err.contains("with --yes it is loaded without"), "{err}");
     for (answer, code, phrase) in [
@@ -107,13 +107,13 @@ fn load_tells_what_changes_and_asks() {
 #[test]
 fn a_board_is_saved_and_another_one_takes_its_place() {
     let desk = desk();
-    let (port, _) = bridge_many(Fault::None, false);
+    let (port, _) = bridge_many(PretendedFault::None, false);
     desk.said(&format!("bridge load other.bin --yes --port {port}"), 0);
     let (out, _) = desk.said(&format!("bridge save board.json --port {port}"), 0);
     assert!(out.starts_with("board.json: calibration ") && out.contains("of \"paper\""), "{out}");
 
     // Another board, which runs on what it came with.
-    let (port, _) = bridge_many(Fault::None, false);
+    let (port, _) = bridge_many(PretendedFault::None, false);
     let (out, err) = desk.said(&format!("bridge restore board.json --yes --port {port}"), 0);
     assert!(err.contains("slew limit: 20 becomes 10 µm/s"), "{err}");
     assert!(out.ends_with("restored\n"), "{out}");
@@ -131,13 +131,13 @@ fn a_board_is_saved_and_another_one_takes_its_place() {
 #[test]
 fn the_reference_that_zero_had_taken_goes_with_it_and_where_it_cannot_that_is_told() {
     let desk = desk();
-    let (port, _) = bridge_many(Fault::Zeroed, false);
+    let (port, _) = bridge_many(PretendedFault::Zeroed, false);
     desk.said(&format!("bridge save board.json --port {port}"), 0);
     let saved: serde_json::Value = serde_json::from_str(&desk.text("board.json")).expect("JSON");
     assert_eq!(saved["reference"]["elongation_nm"], 2_500, "{saved}");
 
     // Another board, which has none.
-    let (port, _) = bridge_many(Fault::None, false);
+    let (port, _) = bridge_many(PretendedFault::None, false);
     let line = format!("bridge restore board.json --yes --port {port}");
     let (out, err) = desk.said(&format!("{line} --keep-running"), 3);
     assert!(out.contains("stored for the next start"), "all else is there: {out}");
@@ -156,7 +156,7 @@ fn the_reference_that_zero_had_taken_goes_with_it_and_where_it_cannot_that_is_to
     assert_eq!(again["reference"], saved["reference"]);
 
     // A firmware that does not let it be written.
-    let (port, _) = bridge_many(Fault::Older, false);
+    let (port, _) = bridge_many(PretendedFault::Older, false);
     let line = format!("bridge restore board.json --yes --port {port}");
     let (_, err) = desk.said(&line, 3);
     assert!(err.contains(told) && err.contains("object 2010:1"), "{err}");
@@ -171,7 +171,7 @@ const SMALL: &str = r#""reference": {"elongation_nm": 30000, "x_nm": 0, "y_nm": 
 #[test]
 fn a_saved_file_that_is_damaged_is_refused_before_anything_is_sent() {
     let desk = desk();
-    let (port, received) = bridge_many(Fault::None, false);
+    let (port, received) = bridge_many(PretendedFault::None, false);
     desk.said(&format!("bridge save board.json --port {port}"), 0);
     let whole = desk.text("board.json");
     let crc = format!("{:08x}", paper().crc());
@@ -200,14 +200,14 @@ fn a_saved_file_that_is_damaged_is_refused_before_anything_is_sent() {
 #[test]
 fn another_machines_backup_is_not_replaced_without_a_yes() {
     let desk = desk();
-    let (port, _) = bridge_many(Fault::None, false);
+    let (port, _) = bridge_many(PretendedFault::None, false);
     desk.said(&format!("bridge save board.json --port {port}"), 0);
     let own = desk.text("board.json");
     // Its own is, as often as you like.
     desk.said(&format!("bridge save board.json --port {port}"), 0);
     desk.write("lathe.toml", PAPER.replace("name = \"paper\"", "name = \"lathe\""));
     desk.said("compile lathe.toml -o lathe.bin", 0);
-    let (port, _) = bridge_many(Fault::None, false);
+    let (port, _) = bridge_many(PretendedFault::None, false);
     desk.said(&format!("bridge load lathe.bin --yes --port {port}"), 0);
     let (_, err) = desk.said(&format!("bridge save board.json --port {port}"), 2);
     for phrase in ["is the backup of \"paper\"", "this bridge is of \"lathe\"", "--overwrite"] {
@@ -231,7 +231,7 @@ fn another_machines_backup_is_not_replaced_without_a_yes() {
 #[test]
 fn a_load_says_what_becomes_of_the_reference_and_the_older_one_is_offered() {
     let desk = desk();
-    let (port, _) = bridge_many(Fault::Zeroed, false);
+    let (port, _) = bridge_many(PretendedFault::Zeroed, false);
     let (out, _) = desk.said(&format!("bridge info --port {port}"), 0);
     assert!(out.contains("reference    elongation +2.50 µm") && out.contains("in force"), "{out}");
     // The law differs by a little, and the reference that goes by 2.5 µm.
@@ -263,7 +263,7 @@ fn a_load_says_what_becomes_of_the_reference_and_the_older_one_is_offered() {
 #[test]
 fn a_calibration_that_waits_for_the_next_start_is_shown_used_or_dropped() {
     let desk = desk();
-    let (port, _) = bridge_many(Fault::None, false);
+    let (port, _) = bridge_many(PretendedFault::None, false);
     let pending = format!("bridge pending --port {port}");
     let (out, _) = desk.said(&pending, 0);
     assert_eq!(out, "no calibration waits for the next start\n");
@@ -299,7 +299,7 @@ fn a_serial_device_that_another_program_has_is_busy() {
     drop(theirs);
     let told = Arc::new(Mutex::new(crate::wire::ReceivedBytes::default()));
     std::thread::spawn(move || {
-        crate::pretended::live(crate::pretended::Tty(ours), Fault::None, || true, &told)
+        crate::pretended::live(crate::pretended::Tty(ours), PretendedFault::None, || true, &told)
     });
     let desk = Desk::new(&[]);
     let line = format!("bridge monitor --port {device}");

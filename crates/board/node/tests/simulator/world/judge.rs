@@ -3,7 +3,7 @@
 
 use trueup_core::cnc::{Output, Quality};
 
-use super::{Fault, World};
+use super::{World, WorldFault};
 use crate::machine::{MAX_NM, SLEW_NM_PER_MS};
 
 impl World {
@@ -40,21 +40,21 @@ impl World {
         // Live says that the sensor is there.
         let is_blind = matches!(
             self.fault,
-            Fault::SensorOpen
-                | Fault::BothOpen
-                | Fault::SensorShort
-                | Fault::SensorRail
-                | Fault::NoBlocks
-                | Fault::FewBlocks
+            WorldFault::SensorOpen
+                | WorldFault::BothOpen
+                | WorldFault::SensorShort
+                | WorldFault::SensorRail
+                | WorldFault::NoBlocks
+                | WorldFault::FewBlocks
         );
         // After a start it has to be found anew.
         let lasts = self.lasts_ms().min(self.since_start_ms);
-        if is_blind && lasts > 50 || self.fault == Fault::SensorStuck && lasts > 250 {
+        if is_blind && lasts > 50 || self.fault == WorldFault::SensorStuck && lasts > 250 {
             assert_ne!(output.quality, Quality::Live, "blind for {lasts} ms: {}", place());
             assert_ne!(output.flags.0 & 0x0C, 0, "not told: {}", place());
         }
         // Nor a model that its thermometer is there, once its channel counts as bad.
-        if self.fault == Fault::BothOpen && lasts > 1_600 {
+        if self.fault == WorldFault::BothOpen && lasts > 1_600 {
             assert_ne!(output.quality, Quality::TemperatureModel, "{}", place());
         }
         // Followed and held end in time; what is followed is as old as it says.
@@ -75,7 +75,7 @@ impl World {
             let range = least_ms.min(255)..=oldest_ms.saturating_add(21);
             assert!(range.contains(&said_ms), "{said_ms} ms for {oldest_ms}: {}", place());
         }
-        if self.fault == Fault::CncSilent && lasts > 2_530 {
+        if self.fault == WorldFault::CncSilent && lasts > 2_530 {
             assert_ne!(output.quality, Quality::Hold, "for {lasts} ms: {}", place());
         }
         self.joins(elapsed_ms, output, offset[2]);
@@ -89,7 +89,7 @@ impl World {
         let before = self.before.map(|before| before.quality);
         let has_changed = before.is_some_and(|before| before != output.quality && is_on(before));
         if !is_on(output.quality)
-            || self.fault == Fault::SensorStuck
+            || self.fault == WorldFault::SensorStuck
             || self.zero_tick == self.seen.ticks
         {
             self.joined = None;
@@ -107,7 +107,8 @@ impl World {
     /// While it is live, settled and well, the offset is what the machine has grown by.
     fn compare(&mut self, output: &Output, [x_nm, _, z_nm]: [i32; 3]) {
         let is_settled = output.quality == Quality::Live && output.flags.0 & 0x0F == 0;
-        self.well_ms = if is_settled && self.fault == Fault::None { self.well_ms + 1 } else { 0 };
+        self.well_ms =
+            if is_settled && self.fault == WorldFault::None { self.well_ms + 1 } else { 0 };
         if self.well_ms < 1_000 {
             return;
         }

@@ -35,7 +35,7 @@ pub const PAPER: &str = include_str!("../../../../../../data/paper_spindle.toml"
 
 /// The fault of the bridge.
 #[derive(Clone, Copy, PartialEq)]
-pub enum Fault {
+pub enum PretendedFault {
     None,
     /// A bit of every hundredth frame is flipped.
     Noise,
@@ -62,16 +62,16 @@ pub enum Fault {
 }
 
 /// Returns a bridge at a port of this machine, engaged by a CNC that it has elsewhere.
-pub fn bridge(fault: Fault) -> (String, Arc<Mutex<ReceivedBytes>>) {
+pub fn bridge(fault: PretendedFault) -> (String, Arc<Mutex<ReceivedBytes>>) {
     bridge_with(fault, true)
 }
 
-pub fn bridge_with(fault: Fault, engage: bool) -> (String, Arc<Mutex<ReceivedBytes>>) {
+pub fn bridge_with(fault: PretendedFault, engage: bool) -> (String, Arc<Mutex<ReceivedBytes>>) {
     listening(fault, move || engage, false)
 }
 
 /// Returns the same for one tool after the other.
-pub fn bridge_many(fault: Fault, engage: bool) -> (String, Arc<Mutex<ReceivedBytes>>) {
+pub fn bridge_many(fault: PretendedFault, engage: bool) -> (String, Arc<Mutex<ReceivedBytes>>) {
     listening(fault, move || engage, true)
 }
 
@@ -79,11 +79,11 @@ pub fn bridge_many(fault: Fault, engage: bool) -> (String, Arc<Mutex<ReceivedByt
 pub fn bridge_steered(
     is_engaged: impl Fn() -> bool + Send + 'static,
 ) -> (String, Arc<Mutex<ReceivedBytes>>) {
-    listening(Fault::None, is_engaged, true)
+    listening(PretendedFault::None, is_engaged, true)
 }
 
 fn listening(
-    fault: Fault,
+    fault: PretendedFault,
     is_engaged: impl Fn() -> bool + Send + 'static,
     many: bool,
 ) -> (String, Arc<Mutex<ReceivedBytes>>) {
@@ -150,12 +150,12 @@ fn is_opened_again(received: &Mutex<ReceivedBytes>) -> bool {
 }
 
 /// Takes a calibration that has arrived.
-fn take_load(node: &mut Node<'_>, fault: Fault, stored: &mut Option<Vec<u8>>) {
+fn take_load(node: &mut Node<'_>, fault: PretendedFault, stored: &mut Option<Vec<u8>>) {
     if let Some(mut load) = node.take_received_calibration() {
         let mut outcome = LoadOutcome::Stored;
         match load.validate() {
             Err(_) => outcome = LoadOutcome::Refused,
-            Ok(_) if fault == Fault::Full => outcome = LoadOutcome::NotStored,
+            Ok(_) if fault == PretendedFault::Full => outcome = LoadOutcome::NotStored,
             Ok(blob) => *stored = Some(blob.to_vec()),
         }
         node.finish_load(load, outcome);
@@ -180,28 +180,28 @@ fn restarted(
 }
 
 /// Returns whether the line damages this frame.
-fn is_damaged(fault: Fault, frame: &Frame, ms: u32) -> bool {
+fn is_damaged(fault: PretendedFault, frame: &Frame, ms: u32) -> bool {
     match fault {
-        Fault::Noise => ms % 100 == 99,
+        PretendedFault::Noise => ms % 100 == 99,
         // A segment that is read: the first byte says which.
-        Fault::Forgetful => frame.id() == SDO_RESPONSE_ID && frame.data()[0] == 0x10,
+        PretendedFault::Forgetful => frame.id() == SDO_RESPONSE_ID && frame.data()[0] == 0x10,
         _ => false,
     }
 }
 
 pub fn live(
     mut stream: impl Read + Write,
-    fault: Fault,
+    fault: PretendedFault,
     is_engaged: impl Fn() -> bool,
     received: &Mutex<ReceivedBytes>,
 ) {
     let compiled = paper();
-    let commit = if fault == Fault::OtherSource { 7 } else { 0 };
+    let commit = if fault == PretendedFault::OtherSource { 7 } else { 0 };
     let (mut node, mut port) = of_commit(Box::leak(compiled.blob().into()), commit);
     let mut stored: Option<Vec<u8>> = None;
     // By the CRC of their calibrations.
     let mut standings = BTreeMap::new();
-    if fault == Fault::Zeroed {
+    if fault == PretendedFault::Zeroed {
         let elongation = Nanometres(2_500);
         let standing = ReferenceStatus::in_force(Reference { elongation, ..Reference::default() });
         node.restore_reference_status(standing, None);
@@ -216,7 +216,7 @@ pub fn live(
     for ms in 0_u32.. {
         let due = Duration::from_millis(ms.into());
         thread::sleep(due.saturating_sub(start.elapsed()));
-        if fault == Fault::Leaves && ms > 1_300 {
+        if fault == PretendedFault::Leaves && ms > 1_300 {
             return;
         }
         match stream.read(&mut bytes) {
@@ -228,13 +228,13 @@ pub fn live(
                 for frame in frames.collect::<Vec<_>>() {
                     received.frames += 1;
                     let is_new = matches!(frame.data(), [0x23, 0x10, 0x20, ..]);
-                    if fault == Fault::Older && is_new {
+                    if fault == PretendedFault::Older && is_new {
                         let read_only = [0x80, 0x10, 0x20, frame.data()[3], 2, 0, 1, 6];
                         let answer = Frame::new(SDO_RESPONSE_ID, &read_only).expect("eight bytes");
                         port.send(&answer);
                         continue;
                     }
-                    if fault == Fault::Loses(received.frames - 1) {
+                    if fault == PretendedFault::Loses(received.frames - 1) {
                         continue;
                     }
                     // A tool that speaks where a CNC has spoken counts from 0.
@@ -264,7 +264,7 @@ pub fn live(
             (node, port) = restarted(&node, stored.take(), &standings);
             control = 0;
         }
-        let is_gone = fault == Fault::CncLeaves && is_opened_again(received);
+        let is_gone = fault == PretendedFault::CncLeaves && is_opened_again(received);
         if ms % 20 == 0 && !is_gone {
             speak_as_cnc(&mut node, control, is_engaged());
             control += 1;
@@ -272,14 +272,14 @@ pub fn live(
         let speed = Some(Rpm(24_000));
         let sent = node.tick(1, Input { codes: Some(&codes), speed, ..Input::default() });
         let sent = sent.into_iter().chain(node.service());
-        if fault != Fault::NoFrames {
+        if fault != PretendedFault::NoFrames {
             for frame in &sent.collect::<Vec<_>>() {
                 let flip = is_damaged(fault, frame, ms);
                 port.send(&if flip { damaged(frame) } else { *frame });
             }
         }
         let answer: Vec<u8> = std::iter::from_fn(|| port.pop()).collect();
-        if fault != Fault::Silent && write_all(&mut stream, &answer).is_err() {
+        if fault != PretendedFault::Silent && write_all(&mut stream, &answer).is_err() {
             return;
         }
     }
