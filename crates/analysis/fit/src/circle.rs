@@ -73,7 +73,7 @@ pub struct CircleReport {
     /// Warnings for the user; whole sentences.
     pub warnings: Vec<String>,
     /// The answer in one word.
-    pub verdict: Verdict,
+    pub verdict: CircleVerdict,
 }
 
 /// One circle: the figures, and the causes.
@@ -101,7 +101,7 @@ pub struct CircleResult {
 
 /// The answer in one word, as `diagnose` has it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
+pub enum CircleVerdict {
     /// Nothing but set-up and noise.
     Clean,
     /// Causes, and nothing is left.
@@ -112,7 +112,7 @@ pub enum Verdict {
     Unexplained,
 }
 
-impl Verdict {
+impl CircleVerdict {
     /// Returns its name in JSON.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -139,10 +139,10 @@ pub fn fit_circles(runs: &[RunFile], machine: Option<&Machine>) -> Result<Circle
     let (claimed, open) =
         (all().any(|finding| finding.claimed), all().any(|finding| !finding.claimed));
     let verdict = match (claimed, open || is_left) {
-        (false, false) => Verdict::Clean,
-        (true, false) => Verdict::Explained,
-        (true, true) => Verdict::PartlyExplained,
-        (false, true) => Verdict::Unexplained,
+        (false, false) => CircleVerdict::Clean,
+        (true, false) => CircleVerdict::Explained,
+        (true, true) => CircleVerdict::PartlyExplained,
+        (false, true) => CircleVerdict::Unexplained,
     };
     Ok(CircleReport { circles, edit, written, warnings, verdict })
 }

@@ -5,17 +5,19 @@ use std::f64::consts::TAU;
 use trueup_machine::file::LinearAxis;
 use trueup_page::{Colour, Origin, Page, PolarPlot, Series, Table, format_micrometres};
 
-use super::{CircleFinding, CircleReport, CircleResult, Verdict};
+use super::{CircleFinding, CircleReport, CircleResult, CircleVerdict};
 
 /// Returns the page of a report.
 #[must_use]
 pub fn build_page(report: &CircleReport, origin: &Origin) -> Page {
     let mut page = Page::new("Circles and their causes, ISO 230-4");
     let (state, heading) = match report.verdict {
-        Verdict::Clean => ("good", "Clean: nothing but set-up and noise"),
-        Verdict::Explained => ("good", "Explained"),
-        Verdict::PartlyExplained => ("open", "Partly explained"),
-        Verdict::Unexplained => ("bad", "Unexplained: nothing is claimed, and something is left"),
+        CircleVerdict::Clean => ("good", "Clean: nothing but set-up and noise"),
+        CircleVerdict::Explained => ("good", "Explained"),
+        CircleVerdict::PartlyExplained => ("open", "Partly explained"),
+        CircleVerdict::Unexplained => {
+            ("bad", "Unexplained: nothing is claimed, and something is left")
+        }
     };
     let said: Vec<String> = report.circles.iter().map(summarise).collect();
     page.add_card(state, heading, &said);

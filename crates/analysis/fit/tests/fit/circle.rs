@@ -4,7 +4,7 @@
 
 use std::{collections::BTreeSet, path::Path};
 
-use trueup_fit::circle::{Cause, CircleFinding, CircleReport, Verdict, fit_circles};
+use trueup_fit::circle::{Cause, CircleFinding, CircleReport, CircleVerdict, fit_circles};
 use trueup_machine::{Machine, MachineFile, RunFile, file::LinearAxis};
 
 use crate::circle_drawn::{CircleFault, Drawn};
@@ -91,7 +91,7 @@ fn an_x_axis_that_lags_more_is_a_positive_lag_that_no_table_corrects() {
     let found = only(&report);
     assert_eq!((found.cause, found.compensated), (Cause::ServoMismatch, false));
     assert!((value(found, "lag_difference_ms") - 0.5).abs() < 0.01, "{found:?}");
-    assert!(report.edit.is_empty() && report.verdict == Verdict::Explained);
+    assert!(report.edit.is_empty() && report.verdict == CircleVerdict::Explained);
 }
 
 #[test]
@@ -169,7 +169,7 @@ fn what_is_written_leaves_a_clean_circle() {
     let before = report(&drawn);
     let machine = machine(&before);
     let after = fit_circles(&[run(&drawn.csv())], Some(&machine)).expect("a circle");
-    assert_eq!(after.verdict, Verdict::Clean, "{:?}", named(&after));
+    assert_eq!(after.verdict, CircleVerdict::Clean, "{:?}", named(&after));
     assert!(after.circles[0].before.rms_um < 0.4, "{:?}", after.circles[0].before);
 }
 
@@ -182,7 +182,7 @@ fn one_direction_claims_neither_squareness_nor_servo_mismatch() {
         assert!(!found.claimed && report.edit.is_empty(), "{found:?}");
         assert_eq!(found.alternatives, ["servo-mismatch"]);
         assert!(found.next_test.contains("other direction"), "{found:?}");
-        assert_eq!(report.verdict, Verdict::Unexplained);
+        assert_eq!(report.verdict, CircleVerdict::Unexplained);
     }
 }
 

@@ -21,7 +21,7 @@ fn damaged(counter: u8) -> Frame {
 
 /// The verdicts of the standard that make a difference.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Verdict {
+enum ByteVerdict {
     Ok,
     Error,
     /// Repeated, or wrong sequence.
@@ -31,17 +31,17 @@ enum Verdict {
 /// E2E_SMCheck as PRS E2E Protocol words it: a list of verdicts, counted anew each time.
 struct Standard {
     state: StreamState,
-    window: VecDeque<Verdict>,
+    window: VecDeque<ByteVerdict>,
 }
 
 impl Standard {
-    fn check(&mut self, verdict: Verdict) -> StreamState {
+    fn check(&mut self, verdict: ByteVerdict) -> StreamState {
         self.window.push_front(verdict);
         let size = if self.state == StreamState::Invalid { 3 } else { 8 };
         self.window.truncate(8);
         let count =
             |what| self.window.iter().take(size).filter(|verdict| **verdict == what).count();
-        let (ok, error) = (count(Verdict::Ok), count(Verdict::Error));
+        let (ok, error) = (count(ByteVerdict::Ok), count(ByteVerdict::Error));
         let next = match self.state {
             StreamState::Initial if error > 4 => StreamState::Invalid,
             StreamState::Initial if ok >= 1 => StreamState::Valid,
@@ -71,18 +71,18 @@ proptest! {
             mode = match fate { 6 => 1, 7 => 2, 8 => 0, _ => mode };
             let fate = if mode == 0 || fate < 2 { fate.min(2) } else { mode - 1 };
             let (sent, verdict) = match fate {
-                0 => (damaged(counter.wrapping_add(1)), Verdict::Error),
-                1 if received => (frame(counter), Verdict::Order),
+                0 => (damaged(counter.wrapping_add(1)), ByteVerdict::Error),
+                1 if received => (frame(counter), ByteVerdict::Order),
                 _ => {
                     counter = counter.wrapping_add(1);
                     received = true;
-                    (frame(counter), Verdict::Ok)
+                    (frame(counter), ByteVerdict::Ok)
                 }
             };
             let got = stream.accept(&sent);
             let state = standard.check(verdict);
             prop_assert_eq!(stream.state(), state);
-            prop_assert_eq!(got.is_ok(), verdict == Verdict::Ok && state == StreamState::Valid);
+            prop_assert_eq!(got.is_ok(), verdict == ByteVerdict::Ok && state == StreamState::Valid);
         }
     }
 }

@@ -7,7 +7,8 @@ use serde_json::{Map, Value, json};
 use trueup_fit::{
     ResidualStatistics,
     circle::{
-        self, CircleFinding, CircleReport, CircleResult, CircularDeviations, Verdict, page::title,
+        self, CircleFinding, CircleReport, CircleResult, CircleVerdict, CircularDeviations,
+        page::title,
     },
 };
 use trueup_machine::{Machine, MachineFile};
@@ -63,7 +64,7 @@ pub fn run(args: &Circle, as_json: bool) -> Result<Outcome> {
     } else {
         output::print(circle_text(&report, output))?;
     }
-    let is_met = report.verdict != Verdict::Unexplained;
+    let is_met = report.verdict != CircleVerdict::Unexplained;
     Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
 }
 
