@@ -104,7 +104,7 @@ pub struct Board {
 }
 
 /// A line of the board: when, in ms since power-on, and what.
-pub type Line = (f64, String);
+pub type PrintedLine = (f64, String);
 
 impl Board {
     /// Its slots hold these bytes; `None`: this compiler is too old for the model.
@@ -170,7 +170,7 @@ impl Board {
     }
 
     /// Lives for so long; gives what it said and its resets. Nothing of it may be against the manual.
-    pub fn live(&self, ms: u32, script: &str, options: &[&str]) -> Vec<Line> {
+    pub fn live(&self, ms: u32, script: &str, options: &[&str]) -> Vec<PrintedLine> {
         let report = self.report(ms, script, options);
         // The image of the tests sends from 16 MHz, 2.1 % fast; nothing else is allowed.
         let violations = report.said.lines().skip_while(|line| !line.starts_with("== Violation"));
@@ -190,18 +190,18 @@ impl Board {
 }
 
 /// Returns when something was said first.
-pub fn first(lines: &[Line], what: &str) -> f64 {
+pub fn first(lines: &[PrintedLine], what: &str) -> f64 {
     let found = lines.iter().find(|(_, said)| said == what);
     found.unwrap_or_else(|| panic!("never {what:?}: {lines:?}")).0
 }
 
 /// Returns whether something was said.
-pub fn has(lines: &[Line], what: &str) -> bool {
+pub fn has(lines: &[PrintedLine], what: &str) -> bool {
     lines.iter().any(|(_, said)| said == what)
 }
 
 /// Returns the longest silence after power-on or a reset, in ms.
-pub fn longest_silence(lines: &[Line]) -> f64 {
+pub fn longest_silence(lines: &[PrintedLine]) -> f64 {
     let (mut since, mut longest) = (Some(0.0), 0.0_f64);
     for (at, said) in lines {
         longest = since.map_or(longest, |from| longest.max(at - from));

@@ -30,14 +30,14 @@ impl LineReadError {
 }
 
 /// A line of a file.
-pub(super) struct Line {
+pub(super) struct RunLine {
     /// Without byte order mark and line end.
     pub(super) text: String,
     /// Its number in the file, the first is 1.
     pub(super) number: usize,
 }
 
-impl Line {
+impl RunLine {
     /// Returns whether there is anything to be read in it: it is neither empty nor a comment.
     pub(super) fn has_content(&self) -> bool {
         let text = self.text.trim_start();
@@ -69,7 +69,7 @@ impl<'p, S: BufRead> Lines<'p, S> {
     }
 
     /// Returns the next line; none at the end.
-    pub(super) fn read_line(&mut self) -> Result<Option<Line>, LineReadError> {
+    pub(super) fn read_line(&mut self) -> Result<Option<RunLine>, LineReadError> {
         self.bytes.clear();
         self.number += 1;
         let most = MAX_LINE_BYTES as u64 + 1;
@@ -110,7 +110,7 @@ impl<'p, S: BufRead> Lines<'p, S> {
             let rule = "a carriage return alone does not end a line: use LF or CRLF";
             return Err(LineReadError::Line(BadInput::new(self.location(column), rule)));
         }
-        Ok((read > 0).then(|| Line { text: text.into(), number: self.number }))
+        Ok((read > 0).then(|| RunLine { text: text.into(), number: self.number }))
     }
 
     fn location(&self, column: usize) -> Location {

@@ -13,7 +13,7 @@ use super::{
     field_positions::FieldPositions,
     fields::{BadQuote, Fields, detect_separator, parse_separator_line},
     known_columns, label,
-    line::{Line, LineReadError, Lines},
+    line::{LineReadError, Lines, RunLine},
     numeric_row,
     table::{Column, ColumnTypo, MAX_COLUMNS, RunTable, SizeLimits},
     time_order::TimeOrder,
@@ -100,7 +100,7 @@ pub(super) fn read(
 }
 
 impl<'p> RunReader<'p> {
-    fn from_header(line: &Line, path: &'p Path, stated: Option<char>) -> Result<Self, BadInput> {
+    fn from_header(line: &RunLine, path: &'p Path, stated: Option<char>) -> Result<Self, BadInput> {
         let separator = stated.unwrap_or_else(|| detect_separator(&line.text));
         let mut columns: Vec<ColumnBuilder> = Vec::new();
         let mut slips = Vec::new();
@@ -179,7 +179,7 @@ impl<'p> RunReader<'p> {
     }
 
     /// Refuses the row on `line` where it would make more than `most` values.
-    fn check_value_limit(&self, line: &Line, most: usize) -> Result<(), BadInput> {
+    fn check_value_limit(&self, line: &RunLine, most: usize) -> Result<(), BadInput> {
         let columns = self.columns.len();
         if (self.line_of_row.len() + 1) * columns <= most {
             return Ok(());
@@ -191,9 +191,9 @@ impl<'p> RunReader<'p> {
 
     /// Takes the rows on `lines`, or notes what is wrong with them; false where there is no room for more values
     /// than `most`.
-    fn read_rows(&mut self, lines: &[Result<Line, BadInput>], most: usize) -> bool {
+    fn read_rows(&mut self, lines: &[Result<RunLine, BadInput>], most: usize) -> bool {
         let (columns, separator) = (self.columns.len(), self.separator);
-        let plain = |line: &Result<Line, BadInput>| {
+        let plain = |line: &Result<RunLine, BadInput>| {
             let line = line.as_ref().ok()?;
             numeric_row::parse_numeric_row(&line.text, separator, columns)
         };
@@ -214,7 +214,7 @@ impl<'p> RunReader<'p> {
     }
 
     /// Takes the row on `line`, or notes what is wrong with it; `plain`: its fields, if it is a row of plain numbers.
-    fn read_row(&mut self, line: &Line, plain: Option<Vec<(f64, usize)>>) {
+    fn read_row(&mut self, line: &RunLine, plain: Option<Vec<(f64, usize)>>) {
         let faults_before = self.faults.count();
         self.row = plain.unwrap_or_default();
         if self.row.is_empty() || !self.cells.record_numbers(&self.row) || self.has_bad_cell() {
@@ -239,7 +239,7 @@ impl<'p> RunReader<'p> {
     }
 
     /// Splits the row on `line`; as many values as the header has names, unless that is its fault.
-    fn read_fields(&mut self, line: &Line) {
+    fn read_fields(&mut self, line: &RunLine) {
         let wanted = self.columns.len();
         for field in Fields::new(&line.text, self.separator) {
             let field = match field {
@@ -296,7 +296,7 @@ impl<'p> RunReader<'p> {
         })
     }
 
-    fn too_many_fields_error(&self, line: &Line, column: usize) -> BadInput {
+    fn too_many_fields_error(&self, line: &RunLine, column: usize) -> BadInput {
         let wanted = self.columns.len();
         let fields = Fields::new(&line.text, self.separator).count();
         let (hint, help) = match self.separator {
@@ -311,7 +311,7 @@ impl<'p> RunReader<'p> {
     }
 
     /// The value of a column breaks a rule, which goes on after the column's name.
-    fn report_fault(&mut self, line: &Line, place: usize, column: usize, rule: &str) {
+    fn report_fault(&mut self, line: &RunLine, place: usize, column: usize, rule: &str) {
         let name = &self.columns[column].name;
         let place = line.location(self.path, place);
         self.faults
@@ -319,7 +319,7 @@ impl<'p> RunReader<'p> {
     }
 
     /// The time runs back within a run; by an hour it may be summer time, which `import` takes out.
-    fn report_time_reversal(&mut self, line: &Line, column: usize, rule: &str, is_hour: bool) {
+    fn report_time_reversal(&mut self, line: &RunLine, column: usize, rule: &str, is_hour: bool) {
         if !is_hour {
             return self.report_fault(line, self.row[column].1, column, rule);
         }
@@ -367,7 +367,7 @@ impl<'p> RunReader<'p> {
     }
 }
 
-fn bad_quote_error(line: &Line, path: &Path, fault: BadQuote) -> BadInput {
+fn bad_quote_error(line: &RunLine, path: &Path, fault: BadQuote) -> BadInput {
     BadInput::new(line.location(path, fault.column), fault.rule)
         .with_help("numbers need no quotes; a quote inside a quoted name is written twice")
 }

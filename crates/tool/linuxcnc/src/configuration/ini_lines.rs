@@ -22,7 +22,7 @@ const INCLUDE_DIRECTIVE: &str = "#INCLUDE";
 
 /// A line of an INI file.
 #[derive(Clone, Debug, PartialEq, Eq)]
-struct Line {
+struct IniLine {
     place: Location,
     text: String,
     is_ours: bool,
@@ -51,7 +51,7 @@ impl IniValue {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct IniLines {
     path: PathBuf,
-    lines: Vec<Line>,
+    lines: Vec<IniLine>,
 }
 
 impl IniLines {
@@ -107,9 +107,9 @@ impl IniLines {
     }
 
     /// Returns the lines of the first section of this name, without its header.
-    fn section_lines(&self, section: &str) -> impl Iterator<Item = &Line> {
-        let is_header = |line: &&Line| parse_section_header(&line.text).is_some();
-        let is_this = move |line: &&Line| parse_section_header(&line.text) == Some(section);
+    fn section_lines(&self, section: &str) -> impl Iterator<Item = &IniLine> {
+        let is_header = |line: &&IniLine| parse_section_header(&line.text).is_some();
+        let is_this = move |line: &&IniLine| parse_section_header(&line.text) == Some(section);
         let start = self.lines.iter().position(|line| is_this(&line)).map(|index| index + 1);
         let start = start.unwrap_or(self.lines.len());
         self.lines[start..].iter().take_while(move |line| !is_header(line))
@@ -200,7 +200,7 @@ pub fn is_file(path: &Path) -> bool {
     fs::metadata(path).is_ok_and(|metadata| metadata.is_file())
 }
 
-fn read_lines(path: &Path) -> Result<Vec<Line>, BadInput> {
+fn read_lines(path: &Path) -> Result<Vec<IniLine>, BadInput> {
     let text = bounded_read::read_text(path, MAX_FILE_BYTES)?;
     let mut lines = Vec::new();
     let mut begun: Option<Location> = None;
@@ -209,7 +209,7 @@ fn read_lines(path: &Path) -> Result<Vec<Line>, BadInput> {
         if text.trim_end() == SETUP_BLOCK_BEGIN {
             begun = Some(place.clone());
         }
-        lines.push(Line { place, text: text.to_owned(), is_ours: begun.is_some() });
+        lines.push(IniLine { place, text: text.to_owned(), is_ours: begun.is_some() });
         if text.trim_end() == SETUP_BLOCK_END {
             begun = None;
         }
@@ -226,7 +226,7 @@ fn parse_section_header(line: &str) -> Option<&str> {
     line.trim_start().strip_prefix('[')?.split(']').next().map(str::trim)
 }
 
-fn parse_value(line: &Line, key: &str) -> Option<IniValue> {
+fn parse_value(line: &IniLine, key: &str) -> Option<IniValue> {
     if line.text.trim_start().starts_with(['#', ';']) {
         return None;
     }
