@@ -33,7 +33,7 @@ pub(crate) const MIN_STEP_S: f64 = 1e-3;
 /// A measured quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
-pub enum Quantity {
+pub enum MeasuredQuantity {
     /// How far the tool tip is out of the spindle.
     Elongation,
     /// The error on X.
@@ -44,7 +44,7 @@ pub enum Quantity {
     Dz,
 }
 
-impl Quantity {
+impl MeasuredQuantity {
     /// Its name in columns.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -75,7 +75,7 @@ pub struct Scenario {
     /// Its title, for the reader.
     pub name: String,
     /// The quantities to measure; a column each.
-    pub measure: Vec<Quantity>,
+    pub measure: Vec<MeasuredQuantity>,
     /// From row to row, in s, above 0.
     #[serde(default = "default_interval_s")]
     pub interval_s: f64,
@@ -218,7 +218,7 @@ impl Scenario {
                     format!("is {} a second time", quantity.name()),
                 ));
             }
-            if *quantity == Quantity::Elongation && self.spindle.is_none() {
+            if *quantity == MeasuredQuantity::Elongation && self.spindle.is_none() {
                 return Err(RuleViolation::new(
                     &key,
                     "is elongation, but there is no [spindle]".into(),

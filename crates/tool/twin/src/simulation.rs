@@ -10,7 +10,7 @@ use crate::{
     instrument::Instrument,
     machine::{DriveCommand, Machine},
     path::{Leg, build_legs},
-    scenario::{Quantity, Scenario},
+    scenario::{MeasuredQuantity, Scenario},
     table::RunTable,
 };
 
@@ -38,7 +38,7 @@ struct Simulation<'s> {
     machine: Machine,
     has_positions: bool,
     has_tools: bool,
-    instruments: Vec<(Quantity, Instrument)>,
+    instruments: Vec<(MeasuredQuantity, Instrument)>,
 }
 
 impl<'s> Simulation<'s> {
@@ -53,7 +53,7 @@ impl<'s> Simulation<'s> {
             has_positions: scenario
                 .measure
                 .iter()
-                .any(|quantity| *quantity != Quantity::Elongation)
+                .any(|quantity| *quantity != MeasuredQuantity::Elongation)
                 || scenario
                     .segment
                     .iter()
@@ -115,7 +115,7 @@ impl<'s> Simulation<'s> {
         let error_um = self.machine.tip_error_um();
         for (quantity, instrument) in &mut self.instruments {
             let (value_um, reading_um) = match *quantity {
-                Quantity::Elongation => (elongation_um, elongation_um),
+                MeasuredQuantity::Elongation => (elongation_um, elongation_um),
                 on_axis => {
                     let axis = on_axis as usize - 1;
                     let value_um = error_um[axis];

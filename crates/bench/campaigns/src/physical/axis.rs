@@ -11,7 +11,7 @@ use trueup_twin::{
     cubic_spline::CubicSpline,
     noise::RandomStream,
     path::{Segment, SegmentKind as Piece},
-    scenario::{Quantity, Scenario},
+    scenario::{MeasuredQuantity, Scenario},
     sensors::Spot,
 };
 
@@ -56,7 +56,7 @@ pub(super) fn draw(kind: MachineKind, stream: &mut RandomStream) -> (Scenario, S
         start_mm: [TRAVEL_MM[0], 300.0, 200.0],
         thermometer: build_thermometers(spots),
         axis: BTreeMap::from([(AxisName::X, axis)]),
-        ..base_scenario(kind, Quantity::Dx)
+        ..base_scenario(kind, MeasuredQuantity::Dx)
     };
     (scenario, machine)
 }

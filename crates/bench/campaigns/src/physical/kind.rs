@@ -6,7 +6,7 @@ use super::PhysicalFault;
 use trueup_twin::{
     ambient::AmbientConfig,
     instrument::InstrumentConfig,
-    scenario::{CoolantConfig, Quantity, Scenario},
+    scenario::{CoolantConfig, MeasuredQuantity, Scenario},
     sensors::{Spot, ThermometerConfig},
 };
 
@@ -115,7 +115,7 @@ pub(super) fn build_thermometers(spots: Vec<(&str, Spot)>) -> BTreeMap<String, T
 
 /// Returns a machine of which only the kind is known, and what is measured on it: nothing of it errs, and it does
 /// nothing yet.
-pub(super) fn base_scenario(kind: MachineKind, measured: Quantity) -> Scenario {
+pub(super) fn base_scenario(kind: MachineKind, measured: MeasuredQuantity) -> Scenario {
     Scenario {
         name: kind.name().into(),
         measure: vec![measured],

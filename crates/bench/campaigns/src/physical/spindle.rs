@@ -8,7 +8,7 @@ use trueup_twin::{
     heat::Material,
     noise::RandomStream,
     path::{Segment, SegmentKind as Piece},
-    scenario::{CoolantConfig, Quantity, Scenario},
+    scenario::{CoolantConfig, MeasuredQuantity, Scenario},
     sensors::{DisplacementConfig, Spot},
     spindle::SpindleConfig,
     tool::ToolConfig,
@@ -76,7 +76,7 @@ pub(super) fn draw(kind: MachineKind, stream: &mut RandomStream) -> (Scenario, S
         spindle: Some(spindle),
         sensor,
         thermometer: build_thermometers(spots),
-        ..base_scenario(kind, Quantity::Elongation)
+        ..base_scenario(kind, MeasuredQuantity::Elongation)
     };
     (scenario, machine)
 }
