@@ -19,7 +19,8 @@ use std::{
 
 use anyhow::{Context as _, Result, ensure};
 use support::{
-    Bridge, Ended, FAST_MACHINE, GROWN_RUN, PATIENCE, Running, run, signal, wait_until_stuck, xtask,
+    BridgeProcess, Ended, FAST_MACHINE, GROWN_RUN, PATIENCE, Running, run, signal,
+    wait_until_stuck, xtask,
 };
 use tempfile::TempDir;
 use trueup_core::cnc::Quality;
@@ -161,7 +162,7 @@ fn the_command_takes_its_options_as_the_documentation_writes_them() -> Result<()
 
 #[test]
 fn a_port_in_use_is_named_and_whoever_uses_it_is_not_disturbed() -> Result<()> {
-    let first = Bridge::start_grown()?;
+    let first = BridgeProcess::start_grown()?;
     let mut line = first.connect()?;
     let mut command = xtask()?;
     let port = format!("tcp:{}", first.address());
@@ -191,7 +192,7 @@ fn a_plant_that_does_not_listen_or_talks_nonsense_is_named() -> Result<()> {
             "line 2: spindle_rpm 1000000000",
         ),
     ] {
-        let mut bridge = Bridge::start(&["--plant", &plant])?;
+        let mut bridge = BridgeProcess::start(&["--plant", &plant])?;
         let (mut stream, _) = listener.accept()?;
         stream.write_all(b"{\"t_s\": 0, \"sensor_v\": 1}\n")?;
         stream.write_all(line.as_bytes())?;
@@ -275,7 +276,7 @@ fn a_missing_emulator_is_an_error_with_the_line_that_installs_it() -> Result<()>
 }
 
 /// Starts a client that has opened the channel and reads until the line ends. Its thread returns how much it read.
-fn reader(bridge: &Bridge) -> Result<JoinHandle<usize>> {
+fn reader(bridge: &BridgeProcess) -> Result<JoinHandle<usize>> {
     let mut stream = opened(bridge)?;
     Ok(thread::spawn(move || {
         let (mut bytes, mut sum) = ([0; 4096], 0);
@@ -287,7 +288,7 @@ fn reader(bridge: &Bridge) -> Result<JoinHandle<usize>> {
 }
 
 /// Opens a client's line, and waits until frames have begun to come.
-fn opened(bridge: &Bridge) -> Result<TcpStream> {
+fn opened(bridge: &BridgeProcess) -> Result<TcpStream> {
     let mut stream = bridge.connect()?;
     stream.write_all(OPEN_SEQUENCE)?;
     stream.read_exact(&mut [0; 1_000])?;
@@ -298,7 +299,7 @@ fn opened(bridge: &Bridge) -> Result<TcpStream> {
 fn an_emulator_that_dies_ends_the_command_with_an_error() -> Result<()> {
     // Before any client, with one, and while a plant thinks.
     for client in [false, true] {
-        let mut bridge = Bridge::start_grown()?;
+        let mut bridge = BridgeProcess::start_grown()?;
         let client = client.then(|| reader(&bridge)).transpose()?;
         signal("KILL", bridge.qemu)?;
         let ended = bridge.command.end()?;
@@ -311,7 +312,7 @@ fn an_emulator_that_dies_ends_the_command_with_an_error() -> Result<()> {
     }
     let listener = TcpListener::bind("127.0.0.1:0")?;
     let plant = format!("tcp:{}", listener.local_addr()?);
-    let mut bridge = Bridge::start(&["--plant", &plant])?;
+    let mut bridge = BridgeProcess::start(&["--plant", &plant])?;
     let (_plant, _) = listener.accept()?;
     signal("TERM", bridge.qemu)?;
     let ended = bridge.command.end()?;
@@ -324,17 +325,17 @@ fn an_emulator_that_dies_ends_the_command_with_an_error() -> Result<()> {
 fn ctrl_c_and_sigterm_end_it_in_peace_and_the_emulator_with_it() -> Result<()> {
     for name in ["INT", "TERM"] {
         // Before any client.
-        let mut bridge = Bridge::start_grown()?;
+        let mut bridge = BridgeProcess::start_grown()?;
         bridge.command.signal(name)?;
         assert_ended_in_peace(&mut bridge)?;
         // With one that reads.
-        let mut bridge = Bridge::start_grown()?;
+        let mut bridge = BridgeProcess::start_grown()?;
         let client = reader(&bridge)?;
         bridge.command.signal(name)?;
         assert_ended_in_peace(&mut bridge)?;
         client.join().ok().context("the client's line ends with it")?;
         // With one that has stopped reading, so that everything is stuck behind it.
-        let mut bridge = Bridge::start_grown_at("max")?;
+        let mut bridge = BridgeProcess::start_grown_at("max")?;
         let deaf = opened(&bridge)?;
         wait_until_stuck(&deaf)?;
         bridge.command.signal(name)?;
@@ -343,7 +344,7 @@ fn ctrl_c_and_sigterm_end_it_in_peace_and_the_emulator_with_it() -> Result<()> {
     Ok(())
 }
 
-fn assert_ended_in_peace(bridge: &mut Bridge) -> Result<()> {
+fn assert_ended_in_peace(bridge: &mut BridgeProcess) -> Result<()> {
     let ended = bridge.command.end()?;
     assert!(ended.status.success() && !ended.stderr.contains("error"), "{ended:?}");
     assert!(ended.took < AT_ONCE, "{ended:?}");
@@ -353,7 +354,7 @@ fn assert_ended_in_peace(bridge: &mut Bridge) -> Result<()> {
 #[test]
 fn even_sigkill_leaves_no_emulator() -> Result<()> {
     for client in [false, true] {
-        let mut bridge = Bridge::start_grown()?;
+        let mut bridge = BridgeProcess::start_grown()?;
         let client = client.then(|| reader(&bridge)).transpose()?;
         let emulator = Path::new("/proc").join(bridge.qemu.to_string()).join("cmdline");
         assert!(fs::read(&emulator)?.starts_with(b"/"), "the process that it names is there");

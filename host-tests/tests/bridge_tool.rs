@@ -8,7 +8,7 @@ use std::{fs, path::Path, process::Command};
 
 use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
-use support::{Bridge, FAST_MACHINE, GROWN_UM, file, trueup};
+use support::{BridgeProcess, FAST_MACHINE, GROWN_UM, file, trueup};
 use tempfile::TempDir;
 use trueup_core::cnc::{CncMessage as CncCommand, Control, Output, Quality};
 use trueup_emulator::{cnc::CncClient, setup};
@@ -37,7 +37,7 @@ fn calibration(folder: &TempDir, name: &str, gain: f64) -> Result<(String, Strin
 }
 
 /// Returns what a CNC that engages gets once it is live and has arrived.
-fn live_z_um(bridge: &Bridge) -> Result<f64> {
+fn live_z_um(bridge: &BridgeProcess) -> Result<f64> {
     let mut cnc = CncClient::open(bridge.connect()?)?;
     // The tool has loaded while this CNC was away.
     cnc.confirm()?;
@@ -67,7 +67,7 @@ fn live_z_um(bridge: &Bridge) -> Result<f64> {
 #[test]
 fn the_tool_loads_a_calibration_and_the_board_runs_on_it_after_its_restart() -> Result<()> {
     let folder = tempfile::tempdir()?;
-    let mut bridge = Bridge::start_grown()?;
+    let mut bridge = BridgeProcess::start_grown()?;
     let port = format!("tcp:{}", bridge.address());
     assert!((live_z_um(&bridge)? - GROWN_UM).abs() < 0.3);
 
@@ -122,7 +122,7 @@ fn can_utils_and_python_can_read_a_recording_and_diagnose_its_run_file() -> Resu
         .collect();
     let run = format!("time_s,sensor_counts,spindle_rpm,temp_screw_c\n{rows}");
     let run = file(&folder, "run.csv", &run)?;
-    let bridge = Bridge::start(&["--machine", &machine, "--run", &run])?;
+    let bridge = BridgeProcess::start(&["--machine", &machine, "--run", &run])?;
     let port = format!("tcp:{}", bridge.address());
     // Engaged for a moment: before that it says "not available", and there is nothing to compare.
     let mut cnc = CncClient::open(bridge.connect()?)?;

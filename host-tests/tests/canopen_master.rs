@@ -11,7 +11,7 @@ use std::{
 
 use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
-use support::{Bridge, FAST_MACHINE, GROWN_RUN, GROWN_UM, file};
+use support::{BridgeProcess, FAST_MACHINE, GROWN_RUN, GROWN_UM, file};
 use trueup_canopen::{EDS, dictionary::OBJECTS, sdo::AbortCode};
 use trueup_core::{
     cnc::{Control, Output, Quality},
@@ -49,7 +49,7 @@ fn pypi_canopen_reads_every_object_loads_a_calibration_and_gets_each_abort_code(
     let calibration = folder.path().join("new.bin");
     fs::write(&calibration, new.blob())?;
 
-    let mut bridge = Bridge::start(&["--machine", &machine, "--run", &run])?;
+    let mut bridge = BridgeProcess::start(&["--machine", &machine, "--run", &run])?;
     let output = Command::new(python)
         .arg(setup::project_root().join("host-tests/python/canopen_master.py"))
         .arg(format!("socket://{}", bridge.address()))

@@ -12,7 +12,7 @@ use std::{
 
 use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
-use support::{Bridge, FAST_MACHINE, GROWN_RUN, GROWN_UM, Running, trueup};
+use support::{BridgeProcess, FAST_MACHINE, GROWN_RUN, GROWN_UM, Running, trueup};
 use trueup_emulator::setup;
 
 /// Noise after the filter, the rounding of a code and of the wire.
@@ -20,17 +20,17 @@ const TOLERANCE_UM: f64 = 0.3;
 
 /// A bridge that has grown, and a gateway before it.
 struct World {
-    _bridge: Bridge,
+    _bridge: BridgeProcess,
     gateway: Running,
     port: String,
 }
 
 impl World {
     fn start() -> Result<Self> {
-        Self::before(Bridge::start_grown()?)
+        Self::before(BridgeProcess::start_grown()?)
     }
 
-    fn before(bridge: Bridge) -> Result<Self> {
+    fn before(bridge: BridgeProcess) -> Result<Self> {
         let mut command = trueup()?;
         command.args(["gateway", "modbus", "--listen", "127.0.0.1:0", "--port"]);
         command.arg(format!("tcp:{}", bridge.address()));
@@ -119,7 +119,7 @@ fn pymodbus_says_the_tool_and_a_condition_and_the_offset_follows_them() -> Resul
     let folder = tempfile::tempdir()?;
     let machine = support::file(&folder, "m.toml", &format!("{FAST_MACHINE}\n{BY_TOOL}"))?;
     let run = support::file(&folder, "run.csv", GROWN_RUN)?;
-    let bridge = Bridge::start(&["--machine", &machine, "--run", &run, "--speed", "1"])?;
+    let bridge = BridgeProcess::start(&["--machine", &machine, "--run", &run, "--speed", "1"])?;
     let world = World::before(bridge)?;
     let saw = world.master("modbus_tool.py")?;
     println!("{saw:#}");
@@ -231,7 +231,7 @@ fn heard(lines: &Path) -> Result<Vec<bool>> {
 #[test]
 fn a_gateway_outlives_its_bridge_tells_it_line_by_line_and_once_says_how_both_ends_are()
 -> Result<()> {
-    let mut bridge = Bridge::start_grown()?;
+    let mut bridge = BridgeProcess::start_grown()?;
     let address = bridge.address().to_owned();
     let folder = tempfile::tempdir()?;
     let lines = folder.path().join("lines");
@@ -268,7 +268,7 @@ fn a_gateway_outlives_its_bridge_tells_it_line_by_line_and_once_says_how_both_en
         (&alone["bridge"]["line"], &alone["bridge"]["heard"]),
         (&json!("down"), &json!(false))
     );
-    let _bridge = Bridge::start_grown_at_address(&address)?;
+    let _bridge = BridgeProcess::start_grown_at_address(&address)?;
     until(&[true, false, true])?;
     gateway.signal("TERM")?;
     assert!(gateway.end()?.status.success());

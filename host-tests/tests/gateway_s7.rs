@@ -15,7 +15,7 @@ use std::{
 
 use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
-use support::{Bridge, GROWN_UM, Running, trueup};
+use support::{BridgeProcess, GROWN_UM, Running, trueup};
 use trueup_core::cnc::Conditions;
 use trueup_emulator::setup;
 use trueup_modbus::holding::Checker;
@@ -128,8 +128,8 @@ fn gateway(plc: &Plc, port: &str) -> Result<Running> {
 }
 
 /// Returns a PLC that follows a bridge that has grown.
-fn following() -> Result<(Bridge, Plc, Running)> {
-    let bridge = Bridge::start_grown()?;
+fn following() -> Result<(BridgeProcess, Plc, Running)> {
+    let bridge = BridgeProcess::start_grown()?;
     let mut plc = Plc::start(&[])?;
     let gateway = gateway(&plc, &format!("tcp:{}", bridge.address()))?;
     plc.order(&json!({ "set": { "enable": true } }))?;
@@ -376,7 +376,7 @@ fn tool_and_conditions_stand_in_the_block_of_the_plc_program_as_the_bridge_check
 fn once_says_how_both_ends_are() -> Result<()> {
     let _alone = alone();
     let plc = Plc::start(&["--block-alone"])?;
-    let bridge = Bridge::start_grown()?;
+    let bridge = BridgeProcess::start_grown()?;
     let once = |host: &str, db: &str| -> Result<(Option<i32>, String, String)> {
         let mut command = trueup()?;
         command.args(["gateway", "s7", "--once", "--db", db, "--plc", host]);

@@ -14,7 +14,7 @@ use std::{
 
 use anyhow::{Context as _, Result, bail, ensure};
 use serde_json::{Value, json};
-use support::{Bridge, FAST_MACHINE, GROWN_UM, PATIENCE, file, wait_until_stuck};
+use support::{BridgeProcess, FAST_MACHINE, GROWN_UM, PATIENCE, file, wait_until_stuck};
 use trueup_core::cnc::{CncMessage as CncCommand, Control, Flags, Quality};
 use trueup_emulator::{cnc::CncClient, setup};
 use trueup_link::e2e;
@@ -35,7 +35,7 @@ fn is_near(value: &Value, expected: f64, tolerance: f64) -> bool {
 #[test]
 fn python_can_cantools_and_autosar_e2e_engage_it_and_read_every_frame() -> Result<()> {
     let python = setup::ensure_python()?;
-    let mut bridge = Bridge::start_grown()?;
+    let mut bridge = BridgeProcess::start_grown()?;
     let output = Command::new(python)
         .arg(setup::project_root().join("host-tests/python/cnc_client.py"))
         .arg(format!("socket://{}", bridge.address()))
@@ -142,7 +142,7 @@ struct Terminal {
 }
 
 impl Terminal {
-    fn new(bridge: &Bridge) -> Result<Self> {
+    fn new(bridge: &BridgeProcess) -> Result<Self> {
         Ok(Self { stream: bridge.connect()?, frames: 0 })
     }
 
@@ -181,7 +181,7 @@ impl Terminal {
 
 #[test]
 fn the_handshake_is_lawicels_and_a_bad_line_rings_the_bell() -> Result<()> {
-    let bridge = Bridge::start_grown()?;
+    let bridge = BridgeProcess::start_grown()?;
     let mut terminal = Terminal::new(&bridge)?;
     let closed = [
         ("", "\r"),
@@ -230,7 +230,7 @@ fn the_handshake_is_lawicels_and_a_bad_line_rings_the_bell() -> Result<()> {
 
 #[test]
 fn a_second_client_waits_until_the_first_has_gone() -> Result<()> {
-    let bridge = Bridge::start_grown()?;
+    let bridge = BridgeProcess::start_grown()?;
     let mut first = Terminal::new(&bridge)?;
     assert_eq!(first.query("O")?, "\r");
     assert!(first.next()?.starts_with('t'));
@@ -248,7 +248,7 @@ fn a_second_client_waits_until_the_first_has_gone() -> Result<()> {
 
 #[test]
 fn whoever_goes_in_mid_line_leaves_no_half_line_to_the_next() -> Result<()> {
-    let bridge = Bridge::start_grown()?;
+    let bridge = BridgeProcess::start_grown()?;
     assert_eq!(Terminal::new(&bridge)?.query("O")?, "\r");
     for _ in 0..30 {
         let mut next = Terminal::new(&bridge)?;
@@ -268,7 +268,7 @@ fn whoever_goes_in_mid_line_leaves_no_half_line_to_the_next() -> Result<()> {
 
 #[test]
 fn a_client_that_never_reads_stops_nobody_once_it_has_gone() -> Result<()> {
-    let bridge = Bridge::start_grown_at("max")?;
+    let bridge = BridgeProcess::start_grown_at("max")?;
     let mut deaf = bridge.connect()?;
     deaf.write_all(b"O\r")?;
     wait_until_stuck(&deaf)?;
@@ -314,7 +314,7 @@ fn a_plant_gets_back_what_the_cnc_gets() -> Result<()> {
     let machine = file(&folder, "machine.toml", FAST_MACHINE)?;
     let listener = TcpListener::bind("127.0.0.1:0")?;
     let address = format!("tcp:{}", listener.local_addr()?);
-    let mut bridge = Bridge::start(&["--machine", &machine, "--plant", &address])?;
+    let mut bridge = BridgeProcess::start(&["--machine", &machine, "--plant", &address])?;
     let mut plant = Plant::accept(&listener)?;
     let mut cnc = CncClient::open(bridge.connect()?)?;
 

@@ -4,7 +4,7 @@ use anyhow::{Result, ensure};
 use trueup_emulator::setup;
 use trueup_machine::MachineFile;
 
-use super::linuxcnc_rig::{CLOSE_UM, bridge::Bridge, control};
+use super::linuxcnc_rig::{CLOSE_UM, bridge::RigBridge, control};
 
 /// How far the work has grown out of the chuck, in µm.
 const GROWN_UM: f64 = 40.0;
@@ -22,7 +22,7 @@ fn a_lathe_is_corrected_by_its_radius_in_g7_and_g8() -> Result<()> {
     };
     let machine =
         MachineFile::read(&setup::project_root().join("integrations/linuxcnc/trueup_lathe.toml"))?;
-    let bridge = Bridge::start(&machine)?;
+    let bridge = RigBridge::start(&machine)?;
     bridge.grow_to(GROWN_UM);
     let mut cnc = control::start_with(linuxcnc, "trueup_lathe.ini", &bridge.address(), &[])?;
     cnc.power_on_and_home()?;

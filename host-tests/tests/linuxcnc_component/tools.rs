@@ -18,7 +18,7 @@ use trueup_twin::{
     noise::rms,
 };
 
-use super::linuxcnc_rig::{bridge::Bridge, control};
+use super::linuxcnc_rig::{bridge::RigBridge, control};
 
 /// The user's machine file: the sensor, and each tool by its number.
 const MACHINE: &str = "\
@@ -82,7 +82,7 @@ const LEFT: f64 = 0.05;
 /// over.
 fn live(
     cnc: &mut HeadlessLinuxCnc,
-    bridge: &Bridge,
+    bridge: &RigBridge,
     metal: &mut Twin,
     wait: Duration,
 ) -> Result<Vec<[f64; 2]>> {
@@ -116,7 +116,7 @@ fn with_three_tools_95_percent_of_the_growth_are_gone() -> Result<()> {
     };
     let machine = MachineFile::parse(MACHINE, Path::new("tools.toml"))?;
     let mut metal = Twin::new(&Scenario::parse(METAL, Path::new("metal.toml"))?, 5);
-    let bridge = Bridge::start(&machine)?;
+    let bridge = RigBridge::start(&machine)?;
     bridge.grow_to(0.0);
     let files = [("trueup_gantry.toml", MACHINE), ("trueup_sim.tbl", TABLE)];
     let mut cnc = control::start_with(linuxcnc, "trueup_sim.ini", &bridge.address(), &files)?;

@@ -60,7 +60,7 @@ struct Shared {
 }
 
 /// A bridge that lives.
-pub struct Bridge {
+pub struct RigBridge {
     shared: Arc<Shared>,
     port: u16,
     threads: Vec<JoinHandle<Result<()>>>,
@@ -70,7 +70,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl Bridge {
+impl RigBridge {
     /// Boots the board for this machine; its line is plugged in.
     pub fn start(machine: &Machine) -> Result<Self> {
         let image = firmware::build_virtual()?;
@@ -132,7 +132,7 @@ impl Bridge {
     }
 }
 
-impl Drop for Bridge {
+impl Drop for RigBridge {
     fn drop(&mut self) {
         self.shared.stop.store(true, Ordering::Relaxed);
         self.plug(false);

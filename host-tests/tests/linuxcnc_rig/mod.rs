@@ -13,7 +13,7 @@ use trueup_emulator::{linuxcnc::headless::HeadlessLinuxCnc, setup};
 use trueup_machine::{Machine, MachineFile};
 
 use self::{
-    bridge::{Bridge, Damage},
+    bridge::{Damage, RigBridge},
     samples::Sample,
 };
 
@@ -35,7 +35,7 @@ pub const APPLIED: [&str; 3] =
 
 /// A virtual bridge and a LinuxCNC that it corrects.
 pub struct Rig {
-    pub bridge: Bridge,
+    pub bridge: RigBridge,
     pub cnc: HeadlessLinuxCnc,
     /// Messages of LinuxCNC and the component from before the bridge was there.
     pub told_at_start: String,
@@ -73,7 +73,7 @@ impl Rig {
     fn start() -> Result<Option<Self>> {
         // Somebody else may use it for a while.
         let Some(linuxcnc) = setup::ensure_linuxcnc()? else { return Ok(None) };
-        let bridge = Bridge::start(&machine()?)?;
+        let bridge = RigBridge::start(&machine()?)?;
         bridge.plug(false);
         let mut cnc = control::start(linuxcnc, &bridge.address(), &[])?;
         cnc.wait_for_pins(

@@ -267,7 +267,7 @@ fn emulators(mark: &str) -> Vec<u32> {
 }
 
 /// A virtual bridge that serves.
-pub struct Bridge {
+pub struct BridgeProcess {
     /// The process of `cargo virtual`.
     pub command: Running,
     /// The process of its emulator.
@@ -275,7 +275,7 @@ pub struct Bridge {
     address: String,
 }
 
-impl Bridge {
+impl BridgeProcess {
     /// Starts `virtual` with these arguments on a free port and waits until it serves.
     pub fn start(arguments: &[&str]) -> Result<Self> {
         Self::start_at("127.0.0.1:0", arguments)

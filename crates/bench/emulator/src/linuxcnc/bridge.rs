@@ -7,7 +7,7 @@
 //! | sensor | blocks of 20 codes through the front end | volts at the converter's pin, TIM3, ADC1, DMA |
 //! | temperatures | the converters' words | ohms behind MAX31865 on SPI |
 //! | the CNC's line | CAN through pipes, `SlcanAdapter` | the image's own SLCAN on USART1 |
-//! | its second is | a second of the wall, or less | `Bridge::time_stretch` seconds of the wall |
+//! | its second is | a second of the wall, or less | `EmulatedBridge::time_stretch` seconds of the wall |
 //! | two hours | are lived through by the board | are the machine's: it lives faster than the board |
 //!
 //! The model cannot outrun the wall, so what is slow there is the time of everything: LinuxCNC's feeds are
@@ -85,12 +85,12 @@ enum Board {
 }
 
 /// A running bridge.
-pub struct Bridge {
+pub struct EmulatedBridge {
     board: Board,
     wiring: Wiring,
 }
 
-impl Bridge {
+impl EmulatedBridge {
     /// Switches it on.
     ///
     /// # Errors
@@ -140,7 +140,7 @@ impl Bridge {
         }
     }
 
-    /// Returns the channels of the thermometers, in the order in which [`Bridge::advance`] gives them where there is no board.
+    /// Returns the channels of the thermometers, in the order in which [`EmulatedBridge::advance`] gives them where there is no board.
     #[must_use]
     pub fn temperature_channels(&self) -> Vec<u8> {
         self.wiring.temperatures.values().map(|input| input.channel).collect()

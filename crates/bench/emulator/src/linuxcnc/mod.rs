@@ -64,7 +64,7 @@ use trueup_machine::{Machine, MachineFile, compile};
 use trueup_twin::machine::Machine as Twin;
 
 use self::{
-    bridge::{Bridge, BridgeImages, Wiring},
+    bridge::{BridgeImages, EmulatedBridge, Wiring},
     figures::{Figures, RunRecord},
     headless::HeadlessLinuxCnc,
     machine_measurement::{LOOP_SEED, MeasuredMachine},
@@ -168,7 +168,7 @@ pub fn run(way: CompensationRoute) -> Result<Option<Figures>> {
     let sensor = inputs.sensor.as_ref().context("the machine file has a sensor")?;
     let temperatures = inputs.temperatures.clone();
     let wiring = Wiring { temperatures, divider: sensor.divider, seed: SEED };
-    let bridge = Bridge::start(images, wiring)?;
+    let bridge = EmulatedBridge::start(images, wiring)?;
     let slower = bridge.time_stretch();
     if slower > 1 {
         announce(&format!(

@@ -30,7 +30,7 @@ use std::{
 use anyhow::{Context as _, Result, anyhow, bail};
 use trueup_twin::machine::{DriveCommand, Machine};
 
-use super::bridge::Bridge;
+use super::bridge::EmulatedBridge;
 use crate::board::MAX_BATCH_BLOCKS;
 
 /// At real time the board may fall behind the clock by this much before its time slips. Compressed time
@@ -148,7 +148,7 @@ impl Plant {
     ///
     /// # Errors
     /// The bridge listens nowhere.
-    pub fn start(bridge: Bridge, twin: Machine) -> Result<Self> {
+    pub fn start(bridge: EmulatedBridge, twin: Machine) -> Result<Self> {
         let (address, slower) = (bridge.address()?, bridge.time_stretch());
         let (library, channels) =
             (bridge.component_library().map(Path::to_path_buf), bridge.temperature_channels());
@@ -331,7 +331,7 @@ impl SimulationLoop {
         }
     }
 
-    fn run(mut self, mut bridge: Bridge) -> Result<FrameCounts> {
+    fn run(mut self, mut bridge: EmulatedBridge) -> Result<FrameCounts> {
         let mut owed_ms = 0.0;
         let mut last = Instant::now();
         while !self.shared.stop.load(Ordering::Relaxed) {
@@ -381,13 +381,13 @@ impl SimulationLoop {
     }
 
     /// Returns whether both halves of the CNC, its real-time part and the component, have just been received.
-    fn is_cnc_alive(&self, bridge: &Bridge) -> bool {
+    fn is_cnc_alive(&self, bridge: &EmulatedBridge) -> bool {
         let moves = self.heard.is_some_and(|heard| heard.elapsed() < CNC_SILENCE_TIMEOUT);
         moves && bridge.has_received_within(CNC_SILENCE_TIMEOUT)
     }
 
     /// Lets the board live through this many milliseconds of the machine as it stands.
-    fn advance(&mut self, bridge: &mut Bridge, ms: u64, factor: u32) -> Result<()> {
+    fn advance(&mut self, bridge: &mut EmulatedBridge, ms: u64, factor: u32) -> Result<()> {
         let shown = self.with.temperatures_c().into_iter();
         let celsius = shown.map(|(column, shown_c)| (column.to_owned(), shown_c)).collect();
         bridge.advance(ms, factor, || self.with.sensor_volts().unwrap_or(0.0), &celsius)?;
