@@ -359,7 +359,7 @@ fn run_chip(mut options: Vec<String>) -> Result<()> {
 fn print_names(count: usize, seed: u64) -> Result<()> {
     let (names, of) = structure::names::draw_names(&setup::project_root(), count, seed)?;
     trueup_output::write_line(format_args!("{count} of {of} names, --seed {seed}"));
-    for structure::names::DeclaredName { kind, name, place } in names {
+    for structure::names::DeclaredName { kind, name, place, .. } in names {
         trueup_output::write_line(format_args!("{kind:<7} {name:<40} {place}"));
     }
     Ok(())

@@ -17,6 +17,7 @@ pub mod names;
 mod public_items;
 mod source;
 mod thresholds;
+mod type_names;
 mod undeclared_modules;
 
 use std::{collections::BTreeMap, fmt::Write as _, fs, path::Path};
@@ -56,6 +57,8 @@ struct Limits {
     unseen: usize,
     /// Ignored tests that are of no tier.
     without_tier: usize,
+    /// Names of types with several meanings.
+    ambiguous: usize,
     /// Closure arguments that do not say what they are.
     placeholders: usize,
     /// Public items that nothing outside their crate names.
@@ -80,6 +83,7 @@ const LIMITS: Limits = Limits {
     cut_tables: 0,
     unseen: 0,
     without_tier: 0,
+    ambiguous: 0,
     placeholders: 0,
     public: 0,
     places: 2,
@@ -90,8 +94,8 @@ const LIMITS: Limits = Limits {
 /// Lines of code that the project aims at.
 const TARGET_CODE_LINES: usize = 110_000;
 
-/// How many files with the most counted words are named.
-const MAX_LISTED_FILES: usize = 8;
+/// How many files with the most counted words, and names with the most meanings, are listed.
+const MAX_LISTED: usize = 8;
 
 /// What was found, as text, and the counts above their limit.
 #[derive(Default)]
@@ -184,6 +188,12 @@ pub fn check(root: &Path) -> Result<String> {
     ] {
         report.write_places(what, &found, limit)?;
     }
+    let ambiguous = type_names::find_ambiguous_names(&sources);
+    let what = "names of types with more than two definitions outside tests";
+    report.write_count(what, ambiguous.len(), LIMITS.ambiguous)?;
+    for name in ambiguous.iter().take(MAX_LISTED) {
+        writeln!(report.text, "    {name}")?;
+    }
     let what = format!("places that name {cause} outside its page, the list, the twin and tests");
     report.write_places(&what, &places, LIMITS.places)?;
     let thresholds = thresholds::count_thresholds(
@@ -259,7 +269,7 @@ fn write_language(text: &mut String, language: &LanguageReport) -> Result<Vec<St
         over.push("doc comments of functions that begin with a verb, below their limit".to_owned());
     }
     writeln!(text, "most of these words:")?;
-    for (file, count) in language.files.iter().take(MAX_LISTED_FILES) {
+    for (file, count) in language.files.iter().take(MAX_LISTED) {
         writeln!(text, "    {count:5}  {file}")?;
     }
     Ok(over)

@@ -19,6 +19,8 @@ pub struct DeclaredName {
     pub name: String,
     /// `file:line`.
     pub place: String,
+    /// True if it is declared inside another item.
+    pub is_indented: bool,
 }
 
 /// Returns the names of all items that are not there for tests, in the order of their places.
@@ -26,7 +28,7 @@ fn all_declared_names(sources: &[SourceFile]) -> Vec<DeclaredName> {
     sources.iter().filter(|source| !source.is_test()).flat_map(declared_names).collect()
 }
 
-fn declared_names(source: &SourceFile) -> Vec<DeclaredName> {
+pub(super) fn declared_names(source: &SourceFile) -> Vec<DeclaredName> {
     let mut found = Vec::new();
     let mut is_of_a_test = false;
     for (line, text) in source.code.lines().enumerate() {
@@ -53,7 +55,12 @@ fn declared_names(source: &SourceFile) -> Vec<DeclaredName> {
             })
         });
         if let Some((kind, name)) = declared.filter(|_| is_item) {
-            found.push(DeclaredName { kind, name, place: format!("{}:{}", source.path, line + 1) });
+            found.push(DeclaredName {
+                kind,
+                name,
+                place: format!("{}:{}", source.path, line + 1),
+                is_indented: text.starts_with(' '),
+            });
         }
     }
     found
