@@ -4,7 +4,7 @@
 
 use rtic::Mutex;
 use trueup_modbus::{
-    holding::{self, Block},
+    holding::{self, HoldingBlock},
     input,
     server::{Busy, RegisterStore},
 };
@@ -23,7 +23,7 @@ impl<N: Mutex<T = &'static mut Node<'static>>> RegisterStore for SharedRegisters
     }
 
     fn write_holding_registers(&mut self, registers: &holding::Registers) -> Result<(), Busy> {
-        let block = Block::from_registers(registers);
+        let block = HoldingBlock::from_registers(registers);
         if self.0.lock(|node| node.receive_block(&block))? {
             for value in block.commands() {
                 self.0.lock(|node| node.receive_command(value));

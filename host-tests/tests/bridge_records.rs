@@ -31,7 +31,7 @@ use trueup_machine::{
 use trueup_node::node::{Interface, Node};
 use trueup_twin::{
     Scenario,
-    machine::{DriveCommand, Machine as Truth},
+    machine::{DriveCommand, SimulatedMachine as Truth},
 };
 
 /// Of the machine file: the counts at 10 V go to 0.33 of the ADC's range.

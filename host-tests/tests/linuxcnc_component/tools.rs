@@ -14,7 +14,7 @@ use trueup_emulator::{linuxcnc::headless::HeadlessLinuxCnc, setup};
 use trueup_machine::MachineFile;
 use trueup_twin::{
     Scenario,
-    machine::{DriveCommand, Machine as Twin},
+    machine::{DriveCommand, SimulatedMachine as Twin},
     noise::rms,
 };
 

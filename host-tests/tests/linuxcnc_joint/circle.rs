@@ -29,7 +29,7 @@ use trueup_emulator::{
 use trueup_twin::{
     Scenario,
     instrument::Instrument,
-    machine::{DriveCommand, Machine},
+    machine::{DriveCommand, SimulatedMachine},
 };
 
 use super::{
@@ -200,7 +200,7 @@ fn cut(cnc: &mut HeadlessLinuxCnc, with_bridge: bool) -> Result<Vec<[f64; 2]>> {
 
 /// Where the tool tip is in each servo cycle, in mm.
 fn tips(cycles: &[[f64; 2]], scenario: &Scenario) -> Vec<[f64; 2]> {
-    let mut machine = Machine::new(scenario, 1);
+    let mut machine = SimulatedMachine::new(scenario, 1);
     let tip = |&[x, y]: &[f64; 2]| {
         machine
             .step(CYCLE_S, &DriveCommand { position_mm: [x, y, 0.0], ..DriveCommand::default() });

@@ -46,7 +46,7 @@ use trueup_program::{
 use trueup_twin::{
     Scenario,
     instrument::Instrument,
-    machine::{DriveCommand, Machine},
+    machine::{DriveCommand, SimulatedMachine},
 };
 
 /// Recorder of its commands in each servo cycle.
@@ -87,7 +87,7 @@ const PATIENCE_S: u64 = 30;
 
 /// Reads a row: what the template does not give comes from the machine and its instruments.
 fn read<'n>(
-    machine: &mut Machine,
+    machine: &mut SimulatedMachine,
     instruments: &mut BTreeMap<&'n str, Instrument>,
     (names, row): (&[&'n str], &str),
     began_s: f64,
@@ -127,7 +127,7 @@ fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Resu
     let mut filled = format!("{header}\n");
     let mut rows = table.zip(plan.readings());
 
-    let mut machine = Machine::new(scenario, 1);
+    let mut machine = SimulatedMachine::new(scenario, 1);
     let mut instruments: BTreeMap<&str, Instrument> = names
         .iter()
         .filter(|name| name.starts_with("measured_"))

@@ -2,7 +2,7 @@
 
 use trueup_store::{
     StoreError,
-    calibration_store::{CalibrationStore, ScanResult},
+    calibration_store::{CalibrationScan, CalibrationStore},
 };
 
 use super::Flash;
@@ -23,7 +23,7 @@ impl Store {
         mut feed: impl FnMut(),
     ) -> (Self, Option<&'static [u8]>, bool) {
         let (mut slots, found) = CalibrationStore::open(flash, base, buffer);
-        let ScanResult { newest, foreign, damaged, newer_is_damaged } = found;
+        let CalibrationScan { newest, foreign, damaged, newer_is_damaged } = found;
         if foreign > 0 {
             defmt::info!("stored calibrations of other images, not used: {}", foreign);
         }

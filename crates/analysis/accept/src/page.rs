@@ -1,7 +1,7 @@
 //! The printable page: passed or not, what to change, the two runs as a picture, part by part.
 
 use trueup_page::{
-    Chart, Colour, Origin, Page, Series, Table, choose_time_unit, format_micrometres,
+    Chart, Colour, HtmlTable, Origin, Page, Series, choose_time_unit, format_micrometres,
     format_with_interval,
 };
 
@@ -54,7 +54,7 @@ pub(crate) fn render_html(
     page.add_charts(&[build_chart(it).to_figure()]);
     if !it.advice.changes.is_empty() {
         page.add_heading("Constants to change");
-        let mut table = Table::new(&["constant", "from", "to", "95 %"]);
+        let mut table = HtmlTable::new(&["constant", "from", "to", "95 %"]);
         for change in &it.advice.changes {
             // As many digits as the interval has; what the file has, as it has it.
             let (to, interval) = match change.ci95 {
@@ -74,7 +74,8 @@ pub(crate) fn render_html(
         page.add_table(&table);
     }
     page.add_heading("Part by part");
-    let mut table = Table::new(&[unit.as_str(), "RMS without", "RMS with", "gone", "largest with"]);
+    let mut table =
+        HtmlTable::new(&[unit.as_str(), "RMS without", "RMS with", "gone", "largest with"]);
     for part in &it.parts {
         table.add_row(&[
             format!("{:.1} … {:.1}", part.from / divisor, part.to / divisor),

@@ -1,6 +1,6 @@
 //! A comparison and a trend as pages with pictures.
 
-use trueup_page::{Chart, Colour, Origin, Page, Series, Table, format_micrometres};
+use trueup_page::{Chart, Colour, HtmlTable, Origin, Page, Series, format_micrometres};
 
 use crate::{
     compare::{Comparison, PositionDifference},
@@ -41,7 +41,7 @@ pub fn build_comparison_page(it: &Comparison, [a, b]: [&str; 2], origin: &Origin
     };
     page.add_charts(&[chart.to_figure()]);
     page.add_heading("Place by place");
-    let mut table = Table::new(&["mm", "direction", "difference, µm", "95 %, µm", "readings"]);
+    let mut table = HtmlTable::new(&["mm", "direction", "difference, µm", "95 %, µm", "readings"]);
     for PositionDifference { at_mm, direction, difference_um, half_width_um, readings: [a, b] } in
         &it.places
     {
@@ -86,7 +86,7 @@ pub fn build_trends_page(trends: &[Trend], folder: &str, origin: &Origin) -> Str
         .to_figure()
     };
     page.add_charts(&trends.iter().map(picture).collect::<Vec<_>>());
-    let mut table = Table::new(&["constant", "day", "value", "95 %"]);
+    let mut table = HtmlTable::new(&["constant", "day", "value", "95 %"]);
     for it in trends {
         for point in &it.points {
             let half = point.half_width.map_or("–".into(), |half| format!("± {half:.2}"));

@@ -21,7 +21,7 @@ use trueup_machine::{
 use trueup_numerics::{least_squares::Solution, robust};
 
 use crate::{
-    lagged_regression::{self, LaggedRegression, Term},
+    lagged_regression::{self, LaggedRegression, LawColumn},
     pooled_rows::{self, PooledRows},
     report::{Fact, FitVerdict, Parameter, Report, ResidualStatistics},
 };
@@ -167,7 +167,7 @@ fn fit_by_temperature(
     check_input_variation(rows, &column, &temperature_c, &is_used, 4)?;
 
     let starts = rows.restart_flags(time_s.as_deref());
-    let terms = [Term::Constant, Term::Warm];
+    let terms = [LawColumn::Constant, LawColumn::Warm];
     let design = LaggedRegression::new(time_s.as_deref(), &temperature_c, &starts, &terms, &[]);
     let (groups, by) = rows.cross_validation_groups(&is_used);
     let fitted = design

@@ -25,7 +25,7 @@ const MIN_LAG_GAIN: f64 = 0.02;
 
 /// One column of the law.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Term {
+pub(crate) enum LawColumn {
     /// 1 in each row: a constant of the law.
     Constant,
     /// L_τ(T) − T̄, in °C.
@@ -41,7 +41,7 @@ pub(crate) struct LaggedRegression<'a> {
     time_s: Option<&'a [f64]>,
     temperature_c: &'a [f64],
     starts: &'a [bool],
-    terms: &'a [Term],
+    terms: &'a [LawColumn],
     positions: &'a [f64],
     /// T̄: near the middle of what was measured, so that the columns are far from dependent.
     pub(crate) mean_c: f64,
@@ -69,7 +69,7 @@ impl<'a> LaggedRegression<'a> {
         time_s: Option<&'a [f64]>,
         temperature_c: &'a [f64],
         starts: &'a [bool],
-        terms: &'a [Term],
+        terms: &'a [LawColumn],
         positions: &'a [f64],
     ) -> Self {
         let present = || temperature_c.iter().filter(|t| !t.is_nan());
@@ -108,10 +108,10 @@ impl<'a> LaggedRegression<'a> {
             for (row, value) in column.iter_mut().enumerate() {
                 let warm = lagged[row] - self.mean_c;
                 *value = match term {
-                    Term::Constant => 1.0,
-                    Term::Warm => warm,
-                    Term::Position => self.positions[row],
-                    Term::WarmPosition => self.positions[row] * warm,
+                    LawColumn::Constant => 1.0,
+                    LawColumn::Warm => warm,
+                    LawColumn::Position => self.positions[row],
+                    LawColumn::WarmPosition => self.positions[row] * warm,
                 };
             }
         }

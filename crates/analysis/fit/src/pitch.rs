@@ -65,7 +65,7 @@ use self::{
         add_statistics, add_warnings, interpolation_caveat, rejection_reasons, suggest_measurement,
         write_pitch_section,
     },
-    table::Grid,
+    table::TargetGrid,
 };
 use crate::{
     iso230::{Iso230Results, TargetReadings},
@@ -235,7 +235,7 @@ fn check_coverage(
     }
     if let Some(step_mm) = options.step_mm
         && !(step_mm > 0.0
-            && Grid::with_step(&readings.targets_mm, step_mm).points <= MAX_TABLE_POINTS)
+            && TargetGrid::with_step(&readings.targets_mm, step_mm).points <= MAX_TABLE_POINTS)
     {
         let rule = format!(
             "cannot have a table with a step of {step_mm} mm: it must be above 0 and give at most \

@@ -44,7 +44,7 @@ use crate::{
     elongation::{
         add_residual_statistics, check_input_variation, judge_fit, resolve_temperature_column,
     },
-    lagged_regression::{LaggedFit, LaggedRegression, Term},
+    lagged_regression::{LaggedFit, LaggedRegression, LawColumn},
     pooled_rows::{self, PooledRows},
     report::{Fact, Parameter, Report, ResidualStatistics},
 };
@@ -317,11 +317,13 @@ impl ThermalData {
 }
 
 /// Returns the columns of a mode, K₀'s first.
-fn mode_terms(mode: ThermalMode) -> &'static [Term] {
+fn mode_terms(mode: ThermalMode) -> &'static [LawColumn] {
     match mode {
-        ThermalMode::Constant => &[Term::Constant, Term::Warm],
-        ThermalMode::Position => &[Term::Position, Term::WarmPosition],
-        ThermalMode::Both => &[Term::Constant, Term::Warm, Term::Position, Term::WarmPosition],
+        ThermalMode::Constant => &[LawColumn::Constant, LawColumn::Warm],
+        ThermalMode::Position => &[LawColumn::Position, LawColumn::WarmPosition],
+        ThermalMode::Both => {
+            &[LawColumn::Constant, LawColumn::Warm, LawColumn::Position, LawColumn::WarmPosition]
+        }
     }
 }
 

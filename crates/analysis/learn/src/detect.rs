@@ -67,7 +67,7 @@ const MIN_THERMOMETER_SHARE: f64 = -0.5;
 const MIN_SEPARATION_SIGMAS: f64 = 4.0;
 
 /// A reading, for the search.
-pub(crate) struct Row<'a> {
+pub(crate) struct DetectionRow<'a> {
     /// Sensitivities: of the zero, of each constant.
     pub g: &'a [f64],
     /// Effect of each thermometer per unit share, in µm.
@@ -132,7 +132,7 @@ pub(crate) struct DetectedChange {
 
 /// Returns the best explanation of `rows`, which begin at an instant; `None` where nothing is certain.
 pub(crate) fn find_best_explanation(
-    rows: &[Row<'_>],
+    rows: &[DetectionRow<'_>],
     before: &PriorBelief,
     is_certain: bool,
 ) -> Option<DetectedChange> {
@@ -194,7 +194,7 @@ pub(crate) fn find_best_explanation(
 }
 
 /// Returns true if nothing has happened since an earlier instant than that of `rows`, whose belief `before` is.
-pub(crate) fn is_explained_by_prior(rows: &[Row<'_>], before: &PriorBelief) -> bool {
+pub(crate) fn is_explained_by_prior(rows: &[DetectionRow<'_>], before: &PriorBelief) -> bool {
     let PredictionResiduals { e, sigma, .. } = compute_residuals(rows, before);
     max_log_likelihood_gain(&e, sigma) < MIN_EVENT_LOG_ODDS
 }
@@ -210,10 +210,11 @@ struct PredictionResiduals {
 }
 
 /// Computes what `before` leaves of `rows`.
-fn compute_residuals(rows: &[Row<'_>], before: &PriorBelief) -> PredictionResiduals {
+fn compute_residuals(rows: &[DetectionRow<'_>], before: &PriorBelief) -> PredictionResiduals {
     let squares: f64 = before.unknown_um.iter().map(|um| um * um).sum();
     let unknown_um = (squares / rows.len() as f64).sqrt();
-    let predicted = |row: &Row<'_>| row.g.iter().zip(&before.x).map(|(g, x)| g * x).sum::<f64>();
+    let predicted =
+        |row: &DetectionRow<'_>| row.g.iter().zip(&before.x).map(|(g, x)| g * x).sum::<f64>();
     let e = rows.iter().map(|row| row.y_um - predicted(row)).collect();
     let scatter_um = before.scatter_um[0];
     let more = (unknown_um.powi(2) - (TYPICAL_UNCERTAINTY_RATIO * scatter_um).powi(2)).max(0.0);
@@ -352,10 +353,10 @@ mod tests {
     fn found(um: impl Fn(usize, f64) -> f64, levels: &[f64]) -> Option<DetectedChange> {
         let noise = [1.1, -0.7, 0.4, -1.3, 0.2, 0.9, -0.5];
         let g: Vec<[f64; 2]> = levels.iter().map(|growth| [1.0, *growth]).collect();
-        let rows: Vec<Row<'_>> = g
+        let rows: Vec<DetectionRow<'_>> = g
             .iter()
             .enumerate()
-            .map(|(n, g)| Row { g, h: &[], y_um: um(n, g[1]) + noise[n % 7] })
+            .map(|(n, g)| DetectionRow { g, h: &[], y_um: um(n, g[1]) + noise[n % 7] })
             .collect();
         let before = PriorBelief {
             x: vec![0.0; 2],
@@ -402,8 +403,8 @@ mod tests {
         let share = |size: f64| {
             let rises = [-20.0, 30.0, -25.0, 35.0, -30.0, 28.0];
             let h: Vec<[f64; 1]> = rises.map(|rise| [rise]).into();
-            let rows: Vec<Row<'_>> =
-                h.iter().map(|h| Row { g: &[1.0], h, y_um: size * h[0] }).collect();
+            let rows: Vec<DetectionRow<'_>> =
+                h.iter().map(|h| DetectionRow { g: &[1.0], h, y_um: size * h[0] }).collect();
             let before = PriorBelief {
                 x: vec![0.0],
                 constants: Vec::new(),

@@ -1,7 +1,7 @@
 //! The present belief: the checkpoint, advanced by the readings of the window and the events among them.
 
 use crate::{
-    detect::{self, DetectedChange, PriorBelief, Row},
+    detect::{self, DetectedChange, DetectionRow, PriorBelief},
     event::Action,
     filter::FilterOutcome,
     filter_bank::FilterBank,
@@ -111,14 +111,18 @@ fn window_rows<'a>(
     [index, end]: [usize; 2],
     own: Option<u64>,
     bank: &FilterBank,
-) -> Option<(Vec<Row<'a>>, PriorBelief)> {
+) -> Option<(Vec<DetectionRow<'a>>, PriorBelief)> {
     let kept = memory.window.get(index..end)?;
     let rows = kept
         .iter()
         .enumerate()
         .map(|(n, kept)| {
             let sequence = memory.first + (index + n) as u64;
-            Row { g: &kept.g, h: &kept.h, y_um: corrected_reading(memory, kept, sequence, own) }
+            DetectionRow {
+                g: &kept.g,
+                h: &kept.h,
+                y_um: corrected_reading(memory, kept, sequence, own),
+            }
         })
         .collect();
     let constants = memory.constants.iter().enumerate();

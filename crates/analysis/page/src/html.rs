@@ -146,7 +146,7 @@ impl Page {
     }
 
     /// A table.
-    pub fn add_table(&mut self, table: &Table) {
+    pub fn add_table(&mut self, table: &HtmlTable) {
         self.body.push_str(&table.to_html());
     }
 
@@ -188,12 +188,12 @@ pub fn commands_html<T: AsRef<str>>(what: &str, lines: &[T]) -> String {
 
 /// A table.
 #[derive(Clone, Debug, Default)]
-pub struct Table {
+pub struct HtmlTable {
     head: Vec<String>,
     rows: Vec<Vec<String>>,
 }
 
-impl Table {
+impl HtmlTable {
     /// Returns a table with these columns.
     #[must_use]
     pub fn new<T: Display>(head: &[T]) -> Self {
@@ -230,7 +230,7 @@ mod tests {
     fn a_page_stands_alone_and_what_a_user_wrote_is_text() {
         let mut page = Page::new("A <script>");
         page.add_card("good", "All right", &["1 < 2"]);
-        let mut table = Table::new(&["a", "b"]);
+        let mut table = HtmlTable::new(&["a", "b"]);
         table.add_row(&["<b>", "2"]);
         page.add_table(&table);
         let html = page.to_html();

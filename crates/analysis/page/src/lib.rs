@@ -23,7 +23,7 @@ mod polar;
 pub use bars::BarChart;
 pub use chart::{Chart, Colour, Series};
 pub use forest::{ForestPlot, ForestRow, ValueWithInterval};
-pub use html::{NEXT_COMMANDS_HEADING, Page, Table, commands_html, escape_html};
+pub use html::{HtmlTable, NEXT_COMMANDS_HEADING, Page, commands_html, escape_html};
 pub use number::{
     choose_time_unit, decimals_for_half_width, format_micrometres, format_significant,
     format_with_interval,

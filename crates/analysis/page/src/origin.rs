@@ -1,6 +1,6 @@
 //! The foot of a page with its origin: without it a print is worth nothing a year later.
 
-use crate::html::{Page, Table, escape_html};
+use crate::html::{HtmlTable, Page, escape_html};
 
 /// Of what, when and by which version a page was made.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -28,7 +28,7 @@ impl Page {
 
     /// Lines to be filled in by hand: who has measured what by what, and who answers for it.
     pub fn add_signature_block(&mut self) {
-        let mut table = Table::new(&["to be filled in", ""]);
+        let mut table = HtmlTable::new(&["to be filled in", ""]);
         for what in [
             "Machine, serial number",
             "Instrument, its number",

@@ -8,7 +8,7 @@ use std::path::Path;
 
 use trueup_twin::{
     instrument::Instrument,
-    machine::{DriveCommand, Machine},
+    machine::{DriveCommand, SimulatedMachine},
     noise::RandomStream,
     scenario::Scenario,
     table::RunTable,
@@ -119,7 +119,7 @@ impl AxisTrial {
     #[must_use]
     pub fn run(&self, acts: &[TrialStep], day: u64) -> (String, f64) {
         let seed = self.seed.wrapping_mul(1000).wrapping_add(day);
-        let mut machine = Machine::new(&self.scenario, seed);
+        let mut machine = SimulatedMachine::new(&self.scenario, seed);
         let mut instrument = Instrument::new(&self.scenario.instrument, "dx", seed);
         let mut at_mm = self.scenario.start_mm[0];
         let mut direction = 0.0;

@@ -29,7 +29,7 @@ const CANDIDATE_LAGS_S: [f64; 13] = [
 const MAX_LAWS: usize = 3;
 
 /// A record, and what the file says of it.
-pub struct PredictedRecord<'r> {
+pub(crate) struct PredictedRecord<'r> {
     /// Its columns.
     pub run: &'r RunFile,
     /// Rows in which the gauge was read.

@@ -2,7 +2,7 @@
 
 use trueup_diagnose::{Diagnosis, Verdict, report::Finding};
 use trueup_page::{
-    BarChart, Chart, Colour, Page, Series, Table, choose_time_unit, format_micrometres,
+    BarChart, Chart, Colour, HtmlTable, Page, Series, choose_time_unit, format_micrometres,
     format_significant,
 };
 
@@ -56,7 +56,7 @@ fn add_act_two(page: &mut Page, two: &ActTwoResult) {
     add_verdict(page, &two.diagnosis);
     page.add_charts(&[second_day_chart(two).to_figure(), envelope_chart(two).to_figure()]);
     page.add_subheading("The envelope opened");
-    let mut table = Table::new(&["hidden", "size", "named by", "found", "value", "95 %"]);
+    let mut table = HtmlTable::new(&["hidden", "size", "named by", "found", "value", "95 %"]);
     for fault in &it.faults {
         let mut cells =
             vec![fault.fault.to_string(), format!("{:.1}", fault.ratio), fault.causes.join(" or ")];
@@ -152,7 +152,7 @@ fn add_act_one(page: &mut Page, one: &ActOneResult) {
     page.add_charts(&render_charts(one));
     add_findings(page, &one.diagnosis.report.findings);
     let mut table =
-        Table::new(&["measured, µm", "bridge as it is", "off by", "extended", "off by"]);
+        HtmlTable::new(&["measured, µm", "bridge as it is", "off by", "extended", "off by"]);
     for row in one.rows.iter().step_by(one.rows.len().div_ceil(MAX_TABLE_ROWS).max(1)) {
         table.add_row(&[
             format!("{:.1}", row.dial_um),
@@ -218,7 +218,7 @@ pub(crate) fn add_findings(page: &mut Page, findings: &[Finding]) {
         let open = if finding.claimed { "" } else { " (not settled)" };
         page.add_subheading(&format!("{}{open}", console_text::finding_name(finding)));
         page.add_list(&finding.evidence);
-        let mut table = Table::new(&["", "value", "95 %"]);
+        let mut table = HtmlTable::new(&["", "value", "95 %"]);
         for (name, parameter) in &finding.parameters {
             if let Some(value) = parameter["value"].as_f64() {
                 let end = |index: usize| {

@@ -53,7 +53,7 @@ struct ExpectedState {
 
 /// The content of both flashes, and what was promised.
 #[derive(Clone)]
-struct Board {
+struct PowerCutBoard {
     records: StrictFlash<RECORDS_SECTOR_BYTES>,
     slots: StrictFlash<SLOT_BYTES>,
     promised: ExpectedState,
@@ -64,7 +64,7 @@ struct Board {
 /// The power was cut.
 struct PowerCut;
 
-impl Board {
+impl PowerCutBoard {
     /// Version 1 runs in slot A, confirmed; as many other states were stored before.
     fn new(seed: u32, before: u32) -> Self {
         let files = [signed_image(Slot::A, 1, 0), signed_image(Slot::B, 2, 2)];
@@ -193,7 +193,7 @@ impl Board {
 }
 
 /// Returns how many bytes a story burns from here.
-fn count_written_bytes(board: &Board, story: ImageFate) -> usize {
+fn count_written_bytes(board: &PowerCutBoard, story: ImageFate) -> usize {
     const UNLIMITED_BYTES: usize = usize::MAX / 2;
     let supply = PowerSupply::with_byte_budget(UNLIMITED_BYTES);
     assert!(board.clone().run_scenario(&supply, story).is_ok(), "the supply lasts");
@@ -202,7 +202,7 @@ fn count_written_bytes(board: &Board, story: ImageFate) -> usize {
 
 /// Cuts at every word, and again at each `step`-th word of what follows; gives the number of pairs.
 fn cut_power_twice(story: ImageFate, seed: u32, before: u32, step: usize) -> usize {
-    let start = Board::new(seed, before);
+    let start = PowerCutBoard::new(seed, before);
     let all = count_written_bytes(&start, story);
     let mut pairs = 0;
     for first in (0..=all).step_by(4) {

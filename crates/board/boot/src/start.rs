@@ -64,7 +64,7 @@ pub struct StartSelection {
 
 /// A slot that may start.
 #[derive(Clone, Copy)]
-struct Candidate {
+struct SlotCandidate {
     image: Image,
     status: ImageStatus,
 }
@@ -87,14 +87,14 @@ pub fn select_image<R: NorFlash, S: ReadNorFlash, K: VerifyingKey>(
     let state = evaluate_trial(journal.state(), &headers, ending);
     journal.commit(state).ok();
     let candidates = order_candidates(&state, &headers);
-    let mut holds = |candidate: &Candidate, is_trusted: bool| {
+    let mut holds = |candidate: &SlotCandidate, is_trusted: bool| {
         let key = if is_trusted && candidate.status.is_verified() { None } else { Some(key) };
         check_image(slots, &candidate.image, key, &mut between).is_ok()
     };
     let is_slow = clock == ClockSpeed::Slow;
     let all = || candidates.iter().flatten();
     // On a slow clock first those whose signature is known to hold; a slow start is better than none.
-    let known = |candidate: &&Candidate| {
+    let known = |candidate: &&SlotCandidate| {
         candidate.status.is_eligible() && (!is_slow || candidate.status.is_verified())
     };
     let chosen = all().filter(known).find(|candidate| holds(candidate, is_slow));
@@ -102,7 +102,7 @@ pub fn select_image<R: NorFlash, S: ReadNorFlash, K: VerifyingKey>(
     let other = all().find(|candidate| candidate.image != chosen.image);
     let is_newest =
         other.is_none_or(|other| other.image.header.version <= chosen.image.header.version);
-    let start = |candidate: &Candidate, reason| {
+    let start = |candidate: &SlotCandidate, reason| {
         let other = all().find(|other| other.image != candidate.image).map(|other| other.status);
         Some(StartSelection { image: candidate.image, reason, other })
     };
@@ -157,13 +157,13 @@ fn evaluate_trial(
 fn order_candidates(
     state: &BootState,
     headers: &[Result<Image, ImageDefect>; 2],
-) -> [Option<Candidate>; 2] {
+) -> [Option<SlotCandidate>; 2] {
     let [a, b] = Slot::ALL.map(|slot| {
         let image = (*slot.element_of(headers)).ok()?;
-        Some(Candidate { image, status: state.status(slot, image.tag) })
+        Some(SlotCandidate { image, status: state.status(slot, image.tag) })
     });
-    let rank = |candidate: Option<Candidate>| {
-        candidate.map(|Candidate { image, status }| {
+    let rank = |candidate: Option<SlotCandidate>| {
+        candidate.map(|SlotCandidate { image, status }| {
             (status.is_eligible(), image.header.version, status == ImageStatus::Confirmed)
         })
     };

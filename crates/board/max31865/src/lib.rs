@@ -143,7 +143,7 @@ impl ConverterReading {
 
 /// The step that comes next.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum Step {
+enum ConversionStep {
     #[default]
     Clear,
     StartCheck,
@@ -157,7 +157,7 @@ enum Step {
 /// One converter: the sequence of its turns, and its newest reading.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Converter {
-    step: Step,
+    step: ConversionStep,
     reading: ConverterReading,
     mains: MainsFrequency,
 }
@@ -184,51 +184,59 @@ impl Converter {
             BIAS_ON_3_WIRE | if self.mains == MainsFrequency::Hz50 { FILTER_50_HZ } else { 0 };
         let mut configure = |bits: u8| transfer(&mut [WRITE_BIT, ready | bits]);
         self.step = match self.step {
-            Step::Clear => {
+            ConversionStep::Clear => {
                 let [a, b, c, d] = FAULT_THRESHOLDS;
                 let sent = configure(CLEAR_FAULTS)
                     && transfer(&mut [WRITE_BIT | THRESHOLD_REGISTER, a, b, c, d]);
-                if sent { Step::StartCheck } else { self.record_failure(ConverterReading::Missing) }
+                if sent {
+                    ConversionStep::StartCheck
+                } else {
+                    self.record_failure(ConverterReading::Missing)
+                }
             }
-            Step::StartCheck => match configure(RUN_FAULT_DETECTION) {
-                true => Step::EndCheck,
+            ConversionStep::StartCheck => match configure(RUN_FAULT_DETECTION) {
+                true => ConversionStep::EndCheck,
                 false => self.record_failure(ConverterReading::Missing),
             },
-            Step::EndCheck => match Registers::read(ready, &mut transfer) {
+            ConversionStep::EndCheck => match ConverterRegisters::read(ready, &mut transfer) {
                 Err(failure) => self.record_failure(failure),
-                Ok(_) if transfer(&mut [WRITE_BIT, ready | AUTO_CONVERSION]) => Step::Settle,
+                Ok(_) if transfer(&mut [WRITE_BIT, ready | AUTO_CONVERSION]) => {
+                    ConversionStep::Settle
+                }
                 Ok(_) => self.record_failure(ConverterReading::Missing),
             },
-            Step::Settle => {
+            ConversionStep::Settle => {
                 if self.reading == ConverterReading::Missing {
                     self.reading = ConverterReading::Starting;
                 }
-                Step::Read { left: READINGS_PER_FAULT_CHECK }
+                ConversionStep::Read { left: READINGS_PER_FAULT_CHECK }
             }
-            Step::Read { left } => match Registers::read(ready | AUTO_CONVERSION, &mut transfer) {
-                Err(failure) => self.record_failure(failure),
-                Ok(registers) => {
-                    self.reading = ConverterReading::Good(registers.resistance());
-                    match left.saturating_sub(1) {
-                        0 => Step::Clear,
-                        left => Step::Read { left },
+            ConversionStep::Read { left } => {
+                match ConverterRegisters::read(ready | AUTO_CONVERSION, &mut transfer) {
+                    Err(failure) => self.record_failure(failure),
+                    Ok(registers) => {
+                        self.reading = ConverterReading::Good(registers.resistance());
+                        match left.saturating_sub(1) {
+                            0 => ConversionStep::Clear,
+                            left => ConversionStep::Read { left },
+                        }
                     }
                 }
-            },
+            }
         };
         self.reading
     }
 
-    fn record_failure(&mut self, reading: ConverterReading) -> Step {
+    fn record_failure(&mut self, reading: ConverterReading) -> ConversionStep {
         self.reading = reading;
-        Step::Clear
+        ConversionStep::Clear
     }
 }
 
 /// All registers, as they were read.
-struct Registers([u8; REGISTER_COUNT]);
+struct ConverterRegisters([u8; REGISTER_COUNT]);
 
-impl Registers {
+impl ConverterRegisters {
     /// Reads them. A converter whose configuration or thresholds are not as they were set is not
     /// there.
     fn read(

@@ -120,7 +120,7 @@ fn good(reading: ConverterReading) -> i64 {
 #[test]
 fn the_data_sheets_examples_are_met() {
     // Table 5: ratio 0.5 is 0x8000, 0.125 is 0x2000; the lowest bit is the fault's.
-    let at = |high, low| Registers([0, high, low, 0, 0, 0, 0, 0]).resistance();
+    let at = |high, low| ConverterRegisters([0, high, low, 0, 0, 0, 0, 0]).resistance();
     assert_eq!(at(0x80, 0x00), MicroOhms(215_000_000));
     assert_eq!(at(0x20, 0x01), MicroOhms(53_750_000));
     assert_eq!(at(0xFF, 0xFE), MicroOhms(429_986_877));

@@ -189,13 +189,13 @@ pub enum BlockRejectReason {
 
 /// A block, with what it says apart from the blocks before it: what takes time is done once, before it is taken.
 #[derive(Clone, Copy, Debug)]
-pub struct Block {
+pub struct HoldingBlock {
     registers: Registers,
     /// [`Refused::Damaged`] or [`Refused::Malformed`] where it says nothing.
     said: Result<CncData, BlockRejectReason>,
 }
 
-impl Block {
+impl HoldingBlock {
     /// Returns a block with its CRCs checked and its values decoded.
     #[must_use]
     pub fn from_registers(registers: &Registers) -> Self {
@@ -242,7 +242,7 @@ impl Checker {
     /// # Errors
     /// The block must not be used. After [`BlockRejectReason::WrongSequence`] the next in order is taken.
     pub fn accept(&mut self, registers: &Registers) -> Result<CncData, BlockRejectReason> {
-        let block = Block::from_registers(registers);
+        let block = HoldingBlock::from_registers(registers);
         self.accept_block(&block).copied()
     }
 
@@ -250,7 +250,10 @@ impl Checker {
     ///
     /// # Errors
     /// As there.
-    pub fn accept_block<'b>(&mut self, block: &'b Block) -> Result<&'b CncData, BlockRejectReason> {
+    pub fn accept_block<'b>(
+        &mut self,
+        block: &'b HoldingBlock,
+    ) -> Result<&'b CncData, BlockRejectReason> {
         if !block.has_valid_crc() {
             return Err(BlockRejectReason::Damaged);
         }

@@ -59,7 +59,7 @@ use master::Master;
 use reference_status::OfferedReference;
 pub use reference_status::ZeroOutcome;
 use registers::RegisterExchange;
-use service_switch::ServiceSwitch;
+use service_switch::SwitchDebouncer;
 use write_journal::WriteJournal;
 
 /// The frames of one tick: both halves of a cycle's offsets.
@@ -121,7 +121,7 @@ pub struct Node<'a> {
     /// So was a learned change, and `Control` was not received without one since.
     learned_refused: bool,
     supply: SupplyMonitor,
-    switch: ServiceSwitch,
+    switch: SwitchDebouncer,
 }
 
 /// When the next heartbeat is due.
@@ -220,7 +220,7 @@ impl<'a> Node<'a> {
             zero_refused: false,
             learned_refused: false,
             supply: SupplyMonitor::default(),
-            switch: ServiceSwitch::default(),
+            switch: SwitchDebouncer::default(),
         }
     }
 

@@ -83,7 +83,7 @@ pub struct StoredCalibration {
 
 /// The calibrations found in the flash.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct ScanResult {
+pub struct CalibrationScan {
     /// The newest calibration that was loaded over this image.
     pub newest: Option<StoredCalibration>,
     /// Calibrations that were loaded over other images.
@@ -108,8 +108,8 @@ impl<F: NorFlash> CalibrationStore<F> {
     /// Looks at all of the flash. `base` is the calibration of the image, `None` for one with the
     /// example's constants; each stored calibration is read into `buffer` of [`MAX_BLOB_SIZE`] bytes and
     /// checked.
-    pub fn open(flash: F, base: Option<u32>, buffer: &mut [u8]) -> (Self, ScanResult) {
-        let mut found = ScanResult::default();
+    pub fn open(flash: F, base: Option<u32>, buffer: &mut [u8]) -> (Self, CalibrationScan) {
+        let mut found = CalibrationScan::default();
         let (mut half, mut only): (Option<Half>, _) = (None, RecordCounts::default());
         // The largest number of a damaged one, and of any record before each head that is none.
         let (mut last, mut damaged) = (0, None);

@@ -10,7 +10,8 @@ use anyhow::Result;
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
 use trueup_export::{
-    ExportOptions, ExportedTable, Format, LengthUnit, OmittedSection, Report, export, fanuc::Series,
+    ExportOptions, ExportReport, ExportedTable, Format, LengthUnit, OmittedSection, export,
+    fanuc::Series,
 };
 
 use crate::{
@@ -200,7 +201,11 @@ fn require_positive(option: &str, value: f64) -> Result<f64, UserError> {
     }
 }
 
-fn report_json(report: &Report, files: &[trueup_export::ExportedFile], folder: &Path) -> Value {
+fn report_json(
+    report: &ExportReport,
+    files: &[trueup_export::ExportedFile],
+    folder: &Path,
+) -> Value {
     let table = |table: &ExportedTable| {
         json!({
             "file": table.file,

@@ -29,7 +29,7 @@ pub use args::Fit;
 
 use self::args::{
     Backlash, CommonArgs, Elongation, ElongationSourceArg, FitInputArgs, FitKind, Method, Pitch,
-    PositionArgs, Straightness, TableMode, Thermal, ThermalModeArg, Warmup,
+    PositionArgs, StraightnessArgs, TableMode, Thermal, ThermalModeArg, Warmup,
 };
 use crate::{Outcome, UserError, commands, files, origin, output, runs};
 
@@ -45,7 +45,7 @@ pub fn run(args: &Fit, as_json: bool) -> Result<Outcome> {
         FitKind::Table1(args) => return table1::run(args, as_json),
         FitKind::Circle(args) => return circle::run(args, as_json),
         FitKind::Volume(args) => return volume::run(args, as_json),
-        FitKind::Straightness(Straightness { common, .. })
+        FitKind::Straightness(StraightnessArgs { common, .. })
         | FitKind::Pitch(Pitch { common, .. })
         | FitKind::Backlash(Backlash { common, .. })
         | FitKind::Elongation(Elongation { common, .. })
@@ -155,7 +155,7 @@ impl FitInput {
     }
 }
 
-fn run_straightness_fit(input: &FitInput, args: &Straightness) -> Result<Report> {
+fn run_straightness_fit(input: &FitInput, args: &StraightnessArgs) -> Result<Report> {
     let options = straightness::StraightnessFitOptions {
         method: match args.method {
             Method::LeastSquares => straightness::FitMethod::LeastSquares,

@@ -13,7 +13,7 @@ use clap::{Args, Subcommand};
 use trueup_compare::dated;
 use trueup_fleet::{
     html_page, result, series,
-    store::Store,
+    store::FleetStore,
     structure,
     worker::{self, JobCounts, JobStatus, WorkerOptions},
 };
@@ -210,7 +210,7 @@ fn diagnose(args: &DiagnoseArgs, as_json: bool) -> Result<Outcome> {
     let (store, mut notes) = match args.place.open()? {
         FleetBackend::Folder(store) => (store, Vec::new()),
         FleetBackend::Server(remote) => {
-            let store = Store::create(&args.out.join("copy"))?;
+            let store = FleetStore::create(&args.out.join("copy"))?;
             let damaged = remote.fetch_results(&store).map_err(|error| match error.kind() {
                 io::ErrorKind::AlreadyExists => UserError(error.to_string()).into(),
                 _ => anyhow::Error::from(error),

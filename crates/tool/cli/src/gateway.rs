@@ -19,11 +19,11 @@ use trueup_client::{
     port::Port,
 };
 use trueup_gateway::{
-    bridge::{self, SharedState},
+    bridge::{self, SharedHub},
     health::{self, PlcStatus, SharedPlcStatus},
-    journal::Journal,
+    journal::JournalLimiter,
     modbus, rtu,
-    s7::{self, Target, client::CpuAddress},
+    s7::{self, BlockAddress, client::CpuAddress},
 };
 
 use trueup_machine::compile;
@@ -140,7 +140,7 @@ pub fn run(command: &Command) -> Result<Outcome> {
     if let Some(why) = pinned.refusal() {
         trueup_output::write_diagnostic(format_args!("warning: {why}"));
     }
-    let shared = SharedState::new(stop.clone(), pinned);
+    let shared = SharedHub::new(stop.clone(), pinned);
     let ended = match command {
         Command::Modbus { bridge, serial: Some(device), baud, parity, unit, .. } => {
             let parity = match parity {
@@ -161,7 +161,7 @@ pub fn run(command: &Command) -> Result<Outcome> {
                 OutputMode::Offsets => s7::Mode::Offsets,
                 OutputMode::Slope => s7::Mode::Slope,
             };
-            run_s7(&shared, bridge, &Target { place, db: *db, period, mode })
+            run_s7(&shared, bridge, &BlockAddress { place, db: *db, period, mode })
         }
     };
     stop.store(true, Ordering::Relaxed);
@@ -192,16 +192,13 @@ fn resolve_listen_addresses(listen: &str) -> Result<Vec<SocketAddr>> {
     Ok(resolved.map_err(|error| wrong(error.to_string()))?.collect())
 }
 
-fn start_bridge_thread(
-    shared: &SharedState,
-    bridge: &BridgeArgs,
-) -> Result<thread::JoinHandle<()>> {
+fn start_bridge_thread(shared: &SharedHub, bridge: &BridgeArgs) -> Result<thread::JoinHandle<()>> {
     let port = Port::parse(&bridge.port)?;
     Ok(bridge::spawn_bridge_thread(shared.clone(), move || port.open()))
 }
 
 fn run_modbus(
-    shared: &SharedState,
+    shared: &SharedHub,
     bridge: &BridgeArgs,
     listen: &[SocketAddr],
     unit: u8,
@@ -237,7 +234,7 @@ fn run_modbus(
 }
 
 fn run_rtu(
-    shared: &SharedState,
+    shared: &SharedHub,
     bridge: &BridgeArgs,
     line: rtu::SerialSettings,
     unit: u8,
@@ -259,7 +256,7 @@ fn run_rtu(
     Ok(outcome)
 }
 
-fn run_s7(shared: &SharedState, bridge: &BridgeArgs, target: &Target) -> Result<Outcome> {
+fn run_s7(shared: &SharedHub, bridge: &BridgeArgs, target: &BlockAddress) -> Result<Outcome> {
     let line = start_bridge_thread(shared, bridge)?;
     if bridge.once {
         let hears = wait_for_bridge(shared);
@@ -279,7 +276,7 @@ fn run_s7(shared: &SharedState, bridge: &BridgeArgs, target: &Target) -> Result<
 }
 
 /// Returns whether the bridge is received within a few seconds.
-fn wait_for_bridge(shared: &SharedState) -> bool {
+fn wait_for_bridge(shared: &SharedHub) -> bool {
     let start = Instant::now();
     while start.elapsed() < ONCE_TIMEOUT && !shared.is_stop_requested() {
         if shared.lock_hub().has_fresh_output(shared.now()) {
@@ -292,13 +289,13 @@ fn wait_for_bridge(shared: &SharedState) -> bool {
 
 /// Prints how both ends are, until the end; when, the journal decides.
 fn report_status(
-    shared: &SharedState,
+    shared: &SharedHub,
     bridge: &BridgeArgs,
     line: &thread::JoinHandle<()>,
     look: impl Fn() -> PlcStatus,
     take: impl Fn() -> PlcStatus,
 ) -> Result<Outcome> {
-    let mut journal = Journal::new(bridge.watch);
+    let mut journal = JournalLimiter::new(bridge.watch);
     while !shared.is_stop_requested() && !line.is_finished() {
         // Not with the hub held: the reader of the messages may be slow.
         let messages = shared.lock_hub().take_messages();

@@ -101,13 +101,13 @@ fn find_min_breakpoints(x: &[f64], columns: &[Vec<f64>], epsilon: f64) -> Vec<us
 
 /// Points of equal distance.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Grid {
+pub(crate) struct PointGrid {
     pub start_mm: f64,
     pub step_mm: f64,
     pub points: usize,
 }
 
-impl Grid {
+impl PointGrid {
     pub fn position_mm(&self, index: usize) -> f64 {
         self.start_mm + self.step_mm * index as f64
     }
@@ -252,11 +252,11 @@ mod tests {
     #[test]
     fn an_equidistant_grid_is_as_coarse_as_the_tolerance_allows() {
         let bow = |mm: f64| mm * (1000.0 - mm) / 250_000.0 * 10.0;
-        let grid = Grid::with_tolerance((0.0, 1000.0), 1e-4, 0.1, 5000, bow);
+        let grid = PointGrid::with_tolerance((0.0, 1000.0), 1e-4, 0.1, 5000, bow);
         // A parabola of 10 µm over n intervals is off by 10/n².
         assert!((11..=14).contains(&grid.points), "{grid:?}");
         assert!(grid.end_mm() >= 1000.0 && grid.end_mm() < 1000.01);
-        assert_eq!(Grid::with_tolerance((0.0, 1000.0), 1e-4, 0.1, 4, bow).points, 4);
-        assert_eq!(Grid::with_tolerance((0.0, 1000.0), 1e-4, 0.1, 5000, |mm| mm).points, 2);
+        assert_eq!(PointGrid::with_tolerance((0.0, 1000.0), 1e-4, 0.1, 4, bow).points, 4);
+        assert_eq!(PointGrid::with_tolerance((0.0, 1000.0), 1e-4, 0.1, 5000, |mm| mm).points, 2);
     }
 }

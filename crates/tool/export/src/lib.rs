@@ -39,7 +39,7 @@ use std::{borrow::Cow, collections::BTreeMap, error::Error, fmt};
 
 use trueup_machine::{Machine, model::apply_constant_terms};
 
-pub use report::{Approach, Difference, ExportedTable, OmittedSection, Report};
+pub use report::{Approach, Difference, ExportReport, ExportedTable, OmittedSection};
 
 /// The control that is exported to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -159,7 +159,7 @@ pub struct Export {
     /// The files for the control, in the order in which they are loaded.
     pub files: Vec<ExportedFile>,
     /// The report on their content, and how well it fits the model.
-    pub report: Report,
+    pub report: ExportReport,
 }
 
 /// Nothing of the model can be held by the control.
@@ -202,7 +202,7 @@ pub fn export(
     machine.terms.iter_mut().for_each(|term| term.effect = term.effect.without_feed());
     let machine = &machine;
     let mut export =
-        Export { files: Vec::new(), report: Report::new(format, &machine.name, options) };
+        Export { files: Vec::new(), report: ExportReport::new(format, &machine.name, options) };
     let mut left_out = axis_errors::unsupported_terms(machine, options);
     if format != Format::Isg {
         left_out.extend(axis_errors::unsupported_volume_terms(machine, format));

@@ -19,7 +19,7 @@ use std::fmt::Write as _;
 use trueup_machine::{Machine, file::LinearAxis};
 
 use crate::{
-    Export, ExportOptions, ExportedFile, ExportedTable, Report,
+    Export, ExportOptions, ExportReport, ExportedFile, ExportedTable,
     axis_errors::{DriveError, collect_cross_axis_errors, collect_drive_errors},
     grid::{
         comparison_positions_mm, find_largest_residual, interpolate_linear, select_breakpoints,
@@ -172,7 +172,7 @@ fn export_drive(drive: &DriveError<'_>, options: &ExportOptions, export: &mut Ex
     export.files.push(ExportedFile { name, text });
 }
 
-fn omit_unsupported(machine: &Machine, report: &mut Report) {
+fn omit_unsupported(machine: &Machine, report: &mut ExportReport) {
     for cross in collect_cross_axis_errors(machine) {
         let reason =
             "LinuxCNC's tables correct a joint by its own position only; the bridge corrects this";
@@ -186,7 +186,7 @@ fn omit_unsupported(machine: &Machine, report: &mut Report) {
 }
 
 /// The parts of the model that change while the machine runs, for controls with nothing for them.
-pub(crate) fn omit_thermal_terms(machine: &Machine, report: &mut Report, reason: &str) {
+pub(crate) fn omit_thermal_terms(machine: &Machine, report: &mut ExportReport, reason: &str) {
     for axis in LinearAxis::ALL {
         if machine.axes[axis.index()].thermal.is_some() {
             report.add_omitted_section(format!("axis.{}.thermal", axis.name()), reason);

@@ -85,7 +85,7 @@ pub struct OmittedSection {
 
 /// Report of what was exported, and what was not.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Report {
+pub struct ExportReport {
     /// The control.
     pub format: Format,
     /// The machine's name.
@@ -100,7 +100,7 @@ pub struct Report {
     pub notes: Vec<String>,
 }
 
-impl Report {
+impl ExportReport {
     pub(crate) fn new(format: Format, machine: &str, options: &ExportOptions) -> Self {
         Self {
             format,
@@ -137,7 +137,7 @@ impl Report {
     }
 }
 
-impl Display for Report {
+impl Display for ExportReport {
     /// The companion report, plain text; without a line break at its end.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { machine, options, .. } = self;

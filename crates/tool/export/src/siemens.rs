@@ -35,7 +35,7 @@ pub use read_back::{LookupTable, Variables};
 use crate::{
     Export, ExportOptions, ExportedFile, LengthUnit,
     axis_errors::{CrossAxisError, DriveError, collect_cross_axis_errors, collect_drive_errors},
-    grid::Grid,
+    grid::PointGrid,
     number_format::format_number,
     report::Approach,
 };
@@ -134,7 +134,7 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
 /// A part that is written, to be compared once it is read back.
 struct PlannedTable<'m> {
     part: ModelPart<'m>,
-    grid: Grid,
+    grid: PointGrid,
     constant_um: f64,
     /// The indices of its CEC tables; none for an encoder table or a backlash.
     cec: Vec<usize>,
@@ -162,14 +162,14 @@ fn write_drive_table<'m>(
         (Some(pitch), _) if pitch.forward_um.len() <= most => {
             // A table of one point holds everywhere; a control's table has two ends.
             let points = pitch.forward_um.len().max(2);
-            (Grid { start_mm: pitch.start_mm, step_mm: pitch.step_mm, points }, false)
+            (PointGrid { start_mm: pitch.start_mm, step_mm: pitch.step_mm, points }, false)
         }
         (_, [first, .., last]) => {
             // Half of the tolerance is left for the rounding.
             let grids = Approach::BOTH.map(|approach| {
                 let error_um = |mm| drive.error_um(mm, approach);
                 let tolerance_um = options.tolerance_um / 2.0;
-                Grid::with_tolerance(
+                PointGrid::with_tolerance(
                     (*first, *last),
                     POSITION_INCREMENT_MM,
                     tolerance_um,
@@ -181,7 +181,7 @@ fn write_drive_table<'m>(
             let grid = if a.points < b.points { b } else { a };
             (grid, grid.points == most)
         }
-        _ => (Grid { start_mm: 0.0, step_mm: 0.0, points: 0 }, false),
+        _ => (PointGrid { start_mm: 0.0, step_mm: 0.0, points: 0 }, false),
     };
     let mut cec = Vec::new();
     let error_um = |mm: f64, approach| drive.error_um(mm, approach) - constant_um;
@@ -220,7 +220,7 @@ fn write_cross_axis_table<'m>(
     let error_um = |mm| cross.error_um(mm) - constant_um;
     let most = options.most_points.unwrap_or(MAX_CEC_POINTS).clamp(2, MAX_CEC_POINTS);
     // Half of the tolerance is left for the rounding.
-    let grid = Grid::with_tolerance(
+    let grid = PointGrid::with_tolerance(
         range_mm,
         POSITION_INCREMENT_MM,
         options.tolerance_um / 2.0,
@@ -248,7 +248,7 @@ struct CecTable<'a> {
     output: &'a str,
     /// `None`: the table serves both directions.
     approach: Option<Approach>,
-    grid: Grid,
+    grid: PointGrid,
 }
 
 fn push_line(text: &mut String, line: &str) {
@@ -261,7 +261,7 @@ impl FileContents {
         &mut self,
         options: &ExportOptions,
         axis: &str,
-        grid: Grid,
+        grid: PointGrid,
         error_um: impl Fn(f64) -> f64,
     ) {
         let points = format_table(options, grid, error_um);
@@ -323,7 +323,7 @@ struct FormattedTable {
 
 fn format_table(
     options: &ExportOptions,
-    grid: Grid,
+    grid: PointGrid,
     error_um: impl Fn(f64) -> f64,
 ) -> FormattedTable {
     let (unit_mm, decimals) = (options.units.mm_per_unit(), decimal_places(options.units));

@@ -1,7 +1,7 @@
 //! The series as one page: what to do first, the machines in a table, and each constant as a picture.
 
 use trueup_page::{
-    ForestPlot, ForestRow, Origin, Page, Table, format_significant, format_with_interval,
+    ForestPlot, ForestRow, HtmlTable, Origin, Page, format_significant, format_with_interval,
 };
 
 use crate::report::{Machine, SeriesConstant, SeriesReport};
@@ -45,7 +45,7 @@ pub fn render_html(series: &SeriesReport, folder: &str, origin: &Origin) -> Stri
     }
     if !series.causes.is_empty() {
         page.add_heading("Causes");
-        let mut table = Table::new(&["cause", "claimed on", "found on", "confirmed", ""]);
+        let mut table = HtmlTable::new(&["cause", "claimed on", "found on", "confirmed", ""]);
         for it in &series.causes {
             let confirmed = if it.confirmed { "yes" } else { "no" };
             let counts = [it.claimed_on.len(), it.found_on.len()].map(|count| count.to_string());
@@ -116,8 +116,9 @@ fn no_anomaly_sentences(series: &SeriesReport) -> Vec<String> {
     }]
 }
 
-fn machine_table(machines: &[Machine]) -> Table {
-    let mut table = Table::new(&["machine", "results", "newest", "verdict", "odd in", "drifts in"]);
+fn machine_table(machines: &[Machine]) -> HtmlTable {
+    let mut table =
+        HtmlTable::new(&["machine", "results", "newest", "verdict", "odd in", "drifts in"]);
     for it in machines {
         let results = it.results.to_string();
         let newest = it.newest.as_deref().unwrap_or("–");
@@ -127,8 +128,8 @@ fn machine_table(machines: &[Machine]) -> Table {
     table
 }
 
-fn constant_table(constants: &[&SeriesConstant]) -> Table {
-    let mut table = Table::new(&["constant", "machines", "mean", "95 %", "spread"]);
+fn constant_table(constants: &[&SeriesConstant]) -> HtmlTable {
+    let mut table = HtmlTable::new(&["constant", "machines", "mean", "95 %", "spread"]);
     for it in constants {
         let [mean, low, high] = format_with_interval(it.mean.value, it.mean.ci95);
         let spread = match it.by_ratios {

@@ -4,7 +4,7 @@ use std::{fmt, fs, io, path::Path};
 
 use serde::{Deserialize, Serialize};
 
-use crate::store::{CRC, Store, compute_checksum};
+use crate::store::{CRC, FleetStore, compute_checksum};
 
 /// A file of a job.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -164,7 +164,7 @@ impl Submission {
     ///
     /// # Errors
     /// The folder cannot be written, or has another job under this identifier.
-    pub fn submit(&self, store: &Store) -> io::Result<SubmittedJob> {
+    pub fn submit(&self, store: &FleetStore) -> io::Result<SubmittedJob> {
         let id = self.id();
         let target = store.job_folder(&id);
         if !target.exists() {
@@ -190,7 +190,7 @@ impl Job {
     ///
     /// # Errors
     /// It is missing or damaged.
-    pub fn read(store: &Store, id: &str) -> Result<Self, StoredJobError> {
+    pub fn read(store: &FleetStore, id: &str) -> Result<Self, StoredJobError> {
         let text = fs::read_to_string(store.job_folder(id).join("job.json"))
             .map_err(|error| StoredJobError::Unreadable("job.json".into(), error.to_string()))?;
         serde_json::from_str(&text).map_err(|error| StoredJobError::Form(error.to_string()))
@@ -262,7 +262,7 @@ mod tests {
     #[test]
     fn the_same_content_is_one_job_and_another_is_another() {
         let folder = tempfile::tempdir().expect("a folder");
-        let store = Store::create(folder.path()).expect("it is made");
+        let store = FleetStore::create(folder.path()).expect("it is made");
         let first = submission("a", b"1").submit(&store).expect("it is written");
         let mut again = submission("a", b"1");
         again.runs[0].path = "elsewhere/r.csv".into();
@@ -287,7 +287,7 @@ mod tests {
     #[test]
     fn a_flipped_bit_in_a_stored_run_is_found() {
         let folder = tempfile::tempdir().expect("a folder");
-        let store = Store::create(folder.path()).expect("it is made");
+        let store = FleetStore::create(folder.path()).expect("it is made");
         let id = submission("a", b"1").submit(&store).expect("it is written").id;
         let job = Job::read(&store, &id).expect("a job");
         assert_eq!(job.read_file(&store.job_folder(&id), &job.runs[0]).expect("it is read"), b"1");

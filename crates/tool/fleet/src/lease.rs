@@ -15,7 +15,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use crate::store::{Store, ignore_missing};
+use crate::store::{FleetStore, ignore_missing};
 
 /// Content of a lease whose owner has given it back.
 const RELEASED_MARKER: &str = "released";
@@ -59,13 +59,13 @@ impl LeaseMonitor {
 }
 
 /// Returns whether a lease was given back.
-pub(crate) fn is_released(store: &Store, id: &str, number: u64) -> bool {
+pub(crate) fn is_released(store: &FleetStore, id: &str, number: u64) -> bool {
     fs::read_to_string(lease_path(store, id, number))
         .is_ok_and(|content| content == RELEASED_MARKER)
 }
 
 /// Returns the newest lease of each job.
-pub(crate) fn find_newest(store: &Store) -> io::Result<NewestLeases> {
+pub(crate) fn find_newest(store: &FleetStore) -> io::Result<NewestLeases> {
     let mut newest = NewestLeases::new();
     for name in store.list("leases")? {
         if let Some((id, number)) = parse_file_name(&name) {
@@ -82,12 +82,12 @@ fn parse_file_name(name: &str) -> Option<(&str, u64)> {
 }
 
 /// Returns the file of a lease.
-pub(crate) fn lease_path(store: &Store, id: &str, number: u64) -> PathBuf {
+pub(crate) fn lease_path(store: &FleetStore, id: &str, number: u64) -> PathBuf {
     store.lease_path(&format!("{id}.{number}"))
 }
 
 /// Removes the leases of a job that has ended.
-pub(crate) fn remove_leases(store: &Store, id: &str) -> io::Result<()> {
+pub(crate) fn remove_leases(store: &FleetStore, id: &str) -> io::Result<()> {
     for name in store.list("leases")? {
         if parse_file_name(&name).is_some_and(|(of, _)| of == id) {
             fs::remove_file(store.lease_path(&name)).or_else(ignore_missing)?;
@@ -99,7 +99,7 @@ pub(crate) fn remove_leases(store: &Store, id: &str) -> io::Result<()> {
 impl Lease {
     /// Takes a job for the `number`-th time; none where another worker was faster.
     pub(crate) fn acquire(
-        store: &Store,
+        store: &FleetStore,
         id: &str,
         number: u64,
         worker: &str,
@@ -139,7 +139,7 @@ mod tests {
     #[test]
     fn one_of_two_workers_gets_a_job_and_a_still_counter_ends_its_lease() {
         let folder = tempfile::tempdir().expect("a folder");
-        let store = Store::create(folder.path()).expect("it is made");
+        let store = FleetStore::create(folder.path()).expect("it is made");
         let take = |number| Lease::acquire(&store, "a", number, "w").expect("it is written");
         let mut first = take(1).expect("nobody has it");
         assert!(take(1).is_none());

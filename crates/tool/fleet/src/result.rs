@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, fs, io};
 
 use serde::{Deserialize, Serialize};
 
-use crate::store::{Store, compute_checksum};
+use crate::store::{FleetStore, compute_checksum};
 
 /// A file of a result.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -52,7 +52,7 @@ pub struct StoredResults {
 ///
 /// # Errors
 /// The folder cannot be read.
-pub fn read_all(store: &Store) -> io::Result<StoredResults> {
+pub fn read_all(store: &FleetStore) -> io::Result<StoredResults> {
     let mut results = StoredResults::default();
     for id in store.list("results")? {
         match read_result(store, &id) {
@@ -65,7 +65,7 @@ pub fn read_all(store: &Store) -> io::Result<StoredResults> {
     Ok(results)
 }
 
-fn read_result(store: &Store, id: &str) -> Result<StoredResult, String> {
+fn read_result(store: &FleetStore, id: &str) -> Result<StoredResult, String> {
     let folder = store.result_folder(id);
     let unreadable = |name: &str, error: io::Error| format!("{name} cannot be read: {error}");
     let text = fs::read_to_string(folder.join("result.json"))

@@ -26,11 +26,11 @@ const SUBFOLDERS: [&str; 5] = ["jobs", "leases", "results", "failed", "tmp"];
 
 /// A fleet's folder.
 #[derive(Clone, Debug)]
-pub struct Store {
+pub struct FleetStore {
     root: PathBuf,
 }
 
-impl Store {
+impl FleetStore {
     /// Opens the folder, and makes what is missing of it.
     ///
     /// # Errors

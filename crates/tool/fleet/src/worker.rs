@@ -29,7 +29,7 @@ use crate::{
     job::{Job, JobFile, StoredJobError},
     lease::{self, Lease, LeaseMonitor},
     result::{JobResult, ResultFile},
-    store::{Store, compute_checksum},
+    store::{FleetStore, compute_checksum},
 };
 
 /// The longest pause before a worker looks for jobs again.
@@ -93,7 +93,7 @@ pub struct JobCounts {
 /// # Errors
 /// The folder cannot be read or written, or the diagnosis says that this worker cannot go on.
 pub fn run_workers(
-    store: &Store,
+    store: &FleetStore,
     options: WorkerOptions,
     diagnose: &DiagnoseFn<'_>,
 ) -> io::Result<JobCounts> {
@@ -132,7 +132,7 @@ pub(crate) fn run_threads(
 
 /// The threads of one process.
 struct WorkerThreads<'t> {
-    store: &'t Store,
+    store: &'t FleetStore,
     options: WorkerOptions,
     diagnose: &'t DiagnoseFn<'t>,
     watch: LeaseMonitor,
@@ -287,7 +287,7 @@ impl WorkerThreads<'_> {
 ///
 /// # Errors
 /// A file is missing or damaged.
-pub fn load_job(store: &Store, id: &str) -> Result<LoadedJob, StoredJobError> {
+pub fn load_job(store: &FleetStore, id: &str) -> Result<LoadedJob, StoredJobError> {
     let folder = store.job_folder(id);
     let job = Job::read(store, id)?;
     let bytes = |file: &JobFile| job.read_file(&folder, file);
@@ -302,7 +302,12 @@ pub fn load_job(store: &Store, id: &str) -> Result<LoadedJob, StoredJobError> {
 }
 
 /// Publishes the result of a job, unless it has one. Returns whether it was the first.
-fn publish_result(store: &Store, id: &str, job: &Job, files: &DiagnosisFiles) -> io::Result<bool> {
+fn publish_result(
+    store: &FleetStore,
+    id: &str,
+    job: &Job,
+    files: &DiagnosisFiles,
+) -> io::Result<bool> {
     let staged = store.create_staging_folder(&format!("result-{id}-"))?;
     let out = staged.path().join("out");
     fs::create_dir(&out)?;
@@ -356,7 +361,7 @@ pub struct JobStatus {
 ///
 /// # Errors
 /// The folder cannot be read.
-pub fn read_status(store: &Store) -> io::Result<FleetStatus> {
+pub fn read_status(store: &FleetStore) -> io::Result<FleetStatus> {
     let leases = lease::find_newest(store)?;
     let failed = store.list("failed")?;
     let mut status = FleetStatus::default();

@@ -9,7 +9,7 @@ use std::{
 use trueup_fleet::{
     job::{Request, Submission, SubmittedFile},
     result,
-    store::Store,
+    store::FleetStore,
     worker::{DiagnoseFn, DiagnosisError, JobCounts, WorkerOptions, read_status, run_workers},
 };
 
@@ -32,9 +32,9 @@ fn submission(run: &str) -> Submission {
     }
 }
 
-fn store_with(jobs: usize) -> (tempfile::TempDir, Store) {
+fn store_with(jobs: usize) -> (tempfile::TempDir, FleetStore) {
     let folder = tempfile::tempdir().expect("a folder");
-    let store = Store::create(folder.path()).expect("it is made");
+    let store = FleetStore::create(folder.path()).expect("it is made");
     for job in 0..jobs {
         submission(&job.to_string()).submit(&store).expect("it is written");
     }

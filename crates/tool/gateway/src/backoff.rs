@@ -5,7 +5,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use crate::bridge::SharedState;
+use crate::bridge::SharedHub;
 
 /// Before the first try; each further one waits twice as long.
 const INITIAL_DELAY: Duration = Duration::from_millis(250);
@@ -26,7 +26,7 @@ impl Default for Backoff {
 
 impl Backoff {
     /// Waits for it, or until the end; the next is twice as long.
-    pub fn wait(&mut self, shared: &SharedState) {
+    pub fn wait(&mut self, shared: &SharedHub) {
         let until = Instant::now() + self.0;
         while Instant::now() < until && !shared.is_stop_requested() {
             thread::sleep(POLL_INTERVAL.min(until.saturating_duration_since(Instant::now())));

@@ -33,14 +33,14 @@ pub(crate) struct LinkState {
 
 /// The hub, its clock, and the sign to stop: one for all threads.
 #[derive(Clone)]
-pub struct SharedState {
+pub struct SharedHub {
     hub: Arc<Mutex<Hub>>,
     line: Arc<Mutex<LinkState>>,
     stop: Arc<AtomicBool>,
     start: Instant,
 }
 
-impl SharedState {
+impl SharedHub {
     /// Returns a hub whose clock starts now. Everything ends when `stop` is set.
     #[must_use]
     pub fn new(stop: Arc<AtomicBool>, pinned: PinnedCalibration) -> Self {
@@ -92,7 +92,7 @@ impl Read for ThrottledReader {
 
 /// Keeps a line to the bridge, in a thread of its own, until the end.
 pub fn spawn_bridge_thread(
-    shared: SharedState,
+    shared: SharedHub,
     mut open: impl FnMut() -> io::Result<DuplexStream> + Send + 'static,
 ) -> JoinHandle<()> {
     thread::spawn(move || {

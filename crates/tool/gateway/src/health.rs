@@ -8,7 +8,7 @@ use trueup_link::status::StateBits;
 use trueup_modbus::holding::BlockRejectReason;
 
 use crate::{
-    bridge::SharedState,
+    bridge::SharedHub,
     hub::{REFUSED_CALIBRATION, REFUSED_STALE},
 };
 
@@ -53,7 +53,7 @@ impl SharedPlcStatus {
 
 /// Returns what a line says.
 #[must_use]
-pub fn build_status_line(shared: &SharedState, plc: &PlcStatus) -> Value {
+pub fn build_status_line(shared: &SharedHub, plc: &PlcStatus) -> Value {
     let now = shared.now();
     let bridge_line = shared.link_state();
     let hub = shared.lock_hub();

@@ -34,7 +34,7 @@ struct MemberChanges {
 
 /// Decides which lines are written.
 #[derive(Debug)]
-pub struct Journal {
+pub struct JournalLimiter {
     period: Duration,
     is_limited: bool,
     due: Option<Duration>,
@@ -44,7 +44,7 @@ pub struct Journal {
     pending: BTreeMap<String, MemberChanges>,
 }
 
-impl Journal {
+impl JournalLimiter {
     /// Creates a journal; `is_watched`: a line each second without a limit.
     #[must_use]
     pub fn new(is_watched: bool) -> Self {
@@ -145,7 +145,8 @@ mod tests {
 
     /// Writes a day in which the bridge is received as `is_heard` says; the entries.
     fn day(is_heard: impl Fn(u32) -> bool) -> Vec<String> {
-        let (mut journal, mut now, mut all) = (Journal::new(false), Duration::ZERO, Vec::new());
+        let (mut journal, mut now, mut all) =
+            (JournalLimiter::new(false), Duration::ZERO, Vec::new());
         let line =
             |is_heard: bool| json!({ "bridge": { "heard": is_heard, "state": "x".repeat(FILL) } });
         let lines = [line(false), line(true)];
@@ -204,7 +205,7 @@ mod tests {
 
     #[test]
     fn a_message_that_is_withheld_is_counted_and_one_who_watches_sees_all() {
-        let mut journal = Journal::new(false);
+        let mut journal = JournalLimiter::new(false);
         let message = "x".repeat(10_000);
         let written = (0..30).filter(|_| journal.is_allowed(Duration::ZERO, &message)).count();
         assert_eq!(written, 24);
@@ -213,7 +214,7 @@ mod tests {
         let later = Duration::from_secs(3_000);
         assert!(journal.is_due(later, &line));
         assert!(journal.take_entry(later, line.clone()).contains("\"count\":6"));
-        let mut journal = Journal::new(true);
+        let mut journal = JournalLimiter::new(true);
         let seconds = (0..3_600).map(Duration::from_secs);
         let lines = seconds.filter(|now| {
             let is_due = journal.is_due(*now, &line);

@@ -22,7 +22,7 @@ use trueup_modbus::{
     },
 };
 
-use crate::{bridge::SharedState, hub::MasterId};
+use crate::{bridge::SharedHub, hub::MasterId};
 
 /// Masters at a time: as many as a small PLC has connections. One more is closed at once.
 pub(crate) const MAX_MASTERS: usize = 16;
@@ -59,7 +59,7 @@ impl MasterCounters {
 /// One master's view of the hub.
 pub(crate) struct HubView<'a> {
     /// The hub.
-    pub shared: &'a SharedState,
+    pub shared: &'a SharedHub,
     /// The master's number.
     pub master: MasterId,
 }
@@ -83,7 +83,7 @@ impl RegisterStore for HubView<'_> {
 ///
 /// # Errors
 /// The listener cannot be made non-blocking.
-pub fn serve(shared: SharedState, listener: TcpListener, unit: u8) -> io::Result<MasterCounters> {
+pub fn serve(shared: SharedHub, listener: TcpListener, unit: u8) -> io::Result<MasterCounters> {
     listener.set_nonblocking(true)?;
     let masters = MasterCounters::default();
     let all = masters.clone();
@@ -113,7 +113,7 @@ pub fn serve(shared: SharedState, listener: TcpListener, unit: u8) -> io::Result
 }
 
 fn serve_master(
-    shared: &SharedState,
+    shared: &SharedHub,
     mut stream: TcpStream,
     master: MasterId,
     unit: u8,

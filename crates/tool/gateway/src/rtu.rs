@@ -15,7 +15,7 @@ use trueup_modbus::{
     server::Response,
 };
 
-use crate::{backoff::Backoff, bridge::SharedState, health::SharedPlcStatus, modbus::HubView};
+use crate::{backoff::Backoff, bridge::SharedHub, health::SharedPlcStatus, modbus::HubView};
 
 /// How long a read waits: the silence is looked at so often.
 const READ_TIMEOUT: Duration = Duration::from_millis(2);
@@ -55,7 +55,7 @@ impl SerialSettings {
 
 /// Answers the master on a line until the end; one that breaks is opened again.
 pub fn serve(
-    shared: &SharedState,
+    shared: &SharedHub,
     mut open: impl FnMut() -> io::Result<DuplexStream>,
     unit: u8,
     end: &SharedPlcStatus,
@@ -79,7 +79,7 @@ pub fn serve(
 }
 
 fn serve_requests(
-    shared: &SharedState,
+    shared: &SharedHub,
     ends: DuplexStream,
     unit: u8,
     end: &SharedPlcStatus,
@@ -142,7 +142,7 @@ mod tests {
         let (mut master, slave) = TTYPort::pair().expect("this machine has pseudo terminals");
         master.set_timeout(Duration::from_secs(2)).expect("a terminal");
         let stop = Arc::new(AtomicBool::new(false));
-        let shared = SharedState::new(stop.clone(), PinnedCalibration::new(CalibrationPolicy::Any));
+        let shared = SharedHub::new(stop.clone(), PinnedCalibration::new(CalibrationPolicy::Any));
         let end = SharedPlcStatus::default();
         let (theirs, ours) = (shared.clone(), end.clone());
         let mut tries = 0;

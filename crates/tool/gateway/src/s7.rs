@@ -18,7 +18,7 @@ use trueup_modbus::{
     register_map::{HOLDING_LEN, WHOLE_HOLDING_LEN},
 };
 
-use crate::{backoff::Backoff, bridge::SharedState, health::SharedPlcStatus, hub::MASTER_TIMEOUT};
+use crate::{backoff::Backoff, bridge::SharedHub, health::SharedPlcStatus, hub::MASTER_TIMEOUT};
 use client::{Client, CpuAddress, Error};
 
 /// Where the holding block begins in the data block, in bytes.
@@ -31,7 +31,7 @@ const MASTER_ID: u64 = 0;
 
 /// Where the block is.
 #[derive(Clone, Debug)]
-pub struct Target {
+pub struct BlockAddress {
     /// The CPU.
     pub place: CpuAddress,
     /// The number of the data block.
@@ -53,7 +53,7 @@ pub enum Mode {
 }
 
 /// Writes and reads until the end.
-pub fn serve(shared: &SharedState, target: &Target, end: &SharedPlcStatus) {
+pub fn serve(shared: &SharedHub, target: &BlockAddress, end: &SharedPlcStatus) {
     if target.mode == Mode::Slope {
         shared.lock_hub().expect_slopes(shared.now());
     }
@@ -80,8 +80,8 @@ pub fn serve(shared: &SharedState, target: &Target, end: &SharedPlcStatus) {
 /// Writes and reads until something breaks; why, and whether anything was written. `None`: it is the
 /// end.
 fn exchange_blocks(
-    shared: &SharedState,
-    target: &Target,
+    shared: &SharedHub,
+    target: &BlockAddress,
     client: &mut Client,
     end: &SharedPlcStatus,
 ) -> (Option<Error>, bool) {
@@ -143,7 +143,7 @@ impl BlockChangeDetector {
 ///
 /// # Errors
 /// The CPU cannot be reached, has no such data block, or has not kept what was written.
-pub fn write_and_verify(shared: &SharedState, target: &Target) -> Result<(), Error> {
+pub fn write_and_verify(shared: &SharedHub, target: &BlockAddress) -> Result<(), Error> {
     let mut client = Client::connect(&target.place)?;
     let written = encode_input(shared, target.mode);
     client.write(target.db, 0, &written)?;
@@ -153,7 +153,7 @@ pub fn write_and_verify(shared: &SharedState, target: &Target) -> Result<(), Err
 }
 
 /// Returns the present input block.
-fn encode_input(shared: &SharedState, mode: Mode) -> Vec<u8> {
+fn encode_input(shared: &SharedHub, mode: Mode) -> Vec<u8> {
     let hub = shared.lock_hub();
     match mode {
         Mode::Offsets => encode_registers(&hub.input_registers()),
@@ -198,13 +198,13 @@ mod tests {
             answers.push(answer(reference, &[5, 1], &[0xFF]));
             answers.push(answer(reference + 1, &[4, 1], &data));
         }
-        let shared = SharedState::new(
+        let shared = SharedHub::new(
             Arc::new(AtomicBool::new(false)),
             PinnedCalibration::new(CalibrationPolicy::Any),
         );
         let place = cpu(answers, 1_000);
         let target =
-            Target { place, db: 900, period: Duration::from_millis(1), mode: Mode::Offsets };
+            BlockAddress { place, db: 900, period: Duration::from_millis(1), mode: Mode::Offsets };
         let mut client = Client::connect(&target.place).expect("a CPU");
         // It goes at its end.
         let (why, has_written) =

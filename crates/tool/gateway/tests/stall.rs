@@ -19,7 +19,7 @@ use trueup_core::{
     units::{Nanometres, Position},
 };
 use trueup_gateway::{
-    bridge::{SharedState, spawn_bridge_thread},
+    bridge::{SharedHub, spawn_bridge_thread},
     pinned_calibration::{CalibrationPolicy, PinnedCalibration},
 };
 use trueup_link::{frames, receiver::Receiver, slcan::Port};
@@ -134,7 +134,7 @@ fn stalls_for(stall: Duration) {
         stream.set_read_timeout(Some(20 * MS))?;
         Ok((Box::new(stream.try_clone()?), Box::new(stream)))
     };
-    let shared = SharedState::new(stop.clone(), PinnedCalibration::new(CalibrationPolicy::Any));
+    let shared = SharedHub::new(stop.clone(), PinnedCalibration::new(CalibrationPolicy::Any));
     let line = spawn_bridge_thread(shared.clone(), open);
     let begins = 1_500 * MS;
     let ends = begins + stall;

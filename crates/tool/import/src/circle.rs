@@ -7,7 +7,7 @@
 use crate::{
     answers::{Answers, Circle},
     column_meaning::slugify,
-    convert::Column,
+    convert::ConvertedColumn,
     layout::SourceTable,
 };
 
@@ -41,7 +41,7 @@ pub(crate) fn with_deviation_answer(layout: &SourceTable, answers: &Answers) -> 
 /// # Errors
 /// There is no column of angles, or none of deviations: the text names the option.
 pub(crate) fn convert_to_positions(
-    columns: &mut Vec<Column>,
+    columns: &mut Vec<ConvertedColumn>,
     circle: &Circle,
 ) -> Result<(), String> {
     let is_angle = |name: &str| {
@@ -72,7 +72,7 @@ pub(crate) fn convert_to_positions(
         .iter()
         .map(|value| if is_deg { value.to_radians() } else { *value })
         .collect();
-    let part = |axis: usize| Column {
+    let part = |axis: usize| ConvertedColumn {
         source: of_angle.source,
         name: format!("{}_mm", circle.axes[axis]),
         from: of_angle.from.clone(),
@@ -87,7 +87,7 @@ pub(crate) fn convert_to_positions(
             .collect(),
     };
     let mut places = vec![part(0), part(1)];
-    places.extend(circle.is_clockwise.map(|is_clockwise| Column {
+    places.extend(circle.is_clockwise.map(|is_clockwise| ConvertedColumn {
         source: of_angle.source,
         name: "dir".into(),
         from: String::new(),

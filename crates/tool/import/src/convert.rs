@@ -18,7 +18,7 @@ use crate::{
 };
 
 /// A column of the run file.
-pub(crate) struct Column {
+pub(crate) struct ConvertedColumn {
     /// Its number in the table.
     pub(crate) source: usize,
     pub(crate) name: String,
@@ -31,7 +31,7 @@ pub(crate) struct Column {
 
 /// The run file's columns and what is to be said about them.
 pub(crate) struct ConvertedRun {
-    pub(crate) columns: Vec<Column>,
+    pub(crate) columns: Vec<ConvertedColumn>,
     pub(crate) notes: Vec<String>,
     pub(crate) order: Option<DateOrder>,
 }
@@ -151,9 +151,9 @@ impl TableConverter<'_> {
         runs: Option<&[f64]>,
         answers: &Answers,
         notes: &mut Vec<String>,
-    ) -> Result<Option<Column>, ImportError> {
+    ) -> Result<Option<ConvertedColumn>, ImportError> {
         let column = |name: &str, from: &str, to: &str, values| {
-            Ok(Some(Column {
+            Ok(Some(ConvertedColumn {
                 source: at,
                 name: name.into(),
                 from: from.into(),
@@ -317,7 +317,7 @@ impl TableConverter<'_> {
         runs: Option<&[f64]>,
         answers: &Answers,
         notes: &mut Vec<String>,
-    ) -> Result<Option<Column>, ImportError> {
+    ) -> Result<Option<ConvertedColumn>, ImportError> {
         let header = &self.layout.columns[at].header;
         let raw = self.parse_numbers(at, unit)?;
         let there: Vec<f64> = raw.iter().copied().filter(|value| !value.is_nan()).collect();
@@ -359,6 +359,6 @@ impl TableConverter<'_> {
         notes.extend(found.notes);
         // As they were converted, without an hour that is summer time.
         let values = if answers.summer_time == Some(true) { found.values } else { seconds };
-        Ok(Some(Column { source: at, name: name.into(), from, to: "s".into(), values }))
+        Ok(Some(ConvertedColumn { source: at, name: name.into(), from, to: "s".into(), values }))
     }
 }

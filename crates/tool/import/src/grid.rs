@@ -266,7 +266,7 @@ fn split_rows(text: &str, separator: char, path: &Path) -> Result<Vec<Row>, BadI
     Ok(rows)
 }
 
-struct Field {
+struct TextField {
     text: String,
     /// In bytes, with the separator or line end after it.
     length: usize,
@@ -278,7 +278,7 @@ struct Field {
 }
 
 /// Returns the field that `rest` begins with; `None` for a quote without an end.
-fn next_field(rest: &str, separator: char) -> Option<Field> {
+fn next_field(rest: &str, separator: char) -> Option<TextField> {
     let is_end = |c: char| c == separator || c == '\n' || c == '\r';
     let blanks = rest.len() - rest.trim_start_matches([' ', '\t']).len();
     let is_quoted = separator != ' ' && rest[blanks..].starts_with('"');
@@ -317,7 +317,7 @@ fn next_field(rest: &str, separator: char) -> Option<Field> {
     } else {
         (separator.len_utf8(), false)
     };
-    Some(Field { text, length: after + ending, width, lines, is_last })
+    Some(TextField { text, length: after + ending, width, lines, is_last })
 }
 
 #[cfg(test)]

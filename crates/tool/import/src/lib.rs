@@ -175,7 +175,7 @@ pub fn is_foreign_format(bytes: &[u8], path: &Path) -> bool {
 }
 
 /// Returns the run file as text.
-fn format_run_file(columns: &[convert::Column], rows: usize) -> String {
+fn format_run_file(columns: &[convert::ConvertedColumn], rows: usize) -> String {
     let mut text = columns.iter().map(|column| column.name.as_str()).collect::<Vec<_>>().join(",");
     text.push('\n');
     for row in 0..rows {
@@ -206,7 +206,10 @@ fn map_error_to_source(error: BadInput, layout: &layout::SourceTable) -> BadInpu
     }
 }
 
-fn preview_column(column: &convert::Column, layout: &layout::SourceTable) -> ColumnPreview {
+fn preview_column(
+    column: &convert::ConvertedColumn,
+    layout: &layout::SourceTable,
+) -> ColumnPreview {
     let cells = layout.rows.iter().map(|row| row.cells[column.source].text());
     let there = cells.zip(&column.values).filter(|(_, value)| !value.is_nan());
     ColumnPreview {

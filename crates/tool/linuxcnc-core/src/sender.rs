@@ -43,7 +43,7 @@ const ZERO_HOLD_TIME: Duration = Duration::from_millis(100);
 
 /// Values to send.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct CommandValues {
+pub(crate) struct CommandValues {
     /// The CNC's permissions and requests, for `Control`.
     pub control: Control,
     /// Commanded positions of X, Y and Z in mm, without the external offset.

@@ -97,7 +97,7 @@ impl RequiredPin {
 }
 
 /// All pins of the component. Lengths at the pins are in the units of the .ini, temperatures in °C.
-pub(crate) struct Pins<'hal> {
+pub(crate) struct ComponentPins<'hal> {
     mm_per_unit: f64,
     enable: Pin<'hal, bool>,
     machine_on: Pin<'hal, bool>,
@@ -137,7 +137,7 @@ pub(crate) fn pid_pin_name(name: &str) -> String {
     format!("{name}.0.pid")
 }
 
-impl<'hal> Pins<'hal> {
+impl<'hal> ComponentPins<'hal> {
     /// Makes all pins of the component called `name`.
     ///
     /// # Errors

@@ -19,7 +19,7 @@ use trueup_link::status::StateBits;
 use crate::{
     component::{Component, ComponentOptions, Outputs},
     hal::{Hal, HalError},
-    pins::{Pins, pid_pin_name},
+    pins::{ComponentPins, pid_pin_name},
     record::RecordFile,
 };
 
@@ -70,7 +70,7 @@ pub fn run(
 ) -> Result<(), HalError> {
     let Settings { name, mm_per_unit, temperatures, calibration, pinned, turn, options } = settings;
     let hal = Hal::new(name, &pid_pin_name(name))?;
-    let pins = Pins::new(&hal, name, *mm_per_unit, *temperatures, &options.joints)?;
+    let pins = ComponentPins::new(&hal, name, *mm_per_unit, *temperatures, &options.joints)?;
     let line = Connection::spawn(open);
     let start = Instant::now();
     let mut component = Component::new(start.elapsed(), *options);

@@ -104,12 +104,12 @@ pub fn generate_program(plan: &Plan, control: Control) -> Result<(String, String
     };
     Ok(match control {
         Control::LinuxCnc => {
-            (format!("{name}.ngc"), text(Box::<linuxcnc::ProgramWriter>::default()))
+            (format!("{name}.ngc"), text(Box::<linuxcnc::LinuxcncWriter>::default()))
         }
-        Control::Fanuc => (format!("{name}.nc"), text(Box::<fanuc::ProgramWriter>::default())),
-        Control::Siemens => (format!("{name}.mpf"), text(Box::<siemens::ProgramWriter>::default())),
+        Control::Fanuc => (format!("{name}.nc"), text(Box::<fanuc::FanucWriter>::default())),
+        Control::Siemens => (format!("{name}.mpf"), text(Box::<siemens::SiemensWriter>::default())),
         Control::Heidenhain => {
-            (format!("{name}.h"), text(Box::<heidenhain::ProgramWriter>::default()))
+            (format!("{name}.h"), text(Box::<heidenhain::HeidenhainWriter>::default()))
         }
     })
 }

@@ -33,7 +33,7 @@ use trueup_machine::file::Quantity;
 use crate::{
     compensation_model::CompensationModel,
     indicator::IndicatorConfig,
-    state::{Action, Key, LinkState, ModelSource, State},
+    state::{Action, LinkState, ModelSource, PressedKey, ScreenState},
     view::{self, Theme},
 };
 
@@ -77,7 +77,7 @@ pub struct ScreenOptions {
 pub fn run(options: ScreenOptions) -> Result<bool> {
     let port = Port::parse(&options.port)?;
     let laws = options.machine.as_deref().map(CompensationModel::read).transpose()?;
-    let mut state = State::new(&options.port, options.quantity, options.indicator.is_some());
+    let mut state = ScreenState::new(&options.port, options.quantity, options.indicator.is_some());
     if let (Some(laws), Some(file)) = (laws, &options.machine) {
         let name = file.file_name().unwrap_or(file.as_os_str());
         state.source = ModelSource::File(name.to_string_lossy().into_owned());
@@ -121,7 +121,7 @@ pub fn run(options: ScreenOptions) -> Result<bool> {
 }
 
 struct EventLoop {
-    state: State,
+    state: ScreenState,
     options: ScreenOptions,
     port: Port,
     interface: String,
@@ -379,13 +379,15 @@ fn unused_recording_folder(now: SystemTime) -> PathBuf {
     PathBuf::from(format!("bridge-{stamp}"))
 }
 
-fn convert_key_event(event: KeyEvent) -> Option<Key> {
+fn convert_key_event(event: KeyEvent) -> Option<PressedKey> {
     Some(match event.code {
-        KeyCode::Char('c') if event.modifiers.contains(KeyModifiers::CONTROL) => Key::Interrupt,
-        KeyCode::Char(it) => Key::Char(it),
-        KeyCode::Enter => Key::Enter,
-        KeyCode::Esc => Key::Escape,
-        KeyCode::Backspace => Key::Backspace,
+        KeyCode::Char('c') if event.modifiers.contains(KeyModifiers::CONTROL) => {
+            PressedKey::Interrupt
+        }
+        KeyCode::Char(it) => PressedKey::Char(it),
+        KeyCode::Enter => PressedKey::Enter,
+        KeyCode::Esc => PressedKey::Escape,
+        KeyCode::Backspace => PressedKey::Backspace,
         _ => return None,
     })
 }

@@ -33,7 +33,7 @@ const MESSAGE_DURATION_S: f64 = 8.0;
 
 /// A key that was pressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Key {
+pub(crate) enum PressedKey {
     /// A character.
     Char(char),
     /// Return.
@@ -107,7 +107,7 @@ struct ReceptionTimes {
 }
 
 /// All that the screen knows.
-pub struct State {
+pub struct ScreenState {
     /// Where the bridge is, as the user wrote it.
     pub port: String,
     /// The line.
@@ -154,7 +154,7 @@ pub struct State {
     now_s: f64,
 }
 
-impl State {
+impl ScreenState {
     /// Before anything was learnt of the bridge at `port`.
     #[must_use]
     pub fn new(port: &str, quantity: Quantity, has_indicator: bool) -> Self {
@@ -264,8 +264,8 @@ impl State {
     }
 
     /// Takes a key. Returns the action that it requests.
-    pub(crate) fn handle_key(&mut self, key: Key) -> Option<Action> {
-        if key == Key::Interrupt {
+    pub(crate) fn handle_key(&mut self, key: PressedKey) -> Option<Action> {
+        if key == PressedKey::Interrupt {
             return Some(Action::Quit);
         }
         if self.prompt.is_some() {
@@ -273,18 +273,18 @@ impl State {
         }
         let is_helping = std::mem::take(&mut self.is_helping);
         match key {
-            Key::Char('q' | 'Q') => return Some(Action::Quit),
-            Key::Char('r' | 'R') => {
+            PressedKey::Char('q' | 'Q') => return Some(Action::Quit),
+            PressedKey::Char('r' | 'R') => {
                 let is_recording = self.recording.is_some();
                 return Some(if is_recording { Action::EndRecording } else { Action::Record });
             }
-            Key::Char('g' | 'G') => return self.request_gauge_reading(),
-            Key::Char('u' | 'U') if self.marks > 0 => return Some(Action::Unmark),
-            Key::Char('u' | 'U') => {
+            PressedKey::Char('g' | 'G') => return self.request_gauge_reading(),
+            PressedKey::Char('u' | 'U') if self.marks > 0 => return Some(Action::Unmark),
+            PressedKey::Char('u' | 'U') => {
                 self.show_message("no reading of the gauge is in the recording")
             }
-            Key::Char('t' | 'T') => self.select_next_series(),
-            Key::Char('?' | 'h') => self.is_helping = !is_helping,
+            PressedKey::Char('t' | 'T') => self.select_next_series(),
+            PressedKey::Char('?' | 'h') => self.is_helping = !is_helping,
             _ => {}
         }
         None
@@ -306,14 +306,14 @@ impl State {
         }
     }
 
-    fn handle_prompt_key(&mut self, key: Key) -> Option<Action> {
+    fn handle_prompt_key(&mut self, key: PressedKey) -> Option<Action> {
         let text = self.prompt.as_mut()?;
         match key {
-            Key::Char(it @ ('0'..='9' | '+' | '-' | '.')) => text.push(it),
+            PressedKey::Char(it @ ('0'..='9' | '+' | '-' | '.')) => text.push(it),
             // Where numbers are written with a comma: left out, 1,5 would be 15.
-            Key::Char(',') => text.push('.'),
-            Key::Backspace => _ = text.pop(),
-            Key::Enter => match text.parse::<f64>() {
+            PressedKey::Char(',') => text.push('.'),
+            PressedKey::Backspace => _ = text.pop(),
+            PressedKey::Enter => match text.parse::<f64>() {
                 Ok(um) => {
                     self.prompt = None;
                     self.gauge.latest = Some((um, self.now_s));
@@ -322,8 +322,8 @@ impl State {
                 Err(_) => self
                     .show_message("type the reading in µm, such as -3.5, then Enter; Esc leaves"),
             },
-            Key::Escape => self.prompt = None,
-            Key::Char(_) | Key::Interrupt => {}
+            PressedKey::Escape => self.prompt = None,
+            PressedKey::Char(_) | PressedKey::Interrupt => {}
         }
         None
     }

@@ -13,7 +13,7 @@ use ratatui::{
     widgets::Paragraph,
 };
 
-use crate::state::{LinkState, State};
+use crate::state::{LinkState, ScreenState};
 
 /// Rows without which a trend says nothing.
 const MIN_TREND_ROWS: u16 = 4;
@@ -68,7 +68,7 @@ impl Theme {
 }
 
 /// Draws the whole screen.
-pub fn draw(frame: &mut Frame<'_>, state: &State, theme: Theme) {
+pub fn draw(frame: &mut Frame<'_>, state: &ScreenState, theme: Theme) {
     let area = frame.area();
     let width = area.width.into();
     let top = lines::status_lines(state, theme, width);
@@ -113,7 +113,7 @@ pub fn draw(frame: &mut Frame<'_>, state: &State, theme: Theme) {
 /// Lines of the last one that need no more than this are shown whole.
 const MAX_MESSAGE_LINES: usize = 3;
 
-fn message_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
+fn message_lines(state: &ScreenState, theme: Theme, width: usize) -> Vec<Line<'static>> {
     let quantity = state.gauge.quantity.name();
     let (text, style) = if let Some(typed) = &state.prompt {
         let or_live = if state.gauge.is_live { " (or press its button)" } else { "" };
@@ -138,7 +138,7 @@ fn message_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>
     lines
 }
 
-fn key_hint_line(state: &State, theme: Theme) -> Line<'static> {
+fn key_hint_line(state: &ScreenState, theme: Theme) -> Line<'static> {
     let mut spans = Vec::new();
     for (key, word) in KEY_BINDINGS {
         let is_recording = state.recording.is_some();

@@ -12,7 +12,7 @@ use std::{
 use crate::{
     clock::ClockStepDetector,
     shared::SharedState,
-    snapshot::{Event, Snapshot, detect_events},
+    snapshot::{BridgeEvent, Snapshot, detect_events},
     sparkplug::{device_id, event_record, snapshot_record},
     spool::NewRecord,
 };
@@ -61,7 +61,7 @@ impl Recorder {
         bridges: &[Snapshot],
         (now, now_ms): (Instant, u64),
         report: &dyn Fn(&str),
-    ) -> Vec<(usize, Event)> {
+    ) -> Vec<(usize, BridgeEvent)> {
         self.before.resize_with(bridges.len(), Snapshot::default);
         let mut happened = Vec::new();
         for (place, (before, bridge)) in self.before.iter().zip(bridges).enumerate() {
@@ -69,12 +69,12 @@ impl Recorder {
         }
         if let Some(step_ms) = self.watch.detect_step_ms(now, now_ms) {
             report(&format!("warning: the clock of this computer was set by {step_ms} ms"));
-            happened.push((0, Event::new("clock-set", format!("{step_ms} ms"))));
+            happened.push((0, BridgeEvent::new("clock-set", format!("{step_ms} ms"))));
         }
         for found in shared.lock_spool().take_reports() {
             shared.counts().lost.fetch_add(found.lost_record_count(), Ordering::Relaxed);
             report(&format!("warning: {found}"));
-            happened.push((0, Event::new(found.event_code(), found.to_string())));
+            happened.push((0, BridgeEvent::new(found.event_code(), found.to_string())));
         }
         let device = |place: usize| bridges.get(place)?.identity.serial.map(device_id);
         if self.is_recording {

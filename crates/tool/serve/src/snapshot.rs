@@ -54,14 +54,14 @@ pub struct Snapshot {
 
 /// Something that happened.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Event {
+pub struct BridgeEvent {
     /// Which kind, for programs.
     pub code: &'static str,
     /// Its subject: the word of a fault, a quality, a CRC.
     pub about: String,
 }
 
-impl Event {
+impl BridgeEvent {
     /// Returns an event.
     #[must_use]
     pub fn new(code: &'static str, about: impl Into<String>) -> Self {
@@ -71,36 +71,36 @@ impl Event {
 
 /// Returns what has happened between two moments, in the order in which it is best read.
 #[must_use]
-pub(crate) fn detect_events(before: &Snapshot, now: &Snapshot) -> Vec<Event> {
+pub(crate) fn detect_events(before: &Snapshot, now: &Snapshot) -> Vec<BridgeEvent> {
     let mut events = Vec::new();
     match (before.is_up, now.is_up) {
         (true, false) => {
             let why = now.why.clone().unwrap_or_else(|| NO_OFFSETS_REASON.into());
-            events.push(Event::new("bridge-down", why));
+            events.push(BridgeEvent::new("bridge-down", why));
             // The rest is unknown now; it has not changed.
             return events;
         }
-        (false, true) => events.push(Event::new("bridge-up", "")),
+        (false, true) => events.push(BridgeEvent::new("bridge-up", "")),
         (false, false) => return events,
         (true, true) => {}
     }
     if now.starts > before.starts {
-        events.push(Event::new("bridge-restarted", ""));
+        events.push(BridgeEvent::new("bridge-restarted", ""));
     }
     if let (Some(old), Some(new)) = (before.identity.serial, now.identity.serial)
         && old != new
     {
-        events.push(Event::new("bridge-exchanged", format!("{old:08x} {new:08x}")));
+        events.push(BridgeEvent::new("bridge-exchanged", format!("{old:08x} {new:08x}")));
     }
     if now.quality != before.quality
         && let Some(quality) = now.quality
     {
-        events.push(Event::new("quality", quality_name(quality)));
+        events.push(BridgeEvent::new("quality", quality_name(quality)));
     }
     if now.calibration != before.calibration
         && let Some(crc) = now.calibration
     {
-        events.push(Event::new("calibration", format!("{crc:08x}")));
+        events.push(BridgeEvent::new("calibration", format!("{crc:08x}")));
     }
     // An unknown status has not changed.
     if !now.has_status {
@@ -112,9 +112,9 @@ pub(crate) fn detect_events(before: &Snapshot, now: &Snapshot) -> Vec<Event> {
     ];
     for (set, cleared, before, now) in words {
         let new = now.iter().filter(|word| !before.contains(word));
-        events.extend(new.map(|word| Event::new(set, *word)));
+        events.extend(new.map(|word| BridgeEvent::new(set, *word)));
         let gone = before.iter().filter(|word| !now.contains(word));
-        events.extend(gone.map(|word| Event::new(cleared, *word)));
+        events.extend(gone.map(|word| BridgeEvent::new(cleared, *word)));
     }
     events
 }

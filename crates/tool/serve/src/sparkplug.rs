@@ -14,7 +14,7 @@ use srad_types::payload::{
 use crate::{
     clock::format_utc,
     metrics::{Metric, MetricValue, bridge_metrics},
-    snapshot::{Event, Snapshot},
+    snapshot::{BridgeEvent, Snapshot},
     spool::NewRecord,
 };
 
@@ -152,7 +152,7 @@ pub(crate) fn is_rebirth_command(bytes: &[u8]) -> Option<bool> {
 pub(crate) fn event_record(
     node: &str,
     device: Option<&str>,
-    event: Event,
+    event: BridgeEvent,
     time_ms: u64,
 ) -> NewRecord {
     let payload = move |id: &str| {
@@ -193,7 +193,7 @@ mod tests {
 
     #[test]
     fn a_record_is_read_as_it_was_made() {
-        let made = event_record("n", None, Event::new("quality", "live"), 1_000);
+        let made = event_record("n", None, BridgeEvent::new("quality", "live"), 1_000);
         let read = payload_to_json(&(made.payload)("00000000000000ff-7")).expect("a payload");
         let expected = serde_json::json!({
             "id": "00000000000000ff-7",

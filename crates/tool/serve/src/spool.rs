@@ -30,7 +30,7 @@ use std::{
 use anyhow::{Context as _, Result};
 use fs4::FileExt;
 
-pub use self::report::Report;
+pub(crate) use self::report::SpoolReport;
 use self::segment::{CRC, IndexEntry, SpoolRecord, decode, encode, scan};
 
 /// A record is kept for this long after its acknowledgement.
@@ -61,7 +61,7 @@ pub struct NewRecord {
 pub struct Spool {
     folder: PathBuf,
     limit: u64,
-    segments: VecDeque<Segment>,
+    segments: VecDeque<SpoolSegment>,
     /// The file that is written; `None`: the next record begins one.
     active: Option<File>,
     next: u64,
@@ -73,11 +73,11 @@ pub struct Spool {
     acknowledged: BTreeMap<u64, Instant>,
     /// Since when the next record cannot be read.
     unreadable_since: Option<Instant>,
-    reports: Vec<Report>,
+    reports: Vec<SpoolReport>,
     _lock: File,
 }
 
-struct Segment {
+struct SpoolSegment {
     id: u64,
     path: PathBuf,
     entries: Vec<IndexEntry>,
@@ -86,7 +86,7 @@ struct Segment {
     has_lost: bool,
 }
 
-impl Segment {
+impl SpoolSegment {
     /// Removes the file, or moves it into [`DAMAGED_FOLDER`] if it has records that were never sent.
     fn remove(&self) {
         if self.has_lost
@@ -162,13 +162,13 @@ impl Spool {
                 let copy = copy.join(format!("{name}-{}.bin", gap.at));
                 if !copy.exists() {
                     fs::write(&copy, &bytes[gap.at..gap.at + gap.length])?;
-                    self.reports.push(Report::damaged(&path, gap, first, copy));
+                    self.reports.push(SpoolReport::damaged(&path, gap, first, copy));
                 }
             }
             let last = entries.last().map_or(first.saturating_sub(1), |entry| entry.number);
             self.next = self.next.max(last + 1);
             let bytes = bytes.len() as u64;
-            self.segments.push_back(Segment { id, path, entries, bytes, has_lost: false });
+            self.segments.push_back(SpoolSegment { id, path, entries, bytes, has_lost: false });
         }
         Ok(())
     }
@@ -229,7 +229,7 @@ impl Spool {
         File::open(&self.folder)?.sync_all()?;
         self.active = Some(file);
         let entries = Vec::new();
-        self.segments.push_back(Segment { id, path, entries, bytes: 0, has_lost: false });
+        self.segments.push_back(SpoolSegment { id, path, entries, bytes: 0, has_lost: false });
         Ok(())
     }
 
@@ -244,7 +244,7 @@ impl Spool {
             };
             let lost: Vec<IndexEntry> = oldest.entries.iter().filter(lost).copied().collect();
             if let (Some(first), Some(last)) = (lost.first(), lost.last()) {
-                self.reports.push(Report::overrun(*first, *last, lost.len()));
+                self.reports.push(SpoolReport::overrun(*first, *last, lost.len()));
             }
             let last = oldest.entries.last().map_or(0, |entry| entry.number);
             self.settled = self.settled.max(last);
@@ -259,7 +259,7 @@ impl Spool {
     pub fn next_to_send(&mut self, now: Instant) -> Option<SpoolRecord> {
         loop {
             let sent = self.sent;
-            let first = |segment: &Segment| segment.entries_after(sent).first().copied();
+            let first = |segment: &SpoolSegment| segment.entries_after(sent).first().copied();
             let mut found = self
                 .segments
                 .iter_mut()
@@ -277,7 +277,7 @@ impl Spool {
                     let is_first = self.unreadable_since.is_none();
                     let since = *self.unreadable_since.get_or_insert(now);
                     if is_first {
-                        self.reports.push(Report::file_unreadable(&segment.path, &error));
+                        self.reports.push(SpoolReport::file_unreadable(&segment.path, &error));
                     }
                     if now.saturating_duration_since(since) < READ_RETRY_TIME {
                         return None;
@@ -286,7 +286,7 @@ impl Spool {
                 }
             };
             segment.has_lost = true;
-            self.reports.push(Report::unreadable(&segment.path, entry, why.as_ref()));
+            self.reports.push(SpoolReport::unreadable(&segment.path, entry, why.as_ref()));
             self.sent = entry.number;
             self.acknowledge(entry.number, now);
         }
@@ -353,7 +353,7 @@ impl Spool {
     }
 
     /// Returns what was found damaged and what gave way since the last call.
-    pub(crate) fn take_reports(&mut self) -> Vec<Report> {
+    pub(crate) fn take_reports(&mut self) -> Vec<SpoolReport> {
         std::mem::take(&mut self.reports)
     }
 }
@@ -362,7 +362,7 @@ impl Spool {
 ///
 /// # Errors
 /// The file cannot be read.
-fn read_record(segment: &Segment, entry: IndexEntry) -> io::Result<Option<SpoolRecord>> {
+fn read_record(segment: &SpoolSegment, entry: IndexEntry) -> io::Result<Option<SpoolRecord>> {
     let mut bytes = vec![0; entry.length];
     let mut file = File::open(&segment.path)?;
     file.seek(SeekFrom::Start(entry.at))?;

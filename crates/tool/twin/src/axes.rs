@@ -146,7 +146,7 @@ impl AxisConfig {
 /// The error of one axis along another.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Straightness {
+pub struct StraightnessConfig {
     /// The axis that is in error.
     pub error: AxisName,
     /// The axis that moves.
@@ -182,7 +182,7 @@ pub struct AxesConfig {
     /// The axes by their names.
     pub axes: BTreeMap<AxisName, AxisConfig>,
     /// Errors of one axis along another.
-    pub straightness: Vec<Straightness>,
+    pub straightness: Vec<StraightnessConfig>,
     /// Angles and arms.
     pub abbe: Vec<Abbe>,
 }

@@ -19,7 +19,7 @@ use crate::{
     noise::RandomStream,
     scenario::{CoolantConfig, Scenario},
     sensors::{DisplacementSensor, Spot, Thermometer},
-    spindle::{Growth, OperatingConditions, Spindle, SpindleTemperatures},
+    spindle::{Growth, OperatingConditions, SimulatedSpindle, SpindleTemperatures},
     tool::{ToolConfig, growth_um},
 };
 
@@ -40,11 +40,11 @@ pub struct DriveCommand {
 
 /// A machine on its way.
 #[derive(Clone, Debug)]
-pub struct Machine {
+pub struct SimulatedMachine {
     time_s: f64,
     ambient: Ambient,
     coolant: CoolantConfig,
-    spindle: Option<Spindle>,
+    spindle: Option<SimulatedSpindle>,
     tools: Vec<ToolConfig>,
     axes: Axes,
     bodies: Vec<Body>,
@@ -58,7 +58,7 @@ pub struct Machine {
     command: DriveCommand,
 }
 
-impl Machine {
+impl SimulatedMachine {
     /// Returns the machine of `scenario`, cold, its axes at the scenario's start, with chance of its own
     /// under `seed`.
     #[must_use]
@@ -76,7 +76,7 @@ impl Machine {
             time_s: 0.0,
             ambient,
             coolant: scenario.coolant.clone(),
-            spindle: scenario.spindle.as_ref().map(|config| Spindle::new(config, start_c)),
+            spindle: scenario.spindle.as_ref().map(|config| SimulatedSpindle::new(config, start_c)),
             tools: scenario.tool.clone(),
             axes: Axes::new(&scenario.axes_config(), scenario.start_mm, start_c),
             bodies: scenario.body.clone(),
@@ -200,7 +200,7 @@ impl Machine {
         }
         let ambient_c = self.ambient.temperature_c();
         let coolant_c = self.coolant_temperature_c(ambient_c);
-        let spindle = self.spindle.as_ref().map(Spindle::temperatures);
+        let spindle = self.spindle.as_ref().map(SimulatedSpindle::temperatures);
         for (_, thermometer) in &mut self.thermometers {
             let spot_c = match thermometer.spot() {
                 Spot::Ambient => ambient_c,

@@ -12,7 +12,7 @@ use toml::de::DeTable;
 
 use crate::{
     ambient::AmbientConfig,
-    axes::{Abbe, AxesConfig, AxisConfig, AxisName, Straightness},
+    axes::{Abbe, AxesConfig, AxisConfig, AxisName, StraightnessConfig},
     bodies::{self, Body},
     head,
     instrument::InstrumentConfig,
@@ -120,7 +120,7 @@ pub struct Scenario {
     pub axis: BTreeMap<AxisName, AxisConfig>,
     /// Errors of one axis along another.
     #[serde(default)]
-    pub straightness: Vec<Straightness>,
+    pub straightness: Vec<StraightnessConfig>,
     /// Angles and arms.
     #[serde(default)]
     pub abbe: Vec<Abbe>,

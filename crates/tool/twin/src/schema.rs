@@ -11,7 +11,7 @@ use serde_json::Value;
 use crate::{
     Scenario,
     ambient::AmbientConfig,
-    axes::{Abbe, AxisConfig, Straightness},
+    axes::{Abbe, AxisConfig, StraightnessConfig},
     bodies::Body,
     instrument::InstrumentConfig,
     path::Segment,
@@ -85,7 +85,7 @@ fn table_keys(table: &str) -> &'static [&'static str] {
         "sensor" => field_names::<DisplacementConfig>(),
         "thermometer" => field_names::<ThermometerConfig>(),
         "axis" => field_names::<AxisConfig>(),
-        "straightness" => field_names::<Straightness>(),
+        "straightness" => field_names::<StraightnessConfig>(),
         "abbe" => field_names::<Abbe>(),
         "body" => field_names::<Body>(),
         "instrument" => field_names::<InstrumentConfig>(),

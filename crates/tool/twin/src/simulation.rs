@@ -8,7 +8,7 @@
 use crate::{
     axes::AXIS_NAMES,
     instrument::Instrument,
-    machine::{DriveCommand, Machine},
+    machine::{DriveCommand, SimulatedMachine},
     path::{Leg, build_legs},
     scenario::{MeasuredQuantity, Scenario},
     table::RunTable,
@@ -35,7 +35,7 @@ pub fn simulate(scenario: &Scenario, seed: u64, mut row_done: impl FnMut()) -> R
 /// The machine, and those who measure it.
 struct Simulation<'s> {
     scenario: &'s Scenario,
-    machine: Machine,
+    machine: SimulatedMachine,
     has_positions: bool,
     has_tools: bool,
     instruments: Vec<(MeasuredQuantity, Instrument)>,
@@ -49,7 +49,7 @@ impl<'s> Simulation<'s> {
         });
         Self {
             scenario,
-            machine: Machine::new(scenario, seed),
+            machine: SimulatedMachine::new(scenario, seed),
             has_positions: scenario
                 .measure
                 .iter()

@@ -263,7 +263,7 @@ pub struct SpindleTemperatures {
 
 /// A spindle on its way through a run.
 #[derive(Clone, Debug)]
-pub struct Spindle {
+pub struct SimulatedSpindle {
     config: SpindleConfig,
     shaft: Rod,
     housing_c: f64,
@@ -276,7 +276,7 @@ pub struct Spindle {
     drive: OperatingConditions,
 }
 
-impl Spindle {
+impl SimulatedSpindle {
     /// Cold: everything at `start_c`, standing still.
     #[must_use]
     pub fn new(config: &SpindleConfig, start_c: f64) -> Self {

@@ -11,12 +11,12 @@ use std::{
 /// A run: named columns of equal length.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RunTable {
-    columns: Vec<Column>,
+    columns: Vec<TableColumn>,
 }
 
 /// A column with its name and decimals.
 #[derive(Clone, Debug, PartialEq)]
-struct Column {
+struct TableColumn {
     name: String,
     /// NaN: a missing value, an empty cell.
     values: Vec<f64>,
@@ -37,7 +37,7 @@ impl RunTable {
         let scale = 10_f64.powi(decimals.min(12).into());
         // + 0.0 turns −0 into 0, which is what a table should show.
         let values = values.into_iter().map(|value| (value * scale).round() / scale + 0.0);
-        let column = Column { name: name.to_string(), values: values.collect(), scale };
+        let column = TableColumn { name: name.to_string(), values: values.collect(), scale };
         match self.columns.iter_mut().find(|there| there.name == name) {
             Some(there) => *there = column,
             None => self.columns.push(column),

@@ -190,8 +190,8 @@ fn the_instruments_faults_are_in_what_it_measures_alone() {
 
 #[test]
 fn the_shafts_account_of_heat_is_closed_over_a_whole_run() {
-    use trueup_twin::spindle::{OperatingConditions, Spindle, SpindleConfig};
-    let mut spindle = Spindle::new(&SpindleConfig::default(), 20.0);
+    use trueup_twin::spindle::{OperatingConditions, SimulatedSpindle, SpindleConfig};
+    let mut spindle = SimulatedSpindle::new(&SpindleConfig::default(), 20.0);
     let start_j = spindle.shaft().stored_heat_j();
     let (mut came_j, mut sources_j) = (0.0, 0.0);
     for step in 0..5000 {

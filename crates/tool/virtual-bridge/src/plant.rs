@@ -19,7 +19,7 @@ use crate::replay::{self, MachineSnapshot};
 
 /// One step of the machine.
 #[derive(Debug, Deserialize)]
-pub struct Step {
+struct PlantStep {
     /// Seconds, never less than in the step before.
     pub t_s: f64,
     /// The displacement sensor's output.
@@ -122,7 +122,7 @@ impl Plant {
         let Ok(line) = std::str::from_utf8(&self.bytes) else {
             bail!("{place}: this is not UTF-8")
         };
-        let step: Step = serde_json::from_str(line)
+        let step: PlantStep = serde_json::from_str(line)
             .map_err(|error| anyhow!("{place}, column {}: {error}", error.column()))?;
         let last_s = self.last_s.unwrap_or(step.t_s - 0.001);
         let ms = ((step.t_s - last_s) * 1_000.0).round();

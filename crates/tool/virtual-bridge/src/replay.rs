@@ -81,7 +81,7 @@ impl Replay {
         let counts = sensor.zip(run.column("sensor_counts"));
         let speeds = run.column("spindle_rpm");
         let times = run.column("time_s");
-        let mut columns = Columns::from_run(run, machine);
+        let mut columns = ReplayColumns::from_run(run, machine);
         let mut replay = Self {
             from_s: Vec::new(),
             situations: Vec::new(),
@@ -190,7 +190,7 @@ fn angle_column(axis: impl std::fmt::Display) -> String {
 type AxisMotion<'r> = (&'r [f64], Option<&'r [f64]>);
 
 /// The columns of temperatures, positions and angles that a run has and the machine uses.
-struct Columns<'r> {
+struct ReplayColumns<'r> {
     run: &'r RunFile,
     temperatures: Vec<(&'r [f64], TemperatureInput)>,
     /// Position, direction, and the position in the row before.
@@ -204,7 +204,7 @@ struct Columns<'r> {
     conditions: Vec<(&'r [f64], u8)>,
 }
 
-impl<'r> Columns<'r> {
+impl<'r> ReplayColumns<'r> {
     fn from_run(run: &'r RunFile, machine: &Machine) -> Self {
         let inputs = machine.inputs.iter().flat_map(|inputs| &inputs.temperatures);
         let turning = machine.angle_axes().into_iter().map(|axis| angle_column(axis.name()));
@@ -297,7 +297,7 @@ impl<'r> Columns<'r> {
     }
 }
 
-impl Columns<'_> {
+impl ReplayColumns<'_> {
     /// Tool and conditions; a missing value is that of the row before.
     fn update_conditions(&self, row: usize, now: &mut MachineSnapshot) -> Result<(), BadInput> {
         if self.tool.is_none() && self.conditions.is_empty() {

@@ -275,7 +275,7 @@ fn print_board_log(board: &VirtualBoard) {
 }
 
 /// A client of the port.
-struct Client {
+struct PortClient {
     stream: TcpStream,
     /// Has got nothing yet: what the board says first may be the end of a line that began for
     /// another client. Some programs take that for a frame, so it is not sent.
@@ -289,7 +289,7 @@ fn serve_clients(
     opening: Arc<OpeningHandshake>,
     heard: Arc<ReceivedFrames>,
 ) -> Result<()> {
-    let client: Arc<Mutex<Option<Client>>> = Arc::default();
+    let client: Arc<Mutex<Option<PortClient>>> = Arc::default();
     let mut from_board = line.try_clone()?;
     let to_client = client.clone();
     let answered = opening.clone();
@@ -334,7 +334,7 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 /// One client, until it goes. The next one waits in the port's queue.
 fn serve_client(
     mut stream: TcpStream,
-    client: &Mutex<Option<Client>>,
+    client: &Mutex<Option<PortClient>>,
     mut line: &UnixStream,
     opening: &OpeningHandshake,
     heard: &ReceivedFrames,
@@ -343,7 +343,7 @@ fn serve_client(
     set_socket_send_buffer_size(&stream, CLIENT_QUEUE_BYTES)?;
     let peer = stream.peer_addr()?;
     trueup_output::write_diagnostic(format_args!("client {peer} is connected"));
-    *lock(client) = Some(Client { stream: stream.try_clone()?, is_new: true });
+    *lock(client) = Some(PortClient { stream: stream.try_clone()?, is_new: true });
     let mut bytes = [0; 4096];
     let mut command: Vec<u8> = Vec::new();
     loop {

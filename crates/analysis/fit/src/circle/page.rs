@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use trueup_machine::file::LinearAxis;
-use trueup_page::{Colour, Origin, Page, PolarPlot, Series, Table, format_micrometres};
+use trueup_page::{Colour, HtmlTable, Origin, Page, PolarPlot, Series, format_micrometres};
 
 use super::{CircleFinding, CircleReport, CircleResult, CircleVerdict};
 
@@ -87,7 +87,7 @@ fn write_circle(page: &mut Page, circle: &CircleResult) {
         page.add_paragraph("No cause: centre and radius of the set-up, and noise.");
     }
     for finding in &circle.findings {
-        let mut table = Table::new(&["constant", "value", "95 %"]);
+        let mut table = HtmlTable::new(&["constant", "value", "95 %"]);
         for parameter in &finding.parameters {
             let interval = parameter
                 .ci95
@@ -141,10 +141,10 @@ fn polar_plot(circle: &CircleResult, axes: [String; 2]) -> String {
         .to_figure()
 }
 
-fn deviation_table(circle: &CircleResult) -> Table {
+fn deviation_table(circle: &CircleResult) -> HtmlTable {
     let it = &circle.figures;
     let cell = |um: Option<f64>| um.map_or_else(|| "–".into(), format_micrometres);
-    let mut table = Table::new(&["ISO 230-4", "counter-clockwise", "clockwise", "both"]);
+    let mut table = HtmlTable::new(&["ISO 230-4", "counter-clockwise", "clockwise", "both"]);
     for (name, [ccw, cw], both) in [
         ("G, circular deviation", it.g_um, it.g_both_um),
         ("F max, radial deviation", it.f_max_um, None),

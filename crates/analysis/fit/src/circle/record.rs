@@ -55,7 +55,7 @@ impl Plane {
 
 /// A reading.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Row {
+pub struct CircleRow {
     /// The angle of the commanded position, in rad.
     pub angle: f64,
     /// +1 counter-clockwise, −1 clockwise.
@@ -88,7 +88,7 @@ pub struct CircleRecord {
     /// The commanded radius.
     pub radius_mm: f64,
     /// The readings, in the order of the passes.
-    pub rows: Vec<Row>,
+    pub rows: Vec<CircleRow>,
     /// Whether the clock is a time.
     pub has_time: bool,
     /// The first and the last clock.
@@ -104,7 +104,7 @@ pub struct CircleRecord {
 impl CircleRecord {
     /// Returns the share of the time at a row, −½…½.
     #[must_use]
-    pub(crate) fn relative_time(&self, row: &Row) -> f64 {
+    pub(crate) fn relative_time(&self, row: &CircleRow) -> f64 {
         let [first, last] = self.clock;
         if last > first { (row.clock - first) / (last - first) - 0.5 } else { 0.0 }
     }
@@ -151,7 +151,7 @@ impl CircleRecord {
 
     /// Returns the record without the rows for which `is_out` holds.
     #[must_use]
-    pub(crate) fn without_rows(&self, is_out: impl Fn(&Row) -> bool) -> Self {
+    pub(crate) fn without_rows(&self, is_out: impl Fn(&CircleRow) -> bool) -> Self {
         let mut rest = self.clone();
         rest.rows.retain(|row| !is_out(row));
         rest

@@ -12,7 +12,7 @@ use trueup_numerics::robust;
 use super::{
     circular_path::{angle_difference, fit_circle, rotation_directions},
     known_contributions,
-    record::{CircleRecord, Plane, READING_COLUMN, Row},
+    record::{CircleRecord, CircleRow, Plane, READING_COLUMN},
     terms::angle_since_reversal,
 };
 use crate::report::ExcludedRow;
@@ -228,18 +228,18 @@ fn add_to_record(
         .map_or(record.setups, |row| row.setup);
     record.setups = record.setups.max(setup + 1);
     let mut pass = record.rows.last().map_or(0, |row| row.pass + 1);
-    let mut before: Option<Row> = None;
+    let mut before: Option<CircleRow> = None;
     for ((&row, &angle), &sense) in rows.iter().zip(&angles).zip(&rotation_directions) {
         let um = measured.uncorrected_radial_um(row, axes, angle);
         if sense == 0.0 || um.is_nan() {
             continue;
         }
-        let is_gap = |before: &Row| angle_difference(before.angle, angle).abs() > 0.5;
+        let is_gap = |before: &CircleRow| angle_difference(before.angle, angle).abs() > 0.5;
         if before.is_some_and(|before| before.sense != sense || is_gap(&before)) {
             pass += 1;
         }
         let clock = if has_time { number("time_s", row) } else { row as f64 };
-        let next = Row {
+        let next = CircleRow {
             angle,
             sense,
             measured_um: um,
@@ -322,10 +322,11 @@ fn average_neighbours(record: &mut CircleRecord) {
     let mut thinned = Vec::new();
     for pass in record.rows.chunk_by(|a, b| a.pass == b.pass) {
         for part in pass.chunks(together) {
-            let mean = |of: fn(&Row) -> f64| part.iter().map(of).sum::<f64>() / part.len() as f64;
+            let mean =
+                |of: fn(&CircleRow) -> f64| part.iter().map(of).sum::<f64>() / part.len() as f64;
             let first = part[0];
             let turn = part.iter().map(|row| angle_difference(first.angle, row.angle)).sum::<f64>();
-            thinned.push(Row {
+            thinned.push(CircleRow {
                 angle: first.angle + turn / part.len() as f64,
                 um: mean(|row| row.um),
                 measured_um: mean(|row| row.measured_um),

@@ -33,13 +33,13 @@ const SPIKE_WIDTHS_DEG: [f64; 9] = [0.8, 1.2, 1.8, 2.6, 3.6, 5.0, 7.0, 10.0, 14.
 
 /// Terms that are searched for together.
 #[derive(Clone, Debug)]
-struct Candidate {
+struct TermCandidate {
     unit: TermGroup,
     terms: Vec<CircleTerm>,
 }
 
 /// A candidate with its columns.
-type CandidateColumns = (Candidate, Vec<Vec<f64>>);
+type CandidateColumns = (TermCandidate, Vec<Vec<f64>>);
 
 /// Returns the columns of the cyclic errors and spikes that the record seems to have.
 #[must_use]
@@ -53,7 +53,7 @@ pub(crate) fn search_nonlinear_terms(record: &CircleRecord) -> Vec<TermColumn> {
             (candidate, columns)
         })
         .collect();
-    let mut found: Vec<Candidate> = Vec::new();
+    let mut found: Vec<TermCandidate> = Vec::new();
     for _ in 0..MAX_ROUNDS {
         let before = found.len();
         add_best_candidates(record, &candidates, &mut found);
@@ -62,7 +62,7 @@ pub(crate) fn search_nonlinear_terms(record: &CircleRecord) -> Vec<TermColumn> {
         }
         // Each again, now that the others are known.
         for at in 0..found.len() {
-            let others: Vec<&Candidate> = found
+            let others: Vec<&TermCandidate> = found
                 .iter()
                 .enumerate()
                 .filter(|(other, _)| *other != at)
@@ -71,7 +71,7 @@ pub(crate) fn search_nonlinear_terms(record: &CircleRecord) -> Vec<TermColumn> {
             let basis = OrthogonalBasis::from_candidates(record, &others);
             let again = refine_candidate(&basis, record, &found[at]);
             // The shape of a spike was chosen next to others that have changed.
-            let is_own = |candidate: &Candidate| {
+            let is_own = |candidate: &TermCandidate| {
                 candidate.unit == again.unit && matches!(candidate.unit, TermGroup::Spikes(_))
             };
             let other = best_candidate(
@@ -79,7 +79,7 @@ pub(crate) fn search_nonlinear_terms(record: &CircleRecord) -> Vec<TermColumn> {
                 candidates.iter().filter(|(candidate, _)| is_own(candidate)),
             );
             let other = other.map(|(_, candidate)| refine_candidate(&basis, record, candidate));
-            let gain = |candidate: &Candidate| basis.gain(&candidate.term_columns(record));
+            let gain = |candidate: &TermCandidate| basis.gain(&candidate.term_columns(record));
             found[at] = match other {
                 Some(other) if gain(&other) > gain(&again) => other,
                 _ => again,
@@ -103,7 +103,7 @@ pub(crate) fn search_nonlinear_terms(record: &CircleRecord) -> Vec<TermColumn> {
 fn add_best_candidates(
     record: &CircleRecord,
     candidates: &[CandidateColumns],
-    found: &mut Vec<Candidate>,
+    found: &mut Vec<TermCandidate>,
 ) {
     let mut basis = OrthogonalBasis::from_candidates(record, &found.iter().collect::<Vec<_>>());
     while found.len() < MAX_SELECTED_CANDIDATES {
@@ -124,7 +124,7 @@ fn add_best_candidates(
 fn best_candidate<'c>(
     basis: &OrthogonalBasis,
     candidates: impl Iterator<Item = &'c CandidateColumns>,
-) -> Option<(f64, &'c Candidate)> {
+) -> Option<(f64, &'c TermCandidate)> {
     let mut rough: Vec<_> =
         candidates.map(|candidate| (basis.approximate_gain(&candidate.1), candidate)).collect();
     rough.sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
@@ -137,7 +137,11 @@ fn best_candidate<'c>(
 
 /// Returns whether a period next to this one is found already, or as many shapes of the spikes of this axis as may be: their
 /// sum is the shape.
-fn is_already_found(record: &CircleRecord, found: &[Candidate], candidate: &Candidate) -> bool {
+fn is_already_found(
+    record: &CircleRecord,
+    found: &[TermCandidate],
+    candidate: &TermCandidate,
+) -> bool {
     let of_unit = found.iter().filter(|other| other.unit == candidate.unit);
     if matches!(candidate.unit, TermGroup::Spikes(_)) && of_unit.count() >= MAX_SPIKE_SHAPES {
         return true;
@@ -152,7 +156,7 @@ fn is_already_found(record: &CircleRecord, found: &[Candidate], candidate: &Cand
     })
 }
 
-impl Candidate {
+impl TermCandidate {
     fn term_columns(&self, record: &CircleRecord) -> Vec<Vec<f64>> {
         self.terms.iter().map(|term| term.basis_column(record)).collect()
     }
@@ -162,17 +166,17 @@ fn cyclic_period_mm(term: &CircleTerm) -> f64 {
     if let CircleTerm::Cyclic { period_mm, .. } = term { *period_mm } else { f64::NAN }
 }
 
-fn cyclic_candidate(axis: usize, period_mm: f64) -> Candidate {
+fn cyclic_candidate(axis: usize, period_mm: f64) -> TermCandidate {
     let terms = [WavePhase::Sine, WavePhase::Cosine].map(|wave| CircleTerm::Cyclic {
         axis,
         period_mm,
         wave,
     });
-    Candidate { unit: TermGroup::Cyclic(axis, 0), terms: terms.into() }
+    TermCandidate { unit: TermGroup::Cyclic(axis, 0), terms: terms.into() }
 }
 
 /// Returns the waves of an axis that the record can show.
-fn cyclic_candidates(record: &CircleRecord, axis: usize) -> Vec<Candidate> {
+fn cyclic_candidates(record: &CircleRecord, axis: usize) -> Vec<TermCandidate> {
     let diameter = 2.0 * record.radius_mm;
     let steps = record.rows.windows(2).filter(|pair| pair[0].pass == pair[1].pass);
     let mut ways: Vec<f64> =
@@ -190,7 +194,7 @@ fn cyclic_candidates(record: &CircleRecord, axis: usize) -> Vec<Candidate> {
 }
 
 /// Returns the spikes of an axis, at both ends and in both directions.
-fn spike_candidates(record: &CircleRecord, axis: usize) -> Vec<Candidate> {
+fn spike_candidates(record: &CircleRecord, axis: usize) -> Vec<TermCandidate> {
     let step = record.covered_arc_rad() / record.rows.len() as f64 * pass_count(record);
     let senses: Vec<f64> =
         [1.0, -1.0].into_iter().filter(|direction| record.has_direction(*direction)).collect();
@@ -207,14 +211,14 @@ fn spike_candidates(record: &CircleRecord, axis: usize) -> Vec<Candidate> {
         // A part of a circle does not have all reversals.
         let is_seen = |term: &CircleTerm| {
             let CircleTerm::Spike { is_positive, sense, .. } = *term else { return false };
-            let near = |row: &&super::record::Row| {
+            let near = |row: &&super::record::CircleRow| {
                 let since = angle_since_reversal(row, axis, is_positive);
                 row.sense * sense > 0.0 && (-width..2.0 * width).contains(&since)
             };
             record.rows.iter().filter(near).count() >= 2
         };
         let terms = terms.filter(is_seen).collect();
-        Candidate { unit: TermGroup::Spikes(axis), terms }
+        TermCandidate { unit: TermGroup::Spikes(axis), terms }
     };
     let widths =
         SPIKE_WIDTHS_DEG.into_iter().map(f64::to_radians).filter(|width| *width > 1.2 * step);
@@ -231,10 +235,10 @@ fn pass_count(record: &CircleRecord) -> f64 {
 fn refine_candidate(
     basis: &OrthogonalBasis,
     record: &CircleRecord,
-    candidate: &Candidate,
-) -> Candidate {
-    let gain = |candidate: &Candidate| basis.gain(&candidate.term_columns(record));
-    let scaled = |candidate: &Candidate, factor: f64| {
+    candidate: &TermCandidate,
+) -> TermCandidate {
+    let gain = |candidate: &TermCandidate| basis.gain(&candidate.term_columns(record));
+    let scaled = |candidate: &TermCandidate, factor: f64| {
         let mut other = candidate.clone();
         for term in &mut other.terms {
             match term {
@@ -274,7 +278,7 @@ struct OrthogonalBasis {
 
 impl OrthogonalBasis {
     /// Of the set-up, the linear causes and `found`.
-    fn from_candidates(record: &CircleRecord, found: &[&Candidate]) -> Self {
+    fn from_candidates(record: &CircleRecord, found: &[&TermCandidate]) -> Self {
         let left = record.rows.iter().map(|row| row.um).collect();
         let mut basis = Self { columns: Vec::new(), left };
         for column in setup_columns(record).iter().chain(&linear_columns(record)) {

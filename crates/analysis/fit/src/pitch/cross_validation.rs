@@ -24,7 +24,7 @@ use trueup_numerics::repeats;
 
 use super::{
     readings::{PitchReading, Readings},
-    table::{DirectionMeans, Grid, TABLE_DECIMALS},
+    table::{DirectionMeans, TABLE_DECIMALS, TargetGrid},
 };
 
 /// More runs than this are held out in blocks.
@@ -140,7 +140,7 @@ impl DirectionSums {
     pub(super) fn fit(
         &self,
         targets_mm: &[f64],
-        grid: &Grid,
+        grid: &TargetGrid,
         law: CorrectionModel,
     ) -> FittedCorrection {
         let both = [(0, 0.0), (1, 0.0)];
@@ -247,7 +247,7 @@ pub(super) fn fold_index(run: usize, runs: usize) -> usize {
 /// Returns each of `laws` on the runs held out in turn; needs at least two runs.
 pub(super) fn cross_validate(
     readings: &Readings,
-    grid: &Grid,
+    grid: &TargetGrid,
     laws: &[CorrectionModel],
 ) -> Vec<CrossValidationScore> {
     let (runs, targets) = (readings.runs, readings.targets_mm.len());

@@ -12,7 +12,7 @@ use super::{
     cross_validation::DirectionSums,
     readings::Readings,
     scatter::Scatter,
-    table::{DirectionMeans, Grid},
+    table::{DirectionMeans, TargetGrid},
 };
 use crate::report::{Fact, Report};
 
@@ -29,12 +29,12 @@ pub(super) fn choose_grid(
     sums: &DirectionSums,
     options: &PitchFitOptions,
     report: &mut Report,
-) -> Grid {
+) -> TargetGrid {
     let targets = &readings.targets_mm;
     let lines = [0, 1].map(|way| sums.direction_means(targets, way));
     let lines: Vec<&DirectionMeans> = lines.iter().filter(|line| !line.points.is_empty()).collect();
     let most = options.most_points.max(2);
-    let equal = Grid::from_equal_steps(targets).filter(|grid| grid.points <= most);
+    let equal = TargetGrid::from_equal_steps(targets).filter(|grid| grid.points <= most);
     if let (None, Some(grid)) = (options.step_mm, equal) {
         return grid;
     }
@@ -43,14 +43,14 @@ pub(super) fn choose_grid(
     let enough_um = of_means_um.max(MAX_SHAPE_LOSS * scatter.shape_um);
     let (grid, loss_um) = match options.step_mm {
         Some(step_mm) => {
-            let grid = Grid::with_step(targets, step_mm);
+            let grid = TargetGrid::with_step(targets, step_mm);
             (grid, grid.rms_loss_um(&lines))
         }
         None if targets.len() > most => best_cross_validated_grid(readings, most, &lines),
         None => {
-            let mut best = (Grid::with_point_count(targets, 2), f64::INFINITY);
+            let mut best = (TargetGrid::with_point_count(targets, 2), f64::INFINITY);
             for points in 2..=most {
-                let grid = Grid::with_point_count(targets, points);
+                let grid = TargetGrid::with_point_count(targets, points);
                 let loss_um = grid.rms_loss_um(&lines);
                 if loss_um < best.1 {
                     best = (grid, loss_um);
@@ -80,16 +80,16 @@ fn best_cross_validated_grid(
     readings: &Readings,
     most: usize,
     lines: &[&DirectionMeans],
-) -> (Grid, f64) {
+) -> (TargetGrid, f64) {
     // Each step of the search has a quarter more points than the one before.
     let counts = std::iter::successors(Some(2_usize), |count| Some(count + 1 + count / 4));
     let half = |line: &DirectionMeans, odd: usize| {
         let points = line.points.iter().enumerate().filter(|(n, _)| n % 2 == odd);
         DirectionMeans { points: points.map(|(_, point)| *point).collect() }
     };
-    let mut best = (Grid::with_point_count(&readings.targets_mm, 2), f64::INFINITY);
+    let mut best = (TargetGrid::with_point_count(&readings.targets_mm, 2), f64::INFINITY);
     for points in counts.take_while(|count| *count <= most) {
-        let grid = Grid::with_point_count(&readings.targets_mm, points);
+        let grid = TargetGrid::with_point_count(&readings.targets_mm, points);
         let (mut squares, mut weights) = (0.0, 0.0);
         for line in lines {
             for odd in [0, 1] {

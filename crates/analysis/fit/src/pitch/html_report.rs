@@ -1,7 +1,7 @@
 //! The figures of ISO 230-2 of an axis as a page, with picture: what is filed after a calibration.
 
 use trueup_machine::file::LinearAxis;
-use trueup_page::{Chart, Colour, Origin, Page, Series, Table, format_micrometres};
+use trueup_page::{Chart, Colour, HtmlTable, Origin, Page, Series, format_micrometres};
 
 use crate::{
     iso230::{ApproachStatistics, Iso230Results, TargetResults},
@@ -54,7 +54,7 @@ pub fn build_page(
     page.add_table(&target_table(iso230));
     if !report.parameters.is_empty() {
         page.add_heading("What is corrected");
-        let mut table = Table::new(&["constant", "value"]);
+        let mut table = HtmlTable::new(&["constant", "value"]);
         for parameter in &report.parameters {
             table.add_row(&[parameter.name.clone(), format!("{}", parameter.value)]);
         }
@@ -108,8 +108,8 @@ fn render_deviation_chart(name: &str, iso230: &Iso230Results) -> String {
     .to_figure()
 }
 
-fn axis_table(iso230: &Iso230Results) -> Table {
-    let mut table = Table::new(&["in µm", "forward ↑", "reverse ↓", "both"]);
+fn axis_table(iso230: &Iso230Results) -> HtmlTable {
+    let mut table = HtmlTable::new(&["in µm", "forward ↑", "reverse ↓", "both"]);
     let cell = |value: Option<f64>| value.map_or_else(|| "–".into(), format_micrometres);
     let (forward, reverse, both) = (&iso230.forward, &iso230.reverse, &iso230.both);
     let rows = [
@@ -148,8 +148,8 @@ fn axis_table(iso230: &Iso230Results) -> Table {
     table
 }
 
-fn target_table(iso230: &Iso230Results) -> Table {
-    let mut table = Table::new(&["mm", "n↑", "x̄↑ µm", "s↑ µm", "n↓", "x̄↓ µm", "s↓ µm", "B µm"]);
+fn target_table(iso230: &Iso230Results) -> HtmlTable {
+    let mut table = HtmlTable::new(&["mm", "n↑", "x̄↑ µm", "s↑ µm", "n↓", "x̄↓ µm", "s↓ µm", "B µm"]);
     let three = |approach: Option<ApproachStatistics>| match approach {
         Some(it) => [
             it.runs.to_string(),

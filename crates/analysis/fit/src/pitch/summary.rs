@@ -17,7 +17,7 @@ use super::{
     pitch_aliasing::aliased_pitches,
     readings::Readings,
     scatter::Scatter,
-    table::Grid,
+    table::TargetGrid,
 };
 use crate::{
     iso230::Iso230Results,
@@ -131,7 +131,7 @@ pub(super) fn write_pitch_section(
     axis: LinearAxis,
     readings: &Readings,
     sums: &DirectionSums,
-    grid: &Grid,
+    grid: &TargetGrid,
     fitted: &FittedCorrection,
 ) {
     let Some(pitch) = &fitted.pitch else { return };

@@ -41,13 +41,13 @@ impl DirectionMeans {
 
 /// The points of a table: at least two.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Grid {
+pub(super) struct TargetGrid {
     pub start_mm: f64,
     pub step_mm: f64,
     pub points: usize,
 }
 
-impl Grid {
+impl TargetGrid {
     /// This many points from the first target to the last, at whole units of the board, so that its
     /// table stands where this one does.
     pub(super) fn with_point_count(targets_mm: &[f64], points: usize) -> Self {
@@ -217,8 +217,8 @@ mod tests {
     #[test]
     fn equal_steps_give_the_means_themselves() {
         let targets = [-20.0, -15.0, -10.0, -5.0, 0.0];
-        let grid = Grid::from_equal_steps(&targets).expect("they are equal");
-        assert_eq!(grid, Grid { start_mm: -20.0, step_mm: 5.0, points: 5 });
+        let grid = TargetGrid::from_equal_steps(&targets).expect("they are equal");
+        assert_eq!(grid, TargetGrid { start_mm: -20.0, step_mm: 5.0, points: 5 });
         let means = [1.0, -7.25, 30.125, 0.0, 4.5];
         let points: Vec<_> = targets.into_iter().zip(means).collect();
         assert_eq!(grid.fit_table(&line(&points)), means);
@@ -229,8 +229,8 @@ mod tests {
         let points: Vec<(f64, f64)> =
             [0.0, 13.7, 29.1, 61.0, 100.0].map(|x| (x, 0.5 * x - 3.0)).into();
         let targets: Vec<f64> = points.iter().map(|point| point.0).collect();
-        assert!(Grid::from_equal_steps(&targets).is_none());
-        let grid = Grid::with_point_count(&targets, 5);
+        assert!(TargetGrid::from_equal_steps(&targets).is_none());
+        let grid = TargetGrid::with_point_count(&targets, 5);
         let table = grid.fit_table(&line(&points));
         assert!(worst(&table, &[-3.0, 9.5, 22.0, 34.5, 47.0]) < 1e-9, "{table:?}");
         assert!(grid.rms_loss_um(&[&line(&points)]) < 1e-9);
@@ -240,7 +240,7 @@ mod tests {
     fn a_finer_table_loses_less_at_uneven_targets() {
         let points = line(&[(0.0, 0.0), (9.0, 4.0), (21.5, -3.0), (30.0, 5.0), (41.0, 0.0)]);
         let targets: Vec<f64> = points.points.iter().map(|point| point.0).collect();
-        let loss = |count| Grid::with_point_count(&targets, count).rms_loss_um(&[&points]);
+        let loss = |count| TargetGrid::with_point_count(&targets, count).rms_loss_um(&[&points]);
         let losses = [3, 6, 20, 80].map(loss);
         println!("loss in µm with 3, 6, 20, 80 points: {losses:.3?}");
         assert!(losses.is_sorted_by(|a, b| a > b), "{losses:?}");
@@ -258,7 +258,7 @@ mod tests {
         let (p, q) = (1.625, 0.875);
         let det = a * c - b * b;
         let by_hand = [(c * p - b * q) / det, (a * q - b * p) / det];
-        let grid = Grid::with_point_count(&[0.0, 1.0, 4.0], 2);
+        let grid = TargetGrid::with_point_count(&[0.0, 1.0, 4.0], 2);
         let table = grid.least_squares_fit(&line(&[(0.0, 0.0), (1.0, 3.0), (4.0, 0.0)]));
         assert!(worst(&table, &by_hand) < 1e-12, "{table:?}, by hand {by_hand:?}");
     }
@@ -267,7 +267,7 @@ mod tests {
     fn points_stand_where_the_board_can_have_them_and_cover_the_targets() {
         let targets = [-0.000_003, 1.1, 2.2, 10.0];
         for points in [2, 3, 4, 7, 100] {
-            let grid = Grid::with_point_count(&targets, points);
+            let grid = TargetGrid::with_point_count(&targets, points);
             for mm in [grid.start_mm, grid.step_mm] {
                 assert!((mm * 1e5 - (mm * 1e5).round()).abs() < 1e-6, "{grid:?}");
             }
@@ -277,14 +277,15 @@ mod tests {
 
     #[test]
     fn steps_written_in_few_digits_are_still_equal() {
-        let grid = Grid::from_equal_steps(&[0.0, 6.6667, 13.3333, 20.0]).expect("thirds of 20");
+        let grid =
+            TargetGrid::from_equal_steps(&[0.0, 6.6667, 13.3333, 20.0]).expect("thirds of 20");
         assert_eq!((grid.points, grid.step_mm), (4, 6.66667));
     }
 
     #[test]
     fn a_step_that_does_not_divide_the_travel_ends_beyond_it() {
-        let grid = Grid::with_step(&[0.0, 3.0, 10.0], 4.0);
+        let grid = TargetGrid::with_step(&[0.0, 3.0, 10.0], 4.0);
         assert_eq!(grid.points, 4);
-        assert_eq!(Grid::with_step(&[0.0, 0.1, 0.3], 0.1).points, 4);
+        assert_eq!(TargetGrid::with_step(&[0.0, 0.1, 0.3], 0.1).points, 4);
     }
 }

@@ -1,6 +1,6 @@
 //! The page of a volume: what is known of each error, its curve with the 95 % interval, and what to measure next.
 
-use trueup_page::{Chart, Colour, Origin, Page, Series, Table, format_micrometres};
+use trueup_page::{Chart, Colour, HtmlTable, Origin, Page, Series, format_micrometres};
 
 use super::{VolumeReport, identifiability::ErrorAssessment, reading::ReadingKind};
 
@@ -58,9 +58,9 @@ pub fn build_page(report: &VolumeReport, origin: &Origin) -> Page {
     page
 }
 
-fn errors_table(report: &VolumeReport) -> Table {
+fn errors_table(report: &VolumeReport) -> HtmlTable {
     let mut table =
-        Table::new(&["error", "value or range", "± 95 %", "known", "looks the same as"]);
+        HtmlTable::new(&["error", "value or range", "± 95 %", "known", "looks the same as"]);
     for it in &report.known {
         let unit = it.error.unit();
         let state = match (it.acts, it.is_known) {
@@ -91,8 +91,8 @@ fn list_next_tests(acting: &[&ErrorAssessment]) -> Vec<String> {
     tests.into_iter().map(sentence).collect()
 }
 
-fn readings_table(report: &VolumeReport) -> Table {
-    let mut table = Table::new(&["measured with", "readings", "noise"]);
+fn readings_table(report: &VolumeReport) -> HtmlTable {
+    let mut table = HtmlTable::new(&["measured with", "readings", "noise"]);
     for kind in ReadingKind::ALL {
         if let Some(um) = report.noise_um[kind.index()] {
             let count = report.readings[kind.index()].to_string();

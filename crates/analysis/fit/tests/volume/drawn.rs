@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 use rand::{Rng as _, SeedableRng as _, seq::IndexedRandom as _};
 use rand_chacha::ChaCha8Rng;
 use trueup_twin::{
-    axes::{Axes, AxesConfig, AxisConfig, AxisName, Straightness},
+    axes::{Axes, AxesConfig, AxisConfig, AxisName, StraightnessConfig},
     bodies::{Body, MovingAxis, error_um},
     cubic_spline::CubicSpline,
 };
@@ -112,7 +112,7 @@ impl Drawn {
                 let points = law.form(random, travel_mm[m], 3.0 * size, 0.0);
                 let um_per_m = 20.0 * size * normal(random);
                 let (error, along) = (NAMES[n], NAMES[m]);
-                axes.straightness.push(Straightness { error, along, points, um_per_m });
+                axes.straightness.push(StraightnessConfig { error, along, points, um_per_m });
             }
         }
         let middle = travel_mm.map(|mm| 0.5 * mm);

@@ -9,7 +9,7 @@ use super::{
 use trueup_twin::{
     ambient::{Ambient, AmbientConfig},
     noise::RandomStream,
-    spindle::{OperatingConditions, Spindle, SpindleConfig},
+    spindle::{OperatingConditions, SimulatedSpindle, SpindleConfig},
     table::RunTable,
 };
 
@@ -259,7 +259,7 @@ fn simulate_spindle_run(
         wander_s: 2400.0,
     };
     let mut ambient = Ambient::new(&air, stream.clone());
-    let mut spindle = Spindle::new(config, ambient.temperature_c());
+    let mut spindle = SimulatedSpindle::new(config, ambient.temperature_c());
     let mut node = |mean_c: f64, warm_c: f64, lag_s: [f64; 2]| ThermalNode {
         temperature_c: mean_c,
         mean_c,

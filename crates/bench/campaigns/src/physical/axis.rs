@@ -7,7 +7,7 @@ use super::{
     kind::{CONTROLLED_ROOM_C, FaultDirections, base_scenario, build_thermometers},
 };
 use trueup_twin::{
-    axes::{AxisConfig, AxisName, Feedback, Straightness},
+    axes::{AxisConfig, AxisName, Feedback, StraightnessConfig},
     cubic_spline::CubicSpline,
     noise::RandomStream,
     path::{Segment, SegmentKind as Piece},
@@ -113,7 +113,7 @@ pub(super) fn apply_fault(
             x.backlash_um_per_m = along_um / half_m;
             x.backlash_um = middle_um - x.backlash_um_per_m * (low_mm + high_mm) / 2000.0;
         }
-        PhysicalFault::Mounting => scenario.straightness.push(Straightness {
+        PhysicalFault::Mounting => scenario.straightness.push(StraightnessConfig {
             error: AxisName::X,
             along: AxisName::Y,
             points: CubicSpline::default(),

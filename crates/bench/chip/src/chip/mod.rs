@@ -26,17 +26,17 @@ mod world_step;
 
 use crate::{
     processor::{InterruptLines, Memories, Memory},
-    report::{Report, Severity},
+    report::{Severity, SimulationReport},
     time::NEVER,
     world::World,
 };
 use adc::{Adc, Adcs};
-use backup::{BackupDomain, registers::PWR_CR_RESET};
+use backup::{BackupRegisters, registers::PWR_CR_RESET};
 use can::Can;
 use crc::Crc;
 use dma::Dma;
 use flash::{
-    Flash,
+    FlashModel,
     registers::{ACR_ICRST, OPTCR_OPTLOCK},
 };
 use gpio::{Gpio, registers::*};
@@ -129,7 +129,7 @@ pub struct Chip {
     /// The present time, in ticks since power-on.
     pub now: u64,
     /// Findings about the image.
-    pub report: Report,
+    pub report: SimulationReport,
     /// Faults from outside.
     pub faults: InjectedFaults,
     /// Reset and clock control.
@@ -149,9 +149,9 @@ pub struct Chip {
     /// PWR_CR, the power control register.
     pub pwr_cr: u32,
     /// The backup domain.
-    pub backup: BackupDomain,
+    pub backup: BackupRegisters,
     /// The flash interface.
-    pub flash: Flash,
+    pub flash: FlashModel,
     /// The CRC unit.
     pub crc: Crc,
     /// The ports A to I.
@@ -230,7 +230,7 @@ impl Chip {
             sram: memories.sram,
             rom: memories.flash,
             now: 0,
-            report: Report::default(),
+            report: SimulationReport::default(),
             faults,
             rcc: Rcc::default(),
             sys_hz: HSI_HZ,
@@ -240,8 +240,8 @@ impl Chip {
             tclk1: 0,
             tclk2: 0,
             pwr_cr: 0,
-            backup: BackupDomain::default(),
-            flash: Flash::default(),
+            backup: BackupRegisters::default(),
+            flash: FlashModel::default(),
             crc: Crc::default(),
             gpio: Default::default(),
             tims: Vec::new(),
@@ -299,7 +299,7 @@ impl Chip {
             ..Gpio::default()
         };
         let options = self.flash.optcr | OPTCR_OPTLOCK;
-        self.flash = Flash::after_reset(self.flash.stats);
+        self.flash = FlashModel::after_reset(self.flash.stats);
         self.flash.optcr = options;
         self.crc = Crc::default();
         self.tims = Tim::all_timers();

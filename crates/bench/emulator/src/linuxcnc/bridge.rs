@@ -62,7 +62,7 @@ pub struct Wiring {
     pub seed: u64,
 }
 
-enum Board {
+enum BoardBackend {
     Qemu {
         image: PathBuf,
         later: Vec<u8>,
@@ -86,7 +86,7 @@ enum Board {
 
 /// A running bridge.
 pub struct EmulatedBridge {
-    board: Board,
+    board: BoardBackend,
     wiring: Wiring,
 }
 
@@ -97,7 +97,7 @@ impl EmulatedBridge {
     /// It does not come up.
     pub fn start(images: BridgeImages, wiring: Wiring) -> Result<Self> {
         let board = match images {
-            BridgeImages::Qemu(image, [first, later]) => Board::Qemu {
+            BridgeImages::Qemu(image, [first, later]) => BoardBackend::Qemu {
                 board: VirtualBoard::boot(&image, &first)?,
                 adapter: SlcanAdapter::listen()?,
                 front_end: Box::new(FrontEnd::new(wiring.divider, wiring.seed)),
@@ -107,13 +107,13 @@ impl EmulatedBridge {
             BridgeImages::Chip(model, [first, later]) => {
                 let mut board = add_converter_noise(LockstepChip::start(&model, &first, 0)?)?;
                 let slower = measure_time_stretch(&mut board)?;
-                Board::Chip { model, later, board, slower }
+                BoardBackend::Chip { model, later, board, slower }
             }
             BridgeImages::Servo(library) => {
                 let listener = TcpListener::bind("127.0.0.1:0")?;
                 listener.set_nonblocking(true)?;
                 let front_end = Box::new(FrontEnd::new(wiring.divider, wiring.seed));
-                Board::Servo { library, listener, client: None, front_end }
+                BoardBackend::Servo { library, listener, client: None, front_end }
             }
         };
         Ok(Self { board, wiring })
@@ -125,9 +125,9 @@ impl EmulatedBridge {
     /// It listens nowhere.
     pub fn address(&self) -> Result<String> {
         Ok(match &self.board {
-            Board::Qemu { adapter, .. } => adapter.address(),
-            Board::Chip { board, .. } => format!("tcp:127.0.0.1:{}", board.port()),
-            Board::Servo { listener, .. } => format!("tcp:{}", listener.local_addr()?),
+            BoardBackend::Qemu { adapter, .. } => adapter.address(),
+            BoardBackend::Chip { board, .. } => format!("tcp:127.0.0.1:{}", board.port()),
+            BoardBackend::Servo { listener, .. } => format!("tcp:{}", listener.local_addr()?),
         })
     }
 
@@ -135,8 +135,8 @@ impl EmulatedBridge {
     #[must_use]
     pub(crate) fn component_library(&self) -> Option<&Path> {
         match &self.board {
-            Board::Servo { library, .. } => Some(library),
-            Board::Qemu { .. } | Board::Chip { .. } => None,
+            BoardBackend::Servo { library, .. } => Some(library),
+            BoardBackend::Qemu { .. } | BoardBackend::Chip { .. } => None,
         }
     }
 
@@ -150,8 +150,8 @@ impl EmulatedBridge {
     #[must_use]
     pub(crate) fn time_stretch(&self) -> u32 {
         match self.board {
-            Board::Qemu { .. } | Board::Servo { .. } => 1,
-            Board::Chip { slower, .. } => slower,
+            BoardBackend::Qemu { .. } | BoardBackend::Servo { .. } => 1,
+            BoardBackend::Chip { slower, .. } => slower,
         }
     }
 
@@ -160,9 +160,9 @@ impl EmulatedBridge {
     #[must_use]
     pub(crate) fn time_ratios(&self, factor: u32) -> [f64; 2] {
         match self.board {
-            Board::Qemu { .. } => [f64::from(factor), 1.0],
-            Board::Chip { slower, .. } => [1.0 / f64::from(slower), f64::from(factor)],
-            Board::Servo { .. } => [1.0, f64::from(factor)],
+            BoardBackend::Qemu { .. } => [f64::from(factor), 1.0],
+            BoardBackend::Chip { slower, .. } => [1.0 / f64::from(slower), f64::from(factor)],
+            BoardBackend::Servo { .. } => [1.0, f64::from(factor)],
         }
     }
 
@@ -179,7 +179,7 @@ impl EmulatedBridge {
         celsius: &BTreeMap<String, f64>,
     ) -> Result<()> {
         match &mut self.board {
-            Board::Qemu { board, adapter, front_end, .. } => {
+            BoardBackend::Qemu { board, adapter, front_end, .. } => {
                 let temperatures = replay::raw_temperatures(&self.wiring.temperatures, celsius);
                 let blocks: Vec<Block> = (0..ms)
                     .map(|_| {
@@ -199,7 +199,7 @@ impl EmulatedBridge {
                 adapter.forward_frames(&sent);
                 Ok(())
             }
-            Board::Chip { board, .. } => {
+            BoardBackend::Chip { board, .. } => {
                 for (name, input) in &self.wiring.temperatures {
                     let Some(celsius) = celsius.get(name) else { continue };
                     ensure!(input.kind == TemperatureKind::Pt100, "{name} is no PT100");
@@ -215,7 +215,7 @@ impl EmulatedBridge {
                 }
                 Ok(())
             }
-            Board::Servo { listener, client, front_end, .. } => {
+            BoardBackend::Servo { listener, client, front_end, .. } => {
                 if client.is_none() {
                     *client = listener.accept().ok().map(|connection| connection.0);
                 }
@@ -244,15 +244,15 @@ impl EmulatedBridge {
     /// Returns whether its time begins with that of LinuxCNC: what is said before would be late for good.
     #[must_use]
     pub(crate) fn is_clocked_by_cnc(&self) -> bool {
-        matches!(self.board, Board::Servo { .. })
+        matches!(self.board, BoardBackend::Servo { .. })
     }
 
     /// Returns whether the CNC has sent something within `time`, where that is known.
     #[must_use]
     pub(crate) fn has_received_within(&self, time: Duration) -> bool {
         match &self.board {
-            Board::Qemu { adapter, .. } => adapter.has_received_within(time),
-            Board::Chip { .. } | Board::Servo { .. } => true,
+            BoardBackend::Qemu { adapter, .. } => adapter.has_received_within(time),
+            BoardBackend::Chip { .. } | BoardBackend::Servo { .. } => true,
         }
     }
 
@@ -262,19 +262,19 @@ impl EmulatedBridge {
     /// It does not come up again, or the model of the chip objects to what was done so far.
     pub(crate) fn restart_for_warm_up(self) -> Result<Self> {
         let board = match self.board {
-            Board::Qemu { image, later, adapter, front_end, board } => {
+            BoardBackend::Qemu { image, later, adapter, front_end, board } => {
                 drop(board);
                 let board = VirtualBoard::boot(&image, &later)?;
-                Board::Qemu { image, later, adapter, front_end, board }
+                BoardBackend::Qemu { image, later, adapter, front_end, board }
             }
-            Board::Chip { model, later, board, slower } => {
+            BoardBackend::Chip { model, later, board, slower } => {
                 let port = board.port();
                 board.power_off()?;
                 let board = add_converter_noise(LockstepChip::start(&model, &later, port)?)?;
-                Board::Chip { model, later, board, slower }
+                BoardBackend::Chip { model, later, board, slower }
             }
             // LinuxCNC reads its machine file once.
-            it @ Board::Servo { .. } => it,
+            it @ BoardBackend::Servo { .. } => it,
         };
         Ok(Self { board, ..self })
     }
@@ -283,9 +283,9 @@ impl EmulatedBridge {
     #[must_use]
     pub(crate) fn take_log(&self) -> Vec<String> {
         match &self.board {
-            Board::Qemu { board, .. } => board.take_log(),
-            Board::Chip { board, .. } => board.take_log(),
-            Board::Servo { .. } => Vec::new(),
+            BoardBackend::Qemu { board, .. } => board.take_log(),
+            BoardBackend::Chip { board, .. } => board.take_log(),
+            BoardBackend::Servo { .. } => Vec::new(),
         }
     }
 
@@ -296,9 +296,9 @@ impl EmulatedBridge {
     /// The model of the chip objects to what was done.
     pub fn shut_down(self) -> Result<Option<(u64, u64)>> {
         match self.board {
-            Board::Qemu { adapter, .. } => Ok(Some(adapter.frame_counts())),
-            Board::Chip { board, .. } => board.power_off().map(|()| None),
-            Board::Servo { .. } => Ok(None),
+            BoardBackend::Qemu { adapter, .. } => Ok(Some(adapter.frame_counts())),
+            BoardBackend::Chip { board, .. } => board.power_off().map(|()| None),
+            BoardBackend::Servo { .. } => Ok(None),
         }
     }
 }

@@ -61,14 +61,14 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use serde_json::json;
 use trueup_machine::{Machine, MachineFile, compile};
-use trueup_twin::machine::Machine as Twin;
+use trueup_twin::machine::SimulatedMachine as Twin;
 
 use self::{
     bridge::{BridgeImages, EmulatedBridge, Wiring},
     figures::{Figures, RunRecord},
     headless::HeadlessLinuxCnc,
     machine_measurement::{LOOP_SEED, MeasuredMachine},
-    plant::Plant,
+    plant::RunningPlant,
 };
 use crate::{chip, firmware, host_programs, setup};
 
@@ -175,7 +175,7 @@ pub fn run(way: CompensationRoute) -> Result<Option<Figures>> {
             "a second of the board is given {slower} of the wall, and so is the CNC's"
         ));
     }
-    let mut plant = Plant::start(bridge, Twin::new(&twin, LOOP_SEED))?;
+    let mut plant = RunningPlant::start(bridge, Twin::new(&twin, LOOP_SEED))?;
     let mut cnc = start_linuxcnc(&trueup, &plant, &measured, way, control)?;
     let (sampler, cycles) = cnc.start_sampler()?;
     plant.attach_sampler(cycles);
@@ -320,7 +320,7 @@ fn build_images(measured: &MeasuredMachine, folder: &str) -> Result<[PathBuf; 2]
 
 fn start_linuxcnc(
     trueup: &Path,
-    plant: &Plant,
+    plant: &RunningPlant,
     measured: &MeasuredMachine,
     way: CompensationRoute,
     control: setup::LinuxCnc,
@@ -360,7 +360,7 @@ fn nc_programs(slower: u32) -> [(&'static str, String); 4] {
 }
 
 /// Runs a program to its end.
-fn run_program(cnc: &mut HeadlessLinuxCnc, plant: &mut Plant, program: &str) -> Result<()> {
+fn run_program(cnc: &mut HeadlessLinuxCnc, plant: &mut RunningPlant, program: &str) -> Result<()> {
     cnc.start_program(program)?;
     let begun = Instant::now();
     while cnc.is_busy().with_context(|| cnc.recent_log())? {
@@ -373,7 +373,7 @@ fn run_program(cnc: &mut HeadlessLinuxCnc, plant: &mut Plant, program: &str) -> 
 }
 
 /// Waits until the bridge is live and LinuxCNC has applied what it says.
-fn wait_until_engaged(cnc: &mut HeadlessLinuxCnc, plant: &mut Plant) -> Result<()> {
+fn wait_until_engaged(cnc: &mut HeadlessLinuxCnc, plant: &mut RunningPlant) -> Result<()> {
     let begun = Instant::now();
     loop {
         let pins = cnc.read_pins(&["trueup.0.quality", "trueup.0.applied", "trueup.0.fault"])?;
@@ -393,8 +393,8 @@ fn wait_until_engaged(cnc: &mut HeadlessLinuxCnc, plant: &mut Plant) -> Result<(
 }
 
 /// Two hours of the machine.
-fn run_warm_up_phase(cnc: &mut HeadlessLinuxCnc, plant: &mut Plant) -> Result<()> {
-    let lived_s = |plant: &Plant| plant.latest_cycle().map_or(0.0, |cycle| cycle.time_s);
+fn run_warm_up_phase(cnc: &mut HeadlessLinuxCnc, plant: &mut RunningPlant) -> Result<()> {
+    let lived_s = |plant: &RunningPlant| plant.latest_cycle().map_or(0.0, |cycle| cycle.time_s);
     cnc.start_program("warm.ngc")?;
     let begun = Instant::now();
     while plant.latest_cycle().is_none_or(|cycle| cycle.phase != config::phase::WARM_UP) {

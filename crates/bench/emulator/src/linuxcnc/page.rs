@@ -1,6 +1,6 @@
 //! The page of the loop: what the tool tip did before and after, in the look of all reports.
 
-use trueup_page::{Chart, Colour, Page, Series, Table, format_micrometres};
+use trueup_page::{Chart, Colour, HtmlTable, Page, Series, format_micrometres};
 
 use super::{
     BridgePlatform, OffsetEntry,
@@ -26,7 +26,7 @@ pub fn render_page(figures: &Figures) -> String {
         },
         figures.cycles[0]
     ));
-    let mut table = Table::new(&["", "without", "with", "", "target"]);
+    let mut table = HtmlTable::new(&["", "without", "with", "", "target"]);
     figures.checks.iter().for_each(|check| table.add_row(&check_row(check)));
     page.add_table(&table);
 
@@ -106,8 +106,8 @@ fn check_row(check: &AcceptanceCheck) -> [String; 5] {
     ]
 }
 
-fn staircase_table(stairs: &[StaircaseStep]) -> Table {
-    let mut table = Table::new(&[
+fn staircase_table(stairs: &[StaircaseStep]) -> HtmlTable {
+    let mut table = HtmlTable::new(&[
         "Z, mm",
         "without: from below",
         "from above",

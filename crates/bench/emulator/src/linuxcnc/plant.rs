@@ -28,7 +28,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, anyhow, bail};
-use trueup_twin::machine::{DriveCommand, Machine};
+use trueup_twin::machine::{DriveCommand, SimulatedMachine};
 
 use super::bridge::EmulatedBridge;
 use crate::board::MAX_BATCH_BLOCKS;
@@ -104,7 +104,7 @@ impl ServoCycle {
 
 /// Requests to the loop, and its answers.
 #[derive(Default)]
-struct SharedState {
+struct LoopState {
     factor: AtomicU32,
     stop: AtomicBool,
     board_ms: AtomicU64,
@@ -133,8 +133,8 @@ pub struct LoopResult {
 type FrameCounts = Option<(u64, u64)>;
 
 /// The running machine.
-pub struct Plant {
-    shared: Arc<SharedState>,
+pub struct RunningPlant {
+    shared: Arc<LoopState>,
     to_loop: Sender<Sample>,
     thread: Option<JoinHandle<Result<FrameCounts>>>,
     slower: u32,
@@ -143,16 +143,16 @@ pub struct Plant {
     channels: Vec<u8>,
 }
 
-impl Plant {
+impl RunningPlant {
     /// Lets a machine live at a running bridge.
     ///
     /// # Errors
     /// The bridge listens nowhere.
-    pub fn start(bridge: EmulatedBridge, twin: Machine) -> Result<Self> {
+    pub fn start(bridge: EmulatedBridge, twin: SimulatedMachine) -> Result<Self> {
         let (address, slower) = (bridge.address()?, bridge.time_stretch());
         let (library, channels) =
             (bridge.component_library().map(Path::to_path_buf), bridge.temperature_channels());
-        let shared = Arc::new(SharedState { factor: AtomicU32::new(1), ..SharedState::default() });
+        let shared = Arc::new(LoopState { factor: AtomicU32::new(1), ..LoopState::default() });
         let (to_loop, samples) = mpsc::channel();
         let theirs = shared.clone();
         let thread = thread::spawn(move || SimulationLoop::new(twin, samples, theirs).run(bridge));
@@ -249,7 +249,7 @@ impl Plant {
     }
 }
 
-impl Drop for Plant {
+impl Drop for RunningPlant {
     fn drop(&mut self) {
         if self.thread.is_some() {
             // The reason of its end is reported by its owner.
@@ -307,10 +307,10 @@ fn round_to_u32(value: f64) -> u32 {
 
 /// The loop itself.
 struct SimulationLoop {
-    with: Machine,
-    without: Machine,
+    with: SimulatedMachine,
+    without: SimulatedMachine,
     samples: Receiver<Sample>,
-    shared: Arc<SharedState>,
+    shared: Arc<LoopState>,
     /// Milliseconds of the machine that the board has lived through and the machine has not.
     ahead_ms: f64,
     heard: Option<Instant>,
@@ -319,7 +319,7 @@ struct SimulationLoop {
 }
 
 impl SimulationLoop {
-    fn new(twin: Machine, samples: Receiver<Sample>, shared: Arc<SharedState>) -> Self {
+    fn new(twin: SimulatedMachine, samples: Receiver<Sample>, shared: Arc<LoopState>) -> Self {
         Self {
             with: twin.clone(),
             without: twin,

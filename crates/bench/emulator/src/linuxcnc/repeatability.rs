@@ -8,7 +8,7 @@ use anyhow::{Context as _, Result};
 use trueup_machine::{CompiledCalibration, Machine, compile};
 use trueup_twin::{
     axes::AxisName,
-    machine::{self, Machine as Twin},
+    machine::{self, SimulatedMachine as Twin},
 };
 
 use super::{

@@ -7,7 +7,7 @@ use tempfile::TempDir;
 
 use super::{
     BridgePlatform, CompensationRoute, OffsetEntry, TIME_COMPRESSION, config,
-    headless::HeadlessLinuxCnc, machine_measurement::MeasuredMachine, plant::Plant,
+    headless::HeadlessLinuxCnc, machine_measurement::MeasuredMachine, plant::RunningPlant,
 };
 use crate::setup;
 
@@ -19,7 +19,7 @@ const FEED_SCRIPT: &str = "#!/bin/bash\nexec halstreamer < /dev/tcp/$1\n";
 /// # Errors
 /// Setup or LinuxCNC refuses; with what it said.
 pub fn start(
-    plant: &Plant,
+    plant: &RunningPlant,
     measured: &MeasuredMachine,
     way: CompensationRoute,
     folder: TempDir,

@@ -23,12 +23,12 @@ const NEW_KEY: TestKey = TestKey(8);
 const UNLIMITED_BYTES: usize = usize::MAX / 2;
 
 #[derive(Clone)]
-struct Board {
+struct KeyChangeBoard {
     records: StrictFlash<RECORDS_SECTOR_BYTES>,
     slots: StrictFlash<SLOT_BYTES>,
 }
 
-impl Board {
+impl KeyChangeBoard {
     /// An erased chip with the files of a probe; its boot program has the new key.
     fn with_images(a: &[u8], b: &[u8], seed: u32) -> Self {
         let (records, mut slots) =
@@ -90,19 +90,19 @@ fn new_image_a() -> Vec<u8> {
 #[test]
 fn with_a_dead_pll_the_image_of_the_new_key_starts_and_one_of_the_old_key_does_not() {
     for b in [Vec::new(), image_signed_by(OLD_KEY, Slot::B, 2, 0)] {
-        let mut board = Board::with_images(&new_image_a(), &b, 1);
+        let mut board = KeyChangeBoard::with_images(&new_image_a(), &b, 1);
         for _ in 0..2 {
             assert_eq!(board.start().map(|started| started.0), Some(Slot::A));
         }
     }
     // The image was not signed anew: nothing may start.
-    let mut board = Board::with_images(&image_signed_by(OLD_KEY, Slot::A, 1, 0), &[], 1);
+    let mut board = KeyChangeBoard::with_images(&image_signed_by(OLD_KEY, Slot::A, 1, 0), &[], 1);
     assert_eq!(board.start(), None);
 }
 
 #[test]
 fn with_a_dead_pll_an_update_of_the_new_key_starts_on_trial_and_one_of_the_old_key_is_refused() {
-    let mut board = Board::with_images(&new_image_a(), &[], 1);
+    let mut board = KeyChangeBoard::with_images(&new_image_a(), &[], 1);
     assert_eq!(
         board.load_update(
             &PowerSupply::with_byte_budget(UNLIMITED_BYTES),
@@ -111,7 +111,7 @@ fn with_a_dead_pll_an_update_of_the_new_key_starts_on_trial_and_one_of_the_old_k
         Ok(())
     );
     assert_eq!(board.start(), Some((Slot::B, StartReason::Trial(1))));
-    let mut board = Board::with_images(&new_image_a(), &[], 1);
+    let mut board = KeyChangeBoard::with_images(&new_image_a(), &[], 1);
     let refused = board.load_update(
         &PowerSupply::with_byte_budget(UNLIMITED_BYTES),
         &image_signed_by(OLD_KEY, Slot::B, 2, 0),
@@ -128,11 +128,11 @@ fn a_cut_at_any_word_of_an_update_after_a_key_change_leaves_a_signed_image_that_
     for (key, seed) in [(NEW_KEY, 1), (OLD_KEY, 2), (NEW_KEY, 3), (OLD_KEY, 4)] {
         let (old, new) = (new_image_a(), image_signed_by(key, Slot::B, 2, 0));
         let whole = PowerSupply::with_byte_budget(UNLIMITED_BYTES);
-        Board::with_images(&old, &[], seed).load_update(&whole, &new).ok();
+        KeyChangeBoard::with_images(&old, &[], seed).load_update(&whole, &new).ok();
         let words = (UNLIMITED_BYTES - whole.remaining_bytes()) / 4;
         let mut started = [0_u32; 2];
         for word in 0..=words {
-            let mut board = Board::with_images(&old, &[], seed);
+            let mut board = KeyChangeBoard::with_images(&old, &[], seed);
             board.load_update(&PowerSupply::with_byte_budget(4 * word), &new).ok();
             cuts += 1;
             for turn in 0..3_u32 {
@@ -157,7 +157,7 @@ fn a_cut_at_any_word_of_an_update_after_a_key_change_leaves_a_signed_image_that_
 fn an_image_of_the_old_key_that_stays_starts_with_a_dead_pll_unless_the_records_are_erased() {
     let stays = image_signed_by(OLD_KEY, Slot::B, 2, 0);
     let tag = u32::from_le_bytes(*stays[..HEADER_SIZE].last_chunk().expect("a tag"));
-    let mut board = Board::with_images(&new_image_a(), &stays, 1);
+    let mut board = KeyChangeBoard::with_images(&new_image_a(), &stays, 1);
     board.with_supply(&PowerSupply::with_byte_budget(UNLIMITED_BYTES), |journal, _| {
         let verified = journal.state().with_status(Slot::B, tag, ImageStatus::Verified);
         journal.commit(verified).expect("powered");

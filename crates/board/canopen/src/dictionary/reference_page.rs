@@ -10,12 +10,12 @@ use super::{
 };
 
 /// A row of the page: entries with one meaning, which stand one after the other in one object.
-struct Row {
+struct PageRow {
     contents: Vec<EntryContent>,
     meaning: String,
 }
 
-impl Row {
+impl PageRow {
     fn new(content: EntryContent, meaning: impl Into<String>) -> Self {
         Self { contents: vec![content], meaning: meaning.into() }
     }
@@ -37,67 +37,70 @@ fn format_address(content: EntryContent) -> String {
 }
 
 /// Returns the rows of the reference.
-fn reference_rows() -> Vec<Row> {
+fn reference_rows() -> Vec<PageRow> {
     let key = format_address(EntryContent::Forget);
     let [first, last] = [EntryContent::ReferenceElongation, EntryContent::Reference(2)];
     let written = format!("{} to {:02X}", format_address(first), find_address(last).1);
     vec![
-        Row::new(
+        PageRow::new(
             EntryContent::ReferenceElongation,
             format!(
                 "elongation of the reference in force, in nm; written, it waits for `back` at {key}; one beyond `max_um` \
                  is refused (abort 0x06090030)"
             ),
         ),
-        Row::of_numbers(
+        PageRow::of_numbers(
             EntryContent::Reference,
             [0, 1, 2],
             "its errors of X, Y, Z in nm, the same way",
         ),
-        Row::new(
+        PageRow::new(
             EntryContent::HasReference,
             "1: a reference is in force; 0: errors count from the calibration's own zero",
         ),
-        Row::new(
+        PageRow::new(
             EntryContent::Forget,
             format!(
                 "`back` offers the operator what was written to {written}; `zero` declines what is offered, or drops \
                  what is in force; each as four bytes of text"
             ),
         ),
-        Row::new(
+        PageRow::new(
             EntryContent::OfferedElongation,
             "elongation of the reference that is offered, in nm; −2³¹: none is",
         ),
-        Row::of_numbers(
+        PageRow::of_numbers(
             EntryContent::Offered,
             [0, 1, 2],
             "its errors of X, Y, Z in nm, the same way",
         ),
-        Row::new(
+        PageRow::new(
             EntryContent::ReferenceUtc,
             "time of day at which the reference was taken, in s since 1970 (UTC); 0: not known",
         ),
-        Row::new(
+        PageRow::new(
             EntryContent::ReferenceOrigin,
             "by which kind of write it was taken (lower byte) and over which line (upper byte), as the log has them",
         ),
-        Row::new(EntryContent::ReferenceAge, "its age in s; 2³² − 1: not known"),
+        PageRow::new(EntryContent::ReferenceAge, "its age in s; 2³² − 1: not known"),
     ]
 }
 
 /// Returns the rows of the calibrations.
-fn calibration_rows() -> Vec<Row> {
+fn calibration_rows() -> Vec<PageRow> {
     let pending = format_address(EntryContent::NewCrc);
     vec![
-        Row::new(EntryContent::Running, "the running calibration"),
-        Row::new(EntryContent::New, "the calibration for the next start"),
-        Row::new(
+        PageRow::new(EntryContent::Running, "the running calibration"),
+        PageRow::new(EntryContent::New, "the calibration for the next start"),
+        PageRow::new(
             EntryContent::RunningCrc,
             "CRC of the running calibration; 0: there is no valid one",
         ),
-        Row::new(EntryContent::NewCrc, "CRC of the calibration for the next start; 0: none waits"),
-        Row::new(
+        PageRow::new(
+            EntryContent::NewCrc,
+            "CRC of the calibration for the next start; 0: none waits",
+        ),
+        PageRow::new(
             EntryContent::DropNew,
             format!(
                 "`drop`, as four bytes of text, drops the calibration for the next start: the board stores its running \
@@ -108,54 +111,54 @@ fn calibration_rows() -> Vec<Row> {
 }
 
 /// Returns the rows of a new firmware.
-fn firmware_rows() -> Vec<Row> {
+fn firmware_rows() -> Vec<PageRow> {
     let received = format_address(EntryContent::FirmwareReceived);
     vec![
-        Row::new(
+        PageRow::new(
             EntryContent::FirmwareHeader,
             format!(
                 "header, {FIRMWARE_HEADER_BYTES} bytes: the board checks it and erases the other slot, before it answers; \
                  up to 5 s without a heartbeat"
             ),
         ),
-        Row::new(
+        PageRow::new(
             EntryContent::FirmwareImage,
             format!(
                 "image: the bytes behind {received}, in one transfer or several; the last segment of the last one is \
                  answered when CRC, SHA-256 and signature hold in the flash"
             ),
         ),
-        Row::new(
+        PageRow::new(
             EntryContent::FirmwareReceived,
             "bytes that have come, header included; 0: none is under way",
         ),
-        Row::new(
+        PageRow::new(
             EntryContent::FirmwareTag,
             "tag of the firmware under way: the last four bytes of its header",
         ),
-        Row::new(
+        PageRow::new(
             EntryContent::FirmwareRefused,
             "why the last one was refused (abort 0x06090030): 1 no header, 2 later format, 3 other slot, 4 length, \
              5 below the floor, 6 floor above its version, 7 damaged, 8 signature, 9 not newer, 10 on trial, 11 flash, \
              12 state not stored, 13 no slots",
         ),
-        Row::new(
+        PageRow::new(
             EntryContent::RunningSlot,
             "slot that runs: 0 A, 1 B; abort 0x08000024 where there are no slots",
         ),
-        Row::of_numbers(
+        PageRow::of_numbers(
             EntryContent::SlotVersion,
             [0, 1],
             "version in A, B: major, minor, patch, build, a byte each from the highest; 0: none",
         ),
-        Row::of_numbers(
+        PageRow::of_numbers(
             EntryContent::SlotStatus,
             [0, 1],
             "status of A, B in the lower byte (0 new, 1 loading, 2 verified, 3 on trial, 4 on trial and about to reset \
              itself, 5 confirmed, 6 rejected), starts on trial in the upper one",
         ),
-        Row::new(EntryContent::FirmwareFloor, "oldest version that may start"),
-        Row::new(
+        PageRow::new(EntryContent::FirmwareFloor, "oldest version that may start"),
+        PageRow::new(
             EntryContent::SlotChoice,
             "why the boot program chose the slot that runs, in its own words: reason in the lowest byte (1 newest, \
              2 on trial, 3 alone, 4 went back, 5 last resort), start on trial, then status of the other slot at that time \
@@ -171,7 +174,7 @@ fn find_entry(content: EntryContent) -> (&'static Object, &'static Entry) {
 }
 
 /// Returns the table of these rows as the page has it.
-fn print_table(rows: &[Row]) -> String {
+fn print_table(rows: &[PageRow]) -> String {
     let mut text = String::from("| object | type | access | meaning |\n|---|---|---|---|\n");
     for row in rows {
         let entries: Vec<_> = row.contents.iter().map(|content| find_entry(*content)).collect();

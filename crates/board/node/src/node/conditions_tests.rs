@@ -13,13 +13,13 @@ use trueup_link::status::StateBits;
 /// X moves by 5 µm while bit 9 is on.
 const CONDITION_SHIFT_NM: i32 = 5_000;
 
-struct Rig {
+struct ConditionRig {
     node: Node<'static>,
     counter: u8,
     emergencies: std::vec::Vec<Fault>,
 }
 
-impl Rig {
+impl ConditionRig {
     fn new() -> Self {
         let mut calibration = sensor_only_calibration();
         calibration.limits.slew_nm_per_s = 1_000_000;
@@ -79,7 +79,7 @@ fn on(counter: u8) -> Option<Frame> {
 
 #[test]
 fn a_condition_that_is_sent_moves_its_axis_and_a_damaged_frame_does_not() {
-    let mut rig = Rig::new();
+    let mut rig = ConditionRig::new();
     (0..50).for_each(|n| rig.send_control(Control::ENGAGED, on(n)));
     assert_eq!(rig.x(), Some(Nanometres(-CONDITION_SHIFT_NM)));
     assert!(!rig.emergencies.contains(&Fault::ConditionsLost));
@@ -93,7 +93,7 @@ fn a_condition_that_is_sent_moves_its_axis_and_a_damaged_frame_does_not() {
 
 #[test]
 fn lost_conditions_are_an_emergency_and_a_state_bit_within_100_ms_of_their_timeout() {
-    let mut rig = Rig::new();
+    let mut rig = ConditionRig::new();
     (0..50).for_each(|n| rig.send_control(Control::ENGAGED, on(n)));
     // Four times the link timeout of 500 ms.
     (0..99).for_each(|_| rig.send_control(Control::ENGAGED, None));

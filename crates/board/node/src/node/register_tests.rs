@@ -11,7 +11,7 @@ use trueup_core::{
 };
 use trueup_link::{frames, status::StateBits};
 use trueup_modbus::{
-    holding::{self, Block, CncData},
+    holding::{self, CncData, HoldingBlock},
     input,
     rtu::{FrameTiming, Slave},
     server::{Busy, RegisterStore, Response},
@@ -160,7 +160,7 @@ fn a_block_taken_in_steps_ends_where_one_taken_at_once_does() {
         let registers = full_control_block(counter, n.min(10));
         assert_eq!(at_once.receive_registers(&registers), Ok(()));
         run_for_ms(&mut at_once, 10, 700);
-        let block = Block::from_registers(&registers);
+        let block = HoldingBlock::from_registers(&registers);
         assert_eq!(in_steps.receive_block(&block), Ok(true));
         let values: Vec<CncMessage> = block.commands().collect();
         assert_eq!(values.len(), 6, "all are there: {values:?}");
@@ -182,7 +182,7 @@ fn a_block_taken_in_steps_ends_where_one_taken_at_once_does() {
 fn values_of_a_block_have_no_effect_once_another_line_has_the_master() {
     for (is_lost, is_unknown) in [(false, false), (true, true)] {
         let (mut node, counter) = engaged_node();
-        let block = Block::from_registers(&full_control_block(counter, 0));
+        let block = HoldingBlock::from_registers(&full_control_block(counter, 0));
         assert_eq!(node.receive_block(&block), Ok(true));
         if is_lost {
             run_for_ms(&mut node, 600, 700);

@@ -3,7 +3,7 @@
 
 use trueup_core::cnc::CncMessage;
 use trueup_modbus::{
-    holding::{self, Block, BlockRejectReason, Checker},
+    holding::{self, BlockRejectReason, Checker, HoldingBlock},
     input::InputBlock,
     server::Busy,
 };
@@ -53,7 +53,7 @@ impl Node<'_> {
     /// A CNC on another line is the master.
     // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
     #[inline(never)]
-    pub fn receive_block(&mut self, block: &Block) -> Result<bool, Busy> {
+    pub fn receive_block(&mut self, block: &HoldingBlock) -> Result<bool, Busy> {
         if !self.master.accepts_interface(Interface::Modbus) {
             if block.has_valid_crc() {
                 self.master.record_other_interface();
@@ -96,7 +96,7 @@ impl Node<'_> {
     /// # Errors
     /// As [`Node::receive_block`].
     pub fn receive_registers(&mut self, registers: &holding::Registers) -> Result<(), Busy> {
-        let block = Block::from_registers(registers);
+        let block = HoldingBlock::from_registers(registers);
         if self.receive_block(&block)? {
             block.commands().for_each(|value| self.receive_command(value));
         }

@@ -12,13 +12,13 @@ const DEBOUNCE_SAMPLES: u8 = 5;
 
 /// The switch, debounced; open until it has been closed for its time.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct ServiceSwitch {
+pub(super) struct SwitchDebouncer {
     is_closed: bool,
     /// Readings in a row that differ from it.
     differs: u8,
 }
 
-impl ServiceSwitch {
+impl SwitchDebouncer {
     /// Takes a reading.
     fn update(&mut self, is_closed: bool) {
         self.differs = if is_closed == self.is_closed { 0 } else { self.differs.saturating_add(1) };

@@ -18,7 +18,7 @@ fn blob(number: u32) -> Vec<u8> {
     })
 }
 
-fn open(flash: &Flash, base: u32) -> (CalibrationStore<Flash>, ScanResult) {
+fn open(flash: &Flash, base: u32) -> (CalibrationStore<Flash>, CalibrationScan) {
     CalibrationStore::open(flash.with_power_restored(), Some(base), &mut vec![0; MAX_BLOB_SIZE])
 }
 
@@ -40,7 +40,7 @@ fn store(flash: Flash, number: u32) -> (Flash, Result<u32, StoreError>) {
 fn the_newest_counts_through_more_than_the_flash_holds() {
     assert_eq!(128 * 1024 / SLOT_SIZE, 7, "of the chip's sectors");
     let mut flash = Flash::erased();
-    assert_eq!(open(&flash, IMAGE).1, ScanResult::default());
+    assert_eq!(open(&flash, IMAGE).1, CalibrationScan::default());
     let mut last = 0;
     for number in 1..20 {
         let (mut slots, _) = open(&flash, IMAGE);
@@ -125,7 +125,10 @@ fn one_damaged_byte_anywhere_and_the_one_before_counts() {
 fn another_image_wins_over_what_was_loaded_before_it() {
     let (flash, _) = store(Flash::erased(), 1);
     let (mut slots, found) = open(&flash, IMAGE + 1);
-    assert_eq!(found, ScanResult { newest: None, foreign: 1, damaged: 0, newer_is_damaged: false });
+    assert_eq!(
+        found,
+        CalibrationScan { newest: None, foreign: 1, damaged: 0, newer_is_damaged: false }
+    );
     assert_eq!(slots.store(&blob(2), || ()), Ok(2));
     let found = open(&slots.log.flash, IMAGE + 1).1;
     assert_eq!(found.newest.map(|stored| stored.sequence), Some(2));

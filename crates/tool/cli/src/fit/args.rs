@@ -18,7 +18,7 @@ pub struct Fit {
 #[derive(Subcommand)]
 pub enum FitKind {
     /// [straightness.z_of_x]: how an axis errs while another moves.
-    Straightness(Straightness),
+    Straightness(StraightnessArgs),
     /// [axis.x.pitch], and [axis.x.backlash] where it gains: an axis's position errors. The figures of ISO 230-2
     /// are written next to it as a page, OUT.html.
     Pitch(Pitch),
@@ -170,7 +170,7 @@ pub struct Volume {
 }
 
 #[derive(Args)]
-pub struct Straightness {
+pub struct StraightnessArgs {
     #[command(flatten)]
     pub common: CommonArgs,
     #[command(flatten)]

@@ -16,7 +16,7 @@ use trueup_fleet::{
     job::{Job, JobFile, Request, Submission, SubmittedFile},
     record::MachineRecord,
     result::StoredResult,
-    store::{Store, compute_checksum},
+    store::{FleetStore, compute_checksum},
     structure::{FitRequest, FittedConstants},
     worker::{self, DiagnosisError, DiagnosisFiles, LoadedJob},
 };
@@ -145,7 +145,7 @@ fn run_diagnosis(loaded: &LoadedJob, out: &Path) -> Result<DiagnosisFiles> {
 
 /// Returns the constants of the causes that a series requires of a record.
 pub fn fitted_constants(
-    store: &Store,
+    store: &FleetStore,
     id: &str,
     quantity: &str,
     asked: &FitRequest,
@@ -190,7 +190,7 @@ fn parse_quantity(name: &str) -> Option<file::Quantity> {
 }
 
 /// Returns what a result says of its machine.
-pub fn build_record(store: &Store, stored: &StoredResult) -> Result<MachineRecord, String> {
+pub fn build_record(store: &FleetStore, stored: &StoredResult) -> Result<MachineRecord, String> {
     let done = &stored.done;
     let bytes = stored.files.get(DIAGNOSIS_FILE).ok_or("has no diagnosis.json")?;
     let diagnosis: serde_json::Value =

@@ -9,7 +9,7 @@ use anyhow::Result;
 use clap::Args;
 use trueup_fleet::{
     nats::{ConnectionSettings, RemoteFleet},
-    store::Store,
+    store::FleetStore,
     worker::{self, FleetStatus},
 };
 use trueup_output::escape::shell_quote;
@@ -37,7 +37,7 @@ pub struct FleetLocationArgs {
 
 /// A place that is open.
 pub enum FleetBackend {
-    Folder(Store),
+    Folder(FleetStore),
     Server(Box<RemoteFleet>),
 }
 
@@ -49,7 +49,7 @@ impl FleetLocationArgs {
             return Ok(FleetBackend::Server(Box::new(remote)));
         };
         let named = |error| UserError(format!("{}: cannot be made: {error}", dir.display()));
-        Ok(FleetBackend::Folder(Store::create(dir).map_err(named)?))
+        Ok(FleetBackend::Folder(FleetStore::create(dir).map_err(named)?))
     }
 
     /// Opens a place that has jobs.
@@ -60,7 +60,7 @@ impl FleetLocationArgs {
         };
         let rule = "is no folder of a fleet: trueup fleet submit makes it";
         let store =
-            Store::open(dir).ok_or_else(|| UserError(format!("{}: {rule}", dir.display())))?;
+            FleetStore::open(dir).ok_or_else(|| UserError(format!("{}: {rule}", dir.display())))?;
         Ok(FleetBackend::Folder(store))
     }
 

@@ -3,7 +3,7 @@
 
 use serde_json::Value;
 use trueup_twin::{
-    axes::{Axes, AxesConfig, AxisConfig, AxisName, Straightness},
+    axes::{Axes, AxesConfig, AxisConfig, AxisName, StraightnessConfig},
     bodies::{Body, MovingAxis},
     cubic_spline::CubicSpline,
 };
@@ -24,7 +24,7 @@ fn axes(x_of_y_um_per_m: f64, y_um_per_m: f64, play_um: f64) -> AxesConfig {
     let y = AxisConfig { pitch_um_per_m: y_um_per_m, ..plain };
     AxesConfig {
         axes: [(AxisName::X, x), (AxisName::Y, y)].into(),
-        straightness: vec![Straightness {
+        straightness: vec![StraightnessConfig {
             error: AxisName::X,
             along: AxisName::Y,
             points: CubicSpline::default(),

@@ -19,7 +19,7 @@ use super::{
     compare_axis,
 };
 use crate::{
-    Export, ExportOptions, ExportedFile, Report,
+    Export, ExportOptions, ExportReport, ExportedFile,
     axis_errors::{CrossAxisError, DriveError, collect_cross_axis_errors},
     number_format::format_number,
 };
@@ -48,7 +48,7 @@ pub(super) fn unsupported_reason(drive: &DriveError<'_>) -> Option<String> {
 /// All curves are omitted.
 pub(super) fn omit_straightness<'m>(
     machine: &'m Machine,
-    report: &mut Report,
+    report: &mut ExportReport,
 ) -> Vec<CrossAxisError<'m>> {
     for cross in collect_cross_axis_errors(machine) {
         report.add_omitted_section(

@@ -10,7 +10,7 @@ use trueup_machine::Machine;
 
 use super::{AxisCompensation, CompensationData};
 use crate::{
-    Export, ExportOptions, ExportedTable, Report,
+    Export, ExportOptions, ExportReport, ExportedTable,
     axis_errors::{CrossAxisError, collect_cross_axis_errors},
     grid::{
         comparison_positions_mm, find_largest_residual, interpolate_linear, select_breakpoints,
@@ -26,7 +26,7 @@ const POINTS_PER_PAIR: usize = 4;
 pub(super) fn select_pairs<'m>(
     machine: &'m Machine,
     options: &ExportOptions,
-    report: &mut Report,
+    report: &mut ExportReport,
 ) -> Vec<CrossAxisError<'m>> {
     let mut with_span = Vec::new();
     for cross in collect_cross_axis_errors(machine) {
@@ -97,7 +97,7 @@ pub(super) fn plan_pairs<'m>(
     planned: &[AxisCompensation<'m>],
     options: &ExportOptions,
     number_of: impl Fn(&AxisCompensation<'m>) -> usize,
-    report: &mut Report,
+    report: &mut ExportReport,
 ) -> Vec<AxisPair<'m>> {
     let mut pairs = Vec::new();
     for (index, plan) in planned.iter().enumerate() {

@@ -7,7 +7,7 @@ use trueup_machine::Machine;
 use super::{LookupTable, ModelPart, PlannedTable, Variables, machine_axis_name};
 use crate::{
     Export, ExportOptions, ExportedTable,
-    grid::{Grid, comparison_positions_mm, find_largest_residual},
+    grid::{PointGrid, comparison_positions_mm, find_largest_residual},
     report::{Approach, Difference},
 };
 
@@ -29,7 +29,8 @@ pub(super) fn compare(
         Ok((file, name, largest)) => {
             let lost = plan.was_thinned && largest.um > options.tolerance_um;
             let loss = lost.then(|| format!("thinned to {} equidistant points", plan.grid.points));
-            let (Grid { start_mm, step_mm, points }, last_mm) = (plan.grid, plan.grid.end_mm());
+            let (PointGrid { start_mm, step_mm, points }, last_mm) =
+                (plan.grid, plan.grid.end_mm());
             export.report.tables.push(ExportedTable {
                 file,
                 name,

@@ -73,7 +73,7 @@ pub(super) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
         for axis in LinearAxis::ALL {
             let Some(thermal) = &machine.axes[axis.index()].thermal else { continue };
             let section = format!("axis.{}.thermal", axis.name());
-            let of = AxisTables { machine, options, axis, thermal };
+            let of = ThermalTables { machine, options, axis, thermal };
             match read.clone().and_then(|read| of.compare(&read, &csv)) {
                 Ok(table) => export.report.tables.push(table),
                 Err(rule) => {
@@ -163,14 +163,14 @@ fn write_thermal_compensation(
     }
 }
 
-struct AxisTables<'m> {
+struct ThermalTables<'m> {
     machine: &'m Machine,
     options: &'m ExportOptions,
     axis: LinearAxis,
     thermal: &'m ThermalLaw,
 }
 
-impl AxisTables<'_> {
+impl ThermalTables<'_> {
     /// Reads the setting data and the PLC's table back, and compares both over the travel.
     fn compare(&self, settings: &Variables, csv: &str) -> Result<ExportedTable, String> {
         let Self { machine, options, axis, thermal } = *self;

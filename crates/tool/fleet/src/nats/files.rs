@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use tokio::io::AsyncReadExt as _;
 
 use super::{RemoteFleet, is_job_id};
-use crate::{job::Job, result::JobResult, store::Store};
+use crate::{job::Job, result::JobResult, store::FleetStore};
 
 /// A result on the server.
 #[derive(Serialize, Deserialize)]
@@ -48,7 +48,7 @@ impl RemoteFleet {
     }
 
     /// Sends the files of a job.
-    pub(super) fn send_job(&self, store: &Store, id: &str, job: &Job) -> io::Result<()> {
+    pub(super) fn send_job(&self, store: &FleetStore, id: &str, job: &Job) -> io::Result<()> {
         let folder = store.job_folder(id);
         job.files().try_for_each(|file| {
             self.send(&format!("jobs/{id}/{}", file.stored), &folder.join(&file.stored))
@@ -56,7 +56,7 @@ impl RemoteFleet {
     }
 
     /// Fetches a job into a folder.
-    pub(super) fn fetch_job(&self, store: &Store, id: &str) -> io::Result<()> {
+    pub(super) fn fetch_job(&self, store: &FleetStore, id: &str) -> io::Result<()> {
         let text = self.read_text(&self.jobs, id)?;
         let text = text.ok_or_else(|| invalid_data("the job is not on the server"))?;
         let job: Job =
@@ -72,7 +72,12 @@ impl RemoteFleet {
     }
 
     /// Sends the result of a job, unless it has one. Returns whether it was the first.
-    pub(super) fn send_result(&self, store: &Store, id: &str, attempt: &str) -> io::Result<bool> {
+    pub(super) fn send_result(
+        &self,
+        store: &FleetStore,
+        id: &str,
+        attempt: &str,
+    ) -> io::Result<bool> {
         let folder = store.result_folder(id);
         let result: JobResult =
             serde_json::from_str(&fs::read_to_string(folder.join("result.json"))?)?;
@@ -92,7 +97,7 @@ impl RemoteFleet {
     }
 
     /// Fetches the result of a job into a folder. Returns whether there is one.
-    pub(super) fn fetch_result(&self, store: &Store, id: &str) -> io::Result<bool> {
+    pub(super) fn fetch_result(&self, store: &FleetStore, id: &str) -> io::Result<bool> {
         let Some(text) = self.read_text(&self.results, id)? else { return Ok(false) };
         let of: AttemptResult =
             serde_json::from_str(&text).map_err(|error| invalid_data(&error.to_string()))?;
@@ -109,7 +114,7 @@ impl RemoteFleet {
     }
 
     /// Marks a folder as the copy of this fleet, by the moment at which its queue was made.
-    fn mark_as_copy(&self, store: &Store) -> io::Result<()> {
+    fn mark_as_copy(&self, store: &FleetStore) -> io::Result<()> {
         let created = self.queue.cached_info().created.unix_timestamp_nanos();
         let own = format!("the fleet whose queue was made at {created} ns since 1970\n");
         let file = store.copy_source_path();
@@ -130,7 +135,7 @@ impl RemoteFleet {
     ///
     /// # Errors
     /// The server does not answer, the folder cannot be written, or it holds the jobs of another fleet.
-    pub fn fetch_results(&self, store: &Store) -> io::Result<Vec<String>> {
+    pub fn fetch_results(&self, store: &FleetStore) -> io::Result<Vec<String>> {
         self.mark_as_copy(store)?;
         let mut damaged = Vec::new();
         for id in self.keys(&self.results)? {

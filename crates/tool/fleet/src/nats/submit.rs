@@ -5,7 +5,7 @@ use std::io;
 use super::{QUEUE_SUBJECT, RemoteFleet};
 use crate::{
     job::{Job, Submission, SubmittedJob},
-    store::Store,
+    store::FleetStore,
 };
 
 impl RemoteFleet {
@@ -16,7 +16,7 @@ impl RemoteFleet {
     /// The server does not answer, or has another job under this identifier.
     pub fn submit(&self, submission: &Submission) -> io::Result<SubmittedJob> {
         let folder = tempfile::tempdir()?;
-        let store = Store::create(folder.path())?;
+        let store = FleetStore::create(folder.path())?;
         let id = submission.submit(&store)?.id;
         let job = Job::read(&store, &id).map_err(io::Error::other)?;
         let there = self.read_text(&self.jobs, &id)?;

@@ -20,7 +20,7 @@ use serde_json::json;
 
 use super::{RemoteFleet, files::parse_job_id};
 use crate::{
-    store::Store,
+    store::FleetStore,
     worker::{self, DiagnoseFn, JobCounts, RENEWALS_PER_LEASE, WorkerOptions},
 };
 
@@ -191,7 +191,7 @@ impl WorkerThreads<'_> {
     fn run_job(&self, message: &Message, id: &str) -> Result<(), AttemptError> {
         let remote = self.remote;
         let folder = tempfile::tempdir().map_err(AttemptError::Worker)?;
-        let store = Store::create(folder.path()).map_err(AttemptError::Worker)?;
+        let store = FleetStore::create(folder.path()).map_err(AttemptError::Worker)?;
         let failed = |reason: String| json!({"schema": 1, "id": id, "reason": reason}).to_string();
         let failure = match remote.fetch_job(&store, id) {
             Err(error) if error.kind() == io::ErrorKind::InvalidData => {

@@ -19,7 +19,7 @@ use trueup_modbus::{
 
 /// A served hub; everything ends with it.
 struct World {
-    shared: SharedState,
+    shared: SharedHub,
     masters: MasterCounters,
     stop: Arc<AtomicBool>,
     address: std::net::SocketAddr,
@@ -28,7 +28,7 @@ struct World {
 impl World {
     fn new() -> Self {
         let stop = Arc::new(AtomicBool::new(false));
-        let shared = SharedState::new(stop.clone(), PinnedCalibration::new(CalibrationPolicy::Any));
+        let shared = SharedHub::new(stop.clone(), PinnedCalibration::new(CalibrationPolicy::Any));
         let listener = TcpListener::bind("127.0.0.1:0").expect("loopback");
         let address = listener.local_addr().expect("bound");
         let masters = serve(shared.clone(), listener, 1).expect("serves");

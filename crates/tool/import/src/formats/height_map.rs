@@ -1,6 +1,6 @@
 //! Height maps of printers and routers: RepRapFirmware's `heightmap.csv`, and the bed mesh that Klipper saves.
 //!
-//! Sources: RepRapFirmware, `src/Movement/BedProbing/Grid.cpp` (a title, the names of the grid's numbers, these
+//! Sources: RepRapFirmware, `src/Movement/BedProbing/HeightGrid.cpp` (a title, the names of the grid's numbers, these
 //! numbers, a line for each Y; a point that was not probed is a bare `0`, one that was has three decimals); Klipper,
 //! `klippy/extras/bed_mesh.py` (`[bed_mesh NAME]` in the saved block, `points` from the lowest Y on). Both are in mm.
 //! Where the probe touches, the commanded height is the map's; a surface that counts as flat is at 0: the error of Z,
@@ -31,7 +31,7 @@ fn unprefixed_lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
     text.lines().enumerate().map(|(at, line)| (at + 1, line.strip_prefix("#*#").unwrap_or(line)))
 }
 
-struct Grid {
+struct HeightGrid {
     min_mm: [f64; 2],
     step_mm: [f64; 2],
     count: [usize; 2],
@@ -64,7 +64,7 @@ pub(super) fn parse_reprap(text: &str, path: &Path) -> Result<SourceTable, BadIn
         }
     }
     let count = |keys: &[&str]| number_of(keys).map(|number| number.clamp(0.0, 1e4) as usize);
-    let grid = Grid {
+    let grid = HeightGrid {
         min_mm: [number_of(&["xmin", "min0"])?, number_of(&["ymin", "min1"])?],
         step_mm: [number_of(&["xspacing", "spacing0"])?, number_of(&["yspacing", "spacing1"])?],
         count: [count(&["xnum", "num0", "numx"])?, count(&["ynum", "num1", "numy"])?],
@@ -123,7 +123,7 @@ pub(super) fn parse_klipper(text: &str, path: &Path) -> Result<SourceTable, BadI
     let (left, right, front, back) = (left?, right?, front?, back?);
     let count = [rows.first().map_or(0, |(_, row)| row.len()), rows.len()];
     let step = |from: f64, to: f64, count: usize| (to - from) / (count.max(2) - 1) as f64;
-    let grid = Grid {
+    let grid = HeightGrid {
         min_mm: [left, front],
         step_mm: [step(left, right, count[0]), step(front, back, count[1])],
         count,
@@ -132,7 +132,7 @@ pub(super) fn parse_klipper(text: &str, path: &Path) -> Result<SourceTable, BadI
 }
 
 fn build_surface_table(
-    grid: &Grid,
+    grid: &HeightGrid,
     rows: &[(usize, Vec<&str>)],
     is_unprobed: impl Fn(&str) -> bool,
     path: &Path,

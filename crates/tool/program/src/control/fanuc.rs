@@ -39,7 +39,7 @@ struct Program {
 }
 
 #[derive(Default)]
-pub(super) struct ProgramWriter {
+pub(super) struct FanucWriter {
     name: String,
     /// Whether an axis moves, and not the spindle alone.
     moves: bool,
@@ -47,7 +47,7 @@ pub(super) struct ProgramWriter {
     closed: Vec<Program>,
 }
 
-impl ProgramWriter {
+impl FanucWriter {
     fn push_block(&mut self, block: String) {
         if let Some(program) = self.open.last_mut() {
             program.blocks.push(block);
@@ -80,7 +80,7 @@ impl ProgramWriter {
     }
 }
 
-impl Dialect for ProgramWriter {
+impl Dialect for FanucWriter {
     fn write_header(&mut self, plan: &Plan) {
         self.name = plan.name.clone();
         self.open.push(Program { number: MAIN_PROGRAM_NUMBER, ..Program::default() });

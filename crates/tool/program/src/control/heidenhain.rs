@@ -7,7 +7,7 @@ use crate::plan::Plan;
 const MAX_COMMENT_LENGTH: usize = 70;
 
 #[derive(Default)]
-pub(super) struct ProgramWriter {
+pub(super) struct HeidenhainWriter {
     name: String,
     lines: Vec<String>,
     /// Label and turns of what is open.
@@ -15,13 +15,13 @@ pub(super) struct ProgramWriter {
     labels: usize,
 }
 
-impl ProgramWriter {
+impl HeidenhainWriter {
     fn push_line(&mut self, line: String) {
         self.lines.push(line);
     }
 }
 
-impl Dialect for ProgramWriter {
+impl Dialect for HeidenhainWriter {
     fn write_header(&mut self, plan: &Plan) {
         self.name = plan.name.replace('-', "_").to_uppercase();
         self.push_line(format!("BEGIN PGM {} MM", self.name));

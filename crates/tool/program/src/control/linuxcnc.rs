@@ -13,7 +13,7 @@ use crate::{
 const MAX_COMMENT_LENGTH: usize = 120;
 
 #[derive(Default)]
-pub(super) struct ProgramWriter {
+pub(super) struct LinuxcncWriter {
     lines: Vec<String>,
     open: Vec<usize>,
     repeats: usize,
@@ -22,13 +22,13 @@ pub(super) struct ProgramWriter {
     is_logging: bool,
 }
 
-impl ProgramWriter {
+impl LinuxcncWriter {
     fn push_line(&mut self, line: String) {
         self.lines.push(format!("{}{line}", "  ".repeat(self.open.len())));
     }
 }
 
-impl ProgramWriter {
+impl LinuxcncWriter {
     /// No probing move has machine coordinates: what the work coordinates differ by is added to each place.
     fn probe_in_machine_coordinates(&mut self) {
         self.push_line("o98 if [EXISTS[#<_abs_x>] EQ 0]".into());
@@ -49,7 +49,7 @@ impl ProgramWriter {
     }
 }
 
-impl Dialect for ProgramWriter {
+impl Dialect for LinuxcncWriter {
     fn write_header(&mut self, plan: &Plan) {
         self.write_comment(&plan.name);
         plan.notes.iter().for_each(|note| self.write_comment(note));

@@ -15,18 +15,18 @@ const FRAME_COMPONENTS: [(&str, &str, &str); 3] =
     [("RT", "0", "rotation"), ("SC", "1", "scale"), ("MI", "0", "mirror")];
 
 #[derive(Default)]
-pub(super) struct ProgramWriter {
+pub(super) struct SiemensWriter {
     lines: Vec<String>,
     depth: usize,
 }
 
-impl ProgramWriter {
+impl SiemensWriter {
     fn push_line(&mut self, line: String) {
         self.lines.push(format!("{}{line}", "  ".repeat(self.depth)));
     }
 }
 
-impl Dialect for ProgramWriter {
+impl Dialect for SiemensWriter {
     fn write_header(&mut self, plan: &Plan) {
         self.push_line(format!("%_N_{}_MPF", plan.name.replace('-', "_").to_uppercase()));
         self.push_line(";$PATH=/_N_MPF_DIR".into());

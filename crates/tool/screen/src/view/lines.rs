@@ -9,7 +9,7 @@ use trueup_core::cnc::Quality;
 use trueup_link::receiver::Counters;
 
 use super::Theme;
-use crate::state::{MAX_GAUGE_AGE_S, ModelSource, State};
+use crate::state::{MAX_GAUGE_AGE_S, ModelSource, ScreenState};
 
 /// Of a column of numbers in the table of offsets.
 const NUMBER_COLUMN_WIDTH: usize = 11;
@@ -17,7 +17,7 @@ const NUMBER_COLUMN_WIDTH: usize = 11;
 const NAME_COLUMN_WIDTH: usize = 16;
 
 /// Who is spoken to, whether it is recorded, how good its offsets are, what the sensor reads.
-pub(crate) fn status_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
+pub(crate) fn status_lines(state: &ScreenState, theme: Theme, width: usize) -> Vec<Line<'static>> {
     let mut lines = title_lines(state, theme, width);
     lines.extend(recording_lines(state, theme, width));
     lines.extend(quality_lines(state, theme, width));
@@ -27,7 +27,7 @@ pub(crate) fn status_lines(state: &State, theme: Theme, width: usize) -> Vec<Lin
     lines
 }
 
-fn title_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
+fn title_lines(state: &ScreenState, theme: Theme, width: usize) -> Vec<Line<'static>> {
     let crc = match state.board.calibration {
         None => "calibration ?".to_owned(),
         Some(0) => "no calibration".to_owned(),
@@ -55,7 +55,7 @@ fn title_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> 
 }
 
 /// That a recording is being made: where, and how much of it there is.
-fn recording_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
+fn recording_lines(state: &ScreenState, theme: Theme, width: usize) -> Vec<Line<'static>> {
     let Some(path) = &state.recording else { return Vec::new() };
     let readings = match state.marks {
         1 => "1 reading".to_owned(),
@@ -65,7 +65,7 @@ fn recording_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'stati
     apply_style(pack_items("", items.into_iter(), width), theme.error_style())
 }
 
-fn quality_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
+fn quality_lines(state: &ScreenState, theme: Theme, width: usize) -> Vec<Line<'static>> {
     let Some(output) = state.output() else {
         let age =
             state.output_age_s().map(|age_s| format!(" for {age_s:.0} s")).unwrap_or_default();
@@ -98,7 +98,7 @@ fn quality_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>
     vec![Line::from(vec![word, Span::raw(meaning)]), Line::raw(format!("  {age}"))]
 }
 
-fn sensor_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
+fn sensor_lines(state: &ScreenState, theme: Theme, width: usize) -> Vec<Line<'static>> {
     let mut spans = vec![Span::styled("Sensor  ", theme.heading_style())];
     let laws = state.laws.as_ref();
     match (state.growth_um(), laws) {
@@ -129,7 +129,7 @@ fn sensor_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>>
     }
 }
 
-fn growth_line(state: &State, theme: Theme) -> Line<'static> {
+fn growth_line(state: &ScreenState, theme: Theme) -> Line<'static> {
     let mut spans = vec![Span::styled("Growth  ", theme.heading_style())];
     match state.last_growth_um() {
         Some((um, None)) => spans.push(Span::styled(format!("{um:+8.2} µm"), theme.value_style())),
@@ -156,7 +156,7 @@ fn growth_line(state: &State, theme: Theme) -> Line<'static> {
 }
 
 /// Returns what is wrong with the gauge.
-fn gauge_error_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
+fn gauge_error_lines(state: &ScreenState, theme: Theme, width: usize) -> Vec<Line<'static>> {
     let trouble = state.gauge.trouble.iter();
     trouble.flat_map(|alarm| wrap_text(alarm, width, theme.error_style())).collect()
 }
@@ -167,7 +167,11 @@ fn format_age(age_s: f64) -> String {
 }
 
 /// Returns the offsets, with the share of each cause or without.
-pub(crate) fn offset_lines(state: &State, theme: Theme, with_shares: bool) -> Vec<Line<'static>> {
+pub(crate) fn offset_lines(
+    state: &ScreenState,
+    theme: Theme,
+    with_shares: bool,
+) -> Vec<Line<'static>> {
     let cell = |um: f64| match um.is_nan() {
         true => format!("{:>NUMBER_COLUMN_WIDTH$}", "?"),
         // Less than half a step of the wire is 0, of no sign.
@@ -210,14 +214,14 @@ pub(crate) fn offset_lines(state: &State, theme: Theme, with_shares: bool) -> Ve
 }
 
 /// Temperatures and the line.
-pub(crate) fn footer_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
+pub(crate) fn footer_lines(state: &ScreenState, theme: Theme, width: usize) -> Vec<Line<'static>> {
     let mut lines = temperature_lines(state, theme, width);
     lines.extend(condition_lines(state, width));
     lines.extend(link_lines(state, theme, width));
     lines
 }
 
-fn temperature_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
+fn temperature_lines(state: &ScreenState, theme: Theme, width: usize) -> Vec<Line<'static>> {
     let names = state
         .laws
         .as_ref()
@@ -247,7 +251,7 @@ fn temperature_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'sta
 }
 
 /// Tool and conditions, where a law depends on them.
-fn condition_lines(state: &State, width: usize) -> Vec<Line<'static>> {
+fn condition_lines(state: &ScreenState, width: usize) -> Vec<Line<'static>> {
     let items: Vec<String> = state
         .conditions()
         .into_iter()
@@ -259,7 +263,7 @@ fn condition_lines(state: &State, width: usize) -> Vec<Line<'static>> {
     if items.is_empty() { Vec::new() } else { pack_items("Conditions  ", items.into_iter(), width) }
 }
 
-fn link_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
+fn link_lines(state: &ScreenState, theme: Theme, width: usize) -> Vec<Line<'static>> {
     let Counters { malformed, crc_errors, sequence_errors, lost, .. } = state.counters();
     let malformed = malformed.saturating_add(state.malformed_lines);
     let text = format!(
@@ -272,7 +276,7 @@ fn link_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
 }
 
 /// Returns what is wrong, each with what to do, wrapped between words.
-pub(crate) fn alarm_lines(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
+pub(crate) fn alarm_lines(state: &ScreenState, theme: Theme, width: usize) -> Vec<Line<'static>> {
     let troubles = state.alarms();
     if troubles.is_empty() {
         let received = state.output().is_some();

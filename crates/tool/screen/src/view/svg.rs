@@ -10,7 +10,7 @@ use ratatui::{
 };
 
 use super::{Theme, draw};
-use crate::state::State;
+use crate::state::ScreenState;
 
 /// Width and height of a character, in px.
 const CELL_SIZE_PX: [f64; 2] = [8.4, 17.0];
@@ -19,7 +19,7 @@ const MARGIN_PX: f64 = 10.0;
 
 /// Returns the screen of this width and height in characters.
 #[must_use]
-pub(crate) fn render_svg(state: &State, [width, height]: [u16; 2]) -> String {
+pub(crate) fn render_svg(state: &ScreenState, [width, height]: [u16; 2]) -> String {
     let mut terminal = match Terminal::new(TestBackend::new(width, height)) {
         Ok(terminal) => terminal,
         Err(impossible) => match impossible {},

@@ -18,7 +18,7 @@ use trueup_node::{
 use super::*;
 use crate::{
     compensation_model::CompensationModel,
-    state::{Action, Key, ModelSource},
+    state::{Action, ModelSource, PressedKey},
 };
 
 /// A spindle whose sensor has a thermometer of its own, and which heats X.
@@ -30,12 +30,12 @@ const MACHINE: &str = "[machine]\nname = \"lathe 7\"\nkind = \"3-axis\"\n\
     [axis.x.thermal]\nsensor = \"temp_coil_c\"\nreference_c = 20.0\nconstant_um_per_c = 0.5\nmode = \"constant\"\n";
 
 /// Returns what a screen knows after `ms` of a bridge whose sensor gives `code`, engaged if wanted.
-fn watched(ms: u32, code: u16, engage: bool) -> State {
+fn watched(ms: u32, code: u16, engage: bool) -> ScreenState {
     let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("right");
     let compiled = compile(&machine).expect("it fits");
     let blob = compiled.blob();
     let mut node = Node::new(Configuration { blob, ..compiled.calibration().into() });
-    let mut state = State::new("tcp:bridge:3333", Quantity::Elongation, false);
+    let mut state = ScreenState::new("tcp:bridge:3333", Quantity::Elongation, false);
     state.link = LinkState::Up;
     state.laws = Some(CompensationModel::from_machine(machine));
     state.source = ModelSource::File("m.toml".into());
@@ -64,7 +64,7 @@ fn watched(ms: u32, code: u16, engage: bool) -> State {
     state
 }
 
-fn screen(state: &State, (width, height): (u16, u16), has_colour: bool) -> (String, bool) {
+fn screen(state: &ScreenState, (width, height): (u16, u16), has_colour: bool) -> (String, bool) {
     let mut terminal = Terminal::new(TestBackend::new(width, height)).expect("it has no device");
     terminal.draw(|frame| draw(frame, state, Theme { has_colour })).expect("it has no device");
     let buffer = terminal.backend().buffer();
@@ -251,7 +251,7 @@ fn volts_of_a_boards_own_calibration_are_marked_as_nominal() {
 #[test]
 fn readings_stand_in_the_trend_and_the_last_is_undone() {
     let mut state = watched(4_000, 731, true);
-    assert_eq!(state.handle_key(Key::Char('u')), None);
+    assert_eq!(state.handle_key(PressedKey::Char('u')), None);
     has(&screen(&state, (80, 24), false).0, &["no reading of the gauge is in the recording"]);
     state.recording = Some("bridge-1".into());
     for um in [14.0, 15.0] {
@@ -263,14 +263,14 @@ fn readings_stand_in_the_trend_and_the_last_is_undone() {
     let (text, _) = screen(&state, (80, 30), false);
     // 4 s of record: the axis is 10 s long.
     has(&text, &["growth, µm, the last 10 s; • gauge", "-10 s", "-5 s", "now", "•", "+15.00"]);
-    assert_eq!(state.handle_key(Key::Char('u')), Some(Action::Unmark));
+    assert_eq!(state.handle_key(PressedKey::Char('u')), Some(Action::Unmark));
     state.undo_gauge_reading();
     state.set_recording_counts(1, 40);
     let (text, _) = screen(&state, (80, 30), false);
     assert!(!text.contains("+15.00 ┤") && text.contains("1 reading"), "{text}");
     // The last of the series: gauge minus bridge, 15 − 12.27.
     (0..8).find(|_| {
-        state.handle_key(Key::Char('t'));
+        state.handle_key(PressedKey::Char('t'));
         state.series == crate::trend::DIFFERENCE_SERIES_INDEX
     });
     has(
@@ -293,44 +293,44 @@ fn another_calibration_than_the_files_is_told() {
 #[test]
 fn keys_record_mark_turn_the_trend_and_help() {
     let mut state = watched(4_000, 731, true);
-    assert_eq!(state.handle_key(Key::Char('g')), None);
+    assert_eq!(state.handle_key(PressedKey::Char('g')), None);
     has(&screen(&state, (80, 24), false).0, &["press r first"]);
-    assert_eq!(state.handle_key(Key::Char('r')), Some(Action::Record));
+    assert_eq!(state.handle_key(PressedKey::Char('r')), Some(Action::Record));
     state.recording = Some("bridge-1".into());
-    assert_eq!(state.handle_key(Key::Char('g')), None);
+    assert_eq!(state.handle_key(PressedKey::Char('g')), None);
     // In half of Europe the point is a comma.
     for key in ['-', '3', ',', '5', 'x', '1'] {
-        assert_eq!(state.handle_key(Key::Char(key)), None);
+        assert_eq!(state.handle_key(PressedKey::Char(key)), None);
     }
     has(&screen(&state, (80, 24), false).0, &["measured elongation in µm: -3.51_"]);
-    assert_eq!(state.handle_key(Key::Backspace), None);
-    assert_eq!(state.handle_key(Key::Enter), Some(Action::Mark(-3.5)));
+    assert_eq!(state.handle_key(PressedKey::Backspace), None);
+    assert_eq!(state.handle_key(PressedKey::Enter), Some(Action::Mark(-3.5)));
     // q is not quit while a number is typed.
-    state.handle_key(Key::Char('g'));
-    assert_eq!(state.handle_key(Key::Char('q')), None);
-    assert_eq!(state.handle_key(Key::Enter), None, "nothing was typed");
+    state.handle_key(PressedKey::Char('g'));
+    assert_eq!(state.handle_key(PressedKey::Char('q')), None);
+    assert_eq!(state.handle_key(PressedKey::Enter), None, "nothing was typed");
     has(&screen(&state, (80, 24), false).0, &["in µm: _   type the reading in µm, such as -3.5"]);
-    assert_eq!(state.handle_key(Key::Escape), None);
-    assert_eq!(state.handle_key(Key::Char('r')), Some(Action::EndRecording));
+    assert_eq!(state.handle_key(PressedKey::Escape), None);
+    assert_eq!(state.handle_key(PressedKey::Char('r')), Some(Action::EndRecording));
 
     has(&screen(&state, (80, 24), false).0, &["growth, µm, the last"]);
-    state.handle_key(Key::Char('t'));
+    state.handle_key(PressedKey::Char('t'));
     has(&screen(&state, (80, 24), false).0, &["offset of X, µm, the last"]);
-    (0..3).for_each(|_| _ = state.handle_key(Key::Char('t')));
+    (0..3).for_each(|_| _ = state.handle_key(PressedKey::Char('t')));
     has(&screen(&state, (80, 24), false).0, &["coil, °C, the last"]);
-    state.handle_key(Key::Char('t'));
+    state.handle_key(PressedKey::Char('t'));
     has(&screen(&state, (80, 24), false).0, &["growth, µm, the last"]);
 
-    state.handle_key(Key::Char('?'));
+    state.handle_key(PressedKey::Char('?'));
     has(&screen(&state, (60, 15), false).0, &["quit; the bridge goes on as it was"]);
-    assert_eq!(state.handle_key(Key::Escape), None, "it closes the help");
+    assert_eq!(state.handle_key(PressedKey::Escape), None, "it closes the help");
     assert_eq!(
-        state.handle_key(Key::Escape),
+        state.handle_key(PressedKey::Escape),
         None,
         "nor does it end a recording, once too often pressed"
     );
-    assert_eq!(state.handle_key(Key::Char('q')), Some(Action::Quit));
-    assert_eq!(state.handle_key(Key::Interrupt), Some(Action::Quit));
+    assert_eq!(state.handle_key(PressedKey::Char('q')), Some(Action::Quit));
+    assert_eq!(state.handle_key(PressedKey::Interrupt), Some(Action::Quit));
 }
 
 #[test]
@@ -338,10 +338,10 @@ fn a_gauge_that_speaks_is_written_down_at_once_and_an_old_reading_never() {
     let mut state = watched(4_000, 731, true);
     (state.gauge.is_live, state.recording) = (true, Some("there".into()));
     assert_eq!(state.handle_gauge_reading(Ok(-2.5), 4.0), None);
-    assert_eq!(state.handle_key(Key::Char('g')), Some(Action::Mark(-2.5)));
+    assert_eq!(state.handle_key(PressedKey::Char('g')), Some(Action::Mark(-2.5)));
     has(&screen(&state, (80, 24), false).0, &["gauge elongation -2.50 µm"]);
     state.record_trend_sample(9.0);
-    assert_eq!(state.handle_key(Key::Char('g')), None, "it is five seconds old");
+    assert_eq!(state.handle_key(PressedKey::Char('g')), None, "it is five seconds old");
     has(&screen(&state, (80, 24), false).0, &["or press its button", "(5 s ago)"]);
     assert_eq!(state.handle_gauge_reading(Ok(-2.75), 10.0), Some(Action::Mark(-2.75)));
     assert_eq!(state.handle_gauge_reading(Err("indicator: gone".into()), 11.0), None);

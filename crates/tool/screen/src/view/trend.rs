@@ -14,7 +14,7 @@ use trueup_machine::file::Quantity;
 use super::Theme;
 use crate::{
     compensation_model::CompensationModel,
-    state::State,
+    state::ScreenState,
     trend::{DIFFERENCE_SERIES_INDEX, TREND_WINDOW_S},
 };
 
@@ -26,7 +26,7 @@ const MIN_HEIGHT_FOR_TICKS: u16 = 5;
 const MIN_TIME_RANGE_S: f64 = 10.0;
 
 /// Draws it.
-pub fn draw(frame: &mut Frame<'_>, area: Rect, state: &State, theme: Theme) {
+pub fn draw(frame: &mut Frame<'_>, area: Rect, state: &ScreenState, theme: Theme) {
     let points = state.trend.series(state.series);
     // The readings of the gauge stand on the curve that they are to be compared with.
     let marks = match gauge_series(state.gauge.quantity) {
@@ -103,7 +103,7 @@ const fn gauge_series(quantity: Quantity) -> (usize, f64) {
     }
 }
 
-fn series_label(state: &State) -> (String, &'static str) {
+fn series_label(state: &ScreenState) -> (String, &'static str) {
     match state.series {
         0 => ("growth".into(), "µm"),
         DIFFERENCE_SERIES_INDEX => {

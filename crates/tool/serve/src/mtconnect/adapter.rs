@@ -17,7 +17,7 @@ use super::shdr::ShdrEncoder;
 use crate::{
     clock,
     shared::SharedState,
-    snapshot::{Event, Snapshot},
+    snapshot::{BridgeEvent, Snapshot},
 };
 
 /// Agents at a time; one more is closed at once.
@@ -55,7 +55,7 @@ impl Adapter {
     }
 
     /// Sends what has changed to every agent.
-    pub fn update(&self, bridges: &[Snapshot], events: &[(usize, Event)], time_ms: u64) {
+    pub fn update(&self, bridges: &[Snapshot], events: &[(usize, BridgeEvent)], time_ms: u64) {
         let mut state = self.lock_state();
         let changes = state.lines.encode_changes(bridges, events, time_ms);
         if !changes.is_empty() {

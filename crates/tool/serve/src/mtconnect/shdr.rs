@@ -7,7 +7,7 @@ use trueup_output::escape::escape_line;
 
 use crate::{
     clock::format_utc,
-    snapshot::{Event, NO_OFFSETS_REASON, Snapshot},
+    snapshot::{BridgeEvent, NO_OFFSETS_REASON, Snapshot},
 };
 
 /// Stands for a value that is not known.
@@ -41,7 +41,7 @@ impl ShdrEncoder {
     pub(crate) fn encode_changes(
         &mut self,
         bridges: &[Snapshot],
-        events: &[(usize, Event)],
+        events: &[(usize, BridgeEvent)],
         time_ms: u64,
     ) -> String {
         let stamp = format_utc(time_ms);
@@ -197,7 +197,8 @@ mod tests {
         let mut lines = ShdrEncoder::default();
         lines.encode_changes(&[up()], &[], 0);
         let down = Snapshot { why: Some("a|b\nc".into()), ..Snapshot::default() };
-        let changes = lines.encode_changes(&[down], &[(0, Event::new("bridge-down", "a|b\nc"))], 1);
+        let changes =
+            lines.encode_changes(&[down], &[(0, BridgeEvent::new("bridge-down", "a|b\nc"))], 1);
         assert!(changes.contains("|b1_avail|UNAVAILABLE|b1_offset_x|UNAVAILABLE"), "{changes}");
         assert!(changes.contains("|b1_faults|UNAVAILABLE||||\n"), "{changes}");
         assert!(changes.contains("|b1_line|FAULT|bridge-down|||a/b"), "{changes}");

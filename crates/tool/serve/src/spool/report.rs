@@ -13,7 +13,7 @@ use crate::clock::format_utc;
 
 /// Records that are damaged, or gave way.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Report {
+pub(crate) enum SpoolReport {
     /// Bytes that are no whole record were found when the spool was opened.
     Damaged {
         /// The file.
@@ -60,7 +60,7 @@ pub enum Report {
     },
 }
 
-impl Report {
+impl SpoolReport {
     pub(super) fn damaged(
         file: &Path,
         gap: &DamagedRange,
@@ -114,7 +114,7 @@ impl Report {
     }
 }
 
-impl fmt::Display for Report {
+impl fmt::Display for SpoolReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Damaged { file, at, length, first, last, between_ms, copy } => {

@@ -197,7 +197,7 @@ fn a_file_that_cannot_be_read_for_a_moment_costs_no_record() {
     hide();
     assert_eq!(spool.next_to_send(now), None);
     assert_eq!(spool.next_to_send(now + READ_RETRY_TIME), None);
-    let lost: u64 = spool.take_reports().iter().map(Report::lost_record_count).sum();
+    let lost: u64 = spool.take_reports().iter().map(SpoolReport::lost_record_count).sum();
     assert_eq!((lost, spool.unacknowledged_count()), (3, 0));
     show();
     // Its bytes stay for people.
@@ -222,7 +222,7 @@ fn the_oldest_files_give_way_and_the_report_says_which_records() {
     }
     let reports = spool.take_reports();
     assert!(!reports.is_empty());
-    let Report::Overrun { count, numbers: [first, last], .. } = &reports[0] else {
+    let SpoolReport::Overrun { count, numbers: [first, last], .. } = &reports[0] else {
         panic!("{reports:?}")
     };
     assert_eq!((*first, *count as u64), (1, *last));
@@ -230,7 +230,7 @@ fn the_oldest_files_give_way_and_the_report_says_which_records() {
     let gone: usize = reports
         .iter()
         .map(|report| match report {
-            Report::Overrun { count, .. } => *count,
+            SpoolReport::Overrun { count, .. } => *count,
             other => panic!("{other:?}"),
         })
         .sum();

@@ -1,7 +1,7 @@
 //! The table as a page: figures by curve and diagonal, and the corners of straight lines as the jumps of speed
 //! that they are.
 
-use trueup_page::{Chart, Colour, Origin, Page, Series, Table, format_micrometres};
+use trueup_page::{Chart, Colour, HtmlTable, Origin, Page, Series, format_micrometres};
 
 use super::{CurveMethod, MethodResult, MethodTable, TableEntry};
 
@@ -43,8 +43,8 @@ pub(super) fn render_html(table: &MethodTable, origin: &Origin) -> String {
     page.to_html()
 }
 
-fn residual_table(entry: &TableEntry) -> Table {
-    let mut table = Table::new(&[
+fn residual_table(entry: &TableEntry) -> HtmlTable {
+    let mut table = HtmlTable::new(&[
         "",
         "coefficients",
         "range, µm",

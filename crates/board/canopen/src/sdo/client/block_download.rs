@@ -10,7 +10,7 @@ use crate::sdo::{SEGMENT_BYTES, block_download::update_crc, encode_message, satu
 
 /// Where a transfer is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum State {
+enum DownloadPhase {
     Starting,
     Sending,
     Ending,
@@ -21,7 +21,7 @@ enum State {
 pub struct BlockDownload<'d> {
     at: ObjectAddress,
     data: &'d [u8],
-    state: State,
+    state: DownloadPhase,
     /// Bytes before the present block.
     from: usize,
     /// Segments of this block that were sent.
@@ -36,7 +36,7 @@ impl<'d> BlockDownload<'d> {
     /// Starts it, with the first request.
     #[must_use]
     pub fn start(at: ObjectAddress, data: &'d [u8]) -> (Self, Frame) {
-        let state = State::Starting;
+        let state = DownloadPhase::Starting;
         let this = Self { at, data, state, from: 0, sequence: 0, size: 0, has_crc: false };
         (
             this,
@@ -65,19 +65,21 @@ impl<'d> BlockDownload<'d> {
         let &[command, taken, wanted, _, first, ..] = answer;
         let unexpected = Err(ClientError::Unexpected { at: self.at, answer: *answer });
         match (command, self.state) {
-            (_, State::Starting) if !matches_object(answer, self.at) => Ok(Progress::Unchanged),
+            (_, DownloadPhase::Starting) if !matches_object(answer, self.at) => {
+                Ok(Progress::Unchanged)
+            }
             (0x80.., _) if command >> 5 == 4 => Err(abort_error(answer, self.at)),
-            (0xA0 | 0xA4, State::Starting) => {
+            (0xA0 | 0xA4, DownloadPhase::Starting) => {
                 self.has_crc = command & 4 != 0;
-                self.state = State::Sending;
+                self.state = DownloadPhase::Sending;
                 self.begin_block(0, first).map_or(unexpected, |request| Ok(Progress::Ask(request)))
             }
-            (0xA2, State::Sending) if taken <= self.sequence => self
+            (0xA2, DownloadPhase::Sending) if taken <= self.sequence => self
                 .begin_block(taken, wanted)
                 .map_or(unexpected, |request| Ok(Progress::Ask(request))),
-            (0xA1, State::Ending) => Ok(Progress::Done),
+            (0xA1, DownloadPhase::Ending) => Ok(Progress::Done),
             // The answer to an earlier start of the same, which was given up.
-            (0xA0 | 0xA4, State::Sending) if matches_object(answer, self.at) => {
+            (0xA0 | 0xA4, DownloadPhase::Sending) if matches_object(answer, self.at) => {
                 Ok(Progress::Unchanged)
             }
             _ => unexpected,
@@ -87,7 +89,7 @@ impl<'d> BlockDownload<'d> {
     /// Returns the next frame of a block that [`Self::receive`] has begun; `None`: it is whole, and is to be answered.
     pub fn next_segment(&mut self) -> Option<Frame> {
         let is_whole = self.sequence >= self.size || self.next_offset() >= self.data.len();
-        (self.state == State::Sending && !is_whole).then(|| self.encode_segment())
+        (self.state == DownloadPhase::Sending && !is_whole).then(|| self.encode_segment())
     }
 
     /// Begins the next block behind the segments that were taken, or ends the transfer behind the last; `None`: the server
@@ -98,7 +100,7 @@ impl<'d> BlockDownload<'d> {
             && self.from.saturating_add(SEGMENT_BYTES.saturating_mul(taken.into()))
                 >= self.data.len();
         if is_all {
-            self.state = State::Ending;
+            self.state = DownloadPhase::Ending;
             return Some(self.encode_end());
         }
         self.from = self.from.saturating_add(SEGMENT_BYTES.saturating_mul(taken.into()));
