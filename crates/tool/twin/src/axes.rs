@@ -145,7 +145,7 @@ impl AxisConfig {
 
 /// The error of one axis along another.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
+#[serde(rename = "Straightness", deny_unknown_fields)]
 pub struct StraightnessConfig {
     /// The axis that is in error.
     pub error: AxisName,

@@ -32,7 +32,7 @@ pub(crate) const MIN_STEP_S: f64 = 1e-3;
 
 /// A measured quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
-#[serde(rename_all = "lowercase")]
+#[serde(rename = "Quantity", rename_all = "lowercase")]
 pub enum MeasuredQuantity {
     /// How far the tool tip is out of the spindle.
     Elongation,

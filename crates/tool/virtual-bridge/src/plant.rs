@@ -19,6 +19,7 @@ use crate::replay::{self, MachineSnapshot};
 
 /// One step of the machine.
 #[derive(Debug, Deserialize)]
+#[serde(rename = "Step")]
 struct PlantStep {
     /// Seconds, never less than in the step before.
     pub t_s: f64,
