@@ -45,7 +45,7 @@ impl PrivateKey {
     /// Returns a new key of the system's random numbers.
     ///
     /// # Errors
-    /// [`Fault::NoRandomNumbers`].
+    /// [`SignatureError::NoRandomNumbers`].
     pub fn generate() -> Result<Self, SignatureError> {
         let mut seed = [0; 32];
         getrandom::fill(&mut seed).map_err(|_| SignatureError::NoRandomNumbers)?;
@@ -55,7 +55,7 @@ impl PrivateKey {
     /// Reads a key in PEM (PKCS #8).
     ///
     /// # Errors
-    /// [`Fault::NoPrivateKey`].
+    /// [`SignatureError::NoPrivateKey`].
     pub fn from_pem(pem: &str) -> Result<Self, SignatureError> {
         SigningKey::from_pkcs8_pem(pem).map(Self).map_err(|_| SignatureError::NoPrivateKey)
     }
@@ -63,7 +63,7 @@ impl PrivateKey {
     /// Returns the key in PEM (PKCS #8): anyone who has it can sign in its owner's name.
     ///
     /// # Errors
-    /// [`Fault::NoPrivateKey`]: the encoder refuses it, which no valid key causes.
+    /// [`SignatureError::NoPrivateKey`]: the encoder refuses it, which no valid key causes.
     pub fn to_pem(&self) -> Result<String, SignatureError> {
         // With the public key in it the file is of PKCS #8's second version, which openssl 3.0 does not read.
         let pair = KeypairBytes { secret_key: self.0.to_bytes(), public_key: None };
@@ -92,7 +92,7 @@ impl PublicKey {
     /// Reads a key in PEM (SubjectPublicKeyInfo).
     ///
     /// # Errors
-    /// [`Fault::NoPublicKey`].
+    /// [`SignatureError::NoPublicKey`].
     pub fn from_pem(pem: &str) -> Result<Self, SignatureError> {
         VerifyingKey::from_public_key_pem(pem).map(Self).map_err(|_| SignatureError::NoPublicKey)
     }
@@ -100,7 +100,7 @@ impl PublicKey {
     /// Returns the key in PEM (SubjectPublicKeyInfo).
     ///
     /// # Errors
-    /// [`Fault::NoPublicKey`]: the encoder refuses it, which no valid key causes.
+    /// [`SignatureError::NoPublicKey`]: the encoder refuses it, which no valid key causes.
     pub fn to_pem(&self) -> Result<String, SignatureError> {
         self.0.to_public_key_pem(LineEnding::LF).map_err(|_| SignatureError::NoPublicKey)
     }
@@ -114,7 +114,7 @@ impl PublicKey {
     /// Checks a signature, by the strict rule: weak keys and signatures of a second form are refused.
     ///
     /// # Errors
-    /// [`Fault::WrongLength`] or [`Fault::DoesNotHold`].
+    /// [`SignatureError::WrongLength`] or [`SignatureError::DoesNotHold`].
     pub fn verify(&self, message: &[u8], signature: &[u8]) -> Result<(), SignatureError> {
         let bytes = signature.try_into().map_err(|_| SignatureError::WrongLength)?;
         let signature = Signature::from_bytes(bytes);
