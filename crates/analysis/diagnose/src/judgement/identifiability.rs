@@ -7,9 +7,9 @@ use crate::{
     model::DISTINCT_RATE_RATIO, search::criterion::MAX_EQUIVALENT_RMS_RATIO, term_kind::TermKind,
 };
 
-/// A model that is identified leaves about as much where it was not fitted as where it was: twice as
-/// much is four times the squares.
-const MAX_HELD_OUT_RATIO: f64 = 2.0;
+/// A term with a time constant is identified if the model leaves at most this many times the RMS of the fitted data where it
+/// was not fitted. The search's limit for several terms at once, of half as many squares, is another.
+const MAX_HELD_OUT_RMS_RATIO: f64 = 2.0;
 
 /// Returns whether a term is identified; `is_known`: by the intervals of its values.
 pub(crate) fn is_identified(case: &JudgementContext<'_>, cause: &TermKind, is_known: bool) -> bool {
@@ -23,7 +23,7 @@ pub(crate) fn is_identified(case: &JudgementContext<'_>, cause: &TermKind, is_kn
     is_predicted
         || is_known
             && has_stable_time_constant(case, cause)
-            && (is_at_most(MAX_HELD_OUT_RATIO) || !is_late)
+            && (is_at_most(MAX_HELD_OUT_RMS_RATIO) || !is_late)
             && is_reproduced(&case.problem.data, cause)
 }
 

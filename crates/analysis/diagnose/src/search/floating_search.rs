@@ -35,7 +35,7 @@ use crate::{
 const MAX_LOOKAHEAD_TERMS: usize = 3;
 /// Several terms at once must be identified: where they were not fitted they leave at most this many times the
 /// squares that they leave where they were.
-const MAX_HELD_OUT_RATIO: f64 = 2.0;
+const MAX_HELD_OUT_SQUARES_RATIO: f64 = 2.0;
 /// Candidates that are fitted for each term.
 const MAX_FITTED_CANDIDATES: usize = 8;
 
@@ -208,7 +208,7 @@ impl Search<'_> {
             gap > -STRONG_EVIDENCE_BIC && own <= others && paired.is_significant()
         };
         let is_identified =
-            rms(&one.left_out).powi(2) <= MAX_HELD_OUT_RATIO * one.fitted.rms().powi(2);
+            rms(&one.left_out).powi(2) <= MAX_HELD_OUT_SQUARES_RATIO * one.fitted.rms().powi(2);
         is_better && is_identified && !self.has_cancelling_terms(&one.fitted)
     }
 
