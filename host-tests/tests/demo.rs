@@ -1,11 +1,11 @@
 //! The demonstration reaches its figures: the paper's own measurement through the real firmware, what is
 //! wrong with it found by the diagnosis and nothing else.
 
+use trueup_campaigns::faulty_machine::SeparableFaultMachine;
 use trueup_demo::{
     act_one::{ActOneInput, run_act_one},
     act_two::run_act_two,
     boards::BoardSource,
-    faulty_machine::FaultyMachine,
     page,
     summary::Summary,
 };
@@ -62,7 +62,7 @@ fn hidden_faults_are_found_on_the_board_as_in_this_process() {
     let image = firmware::build_virtual().expect("the image builds");
     let (mut right, mut kept) = (0, 0);
     for seed in 0..10 {
-        let hidden = FaultyMachine::draw(seed).expect("a machine that can be told");
+        let hidden = SeparableFaultMachine::draw(seed).expect("a machine that can be told");
         let on = |boards: &BoardSource| {
             run_act_two(boards, &hidden, &mut |_, _| {}).expect("it runs through").outcome
         };

@@ -4,13 +4,12 @@
 use std::{fmt::Write as _, fs, path::Path, process::Command};
 
 use trueup_accept::{AcceptanceCriteria, evaluate_acceptance};
+use trueup_campaigns::{faulty_machine::SeparableFaultMachine, run_table::parse_run};
 use trueup_demo::{
     act_one::{ActOneInput, run_act_one},
     act_two::run_act_two,
     boards::BoardSource,
-    faulty_machine::FaultyMachine,
     page,
-    run_table::parse_run,
     summary::Summary,
 };
 use trueup_diagnose::diagnose;
@@ -94,7 +93,7 @@ fn demonstration() -> String {
         .expect("the same");
     let asked = ActOneInput { source: &source, path: &path, run: &run, quantity: None };
     let one = run_act_one(&BoardSource::InProcess, &asked, &mut |_, _| {}).expect("it runs");
-    let hidden = FaultyMachine::draw(7).expect("a machine that can be told");
+    let hidden = SeparableFaultMachine::draw(7).expect("a machine that can be told");
     let two = run_act_two(&BoardSource::InProcess, &hidden, &mut |_, _| {}).expect("it runs");
     let html = page::render_page(&one, Some(&two));
     // What the page says is what the JSON says.
@@ -117,7 +116,7 @@ fn demonstration() -> String {
 }
 
 fn diagnosis() -> String {
-    let hidden = FaultyMachine::draw(0).expect("a machine that can be told");
+    let hidden = SeparableFaultMachine::draw(0).expect("a machine that can be told");
     let run = hidden.record_day(0, false).expect("a record");
     let machine = MachineFile::parse(&hidden.plant.machine, Path::new("m.toml")).expect("a file");
     let diagnosis = diagnose(&machine, &[run], &[], None, &mut |_, _| {}).expect("comparable");

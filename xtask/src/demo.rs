@@ -9,11 +9,11 @@ use std::{
 use anyhow::Result;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
+use trueup_campaigns::faulty_machine::SeparableFaultMachine;
 use trueup_demo::{
     act_one::{ActOneInput, run_act_one},
     act_two::run_act_two,
     boards::BoardSource,
-    faulty_machine::FaultyMachine,
     page,
     summary::Summary,
 };
@@ -65,7 +65,7 @@ pub(crate) fn run_demo(options: &DemoArgs) -> Result<()> {
                 "A machine is drawn and broken by seed {seed}."
             ));
             let bar = progress_bar()?;
-            let hidden = FaultyMachine::draw(seed)?;
+            let hidden = SeparableFaultMachine::draw(seed)?;
             let two =
                 run_act_two(&boards, &hidden, &mut |what, share| show_progress(&bar, what, share))?;
             bar.finish_and_clear();

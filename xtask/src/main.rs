@@ -14,11 +14,12 @@ use std::{
 
 use anyhow::{Context as _, Result, bail};
 use clap::{Args, Parser, Subcommand};
+use trueup_campaigns::faulty_machine::SeparableFaultMachine;
 use trueup_checks::{
     book, bounds, campaign, debian, release, structure,
     verify::{self, Tier},
 };
-use trueup_demo::{boards::BoardSource, campaign::Campaign, faulty_machine::FaultyMachine};
+use trueup_demo::{boards::BoardSource, campaign::Campaign};
 use trueup_emulator::{
     benchmark, chip,
     firmware::{self, Board},
@@ -391,10 +392,10 @@ fn run_hidden(seeds: u64, first: u64, tools: u64, on_board: bool) -> Result<()> 
         true => BoardSource::Emulated(firmware::build_virtual()?),
         false => BoardSource::InProcess,
     };
-    type TestCaseSampler = fn(u64) -> Result<FaultyMachine>;
+    type TestCaseSampler = fn(u64) -> Result<SeparableFaultMachine>;
     let all: [(u64, &str, TestCaseSampler); 2] = [
-        (seeds, "", FaultyMachine::draw),
-        (tools, "that change their tools: ", FaultyMachine::draw_with_tools),
+        (seeds, "", SeparableFaultMachine::draw),
+        (tools, "that change their tools: ", SeparableFaultMachine::draw_with_tools),
     ];
     for (seeds, which, draw) in all {
         let mut campaign = Campaign::default();

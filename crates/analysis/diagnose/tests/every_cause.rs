@@ -2,16 +2,17 @@
 //! values are inside their intervals, and an unseen run gains.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
-#[path = "score/own.rs"]
-mod own;
-#[path = "score/pairs.rs"]
-mod pairs;
-mod score;
-
-use pairs::{Judged, Pair, RATIO, RIGHT, WRONG, causes, faults};
-use score::{Row, Score, answer, score as scored};
 use statrs::distribution::{Binomial, DiscreteCDF};
-use trueup_campaigns::hidden_effects::{HiddenCause, TestCase, draw, draw_pair};
+use trueup_campaigns::{
+    hidden_effects::{HiddenCause, TestCase, draw, draw_pair},
+    score::{
+        hidden::{Score, ScoreRow, run_diagnosis, score_diagnosis},
+        pairs::{
+            EFFECT_TO_NOISE_RATIO, MAX_WRONG_SHARE, MIN_RIGHT_SHARE, Pair, PairScore,
+            find_value_errors, named_causes,
+        },
+    },
+};
 
 /// Hides each of `causes` twice: no draw has a wrong name, one at least is claimed, with what it is
 /// worth.
@@ -20,8 +21,8 @@ fn each_is_found(causes: &[HiddenCause]) {
     for &cause in causes {
         let scores: Vec<Score> = (0..2)
             .map(|seed| {
-                let challenge = draw(cause, RATIO, seed);
-                scored(&challenge, &answer(&challenge))
+                let challenge = draw(cause, EFFECT_TO_NOISE_RATIO, seed);
+                score_diagnosis(&challenge, &run_diagnosis(&challenge))
             })
             .collect();
         let is_found = |score: &Score| {
@@ -31,12 +32,12 @@ fn each_is_found(causes: &[HiddenCause]) {
             complaints.push(format!("{} is never claimed", cause.name()));
         }
         for score in &scores {
-            let complaint = faults(score);
+            let complaint = find_value_errors(score);
             if score.is_wrong || !complaint.is_empty() {
                 complaints.push(format!("{score}: {}", complaint.join(", ")));
             }
         }
-        println!("{}", Row { scores }.line(cause.name()));
+        println!("{}", ScoreRow { scores }.format_line(cause.name()));
     }
     assert!(complaints.is_empty(), "{}", complaints.join("\n"));
 }
@@ -48,7 +49,9 @@ fn is_of_axis(challenge: &TestCase) -> bool {
 
 /// Causes by what they are of, so that a part is about as long as another.
 fn of(is_axis: bool, part: usize, parts: usize) -> Vec<HiddenCause> {
-    let all = causes().into_iter().filter(|cause| is_of_axis(&draw(*cause, RATIO, 0)) == is_axis);
+    let all = named_causes()
+        .into_iter()
+        .filter(|cause| is_of_axis(&draw(*cause, EFFECT_TO_NOISE_RATIO, 0)) == is_axis);
     all.enumerate().filter(|(number, _)| number % parts == part).map(|(_, cause)| cause).collect()
 }
 
@@ -81,16 +84,17 @@ fn each_cause_of_an_axis_is_found_second_half() {
 fn both_are_found(is_axis: bool) {
     let (mut count, mut right, mut wrong) = (0, 0, 0);
     let is_asked = |Pair(a, b): &Pair| {
-        let drawn = draw_pair(*a, *b, RATIO, 0).expect("they stand beside each other");
+        let drawn =
+            draw_pair(*a, *b, EFFECT_TO_NOISE_RATIO, 0).expect("they stand beside each other");
         is_of_axis(&drawn) == is_axis
     };
     for pair in Pair::all().into_iter().filter(is_asked) {
-        let Some(Judged { score, is_right }) = pair.judged(0) else {
+        let Some(PairScore { score, is_right }) = pair.diagnose_and_score(0) else {
             println!("{} go together", pair.name());
             continue;
         };
         // What is named with a value far outside its interval, or gains too little, is not right either.
-        let complaints = faults(&score);
+        let complaints = find_value_errors(&score);
         let is_right = is_right && complaints.is_empty();
         count += 1;
         right += u64::from(is_right);
@@ -100,7 +104,8 @@ fn both_are_found(is_axis: bool) {
         }
     }
     let of = |share: f64| Binomial::new(share, count).expect("a share");
-    let (least, most) = (of(RIGHT).inverse_cdf(0.01), of(WRONG).inverse_cdf(0.99));
+    let (least, most) =
+        (of(MIN_RIGHT_SHARE).inverse_cdf(0.01), of(MAX_WRONG_SHARE).inverse_cdf(0.99));
     println!("{right} of {count} right (at least {least}), {wrong} wrong (at most {most})");
     assert!(right >= least && wrong <= most, "{right} right, {wrong} wrong of {count}");
 }
@@ -120,7 +125,7 @@ fn both_causes_of_an_axis_are_found() {
 /// No cause of the table is left out: what is hidden here are all of them.
 #[test]
 fn every_cause_is_hidden() {
-    let hidden = causes();
+    let hidden = named_causes();
     for cause in trueup_machine::effect::Cause::ALL {
         assert!(hidden.iter().any(|other| other.name() == cause.name()), "{}", cause.name());
     }

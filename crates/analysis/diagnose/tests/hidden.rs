@@ -1,21 +1,19 @@
 //! A hidden effect is found: a fixed, smaller part of the score card (`examples/scorecard` of `trueup-campaigns` is the
 //! whole). The drawn truth is read only by the check.
 
-mod score;
-
-use score::{Row, answer, score as scored};
-use trueup_campaigns::hidden_effects::{
-    DISTINGUISHABLE_PAIRS, ExpectedDiagnosis, HiddenCause, draw, draw_pair,
+use trueup_campaigns::{
+    hidden_effects::{DISTINGUISHABLE_PAIRS, ExpectedDiagnosis, HiddenCause, draw, draw_pair},
+    score::hidden::{ScoreRow, run_diagnosis, score_diagnosis},
 };
 
-fn row(causes: &[HiddenCause], ratio: f64, seeds: std::ops::Range<u64>) -> Row {
+fn row(causes: &[HiddenCause], ratio: f64, seeds: std::ops::Range<u64>) -> ScoreRow {
     let scores = causes.iter().flat_map(|&cause| {
         seeds.clone().map(move |seed| {
             let challenge = draw(cause, ratio, seed);
-            scored(&challenge, &answer(&challenge))
+            score_diagnosis(&challenge, &run_diagnosis(&challenge))
         })
     });
-    Row { scores: scores.collect() }
+    ScoreRow { scores: scores.collect() }
 }
 
 #[test]
@@ -34,9 +32,9 @@ fn a_cause_of_an_elongation_three_times_the_noise_is_named() {
         HiddenCause::Drift,
     ];
     let all = row(&causes, 3.0, 0..1);
-    println!("{}", all.line("elongation"));
+    println!("{}", all.format_line("elongation"));
     // The drift of this draw is named, but not claimed: a thermometer that drifts explains it as well.
-    assert!(all.right() >= 0.9 && all.wrong() == 0.0, "{}", all.line("elongation"));
+    assert!(all.right() >= 0.9 && all.wrong() == 0.0, "{}", all.format_line("elongation"));
     let (median, worst) = all.gain();
     assert!(median >= 0.98 && worst >= 0.85, "{median} {worst}");
 }
@@ -55,15 +53,15 @@ fn a_cause_of_an_axis_three_times_the_noise_is_named() {
         HiddenCause::DriftByRun,
     ];
     let all = row(&causes, 3.0, 0..1);
-    println!("{}", all.line("axis"));
-    assert!(all.right() == 1.0 && all.wrong() == 0.0, "{}", all.line("axis"));
+    println!("{}", all.format_line("axis"));
+    assert!(all.right() == 1.0 && all.wrong() == 0.0, "{}", all.format_line("axis"));
 }
 
 #[test]
 fn what_has_no_name_is_reported_and_no_name_is_claimed_for_it() {
     let all = row(&[HiddenCause::CriticalSpeed, HiddenCause::PreloadChange], 3.0, 0..1);
-    println!("{}", all.line("unnamed"));
-    assert!(all.right() == 1.0 && all.wrong() == 0.0, "{}", all.line("unnamed"));
+    println!("{}", all.format_line("unnamed"));
+    assert!(all.right() == 1.0 && all.wrong() == 0.0, "{}", all.format_line("unnamed"));
 }
 
 /// Ten times the noise, where what is nearly right leaves much: a growth that is another one above a speed is no
@@ -97,14 +95,14 @@ fn a_late_thermometer_is_named_where_the_gauge_is_ten_times_as_good() {
 fn a_wave_and_a_play_are_not_taken_for_a_table() {
     let challenge = draw_pair(HiddenCause::PitchPeriodic, HiddenCause::Backlash, 10.0, 102);
     let challenge = challenge.expect("one machine shows both");
-    let score = scored(&challenge, &answer(&challenge));
+    let score = score_diagnosis(&challenge, &run_diagnosis(&challenge));
     assert!(score.is_right && !score.is_wrong, "{score}");
 }
 
 #[test]
 fn nothing_is_found_in_noise_with_and_without_a_memory() {
     let all = row(&[HiddenCause::CleanWhite, HiddenCause::CleanCorrelated], 3.0, 0..3);
-    println!("{}", all.line("clean"));
+    println!("{}", all.format_line("clean"));
     for score in &all.scores {
         assert!(score.is_right, "{score}");
     }
@@ -117,7 +115,7 @@ fn two_causes_are_both_named() {
         (HiddenCause::ExpansionSlope, HiddenCause::ThermalLag),
     ] {
         let challenge = draw_pair(first, second, 3.0, 0).expect("one machine shows both");
-        let score = scored(&challenge, &answer(&challenge));
+        let score = score_diagnosis(&challenge, &run_diagnosis(&challenge));
         assert!(score.is_right, "{score}");
     }
 }
@@ -132,13 +130,13 @@ fn of_all_effects_three_times_the_noise_nearly_all_are_named() {
     let mut all = row(&effects, 3.0, 0..2);
     let pairs = DISTINGUISHABLE_PAIRS.iter().map(|&(a, b)| {
         let challenge = draw_pair(a, b, 3.0, 0).expect("the twin's own pairs can be drawn");
-        scored(&challenge, &answer(&challenge))
+        score_diagnosis(&challenge, &run_diagnosis(&challenge))
     });
     all.scores.extend(pairs);
-    println!("{}", all.line("effects and pairs"));
-    assert!(all.right() >= 0.95 && all.wrong() <= 0.05, "{}", all.line("effects and pairs"));
+    println!("{}", all.format_line("effects and pairs"));
+    assert!(all.right() >= 0.95 && all.wrong() <= 0.05, "{}", all.format_line("effects and pairs"));
     let clean: Vec<HiddenCause> = HiddenCause::ALL.iter().copied().filter(is_clean).collect();
     let alarms = row(&clean, 3.0, 0..10);
-    println!("{}", alarms.line("noise alone"));
-    assert_eq!(alarms.wrong(), 0.0, "{}", alarms.line("noise alone"));
+    println!("{}", alarms.format_line("noise alone"));
+    assert_eq!(alarms.wrong(), 0.0, "{}", alarms.format_line("noise alone"));
 }

@@ -1,11 +1,7 @@
 //! Laws of recorded inputs that are in no list: the columns are named, the effect goes, and idle inputs are not named.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
-#[path = "score/inputs.rs"]
-mod score;
-
-use score::worth;
-use trueup_campaigns::input_dependence::DEPENDENCE_KINDS;
+use trueup_campaigns::{input_dependence::DEPENDENCE_KINDS, score::inputs::score_dependence};
 
 /// The campaign in short; `cargo run -p trueup-campaigns --example inputs` is the whole.
 #[test]
@@ -14,17 +10,18 @@ fn laws_of_recorded_inputs_are_named_by_their_columns() {
     let (mut named, mut gone, mut foreign, mut all) = (0, 0, 0, 0);
     for kind in &DEPENDENCE_KINDS[1..] {
         for seed in 0..4 {
-            let worth = worth(*kind, seed);
-            if !worth.is_named || worth.is_foreign || worth.gone < 0.85 {
-                println!("{} {seed}: {}", kind.name, worth.told);
+            let score = score_dependence(*kind, seed);
+            if !score.is_named || score.is_foreign || score.gone < 0.85 {
+                println!("{} {seed}: {}", kind.name, score.findings);
             }
-            named += usize::from(worth.is_named);
-            gone += usize::from(worth.gone >= 0.85);
-            foreign += usize::from(worth.is_foreign);
+            named += usize::from(score.is_named);
+            gone += usize::from(score.gone >= 0.85);
+            foreign += usize::from(score.is_foreign);
             all += 1;
         }
     }
-    let idle = (0..40).filter(|seed| worth(DEPENDENCE_KINDS[0], *seed).is_foreign).count();
+    let idle =
+        (0..40).filter(|seed| score_dependence(DEPENDENCE_KINDS[0], *seed).is_foreign).count();
     println!(
         "of {all}: {named} named, {gone} with 85 % gone, {foreign} foreign; of 40 without: {idle} claimed"
     );

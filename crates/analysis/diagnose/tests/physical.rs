@@ -1,15 +1,11 @@
 //! Machines with physical faults are named for what they are. The whole is `scorecard physical`; here
 //! is what it rests on, and a few draws.
 
-#[path = "score/key.rs"]
-mod key;
-#[path = "score/physical.rs"]
-mod machines;
-#[path = "score/own.rs"]
-mod own;
-
-use machines::Case;
-use trueup_campaigns::physical::{MachineKind, PhysicalFault};
+use trueup_campaigns::{
+    faulty_machine::{MIN_FAULT_NOISE_RATIO, MultiFaultMachine, expected_causes},
+    physical::{MachineKind, PhysicalFault},
+    score::physical::diagnose_and_score,
+};
 use trueup_machine::effect::Cause;
 
 const DOCUMENT: &str = include_str!("../../../../docs/physical-faults.md");
@@ -18,7 +14,7 @@ const DOCUMENT: &str = include_str!("../../../../docs/physical-faults.md");
 fn every_fault_has_one_cause_or_two_and_the_document_says_the_same() {
     let is_cause = |name: &&str| Cause::ALL.iter().any(|cause| cause.name() == *name);
     for &fault in PhysicalFault::ALL {
-        let causes = machines::causes(fault);
+        let causes = expected_causes(fault);
         assert!((1..=2).contains(&causes.len()), "{}", fault.name());
         assert!(causes.iter().all(is_cause), "{causes:?}");
         let row = format!("| `{}` | `{}` |", fault.name(), causes.join("`, `"));
@@ -33,7 +29,7 @@ fn every_fault_has_one_cause_or_two_and_the_document_says_the_same() {
 #[test]
 fn a_machine_without_a_fault_is_what_its_file_says() {
     for seed in 0..12 {
-        let case = Case::healthy(seed);
+        let case = MultiFaultMachine::without_fault(seed);
         let (kind, noise_um, gauge_um) = (case.plant.kind, case.noise_um, case.plant.gauge_um);
         let share = noise_um / gauge_um;
         assert!((0.9..1.3).contains(&share), "{} {seed}: {noise_um} of {gauge_um}", kind.name());
@@ -43,10 +39,10 @@ fn a_machine_without_a_fault_is_what_its_file_says() {
 #[test]
 fn every_fault_that_is_drawn_is_three_times_the_noise() {
     for seed in 0..10 {
-        let case = Case::draw(seed);
+        let case = MultiFaultMachine::draw(seed);
         assert_eq!(case.faults.len() as u64, 1 + seed % 5);
         for drawn in &case.faults {
-            let is_so = (machines::MIN_FAULT_NOISE_RATIO..11.0).contains(&drawn.ratio);
+            let is_so = (MIN_FAULT_NOISE_RATIO..11.0).contains(&drawn.ratio);
             assert!(is_so, "{seed}: {} {} {}", drawn.fault.name(), drawn.size, drawn.ratio);
         }
     }
@@ -57,10 +53,10 @@ fn every_fault_that_is_drawn_is_three_times_the_noise() {
 fn a_fault_alone_is_named_and_nothing_else_is() {
     let mut kinds = std::collections::BTreeSet::new();
     for seed in (0..60).step_by(5) {
-        let case = Case::draw(seed);
+        let case = MultiFaultMachine::draw(seed);
         if kinds.insert(case.plant.kind) {
-            let judged = case.judged();
-            assert!(judged.told.is_right() && !judged.is_harmed(), "seed {seed}: {judged}");
+            let judged = diagnose_and_score(&case);
+            assert!(judged.comparison.is_right() && !judged.is_harmed(), "seed {seed}: {judged}");
         }
     }
     assert!(kinds.len() >= 5, "{kinds:?}");
@@ -71,8 +67,8 @@ fn a_fault_alone_is_named_and_nothing_else_is() {
 #[test]
 fn faults_that_hide_each_other_are_named() {
     for seed in [7, 47] {
-        let judged = Case::draw(seed).judged();
-        assert!(judged.told.is_right() && !judged.is_harmed(), "seed {seed}: {judged}");
+        let judged = diagnose_and_score(&MultiFaultMachine::draw(seed));
+        assert!(judged.comparison.is_right() && !judged.is_harmed(), "seed {seed}: {judged}");
     }
 }
 
@@ -81,8 +77,8 @@ fn faults_that_hide_each_other_are_named() {
 #[test]
 fn two_wrong_constants_are_found_behind_a_path_of_heat_that_imitates_both() {
     for seed in [118, 126] {
-        let judged = Case::draw(seed).judged();
-        assert!(judged.told.is_right() && !judged.is_harmed(), "seed {seed}: {judged}");
+        let judged = diagnose_and_score(&MultiFaultMachine::draw(seed));
+        assert!(judged.comparison.is_right() && !judged.is_harmed(), "seed {seed}: {judged}");
         assert!(judged.after_um < 0.5 * judged.before_um, "seed {seed}: {judged}");
     }
 }
@@ -91,8 +87,8 @@ fn two_wrong_constants_are_found_behind_a_path_of_heat_that_imitates_both() {
 #[test]
 fn what_was_found_is_not_lost_with_a_few_rows() {
     for seed in [128, 254] {
-        let judged = Case::draw(seed).judged();
-        assert!(judged.told.is_right(), "seed {seed}: {judged}");
+        let judged = diagnose_and_score(&MultiFaultMachine::draw(seed));
+        assert!(judged.comparison.is_right(), "seed {seed}: {judged}");
         assert!(judged.after_um < 0.5 * judged.before_um, "seed {seed}: {judged}");
     }
 }
@@ -101,8 +97,8 @@ fn what_was_found_is_not_lost_with_a_few_rows() {
 /// nothing where it was left out is not claimed for it.
 #[test]
 fn what_may_gain_nothing_is_not_claimed() {
-    let judged = Case::draw(266).judged();
-    let told = &judged.told;
+    let judged = diagnose_and_score(&MultiFaultMachine::draw(266));
+    let told = &judged.comparison;
     assert!(
         told.is_right() && told.open.iter().any(|name| name == "cooling-asymmetry"),
         "{judged}"
@@ -115,9 +111,12 @@ fn what_may_gain_nothing_is_not_claimed() {
 fn where_a_lagged_law_stood_at_the_start_is_not_claimed() {
     // Of the last, part of what lasts of the start is in the sensor's zero.
     for seed in [1060, 1144, 190] {
-        let judged = Case::draw(seed).judged();
-        assert!(judged.told.is_right() && !judged.is_harmed(), "seed {seed}: {judged}");
-        assert!(judged.told.open.iter().any(|cause| cause == "slow-mode"), "seed {seed}: {judged}");
+        let judged = diagnose_and_score(&MultiFaultMachine::draw(seed));
+        assert!(judged.comparison.is_right() && !judged.is_harmed(), "seed {seed}: {judged}");
+        assert!(
+            judged.comparison.open.iter().any(|cause| cause == "slow-mode"),
+            "seed {seed}: {judged}"
+        );
         assert!(judged.after_um < 0.6 * judged.before_um, "seed {seed}: {judged}");
     }
 }
@@ -125,8 +124,8 @@ fn where_a_lagged_law_stood_at_the_start_is_not_claimed() {
 /// Squareness and a drift of the gauge, which a spline of twenty values can follow as well, for that record.
 #[test]
 fn two_plain_laws_are_found_behind_a_list_that_imitates_both() {
-    let judged = Case::draw(1106).judged();
-    assert!(judged.told.is_right() && !judged.is_harmed(), "{judged}");
+    let judged = diagnose_and_score(&MultiFaultMachine::draw(1106));
+    assert!(judged.comparison.is_right() && !judged.is_harmed(), "{judged}");
 }
 
 /// Heat that goes through the shaft into a holder comes behind a lag of the first order only nearly: what makes up
@@ -134,8 +133,8 @@ fn two_plain_laws_are_found_behind_a_list_that_imitates_both() {
 #[test]
 fn what_the_form_of_a_lag_leaves_is_not_claimed() {
     for seed in [1006, 1180] {
-        let judged = Case::draw(seed).judged();
-        assert!(judged.told.is_right(), "seed {seed}: {judged}");
+        let judged = diagnose_and_score(&MultiFaultMachine::draw(seed));
+        assert!(judged.comparison.is_right(), "seed {seed}: {judged}");
     }
 }
 
@@ -143,19 +142,19 @@ fn what_the_form_of_a_lag_leaves_is_not_claimed() {
 #[test]
 fn a_lag_that_only_smooths_its_thermometer_is_not_claimed() {
     for seed in [5, 11] {
-        let judged = Case::healthy(seed).judged();
-        assert!(judged.told.claimed.is_empty(), "seed {seed}: {judged}");
+        let judged = diagnose_and_score(&MultiFaultMachine::without_fault(seed));
+        assert!(judged.comparison.claimed.is_empty(), "seed {seed}: {judged}");
     }
     // Nor is it left in the answer, where what stands next to it would be open.
-    let judged = Case::draw(221).judged();
-    assert!(judged.told.is_right() && judged.told.open.is_empty(), "{judged}");
+    let judged = diagnose_and_score(&MultiFaultMachine::draw(221));
+    assert!(judged.comparison.is_right() && judged.comparison.open.is_empty(), "{judged}");
 }
 
 /// The first reading of a start from cold may have been taken before the spindle turned: it is excluded, and
 /// not called wrong.
 #[test]
 fn a_reading_at_a_start_is_not_claimed_to_be_wrong() {
-    let judged = Case::draw(26).judged();
-    let is_claimed = judged.told.claimed.iter().any(|cause| cause == "outliers");
-    assert!(!is_claimed && judged.told.is_right(), "{judged}");
+    let judged = diagnose_and_score(&MultiFaultMachine::draw(26));
+    let is_claimed = judged.comparison.claimed.iter().any(|cause| cause == "outliers");
+    assert!(!is_claimed && judged.comparison.is_right(), "{judged}");
 }

@@ -1,14 +1,13 @@
 //! A second diagnosis: the machine file has a cause already. The whole is
 //! `scorecard second`; here are the terms that it puts into the file, and three machines of users.
 
-#[path = "score/second.rs"]
-mod known;
-mod score;
-
 use std::path::Path;
 
-use score::{Row, answer, score as scored};
-use trueup_campaigns::hidden_effects::{HiddenCause, TestCase, draw};
+use trueup_campaigns::{
+    hidden_effects::{HiddenCause, TestCase, draw},
+    known_term::{draw_aged_term, draw_with_known_term, known_and_new_causes, known_causes},
+    score::hidden::{ScoreRow, run_diagnosis, score_diagnosis},
+};
 use trueup_machine::{MachineFile, RunFile, predict::Predictor};
 
 /// Returns what the host's model makes of the machine file, for each row of the training runs.
@@ -29,7 +28,7 @@ fn predicted(challenge: &TestCase) -> Result<Vec<f64>, String> {
 #[test]
 fn a_file_with_the_drawn_term_predicts_the_drawn_effect() {
     let mut tried = 0;
-    for (a, b) in known::pairs() {
+    for (a, b) in known_and_new_causes() {
         // A slope or a reference is of the temperature that the axis follows, late or not: what the
         // twin lays to the lag and what the model lays to it differ, their sum does not.
         let is_of_heat = [
@@ -41,7 +40,7 @@ fn a_file_with_the_drawn_term_predicts_the_drawn_effect() {
         if is_of_heat && b == HiddenCause::ThermalLag {
             continue;
         }
-        let challenge = known::beside(a, b, 3.0, 1).expect("they stand beside each other");
+        let challenge = draw_with_known_term(a, b, 3.0, 1).expect("they stand beside each other");
         // A cause that no file can have yet is in no second diagnosis.
         let Ok(predicted) = predicted(&challenge) else { continue };
         tried += 1;
@@ -56,10 +55,10 @@ fn a_file_with_the_drawn_term_predicts_the_drawn_effect() {
 
 /// The only answer to `challenge` is `cause`.
 fn is_alone(challenge: &TestCase, cause: HiddenCause) -> Result<(), String> {
-    let score = scored(challenge, &answer(challenge));
+    let score = score_diagnosis(challenge, &run_diagnosis(challenge));
     let is_only = score.named == [cause.name()] && score.unclaimed.is_empty();
-    let row = Row { scores: vec![score] };
-    if is_only { Ok(()) } else { Err(row.line(cause.name())) }
+    let row = ScoreRow { scores: vec![score] };
+    if is_only { Ok(()) } else { Err(row.format_line(cause.name())) }
 }
 
 /// `measured` of each row of `csv` instead, from the speed, the believed value and the noise.
@@ -136,7 +135,7 @@ fn a_gain_of_the_sensor_is_found_beside_the_centrifugal_growth_that_the_file_has
 fn a_lag_is_found_beside_the_heat_path_that_the_file_has() {
     for seed in 0..6 {
         let challenge =
-            known::beside(HiddenCause::ExtraHeatPath, HiddenCause::ThermalLag, 3.0, seed);
+            draw_with_known_term(HiddenCause::ExtraHeatPath, HiddenCause::ThermalLag, 3.0, seed);
         let challenge = challenge.expect("one machine has both");
         is_alone(&challenge, HiddenCause::ThermalLag)
             .unwrap_or_else(|answer| panic!("seed {seed}: {answer}"));
@@ -148,10 +147,10 @@ fn a_lag_is_found_beside_the_heat_path_that_the_file_has() {
 #[test]
 fn a_slope_that_was_corrected_once_is_named_again_when_it_changes() {
     for seed in 0..6 {
-        let challenge = known::aged(HiddenCause::ExpansionSlope, 3.0, seed);
+        let challenge = draw_aged_term(HiddenCause::ExpansionSlope, 3.0, seed);
         is_alone(&challenge, HiddenCause::ExpansionSlope)
             .unwrap_or_else(|answer| panic!("seed {seed}: {answer}"));
-        let diagnosis = answer(&challenge);
+        let diagnosis = run_diagnosis(&challenge);
         let path = Path::new("machine.toml");
         let extended =
             diagnosis.render_extended_toml(&challenge.machine, path).expect("a machine file");
@@ -174,7 +173,7 @@ fn beside_nearly_every_cause_of_the_file_the_new_one_is_named_alone() {
         let mut wrong = Vec::new();
         let count = challenges.len();
         for (name, challenge) in challenges {
-            let score = scored(&challenge, &answer(&challenge));
+            let score = score_diagnosis(&challenge, &run_diagnosis(&challenge));
             if !score.is_right || score.is_wrong {
                 wrong.push(format!("{name}: {score}"));
             }
@@ -185,11 +184,12 @@ fn beside_nearly_every_cause_of_the_file_the_new_one_is_named_alone() {
     let is_read = |challenge: &TestCase| {
         MachineFile::parse(&challenge.machine, Path::new("machine.toml")).is_ok()
     };
-    let beside = known::pairs().into_iter().filter_map(|(a, b)| {
-        let challenge = known::beside(a, b, 3.0, 0).filter(is_read)?;
+    let beside = known_and_new_causes().into_iter().filter_map(|(a, b)| {
+        let challenge = draw_with_known_term(a, b, 3.0, 0).filter(is_read)?;
         Some((format!("{} beside {}", b.name(), a.name()), challenge))
     });
     assert!(scored_all(beside.collect()) >= 0.95);
-    let aged = known::firsts().map(|cause| (cause.name().to_string(), known::aged(cause, 3.0, 0)));
+    let aged =
+        known_causes().map(|cause| (cause.name().to_string(), draw_aged_term(cause, 3.0, 0)));
     assert!(scored_all(aged.collect()) >= 0.9);
 }

@@ -1,17 +1,22 @@
 //! Cases drawn at random for tests and campaigns: what is hidden is known, so that a diagnosis, a learner or a plan can be
 //! scored.
 //!
-//! As the virtual machine tool (`trueup-twin`) it shares no code with what is tried on it.
+//! As the virtual machine tool (`trueup-twin`), the drawing shares no code with what is tried on it: [`score`] alone knows
+//! the diagnosis, and the model of a machine file serves only [`faulty_machine`] and [`run_table`], as its user's belief.
 //!
 //! | module | does |
 //! |---|---|
 //! | [`hidden_effects`] | challenges: a believed machine, runs with one hidden effect, the answer |
+//! | [`known_term`] | challenges whose machine file has a cause already |
 //! | [`physical`] | machines with physical faults, in no terms but those of physics |
+//! | [`faulty_machine`] | such machines with faults that their records show, by seed |
 //! | [`input_dependence`] | two days with one effect of recorded inputs that is in no list |
 //! | [`spindle_trial`] | a spindle that may be run as one likes, with one thing wrong in its file |
 //! | [`axis_trial`] | an axis of the same kind |
 //! | [`month`] | a month of a machine that ages, with a probe now and then |
 //! | [`year`] | a year of a spindle or an axis in a small shop, with events and two probings a day |
+//! | [`run_table`] | runs with columns or readings changed |
+//! | [`score`] | the score of an answer to a drawn case |
 //!
 //! # A challenge
 //! ```
@@ -31,9 +36,14 @@
 #![forbid(unsafe_code)]
 
 pub mod axis_trial;
+pub mod faulty_machine;
 pub mod hidden_effects;
 pub mod input_dependence;
+pub mod known_term;
 pub mod month;
+mod own_effect;
 pub mod physical;
+pub mod run_table;
+pub mod score;
 pub mod spindle_trial;
 pub mod year;

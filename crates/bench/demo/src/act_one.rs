@@ -8,6 +8,7 @@ use std::{borrow::Cow, path::Path};
 
 use anyhow::{Context as _, Result};
 use serde::Serialize;
+use trueup_campaigns::run_table::without_readings;
 use trueup_diagnose::{Diagnosis, DiagnosisOptions, diagnose_with_options};
 use trueup_machine::{
     Machine, MachineFile, RunFile,
@@ -22,7 +23,6 @@ use crate::{
     Progress, bench,
     boards::BoardSource,
     playback::{PlaybackRecord, PlaybackTiming, check_offsets, play},
-    run_table::without_readings,
 };
 
 /// Up to this many readings without a clock each is held out in turn; of more, whole parts.

@@ -10,6 +10,10 @@ use std::path::Path;
 
 use anyhow::{Context as _, Result};
 use serde::Serialize;
+use trueup_campaigns::{
+    faulty_machine::{SeparableFaultMachine, expected_causes},
+    run_table::with_columns,
+};
 use trueup_diagnose::{Diagnosis, DiagnosisOptions, diagnose_with_options, report::Finding};
 use trueup_machine::{
     CompiledCalibration, MachineFile, RunFile, compile, file::Quantity, predict::Predictor,
@@ -19,9 +23,7 @@ use trueup_twin::noise::rms;
 use crate::{
     Progress, bench,
     boards::{BoardSource, StartedBoard},
-    faulty_machine::{FaultyMachine, expected_causes},
     playback::{PlaybackRecord, PlaybackTiming, max_playback_speedup, play},
-    run_table::with_columns,
 };
 
 /// A shift takes so long on the board, in s: three of them are below ten minutes.
@@ -99,7 +101,7 @@ pub struct ActTwoResult {
 /// A board ends, or the record cannot be compared.
 pub fn run_act_two(
     boards: &BoardSource,
-    hidden: &FaultyMachine,
+    hidden: &SeparableFaultMachine,
     progress: &mut Progress<'_>,
 ) -> Result<ActTwoResult> {
     let plant = &hidden.plant;
@@ -218,12 +220,12 @@ fn finite_rms(um: &[f64]) -> f64 {
 }
 
 /// Returns the hidden faults with the causes that stand for them.
-fn hidden_fault_causes(hidden: &FaultyMachine) -> Vec<FaultCauses> {
+fn hidden_fault_causes(hidden: &SeparableFaultMachine) -> Vec<FaultCauses> {
     let faults = hidden.faults.iter();
     faults
         .map(|fault| FaultCauses {
             fault: fault.fault.name(),
-            causes: expected_causes(fault.fault),
+            causes: expected_causes(fault.fault).to_vec(),
             ratio: fault.ratio,
         })
         .collect()
@@ -250,7 +252,7 @@ fn score_findings(
 
 /// Returns what the faults really do to each row of the first day, and what the new terms say of it.
 fn true_and_predicted_effect(
-    hidden: &FaultyMachine,
+    hidden: &SeparableFaultMachine,
     run: &RunFile,
     source: &str,
     extended: &str,

@@ -4,11 +4,11 @@
 use std::fmt::Write as _;
 
 use anyhow::Result;
+use trueup_campaigns::faulty_machine::SeparableFaultMachine;
 
 use crate::{
     act_two::{Outcome, run_act_two},
     boards::BoardSource,
-    faulty_machine::FaultyMachine,
 };
 
 /// The reduction at the tool may be so far from what was promised.
@@ -26,7 +26,7 @@ impl Campaign {
     ///
     /// # Errors
     /// A board ends.
-    pub fn play(&mut self, boards: &BoardSource, hidden: &FaultyMachine) -> Result<String> {
+    pub fn play(&mut self, boards: &BoardSource, hidden: &SeparableFaultMachine) -> Result<String> {
         let outcome = run_act_two(boards, hidden, &mut |_, _| {})?.outcome;
         let line = outcome.format_row();
         self.outcomes.push(outcome);

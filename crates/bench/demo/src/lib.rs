@@ -11,26 +11,21 @@
 //! | [`boards`] | the board in QEMU, and the same application in this process, bit for bit |
 //! | [`mod@bench`] | a machine file as the bench needs it: inputs, limits, time constants shortened |
 //! | [`playback`] | a run, row by row, through a board |
-//! | [`run_table`] | runs as text: some readings taken out, what a bridge says added |
 //! | [`act_one`] | a measured run: what is wrong, extended, and what is gained on held-out rows |
 //! | `calibration_loader` | a calibration over the board's serial line |
-//! | [`faulty_machine`], [`alternatives`] | a machine with faults that can be distinguished, by seed |
 //! | [`act_two`], [`campaign`] | a machine with hidden faults, found and mended; many of them |
 //! | `console_text`, [`page`], [`summary`] | what is said on the screen, shown on the page, written for scripts |
 #![forbid(unsafe_code)]
 
 pub mod act_one;
 pub mod act_two;
-pub mod alternatives;
 pub mod bench;
 pub mod boards;
 pub(crate) mod calibration_loader;
 pub mod campaign;
 pub(crate) mod console_text;
-pub mod faulty_machine;
 pub mod page;
 pub mod playback;
-pub mod run_table;
 pub mod summary;
 
 /// Receives what is being done, and how far it is, 0…1 (NaN: as before).

@@ -173,7 +173,7 @@ fn without_timestamps(run: &RunFile) -> Result<RunFile> {
         return Ok(run.clone());
     }
     let count = (0..run.row_count()).map(|row| row as f64).collect();
-    crate::run_table::with_columns(run, &[("time_s".into(), count)])
+    trueup_campaigns::run_table::with_columns(run, &[("time_s".into(), count)])
 }
 
 /// The CNC's part, and the front end's.

@@ -7,12 +7,14 @@
 use std::path::Path;
 
 use trueup_accept::{AcceptanceCriteria, AcceptanceResult, evaluate_acceptance};
-use trueup_campaigns::physical::{MachineKind, Plant};
+use trueup_campaigns::{
+    physical::{MachineKind, Plant},
+    run_table::{parse_run, with_columns},
+};
 use trueup_demo::{
     bench,
     boards::BoardSource,
     playback::{PlaybackTiming, check_offsets, play},
-    run_table::{parse_run, with_columns},
 };
 use trueup_machine::{MachineFile, RunFile, compile, file::Quantity};
 use trueup_twin::{Scenario, simulate};

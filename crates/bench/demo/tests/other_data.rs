@@ -4,11 +4,11 @@
 
 use std::{fmt::Write as _, path::Path};
 
+use trueup_campaigns::run_table::parse_run;
 use trueup_demo::{
     act_one::{ActOneInput, ActOneResult, run_act_one},
     boards::BoardSource,
     page,
-    run_table::parse_run,
 };
 
 const MACHINE: &str = include_str!("../../../../data/paper_spindle.toml");

@@ -16,9 +16,7 @@
 
 use std::{collections::BTreeMap, fs, process::ExitCode};
 
-use trueup_campaigns::hidden_effects::HiddenCause;
-
-use crate::score::Row;
+use trueup_campaigns::{hidden_effects::HiddenCause, score::hidden::ScoreRow};
 
 /// Below it a cell is worse.
 const SIGNIFICANCE_LEVEL: f64 = 0.01;
@@ -55,7 +53,7 @@ const TSV_HEADER_WITHOUT_HARM: &str = "ratio\thidden\tseed\tright\twrong\tinside
 
 impl DrawScores {
     /// Adds `row`, whose seeds begin at `first`.
-    pub fn add_row(&mut self, ratio: f64, hidden: &str, first: u64, row: &Row) {
+    pub fn add_row(&mut self, ratio: f64, hidden: &str, first: u64, row: &ScoreRow) {
         let cell = self.cells.entry((ratio.to_string(), hidden.to_string())).or_default();
         for (seed, score) in (first..).zip(&row.scores) {
             let inside = score.intervals.iter().filter(|interval| interval.is_inside(1.0)).count();

@@ -15,43 +15,29 @@
 //!
 //! `--seeds` counts at ratio 3, `--few` at the others, `--clean` for noise alone. `--each` prints every
 //! answer, `--tsv` writes a line for each. The files are written anew after each row. `second` asks
-//! what is named where the machine file has a cause already ([`mod@second`]), `scenarios` what is said of
+//! what is named where the machine file has a cause already ([`second_cause`]), `scenarios` what is said of
 //! the shipped ones ([`scenarios`]), `physical` of machines with physical faults
 //! ([`mod@physical`]), `pairs` of every two causes that one machine can have ([`mod@pairs`]), `program` what another
 //! version's program makes of the same files ([`program`]), `compare` what has become better or worse between two
 //! cards, draw by draw ([`compare`]).
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "an example prints its result")]
 
-#[path = "../../../../analysis/diagnose/tests/score/pairs.rs"]
-mod all_pairs;
 mod compare;
-#[path = "../../../../analysis/diagnose/tests/score/key.rs"]
-mod key;
-#[path = "../../../../analysis/diagnose/tests/score/second.rs"]
-mod known;
-#[path = "../../../../analysis/diagnose/tests/score/physical.rs"]
-mod machines;
 mod options;
-#[path = "../../../../analysis/diagnose/tests/score/own.rs"]
-mod own;
 mod pairs;
 mod physical;
 mod program;
 mod scenarios;
-#[path = "../../../../analysis/diagnose/tests/score/mod.rs"]
-mod score;
 mod score_card;
 mod second_cause;
-#[path = "../../../../analysis/diagnose/tests/score/shipped.rs"]
-mod shipped;
 
 use std::{env, fs, path::PathBuf, process::ExitCode, thread};
 
 use compare::DrawScores;
-use score::{Row, Score, answer, score};
 use score_card::ScoreCard;
-use trueup_campaigns::hidden_effects::{
-    DISTINGUISHABLE_PAIRS, ExpectedDiagnosis, HiddenCause, draw, draw_pair,
+use trueup_campaigns::{
+    hidden_effects::{DISTINGUISHABLE_PAIRS, ExpectedDiagnosis, HiddenCause, draw, draw_pair},
+    score::hidden::{Score, ScoreRow, run_diagnosis, score_diagnosis},
 };
 
 /// Arguments of the command.
@@ -123,8 +109,8 @@ pub(crate) fn map_seeds_in_parallel<T: Send>(
 }
 
 /// Returns the answers to `seeds`, in their order.
-fn score_seeds(seeds: std::ops::Range<u64>, of: &(dyn Fn(u64) -> Score + Sync)) -> Row {
-    Row { scores: map_seeds_in_parallel(seeds, of) }
+fn score_seeds(seeds: std::ops::Range<u64>, of: &(dyn Fn(u64) -> Score + Sync)) -> ScoreRow {
+    ScoreRow { scores: map_seeds_in_parallel(seeds, of) }
 }
 
 fn main() -> ExitCode {
@@ -146,8 +132,8 @@ fn main() -> ExitCode {
         |name: &str| asked.wanted.is_empty() || asked.wanted.iter().any(|there| there == name);
     let mut card = ScoreCard::default();
     let mut draws = DrawScores::default();
-    let mut done = |ratio: f64, name: String, row: Row| {
-        println!("ratio {ratio}: {}", row.line(&name));
+    let mut done = |ratio: f64, name: String, row: ScoreRow| {
+        println!("ratio {ratio}: {}", row.format_line(&name));
         if asked.each {
             for (seed, score) in row.scores.iter().enumerate() {
                 println!("    seed {}: {score}", asked.first + seed as u64);
@@ -169,7 +155,7 @@ fn main() -> ExitCode {
     let drawn = |cause: HiddenCause, ratio: f64, count: u64| {
         score_seeds(asked.first..asked.first + count, &|seed| {
             let challenge = draw(cause, ratio, seed);
-            score(&challenge, &answer(&challenge))
+            score_diagnosis(&challenge, &run_diagnosis(&challenge))
         })
     };
     for (number, &ratio) in asked.ratios.iter().enumerate() {
@@ -185,7 +171,7 @@ fn main() -> ExitCode {
                 let row = score_seeds(asked.first..asked.first + seeds, &|seed| {
                     let challenge =
                         draw_pair(a, b, ratio, seed).expect("the twin's own pairs can be drawn");
-                    score(&challenge, &answer(&challenge))
+                    score_diagnosis(&challenge, &run_diagnosis(&challenge))
                 });
                 done(ratio, both, row);
             }

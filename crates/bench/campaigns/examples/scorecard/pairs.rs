@@ -1,9 +1,12 @@
-//! `scorecard pairs`: every pair of causes that one machine can have ([`mod@all_pairs`]), at ratio 3.
+//! `scorecard pairs`: every pair of causes that one machine can have ([`trueup_campaigns::score::pairs`]), at ratio 3.
 
 use std::process::ExitCode;
 
+use trueup_campaigns::score::pairs::{
+    MAX_WRONG_SHARE, MIN_RIGHT_SHARE, Pair, PairScore, find_value_errors,
+};
+
 use crate::{
-    all_pairs::{Judged, Pair, RIGHT, WRONG, faults},
     compare::{DrawScore, DrawScores},
     map_seeds_in_parallel,
     options::TierOptions,
@@ -19,20 +22,21 @@ pub fn run(words: &[String]) -> ExitCode {
     // Draws that can be distinguished; of those: right, with a wrong name, with a value or a gain that is off.
     let mut sum = [0; 4];
     for pair in Pair::all().into_iter().filter(|pair| asked.is_selected(&pair.name())) {
-        let judged = map_seeds_in_parallel(asked.seeds(), &|seed| pair.judged(seed));
-        let told: Vec<(u64, Judged)> =
+        let judged = map_seeds_in_parallel(asked.seeds(), &|seed| pair.diagnose_and_score(seed));
+        let told: Vec<(u64, PairScore)> =
             asked.seeds().zip(judged).filter_map(|(seed, judged)| Some((seed, judged?))).collect();
-        let count = |of: &dyn Fn(&Judged) -> bool| told.iter().filter(|(_, draw)| of(draw)).count();
+        let count =
+            |of: &dyn Fn(&PairScore) -> bool| told.iter().filter(|(_, draw)| of(draw)).count();
         let counts = [
             told.len(),
             count(&|draw| draw.is_right),
             count(&|draw| draw.score.is_wrong),
-            count(&|draw| !faults(&draw.score).is_empty()),
+            count(&|draw| !find_value_errors(&draw.score).is_empty()),
         ];
         let [n, right, wrong, off] = counts;
         println!("{:<52} n {n:>3} right {right:>3} wrong {wrong:>3} off {off:>3}", pair.name());
-        for (seed, Judged { score, is_right }) in &told {
-            let complaint = faults(score);
+        for (seed, PairScore { score, is_right }) in &told {
+            let complaint = find_value_errors(score);
             if asked.each || !is_right || !complaint.is_empty() {
                 println!("    seed {seed}: {score}; {}", complaint.join(", "));
             }
@@ -48,11 +52,12 @@ pub fn run(words: &[String]) -> ExitCode {
         "{n} draws that can be told: both named and nothing else claimed in {:.1} % (target {:.0} %), a \
          wrong name in {:.1} % (target {:.0} %), an interval or a gain that is off in {:.1} %",
         percent(right),
-        100.0 * RIGHT,
+        100.0 * MIN_RIGHT_SHARE,
         percent(wrong),
-        100.0 * WRONG,
+        100.0 * MAX_WRONG_SHARE,
         percent(off),
     );
-    let is_met = right as f64 >= RIGHT * n as f64 && wrong as f64 <= WRONG * n as f64;
+    let is_met =
+        right as f64 >= MIN_RIGHT_SHARE * n as f64 && wrong as f64 <= MAX_WRONG_SHARE * n as f64;
     ExitCode::from(u8::from(!is_met))
 }

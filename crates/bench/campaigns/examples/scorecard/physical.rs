@@ -1,11 +1,15 @@
-//! `scorecard physical`: machines with one to five physical faults ([`trueup_campaigns::physical`]), and
+//! `scorecard physical`: machines with one to five physical faults ([`trueup_campaigns::faulty_machine`]), and
 //! machines without one; what names a fault stands in `docs/physical-faults.md`.
 
 use std::{collections::BTreeMap, ops::Range, process::ExitCode};
 
+use trueup_campaigns::{
+    faulty_machine::MultiFaultMachine,
+    score::physical::{PhysicalScore, diagnose_and_score},
+};
+
 use crate::{
     compare::{DrawScore, DrawScores},
-    machines::{Case, Judged},
     map_seeds_in_parallel,
     options::TierOptions,
 };
@@ -32,15 +36,17 @@ struct DrawCounts {
 }
 
 impl DrawCounts {
-    fn add(&mut self, judged: &Judged) {
-        let is_named = judged.told.missed.is_empty();
+    fn add(&mut self, judged: &PhysicalScore) {
+        let is_named = judged.comparison.missed.is_empty();
         self.draws += 1;
         self.named += usize::from(is_named);
-        self.wrong += usize::from(!judged.told.wrong.is_empty());
+        self.wrong += usize::from(!judged.comparison.wrong.is_empty());
         self.harmed += usize::from(judged.is_harmed());
-        self.can_be_told += usize::from(judged.can_be_told());
-        self.told += usize::from(judged.can_be_told() && is_named);
-        for ((fault, ..), (is_named, is_claimed)) in judged.faults.iter().zip(&judged.told.needed) {
+        self.can_be_told += usize::from(judged.is_distinguishable());
+        self.told += usize::from(judged.is_distinguishable() && is_named);
+        for ((fault, ..), (is_named, is_claimed)) in
+            judged.faults.iter().zip(&judged.comparison.needed)
+        {
             let counts = self.by_fault.entry(fault.name()).or_default();
             counts[0] += 1;
             counts[1] += usize::from(*is_named);
@@ -73,7 +79,7 @@ impl DrawCounts {
 struct MachineGroup {
     name: &'static str,
     seeds: Range<u64>,
-    draw: fn(u64) -> Case,
+    draw: fn(u64) -> MultiFaultMachine,
 }
 
 /// `physical [--seeds 300] [--first 0] [--each] [--tsv FILE] [faults|healthy]`.
@@ -85,8 +91,8 @@ pub fn run(words: &[String]) -> ExitCode {
     let seeds = asked.seeds();
     let healthy = seeds.start..seeds.start + (seeds.end - seeds.start).div_ceil(FAULTY_PER_HEALTHY);
     let rows = [
-        MachineGroup { name: "faults", seeds, draw: Case::draw },
-        MachineGroup { name: "healthy", seeds: healthy, draw: Case::healthy },
+        MachineGroup { name: "faults", seeds, draw: MultiFaultMachine::draw },
+        MachineGroup { name: "healthy", seeds: healthy, draw: MultiFaultMachine::without_fault },
     ];
     let (mut draws, mut is_met) = (DrawScores::default(), true);
     for MachineGroup { name, seeds, draw } in
@@ -94,15 +100,15 @@ pub fn run(words: &[String]) -> ExitCode {
     {
         let mut sum = DrawCounts::default();
         let judged = map_seeds_in_parallel(seeds.clone(), &|seed| {
-            let judged = draw(seed).judged();
-            if asked.each || !judged.told.is_right() || judged.is_harmed() {
+            let judged = diagnose_and_score(&draw(seed));
+            if asked.each || !judged.comparison.is_right() || judged.is_harmed() {
                 println!("    seed {seed}: {judged}");
             }
             judged
         });
         for (seed, judged) in seeds.zip(&judged) {
             sum.add(judged);
-            let told = &judged.told;
+            let told = &judged.comparison;
             let (is_right, is_wrong) = (told.missed.is_empty(), !told.wrong.is_empty());
             let gain = 1.0 - judged.after_um / judged.before_um;
             let draw = DrawScore::without_intervals(is_right, is_wrong, gain);

@@ -5,14 +5,16 @@
 use std::{fs, path::Path, process::Command, process::ExitCode};
 
 use serde_json::Value;
-use trueup_campaigns::hidden_effects::{
-    DISTINGUISHABLE_PAIRS, ExpectedDiagnosis, HiddenCause, TestCase, draw, draw_pair,
+use trueup_campaigns::{
+    hidden_effects::{
+        DISTINGUISHABLE_PAIRS, ExpectedDiagnosis, HiddenCause, TestCase, draw, draw_pair,
+    },
+    score::hidden::{Answer, AnswerFinding},
 };
 
 use crate::{
     compare::{DrawScore, DrawScores},
     map_seeds_in_parallel, parse_arguments,
-    score::{Answered, Named},
 };
 
 /// `program TRUEUP` and the words of the card.
@@ -91,7 +93,7 @@ fn finding_columns(finding: &Value) -> Vec<String> {
 }
 
 /// Returns what `program` says of the files of `challenge`.
-fn run_diagnosis(program: &Path, challenge: &TestCase) -> Result<Answered, String> {
+fn run_diagnosis(program: &Path, challenge: &TestCase) -> Result<Answer, String> {
     let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
     let put = |name: &str, text: &str| {
         let path = folder.path().join(name);
@@ -109,7 +111,7 @@ fn run_diagnosis(program: &Path, challenge: &TestCase) -> Result<Answered, Strin
         .map_err(|_| String::from_utf8_lossy(&output.stderr).into_owned())?;
     let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
     let each = |value: &Value| value.as_array().cloned().unwrap_or_default();
-    let findings = each(&said["findings"]).into_iter().map(|finding| Named {
+    let findings = each(&said["findings"]).into_iter().map(|finding| AnswerFinding {
         cause: text(&finding["cause"]),
         columns: finding_columns(&finding),
         is_claimed: finding["claimed"] == true,
@@ -118,5 +120,5 @@ fn run_diagnosis(program: &Path, challenge: &TestCase) -> Result<Answered, Strin
             .map(|partner| text(&partner["cause"]))
             .collect(),
     });
-    Ok(Answered { verdict: text(&said["verdict"]), findings: findings.collect() })
+    Ok(Answer { verdict: text(&said["verdict"]), findings: findings.collect() })
 }

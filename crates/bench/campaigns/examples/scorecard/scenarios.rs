@@ -3,11 +3,12 @@
 
 use std::process::ExitCode;
 
+use trueup_campaigns::score::shipped::SHIPPED_SCENARIOS;
+
 use crate::{
     compare::{DrawScore, DrawScores},
     map_seeds_in_parallel,
     options::TierOptions,
-    shipped,
 };
 
 /// The least share of right answers, of each.
@@ -21,9 +22,9 @@ pub fn run(words: &[String]) -> ExitCode {
     };
     let mut draws = DrawScores::default();
     let mut is_met = true;
-    for shipped in shipped::ALL.iter().filter(|scenario| asked.is_selected(scenario.name)) {
+    for shipped in SHIPPED_SCENARIOS.iter().filter(|scenario| asked.is_selected(scenario.name)) {
         let told = map_seeds_in_parallel(asked.seeds(), &|seed| {
-            (shipped.key)().of(&shipped.diagnosed(seed).report)
+            (shipped.key)().compare(&shipped.run_diagnosis(seed).report)
         });
         let (mut right, mut false_names) = (0, 0);
         for (seed, told) in asked.seeds().zip(&told) {

@@ -2,13 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use crate::score::Row;
+use trueup_campaigns::score::hidden::ScoreRow;
 
 /// All rows, as a document.
 #[derive(Clone, Debug, Default)]
 pub struct ScoreCard {
     /// Ratio, name, answers.
-    pub rows: Vec<(f64, String, Row)>,
+    pub rows: Vec<(f64, String, ScoreRow)>,
 }
 
 impl ScoreCard {
@@ -46,7 +46,7 @@ impl ScoreCard {
         }
         for ratio in ratios {
             let is_here =
-                |(there, name, _): &&(f64, String, Row)| *there == ratio && !is_clean(name);
+                |(there, name, _): &&(f64, String, ScoreRow)| *there == ratio && !is_clean(name);
             let rows: Vec<_> = self.rows.iter().filter(is_here).collect();
             for (title, is_pair) in [("single effects", false), ("pairs", true)] {
                 let rows: Vec<_> =
@@ -58,7 +58,7 @@ impl ScoreCard {
                     "\n## Ratio {ratio}, {title}\n\n| hidden | draws | right | wrong | interval | \
                      gain | worst | harm |\n|---|---|---|---|---|---|---|---|\n"
                 );
-                let mut all = Row::default();
+                let mut all = ScoreRow::default();
                 for (_, name, row) in rows {
                     text += &format_table_row(row, name);
                     all.scores.extend(row.scores.iter().cloned());
@@ -93,7 +93,7 @@ fn format_alarm_rate_row(name: &str, runs: usize, alarms: usize) -> String {
 }
 
 /// Returns what was named instead, or next to: a line for each effect with anything but one right name.
-fn format_confusion_table(ratio: f64, rows: &[&(f64, String, Row)]) -> String {
+fn format_confusion_table(ratio: f64, rows: &[&(f64, String, ScoreRow)]) -> String {
     let mut text = String::new();
     for (_, name, row) in rows.iter().filter(|(_, name, _)| !name.contains('+')) {
         let mut named: BTreeMap<String, usize> = BTreeMap::new();
@@ -122,7 +122,7 @@ fn format_confusion_table(ratio: f64, rows: &[&(f64, String, Row)]) -> String {
     )
 }
 
-fn format_table_row(row: &Row, name: &str) -> String {
+fn format_table_row(row: &ScoreRow, name: &str) -> String {
     let (median, worst) = row.gain();
     let (within, count) = row.within();
     let number = |value: f64| if value.is_nan() { "–".into() } else { format!("{value:.3}") };

@@ -1,19 +1,19 @@
 //! `scorecard second`: what is named where the machine file has a cause already.
 //!
-//! For each pair (in the file, new in the data) of [`known::pairs`] `--seeds` draws at ratio 3: *right*
+//! For each pair (in the file, new in the data) of [`known_and_new_causes`] `--seeds` draws at ratio 3: *right*
 //! is the new cause claimed and no other, *alone* is right without any other finding, claimed or not.
 //! Then the aged files: a term with about half of its true size, and the same cause is the answer.
 
 use std::{ops::Range, path::Path, process::ExitCode};
 
-use trueup_campaigns::hidden_effects::TestCase;
+use trueup_campaigns::{
+    hidden_effects::TestCase,
+    known_term::{draw_aged_term, draw_with_known_term, known_and_new_causes, known_causes},
+    score::hidden::{Score, ScoreRow, run_diagnosis, score_diagnosis},
+};
 use trueup_machine::MachineFile;
 
-use crate::{
-    known,
-    score::{Row, Score, answer, score},
-    score_seeds,
-};
+use crate::score_seeds;
 
 const EFFECT_TO_NOISE_RATIO: f64 = 3.0;
 /// The least share of all draws, and of each pair's.
@@ -38,7 +38,7 @@ struct RowCounts {
 }
 
 impl RowCounts {
-    fn add(&mut self, name: &str, row: &Row) {
+    fn add(&mut self, name: &str, row: &ScoreRow) {
         let count = |of: fn(&Score) -> bool| row.scores.iter().filter(|score| of(score)).count();
         let (right, alone, draws) = (count(is_right), count(is_sole_finding), row.scores.len());
         self.draws += draws;
@@ -70,7 +70,7 @@ impl RowCounts {
 }
 
 /// Returns what was answered where the answer was not right.
-fn format_wrong_answers(row: &Row) -> String {
+fn format_wrong_answers(row: &ScoreRow) -> String {
     let wrong = row.scores.iter().enumerate().filter(|(_, score)| !is_right(score));
     let named = wrong.map(|(seed, score)| {
         let open = score.unclaimed.iter().map(|name| format!("?{name}"));
@@ -84,12 +84,15 @@ fn format_wrong_answers(row: &Row) -> String {
 }
 
 /// Returns the answers to the draws of `seeds`; the reader's complaint where the file cannot have that term.
-fn score_draws(seeds: Range<u64>, drawn: &(dyn Fn(u64) -> TestCase + Sync)) -> Result<Row, String> {
+fn score_draws(
+    seeds: Range<u64>,
+    drawn: &(dyn Fn(u64) -> TestCase + Sync),
+) -> Result<ScoreRow, String> {
     let first = drawn(seeds.start);
     MachineFile::parse(&first.machine, Path::new("machine.toml")).map_err(|bad| bad.to_string())?;
     Ok(score_seeds(seeds, &|seed| {
         let challenge = drawn(seed);
-        score(&challenge, &answer(&challenge))
+        score_diagnosis(&challenge, &run_diagnosis(&challenge))
     }))
 }
 
@@ -114,7 +117,7 @@ pub fn run(words: &[String]) -> ExitCode {
         wanted.is_empty() || wanted.iter().any(|other| other == known || other == name)
     };
     let seeds = first..first + seeds;
-    let told = |sum: &mut RowCounts, name: String, row: Result<Row, String>| match row {
+    let told = |sum: &mut RowCounts, name: String, row: Result<ScoreRow, String>| match row {
         Ok(row) => {
             sum.add(&name, &row);
             for (seed, score) in seeds.clone().zip(&row.scores).filter(|_| each) {
@@ -124,11 +127,11 @@ pub fn run(words: &[String]) -> ExitCode {
         Err(refused) => println!("{name:<60} cannot stand in a file: {refused}"),
     };
     let mut sum = RowCounts::default();
-    for (a, b) in known::pairs() {
+    for (a, b) in known_and_new_causes() {
         let name = format!("{}+{}", a.name(), b.name());
         if is_wanted(a.name(), &name) {
             let drawn = |seed| {
-                known::beside(a, b, EFFECT_TO_NOISE_RATIO, seed)
+                draw_with_known_term(a, b, EFFECT_TO_NOISE_RATIO, seed)
                     .expect("they stand beside each other")
             };
             told(&mut sum, name, score_draws(seeds.clone(), &drawn));
@@ -136,10 +139,10 @@ pub fn run(words: &[String]) -> ExitCode {
     }
     sum.print("a cause in the file, another one new");
     let mut aged = RowCounts::default();
-    for cause in known::firsts() {
+    for cause in known_causes() {
         let name = format!("{} aged", cause.name());
         if is_wanted(cause.name(), &name) {
-            let drawn = |seed| known::aged(cause, EFFECT_TO_NOISE_RATIO, seed);
+            let drawn = |seed| draw_aged_term(cause, EFFECT_TO_NOISE_RATIO, seed);
             told(&mut aged, name, score_draws(seeds.clone(), &drawn));
         }
     }

@@ -68,7 +68,7 @@ impl HiddenCause {
     ///   elongation that it reads), hence on the other as well;
     /// - one is of an axis across the path (straightness), the other a law along it.
     #[must_use]
-    pub fn is_compatible_with(self, other: Self) -> bool {
+    pub(crate) fn is_compatible_with(self, other: Self) -> bool {
         let has_name = |cause: Self| cause.name() == cause.expected_name();
         let shares_base = self.base_models().iter().any(|base| other.base_models().contains(base));
         // Its column is there for it alone, and any other cause is correlated with it: what one does says all. So it is with

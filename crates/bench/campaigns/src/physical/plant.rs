@@ -75,7 +75,12 @@ impl Plant {
     /// Returns the same day of the machine that has not this fault, but all around that comes with its size:
     /// what a fault does is the difference.
     #[must_use]
-    pub fn scenario_without_fault(&self, number: u64, fault: PhysicalFault, size: f64) -> Scenario {
+    pub(crate) fn scenario_without_fault(
+        &self,
+        number: u64,
+        fault: PhysicalFault,
+        size: f64,
+    ) -> Scenario {
         let mut scenario = self.scenario_for_day(number, &[]);
         if fault == PhysicalFault::MisplacedThermometer {
             scale_ambient_swing(&mut scenario.ambient, size);
@@ -85,7 +90,7 @@ impl Plant {
 
     /// Returns the seed of all chance of a day.
     #[must_use]
-    pub fn day_seed(&self, number: u64) -> u64 {
+    pub(crate) fn day_seed(&self, number: u64) -> u64 {
         // Days of one machine, and machines of neighbouring seeds, far apart from each other.
         self.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(number)
     }

@@ -4,7 +4,7 @@
 //! number), the list of the pages, the virtual machine tool, which must not share a word with the
 //! model that is tried on it, and tests. Names that are ordinary words (`backlash`, `step`) cannot be distinguished from these and are excluded.
 
-use super::source::{SourceFile, is_identifier_byte};
+use super::source::{SourceFile, contains_word};
 
 /// The causes whose names cannot mean anything else.
 const UNAMBIGUOUS_CAUSE_NAMES: &[&str] = &[
@@ -80,17 +80,6 @@ fn find_mentions(sources: &[SourceFile], cause: &str) -> Vec<String> {
 fn capitalise(word: &str) -> String {
     let (first, rest) = word.split_at(1);
     first.to_ascii_uppercase() + rest
-}
-
-/// Returns whether a name stands in a line, as a whole.
-fn contains_word(line: &str, name: &str) -> bool {
-    let bytes = line.as_bytes();
-    let whole = |at: usize| {
-        let before = at.checked_sub(1).and_then(|before| bytes.get(before));
-        let after = bytes.get(at + name.len());
-        ![before, after].into_iter().flatten().any(|&byte| is_identifier_byte(byte))
-    };
-    line.match_indices(name).any(|(at, _)| whole(at))
 }
 
 #[cfg(test)]

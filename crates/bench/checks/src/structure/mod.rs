@@ -19,6 +19,7 @@ mod source;
 mod thresholds;
 mod type_names;
 mod undeclared_modules;
+mod walls;
 
 use std::{collections::BTreeMap, fmt::Write as _, fs, path::Path};
 
@@ -43,6 +44,8 @@ struct CountLimits {
     long_functions: usize,
     /// Dependencies on a higher layer.
     arrows: usize,
+    /// Uses of a name behind a wall.
+    breaches: usize,
     /// Crates of no layer.
     strangers: usize,
     /// References that lead nowhere.
@@ -76,6 +79,7 @@ const LIMITS: CountLimits = CountLimits {
     long_files: 0,
     long_functions: 0,
     arrows: 0,
+    breaches: 0,
     strangers: 0,
     nowhere: 0,
     phrases: 0,
@@ -165,6 +169,7 @@ pub fn check(root: &Path) -> Result<String> {
     let what = format!("public items that nothing outside their crate names, of {}", public.all);
     for (what, found, limit) in [
         ("arrows up", layers::find_upward_dependencies(root)?, LIMITS.arrows),
+        ("names used behind a wall", walls::find_wall_breaches(&sources), LIMITS.breaches),
         ("crates without a layer", layers::crates_without_layer(root)?, LIMITS.strangers),
         (
             "files that the format check does not see",

@@ -71,6 +71,17 @@ pub(crate) fn read_sources(root: &Path) -> Result<Vec<SourceFile>> {
     Ok(sources)
 }
 
+/// Returns whether a name stands in a line, as a whole.
+pub(crate) fn contains_word(line: &str, name: &str) -> bool {
+    let bytes = line.as_bytes();
+    let whole = |at: usize| {
+        let before = at.checked_sub(1).and_then(|before| bytes.get(before));
+        let after = bytes.get(at + name.len());
+        ![before, after].into_iter().flatten().any(|&byte| is_identifier_byte(byte))
+    };
+    line.match_indices(name).any(|(at, _)| whole(at))
+}
+
 /// Returns the text with blanks for comments and test code, once with what is in quotes and once without.
 fn blank_out_tests(text: &str) -> (String, String) {
     let (mut words, mut code) = blank_out_comments(text);

@@ -1,24 +1,23 @@
-//! All pairs of causes that one machine can have, and what an answer to both is worth.
+//! All pairs of causes that one machine can have, and the score of an answer to both.
 //!
 //! Two causes may do the same, or nearly take each other away: a pair has to be named where each does as
 //! much as the noise that the other could not do.
 
-use trueup_campaigns::hidden_effects::{ExpectedDiagnosis, HiddenCause, TestCase, draw_pair};
-
+use super::hidden::{Score, run_diagnosis, score_diagnosis};
 use crate::{
-    own::own_rms,
-    score::{Score, answer, score},
+    hidden_effects::{ExpectedDiagnosis, HiddenCause, TestCase, draw_pair},
+    own_effect::own_rms,
 };
 
 /// The size of a cause, RMS over that of the noise.
-pub const RATIO: f64 = 3.0;
+pub const EFFECT_TO_NOISE_RATIO: f64 = 3.0;
 /// The least share of distinguishable draws in which both are named and nothing else is claimed.
-pub const RIGHT: f64 = 0.95;
+pub const MIN_RIGHT_SHARE: f64 = 0.95;
 /// The largest share of them in which another cause is claimed.
-pub const WRONG: f64 = 0.01;
+pub const MAX_WRONG_SHARE: f64 = 0.01;
 /// A 95 % interval leaves one honest value in twenty outside; at twice its width, 3.9 standard
 /// deviations of a normal distribution, one in ten thousand.
-const STRETCHED: f64 = 2.0;
+const INTERVAL_WIDENING: f64 = 2.0;
 /// Of the possible gain on the hold-out, what the worst answer that claims all must reach.
 const MIN_GAIN: f64 = 0.85;
 
@@ -34,8 +33,9 @@ const PARTS_OF: [(HiddenCause, HiddenCause); 7] = [
     (HiddenCause::AngularError, HiddenCause::PitchScale),
 ];
 
-/// Causes with a name of their own.
-pub fn causes() -> Vec<HiddenCause> {
+/// Returns the causes with a name of their own.
+#[must_use]
+pub fn named_causes() -> Vec<HiddenCause> {
     let is_named = |cause: &HiddenCause| {
         matches!(
             cause.expected_diagnosis(),
@@ -46,8 +46,9 @@ pub fn causes() -> Vec<HiddenCause> {
 }
 
 /// Returns what is wrong with the values of an answer: an interval that is far off, a gain that is missing.
-pub fn faults(score: &Score) -> Vec<String> {
-    let far = score.intervals.iter().filter(|interval| !interval.is_inside(STRETCHED));
+#[must_use]
+pub fn find_value_errors(score: &Score) -> Vec<String> {
+    let far = score.intervals.iter().filter(|interval| !interval.is_inside(INTERVAL_WIDENING));
     let mut faults: Vec<String> = far.map(|far| format!("{far:?}")).collect();
     if score.share_of_gain < MIN_GAIN {
         faults.push(format!("{:.3} of the possible gain", score.share_of_gain));
@@ -60,7 +61,8 @@ pub fn faults(score: &Score) -> Vec<String> {
 pub struct Pair(pub HiddenCause, pub HiddenCause);
 
 /// The score of a pair.
-pub struct Judged {
+pub struct PairScore {
+    /// The score by the rules of the score card.
     pub score: Score,
     /// Both are named, claimed or not, and nothing else is claimed.
     pub is_right: bool,
@@ -68,35 +70,43 @@ pub struct Judged {
 
 impl Pair {
     /// Returns all whose causes stand next to each other.
+    #[must_use]
     pub fn all() -> Vec<Self> {
-        let all = causes();
+        let all = named_causes();
         let of = |number: usize| all[number + 1..].iter().map(move |b| (number, *b));
         let both = (0..all.len()).flat_map(of).map(|(a, b)| Self(all[a], b));
         both.filter(|Self(a, b)| a.is_compatible_with(*b)).collect()
     }
 
+    /// Returns both names, joined by `+`.
+    #[must_use]
     pub fn name(self) -> String {
         format!("{}+{}", self.0.name(), self.1.name())
     }
 
-    /// Returns the answer to the machine of `seed` with both; `None` where its record cannot distinguish them.
-    pub fn judged(self, seed: u64) -> Option<Judged> {
+    /// Diagnoses the machine of `seed` with both, and scores the answer; `None` where its record cannot distinguish them.
+    ///
+    /// # Panics
+    /// A pair of [`Self::all`] can be drawn.
+    #[must_use]
+    pub fn diagnose_and_score(self, seed: u64) -> Option<PairScore> {
         let Self(a, b) = self;
-        let challenge = draw_pair(a, b, RATIO, seed).expect("they stand beside each other");
-        if !self.can_be_told(&challenge) {
+        let challenge =
+            draw_pair(a, b, EFFECT_TO_NOISE_RATIO, seed).expect("they stand beside each other");
+        if !self.is_distinguishable(&challenge) {
             return None;
         }
-        let score = score(&challenge, &answer(&challenge));
+        let score = score_diagnosis(&challenge, &run_diagnosis(&challenge));
         let is_named = |cause: HiddenCause| {
             score.named.iter().chain(&score.unclaimed).any(|name| name == cause.expected_name())
         };
         let is_right = is_named(a) && is_named(b) && !score.is_wrong;
-        Some(Judged { score, is_right })
+        Some(PairScore { score, is_right })
     }
 
     /// Returns whether neither is a part of the other, and each does as much as the noise that the other could
     /// not do.
-    fn can_be_told(self, challenge: &TestCase) -> bool {
+    fn is_distinguishable(self, challenge: &TestCase) -> bool {
         let [a, b] = &challenge.truth.effects[..] else { return false };
         let noise_um = challenge.truth.noise_rms_um;
         !PARTS_OF.contains(&(self.0, self.1))

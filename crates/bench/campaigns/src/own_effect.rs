@@ -1,8 +1,8 @@
-//! By how much what several causes do together can be distinguished.
+//! The part of an effect that other effects cannot imitate.
 
-/// RMS of what `of` does and no mixture of the `others`, and a constant, could do; in the unit of what
-/// is given, over the same rows.
-pub fn own_rms(of: &[f64], others: &[&[f64]]) -> f64 {
+/// Computes the RMS of the part of `of` that no linear combination of the `others` and a constant has, over the same rows,
+/// in their unit.
+pub(crate) fn own_rms(of: &[f64], others: &[&[f64]]) -> f64 {
     let mut basis = vec![vec![1.0; of.len()]];
     for other in others {
         let left = beside(other, &basis);

@@ -1,26 +1,27 @@
-//! The score of an answer to [`trueup_campaigns::inputs`]: whether the columns of the hidden law are named and claimed, and
-//! what is gone on another day.
+//! The score of an answer to an effect of recorded inputs ([`crate::input_dependence`]): whether the columns of the hidden
+//! law are named and claimed, and which share of the effect is gone on another day.
 
 use std::{collections::BTreeSet, path::Path};
 
-use trueup_campaigns::input_dependence::{DependenceKind, draw};
 use trueup_diagnose::{diagnose, report::Finding};
 use trueup_machine::{MachineFile, RunFile};
+
+use crate::input_dependence::{DependenceKind, draw};
 
 /// Noise of the gauge in µm, which nothing takes away.
 const NOISE_UM: f64 = 0.4;
 
 /// The score of an answer.
 #[derive(Clone, Debug)]
-pub struct Worth {
+pub struct DependenceScore {
     /// Whether all columns of the law are among those of claimed findings.
     pub is_named: bool,
-    /// Whether something is claimed that goes with another column.
+    /// Whether something is claimed that depends on another column.
     pub is_foreign: bool,
     /// The share of what can go that is gone on the other day.
     pub gone: f64,
-    /// The findings.
-    pub told: String,
+    /// The verdict and the findings, as text.
+    pub findings: String,
 }
 
 /// Returns the columns that a finding is a law of.
@@ -32,8 +33,12 @@ fn columns(finding: &Finding) -> BTreeSet<&str> {
     own.chain(range).map(String::as_str).chain(speeds).collect()
 }
 
-/// Diagnoses the days of `kind` under `seed`.
-pub fn worth(kind: DependenceKind, seed: u64) -> Worth {
+/// Diagnoses the days of `kind` under `seed`, and scores the answer.
+///
+/// # Panics
+/// The drawn days can be read and compared.
+#[must_use]
+pub fn score_dependence(kind: DependenceKind, seed: u64) -> DependenceScore {
     let days = draw(kind, seed);
     let machine = MachineFile::parse(&days.machine, Path::new("m.toml")).expect("a machine file");
     let read =
@@ -53,11 +58,11 @@ pub fn worth(kind: DependenceKind, seed: u64) -> Worth {
         let mark = if finding.claimed { "" } else { "?" };
         format!("{mark}{} {:?} {:?}", finding.cause, columns(finding), finding.form)
     });
-    Worth {
+    DependenceScore {
         is_named: hidden.is_subset(&named),
         is_foreign,
         gone: 1.0 - effect_um(after) / effect_um(before).max(1e-9),
-        told: format!(
+        findings: format!(
             "{}, {before:.2} -> {after:.2} µm: {}",
             report.verdict.name(),
             told.collect::<Vec<_>>().join("; ")

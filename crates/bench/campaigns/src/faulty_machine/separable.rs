@@ -1,13 +1,11 @@
 //! A machine with hidden faults, drawn by a seed: one to three physical faults of the virtual machine
 //! tool, each at least three times the noise, and each separable from every rival law by the record it makes.
 //!
-//! Nothing here knows the diagnosis. Whether faults can be separated is computed from what they really do to
-//! the record ([`crate::alternatives`]); which causes name a fault is read from `docs/physical-faults.md`.
+//! Whether faults can be separated is computed from what they really do to the record ([`super::alternatives`]).
 
 use std::path::Path;
 
 use anyhow::Result;
-use trueup_campaigns::physical::{MachineKind, PhysicalFault, Plant};
 use trueup_machine::{MachineFile, RunFile, predict::Predictor};
 use trueup_twin::{
     noise::{RandomStream, rms},
@@ -16,21 +14,19 @@ use trueup_twin::{
     simulate,
 };
 
-use crate::{
+use super::{
+    FAULT_NOISE_RATIO_RANGE, SampledFault,
     alternatives::{BicDifferences, PredictedRecord, compute_bic_differences},
+    expected_causes, fault_at_ratio,
+};
+use crate::{
+    physical::{MachineKind, PhysicalFault, Plant},
     run_table::{parse_run, with_columns, without_readings},
 };
 
-/// The smallest fault that is hidden, as a multiple of the RMS of the noise: one that a record of this length shows.
-pub(crate) const MIN_FAULT_NOISE_RATIO: f64 = 3.0;
-/// Faults are drawn from a little above that to this multiple of the noise.
-const FAULT_NOISE_RATIO_RANGE: [f64; 2] = [1.1 * MIN_FAULT_NOISE_RATIO, 10.0];
-/// A fault that must be larger than this to be seen is none of this machine: as in
-/// `docs/physical-faults.md`, a room that swings by more, in K, is no room.
-const MAX_FAULT_SIZE: f64 = 8.0;
 /// Minimum difference of BIC from each rival law: Kass and Raftery (1995) call it
 /// strong; the rule of a diagnosis as well.
-pub(crate) const MIN_BIC_DIFFERENCE: f64 = 6.0;
+const MIN_BIC_DIFFERENCE: f64 = 6.0;
 /// A bridge's monitor writes down all the time what the bridge knows: a row at least so often, in s, also
 /// while an axis works and no gauge is read. A scale that follows its air for hours has done so between
 /// the measurements too.
@@ -38,22 +34,9 @@ const MONITOR_INTERVAL_S: f64 = 60.0;
 /// Maximum number of machines drawn for a seed until one can be separated.
 const MAX_DRAWS: u64 = 200;
 
-/// A fault that is drawn.
-#[derive(Clone, Debug)]
-pub struct SampledFault {
-    /// The fault.
-    pub fault: PhysicalFault,
-    /// How much of it ([`PhysicalFault`]).
-    pub size: f64,
-    /// RMS of what it does to the record, over that of the noise.
-    pub ratio: f64,
-    /// Its effect in each row of the first day, in µm, read or not.
-    pub um: Vec<f64>,
-}
-
 /// A machine with hidden faults.
 #[derive(Clone, Debug)]
-pub struct FaultyMachine {
+pub struct SeparableFaultMachine {
     /// The seed of its draws.
     pub seed: u64,
     /// The machine.
@@ -66,17 +49,7 @@ pub struct FaultyMachine {
     pub gap: f64,
 }
 
-/// Returns the causes that name `fault`: one or two, from the table of `docs/physical-faults.md`.
-#[must_use]
-pub(crate) fn expected_causes(fault: PhysicalFault) -> Vec<&'static str> {
-    const FAULT_TABLE: &str = include_str!("../../../../docs/physical-faults.md");
-    let begins = format!("| `{}` |", fault.name());
-    let row = FAULT_TABLE.lines().find_map(|line| line.strip_prefix(&begins));
-    let cell = row.and_then(|row| row.split('|').next()).unwrap_or_default();
-    cell.split('`').skip(1).step_by(2).collect()
-}
-
-impl FaultyMachine {
+impl SeparableFaultMachine {
     /// Returns the machine of `seed`.
     ///
     /// # Errors
@@ -136,7 +109,8 @@ impl FaultyMachine {
                 });
                 let target =
                     stream.log_uniform(FAULT_NOISE_RATIO_RANGE[0], FAULT_NOISE_RATIO_RANGE[1]);
-                hidden.faults.extend(hidden.fault_at_ratio(fault, target)?);
+                let drawn = fault_at_ratio(target, |size| hidden.fault_at_size(fault, size))?;
+                hidden.faults.extend(drawn);
             }
             if hidden.faults.len() == count {
                 let gaps = hidden.bic_differences()?;
@@ -179,11 +153,11 @@ impl FaultyMachine {
         with_columns(&run, &[("run".into(), runs)])
     }
 
-    /// `run` with 0 in the place of each reading.
+    /// Returns `run` with 0 in the place of each reading.
     ///
     /// # Errors
     /// There is no gauge.
-    pub(crate) fn with_zeroed_gauge(&self, run: &RunFile) -> Result<RunFile> {
+    pub fn with_zeroed_gauge(&self, run: &RunFile) -> Result<RunFile> {
         let nothing =
             run.require_column(&self.measured_column())?.iter().map(|um| 0.0 * um).collect();
         with_columns(run, &[(self.measured_column(), nothing)])
@@ -238,21 +212,6 @@ impl FaultyMachine {
             .collect::<Vec<f64>>())
     }
 
-    /// `fault` at a size at which it does `target` times the noise; none where this machine does not
-    /// show it so large.
-    fn fault_at_ratio(&self, fault: PhysicalFault, target: f64) -> Result<Option<SampledFault>> {
-        let mut drawn = self.fault_at_size(fault, 1.0)?;
-        for _ in 0..8 {
-            if (drawn.ratio / target - 1.0).abs() < 0.05 {
-                break;
-            }
-            // What a fault does is nearly in proportion to its size.
-            let size = (drawn.size * target / drawn.ratio).min(2.0 * MAX_FAULT_SIZE);
-            drawn = self.fault_at_size(fault, size)?;
-        }
-        Ok((drawn.size <= MAX_FAULT_SIZE && drawn.ratio >= MIN_FAULT_NOISE_RATIO).then_some(drawn))
-    }
-
     fn fault_at_size(&self, fault: PhysicalFault, size: f64) -> Result<SampledFault> {
         let with = self.residuals_um(&self.plant.scenario_for_day(0, &[(fault, size)]), 0)?;
         let without = self.residuals_um(&self.plant.scenario_without_fault(0, fault, size), 0)?;
@@ -277,7 +236,7 @@ impl FaultyMachine {
 
     /// Returns the column of the gauge.
     #[must_use]
-    pub(crate) fn measured_column(&self) -> String {
+    pub fn measured_column(&self) -> String {
         format!("measured_{}_um", self.plant.quantity)
     }
 
@@ -316,22 +275,16 @@ fn machine_faults(kind: MachineKind) -> Vec<PhysicalFault> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn every_fault_has_its_causes_in_the_document() {
-        for &fault in PhysicalFault::ALL {
-            assert!((1..=2).contains(&expected_causes(fault).len()), "{}", fault.name());
-        }
-    }
+    use crate::faulty_machine::MIN_FAULT_NOISE_RATIO;
 
     #[test]
     fn what_is_drawn_is_seen_and_can_be_told_and_a_seed_repeats_it() {
         for seed in 0..4 {
-            let hidden = FaultyMachine::draw(seed).expect("can be told");
+            let hidden = SeparableFaultMachine::draw(seed).expect("can be told");
             assert!((1..=3).contains(&hidden.faults.len()));
             assert!(hidden.gap >= MIN_BIC_DIFFERENCE, "{}", hidden.gap);
             assert!(hidden.faults.iter().all(|drawn| drawn.ratio >= MIN_FAULT_NOISE_RATIO));
-            let again = FaultyMachine::draw(seed).expect("can be told");
+            let again = SeparableFaultMachine::draw(seed).expect("can be told");
             assert_eq!(again.fault_sizes(), hidden.fault_sizes());
         }
     }

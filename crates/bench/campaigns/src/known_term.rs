@@ -1,17 +1,15 @@
-//! A second diagnosis: the machine file has a cause already, as a `[[term]]` with the values that were
-//! drawn, and the data have that and something new; or what the file has is no longer true.
+//! Challenges of a second diagnosis: the machine file has a cause already, as a `[[term]]` with the values that were
+//! drawn, and the data have that and something new; or the term of the file is no longer true.
 //!
 //! The term is written here from the drawn truth, not taken from a first diagnosis: what the second
 //! one answers does not depend on how well the first one went.
 
 use std::fmt::Write as _;
 
-use trueup_campaigns::hidden_effects::{
-    Effect, ExpectedDiagnosis, HiddenCause, TestCase, draw, draw_pair,
-};
+use crate::hidden_effects::{Effect, ExpectedDiagnosis, HiddenCause, TestCase, draw, draw_pair};
 
-/// Returns what the file may have: causes with a name whose term a board corrects.
-pub fn firsts() -> impl Iterator<Item = HiddenCause> {
+/// Returns the causes that the file may have: those with a name whose term a board corrects.
+pub fn known_causes() -> impl Iterator<Item = HiddenCause> {
     let is_a_term = |cause: &HiddenCause| {
         cause.expected_diagnosis() == ExpectedDiagnosis::Compensated
             && cause.name() == cause.expected_name()
@@ -20,7 +18,8 @@ pub fn firsts() -> impl Iterator<Item = HiddenCause> {
 }
 
 /// Returns all pairs (in the file, newly hidden) that one machine can have.
-pub fn pairs() -> Vec<(HiddenCause, HiddenCause)> {
+#[must_use]
+pub fn known_and_new_causes() -> Vec<(HiddenCause, HiddenCause)> {
     let is_named = |cause: &&HiddenCause| {
         matches!(
             cause.expected_diagnosis(),
@@ -28,7 +27,7 @@ pub fn pairs() -> Vec<(HiddenCause, HiddenCause)> {
         )
     };
     let all = || HiddenCause::ALL.iter().filter(is_named).copied();
-    firsts()
+    known_causes()
         .flat_map(|a| all().map(move |b| (a, b)))
         .filter(|(a, b)| a.is_compatible_with(*b))
         .collect()
@@ -36,11 +35,17 @@ pub fn pairs() -> Vec<(HiddenCause, HiddenCause)> {
 
 /// Returns the challenge with `known` in the file and in the data, and `new` in the data alone: the answer is
 /// `new`. `None` where no machine has both.
-pub fn beside(known: HiddenCause, new: HiddenCause, ratio: f64, seed: u64) -> Option<TestCase> {
+#[must_use]
+pub fn draw_with_known_term(
+    known: HiddenCause,
+    new: HiddenCause,
+    ratio: f64,
+    seed: u64,
+) -> Option<TestCase> {
     let mut challenge = draw_pair(known, new, ratio, seed)?;
     let [a, b] = &challenge.truth.effects[..] else { return None };
     let (a, b) = (a.clone(), b.clone());
-    challenge.machine += &term(&a, &challenge);
+    challenge.machine += &format_term(&a, &challenge);
     let truth = &mut challenge.truth;
     add(&mut truth.believed_um, &a.um);
     add(&mut truth.holdout_believed_um, &a.holdout_um);
@@ -53,11 +58,12 @@ pub fn beside(known: HiddenCause, new: HiddenCause, ratio: f64, seed: u64) -> Op
 
 /// Returns the challenge with `cause` in the data and in the file, where it has half of its size: what is not
 /// in the file is about `ratio` times the noise.
-pub fn aged(cause: HiddenCause, ratio: f64, seed: u64) -> TestCase {
+#[must_use]
+pub fn draw_aged_term(cause: HiddenCause, ratio: f64, seed: u64) -> TestCase {
     let mut challenge = draw(cause, 2.0 * ratio, seed);
     let mut old = challenge.truth.effects[0].clone();
     halve(&mut old, &challenge);
-    challenge.machine += &term(&old, &challenge);
+    challenge.machine += &format_term(&old, &challenge);
     let truth = &mut challenge.truth;
     // What could be gained is not known by halves: a time constant is no factor.
     truth.holdout_effect_um.clear();
@@ -123,8 +129,8 @@ fn believed(machine: &str, key: &str) -> f64 {
     value.map_or(0.0, |value| value.parse().expect("the twin writes numbers"))
 }
 
-/// `effect` as a `[[term]]` of the machine file, by the table of causes (`docs/reference.md`).
-pub fn term(effect: &Effect, challenge: &TestCase) -> String {
+/// Returns `effect` as a `[[term]]` of the machine file, by the table of causes (`docs/reference.md`).
+fn format_term(effect: &Effect, challenge: &TestCase) -> String {
     let cause = effect.cause;
     let mut text = format!(
         "\n[[term]]\ncause = \"{}\"\nquantity = \"{}\"\n",

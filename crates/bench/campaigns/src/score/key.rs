@@ -1,20 +1,22 @@
-//! The key to a record whose causes are known by physics: what may be claimed, what must be named.
+//! The answer key of a record whose causes are known by physics: what may be claimed, and what must be named.
 
 use std::fmt;
 
 use trueup_diagnose::{Report, Verdict, report::Finding};
 
-/// A cause that is true.
+/// A cause that may be claimed.
 #[derive(Clone, Copy, Debug)]
-pub struct True {
+pub struct TrueCause {
+    /// Its name.
     pub cause: &'static str,
     /// A parameter and its true value, where the name alone would not do: it has to be inside the
     /// interval.
     pub inside: Option<(&'static str, f64)>,
 }
 
-impl True {
-    /// Returns true by its name.
+impl TrueCause {
+    /// Returns a cause that is true by its name, whatever its parameters.
+    #[must_use]
     pub const fn named(cause: &'static str) -> Self {
         Self { cause, inside: None }
     }
@@ -29,18 +31,19 @@ impl True {
     }
 }
 
-/// The right answer.
+/// The right answer to a record.
 #[derive(Clone, Debug, Default)]
-pub struct Key {
+pub struct AnswerKey {
     /// All that may be claimed.
-    pub allowed: Vec<True>,
+    pub allowed: Vec<TrueCause>,
     /// Of each list one has to be named, claimed or not.
     pub needed: Vec<&'static [&'static str]>,
 }
 
-/// An answer compared with a [`Key`].
+/// An answer compared with a [`AnswerKey`].
 #[derive(Clone, Debug)]
 pub struct KeyComparison {
+    /// The verdict of the report.
     pub verdict: Verdict,
     /// Causes that are claimed.
     pub claimed: Vec<String>,
@@ -48,15 +51,16 @@ pub struct KeyComparison {
     pub open: Vec<String>,
     /// Claimed, and not true.
     pub wrong: Vec<String>,
-    /// Lists of [`Key::needed`] of which nothing is named.
+    /// Lists of [`AnswerKey::needed`] of which nothing is named.
     pub missed: Vec<&'static str>,
-    /// Of each list of [`Key::needed`]: whether one of it is named, and whether one is claimed.
+    /// Of each list of [`AnswerKey::needed`]: whether one of it is named, and whether one is claimed.
     pub needed: Vec<(bool, bool)>,
 }
 
-impl Key {
-    /// Returns what `report` says.
-    pub fn of(&self, report: &Report) -> KeyComparison {
+impl AnswerKey {
+    /// Compares `report` with the key.
+    #[must_use]
+    pub fn compare(&self, report: &Report) -> KeyComparison {
         let names = |is_wanted: &dyn Fn(&Finding) -> bool| {
             let findings = report.findings.iter().filter(|finding| is_wanted(finding));
             findings.map(|finding| finding.cause.clone()).collect::<Vec<String>>()
@@ -87,7 +91,8 @@ impl Key {
 }
 
 impl KeyComparison {
-    /// All named, and nothing false.
+    /// Returns true if all that is needed is named, and nothing false is claimed.
+    #[must_use]
     pub fn is_right(&self) -> bool {
         self.needed.iter().all(|(is_named, _)| *is_named) && self.wrong.is_empty()
     }

@@ -1,4 +1,4 @@
-//! Runs as text: a diagnosis is given what a user would give it, a run file.
+//! Runs with columns or readings changed, written and read again as a user's run file.
 
 use std::{fmt::Write as _, path::Path};
 
@@ -36,7 +36,7 @@ pub fn with_columns(run: &RunFile, more: &[(String, Vec<f64>)]) -> Result<RunFil
 ///
 /// # Errors
 /// The column is not there.
-pub(crate) fn without_readings(
+pub fn without_readings(
     run: &RunFile,
     measured: &str,
     is_hidden: impl Fn(usize) -> bool,

@@ -1,5 +1,5 @@
-//! The shipped scenarios, diagnosed with the machine file of a user who knows little, and what is
-//! right of them by physics (`docs/physical-faults.md`).
+//! The shipped scenarios, diagnosed with the machine file of a user who knows little, and their answer keys by physics
+//! (`docs/physical-faults.md`).
 
 use std::path::Path;
 
@@ -7,15 +7,17 @@ use trueup_diagnose::{Diagnosis, diagnose};
 use trueup_machine::{MachineFile, RunFile, file::Quantity};
 use trueup_twin::{Scenario, simulate};
 
-use crate::key::{Key, True};
+use super::key::{AnswerKey, TrueCause};
 
 /// A scenario with the file that its user has.
-pub struct Shipped {
+pub struct ShippedScenario {
+    /// The scenario and the quantity, as in tables.
     pub name: &'static str,
-    pub scenario: &'static str,
-    pub machine: &'static str,
-    pub quantity: Quantity,
-    pub key: fn() -> Key,
+    scenario: &'static str,
+    machine: &'static str,
+    quantity: Quantity,
+    /// Returns the answer key.
+    pub key: fn() -> AnswerKey,
 }
 
 const AXIS: &str = include_str!("../../../../../data/scenario-axis.toml");
@@ -28,23 +30,23 @@ const PAPER: &str = "[machine]\nname = \"a spindle\"\nkind = \"3-axis\"\n\
                      [spindle.sensor]\nk0_um = 0.0\nzero_counts = 5048.0\n\
                      um_per_count = 0.0152587890625\ntemperature = \"temp_coil_c\"\n";
 
-/// Both, the axis by two quantities.
-pub const ALL: [Shipped; 3] = [
-    Shipped {
+/// Both shipped scenarios, the axis by two quantities.
+pub const SHIPPED_SCENARIOS: [ShippedScenario; 3] = [
+    ShippedScenario {
         name: "scenario-axis dx",
         scenario: AXIS,
         machine: SCREW,
         quantity: Quantity::Dx,
         key: axis_along,
     },
-    Shipped {
+    ShippedScenario {
         name: "scenario-axis dy",
         scenario: AXIS,
         machine: SCREW,
         quantity: Quantity::Dy,
         key: axis_across,
     },
-    Shipped {
+    ShippedScenario {
         name: "scenario-warmup",
         scenario: WARMUP,
         machine: PAPER,
@@ -54,45 +56,49 @@ pub const ALL: [Shipped; 3] = [
 ];
 
 /// The instrument of the axis drifts by this much.
-const DRIFT: True = True { cause: "drift", inside: Some(("um_per_h", 0.05)) };
+const DRIFT: TrueCause = TrueCause { cause: "drift", inside: Some(("um_per_h", 0.05)) };
 
-fn axis_along() -> Key {
-    Key {
+fn axis_along() -> AnswerKey {
+    AnswerKey {
         allowed: vec![
-            True::named("axis-expansion"),
-            True::named("thermometer-lag"),
-            True::named("pitch-scale"),
-            True::named("pitch-error"),
-            True::named("backlash"),
+            TrueCause::named("axis-expansion"),
+            TrueCause::named("thermometer-lag"),
+            TrueCause::named("pitch-scale"),
+            TrueCause::named("pitch-error"),
+            TrueCause::named("backlash"),
             DRIFT,
-            True { cause: "pitch-periodic", inside: Some(("period_mm", 10.0)) },
+            TrueCause { cause: "pitch-periodic", inside: Some(("period_mm", 10.0)) },
         ],
         needed: vec![&["axis-expansion"], &["backlash", "pitch-error"]],
     }
 }
 
-fn axis_across() -> Key {
-    Key {
-        allowed: vec![True::named("straightness"), True::named("cross-axis"), DRIFT],
+fn axis_across() -> AnswerKey {
+    AnswerKey {
+        allowed: vec![TrueCause::named("straightness"), TrueCause::named("cross-axis"), DRIFT],
         needed: vec![&["straightness"]],
     }
 }
 
-fn warmup() -> Key {
+fn warmup() -> AnswerKey {
     let heat: &[&str] = &["extra-heat-path", "slow-mode"];
-    Key {
+    AnswerKey {
         allowed: ["sensor-gain", "sensor-temperature-drift", "cutting-load"]
             .into_iter()
             .chain(heat.iter().copied())
-            .map(True::named)
+            .map(TrueCause::named)
             .collect(),
         needed: vec![&["cutting-load"], &["sensor-gain"], heat],
     }
 }
 
-impl Shipped {
-    /// Returns what is said of the record of `seed`.
-    pub fn diagnosed(&self, seed: u64) -> Diagnosis {
+impl ShippedScenario {
+    /// Diagnoses the record of `seed`.
+    ///
+    /// # Panics
+    /// A shipped scenario can be diagnosed.
+    #[must_use]
+    pub fn run_diagnosis(&self, seed: u64) -> Diagnosis {
         let scenario = Scenario::parse(self.scenario, Path::new(self.name)).expect("it is shipped");
         let machine =
             MachineFile::parse(self.machine, Path::new("machine.toml")).expect("a machine file");

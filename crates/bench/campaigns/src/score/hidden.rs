@@ -1,24 +1,29 @@
-//! A hidden effect, the answer to it, and what the answer is worth.
+//! The score of an answer to a hidden effect ([`crate::hidden_effects`]).
 
 use std::{collections::BTreeMap, fmt, path::Path};
 
-use trueup_campaigns::hidden_effects::{ExpectedDiagnosis, GroundTruth, HiddenCause, TestCase};
 use trueup_diagnose::{Diagnosis, Verdict, diagnose, report::Finding};
 use trueup_machine::{MachineFile, RunFile};
+use trueup_twin::noise::rms;
+
+use crate::hidden_effects::{ExpectedDiagnosis, GroundTruth, HiddenCause, TestCase};
 
 /// A parameter as it was hidden, and as it was found.
 #[derive(Clone, Debug)]
 pub struct Interval {
     /// The cause and the parameter.
     pub name: String,
+    /// The hidden value.
     pub hidden: f64,
+    /// The estimate.
     pub found: f64,
-    /// With 95 %.
+    /// Its 95 % interval.
     pub ci95: [f64; 2],
 }
 
 impl Interval {
     /// Returns whether what was hidden is inside, each end `times` as far from what was found.
+    #[must_use]
     pub fn is_inside(&self, times: f64) -> bool {
         let [low, high] = self.ci95.map(|end| self.found + times * (end - self.found));
         (low..=high).contains(&self.hidden)
@@ -38,6 +43,7 @@ pub struct Score {
     pub is_right: bool,
     /// A cause is claimed that was not hidden.
     pub is_wrong: bool,
+    /// The verdict of the report.
     pub verdict: Verdict,
     /// Rivals that were as good.
     pub open: Vec<String>,
@@ -91,8 +97,12 @@ impl fmt::Display for Score {
     }
 }
 
-/// Hands the files, and nothing else, to the diagnosis.
-pub fn answer(challenge: &TestCase) -> Diagnosis {
+/// Diagnoses the files of a challenge, and nothing else of it.
+///
+/// # Panics
+/// The files of a challenge can be read and compared.
+#[must_use]
+pub fn run_diagnosis(challenge: &TestCase) -> Diagnosis {
     let machine = MachineFile::parse(&challenge.machine, Path::new("machine.toml"))
         .expect("the twin writes machine files");
     let read = |text: &str, name: &str| {
@@ -103,26 +113,29 @@ pub fn answer(challenge: &TestCase) -> Diagnosis {
     diagnose(&machine, &runs, &holdout, None, &mut |_, _| {}).expect("the runs can be compared")
 }
 
-/// The verdict and the findings of an answer, by whichever version of the finder.
-pub struct Answered {
+/// The verdict and the findings of an answer, by any version of the finder.
+pub struct Answer {
     /// By its name in the fixed form of the answer.
     pub verdict: String,
-    pub findings: Vec<Named>,
+    /// The findings, claimed or not.
+    pub findings: Vec<AnswerFinding>,
 }
 
-/// A finding of it.
-pub struct Named {
+/// A finding of an [`Answer`].
+pub struct AnswerFinding {
+    /// The name of the cause.
     pub cause: String,
     /// The columns that it depends on, where it has no physical name.
     pub columns: Vec<String>,
+    /// Whether it is claimed.
     pub is_claimed: bool,
     /// Causes that are only certain together with it.
     pub partners: Vec<String>,
 }
 
-impl Answered {
-    fn of(diagnosis: &Diagnosis) -> Self {
-        let findings = diagnosis.report.findings.iter().map(|finding| Named {
+impl Answer {
+    fn from_diagnosis(diagnosis: &Diagnosis) -> Self {
+        let findings = diagnosis.report.findings.iter().map(|finding| AnswerFinding {
             cause: finding.cause.clone(),
             columns: columns(finding),
             is_claimed: finding.claimed,
@@ -132,7 +145,7 @@ impl Answered {
     }
 
     /// Returns whether a finding says without a physical name what a law without one depends on.
-    fn is_of_unnamed(it: &Named, truth: &GroundTruth) -> bool {
+    fn is_of_unnamed(it: &AnswerFinding, truth: &GroundTruth) -> bool {
         let inputs: Vec<&str> = truth
             .effects
             .iter()
@@ -144,6 +157,7 @@ impl Answered {
     }
 
     /// Returns whether every hidden cause is named as it may be.
+    #[must_use]
     pub fn is_right(&self, truth: &GroundTruth) -> bool {
         let answers: Vec<&str> =
             truth.effects.iter().map(|effect| effect.cause.expected_name()).collect();
@@ -177,8 +191,9 @@ impl Answered {
                 self.verdict == Verdict::Clean.name() || wanders
             }
             ExpectedDiagnosis::Unnamed => {
-                let is_of_it =
-                    |finding: &Named| finding.is_claimed && Self::is_of_unnamed(finding, truth);
+                let is_of_it = |finding: &AnswerFinding| {
+                    finding.is_claimed && Self::is_of_unnamed(finding, truth)
+                };
                 let is_open = [Verdict::Unexplained, Verdict::PartlyExplained];
                 is_open.iter().any(|cause| cause.name() == self.verdict)
                     || self.findings.iter().any(is_of_it)
@@ -190,11 +205,13 @@ impl Answered {
     }
 
     /// Returns whether a cause is claimed that was not hidden.
+    #[must_use]
     pub fn is_wrong(&self, truth: &GroundTruth) -> bool {
         let is_hidden =
             |name: &str| truth.effects.iter().any(|effect| effect.cause.expected_name() == name);
-        let is_true =
-            |finding: &Named| is_hidden(&finding.cause) || Self::is_of_unnamed(finding, truth);
+        let is_true = |finding: &AnswerFinding| {
+            is_hidden(&finding.cause) || Self::is_of_unnamed(finding, truth)
+        };
         self.findings.iter().any(|finding| finding.is_claimed && !is_true(finding))
     }
 }
@@ -206,8 +223,9 @@ fn columns(finding: &Finding) -> Vec<String> {
     both.chain(range).cloned().collect()
 }
 
-/// Returns what `diagnosis` is worth, by the truth of `challenge`.
-pub fn score(challenge: &TestCase, diagnosis: &Diagnosis) -> Score {
+/// Scores `diagnosis` by the truth of `challenge`.
+#[must_use]
+pub fn score_diagnosis(challenge: &TestCase, diagnosis: &Diagnosis) -> Score {
     let truth = &challenge.truth;
     let report = &diagnosis.report;
     let names = |of: fn(HiddenCause) -> &'static str| -> Vec<&'static str> {
@@ -219,8 +237,8 @@ pub fn score(challenge: &TestCase, diagnosis: &Diagnosis) -> Score {
         findings.map(|finding| finding.cause.clone()).collect()
     };
     let (named, unclaimed) = (of(true), of(false));
-    let told = Answered::of(diagnosis);
-    let (is_right, is_wrong) = (told.is_right(truth), told.is_wrong(truth));
+    let answer = Answer::from_diagnosis(diagnosis);
+    let (is_right, is_wrong) = (answer.is_right(truth), answer.is_wrong(truth));
     let open = report
         .findings
         .iter()
@@ -282,36 +300,39 @@ pub fn score(challenge: &TestCase, diagnosis: &Diagnosis) -> Score {
     }
 }
 
-fn rms(values: &[f64]) -> f64 {
-    (values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64).sqrt()
-}
-
-/// Answers in a row of the card.
+/// The scores of the answers in a row of the score card.
 #[derive(Clone, Debug, Default)]
-pub struct Row {
+pub struct ScoreRow {
+    /// One for each draw.
     pub scores: Vec<Score>,
 }
 
-impl Row {
+impl ScoreRow {
     fn share(&self, of: impl Fn(&Score) -> bool) -> f64 {
         self.scores.iter().filter(|score| of(score)).count() as f64
             / self.scores.len().max(1) as f64
     }
 
+    /// Returns the share of right answers.
+    #[must_use]
     pub fn right(&self) -> f64 {
         self.share(|score| score.is_right)
     }
 
+    /// Returns the share of answers that claim a cause that was not hidden.
+    #[must_use]
     pub fn wrong(&self) -> f64 {
         self.share(|score| score.is_wrong)
     }
 
-    /// Draws whose hold-out is left worse.
+    /// Counts the draws whose hold-out is left worse.
+    #[must_use]
     pub fn harmed(&self) -> usize {
         self.scores.iter().filter(|score| score.is_harmed).count()
     }
 
-    /// Median and worst share of the possible gain, over the right answers.
+    /// Returns the median and worst share of the possible gain, over the right answers.
+    #[must_use]
     pub fn gain(&self) -> (f64, f64) {
         let mut gains: Vec<f64> = self
             .scores
@@ -324,7 +345,8 @@ impl Row {
         (median, gains.first().copied().unwrap_or(f64::NAN))
     }
 
-    /// Share of the true parameters within their intervals, and how many there were.
+    /// Returns the share of the true parameters that are within their intervals, and their count.
+    #[must_use]
     pub fn within(&self) -> (f64, usize) {
         let all: Vec<bool> = self
             .scores
@@ -337,7 +359,8 @@ impl Row {
     }
 
     /// Returns one line of the card.
-    pub fn line(&self, name: &str) -> String {
+    #[must_use]
+    pub fn format_line(&self, name: &str) -> String {
         let (median, worst) = self.gain();
         let (within, count) = self.within();
         let mut confused: BTreeMap<String, usize> = BTreeMap::new();
