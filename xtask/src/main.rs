@@ -145,6 +145,9 @@ enum Command {
         /// Draws the same again.
         #[arg(long, default_value_t = 1)]
         seed: u64,
+        /// All changes of the functions between an input and an offset instead, on the simulator alone.
+        #[arg(long, conflicts_with_all = ["draw", "seed"])]
+        simulator: bool,
     },
     /// Counts circles of files, long files and functions, dependencies on higher layers, and the words of documents;
     /// fails above the limits.
@@ -284,7 +287,8 @@ fn main() -> ExitCode {
             .and_then(|measured| measured.write_report()),
         Command::Scorecard { seeds } => verify::run_scorecard(seeds),
         Command::Fuzz { minutes } => campaign::run_fuzz_targets(minutes),
-        Command::Mutants { draw, seed } => campaign::run_mutation_campaign(draw, seed),
+        Command::Mutants { simulator: true, .. } => campaign::run_simulator_mutation_campaign(),
+        Command::Mutants { draw, seed, .. } => campaign::run_mutation_campaign(draw, seed),
         Command::Circles { circles } => campaign::run_circle_campaign(circles),
         Command::Volumes { volumes, first, law } => {
             campaign::run_volume_campaign(volumes, first, &law)

@@ -13,6 +13,26 @@ use crate::cargo;
 const CARGO_MUTANTS_VERSION: &str = "27.1.0";
 /// The crates whose tests are tried.
 const MUTATED_PACKAGES: [&str; 4] = ["trueup-core", "trueup-link", "trueup-store", "trueup-node"];
+/// Functions whose mutants are tried on the simulator alone: a file of `crates/board`, and the end of the function's name.
+/// They are those of the faults that `crates/board/node/tests/planted.rs` plants.
+const SIMULATED_FUNCTIONS: [(&str, &str); 16] = [
+    ("core/src/limits.rs", "AppliedOffset::step"),
+    ("core/src/bridge/sources.rs", "::quality"),
+    ("core/src/bridge/sources.rs", "::switch_source"),
+    ("core/src/bridge.rs", "::tick"),
+    ("core/src/bridge.rs", "::compute_target"),
+    ("core/src/bridge.rs", "::process_samples"),
+    ("core/src/bridge/state.rs", "State::set_inhibited"),
+    ("core/src/bridge/state.rs", "State::mark_samples_lost"),
+    ("core/src/bridge/state.rs", "::fresh_value"),
+    ("core/src/bridge/state.rs", "State::is_held"),
+    ("link/src/frames.rs", "encode_offset_z"),
+    ("store/src/retained.rs", "encode"),
+    ("node/src/node.rs", "::tick"),
+    ("node/src/node/restart.rs", "::catch_up"),
+    ("node/src/node/master.rs", "Master::accept_control"),
+    ("node/src/node/master.rs", "EdgeDetector::receive"),
+];
 /// Hostile blobs in a soak of a thousand million ticks.
 const TICKS_PER_HOSTILE_BLOB: u64 = 100;
 /// Hours of a sound sensor in it, at each noise.
@@ -168,24 +188,18 @@ pub fn run_fuzz_targets(minutes: u64) -> Result<()> {
 /// cargo-mutants cannot be had, or the tests fail without a mutant. A mutant that is missed is no error.
 pub fn run_mutation_campaign(draw: usize, seed: u64) -> Result<()> {
     let program = cargo::install_tool("cargo-mutants", CARGO_MUTANTS_VERSION)?;
-    let packages: Vec<&str> = MUTATED_PACKAGES.iter().flat_map(|name| ["-p", name]).collect();
-    let call = || {
-        let mut command = Command::new(&program);
-        command.arg("mutants").args(&packages).current_dir(setup::project_root());
-        command
-    };
-    let listed: Value =
-        serde_json::from_str(&process::capture_stdout(call().args(["--list", "--json"]))?)?;
-    let names = listed.as_array().context("a list of mutants")?.iter();
-    let mut names: Vec<&str> = names.filter_map(|name| name["name"].as_str()).collect();
+    let mut names: Vec<String> =
+        list_mutants(&program)?.into_iter().map(|mutant| mutant.name).collect();
     names.sort_unstable();
-    let drawn = draw_sample(names, draw, seed);
-    let by_unit = run_mutants(call(), "unit-tests", &drawn, &["--cargo-test-arg=--lib"])?;
+    let drawn = draw_sample(names.iter().map(String::as_str).collect(), draw, seed);
+    let by_unit =
+        run_mutants(mutants_command(&program), "unit-tests", &drawn, &["--cargo-test-arg=--lib"])?;
     let missed: Vec<&str> = by_unit.missed.iter().map(String::as_str).collect();
     let all_tests = MUTATED_PACKAGES.map(|name| format!("--test-package={name}"));
+    let all_tests = all_tests.each_ref().map(String::as_str);
     let by_all = match missed[..] {
         [] => MutantOutcomes::default(),
-        _ => run_mutants(call(), "all-tests", &missed, &all_tests.each_ref().map(String::as_str))?,
+        _ => run_mutants(mutants_command(&program), "all-tests", &missed, &all_tests)?,
     };
     trueup_output::write_line(format_args!(
         "{} drawn: {} caught, {} by the time limit, {} do not compile, {} missed\n{}",
@@ -197,6 +211,68 @@ pub fn run_mutation_campaign(draw: usize, seed: u64) -> Result<()> {
         by_all.missed.join("\n")
     ));
     Ok(())
+}
+
+/// Tries all mutants of [`SIMULATED_FUNCTIONS`] on the simulator alone, and counts how many it finds. As for
+/// [`run_mutation_campaign`], `target/mutants` has the lists, and a mutant that has been tried is not tried again.
+///
+/// # Errors
+/// cargo-mutants cannot be had, a function has no mutant, or the simulator fails without a mutant.
+pub fn run_simulator_mutation_campaign() -> Result<()> {
+    let program = cargo::install_tool("cargo-mutants", CARGO_MUTANTS_VERSION)?;
+    let listed = list_mutants(&program)?;
+    let mut names = Vec::new();
+    for (file, function) in SIMULATED_FUNCTIONS {
+        let is_of_it = |mutant: &&Mutant| {
+            mutant.file == format!("crates/board/{file}") && mutant.function.ends_with(function)
+        };
+        let own: Vec<&str> =
+            listed.iter().filter(is_of_it).map(|mutant| mutant.name.as_str()).collect();
+        ensure!(!own.is_empty(), "{file} has no mutant of {function}");
+        names.extend(own);
+    }
+    let options = ["--test-package=trueup-node", "--cargo-test-arg=--test=simulator"];
+    let found = run_mutants(mutants_command(&program), "simulator", &names, &options)?;
+    trueup_output::write_line(format_args!(
+        "{} mutants: the simulator finds {}, {} by the time limit, {} do not compile, {} missed\n{}",
+        names.len(),
+        found.caught.len(),
+        found.timeout.len(),
+        found.unviable.len(),
+        found.missed.len(),
+        found.missed.join("\n")
+    ));
+    Ok(())
+}
+
+/// A change that cargo-mutants makes.
+struct Mutant {
+    /// Its place, and the change.
+    name: String,
+    file: String,
+    /// The function with its type; empty outside functions.
+    function: String,
+}
+
+/// Returns the command for the crates that a board runs.
+fn mutants_command(program: &Path) -> Command {
+    let mut command = Command::new(program);
+    command.arg("mutants").current_dir(setup::project_root());
+    command.args(MUTATED_PACKAGES.iter().flat_map(|name| ["-p", name]));
+    command
+}
+
+fn list_mutants(program: &Path) -> Result<Vec<Mutant>> {
+    let mut command = mutants_command(program);
+    let listed: Value =
+        serde_json::from_str(&process::capture_stdout(command.args(["--list", "--json"]))?)?;
+    let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
+    let mutants = listed.as_array().context("a list of mutants")?.iter().map(|mutant| Mutant {
+        name: text(&mutant["name"]),
+        file: text(&mutant["file"]),
+        function: text(&mutant["function"]["function_name"]),
+    });
+    Ok(mutants.collect())
 }
 
 /// Outcomes of some mutants, by their names; `missed` has those that nothing caught.

@@ -1,5 +1,17 @@
 //! The simulator tried on itself: faults planted in the code one by one, each in a copy of it, and each
 //! has to be found.
+//!
+//! Planted are only faults that cargo-mutants does not make: `cargo xtask mutants --simulator` tries those that it makes in
+//! the same functions. Of twenty planted faults, two were among its mutants (version 27.1.0: a match arm deleted, a function
+//! replaced with `()`), and are left to it. It changes operators, match arms, fields and whole function bodies. None of
+//! its mutants does what the other eighteen do:
+//!
+//! | change | planted |
+//! |---|---|
+//! | an argument or a value by a factor or a summand | 6 |
+//! | an argument, a value or a condition replaced by a constant, a call omitted from an expression | 7 |
+//! | a declared constant | 2 |
+//! | a statement omitted, or added | 3 |
 
 use std::{
     fs,
@@ -8,16 +20,11 @@ use std::{
 };
 
 /// Where, what is replaced, and by what.
-const PLANTED: [(&str, &str, &str); 20] = [
+const PLANTED: [(&str, &str, &str); 18] = [
     (
         "core/src/limits.rs",
         "MaxStep::from_slew_rate(limits.slew_nm_per_s, elapsed_ms)",
         "MaxStep::from_slew_rate(limits.slew_nm_per_s.saturating_mul(2), elapsed_ms)",
-    ),
-    (
-        "core/src/bridge/sources.rs",
-        "Some(ElongationSource::Temperature) => Quality::TemperatureModel,",
-        "Some(ElongationSource::Temperature) => Quality::Live,",
     ),
     ("core/src/bridge.rs", "Mode::Hold => {}", "Mode::Hold => state.applied = Default::default(),"),
     (
@@ -32,11 +39,6 @@ const PLANTED: [(&str, &str, &str); 20] = [
     ),
     ("core/src/bridge.rs", ".rounded().saturating_neg()", ".rounded()"),
     ("core/src/bridge.rs", "state.believable = clean.is_some();", "state.believable = true;"),
-    (
-        "core/src/bridge/state.rs",
-        "self.inhibited = inhibited;",
-        "self.inhibited = inhibited & false;",
-    ),
     ("core/src/bridge/state.rs", "        self.starved_age = Age::ZERO;\n", ""),
     (
         "core/src/bridge/state.rs",
