@@ -227,8 +227,9 @@ pub fn check(root: &Path) -> Result<String> {
 
 /// Writes how many lines are code, in all, by room (a folder of `crates`) and by crate.
 fn write_lines_by_crate(text: &mut String, sources: &[SourceFile]) -> Result<()> {
+    let tests = undeclared_modules::find_test_files(sources);
     let mut crates = BTreeMap::<(&str, &str), usize>::new();
-    for source in sources {
+    for source in sources.iter().filter(|source| !tests.contains(&source.path)) {
         let parts: Vec<&str> = source.path.splitn(4, '/').collect();
         let place = match parts[..] {
             ["crates", room, name, _] => (room, name),
@@ -289,7 +290,11 @@ mod tests {
     #[test]
     fn lines_are_counted_by_room_and_crate() -> Result<()> {
         let sources = [
-            SourceFile::new("crates/base/output/src/lib.rs", "fn a() {}\n\nfn b() {}\n"),
+            SourceFile::new(
+                "crates/base/output/src/lib.rs",
+                "fn a() {}\n\nfn b() {}\n#[cfg(test)]\nmod e;",
+            ),
+            SourceFile::new("crates/base/output/src/e.rs", "fn e() {}\n"),
             SourceFile::new("crates/base/output/tests/a.rs", "fn c() {}\n"),
             SourceFile::new("crates/base/numerics/src/lib.rs", "// d\nfn d() {}\n"),
             SourceFile::new("src/main.rs", "fn main() {}\n"),

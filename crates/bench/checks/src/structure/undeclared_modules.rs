@@ -10,22 +10,33 @@ use super::source::{SourceFile, is_identifier_byte};
 /// Returns the paths of the source files that no plain `mod` line declares.
 pub(crate) fn find_undeclared_files(sources: &[SourceFile]) -> Vec<&str> {
     let paths: BTreeSet<&str> = sources.iter().map(|source| source.path.as_str()).collect();
-    let mut seen = BTreeSet::new();
-    for source in sources {
-        for (name, path) in parse_module_declarations(&source.text) {
-            let below = match path {
-                Some(path) => {
-                    vec![format!("{}/{path}", parent_folder(&source.path))]
-                }
-                None => {
-                    let children = submodule_folder(&source.path);
-                    vec![format!("{children}/{name}.rs"), format!("{children}/{name}/mod.rs")]
-                }
-            };
-            seen.extend(below.iter().map(|path| normalise_path(path)));
-        }
-    }
+    let declared = |source: &SourceFile| declared_files(&source.path, &source.text);
+    let seen: BTreeSet<String> = sources.iter().flat_map(declared).collect();
     paths.into_iter().filter(|path| !is_crate_root(path) && !seen.contains(*path)).collect()
+}
+
+/// Returns the paths of the files that are compiled for tests alone: `#[cfg(test)] mod name;` declares them.
+pub(crate) fn find_test_files(sources: &[SourceFile]) -> BTreeSet<String> {
+    let of_tests = |source: &SourceFile| {
+        &declared_files(&source.path, &source.text) - &declared_files(&source.path, &source.words)
+    };
+    sources.iter().flat_map(of_tests).collect()
+}
+
+/// Returns the paths at which the modules may be that the `text` of a file declares.
+fn declared_files(path: &str, text: &str) -> BTreeSet<String> {
+    let mut files = BTreeSet::new();
+    for (name, attribute) in parse_module_declarations(text) {
+        let below = match attribute {
+            Some(attribute) => vec![format!("{}/{attribute}", parent_folder(path))],
+            None => {
+                let children = submodule_folder(path);
+                vec![format!("{children}/{name}.rs"), format!("{children}/{name}/mod.rs")]
+            }
+        };
+        files.extend(below.iter().map(|path| normalise_path(path)));
+    }
+    files
 }
 
 /// Returns true if cargo compiles the file without a `mod` line.
@@ -112,5 +123,14 @@ mod tests {
         .map(|(path, text)| SourceFile::new(path, text))
         .collect();
         assert_eq!(find_undeclared_files(&sources), ["crates/x/src/m/hidden.rs"]);
+    }
+
+    #[test]
+    fn a_module_that_is_declared_for_tests_is_a_test_file() {
+        let text = "mod code;\n#[cfg(test)]\nmod cuts;\n#[cfg(test)]\nmod tests { fn f() {} }";
+        let sources = [SourceFile::new("crates/x/src/lib.rs", text)];
+        let found = find_test_files(&sources);
+        assert!(found.contains("crates/x/src/cuts.rs"), "{found:?}");
+        assert!(!found.contains("crates/x/src/code.rs"), "{found:?}");
     }
 }
