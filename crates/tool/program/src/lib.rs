@@ -79,7 +79,7 @@ pub fn create_plans(
     options: &MeasurementOptions,
 ) -> Result<(Vec<Plan>, Vec<String>), ProgramError> {
     options.check()?;
-    let (mut plans, notes) = match kind {
+    match kind {
         MeasurementKind::Backlash => kind::backlash::create_plans(machine, options),
         MeasurementKind::Pitch => kind::pitch::create_plans(machine, options),
         MeasurementKind::Straightness => kind::straightness::create_plans(machine, options),
@@ -91,9 +91,5 @@ pub fn create_plans(
         MeasurementKind::Square => kind::square::create_plans(machine, options),
         MeasurementKind::Sphere => kind::sphere::create_plans(machine, options),
         MeasurementKind::Plate => kind::plate::create_plans(machine, options),
-    }?;
-    plans
-        .iter_mut()
-        .for_each(|plan| plan.is_lathe = machine.kind == trueup_machine::file::MachineKind::Lathe);
-    Ok((plans, notes))
+    }
 }

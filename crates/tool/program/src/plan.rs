@@ -144,7 +144,7 @@ pub enum Column {
 }
 
 /// A program and its run file.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Plan {
     /// The name of both files, without an ending: `backlash-x`.
     pub name: String,

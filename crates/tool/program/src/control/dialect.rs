@@ -44,6 +44,16 @@ pub(super) struct MoveTargets {
     pub(super) axes: Vec<(usize, Option<i64>, i64)>,
 }
 
+impl MoveTargets {
+    /// Returns a word for each axis, its place in µm written by `format_place`, with a blank before each.
+    pub(super) fn format_words(&self, format_place: fn(i64) -> String) -> String {
+        let word = |(axis, _, to): &(usize, Option<i64>, i64)| {
+            format!(" {}{}", AXIS_LETTERS[*axis], format_place(*to))
+        };
+        self.axes.iter().map(word).collect()
+    }
+}
+
 /// Blocks of arcs in one plane, by ways from where the axes stand: no work offset has a part in them.
 pub(super) struct ArcBlocks {
     /// The axes of the plane.

@@ -1,6 +1,6 @@
 //! HEIDENHAIN Klartext.
 
-use super::dialect::{AXIS_LETTERS, Dialect, MoveTargets, format_mm, sanitise_text, wrap_lines};
+use super::dialect::{Dialect, MoveTargets, format_mm, sanitise_text, wrap_lines};
 use crate::plan::Plan;
 
 /// A comment's width: the screen of the control.
@@ -45,7 +45,7 @@ impl Dialect for HeidenhainWriter {
     }
 
     fn write_linear_move(&mut self, to: &MoveTargets, feed: f64) {
-        self.push_line(format!("L{} R0 F{feed} M91", format_targets(to)));
+        self.push_line(format!("L{} R0 F{feed} M91", to.format_words(format_signed)));
     }
 
     fn write_spindle_command(&mut self, rpm: f64) {
@@ -86,13 +86,6 @@ impl Dialect for HeidenhainWriter {
         let numbered = |(n, line): (usize, &String)| format!("{n} {line}\n");
         self.lines.iter().enumerate().map(numbered).collect()
     }
-}
-
-fn format_targets(to: &MoveTargets) -> String {
-    to.axes
-        .iter()
-        .map(|(axis, _, to)| format!(" {}{}", AXIS_LETTERS[*axis], format_signed(*to)))
-        .collect()
 }
 
 fn format_signed(um: i64) -> String {

@@ -99,7 +99,7 @@ impl Dialect for LinuxcncWriter {
     }
 
     fn write_linear_move(&mut self, to: &MoveTargets, feed: f64) {
-        self.push_line(format!("G53 G1{} F{feed}", format_targets(to)));
+        self.push_line(format!("G53 G1{} F{feed}", to.format_words(format_mm)));
     }
 
     fn write_arc(&mut self, around: &ArcBlocks) {
@@ -188,11 +188,4 @@ impl Dialect for LinuxcncWriter {
         self.push_line("M2".into());
         self.lines.join("\n") + "\n"
     }
-}
-
-fn format_targets(to: &MoveTargets) -> String {
-    to.axes
-        .iter()
-        .map(|(axis, _, to)| format!(" {}{}", AXIS_LETTERS[*axis], format_mm(*to)))
-        .collect()
 }

@@ -87,7 +87,7 @@ impl Dialect for SiemensWriter {
     }
 
     fn write_linear_move(&mut self, to: &MoveTargets, feed: f64) {
-        self.push_line(format!("SUPA G1{} F{feed}", format_targets(to)));
+        self.push_line(format!("SUPA G1{} F{feed}", to.format_words(format_mm)));
     }
 
     fn write_arc(&mut self, around: &ArcBlocks) {
@@ -122,11 +122,4 @@ impl Dialect for SiemensWriter {
         self.push_line("M30".into());
         self.lines.join("\n") + "\n"
     }
-}
-
-fn format_targets(to: &MoveTargets) -> String {
-    to.axes
-        .iter()
-        .map(|(axis, _, to)| format!(" {}{}", AXIS_LETTERS[*axis], format_mm(*to)))
-        .collect()
 }

@@ -3,15 +3,12 @@
 
 use trueup_machine::Machine;
 
-use super::{
-    Plans, head_zero_precaution, linear_move, measured_column, plan_each_axis, temperature_column,
-    unused_clearance_note,
-};
+use super::{Plans, base_plan, linear_move, measured_column, plan_each_axis, temperature_column};
 use crate::{
     options::MeasurementOptions,
     plan::{Column, Plan, Step},
     refused::ProgramError,
-    travel::{AxisTravel, evenly_spaced, resolve_travels, round_to_micrometres},
+    travel::{AxisTravel, evenly_spaced, round_to_micrometres},
 };
 
 /// Where, in mm (paper 2).
@@ -29,9 +26,7 @@ pub(crate) fn create_plans(
     machine: &Machine,
     options: &MeasurementOptions,
 ) -> Result<Plans, ProgramError> {
-    let (travels, mut notes) = resolve_travels(machine, options)?;
-    notes.extend(unused_clearance_note(options));
-    plan_each_axis(&travels, notes, |travel| create_plan(machine, travel, options))
+    plan_each_axis(machine, options, create_plan)
 }
 
 fn create_plan(
@@ -96,13 +91,10 @@ fn create_plan(
     Ok(Plan {
         name: format!("axis-heat-{}", axis.name()),
         notes: notes.map(String::from).into(),
-        precautions: head_zero_precaution(machine).into_iter().collect(),
-        approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,
         then: vec![format!("trueup fit thermal --run axis-heat-{}.csv", axis.name())],
-        is_lathe: false,
-        records: Vec::new(),
+        ..base_plan(machine, options)
     })
 }
 

@@ -15,8 +15,8 @@ use trueup_machine::{
 };
 
 use super::{
-    COMPENSATION_OFF_PRECAUTION, Plans, head_zero_precaution, linear_move, measured_column,
-    uppercase_name,
+    COMPENSATION_OFF_PRECAUTION, Plans, base_plan, head_zero_precaution, linear_move,
+    measured_column, uppercase_name,
 };
 use crate::{
     options::{MeasurementOptions, MeasuringInstrument},
@@ -167,7 +167,7 @@ fn create_plan(
     let mut columns = vec![Column::Run, Column::Position(axis.index())];
     columns.extend([Column::Direction(axis.index()), Column::Feed]);
     columns.push(Column::Empty(measured_column(axis)));
-    let mut precautions: Vec<String> = head_zero_precaution(machine).into_iter().collect();
+    let mut precautions = head_zero_precaution(machine);
     if is_dial {
         precautions.push("No dial yet: the program stops for it.".into());
     }
@@ -175,12 +175,10 @@ fn create_plan(
         name: format!("backlash-{}", axis.name()),
         notes: vec![COMPENSATION_OFF_PRECAUTION.to_string()],
         precautions,
-        approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,
         then: vec![format!("trueup fit backlash --run backlash-{}.csv", axis.name())],
-        is_lathe: false,
-        records: Vec::new(),
+        ..base_plan(machine, options)
     }
 }
 

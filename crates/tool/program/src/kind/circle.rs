@@ -14,7 +14,7 @@ use trueup_machine::{
 };
 
 use super::{
-    COMPENSATION_OFF_PRECAUTION, Plans, head_zero_precaution, plan_each_pair,
+    COMPENSATION_OFF_PRECAUTION, Plans, base_plan, head_zero_precaution, plan_each_pair,
     unused_clearance_note, uppercase_name,
 };
 use crate::{
@@ -193,7 +193,7 @@ fn create_plan(
     let length_mm = options.tool_lengths_mm.first();
     columns.extend(length_mm.map(|mm| Column::Constant("tool_length_mm", *mm)));
     columns.extend([Column::Sense, Column::Feed, Column::Empty("measured_dr_um".into())]);
-    let mut precautions: Vec<String> = head_zero_precaution(machine).into_iter().collect();
+    let mut precautions = head_zero_precaution(machine);
     if let Some(mm) = options.at_mm[still.index()] {
         precautions.push(format!("{} stands at {mm} mm.", uppercase_name(still)));
     }
@@ -202,12 +202,9 @@ fn create_plan(
         notes: collect_notes(&name, radius, centre_mm, still, options),
         name: format!("circle-{name}"),
         precautions,
-        approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,
-        then: Vec::new(),
-        is_lathe: false,
-        records: Vec::new(),
+        ..base_plan(machine, options)
     })
 }
 

@@ -7,8 +7,7 @@ use trueup_machine::{
 };
 
 use super::{
-    Plans, head_zero_precaution, measured_column, plan_each_pair, unused_clearance_note,
-    uppercase_name,
+    Plans, base_plan, measured_column, plan_each_pair, unused_clearance_note, uppercase_name,
 };
 use crate::{
     options::MeasurementOptions,
@@ -110,13 +109,11 @@ fn create_plan(
             uppercase_name(second.axis),
             uppercase_name(across)
         )],
-        precautions: head_zero_precaution(machine).into_iter().collect(),
-        approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,
         then: vec![format!("trueup accept --off {name}-off.csv --on {name}-on.csv")],
-        is_lathe: false,
         records: vec!["off", "on"],
         name,
+        ..base_plan(machine, options)
     })
 }

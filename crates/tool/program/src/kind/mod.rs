@@ -16,30 +16,35 @@ pub(crate) mod straightness;
 pub(crate) mod targets;
 pub(crate) mod warmup;
 
-use trueup_machine::{Machine, file::LinearAxis};
+use trueup_machine::{
+    Machine,
+    file::{LinearAxis, MachineKind},
+};
 
 use crate::{
     options::MeasurementOptions,
     plan::{Plan, Step},
     refused::ProgramError,
-    travel::AxisTravel,
+    travel::{AxisTravel, resolve_travels},
 };
 
 /// The plans of a kind, and notes of what has none.
 type Plans = (Vec<Plan>, Vec<String>);
 
-/// Returns the plan of each axis, and a note for one that does not fit.
+/// Returns the plan of each axis that may move, and a note for one that does not fit.
 ///
 /// # Errors
 /// None fits.
 fn plan_each_axis(
-    travels: &[AxisTravel],
-    mut notes: Vec<String>,
-    plan: impl Fn(&AxisTravel) -> Result<Plan, ProgramError>,
+    machine: &Machine,
+    options: &MeasurementOptions,
+    create_plan: impl Fn(&Machine, &AxisTravel, &MeasurementOptions) -> Result<Plan, ProgramError>,
 ) -> Result<Plans, ProgramError> {
+    let (travels, mut notes) = resolve_travels(machine, options)?;
+    notes.extend(unused_clearance_note(options));
     let mut plans = Vec::new();
-    for travel in travels {
-        match plan(travel) {
+    for travel in &travels {
+        match create_plan(machine, travel, options) {
             Ok(plan) => plans.push(plan),
             Err(why) => notes.push(format!("no program for {}: {why}", travel.axis.name())),
         }
@@ -104,11 +109,22 @@ fn unused_clearance_note(options: &MeasurementOptions) -> Option<String> {
     Some(format!("--clearance {}: only backlash with a dial makes room; not used", axis.name()))
 }
 
-/// Precaution of a machine whose head turns: the directions hold with all angles at zero.
-fn head_zero_precaution(machine: &Machine) -> Option<String> {
+/// Returns the parts of a plan that all kinds share; the rest is empty.
+fn base_plan(machine: &Machine, options: &MeasurementOptions) -> Plan {
+    Plan {
+        precautions: head_zero_precaution(machine),
+        approach_mm_per_min: options.approach_mm_per_min,
+        is_lathe: machine.kind == MachineKind::Lathe,
+        ..Plan::default()
+    }
+}
+
+/// Returns the precaution of a machine whose head turns: the directions hold with all angles at zero.
+fn head_zero_precaution(machine: &Machine) -> Vec<String> {
     let axes: Vec<String> =
         machine.head_axes.iter().map(|axis| axis.name().to_uppercase()).collect();
-    (!axes.is_empty()).then(|| format!("Head axes {} must stand at 0.", axes.join(", ")))
+    let precaution = format!("Head axes {} must stand at 0.", axes.join(", "));
+    if axes.is_empty() { Vec::new() } else { vec![precaution] }
 }
 
 /// Targets as far apart as requested, else this many steps, but none longer than `longest_mm`.

@@ -7,14 +7,14 @@
 use trueup_machine::Machine;
 
 use super::{
-    COMPENSATION_OFF_PRECAUTION, Plans, bidirectional_passes, evenly_spaced_targets_mm,
-    head_zero_precaution, measured_column, plan_each_axis, unused_clearance_note,
+    COMPENSATION_OFF_PRECAUTION, Plans, base_plan, bidirectional_passes, evenly_spaced_targets_mm,
+    measured_column, plan_each_axis,
 };
 use crate::{
     options::MeasurementOptions,
     plan::{Column, Plan},
     refused::ProgramError,
-    travel::{AxisTravel, resolve_travels, round_to_micrometres},
+    travel::{AxisTravel, round_to_micrometres},
 };
 
 /// Runs in each direction (ISO 230-2).
@@ -32,10 +32,7 @@ pub(crate) fn create_plans(
     machine: &Machine,
     options: &MeasurementOptions,
 ) -> Result<Plans, ProgramError> {
-    let (travels, mut notes) = resolve_travels(machine, options)?;
-    notes.extend(unused_clearance_note(options));
-    let (plans, notes) =
-        plan_each_axis(&travels, notes, |travel| create_plan(machine, travel, options))?;
+    let (plans, notes) = plan_each_axis(machine, options, create_plan)?;
     Ok((plans.into_iter().flat_map(|plan| plan_per_drive(machine, plan)).collect(), notes))
 }
 
@@ -81,13 +78,10 @@ fn create_plan(
     Ok(Plan {
         name: format!("pitch-{}", axis.name()),
         notes: vec![COMPENSATION_OFF_PRECAUTION.to_string()],
-        precautions: head_zero_precaution(machine).into_iter().collect(),
-        approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,
         then: vec![format!("trueup fit pitch --run pitch-{}.csv", axis.name())],
-        is_lathe: false,
-        records: Vec::new(),
+        ..base_plan(machine, options)
     })
 }
 

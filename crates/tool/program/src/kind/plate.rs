@@ -6,7 +6,7 @@ use trueup_machine::{Machine, file::LinearAxis};
 use super::{
     COMPENSATION_OFF_PRECAUTION, Plans,
     ball::{Ball, BallPosition, ball_columns},
-    head_zero_precaution,
+    base_plan, head_zero_precaution,
     probing::{LINUXCNC_LOG_NOTE, PROBE_PRECAUTION, ProbeSetup, fit_command, require_option},
     unused_clearance_note,
 };
@@ -86,7 +86,7 @@ fn create_plan(
         steps.push(probing.guarded_move(probing.tool, probing.retracted_position_mm()));
     }
     let [u, v] = sides.map(|n| super::uppercase_name(LinearAxis::ALL[n]));
-    let mut precautions: Vec<String> = head_zero_precaution(machine).into_iter().collect();
+    let mut precautions = head_zero_precaution(machine);
     precautions.extend([
         format!("{columns_} balls along {u}, {rows} along {v}, {pitch_mm} mm apart, level; --at is the first."),
         PROBE_PRECAUTION.into(),
@@ -101,11 +101,9 @@ fn create_plan(
                 .into(),
         ],
         precautions,
-        approach_mm_per_min: options.approach_mm_per_min,
         columns: ball_columns(probing, &[], true),
         then: fit_command("plate-xyz", &steps),
         steps,
-        is_lathe: false,
-        records: Vec::new(),
+        ..base_plan(machine, options)
     })
 }

@@ -58,8 +58,7 @@ pub fn plan_speed_run(
         steps,
         columns,
         then: vec!["trueup diagnose --run next.csv".into()],
-        is_lathe: false,
-        records: Vec::new(),
+        ..Plan::default()
     }
 }
 

@@ -13,7 +13,7 @@ use trueup_machine::{
 use super::{
     COMPENSATION_OFF_PRECAUTION, Plans,
     ball::{Ball, BallPosition, ball_columns},
-    head_zero_precaution,
+    base_plan, head_zero_precaution,
     probing::{LINUXCNC_LOG_NOTE, PROBE_PRECAUTION, ProbeSetup, fit_command},
     unused_clearance_note,
 };
@@ -83,7 +83,7 @@ pub(crate) fn create_plans(
         notes.push(super::MISSING_CHAIN_NOTE.into());
     }
     let rotary: Vec<usize> = (0..3).filter(|n| poses[0][*n].is_some()).collect();
-    let mut precautions: Vec<String> = head_zero_precaution(machine).into_iter().collect();
+    let mut precautions = head_zero_precaution(machine);
     precautions.extend(describe_angles(poses[0]).map(|said| format!("{said} now.")));
     precautions.push(PROBE_PRECAUTION.into());
     let plan = Plan {
@@ -96,12 +96,10 @@ pub(crate) fn create_plans(
                 .into(),
         ],
         precautions,
-        approach_mm_per_min: options.approach_mm_per_min,
         columns: ball_columns(&probing, &rotary, false),
         then: fit_command("sphere-xyz", &steps),
         steps,
-        is_lathe: false,
-        records: Vec::new(),
+        ..base_plan(machine, options)
     };
     Ok((vec![plan], notes))
 }

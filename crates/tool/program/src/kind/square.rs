@@ -14,7 +14,7 @@
 use trueup_machine::{Machine, file::LinearAxis};
 
 use super::{
-    COMPENSATION_OFF_PRECAUTION, Plans, head_zero_precaution,
+    COMPENSATION_OFF_PRECAUTION, Plans, base_plan, head_zero_precaution,
     probing::{LINUXCNC_LOG_NOTE, PROBE_PRECAUTION, ProbeSetup, fit_command, require_option},
     unused_clearance_note,
 };
@@ -117,7 +117,7 @@ fn create_plan(
     let mut touched = probing.sides;
     touched.sort_unstable();
     columns.extend(touched.map(|n| Column::Empty(super::measured_column(LinearAxis::ALL[n]))));
-    let mut precautions: Vec<String> = head_zero_precaution(machine).into_iter().collect();
+    let mut precautions = head_zero_precaution(machine);
     let [u, v] = touched.map(|n| super::uppercase_name(LinearAxis::ALL[n]));
     precautions.extend([
         format!(
@@ -134,11 +134,9 @@ fn create_plan(
             "A reading is the place of the face minus where it was found; one of both columns in each row.".into(),
         ],
         precautions,
-        approach_mm_per_min: options.approach_mm_per_min,
         columns,
         then: fit_command("square-xyz", &steps),
         steps,
-        is_lathe: false,
-        records: Vec::new(),
+        ..base_plan(machine, options)
     })
 }

@@ -16,7 +16,7 @@ use trueup_machine::{
     file::{LinearAxis, MachineKind},
 };
 
-use super::{COMPENSATION_OFF_PRECAUTION, Plans, head_zero_precaution, unused_clearance_note};
+use super::{COMPENSATION_OFF_PRECAUTION, Plans, base_plan, unused_clearance_note};
 use crate::{
     options::MeasurementOptions,
     plan::{Column, Plan, Step},
@@ -122,8 +122,6 @@ fn create_plan(
                 .into(),
             "The reading is the way along that line, actual minus commanded, plus where it is too long.".into(),
         ],
-        precautions: head_zero_precaution(machine).into_iter().collect(),
-        approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,
         // All are measured first.
@@ -134,7 +132,6 @@ fn create_plan(
             })
             .into_iter()
             .collect(),
-        is_lathe: false,
-        records: Vec::new(),
+        ..base_plan(machine, options)
     })
 }

@@ -6,14 +6,14 @@ use trueup_machine::{
 };
 
 use super::{
-    COMPENSATION_OFF_PRECAUTION, Plans, bidirectional_passes, evenly_spaced_targets_mm,
-    head_zero_precaution, measured_column, plan_each_axis, unused_clearance_note,
+    COMPENSATION_OFF_PRECAUTION, Plans, base_plan, bidirectional_passes, evenly_spaced_targets_mm,
+    measured_column, plan_each_axis,
 };
 use crate::{
     options::MeasurementOptions,
     plan::{Column, Plan},
     refused::ProgramError,
-    travel::{AxisTravel, resolve_travels},
+    travel::AxisTravel,
 };
 
 /// There and back so often: the scatter of three shows what a curve is worth.
@@ -28,9 +28,7 @@ pub(crate) fn create_plans(
     machine: &Machine,
     options: &MeasurementOptions,
 ) -> Result<Plans, ProgramError> {
-    let (travels, mut notes) = resolve_travels(machine, options)?;
-    notes.extend(unused_clearance_note(options));
-    plan_each_axis(&travels, notes, |travel| create_plan(machine, travel, options))
+    plan_each_axis(machine, options, create_plan)
 }
 
 fn create_plan(
@@ -56,8 +54,6 @@ fn create_plan(
     Ok(Plan {
         name: format!("straightness-{}", axis.name()),
         notes: vec![COMPENSATION_OFF_PRECAUTION.to_string(), note.to_string()],
-        precautions: head_zero_precaution(machine).into_iter().collect(),
-        approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,
         then: vec![format!(
@@ -65,7 +61,6 @@ fn create_plan(
             axis.name(),
             others[0].name()
         )],
-        is_lathe: false,
-        records: Vec::new(),
+        ..base_plan(machine, options)
     })
 }

@@ -5,7 +5,7 @@ use trueup_machine::{
     file::{LinearAxis, MachineKind},
 };
 
-use super::{COMPENSATION_OFF_PRECAUTION, head_zero_precaution, linear_move, measured_column};
+use super::{COMPENSATION_OFF_PRECAUTION, base_plan, linear_move, measured_column};
 use crate::{
     options::MeasurementOptions,
     plan::{Column, Plan, Step},
@@ -130,13 +130,10 @@ pub fn plan_target_run(
     Ok(Plan {
         name: "next".into(),
         notes: notes.map(String::from).into(),
-        precautions: head_zero_precaution(machine).into_iter().collect(),
-        approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,
         then: vec!["trueup diagnose --run next.csv".into()],
-        is_lathe: machine.kind == MachineKind::Lathe,
-        records: Vec::new(),
+        ..base_plan(machine, options)
     })
 }
 

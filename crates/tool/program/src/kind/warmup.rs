@@ -11,7 +11,7 @@ use trueup_machine::{
     file::{ElongationSource, MachineKind},
 };
 
-use super::{NON_CONTACT_PRECAUTION, Plans, unused_clearance_note};
+use super::{NON_CONTACT_PRECAUTION, Plans, base_plan, unused_clearance_note};
 use crate::{
     options::{MeasurementOptions, MeasuringInstrument},
     plan::{Column, Plan, Step},
@@ -106,7 +106,6 @@ pub(crate) fn create_plans(
         name: "warmup".into(),
         notes: notes.map(String::from).into(),
         precautions: vec![how.into()],
-        approach_mm_per_min: options.approach_mm_per_min,
         steps: if is_touching {
             contact_gauge_steps(rpm, every_s, times)
         } else {
@@ -119,8 +118,8 @@ pub(crate) fn create_plans(
             format!("trueup fit {fit} --run warmup-off.csv"),
             "trueup accept --off warmup-off.csv --on warmup-on.csv".into(),
         ],
-        is_lathe: false,
         records: vec!["off", "on"],
+        ..base_plan(machine, options)
     };
     Ok((vec![plan], unused_clearance_note(options).into_iter().collect()))
 }
