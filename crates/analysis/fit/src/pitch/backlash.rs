@@ -12,7 +12,6 @@
 //! Whether b̄ᵢ changes along the axis is tested by analysis of variance: the scatter of the b̄ᵢ next to
 //! that of the repeats, F at 95 %. Whether B is worth laying in is tested on held-out runs.
 
-use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 use trueup_machine::{
     BadInput,
     applied_offsets::UncompensatedRun,
@@ -26,7 +25,7 @@ use super::{
     feed_dependence,
     readings::{FEED_COLUMN, ReadingSelection, Readings, measured_column},
     reversal_difference::{ReversalDifference, reversal_differences},
-    summary::{confidence_half_width, describe_folds},
+    summary::{confidence_half_width, describe_folds, variance_ratio_p_value},
     table::TABLE_DECIMALS,
 };
 use crate::report::{Fact, FitVerdict, Parameter, Report, ResidualStatistics};
@@ -186,14 +185,7 @@ fn p_value(by_target: &[(f64, Vec<f64>)]) -> Option<f64> {
         .iter()
         .map(|(_, um)| um.iter().map(|x| (x - mean(um)).powi(2)).sum::<f64>())
         .sum();
-    let (between, within) = (between / freedom.0 as f64, within / freedom.1 as f64);
-    // What is equal to a nanometre is equal: rounding must not make a finding.
-    const ZERO_VARIANCE_UM2: f64 = 1e-6;
-    if between <= ZERO_VARIANCE_UM2 {
-        return Some(1.0);
-    }
-    let f = FisherSnedecor::new(freedom.0 as f64, freedom.1 as f64).ok()?;
-    Some(if within > 0.0 { f.sf(between / within) } else { 0.0 })
+    variance_ratio_p_value((between, freedom.0 as f64), (within, freedom.1 as f64))
 }
 
 fn build_report(

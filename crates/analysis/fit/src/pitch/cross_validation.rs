@@ -13,14 +13,13 @@
 //! with t the one-sided 95 % point of Student's distribution for m blocks. A gain below a square
 //! nanometre is none: tables are written to the nanometre.
 
-use statrs::distribution::{ContinuousCDF, StudentsT};
 use trueup_machine::{
     file::PitchErrorTable,
     file::writer::round_to_decimals,
     model::{is_reverse, pitch_um},
 };
 
-use trueup_numerics::repeats;
+use trueup_numerics::{repeats, t_quantile};
 
 use super::{
     readings::{PitchReading, Readings},
@@ -218,20 +217,18 @@ pub(super) fn is_significant_gain(gains: &[f64]) -> bool {
 
 /// Returns the one-sided 95 % lower bound of the mean of `values`; `None` below two values.
 fn mean_lower_bound(values: &[f64]) -> Option<f64> {
+    mean_and_half_width(values, 0.95).map(|(mean, half_width)| mean - half_width)
+}
+
+/// Returns the mean of `values`, and how far its bound of this `probability` is from it; `None` below two values.
+pub(super) fn mean_and_half_width(values: &[f64], probability: f64) -> Option<(f64, f64)> {
     if values.len() < 2 {
         return None;
     }
     let count = values.len() as f64;
     let mean = values.iter().sum::<f64>() / count;
     let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (count - 1.0);
-    let t = student_t_quantile(values.len() - 1, 0.95)?;
-    Some(mean - t * (variance / count).sqrt())
-}
-
-/// Returns the point below which Student's t of `freedom` degrees lies with `probability`.
-pub(super) fn student_t_quantile(freedom: usize, probability: f64) -> Option<f64> {
-    let t = StudentsT::new(0.0, 1.0, freedom as f64).ok()?;
-    Some(t.inverse_cdf(probability))
+    Some((mean, t_quantile(probability, count - 1.0) * (variance / count).sqrt()))
 }
 
 /// Returns the number of blocks in which `runs` are held out.

@@ -5,13 +5,11 @@
 //! off, next to that of the repeats at one position and feed, F at 99 %. If they do, no mean of them is
 //! right at any feed. One feed's width is fitted, and what it costs at the others is said.
 
-use statrs::distribution::{ContinuousCDF, FisherSnedecor};
-
 use super::{
     PitchFitOptions,
     readings::{FEED_COLUMN, FEED_RELATIVE_TOLERANCE, Readings},
     reversal_difference::ReversalDifference,
-    summary::confidence_half_width,
+    summary::{confidence_half_width, variance_ratio_p_value},
 };
 use crate::report::{Fact, Report};
 
@@ -149,12 +147,5 @@ fn p_value(differences: &[ReversalDifference], targets: usize) -> Option<f64> {
     if freedom.0 == 0.0 || freedom.1 == 0.0 {
         return None;
     }
-    let (within, between) = (within / freedom.0, between / freedom.1);
-    // What is equal to a nanometre is equal: rounding must not make a finding.
-    const ZERO_VARIANCE_UM2: f64 = 1e-6;
-    if between <= ZERO_VARIANCE_UM2 {
-        return Some(1.0);
-    }
-    let f = FisherSnedecor::new(freedom.1, freedom.0).ok()?;
-    Some(if within > 0.0 { f.sf(between / within) } else { 0.0 })
+    variance_ratio_p_value((between, freedom.1), (within, freedom.0))
 }

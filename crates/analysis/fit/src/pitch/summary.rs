@@ -1,5 +1,6 @@
 //! The report of a pitch fit.
 
+use statrs::distribution::{ContinuousCDF as _, FisherSnedecor};
 use trueup_machine::{
     file::writer::Edit,
     file::{Backlash, LinearAxis},
@@ -12,7 +13,7 @@ use trueup_numerics::repeats::{
 use super::{
     cross_validation::{
         CorrectionModel, CrossValidationScore, DirectionSums, FittedCorrection, fold_count,
-        is_significant_gain, student_t_quantile,
+        is_significant_gain, mean_and_half_width,
     },
     pitch_aliasing::aliased_pitches,
     readings::Readings,
@@ -194,13 +195,20 @@ fn backlash_half_width_um(readings: &Readings, sums: &DirectionSums) -> Option<f
 
 /// Returns half the 95 % interval of the mean of `values`; `None` below two values.
 pub(super) fn confidence_half_width(values: &[f64]) -> Option<f64> {
-    if values.len() < 2 {
-        return None;
+    mean_and_half_width(values, 0.975).map(|(_, half_width)| half_width)
+}
+
+/// Returns how likely chance alone makes the sum of squares `between` groups so large, by the one `within` them, each
+/// in µm² with its degrees of freedom.
+pub(super) fn variance_ratio_p_value(between: (f64, f64), within: (f64, f64)) -> Option<f64> {
+    let f = FisherSnedecor::new(between.1, within.1).ok()?;
+    let (between, within) = (between.0 / between.1, within.0 / within.1);
+    // What is equal to a nanometre is equal: rounding must not make a finding.
+    const ZERO_VARIANCE_UM2: f64 = 1e-6;
+    if between <= ZERO_VARIANCE_UM2 {
+        return Some(1.0);
     }
-    let count = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / count;
-    let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (count - 1.0);
-    Some(student_t_quantile(values.len() - 1, 0.975)? * (variance / count).sqrt())
+    Some(if within > 0.0 { f.sf(between / within) } else { 0.0 })
 }
 
 /// Why the axis should not be corrected, a sentence each.
