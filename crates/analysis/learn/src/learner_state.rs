@@ -29,7 +29,7 @@ const HASH_DIGITS: usize = 8;
 const MAX_CHANGES: usize = 400;
 
 /// The form that is written.
-pub(crate) const SCHEMA_VERSION: u32 = 3;
+const SCHEMA_VERSION: u32 = 3;
 /// The form before it, which is read too.
 const PREVIOUS_SCHEMA_VERSION: u32 = 2;
 
@@ -156,6 +156,39 @@ fn is_false(it: &bool) -> bool {
 }
 
 impl LearnerState {
+    /// Returns the state before the first reading.
+    pub(crate) fn new(
+        machine: MachineIdentity,
+        quantity: String,
+        constants: Vec<LearnableConstant>,
+        checkpoint: FilterBank,
+    ) -> Self {
+        Self {
+            schema: SCHEMA_VERSION,
+            machine,
+            quantity,
+            zero: None,
+            applied: vec![0.0; constants.len() + 1],
+            constants,
+            first_s: None,
+            last_s: None,
+            is_applied_once: false,
+            proven: None,
+            air: None,
+            events: Vec::new(),
+            changes: Vec::new(),
+            checks: Vec::new(),
+            worn: Vec::new(),
+            thermometers: Vec::new(),
+            checkpoint,
+            checkpoint_s: None,
+            first: 0,
+            window: Vec::new(),
+            seen: String::new(),
+            seen_before: String::new(),
+        }
+    }
+
     /// Reads the state from JSON.
     ///
     /// # Errors
@@ -306,29 +339,15 @@ struct LegacyLearnerState {
 /// Reads the form before this one; nothing of it is lost but the way back, which stays in the backup. Its owner has no name yet: the old form did not say whose it was.
 fn read_older_schema(text: &str) -> Result<LearnerState, String> {
     let old: LegacyLearnerState = serde_json::from_str(text).map_err(|error| error.to_string())?;
+    let machine = MachineIdentity { name: String::new(), serial: None };
     Ok(LearnerState {
-        schema: SCHEMA_VERSION,
-        machine: MachineIdentity { name: String::new(), serial: None },
-        quantity: old.quantity,
-        zero: None,
         applied: old.applied,
-        first_s: None,
         last_s: old.last_s,
         is_applied_once: old.is_applied_once,
-        proven: None,
-        air: None,
-        events: Vec::new(),
-        changes: Vec::new(),
-        checks: Vec::new(),
-        worn: Vec::new(),
-        thermometers: Vec::new(),
-        constants: old.constants,
-        checkpoint: old.bank,
         checkpoint_s: old.last_s,
         first: old.readings.len() as u64,
-        window: Vec::new(),
-        seen: String::new(),
         seen_before: old.readings.iter().map(|hash| hash_digits(*hash)).collect(),
+        ..LearnerState::new(machine, old.quantity, old.constants, old.bank)
     })
 }
 

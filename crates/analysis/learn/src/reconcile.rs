@@ -10,7 +10,7 @@ use crate::{
     constants::{self, LearnableConstant},
     event::Action,
     filter_bank::FilterBank,
-    learner_state::{LearnerState, MachineIdentity, SCHEMA_VERSION},
+    learner_state::{LearnerState, MachineIdentity},
     replay::FilterHistory,
 };
 
@@ -53,10 +53,11 @@ pub(crate) fn reconcile_state(
         ));
     }
     let Some(mut memory) = memory else {
-        return Ok((
-            LearnerState { air, ..initial_learner_state(machine, quantity, all, zero) },
-            false,
-        ));
+        let noise_um = machine.instrument_um.map_or(DEFAULT_NOISE_UM, |um| um / 2.0);
+        let bank = FilterBank::new(&prior_standard_deviations(&all), noise_um);
+        let owner = MachineIdentity::from_machine(machine);
+        let state = LearnerState::new(owner, quantity.name().into(), all, bank);
+        return Ok((LearnerState { air, zero, ..state }, false));
     };
     memory.air = air;
     let owner = MachineIdentity::from_machine(machine);
@@ -87,40 +88,6 @@ pub(crate) fn reconcile_state(
     memory.zero = memory.zero.or(zero);
     let has_restarted = restart_changed_constants(&mut memory, all, zero, notes)?;
     Ok((memory, has_restarted))
-}
-
-/// Returns the state of a machine of which nothing was read yet.
-fn initial_learner_state(
-    machine: &Machine,
-    quantity: Quantity,
-    constants: Vec<LearnableConstant>,
-    zero: Option<f64>,
-) -> LearnerState {
-    let noise_um = machine.instrument_um.map_or(DEFAULT_NOISE_UM, |um| um / 2.0);
-    LearnerState {
-        schema: SCHEMA_VERSION,
-        machine: MachineIdentity::from_machine(machine),
-        quantity: quantity.name().into(),
-        zero,
-        applied: vec![0.0; constants.len() + 1],
-        first_s: None,
-        last_s: None,
-        is_applied_once: false,
-        proven: None,
-        air: None,
-        events: Vec::new(),
-        changes: Vec::new(),
-        checks: Vec::new(),
-        worn: Vec::new(),
-        thermometers: Vec::new(),
-        checkpoint: FilterBank::new(&prior_standard_deviations(&constants), noise_um),
-        checkpoint_s: None,
-        first: 0,
-        window: Vec::new(),
-        seen: String::new(),
-        seen_before: String::new(),
-        constants,
-    }
 }
 
 /// Begins anew what the file says otherwise today; the rest stays. Returns true if anything did.
