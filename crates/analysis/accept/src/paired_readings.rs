@@ -4,6 +4,7 @@ use std::{borrow::Cow, collections::BTreeMap};
 
 use serde::Serialize;
 
+use trueup_compare::compare::common_quantity;
 use trueup_machine::{
     BadInput, Location, Machine, RunFile,
     applied_offsets::{OffsetApplication, PairedRuns, UncompensatedRun, predict_um},
@@ -181,7 +182,7 @@ impl PairedReadings {
         asked: Option<Quantity>,
         machine: Option<&Machine>,
     ) -> Result<Self, BadInput> {
-        let quantity = common_quantity(off, on, asked)?;
+        let quantity = common_quantity(on, (off, "the run without compensation"), asked)?;
         let side = |run| RunSeries::from_run(run, quantity, machine);
         let mut sides = [side(off)?, side(on)?];
         let mut pair = Self {
@@ -400,36 +401,5 @@ impl PairedReadings {
                 })
             })
             .collect()
-    }
-}
-
-/// Returns the quantity that both runs measure.
-fn common_quantity(
-    off: &RunFile,
-    on: &RunFile,
-    asked: Option<Quantity>,
-) -> Result<Quantity, BadInput> {
-    let column = |quantity: Quantity| format!("measured_{}_um", quantity.name());
-    if let Some(quantity) = asked {
-        return off
-            .require_column(&column(quantity))
-            .and(on.require_column(&column(quantity)))
-            .map(|_| quantity);
-    }
-    let both = |quantity: &Quantity| {
-        off.column(&column(*quantity)).is_some() && on.column(&column(*quantity)).is_some()
-    };
-    let all: Vec<Quantity> = Quantity::ALL.into_iter().filter(both).collect();
-    match all[..] {
-        [quantity] => Ok(quantity),
-        [] => Err(BadInput::new(
-            Location::start_of_file(on.path()),
-            "measures nothing that the run without compensation measures (measured_…_um)",
-        )),
-        _ => {
-            let names: Vec<&str> = all.iter().map(|quantity| quantity.name()).collect();
-            let rule = format!("the runs measure {}: choose one with --quantity", names.join(", "));
-            Err(BadInput::new(Location::start_of_file(on.path()), rule))
-        }
     }
 }

@@ -16,6 +16,8 @@
 //! and the law of least BIC is the answer, if it is better than nothing by strong evidence (6, Kass and
 //! Raftery 1995). A curve has a value a place, so it is only distinguished from the others with repeats.
 
+use std::fmt::Display;
+
 use serde::Serialize;
 use trueup_machine::{BadInput, Location, RunFile, file::Quantity};
 use trueup_numerics::{
@@ -118,7 +120,7 @@ pub fn compare_runs(
     b: &RunFile,
     asked: Option<Quantity>,
 ) -> Result<Comparison, BadInput> {
-    let quantity = common_quantity(a, b, asked)?;
+    let quantity = common_quantity(b, (a, a.path().display()), asked)?;
     let over = longest_travel_column(a, b, quantity)?;
     let rows = [extract_rows(a, quantity, &over)?, extract_rows(b, quantity, &over)?];
     let all: Vec<f64> = rows.iter().flatten().map(|row| row.at).collect();
@@ -391,34 +393,33 @@ impl DifferenceModel {
     }
 }
 
-fn common_quantity(
-    a: &RunFile,
-    b: &RunFile,
+/// Returns the quantity that both runs measure; the other one is called by its name in an error.
+///
+/// # Errors
+/// One of them does not measure the quantity `asked` for, they have none in common, or several and none is asked for.
+pub fn common_quantity(
+    run: &RunFile,
+    (other, name): (&RunFile, impl Display),
     asked: Option<Quantity>,
 ) -> Result<Quantity, BadInput> {
-    let column = |quantity: Quantity| format!("measured_{}_um", quantity.name());
+    let column = |quantity: &Quantity| format!("measured_{}_um", quantity.name());
     if let Some(quantity) = asked {
-        return a
-            .require_column(&column(quantity))
-            .and(b.require_column(&column(quantity)))
-            .map(|_| quantity);
+        other.require_column(&column(&quantity))?;
+        return run.require_column(&column(&quantity)).map(|_| quantity);
     }
-    let both = |quantity: &Quantity| {
-        a.column(&column(*quantity)).is_some() && b.column(&column(*quantity)).is_some()
+    let is_in_both = |quantity: &Quantity| {
+        [run, other].iter().all(|run| run.column(&column(quantity)).is_some())
     };
-    let all: Vec<Quantity> = Quantity::ALL.into_iter().filter(both).collect();
-    match all[..] {
-        [quantity] => Ok(quantity),
-        [] => Err(BadInput::new(
-            Location::start_of_file(b.path()),
-            format!("measures nothing that {} measures (measured_…_um)", a.path().display()),
-        )),
+    let all: Vec<Quantity> = Quantity::ALL.into_iter().filter(is_in_both).collect();
+    let rule = match all[..] {
+        [quantity] => return Ok(quantity),
+        [] => format!("measures nothing that {name} measures (measured_…_um)"),
         _ => {
             let names: Vec<&str> = all.iter().map(|quantity| quantity.name()).collect();
-            let rule = format!("the runs measure {}: choose one with --quantity", names.join(", "));
-            Err(BadInput::new(Location::start_of_file(b.path()), rule))
+            format!("the runs measure {}: choose one with --quantity", names.join(", "))
         }
-    }
+    };
+    Err(BadInput::new(Location::start_of_file(run.path()), rule))
 }
 
 /// Returns the column of the axis that travels most in both.
