@@ -51,6 +51,11 @@ pub struct Rcc {
     pub(crate) sw_wanted: u32,
 }
 
+/// Returns the number of the bus, AHB1 to AHB3 and APB1 to APB2, of a register in a group that begins at these offsets.
+fn bus_number(off: u32, ahb1: u32, apb1: u32) -> usize {
+    if off >= apb1 { (off - apb1) as usize / 4 + 3 } else { (off - ahb1) as usize / 4 }
+}
+
 impl Chip {
     pub(crate) fn pll_hz(&mut self) -> u64 {
         let r = self.rcc.pllcfgr;
@@ -217,21 +222,12 @@ impl Chip {
             RCC_PLLCFGR_OFFSET => r.pllcfgr,
             RCC_CFGR_OFFSET => r.cfgr,
             RCC_CIR_OFFSET => r.cir,
-            RCC_AHB1RSTR_OFFSET | RCC_AHB2RSTR_OFFSET | RCC_AHB3RSTR_OFFSET => {
-                r.rstr[(off as usize - RCC_AHB1RSTR_OFFSET as usize) / 4]
-            }
-            RCC_APB1RSTR_OFFSET => r.rstr[3],
-            RCC_APB2RSTR_OFFSET => r.rstr[4],
-            RCC_AHB1ENR_OFFSET | RCC_AHB2ENR_OFFSET | RCC_AHB3ENR_OFFSET => {
-                r.enr[(off as usize - RCC_AHB1ENR_OFFSET as usize) / 4]
-            }
-            RCC_APB1ENR_OFFSET => r.enr[3],
-            RCC_APB2ENR_OFFSET => r.enr[4],
-            RCC_AHB1LPENR_OFFSET | RCC_AHB2LPENR_OFFSET | RCC_AHB3LPENR_OFFSET => {
-                r.lpenr[(off as usize - RCC_AHB1LPENR_OFFSET as usize) / 4]
-            }
-            RCC_APB1LPENR_OFFSET => r.lpenr[3],
-            RCC_APB2LPENR_OFFSET => r.lpenr[4],
+            RCC_AHB1RSTR_OFFSET | RCC_AHB2RSTR_OFFSET | RCC_AHB3RSTR_OFFSET | RCC_APB1RSTR_OFFSET
+            | RCC_APB2RSTR_OFFSET => r.rstr[bus_number(off, RCC_AHB1RSTR_OFFSET, RCC_APB1RSTR_OFFSET)],
+            RCC_AHB1ENR_OFFSET | RCC_AHB2ENR_OFFSET | RCC_AHB3ENR_OFFSET | RCC_APB1ENR_OFFSET
+            | RCC_APB2ENR_OFFSET => r.enr[bus_number(off, RCC_AHB1ENR_OFFSET, RCC_APB1ENR_OFFSET)],
+            RCC_AHB1LPENR_OFFSET | RCC_AHB2LPENR_OFFSET | RCC_AHB3LPENR_OFFSET | RCC_APB1LPENR_OFFSET
+            | RCC_APB2LPENR_OFFSET => r.lpenr[bus_number(off, RCC_AHB1LPENR_OFFSET, RCC_APB1LPENR_OFFSET)],
             RCC_BDCR_OFFSET => self.bdcr_read(),
             RCC_CSR_OFFSET => r.csr,
             RCC_SSCGR_OFFSET => r.sscgr,
@@ -267,11 +263,7 @@ impl Chip {
             }
             RCC_AHB1RSTR_OFFSET | RCC_AHB2RSTR_OFFSET | RCC_AHB3RSTR_OFFSET
             | RCC_APB1RSTR_OFFSET | RCC_APB2RSTR_OFFSET => {
-                let i = if off >= RCC_APB1RSTR_OFFSET {
-                    (off as usize - RCC_APB1RSTR_OFFSET as usize) / 4 + 3
-                } else {
-                    (off as usize - RCC_AHB1RSTR_OFFSET as usize) / 4
-                };
+                let i = bus_number(off, RCC_AHB1RSTR_OFFSET, RCC_APB1RSTR_OFFSET);
                 let old = self.rcc.rstr[i];
                 self.rcc.rstr[i] = v;
                 for (base, bus, bit, _) in CLOCK_GATES {
@@ -282,11 +274,7 @@ impl Chip {
             }
             RCC_AHB1ENR_OFFSET | RCC_AHB2ENR_OFFSET | RCC_AHB3ENR_OFFSET | RCC_APB1ENR_OFFSET
             | RCC_APB2ENR_OFFSET => {
-                let i = if off >= RCC_APB1ENR_OFFSET {
-                    (off as usize - RCC_APB1ENR_OFFSET as usize) / 4 + 3
-                } else {
-                    (off as usize - RCC_AHB1ENR_OFFSET as usize) / 4
-                };
+                let i = bus_number(off, RCC_AHB1ENR_OFFSET, RCC_APB1ENR_OFFSET);
                 let mask = RCC_ENR_WRITE_MASKS[i];
                 self.rcc.enr[i] = self.apply_write_mask(
                     &format!("RCC_{}ENR", BUS_NAMES[i]),
@@ -297,11 +285,7 @@ impl Chip {
             }
             RCC_AHB1LPENR_OFFSET | RCC_AHB2LPENR_OFFSET | RCC_AHB3LPENR_OFFSET
             | RCC_APB1LPENR_OFFSET | RCC_APB2LPENR_OFFSET => {
-                let i = if off >= RCC_APB1LPENR_OFFSET {
-                    (off as usize - RCC_APB1LPENR_OFFSET as usize) / 4 + 3
-                } else {
-                    (off as usize - RCC_AHB1LPENR_OFFSET as usize) / 4
-                };
+                let i = bus_number(off, RCC_AHB1LPENR_OFFSET, RCC_APB1LPENR_OFFSET);
                 self.rcc.lpenr[i] = v;
             }
             RCC_BDCR_OFFSET => self.bdcr_write(v),
