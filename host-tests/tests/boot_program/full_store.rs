@@ -3,7 +3,6 @@
 
 use std::{fs, ops::Range, thread};
 
-use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use trueup_boot::flash_layout::Slot;
 use trueup_emulator::setup;
 use trueup_machine::{MachineFile, compile};
@@ -16,6 +15,7 @@ use trueup_store::{
 use crate::{
     application::application,
     board::{Board, boot},
+    sectors::Sectors,
 };
 
 /// Sectors 8 and 9, and 10 and 11 of the references.
@@ -23,40 +23,6 @@ const CALIBRATIONS: Range<usize> = 0x8_0000..0xC_0000;
 const REFERENCES: Range<usize> = 0xC_0000..0x10_0000;
 /// Points of a table in each direction, of four bytes each.
 const POINTS: usize = 1_960;
-
-struct Sectors<'m>(&'m mut [u8]);
-
-impl ErrorType for Sectors<'_> {
-    type Error = NorFlashErrorKind;
-}
-
-impl ReadNorFlash for Sectors<'_> {
-    const READ_SIZE: usize = 4;
-
-    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Self::Error> {
-        bytes.copy_from_slice(&self.0[offset as usize..][..bytes.len()]);
-        Ok(())
-    }
-
-    fn capacity(&self) -> usize {
-        self.0.len()
-    }
-}
-
-impl NorFlash for Sectors<'_> {
-    const WRITE_SIZE: usize = 4;
-    const ERASE_SIZE: usize = 128 * 1024;
-
-    fn erase(&mut self, from: u32, to: u32) -> Result<(), Self::Error> {
-        self.0[from as usize..to as usize].fill(0xFF);
-        Ok(())
-    }
-
-    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Self::Error> {
-        self.0[offset as usize..][..bytes.len()].copy_from_slice(bytes);
-        Ok(())
-    }
-}
 
 /// Returns the calibration of the machine of these tests, with a table of this error at each of its points.
 fn calibration(um: Option<u32>) -> Vec<u8> {

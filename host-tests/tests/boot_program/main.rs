@@ -12,6 +12,8 @@ mod loads;
 mod reasons;
 #[path = "../support/sdo_script.rs"]
 mod sdo_script;
+#[path = "../support/sectors.rs"]
+mod sectors;
 mod starts;
 mod updates;
 mod whole;

@@ -5,6 +5,8 @@
 
 #[path = "../support/sdo_script.rs"]
 mod sdo_script;
+#[path = "../support/sectors.rs"]
+mod sectors;
 #[path = "../support/mod.rs"]
 mod support;
 

@@ -3,51 +3,15 @@
 use std::{fs, ops::Range};
 
 use anyhow::{Context as _, Result, ensure};
-use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use trueup_store::{
     calibration::{MAX_BLOB_SIZE, calibration_crc},
     calibration_store::CalibrationStore,
 };
 
-use super::{Received, all, chip, compiled, master};
+use super::{Received, all, chip, compiled, master, sectors::Sectors};
 
 /// Of the chip's megabyte of flash, the sectors 8 and 9 (RM0090, table 5).
 const SECTORS: Range<usize> = 0x8_0000..0xC_0000;
-
-/// The two sectors.
-struct Sectors<'m>(&'m mut [u8]);
-
-impl ErrorType for Sectors<'_> {
-    type Error = NorFlashErrorKind;
-}
-
-impl ReadNorFlash for Sectors<'_> {
-    const READ_SIZE: usize = 4;
-
-    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Self::Error> {
-        bytes.copy_from_slice(&self.0[offset as usize..][..bytes.len()]);
-        Ok(())
-    }
-
-    fn capacity(&self) -> usize {
-        self.0.len()
-    }
-}
-
-impl NorFlash for Sectors<'_> {
-    const WRITE_SIZE: usize = 4;
-    const ERASE_SIZE: usize = 128 * 1024;
-
-    fn erase(&mut self, from: u32, to: u32) -> Result<(), Self::Error> {
-        self.0[from as usize..to as usize].fill(0xFF);
-        Ok(())
-    }
-
-    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Self::Error> {
-        self.0[offset as usize..][..bytes.len()].copy_from_slice(bytes);
-        Ok(())
-    }
-}
 
 /// Damaged part of a slot.
 #[derive(Clone, Copy, PartialEq)]

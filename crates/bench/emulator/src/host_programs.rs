@@ -37,13 +37,7 @@ pub fn build_servo_library_for(target: Option<&str>) -> Result<PathBuf> {
         .stderr(Stdio::inherit())
         .output()?;
     ensure!(output.status.success(), "trueup-servo does not build");
-    let messages = String::from_utf8(output.stdout)?;
-    messages
-        .lines()
-        .filter_map(|line| serde_json::from_str::<Value>(line).ok())
-        .filter(|message| message["target"]["name"] == "trueup_servo")
-        .find_map(|message| message["filenames"][0].as_str().map(PathBuf::from))
-        .with_context(|| "cargo does not say where the library is")
+    find_artefact(output.stdout, "trueup_servo", |message| &message["filenames"][0])
 }
 
 /// Builds a program of a package and gives its path, which is where cargo says that it is.
@@ -59,11 +53,15 @@ pub fn build_program(package: &str, name: &str) -> Result<PathBuf> {
         .stderr(Stdio::inherit())
         .output()?;
     ensure!(output.status.success(), "{package} does not build");
-    let messages = String::from_utf8(output.stdout)?;
-    messages
+    find_artefact(output.stdout, name, |message| &message["executable"])
+}
+
+/// Returns the path of a target in cargo's messages.
+fn find_artefact(messages: Vec<u8>, target: &str, path: fn(&Value) -> &Value) -> Result<PathBuf> {
+    String::from_utf8(messages)?
         .lines()
         .filter_map(|line| serde_json::from_str::<Value>(line).ok())
-        .filter(|message| message["target"]["name"] == name)
-        .find_map(|message| message["executable"].as_str().map(PathBuf::from))
-        .with_context(|| format!("cargo does not say where {name} is"))
+        .filter(|message| message["target"]["name"] == target)
+        .find_map(|message| path(&message).as_str().map(PathBuf::from))
+        .with_context(|| format!("cargo does not say where {target} is"))
 }
