@@ -1,9 +1,6 @@
 //! `trueup accept`: a run without and a run with compensation, what is gone, and which constant to change.
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use clap::Args;
@@ -11,7 +8,7 @@ use trueup_accept::{AcceptanceCriteria, AcceptanceResult, evaluate_acceptance};
 use trueup_machine::{MachineFile, file};
 
 use crate::{
-    Outcome, UserError, commands,
+    Outcome, commands,
     diagnose::QuantityArg,
     files, origin,
     output::{self, FileTransaction},
@@ -83,8 +80,7 @@ pub fn run(args: &AcceptArgs, as_json: bool) -> Result<Outcome> {
 }
 
 fn write(args: &AcceptArgs, acceptance: &AcceptanceResult, name: &str) -> Result<()> {
-    fs::create_dir_all(&args.out)
-        .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
+    output::create_folder(&args.out)?;
     let mut inputs: Vec<&Path> = vec![&args.off, &args.on];
     inputs.extend(args.machine.as_deref());
     let mut texts = vec![
@@ -104,9 +100,7 @@ fn write(args: &AcceptArgs, acceptance: &AcceptanceResult, name: &str) -> Result
         // That of an earlier acceptance would change a machine that has passed.
         None => set.remove(&args.out.join("adjusted.toml"))?,
     }
-    for (file, text) in texts {
-        set.add_text(&args.out.join(file), &text)?;
-    }
+    set.add_texts(&args.out, texts)?;
     if let Some(picture) = &args.picture {
         set.add_text(picture, &acceptance.render_chart_svg())?;
     }

@@ -14,6 +14,7 @@ mod update;
 
 use anyhow::Result;
 use clap::{Args, Subcommand};
+use trueup_client::{port::Port, session::Session};
 
 use crate::Outcome;
 
@@ -75,6 +76,21 @@ pub struct PortArgs {
     /// Where the bridge is: tcp:HOST:PORT, a serial device, or a CAN interface (can0).
     #[arg(long, value_name = "PORT")]
     port: String,
+}
+
+impl PortArgs {
+    /// Returns the result of `work` on an open session, which is then closed.
+    fn with_session<T>(&self, work: impl FnOnce(&mut Session) -> Result<T>) -> Result<T> {
+        with_session(&Port::parse(&self.port)?, work)
+    }
+}
+
+/// Returns the result of `work` on a session at a port, which is then closed.
+pub fn with_session<T>(port: &Port, work: impl FnOnce(&mut Session) -> Result<T>) -> Result<T> {
+    let mut session = Session::open(port)?;
+    let result = work(&mut session);
+    session.close();
+    result
 }
 
 /// Reads, loads, stores or listens.

@@ -192,8 +192,7 @@ pub fn run(args: &CommissionArgs, as_json: bool) -> Result<Outcome> {
     let machine = files::parse_machine(&text, &args.machine)?;
     let subject = CommissioningTask::from_args(args, &machine)?;
     subject.check_program_available(args, &machine)?;
-    fs::create_dir_all(&args.out)
-        .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
+    output::create_folder(&args.out)?;
     let kept = args.out.join("machine.toml");
     match fs::read_to_string(&kept) {
         Ok(before) if before != text => {

@@ -1,6 +1,6 @@
 //! `trueup compare`: two runs place by place.
 
-use std::{fs, path::PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
@@ -69,16 +69,13 @@ pub fn run(args: &CompareArgs, as_json: bool) -> Result<Outcome> {
     it.sentences.push(first);
     let json = serde_json::to_string_pretty(&it)?;
     if let Some(folder) = &args.out {
-        fs::create_dir_all(folder)
-            .map_err(|error| UserError(format!("{}: cannot be made: {error}", folder.display())))?;
+        output::create_folder(folder)?;
         let names = [&args.a, &args.b].map(|path| path.display().to_string());
         let inputs = [args.a.as_path(), args.b.as_path()];
         let html =
             page::build_comparison_page(&it, [&names[0], &names[1]], &origin::from_files(&inputs)?);
         let mut set = FileTransaction::new(&inputs);
-        for (name, text) in [("comparison.json", format!("{json}\n")), ("report.html", html)] {
-            set.add_text(&folder.join(name), &text)?;
-        }
+        set.add_texts(folder, [("comparison.json", format!("{json}\n")), ("report.html", html)])?;
         set.commit()?;
     }
     if as_json {

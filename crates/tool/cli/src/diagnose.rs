@@ -3,7 +3,7 @@
 mod next_run;
 
 use std::{
-    env, fs,
+    env,
     io::Write as _,
     path::{Path, PathBuf},
     time::Duration,
@@ -25,7 +25,7 @@ use trueup_output::escape::escape_line;
 use trueup_page::{Origin, format_micrometres, format_significant};
 
 use crate::{
-    Outcome, UserError, commands, files, origin,
+    Outcome, commands, files, origin,
     output::{self, FileTransaction},
     report,
 };
@@ -138,8 +138,7 @@ pub fn run(args: &DiagnoseArgs, as_json: bool) -> Result<Outcome> {
         with_instrument(files::parse_machine(&source, &input.machine)?, input.instrument_um);
     let mut runs = files::read_runs_lenient(&input.run_paths(), &machine)?;
     let holdout = runs.split_off(input.runs.len() + input.off.len());
-    fs::create_dir_all(&args.out)
-        .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
+    output::create_folder(&args.out)?;
 
     let bar = progress_bar();
     let options = DiagnosisOptions {
@@ -170,9 +169,7 @@ pub fn run(args: &DiagnoseArgs, as_json: bool) -> Result<Outcome> {
     )?;
     warn_unsupported_on_board(&diagnosis, (&source, &input.machine), &args.out)?;
     let mut set = FileTransaction::new(&inputs);
-    for (file, text) in made {
-        set.add_text(&args.out.join(file), &text)?;
-    }
+    set.add_texts(&args.out, made)?;
     set.add(&args.out.join(RESIDUALS_FILE), |out| diagnosis.write_residuals(out))?;
     set.commit()?;
     print(args, &diagnosis, as_json)?;

@@ -90,16 +90,16 @@ pub fn run(args: &Fit, as_json: bool) -> Result<Outcome> {
     Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
 }
 
+/// Returns the machine file with its path and text.
+fn read_machine_source(path: &Path) -> Result<(PathBuf, String, Machine), BadInput> {
+    let text = MachineFile::read_text(path)?;
+    let machine = files::parse_machine(&text, path)?;
+    Ok((path.to_owned(), text, machine))
+}
+
 impl FitInput {
     fn read(FitInputArgs { run: runs, machine }: &FitInputArgs) -> Result<Self> {
-        let machine = match machine {
-            None => None,
-            Some(path) => {
-                let text = MachineFile::read_text(path)?;
-                let machine = files::parse_machine(&text, path)?;
-                Some((path.clone(), text, machine))
-            }
-        };
+        let machine = machine.as_deref().map(read_machine_source).transpose()?;
         let of = machine.as_ref().map(|(_, _, machine)| machine);
         let unaided = |run: RunFile| -> Result<UncompensatedRun<'static>> {
             let (run, notes) = UncompensatedRun::from_run(Cow::Owned(run), of, None)?;

@@ -6,7 +6,7 @@ mod location;
 mod records;
 mod server;
 
-use std::{fs, io, path::PathBuf, time::Duration};
+use std::{io, path::PathBuf, time::Duration};
 
 use anyhow::{Context as _, Result};
 use clap::{Args, Subcommand};
@@ -25,6 +25,7 @@ use crate::{
     origin,
     output::{self, FileTransaction},
     report,
+    trend::parse_day,
 };
 
 #[derive(Subcommand)]
@@ -93,11 +94,6 @@ pub struct DiagnoseArgs {
     /// The folder for fleet.json and report.html.
     #[arg(long, value_name = "OUT")]
     out: PathBuf,
-}
-
-/// Parses a day as it is written.
-fn parse_day(text: &str) -> Result<dated::EpochDay, String> {
-    dated::parse_day(text).ok_or_else(|| "is no date like 2026-11-22".into())
 }
 
 pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
@@ -258,11 +254,9 @@ fn diagnose(args: &DiagnoseArgs, as_json: bool) -> Result<Outcome> {
         .collect();
     let html =
         html_page::render_html(&series, &args.place.to_string(), &origin::from_contents(&read));
-    fs::create_dir_all(&args.out)
-        .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
+    output::create_folder(&args.out)?;
     let mut set = FileTransaction::new(&[]);
-    set.add_text(&args.out.join("fleet.json"), &format!("{json}\n"))?;
-    set.add_text(&args.out.join("report.html"), &html)?;
+    set.add_texts(&args.out, [("fleet.json", format!("{json}\n")), ("report.html", html)])?;
     set.commit()?;
     let conspicuous = html_page::anomaly_sentences(&series);
     if as_json {

@@ -152,7 +152,7 @@ pub fn run(command: &Command) -> Result<Outcome> {
             run_rtu(&shared, bridge, line, *unit)
         }
         Command::Modbus { bridge, listen, unit, .. } => {
-            run_modbus(&shared, bridge, &resolve_listen_addresses(listen)?, *unit)
+            run_modbus(&shared, bridge, &resolve_listen_addresses("--listen", listen)?, *unit)
         }
         Command::S7 { bridge, plc, db, rack, slot, mode, rate } => {
             let place = CpuAddress { address: plc.clone(), rack: *rack, slot: *slot };
@@ -186,10 +186,10 @@ fn pinned_calibration(bridge: &BridgeArgs) -> Result<PinnedCalibration> {
     }))
 }
 
-fn resolve_listen_addresses(listen: &str) -> Result<Vec<SocketAddr>> {
-    let resolved = listen.to_socket_addrs();
-    let wrong = |why: String| UserError(format!("--listen \"{listen}\": {why}; ADDR:PORT"));
-    Ok(resolved.map_err(|error| wrong(error.to_string()))?.collect())
+/// Returns the addresses that the value of an option stands for.
+pub fn resolve_listen_addresses(option: &str, listen: &str) -> Result<Vec<SocketAddr>, UserError> {
+    let wrong = |why: String| UserError(format!("{option} \"{listen}\": {why}; ADDR:PORT"));
+    Ok(listen.to_socket_addrs().map_err(|error| wrong(error.to_string()))?.collect())
 }
 
 fn start_bridge_thread(shared: &SharedHub, bridge: &BridgeArgs) -> Result<thread::JoinHandle<()>> {

@@ -93,6 +93,15 @@ impl<'i> FileTransaction<'i> {
         self.add(path, |out| out.write_all(text.as_bytes()))
     }
 
+    /// Adds files of a folder by their names and texts.
+    pub fn add_texts<N: AsRef<Path>>(
+        &mut self,
+        folder: &Path,
+        files: impl IntoIterator<Item = (N, String)>,
+    ) -> Result<()> {
+        files.into_iter().try_for_each(|(name, text)| self.add_text(&folder.join(name), &text))
+    }
+
     /// Lets a file of an earlier set go, which this one has none of.
     pub fn remove(&mut self, path: &Path) -> Result<()> {
         let target = self.resolve_target(path)?;
@@ -164,6 +173,12 @@ pub fn check_output_path(path: &Path, inputs: &[&Path]) -> Result<(), UserError>
         }
         None => Ok(()),
     }
+}
+
+/// Makes a folder for results, if there is none.
+pub fn create_folder(folder: &Path) -> Result<(), UserError> {
+    fs::create_dir_all(folder)
+        .map_err(|error| UserError(format!("{}: cannot be made: {error}", folder.display())))
 }
 
 fn write_error(path: &Path, error: &io::Error) -> UserError {

@@ -3,10 +3,7 @@
 mod artefact;
 mod motion;
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use clap::{Args, ValueEnum};
@@ -177,8 +174,7 @@ pub fn run(args: &ProgramArgs, as_json: bool) -> Result<Outcome> {
     let (mut plans, notes) =
         create_plans(kind, &machine, &plan_options(args, &machine)?).map_err(refused)?;
     notes.iter().for_each(report::warn);
-    fs::create_dir_all(&args.out)
-        .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
+    output::create_folder(&args.out)?;
     let mut written = Vec::new();
     let inputs = [args.machine.as_path()];
     let mut set = FileTransaction::new(&inputs);

@@ -2,7 +2,6 @@
 
 use std::{
     fs,
-    net::{SocketAddr, ToSocketAddrs as _},
     path::{Path, PathBuf},
     sync::{
         Arc,
@@ -19,7 +18,7 @@ use trueup_serve::{
     publisher::{self, PublisherOptions},
 };
 
-use crate::{Outcome, UserError, output};
+use crate::{Outcome, UserError, gateway::resolve_listen_addresses, output};
 
 /// Publishes a bridge's state to MQTT as Sparkplug B and to MTConnect, and its records to MQTT without loss, until
 /// Ctrl-C.
@@ -107,8 +106,8 @@ pub fn run(args: &ServeArgs) -> Result<Outcome> {
 fn options_from_args(args: &ServeArgs) -> Result<PublisherOptions> {
     let ports: Result<Vec<Port>, _> = args.ports.iter().map(|port| Port::parse(port)).collect();
     let broker = args.mqtt.as_deref().map(|url| broker_from_args(args, url)).transpose()?;
-    let mtconnect =
-        args.mtconnect.as_deref().map(resolve_listen_addresses).transpose()?.unwrap_or_default();
+    let addresses = |listen| resolve_listen_addresses("--mtconnect", listen);
+    let mtconnect = args.mtconnect.as_deref().map(addresses).transpose()?.unwrap_or_default();
     Ok(PublisherOptions {
         ports: ports?,
         name: args.name.clone(),
@@ -140,9 +139,4 @@ fn read_password(path: &Path) -> Result<String, UserError> {
     let text = fs::read_to_string(path).map_err(|error| UserError(format!("{place}: {error}")))?;
     let first = text.lines().next().filter(|line| !line.is_empty());
     first.map(str::to_owned).ok_or_else(|| UserError(format!("{place}: its first line is empty")))
-}
-
-fn resolve_listen_addresses(listen: &str) -> Result<Vec<SocketAddr>, UserError> {
-    let wrong = |why: String| UserError(format!("--mtconnect \"{listen}\": {why}; ADDR:PORT"));
-    Ok(listen.to_socket_addrs().map_err(|error| wrong(error.to_string()))?.collect())
 }

@@ -42,7 +42,7 @@ pub struct TrendArgs {
 }
 
 /// Parses a day as it is written.
-fn parse_day(text: &str) -> Result<dated::EpochDay, String> {
+pub fn parse_day(text: &str) -> Result<dated::EpochDay, String> {
     dated::parse_day(text).ok_or_else(|| "is no date like 2026-11-22".into())
 }
 
@@ -111,16 +111,13 @@ pub fn run(args: &TrendArgs, as_json: bool) -> Result<Outcome> {
     let found = fit_trends(&days, args.limit_um, today);
     let json = serde_json::to_string_pretty(&found)?;
     if let Some(folder) = &args.out {
-        fs::create_dir_all(folder)
-            .map_err(|error| UserError(format!("{}: cannot be made: {error}", folder.display())))?;
+        output::create_folder(folder)?;
         let mut inputs: Vec<&Path> = read.iter().map(PathBuf::as_path).collect();
         inputs.extend(args.machine.as_deref());
         let origin = origin::from_files(&inputs)?;
         let html = page::build_trends_page(&found, &args.folder.display().to_string(), &origin);
         let mut set = FileTransaction::new(&[]);
-        for (name, text) in [("trend.json", format!("{json}\n")), ("report.html", html)] {
-            set.add_text(&folder.join(name), &text)?;
-        }
+        set.add_texts(folder, [("trend.json", format!("{json}\n")), ("report.html", html)])?;
         set.commit()?;
     }
     if as_json {

@@ -17,7 +17,6 @@ use clap::Args;
 use serde_json::json;
 use trueup_client::{
     load,
-    port::Port as Line,
     reference::{BridgeReference, format_reference},
     saved_board::{BoardIdentity, SavedBoard},
     session::Session,
@@ -58,10 +57,9 @@ pub struct RestoreArgs {
 
 /// Writes all that the bridge holds to a file.
 pub fn save(args: &SaveArgs, as_json: bool) -> Result<Outcome> {
-    let mut session = Session::open(&Line::parse(&args.port.port)?)?;
-    let saved = save_backup(&mut session, &args.file, args.overwrite, as_json);
-    session.close();
-    let saved = saved?;
+    let saved = args
+        .port
+        .with_session(|session| save_backup(session, &args.file, args.overwrite, as_json))?;
     let crc = saved.calibration_crc();
     if as_json {
         output::print(
@@ -183,10 +181,7 @@ pub fn restore(args: &RestoreArgs, as_json: bool) -> Result<Outcome> {
         ));
     }
     args.how.check_can_confirm(as_json)?;
-    let mut session = Session::open(&Line::parse(&args.port.port)?)?;
-    let restored = restore_board(&mut session, &saved, args.how);
-    session.close();
-    let restored = restored?;
+    let restored = args.port.with_session(|session| restore_board(session, &saved, args.how))?;
     let is_met = restored.is_successful(args.how);
     let RestoreOutcome { loaded, reference } = restored;
     let mut notes = Vec::new();

@@ -5,8 +5,6 @@ use clap::Args;
 use serde_json::json;
 use trueup_client::{
     disengage::{DisengageOutcome, disengage},
-    port::Port as Line,
-    session::Session,
     state_text::quality_name,
 };
 
@@ -25,9 +23,8 @@ pub struct DisengageArgs {
 /// Takes them back, and waits until they are 0.
 pub fn run(args: &DisengageArgs, as_json: bool) -> Result<Outcome> {
     trueup_output::enable_best_effort();
-    let mut session = Session::open(&Line::parse(&args.port.port)?)?;
     let mut is_said = false;
-    let done = disengage(&mut session, &mut |now_nm| {
+    let mut report_start = |now_nm| {
         if !is_said {
             is_said = true;
             trueup_output::write_diagnostic(format_args!(
@@ -35,9 +32,8 @@ pub fn run(args: &DisengageArgs, as_json: bool) -> Result<Outcome> {
                 format_offsets(now_nm)
             ));
         }
-    });
-    session.close();
-    let done = done?;
+    };
+    let done = args.port.with_session(|session| disengage(session, &mut report_start))?;
     let (word, nm) = match done {
         DisengageOutcome::AtRest(_) => ("nothing", [Some(0); 3]),
         DisengageOutcome::Done { from_nm, .. } => ("disengaged", from_nm),

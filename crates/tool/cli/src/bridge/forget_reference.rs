@@ -3,7 +3,7 @@
 use anyhow::Result;
 use clap::Args;
 use serde_json::json;
-use trueup_client::{load, port::Port as Line, reference::BridgeReference, session::Session};
+use trueup_client::{load, reference::BridgeReference};
 
 use super::{PortArgs, operator_questions::OpenQuestions};
 use crate::{Outcome, output};
@@ -16,13 +16,11 @@ pub struct ForgetReferenceArgs {
 
 /// Drops the reference; errors then count from the calibration's own zero.
 pub fn run(args: &ForgetReferenceArgs, as_json: bool) -> Result<Outcome> {
-    let mut session = Session::open(&Line::parse(&args.port.port)?)?;
-    let done = BridgeReference::read(&mut session).and_then(|before| {
-        load::forget_reference(&mut session)?;
-        Ok((before, OpenQuestions::read(&mut session)?))
-    });
-    session.close();
-    let (before, asks) = done?;
+    let (before, asks) = args.port.with_session(|session| {
+        let before = BridgeReference::read(session)?;
+        load::forget_reference(session)?;
+        Ok((before, OpenQuestions::read(session)?))
+    })?;
     if as_json {
         output::print(json!({ "forgotten": before.to_json(), "asks": asks.keywords() }))?;
         return Ok(Outcome::Done);

@@ -13,7 +13,6 @@ use serde_json::json;
 use trueup_client::{
     load::{self, StoreStep},
     object::{self, PENDING_CRC, QUALITY, RUNNING_CRC},
-    port::Port as Line,
     previous_calibration::PreviousCalibration,
     reference::BridgeReference,
     session::Session,
@@ -95,14 +94,13 @@ pub fn run(args: &LoadArgs, as_json: bool) -> Result<Outcome> {
     trueup_output::enable_best_effort();
     let named = args.calibration.as_deref().map(read_calibration).transpose()?;
     args.how.check_can_confirm(as_json)?;
-    let mut session = Session::open(&Line::parse(&args.port.port)?)?;
-    let blob = match named {
-        Some(blob) => Ok(blob),
-        None => previous_calibration_file(&mut session).and_then(|path| read_calibration(&path)),
-    };
-    let loaded = blob.and_then(|blob| Ok((load_calibration(&mut session, &blob, args.how)?, blob)));
-    session.close();
-    let (loaded, blob) = loaded?;
+    let (loaded, blob) = args.port.with_session(|session| {
+        let blob = match named {
+            Some(blob) => blob,
+            None => read_calibration(&previous_calibration_file(session)?)?,
+        };
+        Ok((load_calibration(session, &blob, args.how)?, blob))
+    })?;
     let is_met = loaded.is_successful(args.how);
     let LoadOutcome { crc, running, differences, references: [before, after], asks } = loaded;
     let keep_running = args.how.keep_running;

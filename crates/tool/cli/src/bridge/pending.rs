@@ -6,7 +6,6 @@ use serde_json::json;
 use trueup_client::{
     load,
     object::{self, PENDING_CALIBRATION, PENDING_CRC, QUALITY, RUNNING_CRC},
-    port::Port as Line,
     session::Session,
 };
 use trueup_core::cnc::Quality;
@@ -28,10 +27,7 @@ pub struct PendingArgs {
 
 /// Shows what waits; with `--use` or `--cancel` nothing does any more.
 pub fn run(args: &PendingArgs, as_json: bool) -> Result<Outcome> {
-    let mut session = Session::open(&Line::parse(&args.port.port)?)?;
-    let done = resolve_pending(args, &mut session, as_json);
-    session.close();
-    done
+    args.port.with_session(|session| resolve_pending(args, session, as_json))
 }
 
 fn resolve_pending(args: &PendingArgs, session: &mut Session, as_json: bool) -> Result<Outcome> {

@@ -62,9 +62,7 @@ pub fn run(args: &UpdateArgs, as_json: bool) -> Result<Outcome> {
     let port = Line::parse(&args.port.port)?;
     ctrlc::set_handler(|| IS_INTERRUPTED.store(true, Ordering::Relaxed))
         .context("signal handler")?;
-    let mut session = Session::open(&port)?;
-    let updated = update_firmware(&mut session, &file, how);
-    session.close();
+    let updated = super::with_session(&port, |session| update_firmware(session, &file, how));
     let (firmware, updated) = updated.map_err(to_user_error)?;
     let slot = firmware.image.header.slot;
     let is_met = how.keep_running || updated.slots[1].running == slot;

@@ -14,7 +14,7 @@ use trueup_link::status::StateBits;
 use trueup_machine::compile;
 
 use super::CommissioningRun;
-use crate::UserError;
+use crate::{UserError, bridge::with_session};
 
 /// The user wants it to end.
 static IS_INTERRUPTED: AtomicBool = AtomicBool::new(false);
@@ -57,10 +57,7 @@ struct BoardContent {
 
 impl BoardContent {
     fn read_from_port(port: &str) -> Result<Self> {
-        let mut session = Session::open(&Port::parse(port)?)?;
-        let now = Self::read(&mut session);
-        session.close();
-        now
+        with_session(&Port::parse(port)?, Self::read)
     }
 
     fn read(session: &mut Session) -> Result<Self> {

@@ -11,22 +11,14 @@ use trueup_fit::{
         page::title,
     },
 };
-use trueup_machine::{Machine, MachineFile};
 
-use super::{args::Circle, check_output_text, report};
+use super::{args::Circle, check_output_text, read_machine_source, report};
 use crate::{Outcome, files, origin, output};
 
 /// Fits, writes and prints.
 pub fn run(args: &Circle, as_json: bool) -> Result<Outcome> {
     let measured = &args.common.measured;
-    let machine: Option<(PathBuf, String, Machine)> = match &measured.machine {
-        None => None,
-        Some(path) => {
-            let text = MachineFile::read_text(path)?;
-            let machine = files::parse_machine(&text, path)?;
-            Some((path.clone(), text, machine))
-        }
-    };
+    let machine = measured.machine.as_deref().map(read_machine_source).transpose()?;
     let of_file = machine.as_ref().map(|(_, _, machine)| machine);
     let runs = files::read_runs_for_fit(&measured.run, of_file)?;
     let report = circle::fit_circles(&runs, of_file)?;
