@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use clap::Args;
 use trueup_accept::{AcceptanceCriteria, AcceptanceResult, evaluate_acceptance};
-use trueup_machine::{MachineFile, file};
+use trueup_machine::{MachineFile, file::Quantity};
 
 use crate::{
-    Outcome, commands,
-    diagnose::QuantityArg,
-    files, origin,
+    Outcome,
+    choice::by_name,
+    commands, files, origin,
     output::{self, FileTransaction},
     report,
 };
@@ -33,8 +33,8 @@ pub struct AcceptArgs {
     #[arg(long, value_name = "UM", value_parser = crate::diagnose::parse_positive)]
     limit_um: Option<f64>,
     /// The quantity to compare, where the runs measure several.
-    #[arg(long)]
-    quantity: Option<QuantityArg>,
+    #[arg(long, value_parser = by_name(Quantity::ALL, Quantity::name))]
+    quantity: Option<Quantity>,
     /// The machine file that the bridge ran: with it the answer says which constants to change.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
@@ -61,9 +61,8 @@ pub fn run(args: &AcceptArgs, as_json: bool) -> Result<Outcome> {
     let machine = believed.as_ref().map(|(_, machine)| machine);
     let (off, on) = (files::read_run(&args.off, machine)?, files::read_run(&args.on, machine)?);
     let limits = AcceptanceCriteria { require_percent: args.require, limit_um: args.limit_um };
-    let quantity: Option<file::Quantity> = args.quantity.map(QuantityArg::to_machine_quantity);
     let believed = believed.as_ref().map(|(source, machine)| (*source, machine));
-    let acceptance = evaluate_acceptance(&off, &on, quantity, believed, limits)?;
+    let acceptance = evaluate_acceptance(&off, &on, args.quantity, believed, limits)?;
     acceptance.notes.iter().for_each(report::warn);
     if let Some(text) = acceptance.adjusted_machine_file() {
         let before = believed.map(|(_, machine)| machine);

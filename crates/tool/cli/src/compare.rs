@@ -9,11 +9,12 @@ use trueup_compare::{
     page,
     thermal_expansion::remove_thermal_expansion,
 };
-use trueup_machine::file;
+use trueup_machine::file::Quantity;
 
 use crate::{
     Outcome, UserError,
-    diagnose::{QuantityArg, parse_positive},
+    choice::by_name,
+    diagnose::parse_positive,
     files, origin,
     output::{self, FileTransaction},
 };
@@ -30,8 +31,8 @@ pub struct CompareArgs {
     #[arg(value_name = "B.csv")]
     b: PathBuf,
     /// The quantity to compare, where the runs measure several.
-    #[arg(long)]
-    quantity: Option<QuantityArg>,
+    #[arg(long, value_parser = by_name(Quantity::ALL, Quantity::name))]
+    quantity: Option<Quantity>,
     /// The machine file: the expansion of its axes is taken off both runs.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
@@ -53,10 +54,9 @@ pub fn run(args: &CompareArgs, as_json: bool) -> Result<Outcome> {
     let machine = args.machine.as_ref().map(|path| files::read_machine(path)).transpose()?;
     let (a, b) =
         (files::read_run(&args.a, machine.as_ref())?, files::read_run(&args.b, machine.as_ref())?);
-    let quantity: Option<file::Quantity> = args.quantity.map(QuantityArg::to_machine_quantity);
     let [(a, first), (b, second)] =
         [a, b].map(|run| remove_thermal_expansion(&run, machine.as_ref()));
-    let mut it = compare_runs(&a, &b, quantity)?;
+    let mut it = compare_runs(&a, &b, args.quantity)?;
     if first != second {
         // The expansion of one run alone would be a difference.
         return Err(UserError(format!(

@@ -10,7 +10,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use clap::{Args, ValueEnum};
+use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use trueup_diagnose::{
     Diagnosis, DiagnosisOptions, MISSING_INPUTS_INSTRUCTION, ReadingMethod, Verdict,
@@ -19,13 +19,15 @@ use trueup_diagnose::{
 use trueup_machine::{
     BadInput, Machine, MachineFile,
     compile::{check_slopes, compile},
-    file,
+    file::Quantity,
 };
 use trueup_output::escape::escape_line;
 use trueup_page::{Origin, format_micrometres, format_significant};
 
 use crate::{
-    Outcome, commands, files, origin,
+    Outcome,
+    choice::{by_name, described},
+    commands, files, origin,
     output::{self, FileTransaction},
     report,
 };
@@ -43,8 +45,8 @@ pub struct DiagnoseArgs {
     #[arg(long, value_name = "CONTROL")]
     next: Option<crate::program::Controller>,
     /// How the readings of the next run get into its rows: a person takes at most one in 30 s.
-    #[arg(long, value_enum, default_value_t = GaugeMode::Hand, requires = "next")]
-    gauge: GaugeMode,
+    #[arg(long, default_value = "hand", value_parser = described(READING_METHODS), requires = "next")]
+    gauge: ReadingMethod,
     #[command(flatten)]
     motion: crate::program::MotionArgs,
     /// The folder for diagnosis.json, report.html, extended.toml and residuals.csv.
@@ -71,8 +73,8 @@ pub struct DiagnosisInput {
     #[arg(long, value_name = "H.csv")]
     pub holdout: Vec<PathBuf>,
     /// The quantity to compare, where the runs measure several.
-    #[arg(long)]
-    pub quantity: Option<QuantityArg>,
+    #[arg(long, value_parser = by_name(Quantity::ALL, Quantity::name))]
+    pub quantity: Option<Quantity>,
     /// The size of an error that matters, in µm RMS; by default what is left.
     #[arg(long, value_name = "UM", value_parser = parse_positive)]
     pub matters_um: Option<f64>,
@@ -89,42 +91,10 @@ impl DiagnosisInput {
     }
 }
 
-/// Who reads the gauge.
-#[derive(Clone, Copy, ValueEnum)]
-pub enum GaugeMode {
-    /// A person, who writes it down.
-    Hand,
-    /// A program records it.
-    Auto,
-}
-
-impl GaugeMode {
-    fn reading_method(self) -> ReadingMethod {
-        match self {
-            Self::Hand => ReadingMethod::Hand,
-            Self::Auto => ReadingMethod::Auto,
-        }
-    }
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-pub enum QuantityArg {
-    Elongation,
-    Dx,
-    Dy,
-    Dz,
-}
-
-impl QuantityArg {
-    pub fn to_machine_quantity(self) -> file::Quantity {
-        match self {
-            Self::Elongation => file::Quantity::Elongation,
-            Self::Dx => file::Quantity::Dx,
-            Self::Dy => file::Quantity::Dy,
-            Self::Dz => file::Quantity::Dz,
-        }
-    }
-}
+const READING_METHODS: [(ReadingMethod, &str, &str); 2] = [
+    (ReadingMethod::Hand, "hand", "A person, who writes it down"),
+    (ReadingMethod::Auto, "auto", "A program records it"),
+];
 
 pub fn parse_positive(text: &str) -> Result<f64, String> {
     let value = text.parse().ok().filter(|value: &f64| value.is_finite() && *value > 0.0);
@@ -142,7 +112,7 @@ pub fn run(args: &DiagnoseArgs, as_json: bool) -> Result<Outcome> {
 
     let bar = progress_bar();
     let options = DiagnosisOptions {
-        quantity: input.quantity.map(QuantityArg::to_machine_quantity),
+        quantity: input.quantity,
         matters_um: input.matters_um,
         is_applied_once: input.applied_once,
     };

@@ -7,7 +7,7 @@ use std::{
 };
 
 use anyhow::Result;
-use clap::{Args, ValueEnum};
+use clap::Args;
 use serde_json::{Value, json};
 use trueup_export::{
     ExportOptions, ExportReport, ExportedTable, Format, LengthUnit, OmittedSection, export,
@@ -15,7 +15,9 @@ use trueup_export::{
 };
 
 use crate::{
-    Outcome, UserError, files,
+    Outcome, UserError,
+    choice::described,
+    files,
     machine_arg::MachineArg,
     output::{self, FileTransaction},
 };
@@ -28,15 +30,15 @@ pub struct ExportArgs {
     #[command(flatten)]
     machine: MachineArg,
     /// The control that is to read the files.
-    #[arg(long)]
-    format: ControlFormat,
+    #[arg(long, value_parser = described(FORMATS))]
+    format: Format,
     /// The folder for the files and report.txt; made if it is not there. Files of the same names
     /// are replaced.
     #[arg(long, value_name = "DIR")]
     output: PathBuf,
     /// The control's unit of length (Siemens, LinuxCNC).
-    #[arg(long, default_value = "mm")]
-    units: LengthUnitArg,
+    #[arg(long, default_value = "mm", value_parser = described(LENGTH_UNITS))]
+    units: LengthUnit,
     /// The reference points, in mm: there Siemens and FANUC want a value of 0.
     #[arg(long, value_name = "x=0,y=0,z=0", value_delimiter = ',', allow_hyphen_values = true)]
     reference: Vec<String>,
@@ -63,43 +65,25 @@ pub struct ExportArgs {
     elongation_um: f64,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum ControlFormat {
-    /// Siemens SINUMERIK 840D sl.
-    #[value(name = "siemens-840d")]
-    Siemens840d,
-    /// FANUC, stored pitch error compensation.
-    Fanuc,
-    /// HEIDENHAIN, .COM and .CMA.
-    Heidenhain,
-    /// LinuxCNC, COMP_FILE.
-    #[value(name = "linuxcnc")]
-    LinuxCnc,
-    /// TwinCAT CNC (ISG kernel), volumetric compensation.
-    Isg,
-}
+const FORMATS: [(Format, &str, &str); 5] = [
+    (Format::Siemens840d, "siemens-840d", "Siemens SINUMERIK 840D sl"),
+    (Format::Fanuc, "fanuc", "FANUC, stored pitch error compensation"),
+    (Format::Heidenhain, "heidenhain", "HEIDENHAIN, .COM and .CMA"),
+    (Format::LinuxCnc, "linuxcnc", "LinuxCNC, COMP_FILE"),
+    (Format::Isg, "isg", "TwinCAT CNC (ISG kernel), volumetric compensation"),
+];
 
-#[derive(Clone, Copy, ValueEnum)]
-enum LengthUnitArg {
-    /// Positions and corrections in mm.
-    Mm,
-    /// Positions and corrections in inches of 25.4 mm.
-    Inch,
-}
+const LENGTH_UNITS: [(LengthUnit, &str, &str); 2] = [
+    (LengthUnit::Millimetres, "mm", "Positions and corrections in mm"),
+    (LengthUnit::Inches, "inch", "Positions and corrections in inches of 25.4 mm"),
+];
 
 /// Exports the machine file into the folder.
 pub fn run(args: &ExportArgs, as_json: bool) -> Result<Outcome> {
     let file = args.machine.path();
     let machine = files::read_machine(file)?;
     let options = parse_options(args)?;
-    let format = match args.format {
-        ControlFormat::Siemens840d => Format::Siemens840d,
-        ControlFormat::Fanuc => Format::Fanuc,
-        ControlFormat::Heidenhain => Format::Heidenhain,
-        ControlFormat::LinuxCnc => Format::LinuxCnc,
-        ControlFormat::Isg => Format::Isg,
-    };
-    let export = export(&machine, format, &options)
+    let export = export(&machine, args.format, &options)
         .map_err(|refused| UserError(format!("{}: {refused}", file.display())))?;
 
     let folder = &args.output;
@@ -132,10 +116,7 @@ pub fn run(args: &ExportArgs, as_json: bool) -> Result<Outcome> {
 
 fn parse_options(args: &ExportArgs) -> Result<ExportOptions, UserError> {
     let mut options = ExportOptions {
-        units: match args.units {
-            LengthUnitArg::Mm => LengthUnit::Millimetres,
-            LengthUnitArg::Inch => LengthUnit::Inches,
-        },
+        units: args.units,
         tolerance_um: require_positive("--tolerance-um", args.tolerance_um)?,
         unit_um: require_positive("--unit-um", args.unit_um)?,
         fanuc: if args.series == "0" { Series::Zero } else { Series::I },

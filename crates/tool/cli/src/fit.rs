@@ -22,14 +22,14 @@ use trueup_machine::{
     BadInput, Location, Machine, MachineFile, RunFile,
     applied_offsets::{UncompensatedRun, require_unit_factor},
     compile::check_slopes,
-    file::{ElongationSource, LinearAxis, Quantity, ThermalMode},
+    file::{LinearAxis, Quantity},
 };
 
 pub use args::Fit;
 
 use self::args::{
-    Backlash, CommonArgs, Elongation, ElongationSourceArg, FitInputArgs, FitKind, Method, Pitch,
-    PositionArgs, StraightnessArgs, TableMode, Thermal, ThermalModeArg, Warmup,
+    Backlash, CommonArgs, Elongation, FitInputArgs, FitKind, Pitch, PositionArgs, StraightnessArgs,
+    Thermal, Warmup,
 };
 use crate::{Outcome, UserError, commands, files, origin, output, runs};
 
@@ -63,12 +63,10 @@ pub fn run(args: &Fit, as_json: bool) -> Result<Outcome> {
         FitKind::Pitch(args) => run_pitch_fit(&input, args)?,
         FitKind::Backlash(args) => run_backlash_fit(&input, args)?,
         FitKind::Elongation(args) => {
-            let source = args.source.map(|by| match by {
-                ElongationSourceArg::Sensor => ElongationSource::Sensor,
-                ElongationSourceArg::Temperature => ElongationSource::Temperature,
-            });
-            let options =
-                elongation::ElongationOptions { source, temperature: args.temperature.clone() };
+            let options = elongation::ElongationOptions {
+                source: args.source,
+                temperature: args.temperature.clone(),
+            };
             elongation::fit_elongation(&input.runs, input.machine(), &options)?
         }
         FitKind::Warmup(_) => warmup::fit(&input.runs, input.machine())?,
@@ -156,13 +154,7 @@ impl FitInput {
 }
 
 fn run_straightness_fit(input: &FitInput, args: &StraightnessArgs) -> Result<Report> {
-    let options = straightness::StraightnessFitOptions {
-        method: match args.method {
-            Method::LeastSquares => straightness::FitMethod::LeastSquares,
-            Method::Paper => straightness::FitMethod::Paper,
-        },
-        ..args.curve.to_options()
-    };
+    let options = straightness::StraightnessFitOptions { method: args.method, ..args.curve.to_options() };
     let run = input.single_run()?;
     let known = |curve: &straightness::StraightnessCurve| {
         input.known_errors_um(
@@ -179,12 +171,7 @@ fn run_straightness_fit(input: &FitInput, args: &StraightnessArgs) -> Result<Rep
 }
 
 fn run_pitch_fit(input: &FitInput, args: &Pitch) -> Result<Report> {
-    let ways = match args.ways {
-        TableMode::Automatic => pitch::TableMode::Automatic,
-        TableMode::One => pitch::TableMode::One,
-        TableMode::Both => pitch::TableMode::Both,
-    };
-    let of = |options| pitch::PitchFitOptions { ways, step_mm: args.step_mm, ..options };
+    let of = |options| pitch::PitchFitOptions { ways: args.ways, step_mm: args.step_mm, ..options };
     let axis = measured_axis(&input.runs, args.positions.error.quantity().as_deref())?;
     if let Some(dual) = input.machine().and_then(|machine| machine.axes[axis.index()].dual.clone())
     {
@@ -266,11 +253,7 @@ fn run_thermal_fit(input: &FitInput, args: &Thermal) -> Result<Report> {
         }
     }
     let options = thermal::ThermalFitOptions {
-        mode: args.mode.map(|mode| match mode {
-            ThermalModeArg::Constant => ThermalMode::Constant,
-            ThermalModeArg::Position => ThermalMode::Position,
-            ThermalModeArg::Both => ThermalMode::Both,
-        }),
+        mode: args.mode,
         temperature: args.temperature.clone(),
         table_rows: args.table.map(usize::from),
         known_um: Some(known_um),

@@ -16,11 +16,12 @@ use trueup_learn::{
     DailyChange, LearnableConstant, LearnerState, LearningResult, Limits, LiveUpdate,
     MachineIdentity, learn, live_update,
 };
-use trueup_machine::{Machine, MachineFile, RunFile, file};
+use trueup_machine::{Machine, MachineFile, RunFile, file::Quantity};
 
 use crate::{
     Outcome, UserError,
-    diagnose::{QuantityArg, parse_positive},
+    choice::by_name,
+    diagnose::parse_positive,
     files,
     output::{self, FileTransaction},
     report,
@@ -56,8 +57,8 @@ pub struct LearnArgs {
     #[arg(long, value_name = "LEARNED.toml")]
     output: PathBuf,
     /// The quantity to learn, where the record measures several.
-    #[arg(long)]
-    quantity: Option<QuantityArg>,
+    #[arg(long, value_parser = by_name(Quantity::ALL, Quantity::name))]
+    quantity: Option<Quantity>,
     /// No constant changes by more than this much of itself, in percent.
     #[arg(long, value_name = "PERCENT", default_value_t = 100.0 * Limits::default().share, value_parser = parse_positive)]
     limit_percent: f64,
@@ -113,20 +114,23 @@ pub fn run(args: &LearnArgs, as_json: bool) -> Result<Outcome> {
         total_um: args.limit_um,
         step_um: args.step_um,
     };
-    let quantity: Option<file::Quantity> = args.quantity.map(QuantityArg::to_machine_quantity);
     let mut outcome = Outcome::Done;
     // All records are learned from, or none: a command that is refused leaves the files as they were.
     let mut all = Vec::new();
     for path in &args.run {
         let run = match args.reading_um {
             Some(um) => {
-                let run =
-                    probe_reading::read_record_with_reading(path, quantity, um, SystemTime::now())?;
+                let run = probe_reading::read_record_with_reading(
+                    path,
+                    args.quantity,
+                    um,
+                    SystemTime::now(),
+                )?;
                 files::validate_run(run, Some(&machine))?
             }
             None => read_run(path, &machine)?,
         };
-        let learned = learn(&source, &args.machine, &run, quantity, memory.take(), &limits)?;
+        let learned = learn(&source, &args.machine, &run, args.quantity, memory.take(), &limits)?;
         memory = Some(learned.memory.clone());
         is_backup_due |= learned.has_restarted;
         let new = files::check_before_write(&learned.machine, &args.output, Some(&machine))?;

@@ -27,7 +27,7 @@ use trueup_learn::{LiveUpdate, live_update};
 use trueup_linuxcnc::{
     RecordFile,
     component::TEMPERATURE_COUNT,
-    configuration::ini_lines::IniLines,
+    configuration::{OffsetEntryPoint, ini_lines::IniLines},
     ini::Ini,
     joint::MAX_JOINTS,
     offsets,
@@ -40,7 +40,7 @@ use trueup_machine::{
 };
 use trueup_output::{escape::escape_line, queue::LineQueue};
 
-use crate::{Outcome, UserError, files};
+use crate::{Outcome, UserError, choice::described, files};
 
 /// Turns of the loop in a servo cycle: a step is seen to be taken soon after it was.
 const POLLS_PER_CYCLE: f64 = 2.5;
@@ -63,8 +63,8 @@ pub struct LinuxCncArgs {
     #[arg(long, value_name = "PORT", required = true)]
     port: Option<String>,
     /// Where offsets enter: as external offsets of the axes, or between the joints and their drives.
-    #[arg(long, value_enum, default_value_t)]
-    by: configure::OffsetEntry,
+    #[arg(long, default_value = "eoffset", value_parser = described(configure::OFFSET_ENTRIES))]
+    by: OffsetEntryPoint,
     /// Takes the limits from this machine file: the same that the bridge was loaded with.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
@@ -200,7 +200,7 @@ pub fn run(args: &LinuxCncArgs, as_json: bool) -> Result<Outcome> {
     let ini = match &args.ini {
         Some(path) => {
             let ini = read_ini(path)?;
-            if args.by == configure::OffsetEntry::Eoffset {
+            if args.by == OffsetEntryPoint::Eoffset {
                 ini.slew_limit_warnings(slew_um_per_s).iter().for_each(|remark| log.write(remark));
             }
             ini
@@ -213,8 +213,8 @@ pub fn run(args: &LinuxCncArgs, as_json: bool) -> Result<Outcome> {
         }
     };
     let joints = match args.by {
-        configure::OffsetEntry::Eoffset => [None; MAX_JOINTS],
-        configure::OffsetEntry::Joint => {
+        OffsetEntryPoint::Eoffset => [None; MAX_JOINTS],
+        OffsetEntryPoint::Joint => {
             for beyond in configure::limit_violations(args.ini.as_deref(), machine.as_ref())? {
                 log.write(&beyond);
             }

@@ -14,6 +14,7 @@
 mod accept;
 mod bridge;
 mod check;
+mod choice;
 mod commands;
 mod commission;
 mod compare;

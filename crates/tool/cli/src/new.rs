@@ -6,7 +6,7 @@ use std::{
 };
 
 use anyhow::Result;
-use clap::{Args, ValueEnum};
+use clap::Args;
 use serde_json::json;
 use trueup_machine::{
     BadInput, MachineFile,
@@ -14,7 +14,11 @@ use trueup_machine::{
     template::{CncControl, SensorDataSheet, Template},
 };
 
-use crate::{Outcome, UserError, files, output, questions, report};
+use crate::{
+    Outcome, UserError,
+    choice::{by_name, named},
+    files, output, questions, report,
+};
 
 /// Writes a machine file to begin with: commented, and it compiles as it is.
 ///
@@ -36,17 +40,17 @@ pub struct NewArgs {
     #[arg(long)]
     name: Option<String>,
     /// Which rotary axes carry the tool (head) and which the workpiece (table), or a lathe.
-    #[arg(long, value_enum)]
-    kind: Option<KindArg>,
+    #[arg(long, value_parser = by_name(KINDS, MachineKind::name))]
+    kind: Option<MachineKind>,
     /// The rotary axes that carry the spindle, from the frame to the tool: c,a.
-    #[arg(long, value_enum, value_delimiter = ',', value_name = "AXES")]
-    head_axes: Option<Vec<RotaryArg>>,
+    #[arg(long, value_delimiter = ',', value_name = "AXES", value_parser = by_name(RotaryAxis::ALL, RotaryAxis::name))]
+    head_axes: Option<Vec<RotaryAxis>>,
     /// An axis and the ends of its travel in mm, once for each: x=0:600. X of a lathe is a radius.
     #[arg(long, value_name = "AXIS=FROM:TO", value_parser = parse_travel, allow_hyphen_values = true)]
     travel: Vec<(LinearAxis, [f64; 2])>,
     /// Where the positions are measured.
-    #[arg(long, value_enum)]
-    feedback: Option<FeedbackArg>,
+    #[arg(long, value_parser = by_name(Feedback::ALL, Feedback::name))]
+    feedback: Option<Feedback>,
     /// The rapid traverse in mm/min.
     #[arg(long, value_name = "MM_PER_MIN", value_parser = questions::parse_positive)]
     rapid: Option<f64>,
@@ -63,56 +67,27 @@ pub struct NewArgs {
     #[arg(long, value_name = "WHERE", value_parser = questions::parse_word)]
     thermometer: Vec<String>,
     /// The control that gets the offsets.
-    #[arg(long, value_enum)]
-    control: Option<ControlArg>,
+    #[arg(long, value_parser = named(CONTROLS))]
+    control: Option<CncControl>,
     /// Ask nothing.
     #[arg(long)]
     yes: bool,
 }
 
-#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum KindArg {
-    #[value(name = "3-axis")]
-    ThreeAxis,
-    HeadHead,
-    HeadTable,
-    TableTable,
-    Lathe,
-}
+const KINDS: [MachineKind; 5] = [
+    MachineKind::ThreeAxis,
+    MachineKind::HeadHead,
+    MachineKind::HeadTable,
+    MachineKind::TableTable,
+    MachineKind::Lathe,
+];
 
-impl KindArg {
-    fn to_kind(self) -> MachineKind {
-        match self {
-            Self::ThreeAxis => MachineKind::ThreeAxis,
-            Self::HeadHead => MachineKind::HeadHead,
-            Self::HeadTable => MachineKind::HeadTable,
-            Self::TableTable => MachineKind::TableTable,
-            Self::Lathe => MachineKind::Lathe,
-        }
-    }
-}
-
-#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum RotaryArg {
-    A,
-    B,
-    C,
-}
-
-#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum FeedbackArg {
-    Screw,
-    Scale,
-}
-
-#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum ControlArg {
-    #[value(name = "linuxcnc")]
-    LinuxCnc,
-    Siemens,
-    Fanuc,
-    Heidenhain,
-}
+const CONTROLS: [(CncControl, &str); 4] = [
+    (CncControl::LinuxCnc, "linuxcnc"),
+    (CncControl::Siemens, "siemens"),
+    (CncControl::Fanuc, "fanuc"),
+    (CncControl::Heidenhain, "heidenhain"),
+];
 
 fn parse_travel(text: &str) -> Result<(LinearAxis, [f64; 2]), String> {
     let (axis, range) = text.split_once('=').ok_or("must be an axis and its ends: x=0:600")?;
@@ -196,7 +171,7 @@ fn answered_questions(args: &NewArgs) -> questions::AnsweredQuestions {
 }
 
 fn template_from_flags(args: &NewArgs) -> Result<Template, UserError> {
-    let kind = args.kind.unwrap_or(KindArg::ThreeAxis).to_kind();
+    let kind = args.kind.unwrap_or(MachineKind::ThreeAxis);
     let mut axes = args.travel.clone();
     axes.sort_by_key(|(axis, _)| *axis);
     if let Some(pair) = axes.windows(2).find(|pair| pair[0].0 == pair[1].0) {
@@ -213,47 +188,18 @@ fn template_from_flags(args: &NewArgs) -> Result<Template, UserError> {
     Ok(Template {
         name: args.name.clone().unwrap_or_else(|| "machine".into()),
         kind,
-        head_axes: head_axes(args.head_axes.as_deref(), kind),
+        head_axes: args.head_axes.clone().unwrap_or_else(|| questions::default_head_axes(kind)),
         axes,
-        feedback: feedback_from_flags(args),
+        feedback: args.feedback.unwrap_or(Feedback::Screw),
         rapid_mm_per_min: args.rapid,
         sensor: args.sensor_um_per_v.map(|um_per_v| sensor_data_sheet(args, um_per_v)),
         thermometers: args.thermometer.clone(),
-        control: control(args),
+        control: args.control.unwrap_or(CncControl::LinuxCnc),
     })
-}
-
-/// Returns the axes of the head, by default those of the usual machine of its kind.
-fn head_axes(names: Option<&[RotaryArg]>, kind: MachineKind) -> Vec<RotaryAxis> {
-    let rotary = |name: &RotaryArg| match name {
-        RotaryArg::A => RotaryAxis::A,
-        RotaryArg::B => RotaryAxis::B,
-        RotaryArg::C => RotaryAxis::C,
-    };
-    match names {
-        Some(names) => names.iter().map(rotary).collect(),
-        None => questions::default_head_axes(kind),
-    }
-}
-
-fn feedback_from_flags(args: &NewArgs) -> Feedback {
-    match args.feedback {
-        Some(FeedbackArg::Scale) => Feedback::Scale,
-        Some(FeedbackArg::Screw) | None => Feedback::Screw,
-    }
 }
 
 fn sensor_data_sheet(args: &NewArgs, um_per_v: f64) -> SensorDataSheet {
     let volts_full_scale = args.sensor_volts.unwrap_or(10.0);
     let zero_v = args.sensor_zero_v.unwrap_or(volts_full_scale / 2.0);
     SensorDataSheet { volts_full_scale, um_per_v, zero_v }
-}
-
-fn control(args: &NewArgs) -> CncControl {
-    match args.control {
-        Some(ControlArg::Siemens) => CncControl::Siemens,
-        Some(ControlArg::Fanuc) => CncControl::Fanuc,
-        Some(ControlArg::Heidenhain) => CncControl::Heidenhain,
-        Some(ControlArg::LinuxCnc) | None => CncControl::LinuxCnc,
-    }
 }

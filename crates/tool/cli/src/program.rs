@@ -16,7 +16,9 @@ use trueup_program::{
 
 pub use self::motion::MotionArgs;
 use crate::{
-    Outcome, UserError, files,
+    Outcome, UserError,
+    choice::{by_name, described},
+    files,
     output::{self, FileTransaction},
     report,
 };
@@ -41,8 +43,8 @@ pub struct ProgramArgs {
     #[arg(long, alias = "output", value_name = "DIR")]
     out: PathBuf,
     /// These axes only; left out, all whose travel is known.
-    #[arg(long, value_name = "x,y,z", value_delimiter = ',')]
-    axis: Vec<AxisArg>,
+    #[arg(long, value_name = "x,y,z", value_delimiter = ',', value_parser = by_name(LinearAxis::ALL, LinearAxis::name))]
+    axis: Vec<LinearAxis>,
     #[command(flatten)]
     motion: MotionArgs,
     #[command(flatten)]
@@ -63,8 +65,8 @@ pub struct ProgramArgs {
     step_mm: Option<f64>,
     /// The measuring instrument. backlash: a dial (the default) needs a stop at each place, a laser none. warmup:
     /// left out, a gauge that does not touch; with a dial the spindle stops for each reading.
-    #[arg(long)]
-    gauge: Option<Instrument>,
+    #[arg(long, value_parser = described(INSTRUMENTS))]
+    gauge: Option<MeasuringInstrument>,
     /// warmup: the speed; left out, rated_rpm of the machine file.
     #[arg(long, value_name = "R/MIN")]
     rpm: Option<f64>,
@@ -137,20 +139,10 @@ impl Controller {
     }
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum Instrument {
-    /// An indicator at one place.
-    Dial,
-    /// A laser interferometer along the whole way.
-    Laser,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum AxisArg {
-    X,
-    Y,
-    Z,
-}
+const INSTRUMENTS: [(MeasuringInstrument, &str, &str); 2] = [
+    (MeasuringInstrument::Dial, "dial", "An indicator at one place"),
+    (MeasuringInstrument::Laser, "laser", "A laser interferometer along the whole way"),
+];
 
 /// Writes the programs of a kind.
 pub fn run(args: &ProgramArgs, as_json: bool) -> Result<Outcome> {
@@ -239,21 +231,13 @@ fn complete_commands(then: &[String], args: &ProgramArgs) -> Vec<String> {
 }
 
 fn plan_options(args: &ProgramArgs, machine: &Machine) -> Result<MeasurementOptions, UserError> {
-    let axis = |axis: &AxisArg| match axis {
-        AxisArg::X => LinearAxis::X,
-        AxisArg::Y => LinearAxis::Y,
-        AxisArg::Z => LinearAxis::Z,
-    };
     let mut options = MeasurementOptions {
-        axes: args.axis.iter().map(axis).collect(),
+        axes: args.axis.clone(),
         feeds_mm_per_min: args.feed.clone(),
         dwell_s: args.dwell_s,
         repeats: args.repeats,
         step_mm: args.step_mm,
-        gauge: args.gauge.map(|gauge| match gauge {
-            Instrument::Dial => MeasuringInstrument::Dial,
-            Instrument::Laser => MeasuringInstrument::Laser,
-        }),
+        gauge: args.gauge,
         spindle_rpm: args.rpm,
         every_s: args.every_s,
         heat_s: args.heat_s,

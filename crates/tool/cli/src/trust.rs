@@ -5,13 +5,9 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::Args;
 use trueup_learn::calibration_monitoring::{CalibrationReport, monitor_calibration};
-use trueup_machine::file;
+use trueup_machine::file::Quantity;
 
-use crate::{
-    Outcome,
-    diagnose::{QuantityArg, parse_positive},
-    files, output,
-};
+use crate::{Outcome, choice::by_name, diagnose::parse_positive, files, output};
 
 /// Watches whether a record still fits the machine file, and says which measurement to take where it does not.
 ///
@@ -32,8 +28,8 @@ pub struct TrustArgs {
     #[arg(long, value_name = "RUN.csv")]
     run: PathBuf,
     /// The quantity to look at, where the records measure several.
-    #[arg(long)]
-    quantity: Option<QuantityArg>,
+    #[arg(long, value_parser = by_name(Quantity::ALL, Quantity::name))]
+    quantity: Option<Quantity>,
     /// This many hours of records pass on average between two false alarms.
     #[arg(long, value_name = "HOURS", default_value_t = 1000.0, value_parser = parse_positive)]
     false_alarm_h: f64,
@@ -44,8 +40,7 @@ pub fn run(args: &TrustArgs, as_json: bool) -> Result<Outcome> {
     let machine = files::read_machine(&args.machine)?;
     let then = files::read_run(&args.calibrated, Some(&machine))?;
     let now = files::read_run(&args.run, Some(&machine))?;
-    let quantity: Option<file::Quantity> = args.quantity.map(QuantityArg::to_machine_quantity);
-    let found = monitor_calibration(&machine, &then, &now, quantity, args.false_alarm_h)?;
+    let found = monitor_calibration(&machine, &then, &now, args.quantity, args.false_alarm_h)?;
     if as_json {
         output::print(serde_json::to_string_pretty(&found)?)?;
     } else {

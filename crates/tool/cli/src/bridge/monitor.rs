@@ -7,7 +7,7 @@ use std::{
 };
 
 use anyhow::Result;
-use clap::{Args, ValueEnum};
+use clap::Args;
 use trueup_machine::file::Quantity;
 use trueup_screen::{
     indicator::{IndicatorConfig, IndicatorUnit},
@@ -15,7 +15,10 @@ use trueup_screen::{
 };
 
 use super::{PortArgs, comparison, text_monitor};
-use crate::Outcome;
+use crate::{
+    Outcome,
+    choice::{by_name, named},
+};
 
 /// Seconds until a picture is drawn, without --count.
 const SNAPSHOT_DELAY_S: u64 = 5;
@@ -36,15 +39,15 @@ pub struct MonitorArgs {
     #[arg(long, requires = "machine", requires = "record")]
     strict: bool,
     /// The quantity that the gauge measures: the growth of the tool, or the error of an axis.
-    #[arg(long, value_name = "QUANTITY", value_enum, default_value_t = GaugeQuantity::Elongation)]
-    gauge: GaugeQuantity,
+    #[arg(long, value_name = "QUANTITY", default_value = "elongation", value_parser = by_name(Quantity::ALL, Quantity::name))]
+    gauge: Quantity,
     /// A gauge that sends its readings: a serial device or tcp:HOST:PORT; Mitutoyo Digimatic
     /// (01A+00012.345) or a value a line.
     #[arg(long, value_name = "PORT", requires = "indicator_unit")]
     indicator: Option<String>,
     /// The unit of its values.
-    #[arg(long, value_name = "UNIT", value_enum)]
-    indicator_unit: Option<IndicatorUnitArg>,
+    #[arg(long, value_name = "UNIT", value_parser = named(INDICATOR_UNITS))]
+    indicator_unit: Option<IndicatorUnit>,
     /// Its speed on a serial line, in Bd.
     #[arg(long, value_name = "BD", default_value_t = 9_600)]
     indicator_baud: u32,
@@ -59,20 +62,11 @@ pub struct MonitorArgs {
     count: Option<u64>,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum GaugeQuantity {
-    Elongation,
-    Dx,
-    Dy,
-    Dz,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum IndicatorUnitArg {
-    Mm,
-    Um,
-    Inch,
-}
+const INDICATOR_UNITS: [(IndicatorUnit, &str); 3] = [
+    (IndicatorUnit::Millimetre, "mm"),
+    (IndicatorUnit::Micrometre, "um"),
+    (IndicatorUnit::Inch, "inch"),
+];
 
 /// Shows the bridge, or prints a line a second.
 pub fn run(args: &MonitorArgs, as_json: bool) -> Result<Outcome> {
@@ -82,23 +76,14 @@ pub fn run(args: &MonitorArgs, as_json: bool) -> Result<Outcome> {
         let record = args.record.as_deref().map(|record| (record, args.machine.as_deref()));
         return text_monitor::run(&args.port.port, args.count, record, args.strict, as_json);
     }
-    let unit = match args.indicator_unit {
-        Some(IndicatorUnitArg::Um) => IndicatorUnit::Micrometre,
-        Some(IndicatorUnitArg::Inch) => IndicatorUnit::Inch,
-        Some(IndicatorUnitArg::Mm) | None => IndicatorUnit::Millimetre,
-    };
+    let unit = args.indicator_unit.unwrap_or(IndicatorUnit::Millimetre);
     let is_sound = live::run(live::ScreenOptions {
         port: args.port.port.clone(),
         tool: comparison::tool_build(),
         machine: args.machine.clone(),
         record: args.record.clone(),
         is_strict: args.strict,
-        quantity: match args.gauge {
-            GaugeQuantity::Elongation => Quantity::Elongation,
-            GaugeQuantity::Dx => Quantity::Dx,
-            GaugeQuantity::Dy => Quantity::Dy,
-            GaugeQuantity::Dz => Quantity::Dz,
-        },
+        quantity: args.gauge,
         indicator: args.indicator.clone().map(|port| IndicatorConfig {
             port,
             baud: args.indicator_baud,

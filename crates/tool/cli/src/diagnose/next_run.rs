@@ -3,7 +3,6 @@
 use std::path::Path;
 
 use anyhow::Result;
-use clap::ValueEnum as _;
 use trueup_diagnose::{Diagnosis, NextRun, NoNextRunReason, ReadingMethod};
 use trueup_machine::{Machine, file::LinearAxis};
 use trueup_output::escape::shell_quote;
@@ -85,9 +84,7 @@ fn diagnose_command(args: &DiagnoseArgs) -> String {
     if *applied_once {
         line += " --applied-once";
     }
-    if let Some(quantity) = quantity.and_then(|quantity| quantity.to_possible_value()) {
-        line += &format!(" --quantity {}", quantity.get_name());
-    }
+    line.extend(quantity.map(|quantity| format!(" --quantity {}", quantity.name())));
     for (flag, um) in [("matters-um", matters_um), ("instrument-um", instrument_um)] {
         line.extend(um.map(|um| format!(" --{flag} {um}")));
     }
@@ -104,7 +101,7 @@ pub fn write_next_run(
     args: &DiagnoseArgs,
     as_json: bool,
 ) -> Result<()> {
-    let (gauge, out) = (args.gauge.reading_method(), &args.out);
+    let (gauge, out) = (args.gauge, &args.out);
     let options = args.motion.to_options()?;
     let next = match diagnosis.next_run(gauge) {
         Ok(next) => {

@@ -2,8 +2,14 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, Subcommand, ValueEnum};
-use trueup_fit::straightness;
+use clap::{Args, Subcommand};
+use trueup_fit::{
+    pitch::TableMode,
+    straightness::{self, FitMethod, ReferenceLine},
+};
+use trueup_machine::file::{ElongationSource, ThermalMode};
+
+use crate::choice::described;
 
 /// Fits a section of the machine file to measured runs, and says how well.
 ///
@@ -100,7 +106,7 @@ pub struct CurveArgs {
     #[arg(long, value_name = "UM")]
     pub tolerance_um: Option<f64>,
     /// The straight line from which the error counts.
-    #[arg(long, default_value = "as-measured")]
+    #[arg(long, default_value = "as-measured", value_parser = described(REFERENCE_LINES))]
     pub reference: ReferenceLine,
 }
 
@@ -108,7 +114,7 @@ impl CurveArgs {
     pub fn to_options(&self) -> straightness::StraightnessFitOptions {
         straightness::StraightnessFitOptions {
             tolerance_um: self.tolerance_um,
-            reference: self.reference.to_reference_line(),
+            reference: self.reference,
             ..straightness::StraightnessFitOptions::default()
         }
     }
@@ -176,8 +182,8 @@ pub struct StraightnessArgs {
     #[command(flatten)]
     pub curve: CurveArgs,
     /// How the curve is found.
-    #[arg(long, default_value = "least-squares")]
-    pub method: Method,
+    #[arg(long, default_value = "least-squares", value_parser = described(FIT_METHODS))]
+    pub method: FitMethod,
 }
 
 /// The table of the paper on straightness for your own runs: what a B-spline, a polynomial of degree 7 and straight lines leave of each
@@ -203,33 +209,16 @@ pub struct Table1 {
     pub output: PathBuf,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-pub enum ReferenceLine {
-    /// None: the readings are errors already.
-    AsMeasured,
-    /// Through the means at both ends.
-    EndPoints,
-    /// The least squares line.
-    LeastSquares,
-}
+const REFERENCE_LINES: [(ReferenceLine, &str, &str); 3] = [
+    (ReferenceLine::AsMeasured, "as-measured", "None: the readings are errors already"),
+    (ReferenceLine::EndPoints, "end-points", "Through the means at both ends"),
+    (ReferenceLine::LeastSquares, "least-squares", "The least squares line"),
+];
 
-impl ReferenceLine {
-    fn to_reference_line(self) -> straightness::ReferenceLine {
-        match self {
-            Self::AsMeasured => straightness::ReferenceLine::AsMeasured,
-            Self::EndPoints => straightness::ReferenceLine::EndPoints,
-            Self::LeastSquares => straightness::ReferenceLine::LeastSquares,
-        }
-    }
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-pub enum Method {
-    /// Knots where they are needed.
-    LeastSquares,
-    /// Points as control points, the worst one joins.
-    Paper,
-}
+const FIT_METHODS: [(FitMethod, &str, &str); 2] = [
+    (FitMethod::LeastSquares, "least-squares", "Knots where they are needed"),
+    (FitMethod::Paper, "paper", "Points as control points, the worst one joins"),
+];
 
 #[derive(Args)]
 #[command(mut_arg("run", |run| run.help("A run file; of a gantry axis one for each drive")))]
@@ -242,19 +231,15 @@ pub struct Pitch {
     #[arg(long, value_name = "MM")]
     pub step_mm: Option<f64>,
     /// One table, or one for each direction.
-    #[arg(long, default_value = "automatic")]
+    #[arg(long, default_value = "automatic", value_parser = described(TABLE_MODES))]
     pub ways: TableMode,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-pub enum TableMode {
-    /// The choice that gains on repeats left out.
-    Automatic,
-    /// One table, and also a backlash if that gains.
-    One,
-    /// One table for each direction.
-    Both,
-}
+const TABLE_MODES: [(TableMode, &str, &str); 3] = [
+    (TableMode::Automatic, "automatic", "The choice that gains on repeats left out"),
+    (TableMode::One, "one", "One table, and also a backlash if that gains"),
+    (TableMode::Both, "both", "One table for each direction"),
+];
 
 #[derive(Args)]
 pub struct Backlash {
@@ -274,20 +259,17 @@ pub struct Elongation {
     #[command(flatten)]
     pub common: CommonArgs,
     /// By which the growth is known; left out, the machine file's source, else the run's columns.
-    #[arg(long)]
-    pub source: Option<ElongationSourceArg>,
+    #[arg(long, value_parser = described(ELONGATION_SOURCES))]
+    pub source: Option<ElongationSource>,
     /// The temperature that explains it.
     #[arg(long, value_name = "temp_<name>_c")]
     pub temperature: Option<String>,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-pub enum ElongationSourceArg {
-    /// The displacement sensor.
-    Sensor,
-    /// A temperature of the run.
-    Temperature,
-}
+const ELONGATION_SOURCES: [(ElongationSource, &str, &str); 2] = [
+    (ElongationSource::Sensor, "sensor", "The displacement sensor"),
+    (ElongationSource::Temperature, "temperature", "A temperature of the run"),
+];
 
 #[derive(Args)]
 #[command(mut_arg("run", |run| run.help("A run file, one for each speed")))]
@@ -304,8 +286,8 @@ pub struct Thermal {
     #[command(flatten)]
     pub error: AxisErrorArgs,
     /// Which terms; left out, the machine file's, else what the run shows.
-    #[arg(long)]
-    pub mode: Option<ThermalModeArg>,
+    #[arg(long, value_parser = described(THERMAL_MODES))]
+    pub mode: Option<ThermalMode>,
     /// The temperature that explains it.
     #[arg(long, value_name = "temp_<name>_c")]
     pub temperature: Option<String>,
@@ -314,12 +296,12 @@ pub struct Thermal {
     pub table: Option<u16>,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-pub enum ThermalModeArg {
-    /// The same at every position.
-    Constant,
-    /// In proportion to the position.
-    Position,
-    /// A part that is the same everywhere, and one in proportion to the position.
-    Both,
-}
+const THERMAL_MODES: [(ThermalMode, &str, &str); 3] = [
+    (ThermalMode::Constant, "constant", "The same at every position"),
+    (ThermalMode::Position, "position", "In proportion to the position"),
+    (
+        ThermalMode::Both,
+        "both",
+        "A part that is the same everywhere, and one in proportion to the position",
+    ),
+];

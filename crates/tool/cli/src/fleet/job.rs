@@ -6,7 +6,6 @@ use std::{
 };
 
 use anyhow::Result;
-use clap::ValueEnum as _;
 use trueup_compare::dated;
 use trueup_diagnose::{
     DiagnosisOptions, NamedCause, NamedCauseFit, diagnose_with_options, fit_named_causes,
@@ -23,7 +22,7 @@ use trueup_fleet::{
 use trueup_machine::{BadInput, Machine, MachineFile, RunFile, file};
 
 use crate::{
-    diagnose::{DiagnosisInput, QuantityArg, RESIDUALS_FILE, diagnosis_files, with_instrument},
+    diagnose::{DiagnosisInput, RESIDUALS_FILE, diagnosis_files, with_instrument},
     files, origin, report,
 };
 
@@ -69,9 +68,7 @@ pub fn read_submission(
         holdout: all(&input.holdout)?,
         machine_file: content(&input.machine, source.into_bytes()),
         request: Request {
-            quantity: input
-                .quantity
-                .map(|quantity| quantity.to_machine_quantity().name().to_string()),
+            quantity: input.quantity.map(|quantity| quantity.name().to_string()),
             matters_um: input.matters_um,
             instrument_um: input.instrument_um,
             applied_once: input.applied_once,
@@ -183,10 +180,7 @@ fn to_named_cause(it: &CauseIdentity) -> NamedCause<'_> {
 
 /// Returns the quantity of this name.
 fn parse_quantity(name: &str) -> Option<file::Quantity> {
-    QuantityArg::value_variants()
-        .iter()
-        .map(|variant| variant.to_machine_quantity())
-        .find(|quantity| quantity.name() == name)
+    file::Quantity::ALL.into_iter().find(|quantity| quantity.name() == name)
 }
 
 /// Returns what a result says of its machine.

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use clap::{Args, Subcommand, ValueEnum};
+use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 use trueup_client::port::Port;
 use trueup_linuxcnc::configuration::{
@@ -28,30 +28,25 @@ use super::{
     hal_pins,
     keep::{self, KeepArgs},
 };
-use crate::{Outcome, UserError, files, output, report};
+use crate::{Outcome, UserError, choice::described, files, output, report};
 
 /// How often positions are sent over a serial line or CAN.
 const POSITION_PERIOD_MS: u64 = 2;
 const UM_PER_MM: f64 = 1e3;
 
 /// Where offsets enter LinuxCNC.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub enum OffsetEntry {
-    /// As external offsets of the axes: the planner gives them a share of speed and acceleration.
-    #[default]
-    Eoffset,
-    /// Between the joints and their drives, by moveoff: programs keep all of their speed.
-    Joint,
-}
-
-impl From<OffsetEntry> for OffsetEntryPoint {
-    fn from(by: OffsetEntry) -> Self {
-        match by {
-            OffsetEntry::Eoffset => Self::Eoffset,
-            OffsetEntry::Joint => Self::Joint,
-        }
-    }
-}
+pub const OFFSET_ENTRIES: [(OffsetEntryPoint, &str, &str); 2] = [
+    (
+        OffsetEntryPoint::Eoffset,
+        "eoffset",
+        "As external offsets of the axes: the planner gives them a share of speed and acceleration",
+    ),
+    (
+        OffsetEntryPoint::Joint,
+        "joint",
+        "Between the joints and their drives, by moveoff: programs keep all of their speed",
+    ),
+];
 
 /// The task on a configuration.
 #[derive(Subcommand)]
@@ -87,8 +82,8 @@ pub struct CheckArgs {
     #[arg(value_name = "INI")]
     ini: PathBuf,
     /// Where offsets enter. Without this as it is set up, else at the joint.
-    #[arg(long, value_enum)]
-    by: Option<OffsetEntry>,
+    #[arg(long, value_parser = described(OFFSET_ENTRIES))]
+    by: Option<OffsetEntryPoint>,
     /// The machine file that the bridge is loaded with: largest offset, slew limit, what it corrects.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
@@ -107,8 +102,8 @@ pub struct SetupArgs {
     #[arg(long, conflicts_with_all = ["by", "machine", "port", "no_board", "position_period_ms"])]
     remove: bool,
     /// Where offsets enter. Without this as it is set up, else at the joint.
-    #[arg(long, value_enum)]
-    by: Option<OffsetEntry>,
+    #[arg(long, value_parser = described(OFFSET_ENTRIES))]
+    by: Option<OffsetEntryPoint>,
     /// The machine file that the bridge is loaded with.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
@@ -148,16 +143,16 @@ impl Configuration {
     }
 
     /// Where offsets enter, if the user does not say.
-    fn offset_entry(&self, by: Option<OffsetEntry>) -> OffsetEntryPoint {
+    fn offset_entry(&self, by: Option<OffsetEntryPoint>) -> OffsetEntryPoint {
         let here = self.installed.as_ref().map(|installed| installed.entry);
         let by_hand = || installed::find_manual_setup(&self.ini, &self.hal).map(|setup| setup.1);
-        by.map(OffsetEntryPoint::from).or(here).or_else(by_hand).unwrap_or(OffsetEntryPoint::Joint)
+        by.or(here).or_else(by_hand).unwrap_or(OffsetEntryPoint::Joint)
     }
 
     /// Returns what is required of the offsets: without a board if the user says so, or if it is set up so.
     fn requirements(
         &self,
-        by: Option<OffsetEntry>,
+        by: Option<OffsetEntryPoint>,
         no_board: bool,
         machine: Option<&(String, Machine)>,
     ) -> Result<OffsetRequirements> {
