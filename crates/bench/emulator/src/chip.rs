@@ -124,6 +124,22 @@ fn run_with_log<S: AsRef<OsStr>>(
     Ok(RunReport { clean: output.status.success(), said, log: Vec::new(), events })
 }
 
+/// Makes the pipe of the model's log in a folder. It is open both ways until the file is dropped, so that no process
+/// waits for ever for the other one to open its end.
+pub(crate) fn create_log_pipe(folder: &Path) -> Result<(PathBuf, File)> {
+    let pipe = folder.join("log");
+    mknodat(CWD, &pipe, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0)
+        .context("cannot make a pipe")?;
+    let held = File::options().read(true).write(true).open(&pipe)?;
+    Ok((pipe, held))
+}
+
+/// Returns the port in the model's first line.
+pub(crate) fn parse_port(line: &str) -> Result<u16> {
+    let port = line.rsplit(':').next().and_then(|port| port.trim().parse().ok());
+    port.with_context(|| format!("the model says no port, but {line:?}"))
+}
+
 /// Runs an image for a user: its log on this program's standard output as it comes, everything else as
 /// the model prints it.
 ///
@@ -131,11 +147,7 @@ fn run_with_log<S: AsRef<OsStr>>(
 /// The model cannot be started.
 pub fn run_interactive<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result<bool> {
     let folder = tempfile::Builder::new().prefix("trueup-").tempdir()?;
-    let pipe = folder.path().join("log");
-    mknodat(CWD, &pipe, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0)
-        .context("cannot make a pipe")?;
-    // Open both ways until the model has opened its end, so that no process waits for ever.
-    let held = File::options().read(true).write(true).open(&pipe)?;
+    let (pipe, held) = create_log_pipe(folder.path())?;
     let mut command = Command::new(model);
     let mut child: Child = command
         .arg(image)
@@ -204,10 +216,7 @@ impl RunningModel {
         }
         // What it prints at its end must find a reader.
         std::thread::spawn(move || std::io::copy(&mut source, &mut std::io::sink()));
-        let first = String::from_utf8_lossy(&first);
-        let port = first.rsplit(':').next().and_then(|port| port.trim().parse().ok());
-        let port = port.with_context(|| format!("the model says no port, but {first:?}"))?;
-        Ok(Self { child, port })
+        Ok(Self { child, port: parse_port(&String::from_utf8_lossy(&first))? })
     }
 }
 

@@ -11,9 +11,11 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, bail, ensure};
-use rustix::fs::{CWD, FileType, Mode, mknodat};
 
-use crate::log::LogDecoder;
+use crate::{
+    chip::{create_log_pipe, parse_port},
+    log::LogDecoder,
+};
 
 /// Lines that silence the model's own CNC: only the client of the serial line speaks for one.
 const DISABLE_CNC_SCRIPT: &str = "0 control 0\n0 spindle 0\n0 positions 0\n";
@@ -38,11 +40,7 @@ impl LockstepChip {
     /// The model cannot be started, or the port is in use.
     pub fn start(model: &Path, image: &Path, port: u16) -> Result<Self> {
         let folder = tempfile::Builder::new().prefix("trueup-").tempdir()?;
-        let pipe = folder.path().join("log");
-        mknodat(CWD, &pipe, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0)
-            .context("cannot make a pipe")?;
-        // Open both ways until the model has opened its end, so that no process waits for ever.
-        let held = File::options().read(true).write(true).open(&pipe)?;
+        let (pipe, held) = create_log_pipe(folder.path())?;
         let mut child = Command::new(model)
             .arg(image)
             .args(["--bor", "--live", "--serial", &port.to_string(), "--rtt"])
@@ -73,8 +71,7 @@ impl LockstepChip {
             _folder: folder,
         };
         let first = board.read_line()?;
-        let port = first.rsplit(':').next().and_then(|port| port.trim().parse().ok());
-        board.port = port.with_context(|| format!("the model says no port, but {first:?}"))?;
+        board.port = parse_port(&first)?;
         board.write_script(DISABLE_CNC_SCRIPT)?;
         // By its first answer it has opened its end of the pipe.
         board.advance(1)?;

@@ -251,11 +251,7 @@ pub fn ensure_linuxcnc_dev() -> Result<()> {
 /// # Errors
 /// It is missing and cannot be installed.
 pub fn ensure_valgrind() -> Result<()> {
-    let _alone = lock_setup()?;
-    if process::find_on_path("valgrind").is_none() {
-        install_packages(&["valgrind"], "valgrind, to count instructions")?;
-    }
-    Ok(())
+    ensure_program("valgrind", "valgrind", "valgrind, to count instructions").map(drop)
 }
 
 /// Returns the path of `ensure_log2asc`, one of the can-utils, for the tests of recordings.
@@ -263,12 +259,7 @@ pub fn ensure_valgrind() -> Result<()> {
 /// # Errors
 /// It is missing and cannot be installed.
 pub fn ensure_log2asc() -> Result<PathBuf> {
-    const PROGRAM: &str = "log2asc";
-    let _alone = lock_setup()?;
-    if process::find_on_path(PROGRAM).is_none() {
-        install_packages(&["can-utils"], "can-utils, to read what the tool has recorded")?;
-    }
-    process::find_on_path(PROGRAM).context("can-utils is installed but log2asc is not on PATH")
+    ensure_program("log2asc", "can-utils", "can-utils, to read what the tool has recorded")
 }
 
 /// Returns the path of `ensure_mbpoll`, a Modbus master, for the tests of the gateway.
@@ -276,12 +267,7 @@ pub fn ensure_log2asc() -> Result<PathBuf> {
 /// # Errors
 /// It is missing and cannot be installed.
 pub fn ensure_mbpoll() -> Result<PathBuf> {
-    const PROGRAM: &str = "mbpoll";
-    let _alone = lock_setup()?;
-    if process::find_on_path(PROGRAM).is_none() {
-        install_packages(&[PROGRAM], "mbpoll, a Modbus master")?;
-    }
-    process::find_on_path(PROGRAM).context("mbpoll is installed but not on PATH")
+    ensure_program("mbpoll", "mbpoll", "mbpoll, a Modbus master")
 }
 
 /// Returns the path of `ensure_mosquitto`, an MQTT broker, for the tests of what is published.
@@ -289,17 +275,7 @@ pub fn ensure_mbpoll() -> Result<PathBuf> {
 /// # Errors
 /// It is missing and cannot be installed.
 pub fn ensure_mosquitto() -> Result<PathBuf> {
-    const PROGRAM: &str = "mosquitto";
-    // Debian has it where only the administrator's PATH leads.
-    let place = || {
-        let other = PathBuf::from("/usr/sbin").join(PROGRAM);
-        process::find_on_path(PROGRAM).or_else(|| other.is_file().then_some(other))
-    };
-    let _alone = lock_setup()?;
-    if place().is_none() {
-        install_packages(&[PROGRAM], "mosquitto, an MQTT broker")?;
-    }
-    place().context("mosquitto is installed but not on PATH")
+    ensure_program("mosquitto", "mosquitto", "mosquitto, an MQTT broker")
 }
 
 /// Makes sure of what the quick tests need: all but LinuxCNC, which is large.
@@ -324,6 +300,20 @@ pub fn install_all_dependencies() -> Result<()> {
     install_quick_test_dependencies()?;
     ensure_linuxcnc()?;
     Ok(())
+}
+
+/// Returns where a program is, which its package brings if it is not there.
+fn ensure_program(name: &str, package: &str, what: &str) -> Result<PathBuf> {
+    let place = || {
+        // Debian has services where only the administrator's PATH leads.
+        let of_service = Path::new("/usr/sbin").join(name);
+        process::find_on_path(name).or_else(|| of_service.is_file().then_some(of_service))
+    };
+    let _alone = lock_setup()?;
+    if place().is_none() {
+        install_packages(&[package], what)?;
+    }
+    place().with_context(|| format!("{package} is installed but {name} is not on PATH"))
 }
 
 fn is_package_installed(package: &str) -> bool {
