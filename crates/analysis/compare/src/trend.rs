@@ -33,7 +33,7 @@ pub struct TrendPoint {
 }
 
 /// A constant over its days.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Trend {
     /// Its key in the machine file.
     pub name: String,
@@ -146,17 +146,7 @@ fn fit_trend(
     let last = found.last().map_or(0, |(day, _)| *day);
     let mut dates: Vec<EpochDay> = found.iter().map(|(day, _)| *day).collect();
     dates.dedup();
-    let mut it = Trend {
-        name: name.into(),
-        points,
-        per_year: None,
-        changes: false,
-        matters: limit,
-        measure_again_by: None,
-        overdue: false,
-        step: None,
-        sentence: String::new(),
-    };
+    let mut it = Trend { name: name.into(), points, matters: limit, ..Trend::default() };
     let mut line = GivensQr::new(2);
     it.points
         .iter()

@@ -9,7 +9,7 @@ use trueup_machine::{Location, file::writer::Edit};
 use trueup_numerics::line::ErrorStatistics;
 
 /// The result of a fit.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Report {
     /// The name of the fit as the command has it: `pitch`.
     pub kind: &'static str,
@@ -49,24 +49,7 @@ impl Report {
     /// Returns an empty report of the fit `kind` on `column`.
     #[must_use]
     pub fn new(kind: &'static str, column: impl Into<String>) -> Self {
-        Self {
-            kind,
-            column: column.into(),
-            parameters: Vec::new(),
-            facts: Vec::new(),
-            table: String::new(),
-            before: None,
-            in_sample: None,
-            left_out: None,
-            left_out_by: String::new(),
-            rows_used: 0,
-            rows_incomplete: 0,
-            set_aside: Vec::new(),
-            warnings: Vec::new(),
-            unmet: Vec::new(),
-            verdict: FitVerdict::Fitted,
-            edit: Edit::default(),
-        }
+        Self { kind, column: column.into(), ..Self::default() }
     }
 
     /// Returns the parameter `name`, if the fit has it.
@@ -216,9 +199,10 @@ impl fmt::Display for ExcludedRow {
 }
 
 /// Whether a fit is fit for use.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub enum FitVerdict {
     /// The constants hold on rows that they have not seen.
+    #[default]
     Fitted,
     /// They do not: a correction would make parts worse. The figures that say so, a sentence each.
     DoNotCompensate(Vec<String>),

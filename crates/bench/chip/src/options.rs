@@ -10,6 +10,7 @@ use trueup_chip::{
 };
 
 /// Options of the command line.
+#[derive(Default)]
 pub struct CommandLineOptions {
     /// The file of the image.
     pub image: String,
@@ -168,34 +169,12 @@ pub fn parse_options() -> CommandLineOptions {
 /// Returns a sound board that runs for two seconds.
 fn default_options() -> CommandLineOptions {
     CommandLineOptions {
-        image: String::new(),
         run: ms_to_ticks(2000),
-        faults: InjectedFaults::default(),
-        ports: [None; 2],
         plc: (19_200.0, Parity::Even, 1),
-        low: Vec::new(),
-        rtt: None,
-        awake: false,
-        quiet: false,
-        from_loader: false,
-        trace: 0,
         lsi: 32_000,
-        battery: false,
         crystal: 8_000_000,
-        slow_flash: false,
         supply: NOMINAL_SUPPLY_V,
-        inputs: [0.0; 16],
-        bor: false,
-        write_protected: false,
-        ram_stuck: 0,
-        broken: 0,
         rtds: 8,
-        masked: false,
-        flash: None,
-        serial_out: None,
-        script: None,
-        live: false,
-        log: None,
         plan: StimulusPlan {
             code: 1000.0,
             code_after: 1200.0,
@@ -206,10 +185,10 @@ fn default_options() -> CommandLineOptions {
             zero_at: NEVER,
             cnc_until: NEVER,
             rpm: 3000,
-            says: Vec::new(),
             positions: 100,
-            frames: Vec::new(),
+            ..StimulusPlan::default()
         },
+        ..CommandLineOptions::default()
     }
 }
 

@@ -8,15 +8,17 @@ use std::{
 };
 
 /// Parity of a character: the bit between its eight bits and its stop.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Parity {
     /// No parity bit.
+    #[default]
     None,
     /// An even number of ones, parity bit included.
     Even,
 }
 
 /// A wire.
+#[derive(Default)]
 pub struct SerialLine {
     /// The host's speed.
     pub baud: f64,
@@ -44,17 +46,7 @@ impl SerialLine {
     /// Returns one that is driven all the time, with ten bits to a character.
     #[must_use]
     pub fn new(baud: f64) -> Self {
-        Self {
-            baud,
-            parity: Parity::None,
-            stop_bits: 1,
-            drive: None,
-            heard: Vec::new(),
-            to_board: VecDeque::new(),
-            port: None,
-            client: None,
-            owed: Vec::new(),
-        }
+        Self { baud, stop_bits: 1, ..Self::default() }
     }
 
     /// Returns how long one of the host's characters takes, in ticks.

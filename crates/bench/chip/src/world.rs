@@ -28,7 +28,7 @@ fn random_fraction(state: &mut u64) -> f64 {
 }
 
 /// The inputs of a run and their times.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct StimulusPlan {
     /// Mean code of the sensor before the step.
     pub code: f64,

@@ -154,7 +154,8 @@ impl FitInput {
 }
 
 fn run_straightness_fit(input: &FitInput, args: &StraightnessArgs) -> Result<Report> {
-    let options = straightness::StraightnessFitOptions { method: args.method, ..args.curve.to_options() };
+    let options =
+        straightness::StraightnessFitOptions { method: args.method, ..args.curve.to_options() };
     let run = input.single_run()?;
     let known = |curve: &straightness::StraightnessCurve| {
         input.known_errors_um(

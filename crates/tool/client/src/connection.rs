@@ -120,7 +120,7 @@ fn run_connection(
                 }
                 let (queue, frames) = mpsc::sync_channel(MAX_QUEUED_FRAMES);
                 let reopen = Arc::new(AtomicBool::new(true));
-                let dating = Arc::new(Mutex::new(LatencyMonitor::new()));
+                let dating = Arc::new(Mutex::new(LatencyMonitor::default()));
                 let (asked, dates) = (reopen.clone(), dating.clone());
                 let writer = thread::spawn(move || write_frames(writer, &frames, &asked, &dates));
                 *lock(slot) = Some(queue);

@@ -51,7 +51,7 @@ const MAX_PAIRS_PER_WINDOW: u32 = 4 * FRAME_RATE_WINDOW.as_millis() as u32 / OFF
 const LATENCY_QUERIES: [(&[u8], u8); 2] = [(b"V\r", b'V'), (b"N\r", b'N')];
 
 /// Times of the questions and answers of one connection.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct LatencyMonitor {
     /// Requests without an answer: when they were sent, and which.
     asked: VecDeque<(Instant, usize)>,
@@ -88,20 +88,6 @@ impl FrameRateMonitor {
 }
 
 impl LatencyMonitor {
-    /// Returns what is known of a connection that has just been made: nothing.
-    pub fn new() -> Self {
-        Self {
-            asked: VecDeque::new(),
-            last_asked: None,
-            last: 0,
-            proven: None,
-            fastest: None,
-            first_byte: None,
-            last_byte: None,
-            pace: FrameRateMonitor::default(),
-        }
-    }
-
     /// Returns the line to be written now, if a question is due.
     pub(crate) fn next_query(&mut self, now: Instant) -> Option<&'static [u8]> {
         let waits =
@@ -217,7 +203,7 @@ mod tests {
             let is_stalled = sent + delay > at(1_000) && sent + delay < start + until;
             if is_stalled { start + until } else { sent + delay }
         };
-        let mut dating = LatencyMonitor::new();
+        let mut dating = LatencyMonitor::default();
         let (mut down, mut up) = (VecDeque::new(), VecDeque::new());
         let (mut used, mut sent) = (Vec::new(), Vec::new());
         let (mut port, mut client) = (Port::new(7), Client::new());
@@ -287,7 +273,7 @@ mod tests {
     fn questions_that_were_lost_in_a_restart_do_not_age_the_answers_after_it() {
         for lost_ms in [30, 90, 300, 3_000, 60_000] {
             let start = Instant::now();
-            let (mut dating, mut client) = (LatencyMonitor::new(), Client::new());
+            let (mut dating, mut client) = (LatencyMonitor::default(), Client::new());
             let mut stale_until = 0;
             for ms in 0..lost_ms + 3_000 {
                 let now = start + ms * MS;
@@ -322,7 +308,7 @@ mod tests {
     #[test]
     fn an_answer_that_is_lost_costs_no_more_than_itself() {
         let start = Instant::now();
-        let mut dating = LatencyMonitor::new();
+        let mut dating = LatencyMonitor::default();
         let answer = |letter: u8| {
             let mut client = Client::new();
             client.receive(letter);

@@ -143,7 +143,7 @@ impl DirectionTracker {
 }
 
 /// The sender of the CNC's frames.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Sender {
     position_period: Duration,
     sends_rotary: bool,
@@ -172,18 +172,10 @@ impl Sender {
         Self {
             position_period,
             sends_rotary,
-            control: SendOnChange::default(),
-            positions: Default::default(),
-            courses: Default::default(),
             reversals: against_um.map(|um| {
                 um.map(|um| to_position(um / 1_000.0).0.saturating_add(REVERSAL_THRESHOLD))
             }),
-            rotary: SendOnChange::default(),
-            spindle: SendOnChange::default(),
-            conditions: SendOnChange::default(),
-            zero_until: None,
-            zero_was: false,
-            learned: None,
+            ..Self::default()
         }
     }
 

@@ -58,7 +58,7 @@ pub enum Step {
 }
 
 /// A reading as the plan takes it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PlannedReading {
     /// The turn of the outermost repeat, from 1.
     pub run: u32,
@@ -83,19 +83,6 @@ pub struct PlannedReading {
 }
 
 impl PlannedReading {
-    const EMPTY: Self = Self {
-        run: 1,
-        position_mm: [None; 3],
-        direction: [0; 3],
-        angle_deg: [None; 3],
-        tool_length_mm: None,
-        point: None,
-        sense: 0,
-        feed_mm_per_min: None,
-        spindle_rpm: 0.0,
-        dwelt_s: 0.0,
-    };
-
     /// Returns the reading that touches have made.
     #[must_use]
     pub(crate) fn from_touches(found: &ProbedPoint) -> Self {
@@ -105,7 +92,7 @@ impl PlannedReading {
             angle_deg: found.angle_deg,
             tool_length_mm: found.tool_length_mm,
             point: found.point,
-            ..Self::EMPTY
+            ..Self::default()
         }
     }
 }
@@ -223,7 +210,7 @@ impl PlanSimulation {
     fn new(approach_mm_per_min: f64) -> Self {
         let (readings, extent_mm) = (Vec::new(), [None; 3]);
         Self {
-            now: PlannedReading::EMPTY,
+            now: PlannedReading { run: 1, ..PlannedReading::default() },
             dwelt_s: 0.0,
             moved_s: 0.0,
             is_in_repeat: false,

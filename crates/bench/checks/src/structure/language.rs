@@ -85,6 +85,7 @@ const NON_VERBS: &[&str] = &[
 ];
 
 /// What was counted.
+#[derive(Default)]
 pub(crate) struct LanguageReport {
     /// All words.
     pub words: usize,
@@ -117,14 +118,8 @@ impl LanguageReport {
 /// A page cannot be read.
 pub(crate) fn count_words(root: &Path, sources: &[SourceFile]) -> Result<LanguageReport> {
     let mut found = LanguageReport {
-        words: 0,
         counts: COUNTED_WORDS.iter().map(|(head, _)| (*head, 0)).chain([("What …", 0)]).collect(),
-        functions: [0; 2],
-        nowhere: Vec::new(),
-        phrases: Vec::new(),
-        missing_files: Vec::new(),
-        cut_tables: Vec::new(),
-        files: Vec::new(),
+        ..LanguageReport::default()
     };
     let mut pages = Vec::new();
     collect_pages(root, &mut pages)?;

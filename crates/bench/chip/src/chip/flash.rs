@@ -24,6 +24,7 @@ pub struct FlashStats {
 }
 
 /// The registers of the flash interface and the operation under way.
+#[derive(Default)]
 pub struct FlashModel {
     /// FLASH_ACR, access control.
     pub acr: u32,
@@ -46,12 +47,6 @@ pub struct FlashModel {
     pub(crate) before: (u32, Vec<u8>),
 }
 
-impl Default for FlashModel {
-    fn default() -> FlashModel {
-        FlashModel::after_reset(FlashStats::default())
-    }
-}
-
 /// (start, length) of a sector.
 pub fn sector_range(n: u32) -> (u32, u32) {
     match n {
@@ -64,18 +59,11 @@ pub fn sector_range(n: u32) -> (u32, u32) {
 impl FlashModel {
     pub(crate) fn after_reset(stats: FlashStats) -> FlashModel {
         FlashModel {
-            acr: 0,
-            sr: 0,
             cr: CR_RESET,
             optcr: OPTCR_RESET,
-            key: 0,
-            optkey: 0,
-            dead: false,
-            busy_until: 0,
             done_at: NEVER,
-            stale: 0,
             stats,
-            before: (0, Vec::new()),
+            ..FlashModel::default()
         }
     }
     pub(crate) fn unlock(&mut self) {

@@ -241,7 +241,7 @@ impl Chip {
             tclk2: 0,
             pwr_cr: 0,
             backup: BackupRegisters::default(),
-            flash: FlashModel::default(),
+            flash: FlashModel::after_reset(flash::FlashStats::default()),
             crc: Crc::default(),
             gpio: Default::default(),
             tims: Vec::new(),
