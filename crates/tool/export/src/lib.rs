@@ -35,8 +35,9 @@ mod number_format;
 pub mod report;
 pub mod siemens;
 
-use std::{borrow::Cow, collections::BTreeMap, error::Error, fmt};
+use std::{borrow::Cow, collections::BTreeMap};
 
+use thiserror::Error;
 use trueup_machine::{Machine, model::apply_constant_terms};
 
 pub use report::{Approach, Difference, ExportReport, ExportedTable, OmittedSection};
@@ -162,34 +163,33 @@ pub struct Export {
     pub report: ExportReport,
 }
 
-/// Nothing of the model can be held by the control.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ExportError {
-    /// The control that cannot hold it.
-    pub format: Format,
-    /// The sections of the model, each with the reason; empty where the model has none.
-    pub left_out: Vec<OmittedSection>,
+/// An export without a file.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum ExportError {
+    /// The model has no errors.
+    #[error("the model has no errors, so there is nothing to export to {}", .0.name())]
+    NoErrors(Format),
+    /// Nothing of the model can be held by the control.
+    #[error("nothing of the model can be held by {}{}", .format.name(), format_reasons(.left_out))]
+    NothingFits {
+        /// The control that cannot hold it.
+        format: Format,
+        /// The sections of the model, each with the reason; at least one.
+        left_out: Vec<OmittedSection>,
+    },
 }
 
-impl fmt::Display for ExportError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let name = self.format.name();
-        if self.left_out.is_empty() {
-            return write!(f, "the model has no errors, so there is nothing to export to {name}");
-        }
-        write!(f, "nothing of the model can be held by {name}")?;
-        self.left_out
-            .iter()
-            .try_for_each(|OmittedSection { section, reason }| write!(f, "; {section}: {reason}"))
-    }
+fn format_reasons(left_out: &[OmittedSection]) -> String {
+    left_out
+        .iter()
+        .map(|OmittedSection { section, reason }| format!("; {section}: {reason}"))
+        .collect()
 }
-
-impl Error for ExportError {}
 
 /// Exports `machine` to `format`, and reads it back.
 ///
 /// # Errors
-/// Nothing of the model can be held.
+/// The model has no errors, or nothing of it can be held.
 pub fn export(
     machine: &Machine,
     format: Format,
@@ -217,8 +217,11 @@ pub fn export(
         Format::LinuxCnc => linuxcnc::export(machine, options, &mut export),
         Format::Isg => isg::export(machine, options, &mut export),
     }
-    if export.files.is_empty() {
-        return Err(ExportError { format, left_out: export.report.left_out });
+    if !export.files.is_empty() {
+        return Ok(export);
     }
-    Ok(export)
+    Err(match export.report.left_out {
+        left_out if left_out.is_empty() => ExportError::NoErrors(format),
+        left_out => ExportError::NothingFits { format, left_out },
+    })
 }

@@ -7,7 +7,7 @@
 
 use std::path::Path;
 
-use trueup_export::{Approach, Export, ExportOptions, Format, LengthUnit, export};
+use trueup_export::{Approach, Export, ExportError, ExportOptions, Format, LengthUnit, export};
 use trueup_machine::{Machine, MachineFile};
 
 const MACHINE: &str = r#"
@@ -222,14 +222,32 @@ fn a_machine_that_cannot_be_held_is_refused_with_every_reason() {
     for format in [Format::LinuxCnc, Format::Fanuc, Format::Heidenhain] {
         let refused =
             export(&machine, format, &ExportOptions::default()).expect_err("nothing fits");
-        assert_eq!(refused.left_out.len(), 2, "{refused}");
-        assert!(refused.to_string().contains("spindle.temperature: "), "{refused}");
+        let ExportError::NothingFits { left_out, .. } = &refused else { panic!("{refused}") };
+        assert_eq!(left_out.len(), 2, "{refused}");
+        let name = format.name();
+        let text = refused.to_string();
+        assert!(
+            text.starts_with(&format!("nothing of the model can be held by {name}; ")),
+            "{text}"
+        );
+        assert!(text.contains("; spindle.temperature: "), "{text}");
     }
     // With the travel, the angle can be held where there are cross tables.
     let mut options = ExportOptions::default();
     options.travel_mm[1] = Some((0.0, 1000.0));
     let export = export(&machine, Format::Siemens840d, &options).expect("the angle fits");
     assert_lines(file(&export, "NC_CEC.INI"), &["$AN_CEC[0,0]=0", "$AN_CEC[0,1]=0.01"]);
+}
+
+#[test]
+fn a_machine_without_errors_has_nothing_to_export() {
+    let source = "[machine]\nname = \"new\"\nkind = \"3-axis\"\n";
+    let machine = MachineFile::parse(source, Path::new("new.toml")).expect("it is correct");
+    let refused =
+        export(&machine, Format::LinuxCnc, &ExportOptions::default()).expect_err("no errors");
+    assert_eq!(refused, ExportError::NoErrors(Format::LinuxCnc));
+    let text = "the model has no errors, so there is nothing to export to linuxcnc";
+    assert_eq!(refused.to_string(), text);
 }
 
 #[test]
