@@ -5,6 +5,7 @@ mod backlash_by_feed;
 mod circle;
 mod circle_drawn;
 mod elongation;
+mod fitted_blobs;
 mod pitch;
 mod pitch_real;
 mod pitch_rules;
