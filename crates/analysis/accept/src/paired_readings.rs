@@ -8,7 +8,8 @@ use trueup_compare::compare::common_quantity;
 use trueup_machine::{
     BadInput, Location, Machine, RunFile,
     applied_offsets::{OffsetApplication, PairedRuns, UncompensatedRun, predict_um},
-    file::{Quantity, TOOL_COLUMN},
+    file::Quantity,
+    tool::TOOL_COLUMN,
 };
 use trueup_numerics::{
     repeats::{self, cycle_numbers, find_gross_errors, group_positions},

@@ -25,10 +25,12 @@ use std::{borrow::Cow, ops::Deref};
 
 use crate::{
     compile::compile,
-    file::{LinearAxis, Machine, Quantity, RotaryAxis},
+    effect::Quantity,
+    file::Machine,
     location::BadInput,
     model::tool_direction,
     run_file::RunFile,
+    sections::{LinearAxis, RotaryAxis},
 };
 
 pub use factor::{

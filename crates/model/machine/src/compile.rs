@@ -31,9 +31,10 @@ use trueup_store::calibration::{MAX_BLOB_SIZE, TooLarge, calibration_crc, decode
 
 use crate::{
     envelope,
-    file::{self, LinearAxis, Machine, Straightness},
+    file::{self, Machine},
     location::{BadInput, Locations},
     model,
+    sections::{LinearAxis, Straightness},
 };
 use curve::{OwnedCurve, compile_curve};
 use inputs::compile_thermometers;

@@ -15,11 +15,9 @@ use trueup_core::{calibration::Calibration, units::AdcCode};
 
 use crate::{
     compile::{DEFAULT_MACHINE_NAME, ZERO_SLOPE_UM_PER_COUNT, compile, decompile},
-    file::{
-        Machine, MachineFile, Term,
-        writer::{Edit, NewSection},
-    },
+    file::{Machine, MachineFile, Term, writer::Edit},
     inputs::ADC_REFERENCE_VOLTS,
+    keys::section::NewSection,
 };
 use difference::difference_nm;
 

@@ -15,11 +15,11 @@
 use std::{borrow::Cow, collections::BTreeMap};
 
 use crate::{
-    check::error_bounds::axis_range_mm,
     effect::{BoardTerm, Effect, Input, SlowMode},
-    file::{LinearAxis, Machine},
+    file::Machine,
     location::BadInput,
     model::{ReferenceModel, RowInputs, tool_growth_term},
+    sections::LinearAxis,
 };
 
 /// The temperature that a machine is right at, and how far it may be from it in a workshop, in °C: ISO 1, and
@@ -75,7 +75,7 @@ impl InputRanges {
             load_n: [0.0; 2],
             sensor_counts: [sensor.map_or(0.0, |sensor| sensor.zero_counts); 2],
             position_mm: LinearAxis::ALL
-                .map(|axis| axis_range_mm(machine, axis).unwrap_or([0.0; 2])),
+                .map(|axis| machine.axis_range_mm(axis).unwrap_or([0.0; 2])),
         }
     }
 }

@@ -1,57 +1,47 @@
 //! The machine file: what the user believes about the machine, in TOML.
 //!
-//! Each section has one page: its type, how it is read and how it is written. Reading
-//! is strict: a misspelt key must not become a silent default, because the machine would then cut
+//! The whole file: `[machine]`, `[[term]]`, what holds between sections, and edits of the user's file. Every other section
+//! has its page in `sections`, a cause its page in [`effect`](crate::effect). Reading is strict: a misspelt key must not become a silent default, because the machine would then cut
 //! with it. A key that the format knows but this version does not run is refused by name, never skipped.
 
-pub(crate) mod axis;
-mod chain;
-pub(crate) mod inputs;
-mod instrument;
-pub(crate) mod key;
-mod limits;
 mod machine;
-pub(crate) mod reader;
 pub mod schema;
-pub(crate) mod spindle;
-pub(crate) mod straightness;
-pub(crate) mod table;
 mod term;
-mod thermal_state;
-pub(crate) mod tools;
 mod validation;
-mod volume;
 pub mod writer;
 
 use std::path::Path;
 
-pub use crate::tool::TOOL_COLUMN;
-pub use axis::{
-    AxisModel, Backlash, Feedback, LinearAxis, PitchErrorTable, RotaryAxis, SecondDrive,
-    ThermalLaw, ThermalMode, ThermalRow,
+pub use crate::{
+    effect::Quantity,
+    keys::reader::is_temperature_column,
+    sections::{
+        Angle, AngularErrorMotion, AxisModel, Backlash, Chain, ElongationSource, Feedback,
+        LearnedCaps, Limits, LinearAxis, PitchErrorTable, RotaryAxis, RotaryLocationErrors,
+        SecondDrive, SensorModel, Spindle, Squareness, Straightness, TemperatureModel, ThermalLaw,
+        ThermalMode, ThermalRow, Tool, ToolGeometry, Tools, VolumetricModel, Warmup,
+    },
+    spline::{BSpline, SplineError},
 };
-pub use chain::Chain;
-pub use limits::{LearnedCaps, Limits};
 pub use machine::{Machine, MachineKind};
-pub use reader::is_temperature_column;
-pub use spindle::{ElongationSource, SensorModel, Spindle, TemperatureModel, Warmup};
-pub use straightness::{BSpline, SplineError, Squareness, Straightness};
 pub use term::Term;
 pub(crate) use term::sorted_by_stage;
-pub use tools::{Tool, Tools};
-pub use volume::{AngularErrorMotion, RotaryLocationErrors, ToolGeometry, VolumetricModel};
-
-pub use crate::effect::{Angle, Cause, Effect, Quantity, Wave};
 
 use crate::{
     bounded_read,
+    effect::Effect,
+    keys::{
+        reader::{Document, Section},
+        section::NewSection,
+        table::Table,
+    },
     location::{BadInput, strip_byte_order_mark},
+    sections::{
+        axis, inputs, instrument::Instrument, spindle, straightness, thermal_state::ThermalState,
+        volume,
+    },
 };
-use instrument::Instrument;
-use reader::{Document, Section};
-use table::Table;
-use thermal_state::ThermalState;
-use writer::{Edit, NewSection};
+use writer::Edit;
 
 /// The longest machine file that is read, in bytes: forty times what the board could store of it.
 pub const MAX_FILE_BYTES: u64 = 4 << 20;

@@ -21,7 +21,7 @@ use trueup_core::{
     units::{AdcCode, READING_UNITS_PER_CODE, Reading, Temperature},
 };
 
-use crate::file::table::table;
+use crate::keys::table::table;
 
 /// The ADC's reference: its full scale in volts.
 pub const ADC_REFERENCE_VOLTS: f64 = 3.3;

@@ -26,15 +26,16 @@
 mod elongation;
 mod kinematics;
 mod lag;
-pub(crate) mod pitch;
+mod pitch;
 mod reversal;
-pub(crate) mod straightness;
+mod squareness;
 mod term;
 mod thermal;
 mod thermometer_delay;
 mod tool_growth;
 mod volume;
 
+pub use crate::{sections::axis::is_reverse, spline::spline_um};
 pub use elongation::{
     WarmupState, elongation_um, heat_input, sensor_counts_from_elongation,
     temperature_elongation_um, warmup_elongation_um,
@@ -43,9 +44,10 @@ pub use kinematics::{
     compensation_offset_um, elongation_error_um, rotate_about_axis, tool_direction,
 };
 pub use lag::Lag;
-pub use pitch::{backlash_um, dual_pitch_um, is_reverse, pitch_um};
+pub use pitch::{backlash_um, dual_pitch_um, pitch_um};
 pub use reversal::max_over_compensation_um;
-pub use straightness::{spline_um, squareness_um};
+pub use squareness::squareness_um;
+
 pub use term::{
     FallingTimeConstants, apply_constant_terms, shift_series, shift_series_at_rows, time_shift_s,
 };
@@ -59,7 +61,11 @@ use std::borrow::Cow;
 use term::TermLags;
 use thermometer_delay::DelayedParts;
 
-use crate::file::{ElongationSource, LinearAxis, Machine, Quantity, SensorModel, Term};
+use crate::{
+    effect::Quantity,
+    file::{Machine, Term},
+    sections::{ElongationSource, LinearAxis, SensorModel},
+};
 
 /// The inputs of one row of a run, as far as they are known. A missing one is NaN.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -445,7 +451,7 @@ impl Machine {
     }
 
     /// Returns the angles between axes that are not right: what is written as 0 needs no position.
-    fn nonzero_squareness_errors(&self) -> impl Iterator<Item = &crate::file::Squareness> {
+    fn nonzero_squareness_errors(&self) -> impl Iterator<Item = &crate::sections::Squareness> {
         self.squareness.iter().filter(|angle| angle.um_per_m != 0.0)
     }
 

@@ -27,12 +27,14 @@ use std::{
 use trueup_core::dimensions::THERMAL_STEP_MS;
 
 use crate::{
-    file::{ElongationSource, Machine, Quantity},
+    effect::Quantity,
+    file::Machine,
     location::{BadInput, Location},
     model::{
         ReferenceModel, RowInputs, part_temperatures, required_columns, shift_series, time_shift_s,
     },
     run_file::RunFile,
+    sections::ElongationSource,
     unit_conversion::NM_PER_UM,
 };
 use bridge::{BridgeRun, SimulatedBridge};

@@ -10,9 +10,11 @@
 
 use crate::{
     check::Warning,
-    file::{LinearAxis, Machine, is_temperature_column},
+    file::Machine,
+    keys::reader::is_temperature_column,
     location::Location,
     run_file::RunFile,
+    sections::LinearAxis,
     thermometer_faults::{MAX_ROW_GAP_S, ThermometerFault, find_faults},
 };
 

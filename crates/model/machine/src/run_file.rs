@@ -16,7 +16,6 @@ mod column_typos;
 mod faults;
 mod field_positions;
 mod fields;
-mod known_columns;
 mod label;
 mod line;
 mod numeric_row;
@@ -42,8 +41,7 @@ pub(crate) use table::MAX_BYTES;
 pub(crate) use table::MAX_VALUES;
 pub use table::{Column, MAX_COLUMNS};
 
-pub use known_columns::is_known_column;
-pub(crate) use known_columns::{KNOWN_COLUMNS, KnownColumn};
+pub use crate::known_columns::is_known_column;
 
 /// A measured run.
 #[derive(Clone, Debug)]

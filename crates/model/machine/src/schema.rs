@@ -7,11 +7,13 @@ use serde_json::{Map, Value, json};
 
 use crate::{
     effect::Cause,
-    file::{
+    file::schema::MACHINE_FILE_KEYS,
+    keys::{
+        key::{Key, Requirement, ValueType},
         reader::{Document, MAX_ARRAY_LENGTH},
-        schema::{Key, MACHINE_FILE_KEYS, Requirement, TERM, TERM_KEYS, ValueType},
+        term::{TERM, TERM_KEYS},
     },
-    run_file::KNOWN_COLUMNS,
+    known_columns::KNOWN_COLUMNS,
 };
 
 /// Returns the machine file as a JSON schema.
@@ -35,7 +37,7 @@ pub fn machine_file_schema() -> Value {
 /// Returns the columns of a run that are known, each with its unit and meaning.
 #[must_use]
 pub fn run_columns_json() -> Value {
-    let column = |column: &crate::run_file::KnownColumn| json!({"name": column.name, "unit": column.unit, "description": strip_markdown(column.meaning)});
+    let column = |column: &crate::known_columns::KnownColumn| json!({"name": column.name, "unit": column.unit, "description": strip_markdown(column.meaning)});
     KNOWN_COLUMNS.iter().map(column).collect()
 }
 

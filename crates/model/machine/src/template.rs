@@ -7,8 +7,9 @@ use std::fmt::Write as _;
 use trueup_output::escape::shell_quote;
 
 use crate::{
-    file::{Feedback, LinearAxis, MachineKind, RotaryAxis},
+    file::MachineKind,
     inputs::ADC_REFERENCE_VOLTS,
+    sections::{Feedback, LinearAxis, RotaryAxis},
 };
 
 /// The properties of a machine that are known before anything is measured.

@@ -368,7 +368,7 @@ fn every_key_of_every_cause_is_described_and_no_other_is() {
     let described: Vec<&str> = TERM_KEYS.iter().map(|key| key.name).collect();
     assert_eq!(
         used, described,
-        "TERM_KEYS in crates/model/machine/src/file/schema/term.rs, by the alphabet"
+        "TERM_KEYS in crates/model/machine/src/keys/term.rs, by the alphabet"
     );
     assert_eq!(TERM.len(), 6);
 }

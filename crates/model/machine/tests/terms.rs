@@ -17,8 +17,8 @@ use std::path::Path;
 
 use trueup_machine::{
     Machine, MachineFile, RunFile,
-    effect::Outliers,
-    file::{Cause, Effect, Quantity, Term, writer::Edit},
+    effect::{Cause, Effect, Outliers, Quantity},
+    file::{Term, writer::Edit},
     predict::{Prediction, Predictor},
 };
 

@@ -34,8 +34,9 @@ use trueup_link::{
 };
 use trueup_machine::{
     Machine, MachineFile,
-    file::{Quantity, SensorModel, TOOL_COLUMN},
+    file::{Quantity, SensorModel},
     model::sensor_counts_from_elongation,
+    tool::TOOL_COLUMN,
 };
 
 use self::output_file::OutputFile;

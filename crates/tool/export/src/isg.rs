@@ -18,8 +18,7 @@ use std::fmt::Write as _;
 
 use trueup_machine::{
     Machine,
-    effect::Angle,
-    file::{Chain, LinearAxis, RotaryAxis},
+    file::{Angle, Chain, LinearAxis, RotaryAxis},
     model::spline_um,
 };
 

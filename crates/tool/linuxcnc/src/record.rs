@@ -17,8 +17,9 @@ use std::{
 use trueup_client::record::temperature_columns;
 use trueup_machine::{
     Machine,
-    file::{SensorModel, TOOL_COLUMN},
+    file::SensorModel,
     model::{required_columns, sensor_counts_from_elongation},
+    tool::TOOL_COLUMN,
 };
 
 use crate::component::{Inputs, Outputs};

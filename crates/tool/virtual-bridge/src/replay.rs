@@ -15,10 +15,11 @@ use trueup_core::{
     units::{MicroDegrees, Position, Rpm, Temperature},
 };
 use trueup_machine::{
-    file::{ElongationSource, Machine, TOOL_COLUMN},
+    file::{ElongationSource, Machine},
     inputs::{TemperatureInput, TemperatureKind},
     location::BadInput,
     run_file::RunFile,
+    tool::TOOL_COLUMN,
 };
 
 /// How long a row lasts in a run without `time_s`, unless it is said otherwise.

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use trueup_machine::{
     MachineFile, RunFile,
-    effect::{Angle, BoardTerm, Tilt},
-    file::{BSpline, LinearAxis, Quantity},
+    effect::{BoardTerm, Tilt},
+    file::{Angle, BSpline, LinearAxis, Quantity},
 };
 use trueup_numerics::random::Generator;
 

@@ -9,9 +9,9 @@ use std::fmt;
 
 use trueup_machine::{
     Machine,
-    effect::Angle,
     file::{
-        AngularErrorMotion, BSpline, LinearAxis, RotaryAxis, RotaryLocationErrors, Straightness,
+        Angle, AngularErrorMotion, BSpline, LinearAxis, RotaryAxis, RotaryLocationErrors,
+        Straightness,
     },
     model::volumetric_error_um,
 };

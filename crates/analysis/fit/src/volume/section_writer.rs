@@ -6,9 +6,8 @@
 
 use trueup_machine::{
     Machine,
-    effect::Angle,
     file::{
-        BSpline, LinearAxis, PitchErrorTable, RotaryAxis, Squareness,
+        Angle, BSpline, LinearAxis, PitchErrorTable, RotaryAxis, Squareness,
         writer::{Edit, NewSection, round_to_decimals},
     },
     model::{pitch_um, spline_um},

@@ -27,7 +27,7 @@ struct ItemPath {
 }
 
 /// The modules of one crate.
-struct CrateModules<'s> {
+pub(super) struct CrateModules<'s> {
     /// By module path, the root's being empty.
     modules: BTreeMap<Vec<String>, &'s SourceFile>,
     /// The names that a module passes on under its own path: name to path.
@@ -36,13 +36,18 @@ struct CrateModules<'s> {
 
 /// Returns all circles of all crates, in the order of their first files.
 pub(crate) fn find_cycles(sources: &[SourceFile]) -> Vec<DependencyCycle> {
+    crate_modules(sources).values().flat_map(CrateModules::find_cycles).collect()
+}
+
+/// Returns the modules of each crate by its folder; files of tests are excluded.
+pub(super) fn crate_modules(sources: &[SourceFile]) -> BTreeMap<&str, CrateModules<'_>> {
     let mut crates: BTreeMap<&str, BTreeMap<Vec<String>, &SourceFile>> = BTreeMap::new();
     for source in sources.iter().filter(|source| !source.is_test()) {
         if let Some((package, module)) = module_path(&source.path) {
             crates.entry(package).or_default().insert(module, source);
         }
     }
-    crates.into_values().flat_map(|modules| CrateModules::new(modules).find_cycles()).collect()
+    crates.into_iter().map(|(package, modules)| (package, CrateModules::new(modules))).collect()
 }
 
 /// Returns the folder of a file's crate, and its module path there.
@@ -134,7 +139,9 @@ impl<'s> CrateModules<'s> {
     }
 
     /// Returns what each module needs, and on which line it first says so.
-    fn module_dependencies(&self) -> BTreeMap<Vec<String>, BTreeMap<Vec<String>, usize>> {
+    pub(super) fn module_dependencies(
+        &self,
+    ) -> BTreeMap<Vec<String>, BTreeMap<Vec<String>, usize>> {
         let mut needs: BTreeMap<_, BTreeMap<_, _>> = BTreeMap::new();
         for (module, source) in &self.modules {
             for path in parse_paths(&source.code) {
@@ -149,6 +156,11 @@ impl<'s> CrateModules<'s> {
             }
         }
         needs
+    }
+
+    /// Returns the path of a module's file from the project's root.
+    pub(super) fn path(&self, module: &[String]) -> &str {
+        self.modules.get(module).map_or("", |source| &source.path)
     }
 
     fn find_cycles(&self) -> Vec<DependencyCycle> {

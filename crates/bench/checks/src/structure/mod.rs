@@ -1,4 +1,4 @@
-//! The structure of the source, counted: circles of files, files and functions that are too long, dependencies on a
+//! The structure of the source, counted: circles of files and of modules, files and functions that are too long, dependencies on a
 //! higher layer, places that name one cause of error outside its page, public items that nothing needs; and the language
 //! of documents and names.
 //!
@@ -13,6 +13,7 @@ mod ignored_tests;
 mod language;
 mod layers;
 mod long_functions;
+mod module_cycles;
 pub mod names;
 mod public_items;
 mod source;
@@ -151,6 +152,7 @@ pub fn check(root: &Path) -> Result<String> {
             writeln!(report.text, "        {from}:{line} -> {to}")?;
         }
     }
+    write_module_cycles(&mut report, &sources)?;
     report.write_count(
         &format!("files above {MAX_FILE_LINES} lines"),
         long.len(),
@@ -250,6 +252,17 @@ fn write_lines_by_crate(text: &mut String, sources: &[SourceFile]) -> Result<()>
         for ((_, name), lines) in room {
             writeln!(text, "    {lines:6}      {name}")?;
         }
+    }
+    Ok(())
+}
+
+/// Writes which crates have modules in circles, and how many of them have more than they may.
+fn write_module_cycles(report: &mut CountReport, sources: &[SourceFile]) -> Result<()> {
+    let crates = module_cycles::find_module_cycles(sources);
+    let above = crates.iter().filter(|found| found.is_above_limit()).count();
+    report.write_count("crates with more modules in circles than they may have", above, 0)?;
+    for line in crates.iter().flat_map(module_cycles::ModuleCycles::lines) {
+        writeln!(report.text, "    {line}")?;
     }
     Ok(())
 }

@@ -22,9 +22,12 @@ use super::{
 };
 use crate::{
     BadInput, Location,
-    file::{ElongationSource, Machine, Quantity, Warmup, is_temperature_column},
+    effect::Quantity,
+    file::Machine,
+    keys::reader::is_temperature_column,
     predict::{PREDICTION_COLUMNS, Predictor},
     run_file::RunFile,
+    sections::{ElongationSource, Warmup},
 };
 
 /// A smaller offset is none, in µm: half a step of the wire.

@@ -14,7 +14,7 @@ use super::{
     range::{ImplausibleValue, Plausibility},
     warning::Warning,
 };
-use crate::{file::is_temperature_column, run_file::RunFile};
+use crate::{keys::reader::is_temperature_column, run_file::RunFile};
 
 /// Steps that make a record regular: at least as many, of which this share is within a tenth of the median.
 const MIN_REGULAR_STEPS: usize = 50;

@@ -4,9 +4,11 @@ use std::collections::BTreeSet;
 
 use crate::{
     compile::first_free_bit,
-    file::{Machine, is_temperature_column},
+    file::Machine,
     inputs::ConditionInput,
-    run_file::{Column, RunFile, is_known_column},
+    keys::reader::is_temperature_column,
+    known_columns::is_known_column,
+    run_file::{Column, RunFile},
 };
 
 /// More values than that are a quantity, fewer rows of one are chance: as a diagnosis has it (docs/reference.md,

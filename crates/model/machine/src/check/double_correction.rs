@@ -1,8 +1,12 @@
 //! One thing that two entries correct: the offset would be twice as large as the error.
 
-use super::{error_bounds::knot_range_mm, warning::Warning};
-use crate::file::{ElongationSource, LinearAxis, Machine, Term};
-use crate::{effect::BoardTerm, model::spline_um};
+use super::warning::Warning;
+use crate::{
+    effect::BoardTerm,
+    file::{Machine, Term},
+    sections::{ElongationSource, LinearAxis},
+    spline::spline_um,
+};
 
 /// Two numbers for one thing, measured twice, differ by less than this share.
 const MAX_RELATIVE_DIFFERENCE: f64 = 0.2;
@@ -75,11 +79,11 @@ fn duplicate_backlash(machine: &Machine) -> Vec<Warning> {
 fn duplicate_squareness(machine: &Machine) -> Vec<Warning> {
     let lines = machine.squareness.iter();
     let doubled = lines.filter_map(|line| {
-        let same = |curve: &&crate::file::Straightness| {
+        let same = |curve: &&crate::sections::Straightness| {
             curve.error == line.error && curve.along == line.along
         };
         let curve = machine.straightness.iter().find(same)?;
-        let [first, last] = knot_range_mm(&curve.spline)?;
+        let [first, last] = curve.spline.range_mm()?;
         let rise_um = spline_um(&curve.spline, last) - spline_um(&curve.spline, first);
         let line_um = line.um_per_m * (last - first) / 1000.0;
         are_nearly_equal(rise_um, line_um).then(|| {
@@ -108,7 +112,7 @@ fn duplicate_angles(machine: &Machine) -> Vec<Warning> {
         })?;
         let along = tilt.along.unwrap_or(error);
         // A turn moves neither along its own axis nor along its lever.
-        let same = |motion: &&crate::file::AngularErrorMotion| {
+        let same = |motion: &&crate::sections::AngularErrorMotion| {
             motion.along == along
                 && ![error, tilt.lever].iter().any(|axis| axis.index() == motion.about.index())
         };
@@ -136,7 +140,7 @@ fn duplicate_thermal_growth(machine: &Machine) -> Option<Warning> {
     let axis =
         axes.filter(|axis| machine.tool_direction[axis.index()].abs() > 0.5).find(|axis| {
             let thermal = machine.axes[axis.index()].thermal.as_ref();
-            let constant = |law: &crate::file::ThermalLaw| {
+            let constant = |law: &crate::sections::ThermalLaw| {
                 law.mode.has_constant() && law.constant_um_per_c != 0.0
             };
             thermal.is_some_and(|thermal| thermal.sensor == spindle.sensor && constant(thermal))

@@ -1,9 +1,10 @@
 //! How large each correction may become: the largest error that an entry of the file can make.
 
 use crate::{
-    effect::{Angle, BoardTerm, Multiplier, SpeedExponent, relative_heat_input},
-    file::{BSpline, LinearAxis, Machine, PitchErrorTable, Quantity, Term, ThermalLaw},
+    effect::{BoardTerm, Multiplier, Quantity, SpeedExponent, relative_heat_input},
+    file::{Machine, Term},
     model::tool_growth_term,
+    sections::{Angle, LinearAxis, PitchErrorTable, ThermalLaw},
 };
 
 /// By how much a machine's temperature may differ from the one it is right at, in K: half of what lies
@@ -19,41 +20,12 @@ pub struct ErrorBound {
     pub largest_um: Option<f64>,
 }
 
-/// Returns both ends of an axis in mm: its travel, else where its tables and curves reach.
-pub(crate) fn axis_range_mm(machine: &Machine, axis: LinearAxis) -> Option<[f64; 2]> {
-    let model = &machine.axes[axis.index()];
-    if model.travel_mm.is_some() {
-        return model.travel_mm;
-    }
-    let tables = [model.pitch.as_ref(), model.dual.as_ref().map(|dual| &dual.pitch)];
-    let tables = tables.into_iter().flatten().map(table_range_mm);
-    let curves = machine.straightness.iter().filter(|curve| curve.along == axis);
-    let curves = curves.filter_map(|curve| knot_range_mm(&curve.spline));
-    let angles = machine.volume.angular.iter().filter(|angular| angular.along == axis);
-    let angles = angles.filter_map(|angular| match &angular.angle {
-        Angle::Curve(spline) => knot_range_mm(spline),
-        Angle::Line(_) => None,
-    });
-    tables.chain(curves).chain(angles).reduce(|[a, b], [c, d]| [a.min(c), b.max(d)])
-}
-
-/// Where a table begins and ends, in mm.
-pub(super) fn table_range_mm(pitch: &PitchErrorTable) -> [f64; 2] {
-    let steps = pitch.forward_um.len().saturating_sub(1) as f64;
-    [pitch.start_mm, pitch.start_mm + pitch.step_mm * steps]
-}
-
-/// Where a curve begins and ends, in mm.
-pub(super) fn knot_range_mm(spline: &BSpline) -> Option<[f64; 2]> {
-    Some([*spline.knots_mm.first()?, *spline.knots_mm.last()?])
-}
-
 /// Returns what the file can make on an axis by its position and its heat, and by the terms of the elongation; without
 /// the elongation's source.
 pub(super) fn axis_error_bounds(machine: &Machine, axis: LinearAxis) -> Vec<ErrorBound> {
     let model = &machine.axes[axis.index()];
     let key = |name: &str| format!("axis.{}.{name}", axis.name());
-    let own_mm = axis_range_mm(machine, axis);
+    let own_mm = machine.axis_range_mm(axis);
     let mut parts = Vec::new();
     let mut add = |key: String, largest_um: Option<f64>| parts.push(ErrorBound { key, largest_um });
     if let Some(thermal) = &model.thermal {
@@ -70,7 +42,7 @@ pub(super) fn axis_error_bounds(machine: &Machine, axis: LinearAxis) -> Vec<Erro
         add(format!("straightness.{}", curve.name()), Some(max_abs(&curve.spline.control_um)));
     }
     for line in machine.squareness.iter().filter(|line| line.error == axis) {
-        let along_mm = axis_range_mm(machine, line.along);
+        let along_mm = machine.axis_range_mm(line.along);
         add(
             format!("squareness.{}", line.name()),
             along_mm.map(|mm| max_linear_error_um(line.um_per_m, mm)),
@@ -139,12 +111,12 @@ fn max_volumetric_errors(machine: &Machine, axis: LinearAxis) -> Vec<(String, Op
         let angle_urad = match &it.angle {
             Angle::Curve(spline) => Some(max_abs(&spline.control_um)),
             Angle::Line(urad_per_m) => {
-                axis_range_mm(machine, it.along).map(|mm| max_linear_error_um(*urad_per_m, mm))
+                machine.axis_range_mm(it.along).map(|mm| max_linear_error_um(*urad_per_m, mm))
             }
         };
         let point_mm = volume.point_mm[it.along.index()][lever.index()];
         let travel_mm = match chain.lever_axes(it.along).contains(&lever) {
-            true => axis_range_mm(machine, lever),
+            true => machine.axis_range_mm(lever),
             false => Some([0.0; 2]),
         };
         let lever_mm = travel_mm.map(|ends| {
@@ -241,7 +213,7 @@ fn max_term_error_um(machine: &Machine, form: &BoardTerm, own_mm: Option<[f64; 2
         }
         &BoardTerm::OwnPosition(um_per_m) => max_linear_error_um(um_per_m, own_mm?),
         &BoardTerm::Position { axis, um_per_m } => {
-            max_linear_error_um(um_per_m, axis_range_mm(machine, axis)?)
+            max_linear_error_um(um_per_m, machine.axis_range_mm(axis)?)
         }
         &BoardTerm::Reversed { width_um, um_per_m } => match um_per_m {
             0.0 => width_um.abs(),

@@ -1,10 +1,10 @@
 //! Where things are: the tool's direction, and tables and curves next to the travel of their axis.
 
-use super::{
-    error_bounds::{knot_range_mm, table_range_mm},
-    warning::Warning,
+use super::warning::Warning;
+use crate::{
+    file::{Machine, MachineKind},
+    sections::{Angle, LinearAxis},
 };
-use crate::file::{Angle, LinearAxis, Machine, MachineKind};
 
 /// How far a curve may reach beyond the travel, as a share of it: ends are rounded up.
 pub(super) const OVERTRAVEL_SHARE: f64 = 0.01;
@@ -57,7 +57,7 @@ fn table_range_warnings(machine: &Machine) -> Vec<Warning> {
             warnings.extend(outside_travel_warning(
                 machine,
                 &key,
-                table_range_mm(pitch),
+                pitch.range_mm(),
                 travel_mm,
                 pitch.step_mm,
                 axis,
@@ -81,14 +81,7 @@ fn curve_range_warnings(machine: &Machine) -> Vec<Warning> {
             let travel_mm = machine.axes[along.index()].travel_mm?;
             let spare_mm = OVERTRAVEL_SHARE * (travel_mm[1] - travel_mm[0]);
             let key = format!("{name}.knots_mm");
-            outside_travel_warning(
-                machine,
-                &key,
-                knot_range_mm(spline)?,
-                travel_mm,
-                spare_mm,
-                along,
-            )
+            outside_travel_warning(machine, &key, spline.range_mm()?, travel_mm, spare_mm, along)
         })
         .collect()
 }

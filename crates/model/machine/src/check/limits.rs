@@ -4,11 +4,7 @@ use super::{
     error_bounds::{self, ErrorBound, MAX_TEMPERATURE_DEVIATION_K},
     warning::Warning,
 };
-use crate::{
-    envelope,
-    file::{LinearAxis, Machine},
-    location::BadInput,
-};
+use crate::{envelope, file::Machine, location::BadInput, sections::LinearAxis};
 
 /// The fastest change of an offset as a share of the axis's rapid traverse: the default of Siemens' MD32760
 /// (field notes), at which a following error does not show.

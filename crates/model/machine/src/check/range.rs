@@ -16,8 +16,9 @@ mod plausible_ranges;
 use super::warning::Warning;
 use crate::{
     effect::BoardTerm,
-    file::{LinearAxis, Machine, PitchErrorTable},
+    file::Machine,
     location::BadInput,
+    sections::{LinearAxis, PitchErrorTable},
 };
 use plausible_ranges::REVERSED_SIGN_HINT;
 

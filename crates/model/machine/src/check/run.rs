@@ -8,9 +8,11 @@ use super::{
     warning::Warning,
 };
 use crate::{
-    file::{LinearAxis, Machine, Quantity},
+    effect::Quantity,
+    file::Machine,
     predict::Predictor,
     run_file::{Column, RunFile},
+    sections::LinearAxis,
 };
 
 /// Measured and predicted are in units a thousand (or a million) apart where the line through both has a

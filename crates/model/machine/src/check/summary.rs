@@ -9,8 +9,9 @@ use super::{
 };
 use crate::{
     compile::{DECOMPILED_INPUT, compile},
-    file::{LinearAxis, Machine},
+    file::Machine,
     location::BadInput,
+    sections::LinearAxis,
 };
 
 /// The effects of a machine file.

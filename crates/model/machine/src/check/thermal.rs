@@ -1,7 +1,11 @@
 //! The laws of heat: temperatures in °C, and expansions that a material has.
 
 use super::{error_bounds::MAX_TEMPERATURE_DEVIATION_K, warning::Warning};
-use crate::file::{LinearAxis, Machine, ThermalLaw, writer::Value};
+use crate::{
+    file::Machine,
+    keys::section::Value,
+    sections::{LinearAxis, ThermalLaw},
+};
 
 /// 0 °C in kelvin.
 const ZERO_C_IN_K: f64 = 273.15;

@@ -17,7 +17,9 @@ use super::{
     warning::Warning,
 };
 use crate::{
-    file::{Machine, Quantity, is_temperature_column},
+    effect::Quantity,
+    file::Machine,
+    keys::reader::is_temperature_column,
     model::required_columns,
     run_file::{Column, RunFile},
 };

@@ -18,8 +18,9 @@ use super::{
     thermal::{self, LawPieces},
 };
 use crate::{
-    file::{self, Backlash, Feedback, LinearAxis, Machine, SecondDrive},
+    file::{self, Machine},
     location::BadInput,
+    sections::{Backlash, Feedback, LinearAxis, SecondDrive},
     unit_conversion::{
         FINE_UNITS_PER_UM, POSITION_UNITS_PER_MM, round_to_i32, round_to_u32, to_user_value,
     },

@@ -23,7 +23,7 @@ use trueup_core::{
 };
 
 use crate::{
-    file::BSpline,
+    spline::BSpline,
     unit_conversion::{FINE_UNITS_PER_UM, POSITION_UNITS_PER_MM, round_to_i32, to_user_value},
 };
 

@@ -12,11 +12,12 @@ use trueup_core::{
 
 use crate::{
     effect::BoardTerm,
-    file::{Machine, is_temperature_column},
+    file::Machine,
     inputs::{
         ConditionInput, CountScale, Inputs, LinearInput, MAX_CHANNEL, SensorInput,
         TemperatureInput, TemperatureKind,
     },
+    keys::reader::is_temperature_column,
     location::BadInput,
     model::required_columns,
     unit_conversion::{

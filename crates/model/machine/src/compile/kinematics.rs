@@ -5,10 +5,7 @@ use trueup_core::{
     tool_direction::Direction,
 };
 
-use crate::{
-    file::{MachineKind, RotaryAxis},
-    unit_conversion::round_to_i32,
-};
+use crate::{file::MachineKind, sections::RotaryAxis, unit_conversion::round_to_i32};
 
 /// Returns the tool's direction and the axes that turn it, on the board.
 pub(super) fn compile(tool_direction: [f64; 3], head_axes: &[RotaryAxis]) -> Kinematics {

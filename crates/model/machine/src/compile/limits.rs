@@ -7,8 +7,9 @@ use trueup_store::calibration::{
 };
 
 use crate::{
-    file::{self, LinearAxis, Machine},
+    file::{self, Machine},
     location::BadInput,
+    sections::LinearAxis,
     unit_conversion::{NM_PER_UM, round_to_i32, round_to_u32},
 };
 

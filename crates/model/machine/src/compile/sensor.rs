@@ -22,10 +22,11 @@ use trueup_core::{
 
 use super::part_differences::MAX_DIFFERENCE_NM;
 use crate::{
-    file::{Machine, SensorModel},
+    file::Machine,
     inputs::SensorInput,
     location::BadInput,
     model,
+    sections::SensorModel,
     unit_conversion::{NM_PER_UM, round_to_i32},
 };
 

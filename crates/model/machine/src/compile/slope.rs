@@ -15,9 +15,11 @@ use std::f64::consts::TAU;
 
 use super::curve::{spline_pieces, steepest_slope};
 use crate::{
-    effect::{Angle, BoardTerm, Effect, Multiplier},
-    file::{BSpline, Limits, LinearAxis, Machine, PitchErrorTable},
+    effect::{BoardTerm, Effect, Multiplier},
+    file::Machine,
     location::BadInput,
+    sections::{Angle, Limits, LinearAxis, PitchErrorTable},
+    spline::BSpline,
 };
 
 /// The slowest feed at which a correction is followed, in mm/s: 30 mm/min, about the slowest that anything

@@ -14,8 +14,9 @@ use super::{
     warmup as warm_up,
 };
 use crate::{
-    file::{self, Machine, Spindle},
+    file::{self, Machine},
     location::BadInput,
+    sections::Spindle,
 };
 
 /// The compiled models of the spindle.

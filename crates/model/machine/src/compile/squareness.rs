@@ -3,7 +3,7 @@
 use trueup_core::{calibration::STRAIGHTNESS_AXIS_PAIRS, cnc, gradient::Gradient};
 
 use crate::{
-    file::{LinearAxis, Squareness},
+    sections::{LinearAxis, Squareness},
     unit_conversion::{GRADIENT_UNITS_PER_UM_PER_M, NM_PER_UM, round_to_i32, to_user_value},
 };
 

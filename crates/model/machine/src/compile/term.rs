@@ -31,11 +31,13 @@ use super::{
 };
 use crate::{
     effect::{
-        Angle, BoardTerm, PredictionStage, SpeedHeatResponse, TemperatureResponse, Tilt, Wave,
+        BoardTerm, PredictionStage, SpeedHeatResponse, TemperatureResponse, Tilt, Wave,
         relative_heat_input,
     },
-    file::{self, BSpline, Machine, sorted_by_stage},
+    file::{self, Machine, sorted_by_stage},
     location::BadInput,
+    sections::Angle,
+    spline::BSpline,
     unit_conversion::{
         FINE_UNITS_PER_UM, NM_PER_UM, POSITION_UNITS_PER_MM, round_to_i32, round_to_u32,
     },

@@ -10,7 +10,7 @@ use trueup_core::{
 };
 
 use super::{inputs::compile_linear_thermometer, *};
-use crate::{MachineFile, file::SensorModel, inputs::SensorInput, unit_conversion::NM_PER_UM};
+use crate::{MachineFile, inputs::SensorInput, sections::SensorModel, unit_conversion::NM_PER_UM};
 
 /// Returns the paper's machine file with `from` replaced by `to`, behind a divider that takes its 10 V to the
 /// converter's 3.3: a code is 8 counts there, and all numbers are whole.

@@ -9,8 +9,8 @@ use trueup_core::{
 
 use super::{curve::ErrorMessage, inputs::temperature_column, lag::decompile_time_constant_s};
 use crate::{
-    file::{TemperatureModel, ThermalLaw, ThermalMode, ThermalRow},
     model,
+    sections::{TemperatureModel, ThermalLaw, ThermalMode, ThermalRow},
     unit_conversion::{
         FINE_UNITS_PER_UM, GRADIENT_UNITS_PER_UM_PER_M, POSITION_UNITS_PER_MM,
         SLOPE_UNITS_PER_KELVIN, TEMPERATURE_UNITS_PER_KELVIN, round_to_i32, to_user_value,

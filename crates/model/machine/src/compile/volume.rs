@@ -17,12 +17,13 @@ use super::{
     term::{MAX_LEVER_RATIO, REFERENCE_LEVER_M, compile_length},
 };
 use crate::{
-    effect::Angle,
-    file::{
-        AngularErrorMotion, BSpline, Chain, LinearAxis, Machine, RotaryAxis, RotaryLocationErrors,
+    file::Machine,
+    location::BadInput,
+    sections::{
+        Angle, AngularErrorMotion, Chain, LinearAxis, RotaryAxis, RotaryLocationErrors,
         ToolGeometry, VolumetricModel,
     },
-    location::BadInput,
+    spline::BSpline,
     unit_conversion::{
         FINE_UNITS_PER_UM, GRADIENT_UNITS_PER_UM_PER_M, POSITION_UNITS_PER_MM, round_to_i32,
         to_user_value,

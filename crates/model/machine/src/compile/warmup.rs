@@ -12,7 +12,7 @@ use super::{
     lag::{compiles_to, smoothing_factor, time_constant_s},
 };
 use crate::{
-    file::Warmup,
+    sections::Warmup,
     unit_conversion::{
         FINE_UNITS_PER_UM, round_to_i32, round_to_u32, shortest_decimal, to_user_value,
     },

@@ -20,21 +20,23 @@
 
 use super::{
     cause_spec::{
-        Angle, BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec,
-        Input, Law, NonlinearParameter, Parameter, Target, TermContext, TermEntry, Tilt, Value,
+        BoardRepresentation, BoardTerm, Candidate, Explanation, FileRepresentation, FitSpec, Input,
+        Law, NonlinearParameter, Parameter, Target, TermContext, TermEntry, Tilt, Value,
         required_axis, required_number,
     },
     data_view::{DataView, StartValues, peak_to_peak, target_positions, uniform_knots},
 };
-use crate::file::schema::term::{
-    ALONG, CONTROL_URAD, KNOTS_MM, LEVER, ORDER, ORIGIN_MM, URAD_PER_M,
-};
 use crate::{
-    file::axis::LinearAxis,
-    file::reader::Section,
-    file::straightness::{BSpline, SplineKeys, read_spline, spline_entries},
+    keys::{
+        reader::Section,
+        term::{ALONG, CONTROL_URAD, KNOTS_MM, LEVER, ORDER, ORIGIN_MM, URAD_PER_M},
+    },
     location::BadInput,
-    model::straightness::spline_basis_values,
+    sections::{
+        Angle, LinearAxis,
+        straightness::{SplineKeys, read_spline, spline_entries},
+    },
+    spline::{BSpline, spline_basis_values},
 };
 
 /// An angle that depends on the position of an axis, times a lever.

@@ -22,12 +22,14 @@ use super::{
     data_view::{DataView, StartValues, TIME_CONSTANT_COUNT},
     heat,
 };
-use crate::file::schema::term::{COLUMN, ORIGIN_MM, REFERENCE_C, TIME_CONSTANT_S, UM_PER_M_PER_C};
-use crate::file::table::{Table, entries, table};
 use crate::{
-    file::axis::{ThermalLaw, ThermalMode},
-    file::reader::Section,
+    keys::{
+        reader::Section,
+        table::{Table, entries, table},
+        term::{COLUMN, ORIGIN_MM, REFERENCE_C, TIME_CONSTANT_S, UM_PER_M_PER_C},
+    },
     location::BadInput,
+    sections::{ThermalLaw, ThermalMode},
 };
 
 table! {

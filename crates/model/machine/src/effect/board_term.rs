@@ -3,11 +3,13 @@
 
 use trueup_core::term::SpeedExponent;
 
-use crate::file::{
-    axis::{LinearAxis, PitchErrorTable, ThermalLaw},
-    schema::term::{COLUMN, REFERENCE_C, TIME_CONSTANT_S, UM_PER_C},
-    straightness::BSpline,
-    table::table,
+use crate::{
+    keys::{
+        table::table,
+        term::{COLUMN, REFERENCE_C, TIME_CONSTANT_S, UM_PER_C},
+    },
+    sections::{Angle, LinearAxis, PitchErrorTable, ThermalLaw},
+    spline::BSpline,
 };
 
 /// The board's forms in the user's units: what a term is compiled to.
@@ -110,15 +112,6 @@ pub struct Tilt {
     pub origin_mm: f64,
     /// θ.
     pub angle: Angle,
-}
-
-/// An angle over the position of an axis, in µrad.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Angle {
-    /// c·P/1000, c in µrad/m.
-    Line(f64),
-    /// A spline, its control points in µrad: µm at a lever of a metre.
-    Curve(BSpline),
 }
 
 table! {

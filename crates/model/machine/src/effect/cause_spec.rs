@@ -23,23 +23,18 @@ use trueup_core::term::SpeedExponent;
 
 use super::data_view::{DataView, StartValues};
 use crate::{
-    file::reader::Section,
-    file::{
-        axis::{LinearAxis, PitchErrorTable, ThermalLaw},
-        key::Key,
-        spindle::Spindle,
-        table::read_or_default,
-    },
+    keys::{key::Key, reader::Section, table::read_or_default},
     location::BadInput,
+    sections::{LinearAxis, PitchErrorTable, Spindle, ThermalLaw},
 };
 
 pub use super::board_term::{
-    Angle, BoardTerm, DelayKind, Multiplier, SpeedHeatResponse, TemperatureResponse,
-    ThermometerDelay, Tilt,
+    BoardTerm, DelayKind, Multiplier, SpeedHeatResponse, TemperatureResponse, ThermometerDelay,
+    Tilt,
 };
 pub use super::nonlinear::NonlinearParameter;
 pub use super::quantity::Quantity;
-pub use crate::file::writer::section::Value;
+pub use crate::keys::section::Value;
 
 /// A column that a law reads, one number a row. A missing one is NaN, and so is what follows.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -184,9 +179,7 @@ impl TermContext<'_> {
     /// Returns whether the quantity follows a thermometer of its own.
     pub(crate) fn has_thermometer(&self) -> bool {
         match self.quantity.axis() {
-            None => {
-                self.spindle.source == Some(crate::file::spindle::ElongationSource::Temperature)
-            }
+            None => self.spindle.source == Some(crate::sections::ElongationSource::Temperature),
             Some(_) => self.thermal.is_some(),
         }
     }

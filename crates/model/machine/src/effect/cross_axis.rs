@@ -11,9 +11,15 @@ use super::{
     },
     data_view::{DataView, StartValues},
 };
-use crate::file::schema::term::{AXIS, UM_PER_M};
-use crate::file::table::{Table, entries, table};
-use crate::{file::axis::LinearAxis, file::reader::Section, location::BadInput};
+use crate::{
+    keys::{
+        reader::Section,
+        table::{Table, entries, table},
+        term::{AXIS, UM_PER_M},
+    },
+    location::BadInput,
+    sections::LinearAxis,
+};
 
 table! {
     /// A slope along another axis.

@@ -4,10 +4,7 @@
 //! are tried on a grid; the best point is then refined with everything else.
 
 use super::quantity::Quantity;
-use crate::file::{
-    axis::{AxisModel, Feedback, LinearAxis, ThermalLaw},
-    spindle::{ElongationSource, Spindle},
-};
+use crate::sections::{AxisModel, ElongationSource, Feedback, LinearAxis, Spindle, ThermalLaw};
 
 /// Trials of a time constant.
 pub(crate) const TIME_CONSTANT_COUNT: usize = 12;

@@ -21,14 +21,16 @@ use super::{
     },
     data_view::{DataView, StartValues},
 };
-use crate::file::schema::term::{
-    AT, COLUMN, CURVE_UM, FORM, FROM, LAG_S, LEVEL_DEFAULT, LEVELS, MINUS, REFERENCE, TIMES,
-    TIMES_REFERENCE,
-};
 use crate::{
-    file::reader::{Section, is_temperature_column},
-    file::{axis::LinearAxis, tools::Tools},
+    keys::{
+        reader::{Section, is_temperature_column},
+        term::{
+            AT, COLUMN, CURVE_UM, FORM, FROM, LAG_S, LEVEL_DEFAULT, LEVELS, MINUS, REFERENCE,
+            TIMES, TIMES_REFERENCE,
+        },
+    },
     location::BadInput,
+    sections::{LinearAxis, Tools},
     tool::TOOL_COLUMN,
 };
 use column_values::SWITCH_LEVELS;

@@ -14,8 +14,13 @@ use super::{
     },
     data_view::{DataView, StartValues, target_positions},
 };
-use crate::file::schema::term::{REFERENCE_RUN, UM_PER_H, UM_PER_RUN};
-use crate::{file::reader::Section, location::BadInput};
+use crate::{
+    keys::{
+        reader::Section,
+        term::{REFERENCE_RUN, UM_PER_H, UM_PER_RUN},
+    },
+    location::BadInput,
+};
 
 /// A slope of the time, or from run to run.
 #[derive(Clone, Debug, PartialEq)]

@@ -17,15 +17,15 @@ use super::{
     dependence::SPEED_COLUMN,
     heat,
 };
-use crate::file::key::Key;
-use crate::file::schema::term::{
-    COLUMN, INPUT, REFERENCE_C, TIME_CONSTANT_S, UM_PER_C, UM_PER_KRPM, UM_PER_KRPM2,
-};
-use crate::file::table::{Table, entries, read_or_default};
 use crate::{
-    file::axis::LinearAxis,
-    file::{reader::Section, spindle::ElongationSource},
+    keys::{
+        key::Key,
+        reader::Section,
+        table::{Table, entries, read_or_default},
+        term::{COLUMN, INPUT, REFERENCE_C, TIME_CONSTANT_S, UM_PER_C, UM_PER_KRPM, UM_PER_KRPM2},
+    },
     location::BadInput,
+    sections::{ElongationSource, LinearAxis},
 };
 
 /// The powers of the speed: the value of `input`, and the key of c.

@@ -17,8 +17,14 @@ use super::{
     },
     data_view::{DataView, StartValues},
 };
-use crate::file::schema::term::{AT_FEED_MM_PER_MIN, FEEDS_MM_PER_MIN, WIDTH_UM};
-use crate::{file::reader::Section, location::BadInput, model::pitch::is_reverse};
+use crate::{
+    keys::{
+        reader::Section,
+        term::{AT_FEED_MM_PER_MIN, FEEDS_MM_PER_MIN, WIDTH_UM},
+    },
+    location::BadInput,
+    sections::axis::is_reverse,
+};
 
 /// The column of the feed, in mm/min.
 pub(crate) const FEED_COLUMN: &str = "feed_mm_per_min";

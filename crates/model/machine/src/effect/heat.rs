@@ -4,7 +4,7 @@ use super::{
     cause_spec::{Input, TemperatureResponse},
     data_view::DataView,
 };
-use crate::file::spindle::ElongationSource;
+use crate::sections::ElongationSource;
 
 pub(crate) fn temperature_inputs(heat: &TemperatureResponse, lag_s: f64) -> Vec<Input<'_>> {
     vec![Input::Temperature { column: &heat.column, lag_s }]

@@ -61,7 +61,7 @@ use std::ops::{Deref, DerefMut};
 
 pub use board_term::relative_heat_input;
 pub use cause_spec::{
-    Angle, BoardRepresentation, BoardTerm, Candidate, CauseSpec, DelayKind, Explanation, FitSpec,
+    BoardRepresentation, BoardTerm, Candidate, CauseSpec, DelayKind, Explanation, FitSpec,
     HeatPath, Input, Law, ModelConstants, Multiplier, NonlinearParameter, Parameter,
     PredictionStage, SpeedHeatResponse, Target, TemperatureResponse, TermContext, TermEntry,
     ThermometerDelay, Tilt, Value,
@@ -76,7 +76,7 @@ pub use reference_instrument::WaveVariable;
 pub use trueup_core::term::SpeedExponent;
 pub use wave::Wave;
 
-use crate::{file::axis::LinearAxis, file::reader::Section, location::BadInput};
+use crate::{keys::reader::Section, location::BadInput, sections::LinearAxis};
 use cause_spec::FileRepresentation;
 
 macro_rules! causes {

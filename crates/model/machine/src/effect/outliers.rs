@@ -4,9 +4,14 @@ use super::cause_spec::{
     BoardRepresentation, Candidate, Explanation, FileRepresentation, FitSpec, Input, Law,
     Parameter, Target, TermEntry,
 };
-use crate::file::schema::term::FRACTION;
-use crate::file::table::{Table, entries, table};
-use crate::{file::reader::Section, location::BadInput};
+use crate::{
+    keys::{
+        reader::Section,
+        table::{Table, entries, table},
+        term::FRACTION,
+    },
+    location::BadInput,
+};
 
 table! {
     /// Rows that were excluded as outliers.

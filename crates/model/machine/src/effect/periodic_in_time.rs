@@ -18,8 +18,13 @@ use super::{
     data_view::{DataView, SpectrumVariable, StartValues},
     wave::{self, Wave},
 };
-use crate::file::schema::term::{AMPLITUDE_UM, PERIOD_S, PHASE_DEG, START_S};
-use crate::{file::reader::Section, location::BadInput};
+use crate::{
+    keys::{
+        reader::Section,
+        term::{AMPLITUDE_UM, PERIOD_S, PHASE_DEG, START_S},
+    },
+    location::BadInput,
+};
 
 /// Readings in a turn, at least: what alternates from reading to reading is the way in which they are taken.
 pub const MIN_READINGS_PER_PERIOD: f64 = 10.0;

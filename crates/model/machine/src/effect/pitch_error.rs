@@ -12,11 +12,12 @@ use super::{
     data_view::{DataView, StartValues, peak_to_peak, target_positions},
 };
 use crate::{
-    file::axis::{LinearAxis, PitchErrorTable},
-    file::reader::Section,
-    file::table::{Table, entries},
+    keys::{
+        reader::Section,
+        table::{Table, entries},
+    },
     location::BadInput,
-    model::pitch::is_reverse,
+    sections::{LinearAxis, PitchErrorTable, axis::is_reverse},
 };
 
 /// A table.

@@ -14,8 +14,14 @@ use super::{
     data_view::{DataView, SpectrumVariable, StartValues, target_positions},
     wave::{self, Wave},
 };
-use crate::file::schema::term::{AMPLITUDE_UM, HARMONIC, PERIOD_MM, PHASE_DEG};
-use crate::{file::axis::LinearAxis, file::reader::Section, location::BadInput};
+use crate::{
+    keys::{
+        reader::Section,
+        term::{AMPLITUDE_UM, HARMONIC, PERIOD_MM, PHASE_DEG},
+    },
+    location::BadInput,
+    sections::LinearAxis,
+};
 
 /// Waves of one period.
 #[derive(Clone, Debug, PartialEq)]

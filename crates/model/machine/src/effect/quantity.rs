@@ -1,6 +1,6 @@
 //! The quantities that are measured, predicted or corrected.
 
-use crate::file::axis::LinearAxis;
+use crate::sections::LinearAxis;
 
 /// The quantity that a term, a prediction or a measurement is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]

@@ -14,13 +14,13 @@ use super::{
     law::ColumnSource,
     scalar_cause::CentrifugalGrowth,
 };
-use crate::file::schema::term::{LEVELS, WHERE_ABOVE, WHERE_BELOW, WHERE_COLUMN};
 use crate::{
-    file::{
-        axis::LinearAxis,
+    keys::{
         reader::{Section, is_temperature_column},
+        term::{LEVELS, WHERE_ABOVE, WHERE_BELOW, WHERE_COLUMN},
     },
     location::BadInput,
+    sections::LinearAxis,
 };
 
 /// Most values of an input at which a range may begin.

@@ -19,10 +19,13 @@ use super::{
     data_view::{DataView, SpectrumVariable, StartValues},
     wave::{self, Wave},
 };
-use crate::file::schema::term::{
-    AMPLITUDE_UM, DESCRIPTION, HARMONIC, ORIGIN_MM, PERIOD_MM, PHASE_DEG,
+use crate::{
+    keys::{
+        reader::Section,
+        term::{AMPLITUDE_UM, DESCRIPTION, HARMONIC, ORIGIN_MM, PERIOD_MM, PHASE_DEG},
+    },
+    location::BadInput,
 };
-use crate::{file::reader::Section, location::BadInput};
 
 /// The variable of a wave.
 #[derive(Clone, Debug, PartialEq)]

@@ -28,8 +28,9 @@ use super::{
     data_view::{DataView, StartValues},
 };
 use crate::{
-    file::{axis::LinearAxis, key::Key, reader::Section},
+    keys::{key::Key, reader::Section},
     location::BadInput,
+    sections::LinearAxis,
 };
 
 /// The value of the number that changes nothing.
@@ -136,7 +137,7 @@ macro_rules! define_scalar_cause {
         }
 
         impl $crate::effect::scalar_cause::ScalarParameter for $Name {
-            const KEY: $crate::file::key::Key = $crate::file::schema::term::$KEY;
+            const KEY: $crate::keys::key::Key = $crate::keys::term::$KEY;
             const NAMES: &'static [&'static str] = &[Self::KEY.name];
 
             fn number(&self) -> f64 {

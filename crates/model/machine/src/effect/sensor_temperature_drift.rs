@@ -12,9 +12,14 @@ use super::{
     data_view::{DataView, StartValues, peak_to_peak},
     heat,
 };
-use crate::file::schema::term::{COLUMN, REFERENCE_C, TIME_CONSTANT_S, UM_PER_C};
-use crate::file::table::{Table, entries};
-use crate::{file::reader::Section, location::BadInput};
+use crate::{
+    keys::{
+        reader::Section,
+        table::{Table, entries},
+        term::{COLUMN, REFERENCE_C, TIME_CONSTANT_S, UM_PER_C},
+    },
+    location::BadInput,
+};
 
 /// Heat without a lag.
 #[derive(Clone, Debug, PartialEq)]

@@ -14,11 +14,15 @@ use super::{
     data_view::{DataView, StartValues, TIME_CONSTANT_COUNT},
     heat,
 };
-use crate::file::schema::term::{
-    AMPLITUDE_UM, COLUMN, REFERENCE_C, START_S, TIME_CONSTANT_S, UM_PER_C,
+use crate::{
+    keys::{
+        reader::Section,
+        table::{Table, entries, table},
+        term::{AMPLITUDE_UM, COLUMN, REFERENCE_C, START_S, TIME_CONSTANT_S, UM_PER_C},
+    },
+    location::BadInput,
+    sections::LinearAxis,
 };
-use crate::file::table::{Table, entries, table};
-use crate::{file::axis::LinearAxis, file::reader::Section, location::BadInput};
 
 /// A slow part, by the time or by a temperature.
 #[derive(Clone, Debug, PartialEq)]

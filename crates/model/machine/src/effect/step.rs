@@ -11,9 +11,14 @@ use super::{
     },
     data_view::{DataView, StartValues},
 };
-use crate::file::schema::term::{AT_S, SIZE_UM};
-use crate::file::table::{Table, entries, table};
-use crate::{file::reader::Section, location::BadInput};
+use crate::{
+    keys::{
+        reader::Section,
+        table::{Table, entries, table},
+        term::{AT_S, SIZE_UM},
+    },
+    location::BadInput,
+};
 
 table! {
     /// A jump.

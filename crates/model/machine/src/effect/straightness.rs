@@ -11,13 +11,17 @@ use super::{
     },
     data_view::{DataView, StartValues, target_positions, uniform_knots},
 };
-use crate::file::schema::term::{ALONG, CONTROL_UM, KNOTS_MM, ORDER};
 use crate::{
-    file::reader::Section,
-    file::straightness::{SplineKeys, read_spline, spline_entries},
-    file::{axis::LinearAxis, straightness::BSpline},
+    keys::{
+        reader::Section,
+        term::{ALONG, CONTROL_UM, KNOTS_MM, ORDER},
+    },
     location::BadInput,
-    model::straightness::spline_basis_values,
+    sections::{
+        LinearAxis,
+        straightness::{SplineKeys, read_spline, spline_entries},
+    },
+    spline::{BSpline, spline_basis_values},
 };
 
 /// A spline over another axis.

@@ -23,8 +23,13 @@ use super::{
     },
     data_view::{DataView, StartValues},
 };
-use crate::file::schema::term::{FORM, SLOPE_OVER, TIME_CONSTANT_S};
-use crate::{file::reader::Section, location::BadInput};
+use crate::{
+    keys::{
+        reader::Section,
+        term::{FORM, SLOPE_OVER, TIME_CONSTANT_S},
+    },
+    location::BadInput,
+};
 
 /// A thermometer that is late.
 #[derive(Clone, Debug, PartialEq)]

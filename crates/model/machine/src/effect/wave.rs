@@ -1,8 +1,13 @@
 //! Waves of a periodic error: what the causes have in common that have some.
 
 use super::cause_spec::{TermEntry, Value};
-use crate::file::schema::term::{AMPLITUDE_UM, HARMONIC, PHASE_DEG};
-use crate::{file::reader::Section, location::BadInput};
+use crate::{
+    keys::{
+        reader::Section,
+        term::{AMPLITUDE_UM, HARMONIC, PHASE_DEG},
+    },
+    location::BadInput,
+};
 
 /// One wave of a periodic error.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,15 +1,18 @@
 //! `[machine]`: which machine it is, and where its tool points.
 
-use super::{
-    AxisModel, Limits, RotaryAxis, Spindle, Squareness, Straightness, Term, VolumetricModel,
-    chain::Chain,
-    reader::Section,
-    table::{Table, choice, table},
-    writer::section::NewSection,
-};
+use super::Term;
 use crate::{
     inputs::Inputs,
+    keys::{
+        reader::Section,
+        section::NewSection,
+        table::{Table, choice, table},
+    },
     location::{BadInput, Locations, truncate_text},
+    sections::{
+        Angle, AxisModel, Chain, Limits, LinearAxis, PitchErrorTable, RotaryAxis, Spindle,
+        Squareness, Straightness, VolumetricModel,
+    },
 };
 
 /// The user's model of the machine.
@@ -32,7 +35,7 @@ pub struct Machine {
     pub inputs: Option<Inputs>,
     /// How the spindle grows.
     pub spindle: Spindle,
-    /// The models of X, Y and Z, by [`LinearAxis::index`](crate::file::LinearAxis::index).
+    /// The models of X, Y and Z, by [`LinearAxis::index`](crate::sections::LinearAxis::index).
     pub axes: [AxisModel; 3],
     /// The straightness curves; no pair of axes twice.
     pub straightness: Vec<Straightness>,
@@ -253,5 +256,23 @@ impl Machine {
             Some(chain) => chain.rotary_axes(),
             None => self.head_axes.clone(),
         }
+    }
+
+    /// Returns both ends of an axis in mm: its travel, else where its tables and curves reach.
+    pub(crate) fn axis_range_mm(&self, axis: LinearAxis) -> Option<[f64; 2]> {
+        let model = &self.axes[axis.index()];
+        if model.travel_mm.is_some() {
+            return model.travel_mm;
+        }
+        let tables = [model.pitch.as_ref(), model.dual.as_ref().map(|dual| &dual.pitch)];
+        let tables = tables.into_iter().flatten().map(PitchErrorTable::range_mm);
+        let curves = self.straightness.iter().filter(|curve| curve.along == axis);
+        let curves = curves.filter_map(|curve| curve.spline.range_mm());
+        let angles = self.volume.angular.iter().filter(|angular| angular.along == axis);
+        let angles = angles.filter_map(|angular| match &angular.angle {
+            Angle::Curve(spline) => spline.range_mm(),
+            Angle::Line(_) => None,
+        });
+        tables.chain(curves).chain(angles).reduce(|[a, b], [c, d]| [a.min(c), b.max(d)])
     }
 }

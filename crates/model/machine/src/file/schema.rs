@@ -1,24 +1,25 @@
 //! Every key of the machine file: its form, unit, default, meaning and an example, from the sections that declare it.
 //!
-//! The reader holds every file against this table (`structure.rs`), so that a key that does
+//! The reader holds every file against this table (`validation.rs`), so that a key that does
 //! not stand here is refused wherever it is used; the JSON schema and the tables of `docs/reference.md` are
 //! made of it ([`crate::schema`]).
 
-pub(crate) mod term;
-
-use super::{
-    axis, inputs,
-    instrument::Instrument,
-    key::{key, section},
-    limits::Limits,
-    machine, spindle, straightness,
-    table::Table,
-    thermal_state::ThermalState,
-    volume::{self, ToolGeometry},
+use super::machine;
+use crate::{
+    keys::{
+        key::{key, section},
+        table::Table,
+    },
+    sections::{
+        Limits, ToolGeometry, axis, inputs, instrument::Instrument, spindle, straightness,
+        thermal_state::ThermalState, volume,
+    },
 };
 
-pub use super::key::{Key, Requirement, ValueType};
-pub use term::{TERM, TERM_KEYS};
+pub use crate::keys::{
+    key::{Key, Requirement, ValueType},
+    term::{TERM, TERM_KEYS},
+};
 
 /// The file itself.
 pub const MACHINE_FILE_KEYS: &[Key] = &[

@@ -6,10 +6,11 @@
 //! `constant_um` is added by any of them: the reference of a measurement is arbitrary. It is among
 //! what is added, whatever the term is.
 
-use super::{AxisModel, Spindle, reader::Section, writer::section::NewSection};
 use crate::{
     effect::{Cause, Effect, Quantity, RangeLimited, TermContext},
+    keys::{reader::Section, section::NewSection},
     location::{BadInput, did_you_mean, truncate_text},
+    sections::{AxisModel, Spindle},
 };
 
 /// One `[[term]]`.

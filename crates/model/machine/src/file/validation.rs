@@ -3,14 +3,17 @@
 
 use std::{collections::BTreeSet, path::Path};
 
-use super::{
-    inputs::is_condition,
-    key::{Key, Requirement, ValueType},
-    reader::{Document, Section, is_temperature_column},
-    schema::{TERM, TERM_KEYS},
-    term,
+use super::term;
+use crate::{
+    effect::Cause,
+    keys::{
+        key::{Key, Requirement, ValueType},
+        reader::{Document, Section, is_temperature_column},
+        term::{TERM, TERM_KEYS},
+    },
+    location::BadInput,
+    sections::inputs::is_condition,
 };
-use crate::{effect::Cause, location::BadInput};
 
 /// Returns what is wrong with the keys of `section`, in no order.
 pub(super) fn find_key_faults(section: &Section<'_>, keys: &[Key]) -> Vec<BadInput> {

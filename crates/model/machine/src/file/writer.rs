@@ -12,7 +12,6 @@
 //! A user's file that was written into is read by [`MachineFile::parse`] before it is handed out.
 
 mod layout;
-pub(crate) mod section;
 
 use std::path::Path;
 
@@ -21,7 +20,7 @@ use toml_edit::{ArrayOfTables, DocumentMut, Item, Table, TableLike};
 use super::MachineFile;
 use crate::location::{BadInput, Location};
 
-pub use section::{NewSection, Value, round_to_decimals};
+pub use crate::keys::section::{NewSection, Value, round_to_decimals};
 
 /// The changes in a machine file.
 #[derive(Clone, Debug, Default, PartialEq)]

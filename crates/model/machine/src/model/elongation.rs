@@ -30,7 +30,7 @@
 //! By a temperature: s = k·(T − T₀).
 
 use super::lag::RowTimer;
-use crate::file::{SensorModel, TemperatureModel, Warmup};
+use crate::sections::{SensorModel, TemperatureModel, Warmup};
 
 /// Returns the elongation in µm that the sensor's law gives for `sensor_counts`; NaN for a missing count.
 ///

@@ -7,7 +7,7 @@
 //! A growth s is an error of s·V. The CNC adds the offset, the opposite of the error: with the tool
 //! pointing down, growth of +60 µm is an error of −60 µm in Z, and the offset lifts by +60 µm.
 
-use crate::file::RotaryAxis;
+use crate::sections::RotaryAxis;
 
 /// `vector` turned about the axis of `axis` by `angle_deg`, by the right hand.
 ///

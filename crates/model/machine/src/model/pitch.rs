@@ -12,13 +12,7 @@
 //! Backlash is an error of the approach in the negative direction only, which leaves the table
 //! behind: B there, 0 in the positive direction.
 
-use crate::file::axis::{Backlash, PitchErrorTable, SecondDrive};
-
-/// Returns whether an approach is in the negative direction. A direction that is missing (NaN) is positive.
-#[must_use]
-pub fn is_reverse(direction: f64) -> bool {
-    direction < 0.0
-}
+use crate::sections::{Backlash, PitchErrorTable, SecondDrive, axis::is_reverse};
 
 /// Returns the position error in µm at `position_mm`, approached in `direction` (+1 or −1); NaN for a
 /// missing position.
@@ -96,7 +90,7 @@ pub fn backlash_um(backlash: &Backlash, direction: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::file::LinearAxis;
+    use crate::sections::LinearAxis;
 
     fn both_ways() -> PitchErrorTable {
         PitchErrorTable {

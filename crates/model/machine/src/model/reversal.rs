@@ -8,7 +8,7 @@
 use crate::{
     Machine,
     effect::BoardTerm,
-    file::{LinearAxis, PitchErrorTable},
+    sections::{LinearAxis, PitchErrorTable},
 };
 
 /// Travel that a backlash which grows with the position is reckoned for, in m: the wire's.

@@ -11,7 +11,8 @@ use std::borrow::Cow;
 use super::{Lag, RowInputs, tool_growth::tool_growth_term};
 use crate::{
     effect::{Input, ModelConstants, PredictionStage, Quantity, relative_heat_input},
-    file::{LinearAxis, Machine, Term, sorted_by_stage},
+    file::{Machine, Term, sorted_by_stage},
+    sections::LinearAxis,
 };
 
 /// The time constants of lags while what they follow falls; `None`: the same as while it rises.

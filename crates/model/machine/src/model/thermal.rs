@@ -9,7 +9,7 @@
 //! minus commanded): it is positive where the axis has gone too far in the positive direction, and
 //! the offset moves it in the negative one.
 
-use crate::file::{ThermalLaw, ThermalRow};
+use crate::sections::{ThermalLaw, ThermalRow};
 
 /// K₀(T) in µm and tanβ(T) in µm/m, at a temperature that has passed the axis's lag already;
 /// whether they count is the mode's business.
@@ -88,7 +88,7 @@ pub fn thermal_um(axis: &ThermalLaw, temperature_c: f64, position_mm: f64) -> f6
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::file::ThermalMode;
+    use crate::sections::ThermalMode;
 
     /// Returns the paper's axis: 23 °C to 42 °C is 270 µm/m.
     fn paper() -> ThermalLaw {

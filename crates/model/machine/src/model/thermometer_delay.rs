@@ -21,7 +21,8 @@ use std::{borrow::Cow, cmp::Ordering, ops::Range};
 use super::RowInputs;
 use crate::{
     effect::{DelayKind, Quantity, ThermometerDelay},
-    file::{ElongationSource, Machine},
+    file::Machine,
+    sections::ElongationSource,
 };
 
 /// Returns the part's temperature in °C at each time, from that of its thermometer: linear between the rows, the

@@ -2,7 +2,8 @@
 
 use crate::{
     effect::{Dependence, DependenceForm, Effect, Multiplier, Quantity},
-    file::{Term, Tool, Tools},
+    file::Term,
+    sections::{Tool, Tools},
     tool::{TOOL_COLUMN, label_code},
 };
 

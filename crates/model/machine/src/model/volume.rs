@@ -19,13 +19,14 @@
 //! along X, Y and Z of the machine, whatever the angles are. First order: the product of two errors is neglected. Against
 //! homogeneous transforms it is within 0.01 µm (`host-tests/python/volume.py`).
 
-use super::{kinematics::rotate_about_axis, straightness::spline_um};
+use super::kinematics::rotate_about_axis;
 use crate::{
-    effect::Angle,
-    file::{
-        AngularErrorMotion, Chain, LinearAxis, Machine, RotaryAxis, RotaryLocationErrors,
+    file::Machine,
+    sections::{
+        Angle, AngularErrorMotion, Chain, LinearAxis, RotaryAxis, RotaryLocationErrors,
         ToolGeometry,
     },
+    spline::spline_um,
 };
 
 /// Returns the error of the tip of `tool` on X, Y and Z in µm; 0 without angular and location errors. A position, an

@@ -18,9 +18,11 @@ use crate::{
         CompiledCalibration, board_conditions, compile, first_free_bit, term::LOAD_UNITS_PER_NEWTON,
     },
     effect::BoardTerm,
-    file::{ElongationSource, Machine, TOOL_COLUMN, Tools},
+    file::Machine,
     inputs::{ConditionInput, Inputs, MAX_CHANNEL, SensorInput, TemperatureInput, TemperatureKind},
     model::{ErrorValues, RowInputs},
+    sections::{ElongationSource, Tools},
+    tool::TOOL_COLUMN,
     unit_conversion::{NM_PER_UM, POSITION_UNITS_PER_MM},
 };
 

@@ -2,9 +2,12 @@
 
 use crate::{
     effect::Input,
-    file::{LinearAxis, Machine, RotaryAxis, TOOL_COLUMN, is_temperature_column},
+    file::Machine,
+    keys::reader::is_temperature_column,
     model::RowInputs,
     run_file::RunFile,
+    sections::{LinearAxis, RotaryAxis},
+    tool::TOOL_COLUMN,
 };
 
 /// The columns of the run that the model knows.

@@ -4,7 +4,8 @@
 //! Such a column would be kept as a possible explanation, and the user would wait in vain for it to be
 //! used. So it is reported, with the name that was probably meant.
 
-use super::{clock::is_logger_time_column, known_columns::KNOWN_COLUMNS};
+use super::clock::is_logger_time_column;
+use crate::known_columns::KNOWN_COLUMNS;
 
 /// Known columns without their unit, with it, and whether the name alone, without any unit, is reported.
 const KNOWN_COLUMN_STEMS: [(&str, &str, bool); 20] = [

@@ -12,13 +12,16 @@ use super::{
     faults::FaultList,
     field_positions::FieldPositions,
     fields::{BadQuote, Fields, detect_separator, parse_separator_line},
-    known_columns, label,
+    label,
     line::{LineReadError, Lines, RunLine},
     numeric_row,
     table::{Column, ColumnTypo, MAX_COLUMNS, RunTable, SizeLimits},
     time_order::TimeOrder,
 };
-use crate::location::{BadInput, Location, truncate_text};
+use crate::{
+    known_columns,
+    location::{BadInput, Location, truncate_text},
+};
 
 /// A file that is being read.
 pub(super) struct RunReader<'p> {

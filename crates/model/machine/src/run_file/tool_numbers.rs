@@ -1,11 +1,7 @@
 //! The tools of a run with the numbers of a machine file.
 
 use super::RunFile;
-use crate::{
-    file::{Machine, Tools},
-    location::BadInput,
-    tool::TOOL_COLUMN,
-};
+use crate::{file::Machine, location::BadInput, sections::Tools, tool::TOOL_COLUMN};
 
 impl RunFile {
     /// Returns the label that a value of the column `tool` stands for, if it is one.

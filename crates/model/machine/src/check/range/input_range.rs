@@ -81,7 +81,7 @@ fn reference_temperatures(machine: &Machine, column: &str) -> Vec<(String, f64)>
     let mut all: Vec<(String, f64)> = spindle
         .map(|law| ("spindle.temperature.reference_c".to_string(), law.reference_c))
         .collect();
-    for axis in crate::file::LinearAxis::ALL {
+    for axis in crate::sections::LinearAxis::ALL {
         let thermal = machine.axes[axis.index()].thermal.iter();
         for law in thermal.filter(|law| law.sensor == column && law.table.is_none()) {
             all.push((format!("axis.{}.thermal.reference_c", axis.name()), law.reference_c));

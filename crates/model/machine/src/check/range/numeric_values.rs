@@ -1,6 +1,9 @@
 //! Every number of a machine by its key, from the writers of its sections.
 
-use crate::file::{Machine, writer::NewSection, writer::Value};
+use crate::{
+    file::Machine,
+    keys::section::{NewSection, Value},
+};
 
 /// A number of a machine file, or several of one key.
 pub(super) struct NumericEntry {

@@ -3,7 +3,11 @@ use std::path::Path;
 use super::*;
 use crate::{
     MachineFile,
-    file::schema::{Key, MACHINE_FILE_KEYS, TERM, TERM_KEYS, ValueType},
+    file::schema::MACHINE_FILE_KEYS,
+    keys::{
+        key::{Key, ValueType},
+        term::{TERM, TERM_KEYS},
+    },
 };
 
 const HEAD: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";

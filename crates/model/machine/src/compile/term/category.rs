@@ -18,9 +18,11 @@ use crate::{
         lag,
     },
     effect::{BoardTerm, DependenceForm, Effect, Multiplier, Quantity},
-    file::{Machine, TOOL_COLUMN, Term, Tool, Tools},
+    file::{Machine, Term},
     inputs::Inputs,
     location::BadInput,
+    sections::{Tool, Tools},
+    tool::TOOL_COLUMN,
     unit_conversion::{
         FINE_UNITS_PER_UM, NM_PER_UM, POSITION_UNITS_PER_MM, round_to_i32, shortest_decimal,
     },

@@ -18,10 +18,11 @@ use super::{
 use crate::{
     compile::{curve, inputs::temperature_column, lag, pitch, squareness::linear_axis_from_board},
     effect::{
-        self, Angle, BoardTerm, CoolingAsymmetry, Quantity, SpeedHeatResponse, TemperatureResponse,
+        self, BoardTerm, CoolingAsymmetry, Quantity, SpeedHeatResponse, TemperatureResponse,
         relative_heat_input,
     },
     file,
+    sections::Angle,
     unit_conversion::{
         FINE_UNITS_PER_UM, GRADIENT_UNITS_PER_UM_PER_M, POSITION_UNITS_PER_MM,
         TEMPERATURE_UNITS_PER_KELVIN, shortest_decimal, to_user_value,
@@ -50,7 +51,7 @@ fn cooling_asymmetry_terms(calibration: &Calibration<'_>) -> Vec<file::Term> {
             && rising != falling
         {
             let time_constant_s = lag::decompile_time_constant_s(falling);
-            let effect = file::Effect::CoolingAsymmetry(CoolingAsymmetry { time_constant_s });
+            let effect = effect::Effect::CoolingAsymmetry(CoolingAsymmetry { time_constant_s });
             terms.push(file::Term { quantity, constant_um: 0.0, effect });
         }
     }
@@ -150,7 +151,7 @@ fn decompile_term(term: &Term<'_>) -> Option<file::Term> {
         Effect::Wave { turns, phase, amplitude } => decompile_wave(*turns, *phase, *amplitude),
     };
     // Each form has a cause that it is shown as (tested).
-    let effect = file::Effect::from_board(own, &form, &mut constant_um)?;
+    let effect = effect::Effect::from_board(own, &form, &mut constant_um)?;
     Some(file::Term { quantity, constant_um, effect })
 }
 

@@ -6,7 +6,7 @@ use trueup_core::dimensions::MAX_TOOLS;
 use super::{Dependence, DependenceForm, column_values::SWITCH_LEVELS};
 use crate::{
     effect::cause_spec::{BoardTerm, Multiplier, TemperatureResponse},
-    file::reader::is_temperature_column,
+    keys::reader::is_temperature_column,
     tool::TOOL_COLUMN,
 };
 

@@ -1,17 +1,20 @@
 //! The factors that a dependence on a column is multiplied by.
 
-use crate::file::key::Key;
-use crate::file::schema::term::{
-    FACTOR_PER_UNIT, LEVEL_FACTOR, LEVEL_UM, LEVEL_UM_PER_KRPM2, LEVEL_UM_PER_M, LEVEL_UM_PER_UNIT,
-    UM_PER_UNIT, UM_PER_UNIT_PER_KRPM2, UM_PER_UNIT_PER_M, UM_PER_UNIT_PER_UNIT,
-};
 use crate::{
     effect::{
         board_term::Multiplier,
         cause_spec::Input,
         data_view::{DataView, StartValues, peak_to_peak},
     },
-    file::reader::is_temperature_column,
+    keys::{
+        key::Key,
+        reader::is_temperature_column,
+        term::{
+            FACTOR_PER_UNIT, LEVEL_FACTOR, LEVEL_UM, LEVEL_UM_PER_KRPM2, LEVEL_UM_PER_M,
+            LEVEL_UM_PER_UNIT, UM_PER_UNIT, UM_PER_UNIT_PER_KRPM2, UM_PER_UNIT_PER_M,
+            UM_PER_UNIT_PER_UNIT,
+        },
+    },
 };
 
 /// The column of the spindle's speed.

@@ -13,7 +13,7 @@ use crate::{
         cause_spec::Multiplier,
         data_view::{DataView, StartValues, TIME_CONSTANT_COUNT, peak_to_peak},
     },
-    file::spindle::ElongationSource,
+    sections::ElongationSource,
     tool::TOOL_COLUMN,
 };
 

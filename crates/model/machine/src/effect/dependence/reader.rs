@@ -1,16 +1,18 @@
 //! A dependence as it stands in a machine file.
 
 use super::{Dependence, DependenceForm, column_values::SWITCH_LEVELS};
-use crate::file::schema::term::{
-    AT, COLUMN, CURVE_UM, FACTOR_PER_UNIT, FORM, FROM, LAG_S, LEVEL_DEFAULT, LEVEL_FACTOR,
-    LEVEL_UM, LEVEL_UM_PER_KRPM2, LEVEL_UM_PER_M, LEVEL_UM_PER_UNIT, LEVELS, MINUS, REFERENCE,
-    TIMES, TIMES_REFERENCE, UM_PER_UNIT, UM_PER_UNIT_PER_KRPM2, UM_PER_UNIT_PER_M,
-    UM_PER_UNIT_PER_UNIT,
-};
-use crate::file::table::read_or_default;
 use crate::{
     effect::cause_spec::{Multiplier, required_number},
-    file::reader::{Section, is_temperature_column},
+    keys::{
+        reader::{Section, is_temperature_column},
+        table::read_or_default,
+        term::{
+            AT, COLUMN, CURVE_UM, FACTOR_PER_UNIT, FORM, FROM, LAG_S, LEVEL_DEFAULT, LEVEL_FACTOR,
+            LEVEL_UM, LEVEL_UM_PER_KRPM2, LEVEL_UM_PER_M, LEVEL_UM_PER_UNIT, LEVELS, MINUS,
+            REFERENCE, TIMES, TIMES_REFERENCE, UM_PER_UNIT, UM_PER_UNIT_PER_KRPM2,
+            UM_PER_UNIT_PER_M, UM_PER_UNIT_PER_UNIT,
+        },
+    },
     location::BadInput,
 };
 

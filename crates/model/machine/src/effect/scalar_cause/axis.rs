@@ -9,7 +9,7 @@ use crate::{
         data_view::{DataView, StartValues},
         drift::Drift,
     },
-    model::pitch::is_reverse,
+    sections::axis::is_reverse,
 };
 
 const BIDIRECTIONAL_TEST: &str =

@@ -8,7 +8,7 @@ use crate::{
         },
         data_view::{FINE_TIME_CONSTANT_COUNT, StartValues, TIME_CONSTANT_COUNT, peak_to_peak},
     },
-    file::spindle::ElongationSource,
+    sections::ElongationSource,
 };
 
 const WARMUP_COOLDOWN_TEST: &str =

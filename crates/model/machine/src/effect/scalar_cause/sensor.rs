@@ -6,7 +6,7 @@ use crate::{
         cause_spec::{BoardTerm, Input, NonlinearParameter, PredictionStage, Target},
         data_view::{DataView, StartValues, peak_to_peak},
     },
-    file::spindle::ElongationSource,
+    sections::ElongationSource,
 };
 
 const GAUGE_BLOCK_TEST: &str =

@@ -3,7 +3,7 @@
 use toml_edit::{Array, InlineTable, Item, Table, TableLike};
 use trueup_output::escape::escape_line;
 
-use super::section::Value;
+use crate::keys::section::Value;
 
 /// Above this many elements an array is laid out over several lines.
 const ELEMENTS_PER_LINE: usize = 8;

@@ -1,6 +1,6 @@
 //! `[limits]`: how far and how fast an offset may go, and how long silence is tolerated.
 
-use super::{
+use crate::keys::{
     key::{Key, ValueType, key},
     table::{default_table, table},
 };

@@ -1,7 +1,7 @@
 //! The keys of `[[term]]`: those that every term has, and those of the causes. Each is declared here alone; a page says
 //! whether it needs it.
 
-use crate::file::key::{
+use crate::keys::key::{
     Key,
     ValueType::{self, Choice, NotNegative, Number, Numbers, Positive, Text, Whole},
     key,

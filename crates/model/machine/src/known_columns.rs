@@ -127,7 +127,7 @@ pub(crate) const KNOWN_COLUMNS: &[KnownColumn] = &[
 ];
 
 /// Returns the known column of this name.
-pub(super) fn known_column(name: &str) -> Option<&'static KnownColumn> {
+pub(crate) fn known_column(name: &str) -> Option<&'static KnownColumn> {
     let is_it = |known: &&KnownColumn| match known.name.split_once("<name>") {
         None => known.name == name,
         Some((before, after)) => name

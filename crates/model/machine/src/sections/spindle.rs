@@ -2,14 +2,17 @@
 //!
 //! A model that is not the source is kept: it is what the board falls back to.
 
-use super::{
-    key::{Key, ValueType, key, section},
-    reader::Section,
-    table::{KeyValue, Table, choice, read_or_default, table, write_key},
-    tools::{self, Tools},
-    writer::section::NewSection,
+use super::{Tools, tools};
+use crate::{
+    inputs::SensorInput,
+    keys::{
+        key::{Key, ValueType, key, section},
+        reader::Section,
+        section::NewSection,
+        table::{KeyValue, Table, choice, read_or_default, table, write_key},
+    },
+    location::BadInput,
 };
-use crate::{inputs::SensorInput, location::BadInput};
 
 /// How the spindle grows.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -26,7 +29,7 @@ pub struct Spindle {
     pub tools: Option<Tools>,
 }
 
-pub(super) const SPINDLE_KEYS: &[Key] =
+pub(crate) const SPINDLE_KEYS: &[Key] =
     &[SOURCE_KEY, SENSOR_KEY, WARMUP_KEY, TEMPERATURE_KEY, TOOLS_KEY];
 
 const SOURCE_KEY: Key = key("source", ValueType::Choice(ElongationSource::NAMES), "", "the model of the growth in use; the others that are there are what the board falls back to. Without it nothing grows")
@@ -142,7 +145,7 @@ table! {
 }
 
 /// Returns the section; `input` is what `[inputs]` says of the displacement sensor.
-pub(super) fn read(section: &Section<'_>, input: Option<SensorInput>) -> Result<Spindle, BadInput> {
+pub(crate) fn read(section: &Section<'_>, input: Option<SensorInput>) -> Result<Spindle, BadInput> {
     let spindle = Spindle {
         source: ElongationSource::read_value(section, &SOURCE_KEY)?,
         sensor: section
@@ -209,7 +212,7 @@ fn check_consistency(section: &Section<'_>, warmup: Warmup) -> Result<Warmup, Ba
     Ok(warmup)
 }
 
-pub(super) fn write(spindle: &Spindle) -> Vec<NewSection> {
+pub(crate) fn write(spindle: &Spindle) -> Vec<NewSection> {
     let inner = |key: Key| NewSection::new(format!("spindle.{}", key.name));
     let mut sections = Vec::new();
     if let Some(source) = spindle.source {

@@ -3,13 +3,13 @@
 //! A key is the number that the CNC sends, or a label of the run file's column `tool` with its `number`. The growth
 //! that is added is `um_per_krpm2`·(n/1000)²; a tool that is not in the list has that of `default`.
 
-use super::{
-    key::{Key, ValueType, key, section},
-    reader::Section,
-    table::{Table, build_inline_table, entries, table, to_inline_table},
-    writer::section::NewSection,
-};
 use crate::{
+    keys::{
+        key::{Key, ValueType, key, section},
+        reader::Section,
+        section::NewSection,
+        table::{Table, build_inline_table, entries, table, to_inline_table},
+    },
     location::{BadInput, truncate_text},
     tool::label_code,
 };
@@ -38,7 +38,7 @@ const GROWTH_KEY: Key =
         .required()
         .with_example_value("0.021");
 
-pub(super) const TOOL_LIST_KEYS: &[Key] = &[
+pub(crate) const TOOL_LIST_KEYS: &[Key] = &[
     section(
         DEFAULT_TOOL_KEY,
         DefaultToolKeys::KEYS,
@@ -95,7 +95,7 @@ impl Tools {
     }
 }
 
-pub(super) fn read(section: &Section<'_>) -> Result<Tools, BadInput> {
+pub(crate) fn read(section: &Section<'_>) -> Result<Tools, BadInput> {
     let default = section.required(DEFAULT_TOOL_KEY, section.section(DEFAULT_TOOL_KEY)?)?;
     let mut tools: Vec<Tool> = Vec::new();
     for key in section.keys().into_iter().filter(|key| *key != DEFAULT_TOOL_KEY) {
@@ -150,7 +150,7 @@ pub(super) fn read(section: &Section<'_>) -> Result<Tools, BadInput> {
 }
 
 /// Returns `section` with the tools and the default.
-pub(super) fn write(section: NewSection, tools: &Tools) -> NewSection {
+pub(crate) fn write(section: NewSection, tools: &Tools) -> NewSection {
     let section = tools.tools.iter().fold(section, |section, tool| {
         // The key is the number, or else the label.
         let label = tool.label.clone().filter(|_| tool.number.is_some());

@@ -8,7 +8,7 @@ use std::path::Path;
 use super::{
     key::{Key, Requirement, ValueType},
     reader::{Document, Section},
-    writer::section::{NewSection, Value},
+    section::{NewSection, Value},
 };
 use crate::location::BadInput;
 
@@ -49,10 +49,10 @@ macro_rules! table {
             )*
         }
 
-        impl $crate::file::table::Table for $Name {
-            const KEYS: &'static [$crate::file::key::Key] = {
+        impl $crate::keys::table::Table for $Name {
+            const KEYS: &'static [$crate::keys::key::Key] = {
                 #[allow(unused_imports, reason = "a table whose keys all stand elsewhere, as those of causes, names no form")]
-                use $crate::file::key::{ValueType::*, key};
+                use $crate::keys::key::{ValueType::*, key};
                 &[$($key $((stringify!($field), $form, $unit, $meaning))?
                     $(.$property($($argument),*))*),*]
             };
@@ -60,22 +60,22 @@ macro_rules! table {
             const NAMES: &'static [&'static str] = &[$(stringify!($field)),*];
 
             fn read(
-                section: &$crate::file::reader::Section<'_>,
+                section: &$crate::keys::reader::Section<'_>,
             ) -> Result<Self, $crate::location::BadInput> {
                 let mut keys = Self::KEYS.iter();
                 let mut next = || keys.next().expect("one for each field");
-                let table = Self { $($field: $crate::file::table::read_or_default(section, next())?),* };
+                let table = Self { $($field: $crate::keys::table::read_or_default(section, next())?),* };
                 $(let table = $rules(section, table)?;)?
                 Ok(table)
             }
 
             fn write(
                 &self,
-                section: $crate::file::writer::section::NewSection,
-            ) -> $crate::file::writer::section::NewSection {
+                section: $crate::keys::section::NewSection,
+            ) -> $crate::keys::section::NewSection {
                 let mut keys = Self::KEYS.iter();
                 let mut next = || keys.next().expect("one for each field");
-                $(let section = $crate::file::table::write_key(section, next(), &self.$field);)*
+                $(let section = $crate::keys::table::write_key(section, next(), &self.$field);)*
                 section
             }
         }
@@ -109,19 +109,19 @@ macro_rules! choice {
             }
         }
 
-        impl $crate::file::table::KeyValue for $Name {
+        impl $crate::keys::table::KeyValue for $Name {
             fn read_value(
-                section: &$crate::file::reader::Section<'_>,
-                key: &$crate::file::key::Key,
+                section: &$crate::keys::reader::Section<'_>,
+                key: &$crate::keys::key::Key,
             ) -> Result<Option<Self>, $crate::location::BadInput> {
                 section.choice(key.name, &Self::ALL.map(|choice| (choice.name(), choice)))
             }
 
             fn to_value(
                 &self,
-                _: &$crate::file::key::Key,
-            ) -> Option<$crate::file::writer::section::Value> {
-                Some($crate::file::writer::section::Value::Text(self.name().into()))
+                _: &$crate::keys::key::Key,
+            ) -> Option<$crate::keys::section::Value> {
+                Some($crate::keys::section::Value::Text(self.name().into()))
             }
         }
     };

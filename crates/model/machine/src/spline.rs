@@ -1,6 +1,5 @@
-//! The error of one linear axis along another, in `f64`: straightness and squareness.
+//! A clamped B-spline over the position of an axis, and its value in `f64` (`docs/physics.md` section 4).
 //!
-//! Straightness (`docs/physics.md` section 4) is a B-spline over the position of the axis that moves,
 //! C(t) = Σ N_{j,p}(t)·b_j, evaluated by de Boor's recurrence in the knot span [t_s, t_{s+1}) that
 //! holds t, with p the degree:
 //!
@@ -12,12 +11,103 @@
 //! ```
 //!
 //! Measured against the sum of the basis itself: within 4·10⁻¹⁵ µm for control points up to 12 µm.
-//! Outside the knots the end values are held. In space the curves add up: Δx = δx(y) + δx(z),
-//! Δy = δy(x) + δy(z), Δz = δz(x) + δz(y).
-//!
-//! Squareness is a slope: the error of the first axis for one metre of the second.
+//! Outside the knots the end values are held.
 
-use crate::file::straightness::{BSpline, Squareness};
+/// A clamped B-spline: µm over mm.
+///
+/// Whatever is read from a machine file passes [`Self::validate`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct BSpline {
+    /// The degree plus one: 2, 3 or 4.
+    pub order: usize,
+    /// As many as control points and order together, not falling; the first and the last one each
+    /// stand there `order` times, the ones between at most `order − 1` times.
+    pub knots_mm: Vec<f64>,
+    /// The control points, at least `order` of them.
+    pub control_um: Vec<f64>,
+}
+
+/// A rule that a spline breaks.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SplineError {
+    /// The field at fault, with the index of the element where one is: `knots_mm[3]`.
+    pub key: String,
+    /// The rule that is broken; it goes on after the key.
+    pub rule: String,
+}
+
+impl BSpline {
+    /// Returns where the curve begins and ends, in mm; `None` where it has no knots.
+    pub(crate) fn range_mm(&self) -> Option<[f64; 2]> {
+        Some([*self.knots_mm.first()?, *self.knots_mm.last()?])
+    }
+
+    /// Whether it is a clamped, continuous spline of an order that the board runs.
+    ///
+    /// # Errors
+    /// The first rule that is broken, of those that the fields state.
+    pub fn validate(&self) -> Result<(), SplineError> {
+        let fault = |key: &str, rule: String| SplineError { key: key.to_string(), rule };
+        let Self { order, knots_mm: knots, control_um: control } = self;
+        let order = *order;
+        if !(2..=4).contains(&order) {
+            let rule = format!("must be 2, 3 or 4, not {order}: the board runs cubics, of order 4");
+            return Err(fault("order", rule));
+        }
+        if control.len() < order {
+            let rule = format!(
+                "has {} elements, but a spline of order {order} needs at least {order}",
+                control.len()
+            );
+            return Err(fault("control_um", rule));
+        }
+        if knots.len() != control.len() + order {
+            let rule = format!(
+                "must have {} elements, {} of control_um and {order} of the order, not {}",
+                control.len() + order,
+                control.len(),
+                knots.len()
+            );
+            return Err(fault("knots_mm", rule));
+        }
+        let at = |index: usize| format!("knots_mm[{index}]");
+        if let Some(index) = (1..knots.len()).find(|&index| knots[index] < knots[index - 1]) {
+            let rule = format!("{} is below {} before it", knots[index], knots[index - 1]);
+            return Err(fault(&at(index), format!("{rule}: knots must not fall")));
+        }
+        // The lengths are checked: there are at least 2·order knots.
+        let inner = order..knots.len() - order;
+        let (first, last) = (knots[0], knots[knots.len() - 1]);
+        if first == last {
+            return Err(fault("knots_mm", format!("must not all be {first}: there is no length")));
+        }
+        let repeated = |end: &str, value: f64| {
+            format!("must be {value} as well: the {end} knot stands there exactly {order} times")
+        };
+        for (end, value, mut range) in
+            [("first", first, 1..order), ("last", last, inner.end..knots.len())]
+        {
+            if let Some(index) = range.find(|&index| knots[index] != value) {
+                return Err(fault(&at(index), repeated(end, value)));
+            }
+        }
+        for index in inner {
+            let value = knots[index];
+            if value == first || value == last {
+                let rule = format!("{value} repeats the end more than {order} times");
+                return Err(fault(&at(index), rule));
+            }
+            if knots[index + 1 - order] == value {
+                let rule = format!(
+                    "{value} stands there more than {} times: the curve would jump",
+                    order - 1
+                );
+                return Err(fault(&at(index), rule));
+            }
+        }
+        Ok(())
+    }
+}
 
 /// Returns the spline at `position_mm`, in µm; NaN for a missing position, and for a spline that breaks
 /// the rules of [`BSpline::validate`].
@@ -94,18 +184,6 @@ impl KnotSpan {
         }
         d[order - 1]
     }
-}
-
-/// Returns the error in µm of an angle between two axes, at `along_mm` on the second one.
-///
-/// ```
-/// use trueup_machine::{file::{LinearAxis, Squareness}, model::squareness_um};
-/// let angle = Squareness { error: LinearAxis::X, along: LinearAxis::Y, um_per_m: 12.0 };
-/// assert_eq!(squareness_um(&angle, -500.0), -6.0);
-/// ```
-#[must_use]
-pub fn squareness_um(squareness: &Squareness, along_mm: f64) -> f64 {
-    squareness.um_per_m * along_mm / 1000.0
 }
 
 #[cfg(test)]

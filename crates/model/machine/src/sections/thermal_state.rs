@@ -1,11 +1,11 @@
 //! `[thermal_state]`: what the board takes for a machine that has no heat of its own.
 
-use super::table::table;
+use crate::keys::table::table;
 
 table! {
     /// The state of a cold machine.
     #[derive(PartialEq)]
-    pub(super) struct ThermalState {
+    pub(crate) struct ThermalState {
         cold_within_c: f64 = key(NotNegative, "K", "after a power cut the machine counts as cold if at least two thermometers agree within this; a board takes at most 5").required().with_example_value("0.5");
     }
 }

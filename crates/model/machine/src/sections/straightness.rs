@@ -1,16 +1,19 @@
 //! `[straightness.z_of_x]` and `[squareness]`: the error of one linear axis while another moves.
 
-use super::{
-    axis::LinearAxis::{self, X, Y, Z},
-    key::{
-        Key,
-        ValueType::{Number, Numbers, Whole},
-        key, section,
+use super::LinearAxis::{self, X, Y, Z};
+use crate::{
+    keys::{
+        key::{
+            Key,
+            ValueType::{Number, Numbers, Whole},
+            key, section,
+        },
+        reader::{MAX_ARRAY_LENGTH, Section},
+        section::{NewSection, Value},
     },
-    reader::{MAX_ARRAY_LENGTH, Section},
-    writer::section::{NewSection, Value},
+    location::BadInput,
+    spline::BSpline,
 };
-use crate::location::BadInput;
 
 /// The error of one axis along another: δz(x) has `error` Z and `along` X.
 #[derive(Clone, Debug, PartialEq)]
@@ -64,97 +67,6 @@ fn pair_key(keys: &'static [Key], pair: (LinearAxis, LinearAxis)) -> Option<&'st
         .map(|(_, key)| key)
 }
 
-/// A clamped B-spline: µm over mm.
-///
-/// Whatever is read from a machine file passes [`Self::validate`].
-#[derive(Clone, Debug, PartialEq)]
-pub struct BSpline {
-    /// The degree plus one: 2, 3 or 4.
-    pub order: usize,
-    /// As many as control points and order together, not falling; the first and the last one each
-    /// stand there `order` times, the ones between at most `order − 1` times.
-    pub knots_mm: Vec<f64>,
-    /// The control points, at least `order` of them.
-    pub control_um: Vec<f64>,
-}
-
-/// A rule that a spline breaks.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct SplineError {
-    /// The field at fault, with the index of the element where one is: `knots_mm[3]`.
-    pub key: String,
-    /// The rule that is broken; it goes on after the key.
-    pub rule: String,
-}
-
-impl BSpline {
-    /// Whether it is a clamped, continuous spline of an order that the board runs.
-    ///
-    /// # Errors
-    /// The first rule that is broken, of those that the fields state.
-    pub fn validate(&self) -> Result<(), SplineError> {
-        let fault = |key: &str, rule: String| SplineError { key: key.to_string(), rule };
-        let Self { order, knots_mm: knots, control_um: control } = self;
-        let order = *order;
-        if !(2..=4).contains(&order) {
-            let rule = format!("must be 2, 3 or 4, not {order}: the board runs cubics, of order 4");
-            return Err(fault("order", rule));
-        }
-        if control.len() < order {
-            let rule = format!(
-                "has {} elements, but a spline of order {order} needs at least {order}",
-                control.len()
-            );
-            return Err(fault("control_um", rule));
-        }
-        if knots.len() != control.len() + order {
-            let rule = format!(
-                "must have {} elements, {} of control_um and {order} of the order, not {}",
-                control.len() + order,
-                control.len(),
-                knots.len()
-            );
-            return Err(fault("knots_mm", rule));
-        }
-        let at = |index: usize| format!("knots_mm[{index}]");
-        if let Some(index) = (1..knots.len()).find(|&index| knots[index] < knots[index - 1]) {
-            let rule = format!("{} is below {} before it", knots[index], knots[index - 1]);
-            return Err(fault(&at(index), format!("{rule}: knots must not fall")));
-        }
-        // The lengths are checked: there are at least 2·order knots.
-        let inner = order..knots.len() - order;
-        let (first, last) = (knots[0], knots[knots.len() - 1]);
-        if first == last {
-            return Err(fault("knots_mm", format!("must not all be {first}: there is no length")));
-        }
-        let repeated = |end: &str, value: f64| {
-            format!("must be {value} as well: the {end} knot stands there exactly {order} times")
-        };
-        for (end, value, mut range) in
-            [("first", first, 1..order), ("last", last, inner.end..knots.len())]
-        {
-            if let Some(index) = range.find(|&index| knots[index] != value) {
-                return Err(fault(&at(index), repeated(end, value)));
-            }
-        }
-        for index in inner {
-            let value = knots[index];
-            if value == first || value == last {
-                let rule = format!("{value} repeats the end more than {order} times");
-                return Err(fault(&at(index), rule));
-            }
-            if knots[index + 1 - order] == value {
-                let rule = format!(
-                    "{value} stands there more than {} times: the curve would jump",
-                    order - 1
-                );
-                return Err(fault(&at(index), rule));
-            }
-        }
-        Ok(())
-    }
-}
-
 /// Keys of a spline: its order, its knots, its control points.
 pub(crate) type SplineKeys = [Key; 3];
 
@@ -167,11 +79,11 @@ const SPLINE_KEYS: SplineKeys = [
 ];
 
 /// The knots of a spline.
-pub(super) const KNOTS_KEY: Key = key("knots_mm", Numbers, "mm", "as many as control points and `order` together, not falling; the first and the last stand there `order` times")
+pub(crate) const KNOTS_KEY: Key = key("knots_mm", Numbers, "mm", "as many as control points and `order` together, not falling; the first and the last stand there `order` times")
     .with_example_value("[0.0, 0.0, 0.0, 0.0, 500.0, 1000.0, 1000.0, 1000.0, 1000.0]");
 
 /// In the order of [`Straightness::AXIS_PAIRS`].
-pub(super) const STRAIGHTNESS_KEYS: &[Key] = &[
+pub(crate) const STRAIGHTNESS_KEYS: &[Key] = &[
     section("y_of_x", &SPLINE_KEYS, "the B-spline of Y's deviation while X moves"),
     section("z_of_x", &SPLINE_KEYS, "of Z while X moves"),
     section("z_of_y", &SPLINE_KEYS, "of Z while Y moves"),
@@ -185,7 +97,7 @@ const fn squareness_key(name: &'static str, meaning: &'static str) -> Key {
 }
 
 /// In the order of [`Straightness::AXIS_PAIRS`].
-pub(super) const SQUARENESS_KEYS: &[Key] = &[
+pub(crate) const SQUARENESS_KEYS: &[Key] = &[
     squareness_key("y_of_x_um_per_m", "error of Y for each metre of X"),
     squareness_key("z_of_x_um_per_m", "of Z for each metre of X"),
     squareness_key("z_of_y_um_per_m", "of Z for each metre of Y"),
@@ -194,7 +106,7 @@ pub(super) const SQUARENESS_KEYS: &[Key] = &[
     squareness_key("y_of_z_um_per_m", "of Y for each metre of Z"),
 ];
 
-pub(super) fn read_straightness(section: &Section<'_>) -> Result<Vec<Straightness>, BadInput> {
+pub(crate) fn read_straightness(section: &Section<'_>) -> Result<Vec<Straightness>, BadInput> {
     let mut curves = Vec::new();
     for ((error, along), key) in Straightness::AXIS_PAIRS.into_iter().zip(STRAIGHTNESS_KEYS) {
         if let Some(section) = section.section(key.name)? {
@@ -224,7 +136,7 @@ pub(crate) fn read_spline(section: &Section<'_>, keys: &SplineKeys) -> Result<BS
     Ok(spline)
 }
 
-pub(super) fn read_squareness(section: &Section<'_>) -> Result<Vec<Squareness>, BadInput> {
+pub(crate) fn read_squareness(section: &Section<'_>) -> Result<Vec<Squareness>, BadInput> {
     let mut angles = Vec::new();
     for ((error, along), key) in Straightness::AXIS_PAIRS.into_iter().zip(SQUARENESS_KEYS) {
         if let Some(um_per_m) = section.number(key.name)? {
@@ -234,13 +146,13 @@ pub(super) fn read_squareness(section: &Section<'_>) -> Result<Vec<Squareness>, 
     Ok(angles)
 }
 
-pub(super) fn write_straightness(curve: &Straightness) -> NewSection {
+pub(crate) fn write_straightness(curve: &Straightness) -> NewSection {
     let section = NewSection::new(format!("straightness.{}", curve.name()));
     write_spline(section, &curve.spline, &SPLINE_KEYS)
 }
 
 /// Returns `section` with a spline after the keys that it has.
-pub(super) fn write_spline(section: NewSection, spline: &BSpline, keys: &SplineKeys) -> NewSection {
+pub(crate) fn write_spline(section: NewSection, spline: &BSpline, keys: &SplineKeys) -> NewSection {
     let with = |section: NewSection, (key, value)| section.with_value(key, value);
     spline_entries(spline, keys).into_iter().fold(section, with)
 }
@@ -257,7 +169,7 @@ pub(crate) fn spline_entries(spline: &BSpline, keys: &SplineKeys) -> [(&'static 
     ]
 }
 
-pub(super) fn write_squareness(angles: &[Squareness]) -> Option<NewSection> {
+pub(crate) fn write_squareness(angles: &[Squareness]) -> Option<NewSection> {
     let section = NewSection::new("squareness");
     let with =
         |section: NewSection, angle: &Squareness| section.with_number(angle.name(), angle.um_per_m);

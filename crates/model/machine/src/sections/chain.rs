@@ -9,7 +9,7 @@
 
 use std::fmt;
 
-use super::axis::{LinearAxis, RotaryAxis};
+use super::{LinearAxis, RotaryAxis};
 
 /// The axes between the workpiece and the tool.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -50,7 +50,7 @@ impl Chain {
     ///
     /// # Errors
     /// The rule that is broken; it goes on after the key.
-    pub(super) fn parse(text: &str) -> Result<Self, String> {
+    pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let links = parse_links(text)?;
         let at = |letter: char| links.iter().position(|link| link.letter == letter);
         let (Some(0), Some(bed), Some(last)) = (at('w'), at('b'), at('t')) else {

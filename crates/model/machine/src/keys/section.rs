@@ -15,11 +15,11 @@ pub struct NewSection {
 
 /// A key with its value.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Entry {
-    pub(super) key: String,
-    pub(super) value: Value,
+pub(crate) struct Entry {
+    pub(crate) key: String,
+    pub(crate) value: Value,
     /// A comment next to it.
-    pub(super) note: Option<String>,
+    pub(crate) note: Option<String>,
 }
 
 /// The value of a key.
@@ -162,15 +162,15 @@ impl NewSection {
         self.entries.iter().find(|entry| entry.key == key).map(|entry| &entry.value)
     }
 
-    pub(super) fn is_preserved(&self, key: &str) -> bool {
+    pub(crate) fn is_preserved(&self, key: &str) -> bool {
         self.kept.contains(&key)
     }
 
-    pub(super) fn remarks(&self) -> &[String] {
+    pub(crate) fn remarks(&self) -> &[String] {
         &self.remarks
     }
 
-    pub(super) fn entries(&self) -> &[Entry] {
+    pub(crate) fn entries(&self) -> &[Entry] {
         &self.entries
     }
 }

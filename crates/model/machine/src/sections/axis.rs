@@ -1,12 +1,14 @@
 //! `[axis.x]`, `[axis.y]`, `[axis.z]`: what is known of one linear axis along its own direction.
 
-use super::{
-    key::{Key, section},
-    reader::Section,
-    table::{KeyValue, Table, choice, table},
-    writer::section::{NewSection, Value},
+use crate::{
+    keys::{
+        key::{Key, section},
+        reader::Section,
+        section::{NewSection, Value},
+        table::{KeyValue, Table, choice, table},
+    },
+    location::BadInput,
 };
-use crate::location::BadInput;
 
 choice! {
     /// A linear axis.
@@ -209,6 +211,12 @@ impl PitchErrorTable {
     pub fn to_section(&self, axis: LinearAxis) -> NewSection {
         self.write(NewSection::new(format!("axis.{}.pitch", axis.name())))
     }
+
+    /// Returns where the table begins and ends, in mm.
+    pub(crate) fn range_mm(&self) -> [f64; 2] {
+        let steps = self.forward_um.len().saturating_sub(1) as f64;
+        [self.start_mm, self.start_mm + self.step_mm * steps]
+    }
 }
 
 impl Backlash {
@@ -222,13 +230,13 @@ impl Backlash {
     }
 }
 
-pub(super) const AXIS_SECTIONS: &[Key] = &[
+pub(crate) const AXIS_SECTIONS: &[Key] = &[
     section("x", AxisModel::KEYS, "the X axis"),
     section("y", AxisModel::KEYS, "the Y axis"),
     section("z", AxisModel::KEYS, "the Z axis"),
 ];
 
-pub(super) fn read(section: &Section<'_>) -> Result<[AxisModel; 3], BadInput> {
+pub(crate) fn read(section: &Section<'_>) -> Result<[AxisModel; 3], BadInput> {
     let mut axes = <[AxisModel; 3]>::default();
     for (axis, of) in axes.iter_mut().zip(LinearAxis::ALL) {
         if let Some(section) = section.section(of.name())? {
@@ -354,7 +362,7 @@ fn check_table_lengths(
 }
 
 /// Returns the sections of the axis `of`.
-pub(super) fn write(axis: &AxisModel, of: LinearAxis) -> Vec<NewSection> {
+pub(crate) fn write(axis: &AxisModel, of: LinearAxis) -> Vec<NewSection> {
     let name = format!("axis.{}", of.name());
     let inner = |key: &str| NewSection::new(format!("{name}.{key}"));
     let mut sections = Vec::new();
@@ -378,4 +386,10 @@ fn write_thermal(section: NewSection, thermal: &ThermalLaw) -> NewSection {
         None => section,
     };
     section.with_key_last("origin_mm").with_key_last("lag_s")
+}
+
+/// Returns whether an approach is in the negative direction. A direction that is missing (NaN) is positive.
+#[must_use]
+pub fn is_reverse(direction: f64) -> bool {
+    direction < 0.0
 }

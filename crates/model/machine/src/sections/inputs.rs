@@ -4,27 +4,27 @@ use std::collections::BTreeMap;
 
 use trueup_core::calibration::MainsFrequency;
 
-use super::{
-    key::{
-        Key,
-        ValueType::{Boolean, Whole},
-        key, section,
-    },
-    reader::Section,
-    table::{Table, choice, read_or_default, table, to_inline_table, write_key},
-    writer::section::NewSection,
-};
 use crate::{
     inputs::{
         ADC_REFERENCE_VOLTS, ConditionInput, CountScale, Inputs, LinearInput, MAX_CHANNEL,
         RATE_LIMITS_C_PER_MIN, SensorInput, TemperatureInput, TemperatureKind,
     },
+    keys::{
+        key::{
+            Key,
+            ValueType::{Boolean, Whole},
+            key, section,
+        },
+        reader::Section,
+        section::NewSection,
+        table::{Table, choice, read_or_default, table, to_inline_table, write_key},
+    },
+    known_columns::is_known_column,
     location::BadInput,
-    run_file::is_known_column,
     tool::TOOL_COLUMN,
 };
 
-pub(super) const INPUT_KEYS: &[Key] = &[
+pub(crate) const INPUT_KEYS: &[Key] = &[
     SERVICE_SWITCH_KEY,
     MAINS_FREQUENCY_KEY,
     section("sensor", SensorInput::KEYS, "how the displacement sensor reaches the board"),
@@ -93,7 +93,7 @@ table! {
 
 const CONDITION_KIND: &str = "condition";
 
-pub(super) fn read(section: &Section<'_>) -> Result<Inputs, BadInput> {
+pub(crate) fn read(section: &Section<'_>) -> Result<Inputs, BadInput> {
     let mut inputs = Inputs::default();
     let mut column_of_channel = BTreeMap::new();
     for key in section.keys() {
@@ -129,7 +129,7 @@ pub(super) fn read(section: &Section<'_>) -> Result<Inputs, BadInput> {
 }
 
 /// Returns whether an input says that it is a condition.
-pub(super) fn is_condition(section: &Section<'_>) -> bool {
+pub(crate) fn is_condition(section: &Section<'_>) -> bool {
     section.text("kind").ok().flatten() == Some(CONDITION_KIND)
 }
 
@@ -252,7 +252,7 @@ fn reject_above_reference(
     Ok(())
 }
 
-pub(super) fn write(inputs: &Inputs) -> NewSection {
+pub(crate) fn write(inputs: &Inputs) -> NewSection {
     let mut section = NewSection::new("inputs");
     section = write_key(section, &SERVICE_SWITCH_KEY, &inputs.service_switch);
     let mains_hz: u32 = if inputs.mains == MainsFrequency::Hz60 { 60 } else { 50 };

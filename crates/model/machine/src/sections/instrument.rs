@@ -1,10 +1,10 @@
 //! `[instrument]`: what the machine is measured with.
 
-use super::table::table;
+use crate::keys::table::table;
 
 table! {
     /// The properties of the measuring instrument.
-    pub(super) struct Instrument {
+    pub(crate) struct Instrument {
         uncertainty_um: f64 = key(Positive, "µm", "what the measuring instrument is worth, 95 %; for `trueup diagnose`").required().with_example_value("0.5");
     }
 }

@@ -2,25 +2,37 @@
 //!
 //! Angles are those of ISO 230-1: `eax` is the angle about A (X) of the motion along X. Location errors of
 //! rotary axes are those of ISO 230-7: `exoc` shifts the line of C along X, `eaoc` turns it about A. The chain
-//! is written in the letters of ISO 10791-6 ([`chain`](super::chain)).
+//! is written in the letters of ISO 10791-6 ([`Chain`]).
 
 use super::{
-    axis::{
-        LinearAxis::{self, X, Y, Z},
-        RotaryAxis::{self, A, B, C},
-    },
-    chain::Chain,
-    key::{
-        Key,
-        ValueType::{Number, Numbers, Vector, Whole},
-        key, section,
-    },
-    reader::Section,
+    Chain,
+    LinearAxis::{self, X, Y, Z},
+    RotaryAxis::{self, A, B, C},
     straightness::{KNOTS_KEY, SplineKeys, read_spline, write_spline},
-    table::{Table, read_or_default, table, write_key},
-    writer::section::NewSection,
 };
-use crate::{effect::Angle, location::BadInput};
+use crate::{
+    keys::{
+        key::{
+            Key,
+            ValueType::{Number, Numbers, Vector, Whole},
+            key, section,
+        },
+        reader::Section,
+        section::NewSection,
+        table::{Table, read_or_default, table, write_key},
+    },
+    location::BadInput,
+    spline::BSpline,
+};
+
+/// An angle over the position of an axis, in µrad.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Angle {
+    /// c·P/1000, c in µrad/m.
+    Line(f64),
+    /// A spline, its control points in µrad: µm at a lever of a metre.
+    Curve(BSpline),
+}
 
 /// The model of the whole volume. Where the chain is not known, nothing else is.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -181,7 +193,7 @@ const ANGULAR_ERROR_KEYS: [Key; 9] = [
 ];
 
 /// The points, then the angles.
-pub(super) const ANGULAR_KEYS: &[Key] = &{
+pub(crate) const ANGULAR_KEYS: &[Key] = &{
     let mut keys = [POINT_KEYS[0]; POINT_KEYS.len() + ANGULAR_ERROR_KEYS.len()];
     let mut n = 0;
     while n < keys.len() {
@@ -236,13 +248,13 @@ static AXIS_LINE_KEYS: [[Key; 6]; 3] = [
     ],
 ];
 
-pub(super) const ROTARY_KEYS: &[Key] = &[
+pub(crate) const ROTARY_KEYS: &[Key] = &[
     section(A.name(), &AXIS_LINE_KEYS[0], "the line about which A turns"),
     section(B.name(), &AXIS_LINE_KEYS[1], "the line about which B turns"),
     section(C.name(), &AXIS_LINE_KEYS[2], "the line about which C turns"),
 ];
 
-pub(super) fn read_angular(
+pub(crate) fn read_angular(
     section: &Section<'_>,
 ) -> Result<(Vec<AngularErrorMotion>, [[f64; 3]; 3]), BadInput> {
     let mut point_mm = [[0.0; 3]; 3];
@@ -290,7 +302,7 @@ fn axis_line_keys(
     (point, shifts, tilts.each_ref())
 }
 
-pub(super) fn read_rotary(section: &Section<'_>) -> Result<Vec<RotaryLocationErrors>, BadInput> {
+pub(crate) fn read_rotary(section: &Section<'_>) -> Result<Vec<RotaryLocationErrors>, BadInput> {
     let mut all = Vec::new();
     for axis in RotaryAxis::ALL {
         let Some(section) = section.section(axis.name())? else { continue };
@@ -313,7 +325,7 @@ pub(super) fn read_rotary(section: &Section<'_>) -> Result<Vec<RotaryLocationErr
 }
 
 /// Refuses angular and location errors that the chain does not place.
-pub(super) fn check(root: &Section<'_>, volume: &VolumetricModel) -> Result<(), BadInput> {
+pub(crate) fn check(root: &Section<'_>, volume: &VolumetricModel) -> Result<(), BadInput> {
     let first = ["angular", "rotary"].into_iter().find(|name| root.keys().contains(name));
     let (Some(first), chain) = (first, &volume.chain) else { return Ok(()) };
     let Some(chain) = chain else {
@@ -333,7 +345,7 @@ pub(super) fn check(root: &Section<'_>, volume: &VolumetricModel) -> Result<(), 
 }
 
 /// Returns the sections of the file.
-pub(super) fn write(volume: &VolumetricModel) -> Vec<NewSection> {
+pub(crate) fn write(volume: &VolumetricModel) -> Vec<NewSection> {
     let mut sections = Vec::new();
     let points = POINT_KEYS.iter().zip(&volume.point_mm).filter(|(_, point)| **point != [0.0; 3]);
     let points = points
