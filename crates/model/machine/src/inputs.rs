@@ -182,10 +182,10 @@ table! {
     /// [`ADC_REFERENCE_VOLTS`].
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub struct SensorInput {
-        volts_full_scale: f64 = key(Positive, "V", "what the sensor gives at `counts_full_scale`").required().with_example_value("10.0");
+        volts_full_scale: f64 = key(Positive, "V", "what the sensor gives at `counts_full_scale`").required().with_example_value("10.0").with_range(range([0.0, 1e4], [0.1, 100.0], [1.0, 10.0], "data sheets of sensors").with_hint_above("probably in mV instead of V"));
         /// The largest count; the smallest is 0.
         counts_full_scale: f64 = key(Positive, "counts", "what a run file states at `volts_full_scale`: 27648 for a SIMATIC S7 input, 32768 for the paper's").required().with_example_value("32768");
-        divider: f64 = key(Positive, "", "volts at the board's converter for one volt of the sensor; `volts_full_scale` · `divider` must not be above 3.3 V").required().with_example_value("0.328");
+        divider: f64 = key(Positive, "", "volts at the board's converter for one volt of the sensor; `volts_full_scale` · `divider` must not be above 3.3 V").required().with_example_value("0.328").with_range(range([0.0, 1e3], [1e-3, 10.0], [0.1, 1.0], USER_SETTING_SOURCE));
     }
 }
 

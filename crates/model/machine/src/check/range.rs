@@ -2,28 +2,25 @@
 //!
 //! | page | is |
 //! |---|---|
-//! | `reach` | whether a linear temperature input can give the temperatures of a machine |
-//! | `table` | the ranges, a row for a key or for a unit |
-//! | `values` | the numbers of a machine by their keys |
+//! | `input_range` | whether a linear temperature input can give the temperatures of a machine |
+//! | `numeric_values` | the numbers of a machine by their keys, each with its range |
 //!
+//! The ranges are declared with the keys, and for keys of one unit in `keys/range.rs`.
 //! A value that is impossible is refused by every command that would use it or write it, unless the user
 //! accepts its key; one that is unlikely is a warning that names the likely slip.
 
 mod input_range;
 mod numeric_values;
-mod plausible_ranges;
 
 use super::warning::Warning;
 use crate::{
     effect::BoardTerm,
     file::Machine,
+    keys::range::{PlausibleRange, REVERSED_SIGN_HINT},
     location::BadInput,
     sections::{LinearAxis, PitchErrorTable},
 };
-use plausible_ranges::REVERSED_SIGN_HINT;
-
-pub(crate) use plausible_ranges::PLAUSIBLE_RANGES;
-use plausible_ranges::PlausibleRange;
+use numeric_values::{KeyScope, NumericEntry};
 
 /// How far a value is from what a machine has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,10 +66,10 @@ pub fn combine_refused(findings: &[ImplausibleValue], accepted: &[String]) -> Op
 pub(crate) fn machine_findings(machine: &Machine) -> Vec<ImplausibleValue> {
     let entries = numeric_values::numeric_entries(machine).into_iter();
     let mut findings: Vec<ImplausibleValue> = entries
-        .filter_map(|entry| {
-            let range = find_range(&entry.row)?;
-            let (grade, value) = find_worst_value(range, &entry.values)?;
-            Some(new_finding(machine, entry.key, range, grade, value))
+        .filter_map(|NumericEntry { key, unit, range, values }| {
+            let range = range?;
+            let (grade, value) = find_worst_value(&range, &values)?;
+            Some(new_finding(machine, key, unit, &range, grade, value))
         })
         .collect();
     for axis in LinearAxis::ALL {
@@ -81,23 +78,6 @@ pub(crate) fn machine_findings(machine: &Machine) -> Vec<ImplausibleValue> {
     }
     findings.extend(input_range::findings(machine));
     findings
-}
-
-/// Returns the row of the table for a key.
-fn find_range(key: &str) -> Option<&'static PlausibleRange> {
-    PLAUSIBLE_RANGES.iter().find(|range| matches_pattern(range.keys, key))
-}
-
-/// Returns whether `key` is of the form of `pattern`, in which `*` stands for any text.
-fn matches_pattern(pattern: &str, key: &str) -> bool {
-    match pattern.split_once('*') {
-        None => pattern == key,
-        Some((before, rest)) => key.strip_prefix(before).is_some_and(|key| {
-            rest.is_empty()
-                || (0..=key.len())
-                    .any(|at| key.is_char_boundary(at) && matches_pattern(rest, &key[at..]))
-        }),
-    }
 }
 
 /// Returns the value that is farthest outside, and how far that is.
@@ -113,11 +93,12 @@ fn find_worst_value(range: &PlausibleRange, values: &[f64]) -> Option<(Plausibil
 fn new_finding(
     machine: &Machine,
     key: String,
+    unit: &str,
     range: &PlausibleRange,
     grade: Plausibility,
     value: f64,
 ) -> ImplausibleValue {
-    let PlausibleRange { unit, hard, likely, usual, source, below, above, .. } = range;
+    let PlausibleRange { hard, likely, usual, source, below, above } = range;
     let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
     let is_negative = value < 0.0 && likely[0] >= -0.5;
     let value_of = format_value(value);
@@ -183,8 +164,8 @@ fn find_negative_backlash(machine: &Machine, axis: LinearAxis) -> Option<Implaus
     }
     // A section alone is judged by its own row.
     let key = last?;
-    let row = find_range("axis.x.backlash.width_um")?;
-    (total_um < row.likely[0]).then(|| {
+    let (_, range) = KeyScope::FILE.find("axis.x.backlash.width_um")?;
+    (total_um < range?.likely[0]).then(|| {
         let what = format!("makes a backlash of {total_um:.2} µm, which is negative: {REVERSED_SIGN_HINT}");
         let help = "look at one reversal: approached in the negative direction the axis is left behind, and the error is larger";
         let warning = Warning::for_key(machine, &key, &what, help);
@@ -207,13 +188,15 @@ fn find_decreasing_thermal_table(machine: &Machine, axis: LinearAxis) -> Option<
     let (first, last) = (rows.first()?, rows.last()?);
     let by_c =
         (last.slope_um_per_m - first.slope_um_per_m) / (last.temperature_c - first.temperature_c);
-    let row = find_range("axis.x.thermal.slope_um_per_m_per_c")?;
+    let (slope, range) = KeyScope::FILE.find("axis.x.thermal.slope_um_per_m_per_c")?;
+    let range = range?;
     let key = format!("axis.{}.thermal.table", axis.name());
-    let (grade, value) = find_worst_value(row, &[by_c])?;
+    let (grade, value) = find_worst_value(&range, &[by_c])?;
     // Of a table the size of a slope is known to what its ends are.
     let is_told = grade == Plausibility::Impossible || value < -0.1;
     is_told.then(|| {
-        let ImplausibleValue { warning, .. } = new_finding(machine, key.clone(), row, grade, value);
+        let ImplausibleValue { warning, .. } =
+            new_finding(machine, key.clone(), slope.unit, &range, grade, value);
         ImplausibleValue { key, grade, warning }
     })
 }

@@ -23,7 +23,7 @@ use trueup_core::term::SpeedExponent;
 
 use super::data_view::{DataView, StartValues};
 use crate::{
-    keys::{key::Key, reader::Section, table::read_or_default},
+    keys::{key::Key, range::PlausibleRange, reader::Section, table::read_or_default},
     location::BadInput,
     sections::{LinearAxis, PitchErrorTable, Spindle, ThermalLaw},
 };
@@ -244,6 +244,11 @@ pub(crate) trait FileRepresentation: Sized {
 
     /// Its keys in a `[[term]]`.
     fn entries(&self) -> Vec<TermEntry>;
+
+    /// Returns the range of the numbers of `key`, if it is another one here than the key's own.
+    fn own_range(_key: &str) -> Option<PlausibleRange> {
+        None
+    }
 }
 
 /// The physics of a cause: what prediction and fit use.

@@ -23,10 +23,11 @@ use super::{
 };
 use crate::{
     keys::{
+        range::{PlausibleRange, USER_UNIT},
         reader::{Section, is_temperature_column},
         term::{
-            AT, COLUMN, CURVE_UM, FORM, FROM, LAG_S, LEVEL_DEFAULT, LEVELS, MINUS, REFERENCE,
-            TIMES, TIMES_REFERENCE,
+            AT, COLUMN, CONSTANT_UM, CURVE_UM, FORM, FROM, LAG_S, LEVEL_DEFAULT, LEVELS, MINUS,
+            REFERENCE, TIMES, TIMES_REFERENCE,
         },
     },
     location::BadInput,
@@ -185,6 +186,10 @@ impl Dependence {
 
 impl FileRepresentation for Dependence {
     const NAME: &'static str = "dependence";
+
+    fn own_range(key: &str) -> Option<PlausibleRange> {
+        (key == CONSTANT_UM.name).then_some(USER_UNIT)
+    }
 
     fn keys(_: &Section<'_>) -> &'static [&'static str] {
         reader::KEYS

@@ -76,7 +76,11 @@ pub use reference_instrument::WaveVariable;
 pub use trueup_core::term::SpeedExponent;
 pub use wave::Wave;
 
-use crate::{keys::reader::Section, location::BadInput, sections::LinearAxis};
+use crate::{
+    keys::{range::PlausibleRange, reader::Section},
+    location::BadInput,
+    sections::LinearAxis,
+};
 use cause_spec::FileRepresentation;
 
 macro_rules! causes {
@@ -110,6 +114,11 @@ macro_rules! causes {
             /// Returns the keys of this cause in `section`, besides those that all have.
             pub(crate) fn keys(self, section: &Section<'_>) -> &'static [&'static str] {
                 match self { $(Self::$CauseSpec => $CauseSpec::keys(section),)* }
+            }
+
+            /// Returns the range of the numbers of `key`, if it is another one of this cause than the key's own.
+            pub(crate) fn own_range(self, key: &str) -> Option<PlausibleRange> {
+                match self { $(Self::$CauseSpec => $CauseSpec::own_range(key),)* }
             }
 
             /// This cause as it stands in `section`, whose keys are known.

@@ -16,6 +16,7 @@ use super::{
 };
 use crate::{
     keys::{
+        range::{GROWTH_SOURCE, NANOMETRES_HINT, PlausibleRange, range},
         reader::Section,
         table::{Table, entries, table},
         term::{AMPLITUDE_UM, COLUMN, REFERENCE_C, START_S, TIME_CONSTANT_S, UM_PER_C},
@@ -59,8 +60,17 @@ table! {
     }
 }
 
+/// A slow part of the growth is not as large as a wave may be.
+const AMPLITUDE_RANGE: PlausibleRange =
+    range([-2e4, 2e4], [-500.0, 500.0], [-100.0, 100.0], GROWTH_SOURCE)
+        .with_hint_above(NANOMETRES_HINT);
+
 impl FileRepresentation for SlowMode {
     const NAME: &'static str = "slow-mode";
+
+    fn own_range(key: &str) -> Option<PlausibleRange> {
+        (key == AMPLITUDE_UM.name).then_some(AMPLITUDE_RANGE)
+    }
 
     fn keys(section: &Section<'_>) -> &'static [&'static str] {
         if section.keys().contains(&COLUMN.name) { ColumnDriven::NAMES } else { TimeDriven::NAMES }

@@ -8,6 +8,7 @@ use super::machine;
 use crate::{
     keys::{
         key::{key, section},
+        range::{UNBOUNDED, USER_SETTING_SOURCE, range},
         table::Table,
     },
     sections::{
@@ -33,7 +34,13 @@ pub const MACHINE_FILE_KEYS: &[Key] = &[
         "inputs",
         inputs::INPUT_KEYS,
         "what is connected to the board; needed to run on one, not to predict",
-    ),
+    )
+    .with_range(range(
+        [-UNBOUNDED, UNBOUNDED],
+        [-1e10, 1e10],
+        [-1e5, 1e5],
+        USER_SETTING_SOURCE,
+    )),
     section("spindle", spindle::SPINDLE_KEYS, "how the spindle grows"),
     section("axis", axis::AXIS_SECTIONS, "what is known of each linear axis"),
     section(
@@ -61,7 +68,13 @@ pub const MACHINE_FILE_KEYS: &[Key] = &[
         "limits",
         Limits::KEYS,
         "how far and how fast an offset may go, and how long silence is tolerated",
-    ),
+    )
+    .with_range(range(
+        [0.0, UNBOUNDED],
+        [0.0, UNBOUNDED],
+        [0.0, UNBOUNDED],
+        USER_SETTING_SOURCE,
+    )),
     section(
         "thermal_state",
         ThermalState::KEYS,

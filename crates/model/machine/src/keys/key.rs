@@ -1,5 +1,7 @@
 //! The keys of the machine file: what a key is, and how one is declared.
 
+use super::range::PlausibleRange;
+
 /// A key of a section.
 #[derive(Clone, Copy, Debug)]
 pub struct Key {
@@ -15,6 +17,8 @@ pub struct Key {
     pub meaning: &'static str,
     /// A value, as TOML; empty for a section.
     pub example: &'static str,
+    /// The range that its numbers should have, or those of its section that have none of their own.
+    pub(crate) range: Option<PlausibleRange>,
     /// Whether it is not written where it has its default.
     pub(crate) is_quiet: bool,
     /// Whether its table is written on one line.
@@ -80,6 +84,7 @@ pub(crate) const fn key(
         unit,
         meaning,
         example: "",
+        range: None,
         is_quiet: false,
         is_inline: false,
     }
@@ -109,6 +114,10 @@ impl Key {
 
     pub(crate) const fn with_example_value(self, example: &'static str) -> Self {
         Self { example, ..self }
+    }
+
+    pub(crate) const fn with_range(self, range: PlausibleRange) -> Self {
+        Self { range: Some(range), ..self }
     }
 
     /// Returns it as one that is not written where it has its default.

@@ -59,7 +59,7 @@ table! {
         feedback: Feedback = key(Choice(Feedback::NAMES), "", "where the position is measured; backlash belongs to a screw").with_default("\"screw\"").omit_default();
         /// In mm of machine coordinates.
         travel_mm: Option<[f64; 2]> = key(Numbers, "mm", "the two ends of the travel, the lower one first; for `trueup program` and `check`, no correction depends on it").with_example_value("[0.0, 1000.0]");
-        rapid_mm_per_min: Option<f64> = key(Positive, "mm/min", "the rapid traverse: `trueup check` holds the slew limit against 1 % of it, and the board does not believe a position that the axis cannot have reached by it").with_example_value("15000.0");
+        rapid_mm_per_min: Option<f64> = key(Positive, "mm/min", "the rapid traverse: `trueup check` holds the slew limit against 1 % of it, and the board does not believe a position that the axis cannot have reached by it").with_example_value("15000.0").with_range(range([0.0, 1e7], [100.0, 3e5], [5000.0, 1e5], MACHINE_DATA_SOURCE).with_hint_below("probably in m/min instead of mm/min"));
         thermal: Option<ThermalLaw> = key(Table(ThermalLaw::KEYS), "", "how the axis grows with a temperature");
         pitch: Option<PitchErrorTable> = key(Table(PitchErrorTable::KEYS), "", "position errors at points of equal distance, linear between them; of the first of two drives where there is `dual`");
         backlash: Option<Backlash> = key(Table(Backlash::KEYS), "", "what a reversal leaves behind; not together with `reverse_um`");
@@ -89,15 +89,15 @@ table! {
         /// T₀. Not used, and 0 where it is not written, next to a table.
         reference_c: f64 = key(Number, "°C", "where the axis is right; needed without a `table`").with_example_value("20.0");
         /// K₀ = this · (T − T₀). Not used next to a table.
-        constant_um_per_c: f64 = key(Number, "µm/K", "the same at every position").with_default("0.0");
+        constant_um_per_c: f64 = key(Number, "µm/K", "the same at every position").with_default("0.0").with_range(range([-500.0, 500.0], [-150.0, 150.0], [-20.0, 20.0], EXPANSION_SOURCE).with_hint_above(NANOMETRES_HINT));
         /// tanβ = this · (T − T₀). Not used next to a table.
-        slope_um_per_m_per_c: f64 = key(Number, "µm/(m·K)", "in proportion to the distance from `origin_mm`; steel 11.5").with_default("0.0");
+        slope_um_per_m_per_c: f64 = key(Number, "µm/(m·K)", "in proportion to the distance from `origin_mm`; steel 11.5").with_default("0.0").with_range(range([-500.0, 500.0], [0.0, 100.0], [8.0, 25.0], EXPANSION_SOURCE).with_hint_below(AXIS_SIGN_HINT).with_hint_above(EXPANSION_UNIT_HINT));
         /// P₀.
         origin_mm: f64 = key(Number, "mm", "where the proportional part is 0").with_default("0.0");
         /// 0: no lag.
-        lag_s: f64 = key(NotNegative, "s", "time constant by which the axis follows the temperature; the board adds 1 s").with_default("0.0");
+        lag_s: f64 = key(NotNegative, "s", "time constant by which the axis follows the temperature; the board adds 1 s").with_default("0.0").with_range(range([0.0, 5e5], [0.0, 2e5], [0.0, 4e4], TIME_CONSTANT_SOURCE).with_hint_above(MILLISECONDS_HINT));
         /// K₀ and tanβ over T; at least one row.
-        table: Option<Vec<ThermalRow>> = key(Rows, "°C, µm, µm/m", "rows of temperature, constant and slope in the place of the two constants; linear between, temperatures rising").with_example_value("[[20.0, 0.0, 0.0], [40.0, 21.0, 230.0]]");
+        table: Option<Vec<ThermalRow>> = key(Rows, "°C, µm, µm/m", "rows of temperature, constant and slope in the place of the two constants; linear between, temperatures rising").with_example_value("[[20.0, 0.0, 0.0], [40.0, 21.0, 230.0]]").with_range(range([-1e6, 1e6], [-1e5, 1e5], [-1e3, 1e3], ERROR_RANGE_SOURCE));
     }
     checked by require_reference
 }
@@ -172,7 +172,7 @@ table! {
     #[derive(Clone, Debug, PartialEq)]
     pub struct PitchErrorTable {
         start_mm: f64 = key(Number, "mm", "the first point").required().with_example_value("0.0");
-        step_mm: f64 = key(Positive, "mm", "from point to point").required().with_example_value("100.0");
+        step_mm: f64 = key(Positive, "mm", "from point to point").required().with_example_value("100.0").with_range(range([0.0, 1e6], [1e-3, 1e4], [1.0, 500.0], LENGTH_SOURCE).with_hint_above(MICROMETRES_HINT));
         forward_um: Vec<f64> = key(Numbers, "µm", "errors at the points, actual minus commanded; of an approach in the positive direction where there is `reverse_um`").required().with_example_value("[0.0, 1.5, 2.0]");
         /// `None`: the forward table serves both directions.
         reverse_um: Option<Vec<f64>> = key(Numbers, "µm", "the same of an approach in the negative direction, as many; it contains the backlash").with_example_value("[0.5, 2.0, 2.5]");
@@ -185,9 +185,9 @@ table! {
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub struct Backlash {
         /// Negative for a CNC that over-compensates.
-        width_um: f64 = key(Number, "µm", "error after a move in the negative direction").required().with_example_value("4.0");
-        ramp_mm: f64 = key(NotNegative, "mm", "on the board: a ramp over this travel instead of a step").with_default("0.0");
-        hysteresis_um: f64 = key(NotNegative, "µm", "on the board: how far a reversal must go to count").with_default("0.0");
+        width_um: f64 = key(Number, "µm", "error after a move in the negative direction").required().with_example_value("4.0").with_range(range([-5000.0, 5000.0], [-0.5, 300.0], [0.0, 30.0], BACKLASH_SOURCE).with_hint_below(REVERSED_SIGN_HINT).with_hint_above(NANOMETRES_HINT));
+        ramp_mm: f64 = key(NotNegative, "mm", "on the board: a ramp over this travel instead of a step").with_default("0.0").with_range(range([0.0, 1e4], [0.0, 50.0], [0.0, 1.0], BACKLASH_SOURCE).with_hint_above(MICROMETRES_HINT));
+        hysteresis_um: f64 = key(NotNegative, "µm", "on the board: how far a reversal must go to count").with_default("0.0").with_range(range([0.0, 1e4], [0.0, 300.0], [0.0, 10.0], BACKLASH_SOURCE).with_hint_above(NANOMETRES_HINT));
     }
 }
 

@@ -66,7 +66,7 @@ table! {
         counts_full_scale: Option<f64> = key(Positive, "counts", "of a line in counts: what the other converter gives at `full_scale_v` (27648 for a SIMATIC S7 input, 32768 for the paper's). Without it a count is a code of the board: 4096 at 3.3 V on the pin").with_example_value("27648");
         full_scale_v: Option<f64> = key(Positive, "V", "of a line: the largest voltage of the input").with_default("10.0");
         divider: Option<f64> = key(Positive, "", "of a line: volts at the board's converter for one volt at the input; `full_scale_v` · `divider` must not be above 3.3 V").with_default("0.328");
-        max_c_per_min: Option<f64> = key(Positive, "K/min", "the fastest change that the mass at the thermometer can make, from 0.1 to 600; a faster reading is not believed until it has stayed within it for 60 s. Without it 10 where a law uses the thermometer; coolant, oil and air need more").with_example_value("60.0");
+        max_c_per_min: Option<f64> = key(Positive, "K/min", "the fastest change that the mass at the thermometer can make, from 0.1 to 600; a faster reading is not believed until it has stayed within it for 60 s. Without it 10 where a law uses the thermometer; coolant, oil and air need more").with_example_value("60.0").with_range(range([0.0, 1e4], [0.1, 600.0], [1.0, 60.0], USER_SETTING_SOURCE));
     }
 }
 

@@ -7,6 +7,7 @@ use crate::{
     inputs::SensorInput,
     keys::{
         key::{Key, ValueType, key, section},
+        range::range,
         reader::Section,
         section::NewSection,
         table::{KeyValue, Table, choice, read_or_default, table, write_key},
@@ -38,7 +39,13 @@ const SENSOR_KEY: Key = section(
     ElongationSource::Sensor.name(),
     SensorKeys::KEYS,
     "growth by a displacement sensor: `k0_um` + (reading − zero) · slope",
-);
+)
+.with_range(range(
+    [-1e10, 1e10],
+    [-1e9, 1e9],
+    [-1e5, 1e5],
+    "`check` holds it against [inputs] sensor",
+));
 const WARMUP_KEY: Key = section(
     ElongationSource::Warmup.name(),
     Warmup::KEYS,
@@ -84,7 +91,7 @@ pub struct SensorModel {
 table! {
     /// The sensor's law as it is written: in counts, or in volts.
     struct SensorKeys {
-        k0_um: f64 = key(Number, "µm", "the growth at the zero reading").required().with_example_value("0.0");
+        k0_um: f64 = key(Number, "µm", "the growth at the zero reading").required().with_example_value("0.0").with_range(range([-1e5, 1e5], [-5000.0, 5000.0], [-500.0, 500.0], "the range of a displacement sensor"));
         zero_counts: Option<f64> = key(Number, "counts", "the reading when the machine is cold; or `zero_v`").with_example_value("5048.0");
         um_per_count: Option<f64> = key(Number, "µm", "growth for one count, not 0; or `um_per_v`").with_example_value("0.0152587890625");
         zero_v: Option<f64> = key(Number, "V", "the reading when the machine is cold, as a voltmeter shows it, in the place of `zero_counts`; needs `[inputs] sensor`").with_example_value("1.54");
@@ -98,19 +105,19 @@ table! {
     #[derive(Clone, Debug, PartialEq)]
     pub struct Warmup {
         /// t₁.
-        lag_s: f64 = key(NotNegative, "s", "from the start of the spindle until growth begins").required().with_example_value("60.0");
+        lag_s: f64 = key(NotNegative, "s", "from the start of the spindle until growth begins").required().with_example_value("60.0").with_range(range([0.0, 1e5], [0.0, 7200.0], [0.0, 600.0], TIME_CONSTANT_SOURCE).with_hint_above(MILLISECONDS_HINT));
         /// t₂.
-        warm_s: f64 = key(Positive, "s", "from the start until it ends; above `lag_s`").required().with_example_value("5400.0");
+        warm_s: f64 = key(Positive, "s", "from the start until it ends; above `lag_s`").required().with_example_value("5400.0").with_range(range([0.0, 5e5], [120.0, 1e5], [1200.0, 2e4], TIME_CONSTANT_SOURCE).with_hint_below(MINUTES_HINT).with_hint_above(MILLISECONDS_HINT));
         /// Smax.
-        max_um: f64 = key(Number, "µm", "the growth in the end").required().with_example_value("80.0");
+        max_um: f64 = key(Number, "µm", "the growth in the end").required().with_example_value("80.0").with_range(range([-2000.0, 2000.0], [0.0, 500.0], [5.0, 200.0], GROWTH_SOURCE).with_hint_below(SPINDLE_SIGN_HINT).with_hint_above(NANOMETRES_HINT));
         /// k.
-        exponent: f64 = key(Positive, "", "how fast it rises; larger is faster at first").required().with_example_value("4.0");
+        exponent: f64 = key(Positive, "", "how fast it rises; larger is faster at first").required().with_example_value("4.0").with_range(range([0.0, 1e3], [0.01, 50.0], [0.5, 8.0], LAW_FORM_SOURCE));
         /// `None`: the time constant of heating, [`Self::time_constant_s`].
-        cool_s: Option<f64> = key(Positive, "s", "time constant while the spindle stands; without it (`warm_s` − `lag_s`)/`exponent`").with_example_value("1335.0");
+        cool_s: Option<f64> = key(Positive, "s", "time constant while the spindle stands; without it (`warm_s` − `lag_s`)/`exponent`").with_example_value("1335.0").with_range(range([0.0, 5e5], [10.0, 1e5], [300.0, 2e4], TIME_CONSTANT_SOURCE).with_hint_below(MINUTES_HINT).with_hint_above(MILLISECONDS_HINT));
         /// Always there if `speed_exponent` is not 0.
-        rated_rpm: Option<f64> = key(Positive, "r/min", "the speed at which `max_um` was recorded").with_example_value("24000.0");
+        rated_rpm: Option<f64> = key(Positive, "r/min", "the speed at which `max_um` was recorded").with_example_value("24000.0").with_range(range([0.0, 1e6], [100.0, 2e5], [3000.0, 6e4], "data sheets of spindles").with_hint_below("probably in 1000 r/min or r/s instead of r/min"));
         /// p: the heat is proportional to (n/n_rated)^p.
-        speed_exponent: f64 = key(NotNegative, "", "growth goes with (n/`rated_rpm`) to this; 0: any speed heats fully").with_default("0.0");
+        speed_exponent: f64 = key(NotNegative, "", "growth goes with (n/`rated_rpm`) to this; 0: any speed heats fully").with_default("0.0").with_range(range([0.0, 20.0], [0.0, 4.0], [0.0, 2.0], LAW_FORM_SOURCE));
     }
     checked by check_consistency
 }
@@ -138,9 +145,9 @@ table! {
         /// T₀.
         reference_c: f64 = key(Number, "°C", "the temperature at which nothing has grown").required().with_example_value("20.0");
         /// k.
-        k_um_per_c: f64 = key(Number, "µm/K", "growth for one kelvin").required().with_example_value("2.0");
+        k_um_per_c: f64 = key(Number, "µm/K", "growth for one kelvin").required().with_example_value("2.0").with_range(range([-200.0, 200.0], [0.0, 30.0], [0.1, 15.0], GROWTH_SOURCE).with_hint_below(SPINDLE_SIGN_HINT).with_hint_above(NANOMETRES_HINT));
         /// 0: no lag.
-        lag_s: f64 = key(NotNegative, "s", "time constant by which growth follows the temperature").with_default("0.0");
+        lag_s: f64 = key(NotNegative, "s", "time constant by which growth follows the temperature").with_default("0.0").with_range(range([0.0, 5e5], [0.0, 1e5], [0.0, 2e4], TIME_CONSTANT_SOURCE).with_hint_above(MILLISECONDS_HINT));
     }
 }
 

@@ -8,6 +8,7 @@ use crate::{
             ValueType::{Number, Numbers, Whole},
             key, section,
         },
+        range::SPLINE_ORDER,
         reader::{MAX_ARRAY_LENGTH, Section},
         section::{NewSection, Value},
     },
@@ -71,7 +72,10 @@ fn pair_key(keys: &'static [Key], pair: (LinearAxis, LinearAxis)) -> Option<&'st
 pub(crate) type SplineKeys = [Key; 3];
 
 const SPLINE_KEYS: SplineKeys = [
-    key("order", Whole(2, 4), "", "degree plus one; 4 is cubic").required().with_example_value("4"),
+    key("order", Whole(2, 4), "", "degree plus one; 4 is cubic")
+        .required()
+        .with_example_value("4")
+        .with_range(SPLINE_ORDER),
     KNOTS_KEY.required(),
     key("control_um", Numbers, "µm", "the control points")
         .required()

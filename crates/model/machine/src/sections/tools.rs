@@ -6,6 +6,7 @@
 use crate::{
     keys::{
         key::{Key, ValueType, key, section},
+        range::SPEED_GROWTH,
         reader::Section,
         section::NewSection,
         table::{Table, build_inline_table, entries, table, to_inline_table},
@@ -28,7 +29,7 @@ table! {
     /// A tool as it is written.
     struct ToolKeys {
         um_per_krpm2: f64 = GROWTH_KEY;
-        number: Option<u16> = key(Whole(0, 65_535), "", "of a key that is a label: the number that the CNC sends; `compile` refuses a label without one").with_example_value("7");
+        number: Option<u16> = key(Whole(0, 65_535), "", "of a key that is a label: the number that the CNC sends; `compile` refuses a label without one").with_example_value("7").with_range(range([0.0, 65535.0], [0.0, 65535.0], [1.0, 100.0], USER_SETTING_SOURCE));
         label: Option<String> = key(Text, "", "of a key that is a number: what the column `tool` of a run file calls it").with_example_value("\"drill\"");
     }
 }
@@ -36,7 +37,8 @@ table! {
 const GROWTH_KEY: Key =
     key("um_per_krpm2", ValueType::Number, "µm", "growth with speed, for (1000 r/min)²")
         .required()
-        .with_example_value("0.021");
+        .with_example_value("0.021")
+        .with_range(SPEED_GROWTH);
 
 pub(crate) const TOOL_LIST_KEYS: &[Key] = &[
     section(

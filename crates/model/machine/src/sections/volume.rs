@@ -17,6 +17,7 @@ use crate::{
             ValueType::{Number, Numbers, Vector, Whole},
             key, section,
         },
+        range::SPLINE_ORDER,
         reader::Section,
         section::NewSection,
         table::{Table, read_or_default, table, write_key},
@@ -161,7 +162,8 @@ const ANGLE_GRADIENT_KEY: Key = key(
 /// An angle as a B-spline.
 const SPLINE_KEYS: SplineKeys = [
     key("order", Whole(2, 4), "", "of a B-spline: degree plus one; 4 is cubic")
-        .with_example_value("4"),
+        .with_example_value("4")
+        .with_range(SPLINE_ORDER),
     KNOTS_KEY,
     key("control_urad", Numbers, "µrad", "the control points")
         .with_example_value("[0.0, 3.0, -2.0, 4.0, 0.0]"),

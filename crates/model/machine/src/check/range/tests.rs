@@ -3,6 +3,7 @@ use std::path::Path;
 use super::*;
 use crate::{
     MachineFile,
+    effect::Cause,
     file::schema::MACHINE_FILE_KEYS,
     keys::{
         key::{Key, ValueType},
@@ -28,17 +29,27 @@ fn only(text: &str) -> (String, Plausibility, String) {
     found.remove(0)
 }
 
-fn numeric<'k>(keys: &'k [Key], path: &str, with: &mut dyn FnMut(String, &'k Key)) {
+/// Calls `with` for every key of numbers in a scope, with its dotted name and its range.
+fn for_each_numeric_key(
+    scope: KeyScope,
+    keys: &'static [Key],
+    path: &str,
+    with: &mut dyn FnMut(String, &Key, Option<PlausibleRange>),
+) {
     for key in keys {
         let name = format!("{path}{}", key.name);
         match key.form {
-            ValueType::Table(inner) => numeric(inner, &format!("{name}."), with),
+            ValueType::Table(inner) => {
+                let scope = scope.section(key.name).expect("it is a section");
+                for_each_numeric_key(scope, inner, &format!("{name}."), with);
+            }
             ValueType::Text
+            | ValueType::Boolean
             | ValueType::Choice(_)
             | ValueType::Column
             | ValueType::Choices(_)
             | ValueType::Terms => {}
-            _ => with(name, key),
+            _ => with(name, key, scope.range_of(key)),
         }
     }
 }
@@ -46,11 +57,8 @@ fn numeric<'k>(keys: &'k [Key], path: &str, with: &mut dyn FnMut(String, &'k Key
 #[test]
 fn every_number_of_a_machine_file_has_a_range_that_its_example_keeps() {
     let mut asked = 0;
-    let mut ask = |name: String, key: &Key| {
-        // Some keys are of one cause alone.
-        let of_one = || find_range(&name.replace("term.any.", "term.dependence."));
-        let range =
-            find_range(&name).or_else(of_one).unwrap_or_else(|| panic!("no range for {name}"));
+    let mut ask = |name: String, key: &Key, range: Option<PlausibleRange>| {
+        let range = range.unwrap_or_else(|| panic!("no range for {name}"));
         let nested = |[inner, outer]: [[f64; 2]; 2]| outer[0] <= inner[0] && inner[1] <= outer[1];
         assert!(
             nested([range.usual, range.likely]) && nested([range.likely, range.hard]),
@@ -59,18 +67,48 @@ fn every_number_of_a_machine_file_has_a_range_that_its_example_keeps() {
         assert!(!range.source.is_empty() && !range.below.is_empty() && !range.above.is_empty());
         let numbers = key.example.split(['[', ']', ',', ' ']).filter_map(|part| part.parse().ok());
         assert_eq!(
-            find_worst_value(range, &numbers.collect::<Vec<f64>>()),
+            find_worst_value(&range, &numbers.collect::<Vec<f64>>()),
             None,
             "{name} = {}",
             key.example
         );
         asked += 1;
     };
-    numeric(MACHINE_FILE_KEYS, "", &mut ask);
-    for keys in [TERM, TERM_KEYS] {
-        numeric(keys, "term.any.", &mut ask);
+    for_each_numeric_key(KeyScope::FILE, MACHINE_FILE_KEYS, "", &mut ask);
+    for &cause in Cause::ALL {
+        for keys in [TERM, TERM_KEYS] {
+            let path = format!("term.{}.", cause.name());
+            for_each_numeric_key(KeyScope::Term(cause), keys, &path, &mut ask);
+        }
     }
-    assert!(asked > 80, "{asked}");
+    assert!(asked > 1000, "{asked}");
+}
+
+#[test]
+fn a_key_has_its_own_range_else_that_of_its_section_else_that_of_its_unit() {
+    let likely = |name: &str| {
+        let (_, range) = KeyScope::FILE.find(name).expect("a key");
+        range.map(|range| range.likely)
+    };
+    for (name, range) in [
+        ("axis.y.backlash.width_um", Some([-0.5, 300.0])),
+        ("spindle.sensor.k0_um", Some([-5000.0, 5000.0])),
+        ("spindle.sensor.um_per_count", Some([-1e9, 1e9])),
+        ("inputs.temp_bed_c.zero_v", Some([-1e10, 1e10])),
+        ("inputs.coolant_on.bit", Some([-1e10, 1e10])),
+        ("spindle.tools.drill.number", Some([0.0, 65535.0])),
+        ("axis.z.pitch.forward_um", Some([-4000.0, 4000.0])),
+    ] {
+        assert_eq!(likely(name), range, "{name}");
+    }
+    let of_cause = |cause, name: &str| {
+        KeyScope::Term(cause).find(name).and_then(|(_, range)| range).map(|range| range.likely)
+    };
+    assert_eq!(of_cause(Cause::SlowMode, "amplitude_um"), Some([-500.0, 500.0]));
+    assert_eq!(of_cause(Cause::PitchPeriodic, "amplitude_um"), Some([-4000.0, 4000.0]));
+    assert_eq!(of_cause(Cause::Dependence, "constant_um"), Some([-1e15, 1e15]));
+    assert_eq!(of_cause(Cause::Step, "constant_um"), Some([-5000.0, 5000.0]));
+    assert!(KeyScope::FILE.find("axis.x.backlash.depth_um").is_none());
 }
 
 #[test]
@@ -126,6 +164,15 @@ fn a_reversed_error_is_unlikely_and_says_so() {
 }
 
 #[test]
+fn a_doubted_value_is_reported_in_the_unit_of_its_key() {
+    let text = "[spindle]\nsource = \"sensor\"\n[spindle.sensor]\nk0_um = 0.0\nzero_counts = 5e9\n\
+                um_per_count = 0.0153\n";
+    let (key, grade, what) = only(text);
+    assert_eq!((key.as_str(), grade), ("spindle.sensor.zero_counts", Plausibility::Unlikely));
+    assert!(what.contains(" 5000000000 counts is unlikely"), "{what}");
+}
+
+#[test]
 fn what_no_machine_has_is_refused_until_its_key_is_accepted() {
     let text = format!("{HEAD}{HEAT}slope_um_per_m_per_c = 11500.0\n");
     let machine = MachineFile::parse(&text, Path::new("m.toml")).expect("the test's own file");
@@ -139,18 +186,4 @@ fn what_no_machine_has_is_refused_until_its_key_is_accepted() {
     assert!(help.ends_with("add --accept axis.x.thermal.slope_um_per_m_per_c"), "{help}");
     assert_eq!(combine_refused(&found, &["axis.x.thermal.slope_um_per_m_per_c".into()]), None);
     assert!(combine_refused(&found, &["axis.y.thermal.slope_um_per_m_per_c".into()]).is_some());
-}
-
-#[test]
-fn a_pattern_stands_for_any_text() {
-    for (pattern, key, is_one) in [
-        ("axis.*.backlash.width_um", "axis.x.backlash.width_um", true),
-        ("axis.*.backlash.width_um", "axis.x.backlash.ramp_mm", false),
-        ("*_um", "straightness.z_of_x.control_um", true),
-        ("*_um", "axis.x.backlash.width_um_2", false),
-        ("spindle.sensor.*", "spindle.sensor.µ", true),
-        ("*.table", "axis.x.thermal.table", true),
-    ] {
-        assert_eq!(matches_pattern(pattern, key), is_one, "{pattern} {key}");
-    }
 }
