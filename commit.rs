@@ -11,8 +11,8 @@ use std::{
 pub fn emit_commit_env(root: &Path) -> Vec<PathBuf> {
     let git = |args: &[&str]| {
         let output = Command::new("git").arg("-C").arg(root).args(args).output().ok()?;
-        let said = String::from_utf8(output.stdout).ok().filter(|_| output.status.success())?;
-        Some(said.trim().to_string())
+        let stdout = String::from_utf8(output.stdout).ok().filter(|_| output.status.success())?;
+        Some(stdout.trim().to_string())
     };
     let commit = git(&["rev-parse", "HEAD"]).and_then(|hash| hash.get(..8).map(str::to_string));
     println!("cargo:rustc-env=TRUEUP_COMMIT={}", commit.as_deref().unwrap_or("unknown"));

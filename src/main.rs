@@ -208,7 +208,7 @@ mod app {
         let (answer, from_modbus) = cx.local.bytes_said.split();
         defmt::info!("trueup bridge {} is up", env!("CARGO_PKG_VERSION"));
         #[cfg(feature = "faults")]
-        defmt::error!("a test build: it breaks when it is told to");
+        defmt::error!("a test build: it breaks on command");
         let shared = Shared {
             node,
             port: Port::new(board::short_serial_number(parts.serial_number)),

@@ -45,7 +45,7 @@ class Sender:
 
 
 class Ear:
-    """Hears every frame of the bridge and notes what is wrong with it."""
+    """Receives every frame of the bridge and notes what is wrong with it."""
 
     def __init__(self, bus, database):
         self.bus, self.database = bus, database

@@ -136,12 +136,12 @@ def main():
             for n in range(3):
                 plc.real(104 + 4 * n, plc.real(170 + 4 * n))
         plc_stopped = kind == "stop"
-        # The gateway: what it hears goes into the block, as long as both its lines hold.
+        # The gateway: what it receives goes into the block, as long as both its lines hold.
         bridge.live(now, CYCLE_MS)
-        hears = kind != "bridge line"
+        is_receiving = kind != "bridge line"
         if kind != "plc line":
             counter += 1
-            shown = block(counter, bridge.offset if hears else None, bridge.quality if hears else 6)
+            shown = block(counter, bridge.offset if is_receiving else None, bridge.quality if is_receiving else 6)
             if random.random() < 0.02:
                 old = shown
         seen = bytearray(shown)
@@ -167,7 +167,7 @@ def main():
             told["ramped"] += state == 5
             told["no offset"] += state == 6
             told["followed"] += state == 1
-            if kind not in ("plc line",) and hears:
+            if kind not in ("plc line",) and is_receiving:
                 bridge.hear(now, bytes(plc.block[HOLDING_AT : HOLDING_AT + 34]))
         is_now = [plc.real(at) for at in (170, 174, 178)]
         if is_now != nck:

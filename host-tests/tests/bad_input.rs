@@ -19,8 +19,8 @@ use std::{
 
 use anyhow::{Context as _, Result, ensure};
 use support::{
-    BridgeProcess, Ended, FAST_MACHINE, GROWN_RUN, PATIENCE, Running, run, signal,
-    wait_until_stuck, xtask,
+    BridgeProcess, Ended, FAST_MACHINE, GROWN_RUN, Running, TIMEOUT, run, signal, wait_until_stuck,
+    xtask,
 };
 use tempfile::TempDir;
 use trueup_core::cnc::Quality;
@@ -37,17 +37,17 @@ use trueup_pipe::Block;
 const AT_ONCE: Duration = Duration::from_secs(5);
 
 /// It ended with this status and an error that says all of this.
-fn assert_refused(ended: &Ended, status: i32, says: &[&str]) {
+fn assert_refused(ended: &Ended, status: i32, expected_phrase: &[&str]) {
     assert_eq!(ended.status.code(), Some(status), "{ended:?}");
     let (_, error) = ended.stderr.split_once("error: ").expect("it says what is wrong");
-    for phrase in says {
+    for phrase in expected_phrase {
         assert!(error.contains(phrase), "no {phrase:?} in {ended:?}");
     }
 }
 
 /// It left neither an emulator nor a file.
 fn assert_nothing_left(command: &Running) -> Result<()> {
-    assert!(command.emulators_left().is_empty(), "QEMU is left: {}", command.said());
+    assert!(command.emulators_left().is_empty(), "QEMU is left: {}", command.log());
     let left: Vec<_> = fs::read_dir(command.temporary.path())?.collect();
     assert!(left.is_empty(), "files are left: {left:?}");
     Ok(())
@@ -153,15 +153,15 @@ fn the_command_takes_its_options_as_the_documentation_writes_them() -> Result<()
         let mut command = process::new_cargo_command();
         command.arg("virtual").args(dashes).args(["--run", "no/such.csv"]);
         let ended = command.current_dir(setup::project_root()).output()?;
-        let said = String::from_utf8_lossy(&ended.stderr);
-        assert_eq!(ended.status.code(), Some(2), "{said}");
-        assert!(said.contains("error: no/such.csv:1:1: cannot be read"), "{said}");
+        let stderr = String::from_utf8_lossy(&ended.stderr);
+        assert_eq!(ended.status.code(), Some(2), "{stderr}");
+        assert!(stderr.contains("error: no/such.csv:1:1: cannot be read"), "{stderr}");
     }
     Ok(())
 }
 
 #[test]
-fn a_port_in_use_is_named_and_whoever_uses_it_is_not_disturbed() -> Result<()> {
+fn a_port_in_use_is_named_and_its_user_is_not_disturbed() -> Result<()> {
     let first = BridgeProcess::start_grown()?;
     let mut line = first.connect()?;
     let mut command = xtask()?;
@@ -183,7 +183,7 @@ fn a_port_in_use_is_named_and_whoever_uses_it_is_not_disturbed() -> Result<()> {
 fn a_plant_that_does_not_listen_or_talks_nonsense_is_named() -> Result<()> {
     let listener = TcpListener::bind("127.0.0.1:0")?;
     let plant = format!("tcp:{}", listener.local_addr()?);
-    for (line, says) in [
+    for (line, phrase) in [
         ("{\"t_s\": 0.1, \"sensor_v\": }\n", "line 2, column 26"),
         ("{\"t_s\": -1, \"sensor_v\": 1}\n", "line 2: t_s goes from 0 to -1"),
         ("{\"t_s\": 0.1, \"sensor_v\": 1e9}\n", "line 2: sensor_v 1000000000 is"),
@@ -197,7 +197,7 @@ fn a_plant_that_does_not_listen_or_talks_nonsense_is_named() -> Result<()> {
         stream.write_all(b"{\"t_s\": 0, \"sensor_v\": 1}\n")?;
         stream.write_all(line.as_bytes())?;
         let ended = bridge.command.end()?;
-        assert_refused(&ended, 1, &[&format!("plant at {plant}, {says}")]);
+        assert_refused(&ended, 1, &[&format!("plant at {plant}, {phrase}")]);
         assert_nothing_left(&bridge.command)?;
     }
     drop(listener);
@@ -217,9 +217,9 @@ fn path_without(programs: &[&str]) -> Result<TempDir> {
     {
         let file = file?;
         let place = folder.path().join(file.file_name());
-        let wanted = !programs.iter().any(|program| file.file_name() == *program);
+        let expected = !programs.iter().any(|program| file.file_name() == *program);
         // The first on the path wins, as it does there.
-        if wanted && place.symlink_metadata().is_err() {
+        if expected && place.symlink_metadata().is_err() {
             symlink(file.path(), place)?;
         }
     }
@@ -237,7 +237,7 @@ fn put_program(path: &TempDir, name: &str, script: &str) -> Result<()> {
 #[test]
 fn a_missing_emulator_is_an_error_with_the_line_that_installs_it() -> Result<()> {
     let path = path_without(&["qemu-system-arm", "apt-get", "sudo", "id"])?;
-    let asked = path.path().join("asked");
+    let requested = path.path().join("asked");
     let mut runs = Vec::new();
     let mut try_demo = || -> Result<()> {
         let before = inventory(&demo_folder())?;
@@ -252,11 +252,11 @@ fn a_missing_emulator_is_an_error_with_the_line_that_installs_it() -> Result<()>
     // Not a distribution that is known.
     try_demo()?;
     // A known one, and a user who may not install anything.
-    put_program(&path, "apt-get", &format!("echo \"$@\" >>'{}'; exit 100", asked.display()))?;
+    put_program(&path, "apt-get", &format!("echo \"$@\" >>'{}'; exit 100", requested.display()))?;
     put_program(&path, "sudo", "exit 1")?;
     put_program(&path, "id", "echo 1000")?;
     try_demo()?;
-    let nobody_was_asked = !asked.exists();
+    let no_package_was_installed = !requested.exists();
     // One who may, but the network is down.
     put_program(&path, "id", "echo 0")?;
     try_demo()?;
@@ -268,7 +268,7 @@ fn a_missing_emulator_is_an_error_with_the_line_that_installs_it() -> Result<()>
     let by_hand = "    sudo apt-get update && sudo apt-get install -y qemu-system-arm";
     assert_refused(unknown, 1, &["QEMU, the emulator is missing", "install: qemu-system-arm"]);
     assert_refused(forbidden, 1, &["may not install it; run:\n", by_hand]);
-    assert!(nobody_was_asked, "nothing is installed without permission");
+    assert!(no_package_was_installed, "nothing is installed without permission");
     assert!(failed.stderr.contains("is missing; installing: qemu-system-arm"), "{failed:?}");
     assert_refused(failed, 1, &["could not be installed; by hand:\n", by_hand]);
     assert_refused(old, 1, &["is version 6.2; 7.2 or newer is needed"]);
@@ -422,7 +422,7 @@ fn a_broken_calibration_gives_no_offset_and_the_log_says_why() -> Result<()> {
 /// Returns the log from the start to the first line that the board writes of its own accord. It comes
 /// next to the frames, so it may come later.
 fn log_of(board: &VirtualBoard) -> Result<String> {
-    let end = Instant::now() + PATIENCE;
+    let end = Instant::now() + TIMEOUT;
     loop {
         let log = board.log().join("\n");
         if log.contains("quality") {

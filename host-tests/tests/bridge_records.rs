@@ -185,8 +185,8 @@ fn record_of(truth: &str, believed: &str, engaged: Engaged, is_axis: bool, facto
         }
         let volts = truth.sensor_volts().unwrap_or(0.0);
         let screw_c = truth.temperatures_c()[0].1;
-        let said = board.hold(volts, screw_c, x_mm, engaged.at(row));
-        let offset_um = said.offset.map(|all| all.map(|nm| f64::from(nm.0) / 1000.0));
+        let output = board.hold(volts, screw_c, x_mm, engaged.at(row));
+        let offset_um = output.offset.map(|all| all.map(|nm| f64::from(nm.0) / 1000.0));
         // The CNC moves the tool by what the bridge says; without a word it stays where it is.
         let moved_um = offset_um.unwrap_or_default().map(|um| factor * um);
         let left_um = if is_axis {
@@ -204,7 +204,7 @@ fn record_of(truth: &str, believed: &str, engaged: Engaged, is_axis: bool, facto
             offset(0),
             offset(1),
             offset(2),
-            said.quality as u8,
+            output.quality as u8,
             compiled.crc(),
             if is_axis { screw_c } else { volts * 3276.8 },
             left_um + cell(row),
@@ -394,16 +394,17 @@ fn a_cnc_that_applies_the_offset_otherwise_is_named_and_no_constant_is_changed()
 }
 
 #[test]
-fn an_engaged_record_alone_does_not_tell_a_cnc_from_a_constant() {
+fn an_engaged_record_alone_does_not_separate_a_cnc_from_a_constant() {
     for (truth, believed, is_axis) in machines() {
         for factor in [-1.0, 0.5] {
             let record = record_of(&truth, &believed, Engaged::Always, is_axis, factor);
             let (report, stays) = answered(&believed, &[record]);
             assert!(stays && !report.verdict.is_resolved(), "{factor}: {:?}", report.verdict);
-            let rival = |finding: &trueup_diagnose::report::Finding| {
-                finding.rivals.iter().any(|rival| rival.cause == "applied-factor")
+            let alternative = |finding: &trueup_diagnose::report::Finding| {
+                finding.rivals.iter().any(|alternative| alternative.cause == "applied-factor")
             };
-            let open: Vec<_> = report.findings.iter().filter(|finding| rival(finding)).collect();
+            let open: Vec<_> =
+                report.findings.iter().filter(|finding| alternative(finding)).collect();
             assert!(!open.is_empty(), "{factor}");
             assert!(
                 open.iter()

@@ -73,9 +73,9 @@ fn the_tool_loads_a_calibration_and_the_board_runs_on_it_after_its_restart() -> 
 
     let (old, old_crc) = calibration(&folder, "old.bin", 1.0)?;
     let (new, new_crc) = calibration(&folder, "new.bin", 0.5)?;
-    let (code, told, _) = json_of(&["bridge", "info", "--port", &port])?;
-    assert_eq!((code, &told[0]["calibration_crc"]), (Some(0), &json!(old_crc)));
-    assert_eq!(told[0]["new_calibration_crc"], Value::Null);
+    let (code, document, _) = json_of(&["bridge", "info", "--port", &port])?;
+    assert_eq!((code, &document[0]["calibration_crc"]), (Some(0), &json!(old_crc)));
+    assert_eq!(document[0]["new_calibration_crc"], Value::Null);
 
     // Garbage that passes the tool's own eye is not to be had; the bridge itself is tried by
     // `canopen_master`. Here it comes from a raw client in the middle of a transfer.
@@ -85,11 +85,11 @@ fn the_tool_loads_a_calibration_and_the_board_runs_on_it_after_its_restart() -> 
     drop(raw);
 
     for (file, crc, gain) in [(&new, &new_crc, 0.5), (&old, &old_crc, 1.0)] {
-        let (code, told, err) = json_of(&["bridge", "load", file, "--yes", "--port", &port])?;
-        println!("{told:?}");
+        let (code, document, err) = json_of(&["bridge", "load", file, "--yes", "--port", &port])?;
+        println!("{document:?}");
         assert_eq!(code, Some(0), "{err}");
-        assert_eq!(told[0]["running_crc"], json!(crc));
-        assert_eq!(told[0]["restarted"], json!(true));
+        assert_eq!(document[0]["running_crc"], json!(crc));
+        assert_eq!(document[0]["restarted"], json!(true));
         let z = live_z_um(&bridge)?;
         assert!((z - gain * GROWN_UM).abs() < 0.3, "{z} µm, by {gain}");
     }
@@ -133,7 +133,7 @@ fn can_utils_and_python_can_read_a_recording_and_diagnose_its_run_file() -> Resu
     drop(cnc);
     let place = folder.path().join("recorded");
     let record = place.to_str().context("text")?;
-    let (code, told, err) = json_of(&[
+    let (code, json, err) = json_of(&[
         "bridge",
         "monitor",
         "--port",
@@ -146,7 +146,7 @@ fn can_utils_and_python_can_read_a_recording_and_diagnose_its_run_file() -> Resu
         &machine,
     ])?;
     assert_eq!(code, Some(0), "{err}");
-    let last = &told.last().context("a line a second")?["board"];
+    let last = &json.last().context("a line a second")?["board"];
     assert!((last["temps_c"][5].as_f64().context("a temperature")? - 23.5).abs() < 0.02, "{last}");
     assert_eq!(last["temps_c"][4], Value::Null);
 
@@ -174,8 +174,7 @@ fn can_utils_and_python_can_read_a_recording_and_diagnose_its_run_file() -> Resu
     diagnosed(&folder, &place.join("bridge.csv"), &machine)
 }
 
-/// The run file with a measurement next to it, as a user with an indicator would have it: 1.25 times
-/// what the model says.
+/// The run file with a measurement next to it, as a user with an indicator would have it: 1.25 times that of the model.
 fn diagnosed(folder: &TempDir, recorded: &Path, machine: &str) -> Result<()> {
     let run = RunFile::read(recorded)?;
     let counts = run.column("sensor_counts").context("of the machine file's law")?;
@@ -198,8 +197,8 @@ fn diagnosed(folder: &TempDir, recorded: &Path, machine: &str) -> Result<()> {
     let out = folder.path().join("diagnosis");
     let out = out.to_str().context("text")?;
     let run = ["diagnose", "--machine", machine, "--run", &measured, "--out", out];
-    let (code, told, err) = json_of(&run)?;
-    println!("{code:?} {told:?}");
+    let (code, json, err) = json_of(&run)?;
+    println!("{code:?} {json:?}");
     assert!(code == Some(0) || code == Some(3), "{err}");
     let diagnosis: Value =
         serde_json::from_slice(&fs::read(Path::new(out).join("diagnosis.json"))?)?;

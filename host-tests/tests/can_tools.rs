@@ -235,9 +235,9 @@ fn script(name: &str, arguments: &[&std::path::Path]) -> Result<String> {
         // Its progress.
         .stderr(Stdio::inherit())
         .output()?;
-    let said = String::from_utf8(output.stdout)?;
-    ensure!(output.status.success(), "{said}");
-    Ok(said)
+    let stdout = String::from_utf8(output.stdout)?;
+    ensure!(output.status.success(), "{stdout}");
+    Ok(stdout)
 }
 
 #[test]

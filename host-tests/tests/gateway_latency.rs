@@ -78,7 +78,7 @@ impl Watch {
     }
 
     /// Returns the next line that it prints.
-    fn told(&mut self) -> Result<Value> {
+    fn read_record(&mut self) -> Result<Value> {
         let mut line = String::new();
         self.lines.read_line(&mut line)?;
         serde_json::from_str(&line).with_context(|| format!("it says {line:?}"))
@@ -106,7 +106,7 @@ fn clock_bridge(stop: Arc<AtomicBool>) -> Result<String> {
         while !stop.load(Ordering::Relaxed) {
             match listener.accept() {
                 // What breaks a line is for its other end to tell.
-                Ok((stream, _)) => drop(tell_the_time(stream, &stop)),
+                Ok((stream, _)) => drop(print_time(stream, &stop)),
                 Err(_) => thread::sleep(Duration::from_millis(10)),
             }
         }
@@ -115,7 +115,7 @@ fn clock_bridge(stop: Arc<AtomicBool>) -> Result<String> {
 }
 
 /// Sends a pair of offsets each millisecond, until it is stopped or the client closes the line.
-fn tell_the_time(mut stream: TcpStream, stop: &AtomicBool) -> std::io::Result<()> {
+fn print_time(mut stream: TcpStream, stop: &AtomicBool) -> std::io::Result<()> {
     stream.set_nonblocking(false)?;
     stream.set_nodelay(true)?;
     stream.set_read_timeout(Some(Duration::from_millis(1)))?;
@@ -169,7 +169,7 @@ fn between(language: Language, bridge: &str) -> Result<(Running, Watch)> {
     match language {
         Language::S7 => {
             let mut watch = Watch::start(&["s7", "--polls", &S7_POLLS.to_string()])?;
-            let plc = format!("127.0.0.1:{}", watch.told()?["port"]);
+            let plc = format!("127.0.0.1:{}", watch.read_record()?["port"]);
             let gateway = Running::start(command.args(["--db", "900", "--plc", &plc]))?;
             Ok((gateway, watch))
         }
@@ -178,14 +178,14 @@ fn between(language: Language, bridge: &str) -> Result<(Running, Watch)> {
             let address = gateway.wait_for("reach the bridge at tcp:", ",")?;
             let (_, port) = address.rsplit_once(':').context("an address has a port")?;
             let mut watch = Watch::start(&["modbus", port])?;
-            ensure!(watch.told()?["connected"] == true, "pymodbus finds nobody");
+            ensure!(watch.read_record()?["connected"] == true, "pymodbus finds nobody");
             Ok((gateway, watch))
         }
         Language::Rtu => {
             let baud = RTU_BAUD.to_string();
             let mut watch = Watch::start(&["rtu", &baud])?;
-            let told = watch.told()?;
-            let device = told["device"].as_str().context("a device")?;
+            let record = watch.read_record()?;
+            let device = record["device"].as_str().context("a device")?;
             // A pseudo terminal refuses parity.
             let line = ["--serial", device, "--baud", &baud, "--parity", "none"];
             let gateway = Running::start(command.args(line))?;
@@ -198,14 +198,14 @@ fn between(language: Language, bridge: &str) -> Result<(Running, Watch)> {
 
 /// Report for people, and how late the values came.
 struct Seen {
-    said: String,
+    summary: String,
     p99_ms: f64,
 }
 
 impl Seen {
     fn in_time(self) -> Result<String> {
-        ensure!(self.p99_ms <= P99_MS, "from board to PLC: {}", self.said);
-        Ok(self.said)
+        ensure!(self.p99_ms <= P99_MS, "from board to PLC: {}", self.summary);
+        Ok(self.summary)
     }
 }
 
@@ -220,14 +220,14 @@ fn watched(language: Language, how_long: Duration) -> Result<Seen> {
     let seconds = how_long.as_secs_f64();
     let cost = (processor_s(gateway.id())? - before) / seconds;
     watch.child.stdin.take();
-    let saw = watch.told()?;
+    let saw = watch.read_record()?;
     stop.store(true, Ordering::Relaxed);
-    let said = format!("{language:?}: {saw}, {:.2} % of a core", 100.0 * cost);
+    let summary = format!("{language:?}: {saw}, {:.2} % of a core", 100.0 * cost);
     let number = |name: &str| saw[name].as_f64().unwrap_or(f64::NAN);
-    ensure!(number("blocks") > language.least_per_s() * seconds, "too few blocks: {said}");
-    ensure!(number("half_old") == 0.0, "half old: {said}");
-    ensure!(cost <= COST, "{said}");
-    Ok(Seen { p99_ms: number("p99_ms"), said })
+    ensure!(number("blocks") > language.least_per_s() * seconds, "too few blocks: {summary}");
+    ensure!(number("half_old") == 0.0, "half old: {summary}");
+    ensure!(cost <= COST, "{summary}");
+    Ok(Seen { p99_ms: number("p99_ms"), summary })
 }
 
 #[test]
@@ -251,7 +251,7 @@ fn by_modbus_tcp_data_reach_the_plc_within_30_ms_and_none_is_half_old() -> Resul
 fn by_modbus_rtu_data_reach_the_plc_within_30_ms_and_none_is_half_old() -> Result<()> {
     for _ in 0..2 {
         let seen = watched(Language::Rtu, MINUTE)?;
-        println!("{}", seen.said);
+        println!("{}", seen.summary);
         if seen.p99_ms <= P99_MS {
             return Ok(());
         }
@@ -263,17 +263,20 @@ fn by_modbus_rtu_data_reach_the_plc_within_30_ms_and_none_is_half_old() -> Resul
 #[test]
 #[ignore = "campaign: cargo xtask soak"]
 fn campaign_data_reach_plcs_of_three_languages_within_30_ms_for_ten_minutes() -> Result<()> {
-    let asked = std::env::var("TRUEUP_SOAK_PLC_S").ok().and_then(|text| text.parse().ok());
-    let how_long = Duration::from_secs(asked.unwrap_or(CAMPAIGN_S));
+    let requested = std::env::var("TRUEUP_SOAK_PLC_S").ok().and_then(|text| text.parse().ok());
+    let how_long = Duration::from_secs(requested.unwrap_or(CAMPAIGN_S));
     trueup()?;
     thread::scope(|scope| {
         let all = [Language::S7, Language::Tcp, Language::Rtu]
             .map(|language| scope.spawn(move || watched(language, how_long)?.in_time()));
         // Each is reported, whatever came of the one before.
         let all = all.map(|thread| thread.join().expect("it does not panic"));
-        for said in &all {
-            println!("{}", said.as_ref().map_or_else(|error| format!("{error:#}"), Clone::clone));
+        for summary in &all {
+            println!(
+                "{}",
+                summary.as_ref().map_or_else(|error| format!("{error:#}"), Clone::clone)
+            );
         }
-        all.into_iter().try_for_each(|said| said.map(drop))
+        all.into_iter().try_for_each(|summary| summary.map(drop))
     })
 }

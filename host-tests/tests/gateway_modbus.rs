@@ -48,7 +48,7 @@ impl World {
             .stdin(Stdio::null())
             .output()?;
         let errors = String::from_utf8_lossy(&output.stderr);
-        ensure!(output.status.success(), "{errors}\nthe gateway: {}", self.gateway.said());
+        ensure!(output.status.success(), "{errors}\nthe gateway: {}", self.gateway.log());
         Ok(serde_json::from_slice(&output.stdout)?)
     }
 }
@@ -62,9 +62,11 @@ fn pymodbus_engages_it_reads_it_and_gets_the_exception_that_the_standard_names()
     assert_eq!(saw["wrong"], json!([]), "every block is whole");
     assert_eq!(saw["released"]["offset_um"], json!([null, null, null]), "nobody has engaged it");
     assert_eq!((&saw["released"]["quality"], &saw["released"]["state"]), (&json!(6), &json!(1)));
-    let is_grown = |said: &Value| {
-        let z = said["offset_um"][2].as_f64().unwrap_or(f64::NAN);
-        (z - GROWN_UM).abs() < TOLERANCE_UM && said["offset_um"][0] == 0.0 && said["quality"] == 1
+    let is_grown = |report: &Value| {
+        let z = report["offset_um"][2].as_f64().unwrap_or(f64::NAN);
+        (z - GROWN_UM).abs() < TOLERANCE_UM
+            && report["offset_um"][0] == 0.0
+            && report["quality"] == 1
     };
     assert!(is_grown(&saw["live"]), "the growth is undone: {}", saw["live"]);
     let elongation = saw["live"]["elongation_um"].as_f64().unwrap_or(f64::NAN);
@@ -123,11 +125,11 @@ fn pymodbus_says_the_tool_and_a_condition_and_the_offset_follows_them() -> Resul
     let world = World::before(bridge)?;
     let saw = world.master("modbus_tool.py")?;
     println!("{saw:#}");
-    let is_at = |said: &Value, [x_um, by_tool_um]: [f64; 2]| {
-        let at = |axis: usize| said["offset_um"][axis].as_f64().unwrap_or(f64::NAN);
+    let is_at = |report: &Value, [x_um, by_tool_um]: [f64; 2]| {
+        let at = |axis: usize| report["offset_um"][axis].as_f64().unwrap_or(f64::NAN);
         (at(0) - x_um).abs() < TOLERANCE_UM
             && (at(2) - GROWN_UM - by_tool_um).abs() < TOLERANCE_UM
-            && (&said["quality"], &said["state"]) == (&json!(1), &json!(0))
+            && (&report["quality"], &report["state"]) == (&json!(1), &json!(0))
     };
     for (name, offset_um) in [
         ("tool 7", [0.0, 0.02 * 576.0]),
@@ -154,12 +156,12 @@ fn mbpoll_reads_the_offsets_as_the_page_says() -> Result<()> {
             .args(["-m", "tcp", "-p", &world.port, "-t", "3:int", "-B", "-0", "-r", "2"])
             .args(["-c", "3", "-1", "127.0.0.1"])
             .output()?;
-        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        let stdout = String::from_utf8_lossy(&output.stdout).into_owned();
         // Nobody has engaged it: not available.
-        if said.contains("[6]:") && said.matches("-2147483648").count() == 3 {
+        if stdout.contains("[6]:") && stdout.matches("-2147483648").count() == 3 {
             return Ok(());
         }
-        ensure!(Instant::now() < end, "{said}{}", String::from_utf8_lossy(&output.stderr));
+        ensure!(Instant::now() < end, "{stdout}{}", String::from_utf8_lossy(&output.stderr));
         thread::sleep(Duration::from_millis(200));
     }
 }
@@ -179,8 +181,8 @@ fn pymodbus_and_mbpoll_read_it_over_a_serial_line() -> Result<()> {
         (&json!(1), &json!(0x8000), &json!(6))
     );
     assert_eq!(saw["exception"], 1);
-    let said = saw["mbpoll"].as_str().context("what it prints")?;
-    assert_eq!(said.matches("-2147483648").count(), 3, "{said}");
+    let text = saw["mbpoll"].as_str().context("what it prints")?;
+    assert_eq!(text.matches("-2147483648").count(), 3, "{text}");
     Ok(())
 }
 
@@ -202,11 +204,11 @@ fn mb2hal_reads_the_block_with_the_sample_that_is_delivered() -> Result<()> {
         format!("loadusr -Wn trueup-gateway mb2hal config={ini}\nloadusr -w sleep 2\nshow pin\n");
     let hal = support::file(&folder, "read.hal", &hal)?;
     let output = Command::new("halrun").args(["-f", &hal]).stdin(Stdio::null()).output()?;
-    let said = String::from_utf8_lossy(&output.stdout).into_owned();
-    println!("{said}");
+    let stdout = String::from_utf8_lossy(&output.stdout).into_owned();
+    println!("{stdout}");
     let pin = |number: u32| -> Option<&str> {
         let name = format!("trueup-gateway.input.{number:02}.int");
-        let line = said.lines().find(|line| line.ends_with(&name))?;
+        let line = stdout.lines().find(|line| line.ends_with(&name))?;
         line.split_whitespace().nth(3)
     };
     // The layout, "not available" on X, quality 6: nobody has engaged it.
@@ -215,22 +217,21 @@ fn mb2hal_reads_the_block_with_the_sample_that_is_delivered() -> Result<()> {
 }
 
 /// Returns whether the bridge is received, as the lines on standard output report it, one value for each change.
-fn heard(lines: &Path) -> Result<Vec<bool>> {
+fn read_bridge_states(lines: &Path) -> Result<Vec<bool>> {
     let text = std::fs::read_to_string(lines)?;
     // The last one may only be half written.
     let whole = text.rsplit_once('\n').map_or("", |(whole, _)| whole);
-    let mut heard = Vec::new();
+    let mut received = Vec::new();
     for line in whole.lines() {
-        let said: Value = serde_json::from_str(line).with_context(|| line.to_owned())?;
-        heard.push(said["bridge"]["heard"].as_bool().context("it tells of the bridge")?);
+        let json: Value = serde_json::from_str(line).with_context(|| line.to_owned())?;
+        received.push(json["bridge"]["heard"].as_bool().context("it tells of the bridge")?);
     }
-    heard.dedup();
-    Ok(heard)
+    received.dedup();
+    Ok(received)
 }
 
 #[test]
-fn a_gateway_outlives_its_bridge_tells_it_line_by_line_and_once_says_how_both_ends_are()
--> Result<()> {
+fn a_gateway_outlives_its_bridge_reports_it_line_by_line_and_once_prints_both_ends() -> Result<()> {
     let mut bridge = BridgeProcess::start_grown()?;
     let address = bridge.address().to_owned();
     let folder = tempfile::tempdir()?;
@@ -240,14 +241,14 @@ fn a_gateway_outlives_its_bridge_tells_it_line_by_line_and_once_says_how_both_en
     command.args(["--port", &format!("tcp:{address}")]);
     let output = std::fs::File::create(&lines)?;
     let mut gateway = Running::start_into(&mut command, output.into())?;
-    let until = |wanted: &[bool]| -> Result<()> {
+    let until = |expected_value: &[bool]| -> Result<()> {
         let end = Instant::now() + Duration::from_secs(20);
         loop {
-            let heard = heard(&lines)?;
-            if heard.ends_with(wanted) {
+            let received = read_bridge_states(&lines)?;
+            if received.ends_with(expected_value) {
                 return Ok(());
             }
-            ensure!(Instant::now() < end, "{heard:?} for {wanted:?}");
+            ensure!(Instant::now() < end, "{received:?} for {expected_value:?}");
             thread::sleep(Duration::from_millis(50));
         }
     };
@@ -255,8 +256,8 @@ fn a_gateway_outlives_its_bridge_tells_it_line_by_line_and_once_says_how_both_en
         let mut command = trueup()?;
         command.args(["gateway", "modbus", "--listen", "127.0.0.1:0", "--once"]);
         let output = command.args(["--port", &format!("tcp:{address}")]).output()?;
-        let said = String::from_utf8_lossy(&output.stderr);
-        ensure!(output.status.code() == Some(expected), "{:?} {said}", output.status);
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        ensure!(output.status.code() == Some(expected), "{:?} {stderr}", output.status);
         Ok(serde_json::from_slice(&output.stdout)?)
     };
     until(&[true])?;
@@ -283,10 +284,11 @@ fn without_an_address_only_this_computer_reaches_it() -> Result<()> {
     let mut command = trueup()?;
     let output =
         command.args(["gateway", "modbus", "--once", "--port", "tcp:127.0.0.1:1"]).output()?;
-    let said = String::from_utf8_lossy(&output.stderr);
-    // Whoever may not open a port below 1024, or finds another there, is told which it was.
-    let is_told = said.contains("tcp:127.0.0.1:502,") || said.contains("listen at [127.0.0.1:502]");
-    ensure!(is_told && !said.contains("every computer"), "{said}");
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    // A user who may not open a port below 1024, or finds it in use, gets its number.
+    let is_reported =
+        stderr.contains("tcp:127.0.0.1:502,") || stderr.contains("listen at [127.0.0.1:502]");
+    ensure!(is_reported && !stderr.contains("every computer"), "{stderr}");
     Ok(())
 }
 
@@ -308,9 +310,9 @@ fn systemd_takes_the_service_and_its_commands_are_this_tools() -> Result<()> {
             word => word,
         });
         let output = Command::new(&program).args(words).arg("--once").output()?;
-        let said = String::from_utf8_lossy(&output.stderr);
+        let stderr = String::from_utf8_lossy(&output.stderr);
         // Nobody is there; 2 would be a command that it does not know.
-        ensure!(matches!(output.status.code(), Some(1 | 3)), "{command}: {said}");
+        ensure!(matches!(output.status.code(), Some(1 | 3)), "{command}: {stderr}");
     }
     let Some(systemd) = trueup_emulator::process::find_on_path("systemd-analyze") else {
         println!("skipped: this computer has no systemd-analyze");
@@ -322,8 +324,8 @@ fn systemd_takes_the_service_and_its_commands_are_this_tools() -> Result<()> {
     let unit = support::file(&folder, "trueup-gateway.service", &here)?;
     let output = Command::new(systemd).args(["verify", &unit]).output()?;
     // A key that it does not know is a warning alone, and ends with 0.
-    let said = String::from_utf8_lossy(&output.stderr);
-    let ours: Vec<&str> = said.lines().filter(|line| line.contains("trueup-gateway")).collect();
-    ensure!(output.status.success() && ours.is_empty(), "{said}");
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    let ours: Vec<&str> = stderr.lines().filter(|line| line.contains("trueup-gateway")).collect();
+    ensure!(output.status.success() && ours.is_empty(), "{stderr}");
     Ok(())
 }

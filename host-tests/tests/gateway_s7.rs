@@ -26,7 +26,7 @@ const TOLERANCE_UM: f64 = 0.4;
 const SLEW_UM_PER_S: f64 = 20.0;
 /// The program counts whole milliseconds of its cycle, and is reported of the last one: this much more may a step be.
 const CLOCK_UM: f64 = SLEW_UM_PER_S * 0.002;
-const PATIENCE: Duration = Duration::from_secs(40);
+const TIMEOUT: Duration = Duration::from_secs(40);
 
 /// The PLC: awlsim and snap7 in a process of their own.
 struct Plc {
@@ -52,8 +52,8 @@ impl Plc {
         let keep = cycles.clone();
         thread::spawn(move || {
             for line in lines.lines().map_while(Result::ok) {
-                if let Ok(said) = serde_json::from_str(&line) {
-                    keep.lock().expect("nobody panics with it").push(said);
+                if let Ok(json) = serde_json::from_str(&line) {
+                    keep.lock().expect("nobody panics with it").push(json);
                 }
             }
         });
@@ -70,12 +70,12 @@ impl Plc {
     }
 
     /// Waits until a cycle from now on is like this; gives all from now on.
-    fn until(&self, what: &str, wanted: impl Fn(&Value) -> bool) -> Result<Vec<Value>> {
+    fn until(&self, what: &str, expected: impl Fn(&Value) -> bool) -> Result<Vec<Value>> {
         let from = self.cycles().len();
-        let end = Instant::now() + PATIENCE;
+        let end = Instant::now() + TIMEOUT;
         loop {
             let since = self.cycles().split_off(from);
-            if since.iter().any(&wanted) {
+            if since.iter().any(&expected) {
                 return Ok(since);
             }
             ensure!(Instant::now() < end, "{what}: never, at last {:?}", since.last());
@@ -213,18 +213,18 @@ fn cuts(options: &[&str]) -> Result<()> {
     assert!(number(&saw["above_slew_um"]) < 1e-3 && number(&saw["largest_step_um"]) > 0.5, "{saw}");
     let is_whole = options.contains(&LINES);
     assert!(is_whole || number(&saw["rejected"]) > 5.0, "what is not whole is not used: {saw}");
-    for told in ["held", "ramped", "followed"] {
-        assert!(number(&saw["cycles"][told]) > 10.0, "{told}: {saw}");
+    for phase in ["held", "ramped", "followed"] {
+        assert!(number(&saw["cycles"][phase]) > 10.0, "{phase}: {saw}");
     }
     let [x, _, z] = [0, 1, 2].map(|axis| number(&saw["nck_um"][axis]));
-    let wanted = number(&saw["offset_um"]);
-    assert!((z + wanted).abs() < 0.1 && x == 0.0 && wanted > 1.0, "all is well again: {saw}");
+    let expected = number(&saw["offset_um"]);
+    assert!((z + expected).abs() < 0.1 && x == 0.0 && expected > 1.0, "all is well again: {saw}");
     Ok(())
 }
 
 #[test]
 #[ignore = "long: nine faults, each held and taken back"]
-fn whatever_breaks_is_held_taken_back_and_told_and_comes_back_by_itself() -> Result<()> {
+fn whatever_breaks_is_held_ramped_out_and_reported_and_comes_back_by_itself() -> Result<()> {
     let _alone = alone();
     let (bridge, mut plc, first) = following()?;
     let port = format!("tcp:{}", bridge.address());
@@ -302,11 +302,13 @@ fn constant_and_slope_reach_the_nck_with_sign_and_unit_and_go_together() -> Resu
     let values = |place: &Value| -> [f64; 6] { std::array::from_fn(|n| number(&place[n])) };
     // Offsets of -6.0 and 1.5 µm, slopes of -13.5 µm/m (0.95 K of the paper's 14.21) and 2.7 µm/m: positive moves
     // negative, mm and mm of a mm.
-    let wanted = [0.006, -0.001_5, 0.0, 13.5e-6, 0.0, -2.7e-6];
-    let near = |got: [f64; 6], wanted: [f64; 6]| {
-        got.iter().zip(wanted).all(|(got, wanted)| (got - wanted).abs() <= 1e-6 * wanted.abs())
+    let expected = [0.006, -0.001_5, 0.0, 13.5e-6, 0.0, -2.7e-6];
+    let near = |got: [f64; 6], expected: [f64; 6]| {
+        got.iter()
+            .zip(expected)
+            .all(|(got, expected)| (got - expected).abs() <= 1e-6 * expected.abs())
     };
-    assert!(near(values(&saw["there"]), wanted), "{}", saw["there"]);
+    assert!(near(values(&saw["there"]), expected), "{}", saw["there"]);
     // Both parts of an axis go by the same share: at 15 m from P₀ the sum never leaves 0 and its goal.
     for way in ["way", "back"] {
         for at in saw[way].as_array().context("a way")? {
@@ -317,7 +319,7 @@ fn constant_and_slope_reach_the_nck_with_sign_and_unit_and_go_together() -> Resu
     }
     assert_eq!(saw["states"], json!([1, 5]), "a slope of another block is not whole");
     let held = values(&saw["held"][0]);
-    assert!(near(held, wanted), "held first: {held:?}");
+    assert!(near(held, expected), "held first: {held:?}");
     let (held, steep) = (values(&saw["held"][1]), values(&saw["steep"]));
     assert!(steep[3] < held[3] && held[3] < 13.5e-6, "a slope beyond MAX_S is not used");
     assert_eq!(values(&saw["end"]), [0.0; 6], "taken back");
@@ -358,17 +360,17 @@ fn tool_and_conditions_stand_in_the_block_of_the_plc_program_as_the_bridge_check
     ensure!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let blocks: Vec<String> = serde_json::from_slice(&output.stdout)?;
     let mut checker = Checker::default();
-    let mut said = Vec::new();
+    let mut messages = Vec::new();
     for block in &blocks {
         let word = |n: usize| u16::from_str_radix(&block[4 * n..4 * n + 4], 16);
         let mut registers = [0; 20];
         for (n, register) in registers.iter_mut().enumerate() {
             *register = word(n)?;
         }
-        said.push(checker.accept(&registers)?.conditions);
+        messages.push(checker.accept(&registers)?.conditions);
     }
     let conditions = |tool, bits| Some(Conditions { tool, bits });
-    assert_eq!(said, [None, conditions(7, 0x8200), conditions(65_535, 0), None]);
+    assert_eq!(messages, [None, conditions(7, 0x8200), conditions(65_535, 0), None]);
     Ok(())
 }
 
@@ -381,18 +383,18 @@ fn once_says_how_both_ends_are() -> Result<()> {
         let mut command = trueup()?;
         command.args(["gateway", "s7", "--once", "--db", db, "--plc", host]);
         let output = command.args(["--port", &format!("tcp:{}", bridge.address())]).output()?;
-        let [out, told] =
+        let [out, stderr] =
             [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into());
-        Ok((output.status.code(), out, told))
+        Ok((output.status.code(), out, stderr))
     };
     let host = format!("127.0.0.1:{}", plc.port);
-    let (code, out, told) = once(&host, "900")?;
-    assert_eq!(code, Some(0), "{told}");
+    let (code, out, stderr) = once(&host, "900")?;
+    assert_eq!(code, Some(0), "{stderr}");
     let health: Value = serde_json::from_str(&out)?;
     assert_eq!((&health["bridge"]["heard"], &health["plc"]["line"]), (&json!(true), &json!("up")));
-    let (code, _, told) = once(&host, "901")?;
-    assert!(code == Some(1) && told.contains("the PLC"), "no such block: {told}");
-    let (code, _, told) = once("127.0.0.1:1", "900")?;
-    assert!(code == Some(1) && told.contains("cannot be reached"), "{told}");
+    let (code, _, stderr) = once(&host, "901")?;
+    assert!(code == Some(1) && stderr.contains("the PLC"), "no such block: {stderr}");
+    let (code, _, stderr) = once("127.0.0.1:1", "900")?;
+    assert!(code == Some(1) && stderr.contains("cannot be reached"), "{stderr}");
     Ok(())
 }

@@ -40,14 +40,14 @@ impl Lesson {
     /// Engaged for so long; each `Control` says a part of these amounts. Gives every offset of Z in µm.
     fn live(&mut self, ms: u32, amounts: Option<[i16; PART_COUNT]>) -> Vec<f64> {
         let calibration = calibration_id(self.crc);
-        let said = |counter: u8| {
+        let learned_frame = |counter: u8| {
             let part = counter % PART_COUNT as u8;
             let amount = |all: [i16; PART_COUNT]| all[usize::from(part)];
             let change = |all| ChangeRequest { part: part + 1, amount: amount(all), calibration };
             let learned = amounts.map(change).unwrap_or_default();
             Control { learned, ..Control::REFERENCED }
         };
-        self.bench.live(ms, GROWN_UM, said).iter().filter_map(z_um).collect()
+        self.bench.live(ms, GROWN_UM, learned_frame).iter().filter_map(z_um).collect()
     }
 
     fn is_refused(&self) -> bool {
@@ -92,7 +92,7 @@ fn what_was_learned_ends_in_the_offset_of_a_board_that_is_engaged_and_is_taken_b
 }
 
 #[test]
-fn a_board_whose_calibration_permits_nothing_refuses_and_tells_and_goes_on_as_before() {
+fn a_board_whose_calibration_permits_nothing_refuses_reports_and_goes_on_as_before() {
     let mut lesson = Lesson::boot(&paper(LearnedCaps::default()));
     let before = mean(&lesson.live(2_000, None));
     let after = mean(&lesson.live(10_000, Some([1_000, 0, 0, 0, 500])));

@@ -228,7 +228,7 @@ fn fails_without_stopping_the_job(cnc: &mut Cnc) -> Result<()> {
              (ABORT, the modes are others)\no1 endif\nG21 G90\nG53 G0 Z-50"
         )
     };
-    for (surface_mm, call, says, moves) in [
+    for (surface_mm, call, phrase, moves) in [
         (-200.0, "[-100] [3] [300]", "no contact down to", true),
         (-93.0, "[-100] [3] [300]", "contact on the way", true),
         (-50.0, "[-100] [3] [300]", "the probe is closed", false),
@@ -243,16 +243,16 @@ fn fails_without_stopping_the_job(cnc: &mut Cnc) -> Result<()> {
         if !moves {
             cnc.stat()?;
             cnc.mdi(&format!("o<trueup_probe> call {call}"))?;
-            let said = cnc.stat()?["said"].to_string();
-            ensure!(said.contains(says), "{says}: {said}");
+            let message = cnc.stat()?["said"].to_string();
+            ensure!(message.contains(phrase), "{phrase}: {message}");
         }
-        let [lowest_mm, fastest] = cnc.run(&job(call)).with_context(|| says.to_string())?;
-        println!("{says}: down to {lowest_mm:.3} mm at {fastest:.3} mm/s");
-        ensure!(fastest < FASTEST_MM_PER_S, "{says}: {fastest} mm/s downwards");
-        ensure!(moves || lowest_mm > -90.0 + OFFSET_MM - 1e-3, "{says}: down to {lowest_mm} mm");
-        ensure!(cnc.readings()?.is_empty(), "{says}: a reading");
+        let [lowest_mm, fastest] = cnc.run(&job(call)).with_context(|| phrase.to_string())?;
+        println!("{phrase}: down to {lowest_mm:.3} mm at {fastest:.3} mm/s");
+        ensure!(fastest < FASTEST_MM_PER_S, "{phrase}: {fastest} mm/s downwards");
+        ensure!(moves || lowest_mm > -90.0 + OFFSET_MM - 1e-3, "{phrase}: down to {lowest_mm} mm");
+        ensure!(cnc.readings()?.is_empty(), "{phrase}: a reading");
         let z_mm = cnc.headless.read_pin("axis.z.pos-cmd")? * cnc.mm;
-        ensure!((z_mm + 50.0).abs() < 1e-3, "{says}: the job goes on, Z at {z_mm} mm");
+        ensure!((z_mm + 50.0).abs() < 1e-3, "{phrase}: the job goes on, Z at {z_mm} mm");
     }
     cnc.surface(SURFACE_MM)
 }
@@ -306,7 +306,7 @@ fn touching_off_is_right_in_both_units_on_both_machines_with_offset_and_tool() -
 
 /// A touch-off that fails stops the program, and leaves zero and modes.
 fn stops_the_job_with_the_old_zero(cnc: &mut Cnc) -> Result<()> {
-    for (surface_mm, call, says) in [
+    for (surface_mm, call, phrase) in [
         (-200.0, "[30] [300]", "no contact down to"),
         (-50.0, "[30] [300]", "the probe is closed"),
         (-100.0, "[250] [300]", "beyond the limit"),
@@ -320,15 +320,15 @@ fn stops_the_job_with_the_old_zero(cnc: &mut Cnc) -> Result<()> {
         let (before, work_mm) = (cnc.modes()?, cnc.work_mm()?);
         cnc.stat()?;
         cnc.mdi(&format!("o<trueup_touch_off> call {call}"))?;
-        let said = cnc.stat()?["said"].to_string();
+        let message = cnc.stat()?["said"].to_string();
         let (after, now_mm) = (cnc.modes()?, cnc.work_mm()?);
-        ensure!(said.contains(says), "{says}: {said}");
-        ensure!(before.0 == after.0, "{says}: modes {} -> {}", before.0, after.0);
-        ensure!(work_mm == now_mm, "{says}: the work offset is {now_mm}");
-        ensure!((before.1 - after.1).abs() < 1e-4, "{says}: Z {before:?} {after:?}");
+        ensure!(message.contains(phrase), "{phrase}: {message}");
+        ensure!(before.0 == after.0, "{phrase}: modes {} -> {}", before.0, after.0);
+        ensure!(work_mm == now_mm, "{phrase}: the work offset is {now_mm}");
+        ensure!((before.1 - after.1).abs() < 1e-4, "{phrase}: Z {before:?} {after:?}");
         let stopped = cnc.run(&format!("G21\no<trueup_touch_off> call {call}\nG53 G0 Z-50"));
-        let error = stopped.err().with_context(|| format!("{says}: the job goes on"))?;
-        ensure!(format!("{error:#}").contains(says), "{says}: {error:#}");
+        let error = stopped.err().with_context(|| format!("{phrase}: the job goes on"))?;
+        ensure!(format!("{error:#}").contains(phrase), "{phrase}: {error:#}");
     }
     cnc.surface(SURFACE_MM)
 }
@@ -356,28 +356,28 @@ fn the_interpreter_alone_probes_in_machine_coordinates_and_keeps_the_modes() -> 
         ("G92 Z3", -3.0, "after 77.770000 1.000000 1.000000"),
         ("G10 L2 P1 Z-20\nG54\nG20 G91 F3.125", -20.0, "after 3.125000 0.000000 0.000000"),
     ] {
-        let said = lines(job)?;
+        let text = lines(job)?;
         let probes: Vec<&String> =
-            said.iter().filter(|line| line.contains("STRAIGHT_PROBE")).collect();
+            text.iter().filter(|line| line.contains("STRAIGHT_PROBE")).collect();
         // The stand-in for a machine stops a quarter of a millimetre short.
         let target = |mm: f64| format!("STRAIGHT_PROBE(0.0000, 0.0000, {:.4},", mm - shift_mm);
-        ensure!(probes.len() >= 2, "{job:?}: {said:?}");
+        ensure!(probes.len() >= 2, "{job:?}: {text:?}");
         ensure!(probes[0].contains(&target(-95.0)), "{job:?}: {probes:?}");
         ensure!(probes[1].contains(&target(-105.0)), "{job:?}: {probes:?}");
-        ensure!(said.iter().any(|line| line.contains(after)), "{job:?}: {said:?}");
-        let rapid: Vec<usize> = (0..said.len())
-            .filter(|&at| said[at].contains("STRAIGHT_TRAVERSE") && !said[at].contains("COMMENT"))
+        ensure!(text.iter().any(|line| line.contains(after)), "{job:?}: {text:?}");
+        let rapid: Vec<usize> = (0..text.len())
+            .filter(|&at| text[at].contains("STRAIGHT_TRAVERSE") && !text[at].contains("COMMENT"))
             .collect();
-        let last_probe = said.iter().rposition(|line| line.contains("STRAIGHT_PROBE"));
-        ensure!(rapid.iter().all(|&at| Some(at) > last_probe), "{job:?}: rapid before: {said:?}");
+        let last_probe = text.iter().rposition(|line| line.contains("STRAIGHT_PROBE"));
+        ensure!(rapid.iter().all(|&at| Some(at) > last_probe), "{job:?}: rapid before: {text:?}");
     }
     // What cannot be right: no word of motion.
     for job in ["M3 S100", "G53 G1 Z-120", "G41.1 D6"] {
-        let said = lines(job)?;
-        let called = said.iter().position(|line| line.contains("trueup_probe: not probed"));
-        let called = called.with_context(|| format!("{job:?}: no reason in {said:?}"))?;
-        ensure!(!said.iter().any(|line| line.contains("PROBE(")), "{job:?}: {said:?}");
-        ensure!(said.len() > called + 1, "{job:?}: it goes on");
+        let text = lines(job)?;
+        let called = text.iter().position(|line| line.contains("trueup_probe: not probed"));
+        let called = called.with_context(|| format!("{job:?}: no reason in {text:?}"))?;
+        ensure!(!text.iter().any(|line| line.contains("PROBE(")), "{job:?}: {text:?}");
+        ensure!(text.len() > called + 1, "{job:?}: it goes on");
     }
     Ok(())
 }

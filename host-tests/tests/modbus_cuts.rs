@@ -183,8 +183,8 @@ struct World<'b> {
     cut: Cut,
     since: u64,
     /// Offsets from the board in the last moments, in nm.
-    said: VecDeque<Option<[i32; 3]>>,
-    told: Counts,
+    offsets: VecDeque<Option<[i32; 3]>>,
+    reported: Counts,
 }
 
 impl World<'_> {
@@ -205,10 +205,10 @@ impl World<'_> {
                 self.now
             );
         }
-        self.said.push_front(after.map(|all| all.map(|offset| offset.0)));
-        self.said.truncate(MOMENTS);
-        let hears_no_plc = matches!(self.cut, Cut::Plc | Cut::Bridge);
-        let is_away = hears_no_plc && self.now.saturating_sub(self.since) > LOST_MS;
+        self.offsets.push_front(after.map(|all| all.map(|offset| offset.0)));
+        self.offsets.truncate(MOMENTS);
+        let has_no_plc = matches!(self.cut, Cut::Plc | Cut::Bridge);
+        let is_away = has_no_plc && self.now.saturating_sub(self.since) > LOST_MS;
         ensure!(
             !(is_away && self.node.last_output().quality == Quality::Live),
             "live, though {:?} was cut {} ms ago",
@@ -244,7 +244,7 @@ impl World<'_> {
     }
 
     /// Sends a request to where the path leads. Returns what comes back of the answer.
-    fn ask(&mut self, pdu: &[u8]) -> Option<Vec<u8>> {
+    fn query(&mut self, pdu: &[u8]) -> Option<Vec<u8>> {
         let mut request = match self.path {
             Path::Gateway { .. } => {
                 let length = (pdu.len() as u16 + 1).to_be_bytes();
@@ -279,15 +279,15 @@ impl World<'_> {
     /// A cycle of the PLC.
     fn cycle(&mut self) -> Result<()> {
         let block = self.plc.block(self.now);
-        self.ask(&block);
+        self.query(&block);
         // By a serial line the next request comes when the first is over.
         (0..CYCLE_MS / 2).try_for_each(|_| self.tick())?;
         let head = if matches!(self.path, Path::Gateway { .. }) { 9 } else { 3 };
-        if let Some(answer) = self.ask(&read_request_pdu()) {
+        if let Some(answer) = self.query(&read_request_pdu()) {
             let (words, _) = answer.get(head..head + 56).context("the block")?.as_chunks::<2>();
             let words: Vec<u16> = words.iter().map(|word| u16::from_be_bytes(*word)).collect();
             if self.plc.take(self.now, &words.try_into().ok().context("28 registers")?) {
-                self.told.used += 1;
+                self.reported.used += 1;
                 let away = self.now.saturating_sub(self.since);
                 ensure!(
                     self.cut == Cut::None || away <= LAST_MS,
@@ -295,9 +295,9 @@ impl World<'_> {
                     self.cut
                 );
                 let on_wire = |nm: i32| (nm.abs() + 5) / 10 * 10 * nm.signum();
-                let said = self.said.iter().flatten();
+                let offsets = self.offsets.iter().flatten();
                 ensure!(
-                    said.map(|values| values.map(on_wire)).any(|words| words == self.plc.target),
+                    offsets.map(|values| values.map(on_wire)).any(|words| words == self.plc.target),
                     "{:?} was not said in the last moments, at {} ms",
                     self.plc.target,
                     self.now
@@ -305,20 +305,20 @@ impl World<'_> {
             }
         }
         let step = self.plc.follow(self.now);
-        self.told.largest_step_nm = self.told.largest_step_nm.max(step);
+        self.reported.largest_step_nm = self.reported.largest_step_nm.max(step);
         ensure!(step <= SLEW_NM_PER_MS * CYCLE_MS as f64, "a step of {step} nm at {} ms", self.now);
         match self.node.last_output().quality {
-            Quality::Live => self.told.live += 1,
-            Quality::Hold => self.told.held += 1,
+            Quality::Live => self.reported.live += 1,
+            Quality::Hold => self.reported.held += 1,
             _ => {}
         }
-        self.told.engaged += u32::from(self.plc.is_engaged);
+        self.reported.engaged += u32::from(self.plc.is_engaged);
         (0..CYCLE_MS / 2).try_for_each(|_| self.tick())
     }
 
     /// A line goes, or comes back.
     fn change(&mut self, to: Cut) {
-        self.told.cuts[to as usize] += 1;
+        self.reported.cuts[to as usize] += 1;
         if let Path::Gateway { hub, port, master, .. } = &mut self.path {
             match self.cut {
                 // A new connection, of which the gateway may not know that the old one has gone.
@@ -328,7 +328,7 @@ impl World<'_> {
                     }
                     *master += 1;
                 }
-                // Whoever opens the line says so.
+                // The one that opens the line reports it.
                 Cut::Bridge => open(port),
                 Cut::None => {}
             }
@@ -363,8 +363,8 @@ fn cuts(path: Path, count: u32, seed: u64) -> Result<Counts> {
         now: 0,
         cut: Cut::None,
         since: 0,
-        said: VecDeque::new(),
-        told: Counts::default(),
+        offsets: VecDeque::new(),
+        reported: Counts::default(),
     };
     if let Path::Gateway { port, .. } = &mut world.path {
         open(port);
@@ -397,9 +397,9 @@ fn cuts(path: Path, count: u32, seed: u64) -> Result<Counts> {
         "not well again: {needed:?}, applied {:?}",
         world.plc.applied
     );
-    let told = world.told;
-    ensure!(told.live > count && told.held > count && told.used > count, "{told:?}");
-    Ok(told)
+    let counts = world.reported;
+    ensure!(counts.live > count && counts.held > count && counts.used > count, "{counts:?}");
+    Ok(counts)
 }
 
 #[test]

@@ -14,7 +14,7 @@ use std::{
 
 use anyhow::{Context as _, Result, bail, ensure};
 use serde_json::{Value, json};
-use support::{BridgeProcess, FAST_MACHINE, GROWN_UM, PATIENCE, file, wait_until_stuck};
+use support::{BridgeProcess, FAST_MACHINE, GROWN_UM, TIMEOUT, file, wait_until_stuck};
 use trueup_core::cnc::{CncMessage as CncCommand, Control, Flags, Quality};
 use trueup_emulator::{cnc::CncClient, setup};
 use trueup_link::e2e;
@@ -42,8 +42,8 @@ fn python_can_cantools_and_autosar_e2e_engage_it_and_read_every_frame() -> Resul
         .arg(setup::project_root().join("crates/board/link/trueup.dbc"))
         .stdin(Stdio::null())
         .output()?;
-    let said = String::from_utf8_lossy(&output.stderr);
-    ensure!(output.status.success(), "{said}\nthe bridge: {}", bridge.command.said());
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    ensure!(output.status.success(), "{stderr}\nthe bridge: {}", bridge.command.log());
     let saw: Value = serde_json::from_slice(&output.stdout)?;
     println!("{saw:#}");
 
@@ -159,12 +159,12 @@ impl Terminal {
 
     /// Returns the next thing that the board says, up to a carriage return or a bell.
     fn next(&mut self) -> Result<String> {
-        let (mut said, mut byte) = (String::new(), [0]);
-        while !said.ends_with(['\r', '\x07']) {
-            ensure!(self.stream.read(&mut byte)? == 1, "the line was closed after {said:?}");
-            said.push(char::from(byte[0]));
+        let (mut text, mut byte) = (String::new(), [0]);
+        while !text.ends_with(['\r', '\x07']) {
+            ensure!(self.stream.read(&mut byte)? == 1, "the line was closed after {text:?}");
+            text.push(char::from(byte[0]));
         }
-        Ok(said)
+        Ok(text)
     }
 
     /// Listens for a while in which nothing may come.
@@ -172,9 +172,9 @@ impl Terminal {
         self.stream.set_read_timeout(Some(Duration::from_millis(200)))?;
         match self.stream.read(&mut [0]) {
             Err(error) if [ErrorKind::WouldBlock, ErrorKind::TimedOut].contains(&error.kind()) => {}
-            heard => bail!("something came: {heard:?}"),
+            received => bail!("something came: {received:?}"),
         }
-        self.stream.set_read_timeout(Some(PATIENCE))?;
+        self.stream.set_read_timeout(Some(TIMEOUT))?;
         Ok(())
     }
 }
@@ -247,7 +247,7 @@ fn a_second_client_waits_until_the_first_has_gone() -> Result<()> {
 }
 
 #[test]
-fn whoever_goes_in_mid_line_leaves_no_half_line_to_the_next() -> Result<()> {
+fn a_client_that_leaves_in_mid_line_leaves_no_half_line_to_the_next() -> Result<()> {
     let bridge = BridgeProcess::start_grown()?;
     assert_eq!(Terminal::new(&bridge)?.query("O")?, "\r");
     for _ in 0..30 {
@@ -267,7 +267,7 @@ fn whoever_goes_in_mid_line_leaves_no_half_line_to_the_next() -> Result<()> {
 }
 
 #[test]
-fn a_client_that_never_reads_stops_nobody_once_it_has_gone() -> Result<()> {
+fn a_client_that_never_reads_stops_no_other_once_it_has_gone() -> Result<()> {
     let bridge = BridgeProcess::start_grown_at("max")?;
     let mut deaf = bridge.connect()?;
     deaf.write_all(b"O\r")?;
@@ -287,7 +287,7 @@ impl Plant {
     fn accept(listener: &TcpListener) -> Result<Self> {
         let (stream, _) = listener.accept()?;
         stream.set_nodelay(true)?;
-        stream.set_read_timeout(Some(PATIENCE))?;
+        stream.set_read_timeout(Some(TIMEOUT))?;
         Ok(Self { lines: BufReader::new(stream), ms: 0 })
     }
 
@@ -346,7 +346,7 @@ fn a_plant_gets_back_what_the_cnc_gets() -> Result<()> {
     for _ in 1..plant.ms {
         output = cnc.next_output()?;
     }
-    assert!(started.elapsed() < PATIENCE);
+    assert!(started.elapsed() < TIMEOUT);
     assert_eq!(output.quality, Quality::Live);
     let [_, _, z] = output.offset.context("available")?;
     assert_eq!(json!(f64::from(z.0) / 1_000.0), last["offset_um"][2]);

@@ -26,14 +26,14 @@ use trueup_fit::{
 use trueup_machine::file::BSpline;
 
 /// Returns what `host-tests/python/splines.py` answers.
-fn scipy(asked: &Value) -> Result<Value> {
+fn scipy(request: &Value) -> Result<Value> {
     let mut python = Command::new(setup::ensure_python()?)
         .arg(setup::project_root().join("host-tests/python/splines.py"))
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .spawn()?;
     // It reads all before it writes.
-    python.stdin.take().context("piped")?.write_all(asked.to_string().as_bytes())?;
+    python.stdin.take().context("piped")?.write_all(request.to_string().as_bytes())?;
     let output = python.wait_with_output()?;
     ensure!(output.status.success(), "splines.py failed");
     Ok(serde_json::from_slice(&output.stdout)?)
@@ -78,13 +78,13 @@ fn values_slopes_and_curvatures_are_scipys() -> Result<()> {
             (spline, (0..50).map(|_| random.random_range(first..last)).collect())
         })
         .collect();
-    let asked: Vec<Value> = splines
+    let request: Vec<Value> = splines
         .iter()
         .map(|(spline, x)| {
             json!({"order": spline.order, "knots": spline.knots_mm, "control": spline.control_um, "x": x})
         })
         .collect();
-    let theirs = scipy(&json!({"splines": asked, "fits": [], "curves": []}))?;
+    let theirs = scipy(&json!({"splines": request, "fits": [], "curves": []}))?;
     let mut worst = [0.0_f64; 3];
     for ((spline, x), theirs) in splines.iter().zip(theirs["splines"].as_array().context("list")?) {
         for (n, worst) in worst.iter_mut().enumerate() {
@@ -104,7 +104,7 @@ fn values_slopes_and_curvatures_are_scipys() -> Result<()> {
 #[test]
 fn least_squares_in_random_knots_is_scipys() -> Result<()> {
     let mut random = ChaCha8Rng::seed_from_u64(2);
-    let (mut asked, mut ours) = (Vec::new(), Vec::new());
+    let (mut requested, mut ours) = (Vec::new(), Vec::new());
     while ours.len() < 300 {
         let BSpline { order, knots_mm, control_um } = random_spline(&mut random);
         let (first, last) = (knots_mm[0], knots_mm[knots_mm.len() - 1]);
@@ -119,10 +119,11 @@ fn least_squares_in_random_knots_is_scipys() -> Result<()> {
         let fit = fit_least_squares(knots_mm.clone(), order, points).filter(|_| determined);
         // Where a coefficient hangs on a hair, both are right and differ.
         let Some(fit) = fit.filter(|fit| fit.triangle.min_sine() > 1e-3) else { continue };
-        asked.push(json!({"order": order, "knots": knots_mm, "x": x, "y": y, "weight": weight}));
+        requested
+            .push(json!({"order": order, "knots": knots_mm, "x": x, "y": y, "weight": weight}));
         ours.push(fit.spline.control_um);
     }
-    let theirs = scipy(&json!({"splines": [], "fits": asked, "curves": []}))?;
+    let theirs = scipy(&json!({"splines": [], "fits": requested, "curves": []}))?;
     let mut worst: f64 = 0.0;
     for (ours, theirs) in ours.iter().zip(theirs["fits"].as_array().context("a list")?) {
         worst = worst.max(difference(ours, &numbers(theirs)?));
@@ -141,9 +142,9 @@ fn one_tolerance_takes_fewer_coefficients_than_fitpack() -> Result<()> {
         let (x, y) = Guideway::new(1_000 + number, travel_mm, range_um).measured(number, step_mm);
         curves.push((x, y, tolerance_um));
     }
-    let asked: Vec<Value> =
+    let request: Vec<Value> =
         curves.iter().map(|(x, y, um)| json!({"x": x, "y": y, "tolerance": um})).collect();
-    let theirs = scipy(&json!({"splines": [], "fits": [], "curves": asked}))?;
+    let theirs = scipy(&json!({"splines": [], "fits": [], "curves": request}))?;
 
     let mut ratios: Vec<[f64; 3]> = Vec::new();
     let (mut ours_s, mut splrep_s, mut even_s) = (0.0, 0.0, 0.0);
@@ -163,24 +164,26 @@ fn one_tolerance_takes_fewer_coefficients_than_fitpack() -> Result<()> {
         assert!(fit.is_within_tolerance, "{:?}", fit.warnings);
         let ours = fit.spline.control_um.len() as f64;
         let of = |way: &str| theirs["fewest"][way].as_f64().unwrap_or(f64::INFINITY);
-        let rivals = ["splrep", "its_knots", "even"].map(of);
+        let alternatives = ["splrep", "its_knots", "even"].map(of);
         println!(
             "{:>5}  {tolerance_um:>9}  {ours:>4}  {:>6}  {:>12}  {:>13}",
             ratios.len(),
-            rivals[0],
-            rivals[1],
-            rivals[2]
+            alternatives[0],
+            alternatives[1],
+            alternatives[2]
         );
-        ratios.push(rivals.map(|rival| ours / rival));
+        ratios.push(alternatives.map(|alternative| ours / alternative));
     }
     let median = |n: usize| {
         let mut all: Vec<f64> = ratios.iter().map(|ratio| ratio[n]).collect();
         all.sort_by(f64::total_cmp);
         (all[all.len() / 2], all.iter().filter(|&&ratio| ratio > 1.0).count())
     };
-    for (n, rival) in ["splrep", "least squares in its knots", "even knots"].iter().enumerate() {
+    for (n, alternative) in
+        ["splrep", "least squares in its knots", "even knots"].iter().enumerate()
+    {
         let (median, more) = median(n);
-        println!("coefficients against {rival}: median ratio {median:.2}; more in {more}");
+        println!("coefficients against {alternative}: median ratio {median:.2}; more in {more}");
     }
     let per = |seconds: f64| 1e3 * seconds / GUIDEWAYS as f64;
     println!(

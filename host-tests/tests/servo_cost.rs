@@ -58,8 +58,8 @@ int main(int argc, char **argv) {
 
 fn run(command: &mut Command) -> Result<String> {
     let done = command.output()?;
-    let said = String::from_utf8_lossy(&done.stderr);
-    ensure!(done.status.success(), "{command:?}: {}\n{said}", done.status);
+    let stderr = String::from_utf8_lossy(&done.stderr);
+    ensure!(done.status.success(), "{command:?}: {}\n{stderr}", done.status);
     Ok(String::from_utf8(done.stdout)?)
 }
 
@@ -89,8 +89,8 @@ fn instructions(folder: &Path, period_ns: u64) -> Result<Vec<u64>> {
         "calibration.bin",
         &period_ns.to_string(),
     ]);
-    let said = run(&mut valgrind)?;
-    ensure!(said.starts_with("quality 1 "), "it has to correct while it is counted: {said}");
+    let message = run(&mut valgrind)?;
+    ensure!(message.starts_with("quality 1 "), "it has to correct while it is counted: {message}");
     let mut all = Vec::new();
     for entry in fs::read_dir(folder)? {
         let path = entry?.path();

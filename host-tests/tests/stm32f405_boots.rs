@@ -69,7 +69,7 @@ fn boot() -> Result<(Output, Duration, Vec<String>)> {
 }
 
 #[test]
-fn it_boots_with_everything_dead_says_so_and_sends_not_available() {
+fn it_boots_with_everything_dead_reports_it_and_sends_not_available() {
     // Without -icount QEMU's virtual clock is the host's: the shortest of three boots is the one
     // in which this machine was least busy with other things.
     let (output, took, log) = (0..3)
@@ -93,8 +93,8 @@ fn it_boots_with_everything_dead_says_so_and_sends_not_available() {
         "converters that answer: 0b00000000",
     ];
     for dead in dead {
-        let said = log.iter().any(|line| line.to_lowercase().contains(&dead.to_lowercase()));
-        assert!(said, "the log does not name: {dead}");
+        let is_logged = log.iter().any(|line| line.to_lowercase().contains(&dead.to_lowercase()));
+        assert!(is_logged, "the log does not name: {dead}");
     }
 }
 

@@ -43,11 +43,12 @@ fn zeroed(calibration: &CompiledCalibration) -> Bench {
     let steps = ramp.windows(2).map(|pair| (z_um(&pair[1]) - z_um(&pair[0])).abs());
     assert!(steps.fold(0.0, f64::max) < 0.111, "the way to zero is ramped");
     assert!(last_z_um(&ramp).abs() < 0.1, "zeroed");
-    let said = bench.logged("reference 2 stored");
-    println!("{said}");
-    let elongation = said.split("elongation ").nth(1).and_then(|rest| rest.split(' ').next());
+    let stored_line = bench.logged("reference 2 stored");
+    println!("{stored_line}");
+    let elongation =
+        stored_line.split("elongation ").nth(1).and_then(|rest| rest.split(' ').next());
     let elongation_nm: f64 = elongation.and_then(|nm| nm.parse().ok()).expect("a number");
-    assert!((elongation_nm - 40_000.0).abs() < 100.0, "{said}");
+    assert!((elongation_nm - 40_000.0).abs() < 100.0, "{stored_line}");
     bench
 }
 
@@ -73,9 +74,9 @@ fn a_restarted_board_goes_on_from_the_stored_reference_and_an_old_one_is_offered
     let mut bench = bench.restart(&other);
     println!("{}", bench.logged("no reference is stored for this calibration"));
     println!("{}", bench.logged("of other calibrations, not used: 1"));
-    let barred = bench.live(800, 40.0, |_| ON);
+    let inhibited = bench.live(800, 40.0, |_| ON);
     assert!(
-        barred.iter().all(|output| output.quality == Quality::Fault && output.offset.is_none())
+        inhibited.iter().all(|output| output.quality == Quality::Fault && output.offset.is_none())
     );
     assert!(bench.faults.contains(&Fault::CalibrationChanged), "{:?}", bench.faults);
     bench.live(800, 40.0, confirming);
@@ -88,9 +89,9 @@ fn a_restarted_board_goes_on_from_the_stored_reference_and_an_old_one_is_offered
     // The first calibration again: its reference is offered, and nothing is engaged until it is confirmed.
     let mut bench = bench.restart(&ours);
     println!("{}", bench.logged("reference 2 offered"));
-    let barred = bench.live(800, 30.0, |_| ON);
+    let inhibited = bench.live(800, 30.0, |_| ON);
     assert!(
-        barred.iter().all(|output| output.quality == Quality::Fault && output.offset.is_none())
+        inhibited.iter().all(|output| output.quality == Quality::Fault && output.offset.is_none())
     );
     assert!(bench.faults.contains(&Fault::ReferenceOffered), "{:?}", bench.faults);
     // Nor after the next start.

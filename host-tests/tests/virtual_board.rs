@@ -198,17 +198,17 @@ fn the_log_measures_the_noise_of_the_front_end() {
     // The log has its own way to the host: give it a moment.
     std::thread::sleep(std::time::Duration::from_millis(300));
     let log = board.log();
-    let said = |line: &String| -> Option<f64> {
+    let parse_noise = |line: &String| -> Option<f64> {
         line.split("noise ").nth(1)?.split(' ').next()?.parse().ok()
     };
-    let noise: Vec<f64> = log.iter().filter_map(said).skip(1).collect();
+    let noise: Vec<f64> = log.iter().filter_map(parse_noise).skip(1).collect();
     println!("noise in codes, from second to second: {noise:?}");
     // 1 LSB and the rounding of the converter: √(1 + 1/12) = 1.041.
     assert!(noise.len() >= 2 && noise.iter().all(|n| (1.02..1.06).contains(n)), "{log:?}");
 }
 
 #[test]
-fn a_board_that_nobody_asks_is_much_faster_than_time() {
+fn a_board_without_clients_is_much_faster_than_time() {
     let blocks = eventful_life(20_000);
     let mut board = boot();
     let started = Instant::now();

@@ -74,9 +74,9 @@ impl Transforms {
     }
 
     /// Returns the errors of a machine at its poses, in µm.
-    fn errors_um(&mut self, asked: &Value) -> Result<Vec<[f64; 3]>> {
+    fn errors_um(&mut self, request: &Value) -> Result<Vec<[f64; 3]>> {
         // It reads the whole line before it answers.
-        writeln!(self.python.stdin.as_mut().context("piped")?, "{asked}")?;
+        writeln!(self.python.stdin.as_mut().context("piped")?, "{request}")?;
         let mut line = String::new();
         self.answers.read_line(&mut line)?;
         ensure!(!line.is_empty(), "volume.py failed");
@@ -202,11 +202,11 @@ fn drawn(random: &mut ChaCha8Rng, number: usize) -> (Machine, Value) {
         .collect();
     let machine = MachineFile::parse(&text, Path::new("m.toml"));
     let machine = machine.unwrap_or_else(|error| panic!("{error}\n{text}"));
-    let asked = json!({
+    let request = json!({
         "chain": chain, "angles": angles, "shifts": shifts, "points": points, "rotary": rotary,
         "tool": [x, y, z - length_mm], "poses": poses,
     });
-    (machine, asked)
+    (machine, request)
 }
 
 /// Returns the errors by the model at a pose in mm and degrees, in µm.
@@ -226,16 +226,16 @@ fn the_volume_errs_as_homogeneous_transforms_say() -> Result<()> {
     let mut transforms = Transforms::new()?;
     let (mut worst, mut largest): (f64, f64) = (0.0, 0.0);
     for number in 0..MACHINES {
-        let (machine, asked) = drawn(&mut random, number);
-        let poses: Vec<[f64; 6]> = serde_json::from_value(asked["poses"].clone())?;
-        let theirs = transforms.errors_um(&asked)?;
+        let (machine, request) = drawn(&mut random, number);
+        let poses: Vec<[f64; 6]> = serde_json::from_value(request["poses"].clone())?;
+        let theirs = transforms.errors_um(&request)?;
         ensure!(theirs.len() == poses.len(), "{} answers", theirs.len());
         for (pose, theirs) in poses.into_iter().zip(theirs) {
             let ours = of_model_um(&machine, pose);
             for (ours, theirs) in ours.into_iter().zip(theirs) {
                 largest = largest.max(theirs.abs());
                 worst = worst.max((ours - theirs).abs());
-                assert!((ours - theirs).abs() <= 0.01, "{ours} against {theirs} of {asked}");
+                assert!((ours - theirs).abs() <= 0.01, "{ours} against {theirs} of {request}");
             }
         }
     }
@@ -299,20 +299,20 @@ fn with_the_offsets_of_the_board_the_tip_is_right_on_the_workpiece() -> Result<(
     let mut transforms = Transforms::new()?;
     let (mut without, mut left, mut shorter_tool, mut elsewhere) = (0.0, 0.0, 0.0, 0.0);
     for number in 0..MACHINES {
-        let (mut machine, mut asked) = drawn(&mut random, number);
+        let (mut machine, mut request) = drawn(&mut random, number);
         let (places, poses) = board_poses(&mut random, &machine, POSES);
-        asked["poses"] = json!(poses);
-        let mut left_um = |asked: &Value, offsets: &[[f64; 3]]| -> Result<f64> {
-            let mut asked = asked.clone();
-            asked["offsets"] = json!(offsets);
-            Ok(longest_um(&transforms.errors_um(&asked)?))
+        request["poses"] = json!(poses);
+        let mut left_um = |request: &Value, offsets: &[[f64; 3]]| -> Result<f64> {
+            let mut request = request.clone();
+            request["offsets"] = json!(offsets);
+            Ok(longest_um(&transforms.errors_um(&request)?))
         };
-        without = left_um(&asked, &[[0.0; 3]; POSES])?.max(without);
-        left = left_um(&asked, &offsets_um(&machine, &places)?)?.max(left);
+        without = left_um(&request, &[[0.0; 3]; POSES])?.max(without);
+        left = left_um(&request, &offsets_um(&machine, &places)?)?.max(left);
 
         let mut other = machine.clone();
         other.volume.tool.length_mm += 100.0;
-        shorter_tool = left_um(&asked, &offsets_um(&other, &places)?)?.max(shorter_tool);
+        shorter_tool = left_um(&request, &offsets_um(&other, &places)?)?.max(shorter_tool);
 
         let chain = machine.volume.chain.as_ref().expect("drawn with one");
         if !chain.table.is_empty() {
@@ -329,19 +329,19 @@ fn with_the_offsets_of_the_board_the_tip_is_right_on_the_workpiece() -> Result<(
             }
             (machine.straightness, machine.squareness) = (Vec::new(), Vec::new());
             machine.axes.iter_mut().for_each(|axis| axis.pitch = None);
-            (asked["angles"], asked["shifts"]) = (json!({}), json!({}));
-            let lines = asked["rotary"].as_object_mut().expect("a map");
+            (request["angles"], request["shifts"]) = (json!({}), json!({}));
+            let lines = request["rotary"].as_object_mut().expect("a map");
             for (axis, it) in lines {
                 if !of_table.iter().any(|table| table.name() == axis) {
                     *it = json!({"point": it["point"]});
                 }
             }
-            left = left_um(&asked, &offsets_um(&machine, &places)?)?.max(left);
+            left = left_um(&request, &offsets_um(&machine, &places)?)?.max(left);
             let mut moved = places.clone();
             for place in &mut moved {
                 place.position[0].0 += 100 * Position::PER_MILLIMETRE;
             }
-            elsewhere = left_um(&asked, &offsets_um(&machine, &moved)?)?.max(elsewhere);
+            elsewhere = left_um(&request, &offsets_um(&machine, &moved)?)?.max(elsewhere);
         }
     }
     println!(
@@ -356,19 +356,19 @@ fn with_the_offsets_of_the_board_the_tip_is_right_on_the_workpiece() -> Result<(
 #[test]
 #[ignore = "campaign: cargo xtask volume-board"]
 fn campaign_the_board_is_within_20_nm_of_homogeneous_transforms() -> Result<()> {
-    let wanted = std::env::var("TRUEUP_POSES").ok().and_then(|text| text.parse().ok());
-    let each = wanted.unwrap_or(1_000_000_usize).div_ceil(MACHINES);
+    let expected = std::env::var("TRUEUP_POSES").ok().and_then(|text| text.parse().ok());
+    let each = expected.unwrap_or(1_000_000_usize).div_ceil(MACHINES);
     let mut random = ChaCha8Rng::seed_from_u64(48);
     let mut transforms = Transforms::new()?;
     let (mut worst_nm, mut of_model_nm, mut largest_nm): (f64, f64, f64) = (0.0, 0.0, 0.0);
     let mut squares = 0.0;
     for number in 0..MACHINES {
-        let (machine, mut asked) = drawn(&mut random, number);
+        let (machine, mut request) = drawn(&mut random, number);
         let compiled = compile(&machine)?;
         let calibration = compiled.calibration();
         let (places, poses) = board_poses(&mut random, &machine, each);
-        asked["poses"] = json!(poses);
-        let theirs = transforms.errors_um(&asked)?;
+        request["poses"] = json!(poses);
+        let theirs = transforms.errors_um(&request)?;
         ensure!(theirs.len() == each, "{} answers", theirs.len());
         for ((place, pose), theirs) in places.iter().zip(poses).zip(theirs) {
             let board = of_board_nm(&calibration, place);
@@ -446,7 +446,7 @@ fn the_virtual_machine_errs_as_the_model_of_it_says() {
     let mut random = ChaCha8Rng::seed_from_u64(47);
     let mut largest: f64 = 0.0;
     for number in 0..KINDS.len() * 4 {
-        let (mut machine, asked) = drawn(&mut random, number);
+        let (mut machine, request) = drawn(&mut random, number);
         for angular in &mut machine.volume.angular {
             if matches!(angular.angle, Angle::Curve(_)) {
                 angular.angle = Angle::Line(random.random_range(-20.0..20.0));
@@ -454,13 +454,13 @@ fn the_virtual_machine_errs_as_the_model_of_it_says() {
         }
         let bodies = bodies(&machine);
         let tip_mm = machine.volume.tool.tip_offset_mm(machine.tool_direction);
-        let poses: Vec<[f64; 6]> = serde_json::from_value(asked["poses"].clone()).expect("drawn");
+        let poses: Vec<[f64; 6]> = serde_json::from_value(request["poses"].clone()).expect("drawn");
         for [x, y, z, a, b, c] in poses {
             let model = volumetric_error_um(&machine, machine.volume.tool, [x, y, z], [a, b, c]);
             let truth = error_um(&bodies, tip_mm, [x, y, z], [a, b, c]);
             for (model, truth) in model.into_iter().zip(truth) {
                 largest = largest.max(truth.abs());
-                assert!((model - truth).abs() <= 0.01, "{model} against {truth} of {asked}");
+                assert!((model - truth).abs() <= 0.01, "{model} against {truth} of {request}");
             }
         }
     }

@@ -10,7 +10,7 @@ use trueup_store::retained::{COPY_SIZE, RetainedCopies};
 static mut RETAINED_COPIES: MaybeUninit<RetainedCopies> = MaybeUninit::uninit();
 
 /// Returns the copies, to the first caller.
-#[allow(unsafe_code, reason = "memory that nobody has initialised")]
+#[allow(unsafe_code, reason = "uninitialised memory")]
 pub fn take_retained_copies() -> &'static mut RetainedCopies {
     let once: &'static mut () = cortex_m::singleton!(: () = ()).expect("the board starts once");
     let () = *once;

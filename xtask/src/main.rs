@@ -170,7 +170,7 @@ enum Command {
     /// Makes what is handed out with a release, in target/release-files: archives, Debian package, images, parts lists,
     /// licences, known vulnerabilities, declarations, SHA-256, signatures. Builds in two folders and compares.
     ///
-    /// Fails in the end where something was left out, such as a platform for want of its tool chain; the rest is there.
+    /// Fails in the end if something was skipped, such as a platform without its tool chain; the rest is there.
     Release {
         /// Signs each file with this key (`trueup sign --new KEY.pem` makes one).
         #[arg(long, value_name = "KEY.pem")]
@@ -328,10 +328,10 @@ fn make_release(key: Option<&Path>) -> Result<()> {
     for file in &made.files {
         trueup_output::write_line(made.folder.join(file).display());
     }
-    if made.left_out.is_empty() {
+    if made.skipped.is_empty() {
         return Ok(());
     }
-    bail!("the release is not whole: {}", made.left_out.join("\n"))
+    bail!("the release is not whole: {}", made.skipped.join("\n"))
 }
 
 fn run_chip(mut options: Vec<String>) -> Result<()> {
@@ -356,7 +356,7 @@ fn run_chip(mut options: Vec<String>) -> Result<()> {
         options.extend(["--ms", "604800000"].map(Into::into));
     }
     if !chip::run_interactive(&model, &image, &options)? {
-        bail!("the report has a violation: the chip would not do what the image asks");
+        bail!("the report has a violation: the chip would not do what the image requests");
     }
     Ok(())
 }
@@ -413,11 +413,11 @@ fn run_hidden(seeds: u64, first: u64, tools: u64, on_board: bool) -> Result<()> 
     Ok(())
 }
 
-fn run_virtual(asked: VirtualArgs) -> Result<()> {
+fn run_virtual(args: VirtualArgs) -> Result<()> {
     let shipped = || setup::project_root().join("data/paper_spindle.toml");
-    let machine = MachineFile::read(&asked.machine.unwrap_or_else(shipped))?;
+    let machine = MachineFile::read(&args.machine.unwrap_or_else(shipped))?;
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
-    trueup_virtual_bridge::run(&machine, &asked.options, firmware::build_virtual, stop)
+    trueup_virtual_bridge::run(&machine, &args.options, firmware::build_virtual, stop)
 }

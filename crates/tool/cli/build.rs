@@ -122,10 +122,10 @@ fn build_images(root: &Path) {
             command.env_remove(name);
         }
     }
-    let said = match command.output() {
+    let stderr = match command.output() {
         Ok(output) if output.status.success() => return,
         Ok(output) => String::from_utf8_lossy(&output.stderr).trim().replace('\n', " | "),
         Err(error) => error.to_string(),
     };
-    println!("cargo:warning=the firmware images are not built: {said}");
+    println!("cargo:warning=the firmware images are not built: {stderr}");
 }

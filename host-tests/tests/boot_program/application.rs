@@ -27,7 +27,7 @@ fn lives_in(slot: Slot) {
     let (a, b) = if slot == Slot::A { (&file[..], &[][..]) } else { (&[][..], &file[..]) };
     let board = Board::with(a, b).expect("it is there");
     let report = board.report(1_200, "300 flags 3\n", &[]);
-    assert!(report.clean, "a violation:\n{}", report.said);
+    assert!(report.clean, "a violation:\n{}", report.stdout);
     let sent = |id: &str| {
         let is_it = |event: &&String| event.contains(&format!(" can {id} "));
         report.events.iter().filter(is_it).collect::<Vec<_>>()
@@ -35,9 +35,9 @@ fn lives_in(slot: Slot) {
     let first = sent("281").first().and_then(|event| event.split(' ').next()?.parse::<f64>().ok());
     let first = first.expect("an offset is sent");
     println!("the first offset after {first:.0} ms, {} of them", sent("281").len());
-    assert!(first < 400.0 && sent("281").len() > 700, "{}", report.said);
+    assert!(first < 400.0 && sent("281").len() > 700, "{}", report.stdout);
     // It checks itself from its own start on: one that is damaged gives no offset.
-    assert!(report.said.contains("quality 1"), "{}", report.said);
+    assert!(report.stdout.contains("quality 1"), "{}", report.stdout);
 }
 
 #[test]

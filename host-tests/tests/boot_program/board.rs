@@ -173,17 +173,17 @@ impl Board {
     pub fn live(&self, ms: u32, script: &str, options: &[&str]) -> Vec<PrintedLine> {
         let report = self.report(ms, script, options);
         // The image of the tests sends from 16 MHz, 2.1 % fast; nothing else is allowed.
-        let violations = report.said.lines().skip_while(|line| !line.starts_with("== Violation"));
+        let violations = report.stdout.lines().skip_while(|line| !line.starts_with("== Violation"));
         let others: Vec<&str> = violations
             .skip(1)
             .take_while(|line| line.starts_with("   "))
             .filter(|line| !line.contains("where 921600 is meant"))
             .collect();
-        assert!(others.is_empty(), "against the manual: {others:#?}\n{}", report.said);
+        assert!(others.is_empty(), "against the manual: {others:#?}\n{}", report.stdout);
         let line = |event: &String| {
             let (at, what) = event.split_once(' ')?;
-            let is_said = what.starts_with("serial ") || what.starts_with("reset ");
-            is_said.then(|| (at.parse().expect("a time"), what.replace("serial ", "")))
+            let is_reported = what.starts_with("serial ") || what.starts_with("reset ");
+            is_reported.then(|| (at.parse().expect("a time"), what.replace("serial ", "")))
         };
         report.events.iter().filter_map(line).collect()
     }
@@ -191,21 +191,21 @@ impl Board {
 
 /// Returns when something was said first.
 pub fn first(lines: &[PrintedLine], what: &str) -> f64 {
-    let found = lines.iter().find(|(_, said)| said == what);
+    let found = lines.iter().find(|(_, event)| event == what);
     found.unwrap_or_else(|| panic!("never {what:?}: {lines:?}")).0
 }
 
 /// Returns whether something was said.
 pub fn has(lines: &[PrintedLine], what: &str) -> bool {
-    lines.iter().any(|(_, said)| said == what)
+    lines.iter().any(|(_, event)| event == what)
 }
 
 /// Returns the longest silence after power-on or a reset, in ms.
 pub fn longest_silence(lines: &[PrintedLine]) -> f64 {
     let (mut since, mut longest) = (Some(0.0), 0.0_f64);
-    for (at, said) in lines {
+    for (at, event) in lines {
         longest = since.map_or(longest, |from| longest.max(at - from));
-        since = said.starts_with("reset").then_some(*at);
+        since = event.starts_with("reset").then_some(*at);
     }
     longest
 }

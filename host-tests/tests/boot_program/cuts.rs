@@ -66,8 +66,8 @@ fn cut_twice(seed: u64) -> Result<Run, String> {
         true => last == Some("B") && board.slot(Slot::B)[..new.len()] == new,
         // One that resets is given up for the old one, which loads it again and again.
         false => {
-            let said: Vec<&str> = lines.iter().map(|(_, line)| line.as_str()).collect();
-            said.contains(&"B") && goes_back(&said) && board.slot(Slot::A)[..old.len()] == old
+            let events: Vec<&str> = lines.iter().map(|(_, line)| line.as_str()).collect();
+            events.contains(&"B") && goes_back(&events) && board.slot(Slot::A)[..old.len()] == old
         }
     };
     let run = Run { is_good, script, cuts: cuts as u32, silence_ms };
@@ -75,9 +75,9 @@ fn cut_twice(seed: u64) -> Result<Run, String> {
 }
 
 /// Returns whether the old image spoke between any two starts of the new one; a power cut alone keeps a trial.
-fn goes_back(said: &[&str]) -> bool {
+fn goes_back(events: &[&str]) -> bool {
     let mut has_reset = false;
-    said.iter().all(|line| {
+    events.iter().all(|line| {
         let is_second = has_reset && *line == "B";
         has_reset = *line == "B" || has_reset && *line != "A" && !line.contains("power");
         !is_second

@@ -62,12 +62,12 @@ fn starts_with(application: &[u8], calibrations: u32) {
     let report = board.report(9_000, "", &options);
     let is_reset = |event: &&String| event.contains(" reset ");
     let resets: Vec<_> = report.events.iter().filter(is_reset).collect();
-    let erased = report.said.lines().filter(|line| line.contains(" erased, ")).count();
+    let erased = report.stdout.lines().filter(|line| line.contains(" erased, ")).count();
     println!("{calibrations} calibrations: {} resets, {erased} sectors erased", resets.len());
-    assert!(resets.is_empty(), "{calibrations} calibrations: {resets:?}\n{}", report.said);
-    assert_eq!(erased, 2, "{calibrations} calibrations: {}", report.said);
+    assert!(resets.is_empty(), "{calibrations} calibrations: {resets:?}\n{}", report.stdout);
+    assert_eq!(erased, 2, "{calibrations} calibrations: {}", report.stdout);
     // The tasks run: their limit is the short one.
-    assert!(report.said.contains("IWDG: resets after 71 ms"), "{}", report.said);
+    assert!(report.stdout.contains("IWDG: resets after 71 ms"), "{}", report.stdout);
 }
 
 #[test]

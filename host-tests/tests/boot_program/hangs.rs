@@ -55,7 +55,7 @@ fn an_application_that_hangs_in_its_own_start_gives_way_within_two_seconds() {
                 let board = Board::with(&old, &new).expect("it is there");
                 scope.spawn(move || {
                     let report = board.report(2_100, "", &["--lsi", lsi]);
-                    assert!(report.clean, "{parts:?}: a violation:\n{}", report.said);
+                    assert!(report.clean, "{parts:?}: a violation:\n{}", report.stdout);
                     let at = |what: &str| -> Vec<f64> {
                         let is_it = |event: &&String| event.contains(what);
                         let time = |event: &String| event.split(' ').next()?.parse().ok();
@@ -66,7 +66,7 @@ fn an_application_that_hangs_in_its_own_start_gives_way_within_two_seconds() {
                     println!(
                         "{parts:?}, LSI {lsi} Hz: reset at {resets:.0?}, offset at {offset:.0?} ms"
                     );
-                    assert_eq!(resets.len(), 1, "{parts:?}, LSI {lsi} Hz: {}", report.said);
+                    assert_eq!(resets.len(), 1, "{parts:?}, LSI {lsi} Hz: {}", report.stdout);
                     let offset = offset.unwrap_or(f64::INFINITY);
                     assert!(offset > resets[0], "{parts:?}: the new one does not speak");
                     assert!(offset <= ANSWER_MS, "{parts:?}, LSI {lsi} Hz: {offset} ms");

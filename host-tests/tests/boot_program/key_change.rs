@@ -71,8 +71,8 @@ fn after_a_key_change_with_a_dead_pll_only_images_of_the_new_key_start() {
             let lines = board.live(5_500, "", &DEAD);
             let silence = longest_silence(&lines);
             println!("an update of the new key: {silence:.0} ms");
-            let said: Vec<&str> = lines.iter().map(|(_, line)| line.as_str()).collect();
-            let [a, c, u, reset, b, d, ..] = said[..] else { panic!("{lines:?}") };
+            let events: Vec<&str> = lines.iter().map(|(_, line)| line.as_str()).collect();
+            let [a, c, u, reset, b, d, ..] = events[..] else { panic!("{lines:?}") };
             assert_eq!([a, c, u, b, d], ["A", "c", "u", "B", "c"], "{lines:?}");
             assert!(reset.starts_with("reset") && silence <= ANSWER_MS, "{lines:?}");
             // The signature was recorded at the download: the CRC is enough.

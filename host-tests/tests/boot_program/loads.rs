@@ -51,9 +51,9 @@ fn download_in_blocks(image: &[u8], from_ms: f64) -> (String, f64) {
     let mut answer = [0xA4, low, high, IMAGE.1, SEGMENTS_PER_BLOCK, 0, 0, 0];
     loop {
         at += BLOCK_MS;
-        let heard =
+        let received =
             transfer.receive(&Frame::from_data(0x581, answer)).expect("an answer of this transfer");
-        let Progress::Ask(first) = heard else { return (script, at) };
+        let Progress::Ask(first) = received else { return (script, at) };
         let (mut count, mut next) = (0, Some(first));
         while let Some(frame) = next {
             send(&frame, at);
@@ -91,9 +91,9 @@ fn the_application_refuses_an_image_of_a_stranger_and_goes_on() {
     let script =
         format!("{frames}{}{} reset pin\n", questions(&[REFUSED, RECEIVED], ask), ask + 50.0);
     let report = board.report((ask + 800.0) as u32, &script, &[]);
-    let told = [REFUSED, RECEIVED].map(|at| answer(&report.events, at));
+    let answers = [REFUSED, RECEIVED].map(|at| answer(&report.events, at));
     let refusal = RefusalReason::Signature.number().into();
-    assert_eq!(told, [Some(refusal), Some(0)], "{}", report.said);
+    assert_eq!(answers, [Some(refusal), Some(0)], "{}", report.stdout);
     let offsets = report.events.iter().filter(|event| event.contains(" can 281 ")).count();
     assert!(offsets > 1_000, "it sends on, after the reset as well: {offsets}");
 }
@@ -109,14 +109,15 @@ fn the_application_takes_an_image_over_can_in_time() {
     let (image, end) = download_in_blocks(image, sent + ERASE_MS);
     // The signature is verified before the last answer; then NMT: restart.
     let restart = end + 1_000.0;
-    let asked = questions(&[RECEIVED], restart - 20.0) + &questions(&[RUNNING], restart + 800.0);
-    let script = format!("0 flags 10\n{header}{image}{asked}{restart} frame 000 8101\n");
+    let requested =
+        questions(&[RECEIVED], restart - 20.0) + &questions(&[RUNNING], restart + 800.0);
+    let script = format!("0 flags 10\n{header}{image}{requested}{restart} frame 000 8101\n");
     let report = board.report((restart + 900.0) as u32, &script, &["--slow-flash"]);
     let aborted = report.events.iter().find(|event| event.contains(" can 581 80"));
-    assert_eq!(aborted, None, "{}", report.said);
+    assert_eq!(aborted, None, "{}", report.stdout);
     let received = answer(&report.events, RECEIVED);
-    assert_eq!(received, Some(file.len() as u32), "{}", report.said);
-    assert_eq!(answer(&report.events, RUNNING), Some(Slot::B.number().into()), "{}", report.said);
+    assert_eq!(received, Some(file.len() as u32), "{}", report.stdout);
+    assert_eq!(answer(&report.events, RUNNING), Some(Slot::B.number().into()), "{}", report.stdout);
     let last = report.events.iter().rev().find(|event| event.contains(" can 581 a1"));
     let last = last.and_then(|event| event.split(' ').next()?.parse::<f64>().ok());
     let took = (last.expect("the end is answered") - BEGIN_MS) / 1e3;

@@ -20,7 +20,7 @@ use crate::{
 
 const CHOICE: (u16, u8) = (0x2121, 7);
 /// The application answers by then, also behind an image that has reset.
-const ASK_MS: u32 = 600;
+const REQUEST_MS: u32 = 600;
 
 /// The boot program has ended after this, and the application has read the words within 60 ms of it.
 const FLIPS_MS: u32 = 60;
@@ -44,11 +44,11 @@ fn board(a: &[u8], b: &[u8], status: ImageStatus) -> Board {
 }
 
 /// Returns what the application says of its start at that time in a script.
-fn choice(board: &Board, script: &str, ask_ms: u32) -> Option<StartInfo> {
-    let script = script.to_owned() + &questions(&[CHOICE], ask_ms.into());
-    let report = board.report(ask_ms + 60, &script, &[]);
+fn choice(board: &Board, script: &str, request_ms: u32) -> Option<StartInfo> {
+    let script = script.to_owned() + &questions(&[CHOICE], request_ms.into());
+    let report = board.report(request_ms + 60, &script, &[]);
     let word = answer(&report.events, CHOICE);
-    StartInfo::decode(word.unwrap_or_else(|| panic!("no answer:\n{}", report.said)))
+    StartInfo::decode(word.unwrap_or_else(|| panic!("no answer:\n{}", report.stdout)))
 }
 
 #[test]
@@ -70,11 +70,11 @@ fn each_reason_of_the_boot_program_is_reported_by_the_application() {
         for (b, status, reset, reason, other) in cases {
             let app = &app;
             scope.spawn(move || {
-                let (script, ask_ms) = match reset {
-                    "" => (String::new(), ASK_MS),
-                    reset => (format!("{ASK_MS} reset {reset}\n"), 2 * ASK_MS),
+                let (script, request_ms) = match reset {
+                    "" => (String::new(), REQUEST_MS),
+                    reset => (format!("{REQUEST_MS} reset {reset}\n"), 2 * REQUEST_MS),
                 };
-                let found = choice(&board(app, &b, status), &script, ask_ms);
+                let found = choice(&board(app, &b, status), &script, request_ms);
                 println!("{reason:?} {other:?}: {found:?}");
                 assert_eq!(found, Some(StartInfo { reason, other }), "{status:?} {reset}");
             });
@@ -92,5 +92,5 @@ fn a_word_that_was_damaged_on_its_way_is_no_reason() {
     let place = HANDOVER_START + 4;
     let flips =
         (0..32).map(|bit| format!("{} poke {place:x} {:x}\n", FLIPS_MS + 2 * bit, 1_u32 << bit));
-    assert_eq!(choice(&board, &flips.collect::<String>(), ASK_MS), None);
+    assert_eq!(choice(&board, &flips.collect::<String>(), REQUEST_MS), None);
 }

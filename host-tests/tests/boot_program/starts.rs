@@ -51,7 +51,7 @@ fn of_two_good_images_the_newer_one_speaks() {
     for (a, b, name) in [(1, 2, "B"), (2, 1, "A")] {
         let [a, b] = [file(Slot::A, a, 0, GOOD), file(Slot::B, b, 0, GOOD)];
         let lines = Board::with(&a, &b).expect("it is there").live(300, "", &[]);
-        assert!(lines.iter().all(|(_, said)| said == name), "{name}: {lines:?}");
+        assert!(lines.iter().all(|(_, stdout)| stdout == name), "{name}: {lines:?}");
         assert!(has(&lines, name));
     }
 }

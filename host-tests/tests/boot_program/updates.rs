@@ -10,8 +10,8 @@ fn an_update_is_loaded_verified_tried_and_confirmed() {
     let new = file(Slot::B, 2, 2, CONFIRMS);
     let board = Board::with(&file(Slot::A, 1, 0, LOADS), &[]).expect("it is there").offering(&new);
     let lines = board.live(3_000, "", &[]);
-    let said: Vec<&str> = lines.iter().map(|(_, line)| line.as_str()).collect();
-    let [a, ca, u, reset, b, cb, ..] = said[..] else { panic!("{lines:?}") };
+    let events: Vec<&str> = lines.iter().map(|(_, line)| line.as_str()).collect();
+    let [a, ca, u, reset, b, cb, ..] = events[..] else { panic!("{lines:?}") };
     assert_eq!([a, ca, u, b, cb], ["A", "c", "u", "B", "c"], "{lines:?}");
     assert!(reset.starts_with("reset"), "{lines:?}");
     assert_eq!(board.slot(Slot::B)[..new.len()], new);

@@ -35,13 +35,13 @@ fn one_whole_image_starts_on_an_empty_board_and_has_its_update_in_slot_a() {
     let script = script.to_str().expect("plain");
     let own = ["--bor", "--ms", "1500", "--script", script];
     let report = chip::run(&model, &whole.image, &own).expect("the model runs");
-    assert!(report.clean, "a violation:\n{}", report.said);
+    assert!(report.clean, "a violation:\n{}", report.stdout);
     let offsets = report.events.iter().filter(|event| event.contains(" can 281 "));
     let first = offsets.clone().next().and_then(|event| event.split(' ').next());
     println!("the first offset {} ms after power-on", first.unwrap_or_default());
     let offsets = offsets.count();
-    assert!(offsets > 1_000 && report.said.contains("quality 1"), "{offsets}: {}", report.said);
+    assert!(offsets > 1_000 && report.stdout.contains("quality 1"), "{offsets}: {}", report.stdout);
     // The log is read with the whole image.
-    let is_said = report.log.iter().any(|line| line.contains("slot A"));
-    assert!(is_said, "{:?}", report.log);
+    let is_reported = report.log.iter().any(|line| line.contains("slot A"));
+    assert!(is_reported, "{:?}", report.log);
 }

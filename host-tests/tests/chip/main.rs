@@ -39,7 +39,7 @@ fn run(options: &[&str]) -> Option<RunReport> {
 
 /// Returns the first line in which these parts follow each other.
 fn line<'r>(report: &'r RunReport, parts: &[&str]) -> Option<&'r str> {
-    report.said.lines().find(|line| {
+    report.stdout.lines().find(|line| {
         let mut rest = *line;
         parts.iter().all(|part| match rest.find(part) {
             Some(at) => {
@@ -52,8 +52,8 @@ fn line<'r>(report: &'r RunReport, parts: &[&str]) -> Option<&'r str> {
 }
 
 /// Panics unless some line has these parts, in this order.
-fn says(report: &RunReport, parts: &[&str]) {
-    assert!(line(report, parts).is_some(), "nothing like {parts:?} in\n{}", report.said);
+fn assert_reported(report: &RunReport, parts: &[&str]) {
+    assert!(line(report, parts).is_some(), "nothing like {parts:?} in\n{}", report.stdout);
 }
 
 /// Panics unless both offsets came once a millisecond, none damaged and none missing. The first and the last
@@ -71,22 +71,22 @@ fn sends_every_millisecond(report: &RunReport) {
 
 /// Panics unless nothing was done that silicon would not do.
 fn is_clean(report: &RunReport) {
-    assert!(report.clean, "a violation:\n{}", report.said);
+    assert!(report.clean, "a violation:\n{}", report.stdout);
 }
 
 /// Panics unless the log says it.
 fn logs(report: &RunReport, text: &str) {
-    let said = report.log.iter().any(|line| line.contains(text));
-    assert!(said, "the log does not say {text:?}:\n{}", report.log.join("\n"));
+    let is_logged = report.log.iter().any(|line| line.contains(text));
+    assert!(is_logged, "the log does not say {text:?}:\n{}", report.log.join("\n"));
 }
 
 #[test]
 fn a_healthy_board_sends_an_offset_every_millisecond_and_is_live() {
     let Some(report) = run(&["--bor", "--ms", "900"]) else { return };
     is_clean(&report);
-    says(&report, &["CAN: 1000000 bit/s, sample point 85.7"]);
+    assert_reported(&report, &["CAN: 1000000 bit/s, sample point 85.7"]);
     sends_every_millisecond(&report);
-    says(&report, &["OffsetZ at", "quality 1", "(last)"]);
+    assert_reported(&report, &["OffsetZ at", "quality 1", "(last)"]);
 }
 
 #[test]
@@ -120,7 +120,7 @@ fn what_zero_has_taken_is_stored_and_taken_up_at_the_next_start() {
     let Some(report) = run(&second) else { return };
     is_clean(&report);
     logs(&report, "taken up: elongation");
-    says(&report, &["OffsetZ at", " 0.0", "µm, quality 1", "(last)"]);
+    assert_reported(&report, &["OffsetZ at", " 0.0", "µm, quality 1", "(last)"]);
 }
 
 /// Returns the number of the model's chip, hashed as FNV-1a is described; not that of every other board.
@@ -137,10 +137,10 @@ fn the_serial_line_answers_as_slcan_does() {
         return;
     };
     is_clean(&report);
-    says(&report, &["serial: \"V1013"]);
-    says(&report, &["serial: \"t2818"]);
+    assert_reported(&report, &["serial: \"V1013"]);
+    assert_reported(&report, &["serial: \"t2818"]);
     let hash = hash_of_the_number();
-    says(&report, &[&format!("serial: \"N{:04X}", (hash >> 16) ^ (hash & 0xffff))]);
+    assert_reported(&report, &[&format!("serial: \"N{:04X}", (hash >> 16) ^ (hash & 0xffff))]);
 }
 
 #[test]
@@ -148,14 +148,14 @@ fn a_canopen_master_reads_the_device_type_and_the_boards_own_serial_number() {
     let ask = ["--frame", "200", "601#4000100000000000", "--frame", "220", "601#4018100400000000"];
     let Some(report) = run(&[&["--bor", "--ms", "300"], &ask[..]].concat()) else { return };
     is_clean(&report);
-    says(&report, &["581 at", "[43, 00, 10, 00"]);
+    assert_reported(&report, &["581 at", "[43, 00, 10, 00"]);
     let answer = format!(" can 581 43181004{:08x}", hash_of_the_number().swap_bytes());
     assert!(report.events.iter().any(|event| event.contains(&answer)), "no {answer}");
 }
 
 /// Runs the image with a client that opens the channel as soon as the board receives: it is up after some 90 ms,
 /// and looks at its lines 10 ms later.
-fn run_heard_from_the_start(options: &[&str]) -> Option<RunReport> {
+fn run_recorded_from_the_start(options: &[&str]) -> Option<RunReport> {
     let opens = ["88", "90", "92", "94", "96", "98", "100"].map(|at| ["--say", at, "S8\\rO\\r"]);
     run(&[&["--bor"], opens.as_flattened(), options].concat())
 }
@@ -172,31 +172,31 @@ fn emergencies(report: &RunReport) -> Vec<u8> {
 }
 
 #[test]
-fn a_bus_without_a_partner_is_told_and_not_waited_for() {
-    let Some(report) = run_heard_from_the_start(&["--can-alone", "--ms", "600"]) else { return };
+fn a_bus_without_a_partner_is_reported_and_not_waited_for() {
+    let Some(report) = run_recorded_from_the_start(&["--can-alone", "--ms", "600"]) else { return };
     is_clean(&report);
-    says(&report, &["TEC 128"]);
-    let told = emergencies(&report);
-    assert!(told.contains(&(Fault::CanPassive as u8)), "{told:?}");
-    assert!(!told.contains(&(Fault::CanOff as u8)), "{told:?}");
+    assert_reported(&report, &["TEC 128"]);
+    let found = emergencies(&report);
+    assert!(found.contains(&(Fault::CanPassive as u8)), "{found:?}");
+    assert!(!found.contains(&(Fault::CanOff as u8)), "{found:?}");
 }
 
 #[test]
-fn a_bus_that_destroys_every_frame_is_told_and_come_back_to() {
-    let Some(report) = run_heard_from_the_start(&["--can-short", "--ms", "600"]) else { return };
+fn a_bus_that_destroys_every_frame_is_reported_and_come_back_to() {
+    let Some(report) = run_recorded_from_the_start(&["--can-short", "--ms", "600"]) else { return };
     is_clean(&report);
-    says(&report, &["back from bus-off by itself"]);
-    let told = emergencies(&report);
-    assert!(told.contains(&(Fault::CanOff as u8)), "{told:?}");
+    assert_reported(&report, &["back from bus-off by itself"]);
+    let found = emergencies(&report);
+    assert!(found.contains(&(Fault::CanOff as u8)), "{found:?}");
 }
 
 #[test]
-fn a_dominant_bus_is_told_and_not_disturbed() {
-    let Some(report) = run_heard_from_the_start(&["--can-stuck", "--ms", "600"]) else { return };
+fn a_dominant_bus_is_reported_and_not_disturbed() {
+    let Some(report) = run_recorded_from_the_start(&["--can-stuck", "--ms", "600"]) else { return };
     is_clean(&report);
-    says(&report, &["CAN: 0 sent"]);
-    let told = emergencies(&report);
-    assert!(told.contains(&(Fault::CanOff as u8)), "{told:?}");
+    assert_reported(&report, &["CAN: 0 sent"]);
+    let found = emergencies(&report);
+    assert!(found.contains(&(Fault::CanOff as u8)), "{found:?}");
 }
 
 #[test]
@@ -206,7 +206,7 @@ fn an_error_of_the_flash_does_not_hold_up_the_next_zero() {
         return;
     };
     is_clean(&report);
-    says(&report, &["24 words programmed"]);
+    assert_reported(&report, &["24 words programmed"]);
     logs(&report, "stored: elongation");
 }
 
@@ -221,7 +221,7 @@ fn run_script(script: &str, options: &[&str]) -> Option<RunReport> {
 
 /// Returns the number before a word, on the first line that has it.
 fn number(report: &RunReport, word: &str) -> f64 {
-    let line = line(report, &[word]).unwrap_or_else(|| panic!("no {word:?} in\n{}", report.said));
+    let line = line(report, &[word]).unwrap_or_else(|| panic!("no {word:?} in\n{}", report.stdout));
     let before = line.split(word).next().unwrap_or_default();
     let last = before.split_whitespace().last().unwrap_or_default();
     last.parse().unwrap_or_else(|_| panic!("no number before {word:?} in {line:?}"))
@@ -231,7 +231,7 @@ fn number(report: &RunReport, word: &str) -> f64 {
 fn with_an_open_channel_the_processor_is_busy_for_12_percent_at_most() {
     let Some(report) = run(&["--bor", "--ms", "1500", "--say", "300", "S8\\rO\\r"]) else { return };
     is_clean(&report);
-    assert!(number(&report, " bytes sent") > 20_000.0, "{}", report.said);
+    assert!(number(&report, " bytes sent") > 20_000.0, "{}", report.stdout);
     let busy = line(&report, &["busy "]).expect("it says how busy it is");
     let busy = busy.split("busy ").nth(1).and_then(|rest| rest.split(' ').next());
     let busy: f64 = busy.and_then(|number| number.parse().ok()).expect("a number");
@@ -262,9 +262,9 @@ fn foreign_and_damaged_lines_move_nothing() {
     }
     let Some(report) = run_script(&script, &["--ms", "1100"]) else { return };
     is_clean(&report);
-    says(&report, &["resets []"]);
-    says(&report, &["OffsetZ at", "quality 1", "(last)"]);
-    assert!(number(&report, " received,") > 4_000.0, "{}", report.said);
+    assert_reported(&report, &["resets []"]);
+    assert_reported(&report, &["OffsetZ at", "quality 1", "(last)"]);
+    assert!(number(&report, " received,") > 4_000.0, "{}", report.stdout);
     // What comes damaged is noise, and no second master.
     assert!(emergencies(&report).is_empty(), "{:?}", emergencies(&report));
     let offsets = offsets_z(&report, 480.0);
@@ -279,10 +279,10 @@ fn in_a_flood_at_the_rate_of_the_line_zero_is_stored_and_no_byte_is_lost() {
     let script = "0 flags 2\n200 flags 3\n300 say O\\r\n400 serial_flood V\\r\n600 flags 7\n";
     let Some(report) = run_script(script, &["--ms", "900"]) else { return };
     is_clean(&report);
-    says(&report, &["24 words programmed"]);
-    says(&report, &["resets []"]);
-    assert!(number(&report, " received,") > 40_000.0, "{}", report.said);
-    assert_eq!(number(&report, " overruns"), 0.0, "{}", report.said);
+    assert_reported(&report, &["24 words programmed"]);
+    assert_reported(&report, &["resets []"]);
+    assert!(number(&report, " received,") > 40_000.0, "{}", report.stdout);
+    assert_eq!(number(&report, " overruns"), 0.0, "{}", report.stdout);
 }
 
 #[test]
@@ -291,7 +291,7 @@ fn where_the_dma_of_the_serial_line_does_not_move_the_line_is_polled() {
         ["--serial-dma-stuck", "--ms", "400", "--say", "250", "V\\r", "--say", "270", "V\\r"];
     let Some(report) = run(&[&["--bor"], &options[..]].concat()) else { return };
     is_clean(&report);
-    says(&report, &["serial: \"V1013"]);
+    assert_reported(&report, &["serial: \"V1013"]);
     logs(&report, "dead: DMA of the serial line, bytes come in by interrupt");
     logs(&report, "dead: DMA of the serial line, bytes go out by polling");
 }
@@ -310,7 +310,7 @@ fn offsets_z(report: &RunReport, from_ms: f64) -> Vec<(f64, f64)> {
 }
 
 #[test]
-fn a_supply_that_sags_is_corrected_up_to_3_percent_and_told_beyond() {
+fn a_supply_that_sags_is_corrected_up_to_3_percent_and_reported_beyond() {
     // The sensor in the middle of its range, where 2 % of the scale are 4.9 µm; the level that readings
     // count from is known 1.3 s after the start.
     let script = "0 flags 2\n0 code 2000\n200 flags 3\n240 flags 7\n300 flags 3\n\
@@ -320,11 +320,11 @@ fn a_supply_that_sags_is_corrected_up_to_3_percent_and_told_beyond() {
     let last = *offsets_z(&report, 4190.0).first().expect("an offset");
     let before = *offsets_z(&report, 1690.0).first().expect("an offset");
     assert!((last.1 - before.1).abs() < 0.1, "{before:?}, then {last:?}");
-    let told = report.events.iter().find(|event| event.contains(" can 081 0031"));
-    let told = told.and_then(|event| event.split(' ').next()?.parse::<f64>().ok());
-    let told = told.expect("an emergency");
-    assert!((4200.0..4400.0).contains(&told), "{told} ms");
-    says(&report, &["OffsetZ at", "quality 4, flags 0x04", "(last)"]);
+    let emergency_ms = report.events.iter().find(|event| event.contains(" can 081 0031"));
+    let emergency_ms = emergency_ms.and_then(|event| event.split(' ').next()?.parse::<f64>().ok());
+    let emergency_ms = emergency_ms.expect("an emergency");
+    assert!((4200.0..4400.0).contains(&emergency_ms), "{emergency_ms} ms");
+    assert_reported(&report, &["OffsetZ at", "quality 4, flags 0x04", "(last)"]);
 }
 
 #[test]
@@ -332,14 +332,13 @@ fn a_supply_other_than_at_the_factory_is_a_remark_in_the_log() {
     for (volts, remarked) in [("3.30", false), ("3.15", false), ("3.12", true), ("3.48", true)] {
         let Some(report) = run(&["--bor", "--ms", "150", "--supply", volts]) else { return };
         is_clean(&report);
-        let said = report.log.iter().find_map(|line| line.split("supply: ").nth(1));
-        let said = said.expect("it says what the supply is");
-        let millivolts: f64 =
-            said.split(' ').next().and_then(|part| part.parse().ok()).expect("mV");
+        let log = report.log.iter().find_map(|line| line.split("supply: ").nth(1));
+        let log = log.expect("it says what the supply is");
+        let millivolts: f64 = log.split(' ').next().and_then(|part| part.parse().ok()).expect("mV");
         // A code of 1502, and the rounding of the factory's value.
         let volts: f64 = volts.parse().expect("volts");
-        assert!((millivolts / 1e3 - volts).abs() < 0.005, "{volts} V: {said}");
-        assert_eq!(said.contains("expected 3300"), remarked, "{volts} V: {said}");
+        assert!((millivolts / 1e3 - volts).abs() < 0.005, "{volts} V: {log}");
+        assert_eq!(log.contains("expected 3300"), remarked, "{volts} V: {log}");
         assert!(!emergencies(&report).contains(&(Fault::SupplyOff as u8)));
     }
 }
@@ -367,8 +366,8 @@ fn a_linear_input_is_read_and_the_sensor_does_not_notice() {
     });
     let [without, with] = &runs;
     // 1.3 V of 3.3 are 1613.2 codes: (1613.2 − 200)/40.
-    says(with, &["3: 35.3"]);
-    says(with, &["ADC2: channel 4"]);
+    assert_reported(with, &["3: 35.3"]);
+    assert_reported(with, &["ADC2: channel 4"]);
     assert_eq!(offsets_z(with, 100.0).len(), offsets_z(without, 100.0).len());
     let values = |report: &RunReport| -> Vec<f64> {
         offsets_z(report, 100.0).into_iter().map(|(_, offset)| offset).collect()
@@ -398,9 +397,9 @@ fn is_healthy_for(ms: &str) {
     let Some(report) = run(&[&options[..], &more].concat()) else { return };
     is_clean(&report);
     for grade in ["== Remark: 0", "== Unmodelled: 0", "resets []"] {
-        says(&report, &[grade]);
+        assert_reported(&report, &[grade]);
     }
     sends_every_millisecond(&report);
-    says(&report, &["OffsetZ at", "quality 1", "(last)"]);
-    assert_eq!(number(&report, " overruns"), 0.0, "{}", report.said);
+    assert_reported(&report, &["OffsetZ at", "quality 1", "(last)"]);
+    assert_eq!(number(&report, " overruns"), 0.0, "{}", report.stdout);
 }

@@ -26,8 +26,8 @@ fn a_model_that_others_wrote_finds_nothing_either() {
     let mut check = Command::new("bash");
     check.arg("check.sh").arg(image).current_dir(&folder).env_remove("CARGO_TARGET_DIR");
     let check = check.output().expect("it runs");
-    let said = String::from_utf8_lossy(&check.stdout);
-    println!("{said}");
-    assert!(check.status.success(), "{said}{}", String::from_utf8_lossy(&check.stderr));
-    assert!(said.contains("14 passed, 0 failed"), "{said}");
+    let stdout = String::from_utf8_lossy(&check.stdout);
+    println!("{stdout}");
+    assert!(check.status.success(), "{stdout}{}", String::from_utf8_lossy(&check.stderr));
+    assert!(stdout.contains("14 passed, 0 failed"), "{stdout}");
 }

@@ -106,12 +106,16 @@ fn with_battery_and_crystal_the_heat_goes_on_over_the_time_that_has_passed() {
             scope.spawn(move || {
                 let report = life(off_s, "", &["--battery"]).expect("it is there");
                 logs(&report, "the clock that outlasts a power cut is set");
-                let told =
+                let off_reported_s =
                     report.log.iter().find_map(|line| line.split("power was gone for ").nth(1));
-                let told = told.and_then(|text| text.split(' ').next()?.parse::<u32>().ok());
+                let off_reported_s =
+                    off_reported_s.and_then(|text| text.split(' ').next()?.parse::<u32>().ok());
                 // Since it was kept, up to a second before the cut; a crystal is good to 20 ppm.
-                let told = told.expect("it says for how long");
-                assert!((off_s..=off_s + 2 + off_s / 50_000).contains(&told), "{told}");
+                let off_reported_s = off_reported_s.expect("it says for how long");
+                assert!(
+                    (off_s..=off_s + 2 + off_s / 50_000).contains(&off_reported_s),
+                    "{off_reported_s}"
+                );
                 let (got, quality) = end(&report);
                 let expected = expected_um(f64::from(off_s));
                 println!("off for {off_s} s: {got:.2} µm, without a cut {expected:.2} µm");

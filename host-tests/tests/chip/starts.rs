@@ -7,17 +7,17 @@ use trueup_link::{
     status::{self, Item, ResetReason},
 };
 
-use crate::{is_clean, logs, run, run_script, says, sends_every_millisecond};
+use crate::{assert_reported, is_clean, logs, run, run_script, sends_every_millisecond};
 
 #[test]
 fn the_first_start_of_a_new_chip_sets_its_brown_out_level_and_runs_at_168_mhz() {
     let Some(report) = run(&["--ms", "600"]) else { return };
     is_clean(&report);
-    says(&report, &["option bytes programmed: brown-out level 3"]);
-    says(&report, &["source PLL, SYSCLK 168000000 Hz"]);
-    says(&report, &["20000.000 Hz"]);
+    assert_reported(&report, &["option bytes programmed: brown-out level 3"]);
+    assert_reported(&report, &["source PLL, SYSCLK 168000000 Hz"]);
+    assert_reported(&report, &["20000.000 Hz"]);
     // The prefetch is noise in the converter.
-    says(&report, &["flash: wait states 5, prefetch 0"]);
+    assert_reported(&report, &["flash: wait states 5, prefetch 0"]);
     logs(&report, "brown-out level set to 3");
 }
 
@@ -28,11 +28,11 @@ fn a_dead_crystal_leaves_the_serial_line_and_silences_can() {
         return;
     };
     is_clean(&report);
-    says(&report, &["CAN: 0 sent"]);
-    says(&report, &["serial: \"t2818"]);
+    assert_reported(&report, &["CAN: 0 sent"]);
+    assert_reported(&report, &["serial: \"t2818"]);
     // 168 MHz from an oscillator that is 4 % fast would be too much for the chip.
-    says(&report, &["source PLL, SYSCLK 144000000 Hz"]);
-    says(&report, &["20000.000 Hz"]);
+    assert_reported(&report, &["source PLL, SYSCLK 144000000 Hz"]);
+    assert_reported(&report, &["20000.000 Hz"]);
     logs(&report, "dead: crystal");
 }
 
@@ -40,44 +40,43 @@ fn a_dead_crystal_leaves_the_serial_line_and_silences_can() {
 fn a_crystal_that_stops_leads_to_a_reset_and_a_start_without_it() {
     let Some(report) = run(&["--bor", "--hse-stops", "600", "--ms", "1400"]) else { return };
     is_clean(&report);
-    says(&report, &["resets [\"software at"]);
+    assert_reported(&report, &["resets [\"software at"]);
     logs(&report, "dead: crystal");
     logs(&report, "the last start ended by Crystal");
 }
 
 #[test]
-fn crystals_of_8_12_16_and_25_mhz_are_told_apart_and_any_other_counts_as_dead() {
+fn crystals_of_8_12_16_and_25_mhz_are_distinguished_and_any_other_counts_as_dead() {
     for hertz in ["8000000", "12000000", "16000000", "25000000"] {
         let Some(report) = run(&["--bor", "--crystal", hertz, "--ms", "150"]) else { return };
         is_clean(&report);
-        says(&report, &["source PLL, SYSCLK 168000000 Hz"]);
-        says(&report, &["CAN: 1000000 bit/s, sample point 85.7"]);
+        assert_reported(&report, &["source PLL, SYSCLK 168000000 Hz"]);
+        assert_reported(&report, &["CAN: 1000000 bit/s, sample point 85.7"]);
     }
     let Some(report) = run(&["--bor", "--crystal", "10000000", "--ms", "150"]) else { return };
     is_clean(&report);
-    says(&report, &["source PLL, SYSCLK 144000000 Hz"]);
-    says(&report, &["CAN: 0 sent"]);
+    assert_reported(&report, &["source PLL, SYSCLK 144000000 Hz"]);
+    assert_reported(&report, &["CAN: 0 sent"]);
     logs(&report, "is none of 8, 12, 16, 25 MHz");
 }
 
 #[test]
-fn where_nothing_is_captured_the_watchdogs_oscillator_tells_the_crystals_apart_at_both_its_limits()
-{
+fn where_nothing_is_captured_the_watchdogs_oscillator_separates_the_crystals_at_both_its_limits() {
     for (hertz, lsi) in
         [("8000000", "47000"), ("12000000", "17000"), ("16000000", "32000"), ("25000000", "47000")]
     {
         let options = ["--bor", "--capture-dead", "--crystal", hertz, "--lsi", lsi, "--ms", "150"];
         let Some(report) = run(&options) else { return };
         is_clean(&report);
-        says(&report, &["source PLL, SYSCLK 168000000 Hz"]);
-        says(&report, &["CAN: 1000000 bit/s, sample point 85.7"]);
+        assert_reported(&report, &["source PLL, SYSCLK 168000000 Hz"]);
+        assert_reported(&report, &["CAN: 1000000 bit/s, sample point 85.7"]);
     }
     let Some(report) = run(&["--bor", "--capture-dead", "--crystal", "10000000", "--ms", "150"])
     else {
         return;
     };
     is_clean(&report);
-    says(&report, &["source PLL, SYSCLK 144000000 Hz"]);
+    assert_reported(&report, &["source PLL, SYSCLK 144000000 Hz"]);
     logs(&report, "is none of 8, 12, 16, 25 MHz");
 }
 
@@ -88,7 +87,7 @@ fn where_the_crc_unit_is_dead_the_core_checks_the_image() {
     logs(&report, "dead: CRC unit");
     logs(&report, "whole");
     sends_every_millisecond(&report);
-    says(&report, &["OffsetZ at", "quality 1", "(last)"]);
+    assert_reported(&report, &["OffsetZ at", "quality 1", "(last)"]);
 }
 
 /// Returns the flash of a board that a machine relies on, in this folder. There are no option bytes in it: they are as
@@ -109,7 +108,7 @@ fn a_board_in_service_is_live_before_its_option_bytes_are_set_again() {
         return;
     };
     is_clean(&report);
-    says(&report, &["OffsetZ at", " 0.0", "µm, quality 1", "(last)"]);
+    assert_reported(&report, &["OffsetZ at", " 0.0", "µm, quality 1", "(last)"]);
 }
 
 #[test]
@@ -121,15 +120,15 @@ fn the_option_bytes_of_a_board_in_service_are_set_while_it_gives_no_offset() {
     };
     is_clean(&report);
     logs(&report, "brown-out level set to 3");
-    says(&report, &["resets []"]);
-    says(&report, &["OffsetZ at", "quality 1", "(last)"]);
+    assert_reported(&report, &["resets []"]);
+    assert_reported(&report, &["OffsetZ at", "quality 1", "(last)"]);
 }
 
 #[test]
 fn a_dead_pll_leaves_16_mhz_and_a_serial_line_that_is_2_percent_fast() {
     let Some(report) = run(&["--bor", "--pll-dead", "--ms", "900"]) else { return };
     // The rate is 2.1 % off: the one violation, and the reference says so.
-    says(&report, &["USART1: 941176 Bd"]);
+    assert_reported(&report, &["USART1: 941176 Bd"]);
     logs(&report, "dead: PLL");
 }
 
@@ -137,17 +136,17 @@ fn a_dead_pll_leaves_16_mhz_and_a_serial_line_that_is_2_percent_fast() {
 fn after_the_loader_the_image_starts_as_after_a_reset() {
     let Some(report) = run(&["--bor", "--from-loader", "--ms", "300"]) else { return };
     is_clean(&report);
-    says(&report, &["source PLL, SYSCLK 168000000 Hz"]);
+    assert_reported(&report, &["source PLL, SYSCLK 168000000 Hz"]);
     sends_every_millisecond(&report);
 }
 
 #[test]
-fn a_hard_fault_resets_at_once_and_the_next_start_tells_it_and_where() {
+fn a_hard_fault_resets_at_once_and_the_next_start_reports_it_and_where() {
     // An address in no memory; `Status` says why the board started once in 1.1 s.
     let Some(report) = run(&["--bor", "--upset", "400", "30000000", "--ms", "1700"]) else {
         return;
     };
-    says(&report, &["resets [\"software at 0.400 s\"]"]);
+    assert_reported(&report, &["resets [\"software at 0.400 s\"]"]);
     logs(&report, "the last start ended by HardFault");
     logs(&report, "pc 0x30000000");
     let reasons: Vec<ResetReason> =
@@ -172,12 +171,12 @@ fn the_watchdog_is_fed_in_time_at_both_limits_of_its_oscillator() {
     for hertz in ["47000", "17000"] {
         let Some(report) = run(&["--bor", "--lsi", hertz, "--ms", "400"]) else { return };
         is_clean(&report);
-        says(&report, &["resets []"]);
+        assert_reported(&report, &["resets []"]);
     }
 }
 
 #[test]
-fn after_a_power_cut_in_the_first_zero_the_board_is_heard_within_200_ms() {
+fn after_a_power_cut_in_the_first_zero_the_board_sends_within_200_ms() {
     for word in [1, 4, 8] {
         let script = format!("0 flags 2\n250 flags 3\n500 cut {word}\n700 flags 7\n900 flags 3\n");
         let Some(report) = run_script(&script, &["--ms", "1100"]) else { return };
@@ -199,7 +198,7 @@ fn a_restart_that_a_master_asks_for_ends_the_line_that_is_going_out() {
     let script = "0 flags 10\n250 say S8\\rO\\r\n350 say t00028101\\r\n500 say V\\r\n";
     let Some(report) = run_script(script, &["--ms", "600"]) else { return };
     is_clean(&report);
-    says(&report, &["resets [\"software at"]);
+    assert_reported(&report, &["resets [\"software at"]);
     let serial = report.events.iter().filter_map(|event| event.split(" serial ").nth(1));
     let (frames, others): (Vec<_>, Vec<_>) = serial.partition(|line| line.starts_with('t'));
     assert!(frames.len() > 150, "{} lines", frames.len());

@@ -44,7 +44,7 @@ const LATER_MS: [u32; 6] = [0, 1, 3, 7, 11, 17];
 
 /// Returns the number before the unit behind these words, in µs.
 fn behind(report: &RunReport, words: &str) -> Option<f64> {
-    let (_, rest) = report.said.split_once(words)?;
+    let (_, rest) = report.stdout.split_once(words)?;
     rest.trim_start_matches([':', ' ']).split_once(" µs")?.0.parse().ok()
 }
 
@@ -70,7 +70,7 @@ fn is_bounded(clock: &str, report: &RunReport) {
             assert!(*own <= bound.turn_us, "{clock}, {}: {own} µs, {bound:?}", bound.task);
         }
     }
-    assert!(seen.len() > 6, "the model says how long turns take: {}", report.said);
+    assert!(seen.len() > 6, "the model says how long turns take: {}", report.stdout);
 }
 
 #[test]
@@ -80,22 +80,23 @@ fn no_task_waits_for_half_its_deadline_nor_at_16_mhz_for_two_thirds() {
         let Some((model, image)) = parts() else { return };
         let report = full_load::run(model, image, &of, later_ms).expect("the model runs");
         // At 16 MHz the serial line is 2.1 % fast, which the model notes.
-        let is_as_known = report.said.contains("Violation: 1") && report.said.contains("941176 Bd");
-        assert!(report.clean || is_as_known, "{}", report.said);
-        assert_eq!(report.said.matches(" 0 overruns").count(), 2, "{}", report.said);
+        let is_as_known =
+            report.stdout.contains("Violation: 1") && report.stdout.contains("941176 Bd");
+        assert!(report.clean || is_as_known, "{}", report.stdout);
+        assert_eq!(report.stdout.matches(" 0 overruns").count(), 2, "{}", report.stdout);
         let masked = behind(&report, "PRIMASK set for").expect("some");
-        let (_, plc) = report.said.split_once("RS-485").expect("it is told");
+        let (_, plc) = report.stdout.split_once("RS-485").expect("it is told");
         let (_, plc) = plc.split_once("waits ").expect("it is told");
         let byte: f64 = plc.split_once(" µs").expect("a time").0.parse().expect("a number");
         let mut text =
             format!("{clock}, {later_ms} ms later: interrupts off {masked}, modbus_line {byte}");
         assert!(masked < byte_us / 2.0 && byte < byte_us / 2.0, "{text}");
-        let told = |words: &str| {
-            let (_, rest) = report.said.split_once(words).expect("it is told");
+        let logged = |words: &str| {
+            let (_, rest) = report.stdout.split_once(words).expect("it is told");
             rest.lines().next().expect("a line").split(", ").collect::<Vec<_>>()
         };
-        let up = told("lines up at the longest: ");
-        let pending = told("pending at the longest: ");
+        let up = logged("lines up at the longest: ");
+        let pending = logged("pending at the longest: ");
         let lines = LINES.map(|(line, task, deadline)| (&up, line.to_string(), task, deadline));
         let started = STARTED.map(|(name, task, deadline)| (&pending, name.into(), task, deadline));
         for (waits, name, task, deadline) in lines.into_iter().chain(started) {

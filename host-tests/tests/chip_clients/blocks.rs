@@ -117,7 +117,7 @@ fn the_same_codes_give_the_same_offsets_on_the_chip_the_host_and_the_virtual_boa
     let script =
         format!("0 flags 2\n0 rpm {SPEED}\n250 flags 3\n300 pattern {}\n", words.join(" "));
     let report = chip.live(1_000, &script, &[])?;
-    ensure!(report.clean, "a violation:\n{}", report.said);
+    ensure!(report.clean, "a violation:\n{}", report.stdout);
     let of = |event: &String| {
         let hex = event.split_once(" can 281 ")?.1;
         let byte = |n: usize| u8::from_str_radix(&hex[2 * n..2 * n + 2], 16).ok();

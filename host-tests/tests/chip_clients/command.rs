@@ -47,7 +47,7 @@ fn xtask_chip_shows_the_log_and_serves_any_slcan_client_with_a_dead_crystal() ->
     trueup()?;
     let python = setup::ensure_python()?;
     let mut terminal = Terminal(
-        // Whoever started these tests may have had Ctrl-C ignored, which is inherited.
+        // The parent process may have had Ctrl-C ignored, which is inherited.
         Command::new("env")
             .arg("--default-signal=INT")
             .arg(xtask()?.get_program())
@@ -61,14 +61,14 @@ fn xtask_chip_shows_the_log_and_serves_any_slcan_client_with_a_dead_crystal() ->
     let line = lines.find(|line| line.as_ref().is_ok_and(|line| line.starts_with("serial: ")));
     let line = line.context("it says where its line is")??;
     let port: u16 = line.rsplit(':').next().and_then(|part| part.parse().ok()).context(line)?;
-    // Whoever does not read holds it up.
-    let said = std::thread::spawn(move || lines.map_while(Result::ok).collect::<Vec<_>>());
+    // A reader that does not read holds it up.
+    let log_lines = std::thread::spawn(move || lines.map_while(Result::ok).collect::<Vec<_>>());
 
     // What is said before the board is up is lost, as on a wire.
-    let told = info_with(port, "heartbeat")?;
-    println!("{told}");
+    let info = info_with(port, "heartbeat")?;
+    println!("{info}");
     for word in ["crystal", "fall-back-clock", "board-degraded", "on STM32F405"] {
-        ensure!(told.contains(word), "no {word:?} in\n{told}");
+        ensure!(info.contains(word), "no {word:?} in\n{info}");
     }
     let received =
         Command::new(python).args(["-c", HEAR, &format!("socket://127.0.0.1:{port}")]).output()?;
@@ -80,9 +80,9 @@ fn xtask_chip_shows_the_log_and_serves_any_slcan_client_with_a_dead_crystal() ->
     // Ctrl-C is for all of a terminal; its end of the pipe is closed when nobody is left.
     ensure!(terminal.signal("INT")?.success(), "it takes the signal");
     terminal.0.wait()?;
-    let said = said.join().expect("nobody panics").join("\n");
+    let log_lines = log_lines.join().expect("nobody panics").join("\n");
     for text in ["dead: crystal", "trueup bridge 0.2.0 is up"] {
-        ensure!(said.contains(text), "no {text:?} in\n{said}");
+        ensure!(log_lines.contains(text), "no {text:?} in\n{log_lines}");
     }
     Ok(())
 }

@@ -21,7 +21,7 @@ use crate::{CODE, FAST_MACHINE, GROWN_UM, support::chip::Chip};
 const SILENCE: Duration = Duration::from_millis(500);
 
 /// Pairs of offsets, and the newest elongation in µm, that have come until nothing comes any more.
-fn heard(line: &mut TcpStream) -> Result<(u32, Option<f64>)> {
+fn first_offset(line: &mut TcpStream) -> Result<(u32, Option<f64>)> {
     let (mut client, mut bytes) = (Client::default(), [0; 4096]);
     let (mut offsets, mut status) = (OffsetReceiver::new(), StatusReceiver::default());
     let (mut pairs, mut grown_um) = (0, None);
@@ -53,17 +53,17 @@ fn a_board_lives_as_long_as_it_is_let_in_the_world_that_is_played() -> Result<()
     line.set_read_timeout(Some(SILENCE))?;
     line.write_all(b"S8\rO\r")?;
     board.apply_script_line(&format!("code {CODE}"))?;
-    // It is given to whoever reads before its queue is full.
+    // A reader gets it before its queue is full.
     let mut elongation_um = None;
     for _ in 0..4 {
         board.advance(400)?;
-        let (pairs, grown_um) = heard(&mut line)?;
+        let (pairs, grown_um) = first_offset(&mut line)?;
         ensure!((395..=401).contains(&pairs), "{pairs} pairs in 400 ms");
         elongation_um = grown_um.or(elongation_um);
     }
     let grown_um = elongation_um.expect("it comes every 1.1 s");
     // A code is 0.12 µm.
     ensure!((grown_um - GROWN_UM).abs() < 0.12, "{grown_um} for {GROWN_UM}");
-    assert_eq!(heard(&mut line)?.0, 0, "its time stands");
+    assert_eq!(first_offset(&mut line)?.0, 0, "its time stands");
     board.power_off()
 }

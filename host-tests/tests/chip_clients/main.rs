@@ -31,7 +31,7 @@ use trueup_store::calibration::calibration_crc;
 const CODE: u32 = 1_145;
 const GROWN_UM: f64 = (8.0 * CODE as f64 - 5_048.0) * 0.015_258_789_062_5;
 /// Time in which `bridge info` has to answer, on a computer that has better to do.
-const PATIENCE: Duration = Duration::from_secs(60);
+const TIMEOUT: Duration = Duration::from_secs(60);
 /// An hour: the test ends it before.
 const LONG: [&str; 3] = ["--bor", "--ms", "3600000"];
 
@@ -39,19 +39,19 @@ const LONG: [&str; 3] = ["--bor", "--ms", "3600000"];
 fn info(port: u16) -> Result<String> {
     let port = format!("tcp:127.0.0.1:{port}");
     let output = trueup()?.args(["bridge", "info", "--port", &port]).output()?;
-    let said = String::from_utf8_lossy(&output.stderr);
-    ensure!(output.status.success(), "{said}");
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    ensure!(output.status.success(), "{stderr}");
     Ok(String::from_utf8(output.stdout)?)
 }
 
 /// Returns the same, once it has this.
 fn info_with(port: u16, text: &str) -> Result<String> {
-    let end = Instant::now() + PATIENCE;
+    let end = Instant::now() + TIMEOUT;
     loop {
-        let said = info(port);
-        match said {
-            Ok(said) if said.contains(text) => return Ok(said),
-            said if Instant::now() > end => anyhow::bail!("no {text:?} in {said:?}"),
+        let message = info(port);
+        match message {
+            Ok(message) if message.contains(text) => return Ok(message),
+            message if Instant::now() > end => anyhow::bail!("no {text:?} in {message:?}"),
             _ => thread::sleep(Duration::from_millis(200)),
         }
     }
@@ -75,10 +75,10 @@ fn bridge_info_names_what_ended_the_last_start_and_where() -> Result<()> {
         let script = script.to_str().context("a plain name")?;
         let options = [&LONG[..], &["--script", script]].concat();
         let line = RunningModel::start(&chip.model, &chip.image, &options)?;
-        let said = info_with(line.port, words[0])?;
-        println!("{said}");
+        let text = info_with(line.port, words[0])?;
+        println!("{text}");
         for word in words.iter().chain(&["power-on 1"]) {
-            ensure!(said.contains(word), "{number}: no {word:?} in\n{said}");
+            ensure!(text.contains(word), "{number}: no {word:?} in\n{text}");
         }
         Ok(())
     };

@@ -23,7 +23,7 @@ use super::{
 pub const FAST: [&str; 4] = ["--low", "PB5", "--modbus-baud", "115200"];
 
 /// Returns the bytes of what was said, if it is of this kind.
-pub fn said(event: &str, kind: &str) -> Option<(f64, Vec<u8>)> {
+pub fn sent_frame(event: &str, kind: &str) -> Option<(f64, Vec<u8>)> {
     let (at, rest) = event.split_once(' ')?;
     let hex = rest.strip_prefix(kind)?.strip_prefix(' ')?;
     let bytes = (0..hex.len() / 2).map(|n| u8::from_str_radix(&hex[2 * n..2 * n + 2], 16).ok());
@@ -51,20 +51,20 @@ fn polled(until_ms: u32) -> Result<Option<usize>> {
         );
     }
     let report = chip.live(until_ms, &script, &FAST)?;
-    ensure!(report.clean, "a violation:\n{}", report.said);
+    ensure!(report.clean, "a violation:\n{}", report.stdout);
     for wrong in ["nothing drives", "collides", "overrun, a byte"] {
-        ensure!(!report.said.contains(wrong), "{}", report.said);
+        ensure!(!report.stdout.contains(wrong), "{}", report.stdout);
     }
-    let wait = report.said.lines().find(|line| line.contains("RS-485")).context("it is told")?;
+    let wait = report.stdout.lines().find(|line| line.contains("RS-485")).context("it is told")?;
     println!("{}", wait.trim());
     let cycles: Vec<(f64, i32)> = report
         .events
         .iter()
-        .filter_map(|event| said(event, "can 281"))
+        .filter_map(|event| sent_frame(event, "can 281"))
         .map(|(at, data)| Some((at, offset(&data.try_into().ok()?))))
         .collect::<Option<_>>()
         .context("frames of eight bytes")?;
-    let answers = report.events.iter().filter_map(|event| said(event, "modbus"));
+    let answers = report.events.iter().filter_map(|event| sent_frame(event, "modbus"));
     let mut first = None;
     let (mut reads, mut live) = (0, 0);
     let mut latest_ms = 0.0_f64;
@@ -144,9 +144,9 @@ fn pymodbus_and_mbpoll_read_the_whole_block_of_the_flashable_image_and_engage_it
     let Some(saw) = masters(&[])? else { return Ok(()) };
     assert_eq!(saw["wrong"], json!([]), "every block is whole");
     assert_eq!(saw["released"]["quality"], 6, "nobody has engaged it");
-    let is_grown = |said: &Value| {
-        let z = said["offset_um"][2].as_f64().unwrap_or(f64::NAN);
-        (z - GROWN_UM).abs() < 0.3 && said["quality"] == 1
+    let is_grown = |report: &Value| {
+        let z = report["offset_um"][2].as_f64().unwrap_or(f64::NAN);
+        (z - GROWN_UM).abs() < 0.3 && report["quality"] == 1
     };
     assert!(is_grown(&saw["live"]), "the growth is undone: {}", saw["live"]);
     let expected = json!({

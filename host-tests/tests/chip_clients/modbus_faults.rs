@@ -15,7 +15,7 @@ use trueup_modbus::input::InputBlock;
 
 use super::{
     blocks::offset,
-    modbus::{FAST, said},
+    modbus::{FAST, sent_frame},
     support::{FAST_MACHINE, chip::Chip},
 };
 
@@ -39,7 +39,7 @@ struct RequestFault {
 }
 
 impl RequestFault {
-    fn told(name: &'static str, pdu: &[u8], exception: u8) -> Self {
+    fn with_exception(name: &'static str, pdu: &[u8], exception: u8) -> Self {
         let answer = encode_frame(UNIT_ID, &[pdu[0] | 0x80, exception]);
         Self { answer: Some(answer), ..Self::silent(name, encode_frame(UNIT_ID, pdu)) }
     }
@@ -68,23 +68,27 @@ fn faults(counter: u16) -> Vec<RequestFault> {
         (0..length).map(byte).collect()
     };
     vec![
-        RequestFault::told("read coils", &[1, 0, 0, 0, 8], 1),
-        RequestFault::told("read discrete inputs", &[2, 0, 0, 0, 8], 1),
-        RequestFault::told("write a coil", &[5, 0, 0, 0xFF, 0], 1),
-        RequestFault::told("write one register", &[6, 0, 1, 0, 2], 1),
-        RequestFault::told("diagnostics", &[8, 0, 0, 0, 0], 1),
-        RequestFault::told("read and write", &[23, 0, 0, 0, 1, 0, 1, 0, 1, 2, 0, 2], 1),
-        RequestFault::told("read behind the end", &[4, 0, 27, 0, 2], 2),
-        RequestFault::told("read elsewhere", &[4, 0xFF, 0xFF, 0, 1], 2),
-        RequestFault::told("read holding behind the end", &[3, 0, 20, 0, 1], 2),
-        RequestFault::told("read nothing", &[4, 0, 0, 0, 0], 3),
-        RequestFault::told("read more than may be", &[4, 0, 0, 0, 126], 3),
-        RequestFault::told("a byte is missing", &[4, 0, 0, 0], 3),
-        RequestFault::told("a byte too many", &[&release[..], &[0]].concat(), 3),
-        RequestFault::told("write a part", &[&[16, 0, 0, 0, 5, 10], &release[6..16]].concat(), 2),
-        RequestFault::told("write elsewhere", &changed(2, 1), 2),
-        RequestFault::told("write nothing", &[16, 0, 0, 0, 0, 0], 3),
-        RequestFault::told("another length than is said", &changed(5, 32), 3),
+        RequestFault::with_exception("read coils", &[1, 0, 0, 0, 8], 1),
+        RequestFault::with_exception("read discrete inputs", &[2, 0, 0, 0, 8], 1),
+        RequestFault::with_exception("write a coil", &[5, 0, 0, 0xFF, 0], 1),
+        RequestFault::with_exception("write one register", &[6, 0, 1, 0, 2], 1),
+        RequestFault::with_exception("diagnostics", &[8, 0, 0, 0, 0], 1),
+        RequestFault::with_exception("read and write", &[23, 0, 0, 0, 1, 0, 1, 0, 1, 2, 0, 2], 1),
+        RequestFault::with_exception("read behind the end", &[4, 0, 27, 0, 2], 2),
+        RequestFault::with_exception("read elsewhere", &[4, 0xFF, 0xFF, 0, 1], 2),
+        RequestFault::with_exception("read holding behind the end", &[3, 0, 20, 0, 1], 2),
+        RequestFault::with_exception("read nothing", &[4, 0, 0, 0, 0], 3),
+        RequestFault::with_exception("read more than may be", &[4, 0, 0, 0, 126], 3),
+        RequestFault::with_exception("a byte is missing", &[4, 0, 0, 0], 3),
+        RequestFault::with_exception("a byte too many", &[&release[..], &[0]].concat(), 3),
+        RequestFault::with_exception(
+            "write a part",
+            &[&[16, 0, 0, 0, 5, 10], &release[6..16]].concat(),
+            2,
+        ),
+        RequestFault::with_exception("write elsewhere", &changed(2, 1), 2),
+        RequestFault::with_exception("write nothing", &[16, 0, 0, 0, 0, 0], 3),
+        RequestFault::with_exception("another length than is said", &changed(5, 32), 3),
         RequestFault::silent("to everybody", encode_frame(0, &release)),
         RequestFault::silent("to another unit", encode_frame(7, &release)),
         RequestFault::silent("to unit 255", encode_frame(255, &release)),
@@ -134,7 +138,7 @@ struct Answers(Vec<(f64, Vec<u8>)>);
 
 impl Answers {
     fn of(report: &RunReport) -> Self {
-        Self(report.events.iter().filter_map(|event| said(event, "modbus")).collect())
+        Self(report.events.iter().filter_map(|event| sent_frame(event, "modbus")).collect())
     }
 
     fn between(&self, from: u32, to: u32) -> Vec<&[u8]> {
@@ -153,7 +157,7 @@ impl Answers {
 
 /// Offsets in Z on CAN with their quality, in this time.
 fn course(report: &RunReport, from: u32, to: u32) -> Vec<(i32, u8)> {
-    let frames = report.events.iter().filter_map(|event| said(event, "can 281"));
+    let frames = report.events.iter().filter_map(|event| sent_frame(event, "can 281"));
     let within = frames.filter(|(at, _)| (f64::from(from)..f64::from(to)).contains(at));
     let value = |(_, data): (f64, Vec<u8>)| {
         let data: [u8; 8] = data.try_into().expect("eight bytes");
@@ -217,14 +221,14 @@ fn what_a_master_does_wrong_gets_the_exception_of_the_standard_or_silence_and_mo
         &format!("{released} modbus {}\n", write_request_hex(Control::REFERENCED, master.counter));
     let report = chip.live(released + 60, &master.script, &FAST)?;
 
-    ensure!(report.clean, "a violation:\n{}", report.said);
+    ensure!(report.clean, "a violation:\n{}", report.stdout);
     let answers = Answers::of(&report);
     for (lives, from, next, fault) in &slots {
         let alive = answers.between(*lives, *from);
         ensure!(alive == [&written[..]], "before {}: {alive:02x?}", fault.name);
-        let told = answers.between(*from, *next);
+        let received = answers.between(*from, *next);
         let expected: Vec<&[u8]> = fault.answer.iter().map(|bytes| &bytes[..]).collect();
-        ensure!(told == expected, "{}: {told:02x?} for {expected:02x?}", fault.name);
+        ensure!(received == expected, "{}: {received:02x?} for {expected:02x?}", fault.name);
     }
     for at in [acknowledged, acknowledged + 10] {
         ensure!(answers.between(at, at + 10) == [&written[..]], "it is acknowledged");
@@ -241,7 +245,8 @@ fn what_a_master_does_wrong_gets_the_exception_of_the_standard_or_silence_and_mo
 }
 
 #[test]
-fn a_cnc_on_can_beside_a_plc_and_a_plc_beside_a_cnc_are_told_and_move_nothing() -> Result<()> {
+fn a_cnc_on_can_next_to_a_plc_and_a_plc_next_to_a_cnc_are_reported_and_move_nothing() -> Result<()>
+{
     let Some(chip) = Chip::of_machine(FAST_MACHINE)? else { return Ok(()) };
     let end = SETTLED_MS + 200;
     // A CNC that lets the offset go, next to a PLC that has it.
@@ -252,17 +257,18 @@ fn a_cnc_on_can_beside_a_plc_and_a_plc_beside_a_cnc_are_told_and_move_nothing() 
     }
     master.script += &format!("{} modbus {}\n", end + 1, read_request_hex());
     let report = chip.live(end + 20, &master.script, &FAST)?;
-    ensure!(report.clean, "a violation:\n{}", report.said);
-    let is_told = |input: &InputBlock| StateBits(input.state).contains(StateBits::SECOND_MASTER);
+    ensure!(report.clean, "a violation:\n{}", report.stdout);
+    let is_reported =
+        |input: &InputBlock| StateBits(input.state).contains(StateBits::SECOND_MASTER);
     let input = Answers::of(&report).input(end, end + 20)?;
-    ensure!(is_told(&input) && input.refused == 0, "{input:?}");
+    ensure!(is_reported(&input) && input.refused == 0, "{input:?}");
     stands(&report, SETTLED_MS, end + 20)?;
 
     // A PLC that does, next to a CNC; then the CNC falls silent.
     let mut script = "0 flags 2\n0 spindle 0\n0 positions 0\n380 flags 3\n".to_string();
     let busy = encode_frame(UNIT_ID, &[0x90, 6]);
-    let asked: Vec<u32> = (SETTLED_MS + 5..end).step_by(20).collect();
-    for (counter, at) in (0..).zip(&asked) {
+    let requested: Vec<u32> = (SETTLED_MS + 5..end).step_by(20).collect();
+    for (counter, at) in (0..).zip(&requested) {
         script += &format!("{at} modbus {}\n", write_request_hex(Control::REFERENCED, counter));
     }
     let (silent, free) = (end + 20, end + 560);
@@ -273,12 +279,12 @@ fn a_cnc_on_can_beside_a_plc_and_a_plc_beside_a_cnc_are_told_and_move_nothing() 
     );
     script += &format!("{free} modbus {}\n", write_request_hex(Control::REFERENCED, 900));
     let report = chip.live(free + 20, &script, &FAST)?;
-    ensure!(report.clean, "a violation:\n{}", report.said);
+    ensure!(report.clean, "a violation:\n{}", report.stdout);
     let answers = Answers::of(&report);
-    for at in asked {
+    for at in requested {
         ensure!(answers.between(at, at + 15) == [&busy[..]], "at {at} ms");
     }
-    ensure!(is_told(&answers.input(end, silent)?), "it is told");
+    ensure!(is_reported(&answers.input(end, silent)?), "it is told");
     stands(&report, SETTLED_MS, silent)?;
     let admitted = answers.between(free, free + 20);
     ensure!(admitted == [&encode_frame(UNIT_ID, &[16, 0, 0, 0, 17])[..]], "{admitted:02x?}");

@@ -38,10 +38,10 @@ fn update(port: u16, file: &Path) -> Result<Command> {
 /// Returns what it prints; an error, if it ends with one.
 fn whole_update(port: u16, file: &Path) -> Result<String> {
     let output = update(port, file)?.output()?;
-    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    let stdout = String::from_utf8_lossy(&output.stdout).into_owned();
     let errors = String::from_utf8_lossy(&output.stderr);
-    ensure!(output.status.success(), "{said}{errors}");
-    Ok(said + &errors)
+    ensure!(output.status.success(), "{stdout}{errors}");
+    Ok(stdout + &errors)
 }
 
 fn kill(mut child: Child) -> Result<()> {
@@ -72,12 +72,12 @@ fn the_tool_updates_a_board_goes_on_after_a_kill_and_the_old_file_is_refused() -
     } else {
         kill(child)?;
         let began = Instant::now();
-        let said = whole_update(line.port, &new.update).context("after the kill")?;
-        println!("{said}\nafter {:.0} s", began.elapsed().as_secs_f64());
+        let output_text = whole_update(line.port, &new.update).context("after the kill")?;
+        println!("{output_text}\nafter {:.0} s", began.elapsed().as_secs_f64());
     }
-    let said = info_with(line.port, "0.9.2")?;
-    println!("{said}");
-    ensure!(said.contains("on trial"), "{said}");
+    let output_text = info_with(line.port, "0.9.2")?;
+    println!("{output_text}");
+    ensure!(output_text.contains("on trial"), "{output_text}");
 
     // What is older than the one that runs is refused before anything is erased.
     let refused = whole_update(line.port, &old.update).expect_err("it is older").to_string();

@@ -77,14 +77,14 @@ impl Case {
             },
         };
         let within = |time: &f64| (from..=by).contains(time);
-        let mut want = |is_seen: bool, what: String| {
+        let mut expected = |is_seen: bool, what: String| {
             if !is_seen {
                 missing.push(what);
             }
         };
         let offsets = || seen.offsets.iter().filter(|(time, _)| within(time));
         if let Some(quality) = self.quality {
-            want(
+            expected(
                 offsets().any(|(_, (shown, _))| *shown == quality as u8),
                 format!("quality {quality:?}"),
             );
@@ -94,29 +94,32 @@ impl Case {
                 seen.offsets.iter().rfind(|(time, _)| *time < from).map(|(_, offset)| offset.0);
             let same =
                 offsets().count() > 0 && offsets().all(|(_, offset)| Some(offset.0) == before);
-            want(same, format!("quality as before, {before:?}"));
+            expected(same, format!("quality as before, {before:?}"));
         }
         if let Some((flag, name)) = self.flag {
-            want(offsets().any(|(_, (_, flags))| flags.contains(flag)), format!("flag {name}"));
+            expected(offsets().any(|(_, (_, flags))| flags.contains(flag)), format!("flag {name}"));
         }
         if let Some(fault) = self.emergency {
             // As CiA 301 packs it: the code, and the manufacturer's half above it.
             let entry = u32::from(fault.code()) | (fault as u32) << 16;
-            let is_kept = seen.objects.iter().any(|(time, ((index, _), value))| {
+            let is_retained = seen.objects.iter().any(|(time, ((index, _), value))| {
                 within(time) && *index == HISTORY && *value == entry
             });
-            let is_told = seen
+            let is_reported = seen
                 .emergencies
                 .iter()
                 .any(|(time, emergency)| within(time) && *emergency == fault as u8);
-            want(if self.is_history { is_kept } else { is_told }, format!("emergency {fault:?}"));
+            expected(
+                if self.is_history { is_retained } else { is_reported },
+                format!("emergency {fault:?}"),
+            );
         }
         let mut object =
             |index: u16, subindex: u8, is_right: &dyn Fn(u32) -> bool, what: String| {
                 let mut answers = seen.objects.iter().filter(|(time, _)| within(time));
                 let is_seen =
                     answers.any(|(_, (at, value))| *at == (index, subindex) && is_right(*value));
-                want(is_seen, what);
+                expected(is_seen, what);
             };
         if let Some(state) = self.state {
             let is_set = |value| StateBits(value).contains(state);

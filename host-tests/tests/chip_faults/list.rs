@@ -204,8 +204,8 @@ fn image_changes() -> Run {
 fn ram() -> Run {
     let damaged = Case::new("the RAM is damaged", 0, 300).quality(Quality::Fault);
     let options = &["--bor", "--ram-stuck", "20012340"];
-    let told = damaged.state(StateBits::SELF_TEST_FAILED).emergency(Fault::SelfTest);
-    run("ram", "", 600).options(options).case("a bit that is always 1", told)
+    let emergency = damaged.state(StateBits::SELF_TEST_FAILED).emergency(Fault::SelfTest);
+    run("ram", "", 600).options(options).case("a bit that is always 1", emergency)
 }
 
 fn sampling() -> Run {

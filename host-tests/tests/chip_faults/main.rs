@@ -86,12 +86,12 @@ fn script(run: &Run, key: Option<u32>) -> String {
     if let Some(key) = key {
         script = script.replace("KEY", &format!("{key:x}"));
     }
-    let mut asked = ASKED.to_vec();
+    let mut requested = ASKED.to_vec();
     if run.cases.iter().any(|(_, case)| case.is_history) {
-        asked.extend((1..=8).map(|entry| (HISTORY, entry)));
+        requested.extend((1..=8).map(|entry| (HISTORY, entry)));
     }
-    let asked = asked.into_iter().cycle();
-    for (at, (index, subindex)) in (0..run.ms).step_by(10).zip(asked) {
+    let requested = requested.into_iter().cycle();
+    for (at, (index, subindex)) in (0..run.ms).step_by(10).zip(requested) {
         let [low, high] = index.to_le_bytes();
         let ask = format!("40{low:02x}{high:02x}{subindex:02x}00000000");
         script += &if run.is_serial {
@@ -134,12 +134,12 @@ fn play(parts: &Parts, run: &Run) -> Vec<String> {
             .map(|free| format!("{}: {free} bytes of the stack were never used", run.name)),
     );
     // Resets that no case asks for.
-    let asked = run.cases.iter().filter(|(_, case)| case.restart.is_some()).count();
-    if seen.resets.len() != asked {
+    let requested = run.cases.iter().filter(|(_, case)| case.restart.is_some()).count();
+    if seen.resets.len() != requested {
         wrong.push(format!("{}: {} resets at {:?}", run.name, seen.resets.len(), seen.resets));
     }
     if !wrong.is_empty() && std::env::var_os("TRUEUP_FAULTS_LOG").is_some() {
-        eprintln!("== {}\n{}\n{}", run.name, report.said, report.log.join("\n"));
+        eprintln!("== {}\n{}\n{}", run.name, report.stdout, report.log.join("\n"));
     }
     wrong
 }
@@ -178,7 +178,7 @@ fn play_those(is_meant: impl Fn(&Run) -> bool) {
 }
 
 #[test]
-fn only_the_breaking_image_can_be_told_to_break() {
+fn only_the_breaking_image_accepts_the_command_to_break() {
     let machine = setup::project_root().join("host-tests/tests/chip_faults/machine.toml");
     let breaking = firmware::build_with_fault_injection(&machine).expect("it builds");
     assert!(seal::symbol_address(&breaking, KEY).expect("an image").is_some());

@@ -73,28 +73,31 @@ fn load(chip: &Chip, fault: &str) -> Result<u32> {
         master::questions(ask)
     );
     let report = chip.live((ask + 40.0) as u32, &script, &[])?;
-    ensure!(report.clean, "a violation:\n{}", report.said);
-    let told = Received::of(&report.events);
-    let [reset] = told.resets[..] else { anyhow::bail!("resets at {:?}", told.resets) };
-    let heard =
-        told.offsets.iter().find(|time| **time > reset).context("it is never heard again")?;
-    ensure!(heard - reset < START_MS, "silent for {} ms", heard - reset);
+    ensure!(report.clean, "a violation:\n{}", report.stdout);
+    let received = Received::of(&report.events);
+    let [reset] = received.resets[..] else { anyhow::bail!("resets at {:?}", received.resets) };
+    let first_offset =
+        received.offsets.iter().find(|time| **time > reset).context("it is never heard again")?;
+    ensure!(first_offset - reset < START_MS, "silent for {} ms", first_offset - reset);
 
-    let running = told.object((0x2100, 3), reset).context("it does not say what it runs on")?;
+    let running = received.object((0x2100, 3), reset).context("it does not say what it runs on")?;
     let is_new = running == calibration_crc(new.blob());
     ensure!(is_new || running == calibration_crc(old.blob()), "it runs on {running:08x}");
     // The answer to the last segment is a promise.
-    ensure!(is_new || !told.is_accepted(reset), "it has accepted what it does not run on");
-    let state = told.object((0x2001, 6), reset).context("it does not say how it is")?;
+    ensure!(is_new || !received.is_accepted(reset), "it has accepted what it does not run on");
+    let state = received.object((0x2001, 6), reset).context("it does not say how it is")?;
     // A torn CRC of the head, its fourth word, cannot be distinguished from a damaged one.
     let torn = cut_in(new.blob().len() as u32 / 4 + 4);
-    let is_asked = state & 1 << 2 != 0;
-    ensure!(!is_asked || fault == torn, "a load that was cut counts as damaged: state {state:#x}");
+    let is_requested = state & 1 << 2 != 0;
+    ensure!(
+        !is_requested || fault == torn,
+        "a load that was cut counts as damaged: state {state:#x}"
+    );
     report
-        .said
+        .stdout
         .split(" words programmed")
         .next()
-        .and_then(|said| said.rsplit(' ').next()?.parse().ok())
+        .and_then(|count_text| count_text.rsplit(' ').next()?.parse().ok())
         .context("it says how many words were programmed")
 }
 

@@ -28,25 +28,25 @@ pub struct Received {
 impl Received {
     /// Of the model's events.
     pub fn of(events: &[String]) -> Self {
-        let mut told = Self::default();
+        let mut received = Self::default();
         for event in events {
             let mut words = event.split(' ');
             let time: f64 = words.next().and_then(|word| word.parse().ok()).expect("a time");
             match (words.next(), words.next(), words.next()) {
-                (Some("reset"), ..) => told.resets.push(time),
+                (Some("reset"), ..) => received.resets.push(time),
                 (Some("can"), Some("281"), Some(hex)) => {
-                    told.offsets.push(time);
-                    told.qualities.push(bytes(hex)[5] >> 4);
+                    received.offsets.push(time);
+                    received.qualities.push(bytes(hex)[5] >> 4);
                 }
                 (Some("can"), Some("081"), Some(hex)) => {
                     let [low, high, ..] = bytes(hex);
-                    told.emergencies.push((time, u16::from_le_bytes([low, high])));
+                    received.emergencies.push((time, u16::from_le_bytes([low, high])));
                 }
-                (Some("can"), Some("581"), Some(hex)) => told.answers.push((time, bytes(hex))),
+                (Some("can"), Some("581"), Some(hex)) => received.answers.push((time, bytes(hex))),
                 _ => {}
             }
         }
-        told
+        received
     }
 
     /// Returns the last value of an object of four bytes that was read after that time.

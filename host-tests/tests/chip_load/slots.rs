@@ -46,7 +46,7 @@ fn flash(damaged: [Part; 2]) -> Vec<u8> {
 }
 
 /// A start with such a flash: the growth that it runs on, and whether it asks for `Confirm`, and what becomes of that.
-fn start(damaged: [Part; 2], gain: f64, asks: bool) -> Result<()> {
+fn start(damaged: [Part; 2], gain: f64, requires_confirmation: bool) -> Result<()> {
     let Some(chip) = chip() else { return Ok(()) };
     let file = tempfile::NamedTempFile::new_in(&chip.folder)?;
     fs::write(&file, flash(damaged))?;
@@ -60,22 +60,30 @@ fn start(damaged: [Part; 2], gain: f64, asks: bool) -> Result<()> {
         master::questions(1_060.0)
     );
     let report = chip.live(1_090, &script, &["--flash", path])?;
-    ensure!(report.clean, "a violation:\n{}", report.said);
-    let told = Received::of(&report.events);
-    let running = told.object((0x2100, 3), 0.0).context("it does not say what it runs on")?;
+    ensure!(report.clean, "a violation:\n{}", report.stdout);
+    let received = Received::of(&report.events);
+    let running = received.object((0x2100, 3), 0.0).context("it does not say what it runs on")?;
     ensure!(running == calibration_crc(compiled(gain).blob()), "it runs on {running:08x}");
-    let is_asked = told.emergencies.iter().any(|(time, code)| *time < 250.0 && *code == 0x6301);
-    ensure!(is_asked == asks, "asks: {is_asked}, {:x?}", told.emergencies);
+    let is_requested =
+        received.emergencies.iter().any(|(time, code)| *time < 250.0 && *code == 0x6301);
+    ensure!(
+        is_requested == requires_confirmation,
+        "asks: {is_requested}, {:x?}",
+        received.emergencies
+    );
     let quality = |from: f64| {
-        let at = told.offsets.iter().position(|time| *time > from);
-        at.and_then(|at| told.qualities.get(at)).copied()
+        let at = received.offsets.iter().position(|time| *time > from);
+        at.and_then(|at| received.qualities.get(at)).copied()
     };
-    // Not available until somebody has said that the older one will do; then live; and not asked again.
+    // Not available until the older one is confirmed; then live; and not asked again.
     let (before, after) = (quality(390.0), quality(690.0));
-    ensure!(before == Some(if asks { 6 } else { 1 }), "quality {before:?} before the answer");
+    ensure!(
+        before == Some(if requires_confirmation { 6 } else { 1 }),
+        "quality {before:?} before the answer"
+    );
     ensure!(after == Some(1), "quality {after:?} after the answer");
     ensure!(quality(1_080.0) == Some(1), "quality {:?} after the next start", quality(1_080.0));
-    let again = told.emergencies.iter().any(|(time, code)| *time > 700.0 && *code == 0x6301);
+    let again = received.emergencies.iter().any(|(time, code)| *time > 700.0 && *code == 0x6301);
     ensure!(!again, "it asks again after the next start");
     Ok(())
 }
@@ -92,8 +100,8 @@ fn of_damaged_slots_the_other_counts_and_of_both_the_images_own_and_the_operator
         ("the heads of both are", [Head, Head], 1.0, true),
     ];
     all(&cases.map(|(what, ..)| what.to_owned()), |what| {
-        let (_, damaged, gain, asks) =
+        let (_, damaged, gain, requires_confirmation) =
             cases.iter().find(|case| case.0 == what).expect("one of them");
-        start(*damaged, *gain, *asks)
+        start(*damaged, *gain, *requires_confirmation)
     });
 }

@@ -132,8 +132,8 @@ fn a_bridge_that_is_unplugged_is_held_then_ramped_out_and_taken_up_again() -> Re
         ensure!(held, "fault and offset in mm after a second: {seen:?}");
         gone(rig)?;
         ensure!(pulled.elapsed() > HOLD, "after the hold, not before");
-        let said = rig.cnc.send_request(&json!({"do": "stat"}))?["said"].to_string();
-        ensure!(said.contains("trueup: no offsets"), "the operator is told: {said}");
+        let message = rig.cnc.send_request(&json!({"do": "stat"}))?["said"].to_string();
+        ensure!(message.contains("trueup: no offsets"), "the operator is told: {message}");
         rig.bridge.plug(true);
         Ok(())
     })
@@ -243,8 +243,11 @@ fn holds_the_feed(
     ensure!(last <= HELD_WITHIN_MS, "{what}: the feed goes on for {last} ms");
     ensure!(held[0] == 1.0 && last + 2 < cycles.len(), "{what}: {held:?}");
     ensure!((held[2] * 1e3 - GROWN_UM).abs() < CLOSE_UM, "{what}: the offset stands: {held:?}");
-    let said = rig.cnc.send_request(&json!({"do": "stat"}))?["said"].to_string();
-    ensure!(said.contains("trueup: the feed is held"), "{what}: the operator is told: {said}");
+    let message = rig.cnc.send_request(&json!({"do": "stat"}))?["said"].to_string();
+    ensure!(
+        message.contains("trueup: the feed is held"),
+        "{what}: the operator is told: {message}"
+    );
     rig.begin()?;
     mend(rig)?;
     let x_mm = held[1];
@@ -342,8 +345,8 @@ fn counts_that_wrap_at_32_bits_are_no_step() -> Result<()> {
 #[ignore = "long: the real LinuxCNC"]
 fn a_bridge_that_starts_after_linuxcnc_is_taken_up() -> Result<()> {
     scenario(GROWN_UM, |rig| {
-        let told = rig.told_at_start.clone();
-        ensure!(told.contains("the line is down"), "LinuxCNC came first: {told}");
+        let reported = rig.messages_at_start.clone();
+        ensure!(reported.contains("the line is down"), "LinuxCNC came first: {reported}");
         // And one that is switched off and on while LinuxCNC runs.
         rig.bridge.restart();
         rest(200);

@@ -78,9 +78,9 @@ fn it_probes_by_itself_and_what_it_finds_reaches_the_learner() -> Result<()> {
             rest(2_500);
             let call = format!("o<trueup_probe> call [{SURFACE_MM}] [0.5] [60]");
             rig.cnc.send_command("mdi", "text", call)?;
-            let said = log(rig)[before..].to_string();
-            println!("probed at {um} um: {said}");
-            Ok(said)
+            let log_lines = log(rig)[before..].to_string();
+            println!("probed at {um} um: {log_lines}");
+            Ok(log_lines)
         };
         for file in ["trueup_learn.log", "trueup_learned.toml", "trueup_learned.learn.json"] {
             fs::remove_file(rig.cnc.folder().join(file)).ok();
@@ -101,11 +101,11 @@ fn it_probes_by_itself_and_what_it_finds_reaches_the_learner() -> Result<()> {
         fs::remove_file(&record)?;
         fs::create_dir(&record)?;
         let missed = probe(rig, GROWN_UM)?;
-        let told = fs::read_to_string(here.join("trueup.log"))?;
+        let log_lines = fs::read_to_string(here.join("trueup.log"))?;
         let still = fs::read_to_string(here.join("trueup_learned.learn.json"))?;
         fs::remove_dir(&record)?;
         ensure!(missed.contains("trueup_record.csv: cannot be read"), "{missed}");
-        ensure!(told.contains("the record cannot be written"), "{told}");
+        ensure!(log_lines.contains("the record cannot be written"), "{log_lines}");
         ensure!(known == still, "nothing was learned from it");
         // The next component writes one again.
         kill_component(rig)?;

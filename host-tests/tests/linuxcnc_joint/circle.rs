@@ -50,7 +50,7 @@ const CYCLE_S: f64 = 1e-3;
 /// More messages than LinuxCNC has at its start.
 const MESSAGES: u32 = 10;
 /// Four turns at the feed take 50 s.
-const PATIENCE: Duration = Duration::from_secs(300);
+const TIMEOUT: Duration = Duration::from_secs(300);
 
 /// The axes and joints of the configuration: nothing has to be searched at homing.
 const AXIS: &str = "\
@@ -187,7 +187,7 @@ fn cut(cnc: &mut HeadlessLinuxCnc, with_bridge: bool) -> Result<Vec<[f64; 2]>> {
         if cnc.is_stopped()? {
             cnc.resume()?;
         }
-        ensure!(begun.elapsed() < PATIENCE, "{PROGRAM} does not end: {}", cnc.recent_log());
+        ensure!(begun.elapsed() < TIMEOUT, "{PROGRAM} does not end: {}", cnc.recent_log());
         thread::sleep(Duration::from_millis(100));
     }
     // What the recorder holds back for a moment.

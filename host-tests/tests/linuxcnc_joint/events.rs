@@ -22,10 +22,10 @@ pub(crate) fn reversals(rig: &mut Rig) -> Result<()> {
     for x in [16.0, 10.0, 16.0, 10.0] {
         rig.offsets([x, -20.0, 40.0])?;
         let cycles: Vec<Cycle> = rig.cycles().into_iter().flatten().collect();
-        let asked = cycles.windows(2).position(|two| (two[1].goal - two[0].goal).abs() > 0.005);
-        let asked = asked.context("the offset was asked for")?;
+        let requested = cycles.windows(2).position(|two| (two[1].goal - two[0].goal).abs() > 0.005);
+        let requested = requested.context("the offset was asked for")?;
         let there =
-            cycles[asked..].iter().position(|cycle| (cycle.offset[0] * 1e3 - x).abs() < 0.05);
+            cycles[requested..].iter().position(|cycle| (cycle.offset[0] * 1e3 - x).abs() < 0.05);
         let took = there.context("the offset is there")?;
         println!("reversal of 6 um: {took} ms");
         assert!(took <= 13, "{took} ms");
@@ -47,7 +47,7 @@ pub(crate) fn programs(rig: &mut Rig) -> Result<()> {
 pub(crate) fn aborts(rig: &mut Rig) -> Result<()> {
     for um in [[60.0, 0.0, -40.0], [10.0, -20.0, 40.0]] {
         rig.cnc.send_command("begin_mdi", "text", "G53 G1 F1500 X-20 Y-20")?;
-        rig.bridge.say(um);
+        rig.bridge.set_offset(um);
         thread::sleep(Duration::from_millis(400));
         rig.cnc.send_request(&json!({"do": "abort"}))?;
         rig.applied(um)?;
@@ -65,7 +65,7 @@ pub(crate) fn power(rig: &mut Rig) -> Result<()> {
         rig.cnc.send_command("state", "name", state)?;
         let held =
             rig.cnc.read_pins(&["trueup-mv.offset-current-0", "trueup-mv.offset-current-2"])?;
-        rig.bridge.say([-30.0, 0.0, 0.0]);
+        rig.bridge.set_offset([-30.0, 0.0, 0.0]);
         thread::sleep(Duration::from_millis(300));
         assert_eq!(
             held,
@@ -87,9 +87,9 @@ pub(crate) fn homing(rig: &mut Rig) -> Result<()> {
     rig.cycles();
     let drive = rig.cnc.read_pin("trueup-j0.out")?;
     // The goal is said so shortly before that the offset is still on its way: held is what acts.
-    rig.bridge.say([190.0, -20.0, 40.0]);
+    rig.bridge.set_offset([190.0, -20.0, 40.0]);
     rig.cnc.send_command("home", "joint", 0)?;
-    rig.bridge.say([10.0, -20.0, 40.0]);
+    rig.bridge.set_offset([10.0, -20.0, 40.0]);
     rig.cnc.send_command("teleop", "on", true)?;
     rig.applied([10.0, -20.0, 40.0])?;
     rig.mdi("G53 G0 X-10 Y0")?;
@@ -111,8 +111,8 @@ pub(crate) fn ended(rig: &mut Rig) -> Result<()> {
         let before = rig.cnc.read_pins(&names)?;
         end_component(&mut rig.cnc, signal)?;
         if signal == "KILL" {
-            let (said, is_live) = describe_status(&shown(rig)?);
-            ensure!(!is_live && said.contains("killed"), "{said}");
+            let (description, is_live) = describe_status(&shown(rig)?);
+            ensure!(!is_live && description.contains("killed"), "{description}");
         }
         let near =
             |seen: &[f64]| seen.iter().zip(&before).all(|(one, two)| (one - two).abs() < 1e-6);
@@ -126,8 +126,8 @@ pub(crate) fn ended(rig: &mut Rig) -> Result<()> {
         let again = rig.cnc.read_pins(&names)?;
         println!("{signal}, loaded again: {before:?} {again:?}");
         assert!(near(&again), "{signal}, loaded again: {before:?} {again:?}");
-        let (said, is_live) = describe_status(&shown(rig)?);
-        ensure!(is_live, "{said}");
+        let (description, is_live) = describe_status(&shown(rig)?);
+        ensure!(is_live, "{description}");
         let seen = rig.check(signal)?;
         assert!(seen.offset_speed <= NOISE / CYCLE_S, "{signal}: the offset moved: {seen:?}");
     }
@@ -266,8 +266,8 @@ pub(crate) fn macros(cnc: &mut HeadlessLinuxCnc, mm: f64) -> Result<()> {
     let before = cnc.read_pin("axis.z.pos-cmd")?;
     cnc.send_request(&json!({"do": "stat"}))?;
     mdi(cnc, &format!("o<trueup_probe> call [{SURFACE}] [1] [60]"))?;
-    let said = cnc.send_request(&json!({"do": "stat"}))?["said"].to_string();
-    ensure!(said.contains("the offset enters at the joint"), "{said}");
+    let message = cnc.send_request(&json!({"do": "stat"}))?["said"].to_string();
+    ensure!(message.contains("the offset enters at the joint"), "{message}");
     let after = cnc.read_pin("axis.z.pos-cmd")?;
     assert!((before - after).abs() < 1e-6, "it does not move: {before} {after}");
     for job in JOBS {
@@ -276,13 +276,13 @@ pub(crate) fn macros(cnc: &mut HeadlessLinuxCnc, mm: f64) -> Result<()> {
         }
         cnc.send_request(&json!({"do": "stat"}))?;
         mdi(cnc, "o<trueup_touch_off> call [6] [300] [1]")?;
-        let said = cnc.send_request(&json!({"do": "stat"}))?["said"].to_string();
+        let message = cnc.send_request(&json!({"do": "stat"}))?["said"].to_string();
         mdi(cnc, "G21 G90")?;
         mdi(cnc, "G1 Z3 F1200")?;
         let z = cnc.read_pin("axis.z.pos-cmd")? * mm;
         println!("{job:?}: touched off, Z3 is at {z:.5}");
         // The planner meets the surface with 70 um of offset; 5 mm/s and a servo cycle.
-        assert!((z + 0.07 - SURFACE - 2.0).abs() <= 6e-3, "{job:?}: {z}: {said}");
+        assert!((z + 0.07 - SURFACE - 2.0).abs() <= 6e-3, "{job:?}: {z}: {message}");
         mdi(cnc, "G21 G90 G17 G49 G92.1 G54")?;
         for system in [1, 2, 9] {
             mdi(cnc, &format!("G10 L2 P{system} X0 Y0 Z0 R0"))?;

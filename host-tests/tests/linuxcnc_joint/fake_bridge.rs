@@ -60,7 +60,7 @@ impl FakeBridge {
     }
 
     /// Says these offsets from now on, in µm.
-    pub fn say(&self, um: [f64; 3]) {
+    pub fn set_offset(&self, um: [f64; 3]) {
         for (place, um) in self.shared.offset_nm.iter().zip(um) {
             place.store((um * 1e3).round() as i32, Ordering::Relaxed);
         }
@@ -138,11 +138,11 @@ fn speak(mut stream: TcpStream, shared: &Shared) -> io::Result<()> {
             let calibration = shared.calibration.load(Ordering::Relaxed);
             if calibration != 0 && turns.is_multiple_of(STATUS_TURNS) {
                 let item = Item::Calibration(calibration);
-                let said = status::encode(
+                let reported = status::encode(
                     &Status { last_refused: FrameRejectReason::None, item },
                     statuses,
                 );
-                stream.write_all(encode_line(&said).as_bytes())?;
+                stream.write_all(encode_line(&reported).as_bytes())?;
                 statuses = statuses.wrapping_add(1);
             }
             turns = turns.wrapping_add(1);

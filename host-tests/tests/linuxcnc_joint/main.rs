@@ -59,17 +59,17 @@ struct Rig {
 fn tool(words: &[&str], code: i32) -> Result<String> {
     let done =
         Command::new(host_programs::build_trueup()?).args(words).stdin(Stdio::null()).output()?;
-    let said = format!(
+    let error_text = format!(
         "{}{}",
         String::from_utf8_lossy(&done.stdout),
         String::from_utf8_lossy(&done.stderr)
     );
     ensure!(
         done.status.code() == Some(code),
-        "trueup {words:?}: {:?}, not {code}\n{said}",
+        "trueup {words:?}: {:?}, not {code}\n{error_text}",
         done.status
     );
-    Ok(said)
+    Ok(error_text)
 }
 
 /// Returns the text of each file of a folder that has a name like these.
@@ -125,14 +125,14 @@ fn stock(
     let (ini, machine) = (path("stock.ini"), path("machine.toml"));
     let (ini, machine) = (ini.to_string_lossy(), machine.to_string_lossy());
     let before = texts(folder.path())?;
-    let said = tool(&["linuxcnc", "check", &ini, "--by", by, "--machine", &machine], 0)?;
-    ensure!(by != "joint" || said.contains("a reversal of 6 um takes 11.0 ms"), "{said}");
+    let text = tool(&["linuxcnc", "check", &ini, "--by", by, "--machine", &machine], 0)?;
+    ensure!(by != "joint" || text.contains("a reversal of 6 um takes 11.0 ms"), "{text}");
     let port = bridge.address();
     let setup = ["linuxcnc", "setup", &ini, "--by", by, "--machine", &machine, "--port", &port];
     tool(&setup, 0)?;
     let once = texts(folder.path())?;
-    let said = tool(&setup, 0)?;
-    ensure!(said.contains("nothing was changed") && texts(folder.path())? == once, "{said}");
+    let text = tool(&setup, 0)?;
+    ensure!(text.contains("nothing was changed") && texts(folder.path())? == once, "{text}");
     tool(&["linuxcnc", "setup", &ini, "--remove"], 0)?;
     ensure!(texts(folder.path())? == before, "taken out, the files are the same to the byte");
     tool(&setup, 0)?;
@@ -154,7 +154,7 @@ impl Rig {
 
     /// Says these offsets, and waits until they act.
     fn offsets(&mut self, um: [f64; 3]) -> Result<()> {
-        self.bridge.say(um);
+        self.bridge.set_offset(um);
         self.applied(um)
     }
 
@@ -241,7 +241,7 @@ fn touching_off_at_the_joint_is_right_on_a_machine_in_inches() -> Result<()> {
     let mut cnc = stock(control, &text, "joint", SLEW, &bridge)?;
     cnc.power_on_and_home()?;
     cnc.halcmd(&format!("setp probe.in1 {}", SURFACE / MM))?;
-    bridge.say([50.0, -20.0, 70.0]);
+    bridge.set_offset([50.0, -20.0, 70.0]);
     cnc.wait_for_pins(
         "the offset acts",
         20,
@@ -291,7 +291,7 @@ fn both_joints_of_a_gantry_in_inches_get_the_offset_of_their_axis() -> Result<()
     let bridge = FakeBridge::start()?;
     let mut cnc = stock(control, &text, "joint", SLEW, &bridge)?;
     cnc.power_on_and_home()?;
-    bridge.say([10.0, -20.0, 40.0]);
+    bridge.set_offset([10.0, -20.0, 40.0]);
     let names = [0, 1, 2, 3].map(|joint| format!("trueup-mv.offset-current-{joint}"));
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
     cnc.wait_for_pins("the offsets act", 20, &names, |seen| {
@@ -313,7 +313,7 @@ fn external_offsets_that_setup_has_written_act() -> Result<()> {
     let bridge = FakeBridge::start()?;
     let mut cnc = stock(control, &ini(), "eoffset", SLEW, &bridge)?;
     cnc.power_on_and_home()?;
-    bridge.say([10.0, -20.0, 40.0]);
+    bridge.set_offset([10.0, -20.0, 40.0]);
     let names = ["axis.x.eoffset", "axis.y.eoffset", "axis.z.eoffset", "trueup.0.applied"];
     cnc.wait_for_pins("the offsets act", 20, &names, |seen| {
         let mm = [0.01, -0.02, 0.04];

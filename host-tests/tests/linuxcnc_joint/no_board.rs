@@ -98,9 +98,9 @@ pub(crate) fn start(control: LinuxCnc, by: &str, period_us: u32) -> Result<Headl
     let (ini, machine) = (path("stock.ini"), path("machine.toml"));
     let (ini, machine) = (ini.to_string_lossy(), machine.to_string_lossy());
     let before = texts(folder.path())?;
-    let said =
+    let message =
         tool(&["linuxcnc", "check", &ini, "--by", by, "--machine", &machine, "--no-board"], 0)?;
-    ensure!(by != "joint" || said.contains("a reversal of 6 um takes 11.0 ms"), "{said}");
+    ensure!(by != "joint" || message.contains("a reversal of 6 um takes 11.0 ms"), "{message}");
     let setup = ["linuxcnc", "setup", &ini, "--by", by, "--machine", &machine, "--no-board"];
     tool(&setup, 0)?;
     let blob = path("trueup_calibration.bin");
@@ -115,8 +115,8 @@ pub(crate) fn start(control: LinuxCnc, by: &str, period_us: u32) -> Result<Headl
 
 /// Checks that LinuxCNC has shown no message: a start is no alarm.
 pub(crate) fn silent(cnc: &mut HeadlessLinuxCnc) -> Result<()> {
-    let said = &cnc.send_request(&serde_json::json!({"do": "stat"}))?["said"];
-    ensure!(said.as_array().is_some_and(Vec::is_empty), "LinuxCNC shows {said}");
+    let message = &cnc.send_request(&serde_json::json!({"do": "stat"}))?["said"];
+    ensure!(message.as_array().is_some_and(Vec::is_empty), "LinuxCNC shows {message}");
     Ok(())
 }
 

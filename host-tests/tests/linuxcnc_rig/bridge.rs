@@ -193,10 +193,10 @@ fn listen_to(mut serial: UnixStream, shared: &Arc<Shared>) -> JoinHandle<()> {
         let mut noise = Noise::new(1);
         let mut bytes = [0; 4096];
         while let Ok(length @ 1..) = serial.read(&mut bytes) {
-            let said = noise.pass(&bytes[..length], *lock(&shared.damage));
+            let frames = noise.pass(&bytes[..length], *lock(&shared.damage));
             let client = lock(&shared.client).as_ref().and_then(|client| client.try_clone().ok());
             if let Some(mut client) = client {
-                client.write_all(&said).ok();
+                client.write_all(&frames).ok();
             }
         }
     })
@@ -224,10 +224,10 @@ fn serve(listener: TcpListener, shared: &Arc<Shared>) -> Result<()> {
         *lock(&shared.client) = Some(stream.try_clone()?);
         let mut bytes = [0; 4096];
         while let Ok(length @ 1..) = stream.read(&mut bytes) {
-            let said = noise.pass(&bytes[..length], *lock(&shared.damage));
+            let frames = noise.pass(&bytes[..length], *lock(&shared.damage));
             // Between two lives of the board there is nobody who takes it.
             if let Some(serial) = lock(&shared.serial).as_mut() {
-                serial.write_all(&said).ok();
+                serial.write_all(&frames).ok();
             }
         }
         lock(&shared.client).take();

@@ -38,7 +38,7 @@ pub struct Rig {
     pub bridge: RigBridge,
     pub cnc: HeadlessLinuxCnc,
     /// Messages of LinuxCNC and the component from before the bridge was there.
-    pub told_at_start: String,
+    pub messages_at_start: String,
     scenario: i32,
     /// How far the recording has been read.
     read: u64,
@@ -71,7 +71,7 @@ pub fn lock(rig: &Mutex<Rig>) -> MutexGuard<'_, Rig> {
 impl Rig {
     /// LinuxCNC comes up while the bridge's plug is out.
     fn start() -> Result<Option<Self>> {
-        // Somebody else may use it for a while.
+        // Another process may use it for a while.
         let Some(linuxcnc) = setup::ensure_linuxcnc()? else { return Ok(None) };
         let bridge = RigBridge::start(&machine()?)?;
         bridge.plug(false);
@@ -82,9 +82,9 @@ impl Rig {
             &["trueup.0.fault", "trueup.0.connected"],
             |seen| seen == [1.0, 0.0],
         )?;
-        let told_at_start = cnc.recent_log();
+        let messages_at_start = cnc.recent_log();
         bridge.plug(true);
-        Ok(Some(Self { bridge, cnc, told_at_start, scenario: 0, read: 0 }))
+        Ok(Some(Self { bridge, cnc, messages_at_start, scenario: 0, read: 0 }))
     }
 
     /// Ends LinuxCNC and starts it again, with the bridge as it is, and with these files more.

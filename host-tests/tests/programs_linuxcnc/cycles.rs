@@ -12,7 +12,7 @@ use std::{
 use anyhow::{Context as _, Result, bail, ensure};
 
 /// LinuxCNC commands something in each servo cycle; on a busy computer the recorder is late.
-const PATIENCE: Duration = Duration::from_secs(20);
+const TIMEOUT: Duration = Duration::from_secs(20);
 
 /// Servo cycles on end that no program of these tests stands, in one place, before its end.
 const STANDS: u32 = 1000;
@@ -38,7 +38,7 @@ impl Cycles {
 
     /// Returns where X, Y and Z are sent in the next cycle, in mm, and the spindle's speed in r/min.
     pub fn next(&mut self) -> Result<[f64; 4]> {
-        let line = self.0.recv_timeout(PATIENCE).context("LinuxCNC's recorder is silent")?;
+        let line = self.0.recv_timeout(TIMEOUT).context("LinuxCNC's recorder is silent")?;
         commanded(&line)
     }
 

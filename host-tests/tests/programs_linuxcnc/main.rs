@@ -83,7 +83,7 @@ const DWELL_S: f64 = 0.4;
 /// dwell.
 const SETTLED: u32 = 2;
 /// A reading comes within this many seconds of the one before.
-const PATIENCE_S: u64 = 30;
+const TIMEOUT_S: u64 = 30;
 
 /// Reads a row: what the template does not give comes from the machine and its instruments.
 fn read<'n>(
@@ -176,11 +176,11 @@ fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Resu
             stands.clear();
         }
         // A loaded computer falls behind with what the recorder says: the program may have ended before.
-        if silent_s > PATIENCE_S as f64 {
-            let (is_busy, said) = (cnc.is_busy(), cnc.recent_log());
+        if silent_s > TIMEOUT_S as f64 {
+            let (is_busy, log) = (cnc.is_busy(), cnc.recent_log());
             bail!(
                 "{}: no reading at {reading:?}; LinuxCNC stands at {position_mm:?}, busy {is_busy:?}, stood \
-                 at {stands:?}\n{said}",
+                 at {stands:?}\n{log}",
                 plan.name
             );
         }
@@ -188,7 +188,7 @@ fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Resu
     let read = Instant::now();
     while cnc.is_busy()? {
         ensure!(
-            read.elapsed().as_secs() < PATIENCE_S,
+            read.elapsed().as_secs() < TIMEOUT_S,
             "{} does not end: {}",
             plan.name,
             cnc.recent_log()
@@ -346,16 +346,16 @@ fn straightness_is_got_back_and_holds_on_the_diagonal() -> Result<()> {
     );
     let mut edits = Vec::new();
     let there_and_back = |axis, step_mm| {
-        let wanted =
+        let requested =
             MeasurementOptions { repeats: Some(2), step_mm: Some(step_mm), ..options(&[axis]) };
-        made(MeasurementKind::Straightness, &wanted)
+        made(MeasurementKind::Straightness, &requested)
     };
     for plan in [there_and_back(X, 400.0)?, there_and_back(Y, 120.0)?].concat() {
         let run = run_of(&measure(&mut rig, &plan, &machine, 1.0)?);
-        let wanted = straightness::StraightnessFitOptions::default();
-        let report = straightness_report::fit_curve(&run, Some("dz"), |_| Ok(None), &wanted)?;
-        let left = report.left_out.context("positions left out")?;
-        println!("{}: {:.3} um RMS at positions left out", plan.name, left.rms_um);
+        let requested = straightness::StraightnessFitOptions::default();
+        let report = straightness_report::fit_curve(&run, Some("dz"), |_| Ok(None), &requested)?;
+        let left = report.held_out.context("positions left out")?;
+        println!("{}: {:.3} um RMS at held-out positions", plan.name, left.rms_um);
         assert!(left.rms_um < 1.2 * NOISE_UM, "{left:?}");
         edits.push(report.edit);
     }
@@ -387,18 +387,18 @@ fn a_warm_up_is_got_back_from_its_program() -> Result<()> {
     let mut rig = start(control)?;
     // Two hours in 24 s.
     let factor = 300.0;
-    let wanted = MeasurementOptions {
+    let options = MeasurementOptions {
         dwell_s: 0.1,
         every_s: Some(0.4),
         heat_s: Some(24.0),
         spindle_rpm: Some(12_000.0),
         ..MeasurementOptions::default()
     };
-    let plan = made(MeasurementKind::Warmup, &wanted)?.remove(0);
+    let plan = made(MeasurementKind::Warmup, &options)?.remove(0);
     let text = measure(&mut rig, &plan, &scenario("[spindle]"), factor)?;
     let run = run_of(&text);
     let fit = warmup::fit(std::slice::from_ref(&run), None)?;
-    let left = fit.left_out.context("blocks left out")?;
+    let left = fit.held_out.context("blocks left out")?;
     let grown = fit.before.context("it was measured")?;
     println!("{:?}: {grown:?}, left out {left:?}", fit.parameters);
     assert!(fit.verdict.is_fitted() && left.rms_um < 0.1 * grown.rms_um, "{left:?}");
@@ -415,13 +415,13 @@ fn the_growth_of_an_axis_is_got_back_from_its_program() -> Result<()> {
     let mut rig = start(control)?;
     // Twenty minutes in 8 s: strokes of 1 m at 60 m/min are 2.4 m/min of the machine's.
     let factor = 150.0;
-    let wanted = MeasurementOptions {
+    let requested = MeasurementOptions {
         heat_s: Some(8.0),
         heat_feed_mm_per_min: 60_000.0,
         repeats: Some(4),
         ..options(&[X])
     };
-    let plan = made(MeasurementKind::AxisHeat, &wanted)?.remove(0);
+    let plan = made(MeasurementKind::AxisHeat, &requested)?.remove(0);
     let machine = scenario("");
     let machine = Scenario {
         axis: machine

@@ -12,7 +12,7 @@ use trueup_program::{
     Control, MeasurementKind, MeasurementOptions, Plan, arc::Arc, control, plan::Step,
 };
 
-use crate::{PATIENCE_S, RECORDER, Rig, X, Y, cycles::Cycles, made, options, start_with, touches};
+use crate::{RECORDER, Rig, TIMEOUT_S, X, Y, cycles::Cycles, made, options, start_with, touches};
 
 /// Pins with LinuxCNC's commands of X, Y, Z and the spindle.
 const COMMANDED: [&str; 4] = [
@@ -34,7 +34,7 @@ pub fn begin_and_pass_the_stop(
     let begun = Instant::now();
     while !cnc.is_stopped()? {
         ensure!(
-            begun.elapsed().as_secs() < PATIENCE_S,
+            begun.elapsed().as_secs() < TIMEOUT_S,
             "{program} does not stop: {}",
             cnc.recent_log()
         );
@@ -161,7 +161,7 @@ fn programs_move_nothing_before_their_stop_and_no_axis_that_they_do_not_name() -
         MeasurementKind::Diagonal,
         MeasurementKind::Circle,
     ] {
-        let wanted = MeasurementOptions {
+        let requested = MeasurementOptions {
             range_mm: RANGES_MM.map(Some),
             gauge: None,
             clearance_mm: Some((Y, 50.0)),
@@ -176,7 +176,7 @@ fn programs_move_nothing_before_their_stop_and_no_axis_that_they_do_not_name() -
             // Of the circles the one of whole turns.
             ..options(if kind == MeasurementKind::Circle { &[X, Y] } else { &[] })
         };
-        for plan in made(kind, &wanted)? {
+        for plan in made(kind, &requested)? {
             let places =
                 ["joint.0.motor-pos-cmd", "joint.1.motor-pos-cmd", "joint.2.motor-pos-cmd"];
             let before = rig.cnc.read_pins(&places)?;

@@ -10,7 +10,7 @@ use anyhow::{Context as _, Result, ensure};
 use trueup_emulator::linuxcnc::headless::HeadlessLinuxCnc;
 use trueup_program::{Control, MeasurementKind, MeasurementOptions, control};
 
-use crate::{PATIENCE_S, Rig, made, options};
+use crate::{Rig, TIMEOUT_S, made, options};
 
 /// Where the ball is thought to be, and how far it is off, in mm.
 const AT_MM: [f64; 3] = [1200.0, 600.0, 2200.0];
@@ -82,16 +82,12 @@ fn run(cnc: &mut HeadlessLinuxCnc, name: &str) -> Result<()> {
     cnc.start_program(name)?;
     let begun = Instant::now();
     while !cnc.is_stopped()? {
-        ensure!(begun.elapsed().as_secs() < PATIENCE_S, "it does not stop: {}", cnc.recent_log());
+        ensure!(begun.elapsed().as_secs() < TIMEOUT_S, "it does not stop: {}", cnc.recent_log());
         thread::sleep(Duration::from_millis(5));
     }
     cnc.resume()?;
     while cnc.is_busy()? {
-        ensure!(
-            begun.elapsed().as_secs() < 3 * PATIENCE_S,
-            "it does not end: {}",
-            cnc.recent_log()
-        );
+        ensure!(begun.elapsed().as_secs() < 3 * TIMEOUT_S, "it does not end: {}", cnc.recent_log());
         thread::sleep(Duration::from_millis(20));
     }
     Ok(())

@@ -85,8 +85,9 @@ impl Bench {
                 })
                 .collect();
             for (_, frame) in self.board.step(&blocks).expect("the board lives") {
-                let told = emergency::decode(&frame).ok().filter(|emergency| emergency.code != 0);
-                self.faults.extend(told.map(|emergency| emergency.fault));
+                let emergency_frame =
+                    emergency::decode(&frame).ok().filter(|emergency| emergency.code != 0);
+                self.faults.extend(emergency_frame.map(|emergency| emergency.fault));
                 all.extend(self.offsets.accept(&frame).expect("whole frames"));
             }
         }

@@ -53,14 +53,14 @@ const START: Duration = Duration::from_secs(120);
 /// How long it may take to end.
 const END: Duration = Duration::from_secs(10);
 /// How long a board may keep silent on a socket.
-pub const PATIENCE: Duration = Duration::from_secs(10);
+pub const TIMEOUT: Duration = Duration::from_secs(10);
 /// By this variable the processes of one command are distinguished from everybody else's.
 const MARK: &str = "TRUEUP_TEST_MARK";
 
 /// A command that runs.
 pub struct Running {
     child: Child,
-    told: Arc<Mutex<Vec<String>>>,
+    lines: Arc<Mutex<Vec<String>>>,
     listener: Option<JoinHandle<()>>,
     mark: String,
     /// Its folder for temporary files.
@@ -141,35 +141,35 @@ impl Running {
             .stdout(output)
             .stderr(Stdio::piped())
             .spawn()?;
-        let told = Arc::new(Mutex::new(Vec::new()));
+        let lines = Arc::new(Mutex::new(Vec::new()));
         let stderr = child.stderr.take().context("it was asked for")?;
-        let keep = told.clone();
+        let keep = lines.clone();
         let listener = thread::spawn(move || {
             for line in BufReader::new(stderr).lines().map_while(Result::ok) {
                 keep.lock().expect("nobody panics with it").push(line);
             }
         });
-        Ok(Self { child, told, listener: Some(listener), mark, temporary })
+        Ok(Self { child, lines, listener: Some(listener), mark, temporary })
     }
 
     /// Returns what it has said so far.
-    pub fn said(&self) -> String {
-        self.told.lock().expect("nobody panics with it").join("\n")
+    pub fn log(&self) -> String {
+        self.lines.lock().expect("nobody panics with it").join("\n")
     }
 
     /// Waits until it says something between these two; gives that.
     pub fn wait_for(&mut self, before: &str, after: &str) -> Result<String> {
         let end = Instant::now() + START;
         loop {
-            let said = self.said();
-            let found = said.split_once(before).and_then(|(_, rest)| rest.split_once(after));
+            let log = self.log();
+            let found = log.split_once(before).and_then(|(_, rest)| rest.split_once(after));
             if let Some((found, _)) = found {
                 return Ok(found.to_owned());
             }
             if let Some(status) = self.child.try_wait()? {
-                bail!("it ended ({status}) and never said \"{before}\":\n{said}");
+                bail!("it ended ({status}) and never said \"{before}\":\n{log}");
             }
-            ensure!(Instant::now() < end, "it never said \"{before}\":\n{said}");
+            ensure!(Instant::now() < end, "it never said \"{before}\":\n{log}");
             thread::sleep(Duration::from_millis(5));
         }
     }
@@ -196,7 +196,7 @@ impl Running {
                 break status;
             }
             let late = started.elapsed() > limit;
-            ensure!(!late, "it does not end within {limit:?}:\n{}", self.said());
+            ensure!(!late, "it does not end within {limit:?}:\n{}", self.log());
             thread::sleep(Duration::from_millis(5));
         };
         let took = started.elapsed();
@@ -204,7 +204,7 @@ impl Running {
         if let Some(listener) = self.listener.take() {
             listener.join().ok().context("the listener")?;
         }
-        Ok(Ended { status, stderr: self.said(), took })
+        Ok(Ended { status, stderr: self.log(), took })
     }
 
     /// Returns the emulators that it started and that still run. One that has just been killed may need a
@@ -322,8 +322,8 @@ impl BridgeProcess {
     pub fn connect(&self) -> Result<TcpStream> {
         let stream = TcpStream::connect(&self.address)?;
         stream.set_nodelay(true)?;
-        stream.set_read_timeout(Some(PATIENCE))?;
-        stream.set_write_timeout(Some(PATIENCE))?;
+        stream.set_read_timeout(Some(TIMEOUT))?;
+        stream.set_write_timeout(Some(TIMEOUT))?;
         Ok(stream)
     }
 }

@@ -24,8 +24,8 @@ pub fn download((index, subindex): (u16, u8), bytes: &[u8], from_ms: f64) -> (St
 
 /// Returns the frames that read objects, one every 4 ms.
 pub fn questions(objects: &[(u16, u8)], from_ms: f64) -> String {
-    let asked = objects.iter().enumerate();
-    asked
+    let requested = objects.iter().enumerate();
+    requested
         .map(|(n, (index, subindex))| {
             let [low, high] = index.to_le_bytes();
             let request = hex(&[0x40, low, high, *subindex, 0, 0, 0, 0]);

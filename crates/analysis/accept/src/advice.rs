@@ -65,7 +65,7 @@ pub(crate) fn advise(
         Advice { sentences: vec![describe_corrected_share(pair)], changes: Vec::new() };
     let Some((source, machine)) = believed else {
         advice.sentences.push(
-            "Give the machine file that the bridge ran (--machine) to be told which constant to change."
+            "Give the machine file that the bridge ran (--machine) to learn which constant to change."
                 .into(),
         );
         return Ok((advice, None));
@@ -74,8 +74,7 @@ pub(crate) fn advise(
     let runs = [unaided];
     let Some((section, report)) = fit_section_constants(pair, machine, &runs)? else {
         advice.sentences.push(
-            "No constants of this machine file can be fitted to such a run; trueup diagnose says what it \
-             gets wrong."
+            "No constants of this machine file can be fitted to such a run; trueup diagnose shows what it gets wrong."
                 .into(),
         );
         return Ok((advice, None));

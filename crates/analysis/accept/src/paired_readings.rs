@@ -151,20 +151,20 @@ impl RunSeries {
             Abscissa::Place(name) => find_repeat_outliers(run, name, &self.measured_um),
         };
         let column = format!("measured_{}_um", quantity.name());
-        let said = found.iter().map(|row| {
+        let text = found.iter().map(|row| {
             format!(
                 "{} ({:+.1} µm)",
                 run.value_location(*row, &column).line,
                 self.measured_um[*row]
             )
         });
-        let said: Vec<String> = said.collect();
+        let text: Vec<String> = text.collect();
         found.iter().for_each(|row| self.measured_um[*row] = f64::NAN);
         let path = run.path().display();
-        (!said.is_empty()).then(|| {
+        (!text.is_empty()).then(|| {
             format!(
                 "Excluded as outliers in {path}: line {}. They do not count.",
-                said.join(", line ")
+                text.join(", line ")
             )
         })
     }
@@ -180,10 +180,10 @@ impl PairedReadings {
     pub(crate) fn from_runs(
         off: &RunFile,
         on: &RunFile,
-        asked: Option<Quantity>,
+        requested: Option<Quantity>,
         machine: Option<&Machine>,
     ) -> Result<Self, BadInput> {
-        let quantity = common_quantity(on, (off, "the run without compensation"), asked)?;
+        let quantity = common_quantity(on, (off, "the run without compensation"), requested)?;
         let side = |run| RunSeries::from_run(run, quantity, machine);
         let mut sides = [side(off)?, side(on)?];
         let mut pair = Self {

@@ -72,8 +72,11 @@ fn another_factor_than_1_fails_names_the_places_and_changes_no_constant() {
                         .any(|requirement| requirement.starts_with("For 1 µm of offset")),
                     "{what}"
                 );
-                let said = it.advice.sentences.join(" ");
-                assert!(!said.contains("Change ") && said.contains("eoffset-scale"), "{said}");
+                let sentences = it.advice.sentences.join(" ");
+                assert!(
+                    !sentences.contains("Change ") && sentences.contains("eoffset-scale"),
+                    "{sentences}"
+                );
             }
         }
     }
@@ -106,9 +109,9 @@ fn a_cnc_that_applies_the_offset_once_is_judged_as_before() {
 }
 
 #[test]
-fn what_the_runs_cannot_tell_is_said_and_fails_nothing() {
+fn what_the_runs_do_not_show_is_reported_and_fails_nothing() {
     let it = judged("dz", 1.0, 1.0, 60.0, true);
-    assert!(it.notes.iter().any(|note| note.contains("cannot be told from these runs")));
+    assert!(it.notes.iter().any(|note| note.contains("These runs do not show")));
     assert!(!it.unmet.iter().any(|requirement| requirement.contains("For 1 µm")), "{:?}", it.unmet);
     let plain = |um: f64| {
         let rows: String = (0..20).map(|row| format!("{}\n", um * f64::from(row))).collect();

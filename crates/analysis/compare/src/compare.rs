@@ -118,9 +118,9 @@ struct PositionReading {
 pub fn compare_runs(
     a: &RunFile,
     b: &RunFile,
-    asked: Option<Quantity>,
+    requested: Option<Quantity>,
 ) -> Result<Comparison, BadInput> {
-    let quantity = common_quantity(b, (a, a.path().display()), asked)?;
+    let quantity = common_quantity(b, (a, a.path().display()), requested)?;
     let over = longest_travel_column(a, b, quantity)?;
     let rows = [extract_rows(a, quantity, &over)?, extract_rows(b, quantity, &over)?];
     let all: Vec<f64> = rows.iter().flatten().map(|row| row.at).collect();
@@ -177,12 +177,12 @@ pub fn compare_runs(
         return Err(BadInput::new(Location::start_of_file(b.path()), rule));
     }
     let mut comparison = summarise_differences(quantity, over, found, unmatched, variance, t);
-    let said = |reading: &ExcludedReading| {
+    let describe = |reading: &ExcludedReading| {
         let path = [a, b][reading.file].path().display();
         format!("{path}:{} ({:+.1} µm)", reading.line, reading.measured_um)
     };
     if !outliers.is_empty() {
-        let all: Vec<String> = outliers.iter().map(said).collect();
+        let all: Vec<String> = outliers.iter().map(describe).collect();
         comparison.sentences.push(format!(
             "Excluded as outliers, far from the other readings at their place: {}.",
             all.join(", ")
@@ -396,14 +396,14 @@ impl DifferenceModel {
 /// Returns the quantity that both runs measure; the other one is called by its name in an error.
 ///
 /// # Errors
-/// One of them does not measure the quantity `asked` for, they have none in common, or several and none is asked for.
+/// One of them does not measure the requested quantity, they have none in common, or several and none is requested.
 pub fn common_quantity(
     run: &RunFile,
     (other, name): (&RunFile, impl Display),
-    asked: Option<Quantity>,
+    requested: Option<Quantity>,
 ) -> Result<Quantity, BadInput> {
     let column = |quantity: &Quantity| format!("measured_{}_um", quantity.name());
-    if let Some(quantity) = asked {
+    if let Some(quantity) = requested {
         other.require_column(&column(&quantity))?;
         return run.require_column(&column(&quantity)).map(|_| quantity);
     }

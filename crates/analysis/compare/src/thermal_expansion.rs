@@ -51,7 +51,7 @@ pub fn remove_thermal_expansion(run: &RunFile, machine: Option<&Machine>) -> (Ru
     let Ok(rows) = Predictor::new(&only, run) else {
         return (
             as_it_is(),
-            "No expansion is taken off: the run does not say where it was.".into(),
+            "No expansion is taken off: the run has no column with the position.".into(),
         );
     };
     let grown: Vec<[f64; 4]> = rows.model_values().map(|values| values.to_array()).collect();

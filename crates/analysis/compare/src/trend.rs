@@ -163,8 +163,9 @@ fn fit_trend(
     let (rate, half) = (line.coefficients[1], line.confidence_half_width(1));
     it.per_year = Some([rate, half]);
     it.changes = rate.abs() > half;
-    let told: Vec<f64> = it.points.iter().filter_map(|point| point.half_width).collect();
-    let own = (!told.is_empty()).then(|| told.iter().sum::<f64>() / told.len() as f64);
+    let half_widths: Vec<f64> = it.points.iter().filter_map(|point| point.half_width).collect();
+    let own = (!half_widths.is_empty())
+        .then(|| half_widths.iter().sum::<f64>() / half_widths.len() as f64);
     let squares = line.variance() * line.degrees_of_freedom() as f64;
     if let Some((step, evidence)) = fit_step_change(&it.points, squares, own)
         && evidence >= STRONG_EVIDENCE_BIC
@@ -182,10 +183,10 @@ fn fit_trend(
     it.matters = Some(matters);
     let fastest = rate.abs() + half;
     let years = matters / fastest;
-    let said = if it.changes {
+    let text = if it.changes {
         format!("changes by {rate:+.2} ± {half:.2} a year.")
     } else {
-        format!("no change that can be told ({rate:+.2} ± {half:.2} a year).")
+        format!("no detectable change ({rate:+.2} ± {half:.2} a year).")
     };
     // A century is beyond any plan, and beyond what the days can count.
     if fastest > 0.0 && years < 100.0 {
@@ -194,18 +195,18 @@ fn fit_trend(
         it.overdue = today.is_some_and(|today| by < today);
         if it.overdue {
             it.sentence = format!(
-                "{said} It may have changed by {matters:.2} since the last measurement: the next one is overdue since {day}."
+                "{text} It may have changed by {matters:.2} since the last measurement: the next one is overdue since {day}."
             );
             it.measure_again_by = Some(day);
             return it;
         }
         it.sentence = format!(
-            "{said} By {day} it may have changed by {matters:.2} since the last measurement: measure again \
+            "{text} By {day} it may have changed by {matters:.2} since the last measurement: measure again \
              until then."
         );
         it.measure_again_by = Some(day);
     } else {
-        it.sentence = said;
+        it.sentence = text;
     }
     it
 }

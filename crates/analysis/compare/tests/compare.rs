@@ -40,10 +40,10 @@ fn between(quantity: &str, seed: u64, change: impl Fn(f64, f64) -> f64) -> Compa
 #[test]
 fn equal_runs_do_not_differ_but_for_chance() {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
-    let told = (0..200).filter(|_| between("dx", rng.random(), |_, _| 0.0).differs).count();
-    println!("{told} of 200 equal pairs are told to differ");
+    let reported = (0..200).filter(|_| between("dx", rng.random(), |_, _| 0.0).differs).count();
+    println!("{reported} of 200 equal pairs are told to differ");
     // By the difference of BIC one in a hundred or two; the 99 % limit of a binomial with 2 %.
-    assert!(told <= 10, "{told}");
+    assert!(reported <= 10, "{reported}");
     let it = between("dx", 1, |_, _| 0.0);
     assert!((it.shift_um - 3.0).abs() < 0.2 && it.places.len() == 42, "{it:?}");
 }
@@ -76,7 +76,7 @@ fn bad_readings_are_excluded_by_their_lines_and_make_no_difference() {
 }
 
 #[test]
-fn this_years_backlash_is_told_from_last_years_with_its_interval() {
+fn this_years_backlash_is_distinguished_from_last_years_with_its_interval() {
     let it = between("dx", 5, |_, dir| if dir < 0.0 { 2.0 } else { 0.0 });
     assert_eq!((it.differs, it.cause), (true, Some("backlash")), "{it:?}");
     assert!(it.sentences[0].starts_with("Backlash has changed by +"), "{:?}", it.sentences);
@@ -115,8 +115,8 @@ fn runs_without_places_in_common_are_refused() {
     let a = run("dx", 1, |x, _| pitch(x));
     let text = "x_mm,measured_dx_um\n7001,0\n7002,0\n7003,0\n7004,0\n";
     let b = RunFile::from_reader(text.as_bytes(), Path::new("b.csv")).expect("a run file");
-    let said = compare_runs(&a, &b, None).expect_err("nothing in common").to_string();
-    assert!(said.contains("0 places in common"), "{said}");
+    let message = compare_runs(&a, &b, None).expect_err("nothing in common").to_string();
+    assert!(message.contains("0 places in common"), "{message}");
     let c = run("dz", 1, |_, _| 0.0);
     assert!(compare_runs(&a, &c, None).is_err());
 }
@@ -186,10 +186,10 @@ fn a_warmer_run_is_no_difference_where_the_machine_file_knows_the_expansion() {
     let (cool, warm) = (at(20.0, 1), at(26.0, 4));
     let raw = compare_runs(&cool, &warm, None).expect("comparable");
     assert_eq!(raw.cause, Some("pitch-scale"), "{raw:?}");
-    let [(cool, said), (warm, _)] = [cool, warm].map(|run| {
+    let [(cool, message), (warm, _)] = [cool, warm].map(|run| {
         trueup_compare::thermal_expansion::remove_thermal_expansion(&run, Some(&machine))
     });
-    assert!(said.contains("taken off"), "{said}");
+    assert!(message.contains("taken off"), "{message}");
     let corrected = compare_runs(&cool, &warm, None).expect("comparable");
     assert!(!corrected.differs, "{corrected:?}");
     let slope = estimate_run_constants(&warm)

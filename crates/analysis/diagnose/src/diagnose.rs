@@ -152,7 +152,7 @@ fn search_and_judge(
         let known = found.fitted.model;
         (problem, found) = run_search(data, &aside, Some(&known), breadth, progress);
     }
-    progress("comparing with rivals", 0.92);
+    progress("comparing with alternatives", 0.92);
     let judged = judge_terms(&problem, &found);
     JudgedSearch { problem, found, aside, judged }
 }

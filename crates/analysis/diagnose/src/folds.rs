@@ -229,7 +229,7 @@ fn cached_fold_residuals(
     count: usize,
 ) -> Arc<(Vec<f64>, Vec<Model>)> {
     // This many folds are the same ones in one problem.
-    let what = format!("{count} folds left out");
+    let what = format!("{count} folds held out");
     problem.memoise(&what, model, || cross_validate(problem, model, of_group, count))
 }
 

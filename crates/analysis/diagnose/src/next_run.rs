@@ -124,21 +124,18 @@ pub enum NoNextRunReason {
 impl fmt::Display for NoNextRunReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::NothingOpen => f.write_str("no cause is open: there is nothing to be told apart"),
+            Self::NothingOpen => f.write_str("no cause is open: there is nothing to separate"),
             Self::NotForeseen(why) => write!(
                 f,
-                "{why}: no run can be worked out; the sentences after \"next:\" say what to measure, and trueup \
-                 program writes it"
+                "{why}: no run can be planned; the sentences after \"next:\" state what to measure, and trueup program writes it"
             ),
             Self::NotApart([one, other], gap) if *gap < MIN_SEPARATION_GAP => write!(
                 f,
-                "within what is known of their values {one} and {other} foresee the same in every run up to an hour \
-                 and a half that was thought of: no measurement of this kind tells them apart; whether their \
-                 corrections agree elsewhere is not known"
+                "within the uncertainty of their values {one} and {other} predict the same in every planned run of up to 90 min: no measurement of this kind separates them. Whether their corrections agree elsewhere is not known"
             ),
             Self::NotApart([one, other], gap) => write!(
                 f,
-                "no run up to an hour and a half tells {one} from {other}: the best would bring a score gap of \
+                "no run of up to 90 min separates {one} from {other}: the best would give a score gap of \
                  {gap:.1}, and {} is strong evidence",
                 STRONG_EVIDENCE_BIC
             ),

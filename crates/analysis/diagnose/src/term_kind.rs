@@ -319,7 +319,7 @@ impl ModelPart {
             TermKind::Cause(effect) | TermKind::StatedTerm(StatedTerm { effect, .. }) => {
                 effect.describe(&self.values)
             }
-            TermKind::Curve(curve) => format!("Something goes with {}.", curve.column),
+            TermKind::Curve(curve) => format!("The error depends on {}.", curve.column),
         }
     }
 }

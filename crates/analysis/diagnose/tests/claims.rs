@@ -179,7 +179,7 @@ fn one_gross_reading_is_told_of_as_one() {
         "{}",
         gross.sentence
     );
-    assert_eq!(gross.evidence[1], "Set aside: row 121.");
+    assert_eq!(gross.evidence[1], "Excluded as outliers: row 121.");
 }
 
 /// Returns an hour in which the tool moves by 2 µm at 2010 s, and is not read for `pause_s` before.

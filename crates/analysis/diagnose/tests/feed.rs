@@ -63,7 +63,7 @@ fn what_the_bridge_corrects_is_the_width_of_one_feed_and_the_others_cost_is_told
     assert!(after.compensated_holdout_rms_um > 1.5 * after.holdout_rms_um, "{after:?}");
     assert!(after.compensated_holdout_rms_um < report.before.holdout_rms_um, "{after:?}");
     let said = finding(&report.findings, CAUSE).expect("it is claimed").evidence.join(" ");
-    assert!(said.contains("The bridge is not told the feed"), "{said}");
+    assert!(said.contains("The bridge does not receive the feed"), "{said}");
     // What stands in the extended file is what the board runs where the run says no feed.
     let text = diagnosis
         .render_extended_toml(&challenge.machine, Path::new("m.toml"))

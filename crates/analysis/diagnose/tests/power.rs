@@ -215,7 +215,7 @@ fn a_door_that_nobody_recorded_is_told_as_slow_wandering() {
     let mut text = String::from("time_s,temp_spindle_c,measured_elongation_um\n");
     let (mut air, mut cooled, mut spindle) = (0.0, 0.0, 0.0);
     for row in 0..2160 {
-        // Every 15 minutes in the mean somebody opens it for a while; the machine follows the air.
+        // Every 15 minutes on average a worker opens it for a while; the machine follows the air.
         air *= f64::exp(-step_s / 300.0);
         if chance.uniform() < step_s / 900.0 {
             air += 9.0;

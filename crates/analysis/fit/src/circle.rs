@@ -96,7 +96,7 @@ pub struct CircleResult {
     /// The prediction of the causes for each row, set-up included, in µm.
     pub predicted_um: Vec<f64>,
     /// Gross readings.
-    pub set_aside: Vec<ExcludedRow>,
+    pub excluded: Vec<ExcludedRow>,
 }
 
 /// The answer in one word, as `diagnose` has it.

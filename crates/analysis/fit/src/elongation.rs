@@ -76,7 +76,7 @@ fn fit_by_sensor(rows: &PooledRows<'_>, machine: Option<&Machine>) -> Result<Rep
     let ones = vec![1.0; counts.len()];
     let found = robust::regression_outliers(&[&ones, &counts], &y);
     let found = robust::isolated_outliers(found, &counts, &y);
-    report.set_aside = rows.excluded_rows(&found, &y, MEASURED_COLUMN);
+    report.excluded = rows.excluded_rows(&found, &y, MEASURED_COLUMN);
     found.iter().for_each(|outlier| y[outlier.row] = f64::NAN);
     y.iter_mut().zip(&counts).filter(|(_, v)| v.is_nan()).for_each(|(y, _)| *y = f64::NAN);
     let is_used: Vec<bool> = y.iter().map(|y| !y.is_nan()).collect();
@@ -92,7 +92,7 @@ fn fit_by_sensor(rows: &PooledRows<'_>, machine: Option<&Machine>) -> Result<Rep
     let residuals = pooled_rows::compute_residuals(&columns, &y, &line);
     let wider = pooled_rows::autocorrelation_inflation(&residuals);
     let (groups, by) = rows.cross_validation_groups(&is_used);
-    let left_out = pooled_rows::held_out_residuals(&columns, &y, groups.as_deref());
+    let held_out = pooled_rows::held_out_residuals(&columns, &y, groups.as_deref());
     let model = SensorModel {
         k0_um: line.coefficients[0],
         zero_counts,
@@ -114,7 +114,7 @@ fn fit_by_sensor(rows: &PooledRows<'_>, machine: Option<&Machine>) -> Result<Rep
             y.iter().zip(&counts).map(|(y, v)| y - elongation_um(old, *v)).collect();
         report_previous_fit(&mut report, &of_old);
     }
-    add_residual_statistics(&mut report, &y, &residuals, left_out, by, wider);
+    add_residual_statistics(&mut report, &y, &residuals, held_out, by, wider);
     warn_curvature(&mut report, &columns, &y, &line);
     judge_fit(&mut report, &y, groups.as_deref());
     if report.verdict.is_fitted() {
@@ -137,8 +137,8 @@ fn fit_by_temperature(
     options: &ElongationOptions,
 ) -> Result<Report, BadInput> {
     let old = machine.and_then(|machine| machine.spindle.temperature.as_ref());
-    let wanted = options.temperature.clone().or(old.map(|model| model.sensor.clone()));
-    let column = resolve_temperature_column(rows, wanted)?;
+    let requested = options.temperature.clone().or(old.map(|model| model.sensor.clone()));
+    let column = resolve_temperature_column(rows, requested)?;
     let temperature_c = rows.required_column(&column)?;
     let time_s = rows.optional_column("time_s")?;
     let mut y = rows.required_column(MEASURED_COLUMN)?;
@@ -160,7 +160,7 @@ fn fit_by_temperature(
             robust::isolated_outliers(found, &temperature_c, &y)
         }
     };
-    report.set_aside = rows.excluded_rows(&found, &y, MEASURED_COLUMN);
+    report.excluded = rows.excluded_rows(&found, &y, MEASURED_COLUMN);
     found.iter().for_each(|outlier| y[outlier.row] = f64::NAN);
     (0..y.len()).filter(|row| !is_used[*row]).for_each(|row| y[row] = f64::NAN);
     let is_used: Vec<bool> = y.iter().map(|y| !y.is_nan()).collect();
@@ -195,7 +195,7 @@ fn fit_by_temperature(
             .collect();
         report_previous_fit(&mut report, &of_old);
     }
-    add_residual_statistics(&mut report, &y, &fitted.residuals, fitted.left_out.clone(), by, wider);
+    add_residual_statistics(&mut report, &y, &fitted.residuals, fitted.held_out.clone(), by, wider);
     judge_fit(&mut report, &y, groups.as_deref());
     if report.verdict.is_fitted() {
         let section = NewSection::new("spindle.temperature")
@@ -214,15 +214,14 @@ fn fit_by_temperature(
 /// Returns the column of the required temperature, else the only one.
 pub(crate) fn resolve_temperature_column(
     rows: &PooledRows<'_>,
-    wanted: Option<String>,
+    requested: Option<String>,
 ) -> Result<String, BadInput> {
-    if let Some(wanted) = wanted {
-        if !is_temperature_column(&wanted) {
-            return Err(
-                rows.input_error(format!("{wanted} is not a temperature column (temp_<name>_c)"))
-            );
+    if let Some(requested) = requested {
+        if !is_temperature_column(&requested) {
+            return Err(rows
+                .input_error(format!("{requested} is not a temperature column (temp_<name>_c)")));
         }
-        return Ok(wanted);
+        return Ok(requested);
     }
     match rows.common_temperature_columns().as_slice() {
         [] => Err(rows.input_error("no temperature column (temp_<name>_c)")),
@@ -264,29 +263,29 @@ pub(crate) fn add_residual_statistics(
     report: &mut Report,
     y: &[f64],
     residuals: &[f64],
-    left_out: Option<Vec<f64>>,
+    held_out: Option<Vec<f64>>,
     by: String,
     wider: f64,
 ) {
     report.rows_used = y.iter().filter(|y| !y.is_nan()).count();
     report.before = ResidualStatistics::from_residuals(y);
     report.in_sample = ResidualStatistics::from_residuals(residuals);
-    report.left_out = left_out.and_then(|left_out| ResidualStatistics::from_residuals(&left_out));
-    report.left_out_by = by;
+    report.held_out = held_out.and_then(|held_out| ResidualStatistics::from_residuals(&held_out));
+    report.held_out_by = by;
     if wider > 1.0 {
         report.facts.push(Fact::number("intervals_widened", wider));
     }
-    if report.left_out.is_none() {
+    if report.held_out.is_none() {
         report.warnings.push(
             "the constants cannot be judged on left-out rows: without one of the \
              parts the rest does not decide them"
                 .into(),
         );
     }
-    let set_aside = report.set_aside.len();
-    if set_aside * 10 > report.rows_used {
+    let outliers = report.excluded.len();
+    if outliers * 10 > report.rows_used {
         report.warnings.push(format!(
-            "{set_aside} rows are set aside, more than one in ten: look at the measurement first"
+            "{outliers} rows are excluded as outliers, more than one in ten: check the measurement first"
         ));
     }
 }
@@ -313,15 +312,15 @@ pub(crate) fn judge_fit(report: &mut Report, y: &[f64], groups: Option<&[usize]>
             )
         })
         .collect();
-    if let (Some(before), Some(left_out)) = (report.before, report.left_out) {
+    if let (Some(before), Some(held_out)) = (report.before, report.held_out) {
         let ones = vec![vec![1.0; y.len()]];
         let constant = pooled_rows::held_out_residuals(&ones, y, groups)
             .and_then(|left| ResidualStatistics::from_residuals(&left));
         let constant = constant.map_or(before.rms_um, |constant| constant.rms_um);
-        if left_out.rms_um >= before.rms_um.min(constant) {
+        if held_out.rms_um >= before.rms_um.min(constant) {
             reasons.push(format!(
                 "left-out rows ({}) are {:.3} µm RMS away with the correction",
-                report.left_out_by, left_out.rms_um
+                report.held_out_by, held_out.rms_um
             ));
             reasons.push(format!(
                 "they are {:.3} µm RMS without any, and {constant:.3} µm with a constant alone",
@@ -343,7 +342,7 @@ pub(crate) fn section_comment(report: &Report) -> String {
         "fitted to {} rows: {}, on left-out rows {}",
         report.rows_used,
         rms(report.in_sample),
-        rms(report.left_out)
+        rms(report.held_out)
     )
 }
 

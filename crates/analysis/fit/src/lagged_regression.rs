@@ -57,7 +57,7 @@ pub(crate) struct LaggedFit {
     pub(crate) coefficients: Vec<f64>,
     linear: Solution,
     pub(crate) residuals: Vec<f64>,
-    pub(crate) left_out: Option<Vec<f64>>,
+    pub(crate) held_out: Option<Vec<f64>>,
     /// A warning about the lag.
     pub(crate) warning: Option<String>,
 }
@@ -122,19 +122,19 @@ impl<'a> LaggedRegression<'a> {
         let columns = self.design_columns(0.0);
         let linear = pooled_rows::solve_least_squares(&columns, y, |_| true)?;
         let residuals = pooled_rows::compute_residuals(&columns, y, &linear);
-        let left_out = pooled_rows::held_out_residuals(&columns, y, groups);
+        let held_out = pooled_rows::held_out_residuals(&columns, y, groups);
         let plain = LaggedFit {
             lag_s: 0.0,
             lag_half_width: None,
             coefficients: linear.coefficients.clone(),
             linear,
             residuals,
-            left_out,
+            held_out,
             warning: None,
         };
         drop(columns);
         let Some((grid, longest_s)) = self.lag_grid(y) else { return Some(plain) };
-        let (Some(groups), Some(plain_rms)) = (groups, residual_rms_um(plain.left_out.as_deref()))
+        let (Some(groups), Some(plain_rms)) = (groups, residual_rms_um(plain.held_out.as_deref()))
         else {
             return Some(plain);
         };
@@ -142,7 +142,7 @@ impl<'a> LaggedRegression<'a> {
         // Without a part the lag is another, but not by far.
         let near: Vec<Vec<f64>> =
             [0.25, 0.5, 1.0, 2.0, 4.0].iter().map(|share| vec![share * lagged.lag_s]).collect();
-        let left_out = pooled_rows::leave_one_group_out(y, groups, |y, group| {
+        let held_out = pooled_rows::leave_one_group_out(y, groups, |y, group| {
             let hidden: Vec<f64> = y
                 .iter()
                 .zip(groups)
@@ -155,8 +155,8 @@ impl<'a> LaggedRegression<'a> {
                 &fitted.linear_solution(),
             ))
         });
-        let lagged_rms = residual_rms_um(left_out.as_deref());
-        lagged.left_out = left_out;
+        let lagged_rms = residual_rms_um(held_out.as_deref());
+        lagged.held_out = held_out;
         let (in_plain, in_lagged) =
             (residual_rms_um(Some(&plain.residuals)), residual_rms_um(Some(&lagged.residuals)));
         let lag_s = lagged.lag_s;
@@ -167,8 +167,8 @@ impl<'a> LaggedRegression<'a> {
             {
                 plain.warning = Some(format!(
                     "a lag of {lag_s:.0} s would fit these rows better ({in_lagged:.3} instead of \
-                     {in_plain:.3} µm RMS) but not rows that were left out ({:.3} instead of \
-                     {plain_rms:.3}): none is taken",
+                     {in_plain:.3} µm RMS) but not held-out rows ({:.3} instead of \
+                     {plain_rms:.3}): no lag is used",
                     lagged_rms.unwrap_or(f64::NAN)
                 ));
             }
@@ -220,7 +220,7 @@ impl<'a> LaggedRegression<'a> {
             coefficients,
             linear: fit.linear.ok()?,
             residuals: fit.residuals,
-            left_out: None,
+            held_out: None,
             warning: None,
         })
     }

@@ -84,14 +84,14 @@ pub fn predict_other_sections(
         rest.spindle.source = None;
     }
     let own = &rest.axes[axis.index()];
-    let says_something = own.thermal.is_some()
+    let is_informative = own.thermal.is_some()
         || own.pitch.is_some()
         || own.backlash.is_some()
         || !rest.straightness.is_empty()
         || !rest.squareness.is_empty()
         || rest.volume.has_errors()
         || rest.spindle.source.is_some();
-    if !says_something {
+    if !is_informative {
         return Ok(None);
     }
     let missing: Vec<String> =

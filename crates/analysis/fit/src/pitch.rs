@@ -148,19 +148,19 @@ pub fn fit(
     axis: LinearAxis,
     options: &PitchFitOptions,
 ) -> Result<PitchFit, BadInput> {
-    let wanted = ReadingSelection {
+    let selection = ReadingSelection {
         axis,
         runs: options.runs.as_deref(),
         known_um: options.known_um.as_deref(),
         by_feed: false,
         in_order: true,
     };
-    let mut readings = Readings::from_run(run, &wanted)?;
+    let mut readings = Readings::from_run(run, &selection)?;
     check_coverage(run, axis, &readings, options)?;
     let mut report = Report::new("pitch", measured_column(axis));
     // The figures of the standard are of all that was read.
     let all = readings.values_by_target();
-    report.set_aside = readings.exclude_gross_errors(run, axis);
+    report.excluded = readings.exclude_gross_errors(run, axis);
     let sums = DirectionSums::from_readings(readings.targets_mm.len(), readings.list.iter());
     let grid = choose_grid(&readings, &sums, options, &mut report);
     let laws = candidate_models(&readings, options);
@@ -187,7 +187,7 @@ pub fn fit(
         let mut why = rejection_reasons(&readings, &judged, best, &by_target);
         why.extend(suggest_measurement(&readings, &decision, &by_target));
         report.verdict = FitVerdict::DoNotCompensate(why);
-        report.left_out =
+        report.held_out =
             best.and_then(|best| ResidualStatistics::from_residuals(&best.residuals_um));
         return Ok(PitchFit { report, pitch: None, backlash: None, iso230 });
     };
@@ -200,7 +200,7 @@ pub fn fit(
         ResidualStatistics::from_residuals(&readings.list.iter().map(residual).collect::<Vec<_>>())
             .filter(|_| !is_one_pass);
     let judged = judged.iter().find(|judged| judged.law == law);
-    report.left_out =
+    report.held_out =
         judged.and_then(|judged| ResidualStatistics::from_residuals(&judged.residuals_um));
     report.warnings.extend(interpolation_caveat(&readings, law));
     add_warnings(&mut report, &readings, &iso230);

@@ -258,7 +258,7 @@ pub(crate) fn leave_one_group_out(
     groups: &[usize],
     mut refit: impl FnMut(&[f64], usize) -> Option<Vec<f64>>,
 ) -> Option<Vec<f64>> {
-    let mut left_out = vec![f64::NAN; y.len()];
+    let mut held_out = vec![f64::NAN; y.len()];
     for group in 0..=groups.iter().copied().max()? {
         if !groups.iter().zip(y).any(|(of, y)| *of == group && !y.is_nan()) {
             continue;
@@ -266,9 +266,9 @@ pub(crate) fn leave_one_group_out(
         let residuals = refit(y, group)?;
         for (row, residual) in residuals.into_iter().enumerate() {
             if groups[row] == group && !y[row].is_nan() {
-                left_out[row] = residual;
+                held_out[row] = residual;
             }
         }
     }
-    Some(left_out)
+    Some(held_out)
 }

@@ -26,15 +26,15 @@ pub struct Report {
     /// The residuals of the rows that were fitted.
     pub in_sample: Option<ResidualStatistics>,
     /// The residuals of rows that the constants had not seen, each row once.
-    pub left_out: Option<ResidualStatistics>,
+    pub held_out: Option<ResidualStatistics>,
     /// How rows were held out: "each row in turn", "each of 5 cycles in turn".
-    pub left_out_by: String,
+    pub held_out_by: String,
     /// Rows that the fit rests on.
     pub rows_used: usize,
     /// Rows without one of the values that the fit needs.
     pub rows_incomplete: usize,
     /// Rows that were found and not used, with their reasons.
-    pub set_aside: Vec<ExcludedRow>,
+    pub excluded: Vec<ExcludedRow>,
     /// Warnings for the user before relying on it; whole sentences.
     pub warnings: Vec<String>,
     /// Requests that are not reached, though the constants are fit for use: a tolerance.
@@ -194,7 +194,11 @@ pub struct ExcludedRow {
 
 impl fmt::Display for ExcludedRow {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: set aside, {} µm is {}", self.place, self.measured_um, self.reason)
+        write!(
+            f,
+            "{}: excluded as an outlier, {} µm is {}",
+            self.place, self.measured_um, self.reason
+        )
     }
 }
 

@@ -41,12 +41,12 @@ pub fn fit_curve(
     }
     let direction = run.column(&format!("dir_{}", curve.along.name()));
     let found = find_outlier_rows(positions, direction, &y);
-    let set_aside = found.iter().map(|row| ExcludedRow {
+    let outliers = found.iter().map(|row| ExcludedRow {
         place: run.value_location(*row, &column),
         measured_um: measured[*row],
         reason: "far from the other readings at its position".into(),
     });
-    let set_aside: Vec<ExcludedRow> = set_aside.collect();
+    let outliers: Vec<ExcludedRow> = outliers.collect();
     found.iter().for_each(|row| y[*row] = f64::NAN);
     if known_um.is_some() || !found.is_empty() {
         let there = |row: &usize| !positions[*row].is_nan() && !y[*row].is_nan();
@@ -56,7 +56,7 @@ pub fn fit_curve(
             .map_err(|fault| run.value_error(0, &position, fault))?;
         curve.rows_incomplete = y.len() - rows.len() - found.len();
     }
-    Ok(Report { set_aside, ..build_report(&curve, &y, positions, column) })
+    Ok(Report { excluded: outliers, ..build_report(&curve, &y, positions, column) })
 }
 
 /// Returns the rows that stand alone among the repeats of their position and direction.
@@ -95,17 +95,17 @@ fn build_report(curve: &StraightnessCurve, y: &[f64], positions: &[f64], column:
     report.in_sample = ResidualStatistics::from_residuals(&residuals);
     let compared = fit.compare_methods();
     let own = CurveMethod::from_method(fit.method);
-    let judged = compared.iter().find(|way| way.way == own).and_then(|way| way.left_out);
-    report.left_out =
+    let judged = compared.iter().find(|way| way.way == own).and_then(|way| way.held_out);
+    report.held_out =
         judged.map(|left| ResidualStatistics { rms_um: left.rms_um, max_um: left.largest_um });
-    report.left_out_by = "every second position, by a curve through the others".into();
+    report.held_out_by = "every second position, by a curve through the others".into();
     report.table = compared.iter().map(|way| format!("{way}\n")).collect();
     for way in &compared {
-        let left_out = way.left_out.map_or(f64::NAN, |left| left.rms_um);
+        let held_out = way.held_out.map_or(f64::NAN, |left| left.rms_um);
         report.facts.push(Fact::text(
             format!("compared: {}", way.way),
             format!(
-                "{} coefficients, {:.3} µm RMS, at positions left out {left_out:.3} µm RMS",
+                "{} coefficients, {:.3} µm RMS, at held-out positions {held_out:.3} µm RMS",
                 way.coefficients, way.residual.rms_um
             ),
         ));
@@ -131,11 +131,11 @@ fn build_report(curve: &StraightnessCurve, y: &[f64], positions: &[f64], column:
         ));
     }
     report.warnings.extend(fit.warnings.iter().cloned());
-    if let (Some(before), Some(left)) = (report.before, report.left_out)
+    if let (Some(before), Some(left)) = (report.before, report.held_out)
         && left.rms_um >= before.rms_um
     {
         report.verdict = FitVerdict::DoNotCompensate(vec![
-            format!("positions left out are {:.3} µm RMS away from the curve", left.rms_um),
+            format!("held-out positions are {:.3} µm RMS away from the curve", left.rms_um),
             format!("they are {:.3} µm RMS without any", before.rms_um),
         ]);
         return report;

@@ -95,13 +95,13 @@ pub fn fit(
     let rows = PooledRows::new(runs)?;
     let old = machine.and_then(|machine| machine.axes[axis.index()].thermal.as_ref());
     let (mut data, mut report) = ThermalData::read(&rows, axis, old, options)?;
-    let wanted = options.mode.or(old.map(|old| old.mode));
+    let requested = options.mode.or(old.map(|old| old.mode));
     data.exclude_outliers(&rows, &mut report);
     let is_used: Vec<bool> = data.y.iter().map(|y| !y.is_nan()).collect();
     check_input_variation(&rows, &data.sensor, &data.temperature_c, &is_used, 4)?;
 
     let (groups, by) = rows.cross_validation_groups(&is_used);
-    let (mode, fitted, mean_c) = data.choose_mode(&rows, wanted, groups.as_deref())?;
+    let (mode, fitted, mean_c) = data.choose_mode(&rows, requested, groups.as_deref())?;
     let wider = pooled_rows::autocorrelation_inflation(&fitted.residuals);
     report.facts.push(Fact::text("mode", mode.name()));
     report.facts.push(Fact::text("sensor", data.sensor.clone()));
@@ -158,14 +158,14 @@ pub fn fit(
     let residuals = data.residuals(&thermal);
     // Groups are the same whatever the form of the law, so the held-out rows of the two lines stand
     // for it; a table is held out on its own.
-    let (left_out, by) = match &thermal.table {
+    let (held_out, by) = match &thermal.table {
         Some(table) if table.len() > 2 => {
             let knots: Vec<f64> = table.iter().map(|row| row.temperature_c).collect();
             table::held_out_residuals(&data, mode, thermal.lag_s, &knots, (groups.as_deref(), by))
         }
-        _ => (fitted.left_out.clone(), by),
+        _ => (fitted.held_out.clone(), by),
     };
-    add_residual_statistics(&mut report, &data.y, &residuals, left_out, by, wider);
+    add_residual_statistics(&mut report, &data.y, &residuals, held_out, by, wider);
     judge_fit(&mut report, &data.y, groups.as_deref());
     report_inseparable_constants(&mut report, mode, thermal.table.is_some());
     if report.verdict.is_fitted() {
@@ -195,14 +195,14 @@ impl ThermalData {
     ) -> Result<(Self, Report), BadInput> {
         let measured = format!("measured_d{}_um", axis.name());
         let mut y = rows.required_column(&measured)?;
-        let wanted = options.temperature.clone().or(old.map(|old| old.sensor.clone()));
-        let sensor = resolve_temperature_column(rows, wanted)?;
+        let requested = options.temperature.clone().or(old.map(|old| old.sensor.clone()));
+        let sensor = resolve_temperature_column(rows, requested)?;
         let temperature_c = rows.required_column(&sensor)?;
         let time_s = rows.optional_column("time_s")?;
         let starts = rows.restart_flags(time_s.as_deref());
         let position = format!("{}_mm", axis.name());
-        let wanted_mode = options.mode.or(old.map(|old| old.mode));
-        let needs_position = wanted_mode.is_some_and(ThermalMode::has_position);
+        let requested_mode = options.mode.or(old.map(|old| old.mode));
+        let needs_position = requested_mode.is_some_and(ThermalMode::has_position);
         let positions = if needs_position {
             Some(rows.required_column(&position)?)
         } else {
@@ -246,13 +246,13 @@ impl ThermalData {
     fn choose_mode(
         &self,
         rows: &PooledRows<'_>,
-        wanted: Option<ThermalMode>,
+        requested: Option<ThermalMode>,
         groups: Option<&[usize]>,
     ) -> Result<(ThermalMode, LaggedFit, f64), BadInput> {
         /// A mode with more terms must be better on held-out rows by this share.
         const MIN_MODE_GAIN: f64 = 0.05;
         let all = [ThermalMode::Position, ThermalMode::Constant, ThermalMode::Both];
-        let modes: Vec<ThermalMode> = match wanted {
+        let modes: Vec<ThermalMode> = match requested {
             Some(mode) => vec![mode],
             None if self.positions_differ() => all.to_vec(),
             None => vec![ThermalMode::Constant],
@@ -274,11 +274,11 @@ impl ThermalData {
                 let size = fitted.coefficients[at].abs();
                 size > wider * fitted.coefficient_half_width(at)
             };
-            if mode == ThermalMode::Both && wanted.is_none() && !(is_there(1) && is_there(3)) {
+            if mode == ThermalMode::Both && requested.is_none() && !(is_there(1) && is_there(3)) {
                 continue;
             }
-            let left_out = fitted.left_out.as_deref().and_then(ResidualStatistics::from_residuals);
-            let judged = left_out
+            let held_out = fitted.held_out.as_deref().and_then(ResidualStatistics::from_residuals);
+            let judged = held_out
                 .or(ResidualStatistics::from_residuals(&fitted.residuals))
                 .map_or(f64::NAN, |s| s.rms_um);
             // Position and constant have as many terms: the better one. Both must be worth it.
@@ -291,8 +291,12 @@ impl ThermalData {
             let rule = format!(
                 "the temperatures and positions do not decide mode \"{}\": it needs several \
                  temperatures{}",
-                wanted.unwrap_or(ThermalMode::Constant).name(),
-                if wanted == Some(ThermalMode::Constant) { "" } else { " and several positions" }
+                requested.unwrap_or(ThermalMode::Constant).name(),
+                if requested == Some(ThermalMode::Constant) {
+                    ""
+                } else {
+                    " and several positions"
+                }
             );
             return Err(rows.input_error(rule));
         };

@@ -67,7 +67,7 @@ const DEFAULT_NOISE_UM: f64 = 1.0;
 /// The stated uncertainties of the instrument.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct VolumeFitOptions {
-    /// Standard uncertainty of a reading in µm; `None`: that of the machine file, else by the readings alone.
+    /// Standard uncertainty of a reading in µm; `None`: that of the machine file, else from the readings alone.
     pub instrument_um: Option<f64>,
     /// Standard uncertainty of the scale of artefact and laser in µm/m; `None`: the scale is not known.
     pub scale_um_per_m: Option<f64>,
@@ -91,7 +91,7 @@ pub struct VolumeReport {
     /// Readings of each kind.
     pub readings: [usize; 4],
     /// Gross readings.
-    pub set_aside: Vec<ExcludedRow>,
+    pub excluded: Vec<ExcludedRow>,
     /// Warnings to the user; whole sentences.
     pub warnings: Vec<String>,
     /// The constants, to predict with.
@@ -209,7 +209,7 @@ pub fn fit(
         noise_um: ReadingKind::ALL
             .map(|kind| (kinds(kind) > 0).then(|| variances.noise_um[kind.index()])),
         readings: readings_of,
-        set_aside: list_excluded_rows(runs, &readings, &gross),
+        excluded: list_excluded_rows(runs, &readings, &gross),
         warnings,
         model: VolumetricModel { constants, posterior: found },
     })
@@ -294,7 +294,7 @@ fn list_excluded_rows(
         .map(|(reading, _)| ExcludedRow {
             place: runs[reading.source[0]].value_location(reading.source[1], reading.column),
             measured_um: reading.measured_um,
-            reason: "far from what all other readings say together".into(),
+            reason: "far from all other readings together".into(),
         })
         .collect()
 }

@@ -67,7 +67,7 @@ pub fn fit(runs: &[UncompensatedRun<'_>], machine: Option<&Machine>) -> Result<R
     (0..y.len()).filter(|row| !is_complete(*row)).for_each(|row| y[row] = f64::NAN);
     report.rows_incomplete = y.iter().filter(|y| y.is_nan()).count();
     let found = lagged_regression::find_outliers(&time_s, &starts, &y);
-    report.set_aside = rows.excluded_rows(&found, &y, MEASURED_COLUMN);
+    report.excluded = rows.excluded_rows(&found, &y, MEASURED_COLUMN);
     found.iter().for_each(|outlier| y[outlier.row] = f64::NAN);
     let is_used: Vec<bool> = y.iter().map(|y| !y.is_nan()).collect();
     check_input_variation(&rows, "time_s", &time_s, &is_used, 8)?;
@@ -79,15 +79,15 @@ pub fn fit(runs: &[UncompensatedRun<'_>], machine: Option<&Machine>) -> Result<R
         return Err(BadInput::new(place, rule));
     }
     // One speed says nothing of others: what the user has believed of them stays.
-    let kept = old.filter(|old| speeds.len() == 1 && old.speed_exponent != 0.0);
+    let retained = old.filter(|old| speeds.len() == 1 && old.speed_exponent != 0.0);
     let files = rows.file_indices();
     let record = WarmupRecord {
         time_s: &time_s,
         spindle_rpm: spindle_rpm.as_deref(),
         starts: &starts,
         files: &files,
-        rated_rpm: kept.and_then(|old| old.rated_rpm).or(speeds.last().copied()),
-        set_speed_exponent: kept.map_or(0.0, |old| old.speed_exponent),
+        rated_rpm: retained.and_then(|old| old.rated_rpm).or(speeds.last().copied()),
+        set_speed_exponent: retained.map_or(0.0, |old| old.speed_exponent),
         set_cool_s: None,
     };
     let base = FreeParameters {
@@ -101,7 +101,7 @@ pub fn fit(runs: &[UncompensatedRun<'_>], machine: Option<&Machine>) -> Result<R
     let wider = pooled_rows::autocorrelation_inflation(&fit.residuals);
 
     let (groups, by) = rows.cross_validation_groups(&is_used);
-    let left_out = groups.as_ref().and_then(|groups| {
+    let held_out = groups.as_ref().and_then(|groups| {
         pooled_rows::leave_one_group_out(&y, groups, |y, group| {
             let pairs = y.iter().zip(groups);
             let hide = |(y, of): (&f64, &usize)| if *of == group { f64::NAN } else { *y };
@@ -117,7 +117,7 @@ pub fn fit(runs: &[UncompensatedRun<'_>], machine: Option<&Machine>) -> Result<R
         report_previous_fit(&mut report, &previous_model_residuals(&record, old, &y));
     }
     report_each_run(&mut report, &rows, &record, &y);
-    add_residual_statistics(&mut report, &y, &fit.residuals, left_out, by, wider);
+    add_residual_statistics(&mut report, &y, &fit.residuals, held_out, by, wider);
     judge_fit(&mut report, &y, groups.as_deref());
     if report.verdict.is_fitted() {
         report.edit = Edit::from_section(warmup_section(&model, &report));

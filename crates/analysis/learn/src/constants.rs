@@ -354,11 +354,11 @@ impl Sensitivity {
 /// It is not there, or there are several to choose from.
 pub(crate) fn measured_quantity(
     run: &RunFile,
-    wanted: Option<Quantity>,
+    requested: Option<Quantity>,
 ) -> Result<Quantity, BadInput> {
     let name = |quantity: Quantity| format!("measured_{}_um", quantity.name());
-    if let Some(wanted) = wanted {
-        return run.require_column(&name(wanted)).map(|_| wanted);
+    if let Some(requested) = requested {
+        return run.require_column(&name(requested)).map(|_| requested);
     }
     let is_there = |quantity: &Quantity| run.column(&name(*quantity)).is_some();
     let there: Vec<Quantity> = Quantity::ALL.into_iter().filter(is_there).collect();

@@ -61,7 +61,7 @@ impl EventKind {
             Self::ProbeDrift => {
                 "The checks against the certified reference drift. They are taken off every reading; have the probe calibrated."
             }
-            Self::Unknown => "The readings do not say yet which it is.",
+            Self::Unknown => "The readings do not show yet which it is.",
         }
     }
 }

@@ -246,13 +246,13 @@ impl Filter {
                 }
             }
         }
-        let kept = (-dt_s.max(0.0) / self.memory_s).exp();
-        self.x[wander] *= kept;
+        let decay = (-dt_s.max(0.0) / self.memory_s).exp();
+        self.x[wander] *= decay;
         for i in 0..n {
-            self.p[i * n + wander] *= kept;
-            self.p[wander * n + i] *= kept;
+            self.p[i * n + wander] *= decay;
+            self.p[wander * n + i] *= decay;
         }
-        self.p[wander * n + wander] += self.noise_um.powi(2) * (1.0 - kept * kept);
+        self.p[wander * n + wander] += self.noise_um.powi(2) * (1.0 - decay * decay);
     }
 
     /// Takes `y_um` where the sensitivities are `g`, or refuses it.

@@ -249,8 +249,8 @@ mod tests {
             if is_morning {
                 morning_um = 0.5 * dice.normal();
             }
-            let kept = (-0.5_f64).exp();
-            wander_um = kept * wander_um + 0.6 * (1.0 - kept * kept).sqrt() * dice.normal();
+            let decay = (-0.5_f64).exp();
+            wander_um = decay * wander_um + 0.6 * (1.0 - decay * decay).sqrt() * dice.normal();
             let growth_um = 60.0 + 40.0 * (n as f64 / 3.7).sin();
             let bad_um =
                 if dice.uniform() < 0.05 { 60.0 * (2.0 * dice.uniform() - 1.0) } else { 0.0 };

@@ -46,7 +46,7 @@ pub struct ReadingOutcome {
     /// The reading in µm.
     pub measured_um: f64,
     /// The prediction by what was applied then, in µm; `None` where the row does not say enough.
-    pub foreseen_um: Option<f64>,
+    pub predicted_um: Option<f64>,
     /// Whether it was used.
     pub used: bool,
     /// Why not, or what else there is to say of it.
@@ -85,14 +85,14 @@ pub fn learn(
     source: &str,
     path: &std::path::Path,
     run: &RunFile,
-    wanted: Option<Quantity>,
+    requested: Option<Quantity>,
     memory: Option<LearnerState>,
     limits: &Limits,
 ) -> Result<LearningResult, BadInput> {
     let machine = MachineFile::parse(source, path)?;
     let bad = |rule: String| BadInput::new(Location::start_of_file(path), rule);
     let mut notes = Vec::new();
-    let quantity = constants::measured_quantity(run, wanted)?;
+    let quantity = constants::measured_quantity(run, requested)?;
     let (mut memory, has_restarted) = reconcile_state(
         memory,
         &machine,
@@ -104,8 +104,9 @@ pub fn learn(
         write_applied_values(source, &machine, quantity, &memory).unwrap_or_else(|| source.into());
     // What a bridge applied meanwhile came from the file as it was written before.
     let ran = MachineFile::parse(&before, path)?;
-    let (run, told) = UncompensatedRun::from_run(Cow::Borrowed(run), Some(&ran), Some(quantity))?;
-    notes.extend(told);
+    let (run, run_notes) =
+        UncompensatedRun::from_run(Cow::Borrowed(run), Some(&ran), Some(quantity))?;
+    notes.extend(run_notes);
     let has_bridge = has_engaged_bridge(&run, &ran, quantity)?;
     let record = readings::collect_readings(&run, quantity)?;
     let (new, seen) = filter_unseen_readings(&record, &memory, &run, &mut notes)?;
@@ -317,12 +318,12 @@ impl Learner<'_> {
         let mut taken = ReadingOutcome {
             row: reading.row + 1,
             measured_um: um,
-            foreseen_um: None,
+            predicted_um: None,
             used: false,
             reason: None,
         };
         if !file_um.is_finite() || g.iter().any(|g| !g.is_finite()) {
-            let rule = "the row does not say enough for the model (a missing temperature?)";
+            let rule = "the row lacks an input of the model (a missing temperature?)";
             taken.reason = Some(format!("refused: {rule}"));
             return (taken, HoldReasons::default());
         }
@@ -336,21 +337,21 @@ impl Learner<'_> {
             let um = if um.is_finite() { rounded(um) } else { 0.0 };
             format!("{um:.4}").parse().unwrap_or(um)
         };
-        let kept = StoredReading {
+        let stored = StoredReading {
             t: reading.time_s,
             y: short(&(um - file_um)),
             g: g.iter().map(short).collect(),
             h: h.iter().map(short).collect(),
             worn: Vec::new(),
         };
-        let g = &kept.g.clone();
-        taken.foreseen_um = Some(file_um + prediction_change_um(g, &memory.applied));
+        let g = &stored.g.clone();
+        taken.predicted_um = Some(file_um + prediction_change_um(g, &memory.applied));
         let (sequence, values) =
             (memory.next_sequence(), applied_values(memory, self.machine, self.quantity));
         let was_applied = memory.applied.clone();
         memory.first_s = memory.first_s.or(reading.time_s);
         memory.last_s = reading.time_s.or(memory.last_s);
-        memory.window.push(kept);
+        memory.window.push(stored);
         let (lasting, [scatter_um, _]) =
             (self.believed.bank.persistent_values(), self.believed.bank.scatter_um());
         let last = memory.window.len() - 1;
@@ -373,7 +374,7 @@ impl Learner<'_> {
             let missed_um = replay::corrected_reading(memory, &memory.window[last], sequence, None)
                 - prediction_change_um(g, &lasting);
             let before = &memory.window[..last];
-            let said = wear::backlash_observations(
+            let observations = wear::backlash_observations(
                 &memory.constants,
                 before,
                 g,
@@ -381,26 +382,26 @@ impl Learner<'_> {
                 missed_um,
                 scatter_um,
             );
-            memory.window[last].worn = said.iter().map(short).collect();
+            memory.window[last].worn = observations.iter().map(short).collect();
         }
         let before = memory.events.clone();
         detect_events(memory, &mut self.believed);
         let rests_on = supporting_reading_count(memory, &before);
         wear::detect_wear(memory, self.believed.bank.scatter_um()[1]);
-        let wanted = self.believed.bank.learned_values().unwrap_or_else(|| vec![0.0; g.len()]);
+        let requested = self.believed.bank.learned_values().unwrap_or_else(|| vec![0.0; g.len()]);
         self.track_sensitivity_extremes(reading.row);
         let rows = self.extremes.iter().map(|row| &self.sensitivity.um[*row]);
-        let (wanted, is_bound) = self.limits.clamp_to_limits(&wanted, rows);
+        let (requested, is_bound) = self.limits.clamp_to_limits(&requested, rows);
         let memory = &mut self.memory;
         let is_proven = is_factor_known || memory.is_applied_once;
-        let forbids = rejection_reason(memory, &wanted, is_proven);
+        let forbids = rejection_reason(memory, &requested, is_proven);
         if forbids.is_some() {
             // Nor the steps on the way there.
             memory.applied = memory.proven.take().unwrap_or(was_applied.clone());
         } else {
             let proven = memory.proven.take().unwrap_or_else(|| was_applied.clone());
             memory.proven = (!is_proven).then_some(proven);
-            memory.applied = self.limits.limited_step(&memory.applied, &wanted, g, rests_on);
+            memory.applied = self.limits.limited_step(&memory.applied, &requested, g, rests_on);
         }
         self.believed.trim_window(memory);
         record_change(memory, self.machine, self.quantity, &values, (sequence, was_applied));
@@ -444,12 +445,12 @@ fn supporting_reading_count(memory: &LearnerState, before: &[Event]) -> u64 {
 /// Returns why `wanted` may not be applied, in a sentence.
 fn rejection_reason(
     memory: &LearnerState,
-    wanted: &[f64],
+    target: &[f64],
     is_factor_known: bool,
 ) -> Option<String> {
     let moves = |(to, from): (&f64, &f64)| (to - from).abs() > MIN_RELATIVE_CHANGE;
-    let is_as_a_cnc = wanted[1..].iter().any(|share| share.abs() > CNC_AMBIGUOUS_CHANGE);
-    let is_moved = wanted.iter().zip(&memory.applied).any(moves);
+    let is_as_a_cnc = target[1..].iter().any(|share| share.abs() > CNC_AMBIGUOUS_CHANGE);
+    let is_moved = target.iter().zip(&memory.applied).any(moves);
     (is_moved && is_as_a_cnc && !is_factor_known)
         .then(|| format!("Nothing is applied. {}", repeat_run_instruction()))
 }

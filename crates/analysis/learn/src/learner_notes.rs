@@ -9,8 +9,7 @@ pub(crate) fn describe_belief(believed: &FilterHistory) -> String {
     let figures = match count {
         0 => "no reading has been used yet".into(),
         _ => format!(
-            "of the last {count} readings that were used the current machine file missed each by {file_um:.2} µm on \
-             average, what was learned by {own_um:.2} µm, before they were used"
+            "before their use, the last {count} readings differed from the current machine file by {file_um:.2} µm on average, from the learned constants by {own_um:.2} µm"
         ),
     };
     let odds = bank.odds();

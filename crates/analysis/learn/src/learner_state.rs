@@ -215,7 +215,7 @@ impl LearnerState {
             && memory.checkpoint.is_consistent(values)
             && memory.seen.is_ascii()
             && memory.seen_before.is_ascii()
-            && memory.window.iter().all(|kept| kept.g.len() == values)
+            && memory.window.iter().all(|stored| stored.g.len() == values)
             && memory.changes.iter().all(|change| {
                 change.before.as_ref().is_none_or(|(_, applied)| applied.len() == values)
                     && change.values.iter().all(|(place, ..)| *place < values)
@@ -268,14 +268,14 @@ impl LearnerState {
         let index = self.changes.iter().rposition(|change| change.before.is_some());
         let index = index.ok_or("has no change that is not taken back already")?;
         let (sequence, applied) = self.changes[index].before.clone().unwrap_or_default();
-        let Some(kept) = sequence.checked_sub(self.first) else {
+        let Some(retained) = sequence.checked_sub(self.first) else {
             return Err(format!(
                 "keeps the last {} readings, and the change is older: --reset begins anew and keeps a backup",
                 self.window.len()
             ));
         };
         self.changes[index].before = None;
-        self.window.truncate(kept as usize);
+        self.window.truncate(retained as usize);
         self.events.retain(|event| event.sequence < sequence);
         self.applied = applied;
         self.proven = None;

@@ -27,10 +27,10 @@ impl Limits {
     /// `wanted` within the bounds, where rows have the sensitivities `rows`; and whether it was held.
     pub(crate) fn clamp_to_limits<'a>(
         &self,
-        wanted: &[f64],
+        target: &[f64],
         rows: impl IntoIterator<Item = &'a Vec<f64>>,
     ) -> (Vec<f64>, bool) {
-        let mut held = wanted.to_vec();
+        let mut held = target.to_vec();
         let mut is_held = false;
         for share in &mut held[1..] {
             let within = share.clamp(-self.share, self.share);
@@ -51,11 +51,11 @@ impl Limits {
     pub(crate) fn limited_step(
         &self,
         applied: &[f64],
-        wanted: &[f64],
+        target: &[f64],
         g: &[f64],
         readings: u64,
     ) -> Vec<f64> {
-        let way: Vec<f64> = wanted.iter().zip(applied).map(|(to, from)| to - from).collect();
+        let way: Vec<f64> = target.iter().zip(applied).map(|(to, from)| to - from).collect();
         let um = prediction_change_um(g, &way).abs();
         let step_um = self.step_um * readings as f64;
         let share = if um > step_um { step_um / um } else { 1.0 };

@@ -48,19 +48,19 @@ impl LiveUpdate {
     /// One of them is not for a board.
     pub fn from_difference(runs: &Machine, learned: &Machine) -> Result<Self, BadInput> {
         // What the bridge makes of the first by what it is sent: the rest is where that differs from the second.
-        let mut told = runs.clone();
+        let mut sent = runs.clone();
         let mut live = Self::default();
-        let [share, zero_um] = growth_difference(&mut told, learned);
+        let [share, zero_um] = growth_difference(&mut sent, learned);
         live.request_units(0, share * UNITS_PER_SHARE, runs);
         for (place, axis) in LinearAxis::ALL.into_iter().enumerate() {
-            let share = expansion_difference(&mut told, learned, axis);
+            let share = expansion_difference(&mut sent, learned, axis);
             live.request_units(place + 1, share * UNITS_PER_SHARE, runs);
         }
         live.request_units(PART_COUNT - 1, zero_um * UNITS_PER_UM, runs);
         // Caps do not make a correction.
-        told.limits.learned = learned.limits.learned;
-        let [told, learned] = [compile(&told)?, compile(learned)?];
-        let differences = describe_changes(&told.calibration(), &learned.calibration());
+        sent.limits.learned = learned.limits.learned;
+        let [sent, learned] = [compile(&sent)?, compile(learned)?];
+        let differences = describe_changes(&sent.calibration(), &learned.calibration());
         live.rest.extend(
             differences.into_iter().map(|difference| format!("{difference}: only by the new file")),
         );
@@ -107,8 +107,8 @@ fn board_caps(caps: LearnedCaps) -> LearnedLimits {
 }
 
 /// Returns the share and the zero in µm by which the growth differs; `told` gets what they make of it.
-fn growth_difference(told: &mut Machine, learned: &Machine) -> [f64; 2] {
-    let (to, from) = (&mut told.spindle, &learned.spindle);
+fn growth_difference(sent: &mut Machine, learned: &Machine) -> [f64; 2] {
+    let (to, from) = (&mut sent.spindle, &learned.spindle);
     let none = [0.0; 2];
     if to.source != from.source {
         return none;
@@ -147,9 +147,9 @@ fn growth_difference(told: &mut Machine, learned: &Machine) -> [f64; 2] {
 }
 
 /// Returns the share by which the expansion of an axis differs; `told` gets what it makes of it.
-fn expansion_difference(told: &mut Machine, learned: &Machine, axis: LinearAxis) -> f64 {
+fn expansion_difference(sent: &mut Machine, learned: &Machine, axis: LinearAxis) -> f64 {
     let from = learned.axes[axis.index()].thermal.as_ref();
-    let to = told.axes[axis.index()].thermal.as_mut();
+    let to = sent.axes[axis.index()].thermal.as_mut();
     let (Some(to), Some(from)) = (to, from) else { return 0.0 };
     let uses = [to.mode.has_constant(), to.mode.has_position()];
     let was = [to.constant_um_per_c, to.slope_um_per_m_per_c];

@@ -71,9 +71,7 @@ pub(crate) fn overdue_check_note(memory: &LearnerState) -> Option<String> {
     let days = (last_s - since_s) / DAY_S;
     (days >= CHECK_INTERVAL_DAYS).then(|| {
         format!(
-            "No check of the probe for {days:.0} days. With one reference a probe that drifts is learned as the machine, and the \
-             readings cannot say so: measure a certified reference (a ring, a gauge block at a known temperature, or with \
-             another probe) and write the reading less its value at 20 °C into the column check_um."
+            "No check of the probe for {days:.0} days. With one reference the drift of a probe is learned as an error of the machine, and the readings cannot show it. Measure a certified reference (a ring, a gauge block at a known temperature, or with another probe). Write the reading less its value at 20 °C into the column check_um."
         )
     })
 }

@@ -129,15 +129,15 @@ fn restart_changed_constants(
             continue;
         };
         let old = memory.constants[place].believed;
-        let is_kept = is_same(old, constant.believed);
-        if !is_kept {
+        let is_retained = is_same(old, constant.believed);
+        if !is_retained {
             is_news = true;
             notes.push(format!(
                 "{} was changed by hand ({old} to {}): it begins anew from there, the rest stays.",
                 constant.key, constant.believed
             ));
         }
-        from.push(is_kept.then_some(place + 1));
+        from.push(is_retained.then_some(place + 1));
     }
     for (index, old) in memory.constants.iter().enumerate() {
         if !places.contains(&Some(index)) {
@@ -150,7 +150,8 @@ fn restart_changed_constants(
     if !is_all {
         memory.checkpoint = FilterHistory::from_state(memory).bank;
         memory.checkpoint.remap_values(&from, &prior_standard_deviations(&all));
-        memory.checkpoint_s = memory.window.last().and_then(|kept| kept.t).or(memory.checkpoint_s);
+        memory.checkpoint_s =
+            memory.window.last().and_then(|stored| stored.t).or(memory.checkpoint_s);
         memory.first = memory.next_sequence();
         memory.window.clear();
         let applied = from.iter().map(|source| source.map_or(0.0, |index| memory.applied[index]));

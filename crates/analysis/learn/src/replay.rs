@@ -112,16 +112,16 @@ fn window_rows<'a>(
     own: Option<u64>,
     bank: &FilterBank,
 ) -> Option<(Vec<DetectionRow<'a>>, PriorBelief)> {
-    let kept = memory.window.get(index..end)?;
-    let rows = kept
+    let stored = memory.window.get(index..end)?;
+    let rows = stored
         .iter()
         .enumerate()
-        .map(|(n, kept)| {
+        .map(|(n, stored)| {
             let sequence = memory.first + (index + n) as u64;
             DetectionRow {
-                g: &kept.g,
-                h: &kept.h,
-                y_um: corrected_reading(memory, kept, sequence, own),
+                g: &stored.g,
+                h: &stored.h,
+                y_um: corrected_reading(memory, stored, sequence, own),
             }
         })
         .collect();
@@ -132,18 +132,18 @@ fn window_rows<'a>(
         x: bank.persistent_values(),
         constants,
         scatter_um: bank.scatter_um(),
-        unknown_um: kept.iter().map(|kept| bank.prediction_std_um(&kept.g)).collect(),
+        unknown_um: stored.iter().map(|stored| bank.prediction_std_um(&stored.g)).collect(),
     };
     Some((rows, before))
 }
 
 /// Advances `bank` by reading `index` of the window.
 fn advance_filters(memory: &LearnerState, index: usize, bank: &mut FilterBank) -> FilterOutcome {
-    let kept = &memory.window[index];
+    let stored = &memory.window[index];
     let before_s =
         index.checked_sub(1).map_or(memory.checkpoint_s, |previous| memory.window[previous].t);
     let sequence = memory.first + index as u64;
-    bank.advance_time(readings::elapsed_s(before_s, kept.t));
+    bank.advance_time(readings::elapsed_s(before_s, stored.t));
     for event in memory.events.iter().filter(|event| event.sequence == sequence) {
         match &event.action {
             Action::Shift(all) => all.iter().for_each(|shift| bank.shift_value(*shift)),
@@ -151,14 +151,14 @@ fn advance_filters(memory: &LearnerState, index: usize, bank: &mut FilterBank) -
             Action::Zero(_) | Action::Nothing => {}
         }
     }
-    bank.process_reading(&kept.g, corrected_reading(memory, kept, sequence, None))
+    bank.process_reading(&stored.g, corrected_reading(memory, stored, sequence, None))
 }
 
 /// Returns a reading less the prediction of the user's file, counted from the zero of its time and by the checks of the
 /// probe; without the event that begins at `own`.
 pub(crate) fn corrected_reading(
     memory: &LearnerState,
-    kept: &StoredReading,
+    stored: &StoredReading,
     sequence: u64,
     own: Option<u64>,
 ) -> f64 {
@@ -168,7 +168,7 @@ pub(crate) fn corrected_reading(
         .filter(|event| event.sequence <= sequence && Some(event.sequence) != own);
     let zero: f64 =
         steps.map(|event| if let Action::Zero(um) = event.action { um } else { 0.0 }).sum();
-    kept.y - zero - probe_error_um(&memory.checks, kept.t)
+    stored.y - zero - probe_error_um(&memory.checks, stored.t)
 }
 
 /// Returns what the probe reads too much at a time: linear between its checks, the end values outside.

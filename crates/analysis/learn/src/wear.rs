@@ -50,8 +50,9 @@ pub(crate) fn backlash_observations(
             if width_um == 0.0 {
                 return held_um;
             }
-            let others = before.iter().rev().filter(|kept| kept.g[index + 1] == 0.0);
-            let others = others.filter_map(|kept| kept.worn.get(number)).take(COMMON_MODE_READINGS);
+            let others = before.iter().rev().filter(|stored| stored.g[index + 1] == 0.0);
+            let others =
+                others.filter_map(|stored| stored.worn.get(number)).take(COMMON_MODE_READINGS);
             let (sum, count) = others.fold((0.0, 0), |(sum, count), um| (sum + um, count + 1));
             let alike_um =
                 if count == COMMON_MODE_READINGS { sum / COMMON_MODE_READINGS as f64 } else { 0.0 };
@@ -85,13 +86,13 @@ fn add_readings(
             _ => false,
         };
         let since = memory.events.iter().filter(is_new).map(|event| event.sequence).max();
-        for (n, kept) in memory.window[rows.clone()].iter().enumerate() {
+        for (n, stored) in memory.window[rows.clone()].iter().enumerate() {
             let sequence = memory.first + (rows.start + n) as u64;
             if since == Some(sequence) {
                 worn[number] = RegressionSums::default();
             }
-            let (Some(t), Some(first_s)) = (kept.t, memory.first_s) else { continue };
-            let (g, r) = (kept.g[index + 1], kept.worn.get(number));
+            let (Some(t), Some(first_s)) = (stored.t, memory.first_s) else { continue };
+            let (g, r) = (stored.g[index + 1], stored.worn.get(number));
             if let Some(r) = r.filter(|_| g.abs() > 0.0) {
                 worn[number].add(g, *r, (t - first_s) / SECONDS_PER_YEAR);
             }

@@ -66,7 +66,7 @@ fn a_bad_reading_is_refused_with_the_reason_and_one_reading_changes_nothing() {
 }
 
 #[test]
-fn no_bound_is_passed_and_reaching_one_is_told() {
+fn no_bound_is_passed_and_reaching_one_is_reported() {
     let limits = Limits { share: 0.1, ..Limits::default() };
     let learned = taught(&record(0.0, 60, grown), None, &limits);
     assert!(k(&learned.machine) <= 2.2 + 1e-9, "{}", learned.machine);
@@ -115,7 +115,7 @@ fn what_is_known_outlives_the_program_and_a_constant_changed_by_hand_restarts() 
 }
 
 #[test]
-fn a_row_without_a_temperature_teaches_nothing_and_says_so() {
+fn a_row_without_a_temperature_teaches_nothing_and_reports_it() {
     let text = "time_s,temp_a_c,measured_elongation_um\n0,25,10\n60,,55\n";
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
     let learned = taught(&run, None, &Limits::default());
@@ -165,7 +165,7 @@ fn a_record_that_grows_counts_each_reading_once() {
 }
 
 #[test]
-fn a_record_of_an_earlier_date_is_refused_and_a_clock_that_begins_anew_is_told() {
+fn a_record_of_an_earlier_date_is_refused_and_a_clock_that_begins_anew_is_reported() {
     let late = taught(&record(2e9, 20, grown), None, &Limits::default()).memory;
     let early = record(1.9e9, 20, grown);
     let refused = learn(MACHINE, Path::new("m.toml"), &early, None, Some(late), &Limits::default());
@@ -307,7 +307,7 @@ fn an_event_moves_the_correction_by_the_readings_it_rests_on_and_one_reading_by_
 }
 
 #[test]
-fn a_check_of_the_probe_is_taken_off_and_its_absence_is_said() {
+fn a_check_of_the_probe_is_taken_off_and_its_absence_is_reported() {
     // A machine that its file describes, a probe that drifts by 12 µm in eighty days, a reading each half day.
     let file = |is_checked: bool| {
         let mut text = "time_s,temp_a_c,measured_elongation_um,check_um\n".to_string();

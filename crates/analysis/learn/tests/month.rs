@@ -105,13 +105,13 @@ fn twenty_months_are_followed_to_three_and_a_half_micrometres() {
 
 /// Months not looked at while the learner before this one was made; its faults were found on them.
 #[test]
-fn twenty_months_that_nobody_had_looked_at_are_followed_too() {
+fn twenty_months_that_are_new_are_followed_too() {
     holds(&judged(1000..1020, 1000..1020));
 }
 
 /// Months that the learner of version 0.2.0 had not seen. The rule for steps of the zero was chosen with them in view: they
 /// guard it, and are no figures on unseen data any more.
 #[test]
-fn forty_months_without_a_fault_that_nobody_had_looked_at_are_left_alone() {
+fn forty_new_months_without_a_fault_are_left_alone() {
     holds(&judged(2000..2020, 2000..2040));
 }

@@ -107,19 +107,19 @@ fn record(seed: u64, gain: f64, zero_um: f64) -> RunFile {
 }
 
 #[test]
-fn a_sensor_that_leaves_its_model_is_told_with_the_measurement_to_take() {
+fn a_sensor_that_leaves_its_model_is_reported_with_the_measurement_to_take() {
     let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("a machine file");
     let then = record(1, 1.0, 0.0);
-    let told = |run: &RunFile| {
+    let advice = |run: &RunFile| {
         monitor_calibration(&machine, &then, run, None, 1000.0).expect("it can be watched")
     };
-    assert_eq!(told(&record(2, 1.0, 0.0)).alarm, None);
-    let alarm = told(&record(3, 1.0, 4.0)).alarm.expect("4 µm are seen");
+    assert_eq!(advice(&record(2, 1.0, 0.0)).alarm, None);
+    let alarm = advice(&record(3, 1.0, 4.0)).alarm.expect("4 µm are seen");
     assert!((300..331).contains(&alarm.row) && alarm.moved_um > 1.0, "{alarm:?}");
     assert!(alarm.next.contains("whatever the machine does"), "{alarm:?}");
-    let alarm = told(&record(4, 1.3, 0.0)).alarm.expect("a third more is seen");
+    let alarm = advice(&record(4, 1.3, 0.0)).alarm.expect("a third more is seen");
     assert!((300..331).contains(&alarm.row), "{alarm:?}");
-    assert!(alarm.next.contains("goes with the growth"), "{alarm:?}");
+    assert!(alarm.next.contains("depends on the growth"), "{alarm:?}");
     let short = RunFile::from_reader(
         "time_s,temp_a_c,sensor_counts\n0,30,2000\n".as_bytes(),
         Path::new("short.csv"),

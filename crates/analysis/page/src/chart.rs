@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn a_point_that_is_missing_is_left_out_and_without_points_there_is_no_picture() {
+    fn a_point_that_is_missing_is_omitted_and_without_points_there_is_no_picture() {
         let figure = chart(vec![[0.0, 1.0], [1.0, f64::NAN], [2.0, 3.0]]).to_figure();
         assert_eq!(figure.matches("h0").count(), 2);
         assert!(figure.contains("a &lt;b&gt;</span>"), "the legend is beside the picture");

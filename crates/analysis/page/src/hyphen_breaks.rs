@@ -67,7 +67,7 @@ mod tests {
 
     #[test]
     fn words_with_a_hyphen_stay_whole_and_nothing_else_changes() {
-        for (html, wanted) in [
+        for (html, requested) in [
             ("<p>no hyphen, -3 µm</p>", None),
             ("<pre>extra-heat-path</pre>", None),
             ("<svg aria-label=\"a-b\"><text>a-b</text></svg>", None),
@@ -77,7 +77,7 @@ mod tests {
             // A sentence ends its lines where it likes.
             ("<p>the time-shift of 2026-11-22</p>", None),
         ] {
-            assert_eq!(prevent_hyphen_breaks(html), wanted.unwrap_or(html));
+            assert_eq!(prevent_hyphen_breaks(html), requested.unwrap_or(html));
         }
         let long = format!("<p>{}</p>", "a-b".repeat(20));
         assert_eq!(prevent_hyphen_breaks(&long), long);

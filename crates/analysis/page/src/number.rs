@@ -136,7 +136,7 @@ mod tests {
 
     #[test]
     fn a_length_has_the_digits_that_mean_something() {
-        let said = [0.0, 0.0312, 12.3456, f64::NAN].map(format_micrometres);
-        assert_eq!(said, ["0 µm", "0.031 µm", "12.3 µm", "–"]);
+        let formatted = [0.0, 0.0312, 12.3456, f64::NAN].map(format_micrometres);
+        assert_eq!(formatted, ["0 µm", "0.031 µm", "12.3 µm", "–"]);
     }
 }

@@ -21,9 +21,9 @@ impl Page {
             files.iter().map(|(name, crc)| format!("{name} (CRC-32 {crc:08x})")).collect();
         let from =
             if files.is_empty() { String::new() } else { format!(" from {}", files.join(", ")) };
-        let said = escape_html(&format!("Made by trueup {version} on {date} (UTC){from}."));
+        let text = escape_html(&format!("Made by trueup {version} on {date} (UTC){from}."));
         // A path may break behind a slash, and nowhere else.
-        self.add_raw_html(&format!("<p class=\"soft\">{}</p>\n", said.replace('/', "/<wbr>")));
+        self.add_raw_html(&format!("<p class=\"soft\">{}</p>\n", text.replace('/', "/<wbr>")));
     }
 
     /// Lines to be filled in by hand: who has measured what by what, and who answers for it.
@@ -57,8 +57,8 @@ mod tests {
             files,
         });
         let html = page.to_html();
-        let said = "Made by trueup 1.2.3 on 2026-11-22 (UTC) from a.csv (CRC-32 cbf43926), \
+        let message = "Made by trueup 1.2.3 on 2026-11-22 (UTC) from a.csv (CRC-32 cbf43926), \
                     &lt;m&gt; (CRC-32 00000001).";
-        assert!(html.contains(said), "{html}");
+        assert!(html.contains(message), "{html}");
     }
 }

@@ -94,11 +94,11 @@ pub fn fit_line(x: &[f64], y: &[f64]) -> Result<LineFit, FitError> {
     // From the means, not from the offset: it is far away where x lies far from 0.
     let residual = |(x, y): (&f64, &f64)| (y - mean_y) - gain * (x - mean_x);
     let residuals: Vec<f64> = x.iter().zip(y).map(residual).collect();
-    let left_out = |(x, residual): (&f64, &f64)| {
+    let held_out = |(x, residual): (&f64, &f64)| {
         let own_weight = 1.0 / n + (x - mean_x).powi(2) / spread;
         residual / (1.0 - own_weight)
     };
-    let leave_one_out_residuals = x.iter().zip(&residuals).map(left_out).collect();
+    let leave_one_out_residuals = x.iter().zip(&residuals).map(held_out).collect();
     Ok(LineFit { gain, offset, residuals, leave_one_out_residuals })
 }
 

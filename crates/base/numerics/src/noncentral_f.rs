@@ -58,8 +58,13 @@ pub fn power(significance: f64, constants: f64, freedom: f64, noncentrality: f64
 
 /// Returns the noncentrality that such a test finds with the chance `wanted`; infinite where none does.
 #[must_use]
-pub fn required_noncentrality(wanted: f64, significance: f64, constants: f64, freedom: f64) -> f64 {
-    let finds = |lambda: f64| power(significance, constants, freedom, lambda) >= wanted;
+pub fn required_noncentrality(
+    requested: f64,
+    significance: f64,
+    constants: f64,
+    freedom: f64,
+) -> f64 {
+    let finds = |lambda: f64| power(significance, constants, freedom, lambda) >= requested;
     let (mut low, mut high) = (0.0, 1.0);
     while !finds(high) {
         (low, high) = (high, 2.0 * high);

@@ -288,14 +288,14 @@ impl<'a> Program<'a> {
         }
         let is_in: Vec<bool> = out.iter().map(|value| !value).collect();
         if !is_in[0] {
-            self.report_problem(format!("{} is left out from its entry on", graph.name));
+            self.report_problem(format!("{} is excluded from its entry on", graph.name));
             return None;
         }
         let graph = control_flow::subgraph(graph.name, graph.blocks, &is_in);
         let is_kept = returning_blocks(&graph, &|_| true);
         if !is_kept[0] {
             self.report_problem(format!(
-                "{} never comes back without what is left out",
+                "{} never returns without the excluded blocks",
                 graph.name
             ));
             return None;

@@ -66,8 +66,8 @@ fn is_expected_version(program: &Path, name: &str, version: &str) -> bool {
     // As cargo calls it: cargo-mutants knows no option without its verb.
     let verb = name.strip_prefix("cargo-");
     // Behind the name: `cargo-deny 0.20.2`, `mdbook v0.5.4`.
-    process::capture_stdout(Command::new(program).args(verb).arg("--version")).is_ok_and(|said| {
-        let said = said.split_whitespace().nth(1).unwrap_or_default();
-        said.trim_start_matches('v') == version
+    process::capture_stdout(Command::new(program).args(verb).arg("--version")).is_ok_and(|stdout| {
+        let stdout = stdout.split_whitespace().nth(1).unwrap_or_default();
+        stdout.trim_start_matches('v') == version
     })
 }

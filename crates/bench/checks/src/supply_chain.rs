@@ -13,15 +13,15 @@ use crate::{cargo, tally::Tally};
 /// It is older, or does not say what it is.
 pub(crate) fn check_compiler() -> Result<Tally> {
     let rustc = std::env::var_os("RUSTC").unwrap_or("rustc".into());
-    let said = process::capture_stdout(Command::new(rustc).arg("--version"))?;
+    let stdout = process::capture_stdout(Command::new(rustc).arg("--version"))?;
     let manifest = std::fs::read_to_string(setup::project_root().join("Cargo.toml"))?;
     let oldest = manifest
         .lines()
         .find_map(|line| line.strip_prefix("rust-version = "))
         .context("Cargo.toml states no rust-version")?
         .trim_matches('"');
-    trueup_output::write_line(format_args!("{} ({oldest} or newer is needed)", said.trim()));
-    let version = said.split_whitespace().nth(1).unwrap_or_default();
+    trueup_output::write_line(format_args!("{} ({oldest} or newer is needed)", stdout.trim()));
+    let version = stdout.split_whitespace().nth(1).unwrap_or_default();
     ensure!(
         parse_major_minor(version) >= parse_major_minor(oldest),
         "this compiler is older than {oldest}"
@@ -65,9 +65,9 @@ pub(crate) fn check_crates() -> Result<Tally> {
     tally.merge(match check_advisories()? {
         Advisories::None(_) => Tally::with_passed(1),
         // The world finds a hole on any day; that must not stop who has changed nothing.
-        Advisories::Known(said) => {
-            Tally::report_unavailable(&format!("cargo-deny advisories, to be looked at: {said}"))
-        }
+        Advisories::Known(advisories) => Tally::report_unavailable(&format!(
+            "cargo-deny advisories, to be looked at: {advisories}"
+        )),
         Advisories::NotHad => {
             Tally::report_unavailable(&format!("cargo-deny advisories: {DATABASE_UNAVAILABLE}"))
         }
@@ -99,7 +99,7 @@ fn check_advisories() -> Result<Advisories> {
         .args(["--locked", "check", "--disable-fetch", "advisories"])
         .current_dir(setup::project_root());
     Ok(match process::capture_stdout(&mut check) {
-        Ok(said) => Advisories::None(said),
+        Ok(advisories) => Advisories::None(advisories),
         Err(error) => Advisories::Known(format!("{error:#}")),
     })
 }
@@ -112,13 +112,13 @@ pub(crate) fn vulnerability_report() -> Result<(String, Option<String>)> {
     let head = "Known vulnerabilities of the crates in Cargo.lock, by the advisories of the Rust project (RustSec)";
     // The place of the files on this computer is not handed out.
     let plain =
-        |said: String| said.replace(&setup::project_root().display().to_string(), "/trueup");
+        |message: String| message.replace(&setup::project_root().display().to_string(), "/trueup");
     Ok(match check_advisories()? {
-        Advisories::None(said) => (format!("{head}: none.\n{}", plain(said)), None),
-        Advisories::Known(said) => {
+        Advisories::None(message) => (format!("{head}: none.\n{}", plain(message)), None),
+        Advisories::Known(message) => {
             let missing =
                 "vulnerabilities.txt lists advisories: decide on each before it is handed out";
-            (format!("{head}:\n{}\n", plain(said)), Some(missing.into()))
+            (format!("{head}:\n{}\n", plain(message)), Some(missing.into()))
         }
         Advisories::NotHad => {
             let lines = "cargo deny fetch db && cargo deny check advisories";

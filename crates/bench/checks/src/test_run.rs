@@ -166,11 +166,11 @@ fn run_program(
 /// It cannot be started, or what it says cannot be kept.
 pub(crate) fn run_test_command(name: &str, command: &mut Command) -> Result<Tally> {
     let started = Instant::now();
-    let (tally, said) = run_and_tally(name, command)?;
+    let (tally, output_text) = run_and_tally(name, command)?;
     let folder = setup::project_root().join("target/verify");
     fs::create_dir_all(&folder)?;
     let file = folder.join(format!("{}.txt", name.replace('/', "-")));
-    fs::write(&file, &said).with_context(|| format!("cannot write {}", file.display()))?;
+    fs::write(&file, &output_text).with_context(|| format!("cannot write {}", file.display()))?;
     if tally.passed + tally.failed + tally.lacking == 0 {
         // None of its tests is of this tier.
         return Ok(tally);
@@ -178,9 +178,9 @@ pub(crate) fn run_test_command(name: &str, command: &mut Command) -> Result<Tall
     let took = started.elapsed().as_secs_f64();
     let mut piece = format!("{took:7.1} s  {name}: {} passed", tally.passed);
     if tally.failed > 0 {
-        piece += &format!(", {} FAILED\n{}", tally.failed, failure_output(&said));
+        piece += &format!(", {} FAILED\n{}", tally.failed, failure_output(&output_text));
     }
-    for line in said.lines().filter(|line| line.starts_with("skipped:")) {
+    for line in output_text.lines().filter(|line| line.starts_with("skipped:")) {
         piece += &format!("\n           {line}");
     }
     // In one piece: two programs run at a time.
@@ -189,11 +189,11 @@ pub(crate) fn run_test_command(name: &str, command: &mut Command) -> Result<Tall
 }
 
 /// Returns what a program of tests said of those that failed, or its last lines if it did not come to that.
-fn failure_output(said: &str) -> String {
-    if let Some(start) = said.find("\nfailures:\n") {
-        return said[start..].into();
+fn failure_output(text: &str) -> String {
+    if let Some(start) = text.find("\nfailures:\n") {
+        return text[start..].into();
     }
-    let lines: Vec<_> = said.lines().collect();
+    let lines: Vec<_> = text.lines().collect();
     lines[lines.len().saturating_sub(MAX_TAIL_LINES)..].join("\n")
 }
 
@@ -202,13 +202,13 @@ fn run_and_tally(name: &str, command: &mut Command) -> Result<(Tally, String)> {
     let mut child = command.spawn().with_context(|| format!("cannot start {name}"))?;
     let output = child.stdout.take().context("the output was asked for")?;
     let mut tally = Tally::default();
-    let mut said = String::new();
+    let mut text = String::new();
     let mut last = Instant::now();
     for line in BufReader::new(output).split(b'\n') {
         let line = line?;
         let line = String::from_utf8_lossy(&line);
-        said.push_str(&line);
-        said.push('\n');
+        text.push_str(&line);
+        text.push('\n');
         if tally.record_line(name, &line, last.elapsed()) {
             last = Instant::now();
         }
@@ -216,11 +216,11 @@ fn run_and_tally(name: &str, command: &mut Command) -> Result<(Tally, String)> {
     // A program that dies, or does not even compile, prints no failure.
     if !child.wait()?.success() && tally.failed == 0 {
         let ended = format!("{name} ended before its tests had");
-        said.push_str(&ended);
+        text.push_str(&ended);
         tally.failed = 1;
         tally.failures.push(ended);
     }
-    Ok((tally, said))
+    Ok((tally, text))
 }
 
 #[cfg(test)]
@@ -228,13 +228,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_program_that_dies_has_failed_whatever_it_said() -> Result<()> {
+    fn a_program_that_dies_has_failed_whatever_it_printed() -> Result<()> {
         let mut command = Command::new("sh");
         command.args(["-c", "echo 'test a ... ok'; exit 101"]);
-        let (tally, said) = run_and_tally("x", &mut command)?;
+        let (tally, output_text) = run_and_tally("x", &mut command)?;
         assert_eq!((tally.failed, tally.times.len()), (1, 1));
         assert_eq!(tally.failures, ["x ended before its tests had"]);
-        assert!(failure_output(&said).contains("ended before"), "{said}");
+        assert!(failure_output(&output_text).contains("ended before"), "{output_text}");
         Ok(())
     }
 
@@ -263,10 +263,10 @@ mod tests {
     }
 
     #[test]
-    fn what_the_failed_said_is_printed_without_the_rest() {
-        let said = "test a ... ok\ntest b ... FAILED\n\nsuccesses:\n\n---- a stdout ----\nfine\n\n\
+    fn the_output_of_the_failed_is_printed_without_the_rest() {
+        let message = "test a ... ok\ntest b ... FAILED\n\nsuccesses:\n\n---- a stdout ----\nfine\n\n\
                     failures:\n\n---- b stdout ----\nassertion failed\n";
-        let printed = failure_output(said);
+        let printed = failure_output(message);
         assert!(printed.contains("assertion failed") && !printed.contains("fine"), "{printed}");
     }
 }

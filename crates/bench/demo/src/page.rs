@@ -35,8 +35,8 @@ fn add_act_two(page: &mut Page, two: &ActTwoResult) {
     let it = &two.outcome;
     page.add_heading(&format!("A hidden fault, seed {}", it.seed));
     page.add_paragraph(&format!(
-        "Chance has broken a virtual machine tool ({}), and the diagnosis is not told how. The bridge ran a \
-         shift with the file that its user believes; its own record beside a gauge was diagnosed, the \
+        "Chance has broken a virtual machine tool ({}), and the diagnosis does not know how. The bridge ran a \
+         shift with the file that its user believes; its own record next to a gauge was diagnosed, the \
          extended file loaded over the line, and the machine ran another day.",
         it.machine
     ));

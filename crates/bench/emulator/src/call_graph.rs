@@ -385,7 +385,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_followed_is_told() {
+    fn what_cannot_be_followed_is_reported() {
         let of = |half: u16| decode_branches(&half.to_le_bytes(), 0, |_| false);
         assert!(of(0x4798).by_register, "blx r3");
         assert!(of(0x4718).by_register, "bx r3");

@@ -37,8 +37,8 @@ fn target_folder() -> PathBuf {
 /// It does not say which it is.
 pub fn is_compiler_supported() -> Result<bool> {
     let rustc = std::env::var_os("RUSTC").unwrap_or("rustc".into());
-    let said = process::capture_stdout(Command::new(rustc).arg("--version"))?;
-    let version = said.split_whitespace().nth(1).unwrap_or_default();
+    let stdout = process::capture_stdout(Command::new(rustc).arg("--version"))?;
+    let version = stdout.split_whitespace().nth(1).unwrap_or_default();
     let mut numbers = version.split('.').map_while(|number| number.parse().ok());
     Ok(numbers.next().zip(numbers.next()) >= Some(MIN_COMPILER_VERSION))
 }
@@ -64,7 +64,7 @@ pub struct RunReport {
     /// Whether nothing was done that silicon would not do.
     pub clean: bool,
     /// The model's standard output: the traffic on the wires, and its report.
-    pub said: String,
+    pub stdout: String,
     /// The image's log, decoded.
     pub log: Vec<String>,
     /// The board's traffic on its wires and its resets, a line an event: the time in ms, then
@@ -112,7 +112,7 @@ fn run_with_log<S: AsRef<OsStr>>(
     }
     command.stdin(Stdio::null());
     let output = command.output().context("cannot start the model of the chip")?;
-    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    let stdout = String::from_utf8_lossy(&output.stdout).into_owned();
     let complaint = String::from_utf8_lossy(&output.stderr);
     anyhow::ensure!(
         output.status.code().is_some_and(|code| code < 2),
@@ -121,7 +121,7 @@ fn run_with_log<S: AsRef<OsStr>>(
         complaint.trim()
     );
     let events = std::fs::read_to_string(events)?.lines().map(Into::into).collect();
-    Ok(RunReport { clean: output.status.success(), said, log: Vec::new(), events })
+    Ok(RunReport { clean: output.status.success(), stdout, log: Vec::new(), events })
 }
 
 /// Makes the pipe of the model's log in a folder. It is open both ways until the file is dropped, so that no process

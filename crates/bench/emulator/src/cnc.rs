@@ -63,17 +63,17 @@ impl<S: Read + Write> CncClient<S> {
     /// The line breaks, or the board refuses.
     pub fn query(&mut self, line: &str) -> Result<String> {
         self.write(format!("{line}\r").as_bytes())?;
-        let mut kept = VecDeque::new();
+        let mut retained = VecDeque::new();
         let answer = loop {
             match self.next_event()? {
                 Event::Accepted => break String::new(),
                 Event::Other(text) => break String::from_utf8_lossy(&text).into_owned(),
                 Event::Refused => bail!("the board refuses the line {line:?}"),
-                event @ (Event::Frame(_) | Event::Malformed(_)) => kept.push_back(event),
+                event @ (Event::Frame(_) | Event::Malformed(_)) => retained.push_back(event),
             }
         };
-        kept.append(&mut self.waiting);
-        self.waiting = kept;
+        retained.append(&mut self.waiting);
+        self.waiting = retained;
         Ok(answer)
     }
 
@@ -185,7 +185,7 @@ mod tests {
     /// A board that answers what the test says.
     struct Script {
         answers: io::Cursor<Vec<u8>>,
-        asked: Vec<u8>,
+        requests: Vec<u8>,
     }
 
     impl Read for Script {
@@ -197,7 +197,7 @@ mod tests {
 
     impl Write for Script {
         fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-            self.asked.write(bytes)
+            self.requests.write(bytes)
         }
 
         fn flush(&mut self) -> io::Result<()> {
@@ -209,9 +209,9 @@ mod tests {
     fn it_opens_as_every_slcan_program_does_and_keeps_frames_that_come_between() {
         // The end of a line, the answer to half a line, to C and to V, then to S8 and O.
         let answers = b"05\r\x07\rV1013\r\rt7011\x305\r\rV1013\r".to_vec();
-        let script = Script { answers: io::Cursor::new(answers), asked: Vec::new() };
+        let script = Script { answers: io::Cursor::new(answers), requests: Vec::new() };
         let mut cnc = CncClient::open(script).expect("three answers");
-        assert_eq!(cnc.stream.asked, b"\rC\rV\rS8\rO\r");
+        assert_eq!(cnc.stream.requests, b"\rC\rV\rS8\rO\r");
         assert_eq!(cnc.query("V").expect("an answer"), "V1013");
         let heartbeat = Frame::new(0x701, &[5]).expect("valid");
         assert_eq!(cnc.next_event().expect("kept"), Event::Frame(heartbeat));
@@ -220,7 +220,7 @@ mod tests {
     #[test]
     fn a_refusal_names_the_line() {
         let script =
-            Script { answers: io::Cursor::new(b"\r\rV1013\r\x07".to_vec()), asked: Vec::new() };
+            Script { answers: io::Cursor::new(b"\r\rV1013\r\x07".to_vec()), requests: Vec::new() };
         let error = CncClient::open(script).err().expect("refused");
         assert!(error.to_string().contains("\"S8\""), "{error}");
     }
@@ -228,7 +228,7 @@ mod tests {
     #[test]
     fn every_identifier_counts_for_itself() {
         let answers = [&b"\rV1013\r\r\r"[..], &b"z\r".repeat(12)].concat();
-        let script = Script { answers: io::Cursor::new(answers), asked: Vec::new() };
+        let script = Script { answers: io::Cursor::new(answers), requests: Vec::new() };
         let mut cnc = CncClient::open(script).expect("three answers");
         for _ in 0..3 {
             for axis in LinearAxis::ALL {
@@ -240,7 +240,7 @@ mod tests {
         }
         let mut receiver = Receiver::new();
         let mut client = Client::new();
-        for &byte in &cnc.stream.asked {
+        for &byte in &cnc.stream.requests {
             if let Some(Event::Frame(frame)) = client.receive(byte) {
                 receiver.accept(&frame).expect("in order");
             }

@@ -64,7 +64,7 @@ pub fn run(model: &Path, image: &Path, clock: &ClockScenario, later_ms: u32) -> 
 #[must_use]
 pub fn max_handler_times_us(report: &RunReport) -> BTreeMap<u32, [f64; 2]> {
     let (_, rest) =
-        report.said.split_once("turns at the longest, by exception: ").unwrap_or_default();
+        report.stdout.split_once("turns at the longest, by exception: ").unwrap_or_default();
     let turns = rest.lines().next().unwrap_or_default().split(", ");
     let turns = turns.filter_map(|turn| {
         let (number, times) = turn.strip_suffix(" µs")?.split_once(": ")?;

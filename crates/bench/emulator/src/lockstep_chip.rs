@@ -25,7 +25,7 @@ pub struct LockstepChip {
     child: Child,
     /// Closed to end it.
     world: Option<ChildStdin>,
-    said: BufReader<ChildStdout>,
+    stdout: BufReader<ChildStdout>,
     port: u16,
     now_ms: u64,
     log: Arc<Mutex<Vec<String>>>,
@@ -60,11 +60,11 @@ impl LockstepChip {
             }
         });
         let world = child.stdin.take();
-        let said = child.stdout.take().context("its output was asked for")?;
+        let stdout = child.stdout.take().context("its output was asked for")?;
         let mut board = Self {
             child,
             world,
-            said: BufReader::new(said),
+            stdout: BufReader::new(stdout),
             port,
             now_ms: 0,
             log,
@@ -119,7 +119,7 @@ impl LockstepChip {
     pub fn power_off(mut self) -> Result<()> {
         drop(self.world.take());
         let mut report = String::new();
-        self.said.read_to_string(&mut report)?;
+        self.stdout.read_to_string(&mut report)?;
         let status = self.child.wait()?;
         ensure!(status.success(), "the model of the chip objects:\n{report}");
         Ok(())
@@ -132,7 +132,7 @@ impl LockstepChip {
 
     fn read_line(&mut self) -> Result<String> {
         let mut line = String::new();
-        if self.said.read_line(&mut line)? == 0 {
+        if self.stdout.read_line(&mut line)? == 0 {
             bail!("the model of the chip has ended");
         }
         Ok(line)

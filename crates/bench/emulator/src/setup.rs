@@ -152,11 +152,11 @@ pub fn ensure_qemu() -> Result<PathBuf> {
 pub fn ensure_python() -> Result<PathBuf> {
     let _alone = lock_setup()?;
     let requirements = project_root().join("host-tests/python/requirements.txt");
-    let wanted = fs::read_to_string(&requirements).context("the list of Python packages")?;
+    let requested = fs::read_to_string(&requirements).context("the list of Python packages")?;
     let folder = project_root().join("target/python");
     let python = folder.join("bin/python");
     let stamp = folder.join("installed.txt");
-    if fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) {
+    if fs::read_to_string(&stamp).is_ok_and(|installed| installed == requested) {
         return Ok(python);
     }
     if process::find_on_path("python3").is_none() {
@@ -182,7 +182,7 @@ pub fn ensure_python() -> Result<PathBuf> {
         "-r",
     ];
     process::run(Command::new(&python).args(pip).arg(&requirements))?;
-    fs::write(stamp, wanted)?;
+    fs::write(stamp, requested)?;
     Ok(python)
 }
 

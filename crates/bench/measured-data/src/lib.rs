@@ -20,8 +20,8 @@ pub(crate) const DATA_DIR_ENV_VAR: &str = "TRUEUP_DATA";
 /// `name` is its path below the folder, `ess_iso230/x.csv` say.
 #[must_use]
 pub fn find_file(name: &str) -> Option<PathBuf> {
-    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../../shared/data");
-    let folder = env::var_os(DATA_DIR_ENV_VAR).map_or(beside, PathBuf::from);
+    let adjacent = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../../shared/data");
+    let folder = env::var_os(DATA_DIR_ENV_VAR).map_or(adjacent, PathBuf::from);
     let found = find_in_folder(&folder, name);
     if found.is_none() {
         // `cargo verify` counts this line …

@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn a_dead_flash_takes_nothing_and_says_so() {
+    fn a_dead_flash_takes_nothing_and_reports_it() {
         let mut journal = Journal::open(Flash { dead: true, ..Flash::erased() });
         assert_eq!(journal.commit(state(1)), Err(JournalWriteError));
         assert_eq!((journal.state(), journal.is_settled), (BootState::default(), false));

@@ -95,7 +95,7 @@ pub fn decode(frame: &Frame) -> Result<Emergency, DecodeError> {
 #[derive(Clone, Debug)]
 pub struct EmergencyProducer {
     /// Reported as present.
-    told: Faults,
+    reported: Faults,
     /// Present at some time since they were last reported as gone.
     seen: Faults,
     history: heapless::Deque<u32, ERROR_HISTORY_LEN>,
@@ -107,7 +107,7 @@ pub struct EmergencyProducer {
 impl Default for EmergencyProducer {
     fn default() -> Self {
         Self {
-            told: Faults::default(),
+            reported: Faults::default(),
             seen: Faults::default(),
             history: heapless::Deque::new(),
             inhibit: default_inhibit_time(),
@@ -137,22 +137,24 @@ impl EmergencyProducer {
         if self.since_ms.saturating_mul(10) < self.inhibit.into() {
             return None;
         }
-        let has_come = |fault: &Fault| self.seen.contains(*fault) && !self.told.contains(*fault);
-        let has_gone = |fault: &Fault| self.told.contains(*fault) && !now.contains(*fault);
+        let has_come =
+            |fault: &Fault| self.seen.contains(*fault) && !self.reported.contains(*fault);
+        let has_gone = |fault: &Fault| self.reported.contains(*fault) && !now.contains(*fault);
         let (fault, code) = if let Some(fault) = Fault::ALL.into_iter().find(has_come) {
             (fault, fault.code())
         } else {
             (Fault::ALL.into_iter().find(has_gone)?, 0)
         };
         if code == 0 {
-            self.told = self.told.without(fault);
+            self.reported = self.reported.without(fault);
             self.seen = self.seen.without(fault);
         } else {
-            self.told = self.told.with_if(true, fault);
+            self.reported = self.reported.with_if(true, fault);
             self.push_history(code, fault);
         }
         self.since_ms = 0;
-        let (register, flags, quality) = (self.told.error_register(), output.flags, output.quality);
+        let (register, flags, quality) =
+            (self.reported.error_register(), output.flags, output.quality);
         Some(encode(&Emergency { code, register, fault, flags, quality }))
     }
 

@@ -311,7 +311,7 @@ mod tests {
     };
 
     #[test]
-    fn each_part_is_held_to_its_limit_and_any_that_is_held_is_told() {
+    fn each_part_is_held_to_its_limit_and_any_that_is_held_is_reported() {
         for bits in 0..16_u8 {
             let part = |bit: u8| FineNanometres(if bits & bit == 0 { 10 } else { -300 });
             let error = AxisErrorComponents {
@@ -383,7 +383,7 @@ mod tests {
     }
 
     #[test]
-    fn each_table_that_a_position_is_outside_of_is_told_alone() {
+    fn each_table_that_a_position_is_outside_of_is_reported_alone() {
         let point = [256_i32.to_le_bytes(); 2];
         let segments = [Segment::new(Position(100), 16, [256, 0, 0, 0]).to_bytes()];
         let curve = Curve::new(Position(0), &segments, &[[0, 0]], 16);

@@ -24,7 +24,7 @@
 //! | does not engage, or is not referenced | | to 0, at the slew limit | ramping out |
 //! | any of these, offset arrived at 0 | sensor and temperatures believable | 0 | off |
 //! | any of these, offset arrived at 0 | faulty or missing | none | fault |
-//! | any, while the offset is barred ([`State::set_inhibited`]) | | to 0, at the slew limit; then none | ramping out; fault |
+//! | any, while the offset is inhibited ([`State::set_inhibited`]) | | to 0, at the slew limit; then none | ramping out; fault |
 //!
 //! Lost and returned is no jump: every way back goes through the slew limit. From one source of the
 //! elongation to another the offset goes on where it was (`sources`).
@@ -165,11 +165,11 @@ impl<'a> Bridge<'a> {
             }
             CncMessage::Conditions(conditions) => self.receive_conditions(state, conditions),
             CncMessage::Rotary(Rotary { angles }) => self.receive_angles(state, angles),
-            CncMessage::Position(heard) => {
-                if let Some(axis) = self.calibration.axes.get(heard.axis as usize)
-                    && state.receive_position(heard, axis)
+            CncMessage::Position(received) => {
+                if let Some(axis) = self.calibration.axes.get(received.axis as usize)
+                    && state.receive_position(received, axis)
                 {
-                    self.update_axis_position(state, heard.axis);
+                    self.update_axis_position(state, received.axis);
                 }
             }
         }

@@ -99,8 +99,9 @@ mod tests {
     fn what_stays_is_followed_to_a_quarter_of_a_step() {
         // A step up and down again: e⁻¹⁰ of it is left after ten seconds.
         let all = followed((0..400).map(|n| if n < 200 { STEP.0 } else { 0 }));
-        let near =
-            |value: i32, wanted: i32| value.abs_diff(wanted) <= 1 + STEP.0.unsigned_abs() / 10_000;
+        let near = |value: i32, requested: i32| {
+            value.abs_diff(requested) <= 1 + STEP.0.unsigned_abs() / 10_000
+        };
         assert!(near(all[399], STEP.0 / 4), "{}", all[399]);
         // 1 K/min: a second of it, and a quarter of a step.
         let per_reading = Temperature::PER_KELVIN / 600;

@@ -116,9 +116,9 @@ mod tests {
                 channels.receive(2, Some(Temperature(20_000)));
                 faulty(channels)
             };
-            let told = (1..10_000).find(|n| stops(&mut channels, *n)[0]);
-            assert_eq!(told.is_some(), others_go_on);
-            if let Some(readings) = told {
+            let reported = (1..10_000).find(|n| stops(&mut channels, *n)[0]);
+            assert_eq!(reported.is_some(), others_go_on);
+            if let Some(readings) = reported {
                 assert!((400..=404).contains(&readings), "{readings}");
                 assert_eq!(faulty(&channels), [true, false, false], "a quiet one is not judged");
                 for n in 0..100 {

@@ -150,9 +150,9 @@ mod tests {
     }
 
     #[track_caller]
-    fn assert_near(got: [f64; 3], wanted: [f64; 3]) {
-        for (got_component, wanted_component) in got.into_iter().zip(wanted) {
-            assert!((got_component - wanted_component).abs() < 5e-9, "{got:?} {wanted:?}");
+    fn assert_near(got: [f64; 3], requested: [f64; 3]) {
+        for (got_component, requested_component) in got.into_iter().zip(requested) {
+            assert!((got_component - requested_component).abs() < 5e-9, "{got:?} {requested:?}");
         }
     }
 
@@ -264,9 +264,9 @@ mod tests {
             let head = Kinematics { zero, axes };
             let got = head.tool_direction(angles).0.map(|component| f64::from(component) / ONE);
             let v = zero.0.map(|component| f64::from(component) / ONE);
-            let wanted = rodrigues(axes[0], angles[0], rodrigues(axes[1], angles[1], v));
-            for (got, wanted) in got.into_iter().zip(wanted) {
-                component = component.max((got - wanted).abs());
+            let requested = rodrigues(axes[0], angles[0], rodrigues(axes[1], angles[1], v));
+            for (got, requested) in got.into_iter().zip(requested) {
+                component = component.max((got - requested).abs());
             }
             stretch = stretch.max((length(got) - 1.0).abs());
         }

@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn each_axis_stops_at_its_own_clamp_and_says_so() {
+    fn each_axis_stops_at_its_own_clamp_and_reports_it() {
         let mut applied = AppliedOffset::default();
         let far = [Nanometres(i32::MAX), Nanometres(i32::MIN), Nanometres(3_000)];
         let status = applied.step(&LIMITS, far, u32::MAX);

@@ -280,9 +280,9 @@ mod tests {
                     _ => next_random(&mut seed) as i32,
                 };
                 let (value, outside) = table.error_at(Position(p));
-                let (wanted, beyond) = exact(&values, start, step, p);
+                let (requested, beyond) = exact(&values, start, step, p);
                 assert_eq!(outside, beyond, "{p} in {start} + {count} times {step}");
-                worst = worst.max((f64::from(value.0) - wanted).abs() / 256.0);
+                worst = worst.max((f64::from(value.0) - requested).abs() / 256.0);
             }
         }
         std::println!("largest error of a table: {worst:.4} nm");
@@ -369,10 +369,11 @@ mod tests {
                 let reversal = Fraction(next_random(&mut seed) >> 1);
                 let [(forward, _), (reverse, beyond)] =
                     tables.each_ref().map(|table| exact(table, -MM, step, p));
-                let wanted = forward + (reverse - forward) * f64::from(reversal.0) / 2f64.powi(31);
+                let requested =
+                    forward + (reverse - forward) * f64::from(reversal.0) / 2f64.powi(31);
                 let (error, outside) = pitch.error_at(Position(p), reversal);
                 assert_eq!(outside, beyond);
-                worst = worst.max((f64::from(error.0) - wanted).abs() / 256.0);
+                worst = worst.max((f64::from(error.0) - requested).abs() / 256.0);
             }
         }
         std::println!("largest error of two tables: {worst:.4} nm");
@@ -385,13 +386,16 @@ mod tests {
             let beam = Beam::new(Position(first * MM), Position(second * MM));
             for y in (-16_000..16_000).step_by(250) {
                 let w = f64::from(y - first) / f64::from(second - first);
-                let wanted = 2_000.0 + 4_000.0 * w.clamp(0.0, 1.0);
+                let requested = 2_000.0 + 4_000.0 * w.clamp(0.0, 1.0);
                 let error = beam.interpolate(
                     FineNanometres(2_000),
                     FineNanometres(6_000),
                     Position(y * MM),
                 );
-                assert!((f64::from(error.0) - wanted).abs() <= 1.0, "{y}: {error:?} {wanted}");
+                assert!(
+                    (f64::from(error.0) - requested).abs() <= 1.0,
+                    "{y}: {error:?} {requested}"
+                );
             }
         }
         let nowhere = Beam::new(Position(5), Position(5));

@@ -280,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn a_broken_wire_and_a_short_circuit_are_told_apart() {
+    fn a_broken_wire_and_a_short_circuit_are_distinguished() {
         assert_eq!(temperature_from_resistance(MicroOhms(i32::MIN)), Err(ResistanceFault::Short));
         assert_eq!(temperature_from_resistance(MicroOhms(0)), Err(ResistanceFault::Short));
         assert_eq!(

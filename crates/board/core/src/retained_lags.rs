@@ -99,11 +99,11 @@ impl Default for RetainedLags {
 impl RetainedLags {
     /// Takes in one more; the same one again is no more.
     #[inline(never)]
-    pub fn store(&mut self, kept: RetainedLag) {
+    pub fn store(&mut self, retained: RetainedLag) {
         let is_its =
-            |place: &&mut Option<RetainedLag>| place.is_none_or(|there| there.key == kept.key);
+            |place: &&mut Option<RetainedLag>| place.is_none_or(|there| there.key == retained.key);
         if let Some(place) = self.lags.iter_mut().find(is_its) {
-            *place = Some(kept);
+            *place = Some(retained);
         }
     }
 
@@ -111,7 +111,7 @@ impl RetainedLags {
     #[must_use]
     #[inline(never)]
     pub fn find(&self, key: RetainedLagKey) -> Option<RetainedLag> {
-        self.lags.into_iter().flatten().find(|kept| kept.key == key)
+        self.lags.into_iter().flatten().find(|retained| retained.key == key)
     }
 }
 
@@ -125,7 +125,7 @@ mod tests {
     /// Twice as fast.
     const FAST: SmoothingFactor = SmoothingFactor(42_735_832);
 
-    fn kept(input: u8) -> RetainedLag {
+    fn retained_lag(input: u8) -> RetainedLag {
         let key = RetainedLagKey { input, rising: SLOW, falling: FAST };
         RetainedLag { key, lag: Lag::settled_at(200_000_000), running_ms: 90_000 }
     }
@@ -139,11 +139,12 @@ mod tests {
             smoothing_cooling: FAST,
             full: 0,
         };
-        let RetainedLag { lag, running_ms, .. } = kept(RetainedLagKey::SPINDLE_RUNNING_INPUT);
+        let RetainedLag { lag, running_ms, .. } =
+            retained_lag(RetainedLagKey::SPINDLE_RUNNING_INPUT);
         let mut state = WarmupModelState { running_ms, heat: lag };
         for steps in 1..2_000 {
             law.step(&mut state, 0);
-            let after = kept(RetainedLagKey::SPINDLE_RUNNING_INPUT).after_power_off(steps);
+            let after = retained_lag(RetainedLagKey::SPINDLE_RUNNING_INPUT).after_power_off(steps);
             assert_eq!(after.running_ms, 0);
             let apart = after.lag.value().abs_diff(state.heat.value());
             assert!(apart <= 20, "{steps}: {apart} of 200 000 000");
@@ -153,28 +154,28 @@ mod tests {
 
     #[test]
     fn what_grows_with_time_goes_back_a_lag_of_a_temperature_waits_for_it_and_a_reset_is_no_time() {
-        let time = kept(RetainedLagKey::TIME_INPUT).after_power_off(200);
+        let time = retained_lag(RetainedLagKey::TIME_INPUT).after_power_off(200);
         let expected = 200_000_000.0 * (-20.0_f64 / 10.0).exp();
         assert!((f64::from(time.lag.value()) - expected).abs() < 20_000.0, "{time:?}");
-        let channel = kept(7).after_power_off(200).after_power_off(50);
+        let channel = retained_lag(7).after_power_off(200).after_power_off(50);
         assert_eq!((channel.lag.value(), channel.lag.missed_steps()), (200_000_000, 250));
         for input in [RetainedLagKey::SPINDLE_RUNNING_INPUT, RetainedLagKey::TIME_INPUT, 7] {
-            assert_eq!(kept(input).after_power_off(0), kept(input));
+            assert_eq!(retained_lag(input).after_power_off(0), retained_lag(input));
         }
     }
 
     #[test]
     fn what_is_kept_again_takes_its_own_place_and_no_other() {
         let mut memory = RetainedLags::default();
-        let later = |input| RetainedLag { running_ms: 5, ..kept(input) };
-        for one in [kept(1), kept(2), kept(3), later(2), later(3)] {
+        let later = |input| RetainedLag { running_ms: 5, ..retained_lag(input) };
+        for one in [retained_lag(1), retained_lag(2), retained_lag(3), later(2), later(3)] {
             memory.store(one);
         }
         assert_eq!(memory.lags.iter().flatten().count(), 3);
         assert_eq!(
-            [1, 2, 3].map(|input| memory.find(kept(input).key)),
-            [Some(kept(1)), Some(later(2)), Some(later(3))]
+            [1, 2, 3].map(|input| memory.find(retained_lag(input).key)),
+            [Some(retained_lag(1)), Some(later(2)), Some(later(3))]
         );
-        assert_eq!(memory.find(kept(4).key), None);
+        assert_eq!(memory.find(retained_lag(4).key), None);
     }
 }

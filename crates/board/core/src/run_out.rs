@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn run_out_that_vanishes_or_grows_fourfold_is_told_in_the_third_second_and_what_cutting_adds_is_not()
+    fn run_out_that_vanishes_or_grows_fourfold_is_reported_in_the_third_second_and_what_cutting_adds_is_not()
      {
         // Whole multiples of the tick among them.
         for hz in [200.0, 325.0, 370.37, 500.0, 740.74, 1_000.0] {
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cutting_adds_to_a_small_run_out_is_not_told() {
+    fn what_cutting_adds_to_a_small_run_out_is_not_reported() {
         let mut it = RunOutMonitor::default();
         turn(&mut it, 20, 3.0, 200.0, SPEED);
         assert!(!turn(&mut it, 5, 38.0, 200.0, SPEED), "4.6 µm");

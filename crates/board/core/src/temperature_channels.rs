@@ -112,8 +112,8 @@ impl TemperatureChannel {
 
     /// Returns whether its last readings came too fast and are not believed.
     #[must_use]
-    pub const fn is_in_doubt(&self) -> bool {
-        self.rate.is_in_doubt()
+    pub const fn is_uncertain(&self) -> bool {
+        self.rate.is_uncertain()
     }
 
     /// Returns the temperature: the last one that was believed. `None` before the first reading and after a fault.
@@ -163,7 +163,7 @@ impl TemperatureChannels {
         for (set, is_in) in [
             (&mut self.known, channel.temperature().is_some()),
             (&mut self.faulty, channel.is_faulty()),
-            (&mut self.doubtful, channel.is_in_doubt()),
+            (&mut self.doubtful, channel.is_uncertain()),
             (&mut self.going, is_active),
         ] {
             if is_in { set.insert(number) } else { set.remove(number) }

@@ -130,14 +130,14 @@ impl RateMonitor {
 
     /// Returns whether the value is in doubt: more than a spark.
     #[must_use]
-    pub const fn is_in_doubt(&self) -> bool {
+    pub const fn is_uncertain(&self) -> bool {
         self.doubtful >= FAULT_AFTER_READINGS
     }
 
     /// Returns whether the doubt has lasted too long for a thermometer.
     #[must_use]
     pub const fn has_timed_out(&self) -> bool {
-        self.is_in_doubt() && self.age >= RATE_FAULT_READINGS
+        self.is_uncertain() && self.age >= RATE_FAULT_READINGS
     }
 }
 
@@ -217,7 +217,7 @@ mod tests {
         let wild = |n: u16| celsius(60.0 + f64::from(n % 40));
         let given_up = (1..=u16::MAX).find(|n| {
             assert!(!monitor.check_reading(wild(*n), &limit, false));
-            assert_eq!(monitor.is_in_doubt(), *n >= 4);
+            assert_eq!(monitor.is_uncertain(), *n >= 4);
             monitor.has_timed_out()
         });
         assert_eq!(given_up, Some(RATE_FAULT_READINGS));

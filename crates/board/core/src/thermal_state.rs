@@ -198,17 +198,18 @@ impl MachineThermalState {
             if found.is_none() {
                 slowest = slowest.max(settling_steps(key, largest));
             }
-            found.map(|kept| kept.after_power_off(steps))
+            found.map(|retained| retained.after_power_off(steps))
         };
         let max = calibration.limits.max;
         for ((axis, key), max) in self.axes.iter_mut().zip(axis_lag_keys(calibration)).zip(max) {
-            axis.lag = find(key, max).map(|kept| kept.lag);
+            axis.lag = find(key, max).map(|retained| retained.lag);
         }
         let [x, y, z] = max;
         let largest = Nanometres(x.0.max(y.0).max(z.0));
-        self.spindle = find(spindle_lag_key(calibration), largest).map(|kept| kept.lag);
-        if let Some(kept) = find(warmup_lag_key(calibration), largest) {
-            self.running = warmup::WarmupModelState { running_ms: kept.running_ms, heat: kept.lag };
+        self.spindle = find(spindle_lag_key(calibration), largest).map(|retained| retained.lag);
+        if let Some(retained) = find(warmup_lag_key(calibration), largest) {
+            self.running =
+                warmup::WarmupModelState { running_ms: retained.running_ms, heat: retained.lag };
             let law = calibration.spindle.warmup.as_ref().map(|warmup| &warmup.law);
             self.by_running_time =
                 law.map_or(FineNanometres::ZERO, |law| law.elongation(&self.running));

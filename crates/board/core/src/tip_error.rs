@@ -79,7 +79,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_clamp_of_any_axis_and_of_several_at_once_is_told() {
+    fn the_clamp_of_any_axis_and_of_several_at_once_is_reported() {
         // Growth of 100 nm along (0.48, 0.64, −0.6): every part is above 40 nm.
         let share = |share: f64| (share * f64::from(Direction::ONE)) as i32;
         let direction = Direction([0.48, 0.64, -0.6].map(share));

@@ -268,9 +268,9 @@ mod tests {
         })
     }
 
-    fn near<const N: usize>(got: [f64; N], wanted: [f64; N]) {
-        for (got, wanted) in got.into_iter().zip(wanted) {
-            assert!((got - wanted).abs() < 1e-8, "{got} instead of {wanted}");
+    fn near<const N: usize>(got: [f64; N], requested: [f64; N]) {
+        for (got, requested) in got.into_iter().zip(requested) {
+            assert!((got - requested).abs() < 1e-8, "{got} instead of {requested}");
         }
     }
 

@@ -69,7 +69,7 @@ fn greeting() -> impl Strategy<Value = Vec<CncMessage>> {
 struct Phase {
     ticks: u32,
     elapsed_ms: u32,
-    heard: Vec<CncMessage>,
+    received: Vec<CncMessage>,
     codes: Option<[u16; CODES_PER_TICK]>,
     speed: Option<u16>,
     temperatures: Option<[i32; CHANNEL_COUNT]>,
@@ -91,10 +91,10 @@ fn phase() -> impl Strategy<Value = Phase> {
         prop::option::weighted(0.8, any::<u16>()),
         prop::option::weighted(0.8, prop::array::uniform(warm)),
     );
-    parts.prop_map(|(ticks, elapsed_ms, heard, codes, speed, temperatures)| Phase {
+    parts.prop_map(|(ticks, elapsed_ms, received, codes, speed, temperatures)| Phase {
         ticks,
         elapsed_ms,
-        heard,
+        received,
         codes,
         speed,
         temperatures,
@@ -123,7 +123,7 @@ fn live_with(
         for tick in 0..phase.ticks {
             // As a CNC does: now and then, not in every millisecond.
             if tick % 16 == 0 {
-                phase.heard.iter().for_each(|command| bridge.receive(&mut state, *command));
+                phase.received.iter().for_each(|command| bridge.receive(&mut state, *command));
             }
             now = now.wrapping_add_ms(phase.elapsed_ms);
             change(&bridge, &mut state);
@@ -228,11 +228,11 @@ proptest! {
     fn errors_that_are_computed_anew_before_a_tick_are_those_that_were_kept(
         (machine, phases) in lives(),
     ) {
-        let mut kept = Vec::new();
-        live(&machine, &phases, |output, _, _| kept.push(output));
-        let mut kept = kept.into_iter();
+        let mut retained = Vec::new();
+        live(&machine, &phases, |output, _, _| retained.push(output));
+        let mut retained = retained.into_iter();
         let anew = |bridge: &Bridge<'_>, state: &mut State| bridge.compute_errors(state);
-        live_with(&machine, &phases, anew, |output, _, _| assert_eq!(Some(output), kept.next()));
+        live_with(&machine, &phases, anew, |output, _, _| assert_eq!(Some(output), retained.next()));
     }
 
     #[test]

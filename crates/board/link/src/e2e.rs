@@ -242,8 +242,8 @@ mod tests {
     }
 
     #[test]
-    fn a_refused_frame_is_told_by_what_was_found_in_it() {
-        for (error, told) in [
+    fn a_refused_frame_is_reported_by_what_was_found_in_it() {
+        for (error, message) in [
             (E2eError::TooShort { len: 2 }, "2 bytes are too short for CRC and counter (3)"),
             (E2eError::Crc { received: 0xAB, computed: 0x1234 }, "CRC is 0x00AB, should be 0x1234"),
             (E2eError::Repeated { counter: 9 }, "counter 9 is repeated"),
@@ -252,7 +252,7 @@ mod tests {
                 "counter 77 after 3 is out of sequence",
             ),
         ] {
-            assert_eq!(error.to_string(), told);
+            assert_eq!(error.to_string(), message);
         }
     }
 }

@@ -124,9 +124,9 @@ mod tests {
     }
 
     #[test]
-    fn why_there_is_no_such_frame_is_told_with_its_limit() {
-        let told = |id, bytes: &[u8]| Frame::new(id, bytes).unwrap_err().to_string();
-        assert_eq!(told(0x800, &[]), "identifier 0x800 is above 0x7FF");
-        assert_eq!(told(0, &[0; 9]), "9 bytes are more than the 8 of a frame");
+    fn why_there_is_no_such_frame_is_reported_with_its_limit() {
+        let error_text = |id, bytes: &[u8]| Frame::new(id, bytes).unwrap_err().to_string();
+        assert_eq!(error_text(0x800, &[]), "identifier 0x800 is above 0x7FF");
+        assert_eq!(error_text(0, &[0; 9]), "9 bytes are more than the 8 of a frame");
     }
 }

@@ -222,7 +222,7 @@ fn one_that_dies_is_missing_with_the_next_reading_and_one_that_comes_back_is_rea
 }
 
 #[test]
-fn broken_and_shorted_thermometers_are_told_apart_and_recover() {
+fn broken_and_shorted_thermometers_are_distinguished_and_recover() {
     for (micro_ohms, expected) in
         [(i64::MAX >> 16, ThermometerFault::Open), (300_000, ThermometerFault::Short)]
     {

@@ -192,19 +192,19 @@ pub enum BlockRejectReason {
 pub struct HoldingBlock {
     registers: Registers,
     /// [`Refused::Damaged`] or [`Refused::Malformed`] where it says nothing.
-    said: Result<CncData, BlockRejectReason>,
+    decoded: Result<CncData, BlockRejectReason>,
 }
 
 impl HoldingBlock {
     /// Returns a block with its CRCs checked and its values decoded.
     #[must_use]
     pub fn from_registers(registers: &Registers) -> Self {
-        let said = if has_valid_crcs(registers) {
+        let cnc_data = if has_valid_crcs(registers) {
             CncData::decode(registers).ok_or(BlockRejectReason::Malformed)
         } else {
             Err(BlockRejectReason::Damaged)
         };
-        Self { registers: *registers, said }
+        Self { registers: *registers, decoded: cnc_data }
     }
 
     /// Returns the registers.
@@ -216,16 +216,16 @@ impl HoldingBlock {
     /// Returns whether its CRCs are right.
     #[must_use]
     pub fn has_valid_crc(&self) -> bool {
-        self.said != Err(BlockRejectReason::Damaged)
+        self.decoded != Err(BlockRejectReason::Damaged)
     }
 
     /// Returns the commands that it holds next to `Control`, at most six, in the order of their registers.
     pub fn commands(&self) -> impl Iterator<Item = CncMessage> + use<> {
-        let said = self.said.unwrap_or_default();
-        let positions = said.positions.into_iter().flatten().map(CncMessage::Position);
-        let rotary = said.rotary.map(CncMessage::Rotary);
-        let spindle = said.spindle.map(CncMessage::Spindle);
-        let conditions = said.conditions.map(CncMessage::Conditions);
+        let cnc_data = self.decoded.unwrap_or_default();
+        let positions = cnc_data.positions.into_iter().flatten().map(CncMessage::Position);
+        let rotary = cnc_data.rotary.map(CncMessage::Rotary);
+        let spindle = cnc_data.spindle.map(CncMessage::Spindle);
+        let conditions = cnc_data.conditions.map(CncMessage::Conditions);
         positions.chain(rotary).chain(spindle).chain(conditions)
     }
 }
@@ -267,7 +267,7 @@ impl Checker {
                 _ => {}
             }
         }
-        block.said.as_ref().map_err(|refused| *refused)
+        block.decoded.as_ref().map_err(|refused| *refused)
     }
 }
 
@@ -275,7 +275,7 @@ impl Checker {
 mod tests {
     use super::*;
 
-    fn said() -> CncData {
+    fn decoded() -> CncData {
         let at = |axis, position, direction| {
             Some(AxisPosition { axis, position: Position(position), direction })
         };
@@ -293,19 +293,19 @@ mod tests {
     }
 
     fn with_tool(tool: u16, bits: u16) -> CncData {
-        CncData { conditions: Some(Conditions { tool, bits }), ..said() }
+        CncData { conditions: Some(Conditions { tool, bits }), ..decoded() }
     }
 
     #[test]
     fn tool_and_conditions_stand_behind_the_block_with_a_crc_over_all() {
         let block = with_tool(17, 0x8002).encode(7);
         assert_eq!((block[2], block[17], block[18]), (0b11_1101, 17, 0x8002));
-        assert_eq!(block[3..16], said().encode(7)[3..16]);
+        assert_eq!(block[3..16], decoded().encode(7)[3..16]);
         let crc = |covered: &[u16], id| crate::e2e::block_crc(covered, id);
         assert_eq!([block[16], block[19]], [crc(&block[..16], 0x302), crc(&block[..19], 0x402)]);
         assert_eq!(Checker::default().accept(&block), Ok(with_tool(17, 0x8002)));
         assert_eq!(
-            (registers_to_write(&block).len(), registers_to_write(&said().encode(7)).len()),
+            (registers_to_write(&block).len(), registers_to_write(&decoded().encode(7)).len()),
             (20, 17)
         );
     }
@@ -325,18 +325,18 @@ mod tests {
         // A block of before, of 17 registers, with a bit of `Present` that meant nothing then.
         block[17..].fill(0);
         assert_eq!(Checker::default().accept(&block), Err(BlockRejectReason::Damaged));
-        let mut block = said().encode(8);
+        let mut block = decoded().encode(8);
         block[17..].fill(0xABCD);
-        assert_eq!(Checker::default().accept(&block), Ok(said()));
+        assert_eq!(Checker::default().accept(&block), Ok(decoded()));
     }
 
     #[test]
     fn the_registers_are_those_of_the_documentation() {
-        let block = said().encode(7);
+        let block = decoded().encode(7);
         let expected = [7, 0b111, 0b11101, 0b01_00_11, 0xFFFE, 0x7960, 0, 0, 0, 1];
         assert_eq!(block[..10], expected);
         assert_eq!(block[10..16], [0, 60_000, 0xFFFF, 0xFFFF, 24_000, 0xFFFF]);
-        assert_eq!(Checker::default().accept(&block), Ok(said()));
+        assert_eq!(Checker::default().accept(&block), Ok(decoded()));
     }
 
     #[test]
@@ -344,16 +344,16 @@ mod tests {
         for last in [0, 1, 0xFFF0, 0xFFFF_u16] {
             for delta in [0, 1, 15, 16, 0x8000, 0xFFFF_u16] {
                 let mut checker = Checker::default();
-                assert!(checker.accept(&said().encode(last)).is_ok());
+                assert!(checker.accept(&decoded().encode(last)).is_ok());
                 let counter = last.wrapping_add(delta);
                 let expected = match delta {
                     0 => Err(BlockRejectReason::Repeated),
-                    1..=15 => Ok(said()),
+                    1..=15 => Ok(decoded()),
                     _ => Err(BlockRejectReason::WrongSequence),
                 };
-                assert_eq!(checker.accept(&said().encode(counter)), expected, "{last} {delta}");
+                assert_eq!(checker.accept(&decoded().encode(counter)), expected, "{last} {delta}");
                 let next = counter.wrapping_add(1);
-                assert_eq!(checker.accept(&said().encode(next)), Ok(said()));
+                assert_eq!(checker.accept(&decoded().encode(next)), Ok(decoded()));
             }
         }
     }
@@ -367,7 +367,7 @@ mod tests {
             (DIRECTIONS, 1 << 6),
             (ANGLE_1, 0x7FFF),
         ] {
-            let mut block = said().encode(1);
+            let mut block = decoded().encode(1);
             block[place] = value;
             assert_eq!(Checker::default().accept(&block), Err(BlockRejectReason::Damaged));
             write_crc(&mut block[..HOLDING_LEN], HOLDING_DATA_ID);

@@ -123,7 +123,7 @@ fn encode_offset(offset: Nanometres) -> i32 {
 mod tests {
     use super::*;
 
-    fn said() -> InputBlock {
+    fn sample_block() -> InputBlock {
         InputBlock {
             counter: 0xFFFE,
             output: Output {
@@ -144,18 +144,18 @@ mod tests {
 
     #[test]
     fn the_registers_are_those_of_the_documentation() {
-        let block = said().encode();
+        let block = sample_block().encode();
         assert_eq!(block[..12], [1, 0xFFFE, 0, 100, 0xFFFF, 0xFF38, 0, 6_281, 1, 2, 3, 4]);
         assert_eq!(block[12..19], [65_535, 0x8000, 1, 0xF4AC, 0xFB13, 0xFFFF, 0xFFFB]);
         assert_eq!(block[19..23], [2_345, 0x8000, 0xFFCE, 0x8000]);
-        assert_eq!(InputBlock::decode(&block), Some(said()));
+        assert_eq!(InputBlock::decode(&block), Some(sample_block()));
     }
 
     #[test]
     fn what_is_not_available_is_so_on_all_axes_and_no_number() {
         let block = InputBlock { elongation: None, ..InputBlock::default() }.encode();
         assert_eq!(block[2..8], [0x8000, 0, 0x8000, 0, 0x8000, 0]);
-        let mut one = said().encode();
+        let mut one = sample_block().encode();
         one[4..6].copy_from_slice(&[0x8000, 0]);
         write_crc(&mut one, INPUT_DATA_ID);
         assert_eq!(InputBlock::decode(&one).map(|input| input.output.offset), Some(None));
@@ -163,10 +163,10 @@ mod tests {
 
     #[test]
     fn a_block_half_of_one_and_half_of_the_next_is_none() {
-        let mut next = said();
+        let mut next = sample_block();
         next.counter = 0xFFFF;
         next.output.offset = Some([1_010, -2_010, 62_820].map(Nanometres));
-        let (old, new) = (said().encode(), next.encode());
+        let (old, new) = (sample_block().encode(), next.encode());
         for split in 1..INPUT_LEN {
             let mut mixed = old;
             mixed[split..].copy_from_slice(&new[split..]);
@@ -178,7 +178,7 @@ mod tests {
     #[test]
     fn another_layout_and_a_quality_without_meaning_are_refused() {
         for (place, value) in [(LAYOUT, 2), (QUALITY, 7), (QUALITY, 0x101), (FLAGS, 0x100)] {
-            let mut block = said().encode();
+            let mut block = sample_block().encode();
             block[place] = value;
             write_crc(&mut block, INPUT_DATA_ID);
             assert_eq!(InputBlock::decode(&block), None, "{place} {value}");

@@ -41,12 +41,12 @@ pub type LinearCoefficients = (i16, i16);
 /// ```
 #[must_use]
 pub fn encode(input: &InputBlock, parts: Option<[LinearCoefficients; 3]>) -> [u16; BLOCK_LEN] {
-    let mut said = *input;
-    let parts = parts.filter(|_| said.output.offset.is_some());
-    said.output.offset = parts.map(|parts| {
+    let mut reported = *input;
+    let parts = parts.filter(|_| reported.output.offset.is_some());
+    reported.output.offset = parts.map(|parts| {
         parts.map(|(constant, _)| Nanometres(i32::from(constant).wrapping_mul(SLOPE_RESOLUTION_NM)))
     });
-    let mut first: Registers = said.encode();
+    let mut first: Registers = reported.encode();
     write_u16(&mut first, LAYOUT, LAYOUT_VERSION_WITH_SLOPES);
     write_crc(&mut first, INPUT_DATA_ID);
     let mut block = [0; BLOCK_LEN];

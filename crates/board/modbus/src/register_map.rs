@@ -195,7 +195,7 @@ mod tests {
             env!("CARGO_MANIFEST_DIR"),
             "/../../../integrations/siemens-840d/trueup_db.awl"
         );
-        let wanted = format!(
+        let requested = format!(
             "// trueup: what the gateway writes (byte 0 to 55, in mode slope to 63), and what it reads (byte 64 to 103). Made from the table\n\
              // of registers in crates/board/modbus; what each means: docs/modbus.md. Not optimized, not write-protected.\n\
              DATA_BLOCK DB 900\nTITLE = trueup\nVERSION : 1.0\nSTRUCT\n{}  SlopeX : INT;               // +56  0.1 um/m, mode slope\n\
@@ -208,10 +208,10 @@ mod tests {
             awl(CONDITIONS, "Cnc")
         );
         if std::env::var_os("TRUEUP_WRITE_DOCS").is_some() {
-            fs::write(FILE, &wanted).expect("the file can be written");
+            fs::write(FILE, &requested).expect("the file can be written");
         } else {
             let file = fs::read_to_string(FILE).expect("trueup_db.awl");
-            assert!(file == wanted, "TRUEUP_WRITE_DOCS=1 cargo test -p trueup-modbus writes it");
+            assert!(file == requested, "TRUEUP_WRITE_DOCS=1 cargo test -p trueup-modbus writes it");
         }
     }
 
@@ -251,21 +251,21 @@ mod tests {
     fn the_documentation_has_these_tables() {
         const PAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../docs/modbus.md");
         let page = fs::read_to_string(PAGE).expect("docs/modbus.md");
-        let mut wanted = page.clone();
+        let mut requested = page.clone();
         for (mark, table) in [
             ("input registers", markdown(INPUT, "what the bridge says (function 4)")),
             ("holding registers", markdown(HOLDING, "what the control says (functions 16 and 3)")),
             ("conditions", markdown(CONDITIONS, "tool and conditions (functions 16 and 3)")),
         ] {
             let (begin, end) = (format!("<!-- {mark} -->\n"), format!("<!-- end of {mark} -->"));
-            let (before, rest) = wanted.split_once(&begin).expect("the mark of its begin");
+            let (before, rest) = requested.split_once(&begin).expect("the mark of its begin");
             let (_, after) = rest.split_once(&end).expect("the mark of its end");
-            wanted = format!("{before}{begin}{table}{end}{after}");
+            requested = format!("{before}{begin}{table}{end}{after}");
         }
         if std::env::var_os("TRUEUP_WRITE_DOCS").is_some() {
-            fs::write(PAGE, &wanted).expect("the page can be written");
+            fs::write(PAGE, &requested).expect("the page can be written");
         } else {
-            assert!(page == wanted, "TRUEUP_WRITE_DOCS=1 cargo test -p trueup-modbus writes it");
+            assert!(page == requested, "TRUEUP_WRITE_DOCS=1 cargo test -p trueup-modbus writes it");
         }
     }
 }

@@ -83,10 +83,10 @@ impl Slave {
     }
 
     /// Takes what has come.
-    pub fn push(&mut self, heard: RxByte) {
-        match heard.byte {
-            Some(byte) => self.receive(heard.at_us, byte),
-            None => self.receive_damaged_byte(heard.at_us),
+    pub fn push(&mut self, received: RxByte) {
+        match received.byte {
+            Some(byte) => self.receive(received.at_us, byte),
+            None => self.receive_damaged_byte(received.at_us),
         }
     }
 
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_within_a_frame_throws_it_away_and_the_next_is_heard() {
+    fn a_gap_within_a_frame_throws_it_away_and_the_next_is_received() {
         let (mut slave, mut bridge) = (Slave::new(9, TIMING), Mock::new());
         let mut response = Response::new();
         let frame = block();

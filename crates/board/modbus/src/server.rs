@@ -115,8 +115,8 @@ pub fn handle_request(
         return false;
     }
     let is_read = matches!(function, READ_HOLDING_REGISTERS | READ_INPUT_REGISTERS);
-    let is_whoever = addressed == ANY_UNIT_ID || (addressed == BROADCAST_UNIT_ID && is_read);
-    let is_ours = addressed == unit || (transport == Transport::Tcp && is_whoever);
+    let is_any_unit = addressed == ANY_UNIT_ID || (addressed == BROADCAST_UNIT_ID && is_read);
+    let is_ours = addressed == unit || (transport == Transport::Tcp && is_any_unit);
     let answered = if is_ours {
         validate_pdu(pdu)
             .and_then(|()| execute_request(transport, addressed, request, bridge, response))

@@ -292,14 +292,14 @@ impl<'a> Node<'a> {
             }
             return Ok(None);
         }
-        let heard = self.receiver.accept(frame);
-        if let Err(refused) = &heard {
+        let received = self.receiver.accept(frame);
+        if let Err(refused) = &received {
             self.last_refused = refused.reason();
             if frame.id() == CONTROL_ID {
                 self.master.reject_control(refused.is_sequence_error());
             }
         }
-        let command = heard?;
+        let command = received?;
         match (command, &self.bridge) {
             (Some(CncMessage::Control(control)), _) => self.receive_control(line, control),
             (Some(value), Some(bridge)) => bridge.receive_command(&mut self.state, value),

@@ -195,8 +195,8 @@ impl<'a> TestVectorRunner<'a> {
             && self.is_due(CONDITIONS_PERIOD_MS)
             && fault != InjectedFault::NoAngles
         {
-            let said = self.random.next().to_le_bytes();
-            let (tool, bits) = (u16::from(said[0] & 63), u16::from_le_bytes([said[2], said[3]]));
+            let bytes = self.random.next().to_le_bytes();
+            let (tool, bits) = (u16::from(bytes[0] & 63), u16::from_le_bytes([bytes[2], bytes[3]]));
             self.send_frame(6, |counter| {
                 frames::encode_conditions(Conditions { tool, bits }, counter)
             });

@@ -77,8 +77,8 @@ fn lines_of_both() -> Vec<Frame> {
         } else {
             for (counter, nm) in [(0, nm), (1, -nm)] {
                 let item = Item::Elongation(Some(Nanometres(nm)));
-                let said = Status { last_refused: FrameRejectReason::None, item };
-                all.push(status::encode(&said, counter));
+                let reported = Status { last_refused: FrameRejectReason::None, item };
+                all.push(status::encode(&reported, counter));
             }
         }
     }
@@ -157,10 +157,10 @@ impl Damage<'_> {
     fn receive(&mut self, bytes: &[u8]) {
         self.outcome.forms += 1;
         frames_in(bytes, |frame| {
-            let is_heard = self.ears.clone().accept(&frame);
-            if is_heard && frame == self.original {
+            let is_received = self.ears.clone().accept(&frame);
+            if is_received && frame == self.original {
                 self.outcome.same += 1;
-            } else if is_heard {
+            } else if is_received {
                 panic!("{:?} is taken for {frame:?}: {}", self.original, bytes.escape_ascii());
             } else if !Ears::know(frame.id()) {
                 // SDO, network management, heartbeats: the node must not change by it.
@@ -172,19 +172,19 @@ impl Damage<'_> {
 }
 
 /// All flips of one, two and three bits of a line.
-fn flip_all(frame: &Frame, mut hear: impl FnMut(&[u8; LENGTH])) {
+fn flip_all(frame: &Frame, mut receive: impl FnMut(&[u8; LENGTH])) {
     let mut bytes = line(frame);
     let bits = LENGTH * 8;
     let flip = |bytes: &mut [u8; LENGTH], bit: usize| bytes[bit / 8] ^= 1 << (bit % 8);
     for a in 0..bits {
         flip(&mut bytes, a);
-        hear(&bytes);
+        receive(&bytes);
         for b in a + 1..bits {
             flip(&mut bytes, b);
-            hear(&bytes);
+            receive(&bytes);
             for c in b + 1..bits {
                 flip(&mut bytes, c);
-                hear(&bytes);
+                receive(&bytes);
                 flip(&mut bytes, c);
             }
             flip(&mut bytes, b);
@@ -241,14 +241,14 @@ fn no_one_to_three_flipped_bits_of_forty_lines_make_another_command() {
 }
 
 /// The line is followed by others: which of the frames are received.
-fn heard(receiver: &mut Receiver, bytes: &[u8]) -> Vec<(Frame, CncMessage)> {
-    let mut heard = Vec::new();
+fn receive_all(receiver: &mut Receiver, bytes: &[u8]) -> Vec<(Frame, CncMessage)> {
+    let mut received = Vec::new();
     frames_in(bytes, |frame| {
         if let Ok(Some(command)) = receiver.accept(&frame) {
-            heard.push((frame, command));
+            received.push((frame, command));
         }
     });
-    heard
+    received
 }
 
 #[test]
@@ -261,7 +261,7 @@ fn a_byte_lost_doubled_inserted_or_swapped_costs_at_most_two_frames_and_makes_no
         let whole: Vec<u8> = all[number..].iter().flat_map(line).collect();
         let mut judge = |bytes: &[u8], at: usize| {
             forms += 1;
-            let got = heard(&mut before.clone(), bytes);
+            let got = receive_all(&mut before.clone(), bytes);
             for (frame, _) in &got {
                 assert!(all[number..].contains(frame), "{frame:?} was never sent");
             }
@@ -294,7 +294,7 @@ fn a_byte_lost_doubled_inserted_or_swapped_costs_at_most_two_frames_and_makes_no
 }
 
 #[test]
-fn frames_lost_doubled_inserted_or_swapped_are_heard_once_in_their_order() {
+fn frames_lost_doubled_inserted_or_swapped_are_received_once_in_their_order() {
     let all = commands(600);
     let foreign = frames::encode_control(Control::ENGAGED, 99);
     for seed in 1..200 {
@@ -310,7 +310,7 @@ fn frames_lost_doubled_inserted_or_swapped_are_heard_once_in_their_order() {
             }
         }
         let bytes: Vec<u8> = stream.iter().flat_map(line).collect();
-        let got = heard(&mut Receiver::new(), &bytes);
+        let got = receive_all(&mut Receiver::new(), &bytes);
         let own: Vec<&Frame> = got
             .iter()
             .map(|received| &received.0)

@@ -55,7 +55,7 @@ fn number(node: &Node<'_>, what: EntryContent) -> u32 {
 }
 
 #[test]
-fn each_input_is_read_at_its_place_and_what_is_not_there_is_said_to_be_missing() {
+fn each_input_is_read_at_its_place_and_what_is_not_there_is_reported_to_be_missing() {
     let elongation = ELONGATION_SUBINDEX - 1;
     let mut node = node();
     for is_running in [false, true] {
@@ -77,7 +77,7 @@ fn each_input_is_read_at_its_place_and_what_is_not_there_is_said_to_be_missing()
 }
 
 #[test]
-fn the_noise_is_told_in_thousandths_of_a_code_once_the_board_has_taken_it() {
+fn the_noise_is_reported_in_thousandths_of_a_code_once_the_board_has_taken_it() {
     let mut node = node();
     run(&mut node, 100);
     assert_eq!(number(&node, EntryContent::Noise), 0);
@@ -117,7 +117,7 @@ fn the_level_that_readings_count_from_is_the_stored_one_or_that_of_the_first_sec
 }
 
 #[test]
-fn a_time_that_was_told_goes_on_and_one_of_0_is_none() {
+fn a_time_that_was_set_goes_on_and_one_of_0_is_none() {
     let mut node = node();
     let control = Control { service: true, ..Control::REFERENCED };
     for counter in 0..5 {
@@ -125,8 +125,8 @@ fn a_time_that_was_told_goes_on_and_one_of_0_is_none() {
         run(&mut node, 20);
         node.service();
     }
-    for (told, after_3_s) in [(1_790_000_000, 1_790_000_003), (0, 0)] {
-        node.write(EntryContent::Utc, told).expect("allowed");
+    for (reported, after_3_s) in [(1_790_000_000, 1_790_000_003), (0, 0)] {
+        node.write(EntryContent::Utc, reported).expect("allowed");
         run(&mut node, 3_000);
         assert_eq!(number(&node, EntryContent::Utc), after_3_s);
     }
@@ -146,7 +146,7 @@ fn a_board_that_runs_and_was_written_nothing_has_no_calibration_and_no_writes_to
 }
 
 #[test]
-fn a_board_tells_its_number_the_commit_of_its_image_and_whether_a_reference_is_in_force() {
+fn a_board_reports_its_number_the_commit_of_its_image_and_whether_a_reference_is_in_force() {
     let mut node = Node::new(Configuration {
         serial_number: 0xFEDC_BA98,
         commit: 0x1234_ABCD,
@@ -189,21 +189,21 @@ fn every_kind_of_frame_that_was_received_has_a_count_of_its_own() {
 }
 
 #[test]
-fn the_status_tells_temperatures_to_the_nearest_hundredth_of_a_degree() {
+fn the_status_has_temperatures_to_the_nearest_hundredth_of_a_degree() {
     // 6 mK above 20 °C: 0.39 mΩ each.
     const THERE: RawReading = RawReading(107_795_838);
     let mut node = node();
     run_at(&mut node, 1_000, THERE);
-    let mut told = [None; 8];
+    let mut reported = [None; 8];
     for _ in 0..2_000 {
         run_at(&mut node, 1, THERE);
         let status = node.service().and_then(|frame| status::decode(&frame).ok());
         if let Some(Item::Temperatures { pair, centi_c }) = status.map(|status| status.item) {
             let first = 2 * usize::from(pair);
-            told[first..first + 2].copy_from_slice(&centi_c);
+            reported[first..first + 2].copy_from_slice(&centi_c);
         }
     }
     let mut expected = [None; 8];
     expected[2] = Some(2_001);
-    assert_eq!(told, expected);
+    assert_eq!(reported, expected);
 }

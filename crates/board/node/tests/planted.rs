@@ -157,16 +157,17 @@ fn campaign_every_planted_fault_is_found_by_the_simulator() {
     );
     fs::write(folder.join("Cargo.toml"), own).expect("a folder of ours");
     fs::copy(root.join("Cargo.lock"), folder.join("Cargo.lock")).expect("a folder of ours");
-    let (is_sound, said) = passes(&folder);
-    assert!(is_sound, "without a fault: {said}");
+    let (is_sound, output_text) = passes(&folder);
+    assert!(is_sound, "without a fault: {output_text}");
     let mut missed = Vec::new();
     for (number, (file, from, to)) in (1..).zip(PLANTED) {
         let path = folder.join(ROOM).join(file);
         let sound = fs::read_to_string(&path).expect("it was copied");
         assert!(sound.contains(from), "{number}: {file} has no {from}");
         fs::write(&path, sound.replacen(from, to, 1)).expect("a folder of ours");
-        let (is_missed, said) = passes(&folder);
-        let why = said.lines().find(|line| line.contains("seed ")).unwrap_or("not as it was");
+        let (is_missed, output_text) = passes(&folder);
+        let why =
+            output_text.lines().find(|line| line.contains("seed ")).unwrap_or("not as it was");
         println!("{number:2} {file}: {}", if is_missed { "MISSED" } else { why.trim() });
         missed.extend(is_missed.then_some(number));
         fs::write(&path, sound).expect("a folder of ours");

@@ -21,7 +21,7 @@ fn node() -> Node<'static> {
 }
 
 /// Returns what the node says to a request, offsets and heartbeats among it; and what a board does.
-fn said(node: &mut Node<'_>, request: Frame) -> Vec<Frame> {
+fn responses_to(node: &mut Node<'_>, request: Frame) -> Vec<Frame> {
     node.receive(Interface::Can, &request).expect("an SDO");
     if let Some(load) = node.take_received_calibration() {
         node.finish_load(load, LoadOutcome::Stored);
@@ -38,15 +38,15 @@ fn upload(node: &mut Node<'_>, at: ObjectAddress) -> Result<Vec<u8>, ClientError
     let (mut upload, mut next) = Upload::start(at);
     let mut bytes = Vec::new();
     for _ in 0..5_000 {
-        let mut asked = None;
-        for frame in said(node, next) {
+        let mut requested = None;
+        for frame in responses_to(node, next) {
             match upload.receive(&frame, &mut bytes)? {
                 Progress::Unchanged => {}
-                Progress::Ask(request) => asked = Some(request),
+                Progress::Ask(request) => requested = Some(request),
                 Progress::Done => return Ok(bytes),
             }
         }
-        next = asked.expect("an answer");
+        next = requested.expect("an answer");
     }
     panic!("no end");
 }
@@ -54,15 +54,15 @@ fn upload(node: &mut Node<'_>, at: ObjectAddress) -> Result<Vec<u8>, ClientError
 fn download(node: &mut Node<'_>, at: ObjectAddress, data: &[u8]) -> Result<(), ClientError> {
     let (mut download, mut next) = Download::start(at, data);
     for _ in 0..5_000 {
-        let mut asked = None;
-        for frame in said(node, next) {
+        let mut requested = None;
+        for frame in responses_to(node, next) {
             match download.receive(&frame)? {
                 Progress::Unchanged => {}
-                Progress::Ask(request) => asked = Some(request),
+                Progress::Ask(request) => requested = Some(request),
                 Progress::Done => return Ok(()),
             }
         }
-        next = asked.expect("an answer");
+        next = requested.expect("an answer");
     }
     panic!("no end");
 }
@@ -90,7 +90,7 @@ fn numbers_texts_and_domains_go_both_ways() {
 }
 
 #[test]
-fn a_refusal_is_told_in_words_with_its_code() {
+fn a_refusal_is_reported_in_words_with_its_code() {
     let mut node = node();
     let refused = download(&mut node, (0x2100, 2), &[0; MAX_BLOB_SIZE + 1]).unwrap_err();
     assert_eq!(refused.to_string(), "object 2100:2: too long (abort code 06070012)");

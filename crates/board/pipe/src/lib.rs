@@ -344,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn no_speed_and_the_largest_speed_are_told_apart() {
+    fn no_speed_and_the_largest_speed_are_distinguished() {
         for (sent, came) in [
             (None, None),
             (Some(Rpm(0)), Some(Rpm(0))),

@@ -135,12 +135,12 @@ mod tests {
     fn the_signature_of_rfc_8032() {
         let seed = bytes("4ccd089b28ff96da9db6c346ec114e0f5b8a319f35aba624da8cf6ed4fb8a6fb");
         let key = PrivateKey(SigningKey::from_bytes(&seed));
-        let wanted: [u8; 64] = bytes(
+        let requested: [u8; 64] = bytes(
             "92a009a9f0d4cab8720e820b5f642540a2b27b5416503f8fb3762223ebdb69da\
              085ac1e43e15996e458f3613d0f11d8c387b2eaeb4302aeeb00d291612bb0c00",
         );
-        assert_eq!(key.sign(&[0x72]), wanted);
-        assert_eq!(key.public_key().verify(&[0x72], &wanted), Ok(()));
+        assert_eq!(key.sign(&[0x72]), requested);
+        assert_eq!(key.public_key().verify(&[0x72], &requested), Ok(()));
     }
 
     #[test]

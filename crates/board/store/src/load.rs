@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_stored_is_said_and_the_next_may_come() {
+    fn what_is_not_stored_is_reported_and_the_next_may_come() {
         for (outcome, error) in [
             (LoadOutcome::Refused, LoadError::Refused),
             (LoadOutcome::NotStored, LoadError::NotStored),

@@ -46,7 +46,7 @@ pub struct RetainedState {
 /// Returns what the newer whole copy says; `None`: there is none, the power was gone.
 #[must_use]
 pub fn load(copies: &RetainedCopies) -> Option<RetainedState> {
-    newest_copy(copies).map(|(_, kept)| kept)
+    newest_copy(copies).map(|(_, retained)| retained)
 }
 
 /// Returns the seconds without power, by the clock that now says `now_s`. `None`: not known, because there is no whole
@@ -71,7 +71,7 @@ fn newest_copy(copies: &RetainedCopies) -> Option<(u32, RetainedState)> {
 }
 
 /// Writes it into the older copy, at this time of a clock that goes on without power, if there is one.
-pub fn save(copies: &mut RetainedCopies, kept: &RetainedState, now_s: Option<u32>) {
+pub fn save(copies: &mut RetainedCopies, retained: &RetainedState, now_s: Option<u32>) {
     let [first, second] = copies.each_ref().map(|copy| decode(copy).map(|(number, ..)| number));
     let (number, older) = match (first, second) {
         (Some(first), Some(second)) if is_newer(first, second) => (first, 1),
@@ -81,7 +81,7 @@ pub fn save(copies: &mut RetainedCopies, kept: &RetainedState, now_s: Option<u32
     if let Some(copy) = copies.get_mut(older) {
         // Not whole from its first changed byte to its last.
         copy.fill(0);
-        encode(kept, number.wrapping_add(1), now_s.unwrap_or(0), copy);
+        encode(retained, number.wrapping_add(1), now_s.unwrap_or(0), copy);
     }
 }
 
@@ -90,13 +90,13 @@ pub fn save(copies: &mut RetainedCopies, kept: &RetainedState, now_s: Option<u32
 pub fn write_copy(
     copies: &mut RetainedCopies,
     number: u32,
-    kept: &RetainedState,
+    retained: &RetainedState,
     now_s: Option<u32>,
 ) -> u32 {
     let [even, odd] = copies;
     let copy = if number & 1 == 0 { even } else { odd };
     copy.fill(0);
-    encode(kept, number, now_s.unwrap_or(0), copy);
+    encode(retained, number, now_s.unwrap_or(0), copy);
     number.wrapping_add(1)
 }
 
@@ -104,8 +104,8 @@ fn is_newer(number: u32, other: u32) -> bool {
     number.wrapping_sub(other).cast_signed() > 0
 }
 
-fn encode(kept: &RetainedState, number: u32, written_s: u32, copy: &mut [u8; COPY_SIZE]) {
-    let (source, shift) = match kept.joint {
+fn encode(retained: &RetainedState, number: u32, written_s: u32, copy: &mut [u8; COPY_SIZE]) {
+    let (source, shift) = match retained.joint {
         None => (0, 0),
         Some(RetainedTransfer { source, shift }) => (source_number(source), shift.0),
     };
@@ -113,7 +113,7 @@ fn encode(kept: &RetainedState, number: u32, written_s: u32, copy: &mut [u8; COP
     let words = copy.as_chunks_mut::<4>().0;
     words.iter_mut().zip(head).for_each(|(place, word)| *place = word.to_le_bytes());
     let places = words.get_mut(HEADER_SIZE / 4..).unwrap_or_default().chunks_mut(LAG_SIZE / 4);
-    for (place, lag) in places.zip(kept.heat.lags.into_iter().flatten()) {
+    for (place, lag) in places.zip(retained.heat.lags.into_iter().flatten()) {
         let RetainedLag { key: RetainedLagKey { input, rising, falling }, lag, running_ms } = lag;
         let [a, b, c, d, e, f, g, h] = lag.to_bits().to_le_bytes();
         let (low, high) = (u32::from_le_bytes([a, b, c, d]), u32::from_le_bytes([e, f, g, h]));
@@ -131,8 +131,8 @@ fn decode(copy: &[u8; COPY_SIZE]) -> Option<(u32, u32, RetainedState)> {
     if u32::from_le_bytes(layout) != LAYOUT_VERSION {
         return None;
     }
-    let mut kept = RetainedState::default();
-    for (place, lag) in kept.heat.lags.iter_mut().zip(lags.chunks(LAG_SIZE / 4)) {
+    let mut retained = RetainedState::default();
+    for (place, lag) in retained.heat.lags.iter_mut().zip(lags.chunks(LAG_SIZE / 4)) {
         let &[here, rising, falling, low, high, running_ms, missed] = lag else { return None };
         let [input, 1, ..] = here else { continue };
         let [rising, falling, running_ms, missed] =
@@ -148,9 +148,9 @@ fn decode(copy: &[u8; COPY_SIZE]) -> Option<(u32, u32, RetainedState)> {
         *place = Some(RetainedLag { key, lag, running_ms });
     }
     let shift = Nanometres(i32::from_le_bytes(shift));
-    kept.joint = source_from_number(u32::from_le_bytes(source))
+    retained.joint = source_from_number(u32::from_le_bytes(source))
         .map(|source| RetainedTransfer { source, shift });
-    Some((u32::from_le_bytes(number), u32::from_le_bytes(written_s), kept))
+    Some((u32::from_le_bytes(number), u32::from_le_bytes(written_s), retained))
 }
 
 /// As the calibration numbers them.
@@ -171,7 +171,7 @@ fn source_from_number(number: u32) -> Option<ElongationSource> {
 mod tests {
     use super::*;
 
-    fn kept(number: i32) -> RetainedState {
+    fn retained_state(number: i32) -> RetainedState {
         let mut heat = RetainedLags::default();
         for input in [3, 7, RetainedLagKey::SPINDLE_RUNNING_INPUT] {
             heat.store(RetainedLag {
@@ -197,10 +197,10 @@ mod tests {
     fn the_newest_counts_and_the_numbers_may_wrap() {
         let mut copies = [[0; COPY_SIZE]; 2];
         assert_eq!(load(&copies), None);
-        encode(&kept(1), u32::MAX - 2, 0, &mut copies[0]);
+        encode(&retained_state(1), u32::MAX - 2, 0, &mut copies[0]);
         for number in 2..20 {
-            save(&mut copies, &kept(number), None);
-            assert_eq!(load(&copies), Some(kept(number)));
+            save(&mut copies, &retained_state(number), None);
+            assert_eq!(load(&copies), Some(retained_state(number)));
         }
         save(&mut copies, &RetainedState::default(), None);
         assert_eq!(load(&copies), Some(RetainedState::default()));
@@ -209,19 +209,25 @@ mod tests {
     #[test]
     fn a_reset_at_any_byte_leaves_the_one_before() {
         let mut copies = [[0; COPY_SIZE]; 2];
-        save(&mut copies, &kept(1), Some(1));
-        save(&mut copies, &kept(2), Some(2));
+        save(&mut copies, &retained_state(1), Some(1));
+        save(&mut copies, &retained_state(2), Some(2));
         let (before, mut after) = (copies, copies);
-        save(&mut after, &kept(3), Some(3));
+        save(&mut after, &retained_state(3), Some(3));
         let written = usize::from(after[0] == before[0]);
         for at in 0..COPY_SIZE {
             let mut torn = after;
             // What was not written yet is 0, as `save` leaves it, or as it was.
             torn[written][at..].fill(0);
             let found = newest_copy(&torn).expect("one is whole");
-            assert!(found == (2, kept(2)) || found == (3, kept(3)), "cut at {at}");
+            assert!(
+                found == (2, retained_state(2)) || found == (3, retained_state(3)),
+                "cut at {at}"
+            );
             torn[written][at..].copy_from_slice(&before[written][at..]);
-            assert!([Some(kept(2)), Some(kept(3))].contains(&load(&torn)), "cut at {at}");
+            assert!(
+                [Some(retained_state(2)), Some(retained_state(3))].contains(&load(&torn)),
+                "cut at {at}"
+            );
         }
     }
 
@@ -238,7 +244,7 @@ mod tests {
             assert_eq!(load(&copies), None);
         }
         let mut copies = [[0; COPY_SIZE]; 2];
-        save(&mut copies, &kept(1), Some(7));
+        save(&mut copies, &retained_state(1), Some(7));
         let one = usize::from(copies[0][0] == 0);
         for bit in 0..COPY_SIZE * 8 {
             let mut flipped = copies;
@@ -253,7 +259,7 @@ mod tests {
         const WRITTEN_S: u32 = 40_000_000;
         let mut copies = [[0; COPY_SIZE]; 2];
         assert_eq!(off_time_s(&copies, Some(WRITTEN_S)), None, "nothing is kept");
-        save(&mut copies, &kept(1), Some(WRITTEN_S));
+        save(&mut copies, &retained_state(1), Some(WRITTEN_S));
         // Up to a year.
         for off in [0, 1, 3_600, 365 * 86_400, MAX_OFF_TIME_S] {
             assert_eq!(off_time_s(&copies, Some(WRITTEN_S + off)), Some(off));
@@ -264,14 +270,14 @@ mod tests {
         assert_eq!(off_time_s(&copies, Some(WRITTEN_S + MAX_OFF_TIME_S + 1)), None, "absurd");
         assert_eq!(off_time_s(&copies, Some(u32::MAX)), None, "absurd");
         // The newest counts, whichever time it has.
-        save(&mut copies, &kept(2), Some(WRITTEN_S - 500));
+        save(&mut copies, &retained_state(2), Some(WRITTEN_S - 500));
         assert_eq!(off_time_s(&copies, Some(WRITTEN_S)), Some(500));
-        save(&mut copies, &kept(3), None);
+        save(&mut copies, &retained_state(3), None);
         // Also soon after the clock was set for the first time.
         for now_s in [1, WRITTEN_S] {
             assert_eq!(off_time_s(&copies, Some(now_s)), None, "no clock when it was written");
         }
-        assert_eq!(load(&copies), Some(kept(3)), "but for a reset it is whole");
+        assert_eq!(load(&copies), Some(retained_state(3)), "but for a reset it is whole");
     }
 
     #[test]
@@ -280,8 +286,8 @@ mod tests {
         let mut number = u32::MAX - 3;
         for n in 0..9 {
             let before = load(&copies);
-            number = write_copy(&mut copies, number, &kept(n), Some(7));
-            assert_eq!(load(&copies), Some(kept(n)));
+            number = write_copy(&mut copies, number, &retained_state(n), Some(7));
+            assert_eq!(load(&copies), Some(retained_state(n)));
             // The one before is still there, should the next one be torn.
             copies[number as usize & 1 ^ 1][9] ^= 1;
             assert_eq!(load(&copies), before);
@@ -294,12 +300,15 @@ mod tests {
         let mut copies = [[0; COPY_SIZE]; 2];
         for number in 0..20 {
             let before = copies;
-            save(&mut copies, &kept(number), None);
+            save(&mut copies, &retained_state(number), None);
             let is_same = [0, 1].map(|n| copies[n] == before[n]);
             assert_eq!(is_same.iter().filter(|is_same| **is_same).count(), 1, "number {number}");
             if number > 0 {
                 let left = [0, 1].into_iter().find(|n| is_same[*n]).expect("one is as it was");
-                assert_eq!(decode(&copies[left]).map(|decoded| decoded.2), Some(kept(number - 1)));
+                assert_eq!(
+                    decode(&copies[left]).map(|decoded| decoded.2),
+                    Some(retained_state(number - 1))
+                );
             }
         }
     }

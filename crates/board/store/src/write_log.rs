@@ -230,12 +230,12 @@ mod tests {
     }
 
     #[test]
-    fn the_last_writes_are_told_the_oldest_first() {
+    fn the_last_writes_are_reported_the_oldest_first() {
         let mut writes = WriteLog::default();
         assert_eq!(writes.as_bytes(), [0; 0]);
         for sequence in 1..=40 {
             writes.push(&write(sequence));
-            let told: Vec<_> = writes
+            let records: Vec<_> = writes
                 .as_bytes()
                 .as_chunks()
                 .0
@@ -243,7 +243,7 @@ mod tests {
                 .filter_map(WriteRecord::from_bytes)
                 .collect();
             let first = sequence.saturating_sub(WRITE_LOG_CAPACITY as u32) + 1;
-            assert_eq!(told, (first..=sequence).map(write).collect::<Vec<_>>());
+            assert_eq!(records, (first..=sequence).map(write).collect::<Vec<_>>());
         }
     }
 

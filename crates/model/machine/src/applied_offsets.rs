@@ -86,9 +86,9 @@ impl<'r> UncompensatedRun<'r> {
     pub fn from_run(
         run: Cow<'r, RunFile>,
         machine: Option<&Machine>,
-        wanted: Option<Quantity>,
+        quantity: Option<Quantity>,
     ) -> Result<(Self, Vec<String>), BadInput> {
-        let (without, notes) = subtract_applied_offsets(&run, machine, wanted)?;
+        let (without, notes) = subtract_applied_offsets(&run, machine, quantity)?;
         let unaided = match without {
             Some((without, offset_um)) => Self { run: Cow::Owned(without), offset_um },
             None => Self { run, offset_um: Vec::new() },
@@ -157,7 +157,7 @@ type RunAndOffsets = (RunFile, Vec<(Quantity, Vec<f64>)>);
 fn subtract_applied_offsets(
     run: &RunFile,
     machine: Option<&Machine>,
-    wanted: Option<Quantity>,
+    requested: Option<Quantity>,
 ) -> Result<(Option<RunAndOffsets>, Vec<String>), BadInput> {
     let mut notes = Vec::new();
     let Some(record) = BridgeRecord::from_run(run, machine, &mut notes)? else {
@@ -175,9 +175,9 @@ fn subtract_applied_offsets(
                 let rule = format!(
                     "column {missing} is missing: what the bridge applied cannot be taken out of {name}"
                 );
-                notes.push(format!("{file}: {rule}; {name} is left out"));
+                notes.push(format!("{file}: {rule}; {name} is ignored"));
                 let bad = BadInput::new(run.header_location(), rule);
-                if wanted == Some(quantity) {
+                if requested == Some(quantity) {
                     return Err(bad);
                 }
                 not_known.get_or_insert(bad);
@@ -196,12 +196,12 @@ fn subtract_applied_offsets(
     if let (true, Some(bad)) = (offset_um.is_empty(), not_known) {
         return Err(bad);
     }
-    let says_state = |name: &str| {
+    let states_quality = |name: &str| {
         [QUALITY_COLUMN, CALIBRATION_CRC_COLUMN].contains(&name)
             || STATE_COLUMNS.contains(&name)
             || LinearAxis::ALL.iter().any(|axis| offset_column_name(*axis) == name)
     };
-    cleaned.remove_columns(says_state);
+    cleaned.remove_columns(states_quality);
     Ok((Some((cleaned, offset_um)), notes))
 }
 
@@ -228,7 +228,7 @@ fn check_calibration(run: &RunFile, machine: Option<&Machine>) -> Result<Option<
     let crcs = run.column(CALIBRATION_CRC_COLUMN).unwrap_or_default();
     if !crcs.iter().any(|&crc| ran(crc)) {
         return Ok(Some(format!(
-            "there is no {CALIBRATION_CRC_COLUMN}: nobody knows whether the bridge ran the calibration of this machine file"
+            "there is no {CALIBRATION_CRC_COLUMN}: so it is not known whether the bridge ran the calibration of this machine file"
         )));
     }
     let own = match compile(machine) {
@@ -292,14 +292,15 @@ struct ExcludedRowCounts {
 
 impl ExcludedRowCounts {
     fn notes(&self, name: &str) -> impl Iterator<Item = String> {
-        let told = |count: usize, why: &str| {
+        let excluded_rows = |count: usize, why: &str| {
             let rows = self.rows;
-            (count > 0).then(|| format!("{name}: {count} of {rows} rows are set aside: {why}"))
+            (count > 0).then(|| format!("{name}: {count} of {rows} rows are excluded: {why}"))
         };
-        let unusable = "the bridge held, ramped out or was not available (quality 4 and above), or not for long enough that \
-                        a CNC has taken its offset back";
+        let unusable = "the bridge held, ramped out or was not available (quality 4 and above), or too briefly for the CNC to remove its offset";
         let unknown = "quality or offset is missing, so what the bridge applied is not known";
-        [told(self.unusable, unusable), told(self.unknown, unknown)].into_iter().flatten()
+        [excluded_rows(self.unusable, unusable), excluded_rows(self.unknown, unknown)]
+            .into_iter()
+            .flatten()
     }
 }
 
@@ -315,7 +316,7 @@ impl<'r> BridgeRecord<'r> {
             return Ok(None);
         }
         let quality = run.require_column(QUALITY_COLUMN).map_err(|mut bad| {
-            bad.rule += "; without it nobody knows in which rows an offset was applied";
+            bad.rule += "; without it the rows with an offset are not known";
             bad
         })?;
         check_quality(run, quality)?;

@@ -81,10 +81,10 @@ pub fn machine_warnings(machine: &Machine) -> Vec<Warning> {
 /// machine's model where there is one.
 #[must_use]
 pub fn run_warnings(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning> {
-    let of_names = run.column_typos().map(|slip| Warning {
-        place: slip.place,
-        what: slip.rule,
-        help: slip.help.unwrap_or_default(),
+    let of_names = run.column_typos().map(|typo| Warning {
+        place: typo.place,
+        what: typo.rule,
+        help: typo.help.unwrap_or_default(),
     });
     sorted_by_location(of_names.chain(value_warnings(run, machine, &[])))
 }

@@ -24,7 +24,7 @@ const APPROACH_MEANING: &str =
 const COMMANDED_MEANING: &str = "commanded position";
 const ROTARY_MEANING: &str = "rotary axis";
 const MEASURED_MEANING: &str = "the error on an axis, actual minus commanded";
-const OFFSET_MEANING: &str = "what a bridge told the CNC to add while the row was measured";
+const OFFSET_MEANING: &str = "the offset that a bridge sent to the CNC while the row was measured";
 
 /// All of them, in the order of the reference.
 pub(crate) const KNOWN_COLUMNS: &[KnownColumn] = &[
@@ -89,7 +89,7 @@ pub(crate) const KNOWN_COLUMNS: &[KnownColumn] = &[
     define_column(
         "feed_mm_per_min",
         "mm/min",
-        "the feed at which the position was approached; `fit backlash` tells whether backlash depends on it",
+        "the feed at which the position was approached; `fit backlash` shows whether backlash depends on it",
     ),
     define_column("measured_elongation_um", "µm", "the growth of the spindle"),
     define_column("measured_dx_um", "µm", MEASURED_MEANING),

@@ -139,13 +139,13 @@ impl RunFile {
     /// There is no such column: the rule lists those that are there.
     pub fn require_column(&self, name: &str) -> Result<&[f64], BadInput> {
         self.column(name).ok_or_else(|| {
-            if let Some(slip) = self.slips.iter().find(|slip| slip.meant == name) {
+            if let Some(typo) = self.slips.iter().find(|typo| typo.meant == name) {
                 return BadInput::new(
-                    self.header_location_at(slip.column),
+                    self.header_location_at(typo.column),
                     format!(
                         "column {name} is missing; {} is no column that is known: if it was meant, \
                              give it as {name}",
-                        slip.name
+                        typo.name
                     ),
                 );
             }
@@ -177,9 +177,9 @@ impl RunFile {
     /// let slip = run.column_typo(|name| name.starts_with("measured_")).unwrap();
     /// assert!(slip.to_string().starts_with("r.csv:1:8: column measured_dz_um is missing; measured_dz_mm is"));
     /// ```
-    pub fn column_typo(&self, is_wanted: impl Fn(&str) -> bool) -> Option<BadInput> {
-        let slip = self.slips.iter().find(|slip| is_wanted(&slip.meant))?;
-        self.require_column(&slip.meant).err()
+    pub fn column_typo(&self, is_requested: impl Fn(&str) -> bool) -> Option<BadInput> {
+        let typo = self.slips.iter().find(|typo| is_requested(&typo.meant))?;
+        self.require_column(&typo.meant).err()
     }
 
     /// Other values in the place of those of the column `name`, one for each row.
@@ -190,11 +190,11 @@ impl RunFile {
     }
 
     /// Adds a column of values that the file does not have; each has the place of the value of `beside`.
-    pub(crate) fn add_column(&mut self, name: &str, beside: &str, values: Vec<f64>) {
+    pub(crate) fn add_column(&mut self, name: &str, adjacent: &str, values: Vec<f64>) {
         let starts = self
             .columns
             .iter()
-            .find(|column| column.name == beside)
+            .find(|column| column.name == adjacent)
             .map(|column| column.starts.clone());
         if let Some(starts) = starts {
             self.columns.push(Column { name: name.into(), values: values.into(), starts });

@@ -144,8 +144,9 @@ fn term_schema() -> Value {
 #[must_use]
 pub fn cause_keys(cause: Cause) -> Vec<&'static str> {
     let mut names: Vec<&'static str> = Vec::new();
-    for beside in [""].into_iter().chain(TERM_KEYS.iter().map(|key| key.name)) {
-        let text = if beside.is_empty() { "[t]\n".into() } else { format!("[t]\n{beside} = 1\n") };
+    for adjacent in [""].into_iter().chain(TERM_KEYS.iter().map(|key| key.name)) {
+        let text =
+            if adjacent.is_empty() { "[t]\n".into() } else { format!("[t]\n{adjacent} = 1\n") };
         let Ok(document) = Document::parse(&text, Path::new("")) else { continue };
         let Ok(Some(section)) = document.root().section("t") else { continue };
         for name in cause.keys(&section) {

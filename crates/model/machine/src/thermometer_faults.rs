@@ -269,10 +269,10 @@ impl ThermometerChannel {
         let mut runs = equal_value_runs(&self.values);
         runs.sort_by_key(|run| std::cmp::Reverse(run.len()));
         let [longest, second, ..] = &runs[..] else { return None };
-        let is_beside = longest.end == step + 1 || longest.start == step + 1;
+        let is_adjacent = longest.end == step + 1 || longest.start == step + 1;
         let is_long = longest.len() > 2 * second.len()
             && longest.len() as f64 > self.max_chance_run_length(MAX_CHANGE_SHARE);
-        (is_beside && is_long).then(|| self.frozen_fault(longest))
+        (is_adjacent && is_long).then(|| self.frozen_fault(longest))
     }
 
     /// Readings that are equal by chance, at most, where each changes with this probability.
@@ -315,10 +315,10 @@ impl ThermometerChannel {
         let readings = |run: &Range<usize>| (run.len() / hold) as f64;
         runs.sort_by_key(|run| std::cmp::Reverse(run.len()));
         // Without the longest, which may be what is asked about.
-        let asked = &runs[..runs.len().min(3)];
-        let is_asked = |at: usize| asked.iter().any(|run| run.contains(&at));
+        let requested = &runs[..runs.len().min(3)];
+        let is_requested = |at: usize| requested.iter().any(|run| run.contains(&at));
         let rest: Vec<f64> = (0..self.values.len())
-            .filter(|&at| !is_asked(at))
+            .filter(|&at| !is_requested(at))
             .step_by(hold)
             .map(|at| self.values[at])
             .collect();
@@ -339,7 +339,7 @@ impl ThermometerChannel {
             return Vec::new();
         }
         let is_longer = |run: &&Range<usize>| readings(run) > self.max_chance_run_length(changes);
-        asked.iter().filter(is_longer).map(|run| self.frozen_fault(run)).collect()
+        requested.iter().filter(is_longer).map(|run| self.frozen_fault(run)).collect()
     }
 }
 

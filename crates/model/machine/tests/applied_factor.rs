@@ -182,7 +182,7 @@ fn the_interval_holds_the_factor() {
 }
 
 #[test]
-fn an_engaged_record_alone_does_not_tell_the_factor_and_one_without_offsets_has_none() {
+fn an_engaged_record_alone_does_not_show_the_factor_and_one_without_offsets_has_none() {
     for quantity in [Quantity::Elongation, Quantity::Dx, Quantity::Dz] {
         for factor in [-1.0, 0.0, 0.5, 1.0, 2.0] {
             for thermometer_c in [0.0, 0.02, 0.2] {
@@ -237,7 +237,7 @@ fn the_sentence_names_the_kind_of_fault() {
         (2.0, "twice"),
         (0.7, "wrong scale"),
     ] {
-        let said = FactorEstimate { value, ci95: [value - 0.02, value + 0.02] }.describe();
-        assert!(said.contains(word), "{said}");
+        let description = FactorEstimate { value, ci95: [value - 0.02, value + 0.02] }.describe();
+        assert!(description.contains(word), "{description}");
     }
 }

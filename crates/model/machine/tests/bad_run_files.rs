@@ -168,7 +168,7 @@ fn places_of(text: &str) -> (Vec<(usize, usize)>, usize) {
 }
 
 #[test]
-fn all_that_is_wrong_with_a_file_is_told_at_once_in_its_order() {
+fn all_that_is_wrong_with_a_file_is_reported_at_once_in_its_order() {
     let text = "time_s,x_mm,x_mm,,dir_x\n\
                 0,1,2,3,1\n\
                 1,abc,2,inf,0\n\
@@ -178,8 +178,8 @@ fn all_that_is_wrong_with_a_file_is_told_at_once_in_its_order() {
                 # a comment\n\
                 2.5,1,2,3,1\n\
                 2.6,1,2,3,-1\n";
-    let wanted = [(1, 13), (1, 18), (3, 3), (3, 9), (3, 13), (4, 8), (5, 11), (6, 3)];
-    assert_eq!(places_of(text), (wanted.to_vec(), 0));
+    let expected = [(1, 13), (1, 18), (3, 3), (3, 9), (3, 13), (4, 8), (5, 11), (6, 3)];
+    assert_eq!(places_of(text), (expected.to_vec(), 0));
     // Of a row that is wrong the time counts, where it can be read: this one runs back.
     let late = "time_s,x_mm\n5,x\n4,1\n4,2\n";
     assert_eq!(places_of(late), (vec![(2, 3), (3, 1)], 0));
@@ -193,7 +193,7 @@ fn all_that_is_wrong_with_a_file_is_told_at_once_in_its_order() {
 }
 
 #[test]
-fn of_a_file_that_is_wrong_everywhere_twenty_faults_are_told_and_the_others_counted() {
+fn of_a_file_that_is_wrong_everywhere_twenty_faults_are_reported_and_the_others_counted() {
     let text = "time_s;x_mm\n".to_string() + &"0;1,5\n".repeat(332);
     let (places, unlisted) = places_of(&text);
     assert_eq!((places.len(), unlisted), (MAX_LISTED_FAULTS, 312));

@@ -73,7 +73,7 @@ fn a_swung_tool_has_grown_by_what_was_applied_along_it() {
 }
 
 #[test]
-fn rows_in_which_nobody_knows_what_was_applied_are_set_aside_and_counted() {
+fn rows_with_an_unknown_offset_are_excluded_and_counted() {
     let text = "time_s,measured_dz_um,offset_z_um,quality,flags,age_ms,calibration_crc,temp_a_c\n\
                 0,1,0,0,0,0,7,20\n1,2,-9,3,0,0,7,21\n2,3,-9,4,0,0,7,22\n3,4,-9,5,0,0,7,23\n\
                 4,5,,6,0,0,7,24\n5,6,-9,,0,0,7,25\n6,7,,1,0,0,7,26\n7,,-9,4,0,0,7,27\n";
@@ -129,7 +129,7 @@ fn a_bridge_without_an_offset_for_longer_than_a_cnc_takes_to_go_to_0_was_without
 }
 
 #[test]
-fn what_cannot_be_taken_out_is_refused_where_it_is_wanted() {
+fn what_cannot_be_subtracted_is_refused_where_it_is_requested() {
     let offsets = "measured_dz_um,offset_z_um\n1,2\n";
     let refused = error(THREE_AXIS, offsets, None);
     assert!(refused.starts_with("r.csv:1:1: column quality is missing"), "{refused}");
@@ -140,7 +140,7 @@ fn what_cannot_be_taken_out_is_refused_where_it_is_wanted() {
     assert!(refused.starts_with("r.csv:1:1: column offset_x_um is missing"), "{refused}");
     let (dz, notes) = taken_out(THREE_AXIS, both, "measured_dz_um");
     assert_eq!(dz, [Some(-1.0)]);
-    assert!(notes.iter().any(|note| note.contains("measured_dx_um is left out")), "{notes:?}");
+    assert!(notes.iter().any(|note| note.contains("measured_dx_um is ignored")), "{notes:?}");
     // A bridge that was off all the time applied nothing.
     let off = "measured_dx_um,quality\n5,0\n6,0\n";
     assert_eq!(taken_out(THREE_AXIS, off, "measured_dx_um").0, [Some(5.0), Some(6.0)]);
@@ -158,9 +158,9 @@ fn the_calibration_of_another_machine_file_is_refused() {
     let record = |crc: &str| {
         format!("measured_dx_um,offset_x_um,quality,calibration_crc\n1,0,0,{crc}\n3,-4,1,{crc}\n")
     };
-    let told = |crc: &str| taken_out(&text, &record(crc), "measured_dx_um").1;
-    assert_eq!(told(&own.to_string()), [""; 0]);
-    let unknown = told("");
+    let notes_with = |crc: &str| taken_out(&text, &record(crc), "measured_dx_um").1;
+    assert_eq!(notes_with(&own.to_string()), [""; 0]);
+    let unknown = notes_with("");
     assert!(unknown[0].contains("there is no calibration_crc"), "{unknown:?}");
     let refused = error(&text, &record(&other.to_string()), None);
     assert!(refused.starts_with("r.csv:2:7: calibration_crc "), "{refused}");

@@ -193,6 +193,6 @@ fn a_column_of_few_values_is_suggested_once_as_a_condition() {
     assert!(alone[0].contains("`coolant_on = { kind = \"condition\", bit = 0 }` in [inputs]"));
     assert!(alone[1].starts_with("pallet has 3 values") && alone[2].contains("bit = 1 }"));
     let machine = machine(DECLARED);
-    let beside = check::suggest_conditions(&run, Some(&machine));
-    assert!(beside.len() == 2 && beside[1].starts_with("door is 0 or 1"), "{beside:?}");
+    let adjacent = check::suggest_conditions(&run, Some(&machine));
+    assert!(adjacent.len() == 2 && adjacent[1].starts_with("door is 0 or 1"), "{adjacent:?}");
 }

@@ -39,8 +39,11 @@ fn a_zero_that_a_first_rise_takes_back_is_refused_with_what_it_does_after_a_star
     // Within the limit it can be run; `check` says it.
     let small = machine(300.0, &pair(-143.0, 139.0));
     compile(&small).expect("the board can run it");
-    let told = check::machine_warnings(&small);
-    assert!(told.iter().any(|warning| warning.what.contains("take each other back")), "{told:?}");
+    let warnings = check::machine_warnings(&small);
+    assert!(
+        warnings.iter().any(|warning| warning.what.contains("take each other back")),
+        "{warnings:?}"
+    );
     // With a limit as large as the two, neither is believed.
     let wide = machine(3000.0, &pair(-1450.0, 1444.0));
     assert!(compile(&wide).is_err_and(|error| error.rule.contains("take each other back")));

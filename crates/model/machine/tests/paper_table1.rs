@@ -33,7 +33,7 @@ struct Figures {
     papers_constants: ErrorStatistics,
     line: LineFit,
     fitted: ErrorStatistics,
-    left_out: ErrorStatistics,
+    held_out: ErrorStatistics,
 }
 
 fn figures(sensor_um: &[f64]) -> Figures {
@@ -44,7 +44,7 @@ fn figures(sensor_um: &[f64]) -> Figures {
     Figures {
         papers_constants: ErrorStatistics::from_residuals(&left).expect("15 rows"),
         fitted: ErrorStatistics::from_residuals(&line.residuals).expect("15 rows"),
-        left_out: ErrorStatistics::from_residuals(&line.leave_one_out_residuals).expect("15 rows"),
+        held_out: ErrorStatistics::from_residuals(&line.leave_one_out_residuals).expect("15 rows"),
         line,
     }
 }
@@ -70,8 +70,8 @@ fn the_printed_micrometres_give_the_reference_figures_to_their_last_digit() {
     assert_near(figures.line.gain, 1.2975, 0.000_05);
     assert_near(figures.line.offset, -4.0, 0.05);
     assert_near(figures.fitted.rms, 0.835, 0.0005);
-    assert_near(figures.left_out.rms, 0.94, 0.005);
-    assert_near(figures.left_out.max_abs, 1.87, 0.005);
+    assert_near(figures.held_out.rms, 0.94, 0.005);
+    assert_near(figures.held_out.max_abs, 1.87, 0.005);
 }
 
 #[test]
@@ -82,15 +82,15 @@ fn the_counts_of_the_data_file_give_the_same_figures_within_0_01_um() {
     assert_near(figures.line.gain, 1.2975, 0.0002);
     assert_near(figures.line.offset, -4.0, 0.01);
     assert_near(figures.fitted.rms, 0.835, 0.01);
-    assert_near(figures.left_out.rms, 0.94, 0.01);
-    assert_near(figures.left_out.max_abs, 1.87, 0.01);
+    assert_near(figures.held_out.rms, 0.94, 0.01);
+    assert_near(figures.held_out.max_abs, 1.87, 0.01);
 }
 
 /// Two hours at 24 000 r/min (paper 0): 10, 12, 13, 14 µm are left each half hour, and 80 µm stand there
 /// without compensation. The constants are those of Table 1, not of these figures. The growth of the
 /// spindle before the end is not printed: the table's line says what it must have been.
 #[test]
-fn the_papers_two_hours_leave_what_table_1_foresees() {
+fn the_papers_two_hours_leave_what_table_1_predicts() {
     let figures = figures(&PRINTED_UM);
     let LineFit { gain, offset, .. } = figures.line;
     let left_of = |grown: f64| grown - (grown - offset) / gain;
@@ -98,7 +98,7 @@ fn the_papers_two_hours_leave_what_table_1_foresees() {
     let grown = [10.0, 12.0, 13.0, 14.0].map(grown_at);
     println!("left of 80 um: {:.1} um; grown at 0.5, 1, 1.5, 2 h: {grown:.1?} um", left_of(80.0));
     // As far off as the table's own readings are from its line.
-    assert_near(left_of(80.0), 14.0, figures.left_out.max_abs);
+    assert_near(left_of(80.0), 14.0, figures.held_out.max_abs);
     assert!(grown.is_sorted() && grown[3] < 80.0);
     // The paper calls at most 50 µm of growth and 15 µm of it left sufficient.
     assert!(left_of(80.0) < 50.0 && figures.papers_constants.max_abs.round() == 15.0);

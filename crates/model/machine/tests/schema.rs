@@ -249,26 +249,26 @@ fn file_with(name: &str, keys: &[Key], more: &[(&str, &str)]) -> String {
     }
     let has = |name: &str| more.iter().any(|(key, _)| *key == name);
     let mut more = more.to_vec();
-    let mut beside = |section: &str, key: &'static str, value: &'static str, without: &[&str]| {
+    let mut adjacent = |section: &str, key: &'static str, value: &'static str, without: &[&str]| {
         // Of the kind that was asked for there are none of them.
         if name == section && !has(key) && !without.iter().any(|key| has(key)) {
             more.push((key, value));
         }
     };
-    beside("spindle.sensor", "zero_counts", "1", &["zero_v"]);
-    beside("spindle.sensor", "um_per_count", "1", &["um_per_v"]);
+    adjacent("spindle.sensor", "zero_counts", "1", &["zero_v"]);
+    adjacent("spindle.sensor", "um_per_count", "1", &["um_per_v"]);
     if name.starts_with("angular.") {
-        beside(name, "urad_per_m", "1", &[]);
+        adjacent(name, "urad_per_m", "1", &[]);
     }
-    beside("axis.x.thermal", "reference_c", "20.0", &["table"]);
-    beside("inputs.temp_<name>_c", "kind", "\"linear\"", &[]);
+    adjacent("axis.x.thermal", "reference_c", "20.0", &["table"]);
+    adjacent("inputs.temp_<name>_c", "kind", "\"linear\"", &[]);
     // The line in volts where a key of it is asked for, else in counts.
     let in_volts = ["zero_v", "c_per_v"];
-    beside("inputs.temp_<name>_c", "zero_counts", "1", &["kind", "zero_v", "c_per_v"]);
-    beside("inputs.temp_<name>_c", "counts_per_c", "1", &["kind", "zero_v", "c_per_v"]);
-    beside("inputs.temp_<name>_c", "counts_full_scale", "1", &["kind", "zero_v", "c_per_v"]);
+    adjacent("inputs.temp_<name>_c", "zero_counts", "1", &["kind", "zero_v", "c_per_v"]);
+    adjacent("inputs.temp_<name>_c", "counts_per_c", "1", &["kind", "zero_v", "c_per_v"]);
+    adjacent("inputs.temp_<name>_c", "counts_full_scale", "1", &["kind", "zero_v", "c_per_v"]);
     for key in in_volts.into_iter().filter(|_| in_volts.iter().any(|key| has(key))) {
-        beside("inputs.temp_<name>_c", key, "1", &["kind"]);
+        adjacent("inputs.temp_<name>_c", key, "1", &["kind"]);
     }
     if name == "spindle" {
         text.push_str("[spindle.sensor]\nk0_um = 0\nzero_counts = 1\num_per_count = 1\n");
@@ -374,12 +374,12 @@ fn every_key_of_every_cause_is_described_and_no_other_is() {
 }
 
 #[test]
-fn all_that_is_wrong_in_a_file_is_told_at_once_in_the_order_of_its_lines() {
+fn all_that_is_wrong_in_a_file_is_reported_at_once_in_the_order_of_its_lines() {
     let text = "[machine]\nname = \"m\"\nkind = \"4-axis\"\n\n[limits]\nslew_um_per_s = -1.0\nhold_ms = 2.5\n\
                 slow = 3\n\n[axis.x.backlash]\nramp_mm = 0.1\n\n[[term]]\ncause = \"backlsh\"\nquantity = \"dx\"\n";
     let error = parse(text).expect_err("six things are wrong");
-    let told: Vec<String> = error.into_single_faults().map(|fault| fault.to_string()).collect();
-    let wanted = [
+    let messages: Vec<String> = error.into_single_faults().map(|fault| fault.to_string()).collect();
+    let expected = [
         "m.toml:3:8: machine.kind must be",
         "m.toml:6:17: limits.slew_um_per_s must be above 0, not -1",
         "m.toml:7:11: limits.hold_ms must be a whole number, not a float",
@@ -387,9 +387,9 @@ fn all_that_is_wrong_in_a_file_is_told_at_once_in_the_order_of_its_lines() {
         "m.toml:10:9: axis.x.backlash.width_um is missing",
         "m.toml:14:9: term[0].cause \"backlsh\" is not known; did you mean backlash?",
     ];
-    assert_eq!(told.len(), wanted.len(), "{told:#?}");
-    for (told, wanted) in told.iter().zip(wanted) {
-        assert!(told.starts_with(wanted), "{told} is not {wanted}");
+    assert_eq!(messages.len(), expected.len(), "{messages:#?}");
+    for (messages, expected) in messages.iter().zip(expected) {
+        assert!(messages.starts_with(expected), "{messages} is not {expected}");
     }
     // Rules between keys, of two sections at once.
     let text = "[machine]\nname = \" \"\nkind = \"3-axis\"\n[spindle]\nsource = \"sensor\"\n";
@@ -413,7 +413,7 @@ fn a_sensor_may_be_given_in_volts_as_its_data_sheet_does() {
     assert_eq!(mixed.spindle.sensor.expect("a sensor").zero_counts, 4000.0);
     let both =
         sensor("zero_v = 1.5\nzero_counts = 4000\num_per_v = 50.0", inputs).expect_err("twice");
-    assert!(both.to_string().contains("zero_v stands beside zero_counts"), "{both}");
+    assert!(both.to_string().contains("zero_v cannot be combined with zero_counts"), "{both}");
     let unknown = sensor("zero_v = 1.5\num_per_v = 50.0", "").expect_err("what is a count?");
     assert!(unknown.to_string().contains("needs [inputs] sensor"), "{unknown}");
 }

@@ -52,10 +52,10 @@ fn predicted(sections: &str, terms: &str, quantity: Quantity, csv: &str) -> Vec<
     predictor.predictions().map(|row| row.model.to_array()[index]).collect()
 }
 
-fn assert_near(got: &[f64], wanted: &[f64]) {
-    assert_eq!(got.len(), wanted.len());
-    for (got, wanted) in got.iter().zip(wanted) {
-        assert!((got - wanted).abs() < 1e-9, "{got} is not {wanted}");
+fn assert_near(got: &[f64], target: &[f64]) {
+    assert_eq!(got.len(), target.len());
+    for (got, target) in got.iter().zip(target) {
+        assert!((got - target).abs() < 1e-9, "{got} is not {target}");
     }
 }
 
@@ -67,7 +67,7 @@ fn term(quantity: &str, keys: &str) -> String {
 fn what_a_sensor_does_wrong() {
     // p is 0, 10 and 50 µm.
     let csv = "sensor_counts,temp_coil_c\n0,30\n20,25\n100,20\n";
-    for (keys, wanted) in [
+    for (keys, expected) in [
         ("cause = \"sensor-offset\"\noffset_um = -4.0", [-4.0, 6.0, 46.0]),
         ("cause = \"sensor-gain\"\ngain = 1.3", [0.0, 13.0, 65.0]),
         ("cause = \"sensor-gain\"\ngain = 1.3\nconstant_um = -4.0", [-4.0, 9.0, 61.0]),
@@ -81,10 +81,10 @@ fn what_a_sensor_does_wrong() {
         ("cause = \"growth-amplitude\"\nscale = 0.5", [0.0, 5.0, 25.0]),
     ] {
         let got = predicted(SENSOR, &term("elongation", keys), Quantity::Elongation, csv);
-        assert_near(&got, &wanted);
+        assert_near(&got, &expected);
         // Growth is an error of s·V, V pointing down: the tip is too low.
         let dz = predicted(SENSOR, &term("elongation", keys), Quantity::Dz, csv);
-        assert_near(&dz, &wanted.map(|um| -um));
+        assert_near(&dz, &expected.map(|um| -um));
     }
 }
 
@@ -130,7 +130,7 @@ fn a_lag_is_the_lag_of_the_temperature_and_may_differ_as_it_falls() {
 }
 
 #[test]
-fn heat_beside_the_models_own() {
+fn heat_next_to_the_models_own() {
     let csv = "time_s,temp_a_c,temp_b_c\n0,20,25\n100,30,35\n";
     let e = (-1.0_f64).exp();
     let path = |cause: &str, column: &str, lag: &str| {
@@ -160,24 +160,24 @@ fn a_warm_up_with_another_rate_has_no_end() {
 #[test]
 fn speed_stretches_and_the_cut_pushes_back() {
     let csv = "sensor_counts,spindle_rpm,load_n\n20,-12000,0\n20,0,500\n";
-    for (keys, wanted) in [
+    for (keys, expected) in [
         ("cause = \"centrifugal-growth\"\num_per_krpm2 = 0.05", [17.2, 10.0]),
         ("cause = \"cutting-load\"\num_per_n = 0.01", [10.0, 5.0]),
     ] {
         let got = predicted(SENSOR, &term("elongation", keys), Quantity::Elongation, csv);
-        assert_near(&got, &wanted);
+        assert_near(&got, &expected);
     }
 }
 
 #[test]
 fn an_axis_expands_by_its_right_slope_from_its_right_temperature() {
     let csv = "x_mm,temp_a_c\n0,30\n500,30\n";
-    for (keys, wanted) in [
+    for (keys, expected) in [
         ("cause = \"expansion-slope\"\num_per_m_per_c = 12.0", [0.0, 60.0]),
         ("cause = \"reference-temperature\"\nshift_c = 2.0", [0.0, 40.0]),
         ("cause = \"reference-temperature\"\nshift_c = 2.0\nconstant_um = 1.5", [1.5, 41.5]),
     ] {
-        assert_near(&predicted(AXIS, &term("dx", keys), Quantity::Dx, csv), &wanted);
+        assert_near(&predicted(AXIS, &term("dx", keys), Quantity::Dx, csv), &expected);
     }
 }
 
@@ -193,7 +193,7 @@ fn an_axis_shifts_by_its_right_constant_in_place_of_the_believed_one() {
 #[test]
 fn what_an_axis_does_wrong() {
     let csv = "x_mm,y_mm,dir_x\n0,100,1\n250,100,1\n250,300,-1\n";
-    for (keys, wanted) in [
+    for (keys, expected) in [
         ("cause = \"pitch-scale\"\num_per_m = 8.0", [0.0, 2.0, 2.0]),
         (
             "cause = \"pitch-error\"\nstart_mm = 0.0\nstep_mm = 500.0\nforward_um = [1.0, 5.0]\n\
@@ -237,14 +237,14 @@ fn what_an_axis_does_wrong() {
             [0.0, 3.0_f64.sqrt(), 3.0_f64.sqrt()],
         ),
     ] {
-        assert_near(&predicted("", &term("dx", keys), Quantity::Dx, csv), &wanted);
+        assert_near(&predicted("", &term("dx", keys), Quantity::Dx, csv), &expected);
     }
 }
 
 #[test]
 fn what_only_explains_is_predicted_and_not_for_the_board() {
     let csv = "time_s,sensor_counts\n0,0\n1800,20\n3600,40\n";
-    for (keys, wanted) in [
+    for (keys, expected) in [
         ("cause = \"step\"\nat_s = 1800.0\nsize_um = 3.0", [0.0, 13.0, 23.0]),
         ("cause = \"drift\"\num_per_h = 2.0", [0.0, 11.0, 22.0]),
         ("cause = \"time-shift\"\nshift_s = 900.0", [0.0, 5.0, 15.0]),
@@ -253,7 +253,7 @@ fn what_only_explains_is_predicted_and_not_for_the_board() {
         ("cause = \"reference-instrument\"\ndescription = \"a \\\"laser\\\"\"", [0.0, 10.0, 20.0]),
     ] {
         let terms = term("elongation", keys);
-        assert_near(&predicted(SENSOR, &terms, Quantity::Elongation, csv), &wanted);
+        assert_near(&predicted(SENSOR, &terms, Quantity::Elongation, csv), &expected);
         let machine = machine(SENSOR, &terms);
         let run = RunFile::from_reader(csv.as_bytes(), Path::new("r.csv")).expect("a run");
         let predictor = Predictor::new(&machine, &run).expect("all columns are there");

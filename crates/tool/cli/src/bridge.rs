@@ -20,13 +20,13 @@ use crate::Outcome;
 
 #[derive(Subcommand)]
 pub enum Command {
-    /// Asks the bridge who it is, what it runs on, and how it is.
+    /// Reads the identity, firmware, calibration and state of the bridge.
     ///
     /// Exit 3: it answers, but no heartbeat or no offsets came, or it does not run what --machine makes.
     Info(info::InfoArgs),
     /// Lists the ports of this computer behind which a bridge may be; nothing is sent to them.
     List,
-    /// Loads a calibration: says what it changes, asks, reads it back, and restarts the board with it.
+    /// Loads a calibration: prints what it changes, asks for confirmation, reads it back, and restarts the board with it.
     ///
     /// With --previous it loads the calibration that the last load from this computer has replaced.
     /// Nothing is loaded while offsets are being followed: let the CNC disengage first, and set
@@ -35,7 +35,7 @@ pub enum Command {
     /// that one. Each question of the bridge is answered at the CNC, by Confirm.
     /// Exit 3: it is stored, but the board does not run on it, or belongs to another machine.
     Load(load::LoadArgs),
-    /// Updates the firmware of a board with two slots: shows what runs and what goes where, asks, sends it, and restarts the board.
+    /// Updates the firmware of a board with two slots: shows what runs and what goes where, asks for confirmation, sends it, and restarts the board.
     ///
     /// The new firmware goes to the slot that does not run, and starts on trial: engage and let it give offsets for a
     /// minute. Until then a crash or a hang goes back to the old one. Nothing is sent while offsets are being followed:
@@ -56,7 +56,7 @@ pub enum Command {
     ForgetReference(forget_reference::ForgetReferenceArgs),
     /// Writes all that a board holds to a file, so that a dead board is replaced by another one.
     ///
-    /// Before it replaces another machine's backup it asks.
+    /// It asks for confirmation before it replaces another machine's backup.
     Save(backup::SaveArgs),
     /// Loads what `save` has kept into a board, as `load` does, and offers it the reference that Zero took.
     ///
@@ -66,7 +66,7 @@ pub enum Command {
     /// Shows a bridge live: sensor, growth, offsets by cause, temperatures, faults with what to do.
     ///
     /// On a terminal it is a screen with keys (q quit, r record, g gauge reading, t trend, ? help).
-    /// Otherwise it prints a line a second, until Ctrl-C. It only listens and asks: nothing is engaged by it.
+    /// Otherwise it prints a line a second, until Ctrl-C. It only reads; it engages nothing.
     /// Exit 3: frames were damaged or out of order, or (lines) a second passed without offsets.
     Monitor(monitor::MonitorArgs),
 }

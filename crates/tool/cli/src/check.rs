@@ -48,13 +48,13 @@ pub fn run(args: &CheckArgs, as_json: bool) -> Result<Outcome> {
         [path] => Some(*path),
         _ => None,
     };
-    let beside = match args.machine.as_ref().or(only) {
+    let adjacent = match args.machine.as_ref().or(only) {
         Some(path) if !run_files.is_empty() => Some(MachineFile::read(path)?),
         _ => None,
     };
-    let mut told = Vec::new();
+    let mut messages = Vec::new();
     let mut refused = Vec::new();
-    let mut doubts = 0;
+    let mut caveats = 0;
     for path in files {
         let (mut warnings, summary) = if is_machine(&path) {
             let machine = MachineFile::read(path)?;
@@ -64,12 +64,12 @@ pub fn run(args: &CheckArgs, as_json: bool) -> Result<Outcome> {
             ));
             check_machine(path, &machine, as_json)?
         } else {
-            let (run, mut reported) = preprocess_run(runs::read(path)?, beside.as_ref());
+            let (run, mut reported) = preprocess_run(runs::read(path)?, adjacent.as_ref());
             refused.extend(check::combine_refused(
-                &check::column_findings(&run, beside.as_ref(), &[]),
+                &check::column_findings(&run, adjacent.as_ref(), &[]),
                 &files::accepted_keys(),
             ));
-            let (warnings, summary) = check_run(path, &run, beside.as_ref(), as_json)?;
+            let (warnings, summary) = check_run(path, &run, adjacent.as_ref(), as_json)?;
             report::print_remarks(&check::run_remarks(&run));
             reported.extend(warnings);
             (reported, summary)
@@ -78,7 +78,7 @@ pub fn run(args: &CheckArgs, as_json: bool) -> Result<Outcome> {
         let listed: Vec<BadInput> =
             refused.iter().cloned().flat_map(BadInput::into_single_faults).collect();
         warnings.retain(|warning| listed.iter().all(|error| error.place != warning.place));
-        doubts += warnings.len();
+        caveats += warnings.len();
         if as_json {
             let object = |warning: &Warning| {
                 report::message_json(
@@ -89,7 +89,7 @@ pub fn run(args: &CheckArgs, as_json: bool) -> Result<Outcome> {
                 )
             };
             let warnings: Vec<Value> = warnings.iter().map(object).collect();
-            told.push(json!({
+            messages.push(json!({
                 "file": path.to_string_lossy(), "does": summary, "warnings": warnings
             }));
         } else {
@@ -97,19 +97,19 @@ pub fn run(args: &CheckArgs, as_json: bool) -> Result<Outcome> {
         }
     }
     if as_json {
-        output::print(Value::from(told))?;
+        output::print(Value::from(messages))?;
     }
     if let Some(refused) = BadInput::combine(refused) {
         return Err(refused.into());
     }
     if !as_json {
-        output::print(match doubts {
+        output::print(match caveats {
             0 => "nothing looks wrong".to_string(),
             1 => "1 thing looks wrong".to_string(),
-            doubts => format!("{doubts} things look wrong"),
+            caveats => format!("{caveats} things look wrong"),
         })?;
     }
-    Ok(if doubts == 0 { Outcome::Done } else { Outcome::NotMet })
+    Ok(if caveats == 0 { Outcome::Done } else { Outcome::NotMet })
 }
 
 fn check_machine(path: &Path, machine: &Machine, as_json: bool) -> Result<(Vec<Warning>, Value)> {

@@ -52,7 +52,7 @@ use crate::{
 /// Exit 3: it has stopped before the end: an answer is missing, the sign is wrong, or it is not accepted yet.
 #[derive(Args)]
 pub struct CommissionArgs {
-    /// The kind of commissioning; left out, the growth of the spindle that the machine file describes.
+    /// The kind of commissioning. Default: the growth of the spindle that the machine file describes.
     kind: Option<Procedure>,
     /// The axis, for pitch and backlash.
     #[arg(long, value_name = "x|y|z", value_parser = parse_axis)]
@@ -72,10 +72,10 @@ pub struct CommissionArgs {
     /// This much of the RMS error must be gone, in percent.
     #[arg(long, value_name = "PERCENT", default_value_t = 90.0)]
     require: f64,
-    /// The speed of the warm-up in r/min; left out, rated_rpm of the machine file.
+    /// The speed of the warm-up in r/min. Default: rated_rpm of the machine file.
     #[arg(long, value_name = "R/MIN")]
     rpm: Option<f64>,
-    /// How long the warm-up takes, in s; left out, 7200.
+    /// How long the warm-up takes, in s. Default: 7200.
     #[arg(long, value_name = "S")]
     heat_s: Option<f64>,
     #[command(flatten)]
@@ -112,9 +112,8 @@ impl CommissioningTask {
     /// As it was requested, if the machine file leaves no doubt.
     fn from_args(args: &CommissionArgs, machine: &Machine) -> Result<Self, UserError> {
         let file = args.machine.display();
-        let no_axis = |kind: &str| {
-            UserError(format!("{kind} is of an axis: say which, --axis x, --axis y or --axis z"))
-        };
+        let no_axis =
+            |kind: &str| UserError(format!("{kind} needs an axis: --axis x, --axis y or --axis z"));
         match (args.kind, args.axis) {
             (Some(Procedure::Pitch), Some(axis)) => Ok(Self::Pitch(axis)),
             (Some(Procedure::Backlash), Some(axis)) => Ok(Self::Backlash(axis)),
@@ -125,7 +124,7 @@ impl CommissioningTask {
             )),
             (Some(Procedure::Warmup), None) => Ok(Self::Spindle),
             (None, None) if machine.spindle == Spindle::default() => Err(UserError(format!(
-                "{file} has no [spindle]: say what is to be commissioned: trueup commission warmup, or \
+                "{file} has no [spindle]: choose what to commission: trueup commission warmup, or \
                  pitch or backlash with --axis. Straightness and the heat of an axis are measured and \
                  fitted by hand: trueup program, trueup fit"
             ))),
@@ -193,8 +192,8 @@ pub fn run(args: &CommissionArgs, as_json: bool) -> Result<Outcome> {
     let subject = CommissioningTask::from_args(args, &machine)?;
     subject.check_program_available(args, &machine)?;
     output::create_folder(&args.out)?;
-    let kept = args.out.join("machine.toml");
-    match fs::read_to_string(&kept) {
+    let retained = args.out.join("machine.toml");
+    match fs::read_to_string(&retained) {
         Ok(before) if before != text => {
             return Err(UserError(format!(
                 "{}: was begun with another machine file; give another folder",
@@ -203,7 +202,7 @@ pub fn run(args: &CommissionArgs, as_json: bool) -> Result<Outcome> {
             .into());
         }
         Ok(_) => {}
-        Err(_) => output::write_atomically(&kept, &[], |out| out.write_all(text.as_bytes()))?,
+        Err(_) => output::write_atomically(&retained, &[], |out| out.write_all(text.as_bytes()))?,
     }
     install_interrupt_handler()?;
     let journal = Journal::open(&args.out, &subject.name())?;
@@ -296,7 +295,7 @@ impl CommissioningRun<'_> {
             Step::On => {
                 let question = match self.subject {
                     CommissioningTask::Spindle => {
-                        "let the machine grow cold, engage, run warmup again".into()
+                        "let the machine cool down, engage, run warmup again".into()
                     }
                     axis => format!("engage, run {} again", axis.program_name()),
                 };
@@ -432,9 +431,9 @@ impl CommissioningRun<'_> {
             self.journal.log(&what)?;
             return Ok(false);
         }
-        let kept = self.path(&format!("{which}-{}.csv", self.journal.round));
+        let retained = self.path(&format!("{which}-{}.csv", self.journal.round));
         let bytes = fs::read(&from).with_context(|| format!("while reading {}", from.display()))?;
-        output::write_atomically(Path::new(&kept), &[], |out| out.write_all(&bytes))?;
+        output::write_atomically(Path::new(&retained), &[], |out| out.write_all(&bytes))?;
         self.journal.log(&format!("  {}, {readings} readings", from.display()))?;
         Ok(true)
     }

@@ -117,8 +117,7 @@ fn print(it: &Comparison, limit_um: Option<f64>) -> Result<()> {
     let widest_um = halves.fold(0.0, f64::max);
     if let Some(limit_um) = limit_um.filter(|limit| !it.differs && widest_um > *limit) {
         output::print(format_args!(
-            "  these readings know a place to ± {widest_um:.2} µm only: whether {limit_um} µm is kept they cannot show; \
-             read each place more often"
+            "  these readings know a place to ± {widest_um:.2} µm only: whether {limit_um} µm is met is not shown; read each position more often"
         ))?;
     }
     let mut places: Vec<_> = it.places.iter().collect();

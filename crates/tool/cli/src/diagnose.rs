@@ -321,7 +321,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_the_board_cannot_run_is_told_where_the_believed_file_could_be_compiled() {
+    fn what_the_board_cannot_run_is_reported_where_the_believed_file_could_be_compiled() {
         let read = |text: &str| {
             let file = format!("[machine]\nname = \"m\"\nkind = \"3-axis\"\n{text}");
             MachineFile::parse(&file, Path::new("m.toml")).expect("the test's own file")
@@ -330,9 +330,9 @@ mod tests {
                     um_per_c = 2.0\ntime_constant_s = 600.0\nreference_c = 20.0\n";
         let connected = "[inputs]\ntemp_bed_c = { channel = 0, kind = \"pt100\" }\n";
         assert_eq!(compile_refusal(&read(""), &read("")), None);
-        let told = compile_refusal(&read(""), &read(heat))
+        let refusal = compile_refusal(&read(""), &read(heat))
             .expect("no thermometer of that name is connected");
-        assert!(told.rule.contains("temp_bed_c"), "{}", told.rule);
+        assert!(refusal.rule.contains("temp_bed_c"), "{}", refusal.rule);
         assert_eq!(compile_refusal(&read(connected), &read(&format!("{connected}{heat}"))), None);
     }
 }

@@ -105,8 +105,8 @@ fn program_version(name: &str, words: &[&str]) -> Option<String> {
     if words.is_empty() {
         return Some(path.display().to_string());
     }
-    let said = Command::new(&path).args(words).stdin(Stdio::null()).output().ok()?;
-    let text = [said.stdout, said.stderr].concat();
+    let output = Command::new(&path).args(words).stdin(Stdio::null()).output().ok()?;
+    let text = [output.stdout, output.stderr].concat();
     let text = String::from_utf8_lossy(&text);
     let line = text.lines().find(|line| !line.trim().is_empty()).unwrap_or_default();
     Some(trueup_output::escape::escape_line(line))

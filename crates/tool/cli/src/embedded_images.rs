@@ -25,18 +25,18 @@ const IMAGE_BUILD_DIR: &str = if cfg!(debug_assertions) {
 ///
 /// # Errors
 /// This tool has none, or they cannot be written.
-pub fn write_images(folder: &Path, wanted: Option<&str>) -> Result<Vec<String>> {
+pub fn write_images(folder: &Path, requested: Option<&str>) -> Result<Vec<String>> {
     let mut written = Vec::new();
     let mut set = FileTransaction::new(&[]);
-    let is_wanted = |name: &str| wanted.is_none_or(|wanted| wanted == name);
-    for (name, bytes) in EMBEDDED_IMAGES.iter().filter(|(name, _)| is_wanted(name)) {
+    let is_requested = |name: &str| requested.is_none_or(|requested| requested == name);
+    for (name, bytes) in EMBEDDED_IMAGES.iter().filter(|(name, _)| is_requested(name)) {
         set.add(&folder.join(name), |out| out.write_all(bytes))?;
         written.push((*name).to_string());
     }
     if EMBEDDED_IMAGES.is_empty() {
         for entry in fs::read_dir(IMAGE_BUILD_DIR).into_iter().flatten().flatten() {
             let name = entry.file_name().to_string_lossy().into_owned();
-            if is_wanted(&name) {
+            if is_requested(&name) {
                 let mut from = fs::File::open(entry.path())
                     .with_context(|| entry.path().display().to_string())?;
                 set.add(&folder.join(&name), |mut out| io::copy(&mut from, &mut out))?;
@@ -46,8 +46,7 @@ pub fn write_images(folder: &Path, wanted: Option<&str>) -> Result<Vec<String>> 
     }
     if written.is_empty() {
         let reason = "this trueup carries no firmware: it is a build for tests, or the images could \
-                      not be built with it. In the source tree `cargo xtask images` builds them and \
-                      says what is missing; then install again: cargo install --path crates/tool/cli";
+                      not be built with it. In the source tree `cargo xtask images` builds them and prints what is missing; then install again: cargo install --path crates/tool/cli";
         return Err(UserError(reason.into()).into());
     }
     set.commit()?;

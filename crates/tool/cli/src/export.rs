@@ -24,7 +24,7 @@ use crate::{
 
 /// Turns a machine file into what another control loads, reads it back, and says how well it fits.
 ///
-/// Exit 3: exported, but something was left out or thinned, or is further off than the control's rounding.
+/// Exit 3: exported, but something was omitted or thinned, or differs by more than the control's rounding.
 #[derive(Args)]
 pub struct ExportArgs {
     #[command(flatten)]
@@ -39,10 +39,10 @@ pub struct ExportArgs {
     /// The control's unit of length (Siemens, LinuxCNC).
     #[arg(long, default_value = "mm", value_parser = described(LENGTH_UNITS))]
     units: LengthUnit,
-    /// The reference points, in mm: there Siemens and FANUC want a value of 0.
+    /// The reference points, in mm: there Siemens and FANUC need a value of 0.
     #[arg(long, value_name = "x=0,y=0,z=0", value_delimiter = ',', allow_hyphen_values = true)]
     reference: Vec<String>,
-    /// The travel of an axis, in mm; left out, it is as far as the model's tables reach.
+    /// The travel of an axis, in mm. Default: the range of the model's tables.
     #[arg(long, value_name = "x=0:1000", value_delimiter = ',', allow_hyphen_values = true)]
     travel: Vec<String>,
     /// How near to the model the points of a curve keep the lines between them.
@@ -54,10 +54,10 @@ pub struct ExportArgs {
     /// FANUC's detection unit.
     #[arg(long, value_name = "UM", default_value_t = 1.0)]
     unit_um: f64,
-    /// FANUC: 0 for the old Series 0, whose parameters are keyed in by hand; left out, 0i and later.
+    /// FANUC: 0 for the old Series 0, whose parameters are keyed in by hand; 0i for 0i and later.
     #[arg(long, value_name = "0", value_parser = ["0", "0i"], default_value = "0i")]
     series: String,
-    /// Temperatures for the Siemens setting data; left out, each axis is at its reference.
+    /// Temperatures for the Siemens setting data. Default: each axis is at its reference.
     #[arg(long, value_name = "temp_x_c=30", value_delimiter = ',', allow_hyphen_values = true)]
     temperature: Vec<String>,
     /// The tool's growth for the Siemens setting data.
@@ -202,7 +202,7 @@ fn report_json(
             "loss": table.loss,
         })
     };
-    let left_out = |OmittedSection { section, reason }: &OmittedSection| json!({ "section": section, "reason": reason });
+    let omitted = |OmittedSection { section, reason }: &OmittedSection| json!({ "section": section, "reason": reason });
     json!({
         "format": report.format.name(),
         "machine": report.machine,
@@ -211,7 +211,7 @@ fn report_json(
         "units": report.options.units.name(),
         "reference_mm": report.options.reference_mm,
         "tables": report.tables.iter().map(table).collect::<Vec<_>>(),
-        "left_out": report.left_out.iter().map(left_out).collect::<Vec<_>>(),
+        "left_out": report.omitted.iter().map(omitted).collect::<Vec<_>>(),
         "notes": report.notes,
         "whole": report.is_complete(),
         "largest_difference_um": report.max_difference_um(),

@@ -46,10 +46,10 @@ pub enum Command {
 pub struct SubmitArgs {
     #[command(flatten)]
     place: FleetLocationArgs,
-    /// The machine; left out, serial of the machine file, else its name.
+    /// The machine. Default: the serial number in the machine file, else its name.
     #[arg(long, value_name = "SERIAL")]
     name: Option<String>,
-    /// The day of the record, 2026-11-22; left out, the date in the name of the first run file.
+    /// The day of the record, 2026-11-22. Default: the date in the name of the first run file.
     #[arg(long, value_name = "DATE", value_parser = parse_day)]
     date: Option<dated::EpochDay>,
     #[command(flatten)]
@@ -67,7 +67,7 @@ pub struct WorkerArgs {
     /// Jobs at once, each on one core.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
     threads: u16,
-    /// End once every job has a result or has failed; left out, wait for more.
+    /// End once every job has a result or has failed. Default: wait for more jobs.
     #[arg(long)]
     until_empty: bool,
     /// How long a worker may be silent before another one takes its job, in s. On a server it is one for all workers: it
@@ -231,11 +231,11 @@ fn diagnose(args: &DiagnoseArgs, as_json: bool) -> Result<Outcome> {
         let rule = "has no result: trueup fleet worker makes them";
         return Err(UserError(format!("{}: {rule}", args.place)).into());
     }
-    let asked = structure::select_causes_to_fit(&records);
-    for ((id, record), asked) in ids.iter().zip(&mut records).zip(asked) {
-        let Some(asked) = asked else { continue };
+    let requested = structure::select_causes_to_fit(&records);
+    for ((id, record), requested) in ids.iter().zip(&mut records).zip(requested) {
+        let Some(requested) = requested else { continue };
         match report::with_warnings(false, || {
-            job::fitted_constants(&store, id, &record.quantity, &asked)
+            job::fitted_constants(&store, id, &record.quantity, &requested)
         }) {
             Ok(answered) => record.replace_constants(answered),
             Err(why) => {

@@ -226,9 +226,9 @@ fn run_modbus(
         ..PlcStatus::default()
     };
     if bridge.once {
-        let hears = wait_for_bridge(shared);
+        let is_receiving = wait_for_bridge(shared);
         output::print(health::build_status_line(shared, &end()))?;
-        return Ok(if hears { Outcome::Done } else { Outcome::NotMet });
+        return Ok(if is_receiving { Outcome::Done } else { Outcome::NotMet });
     }
     report_status(shared, bridge, &line, end, end)
 }
@@ -241,11 +241,11 @@ fn run_rtu(
 ) -> Result<Outcome> {
     let thread = start_bridge_thread(shared, bridge)?;
     if bridge.once {
-        let hears = wait_for_bridge(shared);
+        let is_receiving = wait_for_bridge(shared);
         line.open().with_context(|| format!("the serial device {}", line.device))?;
         let end = PlcStatus { is_up: true, ..PlcStatus::default() };
         output::print(health::build_status_line(shared, &end))?;
-        return Ok(if hears { Outcome::Done } else { Outcome::NotMet });
+        return Ok(if is_receiving { Outcome::Done } else { Outcome::NotMet });
     }
     let end = SharedPlcStatus::default();
     let (ours, theirs) = (shared.clone(), end.clone());
@@ -259,11 +259,11 @@ fn run_rtu(
 fn run_s7(shared: &SharedHub, bridge: &BridgeArgs, target: &BlockAddress) -> Result<Outcome> {
     let line = start_bridge_thread(shared, bridge)?;
     if bridge.once {
-        let hears = wait_for_bridge(shared);
+        let is_receiving = wait_for_bridge(shared);
         s7::write_and_verify(shared, target)?;
         let end = PlcStatus { is_up: true, given: 1, ..PlcStatus::default() };
         output::print(health::build_status_line(shared, &end))?;
-        return Ok(if hears { Outcome::Done } else { Outcome::NotMet });
+        return Ok(if is_receiving { Outcome::Done } else { Outcome::NotMet });
     }
     let end = SharedPlcStatus::default();
     let (ours, theirs, target) = (shared.clone(), end.clone(), target.clone());

@@ -276,13 +276,13 @@ mod tests {
         let mut counted = 0;
         each(&tool, "", &mut |command, path, option| {
             let Some(long) = option.get_long() else { return };
-            let wanted = short_option(command, option).map(|(_, letter)| *letter);
+            let requested = short_option(command, option).map(|(_, letter)| *letter);
             if let Some(letter) = option.get_short() {
                 let is_global = ["quiet", "verbose", "help", "version"].contains(&long);
-                assert!(is_global || Some(letter) == wanted, "{path} -{letter} is --{long}");
+                assert!(is_global || Some(letter) == requested, "{path} -{letter} is --{long}");
             }
-            assert!(wanted.is_none() || option.get_short() == wanted, "{path} --{long}");
-            counted += usize::from(wanted.is_some());
+            assert!(requested.is_none() || option.get_short() == requested, "{path} --{long}");
+            counted += usize::from(requested.is_some());
         });
         assert!(counted > 40, "{counted}");
     }

@@ -93,7 +93,7 @@ struct CircleTableArgs {
     /// The plane; the angle counts from its first axis to the second one.
     #[arg(long, requires = "radius", value_parser = ["xy", "yz", "zx"], default_value = "xy")]
     plane: String,
-    /// The direction of the whole table; left out, the order of its rows says it.
+    /// The direction of the whole table. Default: the order of its rows.
     #[arg(long, requires = "radius", value_parser = ["ccw", "cw"])]
     direction: Option<String>,
 }
@@ -121,9 +121,9 @@ fn parse_centre(text: &str) -> Result<[f64; 2], String> {
 
 /// Imports the table.
 pub fn run(args: &ImportArgs, as_json: bool) -> Result<Outcome> {
-    let asks = !as_json && stdin().is_terminal() && trueup_output::is_output_terminal();
+    let requests = !as_json && stdin().is_terminal() && trueup_output::is_output_terminal();
     output::check_output_path(&args.output, &[&args.file])?;
-    if asks && !args.overwrite && args.output.is_file() {
+    if requests && !args.overwrite && args.output.is_file() {
         return Err(already_exists_error(&args.output).into());
     }
     let bytes = bounded_read::read(&args.file, MAX_FILE_BYTES)
@@ -141,7 +141,7 @@ pub fn run(args: &ImportArgs, as_json: bool) -> Result<Outcome> {
         match import(&bytes, &args.file, &answers) {
             Ok(imported) => break imported,
             Err(ImportError::Bad(error)) => return Err(table_error(error, as_json)),
-            Err(ImportError::Open(questions)) if asks => {
+            Err(ImportError::Open(questions)) if requests => {
                 for question in questions {
                     let value = prompt_for_answer(&question)?;
                     answers.record_answer(&question.topic, &value).map_err(UserError)?;
@@ -299,7 +299,7 @@ fn write(
 
 /// Prints what was understood.
 fn print(args: &ImportArgs, imported: &ImportedRun, as_json: bool) -> Result<()> {
-    let ImportedRun { rows, form, columns, left_out, notes, .. } = imported;
+    let ImportedRun { rows, form, columns, skipped: omitted, notes, .. } = imported;
     if as_json {
         let columns: Vec<_> = columns
             .iter()
@@ -312,7 +312,7 @@ fn print(args: &ImportArgs, imported: &ImportedRun, as_json: bool) -> Result<()>
             .collect();
         return output::print(json!({
             "output": args.output, "rows": rows, "form": form, "columns": columns,
-            "left_out": left_out, "notes": notes,
+            "left_out": omitted, "notes": notes,
         }));
     }
     output::print(format_args!("{}: {}, {rows} rows", args.file.display(), form.join(", ")))?;
@@ -350,8 +350,8 @@ fn print(args: &ImportArgs, imported: &ImportedRun, as_json: bool) -> Result<()>
         let [wide_a, wide_b, wide_c] = widths;
         output::print(format_args!("  {a:wide_a$}  {b:wide_b$}  {c:wide_c$}  {d}"))?;
     }
-    for (header, why) in left_out {
-        output::print(format_args!("  left out: {header} ({why})"))?;
+    for (header, why) in omitted {
+        output::print(format_args!("   skipped: {header} ({why})"))?;
     }
     for note in notes {
         output::print(format_args!("  {note}"))?;

@@ -185,7 +185,7 @@ fn check_output_machine(output: &Path, machine: &Machine) -> Result<()> {
         return Ok(());
     }
     let rule = format!(
-        "{}: is of {}, and --machine is of {}: give each machine its own --output",
+        "{}: belongs to {}, --machine to {}: give each machine its own --output",
         output.display(),
         there.description(),
         this.description()
@@ -245,7 +245,7 @@ fn undo(
     let mut memory = memory.ok_or_else(|| bad("is not there, so nothing was learned"))?;
     let undone = memory.undo().map_err(|rule| bad(&rule))?;
     let machine = memory.apply_to_file(source, &args.machine).ok_or_else(|| {
-        bad("was learned beside another machine file than this one, or than it was then")
+        bad("was learned with another machine file, or with an earlier version of this one")
     })?;
     save_outputs(args, &[&args.machine], known, &machine, &memory)?;
     for (place, from, to) in &undone.values {
@@ -300,7 +300,7 @@ fn learning_json(learned: &LearningResult, live: Option<&LiveUpdate>) -> Value {
 fn print_live_corrections(live: Option<LiveUpdate>) -> Result<()> {
     let Some(LiveUpdate { amounts, rest }) = live else { return Ok(()) };
     if let Some(text) = live_update::describe_amounts(&amounts.map(i32::from)) {
-        output::print(format_args!("  trueup linuxcnc --learned tells the bridge: {text}"))?;
+        output::print(format_args!("  trueup linuxcnc --learned sends to the bridge: {text}"))?;
     }
     rest.iter().try_for_each(|line| output::print(format_args!("  {line}")))
 }

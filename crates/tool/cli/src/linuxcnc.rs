@@ -178,7 +178,7 @@ pub fn run(args: &LinuxCncArgs, as_json: bool) -> Result<Outcome> {
         compiled?
     } else {
         compiled.unwrap_or_else(|why| {
-            log.write(&format!("the machine file makes no calibration: {why}"));
+            log.write(&format!("the machine file does not compile: {why}"));
             None
         })
     };
@@ -288,16 +288,17 @@ fn evaluate_learned_file(
             .map_err(|error| error.to_string()),
     };
     match live {
-        Err(why) => {
-            LearnedUpdate { amounts: None, said: vec![format!("nothing new was learned: {why}")] }
-        }
+        Err(why) => LearnedUpdate {
+            amounts: None,
+            notices: vec![format!("nothing new was learned: {why}")],
+        },
         Ok(LiveUpdate { amounts, rest }) => {
             let text = live_update::describe_amounts(&amounts.map(i32::from));
-            let text =
-                text.unwrap_or_else(|| "nothing, so what it was told before is taken back".into());
-            let mut said = vec![format!("the bridge is told what was learned: {text}")];
-            said.extend(rest);
-            LearnedUpdate { amounts: Some(amounts), said }
+            let text = text
+                .unwrap_or_else(|| "nothing: the learned values sent before are taken back".into());
+            let mut messages = vec![format!("learned values sent to the bridge: {text}")];
+            messages.extend(rest);
+            LearnedUpdate { amounts: Some(amounts), notices: messages }
         }
     }
 }
@@ -331,13 +332,17 @@ mod tests {
         };
         let read = of(Ok(FILE.replace("80.0", "81.6")));
         assert_eq!(read.amounts, Some([2_000, 0, 0, 0, 0]));
-        assert!(read.said[0].ends_with("growth of the spindle +2.000 %"), "{:?}", read.said);
+        assert!(read.notices[0].ends_with("growth of the spindle +2.000 %"), "{:?}", read.notices);
         let same = of(Ok(FILE.into()));
-        assert_eq!((same.amounts, same.said.len()), (Some([0; 5]), 1));
+        assert_eq!((same.amounts, same.notices.len()), (Some([0; 5]), 1));
         for bad in [Err("it is not there".into()), Ok(FILE.replace("80.0", "much"))] {
             let bad = of(bad);
-            assert_eq!((bad.amounts, bad.said.len()), (None, 1));
-            assert!(bad.said[0].starts_with("nothing new was learned: l.toml"), "{:?}", bad.said);
+            assert_eq!((bad.amounts, bad.notices.len()), (None, 1));
+            assert!(
+                bad.notices[0].starts_with("nothing new was learned: l.toml"),
+                "{:?}",
+                bad.notices
+            );
         }
     }
 }

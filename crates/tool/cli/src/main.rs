@@ -292,13 +292,13 @@ mod tests {
 
     #[test]
     fn every_help_ends_with_an_example() {
-        let mut asked = 0;
+        let mut requested = 0;
         each(&help::with_examples(Cli::command()), "", &mut |path, command| {
             let after = command.get_after_help().map(ToString::to_string).unwrap_or_default();
             assert!(after.contains("trueup "), "{path} has no example: {after}");
-            asked += 1;
+            requested += 1;
         });
-        assert!(asked > 25, "{asked}");
+        assert!(requested > 25, "{requested}");
     }
 
     #[test]

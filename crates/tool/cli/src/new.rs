@@ -32,7 +32,7 @@ use crate::{
   trueup new -o lathe.toml --yes --kind lathe --travel x=0:150 --travel z=-400:0
   trueup new -o - --yes --kind head-head --head-axes c,a      on standard output")]
 pub struct NewArgs {
-    /// Where to write the machine file; `-` is standard output, left out it is named after the machine. A file that
+    /// Where to write the machine file; `-` is standard output, without it the file is named after the machine. A file that
     /// is there is left alone.
     #[arg(long, value_name = "M.toml")]
     output: Option<PathBuf>,
@@ -99,17 +99,17 @@ fn parse_travel(text: &str) -> Result<(LinearAxis, [f64; 2]), String> {
 
 /// Writes the file.
 pub fn run(args: &NewArgs, as_json: bool) -> Result<Outcome> {
-    let asks =
+    let requests =
         !args.yes && !as_json && stdin().is_terminal() && trueup_output::is_output_terminal();
     let template = template_from_flags(args)?;
     // Before anything is asked: answers are not to be lost.
-    let asks_name = asks && args.output.is_none() && args.name.is_none();
-    if !asks_name {
+    let is_name_missing = requests && args.output.is_none() && args.name.is_none();
+    if !is_name_missing {
         check_creatable(&output_path(args, &template.name))?;
     }
     let check_name =
         |name: &str| check_creatable(&output_path(args, name)).map_err(|error| error.0);
-    let template = match asks {
+    let template = match requests {
         true => questions::run_questionnaire(template, &answered_questions(args), &check_name)?,
         false => template,
     };

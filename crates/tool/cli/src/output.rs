@@ -186,8 +186,8 @@ fn write_error(path: &Path, error: &io::Error) -> UserError {
 }
 
 /// Returns the file at `target` under a second name, if there is one and it is required.
-fn create_backup(target: &Path, is_wanted: bool) -> io::Result<Option<TempPath>> {
-    if !is_wanted || !target.exists() {
+fn create_backup(target: &Path, is_requested: bool) -> io::Result<Option<TempPath>> {
+    if !is_requested || !target.exists() {
         return Ok(None);
     }
     let name = sibling_temp_file(target)?.into_temp_path();

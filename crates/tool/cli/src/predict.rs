@@ -64,8 +64,7 @@ pub fn run(args: &PredictArgs, as_json: bool) -> Result<Outcome> {
 fn guarantee_violation(predictor: &Predictor<'_>, written: &PredictionSummary) -> Option<String> {
     let ((_, nm), promised_nm) = (written.broken_promise?, predictor.guaranteed_difference_nm()?);
     Some(format!(
-        "the bridge is {nm:.1} nm from the model, and compile has promised {promised_nm:.1}: the row asks \
-         for what the board's numbers cannot hold"
+        "the bridge is {nm:.1} nm from the model, and compile has promised {promised_nm:.1}: the row exceeds the range of the board's numbers"
     ))
 }
 
@@ -104,7 +103,7 @@ fn print(
     let not_run = predictor.unsupported_features();
     if let (Some(nm), false) = (written.largest_arithmetic_nm, not_run.is_empty()) {
         output::print(format_args!(
-            "of it by the board's arithmetic: {nm:.3} nm; the rest is of what it does not run: {}",
+            "{nm:.3} nm of it is the board's arithmetic; the rest is what the board does not run: {}",
             not_run.join(", ")
         ))?;
     }

@@ -19,9 +19,9 @@ struct DocumentedCommand {
 fn collect_files(folder: &Path, extension: &str, found: &mut Vec<std::path::PathBuf>) {
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let path = entry.path();
-        let is_left_out =
+        let is_omitted =
             ["target", "tests", "examples", "book.out"].iter().any(|folder| path.ends_with(folder));
-        if path.is_dir() && !is_left_out {
+        if path.is_dir() && !is_omitted {
             collect_files(&path, extension, found);
         } else if path.extension().is_some_and(|actual| actual == extension) {
             found.push(path);

@@ -42,7 +42,7 @@ pub struct ProgramArgs {
     /// The folder for the programs and run files; made if it is not there.
     #[arg(long, alias = "output", value_name = "DIR")]
     out: PathBuf,
-    /// These axes only; left out, all whose travel is known.
+    /// These axes only. Default: all whose travel is known.
     #[arg(long, value_name = "x,y,z", value_delimiter = ',', value_parser = by_name(LinearAxis::ALL, LinearAxis::name))]
     axis: Vec<LinearAxis>,
     #[command(flatten)]
@@ -56,7 +56,7 @@ pub struct ProgramArgs {
     /// How long the axes stand for a reading, in s.
     #[arg(long, value_name = "S", default_value_t = MeasurementOptions::default().dwell_s)]
     dwell_s: f64,
-    /// How often; left out, 7 for backlash, 5 for pitch, 3 for straightness and diagonal, 2 for step-diagonal, square, sphere and plate, 6
+    /// How often. Default: 7 for backlash, 5 for pitch, 3 for straightness and diagonal, 2 for step-diagonal, square, sphere and plate, 6
     /// rounds of heat.
     #[arg(long, value_name = "N")]
     repeats: Option<u32>,
@@ -64,10 +64,10 @@ pub struct ProgramArgs {
     #[arg(long, value_name = "MM")]
     step_mm: Option<f64>,
     /// The measuring instrument. backlash: a dial (the default) needs a stop at each place, a laser none. warmup:
-    /// left out, a gauge that does not touch; with a dial the spindle stops for each reading.
+    /// Default: a gauge that does not touch; with a dial the spindle stops for each reading.
     #[arg(long, value_parser = described(INSTRUMENTS))]
     gauge: Option<MeasuringInstrument>,
-    /// warmup: the speed; left out, rated_rpm of the machine file.
+    /// warmup: the speed. Default: rated_rpm of the machine file.
     #[arg(long, value_name = "R/MIN")]
     rpm: Option<f64>,
     /// warmup: from reading to reading, in s (60; 600 where the spindle stops for each).

@@ -112,36 +112,39 @@ const BACK_INPUT: &str = "<";
 /// again at once, and `<` goes back: no answer is typed twice. `check_name` refuses a name.
 pub fn run_questionnaire(
     mut template: Template,
-    said: &AnsweredQuestions,
+    answers: &AnsweredQuestions,
     check_name: &dyn Fn(&str) -> Result<(), String>,
 ) -> Result<Template> {
     use Question as Q;
     let all = [
-        (Q::Name, said.name),
-        (Q::Kind, said.kind),
-        (Q::Head, said.head_axes),
-        (Q::Travel(LinearAxis::X), said.axes),
-        (Q::Travel(LinearAxis::Y), said.axes),
-        (Q::Travel(LinearAxis::Z), said.axes),
-        (Q::Feedback, said.feedback),
-        (Q::Rapid, said.rapid),
-        (Q::Sensor, said.sensor),
-        (Q::Thermometers, said.thermometers),
-        (Q::Control, said.control),
+        (Q::Name, answers.name),
+        (Q::Kind, answers.kind),
+        (Q::Head, answers.head_axes),
+        (Q::Travel(LinearAxis::X), answers.axes),
+        (Q::Travel(LinearAxis::Y), answers.axes),
+        (Q::Travel(LinearAxis::Z), answers.axes),
+        (Q::Feedback, answers.feedback),
+        (Q::Rapid, answers.rapid),
+        (Q::Sensor, answers.sensor),
+        (Q::Thermometers, answers.thermometers),
+        (Q::Control, answers.control),
     ];
-    let open: Vec<Question> =
-        all.into_iter().filter(|(_, is_said)| !is_said).map(|(question, _)| question).collect();
+    let open: Vec<Question> = all
+        .into_iter()
+        .filter(|(_, is_reported)| !is_reported)
+        .map(|(question, _)| question)
+        .collect();
     trueup_output::write_diagnostic("(< goes back to the question before)");
-    let mut asked = Vec::new();
+    let mut requested = Vec::new();
     let mut next = 0;
     while let Some(question) = open.get(next) {
         if !is_applicable(*question, &template) {
             next += 1;
-        } else if ask_question(*question, &mut template, check_name)? {
-            asked.push(next);
+        } else if put_question(*question, &mut template, check_name)? {
+            requested.push(next);
             next += 1;
         } else {
-            next = asked.pop().unwrap_or(next);
+            next = requested.pop().unwrap_or(next);
         }
     }
     Ok(template)
@@ -165,7 +168,7 @@ fn parse_yes_no(text: &str) -> Result<bool, String> {
 }
 
 /// Asks one question; false: back to the one before.
-fn ask_question(
+fn put_question(
     question: Question,
     template: &mut Template,
     check_name: &dyn Fn(&str) -> Result<(), String>,

@@ -56,7 +56,7 @@ pub fn verbosity() -> Verbosity {
 /// Whether warnings about a file are of no use to the user just now.
 static SUPPRESS_WARNINGS: AtomicBool = AtomicBool::new(false);
 
-/// Returns what `command` comes to; what it doubts in its files is said only if it is `of_use`.
+/// Returns what `command` comes to; warnings about its files are printed only if it is `of_use`.
 pub fn with_warnings<T>(of_use: bool, command: impl FnOnce() -> T) -> T {
     SUPPRESS_WARNINGS.store(!of_use, Ordering::Relaxed);
     let done = command();

@@ -58,10 +58,10 @@ pub fn run(args: &SignArgs) -> Result<Outcome> {
 fn generate_key(path: &Path) -> Result<Outcome> {
     let key = PrivateKey::generate()?;
     let (private, public) = (key.to_pem()?, key.public_key().to_pem()?);
-    let beside = public_path(path);
-    if beside.exists() {
+    let adjacent = public_path(path);
+    if adjacent.exists() {
         let rule = "there is a public key already; a new pair needs another name";
-        return Err(UserError(format!("{}: {rule}", beside.display())).into());
+        return Err(UserError(format!("{}: {rule}", adjacent.display())).into());
     }
     let mut options = OpenOptions::new();
     // A key that is lost cannot be had again, so nothing is ever written over.
@@ -72,12 +72,12 @@ fn generate_key(path: &Path) -> Result<Outcome> {
         .open(path)
         .map_err(|error| UserError(format!("{}: cannot be made: {error}", path.display())))?;
     file.write_all(private.as_bytes()).and_then(|()| file.sync_all())?;
-    output::write_atomically(&beside, &[path], |out| out.write_all(public.as_bytes()))?;
+    output::write_atomically(&adjacent, &[path], |out| out.write_all(public.as_bytes()))?;
     report::warn(format_args!(
-        "{}: whoever has this file can sign in your name; keep a copy where no network is",
+        "{}: anyone who has this file can sign in your name; keep a copy without access to a network",
         path.display()
     ));
-    output::print(beside.display())?;
+    output::print(adjacent.display())?;
     Ok(Outcome::Done)
 }
 
@@ -115,14 +115,14 @@ fn check_signatures(key: &Path, names: &[PathBuf]) -> Result<Outcome> {
     let mut outcome = Outcome::Done;
     for file in names {
         let path = signature_path(file);
-        let said = if path.is_file() {
+        let signature_state = if path.is_file() {
             let message = files::read_bytes(file, MAX_SIGNED_FILE_BYTES)?;
             let signature = files::read_bytes(&path, MAX_KEY_BYTES)?;
             public.verify(&message, &signature).map_err(|fault| fault.to_string())
         } else {
             Err("is missing".to_owned())
         };
-        match said {
+        match signature_state {
             Ok(()) => output::print(format_args!("{}: signed by this key", file.display()))?,
             Err(why) => {
                 report::warn(format_args!("{}: the signature {why}", file.display()));

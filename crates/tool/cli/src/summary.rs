@@ -18,7 +18,7 @@ pub fn summary_text(machine: &Machine, summary: &Summary) -> String {
         let names: Vec<String> =
             summary.jumps_pass.iter().map(|axis| axis.name().to_uppercase()).collect();
         lines.push(format!(
-            "a position of {} that jumps is believed: no rapid_mm_per_min says how far it can have come",
+            "a position of {} that jumps is accepted: no rapid_mm_per_min states how fast the axis can move",
             names.join(", ")
         ));
     }
@@ -45,7 +45,7 @@ pub fn summary_text(machine: &Machine, summary: &Summary) -> String {
             let share = 100.0 * *bytes as f64 / summary.most_bytes as f64;
             format!("on the board: {bytes} of {} bytes ({share:.0} %)", summary.most_bytes)
         }
-        Err(error) => format!("on the board: not as it is: {}", error.rule),
+        Err(error) => format!("not on the board: {}", error.rule),
     });
     lines.join("\n  ")
 }
@@ -78,7 +78,9 @@ fn describe_axis(axis: &AxisSummary) -> String {
         .collect();
     let largest = match axis.max_total_error_um() {
         Some(um) => format!("up to {um:.1} µm"),
-        None => "as far as its parts go (? grows with something that the file does not say)".into(),
+        None => {
+            "as far as its parts go (? grows with an input that the file does not state)".into()
+        }
     };
     format!("{name}: {largest}, held to {} µm: {}", axis.limit_um, parts.join(" + "))
 }

@@ -27,13 +27,13 @@ pub struct TrendArgs {
     /// The folder with the files, .csv and .toml.
     #[arg(value_name = "DIR")]
     folder: PathBuf,
-    /// A change that matters, in the unit of the constant; left out, the smallest that one measurement can show.
+    /// A change that matters, in the unit of the constant. Default: the smallest that one measurement can show.
     #[arg(long, value_name = "UM", value_parser = parse_positive)]
     limit_um: Option<f64>,
     /// The machine file: the expansion of its axes is taken off run files that have a temperature.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
-    /// The day on which it is asked, 2026-11-22; left out, the day of this computer (UTC).
+    /// The day of the report, such as 2026-11-22. Default: today on this computer (UTC).
     #[arg(long, value_name = "DATE", value_parser = parse_day)]
     today: Option<dated::EpochDay>,
     /// A folder for trend.json and report.html.
@@ -72,7 +72,7 @@ pub fn run(args: &TrendArgs, as_json: bool) -> Result<Outcome> {
             continue;
         }
         let Some(day) = dated::parse_day(&name) else {
-            report::warn(format_args!("{name}: passed over, its name has no date like 2026-11-22"));
+            report::warn(format_args!("{name}: skipped, its name has no date like 2026-11-22"));
             continue;
         };
         // A day west of Greenwich is still yesterday, one east of it may be tomorrow.
@@ -99,7 +99,7 @@ pub fn run(args: &TrendArgs, as_json: bool) -> Result<Outcome> {
             }
         };
         if constants.is_empty() {
-            report::warn(format_args!("{name}: passed over, it has no backlash, pitch or growth"));
+            report::warn(format_args!("{name}: skipped, it has no backlash, pitch or growth"));
             continue;
         }
         days.push((day, constants));

@@ -60,7 +60,7 @@ type SendQueue = Mutex<Option<SyncSender<(Instant, Frame)>>>;
 /// A connection to the bridge that is opened again whenever it breaks.
 #[derive(Debug)]
 pub struct Connection {
-    heard: Receiver<TimedEvent>,
+    events: Receiver<TimedEvent>,
     to_send: Arc<SendQueue>,
     stop: Arc<AtomicBool>,
 }
@@ -68,12 +68,12 @@ pub struct Connection {
 impl Connection {
     /// Keeps a line open until this is dropped.
     pub fn spawn(open: impl FnMut() -> io::Result<DuplexStream> + Send + 'static) -> Self {
-        let (sender, heard) = mpsc::channel();
+        let (sender, received) = mpsc::channel();
         let to_send = Arc::new(Mutex::new(None));
         let stop = Arc::new(AtomicBool::new(false));
         let (slot, flag) = (to_send.clone(), stop.clone());
         thread::spawn(move || run_connection(open, &sender, &slot, &flag));
-        Self { heard, to_send, stop }
+        Self { events: received, to_send, stop }
     }
 
     /// Returns what has happened since the last call; frames that have waited here for too long are dropped.
@@ -82,7 +82,10 @@ impl Connection {
             matches!(event, ConnectionEvent::Received(Event::Frame(_)))
                 && at.elapsed() > MAX_FRAME_AGE
         };
-        self.heard.try_iter().filter(move |(at, event)| !is_old(*at, event)).map(|(_, event)| event)
+        self.events
+            .try_iter()
+            .filter(move |(at, event)| !is_old(*at, event))
+            .map(|(_, event)| event)
     }
 
     /// Sends a frame, unless the line is down or busy.
@@ -106,32 +109,33 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 
 fn run_connection(
     mut open: impl FnMut() -> io::Result<DuplexStream>,
-    heard: &Sender<TimedEvent>,
+    received: &Sender<TimedEvent>,
     slot: &SendQueue,
     stop: &AtomicBool,
 ) {
-    let tell = |event| heard.send((Instant::now(), event));
+    let report = |event| received.send((Instant::now(), event));
     while !stop.load(Ordering::Relaxed) {
         let why = match open() {
             Err(error) => error.to_string(),
             Ok((reader, writer)) => {
-                if tell(ConnectionEvent::Up).is_err() {
+                if report(ConnectionEvent::Up).is_err() {
                     return;
                 }
                 let (queue, frames) = mpsc::sync_channel(MAX_QUEUED_FRAMES);
                 let reopen = Arc::new(AtomicBool::new(true));
                 let dating = Arc::new(Mutex::new(LatencyMonitor::default()));
-                let (asked, dates) = (reopen.clone(), dating.clone());
-                let writer = thread::spawn(move || write_frames(writer, &frames, &asked, &dates));
+                let (requested, dates) = (reopen.clone(), dating.clone());
+                let writer =
+                    thread::spawn(move || write_frames(writer, &frames, &requested, &dates));
                 *lock(slot) = Some(queue);
-                let why = read_events(reader, heard, &reopen, &dating, &writer, stop);
+                let why = read_events(reader, received, &reopen, &dating, &writer, stop);
                 // Without its queue the writer ends; if it is stuck in a dead line, it ends when
                 // that is given up.
                 lock(slot).take();
                 why
             }
         };
-        if tell(ConnectionEvent::Down(why)).is_err() {
+        if report(ConnectionEvent::Down(why)).is_err() {
             return;
         }
         thread::sleep(RECONNECT_DELAY);
@@ -141,7 +145,7 @@ fn run_connection(
 /// Reads until the line breaks; why it does.
 fn read_events(
     mut reader: Box<dyn Read + Send>,
-    heard: &Sender<TimedEvent>,
+    received: &Sender<TimedEvent>,
     reopen: &AtomicBool,
     dating: &Mutex<LatencyMonitor>,
     writer: &thread::JoinHandle<()>,
@@ -149,7 +153,7 @@ fn read_events(
 ) -> String {
     let mut bytes = [0; 4096];
     let mut client = Client::new();
-    let (mut last, mut asked) = (Instant::now(), Instant::now());
+    let (mut last, mut requested_at) = (Instant::now(), Instant::now());
     let mut was_in_time = false;
     while !stop.load(Ordering::Relaxed) {
         if writer.is_finished() {
@@ -177,7 +181,7 @@ fn read_events(
                     } else {
                         ConnectionEvent::Late
                     };
-                    if (is_used || is_news) && heard.send((now, event)).is_err() {
+                    if (is_used || is_news) && received.send((now, event)).is_err() {
                         return String::new();
                     }
                 }
@@ -188,8 +192,8 @@ fn read_events(
         if last.elapsed() > RECONNECT_TIMEOUT {
             return format!("no frame has come for {} s", RECONNECT_TIMEOUT.as_secs());
         }
-        if last.elapsed() > SILENCE_TIMEOUT && asked.elapsed() > SILENCE_TIMEOUT {
-            asked = Instant::now();
+        if last.elapsed() > SILENCE_TIMEOUT && requested_at.elapsed() > SILENCE_TIMEOUT {
+            requested_at = Instant::now();
             reopen.store(true, Ordering::Relaxed);
         }
     }
@@ -287,12 +291,12 @@ mod tests {
         while restarts.load(Ordering::Relaxed) < 2 {
             assert!(start.elapsed() < Duration::from_secs(10), "it is left alone");
             line.try_send(frames::encode_heartbeat(frames::NmtState::Operational));
-            for heard in line.take_events() {
+            for event in line.take_events() {
                 assert!(
-                    !matches!(heard, ConnectionEvent::Down(_)),
-                    "the line itself stays: {heard:?}"
+                    !matches!(event, ConnectionEvent::Down(_)),
+                    "the line itself stays: {event:?}"
                 );
-                refusals += u32::from(matches!(heard, ConnectionEvent::Received(Event::Refused)));
+                refusals += u32::from(matches!(event, ConnectionEvent::Received(Event::Refused)));
             }
             thread::sleep(Duration::from_millis(5));
         }
@@ -313,8 +317,8 @@ mod tests {
         let line = Connection::spawn(move || open(number));
         let start = Instant::now();
         while start.elapsed() < 2 * SILENCE_TIMEOUT {
-            for heard in line.take_events() {
-                assert!(!matches!(heard, ConnectionEvent::Down(_)), "nothing was wrong: {heard:?}");
+            for event in line.take_events() {
+                assert!(!matches!(event, ConnectionEvent::Down(_)), "nothing was wrong: {event:?}");
             }
             thread::sleep(Duration::from_millis(5));
         }
@@ -326,17 +330,17 @@ mod tests {
         let number = listener.local_addr().unwrap().port();
         drop(listener);
         let line = Connection::spawn(move || open(number));
-        let wait = |wanted: fn(&ConnectionEvent) -> bool| {
+        let wait = |requested: fn(&ConnectionEvent) -> bool| {
             let start = Instant::now();
-            while !line.take_events().any(|heard| wanted(&heard)) {
+            while !line.take_events().any(|event| requested(&event)) {
                 assert!(start.elapsed() < Duration::from_secs(10));
                 thread::sleep(Duration::from_millis(5));
             }
         };
-        wait(|heard| matches!(heard, ConnectionEvent::Down(_)));
+        wait(|event| matches!(event, ConnectionEvent::Down(_)));
         let listener = TcpListener::bind(("127.0.0.1", number)).unwrap();
-        wait(|heard| matches!(heard, ConnectionEvent::Up));
+        wait(|event| matches!(event, ConnectionEvent::Up));
         drop(listener.accept().unwrap());
-        wait(|heard| matches!(heard, ConnectionEvent::Down(_)));
+        wait(|event| matches!(event, ConnectionEvent::Down(_)));
     }
 }

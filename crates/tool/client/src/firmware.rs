@@ -160,19 +160,19 @@ fn send_firmware(
             true => (FIRMWARE_HEADER, rest.get(..HEADER_SIZE).unwrap_or(rest)),
             false => (FIRMWARE_IMAGE, rest),
         };
-        let mut asked = begin;
+        let mut requested = begin;
         let sent = object::block_download(session, at, data, |count| {
             // The header counts once the board has checked it and erased the slot.
             if !is_header {
-                *reached = asked;
+                *reached = requested;
             }
-            asked = begin.saturating_add(u32::try_from(count).unwrap_or(u32::MAX));
-            progress(asked)
+            requested = begin.saturating_add(u32::try_from(count).unwrap_or(u32::MAX));
+            progress(requested)
         });
         match sent {
             // A board that drops it again, as one does that restarts, is not to erase its flash for ever.
             Ok(()) if is_header && idle_tries + 1 >= MAX_IDLE_TRIES => bail!(
-                "the board has taken the header {MAX_IDLE_TRIES} times and has none of it: does it restart by itself?"
+                "the board accepted the header {MAX_IDLE_TRIES} times and lost it: check whether it restarts by itself"
             ),
             Ok(()) if is_header => (is_under_way, idle_tries) = (true, idle_tries + 1),
             Ok(()) => return Ok(TransferReport { resumed_from }),
@@ -264,11 +264,11 @@ mod tests {
     fn every_refusal_says_why_and_what_to_do() {
         for reason in RefusalReason::ALL {
             let refused = FirmwareRefused { reason: Some(reason) };
-            let said = refused.to_string();
-            assert!(said.starts_with("the board refuses it: "), "{said}");
+            let text = refused.to_string();
+            assert!(text.starts_with("the board refuses it: "), "{text}");
             // In its own words, or behind them.
-            let has_remedy = said.contains(". ") || reason.to_string().contains(':');
-            assert!(has_remedy, "{said}");
+            let has_remedy = text.contains(". ") || reason.to_string().contains(':');
+            assert!(has_remedy, "{text}");
             assert_eq!(
                 refused.is_file_defect(),
                 !matches!(reason, RefusalReason::Flash | RefusalReason::NotStored)

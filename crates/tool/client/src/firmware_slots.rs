@@ -195,8 +195,7 @@ impl fmt::Display for SlotChoiceReason {
             Self::NewerRejected => "it is confirmed; the newer one failed its trial",
             Self::NewerIncomplete => "it is confirmed; the newer one has not come whole",
             Self::NewerPassedOver => {
-                "it is confirmed; the newer one was passed over: its CRC or signature does not hold, or the PLL is dead \
-                 and its signature was not verified before, or its start could not be recorded"
+                "it is confirmed; the newer one was skipped. Its CRC or signature is wrong, its start could not be recorded, or the PLL is dead and its signature was never verified"
             }
             Self::LastResort => {
                 "it failed its trial or has not come whole, but no other one may start: update it"
@@ -471,7 +470,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slot_is_said_in_words() {
+    fn a_slot_is_described_in_words() {
         let word = |version, status| SlotContent { version, status }.to_string();
         for (version, status, words) in [
             (None, Some(ImageStatus::New), "empty"),

@@ -54,8 +54,8 @@ const LATENCY_QUERIES: [(&[u8], u8); 2] = [(b"V\r", b'V'), (b"N\r", b'N')];
 #[derive(Debug, Default)]
 pub(crate) struct LatencyMonitor {
     /// Requests without an answer: when they were sent, and which.
-    asked: VecDeque<(Instant, usize)>,
-    last_asked: Option<Instant>,
+    requests: VecDeque<(Instant, usize)>,
+    last_request: Option<Instant>,
     /// The request that was sent last.
     last: usize,
     /// When the request was sent whose answer came last.
@@ -91,16 +91,19 @@ impl LatencyMonitor {
     /// Returns the line to be written now, if a question is due.
     pub(crate) fn next_query(&mut self, now: Instant) -> Option<&'static [u8]> {
         let waits =
-            if self.asked.len() < MAX_PENDING_QUERIES { QUERY_PERIOD } else { MAX_FRAME_AGE };
-        if self.last_asked.is_some_and(|asked| now.saturating_duration_since(asked) < waits) {
+            if self.requests.len() < MAX_PENDING_QUERIES { QUERY_PERIOD } else { MAX_FRAME_AGE };
+        if self
+            .last_request
+            .is_some_and(|requested| now.saturating_duration_since(requested) < waits)
+        {
             return None;
         }
-        self.last_asked = Some(now);
+        self.last_request = Some(now);
         let other = 1 - self.last;
-        if self.asked.iter().all(|(_, which)| *which != other) {
+        if self.requests.iter().all(|(_, which)| *which != other) {
             self.last = other;
         }
-        self.asked.push_back((now, self.last));
+        self.requests.push_back((now, self.last));
         Some(LATENCY_QUERIES[self.last].0)
     }
 
@@ -132,14 +135,16 @@ impl LatencyMonitor {
 
     fn record_response(&mut self, now: Instant, line: &[u8]) {
         let Some(letter) = line.first() else { return };
-        let place = self.asked.iter().position(|(_, which)| LATENCY_QUERIES[*which].1 == *letter);
+        let place =
+            self.requests.iter().position(|(_, which)| LATENCY_QUERIES[*which].1 == *letter);
         // Answers come in the order of their questions: those before it are lost.
-        let Some((asked, _)) = place.and_then(|place| self.asked.drain(..=place).next_back())
+        let Some((requested, _)) =
+            place.and_then(|place| self.requests.drain(..=place).next_back())
         else {
             return;
         };
-        let took = now.saturating_duration_since(asked);
-        self.proven = Some(asked);
+        let took = now.saturating_duration_since(requested);
+        self.proven = Some(requested);
         self.fastest = Some(self.fastest.map_or(took, |fastest| fastest.min(took)));
     }
 
@@ -154,11 +159,11 @@ impl LatencyMonitor {
 
     /// Returns whether what is sent now arrives in a moment, as far as can be known.
     pub(crate) fn can_send(&self, now: Instant) -> bool {
-        let is_heard = self
+        let is_received = self
             .last_byte
             .is_some_and(|last| now.saturating_duration_since(last) <= SILENCE_THRESHOLD);
         if self.is_adapter_missing(now) {
-            is_heard
+            is_received
         } else {
             self.is_responsive(now, MAX_RESPONSE_AGE)
         }
@@ -166,13 +171,14 @@ impl LatencyMonitor {
 
     fn is_responsive(&self, now: Instant, limit: Duration) -> bool {
         let limit = self.fastest.map_or(limit, |fastest| limit.max(MAX_LATENCY_RATIO * fastest));
-        self.proven.is_some_and(|asked| now.saturating_duration_since(asked) <= limit)
+        self.proven.is_some_and(|requested| now.saturating_duration_since(requested) <= limit)
     }
 
     /// Returns whether no adapter answers here.
     fn is_adapter_missing(&self, now: Instant) -> bool {
-        let heard_for = self.first_byte.map(|first| now.saturating_duration_since(first));
-        self.fastest.is_none() && heard_for.is_some_and(|elapsed| elapsed > FIRST_RESPONSE_TIMEOUT)
+        let received_for = self.first_byte.map(|first| now.saturating_duration_since(first));
+        self.fastest.is_none()
+            && received_for.is_some_and(|elapsed| elapsed > FIRST_RESPONSE_TIMEOUT)
     }
 }
 
@@ -218,8 +224,8 @@ mod tests {
                 for byte in line {
                     port.receive(*byte);
                 }
-                let said: Vec<u8> = std::iter::from_fn(|| port.pop()).collect();
-                for event in said.iter().filter_map(|byte| client.receive(*byte)) {
+                let bytes: Vec<u8> = std::iter::from_fn(|| port.pop()).collect();
+                for event in bytes.iter().filter_map(|byte| client.receive(*byte)) {
                     if answers {
                         down.push_back((now, arrives(now), event));
                     }
@@ -323,6 +329,6 @@ mod tests {
                 assert!(dating.is_fresh(now + MS), "turn {turn}");
             }
         }
-        assert!(dating.asked.len() < MAX_PENDING_QUERIES, "{:?}", dating.asked);
+        assert!(dating.requests.len() < MAX_PENDING_QUERIES, "{:?}", dating.requests);
     }
 }

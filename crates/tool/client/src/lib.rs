@@ -99,7 +99,7 @@ pub enum UnusableInput {
     },
     /// The bridge runs on another calibration than the machine file makes, or does not say on which.
     #[error(
-        "not recorded: the bridge does not run the calibration of the machine file; load it, or leave --strict out"
+        "not recorded: the bridge does not run the calibration of the machine file; load it, or omit --strict"
     )]
     OtherCalibration,
     /// The folder of a recording cannot be made.

@@ -194,9 +194,9 @@ pub fn read_running_calibration(
 ///
 /// # Errors
 /// As [`restart`], or it is not permitted.
-pub fn restart_with_permission(session: &mut Session, wanted: u32) -> Result<u32> {
+pub fn restart_with_permission(session: &mut Session, requested: u32) -> Result<u32> {
     require_service(session)?;
-    restart(session, wanted)
+    restart(session, requested)
 }
 
 /// Lets the bridge restart; the CRC of the calibration that it then runs on, which should be `wanted`. A
@@ -204,11 +204,11 @@ pub fn restart_with_permission(session: &mut Session, wanted: u32) -> Result<u32
 ///
 /// # Errors
 /// The bridge does not come back.
-pub fn restart(session: &mut Session, wanted: u32) -> Result<u32> {
+pub fn restart(session: &mut Session, requested: u32) -> Result<u32> {
     restart_until(
         session,
         |client| object::read_number(client, RUNNING_CRC),
-        |running| *running == wanted,
+        |running| *running == requested,
     )
 }
 
@@ -250,7 +250,7 @@ pub(crate) fn require_service(session: &mut Session) -> Result<()> {
         [WriteAuthority::NoMaster, WriteAuthority::Service, WriteAuthority::SwitchOpen]
             .map(|authority| authority as u32);
     // Its own, which an earlier step has begun.
-    let mut says = session.is_sending_service();
+    let mut sends = session.is_sending_service();
     let accepted = object::read_number(session, ACCEPTED_FRAMES)?;
     let mut remnant_ends = None;
     loop {
@@ -262,7 +262,7 @@ pub(crate) fn require_service(session: &mut Session) -> Result<()> {
             );
         }
         if authority == given {
-            if says || object::read_number(session, ACCEPTED_FRAMES)? != accepted {
+            if sends || object::read_number(session, ACCEPTED_FRAMES)? != accepted {
                 return Ok(());
             }
             // A PLC's blocks are not among these frames: what lasts is no remnant.
@@ -276,8 +276,8 @@ pub(crate) fn require_service(session: &mut Session) -> Result<()> {
             remnant_ends = Some(ends);
             continue;
         }
-        if authority == none && !says {
-            says = true;
+        if authority == none && !sends {
+            sends = true;
             session.start_service();
         }
         let remnant = remnant_ends.map_or(Duration::ZERO, |ends| ends - begin);

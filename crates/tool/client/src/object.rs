@@ -338,11 +338,11 @@ fn transfer(
     session: &mut Session,
     at: ObjectAddress,
     first: Frame,
-    patience_from: fn(Instant) -> TimeoutPolicy,
-    mut hear: impl FnMut(&Frame) -> Result<(Progress, Vec<Frame>)>,
+    timeout_from: fn(Instant) -> TimeoutPolicy,
+    mut receive: impl FnMut(&Frame) -> Result<(Progress, Vec<Frame>)>,
 ) -> Result<()> {
     session.send(&first).context("while asking for an object")?;
-    let mut patience = patience_from(Instant::now());
+    let mut timeout = timeout_from(Instant::now());
     loop {
         let event = session.next_event(Instant::now() + POLL_INTERVAL)?;
         let frame = match &event {
@@ -350,17 +350,17 @@ fn transfer(
             _ => None,
         };
         let is_beat = frame.is_some_and(|frame| frames::decode_heartbeat(frame).is_ok());
-        patience.record_poll(Instant::now(), is_beat);
-        let (next, more) = frame.map_or(Ok((Progress::Unchanged, Vec::new())), &mut hear)?;
+        timeout.record_poll(Instant::now(), is_beat);
+        let (next, more) = frame.map_or(Ok((Progress::Unchanged, Vec::new())), &mut receive)?;
         match next {
-            Progress::Unchanged if patience.is_expired() => {
-                return Err(ResponseTimeout(at, patience.listening_time()).into());
+            Progress::Unchanged if timeout.is_expired() => {
+                return Err(ResponseTimeout(at, timeout.listening_time()).into());
             }
             Progress::Unchanged => {}
             Progress::Ask(request) => {
                 session.send(&request)?;
                 more.iter().try_for_each(|frame| session.send(frame))?;
-                patience = patience_from(Instant::now());
+                timeout = timeout_from(Instant::now());
             }
             Progress::Done => return Ok(()),
         }

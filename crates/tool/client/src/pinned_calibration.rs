@@ -166,15 +166,15 @@ fn read_state_file(path: &Path) -> Result<Option<u32>, String> {
 
 /// Writes a state file so that it is whole or not there, whenever the power goes.
 fn write_state_file(path: &Path, crc: u32) -> Result<(), String> {
-    let beside = path.with_extension("new");
+    let adjacent = path.with_extension("new");
     let write = || {
         if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
             fs::create_dir_all(folder)?;
         }
-        let mut file = File::create(&beside)?;
+        let mut file = File::create(&adjacent)?;
         writeln!(file, "{STATE_FILE_MAGIC} {crc:08x}")?;
         file.sync_all()?;
-        fs::rename(&beside, path)
+        fs::rename(&adjacent, path)
     };
     write().map_err(|error| {
         format!(
@@ -201,16 +201,16 @@ mod tests {
         assert_eq!(first.set_running_crc(None), None);
         assert_eq!(first.set_running_crc(Some(0)), None, "no calibration is none to be pinned");
         assert!(!first.is_engage_allowed() && !path.exists());
-        let told = first.set_running_crc(Some(OURS)).expect("news");
-        assert!(told.contains("first contact") && told.contains("1234abcd"), "{told}");
+        let notices = first.set_running_crc(Some(OURS)).expect("news");
+        assert!(notices.contains("first contact") && notices.contains("1234abcd"), "{notices}");
         assert!(first.is_engage_allowed() && first.set_running_crc(Some(OURS)).is_none());
         // The bridge is away for a while, and back with another.
         assert_eq!(first.set_running_crc(None), None);
         assert!(!first.is_engage_allowed() && !first.is_engage_refused());
         for mut pinned in [first, start()] {
-            let told = pinned.set_running_crc(Some(OTHER)).expect("news");
-            assert!(told.contains("1234abcd") && told.contains("00004321"), "{told}");
-            assert!(told.contains("delete that file"), "{told}");
+            let notices = pinned.set_running_crc(Some(OTHER)).expect("news");
+            assert!(notices.contains("1234abcd") && notices.contains("00004321"), "{notices}");
+            assert!(notices.contains("delete that file"), "{notices}");
             assert!(!pinned.is_engage_allowed() && pinned.is_engage_refused());
             assert_eq!(pinned.set_running_crc(Some(OURS)), None);
             assert!(pinned.is_engage_allowed() && !pinned.is_engage_refused());
@@ -230,21 +230,24 @@ mod tests {
         ] {
             fs::write(&path, text).expect("a file");
             let mut pinned = PinnedCalibration::new(CalibrationPolicy::FirstContact(path.clone()));
-            let told = pinned.set_running_crc(Some(OURS)).expect("news");
-            assert!(told.contains("damaged") && told.contains("bridge info"), "{text:?}: {told}");
+            let notices = pinned.set_running_crc(Some(OURS)).expect("news");
+            assert!(
+                notices.contains("damaged") && notices.contains("bridge info"),
+                "{text:?}: {notices}"
+            );
             assert!(!pinned.is_engage_allowed(), "{text:?}");
             assert_eq!(fs::read_to_string(&path).expect("it stays"), text);
         }
         // A folder in its place: neither readable nor writable.
         let mut pinned =
             PinnedCalibration::new(CalibrationPolicy::FirstContact(folder.path().into()));
-        let told = pinned.set_running_crc(Some(OURS)).expect("news");
-        assert!(told.contains("cannot be read") && !pinned.is_engage_allowed(), "{told}");
+        let notices = pinned.set_running_crc(Some(OURS)).expect("news");
+        assert!(notices.contains("cannot be read") && !pinned.is_engage_allowed(), "{notices}");
         fs::write(&path, "x").expect("a file");
         let mut pinned =
             PinnedCalibration::new(CalibrationPolicy::FirstContact(path.join("below-a-file")));
-        let told = pinned.set_running_crc(Some(OURS)).expect("news");
-        assert!(told.contains("cannot be") && !pinned.is_engage_allowed(), "{told}");
+        let notices = pinned.set_running_crc(Some(OURS)).expect("news");
+        assert!(notices.contains("cannot be") && !pinned.is_engage_allowed(), "{notices}");
     }
 
     #[test]
@@ -266,9 +269,12 @@ mod tests {
         let mut pinned =
             PinnedCalibration::new(CalibrationPolicy::Machine { crc: OURS, path: "m.toml".into() });
         assert!(!pinned.is_engage_allowed());
-        let told = pinned.set_running_crc(Some(OTHER)).expect("news");
-        assert!(told.contains("m.toml makes 1234abcd") && told.contains("00004321"), "{told}");
-        assert!(told.contains("bridge load"), "{told}");
+        let notices = pinned.set_running_crc(Some(OTHER)).expect("news");
+        assert!(
+            notices.contains("m.toml makes 1234abcd") && notices.contains("00004321"),
+            "{notices}"
+        );
+        assert!(notices.contains("bridge load"), "{notices}");
         assert!(!pinned.is_engage_allowed());
         assert_eq!(pinned.set_running_crc(Some(OURS)), None);
         assert!(pinned.is_engage_allowed());

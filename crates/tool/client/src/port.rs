@@ -141,7 +141,7 @@ mod tests {
     };
 
     #[test]
-    fn ports_are_told_apart_by_their_form() {
+    fn ports_are_distinguished_by_their_form() {
         for (text, port) in [
             ("tcp:localhost:3333", Port::Tcp("localhost:3333".into())),
             ("tcp:[::1]:3333", Port::Tcp("[::1]:3333".into())),

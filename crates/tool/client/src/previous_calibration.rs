@@ -51,9 +51,9 @@ impl PreviousCalibration {
         }
         fs::create_dir_all(&self.folder)?;
         let path = self.path(by);
-        let beside = path.with_extension("new");
-        fs::write(&beside, blob)?;
-        fs::rename(&beside, &path)
+        let adjacent = path.with_extension("new");
+        fs::write(&adjacent, blob)?;
+        fs::rename(&adjacent, &path)
     }
 
     /// Returns the file of the calibration that a board ran on before the one with the CRC `running`; `None`: none
@@ -90,15 +90,15 @@ mod tests {
         let (first, second) = (*b"calibration 1111", *b"calibration 2222");
         assert_eq!(of(1).find(calibration_crc(&second)), None);
         of(1).save(&first, calibration_crc(&second)).expect("a folder that can be written");
-        let kept = of(1).find(calibration_crc(&second)).expect("it was kept");
-        assert_eq!(fs::read(kept).expect("it is there"), first);
+        let retained = of(1).find(calibration_crc(&second)).expect("it was kept");
+        assert_eq!(fs::read(retained).expect("it is there"), first);
         // Of another board, or for a calibration that was loaded elsewhere, there is none.
         assert_eq!(of(2).find(calibration_crc(&second)), None);
         assert_eq!(of(1).find(7), None);
         // The same one once more does not make itself its own predecessor.
         of(1).save(&second, calibration_crc(&second)).expect("nothing to do");
-        let kept = of(1).find(calibration_crc(&second)).expect("as before");
-        assert_eq!(fs::read(kept).expect("it is there"), first);
+        let retained = of(1).find(calibration_crc(&second)).expect("as before");
+        assert_eq!(fs::read(retained).expect("it is there"), first);
         assert!(PreviousCalibration::with_environment(1, |_| None).is_none());
     }
 }

@@ -329,11 +329,11 @@ struct BridgeClock {
 
 impl BridgeClock {
     fn update(&mut self, counter: u8, at: SystemTime) {
-        if let Some((last, heard)) = self.last {
+        if let Some((last, received)) = self.last {
             let counted = u64::from(counter.wrapping_sub(last));
             // The counter comes round every 256 ms; how often it did in a longer silence, only
             // this machine's clock can say.
-            let silent = at.duration_since(heard).unwrap_or(Duration::ZERO);
+            let silent = at.duration_since(received).unwrap_or(Duration::ZERO);
             let silent_ms = u64::try_from(silent.as_millis()).unwrap_or(u64::MAX);
             let rounds =
                 if silent_ms < 256 { 0 } else { (silent_ms.saturating_sub(counted) + 128) / 256 };

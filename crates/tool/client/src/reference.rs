@@ -152,7 +152,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_reference_is_told_with_value_age_by_whom_and_whether_it_counts() {
+    fn a_reference_is_reported_with_value_age_by_whom_and_whether_it_counts() {
         let mut reference = BridgeReference::default();
         assert_eq!(reference.to_text(), "the calibration's own zero");
         reference.in_force = Some([32_840, 0, -1_500, 0]);
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn an_age_is_told_in_its_unit() {
+    fn an_age_is_stated_in_its_unit() {
         for (age_s, expected) in [(0, "0 s"), (119, "119 s"), (120, "2 min"), (7_199, "119 min")] {
             assert_eq!(format_age(age_s), expected);
         }

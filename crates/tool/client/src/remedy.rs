@@ -15,7 +15,7 @@ pub const REMEDIES: [(&str, &str); 61] = [
     ("foreign-machine", "made for another machine or board: load the right one, or Confirm it"),
     (
         "calibration-changed",
-        "it was loaded while no CNC was heard: if it is the right one (its CRC is under calibration), Confirm it",
+        "it was loaded while no CNC was sending: if it is the right one (compare its CRC under calibration), Confirm it",
     ),
     (
         "reference-offered",
@@ -67,7 +67,7 @@ pub const REMEDIES: [(&str, &str); 61] = [
     ("heartbeat-lost", "the node of object 1016 is silent: check it, or set 1016 to 0"),
     ("second-master", "two controls send Control: switch one off"),
     ("speed-unknown", "the CNC sends no spindle speed: send Spindle at least every 500 ms"),
-    ("heat-unknown", "heat kept from before is not known: let it cool, or Confirm"),
+    ("heat-unknown", "the heat stored in the machine is not known: let it cool, or Confirm"),
     (
         "learned-refused",
         "what was learned is of another calibration or beyond [limits.learned]: load its file at rest",
@@ -88,7 +88,7 @@ pub const REMEDIES: [(&str, &str); 61] = [
     ("can-off", "off the bus: look for a short or a wrong bit rate; it comes back by itself"),
     (
         "can-passive",
-        "nobody acknowledges: is the CNC on, its bit rate right, the bus ended by 120 Ω?",
+        "no node acknowledges: check that the CNC is on, its bit rate, and 120 Ω at both ends of the bus",
     ),
     ("can-warning", "errors on the bus: check termination, shield and length"),
     ("store", "the store takes nothing: what is loaded is lost at power-off; replace the board"),

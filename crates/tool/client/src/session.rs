@@ -43,7 +43,7 @@ pub struct Session {
     ends: DuplexStream,
     has_adapter: bool,
     client: Client,
-    heard: VecDeque<Event>,
+    pending_events: VecDeque<Event>,
     /// The tool's own `Control` where there is no CNC, its counter, and when it is due.
     service: Option<(Control, u8, Instant)>,
 }
@@ -91,7 +91,13 @@ impl Session {
     }
 
     fn from_stream(ends: DuplexStream, has_adapter: bool) -> Self {
-        Self { ends, has_adapter, client: Client::new(), heard: VecDeque::new(), service: None }
+        Self {
+            ends,
+            has_adapter,
+            client: Client::new(),
+            pending_events: VecDeque::new(),
+            service: None,
+        }
     }
 
     /// Opens the channel again of a bridge that restarts, and has not yet, or just now.
@@ -229,7 +235,7 @@ impl Session {
                 return Ok(None);
             }
             self.send_control()?;
-            if let Some(event) = self.heard.pop_front() {
+            if let Some(event) = self.pending_events.pop_front() {
                 return Ok(Some(event));
             }
             let (reader, _) = &mut self.ends;
@@ -240,7 +246,8 @@ impl Session {
                 Err(error) => return Err(error).context("the line to the bridge is broken"),
             };
             let client = &mut self.client;
-            self.heard.extend(bytes[..length].iter().filter_map(|&byte| client.receive(byte)));
+            self.pending_events
+                .extend(bytes[..length].iter().filter_map(|&byte| client.receive(byte)));
         }
     }
 
@@ -298,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn a_refusal_or_silence_is_told() {
+    fn a_refusal_or_silence_is_reported() {
         let refused = open(b"\r\r\r\r\x07").err().expect("refused").to_string();
         assert!(refused.contains("refuses"), "{refused}");
         let silent = open(b"\r\r").err().expect("silent").to_string();
@@ -359,13 +366,13 @@ mod tests {
     }
 
     #[test]
-    fn where_nobody_answers_no_channel_is_opened_or_closed_and_frames_pass() {
+    fn where_nothing_answers_no_channel_is_opened_or_closed_and_frames_pass() {
         let reader = Script(b"t701105\r".iter().copied().collect());
         let (mut bridge, ours) = io::pipe().expect("this machine has pipes");
         let mut session = Session::from_stream((Box::new(reader), Box::new(ours)), false);
         session.open_channel(OPEN_TIMEOUT).expect("there is nothing to open");
-        let heard = session.next_event(Instant::now() + OPEN_TIMEOUT).expect("no fault");
-        let Some(Event::Frame(frame)) = heard else { panic!("{heard:?}") };
+        let received = session.next_event(Instant::now() + OPEN_TIMEOUT).expect("no fault");
+        let Some(Event::Frame(frame)) = received else { panic!("{received:?}") };
         session.send(&frame).expect("the pipe takes it");
         session.reopen().expect("there is nothing to open");
         session.close();

@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bridge_that_waits_is_told_from_one_with_a_fault() {
+    fn a_bridge_that_waits_is_distinguished_from_one_with_a_fault() {
         let of = |quality, bits, crc| pending_action(quality, StateBits(bits), crc);
         // Restarted; with a reference that is offered; and what no engage sequence mends.
         assert_eq!(of(Quality::Fault, 1, Some(7)), Some("engage"));
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn offsets_are_told_in_micrometres_with_the_resolution_of_the_wire() {
+    fn offsets_are_reported_in_micrometres_with_the_resolution_of_the_wire() {
         let mut output = Output {
             offset: Some([0, -10, 62_800].map(Nanometres)),
             quality: Quality::Live,

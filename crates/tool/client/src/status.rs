@@ -185,7 +185,7 @@ mod tests {
     use trueup_link::status::{Status, encode};
 
     #[test]
-    fn the_newest_of_each_item_is_told() {
+    fn the_newest_of_each_item_is_reported() {
         let mut board = BoardStatus::default();
         let items = [
             Item::Temperatures { pair: 0, centi_c: [Some(2_345), None] },

@@ -80,13 +80,13 @@ mod tests {
         over(TimeoutPolicy::new, look, per_beat)
     }
 
-    fn over(patience: fn(Instant) -> TimeoutPolicy, look: Duration, per_beat: u32) -> Duration {
+    fn over(timeout: fn(Instant) -> TimeoutPolicy, look: Duration, per_beat: u32) -> Duration {
         let start = Instant::now();
-        let (mut patience, mut now) = (patience(start), start);
+        let (mut timeout, mut now) = (timeout(start), start);
         for number in 1..100_000 {
             now += look;
-            patience.record_poll(now, per_beat > 0 && number % per_beat == 0);
-            if patience.is_expired() {
+            timeout.record_poll(now, per_beat > 0 && number % per_beat == 0);
+            if timeout.is_expired() {
                 return now - start;
             }
         }

@@ -14,7 +14,7 @@ pub fn decode_write_records(bytes: &[u8]) -> Vec<WriteRecord> {
 pub fn format_record(write: &WriteRecord) -> String {
     let about = match write.what {
         WriteKind::Loaded if write.is_unattended => {
-            format!(" calibration {:08x}, while no CNC was heard", write.about)
+            format!(" calibration {:08x}, while no CNC was sending", write.about)
         }
         WriteKind::Loaded | WriteKind::Cancelled => format!(" calibration {:08x}", write.about),
         WriteKind::Zeroed | WriteKind::Offered => {
@@ -88,7 +88,7 @@ mod tests {
     use trueup_store::write_log::WriteOrigin;
 
     #[test]
-    fn a_write_is_told_with_what_when_and_over_which_line() {
+    fn a_write_is_reported_with_what_when_and_over_which_line() {
         let mut write = WriteRecord {
             sequence: 5,
             calibration: 0xA5,

@@ -188,7 +188,7 @@ pub(crate) fn unsupported_terms(
     machine: &Machine,
     options: &ExportOptions,
 ) -> Vec<(String, String)> {
-    let mut left_out = Vec::new();
+    let mut omitted = Vec::new();
     for (index, term) in machine.terms.iter().enumerate() {
         let axis = term.quantity.axis();
         let by_column = input_column(&term.effect).map(|column| {
@@ -216,9 +216,9 @@ pub(crate) fn unsupported_terms(
         // The growth by tool is the last term.
         let is_list = machine.spindle.tools.is_some() && index + 1 == machine.terms.len();
         let name = if is_list { "spindle.tools".into() } else { term_name(index, term) };
-        left_out.push((name, reason.to_string()));
+        omitted.push((name, reason.to_string()));
     }
-    left_out
+    omitted
 }
 
 /// Returns the column that a term depends on where it is none of the model's own: the tool, or a condition.
@@ -231,7 +231,7 @@ fn input_column(effect: &Effect) -> Option<&str> {
 
 /// Returns the angles and lines that the tables of a control cannot hold, each with the reason.
 pub(crate) fn unsupported_volume_terms(machine: &Machine, format: Format) -> Vec<(String, String)> {
-    let mut left_out = Vec::new();
+    let mut omitted = Vec::new();
     const LEVER_ARM_REASON: &str = "an angle acts by its lever along other axes, which no table of one axis holds; the bridge corrects it";
     const LEVER_ARM_REASON_840D: &str = "an angle acts by its lever along other axes, which no $AN_CEC table of one axis holds. The \
                            volumetric compensation of the 840D (VCS) could: no public description of its file was found, \
@@ -241,13 +241,13 @@ pub(crate) fn unsupported_volume_terms(machine: &Machine, format: Format) -> Vec
     const ROTARY_AXIS_REASON: &str = "where the line of a rotary axis is stands in the control's own kinematics (swivel or \
                         transformation data); the bridge corrects it";
     let angles = machine.volume.angular.iter();
-    left_out
+    omitted
         .extend(angles.map(|motion| (format!("angular.{}", motion.name()), by_lever.to_string())));
     let lines = machine.volume.rotary.iter().filter(|location| !location.is_error_free());
-    left_out.extend(lines.map(|location| {
+    omitted.extend(lines.map(|location| {
         (format!("rotary.{}", location.axis.name()), ROTARY_AXIS_REASON.to_string())
     }));
-    left_out
+    omitted
 }
 
 /// Returns whether it adds a function of two positions and of nothing else.

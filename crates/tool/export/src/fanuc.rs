@@ -199,7 +199,7 @@ fn plan_axis<'m>(
     let rounded = |mm: f64| {
         ((mm / SPACING_INCREMENT_MM).round() * SPACING_INCREMENT_MM).max(SPACING_INCREMENT_MM)
     };
-    let wanted_mm = drive
+    let target_mm = drive
         .as_ref()
         .and_then(|drive| drive.single_table().map(|pitch| pitch.step_mm))
         .unwrap_or((range_mm.1 - range_mm.0) / DEFAULT_SECTION_COUNT as f64);
@@ -207,8 +207,8 @@ fn plan_axis<'m>(
         CompensationPoints::from_range(range_mm, reference_mm, rounded(spacing_mm))
     };
     let finer: Vec<CompensationPoints> =
-        (1..MAX_POINTS_PER_AXIS).map(|parts| at(wanted_mm / parts as f64)).filter(fits).collect();
-    let coarser = || (2..=4096).map(|times| at(wanted_mm * f64::from(times))).find(fits);
+        (1..MAX_POINTS_PER_AXIS).map(|parts| at(target_mm / parts as f64)).filter(fits).collect();
+    let coarser = || (2..=4096).map(|times| at(target_mm * f64::from(times))).find(fits);
     let was_thinned = finer.is_empty();
     let candidates = if was_thinned { coarser().into_iter().collect() } else { finer };
 

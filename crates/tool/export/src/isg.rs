@@ -173,7 +173,7 @@ impl ComponentErrors<'_> {
 
 pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Export) {
     let Some(chain) = &machine.volume.chain else {
-        let reason = "TwinCAT wants the chain of the axes: write chain = \"w X' b Y Z t\" with yours into [machine]";
+        let reason = "TwinCAT needs the chain of the axes: write chain = \"w X' b Y Z t\" with yours into [machine]";
         export.report.add_omitted_section("machine", reason);
         return;
     };
@@ -193,8 +193,7 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
             continue;
         }
         if chain.moves_workpiece(axis) {
-            let reason = "TwinCAT's description does not say which sign the errors of an axis have that moves the \
-                          workpiece; the bridge corrects them";
+            let reason = "TwinCAT's description does not state the sign of the errors of an axis that moves the workpiece; the bridge corrects them";
             export.report.add_omitted_section(section, reason);
             continue;
         }
@@ -344,8 +343,7 @@ fn add_rotary_axis_lines(
             .find(|location| location.axis == axis && !location.is_error_free());
         let Some(off) = off else { continue };
         if chain.table.contains(&axis) {
-            let reason = "TwinCAT's description does not say which sign the errors of an axis have that turns the \
-                          workpiece; the bridge corrects them";
+            let reason = "TwinCAT's description does not state the sign of the errors of an axis that turns the workpiece; the bridge corrects them";
             export.report.add_omitted_section(format!("rotary.{}", axis.name()), reason);
             continue;
         }

@@ -170,17 +170,17 @@ pub enum ExportError {
     #[error("the model has no errors, so there is nothing to export to {}", .0.name())]
     NoErrors(Format),
     /// Nothing of the model can be held by the control.
-    #[error("nothing of the model can be held by {}{}", .format.name(), format_reasons(.left_out))]
+    #[error("nothing of the model can be held by {}{}", .format.name(), format_reasons(.omitted))]
     NothingFits {
         /// The control that cannot hold it.
         format: Format,
         /// The sections of the model, each with the reason; at least one.
-        left_out: Vec<OmittedSection>,
+        omitted: Vec<OmittedSection>,
     },
 }
 
-fn format_reasons(left_out: &[OmittedSection]) -> String {
-    left_out
+fn format_reasons(omitted: &[OmittedSection]) -> String {
+    omitted
         .iter()
         .map(|OmittedSection { section, reason }| format!("; {section}: {reason}"))
         .collect()
@@ -203,11 +203,11 @@ pub fn export(
     let machine = &machine;
     let mut export =
         Export { files: Vec::new(), report: ExportReport::new(format, &machine.name, options) };
-    let mut left_out = axis_errors::unsupported_terms(machine, options);
+    let mut omitted = axis_errors::unsupported_terms(machine, options);
     if format != Format::Isg {
-        left_out.extend(axis_errors::unsupported_volume_terms(machine, format));
+        omitted.extend(axis_errors::unsupported_volume_terms(machine, format));
     }
-    for (section, reason) in left_out {
+    for (section, reason) in omitted {
         export.report.add_omitted_section(section, reason);
     }
     match format {
@@ -220,8 +220,8 @@ pub fn export(
     if !export.files.is_empty() {
         return Ok(export);
     }
-    Err(match export.report.left_out {
-        left_out if left_out.is_empty() => ExportError::NoErrors(format),
-        left_out => ExportError::NothingFits { format, left_out },
+    Err(match export.report.omitted {
+        omitted if omitted.is_empty() => ExportError::NoErrors(format),
+        omitted => ExportError::NothingFits { format, omitted },
     })
 }

@@ -90,7 +90,7 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
              file takes its place",
         );
         export.report.add_note(format!(
-            "LINEAR_UNITS must be {}; nothing is corrected before the first move tells a direction",
+            "LINEAR_UNITS must be {}; nothing is corrected before the first move shows a direction",
             options.units.name()
         ));
     }
@@ -119,7 +119,7 @@ fn export_drive(drive: &DriveError<'_>, options: &ExportOptions, export: &mut Ex
     let is_lost = !keeps_all && (!drive.is_curved() || off_um > options.tolerance_um);
     let loss = is_lost.then(|| {
         format!(
-            "{} of {} points are left out, down to the best {}: lines up to {off_um:.3} µm off",
+            "{} of {} points are omitted, down to the best {}: lines up to {off_um:.3} µm off",
             positions_mm.len() - rows.len(),
             positions_mm.len(),
             rows.len()

@@ -95,7 +95,7 @@ pub struct ExportReport {
     /// One entry a table.
     pub tables: Vec<ExportedTable>,
     /// Sections that the control cannot hold.
-    pub left_out: Vec<OmittedSection>,
+    pub omitted: Vec<OmittedSection>,
     /// Settings to be made by hand, and assumptions.
     pub notes: Vec<String>,
 }
@@ -107,7 +107,7 @@ impl ExportReport {
             machine: machine.to_string(),
             options: options.clone(),
             tables: Vec::new(),
-            left_out: Vec::new(),
+            omitted: Vec::new(),
             notes: Vec::new(),
         }
     }
@@ -117,7 +117,7 @@ impl ExportReport {
         section: impl Into<String>,
         reason: impl Into<String>,
     ) {
-        self.left_out.push(OmittedSection { section: section.into(), reason: reason.into() });
+        self.omitted.push(OmittedSection { section: section.into(), reason: reason.into() });
     }
 
     pub(crate) fn add_note(&mut self, note: impl Into<String>) {
@@ -127,7 +127,7 @@ impl ExportReport {
     /// Returns whether the control holds the whole model: nothing was omitted, and nothing lost but its rounding.
     #[must_use]
     pub fn is_complete(&self) -> bool {
-        self.left_out.is_empty() && self.tables.iter().all(|table| table.loss.is_none())
+        self.omitted.is_empty() && self.tables.iter().all(|table| table.loss.is_none())
     }
 
     /// Returns the largest difference of all tables, in µm.
@@ -167,9 +167,9 @@ impl Display for ExportReport {
                 writeln!(f, "  loss: {loss}")?;
             }
         }
-        if !self.left_out.is_empty() {
+        if !self.omitted.is_empty() {
             writeln!(f, "\nnot exported:")?;
-            for OmittedSection { section, reason } in &self.left_out {
+            for OmittedSection { section, reason } in &self.omitted {
                 writeln!(f, "  {section}: {reason}")?;
             }
         }

@@ -68,7 +68,7 @@ fn both_axes_have_one_magnification() {
 }
 
 #[test]
-fn what_series_0_does_not_have_is_left_out_with_the_reason() {
+fn what_series_0_does_not_have_is_omitted_with_the_reason() {
     let text = format!(
         "{BOTH}[axis.y.pitch]\nstart_mm = 0.0\nstep_mm = 50.0\nforward_um = [0.0, 1.0]\n\
          [straightness.z_of_x]\norder = 2\nknots_mm = [0.0, 0.0, 100.0, 100.0]\ncontrol_um = [0.0, 3.0]\n"
@@ -84,7 +84,7 @@ fn what_series_0_does_not_have_is_left_out_with_the_reason() {
 }
 
 #[test]
-fn straightness_that_four_points_cannot_hold_is_not_written_and_its_loss_is_told() {
+fn straightness_that_four_points_cannot_hold_is_not_written_and_its_loss_is_reported() {
     let gantry = include_str!("../../../../data/gantry.toml");
     let machine = MachineFile::parse(gantry, Path::new("gantry.toml")).expect("it is correct");
     let export =
@@ -100,7 +100,7 @@ fn straightness_that_four_points_cannot_hold_is_not_written_and_its_loss_is_told
         "{report}"
     );
     let curve =
-        export.report.left_out.iter().find(|left| left.section.contains("straightness.z_of_x"));
+        export.report.omitted.iter().find(|left| left.section.contains("straightness.z_of_x"));
     let reason = &curve.expect("it is left out").reason;
     let off_um: f64 = reason
         .split(' ')

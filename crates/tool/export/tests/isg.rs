@@ -88,7 +88,7 @@ fn the_volume_is_read_back_within_50_nm_wherever_the_tool_is() {
     }
     assert!(worst <= 0.05 && largest > 15.0, "{worst} of {largest} µm");
     assert!(export.report.tables.iter().all(|table| table.largest.um <= 0.05), "{}", export.report);
-    assert_eq!(export.report.left_out, []);
+    assert_eq!(export.report.omitted, []);
 }
 
 #[test]
@@ -101,9 +101,9 @@ fn a_row_is_what_the_hand_writes() {
     let (comments, rows): (Vec<&str>, Vec<&str>) =
         csv.lines().partition(|line| line.starts_with("//"));
     // The sign is an assumption: file and report say so, and how to try it.
-    for said in [comments.join(" "), export.report.to_string()] {
-        assert!(said.contains("a wrong sign doubles the errors"), "{said}");
-        assert!(said.contains("if it doubles set negate"), "{said}");
+    for message in [comments.join(" "), export.report.to_string()] {
+        assert!(message.contains("a wrong sign doubles the errors"), "{message}");
+        assert!(message.contains("if it doubles set negate"), "{message}");
     }
     assert_eq!(
         rows,
@@ -126,7 +126,7 @@ fn a_row_is_what_the_hand_writes() {
 }
 
 #[test]
-fn what_turns_the_tool_is_written_and_what_moves_the_workpiece_is_left_out_with_the_reason() {
+fn what_turns_the_tool_is_written_and_what_moves_the_workpiece_is_omitted_with_the_reason() {
     let text = "machine = { name = 'm', kind = 'head-table', head_axes = ['b'], chain = \"w C' X' b Y Z B t\" }
                 angular.eax.urad_per_m = 10.0
                 rotary.b = { point_mm = [0, 1, 250], exob_um = 5.0, ecob_urad = -20.0 }
@@ -142,9 +142,9 @@ fn what_turns_the_tool_is_written_and_what_moves_the_workpiece_is_left_out_with_
         list.starts_with("chain CXYZB\\nworkpiece_axes 2\\n".replace("\\n", "\n").as_str()),
         "{list}"
     );
-    let left_out: Vec<&str> =
-        export.report.left_out.iter().map(|omission| omission.section.as_str()).collect();
-    assert_eq!(left_out, ["angular.eax", "rotary.c"]);
+    let omitted: Vec<&str> =
+        export.report.omitted.iter().map(|omission| omission.section.as_str()).collect();
+    assert_eq!(omitted, ["angular.eax", "rotary.c"]);
 }
 
 #[test]
@@ -152,7 +152,7 @@ fn without_a_chain_nothing_is_written_and_other_controls_refuse_angles_with_the_
     let pitch = "axis.x.pitch = { start_mm = 0, step_mm = 100, forward_um = [0, 2] }";
     let refused = exported(&format!("machine = {{ name = 'm', kind = '3-axis' }}\n{pitch}"));
     let rule = refused.expect_err("no chain").to_string();
-    assert!(rule.contains("TwinCAT wants the chain of the axes"), "{rule}");
+    assert!(rule.contains("TwinCAT needs the chain of the axes"), "{rule}");
     let text = "machine = { name = 'm', kind = '3-axis', chain = 'w b X Y Z t' }
                 angular.eax.urad_per_m = 10.0";
     for format in Format::ALL.into_iter().filter(|format| *format != Format::Isg) {

@@ -355,9 +355,7 @@ fn fanuc_sums_stay_within_half_a_step_of_the_magnification_at_every_point() {
         .expect("it loads");
         for ((name, axis, pitch), number) in drives(&machine).into_iter().zip([1, 2, 4, 3]) {
             let Ok(back) = control.axis_tables(number) else {
-                assert!(
-                    export.report.left_out.iter().any(|left| left.section.contains(&name[..1]))
-                );
+                assert!(export.report.omitted.iter().any(|left| left.section.contains(&name[..1])));
                 continue;
             };
             exported += 1;
@@ -386,7 +384,7 @@ fn fanuc_sums_stay_within_half_a_step_of_the_magnification_at_every_point() {
         }
         for curve in &machine.straightness {
             let section = format!("straightness.{}", curve.name());
-            let is_left = export.report.left_out.iter().any(|left| left.section.contains(&section));
+            let is_left = export.report.omitted.iter().any(|left| left.section.contains(&section));
             let is_held = export.report.tables.iter().any(|table| table.section.contains(&section));
             assert!(is_left != is_held, "{section} is either held or left out:\n{}", export.report);
         }
@@ -431,7 +429,7 @@ fn a_table_above_the_limit_is_thinned_to_it_with_the_loss_stated() {
 }
 
 #[test]
-fn a_fanuc_axis_that_is_too_steep_is_left_out_with_the_reason() {
+fn a_fanuc_axis_that_is_too_steep_is_omitted_with_the_reason() {
     let source = "[machine]\nname = \"steep\"\nkind = \"3-axis\"\n[axis.x.pitch]\nstart_mm = 0.0\n\
                   step_mm = 1.0\nforward_um = [0.0, 9000.0]\n";
     let machine = MachineFile::parse(source, Path::new("steep.toml")).expect("it is correct");

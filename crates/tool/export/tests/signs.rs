@@ -68,7 +68,7 @@ fn linuxcnc_trims_are_the_opposite_of_the_error_with_the_backlash_in_the_reverse
     let export = exported(Format::LinuxCnc, &ExportOptions::default());
     assert_eq!(file(&export, "x.comp"), "0 0 -0.005\n100 -0.002 -0.007\n200 0.003 -0.002\n");
     assert_eq!(file(&export, "y.comp"), "-100 -0.001 -0.006\n0 -0.003 -0.007\n100 -0.004 -0.009\n");
-    let left: Vec<&str> = export.report.left_out.iter().map(|left| left.section.as_str()).collect();
+    let left: Vec<&str> = export.report.omitted.iter().map(|left| left.section.as_str()).collect();
     assert_eq!(left, ["straightness.z_of_x", "axis.x.thermal", "spindle.temperature"]);
     assert!(export.report.max_difference_um() < 1e-9, "{}", export.report);
 }
@@ -222,8 +222,8 @@ fn a_machine_that_cannot_be_held_is_refused_with_every_reason() {
     for format in [Format::LinuxCnc, Format::Fanuc, Format::Heidenhain] {
         let refused =
             export(&machine, format, &ExportOptions::default()).expect_err("nothing fits");
-        let ExportError::NothingFits { left_out, .. } = &refused else { panic!("{refused}") };
-        assert_eq!(left_out.len(), 2, "{refused}");
+        let ExportError::NothingFits { omitted, .. } = &refused else { panic!("{refused}") };
+        assert_eq!(omitted.len(), 2, "{refused}");
         let name = format.name();
         let text = refused.to_string();
         assert!(
@@ -277,7 +277,7 @@ fn what_a_diagnosis_has_added_along_and_across_an_axis_is_exported_with_it() {
     assert_lines(file(&heidenhain, "X.com"), &["1 +1000 +0.012 +0.01 -0.004"]);
     for export in [linuxcnc, siemens, heidenhain, of(Format::Fanuc)] {
         let left: Vec<&str> =
-            export.report.left_out.iter().map(|left| left.section.as_str()).collect();
+            export.report.omitted.iter().map(|left| left.section.as_str()).collect();
         assert!(left.contains(&"term[3] (extra-heat-path)"), "{}", export.report);
         assert!(left.contains(&"term[4] (axis-expansion)"), "{}", export.report);
         assert!(left.contains(&"term[5] (extra-heat-path)"), "{}", export.report);
@@ -307,7 +307,7 @@ fn a_periodic_error_gets_points_where_it_bends() {
 }
 
 #[test]
-fn what_depends_on_the_tool_or_a_condition_is_left_out_by_name_with_the_reason() {
+fn what_depends_on_the_tool_or_a_condition_is_omitted_by_name_with_the_reason() {
     let source = format!(
         "{MACHINE}[spindle.tools]\n7 = {{ um_per_krpm2 = 0.02 }}\ndefault = {{ um_per_krpm2 = 0.01 }}\n\
          [inputs]\ndoor_open = {{ kind = \"condition\", bit = 0 }}\n\

@@ -99,11 +99,11 @@ fn parse_finding(quantity: &str, finding: &Value) -> Vec<NamedFinding> {
     let claimed = finding["claimed"].as_bool().unwrap_or(false);
     let gain = |key: &str| finding["gain"][key].as_f64().unwrap_or(f64::NAN);
     let explained = gain("rms_before_um").powi(2) - gain("rms_after_um").powi(2);
-    let rivals = finding["rivals"].as_array();
+    let alternative_fits = finding["rivals"].as_array();
     let is_open = |rival: &&Value| {
         rival["score_gap"].as_f64().is_some_and(|value| value < MIN_BIC_DIFFERENCE)
     };
-    let alternatives = rivals.into_iter().flatten().filter(is_open);
+    let alternatives = alternative_fits.into_iter().flatten().filter(is_open);
     let alternatives: Vec<String> =
         alternatives.map(|alternative| finding_name(quantity, alternative)).collect();
     let one = |of: &Value, alternatives: Vec<String>| NamedFinding {

@@ -37,7 +37,7 @@ pub(crate) fn suggest_measurements(
             let quantity = constant.name.split(' ').next().unwrap_or_default();
             let program = measurement_program(quantity, constant.parameter);
             let sentence = format!(
-                "{machine}: {} of {} is in doubt; one more record (trueup program {program}) leaves {}.",
+                "{machine}: {} of {} is uncertain; one more record (trueup program {program}) leaves {}.",
                 format_micrometres(doubt_um),
                 constant.name,
                 format_micrometres(after_um)
@@ -85,7 +85,7 @@ fn least_recently_measured(records: &[MachineRecord]) -> Option<NextMeasurement>
         doubt_um: 0.0,
         after_um: 0.0,
         sentence: format!(
-            "{}: no constant is in doubt, and no machine was measured longer ago (trueup program diagonal).",
+            "{}: no constant is uncertain, and no machine was measured longer ago (trueup program diagonal).",
             record.machine
         ),
     })

@@ -109,7 +109,7 @@ pub fn evaluate_series(records: &[MachineRecord], notes: Vec<String>) -> SeriesR
     let undated = records.iter().filter(|record| record.day.is_none()).count();
     if undated > 0 {
         series.notes.push(format!(
-            "{undated} of {} records have no date: they say nothing of drift. Give --date, or a date like 2026-11-22 \
+            "{undated} of {} records have no date and do not show drift. Give --date, or a date like 2026-11-22 \
              in the name of the run file.",
             records.len()
         ));
@@ -322,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn the_machine_in_most_doubt_is_measured_next() {
+    fn the_most_uncertain_machine_is_measured_next() {
         let mut records: Vec<MachineRecord> =
             (0..6).map(|n| record(&format!("m{n}"), 2.0 + 0.3 * f64::from(n), true)).collect();
         records[3].found[0].constants[0].estimate.se = 0.5;

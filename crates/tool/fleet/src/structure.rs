@@ -145,11 +145,11 @@ mod tests {
             record("c", &[("heat", true), ("play", true)]),
             record("d", &[]),
         ];
-        let asked = select_causes_to_fit(&records);
-        let of = |n: usize| asked[n].clone().unwrap_or_default();
+        let requested = select_causes_to_fit(&records);
+        let of = |n: usize| requested[n].clone().unwrap_or_default();
         assert_eq!((names(&of(0).together), names(&of(0).alone)), (vec!["heat"], vec!["play"]));
         assert_eq!((names(&of(3).together), names(&of(3).alone)), (vec!["heat"], vec!["play"]));
-        assert_eq!(asked[2], None, "it has all of them");
+        assert_eq!(requested[2], None, "it has all of them");
     }
 
     #[test]
@@ -157,8 +157,8 @@ mod tests {
         let heat = [("heat", true)];
         let mut records = vec![record("a", &heat), record("b", &heat), record("c", &heat)];
         records.push(record("d", &[("slow", false)]));
-        let asked = select_causes_to_fit(&records)[3].clone().unwrap_or_default();
-        assert_eq!(names(&asked.together), ["heat"]);
+        let requested = select_causes_to_fit(&records)[3].clone().unwrap_or_default();
+        assert_eq!(names(&requested.together), ["heat"]);
         let mut own = records.remove(3);
         let heat = records[0].found[0].clone();
         own.replace_constants(FittedConstants { together: vec![Some(heat)], alone: Vec::new() });

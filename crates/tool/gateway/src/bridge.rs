@@ -103,8 +103,8 @@ pub fn spawn_bridge_thread(
         while !shared.is_stop_requested() {
             let frames = {
                 let mut hub = shared.lock_hub();
-                for heard in line.take_events() {
-                    match heard {
+                for received in line.take_events() {
+                    match received {
                         ConnectionEvent::Up => {
                             shared.set_link_state(LinkState { is_up: true, why: None })
                         }

@@ -48,31 +48,31 @@ pub(crate) struct CncTransmitter {
 
 impl CncTransmitter {
     /// Takes what the PLC has just said; nothing is repeated by itself.
-    pub(crate) fn queue_frames(&mut self, now: Duration, said: &CncData) {
-        let has_changed = self.last.replace(said.control) != Some(said.control);
+    pub(crate) fn queue_frames(&mut self, now: Duration, cnc_data: &CncData) {
+        let has_changed = self.last.replace(cnc_data.control) != Some(cnc_data.control);
         if let Some(counter) = self.control.take_due_counter(now, CONTROL_PERIOD_MS, has_changed) {
-            self.due.push(frames::encode_control(said.control, counter));
+            self.due.push(frames::encode_control(cnc_data.control, counter));
         }
         for axis in LinearAxis::ALL {
             let place = axis as usize;
-            if let Some(position) = said.positions[place]
+            if let Some(position) = cnc_data.positions[place]
                 && let Some(counter) =
                     self.positions[place].take_due_counter(now, POSITION_PERIOD_MS, false)
             {
                 self.due.push(frames::encode_position(position, counter));
             }
         }
-        if let Some(rotary) = said.rotary
+        if let Some(rotary) = cnc_data.rotary
             && let Some(counter) = self.rotary.take_due_counter(now, POSITION_PERIOD_MS, false)
         {
             self.due.push(frames::encode_rotary(rotary, counter));
         }
-        if let Some(spindle) = said.spindle
+        if let Some(spindle) = cnc_data.spindle
             && let Some(counter) = self.spindle.take_due_counter(now, SPINDLE_PERIOD_MS, false)
         {
             self.due.push(frames::encode_spindle(spindle, counter));
         }
-        if let Some(conditions) = said.conditions
+        if let Some(conditions) = cnc_data.conditions
             && let Some(counter) =
                 self.conditions.take_due_counter(now, CONDITIONS_PERIOD_MS, false)
         {
@@ -102,20 +102,20 @@ mod tests {
             position: Position(7),
             direction: TravelDirection::Positive,
         };
-        let mut said = CncData {
+        let mut cnc_data = CncData {
             control: Control::REFERENCED,
             positions: LinearAxis::ALL.map(|axis| Some(at(axis))),
             rotary: None,
             spindle: Some(Spindle { speed: Rpm(9), load_n: -3 }),
             conditions: None,
         };
-        let (mut speaker, mut receiver) = (CncTransmitter::default(), Receiver::new());
+        let (mut transmitter, mut receiver) = (CncTransmitter::default(), Receiver::new());
         let (mut controls, mut tools, mut positions, mut others) = (vec![], vec![], 0, 0);
         for ms in 0..100 {
-            said.control.engage = ms >= 33;
-            said.conditions = Some(Conditions { tool: if ms < 10 { 3 } else { 4 }, bits: 1 });
-            speaker.queue_frames(Duration::from_millis(ms), &said);
-            for frame in speaker.take_frames() {
+            cnc_data.control.engage = ms >= 33;
+            cnc_data.conditions = Some(Conditions { tool: if ms < 10 { 3 } else { 4 }, bits: 1 });
+            transmitter.queue_frames(Duration::from_millis(ms), &cnc_data);
+            for frame in transmitter.take_frames() {
                 match receiver.accept(&frame).expect("in order") {
                     Some(CncMessage::Control(control)) => controls.push((ms, control.engage)),
                     Some(CncMessage::Position(_)) => positions += 1,
@@ -128,6 +128,6 @@ mod tests {
         assert_eq!(controls, expected);
         assert_eq!((positions, others), (150, 5));
         assert_eq!(tools, [(0, 3, 1), (50, 4, 1)], "20 a second");
-        assert_eq!(speaker.take_frames(), []);
+        assert_eq!(transmitter.take_frames(), []);
     }
 }

@@ -57,14 +57,14 @@ pub fn build_status_line(shared: &SharedHub, plc: &PlcStatus) -> Value {
     let now = shared.now();
     let bridge_line = shared.link_state();
     let hub = shared.lock_hub();
-    let (said, counters) = (hub.current_input(), hub.counters());
-    let mut bridge = output_to_json(Some(&said.output));
+    let (input, counters) = (hub.current_input(), hub.counters());
+    let mut bridge = output_to_json(Some(&input.output));
     if let Some(bridge) = bridge.as_object_mut() {
         bridge.insert("line".into(), link_state_name(bridge_line.is_up).into());
         bridge.insert("why".into(), bridge_line.why.into());
         bridge.insert("heard".into(), hub.has_fresh_output(now).into());
-        bridge.insert("age_ms".into(), said.age_ms.into());
-        bridge.insert("state".into(), state_names(StateBits(said.state)).into());
+        bridge.insert("age_ms".into(), input.age_ms.into());
+        bridge.insert("state".into(), state_names(StateBits(input.state)).into());
         let wrong = counters.crc_errors + counters.sequence_errors + counters.malformed;
         bridge.insert("refused_frames".into(), wrong.into());
         bridge.insert("lost_frames".into(), counters.lost.into());
@@ -85,8 +85,8 @@ pub fn build_status_line(shared: &SharedHub, plc: &PlcStatus) -> Value {
             "longest_ms": (plc.longest_ms * 1e3).round() / 1e3,
             "heard": control.is_some(),
             "engage": control.map(|control| control.engage),
-            "refused": said.refused,
-            "last_refused": refusal_text(said.last_refused),
+            "refused": input.refused,
+            "last_refused": refusal_text(input.last_refused),
         },
     })
 }

@@ -71,13 +71,13 @@ pub struct Hub {
     last: Option<(Duration, Output)>,
     is_new: bool,
     board: BoardStatus,
-    status_heard: Option<Duration>,
+    status_received: Option<Duration>,
     pinned: PinnedCalibration,
     /// When the bridge last was not available, or gone: what it ran on before does not count.
     was_away: Option<Duration>,
-    calibration_heard: Option<Duration>,
+    calibration_received: Option<Duration>,
     /// When the slope of each axis was last sent.
-    slopes_heard: [Option<Duration>; 3],
+    slopes_received: [Option<Duration>; 3],
     /// Since when slopes are expected, and whether it was reported that none come.
     expects_slopes: Option<(Duration, bool)>,
     news: Vec<String>,
@@ -88,7 +88,7 @@ pub struct Hub {
     master: Option<(MasterId, Duration)>,
     checker: Checker,
     holding: holding::Registers,
-    speaker: CncTransmitter,
+    transmitter: CncTransmitter,
     control: Option<(Duration, Control)>,
     /// The last whole block of the master, or its connection.
     arrived: Option<(MasterId, Duration)>,
@@ -125,11 +125,11 @@ impl Hub {
             last: None,
             is_new: false,
             board: BoardStatus::default(),
-            status_heard: None,
+            status_received: None,
             pinned,
             was_away: None,
-            calibration_heard: None,
-            slopes_heard: [None; 3],
+            calibration_received: None,
+            slopes_received: [None; 3],
             expects_slopes: None,
             news: Vec::new(),
             stalls: 0,
@@ -139,7 +139,7 @@ impl Hub {
             master: None,
             checker: Checker::default(),
             holding: [0; WHOLE_HOLDING_LEN],
-            speaker: CncTransmitter::default(),
+            transmitter: CncTransmitter::default(),
             control: None,
             arrived: None,
             pace: None,
@@ -155,12 +155,13 @@ impl Hub {
                 let refused = self.board.rejected_frame_count();
                 self.board.receive(frame);
                 if self.board.rejected_frame_count() == refused {
-                    self.status_heard = Some(now);
+                    self.status_received = Some(now);
                     match decode(frame).map(|status| status.item) {
-                        Ok(Item::Calibration(_)) => self.calibration_heard = Some(now),
+                        Ok(Item::Calibration(_)) => self.calibration_received = Some(now),
                         Ok(Item::Slope { axis, .. }) => {
-                            if let Some(heard) = self.slopes_heard.get_mut(usize::from(axis)) {
-                                *heard = Some(now);
+                            if let Some(received) = self.slopes_received.get_mut(usize::from(axis))
+                            {
+                                *received = Some(now);
                             }
                         }
                         _ => {}
@@ -208,11 +209,13 @@ impl Hub {
 
     /// Looks on what calibration the bridge runs now, as far as it has said so since it was last away.
     fn check_calibration(&mut self, now: Duration) {
-        if self.last.is_some_and(|(heard, _)| now.saturating_sub(heard) > BRIDGE_LOSS_TIMEOUT) {
+        if self.last.is_some_and(|(received, _)| now.saturating_sub(received) > BRIDGE_LOSS_TIMEOUT)
+        {
             self.was_away = Some(now);
         }
-        let is_known = self.calibration_heard.is_some_and(|heard| {
-            now.saturating_sub(heard) <= STATUS_TIMEOUT && self.was_away.is_none_or(|at| heard > at)
+        let is_known = self.calibration_received.is_some_and(|received| {
+            now.saturating_sub(received) <= STATUS_TIMEOUT
+                && self.was_away.is_none_or(|at| received > at)
         });
         let running = self.board.calibration.filter(|_| is_known);
         self.news.extend(self.pinned.set_running_crc(running));
@@ -234,7 +237,7 @@ impl Hub {
             (self.input.output.offset, self.input.output.quality) = (None, Quality::Fault);
         }
         self.input.age_ms = self.age_ms(now);
-        let knows = self.status_heard.is_some_and(|at| now.saturating_sub(at) <= STATUS_TIMEOUT);
+        let knows = self.status_received.is_some_and(|at| now.saturating_sub(at) <= STATUS_TIMEOUT);
         let second =
             self.second_master.is_some_and(|at| now.saturating_sub(at) <= SECOND_MASTER_HOLD_TIME);
         let state = if knows { self.board.state } else { StateBits::default() };
@@ -252,13 +255,13 @@ impl Hub {
         &mut self,
         now: Duration,
     ) -> Option<[input_with_slopes::LinearCoefficients; 3]> {
-        let is_fresh = |heard: &Option<Duration>| {
-            heard.is_some_and(|heard| {
-                now.saturating_sub(heard) <= SLOPES_TIMEOUT
-                    && self.was_away.is_none_or(|at| heard > at)
+        let is_fresh = |received: &Option<Duration>| {
+            received.is_some_and(|received| {
+                now.saturating_sub(received) <= SLOPES_TIMEOUT
+                    && self.was_away.is_none_or(|at| received > at)
             })
         };
-        let are_fresh = self.slopes_heard.iter().all(is_fresh);
+        let are_fresh = self.slopes_received.iter().all(is_fresh);
         if let Some((since, is_reported)) = &mut self.expects_slopes {
             if are_fresh || self.input.output.offset.is_none() {
                 (*since, *is_reported) = (now, false);
@@ -284,13 +287,13 @@ impl Hub {
 
     /// Returns the newest valid pair, unless it is stale.
     fn fresh_output(&self, now: Duration) -> Option<&Output> {
-        let (heard, output) = self.last.as_ref()?;
-        (now.saturating_sub(*heard) <= STALE_TIMEOUT).then_some(output)
+        let (received, output) = self.last.as_ref()?;
+        (now.saturating_sub(*received) <= STALE_TIMEOUT).then_some(output)
     }
 
     fn age_ms(&self, now: Duration) -> u16 {
-        let Some((heard, output)) = self.last else { return u16::MAX };
-        let waited = u16::try_from(now.saturating_sub(heard).as_millis()).unwrap_or(u16::MAX);
+        let Some((received, output)) = self.last else { return u16::MAX };
+        let waited = u16::try_from(now.saturating_sub(received).as_millis()).unwrap_or(u16::MAX);
         waited.saturating_add(output.age_ms.into())
     }
 
@@ -361,10 +364,10 @@ impl Hub {
                 self.record_refusal(REFUSED_STALE);
                 Ok(BlockOutcome::MayBeOld)
             }
-            Ok(said) => {
+            Ok(cnc_data) => {
                 self.master = Some((master, now));
                 self.holding = *block;
-                self.apply_block(now, said);
+                self.apply_block(now, cnc_data);
                 Ok(BlockOutcome::Used)
             }
             Err(refused) => {
@@ -402,15 +405,15 @@ impl Hub {
         now < self.doubted_until
     }
 
-    fn apply_block(&mut self, now: Duration, mut said: CncData) {
+    fn apply_block(&mut self, now: Duration, mut cnc_data: CncData) {
         // A bridge that has yet to say what it runs on is no matter for the PLC.
-        if said.control.engage && self.pinned.is_engage_refused() {
+        if cnc_data.control.engage && self.pinned.is_engage_refused() {
             self.record_refusal(REFUSED_CALIBRATION);
         }
-        said.control.engage &= self.pinned.is_engage_allowed();
-        said.control.zero &= self.pinned.is_engage_allowed();
-        self.control = Some((now, said.control));
-        self.speaker.queue_frames(now, &said);
+        cnc_data.control.engage &= self.pinned.is_engage_allowed();
+        cnc_data.control.zero &= self.pinned.is_engage_allowed();
+        self.control = Some((now, cnc_data.control));
+        self.transmitter.queue_frames(now, &cnc_data);
     }
 
     /// A master has gone: another need not wait.
@@ -422,7 +425,7 @@ impl Hub {
 
     /// Returns the frames that are due for the bridge.
     pub fn take_due_frames(&mut self) -> Vec<Frame> {
-        self.speaker.take_frames()
+        self.transmitter.take_frames()
     }
 }
 

@@ -69,8 +69,9 @@ impl JournalLimiter {
                 self.count_change(name.trim_start_matches('/').replace('/', "."), value);
             }
         }
-        let is_wanted = !self.pending.is_empty() || self.due.is_none_or(|due| now >= due);
-        is_wanted && self.has_allowance(self.with_pending_changes(line.clone()).to_string().len())
+        let is_requested = !self.pending.is_empty() || self.due.is_none_or(|due| now >= due);
+        is_requested
+            && self.has_allowance(self.with_pending_changes(line.clone()).to_string().len())
     }
 
     /// Returns the line to write, with the changes since the last one.
@@ -144,14 +145,13 @@ mod tests {
     const FILL: usize = 900;
 
     /// Writes a day in which the bridge is received as `is_heard` says; the entries.
-    fn day(is_heard: impl Fn(u32) -> bool) -> Vec<String> {
+    fn day(is_received: impl Fn(u32) -> bool) -> Vec<String> {
         let (mut journal, mut now, mut all) =
             (JournalLimiter::new(false), Duration::ZERO, Vec::new());
-        let line =
-            |is_heard: bool| json!({ "bridge": { "heard": is_heard, "state": "x".repeat(FILL) } });
+        let line = |is_received: bool| json!({ "bridge": { "heard": is_received, "state": "x".repeat(FILL) } });
         let lines = [line(false), line(true)];
         for step in 0.. {
-            let line = &lines[usize::from(is_heard(step))];
+            let line = &lines[usize::from(is_received(step))];
             if journal.is_due(now, line) {
                 all.push(journal.take_entry(now, line.clone()));
             }

@@ -127,7 +127,7 @@ mod tests {
     /// The layout, 1.
     const LAYOUT_RESPONSE: [u8; 7] = [1, 4, 2, 0, 1, 0x78, 0xF0];
 
-    fn asked(master: &mut TTYPort, part: usize) -> Option<[u8; 7]> {
+    fn query(master: &mut TTYPort, part: usize) -> Option<[u8; 7]> {
         for part in READ_REQUEST.chunks(part) {
             master.write_all(part).expect("the line is open");
             thread::sleep(Duration::from_millis(3));
@@ -160,11 +160,11 @@ mod tests {
             serve(&theirs, open, 1, &ours);
         });
         for part in [8, 3, 1] {
-            assert_eq!(asked(&mut master, part), Some(LAYOUT_RESPONSE), "{part} bytes at a time");
+            assert_eq!(query(&mut master, part), Some(LAYOUT_RESPONSE), "{part} bytes at a time");
         }
         master.write_all(&[0xFF; 9]).expect("noise");
         thread::sleep(Duration::from_millis(60));
-        assert_eq!(asked(&mut master, 8), Some(LAYOUT_RESPONSE), "after noise");
+        assert_eq!(query(&mut master, 8), Some(LAYOUT_RESPONSE), "after noise");
         stop.store(true, Ordering::Relaxed);
         thread.join().expect("it ends");
         assert_eq!(end.snapshot().given, 4);

@@ -102,7 +102,7 @@ fn exchange_blocks(
             end.longest_ms = end.longest_ms.max(took);
         });
         let mut read = [0; HOLDING_BYTES];
-        let asked = Instant::now();
+        let requested_at = Instant::now();
         match client.read(target.db, HOLDING_OFFSET, &mut read[..length]) {
             Ok(()) => {}
             Err(Error::Item(_)) if length == HOLDING_BYTES => {
@@ -113,7 +113,7 @@ fn exchange_blocks(
         }
         let block = decode_registers(&read);
         // An answer that took long may be as old as its question: it is seen, and not said.
-        if seen.has_changed(block) && asked.elapsed() <= MASTER_TIMEOUT {
+        if seen.has_changed(block) && requested_at.elapsed() <= MASTER_TIMEOUT {
             // There is no second master here, and what is refused is reported in the block.
             shared.lock_hub().accept_block(shared.now(), MASTER_ID, &block).ok();
         }
@@ -149,7 +149,7 @@ pub fn write_and_verify(shared: &SharedHub, target: &BlockAddress) -> Result<(),
     client.write(target.db, 0, &written)?;
     let mut read = vec![0; written.len()];
     client.read(target.db, 0, &mut read)?;
-    if read == written { Ok(()) } else { Err(Error::NotKept) }
+    if read == written { Ok(()) } else { Err(Error::NotStored) }
 }
 
 /// Returns the present input block.

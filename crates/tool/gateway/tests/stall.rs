@@ -148,10 +148,10 @@ fn stalls_for(stall: Duration) {
             direction: TravelDirection::Positive,
         };
         let positions = [Some(position), None, None];
-        let said = CncData { control: Control::ENGAGED, positions, ..CncData::default() };
+        let cnc_data = CncData { control: Control::ENGAGED, positions, ..CncData::default() };
         shared
             .lock_hub()
-            .accept_block(shared.now(), 1, &said.encode(counter))
+            .accept_block(shared.now(), 1, &cnc_data.encode(counter))
             .expect("the only master");
         counter = counter.wrapping_add(1);
         let input = InputBlock::decode(&shared.lock_hub().input_registers()).expect("whole");
@@ -163,20 +163,22 @@ fn stalls_for(stall: Duration) {
     stop.store(true, Ordering::Relaxed);
     line.join().expect("it ends");
 
-    let age = |(said, came): (i32, i32)| i64::from(came - said);
-    let oldest = seen.iter().map(|&(said, came, _)| age((said, came))).max().expect("offsets");
+    let age = |(cnc_data, came): (i32, i32)| i64::from(came - cnc_data);
+    let oldest =
+        seen.iter().map(|&(cnc_data, came, _)| age((cnc_data, came))).max().expect("offsets");
     println!("{stall:?}: the oldest offset served is {oldest} ms old");
     assert!(oldest <= OLDEST_MS, "{stall:?}: an offset of {oldest} ms is served");
-    let again = seen.iter().filter(|(said, _, _)| Duration::from_millis(*said as u64) > ends);
+    let again =
+        seen.iter().filter(|(cnc_data, _, _)| Duration::from_millis(*cnc_data as u64) > ends);
     assert!(again.count() > 50, "{stall:?}: it goes on afterwards");
 
     let received = received.lock().expect("whole");
     let begins = i64::try_from(begins.as_millis()).expect("short");
     let late: Vec<_> = received.iter().filter(|&&arrival| age(arrival) > OLDEST_MS).collect();
     println!("{stall:?}: {} of {} positions came late", late.len(), received.len());
-    for (said, came) in &late {
-        let after = i64::from(*said) - begins;
-        assert!(after <= ON_ITS_WAY_MS, "{stall:?}: said at {said} ms, executed at {came} ms");
+    for (cnc_data, came) in &late {
+        let after = i64::from(*cnc_data) - begins;
+        assert!(after <= ON_ITS_WAY_MS, "{stall:?}: said at {cnc_data} ms, executed at {came} ms");
     }
     let last = received.last().expect("positions");
     assert!(age(*last) <= OLDEST_MS, "{stall:?}: it goes on afterwards: {last:?}");

@@ -106,7 +106,7 @@ pub(crate) fn detect_decimal_separator(
                         found.name()
                     );
                     let help =
-                        "write all numbers one way, or say which one is right: --decimal comma";
+                        "write all numbers one way, or state which one is right: --decimal comma";
                     return Err(BadInput::new(row.location(path, at), rule).with_help(help).into());
                 }
             }

@@ -77,7 +77,7 @@ pub(crate) fn detect_date_order(
             row.location(path, at),
             format!("{} is no date of the calendar", row.cells[at].text()),
         )
-        .with_help("write 2026-04-03, or say the order: --date dmy")
+        .with_help("write 2026-04-03, or state the order: --date dmy")
         .into()),
         [(order, first), others @ ..] if others.iter().all(|(_, days)| days == first) => {
             Ok(Some(*order))

@@ -94,7 +94,7 @@ pub(crate) fn find_table(grid: &Grid, path: &Path) -> Result<SourceTable, BadInp
             grid.rows[at].cells.iter().filter(|cell| !cell.is_empty()).map(Cell::text).collect();
         let text = cells.join("  ");
         let short: String = text.chars().take(50).collect();
-        format!("line {} is left out: {short}", grid.rows[at].line)
+        format!("line {} is skipped: {short}", grid.rows[at].line)
     };
     let taken: Vec<usize> = collect_rows_under_header(&blocks, block, grid, head);
     let header_text =
@@ -128,7 +128,7 @@ pub(crate) fn find_table(grid: &Grid, path: &Path) -> Result<SourceTable, BadInp
         && grid.rows.last().is_some_and(|row| row.line == last.line)
         && last.cells.len() < layout.columns.len()
     {
-        notes.push(format!("line {} is left out: it is cut off", last.line));
+        notes.push(format!("line {} is skipped: it is cut off", last.line));
         layout.rows.pop();
     }
     layout.notes = notes;
@@ -316,7 +316,7 @@ fn drop_statistics_rows(rows: &mut Vec<Row>, notes: &mut Vec<String>) {
         if !STATISTICS_WORDS.contains(&word.as_str()) {
             break;
         }
-        notes.push(format!("line {} is left out: {text}", last.line));
+        notes.push(format!("line {} is skipped: {text}", last.line));
         rows.pop();
     }
 }
@@ -349,7 +349,7 @@ fn normalise_width(layout: &mut SourceTable, path: &Path) -> Result<(), BadInput
     }
     for (column, is_used) in layout.columns.iter().zip(&is_used) {
         if !is_used && !column.header.starts_with("column ") {
-            layout.notes.push(format!("{} is left out: it is empty", column.header));
+            layout.notes.push(format!("{} is skipped: it is empty", column.header));
         }
     }
     let mut keep = is_used.iter();

@@ -66,7 +66,7 @@ pub struct ImportedRun {
     /// The columns of the run file.
     pub columns: Vec<ColumnPreview>,
     /// Columns that were not imported, and why.
-    pub left_out: Vec<(String, String)>,
+    pub skipped: Vec<(String, String)>,
     /// Further notes for the user, a sentence each.
     pub notes: Vec<String>,
 }
@@ -120,10 +120,10 @@ pub fn import(bytes: &[u8], path: &Path, answers: &Answers) -> Result<ImportedRu
     if let Some(order) = converted.order {
         form.push(format!("dates {}", order.name()));
     }
-    let mut left_out: Vec<(String, String)> = Vec::new();
+    let mut omitted: Vec<(String, String)> = Vec::new();
     for plan in &plans {
         if let import_mapping::ColumnRole::Ignored(why) = plan.role {
-            left_out.push((plan.header.clone(), why.into()));
+            omitted.push((plan.header.clone(), why.into()));
         }
     }
     // A table of which nothing is understood is no run, whatever its numbers are.
@@ -144,7 +144,7 @@ pub fn import(bytes: &[u8], path: &Path, answers: &Answers) -> Result<ImportedRu
     let mut notes = layout.notes.clone();
     notes.extend(converted.notes);
     let columns = converted.columns.iter().map(|column| preview_column(column, &layout)).collect();
-    Ok(ImportedRun { rows: parsed.row_count(), run, form, columns, left_out, notes })
+    Ok(ImportedRun { rows: parsed.row_count(), run, form, columns, skipped: omitted, notes })
 }
 
 /// Returns true if [`import`] reads `bytes`, with answers or without, and it is no run file with a fault: a workbook, a

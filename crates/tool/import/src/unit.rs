@@ -286,9 +286,9 @@ fn normalise(text: &str) -> String {
 
 /// Returns the unit that `text` names.
 pub(crate) fn parse(text: &str) -> Option<Unit> {
-    let wanted = normalise(text);
+    let requested = normalise(text);
     // `MV` and `Mm` are others; no instrument here has them.
-    let found = UNITS.iter().find(|(.., names)| names.contains(&wanted.as_str()));
+    let found = UNITS.iter().find(|(.., names)| names.contains(&requested.as_str()));
     found.map(|&(name, dimension, factor, offset, _)| Unit { name, dimension, factor, offset })
 }
 

@@ -225,8 +225,10 @@ impl Component {
         outputs.applied = ready && matches!(target, OffsetTarget::Follow(_)) && arrived;
         outputs.age_ms = self.offsets.age_ms(now).unwrap_or(u32::MAX);
         outputs.counters = self.offsets.counters();
-        let known = |said: Option<(Duration, f64)>| {
-            said.filter(|(at, _)| now.saturating_sub(*at) <= STATUS_TIMEOUT).map(|(_, value)| value)
+        let known = |reported: Option<(Duration, f64)>| {
+            reported
+                .filter(|(at, _)| now.saturating_sub(*at) <= STATUS_TIMEOUT)
+                .map(|(_, value)| value)
         };
         outputs.temperatures_c = self.status.temperatures_c.map(known);
         outputs.elongation_um = known(self.status.elongation_um);
@@ -337,7 +339,7 @@ pub(crate) mod tests {
     struct World {
         component: Component,
         inputs: Inputs,
-        says: Option<[i32; 3]>,
+        offset: Option<[i32; 3]>,
         outputs: Outputs,
         controls: Vec<Control>,
         receiver: Receiver,
@@ -349,7 +351,7 @@ pub(crate) mod tests {
             Self {
                 component: component(),
                 inputs: Inputs { enable: true, machine_on: true, homed: true, ..Inputs::default() },
-                says: Some([0; 3]),
+                offset: Some([0; 3]),
                 outputs: Outputs::default(),
                 controls: Vec::new(),
                 receiver: Receiver::new(),
@@ -361,7 +363,7 @@ pub(crate) mod tests {
             for _ in 0..ms {
                 self.ms += 1;
                 let now = Duration::from_millis(self.ms);
-                if let Some(offset) = self.says {
+                if let Some(offset) = self.offset {
                     let offset = Some(offset.map(Nanometres));
                     let output = Output { offset, quality: Quality::Live, ..Output::default() };
                     let counter = (self.ms % 256) as u8;
@@ -379,8 +381,8 @@ pub(crate) mod tests {
                     reading.eoffset_nm = reading.request_nm;
                 }
                 for frame in &frames {
-                    let heard = self.receiver.accept(frame).expect("in order");
-                    if let Some(Received::Control(control)) = heard {
+                    let received = self.receiver.accept(frame).expect("in order");
+                    if let Some(Received::Control(control)) = received {
                         self.controls.push(control);
                     }
                 }
@@ -394,9 +396,9 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn an_offset_is_applied_at_the_slew_limit_and_told() {
+    fn an_offset_is_applied_at_the_slew_limit_and_reported() {
         let mut world = World::new();
-        world.says = Some([1_000, -2_000, 40_000]);
+        world.offset = Some([1_000, -2_000, 40_000]);
         world.live(100);
         assert!(world.outputs.connected && !world.outputs.applied, "40 um take 80 ms after 50");
         assert_eq!(world.outputs.offset_um, [1.0, -2.0, 40.0]);
@@ -409,9 +411,9 @@ pub(crate) mod tests {
     #[test]
     fn a_silent_bridge_is_held_then_taken_back_then_a_fault_without_offset() {
         let mut world = World::new();
-        world.says = Some([0, 0, 40_000]);
+        world.offset = Some([0, 0, 40_000]);
         world.live(200);
-        world.says = None;
+        world.offset = None;
         world.live(150);
         assert_eq!((world.outputs.quality, world.outputs.connected), (Quality::Hold, false));
         world.live(1_900);
@@ -420,7 +422,7 @@ pub(crate) mod tests {
         assert_eq!((world.outputs.quality, world.outputs.fault), (Quality::RampingOut, true));
         world.live(100);
         assert_eq!((world.outputs.quality, world.z_um()), (Quality::Fault, 0.0));
-        world.says = Some([0, 0, 40_000]);
+        world.offset = Some([0, 0, 40_000]);
         world.live(150);
         assert_eq!((world.z_um(), world.outputs.fault), (40.0, false));
     }
@@ -433,18 +435,18 @@ pub(crate) mod tests {
         {
             world.inputs = Inputs { enable, machine_on, homed, ..world.inputs };
             world.live(200);
-            let said = world.controls.last().expect("at once");
-            assert_eq!((said.engage, said.referenced), (enable && machine_on, homed));
+            let control = world.controls.last().expect("at once");
+            assert_eq!((control.engage, control.referenced), (enable && machine_on, homed));
         }
     }
 
     #[test]
-    fn temperatures_are_told_until_they_are_too_old() {
+    fn temperatures_are_reported_until_they_are_too_old() {
         let mut world = World::new();
         world.live(1);
         let item = Item::Temperatures { pair: 1, centi_c: [Some(2_345), None] };
-        let said = status::Status { last_refused: status::FrameRejectReason::None, item };
-        let frame = Event::Frame(status::encode(&said, 0));
+        let reported = status::Status { last_refused: status::FrameRejectReason::None, item };
+        let frame = Event::Frame(status::encode(&reported, 0));
         world.component.receive(Duration::from_millis(world.ms), &frame);
         world.live(3_400);
         assert_eq!(world.outputs.temperatures_c[..5], [None, None, Some(23.45), None, None]);
@@ -455,7 +457,7 @@ pub(crate) mod tests {
     #[test]
     fn a_machine_that_was_off_begins_again_from_zero() {
         let mut world = World::new();
-        world.says = Some([0, 0, 40_000]);
+        world.offset = Some([0, 0, 40_000]);
         world.live(200);
         world.inputs.machine_on = false;
         world.live(20);

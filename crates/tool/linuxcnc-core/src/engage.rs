@@ -24,10 +24,10 @@ pub(crate) struct EngageSequence {
 impl EngageSequence {
     /// Returns what to say now. `wanted`: the operator wants offsets and the machine is on; `available`: the
     /// bridge gives one, or has not been received; `at_zero`: LinuxCNC applies none.
-    pub fn step(&mut self, now: Duration, wanted: bool, available: bool, at_zero: bool) -> bool {
+    pub fn step(&mut self, now: Duration, requested: bool, available: bool, at_zero: bool) -> bool {
         let lasts = now.saturating_sub(*self.since.get_or_insert(now));
-        let falls = self.is_raised && (!wanted || (!available && lasts >= ENGAGE_RETRY_DELAY));
-        let rises = !self.is_raised && wanted && at_zero && lasts >= MIN_RELEASE_TIME;
+        let falls = self.is_raised && (!requested || (!available && lasts >= ENGAGE_RETRY_DELAY));
+        let rises = !self.is_raised && requested && at_zero && lasts >= MIN_RELEASE_TIME;
         if falls || rises {
             self.is_raised = rises;
             self.since = Some(now);
@@ -65,13 +65,14 @@ mod tests {
     }
 
     #[test]
-    fn a_bridge_that_gives_nothing_is_told_from_the_beginning_once_a_second() {
+    fn a_bridge_that_gives_nothing_is_reported_from_the_beginning_once_a_second() {
         let mut engage = EngageSequence::default();
-        let said: Vec<bool> = (0..5_000).map(|n| engage.step(ms(n), true, false, true)).collect();
-        let rises = said.windows(2).filter(|pair| !pair[0] && pair[1]).count();
+        let engaged: Vec<bool> =
+            (0..5_000).map(|n| engage.step(ms(n), true, false, true)).collect();
+        let rises = engaged.windows(2).filter(|pair| !pair[0] && pair[1]).count();
         assert_eq!(rises, 5);
         let mut engage = EngageSequence::default();
-        let said: Vec<bool> = (0..5_000).map(|n| engage.step(ms(n), true, true, true)).collect();
-        assert!(said[200..].iter().all(|raised| *raised), "a live bridge is left alone");
+        let engaged: Vec<bool> = (0..5_000).map(|n| engage.step(ms(n), true, true, true)).collect();
+        assert!(engaged[200..].iter().all(|raised| *raised), "a live bridge is left alone");
     }
 }

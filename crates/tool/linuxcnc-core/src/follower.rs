@@ -127,7 +127,7 @@ impl OffsetFollower {
         pace: &RateLimits,
     ) -> StepResult {
         let stuck = self.held_since.is_some_and(|since| now.saturating_sub(since) > STUCK_TIMEOUT);
-        let told = StepResult { counts: 0, stuck, not_taken: self.lost >= MAX_LOST_STEPS };
+        let result = StepResult { counts: 0, stuck, not_taken: self.lost >= MAX_LOST_STEPS };
         if !ready || !reading.request_nm.is_finite() || !reading.eoffset_nm.is_finite() {
             *self = Self { offset_before: reading.eoffset_nm, ..Self::default() };
             return StepResult::default();
@@ -146,20 +146,20 @@ impl OffsetFollower {
                 self.lost = self.lost.saturating_add(1);
                 self.settled = now.saturating_add(SETTLE_TIME);
                 self.pending = None;
-                return StepResult { counts: -pending.counts, ..told };
+                return StepResult { counts: -pending.counts, ..result };
             } else {
-                return told;
+                return result;
             }
             self.pending = None;
         }
         if now < self.settled {
-            return told;
+            return result;
         }
         let counts = self.compute_step_counts(now, goal_nm, reading, pace);
         if counts != 0 {
             self.pending = Some(PendingStep { before: reading.request_nm, counts, written: now });
         }
-        StepResult { counts, ..told }
+        StepResult { counts, ..result }
     }
 
     /// Returns the step, in counts.
@@ -173,16 +173,16 @@ impl OffsetFollower {
     ) -> i32 {
         let AxisReading { request_nm: request, eoffset_nm: offset } = reading;
         let goal = goal_nm.map_or(request, f64::from);
-        let wanted = saturate(goal - request, -pace.max_step_counts(), pace.max_step_counts());
-        let moved = (offset - self.offset_before) * wanted.signum();
+        let requested = saturate(goal - request, -pace.max_step_counts(), pace.max_step_counts());
+        let moved = (offset - self.offset_before) * requested.signum();
         let covers = if pace.planner_keeps_slew {
             saturate(moved, 0.0, pace.max_step_counts())
         } else {
             0.0
         };
         let lead = pace.max_lead_counts() + covers;
-        let next = saturate(request + wanted, offset - lead, offset + lead);
-        if (next - (request + wanted)).abs() < READING_TOLERANCE_COUNTS {
+        let next = saturate(request + requested, offset - lead, offset + lead);
+        if (next - (request + requested)).abs() < READING_TOLERANCE_COUNTS {
             self.held_since = None;
         } else {
             self.held_since.get_or_insert(now);

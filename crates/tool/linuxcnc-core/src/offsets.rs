@@ -76,8 +76,8 @@ impl ReceivedOffsets {
     /// Returns the newest valid pair, unless it is stale.
     #[must_use]
     pub(crate) fn fresh_output(&self, now: Duration, limits: &OffsetLimits) -> Option<&Output> {
-        let (heard, output) = self.last.as_ref()?;
-        (now.saturating_sub(*heard) <= limits.stale.min(MAX_FRESH_AGE)).then_some(output)
+        let (received, output) = self.last.as_ref()?;
+        (now.saturating_sub(*received) <= limits.stale.min(MAX_FRESH_AGE)).then_some(output)
     }
 
     /// Returns what the offsets are to do now.
@@ -111,8 +111,8 @@ impl ReceivedOffsets {
     /// Milliseconds since the sample on which the newest offset rests; `None` before the first.
     #[must_use]
     pub fn age_ms(&self, now: Duration) -> Option<u32> {
-        let (heard, output) = self.last.as_ref()?;
-        let waited = u32::try_from(now.saturating_sub(*heard).as_millis()).unwrap_or(u32::MAX);
+        let (received, output) = self.last.as_ref()?;
+        let waited = u32::try_from(now.saturating_sub(*received).as_millis()).unwrap_or(u32::MAX);
         Some(waited.saturating_add(output.age_ms.into()))
     }
 
@@ -140,7 +140,12 @@ mod tests {
         Duration::from_millis(ms)
     }
 
-    fn say(offsets: &mut ReceivedOffsets, now: Duration, counter: u8, offset: Option<i32>) {
+    fn receive_offset(
+        offsets: &mut ReceivedOffsets,
+        now: Duration,
+        counter: u8,
+        offset: Option<i32>,
+    ) {
         let quality = if offset.is_some() { Quality::Live } else { Quality::Fault };
         let output = Output {
             offset: offset.map(|nm| [Nanometres(nm); 3]),
@@ -156,23 +161,23 @@ mod tests {
     fn silence_holds_then_ramps_out_and_a_word_brings_it_back() {
         let mut offsets = ReceivedOffsets::new(ms(0));
         assert_eq!(offsets.update_target(ms(0), &LIMITS), OffsetTarget::Hold, "just started");
-        say(&mut offsets, ms(1_000), 0, Some(50_000));
+        receive_offset(&mut offsets, ms(1_000), 0, Some(50_000));
         assert_eq!(offsets.update_target(ms(1_100), &LIMITS), OffsetTarget::Follow([50_000; 3]));
         assert_eq!(offsets.age_ms(ms(1_100)), Some(103));
         assert_eq!(offsets.update_target(ms(1_101), &LIMITS), OffsetTarget::Hold);
         assert_eq!(offsets.update_target(ms(3_100), &LIMITS), OffsetTarget::Hold);
         assert_eq!(offsets.update_target(ms(3_101), &LIMITS), OffsetTarget::RampOut);
-        say(&mut offsets, ms(9_000), 1, Some(40_000));
+        receive_offset(&mut offsets, ms(9_000), 1, Some(40_000));
         assert_eq!(offsets.update_target(ms(9_000), &LIMITS), OffsetTarget::Follow([40_000; 3]));
     }
 
     #[test]
     fn not_available_is_held_as_silence_is() {
         let mut offsets = ReceivedOffsets::new(ms(0));
-        say(&mut offsets, ms(10), 0, Some(1_000));
+        receive_offset(&mut offsets, ms(10), 0, Some(1_000));
         offsets.update_target(ms(10), &LIMITS);
         for cycle in 1..=250_u8 {
-            say(&mut offsets, ms(10 + 10 * u64::from(cycle)), cycle, None);
+            receive_offset(&mut offsets, ms(10 + 10 * u64::from(cycle)), cycle, None);
             let expected = if cycle <= 200 { OffsetTarget::Hold } else { OffsetTarget::RampOut };
             assert_eq!(offsets.update_target(ms(10 + 10 * u64::from(cycle)), &LIMITS), expected);
         }
@@ -181,8 +186,8 @@ mod tests {
     #[test]
     fn damaged_and_repeated_frames_are_silence_and_are_counted() {
         let mut offsets = ReceivedOffsets::new(ms(0));
-        say(&mut offsets, ms(10), 5, Some(1_000));
-        say(&mut offsets, ms(100), 5, Some(9_000));
+        receive_offset(&mut offsets, ms(10), 5, Some(1_000));
+        receive_offset(&mut offsets, ms(100), 5, Some(9_000));
         assert_eq!(offsets.update_target(ms(100), &LIMITS), OffsetTarget::Follow([1_000; 3]));
         assert_eq!(offsets.counters().sequence_errors, 2);
         assert_eq!(offsets.update_target(ms(111), &LIMITS), OffsetTarget::Hold);
@@ -194,9 +199,9 @@ mod tests {
     }
 
     #[test]
-    fn more_than_permitted_is_held_to_the_limit_and_told() {
+    fn more_than_permitted_is_held_to_the_limit_and_reported() {
         let mut offsets = ReceivedOffsets::new(ms(0));
-        say(&mut offsets, ms(10), 0, Some(-300_000));
+        receive_offset(&mut offsets, ms(10), 0, Some(-300_000));
         let expected = OffsetTarget::Follow([-200_000, -200_000, -300_000]);
         assert_eq!(offsets.update_target(ms(10), &LIMITS), expected);
         assert!(offsets.is_clamped());

@@ -291,7 +291,7 @@ mod tests {
         Duration::from_millis(ms)
     }
 
-    fn said(sender: &mut Sender, now: Duration, command: &CommandValues) -> Vec<Received> {
+    fn frames_at(sender: &mut Sender, now: Duration, command: &CommandValues) -> Vec<Received> {
         let mut receiver = Receiver::new();
         let frames = sender.due_frames(now, command);
         frames.iter().filter_map(|frame| receiver.accept(frame).expect("protected")).collect()
@@ -341,12 +341,14 @@ mod tests {
                 offset_mm: there,
                 ..CommandValues::default()
             };
-            said(&mut sender, ms(now), &command).into_iter().find_map(|received| match received {
-                Received::Position(at) if at.axis == LinearAxis::Z => {
-                    Some((at.position.0, at.direction))
-                }
-                _ => None,
-            })
+            frames_at(&mut sender, ms(now), &command).into_iter().find_map(
+                |received| match received {
+                    Received::Position(at) if at.axis == LinearAxis::Z => {
+                        Some((at.position.0, at.direction))
+                    }
+                    _ => None,
+                },
+            )
         };
         assert_eq!(z(0, 0.0), Some((700_000, TravelDirection::Standing)));
         assert_eq!(z(10, 0.020), Some((700_000, TravelDirection::Positive)));
@@ -381,27 +383,27 @@ mod tests {
     fn a_pulse_on_zero_is_stretched_and_control_says_it_at_once() {
         let mut sender = Sender::new(ms(2), false, [Some(0.0); 3]);
         let mut command = CommandValues::default();
-        let zero = |said: Vec<Received>| {
-            said.into_iter().find_map(|received| match received {
+        let zero = |reported: Vec<Received>| {
+            reported.into_iter().find_map(|received| match received {
                 Received::Control(control) => Some(control.zero),
                 _ => None,
             })
         };
-        assert_eq!(zero(said(&mut sender, ms(0), &command)), Some(false));
+        assert_eq!(zero(frames_at(&mut sender, ms(0), &command)), Some(false));
         command.control.zero = true;
-        assert_eq!(zero(said(&mut sender, ms(1), &command)), Some(true));
+        assert_eq!(zero(frames_at(&mut sender, ms(1), &command)), Some(true));
         command.control.zero = false;
-        assert_eq!(zero(said(&mut sender, ms(2), &command)), None);
-        assert_eq!(zero(said(&mut sender, ms(50), &command)), Some(true));
-        assert_eq!(zero(said(&mut sender, ms(101), &command)), Some(false));
+        assert_eq!(zero(frames_at(&mut sender, ms(2), &command)), None);
+        assert_eq!(zero(frames_at(&mut sender, ms(50), &command)), Some(true));
+        assert_eq!(zero(frames_at(&mut sender, ms(101), &command)), Some(false));
     }
 
     #[test]
     fn each_part_of_what_was_learned_comes_once_in_five_frames_and_nothing_while_there_is_none() {
         let mut sender = Sender::new(ms(2), false, [Some(0.0); 3]);
         let learned = |sender: &mut Sender, now| {
-            let said = said(sender, ms(now), &CommandValues::default());
-            said.into_iter().find_map(|received| match received {
+            let reported = frames_at(sender, ms(now), &CommandValues::default());
+            reported.into_iter().find_map(|received| match received {
                 Received::Control(control) => Some(control.learned),
                 _ => None,
             })
@@ -428,7 +430,7 @@ mod tests {
                 load_n: wrong,
                 ..CommandValues::default()
             };
-            let received = said(&mut sender, ms(0), &command);
+            let received = frames_at(&mut sender, ms(0), &command);
             let is_y = |received: &Received| matches!(received, Received::Position(at) if at.axis == LinearAxis::Y);
             assert_eq!(received.len(), 2, "Control and Y alone: {received:?}");
             assert!(received.iter().any(is_y));
@@ -443,7 +445,7 @@ mod tests {
         assert_eq!(to_spindle(-24_000.0, 1e9), Spindle { speed: Rpm(24_000), load_n: i16::MAX });
         let mut sender = Sender::new(ms(2), true, [Some(0.0); 3]);
         let command = CommandValues { angles_deg: [725.0, -30.0], ..CommandValues::default() };
-        let received = said(&mut sender, ms(0), &command);
+        let received = frames_at(&mut sender, ms(0), &command);
         let angles = [5_000_000, -30_000_000].map(MicroDegrees);
         assert!(received.contains(&Received::Rotary(Rotary { angles })));
     }

@@ -302,7 +302,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_that_cannot_be_is_told_with_its_place() {
+    fn a_value_that_cannot_be_is_reported_with_its_place() {
         let error = Ini::parse("[AXIS_Z]\nOFFSET_AV_RATIO = lots\n").expect_err("no number");
         assert_eq!(error.to_string(), "2:19: [AXIS_Z]OFFSET_AV_RATIO = lots is not a number");
         assert!(Ini::parse("[TRAJ]\nLINEAR_UNITS = cubits\n").is_err());

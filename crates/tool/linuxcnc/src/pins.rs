@@ -74,7 +74,7 @@ struct JointPins<'hal> {
     offset: Pin<'hal, f64>,
     min: Pin<'hal, f64>,
     max: Pin<'hal, f64>,
-    kept: Pin<'hal, f64>,
+    retained: Pin<'hal, f64>,
     now: Pin<'hal, f64>,
     command: Pin<'hal, f64>,
     reference: Pin<'hal, f64>,
@@ -306,7 +306,7 @@ impl<'hal> ComponentPins<'hal> {
             joint.min.set(units(goal.min_nm));
             joint.max.set(units(goal.max_nm));
             joint.offset.set(units(goal.offset_nm));
-            joint.kept.set(units(goal.reference_nm));
+            joint.retained.set(units(goal.reference_nm));
         }
         self.applied.set(outputs.applied);
         self.connected.set(outputs.connected);
@@ -351,8 +351,8 @@ fn create_joint_pins<'hal>(
         // Read before it is set: the pin of a component that was killed is still on its signal.
         let of_base =
             hal.read_foreign_pin(&reference_hold_pin(settings.number)).unwrap_or(f64::NAN);
-        let kept = hal.create_output(&full("kept"))?;
-        kept.set(f64::NAN);
+        let retained = hal.create_output(&full("kept"))?;
+        retained.set(f64::NAN);
         let nm = |units: f64| units * mm_per_unit / MM_PER_COUNT;
         // The limits of a moveoff that no component has driven yet are 10²⁰.
         let driven = there("min")
@@ -362,7 +362,7 @@ fn create_joint_pins<'hal>(
             min.set(low);
             max.set(high);
             offset.set(goal);
-            kept.set(of_base);
+            retained.set(of_base);
             JointGoal {
                 offset_nm: nm(goal),
                 min_nm: nm(low),
@@ -376,7 +376,7 @@ fn create_joint_pins<'hal>(
             offset,
             min,
             max,
-            kept,
+            retained,
             now: hal.create_input(&full("now"))?,
             command: hal.create_input(&full("cmd"))?,
             reference: hal.create_input(&full("reference"))?,

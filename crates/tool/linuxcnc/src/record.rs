@@ -133,12 +133,12 @@ impl RecordFile {
             let celsius = outputs.temperatures_c.get(usize::from(*channel)).copied().flatten();
             cells.push(cell(celsius.unwrap_or(unknown), 2));
         }
-        let said = inputs.conditions;
+        let reported = inputs.conditions;
         let whole = |value: Option<u16>| cell(value.map_or(unknown, f64::from), 0);
-        cells.extend(self.has_tool.then(|| whole(said.map(|conditions| conditions.tool))));
+        cells.extend(self.has_tool.then(|| whole(reported.map(|conditions| conditions.tool))));
         let bits = self.conditions.iter();
         cells.extend(
-            bits.map(|(bit, _)| whole(said.map(|conditions| conditions.is_set(*bit).into()))),
+            bits.map(|(bit, _)| whole(reported.map(|conditions| conditions.is_set(*bit).into()))),
         );
         cells.join(",")
     }
@@ -150,9 +150,9 @@ impl RecordFile {
             text += row;
             text.push('\n');
         }
-        let beside = self.path.with_extension("new");
-        fs::write(&beside, text)?;
-        fs::rename(&beside, &self.path)
+        let adjacent = self.path.with_extension("new");
+        fs::write(&adjacent, text)?;
+        fs::rename(&adjacent, &self.path)
     }
 }
 

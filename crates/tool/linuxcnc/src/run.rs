@@ -51,7 +51,7 @@ pub struct LearnedUpdate {
     /// Each part in the bridge's units; `None`: as before.
     pub amounts: Option<[i16; PART_COUNT]>,
     /// Lines about it for the operator.
-    pub said: Vec<String>,
+    pub notices: Vec<String>,
 }
 
 /// Runs the component until `stop` is set. `tell` gets a sentence whenever something has changed
@@ -66,7 +66,7 @@ pub fn run(
     stop: &AtomicBool,
     mut record: Option<RecordFile>,
     learned: Option<impl Fn() -> Option<LearnedUpdate>>,
-    mut tell: impl FnMut(&str),
+    mut report: impl FnMut(&str),
 ) -> Result<(), HalError> {
     let Settings { name, mm_per_unit, temperatures, calibration, pinned, turn, options } = settings;
     let hal = Hal::new(name, &pid_pin_name(name))?;
@@ -78,7 +78,7 @@ pub fn run(
     let mut news = StateReporter::new(pinned.clone());
     hal.set_ready()?;
     if hal.has_adopted_pins() {
-        tell("takes over the pins of a component that was killed");
+        report("takes over the pins of a component that was killed");
     }
     let mut refreshed = Duration::ZERO;
     let mut cut = None;
@@ -89,19 +89,19 @@ pub fn run(
             refreshed = now;
             hal.refresh();
             cut = pins.disconnected_pin();
-            news.report_disconnected_pin(cut, &mut tell);
+            news.report_disconnected_pin(cut, &mut report);
         }
-        for heard in line.take_events() {
-            match heard {
-                ConnectionEvent::Up => tell("the line is open"),
-                ConnectionEvent::Down(why) => news.report_line_down(&why, &mut tell),
+        for received in line.take_events() {
+            match received {
+                ConnectionEvent::Up => report("the line is open"),
+                ConnectionEvent::Down(why) => news.report_line_down(&why, &mut report),
                 ConnectionEvent::Received(event) => component.receive(now, &event),
-                ConnectionEvent::Late => tell(
+                ConnectionEvent::Late => report(
                     "the line has stalled, and delivers what is old: not used until it is in time again",
                 ),
             }
         }
-        lessons.send_learned_corrections(&mut component, &mut tell);
+        lessons.send_learned_corrections(&mut component, &mut report);
         let mut inputs = pins.read();
         inputs.enable &= news.pinned.is_engage_allowed();
         inputs.zero &= news.pinned.is_engage_allowed();
@@ -115,13 +115,13 @@ pub fn run(
             .map(|record| record.write_row_if_due(SystemTime::now(), &inputs, &outputs));
         if let Some(Err(why)) = recorded {
             // The learner finds it too old, and says so.
-            tell(&format!("the record cannot be written, and is given up: {why}"));
+            report(&format!("the record cannot be written, and is given up: {why}"));
             record = None;
         }
         for frame in frames {
             line.try_send(frame);
         }
-        news.report_state_change(&outputs, &mut tell);
+        news.report_state_change(&outputs, &mut report);
         thread::sleep(*turn);
     }
     Ok(())
@@ -139,10 +139,14 @@ struct LearnedCorrections<F> {
 
 impl<F: Fn() -> Option<LearnedUpdate>> LearnedCorrections<F> {
     /// Without a source, a bridge receives the order to forget what a component before this one has sent.
-    fn send_learned_corrections(&mut self, component: &mut Component, tell: &mut impl FnMut(&str)) {
+    fn send_learned_corrections(
+        &mut self,
+        component: &mut Component,
+        report: &mut impl FnMut(&str),
+    ) {
         let Some(news) = &self.news else { return component.clear_learned() };
         if let Some(news) = news() {
-            news.said.iter().for_each(|said| tell(said));
+            news.notices.iter().for_each(|text| report(text));
             self.amounts = news.amounts.or(self.amounts);
         }
         component.set_learned_values(self.amounts.zip(self.of));
@@ -166,44 +170,44 @@ impl StateReporter {
     }
 
     /// A wire that is cut is reported once, and that it is whole again.
-    fn report_disconnected_pin(&mut self, cut: Option<&str>, tell: &mut impl FnMut(&str)) {
+    fn report_disconnected_pin(&mut self, cut: Option<&str>, report: &mut impl FnMut(&str)) {
         if self.cut.as_deref() == cut {
             return;
         }
         self.cut = cut.map(String::from);
         match cut {
-            Some(pin) => tell(&format!(
+            Some(pin) => report(&format!(
                 "the pin {pin} is no longer connected: the heartbeat stops, and with trueup_watchdog.hal the feed"
             )),
-            None => tell("all pins are connected again: the heartbeat goes on"),
+            None => report("all pins are connected again: the heartbeat goes on"),
         }
     }
 
     /// The same reason is reported once.
-    fn report_line_down(&mut self, why: &str, tell: &mut impl FnMut(&str)) {
+    fn report_line_down(&mut self, why: &str, report: &mut impl FnMut(&str)) {
         if self.down.as_deref() != Some(why) {
-            tell(&format!("the line is down: {why}; trying again"));
+            report(&format!("the line is down: {why}; trying again"));
             self.down = Some(why.into());
         }
     }
 
     /// The bridge's version and state, when they change.
-    fn report_bridge_state(&mut self, outputs: &Outputs, tell: &mut impl FnMut(&str)) {
-        if let Some(told) = self.pinned.set_running_crc(outputs.calibration) {
-            tell(&told);
+    fn report_bridge_state(&mut self, outputs: &Outputs, report: &mut impl FnMut(&str)) {
+        if let Some(notices) = self.pinned.set_running_crc(outputs.calibration) {
+            report(&notices);
         }
         if outputs.state != self.bits {
             self.bits = outputs.state;
             let words = state_names(self.bits);
             match words[..] {
-                [] => tell("the bridge says that all is well"),
-                _ => tell(&format!("the bridge says: {}", words.join(" "))),
+                [] => report("the bridge reports no fault"),
+                _ => report(&format!("the bridge says: {}", words.join(" "))),
             }
         }
     }
 
-    fn report_state_change(&mut self, outputs: &Outputs, tell: &mut impl FnMut(&str)) {
-        self.report_bridge_state(outputs, tell);
+    fn report_state_change(&mut self, outputs: &Outputs, report: &mut impl FnMut(&str)) {
+        self.report_bridge_state(outputs, report);
         let Outputs { connected, fault, limited, not_taken, quality, .. } = *outputs;
         let state = (connected, fault, limited, not_taken, quality);
         if self.state.replace(state) == Some(state) {
@@ -236,7 +240,7 @@ impl StateReporter {
             text +=
                 "; LinuxCNC does not let an axis follow (soft limit, joint mode, OFFSET_AV_RATIO)";
         }
-        tell(&text);
+        report(&text);
     }
 }
 
@@ -288,9 +292,9 @@ mod tests {
     fn taught(news: Option<impl Fn() -> Option<LearnedUpdate>>, of: Option<u32>) -> Vec<(u8, i16)> {
         let (mut component, mut receiver) = (component(), Receiver::new());
         let item = Item::Calibration(RUNNING);
-        let said =
+        let reported =
             status::encode(&Status { last_refused: status::FrameRejectReason::None, item }, 0);
-        component.receive(Duration::ZERO, &Event::Frame(said));
+        component.receive(Duration::ZERO, &Event::Frame(reported));
         let mut lessons = LearnedCorrections { news, of, amounts: None };
         let mut all = Vec::new();
         for turn in 0..5 {
@@ -313,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_learned_file_any_bridge_is_told_that_nothing_was_learned() {
+    fn without_a_learned_file_any_bridge_receives_that_nothing_was_learned() {
         let none = None::<fn() -> Option<LearnedUpdate>>;
         for of in [None, Some(RUNNING), Some(RUNNING ^ 1)] {
             assert_eq!(taught(none, of), [(1, 0), (2, 0), (3, 0), (4, 0), (5, 0)], "{of:?}");
@@ -321,13 +325,14 @@ mod tests {
     }
 
     #[test]
-    fn of_a_learned_file_nothing_is_said_until_it_is_read_and_then_only_to_its_own_calibration() {
+    fn of_a_learned_file_nothing_is_reported_until_it_is_read_and_then_only_to_its_own_calibration()
+    {
         let nothing = [(0, 0); 5];
         let (ours, other) = (Some(RUNNING), Some(RUNNING ^ 1));
         assert_eq!(taught(Some(|| None), ours), nothing, "not looked at yet");
         assert_eq!(taught(Some(|| Some(LearnedUpdate::default())), ours), nothing, "not readable");
         let read =
-            || Some(LearnedUpdate { amounts: Some([10, 20, 30, 40, -50]), said: Vec::new() });
+            || Some(LearnedUpdate { amounts: Some([10, 20, 30, 40, -50]), notices: Vec::new() });
         assert_eq!(taught(Some(read), ours), [(1, 10), (2, 20), (3, 30), (4, 40), (5, -50)]);
         let looks = Cell::new(0);
         let gone = || match looks.replace(looks.get() + 1) {
@@ -340,36 +345,36 @@ mod tests {
     }
 
     #[test]
-    fn another_calibration_than_the_machine_files_is_told_once_and_so_is_each_state() {
+    fn another_calibration_than_the_machine_files_is_reported_once_and_so_is_each_state() {
         let rule = CalibrationPolicy::Machine { crc: 0xABCD, path: "m.toml".into() };
         let mut news = StateReporter::new(PinnedCalibration::new(rule));
-        let mut told = Vec::new();
-        let says = |calibration, state| Outputs { calibration, state, ..Outputs::default() };
+        let mut messages = Vec::new();
+        let shows = |calibration, state| Outputs { calibration, state, ..Outputs::default() };
         for (outputs, is_engage_allowed) in [
-            (says(None, StateBits::default()), false),
-            (says(Some(0xABCD), StateBits::default()), true),
-            (says(Some(0x1234), StateBits::default()), false),
-            (says(Some(0x1234), StateBits::OLDER_CALIBRATION), false),
-            (says(Some(0x1234), StateBits::OLDER_CALIBRATION), false),
-            (says(Some(0xABCD), StateBits::default()), true),
+            (shows(None, StateBits::default()), false),
+            (shows(Some(0xABCD), StateBits::default()), true),
+            (shows(Some(0x1234), StateBits::default()), false),
+            (shows(Some(0x1234), StateBits::OLDER_CALIBRATION), false),
+            (shows(Some(0x1234), StateBits::OLDER_CALIBRATION), false),
+            (shows(Some(0xABCD), StateBits::default()), true),
         ] {
-            news.report_bridge_state(&outputs, &mut |text: &str| told.push(text.to_owned()));
+            news.report_bridge_state(&outputs, &mut |text: &str| messages.push(text.to_owned()));
             assert_eq!(news.pinned.is_engage_allowed(), is_engage_allowed, "{outputs:?}");
         }
-        assert_eq!(told.len(), 3, "{told:#?}");
-        assert!(told[0].contains("00001234") && told[0].contains("0000abcd"));
-        assert_eq!(told[1], "the bridge says: older-calibration");
-        assert_eq!(told[2], "the bridge says that all is well");
+        assert_eq!(messages.len(), 3, "{messages:#?}");
+        assert!(messages[0].contains("00001234") && messages[0].contains("0000abcd"));
+        assert_eq!(messages[1], "the bridge says: older-calibration");
+        assert_eq!(messages[2], "the bridge reports no fault");
     }
 
     #[test]
-    fn a_wire_that_is_cut_is_told_once_and_so_is_its_mending() {
+    fn a_wire_that_is_cut_is_reported_once_and_so_is_its_mending() {
         let mut news = StateReporter::new(PinnedCalibration::new(CalibrationPolicy::Any));
-        let mut told = Vec::new();
+        let mut messages = Vec::new();
         for cut in [None, Some("trueup.0.z-counts"), Some("trueup.0.z-counts"), None, None] {
-            news.report_disconnected_pin(cut, &mut |text: &str| told.push(text.to_owned()));
+            news.report_disconnected_pin(cut, &mut |text: &str| messages.push(text.to_owned()));
         }
-        assert_eq!(told.len(), 2, "{told:#?}");
-        assert!(told[0].contains("trueup.0.z-counts") && told[1].contains("again"));
+        assert_eq!(messages.len(), 2, "{messages:#?}");
+        assert!(messages[0].contains("trueup.0.z-counts") && messages[1].contains("again"));
     }
 }

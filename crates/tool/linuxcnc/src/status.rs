@@ -25,7 +25,7 @@ pub fn describe_status(pins: &BTreeMap<String, String>) -> (String, bool) {
     let pid = pins.get("pid").and_then(|text| parse_process_id(text));
     if !pid.is_some_and(is_alive) {
         return (
-            "LinuxCNC runs, and the component trueup was killed: its pins say what was before"
+            "LinuxCNC runs, and the component trueup was killed: its pins keep their last values"
                 .into(),
             false,
         );
@@ -33,7 +33,7 @@ pub fn describe_status(pins: &BTreeMap<String, String>) -> (String, bool) {
     let is = |name: &str| pins.get(name).is_some_and(|value| value == "TRUE");
     let value = |name: &str| pins.get(name).map_or("?", String::as_str);
     let mut text = String::from("LinuxCNC runs: ");
-    text += if is("connected") { "the bridge is connected" } else { "the bridge is not heard" };
+    text += if is("connected") { "the bridge is connected" } else { "the bridge does not answer" };
     if is("fault") {
         text += ", no offset can be trusted";
     }

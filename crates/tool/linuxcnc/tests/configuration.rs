@@ -306,7 +306,7 @@ fn inputs_of_the_machine_file_come_in_by_their_names_with_a_board_too() {
     let demand = |entry| OffsetRequirements::from_machine(entry, Some(&machine));
     // Nothing brings them: each is named, with a pin that may give it.
     let report = Case::new(&whole(), HAL).check(&demand(OffsetEntryPoint::Joint));
-    let said: Vec<String> = report
+    let texts: Vec<String> = report
         .findings
         .iter()
         .map(|finding| format!("{} {}", finding.what, finding.help))
@@ -318,11 +318,11 @@ fn inputs_of_the_machine_file_come_in_by_their_names_with_a_board_too() {
         ("trueup-angle-2", "axis.a.pos-cmd"),
     ] {
         assert!(
-            said.iter().any(|sentence| sentence.contains(signal) && sentence.contains(pin)),
-            "{signal}: {said:?}"
+            texts.iter().any(|sentence| sentence.contains(signal) && sentence.contains(pin)),
+            "{signal}: {texts:?}"
         );
     }
-    assert!(said.len() == 4 && report.is_usable(), "{said:?}");
+    assert!(texts.len() == 4 && report.is_usable(), "{texts:?}");
     // An angle that nothing drives would be 0: none is sent.
     let one = "net trueup-angle-1 axis.c.pos-cmd\n";
     for own in ["", one] {
@@ -361,10 +361,12 @@ fn written(demand: &OffsetRequirements, file: &str) -> String {
 
 #[test]
 fn a_record_to_learn_from_is_kept_only_where_a_probed_point_contains_the_offset() {
-    for (entry, is_kept) in [(OffsetEntryPoint::Joint, false), (OffsetEntryPoint::Eoffset, true)] {
+    for (entry, is_retained) in
+        [(OffsetEntryPoint::Joint, false), (OffsetEntryPoint::Eoffset, true)]
+    {
         let text = written(&OffsetRequirements { entry, ..DEMAND }, "trueup.hal");
         assert!(text.contains("--machine [TRUEUP](MACHINE)"), "{text}");
-        assert_eq!(text.contains("--record"), is_kept, "{text}");
+        assert_eq!(text.contains("--record"), is_retained, "{text}");
     }
 }
 

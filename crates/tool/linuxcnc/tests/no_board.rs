@@ -109,7 +109,7 @@ fn written(ini_text: &str, entry: OffsetEntryPoint, file: &str) -> (Vec<String>,
         BridgeSettings { port: None, machine: Some("m.toml".into()), position_period_ms: 0 };
     let (report, changes) =
         install::prepare_setup(&read(), &hal, &demand(entry), &bridge).expect("reads");
-    let said = report
+    let findings = report
         .findings
         .iter()
         .map(|finding| format!("{} {}", finding.what, finding.help))
@@ -127,7 +127,7 @@ fn written(ini_text: &str, entry: OffsetEntryPoint, file: &str) -> (Vec<String>,
             install::prepare_setup(&read(), &hal, &demand(entry), &bridge).expect("reads").1;
         assert!(again.is_empty(), "{again:?}");
     }
-    (said, content)
+    (findings, content)
 }
 
 fn text(entry: OffsetEntryPoint, file: &str) -> String {
@@ -168,7 +168,7 @@ fn at_the_joint_the_node_runs_between_the_motion_controller_and_the_limiter() {
 
 #[test]
 fn inputs_are_connected_by_their_names_and_those_that_are_missing_are_named() {
-    let (said, content) = written(&ini(), OffsetEntryPoint::Joint, "trueup.hal");
+    let (findings, content) = written(&ini(), OffsetEntryPoint::Joint, "trueup.hal");
     let text = String::from_utf8(content).expect("a text");
     for line in [
         "net trueup-sensor-v => trueup.0.sensor-v\n",
@@ -183,11 +183,12 @@ fn inputs_are_connected_by_their_names_and_those_that_are_missing_are_named() {
             && !text.contains("joint-3-vel")
     );
     assert!(
-        said.iter()
+        findings
+            .iter()
             .any(|sentence| sentence.contains("trueup-temp-05") && sentence.contains("temp_bed_c")),
-        "{said:?}"
+        "{findings:?}"
     );
-    assert!(!said.iter().any(|sentence| sentence.contains("trueup-temp-02")), "{said:?}");
+    assert!(!findings.iter().any(|sentence| sentence.contains("trueup-temp-02")), "{findings:?}");
 }
 
 #[test]
@@ -209,16 +210,20 @@ fn the_calibration_is_that_of_compile_and_an_odd_servo_period_is_refused() {
     let (_, blob) = written(&ini(), OffsetEntryPoint::Joint, "trueup_calibration.bin");
     assert_eq!(blob, trueup_machine::compile(&machine()).expect("compiles").blob());
     let odd = ini().replace("= 1000000", "= 1500000");
-    let (said, blob) = written(&odd, OffsetEntryPoint::Joint, "trueup_calibration.bin");
+    let (reported, blob) = written(&odd, OffsetEntryPoint::Joint, "trueup_calibration.bin");
     assert!(
         blob.is_empty()
-            && said.iter().any(|sentence| sentence.contains("without a board it is 0.5")),
-        "{said:?}"
+            && reported.iter().any(|sentence| sentence.contains("without a board it is 0.5")),
+        "{reported:?}"
     );
-    for (thread, is_said) in [("30000", true), ("25000", false), ("0", false)] {
+    for (thread, is_reported) in [("30000", true), ("25000", false), ("0", false)] {
         let with = ini().replace("= 1000000", &format!("= 1000000\nBASE_PERIOD = {thread}"));
-        let (said, _) = written(&with, OffsetEntryPoint::Joint, "trueup_calibration.bin");
-        assert_eq!(said.iter().any(|sentence| sentence.contains("990000 ns")), is_said, "{said:?}");
+        let (reported, _) = written(&with, OffsetEntryPoint::Joint, "trueup_calibration.bin");
+        assert_eq!(
+            reported.iter().any(|sentence| sentence.contains("990000 ns")),
+            is_reported,
+            "{reported:?}"
+        );
     }
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("machine.ini");

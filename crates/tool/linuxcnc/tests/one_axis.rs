@@ -79,10 +79,10 @@ impl Motion {
         let gain = self.acceleration * CYCLE_S;
         let way = self.request - self.offset;
         let rests = way.abs() <= gain * CYCLE_S * 1e-3;
-        let wanted = (2.0 * self.acceleration * way.abs() + gain * gain).sqrt() - gain;
-        let wanted = if rests { 0.0 } else { wanted.copysign(way) };
-        let wanted = wanted.clamp(-self.top_speed, self.top_speed);
-        self.speed += (wanted - self.speed).clamp(-gain, gain);
+        let expected = (2.0 * self.acceleration * way.abs() + gain * gain).sqrt() - gain;
+        let expected = if rests { 0.0 } else { expected.copysign(way) };
+        let expected = expected.clamp(-self.top_speed, self.top_speed);
+        self.speed += (expected - self.speed).clamp(-gain, gain);
         self.offset += self.speed * CYCLE_S;
     }
 
@@ -270,10 +270,10 @@ fn a_servo_thread_that_stood_for_seconds_finds_one_step_and_is_followed_again() 
         while (both.motion.offset - 31_000.0).abs() > 1.0 {
             let before = both.motion.request;
             both.cycle(2, Some(31_000));
-            let asked = (both.motion.request - before).abs();
+            let requested = (both.motion.request - before).abs();
             assert!(
-                asked <= pace.max_step_counts() + 1e-3,
-                "{asked} nm at once after {stood_ms} ms"
+                requested <= pace.max_step_counts() + 1e-3,
+                "{requested} nm at once after {stood_ms} ms"
             );
             cycles += 1;
             // It is left alone for a little after a step was taken back.
@@ -284,7 +284,7 @@ fn a_servo_thread_that_stood_for_seconds_finds_one_step_and_is_followed_again() 
 }
 
 #[test]
-fn a_component_whose_pins_are_not_connected_says_so_and_is_never_more_than_a_step_off() {
+fn a_component_whose_pins_are_not_connected_reports_it_and_is_never_more_than_a_step_off() {
     let pace = pace(500.0, 50.0);
     let mut follower = OffsetFollower::default();
     let (mut written, mut tries, mut not_taken) = (0_i32, 0, false);

@@ -161,7 +161,7 @@ pub(crate) fn resolve_travel(
     };
     if retract.is_some() && range.is_none() {
         return Ok(Err(format!(
-            "{name} {leads}, and moves only where you say: give --range \
+            "{name} {leads}, and moves only in a stated range: give --range \
              {name}=LOW:HIGH in mm, inside travel_mm of {low} to {high}"
         )));
     }

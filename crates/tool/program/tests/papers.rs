@@ -430,24 +430,24 @@ fn closes(steps: &[Step], at: &mut [Option<f64>; 3], name: &str) {
 #[test]
 fn what_does_not_fit_is_refused_with_its_reason() {
     let bare = parse("[machine]\nname = \"m\"\nkind = \"3-axis\"\n");
-    let says = |kind, machine, options: MeasurementOptions| {
+    let shows = |kind, machine, options: MeasurementOptions| {
         create_plans(kind, machine, &options).expect_err("it does not fit").to_string()
     };
     for kind in KINDS.into_iter().filter(|kind| *kind != MeasurementKind::Warmup) {
-        let why = says(kind, &bare, MeasurementOptions::default());
+        let why = shows(kind, &bare, MeasurementOptions::default());
         assert!(why.contains("travel of x is not known"), "{why}");
     }
-    let why = says(MeasurementKind::Warmup, &bare, MeasurementOptions::default());
+    let why = shows(MeasurementKind::Warmup, &bare, MeasurementOptions::default());
     assert!(why.contains("--rpm"), "{why}");
     let here = machine();
     let beyond = MeasurementOptions { range_mm: [Some([0.0, 1200.0]), None, None], ..only_x() };
     for kind in [MeasurementKind::Pitch, MeasurementKind::AxisHeat, MeasurementKind::Backlash] {
-        let why = says(kind, &here, beyond.clone());
+        let why = shows(kind, &here, beyond.clone());
         assert!(why.contains("--range x=0:1200") && why.contains("-2 to 1002 mm"), "{why}");
     }
-    assert!(says(MeasurementKind::Diagonal, &here, only_x()).contains("two axes"));
+    assert!(shows(MeasurementKind::Diagonal, &here, only_x()).contains("two axes"));
     let fine = MeasurementOptions { step_mm: Some(0.01), ..only_x() };
-    assert!(says(MeasurementKind::Pitch, &here, fine).contains("--step-mm"));
+    assert!(shows(MeasurementKind::Pitch, &here, fine).contains("--step-mm"));
     for options in [
         MeasurementOptions { dwell_s: 0.0, ..only_x() },
         MeasurementOptions { feeds_mm_per_min: vec![1000.0, f64::NAN], ..only_x() },
@@ -464,10 +464,10 @@ fn what_does_not_fit_is_refused_with_its_reason() {
         MeasurementOptions { clearance_mm: Some((LinearAxis::Z, 50.0)), ..only_x() },
         MeasurementOptions { clearance_mm: Some((LinearAxis::Z, -50.0)), ..x_with_room() },
     ] {
-        says(MeasurementKind::Backlash, &here, options);
+        shows(MeasurementKind::Backlash, &here, options);
     }
     let often = MeasurementOptions { every_s: Some(4.0), ..MeasurementOptions::default() };
-    assert!(says(MeasurementKind::Warmup, &here, often).contains("--every-s 4"));
+    assert!(shows(MeasurementKind::Warmup, &here, often).contains("--every-s 4"));
 }
 
 #[test]

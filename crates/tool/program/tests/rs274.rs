@@ -39,9 +39,9 @@ fn calls(program: &str) -> Option<Vec<String>> {
         Ok(done) => done,
         Err(_) => return None,
     };
-    let said = String::from_utf8_lossy(&done.stdout);
-    assert!(done.status.success(), "{program}\n{said}{}", String::from_utf8_lossy(&done.stderr));
-    let calls = said.lines().filter_map(|line| Some(line.split_once("..... ")?.1.to_string()));
+    let stdout = String::from_utf8_lossy(&done.stdout);
+    assert!(done.status.success(), "{program}\n{stdout}{}", String::from_utf8_lossy(&done.stderr));
+    let calls = stdout.lines().filter_map(|line| Some(line.split_once("..... ")?.1.to_string()));
     Some(calls.collect())
 }
 
@@ -106,7 +106,8 @@ fn linuxcncs_interpreter_stands_where_the_run_file_says() {
     ];
     let stretch = |rpm, load_n| SpeedSegment { rpm, minutes: 4.0, load_n };
     let stretches = [stretch(6000.0, 0.0), stretch(6000.0, 300.0), stretch(0.0, 0.0)];
-    let planned = plan_speed_run(&stretches, 20.0, &["temp_front_c".into()], "to tell a from b");
+    let planned =
+        plan_speed_run(&stretches, 20.0, &["temp_front_c".into()], "to separate a from b");
     assert_eq!(planned.readings().len(), 37);
     check(&planned);
     // X words are diameters, the interpreter's positions are radii.

@@ -129,12 +129,13 @@ impl CompensationModel {
     /// does not say.
     #[must_use]
     pub fn conditions(&self, cnc: &CncState, now_ms: u64) -> Vec<(String, f64)> {
-        let said = cnc.conditions(now_ms);
+        let sent_conditions = cnc.conditions(now_ms);
         let inputs = self.machine.inputs.iter().flat_map(|inputs| &inputs.conditions);
         let value = |value: Option<u16>| value.map_or(f64::NAN, f64::from);
-        let tool = (TOOL_COLUMN.to_string(), value(said.map(|conditions| conditions.tool)));
+        let tool =
+            (TOOL_COLUMN.to_string(), value(sent_conditions.map(|conditions| conditions.tool)));
         let conditions = inputs.map(|(name, condition)| {
-            (name.clone(), value(said.map(|all| all.is_set(condition.bit).into())))
+            (name.clone(), value(sent_conditions.map(|all| all.is_set(condition.bit).into())))
         });
         let needed = required_columns(&self.machine);
         std::iter::once(tool).chain(conditions).filter(|(name, _)| needed.contains(name)).collect()
@@ -287,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn what_needs_a_position_that_nobody_hears_is_not_known() {
+    fn what_needs_a_position_that_is_not_received_is_not_known() {
         let cnc = CncState::default();
         let shares = laws(GANTRY).offset_contributions(&moment(None, &cnc));
         let straight =

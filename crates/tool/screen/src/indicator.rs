@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_reading_is_refused_and_told() {
+    fn what_is_no_reading_is_refused_and_reported() {
         for line in ["0,012", "err", "1.2.3", "A12", "01A", "12 bar", "--1", "911A"] {
             let received = parse_reading(line, IndicatorUnit::Millimetre).expect(line);
             assert!(received.as_ref().is_err_and(|why| why.contains(line)), "{line}: {received:?}");

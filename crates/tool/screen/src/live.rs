@@ -86,8 +86,8 @@ pub fn run(options: ScreenOptions) -> Result<bool> {
     let theme =
         Theme { has_colour: std::env::var_os("NO_COLOR").is_none_or(|var_os| var_os.is_empty()) };
     let interface = port.interface_name().to_owned();
-    let kept = port.clone();
-    let line = Connection::spawn(move || kept.open());
+    let port_name = port.clone();
+    let line = Connection::spawn(move || port_name.open());
     let indicator = options.indicator.clone().map(IndicatorConfig::listen);
     let mut live = EventLoop {
         state,
@@ -144,11 +144,11 @@ impl EventLoop {
     ) -> Result<()> {
         let (mut sampled, mut drawn) = (None::<Instant>, None::<Instant>);
         loop {
-            for heard in line.take_events() {
-                self.handle_line_event(heard, line)?;
+            for received in line.take_events() {
+                self.handle_line_event(received, line)?;
             }
-            for heard in indicator.iter().flat_map(|indicator| indicator.try_iter()) {
-                let action = self.state.handle_gauge_reading(heard, self.now_s());
+            for received in indicator.iter().flat_map(|indicator| indicator.try_iter()) {
+                let action = self.state.handle_gauge_reading(received, self.now_s());
                 self.perform_action(action)?;
             }
             let now = Instant::now();
@@ -183,8 +183,8 @@ impl EventLoop {
     /// Processes what comes for the time `length`, without a terminal.
     fn run_headless(&mut self, line: &Connection, length: Duration) -> Result<()> {
         while self.start.elapsed() < length {
-            for heard in line.take_events() {
-                self.handle_line_event(heard, line)?;
+            for event in line.take_events() {
+                self.handle_line_event(event, line)?;
             }
             self.state.record_trend_sample(self.now_s());
             self.send_due_requests(line, Instant::now());
@@ -197,8 +197,8 @@ impl EventLoop {
         self.start.elapsed().as_secs_f64()
     }
 
-    fn handle_line_event(&mut self, heard: ConnectionEvent, line: &Connection) -> Result<()> {
-        match heard {
+    fn handle_line_event(&mut self, event: ConnectionEvent, line: &Connection) -> Result<()> {
+        match event {
             ConnectionEvent::Up => self.state.link = LinkState::Up,
             ConnectionEvent::Down(why) => {
                 let other = port_holder(&self.port);
@@ -208,8 +208,8 @@ impl EventLoop {
             ConnectionEvent::Received(Event::Frame(frame)) => self.handle_frame(&frame, line)?,
             ConnectionEvent::Received(Event::Malformed(_)) => self.state.malformed_lines += 1,
             ConnectionEvent::Late => {
-                self.state.left_out += 1;
-                self.state.show_message("the line has stalled: what is old is left out");
+                self.state.dropped += 1;
+                self.state.show_message("the line has stalled: old samples are dropped");
             }
             ConnectionEvent::Received(_) => {}
         }
@@ -228,8 +228,8 @@ impl EventLoop {
             self.state.show_message("the bridge has started anew");
         }
         // What the bridge runs on is known now.
-        let is_asked = self.options.is_strict && self.options.record.is_some();
-        if is_asked && self.state.board.calibration.is_some() {
+        let is_requested = self.options.is_strict && self.options.record.is_some();
+        if is_requested && self.state.board.calibration.is_some() {
             self.start_recording()?;
         }
         // One transfer at a time: the calibration first, as it is requested once.

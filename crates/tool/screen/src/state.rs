@@ -95,7 +95,7 @@ pub struct GaugeState {
     /// The newest reading in µm, and when.
     pub latest: Option<(f64, f64)>,
     /// Its fault, as text for the user.
-    pub trouble: Option<String>,
+    pub connection_error: Option<String>,
 }
 
 /// When the items of the status came last, in s since the screen began.
@@ -141,12 +141,12 @@ pub struct ScreenState {
     /// Lines that carry no frame that can be read.
     pub malformed_lines: u32,
     /// Frames that were too old to be used: the line had stalled.
-    pub left_out: u32,
+    pub dropped: u32,
     offsets: OffsetReceiver,
     output: Option<(Output, f64)>,
-    asked: Option<(Option<f64>, f64)>,
+    sensor_growth: Option<(Option<f64>, f64)>,
     /// When the elongation came last, each pair of temperatures, and anything of the status.
-    told_s: ReceptionTimes,
+    reported_s: ReceptionTimes,
     cnc: CncState,
     frames: u32,
     counted_s: f64,
@@ -163,7 +163,12 @@ impl ScreenState {
             link: LinkState::Opening,
             laws: None,
             source: ModelSource::None,
-            gauge: GaugeState { quantity, is_live: has_indicator, latest: None, trouble: None },
+            gauge: GaugeState {
+                quantity,
+                is_live: has_indicator,
+                latest: None,
+                connection_error: None,
+            },
             prompt: None,
             recording: None,
             marks: 0,
@@ -175,11 +180,11 @@ impl ScreenState {
             series: 0,
             frames_per_s: 0.0,
             malformed_lines: 0,
-            left_out: 0,
+            dropped: 0,
             offsets: OffsetReceiver::new(),
             output: None,
-            asked: None,
-            told_s: ReceptionTimes::default(),
+            sensor_growth: None,
+            reported_s: ReceptionTimes::default(),
             cnc: CncState::default(),
             frames: 0,
             counted_s: 0.0,
@@ -193,13 +198,13 @@ impl ScreenState {
         self.now_s = now_s;
         self.frames += 1;
         match self.board.receive(frame) {
-            Some(Item::Elongation(_)) => self.told_s.growth = Some(now_s),
+            Some(Item::Elongation(_)) => self.reported_s.growth = Some(now_s),
             Some(Item::Temperatures { pair, .. }) => {
-                if let Some(place) = self.told_s.temperatures.get_mut(usize::from(pair)) {
+                if let Some(place) = self.reported_s.temperatures.get_mut(usize::from(pair)) {
                     *place = Some(now_s);
                 }
             }
-            Some(Item::State(_)) => self.told_s.state = Some(now_s),
+            Some(Item::State(_)) => self.reported_s.state = Some(now_s),
             _ => {}
         }
         self.cnc.receive(frame, (now_s * 1_000.0) as u64);
@@ -211,24 +216,24 @@ impl ScreenState {
 
     /// The elongation that was requested, in µm; `None`: the sensor gives none.
     pub(crate) fn set_sensor_growth(&mut self, growth_um: Option<f64>, now_s: f64) {
-        self.asked = Some((growth_um, now_s));
+        self.sensor_growth = Some((growth_um, now_s));
     }
 
     /// Takes the gauge's newest reading, or what is wrong with it. A reading that is waited for is written down.
     pub(crate) fn handle_gauge_reading(
         &mut self,
-        heard: Result<f64, String>,
+        reading: Result<f64, String>,
         now_s: f64,
     ) -> Option<Action> {
         self.now_s = now_s;
-        match heard {
+        match reading {
             Ok(um) => {
                 self.gauge.latest = Some((um, now_s));
-                self.gauge.trouble = None;
+                self.gauge.connection_error = None;
                 self.prompt.take().is_some().then_some(Action::Mark(um))
             }
             Err(why) => {
-                self.gauge.trouble = Some(why);
+                self.gauge.connection_error = Some(why);
                 None
             }
         }
@@ -375,11 +380,11 @@ impl ScreenState {
     /// Returns the last growth that came, in µm, and its age in s where it is old.
     #[must_use]
     pub(crate) fn last_growth_um(&self) -> Option<(f64, Option<f64>)> {
-        match self.asked {
+        match self.sensor_growth {
             Some((growth_um, at_s)) if self.now_s - at_s <= MAX_SENSOR_AGE_S => {
                 Some((growth_um?, None))
             }
-            _ => Some((self.board.elongation_um()?, self.stale_age_s(self.told_s.growth))),
+            _ => Some((self.board.elongation_um()?, self.stale_age_s(self.reported_s.growth))),
         }
     }
 
@@ -401,13 +406,13 @@ impl ScreenState {
     /// Returns the age in s of a channel's temperature, where it is old.
     #[must_use]
     pub(crate) fn stale_temperature_age_s(&self, channel: usize) -> Option<f64> {
-        self.stale_age_s(self.told_s.temperatures.get(channel / 2).copied().flatten())
+        self.stale_age_s(self.reported_s.temperatures.get(channel / 2).copied().flatten())
     }
 
     /// Returns the age in s of what the board has said of its faults, where it is old.
     #[must_use]
     pub(crate) fn stale_state_age_s(&self) -> Option<f64> {
-        self.stale_age_s(self.told_s.state)
+        self.stale_age_s(self.reported_s.state)
     }
 
     /// Returns how long ago this was, in s, where it is too long.
@@ -493,7 +498,7 @@ impl ScreenState {
         let Counters { malformed, crc_errors, sequence_errors, .. } = self.counters();
         let refused = self.board.rejected_frame_count() + self.malformed_lines;
         // What was dropped as too old is missing in the sequence, and is no error of a frame.
-        let sequence_errors = if self.left_out == 0 { sequence_errors } else { 0 };
+        let sequence_errors = if self.dropped == 0 { sequence_errors } else { 0 };
         malformed + crc_errors + sequence_errors + refused == 0
     }
 }

@@ -30,8 +30,8 @@ const HELP_LINES: [&str; 11] = [
     "?  this help; any key closes it",
     "",
     "Offsets are what the CNC has to add: a tool that grows is lifted, +Z.",
-    "A ? is a share that nobody can compute: its position or temperature",
-    "is not heard on this line. \"rest\" is slew, limits, zero, and what is ?.",
+    "A ? is a share that cannot be computed: its position or temperature",
+    "is not received on this line. \"rest\" is slew, limits, zero, and what is ?.",
 ];
 
 /// How things are distinguished: by letters and weight always, by colour where it is allowed.
@@ -75,17 +75,17 @@ pub fn draw(frame: &mut Frame<'_>, state: &ScreenState, theme: Theme) {
     let table = lines::offset_lines(state, theme, true);
     let short = lines::offset_lines(state, theme, false);
     let below = lines::footer_lines(state, theme, width);
-    let troubles = lines::alarm_lines(state, theme, width);
+    let alarms = lines::alarm_lines(state, theme, width);
     let rows = |lines: &[Line<'_>]| u16::try_from(lines.len()).unwrap_or(u16::MAX);
     let message = message_lines(state, theme, width);
     // The lines of messages and the line of keys.
-    let fixed = rows(&top) + rows(&below) + rows(&troubles) + rows(&message) + 1;
+    let fixed = rows(&top) + rows(&below) + rows(&alarms) + rows(&message) + 1;
     let fits = |table: &[Line<'_>], trend| fixed + rows(table) + trend <= area.height;
     let table = if fits(&table, MIN_TREND_ROWS) { table } else { short };
     let spare = area.height.saturating_sub(fixed + rows(&table));
     let trend = if spare >= MIN_TREND_ROWS { spare } else { 0 };
-    // Troubles that do not fit are cut off at their end, where the lesser ones stand.
-    let [at_top, at_table, at_below, at_troubles, at_trend, at_message, at_keys] =
+    // Alarms that do not fit are cut off at their end, where the lesser ones stand.
+    let [at_top, at_table, at_below, at_alarms, at_trend, at_message, at_keys] =
         Layout::vertical([
             Constraint::Length(rows(&top)),
             Constraint::Length(rows(&table)),
@@ -99,7 +99,7 @@ pub fn draw(frame: &mut Frame<'_>, state: &ScreenState, theme: Theme) {
     frame.render_widget(Paragraph::new(top), at_top);
     frame.render_widget(Paragraph::new(table), at_table);
     frame.render_widget(Paragraph::new(below), at_below);
-    frame.render_widget(Paragraph::new(troubles), at_troubles);
+    frame.render_widget(Paragraph::new(alarms), at_alarms);
     if trend > 0 {
         trend::draw(frame, at_trend, state, theme);
     }
@@ -117,9 +117,9 @@ fn message_lines(state: &ScreenState, theme: Theme, width: usize) -> Vec<Line<'s
     let quantity = state.gauge.quantity.name();
     let (text, style) = if let Some(typed) = &state.prompt {
         let or_live = if state.gauge.is_live { " (or press its button)" } else { "" };
-        let asked = format!("measured {quantity} in µm{or_live}: {typed}_");
-        let said = state.message().map(|message| format!("   {message}")).unwrap_or_default();
-        (asked + &said, theme.heading_style())
+        let prompt = format!("measured {quantity} in µm{or_live}: {typed}_");
+        let cnc_data = state.message().map(|message| format!("   {message}")).unwrap_or_default();
+        (prompt + &cnc_data, theme.heading_style())
     } else if let Some(message) = state.message() {
         (message.to_owned(), theme.heading_style())
     } else {

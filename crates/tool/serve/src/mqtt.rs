@@ -112,7 +112,7 @@ fn run_connection(
         host: publisher.primary_host.as_ref().map(|_| PrimaryHost::new()),
         open: HashMap::new(),
         is_born: false,
-        wants_birth: false,
+        is_birth_requested: false,
         born_at: None,
         published_at: Instant::now(),
         looked_at: Instant::now(),
@@ -125,7 +125,7 @@ fn run_connection(
             match happened {
                 ConnectionEvent::Accepted => {
                     link.subscribe(&connection);
-                    link.wants_birth = link.host.is_none();
+                    link.is_birth_requested = link.host.is_none();
                     if reported.take().is_some() {
                         (publisher.report)("the broker is connected again");
                     }
@@ -155,7 +155,7 @@ struct BrokerSession<'a> {
     /// The numbers of the records that are on their way, by their packet identifier.
     open: HashMap<u16, u64>,
     is_born: bool,
-    wants_birth: bool,
+    is_birth_requested: bool,
     born_at: Option<Instant>,
     published_at: Instant,
     looked_at: Instant,
@@ -198,13 +198,13 @@ impl BrokerSession<'_> {
                 == Some(topic);
         if is_state && let Some(host) = &mut self.host {
             let is_state = host.update_state(&message.payload).is_some();
-            self.wants_birth |= host.is_online() && !self.is_born;
+            self.is_birth_requested |= host.is_online() && !self.is_born;
             if !is_state {
                 self.count_malformed(topic);
             }
         } else if topic == sparkplug::topic("NCMD", &self.publisher.name, None) {
             match sparkplug::is_rebirth_command(&message.payload) {
-                Some(asks) => self.wants_birth |= asks && self.is_born,
+                Some(is_requested) => self.is_birth_requested |= is_requested && self.is_born,
                 None => self.count_malformed(topic),
             }
         } else if topic.contains("BIRTH/") {
@@ -238,10 +238,10 @@ impl BrokerSession<'_> {
     fn publish_due(&mut self, connection: &mut Connection, node: &mut EdgeNode) {
         let now = Instant::now();
         let may_be_born = self.born_at.is_none_or(|at| now - at >= MIN_REBIRTH_INTERVAL);
-        if self.wants_birth && may_be_born {
+        if self.is_birth_requested && may_be_born {
             let messages =
                 node.rebirth(self.node_statistics(), &self.shared.snapshots(), clock::now_ms());
-            (self.is_born, self.wants_birth, self.born_at) = (true, false, Some(now));
+            (self.is_born, self.is_birth_requested, self.born_at) = (true, false, Some(now));
             (self.published_at, self.looked_at) = (now, now);
             self.send_messages(connection, messages);
             self.shared.counts().is_online.store(true, Ordering::Relaxed);

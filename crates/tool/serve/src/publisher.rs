@@ -133,7 +133,7 @@ fn spawn_mqtt_publisher(
     report: impl Fn(&str) + Send + 'static,
 ) -> Result<thread::JoinHandle<()>> {
     let PublisherIdentity { id, bd_seq } = identity::read_or_create(&options.spool)?;
-    let (folder, kept) = (options.spool.clone(), id.clone());
+    let (folder, retained) = (options.spool.clone(), id.clone());
     let publisher = PublisherConfig {
         broker,
         name: options.name.clone(),
@@ -141,7 +141,7 @@ fn spawn_mqtt_publisher(
         primary_host: options.primary_host.clone(),
         // If it is lost, the numbers begin anew.
         keep_bd_seq: Box::new(move |bd_seq| {
-            identity::write(&folder, &PublisherIdentity { id: kept.clone(), bd_seq }).ok();
+            identity::write(&folder, &PublisherIdentity { id: retained.clone(), bd_seq }).ok();
         }),
         report: Box::new(report),
     };

@@ -140,11 +140,11 @@ pub fn payload_to_json(bytes: &[u8]) -> Option<serde_json::Value> {
 /// Returns whether a command requests all births again; `None`: it is no payload.
 #[must_use]
 pub(crate) fn is_rebirth_command(bytes: &[u8]) -> Option<bool> {
-    let asks = |command: &payload::Metric| {
+    let is_rebirth = |command: &payload::Metric| {
         command.name.as_deref() == Some(REBIRTH_METRIC)
             && command.value == Some(metric::Value::BooleanValue(true))
     };
-    Some(decode_metrics(bytes)?.iter().any(asks))
+    Some(decode_metrics(bytes)?.iter().any(is_rebirth))
 }
 
 /// Returns an event to be recorded.

@@ -327,7 +327,7 @@ mod refusal_code {
             4 => c"the calibration is not whole: write it with trueup compile, or run trueup linuxcnc setup again",
             5 => c"the calibration was written by another version of trueup: run trueup linuxcnc setup again",
             6 => c"the calibration is damaged (its CRC does not fit): run trueup linuxcnc setup again",
-            _ => c"the calibration contradicts itself: run trueup compile on the machine file, which says more",
+            _ => c"the calibration contradicts itself: run trueup compile on the machine file for the details",
         }
     }
 }

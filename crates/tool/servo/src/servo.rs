@@ -270,8 +270,8 @@ impl Servo {
     pub fn resume(&mut self, copies: &RetainedCopies, now_s: Option<u32>) {
         self.started_s = now_s;
         let off_s = retained::off_time_s(copies, now_s);
-        let kept = retained::load(copies).filter(|_| off_s.is_some());
-        self.node.resume(kept.as_ref(), off_s.unwrap_or(0));
+        let stored = retained::load(copies).filter(|_| off_s.is_some());
+        self.node.resume(stored.as_ref(), off_s.unwrap_or(0));
     }
 
     /// Saves the heat into the older of the copies once a second. Returns true if it did.

@@ -260,10 +260,10 @@ fn a_tool_comes_cold_out_of_the_magazine_and_warms_with_the_holders_time_constan
 #[test]
 fn a_tool_that_no_magazine_has_is_refused_with_its_place_and_without_tools_no_column_is_written() {
     let bad = |text: &str| Scenario::parse(text, Path::new("s.toml")).expect_err(text).to_string();
-    let said = bad(&TOOLS.replace("tool = 9", "tool = 8"));
-    assert!(said.contains("segment[1].tool is 8, which no [[tool]] has"), "{said}");
-    let said = bad(&TOOLS.replace("number = 9", "number = 7"));
-    assert!(said.contains("tool[1].number is 7 a second time"), "{said}");
+    let message = bad(&TOOLS.replace("tool = 9", "tool = 8"));
+    assert!(message.contains("segment[1].tool is 8, which no [[tool]] has"), "{message}");
+    let message = bad(&TOOLS.replace("number = 9", "number = 7"));
+    assert!(message.contains("tool[1].number is 7 a second time"), "{message}");
     assert!(run(SPINDLE, 1).column("tool").is_none());
 }
 

@@ -20,7 +20,7 @@ fn complaint(text: &str) -> String {
 }
 
 #[test]
-fn a_mistake_is_told_with_its_line_its_column_and_the_rule() {
+fn a_mistake_is_reported_with_its_line_its_column_and_the_rule() {
     for (wrong, right, expected) in [
         ("length_m = 0.5", "lenght_m = 0.5", "s.toml:4:1: unknown field `lenght_m`"),
         (

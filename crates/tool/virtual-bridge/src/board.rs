@@ -240,8 +240,8 @@ impl Read for BufferedSerial {
                 Err(RecvTimeoutError::Disconnected) => return Ok(0),
                 Err(RecvTimeoutError::Timeout) => {
                     let seconds = Self::READ_TIMEOUT.as_secs();
-                    let said = format!("the board has said nothing for {seconds} s");
-                    return Err(io::Error::new(io::ErrorKind::TimedOut, said));
+                    let message = format!("the board has sent nothing for {seconds} s");
+                    return Err(io::Error::new(io::ErrorKind::TimedOut, message));
                 }
             }
         }

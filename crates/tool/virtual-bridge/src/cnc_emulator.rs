@@ -69,9 +69,11 @@ impl CncEmulator {
         if ms % CONDITIONS_PERIOD_MS == CONDITIONS_PHASE_MS
             && !received.has_received(CONDITIONS_INDEX)
         {
-            let said = now.conditions;
-            sent[0] = said.map(|said| frames::encode_conditions(said, self.conditions_counter));
-            self.conditions_counter = self.conditions_counter.wrapping_add(said.is_some().into());
+            let conditions = now.conditions;
+            sent[0] = conditions
+                .map(|conditions| frames::encode_conditions(conditions, self.conditions_counter));
+            self.conditions_counter =
+                self.conditions_counter.wrapping_add(conditions.is_some().into());
             return sent;
         }
         if !ms.is_multiple_of(POSITION_PERIOD_MS) {
@@ -107,7 +109,7 @@ mod tests {
     use trueup_link::receiver::Receiver;
 
     #[test]
-    fn the_run_is_heard_in_order_until_the_cnc_speaks_for_itself() {
+    fn the_run_is_received_in_order_until_the_cnc_speaks_for_itself() {
         let there = |axis| AxisPosition {
             axis,
             position: Position(5),
@@ -142,14 +144,14 @@ mod tests {
 
     #[test]
     fn conditions_are_sent_every_50_ms_until_the_cnc_says_them() {
-        let said = Conditions { tool: 7, bits: 5 };
-        let now = MachineSnapshot { conditions: Some(said), ..MachineSnapshot::default() };
+        let conditions = Conditions { tool: 7, bits: 5 };
+        let now = MachineSnapshot { conditions: Some(conditions), ..MachineSnapshot::default() };
         let (mut stand_in, received, mut receiver) =
             (CncEmulator::default(), ReceivedFrames::default(), Receiver::new());
         let mut count = |received: &ReceivedFrames| {
             let frames = (0..1_000).flat_map(|_| stand_in.next_frames(&now, received)).flatten();
             let received = frames.map(|frame| receiver.accept(&frame).expect("in order"));
-            received.filter(|command| *command == Some(CncMessage::Conditions(said))).count()
+            received.filter(|command| *command == Some(CncMessage::Conditions(conditions))).count()
         };
         assert_eq!(count(&received), 20);
         received.record_line(b"t40280000000000000000");
@@ -165,8 +167,8 @@ mod tests {
         for ms in 0..100 {
             received.record_line(b"t30280000000000000000");
             for frame in stand_in.next_frames(&now, &received).into_iter().flatten() {
-                let told = receiver.accept(&frame).expect("in order");
-                assert_eq!(told, Some(CncMessage::Control(Control::ENGAGED)), "{frame:?}");
+                let control = receiver.accept(&frame).expect("in order");
+                assert_eq!(control, Some(CncMessage::Control(Control::ENGAGED)), "{frame:?}");
                 at_ms.push(ms);
             }
         }

@@ -87,7 +87,7 @@ impl OperatorControls {
                     return "there is no CNC yet: engage or disengage first";
                 }
                 self.confirms_ms.store(CONFIRM_CYCLE_MS, Ordering::Relaxed);
-                "the operator confirms what the bridge asks first"
+                "the operator confirms what the bridge requires first"
             }
             "again" => {
                 self.again.store(true, Ordering::Relaxed);
@@ -145,14 +145,14 @@ fn wait_for_input_line() -> bool {
     if !stdin.is_terminal() {
         return true;
     }
-    let patience = Timespec::try_from(TERMINAL_POLL_INTERVAL).ok();
+    let timeout = Timespec::try_from(TERMINAL_POLL_INTERVAL).ok();
     loop {
         if !tcgetpgrp(&stdin).is_ok_and(|group| group == getpgrp()) {
             thread::sleep(TERMINAL_POLL_INTERVAL);
             continue;
         }
-        let mut wanted = [PollFd::new(&stdin, PollFlags::IN)];
-        match poll(&mut wanted, patience.as_ref()) {
+        let mut poll_fds = [PollFd::new(&stdin, PollFlags::IN)];
+        match poll(&mut poll_fds, timeout.as_ref()) {
             Ok(1..) => return true,
             // Nothing was typed, or a signal came.
             Ok(0) | Err(rustix::io::Errno::INTR) => {}

@@ -32,8 +32,8 @@ const MAX_SOCKET_PATH_BYTES: usize = 107;
 /// It is not on the search path, or it is too old.
 pub fn find_qemu() -> Result<PathBuf> {
     let path = find_on_path(QEMU_PROGRAM).context("qemu-system-arm is not on PATH")?;
-    let said = capture_stdout(Command::new(&path).arg("--version"))?;
-    let version = said.split("version ").nth(1).unwrap_or_default();
+    let stdout = capture_stdout(Command::new(&path).arg("--version"))?;
+    let version = stdout.split("version ").nth(1).unwrap_or_default();
     let mut numbers = version.split('.').map(|number| number.parse::<u32>().unwrap_or(0));
     let version = (numbers.next().unwrap_or(0), numbers.next().unwrap_or(0));
     if version < MIN_QEMU_VERSION {
@@ -193,12 +193,12 @@ impl Qemu {
     }
 
     fn stderr_text(&self) -> String {
-        let mut said = String::new();
+        let mut text = String::new();
         let read =
-            fs::File::open(self.path("qemu.err")).and_then(|mut f| f.read_to_string(&mut said));
-        match (read, said.trim()) {
+            fs::File::open(self.path("qemu.err")).and_then(|mut f| f.read_to_string(&mut text));
+        match (read, text.trim()) {
             (Ok(_), "") | (Err(_), _) => String::new(),
-            (Ok(_), said) => format!(": {said}"),
+            (Ok(_), text) => format!(": {text}"),
         }
     }
 }

@@ -304,10 +304,10 @@ impl ReplayColumns<'_> {
         if self.tool.is_none() && self.conditions.is_empty() {
             return Ok(());
         }
-        let said = now.conditions.get_or_insert_default();
+        let conditions = now.conditions.get_or_insert_default();
         if let Some(tool) = self.tool.map(|tools| tools[row]).filter(|tool| !tool.is_nan()) {
             let number = round_to_i32(tool).and_then(|tool| u16::try_from(tool).ok());
-            said.tool = number.ok_or_else(|| {
+            conditions.tool = number.ok_or_else(|| {
                 let rule = "is a label that has no number in [spindle.tools]";
                 self.run.value_error(row, TOOL_COLUMN, rule)
             })?;
@@ -315,8 +315,8 @@ impl ReplayColumns<'_> {
         for (column, bit) in &self.conditions {
             let bit = 1_u16 << bit;
             match column[row] {
-                1.0 => said.bits |= bit,
-                0.0 => said.bits &= !bit,
+                1.0 => conditions.bits |= bit,
+                0.0 => conditions.bits &= !bit,
                 _ => {}
             }
         }

@@ -130,8 +130,8 @@ fn run_board(
     stop: &AtomicBool,
 ) -> Result<()> {
     let opening = Arc::new(OpeningHandshake::default());
-    let heard = Arc::new(ReceivedFrames::default());
-    serve_clients(listener, board.serial()?, opening.clone(), heard.clone())?;
+    let received = Arc::new(ReceivedFrames::default());
+    serve_clients(listener, board.serial()?, opening.clone(), received.clone())?;
     let mut stand_in = CncEmulator::default();
     let mut live = |board: &mut VirtualBoard,
                     situation: &dyn Fn(f64) -> MachineSnapshot,
@@ -154,7 +154,7 @@ fn run_board(
                         speed: now.speed,
                         service_switch: hand.is_switch_closed(),
                         temperatures: now.temperatures,
-                        frames: stand_in.next_frames(&now, &heard),
+                        frames: stand_in.next_frames(&now, &received),
                     }
                 })
                 .collect();
@@ -287,7 +287,7 @@ fn serve_clients(
     listener: TcpListener,
     line: UnixStream,
     opening: Arc<OpeningHandshake>,
-    heard: Arc<ReceivedFrames>,
+    received: Arc<ReceivedFrames>,
 ) -> Result<()> {
     let client: Arc<Mutex<Option<PortClient>>> = Arc::default();
     let mut from_board = line.try_clone()?;
@@ -297,12 +297,12 @@ fn serve_clients(
         let mut bytes = [0; 4096];
         let mut in_line = false;
         while let Ok(length @ 1..) = from_board.read(&mut bytes) {
-            let mut said = &bytes[..length];
-            answered.count_responses(said);
+            let mut reported = &bytes[..length];
+            answered.count_responses(reported);
             let stream = lock(&to_client).as_mut().and_then(|client| {
                 if client.is_new && in_line {
-                    let end = said.iter().position(|&byte| is_response_end(byte));
-                    said = end.map_or(&[], |end| &said[end + 1..]);
+                    let end = reported.iter().position(|&byte| is_response_end(byte));
+                    reported = end.map_or(&[], |end| &reported[end + 1..]);
                     client.is_new = end.is_none();
                 } else {
                     client.is_new = false;
@@ -312,13 +312,13 @@ fn serve_clients(
             in_line = !is_response_end(bytes[length - 1]);
             // With no client, or one that has just gone, the bytes have no receiver.
             if let Some(mut stream) = stream {
-                stream.write_all(said).ok();
+                stream.write_all(reported).ok();
             }
         }
     });
     thread::spawn(move || {
         for stream in listener.incoming().flatten() {
-            if let Err(error) = serve_client(stream, &client, &line, &opening, &heard) {
+            if let Err(error) = serve_client(stream, &client, &line, &opening, &received) {
                 trueup_output::write_diagnostic(format_args!("a client is gone: {error}"));
             }
             lock(&client).take();
@@ -337,7 +337,7 @@ fn serve_client(
     client: &Mutex<Option<PortClient>>,
     mut line: &UnixStream,
     opening: &OpeningHandshake,
-    heard: &ReceivedFrames,
+    received: &ReceivedFrames,
 ) -> io::Result<()> {
     stream.set_nodelay(true)?;
     set_socket_send_buffer_size(&stream, CLIENT_QUEUE_BYTES)?;
@@ -360,9 +360,9 @@ fn serve_client(
                 command.truncate(32);
                 continue;
             }
-            let said = std::mem::take(&mut command);
-            opening.count_line(said.trim_ascii_start() == b"O");
-            heard.record_line(said.trim_ascii_start());
+            let reported = std::mem::take(&mut command);
+            opening.count_line(reported.trim_ascii_start() == b"O");
+            received.record_line(reported.trim_ascii_start());
         }
         line.write_all(&bytes[..length])?;
     }

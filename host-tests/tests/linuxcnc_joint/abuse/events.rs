@@ -263,7 +263,7 @@ fn break_off(rig: &mut Abused) -> Result<()> {
 fn soft_limit(rig: &mut Abused) -> Result<f64> {
     let side = if rig.random.random_bool(0.5) { 1.0 } else { -1.0 };
     let mm = rig.draw(0.01, 0.05);
-    rig.say([side * mm * 1e3, 0.0, 0.0])?;
+    rig.set_offset([side * mm * 1e3, 0.0, 0.0])?;
     rig.applied()?;
     rig.cnc.send_request(&json!({ "do": "jog", "axis": 0, "speed": side * MAX_VELOCITY }))?;
     // Until the offset stands back.

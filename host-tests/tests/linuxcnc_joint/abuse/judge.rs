@@ -156,12 +156,12 @@ impl Judge {
         let [speed_noise, noise] = [NOISE / CYCLE_S, NOISE_OF_ACCELERATION];
         let planner_is_beyond = now.planner_speed > planner[0] + speed_noise
             || now.planner_acceleration > planner[1] + noise;
-        let asked = if entry == Entry::Eoffset { asked(second, third) } else { 0.0 };
+        let requested = if entry == Entry::Eoffset { requested_um(second, third) } else { 0.0 };
         let too_large = (0..3).map(|axis| acting(third, axis, entry) - size[axis]);
         let too_large = too_large.fold(f64::NEG_INFINITY, f64::max);
         let blamed = match entry {
             Entry::Joint if planner_is_beyond => By::LinuxCnc,
-            Entry::Eoffset if asked <= offset[0] + speed_noise => By::LinuxCnc,
+            Entry::Eoffset if requested <= offset[0] + speed_noise => By::LinuxCnc,
             _ => By::Trueup,
         };
         let mut rules = vec![
@@ -179,7 +179,7 @@ impl Judge {
                 (By::Trueup, Rule::OffsetAcceleration, now.offset_acceleration, offset[1] + noise),
             ]),
             Entry::Eoffset => {
-                rules.push((By::Trueup, Rule::Request, asked, offset[0] + speed_noise));
+                rules.push((By::Trueup, Rule::Request, requested, offset[0] + speed_noise));
                 // Machine on sets it to 0 and takes it into the position: the joint stays.
                 if is_on {
                     rules.extend([
@@ -251,7 +251,7 @@ fn off_step(second: &Cycle, third: &Cycle, entry: Entry) -> f64 {
 
 /// Returns how fast a request of an external offset goes away from where the offset stands, in mm/s. LinuxCNC itself sets
 /// it back at machine on and at a soft limit, towards the offset.
-fn asked(second: &Cycle, third: &Cycle) -> f64 {
+fn requested_um(second: &Cycle, third: &Cycle) -> f64 {
     let mut largest = 0.0_f64;
     for axis in 0..3 {
         // The request is recorded where the feedback is at the joint.
@@ -267,8 +267,8 @@ fn asked(second: &Cycle, third: &Cycle) -> f64 {
 
 /// Returns by how much each axis is off where it has to be, in µm: the drive's command less the axis' and what the
 /// bridge says. Positions are in mm.
-pub(crate) fn off_um(drive: [f64; 3], axis: [f64; 3], said_um: [f64; 3]) -> [f64; 3] {
-    std::array::from_fn(|index| (drive[index] - axis[index]) * 1e3 - said_um[index])
+pub(crate) fn off_um(drive: [f64; 3], axis: [f64; 3], sent_um: [f64; 3]) -> [f64; 3] {
+    std::array::from_fn(|index| (drive[index] - axis[index]) * 1e3 - sent_um[index])
 }
 
 #[cfg(test)]
@@ -482,10 +482,10 @@ mod tests {
 
     #[test]
     fn an_offset_that_was_lost_is_off() {
-        let (axis, said_um) = ([1.0, 2.0, 3.0], [10.0, -20.0, 40.0]);
+        let (axis, sent_um) = ([1.0, 2.0, 3.0], [10.0, -20.0, 40.0]);
         let drive = [1.01, 1.98, 3.04];
-        assert!(off_um(drive, axis, said_um).iter().all(|off| off.abs() < 1e-9));
-        let off = off_um([1.01, 2.0, 3.04], axis, said_um);
+        assert!(off_um(drive, axis, sent_um).iter().all(|off| off.abs() < 1e-9));
+        let off = off_um([1.01, 2.0, 3.04], axis, sent_um);
         assert!((off[1] - 20.0).abs() < 1e-9, "{off:?}");
     }
 }

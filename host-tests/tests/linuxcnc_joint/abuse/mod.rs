@@ -91,12 +91,12 @@ fn abuse(
     *version = rig.version()?;
     let begun = Instant::now();
     // A servo cycle is a millisecond; a busy computer is late.
-    let patience = Duration::from_secs(120 + cycles / 500 + 5 * events as u64);
+    let timeout = Duration::from_secs(120 + cycles / 500 + 5 * events as u64);
     let (mut happened, mut lost, mut ended) = (Vec::new(), Vec::new(), None);
     let (mut off_um, mut most) = ([0.0_f64; 3], Measured::default());
     while rig.judge.cycles < cycles || happened.len() < events {
-        if begun.elapsed() > patience {
-            ended = Some(format!("it was not done after {} s", patience.as_secs()));
+        if begun.elapsed() > timeout {
+            ended = Some(format!("it was not done after {} s", timeout.as_secs()));
             break;
         }
         let kind = Kind::draw(&mut rig);

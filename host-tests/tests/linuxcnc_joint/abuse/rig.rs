@@ -149,7 +149,7 @@ pub(crate) struct Abused {
     pub calibration: u32,
     pub random: ChaCha8Rng,
     pub judge: Judge,
-    said_um: [f64; 3],
+    sent_um: [f64; 3],
     /// By how much each axis was off when all was in order last, in µm.
     pub off_um: [f64; 3],
     cycles: Receiver<Option<Cycle>>,
@@ -182,7 +182,7 @@ impl Abused {
             calibration,
             random: ChaCha8Rng::seed_from_u64(seed),
             judge: Judge::new(way.bounds()),
-            said_um: [0.0; 3],
+            sent_um: [0.0; 3],
             off_um: [0.0; 3],
             cycles,
             _sampler: sampler,
@@ -205,10 +205,10 @@ impl Abused {
     }
 
     /// Lets the bridge say these offsets; without a board the sensor says that of Z.
-    pub(crate) fn say(&mut self, um: [f64; 3]) -> Result<()> {
-        self.said_um = um;
+    pub(crate) fn set_offset(&mut self, um: [f64; 3]) -> Result<()> {
+        self.sent_um = um;
         if let Some(bridge) = &self.bridge {
-            bridge.say(um);
+            bridge.set_offset(um);
             return Ok(());
         }
         let (zero, um_per_volt) = SENSOR;
@@ -229,7 +229,7 @@ impl Abused {
             Way::NoBoard => [0.0, 0.0, GROWS_UM],
         };
         let um = largest.map(|most| most * self.random.random_range(-1.0..1.0));
-        self.say(um)
+        self.set_offset(um)
     }
 
     /// Returns a place: X on the other side of where it is now, so that it moves far enough to reach all of its
@@ -280,13 +280,13 @@ impl Abused {
     pub(crate) fn applied(&mut self) -> Result<()> {
         let pins = ["axis.x.pos-cmd", "trueup.0.fault", "trueup.0.applied"];
         let names = [&OFFSETS[..], &pins].concat();
-        let (said, way) = (self.said_um, self.way);
+        let (sent_um, way) = (self.sent_um, self.way);
         // Pins are read one after the other: twice, so that all are of one state.
         for _ in 0..2 {
-            self.cnc.wait_for_pins(&format!("{said:.3?} act"), 15, &names, |seen| {
+            self.cnc.wait_for_pins(&format!("{sent_um:.3?} act"), 15, &names, |seen| {
                 let is_there = match way {
-                    Way::NoBoard => is_right(&seen[..3], seen[3], said[2]),
-                    _ => (0..3).all(|axis| (seen[axis] - said[axis]).abs() < 0.02),
+                    Way::NoBoard => is_right(&seen[..3], seen[3], sent_um[2]),
+                    _ => (0..3).all(|axis| (seen[axis] - sent_um[axis]).abs() < 0.02),
                 };
                 is_there && seen[4..] == [0.0, 1.0]
             })?;
@@ -308,13 +308,13 @@ impl Abused {
         let drives = self.drives()?;
         let names = ["axis.x.pos-cmd", "axis.y.pos-cmd", "axis.z.pos-cmd"];
         let axes: [f64; 3] = self.cnc.read_pins(&names)?.try_into().ok().context("three axes")?;
-        let said_um = match self.bridge {
-            Some(_) => self.said_um,
+        let sent_um = match self.bridge {
+            Some(_) => self.sent_um,
             None => self.cnc.read_pins(&OFFSETS)?.try_into().ok().context("three offsets")?,
         };
-        let off = off_um(drives, axes, said_um);
+        let off = off_um(drives, axes, sent_um);
         let is_off = (0..3).any(|axis| off[axis].abs() > OFF_UM[axis]);
-        ensure!(!is_off, "the drives are off by {off:.3?} um of {said_um:.3?} um");
+        ensure!(!is_off, "the drives are off by {off:.3?} um of {sent_um:.3?} um");
         self.off_um = off;
         Ok(off)
     }

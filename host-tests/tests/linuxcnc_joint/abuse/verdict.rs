@@ -9,7 +9,7 @@ use super::{
 };
 
 /// The share of its acceleration that a program keeps.
-const ACCELERATION_KEPT: f64 = 0.99;
+const ACCELERATION_MET: f64 = 0.99;
 /// A probed position is right within this, in µm.
 const PROBED_UM: f64 = 0.1;
 /// Share of the cycles that the recorder may miss: nothing is judged across them.
@@ -89,7 +89,7 @@ impl Outcome {
             failures.push(format!("{missing} cycles are missing, {cycles} were judged"));
         }
         let reached = self.acceleration();
-        if reached.is_none_or(|share| share < ACCELERATION_KEPT) {
+        if reached.is_none_or(|share| share < ACCELERATION_MET) {
             failures.push(format!("programs had {} of their acceleration", percent(reached)));
         }
         if self.probed_um.is_none_or(|off| off > PROBED_UM) {

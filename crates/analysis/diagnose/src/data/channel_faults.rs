@@ -37,13 +37,12 @@ impl DataTable {
         let copies = find_duplicate_columns(&self);
         for (name, other) in &copies {
             self.notes.push(format!(
-                "{}{name} is set aside: in every row it is a copy of {other}",
+                "{}{name} is excluded: in every row it is a copy of {other}",
                 file_name_prefix(&self, 0)
             ));
         }
         for name in &self.distrusted {
-            self.notes
-                .push(format!("{}{name} is set aside as a whole", file_name_prefix(&self, 0)));
+            self.notes.push(format!("{}{name} is excluded as a whole", file_name_prefix(&self, 0)));
         }
         let distrusted = std::mem::take(&mut self.distrusted);
         let is_kept = |(name, _): &NamedColumn| {

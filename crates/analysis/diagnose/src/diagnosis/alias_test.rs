@@ -51,7 +51,7 @@ fn describe_separating_times(own_s: f64, others_s: &[f64]) -> String {
     let mut times: Vec<f64> = others_s.iter().map(most).filter(|value| value.is_finite()).collect();
     times.sort_unstable_by(f64::total_cmp);
     format!(
-        "Change what it goes with at once, hold it, and read {} s later, and once nothing moves any more: \
+        "Change the input at once, hold it, and read {} s later, and once nothing moves any more: \
          there these time constants differ most.",
         format_list(&times, 0)
     )

@@ -50,7 +50,7 @@ pub(crate) fn build_finding(problem: &FitProblem, it: &Judgement, left_out: Fold
     let next_test = match it.other_law() {
         _ if between.is_some() && it.doubts.is_empty() => between.unwrap_or_default(),
         Some(inputs) => format!(
-            "Measure again with nothing varied but what goes with {inputs}, in many small steps, up \
+            "Measure again, and vary only the inputs that are correlated with {inputs}, in many small steps, up \
              and down."
         ),
         None => {
@@ -149,13 +149,14 @@ impl Finding {
     pub(super) fn mark_excluded(&mut self) {
         self.compensated = false;
         self.evidence
-            .push("The hold-out becomes worse by it: it is left out of extended.toml.".into());
+            .push("It makes the hold-out worse: extended.toml does not contain it.".into());
     }
 
     /// It was found next to what the hold-out has disproved, or is that.
     pub(super) fn withdraw_claim(&mut self) {
         self.claimed = false;
-        self.evidence.push("It was found beside what the hold-out does not bear out.".into());
+        self.evidence
+            .push("It was found together with a term that the hold-out does not confirm.".into());
     }
 
     /// It may be a part of `open`, which is not settled.
@@ -260,9 +261,9 @@ fn describe_change(part: &ModelPart) -> Option<String> {
         }
     }
     Some(if said.is_empty() {
-        "The machine file has this already; these data say other values.".into()
+        "The machine file has this already; these data give other values.".into()
     } else {
-        format!("The machine file says {}; these data say {}.", said.join(", "), say.join(", "))
+        format!("The machine file has {}; these data give {}.", said.join(", "), say.join(", "))
     })
 }
 
@@ -321,16 +322,16 @@ fn describe_caveat(doubt: &Caveat, gain: &Gain, left_out: FoldUnit) -> String {
             "It may as well gain nothing on left-out {left_out}: the interval of its gain holds that."
         ),
         Caveat::DoesNotGoOn => {
-            "It does not foresee the end of the record: something else may wander."
+            "It does not predict the end of the record: something else may drift."
                 .into()
         }
         Caveat::OnlySmooths => {
-            "Its thermometer smoothed as much, and not late, foresees as well: it may only smooth the \
+            "Its thermometer smoothed as much, and not late, predicts as well: it may only smooth the \
              noise of the thermometer."
                 .into()
         }
         Caveat::BesideTable(table) => format!(
-            "It goes with the position, as {} does: the machine may be as uneven between the points of that table.",
+            "It depends on the position, as {} does: the machine may be as uneven between the points of that table.",
             table.title()
         ),
         Caveat::OnlyTogether(other) => format!(
@@ -339,20 +340,19 @@ fn describe_caveat(doubt: &Caveat, gain: &Gain, left_out: FoldUnit) -> String {
         ),
         Caveat::HangsOn(open) => describe_open_dependence(open),
         Caveat::HalvesDiffer([first, second]) => format!(
-            "The first half of the record says {}, the second {}: more apart than the two are uncertain.",
+            "The first half of the record gives {}, the second {}: the difference exceeds their uncertainty.",
             format_five_significant_digits(*first),
             format_five_significant_digits(*second)
         ),
         Caveat::Alias(values) => {
             let values: Vec<String> = values.iter().map(|value| format_five_significant_digits(*value)).collect();
-            format!("It does as well at {}: these data cannot tell.", values.join(", "))
+            format!("It does as well at {}: these data cannot separate the two.", values.join(", "))
         }
         Caveat::OtherLaw(inputs) => format!(
-            "Something that goes with {inputs} explains clearly more in its place: the cause is \
-             near it, but another one."
+            "An effect that depends on {inputs} explains clearly more in its place: the cause is a similar one."
         ),
         Caveat::LawAsWell(inputs) => {
-            format!("Something that goes with {inputs} explains these data as well.")
+            format!("An effect that depends on {inputs} explains these data as well.")
         }
         Caveat::NotNeeded => {
             "What has no name yet, and is still left, explains this part as well.".into()
@@ -366,7 +366,7 @@ fn describe_caveat(doubt: &Caveat, gain: &Gain, left_out: FoldUnit) -> String {
                 .into()
         }
         Caveat::BesideOtherLaw => {
-            "It is only needed beside a term that stands for another law.".into()
+            "It is only needed together with a term that approximates another law.".into()
         }
     }
 }
@@ -392,7 +392,9 @@ pub(crate) fn describe_unclaimed_outliers(
             "far from the rest. Noise as that of the others may have a reading as far away in so long a record."
         }
     };
-    aside.contains(&true).then(|| format!("Set aside: {}, {why}", format_outlier_rows(aside)))
+    aside
+        .contains(&true)
+        .then(|| format!("Excluded as outliers: {}, {why}", format_outlier_rows(aside)))
 }
 
 /// Returns the finding of rows that were excluded as outliers.
@@ -432,7 +434,10 @@ pub(crate) fn build_outlier_finding(data: &DataTable, after: &[f64], aside: &[bo
             reduction: 1.0 - after / before,
             ci95: [0.0, 1.0 - after / before],
         },
-        evidence: vec![sentence.clone(), format!("Set aside: {}.", format_outlier_rows(aside))],
+        evidence: vec![
+            sentence.clone(),
+            format!("Excluded as outliers: {}.", format_outlier_rows(aside)),
+        ],
         sentence,
         together_with: Vec::new(),
         rivals: Vec::new(),

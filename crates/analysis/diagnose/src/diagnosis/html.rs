@@ -72,7 +72,7 @@ pub(crate) fn render_html(
     if !report.rejected.is_empty() {
         out.push_str(
             "<h2>Tried, and not taken</h2>\n<div class=\"table\"><table><tr><th>cause</th><th>column</th><th>would \
-             leave</th><th>left out</th><th>why not</th></tr>\n",
+             leave</th><th>held out</th><th>why not</th></tr>\n",
         );
         for rejected in &report.rejected {
             let left = rejected.left_out_um.map_or(String::new(), format_micrometres);
@@ -147,7 +147,7 @@ fn noise_sentence(diagnosis: &Diagnosis) -> String {
     if diagnosis.noise_is_measured {
         format!("Repeats of one reading scatter by {um}: no model becomes better than that.")
     } else {
-        format!("What differs from row to row and goes with nothing is {um}.")
+        format!("The scatter from row to row that no input explains is {um}.")
     }
 }
 
@@ -194,7 +194,7 @@ fn write_verdict(diagnosis: &Diagnosis, next: &[String], out: &mut String) {
 /// Returns the verdict as a heading.
 fn verdict_heading(verdict: Verdict) -> &'static str {
     match verdict {
-        Verdict::Clean => "The machine does what its file says",
+        Verdict::Clean => "The machine behaves as its file states",
         Verdict::Explained => "What the machine file gets wrong is explained",
         Verdict::PartlyExplained => "Part of what the machine file gets wrong is explained",
         Verdict::Unexplained => "The machine file is wrong, and the cause is not known",
@@ -232,7 +232,7 @@ pub(crate) fn verdict_sentence(diagnosis: &Diagnosis) -> String {
     match report.verdict {
         Verdict::Clean => clean_verdict_sentence(report),
         Verdict::TooLittleData => {
-            "These rows are too few to tell an error that matters from noise.".into()
+            "These rows are too few to separate an error that matters from noise.".into()
         }
         Verdict::Explained => {
             format!("What the machine file gets wrong has a cause: {}.", causes.join(", "))
@@ -248,7 +248,7 @@ pub(crate) fn verdict_sentence(diagnosis: &Diagnosis) -> String {
         Verdict::DoesNotTransfer => {
             let left_out: Vec<&str> = report.left_out.iter().map(|cause| cause.cause.as_str()).collect();
             format!(
-                "What explains the runs makes the hold-out worse. Left out of extended.toml: {}.",
+                "The terms that explain the runs make the hold-out worse. Not in extended.toml: {}.",
                 left_out.join(", ")
             )
         }
@@ -268,7 +268,7 @@ fn clean_verdict_sentence(report: &Report) -> String {
             format_micrometres(report.detectable_um)
         )
     } else {
-        "Which error would have been found cannot be said: one as large as what is left could hide in it."
+        "The smallest error that would have been found is not known: one as large as the residual could hide in it."
             .into()
     };
     let wandering = report.wandering.map_or("", |_| " that wanders slowly");
@@ -338,7 +338,7 @@ fn write_finding(finding: &Finding, out: &mut String) {
     let gain = &finding.gain;
     let _ = writeln!(
         out,
-        "<tr><td>left out</td><td>{} → {}</td><td>{:.0} % less (95 %: {:.0} … {:.0} %)\
+        "<tr><td>held out</td><td>{} → {}</td><td>{:.0} % less (95 %: {:.0} … {:.0} %)\
          </td></tr></table></div>",
         format_micrometres(gain.left_out_before_um),
         format_micrometres(gain.left_out_after_um),

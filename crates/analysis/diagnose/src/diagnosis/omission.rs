@@ -39,16 +39,15 @@ impl OmissionReason {
                 format_micrometres(*measured_um)
             ),
             Self::LeavesRange { um, range_um: [low, high], since_start_s } => format!(
-                "With it the prediction would be {um:+.0} µm {:.0} min after a start at a corner of the recorded \
-                 inputs, and {low:+.0} to {high:+.0} µm were measured: it is not compensated.",
+                "With it the prediction would be {um:+.0} µm {:.0} min after a start at a corner of the recorded inputs. Measured were {low:+.0} to {high:+.0} µm: it is not compensated.",
                 since_start_s / 60.0
             ),
             Self::Refused(rule) => format!("It is not written: {rule}."),
             Self::ForesawLess => {
-                "Other terms foresee left-out parts better and are written in its place: it is not compensated.".into()
+                "Other terms predict held-out parts better and are written in its place: it is not compensated.".into()
             }
             Self::NoGain => {
-                "Alone on the board these terms gain nothing beyond doubt: it is not compensated."
+                "Alone on the board these terms bring no significant gain: it is not compensated."
                     .into()
             }
         }

@@ -111,7 +111,9 @@ impl Shortfall {
                 100.0 * reduction
             ),
             None => {
-                format!("It is too short to say more (at most {most:.0} %). Measure a longer one")
+                format!(
+                    "It is too short for a narrower bound (at most {most:.0} %). Measure a longer one"
+                )
             }
         };
         let (verb, came) = (if came < 0.0 { "rises" } else { "falls" }, came.abs());

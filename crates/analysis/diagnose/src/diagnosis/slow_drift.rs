@@ -123,9 +123,9 @@ impl fmt::Display for SlowDrift {
             CorrelationTime::Seconds(seconds) => write!(f, "{:.0} minutes", seconds / 60.0)?,
             CorrelationTime::Rows(rows) => write!(f, "{rows:.0} rows")?,
         }
-        f.write_str("; it goes with nothing that was recorded")?;
+        f.write_str("; no recorded input explains it")?;
         if !self.to_record.is_empty() {
-            write!(f, ". Record beside it: {}", self.to_record.join(", "))?;
+            write!(f, ". Record as well: {}", self.to_record.join(", "))?;
         }
         Ok(())
     }

@@ -178,8 +178,7 @@ pub(super) fn build_prediction_findings(
             sentence: own.sentence.clone(),
             evidence: vec![
                 own.sentence.clone(),
-                "Chosen for prediction; the name is open: with the other terms it foresees left-out parts, and other \
-                 terms may do so as well."
+                "Chosen for prediction; the name is open: with the other terms it predicts held-out parts, and other terms may do so as well."
                     .into(),
             ],
             together_with: others.map(|(_, partner)| partner.clone()).collect(),

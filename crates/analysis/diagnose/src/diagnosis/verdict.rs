@@ -78,7 +78,7 @@ impl fmt::Display for VerdictReason {
         match self {
             Self::LackOfFit(lack) => lack.fmt(f),
             Self::OtherLaw(inputs) => {
-                write!(f, "what is wrong goes with {inputs}, and no cause does so")
+                write!(f, "the error depends on {inputs}, and no known cause does")
             }
             Self::DoesNotRepeat(repeats) => write!(
                 f,
@@ -91,10 +91,10 @@ impl fmt::Display for VerdictReason {
                 "a table holds at its points; what it is worth between them these points cannot show",
             ),
             Self::Open => {
-                f.write_str("two causes cannot be told apart, or a parameter is not yet identified")
+                f.write_str("two causes cannot be separated, or a parameter is not yet identified")
             }
             Self::Predicted => f.write_str(
-                "the written terms were chosen for what they foresee: other names may foresee as well",
+                "the written terms were chosen for prediction: other causes may predict as well",
             ),
             Self::OnlyNoise => f.write_str("nothing is left but noise: the model stays"),
             Self::Harm { before_um, after_um } => write!(
@@ -122,7 +122,7 @@ impl fmt::Display for VerdictReason {
             ),
             Self::TooLittle(DetectionPower { rows, matters_um, needed, .. }) => write!(
                 f,
-                "{rows} rows cannot tell an error of {} RMS from noise: {needed}",
+                "{rows} rows cannot separate an error of {} RMS from noise: {needed}",
                 format_micrometres(*matters_um)
             ),
             Self::Wanders(wandering) => wandering.fmt(f),
@@ -135,8 +135,7 @@ impl fmt::Display for VerdictReason {
                  CNC or the machine file, so nothing is written",
             ),
             Self::ByTheClock => f.write_str(
-                "what comes and goes with the clock has a cause that was not recorded; the next record has \
-                 another phase",
+                "an error that is periodic in time has a cause that was not recorded; the next record has another phase",
             ),
             Self::NothingFires => f.write_str("no test of structure fires on what is left"),
         }

@@ -95,13 +95,12 @@ impl InterpolationAccuracy {
     pub(crate) fn sentence(&self) -> Option<String> {
         let InterpolationCheck { inner, line, nothing, .. } = self.found;
         let figures = format!(
-            "the line between its neighbours misses a point that is left out by {line:.1} µm RMS, no \
+            "the line between its neighbours misses a held-out point by {line:.1} µm RMS, no \
              table at all by {nothing:.1} µm"
         );
         if !self.found.has_enough_places() {
             return Some(format!(
-                "What it is worth between its points is not known: {inner} inner points are too few to \
-                 tell ({figures})."
+                "What it is worth between its points is not known: {inner} inner points are too few to show it ({figures})."
             ));
         }
         self.found

@@ -43,7 +43,7 @@ impl fmt::Display for LackOfFit {
                     cause.title()
                 )
             }
-            Self::GoesWith(inputs) => write!(f, "what is left goes with {inputs}"),
+            Self::GoesWith(inputs) => write!(f, "the residual depends on {inputs}"),
         }
     }
 }

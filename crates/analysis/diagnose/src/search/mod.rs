@@ -145,7 +145,7 @@ impl Search<'_> {
             match self.run_round(progress) {
                 RoundOutcome::AddedTerm if self.added.len() >= MAX_TERMS => break,
                 RoundOutcome::AddedTerm => {
-                    progress("comparing with rivals", part(round as f64 + 0.7));
+                    progress("comparing with alternatives", part(round as f64 + 0.7));
                     self.revise();
                 }
                 RoundOutcome::Widened => {}

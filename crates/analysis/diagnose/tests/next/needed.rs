@@ -66,7 +66,7 @@ pub fn needed<T: Tried>(seeds: impl Iterator<Item = u64>, drawn: impl Fn(u64) ->
             Err(NoNextRunReason::NothingOpen) => continue,
             Err(why) => {
                 all.open += 1;
-                all.alike += usize::from(why.to_string().contains("foresee the same"));
+                all.alike += usize::from(why.to_string().contains("predict the same"));
                 println!("seed {seed} ({}): {why}", tried.wrong());
                 continue;
             }

@@ -53,7 +53,7 @@ pub(crate) fn analyse_circle(record: CircleRecord) -> CircleResult {
         noise_um: chosen.noise_um,
         structure_um: systematic_rms_um(&used, &chosen.residual_um),
         predicted_um,
-        set_aside: used.set_aside.clone(),
+        excluded: used.excluded.clone(),
         record: used,
     }
 }

@@ -205,8 +205,8 @@ fn build_finding(
         evidence: vec![format!(
             "{}: {:.2} µm RMS without it, {:.2} µm with it",
             if cause == Cause::ReversalSpike { "left" } else { "on left-out arcs" },
-            tried.left_out_um[0],
-            tried.left_out_um[1]
+            tried.held_out_um[0],
+            tried.held_out_um[1]
         )],
         alternatives: tried.alternatives.iter().map(|unit| cause_name(record, unit)).collect(),
         next_test: String::new(),
@@ -251,9 +251,7 @@ fn add_ambiguities(record: &CircleRecord, it: &mut CircleFinding) {
         }
         Cause::Straightness => match (it.axis, it.along) {
             (Some(error), Some(along)) => it.evidence.push(format!(
-                "as ball-bar practice has it, positions of {0} that bend count as none; they would look the same: a circle at \
-                 another place of {0} or `trueup fit pitch` of {0} settles it, and `trueup program straightness` measures the \
-                 form along {1} itself",
+                "a bend in the positions of {0} would look the same. A circle at another place of {0} or `trueup fit pitch` of {0} separates them; `trueup program straightness` measures the form along {1} itself",
                 error.name(),
                 along.name()
             )),

@@ -19,8 +19,8 @@ pub fn build_page(report: &CircleReport, origin: &Origin) -> Page {
             ("bad", "Unexplained: nothing is claimed, and something is left")
         }
     };
-    let said: Vec<String> = report.circles.iter().map(summarise).collect();
-    page.add_card(state, heading, &said);
+    let description: Vec<String> = report.circles.iter().map(summarise).collect();
+    page.add_card(state, heading, &description);
     for circle in &report.circles {
         write_circle(&mut page, circle);
     }
@@ -47,15 +47,15 @@ pub(crate) fn summarise(circle: &CircleResult) -> String {
         own.map(title).collect()
     };
     let (claimed, open) = (named(true), named(false));
-    let mut said = format!("{}: ", circle.record.plane.name().to_uppercase());
-    said += &if claimed.is_empty() { "no cause is claimed".into() } else { claimed.join(", ") };
+    let mut message = format!("{}: ", circle.record.plane.name().to_uppercase());
+    message += &if claimed.is_empty() { "no cause is claimed".into() } else { claimed.join(", ") };
     if !open.is_empty() {
-        said += &format!("; not claimed: {}", open.join(", "));
+        message += &format!("; not claimed: {}", open.join(", "));
     }
     if let Some(um) = circle.structure_um {
-        said += &format!("; structure of {um:.2} µm RMS is left");
+        message += &format!("; structure of {um:.2} µm RMS is left");
     }
-    said
+    message
 }
 
 /// Returns a cause with its axis: `backlash of x`.

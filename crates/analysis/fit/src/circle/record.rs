@@ -98,7 +98,7 @@ pub struct CircleRecord {
     /// Zeros of the instrument.
     pub setups: usize,
     /// Gross readings, which are not in `rows`.
-    pub set_aside: Vec<ExcludedRow>,
+    pub excluded: Vec<ExcludedRow>,
 }
 
 impl CircleRecord {

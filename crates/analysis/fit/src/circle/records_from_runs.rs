@@ -206,7 +206,7 @@ fn add_to_record(
             clock: [0.0; 2],
             play_um: [0.0; 2],
             setups: 0,
-            set_aside: Vec::new(),
+            excluded: Vec::new(),
         });
         records.len() - 1
     });
@@ -281,7 +281,7 @@ fn exclude_gross_readings(record: &mut CircleRecord, runs: &[RunFile]) {
     let gross: Vec<bool> = (0..rows.len()).map(is_gross).collect();
     for (at, _) in gross.iter().enumerate().filter(|(_, is)| **is) {
         let [file, row] = rows[at].source;
-        record.set_aside.push(ExcludedRow {
+        record.excluded.push(ExcludedRow {
             place: runs[file].value_location(row, READING_COLUMN),
             measured_um: rows[at].measured_um,
             reason: format!("{:.3} µm from its neighbours", away[at]),

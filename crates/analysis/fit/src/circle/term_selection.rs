@@ -117,7 +117,7 @@ pub struct CrossValidatedTerm {
     /// RMS of its share of the readings, in µm.
     pub rms_um: f64,
     /// RMS on held-out arcs without it and with it, in µm.
-    pub left_out_um: [f64; 2],
+    pub held_out_um: [f64; 2],
     /// Whether held-out arcs gain by more than the standard error.
     pub is_gain: bool,
     /// Causes that do as well in its place.
@@ -417,16 +417,19 @@ fn cross_validate(
     CrossValidatedTerm {
         unit,
         rms_um,
-        left_out_um: [rms(&before), rms(&after)],
+        held_out_um: [rms(&before), rms(&after)],
         is_gain: gain > error,
         alternatives,
     }
 }
 
 /// Returns the whitened columns for which `is_kept` holds.
-fn filter_columns(fit: &WhitenedFit<'_>, is_kept: impl Fn(&TermColumn) -> bool) -> Vec<Vec<f64>> {
+fn filter_columns(
+    fit: &WhitenedFit<'_>,
+    is_retained: impl Fn(&TermColumn) -> bool,
+) -> Vec<Vec<f64>> {
     let both = fit.columns.iter().zip(&fit.white);
-    both.filter(|(column, _)| is_kept(column)).map(|(_, white)| white.clone()).collect()
+    both.filter(|(column, _)| is_retained(column)).map(|(_, white)| white.clone()).collect()
 }
 
 /// Returns the other linear causes that leave as little in the place of `unit`.

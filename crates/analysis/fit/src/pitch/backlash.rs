@@ -71,15 +71,15 @@ pub fn fit_backlash(
     axis: LinearAxis,
     options: &PitchFitOptions,
 ) -> Result<BacklashFit, BadInput> {
-    let wanted = ReadingSelection {
+    let selection = ReadingSelection {
         axis,
         runs: options.runs.as_deref(),
         known_um: options.known_um.as_deref(),
         by_feed: true,
         in_order: false,
     };
-    let mut readings = Readings::from_run(run, &wanted)?;
-    let set_aside = readings.exclude_gross_errors(run, axis);
+    let mut readings = Readings::from_run(run, &selection)?;
+    let outliers = readings.exclude_gross_errors(run, axis);
     let mut reversal_differences = reversal_differences(&readings);
     if reversal_differences.is_empty() {
         let direction = format!("dir_{}", axis.name());
@@ -114,7 +114,7 @@ pub fn fit_backlash(
         round_to_decimals(backlash_width(means.iter().map(|mean| mean.1), rule), TABLE_DECIMALS);
     let p = p_value(&by_target);
     let mut report = build_report(&readings, &reversal_differences, axis, rule, width_um);
-    report.set_aside = set_aside;
+    report.excluded = outliers;
     if let Some(feed) = feed {
         feed.add_to_report(&mut report, width_um);
     }
@@ -209,10 +209,10 @@ fn build_report(
     ));
     let blocks = fold_count(readings.runs);
     let block = |difference: &ReversalDifference| fold_index(difference.run, readings.runs);
-    let mut left_out = Vec::new();
+    let mut held_out = Vec::new();
     let (mut gains, mut own) = (Vec::new(), Vec::new());
     for out in 0..blocks {
-        let kept: Vec<ReversalDifference> = reversal_differences
+        let retained: Vec<ReversalDifference> = reversal_differences
             .iter()
             .filter(|difference| block(difference) != out)
             .copied()
@@ -222,15 +222,15 @@ fn build_report(
             .filter(|difference| block(difference) == out)
             .map(|difference| difference.um)
             .collect();
-        if kept.is_empty() || test.is_empty() {
+        if retained.is_empty() || test.is_empty() {
             continue;
         }
-        let kept_width = backlash_width(target_means(&kept).into_iter(), rule);
-        let rest: Vec<f64> = test.iter().map(|um| um - kept_width).collect();
+        let retained_width = backlash_width(target_means(&retained).into_iter(), rule);
+        let rest: Vec<f64> = test.iter().map(|um| um - retained_width).collect();
         let mean_square = |um: &[f64]| um.iter().map(|x| x * x).sum::<f64>() / um.len() as f64;
         gains.push(mean_square(&test) - mean_square(&rest));
         own.push(test.iter().sum::<f64>() / test.len() as f64);
-        left_out.extend(rest);
+        held_out.extend(rest);
     }
     // The largest mean is one position's own; a mean of all is known from the runs' own widths.
     let at_largest = reversal_differences.chunk_by(|a, b| a.target == b.target).max_by(|a, b| {
@@ -255,18 +255,18 @@ fn build_report(
         );
         return report;
     }
-    report.left_out = ResidualStatistics::from_residuals(&left_out);
-    report.left_out_by = describe_folds(readings.runs);
+    report.held_out = ResidualStatistics::from_residuals(&held_out);
+    report.held_out_by = describe_folds(readings.runs);
     if !is_significant_gain(&gains) {
         let rms =
             |spread: Option<ResidualStatistics>| spread.map_or(f64::NAN, |spread| spread.rms_um);
         let each: Vec<String> = own.iter().map(|um| format!("{um:.1}")).collect();
         report.verdict = FitVerdict::DoNotCompensate(vec![format!(
-            "on runs left out the difference between the directions is {:.1} µm rms without a \
-             correction and {:.1} µm with the width of the other runs: no gain that holds (width \
+            "on held-out runs the difference between the directions is {:.1} µm rms without a \
+             correction and {:.1} µm with the width of the other runs, which is no reliable gain (width \
              run by run: {} µm)",
             rms(report.before),
-            rms(report.left_out),
+            rms(report.held_out),
             each.join(", ")
         )]);
     }

@@ -258,21 +258,21 @@ pub(super) fn cross_validate(
             residuals_um: vec![0.0; readings.list.len()],
         })
         .collect();
-    for left_out in 0..folds {
-        let kept = readings.list.iter().filter(|reading| fold(reading) != left_out);
-        let sums = DirectionSums::from_readings(targets, kept);
+    for held_out in 0..folds {
+        let retained = readings.list.iter().filter(|reading| fold(reading) != held_out);
+        let sums = DirectionSums::from_readings(targets, retained);
         for judged in &mut judged {
             let fitted = sums.fit(&readings.targets_mm, grid, judged.law);
             let (mut squares, mut count) = (0.0, 0.0);
             for (residual, reading) in judged.residuals_um.iter_mut().zip(&readings.list) {
-                if fold(reading) == left_out {
+                if fold(reading) == held_out {
                     let x = readings.targets_mm[reading.target];
                     *residual = reading.um - fitted.evaluate(x, reading.way);
                     squares += *residual * *residual;
                     count += 1.0;
                 }
             }
-            judged.mse_um2[left_out] = squares / count;
+            judged.mse_um2[held_out] = squares / count;
         }
     }
     judged
@@ -298,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn many_runs_are_left_out_in_twenty_blocks_that_hold_all_of_them() {
+    fn many_runs_are_held_out_in_twenty_blocks_that_hold_all_of_them() {
         for runs in [1, 2, 5, 20, 21, 1000] {
             let of: Vec<usize> = (0..runs).map(|run| fold_index(run, runs)).collect();
             assert!(of.is_sorted());

@@ -20,7 +20,7 @@ const SIGNIFICANCE_LEVEL: f64 = 0.01;
 pub(super) struct BacklashByFeed {
     /// The feed that counts, by its place among the feeds.
     pub chosen: usize,
-    is_asked_for: bool,
+    is_requested: bool,
     /// Feed in mm/min, mean width in µm, and half its 95 % interval.
     widths: Vec<(f64, f64, Option<f64>)>,
 }
@@ -36,18 +36,18 @@ pub(super) fn separate_by_feed(
 ) -> Result<Option<BacklashByFeed>, String> {
     let feeds = &readings.feeds_mm_per_min;
     let is_known = feeds.iter().any(|feed| *feed > 0.0);
-    let asked = match options.feed_mm_per_min {
+    let requested = match options.feed_mm_per_min {
         None => None,
         Some(_) if !is_known => {
             return Err(format!(
-                "the column {FEED_COLUMN} is missing: it says at which feed each row was read"
+                "the column {FEED_COLUMN} is missing: it states the feed at which each row was read"
             ));
         }
-        Some(asked) => {
-            let near = |feed: &f64| (feed / asked - 1.0).abs() <= FEED_RELATIVE_TOLERANCE;
+        Some(requested) => {
+            let near = |feed: &f64| (feed / requested - 1.0).abs() <= FEED_RELATIVE_TOLERANCE;
             let there: Vec<String> = feeds.iter().map(f64::to_string).collect();
             let rule = format!(
-                "was not {asked} mm/min in any row, but {}: measure at the feed that is used",
+                "was not {requested} mm/min in any row, but {}: measure at the feed that is used",
                 there.join(", ")
             );
             Some(feeds.iter().position(near).ok_or(rule)?)
@@ -69,11 +69,11 @@ pub(super) fn separate_by_feed(
     let widths: Vec<_> = widths.collect();
     // A feed of which one side is missing has no width.
     let slowest = widths.iter().position(|(_, um, _)| !um.is_nan()).unwrap_or(0);
-    let chosen = asked.unwrap_or(slowest);
+    let chosen = requested.unwrap_or(slowest);
     if widths[chosen].1.is_nan() {
         return Err("at this feed no position was approached from both sides".into());
     }
-    Ok(Some(BacklashByFeed { chosen, is_asked_for: asked.is_some(), widths }))
+    Ok(Some(BacklashByFeed { chosen, is_requested: requested.is_some(), widths }))
 }
 
 impl BacklashByFeed {
@@ -98,7 +98,7 @@ impl BacklashByFeed {
                 format!("at {feed} mm/min {:.1} µm of it stay uncorrected", um - width_um)
             })
             .collect();
-        let choose = if self.is_asked_for {
+        let choose = if self.is_requested {
             ""
         } else {
             "; parts get their size at the slow feeds, so the slowest was taken: choose another with --feed"

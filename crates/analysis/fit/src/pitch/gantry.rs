@@ -172,13 +172,13 @@ fn second_drive_report(mut report: Report, axis: LinearAxis) -> Report {
 
 /// Returns one report of both.
 fn merge_reports(mut first: Report, second: Report) -> Report {
-    let told = |text: &String| format!("second drive: {text}");
-    first.warnings.extend(second.warnings.iter().map(told));
-    first.set_aside.extend(second.set_aside);
+    let prefixed = |text: &String| format!("second drive: {text}");
+    first.warnings.extend(second.warnings.iter().map(prefixed));
+    first.excluded.extend(second.excluded);
     for (name, spread) in [
         ("second_drive_before_rms_um", second.before),
         ("second_drive_in_sample_rms_um", second.in_sample),
-        ("second_drive_left_out_rms_um", second.left_out),
+        ("second_drive_left_out_rms_um", second.held_out),
     ] {
         first.facts.extend(spread.map(|spread| Fact::number(name, spread.rms_um)));
     }
@@ -186,7 +186,7 @@ fn merge_reports(mut first: Report, second: Report) -> Report {
     match second.verdict {
         FitVerdict::Fitted => first.edit.sections.extend(second.edit.sections),
         FitVerdict::DoNotCompensate(why) => {
-            let why = why.iter().map(told);
+            let why = why.iter().map(prefixed);
             match &mut first.verdict {
                 FitVerdict::Fitted => first.verdict = FitVerdict::DoNotCompensate(why.collect()),
                 FitVerdict::DoNotCompensate(of_first) => of_first.extend(why),

@@ -65,9 +65,7 @@ pub(super) fn choose_grid(
     report.facts.push(Fact::number("resampling_loss_um", loss_um));
     if loss_um > enough_um && targets.len() <= most {
         report.warnings.push(format!(
-            "the targets are not at equal distances; a table of {} points every {} mm misses what \
-             was measured at them by {loss_um:.3} µm rms, more than the {enough_um:.3} µm that \
-             their scatter allows",
+            "the targets are not at equal distances; a table of {} points every {} mm misses the measured means by {loss_um:.3} µm rms. Their scatter allows {enough_um:.3} µm",
             grid.points, grid.step_mm
         ));
     }

@@ -42,8 +42,7 @@ pub fn build_page(
         ]);
     }
     page.add_paragraph(&format!(
-        "As measured, before the correction of `fit {what}`. {} targets, at least {} arrivals at each in a direction; the \
-         standard asks for 5.",
+        "As measured, before the correction of `fit {what}`. {} targets, at least {} arrivals at each in a direction; the standard requires 5.",
         iso230.targets.len(),
         iso230.fewest_runs
     ));

@@ -101,32 +101,32 @@ impl Readings {
     /// reading is left; positions do not agree with their direction; a position comes twice in a run.
     pub(super) fn from_run(
         file: &UncompensatedRun<'_>,
-        wanted: &ReadingSelection<'_>,
+        selection: &ReadingSelection<'_>,
     ) -> Result<Self, BadInput> {
-        let axis = wanted.axis.name();
+        let axis = selection.axis.name();
         let names = ColumnNames {
             position: format!("{axis}_mm"),
             direction: format!("dir_{axis}"),
-            measured: measured_column(wanted.axis),
+            measured: measured_column(selection.axis),
         };
-        let (mut rows, rows_incomplete) = collect_raw_rows(file, &names, wanted)?;
+        let (mut rows, rows_incomplete) = collect_raw_rows(file, &names, selection)?;
         if file.column("run").is_none() {
             let (_, target_of_row, is_record) = assign_targets(&rows);
             assign_run_numbers(&mut rows, &target_of_row, is_record);
             // Only now do these rows have the numbers by which they may be requested.
-            if let Some(runs) = wanted.runs {
+            if let Some(runs) = selection.runs {
                 rows.retain(|raw| runs.contains(&raw.run));
             }
         }
         if rows.is_empty() {
             let mut bad = missing_column_error(file, &names.measured);
-            bad.rule = format!("no row of the wanted runs has a {}", names.measured);
+            bad.rule = format!("no row of the selected runs has a {}", names.measured);
             return Err(bad);
         }
         let (targets_mm, target_of_row, is_record) = assign_targets(&rows);
         if !is_record {
             check_duplicates(file, &names, &rows, &target_of_row)?;
-            if wanted.in_order {
+            if selection.in_order {
                 check_position_order(file, &names, &rows, &target_of_row)?;
             }
         }
@@ -180,11 +180,11 @@ impl Readings {
             measured_um: reading.um,
             reason: "far from the other readings at its target".into(),
         };
-        let set_aside =
+        let outliers =
             self.list.iter().zip(&found).filter(|(_, found)| **found).map(aside).collect();
         let mut found = found.into_iter();
         self.list.retain(|_| !found.next().unwrap_or(false));
-        set_aside
+        outliers
     }
 
     /// Returns the readings for a decision by their repeats.
@@ -248,9 +248,9 @@ fn column_with_unit<'f>(
 fn collect_raw_rows(
     file: &UncompensatedRun<'_>,
     names: &ColumnNames,
-    wanted: &ReadingSelection<'_>,
+    selection: &ReadingSelection<'_>,
 ) -> Result<(Vec<RawRow>, usize), BadInput> {
-    let axis = wanted.axis.name();
+    let axis = selection.axis.name();
     let measured = column_with_unit(file, &format!("measured_d{axis}"), "um")?;
     let positions = column_with_unit(file, axis, "mm")?;
     let directions = match (file.column(&names.direction), monotonic_direction(positions)) {
@@ -259,19 +259,19 @@ fn collect_raw_rows(
         (None, Some(way)) => Cow::Owned(vec![way; positions.len()]),
         (None, None) => {
             Cow::Borrowed(file.require_column(&names.direction).map_err(|mut bad| {
-                bad.rule += "; it says from which side each position was approached, 1 or -1";
+                bad.rule += "; it states the side from which each position was approached, 1 or -1";
                 bad
             })?)
         }
     };
     let numbers = file.column("run");
-    let feeds = if wanted.by_feed { file.column(FEED_COLUMN) } else { None };
+    let feeds = if selection.by_feed { file.column(FEED_COLUMN) } else { None };
     let (mut rows, mut rows_incomplete) = (Vec::new(), 0);
     for (row, ((&um, &position_mm), &direction)) in
         measured.iter().zip(positions).zip(&*directions).enumerate()
     {
         let run = numbers.map_or(f64::NAN, |numbers| numbers[row]);
-        if wanted.runs.is_some_and(|runs| !run.is_nan() && !runs.contains(&run)) {
+        if selection.runs.is_some_and(|runs| !run.is_nan() && !runs.contains(&run)) {
             continue;
         }
         // A reading that was not taken is an empty cell, as it is for `diagnose`.
@@ -286,9 +286,10 @@ fn collect_raw_rows(
             rows_incomplete += 1;
             continue;
         }
-        let known = wanted.known_um.map_or(0.0, |known| known.get(row).copied().unwrap_or(0.0));
+        let known = selection.known_um.map_or(0.0, |known| known.get(row).copied().unwrap_or(0.0));
         if known.is_nan() {
-            let rule = "cannot be compared: the machine's other sections say nothing of this row";
+            let rule =
+                "cannot be compared: the machine's other sections predict nothing for this row";
             return Err(file.value_error(row, &names.measured, rule));
         }
         let way = usize::from(is_reverse(direction));

@@ -50,7 +50,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn repeats_and_shape_are_told_apart() {
+    fn repeats_and_shape_are_distinguished() {
         // Means 1, 3, 5 and 7, each of two readings one off: s² = 2·4/4 = 2, the mean's s² = 1;
         // the means' mean square about 4 is 5.
         let pair = |mean: f64| vec![mean - 1.0, mean + 1.0];

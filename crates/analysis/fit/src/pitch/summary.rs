@@ -38,7 +38,7 @@ pub(super) fn add_statistics(
     report.before = ResidualStatistics::from_residuals(&um);
     report.rows_used = um.len();
     report.rows_incomplete = readings.rows_incomplete;
-    report.left_out_by = describe_folds(readings.runs);
+    report.held_out_by = describe_folds(readings.runs);
     report.facts.push(Fact::number("runs", readings.runs as f64));
     report.facts.push(Fact::number("targets", readings.targets_mm.len() as f64));
     if let Some(iso230) = iso230 {
@@ -86,16 +86,14 @@ pub(super) fn add_warnings(
     if readings.runs < 2 {
         report.facts.push(Fact::text("repeatability", "unknown"));
         warnings.push(
-            "there is only one run: repeatability unknown, and nothing says what the table gains; \
-             measure at least two runs, better five, in both directions"
+            "there is only one run: the repeatability and the gain of the table are unknown; measure at least two runs, better five, in both directions"
                 .to_string(),
         );
     } else if let Some(iso230) = iso230
         && iso230.fewest_runs < MIN_ISO_230_2_RUNS
     {
         warnings.push(format!(
-            "ISO 230-2 asks for {MIN_ISO_230_2_RUNS} runs in each direction, there are {}: its \
-             figures from so few are uncertain",
+            "ISO 230-2 requires {MIN_ISO_230_2_RUNS} runs in each direction, there are {}: its figures are uncertain",
             iso230.fewest_runs
         ));
     }
@@ -118,8 +116,7 @@ pub(super) fn add_warnings(
             let hidden: Vec<String> = hidden.iter().map(f64::to_string).collect();
             warnings.push(format!(
                 "the test points lie on multiples of {} mm: if one of these is the pitch of the \
-                 screw, its periodic error was not seen and stays; measure at uneven distances, as \
-                 ISO 230-2 asks",
+                 screw, its periodic error was not seen and stays; measure at uneven distances, as ISO 230-2 requires",
                 hidden.join(", ")
             ));
         }
@@ -144,12 +141,12 @@ pub(super) fn write_pitch_section(
         spread.map_or("?".into(), |spread| format!("{:.2}", spread.rms_um))
     };
     report.edit = Edit::from_section(pitch.to_section(axis).with_header_comment(format!(
-        "From {} readings of {} runs; rms µm before {}, fitted {}, left out {}.",
+        "From {} readings of {} runs; rms µm before {}, fitted {}, held out {}.",
         report.rows_used,
         readings.runs,
         rms(report.before),
         rms(report.in_sample),
-        rms(report.left_out)
+        rms(report.held_out)
     )));
     let backlash = format!("{name}.backlash");
     match fitted.width_um {
@@ -232,7 +229,7 @@ pub(super) fn rejection_reasons(
     let constant_alone = best.is_better_than(nothing) && !best.is_better_than(constant);
     let verdict = if constant_alone { "" } else { ": no gain that holds" };
     rejection_reasons.push(format!(
-        "on runs left out the error is {:.1} µm rms without a correction and {:.1} µm with {law} \
+        "on held-out runs the error is {:.1} µm rms without a correction and {:.1} µm with {law} \
          from the other runs (run by run {} and {}){verdict}",
         nothing.rms_um(),
         best.rms_um(),
@@ -243,7 +240,7 @@ pub(super) fn rejection_reasons(
     if let Some(repeats_um) = scatter.repeats_um {
         rejection_reasons.push(format!(
             "repeats at one position from one side scatter by {repeats_um:.1} µm (one standard \
-             deviation), and what is systematic along the axis is {:.1} µm rms",
+             deviation), and the systematic error along the axis is {:.1} µm rms",
             scatter.systematic_rms_um()
         ));
     }
@@ -289,7 +286,7 @@ pub(super) fn suggest_measurement(
             trial.f,
             100.0 * trial.chance
         ),
-        _ => "the targets differ, but not every run is foreseen by the others".to_string(),
+        _ => "the targets differ, but not every run is predicted by the others".to_string(),
     };
     let shape_um = Scatter::from_targets(by_target).shape_um;
     let cycles = required_cycles(shape_um, decision.scatter?, targets);
@@ -312,8 +309,7 @@ pub(super) fn interpolation_caveat(readings: &Readings, law: CorrectionModel) ->
     )?;
     found.is_interpolation_doubtful().then(|| {
         format!(
-            "the table holds at its points; between them it is doubted: the line between its neighbours \
-             misses a target that is left out by {:.1} µm rms, no table at all by {:.1} µm; measure \
+            "the table holds at its points; between them it is uncertain: the line between its neighbours misses a held-out target by {:.1} µm rms, no table at all by {:.1} µm; measure \
              between the targets as well (trueup diagnose lists positions)",
             found.line, found.nothing
         )

@@ -163,7 +163,7 @@ fn endpoints(targets_mm: &[f64]) -> (f64, f64) {
 /// Normal equations in which only neighbours meet.
 struct TridiagonalSystem {
     diagonal: Vec<f64>,
-    beside: Vec<f64>,
+    neighbours: Vec<f64>,
     right: Vec<f64>,
 }
 
@@ -171,7 +171,7 @@ impl TridiagonalSystem {
     fn new(unknowns: usize) -> Self {
         Self {
             diagonal: vec![0.0; unknowns],
-            beside: vec![0.0; unknowns],
+            neighbours: vec![0.0; unknowns],
             right: vec![0.0; unknowns],
         }
     }
@@ -181,7 +181,7 @@ impl TridiagonalSystem {
             self.diagonal[low + n] += weight * share * share;
             self.right[low + n] += weight * share * value;
         }
-        self.beside[low] += weight * shares[0] * shares[1];
+        self.neighbours[low] += weight * shares[0] * shares[1];
     }
 
     /// Gauss without pivots: the matrix is positive definite, because the integral reaches every
@@ -189,12 +189,12 @@ impl TridiagonalSystem {
     fn solve(mut self) -> Vec<f64> {
         let count = self.diagonal.len();
         for n in 1..count {
-            let factor = self.beside[n - 1] / self.diagonal[n - 1];
-            self.diagonal[n] -= factor * self.beside[n - 1];
+            let factor = self.neighbours[n - 1] / self.diagonal[n - 1];
+            self.diagonal[n] -= factor * self.neighbours[n - 1];
             self.right[n] -= factor * self.right[n - 1];
         }
         for n in (0..count).rev() {
-            let after = if n + 1 < count { self.beside[n] * self.right[n + 1] } else { 0.0 };
+            let after = if n + 1 < count { self.neighbours[n] * self.right[n + 1] } else { 0.0 };
             self.right[n] = (self.right[n] - after) / self.diagonal[n];
         }
         self.right

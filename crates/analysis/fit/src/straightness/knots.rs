@@ -202,12 +202,12 @@ impl<'s> KnotSearch<'s> {
         }
         let step = whole / (count + 1) as f64;
         let (mut inner, mut passed, mut n) = (Vec::with_capacity(count), 0.0, 0);
-        for wanted in (1..=count).map(|number| number as f64 * step) {
-            while n + 1 < spans.len() && passed + share(n) < wanted {
+        for requested in (1..=count).map(|number| number as f64 * step) {
+            while n + 1 < spans.len() && passed + share(n) < requested {
                 passed += share(n);
                 n += 1;
             }
-            inner.push(spans[n].0 + (wanted - passed) / density[n]);
+            inner.push(spans[n].0 + (requested - passed) / density[n]);
         }
         self.evaluate(inner)
     }

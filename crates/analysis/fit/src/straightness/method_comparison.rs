@@ -69,7 +69,7 @@ pub struct MethodComparison {
     /// At the positions of the fit.
     pub residual: ResidualSummary,
     /// Fitted to every second position, at the others; `None` where these are fewer than 8.
-    pub left_out: Option<ResidualSummary>,
+    pub held_out: Option<ResidualSummary>,
     /// Largest absolute slope in µm/mm: speed of the correction for a feed of 1 mm/s.
     pub slope_um_per_mm: f64,
     /// Largest absolute curvature in µm/mm². For straight lines a bend over half the distance to
@@ -93,8 +93,8 @@ impl fmt::Display for MethodComparison {
             // + 0.0 turns -0 into 0.
             (mean_um * 100.0).round() / 100.0 + 0.0
         )?;
-        if let Some(left) = &self.left_out {
-            write!(f, "; at positions left out {:.2} µm RMS", left.rms_um)?;
+        if let Some(left) = &self.held_out {
+            write!(f, "; at held-out positions {:.2} µm RMS", left.rms_um)?;
         }
         write!(
             f,
@@ -115,7 +115,7 @@ pub(super) fn compare_methods(fit: &StraightnessFit) -> Vec<MethodComparison> {
     fit_models(fit)
         .into_iter()
         .map(|(way, model)| {
-            let left_out = (halves[1].len() >= MIN_HELD_OUT_SITES).then(|| {
+            let held_out = (halves[1].len() >= MIN_HELD_OUT_SITES).then(|| {
                 let [_, last] = halves[0].end_positions();
                 let half = fit_model(fit, way, &halves[0]);
                 let inside = halves[1].points().filter(|&(x, ..)| x <= last);
@@ -127,7 +127,7 @@ pub(super) fn compare_methods(fit: &StraightnessFit) -> Vec<MethodComparison> {
                 way,
                 coefficients: model.coefficient_count(),
                 residual: model.residual_summary(&fit.sites),
-                left_out,
+                held_out,
                 slope_um_per_mm,
                 curvature_um_per_mm2,
                 corner_um_per_mm: model.max_slope_jump(),
@@ -216,7 +216,7 @@ mod tests {
             way: CurveMethod::Lines,
             coefficients: 9,
             residual,
-            left_out: Some(residual),
+            held_out: Some(residual),
             slope_um_per_mm: 0.5,
             curvature_um_per_mm2: 0.00123,
             corner_um_per_mm: 0.06,
@@ -224,7 +224,7 @@ mod tests {
         assert_eq!(
             row.to_string(),
             "straight lines: 9 coefficients; residual: range 2.00 µm, mean 0.00 µm, mean square 1.000 µm², \
-             largest 1.00 µm; at positions left out 1.00 µm RMS; slope up to 0.5000 µm/mm, \
+             largest 1.00 µm; at held-out positions 1.00 µm RMS; slope up to 0.5000 µm/mm, \
              curvature up to 1.23e-3 µm/mm2; corners of 1.00 µm/s at 1000 mm/min"
         );
     }

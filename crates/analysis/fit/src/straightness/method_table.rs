@@ -109,17 +109,17 @@ impl MethodTable {
 /// Those of [`fit_run`]; a diagonal whose error's own axis moves, that is not straight, or of which a curve is missing.
 pub fn build_method_table(
     runs: &[UncompensatedRun<'_>],
-    asked: &MethodTableOptions<'_>,
+    options: &MethodTableOptions<'_>,
 ) -> Result<MethodTable, BadInput> {
     let mut curves: Vec<StraightnessCurve> = Vec::new();
     let mut diagonals: Vec<Diagonal<'_>> = Vec::new();
     for run in runs {
-        let error = error_axis(run, asked.quantity)?;
+        let error = error_axis(run, options.quantity)?;
         let errors = run.require_column(&error_column(error))?;
         let axes: Vec<LinearAxis> =
             moving_axes(run, errors).into_iter().map(|(axis, _)| axis).collect();
         if axes.len() < 2 {
-            curves.push(fit_run(run, asked.quantity, &asked.options)?);
+            curves.push(fit_run(run, options.quantity, &options.options)?);
         } else {
             diagonals.push(Diagonal { run, error, axes });
         }
@@ -128,11 +128,16 @@ pub fn build_method_table(
         .iter()
         .map(|curve| ModelledCurve { curve, models: fit_models(&curve.fit) })
         .collect();
-    let mut entries: Vec<TableEntry> = all.iter().map(|curve| curve_entry(curve, asked)).collect();
+    let mut entries: Vec<TableEntry> =
+        all.iter().map(|curve| curve_entry(curve, options)).collect();
     for diagonal in &diagonals {
-        entries.push(diagonal.build_entry(&all, asked)?);
+        entries.push(diagonal.build_entry(&all, options)?);
     }
-    Ok(MethodTable { entries, feed_mm_per_min: asked.feed_mm_per_min, cycle_ms: asked.cycle_ms })
+    Ok(MethodTable {
+        entries,
+        feed_mm_per_min: options.feed_mm_per_min,
+        cycle_ms: options.cycle_ms,
+    })
 }
 
 /// A curve by each way.
@@ -147,13 +152,13 @@ impl ModelledCurve<'_> {
     }
 }
 
-fn curve_entry(curve: &ModelledCurve<'_>, asked: &MethodTableOptions<'_>) -> TableEntry {
+fn curve_entry(curve: &ModelledCurve<'_>, options: &MethodTableOptions<'_>) -> TableEntry {
     let sites = &curve.fit().sites;
     let [low_mm, high_mm] = sites.end_positions();
     let rows = curve.models.iter().map(|(way, model)| {
         let share =
             CurveContribution { model, start_mm: low_mm, cosine: 1.0, ends_mm: [low_mm, high_mm] };
-        evaluate_method(*way, &[share], &shift_sites(sites, low_mm), asked)
+        evaluate_method(*way, &[share], &shift_sites(sites, low_mm), options)
     });
     TableEntry {
         name: curve.curve.section_name(),
@@ -180,7 +185,7 @@ impl Diagonal<'_> {
     fn build_entry(
         &self,
         curves: &[ModelledCurve<'_>],
-        asked: &MethodTableOptions<'_>,
+        options: &MethodTableOptions<'_>,
     ) -> Result<TableEntry, BadInput> {
         let error = self.error.name();
         let names: Vec<&str> = self.axes.iter().map(|axis| axis.name()).collect();
@@ -208,7 +213,7 @@ impl Diagonal<'_> {
             })
             .collect::<Result<_, _>>()?;
         let PathReadings { mut sites, starts_mm, cosines } = self.path_readings(&bad)?;
-        sites.subtract_reference(asked.options.reference);
+        sites.subtract_reference(options.options.reference);
         let mut rows = Vec::new();
         for way in CurveMethod::ALL {
             let mut shares = Vec::new();
@@ -221,7 +226,7 @@ impl Diagonal<'_> {
                     ends_mm: curve.fit().sites.end_positions(),
                 }));
             }
-            rows.push(evaluate_method(way, &shares, &sites, asked));
+            rows.push(evaluate_method(way, &shares, &sites, options));
         }
         Ok(TableEntry {
             name: format!("d{error} on the diagonal of {names}"),
@@ -326,11 +331,11 @@ fn evaluate_method(
     way: CurveMethod,
     shares: &[CurveContribution<'_>],
     sites: &Sites,
-    asked: &MethodTableOptions<'_>,
+    options: &MethodTableOptions<'_>,
 ) -> MethodResult {
     let value = |at: f64| shares.iter().map(|share| share.value(at)).sum::<f64>();
     let left: Vec<f64> = sites.points().map(|(at, um, _)| um - value(at)).collect();
-    let feed_mm_per_s = asked.feed_mm_per_min / 60.0;
+    let feed_mm_per_s = options.feed_mm_per_min / 60.0;
     let [first, last] = sites.end_positions();
     let mut speed = Vec::new();
     let mut curvature_most = 0.0_f64;
@@ -349,7 +354,7 @@ fn evaluate_method(
         coefficients: shares.iter().map(|share| share.model.coefficient_count()).sum(),
         left: ResidualError::from_residuals(sites, &left),
         jump_mm_per_s,
-        acceleration_mm_per_s2: bent.max(jump_mm_per_s / (1e-3 * asked.cycle_ms)),
+        acceleration_mm_per_s2: bent.max(jump_mm_per_s / (1e-3 * options.cycle_ms)),
         speed,
     }
 }

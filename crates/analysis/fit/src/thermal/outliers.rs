@@ -14,7 +14,7 @@ impl ThermalData {
             }
             _ => self.find_run_outliers(rows),
         };
-        report.set_aside = rows.excluded_rows(&found, &self.y, &self.measured);
+        report.excluded = rows.excluded_rows(&found, &self.y, &self.measured);
         found.iter().for_each(|outlier| self.y[outlier.row] = f64::NAN);
     }
 
@@ -43,10 +43,10 @@ impl ThermalData {
         };
         let last = runs.iter().copied().max().unwrap_or(0);
         let by_run: Vec<Vec<f64>> = (0..=last).map(of_run).collect();
-        let is_told = |y: &Vec<f64>| {
+        let is_reported = |y: &Vec<f64>| {
             y.iter().filter(|y| !y.is_nan()).count() >= 2 * robust::MIN_ROWS_PER_COLUMN
         };
-        if !by_run.iter().any(is_told) {
+        if !by_run.iter().any(is_reported) {
             return robust::regression_outliers(law, &self.y);
         }
         let found = by_run.iter().flat_map(|y| off(y)).collect();

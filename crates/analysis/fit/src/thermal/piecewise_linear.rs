@@ -42,9 +42,9 @@ pub(super) fn find_piecewise_linear_law(
     groups: Option<&[usize]>,
     lines: &LaggedFit,
 ) -> Option<PiecewiseLinearLaw> {
-    let groups = groups.filter(|_| lines.left_out.is_some());
+    let groups = groups.filter(|_| lines.held_out.is_some());
     let by_groups = search_best_law(data, mode, groups, lines.lag_s)
-        .map(|found| (found, lines.left_out.as_deref(), MIN_HELD_OUT_GAIN));
+        .map(|found| (found, lines.held_out.as_deref(), MIN_HELD_OUT_GAIN));
     let once = || {
         search_best_law(data, mode, None, lines.lag_s)
             .map(|found| (found, Some(lines.residuals.as_slice()), MIN_UNREPEATED_GAIN))
@@ -148,7 +148,7 @@ impl FixedLagData<'_> {
         if self.y.len() < MIN_ROWS_PER_VALUE * columns.len() {
             return None;
         }
-        let left_out = pooled_rows::held_out_residuals(&columns, self.y, groups)?;
-        ResidualStatistics::from_residuals(&left_out).map(|spread| spread.rms_um)
+        let held_out = pooled_rows::held_out_residuals(&columns, self.y, groups)?;
+        ResidualStatistics::from_residuals(&held_out).map(|spread| spread.rms_um)
     }
 }

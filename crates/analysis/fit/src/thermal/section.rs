@@ -14,13 +14,11 @@ pub(super) fn report_inseparable_constants(report: &mut Report, mode: ThermalMod
     }
     report.warnings.push(match mode {
         ThermalMode::Position => {
-            "reference_c and a constant error per metre cannot be told apart: \
-             what the axis's scale is wrong by at every temperature is in reference_c"
+            "reference_c and a constant error per metre cannot be separated: reference_c contains the scale error of the axis that is the same at every temperature"
                 .into()
         }
         ThermalMode::Constant => {
-            "reference_c and the zero of the instrument cannot be told apart: \
-             where the instrument was set to zero is in reference_c"
+            "reference_c and the zero of the instrument cannot be separated: reference_c contains the zero of the instrument"
                 .into()
         }
         ThermalMode::Both => "reference_c takes the instrument to have been at zero, and the \

@@ -91,9 +91,9 @@ impl FittedTable {
         mode: ThermalMode,
         lag_s: f64,
         levels: &[f64],
-        wanted: Option<usize>,
+        requested: Option<usize>,
     ) -> Option<Self> {
-        let knots = match wanted {
+        let knots = match requested {
             Some(count) if count == levels.len() => levels.to_vec(),
             None if levels.len() >= 3 => levels.to_vec(),
             None => return None,
@@ -198,7 +198,7 @@ pub(super) fn held_out_residuals(
 ) -> (Option<Vec<f64>>, String) {
     let columns = design_columns(&data.lagged_temperatures_c(lag_s), &data.arm_m, mode, knots);
     match pooled_rows::held_out_residuals(&columns, &data.y, groups) {
-        Some(left_out) => (Some(left_out), by),
+        Some(held_out) => (Some(held_out), by),
         // Whole runs at one temperature are whole rows of the table: without such a run its row is
         // not decided, and rows must be held out singly.
         None => {

@@ -21,8 +21,8 @@ pub fn build_page(report: &VolumeReport, origin: &Origin) -> Page {
         (true, true) => ("good", "All errors are known"),
         (true, false) => ("open", "Some errors are not known by themselves"),
     };
-    let said = [format!("{known} of {} errors are known.", acting.len())];
-    page.add_card(state, heading, &said);
+    let text = [format!("{known} of {} errors are known.", acting.len())];
+    page.add_card(state, heading, &text);
     let held_out = report.held_out;
     page.add_key_figures(&[
         (

@@ -40,31 +40,34 @@ fn six_and_eleven_micrometres_do_not_become_eight_and_a_half() {
     let text = run(&[(1000.0, 6.0), (200.0, 11.0)], 1);
     let slow = fitted(&text, None);
     assert!((width(&slow) - 11.0).abs() < 0.5, "{:?}", slow.report);
-    let told = slow.report.warnings.join(" ");
+    let warnings = slow.report.warnings.join(" ");
     for part in ["depends on the feed", "µm at 200 mm/min", "at 1000 mm/min -", "--feed"] {
-        assert!(told.contains(part), "{part}: {told}");
+        assert!(warnings.contains(part), "{part}: {warnings}");
     }
     let fast = fitted(&text, Some(1000.0));
     assert!((width(&fast) - 6.0).abs() < 0.5, "{:?}", fast.report);
-    let told = fast.report.warnings.join(" ");
-    assert!(told.contains("at 200 mm/min 5.") || told.contains("at 200 mm/min 4."), "{told}");
+    let warnings = fast.report.warnings.join(" ");
+    assert!(
+        warnings.contains("at 200 mm/min 5.") || warnings.contains("at 200 mm/min 4."),
+        "{warnings}"
+    );
     assert_eq!((slow.report.rows_used, fast.report.rows_used), (42, 42));
 }
 
 #[test]
 fn feeds_that_do_not_differ_are_one_measurement_but_for_one_in_a_hundred() {
-    let mut told = 0;
+    let mut reported = 0;
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     for _ in 0..200 {
         let fit = fitted(&run(&[(1000.0, 6.0), (200.0, 6.0)], rng.random()), None);
         let warned =
             fit.report.warnings.iter().any(|warning| warning.contains("depends on the feed"));
-        told += usize::from(warned);
+        reported += usize::from(warned);
         assert_eq!(fit.report.rows_used, if warned { 42 } else { 84 });
     }
-    println!("told of {told} in 200 without a difference");
+    println!("told of {reported} in 200 without a difference");
     // The 99 % limit of a binomial with 1 %.
-    assert!(told <= 6, "{told}");
+    assert!(reported <= 6, "{reported}");
 }
 
 #[test]
@@ -72,12 +75,14 @@ fn a_feed_that_was_not_measured_is_refused_with_those_that_were() {
     let options =
         |feed| PitchFitOptions { feed_mm_per_min: Some(feed), ..PitchFitOptions::default() };
     let text = run(&[(1000.0, 6.0), (200.0, 11.0)], 1);
-    let said = fit_backlash(&run_of(&text), LinearAxis::X, &options(500.0)).expect_err("not there");
-    assert!(said.rule.contains("but 200, 1000"), "{said}");
+    let message =
+        fit_backlash(&run_of(&text), LinearAxis::X, &options(500.0)).expect_err("not there");
+    assert!(message.rule.contains("but 200, 1000"), "{message}");
     let without = text.replace("feed_mm_per_min", "note");
     let one = without.lines().take(43).collect::<Vec<_>>().join("\n");
-    let said = fit_backlash(&run_of(&one), LinearAxis::X, &options(500.0)).expect_err("no column");
-    assert!(said.rule.contains("feed_mm_per_min"), "{said}");
+    let message =
+        fit_backlash(&run_of(&one), LinearAxis::X, &options(500.0)).expect_err("no column");
+    assert!(message.rule.contains("feed_mm_per_min"), "{message}");
 }
 
 #[test]
@@ -98,9 +103,7 @@ fn one_bad_reading_of_seven_is_excluded_by_its_line_and_the_width_stays() {
             let text: String = text.lines().enumerate().map(spoiled).collect();
             let fit = fitted(&text, None);
             assert!((width(&fit) - 6.0).abs() < 0.5, "{:?}", fit.report);
-            let [excluded] = &fit.report.set_aside[..] else {
-                panic!("{:?}", fit.report.set_aside)
-            };
+            let [excluded] = &fit.report.excluded[..] else { panic!("{:?}", fit.report.excluded) };
             // The header is line 1.
             assert_eq!(excluded.place.line, bad_row + 1);
         }

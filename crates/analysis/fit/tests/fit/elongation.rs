@@ -24,11 +24,11 @@ fn the_papers_table_gives_the_line_that_others_found_and_predict_agrees() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../data/spindle_paper_table1.csv");
     let run = unaided(RunFile::read(&path).expect("a run file"));
     let report = fit(run.clone(), PAPER);
-    let (left_out, in_sample) = (report.left_out.expect("15 rows"), report.in_sample.expect("15"));
-    println!("table 1: {in_sample:?}, left out {left_out:?}");
+    let (held_out, in_sample) = (report.held_out.expect("15 rows"), report.in_sample.expect("15"));
+    println!("table 1: {in_sample:?}, left out {held_out:?}");
     report.parameters.iter().for_each(|parameter| println!("{parameter}"));
-    assert!(in_sample.rms_um < 0.836 && left_out.rms_um < 0.941);
-    assert!((left_out.max_um - 1.87).abs() < 5e-3 && report.set_aside.is_empty());
+    assert!(in_sample.rms_um < 0.836 && held_out.rms_um < 0.941);
+    assert!((held_out.max_um - 1.87).abs() < 5e-3 && report.excluded.is_empty());
     let gain = report.parameter("um_per_count").expect("fitted").value / (500.0 / 32768.0);
     assert!((gain - 1.2975).abs() < 1e-4, "{gain}");
     let before = report.facts.iter().find(|fact| fact.name == "machine_file_rms_um");
@@ -72,9 +72,13 @@ fn gross_errors_are_listed_with_their_lines_and_do_not_move_the_fit() {
     (y[10], y[33], y[59]) = (300.0, -50.0, 0.0);
     let run = run(&[("sensor_counts", &counts), ("measured_elongation_um", &y)]);
     let report = fit(run.clone(), PAPER);
-    let lines: Vec<usize> = report.set_aside.iter().map(|row| row.place.line).collect();
+    let lines: Vec<usize> = report.excluded.iter().map(|row| row.place.line).collect();
     assert_eq!(lines, [12, 35, 61]);
-    assert!(report.set_aside[0].to_string().starts_with("run.csv:12:6: set aside, 300 µm is "));
+    assert!(
+        report.excluded[0]
+            .to_string()
+            .starts_with("run.csv:12:6: excluded as an outlier, 300 µm is  ")
+    );
     assert_holds(&report, "um_per_count", 0.02);
     assert_holds(&report, "k0_um", -2.0);
     assert_round_trip(&report, PAPER, &run, 0);
@@ -123,8 +127,8 @@ fn a_lagging_temperature_is_found_with_its_lag() {
         assert_holds(&report, name, truth);
     }
     assert!((report.in_sample.expect("rows").rms_um - 0.3).abs() < 0.03);
-    assert!(report.left_out.expect("blocks").rms_um < 0.33);
-    assert_eq!(report.left_out_by, "each of 5 blocks of time in turn");
+    assert!(report.held_out.expect("blocks").rms_um < 0.33);
+    assert_eq!(report.held_out_by, "each of 5 blocks of time in turn");
     assert_round_trip(&report, MACHINE, &run, 0);
 }
 
@@ -150,8 +154,8 @@ fn a_range_in_which_the_sensor_is_another_is_no_gross_error() {
     y[10] += 80.0;
     let run = run(&[("sensor_counts", &counts), ("measured_elongation_um", &y)]);
     let report = fit(run, PAPER);
-    assert_eq!(report.set_aside.len(), 1, "{:?}", report.set_aside);
-    assert!(report.set_aside[0].place.to_string().contains(":12:"), "{:?}", report.set_aside);
+    assert_eq!(report.excluded.len(), 1, "{:?}", report.excluded);
+    assert!(report.excluded[0].place.to_string().contains(":12:"), "{:?}", report.excluded);
     assert!(
         report.warnings.iter().any(|warning| warning.contains("follow a curve")),
         "{:?}",
@@ -185,10 +189,10 @@ fn a_lag_that_fits_better_but_predicts_worse_is_not_taken() {
     };
     let report =
         elongation::fit_elongation(std::slice::from_ref(&run), None, &options).expect("a fit");
-    println!("spindle_sjtu: {:?}, left out {:?}", report.in_sample, report.left_out);
+    println!("spindle_sjtu: {:?}, left out {:?}", report.in_sample, report.held_out);
     report.parameters.iter().for_each(|parameter| println!("{parameter}"));
     report.warnings.iter().for_each(|warning| println!("{warning}"));
-    assert!(report.left_out.expect("blocks").rms_um < report.before.expect("rows").rms_um);
+    assert!(report.held_out.expect("blocks").rms_um < report.before.expect("rows").rms_um);
     assert_round_trip(&report, MACHINE, &run, 0);
 }
 
@@ -245,5 +249,5 @@ fn campaign_a_million_rows_are_fitted() {
     let report = fit(run, PAPER);
     println!("{rows} rows by the sensor: {:.1} s", since.elapsed().as_secs_f64());
     assert_holds(&report, "um_per_count", 0.02);
-    assert_eq!(report.rows_used + report.set_aside.len(), 1_000_000);
+    assert_eq!(report.rows_used + report.excluded.len(), 1_000_000);
 }

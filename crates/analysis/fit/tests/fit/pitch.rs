@@ -126,7 +126,7 @@ fn a_constant_alone_is_no_position_error() {
 }
 
 #[test]
-fn a_shape_that_repeats_under_shifts_from_run_to_run_is_told() {
+fn a_shape_that_repeats_under_shifts_from_run_to_run_is_reported() {
     let shifts = [-60.0, 45.0, 10.0, -25.0, 70.0];
     let run = run_of(&sweeps(5, &UNEVEN, |run, x, _| shape(x) + shifts[run - 1]));
     let FitVerdict::DoNotCompensate(reasons) =
@@ -152,7 +152,7 @@ fn without_a_run_column_the_order_of_rows_gives_the_same_fit() {
     ] {
         let (with, without) = (fitted(&run_of(&text), &options), fitted(&run_of(&bare), &options));
         assert_eq!(with.pitch, without.pitch);
-        assert_eq!(with.report.left_out, without.report.left_out);
+        assert_eq!(with.report.held_out, without.report.held_out);
     }
 }
 
@@ -199,7 +199,7 @@ fn one_pass_is_taken_over_with_its_repeatability_unknown() {
     let pitch = fit.pitch.expect("fitted");
     assert!((pitch.forward_um[3] - shape(51.0)).abs() < 1e-3);
     assert!(fit.report.warnings[0].contains("only one run"));
-    assert!(fit.iso230.is_none() && fit.report.left_out.is_none());
+    assert!(fit.iso230.is_none() && fit.report.held_out.is_none());
     let one_way = sweeps(1, &targets, |_, x, _| shape(x));
     let forward: Vec<&str> = one_way.lines().filter(|line| !line.contains(",-1,")).collect();
     let fit = fitted(&run_of(&(forward.join("\n") + "\n")), &PitchFitOptions::default());
@@ -208,8 +208,12 @@ fn one_pass_is_taken_over_with_its_repeatability_unknown() {
     for (value, x) in pitch.forward_um.iter().zip(&targets) {
         assert!((value - shape(*x)).abs() < 1e-3, "{value} at {x} mm");
     }
-    assert!(fit.report.warnings[0].contains("repeatability unknown"), "{:?}", fit.report.warnings);
-    assert!(fit.report.left_out.is_none() && fit.report.in_sample.is_none());
+    assert!(
+        fit.report.warnings[0].contains("the repeatability and the gain of the table are unknown"),
+        "{:?}",
+        fit.report.warnings
+    );
+    assert!(fit.report.held_out.is_none() && fit.report.in_sample.is_none());
     assert!(!fit.report.edit.is_empty());
     // The order of one pass says its direction; of positions that come back it must be stated.
     let no_way = |rows: &str| run_of(&format!("x_mm,measured_dx_um\n{rows}"));
@@ -226,7 +230,7 @@ fn one_pass_is_taken_over_with_its_repeatability_unknown() {
     let back = no_way("0,3\n10,1\n20,-2\n10,2\n0,3\n");
     let refused = trueup_fit::pitch::fit(&back, LinearAxis::X, &PitchFitOptions::default())
         .expect_err("dir_x is missing");
-    assert!(refused.rule.contains("from which side"), "{refused}");
+    assert!(refused.rule.contains("the side from which"), "{refused}");
     // Two places always lie on a line.
     let two = "x_mm,dir_x,measured_dx_um\n0,1,3\n100,1,-2\n";
     let fit = fitted(&run_of(two), &PitchFitOptions::default());
@@ -236,7 +240,7 @@ fn one_pass_is_taken_over_with_its_repeatability_unknown() {
 }
 
 #[test]
-fn two_bad_readings_of_thirty_are_set_aside_with_their_places() {
+fn two_bad_readings_of_thirty_are_excluded_with_their_places() {
     let mut noise = noise(9, 0.5);
     let targets: Vec<f64> = (0..5).map(|n| 10.0 * f64::from(n)).collect();
     let run = run_of(&sweeps(3, &targets, |run, x, dir| {
@@ -244,9 +248,9 @@ fn two_bad_readings_of_thirty_are_set_aside_with_their_places() {
         shape(9.0 * x) * dir + bad + noise()
     }));
     let fit = fitted(&run, &PitchFitOptions::default());
-    assert_eq!(fit.report.set_aside.len(), 2);
-    println!("{}", fit.report.set_aside[0]);
-    assert!(fit.report.set_aside[0].place.to_string().starts_with("r.csv:10:"));
+    assert_eq!(fit.report.excluded.len(), 2);
+    println!("{}", fit.report.excluded[0]);
+    assert!(fit.report.excluded[0].place.to_string().starts_with("r.csv:10:"));
     let pitch = fit.pitch.expect("it repeats");
     let reverse_um = pitch.reverse_um.expect("the directions differ");
     for (n, x) in targets.iter().enumerate() {
@@ -255,7 +259,7 @@ fn two_bad_readings_of_thirty_are_set_aside_with_their_places() {
 }
 
 #[test]
-fn one_direction_gives_one_table_and_says_so() {
+fn one_direction_gives_one_table_and_reports_it() {
     let text = sweeps(3, &UNEVEN, |run, x, _| shape(x) + 0.1 * run as f64);
     let forward: String = text
         .lines()
@@ -342,8 +346,8 @@ fn check_record(run: &UncompensatedRun<'_>) {
         run.row_count(),
         off.len(),
         rms(&off),
-        fit.report.left_out,
-        fit.report.left_out_by
+        fit.report.held_out,
+        fit.report.held_out_by
     );
     assert!(rms(&off) < 0.3 && (width_um - 5.0).abs() < 0.1);
 }
@@ -362,6 +366,6 @@ fn campaign_a_million_rows_are_fitted() {
     let run = run_of(&sweeps(1000, &targets, |run, x, dir| shape(x) - dir + (run % 7) as f64));
     let fit =
         fitted(&run, &PitchFitOptions { ways: TableMode::Automatic, ..PitchFitOptions::default() });
-    println!("{} rows of {} targets: {:?}", run.row_count(), targets.len(), fit.report.left_out);
+    println!("{} rows of {} targets: {:?}", run.row_count(), targets.len(), fit.report.held_out);
     assert!((fit.backlash.expect("it repeats").width_um - 2.0).abs() < 1e-3);
 }

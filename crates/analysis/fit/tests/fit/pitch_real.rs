@@ -37,7 +37,7 @@ fn tested(run: &UncompensatedRun<'_>, name: &str, ways: TableMode) -> f64 {
         "{name}, {ways:?}: runs 4-5 from {:.2} to {um:.3} µm rms, {largest:.2} µm at most; left out of 1-3 {:.3}; \
          reverse table {}, width {:?}",
         rms(&before),
-        fit.report.left_out.expect("three runs").rms_um,
+        fit.report.held_out.expect("three runs").rms_um,
         fit.pitch.is_some_and(|pitch| pitch.reverse_um.is_some()),
         fit.backlash.map(|backlash| backlash.width_um),
     );
@@ -46,11 +46,11 @@ fn tested(run: &UncompensatedRun<'_>, name: &str, ways: TableMode) -> f64 {
 
 #[test]
 fn runs_that_were_not_fitted_are_corrected_to_the_repeatability_of_the_axis() {
-    for (name, wanted_um) in [("x.csv", 5.3), ("z.csv", 1.25)] {
+    for (name, expected_um) in [("x.csv", 5.3), ("z.csv", 1.25)] {
         let Some(run) = measured(name) else { return };
         for ways in [TableMode::Automatic, TableMode::One, TableMode::Both] {
             let um = tested(&run, name, ways);
-            assert!(um <= wanted_um, "{name} {ways:?}: {um}");
+            assert!(um <= expected_um, "{name} {ways:?}: {um}");
         }
     }
 }
@@ -81,7 +81,7 @@ fn a_control_that_over_compensates_has_a_negative_backlash() {
         fit_backlash(&run, LinearAxis::X, &PitchFitOptions::default()).expect("it can be read");
     let width_um = fit.backlash.expect("it repeats").width_um;
     let facts: Vec<_> = fit.report.facts.iter().map(|fact| (&fact.name, &fact.value)).collect();
-    println!("x: {:?} {:?} {facts:?}", fit.report.parameters, fit.report.left_out);
+    println!("x: {:?} {:?} {facts:?}", fit.report.parameters, fit.report.held_out);
     println!("{}", fit.report.warnings.join("\n"));
     assert!((width_um + 25.0).abs() < 1.0, "{width_um}");
     assert!(fit.depends_on_position);

@@ -75,7 +75,7 @@ fn a_list_that_is_sorted_by_position_is_read() {
 }
 
 #[test]
-fn a_row_with_an_empty_cell_is_left_out_and_counted() {
+fn a_row_with_an_empty_cell_is_omitted_and_counted() {
     let text = "run,x_mm,dir_x,measured_dx_um\n1,0,1,1\n1,5,1,\n1,,1,2\n1,10,1,2\n1,15,nan,2\n,20,1,2\n\
                 2,0,1,1\n2,5,1,4\n2,10,1,2\n";
     let report =
@@ -84,9 +84,9 @@ fn a_row_with_an_empty_cell_is_left_out_and_counted() {
 }
 
 #[test]
-fn runs_that_are_not_there_cannot_be_wanted() {
+fn runs_that_are_not_there_cannot_be_selected() {
     let text = "run,x_mm,dir_x,measured_dx_um\n1,0,1,1\n1,5,1,2\n";
     let options = PitchFitOptions { runs: Some(vec![7.0]), ..PitchFitOptions::default() };
     let error = fit(&run_of(text), LinearAxis::X, &options).expect_err("no run 7").to_string();
-    assert!(error.contains("no row of the wanted runs"), "{error}");
+    assert!(error.contains("no row of the selected runs"), "{error}");
 }

@@ -104,7 +104,7 @@ fn noise_alone_is_no_curve() {
 }
 
 #[test]
-fn a_tolerance_below_the_noise_stops_at_the_noise_and_says_so() {
+fn a_tolerance_below_the_noise_stops_at_the_noise_and_reports_it() {
     const NOISE_UM: f64 = 1.0;
     let truth = |x: f64| 40.0 * (TAU * x / 2_000.0).sin() + 15.0 * (TAU * x / 700.0).cos();
     let x = every(10.0, 2_000.0);
@@ -270,7 +270,7 @@ fn the_moving_axis_and_the_quantity_are_found() {
 }
 
 #[test]
-fn what_is_wrong_with_a_run_is_told_with_its_place() {
+fn what_is_wrong_with_a_run_is_reported_with_its_place() {
     let row = |n: u32| f64::from(n) * 100.0;
     let rows = |line: &dyn Fn(f64) -> String| (0..9).map(|n| line(row(n))).collect::<String>();
     for (text, quantity, complaint) in [
@@ -313,7 +313,7 @@ fn what_is_wrong_with_a_run_is_told_with_its_place() {
 }
 
 #[test]
-fn positions_that_look_like_metres_are_told() {
+fn positions_that_look_like_metres_are_reported() {
     let rows: String = (0..20).map(|n| format!("{},{n}\n", f64::from(n) * 0.7)).collect();
     let curve = from_csv(&format!("x_mm,measured_dz_um\n{rows}"), None).expect("sound");
     assert!(curve.fit.warnings[0].contains("metres"), "{:?}", curve.fit.warnings);
@@ -346,7 +346,7 @@ fn a_bad_reading_among_three_passes_is_excluded_by_its_line_and_bends_no_curve()
         &StraightnessFitOptions::default(),
     );
     let report = report.expect("a curve");
-    let [excluded] = &report.set_aside[..] else { panic!("{:?}", report.set_aside) };
+    let [excluded] = &report.excluded[..] else { panic!("{:?}", report.excluded) };
     assert_eq!((excluded.place.line, report.rows_used, report.rows_incomplete), (32, 62, 0));
     assert!(report.in_sample.is_some_and(|statistics| statistics.max_um < 1.5), "{report:?}");
 }

@@ -24,7 +24,7 @@ fn print(table: &[MethodComparison]) {
             row.residual.mean_um,
             row.residual.mean_square_um2,
             row.residual.largest_um,
-            row.left_out.map_or(f64::NAN, |left| left.rms_um),
+            row.held_out.map_or(f64::NAN, |left| left.rms_um),
             row.slope_um_per_mm,
             row.curvature_um_per_mm2,
         );
@@ -71,7 +71,7 @@ fn each_of_the_six_curves_is_within_the_papers_residual_with_fewer_coefficients(
             }
             assert_eq!(fit.stopped, StopReason::Tolerance);
             assert!(fit.residual.largest_um <= tolerance_um);
-            assert!(fit.residual.largest_um < 0.1 * range_um, "90 % of the error is foreseen");
+            assert!(fit.residual.largest_um < 0.1 * range_um, "90 % of the error is predicted");
             assert_eq!(fit.spline.validate(), Ok(()));
             assert!(own <= paper, "the paper's way takes {paper}");
             // Its points with control values by least squares: where they are within as well.

@@ -59,12 +59,14 @@ fn diagonal(set: u64, error: &str, pair: [usize; 2]) -> UncompensatedRun<'static
 fn table(set: u64, error: &str, pair: [usize; 2]) -> (MethodTable, f64) {
     let [first, second] = pair.map(|number| curve(set, number).1);
     let tolerance_um = CURVES[pair[0]].4.min(CURVES[pair[1]].4);
-    let table =
-        build_method_table(&[first, second, diagonal(set, error, pair)], &asked(tolerance_um));
+    let table = build_method_table(
+        &[first, second, diagonal(set, error, pair)],
+        &options_with_tolerance(tolerance_um),
+    );
     (table.expect("a table"), tolerance_um)
 }
 
-fn asked(tolerance_um: f64) -> MethodTableOptions<'static> {
+fn options_with_tolerance(tolerance_um: f64) -> MethodTableOptions<'static> {
     let options = StraightnessFitOptions {
         tolerance_um: Some(tolerance_um),
         ..StraightnessFitOptions::default()
@@ -168,7 +170,8 @@ fn the_papers_order_of_the_ways_where_its_reason_holds() {
 fn a_curve_within_half_of_5_um_keeps_5_um_in_any_metre() {
     // Whatever is within ±ε differs by 2ε at most, over a metre or over the whole way.
     for (set, number) in [(0, 0), (1, 1), (2, 2)] {
-        let table = build_method_table(&[curve(set, number).1], &asked(2.5)).expect("a table");
+        let table = build_method_table(&[curve(set, number).1], &options_with_tolerance(2.5))
+            .expect("a table");
         let own = of(&table.entries[0], CurveMethod::LeastSquares);
         assert!(own.left.over_a_metre_um <= 5.0, "{}", own.left.over_a_metre_um);
         assert!(table.entries[0].without.over_a_metre_um > 5.0);
@@ -210,7 +213,7 @@ fn no_control_is_as_late_as_the_papers_27_um_of_lines_would_need() {
 fn a_metre_is_counted_where_it_is_and_not_beyond() {
     // A step of 6 µm within 1500 mm: none of it within 1000 mm but a slope of 4.
     let text = "x_mm,measured_dz_um\n0,0\n500,0\n1000,2\n1500,4\n2000,6\n2500,6\n3000,6\n3500,6\n";
-    let table = build_method_table(&[run(text)], &asked(0.5)).expect("a table");
+    let table = build_method_table(&[run(text)], &options_with_tolerance(0.5)).expect("a table");
     assert_eq!(table.entries[0].without.over_a_metre_um, 4.0);
     assert_eq!(table.entries[0].without.residual.range_um, 6.0);
     assert_eq!(table.entries[0].without.step_um, 2.0);
@@ -221,7 +224,11 @@ fn a_roof_of_lines_jumps_by_what_the_hand_finds() {
     // 1 µm in 100 mm up and down: the slope changes by 0.02 µm/mm; at 6000 mm/min, 100 mm/s, by 2 µm/s, and in a cycle of
     // 2 ms that asks 1 mm/s².
     let text = "x_mm,measured_dz_um\n0,0\n50,0.5\n100,1\n150,0.5\n200,0\n";
-    let fast = MethodTableOptions { feed_mm_per_min: 6000.0, cycle_ms: 2.0, ..asked(5.0) };
+    let fast = MethodTableOptions {
+        feed_mm_per_min: 6000.0,
+        cycle_ms: 2.0,
+        ..options_with_tolerance(5.0)
+    };
     let table = build_method_table(&[run(text)], &fast).expect("a table");
     let lines = of(&table.entries[0], CurveMethod::Lines);
     assert!((lines.jump_mm_per_s - 0.002).abs() < 1e-12, "{}", lines.jump_mm_per_s);
@@ -241,7 +248,7 @@ fn a_roof_of_lines_jumps_by_what_the_hand_finds() {
 #[test]
 fn the_papers_way_begins_with_ten_points_and_the_eleventh_joins() {
     let (_, run) = curve(0, 0);
-    let table = build_method_table(&[run], &asked(9.0)).expect("a table");
+    let table = build_method_table(&[run], &options_with_tolerance(9.0)).expect("a table");
     let steps = &table.entries[0].steps;
     println!("control points and the largest residual in µm: {steps:.2?}");
     let counts: Vec<usize> = steps.iter().map(|(points, _)| *points).collect();
@@ -254,11 +261,13 @@ fn the_papers_way_begins_with_ten_points_and_the_eleventh_joins() {
 #[test]
 fn a_diagonal_without_its_curves_or_off_its_line_is_refused() {
     let diagonal = || run("x_mm,y_mm,measured_dz_um\n0,0,0\n150,200,1\n300,400,2\n450,600,1\n");
-    let error = build_method_table(&[diagonal()], &asked(1.0)).expect_err("no curves");
+    let error =
+        build_method_table(&[diagonal()], &options_with_tolerance(1.0)).expect_err("no curves");
     assert!(error.rule.contains("give the run of z over x alone"), "{error}");
     let bent = run("x_mm,y_mm,measured_dz_um\n0,0,0\n150,220,1\n300,400,2\n450,600,1\n");
     let along = |axis| run(&format!("{axis}_mm,measured_dz_um\n0,0\n200,1\n400,1\n600,0\n"));
-    let error = build_method_table(&[along("x"), along("y"), bent], &asked(1.0)).expect_err("bent");
+    let error = build_method_table(&[along("x"), along("y"), bent], &options_with_tolerance(1.0))
+        .expect_err("bent");
     assert!(error.rule.contains("off the straight line"), "{error}");
 }
 

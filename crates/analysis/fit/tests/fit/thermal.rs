@@ -164,8 +164,8 @@ fn the_eleven_missed_homings_of_the_voron_are_found_and_listed() {
         ..thermal::ThermalFitOptions::default()
     };
     let report = thermal::fit(&[run], LinearAxis::Z, None, &options).expect("a fit");
-    report.set_aside.iter().for_each(|row| println!("{row}"));
-    let lines: Vec<usize> = report.set_aside.iter().map(|row| row.place.line).collect();
+    report.excluded.iter().for_each(|row| println!("{row}"));
+    let lines: Vec<usize> = report.excluded.iter().map(|row| row.place.line).collect();
     assert_eq!(lines, [16, 17, 77, 145, 213, 326, 395, 402, 462, 523, 548]);
     assert!(report.in_sample.expect("rows").max_um < 200.0);
 }
@@ -180,9 +180,9 @@ fn the_other_runs_of_the_voron_lose_no_row() {
             ..thermal::ThermalFitOptions::default()
         };
         let report = thermal::fit(&[run], LinearAxis::Z, None, &options).expect("a fit");
-        println!("{name}: {:?}, left out {:?}", report.in_sample, report.left_out);
-        report.set_aside.iter().for_each(|row| println!("{row}"));
-        assert!(report.set_aside.is_empty());
+        println!("{name}: {:?}, left out {:?}", report.in_sample, report.held_out);
+        report.excluded.iter().for_each(|row| println!("{row}"));
+        assert!(report.excluded.is_empty());
     }
 }
 
@@ -304,10 +304,10 @@ fn a_cold_regime_is_a_bend_and_no_gross_error() {
     let report =
         thermal::fit(&[parse(&text)], LinearAxis::X, None, &thermal::ThermalFitOptions::default());
     let report = report.expect("a fit");
-    let aside: Vec<String> = report.set_aside.iter().map(ToString::to_string).collect();
+    let aside: Vec<String> = report.excluded.iter().map(ToString::to_string).collect();
     assert!(aside.len() == 1 && aside[0].contains(":47:"), "{aside:?}");
-    println!("{:?}", report.left_out);
-    assert!(report.left_out.expect("blocks").rms_um < 0.6);
+    println!("{:?}", report.held_out);
+    assert!(report.held_out.expect("blocks").rms_um < 0.6);
     let rows = report.facts.iter().find(|fact| fact.name == "table_c").expect("a table");
     let FactValue::Numbers(rows) = &rows.value else { panic!("{rows:?}") };
     assert!(rows.len() == 3 && (rows[1] - 12.0).abs() < 0.5, "{rows:?}");
@@ -331,7 +331,7 @@ fn a_kink_over_the_temperature_is_found_and_a_line_stays_a_line() {
             &thermal::ThermalFitOptions::default(),
         );
         let report = fit.expect("a fit");
-        let left_um = report.left_out.expect("blocks").rms_um;
+        let left_um = report.held_out.expect("blocks").rms_um;
         println!("{below}: {left_um}");
         assert!(left_um < 0.95, "{left_um}");
         let rows = report.facts.iter().find(|fact| fact.name == "table_c");
@@ -340,6 +340,6 @@ fn a_kink_over_the_temperature_is_found_and_a_line_stays_a_line() {
             _ => 0,
         });
         assert_eq!(count, rows_of_table);
-        assert!(report.set_aside.is_empty());
+        assert!(report.excluded.is_empty());
     }
 }

@@ -58,7 +58,7 @@ fn the_lag_the_time_constant_and_the_growth_are_found_from_one_record() {
     let model = applied(&report, MACHINE).spindle.warmup.expect("written");
     assert!((model.max_um - 80.0).abs() < 1.5, "{model:?}");
     // Without its first fifth a record does not show the lag: blocks cost more than the noise.
-    assert!(report.left_out.expect("blocks").rms_um < 1.0, "{report:?}");
+    assert!(report.held_out.expect("blocks").rms_um < 1.0, "{report:?}");
     assert_round_trip(&report, MACHINE, &run, 0);
     assert_eq!(applied(&report, MACHINE).spindle.source, Some(ElongationSource::Warmup));
 }
@@ -77,7 +77,7 @@ fn a_clear_end_of_the_growth_gives_the_warm_time_and_the_exponent_themselves() {
 
 /// The record alone does not show it; the closed form must agree with it all the same.
 #[test]
-fn without_an_end_the_exponent_is_set_and_said_to_be() {
+fn without_an_end_the_exponent_is_set_and_reported() {
     let truth = Warmup { warm_s: 40_000.0, exponent: 30.0, ..TRUTH };
     let run = recorded(&truth, 60.0, 90, |_| 24_000.0, 0.2, 3);
     let report = fit(std::slice::from_ref(&run));
@@ -115,7 +115,7 @@ fn speeds_and_stops_give_the_speed_exponent_and_the_cooling() {
     assert_holds(&report, "cool_s", 2500.0);
     assert_holds(&report, "time_constant_s", 1200.0);
     assert_holds(&report, "lag_s", 60.0);
-    assert_eq!(report.left_out_by, "each of 2 files in turn");
+    assert_eq!(report.held_out_by, "each of 2 files in turn");
     let model = applied(&report, MACHINE);
     for run in [&one, &other] {
         assert!(predicted_rms(&model, run, 0, |_| true) < 0.4);
@@ -132,19 +132,19 @@ fn each_speed_alone_is_reported_where_each_has_its_run() {
         })
         .collect();
     let report = fit(&runs);
-    let said: Vec<String> = report
+    let texts: Vec<String> = report
         .facts
         .iter()
         .filter(|fact| fact.name.starts_with("run_"))
         .map(|fact| format!("{:?}", fact.value))
         .collect();
-    println!("{said:?}");
-    assert!(said[0].contains("12000 r/min") && said[1].contains("24000 r/min"));
+    println!("{texts:?}");
+    assert!(texts[0].contains("12000 r/min") && texts[1].contains("24000 r/min"));
     assert_holds(&report, "speed_exponent", 1.0);
 }
 
 #[test]
-fn an_instrument_that_was_not_at_zero_is_taken_off_and_said() {
+fn an_instrument_that_was_not_at_zero_is_taken_off_and_reported() {
     let run = recorded(&TRUTH, 30.0, 240, |_| 1.0, 0.2, 6);
     let y: Vec<f64> =
         run.column("measured_elongation_um").expect("there").iter().map(|y| y + 12.0).collect();
@@ -163,7 +163,7 @@ fn gross_errors_are_listed_and_do_not_move_the_fit() {
     (y[40], y[41], y[90]) = (-300.0, -300.0, 500.0);
     let run = crate::support::run(&[("time_s", &time), ("measured_elongation_um", &y)]);
     let report = fit(std::slice::from_ref(&run));
-    let lines: Vec<usize> = report.set_aside.iter().map(|row| row.place.line).collect();
+    let lines: Vec<usize> = report.excluded.iter().map(|row| row.place.line).collect();
     assert_eq!(lines, [42, 43, 92]);
     assert_holds(&report, "time_constant_s", 1335.0);
     assert_round_trip(&report, MACHINE, &run, 0);

@@ -91,7 +91,7 @@ fn the_mean_scale_is_open_where_the_scale_of_the_artefact_is_not_stated() {
 }
 
 #[test]
-fn a_gross_reading_is_set_aside_and_changes_nothing() {
+fn a_gross_reading_is_excluded_and_changes_nothing() {
     let mut machine = Drawn::of_size(0, 1.0);
     let text = plates(&mut machine, 2);
     let mut lines: Vec<String> = text.lines().map(str::to_string).collect();
@@ -100,8 +100,8 @@ fn a_gross_reading_is_set_aside_and_changes_nothing() {
     lines[40] = spoilt;
     let believed = file(&machine.file);
     let [with, without] = [lines.join("\n"), text].map(|text| fit(&text, &believed, &STATED));
-    assert_eq!(with.set_aside.len(), 1, "{:?}", with.set_aside);
-    assert_eq!((with.set_aside[0].place.line, without.set_aside.len()), (41, 0));
+    assert_eq!(with.excluded.len(), 1, "{:?}", with.excluded);
+    assert_eq!((with.excluded[0].place.line, without.excluded.len()), (41, 0));
     assert!((of(&with, "EAX").size - of(&without, "EAX").size).abs() < 0.5);
 }
 
@@ -201,8 +201,8 @@ fn an_angle_that_was_a_line_goes_on_beyond_what_was_measured() {
     assert!((beyond - at_end - 4.05).abs() < 0.02, "{at_end} µm, {beyond} µm beyond");
     assert!(!warnings.iter().any(|warning| warning.contains("was a line")), "{warnings:?}");
     let (_, warnings) = roll_um(&text(""), 600.0);
-    let said = "angular.eax was a line and is a curve now: below x 150 mm and above 450 mm";
-    assert!(warnings.iter().any(|warning| warning.contains(said)), "{warnings:?}");
+    let message = "angular.eax was a line and is a curve now: below x 150 mm and above 450 mm";
+    assert!(warnings.iter().any(|warning| warning.contains(message)), "{warnings:?}");
 }
 
 #[test]

@@ -66,10 +66,10 @@ pub(super) fn recommend_next_measurement(
         .map_or(ExplanatoryVariable::Nothing, |entry| entry.0);
     let on = match cause {
         ExplanatoryVariable::Nothing => "It is the same whatever the machine does",
-        ExplanatoryVariable::Growth => "It goes with the growth",
-        ExplanatoryVariable::Speed => "It goes with the speed",
-        ExplanatoryVariable::Position => "It goes with the position",
-        ExplanatoryVariable::Direction => "It goes with the direction of approach",
+        ExplanatoryVariable::Growth => "It depends on the growth",
+        ExplanatoryVariable::Speed => "It depends on the speed",
+        ExplanatoryVariable::Position => "It depends on the position",
+        ExplanatoryVariable::Direction => "It depends on the direction of approach",
     };
     format!("{on}: {}", recommend_measurement(apart.compared, cause, machine))
 }
@@ -118,7 +118,7 @@ fn recommend_measurement(
                 _ => "record a warm-up from cold (trueup program warmup)".into(),
             };
             format!(
-                "the sensor and the model differ, and only a measurement says which is off: read the sensor, {touch_off}, and {other}."
+                "the sensor and the model differ, and only a measurement shows which is wrong: read the sensor, {touch_off}, and {other}."
             )
         }
     }

@@ -231,11 +231,11 @@ pub fn monitor_calibration(
     machine: &Machine,
     calibrated: &RunFile,
     run: &RunFile,
-    wanted: Option<Quantity>,
+    quantity: Option<Quantity>,
     false_alarm_h: f64,
 ) -> Result<CalibrationReport, BadInput> {
-    let then = prediction_residuals(machine, calibrated, wanted)?;
-    let now = prediction_residuals(machine, run, wanted)?;
+    let then = prediction_residuals(machine, calibrated, quantity)?;
+    let now = prediction_residuals(machine, run, quantity)?;
     let bad = |rule: String| calibrated.value_error(0, &then.column, rule);
     let row_s = sampling_interval_s(calibrated, &then.apart_um);
     let noise = BaselineNoise::with_gaps(&sampling_gaps(calibrated, &then.apart_um, row_s), row_s)
@@ -279,7 +279,7 @@ struct Residuals {
 fn prediction_residuals(
     machine: &Machine,
     run: &RunFile,
-    wanted: Option<Quantity>,
+    requested: Option<Quantity>,
 ) -> Result<Residuals, BadInput> {
     let by = |source: Option<ElongationSource>, quantity: Quantity| {
         let mut machine = machine.clone();
@@ -314,15 +314,18 @@ fn prediction_residuals(
             by(Some(model), quantity)?,
         )
     } else {
-        let quantity = measured_quantity(run, wanted)?;
+        let quantity = measured_quantity(run, requested)?;
         let name = format!("measured_{}_um", quantity.name());
         let compared =
             quantity.axis().map_or(ComparisonKind::Growth(spindle.source), ComparisonKind::Axis);
         let measured_um = run.require_column(&name)?.to_vec();
         (compared, name, measured_um, by(spindle.source, quantity)?)
     };
-    let apart_um =
-        measured_um.iter().zip(&predicted_um).map(|(measured, said)| measured - said).collect();
+    let apart_um = measured_um
+        .iter()
+        .zip(&predicted_um)
+        .map(|(measured, predicted)| measured - predicted)
+        .collect();
     Ok(Residuals { compared, column, apart_um, predicted_um })
 }
 

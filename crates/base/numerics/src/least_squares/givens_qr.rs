@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn two_columns_give_the_line_and_its_left_out_residuals() {
+    fn two_columns_give_the_line_and_its_held_out_residuals() {
         let (x, y) = data();
         let line = fit_line(&x, &y).expect("spread data");
         let mut triangle = GivensQr::new(2);
@@ -231,10 +231,10 @@ mod tests {
         assert!((solution.coefficients[1] - line.gain).abs() < 1e-12);
         let squares: f64 = line.residuals.iter().map(|residual| residual * residual).sum();
         assert!((solution.residual_squares - squares).abs() < 1e-10);
-        for (row, left_out) in line.leave_one_out_residuals.iter().enumerate() {
+        for (row, held_out) in line.leave_one_out_residuals.iter().enumerate() {
             let at = [1.0, x[row] - 1e4];
             let own = (y[row] - solution.predict(&at)) / (1.0 - solution.leverage(&at));
-            assert!((own - left_out).abs() < 1e-10, "row {row}");
+            assert!((own - held_out).abs() < 1e-10, "row {row}");
         }
     }
 

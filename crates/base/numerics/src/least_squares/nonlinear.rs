@@ -139,11 +139,11 @@ impl NonlinearFit {
     pub fn leave_one_out_residuals(&self) -> Vec<f64> {
         let Ok(linear) = &self.linear else { return vec![f64::NAN; self.residuals.len()] };
         let mut at = vec![0.0; self.parameters.len()];
-        let left_out = |(row, residual): (usize, &f64)| {
+        let held_out = |(row, residual): (usize, &f64)| {
             at.iter_mut().zip(&self.derivatives).for_each(|(at, column)| *at = column[row]);
             residual / (1.0 - linear.leverage(&at)).max(f64::EPSILON)
         };
-        self.residuals.iter().enumerate().map(left_out).collect()
+        self.residuals.iter().enumerate().map(held_out).collect()
     }
 }
 
@@ -394,7 +394,7 @@ mod tests {
     }
 
     #[test]
-    fn the_left_out_residuals_are_those_of_fitting_again() {
+    fn the_held_out_residuals_are_those_of_fitting_again() {
         let (model, mut y) = decay();
         let noise = |row: usize| ((row * 7919 % 101) as f64 / 101.0 - 0.5) * 0.1;
         y.iter_mut().enumerate().for_each(|(row, y)| *y += noise(row));

@@ -195,7 +195,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_line_is_found_and_a_repeated_column_is_left_out() {
+    fn a_line_is_found_and_a_repeated_column_is_omitted() {
         let x: Vec<f64> = (0..10).map(f64::from).collect();
         let y: Vec<f64> = x.iter().map(|x| 3.0 - 0.5 * x).collect();
         let columns = [vec![1.0; 10], x.clone(), x.clone()];

@@ -20,7 +20,7 @@ pub const DETERMINACY_THRESHOLD: f64 = 1e-4;
 #[must_use]
 pub fn max_point_variance(at: &[f64], start: f64, step: f64, points: usize) -> f64 {
     let mut diagonal = vec![0.0; points];
-    let mut beside = vec![0.0; points];
+    let mut adjacent = vec![0.0; points];
     for value in at {
         let place = ((value - start) / step).clamp(0.0, (points - 1) as f64);
         let low = (place as usize).min(points.saturating_sub(2));
@@ -28,14 +28,14 @@ pub fn max_point_variance(at: &[f64], start: f64, step: f64, points: usize) -> f
         diagonal[low] += (1.0 - share).powi(2);
         if low + 1 < points {
             diagonal[low + 1] += share.powi(2);
-            beside[low] += share * (1.0 - share);
+            adjacent[low] += share * (1.0 - share);
         }
     }
     let most = diagonal.iter().copied().fold(0.0, f64::max);
     let is_open = |n: usize| diagonal[n] <= DETERMINACY_THRESHOLD * most;
-    let coupling = |n: usize| if is_open(n) || is_open(n + 1) { 0.0 } else { beside[n] };
+    let coupling = |n: usize| if is_open(n) || is_open(n + 1) { 0.0 } else { adjacent[n] };
     let pivot = |n: usize, before: Option<(f64, f64)>| {
-        let taken = before.map_or(0.0, |(pivot, beside)| beside * beside / pivot);
+        let taken = before.map_or(0.0, |(pivot, adjacent)| adjacent * adjacent / pivot);
         // What is left by rounding is nothing.
         let left = diagonal[n] - taken;
         if left > 1e-12 * diagonal[n] { left } else { 0.0 }

@@ -91,9 +91,9 @@ pub fn check_interpolation(
         for three in there.windows(3) {
             let &[low, here, high] = three else { continue };
             let share = (at[here] - at[low]) / (at[high] - at[low]);
-            let foreseen = (1.0 - share) * value(low) + share * value(high);
+            let predicted = (1.0 - share) * value(low) + share * value(high);
             let mean = (sum - value(here)) / (there.len() - 1) as f64;
-            line += (value(here) - foreseen).powi(2);
+            line += (value(here) - predicted).powi(2);
             nothing += (value(here) - mean).powi(2);
             by_scatter += variance
                 * (1.0 / number(here)

@@ -53,7 +53,7 @@ pub struct LawTest {
     /// The same with the law.
     pub after: Vec<f64>,
     /// The law's residual at each reading where its block was held out; NaN where it is excluded.
-    pub left_out: Vec<f64>,
+    pub held_out: Vec<f64>,
     /// Whether all of it together leaves less than nothing at all would.
     pub is_below_nothing: bool,
 }
@@ -75,7 +75,7 @@ impl LawTest {
     /// Returns the root mean square on the held-out blocks.
     #[must_use]
     pub fn rms(&self) -> f64 {
-        let squares = self.left_out.iter().filter(|left| !left.is_nan()).map(|left| left * left);
+        let squares = self.held_out.iter().filter(|left| !left.is_nan()).map(|left| left * left);
         let (sum, count) =
             squares.fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0));
         (sum / count).sqrt()
@@ -247,19 +247,19 @@ fn test_law(
         let f = ((all - left) / more) / (left / freedom);
         (f, FisherSnedecor::new(more, freedom).map_or(1.0, |distribution| distribution.sf(f)))
     };
-    let mut left_out = vec![f64::NAN; rows];
+    let mut held_out = vec![f64::NAN; rows];
     let (mut before, mut after) = (Vec::new(), Vec::new());
     for block in 0..blocks {
         let is_in = |n: &usize| block_of[*n] == block;
-        let kept = || (0..used.len()).filter(|n| !is_in(n)).map(|n| &used[n].1);
-        let table = Table::fit(law, places, kept());
-        let mean = self::mean(kept().map(|reading| reading.value));
+        let retained = || (0..used.len()).filter(|n| !is_in(n)).map(|n| &used[n].1);
+        let table = Table::fit(law, places, retained());
+        let mean = self::mean(retained().map(|reading| reading.value));
         let (mut squares, mut count) = ([0.0; 2], 0.0);
         for (row, it) in (0..used.len()).filter(is_in).map(|n| &used[n]) {
-            let said = table.value_at(it.place, it.side);
+            let predicted = table.value_at(it.place, it.side);
             // Where the others say nothing of it, it is predicted as without the law.
-            let left = it.value - if said.is_nan() { mean } else { said };
-            left_out[*row] = left;
+            let left = it.value - if predicted.is_nan() { mean } else { predicted };
+            held_out[*row] = left;
             squares[0] += (it.value - mean).powi(2);
             squares[1] += left * left;
             count += 1.0;
@@ -267,7 +267,7 @@ fn test_law(
         before.push(squares[0] / count);
         after.push(squares[1] / count);
     }
-    let left: f64 = left_out.iter().filter(|left| !left.is_nan()).map(|left| left * left).sum();
+    let left: f64 = held_out.iter().filter(|left| !left.is_nan()).map(|left| left * left).sum();
     let is_below_nothing = left < size;
     Some(LawTest {
         law,
@@ -276,7 +276,7 @@ fn test_law(
         chance,
         before,
         after,
-        left_out,
+        held_out,
         is_below_nothing,
     })
 }
@@ -289,7 +289,7 @@ fn select_law(trials: &[LawTest]) -> Result<TableLaw, TableRejection> {
         let is_any = trials.iter().any(LawTest::is_significant);
         return Err(if is_any { TableRejection::NoGain } else { TableRejection::Chance });
     };
-    let equal = admitted().filter(|trial| !is_worse(&trial.left_out, &best.left_out));
+    let equal = admitted().filter(|trial| !is_worse(&trial.held_out, &best.held_out));
     let simplest = equal.min_by_key(|trial| trial.constants);
     Ok(simplest.map_or(best.law, |trial| trial.law))
 }

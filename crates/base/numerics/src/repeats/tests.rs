@@ -32,7 +32,7 @@ fn decided(readings: &[RepeatReading], places: usize) -> TableSelection {
 }
 
 #[test]
-fn two_bad_readings_of_thirty_are_found_in_three_cycles_also_beside_each_other() {
+fn two_bad_readings_of_thirty_are_found_in_three_cycles_also_next_to_each_other() {
     let mut noise = noise(1);
     for at in 0..29 {
         let mut readings = cycles_of(5, 3, |place, side, _| 10.0 * (place * side) as f64 + noise());
@@ -98,14 +98,14 @@ fn f_is_that_of_an_analysis_of_variance() {
 }
 
 #[test]
-fn left_out_cycles_are_foreseen_by_the_others() {
+fn held_out_cycles_are_predicted_by_the_others() {
     // One place more than two differ: each cycle by the mean of the two others.
     let values = [[0.0, 1.0, 2.0], [10.0, 11.0, 12.0], [30.0, 31.0, 32.0]];
     let readings: Vec<RepeatReading> = (0..9)
         .map(|n| RepeatReading { place: n % 3, side: 0, cycle: n / 3, value: values[n % 3][n / 3] })
         .collect();
     let decision = select_table(&readings, &[false; 9], 3, &[TableLaw::Table]);
-    let left: Vec<f64> = decision.trials[0].left_out.clone();
+    let left: Vec<f64> = decision.trials[0].held_out.clone();
     assert_eq!(left, [-1.5, -1.5, -1.5, 0.0, 0.0, 0.0, 1.5, 1.5, 1.5]);
     assert_eq!(decision.taken, Ok(TableLaw::Table));
 }
@@ -173,7 +173,7 @@ fn a_cycle_that_does_not_gain_refuses_the_table() {
 }
 
 #[test]
-fn a_slow_curve_is_foreseen_between_its_places_and_a_quick_one_is_not() {
+fn a_slow_curve_is_predicted_between_its_places_and_a_quick_one_is_not() {
     let at: Vec<f64> = (0..9).map(|n| 5.0 * f64::from(n)).collect();
     let mut noise = noise(6);
     let mut found = |period: f64, size: f64| {
@@ -192,7 +192,7 @@ fn a_slow_curve_is_foreseen_between_its_places_and_a_quick_one_is_not() {
 }
 
 #[test]
-fn five_places_cannot_tell_what_is_between_them() {
+fn five_places_do_not_show_what_is_between_them() {
     let at = [0.0, 2.0, 4.0, 6.0, 8.0];
     let readings = cycles_of(5, 3, |place, _, _| [9.0, -7.0, 8.0, -9.0, 7.0][place]);
     let found = check_interpolation(&at, &readings, &[false; 30], TableLaw::Table)
@@ -223,11 +223,11 @@ fn the_power_is_that_of_drawn_tables() {
                 decision.trials[0].is_significant()
             })
             .count();
-        let (drawn, said) = (found as f64 / 2000.0, power(size, 1.0, 10, cycles));
+        let (drawn, predicted) = (found as f64 / 2000.0, power(size, 1.0, 10, cycles));
         println!(
-            "{size} in {cycles} cycles: {drawn:.3} of the draws, {said:.3} by the noncentral F"
+            "{size} in {cycles} cycles: {drawn:.3} of the draws, {predicted:.3} by the noncentral F"
         );
-        assert!((drawn - said).abs() < 0.025, "{drawn} {said}");
+        assert!((drawn - predicted).abs() < 0.025, "{drawn} {predicted}");
     }
 }
 

@@ -66,7 +66,7 @@ fn discard_level_shifts(
         place(a) + 1 == place(b) && a.distance.signum() == b.distance.signum()
     };
     let last = rows.len() - 1;
-    let is_kept = |burst: &&[Outlier]| {
+    let is_retained = |burst: &&[Outlier]| {
         let (from, to) = (place(&burst[0]), place(&burst[burst.len() - 1]));
         match (from, to) {
             (0, 0) => deviates_from_parabola(&burst[0], &rows[1..4], time, y),
@@ -76,7 +76,7 @@ fn discard_level_shifts(
             (from, to) => from != 0 && to != last && burst.len() <= MAX_BURST_ROWS,
         }
     };
-    found.chunk_by(follows).filter(is_kept).flatten().copied().collect()
+    found.chunk_by(follows).filter(is_retained).flatten().copied().collect()
 }
 
 /// Returns whether a row at an end is far from the parabola through its three neighbours as well.
@@ -109,12 +109,13 @@ struct NeighbourFit {
 
 impl NeighbourFit {
     fn from_row(rows: &[usize], at: usize, time: &[f64], y: &[f64]) -> Self {
-        let wanted = 2 * NEIGHBOURS_PER_SIDE;
-        let first = at.saturating_sub(NEIGHBOURS_PER_SIDE).min(rows.len() - wanted - 1);
-        let others = || rows[first..=first + wanted].iter().copied().filter(|&row| row != rows[at]);
+        let requested = 2 * NEIGHBOURS_PER_SIDE;
+        let first = at.saturating_sub(NEIGHBOURS_PER_SIDE).min(rows.len() - requested - 1);
+        let others =
+            || rows[first..=first + requested].iter().copied().filter(|&row| row != rows[at]);
         let own = time[rows[at]];
         // Slopes of all pairs of neighbours; two rows at one time have none.
-        let mut slopes = Vec::with_capacity(wanted * (wanted - 1) / 2);
+        let mut slopes = Vec::with_capacity(requested * (requested - 1) / 2);
         for (index, a) in others().enumerate() {
             for b in others().skip(index + 1) {
                 let elapsed = time[b] - time[a];
@@ -128,7 +129,7 @@ impl NeighbourFit {
             others().map(|row| y[row] - slope * (time[row] - own)).collect();
         let height = median(&mut heights);
         let scale = robust_scale(heights.iter().map(|there| there - height));
-        let count = wanted as f64;
+        let count = requested as f64;
         let mean = others().map(|row| time[row] - own).sum::<f64>() / count;
         let spread: f64 = others().map(|row| (time[row] - own - mean).powi(2)).sum();
         // Medians know a line about 1.57 times worse than least squares.

@@ -23,9 +23,7 @@ impl Outlier {
     #[must_use]
     pub fn exclusion_reason(&self) -> String {
         let Self { distance, scales, .. } = self;
-        format!(
-            "{distance:.3} um away from what the other rows say, {scales:.0} times their scatter"
-        )
+        format!("{distance:.3} um away from the other rows, {scales:.0} times their scatter")
     }
 }
 

@@ -121,7 +121,7 @@ impl SeparableFaultMachine {
                 }
             }
         }
-        anyhow::bail!("seed {seed}: none of {MAX_DRAWS} machines has faults that can be told apart")
+        anyhow::bail!("seed {seed}: none of {MAX_DRAWS} machines has faults that can be separated")
     }
 
     /// Returns all faults with their sizes.

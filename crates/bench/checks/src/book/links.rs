@@ -163,12 +163,13 @@ fn heading_anchors(text: &str) -> Vec<String> {
         if in_code || heading.len() == line.len() || !heading.starts_with(' ') {
             continue;
         }
-        let kept = heading.trim().to_lowercase();
-        let kept = kept
+        let retained = heading.trim().to_lowercase();
+        let retained = retained
             .chars()
             .filter(|character| character.is_alphanumeric() || [' ', '-', '_'].contains(character));
-        anchors
-            .push(kept.map(|character| if character == ' ' { '-' } else { character }).collect());
+        anchors.push(
+            retained.map(|character| if character == ' ' { '-' } else { character }).collect(),
+        );
     }
     anchors
 }
@@ -188,16 +189,16 @@ mod tests {
     }
 
     #[test]
-    fn a_broken_link_and_a_missing_heading_are_told_with_their_line() {
+    fn a_broken_link_and_a_missing_heading_are_reported_with_their_line() {
         let folder = std::env::temp_dir().join(format!("trueup-links-{}", std::process::id()));
         fs::create_dir_all(&folder).expect("a folder");
         let page = folder.join("page.md");
         let text = "# It is, so: a head\n[a](#it-is-so-a-head)\n[b](#other) [c](none.md)\n";
         fs::write(&page, text).expect("written");
-        let told = find_broken_links(&folder, &page).expect("it can be read");
+        let broken = find_broken_links(&folder, &page).expect("it can be read");
         fs::remove_dir_all(&folder).expect("removed");
-        let wanted =
+        let requested =
             ["page.md:3: there is no heading for #other", "page.md:3: there is no none.md"];
-        assert_eq!(told, wanted);
+        assert_eq!(broken, requested);
     }
 }

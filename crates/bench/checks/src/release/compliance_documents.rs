@@ -60,8 +60,8 @@ pub(super) fn write_documents(source: &Path, folder: &Path) -> Result<Vec<String
         let name = Path::new(text).file_name().context("a paper has a name")?;
         fs::copy(source.join(text), folder.join(name)).with_context(|| text.to_owned())?;
     }
-    let (said, missing) = supply_chain::vulnerability_report()?;
-    fs::write(folder.join("vulnerabilities.txt"), said)?;
+    let (advisories, missing) = supply_chain::vulnerability_report()?;
+    fs::write(folder.join("vulnerabilities.txt"), advisories)?;
     Ok(missing.into_iter().collect())
 }
 

@@ -60,7 +60,7 @@ pub struct Release {
     /// The files, by name.
     pub files: Vec<String>,
     /// A sentence for each platform, paper or signature that was omitted.
-    pub left_out: Vec<String>,
+    pub skipped: Vec<String>,
 }
 
 /// Makes all files of a release, of the commit that the folder is at, and signs them with `key`.
@@ -73,8 +73,8 @@ pub fn create_release(key: Option<&Path>) -> Result<Release> {
     let private = key.map(read_key).transpose()?;
     let again = reproducible_build::build_reproducibly(key.zip(private.as_ref()))?;
     let folder = release_folder();
-    let mut left_out = describe_unavailable_platforms();
-    left_out.extend(compliance_documents::write_documents(&again, &folder)?);
+    let mut held_out = describe_unavailable_platforms();
+    held_out.extend(compliance_documents::write_documents(&again, &folder)?);
     fs::remove_dir_all(&again)?;
     let files = file_names(&folder)?;
     let sums =
@@ -82,13 +82,13 @@ pub fn create_release(key: Option<&Path>) -> Result<Release> {
     fs::write(folder.join("SHA256SUMS"), sums)?;
     match private {
         Some(key) => sign_files(&key, &folder)?,
-        None => left_out.push(
+        None => held_out.push(
             "no file is signed, and the images of two slots with the developers' key; first: trueup sign --new KEY.pem, then \
              cargo xtask release --key KEY.pem"
                 .into(),
         ),
     }
-    Ok(Release { files: file_names(&folder)?, folder, left_out })
+    Ok(Release { files: file_names(&folder)?, folder, skipped: held_out })
 }
 
 fn read_key(path: &Path) -> Result<PrivateKey> {
@@ -185,7 +185,7 @@ fn missing_requirement(
     if !has_program(linker) {
         lines.push(format!("sudo apt-get install {package}"));
     }
-    (!lines.is_empty()).then(|| format!("{target} is left out; first: {}", lines.join("; ")))
+    (!lines.is_empty()).then(|| format!("{target} is skipped; first: {}", lines.join("; ")))
 }
 
 /// Returns whether a build without `--target`, on a computer of this architecture and system, is for `target`.
@@ -309,14 +309,14 @@ mod tests {
         for platform in &PLATFORMS {
             assert_eq!(missing_requirement(platform, all, all), None);
         }
-        let said = missing_requirement(arm, none, none).expect("nothing is there");
+        let message = missing_requirement(arm, none, none).expect("nothing is there");
         assert_eq!(
-            said,
+            message,
             "aarch64-unknown-linux-gnu is left out; first: rustup target add aarch64-unknown-linux-gnu; \
              sudo apt-get install gcc-aarch64-linux-gnu"
         );
-        let said = missing_requirement(windows, all, none).expect("no linker");
-        assert!(said.ends_with("sudo apt-get install gcc-mingw-w64-x86-64"), "{said}");
+        let message = missing_requirement(windows, all, none).expect("no linker");
+        assert!(message.ends_with("sudo apt-get install gcc-mingw-w64-x86-64"), "{message}");
         assert!(!own.is_windows && windows.is_windows);
     }
 }

@@ -56,12 +56,12 @@ pub(super) fn build_reproducibly(key: Option<(&Path, &PrivateKey)>) -> Result<Pa
 
 /// Returns the time of the commit, in seconds of Unix.
 pub(super) fn commit_time() -> Result<u64> {
-    let said = process::capture_stdout(git_command(&setup::project_root()).args([
+    let stdout = process::capture_stdout(git_command(&setup::project_root()).args([
         "log",
         "-1",
         "--format=%ct",
     ]))?;
-    said.trim().parse().context("git says when the commit was made")
+    stdout.trim().parse().context("git says when the commit was made")
 }
 
 fn git_command(root: &Path) -> Command {

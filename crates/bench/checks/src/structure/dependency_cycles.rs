@@ -170,14 +170,14 @@ impl<'s> CrateModules<'s> {
             .keys()
             .map(|module| (module, transitive_dependencies(module, &needs)))
             .collect();
-        let mut told = BTreeSet::new();
+        let mut reported = BTreeSet::new();
         let mut circles = Vec::new();
         for module in self.modules.keys() {
             let members: Vec<_> = reachable[module]
                 .iter()
                 .filter(|other| reachable[other].contains(module))
                 .collect();
-            if members.is_empty() || !told.insert(members.clone()) {
+            if members.is_empty() || !reported.insert(members.clone()) {
                 continue;
             }
             let path = |module: &Vec<String>| self.modules[module].path.clone();
@@ -329,11 +329,11 @@ mod tests {
         let parent = ("crates/x/src/m/mod.rs", "mod p; mod q; use p::P;");
         let below = [parent, ("crates/x/src/m/p.rs", "use super::M;")];
         assert!(circles(&below).is_empty());
-        let beside = [
+        let adjacent = [
             parent,
             ("crates/x/src/m/p.rs", "use super::q::Q;"),
             ("crates/x/src/m/q.rs", "use super::p::P;"),
         ];
-        assert_eq!(circles(&beside), [["crates/x/src/m/p.rs", "crates/x/src/m/q.rs"]]);
+        assert_eq!(circles(&adjacent), [["crates/x/src/m/p.rs", "crates/x/src/m/q.rs"]]);
     }
 }

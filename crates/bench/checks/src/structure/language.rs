@@ -34,6 +34,35 @@ const REPLACED_PHRASES: &[(&str, &str)] = &[
     ("nothing was fitted to", "not used for the fit"),
     ("does not hold nothing", "excludes zero"),
     ("nobody here has made", "recorded by others"),
+    ("told apart", "separated"),
+    ("tells apart", "separates"),
+    ("left-out", "held-out"),
+    ("so many as", "a number, or until"),
+];
+
+/// Words and phrases that have a term of the trade: none may be in a text in quotes, which is a message.
+const REPLACED_IN_MESSAGES: &[(&str, &str)] = &[
+    ("told", "reported, sent, separated"),
+    ("tell", "show, separate, report"),
+    ("tells", "shows, separates, reports"),
+    ("hear", "receive"),
+    ("hears", "receives"),
+    ("heard", "received, sending"),
+    ("wanted", "requested, target"),
+    ("left out", "held out, skipped, omitted"),
+    ("left-out", "held-out"),
+    ("set aside", "excluded, excluded as outliers"),
+    ("beside", "next to, together with, in addition to"),
+    ("nobody", "no …, not"),
+    ("somebody", "a user, another"),
+    ("whoever", "anyone who"),
+    ("so many as", "a number, or until"),
+    ("goes with", "depends on, is correlated with"),
+    ("comes and goes", "is periodic"),
+    ("foresee", "predict"),
+    ("foresees", "predicts"),
+    ("foreseen", "predicted"),
+    ("not said yes", "did not confirm"),
 ];
 
 /// References that lead nowhere, and names of the workplace: none of them may be in the project.
@@ -95,7 +124,7 @@ pub(crate) struct LanguageReport {
     pub functions: [usize; 2],
     /// `file:line: phrase` of [`FORBIDDEN_REFERENCES`].
     pub nowhere: Vec<String>,
-    /// `file:line: phrase -> term` of [`REPLACED_PHRASES`].
+    /// `file:line: phrase -> term` of [`REPLACED_PHRASES`] and [`REPLACED_IN_MESSAGES`].
     pub phrases: Vec<String>,
     /// `file:line: path` of source files that are named and are not there.
     pub missing_files: Vec<String>,
@@ -142,6 +171,7 @@ pub(crate) fn count_words(root: &Path, sources: &[SourceFile]) -> Result<Languag
         found.nowhere.extend(find_forbidden_references(&source.path, &source.text));
         let comments = comment_lines(&source.text);
         found.phrases.extend(find_replaced_phrases(&source.path, &strip_code(&comments)));
+        found.phrases.extend(find_replaced_in_messages(source));
         found.missing_files.extend(find_missing_files(&source.path, &comments, sources));
         found.add_text(&source.path, &strip_code(&doc_comments(&source.text)));
         if !source.is_test() {
@@ -195,7 +225,7 @@ fn doc_comments(text: &str) -> String {
     let mut all = String::new();
     for line in text.lines().map(str::trim_start) {
         match line.strip_prefix("///").or_else(|| line.strip_prefix("//!")) {
-            Some(said) => all += said,
+            Some(comment) => all += comment,
             None if !all.ends_with("\n\n") => all += "\n",
             None => {}
         }
@@ -231,14 +261,16 @@ fn strip_code(text: &str) -> String {
 }
 
 fn count_whole_words(text: &str, form: &str) -> usize {
-    let is_letter = |character: Option<char>| character.is_some_and(char::is_alphanumeric);
-    let matches = text.match_indices(form);
-    matches
-        .filter(|(at, _)| {
-            !is_letter(text[..*at].chars().next_back())
-                && !is_letter(text[at + form.len()..].chars().next())
-        })
-        .count()
+    whole_words(text, form).count()
+}
+
+/// Returns where `form` stands between other characters than letters and digits.
+fn whole_words<'t>(text: &'t str, form: &'t str) -> impl Iterator<Item = usize> + 't {
+    let is_letter = |letter: Option<char>| letter.is_some_and(char::is_alphanumeric);
+    text.match_indices(form).map(|(at, _)| at).filter(move |at| {
+        !is_letter(text[..*at].chars().next_back())
+            && !is_letter(text[at + form.len()..].chars().next())
+    })
 }
 
 /// Returns how many sentences begin with "What" and are no question.
@@ -265,8 +297,8 @@ fn first_words_of_functions(text: &str) -> Vec<String> {
     let mut first: Option<String> = None;
     let mut found = Vec::new();
     for line in text.lines().map(str::trim) {
-        if let Some(said) = line.strip_prefix("///") {
-            let word = said.split_whitespace().next().unwrap_or_default();
+        if let Some(comment) = line.strip_prefix("///") {
+            let word = comment.split_whitespace().next().unwrap_or_default();
             first.get_or_insert_with(|| word.to_owned());
         } else if line.starts_with("#[") || line.starts_with("//") {
             // Attributes stand between a comment and its item.
@@ -309,6 +341,34 @@ fn find_replaced_phrases(name: &str, text: &str) -> Vec<String> {
         for (phrase, term) in REPLACED_PHRASES {
             if count_whole_words(&lower, phrase) > 0 {
                 found.push(format!("{name}:{}: {phrase} -> {term}", index + 1));
+            }
+        }
+    }
+    found
+}
+
+/// Returns where a text in quotes has a phrase with a term of the trade. What is compiled for tests does not count, nor
+/// do names in quotes (`"told"`, `"/plc/heard"`), which others read, and names in braces.
+fn find_replaced_in_messages(source: &SourceFile) -> Vec<String> {
+    if source.is_test() {
+        return Vec::new();
+    }
+    let mut found = Vec::new();
+    let lines = source.words.lines().zip(source.code.lines()).enumerate();
+    for (index, (words, code)) in lines {
+        // A text in quotes is there in the words, and blank in the code.
+        let quoted = words.bytes().zip(code.bytes());
+        let quoted = quoted.map(|(word, code)| if code == b' ' { word } else { b'"' });
+        let lower = String::from_utf8_lossy(&quoted.collect::<Vec<_>>()).to_lowercase();
+        for (phrase, term) in REPLACED_IN_MESSAGES {
+            let is_message = |at: usize| {
+                let [before, after] = [&lower[..at], &lower[at + phrase.len()..]];
+                let is_name =
+                    before.ends_with(['"', '/', '.', '_']) && after.starts_with(['"', '_']);
+                !is_name && !before.ends_with(['{', '_']) && !after.starts_with('_')
+            };
+            if whole_words(&lower, phrase).any(is_message) {
+                found.push(format!("{}:{}: {phrase} -> {term}", source.path, index + 1));
             }
         }
     }
@@ -367,6 +427,21 @@ mod tests {
             comment_lines("fn x() {} // no\n    /// See `b.rs`, `src/a.rs` and `a.rs`.\n");
         let sources = [SourceFile::new("crates/x/src/a.rs", "")];
         assert_eq!(find_missing_files("y.rs", &comments, &sources), ["y.rs:2: b.rs"]);
+    }
+
+    #[test]
+    fn a_message_with_a_replaced_phrase_is_found_and_names_and_tests_are_not() {
+        let text = "fn a() {\n    // It was told.\n    say(\"The bridge was told.\");\n    \
+                    say(\"told\", told, \"/plc/heard\", \"{told}\");\n    say(\"a µm left out, {x}\");\n}\n\
+                    #[cfg(test)]\nmod tests {\n    const A: &str = \"it was told\";\n}\n";
+        assert_eq!(
+            find_replaced_in_messages(&SourceFile::new("src/a.rs", text)),
+            [
+                "src/a.rs:3: told -> reported, sent, separated",
+                "src/a.rs:5: left out -> held out, skipped, omitted"
+            ]
+        );
+        assert!(find_replaced_in_messages(&SourceFile::new("tests/a.rs", text)).is_empty());
     }
 
     #[test]

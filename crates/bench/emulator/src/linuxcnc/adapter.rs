@@ -41,9 +41,9 @@ struct AdapterState {
     port: Port,
     from_cnc: VecDeque<Frame>,
     client: Option<TcpStream>,
-    heard: u64,
+    received_count: u64,
     /// When the last of them came.
-    last_heard: Option<Instant>,
+    last_received: Option<Instant>,
 }
 
 /// An adapter that listens.
@@ -68,8 +68,8 @@ impl SlcanAdapter {
             port: Port::new(SERIAL_NUMBER),
             from_cnc: VecDeque::new(),
             client: None,
-            heard: 0,
-            last_heard: None,
+            received_count: 0,
+            last_received: None,
         }));
         let theirs = shared.clone();
         thread::spawn(move || {
@@ -95,13 +95,13 @@ impl SlcanAdapter {
     /// Pairs passed on to the CNC, and frames received from it.
     #[must_use]
     pub(crate) fn frame_counts(&self) -> (u64, u64) {
-        (self.passed, lock(&self.shared).heard)
+        (self.passed, lock(&self.shared).received_count)
     }
 
     /// Returns whether the CNC has sent something within `time`.
     #[must_use]
     pub(crate) fn has_received_within(&self, time: Duration) -> bool {
-        lock(&self.shared).last_heard.is_some_and(|heard| heard.elapsed() < time)
+        lock(&self.shared).last_received.is_some_and(|received| received.elapsed() < time)
     }
 
     /// Returns what the CNC has sent, as much of it as fits a block.
@@ -179,8 +179,8 @@ fn serve_client(mut stream: TcpStream, shared: &Mutex<AdapterState>) {
         let mut answers = Vec::new();
         for &byte in &bytes[..length] {
             if let Some(frame) = shared.port.receive(byte) {
-                shared.heard += 1;
-                shared.last_heard = Some(Instant::now());
+                shared.received_count += 1;
+                shared.last_received = Some(Instant::now());
                 shared.from_cnc.push_back(frame);
             }
             answers.extend(std::iter::from_fn(|| shared.port.pop()));

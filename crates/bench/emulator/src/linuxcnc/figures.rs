@@ -294,9 +294,9 @@ impl Figures {
     /// A part of the run is missing.
     pub fn from_run(run: &RunRecord) -> Result<Self> {
         let part = |pass: usize, phase: u32| -> Result<Vec<&ServoCycle>> {
-            let wanted =
+            let requested =
                 |cycle: &&ServoCycle| cycle.pass == PASS_NUMBERS[pass] && cycle.phase == phase;
-            let cycles: Vec<&ServoCycle> = run.cycles.iter().filter(wanted).collect();
+            let cycles: Vec<&ServoCycle> = run.cycles.iter().filter(requested).collect();
             ensure!(cycles.len() > 100, "pass {pass}, phase {phase}: {} cycles", cycles.len());
             Ok(cycles)
         };

@@ -105,10 +105,10 @@ impl HeadlessLinuxCnc {
                 }
                 Err(error) => {
                     terminate_group(&mut child);
-                    let said = read_recent_log(folder.path());
-                    let denied = stale_shared_memory::denied_keys(&said);
+                    let log_lines = read_recent_log(folder.path());
+                    let denied = stale_shared_memory::denied_keys(&log_lines);
                     if attempt == MAX_START_ATTEMPTS || denied.is_empty() {
-                        bail!("LinuxCNC does not come up: {error:#}\n{said}");
+                        bail!("LinuxCNC does not come up: {error:#}\n{log_lines}");
                     }
                     stale_shared_memory::remove_segments(&denied)?;
                 }
@@ -124,8 +124,8 @@ impl HeadlessLinuxCnc {
     pub fn send_request(&mut self, request: &Value) -> Result<Value> {
         let line = format!("{request}\n");
         let mut answer = String::new();
-        let asked = self.screen.get_mut().write_all(line.as_bytes());
-        let length = asked.and_then(|()| self.screen.read_line(&mut answer));
+        let requested = self.screen.get_mut().write_all(line.as_bytes());
+        let length = requested.and_then(|()| self.screen.read_line(&mut answer));
         if !matches!(length, Ok(1..)) {
             bail!("{request}: LinuxCNC's screen no longer answers\n{}", self.recent_log());
         }
@@ -259,8 +259,8 @@ impl HeadlessLinuxCnc {
     /// It refuses; with what it says.
     pub fn halcmd(&mut self, words: &str) -> Result<String> {
         let words: Vec<&str> = words.split_whitespace().collect();
-        let said = self.send_command("halcmd", "words", words)?;
-        Ok(said.as_str().unwrap_or_default().to_owned())
+        let text = self.send_command("halcmd", "words", words)?;
+        Ok(text.as_str().unwrap_or_default().to_owned())
     }
 
     /// Returns what the real-time `sampler` writes down, a line for each servo cycle, while the guard lives.
@@ -338,13 +338,13 @@ impl Drop for Sampler {
 /// Starts it from a thread that lives as long as what is given with it: the kernel ends the process
 /// with the thread that has started it, and one test may leave LinuxCNC to the next.
 fn spawn_on_dedicated_thread(mut command: Command) -> Result<(Child, Sender<()>)> {
-    let (keeper, kept) = mpsc::channel::<()>();
+    let (keeper, retained) = mpsc::channel::<()>();
     let (give, take) = mpsc::channel();
     thread::spawn(move || {
         // There is no receiver only if the other thread has died.
         give.send(command.spawn()).ok();
         // Nothing is ever sent: this ends when the other end goes.
-        kept.recv().ok();
+        retained.recv().ok();
     });
     Ok((take.recv()??, keeper))
 }
@@ -370,8 +370,8 @@ fn wait_for_screen(listener: &TcpListener, child: &mut Child) -> Result<TcpStrea
     }
 }
 
-fn has_exited_within(child: &mut Child, patience: Duration) -> bool {
-    let end = Instant::now() + patience;
+fn has_exited_within(child: &mut Child, timeout: Duration) -> bool {
+    let end = Instant::now() + timeout;
     while matches!(child.try_wait(), Ok(None)) {
         if Instant::now() > end {
             return false;

@@ -93,9 +93,9 @@ pub(crate) fn requested_offset_um(file: &Machine, cycles: &[&ServoCycle]) -> Res
     for _ in 0..SETTLING_MS {
         bridge.step(first, SENSOR_VOLTS, &celsius);
     }
-    let asked = |cycle: &&ServoCycle| {
+    let requested = |cycle: &&ServoCycle| {
         let mm = bridge.step(cycle.commanded_mm(), SENSOR_VOLTS, &celsius);
         Ok(mm.context("the machine file gives no offset")?.map(|mm| mm * 1e3))
     };
-    cycles.iter().map(asked).collect()
+    cycles.iter().map(requested).collect()
 }

@@ -159,14 +159,14 @@ fn scenario_toml(measure: &[&str], repeat: u32, segments: &str) -> Result<String
 pub(crate) fn measure_machine(trueup: &Path, folder: &Path) -> Result<MeasuredMachine> {
     let run = |arguments: &[&str]| -> Result<String> {
         let output = Command::new(trueup).args(arguments).current_dir(folder).output()?;
-        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        let stdout = String::from_utf8_lossy(&output.stdout).into_owned();
         ensure!(
             output.status.success(),
-            "`trueup {}` failed: {}{said}",
+            "`trueup {}` failed: {}{stdout}",
             arguments.join(" "),
             String::from_utf8_lossy(&output.stderr)
         );
-        Ok(said)
+        Ok(stdout)
     };
     let simulate = |name: &str, text: String, seed: u64| -> Result<()> {
         let (toml, csv) = (format!("{name}.toml"), format!("{name}.csv"));

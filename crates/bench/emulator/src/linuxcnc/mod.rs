@@ -365,8 +365,8 @@ fn run_program(cnc: &mut HeadlessLinuxCnc, plant: &mut RunningPlant, program: &s
     let begun = Instant::now();
     while cnc.is_busy().with_context(|| cnc.recent_log())? {
         plant.check_running()?;
-        let patience = PROGRAM_TIMEOUT * plant.time_stretch();
-        ensure!(begun.elapsed() < patience, "{program} is not done after {patience:?}");
+        let timeout = PROGRAM_TIMEOUT * plant.time_stretch();
+        ensure!(begun.elapsed() < timeout, "{program} is not done after {timeout:?}");
         thread::sleep(Duration::from_millis(50));
     }
     Ok(())

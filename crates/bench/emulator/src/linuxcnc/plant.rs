@@ -313,7 +313,7 @@ struct SimulationLoop {
     shared: Arc<LoopState>,
     /// Milliseconds of the machine that the board has lived through and the machine has not.
     ahead_ms: f64,
-    heard: Option<Instant>,
+    last_received: Option<Instant>,
     /// Speed that the spindle's drive has reached, in r/min.
     spindle_rpm: f64,
 }
@@ -326,7 +326,7 @@ impl SimulationLoop {
             samples,
             shared,
             ahead_ms: 0.0,
-            heard: None,
+            last_received: None,
             spindle_rpm: 0.0,
         }
     }
@@ -339,7 +339,7 @@ impl SimulationLoop {
                 // A power cut, and another machine file behind it.
                 bridge = bridge.restart_for_warm_up()?;
                 last = Instant::now();
-                self.heard = self.heard.map(|_| last);
+                self.last_received = self.last_received.map(|_| last);
             }
             let factor = self.shared.factor.load(Ordering::Relaxed);
             let [of_board, of_machine] = bridge.time_ratios(factor);
@@ -364,7 +364,7 @@ impl SimulationLoop {
             }
             let due = owed_ms.floor().min(f64::from(MAX_BATCH_BLOCKS));
             self.process_samples(bridge.time_stretch())?;
-            if bridge.is_clocked_by_cnc() && self.heard.is_none() {
+            if bridge.is_clocked_by_cnc() && self.last_received.is_none() {
                 owed_ms = 0.0;
                 thread::sleep(POLL_INTERVAL);
                 continue;
@@ -382,7 +382,8 @@ impl SimulationLoop {
 
     /// Returns whether both halves of the CNC, its real-time part and the component, have just been received.
     fn is_cnc_alive(&self, bridge: &EmulatedBridge) -> bool {
-        let moves = self.heard.is_some_and(|heard| heard.elapsed() < CNC_SILENCE_TIMEOUT);
+        let moves =
+            self.last_received.is_some_and(|received| received.elapsed() < CNC_SILENCE_TIMEOUT);
         moves && bridge.has_received_within(CNC_SILENCE_TIMEOUT)
     }
 
@@ -392,9 +393,9 @@ impl SimulationLoop {
         let celsius = shown.map(|(column, shown_c)| (column.to_owned(), shown_c)).collect();
         bridge.advance(ms, factor, || self.with.sensor_volts().unwrap_or(0.0), &celsius)?;
         self.shared.board_ms.fetch_add(ms, Ordering::Relaxed);
-        let said = bridge.take_log();
-        if !said.is_empty() {
-            lock(&self.shared.log).extend(said);
+        let log = bridge.take_log();
+        if !log.is_empty() {
+            lock(&self.shared.log).extend(log);
         }
         Ok(())
     }
@@ -408,12 +409,12 @@ impl SimulationLoop {
         }
         let samples: Vec<Sample> = self.samples.try_iter().collect();
         if samples.is_empty() {
-            if self.heard.is_some_and(|heard| heard.elapsed() > REALTIME_TIMEOUT) {
+            if self.last_received.is_some_and(|received| received.elapsed() > REALTIME_TIMEOUT) {
                 bail!("LinuxCNC's real-time part has been silent for {REALTIME_TIMEOUT:?}");
             }
             return Ok(());
         }
-        self.heard = Some(Instant::now());
+        self.last_received = Some(Instant::now());
         if self.ahead_ms <= 0.0 {
             // The board is behind: the machine waits for it, but its axes move on.
             self.ahead_ms = MIN_STEP_MS * samples.len() as f64;

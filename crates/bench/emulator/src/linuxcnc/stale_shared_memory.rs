@@ -15,13 +15,13 @@ use crate::process;
 const SHARED_MEMORY_TABLE: &str = "/proc/sysvipc/shm";
 
 /// Returns the keys of the segments that LinuxCNC was denied.
-pub(crate) fn denied_keys(said: &str) -> Vec<u32> {
+pub(crate) fn denied_keys(text: &str) -> Vec<u32> {
     let key = |line: &str| {
         let (_, rest) = line.split_once("rtapi_shmem_new failed due to shmget(key=0x")?;
         let (key, reason) = rest.split_once(')')?;
         reason.contains("Permission denied").then(|| u32::from_str_radix(key, 16).ok()).flatten()
     };
-    said.lines().filter_map(key).collect()
+    text.lines().filter_map(key).collect()
 }
 
 /// Removes the segments of these keys that no process uses.
@@ -63,10 +63,10 @@ mod tests {
     }
 
     #[test]
-    fn the_race_is_told_from_other_failures() {
-        let said = "rtapi_shmem_new failed due to shmget(key=0x48484c34): Permission denied\n\
+    fn the_race_is_distinguished_from_other_failures() {
+        let message = "rtapi_shmem_new failed due to shmget(key=0x48484c34): Permission denied\n\
                     rtapi_shmem_new failed due to shmget(key=0x00000064): Invalid argument\n\
                     open(trueup.hal): Permission denied";
-        assert_eq!(denied_keys(said), [0x4848_4c34]);
+        assert_eq!(denied_keys(message), [0x4848_4c34]);
     }
 }

@@ -186,8 +186,8 @@ fn below_the_floor_nothing_starts() {
 
 #[test]
 fn an_image_whose_floor_is_above_itself_never_starts() {
-    let barred = signed_image(Slot::B, 2, 3);
-    let mut board = Board::with_status([&a(1), &barred], CONFIRMED, 0);
+    let inhibited = signed_image(Slot::B, 2, 3);
+    let mut board = Board::with_status([&a(1), &inhibited], CONFIRMED, 0);
     assert_eq!(board.power_on().unwrap().0, Slot::A);
 }
 

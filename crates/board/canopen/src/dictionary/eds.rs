@@ -36,11 +36,11 @@ const FILE_INFO: &str = concat!(
     "Line1=Offsets, status and frames of the CNC are described by trueup.dbc: they are protected.\n",
     "Line2=A new calibration is used from the next start of the board.\n",
     "Line3=NMT start, stop and pre-operational have no effect: a machine relies on the offsets while\n",
-    "Line4=it cuts, and what starts and stops them is Control, which is protected. The heartbeat says\n",
+    "Line4=it cuts; Control starts and stops them, which is protected. The heartbeat says\n",
     "Line5=what the bridge does: operational, or stopped while the offsets are not available.\n",
     "Line6=NMT reset node restarts the board if no offset is followed, else it has no effect.\n",
     "Line7=NMT reset communication sets 0x1015, 0x1016, 0x1017 back; the offsets go on.\n",
-    "Line8=Whatever is written, and NMT reset node, needs Service in the Control that the bridge hears\n",
+    "Line8=Whatever is written, and NMT reset node, needs Service in the Control that the bridge receives\n",
     "Line9=and that nothing is engaged: else 0x08000022. 0x2001:8 says who may: 2 is yes.\n",
     "Line10=A calibration may ask for the service switch as well: while it is open, 0x08000021 (0x2001:8: 3).\n\n",
 );

@@ -10,7 +10,7 @@ use std::{
 use trueup_link::status::StateBits;
 
 /// Code, register and number of whatever is reported in this many milliseconds of these faults.
-fn told(all: &mut EmergencyProducer, now: Faults, ms: u32) -> Vec<(u16, u8, u8)> {
+fn emergencies_after(all: &mut EmergencyProducer, now: Faults, ms: u32) -> Vec<(u16, u8, u8)> {
     let output = Output::default();
     let mut frames = Vec::new();
     for _ in 0..ms {
@@ -46,40 +46,44 @@ fn the_dbc_names_every_fault_by_its_number() {
 }
 
 #[test]
-fn each_fault_is_told_when_it_comes_and_when_it_has_gone() {
+fn each_fault_is_reported_when_it_comes_and_when_it_has_gone() {
     for fault in Fault::ALL {
         let mut all = EmergencyProducer::default();
         let there = Faults::default().with_if(true, fault);
         let (code, number) = (fault.code(), fault as u8);
-        assert_eq!(told(&mut all, there, 100), [(code, 1 | fault.error_register_bit(), number)]);
-        assert_eq!(told(&mut all, Faults::default(), 100), [(0, 0, number)]);
-        assert_eq!(told(&mut all, Faults::default(), 100), []);
+        assert_eq!(
+            emergencies_after(&mut all, there, 100),
+            [(code, 1 | fault.error_register_bit(), number)]
+        );
+        assert_eq!(emergencies_after(&mut all, Faults::default(), 100), [(0, 0, number)]);
+        assert_eq!(emergencies_after(&mut all, Faults::default(), 100), []);
         assert_eq!(all.error(0), Some(u32::from(code) | u32::from(number) << 16));
     }
 }
 
 #[test]
-fn a_fault_that_flickers_is_told_no_more_often_than_the_inhibit_time_permits() {
+fn a_fault_that_flickers_is_reported_no_more_often_than_the_inhibit_time_permits() {
     let mut all = EmergencyProducer::default();
     let there = Faults::default().with_if(true, Fault::Sensor);
     let mut sent = 0;
     for _ in 0..500 {
-        sent += told(&mut all, there, 1).len() + told(&mut all, Faults::default(), 1).len();
+        sent += emergencies_after(&mut all, there, 1).len()
+            + emergencies_after(&mut all, Faults::default(), 1).len();
     }
     assert!((90..=100).contains(&sent), "{sent} in a second");
     all.set_inhibit_time(1_000);
     let both = there.with_if(true, Fault::Clamped);
-    assert!(told(&mut all, both, 300).len() <= 3);
+    assert!(emergencies_after(&mut all, both, 300).len() <= 3);
 }
 
 #[test]
-fn a_fault_of_one_tick_within_the_inhibit_time_is_told_all_the_same() {
+fn a_fault_of_one_tick_within_the_inhibit_time_is_reported_all_the_same() {
     let mut all = EmergencyProducer::default();
     let sensor = Faults::default().with_if(true, Fault::Sensor);
-    assert_eq!(told(&mut all, sensor, 1).len(), 1);
+    assert_eq!(emergencies_after(&mut all, sensor, 1).len(), 1);
     let both = sensor.with_if(true, Fault::Clamped);
-    assert_eq!(told(&mut all, both, 1), []);
-    assert_eq!(told(&mut all, sensor, 50), [(0xFF02, 1, 7), (0, 1, 7)]);
+    assert_eq!(emergencies_after(&mut all, both, 1), []);
+    assert_eq!(emergencies_after(&mut all, sensor, 50), [(0xFF02, 1, 7), (0, 1, 7)]);
 }
 
 #[test]
@@ -91,15 +95,16 @@ fn every_bit_of_the_state_is_an_emergency_too() {
 }
 
 #[test]
-fn a_second_source_that_is_lost_while_the_first_is_missing_is_told() {
+fn a_second_source_that_is_lost_while_the_first_is_missing_is_reported() {
     let thermometers = Fault::THERMOMETER_FAULTS.into_iter().chain(Fault::TEMPERATURE_RATE_FAULTS);
     let sources: Vec<Fault> =
         thermometers.chain([Fault::Sensor, Fault::SamplesMissing, Fault::PlaceLost]).collect();
     let (mut all, mut now) = (EmergencyProducer::default(), Faults::default());
     for fault in sources {
         now = now.with_if(true, fault);
-        let told: Vec<u16> = told(&mut all, now, 100).into_iter().map(|(code, ..)| code).collect();
-        assert_eq!(told, [fault.code()], "{fault:?}");
+        let codes: Vec<u16> =
+            emergencies_after(&mut all, now, 100).into_iter().map(|(code, ..)| code).collect();
+        assert_eq!(codes, [fault.code()], "{fault:?}");
     }
 }
 
@@ -117,7 +122,7 @@ fn both_words_of_the_objects_hold_every_fault_at_its_number() {
 fn the_history_keeps_the_newest() {
     let mut all = EmergencyProducer::default();
     for fault in Fault::ALL {
-        told(&mut all, Faults::default().with_if(true, fault), 20);
+        emergencies_after(&mut all, Faults::default().with_if(true, fault), 20);
     }
     assert_eq!(all.error_count(), ERROR_HISTORY_LEN);
     let newest = Fault::ALL[Fault::ALL.len() - 1];

@@ -313,7 +313,7 @@ mod tests {
     }
 
     #[test]
-    fn what_somebody_before_has_asked_for_is_no_answer_to_a_start() {
+    fn the_answer_to_an_earlier_request_is_no_answer_to_a_start() {
         let at = (0x2001, 1);
         let stale = [
             encode_message(0x80, (0x2100, 2), AbortCode::Toggle.code()),

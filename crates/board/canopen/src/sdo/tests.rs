@@ -57,7 +57,7 @@ impl ObjectAccess for Fake {
     }
 }
 
-fn ask(server: &mut Server, fake: &mut Fake, data: [u8; 8]) -> Option<[u8; 8]> {
+fn transact(server: &mut Server, fake: &mut Fake, data: [u8; 8]) -> Option<[u8; 8]> {
     let answer = server.receive(&Frame::new(SDO_REQUEST_ID, &data).unwrap(), fake)?;
     assert_eq!(answer.id(), SDO_RESPONSE_ID);
     Some(*answer.data())
@@ -74,7 +74,7 @@ fn to(command: u8, index: u16, subindex: u8, number: u32) -> [u8; 8] {
 
 /// Reads all of an object, in segments where it has to.
 fn read(server: &mut Server, fake: &mut Fake, index: u16, subindex: u8) -> Result<Vec<u8>, u32> {
-    let answer = ask(server, fake, to(0x40, index, subindex, 0)).expect("an answer");
+    let answer = transact(server, fake, to(0x40, index, subindex, 0)).expect("an answer");
     let number = u32::from_le_bytes(answer[4..].try_into().unwrap());
     if answer[0] == 0x80 {
         return Err(number);
@@ -84,7 +84,8 @@ fn read(server: &mut Server, fake: &mut Fake, index: u16, subindex: u8) -> Resul
     }
     let mut bytes = Vec::new();
     for toggle in [0, 0x10].into_iter().cycle() {
-        let answer = ask(server, fake, [0x60 | toggle, 0, 0, 0, 0, 0, 0, 0]).expect("an answer");
+        let answer =
+            transact(server, fake, [0x60 | toggle, 0, 0, 0, 0, 0, 0, 0]).expect("an answer");
         assert_eq!(answer[0] & 0xF0, toggle);
         bytes.extend(&answer[1..8 - usize::from(answer[0] >> 1 & 7)]);
         if answer[0] & 1 != 0 {
@@ -105,7 +106,7 @@ fn write(
 ) -> Option<[u8; 8]> {
     let command = 0x20 | u8::from(announced.is_some());
     let start = to(command, index, subindex, announced.unwrap_or(0));
-    let mut answer = ask(server, fake, start);
+    let mut answer = transact(server, fake, start);
     let count = bytes.chunks(7).count();
     for (number, part) in bytes.chunks(7).enumerate() {
         if answer.is_none_or(|answer| answer[0] == 0x80) {
@@ -116,7 +117,7 @@ fn write(
         let unused = 7 - u8::try_from(part.len()).expect("7 at most");
         segment[0] = toggle | unused << 1 | u8::from(number + 1 == count);
         segment[1..=part.len()].copy_from_slice(part);
-        answer = ask(server, fake, segment);
+        answer = transact(server, fake, segment);
     }
     answer
 }
@@ -124,11 +125,11 @@ fn write(
 #[test]
 fn numbers_go_in_one_frame_with_their_length() {
     let (mut server, mut fake) = (Server::default(), Fake::default());
-    let device = ask(&mut server, &mut fake, to(0x40, 0x1000, 0, 0));
+    let device = transact(&mut server, &mut fake, to(0x40, 0x1000, 0, 0));
     assert_eq!(device, Some([0x43, 0x00, 0x10, 0, 0x94, 0x01, 0, 0]));
     for command in [0x2B, 0x22] {
         fake.period = 0;
-        let taken = ask(&mut server, &mut fake, to(command, 0x1017, 0, 500));
+        let taken = transact(&mut server, &mut fake, to(command, 0x1017, 0, 500));
         assert_eq!((taken, fake.period), (Some([0x60, 0x17, 0x10, 0, 0, 0, 0, 0]), 500));
     }
     assert_eq!(read(&mut server, &mut fake, 0x1017, 0), Ok([0xF4, 0x01].into()));
@@ -167,14 +168,14 @@ fn every_misuse_gets_its_abort_code() {
     ] {
         let (mut server, mut fake) = (Server::default(), Fake::default());
         let index = u16::from_le_bytes([request[1], request[2]]);
-        let answer = ask(&mut server, &mut fake, request);
+        let answer = transact(&mut server, &mut fake, request);
         assert_eq!(answer, refused(index, request[3], abort), "{request:02X?}");
         assert_eq!(fake.written, []);
     }
     // A segment of no transfer, and commands that are none.
     for command in [0x00, 0x60, 0x70, 0xC1, 0xE0, 0xFF] {
         let (mut server, mut fake) = (Server::default(), Fake::default());
-        let answer = ask(&mut server, &mut fake, [command, 0, 0, 0, 0, 0, 0, 0]);
+        let answer = transact(&mut server, &mut fake, [command, 0, 0, 0, 0, 0, 0, 0]);
         assert_eq!(answer, refused(0, 0, AbortCode::Command), "{command:02X}");
     }
 }
@@ -186,10 +187,13 @@ fn a_wrong_toggle_ends_the_transfer() {
         [(0x40, 0x1008, 0, 0x70), (0x21, 0x2100, 2, 0x10), (0x21, 0x1017, 0, 0x1B)]
     {
         let size = if index == 0x1017 { 2 } else { 14 };
-        assert_ne!(ask(&mut server, &mut fake, to(start, index, subindex, size)).unwrap()[0], 0x80);
-        let answer = ask(&mut server, &mut fake, [wrong, 0, 0, 0, 0, 0, 0, 0]);
+        assert_ne!(
+            transact(&mut server, &mut fake, to(start, index, subindex, size)).unwrap()[0],
+            0x80
+        );
+        let answer = transact(&mut server, &mut fake, [wrong, 0, 0, 0, 0, 0, 0, 0]);
         assert_eq!(answer, refused(index, subindex, AbortCode::Toggle));
-        let again = ask(&mut server, &mut fake, [wrong, 0, 0, 0, 0, 0, 0, 0]);
+        let again = transact(&mut server, &mut fake, [wrong, 0, 0, 0, 0, 0, 0, 0]);
         assert_eq!(again, refused(0, 0, AbortCode::Command), "the transfer has ended");
     }
 }
@@ -220,7 +224,7 @@ fn the_last_segment_of_a_domain_is_answered_once_it_has_been_looked_at() {
         let at = (0x2100, 2);
         assert_eq!(write(&mut server, &mut fake, at, Some(14), &[9; 14]), None);
         assert_eq!(server.tick(2 * SDO_TIMEOUT_MS), None, "it is not the master who is late");
-        let busy = ask(&mut server, &mut Fake::default(), to(0x21, 0x2100, 2, 14)).unwrap();
+        let busy = transact(&mut server, &mut Fake::default(), to(0x21, 0x2100, 2, 14)).unwrap();
         assert_eq!(Some(busy), refused(0x2100, 2, AbortCode::DeviceState));
         assert_eq!(server.finish_download(outcome), None, "the master has begun something else");
 
@@ -231,18 +235,18 @@ fn the_last_segment_of_a_domain_is_answered_once_it_has_been_looked_at() {
 }
 
 #[test]
-fn a_silent_master_is_told_and_one_that_aborts_is_not_answered() {
+fn a_silent_master_is_reported_and_one_that_aborts_is_not_answered() {
     let (mut server, mut fake) = (Server::default(), Fake::default());
     assert_eq!(server.tick(u32::MAX), None);
-    ask(&mut server, &mut fake, to(0x40, 0x1008, 0, 0));
+    transact(&mut server, &mut fake, to(0x40, 0x1008, 0, 0));
     assert_eq!(server.tick(SDO_TIMEOUT_MS), None);
     let late = server.tick(1).map(|frame| *frame.data());
     assert_eq!(late, refused(0x1008, 0, AbortCode::Timeout));
     assert_eq!(server.tick(SDO_TIMEOUT_MS), None);
 
-    ask(&mut server, &mut fake, to(0x40, 0x1008, 0, 0));
-    assert_eq!(ask(&mut server, &mut fake, to(0x80, 0x1008, 0, 0x0504_0000)), None);
-    let after = ask(&mut server, &mut fake, [0x60, 0, 0, 0, 0, 0, 0, 0]);
+    transact(&mut server, &mut fake, to(0x40, 0x1008, 0, 0));
+    assert_eq!(transact(&mut server, &mut fake, to(0x80, 0x1008, 0, 0x0504_0000)), None);
+    let after = transact(&mut server, &mut fake, [0x60, 0, 0, 0, 0, 0, 0, 0]);
     assert_eq!(after, refused(0, 0, AbortCode::Command));
     for short in 0..8 {
         let request = Frame::new(SDO_REQUEST_ID, &[0x40; 8][..short]).unwrap();

@@ -71,12 +71,12 @@ mod tests {
 
     /// Returns how often a model behind the sensor is said not to fit in this many hours of a machine that starts, stops,
     /// and is switched on anew; the model is off by this share of the growth and wanders by this much RMS next to.
-    fn told(hours: u32, share: f64, wander_nm: f64, seed: u64) -> u32 {
+    fn count_disagreements(hours: u32, share: f64, wander_nm: f64, seed: u64) -> u32 {
         let mut seed = seed;
         let mut uniform = || f64::from(next_random(&mut seed)) / 2_f64.powi(32);
         // Uniform steps of this size add up to a normal number of this RMS.
         let kick_nm = wander_nm * (2.0 / WANDER_STEPS).sqrt() * 12_f64.sqrt();
-        let (mut agreement, mut was_off, mut told) = (SourceAgreement::default(), false, 0);
+        let (mut agreement, mut was_off, mut reported) = (SourceAgreement::default(), false, 0);
         let (mut grown_nm, mut target_nm, mut steps_of_growth, mut left_nm) = (0.0, 0.0, 1.0, 0.0);
         for step in 0..hours * STEPS_PER_HOUR {
             // Every few minutes another speed, every few hours another start.
@@ -93,10 +93,10 @@ mod tests {
             let [sensor, model] = [grown_nm, model_nm].map(|nm| Some(Nanometres(nm as i32)));
             let past = PastElongation { elongation: Nanometres::ZERO, raw: [sensor, model, None] };
             agreement.step(Some(ElongationSource::Sensor), &past);
-            told += u32::from(agreement.has_disagreement() && !was_off);
+            reported += u32::from(agreement.has_disagreement() && !was_off);
             was_off = agreement.has_disagreement();
         }
-        told
+        reported
     }
 
     /// At most this many an hour: each takes a minute in which the model, less what it was off by at the start, is off
@@ -114,28 +114,28 @@ mod tests {
         for share in [-0.1, 0.1] {
             for wander_nm in [500.0, 1_000.0, 1_500.0] {
                 let most = most_an_hour(share, wander_nm);
-                let told = told(300, share, wander_nm, 11);
+                let reported = count_disagreements(300, share, wander_nm, 11);
                 std::println!(
-                    "{share} of the growth, {wander_nm} nm RMS: {told} in 300 h; at most {most:.1e} an hour"
+                    "{share} of the growth, {wander_nm} nm RMS: {reported} in 300 h; at most {most:.1e} an hour"
                 );
-                assert!(told == 0 && most < 1e-5);
+                assert!(reported == 0 && most < 1e-5);
             }
         }
         // Where there are some, they are no more than that.
         for wander_nm in [4_000.0, 6_000.0] {
             let most = most_an_hour(0.1, wander_nm);
-            let told = told(300, 0.1, wander_nm, 12);
+            let reported = count_disagreements(300, 0.1, wander_nm, 12);
             std::println!(
-                "0.1 of the growth, {wander_nm} nm RMS: {told} in 300 h; at most {most:.1e} an hour"
+                "0.1 of the growth, {wander_nm} nm RMS: {reported} in 300 h; at most {most:.1e} an hour"
             );
-            assert!(told > 0 && f64::from(told) <= 300.0 * most);
+            assert!(reported > 0 && f64::from(reported) <= 300.0 * most);
         }
     }
 
     #[test]
     fn a_model_that_is_off_by_most_of_the_growth_is_doubted_each_time() {
         for share in [-0.9, 1.5] {
-            assert!(told(30, share, 1_000.0, 13) >= 3, "{share}");
+            assert!(count_disagreements(30, share, 1_000.0, 13) >= 3, "{share}");
         }
     }
 

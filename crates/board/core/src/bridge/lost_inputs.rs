@@ -23,13 +23,13 @@ impl Bridge<'_> {
     #[must_use]
     pub fn lost_inputs(&self, state: &State) -> LostInputs {
         let limits = &self.calibration.limits;
-        let is_heard = state.control.fresh_value(limits.link_timeout_ms).is_some();
+        let is_received = state.control.fresh_value(limits.link_timeout_ms).is_some();
         LostInputs {
             sensor: self.is_sensor_lost(state, self.are_samples_missing(state)),
             thermometers: state.channels.faulty_channels().intersection(self.needs.watched),
             too_fast: state.channels.doubtful_channels(),
-            place: is_heard && !self.has_positions(state),
-            conditions: is_heard && self.needs.conditions && self.are_conditions_lost(state),
+            place: is_received && !self.has_positions(state),
+            conditions: is_received && self.needs.conditions && self.are_conditions_lost(state),
         }
     }
 }

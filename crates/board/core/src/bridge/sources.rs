@@ -45,8 +45,8 @@ impl State {
     }
 
     /// Goes on from where it was before a reset.
-    pub fn restore_transfer(&mut self, kept: RetainedTransfer) {
-        let RetainedTransfer { source, shift } = kept;
+    pub fn restore_transfer(&mut self, retained: RetainedTransfer) {
+        let RetainedTransfer { source, shift } = retained;
         self.joint = BumplessTransfer {
             last: Some(source),
             shift,
@@ -111,15 +111,18 @@ impl Bridge<'_> {
                 // A source that is still there, and only gives way, is right to the last.
                 let stays = self.is_fresh(state, last) && self.is_available(state, last);
                 let oldest = state.joint.before.into_iter().flatten().next();
-                let (joins_at, said) = match oldest.filter(|_| !stays) {
+                let (joins_at, raw_value) = match oldest.filter(|_| !stays) {
                     // Where the two were at that time: it shows how the spindle has grown since.
                     Some(PastElongation { elongation, raw }) => {
-                        let said = raw.get(source as usize).copied().flatten();
-                        (elongation, said.unwrap_or_else(|| self.raw_elongation(state, source)))
+                        let raw_value = raw.get(source as usize).copied().flatten();
+                        (
+                            elongation,
+                            raw_value.unwrap_or_else(|| self.raw_elongation(state, source)),
+                        )
                     }
                     None => (latest(), self.raw_elongation(state, source)),
                 };
-                let shift = i64::from(joins_at.0).wrapping_sub(said.0.into());
+                let shift = i64::from(joins_at.0).wrapping_sub(raw_value.0.into());
                 state.joint.shift = Nanometres::saturating_from(shift);
                 // What one has said before it was lost is no longer where the next goes on from.
                 if !stays {

@@ -61,7 +61,7 @@ pub struct State {
     pub(super) position_age: [Age; 3],
     /// Axes, and as the fourth the angles, that were somewhere else in the frame before.
     moving: [bool; 4],
-    said: [ReportedPosition; 3],
+    reported: [ReportedPosition; 3],
     /// Since a position came that was not believed.
     jump_age: Age,
     pub(super) joint: BumplessTransfer,
@@ -187,7 +187,7 @@ struct ReportedPosition {
     position: Position,
     at: TimestampMs,
     /// This many more have to follow.
-    doubt: u8,
+    uncertainty_ticks: u8,
 }
 
 impl ReportedPosition {
@@ -204,9 +204,10 @@ impl ReportedPosition {
         let reach =
             rapid.saturating_mul(now.duration_since(self.at).saturating_add(POSITION_JITTER_MS));
         let jumps = !is_first && self.position.0.abs_diff(position.0) > reach;
-        let doubt = if jumps { MIN_CONFIRMING_POSITIONS } else { self.doubt.saturating_sub(1) };
-        *self = Self { position, at: now, doubt };
-        doubt == 0
+        let caveat =
+            if jumps { MIN_CONFIRMING_POSITIONS } else { self.uncertainty_ticks.saturating_sub(1) };
+        *self = Self { position, at: now, uncertainty_ticks: caveat };
+        caveat == 0
     }
 }
 
@@ -225,7 +226,7 @@ impl State {
             place: Default::default(),
             position_age: Default::default(),
             moving: [false; 4],
-            said: Default::default(),
+            reported: Default::default(),
             jump_age: Default::default(),
             joint: Default::default(),
             cnc_known: false,
@@ -328,7 +329,7 @@ impl State {
         self.reference = reference;
     }
 
-    /// Bars the offset, or gives it free: while it is barred it goes to 0, and is not available
+    /// Inhibits the offset, or releases it: while it is inhibited it goes to 0, and is not available
     /// from then on.
     pub fn set_inhibited(&mut self, inhibited: bool) {
         self.inhibited = inhibited;
@@ -348,28 +349,33 @@ impl State {
 
     /// Takes a position; whether the axis has moved or turned round. One that is not believed moves nothing, and the
     /// last that was grows old.
-    pub(super) fn receive_position(&mut self, heard: AxisPosition, axis: &AxisModel<'_>) -> bool {
-        let number = heard.axis as usize;
-        let (Some(position), Some(travel), Some(age), Some(moving), Some(said)) = (
+    pub(super) fn receive_position(
+        &mut self,
+        received: AxisPosition,
+        axis: &AxisModel<'_>,
+    ) -> bool {
+        let number = received.axis as usize;
+        let (Some(position), Some(travel), Some(age), Some(moving), Some(reported)) = (
             self.place.position.get_mut(number),
             self.place.travel.get_mut(number),
             self.position_age.get_mut(number),
             self.moving.get_mut(number),
-            self.said.get_mut(number),
+            self.reported.get_mut(number),
         ) else {
             return false;
         };
         let before = (*position, travel.reversal());
-        *moving = before.0 != heard.position;
+        *moving = before.0 != received.position;
         let is_first = *age == Age::default();
-        if axis.rapid != 0 && !said.accept_position(heard.position, self.now, is_first, axis.rapid)
+        if axis.rapid != 0
+            && !reported.accept_position(received.position, self.now, is_first, axis.rapid)
         {
             self.jump_age = Age::ZERO;
             return false;
         }
         *age = Age::ZERO;
-        *position = heard.position;
-        travel.update(&axis.travel, heard.position, heard.direction as i8);
+        *position = received.position;
+        travel.update(&axis.travel, received.position, received.direction as i8);
         before != (*position, travel.reversal())
     }
 

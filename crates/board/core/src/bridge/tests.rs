@@ -120,7 +120,7 @@ fn it_takes_both_engage_and_referenced() {
 }
 
 #[test]
-fn engaging_and_disengaging_ramp_at_the_slew_limit_and_say_so() {
+fn engaging_and_disengaging_ramp_at_the_slew_limit_and_report_it() {
     let mut rig = Rig::new(calibration());
     rig.run(100, 1050);
     let mut before = 0;
@@ -244,7 +244,7 @@ fn a_cnc_that_starts_with_zero_set_has_asked_for_nothing() {
 }
 
 #[test]
-fn the_clamp_is_told() {
+fn the_clamp_is_reported() {
     let mut rig = Rig::new(calibration());
     let output = rig.run_engaged(900, 1900);
     assert_eq!(rig.z_nm(), 500_000);
@@ -343,7 +343,7 @@ fn an_axis_that_has_grown_is_taken_back_along_itself() {
 }
 
 #[test]
-fn a_part_beyond_its_limit_is_held_and_told() {
+fn a_part_beyond_its_limit_is_held_and_reported() {
     let mut rig = Rig::new(expanding());
     let output = warm(&mut rig, 500, Some(24), 1_000);
     assert_eq!(output.offset, Some([Nanometres(-200_000), Nanometres(0), Nanometres(0)]));
@@ -433,7 +433,7 @@ fn a_tilted_head_takes_growth_to_both_axes() {
 }
 
 #[test]
-fn it_tells_the_time_of_its_last_tick_and_the_noise_since_it_was_last_asked() {
+fn it_reports_the_time_of_its_last_tick_and_the_noise_since_the_last_request() {
     let mut rig = Rig::new(calibration());
     rig.run(5, 1050);
     assert_eq!(rig.state.now(), TimestampMs(5));

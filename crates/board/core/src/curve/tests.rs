@@ -152,8 +152,8 @@ fn every_curve_is_f64_at_its_knots_and_between() {
         };
         for knot in &spline.knots[1..spline.knots.len() - 1] {
             let step = check(*knot + 1).0 - check(*knot).0;
-            let wanted = spline.at(*knot + 1) - spline.at(*knot);
-            gap = gap.max((f64::from(step) - wanted).abs() / NM);
+            let expected = spline.at(*knot + 1) - spline.at(*knot);
+            gap = gap.max((f64::from(step) - expected).abs() / NM);
             check(*knot - 1);
         }
         for _ in 0..3_000 {
@@ -218,8 +218,8 @@ fn a_segment_survives_its_bytes() {
         assert_eq!(segment.coefficients[3] & SPAN_MASK, (32 - i32::from(shift)) % 32);
     }
     for c3 in [i32::MIN, i32::MAX] {
-        let [.., kept] = Segment::new(Position(0), 3, [0, 0, 0, c3]).coefficients;
-        assert_eq!(kept.signum(), c3.signum(), "it does not wrap");
+        let [.., retained] = Segment::new(Position(0), 3, [0, 0, 0, c3]).coefficients;
+        assert_eq!(retained.signum(), c3.signum(), "it does not wrap");
     }
 }
 
@@ -334,7 +334,7 @@ fn a_bucket_that_begins_at_a_knot_names_the_segment_that_ends_there() {
 }
 
 #[test]
-fn a_curve_tells_the_width_of_its_buckets_as_it_was_given() {
+fn a_curve_reports_the_width_of_its_buckets_as_it_was_given() {
     let segments = [Segment::new(Position(100), 16, [0; 4]).to_bytes()];
     for shift in 1..=32 {
         assert_eq!(Curve::new(Position(0), &segments, &[[0, 0]], shift).bucket_shift(), shift);

@@ -155,7 +155,7 @@ fn running(from_ms: u32, shakes: f64, noise: u32) -> [AdcCode; CODES_PER_TICK] {
 }
 
 /// Returns a sensor that has been received for half a second.
-fn heard(noise: u32) -> SensorHealth {
+fn running_health(noise: u32) -> SensorHealth {
     let mut health = SensorHealth::default();
     (0..500).for_each(|ms| assert!(health.check(&running(ms, 0.0, noise), true).is_some()));
     health
@@ -177,7 +177,7 @@ fn a_machine_that_runs_out_and_shakes_passes_as_it_is() {
 fn up_to_three_codes_out_of_reach_are_a_spike_and_no_jump() {
     for (by, noise) in [(33, 0), (70, 5), (2_000, 5), (-70, 5), (-600, 0)] {
         for length in 1..=3 {
-            let mut health = heard(noise);
+            let mut health = running_health(noise);
             let mut codes = running(500, 0.0, noise);
             let whole = codes;
             for code in &mut codes[7..7 + length] {
@@ -192,9 +192,9 @@ fn up_to_three_codes_out_of_reach_are_a_spike_and_no_jump() {
 }
 
 #[test]
-fn a_level_out_of_reach_is_believed_with_its_fourth_code_and_told_for_100_ms() {
+fn a_level_out_of_reach_is_believed_with_its_fourth_code_and_reported_for_100_ms() {
     for by in [60, 300, 2_000, -60, -600] {
-        let mut health = heard(2);
+        let mut health = running_health(2);
         let jumped = |ms| running(ms, 0.0, 2).map(|code| AdcCode(code.0.wrapping_add_signed(by)));
         let mut codes = running(500, 0.0, 2);
         let after = jumped(500);
@@ -202,40 +202,40 @@ fn a_level_out_of_reach_is_believed_with_its_fourth_code_and_told_for_100_ms() {
         let passed = *health.check(&codes, true).expect("another level");
         assert_eq!(passed[9..12], [codes[8]; 3]);
         assert_eq!(passed[12..], codes[12..]);
-        let mut told_ms = 0;
+        let mut reported_ms = 0;
         while health.has_jumped() {
-            told_ms += 1;
-            let codes = jumped(500 + told_ms);
+            reported_ms += 1;
+            let codes = jumped(500 + reported_ms);
             assert_eq!(health.check(&codes, true), Some(&codes));
         }
-        assert_eq!(told_ms, 100, "{by}");
+        assert_eq!(reported_ms, 100, "{by}");
     }
 }
 
 #[test]
-fn a_level_is_told_wherever_in_a_block_it_begins() {
+fn a_level_is_reported_wherever_in_a_block_it_begins() {
     for by in [60, 300, -600] {
         for first in 0..CODES_PER_TICK {
-            let mut health = heard(2);
+            let mut health = running_health(2);
             let jumped =
                 |ms| running(ms, 0.0, 2).map(|code| AdcCode(code.0.wrapping_add_signed(by)));
             let mut codes = running(500, 0.0, 2);
             codes[first..].copy_from_slice(&jumped(500)[first..]);
             assert!(health.check(&codes, true).is_some());
-            let is_told = (501..503).any(|ms| {
+            let is_reported = (501..503).any(|ms| {
                 assert!(health.check(&jumped(ms), true).is_some());
                 health.has_jumped()
             });
-            assert!(is_told, "{by} from code {first} of a block on");
+            assert!(is_reported, "{by} from code {first} of a block on");
         }
     }
 }
 
 #[test]
-fn a_step_before_the_analogue_low_pass_is_told_from_30_um_on() {
+fn a_step_before_the_analogue_low_pass_is_reported_from_30_um_on() {
     // Two poles at 2 kHz: 1 − (1 + ωt)·e^(−ωt).
-    let told = |by: f64| {
-        let mut health = heard(1);
+    let is_detected = |by: f64| {
+        let mut health = running_health(1);
         (500..510).any(|ms| {
             let mut codes = running(ms, 0.0, 1);
             for (n, code) in codes.iter_mut().enumerate() {
@@ -246,16 +246,16 @@ fn a_step_before_the_analogue_low_pass_is_told_from_30_um_on() {
             health.has_jumped()
         })
     };
-    let first = (0..400).find(|codes| told(f64::from(*codes))).expect("a large one is told");
+    let first = (0..400).find(|codes| is_detected(f64::from(*codes))).expect("a large one is told");
     std::println!("told from {first} codes on");
     assert!((139..=245).contains(&first));
-    assert!((first..3_000).step_by(20).all(|codes| told(f64::from(codes))));
+    assert!((first..3_000).step_by(20).all(|codes| is_detected(f64::from(codes))));
 }
 
 #[test]
 fn codes_that_follow_from_nothing_are_a_fault_in_2_ms_until_10_ms_are_good() {
     for wide in [200, 1_000, 3_000] {
-        let mut health = heard(2);
+        let mut health = running_health(2);
         let wild = |ms: u32| {
             core::array::from_fn(|n| AdcCode(500 + (drawn(ms * 20 + n as u32) % wide) as u16))
         };
@@ -271,7 +271,7 @@ fn codes_that_follow_from_nothing_are_a_fault_in_2_ms_until_10_ms_are_good() {
 #[test]
 fn codes_after_a_gap_have_not_jumped() {
     for missing in 1..5 {
-        let mut health = heard(2);
+        let mut health = running_health(2);
         for turn in 0..100 {
             health.record_gap();
             let codes = running(500 + 7 * turn + missing, 0.0, 2);

@@ -225,7 +225,7 @@ impl TermStates {
         mut find: impl FnMut(RetainedLagKey) -> Option<RetainedLag>,
     ) {
         for (lag, key) in self.lags.iter_mut().zip(lag_keys(terms)) {
-            *lag = key.and_then(&mut find).map(|kept| kept.lag);
+            *lag = key.and_then(&mut find).map(|retained| retained.lag);
         }
     }
 

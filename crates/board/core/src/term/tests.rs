@@ -52,7 +52,7 @@ fn what_a_sensor_a_spindle_and_a_cut_do() {
     let operating = OperatingPoint { speed: Some(Rpm(12_000)), load: 500 * 256 };
     // c·p² with c in 1/µm: p² in fine units is 256 000 times µm², halved 24 times.
     let curvature = scaled(0.01 / 256_000.0 * 2_f64.powi(24));
-    for (effect, wanted) in [
+    for (effect, expected) in [
         (Effect::Curvature(curvature), 75.0),
         (Effect::Saturation(FineNanometres(40 * 256_000)), 40.0),
         (Effect::Speed(scaled(0.05 * 256_000.0 / 1e6)), 57.2),
@@ -61,7 +61,7 @@ fn what_a_sensor_a_spindle_and_a_cut_do() {
         let terms = with(&[(Target::Elongation, 0, effect)]);
         let got =
             um(apply_elongation_terms(&terms, FineNanometres(50 * 256_000), &states, operating));
-        assert!((got - wanted).abs() < 1e-5, "{effect:?}: {got}");
+        assert!((got - expected).abs() < 1e-5, "{effect:?}: {got}");
     }
 }
 
@@ -95,8 +95,8 @@ fn heat_follows_its_lag_and_time_its_own() {
         );
         (um(errors[0]), um(grown))
     };
-    let near = |got: (f64, f64), wanted: (f64, f64)| {
-        assert!((got.0 - wanted.0).abs() < 1e-5 && (got.1 - wanted.1).abs() < 1e-5, "{got:?}");
+    let near = |got: (f64, f64), expected: (f64, f64)| {
+        assert!((got.0 - expected.0).abs() < 1e-5 && (got.1 - expected.1).abs() < 1e-5, "{got:?}");
     };
     near(step_thermal(&temperatures), (0.0, 2.0));
     temperatures[2] = Some(Temperature(27 * Temperature::PER_KELVIN));
@@ -122,7 +122,7 @@ fn a_slope_by_heat_goes_with_the_position() {
     let mut temperatures = [None; CHANNEL_COUNT];
     temperatures[1] = Some(Temperature(24 * Temperature::PER_KELVIN));
     states.step(&terms, 0, &temperatures, None, true);
-    for (y, wanted) in [(1 << HEAT_SLOPE_BITS, 12.0), (-(1 << 26), -6.0), (0, 0.0)] {
+    for (y, expected) in [(1 << HEAT_SLOPE_BITS, 12.0), (-(1 << 26), -6.0), (0, 0.0)] {
         let position = [Position(77), Position(y), Position(-5)];
         let (errors, _) = compute_axis_errors(
             &terms,
@@ -130,7 +130,7 @@ fn a_slope_by_heat_goes_with_the_position() {
             &MachinePosition { position, ..MachinePosition::default() },
         );
         let got = errors.map(um);
-        assert!((got[1] - wanted).abs() < 1e-5 && [got[0], got[2]] == [0.0; 2], "{got:?}");
+        assert!((got[1] - expected).abs() < 1e-5 && [got[0], got[2]] == [0.0; 2], "{got:?}");
     }
     assert!(states.is_initialised(heat_terms(&terms)));
 }
@@ -212,7 +212,7 @@ fn an_angle_acts_by_its_lever() {
         let terms = with(&[(Target::Axis(LinearAxis::X), 0, tilt)]);
         um(compute_axis_errors(&terms, &TermStates::default(), &place).0[0])
     };
-    for ((x_mm, y_mm, origin_mm), wanted) in [
+    for ((x_mm, y_mm, origin_mm), expected) in [
         ((500, 100, 0), 1.0),
         ((500, 300, 200), 1.0),
         ((500, 100, 200), -1.0),
@@ -223,7 +223,10 @@ fn an_angle_acts_by_its_lever() {
         ((15_000, 15_000, -15_000), 9_000.0_f64.min(f64::from(i32::MAX) / 256_000.0)),
     ] {
         let got = at(x_mm, y_mm, origin_mm);
-        assert!((got - wanted).abs() < 5e-4, "{x_mm} {y_mm} {origin_mm}: {got} is not {wanted}");
+        assert!(
+            (got - expected).abs() < 5e-4,
+            "{x_mm} {y_mm} {origin_mm}: {got} is not {expected}"
+        );
     }
 }
 
@@ -398,7 +401,7 @@ fn a_table_of_a_term_is_that_of_its_own_axis_by_direction() {
     };
     let terms = with(&[(Target::Axis(LinearAxis::Z), 0, Effect::Table(pitch))]);
     let config = crate::travel::ReversalConfig::default();
-    for (direction, z, wanted_um, outside) in [
+    for (direction, z, expected_um, outside) in [
         (1, 1_000, 3.0, false),
         (-1, 0, 5.0, false),
         (-1, 1_000, 9.0, false),
@@ -408,7 +411,7 @@ fn a_table_of_a_term_is_that_of_its_own_axis_by_direction() {
             MachinePosition { position: [0, 77, z].map(Position), ..MachinePosition::default() };
         place.travel[2].update(&config, Position(z), direction);
         let (errors, is_outside) = compute_axis_errors(&terms, &TermStates::default(), &place);
-        assert!((um(errors[2]) - wanted_um).abs() < 1e-5, "{direction} at {z}: {errors:?}");
+        assert!((um(errors[2]) - expected_um).abs() < 1e-5, "{direction} at {z}: {errors:?}");
         assert_eq!(
             (errors[0], errors[1], is_outside),
             (FineNanometres(0), FineNanometres(0), outside)

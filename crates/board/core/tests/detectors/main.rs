@@ -173,7 +173,7 @@ struct Detector {
     bend: fn(AdcCode, &mut SampleFault) -> AdcCode,
     /// Whether the spindle has to turn for it to be judged, where noise is below 0.3 codes.
     needs_life: bool,
-    is_told: fn(&SensorHealth) -> bool,
+    is_reported: fn(&SensorHealth) -> bool,
 }
 
 /// Not at all: the codes are not believed.
@@ -193,21 +193,21 @@ const DETECTORS: [Detector; 6] = [
         found_within_ms: 1,
         bend: |_, _| AdcCode(0),
         needs_life: false,
-        is_told: BY_ITS_CODES,
+        is_reported: BY_ITS_CODES,
     },
     Detector {
         name: "short",
         found_within_ms: 1,
         bend: |_, _| AdcCode(4_095),
         needs_life: false,
-        is_told: BY_ITS_CODES,
+        is_reported: BY_ITS_CODES,
     },
     Detector {
         name: "slew in range",
         found_within_ms: 1,
         bend: |code, fault| AdcCode(code.0.saturating_add_signed(fault.by)),
         needs_life: false,
-        is_told: SensorHealth::has_jumped,
+        is_reported: SensorHealth::has_jumped,
     },
     Detector {
         // Even ones over the whole range, as of a converter that is lost.
@@ -218,7 +218,7 @@ const DETECTORS: [Detector; 6] = [
             AdcCode(9 + (((fault.number >> 16) * 4_078) >> 16) as u16)
         },
         needs_life: false,
-        is_told: BY_ITS_CODES,
+        is_reported: BY_ITS_CODES,
     },
     Detector {
         // As of a divider whose wire touches now and then: 16 more railed codes than a quarter of the good ones.
@@ -229,14 +229,14 @@ const DETECTORS: [Detector; 6] = [
             if fault.number % 4 == 0 { code } else { AdcCode(4_095) }
         },
         needs_life: false,
-        is_told: BY_ITS_CODES,
+        is_reported: BY_ITS_CODES,
     },
     Detector {
         name: "stuck",
         found_within_ms: 202,
         bend: |_, fault| fault.stuck,
         needs_life: true,
-        is_told: BY_ITS_CODES,
+        is_reported: BY_ITS_CODES,
     },
 ];
 
@@ -267,7 +267,7 @@ fn found(detector: &Detector, draws: u32, seed: u64) -> u32 {
         }
         let ms = (1..=detector.found_within_ms).find(|_| {
             let block = sensor.block().map(|code| (detector.bend)(code, &mut fault));
-            health.check(&block, sensor.turns).is_none() || (detector.is_told)(&health)
+            health.check(&block, sensor.turns).is_none() || (detector.is_reported)(&health)
         });
         found += u32::from(ms.is_some());
     }

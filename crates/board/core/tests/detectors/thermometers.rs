@@ -130,7 +130,7 @@ fn three_thousand_steps_and_ramps_that_no_mass_can_make_are_found_and_none_is_be
         let mut read = |channel: &mut TemperatureChannel, celsius: f64| {
             let reading = (celsius + noise * random.normal()) * f64::from(Temperature::PER_KELVIN);
             channel.receive_rate_limited(Ok(Temperature(reading as i32)), &limit, false);
-            channel.is_in_doubt()
+            channel.is_uncertain()
         };
         (0..100).for_each(|_| _ = read(&mut channel, 40.0));
         let ramp = |n: u32| 40.0 + by.signum() * (per_reading * f64::from(n)).min(by.abs());
@@ -185,7 +185,7 @@ impl Thermometers {
 }
 
 #[test]
-fn a_thermometer_that_stops_is_found_in_40_s_beside_one_that_goes_on() {
+fn a_thermometer_that_stops_is_found_in_40_s_next_to_one_that_goes_on() {
     let mut found = 0;
     for draw in 0..1_000 {
         let noise = Random::new(40 + draw).between(0.6, 3.0);
@@ -194,11 +194,11 @@ fn a_thermometer_that_stops_is_found_in_40_s_beside_one_that_goes_on() {
         // Eight minutes.
         (0..4_800).for_each(|_| sound.read(&mut channels, &mut last, 0));
         let within = u32::from(FROZEN_AFTER_READINGS) + 5;
-        let told = (0..within).any(|_| {
+        let is_reported = (0..within).any(|_| {
             sound.read(&mut channels, &mut last, 1);
             channels.is_faulty(0)
         });
-        found += u32::from(told);
+        found += u32::from(is_reported);
     }
     println!("thermometer stuck: {found} of 1000 found within 40.5 s");
     assert!(found >= 999);

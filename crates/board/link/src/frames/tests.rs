@@ -254,8 +254,8 @@ proptest! {
 }
 
 #[test]
-fn why_a_frame_cannot_be_read_is_told_with_what_was_found_and_what_should_be() {
-    for (error, told) in [
+fn why_a_frame_cannot_be_read_is_reported_with_what_was_found_and_what_should_be() {
+    for (error, message) in [
         (
             DecodeError::Identifier { expected: 0x81, found: 0x302 },
             "identifier is 0x302, should be 0x081",
@@ -263,6 +263,6 @@ fn why_a_frame_cannot_be_read_is_told_with_what_was_found_and_what_should_be() {
         (DecodeError::Length { expected: 8, found: 5 }, "frame has 5 bytes, should have 8"),
         (DecodeError::Value { signal: "Direction", raw: -2 }, "Direction -2 has no meaning"),
     ] {
-        assert_eq!(error.to_string(), told);
+        assert_eq!(error.to_string(), message);
     }
 }

@@ -33,7 +33,7 @@ const HEADER: &str = concat!(
 );
 
 const ABOUT: &str = concat!(
-    "CM_ \"What the trueup bridge and a CNC say to each other, on CAN (2.0, standard identifiers, ",
+    "CM_ \"Messages between the trueup bridge and a CNC, on CAN (2.0, standard identifiers, ",
     "1 Mbit/s) and as SLCAN lines on a serial port. Bits that no signal covers are sent as 0 and ",
     "ignored by the receiver. Every frame with the signals Crc and Counter is protected by AUTOSAR ",
     "E2E profile 5: Crc is CRC-16/CCITT-FALSE (polynomial 0x1021, start 0xFFFF, not reflected, no ",

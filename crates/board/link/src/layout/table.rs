@@ -324,14 +324,13 @@ frames! {
             "To be added to the commanded Z. 10 nm a bit. Raw -524288 means not available.";
         "Quality" as QUALITY: unsigned(44, 4).between(0, Quality::Fault as i32).named(QUALITIES),
             "How good the offsets of X, Y and Z are, and what a CNC does. Off: offset 0. Live: every configured \
-             input is fresh. TemperatureModel, WarmUpModel: by a fall-back; apply it, tell the operator. Hold: an \
+             input is fresh. TemperatureModel, WarmUpModel: by a fall-back; apply it, warn the operator. Hold: an \
              input or the CNC is lost; apply it, warn. RampingOut: the same. Fault: not available, or waiting \
              after a start; take the own offset to 0 by a ramp and send Engage 0 until it is there, then 1.";
         "Flags" as FLAGS: unsigned(48, 8),
             "Why the offsets are not simply the full correction. Bit 0: an axis stands at its largest permitted \
              offset. Bit 1: an axis is on its way at the slew limit. Bit 2: the sensor or a thermometer reads \
-             outside its range, or the sensor never changes. Bit 3: samples are missing. Bit 4: the CNC was heard \
-             before and is silent now, or does not send a position or angle that is needed. Bit 5: no fresh \
+             outside its range, or the sensor never changes. Bit 3: samples are missing. Bit 4: the CNC sent before and is silent now, or a needed position or angle is missing. Bit 5: no fresh \
              spindle speed. Bit 6: a position is outside its table, whose end value is held. Bit 7: the board runs \
              on a fall-back (crystal, PLL or CAN dead).";
         "Age" as SAMPLE_AGE: unsigned(56, 8).unit("ms"),
@@ -344,7 +343,7 @@ frames! {
         "The CNC's sign of life, up to 50 times a second. Nothing is engaged before the first; without one for the \
          link timeout the CNC counts as lost." {
         "Engage" as ENGAGE: unsigned(24, 1),
-            "1: the operator wants offsets. After every start of the bridge it counts only once it was 0 in three \
+            "1: the operator requests offsets. After every start of the bridge it counts only once it was 0 in three \
              frames in a row; raise it only while the offset that is applied is 0.";
         "Referenced" as REFERENCED: unsigned(25, 1),
             "1: the axes are referenced (homed); before that no offset is given.";
@@ -352,27 +351,23 @@ frames! {
             "From 0 to 1, while Referenced is 1: take the present error as the reference. It counts once it was 1 \
              in three frames in a row; one that is shorter or refused is an emergency.";
         "Service" as SERVICE: unsigned(27, 1),
-            "1: the operator allows that a master writes to the bridge (a calibration, its settings, a restart), \
-             while Engage is 0 and no offset is applied.";
+            "1: a master may write to the bridge (a calibration, its settings, a restart) while Engage is 0 and no offset is applied.";
         "Confirm" as CONFIRM: unsigned(28, 1),
             "From 0 to 1, and 1 in three frames in a row: the operator answers one question of StateBits, the \
              first that is set of bits 4, 2 and 1: the calibration is meant for this machine, the older one is \
              right, the machine is cold.";
         "LearnedPart" as LEARNED_PART: unsigned(29, 3),
             "Which part of the correction Learned changes, also while Engage is 1: 1 the growth of the spindle, 2, \
-             3, 4 the expansion of X, Y, Z, 5 the zero of the growth; 0: none, and what was said before stays. It \
-             is lost with the power, so say each again and again, one a frame. Send 0 of a part to take it back.";
+             3, 4 the expansion of X, Y, Z, 5 the zero of the growth; 0: none, and earlier values stay. They are lost with the power, so send each again and again, one a frame. Send 0 of a part to take it back.";
         "Learned" as LEARNED: signed(32, 16).scaled(1, 1_000, ""),
-            "By so much the part is more than the calibration says: in percent of itself, the zero in um. Refused \
-             beyond the caps that the calibration states; an emergency tells. The bridge goes there by 0.001 in \
+            "Change of the part relative to the calibration: in percent of itself, the zero in um. Refused beyond the caps that the calibration states; an emergency reports it. The bridge goes there by 0.001 in \
              100 ms.";
         "LearnedCrc" as LEARNED_CRC: unsigned(48, 16),
             "The lower 16 bits of CalibrationCrc (Status, item 10): what is meant for another calibration is \
              refused.";
     }
     STATUS_ID = 0x381: "Status", 8, Bridge, STATUS_PERIOD_MS, PROTECTION,
-        "What the bridge says of itself, ten frames a second: Item says what a frame is about, each of the eleven \
-         in turn, so each comes every 1.1 s. It changes no offset; a CNC may leave it alone." {
+        "Status of the bridge, ten frames a second: Item states what a frame is about, each of the eleven in turn, so each comes every 1.1 s. It changes no offset; a CNC may leave it alone." {
         "Item" as STATUS_ITEM: unsigned(24, 4).between(0, MAX_ITEM_NUMBER as i32).selector(),
             "What this frame is about: 0 to 3 two temperatures, 4 the elongation, 5 and 6 the frames of the CNC, 7 \
              the board, 8 its state, 9 its last reset, 10 its calibration, 11 to 13 the offset of X, Y, Z as \
@@ -409,16 +404,15 @@ frames! {
             "What is wrong now: the bit of each of the faults 0 to 15 is its number in Emergency.Fault; objects \
              0x2001:09 and 0x2001:0A have all.";
         "StateBits" as STATE_BITS: unsigned(32, 32).item(8),
-            "What a CNC must know beside the offsets, 0 where all is well. Bit 0: restarted; the engage sequence \
-             (Engage 0, 0, 0, then 1) is not complete. Bit 1: what heat the machine has kept from before the start \
-             is not known. Bit 2: the newest calibration is damaged, an older one waits for Confirm. Bit 3: the \
+            "State of the bridge for the CNC in addition to the offsets, 0 where all is well. Bit 0: restarted; the engage sequence \
+             (Engage 0, 0, 0, then 1) is not complete. Bit 1: the heat stored in the machine before the start is not known. Bit 2: the newest calibration is damaged, an older one waits for Confirm. Bit 3: the \
              constants of the example, never an offset. Bit 4: the calibration names another machine or board and \
              waits for Confirm. Bit 5: a second master sends Control. Bit 6: CAN warning. Bit 7: CAN error \
              passive. Bit 8: CAN bus off. Bit 9: a fall-back clock. Bit 10: the supply is off. Bit 11: the store \
              fails. Bit 12: a source of the elongation that is not in use is dead. Bit 13: what is measured no \
              longer fits the calibration. Bit 14: the board is damaged. Bit 15: a position out of reach. Bit 16: \
              the sensor jumped, or its run-out changed. Bit 17: an older reference is offered and waits for \
-             Confirm or Zero. Bit 18: the calibration was changed while no CNC was heard and waits for Confirm. \
+             Confirm or Zero. Bit 18: the calibration was changed while no CNC was sending and waits for Confirm. \
              Bit 19: a thermometer changed faster than its mass can and is not believed. Bit 20: Conditions are \
              lost. Each comes as an emergency as well.";
         "ResetReason": signal_at(FIRST_COUNT).item(9).between(0, ResetReason::Crystal as i32).named(RESET_REASONS),

@@ -39,7 +39,7 @@ fn damaged(frame: Frame) -> Frame {
 }
 
 #[test]
-fn commands_are_told_apart_and_each_has_its_own_sequence() {
+fn commands_are_distinguished_and_each_has_its_own_sequence() {
     let mut receiver = Receiver::new();
     for counter in 0..=u8::MAX {
         let frame = encode_control(ENGAGED, counter);
@@ -138,7 +138,7 @@ fn only_a_frame_that_is_whole_and_out_of_sequence_speaks_of_a_second_sender() {
 }
 
 #[test]
-fn a_restarted_cnc_is_heard_again_with_its_second_frame() {
+fn a_restarted_cnc_is_received_again_with_its_second_frame() {
     let mut receiver = Receiver::new();
     receiver.accept(&encode_control(ENGAGED, 100)).unwrap();
     let (last, counter) = (100, 0);
@@ -256,11 +256,11 @@ fn what_a_cnc_sends_is_what_the_bridge_takes_as_a_command() {
 }
 
 #[test]
-fn a_frame_that_is_not_trusted_yet_is_told_apart_from_one_that_is_wrong() {
+fn a_frame_that_is_not_trusted_yet_is_distinguished_from_one_that_is_wrong() {
     let error = E2eError::Repeated { counter: 4 };
     let length = DecodeError::Length { expected: 8, found: 7 };
     assert_eq!(ReceiveError::E2e(error).to_string(), error.to_string());
     assert_eq!(ReceiveError::Decode(length).to_string(), length.to_string());
-    let told = "not trusted yet: before it, counter 4 is repeated";
-    assert_eq!(ReceiveError::Untrusted(error).to_string(), told);
+    let message = "not trusted yet: before it, counter 4 is repeated";
+    assert_eq!(ReceiveError::Untrusted(error).to_string(), message);
 }

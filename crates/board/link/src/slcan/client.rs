@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn a_client_opens_a_port_in_any_state_and_hears_its_frames() {
+    fn a_client_opens_a_port_in_any_state_and_receives_its_frames() {
         for left_over in [&b""[..], b"O\r", b"L\rt1", b"tttttttttttttttttttttttttttttttttttttt"] {
             let (mut client, mut port) = (Client::new(), Port::new(1));
             for byte in left_over {

@@ -60,7 +60,7 @@ pub(crate) fn write(block: &[u16]) -> List<u8> {
 }
 
 /// Returns what is answered to a PDU over TCP and over RTU, without header and checksum; `None`: nothing.
-fn ask(bridge: &mut Mock, unit: u8, pdu: &[u8]) -> [Option<List<u8>>; 2] {
+fn query(bridge: &mut Mock, unit: u8, pdu: &[u8]) -> [Option<List<u8>>; 2] {
     let mut response = Response::new();
     let over_tcp =
         handle_request(Transport::Tcp, 1, &tcp(unit, pdu), bridge, &mut response).then(|| {
@@ -83,26 +83,26 @@ fn the_whole_input_block_is_read_in_one_request() {
     let mut bridge = Mock::new();
     let mut expected = vec![4, 56];
     expected.extend(bridge.input.iter().flat_map(|word| word.to_be_bytes()));
-    let answers = ask(&mut bridge, 1, &[4, 0, 0, 0, 28]);
+    let answers = query(&mut bridge, 1, &[4, 0, 0, 0, 28]);
     assert_eq!(answers, [Some(expected.clone()), Some(expected)]);
     let quality = Some(vec![4, 2, 0, 0]);
-    assert_eq!(ask(&mut bridge, 1, &[4, 0, 8, 0, 1]), [quality.clone(), quality]);
+    assert_eq!(query(&mut bridge, 1, &[4, 0, 8, 0, 1]), [quality.clone(), quality]);
 }
 
 #[test]
 fn the_whole_holding_block_is_written_and_read_back() {
     let mut bridge = Mock::new();
     let conditions = Some(Conditions { tool: 9, bits: 0x8001 });
-    for (said, registers) in
+    for (cnc_data, registers) in
         [(CncData::default(), 17), (CncData { conditions, ..CncData::default() }, 20)]
     {
-        let block = said.encode(5);
+        let block = cnc_data.encode(5);
         let echo = Some(vec![16, 0, 0, 0, registers]);
-        assert_eq!(ask(&mut bridge, 1, &write(registers_to_write(&block))), [echo.clone(), echo]);
+        assert_eq!(query(&mut bridge, 1, &write(registers_to_write(&block))), [echo.clone(), echo]);
         assert_eq!(bridge.taken.split_off(0), [block, block]);
         bridge.taken.push(block);
         for count in [17, 20] {
-            let [Some(read), _] = ask(&mut bridge, 1, &[3, 0, 0, 0, count]) else { panic!() };
+            let [Some(read), _] = query(&mut bridge, 1, &[3, 0, 0, 0, count]) else { panic!() };
             let (words, _) = read[2..].as_chunks::<2>();
             let words: List<u16> = words.iter().map(|word| u16::from_be_bytes(*word)).collect();
             assert_eq!(words, block[..usize::from(count)]);
@@ -162,13 +162,13 @@ fn each_fault_gets_the_exception_that_the_standard_names_and_moves_nothing() {
         (&long, 3),
         (&none, 3),
     ] {
-        let said = Some(vec![pdu[0] | 0x80, exception]);
-        assert_eq!(ask(&mut bridge, 1, pdu), [said.clone(), said], "{pdu:?}");
+        let response = Some(vec![pdu[0] | 0x80, exception]);
+        assert_eq!(query(&mut bridge, 1, pdu), [response.clone(), response], "{pdu:?}");
     }
     assert_eq!(bridge.taken, [[0; WHOLE_HOLDING_LEN]; 0]);
     bridge.is_busy = true;
-    let said = Some(vec![0x90, 6]);
-    assert_eq!(ask(&mut bridge, 1, &write(&[0; 17])), [said.clone(), said]);
+    let response = Some(vec![0x90, 6]);
+    assert_eq!(query(&mut bridge, 1, &write(&[0; 17])), [response.clone(), response]);
 }
 
 #[test]
@@ -176,7 +176,7 @@ fn unit_0_moves_nothing_and_reads_over_tcp_alone_and_another_unit_is_not_us() {
     let mut bridge = Mock::new();
     let block = write(&CncData::default().encode(0));
     for pdu in [&block[..], &[4, 0, 0, 0, 28], &[99]] {
-        let [over_tcp, serial] = ask(&mut bridge, 0, pdu);
+        let [over_tcp, serial] = query(&mut bridge, 0, pdu);
         assert_eq!(serial, None);
         let over_tcp = over_tcp.expect("a master that sends unit 0 is not left without an answer");
         match pdu[0] {
@@ -184,10 +184,10 @@ fn unit_0_moves_nothing_and_reads_over_tcp_alone_and_another_unit_is_not_us() {
             function => assert_eq!(over_tcp, [function | 0x80, 0x0B]),
         }
         let no_target = Some(vec![pdu[0] | 0x80, 0x0B]);
-        assert_eq!(ask(&mut bridge, 2, pdu), [no_target, None]);
+        assert_eq!(query(&mut bridge, 2, pdu), [no_target, None]);
     }
     assert!(bridge.taken.is_empty());
-    let [Some(read), None] = ask(&mut bridge, 255, &[4, 0, 0, 0, 28]) else { panic!() };
+    let [Some(read), None] = query(&mut bridge, 255, &[4, 0, 0, 0, 28]) else { panic!() };
     assert_eq!(read[..2], [4, 56]);
 }
 
@@ -195,12 +195,12 @@ fn unit_0_moves_nothing_and_reads_over_tcp_alone_and_another_unit_is_not_us() {
 fn the_order_of_words_is_tried_at_address_100() {
     let mut bridge = Mock::new();
     for function in [3, 4] {
-        let said = Some(vec![function, 4, 1, 2, 3, 4]);
-        assert_eq!(ask(&mut bridge, 1, &[function, 0, 100, 0, 2]), [said.clone(), said]);
+        let response = Some(vec![function, 4, 1, 2, 3, 4]);
+        assert_eq!(query(&mut bridge, 1, &[function, 0, 100, 0, 2]), [response.clone(), response]);
         let one = Some(vec![function, 2, 3, 4]);
-        assert_eq!(ask(&mut bridge, 1, &[function, 0, 101, 0, 1]), [one.clone(), one]);
+        assert_eq!(query(&mut bridge, 1, &[function, 0, 101, 0, 1]), [one.clone(), one]);
         let behind = Some(vec![function | 0x80, 2]);
-        assert_eq!(ask(&mut bridge, 1, &[function, 0, 101, 0, 2]), [behind.clone(), behind]);
+        assert_eq!(query(&mut bridge, 1, &[function, 0, 101, 0, 2]), [behind.clone(), behind]);
     }
 }
 
@@ -244,7 +244,7 @@ proptest! {
     ) {
         let mut bridge = Mock::new();
         let pdu = [&[function], &rest[..]].concat();
-        let answers = ask(&mut bridge, unit, &pdu);
+        let answers = query(&mut bridge, unit, &pdu);
         if !bridge.taken.is_empty() {
             prop_assert!(pdu.starts_with(&[16, 0, 0, 0, 17, 34]) && pdu.len() == 40 && unit == 1);
         }

@@ -54,12 +54,14 @@ impl ConditionRig {
             core::array::from_fn(|n| AdcCode(700 + u16::from(n % 2 == 1)));
         for _ in 0..20 {
             self.node.tick(1, Input { codes: Some(&codes), ..Input::default() });
-            let told = self
+            let emergency_frame = self
                 .node
                 .service()
                 .and_then(|frame| trueup_canopen::emergency::decode(&frame).ok());
             self.emergencies.extend(
-                told.filter(|emergency| emergency.code != 0).map(|emergency| emergency.fault),
+                emergency_frame
+                    .filter(|emergency| emergency.code != 0)
+                    .map(|emergency| emergency.fault),
             );
         }
     }

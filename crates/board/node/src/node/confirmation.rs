@@ -1,4 +1,4 @@
-//! Questions to the operator, and the offsets that are barred until they are answered.
+//! Questions to the operator, and the offsets that are inhibited until they are answered.
 
 use trueup_canopen::emergency::Fault;
 

@@ -150,7 +150,7 @@ fn a_header_of_another_length_and_too_many_bytes_at_once_are_refused() {
 }
 
 #[test]
-fn nothing_is_taken_without_service_or_while_an_offset_is_followed_and_a_board_without_slots_says_so()
+fn nothing_is_taken_without_service_or_while_an_offset_is_followed_and_a_board_without_slots_reports_it()
  {
     let mut node = Node::new(sensor_only_calibration().into());
     assert_eq!(node.open(O::FirmwareHeader, None), Err(AbortCode::DeviceState));

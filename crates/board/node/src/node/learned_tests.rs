@@ -118,7 +118,7 @@ fn its_own_master_says_it_while_engaged_and_the_offset_gets_there_without_a_step
 }
 
 #[test]
-fn beyond_its_cap_of_no_part_or_of_another_calibration_it_is_refused_and_told() {
+fn beyond_its_cap_of_no_part_or_of_another_calibration_it_is_refused_and_reported() {
     let good = Rig::new().change(1, 100);
     for bad in [
         ChangeRequest { amount: 2_001, ..good },
@@ -240,10 +240,10 @@ fn a_master_reads_each_part_at_its_place_in_the_dictionary() {
         );
     }
     let places = find_object(0x2011).expect("it is there");
-    let told = [1, 2, 3, 4, 5]
+    let reported = [1, 2, 3, 4, 5]
         .map(|place| rig.node.read(places.entry(place).expect("a part").what).expect("readable"));
     assert_eq!(
-        told,
+        reported,
         [-1, 2, -3, 4, -5].map(|value: i32| ObjectValue::Number(value.cast_unsigned()))
     );
 }
@@ -255,16 +255,16 @@ fn it_may_be_said_at_rest_and_forget_and_a_restart_forget_it() {
     let at_rest = Control { learned: rig.change(5, 30), ..Control::REFERENCED };
     rig.send_control_frames(at_rest, 200);
     assert_eq!(rig.now(), [0, 0, 0, 0, 30]);
-    let told = rig.node.read(EntryContent::Learned(4));
-    assert_eq!(told, Ok(ObjectValue::Number(30)));
+    let reported = rig.node.read(EntryContent::Learned(4));
+    assert_eq!(reported, Ok(ObjectValue::Number(30)));
     rig.send_control_frames(Control { service: true, ..Control::REFERENCED }, 1);
     rig.node.write(EntryContent::Forget, CLEAR_REFERENCE_SIGNATURE).expect("at rest, and allowed");
     assert_eq!(rig.now(), [0; PART_COUNT]);
 
     rig.send_control_frames(at_rest, 200);
-    let kept = rig.node.retained_state();
+    let retained = rig.node.retained_state();
     let mut again = Rig::new();
-    again.node.resume(Some(&kept), 0);
+    again.node.resume(Some(&retained), 0);
     again.send_control_frames(Control::REFERENCED, 3);
     again.send_control_frames(Control::ENGAGED, 100);
     assert_eq!((again.now(), again.z_nm()), ([0; PART_COUNT], BASE_ELONGATION_NM));

@@ -155,10 +155,10 @@ impl Master {
         self.silent_ms = 0;
         self.steady = self.steady.saturating_add(1).min(MIN_CONSECUTIVE_FRAMES);
         let is_steady = self.steady >= MIN_CONSECUTIVE_FRAMES;
-        let asked = self.zero.receive(control.zero, is_steady);
+        let requested = self.zero.receive(control.zero, is_steady);
         let confirm = self.confirm.receive(control.confirm, is_steady) == EdgeOutcome::Yes;
         let was_cut = core::mem::take(&mut self.zero_was_cut);
-        let zero = was_cut || asked != EdgeOutcome::No;
+        let zero = was_cut || requested != EdgeOutcome::No;
         self.last = control;
         if control.engage {
             self.has_engaged = true;
@@ -167,7 +167,7 @@ impl Master {
         } else {
             self.released = self.released.saturating_add(1).min(MIN_CONSECUTIVE_FRAMES);
         }
-        let control = Control { zero: asked == EdgeOutcome::Yes, confirm: false, ..control };
+        let control = Control { zero: requested == EdgeOutcome::Yes, confirm: false, ..control };
         (!self.is_doubtful).then_some(ControlEvent { control, zero, confirm })
     }
 

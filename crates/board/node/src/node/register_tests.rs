@@ -34,9 +34,9 @@ fn run_for_ms(node: &mut Node<'_>, ms: u32, code: u16) {
 }
 
 /// Returns a node whose PLC has said this, a block each 20 ms; the counter of the next one.
-fn after(node: &mut Node<'_>, said: &[Control], first: u16) -> u16 {
+fn after(node: &mut Node<'_>, controls: &[Control], first: u16) -> u16 {
     let mut counter = first;
-    for control in said {
+    for control in controls {
         assert_eq!(node.receive_registers(&block(*control, counter)), Ok(()));
         counter = counter.wrapping_add(1);
         run_for_ms(node, 20, 700);
@@ -116,7 +116,7 @@ fn blocks_that_are_damaged_repeated_or_jump_are_counted_and_move_nothing() {
 }
 
 #[test]
-fn a_plc_beside_a_cnc_on_can_is_busy_and_told_and_noise_is_not() {
+fn a_plc_next_to_a_cnc_on_can_is_busy_and_reported_and_noise_is_not() {
     let mut node = Node::new(sensor_only_calibration().into());
     let can = |node: &mut Node<'_>, control, counter| {
         node.receive(Interface::Can, &frames::encode_control(control, counter)).expect("in order");
@@ -124,14 +124,14 @@ fn a_plc_beside_a_cnc_on_can_is_busy_and_told_and_noise_is_not() {
     };
     (0..4).for_each(|n| can(&mut node, Control::REFERENCED, n));
     (4..30).for_each(|n| can(&mut node, Control::ENGAGED, n));
-    for (damage, is_told) in [(1, false), (0, true)] {
+    for (damage, is_reported) in [(1, false), (0, true)] {
         for n in 30..40 {
             let mut theirs = block(Control::default(), n);
             theirs[5] ^= damage;
             assert_eq!(node.receive_registers(&theirs), Err(Busy));
-            can(&mut node, Control::ENGAGED, n.to_le_bytes()[0] + if is_told { 10 } else { 0 });
+            can(&mut node, Control::ENGAGED, n.to_le_bytes()[0] + if is_reported { 10 } else { 0 });
         }
-        assert_eq!(state(&node).contains(StateBits::SECOND_MASTER), is_told);
+        assert_eq!(state(&node).contains(StateBits::SECOND_MASTER), is_reported);
         assert_eq!(node.last_output().quality, Quality::Live);
     }
     assert_eq!(node.input_data().refused, 0);
@@ -143,14 +143,14 @@ fn full_control_block(counter: u16, place: i32) -> holding::Registers {
         let position = Position(100_000 * place);
         Some(AxisPosition { axis, position, direction: TravelDirection::Positive })
     };
-    let said = CncData {
+    let cnc_data = CncData {
         control: Control::ENGAGED,
         positions: LinearAxis::ALL.map(at),
         rotary: Some(Rotary { angles: [MicroDegrees(1_000 * place); 2] }),
         spindle: Some(Spindle { speed: Rpm(12_000), load_n: 7 }),
         conditions: Some(Conditions { tool: 3, bits: 1 }),
     };
-    said.encode(counter)
+    cnc_data.encode(counter)
 }
 
 #[test]
@@ -232,19 +232,19 @@ fn of_100_000_polls_of_values_that_change_every_millisecond_none_is_half_old() {
         for (word, pair) in words.iter_mut().zip(response[3..59].as_chunks::<2>().0) {
             *word = u16::from_be_bytes(*pair);
         }
-        let said = input::InputBlock::decode(&words).expect("a whole block");
+        let input_block = input::InputBlock::decode(&words).expect("a whole block");
         let round = |nanometres: trueup_core::units::Nanometres| {
             (nanometres.0.abs() + 5) / 10 * 10 * nanometres.0.signum()
         };
-        let wanted = node.last_output().offset.map(|all| all.map(round));
+        let expected = node.last_output().offset.map(|all| all.map(round));
         assert_eq!(
-            said.output.offset.map(|all| all.map(|nanometres| nanometres.0)),
-            wanted,
+            input_block.output.offset.map(|all| all.map(|nanometres| nanometres.0)),
+            expected,
             "poll {n}"
         );
-        assert_eq!(said.counter, (node.now().0 & 0xFFFF) as u16);
-        assert_eq!((said.output.quality, said.state), (Quality::Live, 0), "poll {n}");
-        changed += u32::from(last.replace(said.elongation) != Some(said.elongation));
+        assert_eq!(input_block.counter, (node.now().0 & 0xFFFF) as u16);
+        assert_eq!((input_block.output.quality, input_block.state), (Quality::Live, 0), "poll {n}");
+        changed += u32::from(last.replace(input_block.elongation) != Some(input_block.elongation));
         // Up and down again, not from one end to the other: that would be a jump, and told.
         let step = n / 8 % 2_000;
         run_for_ms(&mut node, 1, 700 + step.min(2_000 - step) as u16);

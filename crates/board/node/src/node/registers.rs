@@ -61,9 +61,9 @@ impl Node<'_> {
             return Err(Busy);
         }
         match self.registers.checker.accept_block(block) {
-            Ok(said) => {
+            Ok(cnc_data) => {
                 self.registers.holding = *block.registers();
-                self.receive_control(Interface::Modbus, said.control);
+                self.receive_control(Interface::Modbus, cnc_data.control);
                 Ok(true)
             }
             Err(refused) => {

@@ -19,9 +19,9 @@ impl Node<'_> {
 
     /// Goes on from before a reset, or from this many seconds without power ago; with nothing kept, the power was
     /// gone, and what heat the machine has is not known. A board that is cold at its start does not call this.
-    pub fn resume(&mut self, kept: Option<&RetainedState>, off_s: u32) {
+    pub fn resume(&mut self, retained: Option<&RetainedState>, off_s: u32) {
         let Some(bridge) = &self.bridge else { return };
-        let RetainedState { heat, joint } = kept.copied().unwrap_or_default();
+        let RetainedState { heat, joint } = retained.copied().unwrap_or_default();
         bridge.restore_heat(&mut self.state, &heat, off_s.saturating_mul(1_000 / THERMAL_STEP_MS));
         if let Some(joint) = joint {
             self.state.restore_transfer(joint);

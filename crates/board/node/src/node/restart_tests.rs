@@ -41,7 +41,7 @@ impl EngagedNode {
         Self { node: Node::new(calibration.into()), counter: 0 }
     }
 
-    fn say(&mut self, control: Control) {
+    fn send_control(&mut self, control: Control) {
         for frame in [
             frames::encode_control(control, self.counter),
             frames::encode_spindle(Spindle { speed: Rpm(12_000), load_n: 0 }, self.counter),
@@ -55,7 +55,7 @@ impl EngagedNode {
     fn send_control_for(&mut self, ms: u32, control: Control) -> Output {
         for n in 0..ms {
             if n % 20 == 0 {
-                self.say(control);
+                self.send_control(control);
             }
             self.node.tick(1, Input::default());
             self.node.service();
@@ -75,10 +75,10 @@ fn a_reset_keeps_the_warm_up_and_the_reference_and_the_offset_comes_back_as_it_w
     before.send_control_for(20_000, Control::ENGAGED);
     let grown = z_nm(before.node.last_output());
     assert!((grown - 50_600).abs() < 500, "63 % of 80 µm: {grown}");
-    let kept = before.node.retained_state();
+    let retained = before.node.retained_state();
 
     let mut after = EngagedNode::with_calibration(warmup_calibration());
-    after.node.resume(Some(&kept), 0);
+    after.node.resume(Some(&retained), 0);
     assert_eq!(
         after.send_control_for(60, Control::ENGAGED).offset,
         None,
@@ -97,9 +97,9 @@ fn over_a_power_cut_of_known_length_the_spindle_cools_and_the_reference_stays() 
     before.send_control_for(60, Control::REFERENCED);
     before.send_control_for(20_000, Control::ENGAGED);
     let grown = z_nm(before.node.last_output());
-    let kept = before.node.retained_state();
+    let retained = before.node.retained_state();
     let mut after = EngagedNode::with_calibration(warmup_calibration());
-    after.node.resume(Some(&kept), 20);
+    after.node.resume(Some(&retained), 20);
     // The spindle stands: what is left after 20 s without power, and 8 s with.
     let standing = |life: &mut EngagedNode, ms: u32| {
         for n in 0..ms {
@@ -202,7 +202,7 @@ fn a_millisecond_that_is_lost_now_and_then_is_no_missing_block() {
 }
 
 #[test]
-fn a_turn_without_any_block_is_told_with_its_length_and_one_with_a_block_is_not() {
+fn a_turn_without_any_block_is_reported_with_its_length_and_one_with_a_block_is_not() {
     for (blocks, missing_ms) in [(0, Some(10)), (1, None), (10, None)] {
         let mut node = Node::new(sensor_only_calibration().into());
         for _ in 0..blocks {

@@ -36,9 +36,9 @@ impl Node<'_> {
 
     /// Returns whether the running calibration requires the switch, and it is open.
     fn is_locked(&self) -> bool {
-        let asks =
+        let questions =
             |bridge: &trueup_core::bridge::Bridge<'_>| bridge.calibration().guards.service_switch;
-        self.bridge.as_ref().is_some_and(asks) && !self.switch.is_closed
+        self.bridge.as_ref().is_some_and(questions) && !self.switch.is_closed
     }
 
     /// Returns who may write, as the dictionary has it.
@@ -72,9 +72,9 @@ mod tests {
     use trueup_store::load::LoadSlot;
 
     /// Returns a node at rest whose CNC says `Service`.
-    fn node_in_service<'a>(asks: bool) -> Node<'a> {
+    fn node_in_service<'a>(requires_confirmation: bool) -> Node<'a> {
         let mut calibration = sensor_only_calibration();
-        calibration.guards.service_switch = asks;
+        calibration.guards.service_switch = requires_confirmation;
         let mut node = Node::new(calibration.into());
         let service = Control { service: true, ..Control::REFERENCED };
         for counter in 0..4 {

@@ -63,8 +63,10 @@ impl Rig<'_> {
                     self.last = output.offset.unwrap_or_default();
                 }
             }
-            let said = self.node.service().filter(|frame| frame.id() == STATUS_ID);
-            items.extend(said.map(|frame| (self.node.now().0, decode(&frame).expect("ours").item)));
+            let sent_frames = self.node.service().filter(|frame| frame.id() == STATUS_ID);
+            items.extend(
+                sent_frames.map(|frame| (self.node.now().0, decode(&frame).expect("ours").item)),
+            );
         }
         items
     }

@@ -27,7 +27,7 @@ struct Cnc {
 }
 
 impl Cnc {
-    fn say(&mut self, node: &mut Node<'_>, control: Control, times: u32) {
+    fn send_control(&mut self, node: &mut Node<'_>, control: Control, times: u32) {
         let codes: [AdcCode; CODES_PER_TICK] =
             core::array::from_fn(|n| AdcCode(400 + u16::from(n % 2 == 1)));
         for _ in 0..times {
@@ -43,9 +43,9 @@ impl Cnc {
 
     /// Three times without, three times with.
     fn confirm(&mut self, node: &mut Node<'_>) {
-        self.say(node, Control::REFERENCED, 4);
-        self.say(node, Control { confirm: true, ..Control::REFERENCED }, 4);
-        self.say(node, Control::REFERENCED, 4);
+        self.send_control(node, Control::REFERENCED, 4);
+        self.send_control(node, Control { confirm: true, ..Control::REFERENCED }, 4);
+        self.send_control(node, Control::REFERENCED, 4);
     }
 }
 
@@ -84,8 +84,8 @@ fn board(max_um: [i32; 3]) -> Node<'static> {
 }
 
 fn engaged(node: &mut Node<'_>, cnc: &mut Cnc) -> Quality {
-    cnc.say(node, Control::REFERENCED, 4);
-    cnc.say(node, Control::ENGAGED, 40);
+    cnc.send_control(node, Control::REFERENCED, 4);
+    cnc.send_control(node, Control::ENGAGED, 40);
     node.last_output().quality
 }
 
@@ -114,12 +114,12 @@ fn zero_replaces_an_offered_reference_and_forgetting_declines_it() {
         let mut node = board([500; 3]);
         node.restore_reference_status(offered, None);
         let mut cnc = Cnc { counter: 0 };
-        cnc.say(&mut node, SERVICE, 30);
+        cnc.send_control(&mut node, SERVICE, 30);
         if declines {
             node.write(O::Forget, CLEAR_REFERENCE_SIGNATURE).expect("allowed");
             assert_eq!(node.reference(), Reference::default());
         } else {
-            cnc.say(&mut node, Control { zero: true, ..Control::REFERENCED }, 5);
+            cnc.send_control(&mut node, Control { zero: true, ..Control::REFERENCED }, 5);
             assert_ne!(node.reference(), Reference::default());
         }
         let now = node.reference();
@@ -174,7 +174,7 @@ fn a_reference_beyond_its_limit_is_taken_by_nobody() {
         (O::ReferenceElongation, i32::MIN, false),
     ] {
         let mut node = board(limits_um);
-        Cnc { counter: 0 }.say(&mut node, SERVICE, 5);
+        Cnc { counter: 0 }.send_control(&mut node, SERVICE, 5);
         let taken = node.write(part, nm.cast_unsigned());
         assert_eq!(taken, if may { Ok(()) } else { Err(AbortCode::Value) }, "{part:?} {nm}");
     }
@@ -194,8 +194,8 @@ fn a_reference_beyond_its_limit_is_taken_by_nobody() {
     // The spindle of these codes has grown by 410 µm.
     let mut node = board(limits_um);
     let mut cnc = Cnc { counter: 0 };
-    cnc.say(&mut node, Control::REFERENCED, 30);
-    cnc.say(&mut node, Control { zero: true, ..Control::REFERENCED }, 5);
+    cnc.send_control(&mut node, Control::REFERENCED, 30);
+    cnc.send_control(&mut node, Control { zero: true, ..Control::REFERENCED }, 5);
     assert_eq!(
         (node.take_zero_outcome(), node.reference()),
         (Some(ZeroOutcome::Unchanged), Reference::default())
@@ -219,43 +219,43 @@ fn load(node: &mut Node<'_>) -> WriteRecord {
 }
 
 #[test]
-fn a_load_is_unattended_unless_the_master_is_a_cnc_that_is_heard() {
+fn a_load_is_unattended_unless_the_master_is_a_cnc_that_sends() {
     // A tool that speaks for want of a CNC has no axes.
     let tool = Control { service: true, ..Control::default() };
     let mut node = board([500; 3]);
-    Cnc { counter: 0 }.say(&mut node, tool, 10);
+    Cnc { counter: 0 }.send_control(&mut node, tool, 10);
     assert!(load(&mut node).is_unattended);
     // A CNC that is there since the start, whether or not it has engaged.
     let mut node = board([500; 3]);
     let mut cnc = Cnc { counter: 0 };
-    cnc.say(&mut node, SERVICE, 10);
+    cnc.send_control(&mut node, SERVICE, 10);
     assert!(!load(&mut node).is_unattended);
-    // Whoever comes after a silence, until it has engaged.
+    // A CNC after a silence, until it has engaged.
     run_without_control(&mut node, 600);
-    cnc.say(&mut node, SERVICE, 100);
+    cnc.send_control(&mut node, SERVICE, 100);
     assert!(load(&mut node).is_unattended);
-    cnc.say(&mut node, Control::ENGAGED, 10);
-    cnc.say(&mut node, SERVICE, 300);
+    cnc.send_control(&mut node, Control::ENGAGED, 10);
+    cnc.send_control(&mut node, SERVICE, 300);
     assert!(!load(&mut node).is_unattended);
-    // Somebody else goes on in its place.
+    // Another CNC goes on in its place.
     let stranger = frames::encode_control(SERVICE, cnc.counter.wrapping_add(100));
     node.receive(Interface::Serial, &stranger).expect_err("out of sequence");
     cnc.counter = cnc.counter.wrapping_add(101);
-    cnc.say(&mut node, SERVICE, 10);
+    cnc.send_control(&mut node, SERVICE, 10);
     assert!(load(&mut node).is_unattended);
 }
 
 #[test]
-fn a_first_calibration_asks_nobody() {
+fn a_first_calibration_needs_no_confirmation() {
     let mut node = board([500; 3]);
     node.set_fault(Fault::ExampleConstants);
     node.update_inhibition();
     let tool = Control { service: true, ..Control::default() };
-    Cnc { counter: 0 }.say(&mut node, tool, 10);
+    Cnc { counter: 0 }.send_control(&mut node, tool, 10);
     assert!(!load(&mut node).is_unattended);
     let buffer = Some(Box::leak(vec![0; MAX_BLOB_SIZE].into()));
     let mut node = Node::new(Configuration { buffer, ..Configuration::default() });
-    Cnc { counter: 0 }.say(&mut node, tool, 10);
+    Cnc { counter: 0 }.send_control(&mut node, tool, 10);
     assert!(!load(&mut node).is_unattended);
 }
 
@@ -263,7 +263,7 @@ fn a_first_calibration_asks_nobody() {
 fn a_load_that_waits_for_the_next_start_is_dropped_once() {
     let mut node = board([500; 3]);
     let mut cnc = Cnc { counter: 0 };
-    cnc.say(&mut node, SERVICE, 10);
+    cnc.send_control(&mut node, SERVICE, 10);
     assert_eq!(
         node.write(O::DropNew, DROP_CALIBRATION_SIGNATURE),
         Err(AbortCode::DeviceState),
@@ -291,9 +291,9 @@ fn the_age_of_a_reference_is_known_in_the_start_that_has_taken_it_or_by_two_time
     let mut node = board([500; 3]);
     let mut cnc = Cnc { counter: 0 };
     assert_eq!(node.read(O::ReferenceAge), Ok(ObjectValue::Number(u32::MAX)));
-    cnc.say(&mut node, SERVICE, 30);
-    cnc.say(&mut node, Control { zero: true, ..SERVICE }, 5);
-    cnc.say(&mut node, SERVICE, 500);
+    cnc.send_control(&mut node, SERVICE, 30);
+    cnc.send_control(&mut node, Control { zero: true, ..SERVICE }, 5);
+    cnc.send_control(&mut node, SERVICE, 500);
     assert_eq!(node.read(O::ReferenceAge), Ok(ObjectValue::Number(10)));
     let by = u32::from(u16::from_le_bytes([WriteKind::Zeroed as u8, WriteOrigin::Serial as u8]));
     assert_eq!(node.read(O::ReferenceOrigin), Ok(ObjectValue::Number(by)));

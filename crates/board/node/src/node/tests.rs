@@ -29,14 +29,14 @@ std::thread_local! {
 
 /// Lets this many milliseconds pass without samples; gives what was said besides the offsets.
 fn pass(node: &mut Node<'_>, ms: u32) -> Vec<Frame> {
-    let said = (0..ms).flat_map(|_| {
+    let text = (0..ms).flat_map(|_| {
         node.tick(1, Input::default());
         if node.now().0.is_multiple_of(100) && SERVICE.get().is_some() {
             service(node);
         }
         node.service()
     });
-    said.collect()
+    text.collect()
 }
 
 /// The operator allows to write, and goes on to.
@@ -53,7 +53,7 @@ fn receive(node: &mut Node<'_>, data: [u8; 8]) {
 }
 
 /// Returns what is answered to a request within 200 ms.
-fn ask(node: &mut Node<'_>, data: [u8; 8]) -> [u8; 8] {
+fn transact(node: &mut Node<'_>, data: [u8; 8]) -> [u8; 8] {
     receive(node, data);
     for _ in 0..200 {
         if let Some(answer) = pass(node, 1).iter().find(|frame| frame.id() == SDO_RESPONSE_ID) {
@@ -69,14 +69,14 @@ fn request(command: u8, index: u16, subindex: u8, number: u32) -> [u8; 8] {
 }
 
 fn read(node: &mut Node<'_>, index: u16, subindex: u8) -> Result<u32, u32> {
-    let answer = ask(node, request(0x40, index, subindex, 0));
+    let answer = transact(node, request(0x40, index, subindex, 0));
     let number = u32::from_le_bytes(*answer.last_chunk().expect("8 bytes"));
     if answer[0] == 0x80 { Err(number) } else { Ok(number) }
 }
 
 fn write(node: &mut Node<'_>, index: u16, subindex: u8, number: u32) -> Result<(), u32> {
     service(node);
-    let answer = ask(node, request(0x22, index, subindex, number));
+    let answer = transact(node, request(0x22, index, subindex, number));
     let abort = u32::from_le_bytes(*answer.last_chunk().expect("8 bytes"));
     if answer[0] == 0x80 { Err(abort) } else { Ok(()) }
 }
@@ -85,7 +85,7 @@ fn write(node: &mut Node<'_>, index: u16, subindex: u8, number: u32) -> Result<(
 fn send_calibration(node: &mut Node<'_>, bytes: &[u8]) {
     let size = u32::try_from(bytes.len()).expect("a blob");
     service(node);
-    assert_eq!(ask(node, request(0x21, 0x2100, 2, size))[0], 0x60);
+    assert_eq!(transact(node, request(0x21, 0x2100, 2, size))[0], 0x60);
     let last = bytes.chunks(7).count() - 1;
     for (number, part) in bytes.chunks(7).enumerate() {
         let mut data = [0; 8];
@@ -96,16 +96,16 @@ fn send_calibration(node: &mut Node<'_>, bytes: &[u8]) {
             data[0] |= 1;
             return receive(node, data);
         }
-        assert_eq!(ask(node, data)[0] & 0xEF, 0x20);
+        assert_eq!(transact(node, data)[0] & 0xEF, 0x20);
     }
 }
 
 /// Reads a whole domain.
 fn read_domain(node: &mut Node<'_>, index: u16, subindex: u8) -> Vec<u8> {
-    assert_eq!(ask(node, request(0x40, index, subindex, 0))[0], 0x41);
+    assert_eq!(transact(node, request(0x40, index, subindex, 0))[0], 0x41);
     let mut bytes = Vec::new();
     for toggle in [0, 0x10].into_iter().cycle() {
-        let answer = ask(node, [0x60 | toggle, 0, 0, 0, 0, 0, 0, 0]);
+        let answer = transact(node, [0x60 | toggle, 0, 0, 0, 0, 0, 0, 0]);
         bytes.extend(&answer[1..8 - usize::from(answer[0] >> 1 & 7)]);
         if answer[0] & 1 != 0 {
             break;
@@ -128,7 +128,7 @@ fn every_object_that_can_be_read_is_answered_with_its_type() {
     let mut node = whole(&blob, &mut buffer);
     for object in OBJECTS {
         for entry in object.entries {
-            let answer = ask(&mut node, request(0x40, object.index, entry.subindex, 0));
+            let answer = transact(&mut node, request(0x40, object.index, entry.subindex, 0));
             let at = (object.index, entry.subindex);
             let (kind, size) = (answer[0] >> 5, 4 - usize::from(answer[0] >> 2 & 3));
             let abort = u32::from_le_bytes(*answer.last_chunk().expect("8 bytes"));
@@ -192,8 +192,8 @@ fn a_loaded_calibration_is_checked_stored_and_read_back() {
         assert_eq!(load.validate().is_ok(), fate != LoadOutcome::Refused);
         assert!(node.take_received_calibration().is_none());
         node.finish_load(load, fate);
-        let said = pass(&mut node, 5);
-        let end = said.iter().find(|frame| frame.id() == SDO_RESPONSE_ID).expect("an answer");
+        let frames = pass(&mut node, 5);
+        let end = frames.iter().find(|frame| frame.id() == SDO_RESPONSE_ID).expect("an answer");
         assert!(answer.contains(&end.data()[0]), "{fate:?}: {end:?}");
         let stored = fate == LoadOutcome::Stored;
         // What is stored for the next start is reported, whatever became of a load after it.
@@ -214,7 +214,7 @@ fn a_loaded_calibration_is_checked_stored_and_read_back() {
 fn nothing_is_loaded_or_forgotten_while_an_offset_is_followed_or_without_a_store() {
     let mut node = Node::new(sensor_only_calibration().into());
     let load = |node: &mut Node<'_>| {
-        let answer = ask(node, request(0x21, 0x2100, 2, 700));
+        let answer = transact(node, request(0x21, 0x2100, 2, 700));
         u32::from_le_bytes(*answer.last_chunk().expect("8 bytes"))
     };
     assert_eq!(load(&mut node), AbortCode::DeviceState.code(), "nobody has allowed it");
@@ -222,7 +222,7 @@ fn nothing_is_loaded_or_forgotten_while_an_offset_is_followed_or_without_a_store
     assert_eq!(load(&mut node), AbortCode::CannotStore.code());
     node.slot = LoadSlot::new(Box::leak(vec![0; 800].into()));
     assert_eq!(load(&mut node), 0);
-    let too_long = ask(&mut node, request(0x21, 0x2100, 2, 801));
+    let too_long = transact(&mut node, request(0x21, 0x2100, 2, 801));
     assert_eq!(u32::from_le_bytes(*too_long.last_chunk().unwrap()), AbortCode::TooLong.code());
     assert_eq!(write(&mut node, 0x2010, 6, CLEAR_REFERENCE_SIGNATURE), Ok(()));
     assert_eq!(node.take_zero_outcome(), None, "there is none to forget");
@@ -262,13 +262,13 @@ fn settings_are_taken_within_their_range_and_act() {
     assert_eq!(read(&mut node, 0x1015, 0), Ok(500));
 }
 
-fn codes_of(said: &[Frame]) -> Vec<u16> {
-    let emergencies = said.iter().filter(|frame| frame.id() == EMERGENCY_ID);
+fn codes_of(frames: &[Frame]) -> Vec<u16> {
+    let emergencies = frames.iter().filter(|frame| frame.id() == EMERGENCY_ID);
     emergencies.map(|frame| u16::from_le_bytes([frame.data()[0], frame.data()[1]])).collect()
 }
 
 #[test]
-fn the_heartbeat_of_a_node_that_was_heard_is_missed() {
+fn the_heartbeat_of_a_node_that_was_received_is_missed() {
     let mut node = Node::new(sensor_only_calibration().into());
     pass(&mut node, 1_000);
     assert_eq!(write(&mut node, 0x1016, 1, 0x0002_0032), Ok(()));
@@ -287,7 +287,7 @@ fn the_heartbeat_of_a_node_that_was_heard_is_missed() {
 }
 
 #[test]
-fn the_faults_of_the_bridge_and_the_board_are_told_and_remembered() {
+fn the_faults_of_the_bridge_and_the_board_are_reported_and_remembered() {
     let mut node = Node::new(Configuration { is_degraded: true, ..Configuration::default() });
     node.set_fault(Fault::Crystal);
     node.set_fault(Fault::WatchdogReset);
@@ -311,16 +311,16 @@ fn the_faults_of_the_bridge_and_the_board_are_told_and_remembered() {
 }
 
 #[test]
-fn two_frames_beside_the_offsets_never_come_in_the_same_or_the_next_tick() {
+fn two_frames_next_to_the_offsets_never_come_in_the_same_or_the_next_tick() {
     let (blob, mut buffer) = (blob(), vec![0; MAX_BLOB_SIZE]);
     let mut node = whole(&blob, &mut buffer);
     let mut before = 0;
     let mut answers = 0;
     for ms in 0..5_000_u32 {
         receive(&mut node, request(0x40, 0x1000, 0, 0));
-        let said = pass(&mut node, 1);
-        let services = said.len();
-        answers += said.iter().filter(|frame| frame.id() == SDO_RESPONSE_ID).count();
+        let frames = pass(&mut node, 1);
+        let services = frames.len();
+        answers += frames.iter().filter(|frame| frame.id() == SDO_RESPONSE_ID).count();
         assert!(before == 0 || services == 0, "at {ms} ms");
         before = services;
     }
@@ -389,19 +389,19 @@ fn reset_communication_sets_back_what_cia_301_says_and_the_offsets_go_on() {
     service(&mut node);
     for (index, subindex, value) in [(0x1015, 0, 500), (0x1017, 0, 20), (0x1016, 1, 0x0002_0032)] {
         let command = if index == 0x1016 { 0x23 } else { 0x2B };
-        assert_eq!(ask(&mut node, request(command, index, subindex, value))[0], 0x60);
+        assert_eq!(transact(&mut node, request(command, index, subindex, value))[0], 0x60);
     }
-    assert_eq!(ask(&mut node, request(0x40, 0x1008, 0, 0))[0], 0x41);
+    assert_eq!(transact(&mut node, request(0x40, 0x1008, 0, 0))[0], 0x41);
     let counter = node.counter;
     command(&mut node, &[0x82, 0]);
-    let said = pass(&mut node, 150);
-    let beats: Vec<_> = said.iter().flat_map(frames::decode_heartbeat).collect();
+    let reported = pass(&mut node, 150);
+    let beats: Vec<_> = reported.iter().flat_map(frames::decode_heartbeat).collect();
     assert_eq!(beats, [NmtState::BootUp, NmtState::Stopped], "without samples");
     assert_eq!(node.counter, counter.wrapping_add(150), "a pair a millisecond");
     assert_eq!(read(&mut node, 0x1015, 0), Ok(100));
     assert_eq!(read(&mut node, 0x1017, 0), Ok(100));
     assert_eq!(read(&mut node, 0x1016, 1), Ok(0));
-    let segment = ask(&mut node, [0x60, 0, 0, 0, 0, 0, 0, 0]);
+    let segment = transact(&mut node, [0x60, 0, 0, 0, 0, 0, 0, 0]);
     assert_eq!(segment[0], 0x80, "the upload that was open has ended");
 }
 
@@ -417,15 +417,15 @@ fn reset_communication_is_passed_over_while_an_offset_is_followed() {
 }
 
 #[test]
-fn the_status_tells_each_item_in_turn_and_why_a_frame_was_refused() {
+fn the_status_reports_each_item_in_turn_and_why_a_frame_was_refused() {
     use trueup_link::layout::STATUS_ID;
     use trueup_link::status::{FrameRejectReason, Item, decode};
     let start = ResetInfo { reason: ResetReason::Watchdog, ..ResetInfo::default() };
     let mut node = Node::new(Configuration { start, ..sensor_only_calibration().into() });
     node.set_free_stack(4_000);
     let statuses = |node: &mut Node<'_>, ms| -> Vec<_> {
-        let said = pass(node, ms);
-        let frames = said.iter().filter(|frame| frame.id() == STATUS_ID);
+        let reported = pass(node, ms);
+        let frames = reported.iter().filter(|frame| frame.id() == STATUS_ID);
         frames.map(|frame| (frames::e2e_counter(frame), decode(frame).expect("ours"))).collect()
     };
     let first = statuses(&mut node, 2_200);
@@ -482,19 +482,19 @@ fn the_status_tells_each_item_in_turn_and_why_a_frame_was_refused() {
 }
 
 #[test]
-fn a_fault_of_a_single_tick_is_told_whenever_it_comes() {
+fn a_fault_of_a_single_tick_is_reported_whenever_it_comes() {
     use trueup_core::{dimensions::CODES_PER_TICK, units::AdcCode, units::Rpm};
     let alive: [AdcCode; CODES_PER_TICK] =
         core::array::from_fn(|n| AdcCode(700 + u16::from(n == 1)));
     for phase in 0..4 {
         let mut node = Node::new(sensor_only_calibration().into());
-        let mut said = Vec::new();
+        let mut messages = Vec::new();
         for ms in 0..200 {
             let speed = (ms != 100 + phase).then_some(Rpm(12_000));
             node.tick(1, Input { codes: Some(&alive), speed, temperatures: None });
             assert_eq!(node.last_output().flags.contains(Flags::SPEED_UNKNOWN), speed.is_none());
-            said.extend(node.service());
+            messages.extend(node.service());
         }
-        assert_eq!(codes_of(&said), [0x6102, 0x9001, 0], "at {phase}");
+        assert_eq!(codes_of(&messages), [0x6102, 0x9001, 0], "at {phase}");
     }
 }

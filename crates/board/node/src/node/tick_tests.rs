@@ -36,8 +36,8 @@ fn the_heartbeat_comes_at_once_and_then_every_100_ms_whatever_a_tick_lasts() {
         let mut beats = Vec::new();
         while node.now().0 < 1_000 {
             node.tick(tick_ms, NO_INPUT);
-            let said = node.service();
-            beats.extend(said.is_some_and(|f| f.id() == HEARTBEAT_ID).then(|| node.now().0));
+            let frames = node.service();
+            beats.extend(frames.is_some_and(|f| f.id() == HEARTBEAT_ID).then(|| node.now().0));
         }
         assert_eq!(beats.len(), 10, "{beats:?}");
         assert!(beats.windows(2).all(|pair| pair[1] - pair[0] == 100), "{beats:?}");
@@ -53,11 +53,11 @@ fn without_a_calibration_nothing_is_available_and_the_node_is_stopped() {
     let output = sent.iter().filter_map(|f| receiver.accept(f).unwrap_or_default()).next();
     let output = output.expect("a whole cycle");
     assert_eq!((output.offset, output.quality, output.age_ms), (None, Quality::Fault, 255));
-    let said = (0..110).filter_map(|_| {
+    let sent_frames = (0..110).filter_map(|_| {
         node.tick(1, NO_INPUT);
         node.service()
     });
-    let beats = said.filter_map(|frame| frames::decode_heartbeat(&frame).ok());
+    let beats = sent_frames.filter_map(|frame| frames::decode_heartbeat(&frame).ok());
     assert_eq!(beats.collect::<Vec<_>>(), [NmtState::BootUp, NmtState::Stopped]);
 }
 
@@ -85,7 +85,7 @@ fn live_codes(level: u16) -> [AdcCode; CODES_PER_TICK] {
 }
 
 #[test]
-fn a_zero_is_told_once_and_what_it_took_can_be_given_back_to_another_node() {
+fn a_zero_is_reported_once_and_what_it_took_can_be_given_back_to_another_node() {
     let send = |node: &mut Node<'_>, zero, counter| {
         let control = Control { zero, ..Control::ENGAGED };
         node.receive(Interface::Can, &frames::encode_control(control, counter)).expect("in order");
@@ -163,7 +163,7 @@ fn state(node: &Node<'_>) -> trueup_link::status::StateBits {
 fn after_a_start_nothing_is_available_until_engage_was_0_three_times_and_then_1() {
     use trueup_link::status::StateBits;
     let (on, off) = ((Interface::Can, Control::ENGAGED), (Interface::Can, Control::REFERENCED));
-    for (heard, is_available) in [
+    for (received, is_available) in [
         (vec![], false),
         (vec![on; 50], false),
         (vec![off; 50], false),
@@ -172,8 +172,8 @@ fn after_a_start_nothing_is_available_until_engage_was_0_three_times_and_then_1(
         (vec![on, off, off, off, on], true),
     ] {
         let mut node = Node::new(sensor_only_calibration().into());
-        after(std::iter::repeat_n(on, 20).chain(heard.clone()), &mut node);
-        assert_eq!(node.last_output().offset.is_some(), is_available, "{heard:?}");
+        after(std::iter::repeat_n(on, 20).chain(received.clone()), &mut node);
+        assert_eq!(node.last_output().offset.is_some(), is_available, "{received:?}");
         assert_eq!(state(&node).contains(StateBits::RESTARTED), !is_available);
         let quality = if is_available { Quality::Live } else { Quality::Fault };
         assert_eq!(node.last_output().quality, quality);
@@ -196,10 +196,10 @@ fn a_question_bars_the_offset_until_confirm_has_answered_it_and_one_edge_answers
         (9, StateBits::OLDER_CALIBRATION, Fault::ForeignMachine),
         (3, StateBits::default(), Fault::OlderCalibration),
     ] {
-        let heard = std::iter::repeat_n(plain, 3).chain(std::iter::repeat_n(confirm, held));
+        let received = std::iter::repeat_n(plain, 3).chain(std::iter::repeat_n(confirm, held));
         // The counters go on where they were.
         node.receiver = Receiver::new();
-        after(heard.map(|frame| (Interface::Can, frame)), &mut node);
+        after(received.map(|frame| (Interface::Can, frame)), &mut node);
         assert_eq!(state(&node), left);
         assert_eq!(
             (node.take_confirmed_fault(), node.take_confirmed_fault()),
@@ -221,7 +221,7 @@ fn example_constants_are_never_live() {
 }
 
 #[test]
-fn a_damaged_board_is_never_live_and_says_so() {
+fn a_damaged_board_is_never_live_and_reports_it() {
     let mut node = started_node();
     node.set_self_test_failed();
     after((0..200).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
@@ -230,7 +230,7 @@ fn a_damaged_board_is_never_live_and_says_so() {
 }
 
 #[test]
-fn a_master_on_another_line_is_told_and_has_no_effect() {
+fn a_master_on_another_line_is_reported_and_has_no_effect() {
     let mut node = started_node();
     let zero = |n: u32| Control { zero: n % 14 < 7, ..Control::REFERENCED };
     let both =
@@ -298,7 +298,7 @@ fn a_cnc_that_restarts_is_no_second_master() {
 }
 
 #[test]
-fn a_zero_that_is_refused_is_told() {
+fn a_zero_that_is_refused_is_reported() {
     for control in [Control { referenced: false, ..Control::ENGAGED }, Control::default()] {
         let mut node = started_node();
         after([(Interface::Can, control); 20], &mut node);
@@ -308,11 +308,11 @@ fn a_zero_that_is_refused_is_told() {
             node.receive(Interface::Can, &frames::encode_control(zero, counter)).expect("whole");
         }
         assert_eq!(node.take_zero_outcome(), Some(ZeroOutcome::Unchanged));
-        let said = (0..100).filter_map(|_| {
+        let sent_frames = (0..100).filter_map(|_| {
             node.tick(1, Input { codes: Some(&live_codes(700)), ..Input::default() });
             node.service()
         });
-        let codes: Vec<_> = said
+        let codes: Vec<_> = sent_frames
             .filter(|frame| frame.id() == trueup_link::layout::EMERGENCY_ID)
             .map(|frame| u16::from_le_bytes([frame.data()[0], frame.data()[1]]))
             .collect();
@@ -321,7 +321,7 @@ fn a_zero_that_is_refused_is_told() {
 }
 
 #[test]
-fn a_supply_that_drifts_changes_no_offset_and_one_that_is_broken_is_told_and_not_believed() {
+fn a_supply_that_drifts_changes_no_offset_and_one_that_is_broken_is_reported_and_not_believed() {
     // The sensor stays where it is; the supply falls by 2 %, and by 5 %: codes rise by as much.
     let mut node = started_node();
     let run = |node: &mut Node<'_>, percent: u16| {

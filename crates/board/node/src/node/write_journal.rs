@@ -20,7 +20,7 @@ pub(super) struct WriteJournal {
     last: WriteLog,
     waiting: Deque<WriteRecord, MAX_PENDING_WRITES>,
     /// Where the last SDO request came from, and that which has ended a load.
-    speaker: Option<Interface>,
+    sender: Option<Interface>,
     loader: Option<Interface>,
     /// No CNC was received at the end of that load.
     is_unattended: bool,
@@ -35,15 +35,15 @@ impl WriteJournal {
     }
 
     pub(crate) fn set_sender(&mut self, line: Interface) {
-        self.speaker = Some(line);
+        self.sender = Some(line);
     }
 
     pub const fn sender(&self) -> Option<Interface> {
-        self.speaker
+        self.sender
     }
 
     pub(crate) fn set_load_origin(&mut self, is_unattended: bool) {
-        (self.loader, self.is_unattended) = (self.speaker, is_unattended);
+        (self.loader, self.is_unattended) = (self.sender, is_unattended);
     }
 
     pub fn as_bytes(&self) -> &[u8] {

@@ -55,7 +55,7 @@ fn requires_confirmation(node: &Node<'_>) -> bool {
 fn a_board_takes_the_first_machine_and_asks_before_it_runs_another_or_another_boards() {
     const UNKNOWN_CHIP: [u32; 3] = [0; 3];
     let gantry = Some(of("gantry", UNKNOWN_CHIP));
-    for (machine, board, before, is_asked, is_named) in [
+    for (machine, board, before, is_requested, is_named) in [
         ("gantry", UNKNOWN_CHIP, None, false, true),
         ("gantry", UNKNOWN_CHIP, gantry, false, false),
         ("mill", UNKNOWN_CHIP, gantry, true, false),
@@ -70,7 +70,7 @@ fn a_board_takes_the_first_machine_and_asks_before_it_runs_another_or_another_bo
         let mut node = named(machine, board);
         node.check_identity(before, CHIP_ID);
         node.tick(1, Input::default());
-        assert_eq!(requires_confirmation(&node), is_asked, "{machine} {board:?} {before:?}");
+        assert_eq!(requires_confirmation(&node), is_requested, "{machine} {board:?} {before:?}");
         let write = node.take_pending_write();
         let expected = is_named.then(|| (WriteKind::Named, of(machine, board), WriteOrigin::Board));
         assert_eq!(write.map(|write| (write.what, write.about, write.origin)), expected);
@@ -106,9 +106,9 @@ fn store(node: &mut Node<'_>, first: u32) -> Vec<WriteRecord> {
     let mut stored = Vec::new();
     while let Some(write) = node.take_pending_write() {
         let sequence = first + u32::try_from(stored.len()).expect("a few entries");
-        let kept = WriteRecord { sequence, ..write };
-        node.finish_write(&write, Some(kept));
-        stored.push(kept);
+        let retained = WriteRecord { sequence, ..write };
+        node.finish_write(&write, Some(retained));
+        stored.push(retained);
     }
     stored
 }
@@ -123,7 +123,7 @@ fn drain_writes(node: &Node<'_>) -> Vec<WriteRecord> {
 }
 
 #[test]
-fn every_write_is_told_with_what_when_and_over_which_line_and_a_second_load_hides_no_first() {
+fn every_write_is_reported_with_what_when_and_over_which_line_and_a_second_load_hides_no_first() {
     use trueup_canopen::dictionary::EntryContent as O;
     let mut room = [0; MAX_BLOB_SIZE];
     let blob = encode(&sensor_only_calibration(), &mut room).expect("small").to_vec();
@@ -274,7 +274,7 @@ fn the_reference_of_the_board_before_is_taken_when_all_of_it_is_there_and_is_sto
 }
 
 #[test]
-fn a_write_that_is_not_stored_is_told_and_so_is_the_store() {
+fn a_write_that_is_not_stored_is_reported_and_so_is_the_store() {
     let mut node = named("gantry", [0; 3]);
     node.check_identity(None, CHIP_ID);
     let write = node.take_pending_write().expect("named");
@@ -290,7 +290,7 @@ fn a_write_that_is_not_stored_is_told_and_so_is_the_store() {
 }
 
 #[test]
-fn writes_from_before_the_start_are_told_before_those_since() {
+fn writes_from_before_the_start_are_reported_before_those_since() {
     let mut node = named("gantry", [0; 3]);
     let write = |sequence| WriteRecord {
         sequence,

@@ -75,8 +75,8 @@ fn each_frame_comes_as_often_as_the_wire_has_it_but_for_those_that_a_fault_leave
                 [POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID]
                     .map(|id| (id, POSITION_PERIOD_MS, InjectedFault::NoPositions)),
             );
-            for (id, period_ms, left_out) in kinds {
-                let expected = if fault == left_out { 0 } else { PHASE_MS / period_ms };
+            for (id, period_ms, held_out) in kinds {
+                let expected = if fault == held_out { 0 } else { PHASE_MS / period_ms };
                 // A phase begins and ends between two frames.
                 let apart = count(&sent, id).abs_diff(expected);
                 assert!(apart <= 1, "0x{id:03X} in {fault:?}: {apart} more or less");
@@ -97,8 +97,8 @@ fn engage_is_let_go_in_its_fault_alone_and_zero_is_asked_for_200_ms_at_the_begin
                 faults && InjectedFault::from_vector_index(number) == InjectedFault::LetsGo;
             let zero = faults && number % PHASE_MS < 200;
             // What is damaged is elsewhere in the frame.
-            let said = (control.engage, control.zero, control.referenced);
-            assert_eq!(said, (!lets_go, zero, true), "in vector {number}");
+            let flags = (control.engage, control.zero, control.referenced);
+            assert_eq!(flags, (!lets_go, zero, true), "in vector {number}");
         }
     }
 }

@@ -47,19 +47,19 @@ impl Cnc {
 
 fn resets(count: u32, seed: u64) {
     let (mut twin, mut rig) = (Rig::engaged(seed), Rig::engaged(seed));
-    let (mut cnc, mut kept) =
+    let (mut cnc, mut retained) =
         (Cnc { z_nm: rig.applied_nm()[1], ..Cnc::default() }, rig.node.retained_state());
     let (mut compared, mut worst_nm, mut done) = (0_u32, 0, 0);
     let mut until = 100;
     while done < count {
         if rig.ms.is_multiple_of(1_000) {
-            kept = rig.node.retained_state();
+            retained = rig.node.retained_state();
         }
         until -= 1;
         if until == 0 {
             let mut next = Node::new(calibration().into());
             next.restore_reference_status(ReferenceStatus::in_force(rig.node.reference()), None);
-            next.resume(Some(&kept), 0);
+            next.resume(Some(&retained), 0);
             rig.node = next;
             rig.last.offset = None;
             // Long enough to arrive after most of them.

@@ -126,7 +126,7 @@ fn channel_of(fault: Fault) -> Option<(usize, Kind)> {
 }
 
 /// Milliseconds from the moment at which the objects report a fault to its emergency.
-fn told_after(fault: Fault) -> u32 {
+fn reported_after(fault: Fault) -> u32 {
     let mut rig = match fault {
         // Both are sent elsewhere at once.
         Fault::Clamped => Rig::engaged_within(20_000, 7),
@@ -139,7 +139,7 @@ fn told_after(fault: Fault) -> u32 {
         rig.run(100);
     }
     let before = bits(&rig);
-    rig.told.clear();
+    rig.emergencies.clear();
     provoke(fault, &mut rig);
     let mut detected = None;
     for _ in 0..30_000 {
@@ -147,7 +147,7 @@ fn told_after(fault: Fault) -> u32 {
         if bits(&rig) != before {
             detected.get_or_insert(rig.ms);
         }
-        if let Some((at, _)) = rig.told.iter().find(|(_, told)| *told == fault) {
+        if let Some((at, _)) = rig.emergencies.iter().find(|(_, reported)| *reported == fault) {
             return at.saturating_sub(detected.unwrap_or(*at));
         }
     }
@@ -158,7 +158,7 @@ fn told_after(fault: Fault) -> u32 {
 pub fn list() -> String {
     let mut text = String::from("| fault | code | emergency after |\n|---|---|---|\n");
     for fault in Fault::ALL {
-        let after = told_after(fault);
+        let after = reported_after(fault);
         writeln!(text, "| `{fault:?}` | {:04X} | {after} ms |", fault.code()).expect("a string");
     }
     text
@@ -167,7 +167,7 @@ pub fn list() -> String {
 #[test]
 fn every_fault_has_its_emergency_within_100_ms() {
     for fault in Fault::ALL {
-        let after = told_after(fault);
+        let after = reported_after(fault);
         println!("{fault:?}: {after} ms");
         assert!(after <= WITHIN_MS, "{fault:?} is told after {after} ms");
     }

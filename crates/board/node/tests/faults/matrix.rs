@@ -52,7 +52,7 @@ impl State {
             _ => {}
         }
         rig.run(2_000);
-        rig.told.clear();
+        rig.emergencies.clear();
         rig
     }
 }
@@ -86,10 +86,10 @@ fn cell(part: Part, kind: Kind, state: State) -> String {
             changed.get_or_insert(broken.ms - began);
         }
     }
-    let first = broken.told.first().map(|(ms, fault)| (ms - began, format!("`{fault:?}`")));
+    let first = broken.emergencies.first().map(|(ms, fault)| (ms - began, format!("`{fault:?}`")));
     let found = match (first, changed) {
-        (Some((told, name)), None) => format!("{told} ms {name}"),
-        (Some((told, name)), Some(at)) => format!("{} ms {name}", told.min(at)),
+        (Some((reported, name)), None) => format!("{reported} ms {name}"),
+        (Some((reported, name)), Some(at)) => format!("{} ms {name}", reported.min(at)),
         (None, Some(at)) => format!("{at} ms by its quality"),
         (None, None) => "not detected".into(),
     };
@@ -148,15 +148,15 @@ fn the_matrix_of_faults_is_what_the_bridge_does() {
     if env::var_os("TRUEUP_WRITE_MATRIX").is_some() {
         fs::write(&path, &made).expect("the folder of the documents");
     }
-    let kept = fs::read_to_string(&path).expect("docs/fault-matrix.md");
-    for (kept, made) in kept.lines().zip(made.lines()) {
-        assert_eq!(kept, made, "write it again: TRUEUP_WRITE_MATRIX=1");
+    let stored = fs::read_to_string(&path).expect("docs/fault-matrix.md");
+    for (stored, made) in stored.lines().zip(made.lines()) {
+        assert_eq!(stored, made, "write it again: TRUEUP_WRITE_MATRIX=1");
     }
-    assert_eq!(kept.lines().count(), made.lines().count());
+    assert_eq!(stored.lines().count(), made.lines().count());
 }
 
 #[test]
-fn a_dead_input_is_told_and_moves_little_while_a_bias_is_followed_and_said_to_be() {
+fn a_dead_input_is_reported_and_moves_little_while_a_bias_is_followed_and_reported() {
     let seen = |part, kind, state| cell(part, kind, state);
     let cable = seen(Part::Sensor, Kind::Off, State::Live);
     assert!(cable.contains("`Sensor`; 2; 0.") || cable.contains("`Sensor`; 2; 1."), "{cable}");

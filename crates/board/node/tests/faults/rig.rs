@@ -192,7 +192,7 @@ pub struct Rig {
     /// How far X is from where it usually goes, in mm.
     pub offset_mm: f64,
     /// Emergencies of faults that have come, with their time.
-    pub told: Vec<(u32, Fault)>,
+    pub emergencies: Vec<(u32, Fault)>,
     pub last: Output,
     /// Channels of the two thermometers.
     pub channels: [usize; 2],
@@ -221,7 +221,7 @@ impl Rig {
             speed: SPEED,
             noise_codes: 1.0,
             offset_mm: 0.0,
-            told: Vec::new(),
+            emergencies: Vec::new(),
             last: Output::default(),
             channels: [SPINDLE_CHANNEL, AXIS_CHANNEL],
             line: Interface::Can,
@@ -448,12 +448,12 @@ impl Rig {
     fn tick(&mut self, elapsed_ms: u32, input: Input<'_>) {
         self.node.tick(elapsed_ms, input);
         self.last = *self.node.last_output();
-        let said = self.node.service();
-        if let Some(frame) = said.filter(|frame| frame.id() == EMERGENCY_ID)
+        let frames = self.node.service();
+        if let Some(frame) = frames.filter(|frame| frame.id() == EMERGENCY_ID)
             && let Ok(emergency) = decode(&frame)
             && emergency.code != 0
         {
-            self.told.push((self.ms, emergency.fault));
+            self.emergencies.push((self.ms, emergency.fault));
         }
     }
 

@@ -43,9 +43,9 @@ pub struct Axis {
     velocity: i32,
     counter: u8,
     /// The position that the bridge has received last.
-    pub heard: Option<i32>,
+    pub received_nm: Option<i32>,
     /// How long ago, in milliseconds.
-    pub heard_ms: u32,
+    pub received_ms: u32,
     /// It was elsewhere in the frame before.
     pub moves: bool,
 }
@@ -53,7 +53,7 @@ pub struct Axis {
 impl Axis {
     /// A millisecond.
     pub fn live(&mut self) {
-        self.heard_ms = self.heard_ms.saturating_add(1);
+        self.received_ms = self.received_ms.saturating_add(1);
         self.at = (self.at + self.velocity).clamp(0, END);
         if self.at == 0 || self.at == END {
             self.velocity = -self.velocity;
@@ -85,19 +85,19 @@ impl Axis {
     }
 
     /// The bridge has taken what was sent now.
-    pub fn was_heard(&mut self) {
-        self.moves = self.heard.unwrap_or(0) != self.at;
-        (self.heard, self.heard_ms) = (Some(self.at), 0);
+    pub fn was_received(&mut self) {
+        self.moves = self.received_nm.unwrap_or(0) != self.at;
+        (self.received_nm, self.received_ms) = (Some(self.at), 0);
     }
 
     /// The bridge has started anew.
     pub fn forget(&mut self) {
-        (self.heard, self.heard_ms, self.moves) = (None, 0, false);
+        (self.received_nm, self.received_ms, self.moves) = (None, 0, false);
     }
 
     /// Returns what the screw does where the bridge takes the axis to be, in nm.
     pub fn error_nm(&self, table: usize) -> Option<f64> {
-        let place = f64::from(self.heard?) / f64::from(STEP);
+        let place = f64::from(self.received_nm?) / f64::from(STEP);
         let knot = (place.floor() as usize).min(KNOTS - 2);
         let [from, to] = [knot, knot + 1].map(|knot| f64::from(TABLES_NM[table][knot]));
         Some(from + (place - knot as f64) * (to - from))

@@ -133,8 +133,8 @@ fn attack(blobs: u64, seed: u32) {
         let blob = hostile(&mut random, &seeds, &mut slot);
         match decode(blob) {
             Err(error) => {
-                let said = format!("{error:?}");
-                let kind = said.split([' ', '(', '{']).next().unwrap_or_default().to_string();
+                let message = format!("{error:?}");
+                let kind = message.split([' ', '(', '{']).next().unwrap_or_default().to_string();
                 assert_ne!(kind, "Crc", "blob {number}: its CRC is right");
                 assert!(!error.to_string().is_empty());
                 *reasons.entry(kind).or_insert(0_u64) += 1;

@@ -102,7 +102,7 @@ pub struct Cnc {
     pub applied_nm: i32,
     pub received: Option<Output>,
     pub silent_ms: u32,
-    pub wants: bool,
+    pub is_engage_requested: bool,
     pub raised: bool,
     pub since_ms: u32,
     pub counters: [u8; 2],
@@ -115,7 +115,7 @@ impl Cnc {
             applied_nm: 0,
             received: None,
             silent_ms: u32::MAX,
-            wants: true,
+            is_engage_requested: true,
             raised: false,
             since_ms: 0,
             counters: [0; 2],
@@ -145,8 +145,11 @@ impl Cnc {
             self.applied_nm += step;
         }
         let waits = available.is_none() && self.silent_ms <= 100;
-        let falls = self.raised && (!self.wants || (waits && self.since_ms >= 1_000));
-        let rises = !self.raised && self.wants && self.applied_nm == 0 && self.since_ms >= 120;
+        let falls = self.raised && (!self.is_engage_requested || (waits && self.since_ms >= 1_000));
+        let rises = !self.raised
+            && self.is_engage_requested
+            && self.applied_nm == 0
+            && self.since_ms >= 120;
         if falls || rises {
             (self.raised, self.since_ms) = (rises, 0);
         }

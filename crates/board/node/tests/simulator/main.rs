@@ -83,11 +83,11 @@ fn ten_million_ticks() {
 #[test]
 #[ignore = "campaign: cargo xtask soak"]
 fn campaign_soak() {
-    let asked = |name: &str, or: u64| {
+    let requested = |name: &str, or: u64| {
         env::var(name).map_or(or, |text| text.parse().unwrap_or_else(|_| panic!("{name}={text}")))
     };
-    let ticks = asked("TRUEUP_SOAK_TICKS", 1_000_000_000);
-    let first = u32::try_from(asked("TRUEUP_SOAK_SEED", 1_000)).expect("a seed has 32 bits");
+    let ticks = requested("TRUEUP_SOAK_TICKS", 1_000_000_000);
+    let first = u32::try_from(requested("TRUEUP_SOAK_SEED", 1_000)).expect("a seed has 32 bits");
     let seeds = first..first + u32::try_from(ticks.div_ceil(TICKS)).expect("in 32 bits");
     // So that a failure is seen when it comes, and not when all are through.
     const AT_ONCE: u32 = 50;

@@ -132,7 +132,7 @@ pub struct World {
     /// The tick of the last `Zero`.
     zero_tick: u64,
     /// Something was kept in RAM since the last power cut.
-    has_kept: bool,
+    has_retained: bool,
     /// Frames in which the CNC still says `Zero`.
     zero_frames: u32,
     pub seen: Seen,
@@ -166,7 +166,7 @@ impl World {
             room_c: 21.0,
             joined: None,
             zero_tick: 0,
-            has_kept: false,
+            has_retained: false,
             zero_frames: 0,
             seen: Seen { checksum: 0xcbf2_9ce4_8422_2325, ..Seen::default() },
         }
@@ -222,7 +222,7 @@ impl World {
         self.spindle.runs = !self.chance(4);
         let drawn = self.random.next() >> 8;
         self.axis.turn(drawn);
-        self.cnc.wants = self.fault != WorldFault::CncLetsGo;
+        self.cnc.is_engage_requested = self.fault != WorldFault::CncLetsGo;
     }
 
     fn restart(&mut self) {
@@ -245,11 +245,11 @@ impl World {
             None,
         );
         self.axis.forget();
-        let kept = retained::load(&self.ram);
+        let stored = retained::load(&self.ram);
         // Nothing has been kept since the last cut, or all of it is lost.
-        self.has_kept &= !cut;
-        assert_eq!(kept.is_some(), self.has_kept, "{}", self.place());
-        self.node.resume(kept.as_ref(), 0);
+        self.has_retained &= !cut;
+        assert_eq!(stored.is_some(), self.has_retained, "{}", self.place());
+        self.node.resume(stored.as_ref(), 0);
         (self.before, self.since_start_ms, self.released) = (None, 0, 0);
         (self.engaged_after_release, self.well_ms) = (false, 0);
     }
@@ -277,8 +277,8 @@ impl World {
             control = arrived;
             let before = self.node.reference();
             let received = self.node.receive(Interface::Can, &control);
-            let said = frames::decode_control(&control).expect("its own length");
-            self.note_control(&received, said.engage);
+            let decoded = frames::decode_control(&control).expect("its own length");
+            self.note_control(&received, decoded.engage);
             self.note_zero(before);
             self.node.receive(Interface::Can, &spindle).ok();
         }
@@ -293,7 +293,7 @@ impl World {
         let before = self.node.reference();
         let received = self.node.receive(stranger, &frames::encode_control(control, counter));
         self.note_control(&received, engage);
-        // Where the CNC asks for it in the same moment, it is the CNC's, whoever's frame completes it.
+        // Where the CNC asks for it in the same moment, it is the CNC's, whichever frame completes it.
         assert!(
             zero || self.node.reference() == before,
             "a stranger takes a Zero: {}",
@@ -355,7 +355,7 @@ impl World {
             && let Some(frame) = self.carry(frame)
             && self.node.receive(Interface::Can, &frame).is_ok_and(|received| received.is_some())
         {
-            self.axis.was_heard();
+            self.axis.was_received();
         }
     }
 
@@ -395,7 +395,7 @@ impl World {
         }
         if self.seen.ticks.is_multiple_of(1_000) {
             retained::save(&mut self.ram, &self.node.retained_state(), None);
-            self.has_kept = true;
+            self.has_retained = true;
         }
         let was = self.cnc.applied_nm;
         self.cnc.live();

@@ -296,7 +296,7 @@ fn the_fields_lie_where_the_table_says() {
 }
 
 #[test]
-fn a_rapid_traverse_stands_where_older_blobs_have_a_0_that_nobody_read() {
+fn a_rapid_traverse_stands_where_older_blobs_have_an_unused_0() {
     let older = sample();
     let mut calibration = decode(&older).expect("of the first writer");
     assert_eq!(calibration.axes.map(|axis| axis.rapid), [0; 3]);
@@ -374,7 +374,7 @@ fn values_without_a_meaning_are_refused_with_their_place() {
 }
 
 #[test]
-fn of_two_faults_the_first_is_told() {
+fn of_two_faults_the_first_is_reported() {
     let mut blob = sample();
     blob[44] = 4;
     blob[240] = 3;
@@ -387,9 +387,9 @@ fn what_does_not_fit_is_refused_with_its_size() {
         let mut small = [0; 700];
         let error = encode(&calibration, &mut small).expect_err("it is larger");
         assert_eq!(error.bytes, sample().len());
-        let said = std::format!("{error}");
+        let message = std::format!("{error}");
         assert_eq!(
-            said,
+            message,
             std::format!("{} bytes do not fit the board's {MAX_BLOB_SIZE}", error.bytes)
         );
     });
@@ -429,7 +429,7 @@ proptest! {
 }
 
 #[test]
-fn a_calibration_is_told_by_its_last_four_bytes_and_none_by_0() {
+fn a_calibration_is_identified_by_its_last_four_bytes_and_none_by_0() {
     assert_eq!(calibration_crc(&[1, 2, 0x44, 0x33, 0x22, 0x11]), 0x1122_3344);
     assert_eq!(calibration_crc(&[]), 0);
 }

@@ -81,8 +81,8 @@ fn wherever_the_power_is_cut_the_old_one_or_the_new_one_counts_whole() {
             let expected = if fuel == all { Some(blob(9)) } else { old.clone() };
             assert_eq!(newest(&cut), expected, "{before} stored, cut at {fuel}");
             // Only within the CRC of its head the end of a load looks like damage.
-            let is_told = open(&cut, IMAGE).1.newer_is_damaged;
-            assert!(!is_told || (all - 4..all).contains(&fuel), "cut at {fuel}");
+            let is_reported = open(&cut, IMAGE).1.newer_is_damaged;
+            assert!(!is_reported || (all - 4..all).contains(&fuel), "cut at {fuel}");
             // And it goes on from there, with an erase at the start if one is needed.
             let (mut slots, _) = open(&cut, IMAGE);
             slots.erase_spare_half(|| ()).expect("powered");
@@ -137,7 +137,7 @@ fn another_image_wins_over_what_was_loaded_before_it() {
 }
 
 #[test]
-fn a_dead_flash_takes_nothing_and_says_so() {
+fn a_dead_flash_takes_nothing_and_reports_it() {
     let dead = Flash { dead: true, ..Flash::erased() };
     let (mut slots, _) = open(&dead, IMAGE);
     slots.log.flash.dead = true;
@@ -153,21 +153,25 @@ fn a_dead_flash_takes_nothing_and_says_so() {
 #[test]
 fn an_older_one_that_is_damaged_is_no_matter() {
     let flash = store(store(store(Flash::erased(), 1).0, 2).0, 3).0;
-    for (slot, is_told) in [(0, false), (1, false), (2, true)] {
+    for (slot, is_reported) in [(0, false), (1, false), (2, true)] {
         let mut damaged = flash.clone();
         // The third is the first of the other half.
         let start = if slot < 2 { slot * SLOT_SIZE as usize } else { SECTOR };
         for at in [start + 1, start + HEADER_SIZE as usize + 40] {
             let mut damaged = damaged.clone();
             damaged.bytes[at] ^= 4;
-            assert_eq!(open(&damaged, IMAGE).1.newer_is_damaged, is_told, "slot {slot}, byte {at}");
+            assert_eq!(
+                open(&damaged, IMAGE).1.newer_is_damaged,
+                is_reported,
+                "slot {slot}, byte {at}"
+            );
         }
         damaged.bytes[start] ^= 4;
     }
 }
 
 #[test]
-fn stored_again_the_older_one_is_the_newest_and_nothing_is_told() {
+fn stored_again_the_older_one_is_the_newest_and_nothing_is_reported() {
     let (mut flash, _) = store(store(Flash::erased(), 1).0, 2);
     flash.bytes[SLOT_SIZE as usize + 100] ^= 1;
     assert!(open(&flash, IMAGE).1.newer_is_damaged);

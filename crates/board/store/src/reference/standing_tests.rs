@@ -59,7 +59,7 @@ fn an_old_zero_does_not_come_back_with_its_calibration_it_is_offered() {
     log.append(held(2)).unwrap();
     let (log, standing) = load(log, A, false);
     assert_eq!(standing, offered(held(1)));
-    // And again, until somebody answers: also where the log has moved on.
+    // And again, until it is answered: also where the log has moved on.
     let (mut log, standing) = start(&log, A);
     assert_eq!(standing, offered(held(1)));
     for number in 0..3 * SLOTS {
@@ -107,13 +107,13 @@ fn a_change_that_no_cnc_has_seen_is_asked_for_until_it_is_confirmed() {
             log.append(held(1)).unwrap();
         }
         let (mut log, standing) = load(log, B, true);
-        let asked = ReferenceStatus { is_changed: true, ..ReferenceStatus::default() };
-        assert_eq!(standing, asked);
+        let requested = ReferenceStatus { is_changed: true, ..ReferenceStatus::default() };
+        assert_eq!(standing, requested);
         for number in 0..3 * SLOTS {
             write(&mut log, WriteKind::Confirmed, number, false);
             let standing;
             (log, standing) = start(&log, B);
-            assert_eq!(standing, asked, "{number}");
+            assert_eq!(standing, requested, "{number}");
         }
         log.append(ReferenceStatus::default()).unwrap();
         assert_eq!(start(&log, B).1, ReferenceStatus::default());
@@ -162,15 +162,15 @@ fn a_power_cut_at_any_byte_of_the_first_start_after_a_load_changes_no_answer() {
             let found =
                 open(&cut.log.flash, A).1.standing.map(|standing| standing.1).unwrap_or_default();
             // What is offered may be lost with a half that was full; it never comes into force.
-            let is_kept = found == expected
+            let is_retained = found == expected
                 || found == ReferenceStatus { is_changed: true, ..ReferenceStatus::default() };
-            assert!(is_kept, "{before} before, cut at {fuel}: {found:?}");
+            assert!(is_retained, "{before} before, cut at {fuel}: {found:?}");
         }
     }
 }
 
 #[test]
-fn the_write_that_has_taken_a_reference_is_told_and_moves_with_it() {
+fn the_write_that_has_taken_a_reference_is_reported_and_moves_with_it() {
     let mut log = open(&Flash::erased(), A).0;
     log.append(held(1)).unwrap();
     write(&mut log, WriteKind::Zeroed, 77, false);

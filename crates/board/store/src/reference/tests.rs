@@ -208,7 +208,7 @@ fn every_flipped_bit_of_a_record_is_found() {
 }
 
 #[test]
-fn a_dead_flash_is_said_and_nothing_else_happens() {
+fn a_dead_flash_is_reported_and_nothing_else_happens() {
     // Nothing is taken; or all reads as 0, as where no flash answers.
     for fill in [0xFF, 0] {
         let flash = Flash { dead: true, ..Flash::from_bytes(std::vec![fill; SIZE]) };
@@ -274,8 +274,9 @@ fn two_power_cuts_in_a_row_at_any_words_with_bits_that_waver_leave_an_old_or_a_n
                 for _ in 0..3 {
                     let found = loaded(&twice);
                     let place = std::format!("{before} stored, cut at {first} and {second}");
-                    let wanted = [(old, !was_stored), (reference(77), true), (reference(88), true)];
-                    let is_one = wanted.iter().any(|(one, may)| *may && found == Some(*one));
+                    let expected =
+                        [(old, !was_stored), (reference(77), true), (reference(88), true)];
+                    let is_one = expected.iter().any(|(one, may)| *may && found == Some(*one));
                     assert!(is_one, "{found:?}: {place}");
                     assert!(!is_stored || found == Some(reference(88)), "{found:?}: {place}");
                 }

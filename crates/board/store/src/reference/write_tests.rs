@@ -23,7 +23,7 @@ fn logged_writes(log: &ReferenceStore<Flash>) -> Vec<(u32, WriteKind, u32)> {
 }
 
 #[test]
-fn writes_are_told_after_a_power_cut_in_their_order_and_references_stay() {
+fn writes_are_reported_after_a_power_cut_in_their_order_and_references_stay() {
     let (mut log, _) = open(&Flash::erased(), OURS);
     assert_eq!(log.append_write(&write(WriteKind::Loaded, 1)).map(|record| record.sequence), Ok(1));
     log.append(held(1)).unwrap();
@@ -76,7 +76,7 @@ fn names_and_reference_outlast_erases_with_power_cuts_at_any_byte() {
 }
 
 #[test]
-fn writes_are_told_the_oldest_first_whichever_half_holds_them() {
+fn writes_are_reported_the_oldest_first_whichever_half_holds_them() {
     let mut log = open(&Flash::erased(), OURS).0;
     for number in 1..=5 * SLOTS {
         let entry = write(WriteKind::Confirmed, number);

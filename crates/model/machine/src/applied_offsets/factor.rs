@@ -141,8 +141,7 @@ pub fn require_unit_factor(
             format!("{} {}", factor.describe(), FactorEstimate::troubleshooting_steps().join(" "))
         }
         OffsetApplication::Unknown(_) => format!(
-            "measured_{}_um goes with the offset of the bridge, which is a constant of the machine or a CNC that applies \
-             the offset otherwise than once. {}",
+            "measured_{}_um is correlated with the offset of the bridge: a constant of the machine is wrong, or the CNC does not apply the offset exactly once. {}",
             quantity.name(),
             repeat_run_instruction()
         ),

@@ -77,8 +77,7 @@ pub(super) fn check_clock(run: &RunFile) -> ClockFindings {
             others => format!(" ({others} more such steps follow)"),
         };
         let what = format!(
-            "time_s steps by {} s here, the other rows are {} s apart, and the values went on as from one row to the \
-             next: {kind}{others}",
+            "time_s steps by {} s here, where the other rows are {} s apart and the values show no step: {kind}{others}",
             round_to_milliseconds(step.step_s),
             round_to_milliseconds(median_s)
         );
@@ -275,10 +274,10 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_was_set_is_a_slip_and_a_pause_is_a_remark() {
+    fn a_clock_that_was_set_is_an_error_and_a_pause_is_a_remark() {
         let (slips, warnings, remarks) = found(&[], &[], 0.0);
         assert!(slips.is_empty() && warnings.is_empty() && remarks.is_empty());
-        for (step_s, says) in [
+        for (step_s, phrase) in [
             (3660.0, "summer time"),
             (1500.0, "clock was set"),
             (90_000.0, "clock was set"),
@@ -286,7 +285,7 @@ mod tests {
         ] {
             let (slips, _, remarks) = found(&[(40, step_s)], &[], 0.0);
             assert!(
-                slips.len() == 1 && slips[0].starts_with("42: ") && slips[0].contains(says),
+                slips.len() == 1 && slips[0].starts_with("42: ") && slips[0].contains(phrase),
                 "{step_s}: {slips:?}"
             );
             assert!(remarks.is_empty(), "{remarks:?}");

@@ -102,19 +102,19 @@ fn new_finding(
     let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
     let is_negative = value < 0.0 && likely[0] >= -0.5;
     let value_of = format_value(value);
-    let slip = if value < likely[0] { below } else { above };
+    let typo = if value < likely[0] { below } else { above };
     let what = match grade {
         Plausibility::Impossible => {
-            format!("{value_of}{unit} is impossible (possible: {} to {}): {slip}", hard[0], hard[1])
+            format!("{value_of}{unit} is impossible (possible: {} to {}): {typo}", hard[0], hard[1])
         }
         Plausibility::Unlikely if is_negative => {
-            format!("{value_of}{unit} is negative: {slip}")
+            format!("{value_of}{unit} is negative: {typo}")
         }
         Plausibility::Unlikely => {
-            format!("{value_of}{unit} is unlikely (usual: {} to {}): {slip}", usual[0], usual[1])
+            format!("{value_of}{unit} is unlikely (usual: {} to {}): {typo}", usual[0], usual[1])
         }
     };
-    let help = match slip.contains("other way round") {
+    let help = match typo.contains("other way round") {
         true => {
             "look at one reading: where the machine goes too far, the error must be positive".into()
         }
@@ -193,8 +193,8 @@ fn find_decreasing_thermal_table(machine: &Machine, axis: LinearAxis) -> Option<
     let key = format!("axis.{}.thermal.table", axis.name());
     let (grade, value) = find_worst_value(&range, &[by_c])?;
     // Of a table the size of a slope is known to what its ends are.
-    let is_told = grade == Plausibility::Impossible || value < -0.1;
-    is_told.then(|| {
+    let is_reported = grade == Plausibility::Impossible || value < -0.1;
+    is_reported.then(|| {
         let ImplausibleValue { warning, .. } =
             new_finding(machine, key.clone(), slope.unit, &range, grade, value);
         ImplausibleValue { key, grade, warning }

@@ -90,7 +90,7 @@ struct Rule {
     /// The beginning of the line that it points to.
     line: &'static str,
     /// A part of what it says.
-    says: &'static str,
+    message: &'static str,
     near: &'static [(&'static str, &'static str)],
 }
 
@@ -106,140 +106,140 @@ const SAME_HEAT: &str = "sensor = \"temp_a_c\"\nreference_c = 20.0\nconstant_um_
 const RULES: &[Rule] = &[
     // heat
     Rule {
-        name: "an axis's reference in kelvin", line: "reference_c = 293.15", says: "it would be 20.00 °C",
+        name: "an axis's reference in kelvin", line: "reference_c = 293.15", message: "it would be 20.00 °C",
         wrong: &[(HEAT_OF_X, "reference_c = 293.15\nconstant_um_per_c = 1.0\nslope_um_per_m_per_c = 11.5\n")],
         near: &[(HEAT_OF_X, "reference_c = 70.0\nconstant_um_per_c = 1.0\nslope_um_per_m_per_c = 11.5\n")],
     },
     Rule {
-        name: "a table's temperature in kelvin", line: "table", says: "kelvin",
+        name: "a table's temperature in kelvin", line: "table", message: "kelvin",
         wrong: &[(HEAT_OF_X, "table = [[293.15, 0.0, 0.0], [303.15, 10.0, 10.0]]\n")],
         near: &[(HEAT_OF_X, "table = [[20.0, 0.0, 0.0], [30.0, 10.0, 10.0]]\n")],
     },
     Rule {
-        name: "the spindle's reference in kelvin", line: "reference_c = 293.15", says: "kelvin",
+        name: "the spindle's reference in kelvin", line: "reference_c = 293.15", message: "kelvin",
         wrong: &[("reference_c = 20.0\nk_um", "reference_c = 293.15\nk_um")],
         near: &[("reference_c = 20.0\nk_um", "reference_c = 70.0\nk_um")],
     },
     Rule {
-        name: "a term's reference in kelvin", line: "reference_c = 295.0", says: "kelvin",
+        name: "a term's reference in kelvin", line: "reference_c = 295.0", message: "kelvin",
         wrong: &[(TERM, "cause = \"extra-heat-path\"\nquantity = \"dx\"\ncolumn = \"temp_a_c\"\num_per_c = 1.0\n\
                          time_constant_s = 0.0\nreference_c = 295.0\n")],
         near: &[(TERM, "cause = \"extra-heat-path\"\nquantity = \"dx\"\ncolumn = \"temp_a_c\"\num_per_c = 1.0\n\
                         time_constant_s = 0.0\nreference_c = 25.0\n")],
     },
     Rule {
-        name: "a slope in 1/K", line: "slope_um_per_m_per_c", says: "would do nothing",
+        name: "a slope in 1/K", line: "slope_um_per_m_per_c", message: "would do nothing",
         wrong: &[("c = 11.5\n", "c = 11.5e-6\n")], near: &[("c = 11.5\n", "c = 0.001\n")],
     },
     Rule {
-        name: "a slope of no metal", line: "slope_um_per_m_per_c", says: "more than any metal",
+        name: "a slope of no metal", line: "slope_um_per_m_per_c", message: "more than any metal",
         wrong: &[("c = 11.5\n", "c = 101.0\n"), ROOM], near: &[("c = 11.5\n", "c = 100.0\n"), ROOM],
     },
     Rule {
-        name: "an axis's constant in another unit", line: "constant_um_per_c", says: "would do nothing",
+        name: "an axis's constant in another unit", line: "constant_um_per_c", message: "would do nothing",
         wrong: &[("um_per_c = 1.5\n", "um_per_c = 1.5e-6\n")], near: &[("um_per_c = 1.5\n", "um_per_c = 0.001\n")],
     },
     Rule {
-        name: "the spindle's constant in another unit", line: "k_um_per_c", says: "would do nothing",
+        name: "the spindle's constant in another unit", line: "k_um_per_c", message: "would do nothing",
         wrong: &[("k_um_per_c = 2.0", "k_um_per_c = 2e-6")], near: &[("k_um_per_c = 2.0", "k_um_per_c = 0.001")],
     },
     Rule {
-        name: "a spindle that shrinks with its temperature", line: "k_um_per_c", says: "shrink",
+        name: "a spindle that shrinks with its temperature", line: "k_um_per_c", message: "shrink",
         wrong: &[("k_um_per_c = 2.0", "k_um_per_c = -2.0")], near: &[("k_um_per_c = 2.0", "k_um_per_c = 8.0")],
     },
     Rule {
-        name: "a spindle that shrinks as it runs", line: "max_um", says: "shrink",
+        name: "a spindle that shrinks as it runs", line: "max_um", message: "shrink",
         wrong: &[("max_um = 80.0", "max_um = -80.0")], near: &[("max_um = 80.0", "max_um = 500.0")],
     },
     // sensor
     Rule {
         name: "a zero beyond full scale", line: "zero_counts",
-        says: "beyond full scale: the input gives 0 to 27648",
+        message: "beyond full scale: the input gives 0 to 27648",
         wrong: &[("= 5048.0", "= 27649.0")], near: &[("= 5048.0", "= 27648.0")],
     },
     Rule {
-        name: "a zero below nothing", line: "zero_counts", says: "beyond full scale",
+        name: "a zero below nothing", line: "zero_counts", message: "beyond full scale",
         wrong: &[("= 5048.0", "= -1.0")], near: &[("= 5048.0", "= 0.0")],
     },
     Rule {
-        name: "a negative gain", line: "um_per_count", says: "is negative",
+        name: "a negative gain", line: "um_per_count", message: "is negative",
         wrong: &[("um_per_count = 0", "um_per_count = -0")], near: &[],
     },
     Rule {
-        name: "32768 where the input reaches 27648", line: "sensor = ", says: "does not go with um_per_count",
+        name: "32768 where the input reaches 27648", line: "sensor = ", message: "does not go with um_per_count",
         wrong: &[("scale = 27648", "scale = 32768")],
         near: &[("scale = 27648", "scale = 32768"), ("0.018084490740740741", "0.0152587890625")],
     },
     Rule {
-        name: "27648 where the input reaches 32768", line: "sensor = ", says: "does not go with um_per_count",
+        name: "27648 where the input reaches 32768", line: "sensor = ", message: "does not go with um_per_count",
         wrong: &[("0.018084490740740741", "0.0152587890625")], near: &[("0.018084490740740741", "0.0180")],
     },
     Rule {
-        name: "a sensor that nobody makes", line: "um_per_count", says: "makes a sensor of",
+        name: "a sensor that nobody makes", line: "um_per_count", message: "makes a sensor of",
         wrong: &[("= 0.018084490740740741", "= 0.00036")], near: &[("= 0.018084490740740741", "= 0.00037")],
     },
     // place
     Rule {
-        name: "a tool that points up", line: "tool_direction", says: "points up",
+        name: "a tool that points up", line: "tool_direction", message: "points up",
         wrong: &[("[0.0, 0.0, -1.0]", "[0.0, 0.0, 1.0]")], near: &[("[0.0, 0.0, -1.0]", "[1.0, 0.0, 0.0]")],
     },
     Rule {
-        name: "a table outside the travel", line: "start_mm", says: "from -501 to 499 mm, outside",
+        name: "a table outside the travel", line: "start_mm", message: "from -501 to 499 mm, outside",
         wrong: &[("start_mm = 0.0", "start_mm = -501.0")], near: &[("start_mm = 0.0", "start_mm = -500.0")],
     },
     Rule {
-        name: "a second drive's table outside the travel", line: "pitch = {", says: "from 9000 to 9500 mm",
+        name: "a second drive's table outside the travel", line: "pitch = {", message: "from 9000 to 9500 mm",
         wrong: &[("[axis.x.backlash]\n", "[axis.x.dual]\nacross = \"y\"\nfirst_mm = 0.0\nsecond_mm = 900.0\n\
                    pitch = { start_mm = 9000.0, step_mm = 500.0, forward_um = [0.0, 1.0] }\n[axis.x.backlash]\n")],
         near: &[("[axis.x.backlash]\n", "[axis.x.dual]\nacross = \"y\"\nfirst_mm = 0.0\nsecond_mm = 900.0\n\
                   pitch = { start_mm = 1000.0, step_mm = 500.0, forward_um = [0.0, 1.0] }\n[axis.x.backlash]\n")],
     },
     Rule {
-        name: "a curve outside the travel", line: "knots_mm", says: "from 0 to 1011 mm, outside the travel of x",
+        name: "a curve outside the travel", line: "knots_mm", message: "from 0 to 1011 mm, outside the travel of x",
         wrong: &[(KNOTS, "[0.0, 0.0, 500.0, 1011.0, 1011.0]")], near: &[(KNOTS, "[0.0, 0.0, 500.0, 1010.0, 1010.0]")],
     },
     // limits
     Rule {
         // 1 % of 12 m/min is 2 mm/s.
-        name: "a slew that the axes notice", line: "slew", says: "1 % (2000 µm/s) of axis x",
+        name: "a slew that the axes notice", line: "slew", message: "1 % (2000 µm/s) of axis x",
         wrong: &[("s = 20.0\n", "s = 2001.0\n")], near: &[("s = 20.0\n", "s = 2000.0\n")],
     },
     Rule {
-        name: "a slew that a slow axis notices", line: "slew", says: "a slow machine's",
+        name: "a slew that a slow axis notices", line: "slew", message: "a slow machine's",
         wrong: &[("s = 20.0\n", "s = 1667.0\n"), ("rapid_mm_per_min = 12000.0\n", "")],
         near: &[("s = 20.0\n", "s = 1666.0\n"), ("rapid_mm_per_min = 12000.0\n", "")],
     },
     Rule {
-        name: "a limit below an axis's error", line: "max_um", says: "axis.x.thermal makes 125.0 µm within 10 K",
+        name: "a limit below an axis's error", line: "max_um", message: "axis.x.thermal makes 125.0 µm within 10 K",
         wrong: &[("x = 200.0", "x = 124.0")], near: &[("x = 200.0", "x = 125.0")],
     },
     Rule {
-        name: "a limit below the growth", line: "max_um", says: "spindle.warmup makes 80.0 µm",
+        name: "a limit below the growth", line: "max_um", message: "spindle.warmup makes 80.0 µm",
         wrong: &[("z = 500.0", "z = 79.0")], near: &[("z = 500.0", "z = 80.0")],
     },
     // twice
     Rule {
-        name: "backlash twice", line: "[[term]]", says: "adds 2.5 µm of backlash to the 3.0 µm",
+        name: "backlash twice", line: "[[term]]", message: "adds 2.5 µm of backlash to the 3.0 µm",
         wrong: &[("width_um = 1.0", "width_um = 2.5")], near: &[("width_um = 1.0", "width_um = 2.3")],
     },
     Rule {
-        name: "squareness twice", line: "z_of_x_um_per_m", says: "which rises by 5.2 µm itself",
+        name: "squareness twice", line: "z_of_x_um_per_m", message: "which rises by 5.2 µm itself",
         wrong: &[("control_um = [0.0, 5.0, 0.0]", "control_um = [0.0, 5.0, 5.2]")],
         near: &[("control_um = [0.0, 5.0, 0.0]", "control_um = [0.0, 5.0, -5.2]")],
     },
     Rule {
-        name: "the heat of the tool twice", line: "sensor = \"temp_a_c\"", says: "both move the tool along Z",
+        name: "the heat of the tool twice", line: "sensor = \"temp_a_c\"", message: "both move the tool along Z",
         wrong: &[(HEAT_OF_Z, SAME_HEAT)],
         near: &[(HEAT_OF_Z, SAME_HEAT), ("source = \"temperature\"", "source = \"warmup\"")],
     },
     Rule {
-        name: "an angle twice", line: "[[term]]", says: "is the turn of angular.ebx with the lever along Z",
+        name: "an angle twice", line: "[[term]]", message: "is the turn of angular.ebx with the lever along Z",
         wrong: &[(TERM, TILTS_X), ("kind = \"3-axis\"\n", CARRIES_Z), ("[straightness", "[angular.ebx]\nurad_per_m = 4.0\n\n[straightness")],
         // In that chain Z is no lever of X.
         near: &[(TERM, TILTS_X), ("kind = \"3-axis\"\n", CARRIES_NONE), ("[straightness", "[angular.ebx]\nurad_per_m = 4.0\n\n[straightness")],
     },
     Rule {
-        name: "a term twice", line: "[[term]]", says: "is the same as the [[term]]",
+        name: "a term twice", line: "[[term]]", message: "is the same as the [[term]]",
         wrong: &[(TERM, "cause = \"backlash\"\nquantity = \"dx\"\nwidth_um = 1.0\n\n[[term]]\ncause = \"backlash\"\n\
                          quantity = \"dx\"\nwidth_um = 1.0\n")],
         near: &[(TERM, "cause = \"backlash\"\nquantity = \"dx\"\nwidth_um = 1.0\n\n[[term]]\ncause = \"backlash\"\n\
@@ -257,14 +257,14 @@ fn written(pairs: &[(&str, &str)]) -> String {
 }
 
 #[test]
-fn each_rule_has_a_file_that_breaks_it_and_one_beside_it_that_does_not() {
-    for Rule { name, wrong, line, says, near } in RULES {
+fn each_rule_has_a_file_that_breaks_it_and_one_next_to_it_that_does_not() {
+    for Rule { name, wrong, line, message: sends, near } in RULES {
         let text = written(wrong);
         let warnings = super::machine_warnings(&parse(&text));
         assert_eq!(warnings.len(), 1, "{name}: {warnings:#?}");
         let there = text.lines().nth(warnings[0].place.line - 1).expect("a line of the file");
         assert!(there.starts_with(line), "{name}: {there}: {warnings:?}");
-        assert!(warnings[0].what.contains(says), "{name}: {warnings:?}");
+        assert!(warnings[0].what.contains(sends), "{name}: {warnings:?}");
         assert!(!warnings[0].help.is_empty(), "{name}: {warnings:?}");
         assert_eq!(
             super::machine_warnings(&parse(&written(near))),
@@ -277,18 +277,18 @@ fn each_rule_has_a_file_that_breaks_it_and_one_beside_it_that_does_not() {
 #[test]
 fn a_file_that_corrects_nothing() {
     let head = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
-    let told = |text: &str| {
+    let warning_of = |text: &str| {
         no_correction_warning(&parse(&format!("{head}{text}"))).map(|warning| warning.what)
     };
-    assert!(told("").expect("nothing").contains("every offset at 0"));
+    assert!(warning_of("").expect("nothing").contains("every offset at 0"));
     let sensor = "[spindle.sensor]\nk0_um = 0.0\nzero_counts = 1.0\num_per_count = 0.1\n";
-    assert!(told(sensor).expect("nothing").contains("no source"));
-    assert_eq!(told(&format!("[spindle]\nsource = \"sensor\"\n{sensor}")), None);
-    assert!(told("[axis.x.backlash]\nwidth_um = 0.0\n").is_some());
-    assert_eq!(told("[axis.x.backlash]\nwidth_um = 1.0\n"), None);
+    assert!(warning_of(sensor).expect("nothing").contains("no source"));
+    assert_eq!(warning_of(&format!("[spindle]\nsource = \"sensor\"\n{sensor}")), None);
+    assert!(warning_of("[axis.x.backlash]\nwidth_um = 0.0\n").is_some());
+    assert_eq!(warning_of("[axis.x.backlash]\nwidth_um = 1.0\n"), None);
     let term =
         "[[term]]\ncause = \"centrifugal-growth\"\nquantity = \"elongation\"\num_per_krpm2 = 0.1\n";
-    assert_eq!(told(term), None);
+    assert_eq!(warning_of(term), None);
 }
 
 #[test]
@@ -313,7 +313,7 @@ fn growth_with_a_speed_that_the_file_does_not_say_is_not_called_0() {
     assert_eq!(z_um(rated, &format!("{term}\"sensor-saturation\"\nlimit_um = 20\n")), Some(30.0));
 }
 
-fn told_of_run(text: &str, machine: Option<&Machine>) -> Vec<String> {
+fn run_warnings(text: &str, machine: Option<&Machine>) -> Vec<String> {
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
     super::run_warnings(&run, machine)
         .into_iter()
@@ -324,9 +324,9 @@ fn told_of_run(text: &str, machine: Option<&Machine>) -> Vec<String> {
 /// A warning of the run, and none of `right`.
 #[track_caller]
 fn run_doubted(wrong: &str, right: &str, machine: Option<&Machine>, phrase: &str) {
-    let told = told_of_run(wrong, machine);
-    assert!(told.len() == 1 && told[0].contains(phrase), "{told:?}");
-    assert_eq!(told_of_run(right, machine), [""; 0]);
+    let findings = run_warnings(wrong, machine);
+    assert!(findings.len() == 1 && findings[0].contains(phrase), "{findings:?}");
+    assert_eq!(run_warnings(right, machine), [""; 0]);
 }
 
 #[test]
@@ -363,7 +363,7 @@ fn counts_that_end_at_the_input_of_an_s7() {
         run_doubted(wrong, right, Some(&machine), "ends at 27648 in 3 rows");
     }
     // Of an input that has 27648 it is the end of its range.
-    assert_eq!(told_of_run(wrong, Some(&parse(RIGHT))), [""; 0]);
+    assert_eq!(run_warnings(wrong, Some(&parse(RIGHT))), [""; 0]);
 }
 
 #[test]
@@ -396,7 +396,7 @@ fn positions_outside_the_travel() {
 }
 
 #[test]
-fn a_column_in_another_unit_is_told_by_its_name() {
+fn a_column_in_another_unit_is_reported_by_its_name() {
     run_doubted(
         "measured_dz_mm\n1\n2\n",
         "measured_dz_um\n1\n2\n",

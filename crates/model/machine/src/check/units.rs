@@ -73,10 +73,10 @@ pub(super) fn findings(
     for column in &thermometers {
         let is_law = of_laws.contains(&column.name);
         // Where no law says which it is, the only one is.
-        let is_asked = is_law || thermometers.len() == 1;
+        let is_requested = is_law || thermometers.len() == 1;
         let may_be_f =
             may_be_fahrenheit(column, &thermometers) && !continues_celsius_run(column, others);
-        findings.extend(temperature_unit_finding(run, column, is_law, [is_asked, may_be_f]));
+        findings.extend(temperature_unit_finding(run, column, is_law, [is_requested, may_be_f]));
     }
     // What is no temperature says nothing of the clock.
     let sound: Vec<&Column> = thermometers
@@ -127,7 +127,7 @@ fn temperature_unit_finding(
     run: &RunFile,
     column: &Column,
     is_law: bool,
-    [is_asked, may_be_f]: [bool; 2],
+    [is_requested, may_be_f]: [bool; 2],
 ) -> Option<ImplausibleValue> {
     let [least, most] = value_range(&column.values)?;
     let is_tenths = is_machine_temperature(least / 10.0)
@@ -147,7 +147,7 @@ fn temperature_unit_finding(
             "temperatures are in °C: is it another unit, or counts?",
         ),
     };
-    let told = |grade| {
+    let finding = |grade| {
         Some(new_finding(
             run,
             &column.name,
@@ -157,12 +157,12 @@ fn temperature_unit_finding(
         ))
     };
     if least > RTD_RANGE_C[1] || most < RTD_RANGE_C[0] || (is_law && least > MAX_LOWEST_READING_C) {
-        return told(Plausibility::Impossible);
+        return finding(Plausibility::Impossible);
     }
-    if as_kelvin || (is_asked && is_tenths) {
-        return told(Plausibility::Unlikely);
+    if as_kelvin || (is_requested && is_tenths) {
+        return finding(Plausibility::Unlikely);
     }
-    (is_asked && may_be_f && IDLE_TEMPERATURE_RANGE_F.contains(&least) && most <= MAX_MACHINE_TEMPERATURE_F).then(|| {
+    (is_requested && may_be_f && IDLE_TEMPERATURE_RANGE_F.contains(&least) && most <= MAX_MACHINE_TEMPERATURE_F).then(|| {
         let what = format!(
             "is from {least} to {most}: that looks like °F, not °C, for a machine that begins cold"
         );

@@ -86,9 +86,9 @@ pub fn describe_changes(old: &Calibration<'_>, new: &Calibration<'_>) -> Vec<Str
         all.push("how fast thermometers may change".into());
     }
     if old.guards.service_switch != new.guards.service_switch {
-        let asked =
+        let requested =
             if new.guards.service_switch { "asked for from now on" } else { "no longer asked for" };
-        all.push(format!("the service switch is {asked}"));
+        all.push(format!("the service switch is {requested}"));
     }
     if old.guards.mains != new.guards.mains {
         let hz = if new.guards.mains == MainsFrequency::Hz60 { 60 } else { 50 };
@@ -153,7 +153,7 @@ fn append_axis_changes(
         note("backlash", Some(size), "");
     }
     if a.travel != b.travel {
-        all.push(format!("{axis:?}: how a reversal is told"));
+        all.push(format!("{axis:?}: how a reversal is detected"));
     }
 }
 
@@ -226,7 +226,7 @@ mod tests {
         MachineFile::parse(GANTRY, Path::new("m.toml")).expect("the project's own file")
     }
 
-    fn told(change: impl FnOnce(&mut Machine)) -> Vec<String> {
+    fn describe_change(change: impl FnOnce(&mut Machine)) -> Vec<String> {
         let mut other = gantry();
         change(&mut other);
         let (a, b) = (compile(&gantry()).expect("it fits"), compile(&other).expect("it fits"));
@@ -235,12 +235,12 @@ mod tests {
 
     #[test]
     fn two_of_one_kind_do_not_differ() {
-        assert_eq!(told(|_| ()), [""; 0]);
+        assert_eq!(describe_change(|_| ()), [""; 0]);
     }
 
     #[test]
-    fn each_change_is_told_with_its_axis_and_its_size() {
-        let all = told(|machine| {
+    fn each_change_is_reported_with_its_axis_and_its_size() {
+        let all = describe_change(|machine| {
             machine.name = "other".into();
             machine.limits.slew_um_per_s *= 2.0;
             machine.limits.max_um[2] += 1.0;

@@ -246,9 +246,10 @@ impl Explanation for AngularError {
             }
         };
         parameters.push(Parameter::Fitted("origin_mm", 0, 0.0));
-        let said = self.0.along.map(|axis| ("along", axis)).into_iter();
+        let stated = self.0.along.map(|axis| ("along", axis)).into_iter();
         parameters.extend(
-            said.chain([("lever", self.0.lever)])
+            stated
+                .chain([("lever", self.0.lever)])
                 .map(|(key, axis)| Parameter::Said(key, Value::Text(axis.name().into()))),
         );
         parameters

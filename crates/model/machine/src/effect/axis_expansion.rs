@@ -191,8 +191,8 @@ impl Explanation for AxisExpansion {
         "Measure the axis at both ends, cold and after a warm-up of at least 5 K."
     }
 
-    fn distinguishing_test(rival: &str) -> Option<&'static str> {
-        match rival {
+    fn distinguishing_test(alternative: &str) -> Option<&'static str> {
+        match alternative {
             "pitch-scale" | "extra-heat-path" => Some(
                 "Measure the axis at both ends, cold and warm: a scale stays as it is, heat by \
                  another path moves both ends alike, an expansion moves them apart.",

@@ -293,8 +293,8 @@ impl Explanation for ExtraHeatPath {
         }
     }
 
-    fn distinguishing_test(rival: &str) -> Option<&'static str> {
-        (rival == Self::NAME).then_some(
+    fn distinguishing_test(alternative: &str) -> Option<&'static str> {
+        (alternative == Self::NAME).then_some(
             "Warm the two places one after the other, not together; where one is the spindle's speed, \
              warm the other one with the spindle at rest.",
         )

@@ -173,7 +173,7 @@ impl Explanation for FeedDependentBacklash {
             .map(|(feed, um)| format!("{:+.2} µm at {feed:.0} mm/min", um - corrected_um))
             .collect();
         format!(
-            "Backlash goes with the feed: {}. The bridge is not told the feed and corrects \
+            "Backlash depends on the feed: {}. The bridge does not receive the feed and corrects \
              {corrected_um:+.2} µm, that of {at:.0} mm/min (at_feed_mm_per_min): {} stay.",
             each.join(", "),
             cost.join(", ")
@@ -185,8 +185,8 @@ impl Explanation for FeedDependentBacklash {
          feed into feed_mm_per_min."
     }
 
-    fn distinguishing_test(rival: &str) -> Option<&'static str> {
-        (rival == super::Backlash::NAME).then_some(
+    fn distinguishing_test(alternative: &str) -> Option<&'static str> {
+        (alternative == super::Backlash::NAME).then_some(
             "Approach one position seven times from each side at a slow and at a fast feed, by turns.",
         )
     }
@@ -248,8 +248,8 @@ mod tests {
         // A run that does not say its feed is taken at the feed that is corrected, as the board does.
         assert_eq!(um(f64::NAN, -1.0), 6.0);
         assert_eq!(page.board_terms(), [BoardTerm::Reversed { width_um: 6.0, um_per_m: 0.0 }]);
-        let told = page.describe(&page.width_um);
-        assert!(told.contains("corrects +6.00 µm, that of 100 mm/min"), "{told}");
-        assert!(told.contains("+5.00 µm at 1100 mm/min stay"), "{told}");
+        let description = page.describe(&page.width_um);
+        assert!(description.contains("corrects +6.00 µm, that of 100 mm/min"), "{description}");
+        assert!(description.contains("+5.00 µm at 1100 mm/min stay"), "{description}");
     }
 }

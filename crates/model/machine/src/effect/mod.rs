@@ -252,7 +252,7 @@ causes! {
     dependence::Dependence "Something depends on a recorded input, by no law with a name.",
     step::Step "Something has slipped, once.",
     drift::Drift "It wanders with time.",
-    periodic_in_time::PeriodicInTime "It comes and goes with the clock.",
+    periodic_in_time::PeriodicInTime "It is periodic in time.",
     outliers::Outliers "Some readings stand alone, far from the rest.",
     reference_instrument::ReferenceInstrument "The reference instrument errs.",
 }
@@ -460,10 +460,10 @@ impl Effect {
 
     /// Returns the measurement that would settle it, against a rival's name where there is one.
     #[must_use]
-    pub fn next_test(&self, rival: Option<&str>) -> &'static str {
+    pub fn next_test(&self, alternative: Option<&str>) -> &'static str {
         // Of the two the later one in the list speaks first: it is farther away.
-        let pair = rival.and_then(Cause::from_name).and_then(|rival| {
-            let (a, b) = (self.cause().max(rival), self.cause().min(rival));
+        let pair = alternative.and_then(Cause::from_name).and_then(|alternative| {
+            let (a, b) = (self.cause().max(alternative), self.cause().min(alternative));
             a.distinguishing_test(b.name()).or_else(|| b.distinguishing_test(a.name()))
         });
         pair.unwrap_or_else(|| self.deref().next_test())

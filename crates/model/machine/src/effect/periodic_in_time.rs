@@ -144,7 +144,7 @@ impl Explanation for PeriodicInTime {
             s if s < 10_800.0 => format!("{:.1} min", s / 60.0),
             s => format!("{:.2} h", s / 3600.0),
         };
-        format!("The error comes and goes every {period} with an amplitude of {size:.2} µm.")
+        format!("The error has a period of {period} with an amplitude of {size:.2} µm.")
     }
 
     fn next_test(&self) -> &'static str {
@@ -154,8 +154,7 @@ impl Explanation for PeriodicInTime {
 
     fn distinguishing_test(_: &str) -> Option<&'static str> {
         Some(
-            "Repeat the run there and back, at another feed: what goes with the clock does not come back with \
-             the place.",
+            "Repeat the run there and back, at another feed: an error that is periodic in time does not return at the same position.",
         )
     }
 

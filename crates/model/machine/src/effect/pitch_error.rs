@@ -135,7 +135,7 @@ impl Candidate for PitchError {
 impl Explanation for PitchError {
     fn describe(&self, _: &[f64]) -> String {
         format!(
-            "The scale or the screw is uneven: a table of {} points{} says by how much.",
+            "The scale or the screw is uneven: a table of {} points{} corrects it.",
             self.point_count(),
             if self.0.reverse_um.is_some() { " for each direction" } else { "" }
         )

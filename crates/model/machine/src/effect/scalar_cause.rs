@@ -263,8 +263,8 @@ impl<T: ScalarParameter> Explanation for T {
         T::DEFINITION.next_test
     }
 
-    fn distinguishing_test(rival: &str) -> Option<&'static str> {
-        T::DEFINITION.against.iter().find(|(name, _)| *name == rival).map(|(_, test)| *test)
+    fn distinguishing_test(alternative: &str) -> Option<&'static str> {
+        T::DEFINITION.against.iter().find(|(name, _)| *name == alternative).map(|(_, test)| *test)
     }
 
     fn repair_advice(&self) -> Option<&'static str> {

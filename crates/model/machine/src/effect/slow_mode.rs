@@ -217,12 +217,12 @@ impl Explanation for SlowMode {
         let behind = format_duration(values[0]);
         match self {
             Self::TimeDriven { .. } => format!(
-                "Beside what the model knows something grows by {:+.2} µm, with a time constant of \
+                "In addition to the model, an unknown part grows by {:+.2} µm, with a time constant of \
                  {behind}.",
                 values[1]
             ),
             Self::ColumnDriven(TemperatureResponse { column, .. }) => format!(
-                "A second, slower path goes with {column}: {:+.3} µm/K behind {behind}.",
+                "A second, slower path depends on {column}: {:+.3} µm/K behind {behind}.",
                 values[1]
             ),
         }

@@ -158,8 +158,8 @@ impl Explanation for ThermometerLag {
     }
 
     fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
-        let said =
+        let stated =
             self.form_entries().into_iter().map(|(name, value)| Parameter::Said(name, value));
-        [Parameter::Fitted("time_constant_s", 0, 0.0)].into_iter().chain(said).collect()
+        [Parameter::Fitted("time_constant_s", 0, 0.0)].into_iter().chain(stated).collect()
     }
 }

@@ -89,8 +89,8 @@ impl MachineKind {
 table! {
     /// The keys of `[machine]` as they are written.
     pub(super) struct MachineKeys {
-        name: String = key(Text, "", "the machine's name; a board asks before it runs the calibration of a machine with another one").required().with_example_value("\"mill\"");
-        serial: Option<String> = key(Text, "", "its serial number, which tells it from another one of that name").with_example_value("\"4711\"");
+        name: String = key(Text, "", "the machine's name; a board requires confirmation before it runs the calibration of a machine with another name").required().with_example_value("\"mill\"");
+        serial: Option<String> = key(Text, "", "its serial number, which identifies it among machines of that name").with_example_value("\"4711\"");
         board: Option<String> = key(Text, "", "the board that the calibration is for: the 24 hexadecimal digits of its chip's number, as `trueup bridge info` prints them").with_example_value("\"003b00213032470e39363634\"");
         kind: MachineKind = key(Choice(MachineKind::NAMES), "", "which rotary axes carry the tool (head) and which the workpiece (table); of a lathe the spindle carries the workpiece, and X is a radius").required().with_example_value("\"3-axis\"");
         head_axes: Vec<String> = key(Choices(RotaryAxis::NAMES), "", "the rotary axes that carry the spindle, from the frame to the tool: two for head-head, one for head-table").with_default("[]").omit_default();
@@ -168,7 +168,7 @@ fn read_head_axes(
             })?;
         axes.push(axis);
     }
-    let wanted = match kind {
+    let requested = match kind {
         MachineKind::ThreeAxis => "must be [], because no rotary axis carries the spindle",
         MachineKind::Lathe => "must be [], because the spindle carries the workpiece",
         MachineKind::TableTable => "must be [], because both rotary axes carry the workpiece",
@@ -180,7 +180,7 @@ fn read_head_axes(
         // At most four of what may be a very long list.
         let there = axes.iter().take(4).map(|axis| format!("\"{}\"", axis.name()));
         let there = there.collect::<Vec<_>>().join(", ");
-        let rule = format!("{wanted} (kind = \"{}\"), not [{there}]", kind.name());
+        let rule = format!("{requested} (kind = \"{}\"), not [{there}]", kind.name());
         return Err(section.key_error("head_axes", rule));
     }
     Ok(axes)

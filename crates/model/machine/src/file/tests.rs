@@ -10,7 +10,7 @@ fn parse(source: &str) -> Machine {
 const SHORTEST: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n";
 
 #[test]
-fn what_is_left_out_has_the_documented_defaults() {
+fn missing_keys_have_the_documented_defaults() {
     let machine = parse(SHORTEST);
     assert_eq!(machine.name, "mill");
     assert_eq!(machine.kind, MachineKind::ThreeAxis);
@@ -24,12 +24,12 @@ fn what_is_left_out_has_the_documented_defaults() {
 }
 
 #[test]
-fn a_scenario_is_told_in_one_sentence() {
+fn a_scenario_is_described_in_one_sentence() {
     let source = "name = \"warm-up\"\nmeasure = [\"dx\"]\ninterval_s = 20.0\n[sensor]\n";
     let error = MachineFile::parse(source, Path::new("s.toml")).expect_err("another kind of file");
-    let said = error.to_string();
+    let message = error.to_string();
     assert_eq!(
-        said,
+        message,
         "s.toml:2:11: measure is a key of a scenario, and this is read as a machine file"
     );
     assert!(error.help.is_some_and(|help| help.contains("trueup simulate")));

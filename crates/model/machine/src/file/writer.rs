@@ -60,11 +60,11 @@ impl Edit {
         // The blank line before the first section.
         let mut text = document.to_string().trim_start().to_string();
         for (section, key, value) in &self.defaults {
-            text.push_str(&format!("\n# A machine file that uses it says so in [{section}]:\n"));
+            text.push_str(&format!("\n# A machine file that uses it has in [{section}]:\n"));
             text.push_str(&format!("# {key} = {}\n", layout::to_toml_value(value)));
         }
         for name in &self.removed {
-            text.push_str(&format!("\n# [{name}] must not stand beside it in a machine file.\n"));
+            text.push_str(&format!("\n# A machine file must not have [{name}] as well.\n"));
         }
         text
     }

@@ -365,12 +365,12 @@ impl<'d> Section<'d> {
     fn read_elements<T>(
         &self,
         key: &str,
-        wanted: &str,
+        requested: &str,
         read: impl Fn(&str, &DeValue<'_>) -> Result<T, BadInput>,
     ) -> Result<Option<Vec<T>>, BadInput> {
         let Some(value) = self.table.get(key).map(Spanned::get_ref) else { return Ok(None) };
         let DeValue::Array(elements) = value else {
-            return Err(self.wrong_type_error(key, wanted, value));
+            return Err(self.wrong_type_error(key, requested, value));
         };
         if !(1..=MAX_ARRAY_LENGTH).contains(&elements.len()) {
             let rule =
@@ -429,7 +429,7 @@ impl<'d> Section<'d> {
         }
     }
 
-    fn wrong_type_error(&self, key: &str, wanted: &str, there: &DeValue<'_>) -> BadInput {
+    fn wrong_type_error(&self, key: &str, requested: &str, there: &DeValue<'_>) -> BadInput {
         let there = match there {
             DeValue::String(_) => "a string",
             DeValue::Integer(_) => "an integer",
@@ -439,6 +439,6 @@ impl<'d> Section<'d> {
             DeValue::Array(_) => "an array",
             DeValue::Table(_) => "a table",
         };
-        self.key_error(key, format!("must be {wanted}, not {there}"))
+        self.key_error(key, format!("must be {requested}, not {there}"))
     }
 }

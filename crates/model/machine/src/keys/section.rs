@@ -10,7 +10,7 @@ pub struct NewSection {
     /// Its keys in their order.
     entries: Vec<Entry>,
     /// Keys of the user's that stay.
-    kept: &'static [&'static str],
+    retained_keys: &'static [&'static str],
 }
 
 /// A key with its value.
@@ -49,7 +49,7 @@ impl NewSection {
     /// Returns the section with the dotted name `name`, without keys yet.
     #[must_use]
     pub fn new(name: impl Into<String>) -> Self {
-        Self { name: name.into(), remarks: Vec::new(), entries: Vec::new(), kept: &[] }
+        Self { name: name.into(), remarks: Vec::new(), entries: Vec::new(), retained_keys: &[] }
     }
 
     /// With `key` = `value`.
@@ -111,7 +111,7 @@ impl NewSection {
     /// keys that are not written here are taken away: they belong to what is replaced.
     #[must_use]
     pub fn with_preserved_keys(mut self, keys: &'static [&'static str]) -> Self {
-        self.kept = keys;
+        self.retained_keys = keys;
         self
     }
 
@@ -163,7 +163,7 @@ impl NewSection {
     }
 
     pub(crate) fn is_preserved(&self, key: &str) -> bool {
-        self.kept.contains(&key)
+        self.retained_keys.contains(&key)
     }
 
     pub(crate) fn remarks(&self) -> &[String] {

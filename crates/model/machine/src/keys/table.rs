@@ -189,10 +189,10 @@ pub(crate) fn default_table<T: Table>() -> Option<T> {
 /// Returns `section` with this key.
 pub(crate) fn write_key<T: KeyValue>(section: NewSection, key: &Key, value: &T) -> NewSection {
     let written = value.to_value(key);
-    let is_left_out = key.is_quiet
+    let is_omitted = key.is_quiet
         && resolve_default::<T>(key).is_some_and(|default| default.to_value(key) == written);
     match written {
-        Some(value) if !is_left_out => section.with_value(key.name, value),
+        Some(value) if !is_omitted => section.with_value(key.name, value),
         _ => section,
     }
 }

@@ -81,7 +81,7 @@ keys! {
         ORIGIN_MM = origin_mm(Number, "mm", "where it is 0").with_example_value("0.0");
         PER_UM = per_um(Number, "1/µm", "c of p + c·p²").with_example_value("0.001").with_range(range([-10.0, 10.0], [-0.1, 0.1], [-0.01, 0.01], LAW_FORM_SOURCE));
         PERIOD_MM = period_mm(Positive, "mm", "the length of a wave").with_example_value("10.0").with_range(range([0.0, 1e6], [1e-3, 1e5], [0.02, 100.0], LENGTH_SOURCE).with_hint_below(MICROMETRES_HINT));
-        PERIOD_S = period_s(Positive, "s", "the period of what comes and goes with the clock").with_example_value("900.0").with_range(unbounded("what comes and goes with the clock has any period"));
+        PERIOD_S = period_s(Positive, "s", "the period of the error in time").with_example_value("900.0").with_range(unbounded("an error that is periodic in time has any period"));
         PHASE_DEG = phase_deg(ValueType::NumberOrNumbers, "°", "of a wave at 0 mm, or at start_s").with_example_value("0.0");
         REFERENCE = reference(Number, "", "the value of the column at which it is 0").with_example_value("20.0").with_range(USER_UNIT);
         REFERENCE_C = reference_c(Number, "°C", "where it is 0").with_example_value("20.0");

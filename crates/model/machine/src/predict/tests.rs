@@ -25,7 +25,7 @@ fn written(machine_text: &str, run_text: &str) -> (String, PredictionSummary) {
 }
 
 #[test]
-fn both_sides_stand_beside_what_was_read() {
+fn both_sides_stand_next_to_what_was_read() {
     let (csv, account) = written(PAPER, "sensor_counts,mystery\n9164,-1e-3\n5048,\n");
     let header = format!("sensor_counts,mystery,{}\n", PREDICTION_COLUMNS.join(","));
     // 62.80517578125 µm: the board rounds it to a nanometre, and the error once more.
@@ -98,7 +98,7 @@ fn what_was_written_is_a_run_file_with_the_same_values() {
 }
 
 #[test]
-fn counts_that_the_sensor_cannot_give_are_told() {
+fn counts_that_the_sensor_cannot_give_are_reported() {
     let (_, account) = written(PAPER, "sensor_counts\n0\n32768\n40000\n-1\n\n");
     assert_eq!(account.rows_out_of_range, 2);
     assert_eq!(account.first_out_of_range.expect("two").line, 4);

@@ -25,24 +25,25 @@ fn fault_values_become_missing_ones_and_are_reported_with_count_value_and_line()
         text += &format!("{},{a:.2},{sound:.2}\n", 15 * row);
     }
     let (cleaned, warnings) = without_fault_values(run(&text));
-    let said: Vec<String> =
+    let warning_text: Vec<String> =
         warnings.iter().map(|warning| format!("{}: {}", warning.place, warning.what)).collect();
-    assert_eq!(said.len(), 2, "{said:?}");
+    assert_eq!(warning_text.len(), 2, "{warning_text:?}");
     assert!(
-        said[0].starts_with("r.csv:42:5: temp_a_c shows 988.79 in 3 rows (first in line 42)"),
-        "{said:?}"
+        warning_text[0]
+            .starts_with("r.csv:42:5: temp_a_c shows 988.79 in 3 rows (first in line 42)"),
+        "{warning_text:?}"
     );
     assert!(
-        said[1].starts_with("r.csv:62:5: temp_a_c shows 85 in 1 row (first in line 62)"),
-        "{said:?}"
+        warning_text[1].starts_with("r.csv:62:5: temp_a_c shows 85 in 1 row (first in line 62)"),
+        "{warning_text:?}"
     );
     let values = cleaned.column("temp_a_c").expect("there");
     let missing: Vec<usize> = (0..200).filter(|&row| values[row].is_nan()).collect();
     assert_eq!(missing, [40, 60, 90, 141]);
     assert!(cleaned.column("temp_b_c").expect("there").iter().all(|value| !value.is_nan()));
     // A column that is nothing else is left for the rule of units.
-    let (kept, warnings) = without_fault_values(run("temp_a_c\n988.79\n988.79\n988.79\n"));
-    assert_eq!((kept.column("temp_a_c").expect("there")[0], warnings), (988.79, Vec::new()));
+    let (retained, warnings) = without_fault_values(run("temp_a_c\n988.79\n988.79\n988.79\n"));
+    assert_eq!((retained.column("temp_a_c").expect("there")[0], warnings), (988.79, Vec::new()));
 }
 
 /// Positions 0, 10, 20, 30 there and back in each of three runs; `turn` says whether the last target is read

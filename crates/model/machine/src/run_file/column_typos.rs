@@ -127,10 +127,10 @@ fn match_known_column(plain: &str) -> Option<String> {
         Some("dx" | "dy" | "dz") => format!("measured_{plain}"),
         _ => plain.to_string(),
     };
-    KNOWN_COLUMN_STEMS.iter().find_map(|&(stem, right, told_alone)| {
+    KNOWN_COLUMN_STEMS.iter().find_map(|&(stem, right, reported_alone)| {
         let is_meant = match long.strip_prefix(stem)?.strip_prefix('_') {
             Some(unit) => is_unit_variant(unit, right),
-            None => told_alone && long == stem,
+            None => reported_alone && long == stem,
         };
         is_meant.then(|| format!("{stem}_{right}"))
     })
@@ -155,7 +155,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn another_unit_or_writing_is_told() {
+    fn another_unit_or_writing_is_reported() {
         for (name, known) in [
             ("measured_dz_mm", "measured_dz_um"),
             ("measured_dz", "measured_dz_um"),

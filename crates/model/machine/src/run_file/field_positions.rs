@@ -42,9 +42,9 @@ mod tests {
     #[test]
     fn each_place_is_given_back_near_and_far() {
         let places = [1, 65_535, 65_536, 7, 1_000_000];
-        let mut kept = FieldPositions::new();
-        places.iter().for_each(|&place| kept.push(place));
-        let back: Vec<Option<usize>> = (0..=places.len()).map(|row| kept.get(row)).collect();
+        let mut retained = FieldPositions::new();
+        places.iter().for_each(|&place| retained.push(place));
+        let back: Vec<Option<usize>> = (0..=places.len()).map(|row| retained.get(row)).collect();
         assert_eq!(back, [Some(1), Some(65_535), Some(65_536), Some(7), Some(1_000_000), None]);
     }
 }

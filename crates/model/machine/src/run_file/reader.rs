@@ -243,7 +243,7 @@ impl<'p> RunReader<'p> {
 
     /// Splits the row on `line`; as many values as the header has names, unless that is its fault.
     fn read_fields(&mut self, line: &RunLine) {
-        let wanted = self.columns.len();
+        let requested = self.columns.len();
         for field in Fields::new(&line.text, self.separator) {
             let field = match field {
                 Ok(field) => field,
@@ -280,9 +280,9 @@ impl<'p> RunReader<'p> {
             }
         }
         let there = self.row.len();
-        if there < wanted {
+        if there < requested {
             let missing = &self.columns[there].name;
-            let rule = format!("the row has {there} fields, the header {wanted}: no {missing}");
+            let rule = format!("the row has {there} fields, the header {requested}: no {missing}");
             let end = line.text.chars().count() + 1;
             let error = BadInput::new(line.location(self.path, end), rule);
             self.faults.push(error.with_help(
@@ -300,7 +300,7 @@ impl<'p> RunReader<'p> {
     }
 
     fn too_many_fields_error(&self, line: &RunLine, column: usize) -> BadInput {
-        let wanted = self.columns.len();
+        let requested = self.columns.len();
         let fields = Fields::new(&line.text, self.separator).count();
         let (hint, help) = match self.separator {
             ',' => (
@@ -309,7 +309,7 @@ impl<'p> RunReader<'p> {
             ),
             _ => ("", "every row has one field for each column of the header"),
         };
-        let rule = format!("the row has {fields} fields, the header {wanted}{hint}");
+        let rule = format!("the row has {fields} fields, the header {requested}{hint}");
         BadInput::new(line.location(self.path, column), rule).with_help(help)
     }
 
@@ -417,5 +417,5 @@ fn rename_clock_column(table: &mut RunTable, cells: &ColumnFormats) {
     table.epoch_s = epoch_s;
     let columns = &table.columns;
     let is_there = |name: &str| columns.iter().any(|column| column.name == name);
-    table.slips.retain(|slip| !is_there(&slip.meant) && is_there(&slip.name));
+    table.slips.retain(|typo| !is_there(&typo.meant) && is_there(&typo.name));
 }

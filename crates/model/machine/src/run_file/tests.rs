@@ -79,9 +79,9 @@ fn times_of_day_are_seconds_from_the_first() {
 }
 
 #[test]
-fn a_column_that_looks_like_a_known_one_is_told() {
+fn a_column_that_looks_like_a_known_one_is_reported() {
     let run = parse("time_s,X (mm),measured_dz_mm,flow\n0,1,2,3\n");
-    let warnings: Vec<String> = run.column_typos().map(|slip| slip.to_string()).collect();
+    let warnings: Vec<String> = run.column_typos().map(|typo| typo.to_string()).collect();
     assert_eq!(
         warnings,
         [
@@ -197,7 +197,7 @@ fn a_line_that_states_the_separator_is_no_header() {
 }
 
 #[test]
-fn diameters_are_read_as_radii_and_never_beside_radii() {
+fn diameters_are_read_as_radii_and_never_together_with_radii() {
     let run = parse("time_s,x_dia_mm\n0,80\n1,50.5\n");
     assert_eq!(run.column("x_mm"), Some(&[40.0, 25.25][..]));
     assert!(run.column("x_dia_mm").is_none());

@@ -59,7 +59,7 @@ table! {
         feedback: Feedback = key(Choice(Feedback::NAMES), "", "where the position is measured; backlash belongs to a screw").with_default("\"screw\"").omit_default();
         /// In mm of machine coordinates.
         travel_mm: Option<[f64; 2]> = key(Numbers, "mm", "the two ends of the travel, the lower one first; for `trueup program` and `check`, no correction depends on it").with_example_value("[0.0, 1000.0]");
-        rapid_mm_per_min: Option<f64> = key(Positive, "mm/min", "the rapid traverse: `trueup check` holds the slew limit against 1 % of it, and the board does not believe a position that the axis cannot have reached by it").with_example_value("15000.0").with_range(range([0.0, 1e7], [100.0, 3e5], [5000.0, 1e5], MACHINE_DATA_SOURCE).with_hint_below("probably in m/min instead of mm/min"));
+        rapid_mm_per_min: Option<f64> = key(Positive, "mm/min", "the rapid traverse: `trueup check` compares the slew limit with 1 % of it; the board rejects positions that the axis cannot reach at this speed").with_example_value("15000.0").with_range(range([0.0, 1e7], [100.0, 3e5], [5000.0, 1e5], MACHINE_DATA_SOURCE).with_hint_below("probably in m/min instead of mm/min"));
         thermal: Option<ThermalLaw> = key(Table(ThermalLaw::KEYS), "", "how the axis grows with a temperature");
         pitch: Option<PitchErrorTable> = key(Table(PitchErrorTable::KEYS), "", "position errors at points of equal distance, linear between them; of the first of two drives where there is `dual`");
         backlash: Option<Backlash> = key(Table(Backlash::KEYS), "", "what a reversal leaves behind; not together with `reverse_um`");
@@ -266,8 +266,7 @@ fn check_axis(section: &Section<'_>, axis: &AxisModel, of: LinearAxis) -> Result
         }
         let second = axis.dual.as_ref().map(|dual| &dual.pitch);
         if axis.pitch.iter().chain(second).any(|pitch| pitch.reverse_um.is_some()) {
-            let rule = "cannot stand beside a reverse_um table on the same axis, which contains \
-                        the backlash already";
+            let rule = "cannot be combined with a reverse_um table on the same axis, which contains the backlash already";
             return Err(section.key_error("backlash", rule));
         }
     }

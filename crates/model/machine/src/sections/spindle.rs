@@ -95,7 +95,7 @@ table! {
         zero_counts: Option<f64> = key(Number, "counts", "the reading when the machine is cold; or `zero_v`").with_example_value("5048.0");
         um_per_count: Option<f64> = key(Number, "µm", "growth for one count, not 0; or `um_per_v`").with_example_value("0.0152587890625");
         zero_v: Option<f64> = key(Number, "V", "the reading when the machine is cold, as a voltmeter shows it, in the place of `zero_counts`; needs `[inputs] sensor`").with_example_value("1.54");
-        um_per_v: Option<f64> = key(Number, "µm/V", "growth for one volt, as the sensor's data sheet says it, in the place of `um_per_count`; needs `[inputs] sensor`").with_example_value("50.0");
+        um_per_v: Option<f64> = key(Number, "µm/V", "growth for one volt, from the sensor's data sheet, instead of `um_per_count`; needs `[inputs] sensor`").with_example_value("50.0");
         temperature: Option<String> = key(Column, "", "the column with the sensor's own temperature").with_example_value("\"temp_coil_c\"");
     }
 }
@@ -117,7 +117,7 @@ table! {
         /// Always there if `speed_exponent` is not 0.
         rated_rpm: Option<f64> = key(Positive, "r/min", "the speed at which `max_um` was recorded").with_example_value("24000.0").with_range(range([0.0, 1e6], [100.0, 2e5], [3000.0, 6e4], "data sheets of spindles").with_hint_below("probably in 1000 r/min or r/s instead of r/min"));
         /// p: the heat is proportional to (n/n_rated)^p.
-        speed_exponent: f64 = key(NotNegative, "", "growth goes with (n/`rated_rpm`) to this; 0: any speed heats fully").with_default("0.0").with_range(range([0.0, 20.0], [0.0, 4.0], [0.0, 2.0], LAW_FORM_SOURCE));
+        speed_exponent: f64 = key(NotNegative, "", "growth is proportional to (n/`rated_rpm`) to this power; 0: any speed heats fully").with_default("0.0").with_range(range([0.0, 20.0], [0.0, 4.0], [0.0, 2.0], LAW_FORM_SOURCE));
     }
     checked by check_consistency
 }
@@ -181,14 +181,15 @@ fn read_sensor(section: &Section<'_>, input: Option<SensorInput>) -> Result<Sens
     let either = |(counts, in_counts): (&str, Option<f64>),
                   (volts, in_volts): (&str, Option<f64>),
                   convert: fn(f64, f64) -> f64| match (in_counts, in_volts) {
-        (Some(_), Some(_)) => {
-            Err(section.key_error(volts, format!("stands beside {counts}: write one of the two")))
+        (Some(_), Some(_)) => Err(section
+            .key_error(volts, format!("cannot be combined with {counts}: write one of the two"))),
+        (None, Some(value)) => {
+            match counts_per_v {
+                Some(counts_per_v) => Ok(round_to_significant_digits(convert(value, counts_per_v))),
+                None => Err(section
+                    .key_error(volts, "needs [inputs] sensor, which states the counts per volt")),
+            }
         }
-        (None, Some(value)) => match counts_per_v {
-            Some(counts_per_v) => Ok(round_to_significant_digits(convert(value, counts_per_v))),
-            None => Err(section
-                .key_error(volts, "needs [inputs] sensor, which says how many counts a volt is")),
-        },
         (value, None) => section.required(counts, value),
     };
     let zero = ("zero_counts", keys.zero_counts);
@@ -213,7 +214,7 @@ fn check_consistency(section: &Section<'_>, warmup: Warmup) -> Result<Warmup, Ba
         return Err(section.key_error("warm_s", rule));
     }
     if warmup.speed_exponent != 0.0 && warmup.rated_rpm.is_none() {
-        let rule = "needs rated_rpm: the heat goes with (n/rated_rpm)^speed_exponent";
+        let rule = "needs rated_rpm: the heat is proportional to (n/rated_rpm)^speed_exponent";
         return Err(section.key_error("speed_exponent", rule));
     }
     Ok(warmup)

@@ -331,7 +331,7 @@ pub(crate) fn check(root: &Section<'_>, volume: &VolumetricModel) -> Result<(), 
     let first = ["angular", "rotary"].into_iter().find(|name| root.keys().contains(name));
     let (Some(first), chain) = (first, &volume.chain) else { return Ok(()) };
     let Some(chain) = chain else {
-        let rule = "needs machine.chain, which says what each axis carries: the sign and the lever of an error \
+        let rule = "needs machine.chain, which states what each axis carries: the sign and the lever of an error \
                     depend on it";
         let help = "write the axes into [machine] from the workpiece over the bed to the tool, those that move \
                     the workpiece with ': chain = \"w X' b Y Z t\"";

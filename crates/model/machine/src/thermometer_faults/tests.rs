@@ -95,10 +95,10 @@ fn an_absent_one_is_found_wherever_it_shows_itself() {
         (values[2_500], values[2_700], values[4_999]) = (shown, shown, shown);
         values[4_998] = shown;
         let faults = found(&values);
-        let [ThermometerFault::Absent { shown: told, rows }] = &faults[..] else {
+        let [ThermometerFault::Absent { shown: value, rows }] = &faults[..] else {
             panic!("{faults:?}")
         };
-        assert_eq!(*told, shown);
+        assert_eq!(*value, shown);
         assert_eq!(rows[..], [700..1_900, 2_500..2_501, 2_700..2_701, 4_998..5_000]);
     }
 }

@@ -88,7 +88,7 @@ fn an_axis_is_checked() {
             (
                 &format!("{pitch}reverse_um = [2]\n[axis.y.backlash]\nwidth_um = 1\n"),
                 "9:9",
-                "axis.y.backlash cannot stand beside a reverse_um table on the same axis",
+                "axis.y.backlash cannot be combined with a reverse_um table on the same axis",
             ),
             (
                 &format!(
@@ -96,7 +96,7 @@ fn an_axis_is_checked() {
                      reverse_um = [1] }}\n"
                 ),
                 "8:9",
-                "axis.y.backlash cannot stand beside a reverse_um table on the same axis",
+                "axis.y.backlash cannot be combined with a reverse_um table on the same axis",
             ),
             (
                 &format!("[axis.y.dual]\n{dual}{second} }}\n"),

@@ -25,8 +25,8 @@ fn assert_refused(before: &str, cases: &[(&str, &str, &str)]) {
         let lines: Vec<String> = errors.map(|error| error.to_string()).collect();
         let place = format!("bad.toml:{place}: ");
         let is_it = |line: &&String| line.starts_with(&place) && line.contains(phrase);
-        let told = lines.iter().find(is_it);
-        let line = told.unwrap_or_else(|| panic!("{text:?}: {place}{phrase} in {lines:#?}"));
+        let reported = lines.iter().find(is_it);
+        let line = reported.unwrap_or_else(|| panic!("{text:?}: {place}{phrase} in {lines:#?}"));
         assert!(!line.contains('\n'), "{text:?}: {line}");
     }
 }
@@ -408,14 +408,14 @@ fn a_file_that_cannot_be_read_or_is_not_utf_8_is_refused() {
 }
 
 #[test]
-fn each_term_tells_all_that_is_wrong_with_it() {
+fn each_term_reports_all_its_errors() {
     let terms = "[[term]]\ncause = \"step\"\nquantity = \"dx\"\nat_s = \"soon\"\nsize_um = true\n\
                  [[term]]\ncause = \"straightness\"\n\
                  [[term]]\ncause = \"backlsh\"\nquantity = \"dq\"\ncolour = 1\n\
                  [[term]]\ncause = \"pitch-error\"\nquantity = \"dx\"\nstart_mm = 0\nstep_mm = 0\n";
     let error = error_of(&format!("{MACHINE}{terms}"));
-    let told: Vec<String> = error.into_single_faults().map(|fault| fault.to_string()).collect();
-    let wanted = [
+    let messages: Vec<String> = error.into_single_faults().map(|fault| fault.to_string()).collect();
+    let expected = [
         "7:8: term[0].at_s must be a number",
         "8:11: term[0].size_um must be a number",
         "9:1: term[1].quantity is missing",
@@ -428,11 +428,11 @@ fn each_term_tells_all_that_is_wrong_with_it() {
         "14:1: unknown key term[2].colour",
         "19:11: term[3].step_mm must be above 0",
     ];
-    for phrase in wanted {
+    for phrase in expected {
         let phrase = format!("bad.toml:{phrase}");
-        assert!(told.iter().any(|line| line.starts_with(&phrase)), "{phrase}: {told:#?}");
+        assert!(messages.iter().any(|line| line.starts_with(&phrase)), "{phrase}: {messages:#?}");
     }
     // The keys of the table that is wrong besides are not asked for.
-    assert!(told.iter().all(|line| !line.contains("forward_um")), "{told:#?}");
-    assert_eq!(told.len(), wanted.len(), "{told:#?}");
+    assert!(messages.iter().all(|line| !line.contains("forward_um")), "{messages:#?}");
+    assert_eq!(messages.len(), expected.len(), "{messages:#?}");
 }

@@ -65,9 +65,9 @@ fn the_sum_of_everything_is_within_10_nm_at_every_knot_and_every_pitch_point() {
                 time_s += 0.1;
                 let moment = Moment::random(random, time_s);
                 bench.go_to(&moment, 1);
-                for beside in [-1, 0, 1] {
+                for adjacent in [-1, 0, 1] {
                     let (mut position, mut reverse) = anywhere(random);
-                    position[axis] = corner + beside;
+                    position[axis] = corner + adjacent;
                     for way in [false, true] {
                         reverse[axis] = way;
                         bench.compare(&moment, position, reverse);

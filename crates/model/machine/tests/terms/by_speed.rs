@@ -18,10 +18,10 @@ fn the_speed_heats_an_axis_from_cold_by_itself_or_its_square() {
         [("speed", "um_per_krpm", [4.0, 8.0]), ("speed2", "um_per_krpm2", [16.0, 64.0])]
     {
         let [slow, fast] = heating.map(|heating| -3.0 * heating * (1.0 - e));
-        let wanted = [0.0, slow, slow * e, 0.0, fast];
+        let expected = [0.0, slow, slow * e, 0.0, fast];
         let near = |mut got: Vec<f64>| {
             assert!(got.remove(2).is_nan());
-            assert_near(&got, &wanted);
+            assert_near(&got, &expected);
         };
         for input in [format!("input = \"{input}\"\n"), String::new()] {
             let keys = format!(
@@ -45,7 +45,7 @@ fn a_term_by_the_speed_says_what_it_lacks() {
         let text = format!("[machine]\nname = \"m\"\nkind = \"3-axis\"\n{text}");
         MachineFile::parse(&text, Path::new("m.toml")).expect_err(keys).to_string()
     };
-    for (keys, said) in [
+    for (keys, phrase) in [
         ("column = \"spindle_rpm\"\num_per_krpm2 = 1.0\n", "time_constant_s"),
         ("column = \"spindle_rpm\"\ninput = \"speed\"\ntime_constant_s = 9.0\n", "um_per_krpm"),
         ("column = \"temp_a_c\"\num_per_krpm = 1.0\ntime_constant_s = 9.0\n", "spindle_rpm"),
@@ -56,6 +56,6 @@ fn a_term_by_the_speed_says_what_it_lacks() {
         ),
     ] {
         let message = refused(keys);
-        assert!(message.contains(said), "{message}");
+        assert!(message.contains(phrase), "{message}");
     }
 }

@@ -107,6 +107,6 @@ fn a_slope_by_heat_beyond_the_boards_range_is_refused() {
     let keys = dependence::RISE_BY_POSITION.replace("100.0", "120.0");
     let text = term("dx", &format!("cause = \"dependence\"\n{keys}"));
     let refused = trueup_machine::compile(&machine(&format!("{INPUTS}{AXIS}"), &text));
-    let said = refused.expect_err("too steep").to_string();
-    assert!(said.contains("120 µm/(m·K) is beyond the board's ±104"), "{said}");
+    let message = refused.expect_err("too steep").to_string();
+    assert!(message.contains("120 µm/(m·K) is beyond the board's ±104"), "{message}");
 }

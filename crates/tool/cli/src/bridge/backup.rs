@@ -90,7 +90,7 @@ pub fn save_backup(
             bail!(UserError(format!("{rule}. Give another file, or --overwrite to replace it")));
         }
         if !confirm_with_user(&format!("{rule}. Replace it? [y/N] "))? {
-            bail!(UserError("not saved: you have not said yes".into()));
+            bail!(UserError("not saved: you did not confirm".into()));
         }
     }
     let bar = super::comparison::byte_progress_bar("reading the calibration", 0);
@@ -162,7 +162,7 @@ pub fn restore_board(
         false => Err("the board does not run on this calibration yet".into()),
     });
     if runs {
-        loaded.asks = super::operator_questions::OpenQuestions::read(session)?;
+        loaded.questions = super::operator_questions::OpenQuestions::read(session)?;
     }
     Ok(RestoreOutcome { loaded, reference })
 }
@@ -187,7 +187,8 @@ pub fn restore(args: &RestoreArgs, as_json: bool) -> Result<Outcome> {
     let mut notes = Vec::new();
     if is_bound {
         notes.push(
-            "the calibration names a board: another one asks for Confirm (foreign-machine)".into(),
+            "the calibration names a board: another board requires Confirm (foreign-machine)"
+                .into(),
         );
     }
     match (saved.reference, &reference) {
@@ -210,7 +211,7 @@ pub fn restore(args: &RestoreArgs, as_json: bool) -> Result<Outcome> {
             "crc": format!("{crc:08x}"),
             "running_crc": format!("{:08x}", loaded.running),
             "reference": reference.as_ref().map(Result::is_ok),
-            "asks": loaded.asks.keywords(),
+            "asks": loaded.questions.keywords(),
             "notes": notes,
         }))?;
     } else {
@@ -227,7 +228,7 @@ pub fn restore(args: &RestoreArgs, as_json: bool) -> Result<Outcome> {
             ),
         })?;
         notes.iter().try_for_each(output::print)?;
-        loaded.asks.print()?;
+        loaded.questions.print()?;
     }
     Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
 }

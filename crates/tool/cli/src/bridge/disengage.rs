@@ -23,10 +23,10 @@ pub struct DisengageArgs {
 /// Takes them back, and waits until they are 0.
 pub fn run(args: &DisengageArgs, as_json: bool) -> Result<Outcome> {
     trueup_output::enable_best_effort();
-    let mut is_said = false;
+    let mut is_reported = false;
     let mut report_start = |now_nm| {
-        if !is_said {
-            is_said = true;
+        if !is_reported {
+            is_reported = true;
             trueup_output::write_diagnostic(format_args!(
                 "the offset, {}, goes to 0 at the slew limit of the calibration",
                 format_offsets(now_nm)

@@ -16,13 +16,13 @@ pub struct ForgetReferenceArgs {
 
 /// Drops the reference; errors then count from the calibration's own zero.
 pub fn run(args: &ForgetReferenceArgs, as_json: bool) -> Result<Outcome> {
-    let (before, asks) = args.port.with_session(|session| {
+    let (before, questions) = args.port.with_session(|session| {
         let before = BridgeReference::read(session)?;
         load::forget_reference(session)?;
         Ok((before, OpenQuestions::read(session)?))
     })?;
     if as_json {
-        output::print(json!({ "forgotten": before.to_json(), "asks": asks.keywords() }))?;
+        output::print(json!({ "forgotten": before.to_json(), "asks": questions.keywords() }))?;
         return Ok(Outcome::Done);
     }
     match before.effective_value() {
@@ -34,6 +34,6 @@ pub fn run(args: &ForgetReferenceArgs, as_json: bool) -> Result<Outcome> {
             )?;
         }
     }
-    asks.print()?;
+    questions.print()?;
     Ok(Outcome::Done)
 }

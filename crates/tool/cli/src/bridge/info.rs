@@ -111,7 +111,7 @@ struct BridgeObjects {
     conditions: Option<String>,
     faults: Vec<&'static str>,
     state: Vec<&'static str>,
-    asks: OpenQuestions,
+    questions: OpenQuestions,
     reset: ResetReason,
     /// The traces of its last stop, in words; empty: none.
     stop: String,
@@ -139,7 +139,7 @@ impl BridgeObjects {
             conditions: conditions_text(session),
             faults: fault_names(object::read_faults(session)?),
             state: state_names(StateBits(object::read_number(session, object::STATE_BITS)?)),
-            asks: OpenQuestions::read(session)?,
+            questions: OpenQuestions::read(session)?,
             reset: u16::try_from(object::read_number(session, object::RESET_REASON)?)
                 .ok()
                 .and_then(ResetReason::from_wire)
@@ -264,7 +264,7 @@ enum CalibrationComparison {
 /// Reads the state of the bridge and prints it.
 pub fn run(args: &InfoArgs, as_json: bool) -> Result<Outcome> {
     let port = Port::parse(&args.port.port)?;
-    let wanted = match &args.machine {
+    let requested = match &args.machine {
         Some(path) => Some(compile(&files::read_machine(path)?)?),
         None => None,
     };
@@ -281,8 +281,7 @@ pub fn run(args: &InfoArgs, as_json: bool) -> Result<Outcome> {
     let is_silent = info.heartbeat.is_none() && info.output.is_none();
     if has_adapter && is_silent && (info.version.is_none() || info.serial.is_none()) {
         bail!(
-            "no frame of a bridge came in {} s, and no version or serial number; is it a bridge, and has an adapter in \
-             between the right bit rate (1 Mbit/s)?",
+            "no frame of a bridge came in {} s, and no version or serial number: check that it is a bridge and that the adapter has the right bit rate (1 Mbit/s)",
             RESPONSE_TIMEOUT.as_secs()
         );
     }
@@ -292,11 +291,11 @@ pub fn run(args: &InfoArgs, as_json: bool) -> Result<Outcome> {
         None => None,
     };
     let mut comparison = CalibrationComparison::None;
-    if let (Some(it), Some(wanted)) = (&objects, &wanted) {
-        comparison = match comparison::calibration_differences(&mut session, wanted.blob())? {
+    if let (Some(it), Some(requested)) = (&objects, &requested) {
+        comparison = match comparison::calibration_differences(&mut session, requested.blob())? {
             // What the board computes is the same; the bytes may have been written by another version.
             Some(all) => CalibrationComparison::Differences(all),
-            None if it.calibration == wanted.crc() => {
+            None if it.calibration == requested.crc() => {
                 CalibrationComparison::Differences(Vec::new())
             }
             None => CalibrationComparison::Nothing,
@@ -365,7 +364,7 @@ impl BridgeInfo {
         }));
         all["has_reference"] = json!(objects.map(|objects| objects.reference.in_force.is_some()));
         all["reference"] = json!(objects.map(|objects| objects.reference.to_json()));
-        all["asks"] = json!(objects.map(|objects| objects.asks.keywords()));
+        all["asks"] = json!(objects.map(|objects| objects.questions.keywords()));
         all["learned"] = json!(objects.and_then(|objects| objects.learned.as_ref()));
         all["conditions"] = json!(objects.and_then(|objects| objects.conditions.as_ref()));
         all["faults"] = json!(objects.map(|objects| &objects.faults));
@@ -384,7 +383,7 @@ impl BridgeInfo {
         let objects = objects?;
         pending_action(
             self.output.as_ref()?.quality,
-            objects.asks.state_bits(),
+            objects.questions.state_bits(),
             Some(objects.calibration),
         )
     }
@@ -412,7 +411,7 @@ impl BridgeInfo {
         output::print(format_args!("calibration  {}", it.calibration_text()))?;
         output::print(format_args!("machine      {}", it.machine_text()))?;
         output::print(format_args!("reference    {}", it.reference.to_text()))?;
-        let learned = it.learned.as_deref().unwrap_or("nothing beside the calibration");
+        let learned = it.learned.as_deref().unwrap_or("nothing apart from the calibration");
         output::print(format_args!("learned      {learned}"))?;
         if let Some(conditions) = &it.conditions {
             output::print(format_args!("conditions   {conditions}"))?;
@@ -421,7 +420,7 @@ impl BridgeInfo {
         output::print(format_args!("faults       {faults}"))?;
         let state = if it.state.is_empty() { "all well".into() } else { it.state.join(" ") };
         output::print(format_args!("state        {state}"))?;
-        it.asks.print()?;
+        it.questions.print()?;
         output::print(format_args!("last reset   {}{}", it.reset.as_str(), it.stop))?;
         let resets: Vec<String> =
             it.resets.iter().map(|(word, count)| format!("{word} {count}")).collect();

@@ -61,8 +61,7 @@ impl LoadMode {
         if self.yes || !as_json && stdin().is_terminal() {
             return Ok(());
         }
-        let rule =
-            "nobody is there to be asked whether to load it; with --yes it is loaded without";
+        let rule = "there is no terminal on which to confirm the load; --yes loads it without confirmation";
         Err(UserError(rule.into()))
     }
 }
@@ -78,13 +77,13 @@ pub struct LoadOutcome {
     /// The reference before and after.
     pub references: [BridgeReference; 2],
     /// The questions of the bridge to its operator now.
-    pub asks: OpenQuestions,
+    pub questions: OpenQuestions,
 }
 
 impl LoadOutcome {
     /// The board runs on it, or is not to yet, and works for its machine.
     pub fn is_successful(&self, how: LoadMode) -> bool {
-        how.keep_running || self.running == self.crc && !self.asks.is_foreign_calibration()
+        how.keep_running || self.running == self.crc && !self.questions.is_foreign_calibration()
     }
 }
 
@@ -102,7 +101,7 @@ pub fn run(args: &LoadArgs, as_json: bool) -> Result<Outcome> {
         Ok((load_calibration(session, &blob, args.how)?, blob))
     })?;
     let is_met = loaded.is_successful(args.how);
-    let LoadOutcome { crc, running, differences, references: [before, after], asks } = loaded;
+    let LoadOutcome { crc, running, differences, references: [before, after], questions } = loaded;
     let keep_running = args.how.keep_running;
     if as_json {
         output::print(json!({
@@ -114,7 +113,7 @@ pub fn run(args: &LoadArgs, as_json: bool) -> Result<Outcome> {
             "running_crc": format!("{running:08x}"),
             "reference_before": before.to_json(),
             "reference": after.to_json(),
-            "asks": asks.keywords(),
+            "asks": questions.keywords(),
         }))?;
     } else {
         output::print(format_args!(
@@ -125,7 +124,9 @@ pub fn run(args: &LoadArgs, as_json: bool) -> Result<Outcome> {
             (true, _) => format!(
                 "used from the next start (trueup bridge pending --cancel drops it); now the bridge runs on {running:08x}"
             ),
-            (false, true) if asks.is_unblocked() => "the bridge has restarted and uses it".into(),
+            (false, true) if questions.is_unblocked() => {
+                "the bridge has restarted and uses it".into()
+            }
             (false, true) => {
                 "the bridge has restarted on it, and engages nothing until it is confirmed".into()
             }
@@ -133,7 +134,7 @@ pub fn run(args: &LoadArgs, as_json: bool) -> Result<Outcome> {
         })?;
         if !keep_running {
             output::print(format_args!("reference: {}", after.to_text()))?;
-            asks.print()?;
+            questions.print()?;
         }
     }
     Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
@@ -179,7 +180,7 @@ fn store_previous_calibration(session: &mut Session, replaced: &[u8], by: u32) {
     let Some(place) = PreviousCalibration::for_board(board) else { return };
     if let Err(error) = place.save(replaced, by) {
         report::warn(format_args!(
-            "the calibration before is not kept for --previous: {}: {error}",
+            "the previous calibration is not saved for --previous: {}: {error}",
             place.folder().display()
         ));
     }
@@ -225,7 +226,7 @@ pub fn load_calibration(session: &mut Session, blob: &[u8], how: LoadMode) -> Re
         ));
     }
     if !how.yes && !confirm_with_user("Load it? [y/N] ")? {
-        bail!(UserError("not loaded: you have not said yes".into()));
+        bail!(UserError("not loaded: you did not confirm".into()));
     }
     store_calibration(session, blob, crc)?;
     if let Some(replaced) = replaced {
@@ -246,8 +247,8 @@ pub fn load_calibration(session: &mut Session, blob: &[u8], how: LoadMode) -> Re
         },
     };
     let after = BridgeReference::read(session)?;
-    let asks = OpenQuestions::read(session)?;
-    Ok(LoadOutcome { crc, running, differences, references: [before, after], asks })
+    let questions = OpenQuestions::read(session)?;
+    Ok(LoadOutcome { crc, running, differences, references: [before, after], questions })
 }
 
 /// Checks that no offset is being followed.

@@ -45,7 +45,9 @@ impl OpenQuestions {
         if open.is_empty() {
             return Ok(());
         }
-        output::print(format_args!("the bridge asks its operator; {CONFIRM_INSTRUCTIONS}:"))?;
+        output::print(format_args!(
+            "the bridge requires confirmation by its operator; {CONFIRM_INSTRUCTIONS}:"
+        ))?;
         open.iter().try_for_each(|(word, remedy)| output::print(format_args!("  {word}: {remedy}")))
     }
 }

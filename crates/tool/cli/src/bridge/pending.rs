@@ -35,7 +35,7 @@ fn resolve_pending(args: &PendingArgs, session: &mut Session, as_json: bool) -> 
     let mut running = object::read_number(session, RUNNING_CRC)?;
     let crc = |crc: u32| (crc != 0).then(|| format!("{crc:08x}"));
     let mut outcome = Outcome::Done;
-    let (mut changes, mut asks) = (None, None);
+    let (mut changes, mut questions) = (None, None);
     let done = if pending == 0 {
         "nothing"
     } else if args.cancel {
@@ -52,7 +52,7 @@ fn resolve_pending(args: &PendingArgs, session: &mut Session, as_json: bool) -> 
         if running != pending || after.is_foreign_calibration() {
             outcome = Outcome::NotMet;
         }
-        asks = Some(after);
+        questions = Some(after);
         "used"
     } else {
         let blob = object::read(session, PENDING_CALIBRATION, |_, _| ())?;
@@ -65,7 +65,7 @@ fn resolve_pending(args: &PendingArgs, session: &mut Session, as_json: bool) -> 
             "running_crc": crc(running),
             "done": done,
             "differences": changes,
-            "asks": asks.as_ref().map(OpenQuestions::keywords),
+            "asks": questions.as_ref().map(OpenQuestions::keywords),
         }))?;
         return Ok(outcome);
     }
@@ -81,6 +81,6 @@ fn resolve_pending(args: &PendingArgs, session: &mut Session, as_json: bool) -> 
     for change in changes.iter().flatten() {
         output::print(format_args!("  {change}"))?;
     }
-    asks.map_or(Ok(()), |asks| asks.print())?;
+    questions.map_or(Ok(()), |questions| questions.print())?;
     Ok(outcome)
 }

@@ -103,7 +103,7 @@ pub fn run(
         silent_lines = if second.output.is_none() { silent_lines + 1 } else { 0 };
         if silent_lines == MAX_SILENT_LINES && recorder.is_none() {
             let hint = match tally.frames {
-                0 => "no frame came; does the board sample, does its plant run?",
+                0 => "no frame came: check that the board samples and that its plant runs",
                 _ => "frames came, but no valid pair of offsets",
             };
             bail!("no offsets for {} s: {hint}", MAX_SILENT_LINES);
@@ -190,8 +190,8 @@ impl ExpectedCalibration {
     /// Returns the CRC of the calibration that the bridge runs; `None`, with a warning, where it does not say.
     /// One that is not expected is reported, or refused.
     fn check_running_crc(&self, session: &mut Session) -> Result<Option<u32>> {
-        let told = object::read_number(session, object::RUNNING_CRC);
-        let sentence = match (&told, self.expected) {
+        let crc = object::read_number(session, object::RUNNING_CRC);
+        let sentence = match (&crc, self.expected) {
             (Ok(running), Some(expected)) if *running != expected => format!(
                 "the bridge runs on the calibration {running:08x}, the machine file makes \
                  {expected:08x}: what is recorded is not of this file"
@@ -199,13 +199,13 @@ impl ExpectedCalibration {
             (Err(error), _) => {
                 format!("{error}; in the recording calibration_crc is left empty")
             }
-            _ => return Ok(told.ok()),
+            _ => return Ok(crc.ok()),
         };
         if self.is_strict {
             bail!(UserError(sentence));
         }
         trueup_output::write_diagnostic(format_args!("warning: {sentence}"));
-        Ok(told.ok())
+        Ok(crc.ok())
     }
 }
 

@@ -49,7 +49,7 @@ struct UpdateOutcome {
     /// The slots before, and now.
     slots: [FirmwareSlots; 2],
     /// The questions of the bridge to its operator now.
-    asks: OpenQuestions,
+    questions: OpenQuestions,
 }
 
 /// Updates the board with the firmware of a file.
@@ -128,7 +128,7 @@ fn update_firmware<'f>(
         ));
     }
     if !how.yes && !confirm_with_user("Update it? [y/N] ")? {
-        bail!(UserError("not updated: you have not said yes".into()));
+        bail!(UserError("not updated: you did not confirm".into()));
     }
     let bar = comparison::byte_progress_bar("updating", header.length as usize);
     let stored = firmware::store_firmware(session, firmware, &mut |bytes| {
@@ -145,8 +145,8 @@ fn update_firmware<'f>(
         false => firmware::restart(session, header.slot)
             .context("the firmware is on the board, and starts next")?,
     };
-    let asks = OpenQuestions::read(session)?;
-    Ok((firmware, UpdateOutcome { stored, slots: [before, now], asks }))
+    let questions = OpenQuestions::read(session)?;
+    Ok((firmware, UpdateOutcome { stored, slots: [before, now], questions }))
 }
 
 impl UpdateOutcome {
@@ -162,7 +162,7 @@ impl UpdateOutcome {
             "runs": now.running == header.slot,
             "slots_before": before.to_json(),
             "slots": now.to_json(),
-            "asks": self.asks.keywords(),
+            "asks": self.questions.keywords(),
         })
     }
 
@@ -193,7 +193,7 @@ impl UpdateOutcome {
                     Some(ImageStatus::Verified) => {
                         "it did not hold at the start, or the board has not restarted"
                     }
-                    _ => "the boot program has passed it over",
+                    _ => "the boot program has skipped it",
                 };
                 format!(
                     "the bridge has restarted, and runs from slot {running} as before: {content}\n\
@@ -201,7 +201,7 @@ impl UpdateOutcome {
                 )
             }
         })?;
-        if how.keep_running { Ok(()) } else { self.asks.print() }
+        if how.keep_running { Ok(()) } else { self.questions.print() }
     }
 
     /// Returns what to do with a firmware that has started.

@@ -46,7 +46,9 @@ impl AnswerSource {
             return Ok(answer);
         }
         if !stdin().is_terminal() {
-            trueup_output::write_diagnostic("nobody is at the terminal; --readings FILE answers");
+            trueup_output::write_diagnostic(
+                "there is no terminal for the questions; --readings FILE answers them",
+            );
             return Ok(None);
         }
         // Of its own thread, so that Ctrl-C is seen meanwhile.

@@ -88,9 +88,7 @@ impl CommissioningRun<'_> {
             && (&owner.machine[..], &owner.serial[..]) != (&self.machine.name[..], serial)
         {
             bail!(UserError(format!(
-                "{}: is of \"{}\"{}, and this bridge works for {}: nothing is loaded. Connect the right bridge; or, if \
-                 this one is to work here from now on, load a calibration of this machine first (trueup bridge load) \
-                 and Confirm it at the CNC",
+                "{}: is of \"{}\"{}, and this bridge works for {}: nothing is loaded. Connect the right bridge. If this bridge is to work here from now on, load a calibration of this machine first (trueup bridge load) and Confirm it at the CNC",
                 self.args.machine.display(),
                 self.machine.name,
                 if serial.is_empty() { String::new() } else { format!(", serial {serial}") },
@@ -130,7 +128,7 @@ impl CommissioningRun<'_> {
             );
             let answer = self.answers.prompt(&question)?.unwrap_or_default();
             if !matches!(answer.to_ascii_lowercase().as_str(), "y" | "yes") {
-                self.journal.log("  nothing is loaded: you have not said yes")?;
+                self.journal.log("  nothing is loaded: you did not confirm")?;
                 return Ok(None);
             }
         }
@@ -149,7 +147,7 @@ impl CommissioningRun<'_> {
         };
         // What has ended the test does not end this; a second Ctrl-C does.
         IS_INTERRUPTED.store(false, Ordering::Relaxed);
-        self.journal.log("  what the bridge held before is put back")?;
+        self.journal.log("  the previous state of the bridge is restored")?;
         let port = self.args.port.clone();
         let done = self.wait_until_disengaged().and_then(|()| {
             self.run_command(&["bridge", "restore", file, "--yes", "--port", &port])
@@ -168,7 +166,6 @@ impl CommissioningRun<'_> {
 
 fn leftover_calibration_warning(file: &str, port: &str) -> String {
     format!(
-        "the bridge may still hold the sign test's calibration, which gives 10 µm: do not cut with it. What it held \
-         before is put back by: trueup bridge restore {file} --port {port}"
+        "the bridge may still hold the sign test's calibration, which gives 10 µm: do not cut with it. Restore its previous state with: trueup bridge restore {file} --port {port}"
     )
 }

@@ -16,7 +16,7 @@ const WAIT_TIMEOUT: Duration = Duration::from_secs(600);
 const INTERRUPT_POLL_PERIOD: Duration = Duration::from_millis(200);
 
 /// Until the bridge's offsets are as required.
-pub fn wait_for_output(port: &str, is_wanted: impl Fn(&Output) -> bool) -> Result<()> {
+pub fn wait_for_output(port: &str, is_requested: impl Fn(&Output) -> bool) -> Result<()> {
     let mut session = Session::open(&Port::parse(port)?)?;
     let deadline = Instant::now() + WAIT_TIMEOUT;
     let mut offsets = OffsetReceiver::new();
@@ -25,7 +25,7 @@ pub fn wait_for_output(port: &str, is_wanted: impl Fn(&Output) -> bool) -> Resul
         let event = session.next_event(Instant::now() + INTERRUPT_POLL_PERIOD)?;
         let Some(Event::Frame(frame)) = event else { continue };
         if let Ok(Some(output)) = offsets.accept(&frame)
-            && is_wanted(&output)
+            && is_requested(&output)
         {
             session.close();
             return Ok(());
@@ -39,12 +39,12 @@ pub fn wait_for_output(port: &str, is_wanted: impl Fn(&Output) -> bool) -> Resul
 }
 
 /// Until nothing is followed; `tell` once, if it has to be waited for.
-pub fn wait_until_disengaged(port: &str, tell: impl Fn()) -> Result<()> {
-    let is_told = std::cell::Cell::new(false);
+pub fn wait_until_disengaged(port: &str, report: impl Fn()) -> Result<()> {
+    let is_reported = std::cell::Cell::new(false);
     wait_for_output(port, |output| {
         let is_off = matches!(output.quality, Quality::Off | Quality::Fault);
-        if !is_off && !is_told.replace(true) {
-            tell();
+        if !is_off && !is_reported.replace(true) {
+            report();
         }
         is_off
     })

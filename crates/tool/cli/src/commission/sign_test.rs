@@ -24,8 +24,7 @@ const NEGLIGIBLE_SLOPE_UM_PER_COUNT: f64 = 1e-6;
 pub fn setup_instructions(machine: &Machine, axis: Option<LinearAxis>) -> String {
     match axis.map(axis_letter) {
         None if machine.kind == MachineKind::Lathe => {
-            "  set a gauge between turret and chuck, along Z, against a part that does not turn, to zero, disengaged \
-             (nothing may touch what turns); start the spindle if it has no sensor; then engage at the CNC"
+            "  disengage; set a gauge between turret and chuck to zero, along Z, against a part that does not turn (nothing may touch a turning part). Start the spindle if it has no sensor; then engage at the CNC"
                 .into()
         }
         None => "  set all angles to 0, and a gauge at the spindle's housing, along the tool, to zero, disengaged \
@@ -160,12 +159,10 @@ impl SignTestVerdict {
                  file, and test again"
             }
             Self::Nothing => {
-                "nothing has moved: look whether the CNC has offsets enabled on this axis, and is referenced \
-                 and engaged; then test again"
+                "nothing has moved: check that the CNC has offsets enabled on this axis, is referenced and engaged; then test again"
             }
             Self::TooMuch => {
-                "10 µm were given and it is not 10 µm that moved: look for a wrong unit (mm, 0.1 µm) or a \
-                 loose gauge; then test again"
+                "10 µm were given, but another distance moved: check the unit (mm, 0.1 µm) and the gauge; then test again"
             }
         }
     }

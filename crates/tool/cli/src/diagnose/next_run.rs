@@ -25,8 +25,8 @@ fn build_plan(
     machine: &Machine,
     options: &MeasurementOptions,
 ) -> Result<Plan, ProgramError> {
-    let told = &next.told[0];
-    let why = format!("To tell {} from {}.", told.causes[0], told.causes[1]);
+    let separation = &next.told[0];
+    let why = format!("To separate {} from {}.", separation.causes[0], separation.causes[1]);
     if let Some(it) = &next.axis {
         let run = TargetRun {
             axis: LinearAxis::ALL[it.axis],

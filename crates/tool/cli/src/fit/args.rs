@@ -64,7 +64,7 @@ pub struct FitInputArgs {
     #[arg(long, value_name = "RUN.csv", required = true)]
     pub run: Vec<PathBuf>,
     /// The machine file: by it what a bridge in the runs had applied is taken off, and into it a section is
-    /// put; left out, the section alone is written.
+    /// put. Without it only the section is written.
     #[arg(long, value_name = "M.toml")]
     pub machine: Option<PathBuf>,
 }
@@ -81,7 +81,7 @@ pub struct CommonArgs {
 /// Which error of an axis.
 #[derive(Args)]
 pub struct AxisErrorArgs {
-    /// The error: dx, dy or dz; may be left out where each run measures one only.
+    /// The error: dx, dy or dz; not needed where each run measures one only.
     #[arg(long, value_name = "dx|dy|dz")]
     quantity: Option<String>,
     /// The axis that errs: x is the same as --quantity dx.
@@ -101,7 +101,7 @@ impl AxisErrorArgs {
 pub struct CurveArgs {
     #[command(flatten)]
     pub error: AxisErrorArgs,
-    /// Take as many coefficients as it needs to keep every residual within this; left out, as many
+    /// Take as many coefficients as it needs to keep every residual within this. Default: as many
     /// as the noise allows.
     #[arg(long, value_name = "UM")]
     pub tolerance_um: Option<f64>,
@@ -141,7 +141,7 @@ pub struct PositionArgs {
 pub struct Circle {
     #[command(flatten)]
     pub common: CommonArgs,
-    /// The folder for report.html and circle.json; left out, the page is OUT.html.
+    /// The folder for report.html and circle.json. Default: no folder, the page is OUT.html.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
 }
@@ -164,13 +164,13 @@ pub struct Volume {
     /// Where to write the machine file.
     #[arg(short, long, value_name = "OUT.toml")]
     pub output: PathBuf,
-    /// Standard uncertainty of a reading; left out, half of what the machine file states for the instrument, else by the readings alone.
+    /// Standard uncertainty of a reading. Default: half of what the machine file states for the instrument, else from the readings alone.
     #[arg(long, value_name = "UM", value_parser = crate::diagnose::parse_positive)]
     pub instrument_um: Option<f64>,
-    /// Standard uncertainty of the scale of artefact and laser; left out, the mean scale of the axes is not known.
+    /// Standard uncertainty of the scale of artefact and laser. Without it the mean scale of the axes stays unknown.
     #[arg(long, value_name = "UM/M", value_parser = crate::diagnose::parse_positive)]
     pub scale_um_per_m: Option<f64>,
-    /// Standard uncertainty of a point of the artefact; left out, balls are right and a straight edge is not known.
+    /// Standard uncertainty of a point of the artefact. Without it balls count as exact, and the form of a straight edge stays unknown.
     #[arg(long, value_name = "UM", value_parser = crate::diagnose::parse_positive)]
     pub artefact_um: Option<f64>,
 }
@@ -227,7 +227,7 @@ pub struct Pitch {
     pub common: CommonArgs,
     #[command(flatten)]
     pub positions: PositionArgs,
-    /// The step of the table; left out, that of the positions measured.
+    /// The step of the table. Default: that of the measured positions.
     #[arg(long, value_name = "MM")]
     pub step_mm: Option<f64>,
     /// One table, or one for each direction.
@@ -236,7 +236,7 @@ pub struct Pitch {
 }
 
 const TABLE_MODES: [(TableMode, &str, &str); 3] = [
-    (TableMode::Automatic, "automatic", "The choice that gains on repeats left out"),
+    (TableMode::Automatic, "automatic", "The choice that gains on held-out repeats"),
     (TableMode::One, "one", "One table, and also a backlash if that gains"),
     (TableMode::Both, "both", "One table for each direction"),
 ];
@@ -247,7 +247,7 @@ pub struct Backlash {
     pub common: CommonArgs,
     #[command(flatten)]
     pub positions: PositionArgs,
-    /// The feed that parts are cut at, where the run has several and backlash depends on it; left out,
+    /// The feed that parts are cut at, where the run has several and backlash depends on it. Default:
     /// the slowest.
     #[arg(long, value_name = "MM/MIN")]
     pub feed: Option<f64>,
@@ -258,7 +258,7 @@ pub struct Backlash {
 pub struct Elongation {
     #[command(flatten)]
     pub common: CommonArgs,
-    /// By which the growth is known; left out, the machine file's source, else the run's columns.
+    /// The input that the growth depends on. Default: the machine file's source, else the run's columns.
     #[arg(long, value_parser = described(ELONGATION_SOURCES))]
     pub source: Option<ElongationSource>,
     /// The temperature that explains it.
@@ -285,7 +285,7 @@ pub struct Thermal {
     pub common: CommonArgs,
     #[command(flatten)]
     pub error: AxisErrorArgs,
-    /// Which terms; left out, the machine file's, else what the run shows.
+    /// The terms of the model. Default: those of the machine file, else those that the run shows.
     #[arg(long, value_parser = described(THERMAL_MODES))]
     pub mode: Option<ThermalMode>,
     /// The temperature that explains it.

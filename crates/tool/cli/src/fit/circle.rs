@@ -96,7 +96,7 @@ fn circle_text(report: &CircleReport, output: &Path) -> String {
         if let Some(um) = it.structure_um {
             lines.push(format!("  structure is left: {um:.2} µm RMS that no cause explains"));
         }
-        lines.extend(report::excluded_row_lines(&it.set_aside));
+        lines.extend(report::excluded_row_lines(&it.excluded));
     }
     lines.extend(report.written.iter().map(|written| format!("  {written}")));
     lines.push(report::output_summary(!report.edit.is_empty(), output));
@@ -104,9 +104,9 @@ fn circle_text(report: &CircleReport, output: &Path) -> String {
 }
 
 fn deviations_text(figures: &CircularDeviations) -> String {
-    let mut said = Vec::new();
+    let mut messages = Vec::new();
     let mut add = |name: &str, um: Option<f64>| {
-        said.extend(um.map(|um| format!("{name} {um:.2}")));
+        messages.extend(um.map(|um| format!("{name} {um:.2}")));
     };
     add("G ccw", figures.g_um[0]);
     add("G cw", figures.g_um[1]);
@@ -117,7 +117,7 @@ fn deviations_text(figures: &CircularDeviations) -> String {
     add("F max cw", figures.f_max_um[1]);
     add("F min cw", figures.f_min_um[1]);
     add("D", figures.d_um);
-    format!("ISO 230-4, µm: {}", said.join(", "))
+    format!("ISO 230-4, µm: {}", messages.join(", "))
 }
 
 fn report_json(report: &CircleReport, output: Option<&PathBuf>) -> Value {
@@ -181,6 +181,6 @@ fn circle_json(it: &CircleResult) -> Value {
             "d_um": figures.d_um,
         },
         "causes": it.findings.iter().filter(|finding| finding.claimed).map(title).collect::<Vec<_>>(),
-        "set_aside": report::excluded_rows_json(&it.set_aside),
+        "set_aside": report::excluded_rows_json(&it.excluded),
     })
 }

@@ -56,24 +56,24 @@ pub fn print(report: &Report, common: &CommonArgs, written: bool, as_json: bool)
     };
     spread("measured", report.before);
     spread("after the fit", report.in_sample);
-    spread(&format!("on left-out rows ({})", report.left_out_by), report.left_out);
+    spread(&format!("on held-out rows ({})", report.held_out_by), report.held_out);
     lines.push(format!(
-        "{} rows used, {} incomplete, {} set aside",
+        "{} rows used, {} incomplete, {} excluded as outliers",
         report.rows_used,
         report.rows_incomplete,
-        report.set_aside.len()
+        report.excluded.len()
     ));
-    lines.extend(excluded_row_lines(&report.set_aside));
+    lines.extend(excluded_row_lines(&report.excluded));
     lines.push(output_summary(written, &common.output));
     output::print(lines.join("\n"))
 }
 
 /// Returns a line for each of the first excluded rows, and how many there are more.
-pub fn excluded_row_lines(set_aside: &[ExcludedRow]) -> Vec<String> {
+pub fn excluded_row_lines(outliers: &[ExcludedRow]) -> Vec<String> {
     let mut lines: Vec<String> =
-        set_aside.iter().take(MAX_LISTED_ROWS).map(|row| format!("  {row}")).collect();
-    if set_aside.len() > MAX_LISTED_ROWS {
-        lines.push(format!("  and {} more (--json lists them)", set_aside.len() - MAX_LISTED_ROWS));
+        outliers.iter().take(MAX_LISTED_ROWS).map(|row| format!("  {row}")).collect();
+    if outliers.len() > MAX_LISTED_ROWS {
+        lines.push(format!("  and {} more (--json lists them)", outliers.len() - MAX_LISTED_ROWS));
     }
     lines
 }
@@ -87,8 +87,8 @@ pub fn output_summary(is_written: bool, output: &Path) -> String {
 }
 
 /// Returns the rows as they stand in JSON.
-pub fn excluded_rows_json(set_aside: &[ExcludedRow]) -> Vec<Value> {
-    set_aside
+pub fn excluded_rows_json(outliers: &[ExcludedRow]) -> Vec<Value> {
+    outliers
         .iter()
         .map(|row| {
             json!({
@@ -141,11 +141,11 @@ fn report_json(report: &Report, common: &CommonArgs, written: bool) -> Value {
         "facts": facts,
         "before": spread(report.before),
         "in_sample": spread(report.in_sample),
-        "left_out": spread(report.left_out),
-        "left_out_by": report.left_out_by,
+        "left_out": spread(report.held_out),
+        "left_out_by": report.held_out_by,
         "rows_used": report.rows_used,
         "rows_incomplete": report.rows_incomplete,
-        "set_aside": excluded_rows_json(&report.set_aside),
+        "set_aside": excluded_rows_json(&report.excluded),
         "warnings": report.warnings,
         "output": if written { json!(common.output.to_string_lossy()) } else { Value::Null },
     })

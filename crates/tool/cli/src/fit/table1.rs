@@ -16,13 +16,13 @@ pub fn run(args: &args::Table1, as_json: bool) -> Result<Outcome> {
     let args::FitInputArgs { run, machine } = &args.measured;
     let input = FitInput::read(&args.measured)?;
     let quantity = args.curve.error.quantity();
-    let asked = MethodTableOptions {
+    let options = MethodTableOptions {
         quantity: quantity.as_deref(),
         options: args.curve.to_options(),
         feed_mm_per_min: args.feed,
         cycle_ms: args.cycle_ms,
     };
-    let table = build_method_table(&input.runs, &asked)?;
+    let table = build_method_table(&input.runs, &options)?;
     let inputs: Vec<&Path> = run.iter().chain(machine).map(PathBuf::as_path).collect();
     let html = table.to_html(&origin::from_files(&inputs)?);
     output::write_atomically(&args.output, &inputs, |out| out.write_all(html.as_bytes()))?;
@@ -48,7 +48,7 @@ fn print(entry: &TableEntry) -> Result<()> {
     for row in &entry.rows {
         let MethodResult { way, jump_mm_per_s, acceleration_mm_per_s2, .. } = row;
         output::print(format_args!(
-            "  {way}: {}; jumps of {jump_mm_per_s:.6} mm/s, asks {acceleration_mm_per_s2:.4} mm/s2",
+            "  {way}: {}; jumps of {jump_mm_per_s:.6} mm/s, requires {acceleration_mm_per_s2:.4} mm/s2",
             format_residuals(&row.left)
         ))?;
     }

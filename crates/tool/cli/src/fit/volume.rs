@@ -75,7 +75,7 @@ fn volume_text(report: &VolumeReport, output: &Path) -> String {
             held_out.before_um, held_out.after_um
         ));
     }
-    lines.extend(report::excluded_row_lines(&report.set_aside));
+    lines.extend(report::excluded_row_lines(&report.excluded));
     if report.edit.is_empty() {
         lines.push(rejection_reason(report).into());
     }
@@ -147,7 +147,7 @@ fn volume_json(report: &VolumeReport, output: Option<&Path>) -> Value {
             "before_um": report.held_out.before_um,
             "after_um": report.held_out.after_um,
         },
-        "set_aside": report::excluded_rows_json(&report.set_aside),
+        "set_aside": report::excluded_rows_json(&report.excluded),
         "warnings": report.warnings,
         "output": output.map(Path::to_string_lossy),
     })

@@ -145,12 +145,12 @@ pub fn fitted_constants(
     store: &FleetStore,
     id: &str,
     quantity: &str,
-    asked: &FitRequest,
+    requested: &FitRequest,
 ) -> Result<FittedConstants, String> {
     let loaded = worker::load_job(store, id).map_err(|damage| damage.to_string())?;
     let LoadedJobFiles { machine, runs, options, .. } =
         read_job_files(&loaded).map_err(|why| format!("{why:#}"))?;
-    let [together, alone] = [&asked.together, &asked.alone]
+    let [together, alone] = [&requested.together, &requested.alone]
         .map(|list| list.iter().map(to_named_cause).collect::<Vec<NamedCause<'_>>>());
     let fits = fit_named_causes(&machine, &runs, options, &together, &alone)
         .map_err(|error| error.rule)?;

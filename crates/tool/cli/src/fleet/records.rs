@@ -60,7 +60,7 @@ pub fn run(args: &RecordsArgs) -> Result<Outcome> {
     }
     if foreign > 0 {
         report::warn(format_args!(
-            "{foreign} messages are no payload of Sparkplug, and are left out"
+            "{foreign} messages are no payload of Sparkplug and are skipped"
         ));
     }
     Ok(Outcome::Done)

@@ -41,7 +41,7 @@ pub struct ServerArgs {
     /// The address for workers. Other computers reach it only if you give one that they see.
     #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:4222")]
     listen: SocketAddr,
-    /// The program; left out, nats-server on the PATH.
+    /// The program. Default: nats-server on the PATH.
     #[arg(long, value_name = "FILE")]
     program: Option<PathBuf>,
     /// The server's certificate, in PEM: workers then use tls://.
@@ -141,8 +141,8 @@ fn prepare_streams(
 }
 
 /// Returns the limit that the streams are to get, from what the user requests and what is there; `None`: they have it.
-fn changed_records_limit(asked: Option<u32>, there: Option<u32>) -> Option<u32> {
-    let limit = asked.or(there).unwrap_or(DEFAULT_RECORDS_LIMIT_GB);
+fn changed_records_limit(requested: Option<u32>, there: Option<u32>) -> Option<u32> {
+    let limit = requested.or(there).unwrap_or(DEFAULT_RECORDS_LIMIT_GB);
     (there != Some(limit)).then_some(limit)
 }
 
@@ -174,9 +174,9 @@ fn create_streams(
 /// Ends a server in order: its next start need not look through its store.
 fn stop_server(program: &Path, server: &mut Child) {
     let signal = format!("quit={}", server.id());
-    let asked = Command::new(program).arg("--signal").arg(signal).output();
+    let requested = Command::new(program).arg("--signal").arg(signal).output();
     let until = Instant::now() + SERVER_TIMEOUT;
-    while asked.as_ref().is_ok_and(|output| output.status.success()) && Instant::now() < until {
+    while requested.as_ref().is_ok_and(|output| output.status.success()) && Instant::now() < until {
         if server.try_wait().is_ok_and(|status| status.is_some()) {
             return;
         }
@@ -213,7 +213,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_limit_that_is_left_out_removes_no_record() {
+    fn a_missing_limit_removes_no_record() {
         assert_eq!(changed_records_limit(None, Some(100)), None);
         assert_eq!(changed_records_limit(None, None), Some(DEFAULT_RECORDS_LIMIT_GB));
         assert_eq!(changed_records_limit(Some(8), Some(8)), None);

@@ -80,8 +80,8 @@ fn run_make(folder: &Path, targets: &[&str], as_root: bool) -> Result<()> {
     if done.status.success() {
         return Ok(());
     }
-    let said = String::from_utf8_lossy(&done.stderr);
-    Err(UserError(format!("make {} failed in {}:\n{said}", targets.join(" "), folder.display()))
+    let stderr = String::from_utf8_lossy(&done.stderr);
+    Err(UserError(format!("make {} failed in {}:\n{stderr}", targets.join(" "), folder.display()))
         .into())
 }
 

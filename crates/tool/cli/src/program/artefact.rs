@@ -10,28 +10,28 @@ use crate::UserError;
 /// Place, size and stylus.
 #[derive(Args)]
 pub struct ArtefactArgs {
-    /// Where it is, in mm of the machine. circle: the centre (left out, the middle of the ranges), and where the axis stands that
+    /// Where it is, in mm of the machine. circle: the centre (default: the middle of the ranges), and where the axis stands that
     /// is not moved. sphere, plate: where the axes would stand with the stylus ball in the centre of the ball, of a plate of
     /// its first one. square: the corner, and the height of the touches.
     #[arg(long, value_name = "x=MM,y=MM,z=MM", value_delimiter = ',', allow_hyphen_values = true)]
     at: Vec<String>,
-    /// circle: the radius in mm; left out, the longest ball bar of 300, 150, 100 and 50 mm that has room.
+    /// circle: the radius in mm. Default: the longest ball bar of 300, 150, 100 and 50 mm that has room.
     #[arg(long, value_name = "MM")]
     radius: Option<f64>,
-    /// The length of the tool or stylus in mm, for the run file; left out, length_mm of the machine file counts. sphere, plate,
+    /// The length of the tool or stylus in mm, for the run file. Default: length_mm of the machine file. sphere, plate,
     /// square: several, one after the other; --at is for the first.
     #[arg(long, value_name = "MM,MM", value_delimiter = ',')]
     tool_length: Vec<f64>,
     /// sphere, plate, square: the diameter of the stylus ball, in mm.
     #[arg(long, value_name = "MM")]
     stylus: Option<f64>,
-    /// sphere, plate, square: how far before a surface a touch begins, and how far behind it ends, in mm; left out, 3.
+    /// sphere, plate, square: how far before a surface a touch begins, and how far behind it ends, in mm. Default: 3.
     #[arg(long, value_name = "MM")]
     search: Option<f64>,
     /// sphere, plate: the diameter of a ball, in mm.
     #[arg(long, value_name = "MM")]
     ball: Option<f64>,
-    /// plate: how many balls along X and along Y; left out, 5x5. --step-mm says how far apart.
+    /// plate: how many balls along X and along Y. Default: 5x5. --step-mm is their distance.
     #[arg(long, value_name = "NxM")]
     balls: Option<String>,
     /// square: the length of both faces, in mm.

@@ -20,7 +20,7 @@ pub struct MotionArgs {
         allow_hyphen_values = true
     )]
     range: Vec<String>,
-    /// backlash with a dial: another axis that makes room for it, and by how far, in mm; left out, the axis reverses
+    /// backlash with a dial: another axis that makes room for it, and by how far, in mm. Without it the axis reverses
     /// within the stroke of the dial.
     #[arg(long, value_name = "y=MM", allow_hyphen_values = true)]
     clearance: Option<String>,

@@ -30,12 +30,12 @@ fn what_is_met_ends_with_0_and_what_is_not_with_3_and_a_reason() {
     let put = |name: &str, text: &str| fs::write(folder.path().join(name), text).expect("written");
     put("off.csv", &run(1.0));
     put("on.csv", &run(0.05));
-    let (code, said, _) = accept(folder.path(), &[]);
-    assert_eq!(code, Some(0), "{said}");
-    assert!(said.starts_with("passed"), "{said}");
-    let (code, said, _) = accept(folder.path(), &["--limit-um", "1.5"]);
-    assert_eq!(code, Some(3), "{said}");
-    assert!(said.contains("1.5 µm are allowed"), "{said}");
+    let (code, stdout, _) = accept(folder.path(), &[]);
+    assert_eq!(code, Some(0), "{stdout}");
+    assert!(stdout.starts_with("passed"), "{stdout}");
+    let (code, stdout, _) = accept(folder.path(), &["--limit-um", "1.5"]);
+    assert_eq!(code, Some(3), "{stdout}");
+    assert!(stdout.contains("1.5 µm are allowed"), "{stdout}");
 
     put("on.csv", &run(0.4));
     put(
@@ -43,10 +43,10 @@ fn what_is_met_ends_with_0_and_what_is_not_with_3_and_a_reason() {
         "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"warmup\"\n[spindle.warmup]\n\
          lag_s = 0.0\nwarm_s = 7200.0\nmax_um = 36.0\nexponent = 4.0\n",
     );
-    let (code, said, _) = accept(folder.path(), &["--machine", "m.toml"]);
-    assert_eq!(code, Some(3), "{said}");
-    assert!(said.contains("60 % of what the machine does"), "{said}");
-    assert!(said.contains("Change spindle.warmup.max_um from 36 to 5"), "{said}");
+    let (code, stdout, _) = accept(folder.path(), &["--machine", "m.toml"]);
+    assert_eq!(code, Some(3), "{stdout}");
+    assert!(stdout.contains("60 % of what the machine does"), "{stdout}");
+    assert!(stdout.contains("Change spindle.warmup.max_um from 36 to 5"), "{stdout}");
     let json = fs::read_to_string(folder.path().join("acceptance/acceptance.json")).expect("left");
     let json: serde_json::Value = serde_json::from_str(&json).expect("JSON");
     for key in ["passed", "before", "after", "reduction", "advice"] {
@@ -63,13 +63,13 @@ fn runs_that_cannot_be_compared_are_refused_with_their_place() {
     let put = |name: &str, text: &str| fs::write(folder.path().join(name), text).expect("written");
     put("off.csv", &run(1.0));
     put("on.csv", &run(0.05).replace("elongation", "dx"));
-    let (code, _, said) = accept(folder.path(), &[]);
-    assert_eq!(code, Some(2), "{said}");
-    assert!(said.contains("--> on.csv:1:1\n") && said.contains("measures nothing"), "{said}");
+    let (code, _, stderr) = accept(folder.path(), &[]);
+    assert_eq!(code, Some(2), "{stderr}");
+    assert!(stderr.contains("--> on.csv:1:1\n") && stderr.contains("measures nothing"), "{stderr}");
     // A spindle that did not turn alike is reported.
     put("on.csv", &run(0.05).replace(",12000,", ",6000,"));
-    let (_, _, said) = accept(folder.path(), &[]);
-    assert!(said.contains("did not turn alike"), "{said}");
+    let (_, _, stderr) = accept(folder.path(), &[]);
+    assert!(stderr.contains("did not turn alike"), "{stderr}");
     // And so are another tool, and a condition of the machine file.
     let with = |factor: f64, cells: &str| {
         let text = run(factor);
@@ -82,13 +82,13 @@ fn runs_that_cannot_be_compared_are_refused_with_their_place() {
         "m.toml",
         "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[inputs]\ndoor_open = { kind = \"condition\", bit = 0 }\n",
     );
-    for (cells, said_of) in
+    for (cells, message_of) in
         [("7,0", None), ("9,0", Some("The tools were not")), ("7,1", Some("door_open was not"))]
     {
         put("on.csv", &with(0.05, cells));
-        let (_, _, said) = accept(folder.path(), &["--machine", "m.toml"]);
-        assert_eq!(said.contains("not alike"), said_of.is_some(), "{cells}: {said}");
-        assert!(said_of.is_none_or(|phrase| said.contains(phrase)), "{cells}: {said}");
+        let (_, _, stderr) = accept(folder.path(), &["--machine", "m.toml"]);
+        assert_eq!(stderr.contains("not alike"), message_of.is_some(), "{cells}: {stderr}");
+        assert!(message_of.is_none_or(|phrase| stderr.contains(phrase)), "{cells}: {stderr}");
     }
 }
 
@@ -112,10 +112,10 @@ fn labels_of_tools_are_the_numbers_of_the_machine_file() {
     for tool in ["probe", "7"] {
         put("off.csv", &run(10.0, tool));
         put("on.csv", &run(2.0, tool));
-        let (_, _, said) = accept(folder.path(), &["--machine", "m.toml"]);
+        let (_, _, stderr) = accept(folder.path(), &["--machine", "m.toml"]);
         let text =
             fs::read_to_string(folder.path().join("acceptance/acceptance.json")).expect("written");
-        answers.push((said, text));
+        answers.push((stderr, text));
     }
     assert_eq!(answers[0], answers[1]);
 }

@@ -29,9 +29,9 @@ fn limited(desk: &Desk, line: &str) -> Output {
 /// Returns what the command says of a file that it must refuse.
 fn refused(desk: &Desk, line: &str) -> String {
     let output = limited(desk, line);
-    let said = crate::desk::in_one_line(&String::from_utf8_lossy(&output.stderr));
-    assert_eq!(output.status.code(), Some(2), "{line}: {said}");
-    said
+    let stderr = crate::desk::in_one_line(&String::from_utf8_lossy(&output.stderr));
+    assert_eq!(output.status.code(), Some(2), "{line}: {stderr}");
+    stderr
 }
 
 /// A file that begins with `start` and then holds nothing but zero bytes, without a place on disk.
@@ -58,8 +58,8 @@ fn a_run_of_ten_gigabytes_or_a_line_of_one_is_refused_with_its_place() {
             format!("fit elongation --run {name} -o out.toml"),
             format!("diagnose --machine m.toml --run {name} --out out"),
         ] {
-            let said = refused(&desk, &command);
-            assert!(said.contains(phrase), "{command}: {said}");
+            let message = refused(&desk, &command);
+            assert!(message.contains(phrase), "{command}: {message}");
         }
     }
 }
@@ -76,10 +76,10 @@ fn a_machine_file_of_ten_gigabytes_or_a_line_of_one_is_refused_with_its_place() 
             format!("fit elongation --run run.csv --machine {name} -o out.toml"),
             format!("diagnose --machine {name} --run run.csv --out out"),
         ] {
-            let said = refused(&desk, &command);
+            let message = refused(&desk, &command);
             let phrase = format!("{name}:1:1: has ");
-            assert!(said.contains(&phrase), "{command}: {said}");
-            assert!(said.contains("more than the 4 MiB that are read"), "{command}: {said}");
+            assert!(message.contains(&phrase), "{command}: {message}");
+            assert!(message.contains("more than the 4 MiB that are read"), "{command}: {message}");
         }
     }
 }

@@ -16,12 +16,12 @@ use trueup_machine::{RunFile, compile};
 use trueup_store::calibration::calibration_crc;
 
 /// Returns a run that needs no files, and must end with `code`.
-fn said(line: &str, code: i32) -> (String, String) {
-    Desk::new(&[]).said(line, code)
+fn run_expecting(line: &str, code: i32) -> (String, String) {
+    Desk::new(&[]).run_expecting(line, code)
 }
 
 fn monitor(port: &str, count_and_more: &str, code: i32) -> (String, String) {
-    said(&format!("bridge monitor --port {port} --count {count_and_more}"), code)
+    run_expecting(&format!("bridge monitor --port {port} --count {count_and_more}"), code)
 }
 
 fn json_lines(text: &str) -> Vec<serde_json::Value> {
@@ -29,7 +29,7 @@ fn json_lines(text: &str) -> Vec<serde_json::Value> {
 }
 
 #[test]
-fn the_monitor_tells_the_offsets_once_a_second_and_sends_no_frame() {
+fn the_monitor_reports_the_offsets_once_a_second_and_sends_no_frame() {
     let (port, received) = bridge(PretendedFault::None);
     let (out, _) = monitor(&port, "2 --json", 0);
     let lines = json_lines(&out);
@@ -77,7 +77,7 @@ fn damaged_frames_are_counted_and_end_with_3() {
 }
 
 #[test]
-fn a_bridge_without_offsets_is_told_after_three_lines() {
+fn a_bridge_without_offsets_is_reported_after_three_lines() {
     let (port, _) = bridge(PretendedFault::NoFrames);
     let (out, err) = monitor(&port, "9", 1);
     assert_eq!(out.lines().count(), 3, "{out}");
@@ -86,7 +86,7 @@ fn a_bridge_without_offsets_is_told_after_three_lines() {
 }
 
 #[test]
-fn a_line_that_is_silent_or_breaks_is_told() {
+fn a_line_that_is_silent_or_breaks_is_reported() {
     let (port, _) = bridge(PretendedFault::Silent);
     let (out, err) = monitor(&port, "1", 1);
     assert_eq!(out, "");
@@ -98,9 +98,9 @@ fn a_line_that_is_silent_or_breaks_is_told() {
 }
 
 #[test]
-fn info_tells_version_serial_number_and_state() {
+fn info_reports_version_serial_number_and_state() {
     let (port, received) = bridge(PretendedFault::None);
-    let (out, _) = said(&format!("bridge info --port {port}"), 0);
+    let (out, _) = run_expecting(&format!("bridge info --port {port}"), 0);
     assert!(
         out.starts_with(
             "version      V1013\nserial       N00A1\nheartbeat    alive (CANopen: operational)\n"
@@ -121,12 +121,15 @@ fn info_tells_version_serial_number_and_state() {
     assert!(received.lock().expect("no holder panics").frames > 8, "it has asked");
 
     let (port, _) = bridge(PretendedFault::None);
-    let (out, _) = said(&format!("--json bridge info --port {port}"), 0);
-    let told = &json_lines(&out)[0];
-    assert_eq!(told["serial"], "N00A1");
-    assert_eq!(told["heartbeat"], "operational");
-    assert_eq!((&told["calibration_crc"], &told["faults"]), (&crc.into(), &serde_json::json!([])));
-    assert_eq!(told["new_calibration_crc"], serde_json::Value::Null);
+    let (out, _) = run_expecting(&format!("--json bridge info --port {port}"), 0);
+    let document = &json_lines(&out)[0];
+    assert_eq!(document["serial"], "N00A1");
+    assert_eq!(document["heartbeat"], "operational");
+    assert_eq!(
+        (&document["calibration_crc"], &document["faults"]),
+        (&crc.into(), &serde_json::json!([]))
+    );
+    assert_eq!(document["new_calibration_crc"], serde_json::Value::Null);
 }
 
 #[test]
@@ -135,7 +138,7 @@ fn a_request_that_is_lost_on_the_line_is_asked_for_again() {
     for lost in [1, 20] {
         let desk = Desk::new(&[]);
         let (port, received) = bridge_with(PretendedFault::Loses(lost), false);
-        desk.said(&format!("bridge save saved.json --port {port}"), 0);
+        desk.run_expecting(&format!("bridge save saved.json --port {port}"), 0);
         assert!(received.lock().expect("no holder panics").frames > lost);
         let saved: serde_json::Value =
             serde_json::from_str(&desk.text("saved.json")).expect("JSON");
@@ -147,7 +150,7 @@ fn a_request_that_is_lost_on_the_line_is_asked_for_again() {
 #[test]
 fn info_of_a_bridge_that_only_answers_ends_with_3() {
     let (port, _) = bridge(PretendedFault::NoFrames);
-    let (out, _) = said(&format!("bridge info --port {port}"), 3);
+    let (out, _) = run_expecting(&format!("bridge info --port {port}"), 3);
     assert!(out.contains("heartbeat    none in 2 s\n"), "{out}");
 }
 
@@ -186,8 +189,8 @@ fn a_serial_device_is_monitored_like_a_port() {
     // The tool wants the device for itself.
     drop(theirs);
     let received = Arc::new(Mutex::new(ReceivedBytes::default()));
-    let told = received.clone();
-    thread::spawn(move || live(Tty(ours), PretendedFault::None, || true, &told));
+    let shared = received.clone();
+    thread::spawn(move || live(Tty(ours), PretendedFault::None, || true, &shared));
     let (out, _) = monitor(&device, "1 --json", 0);
     assert_eq!(json_lines(&out)[0]["quality_word"], "live");
     assert_eq!(received.lock().expect("no holder panics").frames, 0);
@@ -208,26 +211,28 @@ fn other() -> (Desk, u32) {
 fn a_calibration_is_loaded_read_back_and_put_to_use() {
     let (desk, crc) = other();
     let (port, _) = bridge_with(PretendedFault::None, false);
-    let (out, _) = desk.said(&format!("bridge load cal.bin --yes --port {port} --json"), 0);
-    let told = &json_lines(&out)[0];
+    let (out, _) =
+        desk.run_expecting(&format!("bridge load cal.bin --yes --port {port} --json"), 0);
+    let json = &json_lines(&out)[0];
     let crc = format!("{crc:08x}");
-    assert_eq!((&told["crc"], &told["running_crc"]), (&crc.clone().into(), &crc.clone().into()));
-    assert_eq!((&told["read_back_is_equal"], &told["restarted"]), (&true.into(), &true.into()));
+    assert_eq!((&json["crc"], &json["running_crc"]), (&crc.clone().into(), &crc.clone().into()));
+    assert_eq!((&json["read_back_is_equal"], &json["restarted"]), (&true.into(), &true.into()));
 
     let (port, _) = bridge_many(PretendedFault::None, false);
-    let (out, _) = desk.said(&format!("bridge load cal.bin --yes --port {port} --keep-running"), 0);
+    let (out, _) =
+        desk.run_expecting(&format!("bridge load cal.bin --yes --port {port} --keep-running"), 0);
     let running = format!("{:08x}", calibration_crc(paper().blob()));
     assert!(out.contains(&format!("stored and read back the same, CRC {crc}\n")), "{out}");
     assert!(out.ends_with(&format!("now the bridge runs on {running}\n")), "{out}");
     // Who has loaded it is reported, and so is what waits when another one is loaded.
-    let (out, _) = desk.said(&format!("bridge info --port {port}"), 0);
+    let (out, _) = desk.run_expecting(&format!("bridge info --port {port}"), 0);
     assert!(out.contains(&format!("\nwritten      #7 loaded calibration {crc}, 20")), "{out}");
     assert!(out.ends_with(" s after a start, by serial\n"), "{out}");
     let mut third = paper_machine();
     third.limits.slew_um_per_s *= 3.0;
     desk.write("third.bin", compile(&third).expect("it fits").blob());
     let (_, err) =
-        desk.said(&format!("bridge load third.bin --yes --port {port} --keep-running"), 0);
+        desk.run_expecting(&format!("bridge load third.bin --yes --port {port} --keep-running"), 0);
     assert!(
         err.contains(&format!("the calibration {crc} was loaded before and never used")),
         "{err}"
@@ -241,15 +246,17 @@ fn the_calibration_that_a_load_has_replaced_is_loaded_again() {
     let before = calibration_crc(paper().blob());
     let running = |out: &str| json_lines(out)[0]["running_crc"].clone();
     // Nothing was loaded from here yet.
-    let (_, err) = desk.said(&format!("bridge load --previous --yes --port {port}"), 2);
+    let (_, err) = desk.run_expecting(&format!("bridge load --previous --yes --port {port}"), 2);
     assert!(err.contains(&format!("no calibration that {before:08x} has replaced")), "{err}");
-    desk.said(&format!("bridge load cal.bin --yes --port {port}"), 0);
+    desk.run_expecting(&format!("bridge load cal.bin --yes --port {port}"), 0);
     // Back, and forth again.
     for crc in [before, crc] {
-        let (out, _) = desk.said(&format!("bridge load --previous --yes --json --port {port}"), 0);
+        let (out, _) =
+            desk.run_expecting(&format!("bridge load --previous --yes --json --port {port}"), 0);
         assert_eq!(running(&out), format!("{crc:08x}"));
     }
-    let (_, err) = desk.said(&format!("bridge load cal.bin --previous --yes --port {port}"), 2);
+    let (_, err) =
+        desk.run_expecting(&format!("bridge load cal.bin --previous --yes --port {port}"), 2);
     assert!(err.contains("cannot be used with"), "{err}");
 }
 
@@ -259,7 +266,7 @@ fn offsets_are_taken_back_where_no_cnc_commands_and_only_there() {
     let (port, received) = bridge_many(PretendedFault::None, true);
     monitor(&port, "1", 0);
     let before = received.lock().expect("no holder panics").bytes.len();
-    let (out, err) = said(&format!("bridge disengage --port {port}"), 3);
+    let (out, err) = run_expecting(&format!("bridge disengage --port {port}"), 3);
     assert_eq!(out, "");
     assert!(err.contains("a CNC commands this bridge and follows its offset, x +0.00"), "{err}");
     let sent = received.lock().expect("no holder panics").bytes[before..].to_vec();
@@ -269,10 +276,10 @@ fn offsets_are_taken_back_where_no_cnc_commands_and_only_there() {
     // It has gone: its offset would be held for 2 s. It goes back at 20 µm/s, and never faster.
     let (port, _) = bridge_many(PretendedFault::CncLeaves, true);
     monitor(&port, "1", 0);
-    let (out, err) = said(&format!("bridge disengage --port {port}"), 0);
+    let (out, err) = run_expecting(&format!("bridge disengage --port {port}"), 0);
     assert!(out.starts_with("disengaged: the offset went from x +0.00, y +0.00, z +12.3"), "{out}");
     assert!(err.contains("goes to 0 at the slew limit"), "{err}");
-    let (out, _) = said(&format!("bridge disengage --json --port {port}"), 0);
+    let (out, _) = run_expecting(&format!("bridge disengage --json --port {port}"), 0);
     assert_eq!(
         json_lines(&out)[0],
         serde_json::json!({"done": "nothing", "offset_um": [0.0, 0.0, 0.0]})
@@ -280,7 +287,7 @@ fn offsets_are_taken_back_where_no_cnc_commands_and_only_there() {
 }
 
 #[test]
-fn what_must_not_or_cannot_be_loaded_is_told_and_nothing_changes() {
+fn what_must_not_or_cannot_be_loaded_is_reported_and_nothing_changes() {
     let (desk, _) = other();
     for (fault, engage, phrases) in [
         // Which of them depends on when the bridge has gone live.
@@ -303,7 +310,7 @@ fn what_must_not_or_cannot_be_loaded_is_told_and_nothing_changes() {
         (PretendedFault::NoFrames, false, &["error: object 2001:1: no answer in 5 s"]),
     ] {
         let (port, _) = bridge_with(fault, engage);
-        let (out, err) = desk.said(&format!("bridge load cal.bin --yes --port {port}"), 1);
+        let (out, err) = desk.run_expecting(&format!("bridge load cal.bin --yes --port {port}"), 1);
         assert_eq!(out, "", "{err}");
         assert!(phrases.iter().any(|phrase| err.contains(phrase)), "{err}");
     }
@@ -318,7 +325,7 @@ fn what_must_not_or_cannot_be_loaded_is_told_and_nothing_changes() {
         ("damaged.bin", "damaged.bin: "),
         ("none.bin", "none.bin: cannot be read: "),
     ] {
-        let (out, err) = desk.said(&format!("bridge load {file} --yes --port {port}"), 2);
+        let (out, err) = desk.run_expecting(&format!("bridge load {file} --yes --port {port}"), 2);
         assert_eq!(out, "", "{err}");
         assert!(err.contains(phrase), "{err}");
     }
@@ -330,7 +337,7 @@ fn a_recording_is_a_log_of_every_frame_and_a_run_file() {
     let desk = Desk::new(&[("m.toml", PAPER)]);
     let record = |count_and_more: &str, code| {
         let (port, _) = bridge(PretendedFault::None);
-        desk.said(&format!("bridge monitor --port {port} --count {count_and_more}"), code)
+        desk.run_expecting(&format!("bridge monitor --port {port} --count {count_and_more}"), code)
     };
     let (_, err) = record("2 --record here --machine m.toml", 0);
 
@@ -392,7 +399,7 @@ fn a_recording_goes_on_when_the_line_comes_back() {
         }
     });
     let line = format!("bridge monitor --port {port} --count 4 --record run.csv");
-    let (_, err) = desk.said(&line, 3);
+    let (_, err) = desk.run_expecting(&line, 3);
     for phrase in ["the recording goes on with a gap", "the line is open again", " rows in run.csv"]
     {
         assert!(err.contains(phrase), "{phrase}: {err}");

@@ -17,23 +17,23 @@ fn desk() -> Desk {
 }
 
 /// Standard error as it is.
-fn told(desk: &Desk, line: &str, code: i32) -> String {
+fn stderr_of(desk: &Desk, line: &str, code: i32) -> String {
     let output = desk.trueup(line);
-    let said = String::from_utf8(output.stderr).expect("UTF-8");
-    assert_eq!(output.status.code(), Some(code), "{line}: {said}");
-    said
+    let stderr = String::from_utf8(output.stderr).expect("UTF-8");
+    assert_eq!(output.status.code(), Some(code), "{line}: {stderr}");
+    stderr
 }
 
 #[test]
 fn a_right_file_and_a_right_run_are_described_and_nothing_is_wrong() {
     let desk = desk();
-    let (out, err) = desk.said("check m.toml run.csv", 0);
+    let (out, err) = desk.run_expecting("check m.toml run.csv", 0);
     assert_eq!(err, "");
     for phrase in [
         "m.toml: \"paper\", 3-axis\n  X: not corrected\n",
         "Z: up to 423.0 µm, held to 500 µm: spindle.sensor 423.0",
         "changes by at most 20 µm/s: 1 % of the rapid traverse of axes from 120 mm/min on",
-        "a position of X, Y, Z that jumps is believed: no rapid_mm_per_min says how far it can have come",
+        "a position of X, Y, Z that jumps is accepted: no rapid_mm_per_min states how fast the axis can move",
         "sensor: 500.0 µm from 0 to 10 V (32768 counts)",
         "on the board: 613 of 16384 bytes (4 %)",
         "run.csv: 3 rows of sensor_counts, measured_elongation_um",
@@ -44,11 +44,11 @@ fn a_right_file_and_a_right_run_are_described_and_nothing_is_wrong() {
 }
 
 #[test]
-fn a_doubt_has_its_line_a_caret_and_help_and_ends_with_3() {
+fn a_warning_has_its_line_a_caret_and_help_and_ends_with_3() {
     let desk = desk();
     desk.write("up.toml", PAPER.replace("5048.0", "40000.0"));
-    let said = told(&desk, "check up.toml", 3);
-    let wanted = "\
+    let text = stderr_of(&desk, "check up.toml", 3);
+    let expected = "\
 warning: spindle.sensor.zero_counts 40000 is beyond full scale: the input gives 0 to 32768 counts
   --> up.toml:15:15
    |
@@ -57,15 +57,15 @@ warning: spindle.sensor.zero_counts 40000 is beyond full scale: the input gives 
    |
    = help: write what the sensor reads when the machine is cold, in the counts of [inputs] sensor
 ";
-    assert_eq!(said, wanted);
-    let (out, _) = desk.said("check up.toml --json", 3);
-    let told: Value = serde_json::from_str(&out).expect("JSON");
-    assert_eq!(told[0]["warnings"][0]["line"], 15, "{told}");
-    assert_eq!(told[0]["does"]["board_bytes"], 613, "{told}");
+    assert_eq!(text, expected);
+    let (out, _) = desk.run_expecting("check up.toml --json", 3);
+    let json: Value = serde_json::from_str(&out).expect("JSON");
+    assert_eq!(json[0]["warnings"][0]["line"], 15, "{json}");
+    assert_eq!(json[0]["does"]["board_bytes"], 613, "{json}");
 }
 
 #[test]
-fn every_command_that_reads_a_file_says_its_doubts_on_a_line_and_q_does_not() {
+fn every_command_that_reads_a_file_prints_its_warnings_on_a_line_and_q_does_not() {
     let desk = desk();
     desk.write(
         "up.toml",
@@ -78,68 +78,68 @@ fn every_command_that_reads_a_file_says_its_doubts_on_a_line_and_q_does_not() {
         "fit elongation --machine up.toml --run run.csv -o f.toml",
         "export up.toml --format linuxcnc -o d",
     ] {
-        let said = String::from_utf8(desk.trueup(command).stderr).expect("UTF-8");
-        assert_eq!(said.matches(line).count(), 1, "{command}: {said}");
-        assert!(said.contains("`trueup check up.toml` says what to do"), "{command}: {said}");
+        let stderr = String::from_utf8(desk.trueup(command).stderr).expect("UTF-8");
+        assert_eq!(stderr.matches(line).count(), 1, "{command}: {stderr}");
+        assert!(stderr.contains("`trueup check up.toml` says what to do"), "{command}: {stderr}");
         let quiet = String::from_utf8(desk.trueup(&format!("{command} -q")).stderr).expect("UTF-8");
         assert!(!quiet.contains("warning"), "{command}: {quiet}");
     }
 }
 
 #[test]
-fn what_no_board_can_run_is_told_where_a_board_is_meant() {
+fn what_no_board_can_run_is_reported_where_a_board_is_meant() {
     let desk = desk();
     let steep = "[straightness.z_of_x]\norder = 2\nknots_mm = [0.0, 0.0, 1.0, 1.0]\ncontrol_um = [0.0, 90.0]\n";
     desk.write("steep.toml", format!("{PAPER}\n{steep}"));
-    let said = told(&desk, "check steep.toml", 3);
-    assert!(said.contains("no board can run this") && said.contains("steep.toml:"), "{said}");
+    let text = stderr_of(&desk, "check steep.toml", 3);
+    assert!(text.contains("no board can run this") && text.contains("steep.toml:"), "{text}");
     // To predict with it may be so.
     let (head, rest) = PAPER.split_once("[inputs]").expect("it has inputs");
     let (_, law) = rest.split_once("[spindle]").expect("and a spindle");
     desk.write("model.toml", format!("{head}[spindle]{law}\n{steep}"));
-    assert_eq!(told(&desk, "check model.toml", 0), "");
+    assert_eq!(stderr_of(&desk, "check model.toml", 0), "");
 }
 
 #[test]
 fn a_file_that_corrects_nothing_is_a_warning_of_compile_and_a_line_of_check() {
     let desk = desk();
     desk.write("nothing.toml", "[machine]\nname = \"m\"\nkind = \"3-axis\"\n");
-    let (_, err) = desk.said("compile nothing.toml -o c.bin", 0);
+    let (_, err) = desk.run_expecting("compile nothing.toml -o c.bin", 0);
     assert!(err.contains("warning: nothing.toml:1:2: machine corrects nothing"), "{err}");
-    let (out, _) = desk.said("check nothing.toml", 0);
+    let (out, _) = desk.run_expecting("check nothing.toml", 0);
     assert!(out.contains("corrects nothing: a board with it leaves every offset at 0"), "{out}");
     desk.write(
         "unused.toml",
         "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[inputs]\ntemp_bed_c = { channel = 0, kind = \"pt100\" }\n",
     );
-    let (out, _) = desk.said("check unused.toml", 0);
+    let (out, _) = desk.run_expecting("check unused.toml", 0);
     assert!(out.contains("inputs that no law uses: temp_bed_c"), "{out}");
 }
 
 #[test]
-fn an_error_is_said_as_cargo_says_it_and_as_an_object_with_json() {
+fn an_error_is_printed_as_by_cargo_and_as_an_object_with_json() {
     let desk = desk();
     desk.write("bad.toml", PAPER.replace("slew_um_per_s = 20.0", "slew_um_per_s = -3.0"));
-    let wanted = "\
+    let expected = "\
 error: limits.slew_um_per_s must be above 0, not -3
   --> bad.toml:20:17
    |
 20 | slew_um_per_s = -3.0
    |                 ^^^^";
-    let said = told(&desk, "check bad.toml", 2);
-    assert!(said.starts_with(wanted), "{said}");
-    let said = told(&desk, "compile bad.toml -o c.bin --json", 2);
-    let object: Value = serde_json::from_str(&said).expect("one object");
+    let text = stderr_of(&desk, "check bad.toml", 2);
+    assert!(text.starts_with(expected), "{text}");
+    let text = stderr_of(&desk, "compile bad.toml -o c.bin --json", 2);
+    let object: Value = serde_json::from_str(&text).expect("one object");
     assert_eq!(object["level"], "error");
     assert_eq!(
         (&object["file"], &object["line"], &object["column"]),
         (&"bad.toml".into(), &20.into(), &17.into())
     );
     desk.write("comma.csv", "time_s;sensor_counts\n0;1\n1;2,5\n");
-    let said = told(&desk, "check comma.csv", 2);
+    let text = stderr_of(&desk, "check comma.csv", 2);
     assert!(
-        said.contains(" --> comma.csv:3:3\n") && said.contains("3 | 1;2,5\n  |   ^^^"),
-        "{said}"
+        text.contains(" --> comma.csv:3:3\n") && text.contains("3 | 1;2,5\n  |   ^^^"),
+        "{text}"
     );
 }
 
@@ -167,12 +167,12 @@ fn nothing_is_doubted_in_the_files_that_the_project_ships() {
     assert!(files.len() >= 6, "{files:?}");
     let desk = desk();
     for file in files {
-        let (_, err) = desk.said(&format!("check {}", file.display()), 0);
+        let (_, err) = desk.run_expecting(&format!("check {}", file.display()), 0);
         assert_eq!(err, "", "{}", file.display());
     }
     let table = root.join("data/spindle_paper_table1.csv");
     let machine = root.join("data/paper_spindle.toml");
-    desk.said(&format!("check {} --machine {}", table.display(), machine.display()), 0);
+    desk.run_expecting(&format!("check {} --machine {}", table.display(), machine.display()), 0);
 }
 
 #[test]
@@ -209,7 +209,7 @@ fn nothing_is_doubted_in_any_measured_set() {
                 continue;
             };
             let line = format!("check {} {}", believed.display(), run.display());
-            let (_, err) = desk.said(&line, 0);
+            let (_, err) = desk.run_expecting(&line, 0);
             assert_eq!(err, "", "{line}");
         }
     }

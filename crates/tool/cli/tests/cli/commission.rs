@@ -24,7 +24,7 @@ fn begun() -> (Desk, String) {
         let text = fs::read_to_string(&log).unwrap_or_default();
         text.lines().last().is_some_and(|line| line.ends_with("then engage at the CNC"))
     });
-    desk.said("simulate --scenario s.toml --seed 1 -o off.csv", 0);
+    desk.run_expecting("simulate --scenario s.toml --seed 1 -o off.csv", 0);
     let line = format!(
         "commission --machine m.toml --port {port} --for linuxcnc --rpm 24000 --out all --readings"
     );
@@ -38,16 +38,16 @@ fn port(line: &str) -> &str {
 
 /// Writes the indicator's record with compensation: what the fitted file leaves of `quantity`, next to the columns
 /// that `accept` pairs rows by.
-fn with_compensation(desk: &Desk, machine: &str, quantity: &str, kept: &[&str]) {
-    desk.said(&format!("predict --machine {machine} --run off.csv -o predicted.csv"), 0);
+fn with_compensation(desk: &Desk, machine: &str, quantity: &str, retained: &[&str]) {
+    desk.run_expecting(&format!("predict --machine {machine} --run off.csv -o predicted.csv"), 0);
     let run = RunFile::read(&desk.path("predicted.csv")).expect("a run file");
     let column = |name: &str| run.column(name).unwrap_or_else(|| panic!("no {name}"));
     let measured = format!("measured_{quantity}_um");
     let predicted = column(&format!("predicted_{quantity}_um"));
-    let mut text = format!("{},{measured}\n", kept.join(","));
+    let mut text = format!("{},{measured}\n", retained.join(","));
     for (row, (measured, predicted)) in column(&measured).iter().zip(predicted).enumerate() {
         let left = measured - predicted;
-        kept.iter().for_each(|name| text += &format!("{},", column(name)[row]));
+        retained.iter().for_each(|name| text += &format!("{},", column(name)[row]));
         text += &format!("{left:.2}\n");
     }
     desk.write("on.csv", text);
@@ -57,7 +57,7 @@ fn with_compensation(desk: &Desk, machine: &str, quantity: &str, kept: &[&str]) 
 fn a_machine_is_commissioned_in_two_sittings() {
     let (desk, line) = begun();
     desk.write("first.txt", "# the tip went back by\n-9.5\noff.csv\n");
-    let (out, err) = desk.said(&format!("{line} first.txt"), 3);
+    let (out, err) = desk.run_expecting(&format!("{line} first.txt"), 3);
     assert!(!err.contains("all/sign.toml:"), "what pretends on purpose is not doubted: {err}");
     assert!(
         out.ends_with(
@@ -75,7 +75,7 @@ fn a_machine_is_commissioned_in_two_sittings() {
 
     with_compensation(&desk, "all/machine-1.toml", "elongation", &["time_s", "sensor_counts"]);
     desk.write("second.txt", "on.csv\n");
-    let (out, _) = desk.said(&format!("{line} second.txt"), 0);
+    let (out, _) = desk.run_expecting(&format!("{line} second.txt"), 0);
     assert!(out.contains("passed\n") && out.ends_with("accepted; all of it is in all\n"), "{out}");
 
     // A colleague reads what was done, and can do it by hand.
@@ -92,10 +92,10 @@ fn a_machine_is_commissioned_in_two_sittings() {
         assert!(log.contains(phrase), "{phrase}: {log}");
     }
     // It is done, and says so again.
-    desk.said(&format!("{line} second.txt"), 0);
+    desk.run_expecting(&format!("{line} second.txt"), 0);
     // Another machine needs another folder.
     desk.write("m.toml", PAPER.replace("hold_ms = 2000", "hold_ms = 1000"));
-    let (_, err) = desk.said(&format!("{line} second.txt"), 2);
+    let (_, err) = desk.run_expecting(&format!("{line} second.txt"), 2);
     assert!(err.contains("was begun with another machine file"), "{err}");
 }
 
@@ -109,13 +109,13 @@ fn a_wrong_sign_stops_it_before_anything_is_measured() {
         ("ten", "is not a reading in µm"),
     ] {
         desk.write("answers.txt", answer);
-        let (out, err) = desk.said(&format!("{line} answers.txt"), 3);
+        let (out, err) = desk.run_expecting(&format!("{line} answers.txt"), 3);
         assert!(err.contains(phrase), "{answer}: {err}");
         assert!(out.contains("stopped at \"sign test at 10 µm\""), "{out}");
         assert!(!desk.path("all/off-1.csv").exists() && !desk.path("all/program").exists());
         // What the board held is back, whatever became of the test.
         let (out, _) =
-            desk.said(&format!("bridge info --machine m.toml --port {}", port(&line)), 0);
+            desk.run_expecting(&format!("bridge info --machine m.toml --port {}", port(&line)), 0);
         assert!(out.ends_with("m.toml: the bridge runs on it\n"), "{answer}: {out}");
     }
     let saved = desk.files("all").into_iter().filter(|name| name.starts_with("before-"));
@@ -123,14 +123,14 @@ fn a_wrong_sign_stops_it_before_anything_is_measured() {
 }
 
 #[test]
-fn a_run_that_nothing_can_be_fitted_to_is_told_once_and_written_down() {
+fn a_run_that_nothing_can_be_fitted_to_is_reported_once_and_written_down() {
     let (desk, line) = begun();
     desk.write("one.csv", "time_s,sensor_counts,measured_elongation_um\n0,5048,0\n");
     desk.write("answers.txt", "-10\none.csv\n");
-    let (_, err) = desk.said(&format!("{line} answers.txt"), 2);
-    let told = "1 of 1 rows are complete";
-    assert_eq!(err.matches(told).count(), 1, "{err}");
-    assert!(desk.text("all/log.txt").contains(told), "{told}");
+    let (_, err) = desk.run_expecting(&format!("{line} answers.txt"), 2);
+    let message = "1 of 1 rows are complete";
+    assert_eq!(err.matches(message).count(), 1, "{err}");
+    assert!(desk.text("all/log.txt").contains(message), "{message}");
 }
 
 #[test]
@@ -138,7 +138,7 @@ fn what_is_not_enough_is_not_accepted_and_the_next_round_begins() {
     let (desk, line) = begun();
     // Nothing is gone: the same readings again.
     desk.write("answers.txt", "-10\noff.csv\noff.csv\n");
-    let (out, _) = desk.said(&format!("{line} answers.txt"), 3);
+    let (out, _) = desk.run_expecting(&format!("{line} answers.txt"), 3);
     assert!(out.contains("not passed\n") && out.contains("stopped at \"measure without"), "{out}");
     assert!(desk.text("all/commission.json").contains("\"round\": 2"));
     assert!(desk.path("all/accept-1/report.html").exists());
@@ -158,27 +158,28 @@ fn an_axis_is_commissioned_by_its_pitch() {
     let (desk, line) = begun();
     desk.write("m.toml", machine);
     desk.write("s.toml", AXIS);
-    desk.said("simulate --scenario s.toml --seed 1 -o off.csv", 0);
+    desk.run_expecting("simulate --scenario s.toml --seed 1 -o off.csv", 0);
     let line = line.replace("commission", "commission pitch --axis x").replace("--rpm 24000 ", "");
     // The axis stands 10 µm too far for the board, and is brought back.
     desk.write("first.txt", "-10\noff.csv\n");
     // Another machine's board is left alone.
-    let (_, err) = desk.said(&format!("{line} first.txt"), 2);
+    let (_, err) = desk.run_expecting(&format!("{line} first.txt"), 2);
     assert!(err.contains("is of \"mill\", and this bridge works for \"paper\""), "{err}");
     std::fs::remove_dir_all(desk.path("all")).expect("it was begun");
     desk.write("m.toml", machine.replace("mill", "paper"));
     // What this one corrects stays without a yes.
-    let (out, err) = desk.said(&format!("{line} first.txt"), 3);
+    let (out, err) = desk.run_expecting(&format!("{line} first.txt"), 3);
     assert!(err.contains("May the sign test replace it") && out.contains("stopped at"), "{err}");
     desk.write("p.toml", PAPER);
-    let (out, _) = desk.said(&format!("bridge info --machine p.toml --port {}", port(&line)), 0);
+    let (out, _) =
+        desk.run_expecting(&format!("bridge info --machine p.toml --port {}", port(&line)), 0);
     assert!(out.ends_with("p.toml: the bridge runs on it\n"), "{out}");
     desk.write("first.txt", "y\n-10\noff.csv\n");
-    let (out, err) = desk.said(&format!("{line} first.txt"), 3);
+    let (out, err) = desk.run_expecting(&format!("{line} first.txt"), 3);
     assert!(out.contains("stopped at \"measure with compensation\""), "{out}{err}");
     with_compensation(&desk, "all/machine-1.toml", "dx", &["x_mm", "dir_x"]);
     desk.write("second.txt", "on.csv\n");
-    let (out, _) = desk.said(&format!("{line} second.txt"), 0);
+    let (out, _) = desk.run_expecting(&format!("{line} second.txt"), 0);
     assert!(out.ends_with("accepted; all of it is in all\n"), "{out}");
     let log = desk.text("all/log.txt");
     for phrase in [
@@ -190,7 +191,7 @@ fn an_axis_is_commissioned_by_its_pitch() {
         assert!(log.contains(phrase), "{phrase}: {log}");
     }
     let (_, err) =
-        desk.said(&line.replace("pitch", "backlash").replace("--readings", "--rpm 1"), 2);
+        desk.run_expecting(&line.replace("pitch", "backlash").replace("--readings", "--rpm 1"), 2);
     assert!(err.contains("was begun for pitch x; give another folder"), "{err}");
 }
 
@@ -204,10 +205,10 @@ fn ctrl_c_in_the_sign_test_puts_back_what_the_board_held() {
         let mut terminal = Terminal::start(&desk, &line, (140, 50), true);
         terminal.shows(&["how far has the housing moved, in µm"]);
         terminal.press(key);
-        terminal.shows(&["what the bridge held before is put back"]);
+        terminal.shows(&["the previous state of the bridge is restored"]);
         assert_eq!(terminal.ended().code(), Some(3), "{}", terminal.text());
         let (out, _) =
-            desk.said(&format!("bridge info --machine m.toml --port {}", port(&line)), 0);
+            desk.run_expecting(&format!("bridge info --machine m.toml --port {}", port(&line)), 0);
         assert!(out.ends_with("m.toml: the bridge runs on it\n"), "{out}");
     }
 }
@@ -223,14 +224,14 @@ fn what_is_to_be_commissioned_is_asked_where_the_file_does_not_say_it() {
         ("-m m.toml pitch --axis y", "the travel of y is not known"),
         (
             "-m m.toml",
-            "m.toml has no [spindle]: say what is to be commissioned: trueup commission warmup, or pitch",
+            "m.toml has no [spindle]: choose what to commission: trueup commission warmup, or pitch",
         ),
         ("-m m.toml pitch", "say which, --axis x, --axis y or --axis z"),
         ("-m m.toml warmup -a x", "an axis is commissioned by its pitch or its backlash"),
         ("-m m.toml backlash --axis q", "must be x, y or z"),
     ] {
         let line = format!("commission -p tcp:127.0.0.1:1 -f fanuc -o all {words}");
-        let (_, err) = desk.said(line.trim(), 2);
+        let (_, err) = desk.run_expecting(line.trim(), 2);
         assert!(err.contains(phrase), "{words}: {err}");
         assert!(!desk.path("all").exists(), "nothing is begun");
     }

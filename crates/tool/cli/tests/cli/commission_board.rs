@@ -67,14 +67,14 @@ impl Shop {
             .spawn()
             .expect("the tool was built for this test");
         let (line, _) = plant.accept().expect("it connects to its plant");
-        let mut said = BufReader::new(bridge.stderr.take().expect("piped")).lines();
-        let port = said
+        let mut stderr_lines = BufReader::new(bridge.stderr.take().expect("piped")).lines();
+        let port = stderr_lines
             .by_ref()
             .map_while(Result::ok)
             .find_map(|line| Some(line.split_once("line is at ")?.1.replace(" (SLCAN)", "")))
             .expect("it says where it listens");
         // Its pipe must not fill.
-        thread::spawn(move || said.count());
+        thread::spawn(move || stderr_lines.count());
         let now = Arc::<Mutex<Now>>::default();
         let played = now.clone();
         thread::spawn(move || play(&line, &played));
@@ -191,7 +191,7 @@ fn play(mut line: &TcpStream, now: &Mutex<Now>) {
 
 #[test]
 #[ignore = "long: the firmware in QEMU, three sittings of a commissioning"]
-fn somebody_commissions_the_real_firmware_in_three_sittings() {
+fn the_real_firmware_is_commissioned_in_three_sittings() {
     let desk = Desk::new(&[("m.toml", PAPER)]);
     let mut shop = Shop::open(&desk);
     let line = format!(
@@ -239,8 +239,10 @@ fn somebody_commissions_the_real_firmware_in_three_sittings() {
     // What the board runs on is what was fitted, and the gauge has been told the truth.
     shop.at_the_cnc("disengage");
     shop.live(1_000);
-    let (out, _) =
-        desk.said(&format!("bridge info --machine all/machine-1.toml --port {}", shop.port), 0);
+    let (out, _) = desk.run_expecting(
+        &format!("bridge info --machine all/machine-1.toml --port {}", shop.port),
+        0,
+    );
     assert!(out.ends_with("all/machine-1.toml: the bridge runs on it\n"), "{out}");
     let rms_um = |run: &str| {
         let run = RunFile::read(&desk.path(run)).expect("a run file");

@@ -29,7 +29,7 @@ fn rms_against(path: &Path, column: &str) -> f64 {
 #[test]
 fn the_papers_sensor_has_a_gain_and_an_offset() {
     let desk = desk();
-    let (out, _) = desk.said("diagnose --machine m.toml --run run.csv --out d", 0);
+    let (out, _) = desk.run_expecting("diagnose --machine m.toml --run run.csv --out d", 0);
     assert!(out.starts_with("explained: "), "{out}");
     let answer = answer(&desk);
     let causes: Vec<&str> = answer["findings"]
@@ -51,8 +51,8 @@ fn the_papers_sensor_has_a_gain_and_an_offset() {
 #[test]
 fn predict_on_the_extended_file_gives_the_figures_of_after() {
     let desk = desk();
-    desk.said("diagnose --machine m.toml --run run.csv --out d", 0);
-    desk.said("predict --machine d/extended.toml --run run.csv -o p.csv", 0);
+    desk.run_expecting("diagnose --machine m.toml --run run.csv --out d", 0);
+    desk.run_expecting("predict --machine d/extended.toml --run run.csv -o p.csv", 0);
     let answer = answer(&desk);
     let after = answer["after"]["rms_um"].as_f64().expect("a number");
     let there = rms_against(&desk.path("p.csv"), "predicted_elongation_um");
@@ -62,7 +62,7 @@ fn predict_on_the_extended_file_gives_the_figures_of_after() {
 #[test]
 fn json_is_printed_and_the_rows_are_written() {
     let desk = desk();
-    let (out, _) = desk.said("--json diagnose --machine m.toml --run run.csv --out d", 0);
+    let (out, _) = desk.run_expecting("--json diagnose --machine m.toml --run run.csv --out d", 0);
     let printed: Value = serde_json::from_str(&out).expect("JSON and nothing else");
     assert_eq!(printed["schema"], 1);
     assert_eq!(printed["rows"], 15);
@@ -88,21 +88,21 @@ fn two_thermometers(rows: u32) -> Desk {
 #[test]
 fn what_the_board_lacks_for_a_term_is_given_as_lines_and_with_them_the_file_compiles() {
     let desk = two_thermometers(600);
-    let (_, err) = desk.said("diagnose --machine m.toml --run run.csv --out d", 0);
+    let (_, err) = desk.run_expecting("diagnose --machine m.toml --run run.csv --out d", 0);
     let line = "temp_bed_c = { channel = 1, kind = \"pt100\" }";
     assert!(err.contains(line), "{err}");
     assert_eq!(answer(&desk)["missing_inputs"], serde_json::json!([line]));
     assert!(desk.text("d/report.html").contains("temp_bed_c = { channel = 1"));
-    desk.said("compile d/extended.toml -o cal.bin", 2);
+    desk.run_expecting("compile d/extended.toml -o cal.bin", 2);
     let pasted = desk.text("d/extended.toml").replace("[inputs]\n", &format!("[inputs]\n{line}\n"));
     desk.write("pasted.toml", pasted);
-    desk.said("compile pasted.toml -o cal.bin", 0);
+    desk.run_expecting("compile pasted.toml -o cal.bin", 0);
 }
 
 #[test]
 fn a_report_says_what_it_was_made_from_and_is_small_however_long_the_run() {
     let desk = two_thermometers(20_000);
-    desk.said("diagnose --machine m.toml --run run.csv --out d", 0);
+    desk.run_expecting("diagnose --machine m.toml --run run.csv --out d", 0);
     let page = desk.text("d/report.html");
     assert!(page.len() < 200_000, "{} bytes", page.len());
     assert!(page.contains("What is left against temp_"), "{page}");
@@ -121,7 +121,8 @@ fn what_cannot_be_compared_is_refused_with_its_place() {
         ("two.csv", "two.csv:1:1: several quantities are measured: choose one by --quantity dx"),
         ("blind.csv", "blind.csv:1:1: column sensor_counts is missing"),
     ] {
-        let (_, err) = desk.said(&format!("diagnose --machine m.toml --run {run} --out d"), 2);
+        let (_, err) =
+            desk.run_expecting(&format!("diagnose --machine m.toml --run {run} --out d"), 2);
         assert!(err.starts_with(complaint), "{err}");
     }
 }
@@ -133,7 +134,7 @@ fn the_next_run_is_a_program_and_a_run_file_that_is_not_written_over() {
     let first = trial.run(&[(trueup_campaigns::spindle_trial::RATED_RPM, 15.0)], 1);
     let desk = Desk::new(&[("m.toml", &trial.machine), ("first.csv", &first)]);
     let line = "diagnose --machine m.toml --run first.csv --next linuxcnc --out d";
-    let (out, _) = desk.said(line, 3);
+    let (out, _) = desk.run_expecting(line, 3);
     println!("{out}");
     assert!(out.contains("next run, ") && out.contains(" r/min for "), "{out}");
     assert!(out.contains("times the noise of a reading"), "{out}");
@@ -153,12 +154,12 @@ fn the_next_run_is_a_program_and_a_run_file_that_is_not_written_over() {
     desk.write("d/next.csv", &second);
     assert!(matches!(desk.trueup(then).status.code(), Some(0 | 3)));
     desk.write("d/next.csv", template.replacen(",,", ",20.5,", 1));
-    let (_, error) = desk.said(line, 2);
+    let (_, error) = desk.run_expecting(line, 2);
     assert!(error.contains("is there already, and not empty"), "{error}");
     // What is claimed asks for nothing.
     desk.write("run.csv", TABLE);
     desk.write("paper.toml", PAPER);
     let (out, _) =
-        desk.said("diagnose --machine paper.toml --run run.csv --next siemens --out e", 0);
+        desk.run_expecting("diagnose --machine paper.toml --run run.csv --next siemens --out e", 0);
     assert!(out.contains("next run: no cause is open"), "{out}");
 }

@@ -39,11 +39,11 @@ fn a_whole_export_ends_with_0_and_leaves_its_files_and_both_reports() {
         ("fanuc", &["CNC-PARA.TXT", "PITCH.TXT"]),
     ] {
         let line = format!("export m.toml --format {format} -o out/{format} --unit-um {UNIT_UM}");
-        let (out, err) = desk.said(&line, 0);
+        let (out, err) = desk.run_expecting(&line, 0);
         assert!(err.is_empty() && out.contains("largest difference of all: "), "{out}{err}");
-        let mut wanted: Vec<&str> = [files, &["report.txt", "report.json"]].concat();
-        wanted.sort_unstable();
-        assert_eq!(desk.files(&format!("out/{format}")), wanted);
+        let mut expected: Vec<&str> = [files, &["report.txt", "report.json"]].concat();
+        expected.sort_unstable();
+        assert_eq!(desk.files(&format!("out/{format}")), expected);
         let report = desk.text(&format!("out/{format}/report.txt"));
         assert!(out.starts_with(&report), "what is printed is what is beside the files");
     }
@@ -52,22 +52,22 @@ fn a_whole_export_ends_with_0_and_leaves_its_files_and_both_reports() {
 }
 
 #[test]
-fn what_is_left_out_ends_with_3_and_stands_in_the_json() {
+fn what_is_omitted_ends_with_3_and_stands_in_the_json() {
     let desk = desk_with(&format!("{PITCH}{HOT}"));
-    let (out, _) = desk.said("export m.toml --format linuxcnc -o out --json", 3);
+    let (out, _) = desk.run_expecting("export m.toml --format linuxcnc -o out --json", 3);
     let json: serde_json::Value = serde_json::from_str(&out).expect("it is JSON");
     assert_eq!(json["left_out"][0]["section"], "spindle.temperature");
     assert_eq!(json["files"][0], "x.comp");
     assert_eq!(json["whole"], false);
     assert_eq!(json["tables"][0]["points"], 3);
-    let beside = desk.text("out/report.json");
-    assert_eq!(serde_json::from_str::<serde_json::Value>(&beside).expect("JSON as well"), json);
+    let adjacent = desk.text("out/report.json");
+    assert_eq!(serde_json::from_str::<serde_json::Value>(&adjacent).expect("JSON as well"), json);
 }
 
 #[test]
 fn a_fanuc_export_that_is_off_by_micrometres_ends_with_3() {
     let desk = desk_with(PITCH);
-    let (out, _) = desk.said("export m.toml --format fanuc -o out", 3);
+    let (out, _) = desk.run_expecting("export m.toml --format fanuc -o out", 3);
     assert!(out.contains("each value is given out at once") && out.contains("2.5 µm off"), "{out}");
     assert!(desk.path("out/PITCH.TXT").exists());
 }
@@ -76,7 +76,7 @@ fn a_fanuc_export_that_is_off_by_micrometres_ends_with_3() {
 fn what_cannot_be_held_at_all_ends_with_2_and_writes_nothing() {
     let hot = format!("[machine]\nname = \"hot\"\nkind = \"3-axis\"\n{HOT}");
     let desk = desk_with(&hot);
-    let (out, err) = desk.said("export m.toml --format linuxcnc -o out", 2);
+    let (out, err) = desk.run_expecting("export m.toml --format linuxcnc -o out", 2);
     assert!(out.is_empty() && err.starts_with("m.toml: nothing of the model"), "{out}{err}");
     assert!(!desk.path("out").exists());
 }
@@ -85,7 +85,7 @@ fn what_cannot_be_held_at_all_ends_with_2_and_writes_nothing() {
 fn options_reach_the_files_and_wrong_ones_are_refused() {
     let desk = desk_with(PITCH);
     let line = "export m.toml --format siemens-840d -o out --reference x=100 --units inch";
-    desk.said(line, 0);
+    desk.run_expecting(line, 0);
     let eec = desk.text("out/AX_EEC.INI");
     assert!(eec.contains("$AA_ENC_COMP[0,1,AX1]=0\n"), "0 at the reference point: {eec}");
     assert!(eec.contains("$AA_ENC_COMP[0,0,AX1]=-0.0000787\n"), "-2 µm in inches: {eec}");
@@ -97,17 +97,18 @@ fn options_reach_the_files_and_wrong_ones_are_refused() {
         ("--max-points 1", "must be at least 2"),
         ("--temperature 30", "must be like temp_x_c=30"),
     ] {
-        let (_, err) = desk.said(&format!("export m.toml --format siemens-840d -o out {wrong}"), 2);
+        let (_, err) =
+            desk.run_expecting(&format!("export m.toml --format siemens-840d -o out {wrong}"), 2);
         assert!(err.contains(rule), "{wrong}: {err}");
     }
-    let (_, err) = desk.said("export m.toml --format g-code -o out", 2);
+    let (_, err) = desk.run_expecting("export m.toml --format g-code -o out", 2);
     assert!(err.contains("siemens-840d"), "{err}");
 }
 
 #[test]
 fn a_folder_that_is_a_file_is_refused() {
     let desk = desk_with(PITCH);
-    let (_, err) = desk.said("export m.toml --format linuxcnc -o m.toml", 2);
+    let (_, err) = desk.run_expecting("export m.toml --format linuxcnc -o m.toml", 2);
     assert!(err.starts_with("m.toml: the folder cannot be created"), "{err}");
     assert_eq!(desk.text("m.toml"), PITCH);
 }

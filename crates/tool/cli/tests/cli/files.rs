@@ -22,12 +22,12 @@ fn desk() -> Desk {
 impl Desk {
     /// Standard output of a run that must end with `code`.
     fn printed(&self, line: &str, code: i32) -> String {
-        self.said(line, code).0
+        self.run_expecting(line, code).0
     }
 
     /// Returns the one line on standard error of a run that must refuse its input and print no result.
     fn refused(&self, line: &str) -> String {
-        let (out, err) = self.said(line, 2);
+        let (out, err) = self.run_expecting(line, 2);
         assert_eq!(out, "", "{line}: {err}");
         assert_eq!(err.lines().count(), 1, "{line}: {err}");
         err
@@ -87,12 +87,13 @@ fn predict_writes_the_run_with_both_predictions() {
 fn predict_prints_json_if_asked() {
     let desk = desk();
     desk.write("run.csv", "sensor_counts\n9164\nnan\n40000\n");
-    let (out, err) = desk.said("predict --json --machine m.toml --run run.csv -o out.csv", 0);
-    let told = json(&out);
-    assert_eq!(told["output"], "out.csv");
-    assert_eq!((&told["rows"], &told["rows_without_counts"]), (&3.into(), &1.into()));
-    assert_eq!(told["rows_out_of_range"], 1);
-    assert!(told["largest_difference_nm"].as_f64().expect("a number") < 1.0);
+    let (out, err) =
+        desk.run_expecting("predict --json --machine m.toml --run run.csv -o out.csv", 0);
+    let document = json(&out);
+    assert_eq!(document["output"], "out.csv");
+    assert_eq!((&document["rows"], &document["rows_without_counts"]), (&3.into(), &1.into()));
+    assert_eq!(document["rows_out_of_range"], 1);
+    assert!(document["largest_difference_nm"].as_f64().expect("a number") < 1.0);
     let warning = json(&err);
     assert_eq!(
         warning["message"],
@@ -107,7 +108,7 @@ fn predict_needs_no_inputs_but_says_what_is_missing() {
     let inputs = PAPER.find("[inputs]").expect("the paper's has inputs");
     let spindle = PAPER.find("[spindle]").expect("the paper's has a spindle");
     desk.write("m.toml", [&PAPER[..inputs], &PAPER[spindle..]].concat());
-    let (out, err) = desk.said("predict --machine m.toml --run run.csv -o out.csv", 0);
+    let (out, err) = desk.run_expecting("predict --machine m.toml --run run.csv -o out.csv", 0);
     assert_eq!(out, "out.csv: 15 rows\n");
     let warning = "warning: m.toml: the bridge's columns stay empty: without [inputs] sensor";
     assert!(err.starts_with(warning), "{err}");
@@ -120,7 +121,7 @@ fn predict_needs_no_inputs_but_says_what_is_missing() {
 fn predict_goes_on_where_the_board_could_not_and_says_why() {
     let desk = desk();
     desk.write("steep.toml", PAPER.replace("0.0152587890625", "9.0"));
-    let (_, err) = desk.said("predict --machine steep.toml --run run.csv -o out.csv", 0);
+    let (_, err) = desk.run_expecting("predict --machine steep.toml --run run.csv -o out.csv", 0);
     let warning = "warning: steep.toml: the bridge's columns stay empty: steep.toml:16:16: \
                    spindle.sensor.um_per_count 9 is";
     assert!(err.contains(warning), "{err}");
@@ -140,10 +141,15 @@ fn predict_ends_with_3_where_the_board_is_further_off_than_compile_promised() {
     // 283 mm of growth are beyond what a sum of errors may be; 1.1 mm are none.
     for (celsius, mm, code) in [(840, 30_000, 3), (30, 9_000, 0)] {
         desk.write("hot.csv", format!("time_s,x_mm,temp_a_c\n0,0,20\n600,{mm},{celsius}\n"));
-        let (out, err) = desk.said("predict --machine hot.toml --run hot.csv -o out.csv", code);
+        let (out, err) =
+            desk.run_expecting("predict --machine hot.toml --run hot.csv -o out.csv", code);
         assert!(out.starts_with("out.csv: 2 rows\n"), "it is written: {out}");
-        let told = "hot.csv:3:1: the bridge is ";
-        assert_eq!(err.contains(told) && err.contains("compile has promised"), code == 3, "{err}");
+        let message = "hot.csv:3:1: the bridge is ";
+        assert_eq!(
+            err.contains(message) && err.contains("compile has promised"),
+            code == 3,
+            "{err}"
+        );
     }
 }
 
@@ -154,14 +160,14 @@ fn compile_and_export_take_the_machine_file_as_a_word_or_behind_m_and_not_both()
     let desk = Desk::new(&[("m.toml", &machine)]);
     for command in ["compile M -o cal.bin", "export M --format linuxcnc -o tables"] {
         let line = |machine: &str| command.replace(" M ", machine);
-        let said: Vec<_> = [" m.toml ", " -m m.toml ", " --machine m.toml "]
+        let outputs: Vec<_> = [" m.toml ", " -m m.toml ", " --machine m.toml "]
             .map(|machine| desk.trueup(&line(machine)))
             .into();
-        assert!(said.iter().all(|output| output.status == said[0].status), "{said:?}");
-        assert!(said.iter().all(|output| output.stdout == said[0].stdout), "{said:?}");
-        assert!(!said[0].stdout.is_empty(), "{said:?}");
+        assert!(outputs.iter().all(|output| output.status == outputs[0].status), "{outputs:?}");
+        assert!(outputs.iter().all(|output| output.stdout == outputs[0].stdout), "{outputs:?}");
+        assert!(!outputs[0].stdout.is_empty(), "{outputs:?}");
         for machine in [" ", " m.toml -m m.toml "] {
-            let (out, err) = desk.said(&line(machine), 2);
+            let (out, err) = desk.run_expecting(&line(machine), 2);
             assert!(out.is_empty() && err.contains("--machine <M.toml>"), "{err}");
         }
     }
@@ -211,8 +217,8 @@ fn bad_input_ends_with_2_its_place_and_an_untouched_output() {
         ("show m.toml", "m.toml: bytes "),
         ("show no.bin", "no.bin: cannot be read: "),
     ] {
-        let told = desk.refused(line);
-        assert!(told.starts_with(complaint), "{line}: {told}");
+        let message = desk.refused(line);
+        assert!(message.starts_with(complaint), "{line}: {message}");
     }
     assert_eq!(desk.read("out.csv"), b"keep me");
     assert_eq!(desk.read("cal.bin"), b"keep me too");
@@ -224,10 +230,10 @@ fn bad_input_ends_with_2_its_place_and_an_untouched_output() {
 fn a_wrong_command_line_ends_with_2() {
     let desk = desk();
     for line in ["", "pridect", "compile m.toml", "predict --machine m.toml -o out.csv", "bridge"] {
-        desk.said(line, 2);
+        desk.run_expecting(line, 2);
     }
     for line in ["--help", "--version", "bridge monitor --help"] {
-        desk.said(line, 0);
+        desk.run_expecting(line, 0);
     }
 }
 
@@ -255,14 +261,14 @@ fn what_is_compiled_is_shown_and_compiles_to_the_same_bytes() {
     // 642 228 units of 1/1024 of a code.
     assert!(shown.contains("\nzero_counts = 627.17578125\n"), "{shown}");
     desk.write("shown.toml", &shown);
-    let told = json(&desk.printed("compile shown.toml -o again.bin --json", 0));
-    assert_eq!(told["bytes"], PAPER_BYTES);
-    assert_eq!(told["largest_difference_nm"], 0.0);
+    let document = json(&desk.printed("compile shown.toml -o again.bin --json", 0));
+    assert_eq!(document["bytes"], PAPER_BYTES);
+    assert_eq!(document["largest_difference_nm"], 0.0);
     assert_eq!(desk.read("again.bin"), blob);
 
-    let told = json(&desk.printed("--json show cal.bin", 0));
-    assert_eq!(told["toml"].as_str().expect("a text").trim_end(), shown.trim_end());
-    assert_eq!(told["does_not_compile_back"], serde_json::Value::Null);
+    let document = json(&desk.printed("--json show cal.bin", 0));
+    assert_eq!(document["toml"].as_str().expect("a text").trim_end(), shown.trim_end());
+    assert_eq!(document["does_not_compile_back"], serde_json::Value::Null);
 }
 
 #[test]
@@ -278,8 +284,8 @@ fn a_damaged_calibration_is_refused_with_the_place_of_the_damage() {
         ("show flipped.bin", "flipped.bin: the CRC at the end is "),
         ("show cut.bin", "cut.bin: 612 bytes are too short"),
     ] {
-        let told = desk.refused(line);
-        assert!(told.starts_with(complaint), "{told}");
+        let message = desk.refused(line);
+        assert!(message.starts_with(complaint), "{message}");
     }
 }
 
@@ -293,8 +299,8 @@ fn a_calibration_that_no_machine_file_gives_is_shown_and_ends_with_3() {
     desk.write("stuck.bin", encode(&calibration, &mut [0; MAX_BLOB_SIZE]).expect("it fits"));
     let shown = desk.printed("show stuck.bin", 3);
     assert!(shown.contains("\nslew_um_per_s = 0.0\n"), "{shown}");
-    let told = json(&desk.printed("show stuck.bin --json", 3));
-    let reason = told["does_not_compile_back"].as_str().expect("a reason");
+    let document = json(&desk.printed("show stuck.bin --json", 3));
+    let reason = document["does_not_compile_back"].as_str().expect("a reason");
     assert!(reason.contains("slew_um_per_s"), "{reason}");
 }
 

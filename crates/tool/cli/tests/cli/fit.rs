@@ -20,7 +20,7 @@ impl Desk {
 
     /// Root mean square of measured minus predicted of `quantity`, by the tool itself.
     fn predicted_rms(&self, machine: &str, run: &str, quantity: &str) -> f64 {
-        self.said(&format!("predict --machine {machine} --run {run} -o predicted.csv"), 0);
+        self.run_expecting(&format!("predict --machine {machine} --run {run} -o predicted.csv"), 0);
         let run = RunFile::read(&self.path("predicted.csv")).expect("just written");
         let measured = run.require_column(&format!("measured_{quantity}_um")).expect("measured");
         let predicted = run.require_column(&format!("predicted_{quantity}_um")).expect("predicted");
@@ -53,12 +53,15 @@ fn elongation_by_the_sensor_goes_into_the_users_own_file() {
     let desk = desk();
     desk.write("run.csv", include_str!("../../../../../data/spindle_paper_table1.csv"));
     let line = "fit elongation --run run.csv --machine m.toml -o out.toml";
-    let (out, _) = desk.said(line, 0);
+    let (out, _) = desk.run_expecting(line, 0);
     assert!(out.starts_with("elongation of measured_elongation_um: fitted\n"), "{out}");
-    assert!(out.contains("15 rows used, 0 incomplete, 0 set aside\nwritten to out.toml"), "{out}");
+    assert!(
+        out.contains("15 rows used, 0 incomplete, 0 excluded as outliers\nwritten to out.toml"),
+        "{out}"
+    );
     assert!(desk.text("out.toml").starts_with(MACHINE), "{}", desk.text("out.toml"));
     let rms = desk.predicted_rms("out.toml", "run.csv", "elongation");
-    let (json, _) = desk.said(&format!("--json {line}"), 0);
+    let (json, _) = desk.run_expecting(&format!("--json {line}"), 0);
     assert!((rms - number(&json, "/in_sample/rms_um")).abs() < 1e-3 && rms < 0.84, "{rms}");
     assert!(number(&json, "/left_out/rms_um") < 0.95);
 }
@@ -73,13 +76,13 @@ fn elongation_by_a_temperature_is_asked_for() {
         writeln!(text, "{},{warm},{},{y}", 60 * row, 20 + row % 3).expect("a string");
     }
     desk.write("run.csv", text);
-    let (_, err) = desk.said("fit elongation --run run.csv -o out.toml", 2);
+    let (_, err) = desk.run_expecting("fit elongation --run run.csv -o out.toml", 2);
     assert_eq!(
         err,
         "run.csv:1:1: name the temperature that explains it with --temperature: there are \
          temp_a_c, temp_b_c\n"
     );
-    desk.said(
+    desk.run_expecting(
         "fit elongation --run run.csv --machine m.toml --temperature temp_a_c -o out.toml",
         0,
     );
@@ -101,7 +104,7 @@ fn warmup_from_two_runs_at_two_speeds() {
         desk.write(name, text);
     }
     let line = "fit warmup --run slow.csv --run fast.csv --machine m.toml -o out.toml --json";
-    let (json, _) = desk.said(line, 0);
+    let (json, _) = desk.run_expecting(line, 0);
     assert!((number(&json, "/parameters/speed_exponent/value") - 1.0).abs() < 0.02, "{json}");
     assert!((number(&json, "/parameters/time_constant_s/value") - 1500.0).abs() < 40.0, "{json}");
     for run in ["slow.csv", "fast.csv"] {
@@ -125,13 +128,13 @@ fn thermal_does_not_fit_what_other_sections_say_already() {
         writeln!(text, "{},{x},{warm},{y}", 30 * row).expect("a string");
     }
     desk.write("run.csv", text);
-    desk.said("fit thermal --run run.csv --machine m.toml -o out.toml", 0);
+    desk.run_expecting("fit thermal --run run.csv --machine m.toml -o out.toml", 0);
     let thermal = desk.machine("out.toml").axes[0].thermal.clone().expect("written");
     assert!((thermal.slope_um_per_m_per_c - 12.0).abs() < 0.1, "{thermal:?}");
     assert!((thermal.reference_c - 21.0).abs() < 0.1, "{thermal:?}");
     assert!(desk.predicted_rms("out.toml", "run.csv", "dx") < 0.25);
     // The machine file may be named twice.
-    desk.said("fit thermal --run run.csv --machine m.toml -o m.toml", 0);
+    desk.run_expecting("fit thermal --run run.csv --machine m.toml -o m.toml", 0);
     assert_eq!(desk.text("m.toml"), desk.text("out.toml"));
 }
 
@@ -145,7 +148,7 @@ fn pitch_and_backlash_of_real_axes() {
     desk.write("x.csv", fs::read(x).expect("readable"));
     desk.write("muts.csv", fs::read(muts).expect("readable"));
     let line = "fit pitch --run x.csv --machine m.toml --repeats 1,2,3 -o out.toml";
-    let (out, _) = desk.said(line, 0);
+    let (out, _) = desk.run_expecting(line, 0);
     println!("{out}");
     // The repeats 4 and 5, which were not fitted.
     let text = desk.text("x.csv");
@@ -157,11 +160,11 @@ fn pitch_and_backlash_of_real_axes() {
     let rms = desk.predicted_rms("out.toml", "unseen.csv", "dx");
     println!("x, on repeats that were not fitted: {rms:.2} µm RMS");
     assert!(rms < 5.5, "{rms}");
-    let (out, _) = desk.said("fit backlash --run x.csv --machine m.toml -o lash.toml", 0);
+    let (out, _) = desk.run_expecting("fit backlash --run x.csv --machine m.toml -o lash.toml", 0);
     println!("{out}");
     let width = desk.machine("lash.toml").axes[0].backlash.expect("written").width_um;
     assert!((-30.0..-20.0).contains(&width), "{width}");
-    let (out, _) = desk.said("fit pitch --run muts.csv --machine m.toml -o none.toml", 3);
+    let (out, _) = desk.run_expecting("fit pitch --run muts.csv --machine m.toml -o none.toml", 3);
     assert!(out.starts_with("pitch of measured_dx_um: do not compensate\n"), "{out}");
     assert!(out.ends_with("nothing is written\n") && !desk.path("none.toml").exists(), "{out}");
 }
@@ -201,7 +204,7 @@ fn a_gantry_with_two_drives_gets_both_tables_and_one_run_says_which_stays() {
     }
     desk.write("nowhere.csv", beam_run(0.0, false));
     let both = "fit pitch --machine gantry.toml --run one.csv --run two.csv -o both.toml";
-    let (out, _) = desk.said(both, 0);
+    let (out, _) = desk.run_expecting(both, 0);
     println!("{out}");
     for run in ["one.csv", "two.csv", "between.csv"] {
         let rms = desk.predicted_rms("both.toml", run, "dx");
@@ -213,18 +216,19 @@ fn a_gantry_with_two_drives_gets_both_tables_and_one_run_says_which_stays() {
 
     // One run: the other table stays, and that is said with what it costs to leave it.
     for run in ["one.csv", "nowhere.csv"] {
-        let (out, told) =
-            desk.said(&format!("fit pitch --machine gantry.toml --run {run} -o one.toml"), 0);
-        let said = format!("{out}{told}");
-        assert!(said.contains("[axis.x.dual] pitch, stays as it is, 0 everywhere"), "{said}");
-        assert!(said.contains("Y at 3000 mm, and --run twice"), "{said}");
+        let (out, stderr) = desk
+            .run_expecting(&format!("fit pitch --machine gantry.toml --run {run} -o one.toml"), 0);
+        let message = format!("{out}{stderr}");
+        assert!(message.contains("[axis.x.dual] pitch, stays as it is, 0 everywhere"), "{message}");
+        assert!(message.contains("Y at 3000 mm, and --run twice"), "{message}");
     }
     assert!(desk.predicted_rms("one.toml", "two.csv", "dx") > 10.0);
-    let (_, told) = desk.said("fit pitch --machine gantry.toml --run between.csv -o no.toml", 2);
-    assert!(told.contains("y_mm is 900: the two drives are at 0 and 3000 mm"), "{told}");
-    let (_, told) =
-        desk.said("fit pitch --machine gantry.toml --run one.csv --run one.csv -o no.toml", 2);
-    assert!(told.contains("is of the same drive as another run"), "{told}");
+    let (_, stderr) =
+        desk.run_expecting("fit pitch --machine gantry.toml --run between.csv -o no.toml", 2);
+    assert!(stderr.contains("y_mm is 900: the two drives are at 0 and 3000 mm"), "{stderr}");
+    let (_, stderr) = desk
+        .run_expecting("fit pitch --machine gantry.toml --run one.csv --run one.csv -o no.toml", 2);
+    assert!(stderr.contains("is of the same drive as another run"), "{stderr}");
 }
 
 #[test]
@@ -247,18 +251,18 @@ fn straightness_of_a_real_bed() {
     let desk = desk();
     desk.write("even.csv", even);
     desk.write("odd.csv", odd);
-    let (json, _) =
-        desk.said("fit straightness --run even.csv --machine m.toml -o out.toml --json", 0);
+    let (json, _) = desk
+        .run_expecting("fit straightness --run even.csv --machine m.toml -o out.toml --json", 0);
     let coefficients = number(&json, "/facts/coefficients");
     let rms = desk.predicted_rms("out.toml", "odd.csv", "dz");
     println!("bed: {coefficients} coefficients, on the odd points {rms:.3} µm RMS");
     assert!(rms < 0.8 && coefficients < 40.0, "{coefficients}: {rms}");
     // A tolerance below the noise is not reached, and that is said.
     let line = "fit straightness --run even.csv --tolerance-um 0.001 -o tight.toml";
-    let (out, _) = desk.said(line, 3);
+    let (out, _) = desk.run_expecting(line, 3);
     assert!(out.contains("not reached: the largest residual is "), "{out}");
-    let (json, _) =
-        desk.said("fit straightness --run even.csv --tolerance-um 5 -o loose.toml --json", 0);
+    let (json, _) = desk
+        .run_expecting("fit straightness --run even.csv --tolerance-um 5 -o loose.toml --json", 0);
     assert!(
         number(&json, "/in_sample/max_um") <= 5.0 && number(&json, "/facts/coefficients") < 9.0
     );
@@ -284,19 +288,19 @@ fn ways_to_a_curve_stand_side_by_side_on_curves_and_diagonals() {
     }
     let line =
         "fit table1 --run x.csv --run xy.csv --run y.csv --tolerance-um 0.5 --feed 6000 -o t.html";
-    let (out, _) = desk.said(line, 0);
+    let (out, _) = desk.run_expecting(line, 0);
     println!("{out}");
     for entry in ["z_of_x, 60", "z_of_y, 60", "dz on the diagonal of x and y, 60"] {
         assert!(out.contains(&format!("{entry} positions\n  without: range ")), "{out}");
     }
     assert_eq!(out.matches("  straight lines: range 0.00 µm, mean 0.00 µm").count(), 3, "{out}");
     assert!(desk.text("t.html").contains("<svg"));
-    let (json, _) = desk.said(&format!("{line} --json"), 0);
+    let (json, _) = desk.run_expecting(&format!("{line} --json"), 0);
     // Along the diagonal each axis has 1/√2 of the feed.
     let jump = |entry| number(&json, &format!("/entries/{entry}/ways/4/jump_mm_per_s"));
     let most = f64::max(jump(0), jump(1));
     assert!((jump(2) - most / 2_f64.sqrt()).abs() < 1e-9 && most > 0.0, "{json}");
-    let (_, error) = desk.said("fit table1 --run xy.csv -o t.html", 2);
+    let (_, error) = desk.run_expecting("fit table1 --run xy.csv -o t.html", 2);
     assert!(error.contains("give the run of z over x alone by --run as well"), "{error}");
 }
 
@@ -304,7 +308,7 @@ fn ways_to_a_curve_stand_side_by_side_on_curves_and_diagonals() {
 fn without_a_machine_file_the_section_alone_is_written() {
     let desk = desk();
     desk.write("run.csv", include_str!("../../../../../data/spindle_paper_table1.csv"));
-    desk.said("fit elongation --run run.csv -o section.toml", 0);
+    desk.run_expecting("fit elongation --run run.csv -o section.toml", 0);
     let section = desk.text("section.toml");
     assert!(section.contains("\n[spindle.sensor]\nk0_um = "), "{section}");
     desk.write("whole.toml", format!("{MACHINE}[spindle]\nsource = \"sensor\"\n{section}"));
@@ -345,7 +349,7 @@ fn bad_input_ends_with_2_and_one_line_and_writes_nothing() {
              measured_elongation_um\n",
         ),
     ] {
-        let (out, err) = desk.said(line, 2);
+        let (out, err) = desk.run_expecting(line, 2);
         assert_eq!((out.as_str(), err.as_str()), ("", expected), "{line}");
         assert!(!desk.path("out.toml").exists(), "{line}");
     }
@@ -370,7 +374,7 @@ fn a_circle_gives_causes_sections_and_a_page_with_the_polar_plot() {
     // 4 µm of sin 2φ at 100 mm are 80 µm/m.
     desk.write("run.csv", circle_csv(|angle, _| 3.0 + 4.0 * (2.0 * angle).sin()));
     let line = "fit circle --run run.csv --machine m.toml -o out.toml --out page";
-    let (out, _) = desk.said(line, 0);
+    let (out, _) = desk.run_expecting(line, 0);
     assert!(out.contains("squareness (written)"), "{out}");
     let squareness = &desk.machine("out.toml").squareness[0];
     assert!((squareness.um_per_m - 80.0).abs() < 0.5, "{squareness:?}");
@@ -380,7 +384,8 @@ fn a_circle_gives_causes_sections_and_a_page_with_the_polar_plot() {
     assert_eq!(number(&json, "/planes/0/radius_mm").round(), 100.0);
     assert!((number(&json, "/findings/0/parameters/um_per_m/value") - 80.0).abs() < 0.5);
     // The file explains it now: nothing is left, and nothing is written.
-    let (out, _) = desk.said("fit circle --run run.csv --machine out.toml -o again.toml", 0);
+    let (out, _) =
+        desk.run_expecting("fit circle --run run.csv --machine out.toml -o again.toml", 0);
     assert!(out.contains("circle: clean") && out.contains("nothing is written"), "{out}");
     assert!(!desk.path("again.toml").exists());
 }
@@ -391,13 +396,13 @@ fn a_circle_in_one_direction_or_without_readings_says_what_to_do() {
     let both = circle_csv(|angle, _| 4.0 * (2.0 * angle).sin());
     let one: String = both.lines().take(721).map(|line| format!("{line}\n")).collect();
     desk.write("one.csv", one);
-    let (out, _) = desk.said("fit circle --run one.csv -o out.toml", 3);
+    let (out, _) = desk.run_expecting("fit circle --run one.csv -o out.toml", 3);
     assert!(out.contains("not claimed") && out.contains("other direction"), "{out}");
     desk.write("line.csv", "x_mm,measured_dr_um\n1,2\n2,3\n3,4\n");
-    let (_, err) = desk.said("fit circle --run line.csv -o out.toml", 2);
+    let (_, err) = desk.run_expecting("fit circle --run line.csv -o out.toml", 2);
     assert!(err.contains("needs two of x_mm, y_mm and z_mm that move"), "{err}");
     desk.write("dx.csv", "x_mm,y_mm,measured_dx_um\n1,2,3\n");
-    let (_, err) = desk.said("fit circle --run dx.csv -o out.toml", 2);
+    let (_, err) = desk.run_expecting("fit circle --run dx.csv -o out.toml", 2);
     assert!(err.contains("column measured_dr_um is missing"), "{err}");
 }
 
@@ -426,7 +431,7 @@ fn balls_give_the_errors_of_the_volume_and_what_one_tool_does_not_show() {
     desk.write("chain.toml", machine.replace("tool.length_mm", "[tool]\nlength_mm"));
     desk.write("run.csv", balls_csv());
     let line = "fit volume --run run.csv --machine chain.toml -o out.toml --instrument-um 0.2 --scale-um-per-m 1";
-    let (out, _) = desk.said(line, 0);
+    let (out, _) = desk.run_expecting(line, 0);
     assert!(out.contains("written to out.toml"), "{out}");
     assert!(desk.text("out.html").contains("EAX over X"));
     let fitted = desk.machine("out.toml");
@@ -436,7 +441,7 @@ fn balls_give_the_errors_of_the_volume_and_what_one_tool_does_not_show() {
     assert!(fitted.volume.angular.iter().any(|motion| motion.name() == "eax"), "{out}");
     // One tool: what Z turns by looks like its straightness.
     assert!(out.contains("not known by itself") && out.contains("100 mm longer"), "{out}");
-    let (json, _) = desk.said(&format!("{line} --json"), 0);
+    let (json, _) = desk.run_expecting(&format!("{line} --json"), 0);
     let json: serde_json::Value = serde_json::from_str(&json).expect("JSON");
     let eax =
         json["errors"].as_array().expect("a list").iter().find(|error| error["error"] == "EAX");
@@ -447,6 +452,6 @@ fn balls_give_the_errors_of_the_volume_and_what_one_tool_does_not_show() {
         "{eax}"
     );
     assert!((eax["size"].as_f64().expect("a number") - 40.0).abs() < 4.0, "{eax}");
-    let (_, err) = desk.said("fit volume --run run.csv --machine m.toml -o out.toml", 2);
+    let (_, err) = desk.run_expecting("fit volume --run run.csv --machine m.toml -o out.toml", 2);
     assert!(err.contains("machine.chain is missing"), "{err}");
 }

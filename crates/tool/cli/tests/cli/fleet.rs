@@ -41,7 +41,7 @@ fn desk_with(jobs: usize) -> Desk {
     for job in 0..jobs {
         let name = format!("r{job}.csv");
         desk.write(&name, run(job as u64, 10.0));
-        desk.said(
+        desk.run_expecting(
             &format!("fleet submit --dir shop --machine m.toml --run {name} --name M{job}"),
             0,
         );
@@ -50,7 +50,7 @@ fn desk_with(jobs: usize) -> Desk {
 }
 
 fn status(desk: &Desk) -> Value {
-    let (out, _) = desk.said("--json fleet status --dir shop", 0);
+    let (out, _) = desk.run_expecting("--json fleet status --dir shop", 0);
     serde_json::from_str(&out).expect("JSON")
 }
 
@@ -68,10 +68,10 @@ fn worker(desk: &Desk, lease_s: f64) -> Child {
 #[test]
 fn a_result_has_the_bytes_of_diagnose() {
     let desk = desk_with(2);
-    let (out, _) = desk.said("fleet worker --dir shop --threads 2 --until-empty", 0);
+    let (out, _) = desk.run_expecting("fleet worker --dir shop --threads 2 --until-empty", 0);
     assert!(out.starts_with("2 done, 0 failed"), "{out}");
-    let (out, _) =
-        desk.said("--json fleet submit --dir shop --machine m.toml --run r1.csv --name M1", 0);
+    let (out, _) = desk
+        .run_expecting("--json fleet submit --dir shop --machine m.toml --run r1.csv --name M1", 0);
     let submitted: Value = serde_json::from_str(&out).expect("JSON");
     assert_eq!(submitted["new"], false);
     let id = submitted["id"].as_str().expect("an identifier");
@@ -134,13 +134,13 @@ fn the_odd_machine_of_a_series_is_named_though_the_others_are_clean() {
     for machine in 0..8 {
         let um_per_m = if machine == 5 { 6.0 } else { 0.2 * generator.normal() };
         desk.write("r.csv", run(machine, um_per_m));
-        desk.said(
+        desk.run_expecting(
             &format!("fleet submit --dir shop --machine m.toml --run r.csv --name M{machine}"),
             0,
         );
     }
-    desk.said("fleet worker --dir shop --threads 2 --until-empty", 0);
-    let (out, _) = desk.said("fleet diagnose --dir shop --out series", 3);
+    desk.run_expecting("fleet worker --dir shop --threads 2 --until-empty", 0);
+    let (out, _) = desk.run_expecting("fleet diagnose --dir shop --out series", 3);
     assert!(out.contains("M5 is unlike the others: dx pitch-scale um_per_m is "), "{out}");
     let series: Value = serde_json::from_str(&desk.text("series/fleet.json")).expect("JSON");
     let list = |of: &'_ Value| of.as_array().cloned().unwrap_or_default();
@@ -171,28 +171,31 @@ fn a_constant_that_changes_over_dated_records_drifts() {
     {
         let name = format!("mill-{day}.csv");
         desk.write(&name, run(seed as u64, um_per_m));
-        desk.said(&format!("fleet submit --dir shop --machine m.toml --run {name} --name M"), 0);
+        desk.run_expecting(
+            &format!("fleet submit --dir shop --machine m.toml --run {name} --name M"),
+            0,
+        );
     }
-    desk.said("fleet worker --dir shop --until-empty", 0);
-    let (out, _) = desk.said("fleet diagnose --dir shop --out series", 3);
+    desk.run_expecting("fleet worker --dir shop --until-empty", 0);
+    let (out, _) = desk.run_expecting("fleet diagnose --dir shop --out series", 3);
     assert!(out.contains("M drifts: dx pitch-scale um_per_m changes by 1"), "{out}");
 }
 
 #[test]
 fn what_is_no_fleet_or_no_run_is_refused_with_what_to_do() {
     let desk = Desk::new(&[("m.toml", MACHINE), ("r.csv", "a,b\n1,2\n"), ("x.csv", "")]);
-    let (_, err) = desk.said("fleet status --dir nowhere", 2);
+    let (_, err) = desk.run_expecting("fleet status --dir nowhere", 2);
     assert!(
         err.contains("nowhere: is no folder of a fleet: trueup fleet submit makes it"),
         "{err}"
     );
-    desk.said("fleet submit --dir shop --machine m.toml --run x.csv", 2);
+    desk.run_expecting("fleet submit --dir shop --machine m.toml --run x.csv", 2);
     assert!(!desk.path("shop").exists(), "nothing is made");
     // A run without a measured column is refused by the diagnosis, with its reason in the status.
-    desk.said("fleet submit --dir shop --machine m.toml --run r.csv --name M", 0);
-    desk.said("fleet worker --dir shop --until-empty", 3);
-    let (out, _) = desk.said("fleet status --dir shop", 0);
+    desk.run_expecting("fleet submit --dir shop --machine m.toml --run r.csv --name M", 0);
+    desk.run_expecting("fleet worker --dir shop --until-empty", 3);
+    let (out, _) = desk.run_expecting("fleet status --dir shop", 0);
     assert!(out.contains("1 failed") && out.contains("r.csv"), "{out}");
-    let (_, err) = desk.said("fleet diagnose --dir shop --out series", 2);
+    let (_, err) = desk.run_expecting("fleet diagnose --dir shop --out series", 2);
     assert!(err.contains("has no result"), "{err}");
 }

@@ -87,13 +87,13 @@ fn device(mut answer: impl FnMut([u8; 8]) -> Option<[u8; 8]> + Send + 'static) -
                 line.push(byte[0].into());
                 continue;
             }
-            let said = std::mem::take(&mut line);
-            let data = said.strip_prefix("t6018").and_then(|hex| {
+            let reported = std::mem::take(&mut line);
+            let data = reported.strip_prefix("t6018").and_then(|hex| {
                 let bytes = (0..8).map(|n| u8::from_str_radix(hex.get(2 * n..2 * n + 2)?, 16).ok());
                 bytes.collect::<Option<Vec<u8>>>()?.try_into().ok()
             });
             let back = match data {
-                None if said.starts_with('t') => "z\r".into(),
+                None if reported.starts_with('t') => "z\r".into(),
                 None => "\r".to_string(),
                 Some(data) => answer(data).map_or("z\r".into(), |data: [u8; 8]| {
                     let hex: String = data.iter().map(|byte| format!("{byte:02X}")).collect();
@@ -146,7 +146,7 @@ fn a_state_of_learn_that_is_damaged_foreign_or_huge_is_refused_with_its_place_an
     let machine = MACHINE.replace("\\u001b[31m\\u202e", "");
     let desk =
         Desk::new(&[("m.toml", &machine), ("1.csv", &run), ("2.csv", &run.replace(",2", ",3"))]);
-    desk.said("learn --machine m.toml --run 1.csv -o l.toml", 0);
+    desk.run_expecting("learn --machine m.toml --run 1.csv -o l.toml", 0);
     let state = desk.text("l.learn.json");
     let learned = desk.text("l.toml");
     for (what, damaged) in [
@@ -160,7 +160,7 @@ fn a_state_of_learn_that_is_damaged_foreign_or_huge_is_refused_with_its_place_an
     ] {
         assert_ne!(damaged, state, "{what}");
         desk.write("l.learn.json", &damaged);
-        let (_, err) = desk.said("learn --machine m.toml --run 2.csv -o l.toml", 2);
+        let (_, err) = desk.run_expecting("learn --machine m.toml --run 2.csv -o l.toml", 2);
         assert!(err.contains("l.learn.json"), "{what}: {err}");
         assert_eq!(desk.text("l.learn.json"), damaged, "{what}");
         assert_eq!(desk.text("l.toml"), learned, "{what}");
@@ -168,21 +168,21 @@ fn a_state_of_learn_that_is_damaged_foreign_or_huge_is_refused_with_its_place_an
     // A hole of 300 MiB takes no room on a disk.
     let file = fs::File::create(desk.path("l.learn.json")).expect("writable");
     file.set_len(300 << 20).expect("a hole");
-    let (_, err) = desk.said("learn --machine m.toml --run 2.csv -o l.toml", 2);
+    let (_, err) = desk.run_expecting("learn --machine m.toml --run 2.csv -o l.toml", 2);
     assert!(err.contains("l.learn.json") && err.contains("256 MiB"), "{err}");
 }
 
 #[test]
 fn a_set_of_files_is_replaced_whole_or_not_at_all() {
     let desk = Desk::new(&[("m.toml", MACHINE), ("run.csv", &run())]);
-    desk.said("diagnose --machine m.toml --run run.csv --out d", 0);
+    desk.run_expecting("diagnose --machine m.toml --run run.csv --out d", 0);
     let names = ["diagnosis.json", "report.html", "extended.toml"];
     let before = names.map(|name| desk.text(&format!("d/{name}")));
     // The last file of the set has no place: it is a folder.
     fs::remove_file(desk.path("d/residuals.csv")).expect("there");
     fs::create_dir(desk.path("d/residuals.csv")).expect("a folder");
     desk.write("run.csv", run().replace(",2", ",4"));
-    desk.said("diagnose --machine m.toml --run run.csv --out d", 2);
+    desk.run_expecting("diagnose --machine m.toml --run run.csv --out d", 2);
     for (name, before) in names.iter().zip(&before) {
         assert_eq!(&desk.text(&format!("d/{name}")), before, "{name}");
     }

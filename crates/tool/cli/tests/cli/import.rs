@@ -13,7 +13,7 @@ const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
 #[test]
 fn without_a_terminal_each_open_question_is_a_line_with_its_flag() {
     let desk = Desk::new(&[("t.csv", TABLE)]);
-    let (out, err) = desk.said("import t.csv -o r.csv", 2);
+    let (out, err) = desk.run_expecting("import t.csv -o r.csv", 2);
     let lines: Vec<&str> = err.lines().collect();
     assert!(out.is_empty() && lines.len() == 2, "{out}{err}");
     assert!(
@@ -29,62 +29,62 @@ fn without_a_terminal_each_open_question_is_a_line_with_its_flag() {
     assert_eq!(desk.files("."), ["t.csv"]);
     // The rest of many is one line.
     desk.write("u.csv", "Zeit;X;Y;Z;Bett Temperatur\n0;1;2;3;4\n1;2;3;4;5\n");
-    let (_, err) = desk.said("import u.csv -o r.csv", 2);
+    let (_, err) = desk.run_expecting("import u.csv -o r.csv", 2);
     assert!(err.lines().count() == 3 && err.contains("and --unit Z=mm (or"), "{err}");
-    let (_, err) = desk.said("import u.csv -o r.csv --json", 2);
+    let (_, err) = desk.run_expecting("import u.csv -o r.csv --json", 2);
     assert!(err.lines().next().is_some_and(|line| line.contains("\"column\":6")), "{err}");
 }
 
 #[test]
 fn what_was_understood_is_printed_and_the_run_is_written() {
     let desk = Desk::new(&[("t.csv", TABLE)]);
-    let (out, err) = desk.said(&format!("import t.csv -o r.csv {FLAGS}"), 0);
+    let (out, err) = desk.run_expecting(&format!("import t.csv -o r.csv {FLAGS}"), 0);
     assert_eq!((desk.text("r.csv").as_str(), err.as_str()), (RUN, ""));
     for phrase in [
         "t.csv: UTF-8, \";\" between columns, decimal comma, 3 rows",
         "Messuhr      measured_dx_um   µm      0,5 → 0.5; 1,5 → 1.5; 2,5 → 2.5",
-        "left out: Bemerkung (it is no quantity of a run)",
+        "skipped: Bemerkung (it is no quantity of a run)",
         "r.csv: written. Next: trueup check r.csv",
     ] {
         assert!(out.contains(phrase), "{phrase}: {out}");
     }
     // The command that it names.
-    desk.said("check r.csv", 0);
-    let (out, err) = desk.said(&format!("import t.csv -o - {FLAGS}"), 0);
+    desk.run_expecting("check r.csv", 0);
+    let (out, err) = desk.run_expecting(&format!("import t.csv -o - {FLAGS}"), 0);
     assert!(out == RUN && err.contains("decimal comma"), "{out}{err}");
-    let (out, _) = desk.said(&format!("import t.csv -o s.csv --json {FLAGS}"), 0);
+    let (out, _) = desk.run_expecting(&format!("import t.csv -o s.csv --json {FLAGS}"), 0);
     let json: serde_json::Value = serde_json::from_str(&out).expect("JSON");
     assert_eq!((&json["columns"][1]["name"], &json["rows"]), (&"x_mm".into(), &3.into()));
 }
 
 #[test]
-fn a_file_that_is_there_is_replaced_only_by_the_same_or_when_told() {
+fn a_file_that_is_there_is_replaced_only_by_the_same_or_on_request() {
     let desk = Desk::new(&[("t.csv", TABLE), ("r.csv", "mine\n")]);
     let line = format!("import t.csv -o r.csv {FLAGS}");
-    let (_, err) = desk.said(&line, 2);
+    let (_, err) = desk.run_expecting(&line, 2);
     assert!(err.contains("--overwrite") && desk.text("r.csv") == "mine\n", "{err}");
-    desk.said(&format!("{line} --overwrite"), 0);
-    desk.said(&line, 0);
-    let (_, err) = desk.said(&format!("import t.csv -o t.csv --overwrite {FLAGS}"), 2);
+    desk.run_expecting(&format!("{line} --overwrite"), 0);
+    desk.run_expecting(&line, 0);
+    let (_, err) = desk.run_expecting(&format!("import t.csv -o t.csv --overwrite {FLAGS}"), 2);
     assert!(err.contains("is an input") && desk.text("t.csv") == TABLE, "{err}");
 }
 
 #[test]
 fn a_map_is_written_once_and_answers_from_then_on() {
     let desk = Desk::new(&[("t.csv", TABLE)]);
-    desk.said(&format!("import t.csv -o r.csv --map m.toml {FLAGS}"), 0);
+    desk.run_expecting(&format!("import t.csv -o r.csv --map m.toml {FLAGS}"), 0);
     let map = desk.text("m.toml");
     assert!(map.contains("[columns.Messuhr]\nname = \"measured_dx_um\""), "{map}");
     desk.write("u.csv", TABLE.replace("2,5", "9,5"));
-    desk.said("import u.csv -o s.csv --map m.toml", 0);
+    desk.run_expecting("import u.csv -o s.csv --map m.toml", 0);
     assert_eq!(desk.text("s.csv"), RUN.replace("2.5", "9.5"));
     assert_eq!(desk.text("m.toml"), map);
     // A file of the kind that lacks a column of the map.
     desk.write("w.csv", "Zeit [s];Position [mm];Temperatur Bett [°C]\n0;1;20,5\n1;2;20,6\n");
-    desk.said("import w.csv -o w.run.csv --map m.toml", 0);
+    desk.run_expecting("import w.csv -o w.run.csv --map m.toml", 0);
     assert!(desk.text("w.run.csv").starts_with("time_s,x_mm,temp_bett_c\n"));
     desk.write("m.toml", format!("{map}colour = \"red\"\n"));
-    let (_, err) = desk.said("import u.csv -o v.csv --map m.toml", 2);
+    let (_, err) = desk.run_expecting("import u.csv -o v.csv --map m.toml", 2);
     assert!(err.contains("m.toml:") && err.contains("colour is no key"), "{err}");
 }
 
@@ -104,7 +104,7 @@ fn a_wrong_flag_and_a_wrong_cell_are_one_line_each() {
         ("import m.toml -o r.csv", "m.toml:1:1: has no row of numbers"),
         ("import t.csv -o none/r.csv", "there is no folder none"),
     ] {
-        let (out, err) = desk.said(line, 2);
+        let (out, err) = desk.run_expecting(line, 2);
         assert!(err.to_lowercase().contains(&phrase.to_lowercase()), "{line}: {err}");
         assert!(out.is_empty() && err.lines().count() == 1, "{line}: {err}");
     }
@@ -118,9 +118,9 @@ fn volts_become_counts_by_the_machine_files_scale() {
         ("t.csv", "Zeit [s];Sensor [V]\n0;1,5\n1;2\n"),
         ("m.toml", &format!("{MACHINE}{inputs}")),
     ]);
-    let (_, err) = desk.said("import t.csv -o r.csv", 2);
+    let (_, err) = desk.run_expecting("import t.csv -o r.csv", 2);
     assert!(err.contains("--counts-per-v N, or --machine M.toml"), "{err}");
-    let (_, err) = desk.said("import t.csv -o r.csv --machine m.toml", 0);
+    let (_, err) = desk.run_expecting("import t.csv -o r.csv --machine m.toml", 0);
     assert_eq!(desk.text("r.csv"), "time_s,sensor_counts\n0,4147.2\n1,5529.6\n");
     assert!(err.contains("no column is a measured error"), "{err}");
 }
@@ -138,13 +138,13 @@ fn a_command_that_is_given_a_table_names_the_line_that_imports_it() {
     }
     // The columns are read, and none of them is known.
     desk.write("c.csv", "Zeit [s],X [mm],Abweichung X [mm]\n0,1,0.001\n1,2,0.002\n");
-    let (_, err) = desk.said("check c.csv", 2);
+    let (_, err) = desk.run_expecting("check c.csv", 2);
     assert!(err.contains("is no run file, but a table that can be imported"), "{err}");
-    desk.said("import c.csv -o c.run.csv", 0);
+    desk.run_expecting("import c.csv -o c.run.csv", 0);
     assert_eq!(desk.text("c.run.csv"), "time_s,x_mm,measured_dx_um\n0,1,1\n1,2,2\n");
     // A run file with a fault is told its fault.
     desk.write("f.csv", "time_s;x_mm\n0;1,5\n");
-    let (_, err) = desk.said("check f.csv", 2);
+    let (_, err) = desk.run_expecting("check f.csv", 2);
     assert!(err.contains("f.csv:2:3: x_mm 1,5 has a decimal comma"), "{err}");
 }
 
@@ -156,14 +156,14 @@ fn on_a_terminal_what_is_open_is_asked_and_the_map_keeps_it() {
         Terminal::start(&desk, "import t.csv -o r.csv --map m.toml", (120, 30), true);
     let down = "\u{1b}[B";
     // What stands on the screen, and what is typed then.
-    for (asked, answer) in [
+    for (requested, answer) in [
         ("Position is a position of which axis?", "\r"),
         ("Messuhr is the error in which direction", down),
         ("> measured_dy_um", "\r"),
         ("Messuhr states no unit", down),
         ("> µm", "\r"),
     ] {
-        terminal.shows(&[asked]);
+        terminal.shows(&[requested]);
         terminal.press(answer);
     }
     let text = terminal.shows(&["r.csv: written"]);
@@ -173,5 +173,5 @@ fn on_a_terminal_what_is_open_is_asked_and_the_map_keeps_it() {
     for phrase in ["name = \"x_mm\"", "name = \"measured_dy_um\"", "unit = \"µm\""] {
         assert!(map.contains(phrase), "{phrase}: {map}");
     }
-    desk.said("import t.csv -o s.csv --map m.toml", 0);
+    desk.run_expecting("import t.csv -o s.csv --map m.toml", 0);
 }

@@ -24,7 +24,7 @@ fn day(number: u32) -> String {
 #[test]
 fn days_are_learned_from_and_the_last_change_is_taken_back() {
     let desk = Desk::new(&[("m.toml", MACHINE), ("1.csv", &day(1)), ("2.csv", &day(2))]);
-    let (out, _) = desk.said("learn --machine m.toml --run 1.csv -o learned.toml", 0);
+    let (out, _) = desk.run_expecting("learn --machine m.toml --run 1.csv -o learned.toml", 0);
     assert!(out.contains("30 of 30 readings used"), "{out}");
     let (_, constant) =
         out.split_once("spindle.temperature.k_um_per_c: ").expect("what is learned");
@@ -34,21 +34,22 @@ fn days_are_learned_from_and_the_last_change_is_taken_back() {
     assert!(half_width.is_some_and(|half_width| half_width > 0.0), "{out}");
     let first = desk.text("learned.toml");
     assert!(first.contains("# the maker's") && first != MACHINE, "{first}");
-    let (out, _) = desk.said("--json learn --machine m.toml --run 2.csv -o learned.toml", 0);
-    let said: Value = serde_json::from_str(&out).expect("JSON");
-    let constant = &said["constants"][0];
+    let (out, _) =
+        desk.run_expecting("--json learn --machine m.toml --run 2.csv -o learned.toml", 0);
+    let json: Value = serde_json::from_str(&out).expect("JSON");
+    let constant = &json["constants"][0];
     let learned = constant["learned"].as_f64().expect("a number");
     assert!((learned - 2.6).abs() < 0.1 && constant["file"] == 2.0, "{constant}");
     assert_eq!(desk.text("m.toml"), MACHINE, "the user's own file stays");
     // The calibration can be made of it.
-    desk.said("compile learned.toml -o cal.bin", 0);
-    desk.said("learn --undo --machine m.toml -o learned.toml", 0);
+    desk.run_expecting("compile learned.toml -o cal.bin", 0);
+    desk.run_expecting("learn --undo --machine m.toml -o learned.toml", 0);
     assert_eq!(desk.text("learned.toml"), first);
-    desk.said("learn --undo --machine m.toml -o learned.toml", 0);
+    desk.run_expecting("learn --undo --machine m.toml -o learned.toml", 0);
     assert_eq!(desk.text("learned.toml"), MACHINE);
-    let (_, err) = desk.said("learn --undo --machine m.toml -o learned.toml", 2);
+    let (_, err) = desk.run_expecting("learn --undo --machine m.toml -o learned.toml", 2);
     assert!(err.contains("no change that is not taken back already"), "{err}");
-    let (out, _) = desk.said("learn --machine m.toml --run 1.csv -o learned.toml", 0);
+    let (out, _) = desk.run_expecting("learn --machine m.toml --run 1.csv -o learned.toml", 0);
     assert!(out.contains("30 of 30 readings were learned from before"), "{out}");
 }
 
@@ -57,7 +58,7 @@ fn a_command_that_is_refused_leaves_state_and_inputs_as_they_were() {
     let (one, two) = (day(1), day(2));
     let desk =
         Desk::new(&[("m.toml", MACHINE), ("1.csv", &one), ("2.csv", &two), ("bad.csv", "a\nx\n")]);
-    desk.said("learn --machine m.toml --run 1.csv -o learned.toml", 0);
+    desk.run_expecting("learn --machine m.toml --run 1.csv -o learned.toml", 0);
     let known = desk.text("learned.learn.json");
     for line in [
         "learn --machine m.toml --run 2.csv -o 2.csv",
@@ -67,30 +68,31 @@ fn a_command_that_is_refused_leaves_state_and_inputs_as_they_were() {
         "learn --machine m.toml --run 2.csv -o no/learned.toml",
         "learn --undo --machine learned.toml -o learned.toml",
     ] {
-        desk.said(line, 2);
+        desk.run_expecting(line, 2);
         assert_eq!(desk.text("learned.learn.json"), known, "{line}");
         assert!(!desk.path("2.learn.json").exists() && desk.text("2.csv") == two, "{line}");
     }
     // A day file that is fed as it grows.
     let rows = |count: usize| two.lines().take(count + 1).collect::<Vec<_>>().join("\n") + "\n";
-    for (count, said) in [(10, "10 of 10 readings used"), (20, "10 of 10 readings used")] {
+    for (count, message) in [(10, "10 of 10 readings used"), (20, "10 of 10 readings used")] {
         std::fs::write(desk.path("today.csv"), rows(count)).expect("written");
-        let (out, _) = desk.said("learn --machine m.toml --run today.csv -o learned.toml", 0);
-        assert!(out.contains(said), "{out}");
+        let (out, _) =
+            desk.run_expecting("learn --machine m.toml --run today.csv -o learned.toml", 0);
+        assert!(out.contains(message), "{out}");
     }
     // An older record that is known is skipped.
-    let (out, _) = desk.said("learn --machine m.toml --run 1.csv -o learned.toml", 0);
+    let (out, _) = desk.run_expecting("learn --machine m.toml --run 1.csv -o learned.toml", 0);
     assert!(out.contains("30 of 30 readings were learned from before"), "{out}");
     std::fs::write(desk.path("older.csv"), day(1).replace(".600", ".700")).expect("written");
-    let (_, err) = desk.said("learn --machine m.toml --run older.csv -o learned.toml", 2);
+    let (_, err) = desk.run_expecting("learn --machine m.toml --run older.csv -o learned.toml", 2);
     assert!(err.contains("at or before the last reading"), "{err}");
 }
 
 #[test]
-fn a_bound_that_is_reached_is_told_and_ends_with_3() {
+fn a_bound_that_is_reached_is_reported_and_ends_with_3() {
     let desk = Desk::new(&[("m.toml", MACHINE), ("1.csv", &day(1))]);
     let line = "learn --machine m.toml --run 1.csv -o learned.toml --limit-percent 5";
-    let (out, _) = desk.said(line, 3);
+    let (out, _) = desk.run_expecting(line, 3);
     assert!(out.contains("A bound was reached"), "{out}");
     assert!(
         desk.text("learned.toml").contains("k_um_per_c = 2.1 "),
@@ -114,16 +116,17 @@ fn a_record_that_no_longer_fits_ends_with_3_and_says_what_to_measure() {
     let files = [("m.toml", MACHINE), ("then.csv", &day(0.0)), ("now.csv", &day(3.0))];
     let desk = Desk::new(&files);
     let same = "trust --machine m.toml --calibrated then.csv --run then.csv";
-    let (out, _) = desk.said(same, 0);
+    let (out, _) = desk.run_expecting(same, 0);
     assert!(out.starts_with("the calibration fits"), "{out}");
-    let (out, _) = desk.said("trust --machine m.toml --calibrated then.csv --run now.csv", 3);
+    let (out, _) =
+        desk.run_expecting("trust --machine m.toml --calibrated then.csv --run now.csv", 3);
     assert!(out.contains("no longer fits: row 12"), "{out}");
     assert!(out.contains("touch off the tool"), "{out}");
 }
 
 /// Returns the same readings for another time of the year and with another machine file.
 fn learned_from(desk: &Desk, machine: &str, record: &str, code: i32) -> (String, String) {
-    desk.said(&format!("learn --machine {machine} --run {record} -o learned.toml"), code)
+    desk.run_expecting(&format!("learn --machine {machine} --run {record} -o learned.toml"), code)
 }
 
 #[test]
@@ -158,7 +161,7 @@ fn comments_limits_and_other_keys_keep_what_was_learned_and_a_changed_constant_r
     assert!(out.contains("k_um_per_c was changed by hand (2 to 2.5): it begins anew"), "{out}");
     assert_eq!(desk.text("learned.learn.json.bak"), before, "a backup is kept");
     // Nothing is discarded without --reset, and then there is a backup too.
-    desk.said("learn --reset --machine m.toml --run 1.csv -o learned.toml", 0);
+    desk.run_expecting("learn --reset --machine m.toml --run 1.csv -o learned.toml", 0);
     assert_eq!(desk.text("learned.learn.json"), first);
     assert!(desk.path("learned.learn.json.bak1").exists());
 }
@@ -255,9 +258,9 @@ fn equal_runs_compared_by_a_limit_below_their_scatter_end_with_0() {
     };
     let files = [("a.csv", &run(0, 0.0)[..]), ("b.csv", &run(1, 0.0)), ("c.csv", &run(1, 3.0))];
     let desk = Desk::new(&files);
-    let (out, _) = desk.said("compare a.csv b.csv --limit-um 0.01", 0);
+    let (out, _) = desk.run_expecting("compare a.csv b.csv --limit-um 0.01", 0);
     assert!(out.contains("no difference"), "{out}");
-    desk.said("compare a.csv c.csv --limit-um 5", 3);
+    desk.run_expecting("compare a.csv c.csv --limit-um 5", 3);
 }
 
 #[test]
@@ -265,6 +268,6 @@ fn a_short_record_without_a_clock_is_refused_by_its_measured_column() {
     let rows: String = (0..15).map(|n| format!("{n}.5,{n}\n")).collect();
     let short = format!("temp_a_c,measured_elongation_um\n{rows}");
     let desk = Desk::new(&[("m.toml", MACHINE), ("short.csv", &short)]);
-    let (_, err) = desk.said("trust m.toml --calibrated short.csv --run short.csv", 2);
+    let (_, err) = desk.run_expecting("trust m.toml --calibrated short.csv --run short.csv", 2);
     assert!(err.contains("measured_elongation_um has 15 rows") && !err.contains("time_s"), "{err}");
 }

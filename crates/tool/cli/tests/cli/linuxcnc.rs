@@ -7,8 +7,8 @@ use crate::desk::Desk;
 const PORT: &str = "--port tcp:127.0.0.1:1";
 
 fn refused(desk: &Desk, line: &str, phrase: &str) {
-    let (_, said) = desk.said(line, 2);
-    assert!(said.contains(phrase), "{said}");
+    let (_, stderr) = desk.run_expecting(line, 2);
+    assert!(stderr.contains(phrase), "{stderr}");
 }
 
 #[test]
@@ -65,24 +65,24 @@ pub const HAL: &str = "addf motion-command-handler servo-thread\naddf motion-con
 #[test]
 fn a_configuration_is_checked_set_up_and_left_as_it_was() {
     let desk = Desk::new(&[("own.ini", INI), ("own.hal", HAL)]);
-    let (printed, _) = desk.said("linuxcnc check own.ini", 0);
+    let (printed, _) = desk.run_expecting("linuxcnc check own.ini", 0);
     assert!(
         printed.contains("STEPGEN_MAXACCEL = 960") && printed.contains("nothing stands in the way"),
         "{printed}"
     );
     refused(&desk, "linuxcnc setup own.ini", "--port is missing");
-    let (printed, _) = desk.said("linuxcnc setup own.ini --port /dev/ttyUSB0", 0);
+    let (printed, _) = desk.run_expecting("linuxcnc setup own.ini --port /dev/ttyUSB0", 0);
     assert!(
         printed.contains("written: ./trueup_realtime.hal")
             || printed.contains("written: trueup_realtime.hal"),
         "{printed}"
     );
     // What it was set up with is kept.
-    let (printed, _) = desk.said("linuxcnc setup own.ini", 0);
+    let (printed, _) = desk.run_expecting("linuxcnc setup own.ini", 0);
     assert!(printed.contains("nothing was changed"), "{printed}");
-    let (printed, _) = desk.said("linuxcnc setup own.ini --remove", 0);
+    let (printed, _) = desk.run_expecting("linuxcnc setup own.ini --remove", 0);
     assert!(printed.contains("removed: "), "{printed}");
-    let (printed, _) = desk.said("linuxcnc setup own.ini --remove", 0);
+    let (printed, _) = desk.run_expecting("linuxcnc setup own.ini --remove", 0);
     assert!(printed.contains("nothing of setup"), "{printed}");
     assert_eq!(std::fs::read_to_string(desk.path("own.ini")).expect("there"), INI);
 }
@@ -93,8 +93,8 @@ fn a_configuration_that_cannot_be_set_up_is_left_alone_with_the_lines_to_add() {
     let desk = Desk::new(&[("own.ini", &text), ("own.hal", HAL)]);
     for (line, code) in [("linuxcnc check own.ini", 3), ("linuxcnc setup own.ini --port can0", 2)] {
         let line = line.replace("can0", "tcp:127.0.0.1:1");
-        let (printed, said) = desk.said(&line, code);
-        assert!(said.contains("own.ini:4:11") && said.contains("TWOPASS"), "{said}");
+        let (printed, stderr) = desk.run_expecting(&line, code);
+        assert!(stderr.contains("own.ini:4:11") && stderr.contains("TWOPASS"), "{stderr}");
         assert!(
             printed.contains("net x trueup-j0.out") && printed.contains("HALFILE = trueup.hal"),
             "{printed}"

@@ -9,7 +9,7 @@ fn a_new_file_compiles_and_nothing_in_it_is_doubted() {
     let desk = Desk::new(&[]);
     let line = "new -o m.toml --yes --name mill --travel x=0:600 --travel z=-300:0 --rapid 15000 \
                 --sensor-um-per-v 50 --sensor-zero-v 1.54 --thermometer screw --control siemens";
-    let (out, err) = desk.said(line, 0);
+    let (out, err) = desk.run_expecting(line, 0);
     assert!(out.starts_with("m.toml: written") && err.is_empty(), "{out}{err}");
     let text = desk.text("m.toml");
     for phrase in [
@@ -19,10 +19,10 @@ fn a_new_file_compiles_and_nothing_in_it_is_doubted() {
     ] {
         assert!(text.contains(phrase), "{phrase}: {text}");
     }
-    assert_eq!(desk.said("check m.toml", 0).1, "");
-    assert_eq!(desk.said("compile m.toml -o m.bin", 0).1, "");
+    assert_eq!(desk.run_expecting("check m.toml", 0).1, "");
+    assert_eq!(desk.run_expecting("compile m.toml -o m.bin", 0).1, "");
     // It is the user's from now on.
-    let (_, err) = desk.said(line, 2);
+    let (_, err) = desk.run_expecting(line, 2);
     assert!(err.contains("m.toml: is there already"), "{err}");
     assert_eq!(desk.text("m.toml"), text);
 }
@@ -30,11 +30,12 @@ fn a_new_file_compiles_and_nothing_in_it_is_doubted() {
 #[test]
 fn without_a_terminal_nothing_is_asked_and_a_dash_is_standard_output() {
     let desk = Desk::new(&[]);
-    let (text, err) = desk.said("new -o - --kind head-head --head-axes c,a --travel x=0:600", 0);
+    let (text, err) =
+        desk.run_expecting("new -o - --kind head-head --head-axes c,a --travel x=0:600", 0);
     assert!(text.starts_with("# What is known of this machine."), "{text}");
     assert!(err.contains("machine.toml: written"), "{err}");
     desk.write("m.toml", &text);
-    let (toml, err) = desk.said("compile m.toml -o c.bin", 0);
+    let (toml, err) = desk.run_expecting("compile m.toml -o c.bin", 0);
     assert!(
         toml.contains("calibration of \"machine\"") && err.contains("corrects nothing"),
         "{toml}{err}"
@@ -56,7 +57,7 @@ fn what_the_flags_contradict_is_refused() {
         ("--thermometer a --thermometer a", "--thermometer a is given twice"),
         ("--thermometer a-b", "must be a word"),
     ] {
-        let (_, err) = desk.said(&format!("new -o m.toml --yes {flags}"), 2);
+        let (_, err) = desk.run_expecting(&format!("new -o m.toml --yes {flags}"), 2);
         assert!(err.contains(phrase), "{flags}: {err}");
     }
     assert!(desk.files(".").is_empty());
@@ -66,7 +67,7 @@ fn what_the_flags_contradict_is_refused() {
 fn the_schema_and_the_columns_are_json_and_markdown() {
     let desk = Desk::new(&[]);
     let json = |line: &str| -> serde_json::Value {
-        serde_json::from_str(&desk.said(line, 0).0).expect("JSON")
+        serde_json::from_str(&desk.run_expecting(line, 0).0).expect("JSON")
     };
     let schema = json("schema");
     assert_eq!(schema["$schema"], "https://json-schema.org/draft/2020-12/schema");
@@ -74,9 +75,11 @@ fn the_schema_and_the_columns_are_json_and_markdown() {
     assert!(json("schema run").as_array().is_some_and(|columns| columns.len() > 20));
     let scenario = json("schema scenario");
     assert_eq!(scenario["properties"]["interval_s"]["default"], 10.0);
-    assert!(desk.said("schema --markdown", 0).0.starts_with("| key | unit | range |"));
-    assert!(desk.said("schema run --markdown", 0).0.starts_with("| column | unit | what |"));
-    let table = desk.said("schema scenario --markdown", 0).0;
+    assert!(desk.run_expecting("schema --markdown", 0).0.starts_with("| key | unit | range |"));
+    assert!(
+        desk.run_expecting("schema run --markdown", 0).0.starts_with("| column | unit | what |")
+    );
+    let table = desk.run_expecting("schema scenario --markdown", 0).0;
     let page = include_str!("../../../../../docs/reference.md");
     assert!(
         page.contains(table.trim_end()),
@@ -93,7 +96,7 @@ fn on_a_terminal_it_asks_and_what_cannot_be_is_asked_for_again() {
     let mut terminal = Terminal::start(&desk, "new -o m.toml", (80, 24), true);
     let down = "\u{1b}[B";
     // What stands on the screen, and what is typed then.
-    for (asked, answer) in [
+    for (requested, answer) in [
         ("Name of the machine [machine]", "mill\r"),
         ("Kind of machine", down),
         ("> two rotary axes carry the spindle", "\r"),
@@ -131,7 +134,7 @@ fn on_a_terminal_it_asks_and_what_cannot_be_is_asked_for_again() {
         ("> LinuxCNC", down),
         ("> Siemens", "\r"),
     ] {
-        terminal.shows(&[asked]);
+        terminal.shows(&[requested]);
         terminal.press(answer);
     }
     assert_eq!(terminal.ended().code(), Some(0), "{}", terminal.text());
@@ -150,7 +153,7 @@ fn on_a_terminal_it_asks_and_what_cannot_be_is_asked_for_again() {
         assert!(text.contains(phrase), "{phrase}: {text}");
     }
     assert!(!text.contains("[axis.y]"), "{text}");
-    assert_eq!(desk.said("check m.toml", 0).1, "");
+    assert_eq!(desk.run_expecting("check m.toml", 0).1, "");
 
     // Refused before the first question.
     for (line, rule) in [

@@ -24,19 +24,19 @@ fn filled(template: &str, width: f64) -> String {
 fn a_program_its_filled_run_file_and_the_fit_go_together() {
     let desk = Desk::new(&[("m.toml", MACHINE)]);
     let line = "program backlash --machine m.toml --for fanuc -o out";
-    let (out, err) = desk.said(line, 0);
+    let (out, err) = desk.run_expecting(line, 0);
     assert!(
         out.starts_with("backlash_x.nc: 42 readings") && out.contains("x 51.3 to 998 mm"),
         "{out}"
     );
     assert!(err.contains("no program for y: the travel of y is not known"), "{err}");
     assert_eq!(desk.files("out"), ["backlash-x.csv", "backlash_x.nc"]);
-    // Again is the same; but what somebody has filled in is not written over.
-    desk.said(line, 0);
+    // Again is the same; but what a user has filled in is not overwritten.
+    desk.run_expecting(line, 0);
     desk.write("out/backlash-x.csv", filled(&desk.text("out/backlash-x.csv"), 5.0));
-    let (_, err) = desk.said(line, 2);
+    let (_, err) = desk.run_expecting(line, 2);
     assert!(err.contains("move it away first"), "{err}");
-    let (out, _) = desk.said("fit backlash --run out/backlash-x.csv -o b.toml", 0);
+    let (out, _) = desk.run_expecting("fit backlash --run out/backlash-x.csv -o b.toml", 0);
     assert!(out.contains("width_um = 5."), "{out}");
     for (wrong, rule) in [
         ("--axis y", "travel of y is not known"),
@@ -56,7 +56,7 @@ fn a_program_its_filled_run_file_and_the_fit_go_together() {
         ("--feed 0", "--feed must be above 0"),
         ("--repeats 0", "at least 1"),
     ] {
-        let (_, err) = desk.said(&format!("{line} {wrong}"), 2);
+        let (_, err) = desk.run_expecting(&format!("{line} {wrong}"), 2);
         assert!(err.contains(rule), "{wrong}: {err}");
     }
     for (wrong, rule) in [
@@ -97,11 +97,12 @@ fn a_program_its_filled_run_file_and_the_fit_go_together() {
         ),
     ] {
         let (_, err) =
-            desk.said(&format!("program {wrong} --machine m.toml --for linuxcnc -o w"), 2);
+            desk.run_expecting(&format!("program {wrong} --machine m.toml --for linuxcnc -o w"), 2);
         assert!(err.contains(rule), "{wrong}: {err}");
     }
     assert!(!desk.path("w").exists(), "{:?}", desk.files("w"));
-    let (json, _) = desk.said("--json program pitch --machine m.toml --for siemens -o p", 0);
+    let (json, _) =
+        desk.run_expecting("--json program pitch --machine m.toml --for siemens -o p", 0);
     let json: serde_json::Value = serde_json::from_str(&json).expect("JSON");
     assert_eq!(json["programs"][0]["program"], "pitch_x.mpf");
 }
@@ -122,58 +123,63 @@ fn a_vertical_axis_moves_only_where_the_user_says() {
         ("diagonal", &["diagonal_xy.nc"]),
     ] {
         let line = format!("program {kind} --machine m.toml --for fanuc -o {kind}");
-        let (_, err) = desk.said(&line, 0);
+        let (_, err) = desk.run_expecting(&line, 0);
         assert!(err.contains("give --range z=LOW:HIGH"), "{kind}: {err}");
         let mut written = desk.files(kind);
         written.retain(|name| name.ends_with(".nc"));
         assert_eq!(written, others, "{kind}");
         // Without any other there is none: exit 2.
-        let (_, err) = desk.said(&format!("{line}-z --axis z"), 2);
+        let (_, err) = desk.run_expecting(&format!("{line}-z --axis z"), 2);
         assert!(err.contains("give --range z=LOW:HIGH"), "{kind}: {err}");
-        let (out, err) = desk.said(&format!("{line}-all --range z=-120:-20"), 0);
+        let (out, err) = desk.run_expecting(&format!("{line}-all --range z=-120:-20"), 0);
         assert!(out.contains("z -120 to -20 mm") || out.contains("z -115"), "{kind}: {out}");
         assert!(!err.contains("--range"), "{kind}: {err}");
     }
     // What stands in old scripts is a range as well.
-    let (out, _) =
-        desk.said("program pitch --machine m.toml --for fanuc -o t --axis z --travel z=-90:-20", 0);
+    let (out, _) = desk.run_expecting(
+        "program pitch --machine m.toml --for fanuc -o t --axis z --travel z=-90:-20",
+        0,
+    );
     assert!(out.contains("z -90 to -20 mm"), "{out}");
     let line = "program axis-heat --machine m.toml --for fanuc -o h --axis x --range-mm 100:700";
-    let (out, _) = desk.said(line, 0);
+    let (out, _) = desk.run_expecting(line, 0);
     assert!(out.contains("x 100 to "), "{out}");
     // A dial that has to be gone round, by an axis that is named; a gauge at a spindle that turns.
-    desk.said("program backlash --machine m.toml --for linuxcnc -o c --axis x --clearance y=50", 0);
+    desk.run_expecting(
+        "program backlash --machine m.toml --for linuxcnc -o c --axis x --clearance y=50",
+        0,
+    );
     let text = desk.text("c/backlash_x.ngc");
     assert!(text.contains("G53 G1 Y-225 F500\n") && !text.contains(" Z-"), "{text}");
-    desk.said("program warmup --machine m.toml --for linuxcnc -o w", 0);
+    desk.run_expecting("program warmup --machine m.toml --for linuxcnc -o w", 0);
     for file in ["w/warmup.ngc", "w/warmup-off.csv"] {
         assert!(desk.text(file).contains("nothing may touch what turns"), "{file}");
     }
 }
 
 #[test]
-fn compare_and_trend_tell_what_has_worn() {
+fn compare_and_trend_report_what_has_worn() {
     let desk = Desk::new(&[("m.toml", MACHINE)]);
-    desk.said("program backlash --machine m.toml --for linuxcnc -o out", 0);
+    desk.run_expecting("program backlash --machine m.toml --for linuxcnc -o out", 0);
     let template = desk.text("out/backlash-x.csv");
     std::fs::create_dir(desk.path("years")).expect("a new folder");
     for (date, width) in [("2024-03-01", 4.0), ("2025-03-01", 5.5), ("2026-03-01", 7.0)] {
         desk.write(&format!("years/mill-{date}.csv"), filled(&template, width));
     }
     let line = "compare years/mill-2024-03-01.csv years/mill-2026-03-01.csv --out c";
-    let (out, _) = desk.said(line, 0);
+    let (out, _) = desk.run_expecting(line, 0);
     assert!(out.starts_with("they differ: backlash\n  Backlash has changed by +3.0"), "{out}");
     assert_eq!(desk.files("c"), ["comparison.json", "report.html"]);
-    desk.said(&format!("{line} --limit-um 1"), 3);
-    desk.said(&format!("{line} --limit-um 2"), 0);
-    let (out, _) = desk.said("trend years --limit-um 1.5 --out t --today 2026-04-01", 0);
+    desk.run_expecting(&format!("{line} --limit-um 1"), 3);
+    desk.run_expecting(&format!("{line} --limit-um 2"), 0);
+    let (out, _) = desk.run_expecting("trend years --limit-um 1.5 --out t --today 2026-04-01", 0);
     assert!(out.contains("axis.x.backlash.width_um: changes by +1.50 ±"), "{out}");
     assert!(out.contains("measure again") && out.contains("2027-0"), "{out}");
     assert_eq!(desk.files("t"), ["report.html", "trend.json"]);
-    let (out, _) = desk.said("trend years --limit-um 1.5 --today 2030-04-01", 0);
+    let (out, _) = desk.run_expecting("trend years --limit-um 1.5 --today 2030-04-01", 0);
     assert!(out.contains("is overdue since 2027-0"), "{out}");
-    let (_, err) = desk.said("trend years --today 2025-12-01", 2);
+    let (_, err) = desk.run_expecting("trend years --today 2025-12-01", 2);
     assert!(err.contains("mill-2026-03-01.csv is of a day in the future"), "{err}");
-    let (_, err) = desk.said("trend out", 2);
+    let (_, err) = desk.run_expecting("trend out", 2);
     assert!(err.contains("no date like 2026-11-22") && err.contains("no dated .csv"), "{err}");
 }

@@ -75,8 +75,8 @@ fn shell(desk: &Desk, command: &str) -> Output {
 /// Runs a command, which must not complain of what was typed: it ends with 0, or with 3 where a verdict may be any.
 fn runs(desk: &Desk, command: &str) {
     let done = shell(desk, command);
-    let said = String::from_utf8_lossy(&done.stderr).into_owned();
-    assert!(matches!(done.status.code(), Some(0 | 3)), "trueup {command}: {said}");
+    let stderr = String::from_utf8_lossy(&done.stderr).into_owned();
+    assert!(matches!(done.status.code(), Some(0 | 3)), "trueup {command}: {stderr}");
 }
 
 /// Returns the lines of the code blocks of a page that are commands of the tool, without the tool's name.
@@ -158,7 +158,7 @@ fn the_blocks_of_every_page_run_as_printed() {
             continue;
         }
         let desk = Desk::new(&[("machine.ini", INI), ("own.hal", HAL)]);
-        desk.said("examples .", 0);
+        desk.run_expecting("examples .", 0);
         for command in commands {
             if let Some(why) = elsewhere(&command) {
                 left.push(format!("{name}: trueup {command}: {why}"));
@@ -173,7 +173,7 @@ fn the_blocks_of_every_page_run_as_printed() {
                 }
             }
             if command.starts_with("simulate") && !desk.path("try").exists() {
-                desk.said("examples try", 0);
+                desk.run_expecting("examples try", 0);
             }
             runs(&desk, &command);
             ran += 1;
@@ -186,7 +186,7 @@ fn the_blocks_of_every_page_run_as_printed() {
 /// Returns the paths of all commands, by the help of the tool itself.
 fn examples_of(desk: &Desk, path: &str, found: &mut Vec<String>) {
     let line = if path.is_empty() { "--help".into() } else { format!("{path} --help") };
-    let (help, _) = desk.said(&line, 0);
+    let (help, _) = desk.run_expecting(&line, 0);
     let (mut is_list, mut is_example, mut inner) = (path.is_empty(), false, Vec::new());
     for line in help.lines() {
         if !path.is_empty() && !line.starts_with(' ') {
@@ -215,7 +215,7 @@ fn examples_of(desk: &Desk, path: &str, found: &mut Vec<String>) {
 fn the_examples_of_every_help_run_on_the_examples_that_the_tool_writes() {
     // The configuration of LinuxCNC is the user's.
     let desk = Desk::new(&[("machine.ini", INI), ("own.hal", HAL)]);
-    desk.said("examples .", 0);
+    desk.run_expecting("examples .", 0);
     let mut commands = Vec::new();
     examples_of(&desk, "", &mut commands);
     let (mut ran, mut left) = (0, Vec::new());
@@ -257,17 +257,17 @@ fn what_a_program_and_a_fit_say_to_type_next_runs_as_printed() {
         ("pitch", "gantry.toml", "--axis x --range x=0:14300 --margin 0"),
     ] {
         let desk = Desk::new(&[]);
-        desk.said("examples .", 0);
+        desk.run_expecting("examples .", 0);
         desk.write("mill.toml", desk.read("mill/mill.toml"));
         let line = format!("program {kind} --machine {file} --for linuxcnc {flags} -o measure");
-        let (printed, _) = desk.said(&line, 0);
+        let (printed, _) = desk.run_expecting(&line, 0);
         fill_in(&desk, "measure");
         let commands = commands_behind_then(&printed);
         assert!(!commands.is_empty(), "{printed}");
         for command in commands {
             let done = shell(&desk, &command);
-            let said = String::from_utf8_lossy(&done.stderr).into_owned();
-            assert!(matches!(done.status.code(), Some(0 | 3)), "trueup {command}: {said}");
+            let stderr = String::from_utf8_lossy(&done.stderr).into_owned();
+            assert!(matches!(done.status.code(), Some(0 | 3)), "trueup {command}: {stderr}");
             ran += 1;
             // What a fit says; a calibration is loaded elsewhere.
             let next = commands_behind_then(&String::from_utf8_lossy(&done.stdout));
@@ -295,19 +295,19 @@ fn the_last_lines_of_a_new_file_run_as_printed() {
         "--travel z=-300:0".to_string(),
     ] {
         let desk = Desk::new(&[]);
-        desk.said(&format!("new -o my_machine.toml --yes {flags}"), 0);
+        desk.run_expecting(&format!("new -o my_machine.toml --yes {flags}"), 0);
         let commands = commands_of_file(&desk.text("my_machine.toml"));
         assert!(commands.len() >= 7, "{commands:?}");
         for command in commands {
             let done = desk.trueup(&command);
-            let said = String::from_utf8_lossy(&done.stderr).into_owned();
+            let stderr = String::from_utf8_lossy(&done.stderr).into_owned();
             let is_right = match done.status.code() {
                 Some(0) => true,
                 // A diagnosis of invented readings may have any verdict; an export says what it leaves out.
                 Some(3) => command.starts_with("diagnose") || command.starts_with("export"),
                 _ => false,
             };
-            assert!(is_right, "{flags}: trueup {command}: {said}");
+            assert!(is_right, "{flags}: trueup {command}: {stderr}");
             if command.starts_with("program") {
                 fill_in(&desk, "measure");
             }

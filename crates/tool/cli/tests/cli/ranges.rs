@@ -4,7 +4,7 @@
 use crate::desk::Desk;
 
 const HEAD: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
-const REVERSED: &str = "the sign is that of an error measured the other way round";
+const REVERSED: &str = "the sign is reversed: errors are actual minus commanded";
 
 fn desk() -> Desk {
     let lash = |um: f64| {
@@ -33,15 +33,15 @@ fn sweeps(sign: f64) -> String {
 }
 
 #[test]
-fn a_reversed_backlash_is_said_by_every_command_that_makes_or_reads_it() {
+fn a_reversed_backlash_is_reported_by_every_command_that_makes_or_reads_it() {
     let desk = desk();
     desk.write("right.csv", sweeps(1.0));
     desk.write("reversed.csv", sweeps(-1.0));
     for fit in ["pitch", "backlash"] {
         let line = |run: &str| format!("fit {fit} --run {run}.csv --machine m.toml -o f.toml");
-        assert!(desk.said(&line("reversed"), 0).1.contains(REVERSED), "{fit}");
+        assert!(desk.run_expecting(&line("reversed"), 0).1.contains(REVERSED), "{fit}");
         assert!(desk.path("f.toml").exists(), "a warning does not keep it from being written");
-        assert!(!desk.said(&line("right"), 0).1.contains(REVERSED), "{fit}");
+        assert!(!desk.run_expecting(&line("right"), 0).1.contains(REVERSED), "{fit}");
     }
     for (line, code) in [
         ("check negative.toml", 3),
@@ -50,7 +50,7 @@ fn a_reversed_backlash_is_said_by_every_command_that_makes_or_reads_it() {
         ("export negative.toml --format fanuc -o e", 0),
         ("diagnose --machine m.toml --run reversed.csv --out d", 0),
     ] {
-        let (_, err) = desk.said(line, code);
+        let (_, err) = desk.run_expecting(line, code);
         assert!(err.contains(REVERSED), "{line}: {err}");
     }
 }
@@ -77,14 +77,16 @@ fn an_impossible_value_is_refused_and_not_written_until_its_key_is_accepted() {
             assert!(err.contains(&format!("--accept {key}")), "{line}: {err}");
             assert!(written.is_none_or(|file| !desk.path(file).exists()), "{line}");
         }
-        let (_, err) = desk.said(&format!("{line} --accept {key}"), code);
+        let (_, err) = desk.run_expecting(&format!("{line} --accept {key}"), code);
         assert!(err.contains("impossible"), "said even where it is accepted: {line}: {err}");
         assert!(written.is_none_or(|file| desk.path(file).exists()), "{line}");
     }
     let load = "bridge load c.bin --port tcp:127.0.0.1:1 --yes";
-    assert!(desk.said(load, 2).1.contains(&format!("--accept {key}")));
+    assert!(desk.run_expecting(load, 2).1.contains(&format!("--accept {key}")));
     // Accepted, the next thing that is wrong is that nobody answers there.
-    assert!(!desk.said(&format!("{load} --accept {key}"), 1).1.contains("not written or used"));
+    assert!(
+        !desk.run_expecting(&format!("{load} --accept {key}"), 1).1.contains("not written or used")
+    );
 }
 
 #[test]
@@ -101,12 +103,12 @@ fn what_a_fit_makes_is_held_against_the_ranges_before_it_is_written() {
     }
     desk.write("ms.csv", text);
     let line = "fit elongation --run ms.csv --machine m.toml --source temperature -o f.toml";
-    let (_, err) = desk.said(line, 2);
+    let (_, err) = desk.run_expecting(line, 2);
     assert!(err.contains("looks like ms, not s"), "{err}");
     let line = &format!("{line} --accept time_s");
-    let (_, err) = desk.said(line, 2);
+    let (_, err) = desk.run_expecting(line, 2);
     assert!(err.contains("spindle.temperature.lag_s") && err.contains("ms instead of s"), "{err}");
     assert!(!desk.path("f.toml").exists());
-    desk.said(&format!("{line} --accept spindle.temperature.lag_s"), 0);
+    desk.run_expecting(&format!("{line} --accept spindle.temperature.lag_s"), 0);
     assert!(desk.path("f.toml").exists());
 }

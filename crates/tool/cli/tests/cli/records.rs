@@ -46,10 +46,10 @@ fn the_record_of_a_bridge_is_diagnosed_and_fitted_without_what_it_applied() {
     let machine = MachineFile::parse(PAPER, "m.toml".as_ref()).expect("the project's own");
     let own = compile(&machine).expect("it fits").crc();
     let desk = Desk::new(&[("m.toml", PAPER), ("r.csv", &record(own)), ("other.csv", &record(7))]);
-    let (out, err) = desk.said("diagnose --machine m.toml --run r.csv --out d", 0);
+    let (out, err) = desk.run_expecting("diagnose --machine m.toml --run r.csv --out d", 0);
     assert!(out.contains("sensor-gain"), "{out}");
-    for told in ["5 of 400 rows are set aside: the bridge held", "2 of 400 rows are set aside"] {
-        assert!(err.contains(&format!("warning: r.csv: measured_elongation_um: {told}")), "{err}");
+    for phase in ["5 of 400 rows are excluded: the bridge held", "2 of 400 rows are excluded"] {
+        assert!(err.contains(&format!("warning: r.csv: measured_elongation_um: {phase}")), "{err}");
     }
     let answer: Value = serde_json::from_str(&desk.text("d/diagnosis.json")).expect("JSON");
     assert_eq!(answer["notes"].as_array().expect("a list").len(), 2);
@@ -58,8 +58,8 @@ fn the_record_of_a_bridge_is_diagnosed_and_fitted_without_what_it_applied() {
     assert_eq!(findings.len(), 1, "{out}");
     assert!((gain - 1.25).abs() < 0.002, "{gain}");
 
-    let (_, err) = desk.said("fit elongation --machine m.toml --run r.csv -o f.toml", 0);
-    assert!(err.contains("2 of 400 rows are set aside"), "{err}");
+    let (_, err) = desk.run_expecting("fit elongation --machine m.toml --run r.csv -o f.toml", 0);
+    assert!(err.contains("2 of 400 rows are excluded"), "{err}");
     let fitted = MachineFile::read(&desk.path("f.toml")).expect("a machine file");
     let um_per_count = fitted.spindle.sensor.expect("fitted").um_per_count;
     assert!((um_per_count * 65.536 - 1.25).abs() < 0.002, "{um_per_count}");
@@ -69,7 +69,7 @@ fn the_record_of_a_bridge_is_diagnosed_and_fitted_without_what_it_applied() {
         "diagnose --machine m.toml --run r.csv --holdout other.csv --out d2",
         "fit elongation --machine m.toml --run other.csv -o f2.toml",
     ] {
-        let (_, err) = desk.said(line, 2);
+        let (_, err) = desk.run_expecting(line, 2);
         let place = "other.csv:2:18: calibration_crc 7 is another calibration than that of this";
         assert!(err.contains(place), "{line}: {err}");
     }
@@ -89,7 +89,8 @@ fn a_cnc_that_applies_the_offset_otherwise_is_named_and_nothing_is_made_of_its_r
         ("right.csv", &of(1.0, 0..400)),
     ]);
     let diagnosed = |line: &str, code: i32| {
-        let (out, _) = desk.said(&format!("diagnose --machine m.toml {line} --out d"), code);
+        let (out, _) =
+            desk.run_expecting(&format!("diagnose --machine m.toml {line} --out d"), code);
         assert_eq!(desk.text("d/extended.toml"), PAPER, "{line}");
         let json: Value = serde_json::from_str(&desk.text("d/diagnosis.json")).expect("JSON");
         (out, json)
@@ -113,11 +114,11 @@ fn a_cnc_that_applies_the_offset_otherwise_is_named_and_nothing_is_made_of_its_r
         );
     }
     let known = "diagnose --machine m.toml --run right.csv --applied-once --out e";
-    desk.said(known, 0);
+    desk.run_expecting(known, 0);
     assert!(desk.text("e/extended.toml").contains("sensor-gain"));
     for (run, why) in [("middle.csv", "For 1 µm of offset"), ("on.csv", "disengaged")] {
         let line = format!("fit elongation --machine m.toml --run {run} -o f.toml");
-        let (_, err) = desk.said(&line, 2);
+        let (_, err) = desk.run_expecting(&line, 2);
         assert!(err.contains(why) && !desk.path("f.toml").exists(), "{err}");
     }
 }
@@ -135,10 +136,10 @@ fn a_column_that_looks_like_a_known_one_is_a_warning_and_an_error_where_it_is_ne
         "diagnose --machine m.toml --run slip.csv --out d",
         "fit elongation --machine m.toml --run slip.csv -o f.toml",
     ] {
-        let (_, err) = desk.said(line, 2);
-        let told =
+        let (_, err) = desk.run_expecting(line, 2);
+        let message =
             "slip.csv:2:15: column measured_elongation_um is missing; measured_elongation_mm is";
-        assert!(err.contains(told), "{line}: {err}");
+        assert!(err.contains(message), "{line}: {err}");
     }
     for line in [
         "diagnose --machine m.toml --run warn.csv --out d",
@@ -147,7 +148,8 @@ fn a_column_that_looks_like_a_known_one_is_a_warning_and_an_error_where_it_is_ne
     ] {
         let output = desk.trueup(line);
         let err = String::from_utf8_lossy(&output.stderr).into_owned();
-        let told = "warning: warn.csv:1:38: X (mm) is no column that is known; did you mean x_mm?";
-        assert_eq!(err.matches(told).count(), 1, "{line}: {err}");
+        let message =
+            "warning: warn.csv:1:38: X (mm) is no column that is known; did you mean x_mm?";
+        assert_eq!(err.matches(message).count(), 1, "{line}: {err}");
     }
 }

@@ -84,13 +84,13 @@ fn circle(
 }
 
 fn json(desk: &Desk, line: &str, code: i32) -> Value {
-    serde_json::from_str(&desk.said(line, code).0).expect("JSON")
+    serde_json::from_str(&desk.run_expecting(line, code).0).expect("JSON")
 }
 
 #[test]
 fn a_circle_names_what_the_machine_has() {
     let desk = Desk::new(&[("m.toml", MACHINE)]);
-    let (out, _) = desk.said(
+    let (out, _) = desk.run_expecting(
         "program circle --machine m.toml --for siemens --axis x,y --at x=300,y=200,z=-120 -o c",
         0,
     );
@@ -131,7 +131,7 @@ fn a_circle_names_what_the_machine_has() {
 fn a_circle_along_the_tool_is_an_arc_over_its_retracted_half() {
     let desk = Desk::new(&[("m.toml", MACHINE)]);
     let line = "program circle --machine m.toml --for linuxcnc --axis x,z --range z=-290:-10 --at x=300,z=-199 --radius 150 -o c";
-    let (out, _) = desk.said(line, 0);
+    let (out, _) = desk.run_expecting(line, 0);
     assert!(out.contains("x 150 to 450 mm"), "{out}");
     let truth = axes(0.0, 0.0, 6.0);
     desk.write(
@@ -146,12 +146,12 @@ fn a_circle_along_the_tool_is_an_arc_over_its_retracted_half() {
         (&"zx".into(), &serde_json::json!(["backlash of x"]))
     );
     // More than the circle fits nowhere, and a control without words for it is refused.
-    let (_, err) = desk.said(&line.replace("150 -o", "250 -o"), 2);
+    let (_, err) = desk.run_expecting(&line.replace("150 -o", "250 -o"), 2);
     assert!(
         err.contains("a circle of 250 mm would send") && err.contains("smaller --radius"),
         "{err}"
     );
-    let (_, err) = desk.said(&line.replace("linuxcnc", "heidenhain"), 2);
+    let (_, err) = desk.run_expecting(&line.replace("linuxcnc", "heidenhain"), 2);
     assert!(err.contains("M91 does not hold"), "{err}");
 }
 
@@ -176,7 +176,7 @@ fn turned([x, y, z]: [f64; 3], about: [f64; 3], urad: f64) -> [f64; 3] {
 fn a_square_shows_how_x_leans_with_y_however_it_lies() {
     let desk = Desk::new(&[("m.toml", MACHINE)]);
     let line = "program square --machine m.toml --for linuxcnc --range z=-290:-10 --at x=100,y=80,z=-200 --size 250 --stylus 6 -o s";
-    desk.said(line, 0);
+    desk.run_expecting(line, 0);
     let program = desk.text("s/square_xyz.ngc");
     let corner = [100.0, 80.0, -300.0];
     for urad in [0.0, 700.0] {
@@ -202,9 +202,9 @@ fn a_square_shows_how_x_leans_with_y_however_it_lies() {
         3,
     );
     assert!(!is_known(&found, "EC0Y"), "{found}");
-    let (_, err) = desk.said(&line.replace("linuxcnc", "siemens"), 2);
+    let (_, err) = desk.run_expecting(&line.replace("linuxcnc", "siemens"), 2);
     assert!(err.contains("by the control's own measuring cycles"), "{err}");
-    let (_, err) = desk.said(&line.replace(" --stylus 6", ""), 2);
+    let (_, err) = desk.run_expecting(&line.replace(" --stylus 6", ""), 2);
     assert!(err.contains("give --stylus"), "{err}");
 }
 
@@ -244,7 +244,7 @@ fn a_sphere_at_many_angles_finds_the_line_of_the_table() {
     let desk = Desk::new(&[("m.toml", &file)]);
     let line = "program sphere --machine m.toml --for linuxcnc --range z=-290:-10 --at x=360,y=240,z=-200 --ball 20 --stylus 6 \
                 --angle c=-120,-60,0,60,120,180 --tool-length 100,200 -o s";
-    desk.said(line, 0);
+    desk.run_expecting(line, 0);
     let mut table = body(MovingAxis::C, true);
     (table.at_mm, table.tilt_urad) = ([300.0, 200.0, -400.0], [40.0, -25.0, 0.0]);
     let mut bodies = vec![table];
@@ -292,7 +292,7 @@ fn a_ball_plate_in_two_heights_with_two_styli_finds_a_roll() {
             "program plate --machine m.toml --for linuxcnc --range z=-290:-2 --at x=60,y=60,z={z} --ball 20 --stylus 6 --step-mm 95 \
              --balls 5x4 --tool-length 100,200 --repeats 1 --search 2 -o {name}"
         );
-        desk.said(&line, 0);
+        desk.run_expecting(&line, 0);
         let first = [60.0, 60.0, z - 100.0];
         let program = desk.text(&format!("{name}/plate_xyz.ngc"));
         let text = run(&program, &truth, 100.0, |tip, _| {

@@ -128,7 +128,7 @@ fn r_records_and_g_writes_readings_typed_and_live() {
 }
 
 #[test]
-fn a_fault_is_told_with_its_remedy_and_a_line_that_breaks_is_tried_again() {
+fn a_fault_is_reported_with_its_remedy_and_a_line_that_breaks_is_tried_again() {
     let desk = Desk::new(&[]);
     // It closes the line 1.3 s after it was opened.
     let (port, _) = crate::pretended::bridge(PretendedFault::Leaves);

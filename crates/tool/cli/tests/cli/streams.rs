@@ -134,7 +134,7 @@ fn desk() -> Desk {
         ("small.csv", &run(9.0)),
         ("bad.csv", "temp_a_c,measured_elongation_um\n20,x\n"),
     ]);
-    desk.said("compile m.toml -o cal.bin", 0);
+    desk.run_expecting("compile m.toml -o cal.bin", 0);
     desk
 }
 
@@ -234,7 +234,7 @@ fn stalled() -> (PipeReader, Stdio) {
 }
 
 #[test]
-fn a_gateway_whose_output_nobody_reads_serves_its_plc_and_counts_what_it_drops() {
+fn a_gateway_whose_output_is_not_read_serves_its_plc_and_counts_what_it_drops() {
     let desk = desk();
     let (port, _) = bridge_with(PretendedFault::None, true);
     let listen =
@@ -263,9 +263,9 @@ fn a_gateway_whose_output_nobody_reads_serves_its_plc_and_counts_what_it_drops()
     }
     let ended = Command::new("kill").arg(gateway.id().to_string()).status().expect("a shell");
     assert!(ended.success());
-    let asked = Instant::now();
+    let requested_at = Instant::now();
     let status = gateway.wait().expect("a child");
-    assert!(asked.elapsed() < Duration::from_secs(3), "it waits for its streams");
+    assert!(requested_at.elapsed() < Duration::from_secs(3), "it waits for its streams");
     assert_eq!(status.code(), Some(0));
     let mut text = String::new();
     err.read_to_string(&mut text).expect("text");

@@ -173,8 +173,8 @@ fn correct(name: &str, answers: &[(&str, &str)]) -> String {
 
     // The machine file.
     shop.type_at(|shop| &mut shop.work, "trueup new");
-    for (asked, answer) in answers.iter().chain(&LAST_ANSWERS) {
-        shop.work.shows(&[asked]);
+    for (requested, answer) in answers.iter().chain(&LAST_ANSWERS) {
+        shop.work.shows(&[requested]);
         shop.work.press(answer);
         let text = answer.strip_suffix('\r').unwrap_or_default();
         assert!(

@@ -38,8 +38,8 @@ fn fault_values_of_a_thermometer_are_excluded_by_every_command_and_reported() {
     let desk = Desk::new(&[("m.toml", MACHINE)]);
     desk.write("sound.csv", spindle(|_, celsius| celsius));
     let fit = |run: &str| {
-        let (_, err) =
-            desk.said(&format!("fit elongation --run {run} --machine m.toml -o f.toml"), 0);
+        let (_, err) = desk
+            .run_expecting(&format!("fit elongation --run {run} --machine m.toml -o f.toml"), 0);
         let text = desk.text("f.toml");
         (["k_um_per_c", "reference_c", "lag_s"].map(|key| number_after(&text, key)), err)
     };
@@ -55,10 +55,10 @@ fn fault_values_of_a_thermometer_are_excluded_by_every_command_and_reported() {
             "f.csv",
             spindle(|row, celsius| if rows.contains(&row) { value } else { celsius }),
         );
-        let said = format!("temp_nose_c shows {value} in {} row", rows.len());
+        let message = format!("temp_nose_c shows {value} in {} row", rows.len());
         let line = format!("(first in line {})", rows[0] + 2);
         let (found, err) = fit("f.csv");
-        assert!(err.contains(&said) && err.contains(&line), "{err}");
+        assert!(err.contains(&message) && err.contains(&line), "{err}");
         for (found, right, within) in
             [(found[0], right[0], 0.01), (found[1], right[1], 0.05), (found[2], right[2], 10.0)]
         {
@@ -79,7 +79,7 @@ fn fault_values_of_a_thermometer_are_excluded_by_every_command_and_reported() {
                 output.status.code() == Some(code) || !command.starts_with("check"),
                 "{command}: {err}"
             );
-            assert!(err.contains(&said) && err.contains(&line), "{command}: {err}");
+            assert!(err.contains(&message) && err.contains(&line), "{command}: {err}");
         }
         // No row is predicted by what was no temperature.
         let predicted = desk.text("p.csv");
@@ -89,7 +89,7 @@ fn fault_values_of_a_thermometer_are_excluded_by_every_command_and_reported() {
 }
 
 #[test]
-fn a_run_in_another_unit_is_said_and_the_impossible_is_refused_until_it_is_accepted() {
+fn a_run_in_another_unit_is_reported_and_the_impossible_is_refused_until_it_is_accepted() {
     let desk = Desk::new(&[("m.toml", MACHINE)]);
     desk.write("f.csv", spindle(|_, celsius| 32.0 + 1.8 * celsius));
     desk.write("t.csv", spindle(|_, celsius| (10.0 * celsius).round()));
@@ -99,25 +99,25 @@ fn a_run_in_another_unit_is_said_and_the_impossible_is_refused_until_it_is_accep
         "fit elongation -m m.toml -o f.toml -r",
         "diagnose -m m.toml --out d -r",
     ] {
-        let said = |run: &str, more: &str| {
+        let text = |run: &str, more: &str| {
             let output = desk.trueup(&format!("{command} {run}{more}"));
             (output.status.code(), String::from_utf8(output.stderr).expect("UTF-8"))
         };
-        let (code, err) = said("f.csv", "");
+        let (code, err) = text("f.csv", "");
         // A constant that is found from it would be wrong.
         let finds = command.starts_with("fit") || command.starts_with("diagnose");
         assert!(err.contains("looks like °F, not °C"), "{command}: {err}");
         assert_eq!(code == Some(2), finds, "{command}: {err}");
         assert_eq!(err.contains("--accept temp_nose_c"), finds, "{command}: {err}");
         assert!(!desk.path("d").exists() && !desk.path("f.toml").exists(), "{command}");
-        let (code, err) = said("f.csv", " --accept temp_nose_c");
+        let (code, err) = text("f.csv", " --accept temp_nose_c");
         assert_ne!(code, Some(2), "{command}: {err}");
         let tidy = || {
             _ = std::fs::remove_file(desk.path("f.toml"));
             _ = std::fs::remove_dir_all(desk.path("d"));
         };
         tidy();
-        let (code, err) = said("t.csv", "");
+        let (code, err) = text("t.csv", "");
         assert!(
             err.contains("looks like tenths") && err.contains("--accept temp_nose_c"),
             "{command}: {err}"
@@ -127,7 +127,7 @@ fn a_run_in_another_unit_is_said_and_the_impossible_is_refused_until_it_is_accep
             !desk.path("d/diagnosis.json").exists() || command.starts_with("check"),
             "{command}"
         );
-        let (code, err) = said("t.csv", " --accept temp_nose_c");
+        let (code, err) = text("t.csv", " --accept temp_nose_c");
         assert_ne!(code, Some(2), "{command}: {err}");
         tidy();
     }
@@ -153,11 +153,11 @@ fn sweeps(has_directions: bool) -> String {
 }
 
 #[test]
-fn directions_that_are_missing_are_derived_and_said() {
+fn directions_that_are_missing_are_derived_and_reported() {
     let desk = Desk::new(&[("m.toml", LASH)]);
     desk.write("with.csv", sweeps(true));
     desk.write("without.csv", sweeps(false));
-    let said = "dir_x is missing: x_mm falls as often as it rises";
+    let message = "dir_x is missing: x_mm falls as often as it rises";
     for (command, code) in [
         ("check -m m.toml RUN", 3),
         ("predict -m m.toml -r RUN -o p.csv", 0),
@@ -170,7 +170,7 @@ fn directions_that_are_missing_are_derived_and_said() {
             let output = desk.trueup(&line);
             let err = String::from_utf8(output.stderr).expect("UTF-8");
             let is_without = run == "without.csv";
-            assert_eq!(err.contains(said), is_without, "{line}: {err}");
+            assert_eq!(err.contains(message), is_without, "{line}: {err}");
             let expected = if command.starts_with("check") && !is_without { 0 } else { code };
             assert_eq!(output.status.code(), Some(expected), "{line}: {err}");
             let out = String::from_utf8(output.stdout).expect("UTF-8").replace(run, "RUN");
@@ -181,18 +181,20 @@ fn directions_that_are_missing_are_derived_and_said() {
             assert_eq!(both[0], both[1], "{command}");
         }
     }
-    let (said, _) = desk.said("diagnose -m m.toml -r without.csv --out d", 0);
-    assert!(!said.contains("does not repeat"), "{said}");
+    let (message, _) = desk.run_expecting("diagnose -m m.toml -r without.csv --out d", 0);
+    assert!(!message.contains("does not repeat"), "{message}");
 }
 
 #[test]
-fn a_misspelt_column_is_told_with_the_name_that_was_meant_and_a_free_one_is_not() {
+fn a_misspelt_column_is_reported_with_the_name_that_was_meant_and_a_free_one_is_not() {
     let desk = Desk::new(&[("m.toml", MACHINE)]);
     let text = spindle(|_, celsius| celsius);
     desk.write("slip.csv", text.replace("spindle_rpm", "spindel_rpm"));
     desk.write("free.csv", text.replace("spindle_rpm", "pump_rpm"));
-    assert!(desk.said("check -m m.toml slip.csv", 3).1.contains("did you mean spindle_rpm?"));
-    assert_eq!(desk.said("check -m m.toml free.csv", 0).1, "");
+    assert!(
+        desk.run_expecting("check -m m.toml slip.csv", 3).1.contains("did you mean spindle_rpm?")
+    );
+    assert_eq!(desk.run_expecting("check -m m.toml free.csv", 0).1, "");
 }
 
 #[test]
@@ -202,6 +204,6 @@ fn a_clock_of_unix_seconds_and_the_first_line_of_a_spreadsheet_are_understood() 
         .map(|row| format!("{};{};{}\n", 1_790_000_000 + 60 * row, 21 + row % 9, row % 9))
         .collect();
     desk.write("r.csv", format!("sep=;\ntimestamp;temp_nose_c;measured_elongation_um\n{rows}"));
-    let (out, _) = desk.said("predict -m m.toml -r r.csv -o p.csv", 0);
+    let (out, _) = desk.run_expecting("predict -m m.toml -r r.csv -o p.csv", 0);
     assert!(out.contains("40 rows") && desk.text("p.csv").starts_with("time_s,"), "{out}");
 }

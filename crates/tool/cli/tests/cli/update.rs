@@ -41,7 +41,7 @@ fn a_board_that_is_silent_while_it_erases_gets_it_all_and_starts_it_on_trial() {
     let desk = desk();
     let (port, seen) = board(Setup { erase: Duration::from_millis(5_300), ..Setup::default() });
     let info = format!("bridge info --port {port}");
-    let (out, _) = desk.said(&info, 0);
+    let (out, _) = desk.run_expecting(&info, 0);
     for line in [
         "\nfirmware     slot A runs: 1.1.0, confirmed\n",
         "\nfirmware     slot B: empty\n",
@@ -50,7 +50,8 @@ fn a_board_that_is_silent_while_it_erases_gets_it_all_and_starts_it_on_trial() {
     ] {
         assert!(out.contains(line), "{line}: {out}");
     }
-    let (out, err) = desk.said(&format!("bridge update new.update --yes --port {port}"), 0);
+    let (out, err) =
+        desk.run_expecting(&format!("bridge update new.update --yes --port {port}"), 0);
     assert!(err.contains("slot A: 1.1.0, confirmed (runs)\nslot B: empty\n"), "{err}");
     assert!(err.contains("1.3.0 (2612 bytes) goes to slot B"), "{err}");
     for line in [
@@ -63,7 +64,7 @@ fn a_board_that_is_silent_while_it_erases_gets_it_all_and_starts_it_on_trial() {
     }
     assert_eq!(slot_b(&seen), part(Slot::B, 3, &maker()));
     assert_eq!((written(&seen), seen.lock().expect("no holder panics").erases), (BODY, 1));
-    let (out, _) = desk.said(&format!("--json {info}"), 0);
+    let (out, _) = desk.run_expecting(&format!("--json {info}"), 0);
     let slots = &json(&out)["firmware_slots"];
     assert_eq!((&slots["running"], &slots["b"]["status"]), (&"B".into(), &"trial".into()));
     assert_eq!((&slots["b"]["starts"], &slots["a"]["version"]), (&1.into(), &"1.1.0".into()));
@@ -74,13 +75,13 @@ fn after_a_line_that_was_cut_the_same_command_goes_on_behind_what_has_come() {
     let desk = desk();
     let (port, seen) = board(Setup { cut_at: Some(1_500), ..Setup::default() });
     let line = format!("--json bridge update new.update --yes --port {port}");
-    let (out, err) = desk.said(&line, 1);
+    let (out, err) = desk.run_expecting(&line, 1);
     assert_eq!(out, "", "{err}");
     let from = err.split("near byte ").nth(1).and_then(|part| part.split(' ').next());
     let from: usize = from.and_then(|text| text.parse().ok()).expect("it says near which byte");
     let first = written(&seen);
     assert!((900..BODY).contains(&first), "{first}");
-    let (out, _) = desk.said(&line, 0);
+    let (out, _) = desk.run_expecting(&line, 0);
     let done = json(&out);
     let resumed = done["resumed_from"].as_u64().expect("a number") as usize;
     // The board has a block of 31 segments that it could not acknowledge.
@@ -96,8 +97,9 @@ fn another_file_than_the_one_that_was_begun_begins_anew() {
     let desk = desk();
     desk.write("newer.update", both(4));
     let (port, seen) = board(Setup { cut_at: Some(1_500), ..Setup::default() });
-    desk.said(&format!("bridge update new.update --yes --port {port}"), 1);
-    let (out, _) = desk.said(&format!("--json bridge update newer.update --yes --port {port}"), 0);
+    desk.run_expecting(&format!("bridge update new.update --yes --port {port}"), 1);
+    let (out, _) =
+        desk.run_expecting(&format!("--json bridge update newer.update --yes --port {port}"), 0);
     assert_eq!(json(&out)["resumed_from"], 0);
     assert_eq!(seen.lock().expect("no holder panics").erases, 2);
     assert_eq!(slot_b(&seen), part(Slot::B, 4, &maker()));
@@ -110,7 +112,7 @@ fn an_answer_that_is_lost_costs_a_look_and_no_byte_twice() {
         let desk = desk();
         let (port, seen) = board(Setup { lost_answer_at: Some(lost), ..Setup::default() });
         let (out, _) =
-            desk.said(&format!("--json bridge update new.update --yes --port {port}"), 0);
+            desk.run_expecting(&format!("--json bridge update new.update --yes --port {port}"), 0);
         assert_eq!((&json(&out)["runs"], &json(&out)["resumed_from"]), (&true.into(), &0.into()));
         assert_eq!(slot_b(&seen), part(Slot::B, 3, &maker()));
         assert_eq!(seen.lock().expect("no holder panics").erases, 1);
@@ -123,15 +125,15 @@ fn a_firmware_that_waits_for_the_next_start_is_not_sent_twice() {
     let desk = desk();
     let (port, seen) = board(Setup::default());
     let line = format!("bridge update new.update --yes --port {port}");
-    let (out, _) = desk.said(&format!("{line} --keep-running"), 0);
+    let (out, _) = desk.run_expecting(&format!("{line} --keep-running"), 0);
     assert!(out.contains("1.3.0 is used from the next start"), "{out}");
-    let (out, _) = desk.said(&format!("bridge info --port {port}"), 0);
+    let (out, _) = desk.run_expecting(&format!("bridge info --port {port}"), 0);
     assert!(
         out.contains("firmware     slot B: 1.3.0, verified: it waits for the next start"),
         "{out}"
     );
     assert!(out.contains("the newer one waits for the next start\n"), "{out}");
-    let (out, _) = desk.said(&line, 0);
+    let (out, _) = desk.run_expecting(&line, 0);
     assert!(out.contains("the first 2612 of them by an earlier command"), "{out}");
     assert_eq!(written(&seen), BODY);
 }
@@ -140,10 +142,10 @@ fn a_firmware_that_waits_for_the_next_start_is_not_sent_twice() {
 fn a_firmware_that_crashes_leaves_the_old_one_and_ends_with_3() {
     let desk = desk();
     let (port, _) = board(Setup { crashes: true, ..Setup::default() });
-    let (out, _) = desk.said(&format!("bridge update new.update --yes --port {port}"), 3);
+    let (out, _) = desk.run_expecting(&format!("bridge update new.update --yes --port {port}"), 3);
     assert!(out.contains("runs from slot A as before: 1.1.0, confirmed\n"), "{out}");
     assert!(out.contains("slot B: 1.3.0, rejected: it failed its trial; it crashed"), "{out}");
-    let (out, _) = desk.said(&format!("bridge info --port {port}"), 0);
+    let (out, _) = desk.run_expecting(&format!("bridge info --port {port}"), 0);
     assert!(
         out.contains("slot A was chosen: it is confirmed; the newer one failed its trial\n"),
         "{out}"
@@ -184,14 +186,15 @@ fn a_file_that_is_not_for_this_board_is_refused_before_anything_is_erased() {
         ),
     ] {
         let (port, seen) = board(setup);
-        let (out, err) = desk.said(&format!("bridge update {file} --yes --port {port}"), 2);
+        let (out, err) =
+            desk.run_expecting(&format!("bridge update {file} --yes --port {port}"), 2);
         assert_eq!(out, "", "{err}");
         assert!(err.contains(phrase), "{phrase}: {err}");
         let seen = seen.lock().expect("no holder panics");
         assert_eq!((seen.written, seen.erases), (0, 0), "{phrase}");
     }
     let (port, _) = board(Setup { has_no_slots: true, ..Setup::default() });
-    let (out, _) = desk.said(&format!("bridge info --port {port}"), 0);
+    let (out, _) = desk.run_expecting(&format!("bridge info --port {port}"), 0);
     assert!(!out.contains("firmware     "), "{out}");
 }
 
@@ -200,28 +203,29 @@ fn a_foreign_signature_is_refused_by_the_board_in_words() {
     let desk = Desk::new(&[]);
     desk.write("foreign.update", part(Slot::B, 3, &PrivateKey::generate().expect("random bytes")));
     let (port, _) = board(Setup::default());
-    let (out, err) = desk.said(&format!("bridge update foreign.update --yes --port {port}"), 2);
+    let (out, err) =
+        desk.run_expecting(&format!("bridge update foreign.update --yes --port {port}"), 2);
     assert_eq!(out, "", "{err}");
     assert!(
         err.contains("the board refuses it: the file is not signed with this board's key. Take"),
         "{err}"
     );
-    let (out, _) = desk.said(&format!("bridge info --port {port}"), 0);
+    let (out, _) = desk.run_expecting(&format!("bridge info --port {port}"), 0);
     assert!(out.contains("firmware     slot A runs: 1.1.0, confirmed\n"), "{out}");
     assert!(out.contains("loading: it has not come whole\n"), "{out}");
 }
 
 #[test]
-fn a_cnc_without_service_is_asked_for_it_and_nobody_else_is_asked_without_a_terminal() {
+fn a_cnc_without_service_is_asked_for_it_and_no_user_without_a_terminal() {
     let desk = desk();
     let (port, seen) = board(Setup { has_cnc: true, ..Setup::default() });
-    let (_, err) = desk.said(&format!("bridge update new.update --yes --port {port}"), 1);
+    let (_, err) = desk.run_expecting(&format!("bridge update new.update --yes --port {port}"), 1);
     assert!(
         err.contains("set Service there") && err.contains("with Engage off, and try again"),
         "{err}"
     );
     assert_eq!(seen.lock().expect("no holder panics").erases, 0);
-    let (_, err) = desk.said(&format!("bridge update new.update --port {port}"), 2);
+    let (_, err) = desk.run_expecting(&format!("bridge update new.update --port {port}"), 2);
     assert!(err.contains("--yes"), "{err}");
 }
 
@@ -249,7 +253,7 @@ fn a_damaged_file_says_its_byte_and_its_rule_and_no_port_is_opened() {
     ] {
         desk.write(file, bytes);
         let (out, err) =
-            desk.said(&format!("bridge update {file} --yes --port tcp:127.0.0.1:9"), 2);
+            desk.run_expecting(&format!("bridge update {file} --yes --port tcp:127.0.0.1:9"), 2);
         assert_eq!(out, "", "{err}");
         assert!(err.contains(&format!("{file}: ")) && err.contains(phrase), "{phrase}: {err}");
     }
@@ -278,6 +282,7 @@ fn ctrl_c_says_near_which_byte_the_same_command_goes_on() {
         err.contains("The same command goes on there") && err.contains("you have stopped it"),
         "{err}"
     );
-    let (out, _) = desk.said(&format!("--json bridge update new.update --yes --port {port}"), 0);
+    let (out, _) =
+        desk.run_expecting(&format!("--json bridge update new.update --yes --port {port}"), 0);
     assert!(json(&out)["resumed_from"].as_u64() >= Some(800), "{out}");
 }

@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_in_a_table_is_refused_and_a_direction_is_heard() {
+    fn a_gap_in_a_table_is_refused_and_a_direction_is_accepted() {
         let table = "$AN_CEC[0,0]=0\n$AN_CEC[0,1]=0.01\n$AN_CEC_INPUT_AXIS[0]=(AX1)\n\
                      $AN_CEC_OUTPUT_AXIS[0]=(AX3)\n$AN_CEC_STEP[0]=10\n$AN_CEC_MIN[0]=-5\n\
                      $AN_CEC_MAX[0]=5\n$AN_CEC_DIRECTION[0]=-1\n$AN_CEC_MULT_BY_TABLE[0]=0\n\

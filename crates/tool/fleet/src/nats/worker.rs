@@ -138,10 +138,10 @@ impl WorkerThreads<'_> {
 
     /// Takes the next job that waits.
     fn fetch_next(&self) -> io::Result<Option<Message>> {
-        let asked = self.consumer.fetch().max_messages(1).expires(FETCH_TIMEOUT);
+        let requested = self.consumer.fetch().max_messages(1).expires(FETCH_TIMEOUT);
         // All of it within the runtime: its drop notifies the server.
         self.remote.wait_for_response("the queue", async {
-            let mut messages = asked.messages().await.map_err(|error| error.to_string())?;
+            let mut messages = requested.messages().await.map_err(|error| error.to_string())?;
             messages.next().await.transpose().map_err(|error| error.to_string())
         })
     }

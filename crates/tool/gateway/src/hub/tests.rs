@@ -38,7 +38,7 @@ fn z_nm(input: &InputBlock) -> Option<i32> {
 }
 
 #[test]
-fn before_anything_was_heard_nothing_is_available() {
+fn before_anything_was_received_nothing_is_available() {
     let hub = hub();
     assert_eq!((z_nm(&read(&hub)), read(&hub).output.quality), (None, Quality::Fault));
 }
@@ -59,7 +59,7 @@ fn the_counter_moves_with_each_pair_and_stands_without() {
 }
 
 #[test]
-fn a_silent_bridge_is_told_by_a_gateway_that_lives() {
+fn a_silent_bridge_is_reported_by_a_gateway_that_lives() {
     let mut hub = hub();
     transmit(&mut hub, 1, Some(1_000));
     let mut last = read(&hub).counter;
@@ -91,7 +91,7 @@ fn half_a_pair_changes_nothing_and_a_damaged_one_is_counted() {
 }
 
 #[test]
-fn status_is_told_until_it_is_too_old() {
+fn status_is_reported_until_it_is_too_old() {
     let mut hub = hub();
     let items = [
         Item::Temperatures { pair: 0, centi_c: [Some(2_345), None] },
@@ -111,7 +111,7 @@ fn status_is_told_until_it_is_too_old() {
 }
 
 #[test]
-fn constant_and_slope_are_said_while_all_three_are_fresh() {
+fn constant_and_slope_are_reported_while_all_three_are_fresh() {
     let mut hub = hub();
     hub.expect_slopes(ms(0));
     let send = |hub: &mut Hub, at: u64, axes: std::ops::Range<u8>, counter: u8| {
@@ -238,11 +238,11 @@ fn only_a_bridge_on_the_pinned_calibration_is_engaged() {
     }));
     let mut receiver = Receiver::new();
     let mut counter = 0;
-    let mut says = |hub: &mut Hub, now: u64| {
+    let mut sends = |hub: &mut Hub, now: u64| {
         counter += 1;
-        let said =
+        let cnc_data =
             CncData { control: Control { zero: true, ..Control::ENGAGED }, ..CncData::default() };
-        assert_eq!(hub.accept_block(ms(now), 1, &said.encode(counter)), Ok(BlockOutcome::Used));
+        assert_eq!(hub.accept_block(ms(now), 1, &cnc_data.encode(counter)), Ok(BlockOutcome::Used));
         let frames = hub.take_due_frames();
         match receiver.accept(frames.first().expect("a Control")) {
             Ok(Some(CncMessage::Control(control))) => (control.engage, control.zero),
@@ -250,28 +250,28 @@ fn only_a_bridge_on_the_pinned_calibration_is_engaged() {
         }
     };
     transmit(&mut hub, 0, Some(0));
-    assert_eq!(says(&mut hub, 10), (false, false), "it has not said what it runs on");
+    assert_eq!(sends(&mut hub, 10), (false, false), "it has not said what it runs on");
     runs_on(&mut hub, 20, 0, 8);
     transmit(&mut hub, 20, Some(0));
-    assert_eq!(says(&mut hub, 40), (false, false), "another");
+    assert_eq!(sends(&mut hub, 40), (false, false), "another");
     transmit(&mut hub, 41, Some(0));
     assert_eq!(read(&hub).last_refused, REFUSED_CALIBRATION);
-    let told = hub.take_messages();
-    assert!(told.len() == 1 && told[0].contains("00000008"), "{told:?}");
+    let messages = hub.take_messages();
+    assert!(messages.len() == 1 && messages[0].contains("00000008"), "{messages:?}");
     runs_on(&mut hub, 60, 1, 7);
     transmit(&mut hub, 60, Some(0));
-    assert_eq!(says(&mut hub, 70), (true, true), "the pinned one");
+    assert_eq!(sends(&mut hub, 70), (true, true), "the pinned one");
     // It restarts, with whatever: not engaged until it has said on what it runs.
     transmit(&mut hub, 80, None);
     transmit(&mut hub, 90, Some(0));
-    assert_eq!(says(&mut hub, 100), (false, false));
+    assert_eq!(sends(&mut hub, 100), (false, false));
     runs_on(&mut hub, 110, 2, 7);
     transmit(&mut hub, 110, Some(0));
-    assert_eq!(says(&mut hub, 130), (true, true));
+    assert_eq!(sends(&mut hub, 130), (true, true));
     // It is away for long.
     hub.refresh_input_block(ms(2_200));
     transmit(&mut hub, 2_210, Some(0));
     hub.release_master(1);
     hub.register_master(ms(2_211), 1);
-    assert_eq!(says(&mut hub, 2_220), (false, false));
+    assert_eq!(sends(&mut hub, 2_220), (false, false));
 }

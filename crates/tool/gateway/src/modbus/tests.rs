@@ -75,7 +75,7 @@ impl Drop for World {
     }
 }
 
-fn ask(stream: &mut TcpStream, pdu: &[u8]) -> Vec<u8> {
+fn query(stream: &mut TcpStream, pdu: &[u8]) -> Vec<u8> {
     let length = (pdu.len() as u16 + 1).to_be_bytes();
     let request = [&[0, 7, 0, 0][..], &length, &[1], pdu].concat();
     stream.write_all(&request).expect("it listens");
@@ -87,7 +87,7 @@ fn ask(stream: &mut TcpStream, pdu: &[u8]) -> Vec<u8> {
 }
 
 fn read_input(stream: &mut TcpStream) -> [u16; INPUT_LEN] {
-    let body = ask(stream, &[4, 0, 0, 0, INPUT_LEN as u8]);
+    let body = query(stream, &[4, 0, 0, 0, INPUT_LEN as u8]);
     assert_eq!(body[..2], [4, 2 * INPUT_LEN as u8]);
     let mut block = [0; INPUT_LEN];
     for (place, word) in block.iter_mut().zip(body[2..].chunks_exact(2)) {
@@ -143,20 +143,20 @@ fn no_block_of_a_hundred_thousand_is_half_old_while_the_values_change_each_milli
 fn a_second_master_reads_but_is_busy_until_the_first_has_gone() {
     let world = World::new();
     let (mut first, mut second) = (world.connect(), world.connect());
-    assert_eq!(ask(&mut first, &engaged(1)), [16, 0, 0, 0, 17]);
-    assert_eq!(ask(&mut second, &engaged(9)), [0x90, 6]);
+    assert_eq!(query(&mut first, &engaged(1)), [16, 0, 0, 0, 17]);
+    assert_eq!(query(&mut second, &engaged(9)), [0x90, 6]);
     read_input(&mut second);
     drop(first);
     let start = Instant::now();
-    while ask(&mut second, &engaged(10)) != [16, 0, 0, 0, 17] {
+    while query(&mut second, &engaged(10)) != [16, 0, 0, 0, 17] {
         assert!(start.elapsed() < Duration::from_secs(5));
         thread::sleep(Duration::from_millis(10));
     }
-    assert_eq!(ask(&mut second, &[3, 0, 0, 0, 1]), [3, 2, 0, 10]);
+    assert_eq!(query(&mut second, &[3, 0, 0, 0, 1]), [3, 2, 0, 10]);
 }
 
 #[test]
-fn whoever_talks_nonsense_or_half_a_request_is_closed_and_no_one_else_notices() {
+fn a_client_that_sends_nonsense_or_half_a_request_is_closed_and_no_other_notices() {
     let world = World::new();
     let mut good = world.connect();
     read_input(&mut good);
@@ -182,9 +182,9 @@ fn whoever_talks_nonsense_or_half_a_request_is_closed_and_no_one_else_notices() 
 #[test]
 fn there_are_only_so_many_masters_and_places_become_free_again() {
     let world = World::new();
-    let wait = |wanted: usize| {
+    let wait = |expected: usize| {
         let start = Instant::now();
-        while world.masters.connection_count() != wanted {
+        while world.masters.connection_count() != expected {
             assert!(
                 start.elapsed() < Duration::from_secs(5),
                 "{}",

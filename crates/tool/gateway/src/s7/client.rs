@@ -68,7 +68,7 @@ pub enum Error {
     Item(u8),
     /// The bytes read back are not those written.
     #[error("what is read back is not what was written: does another write to this data block?")]
-    NotKept,
+    NotStored,
 }
 
 fn network_error_text(error: &io::Error) -> String {
@@ -86,9 +86,7 @@ fn error_class_advice(class: u8) -> &'static str {
         }
         // Servers on PCs say 0x84, 0x04 where a CPU has codes of an item.
         _ => {
-            "look at the number of the data block (--db), its length (trueup_db.awl of \
-             integrations/siemens-840d), its attribute \"Optimized block access\", and at PUT/GET (CPU \
-             properties, Protection)"
+            "check the number of the data block (--db), its length (trueup_db.awl of integrations/siemens-840d) and its attribute \"Optimized block access\"; check PUT/GET (CPU properties, Protection)"
         }
     }
 }

@@ -182,7 +182,7 @@ fn build_surface_table(
     }
     let mut notes = vec![FLAT_SURFACE_NOTE.to_string()];
     if unprobed > 0 {
-        notes.push(format!("{unprobed} points were not probed and are left out"));
+        notes.push(format!("{unprobed} points were not probed and are skipped"));
     }
     let place = Location { file: path.into(), line: rows[0].0, column: 1 };
     Ok(SourceTable {

@@ -167,7 +167,7 @@ fn build_surface_table(
     let mut notes = vec![FLAT_SURFACE_NOTE.to_string()];
     if there.len() < touches.len() {
         notes.push(format!(
-            "{} moves have touched nothing and are left out",
+            "{} moves have touched nothing and are skipped",
             touches.len() - there.len()
         ));
     }

@@ -36,7 +36,7 @@ fn times_of_day_dates_and_unix_time_are_seconds_from_the_first() {
 }
 
 #[test]
-fn a_stopwatch_is_told_from_a_clock_or_asked() {
+fn a_stopwatch_is_distinguished_from_a_clock_or_asked() {
     assert_eq!(seconds(&["00:30", "59:30", "61:00"], &[]), [0.0, 3540.0, 3630.0]);
     assert_eq!(open(table(&["00:30", "01:00", "01:30"]), &[]), [unit("Zeit")]);
     let cells = ["00:30", "01:00", "01:30"];

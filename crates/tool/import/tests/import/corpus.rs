@@ -194,7 +194,7 @@ fn instruments() -> Vec<File> {
 
 #[test]
 fn each_file_is_read_as_it_is_with_one_answer_or_refused_in_three_lines() {
-    let (mut read, mut asked, mut refused) = (0, 0, 0);
+    let (mut read, mut requested, mut refused) = (0, 0, 0);
     for (name, bytes, fate) in tables().into_iter().chain(instruments()) {
         let import = |given: &[(Topic, &str)]| import(&bytes, Path::new(name), &answers(given));
         let starts = |run: &str, start: &str| assert!(run.starts_with(start), "{name}: {run}");
@@ -213,7 +213,7 @@ fn each_file_is_read_as_it_is_with_one_answer_or_refused_in_three_lines() {
                 let imported =
                     import(&[answer]).unwrap_or_else(|error| panic!("{name}: {error:?}"));
                 starts(&imported.run, start);
-                asked += 1;
+                requested += 1;
             }
             RefusedBy(form) => {
                 let Err(ImportError::Bad(error)) = import(&[]) else { panic!("{name}") };
@@ -223,6 +223,6 @@ fn each_file_is_read_as_it_is_with_one_answer_or_refused_in_three_lines() {
             }
         }
     }
-    println!("{read} read as they are, {asked} with one answer, {refused} refused by name");
-    assert_eq!((read, asked, refused), (16, 5, 5));
+    println!("{read} read as they are, {requested} with one answer, {refused} refused by name");
+    assert_eq!((read, requested, refused), (16, 5, 5));
 }

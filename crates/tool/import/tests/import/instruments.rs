@@ -86,7 +86,7 @@ fn tables_of_a_heidenhain_are_errors_there_and_back() {
 }
 
 #[test]
-fn height_maps_are_errors_of_z_and_points_without_a_probe_are_left_out() {
+fn height_maps_are_errors_of_z_and_points_without_a_probe_are_omitted() {
     let reprap = "RepRapFirmware height map file v2 generated at 2026-04-03 08:15, mean error 0.01\n\
                   axis0,axis1,min0,max0,min1,max1,radius,spacing0,spacing1,num0,num1\n\
                   X,Y,5.00,25.00,5.00,15.00,-1.00,10.00,10.00,3,2\n\

@@ -73,7 +73,7 @@ fn each_question_names_its_flag_and_any_answer_to_it_is_taken() {
     ];
     for text in texts {
         let mut answers = Answers::default();
-        let mut asked = 0;
+        let mut requested = 0;
         while let Err(ImportError::Open(questions)) =
             import(text.as_bytes(), Path::new("t.csv"), &answers)
         {
@@ -81,12 +81,12 @@ fn each_question_names_its_flag_and_any_answer_to_it_is_taken() {
                 assert!(question.flag().starts_with("--"), "{question:?}");
                 let value = question.choices.first().map_or("3", String::as_str);
                 answers.record_answer(&question.topic, value).expect("its own choice");
-                asked += 1;
+                requested += 1;
             }
-            assert!(asked < 10, "{text}");
+            assert!(requested < 10, "{text}");
         }
         assert!(
-            asked > 0 && import(text.as_bytes(), Path::new("t.csv"), &answers).is_ok(),
+            requested > 0 && import(text.as_bytes(), Path::new("t.csv"), &answers).is_ok(),
             "{text}"
         );
     }

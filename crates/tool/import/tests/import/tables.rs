@@ -29,9 +29,9 @@ fn a_german_table_with_title_units_and_remarks_needs_one_answer() {
     assert_eq!(names, ["Position X", "Richtung", "Messuhr", "Temperatur Spindel"]);
     assert_eq!(imported.columns[2].unit_before, "µm");
     assert_eq!(imported.columns[0].samples[1], ["100,000", "100"]);
-    assert_eq!(imported.left_out[0].0, "Bemerkung");
+    assert_eq!(imported.skipped[0].0, "Bemerkung");
     let notes = imported.notes.join("\n");
-    for phrase in ["line 1 is left out", "line 2 is left out", "line 11 is left out: Mittelwert"] {
+    for phrase in ["line 1 is skipped", "line 2 is skipped", "line 11 is skipped: Mittelwert"] {
         assert!(notes.contains(phrase), "{phrase}: {notes}");
     }
 }
@@ -215,7 +215,7 @@ fn what_is_wrong_has_its_line_and_column() {
 }
 
 #[test]
-fn a_last_line_that_is_cut_off_is_left_out_and_said() {
+fn a_last_line_that_is_cut_off_is_omitted_and_reported() {
     let imported = read("Zeit [s];X [mm];Y [mm]\n0;1;2\n1;2;3\n2;3", &[]);
     assert_eq!((imported.rows, imported.notes.len()), (2, 1));
     // A spreadsheet leaves out empty cells at the end of a line.

@@ -95,7 +95,7 @@ pub fn check(ini: &IniLines, hal: &HalFiles, demand: &OffsetRequirements) -> Che
         check_servo_period(ini, &base, &mut report);
         if no_board.has_heat && !hal.has_signal("trueup-confirm") {
             report.facts.push(
-                "the machine file has models by heat: at the first start, and without what was kept of the last one, offsets wait until \
+                "the machine file has models by heat: at the first start, and without the stored state of the last one, offsets wait until \
                  the thermometers agree or you confirm that the machine is cold (signal trueup-confirm; or halcmd setp \
                  trueup.0.confirm 1, then 0)"
                     .into(),

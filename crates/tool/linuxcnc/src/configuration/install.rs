@@ -303,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn edits_beside_the_blocks_survive() {
+    fn edits_next_to_the_blocks_survive() {
         let with = replace_blocks("[A]\nX = 1\n", &[(2, block(&["ours"]))].into(), None);
         let edited = format!("# new\n{with}Y = 2\n");
         assert_eq!(replace_blocks(&edited, &BTreeMap::new(), None), "# new\n[A]\nX = 1\nY = 2\n");

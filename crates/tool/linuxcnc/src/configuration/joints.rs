@@ -160,7 +160,7 @@ pub fn build_joint_settings(
                 joint.number
             );
             return Err(BadInput::new(joint.place, rule).with_help(
-                "state STEPGEN_MAXVEL and STEPGEN_MAXACCEL above MAX_VELOCITY and MAX_ACCELERATION; `trueup linuxcnc check` says more",
+                "state STEPGEN_MAXVEL and STEPGEN_MAXACCEL above MAX_VELOCITY and MAX_ACCELERATION; `trueup linuxcnc check` has the details",
             ));
         }
         *settings = Some(JointSettings {

@@ -102,8 +102,8 @@ fn create_plan(
 fn select_range(travel: &AxisTravel, options: &MeasurementOptions) -> [f64; 2] {
     let [inside_low, inside_high] = travel.target_range_mm();
     let (low, high) = (inside_low.max(MEASURED_RANGE_MM[0]), inside_high.min(MEASURED_RANGE_MM[1]));
-    let is_asked_for = options.range_mm[travel.axis.index()].is_some();
+    let is_requested = options.range_mm[travel.axis.index()].is_some();
     // Half of the paper's metre is worth more than places that it names.
     let is_enough = high - low >= 0.5 * (MEASURED_RANGE_MM[1] - MEASURED_RANGE_MM[0]);
-    if is_enough && !is_asked_for { [low, high] } else { [inside_low, inside_high] }
+    if is_enough && !is_requested { [low, high] } else { [inside_low, inside_high] }
 }

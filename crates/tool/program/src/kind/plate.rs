@@ -96,7 +96,7 @@ fn create_plan(
         notes: vec![
             COMPENSATION_OFF_PRECAUTION.to_string(),
             LINUXCNC_LOG_NOTE.into(),
-            "Readings are the place of a ball minus where it was found. Take off them what the certificate of the plate says.".into(),
+            "Readings are the place of a ball minus where it was found. Subtract the values in the certificate of the plate.".into(),
             "Put the plate on spacers and write this program again, with the new height in --at: each height is a run file of its own."
                 .into(),
         ],

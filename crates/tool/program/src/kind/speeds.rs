@@ -71,7 +71,8 @@ mod tests {
         let stretch = |rpm, minutes, load_n| SpeedSegment { rpm, minutes, load_n };
         let stretches =
             [stretch(6000.0, 12.0, 0.0), stretch(6000.0, 2.0, 300.0), stretch(0.0, 8.0, 0.0)];
-        let plan = plan_speed_run(&stretches, 60.0, &["temp_front_c".into()], "to tell a from b");
+        let plan =
+            plan_speed_run(&stretches, 60.0, &["temp_front_c".into()], "to separate a from b");
         let readings = plan.readings();
         let speeds: Vec<f64> = readings.iter().map(|reading| reading.spindle_rpm).collect();
         assert_eq!(readings.len(), 1 + 12 + 2 + 8);

@@ -41,7 +41,7 @@ pub(crate) fn create_plans(
     notes.extend(unused_clearance_note(options));
     let poses = enumerate_poses(machine, options)?;
     let mut steps = Vec::new();
-    let (mut first_refused, mut left_out, mut written) = (None, 0, 0);
+    let (mut first_refused, mut skipped, mut written) = (None, 0, 0);
     let mut stands = Some(poses[0]);
     for (n, &length_mm) in probing.tool_lengths_mm.iter().enumerate() {
         if let Some(length_mm) = length_mm.filter(|_| n > 0) {
@@ -52,7 +52,7 @@ pub(crate) fn create_plans(
             let at_mm = rotated_centre_mm(machine, &probing, angle_deg);
             let at_mm = probing.adjust_for_stylus(at_mm, length_mm);
             if let Err(why) = ball.check(&probing, at_mm) {
-                left_out += 1;
+                skipped += 1;
                 first_refused.get_or_insert(why);
                 continue;
             }
@@ -75,8 +75,8 @@ pub(crate) fn create_plans(
             return Err(why);
         }
         notes.push(format!(
-            "{left_out} of {} poses are left out; the first: {why}",
-            left_out + written
+            "{skipped} of {} poses are skipped; the first: {why}",
+            skipped + written
         ));
     }
     if machine.volume.chain.is_none() {
@@ -84,7 +84,7 @@ pub(crate) fn create_plans(
     }
     let rotary: Vec<usize> = (0..3).filter(|n| poses[0][*n].is_some()).collect();
     let mut precautions = head_zero_precaution(machine);
-    precautions.extend(describe_angles(poses[0]).map(|said| format!("{said} now.")));
+    precautions.extend(describe_angles(poses[0]).map(|description| format!("{description} now.")));
     precautions.push(PROBE_PRECAUTION.into());
     let plan = Plan {
         name: "sphere-xyz".into(),
@@ -92,7 +92,7 @@ pub(crate) fn create_plans(
             COMPENSATION_OFF_PRECAUTION.to_string(),
             LINUXCNC_LOG_NOTE.into(),
             "Readings are the place of the ball minus where it was found. The same with the ball at other places, each by a program \
-             of its own, and all run files together, say most."
+             of its own, and all run files together, show most."
                 .into(),
         ],
         precautions,
@@ -175,9 +175,9 @@ fn describe_angles(angle_deg: RotaryAngles) -> Option<String> {
 
 /// The operator turns the table.
 fn turn_table_step(angle_deg: RotaryAngles) -> Step {
-    let said = describe_angles(angle_deg).unwrap_or_default();
+    let cnc_data = describe_angles(angle_deg).unwrap_or_default();
     Step::Stop(vec![
-        format!("Turn the table so that {said}, and see that nothing is in its way."),
+        format!("Turn the table so that {cnc_data}, and see that nothing is in its way."),
         "The tool is retracted, and goes over the ball next.".into(),
     ])
 }

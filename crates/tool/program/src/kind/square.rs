@@ -130,7 +130,7 @@ fn create_plan(
         notes: vec![
             COMPENSATION_OFF_PRECAUTION.to_string(),
             LINUXCNC_LOG_NOTE.into(),
-            "The angle of the square counts as 90 degrees: take what its certificate says off the readings of one face.".into(),
+            "The angle of the square counts as 90 degrees: subtract the value in its certificate from the readings of one face.".into(),
             "A reading is the place of the face minus where it was found; one of both columns in each row.".into(),
         ],
         precautions,

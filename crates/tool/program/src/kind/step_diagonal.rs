@@ -54,7 +54,7 @@ pub(crate) fn create_plans(
     if count < 4 {
         notes.push(format!(
             "{count} of the four body diagonals: the others do not begin where all vertical axes and the tool are retracted. Measure \
-             circles as well: trueup fit volume says what stays open"
+             circles as well: trueup fit volume reports what stays open"
         ));
     }
     notes.extend(unused_clearance_note(options));

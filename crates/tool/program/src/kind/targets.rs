@@ -170,7 +170,7 @@ mod tests {
             &machine(""),
             &MeasurementOptions::default(),
             &inputs,
-            "To tell a from b.",
+            "To separate a from b.",
         )
         .expect("the runs were there");
         let readings = plan.readings();
@@ -190,23 +190,27 @@ mod tests {
         let header = "y_mm,dir_y,feed_mm_per_min,time_s,temp_screw_c,measured_dy_um\n";
         assert!(text.contains(header), "{text}");
         // A margin is kept to the ends of travel; Z moves only where it is said, its upper end first.
-        let said = |run: &TargetRun, travel: &str, options: &MeasurementOptions| {
+        let error_text = |run: &TargetRun, travel: &str, options: &MeasurementOptions| {
             plan_target_run(run, &machine(travel), options, &inputs, "")
         };
         let y = "[axis.y]\ntravel_mm = [0.0, 1000.0]\n";
-        let plan = said(&run, y, &MeasurementOptions::default()).expect("it fits");
+        let plan = error_text(&run, y, &MeasurementOptions::default()).expect("it fits");
         assert_eq!(plan.extent_mm()[1], Some([2.0, 998.0]));
-        let short =
-            said(&run, "[axis.y]\ntravel_mm = [0.0, 952.0]\n", &MeasurementOptions::default());
+        let short = error_text(
+            &run,
+            "[axis.y]\ntravel_mm = [0.0, 952.0]\n",
+            &MeasurementOptions::default(),
+        );
         assert!(short.is_err_and(|why| why.0.contains("from 2 to 950 mm only")));
         let z = TargetRun { axis: LinearAxis::Z, ..run };
-        let why = said(&z, "", &MeasurementOptions::default()).expect_err("it would plunge").0;
+        let why =
+            error_text(&z, "", &MeasurementOptions::default()).expect_err("it would plunge").0;
         assert!(why.contains("--range z=LOW:HIGH"), "{why}");
         let options = MeasurementOptions {
             range_mm: [None, None, Some([-2.0, 1002.0])],
             ..MeasurementOptions::default()
         };
-        let plan = said(&z, "", &options).expect("it is said");
+        let plan = error_text(&z, "", &options).expect("it is said");
         assert_eq!(plan.steps[0], Step::Approach { axis: 2, to_mm: 1000.0 });
         assert_eq!(plan.readings()[0].position_mm[2], Some(950.0));
     }

@@ -84,12 +84,12 @@ impl Draw {
             return;
         }
         for axis in LinearAxis::ALL {
-            let asked = self.options.axes.is_empty() || self.options.axes.contains(&axis);
+            let requested = self.options.axes.is_empty() || self.options.axes.contains(&axis);
             let ending = format!("-{}", axis.name());
             let is_written = plans.iter().any(|plan| plan.name.ends_with(&ending));
-            assert!(!is_written || asked);
+            assert!(!is_written || requested);
             let is_short = notes.contains("strokes from");
-            if asked && !is_written && !is_short {
+            if requested && !is_written && !is_short {
                 let why = format!("no program for {}", axis.name());
                 assert!(notes.contains(&why) && notes.contains("--range"), "{notes}");
                 assert!(!self.has_room(axis), "{self:?}: needlessly {notes}");
@@ -99,11 +99,11 @@ impl Draw {
 
     /// A refusal has its reason in the draw.
     pub fn is_right_to_refuse(&self, kind: MeasurementKind, why: &str) {
-        let asked: Vec<LinearAxis> = LinearAxis::ALL
+        let requested: Vec<LinearAxis> = LinearAxis::ALL
             .into_iter()
             .filter(|axis| self.options.axes.is_empty() || self.options.axes.contains(axis))
             .collect();
-        let with_room = asked.iter().filter(|axis| self.has_room(**axis)).count();
+        let with_room = requested.iter().filter(|axis| self.has_room(**axis)).count();
         let needed = match kind {
             MeasurementKind::Diagonal | MeasurementKind::Circle => 2,
             MeasurementKind::StepDiagonal => 3,

@@ -8,7 +8,7 @@ use crate::event::{Event, To, axis, is_legal, of_axes, plane, words};
 #[derive(Default)]
 struct State {
     events: Vec<Event>,
-    said: String,
+    message_text: String,
     modes: Vec<f64>,
     alarms: Vec<String>,
     /// 90 or 91, 0 or 1; of an earlier program: none.
@@ -49,7 +49,7 @@ fn run(number: u32, programs: &HashMap<u32, Vec<&str>>, state: &mut State) -> Re
                 return Err(format!("small letters: {line}"));
             }
             is_legal(comment, 64, "?")?;
-            state.said = std::mem::take(&mut state.said) + comment + " ";
+            state.message_text = std::mem::take(&mut state.message_text) + comment + " ";
             continue;
         }
         let (_, block) = line.split_once(' ').ok_or(format!("no block number: {line}"))?;
@@ -118,7 +118,7 @@ fn one(block: &str, programs: &HashMap<u32, Vec<&str>>, state: &mut State) -> Re
             ('P', _) => called = Some(number as u32),
             ('L', _) => turns = number as usize,
             ('M', 0.0) => {
-                event = Some(Event::Stop(std::mem::take(&mut state.said)));
+                event = Some(Event::Stop(std::mem::take(&mut state.message_text)));
             }
             ('M', 30.0) => event = Some(Event::End(state.distance != Some(91.0))),
             ('M', 5.0) => event = Some(Event::Spindle(0.0)),

@@ -15,7 +15,7 @@ pub fn read(text: &str) -> Result<Vec<Event>, String> {
         blocks.push(block);
     }
     let label = |name: &str| blocks.iter().position(|block| *block == format!("LBL {name}"));
-    let (mut events, mut said) = (Vec::new(), String::new());
+    let (mut events, mut message_text) = (Vec::new(), String::new());
     let mut left: HashMap<usize, usize> = HashMap::new();
     let (mut at, mut run) = (0, 0);
     while let Some(block) = blocks.get(at) {
@@ -26,12 +26,12 @@ pub fn read(text: &str) -> Result<Vec<Event>, String> {
         at += 1;
         if let Some(comment) = block.strip_prefix("; ") {
             is_legal(comment, 80, ":;<>'_?()")?;
-            said = said + comment + " ";
+            message_text = message_text + comment + " ";
             continue;
         }
         let is_read = events.len();
         if *block == "STOP" {
-            events.push(Event::Stop(std::mem::take(&mut said)));
+            events.push(Event::Stop(std::mem::take(&mut message_text)));
         } else if let Some(path) = block.strip_prefix("L ") {
             events.push(line(path).map_err(|why| format!("{why}: {block}"))?);
         } else if let Some(call) = block.strip_prefix("CALL LBL ") {
@@ -61,7 +61,7 @@ pub fn read(text: &str) -> Result<Vec<Event>, String> {
             is_known.then_some(()).ok_or(format!("a block that no reader knows: {block}"))?;
         }
         if events.len() > is_read {
-            said.clear();
+            message_text.clear();
         }
     }
     Ok(events)

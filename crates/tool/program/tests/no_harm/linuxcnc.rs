@@ -166,7 +166,7 @@ fn repeat(
 
 pub fn read(text: &str) -> Result<Vec<Event>, String> {
     let (mut events, mut open): (Vec<Event>, Vec<Open>) = (Vec::new(), Vec::new());
-    let (mut modes, mut said) = (Vec::new(), String::new());
+    let (mut modes, mut message_text) = (Vec::new(), String::new());
     let mut feed = None;
     let mut of_arc = Modes::default();
     let mut probe = Probe::default();
@@ -191,7 +191,7 @@ pub fn read(text: &str) -> Result<Vec<Event>, String> {
             let inside = inside.strip_suffix(')').ok_or(format!("an open comment: {line}"))?;
             is_legal(inside, 240, ":;<>'_?")?;
             if let Some(message) = inside.strip_prefix("MSG, ") {
-                said = said + message + " ";
+                message_text = message_text + message + " ";
             }
             continue;
         }
@@ -230,7 +230,7 @@ pub fn read(text: &str) -> Result<Vec<Event>, String> {
                 ('P', _) if is_dwell => dwell = Some(number),
                 ('F', _) => feed = Some(number),
                 ('S', _) => speed = Some(number),
-                ('M', 0.0) => event = Some(Event::Stop(std::mem::take(&mut said))),
+                ('M', 0.0) => event = Some(Event::Stop(std::mem::take(&mut message_text))),
                 ('M', 2.0) => event = Some(Event::End(true)),
                 ('M', 5.0) => event = Some(Event::Spindle(0.0)),
                 ('M', 3.0) => event = Some(Event::Spindle(f64::NAN)),

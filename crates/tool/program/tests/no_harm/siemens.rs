@@ -51,7 +51,7 @@ pub fn read(text: &str) -> Result<Vec<Event>, String> {
     let mut of_plane = None;
     let mut events = Vec::new();
     let mut open: Vec<(usize, Vec<Event>)> = Vec::new();
-    let (mut modes, mut said, mut comments) = (Vec::new(), String::new(), String::new());
+    let (mut modes, mut message_text, mut comments) = (Vec::new(), String::new(), String::new());
     for (n, line) in text.lines().enumerate() {
         let line = line.trim();
         if n < 2 {
@@ -71,7 +71,7 @@ pub fn read(text: &str) -> Result<Vec<Event>, String> {
                 let inside = message.strip_prefix('"').and_then(|rest| rest.strip_suffix('"'));
                 is_legal(inside.ok_or(format!("no text: {line}"))?, 124, ":;<>'_?")?;
             }
-            said = message.into();
+            message_text = message.into();
             continue;
         }
         if let Some(turns) = block.strip_prefix("FOR R") {
@@ -87,10 +87,10 @@ pub fn read(text: &str) -> Result<Vec<Event>, String> {
                 continue;
             }
             "M0" => {
-                if said.is_empty() {
+                if message_text.is_empty() {
                     return Err("a stop without a message".into());
                 }
-                events.push(Event::Stop(format!("{comments}{said}")));
+                events.push(Event::Stop(format!("{comments}{message_text}")));
                 comments.clear();
                 continue;
             }

@@ -259,12 +259,12 @@ impl State {
         if !self.is_ended || self.is_turning {
             return Err("it does not end, or the spindle turns on".into());
         }
-        let said = self.first_stop.as_ref().ok_or("no stop")?;
-        if !said.contains("must be clear") {
-            return Err(format!("the first stop does not say what must be clear: {said}"));
+        let stop = self.first_stop.as_ref().ok_or("no stop")?;
+        if !stop.contains("must be clear") {
+            return Err(format!("the first stop does not say what must be clear: {stop}"));
         }
-        if self.fastest > 0.0 && !said.contains(&format!("at up to {} mm/min", self.fastest)) {
-            return Err(format!("the first stop does not say how fast: {said}"));
+        if self.fastest > 0.0 && !stop.contains(&format!("at up to {} mm/min", self.fastest)) {
+            return Err(format!("the first stop does not say how fast: {stop}"));
         }
         for n in 0..3 {
             let (Some([least, most]), Some(first)) = (self.seen[n], self.first_mm[n]) else {
@@ -281,8 +281,8 @@ impl State {
                     um(most)
                 ),
             ] {
-                if !said.contains(&words) {
-                    return Err(format!("the first stop does not say \"{words}\": {said}"));
+                if !stop.contains(&words) {
+                    return Err(format!("the first stop does not say \"{words}\": {stop}"));
                 }
             }
             let retracted = match limits.retract[n] {
@@ -296,14 +296,14 @@ impl State {
                 ));
             }
         }
-        self.is_read_where_the_run_file_says(plan)
+        self.is_read_at_the_stated_place(plan)
     }
 
     /// The readings of the plan are among the dwells, in their order and at their places.
-    fn is_read_where_the_run_file_says(&self, plan: &Plan) -> Result<(), String> {
+    fn is_read_at_the_stated_place(&self, plan: &Plan) -> Result<(), String> {
         let mut dwells = self.readings.iter();
-        let is_there = |stood: &[Option<f64>; 3], wanted: &[Option<f64>; 3]| {
-            let alike = |n: usize| match (stood[n], wanted[n]) {
+        let is_there = |stood: &[Option<f64>; 3], expected: &[Option<f64>; 3]| {
+            let alike = |n: usize| match (stood[n], expected[n]) {
                 (Some(at), Some(mm)) => (at - mm).abs() < 1e-6 * (1.0 + 1e-3),
                 (_, None) => true,
                 (None, Some(_)) => false,

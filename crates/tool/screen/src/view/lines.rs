@@ -142,7 +142,7 @@ fn growth_line(state: &ScreenState, theme: Theme) -> Line<'static> {
         None => spans.push(Span::raw("not available")),
     }
     let gauge = &state.gauge;
-    if let (None, Some((um, at_s))) = (&gauge.trouble, gauge.latest) {
+    if let (None, Some((um, at_s))) = (&gauge.connection_error, gauge.latest) {
         let age_s = state.now_s() - at_s;
         let is_old = age_s > MAX_GAUGE_AGE_S;
         let old = if is_old { format!(" ({})", format_age(age_s)) } else { String::new() };
@@ -157,8 +157,8 @@ fn growth_line(state: &ScreenState, theme: Theme) -> Line<'static> {
 
 /// Returns what is wrong with the gauge.
 fn gauge_error_lines(state: &ScreenState, theme: Theme, width: usize) -> Vec<Line<'static>> {
-    let trouble = state.gauge.trouble.iter();
-    trouble.flat_map(|alarm| wrap_text(alarm, width, theme.error_style())).collect()
+    let connection_error = state.gauge.connection_error.iter();
+    connection_error.flat_map(|alarm| wrap_text(alarm, width, theme.error_style())).collect()
 }
 
 /// Returns an age in words.
@@ -277,16 +277,16 @@ fn link_lines(state: &ScreenState, theme: Theme, width: usize) -> Vec<Line<'stat
 
 /// Returns what is wrong, each with what to do, wrapped between words.
 pub(crate) fn alarm_lines(state: &ScreenState, theme: Theme, width: usize) -> Vec<Line<'static>> {
-    let troubles = state.alarms();
-    if troubles.is_empty() {
+    let alarms = state.alarms();
+    if alarms.is_empty() {
         let received = state.output().is_some();
-        let text = if received { "No faults" } else { "Nothing is heard of faults" };
+        let text = if received { "No faults" } else { "No report of faults is received" };
         return vec![Line::styled(
             text,
             if received { theme.ok_style() } else { theme.error_style() },
         )];
     }
-    let wrapped = troubles.into_iter().flat_map(|(word, remedy)| {
+    let wrapped = alarms.into_iter().flat_map(|(word, remedy)| {
         let words = remedy.split(' ').map(str::to_owned);
         wrap_items(&format!("{word}: "), words, width, " ")
     });

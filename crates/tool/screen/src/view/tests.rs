@@ -141,7 +141,7 @@ fn a_fault_stands_there_with_its_remedy_at_every_size_and_without_colour() {
 }
 
 #[test]
-fn silence_is_told_and_not_shown_as_the_last_offset() {
+fn silence_is_reported_and_not_shown_as_the_last_offset() {
     let mut state = watched(4_000, 731, true);
     state.link = LinkState::Down("the bridge has closed the line".into());
     state.record_trend_sample(6.0);
@@ -163,7 +163,7 @@ fn what_is_old_is_grey_and_has_its_age() {
         "NO OFFSETS COME for 11 s",
         "Growth    +12.27 µm (1",
         "coil 30.00 °C (1",
-        "Nothing is heard of faults",
+        "No report of faults is received",
         "11 s ago              -5.00",
     ];
     for size in [(80, 24), (60, 20)] {
@@ -209,7 +209,7 @@ fn at_60_by_20_nothing_essential_is_cut() {
     state.recording = Some("bridge-20261126T060000".into());
     state.set_recording_counts(2, 12_345);
     state.gauge.latest = Some((14.0, 4.0));
-    state.gauge.trouble = None;
+    state.gauge.connection_error = None;
     let (text, _) = screen(&state, (60, 20), false);
     println!("{text}");
     has(
@@ -280,7 +280,7 @@ fn readings_stand_in_the_trend_and_the_last_is_undone() {
 }
 
 #[test]
-fn another_calibration_than_the_files_is_told() {
+fn another_calibration_than_the_files_is_reported() {
     let mut state = watched(4_000, 731, true);
     has(&screen(&state, (80, 24), false).0, &[" of m.toml"]);
     let other = MACHINE.replace("k0_um = 0.0", "k0_um = 1.0");

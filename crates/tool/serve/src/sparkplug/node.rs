@@ -57,7 +57,7 @@ struct Device {
     /// Its identifier; `None`: it is not there.
     id: Option<String>,
     /// Its last published metrics.
-    said: Vec<Metric>,
+    metrics: Vec<Metric>,
 }
 
 /// The metrics of the node itself.
@@ -145,8 +145,8 @@ impl EdgeNode {
         let metrics = self.node_metrics(own);
         match self.own.take() {
             None => messages.push(self.birth_message(&metrics, time_ms)),
-            Some(said) => {
-                let changed = changed_metrics(&said, &metrics, 1, time_ms);
+            Some(previous) => {
+                let changed = changed_metrics(&previous, &metrics, 1, time_ms);
                 if !changed.is_empty() {
                     messages.push(self.sequenced_message("NDATA", None, changed, time_ms));
                 }
@@ -163,15 +163,15 @@ impl EdgeNode {
     /// Returns whether anything but numbers, counts and flags of offsets differs from what was last said.
     #[must_use]
     pub(crate) fn has_state_change(&self, bridges: &[Snapshot]) -> bool {
-        let known = self.devices.iter().map(|device| &device.said);
+        let known = self.devices.iter().map(|device| &device.metrics);
         bridges.len() != self.devices.len()
-            || known.zip(bridges).any(|(said, of)| {
+            || known.zip(bridges).any(|(previous, of)| {
                 let is_word = |metric: &&Metric| {
                     matches!(metric.value, MetricValue::Text(_) | MetricValue::Flag(_))
                         && metric.name != FLAGS_METRIC
                 };
                 let now = bridge_metrics(of);
-                !said.iter().filter(is_word).eq(now.iter().filter(is_word))
+                !previous.iter().filter(is_word).eq(now.iter().filter(is_word))
             })
     }
 
@@ -212,7 +212,7 @@ impl EdgeNode {
         messages: &mut Vec<Message>,
     ) {
         let Some(known) = self.devices.get_mut(place) else { return };
-        let Device { id: old, said } = std::mem::take(known);
+        let Device { id: old, metrics: reported } = std::mem::take(known);
         let id = of.identity.serial.filter(|_| of.is_up).map(device_id);
         let first = ALIASES_PER_DEVICE * (place as u64 + 1);
         let now = bridge_metrics(of);
@@ -224,7 +224,7 @@ impl EdgeNode {
         }
         if let Some(id) = &id {
             let (kind, metrics) = if old.as_ref() == Some(id) {
-                ("DDATA", changed_metrics(&said, &now, first, time_ms))
+                ("DDATA", changed_metrics(&reported, &now, first, time_ms))
             } else {
                 let all = now.iter().zip(first..);
                 (
@@ -238,7 +238,7 @@ impl EdgeNode {
             }
         }
         if let Some(known) = self.devices.get_mut(place) {
-            *known = Device { id, said: now };
+            *known = Device { id, metrics: now };
         }
     }
 
@@ -255,14 +255,14 @@ impl EdgeNode {
 
 /// Returns the metrics that have another value now, by their aliases.
 fn changed_metrics(
-    said: &[Metric],
+    previous: &[Metric],
     now: &[Metric],
     first: u64,
     time_ms: u64,
 ) -> Vec<payload::Metric> {
-    let pairs = said.iter().zip(now).zip(first..);
+    let pairs = previous.iter().zip(now).zip(first..);
     pairs
-        .filter(|((said, now), _)| said.value != now.value)
+        .filter(|((previous, now), _)| previous.value != now.value)
         .map(|((_, now), alias)| {
             let mut metric = named_metric(now.name, &now.value, time_ms);
             (metric.name, metric.datatype) = (None, None);

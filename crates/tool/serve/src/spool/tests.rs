@@ -207,8 +207,9 @@ fn a_file_that_cannot_be_read_for_a_moment_costs_no_record() {
     spool.acknowledge(4, now);
     spool.settle(now + READ_RETRY_TIME + RETENTION_TIME);
     assert!(files(&folder).is_empty());
-    let kept = fs::read(folder.path().join(DAMAGED_FOLDER).join(path.file_name().expect("a name")));
-    assert!(kept.is_ok_and(|bytes| !bytes.is_empty()));
+    let stored =
+        fs::read(folder.path().join(DAMAGED_FOLDER).join(path.file_name().expect("a name")));
+    assert!(stored.is_ok_and(|bytes| !bytes.is_empty()));
 }
 
 #[test]

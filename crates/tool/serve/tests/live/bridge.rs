@@ -89,9 +89,9 @@ fn live(listener: &TcpListener, switches: &Switches) {
             _ => {}
         }
         if ms % 20 == 0 {
-            let wants = control >= 3 && !switches.is_disengaged.load(Ordering::Relaxed);
-            let said = Control { engage: wants, ..Control::REFERENCED };
-            node.receive(Interface::Can, &frames::encode_control(said, control as u8))
+            let requests = control >= 3 && !switches.is_disengaged.load(Ordering::Relaxed);
+            let command = Control { engage: requests, ..Control::REFERENCED };
+            node.receive(Interface::Can, &frames::encode_control(command, control as u8))
                 .expect("in order");
             for axis in LinearAxis::ALL {
                 let at = AxisPosition {

@@ -30,19 +30,19 @@ fn a_hostile_payload_is_ignored_and_reported() -> Result<()> {
     host.wait("a birth", |message| message["what"] == "DBIRTH")?;
     // No payload; groups that nest without end; a metric without a name; nothing.
     for hex in ["ff".into(), "0b".repeat(4_000), "12021a00".into(), String::new()] {
-        host.tell(&format!("raw spBv1.0/trueup/NCMD/n {hex}"))?;
+        host.send_line(&format!("raw spBv1.0/trueup/NCMD/n {hex}"))?;
     }
     start.wait_for_log("is no payload of Sparkplug")?;
-    let asked = Instant::now();
-    host.tell("rebirth n")?;
-    host.wait_since(asked, "it lives", |message| {
+    let requested_at = Instant::now();
+    host.send_line("rebirth n")?;
+    host.wait_since(requested_at, "it lives", |message| {
         message["what"] == "NBIRTH" && message["seq"] == 0
     })?;
     // One that is longer than any command costs the connection, and the next one goes on.
-    let asked = Instant::now();
-    host.tell(&format!("raw spBv1.0/trueup/NCMD/n {}", "0a".repeat(100_000)))?;
+    let requested_at = Instant::now();
+    host.send_line(&format!("raw spBv1.0/trueup/NCMD/n {}", "0a".repeat(100_000)))?;
     start.wait_for_log("payload size limit exceeded")?;
-    host.wait_since(asked, "it is there again", |message| message["what"] == "DBIRTH")?;
+    host.wait_since(requested_at, "it is there again", |message| message["what"] == "DBIRTH")?;
     ensure!(publisher.0.try_wait()?.is_none(), "{}", start.log());
     Ok(())
 }
@@ -135,7 +135,7 @@ fn a_broker_that_asks_for_a_password_is_given_it_and_a_wrong_one_is_reported() -
     let _right = right.spawn()?;
     // The number of its connection says that it was connected.
     let publisher = right.spool.join("publisher");
-    let end = Instant::now() + crate::parts::PATIENCE;
+    let end = Instant::now() + crate::parts::TIMEOUT;
     while !fs::read_to_string(&publisher).unwrap_or_default().ends_with(" 0\n") {
         ensure!(Instant::now() < end, "{}", right.log());
     }

@@ -15,7 +15,7 @@ use trueup_serve::spool::segment::{decode, scan};
 
 use crate::{
     bridge::{self, Switches},
-    parts::{Broker, Host, Mosquitto, PATIENCE, Start},
+    parts::{Broker, Host, Mosquitto, Start, TIMEOUT},
 };
 
 /// After a restart the state must be right within this time.
@@ -53,11 +53,11 @@ fn note(folder: &Path, recorded: &mut BTreeMap<String, Vec<u8>>) -> Result<()> {
 
 /// Waits until each of these records has come to a host.
 fn all_come(host: &Host, recorded: &BTreeMap<String, Vec<u8>>, start: &Start) -> Result<()> {
-    let end = Instant::now() + PATIENCE;
+    let end = Instant::now() + TIMEOUT;
     loop {
-        let said = host.said();
+        let messages = host.messages();
         let came: BTreeSet<&str> =
-            said.iter().filter_map(|(_, message)| message["id"].as_str()).collect();
+            messages.iter().filter_map(|(_, message)| message["id"].as_str()).collect();
         let missing: Vec<&String> =
             recorded.keys().filter(|id| !came.contains(id.as_str())).collect();
         if missing.is_empty() {
@@ -201,7 +201,7 @@ fn restarts(host: &Host, start: &Start, count: u64, mut draw: Draw) -> Result<Ve
 #[ignore = "campaign: cargo test -p trueup-serve --test live campaign_the_state -- --ignored --nocapture"]
 fn campaign_the_state_is_right_after_each_of_a_thousand_restarts() -> Result<()> {
     const PUBLISHERS: u64 = 4;
-    let wanted: u64 = env::var("TRUEUP_RESTARTS").map_or(Ok(1_000), |text| text.parse())?;
+    let expected: u64 = env::var("TRUEUP_RESTARTS").map_or(Ok(1_000), |text| text.parse())?;
     let folder = tempfile::tempdir()?;
     let broker = Mosquitto::start(folder.path(), "")?;
     let host = Host::start(broker.port)?;
@@ -214,7 +214,7 @@ fn campaign_the_state_is_right_after_each_of_a_thousand_restarts() -> Result<()>
             url: broker.url(),
             ..Start::default()
         };
-        restarts(&host, &start, wanted.div_ceil(PUBLISHERS), Draw(number + 1))
+        restarts(&host, &start, expected.div_ceil(PUBLISHERS), Draw(number + 1))
     };
     let times: Vec<Result<Vec<Duration>>> = thread::scope(|scope| {
         let one = &one;

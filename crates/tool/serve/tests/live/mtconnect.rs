@@ -16,7 +16,7 @@ use trueup_emulator::setup;
 
 use crate::{
     bridge::{self, Switches},
-    parts::{PATIENCE, Start, free_port},
+    parts::{Start, TIMEOUT, free_port},
 };
 
 /// Returns what an agent knows each second, for this many seconds.
@@ -44,7 +44,7 @@ fn an_agent_keeps_what_the_bridge_does_and_notices_that_it_is_gone() -> Result<(
         more: json!({ "mtconnect": format!("127.0.0.1:{port}") }),
     };
     let _publisher = start.spawn()?;
-    let end = Instant::now() + PATIENCE;
+    let end = Instant::now() + TIMEOUT;
     // Its serial number is known.
     let devices = start.spool.join("Devices.xml");
     while !std::fs::read_to_string(&devices).unwrap_or_default().contains("uuid=\"trueup-0") {

@@ -22,7 +22,7 @@ use trueup_serve::{
 };
 
 /// How long anything may take on a busy computer.
-pub const PATIENCE: Duration = Duration::from_secs(30);
+pub const TIMEOUT: Duration = Duration::from_secs(30);
 
 /// A process that ends with this.
 pub struct Process(pub Child);
@@ -75,7 +75,7 @@ impl Broker for Mosquitto {
 
 /// Waits until something listens at a port of this computer.
 pub fn wait_for_port(port: u16, log: &Path) -> Result<()> {
-    let end = Instant::now() + PATIENCE;
+    let end = Instant::now() + TIMEOUT;
     while std::net::TcpStream::connect(("127.0.0.1", port)).is_err() {
         ensure!(Instant::now() < end, "{}", fs::read_to_string(log)?);
         thread::sleep(Duration::from_millis(10));
@@ -133,7 +133,7 @@ impl Mosquitto {
 /// The Sparkplug host, and what it has said: a line of JSON for each message.
 pub struct Host {
     process: Process,
-    said: Arc<Mutex<Vec<(Instant, Value)>>>,
+    messages: Arc<Mutex<Vec<(Instant, Value)>>>,
 }
 
 impl Host {
@@ -145,27 +145,27 @@ impl Host {
             .stdout(Stdio::piped())
             .spawn()?;
         let lines = BufReader::new(child.stdout.take().context("asked for")?).lines();
-        let said = Arc::new(Mutex::new(Vec::new()));
-        let keep = said.clone();
+        let messages = Arc::new(Mutex::new(Vec::new()));
+        let keep = messages.clone();
         thread::spawn(move || {
             for line in lines.map_while(Result::ok) {
                 let value = serde_json::from_str(&line).unwrap_or_else(|_| json!({ "what": line }));
                 keep.lock().expect("no thread panics with it").push((Instant::now(), value));
             }
         });
-        let host = Self { process: Process(child), said };
+        let host = Self { process: Process(child), messages };
         host.wait("it is connected", |message| message["what"] == "connected")?;
         Ok(host)
     }
 
-    pub fn said(&self) -> Vec<(Instant, Value)> {
-        self.said.lock().expect("no thread panics with it").clone()
+    pub fn messages(&self) -> Vec<(Instant, Value)> {
+        self.messages.lock().expect("no thread panics with it").clone()
     }
 
     /// Waits for a message; returns when it came, and it.
     pub fn wait(&self, what: &str, is_it: impl Fn(&Value) -> bool) -> Result<(Instant, Value)> {
         self.wait_since(
-            Instant::now().checked_sub(PATIENCE * 10).unwrap_or_else(Instant::now),
+            Instant::now().checked_sub(TIMEOUT * 10).unwrap_or_else(Instant::now),
             what,
             is_it,
         )
@@ -178,15 +178,15 @@ impl Host {
         what: &str,
         is_it: impl Fn(&Value) -> bool,
     ) -> Result<(Instant, Value)> {
-        let end = Instant::now() + PATIENCE;
+        let end = Instant::now() + TIMEOUT;
         loop {
             {
-                let said = self.said.lock().expect("no thread panics with it");
-                let first = said.partition_point(|(at, _)| *at < since);
-                if let Some(found) = said[first..].iter().find(|(_, message)| is_it(message)) {
+                let messages = self.messages.lock().expect("no thread panics with it");
+                let first = messages.partition_point(|(at, _)| *at < since);
+                if let Some(found) = messages[first..].iter().find(|(_, message)| is_it(message)) {
                     return Ok(found.clone());
                 }
-                let (count, last) = (said.len(), said.last());
+                let (count, last) = (messages.len(), messages.last());
                 ensure!(Instant::now() < end, "never: {what}; the last of {count}: {last:?}");
             }
             thread::sleep(Duration::from_millis(5));
@@ -194,7 +194,7 @@ impl Host {
     }
 
     /// Lets it do something: a line to its standard input.
-    pub fn tell(&mut self, line: &str) -> Result<()> {
+    pub fn send_line(&mut self, line: &str) -> Result<()> {
         let input = self.process.0.stdin.as_mut().context("asked for")?;
         writeln!(input, "{line}")?;
         Ok(input.flush()?)
@@ -235,7 +235,7 @@ impl Start {
     }
 
     pub fn wait_for_log(&self, phrase: &str) -> Result<()> {
-        let end = Instant::now() + PATIENCE;
+        let end = Instant::now() + TIMEOUT;
         while !self.log().contains(phrase) {
             ensure!(Instant::now() < end, "never \"{phrase}\" in:\n{}", self.log());
             thread::sleep(Duration::from_millis(20));

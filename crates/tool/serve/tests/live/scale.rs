@@ -54,29 +54,29 @@ const SAID: Duration = Duration::from_millis(250);
 
 /// Lets a bridge say its offset and a part of its status, and answer what it was asked.
 fn speak(bridge: &mut BridgeMonitor, place: usize, turn: usize, now: Instant) {
-    let said = |bridge: &mut BridgeMonitor, frame: Frame| {
+    let deliver = |bridge: &mut BridgeMonitor, frame: Frame| {
         bridge.receive(ConnectionEvent::Received(Event::Frame(frame)), now);
     };
     let nm = ((place + turn) % 1_000) as i32 * 10;
     let offset = Some([nm, -nm, 2 * nm].map(Nanometres));
     let output = Output { offset, quality: Quality::Live, ..Output::default() };
     let counter = turn as u8;
-    said(bridge, frames::encode_offset_xy(&output, counter));
-    said(bridge, frames::encode_offset_z(&output, counter));
+    deliver(bridge, frames::encode_offset_xy(&output, counter));
+    deliver(bridge, frames::encode_offset_z(&output, counter));
     let centi_c = [Some(2_000 + ((place + turn) % 100) as i16), Some(2_100)];
     let item = match turn % 3 {
         0 => Item::State(StateBits::default()),
         1 => Item::Temperatures { pair: (turn / 3 % 4) as u8, centi_c },
         _ => Item::Calibration(7),
     };
-    said(bridge, encode(&Status { last_refused: Default::default(), item }, counter));
+    deliver(bridge, encode(&Status { last_refused: Default::default(), item }, counter));
     if let Some(request) = bridge.take_due_request(now) {
         let [_, low, high, sub, ..] = *request.data();
         let serial = (place as u32 + 1).to_le_bytes();
         let is_serial = (low, high, sub) == (0x18, 0x10, 4);
         let kind = if is_serial { 0x43 } else { 0x80 };
         let answer = [kind, low, high, sub, serial[0], serial[1], serial[2], serial[3]];
-        said(bridge, Frame::new(SDO_RESPONSE_ID, &answer).expect("eight bytes"));
+        deliver(bridge, Frame::new(SDO_RESPONSE_ID, &answer).expect("eight bytes"));
     }
 }
 

@@ -69,11 +69,11 @@ fn a_host_that_others_wrote_sees_births_data_rebirth_and_deaths() -> Result<()> 
             && message["metrics"]["Event/About"] == "ramping-out"
     })?;
 
-    let asked = Instant::now();
-    host.tell("rebirth mill-7")?;
-    let (_, again) = host.wait_since(asked, "a second birth", is("NBIRTH"))?;
+    let requested_at = Instant::now();
+    host.send_line("rebirth mill-7")?;
+    let (_, again) = host.wait_since(requested_at, "a second birth", is("NBIRTH"))?;
     assert_eq!((&again["seq"], &again["metrics"]["bdSeq"]), (&json!(0), &number));
-    host.wait_since(asked, "and of the device", is("DBIRTH"))?;
+    host.wait_since(requested_at, "and of the device", is("DBIRTH"))?;
 
     let off = Instant::now();
     switches.is_off.store(true, Ordering::Relaxed);
@@ -89,9 +89,9 @@ fn a_host_that_others_wrote_sees_births_data_rebirth_and_deaths() -> Result<()> 
     assert_eq!(death["metrics"]["bdSeq"], number, "of this connection");
 
     // Each message of the device and of the node has the next number.
-    let said = host.said();
+    let messages = host.messages();
     let mut expected = None;
-    for (_, it) in said.iter().filter(|(_, message)| message["seq"].is_u64()) {
+    for (_, it) in messages.iter().filter(|(_, message)| message["seq"].is_u64()) {
         let seq = it["seq"].as_u64();
         let is_birth = it["what"] == "NBIRTH";
         assert!(is_birth || seq == expected, "{it} after {expected:?}");
@@ -102,7 +102,7 @@ fn a_host_that_others_wrote_sees_births_data_rebirth_and_deaths() -> Result<()> 
     // out on purpose: then this computer has held up the publisher, and the bridge, which is here too.
     assert_eq!(*switches.written.lock().expect("whole"), [], "it writes nothing to the bridge");
     let frames = |message: &Value| message["metrics"]["Bridge/Lost frames"].as_u64();
-    let lost = said.iter().filter_map(|(_, message)| frames(message)).max();
+    let lost = messages.iter().filter_map(|(_, message)| frames(message)).max();
     let late_ms = switches.late_ms.load(Ordering::Relaxed);
     println!(
         "{lost:?} of a thousand pairs a second were lost; the bridge was held up for {late_ms} ms"
@@ -144,21 +144,21 @@ fn without_its_primary_host_nothing_is_published_and_records_wait() -> Result<()
     };
     let _publisher = start.spawn()?;
     thread::sleep(Duration::from_secs(3));
-    let all = host.said();
+    let all = host.messages();
     assert!(all.iter().all(|(_, message)| message["what"] == "connected"), "{all:?}");
 
-    host.tell("online scada")?;
+    host.send_line("online scada")?;
     host.wait("a birth", is("DBIRTH"))?;
     let first = |message: &Value| message["id"].as_str().is_some_and(|id| id.ends_with("-1"));
     host.wait("the first record, from before", first)?;
     let left = Instant::now();
-    host.tell("offline scada")?;
+    host.send_line("offline scada")?;
     let (died, _) = host.wait_since(left, "the death of the node", is("NDEATH"))?;
     thread::sleep(Duration::from_secs(2));
-    let later = host.said();
+    let later = host.messages();
     let later = later.iter().filter(|(at, message)| *at > died && message["what"] != "NDEATH");
     assert_eq!(later.filter(|(at, _)| *at - died > Duration::from_millis(300)).count(), 0);
-    host.tell("online scada")?;
+    host.send_line("online scada")?;
     host.wait_since(died, "a new birth", is("NBIRTH"))?;
     Ok(())
 }

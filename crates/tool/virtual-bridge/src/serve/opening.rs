@@ -23,7 +23,7 @@ pub(crate) struct OpeningHandshake {
     lines: AtomicU32,
     answers: AtomicU32,
     /// The number of the line with the first `O`, and its time.
-    asked: OnceLock<(u32, Instant)>,
+    request: OnceLock<(u32, Instant)>,
 }
 
 impl OpeningHandshake {
@@ -31,19 +31,19 @@ impl OpeningHandshake {
     pub(crate) fn count_line(&self, opens: bool) {
         let line = self.lines.fetch_add(1, Ordering::SeqCst) + 1;
         if opens {
-            self.asked.get_or_init(|| (line, Instant::now()));
+            self.request.get_or_init(|| (line, Instant::now()));
         }
     }
 
     /// Takes what the board says.
-    pub(crate) fn count_responses(&self, said: &[u8]) {
-        let ends = said.iter().filter(|&&byte| is_response_end(byte)).count();
+    pub(crate) fn count_responses(&self, bytes: &[u8]) {
+        let ends = bytes.iter().filter(|&&byte| is_response_end(byte)).count();
         self.answers.fetch_add(u32::try_from(ends).unwrap_or(0), Ordering::SeqCst);
     }
 
     /// Whether the board has answered, or has had the time for it.
     pub fn is_complete(&self) -> bool {
-        self.asked.get().is_some_and(|&(line, at)| {
+        self.request.get().is_some_and(|&(line, at)| {
             self.answers.load(Ordering::SeqCst) >= line || at.elapsed() > RESPONSE_TIMEOUT
         })
     }

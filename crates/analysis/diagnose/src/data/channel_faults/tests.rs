@@ -113,7 +113,7 @@ fn rows_in_which_a_thermometer_is_frozen_or_absent_do_not_count() {
     // For most of the time: then it says nothing at all, and the rows count.
     let lies = run_with(|row, b| if row > 1_000 { -180.0 } else { b });
     let (notes, data) = searched(&machine(NOTHING), &[lies]);
-    assert!(notes.iter().any(|note| note.contains("temp_b_c is set aside")), "{notes:?}");
+    assert!(notes.iter().any(|note| note.contains("temp_b_c is excluded")), "{notes:?}");
     assert_eq!((data.temperatures().len(), data.used.iter().all(|used| *used)), (2, true));
 }
 
@@ -131,7 +131,7 @@ fn rows_beyond_a_jump_do_not_count_and_a_copy_is_no_column_any_more() {
     assert_eq!(data.used.iter().filter(|used| **used).count(), 5_400, "{notes:?}");
     let copies = run_with(|row, _| celsius(row, 0.0));
     let (notes, data) = searched(&machine(NOTHING), &[copies]);
-    assert!(notes[0].contains("temp_b_c is set aside: in every row it is a copy of temp_a_c"));
+    assert!(notes[0].contains("temp_b_c is excluded: in every row it is a copy of temp_a_c"));
     assert_eq!(data.temperatures().len(), 2);
 }
 
@@ -148,7 +148,7 @@ fn what_the_machine_file_needs_is_kept_and_told() {
     assert_eq!(data.used.iter().filter(|used| **used).count(), 4_500);
     let copies = run_with(|row, _| celsius(row, 0.0));
     let (notes, _) = searched(&machine(&needs), &[copies]);
-    assert!(notes[0].contains("temp_a_c is set aside: in every row it is a copy of temp_b_c"));
+    assert!(notes[0].contains("temp_a_c is excluded: in every row it is a copy of temp_b_c"));
 }
 
 #[test]

@@ -15,8 +15,7 @@ const PLOTTED_METHODS: [(CurveMethod, Colour); 3] = [
 pub(super) fn render_html(table: &MethodTable, origin: &Origin) -> String {
     let mut page = Page::new("Ways to a straightness curve");
     page.add_paragraph(&format!(
-        "What each way leaves of what was measured, and what it asks of the machine at {} mm/min in a control that \
-         gives its axes a new target each {} ms.",
+        "The residual of each method, and the speed jumps and accelerations that it requires at {} mm/min, in a control that updates its axes every {} ms.",
         table.feed_mm_per_min, table.cycle_ms
     ));
     for entry in &table.entries {
@@ -55,27 +54,34 @@ fn residual_table(entry: &TableEntry) -> HtmlTable {
         "jump of speed, mm/s",
         "acceleration, mm/s²",
     ]);
-    let left =
-        |name: String, coefficients: String, left: &super::ResidualError, asked: [String; 2]| {
-            let [jump, acceleration] = asked;
-            [
-                name,
-                coefficients,
-                format!("{:.2}", left.residual.range_um),
-                format!("{:.2}", left.residual.mean_um),
-                format!("{:.2}", left.residual.mean_square_um2),
-                format!("{:.2}", left.over_a_metre_um),
-                format!("{:.2}", left.step_um),
-                jump,
-                acceleration,
-            ]
-        };
+    let left = |name: String,
+                coefficients: String,
+                left: &super::ResidualError,
+                requested: [String; 2]| {
+        let [jump, acceleration] = requested;
+        [
+            name,
+            coefficients,
+            format!("{:.2}", left.residual.range_um),
+            format!("{:.2}", left.residual.mean_um),
+            format!("{:.2}", left.residual.mean_square_um2),
+            format!("{:.2}", left.over_a_metre_um),
+            format!("{:.2}", left.step_um),
+            jump,
+            acceleration,
+        ]
+    };
     let nothing = || [String::new(), String::new()];
     table.add_row(&left("without".into(), String::new(), &entry.without, nothing()));
     for row in &entry.rows {
-        let asked =
+        let requested =
             [format!("{:.6}", row.jump_mm_per_s), format!("{:.4}", row.acceleration_mm_per_s2)];
-        table.add_row(&left(row.way.to_string(), row.coefficients.to_string(), &row.left, asked));
+        table.add_row(&left(
+            row.way.to_string(),
+            row.coefficients.to_string(),
+            &row.left,
+            requested,
+        ));
     }
     table
 }

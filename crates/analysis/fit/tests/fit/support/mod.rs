@@ -91,10 +91,10 @@ pub fn predicted_rms(
 
 /// Asserts that the machine file with the fit predicts with the residual that the report claims.
 pub fn assert_round_trip(report: &Report, text: &str, run: &RunFile, quantity: usize) {
-    let aside: Vec<usize> = report.set_aside.iter().map(|row| row.place.line).collect();
+    let aside: Vec<usize> = report.excluded.iter().map(|row| row.place.line).collect();
     let column = run.columns()[0].name.clone();
-    let is_kept = |row: usize| !aside.contains(&run.value_location(row, &column).line);
-    let rms = predicted_rms(&applied(report, text), run, quantity, is_kept);
+    let is_retained = |row: usize| !aside.contains(&run.value_location(row, &column).line);
+    let rms = predicted_rms(&applied(report, text), run, quantity, is_retained);
     let claimed = report.in_sample.expect("a fit has residuals").rms_um;
     assert!((rms - claimed).abs() < 1e-9 * (1.0 + claimed), "predicted {rms}, claimed {claimed}");
 }

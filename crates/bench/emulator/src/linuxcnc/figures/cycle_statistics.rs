@@ -171,11 +171,14 @@ fn estimate_delay(cycles: &[(&ServoCycle, f64)]) -> Option<(f64, f64)> {
 }
 
 /// Returns the lag of the offsets behind those that are requested, in µm, at each of these cycles.
-pub(super) fn compute_lag(cycles: &[&ServoCycle], asked_um: &[[f64; 3]]) -> Result<LagStatistics> {
+pub(super) fn compute_lag(
+    cycles: &[&ServoCycle],
+    requested_um: &[[f64; 3]],
+) -> Result<LagStatistics> {
     const WINDOW_CYCLES: usize = 2_000;
     const MIN_OFFSET_RATE_UM_PER_S: f64 = 10.0;
-    let asked_um = asked_um.iter().map(|um| um[LAG_AXIS]);
-    let both: Vec<(&ServoCycle, f64)> = cycles.iter().copied().zip(asked_um).collect();
+    let requested_um = requested_um.iter().map(|um| um[LAG_AXIS]);
+    let both: Vec<(&ServoCycle, f64)> = cycles.iter().copied().zip(requested_um).collect();
     let (mean_ms, _) = estimate_delay(&both).context("the diagonal is too short")?;
     let worst_ms = both
         .chunks(WINDOW_CYCLES)
@@ -305,9 +308,10 @@ mod tests {
     fn a_lag_is_found_and_priced() {
         for late in [0, 7, 40] {
             let cycles = diagonal(late);
-            let asked: Vec<_> =
+            let requested: Vec<_> =
                 cycles.iter().map(|cycle| [0.0, -cycle.without_um[1], 0.0]).collect();
-            let lag = compute_lag(&cycles.iter().collect::<Vec<_>>(), &asked).expect("long enough");
+            let lag =
+                compute_lag(&cycles.iter().collect::<Vec<_>>(), &requested).expect("long enough");
             assert!((lag.mean_ms - late as f64).abs() < 0.05, "{lag:?}");
             assert!((lag.worst_ms - late as f64).abs() < 0.05, "{lag:?}");
             // 100 µm over 800 mm: 0.125 µm/mm at the steepest, 0.1667 mm/ms at 10 m/min.
@@ -318,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn a_dwell_is_told_from_a_move_and_knows_where_it_came_from() {
+    fn a_dwell_is_distinguished_from_a_move_and_knows_where_it_came_from() {
         let mut cycles = Vec::new();
         let mut go = |z_mm: f64, count: usize, um: f64| {
             cycles.extend((0..count).map(|_| ServoCycle {

@@ -107,7 +107,7 @@ fn a_block_is_answered_once_there_is_room_for_the_next() {
 
 #[test]
 fn a_wrong_crc_length_object_or_number_is_refused() {
-    let hear = |server: &mut Server, fake: &mut Fake, data| {
+    let receive = |server: &mut Server, fake: &mut Fake, data| {
         server
             .receive(&Frame::from_data(SDO_REQUEST_ID, data), fake)
             .map(|response| *response.data())
@@ -119,11 +119,11 @@ fn a_wrong_crc_length_object_or_number_is_refused() {
         (8, [0xC1, 0, 0, 0, 0, 0, 0, 0], AbortCode::Length),
     ] {
         let (mut server, mut fake) = (Server::default(), Fake::default());
-        let start = hear(&mut server, &mut fake, encode_message(0xC6, NEW, size));
+        let start = receive(&mut server, &mut fake, encode_message(0xC6, NEW, size));
         assert_eq!(start, Some(encode_message(0xA4, NEW, SEGMENTS_PER_BLOCK.into())));
-        let answer = hear(&mut server, &mut fake, [0x81, 1, 2, 3, 4, 5, 6, 7]);
+        let answer = receive(&mut server, &mut fake, [0x81, 1, 2, 3, 4, 5, 6, 7]);
         assert_eq!(answer, Some([0xA2, 1, SEGMENTS_PER_BLOCK, 0, 0, 0, 0, 0]));
-        assert_eq!(hear(&mut server, &mut fake, end), aborted(NEW, abort), "{size} {end:?}");
+        assert_eq!(receive(&mut server, &mut fake, end), aborted(NEW, abort), "{size} {end:?}");
     }
     let (mut server, mut fake) = (Server::default(), Fake::default());
     for (at, abort) in [
@@ -132,13 +132,13 @@ fn a_wrong_crc_length_object_or_number_is_refused() {
         ((0x2100, 9), AbortCode::NoSubindex),
         ((0x1234, 0), AbortCode::NoObject),
     ] {
-        let start = hear(&mut server, &mut fake, encode_message(0xC6, at, 2));
+        let start = receive(&mut server, &mut fake, encode_message(0xC6, at, 2));
         assert_eq!(start, aborted(at, abort), "{at:04X?}");
     }
 }
 
 #[test]
-fn a_new_master_is_heard_where_an_old_one_has_left_a_block() {
+fn a_new_master_is_received_where_an_old_one_has_left_a_block() {
     let name = encode_message(0x40, (0x1008, 0), 0);
     let starts = [
         name,

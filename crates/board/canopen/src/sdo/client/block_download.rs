@@ -62,7 +62,7 @@ impl<'d> BlockDownload<'d> {
     /// [`ClientError`]: the transfer is over.
     pub fn receive(&mut self, frame: &Frame) -> Result<Progress, ClientError> {
         let Some(answer) = response_bytes(frame) else { return Ok(Progress::Unchanged) };
-        let &[command, taken, wanted, _, first, ..] = answer;
+        let &[command, taken, requested, _, first, ..] = answer;
         let unexpected = Err(ClientError::Unexpected { at: self.at, answer: *answer });
         match (command, self.state) {
             (_, DownloadPhase::Starting) if !matches_object(answer, self.at) => {
@@ -75,7 +75,7 @@ impl<'d> BlockDownload<'d> {
                 self.begin_block(0, first).map_or(unexpected, |request| Ok(Progress::Ask(request)))
             }
             (0xA2, DownloadPhase::Sending) if taken <= self.sequence => self
-                .begin_block(taken, wanted)
+                .begin_block(taken, requested)
                 .map_or(unexpected, |request| Ok(Progress::Ask(request))),
             (0xA1, DownloadPhase::Ending) => Ok(Progress::Done),
             // The answer to an earlier start of the same, which was given up.

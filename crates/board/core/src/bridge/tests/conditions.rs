@@ -78,54 +78,54 @@ const OTHER_NM: i32 = 8;
 
 #[test]
 fn a_tool_and_a_condition_are_followed_at_the_slew_limit() {
-    let mut said = Said::new();
-    let output = said.run(1_000, Some(CLAMPED));
+    let mut sender = Said::new();
+    let output = sender.run(1_000, Some(CLAMPED));
     assert_eq!((output.quality, output.offset), (Quality::Live, offset(TOOL_7_NM, 6_000)));
-    said.run(1, Some(Conditions { tool: 8, bits: 0 }));
-    let output = said.run(100, Some(Conditions { tool: 8, bits: 0 }));
+    sender.run(1, Some(Conditions { tool: 8, bits: 0 }));
+    let output = sender.run(100, Some(Conditions { tool: 8, bits: 0 }));
     assert!(output.flags.contains(Flags::SLEWING), "300 ms for 6 µm");
-    let output = said.run(1_000, Some(Conditions { tool: 8, bits: 0 }));
+    let output = sender.run(1_000, Some(Conditions { tool: 8, bits: 0 }));
     assert_eq!((output.quality, output.offset), (Quality::Live, offset(OTHER_NM, 0)));
-    assert!(!said.rig.bridge.lost_inputs(&said.rig.state).conditions);
+    assert!(!sender.rig.bridge.lost_inputs(&sender.rig.state).conditions);
 }
 
 #[test]
 fn lost_they_are_held_and_then_the_defaults_stand_in_for_them() {
-    let mut said = Said::new();
+    let mut sender = Said::new();
     let open = Conditions { tool: 7, bits: 0 };
-    let before = said.run(2_000, Some(open));
+    let before = sender.run(2_000, Some(open));
     assert_eq!((before.quality, before.offset), (Quality::Live, offset(TOOL_7_NM, 0)));
     // The last is 50 ms old: four link timeouts of 500 ms less that.
-    assert_eq!(said.run(1_950, None).quality, Quality::Live);
+    assert_eq!(sender.run(1_950, None).quality, Quality::Live);
     for ms in 1..=2_000 {
-        let output = said.run(1, None);
+        let output = sender.run(1, None);
         assert_eq!((output.quality, output.offset), (Quality::Hold, before.offset), "{ms} ms");
-        assert!(said.rig.bridge.lost_inputs(&said.rig.state).conditions);
+        assert!(sender.rig.bridge.lost_inputs(&sender.rig.state).conditions);
     }
-    let output = said.run(1, None);
+    let output = sender.run(1, None);
     assert_eq!(output.quality, Quality::TemperatureModel, "by the defaults");
-    let output = said.run(1_000, None);
+    let output = sender.run(1_000, None);
     assert_eq!(
         (output.quality, output.offset),
         (Quality::TemperatureModel, offset(OTHER_NM, 6_000))
     );
-    said.run(100, Some(open));
-    assert_eq!(said.rig.last.quality, Quality::Live, "they are back");
-    assert_eq!(said.run(1_000, Some(open)).offset, before.offset);
+    sender.run(100, Some(open));
+    assert_eq!(sender.rig.last.quality, Quality::Live, "they are back");
+    assert_eq!(sender.run(1_000, Some(open)).offset, before.offset);
 }
 
 #[test]
 fn after_a_start_they_are_awaited_and_a_cnc_that_never_sends_them_gets_the_defaults() {
-    let mut said = Said::new();
-    let output = said.run(2_000, None);
+    let mut sender = Said::new();
+    let output = sender.run(2_000, None);
     assert_eq!(output.offset, offset(0, 0), "nothing is followed before they come");
-    assert!(!said.rig.bridge.lost_inputs(&said.rig.state).conditions, "not yet");
-    let output = said.run(1_000, None);
+    assert!(!sender.rig.bridge.lost_inputs(&sender.rig.state).conditions, "not yet");
+    let output = sender.run(1_000, None);
     assert_eq!(
         (output.quality, output.offset),
         (Quality::TemperatureModel, offset(OTHER_NM, 6_000))
     );
-    assert!(said.rig.bridge.lost_inputs(&said.rig.state).conditions);
+    assert!(sender.rig.bridge.lost_inputs(&sender.rig.state).conditions);
 }
 
 #[test]

@@ -297,17 +297,18 @@ fn a_term_over_time_that_has_run_ahead_is_where_waiting_would_have_brought_it() 
 
 #[test]
 fn a_term_without_a_lag_has_nothing_to_keep_and_needs_nothing_that_was_kept() {
-    for (smoothing, is_kept) in [(SmoothingFactor::NO_LAG, false), (SmoothingFactor(1 << 22), true)]
+    for (smoothing, is_retained) in
+        [(SmoothingFactor::NO_LAG, false), (SmoothingFactor(1 << 22), true)]
     {
         let mut machine = by_term(expanding(), smoothing);
         machine.thermometers[5] = machine.thermometers[3];
         let mut rig = Rig::new(machine);
         live(&mut rig, 1_000, 21, 21);
         let memory = rig.bridge.retained_heat(&rig.state);
-        assert_eq!(memory.lags.iter().any(Option::is_some), is_kept);
+        assert_eq!(memory.lags.iter().any(Option::is_some), is_retained);
         let mut rig = Rig::new(machine);
         rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
-        assert_eq!(rig.state.is_heat_unknown(), is_kept);
+        assert_eq!(rig.state.is_heat_unknown(), is_retained);
     }
 }
 

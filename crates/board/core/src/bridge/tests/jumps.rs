@@ -73,7 +73,7 @@ fn an_axis_comes_as_far_as_its_rapid_traverse_takes_it_in_the_time_and_20_ms_and
 }
 
 #[test]
-fn an_axis_whose_rapid_traverse_nobody_states_is_believed_anywhere() {
+fn an_axis_without_a_stated_rapid_traverse_is_accepted_anywhere() {
     assert!(is_believed(0, 1_000 * MM, 1));
 }
 
@@ -87,7 +87,7 @@ fn the_first_position_is_believed_wherever_it_is() {
 }
 
 #[test]
-fn a_jump_moves_no_offset_is_told_and_is_believed_once_three_more_follow_from_it() {
+fn a_jump_moves_no_offset_is_reported_and_is_accepted_once_three_more_follow_from_it() {
     let mut rig = Rig::new(machine(RAPID));
     rig.position(100 * MM);
     rig.wait(1_000);

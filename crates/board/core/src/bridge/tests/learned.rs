@@ -8,7 +8,7 @@ use crate::{
 
 const LEARNED_LIMITS: LearnedLimits = LearnedLimits { growth: 250, axes: 250, zero: 200 };
 
-fn asks(rig: &mut Rig, part: u8, amount: i16) {
+fn apply_change(rig: &mut Rig, part: u8, amount: i16) {
     assert!(
         rig.bridge
             .apply_learned_change(&mut rig.state, ChangeRequest { part, amount, calibration: 0 })
@@ -36,8 +36,8 @@ fn two_percent_more_of_the_growth_lift_it_by_two_percent_and_no_tick_steps() {
     let mut rig = Rig::new(calibration);
     rig.run_engaged(300, 1050);
     assert_eq!(rig.z_nm(), 51_200);
-    asks(&mut rig, 1, 2_000);
-    asks(&mut rig, 5, -500);
+    apply_change(&mut rig, 1, 2_000);
+    apply_change(&mut rig, 5, -500);
     // Half of the way after 1000 steps of 100 ms; the zero has had all of its 500 by then.
     assert!(largest_step(&mut rig, 100_000, 1050) <= 2, "0.5 nm and 1 nm, each at its millisecond");
     assert!((rig.z_nm() - (51_200 + 512 - 500)).abs() <= 1, "{}", rig.z_nm());
@@ -46,8 +46,8 @@ fn two_percent_more_of_the_growth_lift_it_by_two_percent_and_no_tick_steps() {
     // Twice the growth, twice what was learned of it.
     rig.run_engaged(300, 1100);
     assert_eq!(rig.z_nm(), 2 * (51_200 + 1_024) - 500);
-    asks(&mut rig, 1, 0);
-    asks(&mut rig, 5, 0);
+    apply_change(&mut rig, 1, 0);
+    apply_change(&mut rig, 5, 0);
     assert!(largest_step(&mut rig, 210_000, 1100) <= 2);
     assert_eq!(rig.z_nm(), 102_400);
 }
@@ -61,7 +61,7 @@ fn the_slew_limit_holds_however_slow_it_is() {
     // 1 nm/s: slower than what was learned would have it.
     calibration.limits.slew_nm_per_s = 1;
     rig.bridge = Bridge::new(calibration);
-    asks(&mut rig, 5, 20_000);
+    apply_change(&mut rig, 5, 20_000);
     let z = rig.z_nm();
     largest_step(&mut rig, 20_000, 1050);
     assert!((rig.z_nm() - z - 20).abs() <= 1, "{} nm in 20 s", rig.z_nm() - z);
@@ -74,8 +74,8 @@ fn an_axis_expands_by_its_share_more_wherever_it_stands() {
     let mut rig = Rig::new(calibration);
     // 1 K and 1 m are 100 µm, against the axis; 1 % more of it is 1 µm.
     warm(&mut rig, 300, Some(21), 1_000);
-    asks(&mut rig, 2, 1_000);
-    asks(&mut rig, 3, 1_000);
+    apply_change(&mut rig, 2, 1_000);
+    apply_change(&mut rig, 3, 1_000);
     let output = warm(&mut rig, 50_000, Some(21), 1_000);
     let x = output.offset.expect("available")[0].0;
     assert!((x + 100_500).abs() <= 1, "half of the way: {x}");
@@ -91,8 +91,8 @@ fn a_fall_back_is_as_its_own_model_says() {
     calibration.limits.learned = LEARNED_LIMITS;
     let mut rig = Rig::new(calibration);
     sources::hold(&mut rig, 300, 1_010, Some(20));
-    asks(&mut rig, 1, 1_000);
-    asks(&mut rig, 5, 1_000);
+    apply_change(&mut rig, 1, 1_000);
+    apply_change(&mut rig, 5, 1_000);
     sources::hold(&mut rig, 101_000, 1_010, Some(20));
     let z = rig.z_nm();
     assert_eq!(z, 10_752 + 108 + 1_000, "10.5 codes, 1 % more, and 1 µm");
@@ -110,7 +110,7 @@ fn a_machine_that_is_called_cold_keeps_what_was_learned() {
     calibration.limits.learned = LEARNED_LIMITS;
     let mut rig = Rig::new(calibration);
     rig.bridge.restore_heat(&mut rig.state, &RetainedLags::default(), 0);
-    asks(&mut rig, 2, 5);
+    apply_change(&mut rig, 2, 5);
     warm(&mut rig, 1_000, Some(21), 1_000);
     assert!(rig.state.is_heat_unknown() && rig.state.learned().current()[1] == 5);
     rig.bridge.confirm_cold(&mut rig.state);

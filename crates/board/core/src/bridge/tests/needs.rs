@@ -98,14 +98,14 @@ fn zero_is_taken_only_while_the_sensor_the_thermometer_and_the_position_are_all_
 }
 
 #[test]
-fn growth_and_an_axis_that_are_both_held_at_their_limits_are_told_as_one_is() {
-    for (max, is_told) in [([200_000, 500_000], false), ([50_000, 50_000], true)] {
+fn growth_and_an_axis_that_are_both_held_at_their_limits_are_reported_as_one_is() {
+    for (max, is_reported) in [([200_000, 500_000], false), ([50_000, 50_000], true)] {
         let mut machine = sensor_and_expansion();
         // 100 µm of X, 51.2 µm of growth.
         (machine.limits.max[0], machine.limits.max[2]) = (Nanometres(max[0]), Nanometres(max[1]));
         let mut rig = Rig::new(machine);
         lives(&mut rig, 1_000, false, [true; 3]);
-        assert_eq!(rig.last.flags.contains(Flags::CLAMPED), is_told, "{max:?}");
+        assert_eq!(rig.last.flags.contains(Flags::CLAMPED), is_reported, "{max:?}");
     }
 }
 
@@ -193,9 +193,11 @@ fn each_table_and_term_needs_the_positions_that_it_is_over_and_no_other() {
     ];
     for (number, (machine, needed)) in machines.into_iter().enumerate() {
         for bits in 0..8_u8 {
-            let said = || LinearAxis::ALL.into_iter().filter(|axis| bits & 1 << *axis as u8 != 0);
-            let is_enough = needed.iter().all(|axis| said().any(|reported| reported == *axis));
-            let output = at(&mut Rig::new(machine), said());
+            let needed_axes =
+                || LinearAxis::ALL.into_iter().filter(|axis| bits & 1 << *axis as u8 != 0);
+            let is_enough =
+                needed.iter().all(|axis| needed_axes().any(|reported| reported == *axis));
+            let output = at(&mut Rig::new(machine), needed_axes());
             assert_eq!(output.quality == Quality::Live, is_enough, "machine {number}, {bits:03b}");
             assert_eq!(output.flags.contains(Flags::CNC_LOST), !is_enough, "machine {number}");
         }

@@ -115,18 +115,18 @@ fn a_fall_back_whose_zero_is_not_known_is_not_used() {
     hold(&mut rig, 2_000, 0, Some(22));
     assert_eq!((rig.last.quality, rig.last.offset), (Quality::Fault, None));
     // It has outlasted the reset: it goes on.
-    let kept =
+    let retained =
         RetainedTransfer { source: ElongationSource::Temperature, shift: Nanometres(41_000) };
     let mut rig = Rig::new(chain());
     rig.state.set_reference(reference);
-    rig.state.restore_transfer(kept);
+    rig.state.restore_transfer(retained);
     hold(&mut rig, 2_000, 0, Some(22));
     assert_eq!((rig.last.quality, rig.z_nm()), (Quality::TemperatureModel, 1_000));
-    assert_eq!(rig.state.retained_transfer(), Some(kept));
+    assert_eq!(rig.state.retained_transfer(), Some(retained));
 }
 
 #[test]
-fn a_fall_back_that_is_dead_is_told_while_it_is_not_needed() {
+fn a_fall_back_that_is_dead_is_reported_while_it_is_not_needed() {
     let mut rig = Rig::new(chain());
     hold(&mut rig, 1_300, 1_050, Some(22));
     assert!(!rig.bridge.has_fallback_failed(&rig.state));
@@ -140,7 +140,7 @@ fn a_fall_back_that_is_dead_is_told_while_it_is_not_needed() {
 }
 
 #[test]
-fn what_the_sensor_last_said_is_not_told_once_it_is_lost() {
+fn what_the_sensor_last_said_is_not_reported_once_it_is_lost() {
     let mut rig = Rig::new(chain());
     hold(&mut rig, 300, 1_050, Some(22));
     assert!(rig.state.elongation().is_some());
@@ -213,7 +213,7 @@ fn a_source_that_takes_over_from_a_lost_one_keeps_the_growth_since() {
 }
 
 #[test]
-fn a_thermometer_that_returns_as_the_sensor_is_lost_tells_nothing_of_before() {
+fn a_thermometer_that_returns_as_the_sensor_is_lost_reports_nothing_of_before() {
     // In every millisecond of a step of the heat.
     for lead_ms in 0..100 {
         let mut machine = chain();
@@ -229,7 +229,7 @@ fn a_thermometer_that_returns_as_the_sensor_is_lost_tells_nothing_of_before() {
 }
 
 #[test]
-fn a_source_that_returns_tells_what_grew_while_the_thermometer_in_use_said_nothing() {
+fn a_source_that_returns_reports_what_grew_while_the_thermometer_in_use_said_nothing() {
     let mut rig = Rig::new(chain());
     hold(&mut rig, 1_300, 1_050, Some(22));
     hold(&mut rig, 1_000, 0, Some(22));
@@ -271,9 +271,9 @@ fn a_quiet_sensor_that_stands_still_is_a_fault_where_run_out_must_show_and_only_
 #[test]
 fn the_first_source_counts_from_its_own_zero_where_another_one_was_used_before_the_reset() {
     let mut rig = Rig::new(chain());
-    let kept =
+    let retained =
         RetainedTransfer { source: ElongationSource::Temperature, shift: Nanometres(41_000) };
-    rig.state.restore_transfer(kept);
+    rig.state.restore_transfer(retained);
     hold(&mut rig, 1_000, 1_050, Some(22));
     assert_eq!(rig.last.quality, Quality::Live);
     assert!((rig.z_nm() - 51_700).abs() < 600, "{}", rig.z_nm());
@@ -310,7 +310,7 @@ fn of_two_sources_that_are_lost_one_after_the_other_the_third_goes_on_from_the_s
 fn what_was_never_followed_leaves_nothing_for_after_a_reset_unless_the_first_source_was_there() {
     use ElongationSource::{Sensor, Temperature};
     // What the sensor reads in each second; 0: its wire is broken.
-    for (seconds, kept) in
+    for (seconds, retained) in
         [([0, 0], None), ([1_050, 1_050], Some(Sensor)), ([1_050, 0], Some(Temperature))]
     {
         let mut rig = Rig::new(chain());
@@ -325,7 +325,7 @@ fn what_was_never_followed_leaves_nothing_for_after_a_reset_unless_the_first_sou
             let input = Input { temperatures, speed, codes: Some(&codes) };
             rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
         }
-        assert_eq!(rig.state.retained_transfer().map(|kept| kept.source), kept);
+        assert_eq!(rig.state.retained_transfer().map(|retained| retained.source), retained);
     }
 }
 
@@ -412,8 +412,8 @@ fn a_source_whose_zero_is_not_known_is_not_used_in_the_place_of_the_one_before_t
     (machine.spindle.chain[2], machine.spindle.warmup) = (None, None);
     let mut rig = Rig::new(machine);
     rig.state.set_reference(reference);
-    let kept = RetainedTransfer { source: ElongationSource::Warmup, shift: Nanometres(41_000) };
-    rig.state.restore_transfer(kept);
+    let retained = RetainedTransfer { source: ElongationSource::Warmup, shift: Nanometres(41_000) };
+    rig.state.restore_transfer(retained);
     hold(&mut rig, 2_000, 0, Some(22));
     assert_eq!((rig.last.quality, rig.last.offset), (Quality::Fault, None));
 }

@@ -16,9 +16,9 @@ fn twenty_milliseconds_without_samples_are_put_up_with_and_one_more_is_not() {
     for ms in 1..=30 {
         rig.control(ENGAGED);
         let output = rig.tick(None);
-        let is_told = output.flags.contains(Flags::SAMPLES_MISSING);
+        let is_reported = output.flags.contains(Flags::SAMPLES_MISSING);
         let expected = if ms <= 20 { (Quality::Live, false) } else { (Quality::Hold, true) };
-        assert_eq!((output.quality, is_told), expected, "after {ms} ms");
+        assert_eq!((output.quality, is_reported), expected, "after {ms} ms");
         // And it says how old it is.
         assert_eq!(output.age_ms, ms, "after {ms} ms");
     }
@@ -61,7 +61,7 @@ fn a_second_without_a_temperature_is_put_up_with_and_little_more() {
 }
 
 #[test]
-fn what_is_barred_goes_to_0_and_is_not_available_from_then_on() {
+fn what_is_inhibited_goes_to_0_and_is_not_available_from_then_on() {
     let mut rig = Rig::new(calibration());
     rig.run_engaged(200, 1_050);
     rig.state.set_inhibited(true);

@@ -71,9 +71,9 @@ fn levels_times_any_factor_are_right_to_the_bound_of_the_page() {
             _ => i64::from(next_random(&mut seed) as i32),
         };
         let place = 2_f64.powi(-i32::from(shift)) * x.abs() as f64;
-        let wanted = exact * 2_f64.powi(-i32::from(shift)) * x as f64;
-        if wanted.abs() < 2e9 {
-            let off = (f64::from(scale_level(level, shift, x)) - wanted).abs();
+        let expected = exact * 2_f64.powi(-i32::from(shift)) * x as f64;
+        if expected.abs() < 2e9 {
+            let off = (f64::from(scale_level(level, shift, x)) - expected).abs();
             worst = worst.max(off / (0.5 * place + 0.5));
         }
     }
@@ -90,8 +90,8 @@ fn on_its_way_a_level_is_right_to_a_place_and_ends_exactly() {
         assert_eq!([it.level(0), it.level(UNIT_STEP)], [it.off, it.on]);
         let s = (next_random(&mut seed) >> 2) as i32;
         let share = f64::from(s) / f64::from(UNIT_STEP);
-        let wanted = f64::from(it.off) + (f64::from(it.on) - f64::from(it.off)) * share;
-        assert!((f64::from(it.level(s)) - wanted).abs() <= 0.5 + 1e-6, "{it:?} at {s}");
+        let expected = f64::from(it.off) + (f64::from(it.on) - f64::from(it.off)) * share;
+        assert!((f64::from(it.level(s)) - expected).abs() <= 0.5 + 1e-6, "{it:?} at {s}");
     }
 }
 
@@ -138,9 +138,9 @@ fn a_condition_behind_a_lag_begins_settled_and_follows_from_there() {
     step(&mut states);
     assert_eq!(added(&states), 512, "it was on at the first step");
     states.set_conditions(&terms, Some(Conditions::default()));
-    for wanted in [384, 288, 216, 162] {
+    for expected in [384, 288, 216, 162] {
         step(&mut states);
-        assert_eq!(added(&states), wanted, "a quarter less in each step");
+        assert_eq!(added(&states), expected, "a quarter less in each step");
     }
     let mut memory = crate::retained_lags::RetainedLags::default();
     states.store_lags(&terms, &mut memory);
@@ -188,8 +188,8 @@ fn terms_by_category_add_to_what_all_others_have_made() {
         sum(&terms)
     };
     // 2·1000 + 3, then 512 + 10, 20 000²·2²⁹⁻⁵⁰ + 40, 1000/2 + 20.
-    let wanted = 2_003 + 522 + (191 + 40) + 520;
+    let expected = 2_003 + 522 + (191 + 40) + 520;
     for places in [[0, 1, 2, 3], [2, 0, 1, 3], [3, 2, 1, 0]] {
-        assert_eq!(sum(places), wanted, "{places:?}");
+        assert_eq!(sum(places), expected, "{places:?}");
     }
 }

@@ -157,7 +157,7 @@ fn a_closed_channel_takes_and_gives_no_frame() {
 }
 
 #[test]
-fn a_client_that_only_listens_hears_frames_but_sends_none() {
+fn a_client_that_only_listens_receives_frames_but_sends_none() {
     let mut port = Port::new(1);
     talk(&mut port, b"L\r");
     assert!(port.is_open() && port.send(&frame(0)));
@@ -283,7 +283,7 @@ fn a_closed_port_takes_no_frame_more_and_what_waits_still_goes_out() {
 }
 
 #[test]
-fn the_serial_number_is_told_in_four_digits_the_highest_first() {
+fn the_serial_number_is_reported_in_four_digits_the_highest_first() {
     let mut port = Port::new(0x1A2F);
     assert_eq!(talk(&mut port, b"N\r").1, b"N1A2F\r");
 }

@@ -19,7 +19,7 @@ fn steady() -> Master {
 }
 
 /// Returns what comes of each of this many frames: `Zero` believed, `Zero` asked for, `Confirm`.
-fn says(master: &mut Master, control: Control, count: usize) -> Vec<(bool, bool, bool)> {
+fn send_control(master: &mut Master, control: Control, count: usize) -> Vec<(bool, bool, bool)> {
     let mut one = || master.accept_control(Interface::Can, control).expect("it is alone");
     let three = |received: ControlEvent| (received.control.zero, received.zero, received.confirm);
     (0..count).map(|_| three(one())).collect()
@@ -32,36 +32,44 @@ const CONFIRMED: (bool, bool, bool) = (false, false, true);
 
 #[test]
 fn the_third_frame_of_a_bit_is_its_edge_and_there_is_none_while_it_stays() {
-    assert_eq!(says(&mut steady(), ZERO, 6), [NO, NO, TAKEN, NO, NO, NO]);
-    assert_eq!(says(&mut steady(), CONFIRM, 6), [NO, NO, CONFIRMED, NO, NO, NO]);
+    assert_eq!(send_control(&mut steady(), ZERO, 6), [NO, NO, TAKEN, NO, NO, NO]);
+    assert_eq!(send_control(&mut steady(), CONFIRM, 6), [NO, NO, CONFIRMED, NO, NO, NO]);
 }
 
 #[test]
 fn a_bit_that_was_never_seen_as_0_by_a_steady_master_has_no_edge() {
-    assert_eq!(says(&mut Master::default(), ZERO, 10), [NO; 10]);
+    assert_eq!(send_control(&mut Master::default(), ZERO, 10), [NO; 10]);
     let mut unsteady = steady();
     unsteady.reject_control(false);
-    assert_eq!(says(&mut unsteady, Control::REFERENCED, 1), [NO]);
-    assert_eq!(says(&mut unsteady, CONFIRM, 10), [NO; 10], "0 in one frame alone");
+    assert_eq!(send_control(&mut unsteady, Control::REFERENCED, 1), [NO]);
+    assert_eq!(send_control(&mut unsteady, CONFIRM, 10), [NO; 10], "0 in one frame alone");
 }
 
 #[test]
-fn a_zero_that_a_refused_frame_cuts_short_is_told_once_and_what_was_not_begun_is_not() {
-    for (frames, told) in [(0, NO), (1, TOO_SHORT), (2, TOO_SHORT), (3, NO)] {
+fn a_zero_that_a_refused_frame_cuts_short_is_reported_once_and_what_was_not_begun_is_not() {
+    for (frames, reported) in [(0, NO), (1, TOO_SHORT), (2, TOO_SHORT), (3, NO)] {
         let mut master = steady();
-        says(&mut master, ZERO, frames);
+        send_control(&mut master, ZERO, frames);
         master.reject_control(false);
         master.reject_control(false);
-        assert_eq!(says(&mut master, Control::REFERENCED, 2), [told, NO], "{frames} frames");
+        assert_eq!(
+            send_control(&mut master, Control::REFERENCED, 2),
+            [reported, NO],
+            "{frames} frames"
+        );
     }
     let mut master = steady();
-    says(&mut master, CONFIRM, 2);
+    send_control(&mut master, CONFIRM, 2);
     master.reject_control(false);
-    assert_eq!(says(&mut master, CONFIRM, 5), [NO; 5], "its first two frames count no more");
+    assert_eq!(
+        send_control(&mut master, CONFIRM, 5),
+        [NO; 5],
+        "its first two frames count no more"
+    );
 }
 
 #[test]
-fn confirm_answers_a_question_and_is_nothing_that_the_bridge_hears() {
+fn confirm_answers_a_question_and_is_nothing_that_the_bridge_receives() {
     let mut master = steady();
     for _ in 0..5 {
         let received = master.accept_control(Interface::Can, CONFIRM).expect("it is alone");
@@ -86,7 +94,7 @@ fn a_line_is_the_masters_up_to_the_timeout_of_the_link_and_anybodys_after_it() {
 }
 
 #[test]
-fn a_second_master_is_told_for_two_to_four_seconds_after_the_last_frame_out_of_sequence() {
+fn a_second_master_is_reported_for_two_to_four_seconds_after_the_last_frame_out_of_sequence() {
     // Three are one, however many follow; each of the sum goes in 200 ms.
     for (strange, is_doubtful, at_least_ms, at_most_ms) in
         [(2, false, 0, 0), (3, true, 2_200, 2_400), (100, true, 3_000, 3_200)]
@@ -97,13 +105,16 @@ fn a_second_master_is_told_for_two_to_four_seconds_after_the_last_frame_out_of_s
         let believed = master.accept_control(Interface::Can, Control::REFERENCED).is_some();
         assert_eq!(believed, !is_doubtful, "{strange} frames");
         // Nobody else sends: one frame follows from nothing.
-        let told_ms = (0..100_000).take_while(|_| {
-            let is_told = master.has_second_sender();
+        let reported_ms = (0..100_000).take_while(|_| {
+            let is_reported = master.has_second_sender();
             master.tick(1, TIMEOUT_MS);
-            is_told
+            is_reported
         });
-        let told_ms = told_ms.count();
-        assert!((at_least_ms..=at_most_ms).contains(&told_ms), "{strange} frames: {told_ms} ms");
+        let reported_ms = reported_ms.count();
+        assert!(
+            (at_least_ms..=at_most_ms).contains(&reported_ms),
+            "{strange} frames: {reported_ms} ms"
+        );
     }
     // What came damaged is noise.
     let mut master = steady();
@@ -159,7 +170,7 @@ fn a_stranger_does_not_become_the_master_of_a_cnc_that_sends_four_times_in_its_t
 }
 
 #[test]
-fn another_line_is_told_for_two_and_four_tenths_of_a_second_after_it_was_last_heard() {
+fn another_line_is_reported_for_two_and_four_tenths_of_a_second_after_it_was_last_received() {
     let mut master = steady();
     master.record_other_interface();
     (0..2_000).for_each(|_| master.tick(1, TIMEOUT_MS));

@@ -60,20 +60,20 @@ impl World {
         // Followed and held end in time; what is followed is as old as it says.
         if is_on(output.quality) {
             assert!(self.control_ms <= 520, "no Control for {} ms: {}", self.control_ms, place());
-            let heard_ms = self.axis.heard_ms;
-            assert!(heard_ms <= 520, "no position for {heard_ms} ms: {}", place());
+            let received_ms = self.axis.received_ms;
+            assert!(received_ms <= 520, "no position for {received_ms} ms: {}", place());
             let sampled_ms = match output.quality {
                 Quality::Live => self.block_ms,
                 Quality::TemperatureModel => self.temperatures_ms,
                 _ => 0,
             };
-            let oldest_ms = sampled_ms.max(if self.axis.moves { heard_ms } else { 0 });
-            let said_ms = u32::from(output.age_ms);
+            let oldest_ms = sampled_ms.max(if self.axis.moves { received_ms } else { 0 });
+            let reported_ms = u32::from(output.age_ms);
             // A reading of the filter may be a window's turn older than its newest sample.
             // And blocks that do not come are noticed within a turn of the supervisor, 10 ms.
             let least_ms = oldest_ms.saturating_sub(self.untold_ms.min(20));
             let range = least_ms.min(255)..=oldest_ms.saturating_add(21);
-            assert!(range.contains(&said_ms), "{said_ms} ms for {oldest_ms}: {}", place());
+            assert!(range.contains(&reported_ms), "{reported_ms} ms for {oldest_ms}: {}", place());
         }
         if self.fault == WorldFault::CncSilent && lasts > 2_530 {
             assert_ne!(output.quality, Quality::Hold, "for {lasts} ms: {}", place());

@@ -69,8 +69,7 @@ fn scale_help(line: &LinearInput) -> &'static str {
             "T = (V − zero_v) · c_per_v: write the volts at 0 °C and the kelvin for one volt of the transmitter"
         }
         CountScale::Count { .. } => {
-            "T = (counts − zero_counts)/counts_per_c: write the counts at 0 °C, the counts for one kelvin, and the \
-             counts and volts at full scale of one and the same converter"
+            "T = (counts − zero_counts)/counts_per_c: write the counts at 0 °C and per kelvin, and the full scale of the same converter in counts and volts"
         }
     }
 }
@@ -113,18 +112,25 @@ mod tests {
     #[test]
     fn the_papers_line_needs_the_papers_full_scale() {
         // In codes: (4086 − 4000)/16 = 5.4 °C is the end.
-        let told = refused("zero_counts = 4000, counts_per_c = 16", "");
-        assert!(told.len() == 1 && told[0].contains("gives -249.4 to 5.4 °C at most"), "{told:?}");
-        assert!(told[0].starts_with("m.toml:5:1: inputs.temp_a_c"), "{told:?}");
-        let told = refused("zero_counts = 40000, counts_per_c = 16", "");
-        assert!(told.len() == 1 && told[0].contains("gives -2499.4 to -2244.6"), "{told:?}");
+        let message = refused("zero_counts = 4000, counts_per_c = 16", "");
+        assert!(
+            message.len() == 1 && message[0].contains("gives -249.4 to 5.4 °C at most"),
+            "{message:?}"
+        );
+        assert!(message[0].starts_with("m.toml:5:1: inputs.temp_a_c"), "{message:?}");
+        let message = refused("zero_counts = 40000, counts_per_c = 16", "");
+        assert!(
+            message.len() == 1 && message[0].contains("gives -2499.4 to -2244.6"),
+            "{message:?}"
+        );
         for counts in [27648, 32768] {
             let line =
                 format!("zero_counts = 4000, counts_per_c = 16, counts_full_scale = {counts}");
             assert_eq!(refused(&line, ""), [""; 0]);
         }
-        let told = refused("zero_counts = 40000, counts_per_c = 16, counts_full_scale = 32768", "");
-        assert!(told.len() == 1 && told[0].contains("to -452.0 °C"), "{told:?}");
+        let message =
+            refused("zero_counts = 40000, counts_per_c = 16, counts_full_scale = 32768", "");
+        assert!(message.len() == 1 && message[0].contains("to -452.0 °C"), "{message:?}");
     }
 
     #[test]
@@ -155,10 +161,10 @@ mod tests {
         };
         let input = "zero_v = 0.0, c_per_v = 3.0";
         assert_eq!(refused(input, &law(20.0)), [""; 0]);
-        let told = refused(input, &law(31.0));
+        let message = refused(input, &law(31.0));
         assert!(
-            told.len() == 1 && told[0].contains("axis.x.thermal.reference_c is 31 °C"),
-            "{told:?}"
+            message.len() == 1 && message[0].contains("axis.x.thermal.reference_c is 31 °C"),
+            "{message:?}"
         );
     }
 }

@@ -56,7 +56,7 @@ fn for_each_numeric_key(
 
 #[test]
 fn every_number_of_a_machine_file_has_a_range_that_its_example_keeps() {
-    let mut asked = 0;
+    let mut requested = 0;
     let mut ask = |name: String, key: &Key, range: Option<PlausibleRange>| {
         let range = range.unwrap_or_else(|| panic!("no range for {name}"));
         let nested = |[inner, outer]: [[f64; 2]; 2]| outer[0] <= inner[0] && inner[1] <= outer[1];
@@ -72,7 +72,7 @@ fn every_number_of_a_machine_file_has_a_range_that_its_example_keeps() {
             "{name} = {}",
             key.example
         );
-        asked += 1;
+        requested += 1;
     };
     for_each_numeric_key(KeyScope::FILE, MACHINE_FILE_KEYS, "", &mut ask);
     for &cause in Cause::ALL {
@@ -81,7 +81,7 @@ fn every_number_of_a_machine_file_has_a_range_that_its_example_keeps() {
             for_each_numeric_key(KeyScope::Term(cause), keys, &path, &mut ask);
         }
     }
-    assert!(asked > 1000, "{asked}");
+    assert!(requested > 1000, "{requested}");
 }
 
 #[test]
@@ -112,7 +112,7 @@ fn a_key_has_its_own_range_else_that_of_its_section_else_that_of_its_unit() {
 }
 
 #[test]
-fn a_reversed_error_is_unlikely_and_says_so() {
+fn a_reversed_error_is_unlikely_and_reports_it() {
     for (text, key) in [
         ("[axis.x.backlash]\nwidth_um = -5.9\n".into(), "axis.x.backlash.width_um"),
         (format!("{HEAT}slope_um_per_m_per_c = -11.49\n"), "axis.x.thermal.slope_um_per_m_per_c"),

@@ -38,7 +38,7 @@ fn found(
 }
 
 #[test]
-fn each_slip_of_a_unit_is_told_with_the_unit() {
+fn each_wrong_unit_is_reported_with_the_unit() {
     use Plausibility::{Impossible, Unlikely};
     let rows = spindle(30.0, 400);
     assert_eq!(found(&rows, |row| row), []);
@@ -56,8 +56,8 @@ fn each_slip_of_a_unit_is_told_with_the_unit() {
         ("measured_elongation_um", Unlikely, "mm or inches", |[s, c, n, um]| [s, c, n, um / 1e3]),
         ("spindle_rpm", Unlikely, "1000 r/min", |[s, c, n, um]| [s, c, n / 1e3, um]),
     ];
-    for (column, grade, unit, slip) in slips {
-        let found = found(&rows, slip);
+    for (column, grade, unit, typo) in slips {
+        let found = found(&rows, typo);
         let is_it = |entry: &&(String, Plausibility, String)| {
             entry.0 == column && entry.1 == grade && entry.2.contains(unit)
         };
@@ -100,8 +100,8 @@ fn what_is_rare_and_right_is_not_refused() {
 
 /// A bearing that is at 52 °C from the first row on, next to a bed at 22 °C: in °F it would be at 11 °C.
 #[test]
-fn what_is_warm_from_the_start_beside_others_is_no_fahrenheit() {
-    let told = |bed_c: f64| {
+fn what_is_warm_from_the_start_next_to_others_is_no_fahrenheit() {
+    let finding_at = |bed_c: f64| {
         let rows = (0..60)
             .map(|row| format!("{},{:.2},{bed_c}\n", 60 * row, 52.0 + 0.01 * f64::from(row)));
         let text = format!("time_s,temp_nose_c,temp_bed_c\n{}", rows.collect::<String>());
@@ -113,9 +113,9 @@ fn what_is_warm_from_the_start_beside_others_is_no_fahrenheit() {
             .iter()
             .any(|finding| finding.warning.what.contains("°F"))
     };
-    assert!(!told(22.0));
-    assert!(told(12.0), "as cold as it would be in °C");
-    assert!(told(55.0), "all of them may be in °F");
+    assert!(!finding_at(22.0));
+    assert!(finding_at(12.0), "as cold as it would be in °C");
+    assert!(finding_at(55.0), "all of them may be in °F");
 }
 
 /// The hot end of a rod, next to the record of its cold end; alone, and next to a record that may be in °F as well, it
@@ -131,13 +131,13 @@ fn a_run_that_goes_on_where_another_ends_is_in_its_unit() {
     };
     let record = |from_c: f64| record_by(from_c, 0.2);
     let hot = record(52.0);
-    let is_asked = |others: &[RunFile]| {
+    let is_requested = |others: &[RunFile]| {
         findings(&hot, None, others).iter().any(|finding| finding.warning.what.contains("°F"))
     };
-    assert!(is_asked(&[]) && is_asked(&[record(52.0)]));
-    assert!(!is_asked(&[record(52.0), record(38.0)]), "38 to 49.8 °C, then 52");
-    assert!(is_asked(&[record(20.0)]), "20 to 31.8 °C does not reach 52");
+    assert!(is_requested(&[]) && is_requested(&[record(52.0)]));
+    assert!(!is_requested(&[record(52.0), record(38.0)]), "38 to 49.8 °C, then 52");
+    assert!(is_requested(&[record(20.0)]), "20 to 31.8 °C does not reach 52");
     let wide = |from_c: f64| record_by(from_c, 1.0);
-    assert!(is_asked(&[wide(11.0)]), "52 °F are 11.1 °C, where a run to 70 °C began");
-    assert!(!is_asked(&[wide(20.0)]), "52 °F are 11.1 °C, and the other began at 20");
+    assert!(is_requested(&[wide(11.0)]), "52 °F are 11.1 °C, where a run to 70 °C began");
+    assert!(!is_requested(&[wide(20.0)]), "52 °F are 11.1 °C, and the other began at 20");
 }

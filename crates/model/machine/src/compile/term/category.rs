@@ -141,7 +141,7 @@ pub(in crate::compile) fn reject_unnumbered_tools(machine: &Machine) -> Result<(
         None => Ok(()),
         Some(label) => {
             let rule =
-                "has no number: the CNC sends numbers, and the board could not tell the tool";
+                "has no number: the CNC sends numbers, and the board could not identify the tool";
             let help = "add `number = N` to it, N as the control calls the tool";
             Err(machine.places.key_error(&format!("spindle.tools.{label}"), rule).with_help(help))
         }

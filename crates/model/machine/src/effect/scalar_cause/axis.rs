@@ -154,7 +154,7 @@ impl ScalarCauseDefinition for TimeShift {
         sentence: |s| {
             format!("The measurement and the model's inputs are {s:.1} s apart: two clocks differ.")
         },
-        next_test: "Write the gauge's own clock into the run (gauge_time_s, beside time_s), and compare the two \
+        next_test: "Write the gauge's own clock into the run (gauge_time_s, in addition to time_s), and compare the two \
                     clocks at the start and the end.",
         ..ScalarCause::DEFAULT
     };

@@ -55,7 +55,7 @@ impl ScalarCauseDefinition for GrowthAmplitude {
             (grows && peak_to_peak(survey.source_elongation_um()) > 0.0)
                 .then(|| (1.0, StartValues::empty()))
         },
-        sentence: |more| format!("The growth is {:.3} times what the model says.", 1.0 + more),
+        sentence: |more| format!("The growth is {:.3} times that of the model.", 1.0 + more),
         next_test: "Repeat the run at another speed and compare the factor.",
         ..ScalarCause::DEFAULT
     };
@@ -228,8 +228,7 @@ impl ScalarCauseDefinition for ExpansionConstant {
                  believed."
             )
         },
-        next_test: "Measure one place of the axis over a warm-up of at least 5 K, until nothing moves any more, and \
-                    over the cool-down after it.",
+        next_test: "Measure one place of the axis over a warm-up of at least 5 K until it is steady, then over the cool-down.",
         against: &[(
             "expansion-slope",
             "Measure the axis at both ends, cold and warm: a constant moves both ends alike, a slope \

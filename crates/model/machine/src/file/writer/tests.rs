@@ -92,7 +92,7 @@ fn what_contradicts_the_new_section_is_taken_away() {
     edit.removed.push("axis.z.backlash".into());
     let text = applied(&source, &edit);
     assert!(!text.contains("axis.x.backlash") && text.contains("width_um = 5 # keep"));
-    assert!(edit.to_toml().contains("# [axis.x.backlash] must not stand beside it"));
+    assert!(edit.to_toml().contains("# A machine file must not have [axis.x.backlash] as well."));
 }
 
 #[test]
@@ -196,7 +196,7 @@ fn a_table_is_replaced_where_it_stands_and_comments_stay() {
 }
 
 #[test]
-fn a_note_stands_beside_a_new_key_and_an_inline_table_on_its_line() {
+fn a_note_stands_next_to_a_new_key_and_an_inline_table_on_its_line() {
     let max =
         Value::Inline(vec![("x".into(), Value::Number(1e-7)), ("z".into(), Value::Number(2.0))]);
     let limits = NewSection::new("limits").with_value("max_um", max).with_integer("hold_ms", 7);

@@ -65,7 +65,7 @@ impl Desk {
 
     /// Standard output and standard error of a run that must end with `code`; where that is 2, each error in
     /// one line, as [`in_one_line`] has it.
-    pub fn said(&self, line: &str, code: i32) -> (String, String) {
+    pub fn run_expecting(&self, line: &str, code: i32) -> (String, String) {
         let output = self.trueup(line);
         let text = |bytes| String::from_utf8(bytes).expect("the tool prints UTF-8");
         let (out, err) = (text(output.stdout), text(output.stderr));
@@ -76,14 +76,14 @@ impl Desk {
 
 /// Returns what was said, with `file:line:column: rule` for the error, its place and its line with a caret; the
 /// form itself is tested in `check.rs`.
-pub fn in_one_line(said: &str) -> String {
+pub fn in_one_line(text: &str) -> String {
     let mut lines: Vec<String> = Vec::new();
-    for line in said.lines() {
+    for line in text.lines() {
         let before = lines.last().and_then(|line| line.strip_prefix("error: "));
         if let (Some(rule), Some(place)) = (before, line.trim_start().strip_prefix("--> ")) {
-            let told = format!("{place}: {rule}");
+            let message = format!("{place}: {rule}");
             lines.pop();
-            lines.push(told);
+            lines.push(message);
         } else {
             lines.push(line.to_string());
         }

@@ -90,7 +90,7 @@ fn listening(
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = format!("tcp:{}", listener.local_addr().expect("bound above"));
     let received = Arc::new(Mutex::new(ReceivedBytes::default()));
-    let told = received.clone();
+    let shared = received.clone();
     thread::spawn(move || {
         let (stream, _) = listener.accept().expect("the tool connects");
         stream.set_nonblocking(true).expect("a plain socket");
@@ -98,9 +98,9 @@ fn listening(
         stream.set_nodelay(true).expect("a plain socket");
         if many {
             listener.set_nonblocking(true).expect("a plain socket");
-            live(Tools { listener, stream: Some(stream) }, fault, is_engaged, &told);
+            live(Tools { listener, stream: Some(stream) }, fault, is_engaged, &shared);
         } else {
-            live(stream, fault, is_engaged, &told);
+            live(stream, fault, is_engaged, &shared);
         }
     });
     (address, received)

@@ -55,7 +55,7 @@ impl Terminal {
         tcsetwinsize(&theirs, size).expect("a terminal");
         let mut command = Command::new("env");
         command
-            // Whoever started the tests may have had Ctrl-C ignored, which is inherited.
+            // The parent process may have had Ctrl-C ignored, which is inherited.
             .arg("--default-signal=INT")
             // The terminal is its own, whatever terminal the tests run in.
             .args(["setsid", "--ctty"])

@@ -53,7 +53,7 @@ pub fn run(
         tool_mm,
         axes: Axes::new(&truth.axes, [0.0; 3], 20.0),
     };
-    let (mut log, mut said, mut met_mm) = (String::new(), String::new(), f64::NAN);
+    let (mut log, mut text, mut met_mm) = (String::new(), String::new(), f64::NAN);
     let mut values: BTreeMap<String, f64> = BTreeMap::new();
     for line in program.lines().map(str::trim) {
         if let Some(row) = line.strip_prefix("(LOG,").and_then(|rest| rest.strip_suffix(')')) {
@@ -63,10 +63,10 @@ pub fn run(
             });
             log += &(cells.collect::<Vec<_>>().join(",") + "\n");
         } else if let Some(message) = line.strip_prefix("(MSG, ") {
-            said += message;
+            text += message;
         } else if line == "M0" {
-            obey(&mut state, &said);
-            said.clear();
+            obey(&mut state, &text);
+            text.clear();
         } else if let Some(place) = line.strip_prefix("G53 G1 ") {
             let (axis, mm) = place_of(place);
             state.mm[axis] = mm;
@@ -109,15 +109,15 @@ fn place_of(place: &str) -> (usize, f64) {
 }
 
 /// The operator changes the stylus, or turns the table.
-fn obey(state: &mut State, said: &str) {
+fn obey(state: &mut State, message: &str) {
     let number = |text: &str| -> f64 {
         text.split_whitespace().next().and_then(|word| word.parse().ok()).expect("a number")
     };
-    if let Some((_, length)) = said.split_once("Put in the stylus of ") {
+    if let Some((_, length)) = message.split_once("Put in the stylus of ") {
         state.tool_mm = number(length);
     }
     for (n, name) in ["A", "B", "C"].into_iter().enumerate() {
-        if let Some((_, deg)) = said.split_once(&format!("{name} stands at ")) {
+        if let Some((_, deg)) = message.split_once(&format!("{name} stands at ")) {
             state.deg[n] = number(deg);
         }
     }

@@ -79,7 +79,7 @@ fn what_is_asked_is_what_the_protocol_says() {
 }
 
 #[test]
-fn what_is_no_answer_is_no_panic_and_told() {
+fn what_is_no_answer_is_reported_and_no_panic() {
     let refused = |answers: Vec<Vec<u8>>| {
         let error = match Client::connect(&cpu(answers, 1_000)) {
             Err(error) => error,
@@ -89,7 +89,7 @@ fn what_is_no_answer_is_no_panic_and_told() {
     };
     let good = || vec![tpkt(CONFIRM), set_up(1, 240)];
     let then = |last: Vec<u8>| [good(), vec![last]].concat();
-    for (answers, told) in [
+    for (answers, phrase) in [
         (vec![b"SSH-2.0-OpenSSH".to_vec()], "no S7: no TPKT"),
         (vec![vec![3, 0, 0, 3]], "without a length"),
         (vec![tpkt(&[])], "rack, slot"),
@@ -112,8 +112,8 @@ fn what_is_no_answer_is_no_panic_and_told() {
         ),
         (good(), "cannot be reached"),
     ] {
-        let said = refused(answers);
-        assert!(said.contains(told), "{told}: {said}");
+        let message = refused(answers);
+        assert!(message.contains(phrase), "{phrase}: {message}");
     }
 }
 
