@@ -50,9 +50,8 @@ impl PlausibleRange {
 
 const UNIT_HINT: &str = "its unit is probably another one";
 /// The slip of a backlash that is negative.
-pub(crate) const REVERSED_SIGN_HINT: &str = "the sign is that of an error measured the other way round \
-                                                (errors are actual minus commanded), or of a direction of \
-                                                approach (dir_x, dir_y, dir_z) that is reversed";
+pub(crate) const REVERSED_SIGN_HINT: &str = "the sign is reversed: errors are actual minus commanded; or the direction of \
+                                                approach (dir_x, dir_y, dir_z) is reversed";
 pub(crate) const SPINDLE_SIGN_HINT: &str = "the spindle would shrink as it becomes warm: the sign is that of an error measured \
                        the other way round (an elongation is positive where the tool comes out of the spindle)";
 pub(crate) const AXIS_SIGN_HINT: &str = "the axis would shrink as it becomes warm: the sign is that of an error measured \
