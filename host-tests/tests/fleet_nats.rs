@@ -11,10 +11,7 @@ use std::{
     net::{SocketAddr, TcpListener, TcpStream},
     path::{Path, PathBuf},
     process::{Child, Command, Output, Stdio},
-    sync::{
-        Mutex,
-        atomic::{AtomicUsize, Ordering},
-    },
+    sync::{Mutex, atomic},
     thread,
     time::{Duration, Instant},
 };
@@ -373,9 +370,9 @@ fn a_worker_with_another_lease_takes_no_job_from_one_that_works() {
     let server = Server::start(&desk.path().join("server"), None, false, &[]).expect("it starts");
     submit(desk.path(), 0, &format!("--nats {}", server.url())).expect("it is submitted");
     let access = ConnectionSettings { url: server.url(), login: None, authority: None };
-    let (done, messages) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+    let (done, messages) = (atomic::AtomicUsize::new(0), Mutex::new(Vec::new()));
     let slow = |_: &LoadedJob, _: &Path| -> Result<DiagnosisFiles, DiagnosisError> {
-        done.fetch_add(1, Ordering::Relaxed);
+        done.fetch_add(1, atomic::Ordering::Relaxed);
         thread::sleep(Duration::from_millis(1_500));
         Err(DiagnosisError::Job("on purpose".into()))
     };
@@ -389,7 +386,7 @@ fn a_worker_with_another_lease_takes_no_job_from_one_that_works() {
     thread::scope(|scope| {
         let first = scope.spawn(|| work(2_000));
         let end = Instant::now() + TIMEOUT;
-        while done.load(Ordering::Relaxed) == 0 && Instant::now() < end {
+        while done.load(atomic::Ordering::Relaxed) == 0 && Instant::now() < end {
             thread::sleep(Duration::from_millis(10));
         }
         work(300).expect("the server answers");

@@ -277,7 +277,7 @@ pub(crate) fn add_residual_statistics(
     }
     if report.held_out.is_none() {
         report.warnings.push(
-            "the constants cannot be judged on left-out rows: without one of the \
+            "the constants cannot be judged on held-out rows: without one of the \
              parts the rest does not decide them"
                 .into(),
         );
@@ -319,7 +319,7 @@ pub(crate) fn judge_fit(report: &mut Report, y: &[f64], groups: Option<&[usize]>
         let constant = constant.map_or(before.rms_um, |constant| constant.rms_um);
         if held_out.rms_um >= before.rms_um.min(constant) {
             reasons.push(format!(
-                "left-out rows ({}) are {:.3} µm RMS away with the correction",
+                "held-out rows ({}) are {:.3} µm RMS away with the correction",
                 report.held_out_by, held_out.rms_um
             ));
             reasons.push(format!(
@@ -339,7 +339,7 @@ pub(crate) fn section_comment(report: &Report) -> String {
         spread.map_or("not known".to_string(), |spread| format!("{:.3} µm RMS", spread.rms_um))
     };
     format!(
-        "fitted to {} rows: {}, on left-out rows {}",
+        "fitted to {} rows: {}, on held-out rows {}",
         report.rows_used,
         rms(report.in_sample),
         rms(report.held_out)

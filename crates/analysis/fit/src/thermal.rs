@@ -135,7 +135,7 @@ pub fn fit(
         table.add_to_report(&mut report, mode);
         report.warnings.push(format!(
             "the growth is no line over the temperature: it is written as a table of {} rows, which \
-             left-out rows are better with",
+             held-out rows are better with",
             bend.knots_c.len()
         ));
         if bend.is_once {

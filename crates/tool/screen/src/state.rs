@@ -378,7 +378,6 @@ impl ScreenState {
     }
 
     /// Returns the last growth that came, in µm, and its age in s where it is old.
-    #[must_use]
     pub(crate) fn last_growth_um(&self) -> Option<(f64, Option<f64>)> {
         match self.sensor_growth {
             Some((growth_um, at_s)) if self.now_s - at_s <= MAX_SENSOR_AGE_S => {
@@ -389,14 +388,12 @@ impl ScreenState {
     }
 
     /// Returns how long ago offsets came last, in s; `None`: none ever did.
-    #[must_use]
     pub(crate) fn output_age_s(&self) -> Option<f64> {
         self.output.as_ref().map(|(_, at_s)| self.now_s - at_s)
     }
 
     /// Returns the last offsets that came, in µm, and their age in s; `None`: they are new, were not available, or none
     /// came.
-    #[must_use]
     pub(crate) fn stale_offset_um(&self) -> Option<([f64; 3], f64)> {
         let (output, at_s) = self.output.as_ref()?;
         let age_s = self.now_s - at_s;
@@ -404,13 +401,11 @@ impl ScreenState {
     }
 
     /// Returns the age in s of a channel's temperature, where it is old.
-    #[must_use]
     pub(crate) fn stale_temperature_age_s(&self, channel: usize) -> Option<f64> {
         self.stale_age_s(self.reported_s.temperatures.get(channel / 2).copied().flatten())
     }
 
     /// Returns the age in s of what the board has said of its faults, where it is old.
-    #[must_use]
     pub(crate) fn stale_state_age_s(&self) -> Option<f64> {
         self.stale_age_s(self.reported_s.state)
     }
@@ -423,7 +418,6 @@ impl ScreenState {
 
     /// Returns what the bridge has for the quantity of the gauge, in µm: the growth, or the error of an axis that its
     /// offset corrects.
-    #[must_use]
     pub(crate) fn bridge_value_um(&self) -> Option<f64> {
         let axis = match self.gauge.quantity {
             Quantity::Elongation => return self.growth_um(),
@@ -442,7 +436,6 @@ impl ScreenState {
     }
 
     /// For whom the bridge waits that gives no offset: "engage" or "confirm".
-    #[must_use]
     pub(crate) fn awaited_command(&self) -> Option<&'static str> {
         pending_action(self.output()?.quality, self.board.state, self.board.calibration)
     }
@@ -482,7 +475,6 @@ impl ScreenState {
     }
 
     /// Returns what is wrong, with what to do about it.
-    #[must_use]
     pub(crate) fn alarms(&self) -> Vec<(&'static str, &'static str)> {
         let mut words = self.board.fault_and_state_names();
         words.extend(self.output().map(|output| flag_names(output.flags)).unwrap_or_default());

@@ -38,7 +38,7 @@ pub(crate) fn build_finding(problem: &FitProblem, it: &Judgement, left_out: Fold
             format_micrometres(rms_after_um)
         ),
         format!(
-            "On left-out {left_out} the error falls from {} to {} RMS.",
+            "On held-out {left_out} the error falls from {} to {} RMS.",
             format_micrometres(first.left_out_before_um),
             format_micrometres(first.left_out_after_um)
         ),
@@ -295,7 +295,7 @@ fn describe_caveat(doubt: &Caveat, gain: &Gain, left_out: FoldUnit) -> String {
         Caveat::AlternativeCause(rival) => format!("{} explains these data as well.", rival.title()),
         Caveat::NotIdentified => format!(
             "It is not yet identified by these data: fitted to all {} RMS are left, on \
-             left-out {left_out} {}.",
+             held-out {left_out} {}.",
             format_micrometres(gain.rms_after_um),
             format_micrometres(gain.left_out_after_um)
         ),
@@ -319,7 +319,7 @@ fn describe_caveat(doubt: &Caveat, gain: &Gain, left_out: FoldUnit) -> String {
         ),
         Caveat::GainsOnce => "It gains on one part of the record alone: it was seen once.".into(),
         Caveat::MayGainNothing => format!(
-            "It may as well gain nothing on left-out {left_out}: the interval of its gain holds that."
+            "It may as well gain nothing on held-out {left_out}: the interval of its gain holds that."
         ),
         Caveat::DoesNotGoOn => {
             "It does not predict the end of the record: something else may drift."
@@ -361,7 +361,7 @@ fn describe_caveat(doubt: &Caveat, gain: &Gain, left_out: FoldUnit) -> String {
             "The position only grew with the time: {other} would look the same."
         ),
         Caveat::NotRepeated => {
-            "Its repeats do not bear it out: a cycle is not foreseen by the others, or chance would make \
+            "Its repeats do not bear it out: a cycle is not predicted by the others, or chance would make \
              the places differ as much."
                 .into()
         }

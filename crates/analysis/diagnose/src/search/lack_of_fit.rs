@@ -39,7 +39,7 @@ impl fmt::Display for LackOfFit {
             Self::NoGain { cause, left_out } => {
                 write!(
                     f,
-                    "{} is more than noise, but has no gain on left-out {left_out}",
+                    "{} is more than noise, but has no gain on held-out {left_out}",
                     cause.title()
                 )
             }

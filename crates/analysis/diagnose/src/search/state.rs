@@ -124,7 +124,7 @@ impl fmt::Display for RejectReason {
             }
             Self::NoGain { left_out, before_um, after_um } => write!(
                 f,
-                "no gain on left-out {left_out}: {before_um:.3} µm before, {after_um:.3} µm with it"
+                "no gain on held-out {left_out}: {before_um:.3} µm before, {after_um:.3} µm with it"
             ),
             Self::Insignificant => f.write_str("not more than noise would show"),
         }

@@ -204,7 +204,7 @@ fn build_finding(
         rms_um: tried.rms_um,
         evidence: vec![format!(
             "{}: {:.2} µm RMS without it, {:.2} µm with it",
-            if cause == Cause::ReversalSpike { "left" } else { "on left-out arcs" },
+            if cause == Cause::ReversalSpike { "left" } else { "on held-out arcs" },
             tried.held_out_um[0],
             tried.held_out_um[1]
         )],

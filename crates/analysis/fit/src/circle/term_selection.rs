@@ -453,11 +453,10 @@ fn find_alternatives(
             units.push(column.unit.clone());
         }
     }
-    let longest = noise::max_autocorrelation_time(fit.y.len());
     let noise = noise::estimate(
         &fit.residual(&solve(&fit.raw, &fit.raw_y(), None, 0.0)),
         &fit.steps,
-        longest,
+        noise::max_autocorrelation_time(fit.y.len()),
         fit.columns.len(),
     );
     let whitener = Whitener::new(noise, &fit.steps);

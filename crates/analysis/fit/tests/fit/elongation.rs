@@ -141,7 +141,7 @@ fn readings_that_have_nothing_to_do_with_it_are_not_compensated() {
     let report = fit(run, PAPER);
     let FitVerdict::DoNotCompensate(reasons) = &report.verdict else { panic!("{report:?}") };
     assert!(reasons[0].contains("0 is within the interval"), "{reasons:?}");
-    assert!(reasons[1].starts_with("left-out rows (each row in turn) are "), "{reasons:?}");
+    assert!(reasons[1].starts_with("held-out rows (each row in turn) are "), "{reasons:?}");
     assert!(report.edit.is_empty());
 }
 
@@ -163,7 +163,7 @@ fn a_range_in_which_the_sensor_is_another_is_no_gross_error() {
     );
 }
 
-/// By hand: slope 7.5, residuals −2.5, 10, −12.5, 5, so s = 11.99, and 4.303·s/√5 = 23.1 either way. Left-out
+/// By hand: slope 7.5, residuals −2.5, 10, −12.5, 5, so s = 11.99, and 4.303·s/√5 = 23.1 either way. Held-out
 /// rows gain all the same: 14.7 µm RMS, 18.2 without, 15.9 with a constant.
 #[test]
 fn an_amplitude_that_may_be_zero_is_not_written() {

@@ -91,8 +91,7 @@ impl Pair {
     #[must_use]
     pub fn diagnose_and_score(self, seed: u64) -> Option<PairScore> {
         let Self(a, b) = self;
-        let challenge =
-            draw_pair(a, b, EFFECT_TO_NOISE_RATIO, seed).expect("they stand beside each other");
+        let challenge = draw_pair(a, b, EFFECT_TO_NOISE_RATIO, seed).expect("a record holds both");
         if !self.is_distinguishable(&challenge) {
             return None;
         }

@@ -203,7 +203,7 @@ fn what_is_damaged_repeated_or_from_another_line_moves_nothing() {
     assert_eq!(rig.node.receive(Interface::Serial, &strange), Ok(None));
     rig.ticks(400);
     assert_eq!((rig.now(), rig.z_nm()), ([0; PART_COUNT], BASE_ELONGATION_NM));
-    assert!(rig.node.master.has_second_sender(), "who speaks on another line is told");
+    assert!(rig.node.master.has_second_sender(), "a sender on another interface is reported");
 }
 
 #[test]

@@ -250,7 +250,7 @@ fn of_100_000_polls_of_values_that_change_every_millisecond_none_is_half_old() {
         run_for_ms(&mut node, 1, 700 + step.min(2_000 - step) as u16);
         if n % 20 == 0 {
             node.receive_registers(&block(Control::ENGAGED, counter))
-                .expect("nobody else is there");
+                .expect("no other sender is there");
             counter = counter.wrapping_add(1);
         }
     }

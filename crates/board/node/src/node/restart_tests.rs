@@ -150,7 +150,7 @@ fn heat_that_is_not_known_is_waited_for_until_it_no_longer_matters() {
     let output = life.send_control_for(3_000, Control::ENGAGED);
     assert_eq!(output.quality, Quality::Live);
     let bits = life.node.faults(&output).state_bits();
-    assert_eq!(bits.0, 0, "and told no longer");
+    assert_eq!(bits.0, 0, "and reported no longer");
 }
 
 /// One block in ten milliseconds: by the samples time goes ten times slower.

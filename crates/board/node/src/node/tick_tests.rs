@@ -343,7 +343,7 @@ fn a_supply_that_drifts_changes_no_offset_and_one_that_is_broken_is_reported_and
         }
         (node.state.elongation(), node.board_faults.contains(Fault::SupplyOff))
     };
-    let (Some(before), false) = run(&mut node, 0) else { panic!("the sensor is heard") };
+    let (Some(before), false) = run(&mut node, 0) else { panic!("the sensor is read") };
     let (Some(drifted), false) = run(&mut node, 2) else { panic!("2 % are corrected") };
     // 700 codes are 85 µm, of which 2 % would be 1.7 µm; half a code is 61 nm.
     assert!((drifted.0 - before.0).abs() < 70, "{before:?} {drifted:?}");

@@ -105,7 +105,7 @@ fn a_wrong_sign_stops_it_before_anything_is_measured() {
     for (answer, phrase) in [
         ("10.2", "WRONG SIGN"),
         ("0.3", "nothing has moved"),
-        ("-0.01e6", "it is not 10 µm that moved"),
+        ("-0.01e6", "another distance moved: check the unit"),
         ("ten", "is not a reading in µm"),
     ] {
         desk.write("answers.txt", answer);
@@ -226,7 +226,7 @@ fn what_is_to_be_commissioned_is_asked_where_the_file_does_not_say_it() {
             "-m m.toml",
             "m.toml has no [spindle]: choose what to commission: trueup commission warmup, or pitch",
         ),
-        ("-m m.toml pitch", "say which, --axis x, --axis y or --axis z"),
+        ("-m m.toml pitch", "pitch needs an axis: --axis x, --axis y or --axis z"),
         ("-m m.toml warmup -a x", "an axis is commissioned by its pitch or its backlash"),
         ("-m m.toml backlash --axis q", "must be x, y or z"),
     ] {
