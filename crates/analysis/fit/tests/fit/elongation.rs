@@ -77,7 +77,7 @@ fn gross_errors_are_listed_with_their_lines_and_do_not_move_the_fit() {
     assert!(
         report.excluded[0]
             .to_string()
-            .starts_with("run.csv:12:6: excluded as an outlier, 300 µm is  ")
+            .starts_with("run.csv:12:6: excluded as an outlier, 300 µm is ")
     );
     assert_holds(&report, "um_per_count", 0.02);
     assert_holds(&report, "k0_um", -2.0);

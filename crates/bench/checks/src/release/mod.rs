@@ -312,7 +312,7 @@ mod tests {
         let message = missing_requirement(arm, none, none).expect("nothing is there");
         assert_eq!(
             message,
-            "aarch64-unknown-linux-gnu is left out; first: rustup target add aarch64-unknown-linux-gnu; \
+            "aarch64-unknown-linux-gnu is skipped; first: rustup target add aarch64-unknown-linux-gnu; \
              sudo apt-get install gcc-aarch64-linux-gnu"
         );
         let message = missing_requirement(windows, all, none).expect("no linker");
