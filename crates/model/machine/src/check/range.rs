@@ -16,7 +16,7 @@ use super::warning::Warning;
 use crate::{
     effect::BoardTerm,
     file::Machine,
-    keys::range::{PlausibleRange, REVERSED_SIGN_HINT},
+    keys::range::{AXIS_SIGN_HINT, PlausibleRange, REVERSED_SIGN_HINT, SPINDLE_SIGN_HINT},
     location::BadInput,
     sections::{LinearAxis, PitchErrorTable},
 };
@@ -114,7 +114,7 @@ fn new_finding(
             format!("{value_of}{unit} is unlikely (usual: {} to {}): {typo}", usual[0], usual[1])
         }
     };
-    let help = match typo.contains("other way round") {
+    let help = match [REVERSED_SIGN_HINT, SPINDLE_SIGN_HINT, AXIS_SIGN_HINT].contains(typo) {
         true => {
             "look at one reading: where the machine goes too far, the error must be positive".into()
         }

@@ -52,10 +52,10 @@ const UNIT_HINT: &str = "its unit is probably another one";
 /// The slip of a backlash that is negative.
 pub(crate) const REVERSED_SIGN_HINT: &str = "the sign is reversed: errors are actual minus commanded; or the direction of \
                                                 approach (dir_x, dir_y, dir_z) is reversed";
-pub(crate) const SPINDLE_SIGN_HINT: &str = "the spindle would shrink as it becomes warm: the sign is that of an error measured \
-                       the other way round (an elongation is positive where the tool comes out of the spindle)";
-pub(crate) const AXIS_SIGN_HINT: &str = "the axis would shrink as it becomes warm: the sign is that of an error measured \
-                            the other way round (errors are actual minus commanded)";
+pub(crate) const SPINDLE_SIGN_HINT: &str = "the spindle would shrink as it becomes warm; the sign is reversed: an elongation is \
+                       positive where the tool comes out of the spindle";
+pub(crate) const AXIS_SIGN_HINT: &str = "the axis would shrink as it becomes warm; the sign is reversed: errors are actual minus \
+                            commanded";
 pub(crate) const NANOMETRES_HINT: &str = "probably in nm instead of µm";
 pub(crate) const MINUTES_HINT: &str = "probably in minutes instead of s";
 pub(crate) const MILLISECONDS_HINT: &str = "probably in ms instead of s";
