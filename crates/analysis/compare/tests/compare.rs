@@ -41,7 +41,7 @@ fn between(quantity: &str, seed: u64, change: impl Fn(f64, f64) -> f64) -> Compa
 fn equal_runs_do_not_differ_but_for_chance() {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let reported = (0..200).filter(|_| between("dx", rng.random(), |_, _| 0.0).differs).count();
-    println!("{reported} of 200 equal pairs are told to differ");
+    println!("{reported} of 200 equal pairs are reported as different");
     // By the difference of BIC one in a hundred or two; the 99 % limit of a binomial with 2 %.
     assert!(reported <= 10, "{reported}");
     let it = between("dx", 1, |_, _| 0.0);

@@ -2,13 +2,13 @@
 //!
 //! ```text
 //! cargo run --release -p trueup-diagnose --example speed
-//! cargo run --release -p trueup-diagnose --example speed -- beside OTHER
+//! cargo run --release -p trueup-diagnose --example speed -- against OTHER
 //! ```
 //!
 //! A spindle whose growth lags behind its thermometer; the same with a gain, the speed, the load and another part's
 //! heat besides; and an axis with a wrong slope, a screw's wave and a backlash; each in a process of its own, from
 //! reading the file to the answer. Times are those of this computer: the ratio from line to line is what counts; or
-//! `beside` this example of another version, built before, on the same files, in turn, the least of five times each, of
+//! `against` this example of another version, built before, on the same files, in turn, the least of five times each, of
 //! the longest once.
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "an example prints its result")]
 
@@ -193,9 +193,9 @@ fn main() -> ExitCode {
     let words: Vec<String> = env::args().skip(1).collect();
     let done = match &words[..] {
         [] => benchmark_all(),
-        [word, other] if word == "beside" => compare_with_program(Path::new(other)),
+        [word, other] if word == "against" => compare_with_program(Path::new(other)),
         [kind, path] => benchmark_file(Path::new(path), kind == "axis"),
-        _ => Err("speed takes nothing, or `beside` and this example of another version".into()),
+        _ => Err("speed takes nothing, or `against` and this example of another version".into()),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

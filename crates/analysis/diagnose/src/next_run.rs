@@ -107,7 +107,8 @@ pub struct NextRun {
     /// The inputs to record next to the measured quantity: columns of the runs.
     pub inputs: Vec<String>,
     /// The causes that it separates, the question first that it was chosen for.
-    pub told: Vec<ExpectedSeparation>,
+    #[serde(rename = "told")]
+    pub separations: Vec<ExpectedSeparation>,
 }
 
 /// Why there is none.
@@ -146,8 +147,8 @@ impl fmt::Display for NoNextRunReason {
 impl NextRun {
     /// Nothing yet, with these columns next to it.
     fn with_inputs(inputs: Vec<String>) -> Self {
-        let (stretches, told) = (Vec::new(), Vec::new());
-        Self { stretches, axis: None, minutes: 0.0, every_s: 0.0, inputs, told }
+        let (stretches, separations) = (Vec::new(), Vec::new());
+        Self { stretches, axis: None, minutes: 0.0, every_s: 0.0, inputs, separations }
     }
 
     /// Returns the run and what it brings, in a machinist's words.
@@ -156,7 +157,7 @@ impl NextRun {
         let mut text =
             self.axis.as_ref().map_or_else(|| self.describe_spindle_run(), AxisRun::sentence);
         for ExpectedSeparation { causes: [one, other], difference_um, noise_um, score_gap } in
-            &self.told
+            &self.separations
         {
             text += &format!(
                 ": then {one} and {other} differ by up to {difference_um:.1} µm, {:.0} times the noise of a reading \
@@ -230,11 +231,11 @@ pub(crate) fn find_next_run(
             continue;
         }
         let CandidateRun { next, table } = &foreseen[enough.unwrap_or(most)];
-        let mut told = vec![question.expected_separation(table)];
+        let mut separations = vec![question.expected_separation(table)];
         let others = questions.iter().enumerate().filter(|(other, _)| *other != number);
         let others = others.map(|(_, question)| question.expected_separation(table));
-        told.extend(others.filter(|told| told.score_gap >= STRONG_EVIDENCE_BIC));
-        return Ok(NextRun { told, ..next.clone() });
+        separations.extend(others.filter(|separation| separation.score_gap >= STRONG_EVIDENCE_BIC));
+        return Ok(NextRun { separations, ..next.clone() });
     }
     Err(refused.unwrap_or(NoNextRunReason::NotForeseen(
         "the machine file needs a column that only positions have",
@@ -300,7 +301,7 @@ mod tests {
     #[test]
     fn a_run_is_said_in_words_and_what_alternates_is_said_once() {
         let stretch = |rpm, minutes, load_n| SpindleSegment { rpm, minutes, load_n };
-        let told = ExpectedSeparation {
+        let separation = ExpectedSeparation {
             causes: ["a".into(), "b".into()],
             difference_um: 7.0,
             noise_um: 0.35,
@@ -312,14 +313,14 @@ mod tests {
             minutes: 20.0,
             every_s: 60.0,
             inputs: Vec::new(),
-            told: vec![told],
+            separations: vec![separation],
         };
         assert_eq!(
             next.sentence(),
             "from cold, run at 6000 r/min for 12 minutes, then stop for 8 minutes; read every 60 s: then a and b differ \
              by up to 7.0 µm, 20 times the noise of a reading (expected score gap 41; 6 is strong evidence)"
         );
-        next.told.clear();
+        next.separations.clear();
         next.stretches = [stretch(6000.0, 2.0, 0.0), stretch(6000.0, 2.0, 300.0)].repeat(4);
         assert_eq!(
             next.sentence(),

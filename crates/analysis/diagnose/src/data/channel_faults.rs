@@ -78,7 +78,7 @@ pub(super) fn exclude_channel_faults(data: &mut DataTable, runs: &[&RunFile]) {
             let mut jumps = Vec::new();
             for fault in faults {
                 let at = |range: &Range<usize>| rows.start + range.start..rows.start + range.end;
-                let told = match &fault {
+                let description = match &fault {
                     ThermometerFault::Absent { shown, rows: all } => {
                         all.iter().for_each(|range| own[at(range)].fill(true));
                         let count: usize = all.iter().map(Range::len).sum();
@@ -106,7 +106,7 @@ pub(super) fn exclude_channel_faults(data: &mut DataTable, runs: &[&RunFile]) {
                     }
                 };
                 let file = file_name_prefix(data, rows.start);
-                data.notes.push(format!("{file}{name} {told}"));
+                data.notes.push(format!("{file}{name} {description}"));
             }
             for (range, by) in find_shifted_segments(rows, &jumps) {
                 moved[range.clone()].fill(true);

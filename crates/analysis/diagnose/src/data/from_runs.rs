@@ -211,10 +211,10 @@ fn remove_bridge_offsets<'r>(
 ) -> Result<(Vec<UncompensatedRun<'r>>, Vec<String>), BadInput> {
     let mut notes = Vec::new();
     let mut taken_out = |run: &'r RunFile| {
-        let (run, told) =
+        let (run, reported) =
             UncompensatedRun::from_run(Cow::Borrowed(run), Some(machine), Some(quantity))?;
         notes.extend(run.column_typos().map(|slip| slip.to_string()));
-        notes.extend(told);
+        notes.extend(reported);
         Ok(if factor == 1.0 { run } else { run.with_offset_factor(quantity, factor) })
     };
     let runs = runs.iter().map(&mut taken_out).collect::<Result<_, _>>()?;

@@ -263,8 +263,8 @@ mod tests {
             (0..400).map(|row| course(row) + noise * generator.normal()).collect()
         };
         for noise in [0.01, 0.3] {
-            let told = estimate_noise_std(&drawn(noise));
-            assert!((told / noise - 1.0).abs() < 0.15, "{told} for {noise}");
+            let estimate = estimate_noise_std(&drawn(noise));
+            assert!((estimate / noise - 1.0).abs() < 0.15, "{estimate} for {noise}");
         }
         let stairs: Vec<f64> = (0..400).map(|row| f64::from(row / 40) * 0.0625).collect();
         assert!((estimate_noise_std(&stairs) - 0.0625 / 12_f64.sqrt()).abs() < 1e-9);

@@ -49,13 +49,13 @@ fn additional_columns(machine: &Machine, term: &Term) -> Vec<String> {
 /// Returns the hold-outs whose every row is a row of the runs, whatever their files are called: a sentence each.
 pub(crate) fn describe_duplicate_hold_outs(runs: &[RunFile], files: &[RunFile]) -> Vec<String> {
     let is_seen = |file: &&RunFile| runs.iter().any(|run| has_all_rows(run, file));
-    let told = |file: &RunFile| {
+    let describe = |file: &RunFile| {
         format!(
             "{}: every row of this hold-out is a row of the runs, so that it measures nothing new",
             file.path().display()
         )
     };
-    files.iter().filter(is_seen).map(told).collect()
+    files.iter().filter(is_seen).map(describe).collect()
 }
 
 /// Returns whether each row of `file` is in `run`: the same values in the columns that both have.

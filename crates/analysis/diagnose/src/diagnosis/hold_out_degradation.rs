@@ -145,9 +145,10 @@ mod tests {
     fn a_cool_down_after_runs_that_only_warmed_is_told() {
         let runs: Vec<f64> = (0..50).map(|n| 20.0 + 0.5 * f64::from(n)).collect();
         let here: Vec<f64> = runs.iter().rev().copied().collect();
-        let told = describe_difference("temp_frame_c", &runs, &here, 10, 49).expect("it falls");
+        let description =
+            describe_difference("temp_frame_c", &runs, &here, 10, 49).expect("it falls");
         assert_eq!(
-            told,
+            description,
             "temp_frame_c falls by 19.50; in the runs it never fell by more than 0.00"
         );
         assert_eq!(describe_difference("temp_frame_c", &here, &here, 10, 49), None);
@@ -157,7 +158,8 @@ mod tests {
     fn a_column_beyond_what_the_runs_covered_is_told() {
         let runs = [20.0, 30.0, 20.0];
         assert_eq!(describe_difference("t", &runs, &[30.5, 25.0], 0, 1), None);
-        let told = describe_difference("t", &runs, &[35.0, 30.0], 0, 1).expect("it is beyond");
-        assert_eq!(told, "t reaches 35.00; in the runs 30.00 was the most");
+        let description =
+            describe_difference("t", &runs, &[35.0, 30.0], 0, 1).expect("it is beyond");
+        assert_eq!(description, "t reaches 35.00; in the runs 30.00 was the most");
     }
 }

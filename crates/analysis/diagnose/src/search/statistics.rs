@@ -35,7 +35,7 @@ pub(crate) struct Trial {
 
 /// The part of a trial that does not depend on the lists: G, and the squares of its columns.
 pub(crate) struct TrialGram {
-    beside: DMatrix<f64>,
+    outside_basis: DMatrix<f64>,
     whole: Vec<f64>,
 }
 
@@ -196,16 +196,16 @@ impl Projector {
                     let in_basis = products.view((0, first), (self.basis, count));
                     let squares = gram_matrix(white, count);
                     let whole = squares.diagonal().as_slice().to_vec();
-                    let beside = squares - in_basis.transpose() * in_basis;
-                    new.push(TrialGram { beside, whole });
+                    let outside_basis = squares - in_basis.transpose() * in_basis;
+                    new.push(TrialGram { outside_basis, whole });
                     &new[number]
                 }
             };
             first += count;
             if trial.is_fixed {
-                return explained_by_fixed_amplitude(&own.beside, &own.whole, &on_lists);
+                return explained_by_fixed_amplitude(&own.outside_basis, &own.whole, &on_lists);
             }
-            explained_sum_of_squares(own.beside.clone(), &own.whole, on_lists)
+            explained_sum_of_squares(own.outside_basis.clone(), &own.whole, on_lists)
         };
         (trials.iter().enumerate().map(gain).collect(), new)
     }

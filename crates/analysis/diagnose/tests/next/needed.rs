@@ -88,7 +88,7 @@ pub fn needed<T: Tried>(seeds: impl Iterator<Item = u64>, drawn: impl Fn(u64) ->
         );
         all.told += usize::from(own.is_some());
         let begins = |cause: &String| tried.truth().iter().any(|truth| cause.starts_with(truth));
-        let is_true = next.told[0].causes.each_ref().map(begins);
+        let is_true = next.separations[0].causes.each_ref().map(begins);
         if own.is_some() && is_true[0] != is_true[1] {
             all.has_truth += 1;
             all.right += usize::from((measured > 0.0) == is_true[0]);

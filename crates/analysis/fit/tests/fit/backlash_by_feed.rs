@@ -65,7 +65,7 @@ fn feeds_that_do_not_differ_are_one_measurement_but_for_one_in_a_hundred() {
         reported += usize::from(warned);
         assert_eq!(fit.report.rows_used, if warned { 42 } else { 84 });
     }
-    println!("told of {reported} in 200 without a difference");
+    println!("reported {reported} of 200 without a difference");
     // The 99 % limit of a binomial with 1 %.
     assert!(reported <= 6, "{reported}");
 }

@@ -25,7 +25,7 @@ fn build_plan(
     machine: &Machine,
     options: &MeasurementOptions,
 ) -> Result<Plan, ProgramError> {
-    let separation = &next.told[0];
+    let separation = &next.separations[0];
     let why = format!("To separate {} from {}.", separation.causes[0], separation.causes[1]);
     if let Some(it) = &next.axis {
         let run = TargetRun {
