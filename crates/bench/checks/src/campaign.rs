@@ -213,7 +213,7 @@ pub fn run_mutation_campaign(draw: usize, seed: u64) -> Result<()> {
     Ok(())
 }
 
-/// Tries all mutants of [`SIMULATED_FUNCTIONS`] on the simulator alone, and counts how many it finds. As for
+/// Tries all mutants of the functions that the simulator tests, on the simulator alone, and counts how many it finds. As for
 /// [`run_mutation_campaign`], `target/mutants` has the lists, and a mutant that has been tried is not tried again.
 ///
 /// # Errors

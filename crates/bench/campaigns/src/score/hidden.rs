@@ -56,7 +56,8 @@ pub struct Score {
     pub share_of_gain: f64,
     /// RMS of all that is hidden over that of the noise.
     pub visible: f64,
-    /// The compensation of the answer leaves the hold-out worse, by more than [`HARM`].
+    /// The compensation of the answer leaves the hold-out worse: above 1.05 times what the current machine file
+    /// leaves (RMS).
     pub is_harmed: bool,
 }
 
