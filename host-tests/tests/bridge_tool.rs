@@ -2,9 +2,12 @@
 //! a recording that other people's tools read.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
+#[allow(dead_code, reason = "its own start is for people")]
+#[path = "../../crates/tool/client/examples/listen.rs"]
+mod listen;
 mod support;
 
-use std::{fs, path::Path, process::Command};
+use std::{fs, path::Path, process::Command, time::Duration};
 
 use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
@@ -12,6 +15,7 @@ use support::{BridgeProcess, FAST_MACHINE, GROWN_UM, file, trueup};
 use tempfile::TempDir;
 use trueup_core::cnc::{CncMessage as CncCommand, Control, Output, Quality};
 use trueup_emulator::{cnc::CncClient, setup};
+use trueup_link::{frames, slcan::Event};
 use trueup_machine::{MachineFile, RunFile, compile};
 use trueup_store::calibration::calibration_crc;
 
@@ -103,6 +107,19 @@ fn printed(command: &mut Command) -> Result<String> {
     let output = command.output()?;
     ensure!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     Ok(String::from_utf8(output.stdout)?)
+}
+
+#[test]
+fn the_example_of_a_client_hears_the_offsets_of_the_board() -> Result<()> {
+    let bridge = BridgeProcess::start_grown()?;
+    let mut offsets = 0;
+    listen::listen(&format!("tcp:{}", bridge.address()), Duration::from_secs(1), |event| {
+        let Event::Frame(frame) = event else { return };
+        offsets += u32::from(frames::decode_offset_z(&frame).is_ok());
+    })?;
+    // A thousand a second; the computer may be late.
+    assert!(offsets > 100, "{offsets} offsets of Z in a second");
+    Ok(())
 }
 
 #[test]

@@ -1,6 +1,8 @@
 //! The project's own commands. Their work is in `trueup-emulator`; here is only what is said.
 
 mod demo;
+#[cfg(test)]
+mod tests;
 
 use std::{
     path::{Path, PathBuf},
@@ -16,7 +18,7 @@ use anyhow::{Context as _, Result, bail};
 use clap::{Args, Parser, Subcommand};
 use trueup_campaigns::faulty_machine::SeparableFaultMachine;
 use trueup_checks::{
-    book, bounds, campaign, debian, release, structure,
+    api_docs, book, bounds, campaign, debian, release, structure,
     verify::{self, Tier},
 };
 use trueup_demo::{boards::BoardSource, campaign::Campaign};
@@ -181,6 +183,8 @@ enum Command {
     },
     /// Makes web pages of the book, docs/book, in target/book.
     Book,
+    /// Makes the documentation of all crates for programmers in target/doc, with a front page.
+    Doc,
     /// Gets what this machine lacks: target, QEMU, Python clients.
     Setup,
 }
@@ -302,6 +306,7 @@ fn main() -> ExitCode {
         Command::Release { once: true, .. } => release::build_release_files(),
         Command::Release { key, .. } => make_release(key.as_deref()),
         Command::Book => book::render().map(|page| trueup_output::write_line(page.display())),
+        Command::Doc => api_docs::build().map(|page| trueup_output::write_line(page.display())),
         Command::Setup => setup::install_all_dependencies(),
     };
     match result {

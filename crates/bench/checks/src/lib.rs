@@ -3,9 +3,11 @@
 //! ```text
 //!  verify ─► structure, supply_chain, test_run ─► tally
 //!  campaign: soak      book: the manual, and the links of all documents      debian, release: what is handed out
+//!  api_docs: the crates' documentation with a front page
 //! ```
 #![forbid(unsafe_code)]
 
+pub mod api_docs;
 pub mod book;
 pub mod bounds;
 pub mod campaign;

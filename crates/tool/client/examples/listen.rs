@@ -7,14 +7,25 @@ use std::{
 };
 
 use trueup_client::{port::Port, session::Session};
+use trueup_link::slcan::Event;
 
-fn main() -> anyhow::Result<()> {
-    let name = env::args().nth(1).unwrap_or_else(|| "tcp:127.0.0.1:7700".into());
-    let mut session = Session::open(&Port::parse(&name)?)?;
-    let deadline = Instant::now() + Duration::from_secs(1);
+/// Hands over each event of the bridge on `port` for this long.
+pub fn listen(
+    port: &str,
+    duration: Duration,
+    mut receive: impl FnMut(Event),
+) -> anyhow::Result<()> {
+    let mut session = Session::open(&Port::parse(port)?)?;
+    let deadline = Instant::now() + duration;
     while let Some(event) = session.next_event(deadline)? {
-        println!("{event:?}");
+        receive(event);
     }
     session.close();
     Ok(())
+}
+
+/// Prints the events of a second.
+pub fn main() -> anyhow::Result<()> {
+    let port = env::args().nth(1).unwrap_or_else(|| "tcp:127.0.0.1:7700".into());
+    listen(&port, Duration::from_secs(1), |event| println!("{event:?}"))
 }

@@ -19,10 +19,11 @@ fn findings(text: &str) -> Vec<(String, Plausibility, String)> {
     let text = format!("{HEAD}{text}");
     let machine = MachineFile::parse(&text, Path::new("m.toml")).expect("the test's own file");
     let found = machine_findings(&machine).into_iter();
-    found.map(|finding| (finding.key, finding.grade, finding.warning.what)).collect()
+    let text = |warning: Warning| format!("{}; help: {}", warning.what, warning.help);
+    found.map(|finding| (finding.key, finding.grade, text(finding.warning))).collect()
 }
 
-/// Returns the only finding: its key, grade, and what it says.
+/// Returns the only finding: its key, grade, and what it says with its help.
 fn only(text: &str) -> (String, Plausibility, String) {
     let mut found = findings(text);
     assert_eq!(found.len(), 1, "{text}: {found:?}");
@@ -151,6 +152,7 @@ fn a_reversed_error_is_unlikely_and_reports_it() {
         let (found, grade, what) = only(&text);
         assert_eq!((found.as_str(), grade), (key, Plausibility::Unlikely), "{text}");
         assert!(what.contains("the sign is reversed: "), "{what}");
+        assert!(what.contains("help: look at one reading"), "{what}");
     }
     // A correction that makes a backlash smaller is none of a reversed error; nor is noise about 0.
     assert_eq!(
