@@ -208,8 +208,8 @@ fn filter_unseen_readings(
         // Clocks of two records that each begin with the record.
         if known > 0 || last_s >= MAX_RELATIVE_START_S {
             let rule = format!(
-                "{} is at or before the last reading that was learned from ({}), and was not learned from: \
-                 give the records in the order in which they were taken{}",
+                "{} is at or before the last reading that was learned from ({}), and was not \
+                 learned from. Give the records in the order in which they were taken{}",
                 format_clock(early_s),
                 format_clock(last_s),
                 if last_s - early_s <= MAX_CLOCK_SET_BACK_S { CLOCK_SET_BACK_NOTE } else { "" }

@@ -58,8 +58,9 @@ pub(crate) const REFUSED_CALIBRATION: u16 = 6;
 const BRIDGE_LOSS_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Reported where slopes are expected and none come.
-const NO_SLOPES_WARNING: &str = "warning: the bridge sends no slopes, so nothing is handed over: its calibration has no \
-                         [axis.*.thermal] of mode \"position\" or \"both\", or its firmware is older. Take --mode offsets";
+const NO_SLOPES_WARNING: &str = "warning: the bridge sends no slopes, so nothing is handed \
+    over. Its calibration has no [axis.*.thermal] of mode \"position\" or \"both\", or its \
+    firmware is older. Take --mode offsets";
 
 /// Who sends holding blocks: a connection.
 pub type MasterId = u64;

@@ -313,8 +313,8 @@ fn describe_caveat(doubt: &Caveat, gain: &Gain, left_out: FoldUnit) -> String {
             late.title()
         ),
         Caveat::FormOf(law) => format!(
-            "It may only make up for the form of {}: a part is behind its thermometer by a lag of the first \
-             order only nearly, and was not at rest when the record began.",
+            "It may only make up for the form of {}. A part follows its thermometer by a lag of \
+             the first order only approximately, and was not at rest when the record began.",
             law.title()
         ),
         Caveat::GainsOnce => "It gains on one part of the record alone: it was seen once.".into(),

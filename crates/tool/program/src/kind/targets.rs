@@ -79,8 +79,8 @@ pub fn plan_target_run(
     let over_mm = run.over_mm.min(MIN_OVER_TRAVEL_MM);
     if ends_mm[0] - over_mm < way.low_mm || ends_mm[1] + over_mm > way.high_mm {
         return Err(ProgramError(format!(
-            "the next run reads {name} from {} to {} mm, and {name} may move from {} to {} mm only: give a \
-             longer --range {name}=LOW:HIGH, or a smaller --margin",
+            "the next run reads {name} from {} to {} mm, and {name} may move from {} to {} mm \
+             only. Give a longer --range {name}=LOW:HIGH, or a smaller --margin",
             ends_mm[0],
             ends_mm[1],
             limits.low_mm,
