@@ -188,7 +188,7 @@ impl NextRun {
         let mut done: Vec<String> = Vec::new();
         let mut rest = self.stretches.as_slice();
         while !rest.is_empty() {
-            // A pair that comes again and again is said once.
+            // A pair that comes again and again is stated once.
             let times =
                 rest.chunks(2).take_while(|pair| pair == &&rest[..2.min(rest.len())]).count();
             if times > 2 {
@@ -301,7 +301,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_run_is_said_in_words_and_what_alternates_is_said_once() {
+    fn a_run_is_described_in_words_and_what_alternates_is_stated_once() {
         let stretch = |rpm, minutes, load_n| SpindleSegment { rpm, minutes, load_n };
         let separation = ExpectedSeparation {
             causes: ["a".into(), "b".into()],

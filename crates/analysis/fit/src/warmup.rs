@@ -338,7 +338,7 @@ fn report_constants(
     model
 }
 
-/// Measured minus what the machine file's model has said so far.
+/// Measured minus what the machine file's model has predicted so far.
 fn previous_model_residuals(record: &WarmupRecord<'_>, old: &Warmup, y: &[f64]) -> Vec<f64> {
     let mut state = WarmupState::default();
     let mut value = |row: usize| {

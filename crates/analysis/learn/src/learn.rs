@@ -442,7 +442,7 @@ fn supporting_reading_count(memory: &LearnerState, before: &[Event]) -> u64 {
     new.map(|event| memory.next_sequence().saturating_sub(event.sequence)).max().unwrap_or(1).max(1)
 }
 
-/// Returns why `wanted` may not be applied, in a sentence.
+/// Returns why `target` may not be applied, in a sentence.
 fn rejection_reason(
     memory: &LearnerState,
     target: &[f64],

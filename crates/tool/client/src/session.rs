@@ -66,7 +66,7 @@ impl Session {
             Port::Serial(device) => {
                 Error::from(error).context(format!("the serial device {device} cannot be opened"))
             }
-            // It has said so itself.
+            // It has reported it itself.
             #[cfg(all(feature = "socketcan", target_os = "linux"))]
             Port::Can(_) => error.into(),
         })?;

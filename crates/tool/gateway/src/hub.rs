@@ -208,7 +208,7 @@ impl Hub {
         &self.pinned
     }
 
-    /// Looks on what calibration the bridge runs now, as far as it has said so since it was last away.
+    /// Looks on what calibration the bridge runs now, as far as it has reported it since it was last away.
     fn check_calibration(&mut self, now: Duration) {
         if self.last.is_some_and(|(received, _)| now.saturating_sub(received) > BRIDGE_LOSS_TIMEOUT)
         {
@@ -233,7 +233,7 @@ impl Hub {
         let silent = Output { quality: Quality::Fault, ..Output::default() };
         self.input.counter = self.input.counter.wrapping_add(1);
         self.input.output = fresh.unwrap_or(silent);
-        // "Not available" and "fault" go together, whichever of them the bridge has said.
+        // "Not available" and "fault" go together, whichever of them the bridge has sent.
         if self.input.output.offset.is_none() || self.input.output.quality == Quality::Fault {
             (self.input.output.offset, self.input.output.quality) = (None, Quality::Fault);
         }
@@ -329,7 +329,7 @@ impl Hub {
         self.holding
     }
 
-    /// Returns what the PLC last said, while that is not older than `MASTER_TIMEOUT`.
+    /// Returns the last values of the PLC, while that is not older than `MASTER_TIMEOUT`.
     #[must_use]
     pub fn control(&self, now: Duration) -> Option<Control> {
         let (at, control) = self.control?;
