@@ -12,8 +12,8 @@ const TROUBLESHOOTING_HINTS: [&str; 5] = [
      $SC_TOOL_TEMP_COMP (SD42960) moves the axis negative. MD32750 $MA_TEMP_COMP_TYPE. SD43900 \
      and SD42960 both written add the offset twice. An axis programmed in diameter.",
     "FANUC: the external machine coordinate system shift by G000 to G002. Look at its sign (the \
-     shift is the offset itself), the least input increment (1 or 0.1 µm), EREND for each axis, \
-     an axis in diameter (1006#3).",
+     shift is the offset itself) and the least input increment (1 or 0.1 µm). Also EREND for \
+     each axis, and an axis in diameter (1006#3).",
     "HEIDENHAIN: the sign and the unit of the PLC's axis offset, and whether the PLC program adds it in two places.",
     "Modbus: the unit of the offset registers (0.01 µm), the order of the two words, signed 32 \
      bits. Also the scale and the sign in the PLC program behind the gateway.",

@@ -190,10 +190,10 @@ pub struct StraightnessArgs {
     pub method: FitMethod,
 }
 
-/// The table of the paper on straightness for your own runs: what a B-spline, a polynomial of
-/// degree 7 and straight lines leave of each curve and of each diagonal. The columns are range,
-/// mean, mean square, and within any metre. Also how much the correction's speed jumps at the
-/// corners of lines, and what that requires of the axis.
+/// The table of the paper on straightness for your own runs. It says what a B-spline, a polynomial
+/// of degree 7 and straight lines leave of each curve and diagonal. The columns are range, mean,
+/// mean square, and within any metre. Also how much the correction's speed jumps at the corners of
+/// lines, and what that requires of the axis.
 ///
 /// A run in which one axis moves is a curve; one in which two move is a diagonal, and needs the curves of both.
 #[derive(Args)]

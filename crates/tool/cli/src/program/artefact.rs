@@ -12,7 +12,7 @@ use crate::UserError;
 pub struct ArtefactArgs {
     /// Where it is, in mm of the machine. For circle: the centre (default: the middle of the
     /// ranges), and where the axis stands that is not moved. For sphere and plate: where the axes
-    /// would stand with the stylus ball in the centre of the ball, of a plate of its first one. For
+    /// would stand with the stylus ball in the centre of the ball (of a plate, its first ball). For
     /// square: the corner, and the height of the touches.
     #[arg(long, value_name = "x=MM,y=MM,z=MM", value_delimiter = ',', allow_hyphen_values = true)]
     at: Vec<String>,

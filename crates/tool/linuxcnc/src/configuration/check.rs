@@ -96,9 +96,9 @@ pub fn check(ini: &IniLines, hal: &HalFiles, demand: &OffsetRequirements) -> Che
         if no_board.has_heat && !hal.has_signal("trueup-confirm") {
             report.facts.push(
                 "the machine file has models by heat. At the first start, and without the \
-                 stored state of the last one, offsets wait until the thermometers agree or you \
-                 confirm that the machine is cold. To confirm, use the signal trueup-confirm, \
-                 or halcmd setp trueup.0.confirm 1, then 0"
+                 stored state of the last one, offsets wait. They come when the thermometers \
+                 agree or you confirm that the machine is cold. To confirm, use the signal \
+                 trueup-confirm, or halcmd setp trueup.0.confirm 1, then 0"
                     .into(),
             );
         }
