@@ -104,7 +104,7 @@ fn pypi_canopen_reads_every_object_loads_a_calibration_and_gets_each_abort_code(
             .iter()
             .position(|candidate| *candidate == code)
             .with_context(|| format!("{code:#x}"))?;
-        assert!(codes[at..].contains(&0), "it was told when that had gone: {codes:x?}");
+        assert!(codes[at..].contains(&0), "its end was reported: {codes:x?}");
     }
     assert!(saw["history"].as_array().is_some_and(|all| all.contains(&json!(0x0004_8130))));
     // Network management: what is unprotected stops nothing and restarts nothing in use.

@@ -62,7 +62,7 @@ fn hidden_faults_are_found_on_the_board_as_in_this_process() {
     let image = firmware::build_virtual().expect("the image builds");
     let (mut right, mut kept) = (0, 0);
     for seed in 0..10 {
-        let hidden = SeparableFaultMachine::draw(seed).expect("a machine that can be told");
+        let hidden = SeparableFaultMachine::draw(seed).expect("a machine that can be diagnosed");
         let on = |boards: &BoardSource| {
             run_act_two(boards, &hidden, &mut |_, _| {}).expect("it runs through").outcome
         };

@@ -32,7 +32,7 @@ fn the_ladder_shifts_by_the_offset_itself_holds_takes_back_and_steps_within_the_
         [&saw["released"]["engaged"], &saw["engages"]["engaged"]],
         [&json!(false), &json!(true)]
     );
-    // A block that is not whole is not used; then nothing comes: held for two seconds, taken back, told.
+    // A block that is not whole is not used; then nothing comes: held for two seconds, taken back, reported.
     for when in ["damaged", "held"] {
         assert_eq!(
             (&saw[when]["state"], &saw[when]["shift_um"]),

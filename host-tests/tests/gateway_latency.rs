@@ -35,7 +35,7 @@ const P99_MS: f64 = 30.0;
 const COST: f64 = 0.05;
 /// A minute, in the long tier.
 const MINUTE: Duration = Duration::from_secs(60);
-/// Ten of them in the soak, as long as nothing else is said.
+/// Ten of them in the soak, unless stated otherwise.
 const CAMPAIGN_S: u64 = 600;
 /// Looks at the data block of an S7, which take no time of the line's.
 const S7_POLLS: u32 = 100_000;
@@ -209,7 +209,7 @@ impl Seen {
     }
 }
 
-/// Watches for so long, and holds what it saw, all but how late it came, against what is wanted.
+/// Watches for so long, and holds what it saw, all but how late it came, against the target.
 fn watched(language: Language, how_long: Duration) -> Result<Seen> {
     let stop = Arc::new(AtomicBool::new(false));
     let address = clock_bridge(stop.clone())?;

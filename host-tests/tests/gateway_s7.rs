@@ -154,7 +154,7 @@ fn is_taken_back(cycle: &Value) -> bool {
 /// Held as it was for two seconds, then taken back, and reported.
 fn held_then_taken_back(plc: &Plc) -> Result<()> {
     plc.until("it is held", is_held)?;
-    let held = plc.until("it is taken back and told", is_taken_back)?;
+    let held = plc.until("it is taken back and reported", is_taken_back)?;
     // The last hold: a busy computer can be late for a moment before.
     let end = held.iter().position(is_taken_back).context("taken back")?;
     let begin =
@@ -253,9 +253,9 @@ fn whatever_breaks_is_held_ramped_out_and_reported_and_comes_back_by_itself() ->
     println!("X and Z are swapped");
     plc.order(&json!({ "swap": true }))?;
     plc.until("it is held", is_held)?;
-    plc.until("it is told", |cycle| cycle["fault"] == true)?;
+    plc.until("it is reported", |cycle| cycle["fault"] == true)?;
     plc.until("it is taken back", |cycle| nck_um(cycle)[2].abs() < 0.05)?;
-    // Engaged anew again and again, and told all the time.
+    // Engaged anew again and again, and reported all the time.
     let since = plc.until("engaged anew", |cycle| cycle["engaged"] == true)?;
     ensure!(since.iter().all(|cycle| cycle["fault"] == true), "a fault that comes and goes");
     plc.order(&json!({ "swap": false }))?;

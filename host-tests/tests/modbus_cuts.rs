@@ -2,7 +2,7 @@
 //! line, while its line and the bridge's are cut at random moments, in the middle of a frame, for 20 ms to 3.5 s. Time
 //! is virtual; the board's application, the link, the gateway's hub and the protocol are those that run.
 //!
-//! In every cycle: what the PLC uses is what the board said a moment ago; no offset is used, and none is live, once a
+//! In every cycle: what the PLC uses is what the board sent a moment ago; no offset is used, and none is live, once a
 //! line has been away for long enough; and no step, neither of the board's offset nor of what the PLC applies, is
 //! above the slew limit. At the end all is well again by itself.
 
@@ -298,7 +298,7 @@ impl World<'_> {
                 let offsets = self.offsets.iter().flatten();
                 ensure!(
                     offsets.map(|values| values.map(on_wire)).any(|words| words == self.plc.target),
-                    "{:?} was not said in the last moments, at {} ms",
+                    "{:?} was not sent in the last moments, at {} ms",
                     self.plc.target,
                     self.now
                 );

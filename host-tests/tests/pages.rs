@@ -1,5 +1,5 @@
 //! Every report in a real browser, headless Chromium: nothing is cut at 1280 and at 390 px, light and dark,
-//! no error is said, and the figures of a page are those of its JSON. Without a Chromium it is skipped.
+//! no error is reported, and the figures of a page are those of its JSON. Without a Chromium it is skipped.
 
 use std::{fmt::Write as _, fs, path::Path, process::Command};
 
@@ -29,7 +29,7 @@ use trueup_machine::{MachineFile, RunFile};
 use trueup_page::format_micrometres;
 
 /// Asks the page itself, once it is laid out: how wide the window is, what reaches beyond it or out of its
-/// own box, which words and numbers a line's end cuts, and what was said to be an error.
+/// own box, which words and numbers a line's end cuts, and what was reported as an error.
 const PROBE: &str = r#"<script>
 const errors = []; addEventListener('error', event => errors.push(event.message));
 addEventListener('load', () => {
@@ -80,9 +80,9 @@ fn probed(browser: &Path, folder: &Path, html: &str, width: u32, dark: bool) -> 
     }
     let output = command.arg("--dump-dom").arg(format!("file://{}", frame.display())).output();
     let text = String::from_utf8_lossy(&output.expect("it starts").stdout).into_owned();
-    let said = text.rsplit("PROBE ").next().and_then(|rest| rest.split("</body>").next());
-    let said = said.unwrap_or_else(|| panic!("the page did not come up: {text}"));
-    serde_json::from_str(&said.replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&"))
+    let answer = text.rsplit("PROBE ").next().and_then(|rest| rest.split("</body>").next());
+    let answer = answer.unwrap_or_else(|| panic!("the page did not come up: {text}"));
+    serde_json::from_str(&answer.replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&"))
         .expect("JSON")
 }
 
@@ -93,7 +93,7 @@ fn demonstration() -> String {
         .expect("the same");
     let asked = ActOneInput { source: &source, path: &path, run: &run, quantity: None };
     let one = run_act_one(&BoardSource::InProcess, &asked, &mut |_, _| {}).expect("it runs");
-    let hidden = SeparableFaultMachine::draw(7).expect("a machine that can be told");
+    let hidden = SeparableFaultMachine::draw(7).expect("a machine that can be diagnosed");
     let two = run_act_two(&BoardSource::InProcess, &hidden, &mut |_, _| {}).expect("it runs");
     let html = page::render_page(&one, Some(&two));
     // What the page says is what the JSON says.
@@ -106,8 +106,8 @@ fn demonstration() -> String {
         &json["hidden"]["tool_rms_before_um"],
         &json["hidden"]["tool_rms_after_um"],
     ] {
-        let said = format_micrometres(um.as_f64().expect("a number"));
-        assert!(html.contains(&said), "{said} is not on the page");
+        let figure = format_micrometres(um.as_f64().expect("a number"));
+        assert!(html.contains(&figure), "{figure} is not on the page");
     }
     for finding in json["findings"].as_array().expect("a list") {
         assert!(html.contains(finding["sentence"].as_str().expect("a sentence")));
@@ -116,7 +116,7 @@ fn demonstration() -> String {
 }
 
 fn diagnosis() -> String {
-    let hidden = SeparableFaultMachine::draw(0).expect("a machine that can be told");
+    let hidden = SeparableFaultMachine::draw(0).expect("a machine that can be diagnosed");
     let run = hidden.record_day(0, false).expect("a record");
     let machine = MachineFile::parse(&hidden.plant.machine, Path::new("m.toml")).expect("a file");
     let diagnosis = diagnose(&machine, &[run], &[], None, &mut |_, _| {}).expect("comparable");
@@ -277,17 +277,17 @@ fn no_page_is_cut_or_wrong_in_a_browser() {
         }
         let mut papers = Vec::new();
         for (width, dark) in [(1280, false), (390, false), (390, true)] {
-            let said = probed(&browser, folder.path(), html, width, dark);
-            println!("{name} at {width} px: {said}");
-            assert_eq!(said["wide"], width, "the window is as wide as asked");
+            let layout = probed(&browser, folder.path(), html, width, dark);
+            println!("{name} at {width} px: {layout}");
+            assert_eq!(layout["wide"], width, "the window is as wide as asked");
             assert!(
-                said["scroll"].as_u64().is_some_and(|value| value <= u64::from(width)),
-                "{name}: {said}"
+                layout["scroll"].as_u64().is_some_and(|value| value <= u64::from(width)),
+                "{name}: {layout}"
             );
-            assert_eq!(said["cut"], serde_json::json!([]), "{name} at {width} px");
-            assert_eq!(said["broken"], serde_json::json!([]), "{name} at {width} px");
-            assert_eq!(said["errors"], serde_json::json!([]), "{name}");
-            papers.push(said["paper"].clone());
+            assert_eq!(layout["cut"], serde_json::json!([]), "{name} at {width} px");
+            assert_eq!(layout["broken"], serde_json::json!([]), "{name} at {width} px");
+            assert_eq!(layout["errors"], serde_json::json!([]), "{name}");
+            papers.push(layout["paper"].clone());
         }
         assert_ne!(papers[1], papers[2], "{name}: in the dark it is dark");
     }

@@ -1,4 +1,4 @@
-//! The project's own commands. Their work is in `trueup-emulator`; here is only what is said.
+//! The project's own commands. Their work is in `trueup-emulator`; here are only their messages.
 
 mod demo;
 #[cfg(test)]

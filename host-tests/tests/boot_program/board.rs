@@ -169,7 +169,7 @@ impl Board {
         chip::run_without_log(model, &self.boot, &all).expect("the model runs")
     }
 
-    /// Lives for so long; gives what it said and its resets. Nothing of it may be against the manual.
+    /// Lives for so long; returns its messages and its resets. Nothing of it may be against the manual.
     pub fn live(&self, ms: u32, script: &str, options: &[&str]) -> Vec<PrintedLine> {
         let report = self.report(ms, script, options);
         // The image of the tests sends from 16 MHz, 2.1 % fast; nothing else is allowed.
@@ -189,13 +189,13 @@ impl Board {
     }
 }
 
-/// Returns when something was said first.
+/// Returns the time of the first message.
 pub fn first(lines: &[PrintedLine], what: &str) -> f64 {
     let found = lines.iter().find(|(_, event)| event == what);
     found.unwrap_or_else(|| panic!("never {what:?}: {lines:?}")).0
 }
 
-/// Returns whether something was said.
+/// Returns whether there was a message.
 pub fn has(lines: &[PrintedLine], what: &str) -> bool {
     lines.iter().any(|(_, event)| event == what)
 }

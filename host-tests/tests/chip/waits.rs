@@ -85,14 +85,14 @@ fn no_task_waits_for_half_its_deadline_nor_at_16_mhz_for_two_thirds() {
         assert!(report.clean || is_as_known, "{}", report.stdout);
         assert_eq!(report.stdout.matches(" 0 overruns").count(), 2, "{}", report.stdout);
         let masked = behind(&report, "PRIMASK set for").expect("some");
-        let (_, plc) = report.stdout.split_once("RS-485").expect("it is told");
-        let (_, plc) = plc.split_once("waits ").expect("it is told");
+        let (_, plc) = report.stdout.split_once("RS-485").expect("it is reported");
+        let (_, plc) = plc.split_once("waits ").expect("it is reported");
         let byte: f64 = plc.split_once(" µs").expect("a time").0.parse().expect("a number");
         let mut text =
             format!("{clock}, {later_ms} ms later: interrupts off {masked}, modbus_line {byte}");
         assert!(masked < byte_us / 2.0 && byte < byte_us / 2.0, "{text}");
         let logged = |words: &str| {
-            let (_, rest) = report.stdout.split_once(words).expect("it is told");
+            let (_, rest) = report.stdout.split_once(words).expect("it is reported");
             rest.lines().next().expect("a line").split(", ").collect::<Vec<_>>()
         };
         let up = logged("lines up at the longest: ");

@@ -64,7 +64,7 @@ fn xtask_chip_shows_the_log_and_serves_any_slcan_client_with_a_dead_crystal() ->
     // A reader that does not read holds it up.
     let log_lines = std::thread::spawn(move || lines.map_while(Result::ok).collect::<Vec<_>>());
 
-    // What is said before the board is up is lost, as on a wire.
+    // A message before the board is up is lost, as on a wire.
     let info = info_with(port, "heartbeat")?;
     println!("{info}");
     for word in ["crystal", "fall-back-clock", "board-degraded", "on STM32F405"] {

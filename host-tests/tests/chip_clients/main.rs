@@ -98,7 +98,7 @@ fn python(script: &str, more: &[&OsStr]) -> Result<Option<Value>> {
     let python = setup::ensure_python()?;
     trueup()?;
     let line = RunningModel::start(&chip.model, &chip.image, &options)?;
-    // What is said before the board is up is lost, as on a wire.
+    // A message before the board is up is lost, as on a wire.
     info_with(line.port, "heartbeat")?;
     let output = Command::new(python)
         .arg(setup::project_root().join("host-tests/python").join(script))

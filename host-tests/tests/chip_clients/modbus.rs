@@ -22,7 +22,7 @@ use super::{
 /// The switch for 115 200 Bd, and a master that has it.
 pub const FAST: [&str; 4] = ["--low", "PB5", "--modbus-baud", "115200"];
 
-/// Returns the bytes of what was said, if it is of this kind.
+/// Returns the bytes of the message, if it is of this kind.
 pub fn sent_frame(event: &str, kind: &str) -> Option<(f64, Vec<u8>)> {
     let (at, rest) = event.split_once(' ')?;
     let hex = rest.strip_prefix(kind)?.strip_prefix(' ')?;
@@ -55,7 +55,8 @@ fn polled(until_ms: u32) -> Result<Option<usize>> {
     for wrong in ["nothing drives", "collides", "overrun, a byte"] {
         ensure!(!report.stdout.contains(wrong), "{}", report.stdout);
     }
-    let wait = report.stdout.lines().find(|line| line.contains("RS-485")).context("it is told")?;
+    let wait =
+        report.stdout.lines().find(|line| line.contains("RS-485")).context("it is reported")?;
     println!("{}", wait.trim());
     let cycles: Vec<(f64, i32)> = report
         .events

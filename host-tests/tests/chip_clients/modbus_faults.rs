@@ -88,7 +88,7 @@ fn faults(counter: u16) -> Vec<RequestFault> {
         ),
         RequestFault::with_exception("write elsewhere", &changed(2, 1), 2),
         RequestFault::with_exception("write nothing", &[16, 0, 0, 0, 0, 0], 3),
-        RequestFault::with_exception("another length than is said", &changed(5, 32), 3),
+        RequestFault::with_exception("another length than is stated", &changed(5, 32), 3),
         RequestFault::silent("to everybody", encode_frame(0, &release)),
         RequestFault::silent("to another unit", encode_frame(7, &release)),
         RequestFault::silent("to unit 255", encode_frame(255, &release)),
@@ -284,7 +284,7 @@ fn a_cnc_on_can_next_to_a_plc_and_a_plc_next_to_a_cnc_are_reported_and_move_noth
     for at in requested {
         ensure!(answers.between(at, at + 15) == [&busy[..]], "at {at} ms");
     }
-    ensure!(is_reported(&answers.input(end, silent)?), "it is told");
+    ensure!(is_reported(&answers.input(end, silent)?), "it is reported");
     stands(&report, SETTLED_MS, silent)?;
     let admitted = answers.between(free, free + 20);
     ensure!(admitted == [&encode_frame(UNIT_ID, &[16, 0, 0, 0, 17])[..]], "{admitted:02x?}");

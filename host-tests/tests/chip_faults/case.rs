@@ -26,7 +26,7 @@ pub struct Case {
 }
 
 impl Case {
-    /// Returns a fault that changes nothing, unless more is said.
+    /// Returns a fault that changes nothing, unless more is stated.
     pub const fn new(fault: &'static str, at: u32, within: u32) -> Self {
         let (quality, flag, state, emergency) = (None, None, None, None);
         let (is_history, restart, task) = (false, None, None);
@@ -68,7 +68,7 @@ impl Case {
         let from = f64::from(self.at);
         let by = from + f64::from(self.within);
         let mut missing = Vec::new();
-        // What is said before the reset is not the answer to it.
+        // A message before the reset is not the answer to it.
         let from = match self.restart {
             None => from,
             Some(_) => match seen.resets.iter().find(|time| (from..=by).contains(*time)) {

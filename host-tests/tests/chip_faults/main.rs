@@ -218,11 +218,13 @@ fn the_page_is_what_the_list_says() {
 const HEAD: &str = "\
 # Faults of the flashable image
 
-Each of these COUNT faults is provoked in the image that is flashed, on the model of its chip (`crates/bench/chip`), by
-`cargo test -p trueup-host-tests --features emulator --test chip_faults -- --include-ignored`, and ends as its line says. The board was
-engaged before, where the fault does not come at the start. A board that starts anew is \"not available\" (quality 6) until it is engaged
-again, and `trueup bridge info` names the last column. Without a crystal there is no CAN, and an emergency comes before anybody has
-opened the serial line: the history of errors, object 0x1003, keeps it. Nothing of this has been seen on hardware.
+Each of these COUNT faults is provoked in the image that is flashed, on the model of its chip (`crates/bench/chip`).
+It ends as its line says. The command is
+`cargo test -p trueup-host-tests --features emulator --test chip_faults -- --include-ignored`. The board was engaged
+before, where the fault does not come at the start. A board that starts anew is \"not available\" (quality 6) until it
+is engaged again, and `trueup bridge info` names the last column. Without a crystal there is no CAN, and an emergency
+comes before the serial line has been opened. The history of errors, object 0x1003, keeps it. Nothing of this has been
+seen on hardware.
 
 | fault | how it comes | quality | flag | state | emergency | within ms | named after the restart |
 |---|---|---|---|---|---|---|---|

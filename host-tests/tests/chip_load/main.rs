@@ -24,7 +24,7 @@ use support::{FAST_MACHINE, chip::Chip};
 use trueup_machine::{CompiledCalibration, MachineFile, compile};
 use trueup_store::calibration::calibration_crc;
 
-/// Where the transfer begins: the board has said what there is to say of its start.
+/// Where the transfer begins: the board has reported its start.
 const LOAD_MS: f64 = 130.0;
 /// A board is received within this time of every start.
 const START_MS: f64 = 200.0;

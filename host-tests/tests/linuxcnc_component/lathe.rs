@@ -42,6 +42,10 @@ fn a_lathe_is_corrected_by_its_radius_in_g7_and_g8() -> Result<()> {
         let seen = cnc.read_pins(&names)?;
         println!("{words}: X {:.2} um, Z {:.2} um", seen[1] * 1e3, seen[2] * 1e3);
     }
-    ensure!(!cnc.recent_log().contains("AXIS_Y"), "a lathe is told of its Y: {}", cnc.recent_log());
+    ensure!(
+        !cnc.recent_log().contains("AXIS_Y"),
+        "a lathe has a message about Y: {}",
+        cnc.recent_log()
+    );
     Ok(())
 }

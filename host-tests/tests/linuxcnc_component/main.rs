@@ -133,7 +133,7 @@ fn a_bridge_that_is_unplugged_is_held_then_ramped_out_and_taken_up_again() -> Re
         gone(rig)?;
         ensure!(pulled.elapsed() > HOLD, "after the hold, not before");
         let message = rig.cnc.send_request(&json!({"do": "stat"}))?["said"].to_string();
-        ensure!(message.contains("trueup: no offsets"), "the operator is told: {message}");
+        ensure!(message.contains("trueup: no offsets"), "the operator has the message: {message}");
         rig.bridge.plug(true);
         Ok(())
     })
@@ -246,7 +246,7 @@ fn holds_the_feed(
     let message = rig.cnc.send_request(&json!({"do": "stat"}))?["said"].to_string();
     ensure!(
         message.contains("trueup: the feed is held"),
-        "{what}: the operator is told: {message}"
+        "{what}: the operator has the message: {message}"
     );
     rig.begin()?;
     mend(rig)?;

@@ -86,7 +86,7 @@ pub(crate) fn homing(rig: &mut Rig) -> Result<()> {
     rig.mdi("G53 G0 X-10 Y0")?;
     rig.cycles();
     let drive = rig.cnc.read_pin("trueup-j0.out")?;
-    // The goal is said so shortly before that the offset is still on its way: held is what acts.
+    // The goal is sent so shortly before that the offset is still on its way: held is what acts.
     rig.bridge.set_offset([190.0, -20.0, 40.0]);
     rig.cnc.send_command("home", "joint", 0)?;
     rig.bridge.set_offset([10.0, -20.0, 40.0]);

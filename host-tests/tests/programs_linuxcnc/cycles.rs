@@ -42,7 +42,7 @@ impl Cycles {
         commanded(&line)
     }
 
-    /// Waits until the recorder has said for [`STANDS`] cycles on end that all stand here: what it says next is new.
+    /// Waits until the recorder has reported for [`STANDS`] cycles on end that all stand here: its next report is new.
     pub fn wait_for_stand(&mut self, at: &[f64]) -> Result<()> {
         let mut stood = 0;
         for _ in 0..LATEST {

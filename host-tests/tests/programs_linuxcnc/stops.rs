@@ -192,7 +192,7 @@ fn programs_move_nothing_before_their_stop_and_no_axis_that_they_do_not_name() -
                     .map_or([before[n]; 2], |[from, to]| [from.min(before[n]), to.max(before[n])]);
                 ensure!(
                     from - 1e-4 <= low && high <= to + 1e-4,
-                    "{}: axis {n} was sent from {low} to {high} mm, said were {from} to {to}",
+                    "{}: axis {n} was sent from {low} to {high} mm, stated were {from} to {to}",
                     plan.name
                 );
             }

@@ -21,7 +21,7 @@ const FEED_MM_PER_MIN: f64 = 120.0;
 /// LinuxCNC sees the contact two servo periods late: 4 µm at this feed, of which the mean of two opposite ones sees none.
 const LATE_UM: f64 = 4.1;
 
-/// The distance of the tip to the ball closes the probe, once it is told how wide both are.
+/// The distance of the tip to the ball closes the probe, once it knows how wide both are.
 pub fn wires() -> String {
     let mut hal = String::from(
         "loadrt sum2 names=dx,dy,dz\nloadrt hypot names=ball\nloadrt comp names=touch\n",

@@ -152,7 +152,7 @@ impl Running {
         Ok(Self { child, lines, listener: Some(listener), mark, temporary })
     }
 
-    /// Returns what it has said so far.
+    /// Returns its output so far.
     pub fn log(&self) -> String {
         self.lines.lock().expect("nobody panics with it").join("\n")
     }
@@ -167,9 +167,9 @@ impl Running {
                 return Ok(found.to_owned());
             }
             if let Some(status) = self.child.try_wait()? {
-                bail!("it ended ({status}) and never said \"{before}\":\n{log}");
+                bail!("it ended ({status}) and never printed \"{before}\":\n{log}");
             }
-            ensure!(Instant::now() < end, "it never said \"{before}\":\n{log}");
+            ensure!(Instant::now() < end, "it never printed \"{before}\":\n{log}");
             thread::sleep(Duration::from_millis(5));
         }
     }
@@ -200,7 +200,7 @@ impl Running {
             thread::sleep(Duration::from_millis(5));
         };
         let took = started.elapsed();
-        // All that it said has come when its end of the pipe is closed.
+        // All of its output has come when its end of the pipe is closed.
         if let Some(listener) = self.listener.take() {
             listener.join().ok().context("the listener")?;
         }

@@ -103,9 +103,10 @@ pub(crate) fn advise(
     }
     if advice.changes.is_empty() {
         advice.sentences.push(
-            "The constants are those that the run without compensation shows: what is left has another \
-             cause, or the bridge has not run this file. trueup diagnose looks for it."
-                .into(),
+            "The constants are those that the run without compensation shows. So what is left \
+             has another cause, or the bridge has not run this file. trueup diagnose looks for \
+             it."
+            .into(),
         );
         return Ok((advice, None));
     }

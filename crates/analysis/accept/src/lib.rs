@@ -203,7 +203,8 @@ fn unknown_factor_note(applied: OffsetApplication) -> Option<String> {
         format!(" (95 %: {low:.2} … {high:.2})").replace('-', "−")
     });
     Some(format!(
-        "These runs do not show how far the machine moves for 1 µm of offset{interval}: the offset has to change by \
-         several times the noise of the gauge, as it does from cold to warm."
+        "These runs do not show how far the machine moves for 1 µm of offset{interval}. The \
+         offset has to change by several times the noise of the gauge, as it does from cold to \
+         warm."
     ))
 }

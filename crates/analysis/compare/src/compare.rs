@@ -245,7 +245,11 @@ fn summarise_differences(
         sentences.push(format!("{unmatched} places are in one run only, and do not count."));
     }
     if variance.is_none() {
-        sentences.push("No place was read twice in a run, so how far readings scatter is taken from what the simplest law leaves: repeat each place to be sure.".into());
+        sentences.push(
+            "No place was read twice in a run, so the scatter of readings is taken \
+            from what the simplest law leaves. Repeat each place to be sure."
+                .into(),
+        );
     }
     Comparison {
         quantity: quantity.name().into(),

@@ -172,8 +172,8 @@ fn fit_trend(
     {
         let [from, to] = &step.between;
         it.sentence = format!(
-            "has changed by {:+.2} ± {:.2} in a step between {from} and {to}, and not by an amount a year: look for what \
-             happened then, and measure again after it is repaired.",
+            "has changed by {:+.2} ± {:.2} in a step between {from} and {to}, and not by an \
+             amount a year. Look for what happened then, and measure again after it is repaired.",
             step.size, step.half_width
         );
         (it.changes, it.per_year, it.step) = (true, None, Some(step));

@@ -34,6 +34,6 @@ pub(crate) use jacobian::{jacobian, part_derivatives};
 pub(crate) use problem::FitProblem;
 pub(crate) use solve::{FittedModel, fit};
 
-/// The level of what is said: of intervals and regions, of a floor, and the power of what would have been found (fixed
+/// The level of what is reported: of intervals and regions, of a floor, and the power of what would have been found (fixed
 /// form of the answer).
 pub(crate) const CONFIDENCE_LEVEL: f64 = 0.95;

@@ -81,7 +81,9 @@ use trueup_machine::{
 pub use trueup_page::Origin;
 
 /// The instruction for [`Report::missing_inputs`].
-pub const MISSING_INPUTS_INSTRUCTION: &str = "the board reads a thermometer, and receives a condition, only where [inputs] states its channel or bit: add these lines there, with your channel, kind or bit";
+pub const MISSING_INPUTS_INSTRUCTION: &str = "the board reads a thermometer, and receives a \
+    condition, only where [inputs] states its channel or bit. Add these lines there, with your \
+    channel, kind or bit";
 
 impl Diagnosis {
     /// Calls a tool by its label where it has no number.

@@ -132,7 +132,9 @@ impl fmt::Display for NoNextRunReason {
             ),
             Self::NotApart([one, other], gap) if *gap < MIN_SEPARATION_GAP => write!(
                 f,
-                "within the uncertainty of their values {one} and {other} predict the same in every planned run of up to 90 min: no measurement of this kind separates them. Whether their corrections agree elsewhere is not known"
+                "within the uncertainty of their values {one} and {other} predict the same in \
+                 every planned run of up to 90 min. No measurement of this kind separates them. \
+                 Whether their corrections agree elsewhere is not known"
             ),
             Self::NotApart([one, other], gap) => write!(
                 f,
@@ -160,7 +162,7 @@ impl NextRun {
             &self.separations
         {
             text += &format!(
-                ": then {one} and {other} differ by up to {difference_um:.1} µm, {:.0} times the noise of a reading \
+                ". Then {one} and {other} differ by up to {difference_um:.1} µm, {:.0} times the noise of a reading \
                  (expected score gap {score_gap:.0}; {} is strong evidence)",
                 difference_um / noise_um,
                 STRONG_EVIDENCE_BIC
@@ -186,7 +188,7 @@ impl NextRun {
         let mut done: Vec<String> = Vec::new();
         let mut rest = self.stretches.as_slice();
         while !rest.is_empty() {
-            // A pair that comes again and again is said once.
+            // A pair that comes again and again is stated once.
             let times =
                 rest.chunks(2).take_while(|pair| pair == &&rest[..2.min(rest.len())]).count();
             if times > 2 {
@@ -198,7 +200,7 @@ impl NextRun {
                 rest = &rest[1..];
             }
         }
-        format!("from cold, {}; read every {:.0} s", done.join(", then "), self.every_s)
+        format!("from cold, {}. Read every {:.0} s", done.join(", then "), self.every_s)
     }
 }
 
@@ -299,7 +301,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_run_is_said_in_words_and_what_alternates_is_said_once() {
+    fn a_run_is_described_in_words_and_what_alternates_is_stated_once() {
         let stretch = |rpm, minutes, load_n| SpindleSegment { rpm, minutes, load_n };
         let separation = ExpectedSeparation {
             causes: ["a".into(), "b".into()],
@@ -317,14 +319,14 @@ mod tests {
         };
         assert_eq!(
             next.sentence(),
-            "from cold, run at 6000 r/min for 12 minutes, then stop for 8 minutes; read every 60 s: then a and b differ \
+            "from cold, run at 6000 r/min for 12 minutes, then stop for 8 minutes. Read every 60 s. Then a and b differ \
              by up to 7.0 µm, 20 times the noise of a reading (expected score gap 41; 6 is strong evidence)"
         );
         next.separations.clear();
         next.stretches = [stretch(6000.0, 2.0, 0.0), stretch(6000.0, 2.0, 300.0)].repeat(4);
         assert_eq!(
             next.sentence(),
-            "from cold, 4 times: run at 6000 r/min for 2 minutes and cut with 300 N at 6000 r/min for 2 minutes; read \
+            "from cold, 4 times: run at 6000 r/min for 2 minutes and cut with 300 N at 6000 r/min for 2 minutes. Read \
              every 60 s"
         );
     }

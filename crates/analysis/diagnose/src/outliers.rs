@@ -87,8 +87,9 @@ pub(crate) fn judge_outliers(
     let chance = |distance_um: &[f64]| {
         let known = || rows.iter().copied().filter(|&row| !distance_um[row].is_nan());
         let of = |is_far: bool| -> Vec<f64> {
-            let wanted = known().filter(|&row| if is_far { of_readings[row] } else { !aside[row] });
-            wanted.map(|row| distance_um[row].abs()).collect()
+            let selected =
+                known().filter(|&row| if is_far { of_readings[row] } else { !aside[row] });
+            selected.map(|row| distance_um[row].abs()).collect()
         };
         noise_tail_probability(&of(false), &of(true), step_um)
     };

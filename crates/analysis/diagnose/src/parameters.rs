@@ -186,8 +186,11 @@ fn amplitude_standard_error(
 fn includes_no_effect(part: &ModelPart, intervals: &[[f64; 2]]) -> bool {
     let holds = |[low, high]: [f64; 2], value: f64| !(value < low || value > high);
     if let Some(stated) = part.kind.as_stated_term() {
-        let said = stated.effect.values();
-        return intervals.iter().zip(&said).all(|(interval, said)| holds(*interval, *said));
+        let stated_values = stated.effect.values();
+        return intervals
+            .iter()
+            .zip(&stated_values)
+            .all(|(interval, value)| holds(*interval, *value));
     }
     // Waves have a phase as well, and a size by both of their values.
     if part.kind.list_length().is_some() || part.kind.is_periodic() || part.kind.is_of_instrument()

@@ -62,8 +62,8 @@ fn what_the_bridge_corrects_is_the_width_of_one_feed_and_the_others_cost_is_told
     // It does not receive the feed: less is gained than is explained, but more than nothing.
     assert!(after.compensated_holdout_rms_um > 1.5 * after.holdout_rms_um, "{after:?}");
     assert!(after.compensated_holdout_rms_um < report.before.holdout_rms_um, "{after:?}");
-    let said = finding(&report.findings, CAUSE).expect("it is claimed").evidence.join(" ");
-    assert!(said.contains("The bridge does not receive the feed"), "{said}");
+    let evidence = finding(&report.findings, CAUSE).expect("it is claimed").evidence.join(" ");
+    assert!(evidence.contains("The bridge does not receive the feed"), "{evidence}");
     // What stands in the extended file is what the board runs where the run says no feed.
     let text = diagnosis
         .render_extended_toml(&challenge.machine, Path::new("m.toml"))

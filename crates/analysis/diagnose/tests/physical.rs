@@ -98,9 +98,9 @@ fn what_was_found_is_not_lost_with_a_few_rows() {
 #[test]
 fn what_may_gain_nothing_is_not_claimed() {
     let judged = diagnose_and_score(&MultiFaultMachine::draw(266));
-    let told = &judged.comparison;
+    let comparison = &judged.comparison;
     assert!(
-        told.is_right() && told.open.iter().any(|name| name == "cooling-asymmetry"),
+        comparison.is_right() && comparison.open.iter().any(|name| name == "cooling-asymmetry"),
         "{judged}"
     );
 }

@@ -165,14 +165,14 @@ fn what_matters_less_than_could_be_told_asks_for_more() {
     let run = read(&loaded(0.0, 0.0, 3));
     let asked = |um| {
         let options = DiagnosisOptions { matters_um: Some(um), ..DiagnosisOptions::default() };
-        let told = diagnose_with_options(
+        let diagnosis = diagnose_with_options(
             &machine,
             std::slice::from_ref(&run),
             &[],
             options,
             &mut |_, _| {},
         );
-        told.expect("comparable").report.verdict
+        diagnosis.expect("comparable").report.verdict
     };
     // 0.5 µm of noise in 300 rows: 0.13 µm at the best.
     assert_eq!(asked(0.2), Verdict::Clean);
@@ -234,10 +234,10 @@ fn a_door_that_nobody_recorded_is_told_as_slow_wandering() {
         wandering.memory_s.is_some_and(|memory_s| (500.0..2000.0).contains(&memory_s)),
         "{wandering:?}"
     );
-    let told = report.reasons.join(" ");
+    let reasons = report.reasons.join(" ");
     assert!(
-        told.contains("whether a door or a gate is open") && told.contains("minutes"),
-        "{told}"
+        reasons.contains("whether a door or a gate is open") && reasons.contains("minutes"),
+        "{reasons}"
     );
     // An instrument that is worth half a micrometre does not wander by two.
     let machine = format!("{MACHINE}[instrument]\nuncertainty_um = 0.5\n");

@@ -74,7 +74,7 @@ fn what_is_written_foresees_another_day_whichever_rows_are_shown() {
             .filter(|finding| finding.compensated && !finding.claimed)
             .count();
     }
-    assert!(open > 1, "each record has told all names");
+    assert!(open > 1, "each record has given all names");
 }
 
 /// Noise with a memory of ten rows goes with nothing: no thermometer that wanders too is written for it.

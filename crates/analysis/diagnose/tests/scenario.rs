@@ -7,22 +7,22 @@ use trueup_campaigns::score::{
 };
 
 /// Compares the answer to the record of `seed` with its key.
-fn told(scenario: &ShippedScenario, seed: u64) -> KeyComparison {
+fn compare_with_key(scenario: &ShippedScenario, seed: u64) -> KeyComparison {
     (scenario.key)().compare(&scenario.run_diagnosis(seed).report)
 }
 
 #[test]
 fn an_axis_that_warms_up_is_named_along_and_across() {
     let [along, across, _] = &SHIPPED_SCENARIOS;
-    let told_along = told(along, 10);
-    assert!(told_along.is_right(), "{told_along}");
-    let told_across = told(across, 10);
-    assert!(told_across.is_right(), "{told_across}");
+    let comparison_along = compare_with_key(along, 10);
+    assert!(comparison_along.is_right(), "{comparison_along}");
+    let comparison_across = compare_with_key(across, 10);
+    assert!(comparison_across.is_right(), "{comparison_across}");
 }
 
 #[test]
 fn a_wave_beside_an_uneven_screw_is_not_the_instruments() {
     let [along, ..] = &SHIPPED_SCENARIOS;
-    let told = told(along, 41);
-    assert!(told.is_right(), "{told}");
+    let comparison = compare_with_key(along, 41);
+    assert!(comparison.is_right(), "{comparison}");
 }

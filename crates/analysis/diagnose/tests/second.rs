@@ -159,9 +159,9 @@ fn a_slope_that_was_corrected_once_is_named_again_when_it_changes() {
         assert_eq!((old.len(), new.len()), (1, 1), "{extended}");
         assert_eq!(new[0].effect.name(), "expansion-slope");
         assert_ne!(old[0].effect, new[0].effect);
-        let said = &diagnosis.report.findings[0].evidence;
+        let evidence = &diagnosis.report.findings[0].evidence;
         let change = |line: &String| line.starts_with("The machine file has um_per_m_per_c = ");
-        assert!(said.iter().any(change), "{said:?}");
+        assert!(evidence.iter().any(change), "{evidence:?}");
     }
 }
 

@@ -1,5 +1,5 @@
 //! The board does what is written for it: no terms that only hold each other up, and the error
-//! that is said is the one that is left.
+//! that is stated is the one that is left.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use std::{fmt::Write as _, path::Path};
@@ -155,7 +155,7 @@ fn board_leaves_um(machine: &Machine, day: &RunFile, quantity: Quantity) -> f64 
     rms(&left.filter(|um| um.is_finite()).collect::<Vec<f64>>())
 }
 
-/// Checks that the board leaves the error said of it on the same rows and less than 2.5 times as much on other days,
+/// Checks that the board leaves the error stated for it on the same rows and less than 2.5 times as much on other days,
 /// and that no term that is written for it makes other days worse.
 fn board_does_what_is_said(scenario: &str, machine: &str, quantity: Quantity, seed: u64) {
     let believed = MachineFile::parse(machine, Path::new("m.toml")).expect("the test's own file");
@@ -165,7 +165,7 @@ fn board_does_what_is_said(scenario: &str, machine: &str, quantity: Quantity, se
             .expect("comparable");
     let text = answer.render_extended_toml(machine, Path::new("m.toml")).expect("a machine file");
     let extended = MachineFile::parse(&text, Path::new("e.toml")).expect("it can be loaded");
-    let said_um = answer.report.after.compensated_rms_um;
+    let stated_um = answer.report.after.compensated_rms_um;
     let same_um = board_leaves_um(&extended, &record, quantity);
     let days: Vec<RunFile> = (101..104).map(|seed| day(scenario, seed)).collect();
     let others = |machine: &Machine| {
@@ -173,11 +173,11 @@ fn board_does_what_is_said(scenario: &str, machine: &str, quantity: Quantity, se
     };
     let other_um = others(&extended);
     println!(
-        "{quantity:?} by {seed}: {said_um:.3} said, {same_um:.3} left, {other_um:.3} on other days"
+        "{quantity:?} by {seed}: {stated_um:.3} stated, {same_um:.3} left, {other_um:.3} on other days"
     );
-    // Bad readings are left out of what is said.
-    assert!((said_um / same_um - 1.0).abs() < 0.05, "{said_um} said, {same_um} left");
-    assert!(other_um < 2.5 * said_um, "{said_um} said, {other_um} on other days");
+    // Bad readings are left out of the stated value.
+    assert!((stated_um / same_um - 1.0).abs() < 0.05, "{stated_um} stated, {same_um} left");
+    assert!(other_um < 2.5 * stated_um, "{stated_um} stated, {other_um} on other days");
     for number in 0..extended.terms.len() {
         let mut without = extended.clone();
         let term = without.terms.remove(number);
@@ -191,7 +191,7 @@ fn board_does_what_is_said(scenario: &str, machine: &str, quantity: Quantity, se
     }
 }
 
-/// By seed 1 a drift, which no board runs, once held up 6.9 µm/K of the air: 0.52 µm were said, 1.77 were left.
+/// By seed 1 a drift, which no board runs, once held up 6.9 µm/K of the air: 0.52 µm were stated, 1.77 were left.
 #[test]
 fn what_the_board_leaves_of_a_warm_up_is_what_is_said() {
     for seed in [1, 2] {

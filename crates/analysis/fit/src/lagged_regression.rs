@@ -166,9 +166,9 @@ impl<'a> LaggedRegression<'a> {
                 && in_lagged < 0.8 * in_plain
             {
                 plain.warning = Some(format!(
-                    "a lag of {lag_s:.0} s would fit these rows better ({in_lagged:.3} instead of \
-                     {in_plain:.3} µm RMS) but not held-out rows ({:.3} instead of \
-                     {plain_rms:.3}): no lag is used",
+                    "a lag of {lag_s:.0} s would fit these rows better ({in_lagged:.3} instead \
+                     of {in_plain:.3} µm RMS). It does not fit held-out rows better ({:.3} \
+                     instead of {plain_rms:.3}), so no lag is used",
                     lagged_rms.unwrap_or(f64::NAN)
                 ));
             }

@@ -140,8 +140,8 @@ pub fn fit(
         ));
         if bend.is_once {
             report.warnings.push(
-                "some of the temperatures were there in one part of the record only, so something else \
-                 that changed then would look the same: pass through them again"
+                "some of the temperatures were there in one part of the record only. Another \
+                 change at that time would look the same. Pass through them again"
                     .into(),
             );
         }
@@ -405,9 +405,9 @@ impl LinearLaw<'_> {
                 let (of_a, _) = self.reference_temperature(0);
                 let (of_b, _) = self.reference_temperature(2);
                 report.warnings.push(format!(
-                    "the constant part is zero at {of_a:.2} degC and the slope at {of_b:.2} degC: \
-                     one reference_c cannot serve both, so they are written as a table, which is \
-                     held beyond the temperatures that were measured"
+                    "the constant part is zero at {of_a:.2} degC and the slope at {of_b:.2} \
+                     degC, so one reference_c cannot serve both. They are written as a table, \
+                     which is held beyond the temperatures that were measured"
                 ));
                 thermal.table = Some(rows);
             } else {

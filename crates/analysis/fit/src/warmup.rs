@@ -310,17 +310,17 @@ fn report_constants(
     if shape.free.zero {
         let zeros = fit.parameters[size_at + 1..].to_vec();
         report.warnings.push(
-            "the measurement does not begin at 0: what the instrument showed with a cold spindle \
-             (instrument_zero_um) was taken off and is not in the machine file"
+            "the measurement does not begin at 0. What the instrument showed with a cold \
+             spindle (instrument_zero_um) was taken off and is not in the machine file"
                 .into(),
         );
         report.facts.push(Fact::numbers("instrument_zero_um", zeros));
     }
     if ends.is_none() {
         report.warnings.push(format!(
-            "the record does not show a kink at which the growth ends, so exponent is set: what \
-             was measured is the time constant of {:.0} s and the final growth of {size:.2} µm, \
-             and warm_s and max_um follow from them",
+            "the record does not show a kink at which the growth ends, so exponent is set. \
+             Measured were the time constant of {:.0} s and the final growth of {size:.2} µm; \
+             warm_s and max_um follow from them",
             constants.tau_s
         ));
         let reached = -(-(span.longest_s - constants.lag_s) / constants.tau_s).exp_m1();
@@ -338,7 +338,7 @@ fn report_constants(
     model
 }
 
-/// Measured minus what the machine file's model has said so far.
+/// Measured minus what the machine file's model has predicted so far.
 fn previous_model_residuals(record: &WarmupRecord<'_>, old: &Warmup, y: &[f64]) -> Vec<f64> {
     let mut state = WarmupState::default();
     let mut value = |row: usize| {

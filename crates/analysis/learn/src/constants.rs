@@ -348,7 +348,7 @@ impl Sensitivity {
     }
 }
 
-/// Returns what is measured in `run`: the `wanted` quantity, or the only one.
+/// Returns what is measured in `run`: the `requested` quantity, or the only one.
 ///
 /// # Errors
 /// It is not there, or there are several to choose from.

@@ -39,7 +39,7 @@ const CHANGE_WINDOW: usize = 6;
 const NOISE_WINDOW: usize = 64;
 /// From this many readings on their own scatter is believed.
 const MIN_SCATTER_READINGS: usize = 8;
-/// Before that a reading may scatter by this many times what the instrument is said to.
+/// Before that a reading may scatter by this many times what the instrument is stated to.
 const INITIAL_NOISE_FACTOR: f64 = 3.0;
 /// No probe repeats better, in µm.
 pub(crate) const MIN_NOISE_UM: f64 = 0.1;

@@ -208,8 +208,8 @@ fn filter_unseen_readings(
         // Clocks of two records that each begin with the record.
         if known > 0 || last_s >= MAX_RELATIVE_START_S {
             let rule = format!(
-                "{} is at or before the last reading that was learned from ({}), and was not learned from: \
-                 give the records in the order in which they were taken{}",
+                "{} is at or before the last reading that was learned from ({}), and was not \
+                 learned from. Give the records in the order in which they were taken{}",
                 format_clock(early_s),
                 format_clock(last_s),
                 if last_s - early_s <= MAX_CLOCK_SET_BACK_S { CLOCK_SET_BACK_NOTE } else { "" }
@@ -442,7 +442,7 @@ fn supporting_reading_count(memory: &LearnerState, before: &[Event]) -> u64 {
     new.map(|event| memory.next_sequence().saturating_sub(event.sequence)).max().unwrap_or(1).max(1)
 }
 
-/// Returns why `wanted` may not be applied, in a sentence.
+/// Returns why `target` may not be applied, in a sentence.
 fn rejection_reason(
     memory: &LearnerState,
     target: &[f64],

@@ -24,7 +24,7 @@ impl Default for Limits {
 }
 
 impl Limits {
-    /// `wanted` within the bounds, where rows have the sensitivities `rows`; and whether it was held.
+    /// Returns `target` within the bounds, where rows have the sensitivities `rows`; and whether it was held.
     pub(crate) fn clamp_to_limits<'a>(
         &self,
         target: &[f64],
@@ -46,7 +46,7 @@ impl Limits {
         (held, is_held)
     }
 
-    /// Returns the way from what is `applied` towards what is `wanted` that rests on this many readings, of which the last was taken
+    /// Returns the way from `applied` towards `target` that rests on this many readings, of which the last was taken
     /// at `g`.
     pub(crate) fn limited_step(
         &self,

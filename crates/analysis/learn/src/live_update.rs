@@ -106,7 +106,7 @@ fn board_caps(caps: LearnedCaps) -> LearnedLimits {
     }
 }
 
-/// Returns the share and the zero in µm by which the growth differs; `told` gets what they make of it.
+/// Returns the share and the zero in µm by which the growth differs. `sent` gets the values of `learned`.
 fn growth_difference(sent: &mut Machine, learned: &Machine) -> [f64; 2] {
     let (to, from) = (&mut sent.spindle, &learned.spindle);
     let none = [0.0; 2];
@@ -146,7 +146,7 @@ fn growth_difference(sent: &mut Machine, learned: &Machine) -> [f64; 2] {
     }
 }
 
-/// Returns the share by which the expansion of an axis differs; `told` gets what it makes of it.
+/// Returns the share by which the expansion of an axis differs. `sent` gets both values, scaled alike.
 fn expansion_difference(sent: &mut Machine, learned: &Machine, axis: LinearAxis) -> f64 {
     let from = learned.axes[axis.index()].thermal.as_ref();
     let to = sent.axes[axis.index()].thermal.as_mut();

@@ -136,7 +136,7 @@ fn a_reference_that_was_shifted_becomes_no_constant() {
         assert_eq!(learned.machine, MACHINE, "{:?}", learned.notes);
         memory = Some(learned.memory);
     }
-    // Nor where there was no record before it; and it is said.
+    // Nor where there was no record before it; and it is reported.
     let learned = taught(&record(0.0, 60, shifted), None, &Limits::default());
     assert_eq!(learned.machine, MACHINE);
     let step = &learned.news[0];

@@ -56,7 +56,7 @@ pub fn power(significance: f64, constants: f64, freedom: f64, noncentrality: f64
     (1.0 - sum).clamp(0.0, 1.0)
 }
 
-/// Returns the noncentrality that such a test finds with the chance `wanted`; infinite where none does.
+/// Returns the noncentrality that such a test finds with the chance `requested`; infinite where none does.
 #[must_use]
 pub fn required_noncentrality(
     requested: f64,

@@ -86,8 +86,8 @@ pub(crate) fn parse_tasks(text: &str) -> Result<Vec<Task>> {
         let row = rows.get(&name).with_context(|| {
             format!("task {name} has no row in the table on top of src/main.rs: add one")
         })?;
-        let told: u8 = row.priority.parse().with_context(|| format!("priority of {name}"))?;
-        ensure!(told == priority, "{name}: the table says priority {told}, RTIC {priority}");
+        let stated: u8 = row.priority.parse().with_context(|| format!("priority of {name}"))?;
+        ensure!(stated == priority, "{name}: the table says priority {stated}, RTIC {priority}");
         tasks.push(Task {
             priority,
             is_raised: text.contains(&format!("Interrupt::{interrupt}")),

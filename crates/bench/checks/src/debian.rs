@@ -94,7 +94,7 @@ test ! -e /usr/bin/trueup
 /// the packages of a minimal Debian from its mirror.
 ///
 /// # Errors
-/// This user is not root, debootstrap is not there, or a step fails; what it said stands above.
+/// This user is not root, debootstrap is not there, or a step fails; its output stands above.
 pub fn test_install(package: &Path) -> Result<()> {
     let is_root = process::capture_stdout(Command::new("id").arg("-u"))?.trim() == "0";
     ensure!(is_root, "a root file system is made by root alone: sudo cargo xtask deb --try");

@@ -79,9 +79,9 @@ const DATABASE_UNAVAILABLE: &str = "their database cannot be had here";
 
 /// Known vulnerabilities of the crates in the lock file, by the advisories of the Rust project (RustSec).
 enum Advisories {
-    /// Nothing is known; what was said.
+    /// Nothing is known; the message.
     None(String),
-    /// There are some; what was said.
+    /// There are some; the message.
     Known(String),
     /// Their database cannot be had here.
     NotHad,

@@ -24,7 +24,7 @@ pub struct Tally {
     pub failures: Vec<String>,
     /// How long each test took.
     pub times: Vec<(String, Duration)>,
-    /// Tests that said why they cannot run, of which the result line has not come yet.
+    /// Tests that printed why they cannot run, of which the result line has not come yet.
     announced: u32,
 }
 
@@ -75,7 +75,7 @@ impl Tally {
                 let before = result.split(word).next().unwrap_or_default();
                 before.split_whitespace().last().and_then(|n| n.parse().ok()).unwrap_or(0)
             };
-            // A test that said why it cannot run has passed, for all that its program knows.
+            // A test that printed why it cannot run has passed, for all that its program knows.
             self.passed += number(" passed").saturating_sub(std::mem::take(&mut self.announced));
             self.failed += number(" failed");
             return false;

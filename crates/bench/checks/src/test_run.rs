@@ -5,7 +5,7 @@
 //! results is that of the second test.
 //!
 //! The output of a program, figures of tests that pass included, goes into a file of its own in
-//! `target/verify`. Here stands a line for each program, and whole what the tests said that failed.
+//! `target/verify`. Here stands a line for each program, and whole the output of the tests that failed.
 //!
 //! `cargo-nextest` does the same, and more, but is a program of its own: on a machine that has nothing it would first have
 //! to be compiled, and `cargo verify` would grow by that.
@@ -188,7 +188,7 @@ pub(crate) fn run_test_command(name: &str, command: &mut Command) -> Result<Tall
     Ok(tally)
 }
 
-/// Returns what a program of tests said of those that failed, or its last lines if it did not come to that.
+/// Returns what a program of tests printed of those that failed, or its last lines if it did not come to that.
 fn failure_output(text: &str) -> String {
     if let Some(start) = text.find("\nfailures:\n") {
         return text[start..].into();

@@ -43,9 +43,9 @@ fn main() -> ExitCode {
     let mut live_until = |board: &mut Board, end: u64| {
         while board.now() < end {
             board.run_until((board.now() + LOG_PERIOD_TICKS).min(end));
-            let said = std::mem::take(&mut board.log);
+            let output = std::mem::take(&mut board.log);
             if let Some(file) = &mut log {
-                file.write_all(&said).expect("writable");
+                file.write_all(&output).expect("writable");
             }
         }
     };

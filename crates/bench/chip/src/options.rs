@@ -30,7 +30,7 @@ pub struct CommandLineOptions {
     pub rtt: Option<String>,
     /// CYCCNT counts while the processor sleeps.
     pub awake: bool,
-    /// The summary leaves out what the serial line said.
+    /// The summary leaves out the bytes of the serial line.
     pub quiet: bool,
     /// It starts as after the chip's own loader.
     pub from_loader: bool,

@@ -397,14 +397,14 @@ impl Processor {
 
     /// Returns what has gone wrong in it since the last time.
     pub fn take_fault_messages(&mut self) -> Vec<String> {
-        let mut said = Vec::new();
+        let mut messages = Vec::new();
         let (count, address) = self.core.bus_faults();
         if count != self.bus_faults {
             self.bus_faults = count;
-            said.push(format!("bus fault at {address:#010x}"));
+            messages.push(format!("bus fault at {address:#010x}"));
         }
         if self.core.is_locked_up() {
-            said.push("the processor is locked up".into());
+            messages.push("the processor is locked up".into());
         }
         const FAULT_EXCEPTIONS: [Exception; 4] = [
             Exception::HARD_FAULT,
@@ -413,14 +413,14 @@ impl Processor {
             Exception::MEM_MANAGE,
         ];
         if FAULT_EXCEPTIONS.contains(&self.core.current_exception()) {
-            said.push(self.core.with_sys(|system| {
+            messages.push(self.core.with_sys(|system| {
                 format!(
                     "a fault handler runs: CFSR {:#x}, HFSR {:#x}, BFAR {:#x}",
                     system.cfsr, system.hfsr, system.bfar
                 )
             }));
         }
-        said
+        messages
     }
 }
 

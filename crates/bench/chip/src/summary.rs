@@ -1,4 +1,4 @@
-//! The summary that the program prints of a run: what the units did, and what the wires said.
+//! The summary that the program prints of a run: what the units did, and what was on the wires.
 
 use crate::{
     chip::Chip,
@@ -10,7 +10,7 @@ use crate::{
 };
 use std::collections::BTreeMap;
 
-/// Returns what the board said on its wires and when it was reset, a line an event in the order of time, with the
+/// Returns what the board sent on its wires and when it was reset, a line an event in the order of time, with the
 /// report's violations and remarks at the end.
 #[must_use]
 pub fn format_event_log(c: &Chip, now: u64) -> String {
@@ -45,7 +45,7 @@ pub fn format_event_log(c: &Chip, now: u64) -> String {
     out + &format!("{:.4} end\n", at(now))
 }
 
-/// Returns what the board said on the RS-485 line, cut where it paused: when it began, and the bytes.
+/// Returns what the board sent on the RS-485 line, cut where it paused: when it began, and the bytes.
 fn rs485_responses(wire: &SerialLine) -> Vec<(u64, String)> {
     let mut all: Vec<(u64, String)> = Vec::new();
     let mut last = 0;
@@ -74,7 +74,7 @@ fn sign_extend(v: u64, bits: u32) -> i64 {
     ((v << (64 - bits)) as i64) >> (64 - bits)
 }
 
-/// Prints the summary; `quiet`: without what the serial line said.
+/// Prints the summary; `quiet`: without the bytes of the serial line.
 pub fn print_summary(c: &Chip, quiet: bool) {
     print_unit_statistics(c);
     let mut by: FramesById<'_> = BTreeMap::new();

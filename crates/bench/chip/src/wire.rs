@@ -39,7 +39,7 @@ pub struct SerialLine {
     owed: Vec<u8>,
 }
 
-/// A client is given what the board has said when the line falls silent, and after this many bytes at the latest.
+/// A client is given what the board has sent when the line falls silent, and after this many bytes at the latest.
 const MAX_CHUNK_BYTES: usize = 256;
 
 impl SerialLine {
@@ -84,7 +84,7 @@ impl SerialLine {
         self.to_board.pop_front().map(|byte| byte.1)
     }
 
-    /// Takes what the client at the port has said; who has gone makes room for the next.
+    /// Takes what the client at the port has sent; who has gone makes room for the next.
     pub(crate) fn receive_from_client(&mut self, now: u64) {
         let Some(port) = &self.port else { return };
         if self.client.is_none() {

@@ -106,9 +106,9 @@ pub fn run_act_one(
 ) -> Result<ActOneResult> {
     let (source, mut notes) = bench::connect_inputs(asked.source, asked.run)?;
     let machine = MachineFile::parse(&source, asked.path)?;
-    let (run, told) =
+    let (run, run_notes) =
         UncompensatedRun::from_run(Cow::Borrowed(asked.run), Some(&machine), asked.quantity)?;
-    notes.extend(told);
+    notes.extend(run_notes);
     for quantity in Quantity::ALL {
         require_unit_factor(std::slice::from_ref(&run), Some(&machine), quantity)?;
     }
@@ -156,13 +156,14 @@ pub fn run_act_one(
             }
             let last = (0..run.row_count()).rfind(|row| is_hidden(*row)).unwrap_or(0);
             // What has a memory needs all that was before.
-            let is_wanted =
+            let is_selected =
                 |row: usize| if faster.is_some() { row <= last } else { is_hidden(row) };
-            let played = stage.play(&of_rest, &is_wanted, &mut |share| progress("", at(share)))?;
-            let said = stage.corrected_um(&of_rest, &played)?;
+            let played =
+                stage.play(&of_rest, &is_selected, &mut |share| progress("", at(share)))?;
+            let corrected_um = stage.corrected_um(&of_rest, &played)?;
             (0..run.row_count())
                 .filter(|row| is_hidden(*row))
-                .for_each(|row| calibrated[row] = said[row]);
+                .for_each(|row| calibrated[row] = corrected_um[row]);
             frames[0] += played.frames;
             frames[1] += played.errors;
             board_s += played.board_s;
@@ -246,7 +247,7 @@ impl PlaybackContext<'_> {
     fn play(
         &self,
         source: &str,
-        is_wanted: &dyn Fn(usize) -> bool,
+        is_selected: &dyn Fn(usize) -> bool,
         progress: &mut dyn FnMut(f64),
     ) -> Result<PlaybackRecord> {
         let machine = bench::build_bench_machine(source, self.faster.unwrap_or(1.0))?;
@@ -255,9 +256,9 @@ impl PlaybackContext<'_> {
             None => PlaybackTiming::with_static_hold(self.run.row_count()),
         };
         let played = self.boards.run(&compile(&machine)?, |bridge| {
-            play(bridge, &machine, self.run, &pace, is_wanted, progress)
+            play(bridge, &machine, self.run, &pace, is_selected, progress)
         })?;
-        check_offsets(&played, is_wanted)?;
+        check_offsets(&played, is_selected)?;
         Ok(played)
     }
 

@@ -14,7 +14,7 @@
 //! | [`act_one`] | a measured run: what is wrong, extended, and what is gained on held-out rows |
 //! | `calibration_loader` | a calibration over the board's serial line |
 //! | [`act_two`], [`campaign`] | a machine with hidden faults, found and mended; many of them |
-//! | `console_text`, [`page`], [`summary`] | what is said on the screen, shown on the page, written for scripts |
+//! | `console_text`, [`page`], [`summary`] | what is printed on the screen, shown on the page, written for scripts |
 #![forbid(unsafe_code)]
 
 pub mod act_one;

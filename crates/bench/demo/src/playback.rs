@@ -109,7 +109,7 @@ impl PlaybackRecord {
     }
 }
 
-/// Plays the rows of `run` for which `is_wanted` holds; `machine` says how its inputs are connected.
+/// Plays the rows of `run` for which `is_selected` holds; `machine` says how its inputs are connected.
 ///
 /// # Errors
 /// The run cannot be played on this machine, or the board ends.
@@ -118,7 +118,7 @@ pub fn play(
     machine: &Machine,
     run: &RunFile,
     pace: &PlaybackTiming,
-    is_wanted: &dyn Fn(usize) -> bool,
+    is_selected: &dyn Fn(usize) -> bool,
     progress: &mut dyn FnMut(f64),
 ) -> Result<PlaybackRecord> {
     // A second for each row: only the order matters here.
@@ -141,7 +141,7 @@ pub fn play(
     let mut done_ms = 0;
     let changes_c = temperature_changes_c(run);
     let mut before = None;
-    for row in (0..run.row_count()).filter(|row| is_wanted(*row)) {
+    for row in (0..run.row_count()).filter(|row| is_selected(*row)) {
         // Rounded as a sum, so that no time is lost.
         passed_s += pace.hold_s[row];
         let until_ms = (passed_s * 1000.0).round() as u32;
@@ -330,10 +330,10 @@ fn mean_output(outputs: &[Output]) -> Option<(Option<[f64; 3]>, Quality)> {
 /// That every required row has an offset that follows the error.
 ///
 /// # Errors
-/// A row has none, with its number and what the board said.
-pub fn check_offsets(played: &PlaybackRecord, is_wanted: impl Fn(usize) -> bool) -> Result<()> {
+/// A row has none, with its number and the message of the board.
+pub fn check_offsets(played: &PlaybackRecord, is_selected: impl Fn(usize) -> bool) -> Result<()> {
     let bad = |row: &usize| !(1..=3).contains(&played.quality[*row]);
-    match (0..played.quality.len()).filter(|row| is_wanted(*row)).find(bad) {
+    match (0..played.quality.len()).filter(|row| is_selected(*row)).find(bad) {
         None => Ok(()),
         Some(row) => Err(anyhow::anyhow!("quality {} in row {}", played.quality[row], row + 1))
             .context("the board gives no offset"),

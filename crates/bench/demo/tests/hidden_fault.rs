@@ -6,7 +6,7 @@ use trueup_demo::{act_two::run_act_two, boards::BoardSource, campaign::Campaign}
 
 #[test]
 fn a_hidden_fault_is_named_and_another_day_is_better() {
-    let hidden = SeparableFaultMachine::draw(1).expect("a machine that can be told");
+    let hidden = SeparableFaultMachine::draw(1).expect("a machine that can be diagnosed");
     let two =
         run_act_two(&BoardSource::InProcess, &hidden, &mut |_, _| {}).expect("it runs through");
     let it = &two.outcome;
@@ -23,7 +23,8 @@ fn a_hidden_fault_is_named_and_another_day_is_better() {
 /// Each tool grows with the speed in its own way, and the file knows no tools: found, compiled, loaded.
 #[test]
 fn a_hidden_growth_by_tool_is_named_and_runs_on_the_board() {
-    let hidden = SeparableFaultMachine::draw_with_tools(1).expect("a machine that can be told");
+    let hidden =
+        SeparableFaultMachine::draw_with_tools(1).expect("a machine that can be diagnosed");
     assert!(hidden.fault_sizes().iter().any(|(fault, _)| *fault == PhysicalFault::ToolGrowth));
     let two =
         run_act_two(&BoardSource::InProcess, &hidden, &mut |_, _| {}).expect("it runs through");
@@ -44,7 +45,7 @@ fn campaign_of_fixed_seeds() {
     let mut campaign = Campaign::default();
     for seed in 0..seeds {
         println!("{}", {
-            let hidden = SeparableFaultMachine::draw(seed).expect("can be told");
+            let hidden = SeparableFaultMachine::draw(seed).expect("can be diagnosed");
             campaign.play(&BoardSource::InProcess, &hidden).expect("it runs through")
         });
     }

@@ -32,7 +32,7 @@ const BENCHMARK_TIMEOUT: Duration = Duration::from_secs(1_200);
 pub struct BenchmarkReport {
     /// The figures of `measure.json`.
     pub json: Value,
-    /// Them, and what else the board has said, for people.
+    /// Them, and the other messages of the board, for people.
     pub table: String,
     /// Whether the checksums agree.
     pub identical: bool,

@@ -55,7 +55,7 @@ pub trait ObjectAccess {
     /// Why it is not taken.
     fn write(&mut self, what: EntryContent, number: u32) -> Result<(), AbortCode>;
 
-    /// A domain is about to come, of this many bytes if the master has said.
+    /// A domain is about to come, of this many bytes if the master has stated it.
     ///
     /// # Errors
     /// Why it is not taken.

@@ -156,7 +156,7 @@ mod tests {
                     "10 codes, then {then}; {hz} Hz"
                 );
                 turn(&mut it, 1, 10.0, hz, SPEED);
-                assert!(!it.is_anomalous(), "what has come back is told no more");
+                assert!(!it.is_anomalous(), "what has come back is reported no more");
             }
         }
     }

@@ -169,7 +169,7 @@ impl Converter {
         Self { mains, ..Self::default() }
     }
 
-    /// Returns what it said last.
+    /// Returns its last reading.
     #[must_use]
     pub fn reading(&self) -> ConverterReading {
         self.reading

@@ -106,7 +106,7 @@ fn copy(from: &Path, to: &Path) {
     }
 }
 
-/// Returns whether the simulator passes on the code in this folder; what it said.
+/// Returns whether the simulator passes on the code in this folder; and its output.
 fn passes(folder: &Path) -> (bool, String) {
     let run = |arguments: &[&str]| {
         Command::new(env!("CARGO"))

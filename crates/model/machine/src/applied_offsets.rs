@@ -81,7 +81,7 @@ impl<'r> UncompensatedRun<'r> {
     /// omitted, and the notes say so.
     ///
     /// # Errors
-    /// There are offsets without a quality; the `wanted` quantity, or every one, lacks the column of its
+    /// There are offsets without a quality; the `quantity`, or every one, lacks the column of its
     /// offset; a quality other than 0…6; the bridge ran the calibration of another machine file.
     pub fn from_run(
         run: Cow<'r, RunFile>,

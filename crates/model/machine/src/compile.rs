@@ -160,7 +160,7 @@ pub fn compile(machine: &Machine) -> Result<CompiledCalibration, BadInput> {
                 .key_error("machine", format!("the board would refuse: {error}")));
         }
     }
-    // Last: what else is wrong is said first.
+    // Last: other faults are reported first.
     envelope::check_envelope(whole)?;
     let parts = account.parts;
     let largest_difference_nm = parts.iter().fold(0.0, |worst: f64, (_, nm)| worst.max(*nm));

@@ -116,8 +116,8 @@ pub(crate) const KNOWN_COLUMNS: &[KnownColumn] = &[
     define_column(
         "check_um",
         "µm",
-        "a check of the probe: the reading of a certified reference less its value at 20 °C; `learn` takes it off every \
-         reading, linear between checks",
+        "a check of the probe: the reading of a certified reference less its value at 20 °C. `learn` takes it off \
+         every reading, linear between checks",
     ),
     define_column(
         "calibration_crc",

@@ -146,8 +146,9 @@ pub fn with_directions(mut run: RunFile, machine: Option<&Machine>) -> (RunFile,
         let missing = format!("{direction} is missing: {position} falls as often as it rises");
         let what = match is_derived {
             true => format!(
-                "{missing}. It is derived from {position}: +1 where that rises, −1 where it falls; a position that \
-                 is repeated at a turn counts as approached from the other side"
+                "{missing}. It is derived from {position}: +1 where that rises, −1 where it \
+                 falls. A position that is repeated at a turn counts as approached from the \
+                 other side"
             ),
             false => format!("{missing}. Every row counts as approached in the positive direction"),
         };

@@ -47,9 +47,9 @@ use crate::{
 /// Commissions a spindle or an axis: sign test, programs, measuring, fit, load, acceptance, as often as is
 /// needed.
 ///
-/// It asks for what you measure, keeps every run, file and command in one folder, and goes on where it
-/// stopped when you give the same command again.
-/// Exit 3: it has stopped before the end: an answer is missing, the sign is wrong, or it is not accepted yet.
+/// It requests the measurements, and keeps every run, file and command in one folder. It goes on
+/// where it stopped when you give the same command again. Exit 3: it has stopped before the end: an
+/// answer is missing, the sign is wrong, or it is not accepted yet.
 #[derive(Args)]
 pub struct CommissionArgs {
     /// The kind of commissioning. Default: the growth of the spindle that the machine file describes.

@@ -34,14 +34,14 @@ use crate::{
 
 /// Shows what the machine file gets wrong, names the cause, and writes the machine file with it.
 ///
-/// Exit 3: something is left that has no cause, or that the data do not settle; the machine does not
-/// repeat; what explains the runs makes the hold-out worse; or there are too few data.
+/// Exit 3: a residual has no cause, or the data do not settle it; or the machine does not repeat.
+/// Also: what explains the runs makes the hold-out worse, or there are too few data.
 #[derive(Args)]
 pub struct DiagnoseArgs {
     #[command(flatten)]
     input: DiagnosisInput,
-    /// Also plan the shortest run, of the spindle or of the axis, that distinguishes open causes: next.csv to be filled
-    /// in, next.json, and the program for this control.
+    /// Also plan the shortest run, of the spindle or of the axis, that distinguishes open causes.
+    /// Writes next.csv to be filled in, next.json, and the program for this control.
     #[arg(long, value_name = "CONTROL")]
     next: Option<crate::program::Controller>,
     /// How the readings of the next run get into its rows: a person takes at most one in 30 s.

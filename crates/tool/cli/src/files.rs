@@ -1,4 +1,4 @@
-//! Machine files and runs as every command reads them: what is unlikely in them is said, what is impossible
+//! Machine files and runs as every command reads them: what is unlikely in them is reported, what is impossible
 //! is refused unless the user accepts it (`--accept KEY`).
 
 use std::{

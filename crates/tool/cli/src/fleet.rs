@@ -143,7 +143,7 @@ fn run_worker(args: &WorkerArgs, as_json: bool) -> Result<Outcome> {
         lease: Duration::from_secs_f64(args.lease_s),
         until_empty: args.until_empty,
     };
-    // What is doubtful in the files was said when they were submitted.
+    // What is doubtful in the files was reported when they were submitted.
     let worked = report::with_warnings(false, || match &opened {
         FleetBackend::Folder(store) => worker::run_workers(store, options, &job::diagnose),
         FleetBackend::Server(remote) => {

@@ -123,8 +123,8 @@ pub struct BridgeArgs {
     /// Try once whether both ends are there, say how they are, and end.
     #[arg(long)]
     once: bool,
-    /// Writes a line each second, for a person who watches. Without this: one each five minutes and at each change, at
-    /// most 1 MB a day; what changes too often is counted in the next line.
+    /// Writes a line each second, for a person who watches. Without this: one each five minutes and
+    /// at each change, at most 1 MB a day. What changes too often is counted in the next line.
     #[arg(long, conflicts_with = "once")]
     watch: bool,
 }

@@ -32,16 +32,17 @@ const MAX_STATE_BYTES: u64 = 256 << 20;
 
 /// Lets the constants of a machine file follow the machine: slowly, within bounds, never by one reading.
 ///
-/// The readings are the rows of a record in which measured_…_um has a value: of a probe on a ball or a block, a
-/// tool setter, a laser barrier. Your machine file stays as it is; what was learned is written to another one,
-/// and what is known to a .learn.json next to that. Load the new file when the machine is at rest; what
-/// [limits.learned] permits trueup linuxcnc --learned sends to the bridge while it runs.
+/// The readings are the rows of a record in which measured_…_um has a value. They are of a probe on
+/// a ball or a block, a tool setter, or a laser barrier. Your machine file stays as it is; what was
+/// learned is written to another one, and what is known to a .learn.json next to that. Load the new
+/// file when the machine is at rest; what [limits.learned] permits trueup linuxcnc --learned sends
+/// to the bridge while it runs.
 ///
 /// The state belongs to one machine (its serial number, else its name) and one quantity. Comments, limits and other keys of
 /// your machine file change nothing in it; a constant that you change begins anew alone.
 ///
-/// Exit 3: an event was reported (a crash, a changed part, a moved thermometer), no reading of the record was used, or a bound was
-/// reached.
+/// Exit 3: an event was reported (a crash, a changed part, a moved thermometer). Also: no reading
+/// of the record was used, or a bound was reached.
 #[derive(Args)]
 pub struct LearnArgs {
     /// Your machine file.

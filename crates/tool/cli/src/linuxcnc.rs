@@ -107,9 +107,10 @@ pub struct LinuxCncArgs {
     /// Writes the last hours of speeds and temperatures to this file, which trueup learn needs together with what is probed.
     #[arg(long, value_name = "RUN.csv", requires = "machine")]
     record: Option<PathBuf>,
-    /// The file that trueup learn has written next to the machine file: as far as [limits.learned] permits, the bridge
-    /// takes it while it runs, and again after each change of this file. Parts that it cannot take need the file
-    /// loaded, at rest. Without this the bridge receives that nothing was learned.
+    /// The file that trueup learn has written next to the machine file. As far as [limits.learned]
+    /// permits, the bridge takes it while it runs, and again after each change of this file. Parts
+    /// that it cannot take need the file loaded, at rest. Without this the bridge receives that
+    /// nothing was learned.
     #[arg(long, value_name = "LEARNED.toml", requires = "machine")]
     learned: Option<PathBuf>,
     /// How many temp-NN pins there are.

@@ -29,8 +29,8 @@ impl MachineArg {
     }
 }
 
-/// Returns the words of a command line with `--machine` before the machine file, where the command has that option and the
-/// line does not give it.
+/// Returns the words of a command line with `--machine` before the machine file. This holds where
+/// the command has that option and the line does not give it.
 pub fn with_machine_option(tool: &Command, words: Vec<OsString>) -> Vec<OsString> {
     let mut command = tool;
     let (mut file, mut others) = (None, 0);

@@ -85,8 +85,8 @@ struct Cli {
     /// Say more: what a machine file will do, before it is used.
     #[arg(short, long, global = true, help_heading = GLOBAL_OPTIONS_HEADING, conflicts_with = "quiet")]
     verbose: bool,
-    /// Take the value of this key of the machine file, or this column of a run, although no machine has it;
-    /// may be given several times.
+    /// Take the value of this key of the machine file, or this column of a run, although no machine
+    /// has it. May be given several times.
     #[arg(long, global = true, help_heading = GLOBAL_OPTIONS_HEADING, value_name = "KEY")]
     accept: Vec<String>,
     #[command(subcommand)]

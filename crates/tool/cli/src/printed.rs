@@ -66,7 +66,7 @@ fn inline_code_spans(text: &str) -> impl Iterator<Item = &str> {
     text.split('`').skip(1).step_by(2).filter(|part| part.starts_with("trueup "))
 }
 
-/// Returns the words of a line without what is said about it: a comment, a redirection, what follows two spaces.
+/// Returns the words of a line without the text about it: a comment, a redirection, what follows two spaces.
 fn command_words(line: &str) -> Vec<String> {
     let line = line.split("  ").next().unwrap_or_default();
     let line = line.split(" #").next().unwrap_or_default();

@@ -63,8 +63,9 @@ pub struct ProgramArgs {
     /// From target to target, in mm; of a plate from ball to ball.
     #[arg(long, value_name = "MM")]
     step_mm: Option<f64>,
-    /// The measuring instrument. backlash: a dial (the default) needs a stop at each place, a laser none. warmup:
-    /// Default: a gauge that does not touch; with a dial the spindle stops for each reading.
+    /// The measuring instrument. For backlash, a dial (the default) needs a stop at each place, a
+    /// laser none. Default for warmup: a gauge that does not touch; with a dial the spindle stops
+    /// for each reading.
     #[arg(long, value_parser = described(INSTRUMENTS))]
     gauge: Option<MeasuringInstrument>,
     /// warmup: the speed. Default: rated_rpm of the machine file.

@@ -1,4 +1,4 @@
-//! The questions of `trueup new`, for what its flags have not said. `<` goes back to the question before.
+//! The questions of `trueup new`, for what its flags do not state. `<` goes back to the question before.
 
 use anyhow::{Error, Result};
 use dialoguer::{Input, Select};

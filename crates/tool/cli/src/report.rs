@@ -1,6 +1,6 @@
-//! How errors and warnings are said, on standard error: as cargo does it, `error:`, the place, the line
+//! How errors and warnings are printed, on standard error: as cargo does it, `error:`, the place, the line
 //! with a caret, and `help:`. In colour where a terminal shows it and `NO_COLOR` does not forbid it; with
-//! `--json` each is an object on a line of its own. With `-q` warnings are not said.
+//! `--json` each is an object on a line of its own. With `-q` warnings are not printed.
 //!
 //! ```text
 //! error: limits.slew_um_per_s must be above 0, not -3

@@ -24,7 +24,7 @@ pub fn run(from: &Path, as_json: bool) -> Result<Outcome> {
             from.display()
         ));
     }
-    // What is shown is not used: the impossible is said as well, and `compile` refuses it.
+    // What is shown is not used: the impossible is reported as well, and `compile` refuses it.
     for finding in range_findings(&decompile(&calibration)) {
         report::warn(format_args!("{}: {}", from.display(), finding.warning.what));
     }

@@ -11,9 +11,10 @@ use crate::{Outcome, choice::by_name, diagnose::parse_positive, files, output};
 
 /// Watches whether a record still fits the machine file, and says which measurement to take where it does not.
 ///
-/// Readings are compared with the model; where there are none, the displacement sensor with the model of temperature or
-/// of time that the file has too, whichever of them is the source. The usual scatter is taken from a record of the time
-/// when the calibration was right. Bad readings raise no alarm, there or here: they are listed.
+/// Readings are compared with the model. If there are none, the displacement sensor is compared
+/// with the model of temperature or of time that the file has too. Either of the two may be the
+/// source. The usual scatter is taken from a record of the time when the calibration was right. Bad
+/// readings raise no alarm, there or here: they are listed.
 ///
 /// Exit 3: the calibration no longer fits.
 #[derive(Args)]

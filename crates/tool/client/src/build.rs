@@ -52,8 +52,8 @@ impl Build {
     /// let tool = Build::new("0.2.0", "1a2b3c4d");
     /// assert_eq!(tool.difference(&Build::new("0.2.0", "1a2b3c4d")), None);
     /// assert_eq!(tool.difference(&Build::new("0.2.0", "unknown")), None);
-    /// let said = tool.difference(&Build::new("0.2.0", "00000007")).unwrap();
-    /// assert!(said.starts_with("the bridge's firmware is 0.2.0 (00000007), this tool 0.2.0 (1a2b3c4d)"));
+    /// let message = tool.difference(&Build::new("0.2.0", "00000007")).unwrap();
+    /// assert!(message.starts_with("the bridge's firmware is 0.2.0 (00000007), this tool 0.2.0 (1a2b3c4d)"));
     /// assert!(tool.difference(&Build::new("0.1.0", "unknown")).is_some());
     /// ```
     #[must_use]

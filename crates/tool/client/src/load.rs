@@ -199,7 +199,7 @@ pub fn restart_with_permission(session: &mut Session, requested: u32) -> Result<
     restart(session, requested)
 }
 
-/// Lets the bridge restart; the CRC of the calibration that it then runs on, which should be `wanted`. A
+/// Lets the bridge restart; the CRC of the calibration that it then runs on, which should be `requested`. A
 /// bridge that is slow to learn of its restart still answers for the old one, so one answer is not believed.
 ///
 /// # Errors

@@ -117,7 +117,7 @@ impl PinnedCalibration {
     }
 }
 
-/// Returns where a gateway keeps the calibration of the bridge on this port, if nothing else is said: in the
+/// Returns where a gateway keeps the calibration of the bridge on this port, unless stated otherwise: in the
 /// folder that systemd, the desktop or the user's home has for states, else in the present one.
 #[must_use]
 pub fn default_state_path(port: &str, variable: impl Fn(&str) -> Option<OsString>) -> PathBuf {

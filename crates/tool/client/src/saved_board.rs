@@ -188,8 +188,8 @@ impl SavedBoard {
             ));
         }
         if !all["checksum"].is_null() && all["checksum"] != compute_checksum(&all) {
-            return Err("was changed since bridge save wrote it (its checksum differs): use the file as it was \
-                        written, or load the calibration by bridge load and set Zero anew"
+            return Err("was changed since bridge save wrote it (its checksum differs). Use the \
+                file as it was written, or load the calibration by bridge load and set Zero anew"
                 .into());
         }
         Ok(Self { all, calibration, reference })

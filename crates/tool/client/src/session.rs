@@ -66,7 +66,7 @@ impl Session {
             Port::Serial(device) => {
                 Error::from(error).context(format!("the serial device {device} cannot be opened"))
             }
-            // It has said so itself.
+            // It has reported it itself.
             #[cfg(all(feature = "socketcan", target_os = "linux"))]
             Port::Can(_) => error.into(),
         })?;
@@ -154,9 +154,9 @@ impl Session {
                     bail!("the bridge refuses to open its channel, and sends no frame")
                 }
                 None => bail!(
-                    "the bridge has answered {answers} of {OPEN_COMMAND_COUNT} lines in {} s; is it a \
-                     bridge, is it powered, and does no other program talk to it? It serves one at a \
-                     time",
+                    "the bridge has answered {answers} of {OPEN_COMMAND_COUNT} lines in {} s. \
+                     Is it a bridge, is it powered, and does no other program talk to it? It \
+                     serves one at a time",
                     timeout.as_secs_f64()
                 ),
             }

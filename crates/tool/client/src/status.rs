@@ -31,7 +31,7 @@ pub struct BoardStatus {
     pub state: StateBits,
     reset_reason: ResetReason,
     free_stack: Option<u16>,
-    /// CRC of the calibration that the board runs on, once it has said so; 0: it has none.
+    /// CRC of the calibration that the board runs on, once it has reported it; 0: it has none.
     pub calibration: Option<u32>,
     /// Of X, Y and Z the constant of the offset in 0.1 µm and its slope in 0.1 µm/m; `None`: not available, or not sent.
     pub slopes: [Option<(i16, i16)>; 3],

@@ -169,8 +169,8 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
         Series::I => write_files(&planned, options, export),
         Series::Zero => series0::write_sheet(planned, options, export),
     }
-    let reason = "the growth is given to the control by its PMC at run time (one scalar along the \
-                  tool; in small steps, a jump of 9999 units is an alarm), not by a table";
+    let reason = "the growth is given to the control by its PMC at run time, not by a table. It \
+        is one scalar along the tool, in small steps; a jump of 9999 units is an alarm";
     omit_thermal_terms(machine, &mut export.report, reason);
 }
 
@@ -425,8 +425,8 @@ fn compare_axis(
     } else {
         is_off.then(|| {
             format!(
-                "each value is given out at once, in the middle of its section: up to {:.1} µm off; with \
-                 the option of interpolated compensation {:.1} µm",
+                "each value is given out at once, in the middle of its section, up to {:.1} µm \
+                 off. With the option of interpolated compensation it is {:.1} µm",
                 stepped.um, interpolated.um
             )
         })

@@ -48,10 +48,11 @@ const ANGLE_DECIMALS: usize = 11;
 const POSITION_DECIMALS: usize = 7;
 
 /// The assumptions that no description confirms, and how to try them: part of the report and of the file itself.
-const ASSUMPTIONS: &str = "assumed, not tried on a control: values are errors as ISO 230-1 has them, without negate; angles act about machine \
-                       zero; a wrong sign doubles the errors";
-const VERIFICATION_HINT: &str = "before cutting: read an indicator at the point where the file has its largest value, compensation off, then on; the \
-                   error must go, and if it doubles set negate";
+const ASSUMPTIONS: &str = "assumed, not tried on a control: values are errors as ISO 230-1 has \
+    them, without negate, and angles act about machine zero. A wrong sign doubles the errors";
+const VERIFICATION_HINT: &str = "before cutting: read an indicator at the point where the file \
+    has its largest value, compensation off, then on. The error must go; if it doubles, set \
+    negate";
 
 /// A file as the control holds it: the columns of each block by their names.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -116,8 +116,9 @@ pub(crate) fn export(machine: &Machine, options: &ExportOptions, export: &mut Ex
     thermal::export(machine, options, export);
     if has_tables {
         export.report.add_note(
-            "load MEMORY.INI and power on (it re-formats the memory: save the NC first), then the \
-             tables with MD32700 = 0 and MD32710 = 0, then ENABLE.INI, power on, reference",
+            "load MEMORY.INI and power on (it re-formats the memory: save the NC first). Then \
+             load the tables with MD32700 = 0 and MD32710 = 0, then ENABLE.INI, power on, \
+             reference",
         );
         export.report.add_note(
             "the backlash and the tables of two directions suit an axis that is referenced in the \

@@ -102,8 +102,8 @@ fn a_row_is_what_the_hand_writes() {
         csv.lines().partition(|line| line.starts_with("//"));
     // The sign is an assumption: file and report say so, and how to try it.
     for message in [comments.join(" "), export.report.to_string()] {
-        assert!(message.contains("a wrong sign doubles the errors"), "{message}");
-        assert!(message.contains("if it doubles set negate"), "{message}");
+        assert!(message.contains("A wrong sign doubles the errors"), "{message}");
+        assert!(message.contains("if it doubles, set negate"), "{message}");
     }
     assert_eq!(
         rows,

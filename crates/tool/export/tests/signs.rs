@@ -283,7 +283,7 @@ fn what_a_diagnosis_has_added_along_and_across_an_axis_is_exported_with_it() {
         assert!(left.contains(&"term[5] (extra-heat-path)"), "{}", export.report);
         assert!(export.report.max_difference_um() < 1.0, "{}", export.report);
     }
-    // Without the travel a scale cannot be a table, and that is said.
+    // Without the travel a scale cannot be a table, and that is reported.
     let export =
         export(&machine, Format::LinuxCnc, &ExportOptions::default()).expect("the backlash fits");
     assert_eq!(file(&export, "x.comp"), "0 0 -0.002\n");

@@ -47,7 +47,7 @@ pub(crate) struct CncTransmitter {
 }
 
 impl CncTransmitter {
-    /// Takes what the PLC has just said; nothing is repeated by itself.
+    /// Takes what the PLC has just sent; nothing is repeated by itself.
     pub(crate) fn queue_frames(&mut self, now: Duration, cnc_data: &CncData) {
         let has_changed = self.last.replace(cnc_data.control) != Some(cnc_data.control);
         if let Some(counter) = self.control.take_due_counter(now, CONTROL_PERIOD_MS, has_changed) {

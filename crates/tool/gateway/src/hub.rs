@@ -58,8 +58,9 @@ pub(crate) const REFUSED_CALIBRATION: u16 = 6;
 const BRIDGE_LOSS_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Reported where slopes are expected and none come.
-const NO_SLOPES_WARNING: &str = "warning: the bridge sends no slopes, so nothing is handed over: its calibration has no \
-                         [axis.*.thermal] of mode \"position\" or \"both\", or its firmware is older. Take --mode offsets";
+const NO_SLOPES_WARNING: &str = "warning: the bridge sends no slopes, so nothing is handed \
+    over. Its calibration has no [axis.*.thermal] of mode \"position\" or \"both\", or its \
+    firmware is older. Take --mode offsets";
 
 /// Who sends holding blocks: a connection.
 pub type MasterId = u64;
@@ -207,7 +208,7 @@ impl Hub {
         &self.pinned
     }
 
-    /// Looks on what calibration the bridge runs now, as far as it has said so since it was last away.
+    /// Looks on what calibration the bridge runs now, as far as it has reported it since it was last away.
     fn check_calibration(&mut self, now: Duration) {
         if self.last.is_some_and(|(received, _)| now.saturating_sub(received) > BRIDGE_LOSS_TIMEOUT)
         {
@@ -232,7 +233,7 @@ impl Hub {
         let silent = Output { quality: Quality::Fault, ..Output::default() };
         self.input.counter = self.input.counter.wrapping_add(1);
         self.input.output = fresh.unwrap_or(silent);
-        // "Not available" and "fault" go together, whichever of them the bridge has said.
+        // "Not available" and "fault" go together, whichever of them the bridge has sent.
         if self.input.output.offset.is_none() || self.input.output.quality == Quality::Fault {
             (self.input.output.offset, self.input.output.quality) = (None, Quality::Fault);
         }
@@ -328,7 +329,7 @@ impl Hub {
         self.holding
     }
 
-    /// Returns what the PLC last said, while that is not older than `MASTER_TIMEOUT`.
+    /// Returns the last values of the PLC, while that is not older than `MASTER_TIMEOUT`.
     #[must_use]
     pub fn control(&self, now: Duration) -> Option<Control> {
         let (at, control) = self.control?;

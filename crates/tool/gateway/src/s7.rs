@@ -112,7 +112,7 @@ fn exchange_blocks(
             Err(error) => return (Some(error), has_written),
         }
         let block = decode_registers(&read);
-        // An answer that took long may be as old as its question: it is seen, and not said.
+        // An answer that took long may be as old as its question: it is seen, and not sent on.
         if seen.has_changed(block) && requested_at.elapsed() <= MASTER_TIMEOUT {
             // There is no second master here, and what is refused is reported in the block.
             shared.lock_hub().accept_block(shared.now(), MASTER_ID, &block).ok();
@@ -128,12 +128,12 @@ fn exchange_blocks(
 }
 
 /// The block that was last read. Memory keeps a block long after the program that wrote it has stopped: only
-/// a change counts as said now.
+/// a change counts as sent now.
 #[derive(Default)]
 struct BlockChangeDetector(Option<holding::Registers>);
 
 impl BlockChangeDetector {
-    /// Returns whether the PLC has said this since the last look: not at the first, and not what stands there.
+    /// Returns whether the PLC has sent this since the last look: not at the first, and not what stands there.
     fn has_changed(&mut self, block: holding::Registers) -> bool {
         self.0.replace(block).is_some_and(|before| before != block)
     }

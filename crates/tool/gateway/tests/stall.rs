@@ -1,5 +1,5 @@
 //! A gateway whose line to the bridge stalls without being cut: a proxy stands still in both directions, and then
-//! delivers all that has waited. All that the bridge and the PLC say carries the time at which it was said.
+//! delivers all that has waited. All that the bridge and the PLC say carries the time at which it was sent.
 #![allow(clippy::print_stdout, reason = "a test says what it measured")]
 
 use std::{
@@ -178,7 +178,7 @@ fn stalls_for(stall: Duration) {
     println!("{stall:?}: {} of {} positions came late", late.len(), received.len());
     for (cnc_data, came) in &late {
         let after = i64::from(*cnc_data) - begins;
-        assert!(after <= ON_ITS_WAY_MS, "{stall:?}: said at {cnc_data} ms, executed at {came} ms");
+        assert!(after <= ON_ITS_WAY_MS, "{stall:?}: sent at {cnc_data} ms, executed at {came} ms");
     }
     let last = received.last().expect("positions");
     assert!(age(*last) <= OLDEST_MS, "{stall:?}: it goes on afterwards: {last:?}");

@@ -10,13 +10,13 @@ use crate::{
 /// The meaning of a column.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum ColumnMeaning {
-    /// A column of the run file; `None` where the axis or the quantity is not said.
+    /// A column of the run file; `None` where the axis or the quantity is not stated.
     Known(TargetColumn),
     /// A position along an axis that is not named.
     Position,
     /// An actual position, from which the error is computed; the axis if it is named.
     Actual(Option<char>),
-    /// An error or a growth, of what is not said.
+    /// An error or a growth, of what is not stated.
     Measured,
     /// A direction of approach along an axis that is not named.
     Direction,
@@ -84,7 +84,7 @@ pub(crate) fn split_header(header: &str) -> Header {
         name: name.trim().trim_end_matches(':').trim().to_string(),
         unit: unit.trim().to_string(),
     };
-    // `RPM`, `°C`: the unit is all that is said.
+    // `RPM`, `°C`: only the unit is stated.
     if let Some(unit) = unit::parse(header)
         && matches!(unit.dimension, Dimension::Speed | Dimension::Temperature)
         && header.chars().count() > 1
@@ -282,7 +282,7 @@ pub(crate) fn classify_column(header: &str, name: &str, unit: Option<Unit>) -> C
     let is_error = words.iter().any(|word| ["dx", "dy", "dz"].contains(&word.as_str()));
     if is_length && (has(MEASURED_WORDS) || has(SENSOR_WORDS) || is_error) && !has(POSITION_WORDS) {
         return match axis {
-            // `Fehler X`: the axis is said; `Messuhr X` too.
+            // `Fehler X`: the axis is stated; `Messuhr X` too.
             Some(axis) => known(&format!("measured_d{axis}_um")),
             None => ColumnMeaning::Measured,
         };

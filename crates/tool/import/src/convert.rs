@@ -29,7 +29,7 @@ pub(crate) struct ConvertedColumn {
     pub(crate) values: Vec<f64>,
 }
 
-/// The run file's columns and what is to be said about them.
+/// The run file's columns and the notes about them.
 pub(crate) struct ConvertedRun {
     pub(crate) columns: Vec<ConvertedColumn>,
     pub(crate) notes: Vec<String>,

@@ -1,4 +1,4 @@
-//! The map of headers: what the user has said about a kind of file once, in TOML.
+//! The map of headers: what the user has stated about a kind of file once, in TOML.
 //!
 //! ```toml
 //! decimal = "comma"

@@ -74,7 +74,7 @@ pub struct ImportedRun {
 /// Values that a preview shows of each column.
 const PREVIEW_SAMPLE_COUNT: usize = 3;
 
-/// Reads `bytes`, the content of `path`, with what the user has said about it.
+/// Reads `bytes`, the content of `path`, with what the user has stated about it.
 ///
 /// # Errors
 /// [`ImportError::Open`]: questions that only the user can answer. [`ImportError::Bad`]: the place and the rule broken.

@@ -114,7 +114,7 @@ pub struct Outputs {
     pub elongation_um: Option<f64>,
     /// State bits that the bridge reports next to its offsets.
     pub state: StateBits,
-    /// CRC of the calibration that the bridge runs on, once it has said so; 0: none.
+    /// CRC of the calibration that the bridge runs on, once it has reported it; 0: none.
     pub calibration: Option<u32>,
     /// Nothing is engaged, because the bridge runs on another calibration than the pinned one, or it is not known
     /// which one that is.

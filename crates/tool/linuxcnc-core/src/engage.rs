@@ -22,7 +22,7 @@ pub(crate) struct EngageSequence {
 }
 
 impl EngageSequence {
-    /// Returns what to say now. `wanted`: the operator wants offsets and the machine is on; `available`: the
+    /// Returns what to say now. `requested`: the operator wants offsets and the machine is on; `available`: the
     /// bridge gives one, or has not been received; `at_zero`: LinuxCNC applies none.
     pub fn step(&mut self, now: Duration, requested: bool, available: bool, at_zero: bool) -> bool {
         let lasts = now.saturating_sub(*self.since.get_or_insert(now));

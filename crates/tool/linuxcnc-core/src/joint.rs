@@ -121,7 +121,7 @@ struct JointState {
     stands: Option<(f64, Duration)>,
     /// The goal of the step before, and whether it was changed by [`DITHER_NM`].
     given: (f64, bool),
-    /// The goal is that of a component before this one, and its wires have said nothing yet.
+    /// The goal is that of a component before this one, and its wires have no value yet.
     is_left: bool,
 }
 

@@ -102,7 +102,7 @@ impl ReceivedOffsets {
         }
     }
 
-    /// The newest valid pair said more than is permitted here.
+    /// The newest valid pair had more than is permitted here.
     #[must_use]
     pub(crate) fn is_clamped(&self) -> bool {
         self.clamped

@@ -200,7 +200,7 @@ mod tests {
         assert_eq!(run.column("time_s"), Some(&[1000.0, 1002.0, 1004.0][..]));
         assert_eq!((last("spindle_rpm"), last("x_mm"), last("temp_b_c")), (12_000.0, 1.5, 23.5));
         assert_eq!(last("sensor_counts"), 7000.0);
-        assert!(last("y_mm").is_nan(), "it was not told where Y is");
+        assert!(last("y_mm").is_nan(), "it received no position of Y");
     }
 
     #[test]

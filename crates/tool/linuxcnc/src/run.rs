@@ -133,7 +133,7 @@ struct LearnedCorrections<F> {
     news: Option<F>,
     /// CRC of the calibration that it is a change of.
     of: Option<u32>,
-    /// As it was said last; `None`: it is not known yet.
+    /// As it was last reported; `None`: it is not known yet.
     amounts: Option<[i16; PART_COUNT]>,
 }
 

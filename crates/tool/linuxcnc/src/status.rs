@@ -21,7 +21,7 @@ pub fn describe_status(pins: &BTreeMap<String, String>) -> (String, bool) {
     if pins.is_empty() {
         return ("LinuxCNC runs without the component trueup".into(), false);
     }
-    // A component that is killed leaves its pins with what they said last.
+    // A component that is killed leaves its pins with their last values.
     let pid = pins.get("pid").and_then(|text| parse_process_id(text));
     if !pid.is_some_and(is_alive) {
         return (

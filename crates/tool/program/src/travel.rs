@@ -176,9 +176,9 @@ pub(crate) fn resolve_travel(
     }
     if high_mm - low_mm < MIN_RANGE_MM {
         return Ok(Err(format!(
-            "{name} from {low} to {high} mm leaves less than {MIN_RANGE_MM} mm within the margin of \
-             {margin_mm} mm to the ends of travel: give a longer --range {name}=LOW:HIGH or a smaller \
-             --margin"
+            "{name} from {low} to {high} mm leaves less than {MIN_RANGE_MM} mm within the \
+             margin of {margin_mm} mm to the ends of travel. Give a longer --range \
+             {name}=LOW:HIGH or a smaller --margin"
         )));
     }
     Ok(Ok(AxisTravel { axis, low_mm, high_mm, retract }))
@@ -216,8 +216,8 @@ pub(crate) fn resolve_travels(
 fn missing_travel_message(axis: &str, retract: Option<f64>) -> String {
     if retract.is_some() {
         return format!(
-            "the travel of {axis} is not known: write travel_mm under [axis.{axis}] of the machine file, \
-             and give --range {axis}=LOW:HIGH, as it is vertical or along the tool"
+            "the travel of {axis} is not known. Write travel_mm under [axis.{axis}] of the \
+             machine file, and give --range {axis}=LOW:HIGH, as it is vertical or along the tool"
         );
     }
     format!(

@@ -253,7 +253,7 @@ mod tests {
         let [growth] = &shares[..] else { panic!("{shares:?}") };
         assert_eq!(growth.name, "spindle growth");
         assert_eq!(growth.offset_um.map(|um| (um * 1e6).round() / 1e6), [0.0, 0.0, 12.5]);
-        // Without a reading nothing is known of it, and nothing is said.
+        // Without a reading nothing is known of it, and nothing is shown.
         let shares = laws(PAPER).offset_contributions(&moment(None, &cnc));
         assert!(shares[0].offset_um[2].is_nan());
     }
@@ -273,7 +273,7 @@ mod tests {
              levels = [0.0, 1.0]\nlevel_um = [0.0, 3.0]\n";
         let (mut laws, mut cnc) = (laws(text), CncState::default());
         let names = |laws: &CompensationModel, cnc: &CncState| laws.conditions(cnc, 1_000);
-        assert!(names(&laws, &cnc).iter().all(|(_, value)| value.is_nan()), "nobody has said them");
+        assert!(names(&laws, &cnc).iter().all(|(_, value)| value.is_nan()), "they were never sent");
         let sum = |laws: &mut CompensationModel, cnc: &CncState| -> [f64; 3] {
             let shares = laws.offset_contributions(&moment(None, cnc));
             let sum = |axis: usize| shares.iter().map(|share| share.offset_um[axis]).sum::<f64>();

@@ -405,7 +405,7 @@ impl ScreenState {
         self.stale_age_s(self.reported_s.temperatures.get(channel / 2).copied().flatten())
     }
 
-    /// Returns the age in s of what the board has said of its faults, where it is old.
+    /// Returns the age in s of the last report of the board about its faults, where it is old.
     pub(crate) fn stale_state_age_s(&self) -> Option<f64> {
         self.stale_age_s(self.reported_s.state)
     }

@@ -52,7 +52,7 @@ pub struct BridgeMonitor {
 }
 
 impl BridgeMonitor {
-    /// Returns a bridge that has said nothing yet.
+    /// Returns a bridge that has sent nothing yet.
     #[must_use]
     pub fn new(now: Instant) -> Self {
         Self {

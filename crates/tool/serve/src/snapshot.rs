@@ -38,7 +38,7 @@ pub struct Snapshot {
     pub elongation_um: Option<f64>,
     /// The commanded positions of X, Y and Z, where the CNC is on this line.
     pub position_mm: [Option<f64>; 3],
-    /// The board has said its status a short time ago; else faults, state and calibration are not known.
+    /// The board has sent its status a short time ago; else faults, state and calibration are not known.
     pub has_status: bool,
     /// Words of the board's faults.
     pub faults: Vec<&'static str>,
@@ -48,7 +48,7 @@ pub struct Snapshot {
     pub calibration: Option<u32>,
     /// Frames of offsets that were expected and never came.
     pub lost_frames: u32,
-    /// How often it has said that it starts.
+    /// How often it has reported its start.
     pub starts: u32,
 }
 

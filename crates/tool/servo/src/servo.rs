@@ -12,7 +12,7 @@
 //! | 1 ms | one |
 //! | 2, 4 ms | two, four, with the same sample |
 //!
-//! Other periods are refused: no tick runs, and the reason is said ([`ServoError`]).
+//! Other periods are refused: no tick runs, and the reason is reported ([`ServoError`]).
 //!
 //! A joint of LinuxCNC follows the command of its axis two periods later, and an offset takes one from the position to
 //! the joint. So where offsets enter at the joints, a position waits for a period, and its offset acts together with

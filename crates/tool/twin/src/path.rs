@@ -70,7 +70,7 @@ pub struct Segment {
 }
 
 impl Segment {
-    /// Returns a piece of which nothing else is said: still, without load, every key at its default.
+    /// Returns a piece without other statements: still, without load, every key at its default.
     #[must_use]
     pub fn from_kind(kind: SegmentKind) -> Self {
         Self {

@@ -36,8 +36,8 @@ pub struct BridgeOptions {
     /// Where a plant listens that plays the machine, in JSON lines.
     #[arg(long, value_name = "tcp:HOST:PORT")]
     plant: Option<String>,
-    /// Where a gauge at the tool speaks, a value a line in µm: measured_elongation_um of the run, less what the CNC
-    /// has taken away by the offsets. `bridge monitor --indicator` reads it.
+    /// With a gauge at the tool, a value a line in µm. It is measured_elongation_um of the run,
+    /// less what the CNC has taken away by the offsets. `bridge monitor --indicator` reads it.
     #[arg(long, value_name = "tcp:HOST:PORT", conflicts_with = "plant")]
     gauge: Option<String>,
     /// Seed of the front end's noise.

@@ -65,7 +65,7 @@ impl OperatorControls {
         hand
     }
 
-    /// Takes a word; what is said of it.
+    /// Takes a word; returns the reply.
     fn handle_command(&self, word: &str) -> &'static str {
         let control = |engage| {
             let control = Control { engage, service: !engage, ..Control::REFERENCED };

@@ -1,4 +1,4 @@
-//! Finds other programs and runs them; an error names the command line, with what the program said.
+//! Finds other programs and runs them; an error names the command line, with the output of the program.
 
 use std::{
     path::PathBuf,
@@ -10,7 +10,7 @@ use anyhow::{Context as _, Result, bail};
 /// Runs a command in silence and gives its standard output.
 ///
 /// # Errors
-/// It could not be started, or it failed; the error has what it said.
+/// It could not be started, or it failed; the error has its output.
 pub fn capture_stdout(command: &mut Command) -> Result<String> {
     let line = command_line(command);
     let output =

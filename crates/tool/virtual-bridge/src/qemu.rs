@@ -168,7 +168,7 @@ impl Qemu {
         }
     }
 
-    /// Fails if QEMU has ended, with what it said.
+    /// Fails if QEMU has ended, with its output.
     ///
     /// # Errors
     /// It has.

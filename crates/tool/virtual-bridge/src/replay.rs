@@ -22,7 +22,7 @@ use trueup_machine::{
     tool::TOOL_COLUMN,
 };
 
-/// How long a row lasts in a run without `time_s`, unless it is said otherwise.
+/// How long a row lasts in a run without `time_s`, unless stated otherwise.
 pub(crate) const DEFAULT_ROW_DURATION_S: f64 = 1.0;
 
 /// The column that a gauge at the tool shows.

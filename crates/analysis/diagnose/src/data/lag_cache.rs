@@ -133,8 +133,8 @@ impl LagCache {
         stepped: impl FnOnce() -> Arc<Vec<f64>>,
     ) -> Arc<Vec<f64>> {
         self.memoise(blocks, (column.into(), Some(late), lags_s), || {
-            let is_told = |(segments, _): &(&LagSegments, _)| segments.min_lag_s() <= late.by_s;
-            let by_means = self.segment_means(column, lags_s).filter(is_told);
+            let is_resolved = |(segments, _): &(&LagSegments, _)| segments.min_lag_s() <= late.by_s;
+            let by_means = self.segment_means(column, lags_s).filter(is_resolved);
             let Some((stretches, mean_c)) = by_means else { return blocks.means(&stepped()) };
             let mut part_c = stretches.part_temperature_c(late, mean_c);
             if lags_s[0] != lags_s[1] {
@@ -156,9 +156,9 @@ impl LagCache {
     fn segment_means(&self, column: &str, lags_s: [f64; 2]) -> Option<(&LagSegments, &[f64])> {
         let (stretches, means) = self.stretches.as_ref()?;
         let (_, mean_c) = means.iter().find(|(name, _)| name == column)?;
-        let is_told = |lag_s: f64| stretches.min_lag_s() <= lag_s;
-        let are_told = lags_s == [0.0; 2] || lags_s.into_iter().all(is_told);
-        are_told.then_some((stretches, mean_c))
+        let is_resolved = |lag_s: f64| stretches.min_lag_s() <= lag_s;
+        let are_resolved = lags_s == [0.0; 2] || lags_s.into_iter().all(is_resolved);
+        are_resolved.then_some((stretches, mean_c))
     }
 
     /// Returns the rows of what may have been requested before.

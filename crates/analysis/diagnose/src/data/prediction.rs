@@ -18,9 +18,9 @@ use super::{
 /// without its terms.
 pub(super) fn fill_predictions(data: &mut DataTable, runs: &[UncompensatedRun<'_>]) {
     let machine = data.setting.machine.clone();
-    let mut said = simulate_machine(data, runs, &machine);
+    let mut prediction = simulate_machine(data, runs, &machine);
     let laws = if machine.terms.is_empty() {
-        said.clone()
+        prediction.clone()
     } else {
         simulate_machine(data, runs, &Machine { terms: Vec::new(), ..machine.clone() })
     };
@@ -28,18 +28,18 @@ pub(super) fn fill_predictions(data: &mut DataTable, runs: &[UncompensatedRun<'_
     let shift_s = time_shift_s(&machine.terms, data.setting.quantity);
     if let (Some(time_s), true) = (data.time_s(), shift_s != 0.0) {
         let is_axis = data.setting.quantity.axis().is_some();
-        let part = if is_axis { &mut said.axis } else { &mut said.elongation };
+        let part = if is_axis { &mut prediction.axis } else { &mut prediction.elongation };
         *part = shift_series(time_s, part, shift_s);
     }
     data.used = (0..data.rows)
         .map(|row| {
-            let p = said.along[row] * said.elongation[row] + said.axis[row];
+            let p = prediction.along[row] * prediction.elongation[row] + prediction.axis[row];
             data.measured[row].is_finite() && p.is_finite()
         })
         .collect();
     data.predicted = RowPredictions {
-        elongation: said.elongation.into(),
-        along: said.along.into(),
+        elongation: prediction.elongation.into(),
+        along: prediction.along.into(),
         law: laws.elongation.into(),
         axis: laws.axis.into(),
         thermal: laws.thermal.into(),

@@ -251,19 +251,23 @@ fn differs_significantly(own: &Value, written: &Value, ci95: Option<&Value>) -> 
 /// By how much a term of the machine file has changed, in a sentence; none of what the file has not.
 fn describe_change(part: &ModelPart) -> Option<String> {
     let (before, after) = (&part.kind.as_stated_term()?.effect, part.cause()?);
-    let (mut said, mut say) = (Vec::new(), Vec::new());
+    let (mut stated, mut fitted) = (Vec::new(), Vec::new());
     for ((key, before), (_, after)) in before.entries().into_iter().zip(after.entries()) {
         if let (Entry::Number(before), Entry::Number(after)) = (before, after)
             && before != after
         {
-            said.push(format!("{key} = {}", format_five_significant_digits(before)));
-            say.push(format_five_significant_digits(after));
+            stated.push(format!("{key} = {}", format_five_significant_digits(before)));
+            fitted.push(format_five_significant_digits(after));
         }
     }
-    Some(if said.is_empty() {
+    Some(if stated.is_empty() {
         "The machine file has this already; these data give other values.".into()
     } else {
-        format!("The machine file has {}; these data give {}.", said.join(", "), say.join(", "))
+        format!(
+            "The machine file has {}; these data give {}.",
+            stated.join(", "),
+            fitted.join(", ")
+        )
     })
 }
 
@@ -313,8 +317,8 @@ fn describe_caveat(doubt: &Caveat, gain: &Gain, left_out: FoldUnit) -> String {
             late.title()
         ),
         Caveat::FormOf(law) => format!(
-            "It may only make up for the form of {}: a part is behind its thermometer by a lag of the first \
-             order only nearly, and was not at rest when the record began.",
+            "It may only make up for the form of {}. A part follows its thermometer by a lag of \
+             the first order only approximately, and was not at rest when the record began.",
             law.title()
         ),
         Caveat::GainsOnce => "It gains on one part of the record alone: it was seen once.".into(),

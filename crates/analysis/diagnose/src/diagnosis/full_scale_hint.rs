@@ -81,8 +81,8 @@ mod tests {
         let part = hint(1.2976, [1.27, 1.32], Some(9164.0)).expect("a part of it");
         assert!(part.contains("1.185") && part.contains("1.095"), "{part}");
         let other = SensorInput { counts_full_scale: 27_648.0, ..PAPER };
-        let said = full_scale_hint(&other, 0.85, [0.83, 0.87], None).expect("the other way");
-        assert!(said.contains("32768"), "{said}");
+        let message = full_scale_hint(&other, 0.85, [0.83, 0.87], None).expect("the other way");
+        assert!(message.contains("32768"), "{message}");
     }
 
     #[test]

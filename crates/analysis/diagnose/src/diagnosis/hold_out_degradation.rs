@@ -18,12 +18,12 @@ pub(super) fn describe_worst_interval(
     worse: &[f64],
 ) -> Vec<String> {
     let Some((first, last)) = max_subarray(worse) else { return Vec::new() };
-    let mut said = describe_new_inputs(training, hold_out, worse);
-    if said.is_empty() {
+    let mut sentences = describe_new_inputs(training, hold_out, worse);
+    if sentences.is_empty() {
         let stretch = format_row_range(&hold_out.data, hold_out, first, last);
-        said.push(format!("{stretch} it is worst"));
+        sentences.push(format!("{stretch} it is worst"));
     }
-    said
+    sentences
 }
 
 /// Returns the columns that do in the worst stretch what they never did in the runs: a sentence each, none where they

@@ -215,7 +215,7 @@ pub(crate) fn build_diagnosis(
     Ok(with_missing_inputs(diagnosis))
 }
 
-/// Returns `notes` with what is to be said of rows that were excluded as outliers, and of a hold-out.
+/// Returns `notes` with the notes about rows that were excluded as outliers, and of a hold-out.
 fn with_warnings(
     notes: Vec<String>,
     aside: &[bool],

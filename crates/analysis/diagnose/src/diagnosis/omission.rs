@@ -54,6 +54,7 @@ impl OmissionReason {
     }
 
     /// The measurement that separates what takes each other back.
-    pub(crate) const SEPARATION_TEST_INSTRUCTION: &'static str = "Record the first hour after a start from cold with a reading each minute, and once more on another day: \
-         only that separates a constant, a first rise and its time constant.";
+    pub(crate) const SEPARATION_TEST_INSTRUCTION: &'static str = "Record the first hour after a \
+        start from cold with a reading each minute, and once more on another day. Only that \
+        separates a constant, a first rise and its time constant.";
 }

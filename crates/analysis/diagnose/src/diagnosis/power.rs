@@ -114,11 +114,11 @@ impl DetectionPower {
             problem.data.time_s().is_none() && problem.data.own_position().is_some();
         let may_be_a_curve =
             is_of_position && !is_promised && !is_of_instrument && has_slow_drift(problem, found);
-        let is_told = is_found(if known_um.is_some() { rows as f64 } else { count });
+        let is_detectable = is_found(if known_um.is_some() { rows as f64 } else { count });
         Self {
             found_um: if is_promised { found_um } else { f64::INFINITY },
             matters_um,
-            is_enough: is_told && !may_be_a_curve,
+            is_enough: is_detectable && !may_be_a_curve,
             is_of_instrument,
             rows,
             needed: RequiredMeasurement::new(

@@ -40,7 +40,7 @@ pub(super) struct GrossErrorRows {
     pub reduction: f64,
 }
 
-/// Of more rows than this share of a hold-out it is not said that they are the exception.
+/// Of more rows than this share of a hold-out it is not reported that they are the exception.
 const MAX_GROSS_ERROR_SHARE: f64 = 0.1;
 
 /// The promise that a hold-out is compared with.
@@ -143,10 +143,10 @@ impl GrossErrorRows {
         let (gross, rest) = rows.split_at(count);
         let mut gross = gross.to_vec();
         gross.sort_by_key(|(row, _)| *row);
-        let said = |(row, [_, um]): &(usize, [f64; 2])| {
+        let describe = |(row, [_, um]): &(usize, [f64; 2])| {
             let (row, name) = row_in_file(test, hold_out, *row);
             format!("row {row} of {name} ({um:+.1} µm)")
         };
-        Some(Self { rows: gross.iter().map(said).collect(), reduction: reduction(rest) })
+        Some(Self { rows: gross.iter().map(describe).collect(), reduction: reduction(rest) })
     }
 }

@@ -96,8 +96,9 @@ impl fmt::Display for UnexplainedResidual {
             ),
             None => write!(
                 f,
-                "what is left, {left} RMS, may be the machine as well as the gauge: hardly a position comes again, and the \
-                 uncertainty of the gauge is not stated ([instrument] uncertainty_um). Measure {MIN_REPEAT_READINGS} positions twice \
+                "what is left, {left} RMS, may be the machine as well as the gauge. Hardly a \
+                 position is repeated, and the uncertainty of the gauge is not stated \
+                 ([instrument] uncertainty_um). Measure {MIN_REPEAT_READINGS} positions twice \
                  or more"
             ),
         }

@@ -131,8 +131,8 @@ impl fmt::Display for VerdictReason {
                 "the CNC applies the offset otherwise than once: the machine file stays until that is put right",
             ),
             Self::Engaged => f.write_str(
-                "the bridge was engaged, and how the CNC applies the offset is not known: what is wrong may be the \
-                 CNC or the machine file, so nothing is written",
+                "the bridge was engaged, and how the CNC applies the offset is not known. The \
+                 error may be in the CNC or in the machine file, so nothing is written",
             ),
             Self::ByTheClock => f.write_str(
                 "an error that is periodic in time has a cause that was not recorded; the next record has another phase",

@@ -74,7 +74,7 @@ mod tests {
 
     use super::*;
 
-    /// Returns a record in which the table warms and cools as often as said.
+    /// Returns a record in which the table warms and cools as often as stated.
     fn record(cycles: usize) -> DataTable {
         let mut text = String::from("time_s,temp_table_c,measured_elongation_um\n");
         for second in 0..40 * cycles {

@@ -31,6 +31,6 @@ pub(super) fn insufficient_table(
     let all = turns.last()? - turns.first()?;
     let apart = turns.windows(2).map(|pair| pair[1] - pair[0]);
     let looked_at: f64 = apart.filter(|apart| *apart < 0.5).sum();
-    let is_told_apart = looked_at > 0.5 * all && all > points as f64;
-    (!is_told_apart).then(|| table.clone())
+    let is_separable = looked_at > 0.5 * all && all > points as f64;
+    (!is_separable).then(|| table.clone())
 }

@@ -101,7 +101,7 @@ impl AxisRun {
         );
         let heat = format!("run it to and fro for {:.0} minutes", self.heat_min);
         match (self.cold, self.warm) {
-            (true, true) => format!("from cold, {measure}; {heat}, and measure so again"),
+            (true, true) => format!("from cold, {measure}. Then {heat}, and measure so again"),
             (false, true) => format!("from cold, {heat}; then {measure}"),
             _ => format!("from cold, {measure}"),
         }

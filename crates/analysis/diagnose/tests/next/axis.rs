@@ -107,7 +107,7 @@ impl Tried for AxisTrial {
 #[test]
 fn a_planned_run_of_an_axis_tells_what_a_short_one_left_open() {
     let it = needed(8..12, AxisTrial::from_seed);
-    assert!(it.planned > 0 && it.told > 0 && it.minutes[0] < it.minutes[1], "{it:?}");
+    assert!(it.planned > 0 && it.decided > 0 && it.minutes[0] < it.minutes[1], "{it:?}");
 }
 
 /// Seeds that nothing was chosen by. Causes that predict the same in every run need no run: a scale and a reference
@@ -118,6 +118,6 @@ fn half_the_minutes_of_iso_230_3_tell_causes_of_an_axis_apart() {
     let it = needed(4000..4100, AxisTrial::from_seed);
     assert!(it.open >= 20 && it.planned + it.alike == it.open, "{it:?}");
     assert!(it.minutes[0] <= 0.5 * it.minutes[1], "{it:?}");
-    // A plan that does not tell is charged with the cycle's minutes besides: 13 of 16 told.
-    assert!(it.told * 4 >= it.planned * 3 && it.right * 10 >= it.has_truth * 9, "{it:?}");
+    // A plan that does not tell is charged with the cycle's minutes besides: 13 of 16 decided.
+    assert!(it.decided * 4 >= it.planned * 3 && it.right * 10 >= it.has_truth * 9, "{it:?}");
 }

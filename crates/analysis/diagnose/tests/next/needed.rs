@@ -31,7 +31,7 @@ pub struct Needed {
     /// Of all that are open: those for which a run is planned.
     pub planned: usize,
     /// Of them: those whose planned run distinguished the causes.
-    pub told: usize,
+    pub decided: usize,
     /// Of them: those of which one cause is what the machine really has, and those whose run favoured it.
     pub has_truth: usize,
     pub right: usize,
@@ -41,14 +41,14 @@ pub struct Needed {
 }
 
 /// After how many minutes what was recorded is strong evidence, and stays so to its end; none: it never is.
-fn minutes_until_told(diagnosis: &Diagnosis, run: &RunFile) -> Option<f64> {
+fn minutes_until_decided(diagnosis: &Diagnosis, run: &RunFile) -> Option<f64> {
     let score = |rows: usize| {
         let part = run.with_altered_values(rows, |_, _| {});
         diagnosis.separation_from_run(&part).expect("all columns").expect("open")
     };
     let whole = score(run.row_count());
-    let is_told = |rows: &usize| score(*rows) * whole.signum() >= STRONG;
-    let first = (3..=run.row_count()).rev().take_while(is_told).last()?;
+    let is_decided = |rows: &usize| score(*rows) * whole.signum() >= STRONG;
+    let first = (3..=run.row_count()).rev().take_while(is_decided).last()?;
     Some(run.column("time_s").expect("there")[first - 1] / 60.0)
 }
 
@@ -74,19 +74,19 @@ pub fn needed<T: Tried>(seeds: impl Iterator<Item = u64>, drawn: impl Fn(u64) ->
         all.open += 1;
         all.planned += 1;
         let planned = tried.planned(&next);
-        let own = minutes_until_told(&diagnosis, &planned);
+        let own = minutes_until_decided(&diagnosis, &planned);
         let cycles = tried.fixed().map(|cycle| {
-            minutes_until_told(&diagnosis, &cycle).unwrap_or_else(|| lasts_min(&cycle))
+            minutes_until_decided(&diagnosis, &cycle).unwrap_or_else(|| lasts_min(&cycle))
         });
         let measured = diagnosis.separation_from_run(&planned).expect("all columns").expect("open");
         println!(
-            "seed {seed} ({}): {}; measured {measured:.0}, told after {own:.1?} of {:.1} min, by the fixed cycles after \
+            "seed {seed} ({}): {}; measured {measured:.0}, decided after {own:.1?} of {:.1} min, by the fixed cycles after \
              {cycles:.1?}",
             tried.wrong(),
             next.sentence(),
             next.minutes
         );
-        all.told += usize::from(own.is_some());
+        all.decided += usize::from(own.is_some());
         let begins = |cause: &String| tried.truth().iter().any(|truth| cause.starts_with(truth));
         let is_true = next.separations[0].causes.each_ref().map(begins);
         if own.is_some() && is_true[0] != is_true[1] {

@@ -59,7 +59,7 @@ impl Tried for SpindleTrial {
 #[test]
 fn a_planned_run_tells_what_a_short_one_left_open() {
     let it = needed(1000..1012, SpindleTrial::from_seed);
-    assert!(it.planned > 0 && it.told > 0 && it.minutes[0] < it.minutes[2], "{it:?}");
+    assert!(it.planned > 0 && it.decided > 0 && it.minutes[0] < it.minutes[2], "{it:?}");
 }
 
 /// Seeds that nothing was chosen by.
@@ -70,5 +70,5 @@ fn half_the_minutes_of_the_cycles_of_iso_230_3_tell_causes_apart() {
     let [own, one_speed, spectrum] = it.minutes;
     assert!(it.open >= 20 && it.planned == it.open, "{it:?}");
     assert!(own <= 0.5 * spectrum && own <= 0.5 * one_speed, "{it:?}");
-    assert!(it.told * 10 >= it.planned * 9 && it.right * 10 >= it.has_truth * 9, "{it:?}");
+    assert!(it.decided * 10 >= it.planned * 9 && it.right * 10 >= it.has_truth * 9, "{it:?}");
 }

@@ -209,8 +209,8 @@ impl SectionWriter<'_> {
         let feedback = self.machine.map(|machine| machine.axes[axis.index()].feedback);
         if feedback == Some(Feedback::Scale) {
             self.warnings.push(format!(
-                "{name} has its feedback on a scale: a backlash of {:.2} µm lies behind the scale, as in the tool or a guide, and \
-                 is not written",
+                "{name} has its feedback on a scale. A backlash of {:.2} µm lies behind the \
+                 scale, as in the tool or a guide, and is not written",
                 widths[0]
             ));
             return None;

@@ -129,7 +129,7 @@ pub fn fit_backlash(
         let (low, high) = (um().fold(f64::INFINITY, f64::min), um().fold(f64::MIN, f64::max));
         report.warnings.push(format!(
             "backlash changes along the axis, from {low:.1} to {high:.1} µm, by more than the \
-             repeats scatter: one width is wrong at some positions; a table for each direction \
+             repeats scatter. One width is wrong at some positions; a table for each direction \
              (fit pitch) follows it"
         ));
     }
@@ -263,8 +263,8 @@ fn build_report(
         let each: Vec<String> = own.iter().map(|um| format!("{um:.1}")).collect();
         report.verdict = FitVerdict::DoNotCompensate(vec![format!(
             "on held-out runs the difference between the directions is {:.1} µm rms without a \
-             correction and {:.1} µm with the width of the other runs, which is no reliable gain (width \
-             run by run: {} µm)",
+             correction and {:.1} µm with the width of the other runs. That is no reliable gain \
+             (width run by run: {} µm)",
             rms(report.before),
             rms(report.held_out),
             each.join(", ")

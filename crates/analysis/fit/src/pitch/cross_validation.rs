@@ -3,7 +3,7 @@
 //! The runs are held out in turn (in at most [`MAX_FOLDS`] blocks of consecutive runs); each
 //! correction is fitted to the others and judged on the one held out by its mean square error, as the
 //! machine's own model has it, with the table at its own points. Whether a correction is worth it is
-//! decided elsewhere ([`trueup_numerics::repeats`]). Why one that is refused has no gain is said with two
+//! decided elsewhere ([`trueup_numerics::repeats`]). Why one that is refused has no gain is reported with two
 //! compared run by run, so that what both leave alike (drift, scatter) cancels:
 //!
 //! ```text

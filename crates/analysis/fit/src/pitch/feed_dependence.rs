@@ -3,7 +3,7 @@
 //! Each position has its differences at each feed. Whether the feeds differ is tested by analysis of
 //! variance, the positions as blocks: the scatter of the feeds' means, each position's own mean taken
 //! off, next to that of the repeats at one position and feed, F at 99 %. If they do, no mean of them is
-//! right at any feed. One feed's width is fitted, and what it costs at the others is said.
+//! right at any feed. One feed's width is fitted, and what it costs at the others is reported.
 
 use super::{
     PitchFitOptions,

@@ -94,7 +94,7 @@ pub(super) fn measured_column(axis: LinearAxis) -> String {
 }
 
 impl Readings {
-    /// Reads what `wanted` names from `file`.
+    /// Reads what `selection` names from `file`.
     ///
     /// # Errors
     /// A column is missing or in another unit; a value is missing in a row of this quantity; no
@@ -213,7 +213,7 @@ impl Readings {
     }
 }
 
-/// Returns an error at the header, its rule still to be said.
+/// Returns an error at the header, its rule still to be stated.
 fn missing_column_error(file: &UncompensatedRun<'_>, name: &str) -> BadInput {
     // The empty name is never there, so that the place comes even where `name` is.
     let place =

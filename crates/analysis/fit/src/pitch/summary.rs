@@ -115,8 +115,9 @@ pub(super) fn add_warnings(
         if !hidden.is_empty() {
             let hidden: Vec<String> = hidden.iter().map(f64::to_string).collect();
             warnings.push(format!(
-                "the test points lie on multiples of {} mm: if one of these is the pitch of the \
-                 screw, its periodic error was not seen and stays; measure at uneven distances, as ISO 230-2 requires",
+                "the test points lie on multiples of {} mm. If one of these is the pitch of the \
+                 screw, its periodic error was not seen and stays. Measure at uneven distances, \
+                 as ISO 230-2 requires",
                 hidden.join(", ")
             ));
         }
@@ -229,8 +230,8 @@ pub(super) fn rejection_reasons(
     let constant_alone = best.is_better_than(nothing) && !best.is_better_than(constant);
     let verdict = if constant_alone { "" } else { ": no gain that holds" };
     rejection_reasons.push(format!(
-        "on held-out runs the error is {:.1} µm rms without a correction and {:.1} µm with {law} \
-         from the other runs (run by run {} and {}){verdict}",
+        "on held-out runs the error is {:.1} µm rms without a correction. With {law} from the \
+         other runs it is {:.1} µm (run by run {} and {}){verdict}",
         nothing.rms_um(),
         best.rms_um(),
         each(nothing),
@@ -246,14 +247,14 @@ pub(super) fn rejection_reasons(
     }
     if constant_alone {
         rejection_reasons.push(format!(
-            "what a table would gain is a constant, which already leaves {:.1} µm: the zero of a \
-             measurement is arbitrary, and a constant is not a position error",
+            "what a table would gain is a constant, which already leaves {:.1} µm. The zero of \
+             a measurement is arbitrary, and a constant is not a position error",
             constant.rms_um()
         ));
     } else if is_better_after_centring(readings, nothing, best) {
         rejection_reasons.push(
             "with the mean of each run taken out, the shape does repeat: the axis or the \
-             instrument shifts from run to run; find that first, or zero the instrument before \
+             instrument shifts from run to run. Find that first, or zero the instrument before \
              each run"
                 .to_string(),
         );
@@ -309,8 +310,9 @@ pub(super) fn interpolation_caveat(readings: &Readings, law: CorrectionModel) ->
     )?;
     found.is_interpolation_doubtful().then(|| {
         format!(
-            "the table holds at its points; between them it is uncertain: the line between its neighbours misses a held-out target by {:.1} µm rms, no table at all by {:.1} µm; measure \
-             between the targets as well (trueup diagnose lists positions)",
+            "the table holds at its points; between them it is uncertain. The line between its \
+             neighbours misses a held-out target by {:.1} µm rms, no table at all by {:.1} µm. \
+             Measure between the targets as well (trueup diagnose lists positions)",
             found.line, found.nothing
         )
     })

@@ -84,7 +84,7 @@ pub(super) fn temperature_levels(rows: &PooledRows<'_>, data: &ThermalData) -> V
 }
 
 impl FittedTable {
-    /// With rows at the `temperature_levels`, or, if `wanted`, that many rows between the coldest and the
+    /// With rows at the `temperature_levels`, or, if `requested`, that many rows between the coldest and the
     /// warmest temperature; `None` where the data does not decide it.
     pub(super) fn fit(
         data: &ThermalData,

@@ -15,7 +15,7 @@
 //!
 //! `--seeds` counts at ratio 3, `--few` at the others, `--clean` for noise alone. `--each` prints every
 //! answer, `--tsv` writes a line for each. The files are written anew after each row. `second` asks
-//! what is named where the machine file has a cause already ([`second_cause`]), `scenarios` what is said of
+//! what is named where the machine file has a cause already ([`second_cause`]), `scenarios` what is reported of
 //! the shipped ones ([`scenarios`]), `physical` of machines with physical faults
 //! ([`mod@physical`]), `pairs` of every two causes that one machine can have ([`mod@pairs`]), `program` what another
 //! version's program makes of the same files ([`program`]), `compare` what has become better or worse between two
@@ -50,7 +50,7 @@ pub(crate) struct Arguments {
     out: Option<PathBuf>,
     each: bool,
     tsv: Option<PathBuf>,
-    wanted: Vec<String>,
+    names: Vec<String>,
 }
 
 pub(crate) fn parse_arguments(words: &[String]) -> Option<Arguments> {
@@ -63,7 +63,7 @@ pub(crate) fn parse_arguments(words: &[String]) -> Option<Arguments> {
         out: None,
         each: false,
         tsv: None,
-        wanted: Vec::new(),
+        names: Vec::new(),
     };
     let mut words = words.iter();
     while let Some(word) = words.next() {
@@ -80,7 +80,7 @@ pub(crate) fn parse_arguments(words: &[String]) -> Option<Arguments> {
             "--tsv" => it.tsv = Some(words.next()?.into()),
             "--each" => it.each = true,
             _ if word.starts_with('-') => return None,
-            _ => it.wanted.push(word.clone()),
+            _ => it.names.push(word.clone()),
         }
     }
     Some(it)
@@ -128,8 +128,8 @@ fn main() -> ExitCode {
         eprintln!("error: see the head of examples/scorecard/main.rs for what may be asked");
         return ExitCode::from(2);
     };
-    let is_wanted =
-        |name: &str| asked.wanted.is_empty() || asked.wanted.iter().any(|there| there == name);
+    let is_selected =
+        |name: &str| asked.names.is_empty() || asked.names.iter().any(|there| there == name);
     let mut card = ScoreCard::default();
     let mut draws = DrawScores::default();
     let mut done = |ratio: f64, name: String, row: ScoreRow| {
@@ -161,13 +161,13 @@ fn main() -> ExitCode {
     for (number, &ratio) in asked.ratios.iter().enumerate() {
         let seeds = if ratio == 3.0 { asked.seeds } else { asked.few };
         for &cause in HiddenCause::ALL {
-            if is_wanted(cause.name()) && cause.expected_diagnosis() != ExpectedDiagnosis::Clean {
+            if is_selected(cause.name()) && cause.expected_diagnosis() != ExpectedDiagnosis::Clean {
                 done(ratio, cause.name().into(), drawn(cause, ratio, seeds));
             }
         }
         for &(a, b) in DISTINGUISHABLE_PAIRS {
             let both = format!("{}+{}", a.name(), b.name());
-            if is_wanted(&both) {
+            if is_selected(&both) {
                 let row = score_seeds(asked.first..asked.first + seeds, &|seed| {
                     let challenge =
                         draw_pair(a, b, ratio, seed).expect("the twin's own pairs can be drawn");
@@ -178,7 +178,7 @@ fn main() -> ExitCode {
         }
         // Noise alone has no ratio.
         for &cause in HiddenCause::ALL.iter().filter(|_| number == 0) {
-            if is_wanted(cause.name()) && cause.expected_diagnosis() == ExpectedDiagnosis::Clean {
+            if is_selected(cause.name()) && cause.expected_diagnosis() == ExpectedDiagnosis::Clean {
                 done(ratio, cause.name().into(), drawn(cause, ratio, asked.clean));
             }
         }

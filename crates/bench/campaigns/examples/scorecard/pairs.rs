@@ -23,19 +23,19 @@ pub fn run(words: &[String]) -> ExitCode {
     let mut sum = [0; 4];
     for pair in Pair::all().into_iter().filter(|pair| asked.is_selected(&pair.name())) {
         let judged = map_seeds_in_parallel(asked.seeds(), &|seed| pair.diagnose_and_score(seed));
-        let told: Vec<(u64, PairScore)> =
+        let judged: Vec<(u64, PairScore)> =
             asked.seeds().zip(judged).filter_map(|(seed, judged)| Some((seed, judged?))).collect();
         let count =
-            |of: &dyn Fn(&PairScore) -> bool| told.iter().filter(|(_, draw)| of(draw)).count();
+            |of: &dyn Fn(&PairScore) -> bool| judged.iter().filter(|(_, draw)| of(draw)).count();
         let counts = [
-            told.len(),
+            judged.len(),
             count(&|draw| draw.is_right),
             count(&|draw| draw.score.is_wrong),
             count(&|draw| !find_value_errors(&draw.score).is_empty()),
         ];
         let [n, right, wrong, off] = counts;
         println!("{:<52} n {n:>3} right {right:>3} wrong {wrong:>3} off {off:>3}", pair.name());
-        for (seed, PairScore { score, is_right }) in &told {
+        for (seed, PairScore { score, is_right }) in &judged {
             let complaint = find_value_errors(score);
             if asked.each || !is_right || !complaint.is_empty() {
                 println!("    seed {seed}: {score}; {}", complaint.join(", "));
@@ -49,7 +49,7 @@ pub fn run(words: &[String]) -> ExitCode {
     let percent = |count: usize| 100.0 * count as f64 / sum[0].max(1) as f64;
     let [n, right, wrong, off] = sum;
     println!(
-        "{n} draws that can be told: both named and nothing else claimed in {:.1} % (target {:.0} %), a \
+        "{n} draws whose causes can be separated: both named and nothing else claimed in {:.1} % (target {:.0} %), a \
          wrong name in {:.1} % (target {:.0} %), an interval or a gain that is off in {:.1} %",
         percent(right),
         100.0 * MIN_RIGHT_SHARE,

@@ -29,8 +29,8 @@ struct DrawCounts {
     wrong: usize,
     harmed: usize,
     /// Draws whose faults can be distinguished from each other, and those of them in which all are named.
-    can_be_told: usize,
-    told: usize,
+    distinguishable: usize,
+    named_of_distinguishable: usize,
     /// By fault: draws, named, claimed.
     by_fault: BTreeMap<&'static str, [usize; 3]>,
 }
@@ -42,8 +42,8 @@ impl DrawCounts {
         self.named += usize::from(is_named);
         self.wrong += usize::from(!judged.comparison.wrong.is_empty());
         self.harmed += usize::from(judged.is_harmed());
-        self.can_be_told += usize::from(judged.is_distinguishable());
-        self.told += usize::from(judged.is_distinguishable() && is_named);
+        self.distinguishable += usize::from(judged.is_distinguishable());
+        self.named_of_distinguishable += usize::from(judged.is_distinguishable() && is_named);
         for ((fault, ..), (is_named, is_claimed)) in
             judged.faults.iter().zip(&judged.comparison.needed)
         {
@@ -58,18 +58,18 @@ impl DrawCounts {
         let percent = |count: usize, of: usize| 100.0 * count as f64 / of.max(1) as f64;
         println!(
             "{name}: {} draws, all named in {:.1} %, a wrong name in {:.1} %, harm in {}; of the {} whose \
-             faults can be told from each other all named in {:.1} %",
+             faults can be separated all named in {:.1} %",
             self.draws,
             percent(self.named, self.draws),
             percent(self.wrong, self.draws),
             self.harmed,
-            self.can_be_told,
-            percent(self.told, self.can_be_told),
+            self.distinguishable,
+            percent(self.named_of_distinguishable, self.distinguishable),
         );
     }
 
     fn is_target_met(&self) -> bool {
-        self.told as f64 >= MIN_NAMED_SHARE * self.can_be_told as f64
+        self.named_of_distinguishable as f64 >= MIN_NAMED_SHARE * self.distinguishable as f64
             && self.wrong as f64 <= MAX_WRONG_SHARE * self.draws as f64
             && self.harmed == 0
     }
@@ -108,8 +108,8 @@ pub fn run(words: &[String]) -> ExitCode {
         });
         for (seed, judged) in seeds.zip(&judged) {
             sum.add(judged);
-            let told = &judged.comparison;
-            let (is_right, is_wrong) = (told.missed.is_empty(), !told.wrong.is_empty());
+            let comparison = &judged.comparison;
+            let (is_right, is_wrong) = (comparison.missed.is_empty(), !comparison.wrong.is_empty());
             let gain = 1.0 - judged.after_um / judged.before_um;
             let draw = DrawScore::without_intervals(is_right, is_wrong, gain);
             let cell = if name == "healthy" { name } else { judged.kind.name() };

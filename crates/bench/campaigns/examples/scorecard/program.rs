@@ -27,23 +27,25 @@ pub fn run(words: &[String]) -> ExitCode {
         );
         return ExitCode::from(2);
     };
-    let is_wanted =
-        |name: &str| asked.wanted.is_empty() || asked.wanted.iter().any(|other| other == name);
+    let is_selected =
+        |name: &str| asked.names.is_empty() || asked.names.iter().any(|other| other == name);
     let seeds = asked.first..asked.first + asked.seeds;
     let (mut draws, mut are_all_answered) = (DrawScores::default(), true);
     let mut of_cell = |ratio: f64, name: &str, drawn: &(dyn Fn(u64) -> TestCase + Sync)| {
-        if !is_wanted(name) {
+        if !is_selected(name) {
             return;
         }
-        let told = map_seeds_in_parallel(seeds.clone(), &|seed| {
+        let answers = map_seeds_in_parallel(seeds.clone(), &|seed| {
             let challenge = drawn(seed);
-            let told = run_diagnosis(Path::new(program), &challenge);
-            told.map(|told| (told.is_right(&challenge.truth), told.is_wrong(&challenge.truth)))
+            let answer = run_diagnosis(Path::new(program), &challenge);
+            answer.map(|answer| {
+                (answer.is_right(&challenge.truth), answer.is_wrong(&challenge.truth))
+            })
         });
         let (mut right, mut wrong) = (0, 0);
-        for (seed, told) in seeds.clone().zip(told) {
-            let (is_right, is_wrong) = match told {
-                Ok(told) => told,
+        for (seed, answer) in seeds.clone().zip(answers) {
+            let (is_right, is_wrong) = match answer {
+                Ok(verdict) => verdict,
                 Err(complaint) => {
                     eprintln!("error: {name}, seed {seed}, no answer: {complaint}");
                     are_all_answered = false;
@@ -107,11 +109,11 @@ fn run_diagnosis(program: &Path, challenge: &TestCase) -> Result<Answer, String>
     command.arg("--holdout").arg(put("holdout.csv", &challenge.holdout)?);
     command.arg("--out").arg(folder.path().join("out"));
     let output = command.output().map_err(|error| format!("{}: {error}", program.display()))?;
-    let said: Value = serde_json::from_slice(&output.stdout)
+    let report: Value = serde_json::from_slice(&output.stdout)
         .map_err(|_| String::from_utf8_lossy(&output.stderr).into_owned())?;
     let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
     let each = |value: &Value| value.as_array().cloned().unwrap_or_default();
-    let findings = each(&said["findings"]).into_iter().map(|finding| AnswerFinding {
+    let findings = each(&report["findings"]).into_iter().map(|finding| AnswerFinding {
         cause: text(&finding["cause"]),
         columns: finding_columns(&finding),
         is_claimed: finding["claimed"] == true,
@@ -120,5 +122,5 @@ fn run_diagnosis(program: &Path, challenge: &TestCase) -> Result<Answer, String>
             .map(|partner| text(&partner["cause"]))
             .collect(),
     });
-    Ok(Answer { verdict: text(&said["verdict"]), findings: findings.collect() })
+    Ok(Answer { verdict: text(&report["verdict"]), findings: findings.collect() })
 }

@@ -23,26 +23,26 @@ pub fn run(words: &[String]) -> ExitCode {
     let mut draws = DrawScores::default();
     let mut is_met = true;
     for shipped in SHIPPED_SCENARIOS.iter().filter(|scenario| asked.is_selected(scenario.name)) {
-        let told = map_seeds_in_parallel(asked.seeds(), &|seed| {
+        let comparisons = map_seeds_in_parallel(asked.seeds(), &|seed| {
             (shipped.key)().compare(&shipped.run_diagnosis(seed).report)
         });
         let (mut right, mut false_names) = (0, 0);
-        for (seed, told) in asked.seeds().zip(&told) {
-            if asked.each || !told.is_right() {
-                println!("    seed {seed}: {told}");
+        for (seed, comparison) in asked.seeds().zip(&comparisons) {
+            if asked.each || !comparison.is_right() {
+                println!("    seed {seed}: {comparison}");
             }
-            let (is_right, is_wrong) = (told.is_right(), !told.wrong.is_empty());
+            let (is_right, is_wrong) = (comparison.is_right(), !comparison.wrong.is_empty());
             right += usize::from(is_right);
             false_names += usize::from(is_wrong);
             let draw = DrawScore::without_intervals(is_right, is_wrong, f64::NAN);
             draws.insert("shipped", shipped.name, seed, draw);
         }
-        let share = right as f64 / told.len().max(1) as f64;
+        let share = right as f64 / comparisons.len().max(1) as f64;
         is_met &= share >= MIN_RIGHT_SHARE;
         println!(
             "{:<20} n {:>3} right {:>5.1} % (target {:.0} %), a false claim in {false_names}",
             shipped.name,
-            told.len(),
+            comparisons.len(),
             100.0 * share,
             100.0 * MIN_RIGHT_SHARE,
         );

@@ -15,15 +15,16 @@ impl ScoreCard {
     /// Returns the document `docs/scorecard.md`.
     pub fn to_markdown(&self) -> String {
         let mut text = String::from(
-            "# Score card of `trueup diagnose`\n\nWritten by `cargo xtask scorecard`. Each draw hides \
-             an effect in what the virtual machine tool measures; ratio: RMS of the effect over RMS \
-             of the noise. *right*: every hidden cause is named and claimed (or listed as one that \
-             these data cannot tell apart, and then not claimed); for an effect without a name: \
-             structure is reported. *wrong*: a cause is claimed that was not hidden. *interval*: \
-             share of the hidden values inside their 95 % interval, of so many. *gain*: reduction on \
-             the hold-out over the possible one, median and worst of the answers that claim every \
-             hidden cause. *harm*: draws whose hold-out is left more than 5 % worse than before by what \
-             the answer compensates.\n",
+            "# Score card of `trueup diagnose`\n\nWritten by `cargo xtask scorecard`. Each draw \
+             hides an effect in what the virtual machine tool measures. Its ratio is the RMS of \
+             the effect over the RMS of the noise. *Right*: every hidden cause is named and \
+             claimed. A cause that these data cannot separate from another must be listed as \
+             such and not claimed. For an effect without a name, structure must be reported. \
+             *Wrong*: a cause is claimed that was not hidden. *Interval*: share of the hidden \
+             values inside their 95 % interval, with their number. *Gain*: reduction on the \
+             hold-out over the possible one, median and worst of the answers that claim every \
+             hidden cause. *Harm*: draws whose hold-out is left more than 5 % worse than before \
+             by what the answer compensates.\n",
         );
         if !self.rows.is_empty() {
             text += &format!("\n{}\n", self.format_totals());

@@ -98,7 +98,7 @@ fn score_draws(
 
 /// `second [--seeds N] [--first N] [--each] [known+new…|known…]`.
 pub fn run(words: &[String]) -> ExitCode {
-    let (mut seeds, mut first, mut each, mut wanted) = (10, 0, false, Vec::new());
+    let (mut seeds, mut first, mut each, mut names) = (10, 0, false, Vec::new());
     let mut words = words.iter();
     while let Some(word) = words.next() {
         let number = |next: Option<&String>| next.and_then(|word| word.parse::<u64>().ok());
@@ -110,14 +110,14 @@ pub fn run(words: &[String]) -> ExitCode {
                 None => return reject_argument(word),
             },
             (_, true) => return reject_argument(word),
-            (name, false) => wanted.push(name.to_string()),
+            (name, false) => names.push(name.to_string()),
         }
     }
-    let is_wanted = |known: &str, name: &str| {
-        wanted.is_empty() || wanted.iter().any(|other| other == known || other == name)
+    let is_selected = |known: &str, name: &str| {
+        names.is_empty() || names.iter().any(|other| other == known || other == name)
     };
     let seeds = first..first + seeds;
-    let told = |sum: &mut RowCounts, name: String, row: Result<ScoreRow, String>| match row {
+    let count_row = |sum: &mut RowCounts, name: String, row: Result<ScoreRow, String>| match row {
         Ok(row) => {
             sum.add(&name, &row);
             for (seed, score) in seeds.clone().zip(&row.scores).filter(|_| each) {
@@ -129,21 +129,21 @@ pub fn run(words: &[String]) -> ExitCode {
     let mut sum = RowCounts::default();
     for (a, b) in known_and_new_causes() {
         let name = format!("{}+{}", a.name(), b.name());
-        if is_wanted(a.name(), &name) {
+        if is_selected(a.name(), &name) {
             let drawn = |seed| {
                 draw_with_known_term(a, b, EFFECT_TO_NOISE_RATIO, seed)
                     .expect("they stand beside each other")
             };
-            told(&mut sum, name, score_draws(seeds.clone(), &drawn));
+            count_row(&mut sum, name, score_draws(seeds.clone(), &drawn));
         }
     }
     sum.print("a cause in the file, another one new");
     let mut aged = RowCounts::default();
     for cause in known_causes() {
         let name = format!("{} aged", cause.name());
-        if is_wanted(cause.name(), &name) {
+        if is_selected(cause.name(), &name) {
             let drawn = |seed| draw_aged_term(cause, EFFECT_TO_NOISE_RATIO, seed);
-            told(&mut aged, name, score_draws(seeds.clone(), &drawn));
+            count_row(&mut aged, name, score_draws(seeds.clone(), &drawn));
         }
     }
     aged.print("a cause in the file that has changed");

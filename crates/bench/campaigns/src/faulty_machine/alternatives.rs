@@ -369,12 +369,15 @@ mod tests {
     use crate::run_table::parse_run;
 
     /// Returns a load next to a temperature that is correlated with it, or is not.
-    fn gap(is_told: bool, noise_um: f64) -> f64 {
+    fn gap(is_separable: bool, noise_um: f64) -> f64 {
         let mut csv = String::from("time_s,load_n,spindle_rpm,temp_nose_c\n");
         for row in 0..200 {
             let load = if row % 40 < 20 { 0.0 } else { 800.0 };
-            let warm =
-                if is_told { f64::from(row % 7) } else { load / 100.0 + f64::from(row % 3) * 0.01 };
+            let warm = if is_separable {
+                f64::from(row % 7)
+            } else {
+                load / 100.0 + f64::from(row % 3) * 0.01
+            };
             csv += &format!("{},{load},9000,{warm}\n", 60 * row);
         }
         let run = parse_run(&csv, "r.csv").expect("a run");
@@ -389,6 +392,10 @@ mod tests {
     fn a_law_that_does_the_same_is_no_gap_and_one_that_does_not_is() {
         assert!(gap(true, 0.5) > 100.0, "{}", gap(true, 0.5));
         assert!(gap(false, 0.5) < 1.0, "{}", gap(false, 0.5));
-        assert!(gap(true, 50.0) < 6.0, "under such noise nothing is told: {}", gap(true, 50.0));
+        assert!(
+            gap(true, 50.0) < 6.0,
+            "under such noise nothing is separated: {}",
+            gap(true, 50.0)
+        );
     }
 }

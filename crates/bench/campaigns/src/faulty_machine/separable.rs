@@ -1,7 +1,7 @@
 //! A machine with hidden faults, drawn by a seed: one to three physical faults of the virtual machine
 //! tool, each at least three times the noise, and each separable from every rival law by the record it makes.
 //!
-//! Whether faults can be separated is computed from what they really do to the record ([`super::alternatives`]).
+//! Whether faults can be diagnosed is computed from what they really do to the record ([`super::alternatives`]).
 
 use std::path::Path;
 
@@ -31,7 +31,7 @@ const MIN_BIC_DIFFERENCE: f64 = 6.0;
 /// while an axis works and no gauge is read. A scale that follows its air for hours has done so between
 /// the measurements too.
 const MONITOR_INTERVAL_S: f64 = 60.0;
-/// Maximum number of machines drawn for a seed until one can be separated.
+/// Maximum number of machines drawn for a seed until one can be diagnosed.
 const MAX_DRAWS: u64 = 200;
 
 /// A machine with hidden faults.
@@ -53,7 +53,7 @@ impl SeparableFaultMachine {
     /// Returns the machine of `seed`.
     ///
     /// # Errors
-    /// The faults of no drawn machine can be separated.
+    /// The faults of no drawn machine can be diagnosed.
     pub fn draw(seed: u64) -> Result<Self> {
         let machine = |stream: &mut RandomStream| {
             let count = stream.uniform_integer(1, 3);
@@ -70,14 +70,14 @@ impl SeparableFaultMachine {
     /// fault may be hidden together with that.
     ///
     /// # Errors
-    /// The faults of no drawn machine can be separated.
+    /// The faults of no drawn machine can be diagnosed.
     pub fn draw_with_tools(seed: u64) -> Result<Self> {
         let machine =
             |stream: &mut RandomStream| (MachineKind::ToolSpindle, stream.uniform_integer(1, 2));
         Self::draw_until_separable(seed, "hidden tools", machine, Some(PhysicalFault::ToolGrowth))
     }
 
-    /// Draws kind and number of faults by `machine`, until its faults, `first` among them, can be separated.
+    /// Draws kind and number of faults by `machine`, until its faults, `first` among them, can be diagnosed.
     fn draw_until_separable(
         seed: u64,
         purpose: &str,
@@ -97,8 +97,8 @@ impl SeparableFaultMachine {
                 if choice.is_empty() {
                     break;
                 }
-                let wanted = first.filter(|_| number == 0);
-                let place = wanted
+                let requested = first.filter(|_| number == 0);
+                let place = requested
                     .and_then(|first| choice.iter().position(|candidate| *candidate == first));
                 let place = place.unwrap_or_else(|| stream.uniform_integer(0, choice.len() - 1));
                 let fault = choice.swap_remove(place);
@@ -121,7 +121,7 @@ impl SeparableFaultMachine {
                 }
             }
         }
-        anyhow::bail!("seed {seed}: none of {MAX_DRAWS} machines has faults that can be separated")
+        anyhow::bail!("seed {seed}: none of {MAX_DRAWS} machines has faults that can be diagnosed")
     }
 
     /// Returns all faults with their sizes.
@@ -280,11 +280,11 @@ mod tests {
     #[test]
     fn what_is_drawn_is_seen_and_can_be_told_and_a_seed_repeats_it() {
         for seed in 0..4 {
-            let hidden = SeparableFaultMachine::draw(seed).expect("can be told");
+            let hidden = SeparableFaultMachine::draw(seed).expect("can be diagnosed");
             assert!((1..=3).contains(&hidden.faults.len()));
             assert!(hidden.gap >= MIN_BIC_DIFFERENCE, "{}", hidden.gap);
             assert!(hidden.faults.iter().all(|drawn| drawn.ratio >= MIN_FAULT_NOISE_RATIO));
-            let again = SeparableFaultMachine::draw(seed).expect("can be told");
+            let again = SeparableFaultMachine::draw(seed).expect("can be diagnosed");
             assert_eq!(again.fault_sizes(), hidden.fault_sizes());
         }
     }

@@ -53,13 +53,13 @@ struct RunSampling {
 
 impl SpindleBench {
     pub(super) fn draw(
-        wanted: SourceKind,
+        source_kind: SourceKind,
         causes: &[HiddenCause],
         stream: &mut RandomStream,
     ) -> Self {
         let has = |cause| causes.contains(&cause);
         let max_rpm = stream.uniform(8.0, 30.0).round() * 1000.0;
-        let source = draw_elongation_source(wanted, causes, stream);
+        let source = draw_elongation_source(source_kind, causes, stream);
         let hours = stream.uniform(8.0, 24.0);
         let rows = stream.log_uniform(300.0, 3000.0).round() as usize;
         let interval_s = (hours * 3600.0 / rows as f64).round();
@@ -76,7 +76,7 @@ impl SpindleBench {
         };
         // What a thermometer at the bearing has of the shaft. With a displacement sensor it has little:
         // else it would be the growth itself, and every law of the one a law of the other.
-        let (ring_share, slower) = match wanted {
+        let (ring_share, slower) = match source_kind {
             SourceKind::Sensor => (stream.uniform(0.0, 0.1), stream.uniform(1.5, 3.0)),
             _ => (stream.uniform(0.2, 0.6), 1.0),
         };
@@ -143,12 +143,12 @@ impl SpindleBench {
 }
 
 fn draw_elongation_source(
-    wanted: SourceKind,
+    source_kind: SourceKind,
     causes: &[HiddenCause],
     stream: &mut RandomStream,
 ) -> ElongationSource {
     let has = |cause| causes.contains(&cause);
-    match wanted {
+    match source_kind {
         SourceKind::Sensor => ElongationSource::Sensor {
             k0_um: if stream.bernoulli(0.5) { 0.0 } else { stream.uniform(-5.0, 5.0).round() },
             zero_counts: stream.uniform(3000.0, 7000.0).round(),

@@ -22,12 +22,12 @@ pub(super) fn build_test_case(
 ) -> TestCase {
     let (quantity, machine, runs, shapes) = match base {
         BaseModel::Sensor | BaseModel::Temperature | BaseModel::Warmup => {
-            let wanted = match base {
+            let source_kind = match base {
                 BaseModel::Sensor => SourceKind::Sensor,
                 BaseModel::Temperature => SourceKind::Temperature,
                 _ => SourceKind::Warmup,
             };
-            let bench = SpindleBench::draw(wanted, causes, &mut stream);
+            let bench = SpindleBench::draw(source_kind, causes, &mut stream);
             let shapes: Vec<EffectShape> = causes
                 .iter()
                 .filter_map(|&cause| growth_effects::draw_shape(cause, &bench, &mut stream))

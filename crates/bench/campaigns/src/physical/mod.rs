@@ -10,7 +10,7 @@
 //! place of a thermometer. Its effect on the record follows from the physics of [`trueup_twin::spindle`],
 //! [`trueup_twin::axes`] and [`trueup_twin::sensors`], together with all other faults of that machine. Without a
 //! fault the machine file predicts every row but for the noise of gauge and sensors. Which cause a
-//! diagnosis has to name for a fault is said elsewhere, in `docs/physical-faults.md`; nothing here
+//! diagnosis has to name for a fault is stated elsewhere, in `docs/physical-faults.md`; nothing here
 //! knows the causes.
 
 mod axis;

@@ -254,10 +254,10 @@ pub fn score_diagnosis(challenge: &TestCase, diagnosis: &Diagnosis) -> Score {
         .map(|finding| {
             let evidence = &finding.evidence;
             // Without what it leaves and gains.
-            let said = evidence.iter().filter(|sentence| {
+            let sentences = evidence.iter().filter(|sentence| {
                 !sentence.starts_with("Without") && !sentence.starts_with("On left")
             });
-            format!("{}: {}", finding.cause, said.cloned().collect::<Vec<_>>().join(" "))
+            format!("{}: {}", finding.cause, sentences.cloned().collect::<Vec<_>>().join(" "))
         })
         .collect();
     let mut intervals = Vec::new();

@@ -54,7 +54,7 @@ pub fn score_dependence(kind: DependenceKind, seed: u64) -> DependenceScore {
     // Of the squares the noise stays.
     let effect_um = |rms_um: f64| (rms_um * rms_um - NOISE_UM * NOISE_UM).max(0.0).sqrt();
     let (before, after) = (report.before.holdout_rms_um, report.after.holdout_rms_um);
-    let told = report.findings.iter().map(|finding| {
+    let descriptions = report.findings.iter().map(|finding| {
         let mark = if finding.claimed { "" } else { "?" };
         format!("{mark}{} {:?} {:?}", finding.cause, columns(finding), finding.form)
     });
@@ -65,7 +65,7 @@ pub fn score_dependence(kind: DependenceKind, seed: u64) -> DependenceScore {
         findings: format!(
             "{}, {before:.2} -> {after:.2} µm: {}",
             report.verdict.name(),
-            told.collect::<Vec<_>>().join("; ")
+            descriptions.collect::<Vec<_>>().join("; ")
         ),
     }
 }

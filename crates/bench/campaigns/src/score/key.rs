@@ -61,8 +61,8 @@ impl AnswerKey {
     /// Compares `report` with the key.
     #[must_use]
     pub fn compare(&self, report: &Report) -> KeyComparison {
-        let names = |is_wanted: &dyn Fn(&Finding) -> bool| {
-            let findings = report.findings.iter().filter(|finding| is_wanted(finding));
+        let names = |is_selected: &dyn Fn(&Finding) -> bool| {
+            let findings = report.findings.iter().filter(|finding| is_selected(finding));
             findings.map(|finding| finding.cause.clone()).collect::<Vec<String>>()
         };
         let is_true = |finding: &Finding| self.allowed.iter().any(|truth| truth.is(finding));

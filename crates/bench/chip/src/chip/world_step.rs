@@ -5,7 +5,7 @@ use crate::link::{CONTROL_ID, POSITION_IDS, SPINDLE_ID};
 use crate::time::{ms_to_ticks, us_to_ticks};
 
 impl Chip {
-    /// Once a millisecond: the CNC's frames, and what the serial line's client has said.
+    /// Once a millisecond: the CNC's frames, and what the serial line's client has sent.
     pub(crate) fn step_world(&mut self) {
         let now = self.now;
         let n = now / ms_to_ticks(1);

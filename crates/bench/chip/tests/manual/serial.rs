@@ -21,7 +21,7 @@ fn line(settings: u32) -> Bench {
     bench
 }
 
-fn said(bench: &Bench, byte: u8) {
+fn send_byte(bench: &Bench, byte: u8) {
     let now = bench.now;
     bench.at_once(|chip| chip.world.wires[1].to_board.push_back((now, byte)));
     bench.write(USART3 + 12, bench.read(USART3 + 12));
@@ -32,7 +32,7 @@ fn parity_is_the_ninth_bit_of_the_word_and_is_read_above_the_data() {
     // 30.3.7 and 30.6.2; with an even number of ones it is 0.
     for (byte, parity) in [(0x03, 0), (0x07, 1)] {
         let mut bench = line(EVEN);
-        said(&bench, byte);
+        send_byte(&bench, byte);
         bench.pass(us_to_ticks(CHARACTER_US - 5));
         assert_eq!(bench.read(USART3) & 0x20, 0, "it is still coming");
         bench.pass(us_to_ticks(10));
@@ -46,13 +46,13 @@ fn parity_is_the_ninth_bit_of_the_word_and_is_read_above_the_data() {
 fn a_character_of_another_form_and_a_wrong_parity_raise_their_flags_which_two_reads_clear() {
     // 30.6.1: PE and FE, cleared by a read of SR and one of DR.
     let mut bench = line(PLAIN);
-    said(&bench, 0x55);
+    send_byte(&bench, 0x55);
     bench.pass(us_to_ticks(CHARACTER_US + 5));
     assert_eq!(bench.read(USART3) & 0x22, 0x22, "FE: the wire has parity, the unit none");
     let mut bench = line(EVEN);
     bench.at_once(|chip| chip.uart[1].disturbed.count = 1);
     bench.at_once(|chip| chip.uart[1].disturbed.flags = 1);
-    said(&bench, 0x55);
+    send_byte(&bench, 0x55);
     bench.pass(us_to_ticks(CHARACTER_US + 5));
     assert_eq!(bench.read(USART3) & 0x21, 0x21);
     bench.read(USART3 + 4);

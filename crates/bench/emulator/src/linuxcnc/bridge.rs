@@ -241,7 +241,7 @@ impl EmulatedBridge {
         }
     }
 
-    /// Returns whether its time begins with that of LinuxCNC: what is said before would be late for good.
+    /// Returns whether its time begins with that of LinuxCNC: a message before would be late for good.
     #[must_use]
     pub(crate) fn is_clocked_by_cnc(&self) -> bool {
         matches!(self.board, BoardBackend::Servo { .. })

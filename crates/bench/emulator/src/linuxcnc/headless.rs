@@ -66,7 +66,7 @@ impl HeadlessLinuxCnc {
     /// until that is there.
     ///
     /// # Errors
-    /// It does not start; with what it said.
+    /// It does not start; with its output.
     pub fn start(folder: TempDir, ini: &str, control: LinuxCnc) -> Result<Self> {
         let path = |name: &str| folder.path().join(name);
         let listener = TcpListener::bind("127.0.0.1:0")?;
@@ -120,7 +120,7 @@ impl HeadlessLinuxCnc {
     /// Lets the screen do something, and gives its result.
     ///
     /// # Errors
-    /// It cannot, or LinuxCNC has ended; with what that said.
+    /// It cannot, or LinuxCNC has ended; with its output.
     pub fn send_request(&mut self, request: &Value) -> Result<Value> {
         let line = format!("{request}\n");
         let mut answer = String::new();
@@ -280,7 +280,7 @@ impl HeadlessLinuxCnc {
         Ok((Sampler(child), lines))
     }
 
-    /// Returns the end of what it and its parts have said so far.
+    /// Returns the end of what the output of it and its parts so far.
     #[must_use]
     pub fn recent_log(&self) -> String {
         read_recent_log(self.folder())

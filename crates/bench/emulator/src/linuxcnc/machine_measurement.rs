@@ -155,7 +155,7 @@ fn scenario_toml(measure: &[&str], repeat: u32, segments: &str) -> Result<String
 /// Measures the machine and makes its machine file, with `trueup` in `folder`.
 ///
 /// # Errors
-/// One of the steps fails; with what it said.
+/// One of the steps fails; with its output.
 pub(crate) fn measure_machine(trueup: &Path, folder: &Path) -> Result<MeasuredMachine> {
     let run = |arguments: &[&str]| -> Result<String> {
         let output = Command::new(trueup).args(arguments).current_dir(folder).output()?;

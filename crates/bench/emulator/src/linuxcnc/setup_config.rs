@@ -17,7 +17,7 @@ const FEED_SCRIPT: &str = "#!/bin/bash\nexec halstreamer < /dev/tcp/$1\n";
 /// Starts LinuxCNC with it.
 ///
 /// # Errors
-/// Setup or LinuxCNC refuses; with what it said.
+/// Setup or LinuxCNC refuses; with its output.
 pub fn start(
     plant: &RunningPlant,
     measured: &MeasuredMachine,

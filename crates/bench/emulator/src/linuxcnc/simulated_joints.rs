@@ -86,7 +86,7 @@ impl Default for ControlSettings<'_> {
 /// `y` and `z` are the joints' positions in mm.
 ///
 /// # Errors
-/// It does not start; with what it said.
+/// It does not start; with its output.
 pub fn start(
     control: LinuxCnc,
     axes: &[AxisIniLines; 3],

@@ -138,8 +138,8 @@ fn firmware_rows() -> Vec<PageRow> {
         ),
         PageRow::new(
             EntryContent::FirmwareRefused,
-            "why the last one was refused (abort 0x06090030): 1 no header, 2 later format, 3 other slot, 4 length, \
-             5 below the floor, 6 floor above its version, 7 damaged, 8 signature, 9 not newer, 10 on trial, 11 flash, \
+            "why the last one was refused (abort 0x06090030). 1 no header, 2 later format, 3 other slot, 4 length, 5 \
+             below the floor, 6 floor above its version. 7 damaged, 8 signature, 9 not newer, 10 on trial, 11 flash, \
              12 state not stored, 13 no slots",
         ),
         PageRow::new(
@@ -154,15 +154,16 @@ fn firmware_rows() -> Vec<PageRow> {
         PageRow::of_numbers(
             EntryContent::SlotStatus,
             [0, 1],
-            "status of A, B in the lower byte (0 new, 1 loading, 2 verified, 3 on trial, 4 on trial and about to reset \
-             itself, 5 confirmed, 6 rejected), starts on trial in the upper one",
+            "status of A, B in the lower byte, starts on trial in the upper one. The status is 0 new, 1 loading, 2 \
+             verified, 3 on trial, 4 on trial and about to reset itself, 5 confirmed, 6 rejected",
         ),
         PageRow::new(EntryContent::FirmwareFloor, "oldest version that may start"),
         PageRow::new(
             EntryContent::SlotChoice,
-            "why the boot program chose the slot that runs, in its own words: reason in the lowest byte (1 newest, \
-             2 on trial, 3 alone, 4 went back, 5 last resort), start on trial, then status of the other slot at that time \
-             and its starts on trial (0xFF 0xFF: no valid header); 0: the boot program is older than this object",
+            "why the boot program chose the slot that runs, in its own words. Lowest byte, the reason: 1 newest, 2 \
+             on trial, 3 alone, 4 went back, 5 last resort. Then start on trial, then status of the other slot at \
+             that time and its starts on trial (0xFF 0xFF: no valid header). 0: the boot program is older than this \
+             object",
         ),
     ]
 }

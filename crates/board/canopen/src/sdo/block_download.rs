@@ -2,7 +2,7 @@
 //! block is answered. A segment that is lost makes the rest of its block worthless: the answer names the last one that
 //! came in order, and the master sends on from there.
 //!
-//! The bytes of the last segment count only once the end has said how many of them are meant; they are held until then.
+//! The bytes of the last segment count only once the end has stated how many of them are meant; they are held until then.
 
 use super::{
     AbortCode, EntryContent, ObjectAccess, ObjectAddress, SEGMENT_BYTES, SEGMENTS_PER_BLOCK,

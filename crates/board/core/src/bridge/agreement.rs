@@ -3,7 +3,7 @@
 //! Each has a zero of its own, so what is compared is how far they have grown since both were there for the
 //! first time. They differ, where one is wrong, in proportion to the growth; so a model no longer fits if it is
 //! off by more than half of the larger growth: then more than half of what it corrects is made up. Below
-//! [`MIN_DISAGREEMENT_NM`] nothing is said, and not before it has lasted for [`MIN_DISAGREEMENT_STEPS`].
+//! [`MIN_DISAGREEMENT_NM`] nothing is reported, and not before it has lasted for [`MIN_DISAGREEMENT_STEPS`].
 
 use crate::{calibration::ElongationSource, units::Nanometres};
 
@@ -69,7 +69,7 @@ mod tests {
     /// How slowly what a model leaves wanders, in steps: ten minutes.
     const WANDER_STEPS: f64 = 6_000.0;
 
-    /// Returns how often a model behind the sensor is said not to fit in this many hours of a machine that starts, stops,
+    /// Returns how often a model behind the sensor is reported not to fit in this many hours of a machine that starts, stops,
     /// and is switched on anew; the model is off by this share of the growth and wanders by this much RMS next to.
     fn count_disagreements(hours: u32, share: f64, wander_nm: f64, seed: u64) -> u32 {
         let mut seed = seed;
@@ -100,7 +100,7 @@ mod tests {
     }
 
     /// At most this many an hour: each takes a minute in which the model, less what it was off by at the start, is off
-    /// by more than is said nothing of; the growth's share lets it come nearer by that of 30 µm.
+    /// by more is not reported; the growth's share lets it come nearer by that of 30 µm.
     fn most_an_hour(share: f64, wander_nm: f64) -> f64 {
         let rest_nm = f64::from(MIN_DISAGREEMENT_NM) * (1.0 - 2.0 * share.abs());
         let sigmas = rest_nm / (2_f64.sqrt() * wander_nm);

@@ -26,7 +26,7 @@ impl SelectedSource {
 }
 
 /// Number of past heat steps kept, one report each: a sensor that freezes is found
-/// after 200 ms, and the next source does not go on from what it said meanwhile.
+/// after 200 ms, and the next source does not go on from its values meanwhile.
 pub(super) const HISTORY_STEPS: usize = 4;
 
 /// The source in use, and how it joins the one before.

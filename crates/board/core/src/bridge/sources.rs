@@ -124,7 +124,7 @@ impl Bridge<'_> {
                 };
                 let shift = i64::from(joins_at.0).wrapping_sub(raw_value.0.into());
                 state.joint.shift = Nanometres::saturating_from(shift);
-                // What one has said before it was lost is no longer where the next goes on from.
+                // The value of one before it was lost is no longer where the next goes on from.
                 if !stays {
                     state.joint.before = [None; HISTORY_STEPS];
                 }

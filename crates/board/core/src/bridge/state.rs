@@ -87,7 +87,7 @@ pub struct State {
     /// Their sums; `None`: a part has changed since.
     pub(super) error_sums: Option<ErrorSums>,
     pub(super) reference: Reference,
-    /// A `Zero` has taken it, and [`Self::take_zero_event`] has not said so.
+    /// A `Zero` has taken it, and [`Self::take_zero_event`] has not reported it.
     pub(super) zeroed: bool,
     /// How long ago the offset was last live; `None` if it is not to be held.
     live_age: Option<Age>,
@@ -181,7 +181,7 @@ impl ReceivedConditions {
     }
 }
 
-/// Where and when an axis was last said to be, believed or not.
+/// Where and when an axis was last reported, believed or not.
 #[derive(Clone, Copy, Debug, Default)]
 struct ReportedPosition {
     position: Position,

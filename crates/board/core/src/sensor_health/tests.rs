@@ -246,8 +246,9 @@ fn a_step_before_the_analogue_low_pass_is_reported_from_30_um_on() {
             health.has_jumped()
         })
     };
-    let first = (0..400).find(|codes| is_detected(f64::from(*codes))).expect("a large one is told");
-    std::println!("told from {first} codes on");
+    let first =
+        (0..400).find(|codes| is_detected(f64::from(*codes))).expect("a large one is detected");
+    std::println!("detected from {first} codes on");
     assert!((139..=245).contains(&first));
     assert!((first..3_000).step_by(20).all(|codes| is_detected(f64::from(codes))));
 }

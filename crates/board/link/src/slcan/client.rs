@@ -47,7 +47,7 @@ impl Client {
         Self { lines: LineSplitter::new() }
     }
 
-    /// Takes a byte from the adapter; what it said, with the byte that ends it.
+    /// Takes a byte from the adapter; returns its message, with the byte that ends it.
     pub fn receive(&mut self, byte: u8) -> Option<Event> {
         if byte == BELL {
             // A refusal is a line of its own, without an end; what stood before it is cut off.

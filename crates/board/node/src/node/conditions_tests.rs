@@ -41,7 +41,7 @@ impl ConditionRig {
         rig
     }
 
-    /// `Control`, and `Conditions` if they are said, then 20 ms.
+    /// `Control`, and `Conditions` if they are sent, then 20 ms.
     fn send_control(&mut self, control: Control, conditions: Option<Frame>) {
         self.node
             .receive(Interface::Can, &frames::encode_control(control, self.counter))

@@ -33,7 +33,7 @@ fn run_for_ms(node: &mut Node<'_>, ms: u32, code: u16) {
     }
 }
 
-/// Returns a node whose PLC has said this, a block each 20 ms; the counter of the next one.
+/// Returns a node whose PLC has sent this, a block each 20 ms; the counter of the next one.
 fn after(node: &mut Node<'_>, controls: &[Control], first: u16) -> u16 {
     let mut counter = first;
     for control in controls {
@@ -245,7 +245,7 @@ fn of_100_000_polls_of_values_that_change_every_millisecond_none_is_half_old() {
         assert_eq!(input_block.counter, (node.now().0 & 0xFFFF) as u16);
         assert_eq!((input_block.output.quality, input_block.state), (Quality::Live, 0), "poll {n}");
         changed += u32::from(last.replace(input_block.elongation) != Some(input_block.elongation));
-        // Up and down again, not from one end to the other: that would be a jump, and told.
+        // Up and down again, not from one end to the other: that would be a jump, and reported.
         let step = n / 8 % 2_000;
         run_for_ms(&mut node, 1, 700 + step.min(2_000 - step) as u16);
         if n % 20 == 0 {

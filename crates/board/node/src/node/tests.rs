@@ -27,7 +27,7 @@ std::thread_local! {
     static SERVICE: core::cell::Cell<Option<u8>> = const { core::cell::Cell::new(None) };
 }
 
-/// Lets this many milliseconds pass without samples; gives what was said besides the offsets.
+/// Lets this many milliseconds pass without samples; returns the other messages than the offsets.
 fn pass(node: &mut Node<'_>, ms: u32) -> Vec<Frame> {
     let text = (0..ms).flat_map(|_| {
         node.tick(1, Input::default());

@@ -151,7 +151,7 @@ fn reported_after(fault: Fault) -> u32 {
             return at.saturating_sub(detected.unwrap_or(*at));
         }
     }
-    panic!("{fault:?} is never told");
+    panic!("{fault:?} is never reported");
 }
 
 /// Returns the list, a line each.
@@ -169,6 +169,6 @@ fn every_fault_has_its_emergency_within_100_ms() {
     for fault in Fault::ALL {
         let after = reported_after(fault);
         println!("{fault:?}: {after} ms");
-        assert!(after <= WITHIN_MS, "{fault:?} is told after {after} ms");
+        assert!(after <= WITHIN_MS, "{fault:?} is reported after {after} ms");
     }
 }

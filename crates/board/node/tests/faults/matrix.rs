@@ -99,24 +99,27 @@ fn cell(part: Part, kind: Kind, state: State) -> String {
 
 const HEAD: &str = "# Fault matrix
 
-What a bridge does when an input fails, in every state: after how many milliseconds it is reported and as which emergency, the
-quality after 10 s of the fault, and the largest difference from the offset of a bridge without the fault in these 10 s (on
-X or Z; slew limit 20 µm/s; where no offset is available, from 0). Made and compared by a test:
+For each input that fails, in every state, the table says what a bridge does. The first entry is the number of
+milliseconds until the fault is reported, and the emergency. The second is the quality after 10 s of the fault. The
+third is the largest difference, in these 10 s, from the offset of a bridge without the fault. It is on X or Z, with a
+slew limit of 20 µm/s; where no offset is available, it is from 0. Made and compared by a test:
 `TRUEUP_WRITE_MATRIX=1 cargo test -p trueup-node --test faults matrix -- --ignored` writes it.
 
-The machine: a spindle with a sensor, a thermometer (4 µm/K) and a warm-up model, one after the other; X with a
-thermometer (2 µm/K) and a table (20 µm/m), on its way at up to 3.8 m/min. *Off* is a cable pulled or a sender that is silent,
-*open* and *short* are the wires (of a CAN frame: none comes), *bias* is 10 µm, 5 K, 10 mm, 120 r/min, *drift* that much a minute
-(of the speed 10 r/min a second), *slow* a lag of 5 s or a frame every 400 ms, *delayed* 1 s, *intermittent* gone for 30 of 200 ms,
-300 of 1000 ms, or every second frame.
+The machine has a spindle with a sensor, a thermometer (4 µm/K) and a warm-up model, one after the other. X has a
+thermometer (2 µm/K) and a table (20 µm/m), and is on its way at up to 3.8 m/min. *Off* is a cable pulled or a sender
+that is silent. *Open* and *short* are the wires (of a CAN frame: none comes). *Bias* is 10 µm, 5 K, 10 mm, 120 r/min.
+*Drift* is that much a minute (of the speed 10 r/min a second). *Slow* is a lag of 5 s or a frame every 400 ms,
+*delayed* is 1 s. *Intermittent* is gone for 30 of 200 ms, 300 of 1000 ms, or every second frame.
 
-**Not detectable.** A bias of a sensor, or a slow drift of an input that nothing else watches, looks like the machine itself. Its whole size is
-the error: the sensor's 1 : 1, a thermometer's times its law (µm/K), a position's times the slope of its tables. Who needs
-more watches with a second source. A thermometer that changes faster than its mass can (here by more than 10 K/min) is not believed until it has stayed within that for 60 s; one that stops is found after 40 s, longer than here, if
-its noise is half a step or more and another one goes on. A sensor that jumps by more than 3.9 µm in 50 µs (before its low-pass: by some 30 µm)
-is reported, and believed. A position that its axis
-cannot have reached since the last (by its rapid traverse, here 6 m/min) is not believed until three more have followed from it; one that a CNC
-sends wrong but within reach is the CNC's word: the offset follows it at the slew limit and within the largest offset.
+**Not detectable.** A bias of a sensor, or a slow drift of an input that nothing else watches, looks like the machine
+itself. Its whole size is the error: the sensor's 1 : 1, a thermometer's times its law (µm/K), a position's times the
+slope of its tables. If you need more, watch with a second source. A thermometer that changes faster than its mass can
+is not believed until it has stayed within the limit for 60 s. The limit is 10 K/min here. One that stops is found
+after 40 s, longer than here, if its noise is half a step or more and another one goes on. A sensor that jumps by more
+than 3.9 µm in 50 µs (before its low-pass: by some 30 µm) is reported, and believed. A position that its axis cannot
+have reached since the last is not believed until three more have followed from it. The limit is its rapid traverse,
+here 6 m/min. One that a CNC sends wrong but within reach is the CNC's word. The offset follows it at the slew limit
+and within the largest offset.
 
 ";
 

@@ -50,7 +50,7 @@ fn the_newest_counts_through_more_than_the_flash_holds() {
         // Once in a half what would be left alone is copied, which takes a number too.
         assert!((last + 1..=last + 2).contains(&sequence), "{sequence} after {last}");
         last = sequence;
-        assert_eq!(turns, blob(number).len().div_ceil(CHUNK_SIZE), "the watchdog was told");
+        assert_eq!(turns, blob(number).len().div_ceil(CHUNK_SIZE), "the watchdog was fed");
         flash = slots.log.flash;
         assert_eq!(newest(&flash), Some(blob(number)), "number {number}");
     }
@@ -117,7 +117,10 @@ fn one_damaged_byte_anywhere_and_the_one_before_counts() {
         assert_eq!(newest(&damaged), Some(blob(1)), "byte {at}");
         let found = open(&damaged, IMAGE).1;
         assert_eq!(found.damaged + found.foreign, 1);
-        assert!(found.newer_is_damaged, "byte {at}: told, for what counts is not what was loaded");
+        assert!(
+            found.newer_is_damaged,
+            "byte {at}: reported, for what counts is not what was loaded"
+        );
     }
 }
 
@@ -227,7 +230,7 @@ fn burnt(flash: &Flash, blob: &[u8]) -> [usize; 2] {
 }
 
 /// Two lives end at these places; whichever way the wavering bits are read, what counts is the old one or
-/// a new one, and the last if it was said to be stored.
+/// a new one, and the last if it was reported as stored.
 fn judge(flash: &Flash, old: Option<&[u8]>, blobs: [&[u8]; 2], cuts: [usize; 2]) {
     let (once, was_stored) = live(flash, cuts[0], blobs[0]);
     let (twice, is_stored) = live(&once, cuts[1], blobs[1]);

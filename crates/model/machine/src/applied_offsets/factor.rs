@@ -141,7 +141,8 @@ pub fn require_unit_factor(
             format!("{} {}", factor.describe(), FactorEstimate::troubleshooting_steps().join(" "))
         }
         OffsetApplication::Unknown(_) => format!(
-            "measured_{}_um is correlated with the offset of the bridge: a constant of the machine is wrong, or the CNC does not apply the offset exactly once. {}",
+            "measured_{}_um is correlated with the offset of the bridge. A constant of the \
+             machine is wrong, or the CNC does not apply the offset exactly once. {}",
             quantity.name(),
             repeat_run_instruction()
         ),

@@ -4,17 +4,19 @@ use super::interval::FactorEstimate;
 
 /// The possible faults of each control.
 const TROUBLESHOOTING_HINTS: [&str; 5] = [
-    "LinuxCNC: axis.L.eoffset-scale (trueup.0.scale, 10⁻⁶ mm for a count of 1 nm) and the sign of axis.L.eoffset-counts; \
-     axis.L.eoffset-enable; [AXIS_L] OFFSET_AV_RATIO (absent or 0: the offset is never applied); another owner that adds \
-     to the counts.",
-    "SINUMERIK 840D: the words of DB 900 and their unit (0.01 µm to mm); the sign of the temperature compensation, for a \
-     positive $SA_TEMP_COMP_ABS_VALUE (SD43900) or $SC_TOOL_TEMP_COMP (SD42960) moves the axis negative; \
-     MD32750 $MA_TEMP_COMP_TYPE; SD43900 and SD42960 both written add the offset twice; an axis programmed in diameter.",
-    "FANUC: the external machine coordinate system shift by G000 to G002: its sign (the shift is the offset itself), the \
-     least input increment (1 or 0.1 µm), EREND for each axis, an axis in diameter (1006#3).",
+    "LinuxCNC: axis.L.eoffset-scale (trueup.0.scale, 10⁻⁶ mm for a count of 1 nm) and the sign \
+     of axis.L.eoffset-counts. Also axis.L.eoffset-enable, [AXIS_L] OFFSET_AV_RATIO (absent or \
+     0: the offset is never applied), or another owner that adds to the counts.",
+    "SINUMERIK 840D: the words of DB 900 and their unit (0.01 µm to mm). The sign of the \
+     temperature compensation: a positive $SA_TEMP_COMP_ABS_VALUE (SD43900) or \
+     $SC_TOOL_TEMP_COMP (SD42960) moves the axis negative. MD32750 $MA_TEMP_COMP_TYPE. SD43900 \
+     and SD42960 both written add the offset twice. An axis programmed in diameter.",
+    "FANUC: the external machine coordinate system shift by G000 to G002. Look at its sign (the \
+     shift is the offset itself) and the least input increment (1 or 0.1 µm). Also EREND for \
+     each axis, and an axis in diameter (1006#3).",
     "HEIDENHAIN: the sign and the unit of the PLC's axis offset, and whether the PLC program adds it in two places.",
-    "Modbus: the unit of the offset registers (0.01 µm), the order of the two words, signed 32 bits; the scale and the sign in \
-     the PLC program behind the gateway.",
+    "Modbus: the unit of the offset registers (0.01 µm), the order of the two words, signed 32 \
+     bits. Also the scale and the sign in the PLC program behind the gateway.",
 ];
 
 /// Factors that faults have.
@@ -64,6 +66,7 @@ impl FactorEstimate {
 /// Returns which record decides between the factor and a constant of the model.
 #[must_use]
 pub fn repeat_run_instruction() -> &'static str {
-    "Record the same once more with the bridge disengaged (Engage off, offsets at 0), and give both records: with the \
-     bridge engaged a CNC that applies the offset otherwise than once looks like another size of the error."
+    "Record the same once more with the bridge disengaged (Engage off, offsets at 0), and give \
+     both records. With the bridge engaged, a wrong factor in the CNC looks like another size \
+     of the error."
 }

@@ -202,8 +202,8 @@ fn compare_with_model(run: &RunFile, machine: &Machine) -> Vec<ModelComparison> 
         if (-MAX_SLOPE_RATIO..=-1.0 / MAX_SLOPE_RATIO).contains(&slope) {
             let what = "is minus what the machine file predicts: the sign is that of an error measured the other \
                         way round (errors are actual minus commanded)";
-            let help = "look at one reading: where the machine goes too far, the error must be positive; an \
-                        elongation is positive where the tool comes out of the spindle";
+            let help = "look at one reading: where the machine goes too far, the error must be \
+                positive. An elongation is positive where the tool comes out of the spindle";
             let warning = column_warning(run, name, what, help);
             return Some(ModelComparison { column: name.clone(), warning, is_unit: false });
         }

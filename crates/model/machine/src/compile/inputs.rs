@@ -138,8 +138,9 @@ pub(super) fn compile_thermometers(
             }
         };
         let Some(thermometer) = thermometer else {
-            let rule = "exceeds the range of the board: one °C must be from 0.01 to 10000 codes either way \
-                        (a code is 2.46 mV at an input with the divider 0.328), 0 °C within ±8388607 codes";
+            let rule = "exceeds the range of the board. One °C must be from 0.01 to 10000 codes \
+                either way, 0 °C within ±8388607 codes. A code is 2.46 mV at an input with the \
+                divider 0.328";
             return Err(machine.places.key_error(&key, rule));
         };
         let place = thermometers.get_mut(usize::from(input.channel));

@@ -60,8 +60,8 @@ pub(crate) fn slope_violation(slope: Slope, limits: &Limits) -> Option<String> {
     let most = max_slope_um_per_mm(limits);
     (um_per_mm.abs() > most).then(|| {
         format!(
-            "rises by {um_per_mm:.1} µm per mm at {at_mm} mm, more than {most}: at a slew of {} µm/s \
-             the board falls behind at 30 mm/min already; are the units right?",
+            "rises by {um_per_mm:.1} µm per mm at {at_mm} mm, more than {most}. At a slew of {} \
+             µm/s the board falls behind at 30 mm/min already; are the units right?",
             limits.slew_um_per_s
         )
     })

@@ -230,7 +230,7 @@ impl Explanation for AngularError {
 
     fn next_test(&self) -> &'static str {
         "Measure the same line at two levers far apart, or the angle itself with a level or an \
-         autocollimator: the error differs by the angle times the distance."
+         autocollimator. The error differs by the angle times the distance."
     }
 
     fn parameters(&self, values: &[f64]) -> Vec<Parameter> {

@@ -194,7 +194,7 @@ impl Explanation for AxisExpansion {
     fn distinguishing_test(alternative: &str) -> Option<&'static str> {
         match alternative {
             "pitch-scale" | "extra-heat-path" => Some(
-                "Measure the axis at both ends, cold and warm: a scale stays as it is, heat by \
+                "Measure the axis at both ends, cold and warm. A scale does not change, heat by \
                  another path moves both ends alike, an expansion moves them apart.",
             ),
             _ => None,

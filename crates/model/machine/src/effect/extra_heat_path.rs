@@ -284,7 +284,7 @@ impl Explanation for ExtraHeatPath {
         match self {
             Self::OfTemperature(_) => {
                 "Record a run at least three times as long as the slow time constant, with a \
-                 cool-down, on another day: it must be predicted without a new fit."
+                 cool-down, on another day. It must be predicted without a new fit."
             }
             Self::OfSpeed(_) => {
                 "Record another day from cold: two speeds, each for three time constants, and a \

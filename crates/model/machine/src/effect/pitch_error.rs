@@ -147,8 +147,8 @@ impl Explanation for PitchError {
 
     fn repair_advice(&self) -> Option<&'static str> {
         Some(
-            "If the error has a kink, look at the pretension of the screw between its two bearings; if it has a bow, at \
-             whether screw and scale are parallel to the guide.",
+            "If the error has a kink, look at the pretension of the screw between its two \
+             bearings. If it has a bow, check that screw and scale are parallel to the guide.",
         )
     }
 

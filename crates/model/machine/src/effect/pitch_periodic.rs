@@ -171,7 +171,7 @@ impl Explanation for PitchPeriodic {
 
     fn next_test(&self) -> &'static str {
         "Measure one turn of the screw in steps of a twentieth of the period, and a second turn \
-         elsewhere: it must repeat with the same phase."
+         elsewhere. It must repeat with the same phase."
     }
 
     fn confounded_in_one_pass(&self) -> Option<&'static str> {

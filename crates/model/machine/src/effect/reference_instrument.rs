@@ -72,7 +72,7 @@ impl ReferenceInstrument {
         let amplitude = values[start].hypot(values[start + 1]);
         if self.origin_mm.is_some() {
             format!(
-                "the reference instrument's own error: a wave of {amplitude:.1} µm whose period \
+                "the reference instrument's own error: a wave of {amplitude:.1} µm. Its period \
                  changes with the distance, as that of an instrument that looks at an angle"
             )
         } else {

@@ -229,8 +229,8 @@ impl Explanation for SlowMode {
     }
 
     fn next_test(&self) -> &'static str {
-        "Record a run at least three times as long as the slow time constant, with a cool-down, on \
-         another day: it must be predicted without a new fit."
+        "Record a run at least three times as long as the slow time constant, with a cool-down, \
+         on another day. It must be predicted without a new fit."
     }
 
     fn distinguishing_test(_: &str) -> Option<&'static str> {

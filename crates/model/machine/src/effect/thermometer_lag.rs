@@ -153,8 +153,8 @@ impl Explanation for ThermometerLag {
     }
 
     fn next_test(&self) -> &'static str {
-        "Put the thermometer where the heat comes in, or a thinner one with better contact, and repeat \
-         the run: the growth must no longer begin before the temperature rises."
+        "Put the thermometer where the heat comes in, or a thinner one with better contact, and \
+         repeat the run. The growth must no longer begin before the temperature rises."
     }
 
     fn parameters(&self, _: &[f64]) -> Vec<Parameter> {

@@ -94,8 +94,8 @@ table! {
         board: Option<String> = key(Text, "", "the board that the calibration is for: the 24 hexadecimal digits of its chip's number, as `trueup bridge info` prints them").with_example_value("\"003b00213032470e39363634\"");
         kind: MachineKind = key(Choice(MachineKind::NAMES), "", "which rotary axes carry the tool (head) and which the workpiece (table); of a lathe the spindle carries the workpiece, and X is a radius").required().with_example_value("\"3-axis\"");
         head_axes: Vec<String> = key(Choices(RotaryAxis::NAMES), "", "the rotary axes that carry the spindle, from the frame to the tool: two for head-head, one for head-table").with_default("[]").omit_default();
-        tool_direction: [f64; 3] = key(Vector, "", "from the spindle nose to the tip with all angles at zero, of a lathe from the turret to the chuck; of any length but 0").with_default("[0.0, 0.0, -1.0]").with_range(range([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0], "a direction, at length 1"));
-        chain: Option<String> = key(Text, "", "which axis carries what, in the letters of ISO 10791-6: from the workpiece (w) over the bed (b) to the tool (t), with ' what moves the workpiece; X, Y and Z once each, next to the bed, the rotary axes of `head_axes` before t. Needed by `[angular]` and `[rotary]`").with_example_value("\"w X' b Y Z t\"");
+        tool_direction: [f64; 3] = key(Vector, "", "from the spindle nose to the tip with all angles at zero, of a lathe from the turret to the chuck. Any length but 0").with_default("[0.0, 0.0, -1.0]").with_range(range([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0], "a direction, at length 1"));
+        chain: Option<String> = key(Text, "", "which axis carries what, in the letters of ISO 10791-6. The order is from the workpiece (w) over the bed (b) to the tool (t), with ' what moves the workpiece. X, Y and Z once each, next to the bed. The rotary axes of `head_axes` before t. Needed by `[angular]` and `[rotary]`").with_example_value("\"w X' b Y Z t\"");
     }
 }
 
@@ -137,8 +137,8 @@ pub(super) fn read(section: &Section<'_>) -> Result<MachineSection, BadInput> {
     Ok(MachineSection { name, serial, board, kind, head_axes, tool_direction, chain })
 }
 
-const CHAIN_HELP: &str = "the axes from the workpiece (w) over the bed (b) to the tool (t), those that move the \
-                          workpiece with ', as in chain = \"w C' A' X' b Y Z t\"";
+const CHAIN_HELP: &str = "the axes from the workpiece (w) over the bed (b) to the tool (t). \
+    Mark those that move the workpiece with ', as in chain = \"w C' A' X' b Y Z t\"";
 
 /// Returns the number of a chip, the lowest word first; never 0, which is no chip's.
 fn parse_board_id(written: &str) -> Option<[u32; 3]> {

@@ -52,7 +52,7 @@ impl Edit {
         self.sections.is_empty() && self.replaced.is_empty() && self.appended.is_empty()
     }
 
-    /// Returns what is written, alone, as TOML; what a machine file may need next to it is said in comments.
+    /// Returns what is written, alone, as TOML; what a machine file may need next to it is stated in comments.
     #[must_use]
     pub fn to_toml(&self) -> String {
         let mut document = DocumentMut::new();

@@ -68,8 +68,8 @@ pub(crate) const EXPANSION_UNIT_HINT: &str =
 pub(crate) const SENSOR_SIGN_HINT: &str = "the growth would be turned round: the sign is that of an error measured the \
                                 other way round, or of the sensor";
 
-pub(crate) const EXPANSION_SOURCE: &str = "Invar 1, cast iron 10, steel 11.5, aluminium 23.8, plastics up to 100; a \
-                         thermometer that sees a part of the heat makes it a few times as much";
+pub(crate) const EXPANSION_SOURCE: &str = "Invar 1, cast iron 10, steel 11.5, aluminium 23.8, \
+    plastics up to 100. A thermometer that sees a part of the heat makes it a few times as much";
 pub(crate) const GROWTH_SOURCE: &str =
     "0.1 to 0.5 m of steel or ceramic, 11.5 µm/(m·K), seen by one thermometer";
 pub(crate) const TIME_CONSTANT_SOURCE: &str = "a body of thickness L settles in L²/(π²·a): 1 m of cast iron 2 h, a foundation of 2 m \

@@ -1,4 +1,4 @@
-//! A section that is to be written: its name, its keys in their order, and what is said next to them.
+//! A section that is to be written: its name, its keys in their order, and the comments next to them.
 
 /// A section to be written.
 #[derive(Clone, Debug, PartialEq)]

@@ -91,7 +91,7 @@ fn nothing_is_derived_where_positions_do_not_say_it() {
     assert_eq!(derives(&format!("x_mm,measured_dx_um\n{one_way}"), None), (false, 0));
     let there_and_back = "0,1\n5,1\n9,1\n9,1\n5,1\n0,1\n0,1\n5,1\n9,1\n9,1\n5,1\n0,1\n";
     assert_eq!(derives(&format!("x_mm,measured_dz_um\n{there_and_back}"), None), (false, 0));
-    // Positions in no order are told where the model goes by the direction.
+    // Positions in no order are reported where the model goes by the direction.
     let drawn: String = (0..40).map(|row| format!("{},0.1\n", row * 17 % 41)).collect();
     let text = format!("x_mm,measured_dx_um\n{drawn}");
     assert_eq!(derives(&text, None), (false, 0));

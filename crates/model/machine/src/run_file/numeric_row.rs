@@ -1,5 +1,5 @@
 //! A row of plain numbers, as nearly every row is one: read in one pass over its bytes. Of any other row nothing is
-//! said here: it is read field by field, where what is wrong with it is known.
+//! stated here: it is read field by field, where what is wrong with it is known.
 
 /// Returns the value and the place of each field of `text`, if they are as many as `columns`, all characters are ASCII,
 /// and each field is a finite number or nothing.

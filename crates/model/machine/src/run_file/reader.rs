@@ -329,7 +329,8 @@ impl<'p> RunReader<'p> {
         let word = |path: &Path| shell_quote(&path.to_string_lossy());
         let help = format!(
             "if the clock was changed (the end of summer time), write each time with its offset \
-             (2026-10-25T02:30:00+01:00) or in UTC (2026-10-25T01:30:00Z), or: trueup import {} --summer-time yes -o {}",
+             (2026-10-25T02:30:00+01:00) or in UTC (2026-10-25T01:30:00Z). Or: trueup import {} \
+             --summer-time yes -o {}",
             word(self.path),
             word(&self.path.with_extension("run.csv"))
         );

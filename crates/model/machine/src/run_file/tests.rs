@@ -149,7 +149,7 @@ fn a_run_of_200_000_rows_is_read_whole() {
     assert_eq!(run.value_location(199_999, "sensor_counts").line, 200_001);
 }
 
-/// Returns what is said of `text` where a file may have 40 bytes and 4 values.
+/// Returns the message about `text` where a file may have 40 bytes and 4 values.
 fn out_of_bounds(text: &str) -> String {
     let bounds = SizeLimits { bytes: 40, values: 4 };
     let read = RunFile::read_within_bounds(bounds, text.as_bytes(), Path::new("r.csv"));

@@ -40,7 +40,7 @@ pub(crate) const INPUT_KEYS: &[Key] = &[
     ),
 ];
 
-const SERVICE_SWITCH_KEY: Key = key("service_switch", Boolean, "", "nothing is written to the board (calibration, reference, settings) unless the switch on its pin PB7 is closed to ground; it holds from this calibration's first start on, also against the next one")
+const SERVICE_SWITCH_KEY: Key = key("service_switch", Boolean, "", "nothing is written to the board (calibration, reference, settings) unless the switch on its pin PB7 is closed to ground. This holds from this calibration's first start on, also against the next one")
     .with_default("false")
     .omit_default();
 
@@ -59,14 +59,14 @@ table! {
     struct ThermometerKeys {
         channel: u8 = key(Whole(0, MAX_CHANNEL as u32), "", "the number of its converter on the board; no two share one").required().with_example_value("0");
         kind: ThermometerKind = key(Choice(ThermometerKind::NAMES), "", "a PT100 by IEC 60751, or a line").required().with_example_value("\"pt100\"");
-        zero_v: Option<f64> = key(Number, "V", "of a line: the voltage at 0 °C, by the line's own slope also where the transmitter does not reach it; with `c_per_v`, or `zero_counts` and `counts_per_c`").with_example_value("0.0");
+        zero_v: Option<f64> = key(Number, "V", "of a line: the voltage at 0 °C, by the line's own slope, also where the transmitter does not reach it. With `c_per_v`, or `zero_counts` and `counts_per_c`").with_example_value("0.0");
         c_per_v: Option<f64> = key(Number, "K/V", "of a line: kelvin for one volt at the input; not 0").with_example_value("10.0");
         zero_counts: Option<f64> = key(Number, "counts", "of a line in counts: the counts at 0 °C, in the place of `zero_v`").with_example_value("4000");
         counts_per_c: Option<f64> = key(Number, "counts/K", "of a line in counts: counts for one kelvin, not 0; in the place of `c_per_v`").with_example_value("16");
         counts_full_scale: Option<f64> = key(Positive, "counts", "of a line in counts: what the other converter gives at `full_scale_v` (27648 for a SIMATIC S7 input, 32768 for the paper's). Without it a count is a code of the board: 4096 at 3.3 V on the pin").with_example_value("27648");
         full_scale_v: Option<f64> = key(Positive, "V", "of a line: the largest voltage of the input").with_default("10.0");
         divider: Option<f64> = key(Positive, "", "of a line: volts at the board's converter for one volt at the input; `full_scale_v` · `divider` must not be above 3.3 V").with_default("0.328");
-        max_c_per_min: Option<f64> = key(Positive, "K/min", "the fastest change that the mass at the thermometer can make, from 0.1 to 600; a faster reading is not believed until it has stayed within it for 60 s. Without it 10 where a law uses the thermometer; coolant, oil and air need more").with_example_value("60.0").with_range(range([0.0, 1e4], [0.1, 600.0], [1.0, 60.0], USER_SETTING_SOURCE));
+        max_c_per_min: Option<f64> = key(Positive, "K/min", "the fastest change that the mass at the thermometer can make, from 0.1 to 600. A faster reading is not believed until it has stayed within it for 60 s. Without it 10 where a law uses the thermometer; coolant, oil and air need more").with_example_value("60.0").with_range(range([0.0, 1e4], [0.1, 600.0], [1.0, 60.0], USER_SETTING_SOURCE));
     }
 }
 

@@ -219,7 +219,8 @@ const fn tilt_key(name: &'static str, meaning: &'static str) -> Key {
 
 const POINT_KEY: Key = point_key(
     "point_mm",
-    "a point of its line with all axes at 0: of an axis that turns the workpiece in machine coordinates, of one that turns the tool from the spindle nose",
+    "a point of its line with all axes at 0. Of an axis that turns the workpiece: in machine coordinates. Of one \
+     that turns the tool: from the spindle nose",
 );
 
 /// Of A, B and C: the point; the shifts along X, Y and Z without that along the line; the tilts about A, B and C.
@@ -333,8 +334,8 @@ pub(crate) fn check(root: &Section<'_>, volume: &VolumetricModel) -> Result<(), 
     let Some(chain) = chain else {
         let rule = "needs machine.chain, which states what each axis carries: the sign and the lever of an error \
                     depend on it";
-        let help = "write the axes into [machine] from the workpiece over the bed to the tool, those that move \
-                    the workpiece with ': chain = \"w X' b Y Z t\"";
+        let help = "write the axes into [machine] from the workpiece over the bed to the tool. \
+            Mark those that move the workpiece with ': chain = \"w X' b Y Z t\"";
         return Err(root.key_error(first, rule).with_help(help));
     };
     let rotary = chain.rotary_axes();

@@ -87,7 +87,7 @@ fn what_cannot_be_run_is_refused_with_its_place_and_the_rule() {
         (
             "[axis.x.pitch]\nstart_mm = 5\nstep_mm = 10\nforward_um = [0, 0, 401]\n".to_string(),
             "4:9",
-            "axis.x.pitch rises by 40.1 µm per mm at 15 mm, more than 40: at a slew of 20",
+            "axis.x.pitch rises by 40.1 µm per mm at 15 mm, more than 40. At a slew of 20",
         ),
         (
             "[axis.x.pitch]\nstart_mm = 0\nstep_mm = 1\nforward_um = [0, 0]\n\
@@ -113,7 +113,7 @@ fn what_cannot_be_run_is_refused_with_its_place_and_the_rule() {
              [0, 10.5]\n"
                 .to_string(),
             "6:9",
-            "axis.x.pitch rises by 10.5 µm per mm at 0 mm, more than 10: at a slew of 5",
+            "axis.x.pitch rises by 10.5 µm per mm at 0 mm, more than 10. At a slew of 5",
         ),
         (
             curve("[0, 0, 5, 5.000001, 10, 10]", "[0, 1, 1, 0]"),

@@ -198,9 +198,10 @@ pub fn restore(args: &RestoreArgs, as_json: bool) -> Result<Outcome> {
             now.to_text()
         )),
         (Some(nm), Some(Err(why))) => report::warn(format_args!(
-            "the reference that Zero had taken is NOT on this board ({}): {why}. Its offsets count from the \
-             calibration's own zero. Before anything is cut: bring the machine into the state in which tools \
-             are touched off, home it, and let the CNC set Zero again (LinuxCNC: pin trueup.zero)",
+            "the reference that Zero had taken is NOT on this board ({}): {why}. Its offsets \
+             count from the calibration's own zero. Before anything is cut: bring the machine \
+             into the state in which tools are touched off and home it. Then let the CNC set \
+             Zero again (LinuxCNC: pin trueup.zero)",
             format_reference(nm)
         )),
         _ => {}

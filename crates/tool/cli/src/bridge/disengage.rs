@@ -60,9 +60,10 @@ pub fn run(args: &DisengageArgs, as_json: bool) -> Result<Outcome> {
     match done {
         DisengageOutcome::AtRest(_) | DisengageOutcome::Done { .. } => return Ok(Outcome::Done),
         DisengageOutcome::CncCommands(nm) => report::warn(format_args!(
-            "a CNC commands this bridge and follows its offset, {}: nothing was sent, for it may be cutting. \
-             Disengage there. LinuxCNC: halcmd setp trueup.0.enable 0 (or the signal on that pin); SINUMERIK: the input \
-             ENABLE of the block; Modbus: bit 0 of Control; trueup virtual: type disengage where it runs",
+            "a CNC commands this bridge and follows its offset, {}: nothing was sent, for it \
+             may be cutting. Disengage there. LinuxCNC: halcmd setp trueup.0.enable 0 (or the \
+             signal on that pin). SINUMERIK: the input ENABLE of the block. Modbus: bit 0 of \
+             Control. trueup virtual: type disengage where it runs",
             format_offsets(nm)
         )),
         DisengageOutcome::Stands(nm) => report::warn(format_args!(

@@ -168,9 +168,9 @@ fn previous_calibration_file(session: &mut Session) -> Result<PathBuf> {
     let place =
         place.map_or("no folder for states".into(), |place| place.folder().display().to_string());
     bail!(UserError(format!(
-        "this computer has no calibration that {running:08x} has replaced on this board ({place}): it was loaded \
-         elsewhere, or is the board's first. trueup bridge info lists what was loaded; load its file, or a backup (trueup \
-         bridge restore)"
+        "this computer has no calibration that {running:08x} has replaced on this board \
+         ({place}). It was loaded elsewhere, or is the board's first. trueup bridge info lists \
+         what was loaded. Load its file, or a backup (trueup bridge restore)"
     )))
 }
 

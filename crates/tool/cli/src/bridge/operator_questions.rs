@@ -1,4 +1,4 @@
-//! The questions of a bridge to its operator, read and said: until they are answered nothing is engaged.
+//! The questions of a bridge to its operator, read and printed: until they are answered nothing is engaged.
 
 use anyhow::Result;
 use trueup_client::{

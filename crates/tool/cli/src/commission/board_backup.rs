@@ -88,7 +88,9 @@ impl CommissioningRun<'_> {
             && (&owner.machine[..], &owner.serial[..]) != (&self.machine.name[..], serial)
         {
             bail!(UserError(format!(
-                "{}: is of \"{}\"{}, and this bridge works for {}: nothing is loaded. Connect the right bridge. If this bridge is to work here from now on, load a calibration of this machine first (trueup bridge load) and Confirm it at the CNC",
+                "{}: is of \"{}\"{}, and this bridge works for {}: nothing is loaded. Connect \
+                 the right bridge. If this bridge is to work here from now on, first load a \
+                 calibration of this machine (trueup bridge load). Then Confirm it at the CNC",
                 self.args.machine.display(),
                 self.machine.name,
                 if serial.is_empty() { String::new() } else { format!(", serial {serial}") },

@@ -27,8 +27,9 @@ pub fn setup_instructions(machine: &Machine, axis: Option<LinearAxis>) -> String
             "  disengage; set a gauge between turret and chuck to zero, along Z, against a part that does not turn (nothing may touch a turning part). Start the spindle if it has no sensor; then engage at the CNC"
                 .into()
         }
-        None => "  set all angles to 0, and a gauge at the spindle's housing, along the tool, to zero, disengaged \
-                 (nothing may touch what turns); start the spindle if it has no sensor; then engage at the CNC"
+        None => "  set all angles to 0, and a gauge at the spindle's housing, along the tool, \
+            to zero, disengaged (nothing may touch what turns). Start the spindle if it has no \
+            sensor; then engage at the CNC"
             .into(),
         Some(axis) => format!(
             "  home the machine, let {axis} stand, and set a gauge along {axis} to zero, disengaged; then \

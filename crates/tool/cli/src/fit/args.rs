@@ -36,11 +36,13 @@ pub enum FitKind {
     Warmup(Warmup),
     /// [axis.x.thermal]: an axis's growth with a temperature.
     Thermal(Thermal),
-    /// `[squareness]`, `[axis.x.backlash]`, `[axis.x.pitch]` and `[straightness.y_of_x]` by a ball bar or an indicator on a circle: the
-    /// causes of its form, the figures of ISO 230-4, and the polar plot as a page.
+    /// `[squareness]`, `[axis.x.backlash]`, `[axis.x.pitch]` and `[straightness.y_of_x]` by a ball
+    /// bar or an indicator on a circle. Gives the causes of its form, the figures of ISO 230-4, and
+    /// the polar plot as a page.
     Circle(Circle),
-    /// The 21 errors of three axes and the lines of rotary axes, from any mix of balls, step diagonals, circles, straight edges and
-    /// lengths: `[axis.x.pitch]`, `[straightness]`, `[squareness]`, `[angular]`, `[rotary]`.
+    /// The 21 errors of three axes and the lines of rotary axes, from any mix of balls, step
+    /// diagonals, circles, straight edges and lengths. Writes `[axis.x.pitch]`, `[straightness]`,
+    /// `[squareness]`, `[angular]`, `[rotary]`.
     Volume(Volume),
     /// B-spline, polynomial and lines side by side on your straightness runs: nothing is fitted for the bridge.
     Table1(Table1),
@@ -148,9 +150,11 @@ pub struct Circle {
 
 /// Finds the errors of the whole volume.
 ///
-/// Each row has x_mm, y_mm, z_mm (a_deg, b_deg, c_deg, tool_length_mm, setup) and one of measured_dx_um with measured_dy_um and
-/// measured_dz_um (a ball), measured_diagonal_um, measured_dr_um (a circle), or one of measured_dx_um, measured_dy_um, measured_dz_um
-/// (a gauge on a straight edge, a length). It says which errors are known, and which measurement would settle the rest.
+/// Each row has x_mm, y_mm, z_mm (a_deg, b_deg, c_deg, tool_length_mm, setup) and a measurement. A
+/// ball: measured_dx_um with measured_dy_um and measured_dz_um. A diagonal: measured_diagonal_um. A
+/// circle: measured_dr_um. A gauge on a straight edge, a length: one of measured_dx_um,
+/// measured_dy_um, measured_dz_um. It says which errors are known, and which measurement would
+/// settle the rest.
 ///
 /// Exit 3: no correction is better on held-out readings by more than the standard error, and nothing is written.
 #[derive(Args)]
@@ -186,9 +190,10 @@ pub struct StraightnessArgs {
     pub method: FitMethod,
 }
 
-/// The table of the paper on straightness for your own runs: what a B-spline, a polynomial of degree 7 and straight lines leave of each
-/// curve and of each diagonal (range, mean, mean square, within any metre), how much the correction's speed jumps at
-/// the corners of lines, and what that asks of the axis.
+/// The table of the paper on straightness for your own runs. It says what a B-spline, a polynomial
+/// of degree 7 and straight lines leave of each curve and diagonal. The columns are range, mean,
+/// mean square, and within any metre. Also how much the correction's speed jumps at the corners of
+/// lines, and what that requires of the axis.
 ///
 /// A run in which one axis moves is a curve; one in which two move is a diagonal, and needs the curves of both.
 #[derive(Args)]

@@ -44,8 +44,8 @@ pub fn read_record_with_reading(
     let age_s = now_s - last_s;
     if !(-1.0..=MAX_RECORD_AGE_S).contains(&age_s) {
         return Err(bad(format!(
-            "its last row is {age_s:.0} s old, and a reading belongs to one of the last {MAX_RECORD_AGE_S:.0} s: does \
-             trueup linuxcnc --record write it, by the same clock?"
+            "its last row is {age_s:.0} s old, and a reading belongs to one of the last \
+             {MAX_RECORD_AGE_S:.0} s. Does trueup linuxcnc --record write it, by the same clock?"
         ))
         .into());
     }

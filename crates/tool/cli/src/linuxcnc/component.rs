@@ -97,8 +97,9 @@ fn find_library(given: Option<&Path>) -> Result<PathBuf> {
         [folder.join(LIBRARY_FILE_NAME), folder.join("../lib/trueup").join(LIBRARY_FILE_NAME)];
     places.iter().find(|path| path.is_file()).cloned().ok_or_else(|| {
         UserError(format!(
-            "{LIBRARY_FILE_NAME} is not next to {}, where a release has it: give it with --library FILE, or build it from the source: \
-             cargo rustc -p trueup-servo --lib --profile servo --crate-type staticlib -- --cfg trueup_library",
+            "{LIBRARY_FILE_NAME} is not next to {}, where a release has it. Give it with \
+             --library FILE, or build it from the source: cargo rustc -p trueup-servo --lib \
+             --profile servo --crate-type staticlib -- --cfg trueup_library",
             program.display()
         ))
         .into()

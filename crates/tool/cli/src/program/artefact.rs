@@ -10,9 +10,10 @@ use crate::UserError;
 /// Place, size and stylus.
 #[derive(Args)]
 pub struct ArtefactArgs {
-    /// Where it is, in mm of the machine. circle: the centre (default: the middle of the ranges), and where the axis stands that
-    /// is not moved. sphere, plate: where the axes would stand with the stylus ball in the centre of the ball, of a plate of
-    /// its first one. square: the corner, and the height of the touches.
+    /// Where it is, in mm of the machine. For circle: the centre (default: the middle of the
+    /// ranges), and where the axis stands that is not moved. For sphere and plate: where the axes
+    /// would stand with the stylus ball in the centre of the ball (of a plate, its first ball). For
+    /// square: the corner, and the height of the touches.
     #[arg(long, value_name = "x=MM,y=MM,z=MM", value_delimiter = ',', allow_hyphen_values = true)]
     at: Vec<String>,
     /// circle: the radius in mm. Default: the longest ball bar of 300, 150, 100 and 50 mm that has room.

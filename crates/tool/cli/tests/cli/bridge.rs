@@ -368,11 +368,11 @@ fn a_recording_is_a_log_of_every_frame_and_a_run_file() {
     let (_, err) = record("1 --record here", 2);
     assert!(err.contains("bridge.log: the recording cannot be created: "), "{err}");
 
-    // Another machine file than the bridge's: told, and with --strict refused before anything is written.
+    // Another machine file than the bridge's: reported, and with --strict refused before anything is written.
     let mut other = paper_machine();
     other.limits.slew_um_per_s *= 2.0;
     desk.write("other.toml", other.to_toml());
-    let (_, err) = record("1 --record told --machine other.toml", 0);
+    let (_, err) = record("1 --record reported --machine other.toml", 0);
     assert!(err.contains("what is recorded is not of this file"), "{err}");
     let (_, err) = record("1 --record strict --machine other.toml --strict", 2);
     assert!(err.contains("what is recorded is not of this file"), "{err}");

@@ -1,4 +1,4 @@
-//! `trueup check`, and how errors and warnings are said. The shipped files and every measured set must be
+//! `trueup check`, and how errors and warnings are printed. The shipped files and every measured set must be
 //! silent: a warning that is wrong is worse than none.
 
 use std::{

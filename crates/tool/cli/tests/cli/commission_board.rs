@@ -236,7 +236,7 @@ fn the_real_firmware_is_commissioned_in_three_sittings() {
     terminal.shows(&["passed", "accepted; all of it is in all"]);
     assert_eq!(terminal.ended().code(), Some(0), "{}", terminal.text());
 
-    // What the board runs on is what was fitted, and the gauge has been told the truth.
+    // What the board runs on is what was fitted, and the gauge got the true value.
     shop.at_the_cnc("disengage");
     shop.live(1_000);
     let (out, _) = desk.run_expecting(

@@ -214,7 +214,7 @@ fn a_gantry_with_two_drives_gets_both_tables_and_one_run_says_which_stays() {
     assert!((axis.backlash.expect("written").width_um - 4.0).abs() < 0.3);
     assert!(axis.dual.as_ref().expect("kept").pitch.forward_um.iter().any(|um| *um > 20.0));
 
-    // One run: the other table stays, and that is said with what it costs to leave it.
+    // One run: the other table stays, and that is reported with what it costs to leave it.
     for run in ["one.csv", "nowhere.csv"] {
         let (out, stderr) = desk
             .run_expecting(&format!("fit pitch --machine gantry.toml --run {run} -o one.toml"), 0);
@@ -257,7 +257,7 @@ fn straightness_of_a_real_bed() {
     let rms = desk.predicted_rms("out.toml", "odd.csv", "dz");
     println!("bed: {coefficients} coefficients, on the odd points {rms:.3} µm RMS");
     assert!(rms < 0.8 && coefficients < 40.0, "{coefficients}: {rms}");
-    // A tolerance below the noise is not reached, and that is said.
+    // A tolerance below the noise is not reached, and that is reported.
     let line = "fit straightness --run even.csv --tolerance-um 0.001 -o tight.toml";
     let (out, _) = desk.run_expecting(line, 3);
     assert!(out.contains("not reached: the largest residual is "), "{out}");

@@ -142,7 +142,7 @@ fn a_command_that_is_given_a_table_names_the_line_that_imports_it() {
     assert!(err.contains("is no run file, but a table that can be imported"), "{err}");
     desk.run_expecting("import c.csv -o c.run.csv", 0);
     assert_eq!(desk.text("c.run.csv"), "time_s,x_mm,measured_dx_um\n0,1,1\n1,2,2\n");
-    // A run file with a fault is told its fault.
+    // The message for a run file with a fault names the fault.
     desk.write("f.csv", "time_s;x_mm\n0;1,5\n");
     let (_, err) = desk.run_expecting("check f.csv", 2);
     assert!(err.contains("f.csv:2:3: x_mm 1,5 has a decimal comma"), "{err}");

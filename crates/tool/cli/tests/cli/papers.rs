@@ -64,7 +64,7 @@ fn a_program_its_filled_run_file_and_the_fit_go_together() {
         ("circle --at x", "must be like x=400,y=300"),
         ("circle --at x=1,x=2", "--at x is given twice"),
         ("circle --range y=0:300 --radius 0", "--radius must be above 0"),
-        ("circle --range y=0:300 --at x=30", "give a smaller --radius, another centre"),
+        ("circle --range y=0:300 --at x=30", "Give a smaller --radius, another centre"),
         ("sphere", "a sphere is probed with three axes"),
         ("sphere --range y=0:300,z=-200:0 --stylus 6", "--at x=MM"),
         ("sphere --range y=0:300,z=-200:0 --stylus 6 --at x=1,y=1,z=1", "give --ball"),

@@ -1,4 +1,4 @@
-//! Values that a machine hardly has are said, and those that it cannot have are refused until they are
+//! Values that a machine hardly has are reported, and those that it cannot have are refused until they are
 //! accepted, by every command that reads or writes them.
 
 use crate::desk::Desk;
@@ -78,7 +78,7 @@ fn an_impossible_value_is_refused_and_not_written_until_its_key_is_accepted() {
             assert!(written.is_none_or(|file| !desk.path(file).exists()), "{line}");
         }
         let (_, err) = desk.run_expecting(&format!("{line} --accept {key}"), code);
-        assert!(err.contains("impossible"), "said even where it is accepted: {line}: {err}");
+        assert!(err.contains("impossible"), "reported even where it is accepted: {line}: {err}");
         assert!(written.is_none_or(|file| desk.path(file).exists()), "{line}");
     }
     let load = "bridge load c.bin --port tcp:127.0.0.1:1 --yes";

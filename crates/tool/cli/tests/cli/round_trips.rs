@@ -181,7 +181,7 @@ fn a_square_shows_how_x_leans_with_y_however_it_lies() {
     let corner = [100.0, 80.0, -300.0];
     for urad in [0.0, 700.0] {
         let truth = Truth { axes: axes(80.0, 0.0, 0.0), bodies: Vec::new() };
-        // 0.3 mm from where it was said to be, and turned.
+        // 0.3 mm from where it was stated to be, and turned.
         let text = run(&program, &truth, 100.0, |tip, _| {
             let [x, y, _] = turned(tip, corner, -urad);
             x + 3.0 > corner[0] + 0.3 && y + 3.0 > corner[1] - 0.2
@@ -268,7 +268,7 @@ fn a_sphere_at_many_angles_finds_the_line_of_the_table() {
         assert!((size - truth).abs() < 4.0, "{name}: {size}");
     }
     assert!(is_known(&found, "EAOC"), "{found}");
-    // Where the line passes is not told from where the tip of the stylus is.
+    // Where the line passes is not distinguished from where the tip of the stylus is.
     assert!(!is_known(&found, "EXOC") && !is_known(&found, "EYOC"));
 }
 

@@ -1,4 +1,4 @@
-//! Runs in another unit, with fault values of thermometers, or without their directions of approach: said or
+//! Runs in another unit, with fault values of thermometers, or without their directions of approach: reported or
 //! mended by every command that reads them.
 
 use crate::desk::Desk;

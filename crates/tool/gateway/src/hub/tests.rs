@@ -168,7 +168,7 @@ fn only_a_new_block_of_the_one_master_becomes_a_frame() {
     transmit(&mut hub, 50, Some(0));
     assert_eq!((read(&hub).last_refused, read(&hub).refused), (4, 3));
     assert_eq!(hub.accept_block(ms(60), 1, &engaged().encode(100)), Ok(BlockOutcome::Used));
-    // Another one: kept out and told, until the first is silent or gone.
+    // Another one: kept out and reported, until the first is silent or gone.
     let other = engaged().encode(7_000);
     assert_eq!(hub.accept_block(ms(70), 2, &other), Err(Busy));
     transmit(&mut hub, 71, Some(0));
@@ -250,7 +250,7 @@ fn only_a_bridge_on_the_pinned_calibration_is_engaged() {
         }
     };
     transmit(&mut hub, 0, Some(0));
-    assert_eq!(sends(&mut hub, 10), (false, false), "it has not said what it runs on");
+    assert_eq!(sends(&mut hub, 10), (false, false), "it has not reported what it runs on");
     runs_on(&mut hub, 20, 0, 8);
     transmit(&mut hub, 20, Some(0));
     assert_eq!(sends(&mut hub, 40), (false, false), "another");
@@ -261,7 +261,7 @@ fn only_a_bridge_on_the_pinned_calibration_is_engaged() {
     runs_on(&mut hub, 60, 1, 7);
     transmit(&mut hub, 60, Some(0));
     assert_eq!(sends(&mut hub, 70), (true, true), "the pinned one");
-    // It restarts, with whatever: not engaged until it has said on what it runs.
+    // It restarts, with whatever: not engaged until it has reported on what it runs.
     transmit(&mut hub, 80, None);
     transmit(&mut hub, 90, Some(0));
     assert_eq!(sends(&mut hub, 100), (false, false));

@@ -59,7 +59,7 @@ fn a_clock_that_steps_an_hour_is_asked_about_and_one_that_runs_back_is_refused()
     assert!(
         bad(table(&["08:15:10", "08:15:20", "08:15:15"]), &[]).contains("4:1: the time runs back")
     );
-    // A gap is said.
+    // A gap is reported.
     let imported = read(table(&["08:15:00", "08:15:10", "08:15:20", "10:00:00"]), &[]);
     assert!(
         imported.notes[0].contains("1.7 h without a reading before line 5"),

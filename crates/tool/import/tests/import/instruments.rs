@@ -156,7 +156,7 @@ fn target_data_of_a_laser_is_runs_with_directions_and_its_units_are_asked() {
     let Err(ImportError::Open(questions)) =
         import(text.as_bytes(), Path::new("x.rtl"), &answers(&given))
     else {
-        panic!("the way back is not said")
+        panic!("the way back is not stated")
     };
     assert_eq!(questions[0].topic, Topic::Runs);
     let with = |runs| {

@@ -14,7 +14,7 @@ use std::path::Path;
 use trueup_import::{Answers, ImportError, ImportedRun, Topic, import};
 use trueup_machine::RunFile;
 
-/// Returns what the user has said.
+/// Returns what the user has stated.
 fn answers(given: &[(Topic, &str)]) -> Answers {
     let mut answers = Answers::default();
     for (topic, value) in given {
@@ -31,7 +31,7 @@ fn unit(name: &str) -> Topic {
     Topic::Unit(name.into())
 }
 
-/// Returns the file, read with what the user has said.
+/// Returns the file, read with what the user has stated.
 fn read(text: impl AsRef<[u8]>, given: &[(Topic, &str)]) -> ImportedRun {
     read_as("table.csv", text.as_ref(), given)
 }

@@ -112,7 +112,7 @@ fn a_component_that_starts_with_the_machine_off_moves_nothing() {
     // moveoff was stopped half way.
     world.reading = JointReading { now_nm: 40_000.0, ..JointReading::default() };
     assert_eq!(world.step(false, Some(80_000)), 40_000.0);
-    assert_eq!(world.step(true, None), 40_000.0, "the bridge has said nothing");
+    assert_eq!(world.step(true, None), 40_000.0, "the bridge has sent nothing");
     assert_eq!(world.step(true, Some(80_000)), 80_000.0);
 }
 

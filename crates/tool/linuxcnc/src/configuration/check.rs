@@ -95,9 +95,10 @@ pub fn check(ini: &IniLines, hal: &HalFiles, demand: &OffsetRequirements) -> Che
         check_servo_period(ini, &base, &mut report);
         if no_board.has_heat && !hal.has_signal("trueup-confirm") {
             report.facts.push(
-                "the machine file has models by heat: at the first start, and without the stored state of the last one, offsets wait until \
-                 the thermometers agree or you confirm that the machine is cold (signal trueup-confirm; or halcmd setp \
-                 trueup.0.confirm 1, then 0)"
+                "the machine file has models by heat. At the first start, and without the \
+                 stored state of the last one, offsets wait. They come when the thermometers \
+                 agree or you confirm that the machine is cold. To confirm, use the signal \
+                 trueup-confirm, or halcmd setp trueup.0.confirm 1, then 0"
                     .into(),
             );
         }
@@ -182,8 +183,9 @@ fn check_servo_period(ini: &IniLines, base: &Ini, report: &mut CheckReport) {
         report.findings.push(ConfigurationFinding::warning(
             place,
             format!(
-                "[EMCMOT]BASE_PERIOD = {thread_ns} ns: with a base thread LinuxCNC makes the servo period a multiple of it, \
-                 {made_ns} ns, and without a board that is refused: the feed is held"
+                "[EMCMOT]BASE_PERIOD = {thread_ns} ns: with a base thread LinuxCNC makes the \
+                 servo period a multiple of it, {made_ns} ns. Without a board that is refused, \
+                 and the feed is held"
             ),
             "set it to a divisor of SERVO_PERIOD, such as 25000",
         ));

@@ -1,4 +1,4 @@
-//! The wires of the inputs that the user's HAL files bring (`inputs.rs`), and what is said of those that they do not bring.
+//! The wires of the inputs that the user's HAL files bring (`inputs.rs`), and the messages about those that they do not bring.
 
 use std::fmt::Write as _;
 

@@ -134,8 +134,9 @@ fn place_circle(
         let [low, high] =
             way.extent[n].map(|end| round_to_micrometres(centre(n, radius) + end * radius));
         return Err(ProgramError(format!(
-            "a circle of {radius} mm would send {name} from {low} to {high} mm, and it may move from {} to {} mm: give a smaller \
-             --radius, another centre by --at, or a longer --range {name}=LOW:HIGH",
+            "a circle of {radius} mm would send {name} from {low} to {high} mm, and it may move \
+             from {} to {} mm. Give a smaller --radius, another centre by --at, or a longer \
+             --range {name}=LOW:HIGH",
             pair[n].low_mm, pair[n].high_mm
         )));
     }
@@ -221,8 +222,9 @@ fn collect_notes(
         "A reading is the radius, actual minus nominal, plus outward; a row for each degree."
             .into(),
         format!(
-            "The table of an instrument that has angles becomes a run file by: trueup import TABLE.csv --radius {radius} \
-             --centre {u},{v} --plane {plane} --direction ccw -o ccw.csv; for the other direction cw."
+            "The table of an instrument that has angles becomes a run file by: trueup import \
+             TABLE.csv --radius {radius} --centre {u},{v} --plane {plane} --direction ccw -o \
+             ccw.csv. For the other direction use cw."
         ),
     ];
     let name = still.name();

@@ -209,5 +209,5 @@ pub(super) fn fit_command(name: &str, steps: &[Step]) -> Vec<String> {
 pub(super) const PROBE_PRECAUTION: &str =
     "The probe is in the spindle, its signal was tried by hand, and it is open now.";
 /// What is read where.
-pub(super) const LINUXCNC_LOG_NOTE: &str = "LinuxCNC writes the readings into the run file of this name, in the folder that it runs in: put it in the place of the \
-     empty one.";
+pub(super) const LINUXCNC_LOG_NOTE: &str = "LinuxCNC writes the readings into the run file of \
+    this name, in the folder that it runs in. Put it in the place of the empty one.";

@@ -119,8 +119,8 @@ fn enumerate_poses(
         }
         if !table.contains(&axis) {
             return Err(ProgramError(format!(
-                "--angle {0}: the chain of the machine file has no {1} under the workpiece, and a head that is turned cannot touch a \
-                 ball from above",
+                "--angle {0}: the chain of the machine file has no {1} under the workpiece. A \
+                 head that is turned cannot touch a ball from above",
                 axis.name(),
                 axis.name().to_uppercase()
             )));

@@ -117,8 +117,8 @@ fn create_plan(
         name: format!("step-diagonal-{}-xyz", number + 1),
         notes: vec![
             COMPENSATION_OFF_PRECAUTION.to_string(),
-            "Lay the beam along the line from the first to the last position; a mirror that is wide enough stays in it while one \
-             axis steps."
+            "Lay the beam along the line from the first to the last position. A mirror that is \
+             wide enough stays in it while one axis steps."
                 .into(),
             "The reading is the way along that line, actual minus commanded, plus where it is too long.".into(),
         ],

@@ -79,8 +79,8 @@ pub fn plan_target_run(
     let over_mm = run.over_mm.min(MIN_OVER_TRAVEL_MM);
     if ends_mm[0] - over_mm < way.low_mm || ends_mm[1] + over_mm > way.high_mm {
         return Err(ProgramError(format!(
-            "the next run reads {name} from {} to {} mm, and {name} may move from {} to {} mm only: give a \
-             longer --range {name}=LOW:HIGH, or a smaller --margin",
+            "the next run reads {name} from {} to {} mm, and {name} may move from {} to {} mm \
+             only. Give a longer --range {name}=LOW:HIGH, or a smaller --margin",
             ends_mm[0],
             ends_mm[1],
             limits.low_mm,
@@ -189,7 +189,7 @@ mod tests {
         let text = &crate::template::run_file_templates(&plan)[0].1;
         let header = "y_mm,dir_y,feed_mm_per_min,time_s,temp_screw_c,measured_dy_um\n";
         assert!(text.contains(header), "{text}");
-        // A margin is kept to the ends of travel; Z moves only where it is said, its upper end first.
+        // A margin is kept to the ends of travel; Z moves only where it is stated, its upper end first.
         let error_text = |run: &TargetRun, travel: &str, options: &MeasurementOptions| {
             plan_target_run(run, &machine(travel), options, &inputs, "")
         };
@@ -210,7 +210,7 @@ mod tests {
             range_mm: [None, None, Some([-2.0, 1002.0])],
             ..MeasurementOptions::default()
         };
-        let plan = error_text(&z, "", &options).expect("it is said");
+        let plan = error_text(&z, "", &options).expect("it is reported");
         assert_eq!(plan.steps[0], Step::Approach { axis: 2, to_mm: 1000.0 });
         assert_eq!(plan.readings()[0].position_mm[2], Some(950.0));
     }

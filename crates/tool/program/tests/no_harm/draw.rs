@@ -72,7 +72,7 @@ impl Draw {
             && high - low - 2.0 * margin > 2.01
     }
 
-    /// Nothing is left out that could be written, and what is left out is said.
+    /// Nothing is left out that could be written, and what is left out is reported.
     pub fn is_named_what_is_not_written(&self, kind: MeasurementKind, plans: &[Plan], notes: &str) {
         if matches!(
             kind,

@@ -29,7 +29,7 @@ const MACHINE: &str = "[machine]\nname = \"lathe 7\"\nkind = \"3-axis\"\n\
     [spindle.sensor]\nk0_um = 0.0\nzero_counts = 5048.0\num_per_count = 0.0152587890625\n\
     [axis.x.thermal]\nsensor = \"temp_coil_c\"\nreference_c = 20.0\nconstant_um_per_c = 0.5\nmode = \"constant\"\n";
 
-/// Returns what a screen knows after `ms` of a bridge whose sensor gives `code`, engaged if wanted.
+/// Returns what a screen knows after `ms` of a bridge whose sensor gives `code`, engaged if requested.
 fn watched(ms: u32, code: u16, engage: bool) -> ScreenState {
     let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("right");
     let compiled = compile(&machine).expect("it fits");
@@ -232,7 +232,7 @@ fn at_60_by_20_nothing_essential_is_cut() {
             "? help",
         ],
     );
-    let crc = state.board.calibration.expect("it was told");
+    let crc = state.board.calibration.expect("it was received");
     has(&text, &[&format!("{crc:08x}")]);
 }
 

@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-/// A host application, as far as it has said how it is.
+/// A host application, as far as it has reported its state.
 pub(crate) struct PrimaryHost {
     is_online: bool,
     /// The time in its last message, in ms since 1970.

@@ -100,7 +100,7 @@ impl EdgeNode {
         number
     }
 
-    /// Returns the will of the connection, and what is said before it is ended on purpose.
+    /// Returns the will of the connection, and the message before it is ended on purpose.
     #[must_use]
     pub(crate) fn death_message(&self, time_ms: u64) -> Message {
         let metrics = vec![self.bd_seq_metric(time_ms)];
@@ -160,7 +160,7 @@ impl EdgeNode {
         messages
     }
 
-    /// Returns whether anything but numbers, counts and flags of offsets differs from what was last said.
+    /// Returns whether anything but numbers, counts and flags of offsets differs from what was last sent.
     #[must_use]
     pub(crate) fn has_state_change(&self, bridges: &[Snapshot]) -> bool {
         let known = self.devices.iter().map(|device| &device.metrics);

@@ -149,9 +149,9 @@ impl fmt::Display for SpoolReport {
             ),
             Self::Overrun { count, numbers: [first, last], times_ms: [from, to] } => write!(
                 f,
-                "the spool is full: {count} records that the broker never had gave way to new ones, \
-                 numbers {first} to {last}, {} to {}; let it have more with --spool-mb, or bring the \
-                 broker back",
+                "the spool is full: {count} records that the broker never had gave way to new \
+                 ones, numbers {first} to {last}, {} to {}. Let it have more with --spool-mb, \
+                 or bring the broker back",
                 format_utc(*from),
                 format_utc(*to)
             ),

@@ -130,7 +130,7 @@ impl Mosquitto {
     }
 }
 
-/// The Sparkplug host, and what it has said: a line of JSON for each message.
+/// The Sparkplug host, and its output: a line of JSON for each message.
 pub struct Host {
     process: Process,
     messages: Arc<Mutex<Vec<(Instant, Value)>>>,

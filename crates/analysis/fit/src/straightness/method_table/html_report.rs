@@ -15,7 +15,8 @@ const PLOTTED_METHODS: [(CurveMethod, Colour); 3] = [
 pub(super) fn render_html(table: &MethodTable, origin: &Origin) -> String {
     let mut page = Page::new("Ways to a straightness curve");
     page.add_paragraph(&format!(
-        "The residual of each method, and the speed jumps and accelerations that it requires at {} mm/min, in a control that updates its axes every {} ms.",
+        "The residual of each method, and the speed jumps and accelerations that it requires. \
+         They are for {} mm/min, in a control that updates its axes every {} ms.",
         table.feed_mm_per_min, table.cycle_ms
     ));
     for entry in &table.entries {
@@ -33,10 +34,10 @@ pub(super) fn render_html(table: &MethodTable, origin: &Origin) -> String {
         }
     }
     page.add_note(
-        "Range, mean and mean square (about the mean) as in the table of the paper. Straight lines leave nothing at \
-         the places that were read, whatever lies between them: what speaks against them is the jump of speed at \
-         each, and the noise of each reading, which they cut into the part. A polynomial has no jumps and cannot \
-         follow.",
+        "Range, mean and mean square (about the mean) as in the table of the paper. Straight \
+         lines leave nothing at the places that were read, whatever lies between them. Against \
+         them speak the jump of speed at each, and the noise of each reading, which they cut \
+         into the part. A polynomial has no jumps and cannot follow.",
     );
     page.add_provenance_footer(origin);
     page.to_html()

@@ -106,7 +106,7 @@ fn a_jump_moves_no_offset_is_reported_and_is_accepted_once_three_more_follow_fro
     rig.position(206 * MM);
     assert_eq!(rig.x(), 206 * MM);
     for ms in 5..=101 {
-        assert!(rig.state.has_position_jumped(), "told for {ms} ms");
+        assert!(rig.state.has_position_jumped(), "reported for {ms} ms");
         rig.position(206 * MM);
         rig.wait(1);
     }

@@ -83,7 +83,7 @@ fn a_source_that_takes_over_goes_on_where_the_one_before_was() {
     assert_ne!(rig.last.quality, Quality::Live, "not before it was fresh for a second");
     hold(&mut rig, 1_400, 1_050, Some(23));
     assert_eq!(rig.last.quality, Quality::Live);
-    assert!(rig.last.flags.contains(Flags::SLEWING), "told");
+    assert!(rig.last.flags.contains(Flags::SLEWING), "reported");
     let before = rig.z_nm();
     assert!((before - grown - 10_000).abs() <= 20, "{before}");
     hold(&mut rig, 10_000, 1_050, Some(23));
@@ -336,7 +336,7 @@ fn what_is_taken_back_is_as_the_rate_says_to_the_nanometre() {
     let mut rig = Rig::new(machine);
     hold(&mut rig, 1_300, 1_050, Some(22));
     hold(&mut rig, 1_000, 0, Some(22));
-    // 1.5 nm in each step: the thermometer has told of 10 µm that the sensor has not seen.
+    // 1.5 nm in each step: the thermometer has reported 10 µm that the sensor has not seen.
     hold(&mut rig, 1_000, 0, Some(23));
     hold(&mut rig, 3_000, 1_050, Some(23));
     let before = rig.z_nm();

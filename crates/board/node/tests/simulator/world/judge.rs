@@ -51,7 +51,7 @@ impl World {
         let lasts = self.lasts_ms().min(self.since_start_ms);
         if is_blind && lasts > 50 || self.fault == WorldFault::SensorStuck && lasts > 250 {
             assert_ne!(output.quality, Quality::Live, "blind for {lasts} ms: {}", place());
-            assert_ne!(output.flags.0 & 0x0C, 0, "not told: {}", place());
+            assert_ne!(output.flags.0 & 0x0C, 0, "not reported: {}", place());
         }
         // Nor a model that its thermometer is there, once its channel counts as bad.
         if self.fault == WorldFault::BothOpen && lasts > 1_600 {
@@ -83,7 +83,7 @@ impl World {
     }
 
     /// A change of source leaves the offset where it was, but for what the machine has grown by. (A
-    /// sensor that freezes elsewhere has said so for 200 ms, and a `Zero` in the same millisecond sets off for
+    /// sensor that freezes elsewhere has reported it for 200 ms, and a `Zero` in the same millisecond sets off for
     /// 0: neither is looked at here.)
     fn joins(&mut self, elapsed_ms: u32, output: &Output, z_nm: i32) {
         let before = self.before.map(|before| before.quality);

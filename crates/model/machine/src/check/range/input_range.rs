@@ -61,9 +61,9 @@ fn range_text(line: &LinearInput) -> String {
 fn scale_help(line: &LinearInput) -> &'static str {
     match line.scale {
         CountScale::Code => {
-            "without counts_full_scale a count is a code of the board, 4096 at 3.3 V on the pin: add \
-             counts_full_scale of the converter whose counts these are (27648 for a SIMATIC S7 input, 32768 for \
-             the paper's), or write zero_v and c_per_v"
+            "without counts_full_scale a count is a code of the board, 4096 at 3.3 V on the \
+             pin. Add counts_full_scale of the converter whose counts these are (27648 for a \
+             SIMATIC S7 input, 32768 for the paper's). Or write zero_v and c_per_v"
         }
         CountScale::Volt { .. } => {
             "T = (V − zero_v) · c_per_v: write the volts at 0 °C and the kelvin for one volt of the transmitter"

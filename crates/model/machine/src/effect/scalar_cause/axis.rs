@@ -56,16 +56,17 @@ impl ScalarCauseDefinition for PitchScale {
         sentence: |um| format!("The scale or the screw is off by {um:+.2} µm for each metre."),
         next_test: "Measure once more by ISO 230-2 at targets that are no multiples of the screw's pitch.",
         repair: Some(
-            "Before you correct it, look at what can be repaired: the pretension of a screw between two bearings, and a \
-             screw or scale that is not parallel to the guide.",
+            "Before you correct it, look at what can be repaired. That is the pretension of a \
+             screw between two bearings, and a screw or scale that is not parallel to the guide.",
         ),
         confounded_in_one_pass: Some(Drift::NAME),
         against: &[
             (
                 "reference-temperature",
-                "While the expansion is linear both are the same error for each metre at every temperature: no measurement of \
-                 the axis distinguishes them, and either correction removes it. Look where the reference temperature comes \
-                 from (20 °C by ISO 1), and measure a certified length to know whether the scale is right.",
+                "While the expansion is linear both are the same error for each metre at every \
+                 temperature. No measurement of the axis distinguishes them, and either \
+                 correction removes it. Look where the reference temperature comes from (20 °C \
+                 by ISO 1), and measure a certified length to know whether the scale is right.",
             ),
             (
                 "expansion-slope",

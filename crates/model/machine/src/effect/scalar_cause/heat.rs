@@ -296,9 +296,11 @@ impl ScalarCauseDefinition for ReferenceTemperature {
                 "The axis is right at another temperature, {shift_c:+.2} K from the believed one."
             )
         },
-        next_test: "Look where the reference temperature comes from: the gauge's own (20 °C by ISO 1), the scale's, the one at which the \
-                    axis was last set. While the expansion is linear no measurement of the axis distinguishes a wrong one from a wrong \
-                    scale: both are the same error for each metre at every temperature, and either correction removes it.",
+        next_test: "Find the source of the reference temperature. It is the gauge's own (20 °C \
+            by ISO 1), the scale's, or the one at which the axis was last set. While the \
+            expansion is linear no measurement of the axis distinguishes a wrong one from a \
+            wrong scale. Both are the same error for each metre at every temperature, and \
+            either correction removes it.",
         ..AXIS_CAUSE_DEFAULTS
     };
 }

@@ -74,7 +74,7 @@ impl Desk {
     }
 }
 
-/// Returns what was said, with `file:line:column: rule` for the error, its place and its line with a caret; the
+/// Returns the messages, with `file:line:column: rule` for the error, its place and its line with a caret; the
 /// form itself is tested in `check.rs`.
 pub fn in_one_line(text: &str) -> String {
     let mut lines: Vec<String> = Vec::new();
